@@ -148,14 +148,18 @@ class Labels(msgspec.Struct, frozen=True, kw_only=True):
             return found
         looks = _look(scene, table, moments)
         _count(scene, looks, moments)
+        by_label: dict[str, list[int]] = {}
+        for row, annotation in enumerate(table.annotations):
+            by_label.setdefault(str(annotation.label or NO_CLASS), []).append(row)
+        classes = [_class(label, rows, table.annotations, looks) for label, rows in by_label.items()]
         return msgspec.structs.replace(
             found,
-            classes=_classes(table, looks),
+            classes=tuple(sorted(classes, key=lambda numbers: (-numbers.objects, numbers.label))),
             moments=looks.moments,
             of=looks.of,
             over_time=_over_time(scene, table, start_ns),
-            range_counts=_binned(looks.ranges, _RANGE_EDGES),
-            point_counts=_binned(looks.points, _POINT_EDGES),
+            range_counts=_binned(looks.get("ranges"), _RANGE_EDGES),
+            point_counts=_binned(looks.get("points"), _POINT_EDGES),
             skipped=tuple(looks.skipped),
         )
 
@@ -259,29 +263,37 @@ _CLASS_COLUMNS = (
 )
 
 
+_BY_ROW = {"ranges": "rows of ranges", "seen": "rows of seen", "hidden": "rows of hidden", "points": "rows of points"}
+"""What is noted of boxes, and under which name the rows are that it is of."""
+
+
 @dataclass(slots=True)
 class _Looks:
     """What was seen of the boxes at some moments, one entry per box and moment, by row of the table."""
 
-    rows: list[int] = field(default_factory=list)
-    ranges: list[float] = field(default_factory=list)
-    seen: list[bool] = field(default_factory=list)
-    hidden_rows: list[int] = field(default_factory=list)
-    hidden: list[float] = field(default_factory=list)
-    point_rows: list[int] = field(default_factory=list)
-    points: list[int] = field(default_factory=list)
+    values: dict[str, list[Any]] = field(
+        default_factory=lambda: {name: [np.zeros(0, np.int64)] for name in (*_BY_ROW, *_BY_ROW.values())}
+    )
     moments: int = 0
     of: int = 0
     with_cameras: bool = False
     skipped: list[str] = field(default_factory=list)
 
+    def add(self, name: str, rows: Any, values: Any) -> None:
+        """Note values of some rows."""
+        self.values[_BY_ROW[name]].append(rows)
+        self.values[name].append(values)
+
+    def get(self, name: str, rows: Sequence[int] | None = None) -> Any:
+        """All values of a name, or those of some rows."""
+        values = np.concatenate(self.values[name])
+        return values if rows is None else values[np.isin(np.concatenate(self.values[_BY_ROW[name]]), rows)]
+
 
 def _look(scene: Scene, table: BoxTable, moments: int) -> _Looks:
     """See the boxes from the sensors at some moments: how far they are, which are in images, what hides them."""
-    looks = _Looks()
-    try:
-        samples = scene.samples(reference="lidar" if _has_sweeps(scene) else "camera")
-    except OptionError:
+    looks, samples = _Looks(), _samples(scene)
+    if samples is None:
         return looks
     looks.of, looks.with_cameras = len(samples), any(len(camera.images) for camera in scene.cameras)
     for row in spread_rows(len(samples), moments).tolist():
@@ -294,8 +306,12 @@ def _look(scene: Scene, table: BoxTable, moments: int) -> _Looks:
     return looks
 
 
-def _has_sweeps(scene: Scene) -> bool:
-    return any(len(lidar.frames) for lidar in scene.lidars[:1])
+def _samples(scene: Scene) -> Sequence[Sample] | None:
+    """Moments by the sweeps of the first lidar, else by images; None where there are neither."""
+    try:
+        return scene.samples(reference="lidar" if any(len(x.frames) for x in scene.lidars[:1]) else "camera")
+    except OptionError:
+        return None
 
 
 def _add(looks: _Looks, table: BoxTable, sample: Sample) -> None:
@@ -314,16 +330,14 @@ def _add(looks: _Looks, table: BoxTable, sample: Sample) -> None:
         rows, shown = table.find(sample.times_ns[camera_id], sensor_id=camera_id)
         found = observe_cuboids(sample.cameras[camera_id], world_from_camera, shown, min_pixels=4.0)
         seen[np.isin(there, rows[found.rows])] = True
-        looks.hidden_rows += rows[found.rows].tolist()
-        looks.hidden += found.occlusions.tolist()
-    looks.rows += there.tolist()
-    looks.ranges += ranges.tolist()
-    looks.seen += seen.tolist()
+        looks.add("hidden", rows[found.rows], found.occlusions)
+    looks.add("ranges", there, ranges)
+    looks.add("seen", there, seen)
 
 
 def _count(scene: Scene, looks: _Looks, moments: int) -> None:
     """Count the points in boxes at some sweeps."""
-    if not _has_sweeps(scene):
+    if not any(len(lidar.frames) for lidar in scene.lidars[:1]):
         return
     some = {
         lidar.id: replace(lidar, frames=lidar.frames.chosen(spread_rows(len(lidar.frames), moments)))
@@ -337,50 +351,15 @@ def _count(scene: Scene, looks: _Looks, moments: int) -> None:
         return
     for lidar in counts.lidars:
         frames, rows = np.nonzero(lidar.there)
-        looks.point_rows += rows.tolist()
-        looks.points += lidar.counts[frames, rows].tolist()
+        looks.add("points", rows, lidar.counts[frames, rows])
 
 
-def _classes(table: BoxTable, looks: _Looks) -> tuple[ClassNumbers, ...]:
-    by_label: dict[str, list[int]] = {}
-    for row, annotation in enumerate(table.annotations):
-        by_label.setdefault(str(annotation.label or NO_CLASS), []).append(row)
-    columns = _Columns.of(looks)
-    classes = [_class(label, rows, table.annotations, columns, looks) for label, rows in by_label.items()]
-    return tuple(sorted(classes, key=lambda numbers: (-numbers.objects, numbers.label)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Columns:
-    """The looks as arrays."""
-
-    rows: Int64Array
-    ranges: Float64Array
-    seen: Int64Array
-    hidden_rows: Int64Array
-    hidden: Float64Array
-    point_rows: Int64Array
-    points: Int64Array
-
-    @classmethod
-    def of(cls, looks: _Looks) -> "_Columns":
-        whole = (looks.rows, looks.seen, looks.hidden_rows, looks.point_rows, looks.points)
-        rows, seen, hidden_rows, point_rows, points = (np.array(values, np.int64) for values in whole)
-        return cls(
-            rows, np.array(looks.ranges, np.float64), seen, hidden_rows, np.array(looks.hidden, np.float64),
-            point_rows, points,
-        )  # fmt: skip
-
-
-def _class(
-    label: str, rows: list[int], annotations: Sequence[CuboidAnnotation], columns: _Columns, looks: _Looks
-) -> ClassNumbers:
+def _class(label: str, rows: list[int], annotations: Sequence[CuboidAnnotation], looks: _Looks) -> ClassNumbers:
     mine = [annotations[row] for row in rows]
     sizes = np.array([np.median(annotation.path.values[:, :3], axis=0) for annotation in mine])
     length, width, height = (Spread.of(sizes[:, axis]) for axis in range(3))
     moving = [a.path.timestamps_ns for a in mine if len(a.path.timestamps_ns) > 1]
-    points = columns.points[np.isin(columns.point_rows, rows)]
-    at = np.isin(columns.rows, rows)
+    points, seen = looks.get("points", rows), looks.get("seen", rows)
     return ClassNumbers(
         label=label,
         objects=len(mine),
@@ -390,11 +369,11 @@ def _class(
         width=width,
         height=height,
         seconds=Spread.of([(int(times[-1]) - int(times[0])) / 1e9 for times in moving]),
-        ranges=Spread.of(columns.ranges[at]),
+        ranges=Spread.of(looks.get("ranges", rows)),
         points=Spread.of(points),
         empty_share=float((points == 0).mean()) if len(points) else None,
-        hidden=Spread.of(columns.hidden[np.isin(columns.hidden_rows, rows)]),
-        in_images_share=float(columns.seen[at].mean()) if looks.with_cameras and at.any() else None,
+        hidden=Spread.of(looks.get("hidden", rows)),
+        in_images_share=float(seen.mean()) if looks.with_cameras and len(seen) else None,
     )
 
 
@@ -433,15 +412,10 @@ def draw_labels(scene: Scene, figures: Figures) -> None:
     Raises:
         DataError: a sweep or image cannot be read.
     """
-    if not scene.annotations:
+    samples = _samples(scene) if scene.annotations else None
+    if not samples:
         return
-    try:
-        samples = scene.samples(reference="lidar" if any(len(x.frames) for x in scene.lidars[:1]) else "camera")
-        sample = samples[len(samples) // 2] if len(samples) else None
-    except OptionError:
-        return
-    if sample is None:
-        return
+    sample = samples[len(samples) // 2]
     text = "The sweep in the middle of the drive as a map, with everything of the annotations that has a location"
     figures.add("annotations", "Annotations from above", text, draw_annotations_above(scene, sample))
     shown = [camera_id for camera_id, image in sample.images.items() if image is not None]

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array
+from sceneloom.arrays import Float64Array, FloatArray, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
@@ -131,7 +131,8 @@ class CloudStatistics:
         known = np.isfinite(ranges) & (ranges > 1e-6)
         self.counts.append(len(ranges))
         self.non_finite += int(len(ranges) - known.sum())
-        self._add_known(points_level[known], ranges[known])
+        if known.any():
+            self._add_known(points_level[known], ranges[known])
         if points is None:
             return
         self.with_times |= points.timestamps_ns is not None
@@ -141,8 +142,6 @@ class CloudStatistics:
             self._rings += np.bincount(np.minimum(points.rings, _MOST_RINGS - 1), minlength=_MOST_RINGS)
 
     def _add_known(self, points_level: Float64Array, ranges: Float64Array) -> None:
-        if len(ranges) == 0:
-            return
         self.farthest = max(self.farthest, float(ranges.max()))
         rows = np.searchsorted(RANGE_EDGES, ranges, side="right") - 1
         self._ranges += np.bincount(rows, minlength=len(RANGE_EDGES))
@@ -266,7 +265,13 @@ class Coverage(msgspec.Struct, frozen=True, kw_only=True):
         survey = _Survey.of(scene, ego)
         clouds = tuple(survey.cloud(s, sweeps) for s in scene.sensors if isinstance(s, LidarSensor | RadarSensor))
         cameras = tuple(survey.view(camera) for camera in scene.cameras)
-        lidar, camera = _seen_by_lidars(clouds), _seen_by_cameras(cameras)
+        lidar, camera = np.zeros(360, np.bool_), np.zeros(360, np.bool_)
+        for cloud in clouds:
+            if cloud.type == "lidar" and cloud.sectors:
+                lidar |= np.repeat(np.array(cloud.sectors) > 0, 360 // len(cloud.sectors))
+        for view in cameras:
+            if view.left_deg is not None and view.right_deg is not None:
+                camera |= (np.arange(360) + 0.5 - view.right_deg) % 360 <= view.left_deg - view.right_deg
         return cls(
             clouds=clouds,
             cameras=cameras,
@@ -347,6 +352,9 @@ _CLOUD_COLUMNS = (
     ),
 )
 
+_WORDS = ("ahead", "ahead left", "left", "back left", "back", "back right", "right", "ahead right")
+"""Directions in steps of 45 degrees, left positive."""
+
 _CAMERA_COLUMNS = (
     text_column("Camera", lambda row: row[0].sensor),
     text_column("Camera model", lambda row: row[0].model.replace("_", " ")),
@@ -357,18 +365,19 @@ _CAMERA_COLUMNS = (
             NOTHING if row[0].across_deg is None else f"{row[0].across_deg:.0f} / {row[0].upright_deg or 0.0:.0f}"
         ),
     ),
-    Column("Looks to [deg]", lambda row: _direction(row[0].heading_deg)),
+    Column(
+        "Looks to [deg]",
+        lambda row: (
+            NOTHING
+            if row[0].heading_deg is None
+            else f"{row[0].heading_deg:+.0f} ({_WORDS[round(row[0].heading_deg / 45.0) % 8]})"
+        ),
+    ),
     Column("Up [deg]", lambda row: fixed(row[0].pitch_deg, 1)),
     Column("Points in the image", lambda row: NOTHING if row[1] is None else f"{row[1].in_image_percent:.1f} %"),
     Column("Hidden of these", lambda row: NOTHING if row[1] is None else f"{row[1].hidden_percent:.1f} %"),
 )
 """Of a camera, and of its part in the fusion if it has one."""
-
-
-def _direction(degrees: float | None) -> str:
-    """A direction in words: 0 ahead, left positive."""
-    words = ("ahead", "ahead left", "left", "back left", "back", "back right", "right", "ahead right")
-    return NOTHING if degrees is None else f"{degrees:+.0f} ({words[round(degrees / 45.0) % 8]})"
 
 
 def _draw_around(clouds: Sequence[CloudCoverage], cameras: Sequence[CameraCoverage]) -> bytes:
@@ -484,7 +493,8 @@ class _Survey:
             return known
         level = across @ rotation.T
         angles = np.degrees(np.unwrap(np.arctan2(level[:, 1], level[:, 0])))
-        ahead = rotation @ _middle(camera)
+        middle = unproject(camera, np.array([[(camera.width - 1) / 2, (camera.height - 1) / 2]]))[0]
+        ahead = rotation @ (middle if np.isfinite(middle).all() else np.array([0.0, 0.0, 1.0]))
         return msgspec.structs.replace(
             known,
             left_deg=float(angles.max()),
@@ -502,11 +512,6 @@ def _rays(camera: Camera, axis: int) -> Float64Array:
     pixels[:, 1 - axis] = (size[1 - axis] - 1) / 2
     rays = unproject(camera, pixels)
     return rays[np.isfinite(rays).all(axis=1)]
-
-
-def _middle(camera: Camera) -> Float64Array:
-    ray = unproject(camera, np.array([[(camera.width - 1) / 2, (camera.height - 1) / 2]]))[0]
-    return ray if np.isfinite(ray).all() else np.array([0.0, 0.0, 1.0])
 
 
 def _bend(rays: Float64Array) -> float | None:
@@ -600,20 +605,3 @@ def _looking(ahead: Float64Array, up: Float64Array) -> Float64Array:
     length = float(np.linalg.norm(level))
     x = level / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
     return np.stack([x, np.cross(up, x), up])
-
-
-def _seen_by_lidars(clouds: Sequence[CloudCoverage]) -> BoolArray:
-    seen: BoolArray = np.zeros(360, np.bool_)
-    for cloud in clouds:
-        if cloud.type == "lidar" and cloud.sectors:
-            seen |= np.repeat(np.array(cloud.sectors) > 0, 360 // len(cloud.sectors))
-    return seen
-
-
-def _seen_by_cameras(cameras: Sequence[CameraCoverage]) -> BoolArray:
-    seen: BoolArray = np.zeros(360, np.bool_)
-    middles = np.arange(360) + 0.5
-    for camera in cameras:
-        if camera.left_deg is not None and camera.right_deg is not None:
-            seen |= (middles - camera.right_deg) % 360 <= camera.left_deg - camera.right_deg
-    return seen

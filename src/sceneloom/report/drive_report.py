@@ -6,8 +6,9 @@
 import hashlib
 import platform
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from importlib import metadata
 from itertools import groupby
 from pathlib import Path
@@ -38,7 +39,7 @@ from sceneloom.report.content import (
 )
 from sceneloom.report.coverage import Coverage
 from sceneloom.report.fusion import CalibrationCheck, Fusion, calibration_section
-from sceneloom.report.timing import StreamTiming, Timing
+from sceneloom.report.timing import Timing
 from sceneloom.report.trajectory import Metrics, Trajectories
 from sceneloom.scene.contents import contents_of
 from sceneloom.scene.scene import Scene
@@ -84,25 +85,37 @@ def provenance_of(
         made: when; None for now.
     """
     digest, hashed, size = (None, None, None) if path is None else hash_of(path)
+    packages = {}
+    for name in _PACKAGES:
+        try:
+            packages[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            packages[name] = "?"
+    # the entries of the scene's metadata as texts, ours one by one
+    ours = scene.metadata.get("sceneloom")
+    entries = {name: value for name, value in scene.metadata.items() if name != "sceneloom"}
+    if isinstance(ours, Mapping):
+        entries |= {f"sceneloom.{name}": value for name, value in ours.items()}
+
+    def entry_text(value: Any) -> str:
+        try:
+            text = msgspec.json.encode(value, enc_hook=_described).decode("utf-8", "replace")
+        except (TypeError, ValueError, UnicodeError, RecursionError):
+            text = _described(value)
+        return text if len(text) <= _MOST_ENTRY else f"{text[:_MOST_ENTRY]}… ({len(text):,} characters)"
+
     return _Provenance(
         made=(made or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
         sceneloom=__version__,
         python=platform.python_version(),
         system=platform.system(),
-        packages={name: _version(name) for name in _PACKAGES},
+        packages=packages,
         settings={name: str(value) for name, value in settings.items()},
         sha256=digest,
         hashed=hashed,
         size_bytes=size,
-        reported=_reported(scene),
+        reported={str(name): entry_text(value) for name, value in list(entries.items())[:60]},
     )
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "?"
 
 
 def hash_of(path: Path) -> tuple[str | None, str | None, int | None]:
@@ -140,23 +153,6 @@ def _parts(file: Path, size: int, *, whole: bool) -> Iterator[bytes]:
         yield content.read(_ENDS)
 
 
-def _reported(scene: Scene) -> dict[str, str]:
-    """Entries of a scene's metadata as texts, ours one by one, each cut off where it is long."""
-    ours = scene.metadata.get("sceneloom")
-    entries = {name: value for name, value in scene.metadata.items() if name != "sceneloom"}
-    if isinstance(ours, Mapping):
-        entries |= {f"sceneloom.{name}": value for name, value in ours.items()}
-    return {str(name): _text(value) for name, value in list(entries.items())[:60]}
-
-
-def _text(value: Any) -> str:
-    try:
-        text = msgspec.json.encode(value, enc_hook=_described).decode("utf-8", "replace")
-    except (TypeError, ValueError, UnicodeError, RecursionError):
-        text = _described(value)
-    return text if len(text) <= _MOST_ENTRY else f"{text[:_MOST_ENTRY]}… ({len(text):,} characters)"
-
-
 def _described(value: Any) -> Any:
     if isinstance(value, Mapping):
         return dict(value)
@@ -164,7 +160,7 @@ def _described(value: Any) -> Any:
     return f"array {shape}" if shape is not None else str(value)[:_MOST_ENTRY]
 
 
-class _Conversion(msgspec.Struct, frozen=True, kw_only=True):
+class _Conversion(msgspec.Struct, frozen=True):
     """One format."""
 
     format: str
@@ -175,21 +171,16 @@ class _Conversion(msgspec.Struct, frozen=True, kw_only=True):
 
 def conversions_of(scene: Scene) -> tuple[_Conversion, ...]:
     """Look up what becomes of the fields that a scene holds; only the first frame of each sensor is read."""
-    fields = list(contents_of(scene))
-    return tuple(_conversion(form.name, fields) for form in list_formats() if form.writes and not form.trajectory)
-
-
-def _conversion(name: str, fields: list[str]) -> _Conversion:
-    supported_fields = list_supported_fields(name)
-    supports = {
-        field: supported_fields[field].support if field in supported_fields else Support.DROPPED for field in fields
-    }
-    return _Conversion(
-        format=name,
-        supports={str(support): sum(found is support for found in supports.values()) for support in Support},
-        dropped=tuple(field for field, support in supports.items() if support is Support.DROPPED),
-        approximated=tuple(field for field, support in supports.items() if support is Support.APPROXIMATED),
-    )
+    fields, found = list(contents_of(scene)), []
+    for form in list_formats():
+        if form.writes and not form.trajectory:
+            held = list_supported_fields(form.name)
+            supports = {field: held[field].support if field in held else Support.DROPPED for field in fields}
+            of = {support: tuple(f for f, one in supports.items() if one is support) for support in Support}
+            counts = {str(support): len(names) for support, names in of.items()}
+            dropped, approximated = of[Support.DROPPED], of[Support.APPROXIMATED]
+            found.append(_Conversion(form.name, counts, dropped, approximated))
+    return tuple(found)
 
 
 _MISSING_SHARE = 0.01
@@ -244,10 +235,16 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
         found = [advice for rule in _RULES for advice in rule(report)]
         advices = sorted(found, key=lambda advice: order.index(advice.severity))
         counts = Counter(advice.severity for advice in advices)
-        state = "faulty" if counts[Severity.ERROR] else "look" if counts[Severity.WARNING] else "sound"
+        errors, warnings = counts[Severity.ERROR], counts[Severity.WARNING]
+        state, sentence = "sound", "In order: nothing was found that needs a person."
+        if errors:
+            also = f", and {several(warnings, 'thing')} to look at" if warnings else ""
+            state, sentence = "faulty", f"{several(errors, 'error')} that will break downstream tools{also}."
+        elif warnings:
+            state, sentence = "look", f"Usable, with {several(warnings, 'thing')} that a person should look at."
         return cls(
             state=state,
-            sentence=_sentence(state, counts),
+            sentence=sentence,
             contents=_contents_text(report.summary, report.trajectories),
             advices=tuple(advices),
         )
@@ -265,24 +262,16 @@ _MOST_ADVICES = 8
 """Reported at the top of the page; the others are folded."""
 
 
-def _sentence(state: str, counts: Mapping[Severity, int]) -> str:
-    errors, warnings = counts[Severity.ERROR], counts[Severity.WARNING]
-    if state == "faulty":
-        also = f", and {several(warnings, 'thing')} to look at" if warnings else ""
-        return f"{several(errors, 'error')} that will break downstream tools{also}."
-    if state == "look":
-        return f"Usable, with {several(warnings, 'thing')} that a person should look at."
-    return "In order: nothing was found that needs a person."
-
-
 def _contents_text(summary: SceneSummary, trajectories: Trajectories) -> str:
     """What is in a drive, in sentences."""
     counts: dict[str, list[int]] = {}
     for sensor in summary.sensors:
         counts.setdefault(sensor.type.replace("_", " "), []).append(sensor.count)
     units = {"lidar": "sweeps", "camera": "images", "radar": "frames", "depth camera": "images"}
+    unchanging = {"imu", "gnss", "odometry", "points"}
     sensors = ", ".join(
-        f"{len(of_kind)} {_plural(kind, len(of_kind))} ({sum(of_kind):,} {units.get(kind, 'samples')})"
+        f"{len(of_kind)} {kind}{'' if len(of_kind) == 1 or kind in unchanging else 's'} "
+        f"({sum(of_kind):,} {units.get(kind, 'samples')})"
         for kind, of_kind in counts.items()
     )
     text = f"{summary.duration:.1f} s in the format {summary.format}: {sensors or 'no sensors'}."
@@ -317,7 +306,16 @@ def _from_validation(report: "DriveReport") -> Iterator[Advice]:
 def _from_timing(report: "DriveReport") -> Iterator[Advice]:
     for stream in report.timing.streams:
         if stream.missing and stream.missing_share > _MISSING_SHARE and stream.count >= _LEAST_TIMESTAMPS:
-            yield _gap_advice(stream)
+            longest, gaps = max(stream.gaps, key=lambda gap: gap.stop - gap.start, default=None), ""
+            if longest is not None:
+                gaps = f"; the longest gap is {longest.stop - longest.start:.2f} s at {longest.start:.2f} s"
+            yield Advice(
+                severity=Severity.WARNING,
+                title=f"{stream.name} lacks {stream.missing:,} of {stream.count + stream.missing:,}",
+                detail=f"{several(stream.gap_count, 'gap')}{gaps}",
+                remedy="Look for dropped data on the recording computer; leave gaps out with `sceneloom edit crop`.",
+                section="timing",
+            )
         if stream.jitter_ms and stream.period_ms and stream.jitter_ms > _JITTER_SHARE * stream.period_ms:
             yield Advice(
                 severity=Severity.HINT,
@@ -336,20 +334,6 @@ def _from_timing(report: "DriveReport") -> Iterator[Advice]:
             remedy="Look whether a clock is off (`sceneloom sync`), then crop the drive (`sceneloom edit crop`).",
             section="timing",
         )
-
-
-def _gap_advice(stream: StreamTiming) -> Advice:
-    longest = max(stream.gaps, key=lambda gap: gap.stop - gap.start, default=None)
-    where = (
-        "" if longest is None else f"; the longest gap is {longest.stop - longest.start:.2f} s at {longest.start:.2f} s"
-    )
-    return Advice(
-        severity=Severity.WARNING,
-        title=f"{stream.name} lacks {stream.missing:,} of {stream.count + stream.missing:,}",
-        detail=f"{several(stream.gap_count, 'gap')}{where}",
-        remedy="Look for dropped data on the recording computer; leave the gaps out with `sceneloom edit crop`.",
-        section="timing",
-    )
 
 
 def _from_calibration(report: "DriveReport") -> Iterator[Advice]:
@@ -414,7 +398,7 @@ def _from_coverage(report: "DriveReport") -> Iterator[Advice]:
             yield Advice(
                 severity=Severity.HINT,
                 title=f"{several(len(silent), 'ring')} of {cloud.sensor} without points",
-                detail=f"numbers {_listed(silent)}",
+                detail=f"numbers {', '.join(map(str, silent[:12]))}{', …' if len(silent) > 12 else ''}",
                 remedy="Look whether these lasers look into the sky or at the car; if not, have the sensor checked.",
                 section="coverage",
             )
@@ -459,16 +443,6 @@ _RULES: tuple[Callable[["DriveReport"], Iterator[Advice]], ...] = (
     _from_trajectories,
 )
 """The rules that give advice."""
-
-
-def _plural(noun: str, count: int) -> str:
-    unchanging = noun in {"imu", "gnss", "odometry", "points"}
-    return noun if count == 1 or unchanging else f"{noun}s"
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    shown = ", ".join(map(str, numbers[:12]))
-    return shown if len(numbers) <= 12 else f"{shown}, …"
 
 
 class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -690,13 +664,11 @@ _SENSOR_COLUMNS = (
 )
 
 
-def _support_text(loss: Loss) -> str:
-    return "kept aside" if loss.kept and loss.support is Support.DROPPED else str(loss.support)
-
-
 _LOSS_COLUMNS = (
     text_column("Field", lambda loss: loss.field),
-    text_column("Support", _support_text),
+    text_column(
+        "Support", lambda loss: "kept aside" if loss.kept and loss.support is Support.DROPPED else str(loss.support)
+    ),
     text_column("What happened", lambda loss: loss.what, wide=True),
     Column("Times", lambda loss: count(loss.count)),
     Column("Largest error", lambda loss: NOTHING if loss.largest_error is None else f"{loss.largest_error:.4g}"),
@@ -704,11 +676,13 @@ _LOSS_COLUMNS = (
 )
 
 
-def _conversion_column(support: Support) -> Column:
-    return Column(str(support).capitalize(), lambda each: count(each.supports.get(str(support), 0)))
-
-
-_CONVERSION_COLUMNS = (text_column("Format", lambda each: each.format), *map(_conversion_column, Support))
+_CONVERSION_COLUMNS = (
+    text_column("Format", lambda each: each.format),
+    *(
+        Column(support.capitalize(), partial(lambda support, each: count(each.supports.get(support, 0)), str(support)))
+        for support in Support
+    ),
+)
 
 
 def _finding_text(finding: Finding) -> str:

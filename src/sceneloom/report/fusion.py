@@ -1,19 +1,18 @@
 """A quick check of the camera-lidar calibration, the fusion of some sweeps, and the sections about both."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Int64Array
 from sceneloom.calibrate.health import Item, Verdict, check_calibration
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import SceneloomError
 from sceneloom.fusion.configuration import FusionConfiguration
-from sceneloom.pipeline.alignment import Aligned, align
+from sceneloom.pipeline.alignment import align
 from sceneloom.pipeline.fusing import CameraReport, FusionStatistics
-from sceneloom.pipeline.play import Skips, build_system, play
+from sceneloom.pipeline.play import Skips, build_system, play, report_of
 from sceneloom.report.content import NOTHING, Block, Column, Figures, Section, Table, count, several, text_column
 from sceneloom.report.coverage import spread_rows
 from sceneloom.scene.cameras import CameraSensor
@@ -67,10 +66,8 @@ _BADGES = {"good": "good", "wrong": "error", "drifting": "warning", "cannot dete
 
 
 def _change_text(item: Item) -> str:
-    if not item.values:
-        return NOTHING
     changes = [f"{v:+.2f} ± {s:.2f}" for v, s in zip(item.values, item.sigmas, strict=True)]
-    return f"{', '.join(changes)} {item.unit}"
+    return f"{', '.join(changes)} {item.unit}" if changes else NOTHING
 
 
 _ITEM_COLUMNS = (
@@ -122,16 +119,12 @@ def _check(scene: Scene, camera_id: Identifier, lidar_id: Identifier, frames: in
     return msgspec.structs.replace(
         known,
         verdict=health.verdict.value,
-        reason=_reason(health.items, health.verdict),
+        reason=next((item.reason for item in health.items if item.verdict is health.verdict and item.reason), ""),
         items=health.items,
         frames=health.frames,
         distinctness=health.distinctness,
         stated_distinctness=health.stated_distinctness,
     )
-
-
-def _reason(items: Sequence[Item], verdict: Verdict) -> str:
-    return next((item.reason for item in items if item.verdict is verdict and item.reason), "")
 
 
 _SWEEPS = 8
@@ -187,19 +180,18 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
         skips = Skips(lenient)
         gathered = _Gathered(FusionStatistics.of(aligned), DriveCloud(frozenset(range(sweeps))))
         most = max((len(lidar.frames) for lidar in few.lidars), default=0)
-        for frame in _played(aligned, few, skips):
+        # by the pace of the whole drive
+        configuration = FusionConfiguration(pairing_tolerance_ns=scene_period_ns(aligned.scene))
+        for frame in play(few, build_system(aligned.scene, aligned.ego, configuration, skips), skips):
             gathered.add(frame, middle=min(sweeps, most) // 2)
         _draw(gathered, figures, None if aligned.ego is None else aligned.ego.path)
         statistics, differences_ns = gathered.statistics, gathered.differences_ns
-        return cls(
-            trajectory=None if aligned.ego is None else aligned.ego.name,
+        return report_of(
+            cls,
+            statistics,
+            trajectory=aligned.trajectory,
             sweeps=statistics.fused,
-            of=sum(len(lidar.frames) for lidar in aligned.scene.lidars),
-            points=statistics.points,
-            coloured_percent=statistics.coloured_percent,
-            cameras=statistics.cameras,
-            extrapolated=statistics.extrapolated,
-            unfused=statistics.unfused,
+            of=aligned.sweeps,
             skipped=skips.reasons,
             time_differences_ms={key: float(np.median(all_)) / 1e6 for key, all_ in differences_ns.items()},
         )
@@ -269,27 +261,16 @@ def _with_some_sweeps(scene: Scene, most: int) -> Scene:
         if isinstance(sensor, LidarSensor):
             return replace(sensor, frames=sensor.frames.chosen(kept[sensor.id]))
         if isinstance(sensor, CameraSensor):
-            rows = _rows_around(sensor.images.timestamps_ns, spans)
+            times_ns = sensor.images.timestamps_ns
+            near = np.zeros(len(times_ns), np.bool_)
+            for sweeps_ns, reach_ns in spans:
+                for sweep_ns in sweeps_ns.tolist():
+                    near |= np.abs(times_ns - sweep_ns) <= reach_ns
+            rows = np.flatnonzero(near)
             return replace(sensor, images=sensor.images.chosen(rows), video=None)
         return sensor
 
     return replace(scene, sensors=tuple(map(thinned, scene.sensors)))
-
-
-def _rows_around(times_ns: Int64Array, spans: list[tuple[Int64Array, int]]) -> Int64Array:
-    """Which of the times (N,) lie within reach of one of the sweeps; each span is (timestamps, reach)."""
-    near = np.zeros(len(times_ns), np.bool_)
-    for sweeps_ns, reach_ns in spans:
-        for sweep_ns in sweeps_ns.tolist():
-            near |= np.abs(times_ns - sweep_ns) <= reach_ns
-    return np.flatnonzero(near)
-
-
-def _played(aligned: Aligned, few: Scene, skips: Skips) -> Iterator[FusedFrame]:
-    """Fuse the few sweeps by the pace of the whole drive."""
-    configuration = FusionConfiguration(pairing_tolerance_ns=scene_period_ns(aligned.scene))
-    system = build_system(aligned.scene, aligned.ego, configuration, skips)
-    yield from play(few, system, skips)
 
 
 def _draw(gathered: _Gathered, figures: Figures, path: Poses | None) -> None:
@@ -300,7 +281,10 @@ def _draw(gathered: _Gathered, figures: Figures, path: Poses | None) -> None:
         shown = replace(frame, views=frame.views[:_MOST_VIEWS])
         plots = iter_images(shown, frame.index, ego_poses=moving, show_hidden=True)
         for number, (_, draw) in enumerate(plots):
-            view, kind = _view_and_kind(shown, number)
+            # two of each view come first, then two of the cloud
+            beyond = number - 2 * len(shown.views)
+            view = shown.views[number // 2] if beyond < 0 else None
+            kind = ("overlay", "depth")[number % 2] if beyond < 0 else ("above", "perspective")[beyond]
             if view is not None or not together or len(gathered.shown) > 1:
                 section = "calibration" if kind == "overlay" else "fusion"
                 figures.add(section, *_reported(kind, frame, view), draw())
@@ -308,14 +292,6 @@ def _draw(gathered: _Gathered, figures: Figures, path: Poses | None) -> None:
         where = "from above" if name == "above" else "from behind the ego"
         text = f"The cloud of {gathered.statistics.fused} sweeps in the colours of the images, seen {where}"
         figures.add("fusion", f"The drive {where}", text, image)
-
-
-def _view_and_kind(frame: FusedFrame, number: int) -> tuple[FusedView | None, str]:
-    """What image `number` of a frame shows: two of each view come first, then two of the cloud."""
-    beyond = number - 2 * len(frame.views)
-    if beyond < 0:
-        return frame.views[number // 2], ("overlay", "depth")[number % 2]
-    return None, ("above", "perspective")[beyond]
 
 
 def _reported(kind: str, frame: FusedFrame, view: FusedView | None) -> tuple[str, str]:

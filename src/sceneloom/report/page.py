@@ -162,17 +162,34 @@ class _Collector:
         validation = self.part("findings", self._validation, None)
         self.scene = self.part("corrections", self.scene.corrected, self.scene)
         found = self._estimate_trajectory()
-        summary = self.part("contents", self._summary, None) or _no_summary(self.scene)
+        path = self.where if isinstance(self.where, Path) and self.where.exists() else None
+        scene = self.scene
+        bare = SceneSummary(  # what is known of a scene whose first frames cannot be read
+            source=scene.source,
+            format=scene.format,
+            start_ns=None,
+            duration=0.0,
+            size_bytes=None,
+            sensors=(),
+            trajectories=(),
+            annotations={},
+            warnings=scene.warnings,
+        )
+        size = partial(size_on_disk, path) if path is not None else lambda: None
+        summary = self.part("contents", lambda: summarise(scene, size_bytes=size()), bare)
         start_ns = summary.start_ns or 0
         figures = Figures(self.settings.images)
         coverage = self.part("coverage", lambda: Coverage.of(self.scene), Coverage())
-        unchecked: tuple[CalibrationCheck, ...] = ()
-        calibration = self.part("calibration", self._calibration, unchecked)
+        calibration: tuple[CalibrationCheck, ...] = ()
+        if self.settings.quick:
+            self.left_out["calibration"] = "not checked: a quick report was asked for"
+        calibration = self.part(
+            "calibration", lambda: () if self.settings.quick else check_cameras(self.scene), calibration
+        )
         with counting_left_out() as left:
             fusion = self.part("fusion", lambda: self._fusion(figures), None)
             labels = self.part("annotations", lambda: self._labels(start_ns, figures), None)
         self.sampling += left.lines
-        path = self.where if isinstance(self.where, Path) and self.where.exists() else None
         report = DriveReport(
             name=self.settings.title or Path(str(self.scene.source)).name or str(self.scene.source),
             summary=summary,
@@ -212,12 +229,9 @@ class _Collector:
             self.progress(min(self.done, _STEPS), _STEPS)
         return found
 
-    def _summary(self) -> SceneSummary:
-        size = size_on_disk(self.where) if isinstance(self.where, Path) and self.where.exists() else None
-        return summarise(self.scene, size_bytes=size)
-
     def _validation(self) -> ValidationReport:
-        count = sum(len(frame_times(sensor)) for sensor in self.scene.sensors if _is_read(sensor))
+        read = {"lidar", "radar", "camera", "depth_camera"}
+        count = sum(len(frame_times(sensor)) for sensor in self.scene.sensors if str(sensor.type) in read)
         frames = not self.settings.quick and count <= _MOST_FRAMES_VALIDATED
         if not frames:
             self.sampling.append(f"the rules read none of {count:,} frames and images; `sceneloom validate` reads all")
@@ -235,7 +249,8 @@ class _Collector:
             if not needs_ego(self.scene) and name is None:
                 return frozenset()
             computed = is_computed(self.scene, name)
-            if computed and name is None and self._takes_long():
+            sweeps = sum(len(lidar.frames) for lidar in self.scene.lidars)
+            if computed and name is None and sweeps > _MOST_SWEEPS_FOR_A_TRAJECTORY:
                 self.left_out["trajectory"] = (
                     "the drive has no trajectory, and finding one from so many sweeps takes a while: state "
                     "`--trajectory lidar` or `--trajectory gnss`"
@@ -247,15 +262,6 @@ class _Collector:
             return frozenset()
         self.scene = with_trajectory_estimated(self.scene, ego)
         return frozenset([ego.name]) if computed else frozenset()
-
-    def _takes_long(self) -> bool:
-        return sum(len(lidar.frames) for lidar in self.scene.lidars) > _MOST_SWEEPS_FOR_A_TRAJECTORY
-
-    def _calibration(self) -> tuple[CalibrationCheck, ...]:
-        if self.settings.quick:
-            self.left_out["calibration"] = "not checked: a quick report was asked for"
-            return ()
-        return check_cameras(self.scene)
 
     def _fusion(self, figures: Figures) -> Fusion | None:
         if not any(len(lidar.frames) for lidar in self.scene.lidars):
@@ -286,25 +292,6 @@ class _Collector:
         )
 
 
-def _is_read(sensor: Any) -> bool:
-    return str(sensor.type) in {"lidar", "radar", "camera", "depth_camera"}
-
-
-def _no_summary(scene: Scene) -> SceneSummary:
-    """What is known of a scene whose first frames cannot be read."""
-    return SceneSummary(
-        source=scene.source,
-        format=scene.format,
-        start_ns=None,
-        duration=0.0,
-        size_bytes=None,
-        sensors=(),
-        trajectories=(),
-        annotations={},
-        warnings=scene.warnings,
-    )
-
-
 _MARKS = {"sound": "✔", "look": "▲", "faulty": "✖"}
 
 
@@ -325,13 +312,13 @@ def render_page(report: DriveReport, figures: Figures) -> str:
     Raises:
         MissingExtraError: what fills the template is not installed.
     """
-    jinja2 = _check_extra()
+    jinja2, source = _check_extra(), report.summary.source
     environment = jinja2.Environment(
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=partial(_plain, whole=_source_path(report), name=report.name),
+        finalize=partial(_plain, whole=source if "/" in source or "\\" in source else "", name=report.name),
         loader=jinja2.FunctionLoader(_resource),
     )
     shown, further = report.verdict.first_advices
@@ -348,12 +335,6 @@ def render_page(report: DriveReport, figures: Figures) -> str:
 
 def _resource(name: str) -> str:
     return files("sceneloom.report").joinpath(name).read_text("utf-8")
-
-
-def _source_path(report: DriveReport) -> str:
-    """The path of the drive where it says more than its name; empty otherwise."""
-    source = report.summary.source
-    return source if "/" in source or "\\" in source else ""
 
 
 def _plain(value: Any, *, whole: str, name: str) -> Any:

@@ -1,6 +1,6 @@
 """When each stream delivers: rates, jitter, gaps, missing frames, overlaps; and the section about it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -28,7 +28,7 @@ from sceneloom.report.content import (
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.motion import ImuSensor
-from sceneloom.scene.scene import Scene, Sensor, frame_times
+from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.summary import GAP_FACTOR, Gap, gaps_of
 from sceneloom.scene.types import Identifier
 
@@ -139,10 +139,17 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
         Args:
             start_ns: the scene's first timestamp [ns].
         """
-        reference = _reference(scene)
+        # what others are paired with: the first lidar that has sweeps, else the first camera
+        reference: LidarSensor | CameraSensor | None = next((x for x in scene.lidars if len(x.frames)), None)
+        reference = reference or next((camera for camera in scene.cameras if len(camera.images)), None)
         found = []
         for sensor in scene.sensors:
-            for stream, times_ns in _streams(sensor):
+            streams: dict[str, Int64Array] = {"": frame_times(sensor)}
+            if isinstance(sensor, ImuSensor):
+                streams = {name: samples.timestamps_ns for name, samples in sensor.streams.items()}
+            elif not len(streams[""]) and str(sensor.type) in {"points", "odometry"}:
+                continue
+            for stream, times_ns in streams.items():
                 timing = stream_timing(sensor.id, str(sensor.type), times_ns, start_ns=start_ns, stream=stream)
                 if reference is not None and sensor is not reference:
                     phase = _phase(reference.id, times_ns, frame_times(reference))
@@ -157,6 +164,9 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
         intervals = [_intervals(stream) for stream in streams if stream.bins is not None and stream.count >= 4][
             :_MOST_PLOTS
         ]
+        gaps = [(stream.name, gap) for stream in streams for gap in stream.gaps]
+        unlisted = sum(max(stream.gap_count - len(stream.gaps), 0) for stream in streams)
+        more = f"{unlisted:,} shorter gaps are not listed." if unlisted else ""
         return Section(
             key="timing",
             name="Timing and gaps",
@@ -166,7 +176,7 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
                 Block(plots=self._overview()),
                 Block(tables=[Table("Rates, jitter and gaps of the streams", _STREAM_COLUMNS, streams)]),
                 Block(lines=[self._explanation()], faint=True),
-                Block(tables=[_gaps(streams)]),
+                Block(tables=[Table(f"Gaps: {len(gaps)}", _GAP_COLUMNS, gaps, folded=len(gaps) > 5, more=more)]),
                 Block(heading="Intervals" if intervals else "", plots=intervals),
             ],
         )
@@ -242,13 +252,6 @@ _GAP_COLUMNS = (
 )
 
 
-def _gaps(streams: list[StreamTiming]) -> Table:
-    rows = [(stream.name, gap) for stream in streams for gap in stream.gaps]
-    unlisted = sum(max(stream.gap_count - len(stream.gaps), 0) for stream in streams)
-    more = f"{unlisted:,} shorter gaps are not listed." if unlisted else ""
-    return Table(f"Gaps: {len(rows)}", _GAP_COLUMNS, rows, folded=len(rows) > 5, more=more)
-
-
 def _intervals(stream: StreamTiming) -> Drawing:
     bins, period_ms = stream.bins, stream.period_ms
 
@@ -298,24 +301,6 @@ def stream_timing(
         backwards=int((steps < 0).sum()),
         bins=_bins(rising, usual),
     )
-
-
-def _streams(sensor: Sensor) -> Iterator[tuple[str, Int64Array]]:
-    """The streams of a sensor by name; of sensors without time none."""
-    if isinstance(sensor, ImuSensor):
-        yield from ((name, samples.timestamps_ns) for name, samples in sensor.streams.items())
-    elif len(times := frame_times(sensor)) or not _is_timeless(sensor):
-        yield "", times
-
-
-def _is_timeless(sensor: Sensor) -> bool:
-    return str(sensor.type) in {"points", "odometry"}
-
-
-def _reference(scene: Scene) -> LidarSensor | CameraSensor | None:
-    """The stream that others are paired with: the first lidar that has sweeps, else the first camera."""
-    lidar = next((lidar for lidar in scene.lidars if len(lidar.frames)), None)
-    return lidar or next((camera for camera in scene.cameras if len(camera.images)), None)
 
 
 def _phase(reference: Identifier, times_ns: Int64Array, reference_ns: Int64Array) -> Phase | None:

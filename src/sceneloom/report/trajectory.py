@@ -1,6 +1,5 @@
 """Ego trajectories, GNSS fixes, altitudes and speeds; metrics against ground truth; and the sections about both."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ from sceneloom.report.content import (
 from sceneloom.scene.ego import stated_origin
 from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Poses, Trajectory, same_direction
-from sceneloom.scene.scene import Scene, Sensor
+from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, Identifier
 
 MOST_CORNERS = 400
@@ -176,12 +175,17 @@ class Trajectories(msgspec.Struct, frozen=True, kw_only=True):
         if not receivers:
             return cls(trajectories=trajectories)
         origin = usable_positions(receivers[0])[1][0]
-        estimated = _north(sampled[0], receivers[0], origin) if trajectories else None
+        # the scene may state that its axes are east, north and up at a location, and was not moved since
+        stated, north = stated_origin(scene), None
+        if stated is not None:
+            north = North(direction_deg=90.0, shift=_three(enu_from_geodetic(origin[None], stated)[0]))
+        elif trajectories:
+            north = _north(sampled[0], receivers[0], origin)
         return cls(
             trajectories=trajectories,
             fixes=tuple(_fixes(receiver, origin, start_ns) for receiver in receivers),
             origin_lla=_three(origin),
-            north=_stated_north(scene, origin) or estimated,
+            north=north,
         )
 
     def section(self, missing: str | None) -> Section:
@@ -343,17 +347,12 @@ def _trajectories(scene: Scene) -> list[Trajectory]:
     if scene.trajectories:
         return list(scene.trajectories.values())
     for sensor in scene.sensors:
-        path = _world_path(sensor)
-        if path is not None:
+        path: Poses | None = getattr(sensor, "poses", None)
+        in_world = getattr(sensor, "coordinates", Coordinates.WORLD) is Coordinates.WORLD
+        if path is not None and in_world and not path.static:
             name = f"poses of {sensor.id}"
             return [Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)]
     return []
-
-
-def _world_path(sensor: Sensor) -> Poses | None:
-    path: Poses | None = getattr(sensor, "poses", None)
-    in_world = getattr(sensor, "coordinates", Coordinates.WORLD) is Coordinates.WORLD
-    return path if path is not None and in_world and not path.static else None
 
 
 def _trajectory(trajectory: Trajectory, start_ns: int, *, found_now: bool) -> TrajectoryMetrics:
@@ -457,15 +456,6 @@ def _three(values: Float64Array | Int64Array) -> tuple[float, float, float]:
     return a, b, c
 
 
-def _stated_north(scene: Scene, origin_lla: Float64Array) -> North | None:
-    """North where the scene says that its axes are east, north and up at a location, and was not moved since."""
-    stated = stated_origin(scene)
-    if stated is None:
-        return None
-    shift = enu_from_geodetic(origin_lla[None], stated)[0]
-    return North(direction_deg=90.0, shift=_three(shift))
-
-
 def _north(trajectory: Trajectory, receiver: GnssSensor, origin_lla: Float64Array) -> North | None:
     """Lay the fixes onto the trajectory by a shift and a rotation about the upright axis.
 
@@ -559,11 +549,6 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
         )
 
 
-def _drift_over_10_m(report: TrajectoryReport) -> float | None:
-    steps: Sequence[Any] = report.relative
-    return next((step.translation_percent for step in steps if step.delta == "10m"), None)
-
-
 _ERROR_COLUMNS = (
     text_column("Trajectory", lambda report: report.estimate),
     text_column("Against", lambda report: report.reference),
@@ -581,7 +566,10 @@ _ERROR_COLUMNS = (
         "Rotation error, rms [deg]",
         lambda report: NOTHING if report.absolute.rotation_deg is None else fixed(report.absolute.rotation_deg.rms, 3),
     ),
-    Column("Drift over 10 m [%]", lambda report: fixed(_drift_over_10_m(report), 2)),
+    Column(
+        "Drift over 10 m [%]",
+        lambda report: fixed(next((s.translation_percent for s in report.relative if s.delta == "10m"), None), 2),
+    ),
     Column(
         "KITTI [%]",
         lambda report: NOTHING if report.kitti is None else fixed(report.kitti.overall.translation_percent, 2),

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt16Array
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt16Array, finite_rows
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.scene.annotations import (
@@ -23,20 +23,17 @@ from sceneloom.scene.annotations import (
     Box2DAnnotation,
     CameraCalibration,
     CuboidAnnotation,
-    CuboidPath,
     EventAnnotation,
     GroupAnnotation,
     LabeledPointsAnnotation,
     LinkAnnotation,
     LocalizationAdjustment,
     ObjectAnnotation,
-    PointPath,
     PointProjection,
     PointsAnnotation,
     Projection,
     ShapeAnnotation,
     ShapeType,
-    VertexPath,
     locations_of,
 )
 from sceneloom.scene.annotations_at import (
@@ -256,17 +253,28 @@ def _draw_cuboids(
 
 
 def _log_trails(group: _Group, times_ns: Int64Array, there: BoolArray, origin: Float64Array) -> None:
-    moving = [a for a, one in enumerate(group.annotations) if _moves(one)]
+    """The last part of the trajectory of each cuboid that moves, up to each time, thinned to what shows."""
+    moving = []
+    for a, one in enumerate(group.annotations):
+        locations = one.path.values[:, 3:6]
+        finite = locations[finite_rows(locations)]
+        if len(finite) > 1 and np.ptp(finite, axis=0).max() > _MOVED:
+            moving.append((a, one.path.timestamps_ns, locations))
     if not moving:
         return
     strips: list[Float64Array] = []
     counts = np.zeros(len(times_ns), np.int64)
     for m, time_ns in enumerate(times_ns.tolist()):
-        paths = [group.annotations[a].path for a in moving if there[a, m]]
-        lines = [_trail(path.timestamps_ns, path.values[:, 3:6], time_ns) - origin for path in paths]
-        long = [line for line in (line[fits(line)] for line in lines) if len(line) > 1]
-        strips += long
-        counts[m] = len(long)
+        for a, timestamps_ns, locations in moving:
+            if there[a, m]:
+                start, stop = np.searchsorted(timestamps_ns, [time_ns - _HISTORY_NS, time_ns + 1])
+                count = max(min(_POINTS_OF_TRAIL, int(stop - start)), 0)
+                line = locations[np.unique(np.linspace(start, stop - 1, count).astype(np.int64))]
+                line = line[finite_rows(line)] - origin
+                line = line[fits(line)]
+                if len(line) > 1:
+                    strips.append(line)
+                    counts[m] += 1
     drawn = sdk().LineStrips3D.columns(
         strips=strips,
         colors=np.full(len(strips), group.colour, np.uint32),
@@ -279,26 +287,6 @@ def _held(poses: CuboidPoses, origin: Float64Array) -> BoolArray:
     """Which moments the viewer can hold, (M,)."""
     rotated = fits(poses.quaternions_xyzw)
     return np.asarray(fits(poses.centers_world - origin) & fits(poses.sizes_lwh) & rotated, np.bool_)
-
-
-def _moves(annotation: CuboidAnnotation) -> bool:
-    locations = annotation.path.values[:, 3:6]
-    finite = locations[np.isfinite(locations).all(axis=1)]
-    return len(finite) > 1 and bool(np.ptp(finite, axis=0).max() > _MOVED)
-
-
-def _trail(timestamps_ns: Int64Array, locations: Float64Array, time_ns: int) -> Float64Array:
-    """The last part (K, 3) [m] of a trajectory up to a time [ns], thinned to what shows.
-
-    Args:
-        timestamps_ns: (N,) int64 [ns], ascending.
-        locations: (N, 3) [m].
-    """
-    start, stop = np.searchsorted(timestamps_ns, [time_ns - _HISTORY_NS, time_ns + 1])
-    count = min(_POINTS_OF_TRAIL, int(stop - start))
-    rows = np.unique(np.linspace(start, stop - 1, max(count, 0)).astype(np.int64))
-    part = locations[rows]
-    return part[np.isfinite(part).all(axis=1)]
 
 
 def _stands(annotation: CuboidAnnotation) -> bool:
@@ -420,21 +408,15 @@ def _link_texts(annotations: Sequence[Annotation]) -> Mapping[Identifier, str]:
     return {identifier: "; ".join(stated) for identifier, stated in texts.items()}
 
 
-def _draw_boxes(group: _Group, times_ns: Int64Array, kind: str) -> _Drawn:
-    """Boxes in the images of a camera."""
-    return _drawn_boxes(group, kind, [box_2d_at(one, times_ns)[0] for one in group.annotations])
-
-
-def _draw_projections(group: _Group, times_ns: Int64Array, kind: str, *, projections: Sequence[Projection]) -> _Drawn:
-    """Where a camera sees cuboids: one entry of the group for each projection."""
-    boxes = [_rows_at(one.timestamps_ns, one.boxes, times_ns) for one in projections]
-    return _drawn_boxes(group, kind, boxes)
-
-
-def _drawn_boxes(group: _Group, kind: str, boxes: Sequence[Float64Array]) -> _Drawn:
-    """Boxes of each annotation, (M, 4) `left top width height` [px], NaN where it is not there."""
-    values = np.array(boxes)
-    half_sizes = values[..., 2:] / 2
+def _draw_boxes(
+    group: _Group, times_ns: Int64Array, kind: str, *, projections: Sequence[Projection] | None = None
+) -> _Drawn:
+    """Boxes in the images of a camera; with `projections`, one for each entry of the group, where it sees cuboids."""
+    if projections is None:
+        values = np.array([box_2d_at(one, times_ns)[0] for one in group.annotations])
+    else:
+        values = np.array([_rows_at(one.timestamps_ns, one.boxes, times_ns) for one in projections])
+    half_sizes = values[..., 2:] / 2  # of (A, M, 4) `left top width height` [px], NaN where it is not there
     there = fits(values) & fits(values[..., :2] + half_sizes)
     group.stream.leave_out(kind, np.count_nonzero(~there & ~np.isnan(values).any(axis=2)))
     rows = _by_moment(values, there)
@@ -487,16 +469,23 @@ def _draw_shapes(group: _Group, times_ns: Int64Array, kind: str, *, origin: Floa
     rr, flat = sdk(), len(origin) == 2
     found = [shape_at(one, times_ns) for one in group.annotations]
     stated = np.array([[vertices is not None and len(vertices) > 0 for vertices in one] for one in found])
-    there = np.array([[_is_whole(vertices, origin) for vertices in one] for one in found])
+    there = stated.copy()
+    for a, m in np.argwhere(stated).tolist():
+        there[a, m] = fits(found[a][m] - origin).all()  # type: ignore[operator]
     group.stream.leave_out(kind, np.count_nonzero(stated & ~there))
     chosen = [found[a][m] - origin for m, a in np.argwhere(there.T).tolist()]  # type: ignore[operator]
     owners = _chosen_by_moment(group.annotations, there)
-    if not _is_mark(group.annotations[0].type):
+    if group.annotations[0].type not in {ShapeType.POINT, ShapeType.POINT_2D, ShapeType.POINT_TOPDOWN}:
+        strips = [
+            # the outline of an area, or a line
+            np.concatenate([line, line[:1]]) if owner.is_closed or owner.type.value.startswith("polygon") else line
+            for owner, line in zip(owners, chosen, strict=True)
+        ]
         return _Drawn.of(
             rr.LineStrips2D if flat else rr.LineStrips3D,
             there,
             group,
-            strips=[_closed(owner, line) for owner, line in zip(owners, chosen, strict=True)],
+            strips=strips,
             radii=np.full(len(chosen), _LINE_WIDTH, np.float32),
             labels=[_name_of(owner) for owner in owners],
         )
@@ -506,29 +495,10 @@ def _draw_shapes(group: _Group, times_ns: Int64Array, kind: str, *, origin: Floa
         radii=np.full(len(positions), _MARK, np.float32),
         colors=np.full(len(positions), group.colour, np.uint32),
     )
-    return _Drawn(columns, _sums([len(vertices) for vertices in chosen], there.sum(axis=0)), there)
-
-
-def _is_mark(kind: ShapeType) -> bool:
-    """Whether a shape is points alone."""
-    return kind in {ShapeType.POINT, ShapeType.POINT_2D, ShapeType.POINT_TOPDOWN}
-
-
-def _closed(annotation: ShapeAnnotation, vertices: Float64Array) -> Float64Array:
-    """The outline of an area, or a line, from its vertices (V, D)."""
-    if annotation.is_closed or annotation.type.value.startswith("polygon"):
-        return np.concatenate([vertices, vertices[:1]])
-    return vertices
-
-
-def _is_whole(vertices: Float64Array | None, origin: Float64Array) -> bool:
-    return vertices is not None and len(vertices) > 0 and bool(fits(vertices - origin).all())
-
-
-def _sums(sizes: Sequence[int], counts: Int64Array) -> Int64Array:
-    """How many vertices each moment has, of as many shapes as `counts` says."""
-    stops = np.concatenate([[0], np.cumsum(sizes)])[np.concatenate([[0], np.cumsum(counts)])]
-    return np.asarray(np.diff(stops), np.int64)
+    # how many vertices each moment has, of all of its shapes
+    sums = np.concatenate([[0], np.cumsum([len(vertices) for vertices in chosen])])
+    counts = np.diff(sums[np.concatenate([[0], np.cumsum(there.sum(axis=0))])])
+    return _Drawn(columns, np.asarray(counts, np.int64), there)
 
 
 _CLASSES = 65_535
@@ -557,11 +527,11 @@ class _LabelledPoints:
             for entry in annotation.labeled_points:
                 rows = entry.point_ids.astype(np.int64)
                 entries.setdefault((key_of(entry.sensor_id), entry.sensor_frame), []).append((number, rows))
-        if labelled:
-            infos = [
-                rr.AnnotationInfo(id=number, label=_class_name(one), color=_class_colour(one))
-                for number, one in enumerate(labelled, start=1)
-            ]
+        infos = []
+        for number, one in enumerate(labelled, start=1):
+            label, colour = (_name_of(one), one.id) if one.is_instance else (_label_of(one), _label_of(one))
+            infos.append(rr.AnnotationInfo(id=number, label=label, color=colour_of_name(colour)))
+        if infos:
             stream.static(stream.root, rr.AnnotationContext(infos))
         return cls(stream, entries)
 
@@ -593,21 +563,12 @@ class _LabelledPoints:
             self.stream.log(time_ns, f"{path}/labelled", shown, kind="labelled clouds", size=14 * len(rows))
 
 
-def _class_name(annotation: LabeledPointsAnnotation) -> str:
-    return _name_of(annotation) if annotation.is_instance else _label_of(annotation)
-
-
-def _class_colour(annotation: LabeledPointsAnnotation) -> Any:
-    reported = annotation.id if annotation.is_instance else _label_of(annotation)
-    return colour_of_name(reported)
-
-
 _MOST_NODES = 400
 RELATIONS = "relations"
 
 
-def _show_graph(stream: Stream, annotations: Sequence[Annotation], notify: Report) -> bool:
-    """Show parents, groups and links as a graph; report whether there is one."""
+def _show_graph(stream: Stream, annotations: Sequence[Annotation], notify: Report) -> None:
+    """Show parents, groups and links as a graph."""
     edges = [(str(one.parent_id), str(one.id)) for one in annotations if one.parent_id is not None]
     edges += [(str(one.from_id), str(one.to_id)) for one in annotations if isinstance(one, LinkAnnotation)]
     joined = {name for edge in edges for name in edge}
@@ -615,7 +576,7 @@ def _show_graph(stream: Stream, annotations: Sequence[Annotation], notify: Repor
     shown = [one for one in annotations if str(one.id) in joined and not isinstance(one, LinkAnnotation)]
     nodes = {str(one.id): one for one in (*shown, *alone)}
     if not nodes:
-        return False
+        return
     if len(nodes) > _MOST_NODES:
         notify("graph-cut", "annotations", f"the graph of relations shows {_MOST_NODES} of {len(nodes)} annotations")
         nodes = dict(list(nodes.items())[:_MOST_NODES])
@@ -628,17 +589,17 @@ def _show_graph(stream: Stream, annotations: Sequence[Annotation], notify: Repor
     kept = [edge for edge in edges if edge[0] in nodes and edge[1] in nodes]
     lines = (rr.GraphEdges(kept, graph_type="directed"),) if kept else ()
     stream.static(stream.path(RELATIONS), drawn, *lines)
-    return True
 
 
 EVENTS, ATTRIBUTES, LIST = "events", "attributes", "annotations"
 _MOST_ROWS = 1_000
 
 
-def _show_events(stream: Stream, annotations: Sequence[Annotation]) -> int:
-    """Show events as lines of a log and as states that last; give their number."""
-    events = [one for one in annotations if isinstance(one, EventAnnotation)]
-    for event in events:
+def _show_events(stream: Stream, annotations: Sequence[Annotation]) -> None:
+    """Show events as lines of a log and as states that last."""
+    for event in annotations:
+        if not isinstance(event, EventAnnotation):
+            continue
         start_ns = event.start_ns
         stated = _attributes_at(event, np.array([start_ns], np.int64))[0]
         where = "" if event.sensor_id is None else f" (sensor {event.sensor_id})"
@@ -649,87 +610,59 @@ def _show_events(stream: Stream, annotations: Sequence[Annotation]) -> int:
         stream.log(start_ns, path, line, state, kind="events")
         if event.duration_ns:
             stream.log(start_ns + round(event.duration_ns), path, sdk().StateChange(state=""))
-    return len(events)
 
 
-def _show_attributes(stream: Stream, scene: Scene) -> int:
-    """Show attributes of the scene and its sensors: numbers as curves, words as states; give how many have times."""
-    timed = [attribute for attribute in scene.attributes if attribute.is_timed and attribute.values]
-    for attribute in timed:
-        path = stream.path(ATTRIBUTES, _attribute_name(attribute))
-        timestamps = np.asarray(attribute.timestamps_ns, np.int64)
-        numbers = _numbers(attribute)
+def _show_attributes(stream: Stream, scene: Scene) -> None:
+    """Show attributes of the scene and its sensors: numbers as curves, words as states."""
+    for attribute in scene.attributes:
+        if not (attribute.is_timed and attribute.values):
+            continue
         columns: Iterable[Any]
-        if numbers is None:
-            columns = sdk().StateChange.columns(state=[_word(value) for value in attribute.values])
+        if all(isinstance(value, int | float) and not isinstance(value, bool) for value in attribute.values):
+            columns = sdk().Scalars.columns(scalars=np.array(attribute.values, np.float64))
         else:
-            columns = sdk().Scalars.columns(scalars=numbers)
-        stream.columns(timestamps, path, columns, kind="attributes")
-    return len(timed)
-
-
-def _numbers(attribute: AttributePath) -> np.ndarray | None:
-    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in attribute.values):
-        return np.array(attribute.values, np.float64)
-    return None
+            columns = sdk().StateChange.columns(state=[_word(value) for value in attribute.values])
+        timestamps = np.asarray(attribute.timestamps_ns, np.int64)
+        stream.columns(timestamps, stream.path(ATTRIBUTES, _attribute_name(attribute)), columns, kind="attributes")
 
 
 def _word(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
 
 
-def _list_annotations(stream: Stream, scene: Scene) -> bool:
-    """Show a table of all annotations with their attributes, and of those that hold for the scene; whether any."""
+def _list_annotations(stream: Stream, scene: Scene) -> None:
+    """Show a table of all annotations with their attributes, and of those that hold for the scene."""
     fixed = [one for one in scene.attributes if not one.is_timed]
     rows = [f"| {kind} | {text} |" for kind, text in ((_attribute_name(a), _word(a.values)) for a in fixed)]
     parts = ["# Attributes of the scene\n| attribute | value |\n| --- | --- |\n" + "\n".join(rows)] if rows else []
     if scene.annotations:
-        head = "| type | label | id | parent | attributes |\n| --- | --- | --- | --- | --- |\n"
-        listed = [_row(one) for one in scene.annotations[:_MOST_ROWS]]
-        more = len(scene.annotations) - len(listed)
-        rest = f"\n\n… and {more} more" if more else ""
-        parts.append(f"# Annotations\n{head}" + "\n".join(listed) + rest)
+        listed = ["# Annotations", "| type | label | id | parent | attributes |", "| --- | --- | --- | --- | --- |"]
+        for one in scene.annotations[:_MOST_ROWS]:
+            attributes: tuple[AttributePath, ...] = getattr(one, "attributes", ())
+            stated = _attribute_text({_attribute_name(each): _word(each.values) for each in attributes[:8]})
+            parent = "" if one.parent_id is None else str(one.parent_id)
+            cells = (one.type, getattr(one, "label", None) or "", one.id, parent, stated)
+            texts = (str(cell).replace("|", "\\|").replace("\n", " ") for cell in cells)
+            listed.append("| " + " | ".join(texts) + " |")
+        more = len(scene.annotations) - _MOST_ROWS
+        parts.append("\n".join(listed) + (f"\n\n… and {more} more" if more > 0 else ""))
     if parts:
         stream.static(stream.path(LIST), sdk().TextDocument("\n\n".join(parts), media_type="text/markdown"))
-    return bool(parts)
-
-
-def _row(annotation: Any) -> str:
-    attributes: tuple[AttributePath, ...] = getattr(annotation, "attributes", ())
-    stated = _attribute_text({_attribute_name(one): _word(one.values) for one in attributes[:8]})
-    parent = "" if annotation.parent_id is None else str(annotation.parent_id)
-    cells = (annotation.type, getattr(annotation, "label", None) or "", annotation.id, parent, stated)
-    return "| " + " | ".join(str(cell).replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
-
-
-def _show_corrections(
-    stream: Stream, locations: Locations, annotations: tuple[Annotation, ...], notify: Report
-) -> None:
-    """Show each correction as what it leads to: the corrected ego trajectory, the corrected frustum of a camera."""
-    for annotation in annotations:
-        if isinstance(annotation, LocalizationAdjustment):
-            _show_adjustment(stream, locations, annotation)
-        elif isinstance(annotation, CameraCalibration):
-            _show_calibration(stream, annotation, notify)
 
 
 def _show_adjustment(stream: Stream, locations: Locations, annotation: LocalizationAdjustment) -> None:
-    """The trajectory p' = A(t) p of the ego; A itself where the ego trajectory is not known.
-
-    As it leads from ego to world then.
-    """
+    """The trajectory p' = A(t) p of the ego; A itself, which leads from ego to world then, where that is not known."""
     trajectory, poses = locations.path, annotation.poses
     positions = poses.positions
     if trajectory is not None:
         held = poses.held(trajectory.timestamps_ns)
         positions = rotate_vectors(held.quaternions_xyzw, trajectory.positions) + held.positions
-    colour = one_packed(colour_of_name(annotation.id))
     shifted = positions - locations.origin_world
     shown = fits(shifted)
     stream.leave_out("poses of corrected trajectories", np.count_nonzero(~shown))
     line = sdk().LineStrips3D(
         [shifted[shown]],
-        colors=np.array([colour], np.uint32),
+        colors=np.array([one_packed(colour_of_name(annotation.id))], np.uint32),
         radii=np.array([_LINK_WIDTH], np.float32),
         labels=["corrected trajectory"],
     )
@@ -738,7 +671,7 @@ def _show_adjustment(stream: Stream, locations: Locations, annotation: Localizat
 
 
 def _show_calibration(stream: Stream, annotation: CameraCalibration, notify: Report) -> None:
-    """The camera' = camera D(t), with the other camera model if it is reported one."""
+    """The camera' = camera D(t), with the other camera model if one is stated."""
     entity = f"{camera_path(stream, annotation.sensor_id)}/calibrated"
     if annotation.poses is not None:
         poses = annotation.poses.held(annotation.poses.timestamps_ns)
@@ -786,17 +719,28 @@ class AnnotationView:
     @classmethod
     def of(cls, stream: Stream, locations: Locations, scene: Scene, notify: Report) -> "AnnotationView":
         """Make the layers of a scene, and log what holds at all times."""
-        _show_corrections(stream, locations, scene.annotations, notify)
+        for one in scene.annotations:  # each correction as what it leads to
+            if isinstance(one, LocalizationAdjustment):
+                _show_adjustment(stream, locations, one)
+            elif isinstance(one, CameraCalibration):
+                _show_calibration(stream, one, notify)
         _show_events(stream, scene.annotations)
         _show_attributes(stream, scene)
         _show_graph(stream, scene.annotations, notify)
         _list_annotations(stream, scene)
         maker = _Maker(stream, locations, scene)
-        timestamps = [path.timestamps_ns for path in _paths_in_space(scene.annotations)]
+        timestamps = [np.zeros(0, np.int64)]
+        for one in scene.annotations:
+            if (isinstance(one, CuboidAnnotation) and not _stands(one)) or (
+                isinstance(one, ShapeAnnotation) and one.dimensions == 3
+            ):
+                timestamps.append(one.path.timestamps_ns)
+            elif isinstance(one, PointsAnnotation):
+                timestamps += [path.timestamps_ns for path in one.paths]
         return cls(
             (*maker.cuboids(), *maker.shapes(), *maker.points(), *maker.links()),
             {camera.id: tuple(maker.drawn(camera.id)) for camera in scene.cameras},
-            np.unique(np.concatenate([np.zeros(0, np.int64), *timestamps])),
+            np.unique(np.concatenate(timestamps)),
             _LabelledPoints.of(stream, scene.annotations),
         )
 
@@ -831,16 +775,6 @@ def _log_in_parts(layers: Sequence[_Layer], times_ns: Int64Array) -> None:
     for start in range(0, len(times_ns), _AT_ONCE):
         for layer in layers:
             layer.log(times_ns[start : start + _AT_ONCE])
-
-
-def _paths_in_space(annotations: Iterable[Annotation]) -> Iterable[CuboidPath | VertexPath | PointPath]:
-    for annotation in annotations:
-        if (isinstance(annotation, CuboidAnnotation) and not _stands(annotation)) or (
-            isinstance(annotation, ShapeAnnotation) and annotation.dimensions == 3
-        ):
-            yield annotation.path
-        elif isinstance(annotation, PointsAnnotation):
-            yield from annotation.paths
 
 
 class _Maker:
@@ -914,10 +848,14 @@ class _Maker:
         seen: dict[str, list[tuple[CuboidAnnotation, Projection]]] = {}
         for one in self._of(CuboidAnnotation):
             for entry in one.projections:
-                if entry.sensor_id == camera_id:
-                    seen.setdefault(_label_of(one), []).append((one, _active(one, entry)))
+                if entry.sensor_id != camera_id:
+                    continue
+                if entry.boxes is not None:  # only what is active for the camera
+                    there = active_at(one, camera_id, entry.timestamps_ns)
+                    entry = replace(entry, boxes=np.where(there[:, None], entry.boxes, np.nan))  # noqa: PLW2901
+                seen.setdefault(_label_of(one), []).append((one, entry))
         for label, pairs in seen.items():
-            draw = partial(_draw_projections, projections=[entry for _, entry in pairs])
+            draw = partial(_draw_boxes, projections=[entry for _, entry in pairs])
             yield _Layer(self._group(f"{base}/projections", label, [one for one, _ in pairs]), draw, "projections")
         named = [
             (one, _point_name(one, k), entry)
@@ -930,11 +868,3 @@ class _Maker:
             owners, names, entries = zip(*named, strict=True)
             draw_points = partial(_draw_point_projections, projections=entries, names=names)
             yield _Layer(self._group(base, "points", owners), draw_points, "points in images", counted=False)
-
-
-def _active(annotation: CuboidAnnotation, entry: Projection) -> Projection:
-    """Of a projection only what is active for its camera."""
-    if entry.boxes is None:
-        return entry
-    there = active_at(annotation, entry.sensor_id, entry.timestamps_ns)
-    return entry if there.all() else replace(entry, boxes=np.where(there[:, None], entry.boxes, np.nan))

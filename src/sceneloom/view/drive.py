@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 from types import MappingProxyType
 from typing import Any
 
@@ -84,16 +84,15 @@ def _log_notes(stream: Stream, time_ns: int, warnings: Sequence[DataWarning], fi
     order = {level: k for k, level in enumerate(("ERROR", "WARN", "INFO"))}
     lines = [(_LEVELS[one.severity], f"{one.path}: {one.message}; {one.remedy} [{one.rule}]") for one in findings]
     lines += [
-        (_LEVELS[one.kind], f"{one.kind}: {one.location}: {one.message}{_times(one.count)}")
+        (
+            _LEVELS[one.kind],
+            f"{one.kind}: {one.location}: {one.message}" + (f" ({one.count} times)" if one.count > 1 else ""),
+        )
         for one in warnings
         if one.message not in reported
     ]
     for level, text in sorted(lines, key=lambda line: order[line[0]]):
         stream.log(time_ns, stream.path(_NOTES), sdk().TextLog(text, level=level), kind="notes")
-
-
-def _times(count: int) -> str:
-    return f" ({count} times)" if count > 1 else ""
 
 
 _BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
@@ -106,59 +105,6 @@ _IN_IMAGES = ("annotations", "tracks/boxes", "tracks/history")
 """What has a location in the world and is shown through the camera models, too."""
 
 _BACKGROUND = (16, 18, 22)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Facts:
-    """What a layout depends on.
-
-    Attributes:
-        eye, target: (3,) [m], where the eye is, and what it looks at: in the ego's frame if it follows the ego.
-    """
-
-    root: str
-    title: str
-    cameras: tuple[Identifier, ...]
-    eye: tuple[float, ...]
-    target: tuple[float, ...]
-    follows: bool
-    curves: tuple[tuple[Identifier, tuple[str, ...]], ...]
-    depths: bool
-    gnss: bool
-    plan: bool
-    earth: bool
-    events: bool
-    attributes: bool
-    relations: bool
-    listed: bool
-
-    @classmethod
-    def of(cls, view: "DriveView") -> "_Facts":
-        """Look at what a scene has."""
-        scene, path = view.scene, view.locations.path
-        eye, target = _eye(view.locations)
-        gnss = any(isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns) for sensor in scene.sensors)
-        kinds = CameraSensor | DepthCameraSensor
-        imus = [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor) and sensor.streams]
-        return cls(
-            root=f"/{escaped(view.name)}",
-            title=view.name,
-            cameras=tuple(sensor.id for sensor in scene.sensors if isinstance(sensor, kinds)),
-            eye=eye,
-            target=target,
-            follows=path is not None,
-            curves=tuple((imu.id, tuple(imu.streams)) for imu in imus),
-            depths=view.settings.depth is not None,
-            gnss=gnss,
-            plan=gnss or path is not None,
-            earth=gnss and view.settings.map_tiles,
-            events=any(isinstance(one, EventAnnotation) for one in scene.annotations),
-            attributes=any(one.is_timed and one.values for one in scene.attributes),
-            relations=any(
-                one.parent_id is not None or one.type in {"link", "group", "object"} for one in scene.annotations
-            ),
-            listed=bool(scene.annotations) or any(not one.is_timed for one in scene.attributes),
-        )
 
 
 def _eye(locations: Locations) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -188,82 +134,71 @@ def _blueprint_sdk() -> Any:
     return rerun.blueprint
 
 
-def _drive(facts: _Facts) -> Any:
-    rrb = _blueprint_sdk()
-    worlds = [_world(facts, "world", follows=facts.follows)]
-    if facts.follows:
-        worlds.append(_world(facts, "from afar", follows=False))
+def _layout_of(view: "DriveView") -> Any:
+    """The layout of one drive: its world, tabs of what has no location, and the images of its cameras."""
+    rrb, scene, root = _blueprint_sdk(), view.scene, f"/{escaped(view.name)}"
+    world_path, follows = f"{root}/{WORLD}", view.locations.path is not None
+    eye, target = _eye(view.locations)
+
+    def world(name: str, *, following: bool) -> Any:
+        """The world with the eye behind the ego; of a drive that moves also whole, the eye where the viewer puts it."""
+        controls = {"position": eye, "look_target": target} if following or not follows else {}
+        return rrb.Spatial3DView(
+            origin=f"{world_path}/{EGO}" if following else world_path,
+            contents=f"+ {world_path}/**",
+            name=name,
+            background=_BACKGROUND,
+            line_grid=not following,
+            eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, **controls),
+        )
+
+    def camera(camera_id: Identifier) -> Any:
+        """The images of a camera with what is drawn into them and what its model sees of the world; fused depths."""
+        path = f"{world_path}/{SENSORS}/{escaped(camera_id)}/{IMAGE}"
+        through = [f"+ {world_path}/{name}/**" for name in _IN_IMAGES]
+        contents = ["+ $origin/**", f"- $origin/{DEPTH}/**", *through]
+        images = rrb.Spatial2DView(origin=path, contents=contents, name=str(camera_id))
+        if view.settings.depth is None:
+            return images
+        depths = rrb.Spatial2DView(origin=path, contents=[f"+ $origin/{DEPTH}/**"], name=f"{camera_id}: depth")
+        return rrb.Tabs(images, depths, active_tab=0, name=str(camera_id))
+
+    worlds = [world("world", following=follows)]
+    if follows:
+        worlds.append(world("from afar", following=False))
     top = rrb.Tabs(*worlds, active_tab=0) if len(worlds) > 1 else worlds[0]
-    tabs = rrb.Tabs(*_tabs(facts), active_tab=0)
-    left = rrb.Vertical(top, tabs, row_shares=[3, 1])
-    if not facts.cameras:
-        return _named(left, facts)
-    images = [_camera(facts, camera_id) for camera_id in facts.cameras]
-    columns = 1 if len(images) <= 3 else 2
-    side = rrb.Grid(*images, grid_columns=columns) if len(images) > 1 else images[0]
-    return rrb.Horizontal(left, side, column_shares=[3, 2], name=facts.title)
+    left = rrb.Vertical(top, rrb.Tabs(*_tabs(view, root), active_tab=0), row_shares=[3, 1])
+    images = [camera(sensor.id) for sensor in scene.sensors if isinstance(sensor, CameraSensor | DepthCameraSensor)]
+    if not images:
+        return rrb.Horizontal(left, name=view.name)
+    side = rrb.Grid(*images, grid_columns=1 if len(images) <= 3 else 2) if len(images) > 1 else images[0]
+    return rrb.Horizontal(left, side, column_shares=[3, 2], name=view.name)
 
 
-def _world(facts: _Facts, name: str, *, follows: bool) -> Any:
-    """The world with the eye behind the ego; or, of a drive that moves, all of it, the eye where the viewer puts it."""
-    rrb = _blueprint_sdk()
-    world = f"{facts.root}/{WORLD}"
-    eye = {"position": facts.eye, "look_target": facts.target} if follows or not facts.follows else {}
-    return rrb.Spatial3DView(
-        origin=f"{world}/{EGO}" if follows else world,
-        contents=f"+ {world}/**",
-        name=name,
-        background=_BACKGROUND,
-        line_grid=not follows,
-        eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, **eye),
-    )
-
-
-def _named(container: Any, facts: _Facts) -> Any:
-    return _blueprint_sdk().Horizontal(container, name=facts.title)
-
-
-def _camera(facts: _Facts, camera_id: Identifier) -> Any:
-    """The images of a camera with what is drawn into them and what the camera model sees of the world.
-
-    Its fused depths.
-    """
-    rrb = _blueprint_sdk()
-    path = f"{facts.root}/{WORLD}/{SENSORS}/{escaped(camera_id)}/{IMAGE}"
-    through = [f"+ {facts.root}/{WORLD}/{name}/**" for name in _IN_IMAGES]
-    images = rrb.Spatial2DView(
-        origin=path, contents=["+ $origin/**", f"- $origin/{DEPTH}/**", *through], name=str(camera_id)
-    )
-    if not facts.depths:
-        return images
-    depths = rrb.Spatial2DView(origin=path, contents=[f"+ $origin/{DEPTH}/**"], name=f"{camera_id}: depth")
-    return rrb.Tabs(images, depths, active_tab=0, name=str(camera_id))
-
-
-def _tabs(facts: _Facts) -> list[Any]:
-    rrb = _blueprint_sdk()
-    root = facts.root
+def _tabs(view: "DriveView", root: str) -> list[Any]:
+    """What has no location in the world, as far as the drive has it."""
+    rrb, scene, annotations = _blueprint_sdk(), view.scene, view.scene.annotations
+    gnss = any(isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns) for sensor in scene.sensors)
     views = [rrb.TextLogView(origin=root, contents=[f"+ {root}/{_NOTES}", f"+ {root}/{EVENTS}/**"], name="log")]
-    if facts.gnss:
+    if gnss:
         views.append(rrb.TimeSeriesView(origin=f"{root}/{GNSS}", name="satellite fixes"))
-    for sensor_id, streams in facts.curves:
-        plots = [
-            rrb.TimeSeriesView(origin=f"{root}/{IMU}/{escaped(sensor_id)}/{escaped(name)}", name=name)
-            for name in streams
-        ]
-        views.append(rrb.Horizontal(*plots, name=str(sensor_id)))
-    if facts.plan:
+    for sensor in scene.sensors:
+        if isinstance(sensor, ImuSensor) and sensor.streams:
+            base = f"{root}/{IMU}/{escaped(sensor.id)}"
+            plots = [rrb.TimeSeriesView(origin=f"{base}/{escaped(name)}", name=name) for name in sensor.streams]
+            views.append(rrb.Horizontal(*plots, name=str(sensor.id)))
+    if gnss or view.locations.path is not None:
         views.append(rrb.Spatial2DView(origin=f"{root}/{MAP}", name="map [m]", background=_BACKGROUND))
-    if facts.earth:
+    if gnss and view.settings.map_tiles:
         views.append(rrb.MapView(origin=f"{root}/{EARTH}", name="map", background=rrb.MapProvider.OpenStreetMap))
-    if facts.events:
+    if any(isinstance(one, EventAnnotation) for one in annotations):
         views.append(rrb.StateTimelineView(origin=f"{root}/{EVENTS}", name="events"))
-    if facts.attributes:
+    if any(one.is_timed and one.values for one in scene.attributes):
         views.append(rrb.TimeSeriesView(origin=f"{root}/{ATTRIBUTES}", name="attributes"))
         views.append(rrb.StateTimelineView(origin=f"{root}/{ATTRIBUTES}", name="attributes in words"))
-    if facts.listed:
+    if annotations or any(not one.is_timed for one in scene.attributes):
         views.append(rrb.TextDocumentView(origin=f"{root}/{LIST}", name="annotations"))
-    if facts.relations:
+    if any(one.parent_id is not None or one.type in {"link", "group", "object"} for one in annotations):
         views.append(rrb.GraphView(origin=f"{root}/{RELATIONS}", name="relations"))
     return views
 
@@ -312,7 +247,11 @@ class DriveView:
         """
         reported = _Reported()
         scene = scene.corrected()
-        chosen = _with_sensors(scene, settings.sensors)
+        chosen = scene
+        if settings.sensors is not None:
+            ids = {str(sensor.id): sensor.id for sensor in scene.sensors}
+            keys = {key_of(scene.sensor(ids.get(str(stated), stated)).id) for stated in settings.sensors}
+            chosen = replace(scene, sensors=tuple(one for one in scene.sensors if key_of(one.id) in keys))
         part = cut_scene(chosen, start=settings.start, stop=settings.stop)
         straight, bent = with_straight_camera_models(part, reported)
         locations = Locations.of(straight, trajectory=settings.trajectory, heading=settings.heading, progress=progress)
@@ -321,11 +260,10 @@ class DriveView:
     @staticmethod
     def layout(views: "Sequence[DriveView]") -> Any:
         """The layout of one drive, or of several, each under a tab of its own, with all worlds over each other."""
-        rrb, drives = _blueprint_sdk(), [_Facts.of(view) for view in views]
-        parts = [_drive(facts) for facts in drives]
+        rrb, parts = _blueprint_sdk(), [_layout_of(view) for view in views]
         content = parts[0]
-        if len(drives) > 1:
-            worlds = [f"+ {facts.root}/{WORLD}/**" for facts in drives]
+        if len(parts) > 1:
+            worlds = [f"+ /{escaped(view.name)}/{WORLD}/**" for view in views]
             together = rrb.Spatial3DView(origin="/", contents=worlds, name="together")
             content = rrb.Tabs(*parts, together, active_tab=0)
         return rrb.Blueprint(
@@ -361,7 +299,15 @@ class DriveView:
         feeds = run.feeds()
         total = sum(map(len, feeds))
         lenient = bool(self.settings.reading.get("lenient"))
-        for done, _ in enumerate(play(feeds, partial(_passed_over, reported, lenient)), start=1):
+
+        def passed_over(error: Exception) -> bool:
+            """Whether to go on after a moment that cannot be read, and report it."""
+            if not (lenient and isinstance(error, DataError)):
+                return False
+            reported("unreadable", error.location or error.file, error.problem)
+            return True
+
+        for done, _ in enumerate(play(feeds, passed_over), start=1):
             if progress is not None:
                 progress(done, total)
         run.annotations.finish()
@@ -378,14 +324,6 @@ def _reference_ns(scene: Scene) -> Int64Array:
         if len(camera.images):
             return np.sort(camera.images.timestamps_ns)
     return np.zeros(0, np.int64)
-
-
-def _with_sensors(scene: Scene, chosen: tuple[Identifier, ...] | None) -> Scene:
-    if chosen is None:
-        return scene
-    ids = {str(sensor.id): sensor.id for sensor in scene.sensors}
-    keys = {key_of(scene.sensor(ids.get(str(stated), stated)).id) for stated in chosen}
-    return replace(scene, sensors=tuple(sensor for sensor in scene.sensors if key_of(sensor.id) in keys))
 
 
 @dataclass(slots=True, eq=False)
@@ -466,7 +404,10 @@ class _Run:
         if settings.depth is not None:
             feeds.append(fused_depth_feed(self.stream, settings.depth, view.measured, view.scene))
         span_ns = time_span(view.scene)
-        return [_within(feed, span_ns) for feed in feeds]
+        if span_ns is None:
+            return feeds
+        first, last = span_ns  # the moments that lie in the shown part of the drive
+        return [_chosen(one, np.flatnonzero((one.times_ns >= first) & (one.times_ns <= last))) for one in feeds]
 
     def log_maps(self) -> None:
         """Log clouds without time, and report what cannot be shown."""
@@ -512,13 +453,6 @@ def _thinned(feed: Feed, every: int) -> Feed:
     return _chosen(feed, rows[np.argsort(feed.times_ns[rows], kind="stable")])
 
 
-def _within(feed: Feed, span_ns: tuple[int, int] | None) -> Feed:
-    """The moments of a file that lie in the shown part of its drive."""
-    if span_ns is None:
-        return feed
-    return _chosen(feed, np.flatnonzero((feed.times_ns >= span_ns[0]) & (feed.times_ns <= span_ns[1])))
-
-
 def _chosen(feed: Feed, rows: Int64Array) -> Feed:
     """Some moments of a feed: (M,) numbers of them."""
     numbers: list[int] = rows.tolist()
@@ -528,11 +462,3 @@ def _chosen(feed: Feed, rows: Int64Array) -> Feed:
         lambda k, prepared: feed.log(numbers[k], prepared),
         None if prepare is None else lambda k: prepare(numbers[k]),
     )
-
-
-def _passed_over(reported: _Reported, lenient: bool, error: Exception) -> bool:  # noqa: FBT001 - bound by `partial`
-    """Whether to go on after a moment that cannot be read, and report it."""
-    if not (lenient and isinstance(error, DataError)):
-        return False
-    reported("unreadable", error.location or error.file, error.problem)
-    return True

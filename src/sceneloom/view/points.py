@@ -52,11 +52,6 @@ def colour_of_name(name: object) -> tuple[int, int, int]:
     return PALETTE[crc32(str(name).encode()) % len(PALETTE)]
 
 
-def _scale_table() -> _Packed:
-    """The 256 colours of a scale from low (dark) to high (bright), for the dark ground of the viewer."""
-    return np.ascontiguousarray(_packed(colour_map("lagoon").table)[::-1])
-
-
 @dataclass(slots=True)
 class _CloudPainter:
     """Gives the points of one sensor their colours; the ends of its scale are those of the first sweep."""
@@ -64,24 +59,24 @@ class _CloudPainter:
     wanted: ColourBy | None
     used: ColourBy | None = None
     _ends: tuple[float, float] | None = None
-    _table: _Packed = field(default_factory=_scale_table)
+    _table: _Packed = field(  # from low (dark) to high (bright), for the dark ground of the viewer
+        default_factory=lambda: np.ascontiguousarray(_packed(colour_map("lagoon").table)[::-1])
+    )
 
     def paint(self, points: LidarPoints, heights: Callable[[], FloatArray]) -> _Packed:
         """Give (N,) colours; `heights` gives (N,) heights [m] when they are asked for."""
         if self.used is None:
-            self.used = self._choose(points)
+            wanted = (self.wanted or ColourBy.COLOUR, ColourBy.INTENSITY)
+            there = (by for by in wanted if by is ColourBy.HEIGHT or getattr(points, _FIELDS[by]) is not None)
+            self.used = next(there, ColourBy.HEIGHT)
         if self.used is ColourBy.COLOUR:
             return _own_colours(points)
-        reported = _VALUES[self.used](points)
-        values = np.asarray(heights() if reported is None else reported, np.float64)
-        return self._table[self._steps(values)]
-
-    def _choose(self, points: LidarPoints) -> ColourBy:
-        wanted = ColourBy.COLOUR if self.wanted is None else self.wanted
-        for trajectory in (wanted, ColourBy.INTENSITY):
-            if _is_there(trajectory, points):
-                return trajectory
-        return ColourBy.HEIGHT
+        values = heights() if self.used is ColourBy.HEIGHT else getattr(points, _FIELDS[self.used])
+        if values is None or not len(values):
+            values = np.zeros(len(points))
+        elif self.used is ColourBy.TIME:
+            values = values - values.min()
+        return self._table[self._steps(np.asarray(values, np.float64))]
 
     def _steps(self, values: Float64Array) -> UInt8Array:
         finite = values[np.isfinite(values)]
@@ -93,10 +88,6 @@ class _CloudPainter:
         return np.asarray(np.clip(shares, 0.0, 1.0) * 255, np.uint8)
 
 
-def _is_there(trajectory: ColourBy, points: LidarPoints) -> bool:
-    return trajectory is ColourBy.HEIGHT or getattr(points, _FIELDS[trajectory]) is not None
-
-
 _FIELDS: Mapping[ColourBy, str] = MappingProxyType(
     {
         ColourBy.COLOUR: "colors",
@@ -105,28 +96,6 @@ _FIELDS: Mapping[ColourBy, str] = MappingProxyType(
         ColourBy.TIME: "timestamps_ns",
     }
 )
-
-
-def _times(points: LidarPoints) -> Float64Array | None:
-    timestamps = points.timestamps_ns
-    if timestamps is None or len(timestamps) == 0:
-        return np.zeros(len(points))
-    since: Float64Array = (timestamps - timestamps.min()).astype(np.float64)
-    return since
-
-
-_VALUES: Mapping[ColourBy, Callable[[LidarPoints], FloatArray | UInt8Array | None]] = MappingProxyType(
-    {
-        ColourBy.INTENSITY: lambda points: _or_zeros(points.intensities, points),
-        ColourBy.HEIGHT: lambda points: None,  # noqa: ARG005 - the caller knows which way is up
-        ColourBy.RING: lambda points: _or_zeros(points.rings, points),
-        ColourBy.TIME: _times,
-    }
-)
-
-
-def _or_zeros(values: np.ndarray | None, points: LidarPoints) -> np.ndarray:
-    return np.zeros(len(points)) if values is None else values
 
 
 def _own_colours(points: LidarPoints) -> _Packed:

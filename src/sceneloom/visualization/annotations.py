@@ -4,7 +4,7 @@
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from zlib import crc32
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, UInt8Array
+from sceneloom.arrays import Float64Array
 from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.output import file_stem, filling
@@ -66,7 +66,7 @@ from sceneloom.visualization.canvas import (
     seconds_text,
     text_height,
 )
-from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
+from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above, first_level
 from sceneloom.visualization.colour_scales import COARSE_DIGITS, draw_caption, draw_strip, round_up, strip_height
 from sceneloom.visualization.figures import (
     CORNER_FROM_CENTRE,
@@ -156,9 +156,11 @@ _CLOSED = frozenset({ShapeType.POLYGON, ShapeType.POLYGON_TOPDOWN, ShapeType.POL
 _MARKS = frozenset({ShapeType.POINT, ShapeType.POINT_TOPDOWN, ShapeType.POINT_2D})
 
 
-def _shape(annotation: ShapeAnnotation, timestamp_ns: int, vertices: Float64Array) -> Figure | None:
-    if len(vertices) == 0:
+def _shape(annotation: ShapeAnnotation, timestamp_ns: int, corner: float | CuboidAngles = 0.0) -> Figure | None:
+    vertices = shape_at(annotation, [timestamp_ns])[0]
+    if vertices is None or len(vertices) == 0:
         return None
+    vertices = vertices - corner if isinstance(corner, float) else vertices
     anchor = vertices.mean(axis=0)
     if annotation.type in _MARKS:
         return _figure(annotation, timestamp_ns, marks=vertices, anchor=anchor)
@@ -166,11 +168,6 @@ def _shape(annotation: ShapeAnnotation, timestamp_ns: int, vertices: Float64Arra
     line = np.concatenate([vertices, vertices[:1]]) if round_ or annotation.is_closed else vertices
     areas = (vertices,) if round_ and len(vertices) > 2 else ()
     return _figure(annotation, timestamp_ns, lines=(line,), areas=areas, anchor=anchor)
-
-
-def _shape_in_world(annotation: ShapeAnnotation, timestamp_ns: int, _: CuboidAngles) -> Figure | None:
-    vertices = shape_at(annotation, [timestamp_ns])[0]
-    return None if vertices is None else _shape(annotation, timestamp_ns, vertices)
 
 
 def _keypoints(annotation: PointsAnnotation, timestamp_ns: int, _: CuboidAngles) -> Figure | None:
@@ -182,8 +179,7 @@ def _keypoints(annotation: PointsAnnotation, timestamp_ns: int, _: CuboidAngles)
 def _shape_in_image(annotation: ShapeAnnotation, sensor_id: Identifier, timestamp_ns: int) -> Figure | None:
     if not _same_id(annotation.sensor_id, sensor_id):
         return None
-    vertices = shape_at(annotation, [timestamp_ns])[0]
-    return None if vertices is None else _shape(annotation, timestamp_ns, vertices - CORNER_FROM_CENTRE)
+    return _shape(annotation, timestamp_ns, CORNER_FROM_CENTRE)
 
 
 def _box_in_image(annotation: Box2DAnnotation, sensor_id: Identifier, timestamp_ns: int) -> Figure | None:
@@ -239,11 +235,6 @@ def _same_id(one: Identifier | None, other: Identifier | None) -> bool:
     return one == other and type(one) is type(other)
 
 
-def _members_of(scene: Scene, parent_id: Identifier) -> Sequence[Annotation]:
-    """The annotations that belong to another one."""
-    return [a for a in scene.annotations if _same_id(getattr(a, "parent_id", None), parent_id)]
-
-
 _SHAPES_2D = (ShapeType.POLYLINE_2D, ShapeType.POLYGON_2D, ShapeType.POINT_2D)
 
 _SHAPES_3D = (
@@ -251,7 +242,7 @@ _SHAPES_3D = (
 )  # fmt: skip
 
 _IN_WORLD: Mapping[str, Callable[[Any, int, CuboidAngles], Figure | None]] = MappingProxyType(
-    {"cuboid": _cuboid, "points": _keypoints, **{str(kind): _shape_in_world for kind in _SHAPES_3D}}
+    {"cuboid": _cuboid, "points": _keypoints, **{str(kind): _shape for kind in _SHAPES_3D}}
 )
 
 _IN_IMAGE: Mapping[str, Callable[[Any, Identifier, int], Figure | None]] = MappingProxyType(
@@ -304,7 +295,8 @@ def _relations_in_world(scene: Scene, timestamp_ns: int) -> Iterator[Figure]:
                     name, colour_of(annotation), (line, *_arrowheads(line, annotation)), anchor=line.mean(axis=0)
                 )
         elif isinstance(annotation, GroupAnnotation | ObjectAnnotation):
-            inside = [locations.get(key_of(a.id)) for a in _members_of(scene, annotation.id)]
+            members = [a for a in scene.annotations if _same_id(getattr(a, "parent_id", None), annotation.id)]
+            inside = [locations.get(key_of(a.id)) for a in members]
             known = [location for location in inside if location is not None]
             if known:
                 frame = _frame_around(np.array(known))
@@ -420,9 +412,15 @@ def draw_annotations_above(
     Raises:
         OptionError: the reach or the size cannot be drawn.
     """
-    points_world, colors = _cloud(scene, sample)
+    # of a scene without a sweep its maps
+    maps = [sensor.positions for sensor in scene.sensors if isinstance(sensor, PointsSensor)]
+    points_world, colors = (np.concatenate(maps) if maps else np.zeros((0, 3))).astype(np.float64), None
+    world_from_points = sample.poses.world_from_points if sample.sweep is not None else None
+    if sample.sweep is not None and world_from_points is not None:
+        points, colors = sample.sweep.points, sample.sweep.points.colors
+        points_world = world_from_points.apply(points.positions.astype(np.float64))
     pose = sample.world_from_lidar or next((p for p in sample.world_from_camera.values() if p is not None), None)
-    ego = None if pose is None else EgoPosition(pose.translation, _level(pose.rotation))
+    ego = None if pose is None else EgoPosition(pose.translation, first_level([pose.rotation[:, 0]]))
     events = _active_events(scene, sample.timestamp_ns)
     now = f" · now: {', '.join(events)}" if events else ""
     return draw_cloud_above(
@@ -434,22 +432,6 @@ def draw_annotations_above(
         size_px=size_px,
         over=partial(_draw_over, scene, sample),
     )
-
-
-def _cloud(scene: Scene, sample: Sample) -> tuple[Float64Array, UInt8Array | None]:
-    """The sweep in the world; of a scene without one its maps."""
-    world_from_points = sample.poses.world_from_points if sample.sweep is not None else None
-    if sample.sweep is not None and world_from_points is not None:
-        return world_from_points.apply(sample.sweep.points.positions.astype(np.float64)), sample.sweep.points.colors
-    maps = [sensor.positions for sensor in scene.sensors if isinstance(sensor, PointsSensor)]
-    return (np.concatenate(maps) if maps else np.zeros((0, 3))).astype(np.float64), None
-
-
-def _level(rotation_world: Float64Array) -> Float64Array:
-    """Where a sensor's x axis leads, level; the world's x where it points up or down."""
-    forward = rotation_world[:, 0] * (1.0, 1.0, 0.0)
-    length = float(np.linalg.norm(forward))
-    return forward / length if length > 0.1 else np.array([1.0, 0.0, 0.0])
 
 
 def _draw_over(scene: Scene, sample: Sample, plot: Canvas, layout: MapLayout) -> None:

@@ -73,7 +73,7 @@ def find_ego(
     directions = [] if ego_path is None else [_path_direction(ego_path, position)]
     directions += [view.world_from_camera.rotation[:, 2] for view in views[:1]]
     directions += [pose.rotation[:, 0] for pose in poses[:1]]
-    return EgoPosition(position, _first_level(directions))
+    return EgoPosition(position, first_level(directions))
 
 
 def middle_of(points_world: Float64Array) -> EgoPosition:
@@ -95,7 +95,7 @@ def _path_direction(ego_path: FloatArray, position_world: Float64Array) -> Float
     return step if np.linalg.norm(step[:2]) >= _MOVED else np.zeros(3)
 
 
-def _first_level(directions: Sequence[Float64Array]) -> Float64Array:
+def first_level(directions: Sequence[Float64Array]) -> Float64Array:
     """Give the first direction that is not upright, made level; x of the world if none."""
     for direction in directions:
         length = float(np.hypot(direction[0], direction[1]))
@@ -154,13 +154,10 @@ def _drawn_cloud(points_world: FloatArray, colors: UInt8Array | None, camera_ind
         seen &= camera_index[finite] != UNSEEN
     drawn = _height_greys(points[:, 2])
     if colors is not None:
-        drawn[seen] = _lifted(colors[finite][seen])
+        # a little lighter, the dark ones most, so that black cars stand out from a dark ground
+        shares = colors[finite][seen] / 255.0
+        drawn[seen] = np.rint(_LIFT + (255.0 - _LIFT) * shares**_LIFT_POWER).astype(np.uint8)
     return _DrawnCloud(points, drawn, int(seen.sum()), left_out)
-
-
-def _lifted(colors: UInt8Array) -> UInt8Array:
-    """Make colours a little lighter, the dark ones most, so that black cars stand out from a dark ground."""
-    return np.asarray(np.rint(_LIFT + (255.0 - _LIFT) * (colors / 255.0) ** _LIFT_POWER), np.uint8)
 
 
 def _height_greys(heights: Float64Array) -> UInt8Array:
@@ -332,14 +329,20 @@ def draw_cloud_above(
     )
     layout = layout_map((float(location.position_world[0]), float(location.position_world[1])), chosen, size_px)
     spacing = round_up(_SPACING_LETTERS * text_px / layout.px_per_m, COARSE_DIGITS)
-    drawn = _with_discs(_grid_image(layout, spacing), layout, cloud.points_world, cloud.colours, _radius(layout))
+    # about 6 cm, within what can be seen and what does not smear
+    radius_px = float(np.clip(0.06 * layout.px_per_m, 1.0, 2.0))
+    drawn = _with_discs(_grid_image(layout, spacing), layout, cloud.points_world, cloud.colours, radius_px)
     if ego_path is not None:
-        drawn = _with_path(drawn, layout, ego_path, text_px)
+        line = sample_polyline(ego_path, 0.5 / layout.px_per_m)
+        colours: UInt8Array = np.full((len(line), 3), _PATH, np.uint8)
+        drawn = _with_discs(drawn, layout, line, colours, max(1.0, text_px / 13))
     plot = Canvas.of(drawn, text_px=text_px)
     if over is not None:
         over(plot, layout)
-    if ego is not None:
-        _draw_ego(plot, layout, location)
+    # the ego is an arrowhead on a dark rim, of the same size in the image at every scale
+    for letters, colour in ((2.1, BACKGROUND), (1.6, ACCENT)) if ego is not None else ():
+        corners = layout.pixels(location.arrow(letters * text_px / layout.px_per_m))
+        plot.polygon([(float(u), float(v)) for u, v in corners], colour)
     _draw_compass(plot)
     return _framed(plot, layout, spacing, size_px, _cloud_caption(caption, cloud))
 
@@ -348,11 +351,6 @@ def _rectangle(size_px: tuple[int, int], text_px: int) -> tuple[int, int, int, i
     """Leave room for the labels and the strip: left, top, width, height of the map [px]."""
     left, top = round(3.4 * text_px), round(0.8 * text_px)
     return left, top, size_px[0] - left - top, size_px[1] - top - round(1.9 * text_px) - strip_height(text_px)
-
-
-def _radius(layout: MapLayout) -> float:
-    """Choose the discs' radius [px]: about 6 cm, within what can be seen and what does not smear."""
-    return float(np.clip(0.06 * layout.px_per_m, 1.0, 2.0))
 
 
 def _grid_image(layout: MapLayout, spacing: float) -> UInt8Array:
@@ -371,19 +369,6 @@ def _with_discs(
     pixels = layout.pixels(points_world)
     near = (np.abs(pixels) < _FAR_PX).all(axis=1)
     return draw_discs(image, pixels[near], -points_world[near, 2], colours[near], radius)
-
-
-def _with_path(image: UInt8Array, layout: MapLayout, ego_path: FloatArray, text_px: int) -> UInt8Array:
-    line = sample_polyline(ego_path, 0.5 / layout.px_per_m)
-    colours: UInt8Array = np.full((len(line), 3), _PATH, np.uint8)
-    return _with_discs(image, layout, line, colours, max(1.0, text_px / 13))
-
-
-def _draw_ego(plot: Canvas, layout: MapLayout, location: EgoPosition) -> None:
-    """Mark the ego with an arrowhead, the same size in the image at every scale, on a dark rim."""
-    for letters, colour in ((2.1, BACKGROUND), (1.6, ACCENT)):
-        corners = layout.pixels(location.arrow(letters * plot.text_px / layout.px_per_m))
-        plot.polygon([(float(u), float(v)) for u, v in corners], colour)
 
 
 def _draw_compass(plot: Canvas) -> None:
@@ -514,14 +499,9 @@ def draw_cloud_perspective(
     """Draw a cloud as seen from behind and above the ego, near points larger and over far ones.
 
     Args:
-        points_world: (N, 3) float [m]; rows that are not finite are left out.
-        colors: (N, 3) uint8, or None; points without a colour are grey, the lighter the higher.
-        camera_index: (N,) uint8, 255 for a point that no camera saw.
+        points_world, colors, camera_index, ego_path, caption, size_px: as of `draw_cloud_above`.
         ego: what the eye stands behind, marked by an arrow; by default the middle of the points, without a mark.
-        ego_path: (K, 3) float [m], the ego trajectory through the world.
-        caption: one or two lines; to one alone what the cloud holds is added.
         reach: how far the cloud goes [m]: sets the viewpoint; by default it holds most of the points.
-        size_px: width and height of the image, at least 320x240.
 
     Raises:
         ArrayError: the arrays do not fit together.
@@ -533,7 +513,10 @@ def draw_cloud_perspective(
     cloud = _drawn_cloud(points_world, colors, camera_index)
     location = ego or middle_of(cloud.points_world)
     chosen = _choose_reach(reach, cloud.points_world, location, percent=_VIEW_PERCENT, farthest=_FARTHEST_VIEW)
-    ground = _ground_height(cloud.points_world, location, chosen)
+    # the ground is a low percentile of the points near the ego
+    offsets = np.abs(cloud.points_world[:, :2] - location.position_world[:2]).max(axis=1, initial=0.0)
+    around = cloud.points_world[offsets < 0.5 * chosen, 2]
+    ground = float(np.percentile(around, 10)) if len(around) else float(location.position_world[2])
     viewpoint = viewpoint_behind(location, chosen, width, height)
     layers = [
         _Layer(_grid_points(location, chosen, ground), np.array([_FAR_GRID], np.uint8), 0.5 * _POINT_RADIUS, 1.01),
@@ -542,10 +525,21 @@ def draw_cloud_perspective(
     if ego_path is not None:
         trajectory = sample_polyline(ego_path, 0.002 * chosen)
         layers.append(_Layer(trajectory, np.array([_PATH], np.uint8), 2.0 * _POINT_RADIUS))
-    plot = Canvas.of(_with_layers(background(width, height), viewpoint, layers, chosen), text_px=text_px)
+    # all layers at once, so that the nearest point covers the others whatever layer it is of, hazed with distance
+    shown = [_shown(viewpoint, layer, chosen) for layer in layers]
+    pixels, depths, order, colours, radii_px = (np.concatenate(parts) for parts in zip(*shown, strict=True))
+    share = 1.0 - np.exp(-depths / (_HAZE_REACHES * chosen))[:, None]
+    hazed = np.asarray(np.rint((1.0 - share) * colours + share * _HAZE), np.uint8)
+    plot = Canvas.of(draw_discs(background(width, height), pixels, order, hazed, radii_px), text_px=text_px)
     if ego is not None:
-        _draw_ego_arrow(plot, viewpoint, location, 0.07 * chosen)
-    return _with_strip(plot, size_px, _cloud_caption(caption, cloud))
+        corners, ahead = viewpoint.project(location.arrow(0.07 * chosen))
+        if (ahead > 0).all():
+            plot.polygon([(float(u), float(v)) for u, v in corners], ACCENT)
+    canvas = Canvas.blank(*size_px, text_px=text_px)
+    canvas.paste(plot, 0, 0)
+    draw_strip(canvas, height)
+    draw_caption(canvas, height, size_px[0], _cloud_caption(caption, cloud))
+    return canvas.image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -566,13 +560,6 @@ def background(width: int, height: int) -> UInt8Array:
     return np.ascontiguousarray(np.broadcast_to(column[:, None], (height, width, 3)))
 
 
-def _ground_height(points_world: Float64Array, location: EgoPosition, reach: float) -> float:
-    """Estimate the ground's height [m] near the ego: a low percentile of the points around it."""
-    offsets = np.abs(points_world[:, :2] - location.position_world[:2]).max(axis=1, initial=0.0)
-    around = points_world[offsets < 0.5 * reach, 2]
-    return float(np.percentile(around, 10)) if len(around) else float(location.position_world[2])
-
-
 def _grid_points(location: EgoPosition, reach: float, ground: float) -> Float64Array:
     """Give points along the grid lines of the ground, at round coordinates of the world."""
     spacing = round_up(reach / 5, COARSE_DIGITS)
@@ -586,13 +573,6 @@ def _grid_points(location: EgoPosition, reach: float, ground: float) -> Float64A
     return np.concatenate([across, np.column_stack([middle[0] + b, middle[1] + a, level])])
 
 
-def _with_layers(image: UInt8Array, viewpoint: Viewpoint, layers: Sequence[_Layer], reach: float) -> UInt8Array:
-    """Draw all layers at once, so that the nearest point covers the others whatever layer it is of."""
-    shown = [_shown(viewpoint, layer, reach) for layer in layers]
-    pixels, depths, order, colours, radii_px = (np.concatenate(parts) for parts in zip(*shown, strict=True))
-    return draw_discs(image, pixels, order, _hazed(colours, depths, reach), radii_px)
-
-
 def _shown(viewpoint: Viewpoint, layer: _Layer, reach: float) -> tuple[AnyArray, ...]:
     """Give pixels, depths, depths that decide order, colours and radii of the points inside the image."""
     pixels, depths = viewpoint.project(layer.points_world)
@@ -602,24 +582,3 @@ def _shown(viewpoint: Viewpoint, layer: _Layer, reach: float) -> tuple[AnyArray,
     colours = np.broadcast_to(layer.colours, (len(depths), 3))[kept]
     radii_px = np.clip(viewpoint.focal_px * layer.radius / depths[kept], _LEAST_RADIUS_PX, _MOST_RADIUS_PX)
     return pixels[kept], depths[kept], depths[kept] * layer.setback, colours, radii_px
-
-
-def _hazed(colours: UInt8Array, depths: Float64Array, reach: float) -> UInt8Array:
-    """Blend colours into the haze with distance."""
-    share = 1.0 - np.exp(-depths / (_HAZE_REACHES * reach))[:, None]
-    return np.asarray(np.rint((1.0 - share) * colours + share * _HAZE), np.uint8)
-
-
-def _draw_ego_arrow(plot: Canvas, viewpoint: Viewpoint, location: EgoPosition, length: float) -> None:
-    pixels, depths = viewpoint.project(location.arrow(length))
-    if (depths > 0).all():
-        plot.polygon([(float(u), float(v)) for u, v in pixels], ACCENT)
-
-
-def _with_strip(plot: Canvas, size_px: tuple[int, int], caption: Sequence[str]) -> PilImage:
-    canvas = Canvas.blank(*size_px, text_px=plot.text_px)
-    canvas.paste(plot, 0, 0)
-    top = plot.image.height
-    draw_strip(canvas, top)
-    draw_caption(canvas, top, size_px[0], caption)
-    return canvas.image

@@ -27,13 +27,38 @@ Call = Callable[..., Outcome]
 
 @pytest.fixture
 def call(capsys):
-    """Call `sceneloom` with arguments."""
+    """Call `sceneloom` with arguments, of which the first may be several words."""
 
     def run(*arguments):
+        first, *others = map(str, arguments)
         with pytest.raises(SystemExit) as stop:
-            main([str(argument) for argument in arguments])
+            main([*first.split(), *others])
         out, err = capsys.readouterr()
         return Outcome(int(stop.value.code or 0), out, err)
+
+    return run
+
+
+@pytest.fixture
+def succeeds(call):
+    """Call `sceneloom` with arguments, which has to end well."""
+
+    def run(*arguments):
+        outcome = call(*arguments)
+        assert outcome.code == 0, outcome.err
+        return outcome
+
+    return run
+
+
+@pytest.fixture
+def refuses(call):
+    """Call `sceneloom` with arguments, which has to end with a code and an error that holds a text."""
+
+    def run(code, text, *arguments):
+        outcome = call(*arguments)
+        assert (outcome.code, text in outcome.err) == (code, True), outcome
+        return outcome
 
     return run
 

@@ -6,62 +6,57 @@ import shutil
 
 def test_a_catalogue_is_built_updated_and_asked(call, recording, tmp_path):
     folder = tmp_path / "catalogue"
-    outcome = call("catalog", "build", recording, tmp_path / "missing", "-o", folder)
+    outcome = call("catalog build", recording, tmp_path / "missing", "-o", folder)
     assert (outcome.code, "1 scene: 1 new, 1 failed" in outcome.out) == (1, True)
     assert f"failed: {tmp_path / 'missing'}: no such file or folder" in outcome.err
-    assert "1 unchanged" in call("catalog", "update", folder).out
-    reported = call("catalog", "query", folder, "--speed", 0, "inf", "--as", "list")
+    assert "1 unchanged" in call("catalog update", folder).out
+    reported = call("catalog query", folder, "--speed", 0, "inf", "--as", "list")
     assert [json.loads(line)["path"] for line in reported.out.splitlines()] == [str(recording)]
-    rows = json.loads(call("catalog", "query", folder, "--sql", "SELECT sensor FROM sensors", "--json").out)
+    rows = json.loads(call("catalog query", folder, "--sql", "SELECT sensor FROM sensors", "--json").out)
     assert {"sensor": "lidar"} in rows
-    table = call("catalog", "query", folder, "--show", "drives").out.splitlines()
+    table = call("catalog query", folder, "--show", "drives").out.splitlines()
     assert table[0].split() == ["path", "seconds", "spans", "moments", "most"]
-    lines = call("catalog", "query", folder, "--sql", "SELECT 1 AS one, NULL AS two", "--as", "csv").out
+    lines = call("catalog query", folder, "--sql", "SELECT 1 AS one, NULL AS two", "--as", "csv").out
     assert lines == "one,two\n1,\n"
 
 
-def test_filters_beside_sql_and_what_is_no_catalogue_are_refused(call, tmp_path):
-    both = call("catalog", "query", tmp_path, "--sql", "SELECT 1", "--label", "car")
-    assert (both.code, "--sql" in both.err) == (2, True)
-    none = call("catalog", "query", tmp_path, "--label", "car")
-    assert (none.code, "holds no catalogue" in none.err) == (1, True)
-    bad = call("catalog", "query", tmp_path, "--attribute", "rain")
-    assert (bad.code, "NAME=VALUE" in bad.err) == (2, True)
+def test_filters_beside_sql_and_what_is_no_catalogue_are_refused(refuses, tmp_path):
+    refuses(2, "--sql", "catalog query", tmp_path, "--sql", "SELECT 1", "--label", "car")
+    refuses(1, "holds no catalogue", "catalog query", tmp_path, "--label", "car")
+    refuses(2, "NAME=VALUE", "catalog query", tmp_path, "--attribute", "rain")
 
 
-def test_a_list_says_how_its_drives_are_opened(call, recording, tmp_path):
+def test_a_list_says_how_its_drives_are_opened(call, succeeds, recording, tmp_path):
     both, fleet = tmp_path / "kitti", tmp_path / "fleet"
     for name in ("0001", "0002"):
         written = tmp_path / name
         to = ("--to", "kitti-tracking", "--output-option", f"sequence={name}")
-        assert call("convert", recording, written, *to).code == 0
+        succeeds("convert", recording, written, *to)
         shutil.copytree(written, both, dirs_exist_ok=True)
-    assert call("catalog", "build", both, "-o", fleet, "--input-option", "sequence=0001").code == 0
-    assert call("catalog", "update", fleet, both, "--input-option", "sequence=0002").code == 0
-    assert "2 scenes: 2 unchanged" in call("catalog", "update", fleet, both).out
-    reported = call("catalog", "query", fleet, "--speed", 0, "inf", "--show", "drives", "--as", "list").out
+    succeeds("catalog build", both, "-o", fleet, "--input-option", "sequence=0001")
+    succeeds("catalog update", fleet, both, "--input-option", "sequence=0002")
+    assert "2 scenes: 2 unchanged" in call("catalog update", fleet, both).out
+    reported = call("catalog query", fleet, "--speed", 0, "inf", "--show", "drives", "--as", "list").out
     assert [json.loads(line)["reading"] for line in reported.splitlines()] == [
         {"sequence": "0001"}, {"sequence": "0002"},
     ]  # fmt: skip
     (tmp_path / "list.jsonl").write_text(reported)
-    done = call("batch", "convert", "--list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
-    assert done.code == 0, done.err
+    succeeds("batch convert --list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
     names = sorted(file.name for file in (tmp_path / "out").glob("*.sfs"))
     assert names == ["kitti_0001.sfs", "kitti_0002.sfs"]
-    again = call("batch", "convert", both, "-o", tmp_path / "out", "--workers", 1, "--resume")
+    again = call("batch convert", both, "-o", tmp_path / "out", "--workers", 1, "--resume")
     assert (again.code, "2 of them before and unchanged" in again.out) == (0, True), again.err
     assert f"{both}: 2 drives; --sequence chooses one\n" in again.err
-    assert "2 unchanged" in call("catalog", "update", fleet, "--list", tmp_path / "list.jsonl").out
-    saved = call("view", "--list", tmp_path / "list.jsonl", "--save", tmp_path / "both.rrd", "--json")
+    assert "2 unchanged" in call("catalog update", fleet, "--list", tmp_path / "list.jsonl").out
+    saved = call("view --list", tmp_path / "list.jsonl", "--save", tmp_path / "both.rrd", "--json")
     assert (saved.code, [drive["root"] for drive in json.loads(saved.out)["drives"]]) == (
         0, [r"/kitti\ 0001", r"/kitti\ 0002"],
     )  # fmt: skip
 
 
-def test_a_list_says_nothing_but_how_a_drive_is_read(call, recording, tmp_path):
+def test_a_list_says_nothing_but_how_a_drive_is_read(refuses, recording, tmp_path):
     (tmp_path / "list.jsonl").write_text(
         json.dumps({"path": str(recording), "reading": {"output": str(tmp_path / "elsewhere.sfs")}})
     )
-    refused = call("batch", "convert", "--list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
-    assert (refused.code, "'output'" in refused.err) == (1, True)
+    refuses(1, "'output'", "batch convert --list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
     assert not (tmp_path / "elsewhere.sfs").exists()

@@ -8,9 +8,8 @@ import pytest
 from PIL import Image
 
 
-def test_a_map_is_written_and_summed_up(call, recording, tmp_path):
-    done = call("colour", recording, "-o", tmp_path / "map.laz", "--voxel", "0.2", "--visualize", tmp_path / "look")
-    assert done.code == 0, done.err
+def test_a_map_is_written_and_summed_up(succeeds, recording, tmp_path):
+    done = succeeds("colour", recording, "-o", tmp_path / "map.laz", "--voxel", "0.2", "--visualize", tmp_path / "look")
     assert "coloured 3 of 3 sweeps" in done.out
     assert "map.laz" in done.out
     assert len(laspy.read(tmp_path / "map.laz")) > 50
@@ -26,11 +25,10 @@ def test_the_report_comes_as_json(call, recording, tmp_path):
     assert sorted(path.name for path in (tmp_path / "sweeps").iterdir()) == [f"00000{k}.ply" for k in range(3)]
 
 
-def test_missing_label_images_are_counted_and_reported(call, recording, tmp_path):
+def test_missing_label_images_are_counted_and_reported(succeeds, recording, tmp_path):
     (tmp_path / "labels").mkdir()
     Image.fromarray(np.full((64, 96), 9, np.uint8)).save(tmp_path / "labels" / "1.png")
-    done = call("colour", recording, "-o", tmp_path / "map.las", "--labels", tmp_path / "labels")
-    assert done.code == 0, done.err
+    done = succeeds("colour", recording, "-o", tmp_path / "map.las", "--labels", tmp_path / "labels")
     assert "labels: 1 image painted onto" in done.out
     assert "no label image of 2 images" in done.out
     assert set(np.unique(laspy.read(tmp_path / "map.las").label).tolist()) == {9, 65535}

@@ -340,18 +340,19 @@ def test_every_verb_that_reads_a_drive_is_known_to_apply_corrections_or_to_keep_
 
 
 @pytest.mark.parametrize("edit", ["crop", "thin", "simplify", "to-world"])
-def test_an_edit_that_does_not_compute_with_cameras_keeps_corrections_and_their_meaning(edit, call, files, tmp_path):
+def test_an_edit_that_does_not_compute_with_cameras_keeps_corrections_and_their_meaning(
+    edit, succeeds, files, tmp_path
+):
     further = {"crop": ("--start", "0"), "thin": ("--voxel", "1")}.get(edit, ())
-    outcome = call("edit", edit, files / "repaired.sfs", "-o", tmp_path / "out.sfs", *further)
-    assert outcome.code == 0, outcome.err
+    succeeds("edit", edit, files / "repaired.sfs", "-o", tmp_path / "out.sfs", *further)
     with sceneloom.open(tmp_path / "out.sfs") as scene, sceneloom.open(files / "right.sfs") as right:
         assert {"mounted", "placed"} <= {annotation.id for annotation in scene.annotations}
         np.testing.assert_allclose(figures_of_scene(scene.corrected())[:40], figures_of_scene(right)[:40], atol=0.02)
 
 
-def test_what_was_corrected_is_not_corrected_again(call, files, tmp_path):
+def test_what_was_corrected_is_not_corrected_again(call, succeeds, files, tmp_path):
     first, second = tmp_path / "first.sfs", tmp_path / "second.sfs"
-    assert call("fuse", files / "repaired.sfs", "-o", first).code == 0
+    succeeds("fuse", files / "repaired.sfs", "-o", first)
     outcome = call("fuse", first, "-o", second)
     assert (outcome.code, "correction" in outcome.err) == (0, False)
     np.testing.assert_allclose(figures_of_scene(second), figures_of_scene(first), atol=1e-5)
@@ -360,10 +361,10 @@ def test_what_was_corrected_is_not_corrected_again(call, files, tmp_path):
 
 
 @pytest.mark.parametrize("words", [("camera-model", "--model", "fisheye", "--limit", "9"), ("undistort",)])
-def test_a_new_camera_model_stands_for_the_corrected_one(words, call, files, tmp_path):
+def test_a_new_camera_model_stands_for_the_corrected_one(words, succeeds, files, tmp_path):
     found = []
     for name in ("right", "repaired"):
-        assert call("edit", *words, files / f"{name}.sfs", "-o", tmp_path / f"{name}.sfs").code == 0
+        succeeds("edit", *words, files / f"{name}.sfs", "-o", tmp_path / f"{name}.sfs")
         with sceneloom.open(tmp_path / f"{name}.sfs") as scene:
             assert not scene.pending_corrections
             found.append(scene.cameras[0].camera)

@@ -8,9 +8,8 @@ from PIL import Image
 
 
 @pytest.mark.parametrize("method", ["sparse", "fast", "quality"])
-def test_each_sweep_and_image_gets_a_depth_image(call, recording, tmp_path, method):
-    outcome = call("depth", recording, "-o", tmp_path / "out", "--method", method)
-    assert outcome.code == 0, outcome.err
+def test_each_sweep_and_image_gets_a_depth_image(succeeds, recording, tmp_path, method):
+    succeeds("depth", recording, "-o", tmp_path / "out", "--method", method)
     images = sorted(path.name for path in (tmp_path / "out" / "camera0").iterdir())
     assert images == ["000000.png", "000001.png", "000002.png"]
     lines = (tmp_path / "out" / "index.jsonl").read_text().splitlines()

@@ -51,8 +51,8 @@ def test_machines_get_all_of_it(call, drives):
     assert report["differences"][0]["amount"] == pytest.approx(0.25, abs=1e-5)
 
 
-def test_tolerances_let_pass(call, drives):
-    assert call("diff", *drives, "--tolerance-m", "0.3").code == 0
+def test_tolerances_let_pass(succeeds, drives):
+    succeeds("diff", *drives, "--tolerance-m", "0.3")
 
 
 def test_wrong_usage_and_missing_drives_are_distinguished(call, drives):

@@ -15,9 +15,8 @@ from sceneloom.scene.scene import time_span
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, annotate, simulate_street
 
 
-def test_edit_deskew_writes_the_drive_with_sweeps_of_one_moment(call, recording, tmp_path):
-    outcome = call("edit", "deskew", recording, "-o", tmp_path / "drive", "--at", "end", "--lidar", "lidar")
-    assert outcome.code == 0
+def test_edit_deskew_writes_the_drive_with_sweeps_of_one_moment(succeeds, recording, tmp_path):
+    outcome = succeeds("edit deskew", recording, "-o", tmp_path / "drive", "--at", "end", "--lidar", "lidar")
     assert "deskewed 3 of 3 sweeps by trajectory groundTruth to the end of each" in outcome.out
     assert "m on average" in outcome.out
     assert "lost: sensors[lidar].frames[].points.measured_timestamps_ns" in outcome.err
@@ -25,20 +24,17 @@ def test_edit_deskew_writes_the_drive_with_sweeps_of_one_moment(call, recording,
         assert all(np.ptp(frame.points.timestamps_ns) == 0 for frame in scene.lidars[0].frames)
 
 
-def test_edit_deskew_by_the_imu_is_reported_to_machines(call, recording, tmp_path):
-    outcome = call("edit", "deskew", recording, "-o", tmp_path / "d.sfs", "--trajectory", "imu", "--json")
-    assert outcome.code == 0
+def test_edit_deskew_by_the_imu_is_reported_to_machines(succeeds, recording, tmp_path):
+    outcome = succeeds("edit deskew", recording, "-o", tmp_path / "d.sfs", "--trajectory", "imu", "--json")
     report = json.loads(outcome.out)
     assert (report["trajectory"], report["deskewed"], report["at"]) == ("imu", 3, "middle")
     assert "rotation-only" in [warning["code"] for warning in report["warnings"]]
 
 
-def test_edit_deskew_never_replaces_unasked_and_knows_its_lidars(call, recording, tmp_path):
+def test_edit_deskew_never_replaces_unasked_and_knows_its_lidars(call, refuses, recording, tmp_path):
     (tmp_path / "d.sfs").touch()
-    again = call("edit", "deskew", recording, "-o", tmp_path / "d.sfs")
-    assert (again.code, "--overwrite" in again.err) == (1, True)
-    strange = call("edit", "deskew", recording, "-o", tmp_path / "e.sfs", "--lidar", "lidar9")
-    assert (strange.code, "no sensor 'lidar9'" in strange.err) == (2, True)
+    refuses(1, "--overwrite", "edit deskew", recording, "-o", tmp_path / "d.sfs")
+    refuses(2, "no sensor 'lidar9'", "edit deskew", recording, "-o", tmp_path / "e.sfs", "--lidar", "lidar9")
     assert call("fuse", recording, "-o", tmp_path / "e.sfs", "--trajectory", "imu").code == 1
 
 
@@ -63,9 +59,8 @@ def second_sweep(scene_file):
         return str((int(scene.lidars[0].frames.timestamps_ns[1]) - begin_ns) * 1e-9)
 
 
-def test_thin_reports_how_many_points_are_left(call, recording, tmp_path):
-    outcome = call("edit", "thin", recording, "-o", tmp_path / "thin", "--voxel", "2")
-    assert outcome.code == 0, outcome.err
+def test_thin_reports_how_many_points_are_left(succeeds, recording, tmp_path):
+    outcome = succeeds("edit thin", recording, "-o", tmp_path / "thin", "--voxel", "2")
     assert "thin: done in" in outcome.out
     with sceneloom.open(recording) as before, sceneloom.open(tmp_path / "thin") as after:
         counts = [sum(len(frame.points) for frame in scene.lidars[0].frames) for scene in (before, after)]
@@ -74,9 +69,9 @@ def test_thin_reports_how_many_points_are_left(call, recording, tmp_path):
     assert len(np.unique(np.floor(kept.astype(float) / 2.0), axis=0)) == len(kept)
 
 
-def test_thin_counts_the_points_of_sensors_that_stay_as_they_are(call, scene_file, tmp_path):
+def test_thin_counts_the_points_of_sensors_that_stay_as_they_are(call, succeeds, scene_file, tmp_path):
     two = tmp_path / "two.sfs"
-    assert call("edit", "merge", scene_file, scene_file, "-o", two, "--rename").code == 0
+    succeeds("edit merge", scene_file, scene_file, "-o", two, "--rename")
     with sceneloom.open(two) as scene:
         points = sum(len(frame.points) for lidar in scene.lidars for frame in lidar.frames)
         chosen = str(scene.lidars[0].id)
@@ -88,19 +83,17 @@ def test_thin_counts_the_points_of_sensors_that_stay_as_they_are(call, scene_fil
     assert points / 2 < reported["after"]["points"] <= points / 2 + frames
 
 
-def test_thin_says_that_points_are_those_of_frames_that_stay(call, recording, tmp_path):
-    outcome = call("edit", "thin", recording, "-o", tmp_path / "thin", "--voxel", "2", "--every", "2")
-    assert outcome.code == 0, outcome.err
+def test_thin_says_that_points_are_those_of_frames_that_stay(succeeds, recording, tmp_path):
+    outcome = succeeds("edit thin", recording, "-o", tmp_path / "thin", "--voxel", "2", "--every", "2")
     assert " points of the frames that stay -> " in outcome.out
 
 
-def test_crop_is_reported_to_machines(call, scene_file, tmp_path):
-    outcome = call(
+def test_crop_is_reported_to_machines(succeeds, scene_file, tmp_path):
+    outcome = succeeds(
         *("edit", "crop", scene_file, "-o", tmp_path / "crop.sfs", "--range", "15"),
         *("--start", second_sweep(scene_file)),
         *("--without", "camera1", "--label", "car", "--json"),
     )
-    assert outcome.code == 0, outcome.err
     report = json.loads(outcome.out)
     assert (report["edit"], report["after"]["frames"]) == ("crop", 4)
     assert 0 < report["after"]["points"] < report["before"]["points"]
@@ -114,20 +107,18 @@ def test_crop_is_reported_to_machines(call, scene_file, tmp_path):
     assert np.linalg.norm(away, axis=1).max() <= 15.0
 
 
-def test_a_box_is_six_numbers(call, scene_file, tmp_path):
-    wrong = call("edit", "crop", scene_file, "-o", tmp_path / "c.sfs", "--box", "1,2,3")
-    assert (wrong.code, "expected six numbers" in wrong.err) == (2, True)
-    empty = call("edit", "crop", scene_file, "-o", tmp_path / "c.sfs", "--box=5,0,0,-5,9,9")
-    assert (empty.code, "each minimum at most" in empty.err) == (2, True)
+def test_a_box_is_six_numbers(refuses, scene_file, tmp_path):
+    refuses(2, "expected six numbers", "edit crop", scene_file, "-o", tmp_path / "c.sfs", "--box", "1,2,3")
+    refuses(2, "each minimum at most", "edit crop", scene_file, "-o", tmp_path / "c.sfs", "--box=5,0,0,-5,9,9")
     assert not (tmp_path / "c.sfs").exists()
 
 
-def test_world_and_ego_and_back_give_the_same_scene(call, scene_file, tmp_path):
+def test_world_and_ego_and_back_give_the_same_scene(succeeds, scene_file, tmp_path):
     world, ego, again = (tmp_path / f"{name}.sfs" for name in ("world", "ego", "again"))
-    assert call("edit", "to-world", scene_file, "-o", world).code == 0
-    assert call("edit", "to-ego", world, "-o", ego).code == 0
-    assert call("edit", "to-world", ego, "-o", again).code == 0
-    assert call("edit", "to-sensor", again, "-o", tmp_path / "sensor.sfs").code == 0
+    succeeds("edit to-world", scene_file, "-o", world)
+    succeeds("edit to-ego", world, "-o", ego)
+    succeeds("edit to-world", ego, "-o", again)
+    succeeds("edit to-sensor", again, "-o", tmp_path / "sensor.sfs")
     with (
         sceneloom.open(world) as a,
         sceneloom.open(again) as b,
@@ -151,14 +142,12 @@ def test_world_and_ego_and_back_give_the_same_scene(call, scene_file, tmp_path):
                 np.testing.assert_allclose(after.path.values, before.path.values, atol=1e-9)
 
 
-def test_parts_are_merged_to_the_whole(call, scene_file, tmp_path):
+def test_parts_are_merged_to_the_whole(refuses, succeeds, scene_file, tmp_path):
     parts, cut = [tmp_path / "a.sfs", tmp_path / "b.sfs"], second_sweep(scene_file)
-    assert call("edit", "crop", scene_file, "-o", parts[0], "--stop", cut).code == 0
-    assert call("edit", "crop", scene_file, "-o", parts[1], "--start", cut).code == 0
-    refused = call("edit", "merge", *parts, "-o", tmp_path / "c.sfs")
-    assert (refused.code, "`--rename`" in refused.err) == (2, True)
-    joined = call("edit", "merge", *parts, "-o", tmp_path / "c.sfs", "--join")
-    assert joined.code == 0, joined.err
+    succeeds("edit crop", scene_file, "-o", parts[0], "--stop", cut)
+    succeeds("edit crop", scene_file, "-o", parts[1], "--start", cut)
+    refuses(2, "`--rename`", "edit merge", *parts, "-o", tmp_path / "c.sfs")
+    succeeds("edit merge", *parts, "-o", tmp_path / "c.sfs", "--join")
     with sceneloom.open(scene_file) as whole, sceneloom.open(tmp_path / "c.sfs") as scene:
         assert [s.id for s in scene.sensors] == [s.id for s in whole.sensors]
         for a, b in zip(whole.lidars[0].frames, scene.lidars[0].frames, strict=True):
@@ -167,27 +156,24 @@ def test_parts_are_merged_to_the_whole(call, scene_file, tmp_path):
         assert {a.id for a in scene.annotations} == {a.id for a in whole.annotations}
 
 
-def test_an_adjustment_in_a_file_is_applied(call, scene_file, tmp_path):
+def test_an_adjustment_in_a_file_is_applied(refuses, succeeds, scene_file, tmp_path):
     lift = replace(Poses.identity(), positions=np.array([[0.0, 0.0, 2.5]]))
     with sceneloom.open(scene_file) as scene:
         annotations = (*scene.annotations, LocalizationAdjustment(7, lift))
         sceneloom.write(replace(scene, annotations=annotations), tmp_path / "given.sfs")
         before = scene.lidars[0].poses.positions
-    unknown = call("edit", "apply", tmp_path / "given.sfs", "-o", tmp_path / "x.sfs", "--only", "8")
-    assert (unknown.code, "no correction '8'" in unknown.err) == (2, True)
-    outcome = call("edit", "apply", tmp_path / "given.sfs", "-o", tmp_path / "x.sfs", "--only", "7")
-    assert outcome.code == 0, outcome.err
+    refuses(2, "no correction '8'", "edit apply", tmp_path / "given.sfs", "-o", tmp_path / "x.sfs", "--only", "8")
+    succeeds("edit apply", tmp_path / "given.sfs", "-o", tmp_path / "x.sfs", "--only", "7")
     with sceneloom.open(tmp_path / "x.sfs") as scene:
         np.testing.assert_allclose(scene.lidars[0].poses.positions, before + np.array([0.0, 0.0, 2.5]), atol=1e-9)
         assert scene.metadata["sceneloom"]["applied"] == [{"id": 7, "type": "localization_adjustment"}]
 
 
 @pytest.mark.parametrize("verb", ["thin", "crop", "merge", "to-world", "to-ego", "to-sensor", "apply"])
-def test_no_edit_replaces_a_file_unasked(call, scene_file, tmp_path, verb):
+def test_no_edit_replaces_a_file_unasked(refuses, scene_file, tmp_path, verb):
     (tmp_path / "there.sfs").touch()
     options = ["--every", "2"] if verb == "thin" else []
-    outcome = call("edit", verb, scene_file, "-o", tmp_path / "there.sfs", *options)
-    assert (outcome.code, "--overwrite" in outcome.err) == (1, True)
+    refuses(1, "--overwrite", "edit", verb, scene_file, "-o", tmp_path / "there.sfs", *options)
 
 
 @pytest.fixture(scope="module")
@@ -199,10 +185,9 @@ def street(tmp_path_factory):
     return path
 
 
-def test_edit_count_reports_the_points_of_each_cuboid(call, street, tmp_path):
+def test_edit_count_reports_the_points_of_each_cuboid(succeeds, street, tmp_path):
     words = ("--at", "points", "--labeled-points", "--json")
-    outcome = call("edit", "count", street, "-o", tmp_path / "out.sfs", *words)
-    assert outcome.code == 0, outcome.err
+    outcome = succeeds("edit count", street, "-o", tmp_path / "out.sfs", *words)
     report = json.loads(outcome.out)
     assert report["points_in_cuboids"] == sum(report["points_by_cuboid"].values()) > 100
     with sceneloom.open(tmp_path / "out.sfs") as scene:
@@ -216,10 +201,9 @@ def test_edit_count_reports_the_points_of_each_cuboid(call, street, tmp_path):
     assert reported == report["points_by_cuboid"]
 
 
-def test_edit_project_fills_projections_that_a_file_keeps(call, street, tmp_path):
+def test_edit_project_fills_projections_that_a_file_keeps(succeeds, street, tmp_path):
     words = ("--min-pixels", "5", "--see-through", "tree", "--activations")
-    outcome = call("edit", "project", street, "-o", tmp_path / "out.sfs", *words)
-    assert outcome.code == 0, outcome.err
+    outcome = succeeds("edit project", street, "-o", tmp_path / "out.sfs", *words)
     assert "cuboids seen: " in outcome.out
     with sceneloom.open(tmp_path / "out.sfs") as scene:
         seen = [a for a in scene.annotations if isinstance(a, CuboidAnnotation) and a.projections]
@@ -232,9 +216,8 @@ def test_edit_project_fills_projections_that_a_file_keeps(call, street, tmp_path
     assert {path.name for a in seen for path in a.attributes} == {"truncation", "occlusion"}
 
 
-def test_edit_simplify_leaves_out_what_the_rest_reports(call, street, tmp_path):
-    outcome = call("edit", "simplify", street, "-o", tmp_path / "out.sfs", "--only", "cuboids", "-v")
-    assert outcome.code == 0, outcome.err
+def test_edit_simplify_leaves_out_what_the_rest_reports(succeeds, street, tmp_path):
+    outcome = succeeds("edit simplify", street, "-o", tmp_path / "out.sfs", "--only", "cuboids", "-v")
     assert "timestamps of cuboids stay" in outcome.err
     with sceneloom.open(street) as before, sceneloom.open(tmp_path / "out.sfs") as after:
         timestamps = [
@@ -250,9 +233,8 @@ def test_wrong_values_are_wrong_usage(call, street, tmp_path):
         assert (outcome.code, (tmp_path / "out.sfs").exists()) == (2, False), outcome.err
 
 
-def test_edit_simplify_reports_how_many_timestamps_it_left_out(call, street, tmp_path):
-    outcome = call("edit", "simplify", street, "-o", tmp_path / "out.sfs", "--tolerance-m", "0.05", "--json")
-    assert outcome.code == 0, outcome.err
+def test_edit_simplify_reports_how_many_timestamps_it_left_out(succeeds, street, tmp_path):
+    outcome = succeeds("edit simplify", street, "-o", tmp_path / "out.sfs", "--tolerance-m", "0.05", "--json")
     with sceneloom.open(street) as before, sceneloom.open(tmp_path / "out.sfs") as after:
         left = [
             sum(len(a.path.timestamps_ns) for a in scene.annotations if isinstance(a, CuboidAnnotation))
@@ -264,7 +246,7 @@ def test_edit_simplify_reports_how_many_timestamps_it_left_out(call, street, tmp
 
 
 def test_the_help_of_an_edit_begins_with_its_own_options(call):
-    text = call("edit", "simplify", "--help").out
+    text = call("edit simplify --help").out
     assert text.index("--tolerance-m") < text.index("--overwrite") < text.index("--json")
 
 
@@ -283,12 +265,9 @@ def drives(tmp_path_factory):
 @pytest.mark.parametrize(
     ("source", "target"), [("recording", "out.sfs"), ("scene.sfs", "out.sfs"), ("scene.sfs", "out/")]
 )
-def test_boxes_are_hidden_in_the_written_drive_and_the_rest_is_not(call, drives, tmp_path, source, target):
-    outcome = call(
-        "edit", "blur", drives / source, "-o", f"{tmp_path}/{target}",
-        "--boxes", drives / "boxes.csv", "--fill", "black", "--margin", "0", "--json",
-    )  # fmt: skip
-    assert outcome.code == 0, outcome.err
+def test_boxes_are_hidden_in_the_written_drive_and_the_rest_is_not(succeeds, drives, tmp_path, source, target):
+    how = ("--boxes", drives / "boxes.csv", "--fill", "black", "--margin", "0", "--json")
+    outcome = succeeds("edit blur", drives / source, "-o", f"{tmp_path}/{target}", *how)
     (reported,) = json.loads(outcome.out)["cameras"]
     assert (reported["boxes"], reported["hidden"], reported["images"], reported["outside"]) == (2, 1, 1, 1)
     with sceneloom.open(drives / source) as before, sceneloom.open(tmp_path / target) as after:
@@ -301,7 +280,7 @@ def test_boxes_are_hidden_in_the_written_drive_and_the_rest_is_not(call, drives,
 
 def test_a_video_is_encoded_again_and_the_loss_report_says_so(call, drives, tmp_path):
     outcome = call(
-        "edit", "blur", drives / "recording", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv", "--json"
+        "edit blur", drives / "recording", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv", "--json"
     )
     reported = json.loads(outcome.out)
     assert reported["cameras"][0]["encoded"] == 3
@@ -334,29 +313,34 @@ def test_images_of_a_video_whose_codec_cannot_hold_their_size_go_one_by_one(tmp_
     assert np.array_equal(new[0], old[0])
 
 
-def test_it_is_reported_in_words_too_and_without_boxes_nothing_is_written(call, drives, tmp_path):
-    outcome = call("edit", "blur", drives / "recording", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv")
-    assert outcome.code == 0
+def test_it_is_reported_in_words_too_and_without_boxes_nothing_is_written(refuses, succeeds, drives, tmp_path):
+    outcome = succeeds("edit blur", drives / "recording", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv")
     assert "1 of 3" in outcome.out
     assert "boxes that lie outside of their images" in outcome.err
-    nothing = call("edit", "blur", drives / "recording", "-o", tmp_path / "n.sfs")
-    assert (nothing.code, "expected boxes" in nothing.err) == (2, True)
-    label = call("edit", "blur", drives / "recording", "-o", tmp_path / "n.sfs", "--label", "face")
-    assert (label.code, "no box or outline in an image with label 'face'" in label.err) == (2, True)
+    refuses(2, "expected boxes", "edit blur", drives / "recording", "-o", tmp_path / "n.sfs")
+    refuses(
+        2,
+        "no box or outline in an image with label 'face'",
+        "edit blur",
+        drives / "recording",
+        "-o",
+        tmp_path / "n.sfs",
+        "--label",
+        "face",
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["o.sfs"]
 
 
 def test_images_that_are_not_touched_are_copied_without_what_they_state(call, drives, tmp_path):
-    call("edit", "blur", drives / "scene.sfs", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv", "-q")
+    call("edit blur", drives / "scene.sfs", "-o", tmp_path / "o.sfs", "--boxes", drives / "boxes.csv", "-q")
     with sceneloom.open(drives / "scene.sfs") as before, sceneloom.open(tmp_path / "o.sfs") as after:
         old, new = before.cameras[0].images, after.cameras[0].images
         assert new[0].encoded is None or new[0].encoded() == old[0].encoded()
         assert np.array_equal(new[0].rgb, old[0].rgb)
 
 
-def test_edit_relative_writes_a_drive_that_begins_at_zero(call, drives, tmp_path):
-    outcome = call("edit", "anonymise", drives / "recording", "-o", tmp_path / "r.sfs", "--dates", "shift", "--json")
-    assert outcome.code == 0, outcome.err
+def test_edit_relative_writes_a_drive_that_begins_at_zero(succeeds, drives, tmp_path):
+    outcome = succeeds("edit anonymise", drives / "recording", "-o", tmp_path / "r.sfs", "--dates", "shift", "--json")
     codes = {warning["code"] for warning in json.loads(outcome.out)["warnings"]}
     assert "fixes-left-out" in codes
     with sceneloom.open(tmp_path / "r.sfs") as scene:
@@ -379,12 +363,11 @@ def distorted(tmp_path_factory):
     return folder
 
 
-def test_edit_undistort_writes_pinholes_of_the_size_asked_for(call, distorted, tmp_path):
+def test_edit_undistort_writes_pinholes_of_the_size_asked_for(succeeds, distorted, tmp_path):
     size = ("--size", "48x32", "--keep", "all", "--camera", "camera0")
-    outcome = call(
-        "edit", "undistort", distorted, "-o", tmp_path / "d.sfs", *size, "--keep", "all", "--camera", "camera0"
+    outcome = succeeds(
+        "edit undistort", distorted, "-o", tmp_path / "d.sfs", *size, "--keep", "all", "--camera", "camera0"
     )
-    assert outcome.code == 0
     assert f"written: {tmp_path / 'd.sfs'}" in outcome.out
     with sceneloom.open(tmp_path / "d.sfs") as scene:
         camera = scene.cameras[0].camera
@@ -392,23 +375,32 @@ def test_edit_undistort_writes_pinholes_of_the_size_asked_for(call, distorted, t
         assert scene.metadata["sceneloom"]["undistorted"][0]["camera"]["coefficients"][0] == -0.2
 
 
-def test_edit_undistort_refuses_sizes_and_cameras_that_are_none(call, distorted, tmp_path):
-    size = call("edit", "undistort", distorted, "-o", tmp_path / "d.sfs", "--size", "48")
-    assert (size.code, "expected width x height in pixels" in size.err) == (2, True)
-    strange = call("edit", "undistort", distorted, "-o", tmp_path / "d.sfs", "--camera", "camera9")
-    assert (strange.code, "no sensor 'camera9'" in strange.err) == (2, True)
+def test_edit_undistort_refuses_sizes_and_cameras_that_are_none(refuses, distorted, tmp_path):
+    refuses(
+        2, "expected width x height in pixels", "edit undistort", distorted, "-o", tmp_path / "d.sfs", "--size", "48"
+    )
+    refuses(2, "no sensor 'camera9'", "edit undistort", distorted, "-o", tmp_path / "d.sfs", "--camera", "camera9")
 
 
-def test_edit_camera_model_reports_how_far_off_the_new_camera_model_is(call, distorted, tmp_path):
-    outcome = call("edit", "camera-model", distorted, "-o", tmp_path / "drive", "--model", "fisheye", "--json")
-    assert outcome.code == 0
+def test_edit_camera_model_reports_how_far_off_the_new_camera_model_is(succeeds, distorted, tmp_path):
+    outcome = succeeds("edit camera-model", distorted, "-o", tmp_path / "drive", "--model", "fisheye", "--json")
     warnings = {warning["code"]: warning["message"] for warning in json.loads(outcome.out)["warnings"]}
     assert "brown_conrady camera model reported as fisheye, off by up to" in warnings["camera-model-fitted"]
     with sceneloom.open(tmp_path / "drive") as scene:
         assert scene.cameras[0].camera.model == "fisheye"
 
 
-def test_edit_camera_model_refuses_what_is_further_off_than_the_limit(call, distorted, tmp_path):
-    outcome = call("edit", "camera-model", distorted, "-o", tmp_path / "d.sfs", "--model", "pinhole", "--limit", "0.5")
-    assert (outcome.code, "expected at most 0.5 px" in outcome.err) == (1, True)
+def test_edit_camera_model_refuses_what_is_further_off_than_the_limit(refuses, distorted, tmp_path):
+    refuses(
+        1,
+        "expected at most 0.5 px",
+        "edit camera-model",
+        distorted,
+        "-o",
+        tmp_path / "d.sfs",
+        "--model",
+        "pinhole",
+        "--limit",
+        "0.5",
+    )
     assert not (tmp_path / "d.sfs").exists()

@@ -26,9 +26,8 @@ def trajectories(tmp_path):
     return tmp_path / "found.csv", tmp_path / "true.tum"
 
 
-def test_the_figures_are_printed_as_tables(call, trajectories):
-    outcome = call("eval", "trajectory", *trajectories, "--offset", "-2", "--align", "none")
-    assert outcome.code == 0
+def test_the_figures_are_printed_as_tables(succeeds, trajectories):
+    outcome = succeeds("eval trajectory", *trajectories, "--offset", "-2", "--align", "none")
     lines = outcome.out.splitlines()
     assert lines[0] == "found against true"
     assert lines[1].startswith("200 pairs of 200 and 200 poses, 19.900 s from 1400000000.123456789 s, 125.6")
@@ -40,7 +39,7 @@ def test_the_figures_are_printed_as_tables(call, trajectories):
 def test_the_figures_are_given_to_machines(call, trajectories):
     found, true = trajectories
     arguments = ("--align", "yaw", "--offset", "-2", "--start", "5", "--stop", "10", "--rpe-delta", "2s", "--json")
-    reported = json.loads(call("eval", "trajectory", found, true, *arguments).out)
+    reported = json.loads(call("eval trajectory", found, true, *arguments).out)
     assert reported["pairs"] == 50
     assert reported["start_ns"] == 1_400_000_005_123_456_789
     assert reported["alignment"]["kind"] == "yaw"
@@ -50,7 +49,7 @@ def test_the_figures_are_given_to_machines(call, trajectories):
 
 
 def test_ways_without_a_common_time_exit_with_one_and_an_offset(call, trajectories):
-    outcome = call("eval", "trajectory", *trajectories, "--offset", "100")
+    outcome = call("eval trajectory", *trajectories, "--offset", "100")
     assert outcome.code == 1
     assert "--offset -102.0" not in outcome.out
     assert "they do not overlap in time" in outcome.err
@@ -62,8 +61,8 @@ def test_a_trajectory_against_itself_or_a_copy_is_remarked(call, trajectories):
     copy = true.with_name("copy" + true.suffix)
     copy.write_bytes(true.read_bytes())
     for other in (true, copy):
-        assert call("eval", "trajectory", true, other).err.count("the same poses at the same times") == 1
-    assert "the same poses" not in call("eval", "trajectory", found, true, "--offset", "-2").err
+        assert call("eval trajectory", true, other).err.count("the same poses at the same times") == 1
+    assert "the same poses" not in call("eval trajectory", found, true, "--offset", "-2").err
 
 
 @pytest.mark.parametrize(
@@ -78,14 +77,14 @@ def test_a_trajectory_against_itself_or_a_copy_is_remarked(call, trajectories):
 )
 def test_wrong_options_exit_with_two(call, trajectories, arguments, problem):
     options = ("--offset", "-2", *arguments) if arguments[0] != "--offset" else arguments
-    outcome = call("eval", "trajectory", *trajectories, *options)
+    outcome = call("eval trajectory", *trajectories, *options)
     assert outcome.code == 2
     assert problem in outcome.err
 
 
-def test_a_plot_is_an_image_and_is_not_replaced_unasked(call, trajectories, tmp_path):
+def test_a_plot_is_an_image_and_is_not_replaced_unasked(call, succeeds, trajectories, tmp_path):
     arguments = ("eval", "trajectory", *trajectories, "--offset", "-2", "--plot", tmp_path / "errors.png")
-    assert call(*arguments).code == 0
+    succeeds(*arguments)
     with Image.open(tmp_path / "errors.png") as image:
         assert image.size == (1560, 780)
         colours = image.convert("RGB").getcolors(1 << 24)
@@ -94,7 +93,7 @@ def test_a_plot_is_an_image_and_is_not_replaced_unasked(call, trajectories, tmp_
     again = call(*arguments)
     assert again.code == 1
     assert "exists already" in again.err
-    assert call(*arguments, "--overwrite").code == 0
+    succeeds(*arguments, "--overwrite")
 
 
 @pytest.mark.slow
@@ -111,33 +110,32 @@ def test_drawing_leaves_the_callers_matplotlib_alone(trajectories, tmp_path):
 
 def test_without_matplotlib_the_extra_is_named(call, trajectories, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    outcome = call("eval", "trajectory", *trajectories, "--offset", "-2", "--plot", tmp_path / "errors.png")
+    outcome = call("eval trajectory", *trajectories, "--offset", "-2", "--plot", tmp_path / "errors.png")
     assert outcome.code == 1
     assert "pip install 'sceneloom[report]'" in outcome.err
 
 
-def test_a_drive_is_compared_with_a_file_by_name(call, recording, tmp_path):
-    assert call("convert", recording, tmp_path / "trajectory.tum").code == 0
+def test_a_drive_is_compared_with_a_file_by_name(call, succeeds, recording, tmp_path):
+    succeeds("convert", recording, tmp_path / "trajectory.tum")
     outcome = call(
-        "eval", "trajectory", f"{recording}:groundTruth", tmp_path / "trajectory.tum", "--align", "none", "--json"
+        "eval trajectory", f"{recording}:groundTruth", tmp_path / "trajectory.tum", "--align", "none", "--json"
     )
     reported = json.loads(outcome.out)
     assert reported["absolute"]["translation"]["max"] == 0.0
     # orientations are scaled to length 1 before they are compared
     assert reported["absolute"]["rotation_deg"]["max"] < 1e-10
-    unknown = call("eval", "trajectory", recording, tmp_path / "trajectory.tum", "--est-name", "slam")
+    unknown = call("eval trajectory", recording, tmp_path / "trajectory.tum", "--est-name", "slam")
     assert unknown.code == 2
     assert "there are: groundTruth" in unknown.err
 
 
-def test_a_trajectory_goes_through_all_forms_and_a_drive(call, trajectories, tmp_path):
+def test_a_trajectory_goes_through_all_forms_and_a_drive(succeeds, trajectories, tmp_path):
     locations = [
         trajectories[1],
         *(tmp_path / name for name in ("b.csv", "c.jsonl", "d.txt", "drive", "e.sfs", "f.tum")),
     ]
     for source, target in pairwise(locations):
-        outcome = call("convert", source, target)
-        assert outcome.code == 0, outcome.err
+        succeeds("convert", source, target)
     first, last = (read_trajectory(path) for path in (locations[0], locations[3]))
     assert np.array_equal(first.timestamps_ns, last.timestamps_ns)
     end = read_trajectory(locations[-1])
@@ -146,15 +144,13 @@ def test_a_trajectory_goes_through_all_forms_and_a_drive(call, trajectories, tmp
     assert np.abs(first.timestamps_ns - end.timestamps_ns).max() <= 240
 
 
-def test_a_kitti_file_is_converted_with_its_rate_and_axes(call, tmp_path):
+def test_a_kitti_file_is_converted_with_its_rate_and_axes(succeeds, tmp_path):
     (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 2\n", "ascii")
-    outcome = call("convert", tmp_path / "poses.txt", tmp_path / "a.tum", "--from-rate", "10", "--from-optical")
-    assert outcome.code == 0
+    succeeds("convert", tmp_path / "poses.txt", tmp_path / "a.tum", "--from-rate", "10", "--from-optical")
     trajectory = read_trajectory(tmp_path / "a.tum")
     assert trajectory.positions.tolist() == [[0, 0, 0], [2, 0, 0]]
     assert trajectory.timestamps_ns.tolist() == [0, 100_000_000]
-    back = call("convert", tmp_path / "a.tum", tmp_path / "b.kitti", "--to-optical")
-    assert back.code == 0
+    succeeds("convert", tmp_path / "a.tum", tmp_path / "b.kitti", "--to-optical")
     assert (tmp_path / "b.kitti").read_text("ascii").splitlines()[1].split()[11] == "2.0"
     assert (tmp_path / "b.times.txt").read_text("ascii") == "0.0\n0.1\n"
 
@@ -165,27 +161,25 @@ def test_options_of_scenes_are_refused_for_files_of_trajectories(call, trajector
     assert "--profile does not count here: writing a trajectory takes --to-optical, --origin" in outcome.err
 
 
-def test_a_trajectory_is_written_as_fixes_around_an_origin(call, trajectories, tmp_path):
+def test_a_trajectory_is_written_as_fixes_around_an_origin(call, succeeds, trajectories, tmp_path):
     refused = call("convert", trajectories[1], tmp_path / "fixes.csv", "--to", "gnss")
     assert refused.code == 2
     assert "--origin" in refused.err
     origin = ("--origin", "60.1", "24.9", "12.5")
-    outcome = call("convert", trajectories[1], tmp_path / "fixes.csv", "--to", "gnss", *origin)
-    assert outcome.code == 0
+    outcome = succeeds("convert", trajectories[1], tmp_path / "fixes.csv", "--to", "gnss", *origin)
     assert "quaternions_xyzw: left out (200 times)" in outcome.err
     reported = json.loads(
-        call("eval", "trajectory", tmp_path / "fixes.csv", trajectories[1], "--align", "none", "--json").out
+        call("eval trajectory", tmp_path / "fixes.csv", trajectories[1], "--align", "none", "--json").out
     )
     # degrees of 64 bits resolve 2e-9 m
     assert reported["absolute"]["translation"]["max"] < 1e-7
 
 
-def test_the_trajectory_of_gnss_and_imu_is_compared_with_the_fixes_from_one_origin(call, recording):
+def test_the_trajectory_of_gnss_and_imu_is_compared_with_the_fixes_from_one_origin(succeeds, recording):
     drive = recording
-    outcome = call(
-        "eval", "trajectory", drive, drive, "--est-name", "gnss", "--ref-name", "fixes", "--json", "--align", "none"
+    outcome = succeeds(
+        "eval trajectory", drive, drive, "--est-name", "gnss", "--ref-name", "fixes", "--json", "--align", "none"
     )
-    assert outcome.code == 0, outcome.err
     reported = json.loads(outcome.out)
     assert reported["estimate"] == "gnss"
     assert reported["reference"] == "fixes"
@@ -193,13 +187,13 @@ def test_the_trajectory_of_gnss_and_imu_is_compared_with_the_fixes_from_one_orig
     assert reported["absolute"]["translation"]["max"] < 10
 
 
-def test_a_log_of_more_than_poses_becomes_a_drive_with_all_of_it(call, tmp_path):
+def test_a_log_of_more_than_poses_becomes_a_drive_with_all_of_it(succeeds, tmp_path):
     lines = (
         '{"sensor":{"type":"gyroscope","values":[0,0,0.1]},"time":1.0}',
         '{"groundTruth":{"position":{"x":1,"y":2,"z":3},"orientation":{"x":0,"y":0,"z":0,"w":1}},"time":1.0}',
     )
     (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n", "utf-8")
-    assert call("convert", tmp_path / "log.jsonl", tmp_path / "drive").code == 0
+    succeeds("convert", tmp_path / "log.jsonl", tmp_path / "drive")
     assert "gyroscope" in (tmp_path / "drive" / "data.jsonl").read_text("utf-8")
 
 
@@ -210,9 +204,9 @@ def test_unknown_forms_to_write_are_refused_with_those_that_there_are(call, reco
     assert ", tum, kitti, euroc, gnss, csv, jsonl" in refused.err
 
 
-def test_a_drive_that_is_a_trajectory_alone_is_as_long_as_that(call, tmp_path):
+def test_a_drive_that_is_a_trajectory_alone_is_as_long_as_that(call, succeeds, tmp_path):
     (tmp_path / "trajectory.tum").write_text("1.0 0 0 0 0 0 0 1\n3.5 1 0 0 0 0 0 1\n")
-    assert call("convert", tmp_path / "trajectory.tum", tmp_path / "drive").code == 0
+    succeeds("convert", tmp_path / "trajectory.tum", tmp_path / "drive")
     reported = call("info", tmp_path / "drive").out
     assert "recording, 2.500 s" in reported
     assert "\nno sensors\n" in reported
@@ -246,9 +240,8 @@ def sides(tmp_path):
     return results, truth
 
 
-def test_figures_of_tracks_are_printed_as_tables(call, sides):
-    outcome = call("eval", "tracking", *sides)
-    assert outcome.code == 0, outcome.err
+def test_figures_of_tracks_are_printed_as_tables(succeeds, sides):
+    outcome = succeeds("eval tracking", *sides)
     lines = outcome.out.splitlines()
     assert lines[1] == "2 sequences, similarity 2d, 0.5 for CLEAR and identities"
     assert "car: 2 objects in 20 boxes, 2 tracks in 10" in lines
@@ -260,7 +253,7 @@ def test_figures_of_tracks_are_printed_as_tables(call, sides):
 
 
 def test_figures_of_tracks_are_given_to_machines(call, sides):
-    reported = json.loads(call("eval", "tracking", *sides, "--class", "Car", "--json").out)
+    reported = json.loads(call("eval tracking", *sides, "--class", "Car", "--json").out)
     assert list(reported["classes"]) == ["Car"]
     clear = reported["classes"]["Car"]["combined"]["clear"]
     counts = {name: clear[name] for name in ("tp", "fn", "fp", "idsw", "frag", "mt", "pt", "ml")}
@@ -274,16 +267,15 @@ def test_figures_of_tracks_are_given_to_machines(call, sides):
 @pytest.mark.parametrize("similarity", ["2d", "bev", "3d", "distance"])
 def test_every_similarity_calls_equal_tracks_equal(call, sides, similarity):
     truth = sides[1]
-    reported = json.loads(call("eval", "tracking", truth, truth, "--similarity", similarity, "--json").out)
+    reported = json.loads(call("eval tracking", truth, truth, "--similarity", similarity, "--json").out)
     for label in ("car", "pedestrian"):
         combined = reported["classes"][label]["combined"]
         assert combined["hota"]["hota"] == pytest.approx(1, abs=1e-9)
         assert combined["clear"]["mota"] == combined["identity"]["idf1"] == 1
 
 
-def test_figures_of_detections_are_printed_as_tables(call, sides):
-    outcome = call("eval", "detection", *sides, "--difficulty", "moderate")
-    assert outcome.code == 0, outcome.err
+def test_figures_of_detections_are_printed_as_tables(succeeds, sides):
+    outcome = succeeds("eval detection", *sides, "--difficulty", "moderate")
     rows = {tuple(row.split()[:3]): row.split()[4:] for row in outcome.out.splitlines() if " > " in row}
     assert set(rows) == {(kind, ">", least) for kind in ("2d", "bev", "3d") for least in ("0.7", "0.5")}
     # half of the cars found, none wrong: precision 1 up to a recall of 0.5
@@ -293,7 +285,7 @@ def test_figures_of_detections_are_printed_as_tables(call, sides):
 
 def test_figures_of_detections_are_given_to_machines(call, sides):
     arguments = ("--class", "car", "--similarity", "bev", "--threshold", "0.3", "--json")
-    reported = json.loads(call("eval", "detection", *sides, *arguments).out)
+    reported = json.loads(call("eval detection", *sides, *arguments).out)
     (one,) = reported["classes"]["car"]
     assert (one["similarity"], one["least_overlap"]) == ("bev", 0.3)
     scores = one["difficulties"]["hard"]
@@ -303,9 +295,9 @@ def test_figures_of_detections_are_given_to_machines(call, sides):
 
 @pytest.mark.parametrize("verb", ["tracking", "detection"])
 @pytest.mark.few(1)
-def test_curves_are_drawn_and_not_replaced_unasked(call, sides, tmp_path, verb):
+def test_curves_are_drawn_and_not_replaced_unasked(call, succeeds, sides, tmp_path, verb):
     image = tmp_path / "curves.png"
-    assert call("eval", verb, *sides, "-o", image).code == 0
+    succeeds("eval", verb, *sides, "-o", image)
     with Image.open(image) as drawn:
         assert min(drawn.size) > 400
         assert len(set(drawn.convert("L").resize((60, 40)).tobytes())) > 10, "something is drawn"
@@ -337,7 +329,7 @@ def test_curves_are_drawn_and_not_replaced_unasked(call, sides, tmp_path, verb):
 )
 def test_what_cannot_be_compared_exits_with_one_and_says_why(call, sides, change, stated):
     change(*sides)
-    outcome = call("eval", "tracking", *sides)
+    outcome = call("eval tracking", *sides)
     assert outcome.code == 1
     assert stated in outcome.err
 
@@ -346,10 +338,10 @@ def test_chosen_sequences_need_no_others(call, sides):
     results, truth = sides
     (results / "0001.txt").unlink()
     for name in ("0000", "0"):
-        reported = json.loads(call("eval", "tracking", results, truth, "--sequence", name, "--json").out)
+        reported = json.loads(call("eval tracking", results, truth, "--sequence", name, "--json").out)
         assert reported["sequences"] == ["0000"]
     for name, called in (("0099", "0099"), ("", "''")):
-        missing = call("eval", "tracking", results, truth, "--sequence", name)
+        missing = call("eval tracking", results, truth, "--sequence", name)
         assert missing.code == 2
         assert f"no sequence {called}, which `--sequence` asks for" in missing.err
 
@@ -366,12 +358,11 @@ def test_empty_results_are_all_missed(call, sides):
             assert [one["difficulties"]["easy"]["ap40"] for one in reported["classes"]["car"]] == [0, 0, 0]
 
 
-def test_results_after_the_last_frame_of_the_truth_are_remarked(call, sides):
+def test_results_after_the_last_frame_of_the_truth_are_remarked(succeeds, sides):
     results, truth = sides
     with (results / "0000.txt").open("a") as stream:
         stream.write(line(10, 8, "Car", 120, score=0.5) + "\n")
-    outcome = call("eval", "tracking", results, truth)
-    assert outcome.code == 0
+    outcome = succeeds("eval tracking", results, truth)
     assert "results-beyond-truth" in outcome.err or "after the last one of the truth" in outcome.err
 
 
@@ -379,22 +370,22 @@ def test_boxes_that_one_side_lacks_are_named(call, sides):
     results, truth = sides
     for path in results.iterdir():
         path.write_text(path.read_text().replace("1.5 1.7 4.2", "-1 -1 -1"))
-    assert "nothing: " not in call("eval", "tracking", results, truth).err
-    outcome = call("eval", "tracking", results, truth, "--similarity", "3d")
+    assert "nothing: " not in call("eval tracking", results, truth).err
+    outcome = call("eval tracking", results, truth, "--similarity", "3d")
     assert outcome.code == 2
     assert "similarity '3d': one side has no such boxes; comparable: 2d" in outcome.err
 
 
 def test_the_truth_held_against_itself_is_remarked(call, sides):
     truth = sides[1]
-    assert "the same files" in call("eval", "tracking", truth / "label_02", truth).err
-    assert "the same files" not in call("eval", "tracking", *sides).err
+    assert "the same files" in call("eval tracking", truth / "label_02", truth).err
+    assert "the same files" not in call("eval tracking", *sides).err
 
 
 def test_two_files_are_compared_whatever_their_names(call, sides, tmp_path):
     results, truth = sides
     one = (results / "0000.txt").rename(tmp_path / "mine.txt")
-    reported = json.loads(call("eval", "tracking", one, truth / "label_02" / "0000.txt", "--json").out)
+    reported = json.loads(call("eval tracking", one, truth / "label_02" / "0000.txt", "--json").out)
     assert reported["classes"]["car"]["combined"]["clear"]["tp"] == 10
 
 
@@ -404,7 +395,7 @@ def test_files_of_frames_are_the_object_benchmark(call, tmp_path):
         for frame in range(3):
             text = "Car 0.00 0 -1.5 100 100 200 180 1.5 1.7 4.2 1.0 1.6 20.0 0.3" + score
             (tmp_path / name / f"{frame:06d}.txt").write_text(text + "\n")
-    reported = json.loads(call("eval", "detection", tmp_path / "results", tmp_path / "label_2", "--json").out)
+    reported = json.loads(call("eval detection", tmp_path / "results", tmp_path / "label_2", "--json").out)
     for one in reported["classes"]["car"]:
         assert one["difficulties"]["easy"]["true_objects"] == 3
         assert one["difficulties"]["easy"]["max_f1"] == 1
@@ -421,10 +412,10 @@ def test_results_without_ids_are_remarked_or_refused(call, sides):
     results, truth = sides
     with (results / "0000.txt").open("a") as stream:
         stream.write(line(3, -1, "Car", 700, score=0.5) + "\n")
-    outcome = call("eval", "tracking", results, truth)
+    outcome = call("eval tracking", results, truth)
     assert "results-without-id" in outcome.err or "id is below 0" in outcome.err
     for path in results.iterdir():
         path.write_text(line(3, -1, "Car", 700, score=0.5) + "\n")
-    outcome = call("eval", "tracking", results, truth)
+    outcome = call("eval tracking", results, truth)
     assert outcome.code == 2
     assert "no object has an id" in outcome.err

@@ -216,12 +216,11 @@ def detected(tmp_path_factory):
     return folder, [report.boxes for report in in_space], [report.boxes for report in in_images]
 
 
-def test_objects_of_a_drive_are_records_of_table_10(call, detected, tmp_path):
+def test_objects_of_a_drive_are_records_of_table_10(succeeds, detected, tmp_path):
     folder, in_space, in_images = detected
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
     out = tmp_path / "objects.jsonl"
-    outcome = call("fuse", folder / "recording", "--type", "detection", *files, "-o", out, "--json")
-    assert outcome.code == 0, outcome.err
+    outcome = succeeds("fuse", folder / "recording", "--type", "detection", *files, "-o", out, "--json")
     records = [parse_json(line) for line in out.read_text().splitlines()]
     sides = [json.loads(line) for line in (tmp_path / "objects.frames.jsonl").read_text().splitlines()]
     assert len(records) == len(sides) == len(in_space)
@@ -239,7 +238,7 @@ def test_objects_of_a_drive_are_records_of_table_10(call, detected, tmp_path):
 
 
 @pytest.mark.usefixtures("inline")
-def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, detected, tmp_path):
+def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, succeeds, detected, tmp_path):
     folder, _, _ = detected
     (tmp_path / "mine.toml").write_text((FOLDER / "simulated.toml").read_text())
     line = {
@@ -251,8 +250,7 @@ def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, det
     (tmp_path / "list").write_text(json.dumps(line))
     seen = ("--boxes2d", folder / "boxes2d.jsonl")
     how = ("--type", "detection", *seen, "--suffix", ".jsonl", "--workers", 1)
-    done = call("batch", "fuse", "--list", tmp_path / "list", *how, "-o", tmp_path / "out")
-    assert done.code == 0, done.err
+    done = succeeds("batch fuse --list", tmp_path / "list", *how, "-o", tmp_path / "out")
     assert "not read by fuse: what the lists state for --truth\n" in done.err
     files = ("--boxes3d", folder / "boxes3d.jsonl", *seen)
     call("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "alone.jsonl")
@@ -287,23 +285,21 @@ def test_a_part_of_a_drive_has_the_boxes_of_its_time(call, detected, tmp_path, n
     assert json.loads(call(*tracked).out)["drives"][0]["frames"] == 2
 
 
-def test_a_part_of_what_is_numbered_from_its_beginning_is_refused(call, detected, tmp_path):
+def test_a_part_of_what_is_numbered_from_its_beginning_is_refused(refuses, succeeds, detected, tmp_path):
     folder, _, _ = detected
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
     out = tmp_path / "objects.jsonl"
-    assert call("fuse", folder / "recording", "--type", "detection", *files, "-o", out).code == 0
-    refused = call("track", out, "-o", tmp_path / "a.jsonl", "--start", 1)
-    assert (refused.code, "done whole" in refused.err) == (2, True)
+    succeeds("fuse", folder / "recording", "--type", "detection", *files, "-o", out)
+    refuses(2, "done whole", "track", out, "-o", tmp_path / "a.jsonl", "--start", 1)
 
 
-def test_what_was_fused_is_tracked_as_if_at_once(call, detected, tmp_path):
+def test_what_was_fused_is_tracked_as_if_at_once(succeeds, detected, tmp_path):
     folder, _, _ = detected
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
     recording = folder / "recording"
-    assert call("fuse", recording, "--type", "detection", *files, "-o", tmp_path / "objects.jsonl").code == 0
-    assert call("track", tmp_path / "objects.jsonl", "-o", tmp_path / "a.jsonl").code == 0
-    outcome = call("track", recording, *files, "-o", tmp_path / "b.jsonl")
-    assert outcome.code == 0, outcome.err
+    succeeds("fuse", recording, "--type", "detection", *files, "-o", tmp_path / "objects.jsonl")
+    succeeds("track", tmp_path / "objects.jsonl", "-o", tmp_path / "a.jsonl")
+    succeeds("track", recording, *files, "-o", tmp_path / "b.jsonl")
     one, other = (
         [json.loads(line)["objects"] for line in (tmp_path / name).read_text().splitlines()]
         for name in ("a.jsonl", "b.jsonl")
@@ -341,34 +337,31 @@ def test_records_name_their_camera_or_the_command_does(call, tmp_path):
 
 
 @pytest.mark.parametrize("one", ["boxes3d", "boxes2d"])
-def test_one_detector_is_enough(call, detected, tmp_path, one):
+def test_one_detector_is_enough(succeeds, detected, tmp_path, one):
     folder, _, _ = detected
-    outcome = call("track", folder / "recording", f"--{one}", folder / f"{one}.jsonl", "-o", tmp_path / "a.sfs")
-    assert outcome.code == 0, outcome.err
+    succeeds("track", folder / "recording", f"--{one}", folder / f"{one}.jsonl", "-o", tmp_path / "a.sfs")
     with sceneloom.open(tmp_path / "a.sfs") as scene:
         assert len(scene.lidars) == 1
 
 
-def test_a_folder_of_kittis_sequences_gives_two_files_each(call, tmp_path, tracking_texts):
+def test_a_folder_of_kittis_sequences_gives_two_files_each(succeeds, tmp_path, tracking_texts):
     for name, text in tracking_texts.items():
         (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "kitti" / name).write_text(text)
-    outcome = call("fuse", tmp_path / "kitti", "--type", "detection", "-o", tmp_path / "out")
-    assert outcome.code == 0, outcome.err
+    succeeds("fuse", tmp_path / "kitti", "--type", "detection", "-o", tmp_path / "out")
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["0001.frames.jsonl", "0001.jsonl"]
     (record, *_) = (parse_json(line) for line in (tmp_path / "out" / "0001.jsonl").read_text().splitlines())
     # the box of the sweep that no image's detector looked for keeps its probability: 1 / (1 + exp(-2))
     assert record.class_names == ("Pedestrian",)
-    assert call("track", tmp_path / "out", "-o", tmp_path / "tracked").code == 0
+    succeeds("track", tmp_path / "out", "-o", tmp_path / "tracked")
 
 
-def test_fused_objects_are_kittis_text_on_request(call, tmp_path, tracking_texts):
+def test_fused_objects_are_kittis_text_on_request(succeeds, tmp_path, tracking_texts):
     for name, text in tracking_texts.items():
         (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "kitti" / name).write_text(text)
     command = ("fuse", tmp_path / "kitti", "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
-    outcome = call(*command)
-    assert outcome.code == 0, outcome.err
+    succeeds(*command)
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["0001.txt"]
     found = read_labels(tmp_path / "out" / "0001.txt")
     assert found.frames.tolist() == [0, 1]
@@ -381,11 +374,10 @@ def test_fused_objects_are_kittis_text_on_request(call, tmp_path, tracking_texts
     assert found.track_ids.tolist() == [-1, -1]
 
 
-def test_kittis_text_is_not_written_of_other_drives(call, detected, tmp_path):
+def test_kittis_text_is_not_written_of_other_drives(refuses, detected, tmp_path):
     folder, _, _ = detected
     command = ("fuse", folder / "recording", "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
-    outcome = call(*command)
-    assert (outcome.code, "for folders laid out like KITTI's only" in outcome.err) == (2, True), outcome.err
+    refuses(2, "for folders laid out like KITTI's only", *command)
 
 
 @pytest.fixture
@@ -418,34 +410,40 @@ def tracking_texts():
         (("--boxes3d", "{boxes3d}", "--depth", "x"), 2, "--depth does not count here"),
     ],
 )
-def test_what_cannot_be_fused_is_reported(call, detected, tmp_path, words, code, reported):
+def test_what_cannot_be_fused_is_reported(refuses, detected, tmp_path, words, code, reported):
     folder, _, _ = detected
     given = [word.format(boxes2d=folder / "boxes2d.jsonl", boxes3d=folder / "boxes3d.jsonl") for word in words]
-    outcome = call("fuse", folder / "recording", "--type", "detection", "-o", tmp_path / "out.jsonl", *given)
-    assert (outcome.code, reported in outcome.err) == (code, True), outcome.err
+    refuses(code, reported, "fuse", folder / "recording", "--type", "detection", "-o", tmp_path / "out.jsonl", *given)
     assert not list(tmp_path.glob("out*"))
 
 
-def test_sensors_of_kittis_sequences_are_not_chosen(call, tmp_path, tracking_texts):
+def test_sensors_of_kittis_sequences_are_not_chosen(refuses, tmp_path, tracking_texts):
     for name, text in tracking_texts.items():
         (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "kitti" / name).write_text(text)
-    outcome = call("track", tmp_path / "kitti", "-o", tmp_path / "out", "--camera", "front")
-    assert (outcome.code, "--camera does not count here: it is a folder of KITTI's" in outcome.err) == (2, True)
+    refuses(
+        2,
+        "--camera does not count here: it is a folder of KITTI's",
+        "track",
+        tmp_path / "kitti",
+        "-o",
+        tmp_path / "out",
+        "--camera",
+        "front",
+    )
 
 
 @pytest.mark.usefixtures("inline")
-def test_a_batch_follows_the_objects_of_kittis_sequences_into_one_folder(call, tmp_path, tracking_texts):
+def test_a_batch_follows_the_objects_of_kittis_sequences_into_one_folder(succeeds, tmp_path, tracking_texts):
     for name, text in tracking_texts.items():
         for path in (tmp_path / "kitti" / name, tmp_path / "kitti" / name.replace("0001", "0002")):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
-    done = call("batch", "track", tmp_path / "kitti", "-o", tmp_path / "out", "--workers", 1)
-    assert done.code == 0, done.err
+    succeeds("batch track", tmp_path / "kitti", "-o", tmp_path / "out", "--workers", 1)
     assert [file.name for file in sorted((tmp_path / "out" / "kitti").iterdir())] == ["0001.txt", "0002.txt"]
 
 
-def test_lists_of_boxes_are_of_one_drive_of_a_data_set(call, detected, tmp_path):
+def test_lists_of_boxes_are_of_one_drive_of_a_data_set(refuses, succeeds, detected, tmp_path):
     folder, _, _ = detected
     with sceneloom.open(folder / "recording") as scene:
         sceneloom.write(scene, tmp_path / "set", format="kitti-tracking")
@@ -455,23 +453,21 @@ def test_lists_of_boxes_are_of_one_drive_of_a_data_set(call, detected, tmp_path)
         elif path.stem == "0000":
             shutil.copy(path, path.with_name(f"0001{path.suffix}"))
     stated = ("track", tmp_path / "set", "--boxes3d", folder / "boxes3d.jsonl", "-o", tmp_path / "out.jsonl")
-    outcome = call(*stated)
-    assert (outcome.code, "choose one with `--sequence NAME`" in outcome.err) == (2, True), outcome.err
-    outcome = call(*stated, "--sequence", "0001")
-    assert outcome.code == 0, outcome.err
+    refuses(2, "choose one with `--sequence NAME`", *stated)
+    succeeds(*stated, "--sequence", "0001")
     assert (tmp_path / "out.jsonl").read_text()
 
 
-def test_options_of_detections_need_the_type(call, detected, tmp_path):
+def test_options_of_detections_need_the_type(refuses, detected, tmp_path):
     folder, _, _ = detected
-    outcome = call("fuse", folder / "recording", "--boxes3d", "x", "-o", tmp_path / "out.sfs")
-    assert (outcome.code, "state --type detection with it" in outcome.err) == (2, True)
+    refuses(
+        2, "state --type detection with it", "fuse", folder / "recording", "--boxes3d", "x", "-o", tmp_path / "out.sfs"
+    )
 
 
-def test_results_whose_other_file_is_missing_are_reported(call, detected, tmp_path):
+def test_results_whose_other_file_is_missing_are_reported(refuses, succeeds, detected, tmp_path):
     folder, _, _ = detected
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
-    assert call("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "o.jsonl").code == 0
+    succeeds("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "o.jsonl")
     (tmp_path / "o.frames.jsonl").unlink()
-    outcome = call("track", tmp_path / "o.jsonl", "-o", tmp_path / "a.jsonl")
-    assert (outcome.code, "o.frames.jsonl: is missing" in outcome.err) == (1, True), outcome.err
+    refuses(1, "o.frames.jsonl: is missing", "track", tmp_path / "o.jsonl", "-o", tmp_path / "a.jsonl")

@@ -22,11 +22,11 @@ def test_doctor_ends_with_1_where_something_needed_is_broken(call, monkeypatch):
     broken = Finding(group="packages", name="av", status=Status.BROKEN, stated="is gone", remedy="pip install av")
     good = Finding(group="packages", name="numpy", status=Status.GOOD, stated="2.0")
     monkeypatch.setattr(installation, "examine_installation", lambda: InstallationReport(findings=(broken, good)))
-    outcome = call("doctor", "--quiet")
+    outcome = call("doctor --quiet")
     assert (outcome.code, "BROKEN" in outcome.out, "pip install av" in outcome.out) == (1, True, True)
     assert "numpy" not in outcome.out
     assert "something that is needed is broken" in outcome.err
-    reported = call("doctor", "--json")
+    reported = call("doctor --json")
     assert (reported.code, json.loads(reported.out)["sound"]) == (1, False)
 
 
@@ -38,19 +38,17 @@ def test_the_version_is_stated(call):
 @pytest.mark.parametrize(
     ("shell", "mark"), [("bash", "complete -o"), ("zsh", "#compdef sceneloom"), ("fish", "complete")]
 )
-def test_completion_prints_what_a_shell_takes_in(call, shell, mark):
-    outcome = call("completion", shell)
-    assert outcome.code == 0
+def test_completion_prints_what_a_shell_takes_in(succeeds, shell, mark):
+    outcome = succeeds("completion", shell)
     assert mark in outcome.out
     assert "_SCENELOOM_COMPLETE" in outcome.out
 
 
-def test_completion_goes_by_the_shell_in_use_or_asks_for_it(call, monkeypatch):
+def test_completion_goes_by_the_shell_in_use_or_asks_for_it(call, refuses, monkeypatch):
     monkeypatch.setenv("SHELL", "/usr/bin/fish")
     assert "function" in call("completion").out
     monkeypatch.setenv("SHELL", "/bin/ksh")
-    outcome = call("completion")
-    assert (outcome.code, "expected one of bash, zsh, fish" in outcome.err) == (2, True)
+    refuses(2, "expected one of bash, zsh, fish", "completion")
 
 
 def test_bash_completes_verbs_and_options_with_it(tmp_path):

@@ -54,7 +54,7 @@ def test_a_signal_in_the_middle_of_a_fusion_leaves_nothing_behind(call, recordin
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such signals")
-def test_a_signal_that_the_caller_ignores_stays_ignored(call, recording, tmp_path, monkeypatch):
+def test_a_signal_that_the_caller_ignores_stays_ignored(succeeds, recording, tmp_path, monkeypatch):
     played = FUSE.play
 
     def signalled(*arguments, **options):
@@ -64,7 +64,7 @@ def test_a_signal_that_the_caller_ignores_stays_ignored(call, recording, tmp_pat
     monkeypatch.setattr(FUSE, "play", signalled)
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        assert call("fuse", recording, "-o", tmp_path / "d.sfs").code == 0
+        succeeds("fuse", recording, "-o", tmp_path / "d.sfs")
     finally:
         signal.signal(signal.SIGHUP, before)
 

@@ -783,9 +783,8 @@ LEFT_OUT = (
 
 @pytest.mark.parametrize(("case", "name", "kind", "count"), LEFT_OUT)
 @pytest.mark.few(5)
-def test_what_an_image_or_a_view_cannot_show_is_counted(call, encode_sfs, lists, tmp_path, case, name, kind, count):
-    outcome = call(*words_on(case, name, tmp_path, encode_sfs, lists), "--json")
-    assert outcome.code == 0, outcome
+def test_what_an_image_or_a_view_cannot_show_is_counted(succeeds, encode_sfs, lists, tmp_path, case, name, kind, count):
+    outcome = succeeds(*words_on(case, name, tmp_path, encode_sfs, lists), "--json")
     reported = json.loads(outcome.out)
     warnings = [*reported.get("warnings", ()), *(one for d in reported.get("drives", ()) for one in d["warnings"])]
     found = [one for one in warnings if one["code"] in {"not-drawn", "beyond-the-viewer"}]
@@ -798,17 +797,16 @@ def test_what_an_image_or_a_view_cannot_show_is_counted(call, encode_sfs, lists,
 
 
 @pytest.mark.parametrize("case", ["view", "fuse", "info --visualize", "track"])
-def test_of_a_sound_scene_nothing_is_left_out(call, encode_sfs, lists, tmp_path, case):
-    outcome = call(*words_on(case, "sound", tmp_path, encode_sfs, lists))
-    assert outcome.code == 0
+def test_of_a_sound_scene_nothing_is_left_out(succeeds, encode_sfs, lists, tmp_path, case):
+    outcome = succeeds(*words_on(case, "sound", tmp_path, encode_sfs, lists))
     assert "finite" not in outcome.out + outcome.err
 
 
-def test_a_report_says_how_many_points_are_not_drawn(call, encode_sfs, tmp_path):
+def test_a_report_says_how_many_points_are_not_drawn(succeeds, encode_sfs, tmp_path):
     header = base()
     ODD["a_point_of_nan"](header)
     (tmp_path / "drive.sfs").write_bytes(encode_sfs(header))
-    assert call("report", tmp_path / "drive.sfs", "-o", tmp_path / "page.html", "--quick").code == 0
+    succeeds("report", tmp_path / "drive.sfs", "-o", tmp_path / "page.html", "--quick")
     assert "points whose coordinates are not finite are not drawn" in (tmp_path / "page.html").read_text()
 
 

@@ -232,7 +232,7 @@ def test_a_value_that_an_option_cannot_have_is_answered_with_the_option(call, re
     [("fuse", "-o", "out.sfs"), ("depth", "-o", "out", "--method", "sparse"), ("colour", "-o", "map.ply")],
     ids=lambda words: words[0],
 )
-def test_so_many_threads_share_each_sweep(call, recording, tmp_path, monkeypatch, words):
+def test_so_many_threads_share_each_sweep(succeeds, recording, tmp_path, monkeypatch, words):
     monkeypatch.chdir(tmp_path)
     asked = set()
     resolve = system.algorithm
@@ -245,6 +245,5 @@ def test_so_many_threads_share_each_sweep(call, recording, tmp_path, monkeypatch
         return run
 
     monkeypatch.setattr("sceneloom.fusion.system.algorithm", noting)
-    done = call(words[0], recording, *words[1:], "--threads", "2")
-    assert done.code == 0, done.err
+    succeeds(words[0], recording, *words[1:], "--threads", "2")
     assert asked == {2}

@@ -5,10 +5,9 @@ import json
 import pytest
 
 
-def test_a_page_and_its_numbers(call, recording, tmp_path):
+def test_a_page_and_its_numbers(succeeds, recording, tmp_path):
     page, numbers = tmp_path / "r.html", tmp_path / "r.json"
-    outcome = call("report", recording, "-o", page, "--numbers", numbers)
-    assert outcome.code == 0, outcome.err
+    outcome = succeeds("report", recording, "-o", page, "--numbers", numbers)
     assert outcome.out.startswith("drive: ")
     assert f"page: {page}" in outcome.out
     reported = json.loads(numbers.read_text("utf-8"))
@@ -24,15 +23,14 @@ def test_numbers_alone_are_printed(call, recording, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_drive_whose_lines_are_broken_is_reported_to_be_faulty(call, recording, tmp_path):
+def test_a_drive_whose_lines_are_broken_is_reported_to_be_faulty(succeeds, recording, tmp_path):
     import shutil
 
     broken = tmp_path / "drive"
     shutil.copytree(recording, broken)
     with (broken / "data.jsonl").open("a") as lines:
         lines.write('{"time": 1.0, "sens\n')
-    outcome = call("report", broken, "--quick", "-o", tmp_path / "r.html")
-    assert outcome.code == 0, outcome.err
+    outcome = succeeds("report", broken, "--quick", "-o", tmp_path / "r.html")
     assert "that will break downstream tools" in outcome.out
 
 
@@ -42,9 +40,17 @@ def test_a_path_that_is_not_there_is_an_error(call, tmp_path):
     assert "no such file" in outcome.err
 
 
-def test_a_truth_that_is_not_there_is_an_error(call, recording, tmp_path):
-    outcome = call("report", recording, "-o", tmp_path / "page.html", "--truth", tmp_path / "no.tum")
-    assert (outcome.code, "no.tum: no such file or folder" in outcome.err) == (1, True)
+def test_a_truth_that_is_not_there_is_an_error(refuses, recording, tmp_path):
+    refuses(
+        1,
+        "no.tum: no such file or folder",
+        "report",
+        recording,
+        "-o",
+        tmp_path / "page.html",
+        "--truth",
+        tmp_path / "no.tum",
+    )
     assert not (tmp_path / "page.html").exists()
 
 

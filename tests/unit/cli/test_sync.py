@@ -22,9 +22,8 @@ def late(tmp_path_factory):
     return folder
 
 
-def test_sync_prints_a_table(call, late):
-    outcome = call("sync", late)
-    assert outcome.code == 0
+def test_sync_prints_a_table(succeeds, late):
+    outcome = succeeds("sync", late)
     assert "1 stream off, against imu" in outcome.out
     row = next(line for line in outcome.out.splitlines() if "groundTruth" in line)
     assert row.split()[1:3] == ["imu", "rotation"]
@@ -39,9 +38,8 @@ def test_sync_reports_machines(call, late):
     assert abs(estimate["offset_ns"] + 3e7) < 2e6
 
 
-def test_sync_apply_writes_a_drive_in_step(call, late, tmp_path):
-    outcome = call("sync", late, "--apply", tmp_path / "right")
-    assert outcome.code == 0
+def test_sync_apply_writes_a_drive_in_step(call, succeeds, late, tmp_path):
+    outcome = succeeds("sync", late, "--apply", tmp_path / "right")
     assert "corrected: groundTruth: -" in outcome.out
     again = json.loads(call("sync", tmp_path / "right", "--json").out)
     assert again["off"] == []

@@ -63,9 +63,8 @@ def results(output):
     return found, {label: np.flatnonzero([word == label for word in found.types]) for label in set(found.types)}
 
 
-def test_what_stands_has_one_track_whose_boxes_are_where_it_is(call, folder, tmp_path):
-    outcome = call("track", folder, "-o", tmp_path / "out")
-    assert outcome.code == 0, outcome.err
+def test_what_stands_has_one_track_whose_boxes_are_where_it_is(succeeds, folder, tmp_path):
+    succeeds("track", folder, "-o", tmp_path / "out")
     found, rows = results(tmp_path / "out")
     assert sorted(rows) == ["Car", "Pedestrian"]
     for label, size in (("Car", SIZE_HWL), ("Pedestrian", PEOPLE_HWL)):
@@ -80,8 +79,8 @@ def test_what_stands_has_one_track_whose_boxes_are_where_it_is(call, folder, tmp
     assert len({found.track_ids[own[0]] for own in rows.values()}) == 2
 
 
-def test_projected_boxes_are_the_outlines_of_those_in_space(call, folder, tmp_path):
-    assert call("track", folder, "-o", tmp_path / "out", "--box2d", "projected").code == 0
+def test_projected_boxes_are_the_outlines_of_those_in_space(succeeds, folder, tmp_path):
+    succeeds("track", folder, "-o", tmp_path / "out", "--box2d", "projected")
     found, _ = results(tmp_path / "out")
     for k in range(len(found)):
         h, w, length = found.sizes_hwl[k]
@@ -113,28 +112,27 @@ def test_projected_boxes_are_the_outlines_of_those_in_space(call, folder, tmp_pa
         ("det2d_x/Pedestrian", "det3d_y/Pedestrian"),
     ],
 )
-def test_what_is_missing_is_reported_and_the_rest_is_tracked(call, folder, tmp_path, gone):
+def test_what_is_missing_is_reported_and_the_rest_is_tracked(succeeds, folder, tmp_path, gone):
     for name in gone:
         for file in (folder / name).rglob("*.txt"):
             file.unlink()
         (folder / name).rename(folder / f"gone_{name.replace('/', '_')}")
-    outcome = call("track", folder, "-o", tmp_path / "out")
-    assert outcome.code == 0, outcome.err
+    succeeds("track", folder, "-o", tmp_path / "out")
     _, rows = results(tmp_path / "out")
     expected = {"Car", "Pedestrian"} - ({"Pedestrian"} if len(gone) == 2 else set())
     assert set(rows) == expected
 
 
-def test_empty_lists_give_an_empty_file(call, folder, tmp_path):
+def test_empty_lists_give_an_empty_file(succeeds, folder, tmp_path):
     for file in folder.glob("det*/*/*.txt"):
         file.write_text("")
-    assert call("track", folder, "-o", tmp_path / "out").code == 0
+    succeeds("track", folder, "-o", tmp_path / "out")
     assert (tmp_path / "out" / "0003.txt").read_text() == ""
 
 
 @pytest.mark.parametrize("offline", [(), ("--offline",)])
-def test_lines_of_json_report_the_world(call, folder, tmp_path, offline):
-    assert call("track", folder, "-o", tmp_path / "out", "--format", "jsonl", *offline).code == 0
+def test_lines_of_json_report_the_world(succeeds, folder, tmp_path, offline):
+    succeeds("track", folder, "-o", tmp_path / "out", "--format", "jsonl", *offline)
     lines = [json.loads(line) for line in (tmp_path / "out" / "0003.jsonl").read_text().splitlines()]
     assert [line["timestamp_ns"] for line in lines] == [k * 100_000_000 for k in range(FRAMES)]
     car = next(one for one in lines[-1]["objects"] if one["class"] == "Car")
@@ -144,9 +142,8 @@ def test_lines_of_json_report_the_world(call, folder, tmp_path, offline):
     assert np.hypot(*car["velocity"][:2]) < 1.0
 
 
-def test_labels_of_a_scene_are_cuboids(call, folder, tmp_path):
-    outcome = call("track", folder, "-o", tmp_path / "out", "--format", "sfs")
-    assert outcome.code == 0, outcome.err
+def test_labels_of_a_scene_are_cuboids(succeeds, folder, tmp_path):
+    succeeds("track", folder, "-o", tmp_path / "out", "--format", "sfs")
     with sceneloom.open(tmp_path / "out" / "0003.sfs") as scene:
         cuboids = [one for one in scene.annotations if one.type == "cuboid"]
     assert len(cuboids) == 2
@@ -159,19 +156,18 @@ def test_the_report_counts_frames_and_tracks(call, folder, tmp_path):
     assert report["drives"][0]["tracks"] == {"Car": 1, "Pedestrian": 1}
 
 
-def test_a_sequence_can_be_chosen_and_must_be_there(call, folder, tmp_path):
+def test_a_sequence_can_be_chosen_and_must_be_there(call, succeeds, folder, tmp_path):
     (folder / "calib" / "0009.txt").write_text(CALIB)
-    assert call("track", folder, "-o", tmp_path / "out", "--sequence", "3").code == 0
+    succeeds("track", folder, "-o", tmp_path / "out", "--sequence", "3")
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["0003.txt"]
     outcome = call("track", folder, "-o", tmp_path / "other", "--sequence", "0001")
     assert outcome.code == 2
     assert "sequence '0001'" in outcome.err
 
 
-def test_scenes_are_written_for_scales_library_on_request(call, folder, tmp_path):
+def test_scenes_are_written_for_scales_library_on_request(succeeds, folder, tmp_path):
     out = tmp_path / "labels"
-    outcome = call("track", folder, "-o", out, "--format", "sfs", "--profile", "scale")
-    assert outcome.code == 0, outcome.err
+    outcome = succeeds("track", folder, "-o", out, "--format", "sfs", "--profile", "scale")
     # Scale's validator knows no such sensor, so a scene of this profile keeps it aside
     assert "sensors[ego]: Scale's validator knows no such sensor" in outcome.err
 
@@ -184,44 +180,39 @@ def test_scenes_are_written_for_scales_library_on_request(call, folder, tmp_path
         (("-o", "x.txt", "--format", "jsonl"), "expected a name without '.txt'"),
     ],
 )
-def test_what_does_not_go_with_the_form_is_refused(call, folder, tmp_path, monkeypatch, words, reported):
+def test_what_does_not_go_with_the_form_is_refused(refuses, folder, tmp_path, monkeypatch, words, reported):
     monkeypatch.chdir(tmp_path)
-    outcome = call("track", folder, *words)
-    assert (outcome.code, reported in outcome.err) == (2, True), outcome.err
+    refuses(2, reported, "track", folder, *words)
     assert [path.name for path in tmp_path.iterdir()] == [folder.name]
 
 
-def test_an_output_is_not_overwritten_unasked(call, folder, tmp_path):
-    assert call("track", folder, "-o", tmp_path / "out").code == 0
-    outcome = call("track", folder, "-o", tmp_path / "out")
-    assert (outcome.code, "exists already" in outcome.err) == (1, True)
-    assert call("track", folder, "-o", tmp_path / "out", "--overwrite").code == 0
+def test_an_output_is_not_overwritten_unasked(refuses, succeeds, folder, tmp_path):
+    succeeds("track", folder, "-o", tmp_path / "out")
+    refuses(1, "exists already", "track", folder, "-o", tmp_path / "out")
+    succeeds("track", folder, "-o", tmp_path / "out", "--overwrite")
 
 
-def test_a_faulty_list_is_reported_with_its_line_and_nothing_is_written(call, folder, tmp_path):
+def test_a_faulty_list_is_reported_with_its_line_and_nothing_is_written(call, succeeds, folder, tmp_path):
     (folder / "det2d_x/Car/0003.txt").write_text("0,1,1,9,9,0.5\n0,1,car\n")
     outcome = call("track", folder, "-o", tmp_path / "out")
     assert outcome.code == 1
     assert "det2d_x/Car/0003.txt: line 2: 3 values; expected 6" in outcome.err
     assert not (tmp_path / "out").exists()
-    assert call("track", folder, "-o", tmp_path / "out", "--lenient").code == 0
+    succeeds("track", folder, "-o", tmp_path / "out", "--lenient")
 
 
-def test_several_detectors_are_a_question(call, folder, tmp_path):
+def test_several_detectors_are_a_question(refuses, succeeds, folder, tmp_path):
     (folder / "det2d_z" / "Car").mkdir(parents=True)
-    outcome = call("track", folder, "-o", tmp_path / "out")
-    assert (outcome.code, "choose one with `--det2d NAME`" in outcome.err) == (2, True)
-    assert call("track", folder, "-o", tmp_path / "out", "--det2d", "x").code == 0
+    refuses(2, "choose one with `--det2d NAME`", "track", folder, "-o", tmp_path / "out")
+    succeeds("track", folder, "-o", tmp_path / "out", "--det2d", "x")
 
 
-def test_images_of_each_sequence_are_drawn_on_request(call, folder, tmp_path):
-    outcome = call("track", folder, "-o", tmp_path / "out", "--visualize", tmp_path / "look")
-    assert outcome.code == 0, outcome.err
+def test_images_of_each_sequence_are_drawn_on_request(succeeds, folder, tmp_path):
+    succeeds("track", folder, "-o", tmp_path / "out", "--visualize", tmp_path / "look")
     drawn = sorted(path.relative_to(tmp_path / "look").as_posix() for path in (tmp_path / "look").rglob("*.png"))
     assert drawn[0] == "0003/000000_above.png"
     assert len(drawn) == FRAMES
 
 
-def test_a_part_of_sequences_whose_frames_are_numbered_is_refused(call, folder, tmp_path):
-    refused = call("track", folder, "-o", tmp_path / "out", "--stop", 0.3)
-    assert (refused.code, "done whole" in refused.err) == (2, True)
+def test_a_part_of_sequences_whose_frames_are_numbered_is_refused(refuses, folder, tmp_path):
+    refuses(2, "done whole", "track", folder, "-o", tmp_path / "out", "--stop", 0.3)

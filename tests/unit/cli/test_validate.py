@@ -39,15 +39,14 @@ def test_the_result_as_json_has_every_finding(call, faulty):
     assert report["findings"][0]["fixable"] is True
 
 
-def test_fixing_writes_and_passes(call, faulty, tmp_path):
+def test_fixing_writes_and_passes(call, succeeds, faulty, tmp_path):
     target = tmp_path / "repaired.sfs"
-    done = call("validate", faulty, "--fix", target)
-    assert done.code == 0
+    done = succeeds("validate", faulty, "--fix", target)
     assert "fixed\n  quaternion-norm: sensors[0].poses.values[1]" in done.out
     assert f"written: {target}" in done.out
-    assert call("validate", target).code == 0
+    succeeds("validate", target)
     assert call("validate", faulty, "--fix", target).code == 1
-    assert call("validate", faulty, "--fix", target, "--overwrite").code == 0
+    succeeds("validate", faulty, "--fix", target, "--overwrite")
 
 
 def test_what_cannot_be_written_is_stated(call, tmp_path):
@@ -70,8 +69,8 @@ def test_what_is_found_is_reported_also_where_nothing_of_a_recording_is_left_to_
     assert not target.exists()
 
 
-def test_strict_lets_warnings_fail(call, recording):
-    assert call("validate", recording, "--quick").code == 0
+def test_strict_lets_warnings_fail(call, succeeds, recording):
+    succeeds("validate", recording, "--quick")
     without_trajectory = call("validate", recording, "--strict", "--ignore", "image-plain")
     assert without_trajectory.code in (0, 1)
     assert without_trajectory.code == ("warning" in without_trajectory.out.splitlines()[0])
@@ -83,11 +82,10 @@ def test_hints_are_left_out_where_quiet_is_stated(call, faulty):
     assert "reading-assumed" not in call("validate", faulty, *only, "--quiet").out
 
 
-def test_the_rules_are_listed(call):
-    done = call("validate", "--rules")
-    assert done.code == 0
+def test_the_rules_are_listed(call, succeeds):
+    done = succeeds("validate --rules")
     assert "quaternion-norm (error, fix)\n" in done.out
-    rows = json.loads(call("validate", "--rules", "--json").out)
+    rows = json.loads(call("validate --rules --json").out)
     assert {"id", "severity", "summary", "remedy", "fixable", "only_in"} == set(rows[0])
 
 

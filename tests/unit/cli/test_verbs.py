@@ -16,9 +16,8 @@ from sceneloom.cli.printing import seconds
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 
-def test_info_names_every_sensor(call, recording):
-    outcome = call("info", recording)
-    assert outcome.code == 0
+def test_info_names_every_sensor(succeeds, recording):
+    outcome = succeeds("info", recording)
     for word in ("lidar", "camera0", "imu", "gnss", "groundTruth", "10 Hz", "pinhole 96x64"):
         assert word in outcome.out
 
@@ -42,9 +41,8 @@ def test_info_as_json_names_the_images_that_it_drew(call, tmp_path):
     assert call("info", tmp_path / "street.sfs", *words).code == 1  # they are there already
 
 
-def test_fuse_writes_and_reports(call, recording, tmp_path):
-    outcome = call("fuse", recording, "-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth", "--json")
-    assert outcome.code == 0
+def test_fuse_writes_and_reports(succeeds, recording, tmp_path):
+    outcome = succeeds("fuse", recording, "-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth", "--json")
     report = json.loads(outcome.out)
     assert (report["fused"], report["trajectory"], report["files"]) == (3, "groundTruth", {"depth images": 3})
     assert report["losses"]["losses"]
@@ -78,51 +76,47 @@ def test_fuse_without_an_output_is_bad_usage(call, recording):
     assert "nothing to write" in outcome.err
 
 
-def test_convert_reads_and_writes_and_reads_again(call, recording, tmp_path):
-    assert call("convert", recording, tmp_path / "a.sfs").code == 0
-    assert call("convert", tmp_path / "a.sfs", tmp_path / "b.sfs", "--time-unit", "nanoseconds").code == 0
+def test_convert_reads_and_writes_and_reads_again(call, succeeds, recording, tmp_path):
+    succeeds("convert", recording, tmp_path / "a.sfs")
+    succeeds("convert", tmp_path / "a.sfs", tmp_path / "b.sfs", "--time-unit", "nanoseconds")
     first, second = (json.loads(call("info", tmp_path / name, "--json").out) for name in ("a.sfs", "b.sfs"))
     ids = [(sensor["id"], sensor["count"]) for sensor in first["sensors"]]
     assert ids == [(sensor["id"], sensor["count"]) for sensor in second["sensors"]]
 
 
 def test_formats_lists_what_can_be_read_and_written(call):
-    known = {form["name"]: form for form in json.loads(call("formats", "--json").out)}
+    known = {form["name"]: form for form in json.loads(call("formats --json").out)}
     assert [known[name]["suffixes"] for name in ("sfs", "recording", "rig")] == [[".sfs"], [""], [".toml"]]
     assert [known[name]["writes"] for name in ("sfs", "recording", "rig")] == [True, True, False]
     assert known["tum"]["trajectory"]
 
 
-def test_formats_says_what_one_of_them_holds(call):
-    held = json.loads(call("formats", "tum", "--json").out)
+def test_formats_says_what_one_of_them_holds(call, refuses):
+    held = json.loads(call("formats tum --json").out)
     assert held["trajectories.positions"] == {"support": "kept", "how": ""}
     assert held["sensors.lidar.id"]["support"] == "dropped"
-    assert "dropped (" in call("formats", "tum").out
-    unknown = call("formats", "nope")
-    assert (unknown.code, "no format or form 'nope'; there are sfs" in unknown.err) == (2, True)
+    assert "dropped (" in call("formats tum").out
+    refuses(2, "no format or form 'nope'; there are sfs", "formats nope")
 
 
-def test_demo_keeps_a_recording_a_scene_and_images(call, tmp_path, monkeypatch):
+def test_demo_keeps_a_recording_a_scene_and_images(refuses, succeeds, tmp_path, monkeypatch):
     camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
     street = partial(simulate_street, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
     monkeypatch.setattr("sceneloom.simulate.drive.demo_drive", street)
-    outcome = call("demo", "--keep", tmp_path / "kept", "--frames", "2")
-    assert outcome.code == 0
+    outcome = succeeds("demo --keep", tmp_path / "kept", "--frames", "2")
     kept = {path.name for path in (tmp_path / "kept").iterdir()}
     assert kept == {"drive", "drive.sfs", "depth", "images"}
     assert "sceneloom info" in outcome.out
     shown = next(line.split()[2] for line in outcome.out.splitlines() if line.startswith("look at "))
     assert Path(shown).is_file()
     assert "notes on what these files cannot hold of the drive" in outcome.err
-    again = call("demo", "--keep", tmp_path / "kept", "--frames", "2")
-    assert (again.code, "--overwrite" in again.err) == (1, True)
+    refuses(1, "--overwrite", "demo --keep", tmp_path / "kept", "--frames", "2")
 
 
-def test_demo_looks_at_all_its_outputs_before_it_makes_one(call, tmp_path):
+def test_demo_looks_at_all_its_outputs_before_it_makes_one(refuses, tmp_path):
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "mine.png").write_text("mine")
-    outcome = call("demo", "--keep", tmp_path, "--frames", "2")
-    assert (outcome.code, "--overwrite" in outcome.err) == (1, True)
+    refuses(1, "--overwrite", "demo --keep", tmp_path, "--frames", "2")
     assert [path.name for path in tmp_path.iterdir()] == ["images"]
 
 
@@ -158,9 +152,8 @@ def test_an_option_that_would_do_nothing_is_bad_usage(call, recording, tmp_path,
 
 
 @pytest.mark.parametrize("verb", ["demo", "info", "fuse", "convert", "formats"])
-def test_every_verb_explains_itself(call, verb):
-    outcome = call(verb, "--help")
-    assert outcome.code == 0
+def test_every_verb_explains_itself(succeeds, verb):
+    outcome = succeeds(verb, "--help")
     assert "--json" in outcome.out
 
 
@@ -176,14 +169,13 @@ def test_info_reports_the_first_time_to_the_nanosecond(call, recording, tmp_path
     assert seconds(1_700_000_000_800_000_000) == "1700000000.800000000 s"
 
 
-def test_only_the_first_skipped_frames_are_listed(call, recording, tmp_path):
+def test_only_the_first_skipped_frames_are_listed(call, succeeds, recording, tmp_path):
     folder = tmp_path / "drive"
     shutil.copytree(recording, folder)
     for image in (folder / "frames1").iterdir():
         image.write_bytes(image.read_bytes()[:120])
     arguments = ("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient", "--overwrite")
-    outcome = call(*arguments)
-    assert outcome.code == 0
+    outcome = succeeds(*arguments)
     assert "3 sweeps or images skipped" in outcome.out
     assert outcome.err.count("skipped: ") == 3
     assert "skipped: " not in call(*arguments, "--quiet").err
@@ -205,12 +197,12 @@ def test_a_terminal_that_knows_few_characters_gets_them_escaped(recording, tmp_p
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only there names of files may be any bytes")
-def test_a_folder_whose_name_is_no_unicode_is_read_and_fused(call, recording, tmp_path):
+def test_a_folder_whose_name_is_no_unicode_is_read_and_fused(call, succeeds, recording, tmp_path):
     folder = tmp_path / os.fsdecode(b"dr\xffive")
     shutil.copytree(recording, folder)
-    assert call("info", folder).code == 0
+    succeeds("info", folder)
     assert json.loads(call("info", folder, "--json").out)["source"] == str(folder)
-    assert call("fuse", folder, "-o", tmp_path / "d.sfs").code == 0
+    succeeds("fuse", folder, "-o", tmp_path / "d.sfs")
 
 
 def test_info_refuses_a_time_to_draw_where_nothing_is_drawn(call, recording):
@@ -238,11 +230,11 @@ def test_no_recording_is_made_inside_the_one_that_is_read(call, recording, argum
     assert sorted(recording.rglob("*")) == before
 
 
-def test_images_may_lie_in_the_recording_that_they_show(call, recording, tmp_path):
+def test_images_may_lie_in_the_recording_that_they_show(succeeds, recording, tmp_path):
     drive = tmp_path / "drive"
     shutil.copytree(recording, drive)
-    assert call("fuse", drive, "--visualize", drive / "look", "-o", drive / "fused.sfs").code == 0
-    assert call("info", drive).code == 0
+    succeeds("fuse", drive, "--visualize", drive / "look", "-o", drive / "fused.sfs")
+    succeeds("info", drive)
 
 
 @pytest.mark.parametrize(

@@ -10,16 +10,14 @@ from sceneloom.scene.scene import time_span
 pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'sceneloom[view]'")
 
 
-def test_a_view_is_saved_and_summed_up(call, recording, tmp_path):
+def test_a_view_is_saved_and_summed_up(refuses, succeeds, recording, tmp_path):
     target = tmp_path / "drive.rrd"
-    outcome = call("view", recording, "--save", target, "--no-findings", "--every", "2")
-    assert outcome.code == 0, outcome.err
+    outcome = succeeds("view", recording, "--save", target, "--no-findings", "--every", "2")
     assert "2 images" in outcome.out
     assert "2 sweeps" in outcome.out
     assert f"rerun {target}" in outcome.out
     assert target.read_bytes()[:3] == b"RRF"  # what files of Rerun begin with
-    again = call("view", recording, "--save", target)
-    assert (again.code, "--overwrite" in again.err) == (1, True)
+    refuses(1, "--overwrite", "view", recording, "--save", target)
 
 
 def test_the_summary_is_json_for_machines(call, recording, tmp_path):
@@ -47,7 +45,7 @@ def test_what_cannot_be_followed_is_reported(call, recording, tmp_path, words, r
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_list_names_drives_and_parts_of_them(call, recording, tmp_path):
+def test_a_list_names_drives_and_parts_of_them(succeeds, recording, tmp_path):
     parts = tmp_path / "parts.jsonl"
     with sceneloom.open(recording) as scene:
         sweeps_ns, first_ns = scene.lidars[0].frames.timestamps_ns, time_span(scene)[0]
@@ -55,8 +53,7 @@ def test_a_list_names_drives_and_parts_of_them(call, recording, tmp_path):
     lines = [{"path": str(recording), "stop": between}, {"path": str(recording), "start": between}]
     parts.write_text("\n".join(map(json.dumps, lines)))
     words = ("--save", tmp_path / "d.rrd", "--no-findings", "--json", "--start", "99")
-    outcome = call("view", "--list", parts, *words)
-    assert outcome.code == 0, outcome.err
+    outcome = succeeds("view --list", parts, *words)
     first, second = json.loads(outcome.out)["drives"]
     assert first["source"] == second["source"]
     assert (first["logged"]["sweeps"], second["logged"]["sweeps"]) == (1, len(sweeps_ns) - 1)
@@ -69,7 +66,7 @@ def test_a_list_names_drives_and_parts_of_them(call, recording, tmp_path):
 def test_more_than_can_be_looked_at_is_refused(call, recording, tmp_path):
     parts = tmp_path / "parts.jsonl"
     parts.write_text("\n".join(json.dumps({"path": str(recording), "start": 0.01 * k}) for k in range(33)))
-    outcome = call("view", "--list", parts, "--save", tmp_path / "d.rrd")
+    outcome = call("view --list", parts, "--save", tmp_path / "d.rrd")
     assert (outcome.code, "33 drives" in outcome.err, "--limit 32" in outcome.err) == (2, True, True)
     assert not (tmp_path / "d.rrd").exists()
-    assert call("view", "--save", tmp_path / "d.rrd").code == 2
+    assert call("view --save", tmp_path / "d.rrd").code == 2

@@ -1,7 +1,6 @@
 """The scene that a fusion writes: everything in one world, whatever else the source holds."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +12,6 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
 from sceneloom.scene import (
     Activation,
-    Annotation,
-    CameraImage,
     Coordinates,
     Corrections,
     CuboidAnnotation,
@@ -35,7 +32,6 @@ from sceneloom.scene import (
     RadarFrame,
     RadarPoints,
     RadarSensor,
-    Scene,
     ShapeAnnotation,
     ShapeType,
     VertexPath,
@@ -45,27 +41,27 @@ from sceneloom.scene.poses import PoseSource
 LOCATIONS = np.array([[100.0, 200.0, 3.0]], np.float32)
 
 
-def with_sensors(scene: Scene, *more: object) -> Scene:
+def with_sensors(scene, *more):
     return replace(scene, sensors=(*scene.sensors, *more))
 
 
-def changed(scene: Scene, sensor_id: str, **fields: object) -> Scene:
+def changed(scene, sensor_id, **fields):
     sensors = tuple(replace(s, **fields) if s.id == sensor_id else s for s in scene.sensors)
     return replace(scene, sensors=sensors)
 
 
-def radar(scene: Scene, coordinates: Coordinates, points_frame: PointsFrame) -> RadarSensor:
+def radar(scene, coordinates, points_frame):
     time = int(scene.lidars[0].frames.timestamps_ns[0])
     frames = LazyFrames.of([RadarFrame(time, RadarPoints(LOCATIONS))], [time])
     poses = scene.trajectories["groundTruth"].poses
     return RadarSensor("radar", frames, poses, coordinates=coordinates, points_frame=points_frame)
 
 
-def origin_of(scene: Scene) -> np.ndarray:
+def origin_of(scene):
     return scene.trajectories["groundTruth"].positions[0]
 
 
-def test_everything_in_the_world_moves_to_the_new_origin(drive: Scene, tmp_path: Path) -> None:
+def test_everything_in_the_world_moves_to_the_new_origin(drive, tmp_path):
     trajectory, origin = drive.trajectories["groundTruth"].poses, origin_of(drive)
     more = (
         radar(drive, Coordinates.WORLD, PointsFrame.WORLD),
@@ -83,7 +79,7 @@ def test_everything_in_the_world_moves_to_the_new_origin(drive: Scene, tmp_path:
         assert EGO_ID not in [sensor.id for sensor in scene.sensors]
 
 
-def test_what_rides_on_the_ego_or_a_sensor_does_not_move(drive: Scene, tmp_path: Path) -> None:
+def test_what_rides_on_the_ego_or_a_sensor_does_not_move(drive, tmp_path):
     rider_association = radar(drive, Coordinates.EGO, PointsFrame.SENSOR)
     fuse(with_sensors(drive, rider_association), tmp_path / "drive.sfs")
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
@@ -106,9 +102,7 @@ CORNERS = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     ],
     ids=["unknown", "adjustment", "object"],
 )
-def test_the_origin_stays_where_an_annotation_could_not_move_along(
-    drive: Scene, tmp_path: Path, annotation: Annotation, moves: bool
-) -> None:
+def test_the_origin_stays_where_an_annotation_could_not_move_along(drive, tmp_path, annotation, moves):
     left_off = replace(drive, annotations=(annotation,), corrections=Corrections.IGNORE)
     fuse(left_off, tmp_path / "drive.sfs")
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
@@ -118,7 +112,7 @@ def test_the_origin_stays_where_an_annotation_could_not_move_along(
         np.testing.assert_allclose(scene.sensor(EGO_ID).poses.positions[0], expected, atol=1e-12)
 
 
-def test_locations_of_annotations_move_with_the_origin_and_pixels_stay(drive: Scene, tmp_path: Path) -> None:
+def test_locations_of_annotations_move_with_the_origin_and_pixels_stay(drive, tmp_path):
     timestamps, row = np.zeros(1, np.int64), np.arange(9.0)[None]
     annotations = (
         CuboidAnnotation(
@@ -151,14 +145,14 @@ def test_locations_of_annotations_move_with_the_origin_and_pixels_stay(drive: Sc
     np.testing.assert_array_equal(keys.projections[0][0].positions, CORNERS[1:] - origin)
 
 
-def test_the_ego_gets_another_id_where_a_sensor_has_its_own(drive: Scene, tmp_path: Path) -> None:
+def test_the_ego_gets_another_id_where_a_sensor_has_its_own(drive, tmp_path):
     fuse(changed(drive, "lidar", id=EGO_ID), tmp_path / "drive.sfs")
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         assert scene.sensor(EGO_ID) is scene.lidars[0]
         assert isinstance(scene.sensor("ego2"), OdometrySensor)
 
 
-def test_points_that_lie_in_the_world_need_no_poses(drive: Scene, tmp_path: Path) -> None:
+def test_points_that_lie_in_the_world_need_no_poses(drive, tmp_path):
     fused = list(iter_fused(drive))
     frames = [LidarFrame(f.timestamp_ns, replace(f.points, colors=None)) for f in fused]
     placed = replace(
@@ -181,7 +175,7 @@ def test_points_that_lie_in_the_world_need_no_poses(drive: Scene, tmp_path: Path
             assert (frame.points.camera_index == expected.points.camera_index).mean() > 0.99
 
 
-def test_a_camera_without_images_needs_no_location_and_keeps_its_number(drive: Scene, tmp_path: Path) -> None:
+def test_a_camera_without_images_needs_no_location_and_keeps_its_number(drive, tmp_path):
     idle = replace(drive.cameras[0], id="idle", images=LazyFrames.of([], []), video=None, mount=None, poses=None)
     report = fuse(replace(drive, sensors=(idle, *drive.sensors)), tmp_path / "drive.sfs")
     assert next((c.camera, c.images, c.unpaired) for c in report.cameras) == ("idle", 0, 0)
@@ -190,18 +184,18 @@ def test_a_camera_without_images_needs_no_location_and_keeps_its_number(drive: S
         assert scene.metadata["sceneloom"]["fusion"]["cameras"] == ["idle", "camera0", "camera1"]
 
 
-def test_a_camera_with_images_and_no_location_is_refused_by_name(drive: Scene) -> None:
+def test_a_camera_with_images_and_no_location_is_refused_by_name(drive):
     with pytest.raises(PoseError, match="'camera1'"):
         fuse(changed(drive, "camera1", mount=None, poses=None))
 
 
-def own_mountings(drive: Scene) -> Scene:
+def own_mountings(drive):
     """Every second image of the first camera hangs one metre higher than the calibration says."""
     camera = drive.cameras[0]
     assert camera.mount is not None
     higher = RigidTransform(camera.mount.rotation, np.add(camera.mount.translation, [0.0, 0.0, 1.0]))
 
-    def read(index: int) -> CameraImage:
+    def read(index):
         image = camera.images[index]
         return replace(image, mount=higher) if index % 2 else image
 
@@ -209,7 +203,7 @@ def own_mountings(drive: Scene) -> Scene:
     return changed(drive, camera.id, images=images)
 
 
-def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file(drive: Scene, tmp_path: Path) -> None:
+def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file(drive, tmp_path):
     mixed = own_mountings(drive)
     fuse(mixed, tmp_path / "drive.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
     trajectory = drive.trajectories["groundTruth"].poses
@@ -223,7 +217,7 @@ def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file(drive:
             assert (image.mount is None) == (source.mount is None)
 
 
-def test_fusing_again_does_not_apply_a_mounting_twice(drive: Scene, tmp_path: Path) -> None:
+def test_fusing_again_does_not_apply_a_mounting_twice(drive, tmp_path):
     mixed = own_mountings(drive)
     fuse(mixed, tmp_path / "drive.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
@@ -233,7 +227,7 @@ def test_fusing_again_does_not_apply_a_mounting_twice(drive: Scene, tmp_path: Pa
 
 
 @pytest.mark.parametrize(("sensor_id", "location"), [("lidar", "frames"), ("camera1", "images")])
-def test_times_that_run_backwards_are_refused_with_their_location(drive: Scene, sensor_id: str, location: str) -> None:
+def test_times_that_run_backwards_are_refused_with_their_location(drive, sensor_id, location):
     backwards = changed(drive, sensor_id, **{location: getattr(drive.sensor(sensor_id), location)[::-1]})
     with pytest.raises(DataError, match=rf"sensors\[{sensor_id}\]\.{location}\[1\]\.timestamp: .* in the order"):
         fuse(backwards)

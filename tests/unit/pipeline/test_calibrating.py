@@ -3,7 +3,6 @@
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.calibrating import Repair, check_drive, form_for, write_calibration
 from sceneloom.pipeline.detected_drive import poses_at
-from sceneloom.scene import Scene
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.ego import sensor_source
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
@@ -107,7 +105,7 @@ STEP = np.array([0.01, 0.02, -0.01, 0.05, 0.02, 0.03])
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory):
     """A small recording."""
     drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=8, steps=200), cameras=[CameraSpec()])
     folder = tmp_path_factory.mktemp("drive") / "drive"
@@ -115,16 +113,14 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def repair_of(scene: Scene) -> Repair:
+def repair_of(scene):
     frame = calibration_frames(scene, most=1)[0]
     camera_model = replace(frame.camera, fx=frame.camera.fx * 1.01, fy=frame.camera.fy * 1.01)
     repaired = moved_by(frame.camera_from_lidar, STEP)
     return Repair(frame.camera_id, frame.lidar_id, frame.camera_from_lidar, repaired, camera_model, 0.02)
 
 
-def test_a_recording_with_the_new_calibration_has_the_repaired_mounting_and_camera_model(
-    recording: Path, tmp_path: Path
-) -> None:
+def test_a_recording_with_the_new_calibration_has_the_repaired_mounting_and_camera_model(recording, tmp_path):
     repaired = tmp_path / "repaired"
     shutil.copytree(recording, repaired)
     with sceneloom.open(recording) as scene:
@@ -138,7 +134,7 @@ def test_a_recording_with_the_new_calibration_has_the_repaired_mounting_and_came
     assert entry["imuToCameraShiftSeconds"] == pytest.approx(0.02)
 
 
-def test_a_scene_file_carries_the_difference_as_an_annotation(recording: Path, tmp_path: Path) -> None:
+def test_a_scene_file_carries_the_difference_as_an_annotation(recording, tmp_path):
     with sceneloom.open(recording) as scene:
         repair = repair_of(scene)
         write_calibration(scene, repair, tmp_path / "out.sfs")
@@ -154,7 +150,7 @@ def test_a_scene_file_carries_the_difference_as_an_annotation(recording: Path, t
     np.testing.assert_allclose(pose[3:], difference.quaternion_xyzw, atol=1e-9)
 
 
-def test_table_3_holds_the_repaired_transform_by_columns(recording: Path, tmp_path: Path) -> None:
+def test_table_3_holds_the_repaired_transform_by_columns(recording, tmp_path):
     with sceneloom.open(recording) as scene:
         repair = repair_of(scene)
         write_calibration(scene, repair, tmp_path / "pair.json")
@@ -164,7 +160,7 @@ def test_table_3_holds_the_repaired_transform_by_columns(recording: Path, tmp_pa
     assert record.intrinsic_matrix[0] == pytest.approx(repair.camera.fx)
 
 
-def test_a_lidar_alone_is_mounted_anew_in_the_calibration(recording: Path, tmp_path: Path) -> None:
+def test_a_lidar_alone_is_mounted_anew_in_the_calibration(recording, tmp_path):
     with sceneloom.open(recording) as scene:
         mount = scene.lidars[0].mount
         repair = Repair(None, scene.lidars[0].id, mount, moved_by(mount, STEP))
@@ -175,7 +171,7 @@ def test_a_lidar_alone_is_mounted_anew_in_the_calibration(recording: Path, tmp_p
     np.testing.assert_allclose(np.linalg.inv(entry["imuToLidar"]), repair.repaired.matrix, atol=1e-9)
 
 
-def test_what_cannot_be_written_is_refused(recording: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_refused(recording, tmp_path):
     with pytest.raises(OptionError, match=r"expected NAME\.sfs"):
         form_for(tmp_path / "calibration.yaml", None)
     with sceneloom.open(recording) as scene:

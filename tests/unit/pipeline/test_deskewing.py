@@ -1,10 +1,8 @@
 """Deskewing as a step: against the simulator's truth, through files, and what it says when it cannot."""
 
 import pickle
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +17,6 @@ from sceneloom.scene import (
     GnssSensor,
     ImuSensor,
     LazyFrames,
-    LidarFrame,
     LidarSensor,
     OdometrySensor,
     PointsFrame,
@@ -27,14 +24,14 @@ from sceneloom.scene import (
     VectorSamples,
 )
 from sceneloom.scene.poses import PoseSource
-from sceneloom.simulate import LidarSpec, SimulatedDrive, simulate_street
+from sceneloom.simulate import LidarSpec, simulate_street
 from sceneloom.simulate.drive import ImuSpec
 
 SWEEPS = 4
 
 
 @pytest.fixture(scope="module")
-def drive(keep: Callable[[Scene], Scene]) -> SimulatedDrive:
+def drive(keep):
     """A rotating drive without noise of range, so that what is left is what deskewing left."""
     lidar = LidarSpec(beams=16, steps=180, range_sigma=0.0)
     imu = ImuSpec(gyroscope_bias_sigma=0.0)
@@ -42,7 +39,7 @@ def drive(keep: Callable[[Scene], Scene]) -> SimulatedDrive:
     return replace(made, scene=keep(made.scene))
 
 
-def with_lidar(scene: Scene, **changes: object) -> Scene:
+def with_lidar(scene, **changes):
     return replace(
         scene,
         sensors=tuple(
@@ -51,20 +48,20 @@ def with_lidar(scene: Scene, **changes: object) -> Scene:
     )
 
 
-def _edited(frames: LazyFrames[LidarFrame], edit: Callable[[LidarFrame], LidarFrame], k: int) -> LidarFrame:
+def _edited(frames, edit, k):
     return edit(frames[k])
 
 
-def with_frames(scene: Scene, edit: Callable[[LidarFrame], LidarFrame]) -> Scene:
+def with_frames(scene, edit):
     frames = scene.lidars[0].frames
     return with_lidar(scene, frames=LazyFrames(frames.timestamps_ns, partial(_edited, frames, edit)))
 
 
-def without_times(frame: LidarFrame) -> LidarFrame:
+def without_times(frame):
     return replace(frame, points=replace(frame.points, timestamps_ns=None))
 
 
-def errors(drive: SimulatedDrive, frames: LazyFrames[LidarFrame]) -> np.ndarray:
+def errors(drive, frames):
     """How far the points of all sweeps are from where they truly were, seen from the lidar at the frame's time."""
     apart = []
     for k, frame in enumerate(frames):
@@ -77,7 +74,7 @@ def errors(drive: SimulatedDrive, frames: LazyFrames[LidarFrame]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("at", ["start", "middle", "end"])
-def test_points_are_where_they_would_have_been_measured_at_that_moment(drive: SimulatedDrive, at: str) -> None:
+def test_points_are_where_they_would_have_been_measured_at_that_moment(drive, at):
     frames = deskewed_scene(drive.scene, at=at).lidars[0].frames
     # float32 at 100 m, and a trajectory of 100 poses a second between which the trajectory is straight
     assert errors(drive, frames).max() < 2e-3
@@ -91,7 +88,7 @@ def test_points_are_where_they_would_have_been_measured_at_that_moment(drive: Si
         np.testing.assert_array_equal(frame.points.extras[MEASURED], times)
 
 
-def test_an_imu_alone_undoes_the_rotating(drive: SimulatedDrive) -> None:
+def test_an_imu_alone_undoes_the_rotating(drive):
     moved = errors(drive, deskewed_scene(drive.scene, trajectory="imu").lidars[0].frames)
     still = errors(drive, deskewed_scene(drive.scene, trajectory="identity").lidars[0].frames)
     # what is left is the trajectory of half a sweep at most, 0.5 m at 10 m/s, however far the point
@@ -100,10 +97,10 @@ def test_an_imu_alone_undoes_the_rotating(drive: SimulatedDrive) -> None:
     assert np.mean(still) > 1.1 * np.mean(moved)
 
 
-def test_points_in_the_egos_frame_stay_in_it(drive: SimulatedDrive) -> None:
+def test_points_in_the_egos_frame_stay_in_it(drive):
     mount = drive.scene.lidars[0].mount
 
-    def on_ego(frame: LidarFrame) -> LidarFrame:
+    def on_ego(frame):
         positions = mount.apply(frame.points.positions).astype(np.float32)
         return replace(frame, points=replace(frame.points, positions=positions))
 
@@ -112,7 +109,7 @@ def test_points_in_the_egos_frame_stay_in_it(drive: SimulatedDrive) -> None:
     np.testing.assert_allclose(mount.apply(in_sensor), in_ego, atol=5e-5)
 
 
-def test_a_lidar_with_poses_of_its_own_needs_no_trajectory(drive: SimulatedDrive) -> None:
+def test_a_lidar_with_poses_of_its_own_needs_no_trajectory(drive):
     scene = replace(with_lidar(drive.scene, mount=None), trajectories={})
     # own poses are of the trajectory's times: between them the lidar's trajectory is as straight as the ego's
     assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 3e-3
@@ -122,14 +119,14 @@ def test_a_lidar_with_poses_of_its_own_needs_no_trajectory(drive: SimulatedDrive
         deskewed_scene(scene, trajectory="identity")
 
 
-def test_a_deskewed_scene_fuses_to_the_same_world_as_the_measured_one(drive: SimulatedDrive) -> None:
+def test_a_deskewed_scene_fuses_to_the_same_world_as_the_measured_one(drive):
     for deskewed, measured in zip(iter_fused(deskewed_scene(drive.scene)), iter_fused(drive.scene), strict=True):
         # two roundings to float32 at 100 m
         np.testing.assert_allclose(deskewed.points.positions, measured.points.positions, atol=5e-5)
 
 
 @pytest.mark.parametrize("name", ["drive.sfs", "drive"])
-def test_the_step_writes_scene_files_and_recordings(drive: SimulatedDrive, tmp_path: Path, name: str) -> None:
+def test_the_step_writes_scene_files_and_recordings(drive, tmp_path, name):
     calls: list[tuple[int, int]] = []
     report = deskew(drive.scene, tmp_path / name, progress=lambda done, total: calls.append((done, total)))
     assert (report.sweeps, report.deskewed, report.left, report.trajectory) == (SWEEPS, SWEEPS, {}, "groundTruth")
@@ -151,9 +148,7 @@ def test_the_step_writes_scene_files_and_recordings(drive: SimulatedDrive, tmp_p
             np.testing.assert_allclose(fused.points.positions, measured.points.positions, atol=1e-4)
 
 
-def test_a_scene_file_keeps_when_each_point_was_measured_and_how_it_was_deskewed(
-    drive: SimulatedDrive, tmp_path: Path
-) -> None:
+def test_a_scene_file_keeps_when_each_point_was_measured_and_how_it_was_deskewed(drive, tmp_path):
     deskew(drive.scene, tmp_path / "drive.sfs", at="end", trajectory="imu")
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         entry = {"lidars": ["lidar"], "trajectory": "imu", "at": "end", "source": drive.scene.source}
@@ -164,9 +159,7 @@ def test_a_scene_file_keeps_when_each_point_was_measured_and_how_it_was_deskewed
             deskewed_scene(scene)
 
 
-def test_a_recording_says_that_it_loses_the_measured_times_and_is_not_moved_again(
-    drive: SimulatedDrive, tmp_path: Path
-) -> None:
+def test_a_recording_says_that_it_loses_the_measured_times_and_is_not_moved_again(drive, tmp_path):
     report = deskew(drive.scene, tmp_path / "once")
     assert any(MEASURED in loss.field for loss in report.losses)
     with sceneloom.open(tmp_path / "once") as scene:
@@ -178,7 +171,7 @@ def test_a_recording_says_that_it_loses_the_measured_times_and_is_not_moved_agai
             assert before.timestamp_ns == after.timestamp_ns
 
 
-def test_sweeps_beyond_the_trajectory_stay_as_measured_and_are_counted(drive: SimulatedDrive, tmp_path: Path) -> None:
+def test_sweeps_beyond_the_trajectory_stay_as_measured_and_are_counted(drive, tmp_path):
     estimated_trajectory = drive.scene.trajectories["groundTruth"]
     rows = estimated_trajectory.timestamps_ns < int(drive.scene.lidars[0].frames.timestamps_ns[1]) + 20_000_000
     short = replace(
@@ -199,7 +192,7 @@ def test_sweeps_beyond_the_trajectory_stay_as_measured_and_are_counted(drive: Si
         assert np.abs(left.points.timestamps_ns - measured.points.timestamps_ns).max() <= 500
 
 
-def test_sweeps_in_a_gap_of_the_imu_stay_as_measured(drive: SimulatedDrive) -> None:
+def test_sweeps_in_a_gap_of_the_imu_stay_as_measured(drive):
     imu = next(sensor for sensor in drive.scene.sensors if isinstance(sensor, ImuSensor))
     rates, second = imu.streams["gyroscope"], int(drive.scene.lidars[0].frames.timestamps_ns[1])
     kept = np.abs(rates.timestamps_ns - second - 50_000_000) > 30_000_000
@@ -210,13 +203,13 @@ def test_sweeps_in_a_gap_of_the_imu_stay_as_measured(drive: SimulatedDrive) -> N
     assert reasons == [None, "in a gap of the measured motion", None, None]
 
 
-def test_points_without_times_stay_as_they_are_and_that_is_counted(drive: SimulatedDrive, tmp_path: Path) -> None:
+def test_points_without_times_stay_as_they_are_and_that_is_counted(drive, tmp_path):
     report = deskew(with_frames(drive.scene, without_times), tmp_path / "drive")
     assert (report.deskewed, report.left) == (0, {"no times of the points": SWEEPS})
 
 
-def test_point_times_from_zero_are_understood_and_reported(drive: SimulatedDrive, tmp_path: Path) -> None:
-    def relative(frame: LidarFrame) -> LidarFrame:
+def test_point_times_from_zero_are_understood_and_reported(drive, tmp_path):
+    def relative(frame):
         times = frame.points.timestamps_ns - frame.timestamp_ns
         return replace(frame, points=replace(frame.points, timestamps_ns=times))
 
@@ -226,8 +219,8 @@ def test_point_times_from_zero_are_understood_and_reported(drive: SimulatedDrive
     assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 2e-3
 
 
-def test_empty_sweeps_pass(drive: SimulatedDrive, tmp_path: Path) -> None:
-    def emptied(frame: LidarFrame) -> LidarFrame:
+def test_empty_sweeps_pass(drive, tmp_path):
+    def emptied(frame):
         points = frame.points
         chosen = slice(0 if frame.timestamp_ns == drive.scene.lidars[0].frames.timestamps_ns[1] else None)
         cut = {
@@ -240,7 +233,7 @@ def test_empty_sweeps_pass(drive: SimulatedDrive, tmp_path: Path) -> None:
     assert (report.deskewed, report.left) == (SWEEPS - 1, {"no points": 1})
 
 
-def test_sweeps_in_any_order_are_deskewed_each_by_itself(drive: SimulatedDrive) -> None:
+def test_sweeps_in_any_order_are_deskewed_each_by_itself(drive):
     frames, order = drive.scene.lidars[0].frames, [2, 0, 3, 1]
     mixed = LazyFrames.of([frames[k] for k in order], frames.timestamps_ns[order].tolist())
     sound = deskewed_scene(drive.scene, at="start").lidars[0].frames
@@ -250,13 +243,13 @@ def test_sweeps_in_any_order_are_deskewed_each_by_itself(drive: SimulatedDrive) 
         np.testing.assert_array_equal(frame.points.positions, sound[k].points.positions)
 
 
-def broken_at(frame: LidarFrame, timestamp_ns: int) -> LidarFrame:
+def broken_at(frame, timestamp_ns):
     if frame.timestamp_ns == timestamp_ns:
         raise DataError("drive", "lidar/000001.bin", "no such file")
     return frame
 
 
-def test_an_unreadable_sweep_is_left_out_only_when_asked(drive: SimulatedDrive, tmp_path: Path) -> None:
+def test_an_unreadable_sweep_is_left_out_only_when_asked(drive, tmp_path):
     second = int(drive.scene.lidars[0].frames.timestamps_ns[1])
     scene = with_frames(drive.scene, partial(broken_at, timestamp_ns=second))
     with pytest.raises(DataError, match=r"000001\.bin"):
@@ -268,7 +261,7 @@ def test_an_unreadable_sweep_is_left_out_only_when_asked(drive: SimulatedDrive, 
         assert len(written.lidars[0].frames) == SWEEPS - 1
 
 
-def test_a_part_is_deskewed_as_it_is_in_the_whole(drive: SimulatedDrive, tmp_path: Path) -> None:
+def test_a_part_is_deskewed_as_it_is_in_the_whole(drive, tmp_path):
     # the first timestamp is that of the trajectory's margin, 0.2 s before the first sweep
     report = deskew(drive.scene, tmp_path / "drive.sfs", trajectory="imu", start=0.25, stop=0.45)
     assert (report.sweeps, report.deskewed) == (2, 2)
@@ -278,14 +271,14 @@ def test_a_part_is_deskewed_as_it_is_in_the_whole(drive: SimulatedDrive, tmp_pat
         np.testing.assert_allclose(written.lidars[0].frames[0].points.positions, whole[1].points.positions, atol=2e-2)
 
 
-def test_deskewed_sweeps_go_to_other_processes(drive: SimulatedDrive) -> None:
+def test_deskewed_sweeps_go_to_other_processes(drive):
     source = LazyFrames.of(list(drive.scene.lidars[0].frames), drive.scene.lidars[0].frames.timestamps_ns.tolist())
     frames = deskewed_scene(with_lidar(drive.scene, frames=source)).lidars[0].frames
     again = pickle.loads(pickle.dumps(frames))
     np.testing.assert_array_equal(again[2].points.positions, frames[2].points.positions)
 
 
-def test_what_cannot_be_followed_is_refused_with_the_reason(drive: SimulatedDrive, tmp_path: Path) -> None:
+def test_what_cannot_be_followed_is_refused_with_the_reason(drive, tmp_path):
     scene = drive.scene
     in_world = with_lidar(scene, points_frame=PointsFrame.WORLD)
     unmounted = with_lidar(scene, mount=None, poses=None)
@@ -309,14 +302,12 @@ def test_what_cannot_be_followed_is_refused_with_the_reason(drive: SimulatedDriv
         deskew(scene, tmp_path / "drive.sfs")
 
 
-def without_trajectory(scene: Scene) -> Scene:
+def without_trajectory(scene):
     """A scene with nothing to find the trajectory by but its sweeps."""
     return replace(scene, trajectories={}, sensors=tuple(s for s in scene.sensors if not isinstance(s, GnssSensor)))
 
 
-def test_a_trajectory_that_was_found_goes_along_so_that_nothing_finds_it_again(
-    drive: SimulatedDrive, tmp_path: Path
-) -> None:
+def test_a_trajectory_that_was_found_goes_along_so_that_nothing_finds_it_again(drive, tmp_path):
     lost = without_trajectory(drive.scene)
     deskew(lost, tmp_path / "deskewed.sfs")
     with sceneloom.open(tmp_path / "deskewed.sfs") as scene:
@@ -326,7 +317,7 @@ def test_a_trajectory_that_was_found_goes_along_so_that_nothing_finds_it_again(
     assert list(deskewed_scene(drive.scene).trajectories) == list(drive.scene.trajectories)
 
 
-def test_a_second_lidar_can_be_deskewed_later(drive: SimulatedDrive, tmp_path: Path) -> None:
+def test_a_second_lidar_can_be_deskewed_later(drive, tmp_path):
     second = replace(drive.scene.lidars[0], id="rear")
     scene = replace(drive.scene, sensors=(*drive.scene.sensors, second))
     once = deskewed_scene(scene, lidar="rear")
@@ -338,7 +329,7 @@ def test_a_second_lidar_can_be_deskewed_later(drive: SimulatedDrive, tmp_path: P
     )
 
 
-def test_poses_in_ego_coordinates_are_followed(drive: SimulatedDrive) -> None:
+def test_poses_in_ego_coordinates_are_followed(drive):
     """A scene file's own trajectory: the lidar's stationary pose on an odometry sensor."""
     lidar, estimated_trajectory = drive.scene.lidars[0], drive.scene.trajectories["groundTruth"]
     stationary = replace(
@@ -353,12 +344,12 @@ def test_poses_in_ego_coordinates_are_followed(drive: SimulatedDrive) -> None:
 
 
 @pytest.mark.parametrize("note", [5, {"deskew": 5}, {"deskew": [5, {"lidars": 5}, {"lidars": [["lidar"], {}]}]}])
-def test_whatever_stands_in_the_position_of_the_note_does_no_harm(drive: SimulatedDrive, note: object) -> None:
+def test_whatever_stands_in_the_position_of_the_note_does_no_harm(drive, note):
     scene = deskewed_scene(replace(drive.scene, metadata={"sceneloom": note}))
     assert scene.metadata["sceneloom"]["deskew"][-1]["lidars"] == ["lidar"]
 
 
-def test_odometry_deskews_a_drive_without_poses_and_that_is_reported(tmp_path: Path) -> None:
+def test_odometry_deskews_a_drive_without_poses_and_that_is_reported(tmp_path):
     lidar = LidarSpec(beams=32, steps=600, range_sigma=0.0)
     drive = simulate_street(2, frames=8, lidar=lidar, cameras=())
     scene = with_lidar(without_trajectory(drive.scene), poses=None)

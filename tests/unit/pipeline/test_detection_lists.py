@@ -20,7 +20,7 @@ LIDAR_FROM_CAMERA = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]
 
 
 @pytest.fixture
-def context() -> ListContext:
+def context():
     """A lidar that drives 10 m/s to the north and looks there."""
     trajectory = Poses(
         TIMES,
@@ -31,7 +31,7 @@ def context() -> ListContext:
     return ListContext("lidar", TIMES, source=source, sensor_from_camera=LIDAR_FROM_CAMERA)
 
 
-def strict() -> Ledger:
+def strict():
     return Ledger(lenient=False)
 
 

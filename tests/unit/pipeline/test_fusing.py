@@ -1,10 +1,7 @@
 """The main job: what it writes, what it counts, and that it leaves nothing half done."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +13,6 @@ from sceneloom.errors import DataError, OptionError, OutputError, PoseError
 from sceneloom.pipeline import FusionOutputs, fuse, iter_fused
 from sceneloom.pipeline.alignment import align
 from sceneloom.scene import (
-    CameraImage,
     GnssSensor,
     LazyFrames,
     LidarFrame,
@@ -24,23 +20,22 @@ from sceneloom.scene import (
     OdometrySensor,
     PointsFrame,
     Poses,
-    Scene,
     Trajectory,
 )
 from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.scene import time_span
 
 
-def with_lidar(scene: Scene, **changes: object) -> Scene:
+def with_lidar(scene, **changes):
     sensors = tuple(replace(s, **changes) if isinstance(s, LidarSensor) else s for s in scene.sensors)
     return replace(scene, sensors=sensors)
 
 
-def unexpected(index: int) -> LidarFrame:
+def unexpected(index):
     pytest.fail(f"frame {index} was read")
 
 
-def test_the_written_scene_holds_what_was_fused(drive: Scene, tmp_path: Path) -> None:
+def test_the_written_scene_holds_what_was_fused(drive, tmp_path):
     report = fuse(drive, tmp_path / "drive.sfs")
     fused = list(iter_fused(drive))
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
@@ -59,9 +54,7 @@ def test_the_written_scene_holds_what_was_fused(drive: Scene, tmp_path: Path) ->
         assert report.points == sum(len(frame.points) for frame in fused)
 
 
-def test_sensor_poses_are_the_trajectory_and_the_mounting_seen_from_the_first_ego_position(
-    drive: Scene, tmp_path: Path
-) -> None:
+def test_sensor_poses_are_the_trajectory_and_the_mounting_seen_from_the_first_ego_position(drive, tmp_path):
     fuse(drive, tmp_path / "drive.sfs")
     trajectory = drive.trajectories["groundTruth"]
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
@@ -79,7 +72,7 @@ def test_sensor_poses_are_the_trajectory_and_the_mounting_seen_from_the_first_eg
         np.testing.assert_allclose(ego.poses.positions[0], 0, atol=1e-12)
 
 
-def test_boxes_move_with_the_origin(drive: Scene, tmp_path: Path) -> None:
+def test_boxes_move_with_the_origin(drive, tmp_path):
     fuse(drive, tmp_path / "drive.sfs")
     origin = drive.trajectories["groundTruth"].positions[0]
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
@@ -88,7 +81,7 @@ def test_boxes_move_with_the_origin(drive: Scene, tmp_path: Path) -> None:
             np.testing.assert_allclose(ours.path.values[:, 3:6] + origin, source.path.values[:, 3:6], atol=1e-9)
 
 
-def test_a_part_of_a_drive_is_fused_as_it_is_within_the_whole(drive: Scene) -> None:
+def test_a_part_of_a_drive_is_fused_as_it_is_within_the_whole(drive):
     whole = list(iter_fused(drive))
     start = (drive.lidars[0].frames.timestamps_ns[1] - time_span(drive)[0]) / 1e9
     seen: list[tuple[int, int]] = []
@@ -101,7 +94,7 @@ def test_a_part_of_a_drive_is_fused_as_it_is_within_the_whole(drive: Scene) -> N
     assert seen == [(1, 3), (2, 3), (3, 3)]
 
 
-def test_the_last_sweep_of_a_part_is_paired_as_within_the_whole(drive: Scene) -> None:
+def test_the_last_sweep_of_a_part_is_paired_as_within_the_whole(drive):
     whole = list(iter_fused(drive))[:2]
     stop = (drive.lidars[0].frames.timestamps_ns[1] - time_span(drive)[0]) / 1e9 + 0.01
     report = fuse(drive, stop=float(stop))
@@ -110,9 +103,7 @@ def test_the_last_sweep_of_a_part_is_paired_as_within_the_whole(drive: Scene) ->
     assert [camera.coloured for camera in report.cameras] == coloured
 
 
-def test_a_part_stands_at_its_own_origin_and_begins_its_own_clock(
-    drive: Scene, tmp_path: Path, decode_sfs: Callable[[bytes], dict[str, Any]]
-) -> None:
+def test_a_part_stands_at_its_own_origin_and_begins_its_own_clock(drive, tmp_path, decode_sfs):
     first_ns = int(drive.lidars[0].frames.timestamps_ns[0])
     times = np.arange(first_ns - 200_000_000_000, first_ns + 1, 500_000_000, dtype=np.int64)
     count = len(times)
@@ -128,7 +119,7 @@ def test_a_part_stands_at_its_own_origin_and_begins_its_own_clock(
 
 
 @pytest.mark.parametrize("form", ["png", "npz"])
-def test_depth_images_hold_the_views_depths(drive: Scene, tmp_path: Path, form: str) -> None:
+def test_depth_images_hold_the_views_depths(drive, tmp_path, form):
     report = fuse(drive, outputs=FusionOutputs(depth=tmp_path / "depth", depth_format=form))
     assert report.files == {"depth images": 8}
     index = [json.loads(line) for line in (tmp_path / "depth" / "index.jsonl").read_text().splitlines()]
@@ -148,7 +139,7 @@ def test_depth_images_hold_the_views_depths(drive: Scene, tmp_path: Path, form: 
             np.testing.assert_allclose(depth, view.depth_image, atol=0 if form == "npz" else 0.5 / 256 + 1e-6)
 
 
-def test_images_are_drawn_of_chosen_sweeps(drive: Scene, tmp_path: Path) -> None:
+def test_images_are_drawn_of_chosen_sweeps(drive, tmp_path):
     outputs = FusionOutputs(images=tmp_path / "look", images_every=3)
     assert fuse(drive, outputs=outputs).files == {"images": 14}
     names = sorted(path.name for path in (tmp_path / "look").iterdir())
@@ -157,10 +148,10 @@ def test_images_are_drawn_of_chosen_sweeps(drive: Scene, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_failure_in_the_middle_leaves_no_output(drive: Scene, tmp_path: Path) -> None:
+def test_a_failure_in_the_middle_leaves_no_output(drive, tmp_path):
     frames = drive.lidars[0].frames
 
-    def read(index: int) -> LidarFrame:
+    def read(index):
         if index == 2:
             raise DataError("lidar/000002.bin", "", "1000 bytes; expected a multiple of 23")
         return frames[index]
@@ -175,7 +166,7 @@ def test_a_failure_in_the_middle_leaves_no_output(drive: Scene, tmp_path: Path) 
     assert report.skipped == ("lidar/000002.bin: 1000 bytes; expected a multiple of 23",)
 
 
-def test_sweeps_beyond_the_trajectory_are_kept_unfused_and_counted(drive: Scene, tmp_path: Path) -> None:
+def test_sweeps_beyond_the_trajectory_are_kept_unfused_and_counted(drive, tmp_path):
     trajectory = drive.trajectories["groundTruth"]
     stop = drive.lidars[0].frames.timestamps_ns[1] + 60_000_000
     part = trajectory.timestamps_ns <= stop
@@ -193,7 +184,7 @@ def test_sweeps_beyond_the_trajectory_are_kept_unfused_and_counted(drive: Scene,
         np.testing.assert_array_equal(kept[0]["points"]["positions"], expected)
 
 
-def test_sweeps_that_needed_poses_beyond_the_trajectory_are_marked_in_the_file(drive: Scene, tmp_path: Path) -> None:
+def test_sweeps_that_needed_poses_beyond_the_trajectory_are_marked_in_the_file(drive, tmp_path):
     trajectory, frames = drive.trajectories["groundTruth"], drive.lidars[0].frames
     part = trajectory.timestamps_ns <= frames.timestamps_ns[-1] + 60_000_000
     short = Trajectory(
@@ -207,10 +198,10 @@ def test_sweeps_that_needed_poses_beyond_the_trajectory_are_marked_in_the_file(d
         assert scene.metadata["sceneloom"]["extrapolated"] == marks
 
 
-def test_a_sweep_starts_with_its_first_point_and_what_that_moved_is_reported(drive: Scene, tmp_path: Path) -> None:
+def test_a_sweep_starts_with_its_first_point_and_what_that_moved_is_reported(drive, tmp_path):
     frames = drive.lidars[0].frames
 
-    def read(index: int) -> LidarFrame:
+    def read(index):
         frame = frames[index]
         return LidarFrame(frame.timestamp_ns + 5_000_000, frame.points, {"label": f"sweep {index}"})
 
@@ -225,12 +216,10 @@ def test_a_sweep_starts_with_its_first_point_and_what_that_moved_is_reported(dri
             assert frame.extras["label"] == f"sweep {index}"
 
 
-def test_points_that_all_bear_a_far_time_are_taken_as_of_the_sweeps_own_and_that_is_reported(
-    drive: Scene, tmp_path: Path
-) -> None:
+def test_points_that_all_bear_a_far_time_are_taken_as_of_the_sweeps_own_and_that_is_reported(drive, tmp_path):
     frames = drive.lidars[0].frames
 
-    def read(index: int) -> LidarFrame:
+    def read(index):
         frame = frames[index]
         zeros = np.zeros(len(frame.points), np.int64)
         return replace(frame, points=replace(frame.points, timestamps_ns=zeros))
@@ -243,10 +232,10 @@ def test_points_that_all_bear_a_far_time_are_taken_as_of_the_sweeps_own_and_that
         assert scene.lidars[0].frames[0].points.timestamps_ns is None
 
 
-def test_points_without_times_are_reported_where_the_ego_moves(drive: Scene) -> None:
+def test_points_without_times_are_reported_where_the_ego_moves(drive):
     frames = drive.lidars[0].frames
 
-    def read(index: int) -> LidarFrame:
+    def read(index):
         return replace(frames[index], points=replace(frames[index].points, timestamps_ns=None))
 
     timeless = with_lidar(drive, frames=LazyFrames(frames.timestamps_ns, read))
@@ -257,12 +246,10 @@ def test_points_without_times_are_reported_where_the_ego_moves(drive: Scene) -> 
 
 
 @pytest.mark.parametrize("microseconds", [False, True])
-def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_reported(
-    drive: Scene, tmp_path: Path, microseconds: bool
-) -> None:
+def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_reported(drive, tmp_path, microseconds):
     frames = drive.lidars[0].frames
 
-    def read(index: int) -> LidarFrame:
+    def read(index):
         frame = frames[index]
         times = frame.points.timestamps_ns // 1000 * 1000 - frame.timestamp_ns
         times = times // 1000 if microseconds else times
@@ -278,13 +265,13 @@ def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_re
             np.testing.assert_allclose(one.points.positions, other.points.positions, atol=2e-5)
 
 
-def test_an_image_that_cannot_be_read_is_passed_over_in_every_output(drive: Scene, tmp_path: Path) -> None:
+def test_an_image_that_cannot_be_read_is_passed_over_in_every_output(drive, tmp_path):
     images = drive.cameras[0].images
 
-    def broken() -> np.ndarray:
+    def broken():
         raise DataError("frames1", "00000001.png", "cannot be decoded")
 
-    def read(index: int) -> CameraImage:
+    def read(index):
         return replace(images[index], decode=broken) if index == 1 else images[index]
 
     camera = replace(drive.cameras[0], images=LazyFrames(images.timestamps_ns, read), video=None)
@@ -299,7 +286,7 @@ def test_an_image_that_cannot_be_read_is_passed_over_in_every_output(drive: Scen
         np.testing.assert_array_equal(kept // 1000, images.timestamps_ns[[0, 2, 3]] // 1000)
 
 
-def test_files_of_lidars_and_cameras_of_like_names_stand_apart(drive: Scene, tmp_path: Path) -> None:
+def test_files_of_lidars_and_cameras_of_like_names_stand_apart(drive, tmp_path):
     lidar, camera = drive.lidars[0], drive.cameras[0]
     sensors = [replace(lidar, id=1), replace(lidar, id="1"), replace(camera, id="A"), replace(camera, id="a")]
     outputs = FusionOutputs(depth=tmp_path / "depth", images=tmp_path / "look", images_every=4)
@@ -313,13 +300,13 @@ def test_files_of_lidars_and_cameras_of_like_names_stand_apart(drive: Scene, tmp
     }
 
 
-def test_one_name_for_a_file_and_a_folder_is_refused_before_anything_is_made(drive: Scene, tmp_path: Path) -> None:
+def test_one_name_for_a_file_and_a_folder_is_refused_before_anything_is_made(drive, tmp_path):
     with pytest.raises(OptionError, match="two names"):
         fuse(drive, tmp_path / "x.sfs", outputs=FusionOutputs(depth=tmp_path / "x.sfs"))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_fused_again_reports_by_what_it_was_placed_first(drive: Scene, tmp_path: Path) -> None:
+def test_what_is_fused_again_reports_by_what_it_was_placed_first(drive, tmp_path):
     fuse(drive, tmp_path / "once.sfs")
     with sceneloom.open(tmp_path / "once.sfs") as once:
         first = once.metadata["sceneloom"]["fusion"]
@@ -331,7 +318,7 @@ def test_what_is_fused_again_reports_by_what_it_was_placed_first(drive: Scene, t
     assert second["earlier"] == first
 
 
-def test_a_drive_without_trajectory_is_placed_by_its_sweeps_and_the_scene_says_so(drive: Scene, tmp_path: Path) -> None:
+def test_a_drive_without_trajectory_is_placed_by_its_sweeps_and_the_scene_says_so(drive, tmp_path):
     sensors = tuple(sensor for sensor in drive.sensors if not isinstance(sensor, GnssSensor))
     lost = replace(drive, trajectories={}, sensors=sensors)
     reported: list[tuple[int, int]] = []
@@ -351,7 +338,7 @@ def test_a_drive_without_trajectory_is_placed_by_its_sweeps_and_the_scene_says_s
         assert abs(np.linalg.norm(trajectory.positions[-1] - trajectory.positions[0]) - moved) < 0.03
 
 
-def test_a_trajectory_found_by_the_lidar_begins_where_a_recorded_one_says(drive: Scene) -> None:
+def test_a_trajectory_found_by_the_lidar_begins_where_a_recorded_one_says(drive):
     found, recorded = align(drive, trajectory="lidar"), align(drive)
     assert found.ego is not None
     assert recorded.ego is not None
@@ -361,7 +348,7 @@ def test_a_trajectory_found_by_the_lidar_begins_where_a_recorded_one_says(drive:
     np.testing.assert_allclose(here.quaternions_xyzw, known.quaternions_xyzw, atol=1e-9)
 
 
-def test_a_trajectory_on_another_clock_is_an_error_that_leaves_nothing_behind(drive: Scene, tmp_path: Path) -> None:
+def test_a_trajectory_on_another_clock_is_an_error_that_leaves_nothing_behind(drive, tmp_path):
     trajectory = drive.trajectories["groundTruth"]
     elsewhere = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + 10**15)
     lost = replace(drive, trajectories={"groundTruth": elsewhere})
@@ -370,7 +357,7 @@ def test_a_trajectory_on_another_clock_is_an_error_that_leaves_nothing_behind(dr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_output_that_exists_is_reported_before_the_trajectory_is_found(drive: Scene, tmp_path: Path) -> None:
+def test_an_output_that_exists_is_reported_before_the_trajectory_is_found(drive, tmp_path):
     (tmp_path / "drive.sfs").write_bytes(b"mine")
     reported: list[int] = []
     with pytest.raises(OutputError, match="exists already"):
@@ -380,7 +367,7 @@ def test_an_output_that_exists_is_reported_before_the_trajectory_is_found(drive:
     assert reported == []
 
 
-def test_points_whose_location_is_not_finite_are_counted(drive: Scene) -> None:
+def test_points_whose_location_is_not_finite_are_counted(drive):
     frames = list(drive.lidars[0].frames)
     positions = frames[1].points.positions.copy()
     positions[:7] = np.nan
@@ -391,18 +378,18 @@ def test_points_whose_location_is_not_finite_are_counted(drive: Scene) -> None:
     assert "points-not-finite" not in {warning.code for warning in fuse(drive).warnings}
 
 
-def test_a_drive_with_neither_trajectory_nor_lidar_says_what_to_do(drive: Scene) -> None:
+def test_a_drive_with_neither_trajectory_nor_lidar_says_what_to_do(drive):
     empty = replace(drive.lidars[0], frames=LazyFrames.of([], []))
     lost = replace(drive, trajectories={}, sensors=(*drive.cameras, empty))
     with pytest.raises(PoseError, match="--trajectory identity"):
         fuse(lost)
 
 
-def test_a_drive_without_trajectory_can_be_fused_as_if_it_stood(drive: Scene) -> None:
+def test_a_drive_without_trajectory_can_be_fused_as_if_it_stood(drive):
     assert fuse(replace(drive, trajectories={}), trajectory="identity").fused == 4
 
 
-def test_a_fused_scene_can_be_fused_again_and_keeps_its_origin(drive: Scene, tmp_path: Path) -> None:
+def test_a_fused_scene_can_be_fused_again_and_keeps_its_origin(drive, tmp_path):
     fuse(drive, tmp_path / "once.sfs")
     with sceneloom.open(tmp_path / "once.sfs") as once:
         fuse(once, tmp_path / "twice.sfs")
@@ -416,7 +403,7 @@ def test_a_fused_scene_can_be_fused_again_and_keeps_its_origin(drive: Scene, tmp
                 np.testing.assert_array_equal(first.points.camera_index, second.points.camera_index)
 
 
-def test_a_fused_scene_becomes_a_recording_that_fuses_to_the_same_points(drive: Scene, tmp_path: Path) -> None:
+def test_a_fused_scene_becomes_a_recording_that_fuses_to_the_same_points(drive, tmp_path):
     fuse(drive, tmp_path / "once.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
     sceneloom.convert(tmp_path / "once.sfs", tmp_path / "back")
     with sceneloom.open(tmp_path / "once.sfs") as once, sceneloom.open(tmp_path / "back") as back:
@@ -425,7 +412,7 @@ def test_a_fused_scene_becomes_a_recording_that_fuses_to_the_same_points(drive: 
             np.testing.assert_allclose(again.points.positions, first.points.positions, atol=3e-5)
 
 
-def test_the_poses_of_a_lidar_reach_to_the_end_of_its_last_sweep(drive: Scene, tmp_path: Path) -> None:
+def test_the_poses_of_a_lidar_reach_to_the_end_of_its_last_sweep(drive, tmp_path):
     fuse(drive, tmp_path / "drive.sfs")
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         lidar = scene.lidars[0]
@@ -433,13 +420,13 @@ def test_the_poses_of_a_lidar_reach_to_the_end_of_its_last_sweep(drive: Scene, t
         assert np.isin(lidar.frames.timestamps_ns, lidar.poses.timestamps_ns).all()
 
 
-def test_a_scene_without_lidar_is_refused(drive: Scene) -> None:
+def test_a_scene_without_lidar_is_refused(drive):
     cameras_only = replace(drive, sensors=drive.cameras)
     with pytest.raises(DataError, match="no lidar in it"):
         fuse(cameras_only)
 
 
-def test_outputs_that_exist_are_refused_before_anything_is_read(drive: Scene, tmp_path: Path) -> None:
+def test_outputs_that_exist_are_refused_before_anything_is_read(drive, tmp_path):
     target = tmp_path / "drive.sfs"
     target.write_text("mine")
     unread = with_lidar(drive, frames=LazyFrames(drive.lidars[0].frames.timestamps_ns, unexpected))
@@ -451,6 +438,6 @@ def test_outputs_that_exist_are_refused_before_anything_is_read(drive: Scene, tm
 @pytest.mark.parametrize(
     "outputs", [FusionOutputs(depth_format="tiff"), FusionOutputs(images_every=0)], ids=["form", "every"]
 )
-def test_settings_that_cannot_be_followed_are_refused(drive: Scene, outputs: FusionOutputs) -> None:
+def test_settings_that_cannot_be_followed_are_refused(drive, outputs):
     with pytest.raises(OptionError, match="expected"):
         fuse(drive, outputs=outputs)

@@ -1,8 +1,6 @@
 """Drives through the fusion system: rolling shutters, several sensors, mountings that change."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +9,10 @@ from scipy.spatial.transform import Rotation
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project
-from sceneloom.colouring import FusedView
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
-from sceneloom.scene import Coordinates, LazyFrames, Poses, Scene
-from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, SimulatedDrive, camera_mount, simulate_street
+from sceneloom.scene import Coordinates, LazyFrames, Poses
+from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, camera_mount, simulate_street
 from sceneloom.simulate.trajectory import sensor_mount
 
 CAMERA_MODEL = Camera("brown_conrady", 640, 360, 400.0, 400.0, 319.5, 179.5, (-0.12, 0.04, 0.0004, -0.0003))
@@ -28,13 +25,13 @@ ROLLING = (
 
 
 @pytest.fixture(scope="module")
-def rolling_drive(keep: Callable[[Scene], Scene]) -> SimulatedDrive:
+def rolling_drive(keep):
     """A fast drive with one shutter of rows and one of columns."""
     made = simulate_street(3, frames=3, lidar=LIDAR, cameras=ROLLING, path=FAST, trajectory_hz=500.0)
     return replace(made, scene=keep(made.scene))
 
 
-def true_pixels(drive: SimulatedDrive, view: FusedView, k: int) -> np.ndarray:
+def true_pixels(drive, view, k):
     """Where the lines of an image see the points of a view: between the exact poses of the two nearest lines."""
     camera = drive.truth.cameras[view.camera_id]
     rotations, origins = camera.line_poses(k)
@@ -50,7 +47,7 @@ def true_pixels(drive: SimulatedDrive, view: FusedView, k: int) -> np.ndarray:
     return (1 - share) * pixels[0] + share * pixels[1]
 
 
-def check_rolled(drive: SimulatedDrive, scene: Scene) -> None:
+def check_rolled(drive, scene):
     """Every point lies where its line saw it; taken at once, it would lie many pixels beside."""
     for k, fused in enumerate(iter_fused(scene)):
         for camera_id, view in zip(("camera0", "camera1"), fused.views, strict=True):
@@ -67,18 +64,18 @@ def check_rolled(drive: SimulatedDrive, scene: Scene) -> None:
             assert np.nanmax(np.abs(at_once - view.pixels)) > 8
 
 
-def test_points_fall_where_the_lines_of_a_rolling_shutter_see_them(rolling_drive: SimulatedDrive) -> None:
+def test_points_fall_where_the_lines_of_a_rolling_shutter_see_them(rolling_drive):
     check_rolled(rolling_drive, rolling_drive.scene)
 
 
 @pytest.mark.parametrize("name", ["drive", "drive.sfs"])
-def test_the_shutter_is_known_from_files(rolling_drive: SimulatedDrive, tmp_path: Path, name: str) -> None:
+def test_the_shutter_is_known_from_files(rolling_drive, tmp_path, name):
     sceneloom.write(rolling_drive.scene, tmp_path / name)
     with sceneloom.open(tmp_path / name) as again:
         check_rolled(rolling_drive, again)
 
 
-def test_depths_and_visibility_agree_with_what_each_line_saw(rolling_drive: SimulatedDrive) -> None:
+def test_depths_and_visibility_agree_with_what_each_line_saw(rolling_drive):
     agreeing, kept = [], []
     for k, fused in enumerate(iter_fused(rolling_drive.scene)):
         for view in fused.views:
@@ -92,12 +89,12 @@ def test_depths_and_visibility_agree_with_what_each_line_saw(rolling_drive: Simu
     assert np.concatenate(kept).mean() > 0.95
 
 
-def test_without_motion_a_rolling_shutter_takes_its_lines_at_once(rolling_drive: SimulatedDrive) -> None:
+def test_without_motion_a_rolling_shutter_takes_its_lines_at_once(rolling_drive):
     for fused in iter_fused(rolling_drive.scene, trajectory="identity"):
         assert [view.rolled for view in fused.views] == [False, False]
 
 
-def test_several_lidars_and_cameras_make_one_cloud() -> None:
+def test_several_lidars_and_cameras_make_one_cloud():
     """Each lidar's sweep is fused with the images nearest to it, and all points meet in one world."""
     lidars = [
         replace(LIDAR, mount=sensor_mount(position=(1.0, 0.5, 1.9), yaw_deg=20.0)),
@@ -122,7 +119,7 @@ def test_several_lidars_and_cameras_make_one_cloud() -> None:
     assert indices == {"lidar0": 2, "lidar1": 2}
 
 
-def test_mountings_may_change_from_frame_to_frame() -> None:
+def test_mountings_may_change_from_frame_to_frame():
     """A camera whose mounting is reported with each image, and a lidar on a mast that swings, by poses on the ego."""
     drive = simulate_street(
         2, frames=3, lidar=LIDAR, cameras=(CameraSpec(CAMERA_MODEL),), path=FAST, trajectory_hz=500.0
@@ -168,7 +165,7 @@ def test_mountings_may_change_from_frame_to_frame() -> None:
         np.testing.assert_allclose(fused.points.positions, world + into_fused, atol=3e-3)
 
 
-def points_in_world(drive: SimulatedDrive, k: int) -> np.ndarray:
+def points_in_world(drive, k):
     """The points of a sweep by trajectory and mounting, as they were measured."""
     (lidar,) = drive.scene.lidars
     points, mount = lidar.frames[k].points, lidar.mount

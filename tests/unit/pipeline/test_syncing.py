@@ -24,7 +24,7 @@ def drive():
 
 
 @pytest.fixture(scope="module")
-def wrong(drive) -> Scene:
+def wrong(drive):
     """The trajectory 30 ms late, the receiver 400 ms early and 150 ppm too fast."""
     faults = {"gnss": SensorFaults(time_offset_ns=-400_000_000, clock_skew_ppm=150.0)}
     scene = inject(drive, Faults(faults)).scene

@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.report.page import Collected, ReportSettings, collect, render_page
+from sceneloom.report.page import ReportSettings, collect, render_page
 from sceneloom.scene import (
     CameraImage,
     CameraSensor,
@@ -21,7 +21,7 @@ from sceneloom.scene import (
     Scene,
     Trajectory,
 )
-from sceneloom.simulate import Faults, SensorFaults, SimulatedDrive, camera_mount, simulate_street
+from sceneloom.simulate import Faults, SensorFaults, camera_mount, simulate_street
 
 MADE = datetime(2024, 5, 6, 9, 8, 9, tzinfo=timezone(timedelta(hours=2)))
 T0 = 1_000_000_000
@@ -30,13 +30,13 @@ LOST = (4, 5, 11)
 
 
 @pytest.fixture(scope="session")
-def drive() -> SimulatedDrive:
+def drive():
     """Sixteen sweeps, and a camera that loses three of its images; none of them is made."""
     return simulate_street(1, frames=16, faults=Faults({"camera0": SensorFaults(lost_frames=LOST)}))
 
 
 @pytest.fixture(scope="session")
-def short() -> Scene:
+def short():
     """Four sweeps of a wall ahead and of the ground, images of a camera, a straight trajectory, and two boxes."""
     times = T0 + np.arange(4) * 100_000_000
     trajectory = Poses(times, np.outer(np.arange(4), [0.5, 0.0, 0.0]), np.tile([0.0, 0.0, 0.0, 1.0], (4, 1)))
@@ -64,7 +64,7 @@ def short() -> Scene:
     )
 
 
-def wall_and_ground() -> np.ndarray:
+def wall_and_ground():
     """A wall 20 m ahead of the lidar, 30 by 4 m, and the ground 2 m below it all around, (1560, 3) float32 [m]."""
     y, z = np.meshgrid(np.linspace(-15, 15, 60), np.linspace(-2, 2, 20))
     wall = np.column_stack([np.full(y.size, 20.0), y.ravel(), z.ravel()])
@@ -74,12 +74,12 @@ def wall_and_ground() -> np.ndarray:
 
 
 @pytest.fixture(scope="session")
-def collected(short: Scene) -> Collected:
+def collected(short):
     """The report of the short drive in numbers and images."""
     return collect(short, ReportSettings(quick=True), made=MADE)
 
 
 @pytest.fixture(scope="session")
-def page(collected: Collected) -> str:
+def page(collected):
     """Its page."""
     return render_page(collected.report, collected.figures)

@@ -12,7 +12,7 @@ from sceneloom.scene import GnssSensor, Scene, Trajectory
 NAMES = ("a", "$x^2$ $", "<b>&", "车", "\x00\u202e\ud800", "n" * 300, "")
 
 
-def texts(svg: bytes) -> str:
+def texts(svg):
     return " ".join("".join(element.itertext()) for element in ET.fromstring(svg).iter())
 
 

@@ -13,14 +13,14 @@ from sceneloom.scene import CameraSensor, LazyFrames, LidarFrame, LidarPoints, L
 from sceneloom.simulate import camera_mount
 
 
-def on_circle(degrees: np.ndarray, radius: float, height: float = 0.0) -> np.ndarray:
+def on_circle(degrees, radius, height=0.0):
     angles = np.radians(degrees)
     return np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), height)]).astype(
         np.float32
     )
 
 
-def lidar(points: np.ndarray, *, rings: np.ndarray | None = None, **more: object) -> LidarSensor:
+def lidar(points, *, rings=None, **more):
     frame = LidarFrame(0, LidarPoints(points, rings=rings))
     return LidarSensor("lidar", LazyFrames.of([frame, frame], [0, 100_000_000]), **more)
 

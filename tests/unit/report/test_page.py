@@ -37,7 +37,7 @@ LOADING = {"src", "href", "srcset", "data", "action", "poster", "background", "x
 class Page(HTMLParser):
     """Collects what the tests ask about, and checks that elements close in the order in which they open."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text):
         super().__init__(convert_charrefs=True)
         self.elements: list[tuple[str, dict[str, str]]] = []
         self.open: list[str] = []
@@ -66,21 +66,21 @@ class Page(HTMLParser):
         if self.open and self.open[-1] != "style":
             self.texts.append(data)
 
-    def all(self, *tags: str) -> list[dict[str, str]]:
+    def all(self, *tags):
         return [attributes for tag, attributes in self.elements if tag in tags]
 
     @property
-    def text(self) -> str:
+    def text(self):
         return " ".join(self.texts)
 
 
-def page_of(scene: Scene, **settings: object) -> tuple[str, Page]:
+def page_of(scene, **settings):
     found = collect(scene, ReportSettings(quick=True, **settings))
     text = render_page(found.report, found.figures)
     return text, Page(text)
 
 
-def check_sound(page: Page) -> None:
+def check_sound(page):
     """What holds for every page, whatever is on it."""
     assert not page.crossed
     assert not page.open
@@ -100,7 +100,7 @@ def check_sound(page: Page) -> None:
     assert not page.all("script", "iframe", "object", "embed", "form", "base")
 
 
-def check_sealed(text: str, page: Page) -> None:
+def check_sealed(text, page):
     """Nothing on the page leads or loads from outside."""
     for tag, attributes in page.elements:
         for name, value in attributes.items():
@@ -164,7 +164,7 @@ QUOTED = "\" onload=\"alert(2)' onerror='x"
 ROTATED = "a\u202eb\x00\x1b[31m\ud800"
 
 
-def evil_scene() -> Scene:
+def evil_scene():
     points = LidarPoints(np.ones((4, 3), np.float32))
     frames = LazyFrames.of([LidarFrame(t, points) for t in (0, 10**8)], [0, 10**8])
     row = np.array([[1.0, 1, 1, 1, 1, 1, 0, 0, 0]])
@@ -266,12 +266,12 @@ def test_colours_of_texts_have_contrast():
         assert contrast(colour, "#ffffff") >= 3.0, colour
 
 
-def contrast(first: str, second: str) -> float:
+def contrast(first, second):
     light, dark = sorted((luminance(first), luminance(second)), reverse=True)
     return (light + 0.05) / (dark + 0.05)
 
 
-def luminance(colour: str) -> float:
+def luminance(colour):
     digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
     parts = [int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)]
     linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]

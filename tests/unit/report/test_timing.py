@@ -10,7 +10,7 @@ from sceneloom.scene.scene import time_span
 MS = 1_000_000
 
 
-def timestamps(*milliseconds: float) -> np.ndarray:
+def timestamps(*milliseconds):
     return np.array([round(value * MS) for value in milliseconds], np.int64)
 
 
@@ -54,7 +54,7 @@ def test_every_interval_is_in_a_bin():
     assert sum(found.bins.counts) == 499
 
 
-def receiver(name: str, times_ns: np.ndarray) -> GnssSensor:
+def receiver(name, times_ns):
     none = np.full(len(times_ns), np.nan)
     return GnssSensor(name, times_ns, np.zeros((len(times_ns), 3)), none, none)
 

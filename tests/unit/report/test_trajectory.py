@@ -15,7 +15,7 @@ from sceneloom.scene import GnssSensor, Scene, Trajectory
 RADIUS, SPEED, SECONDS = 40.0, 8.0, 20.0
 
 
-def circle(count: int = 401) -> Trajectory:
+def circle(count=401):
     """A part of a circle at a constant speed, rising by 2 m; the ego looks ahead."""
     t = np.linspace(0.0, SECONDS, count)
     angle = SPEED * t / RADIUS
@@ -24,7 +24,7 @@ def circle(count: int = 401) -> Trajectory:
     return Trajectory("trajectory", np.rint(t * 1e9).astype(np.int64), locations, rotations)
 
 
-def fixes(trajectory: Trajectory, north_deg: float) -> GnssSensor:
+def fixes(trajectory, north_deg):
     """What a receiver on the ego reports where north lies so much counter-clockwise from the world's x axis."""
     north = np.radians(north_deg)
     x, y, z = trajectory.positions.T
@@ -100,7 +100,7 @@ def test_north_is_taken_as_the_scene_states_it():
     assert found.shift == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
 
 
-def trajectories(scene: Scene) -> Scene:
+def trajectories(scene):
     """The drive's true trajectory, and one whose heights wave by 20 cm."""
     angles = np.linspace(0.0, 3.0, 60)
     locations = np.column_stack([20 * np.sin(angles), 20 * np.cos(angles), np.zeros(60)])

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from tests.properties.injected import injected_scene
 
 pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'sceneloom[view]'")
 
-from sceneloom.scene import Scene
 from sceneloom.view import ViewReport, ViewSettings, save_view
 
 
@@ -23,7 +21,7 @@ class Row:
     frame: int | None
     values: dict[str, Any]
 
-    def array(self, name: str) -> np.ndarray:
+    def array(self, name):
         """A component as an array."""
         return np.array(self.values[name])
 
@@ -44,21 +42,21 @@ class Saved:
     timelines: set[str] = field(default_factory=set)
     layout: list[tuple[str, Any]] = field(default_factory=list)
 
-    def timed(self, path: str, component: str) -> list[Row]:
+    def timed(self, path, component):
         """The rows of an entity that have a component and a time."""
         return [row for row in self.rows[path] if row.time_ns is not None and component in row.values]
 
-    def lasting(self, path: str, component: str) -> Any:
+    def lasting(self, path, component):
         """A component that holds at all times."""
         return next(row.values[component] for row in self.rows[path] if row.time_ns is None and component in row.values)
 
 
-def nanoseconds(value: Any) -> int:
+def nanoseconds(value):
     """A timestamp of either kind."""
     return int(value.value)
 
 
-def read_saved(path: Path, report: ViewReport) -> Saved:
+def read_saved(path, report):
     """Read a file through Rerun's reader."""
     from rerun.chunk import RrdReader
 
@@ -99,10 +97,10 @@ Save = Callable[..., Saved]
 
 
 @pytest.fixture
-def save(tmp_path: Path) -> Save:
+def save(tmp_path):
     """Save scenes, and read what was saved."""
 
-    def run(*sources: Any, **settings: Any) -> Saved:
+    def run(*sources, **settings):
         target = tmp_path / "drive.rrd"
         wanted = ViewSettings(**{"findings": False, **settings})
         return read_saved(target, save_view(sources, target, settings=wanted, overwrite=True))
@@ -111,13 +109,13 @@ def save(tmp_path: Path) -> Save:
 
 
 @pytest.fixture(scope="session")
-def injected() -> Scene:
+def injected():
     """A drive with every sensor and every type of annotation."""
     return injected_scene(odd=False)
 
 
 @pytest.fixture(scope="session")
-def injected_saved(injected: Scene, tmp_path_factory: pytest.TempPathFactory) -> Saved:
+def injected_saved(injected, tmp_path_factory):
     """That drive as a saved view."""
     target = tmp_path_factory.mktemp("views") / "injected.rrd"
     return read_saved(target, save_view([replace(injected, corrections="ignore")], target))

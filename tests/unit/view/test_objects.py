@@ -21,7 +21,7 @@ from sceneloom.visualization.objects import objects_of_fused
 COVARIANCE = np.array([[0.5, 0.2, 0.0], [0.2, 0.3, 0.05], [0.0, 0.05, 0.1]])
 
 
-def objects(k: int, ids=(4, 9)) -> TrackedObjects:
+def objects(k, ids=(4, 9)):
     """Two objects at the time of sweep k, the second one seen by the left camera."""
     covariances = np.zeros((2, 10, 10))
     covariances[:, :3, :3] = COVARIANCE

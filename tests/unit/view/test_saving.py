@@ -12,7 +12,7 @@ from tests.properties.injected import CAMERA_MODEL, POINTS, RANDOM_POINTS, SHOTS
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.scene import CameraImage, CameraSensor, LazyFrames, Poses, Scene, Trajectory
+from sceneloom.scene import CameraImage, CameraSensor, LazyFrames, Poses, Trajectory
 from sceneloom.view import ColourBy, ViewSettings, save_view
 
 SENSORS = "/injected/world/sensors"
@@ -20,16 +20,16 @@ SINGLE = 1e-5
 """Locations near the origin are float32 in the viewer: 24 bits of 30 m are 2 µm."""
 
 
-def reference_ns(k: int) -> int:
+def reference_ns(k):
     """The median of the times of sweep k's points, which are a little more than a millisecond apart."""
     return int(TIMES[k] + (POINTS // 2) * 1_000_001)
 
 
-def rotated(row) -> Rotation:
+def rotated(row):
     return Rotation.from_quat(row.values["Transform3D:quaternion"][0])
 
 
-def pinhole_of(saved) -> np.ndarray:
+def pinhole_of(saved):
     """The calibration matrix that the left camera is shown by."""
     row = saved.timed(f"{SENSORS}/left/image", "Pinhole:image_from_camera")[0]
     return row.array("Pinhole:image_from_camera").reshape(3, 3).T  # column by column in the file
@@ -119,7 +119,7 @@ def test_a_radar_return_has_an_arrow_as_long_as_its_way_in_a_second(injected_sav
     assert np.allclose(arrows.array("Arrows3D:origins"), points, atol=SINGLE)
 
 
-def with_camera(scene: Scene, camera_model: Camera, images: list[CameraImage]) -> Scene:
+def with_camera(scene, camera_model, images):
     """The drive with one camera alone."""
     camera = next(sensor for sensor in scene.cameras if sensor.id == "left")
     frames = LazyFrames.of(images, [image.timestamp_ns for image in images])
@@ -323,7 +323,7 @@ def test_a_drive_without_a_trajectory_is_shown_from_the_ego_and_says_so(save, in
 
 
 def test_an_interrupted_save_leaves_nothing(injected, tmp_path):
-    def stop(done: int, total: int) -> None:
+    def stop(done, total):
         if done == 4:
             raise KeyboardInterrupt
 
@@ -345,7 +345,7 @@ def test_a_file_that_is_there_stays_and_another_suffix_is_refused(injected, tmp_
 def test_a_broken_image_is_an_error_with_its_location_or_passed_over(save, injected):
     from sceneloom.errors import DataError
 
-    def torn() -> np.ndarray:
+    def torn():
         raise DataError("drive", "images[1]", "is torn")
 
     camera: CameraSensor = injected.cameras[0]

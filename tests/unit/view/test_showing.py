@@ -19,13 +19,13 @@ from sceneloom.view.viewer import guarded_page, has_screen, policy
 class Stub(BaseHTTPRequestHandler):
     """Stands for the server of Rerun's page."""
 
-    def do_GET(self) -> None:
+    def do_GET(self):
         self.send_response(200 if self.path == "/page?x=1" else 404)
         self.send_header("Content-Type", "text/html")
         self.end_headers()
         self.wfile.write(b"<p>viewer</p>")
 
-    def log_message(self, format: str, *arguments: object) -> None:
+    def log_message(self, format, *arguments):
         """Report nothing."""
 
 

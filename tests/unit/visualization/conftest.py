@@ -14,9 +14,7 @@ Points = Sequence[tuple[float, float, float, bool]]
 MakeView = Callable[..., FusedView]
 
 
-def _make_view(
-    points: Points, *, width: int = 200, height: int = 120, camera_id: str | int = "front", level: int = 100
-) -> FusedView:
+def _make_view(points, *, width=200, height=120, camera_id="front", level=100):
     """A view of points (u, v, depth, visible) over a plain grey image."""
     rows = np.array([point[:3] for point in points], np.float32).reshape(-1, 3)
     visible = np.array([point[3] for point in points], np.bool_)
@@ -41,6 +39,6 @@ def _make_view(
 
 
 @pytest.fixture(scope="session")
-def make_view() -> MakeView:
+def make_view():
     """Makes views."""
     return _make_view

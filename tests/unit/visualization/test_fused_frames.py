@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -266,7 +265,7 @@ def test_a_sheet_without_room_is_refused(count, options):
 RED, BLUE = (250, 10, 10), (10, 10, 250)
 
 
-def sweep(index: int, positions: np.ndarray, color: tuple[int, int, int], *, seen: bool = True) -> FusedFrame:
+def sweep(index, positions, color, *, seen=True):
     count = len(positions)
     points = LidarPoints(
         positions.astype(np.float32),
@@ -276,17 +275,17 @@ def sweep(index: int, positions: np.ndarray, color: tuple[int, int, int], *, see
     return FusedFrame("lidar", index, index, index, points)
 
 
-def wall(x: float) -> np.ndarray:
+def wall(x):
     y, z = (axis.ravel() for axis in np.mgrid[-2:2:0.05, 0:2:0.05])
     return np.column_stack([np.full(len(y), x), y, z])
 
 
-def trajectory() -> Poses:
+def trajectory():
     timestamps = np.arange(3) * 100_000_000
     return Poses(timestamps, np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.tile([0.0, 0, 0, 1], (3, 1)))
 
 
-def has(image: Path, color: tuple[int, int, int]) -> bool:
+def has(image, color):
     """Whether some pixels show that hue clearly."""
     pixels = np.asarray(Image.open(image).convert("RGB")).astype(int)
     strongest = int(np.argmax(color))
@@ -294,7 +293,7 @@ def has(image: Path, color: tuple[int, int, int]) -> bool:
     return bool((pixels[..., strongest] > pixels[..., others].max(axis=2) + 100).sum() > 50)
 
 
-def test_sweeps_are_drawn_together(tmp_path: Path) -> None:
+def test_sweeps_are_drawn_together(tmp_path):
     cloud = DriveCloud(frozenset({0, 1}))
     cloud.add(sweep(0, wall(6.0), RED))
     cloud.add(sweep(1, wall(3.0) + np.array([0, 5, 0]), BLUE))
@@ -304,7 +303,7 @@ def test_sweeps_are_drawn_together(tmp_path: Path) -> None:
     assert has(paths[1], BLUE)
 
 
-def test_sweeps_that_are_not_chosen_or_not_fused_stay_out(tmp_path: Path) -> None:
+def test_sweeps_that_are_not_chosen_or_not_fused_stay_out(tmp_path):
     cloud = DriveCloud(frozenset({0, 1, 2}))
     cloud.add(sweep(0, wall(6.0), RED))
     cloud.add(sweep(1, wall(6.0), RED))
@@ -314,14 +313,14 @@ def test_sweeps_that_are_not_chosen_or_not_fused_stay_out(tmp_path: Path) -> Non
     assert not has(cloud.save(tmp_path, trajectory())[1], BLUE)
 
 
-def test_one_sweep_alone_is_no_drive(tmp_path: Path) -> None:
+def test_one_sweep_alone_is_no_drive(tmp_path):
     cloud = DriveCloud(frozenset({0}))
     cloud.add(sweep(0, wall(6.0), RED))
     assert cloud.save(tmp_path, trajectory()) == []
     assert list(tmp_path.iterdir()) == []
 
 
-def test_of_points_in_one_cube_the_one_that_a_camera_saw_is_kept(tmp_path: Path) -> None:
+def test_of_points_in_one_cube_the_one_that_a_camera_saw_is_kept(tmp_path):
     cloud = DriveCloud(frozenset({0, 1}))
     locations = wall(6.0) // CUBE * CUBE
     grey, red = (sweep(0, locations + 0.1 * CUBE, RED, seen=False), sweep(0, locations + 0.2 * CUBE, RED))
@@ -335,7 +334,7 @@ def test_of_points_in_one_cube_the_one_that_a_camera_saw_is_kept(tmp_path: Path)
     assert has(cloud.save(tmp_path, trajectory())[1], RED)
 
 
-def test_without_a_trajectory_the_cloud_is_drawn_from_its_middle(tmp_path: Path) -> None:
+def test_without_a_trajectory_the_cloud_is_drawn_from_its_middle(tmp_path):
     cloud = DriveCloud(frozenset({0, 1}))
     cloud.add(sweep(0, wall(6.0), RED))
     cloud.add(sweep(1, np.full((3, 3), np.nan), RED))

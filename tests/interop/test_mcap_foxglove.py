@@ -15,7 +15,7 @@ from tests.properties.injected import injected_scene
 
 import sceneloom
 from sceneloom.errors import DataError
-from sceneloom.formats.messages.foxglove import schema_bytes
+from sceneloom.formats.messages.mcap import schema_bytes
 from sceneloom.scene import (
     Box2DAnnotation,
     CameraSensor,

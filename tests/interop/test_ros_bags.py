@@ -18,7 +18,7 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.registry import find_format
-from sceneloom.formats.messages.ros_messages import DEFINITIONS
+from sceneloom.formats.messages.ros import DEFINITIONS
 from sceneloom.scene import (
     Box2DAnnotation,
     CameraImage,

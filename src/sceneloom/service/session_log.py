@@ -43,7 +43,7 @@ from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError, OutputError, SceneloomError
 from sceneloom.formats.base.files import open_file
 from sceneloom.formats.base.output import check_output
-from sceneloom.formats.messages.foxglove import schema_bytes, serialised
+from sceneloom.formats.messages.mcap import schema_bytes, serialised
 from sceneloom.version import __version__
 
 _LOG = logging.getLogger(__name__)

@@ -45,11 +45,7 @@ _MODELS = {
 
 
 def _read_sensor_yaml(path: Path) -> dict[str, Any]:
-    """Read keys with texts, numbers, lists of them in brackets, and one level of keys below.
-
-    Raises:
-        DataError: the file cannot be read, or a line is something else.
-    """
+    """Read keys with texts, numbers, lists of them in brackets, and one level of keys below."""
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -101,11 +97,7 @@ def _scalar(text: str) -> Any:
 
 
 def _body_from_sensor(path: Path, description: dict[str, Any]) -> RigidTransform | None:
-    """The location of a sensor on the body, `T_BS`; None where it is not stated.
-
-    Raises:
-        DataError: it is no rigid transform.
-    """
+    """The location of a sensor on the body, `T_BS`; None where it is not stated."""
     reported = description.get("T_BS")
     if reported is None:
         return None
@@ -120,25 +112,19 @@ def _body_from_sensor(path: Path, description: dict[str, Any]) -> RigidTransform
 
 
 def _camera_model(path: Path, description: dict[str, Any], size: tuple[int, int]) -> Camera:
-    """The camera model of a camera, for images of a size: pixels are counted from the centre of the first one.
-
-    Raises:
-        DataError: it is missing, wrong, or of a model that is not known.
-    """
+    """The camera model of a camera, for images of a size: pixels are counted from the centre of the first one."""
     intrinsics = _numbers(path, description, "intrinsics")
     if description.get("camera_model", "pinhole") != "pinhole" or len(intrinsics) != 4:
         problem = f"{description.get('camera_model')!r} with {len(intrinsics)} numbers; expected pinhole with 4"
         raise DataError(path, "camera_model, intrinsics", problem)
-    coefficients = (
-        _numbers(path, description, "distortion_coefficients") if "distortion_coefficients" in description else []
-    )
+    coefficients = _numbers(path, description, "distortion_coefficients", [])
     kind = str(description.get("distortion_model", "none")).lower()
     model = "pinhole" if not coefficients else _MODELS.get((kind, len(coefficients)))
     if model is None:
         known = ", ".join(f"{name} with {count}" for name, count in _MODELS)
         problem = f"{kind!r} with {len(coefficients)} coefficients; expected one of {known}"
         raise DataError(path, "distortion_model", problem)
-    stated = _numbers(path, description, "resolution") if "resolution" in description else list(size)
+    stated = _numbers(path, description, "resolution", [*size])
     try:
         fx, fy, cx, cy = intrinsics
         camera = Camera(model, int(stated[0]), int(stated[1]), fx, fy, cx, cy, tuple(coefficients))
@@ -147,8 +133,8 @@ def _camera_model(path: Path, description: dict[str, Any], size: tuple[int, int]
         raise DataError(path, "intrinsics, resolution", str(error)) from error
 
 
-def _numbers(path: Path, description: dict[str, Any], name: str) -> list[float]:
-    values = description.get(name)
+def _numbers(path: Path, description: dict[str, Any], name: str, default: Any = None) -> list[float]:
+    values = description.get(name, default)
     if not isinstance(values, list) or not all(isinstance(value, int | float) for value in values):
         raise DataError(path, name, f"{values!r}; expected a list of numbers")
     return [float(value) for value in values]
@@ -188,15 +174,11 @@ def read_euroc(path: Path, *, lenient: bool = False) -> Scene:
     )
 
 
-def _description(folder: Path) -> tuple[Path, dict[str, Any]]:
-    path = folder / DESCRIPTION
-    if not path.is_file():
-        raise DataError(path, "", "missing; expected the description of the sensor")
-    return path, _read_sensor_yaml(path)
-
-
 def _camera(folder: Path, world_from_body: Poses | None, ledger: Ledger) -> CameraSensor:
-    location, description = _description(folder)
+    location = folder / DESCRIPTION
+    if not location.is_file():
+        raise DataError(location, "", "missing; expected the description of the sensor")
+    description = _read_sensor_yaml(location)
     table = read_table(folder / TABLE)
     times, rows = _ordered(table, ledger)
     if not len(rows):
@@ -237,13 +219,13 @@ def _those_there(
     folder: Path, times: Int64Array, names: tuple[str, ...], ledger: Ledger
 ) -> tuple[Int64Array, tuple[str, ...]]:
     """Leave out the images whose files are not there, and count them."""
-    is_there = np.array([(folder / "data" / name).is_file() for name in names], bool)
-    missing = [name for name, there in zip(names, is_there.tolist(), strict=True) if not there]
+    rows = [row for row, name in enumerate(names) if (folder / "data" / name).is_file()]
+    there = set(rows)
+    missing = [name for row, name in enumerate(names) if row not in there]
     if missing:
         fault = DataError(folder / "data" / missing[0], "", "is not there; expected the image of a row")
         ledger.fault("files-missing", fault, count=len(missing))
-    kept = tuple(name for name, there in zip(names, is_there.tolist(), strict=True) if there)
-    return read_only(times[is_there]), kept
+    return read_only(times[rows]), tuple(names[row] for row in rows)
 
 
 def _reported_size(location: Path, description: dict[str, Any]) -> tuple[int, int]:
@@ -352,15 +334,9 @@ def _maps(folder: Path, ledger: Ledger) -> list[PointsSensor]:
 
 def _note_others(folder: Path, ledger: Ledger) -> None:
     """Report of folders that are not read."""
-    known = {*_TRAJECTORIES, _MAP}
-    others = sorted(
-        one.name
-        for one in folder.iterdir()
-        if one.is_dir()
-        and not one.name.startswith(".")
-        and one.name not in known
-        and not (one.name.startswith(("cam", "imu")) and (one / TABLE).is_file())
-    )
+    folders = [one for one in folder.iterdir() if one.is_dir() and not one.name.startswith(".")]
+    sensors = [one for one in folders if one.name.startswith(("cam", "imu")) and (one / TABLE).is_file()]
+    others = sorted({one.name for one in folders} - {one.name for one in sensors} - {*_TRAJECTORIES, _MAP})
     if others:
         reported = f"folders that are not known: {', '.join(others)}"
         ledger.note(WarningKind.SKIPPED, "folders-not-read", str(folder), reported, count=len(others))
@@ -368,9 +344,5 @@ def _note_others(folder: Path, ledger: Ledger) -> None:
 
 def _sensor_folders(folder: Path, kind: str) -> list[Path]:
     """The folders of the sensors of a kind that have a table, in the order of their numbers."""
-    found = [
-        one
-        for one in folder.iterdir()
-        if one.name.startswith(kind) and one.name[len(kind) :].isdigit() and (one / TABLE).is_file()
-    ]
-    return sorted(found, key=lambda one: int(one.name[len(kind) :]))
+    numbers = {one: one.name.removeprefix(kind) for one in folder.glob(f"{kind}*") if (one / TABLE).is_file()}
+    return sorted((one for one, number in numbers.items() if number.isdigit()), key=lambda one: int(numbers[one]))

@@ -1,5 +1,6 @@
 """Boxes of messages as annotations, one for each object id, and annotations as messages."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -18,7 +19,6 @@ from sceneloom.formats.messages.records import (
     Kind,
     Stated,
     Stream,
-    Topic,
 )
 from sceneloom.formats.messages.survey import Survey, attributes_from, nearest
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
@@ -44,11 +44,11 @@ class _Track:
     times_ns: list[int] = field(default_factory=list)
     boxes: list[Any] = field(default_factory=list)
 
-    def first_rows(self) -> Int64Array:
-        """Rows in the order of time, the last one of several with one time, as a drawing replaces the one before."""
-        times = np.array(self.times_ns, np.int64)
-        _, rows = np.unique(times[::-1], return_index=True)
-        return (len(times) - 1 - rows).astype(np.int64)
+    def drawn(self) -> tuple[Int64Array, list[Any]]:
+        """Times and boxes in order, the last one of several with one time: a drawing replaces the one before."""
+        latest = dict(zip(self.times_ns, self.boxes, strict=True))
+        times = sorted(latest)
+        return np.array(times, np.int64), [latest[time] for time in times]
 
     @property
     def label(self) -> str | None:
@@ -56,9 +56,7 @@ class _Track:
         return next((box.label for box in self.boxes if box.label), None)
 
 
-def _gather(
-    topic: str, records: Iterable[Boxes3DRecord | Boxes2DRecord], survey: Survey, *, by_frame: bool = False
-) -> dict[_Key, _Track]:
+def _gather(topic: str, records: Iterable[Boxes3DRecord | Boxes2DRecord], survey: Survey) -> dict[_Key, _Track]:
     """Collect the boxes of each object; a box without an id is an object of its own."""
     tracks: dict[_Key, _Track] = {}
     nameless = others = 0
@@ -69,8 +67,7 @@ def _gather(
             if not identifier:
                 nameless += 1
                 identifier = f"{topic.strip('/')}/{nameless}"
-            where = f"{topic}:{record.frame_id}" if by_frame and isinstance(record, Boxes2DRecord) else topic
-            track = tracks.setdefault((where, identifier), _Track())
+            track = tracks.setdefault((topic, identifier), _Track())
             track.times_ns.append(record.timestamp_ns)
             track.boxes.append(box)
     location = f"{survey.log.name}: {topic}"
@@ -84,9 +81,7 @@ def _gather(
 
 def _annotation_ids(keys: Sequence[_Key]) -> list[str]:
     """Ids of annotations: those of the objects, with the topic where several topics or frames have the same."""
-    seen: dict[str, int] = {}
-    for _, identifier in keys:
-        seen[identifier] = seen.get(identifier, 0) + 1
+    seen = Counter(identifier for _, identifier in keys)
     return [name if seen[name] == 1 else f"{topic.strip('/')}/{name}" for topic, name in keys]
 
 
@@ -94,9 +89,7 @@ def _cuboid_of_boxes(
     identifier: str | int, track: _Track, locations: Locations, survey: Survey, location: str
 ) -> CuboidAnnotation | None:
     """Make the cuboid of an object; None where none of its boxes can be placed in the world."""
-    rows = track.first_rows()
-    times = np.array(track.times_ns, np.int64)[rows]
-    boxes: list[Box3D] = [track.boxes[row] for row in rows.tolist()]
+    times, boxes = track.drawn()
     centers = np.array([box.center for box in boxes]).reshape(-1, 3)
     rotations = np.array([box.quaternion_xyzw for box in boxes]).reshape(-1, 4)
     sizes = np.array([box.size_lwh for box in boxes]).reshape(-1, 3)
@@ -110,13 +103,8 @@ def _cuboid_of_boxes(
             with np.errstate(over="ignore", invalid="ignore"):
                 placed[same] = _to_world(centers, rotations, same, times, frame, locations)
     placed &= np.isfinite(centers).all(axis=1)
-    _note(
-        survey,
-        placed | ~sound,
-        "boxes-not-placed",
-        location,
-        "boxes in frames that are not placed in the world then",
-    )
+    message = "boxes in frames that are not placed in the world then"
+    _note(survey, placed | ~sound, "boxes-not-placed", location, message)
     if not placed.any():
         return None
     angles = CuboidAngles().from_quaternions(normalise_quaternion(rotations[placed]))
@@ -161,9 +149,7 @@ _REACH_NS = 100_000_000
 
 def _box_2d(identifier: str | int, sensor_id: str | int, track: _Track) -> Box2DAnnotation:
     """Make the box of an object in the images of a camera."""
-    rows = track.first_rows()
-    boxes: list[Box2D] = [track.boxes[row] for row in rows.tolist()]
-    times = np.array(track.times_ns, np.int64)[rows]
+    times, boxes = track.drawn()
     values = np.array([box.box_ltwh for box in boxes], np.float64).reshape(-1, 4)
     return Box2DAnnotation(
         identifier, sensor_id, BoxPath(times, values), track.label, attributes=_attributes(times, boxes)
@@ -172,20 +158,18 @@ def _box_2d(identifier: str | int, sensor_id: str | int, track: _Track) -> Box2D
 
 def _attributes(times: Int64Array, boxes: Sequence[Any]) -> tuple[AttributePath, ...]:
     """What is stated for an object beside its class, where it changes."""
-    names = dict.fromkeys(name for box in boxes for name in box.reported)
-    return tuple(_attribute(name, times, [box.reported.get(name) for box in boxes]) for name in names)
+    found = []
+    for name in dict.fromkeys(name for box in boxes for name in box.reported):
+        values = [box.reported.get(name) for box in boxes]
+        changes = [k for k, value in enumerate(values) if value is not None and (k == 0 or values[k - 1] != value)]
+        found.append(AttributePath(name, tuple(_value(values[k]) for k in changes), times[changes]))
+    return tuple(found)
 
 
-def _attribute(name: str, times: Int64Array, values: Sequence[str | None]) -> AttributePath:
-    changes = [k for k, value in enumerate(values) if value is not None and (k == 0 or values[k - 1] != value)]
-    numbers = np.array(changes, np.int64)
-    return AttributePath(name, tuple(_value(values[k]) for k in changes), times[numbers])
-
-
-def _value(text: str | None) -> Any:
+def _value(text: str) -> Any:
     """A number where the text is one."""
     try:
-        number = float(text or "")
+        number = float(text)
     except ValueError:
         return text
     return int(number) if number.is_integer() and abs(number) < 2**53 else number
@@ -202,20 +186,16 @@ def read_annotations(survey: Survey, locations: Locations, cameras: Mapping[str,
     found = [*_cuboids(survey, locations), *_boxes_2d(survey, cameras)]
     notes = {(str(note.get("topic")), str(note.get("key"))): note for note in survey.notes.annotations}
     order = {key: row for row, key in enumerate(notes)}
-    noted = [(order.get(key, len(order)), _with_note(annotation, notes.get(key))) for key, annotation in found]
-    return _with_unique_ids([annotation for _, annotation in sorted(noted, key=lambda row: row[0])])
-
-
-def _with_unique_ids(annotations: Sequence[Annotation]) -> list[Annotation]:
-    """Number ids that are there once more: an object may be a cuboid and a box in images."""
-    taken: dict[Any, int] = {}
-    found = []
-    for annotation in annotations:
+    found.sort(key=lambda pair: order.get(pair[0], len(order)))
+    annotations = [_with_note(annotation, notes.get(key)) for key, annotation in found]
+    # an object may be a cuboid and a box in images
+    taken = Counter[Any]()
+    for k, annotation in enumerate(annotations):
         key = type(annotation.id), annotation.id
-        taken[key] = taken.get(key, 0) + 1
-        again = taken[key] > 1
-        found.append(replace(annotation, id=f"{annotation.id}~{taken[key]}") if again else annotation)
-    return found
+        taken[key] += 1
+        if taken[key] > 1:
+            annotations[k] = replace(annotation, id=f"{annotation.id}~{taken[key]}")
+    return annotations
 
 
 def _cuboids(survey: Survey, locations: Locations) -> list[tuple[_Key, Annotation]]:
@@ -231,13 +211,13 @@ def _cuboids(survey: Survey, locations: Locations) -> list[tuple[_Key, Annotatio
 
 
 def _boxes_2d(survey: Survey, cameras: Mapping[str, Any]) -> list[tuple[_Key, Annotation]]:
-    found: list[tuple[_Key, Annotation]] = []
+    found: list[tuple[_Key, Box2DAnnotation]] = []
     noted = {note["boxes_topic"]: note["id"] for note in survey.notes.sensors if {"boxes_topic", "id"} <= note.keys()}
     for topic in survey.topics(Kind.BOXES_2D):
         records = survey.of(topic, Boxes2DRecord)
-        camera = noted.get(topic.name)
-        if camera is None:
-            camera = _camera_of(topic, cameras)
+        # the camera whose topic stands beside that of boxes; the only one where there is only one
+        name = nearest(topic.name, cameras) or (next(iter(cameras)) if len(cameras) == 1 else None)
+        camera = noted.get(topic.name, None if name is None else cameras[name])
         if camera is None:
             message = "boxes in images of a camera that is not reported"
             location = f"{survey.log.name}: {topic.name}"
@@ -245,30 +225,12 @@ def _boxes_2d(survey: Survey, cameras: Mapping[str, Any]) -> list[tuple[_Key, An
             survey.ledger.note(WarningKind.SKIPPED, "boxes-without-camera", location, message, count=count)
             continue
         tracks = _gather(topic.name, records, survey)
-        ids = _annotation_ids([*tracks])
-        found += [
-            (key, _box_2d(identifier, camera, track))
-            for (key, track), identifier in zip(tracks.items(), ids, strict=True)
-        ]
-    return _with_own_ids(found)
-
-
-def _camera_of(topic: Topic, cameras: Mapping[str, Any]) -> Any:
-    """The camera whose topic stands beside that of boxes; the only one where there is only one."""
-    name = nearest(topic.name, cameras) or (next(iter(cameras)) if len(cameras) == 1 else None)
-    return None if name is None else cameras[name]
-
-
-def _with_own_ids(found: Sequence[tuple[_Key, Annotation]]) -> list[tuple[_Key, Annotation]]:
-    """Objects that several cameras see become an annotation for each."""
-    counts: dict[Any, int] = {}
-    for _, annotation in found:
-        counts[annotation.id] = counts.get(annotation.id, 0) + 1
+        named = zip(tracks.items(), _annotation_ids([*tracks]), strict=True)
+        found += [(key, _box_2d(identifier, camera, track)) for (key, track), identifier in named]
+    # objects that several cameras see become an annotation for each
+    counts = Counter(annotation.id for _, annotation in found)
     return [
-        (key, annotation)
-        if counts[annotation.id] == 1
-        else (key, replace(annotation, id=f"{key[0].strip('/')}/{annotation.id}"))
-        for key, annotation in found
+        (key, replace(one, id=f"{key[0].strip('/')}/{one.id}") if counts[one.id] > 1 else one) for key, one in found
     ]
 
 
@@ -283,17 +245,6 @@ def _with_note(annotation: Annotation, note: Mapping[str, Any] | None) -> Annota
 
 
 _Drawn = CuboidAnnotation | Box2DAnnotation
-
-
-def keys_of(annotations: Sequence[Annotation]) -> list[str]:
-    """Ids of annotations as texts that differ from each other."""
-    taken: dict[str, int] = {}
-    keys = []
-    for annotation in annotations:
-        key = str(annotation.id) or "annotation"
-        taken[key] = taken.get(key, 0) + 1
-        keys.append(key if taken[key] == 1 else f"{key}~{taken[key]}")
-    return keys
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -356,14 +307,10 @@ def box_2d_stream(annotations: Sequence[Box2DAnnotation], keys: Sequence[str], t
     rows = _Rows.of(annotations)
 
     def make(k: int) -> Iterator[Stated]:
-        boxes = tuple(
-            Box2D(keys[owner], _ltwh(annotations[owner], row), annotations[owner].label) for owner, row in rows.at(k)
-        )
-        yield topic, Boxes2DRecord(int(rows.times_ns[k]), frame_id, boxes)
+        boxes = []
+        for owner, row in rows.at(k):
+            left, top, width, height = annotations[owner].path.values[row].tolist()
+            boxes.append(Box2D(keys[owner], (left, top, width, height), annotations[owner].label))
+        yield topic, Boxes2DRecord(int(rows.times_ns[k]), frame_id, tuple(boxes))
 
     return Stream(rows.times_ns, make)
-
-
-def _ltwh(annotation: Box2DAnnotation, row: int) -> tuple[float, float, float, float]:
-    left, top, width, height = annotation.path.values[row].tolist()
-    return left, top, width, height

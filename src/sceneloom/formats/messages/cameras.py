@@ -2,12 +2,12 @@
 
 import io
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from threading import Lock
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
@@ -37,16 +37,8 @@ MILLIMETRE = 0.001
 """Metres per step of depths in whole numbers. Source: REP 118, "Depth Images"."""
 
 
-@dataclass(frozen=True, slots=True)
-class Encoding:
-    """How pixels stand in the bytes.
-
-    Attributes:
-        dtype: of each value.
-        values: of each pixel.
-        order: which of them are red, green and blue; () for depths.
-        bayer: colours of the two first pixels of the two first rows, "" for none.
-    """
+class _Encoding(NamedTuple):
+    """How pixels stand in the bytes; `order` are the values that are red, green and blue, () for depths."""
 
     dtype: str
     values: int = 1
@@ -54,41 +46,32 @@ class Encoding:
     bayer: str = ""
 
 
-def _bayer() -> dict[str, Encoding]:
-    return {
-        f"bayer_{pattern}{suffix}": Encoding(dtype, bayer=pattern)
-        for pattern in ("rggb", "bggr", "gbrg", "grbg")
-        for suffix, dtype in (("8", "u1"), ("16", "u2"))
-    }
+_BAYER = ("rggb", "bggr", "gbrg", "grbg")
 
-
-_ENCODINGS: Mapping[str, Encoding] = MappingProxyType(
+_ENCODINGS: Mapping[str, _Encoding] = MappingProxyType(
     {
-        "rgb8": Encoding("u1", 3, (0, 1, 2)),
-        "bgr8": Encoding("u1", 3, (2, 1, 0)),
-        "rgba8": Encoding("u1", 4, (0, 1, 2)),
-        "bgra8": Encoding("u1", 4, (2, 1, 0)),
-        "rgb16": Encoding("u2", 3, (0, 1, 2)),
-        "bgr16": Encoding("u2", 3, (2, 1, 0)),
-        "mono8": Encoding("u1"),
-        "mono16": Encoding("u2"),
-        "8UC1": Encoding("u1"),
-        "8UC3": Encoding("u1", 3, (2, 1, 0)),
-        "8UC4": Encoding("u1", 4, (2, 1, 0)),
-        "16UC1": Encoding("u2", order=()),
-        "32FC1": Encoding("f4", order=()),
-        **_bayer(),
+        "rgb8": _Encoding("u1", 3, (0, 1, 2)),
+        "bgr8": _Encoding("u1", 3, (2, 1, 0)),
+        "rgba8": _Encoding("u1", 4, (0, 1, 2)),
+        "bgra8": _Encoding("u1", 4, (2, 1, 0)),
+        "rgb16": _Encoding("u2", 3, (0, 1, 2)),
+        "bgr16": _Encoding("u2", 3, (2, 1, 0)),
+        "mono8": _Encoding("u1"),
+        "mono16": _Encoding("u2"),
+        "8UC1": _Encoding("u1"),
+        "8UC3": _Encoding("u1", 3, (2, 1, 0)),
+        "8UC4": _Encoding("u1", 4, (2, 1, 0)),
+        "16UC1": _Encoding("u2", order=()),
+        "32FC1": _Encoding("f4", order=()),
+        **{f"bayer_{pattern}8": _Encoding("u1", bayer=pattern) for pattern in _BAYER},
+        **{f"bayer_{pattern}16": _Encoding("u2", bayer=pattern) for pattern in _BAYER},
     }
 )
 """Source: sensor_msgs/image_encodings.hpp of ROS; the schema RawImage of Foxglove takes the same names."""
 
 
-def _encoding_of(record: ImageRecord, owner: str, location: str) -> Encoding:
-    """Find the encoding of a message.
-
-    Raises:
-        UnknownFormatError: it is unknown.
-    """
+def _encoding_of(record: ImageRecord, owner: str, location: str) -> _Encoding:
+    """Find the encoding of a message."""
     encoding = _ENCODINGS.get(record.encoding)
     if encoding is None:
         known = ", ".join(_ENCODINGS)
@@ -97,11 +80,7 @@ def _encoding_of(record: ImageRecord, owner: str, location: str) -> Encoding:
 
 
 def _values_of(record: ImageRecord, owner: str, location: str) -> AnyArray:
-    """Give the values of all pixels, (height, width, K) of the encoding's dtype, in native byte order.
-
-    Raises:
-        DataError: the encoding is unknown, or the bytes do not fit the size.
-    """
+    """Give the values of all pixels, (height, width, K) of the encoding's dtype, in native byte order."""
     encoding = _encoding_of(record, owner, location)
     dtype = np.dtype(encoding.dtype).newbyteorder(">" if record.big_endian else "<")
     row = record.width * encoding.values * dtype.itemsize
@@ -136,11 +115,7 @@ def image_of(record: ImageRecord, owner: str, location: str) -> UInt8Array:
 
 
 def _depth_of(record: ImageRecord, owner: str, location: str) -> Float32Array:
-    """Give depths, (height, width) float32 [m], 0 for none.
-
-    Raises:
-        DataError: as for `_values_of`.
-    """
+    """Give depths, (height, width) float32 [m], 0 for none."""
     values = _values_of(record, owner, location)[:, :, 0]
     if values.dtype == np.uint16:
         return (values * np.float64(MILLIMETRE)).astype(np.float32)
@@ -288,12 +263,9 @@ def _fitted(camera: Camera, size: tuple[int, int], location: str, ledger: Ledger
     """Fit a camera model to the size of the images, with a warning where it is for another one."""
     if (camera.width, camera.height) == size:
         return camera
-    message = (
-        f"the calibration is for {camera.width}x{camera.height}, the images are {size[0]}x{size[1]}; "
-        "the camera model was scaled"
-    )
-    ledger.note(WarningKind.REPAIRED, "camera-model-scaled", location, message)
-    return replace(_no_camera_model(*size)) if camera.model == _UNKNOWN else camera.resized(*size)
+    sizes = f"the calibration is for {camera.width}x{camera.height}, the images are {size[0]}x{size[1]}"
+    ledger.note(WarningKind.REPAIRED, "camera-model-scaled", location, f"{sizes}; the camera model was scaled")
+    return _no_camera_model(*size) if camera.model == _UNKNOWN else camera.resized(*size)
 
 
 _CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
@@ -301,25 +273,11 @@ _CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
 
 
 class _MessageVideo:
-    """The video of a topic: put into an mp4 file of no name when its first image is asked for.
-
-    Attributes:
-        log: that the messages are in.
-        topic: that they are of.
-        rows: (N,) int64, number of each message in its topic, in the order in which they are decoded.
-        timestamps_ns: (N,) int64 [ns], of the messages in the same order.
-        codec: as FFmpeg calls it.
-    """
+    """The video of a topic, put into a nameless mp4 file at the first image; rows are in the order of decoding."""
 
     def __init__(self, log: TopicLog, topic: Topic, rows: Int64Array, timestamps_ns: Int64Array, codec: str) -> None:
         """Read nothing yet."""
-        self.log, self.topic, self.rows, self.timestamps_ns, self.codec = (
-            log,
-            topic,
-            rows,
-            timestamps_ns,
-            codec,
-        )
+        self.log, self.topic, self.rows, self.timestamps_ns, self.codec = log, topic, rows, timestamps_ns, codec
         self._begin()
 
     def _begin(self) -> None:
@@ -405,37 +363,18 @@ class _MessageVideo:
         return target
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _VideoImages:
-    """Makes the images of a camera from a video of messages.
-
-    Attributes:
-        video: of the topic.
-        timestamps_ns: (N,) int64 [ns], in the order of showing.
-        camera_model_at: gives the camera model at a time.
-    """
-
-    video: _MessageVideo
-    timestamps_ns: Int64Array
-    camera_model_at: Callable[[int], Camera]
-
-    def __call__(self, k: int) -> CameraImage:
-        """Make image `k` without decoding it."""
-        timestamp_ns = int(self.timestamps_ns[k])
-        return CameraImage(timestamp_ns, self.camera_model_at(timestamp_ns), partial(self.video.rgb, k))
+def _video_image(video: _MessageVideo, timestamps_ns: Int64Array, models: "_CameraModels", k: int) -> CameraImage:
+    """Make image `k` of a video, in the order of showing, without decoding it."""
+    timestamp_ns = int(timestamps_ns[k])
+    return CameraImage(timestamp_ns, models.at(timestamp_ns), partial(video.rgb, k))
 
 
 _MARKS = {b"\xff\xd8\xff": "jpeg", b"\x89PN": "png"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraModels:
-    """The camera models of a camera over time.
-
-    Attributes:
-        since_ns: (N,) int64 [ns], ascending.
-        cameras: from each time on; the first before, too.
-    """
+class _CameraModels:
+    """The camera models of a camera from each of (N,) times on [ns]; the first holds before, too."""
 
     since_ns: Int64Array
     cameras: tuple[Camera, ...]
@@ -447,88 +386,56 @@ class CameraModels:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ImageReader:
-    """Makes the images of a topic.
-
-    Attributes:
-        log: that the messages are in.
-        topic: that they are of.
-        rows: (N,) int64, number of each message in its topic.
-        timestamps_ns: (N,) int64 [ns].
-        camera_models: of the camera.
-    """
+class _ImageReader:
+    """Makes the images or depth images of a topic, by the number of each message; `scale` are the metres of a step."""
 
     log: TopicLog
     topic: Topic
     rows: Int64Array
     timestamps_ns: Int64Array
-    camera_models: CameraModels
+    camera_models: _CameraModels
+    scale: float | None = None
 
-    def __call__(self, k: int) -> CameraImage:
+    def image(self, k: int) -> CameraImage:
         """Make image `k` without reading it."""
         timestamp_ns = int(self.timestamps_ns[k])
-        camera_model, encoded = self.camera_models.at(timestamp_ns), None
-        if self.topic.kind is Kind.COMPRESSED_IMAGE:
-            encoded = partial(self.file, k)
-        return CameraImage(timestamp_ns, camera_model, partial(self.rgb, k), encoded=encoded)
+        encoded = partial(self.file, k) if self.topic.kind is Kind.COMPRESSED_IMAGE else None
+        return CameraImage(timestamp_ns, self.camera_models.at(timestamp_ns), partial(self.rgb, k), encoded=encoded)
 
-    def location(self, k: int) -> str:
-        """Where the message of image `k` stands, for messages."""
-        return f"{self.topic.name}[{int(self.rows[k])}]"
+    def depth_frame(self, k: int) -> DepthFrame:
+        """Make depth image `k` without reading it."""
+        timestamp_ns = int(self.timestamps_ns[k])
+        return DepthFrame(timestamp_ns, self.camera_models.at(timestamp_ns), partial(self.depth, k), self.scale)
 
-    def record(self, k: int) -> Any:
-        """Read the message of image `k`."""
-        return self.log.read(self.topic, int(self.rows[k]))[0]
+    def _message(self, k: int) -> tuple[Any, str, str]:
+        """The message of image `k`, and where it stands, for messages."""
+        row = int(self.rows[k])
+        return self.log.read(self.topic, row)[0], self.log.name, f"{self.topic.name}[{row}]"
 
     def file(self, k: int) -> bytes:
         """The file of image `k`."""
-        return bytes(self.record(k).data)
-
-    def rgb(self, k: int) -> UInt8Array:
-        """Decode image `k`.
-
-        Raises:
-            DataError: it is damaged, or of another size than its camera model.
-        """
-        record, camera_model = self.record(k), self.camera_models.at(int(self.timestamps_ns[k]))
-        if isinstance(record, ImageRecord):
-            image = image_of(record, self.log.name, self.location(k))
-            if image.shape[:2] != (camera_model.height, camera_model.width):
-                problem = (
-                    f"an image of {record.width}x{record.height}; expected {camera_model.width}x{camera_model.height}"
-                )
-                raise DataError(self.log.name, self.location(k), problem)
-            return image
-        form = _image_form(record, self.log.name, self.location(k))
-        file = EncodedImage(
-            bytes(record.data), form, camera_model.width, camera_model.height, self.log.name, self.location(k)
-        )
-        return file()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DepthReader:
-    """Makes the images of a camera that measures depth; fields as in `ImageReader`."""
-
-    images: ImageReader
-    scale: float | None
-
-    def __call__(self, k: int) -> DepthFrame:
-        """Make image `k` without reading it."""
-        timestamp_ns = int(self.images.timestamps_ns[k])
-        return DepthFrame(timestamp_ns, self.images.camera_models.at(timestamp_ns), partial(self.depth, k), self.scale)
+        return bytes(self._message(k)[0].data)
 
     def depth(self, k: int) -> Float32Array:
+        """Decode depth image `k`."""
+        return _depth_of(*self._message(k))
+
+    def rgb(self, k: int) -> UInt8Array:
         """Decode image `k`."""
-        return _depth_of(self.images.record(k), self.images.log.name, self.images.location(k))
+        record, owner, location = self._message(k)
+        camera = self.camera_models.at(int(self.timestamps_ns[k]))
+        if not isinstance(record, ImageRecord):
+            form = _image_form(record, owner, location)
+            return EncodedImage(bytes(record.data), form, camera.width, camera.height, owner, location)()
+        image = image_of(record, owner, location)
+        if image.shape[:2] != (camera.height, camera.width):
+            problem = f"an image of {record.width}x{record.height}; expected {camera.width}x{camera.height}"
+            raise DataError(owner, location, problem)
+        return image
 
 
 def _image_form(record: CompressedImageRecord, owner: str, location: str) -> str:
-    """The form of an image's file, by how it begins.
-
-    Raises:
-        UnknownFormatError: it is neither JPEG nor PNG.
-    """
+    """The form of an image's file, by how it begins."""
     form = _MARKS.get(bytes(record.data[:3]))
     if form is None:
         problem = f"an image of format {record.form!r} that begins as no JPEG or PNG file does; expected one of these"
@@ -584,11 +491,9 @@ def draft_camera(survey: Survey, topic: Topic, camera_model_topic: Topic | None)
         form = _image_form(first, owner, where)
         is_depth, size = False, image_size(bytes(first.data), form, owner=owner, location=where)
     camera_models = _camera_models(survey, camera_model_topic, size, location)
-    reader = ImageReader(survey.log, topic, rows, timestamps[rows], camera_models)
-    make: Callable[[int], Any] = reader
-    if is_depth:
-        make = DepthReader(reader, MILLIMETRE if first.encoding == "16UC1" else None)
-    frames = LazyFrames(timestamps[rows], make)
+    scale = MILLIMETRE if is_depth and first.encoding == "16UC1" else None
+    reader = _ImageReader(survey.log, topic, rows, timestamps[rows], camera_models, scale)
+    frames: LazyFrames[Any] = LazyFrames(timestamps[rows], reader.depth_frame if is_depth else reader.image)
     return CameraDraft(topic, first.frame_id, camera_models.cameras[0], frames, is_depth)
 
 
@@ -617,7 +522,7 @@ def _draft_video(
     size = _video_size(bytes(first.data), location)
     camera_models = _camera_models(survey, camera_model_topic, size, location)
     shown = np.sort(timestamps[rows], kind="stable")
-    frames = LazyFrames(shown, _VideoImages(video, shown, camera_models.at))
+    frames = LazyFrames(shown, partial(_video_image, video, shown, camera_models))
     return CameraDraft(topic, first.frame_id, camera_models.cameras[0], frames, is_depth=False, video=video)
 
 
@@ -633,20 +538,21 @@ def _video_size(packet: bytes, name: str) -> tuple[int, int]:
         opened.close()
 
 
-def _camera_models(survey: Survey, topic: Topic | None, size: tuple[int, int], location: str) -> CameraModels:
+def _camera_models(survey: Survey, topic: Topic | None, size: tuple[int, int], location: str) -> _CameraModels:
     """The camera models of a topic, fitted to the size of the images."""
     found: dict[int, Camera] = {}
     records = [] if topic is None else survey.of(topic, CameraModelRecord)
+    before: Any = None
     for k, record in enumerate(records):
-        if k > 0 and _same(records[k - 1], record):
+        stated = record.width, record.height, record.model, record.coefficients, record.k
+        if stated == before:
             continue
-        where = "" if topic is None else f"{topic.name}[{k}]"
+        before, where = stated, "" if topic is None else f"{topic.name}[{k}]"
         try:
             camera_model = read_camera_model(record, survey.log.name, where, survey.ledger)
         except UnknownFormatError as error:
-            survey.ledger.note(
-                WarningKind.SKIPPED, "camera-model-unknown", f"{error.file}: {error.location}", error.problem
-            )
+            where = f"{error.file}: {error.location}"
+            survey.ledger.note(WarningKind.SKIPPED, "camera-model-unknown", where, error.problem)
             continue
         if camera_model is not None:
             found[record.timestamp_ns] = _fitted(camera_model, size, location, survey.ledger)
@@ -657,16 +563,6 @@ def _camera_models(survey: Survey, topic: Topic | None, size: tuple[int, int], l
             else f"{topic.name} reports no camera model that is known; nothing can be projected into the images"
         )
         survey.ledger.note(WarningKind.SKIPPED, "camera-model-missing", location, message)
-        return CameraModels(np.zeros(1, np.int64), (_no_camera_model(*size),))
+        return _CameraModels(np.zeros(1, np.int64), (_no_camera_model(*size),))
     since = sorted(found)
-    return CameraModels(np.array(since, np.int64), tuple(found[time_ns] for time_ns in since))
-
-
-def _same(a: CameraModelRecord, b: CameraModelRecord) -> bool:
-    return (a.width, a.height, a.model, a.coefficients, a.k) == (
-        b.width,
-        b.height,
-        b.model,
-        b.coefficients,
-        b.k,
-    )
+    return _CameraModels(np.array(since, np.int64), tuple(found[time_ns] for time_ns in since))

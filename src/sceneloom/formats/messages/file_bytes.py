@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from types import MappingProxyType
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -21,22 +21,6 @@ from sceneloom.formats.remote.stores import Range, RangedFile, RemoteIdentity
 
 _READ_AHEAD = 64 << 10
 """How much of a file behind a URL is fetched at least: records are small, and stand side by side [bytes]."""
-
-
-class _OpenFile(Protocol):
-    """An open file, on disk or behind a URL."""
-
-    def read_at(self, start: int, length: int) -> bytes:
-        """Read so many bytes, or as many as there are."""
-        ...
-
-    def expect(self, ranges: Iterable[Range]) -> None:
-        """Hear what will be read soon."""
-        ...
-
-    def close(self) -> None:
-        """Let go of it."""
-        ...
 
 
 class FileBytes:
@@ -65,7 +49,7 @@ class FileBytes:
         self._begin()
 
     def _begin(self) -> None:
-        self._file: _OpenFile | None = None
+        self._file: BinaryIO | RangedFile | None = None
         self._process = -1
         self._lock = Lock()
 
@@ -99,7 +83,11 @@ class FileBytes:
         with self._lock:
             file = self._opened()
             try:
-                return file.read_at(start, min(length, max(0, self.size - start)))
+                stop = min(start + length, max(start, self.size))
+                if isinstance(file, RangedFile):
+                    return file.read_near(start, stop, _READ_AHEAD)
+                file.seek(start)
+                return file.read(stop - start)
             except (OSError, OverflowError, ValueError) as error:
                 raise DataError(self.path, f"byte {start}", f"cannot be read: {error}") from error
 
@@ -110,7 +98,10 @@ class FileBytes:
             DataError: the file cannot be read.
         """
         with self._lock:
-            self._opened().expect((max(0, start), min(stop, self.size)) for start, stop in ranges)
+            file = self._opened()
+            if isinstance(file, RangedFile):
+                inside = ((max(0, start), min(stop, self.size)) for start, stop in ranges)
+                file.ask_ahead((start, stop) for start, stop in inside if start < stop)
 
     def close(self) -> None:
         """Release the file; nothing can be read afterwards."""
@@ -120,65 +111,19 @@ class FileBytes:
                 self._file.close()
             self._file = None
 
-    def _opened(self) -> _OpenFile:
+    def _opened(self) -> BinaryIO | RangedFile:
         if self._closed:
             raise DataError(self.path, "", "is closed")
         if self._file is None or self._process != os.getpid():
             # a forked process must not move the location at which the other one reads
             self._identity.check()
-            self._file, self._process = _opened(self._identity), os.getpid()
+            if isinstance(self._identity, RemoteIdentity):
+                self._file = self._identity.open()
+            else:
+                with file_faults(self._identity.path):
+                    self._file = open_file(self._identity.path)
+            self._process = os.getpid()
         return self._file
-
-
-def _opened(identity: FileIdentity | RemoteIdentity) -> _OpenFile:
-    if isinstance(identity, RemoteIdentity):
-        return _Remote(identity.open())
-    with file_faults(identity.path):
-        return _Local(open_file(identity.path, buffering=0))
-
-
-class _Local:
-    """A file on disk."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-
-    def read_at(self, start: int, length: int) -> bytes:
-        self._file.seek(start)
-        return _read(self._file, length)
-
-    def expect(self, ranges: Iterable[Range]) -> None:
-        """Leave that to the system."""
-
-    def close(self) -> None:
-        self._file.close()
-
-
-class _Remote:
-    """A file behind a URL."""
-
-    def __init__(self, file: RangedFile) -> None:
-        self._file = file
-
-    def read_at(self, start: int, length: int) -> bytes:
-        return self._file.read_near(start, start + length, _READ_AHEAD)
-
-    def expect(self, ranges: Iterable[Range]) -> None:
-        self._file.ask_ahead(range_ for range_ in ranges if range_[0] < range_[1])
-
-    def close(self) -> None:
-        self._file.close()
-
-
-def _read(file: BinaryIO, length: int) -> bytes:
-    """Read so many bytes, in several steps where the system gives fewer at once."""
-    content = file.read(length)
-    if len(content) == length:
-        return content
-    parts = [content]
-    while parts[-1] and length > sum(map(len, parts)):
-        parts.append(file.read(length - sum(map(len, parts))))
-    return b"".join(parts)
 
 
 DIRECT = -1

@@ -202,12 +202,7 @@ _EGO_NAMES = ("base_link", "ego", "ego_vehicle", "base_footprint", "vehicle", "b
 
 @dataclass(frozen=True, slots=True)
 class _Roles:
-    """The frames that a scene is reported in.
-
-    Attributes:
-        ego: that sensors are mounted on; None where no sensor has a frame in the tree.
-        world: that the ego moves in; None where nothing moves.
-    """
+    """The frames of a scene: ego, None where no sensor has a frame; world, None where nothing moves."""
 
     ego: str | None
     world: str | None

@@ -1,41 +1,115 @@
-"""MCAP files with Foxglove's schemas: as a log of topics, as a scene, and written from one."""
+"""MCAP files with Foxglove's schemas: messages as records and back, a file as a log of topics, as a scene, and written.
 
+Messages are protobuf or JSON; their large fields are not copied.
+"""
+
+import base64
+import binascii
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import msgspec
 import numpy as np
+from google.protobuf import descriptor_pb2, json_format
+from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.message import DecodeError, Message
+from google.protobuf.timestamp_pb2 import Timestamp
 
-from sceneloom.arrays import Int64Array
-from sceneloom.errors import DataError
+from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.errors import DataError, MissingExtraError, OutputError, how_to_install
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import replacing
+from sceneloom.formats.base.protobuf import LENGTH_TYPE, field_head, wire_fields
 from sceneloom.formats.messages.file_bytes import Entries, FileBytes
-from sceneloom.formats.messages.foxglove import (
-    NOTES,
-    NOTES_KEY,
-    READERS,
-    SAMPLE_JSON,
-    SAMPLE_SCHEMA,
-    encode,
-    foxglove_type,
-    head_timestamp,
-    parse_json,
-    parse_protobuf,
-    schema_bytes,
-)
 from sceneloom.formats.messages.mcap_files import McapIndex, McapWriter, read_index
 from sceneloom.formats.messages.reader import scene_from_topics
-from sceneloom.formats.messages.records import AnyRecord, Dialect, Kind, Topic, merged
+from sceneloom.formats.messages.records import (
+    AnyRecord,
+    Box2D,
+    Box3D,
+    Boxes2DRecord,
+    Boxes3DRecord,
+    CameraModelRecord,
+    CloudRecord,
+    CompressedImageRecord,
+    Dialect,
+    FixRecord,
+    ImageRecord,
+    Kind,
+    PackedField,
+    PoseRecord,
+    SampleRecord,
+    Topic,
+    TransformRecord,
+    merged,
+)
 from sceneloom.formats.messages.writer import SceneStreams, check_images
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.scene import Scene, with_assumed_models
 from sceneloom.version import __version__
+
+try:
+    import foxglove_schemas_protobuf
+except ImportError as missing:
+    raise MissingExtraError(f"{missing}; install the extra: {how_to_install('mcap')}") from missing
+
+_NOTES = "sceneloom"
+"""Name of the metadata record that holds what no message has a field for."""
+
+_NOTES_KEY = "scene"
+
+_SAMPLE_SCHEMA = "sceneloom.Sample"
+"""Name of the JSON schema of what an IMU measures, which Foxglove has none for."""
+
+_SAMPLE_JSON = MappingProxyType(
+    {
+        "title": _SAMPLE_SCHEMA,
+        "description": "One measurement of an inertial unit; streams in m/s², rad/s, µT and K.",
+        "type": "object",
+        "properties": {
+            "timestamp": {
+                "type": "object",
+                "title": "time",
+                "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+            },
+            "frame_id": {"type": "string"},
+            "values": {
+                "type": "object",
+                "additionalProperties": {"type": "array", "items": {"type": "number"}},
+            },
+        },
+        "required": ["timestamp", "frame_id", "values"],
+    }
+)
+"""Source: MCAP format registry, schema encoding "jsonschema"."""
+
+_LABEL_KEYS = ("label", "class", "class_name", "category", "type")
+"""Metadata of plots that name the class of an object, the likeliest first."""
+
+_ID_KEYS = ("id", "track_id", "instance_id", "object_id")
+"""Metadata of plots that name an object, the likeliest first."""
+
+_DTYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
+_TYPES = {name: number for number, name in _DTYPES.items()}
+_DATA = "data"
+_MATCHING_ID, _DIAGONAL = 0, 2
+_LINE_LOOP, _LINE_STRIP, _LINE_LIST = 2, 3, 4
+_VIDEOS = frozenset({"h264", "h265", "vp9", "av1"})
+_OTHER_PLOTS = ("arrows", "spheres", "cylinders", "lines", "triangles", "models")
+_FACES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 0.35}
+_EDGES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 1.0}
+_SECOND_NS = 1_000_000_000
+
+_Parts = list[bytes | memoryview]
 
 
 def _topic_part(identifier: str | int) -> str:
@@ -56,32 +130,27 @@ _DIALECT = Dialect(
 )
 
 
-class FoxgloveWriter:
+class _FoxgloveWriter:
     """Writes records to an MCAP file; schemas and channels are added when they are first needed."""
 
     def __init__(self, writer: McapWriter, shift_ns: int) -> None:
-        """Begin.
-
-        Args:
-            writer: of the file.
-            shift_ns: what is added to times to give log times, which cannot be negative.
-        """
+        """Begin; `shift_ns` is added to times to give log times, which cannot be negative."""
         self._writer, self._shift_ns = writer, shift_ns
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}
 
     def add(self, time_ns: int, topic: str, record: AnyRecord) -> None:
         """Write a record as a message."""
-        schema, parts = encode(record)
+        schema, parts = _encode(record)
         self._writer.add_message(self._channel(topic, schema), time_ns + self._shift_ns, parts)
 
     def _channel(self, topic: str, schema: str) -> int:
         known = self._channels.get((topic, schema))
         if known is not None:
             return known
-        is_json = schema == SAMPLE_SCHEMA
+        is_json = schema == _SAMPLE_SCHEMA
         if schema not in self._schemas:
-            data = msgspec.json.encode(dict(SAMPLE_JSON)) if is_json else schema_bytes(foxglove_type(schema))
+            data = msgspec.json.encode(dict(_SAMPLE_JSON)) if is_json else schema_bytes(_foxglove_type(schema))
             encoding = "jsonschema" if is_json else "protobuf"
             self._schemas[schema] = self._writer.add_schema(schema, encoding, data)
         channel = self._writer.add_channel(topic, "json" if is_json else "protobuf", self._schemas[schema])
@@ -108,19 +177,14 @@ def write_mcap(
     """
     check_images(images)
     with replacing(path, overwrite=overwrite) as draft, draft.open("wb") as stream:
-        return _write(scene, stream, compression, images)
-
-
-def _write(scene: Scene, stream: BinaryIO, compression: str, images: str) -> LossReport:
-    writer = McapWriter(stream, library=f"sceneloom {__version__}", compression=compression, large_apart=True)
-    plan = SceneStreams(scene, _DIALECT, images=images)
-    shift_ns = max(0, -plan.start_ns)
-    records = FoxgloveWriter(writer, shift_ns)
-    for time_ns, topic, record in merged(plan.streams):
-        records.add(time_ns, topic, record)
-    writer.add_metadata(NOTES, {NOTES_KEY: json.dumps(plan.notes)})
-    writer.finish()
-    return LossReport.of(plan.losses.all)
+        writer = McapWriter(stream, library=f"sceneloom {__version__}", compression=compression, large_apart=True)
+        plan = SceneStreams(scene, _DIALECT, images=images)
+        records = _FoxgloveWriter(writer, max(0, -plan.start_ns))
+        for time_ns, topic, record in merged(plan.streams):
+            records.add(time_ns, topic, record)
+        writer.add_metadata(_NOTES, {_NOTES_KEY: json.dumps(plan.notes)})
+        writer.finish()
+        return LossReport.of(plan.losses.all)
 
 
 _HEAD_BYTES = 512
@@ -128,7 +192,8 @@ _HEAD_BYTES = 512
 _LOOKED_AT = 8
 """Messages of a topic in compressed chunks whose own times are compared with those of the index."""
 
-_PARSERS = MappingProxyType({"protobuf": parse_protobuf, "json": parse_json})
+_ENCODINGS = ("protobuf", "json")
+"""Encodings of messages that are read."""
 
 
 def open_mcap(
@@ -166,14 +231,8 @@ def open_mcap(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class McapLog:
-    """The topics of a file.
-
-    Attributes:
-        index: what is where in it.
-        topics: all channels.
-        entries: of each topic, by number.
-    """
+class _McapLog:
+    """The topics of a file, and where their messages are, by the number of the topic."""
 
     index: McapIndex
     topics: tuple[Topic, ...]
@@ -187,7 +246,7 @@ class McapLog:
     @property
     def notes(self) -> str | None:
         """What our writer left."""
-        return next((values.get(NOTES_KEY) for name, values in self.index.metadata if name == NOTES), None)
+        return next((values.get(_NOTES_KEY) for name, values in self.index.metadata if name == _NOTES), None)
 
     def receive_times(self, topic: Topic) -> Int64Array:
         """When each message was recorded, (N,) int64 [ns]."""
@@ -207,48 +266,32 @@ class McapLog:
         return self._timestamps_of(topic, np.arange(len(entries))), True
 
     def _timestamps_of(self, topic: Topic, rows: Int64Array) -> Int64Array:
-        entries = self.entries[topic.number]
-        json = self._encoding(topic) != "protobuf"
-        found: list[int | None] = (
-            [None] * len(rows)
-            if json
-            else [head_timestamp(head) for head in self.index.messages.heads(entries, rows, _HEAD_BYTES)]
-        )
-        return np.array(
-            [
-                self.read(topic, row)[0].timestamp_ns if timestamp is None else timestamp
-                for row, timestamp in zip(rows.tolist(), found, strict=True)
-            ],
-            np.int64,
-        )
+        messages, entries, found = self.index.messages, self.entries[topic.number], []
+        heads = messages.heads(entries, rows, _HEAD_BYTES) if self._encoding(topic) == "protobuf" else None
+        for row in rows.tolist():
+            stated = None if heads is None else _head_timestamp(next(heads))
+            found.append(self.read(topic, row)[0].timestamp_ns if stated is None else stated)
+        return np.array(found, np.int64)
 
     def _encoding(self, topic: Topic) -> str:
         return self.index.channels[topic.number].message_encoding
 
     def read(self, topic: Topic, k: int) -> Sequence[AnyRecord]:
-        """What message `k` says.
-
-        Raises:
-            DataError: it is no message of its schema.
-        """
+        """What message `k` says."""
         content = self.index.messages.data(self.entries[topic.number], k)
         try:
-            found = _PARSERS[self._encoding(topic)](topic.schema, content)
+            parse = _parse_protobuf if self._encoding(topic) == "protobuf" else _parse_json
+            return parse(topic.schema, content)
         except (ValueError, OverflowError) as error:
             raise DataError(self.name, f"{topic.name}[{k}]", str(error)) from error
-        return found
 
     def close(self) -> None:
         """Release the file."""
         self.index.file.close()
 
 
-def _open_log(path: Path | str, ledger: Ledger) -> McapLog:
-    """Read the index of a file.
-
-    Raises:
-        DataError: it is no MCAP file, or damaged.
-    """
+def _open_log(path: Path | str, ledger: Ledger) -> _McapLog:
+    """Read the index of a file."""
     file = FileBytes(path)
     try:
         index = read_index(file, ledger)
@@ -257,18 +300,453 @@ def _open_log(path: Path | str, ledger: Ledger) -> McapLog:
     except BaseException:
         file.close()
         raise
-    return McapLog(index, topics, MappingProxyType(entries))
+    return _McapLog(index, topics, MappingProxyType(entries))
 
 
 def _topic(index: McapIndex, number: int, count: int) -> Topic:
     channel = index.channels[number]
     schema = index.schemas.get(channel.schema_id)
     name = "" if schema is None else schema.name
-    kind = Kind.SAMPLE if name == SAMPLE_SCHEMA and channel.message_encoding == "json" else None
-    kind = READERS[name][0] if name in READERS else kind
-    if kind is not None and channel.message_encoding not in _PARSERS:
+    kind = Kind.SAMPLE if name == _SAMPLE_SCHEMA and channel.message_encoding == "json" else None
+    kind = _READERS[name][0] if name in _READERS else kind
+    if kind is not None and channel.message_encoding not in _ENCODINGS:
         why = f"in the encoding {channel.message_encoding!r}; expected protobuf or json"
         return Topic(number, channel.topic, name, None, count, why)
     if schema is None:
         return Topic(number, channel.topic, f"{channel.message_encoding or 'bytes'} without a schema", None, count)
     return Topic(number, channel.topic, name, kind, count)
+
+
+def schema_bytes(message_type: type[Any]) -> bytes:
+    """Give the `FileDescriptorSet` of a class of messages, those that it refers to first.
+
+    Source: MCAP format registry, schema encoding "protobuf".
+    """
+    files = dict.fromkeys(_with_imports(message_type.DESCRIPTOR.file))
+    described = descriptor_pb2.FileDescriptorSet()
+    for file in files:
+        file.CopyToProto(described.file.add())
+    return serialised(described)
+
+
+def _with_imports(file: FileDescriptor) -> Iterator[FileDescriptor]:
+    for imported in file.dependencies:
+        yield from _with_imports(imported)
+    yield file
+
+
+def serialised(message: Message) -> bytes:
+    """Give the bytes of a message; equal ones have equal bytes."""
+    content: bytes = message.SerializeToString(deterministic=True)
+    return content
+
+
+@cache
+def _foxglove_type(schema: str) -> type[Any]:
+    """Give the class of a Foxglove schema by its full name."""
+    name = schema.removeprefix("foxglove.")
+    found: type[Any] = getattr(import_module(f"{foxglove_schemas_protobuf.__name__}.{name}_pb2"), name)
+    return found
+
+
+def _parse_protobuf(schema: str, content: memoryview) -> Sequence[AnyRecord]:
+    """Read a message; its large field is a part of the bytes as they are."""
+    message_type = _foxglove_type(schema)
+    large = message_type.DESCRIPTOR.fields_by_name.get(_DATA)
+    message, data = message_type(), memoryview(b"")
+    rest: bytes | memoryview = content
+    if large is not None:
+        fields = wire_fields(content, 0, len(content))
+        if fields is None:
+            raise ValueError(f"no {schema}: its fields cannot be distinguished")
+        kept = []
+        for field in fields:
+            if field.number == large.number and field.type == LENGTH_TYPE:
+                data = content[field.start : field.stop]
+            else:
+                kept.append(content[field.head : field.stop])
+        rest = b"".join(kept)
+    try:
+        message.ParseFromString(bytes(rest))
+    except (DecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"no {schema}: {error}") from error
+    return list(_READERS[schema][1](message, data))
+
+
+def _parse_json(schema: str, content: memoryview) -> Sequence[AnyRecord]:
+    """Read a message that is JSON; its bytes are in base64, its times in `sec` and `nsec`.
+
+    Source: docs.foxglove.dev, "JSON" of the schemas.
+    """
+    try:
+        fields = msgspec.json.decode(content, type=dict[str, Any])
+        if schema not in _READERS:
+            return [_read_sample(fields)]
+        data = memoryview(base64.b64decode(fields.pop(_DATA, "")))
+        message = _foxglove_type(schema)()
+        json_format.ParseDict(_as_protobuf_writes(fields), message, ignore_unknown_fields=True)
+    except (
+        msgspec.DecodeError,
+        json_format.ParseError,
+        binascii.Error,
+        RecursionError,
+        KeyError,
+        TypeError,
+        AttributeError,
+    ) as error:
+        raise ValueError(f"no {schema} in JSON: {error}") from error
+    return list(_READERS[schema][1](message, data))
+
+
+def _as_protobuf_writes(value: Any, name: str = "") -> Any:
+    """Times and durations as protobuf writes them in JSON."""
+    if isinstance(value, list):
+        return [_as_protobuf_writes(item) for item in value]
+    if not isinstance(value, Mapping):
+        return value
+    if name == "lifetime":
+        return f"{int(value.get('sec', 0))}.{int(value.get('nsec', 0)):09d}s"
+    if set(value) in ({"sec", "nsec"}, {"sec", "nanosec"}):
+        nanos = int(value.get("nsec", value.get("nanosec", 0)))
+        return Timestamp(seconds=int(value["sec"]), nanos=nanos).ToJsonString()
+    return {key: _as_protobuf_writes(item, key) for key, item in value.items()}
+
+
+def _head_timestamp(head: bytes) -> int | None:
+    """The time of a message of one of the large kinds, from how it begins [ns]; None where it does not begin with it.
+
+    In all of them the timestamp is field 1, which writers put first.
+    """
+    length = head[1] if len(head) > 1 and head[0] == 1 << 3 | LENGTH_TYPE else len(head)
+    if length > len(head) - 2:
+        return None
+    try:
+        return _time_ns(Timestamp.FromString(head[2 : 2 + length]))
+    except DecodeError:
+        return None
+
+
+def _encode(record: AnyRecord) -> tuple[str, _Parts]:
+    """Give the schema of a record's message, and the message."""
+    write = _WRITERS.get(type(record))
+    if write is None:
+        raise OutputError(f"a {type(record).__name__}; there is no schema for it")
+    return write(record)
+
+
+def _message(schema: str, data: memoryview | None = None, **fields: Any) -> tuple[str, _Parts]:
+    message_type = _foxglove_type(schema)
+    rest = serialised(message_type(**fields))
+    if data is None:
+        return schema, [rest]
+    number = message_type.DESCRIPTOR.fields_by_name[_DATA].number
+    return schema, [rest, field_head(number, len(data)), data]
+
+
+def _time_ns(timestamp: Any) -> int:
+    return int(timestamp.seconds) * _SECOND_NS + int(timestamp.nanos)
+
+
+def _time(time_ns: int) -> dict[str, int]:
+    seconds, nanos = divmod(time_ns, _SECOND_NS)
+    return {"seconds": seconds, "nanos": nanos}
+
+
+def _vector(vector: Any) -> Float64Array:
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def _rotation(quaternion: Any) -> Float64Array:
+    return np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
+
+
+def _xyz(values: Any) -> dict[str, float]:
+    return dict(zip("xyz", map(float, values), strict=True))
+
+
+def _xyzw(values: Any) -> dict[str, float]:
+    return dict(zip("xyzw", map(float, values), strict=True))
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+class _Field(NamedTuple):
+    """A field of a message and of its record, and how its values are read and written."""
+
+    message: str
+    record: str
+    read: Callable[[Any], Any] = _same
+    write: Callable[[Any], Any] = _same
+
+
+_HEAD = (_Field("timestamp", "timestamp_ns", _time_ns, _time), _Field("frame_id", "frame_id"))
+_SIZE = (_Field("width", "width"), _Field("height", "height"))
+
+_FIELDS: Mapping[type[Any], tuple[_Field, ...]] = {
+    TransformRecord: (
+        _HEAD[0],
+        _Field("parent_frame_id", "parent"),
+        _Field("child_frame_id", "child"),
+        _Field("translation", "position", _vector, _xyz),
+        _Field("rotation", "quaternion_xyzw", _rotation, _xyzw),
+    ),
+    ImageRecord: (*_HEAD, *_SIZE, _Field("encoding", "encoding"), _Field("step", "step")),
+    CompressedImageRecord: (
+        *_HEAD,
+        _Field("format", "form", lambda form: form.lower().removeprefix("image/").replace("jpg", "jpeg")),
+    ),
+    CameraModelRecord: (
+        *_HEAD,
+        *_SIZE,
+        _Field("distortion_model", "model"),
+        _Field("D", "coefficients", tuple),
+        _Field("K", "k", tuple),
+        _Field("P", "p", tuple),
+    ),
+}
+"""Records whose messages have the same fields, but for large ones."""
+
+
+def _read_fields(record_type: type[Any], message: Any, data: memoryview) -> Iterable[Any]:
+    large = {} if record_type in {TransformRecord, CameraModelRecord} else {_DATA: data}
+    for part in getattr(message, "transforms", [message]):
+        values = {field.record: field.read(getattr(part, field.message)) for field in _FIELDS[record_type]}
+        yield record_type(**values, **large)
+
+
+def _write_fields(record: Any, schema: str, **further: Any) -> tuple[str, _Parts]:
+    fields = {field.message: field.write(getattr(record, field.record)) for field in _FIELDS[type(record)]}
+    return _message(schema, getattr(record, _DATA, None), **fields, **further)
+
+
+def _write_file(record: CompressedImageRecord) -> tuple[str, _Parts]:
+    return _write_fields(record, f"foxglove.Compressed{'Video' if record.form in _VIDEOS else 'Image'}")
+
+
+def _read_cloud(message: Any, data: memoryview) -> Iterable[CloudRecord]:
+    fields = tuple(
+        PackedField(field.name, field.offset, np.dtype(_DTYPES[field.type]).newbyteorder("<"))
+        for field in message.fields
+        if field.type in _DTYPES
+    )
+    timestamp_ns, frame_id, stride = _time_ns(message.timestamp), message.frame_id, message.point_stride
+    placed = _rigid(message.pose) if message.HasField("pose") else None
+    yield CloudRecord(timestamp_ns, frame_id, fields, stride, data, frame_from_points=placed)
+
+
+def _rigid(pose: Any) -> RigidTransform:
+    quaternion = _rotation(pose.orientation)
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(quaternion)
+    if not 0 < length < math.inf:
+        return RigidTransform(np.eye(3), _vector(pose.position))
+    return RigidTransform.from_quaternion(_vector(pose.position), quaternion)
+
+
+def _write_cloud(record: CloudRecord) -> tuple[str, _Parts]:
+    return _message(
+        "foxglove.PointCloud",
+        record.data,
+        timestamp=_time(record.timestamp_ns),
+        frame_id=record.frame_id,
+        pose={"position": _xyz((0, 0, 0)), "orientation": _xyzw((0, 0, 0, 1))},
+        point_stride=record.stride,
+        fields=[
+            {"name": field.name, "offset": field.offset, "type": _TYPES[field.dtype.str[1:]]} for field in record.fields
+        ],
+    )
+
+
+def _read_poses(message: Any, _: memoryview) -> Iterable[PoseRecord]:
+    for pose in getattr(message, "poses", None) or [message.pose]:
+        yield PoseRecord(
+            _time_ns(message.timestamp),
+            message.frame_id,
+            _vector(pose.position),
+            _rotation(pose.orientation) if pose.HasField("orientation") else None,
+            getattr(message, "body_frame_id", ""),
+        )
+
+
+def _write_pose(record: PoseRecord) -> tuple[str, _Parts]:
+    pose: dict[str, Any] = {"position": _xyz(record.position)}
+    if record.quaternion_xyzw is not None:
+        pose["orientation"] = _xyzw(record.quaternion_xyzw)
+    return _message("foxglove.PoseInFrame", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, pose=pose)
+
+
+def _read_fixes(message: Any, _: memoryview) -> Iterable[FixRecord]:
+    for fix in getattr(message, "fixes", [message]):
+        covariance = tuple(fix.position_covariance)
+        known = fix.position_covariance_type != 0 and len(covariance) == 9
+        yield FixRecord(
+            _time_ns(fix.timestamp),
+            fix.frame_id,
+            (fix.latitude, fix.longitude, fix.altitude),
+            (covariance[0], covariance[4], covariance[8]) if known else None,
+        )
+
+
+def _write_fix(record: FixRecord) -> tuple[str, _Parts]:
+    fields: dict[str, Any] = dict(zip(("latitude", "longitude", "altitude"), record.lla, strict=True))
+    if record.variances is not None:
+        fields["position_covariance"] = np.diag(record.variances).reshape(-1).tolist()
+        fields["position_covariance_type"] = _DIAGONAL
+    return _message("foxglove.LocationFix", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, **fields)
+
+
+def _read_sample(content: Mapping[str, Any]) -> SampleRecord:
+    """Read a measurement of ours."""
+    timestamp = content["timestamp"]
+    values = {name: tuple(map(float, row)) for name, row in content["values"].items()}
+    timestamp_ns = int(timestamp["sec"]) * _SECOND_NS + int(timestamp["nsec"])
+    return SampleRecord(timestamp_ns, str(content["frame_id"]), values)
+
+
+def _write_sample(record: SampleRecord) -> tuple[str, _Parts]:
+    seconds, nanos = divmod(record.timestamp_ns, _SECOND_NS)
+    timestamp = {"sec": seconds, "nsec": nanos}
+    content = {"timestamp": timestamp, "frame_id": record.frame_id, "values": record.values}
+    return _SAMPLE_SCHEMA, [msgspec.json.encode(content)]
+
+
+def _reported(pairs: Iterable[Any], *all_keys: Sequence[str]) -> tuple[dict[str, str], list[str | None]]:
+    """Metadata of a plot, without what the first of each group of keys says, which stands beside it."""
+    reported = {pair.key: pair.value for pair in pairs}
+    names = [next((key for key in keys if key in reported), None) for keys in all_keys]
+    return reported, [None if name is None else reported.pop(name) for name in names]
+
+
+def _metadata(reported: Mapping[str, str], **named: str | None) -> list[dict[str, str]]:
+    known = {key: value for key, value in named.items() if value is not None}
+    return [{"key": key, "value": value} for key, value in {**known, **reported}.items()]
+
+
+def _read_boxes_3d(message: Any, _: memoryview) -> Iterable[Boxes3DRecord]:
+    boxes: list[Box3D] = []
+    others = 0
+    for entity in message.entities:
+        others += sum(len(getattr(entity, name)) for name in _OTHER_PLOTS) + (not entity.cubes)
+        for k, cube in enumerate(entity.cubes):
+            reported, (label,) = _reported(entity.metadata, _LABEL_KEYS)
+            boxes.append(
+                Box3D(
+                    entity.id if len(entity.cubes) == 1 else f"{entity.id}/{k}",
+                    entity.frame_id,
+                    _vector(cube.pose.position),
+                    _rotation(cube.pose.orientation),
+                    _vector(cube.size),
+                    label if label is not None else next((text.text for text in entity.texts if text.text), None),
+                    MappingProxyType(reported),
+                )
+            )
+    gone = tuple(deletion.id for deletion in message.deletions if deletion.type == _MATCHING_ID)
+    for timed in [*message.entities, *message.deletions][:1]:
+        yield Boxes3DRecord(_time_ns(timed.timestamp), tuple(boxes), gone, others)
+
+
+def _write_boxes_3d(record: Boxes3DRecord) -> tuple[str, _Parts]:
+    time = _time(record.timestamp_ns)
+    entities = []
+    for box in record.boxes:
+        pose = {"position": _xyz(box.center), "orientation": _xyzw(box.quaternion_xyzw)}
+        entities.append(
+            {
+                "timestamp": time,
+                "frame_id": box.frame_id,
+                "id": box.id,
+                "frame_locked": True,
+                "metadata": _metadata(box.reported, label=box.label),
+                "cubes": [{"pose": pose, "size": _xyz(box.size_lwh), "color": _FACES}],
+            }
+        )
+    gone = [{"timestamp": time, "type": _MATCHING_ID, "id": identifier} for identifier in record.gone]
+    return _message("foxglove.SceneUpdate", deletions=gone, entities=entities)
+
+
+def _read_boxes_2d(message: Any, _: memoryview) -> Iterable[Boxes2DRecord]:
+    by_time: dict[int, list[Box2D]] = {}
+    others = len(message.circles)
+    for drawing in message.points:
+        points = np.array([(point.x, point.y) for point in drawing.points]).reshape(-1, 2)
+        box = _upright(points) if drawing.type in {_LINE_LOOP, _LINE_STRIP, _LINE_LIST} else None
+        if box is None:
+            others += 1
+            continue
+        reported, (identifier, label) = _reported(drawing.metadata, _ID_KEYS, _LABEL_KEYS)
+        found = Box2D(identifier or "", box, label, MappingProxyType(reported))
+        by_time.setdefault(_time_ns(drawing.timestamp), []).append(found)
+    if not by_time and others:
+        by_time[_time_ns(message.timestamp)] = []
+    for number, (timestamp_ns, boxes) in enumerate(by_time.items()):
+        yield Boxes2DRecord(timestamp_ns, "", tuple(boxes), 0 if number else others)
+
+
+def _write_boxes_2d(record: Boxes2DRecord) -> tuple[str, _Parts]:
+    time, points = _time(record.timestamp_ns), []
+    for box in record.boxes:
+        left, top, width, height = box.box_ltwh
+        corners = ((left, top), (left + width, top), (left + width, top + height), (left, top + height))
+        points.append(
+            {
+                "timestamp": time,
+                "type": _LINE_LOOP,
+                "points": [{"x": x, "y": y} for x, y in corners],
+                "outline_color": _EDGES,
+                "thickness": 2.0,
+                "metadata": _metadata(box.reported, id=box.id, label=box.label),
+            }
+        )
+    return _message("foxglove.ImageAnnotations", points=points)
+
+
+def _upright(points: Float64Array) -> tuple[float, float, float, float] | None:
+    """Left, top, width and height of a drawing whose points are the corners of an upright box; None of others."""
+    if len(points) < 4 or not np.isfinite(points).all():
+        return None
+    (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    if {(x, y) for x, y in points.tolist()} != {(x, y) for x in (left, right) for y in (top, bottom)}:
+        return None
+    return left, top, right - left, bottom - top
+
+
+_Reader = Callable[[Any, memoryview], Iterable[AnyRecord]]
+
+_READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
+    {
+        "foxglove.FrameTransform": (Kind.TRANSFORM, partial(_read_fields, TransformRecord)),
+        "foxglove.FrameTransforms": (Kind.TRANSFORM, partial(_read_fields, TransformRecord)),
+        "foxglove.PointCloud": (Kind.CLOUD, _read_cloud),
+        "foxglove.RawImage": (Kind.IMAGE, partial(_read_fields, ImageRecord)),
+        "foxglove.CompressedImage": (Kind.COMPRESSED_IMAGE, partial(_read_fields, CompressedImageRecord)),
+        "foxglove.CompressedVideo": (Kind.VIDEO, partial(_read_fields, CompressedImageRecord)),
+        "foxglove.CameraCalibration": (Kind.CAMERA_MODEL, partial(_read_fields, CameraModelRecord)),
+        "foxglove.PoseInFrame": (Kind.POSE, _read_poses),
+        "foxglove.PosesInFrame": (Kind.POSE, _read_poses),
+        "foxglove.Odometry": (Kind.POSE, _read_poses),
+        "foxglove.LocationFix": (Kind.FIX, _read_fixes),
+        "foxglove.LocationFixes": (Kind.FIX, _read_fixes),
+        "foxglove.SceneUpdate": (Kind.BOXES_3D, _read_boxes_3d),
+        "foxglove.ImageAnnotations": (Kind.BOXES_2D, _read_boxes_2d),
+    }
+)
+"""The schemas that are read, by name: what they state, and what reads them."""
+
+_WRITERS: Mapping[type[Any], Callable[[Any], tuple[str, _Parts]]] = MappingProxyType(
+    {
+        TransformRecord: partial(_write_fields, schema="foxglove.FrameTransform"),
+        CloudRecord: _write_cloud,
+        ImageRecord: partial(_write_fields, schema="foxglove.RawImage"),
+        CompressedImageRecord: _write_file,
+        CameraModelRecord: partial(
+            _write_fields, schema="foxglove.CameraCalibration", R=np.eye(3).reshape(-1).tolist()
+        ),
+        PoseRecord: _write_pose,
+        FixRecord: _write_fix,
+        SampleRecord: _write_sample,
+        Boxes3DRecord: _write_boxes_3d,
+        Boxes2DRecord: _write_boxes_2d,
+    }
+)

@@ -203,11 +203,7 @@ class _Bytes(ReadDataStream):
 
 
 def _parsed(read: Callable[[ReadDataStream], _Record], content: bytes | memoryview) -> _Record:
-    """Parse a record by the package `mcap`.
-
-    Raises:
-        ValueError: it is damaged.
-    """
+    """Parse a record by the package `mcap`."""
     try:
         return read(_Bytes(BytesIO(content)))
     except (McapError, struct.error) as error:

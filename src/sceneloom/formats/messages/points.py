@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,66 +44,33 @@ _PADDING = "_"
 
 
 def _unpack(record: CloudRecord, owner: str, location: str) -> Cloud:
-    """Take the points of a message apart into columns.
-
-    Args:
-        record: the message.
-        owner: what messages call the log.
-        location: which message it is.
-
-    Raises:
-        DataError: a field reaches beyond the point, or there are fewer bytes than points.
-    """
-    rows = _checked_rows(record, owner, location)
-    names = unique_names([field.name for field in record.fields])
-    columns = {
-        name: _column(rows, field)
-        for name, field in zip(names, record.fields, strict=True)
-        if not name.startswith(_PADDING)
-    }
+    """Take the points of a message apart into columns; `owner` is what messages call the log."""
+    rows = _rows(record, owner, location)
+    named = zip(unique_names([field.name for field in record.fields]), record.fields, strict=True)
+    columns = {name: _column(rows, field) for name, field in named if not name.startswith(_PADDING)}
     return Cloud(Path(owner), len(rows), columns)
 
 
-def _checked_rows(record: CloudRecord, owner: str, location: str) -> AnyArray:
-    """(N, stride) uint8, the bytes of each point.
-
-    Raises:
-        DataError: a field reaches beyond the point, or there are fewer bytes than points.
-    """
-    stride = record.stride
-    if stride <= 0 and (len(record.data) or record.count):
+def _rows(record: CloudRecord, owner: str, location: str) -> AnyArray:
+    """(N, stride) uint8, the bytes of each point; a view, unless rows are longer than their points."""
+    stride, content = record.stride, np.frombuffer(record.data, np.uint8)
+    if stride <= 0 and (len(content) or record.count):
         raise DataError(owner, location, f"{stride} bytes from point to point; expected a positive number")
     for field in record.fields:
         end = field.offset + field.dtype.itemsize * field.count
         if field.offset < 0 or end > stride:
-            problem = (
-                f"field {field.name!r} takes bytes {field.offset} to {end} of each point, which has {stride}; "
-                "expected fields inside the point"
-            )
-            raise DataError(owner, location, problem)
-    return _rows(record, owner, location)
-
-
-def _rows(record: CloudRecord, owner: str, location: str) -> AnyArray:
-    """(N, stride) uint8, the bytes of each point; a view."""
-    stride = max(record.stride, 1)
-    content = np.frombuffer(record.data, np.uint8)
+            problem = f"field {field.name!r} takes bytes {field.offset} to {end} of each point, which has {stride}"
+            raise DataError(owner, location, f"{problem}; expected fields inside the point")
+    stride = max(stride, 1)
     count = len(content) // stride if record.count is None else record.count
     if not 0 <= count <= MOST_POINTS:
         raise DataError(owner, location, f"{count} points; expected 0 to {MOST_POINTS}")
-    if record.row_bytes is not None and record.row_bytes[0] != record.row_bytes[1] * stride:
-        return _uneven_rows(content, record.row_bytes, stride, count, owner, location)
-    if len(content) < count * stride:
-        problem = f"{len(content)} bytes for {count} points of {stride}; expected {count * stride}"
-        raise DataError(owner, location, problem)
-    return content[: count * stride].reshape(count, stride)
-
-
-def _uneven_rows(
-    content: AnyArray, row_bytes: tuple[int, int], stride: int, count: int, owner: str, location: str
-) -> AnyArray:
-    """Points in rows that are longer than their points."""
-    length, width = row_bytes
+    if record.row_bytes is None or record.row_bytes[0] == record.row_bytes[1] * stride:
+        if len(content) < count * stride:
+            problem = f"{len(content)} bytes for {count} points of {stride}; expected {count * stride}"
+            raise DataError(owner, location, problem)
+        return content[: count * stride].reshape(count, stride)
+    length, width = record.row_bytes
     height = count // width if width else 0
     if length < width * stride or len(content) < height * length:
         problem = (
@@ -126,23 +93,12 @@ def _column(rows: AnyArray, field: PackedField) -> AnyArray:
     return native
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PackedPoints:
-    """Points packed for a message: the bytes, and the layout of their fields."""
-
-    fields: tuple[PackedField, ...]
-    stride: int
-    count: int
-    data: memoryview
+_Columns = dict[tuple[str, ...], AnyArray]
+"""Columns of a message to be written, (N,), or several that lie side by side already, (N, k), by their k names."""
 
 
-def pack(columns: Mapping[tuple[str, ...], AnyArray], count: int) -> PackedPoints:
-    """Lay columns side by side, little-endian, without gaps, in their order.
-
-    Args:
-        columns: each (count,), or several that lie side by side already, (count, k), by their k names.
-        count: how many points there are.
-    """
+def _packed(columns: _Columns, count: int, timestamp_ns: int, frame_id: str) -> CloudRecord:
+    """Lay columns side by side, little-endian, without gaps, in their order."""
     stride = sum(len(names) * column.itemsize for names, column in columns.items())
     table = np.empty((count, stride), np.uint8)
     fields: list[PackedField] = []
@@ -150,31 +106,18 @@ def pack(columns: Mapping[tuple[str, ...], AnyArray], count: int) -> PackedPoint
     for names, column in columns.items():
         dtype = column.dtype.newbyteorder("<")
         fields += [PackedField(name, offset + k * dtype.itemsize, dtype) for k, name in enumerate(names)]
-        items = _whole_items(column.astype(dtype, copy=False))
+        items = column.astype(dtype, copy=False)
+        if items.ndim > 1:  # several numbers as bytes are copied in a third of the time
+            items = np.ascontiguousarray(items).view(f"V{items.shape[1] * items.itemsize}").reshape(-1)
         if count:  # no view may begin within an empty table
             np.ndarray((count,), items.dtype, table, offset, (stride,))[:] = items
         offset += items.itemsize
-    return PackedPoints(tuple(fields), stride, count, table.reshape(-1).data)
-
-
-def _whole_items(column: AnyArray) -> AnyArray:
-    """What stands in a row, (N,): numbers, or several of them as bytes, which are copied in a third of the time."""
-    if column.ndim == 1:
-        return column
-    rows = np.ascontiguousarray(column)
-    return rows.view(f"V{rows.shape[1] * rows.itemsize}").reshape(-1)
+    return CloudRecord(timestamp_ns, frame_id, tuple(fields), stride, table.reshape(-1).data, count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _KeptPoints:
-    """The points of a message of ours, which can be copied into another as they are.
-
-    Attributes:
-        reader: of the message.
-        row: number of the sweep.
-        record: the message.
-        count: how many points it has.
-    """
+    """The points of a message of ours, which can be copied into another as they are."""
 
     reader: "_CloudReader"
     row: int
@@ -185,11 +128,7 @@ class _KeptPoints:
         return self.count
 
     def unpacked(self) -> LidarPoints:
-        """Take them apart.
-
-        Raises:
-            DataError: a time is impossible.
-        """
+        """Take them apart."""
         return self.reader.unpacked(self.row, self.record)[0]
 
 
@@ -227,55 +166,36 @@ _ORDERS = {
 """Units by kind of number, the likeliest first."""
 
 
-@dataclass(frozen=True, slots=True)
-class FoundTimes:
-    """What the times of points mean, and where the first and last of a sweep lie from its timestamp [ns]."""
+class _FoundTimes(NamedTuple):
+    """What the times of points mean, and where the first of a sweep lies from its timestamp [ns]."""
 
     meaning: PointTimes
     first_ns: int
-    last_ns: int
 
 
-def _find_point_times(name: str, values: AnyArray, timestamp_ns: int, sweep_ns: int | None) -> FoundTimes | None:
-    """Find the unit and the zero of a column of times.
+def _find_point_times(name: str, values: AnyArray, timestamp_ns: int, sweep_ns: int | None) -> _FoundTimes | None:
+    """Find the unit and the zero of a column of times, (N,); None where no unit fits.
 
-    They have to lie within one and a half seconds of the timestamp, over a millisecond or more. Of several readings,
-    the one whose sweep lasts most nearly as long as it takes from timestamp to timestamp counts.
-
-    Args:
-        name: of the column.
-        values: (N,) of the points with a return.
-        timestamp_ns: of the message [ns].
-        sweep_ns: from message to message [ns], where that is known.
-
-    Returns:
-        None where no unit fits.
+    They have to lie within one and a half seconds of the message's timestamp, over a millisecond or more. Of several
+    readings, the one whose sweep lasts most nearly as long as it takes from message to message (`sweep_ns`) counts.
     """
     if values.ndim != 1 or values.dtype.kind not in _ORDERS or len(values) < 2:
         return None
     exact = values.dtype.kind != "f"
-    low, high = values.min(), values.max()
-    if not exact and not (np.isfinite(low) and np.isfinite(high)):
+    ends = values.min(), values.max()
+    if not exact and not np.isfinite(ends).all():
         return None
-    found: list[tuple[float, int, FoundTimes]] = []
+    found: list[tuple[float, int, _FoundTimes]] = []
     for order, unit in enumerate(_ORDERS[values.dtype.kind]):
+        low, high = (int(v) * UNITS_NS[unit] if exact else round(float(v) * UNITS_NS[unit]) for v in ends)
         for rank, (reference, zero_ns) in enumerate((("timestamp", 0), ("clock", timestamp_ns))):
-            first, last = (_nanoseconds(value, UNITS_NS[unit], exact=exact) - zero_ns for value in (low, high))
+            first, last = low - zero_ns, high - zero_ns
             if max(abs(first), abs(last)) > _LONGEST_SWEEP_NS or last - first < _SHORTEST_SWEEP_NS:
                 continue
-            badness = abs(np.log((last - first) / (sweep_ns or _USUAL_SWEEP_NS)))
-            found.append(
-                (
-                    round(float(badness), 1),
-                    order * 2 + rank,
-                    FoundTimes(PointTimes(unit, reference, name), first, last),
-                )
-            )
+            badness = abs(float(np.log((last - first) / (sweep_ns or _USUAL_SWEEP_NS))))
+            times = _FoundTimes(PointTimes(unit, reference, name), first)
+            found.append((round(badness, 1), order * 2 + rank, times))
     return min(found, key=lambda row: row[:2])[2] if found else None
-
-
-def _nanoseconds(value: AnyArray, unit_ns: int, *, exact: bool) -> int:
-    return int(value) * unit_ns if exact else round(float(value) * unit_ns)
 
 
 _SPEED_COLUMNS = ("velocity", "doppler", "radial_speed", "range_rate", "v_doppler_mps", "speed_radial")
@@ -339,7 +259,7 @@ class _CloudReader:
         """Read the points of message `k`, and what was left out of them."""
         record = self.record(k)
         if self.whole and _can_be_kept(record):
-            rows = _checked_rows(record, self.log.name, self.location(k))
+            rows = _rows(record, self.log.name, self.location(k))
             return LidarPoints.of_packed(_KeptPoints(self, k, record, len(rows))), {}
         return self.unpacked(k, record)
 
@@ -372,6 +292,23 @@ class _CloudReader:
             points = replace(points, colors=colors, camera_index=further.pop("camera_index"))
         return replace(points, extras=MappingProxyType(further))
 
+    def lidar_frame(self, k: int) -> LidarFrame:
+        """Read sweep `k` of a lidar."""
+        points, extras = self.points(k)
+        return LidarFrame(int(self.starts_ns[k]), points, MappingProxyType(extras))
+
+    def radar_frame(self, k: int) -> RadarFrame:
+        """Read cycle `k` of a radar, whose speeds go along the line of sight unless a message says otherwise."""
+        points, extras = self.points(k)
+        further = {"intensity": points.intensities, "ring": points.rings, "camera_index": points.camera_index}
+        columns = {**points.extras, **{name: values for name, values in further.items() if values is not None}}
+        speed = _speed_column(columns)
+        lengths = None if speed is None else read_only(columns.pop(speed), np.float32)
+        directions = None if lengths is None else _directions(columns, points.positions)
+        times, columns_left = points.timestamps_ns, MappingProxyType(columns)
+        radar = RadarPoints(points.positions, directions, lengths, times, columns_left)
+        return RadarFrame(int(self.starts_ns[k]), radar, MappingProxyType(extras))
+
 
 def _ours(cloud: Cloud) -> PointMapping:
     """What the columns of a message of ours mean."""
@@ -387,55 +324,6 @@ def _placed(points: LidarPoints, frame_from_points: RigidTransform | None) -> Li
     if frame_from_points is None or np.array_equal(frame_from_points.matrix, np.eye(4)):
         return points
     return replace(points, positions=read_only(frame_from_points.apply(points.positions), np.float32))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _LidarReader:
-    """Makes the sweeps of a lidar."""
-
-    clouds: _CloudReader
-
-    def __call__(self, k: int) -> LidarFrame:
-        """Read sweep `k`.
-
-        Raises:
-            DataError: its message is wrong.
-        """
-        points, extras = self.clouds.points(k)
-        return LidarFrame(int(self.clouds.starts_ns[k]), points, MappingProxyType(extras))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _RadarReader:
-    """Makes the cycles of a radar, whose speeds go along the line of sight unless a message says otherwise."""
-
-    clouds: _CloudReader
-
-    def __call__(self, k: int) -> RadarFrame:
-        """Read cycle `k`.
-
-        Raises:
-            DataError: its message is wrong.
-        """
-        points, extras = self.clouds.points(k)
-        columns = dict(points.extras)
-        further = {
-            "intensity": points.intensities,
-            "ring": points.rings,
-            "camera_index": points.camera_index,
-        }
-        columns |= {name: values for name, values in further.items() if values is not None}
-        speed = _speed_column(columns)
-        lengths = None if speed is None else columns.pop(speed)
-        directions = _directions(columns, points.positions) if lengths is not None else None
-        radar = RadarPoints(
-            points.positions,
-            directions,
-            None if lengths is None else read_only(lengths, np.float32),
-            points.timestamps_ns,
-            MappingProxyType(columns),
-        )
-        return RadarFrame(int(self.clouds.starts_ns[k]), radar, MappingProxyType(extras))
 
 
 def _speed_column(columns: Mapping[str, AnyArray]) -> str | None:
@@ -455,11 +343,7 @@ def _directions(columns: dict[str, AnyArray], positions: AnyArray) -> AnyArray:
 
 
 def _understood(reader: _CloudReader, ledger: Ledger) -> _CloudReader:
-    """Settle what brightness and times of a lidar mean, looking at its first messages.
-
-    Raises:
-        DataError: the first message is wrong.
-    """
+    """Settle what brightness and times of a lidar mean, looking at its first messages."""
     if reader.whole:
         return replace(reader, mapping=_OURS)
     if len(reader.rows) == 0:
@@ -548,8 +432,8 @@ class CloudDraft:
         times = self.reader.starts_ns
         if self.is_radar if radar is None else radar:
             fields.pop("model", None)
-            return RadarSensor(sensor_id, LazyFrames(times, _RadarReader(self.reader)), **fields)
-        return LidarSensor(sensor_id, LazyFrames(times, _LidarReader(self.reader)), **fields)
+            return RadarSensor(sensor_id, LazyFrames(times, self.reader.radar_frame), **fields)
+        return LidarSensor(sensor_id, LazyFrames(times, self.reader.lidar_frame), **fields)
 
     def points(self, sensor_id: str | int, **fields: Any) -> PointsSensor:
         """The map that the only message holds."""
@@ -580,9 +464,6 @@ def _is_radar(name: str, columns: dict[str, AnyArray]) -> bool:
     reported = "radar" in name.lower() or all(column in columns for column in _DIRECTION_COLUMNS)
     return reported and _speed_column(columns) is not None
 
-
-_Columns = dict[tuple[str, ...], AnyArray]
-"""Columns of a message to be written, (N,), or (N, k) by their k names."""
 
 _HELD = frozenset(["u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"])
 _MOST_NS = 2**32 - 1
@@ -615,7 +496,7 @@ class CloudWriter:
             self._note_frame(frame.extras)
             yield self.topic, replace(kept, frame_id=self.frame_id)
             return
-        columns = _positions(points.positions)
+        columns: _Columns = {("x", "y", "z"): points.positions}
         if points.intensities is not None:
             columns["intensity",] = points.intensities.astype(self.intensity, copy=False)
         if points.rings is not None:
@@ -628,13 +509,13 @@ class CloudWriter:
             columns["camera_index",] = points.camera_index
         self._add_extras(columns, points.extras)
         self._note_frame(frame.extras)
-        yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
+        yield self.topic, _packed(columns, len(points), frame.timestamp_ns, self.frame_id)
 
     def radar(self, sensor: RadarSensor, k: int) -> Iterator[Stated]:
         """Make the record of cycle `k`."""
         frame = sensor.frames[k]
         points = frame.points
-        columns = _positions(points.positions)
+        columns: _Columns = {("x", "y", "z"): points.positions}
         if points.directions is not None:
             columns[_DIRECTION_COLUMNS] = points.directions
         if points.lengths is not None:
@@ -643,36 +524,26 @@ class CloudWriter:
             columns |= _offsets(points.timestamps_ns, frame.timestamp_ns)
         self._add_extras(columns, points.extras)
         self._note_frame(frame.extras)
-        yield self.topic, self._record(columns, len(points), frame.timestamp_ns)
+        yield self.topic, _packed(columns, len(points), frame.timestamp_ns, self.frame_id)
 
     def map(self, sensor: PointsSensor, timestamp_ns: int) -> Iterator[Stated]:
         """Make the only record of a map."""
-        columns = _positions(sensor.positions)
+        columns: _Columns = {("x", "y", "z"): sensor.positions}
         if sensor.colors is not None:
             columns |= _colours(sensor.colors)
-        yield self.topic, self._record(columns, len(sensor.positions), timestamp_ns)
+        yield self.topic, _packed(columns, len(sensor.positions), timestamp_ns, self.frame_id)
 
     def _is_as_written(self, record: CloudRecord) -> bool:
         """Whether a message of ours has the types that this one would have."""
         dtypes = {field.name: field.dtype.str[1:] for field in record.fields}
         return dtypes.get("intensity", self.intensity) == self.intensity and _OLD_TIME_COLUMN not in dtypes
 
-    def _record(self, columns: _Columns, count: int, timestamp_ns: int) -> CloudRecord:
-        packed = pack(columns, count)
-        return CloudRecord(timestamp_ns, self.frame_id, packed.fields, packed.stride, packed.data, packed.count)
-
     def _add_extras(self, columns: _Columns, extras: Mapping[str, AnyArray]) -> None:
         taken = {name for names in columns for name in names}
         for name, column in extras.items():
-            location = f"{self.field}.points.extras.{name}"
-            stated = (name.lower(), column.dtype.str[1:])
-            if (
-                column.ndim != 1
-                or name in taken
-                or name.lower() in _TAKEN
-                or stated in _TIME_COLUMNS
-                or name.startswith("_")
-            ):
+            location, lower = f"{self.field}.points.extras.{name}", name.lower()
+            is_taken = name in taken or lower in _TAKEN or (lower, column.dtype.str[1:]) in _TIME_COLUMNS
+            if column.ndim != 1 or is_taken or name.startswith("_"):
                 self.losses.dropped(location, "not one number for each point, or of a name that means something else")
             elif column.dtype.str[1:] in _HELD:
                 columns[name,] = column
@@ -689,29 +560,12 @@ class CloudWriter:
         columns[name,] = numbers
 
     def _note_frame(self, extras: Mapping[str, object]) -> None:
-        self.losses.dropped(f"{self.field}.extras", "further fields of a sweep", count=bool(extras))
+        self.losses.dropped(f"{self.field}.extras", "unknown fields of a sweep", count=bool(extras))
 
 
 _TAKEN = frozenset(
-    {
-        "x",
-        "y",
-        "z",
-        "positions",
-        "intensity",
-        "ring",
-        "red",
-        "green",
-        "blue",
-        "rgb",
-        "colors",
-        _OLD_TIME_COLUMN,
-    }
+    {"x", "y", "z", "positions", "intensity", "ring", "red", "green", "blue", "rgb", "colors", _OLD_TIME_COLUMN}
 )
-
-
-def _positions(positions: AnyArray) -> _Columns:
-    return {("x", "y", "z"): positions}
 
 
 def _colours(colors: AnyArray) -> _Columns:
@@ -725,11 +579,9 @@ def _offsets(timestamps_ns: AnyArray, timestamp_ns: int) -> _Columns:
     `t` in whole nanoseconds; `time` in seconds where some are earlier than the timestamp or later than 32 bits report,
     exact to the nanosecond over 52 days.
     """
-    span_ns = (
-        (int(timestamps_ns.min()), int(timestamps_ns.max())) if len(timestamps_ns) else (timestamp_ns, timestamp_ns)
-    )
-    if span_ns[0] < timestamp_ns or span_ns[1] > timestamp_ns + _MOST_NS:
+    count = len(timestamps_ns)
+    if count and (timestamps_ns.min() < timestamp_ns or timestamps_ns.max() > timestamp_ns + _MOST_NS):
         return {("time",): (timestamps_ns - timestamp_ns).astype(np.float64) / 1e9}
-    offsets = np.empty(len(timestamps_ns), np.uint32)
+    offsets = np.empty(count, np.uint32)
     np.subtract(timestamps_ns, timestamp_ns, out=offsets, casting="unsafe")
     return {("t",): offsets}

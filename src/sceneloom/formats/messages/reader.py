@@ -2,9 +2,9 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from sceneloom.formats.messages.records import (
     Kind,
     PoseRecord,
     SampleRecord,
-    Topic,
     TopicLog,
     TransformRecord,
 )
@@ -38,7 +37,7 @@ from sceneloom.formats.messages.survey import (
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
-from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.poses import Poses, Trajectory, placed_along
@@ -47,8 +46,9 @@ from sceneloom.scene.types import Coordinates, PointsFrame
 from sceneloom.warnings import WarningKind
 
 _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
-"""Messages have covariances of location, then rotate; trajectories of rotation, then location."""
+"""Messages have covariances of position, then rotation; trajectories of rotation, then position."""
 
+_R = TypeVar("_R")
 _VECTORS = frozenset({"accelerometer", "gyroscope", "magnetometer"})
 
 
@@ -73,11 +73,7 @@ class _PoseRows:
 
 
 def _pose_rows(survey: Survey, name: str, records: Sequence[PoseRecord]) -> _PoseRows | None:
-    """Bring the poses of a topic into order; None where there are none.
-
-    Raises:
-        DataError: one of them is none.
-    """
+    """Bring the poses of a topic into order; None where there are none."""
     location = f"{survey.log.name}: {name}"
     kept = []
     for k, record in enumerate(records):
@@ -144,9 +140,10 @@ def _trajectory(name: str, rows: _PoseRows, locations: Locations, survey: Survey
 
 
 def _gnss_sensor(
-    sensor_id: str | int, records: Sequence[FixRecord], survey: Survey, location: str, **fields: Any
+    log: "_Log", sensor_id: str | int, records: Sequence[FixRecord], location: str, **fields: Any
 ) -> GnssSensor:
     """A satellite receiver from its fixes; those without reception are left out."""
+    survey = log.survey
     received = [record for record in records if record.received]
     if len(received) < len(records):
         count = len(records) - len(received)
@@ -170,14 +167,14 @@ def _gnss_sensor(
 
 
 def _imu_sensor(
+    log: "_Log",
     sensor_id: str | int,
     records: Sequence[SampleRecord],
-    survey: Survey,
     location: str,
     ego_from_imu: RigidTransform | None = None,
-    **fields: Any,
 ) -> ImuSensor:
     """An inertial unit from its samples, in the axes of the ego where these are known."""
+    survey = log.survey
     by_stream: dict[str, list[tuple[int, tuple[float, ...]]]] = {}
     for record in records:
         for name, values in record.values.items():
@@ -193,7 +190,7 @@ def _imu_sensor(
     streams: Mapping[str, VectorSamples] = MappingProxyType(
         {name: _stream(name, rows, rotation, survey, location) for name, rows in by_stream.items()}
     )
-    return ImuSensor(sensor_id, streams, **fields)
+    return ImuSensor(sensor_id, streams)
 
 
 def _stream(
@@ -217,13 +214,8 @@ _Note = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OwnMounts:
-    """Makes the images of a camera with a mounting of its own for each.
-
-    Attributes:
-        frames: the images or depth images without.
-        mounts: `ego_from_camera` of each, or None.
-    """
+class _OwnMounts:
+    """Makes the images of a camera with a mounting of its own for each."""
 
     frames: LazyFrames[Any]
     mounts: Sequence[RigidTransform | None]
@@ -233,138 +225,106 @@ class OwnMounts:
         return replace(self.frames[k], mount=self.mounts[k])
 
 
-class _Noted:
-    """Makes the sensors of notes."""
-
-    def __init__(
-        self,
-        survey: Survey,
-        clouds: Sequence[CloudDraft],
-        cameras: Sequence[CameraDraft],
-        locations: Locations,
-    ) -> None:
-        self.survey, self.locations = survey, locations
-        self.clouds = {draft.reader.topic.name: draft for draft in clouds}
-        self.cameras = {draft.topic.name: draft for draft in cameras}
-
-    def of(self, topic: str, kind: Kind, record_type: type[Any]) -> list[Any]:
-        """The records of a topic by its name."""
-        return [
-            record
-            for found in self.survey.topics(kind)
-            if found.name == topic
-            for record in self.survey.of(found, record_type)
-        ]
-
-    def common(self, note: _Note) -> dict[str, Any]:
-        """Fields of every sensor."""
-        fields: dict[str, Any] = {"parent_id": note.get("parent_id")}
-        return fields | ({"extras": MappingProxyType(note["extras"])} if note.get("extras") else {})
-
-    def posed(self, note: _Note, times_ns: Any) -> dict[str, Any]:
-        """Fields of sensors that are somewhere."""
-        mount = self.locations.mount(note["frame"]) if note.get("mount") else None
-        if "own_mount" in note:
-            numbers = np.array(note["own_mount"], np.float64)
-            mount = RigidTransform.from_quaternion(numbers[:3], normalise_quaternion(numbers[3:7]))
-        fields = self.common(note) | {
-            "mount": mount,
-            "coordinates": Coordinates(note.get("coordinates", "world")),
-        }
-        reported = note.get("poses")
-        if reported == "derived" and note.get("mounts") == "each":
-            mounts = self.locations.mounts_at(note["frame"], times_ns)
-            fields["poses"] = placed_along(self.locations.trajectory, mounts, times_ns)
-        elif reported == "derived":
-            fields["poses"] = self.locations.poses(note["frame"], mount, times_ns)
-        elif reported is not None:
-            rows = self.rows(reported)
-            fields["poses"] = None if rows is None else _path_of(rows, static=bool(note.get("static")))
-        return fields
-
-    def rows(self, topic: str) -> _PoseRows | None:
-        return _pose_rows(self.survey, topic, self.of(topic, Kind.POSE, PoseRecord))
-
-    def lidar(self, note: _Note) -> Sensor:
-        frame = {"points_frame": PointsFrame(note["points_frame"]), "model": note.get("model")}
-        return self.swept(note, LidarSensor, radar=False, **frame)
-
-    def radar(self, note: _Note) -> Sensor:
-        return self.swept(note, RadarSensor, radar=True, points_frame=PointsFrame(note["points_frame"]))
-
-    def swept(self, note: _Note, sensor_type: type[Any], *, radar: bool, **fields: Any) -> Sensor:
-        draft = self.clouds.get(note["topic"])
-        if draft is None:
-            nothing: LazyFrames[LidarFrame | RadarFrame] = LazyFrames.of([], [])
-            made: Sensor = sensor_type(note["id"], nothing, **self.posed(note, nothing.timestamps_ns), **fields)
-            return made
-        return draft.sensor(note["id"], radar=radar, **self.posed(note, draft.reader.starts_ns), **fields)
-
-    def cloud_map(self, note: _Note) -> Sensor:
-        return self.clouds[note["topic"]].points(note["id"], **self.common(note))
-
-    def camera(self, note: _Note) -> Sensor:
-        draft = self.cameras.get(note["topic"])
-        if draft is None:
-            kind: type[Any] = CameraSensor if note["type"] == "camera" else DepthCameraSensor
-            nothing: LazyFrames[Any] = LazyFrames.of([], [])
-            further = self.posed(note, nothing.timestamps_ns) | {"fps": note.get("fps")}
-            made: Sensor = kind(note["id"], _camera_model_from_text(note["camera_model"]), nothing, **further)
-            return made
-        times = draft.frames.timestamps_ns
-        if note.get("mounts") == "each":
-            own = OwnMounts(draft.frames, self.locations.mounts_at(note["frame"], times))
-            draft = replace(draft, frames=LazyFrames(times, own))
-        return draft.sensor(note["id"], fps=note.get("fps"), **self.posed(note, times))
-
-    def gnss(self, note: _Note) -> Sensor:
-        mount = self.locations.mount(note["frame"]) if note.get("mount") else None
-        fixes = self.of(note["topic"], Kind.FIX, FixRecord)
-        location = f"{self.survey.log.name}: {note['topic']}"
-        return _gnss_sensor(note["id"], fixes, self.survey, location, mount=mount, **self.common(note))
-
-    def imu(self, note: _Note) -> Sensor:
-        found: dict[str, Any] = {}
-        for topic in note["topics"]:
-            samples = self.of(topic, Kind.SAMPLE, SampleRecord)
-            location = f"{self.survey.log.name}: {topic}"
-            found |= _imu_sensor(note["id"], samples, self.survey, location).streams
-        order = [name for name in note.get("streams", ()) if name in found]
-        streams = {name: found[name] for name in (*order, *(name for name in found if name not in order))}
-        return ImuSensor(note["id"], MappingProxyType(streams), **self.common(note))
-
-    def odometry(self, note: _Note) -> Sensor:
-        rows = self.rows(note["topic"])
-        if rows is None:
-            raise DataError(self.survey.log.name, note["topic"], "no poses; expected those of the odometry")
-        return OdometrySensor(note["id"], _path_of(rows, static=bool(note.get("static"))), **self.common(note))
-
-    makers: Mapping[str, Callable[["_Noted", _Note], Sensor]] = MappingProxyType(
-        {
-            "lidar": lidar,
-            "radar": radar,
-            "points": cloud_map,
-            "camera": camera,
-            "depth_camera": camera,
-            "gnss": gnss,
-            "imu": imu,
-            "odometry": odometry,
-        }
-    )
+def _common(note: _Note) -> dict[str, Any]:
+    """Fields of every sensor."""
+    extras = {"extras": MappingProxyType(note["extras"])} if note.get("extras") else {}
+    return {"parent_id": note.get("parent_id"), **extras}
 
 
-def _noted_sensors(
-    survey: Survey, clouds: Sequence[CloudDraft], cameras: Sequence[CameraDraft], locations: Locations
-) -> list[Sensor]:
-    """The sensors that notes speak of, in their order.
+def _posed(log: "_Log", note: _Note, times_ns: Int64Array) -> dict[str, Any]:
+    """Fields of sensors that are somewhere."""
+    locations = log.locations
+    mount = locations.mount(note["frame"]) if note.get("mount") else None
+    if "own_mount" in note:
+        numbers = np.array(note["own_mount"], np.float64)
+        mount = RigidTransform.from_quaternion(numbers[:3], normalise_quaternion(numbers[3:7]))
+    fields = _common(note) | {"mount": mount, "coordinates": Coordinates(note.get("coordinates", "world"))}
+    reported = note.get("poses")
+    if reported == "derived" and note.get("mounts") == "each":
+        fields["poses"] = placed_along(locations.trajectory, locations.mounts_at(note["frame"], times_ns), times_ns)
+    elif reported == "derived":
+        fields["poses"] = locations.poses(note["frame"], mount, times_ns)
+    elif reported is not None:
+        rows = log.pose_rows(reported)
+        fields["poses"] = None if rows is None else _path_of(rows, static=bool(note.get("static")))
+    return fields
 
-    Raises:
-        DataError: the notes do not fit the messages.
-    """
-    noted, sensors = _Noted(survey, clouds, cameras, locations), []
+
+def _noted_cloud(log: "_Log", note: _Note) -> Sensor:
+    radar, frame = note["type"] == "radar", {"points_frame": PointsFrame(note["points_frame"])}
+    fields = frame if radar else {**frame, "model": note.get("model")}
+    draft = log.clouds.get(note["topic"])
+    if draft is not None:
+        return draft.sensor(note["id"], radar=radar, **_posed(log, note, draft.reader.starts_ns), **fields)
+    nothing: LazyFrames[Any] = LazyFrames.of([], [])
+    posed = _posed(log, note, nothing.timestamps_ns)
+    made: Sensor = (RadarSensor if radar else LidarSensor)(note["id"], nothing, **posed, **fields)
+    return made
+
+
+def _noted_map(log: "_Log", note: _Note) -> Sensor:
+    return log.clouds[note["topic"]].points(note["id"], **_common(note))
+
+
+def _noted_camera(log: "_Log", note: _Note) -> Sensor:
+    draft, fps = log.cameras.get(note["topic"]), note.get("fps")
+    if draft is None:
+        kind: type[Any] = CameraSensor if note["type"] == "camera" else DepthCameraSensor
+        nothing: LazyFrames[Any] = LazyFrames.of([], [])
+        posed = _posed(log, note, nothing.timestamps_ns)
+        made: Sensor = kind(note["id"], _camera_model_from_text(note["camera_model"]), nothing, fps=fps, **posed)
+        return made
+    times = draft.frames.timestamps_ns
+    if note.get("mounts") == "each":
+        own = _OwnMounts(draft.frames, log.locations.mounts_at(note["frame"], times))
+        draft = replace(draft, frames=LazyFrames(times, own))
+    return draft.sensor(note["id"], fps=fps, **_posed(log, note, times))
+
+
+def _noted_gnss(log: "_Log", note: _Note) -> Sensor:
+    mount = log.locations.mount(note["frame"]) if note.get("mount") else None
+    fixes = log.records(note["topic"], Kind.FIX, FixRecord)
+    return _gnss_sensor(log, note["id"], fixes, log.at(note["topic"]), mount=mount, **_common(note))
+
+
+def _noted_imu(log: "_Log", note: _Note) -> Sensor:
+    found: dict[str, Any] = {}
+    for topic in note["topics"]:
+        samples = log.records(topic, Kind.SAMPLE, SampleRecord)
+        found |= _imu_sensor(log, note["id"], samples, log.at(topic)).streams
+    order = [name for name in note.get("streams", ()) if name in found]
+    streams = {name: found[name] for name in dict.fromkeys([*order, *found])}
+    return ImuSensor(note["id"], MappingProxyType(streams), **_common(note))
+
+
+def _noted_odometry(log: "_Log", note: _Note) -> Sensor:
+    rows = log.pose_rows(note["topic"])
+    if rows is None:
+        raise DataError(log.survey.log.name, note["topic"], "no poses; expected those of the odometry")
+    return OdometrySensor(note["id"], _path_of(rows, static=bool(note.get("static"))), **_common(note))
+
+
+_NOTED: Mapping[str, Callable[["_Log", _Note], Sensor]] = MappingProxyType(
+    {
+        "lidar": _noted_cloud,
+        "radar": _noted_cloud,
+        "points": _noted_map,
+        "camera": _noted_camera,
+        "depth_camera": _noted_camera,
+        "gnss": _noted_gnss,
+        "imu": _noted_imu,
+        "odometry": _noted_odometry,
+    }
+)
+"""What makes the sensors of notes, by their types."""
+
+
+def _noted_sensors(log: "_Log") -> list[Sensor]:
+    """The sensors that notes speak of, in their order."""
+    survey, sensors = log.survey, []
     for note in survey.notes.sensors:
         try:
-            sensors.append(noted.makers[note["type"]](noted, note))
+            sensors.append(_NOTED[note["type"]](log, note))
         except (KeyError, ValueError, TypeError) as error:
             problem = f"note of sensor {note.get('id')!r} does not fit the messages: {error!r}"
             survey.ledger.fault("notes-at-fault", DataError(survey.log.name, "sceneloom.scene", problem))
@@ -390,13 +350,8 @@ def _noted_trajectories(survey: Survey) -> dict[str, Trajectory]:
         rows = None if topic is None else _pose_rows(survey, topic.name, survey.of(topic, PoseRecord))
         if rows is not None:
             name = str(note["name"])
-            found[name] = Trajectory(
-                name,
-                rows.timestamps_ns,
-                rows.positions,
-                rows.quaternions_xyzw,
-                covariances=rows.covariances,
-            )
+            poses = rows.timestamps_ns, rows.positions, rows.quaternions_xyzw
+            found[name] = Trajectory(name, *poses, covariances=rows.covariances)
     return found
 
 
@@ -419,36 +374,50 @@ _FROM_FRAMES = "tf"
 """Name of the ego trajectory that the transforms report."""
 
 
-@dataclass(slots=True)
-class Drafts:
-    """What the topics of a log are, before it is known where."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Closing:
+    """Closes what a scene is read from: the videos of cameras, then the log."""
 
-    clouds: list[CloudDraft] = field(default_factory=list)
-    cameras: list[CameraDraft] = field(default_factory=list)
+    log: TopicLog
+    cameras: list[CameraDraft]
 
-    @property
-    def frames(self) -> list[str]:
-        """The frames of all of them."""
-        return [*(draft.frame_id for draft in self.clouds), *(draft.frame_id for draft in self.cameras)]
-
-    def close(self) -> None:
-        """Release the videos."""
+    def __call__(self) -> None:
         for camera in self.cameras:
             if camera.video is not None:
                 camera.video.close()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CloseLog:
-    """Closes what a scene is read from."""
-
-    log: TopicLog
-    drafts: Drafts
-
-    def __call__(self) -> None:
-        """Close all."""
-        self.drafts.close()
         self.log.close()
+
+
+class _Log:
+    """A log while a scene is made of it.
+
+    Attributes:
+        survey: of all topics.
+        clouds, cameras: what topics of large messages hold, by their names.
+        locations: of all frames, once they are known.
+    """
+
+    def __init__(self, found: Survey, cameras: list[CameraDraft]) -> None:
+        """Look at the first message of each topic of large ones; drafts of cameras are added to `cameras`, too."""
+        self.survey = found
+        clouds = _draft_all(found, cameras)
+        self.clouds = {draft.reader.topic.name: draft for draft in clouds}
+        self.cameras = {draft.topic.name: draft for draft in cameras}
+        self.drafts: list[CloudDraft | CameraDraft] = [*clouds, *cameras]
+        self.locations: Locations
+
+    def at(self, topic: str) -> str:
+        """Where a topic is, for warnings."""
+        return f"{self.survey.log.name}: {topic}"
+
+    def records(self, topic: str, kind: Kind, record_type: type[_R]) -> list[_R]:
+        """The records of a topic by its name."""
+        topics = [found for found in self.survey.topics(kind) if found.name == topic]
+        return [record for found in topics for record in self.survey.of(found, record_type)]
+
+    def pose_rows(self, topic: str) -> _PoseRows | None:
+        """The poses of a topic by its name."""
+        return _pose_rows(self.survey, topic, self.records(topic, Kind.POSE, PoseRecord))
 
 
 def scene_from_topics(
@@ -475,20 +444,19 @@ def scene_from_topics(
         DataError: a message is wrong.
         OptionError: a frame that was chosen is not there.
     """
-    drafts = Drafts()
-    closing = CloseLog(log, drafts)
+    closing = _Closing(log, [])
     try:
         found = survey(log, ledger, timestamps=timestamps)
-        _draft_all(found, drafts)
-        locations, trajectories = _location(found, drafts, ego=ego, world=world)
-        sensors = _noted_sensors(found, drafts.clouds, drafts.cameras, locations)
+        context = _Log(found, closing.cameras)
+        trajectories = _locate(context, ego=ego, world=world)
+        sensors = _noted_sensors(context)
         cameras = {
             note["topic"]: note["id"]
             for note in found.notes.sensors
             if note.get("type") == "camera" and {"topic", "id"} <= note.keys()
         }
-        sensors += _foreign_sensors(found, drafts, locations, {sensor.id for sensor in sensors}, cameras)
-        annotations = read_annotations(found, locations, cameras)
+        sensors += _foreign_sensors(context, {sensor.id for sensor in sensors}, cameras)
+        annotations = read_annotations(found, context.locations, cameras)
         fields = _noted_scene_fields(found.notes, metadata, form)
     except BaseException:
         closing()
@@ -505,48 +473,57 @@ def scene_from_topics(
     )
 
 
-def _draft_all(found: Survey, drafts: Drafts) -> None:
-    """Look at the first message of each topic of large ones."""
-    camera_model_topics = found.topics(Kind.CAMERA_MODEL)
+def _draft_all(found: Survey, cameras: list[CameraDraft]) -> list[CloudDraft]:
+    """Look at the first message of each topic of large ones; drafts of cameras are added to `cameras`."""
+    camera_models = {topic.name: topic for topic in found.topics(Kind.CAMERA_MODEL)}
     noted = {note["topic"]: note.get("camera_model_topic") for note in found.notes.sensors if "topic" in note}
+    clouds = []
     for topic in found.topics(Kind.CLOUD, *_IMAGE_KINDS):
         try:
             if topic.kind is Kind.CLOUD:
-                drafts.clouds.append(draft_cloud(found, topic))
+                clouds.append(draft_cloud(found, topic))
                 continue
-            camera_model = _camera_model_topic_of(topic, camera_model_topics)
-            if topic.name in noted:
-                camera_model = next((other for other in camera_model_topics if other.name == noted[topic.name]), None)
-            drafts.cameras.append(draft_camera(found, topic, camera_model))
+            name = noted[topic.name] if topic.name in noted else nearest(topic.name, camera_models)
+            cameras.append(draft_camera(found, topic, camera_models.get(name or "")))
         except UnknownFormatError as error:
             location = f"{found.log.name}: {topic.name}"
             message = f"images that are not read: {error.problem}"
             found.ledger.note(WarningKind.SKIPPED, "unknown-images", location, message, count=topic.count)
         except DataError as error:
             found.ledger.fault("topics-at-fault", error, count=topic.count)
+    return clouds
 
 
-def _location(
-    found: Survey, drafts: Drafts, *, ego: str | None, world: str | None
-) -> tuple[Locations, dict[str, Trajectory]]:
-    """Find the frames, and the trajectories of the ego."""
+def _locate(context: _Log, *, ego: str | None, world: str | None) -> dict[str, Trajectory]:
+    """Find the frames of the log, and the trajectories of the ego."""
+    found = context.survey
     log, ledger, noted = found.log, found.ledger, found.notes.root.get("frames", {})
     tree = FrameTree(found.all_of(Kind.TRANSFORM, TransformRecord), log.name)
-    _note_tree(tree, log.name, ledger)
+    for code, count, message in (
+        (
+            "repeated-transforms",
+            tree.repeated,
+            "transforms with the time of another one of their frame; the first counts",
+        ),
+        ("other-parents", tree.other_parents, "transforms of a frame that another parent was named for before"),
+    ):
+        if count:
+            ledger.note(WarningKind.SKIPPED, code, log.name, message, count=count)
     frames = set(tree.frames)
     chosen = {
         role: stated or (noted.get(role) if noted.get(role) in frames else None)
         for role, stated in (("ego", ego), ("world", world))
     }
     quiet = Ledger(lenient=True) if found.notes.ours else ledger
-    small = [record.frame_id for kind, of in _SMALL for record in found.all_of(kind, of)]
-    wanted = [*drafts.frames, *dict.fromkeys(small)]
-    roles = choose_roles(tree, wanted, ego=chosen["ego"], world=chosen["world"], location=log.name, ledger=quiet)
-    locations = Locations(tree, roles, None)
+    large = [draft.frame_id for draft in context.drafts]
+    small = dict.fromkeys(record.frame_id for record in found.all_of(Kind.FIX, FixRecord))
+    small |= dict.fromkeys(record.frame_id for record in found.all_of(Kind.SAMPLE, SampleRecord))
+    roles = choose_roles(tree, [*large, *small], **chosen, location=log.name, ledger=quiet)
+    context.locations = Locations(tree, roles, None)
     trajectories = _noted_trajectories(found)
     if not found.notes.ours:
-        trajectories = _foreign_trajectories(found, locations)
-        loose = sorted({frame for frame in drafts.frames if frame not in frames})
+        trajectories = _foreign_trajectories(found, context.locations)
+        loose = sorted(set(large) - frames)
         if loose:
             message = f"frames {', '.join(map(repr, loose))} are in no transform, so their sensors are not placed"
             ledger.note(WarningKind.SKIPPED, "frames-missing", log.name, message, count=len(loose))
@@ -554,20 +531,9 @@ def _location(
     if trajectory is not None and trajectory.quaternions_xyzw is None:
         message = f"trajectory {trajectory.name!r} holds positions without orientations, so the sensors have no poses"
         ledger.note(WarningKind.SKIPPED, "orientations-missing", log.name, message)
-        trajectory = None
-    return Locations(tree, roles, None if trajectory is None else trajectory.poses), trajectories
-
-
-_SMALL: Sequence[tuple[Kind, Any]] = ((Kind.FIX, FixRecord), (Kind.SAMPLE, SampleRecord))
-
-
-def _note_tree(tree: FrameTree, name: str, ledger: Ledger) -> None:
-    if tree.repeated:
-        message = "transforms with the time of another one of their frame; the first counts"
-        ledger.note(WarningKind.SKIPPED, "repeated-transforms", name, message, count=tree.repeated)
-    if tree.other_parents:
-        message = "transforms of a frame that another parent was named for before"
-        ledger.note(WarningKind.SKIPPED, "other-parents", name, message, count=tree.other_parents)
+    elif trajectory is not None:
+        context.locations = Locations(tree, roles, trajectory.poses)
+    return trajectories
 
 
 def _foreign_trajectories(found: Survey, locations: Locations) -> dict[str, Trajectory]:
@@ -593,24 +559,23 @@ _RESERVED_NAMES = frozenset({"gnss", "lidar", "identity"})
 """Names of trajectories that are computed."""
 
 
-def _foreign_sensors(
-    found: Survey, drafts: Drafts, locations: Locations, taken: set[Any], camera_ids: dict[str, Any]
-) -> list[Sensor]:
+def _foreign_sensors(context: _Log, taken: set[Any], camera_ids: dict[str, Any]) -> list[Sensor]:
     """The sensors that no note of ours speaks of; the ids of cameras are noted down by their topics."""
+    found, locations = context.survey, context.locations
     noted = {name for note in found.notes.sensors for name in _topics_of(note)}
     topics = [
         topic for topic in found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.SAMPLE, Kind.FIX) if topic.name not in noted
     ]
-    clouds = {draft.reader.topic.number: draft for draft in drafts.clouds}
-    cameras = {draft.topic.number: draft for draft in drafts.cameras}
+    drafts = {
+        (draft.topic if isinstance(draft, CameraDraft) else draft.reader.topic).number: draft
+        for draft in context.drafts
+    }
     sensors: list[Sensor] = []
     for topic, name in zip(topics, sensor_names([topic.name for topic in topics]), strict=True):
-        identifier = f"{name}~" if name in taken else name
-        location = f"{found.log.name}: {topic.name}"
-        if topic.number in clouds:
-            sensors.append(clouds[topic.number].placed(identifier, locations))
-        elif topic.number in cameras:
-            draft = cameras[topic.number]
+        identifier, draft = f"{name}~" if name in taken else name, drafts.get(topic.number)
+        if isinstance(draft, CloudDraft):
+            sensors.append(draft.placed(identifier, locations))
+        elif draft is not None:
             mount = locations.mount(draft.frame_id)
             poses = locations.poses(draft.frame_id, mount, draft.frames.timestamps_ns)
             sensors.append(draft.sensor(identifier, mount=mount, poses=poses))
@@ -619,27 +584,19 @@ def _foreign_sensors(
         elif topic.kind is Kind.FIX:
             fixes = found.of(topic, FixRecord)
             mount = locations.mount(fixes[0].frame_id) if fixes else None
-            sensors.append(_gnss_sensor(identifier, fixes, found, location, mount=mount))
+            sensors.append(_gnss_sensor(context, identifier, fixes, context.at(topic.name), mount=mount))
         elif topic.kind is Kind.SAMPLE:
             samples = found.of(topic, SampleRecord)
             rotation = locations.mount(samples[0].frame_id) if samples else None
-            sensors.append(_imu_sensor(identifier, samples, found, location, rotation))
+            sensors.append(_imu_sensor(context, identifier, samples, context.at(topic.name), rotation))
     return sensors
 
 
-def _topics_of(note: Mapping[str, Any]) -> list[str]:
+def _topics_of(note: _Note) -> list[str]:
     return [note["topic"]] if "topic" in note else list(note.get("topics", ()))
 
 
 def _camera_model_from_text(text: str) -> Camera:
-    """The camera model of `camera_model_text`."""
-    model, width, height, numbers, coefficients = json.loads(text)
-    fx, fy, cx, cy = numbers
+    """The camera model of the writer's `_camera_model_text`."""
+    model, width, height, (fx, fy, cx, cy), coefficients = json.loads(text)
     return Camera(model, width, height, fx, fy, cx, cy, tuple(coefficients))
-
-
-def _camera_model_topic_of(topic: Topic, camera_model_topics: Sequence[Topic]) -> Topic | None:
-    """The topic of camera models that stands beside a topic of images."""
-    by_name: Mapping[str, Topic] = MappingProxyType({other.name: other for other in camera_model_topics})
-    name = nearest(topic.name, by_name)
-    return None if name is None else by_name[name]

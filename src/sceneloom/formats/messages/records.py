@@ -1,6 +1,7 @@
 """Messages whatever their format: records, topics that are read, streams that are written, supported fields."""
 
 import heapq
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -311,22 +312,23 @@ class Stream:
 
 def merged(streams: Sequence[Stream]) -> Iterator[tuple[int, str, AnyRecord]]:
     """Give time, topic and record of all streams in the order of time; one is made at a time."""
-    rows = [_rows(number, stream.times_ns) for number, stream in enumerate(streams)]
-    for time_ns, number, k in heapq.merge(*rows):
+
+    def rows(number: int) -> Iterator[tuple[int, int, int]]:
+        return ((int(time_ns), number, k) for k, time_ns in enumerate(streams[number].times_ns))
+
+    for time_ns, number, k in heapq.merge(*map(rows, range(len(streams)))):
         for topic, record in streams[number].make(k):
             yield time_ns, topic, record
 
 
-def _rows(number: int, times_ns: Int64Array) -> Iterator[tuple[int, int, int]]:
-    return ((int(time_ns), number, k) for k, time_ns in enumerate(times_ns))
-
-
-class RecordWriter(Protocol):
-    """What writes records as the messages of a format."""
-
-    def add(self, time_ns: int, topic: str, record: AnyRecord) -> None:
-        """Write a record as a message of a topic at a time."""
-        ...
+def numbered(names: Iterable[str], mark: str = "~") -> list[str]:
+    """The same names, with a mark and a number where one is there once more."""
+    taken = Counter[str]()
+    found = []
+    for name in names:
+        taken[name] += 1
+        found.append(name if taken[name] == 1 else f"{name}{mark}{taken[name]}")
+    return found
 
 
 @dataclass(frozen=True, slots=True)

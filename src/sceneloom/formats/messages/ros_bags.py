@@ -159,37 +159,24 @@ def full_type(name: str) -> str:
 
 
 class _ChunkedBag:
-    """A bag whose messages are in chunks of one file.
-
-    Attributes:
-        connections: all streams.
-    """
+    """A bag whose messages are in chunks of one file."""
 
     def __init__(self, messages: ChunkedMessages, connections: Mapping[int, Connection]) -> None:
-        """Take messages by the numbers of their connections."""
         self._messages = messages
         self.connections = tuple(connections.values())
         self._entries = [messages.entries(number) for number in connections]
 
     def received(self, number: int) -> Int64Array:
-        """When the messages of a connection were recorded."""
         return self._entries[number].log_times_ns
 
     def data(self, number: int, k: int) -> memoryview:
-        """The bytes of message `k` of a connection.
-
-        Raises:
-            DataError: the bag is damaged there.
-        """
         return self._messages.data(self._entries[number], k)
 
     def heads(self, number: int, size: int) -> Iterator[bytes]:
-        """How each message of a connection begins."""
         entries = self._entries[number]
         return self._messages.heads(entries, np.arange(len(entries)), size)
 
     def close(self) -> None:
-        """Release the file."""
         self._messages.file.close()
 
 
@@ -341,19 +328,9 @@ def _ros1_message_at(content: bytes, offset: int) -> tuple[int, int]:
 
 
 class _SqliteBag:
-    """A file of ROS 2 in SQLite, by its rows. Source: rosbag2_storage_sqlite3 of ROS 2.
-
-    Attributes:
-        path: the file.
-        connections: all streams.
-    """
+    """A file of ROS 2 in SQLite, by its rows. Source: rosbag2_storage_sqlite3 of ROS 2."""
 
     def __init__(self, path: Path, ledger: Ledger) -> None:
-        """Read which messages there are.
-
-        Raises:
-            DataError: the file is damaged, or no bag; a lenient reading takes what is whole.
-        """
         self.path = path
         self._begin()
         try:
@@ -429,15 +406,9 @@ class _SqliteBag:
         return [(array[:, 0], array[:, 1]) for array in arrays]
 
     def received(self, number: int) -> Int64Array:
-        """When the messages of a connection were recorded."""
         return self._rows[number][1]
 
     def data(self, number: int, k: int) -> memoryview:
-        """The bytes of message `k` of a connection.
-
-        Raises:
-            DataError: the file is damaged there.
-        """
         identifier = int(self._rows[number][0][k])
         with self._lock:
             try:
@@ -449,7 +420,6 @@ class _SqliteBag:
         return memoryview(row[0])
 
     def heads(self, number: int, size: int) -> Iterator[bytes]:
-        """How each message of a connection begins."""
         for identifier in self._rows[number][0].tolist():
             with self._lock:
                 try:
@@ -463,7 +433,6 @@ class _SqliteBag:
         return DataError(self.path, f"messages: id {identifier}", f"cannot be read: {problem}")
 
     def close(self) -> None:
-        """Release the file."""
         with self._lock:
             if self._database is not None and self._process == os.getpid():
                 self._database.close()
@@ -479,19 +448,12 @@ class _UnpackedBag:
 
     @property
     def connections(self) -> Sequence[Connection]:
-        """All streams."""
         return self.bag.connections
 
     def received(self, number: int) -> Int64Array:
-        """When the messages of a connection were recorded."""
         return self.bag.received(number)
 
     def data(self, number: int, k: int) -> memoryview:
-        """The bytes of message `k` of a connection.
-
-        Raises:
-            DataError: it is damaged, or of another compression than zstd.
-        """
         location = f"{self.connections[number].topic}[{k}]"
         if self.compression != "zstd":
             raise DataError(location, "", f"compression {self.compression!r}; expected zstd")
@@ -511,7 +473,6 @@ class _UnpackedBag:
         return (bytes(self.data(number, k)[:size]) for k in range(len(self.received(number))))
 
     def close(self) -> None:
-        """Release the file."""
         self.bag.close()
 
 

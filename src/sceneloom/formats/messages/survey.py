@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypeVar, cast
-from urllib.parse import unquote
 
 import msgspec
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.messages.records import LARGE, AnyRecord, Kind, Topic, TopicLog, TransformRecord
+from sceneloom.formats.messages.records import LARGE, AnyRecord, Kind, Topic, TopicLog, TransformRecord, numbered
 from sceneloom.scene.annotations import AttributePath
 from sceneloom.scene.types import NO_FIELDS
 from sceneloom.warnings import WarningKind
@@ -36,39 +35,19 @@ _SAYING = (
 )
 
 
-def _parts_of(topic: str) -> list[str]:
-    """The parts of a topic's name."""
-    return [part for part in topic.split("/") if part]
-
-
-def _base_of(topic: str) -> str:
-    """A topic's name without slash at the beginning and what messages are at the end; never empty."""
-    parts = _parts_of(topic)
-    while len(parts) > 1 and parts[-1] in _TAILS:
+def _parts_of(topic: str, *, without: frozenset[str] = frozenset()) -> list[str]:
+    """The parts of a topic's name, without those at the end that state what messages are; one at least stays."""
+    parts = [part for part in topic.split("/") if part]
+    while len(parts) > 1 and parts[-1] in without:
         parts.pop()
-    return "/".join(parts) or topic or "topic"
+    return parts
 
 
 def sensor_names(topics: Sequence[str]) -> list[str]:
     """Name the sensors of topics: short where that is unique, else the whole topic, with a number if need be."""
-    bases = [_base_of(topic) for topic in topics]
-    counts, taken = Counter(bases), Counter[str]()
-    names = []
-    for topic, base in zip(topics, bases, strict=True):
-        name = base if counts[base] == 1 else "/".join(_parts_of(topic)) or base
-        taken[name] += 1
-        names.append(name if taken[name] == 1 else f"{name}~{taken[name]}")
-    return names
-
-
-def _nearness(topic: str, other: str) -> int:
-    """How many parts two topics share from the beginning."""
-    count = 0
-    for a, b in zip(_parts_of(topic), _parts_of(other), strict=False):
-        if a != b:
-            break
-        count += 1
-    return count
+    bases = ["/".join(_parts_of(topic, without=_TAILS)) or topic or "topic" for topic in topics]
+    counts, pairs = Counter(bases), zip(topics, bases, strict=True)
+    return numbered(base if counts[base] == 1 else "/".join(_parts_of(topic)) or base for topic, base in pairs)
 
 
 def nearest(topic: str, others: Iterable[str]) -> str | None:
@@ -76,26 +55,14 @@ def nearest(topic: str, others: Iterable[str]) -> str | None:
 
     Without the last parts, which state what messages are, one of the two names has to begin with the other.
     """
-    base = _bare(topic)
+    base = _parts_of(topic, without=_SAYING)
     found = []
     for other in others:
-        bare = _bare(other)
-        shared = _nearness("/".join(base), "/".join(bare))
-        if shared >= max(1, min(len(base), len(bare))):
+        bare = _parts_of(other, without=_SAYING)
+        shared = min(len(base), len(bare))
+        if shared and base[:shared] == bare[:shared]:
             found.append((shared, -len(bare), other))
     return max(found)[2] if found else None
-
-
-def _bare(topic: str) -> list[str]:
-    parts = _parts_of(topic)
-    while len(parts) > 1 and parts[-1] in _SAYING:
-        parts.pop()
-    return parts
-
-
-def _id_of_part(part: str) -> str:
-    """The id of `topic_part`."""
-    return "" if part == "%" else unquote(part)
 
 
 VERSION = 1
@@ -123,11 +90,7 @@ class Notes:
 
 
 def _read_notes(text: str | None, name: str) -> Notes:
-    """Read what our writer left.
-
-    Raises:
-        DataError: it is no such JSON.
-    """
+    """Read what our writer left."""
     if text is None:
         return Notes()
     try:
@@ -142,11 +105,7 @@ def _read_notes(text: str | None, name: str) -> Notes:
 
 
 def _as_json(value: Any) -> Any:
-    """Give a value as JSON says it.
-
-    Raises:
-        ValueError: JSON cannot state it.
-    """
+    """Give a value as JSON says it."""
     if value is None or isinstance(value, bool | str):
         return value
     if isinstance(value, int):
@@ -192,19 +151,17 @@ def attribute_notes(attributes: Iterable[AttributePath]) -> tuple[list[dict[str,
     return kept, lost
 
 
-def attributes_from(notes: Iterable[Mapping[str, Any]], shift_ns: int = 0) -> tuple[AttributePath, ...]:
+def attributes_from(notes: Iterable[Mapping[str, Any]]) -> tuple[AttributePath, ...]:
     """The attributes of notes."""
-    return tuple(_attribute(note, shift_ns) for note in notes)
-
-
-def _attribute(note: Mapping[str, Any], shift_ns: int) -> AttributePath:
-    timestamps = note.get("timestamps_ns")
-    return AttributePath(
-        note["name"],
-        tuple(tuple(value) if isinstance(value, list) else value for value in note["values"]),
-        None if timestamps is None else np.asarray(timestamps, np.int64) + shift_ns,
-        extras=MappingProxyType(note["extras"]) if "extras" in note else NO_FIELDS,
-        **{name: note[name] for name in _ATTRIBUTE_PARTS if name in note},
+    return tuple(
+        AttributePath(
+            note["name"],
+            tuple(tuple(value) if isinstance(value, list) else value for value in note["values"]),
+            np.asarray(note["timestamps_ns"], np.int64) if "timestamps_ns" in note else None,
+            extras=MappingProxyType(note["extras"]) if "extras" in note else NO_FIELDS,
+            **{name: note[name] for name in _ATTRIBUTE_PARTS if name in note},
+        )
+        for note in notes
     )
 
 
@@ -219,14 +176,7 @@ _ZERO_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TopicTimes:
-    """The times of one topic's messages.
-
-    Attributes:
-        topic: the topic.
-        timestamps_ns: (N,) int64 [ns], as the messages state.
-        received_ns: (N,) int64 [ns], when they were recorded.
-        fixed: whether the messages state what always holds, at whatever time.
-    """
+    """The times of one topic's messages, (N,) int64 [ns]; `fixed` ones state what always holds."""
 
     topic: Topic
     timestamps_ns: Int64Array
@@ -251,21 +201,7 @@ class _TopicTimes:
 def _settle_times(
     all_times: Sequence[_TopicTimes], name: str, ledger: Ledger, *, wanted: str | None
 ) -> dict[int, Int64Array]:
-    """Decide which time of each message counts.
-
-    Args:
-        all_times: of all topics.
-        name: what messages call the log.
-        ledger: takes what was decided.
-        wanted: "header" or "receive" for all messages; None: the head's, unless topics are on different clocks.
-
-    Returns:
-        (N,) int64 [ns] by the number of the topic.
-
-    Raises:
-        DataError: the heads of some topics are on another clock than those of others.
-        OptionError: `wanted` is none of the two.
-    """
+    """By number of the topic, the times that count: of the heads, unless topics are on different clocks."""
     if wanted not in (None, *_TIMESTAMPS):
         raise OptionError(f"timestamps {wanted!r}; expected one of {', '.join(_TIMESTAMPS)}")
     strangers = _strangers(all_times, name, ledger) if wanted is None else frozenset()
@@ -392,8 +328,10 @@ def survey(log: TopicLog, ledger: Ledger, *, timestamps: str | None) -> Survey:
         else:
             rows[topic.number] = _read(log, topic, ledger)
             first = np.array([records[0].timestamp_ns for _, records in rows[topic.number]], np.int64)
-            kept = received[[k for k, _ in rows[topic.number]]] if len(first) else np.zeros(0, np.int64)
-            fixed = topic.kind is Kind.CAMERA_MODEL or _are_fixed([r for _, row in rows[topic.number] for r in row])
+            kept = received[np.array([k for k, _ in rows[topic.number]], np.int64)]
+            records = [record for _, row in rows[topic.number] for record in row]
+            fixed = all(isinstance(record, TransformRecord) and record.fixed for record in records)
+            fixed = topic.kind is Kind.CAMERA_MODEL or (bool(records) and fixed)
             times.append(_TopicTimes(topic, first, kept, fixed))
     settled = _settle_times([row for row in times if len(row.timestamps_ns)], log.name, ledger, wanted=timestamps)
     # our own writer moves scenes that begin before 0 where a format knows no such times
@@ -411,10 +349,6 @@ def survey(log: TopicLog, ledger: Ledger, *, timestamps: str | None) -> Survey:
         else:
             found.times_ns[number] = settled[number]
     return found
-
-
-def _are_fixed(records: list[AnyRecord]) -> bool:
-    return bool(records) and all(isinstance(record, TransformRecord) and record.fixed for record in records)
 
 
 def _moved(record: AnyRecord, shift_ns: int) -> AnyRecord:

@@ -1,7 +1,4 @@
-"""Images of a scene with pose and camera model, and its points in the world.
-
-As photogrammetry and radiance fields take them.
-"""
+"""Images of a scene with pose and camera model, and its points in the world, as photogrammetry takes them."""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -21,7 +18,7 @@ from sceneloom.formats.base.poses import ego_in_world
 from sceneloom.formats.posed_images.spec import PosedSettings
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.scene.cameras import CameraImage, CameraSensor
+from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarPoints, LidarSensor, PointsSensor, grey_where_unseen
 from sceneloom.scene.ego import EgoMotion, needs_ego, points_source, sensor_source
 from sceneloom.scene.scene import Scene, scene_period_ns
@@ -93,7 +90,7 @@ class PosedScene:
 
     def views(self) -> Iterator[View]:
         """Give the images of all cameras in order; those whose pose is not known are left out and counted."""
-        world = self.origin_world.inverse()
+        world, what = self.origin_world.inverse(), "left out: it is not known where the camera was"
         cameras = [camera for camera in self.scene.cameras if len(camera.images)]
         reach_ns = scene_period_ns(self.scene)
         ending = "png" if self.settings.images == "png" else "jpg"
@@ -106,14 +103,11 @@ class PosedScene:
                     lost += 1
                     continue
                 pose = RigidTransform.from_quaternion(poses.positions[0], poses.quaternions_xyzw[0])
-                name = f"{_plain(stem)}/{number:06d}_{image.timestamp_ns}.{ending}"
+                # blanks divide the words of text files
+                name = f"{stem.replace(' ', '%20')}/{number:06d}_{image.timestamp_ns}.{ending}"
                 yield View(camera.id, name, world @ pose, image)
-            self._report_lost(camera, lost)
-
-    def _report_lost(self, camera: CameraSensor, lost: int) -> None:
-        if lost:
-            what = "left out: it is not known where the camera was"
-            self.losses.append(Loss(field=f"sensors[{camera.id}].images", what=what, count=lost))
+            if lost:
+                self.losses.append(Loss(field=f"sensors[{camera.id}].images", what=what, count=lost))
 
     def save_image(self, view: View, folder: Path) -> None:
         """Write the file of an image.
@@ -129,7 +123,9 @@ class PosedScene:
         path.parent.mkdir(parents=True, exist_ok=True)
         own = None if view.image.encoded is None else view.image.encoded()
         if self.settings.images == "png":
-            _save_png(path, view.image)
+            from PIL import Image
+
+            Image.fromarray(np.asarray(view.image.rgb)).save(path, format="PNG")
         elif own is not None and own.startswith(b"\xff\xd8"):
             path.write_bytes(own)
         else:
@@ -139,24 +135,13 @@ class PosedScene:
 
     @property
     def origin_losses(self) -> list[Loss]:
-        """What is to be reported the origin."""
+        """What is to be reported of the origin."""
         origin = self.origin_world.translation
         if not origin.any():
             return []
         x, y, z = origin.tolist()
         what = f"locations count from {x:.0f} {y:.0f} {z:.0f} of the scene's world [m]"
         return [Loss(field="sensors.camera.poses", what=what, support=Support.CONVERTED)]
-
-
-def _plain(stem: str) -> str:
-    """A folder's name without blanks, which divide the words of text files."""
-    return stem.replace(" ", "%20")
-
-
-def _save_png(path: Path, image: CameraImage) -> None:
-    from PIL import Image
-
-    Image.fromarray(np.asarray(image.rgb)).save(path, format="PNG")
 
 
 Models = Mapping[str, Collection[str]]
@@ -236,51 +221,44 @@ def map_points(posed: PosedScene) -> MapPoints:
         return found
     read = 0
     pending: list[MapPoints] = []
-    for piece in _chunks(posed):
-        read += len(piece.positions)
-        pending.append(_thinned(piece, side))
+    for chunk in _chunks(posed):
+        read += len(chunk.positions)
+        pending.append(_thinned([chunk], side))
         if sum(len(one.positions) for one in pending) > most:
-            found, pending = _thinned(_joined([found, *pending]), side), []
-    found = _thinned(_joined([found, *pending]), side)
+            found, pending = _thinned([found, *pending], side), []
+    found = _thinned([found, *pending], side)
     kept = evenly(len(found.positions), most)
     if read:
         what = f"one point per cube of {side:g} m, {min(len(found.positions), most)} of {read}"
-        posed.losses.append(
-            Loss(field="sensors.lidar.frames.points.positions", what=what, support=Support.APPROXIMATED)
-        )
+        field = "sensors.lidar.frames.points.positions"
+        posed.losses.append(Loss(field=field, what=what, support=Support.APPROXIMATED))
     return MapPoints(found.positions[kept], found.colors[kept])
 
 
-def _joined(chunks: list[MapPoints]) -> MapPoints:
-    return MapPoints(np.concatenate([one.positions for one in chunks]), np.concatenate([one.colors for one in chunks]))
-
-
-def _thinned(points: MapPoints, side: float) -> MapPoints:
-    if not len(points.positions):
-        return points
-    kept = one_per_cube(points.positions, side, keep=FIRST)
-    return MapPoints(points.positions[kept], points.colors[kept])
+def _thinned(chunks: list[MapPoints], side: float) -> MapPoints:
+    positions = np.concatenate([one.positions for one in chunks])
+    colors = np.concatenate([one.colors for one in chunks])
+    kept = one_per_cube(positions, side, keep=FIRST) if len(positions) else slice(None)
+    return MapPoints(positions[kept], colors[kept])
 
 
 def _chunks(posed: PosedScene) -> Iterator[MapPoints]:
-    origin = posed.origin_world.translation
+    origin, grey = posed.origin_world.translation, np.uint8(_GREY)
     for sensor in posed.scene.sensors:
         if isinstance(sensor, PointsSensor):
-            colors = sensor.colors
-            positions = sensor.positions.astype(np.float64) - origin
-            yield MapPoints(positions, _all_grey(len(positions)) if colors is None else colors)
+            colors, positions = sensor.colors, sensor.positions.astype(np.float64) - origin
+            yield MapPoints(positions, np.full((len(positions), 3), grey) if colors is None else colors)
         elif isinstance(sensor, LidarSensor):
             yield from _of_lidar(posed, sensor, origin)
 
 
 def _of_lidar(posed: PosedScene, lidar: LidarSensor, origin: Float64Array) -> Iterator[MapPoints]:
+    what, lost = "left out: it is not known where the lidar was", 0
     try:
         source = points_source(posed.scene, lidar, posed.ego, reach_ns=scene_period_ns(posed.scene))
     except PoseError:
-        what = "left out: it is not known where the lidar was"
         posed.losses.append(Loss(field=f"sensors[{lidar.id}]", what=what))
         return
-    lost = 0
     for frame in lidar.frames:
         positions = frame.points.positions.astype(np.float64)
         if source is not None:
@@ -292,17 +270,11 @@ def _of_lidar(posed: PosedScene, lidar: LidarSensor, origin: Float64Array) -> It
         finite = np.isfinite(positions).all(axis=1)
         yield MapPoints((positions - origin)[finite], _colors(frame.points)[finite])
     if lost:
-        what = "left out: it is not known where the lidar was"
         posed.losses.append(Loss(field=f"sensors[{lidar.id}].frames", what=what, count=lost))
 
 
 def _colors(points: LidarPoints) -> UInt8Array:
     if points.colors is not None:
         return grey_where_unseen(points.colors, points.camera_index)
-    if points.intensities is not None:
-        return np.repeat(points.intensities[:, None], 3, axis=1)
-    return _all_grey(len(points))
-
-
-def _all_grey(count: int) -> UInt8Array:
-    return np.full((count, 3), _GREY, np.uint8)
+    grey = np.full(len(points), _GREY, np.uint8) if points.intensities is None else points.intensities
+    return np.repeat(grey[:, None], 3, axis=1)

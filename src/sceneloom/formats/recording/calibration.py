@@ -563,11 +563,7 @@ _LONGEST = 1 << 22
 
 
 def _old_content(folder: Path, other_lines: Iterable[str], doubts: list[str]) -> Mapping[str, Any]:
-    """What stands in for a `calibration.json`, in its words; `parameters.txt` counts before the lines.
-
-    Raises:
-        DataError: `parameters.txt` cannot be read, or says something that is no parameter.
-    """
+    """What stands in for a `calibration.json`, in its words; `parameters.txt` counts before the lines."""
     entries = _entries_of_lines(other_lines)
     path = folder / PARAMETERS_FILE
     if path.is_file():
@@ -603,11 +599,7 @@ def _entries_of_lines(other_lines: Iterable[str]) -> dict[int, dict[str, Any]]:
 
 
 def _entries_of_parameters(path: Path, doubts: list[str]) -> dict[int, dict[str, Any]]:
-    """By camera, what `parameters.txt` (`name value;` again and again) states; names of the second begin with `second`.
-
-    Raises:
-        DataError: it cannot be read as text, or a part of it is no name and value, or is repeated.
-    """
+    """By camera, what `parameters.txt` (lines of `name value;`) states; names of the second begin with `second`."""
     try:
         with open_file(path) as file:
             text = file.read(_LONGEST).decode()

@@ -39,7 +39,7 @@ from sceneloom.formats.recording.lines import (
     view,
     with_frames,
 )
-from sceneloom.formats.video.reader import VideoReader, open_video
+from sceneloom.formats.video.reader import VideoReader, open_video, open_whole_or_left
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import angle_between
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, VideoContent
@@ -171,11 +171,7 @@ def _video_number(camera_index: int) -> str:
 
 
 def _find_images(folder: Path, camera_index: int, ledger: Ledger) -> Path | None:
-    """Find the video, or the folder of PNG images, of a camera; None where there is neither.
-
-    Raises:
-        DataError: there is more than one.
-    """
+    """Find the video, or the folder of PNG images, of a camera; None where there is neither."""
     stem = f"data{_video_number(camera_index)}"
     names = [*(f"{stem}.{suffix}" for suffix in _VIDEO_SUFFIXES), f"frames{camera_index + 1}"]
     found = [folder / name for name in names if (folder / name).exists()]
@@ -183,34 +179,6 @@ def _find_images(folder: Path, camera_index: int, ledger: Ledger) -> Path | None
         listed = ", ".join(path.name for path in found)
         ledger.fault("repeated-videos", DataError(folder, "", f"{listed} for camera {camera_index}; expected one"))
     return found[0] if found else None
-
-
-def _open_images(path: Path, ledger: Ledger) -> ImageFiles:
-    """Open a video or a folder of PNG images; a lenient reading takes what is left of a video that is cut off.
-
-    Raises:
-        DataError: it cannot be read, or no image of it is left.
-    """
-    if path.is_dir():
-        return PngFolder(path)
-    video = open_video(path)
-    try:
-        video.index  # noqa: B018 - the walk through the packets finds out whether it is whole
-    except DataError as error:
-        video.close()
-        if not ledger.lenient:
-            raise
-        video = open_video(path, cut_off=True)
-        try:
-            count = video.count
-        except DataError:
-            count = 0
-        if count == 0:
-            video.close()
-            raise
-        problem = f"{error.problem}; its first {count} images are read"
-        ledger.fault("unreadable-videos", DataError(error.file, error.location, problem))
-    return video
 
 
 ALIGNMENTS: Mapping[str, str] = MappingProxyType(
@@ -226,13 +194,7 @@ ALIGNMENTS: Mapping[str, str] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ImageChoice:
-    """Which image each `frames` line means.
-
-    Attributes:
-        indices: (N,) int64, index among the images, -1 for none.
-        problem: why lines and images do not fit together, or None.
-        by_line: whether the images were counted line by line although the numbers have gaps.
-    """
+    """Which image each `frames` line means, -1 for none; and whether lines were counted although numbers have gaps."""
 
     indices: Int64Array
     problem: str | None = None
@@ -441,19 +403,11 @@ class _ImageTable:
     files: ImageFiles | None
 
     def image(self, k: int) -> CameraImage:
-        """Make image `k`.
-
-        Raises:
-            DataError: `data.jsonl` was changed since it was opened.
-        """
+        """Make image `k`."""
         return CameraImage(decode=partial(self.rgb, int(self.indices[k])), **self._fields(k))
 
     def depth_frame(self, k: int, *, usual: float) -> DepthFrame:
-        """Make depth image `k`; `usual` is the length of a step where its line has none [m].
-
-        Raises:
-            DataError: `data.jsonl` was changed since it was opened, or the line's scale is no length.
-        """
+        """Make depth image `k`; `usual` is the length of a step where its line has none [m]."""
         fields = self._fields(k)
         scale = self.checked_scale(fields["extras"].get("depthScale", usual))
         return DepthFrame(decode=partial(self.metres, int(self.indices[k]), scale), scale=scale, **fields)
@@ -490,11 +444,7 @@ class _ImageTable:
         return self.files
 
     def checked_scale(self, value: object) -> float:
-        """Check a `depthScale`.
-
-        Raises:
-            DataError: it is no length.
-        """
+        """Check a `depthScale`."""
         if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= _LARGEST_SCALE:
             return float(value)
         problem = f"frames[].depthScale: {value!r} of camera {self.camera_index}; expected metres a step"
@@ -510,9 +460,6 @@ def _further_fields(data_file: FileIdentity, offset: int, camera_index: int) -> 
     Returns:
         Further fields of the entry, and under "line" those beside `frames`; under "entry" fields of the entry whose
         names are taken.
-
-    Raises:
-        DataError: the file was changed since it was opened.
     """
     if offset < 0:
         return {}
@@ -648,7 +595,7 @@ class _CameraBuilder:
                 ledger.fault("missing-videos", DataError(folder, "", self._missing_images()))
             return none
         try:
-            files = _open_images(path, ledger)
+            files: ImageFiles = PngFolder(path) if path.is_dir() else open_whole_or_left(path, ledger)
             self.opened.append(files)
             self._check_kind(files)
             numbers, alignment = np.asarray(self.frames.numbers, np.int64), self.contents.image_index

@@ -139,11 +139,7 @@ class _SweepTable:
         return len(self.files)
 
     def file(self, k: int) -> Path:
-        """Find the file of sweep `k`.
-
-        Raises:
-            DataError: there is none, or a link leads it out of the folder.
-        """
+        """Find the file of sweep `k`."""
         name, location = self.files[k], f"line {self.lines[k]}"
         try:
             path = (self.folder / name).resolve()
@@ -160,11 +156,7 @@ class _SweepTable:
         raise DataError(self.data_path, location, problem)
 
     def frame(self, k: int) -> LidarFrame:
-        """Read sweep `k`.
-
-        Raises:
-            DataError: its file is missing or wrong.
-        """
+        """Read sweep `k`."""
         extras = {"file_seconds": float(self.seconds[k]), "dataFile": self.files[k]}
         return LidarFrame(int(self.timestamps_ns[k]), read_points(self.file(k)), MappingProxyType(extras))
 

@@ -415,12 +415,7 @@ class _Record(NamedTuple):
 
 
 class _LineReader:
-    """Takes lines apart into columns; what is wrong with them is noted, not raised.
-
-    Attributes:
-        columns: what was read so far.
-        faults: code, number of the line and problem of each line that nothing was taken from.
-    """
+    """Takes lines apart into columns; what is wrong with them is noted by code and line, not raised."""
 
     def __init__(self) -> None:
         self.columns = RecordingColumns()
@@ -488,11 +483,7 @@ class _LineReader:
         self.faults.append((code, number, problem))
 
     def _take(self, text: bytes, number: int) -> None:
-        """Put all that a line says into the columns or, where a part of it is wrong, nothing.
-
-        Raises:
-            _UnfitLineError: it has no time, or a part of it does not state what it has to.
-        """
+        """Put all that a line says into the columns or, where a part of it is wrong, nothing."""
         given, columns = _object(text), self.columns
         content = with_frames(given)
         if content is not given:
@@ -590,11 +581,7 @@ def record_keys(content: Mapping[str, Any]) -> set[str]:
 def _records(
     columns: RecordingColumns, line: Line, content: dict[str, Any], poses: "list[_Found]", fixes: "list[_Found]"
 ) -> Iterator[_Record]:
-    """The records of a line but its images; a sample of another width than its stream is none.
-
-    Raises:
-        _UnfitLineError: one is wrong.
-    """
+    """The records of a line but its images; a sample of another width than its stream is none."""
     if line.sensor is not None:
         kind, values = line.sensor.type, line.sensor.values
         width, known = _SENSOR_WIDTHS.get(kind), columns.sensors.get(kind)
@@ -657,11 +644,7 @@ class _Found(NamedTuple):
 
 
 def _other_poses(content: Mapping[str, Any]) -> Iterator[_Found]:
-    """Find the poses of a line under root keys without a shape of their own, or at the root itself.
-
-    Raises:
-        _UnfitLineError: a position or an orientation is incomplete.
-    """
+    """Find the poses of a line under root keys without a shape of their own, or at the root itself."""
     for key, value in content.items():
         if key not in ROOT_KEYS and isinstance(value, dict) and isinstance(value.get("position"), dict):
             yield _found((key,), (key, key), value, Pose)
@@ -680,11 +663,7 @@ def _other_poses(content: Mapping[str, Any]) -> Iterator[_Found]:
 
 
 def _other_fixes(content: Mapping[str, Any]) -> Iterator[_Found]:
-    """Find the fixes of satellite receivers under root keys other than `gps`.
-
-    Raises:
-        _UnfitLineError: a fix is incomplete, under a key of the format; others may mean something else.
-    """
+    """Find the fixes of satellite receivers under root keys other than `gps`."""
     for key, value in content.items():
         if not isinstance(value, dict) or "position" in value:
             continue
@@ -784,11 +763,7 @@ def note_mark(text: bytes, path: Path, ledger: Ledger) -> None:
 
 
 def _blocks_of_lines(file: BinaryIO, path: Path) -> Iterator[tuple[list[bytes], int]]:
-    """Some lines at a time without their line feeds and byte order mark, with the byte at which the first begins.
-
-    Raises:
-        DataError: a line is longer than 64 MiB, so this is no file of lines.
-    """
+    """Some lines at a time without their line feeds and byte order mark, with the byte at which the first begins."""
     file.seek(0)
     mark = len(BYTE_ORDER_MARK) if file.read(len(BYTE_ORDER_MARK)) == BYTE_ORDER_MARK else 0
     file.seek(mark)

@@ -86,11 +86,7 @@ class _Location:
 
     @classmethod
     def of(cls, path: Path) -> "_Location":
-        """Find the folder of a recording that is named by its folder, its log or a zip archive of it.
-
-        Raises:
-            DataError: the archive is damaged, or holds something else or too much.
-        """
+        """Find the folder of a recording that is named by its folder, its log or a zip archive of it."""
         if not path.is_dir() and is_zip(path):
             unpacked = unpack(path, DATA_FILE)
             return cls(unpacked.folder, str(path), unpacked.folder / DATA_FILE, remove=unpacked.remove)
@@ -193,11 +189,7 @@ def _check_values(options: Mapping[str, str]) -> None:
 def _read_recording(
     location: _Location, ledger: Ledger, *, altitude: str, camera_shift: str, image_index: str
 ) -> tuple[Scene, RecordingContents]:
-    """Read a recording with a ledger that decides what becomes of its faults.
-
-    Raises:
-        DataError: it has a fault that the ledger does not take, or cannot be read.
-    """
+    """Read a recording with a ledger that decides what becomes of its faults."""
     closing = _Closing([], location.remove)
     try:
         with ledger.telling():
@@ -304,11 +296,7 @@ def _build_number_sensors(columns: RecordingColumns, calibration: Calibration) -
 
 
 def _build_trajectories(poses: Mapping[Origin, Columns], path: Path, ledger: Ledger) -> dict[Origin, Trajectory]:
-    """Build the trajectories, the default one first; their own names differ from each other.
-
-    Raises:
-        DataError: an orientation is not of length 1, and the reading is not lenient.
-    """
+    """Build the trajectories, the default one first; their own names differ from each other."""
     trajectories: dict[Origin, Trajectory] = {}
     names = set(_RESERVED_NAMES)
     for origin in sorted(poses, key=lambda origin: RANKS.get(origin[0], 2)):

@@ -84,11 +84,7 @@ def mount_entry(mount: RigidTransform, before: Mapping[str, Any], *keys: str) ->
 
 @lru_cache(maxsize=64)
 def _holdable_camera_model(camera: Camera) -> tuple[Camera, str | None]:
-    """The same camera model, or the nearest one that the format has, with how far it is off in words.
-
-    Raises:
-        CalibrationError: the model is unknown, or none of the format's comes near.
-    """
+    """The same camera model, or the nearest one that the format has, with how far it is off in words."""
     writings = _CAMERA_MODELS.get(camera.model, ())
     used = {k for k, value in enumerate(camera.coefficients) if value != 0}
     if writings and used <= {k for _, taken in writings for k in taken}:

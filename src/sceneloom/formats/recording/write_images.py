@@ -67,13 +67,7 @@ _OFF_STEP = 0.01
 
 
 class _SteppedDepth(NamedTuple):
-    """A depth image in steps.
-
-    Attributes:
-        steps: (H, W) uint16, 0 for none.
-        rounded: how many depths lie between steps.
-        beyond: how many are more than 16 bits hold, or no number; they are 0.
-    """
+    """A depth image in steps, 0 for none; how many depths were rounded, and how many are beyond 16 bits."""
 
     steps: UInt16Array
     rounded: int
@@ -179,11 +173,7 @@ class _DepthPixels:
         return found.steps
 
     def _scale(self, frame: DepthFrame) -> float:
-        """The length of an image's steps [m].
-
-        Raises:
-            OptionError: it is no length.
-        """
+        """The length of an image's steps [m]."""
         if frame.scale is None:
             if self._common_scale is None:
                 self._common_scale = self._find_common_scale()

@@ -1,16 +1,13 @@
-"""The source of a video, and which images it holds: found from its packets or from the tables of an mp4.
-
-Without decoding.
-"""
+"""The source of a video, and which images it holds: found without decoding, from packets or the tables of an mp4."""
 
 import io
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, cast
+from typing import Any, BinaryIO, cast
 
 import av
 import numpy as np
@@ -19,7 +16,7 @@ from av.container import InputContainer
 from av.packet import Packet
 from av.video.stream import VideoStream
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import (
     Bytes,
@@ -46,9 +43,7 @@ _MOST_AHEAD = 4
 
 def source_name(source: VideoSource, name: str | None) -> str:
     """What messages call the video: the given name, else its path, else `video`."""
-    if name is not None:
-        return name
-    return str(source) if isinstance(source, Path | str) else "video"
+    return name or (str(source) if isinstance(source, Path | str) else "video")
 
 
 def as_path(source: Path | str) -> Path:
@@ -67,7 +62,7 @@ def open_bytes(source: VideoSource) -> BinaryIO:
 
 @contextmanager
 def decoder_faults(name: str, location: str) -> Iterator[None]:
-    """Rotate whatever the video library raises into a DataError at `location`."""
+    """Turn whatever the video library raises into a DataError at `location`."""
     try:
         yield
     except (av.FFmpegError, OSError, ValueError, MemoryError) as error:
@@ -82,9 +77,6 @@ class OpenVideo:
         container: positioned at the first packet.
         stream: the container's video.
         works_ahead: whether the decoder gives images and faults some packets late.
-
-    Raises:
-        DataError: the source cannot be opened, is no video, or holds no video stream.
     """
 
     container: InputContainer
@@ -98,49 +90,38 @@ class OpenVideo:
             source: the video.
             name: what messages call it.
             options: further ones for the container.
+
+        Raises:
+            DataError: the source cannot be opened, is no video, or holds no video stream.
         """
         if isinstance(source, Path | str):
-            if not as_path(source).is_file():
-                raise DataError(name, "", "not a file" if as_path(source).is_dir() else why_no_file(as_path(source)))
-            with file_faults(as_path(source)):
-                check_regular(as_path(source))
-        self._file: BinaryIO | None = None
-        with decoder_faults(name, ""):
-            self._open(source, options or {})
-        try:
-            self.stream = self._find_stream(name)
-        except DataError:
-            self.close()
-            raise
-
-    def _open(self, source: VideoSource, further: Mapping[str, str]) -> None:
-        if isinstance(source, Path | str):
-            # the prefix keeps a colon in a file's name from being taken for a protocol
-            target: Any = f"file:{os.fspath(source)}"
-        else:
-            target = self._file = open_bytes(source)
-        options = {"format_whitelist": _DEMUXERS, **further}
-        try:
-            self.container = cast("InputContainer", av.open(target, "r", container_options=options))
-        except BaseException:
-            self._close_file()
-            raise
-
-    def _find_stream(self, name: str) -> VideoStream:
-        stream = cast("VideoStream | None", self.container.streams.best("video"))
-        if stream is None:
-            raise DataError(name, "", "holds no video stream")
-        decoder = stream.codec_context
-        if decoder is None or decoder.width <= 0 or decoder.height <= 0:
-            raise DataError(name, "", "its video stream is of an unknown codec or image size")
-        check_pixels(name, "", decoder.width, decoder.height)
-        return stream
+            path = as_path(source)
+            if not path.is_file():
+                raise DataError(name, "", "not a file" if path.is_dir() else why_no_file(path))
+            with file_faults(path):
+                check_regular(path)
+        with ExitStack() as stack:
+            with decoder_faults(name, ""):
+                # the prefix keeps a colon in a file's name from being taken for a protocol
+                target: Any = f"file:{os.fspath(source)}" if isinstance(source, Path | str) else open_bytes(source)
+                if not isinstance(target, str):
+                    stack.callback(target.close)
+                options = {"format_whitelist": _DEMUXERS, **(options or {})}
+                self.container = cast("InputContainer", av.open(target, "r", container_options=options))
+                stack.callback(self.container.close)
+            stream = cast("VideoStream | None", self.container.streams.best("video"))
+            if stream is None:
+                raise DataError(name, "", "holds no video stream")
+            decoder = stream.codec_context
+            if decoder is None or decoder.width <= 0 or decoder.height <= 0:
+                raise DataError(name, "", "its video stream is of an unknown codec or image size")
+            check_pixels(name, "", decoder.width, decoder.height)
+            self.stream, self._files = stream, stack.pop_all()
 
     def decode_ahead(self) -> None:
-        """Have other processors work on the next images while the last is used; to be stated before there is one.
+        """Decode the next images in further threads while the last is used; to be called before the first image.
 
-        What others pass over is a fault to it, too: who wants to know
-        which packet is damaged, and to have what others make of it, asks one that does not work ahead.
+        Such a decoder takes for a fault what others pass over, and does not say which packet is damaged.
         """
         available = processors()
         if available == 1:
@@ -151,73 +132,40 @@ class OpenVideo:
         decoder.options = {**decoder.options, "err_detect": "explode"}
         self.works_ahead = True
 
-    def _close_file(self) -> None:
-        if self._file is not None:
-            self._file.close()
-
     def close(self) -> None:
         """Release the container and the file under it."""
         with suppress(av.FFmpegError, OSError):
-            self.container.close()
-        self._close_file()
+            self._files.close()
 
 
-_SEGMENT = 0x18538067
-_LONGEST_HEAD = 12
+_SEGMENT, _LONGEST_HEAD = b"\x18\x53\x80\x67", 12
 
 
-class _Element(NamedTuple):
-    """The head of an element; `stop` is None where its size is not known, as while it is being recorded."""
+def _matroska_stop(file: BinaryIO, size: int) -> int:
+    """Where a Matroska file ends by the sizes of its elements, as far as it can be followed. Source: RFC 8794, 4 to 6.
 
-    identifier: int
-    start: int
-    stop: int | None
-
-
-def _check_whole(source: VideoSource, name: str) -> None:
-    """Check that no element reaches beyond the end of the file.
-
-    Raises:
-        DataError: one does.
+    An element whose size is not known, as while it is being recorded, is entered like the segment.
     """
-    with open_bytes(source) as file:
-        size = file.seek(0, os.SEEK_END)
-        stop = _declared_stop(file, size)
-    if stop > size:
-        raise DataError(name, f"byte {size}", f"is cut off: the container goes on to byte {stop} at least")
-
-
-def _declared_stop(file: BinaryIO, size: int) -> int:
-    """The end of the element that reaches farthest, as far as the file can be followed."""
     location = 0
     while location < size:
-        element = _read_head(file, location)
-        if element is None:
-            return location
-        if element.stop is not None and element.stop > size:
-            return element.stop
-        into = element.identifier == _SEGMENT or element.stop is None
-        location = element.start if into else int(element.stop or 0)
+        file.seek(location)
+        head = file.read(_LONGEST_HEAD)
+        split = _width(head, longest=4)
+        width = _width(head[split:], longest=8)
+        start = split + width
+        if not split or not width or len(head) < start:
+            break
+        unknown = (1 << 7 * width) - 1
+        length = int.from_bytes(head[split:start], "big") & unknown
+        if length != unknown and location + start + length > size:
+            return location + start + length
+        location += start if length == unknown or head[:split] == _SEGMENT else start + length
     return location
 
 
-def _read_head(file: BinaryIO, location: int) -> _Element | None:
-    file.seek(location)
-    head = file.read(_LONGEST_HEAD)
-    identifier_length = _width(head[:1], longest=4)
-    size_length = _width(head[identifier_length : identifier_length + 1], longest=8)
-    start = identifier_length + size_length
-    if not identifier_length or not size_length or len(head) < start:
-        return None
-    identifier = int.from_bytes(head[:identifier_length], "big")
-    unknown = (1 << 7 * size_length) - 1
-    size = int.from_bytes(head[identifier_length:start], "big") & unknown
-    return _Element(identifier, location + start, None if size == unknown else location + start + size)
-
-
-def _width(first: bytes, *, longest: int) -> int:
-    """How many bytes a number has whose first byte this is; 0 where none begins like this."""
-    width = 9 - first[0].bit_length() if first else 0
+def _width(head: bytes, *, longest: int) -> int:
+    """How many bytes a number has that begins like this; 0 where none does."""
+    width = 9 - head[0].bit_length() if head else 0
     return width if width <= longest else 0
 
 
@@ -281,21 +229,6 @@ class VideoIndex:
         return index if index < len(self) and self.pts[index] == pts else None
 
 
-@dataclass(frozen=True, slots=True)
-class _Packets:
-    """What the walk through a container notes down, in the order of storage."""
-
-    ticks: list[int | None]
-    keys: list[bool]
-    hidden: int
-
-
-def _lacks_presentation_times(opened: OpenVideo) -> bool:
-    """Whether the presentation times of the packets are guesses: the container has none, and they are needed."""
-    decoder = opened.stream.codec_context
-    return opened.container.format.name in _UNTIMED and codec_reorders(opened.stream) and decoder.has_b_frames
-
-
 def codec_reorders(stream: VideoStream) -> bool:
     """Whether images of this codec may be shown in another order than they are stored in."""
     return bool(stream.codec_context.codec.properties & _REORDERS)
@@ -322,89 +255,71 @@ def read_index(
     Raises:
         DataError: the container breaks off, or a packet is damaged.
     """
-    opened = OpenVideo(source, name, options=options)
-    try:
-        with decoder_faults(name, ""):
-            if "matroska" in opened.container.format.name and not cut_off:
-                _check_whole(source, name)
-            packets = _first_packets(opened) if cut_off else _walk(opened, name)
+    with closing(OpenVideo(source, name, options=options)) as opened, decoder_faults(name, ""):
+        if "matroska" in opened.container.format.name and not cut_off:
+            with open_bytes(source) as file:
+                size = file.seek(0, os.SEEK_END)
+                stop = _matroska_stop(file, size)
+            if stop > size:
+                raise DataError(name, f"byte {size}", f"is cut off: the container goes on to byte {stop} at least")
+        packets, hidden = _walk(opened, name, cut_off=cut_off)
         tick, rate = opened.stream.time_base, opened.stream.average_rate
-        return _index_of(
-            packets,
-            Fraction(tick.numerator, tick.denominator) if tick else Fraction(1, av.time_base),
-            Fraction(rate.numerator, rate.denominator) if rate else None,
-        )
-    finally:
-        opened.close()
+        time_base = Fraction(tick.numerator, tick.denominator) if tick else Fraction(1, av.time_base)
+    pts = np.array([tick for tick, _ in packets if tick is not None], np.int64)
+    if len(np.unique(pts)) == len(packets):
+        order = np.argsort(pts, kind="stable")
+        entries = _entries(pts, [key for _, key in packets], order)
+        return VideoIndex(time_base, pts[order], order, entries, timed=True, hidden=hidden)
+    period = 1 / (Fraction(rate.numerator, rate.denominator) if rate else _ASSUMED_RATE) / time_base
+    pts = np.array([round(k * period) for k in range(len(packets))], np.int64)
+    return VideoIndex(time_base, pts, np.arange(len(pts)), np.zeros_like(pts), timed=False, hidden=hidden)
 
 
-def _walk(opened: OpenVideo, name: str) -> _Packets:
-    reorders, guessed = codec_reorders(opened.stream), _lacks_presentation_times(opened)
-    ticks: list[int | None] = []
-    keys: list[bool] = []
-    hidden = 0
-    for packet in opened.container.demux(opened.stream):
-        if packet.is_corrupt:
-            raise DataError(name, f"packet {len(ticks) + hidden}", "is damaged or cut off")
-        if packet.is_discard:
-            hidden += 1
-        elif packet.size:
-            ticks.append(None if guessed else presentation_ticks(packet, reorders=reorders))
-            keys.append(packet.is_keyframe)
-    declared = opened.stream.frames if "mp4" in opened.container.format.name else 0
-    if len(ticks) + hidden < declared:
-        found = len(ticks) + hidden
-        raise DataError(name, "", f"is cut off: holds {found} of the {declared} images that it declares")
-    return _Packets(ticks, keys, hidden)
+def _walk(opened: OpenVideo, name: str, *, cut_off: bool) -> tuple[list[tuple[int | None, bool]], int]:
+    """When the image of each packet is shown [ticks] and whether it is a key frame; and how many images are hidden.
 
-
-def _first_packets(opened: OpenVideo) -> _Packets:
-    """Walk as far as a container that breaks off can be followed.
-
-    An image that is shown before one that is there may have been stored after it. No packet after the last one is
-    decoded earlier than that, nor shown before it is decoded: the images up to the last decoding time are all there.
+    Of a container that breaks off, an image that is shown before one that is there may have been stored after it. No
+    packet after the last one is decoded earlier than that, nor shown before it is decoded: the images up to the last
+    decoding time are all there.
     """
-    reorders, guessed = codec_reorders(opened.stream), _lacks_presentation_times(opened)
+    decoder, container = opened.stream.codec_context, opened.container
+    reorders = codec_reorders(opened.stream)
+    # times that such containers are given are guesses
+    guessed = container.format.name in _UNTIMED and reorders and decoder.has_b_frames
     found: list[tuple[int | None, bool]] = []
     last_dts, hidden = None, 0
-    with suppress(av.FFmpegError):
-        for packet in opened.container.demux(opened.stream):
+    with suppress(*([av.FFmpegError] if cut_off else [])):
+        for packet in container.demux(opened.stream):
             if packet.is_corrupt:
-                break
+                if cut_off:
+                    break
+                raise DataError(name, f"packet {len(found) + hidden}", "is damaged or cut off")
             if packet.is_discard:
                 hidden += 1
             elif packet.size:
                 tick = None if guessed else presentation_ticks(packet, reorders=reorders)
                 found.append((tick, packet.is_keyframe))
                 last_dts = packet.dts
-    if reorders and last_dts is not None and not guessed:
+    if not cut_off:
+        declared, count = opened.stream.frames if "mp4" in container.format.name else 0, len(found) + hidden
+        if count < declared:
+            raise DataError(name, "", f"is cut off: holds {count} of the {declared} images that it declares")
+    elif reorders and last_dts is not None and not guessed:
         found = [(tick, key) for tick, key in found if tick is not None and tick <= last_dts]
-    elif reorders and opened.stream.codec_context.has_b_frames:
+    elif reorders and decoder.has_b_frames:
         found = found[:-_MOST_REORDERED]
-    return _Packets([tick for tick, _ in found], [key for _, key in found], hidden)
+    return found, hidden
 
 
-def _index_of(packets: _Packets, time_base: Fraction, rate: Fraction | None) -> VideoIndex:
-    known = [tick for tick in packets.ticks if tick is not None]
-    if len(set(known)) != len(packets.ticks):
-        return _counted_index(packets, time_base, rate)
-    pts = np.array(known, np.int64)
-    order = np.argsort(pts, kind="stable")
-    entries = _entries(pts, np.array(packets.keys, bool), order)
-    return VideoIndex(time_base, pts[order], order, entries, timed=True, hidden=packets.hidden)
-
-
-def _entries(pts: Int64Array, keys: BoolArray, order: Int64Array) -> Int64Array:
+def _entries(pts: Int64Array, keys: Sequence[bool], order: Int64Array) -> Int64Array:
     """For each image, the last key frame that is both stored and shown no later than it.
 
-    An image stored after a key frame but shown before it may lean on what came before the key frame (open
-    groups of images), so decoding for it has to begin at the key frame before.
+    An image stored after a key frame but shown before it may depend on what came before the key frame (open groups of
+    images), so decoding for it has to begin at the key frame before.
     """
-    ranks = np.empty(len(order), np.int64)
-    ranks[order] = np.arange(len(order))
-    entries = np.zeros(len(order), np.int64)
+    ranks, entries = np.argsort(order), np.zeros(len(order), np.int64)
     key_positions = [0]
-    for position, (tick, key) in enumerate(zip(pts.tolist(), keys.tolist(), strict=True)):
+    for position, (tick, key) in enumerate(zip(pts.tolist(), keys, strict=True)):
         if key:
             key_positions.append(position)
         start = next((k for k in reversed(key_positions) if pts[k] <= tick), 0)
@@ -412,19 +327,8 @@ def _entries(pts: Int64Array, keys: BoolArray, order: Int64Array) -> Int64Array:
     return entries
 
 
-def _counted_index(packets: _Packets, time_base: Fraction, rate: Fraction | None) -> VideoIndex:
-    count = len(packets.ticks)
-    period = 1 / (rate or _ASSUMED_RATE) / time_base
-    pts = np.array([round(k * period) for k in range(count)], np.int64)
-    start = np.zeros(count, np.int64)
-    return VideoIndex(time_base, pts, np.arange(count), start, timed=False, hidden=packets.hidden)
-
-
 BY_TABLES = {"fflags": "noparse+nofillin"}
-"""Options for packets that are reported as the tables report them. Source.
-
-AVFMT_FLAG_NOPARSE of libavformat/avformat.h.
-"""
+"""Options for packets as the tables list them. Source: AVFMT_FLAG_NOPARSE of libavformat/avformat.h."""
 
 _LONG_SIZE, _TO_THE_END = 1, 0
 _LOOKED_AT = 64 << 10

@@ -1,7 +1,4 @@
-"""Frame-exact reading of a video: any image by its number, forward without seeking or decoding twice, as red.
-
-Green and blue; and videos as the images of a camera.
-"""
+"""Frame-exact reading of a video: any image by its number, forward without seeking; videos as images of a camera."""
 
 import os
 from collections import deque
@@ -9,18 +6,17 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
-from typing import Any, BinaryIO, Protocol, Self
+from typing import Any, BinaryIO, Self
 from weakref import WeakValueDictionary
 
 import av
 import numpy as np
 from av.packet import Packet
 from av.video.frame import VideoFrame
-from av.video.plane import VideoPlane
 from av.video.reformatter import Interpolation, VideoReformatter
 from av.video.stream import VideoStream
 
@@ -67,7 +63,6 @@ class Cursor:
         self._pending: deque[VideoFrame] = deque()
         self._current: tuple[int, VideoFrame] | None = None
         self._next = 0
-        self._entered: Packet[VideoStream] | None = None
         self._broken: int | None = None
 
     def enter(self, entry: int) -> bool:
@@ -76,7 +71,8 @@ class Cursor:
             for packet in self._packets:
                 image = self._images.find(presentation_ticks(packet, reorders=self._reorders))
                 if packet.size and packet.is_keyframe and image is not None:
-                    self.first, self._next, self._entered = image, image, packet
+                    self.first = self._next = image
+                    self._packets = chain([packet], self._packets)
                     return bool(self._images.positions[image] <= self._images.positions[entry])
         return False
 
@@ -99,22 +95,21 @@ class Cursor:
             self._current, self._next = step, step[0] + 1
             if step[0] > index:
                 return None
-        frame = self._current[1]
-        if frame.is_corrupt or self._leans_on_broken(index):
+        frame, images, broken = self._current[1], self._images, self._broken
+        leans_on_broken = (
+            broken is not None
+            and images.entries[index] == images.entries[broken]
+            and images.positions[index] >= images.positions[broken]
+        )
+        if frame.is_corrupt or leans_on_broken:
             raise DataError(self._name, f"image {index}", "cannot be decoded: it or one before it is damaged")
         return frame
-
-    def _leans_on_broken(self, index: int) -> bool:
-        if self._broken is None:
-            return False
-        images = self._images
-        same_group = images.entries[index] == images.entries[self._broken]
-        return bool(same_group and images.positions[index] >= images.positions[self._broken])
 
     def _decode_next(self, wanted: int) -> tuple[int, VideoFrame] | None:
         while True:
             while not self._pending:
-                packet = self._next_packet()
+                with decoder_faults(self._name, f"image {self._next}"):
+                    packet = next(self._packets, None)
                 if packet is None:
                     return None
                 self._pending.extend(self._decode(packet, wanted))
@@ -123,13 +118,6 @@ class Cursor:
             if image is not None:
                 return image, frame
 
-    def _next_packet(self) -> "Packet[VideoStream] | None":
-        if self._entered is not None:
-            packet, self._entered = self._entered, None
-            return packet
-        with decoder_faults(self._name, f"image {self._next}"):
-            return next(self._packets, None)
-
     def _decode(self, packet: "Packet[VideoStream]", wanted: int) -> list[VideoFrame]:
         if self._images.timed and packet.size:
             packet.pts = presentation_ticks(packet, reorders=self._reorders)
@@ -137,46 +125,25 @@ class Cursor:
             return packet.decode()
         except (av.FFmpegError, ValueError) as error:
             image = self._images.find(packet.pts) if self._images.timed else None
-            if image is not None:
-                self._note_broken(image)
+            entries, broken = self._images.entries, self._broken
+            if image is not None and (broken is None or entries[broken] != entries[image]):
+                self._broken = image  # the first one of its group
             if image is None or image == wanted or self._works_ahead:
                 raise DataError(self._name, f"image {wanted}", f"cannot be decoded: {error}") from error
             return []
 
-    def _note_broken(self, image: int) -> None:
-        """Remember the first one of a group."""
-        entries = self._images.entries
-        if self._broken is None or entries[self._broken] != entries[image]:
-            self._broken = image
 
-
-class Resting(Protocol):
-    """What can be put to rest while its process forks."""
-
-    def hold(self) -> None:
-        """Close what must not be forked, and let nothing be opened until `release`."""
-        ...
-
-    def release(self) -> None:
-        """Go on, in the parent as in the child."""
-        ...
-
-
-_KNOWN: "WeakValueDictionary[int, Resting]" = WeakValueDictionary()
-_HELD: list[Resting] = []
-
-
-def _rest_while_forking(holder: Resting) -> None:
-    """Have an object put to rest whenever the process forks, as long as there are other references to it."""
-    _KNOWN[id(holder)] = holder
+_READERS: "WeakValueDictionary[int, VideoReader]" = WeakValueDictionary()
+_HELD: list["VideoReader"] = []
 
 
 def _hold() -> None:
-    for reference in _KNOWN.valuerefs():
-        holder = reference()
-        if holder is not None:
-            holder.hold()
-            _HELD.append(holder)
+    """Before the process forks: close all decoders, whose threads and files must not be forked, and let none open."""
+    for reference in _READERS.valuerefs():
+        reader = reference()
+        if reader is not None:
+            reader.hold()
+            _HELD.append(reader)
 
 
 def _release() -> None:
@@ -199,40 +166,26 @@ class _Colours:
 
     def __init__(self) -> None:
         self._reformatter = VideoReformatter()
-        self._formulas: dict[tuple[str, int, int, bool], _ColourFormula | None] = {}
+        self._formulas: dict[tuple[str, int, int, bool], _Formula | None] = {}
 
     def rgb(self, frame: VideoFrame) -> UInt8Array:
-        """Give (height, width, 3) uint8, red green blue.
-
-        Raises:
-            av.FFmpegError, ValueError: the converter does not know the image's pixels.
-        """
-        formula = self._formula_of(frame) if _is_halved(frame) else None
-        return _convert(frame, self._reformatter) if formula is None else formula.rgb(frame)
-
-    def _formula_of(self, frame: VideoFrame) -> "_ColourFormula | None":
-        kind = (frame.format.name, frame.colorspace, frame.color_range, frame.interlaced_frame)
-        if kind not in self._formulas:
-            # loads the compiler: for images only, not for opening and counting
-
-            self._formulas[kind] = _formula_like_converter(frame)
-        return self._formulas[kind]
+        """Give (height, width, 3) uint8, red green blue."""
+        # of an odd size the converter stretches the colours, and rows may stand upside down
+        even = not (frame.width % 2 or frame.height % 2)
+        if even and frame.format.name in _HALVED and all(plane.line_size >= plane.width for plane in frame.planes):
+            kind = (frame.format.name, frame.colorspace, frame.color_range, frame.interlaced_frame)
+            if kind not in self._formulas:
+                # loads the compiler: for images only, not for opening and counting
+                self._formulas[kind] = _formula_like_converter(frame)
+            formula = self._formulas[kind]
+            if formula is not None:
+                return _by_formula(frame, formula)
+        return _by_converter(frame, self._reformatter)
 
 
-def _convert(frame: VideoFrame, reformatter: VideoReformatter) -> UInt8Array:
-    """Have FFmpeg's converter give (height, width, 3) uint8, red green blue, of any kind of pixels.
-
-    Raises:
-        av.FFmpegError, ValueError: it does not know them.
-    """
+def _by_converter(frame: VideoFrame, reformatter: VideoReformatter) -> UInt8Array:
     image = reformatter.reformat(frame, format="rgb24", interpolation=_TO_RGB, threads=1)
     return np.ascontiguousarray(image.to_ndarray())
-
-
-def _is_halved(frame: VideoFrame) -> bool:
-    """Whether all colours are halves; of an odd size the converter stretches them, and rows may stand upside down."""
-    even = not (frame.width % 2 or frame.height % 2)
-    return frame.format.name in _HALVED and even and all(plane.line_size >= plane.width for plane in frame.planes)
 
 
 _SHARES = ((0.299, 0.114), (0.2126, 0.0722))
@@ -242,44 +195,36 @@ _PROBE_WIDTH, _PROBE_HEIGHT = 32, 16
 """Room for a hundred samples of colour."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ColourFormula:
-    """How brightness and halved colours become red, green and blue.
+_Formula = tuple[Int64Array, int]
+"""(6,) factors as the kernel takes them; and how far right of the even column a sample of colour lies [px / 2]."""
 
-    Attributes:
-        factors: (6,) as the kernel takes them.
-        half_columns: how far right of the even column a sample of colour lies, in halves of a pixel: 0 or 1.
-    """
 
-    factors: Int64Array
-    half_columns: int
+def _by_formula(frame: VideoFrame, formula: _Formula) -> UInt8Array:
+    from sceneloom.kernels.images import rgb_from_halved_chroma
 
-    def rgb(self, frame: VideoFrame) -> UInt8Array:
-        """Give (height, width, 3) uint8 of an image of even size in three planes of bytes."""
-        from sceneloom.kernels.images import rgb_from_halved_chroma
-
-        luma, blue, red = (_rows(plane) for plane in frame.planes)
-        rgb = np.empty((frame.height, frame.width, 3), np.uint8)
-        lines = rgb.reshape(frame.height, 3 * frame.width)
-        rgb_from_halved_chroma(luma, blue, red, self.factors, self.half_columns, lines)
-        return rgb
+    # the memory of the planes themselves, (height, at least width)
+    luma, blue, red = (np.frombuffer(memoryview(p), np.uint8).reshape(p.height, p.line_size) for p in frame.planes)
+    rgb = np.empty((frame.height, frame.width, 3), np.uint8)
+    lines = rgb.reshape(frame.height, 3 * frame.width)
+    rgb_from_halved_chroma(luma, blue, red, *formula, lines)
+    return rgb
 
 
 @lru_cache(maxsize=1)
-def _formulas() -> tuple[_ColourFormula, ...]:
+def _formulas() -> tuple[_Formula, ...]:
     from sceneloom.kernels.images import conversion_factors
 
     return tuple(
-        _ColourFormula(conversion_factors(*shares, full=full), half_columns)
+        (conversion_factors(*shares, full=full), half_columns)
         for shares, full, half_columns in product(_SHARES, (False, True), (0, 1))
     )
 
 
-def _formula_like_converter(frame: VideoFrame) -> _ColourFormula | None:
+def _formula_like_converter(frame: VideoFrame) -> _Formula | None:
     """Find the formula that gives what the converter gives, within a level, for an image marked like this one.
 
-    The marks that state where samples of colour lie are shown to the converter only, so it is asked by an image that
-    it marks itself. None where no formula of ours does.
+    The marks that say where samples of colour lie are shown to the converter only, so it is asked by an image that it
+    marks itself. None where no formula of ours agrees.
     """
     probe = VideoReformatter().reformat(frame, width=_PROBE_WIDTH, height=_PROBE_HEIGHT)
     if probe is frame:
@@ -287,16 +232,9 @@ def _formula_like_converter(frame: VideoFrame) -> _ColourFormula | None:
     random = np.random.default_rng(0)
     for plane in probe.planes:
         plane.update(random.integers(60, 190, plane.buffer_size, dtype=np.uint8).tobytes())
-    expected = _convert(probe, VideoReformatter()).astype(np.int16)
-    for formula in _formulas():
-        if np.abs(formula.rgb(probe) - expected).max() <= 1:
-            return formula
-    return None
-
-
-def _rows(plane: VideoPlane) -> UInt8Array:
-    """(height, at least width), the memory of the plane itself."""
-    return np.frombuffer(memoryview(plane), np.uint8).reshape(plane.height, plane.line_size)
+    expected = _by_converter(probe, VideoReformatter()).astype(np.int16)
+    agreeing = (formula for formula in _formulas() if np.abs(_by_formula(probe, formula) - expected).max() <= 1)
+    return next(agreeing, None)
 
 
 _TABLES = b"ftyp"
@@ -310,7 +248,7 @@ class VideoReader:
     """The images of one video, by number in the order in which they are shown.
 
     Nothing decoded is kept but the decoder's own state and the image it gave last; while that one is used, the
-    decoder works on the next ones, four at most. Safe to share between threads, which then take rotates. A pickled
+    decoder works on the next ones, four at most. Safe to share between threads, which then take turns. A pickled
     reader takes the list of images along and opens its file again in the process that it comes to; of bytes in
     memory it takes the bytes. A forked process opens anew, too.
 
@@ -322,6 +260,7 @@ class VideoReader:
         codec: "h264", "hevc", "ffv1", … as FFmpeg calls it.
         width, height: image size [px].
         has_steps: whether its images are one plane of 16-bit numbers, as depths are kept.
+        is_remainder: whether it was opened as what is left of a video that breaks off.
     """
 
     def __init__(
@@ -345,18 +284,17 @@ class VideoReader:
         """
         self.name = source_name(source, name)
         self._source = source
-        self._ahead = True
-        self._opened: OpenVideo | None = self._open_source()
+        self._ahead, self._closed = True, False
+        self._identity: FileIdentity | None = None
+        self._opened: OpenVideo | None = None
+        decoder = self._open().stream.codec_context
         self._identity = FileIdentity.of(as_path(source)) if isinstance(source, Path | str) else None
-        decoder = self._opened.stream.codec_context
         self.codec: str = decoder.codec.canonical_name
         self.width, self.height = decoder.width, decoder.height
-        self.has_steps = decoder.pix_fmt in _STEPS
-        rate = self._opened.stream.average_rate
+        self.has_steps, self.is_remainder = decoder.pix_fmt in _STEPS, cut_off
+        rate = self._open().stream.average_rate
         self._rate = float(rate) if rate else None
         self._index = index
-        self._cut_off = cut_off
-        self._closed = False
         self._begin()
 
     def _begin(self) -> None:
@@ -364,27 +302,13 @@ class VideoReader:
         self._cursor: Cursor | None = None
         self._colours = _Colours()
         self._lock = Lock()
-        _rest_while_forking(self)
+        _READERS[id(self)] = self
 
     def __getstate__(self) -> dict[str, Any]:
         source = self._source
-        kept = (
-            "name",
-            "codec",
-            "width",
-            "height",
-            "has_steps",
-            "_rate",
-            "_index",
-            "_identity",
-            "_closed",
-            "_cut_off",
-            "_ahead",
-        )
-        return {
-            **{name: getattr(self, name) for name in kept},
-            "_source": bytes(source) if isinstance(source, memoryview) else source,
-        }
+        left = {"_source", "_opened", "_cursor", "_colours", "_lock"}
+        kept = {name: value for name, value in self.__dict__.items() if name not in left}
+        return {**kept, "_source": bytes(source) if isinstance(source, memoryview) else source}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -394,9 +318,7 @@ class VideoReader:
     def hold(self) -> None:
         """Let no thread decode until `release`, and close the decoder: its threads and file must not be forked."""
         self._lock.acquire()
-        if self._opened is not None:
-            self._opened.close()
-        self._opened = self._cursor = None
+        self._let_go()
 
     def release(self) -> None:
         """Let threads decode again; the next image opens the file anew."""
@@ -415,11 +337,6 @@ class VideoReader:
     def open_file(self) -> BinaryIO:
         """Open what it reads from, as it is."""
         return open_bytes(self._source)
-
-    @property
-    def is_remainder(self) -> bool:
-        """Whether it was opened as what is left of a video that breaks off."""
-        return self._cut_off
 
     @property
     def count(self) -> int:
@@ -453,7 +370,9 @@ class VideoReader:
             DataError: there is no such image, or it cannot be decoded.
         """
         with self._lock:
-            return self._convert(self._checked_frame(index), index)
+            frame = self._frame(index)
+            with decoder_faults(self.name, f"image {index}"):
+                return self._colours.rgb(frame)
 
     def steps(self, index: int) -> UInt16Array:
         """Decode one image of 16-bit numbers.
@@ -465,7 +384,7 @@ class VideoReader:
             DataError: there is no such image, it cannot be decoded, or is of another kind.
         """
         with self._lock:
-            frame = self._checked_frame(index)
+            frame = self._frame(index)
             if frame.format.name not in _STEPS:
                 problem = f"has pixels of type {frame.format.name}; expected one of {', '.join(_STEPS)}"
                 raise DataError(self.name, f"image {index}", problem)
@@ -475,9 +394,7 @@ class VideoReader:
     def close(self) -> None:
         """Release the file; the reader gives no images afterwards."""
         with self._lock:
-            if self._opened is not None:
-                self._opened.close()
-            self._opened = self._cursor = None
+            self._let_go()
             self._closed = True
 
     def __enter__(self) -> Self:
@@ -490,19 +407,29 @@ class VideoReader:
 
     def _known_index(self) -> VideoIndex:
         if self._index is None:
-            self._check_unchanged()
-            self._index = read_index(self._source, self.name, cut_off=self._cut_off)
+            if self._identity is not None:
+                self._identity.check()
+            self._index = read_index(self._source, self.name, cut_off=self.is_remainder)
         return self._index
 
     def _frame(self, index: int) -> VideoFrame:
+        """Decode an image of the size that the head states."""
+        count = len(self._known_index())
+        if not 0 <= index < count:
+            raise DataError(self.name, f"image {index}", f"does not exist: the video holds {count}")
         try:
-            return self._decoded(index)
+            frame = self._decoded(index)
         except DataError:
             if not self._ahead or self._closed:
                 raise
-        # a decoder that works ahead does not state which packet is damaged
-        self._stop_working_ahead()
-        return self._decoded(index)
+            # a decoder that works ahead does not say which packet is damaged
+            self._stop_working_ahead()
+            frame = self._decoded(index)
+        if (frame.width, frame.height) != (self.width, self.height):
+            found, expected = f"{frame.width}x{frame.height}", f"{self.width}x{self.height}"
+            problem = f"is {found}; expected {expected} as the video's head says"
+            raise DataError(self.name, f"image {index}", problem)
+        return frame
 
     def _decoded(self, index: int) -> VideoFrame:
         cursor = self._cursor
@@ -521,58 +448,39 @@ class VideoReader:
         return frame
 
     def _seek(self, index: int) -> Cursor | None:
-        images, opened = self._known_index(), self._open_file()
+        """Go to the key frame at which decoding of an image begins; None where only the beginning will do."""
+        images, opened = self._known_index(), self._open()
         entry = int(images.entries[index])
         if not images.timed or (entry == 0 and self._cursor is None):
             return None
         with decoder_faults(self.name, f"image {index}"):
             opened.container.seek(int(images.pts[entry]), stream=opened.stream, backward=True)
         cursor = Cursor(opened, images, self.name)
-        return cursor if cursor.enter(entry) else self._restart()
+        return cursor if cursor.enter(entry) else None
 
     def _restart(self) -> Cursor:
-        self._open_file().close()
-        self._opened = None
-        return Cursor(self._open_file(), self._known_index(), self.name)
+        self._let_go()
+        return Cursor(self._open(), self._known_index(), self.name)
 
-    def _open_file(self) -> OpenVideo:
+    def _open(self) -> OpenVideo:
         if self._closed:
             raise DataError(self.name, "", "is closed")
         if self._opened is None:
-            self._check_unchanged()
-            self._opened = self._open_source()
+            if self._identity is not None:
+                self._identity.check()
+            self._opened = OpenVideo(self._source, self.name)
+            if self._ahead:
+                self._opened.decode_ahead()
         return self._opened
-
-    def _open_source(self) -> OpenVideo:
-        opened = OpenVideo(self._source, self.name)
-        if self._ahead:
-            opened.decode_ahead()
-        return opened
 
     def _stop_working_ahead(self) -> None:
         self._ahead = False
+        self._let_go()
+
+    def _let_go(self) -> None:
         if self._opened is not None:
             self._opened.close()
         self._opened = self._cursor = None
-
-    def _check_unchanged(self) -> None:
-        if self._identity is not None:
-            self._identity.check()
-
-    def _checked_frame(self, index: int) -> VideoFrame:
-        count = len(self._known_index())
-        if not 0 <= index < count:
-            raise DataError(self.name, f"image {index}", f"does not exist: the video holds {count}")
-        frame = self._frame(index)
-        if (frame.width, frame.height) != (self.width, self.height):
-            found, expected = f"{frame.width}x{frame.height}", f"{self.width}x{self.height}"
-            problem = f"is {found}; expected {expected} as the video's head says"
-            raise DataError(self.name, f"image {index}", problem)
-        return frame
-
-    def _convert(self, frame: VideoFrame, index: int) -> UInt8Array:
-        with decoder_faults(self.name, f"image {index}"):
-            return self._colours.rgb(frame)
 
 
 def open_video(source: VideoSource, *, name: str | None = None, cut_off: bool = False) -> VideoReader:
@@ -593,6 +501,32 @@ def open_video(source: VideoSource, *, name: str | None = None, cut_off: bool = 
         with suppress(DataError):  # what is wrong with it, all of it reports
             return VideoReader(content, name=shown, index=read_table_index(content, shown))
     return VideoReader(source, name=name, cut_off=cut_off)
+
+
+def open_whole_or_left(path: Path, ledger: Ledger) -> VideoReader:
+    """Open a video with its list of images; a lenient reading takes what is left of one that breaks off.
+
+    Raises:
+        DataError: it cannot be read, or no image of it is left.
+    """
+    reader = open_video(path)
+    try:
+        reader.index  # noqa: B018 - the walk through the packets finds out whether it is whole
+    except DataError as error:
+        reader.close()
+        if not ledger.lenient:
+            raise
+        reader = open_video(path, cut_off=True)
+        try:
+            count = reader.count
+        except DataError:
+            count = 0
+        if count == 0:
+            reader.close()
+            raise error from None
+        problem = f"{error.problem}; its first {count} images are read"
+        ledger.fault("unreadable-videos", DataError(error.file, error.location, problem))
+    return reader
 
 
 class VideoFile:
@@ -637,22 +571,10 @@ class VideoFile:
         Raises:
             DataError: it cannot be read, or no image of it is left.
         """
-        reader = self.reader()
-        try:
-            reader.index  # noqa: B018 - the walk through the packets finds out whether it is whole
-        except DataError as error:
-            if not ledger.lenient:
-                raise
-            reader.close()
-            self._reader, self.cut_off = None, True
-            try:
-                count = self.reader().count
-            except DataError:
-                count = 0
-            if count == 0:
-                raise error from None
-            problem = f"{error.problem}; its first {count} images are read"
-            ledger.fault("unreadable-videos", DataError(error.file, error.location, problem))
+        with self._lock:
+            if self._reader is None and not self._closed:
+                self._reader = open_whole_or_left(self.path, ledger)
+                self.cut_off = self._reader.is_remainder
         return self.reader()
 
     def rgb(self, index: int) -> UInt8Array:

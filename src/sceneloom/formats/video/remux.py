@@ -1,14 +1,11 @@
-"""Remuxing: the packets of a video copied into another container or into Annex B messages.
-
-Encoded again only where they cannot be copied.
-"""
+"""Remuxing: the packets of a video copied into another container or Annex B messages, encoded again where needed."""
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from io import BytesIO
 from itertools import chain
 from typing import Any, BinaryIO, Self, cast
 
@@ -57,7 +54,7 @@ class _PacketTimes:
     durations: Int64Array
 
     @classmethod
-    def of(cls, index: VideoIndex, timestamps_seconds: Sequence[float] | Float64Array | None) -> Self:
+    def of(cls, index: VideoIndex, timestamps_seconds: Sequence[float] | Float64Array | None = None) -> Self:
         """Spread times, given in the order of showing, over the packets in their order of storage.
 
         An image must be decoded no later than it is shown. With the packets' times sorted, s, and d the most
@@ -72,21 +69,10 @@ class _PacketTimes:
         periods = np.ones(count, np.int64)
         periods[:-1] = np.diff(shown)
         periods[-1:] = periods[-2:-1] if count > 1 else 1
-        ranks = np.empty(count, np.int64)
-        ranks[index.positions] = np.arange(count)
+        ranks = np.argsort(index.positions)
         delay = int((np.arange(count) - ranks).max(initial=0))
         before = -periods[:1] * np.arange(delay, 0, -1)
         return cls(tick, shown[ranks], np.concatenate([before, shown])[:count], periods[ranks])
-
-
-def _check_count(timestamps: int, images: int) -> None:
-    """Refuse a list of times that is not one for each image.
-
-    Raises:
-        ArrayError: it is not.
-    """
-    if timestamps != images:
-        raise ArrayError(f"timestamps_seconds: {timestamps} times for {images} images; expected one for each")
 
 
 def _copy_packets(
@@ -107,31 +93,31 @@ def _copy_packets(
         times: of the packets that are copied.
         name: what messages call the source.
         taken: (N,) bool, which packets to copy, in the order of storage; None for all.
-
-    Raises:
-        DataError: the source is damaged.
-        OutputError: the target cannot be written.
     """
     called = target_name(target)
-    opened = OpenVideo(source, name)
-    try:
+    with closing(OpenVideo(source, name)) as opened:
         header = len(opened.stream.codec_context.extradata or b"")
         output = open_container(target, container, images=len(times.pts), header_bytes=header)
-        try:
+        with ExitStack() as stack:
+            stack.callback(abandon, output)
             with writing_faults(called):
                 stream = _same_stream(output, opened.stream, times.tick)
-            for position, packet in enumerate(_taken(_iter_image_packets(opened, name), taken)):
-                _set_times(packet, times, position, name)
+            packets = enumerate(_image_packets(opened, name))
+            # packets beyond those that were there before are refused
+            chosen = (packet for k, packet in packets if taken is None or k >= len(taken) or taken[k])
+            for position, packet in enumerate(chosen):
+                if position >= len(times.pts):
+                    problem = "was not there before; the file changes while it is read"
+                    raise DataError(name, f"packet {position}", problem)
+                packet.time_base = times.tick
+                packet.pts, packet.dts = int(times.pts[position]), int(times.dts[position])
+                packet.duration = int(times.durations[position])
                 packet.stream = stream
                 with writing_faults(called):
                     output.mux_one(packet)
-        except BaseException:
-            abandon(output)
-            raise
+            stack.pop_all()
         with writing_faults(called):
             output.close()
-    finally:
-        opened.close()
 
 
 def _same_stream(output: OutputContainer, original: VideoStream, tick: Fraction) -> VideoStream:
@@ -147,12 +133,8 @@ def _same_stream(output: OutputContainer, original: VideoStream, tick: Fraction)
     return stream
 
 
-def _iter_image_packets(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoStream]]":
-    """Give the packets that hold an image which is shown, in the order of storage.
-
-    Raises:
-        DataError: the container is damaged.
-    """
+def _image_packets(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoStream]]":
+    """Give the packets that hold an image which is shown, in the order of storage."""
     packets = opened.container.demux(opened.stream)
     while True:
         with decoder_faults(name, ""):
@@ -163,24 +145,9 @@ def _iter_image_packets(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoS
             yield packet
 
 
-def _taken(packets: "Iterator[Packet[VideoStream]]", taken: BoolArray | None) -> "Iterator[Packet[VideoStream]]":
-    if taken is None:
-        return packets
-    # packets beyond those that were there before are handed on, and refused there
-    return (packet for k, packet in enumerate(packets) if k >= len(taken) or taken[k])
-
-
-def _set_times(packet: "Packet[VideoStream]", times: _PacketTimes, position: int, name: str) -> None:
-    """Set the times of the packet that is stored at a position.
-
-    Raises:
-        DataError: no time was found for it: the file is being changed.
-    """
-    if position >= len(times.pts):
-        raise DataError(name, f"packet {position}", "was not there before; the file changes while it is read")
-    packet.time_base = times.tick
-    packet.pts, packet.dts = int(times.pts[position]), int(times.dts[position])
-    packet.duration = int(times.durations[position])
+def _check_count(timestamps: int, images: int) -> None:
+    if timestamps != images:
+        raise ArrayError(f"timestamps_seconds: {timestamps} times for {images} images; expected one for each")
 
 
 def _to_ticks(timestamps_seconds: Sequence[float] | Float64Array, count: int) -> Int64Array:
@@ -223,7 +190,6 @@ def remux_to_mp4(
     *,
     timestamps_seconds: Sequence[float] | Float64Array | None = None,
     frame_indices: Sequence[int] | None = None,
-    crop_to_even: bool = False,
     name: str | None = None,
 ) -> RemuxResult:
     """Put a video into mp4, H.264 and HEVC packet by packet, others as H.264; the first image is shown at 0.
@@ -233,13 +199,12 @@ def remux_to_mp4(
         target: a seekable binary file, written from where it stands at 0; it stays open.
         timestamps_seconds: when each image is shown, strictly increasing; None for the source's own times.
         frame_indices: which images to take, ascending, by the order in which they are shown; None for all.
-        crop_to_even: where the images must be encoded and a side is odd, cut off its last line.
         name: what messages call the source.
 
     Raises:
         DataError: the source is damaged.
         ArrayError: not one time for each image, or times that do not increase.
-        OptionError: the images must be encoded, have an odd size, and may not be cropped.
+        OptionError: the images must be encoded, and have an odd size.
         OutputError: the target cannot be written.
     """
     called = source_name(source, name)
@@ -247,16 +212,12 @@ def remux_to_mp4(
         chosen = range(reader.count) if frame_indices is None else frame_indices
         reason = _obstacle(reader, chosen, _MP4_CODECS)
         if reason is not None:
-            timestamps = _timestamps_of(reader, chosen) if timestamps_seconds is None else timestamps_seconds
+            timestamps = timestamps_seconds
+            if timestamps is None and reader.index.timed:
+                timestamps = reader.timestamps[np.asarray(chosen, np.int64)]
             images = (reader.rgb(index) for index in chosen)
-            result = encode_to_mp4(
-                images,
-                target,
-                fps=reader.fps,
-                timestamps_seconds=timestamps,
-                count=len(chosen),
-                crop_to_even=crop_to_even,
-            )
+            fps = reader.fps or _DEFAULT_FPS
+            result = encode_to_mp4(images, target, fps=fps, timestamps_seconds=timestamps, count=len(chosen))
             return RemuxResult(result.images, result.codec, copied=False, reason=reason)
         codec, index = reader.codec, reader.index
     _copy_packets(source, target, "mp4", _PacketTimes.of(index, timestamps_seconds), called)
@@ -298,29 +259,21 @@ def copy_to_matroska(
     taken = np.arange(len(index)) if frame_indices is None else np.asarray(frame_indices, np.int64)
     if not _can_be_cut(index, taken) or codec not in _matroska_codecs():
         return None
-    times = _PacketTimes.of(index.part(taken), None)
     is_taken = np.zeros(len(index), np.bool_)
     is_taken[index.positions[taken]] = True
-    _copy_packets(source, target, "matroska", times, called, taken=is_taken)
+    _copy_packets(source, target, "matroska", _PacketTimes.of(index.part(taken)), called, taken=is_taken)
     return RemuxResult(len(taken), codec, copied=True)
 
 
 @cache
 def _matroska_codecs() -> frozenset[str]:
     """Names of the codecs that can be put into Matroska."""
-    with open_container(BytesIO(), "matroska") as container:
+    with open_container(io.BytesIO(), "matroska") as container:
         return frozenset(container.supported_codecs)
 
 
 def _can_be_cut(index: VideoIndex, taken: Int64Array) -> bool:
-    """Whether some images of a video can be decoded without the others.
-
-    An image needs what is stored from its key frame up to it, and nothing else.
-
-    Args:
-        index: the list of the video's images.
-        taken: which images, by the order in which they are shown.
-    """
+    """Whether some images can be decoded without the others: each needs all that is stored from its key frame on."""
     if len(taken) == 0 or (np.diff(taken) <= 0).any() or taken[0] < 0 or taken[-1] >= len(index):
         return False
     stored = np.zeros(len(index) + 1, np.int64)
@@ -334,20 +287,18 @@ def encode_to_mp4(
     images: Iterable[UInt8Array],
     target: VideoTarget,
     *,
-    fps: float | None = None,
+    fps: float = _DEFAULT_FPS,
     timestamps_seconds: Sequence[float] | Float64Array | None = None,
     count: int | None = None,
-    crop_to_even: bool = False,
 ) -> RemuxResult:
     """Encode images as H.264 in mp4, one at a time; the first is shown at 0.
 
     Args:
         images: (height, width, 3) uint8 each, red green blue, all of one size.
         target: a path or a seekable binary file.
-        fps: nominal images a second; None for what the times state.
+        fps: nominal images a second.
         timestamps_seconds: when each image is shown, strictly increasing; None for even steps at `fps`.
         count: how many images there are; needed only where there are no times, for the tables to stand first.
-        crop_to_even: cut off the last line of an odd side; else odd sizes are refused.
 
     Raises:
         ArrayError: not one time for each image, or times that do not increase.
@@ -360,13 +311,15 @@ def encode_to_mp4(
     if first is None:
         raise OutputError(f"{target_name(target)}: cannot be written: a video needs at least one image")
     height, width = first.shape[:2]
-    if crop_to_even:
-        height, width = height - height % 2, width - width % 2
-    most = count if timestamps is None else len(timestamps)
-    rate = fps or _mean_rate(timestamps)
-    with VideoWriter(target, width, height, rate, container="mp4", images=most) as writer:
-        for rgb, seconds in _with_times(chain([first], remaining), timestamps):
-            writer.add(rgb[:height, :width], seconds)
+    most, found = count if timestamps is None else len(timestamps), 0
+    with VideoWriter(target, width, height, fps, container="mp4", images=most) as writer:
+        for found, rgb in enumerate(chain([first], remaining), 1):
+            if timestamps is None:
+                writer.add(rgb)
+            elif found <= len(timestamps):
+                writer.add(rgb, float(timestamps[found - 1]))
+        if timestamps is not None:
+            _check_count(len(timestamps), found)
     return RemuxResult(writer.count, "h264", copied=False)
 
 
@@ -382,30 +335,6 @@ def _obstacle(reader: VideoReader, chosen: Sequence[int], codecs: frozenset[str]
         (not np.array_equal(chosen, np.arange(len(index))), "not all images of the source are taken"),
     )
     return next((reason for stands, reason in obstacles if stands), None)
-
-
-def _timestamps_of(reader: VideoReader, chosen: Sequence[int]) -> Float64Array | None:
-    return reader.timestamps[np.asarray(chosen, np.int64)] if reader.index.timed else None
-
-
-def _mean_rate(timestamps: Float64Array | None) -> float:
-    if timestamps is None or len(timestamps) < 2 or not timestamps[-1] > timestamps[0]:
-        return _DEFAULT_FPS
-    return (len(timestamps) - 1) / float(timestamps[-1] - timestamps[0])
-
-
-def _with_times(
-    images: Iterable[UInt8Array], timestamps: Float64Array | None
-) -> Iterator[tuple[UInt8Array, float | None]]:
-    if timestamps is None:
-        yield from ((rgb, None) for rgb in images)
-        return
-    count = 0
-    for rgb in images:
-        if count < len(timestamps):
-            yield rgb, float(timestamps[count])
-        count += 1
-    _check_count(len(timestamps), count)
 
 
 _FILTERS = {"h264": "h264_mp4toannexb", "hevc": "hevc_mp4toannexb"}
@@ -446,8 +375,8 @@ def annex_b_to_mp4(raw: BinaryIO, target: BinaryIO, timestamps_ns: Int64Array, n
     ticks = np.maximum.accumulate(micros - steps) + steps
     zeros = np.zeros(len(order), np.int64)
     index = VideoIndex(Fraction(1, 1_000_000), ticks, order, zeros, timed=True, hidden=0)
-    times = _PacketTimes.of(index, (ticks * 1e-6).astype(np.float64))
-    _copy_packets(lambda: cast("BinaryIO", io.BufferedReader(FileView(raw))), target, "mp4", times, name)
+    source = cast("Callable[[], BinaryIO]", lambda: io.BufferedReader(FileView(raw)))
+    _copy_packets(source, target, "mp4", _PacketTimes.of(index), name)
 
 
 class AnnexBPackets:
@@ -455,17 +384,13 @@ class AnnexBPackets:
 
     Attributes:
         codec: "h264" or "hevc".
+        obstacle: why the packets cannot be copied; None where they can.
         reordered: whether images are decoded in another order than they are shown in.
         order: (N,) int64, which image of the camera each packet is, in the order of decoding.
     """
 
     def __init__(self, video: VideoContent, count: int, name: str) -> None:
-        """List the packets.
-
-        Args:
-            video: that they are of.
-            count: images of the camera.
-            name: what messages call the video.
+        """List the packets of a video that the `count` images of a camera need.
 
         Raises:
             DataError: the video is damaged, or has another number of images.
@@ -476,32 +401,24 @@ class AnnexBPackets:
         chosen = np.arange(len(index)) if indices is None else np.asarray(indices, np.int64)
         if len(chosen) != count:
             raise DataError(name, "", f"{len(chosen)} images; expected {count} as the camera has")
-        self.obstacle = _packets_obstacle(video.codec, index, chosen)
+        self.obstacle: str | None = None
+        if video.codec not in _FILTERS:
+            self.obstacle = f"messages hold H.264 and HEVC, the video is {video.codec}"
+        elif index.hidden:
+            self.obstacle = "the video holds images that are not to be shown"
+        elif not _can_be_cut(index, chosen):
+            self.obstacle = "images that are taken need others that are not"
         positions = index.positions[chosen] if self.obstacle is None else np.zeros(0, np.int64)
         self.order = np.argsort(positions).astype(np.int64)
         self.reordered = bool((np.diff(self.order) < 0).any())
         self._wanted = frozenset(positions.tolist())
 
     def __iter__(self) -> Iterator[bytes]:
-        opened = OpenVideo(self._video.open, self._name)
-        try:
+        with closing(OpenVideo(self._video.open, self._name)) as opened:
             with decoder_faults(self._name, ""):
                 filtered: Any = av.BitStreamFilterContext(_FILTERS[self.codec], in_stream=opened.stream)
-            for position, packet in enumerate(_iter_image_packets(opened, self._name)):
+            for position, packet in enumerate(_image_packets(opened, self._name)):
                 with decoder_faults(self._name, f"packet {position}"):
                     content = b"".join(bytes(part) for part in filtered.filter(packet))
                 if position in self._wanted:
                     yield content
-        finally:
-            opened.close()
-
-
-def _packets_obstacle(codec: str, index: VideoIndex, chosen: Sequence[int] | Int64Array) -> str | None:
-    """Why the packets cannot be handed on; None where they can."""
-    if codec not in _FILTERS:
-        return f"messages hold H.264 and HEVC, the video is {codec}"
-    if index.hidden:
-        return "the video holds images that are not to be shown"
-    if not _can_be_cut(index, np.asarray(chosen, np.int64)):
-        return "images that are taken need others that are not"
-    return None

@@ -10,6 +10,8 @@ from typing import Any, BinaryIO, Literal, Self, cast
 
 import av
 import numpy as np
+from av.codec import Codec
+from av.codec.codec import UnknownCodecError
 from av.container import OutputContainer
 from av.video.frame import VideoFrame
 from av.video.reformatter import ColorRange, Colorspace, Interpolation, VideoReformatter
@@ -40,28 +42,20 @@ _LOSSY, _LOSSLESS = 1 << 1, 1 << 2
 
 def is_lossless(codec: str) -> bool:
     """Whether videos of a codec, as FFmpeg calls it, never lose anything."""
-    from av.codec import Codec
-    from av.codec.codec import UnknownCodecError
-
-    try:
-        properties = int(Codec(codec, "r").properties)
-    except (UnknownCodecError, ValueError):
-        return False
-    return bool(properties & _LOSSLESS) and not properties & _LOSSY
+    known = _codec(codec, "r")
+    return known is not None and bool(known.properties & _LOSSLESS) and not known.properties & _LOSSY
 
 
 def available_codecs() -> dict[str, bool]:
     """Report of each codec that drives come in whether it is there."""
-    from av.codec import Codec
-    from av.codec.codec import UnknownCodecError
+    return {words: _codec(*wanted) is not None for words, wanted in _WANTED.items()}
 
-    found = {}
-    for words, (name, mode) in _WANTED.items():
-        try:
-            found[words] = Codec(name, mode) is not None
-        except (UnknownCodecError, ValueError):
-            found[words] = False
-    return found
+
+def _codec(name: str, mode: Literal["r", "w"]) -> Codec | None:
+    try:
+        return Codec(name, mode)
+    except (UnknownCodecError, ValueError):
+        return None
 
 
 VideoTarget = Path | BinaryIO
@@ -126,7 +120,7 @@ _ENCODERS = MappingProxyType(
 
 @contextmanager
 def writing_faults(name: str) -> Iterator[None]:
-    """Rotate what the video library raises while writing into an OutputError."""
+    """Turn what the video library raises while writing into an OutputError."""
     try:
         yield
     except (av.FFmpegError, OSError, ValueError) as error:
@@ -162,29 +156,11 @@ def open_container(
         return av.open(file, "w", format=container, container_options=options)
 
 
-def container_of(target: VideoTarget, container: str | None) -> str:
-    """The container's name: the given one, else what the file's suffix says, else `mp4`.
-
-    Raises:
-        OptionError: there is no such container.
-    """
-    suffix = target.suffix.lower() if isinstance(target, Path) else ".mp4"
-    chosen = container or _CONTAINERS.get(suffix, suffix)
-    if chosen not in _TICKS:
-        known = ", ".join((*_CONTAINERS, *_TICKS))
-        raise OptionError(f"no video container {container or suffix!r}; there are {known}")
-    return chosen
-
-
 class VideoWriter:
     """Encodes images one by one; a context manager.
 
     Attributes:
         count: images added so far.
-
-    Raises:
-        OptionError: an odd size for a codec that halves it, or an unknown codec or container.
-        OutputError: the target cannot be written.
     """
 
     def __init__(
@@ -209,13 +185,21 @@ class VideoWriter:
             crf: quality of h264: 0 loses nothing, 18 nothing that the eye sees, 51 is the worst.
             container: "matroska" or "mp4"; None for what the path's suffix says.
             images: how many will be added at most, if that is known; see `open_container`.
+
+        Raises:
+            OptionError: an odd size for a codec that halves it, or an unknown codec or container.
+            OutputError: the target cannot be written.
         """
         self._name = target_name(target)
         self._encoder = _encoder_for(codec, width, height)
         if not 0 < fps < float("inf"):
             raise OptionError(f"{fps} images a second; expected a positive number")
         self.width, self.height, self.fps, self.count = width, height, fps, 0
-        kind = container_of(target, container)
+        suffix = target.suffix.lower() if isinstance(target, Path) else ".mp4"
+        kind = container or _CONTAINERS.get(suffix, suffix)
+        if kind not in _TICKS:
+            known = ", ".join((*_CONTAINERS, *_TICKS))
+            raise OptionError(f"no video container {kind!r}; there are {known}")
         self._tick = _TICKS[kind]
         self._most = images
         self._output: OutputContainer | None = open_container(target, kind, images=images)

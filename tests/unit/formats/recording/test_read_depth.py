@@ -78,27 +78,16 @@ def test_depths_are_steps_times_their_scale(scene, images):
     assert not codes(scene)
 
 
-@pytest.mark.parametrize("name", ["data2.mkv", "data2.avi"])
-def test_videos_of_either_container_hold_the_same_depths(recording, pinhole, images, name):
-    two_cameras(recording, pinhole, lambda _: {"depthScale": 0.001}).depth_video(name, images)
-    with FORMAT.open(recording.path) as scene:
-        depth = scene.sensor("camera1").frames[2].depth
-    np.testing.assert_allclose(depth, images[2] * 0.001, rtol=1e-6)  # float32
-
-
-def test_images_of_16_bits_are_depths_too(recording, pinhole, images):
-    two_cameras(recording, pinhole, lambda _: {"depthScale": 0.005}).depth_pngs("frames2", images)
+@pytest.mark.parametrize("name", ["data2.mkv", "data2.avi", "frames2"])
+def test_videos_of_either_container_and_images_of_16_bits_hold_depths_with_a_scale_for_each(
+    recording, pinhole, images, name
+):
+    drive = two_cameras(recording, pinhole, lambda k: {"depthScale": 0.001 * (k + 1)})
+    (drive.depth_pngs if name == "frames2" else drive.depth_video)(name, images)
     with FORMAT.open(recording.path) as scene:
         camera = scene.sensor("camera1")
-        assert (camera.video, camera.fps) == (None, None)
-        for frame, steps in zip(camera.frames, images, strict=True):
-            np.testing.assert_allclose(frame.depth, steps * 0.005, rtol=1e-6)  # float32
-
-
-def test_every_line_may_have_a_scale_of_its_own(recording, pinhole, images):
-    two_cameras(recording, pinhole, lambda k: {"depthScale": 0.001 * (k + 1)}).depth_video("data2.mkv", images)
-    with FORMAT.open(recording.path) as scene:
-        for k, frame in enumerate(scene.sensor("camera1").frames):
+        assert (camera.video is None) == (camera.fps is None) == (name == "frames2")
+        for k, frame in enumerate(camera.frames):
             np.testing.assert_allclose(frame.depth, images[k] * (0.001 * (k + 1)), rtol=1e-6)  # float32
 
 
@@ -175,26 +164,21 @@ def test_the_summary_counts_depth_images(scene):
     assert (summary.rate_hz, summary.poses, summary.mounted) == (pytest.approx(10.0), COUNT, True)
 
 
-def test_a_part_of_a_drive_has_the_depth_images_of_its_time(scene, images):
-    part = crop_scene(scene, start=0.1, stop=0.3)
-    camera = part.sensor("camera1")
-    assert camera.frames.timestamps_ns.tolist() == [100_000_000, 200_000_000]
-    assert camera.video.frame_indices == (1, 2)
-    np.testing.assert_allclose(camera.frames[0].depth, images[1] * 0.002, rtol=1e-6)  # float32
-
-
-def test_thinning_keeps_every_other_depth_image(scene):
-    camera = thin_scene(scene, every=2).sensor("camera1")
-    assert camera.frames.timestamps_ns.tolist() == [0, 200_000_000]
-    assert camera.video.frame_indices == (0, 2)
-
-
-def test_parts_are_joined_to_what_they_were(scene, images):
-    parts = [crop_scene(scene, stop=0.2), crop_scene(scene, start=0.2)]
-    camera = merge_scenes(parts, join=True).sensor("camera1")
-    assert camera.frames.timestamps_ns.tolist() == scene.sensor("camera1").frames.timestamps_ns.tolist()
-    for frame, steps in zip(camera.frames, images, strict=True):
-        np.testing.assert_allclose(frame.depth, steps * 0.002, rtol=1e-6)  # float32
+@pytest.mark.parametrize(
+    ("change", "rows"),
+    [
+        (lambda scene: crop_scene(scene, start=0.1, stop=0.3), [1, 2]),
+        (lambda scene: thin_scene(scene, every=2), [0, 2]),
+        (lambda s: merge_scenes([crop_scene(s, stop=0.2), crop_scene(s, start=0.2)], join=True), [0, 1, 2, 3]),
+    ],
+    ids=["cropped", "thinned", "joined"],
+)
+def test_parts_of_a_drive_have_the_depth_images_of_their_times(scene, images, change, rows):
+    camera = change(scene).sensor("camera1")
+    assert camera.frames.timestamps_ns.tolist() == [row * 100_000_000 for row in rows]
+    assert len(rows) == COUNT or camera.video.frame_indices == tuple(rows)
+    for frame, row in zip(camera.frames, rows, strict=True):
+        np.testing.assert_allclose(frame.depth, images[row] * 0.002, rtol=1e-6)  # float32
 
 
 def test_depth_cameras_are_placed_as_cameras_are(scene):

@@ -30,39 +30,26 @@ def codes(scene: Scene) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("numbers", "count", "indices"),
+    ("numbers", "count", "indices", "by_line"),
     [
-        ([0, 1, 2, 3], 4, [0, 1, 2, 3]),
-        ([28, 29, 30], 3, [0, 1, 2]),
-        ([5, 7, 8], 4, [0, 2, 3]),
-        ([2, 0, 1], 3, [2, 0, 1]),
-        ([-4, -3, -1], 4, [0, 1, 3]),
-        ([7], 1, [0]),
-        ([], 0, []),
+        ([0, 1, 2, 3], 4, [0, 1, 2, 3], False),
+        ([28, 29, 30], 3, [0, 1, 2], False),
+        ([5, 7, 8], 4, [0, 2, 3], False),
+        ([2, 0, 1], 3, [2, 0, 1], False),
+        ([-4, -3, -1], 4, [0, 1, 3], False),
+        ([7], 1, [0], False),
+        ([], 0, [], False),
+        ([5, 6, 6, 7], 3, [0, 1, 1, 2], False),  # a number that two lines have means one image
+        ([5, 7, 8], 3, [0, 1, 2], True),
+        ([0, 1, 0, 1], 4, [0, 1, 2, 3], True),
+        ([9, 5, 7], 3, [2, 0, 1], True),
     ],
 )
-def test_images_are_counted_by_number_from_the_first(numbers, count, indices):
+def test_images_are_counted_by_number_from_the_first_or_by_line_where_only_these_counts_agree(
+    numbers, count, indices, by_line
+):
     choice = choose_images(np.array(numbers, np.int64), count)
-    assert choice.indices.tolist() == indices
-    assert choice.problem is None
-    assert not choice.by_line
-
-
-def test_a_number_that_stands_in_two_lines_means_one_image():
-    choice = choose_images(np.array([5, 6, 6, 7]), 3)
-    assert choice.indices.tolist() == [0, 1, 1, 2]
-    assert choice.problem is None
-
-
-@pytest.mark.parametrize(
-    ("numbers", "count", "indices"),
-    [([5, 7, 8], 3, [0, 1, 2]), ([0, 1, 0, 1], 4, [0, 1, 2, 3]), ([9, 5, 7], 3, [2, 0, 1])],
-)
-def test_images_are_counted_by_line_where_numbers_have_gaps_and_the_counts_agree(numbers, count, indices):
-    choice = choose_images(np.array(numbers, np.int64), count)
-    assert choice.indices.tolist() == indices
-    assert choice.by_line
-    assert choice.problem is None
+    assert (choice.indices.tolist(), choice.by_line, choice.problem) == (indices, by_line, None)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +65,6 @@ def test_images_are_counted_by_line_where_numbers_have_gaps_and_the_counts_agree
 def test_other_counts_are_a_problem_that_names_both(numbers, count, indices):
     choice = choose_images(np.array(numbers, np.int64), count)
     assert choice.indices.tolist() == indices
-    assert choice.problem is not None
     assert f"{count} images" in choice.problem
     assert (f"{len(numbers)} frames lines" if numbers else "no frames line") in choice.problem
 
@@ -96,17 +82,16 @@ def test_images_are_those_of_the_video_or_the_png_folder(recording, pinhole, kin
     assert camera.images.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000, 300_000_000]
     assert camera.images[2].extras == {"file_seconds": 0.2, "number": 2}
     assert scene.warnings == ()
-    scene.close()
-
-
-def test_a_camera_passes_its_video_on(recording, pinhole):
-    recording.video("data.mkv", 3).lines([frames(k, 0.1 * k) for k in range(3)])
-    with FORMAT.open(recording.calibration([pinhole]).path) as scene:
-        video = scene.cameras[0].video
-        assert video is not None
-        assert (video.codec, video.frame_indices) == ("ffv1", None)
-        with video.open() as file:
+    assert (camera.video is None) == (kind == "pngs")
+    if camera.video is not None:
+        assert (camera.video.codec, camera.video.frame_indices) == ("ffv1", None)
+        with camera.video.open() as file:
             assert file.read() == (recording.path / "data.mkv").read_bytes()
+    image = camera.images[0]
+    scene.close()
+    if kind == "video":
+        with pytest.raises(DataError, match="closed"):
+            _ = image.rgb
 
 
 def test_lines_without_a_camera_or_without_its_bitmap_still_use_up_an_image(recording, pinhole):
@@ -127,17 +112,17 @@ def test_lines_without_a_camera_or_without_its_bitmap_still_use_up_an_image(reco
         assert (warning.code, warning.kind, warning.count) == ("missing-bitmaps", WarningKind.SKIPPED, 1)
 
 
-def test_a_gap_in_the_numbers_is_a_gap_in_the_video_where_the_counts_report_it(recording, pinhole):
-    recording.video("data.mkv", 4).lines([frames(10, 0.0), frames(12, 0.2), frames(13, 0.3)])
+@pytest.mark.parametrize(
+    ("images", "greys", "found"),
+    [(4, [0, 2, 3], []), (3, [0, 1, 2], [("frame-numbers-not-used", WarningKind.REPAIRED)])],
+)
+def test_a_gap_in_the_numbers_is_a_gap_in_the_video_unless_the_counts_say_otherwise(
+    recording, pinhole, images, greys, found
+):
+    recording.video("data.mkv", images).lines([frames(10, 0.0), frames(12, 0.2), frames(13, 0.3)])
     with FORMAT.open(recording.calibration([pinhole]).path) as scene:
-        assert shown(scene.cameras[0]) == [0, 2, 3]
-
-
-def test_numbers_with_gaps_are_not_used_where_images_and_lines_are_equally_many(recording, pinhole):
-    recording.video("data.mkv", 3).lines([frames(10, 0.0), frames(12, 0.2), frames(13, 0.3)])
-    with FORMAT.open(recording.calibration([pinhole]).path) as scene:
-        assert shown(scene.cameras[0]) == [0, 1, 2]
-        assert [(n.code, n.kind) for n in scene.warnings] == [("frame-numbers-not-used", WarningKind.REPAIRED)]
+        assert shown(scene.cameras[0]) == greys
+        assert [(warning.code, warning.kind) for warning in scene.warnings] == found
 
 
 @pytest.mark.parametrize(("images", "kept", "left_out"), [(3, [0, 1, 2], 2), (7, [0, 1, 2, 3, 4], 1)])
@@ -342,15 +327,6 @@ def test_videos_that_nothing_names_are_reported(recording):
     (warning,) = FORMAT.open(recording.path).warnings
     assert (warning.code, warning.count) == ("videos-not-used", 2)
     assert "data.mkv, frames3" in warning.message
-
-
-def test_a_closed_scene_gives_no_images(recording, pinhole):
-    recording.video("data.mkv", 1).lines([frames(0, 0.0)]).calibration([pinhole])
-    scene = FORMAT.open(recording.path)
-    image = scene.cameras[0].images[0]
-    scene.close()
-    with pytest.raises(DataError, match="closed"):
-        _ = image.rgb
 
 
 @pytest.mark.parametrize(

@@ -35,36 +35,21 @@ def test_points_hold_what_the_records_hold(recording):
     assert len(content) == 23 * 3
     x, y, z, intensity, ring, time = zip(*struct.iter_unpack("<fffBHd", content), strict=True)
     np.testing.assert_array_equal(frame.points.positions, np.array([x, y, z], np.float32).T)
-    assert frame.points.intensities is not None
-    assert frame.points.intensities.tolist() == list(intensity)
-    assert frame.points.rings is not None
-    assert frame.points.rings.tolist() == list(ring)
-    assert frame.points.timestamps_ns is not None
-    assert frame.points.timestamps_ns.tolist() == [round(t * 1e9) for t in time]
+    expected = {"intensities": intensity, "rings": ring, "timestamps_ns": [round(t * 1e9) for t in time]}
+    for name, values in expected.items():
+        assert getattr(frame.points, name).tolist() == list(values)
     assert frame.points.extras["file_seconds"].tolist() == list(time)
-    for array in (
-        frame.points.positions,
-        frame.points.intensities,
-        frame.points.rings,
-        frame.points.timestamps_ns,
-    ):
-        assert not array.flags.writeable
-        assert array.flags.aligned
+    for name in ("positions", *expected):
+        flags = getattr(frame.points, name).flags
+        assert (flags.writeable, flags.aligned) == (False, True)
 
 
-def test_a_sweep_of_one_point_is_aligned_too(recording):
-    recording.points("0.bin", POINTS[:1]).lines([sweep("0.bin", 0.0)])
-    points = FORMAT.open(recording.path).lidars[0].frames[0].points
-    assert points.rings is not None
-    assert points.rings.flags.aligned
-    assert points.rings.tolist() == [17]
-
-
-def test_a_file_without_points_is_an_empty_sweep(recording):
-    recording.points("0.bin", []).lines([sweep("0.bin", 0.5)])
-    frame = FORMAT.open(recording.path).lidars[0].frames[0]
-    assert len(frame.points) == 0
-    assert frame.reference_ns == 500_000_000
+def test_sweeps_of_one_point_or_none_are_aligned_too(recording):
+    recording.points("0.bin", POINTS[:1]).points("1.bin", []).lines([sweep("0.bin", 0.0), sweep("1.bin", 0.5)])
+    one, none = FORMAT.open(recording.path).lidars[0].frames
+    assert one.points.rings.flags.aligned
+    assert one.points.rings.tolist() == [17]
+    assert (len(none.points), none.reference_ns) == (0, 500_000_000)
 
 
 def test_points_that_are_not_numbers_stay_in_the_sweep(recording):
@@ -77,21 +62,14 @@ def test_points_that_are_not_numbers_stay_in_the_sweep(recording):
 def test_a_point_time_may_be_any_that_nanoseconds_hold(recording, time):
     recording.points("0.bin", [POINTS[0], (*POINTS[1][:5], time)]).lines([sweep("0.bin", 0.5)])
     times = FORMAT.open(recording.path).lidars[0].frames[0].points.timestamps_ns
-    assert times is not None
     assert times.tolist() == [100_000_001, round(time * 1e9)]
 
 
-def test_points_are_counted_without_being_unpacked(recording):
-    recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.1)])
-    points = FORMAT.open(recording.path).lidars[0].frames[0].points
-    assert len(points) == 3
-    assert points.packed_count() == 3
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="a file that is read cannot be removed there")
-def test_points_outlive_their_file(recording):
+def test_points_are_counted_without_being_unpacked_and_outlive_their_file(recording):
     recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.1)])
     points = FORMAT.open(recording.path).lidars[0].frames[0].points
+    assert (len(points), points.packed_count()) == (3, 3)
     (recording.path / "0.bin").unlink()
     np.testing.assert_array_equal(points.positions, np.array([p[:3] for p in POINTS], np.float32))
 
@@ -174,7 +152,6 @@ def test_the_mounting_is_the_inverse_of_imu_to_lidar(recording):
     recording.calibration(lidars=[{"model": "RoboSense M1 XYZIRT", "imuToLidar": SHIFTED}])
     scene = FORMAT.open(recording.path)
     mount = scene.lidars[0].mount
-    assert mount is not None
     assert mount.translation.tolist() == [-1.0, -2.0, -3.0]
     assert scene.lidars[0].extras["calibration"]["imuToLidar"] == SHIFTED
     assert scene.warnings == ()
@@ -187,7 +164,6 @@ def test_without_imu_to_lidar_the_mounting_is_the_identity_with_a_warning(record
         recording.calibration(lidars=entries)
     scene = FORMAT.open(recording.path)
     mount = scene.lidars[0].mount
-    assert mount is not None
     np.testing.assert_array_equal(mount.matrix, np.eye(4))
     assert [(warning.code, warning.kind) for warning in scene.warnings] == [
         ("lidar-mount-identity", WarningKind.ASSUMED)
@@ -203,8 +179,6 @@ def test_several_lidars_are_distinguished_by_their_index(recording):
         ("lidar0", [3, 3]),
         ("lidar1", [2]),
     ]
-    assert lidars[0].mount is not None
-    assert lidars[1].mount is not None
     assert lidars[0].mount.translation.tolist() == [0.0, 0.0, 0.0]
     assert lidars[1].mount.translation.tolist() == [-1.0, -2.0, -3.0]
 

@@ -26,6 +26,8 @@ from sceneloom.scene import (
     CameraSensor,
     CuboidAnnotation,
     CuboidPath,
+    DepthCameraSensor,
+    DepthFrame,
     GnssSensor,
     ImuSensor,
     LazyFrames,
@@ -45,6 +47,7 @@ from sceneloom.scene import (
 
 MS = 1_000_000
 MODEL = "RoboSense M1 XYZIRT"
+CAMERA = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
 MOUNT = RigidTransform(Rotation.from_euler("zyx", [0.3, -0.2, 0.9]).as_matrix(), np.array([1.5, -0.2, 0.7]))
 
 
@@ -64,6 +67,12 @@ def a_camera(name="camera0", *, timestamps=None, width=32, height=16, **fields):
         timestamps,
     )
     return CameraSensor(name, camera_model, images, **({"mount": MOUNT} | fields))
+
+
+def shooting(decode, timestamps, **fields):
+    """A camera whose image k is what `decode(k)` gives when it is asked for."""
+    shots = [CameraImage(int(t), CAMERA, lambda k=k: decode(k)) for k, t in enumerate(timestamps)]
+    return CameraSensor("camera0", CAMERA, LazyFrames.of(shots, timestamps), **({"mount": MOUNT} | fields))
 
 
 def some_points(seed, start_ns, count=5):
@@ -92,6 +101,11 @@ def an_imu(**streams):
             "gyroscope": VectorSamples(timestamps, -values),
         },
     )
+
+
+def a_depth_camera(name="camera1"):
+    frames = [DepthFrame(int(t), CAMERA, lambda: np.ones((16, 32), np.float32), 0.001) for t in times(3)]
+    return DepthCameraSensor(name, CAMERA, LazyFrames.of(frames, times(3)), mount=MOUNT)
 
 
 def a_gnss():
@@ -135,23 +149,28 @@ def replay_of(report):
     return {loss.what: loss.count for loss in report if loss.field == "replay"}
 
 
-def test_lines_are_sorted_and_each_says_one_thing(tmp_path):
-    report = write_recording(whole_scene(), tmp_path / "drive")
-    lines = lines_of(tmp_path / "drive")
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder with all of a whole scene, and what was lost."""
+    folder = tmp_path_factory.mktemp("whole") / "drive"
+    return folder, write_recording(whole_scene(), folder)
+
+
+def test_lines_are_sorted_and_each_says_one_thing(whole):
+    lines = lines_of(whole[0])
     timestamps = [line["time"] for line in lines]
     assert timestamps == sorted(timestamps)
     kinds = [next(iter(line)) for line in lines]
     counts = {kind: kinds.count(kind) for kind in kinds}
     assert counts == {"groundTruth": 6, "sensor": 60, "gps": 2, "lidar": 3, "frames": 4}
-    assert losses_of(report) == {
+    assert losses_of(whole[1]) == {
         "sensors[camera0].images[].rgb": "encoded as H.264, which changes colours a little",
         "sensors[camera1].images[].rgb": "encoded as H.264, which changes colours a little",
     }
 
 
-def test_frames_lines_count_from_zero_and_list_every_camera(tmp_path):
-    write_recording(whole_scene(), tmp_path / "drive")
-    frames = [line for line in lines_of(tmp_path / "drive") if "frames" in line]
+def test_frames_lines_count_from_zero_and_list_every_camera(whole):
+    frames = [line for line in lines_of(whole[0]) if "frames" in line]
     assert [line["number"] for line in frames] == [0, 1, 2, 3]
     assert frames[1] == {
         "frames": [{"cameraInd": 0, "time": 0.15}, {"cameraInd": 1, "time": 0.15}],
@@ -160,9 +179,8 @@ def test_frames_lines_count_from_zero_and_list_every_camera(tmp_path):
     }
 
 
-def test_samples_fixes_and_poses_are_written_in_the_format_s_words(tmp_path):
-    write_recording(whole_scene(), tmp_path / "drive")
-    lines = lines_of(tmp_path / "drive")
+def test_samples_fixes_and_poses_are_written_in_the_format_s_words(whole):
+    lines = lines_of(whole[0])
     values = np.random.default_rng(1).normal(size=(30, 3))
     gyroscope = [line for line in lines if line.get("sensor", {}).get("type") == "gyroscope"]
     assert gyroscope[4] == {"sensor": {"type": "gyroscope", "values": (-values[4]).tolist()}, "time": 0.043}
@@ -188,12 +206,11 @@ def test_samples_fixes_and_poses_are_written_in_the_format_s_words(tmp_path):
     assert pose["orientation"] == pytest.approx({"x": 0, "y": 0, "z": np.sin(0.3), "w": np.cos(0.3)}, abs=1e-15)
 
 
-def test_a_sweep_is_a_file_of_packed_records(tmp_path):
-    write_recording(whole_scene(), tmp_path / "drive")
-    sweeps = [line for line in lines_of(tmp_path / "drive") if "lidar" in line]
+def test_a_sweep_is_a_file_of_packed_records(whole):
+    sweeps = [line for line in lines_of(whole[0]) if "lidar" in line]
     assert sweeps[2] == {"lidar": {"model": MODEL, "dataFile": "lidar/000002.bin"}, "time": 0.2}
     points = some_points(2, 200 * MS)
-    records = records_of(tmp_path / "drive" / "lidar" / "000002.bin")
+    records = records_of(whole[0] / "lidar" / "000002.bin")
     for row, (x, y, z, intensity, ring, seconds) in enumerate(records):
         assert (np.float32([x, y, z]) == points.positions[row]).all()
         assert (intensity, ring) == (points.intensities[row], points.rings[row])
@@ -201,9 +218,8 @@ def test_a_sweep_is_a_file_of_packed_records(tmp_path):
     assert len(records) == 5
 
 
-def test_the_calibration_takes_points_of_the_imu_into_the_sensors(tmp_path):
-    write_recording(whole_scene(), tmp_path / "drive")
-    calibration = json.loads((tmp_path / "drive" / "calibration.json").read_text())
+def test_the_calibration_takes_points_of_the_imu_into_the_sensors(whole):
+    calibration = json.loads((whole[0] / "calibration.json").read_text())
     expected = np.linalg.inv(np.vstack([np.column_stack([MOUNT.rotation, MOUNT.translation]), [0, 0, 0, 1]]))
     assert len(calibration["cameras"]) == 2
     np.testing.assert_allclose(calibration["cameras"][1]["imuToCamera"], expected, atol=1e-15)
@@ -220,12 +236,11 @@ def read_video(path):
     return images
 
 
-def test_videos_are_h264_with_one_image_per_frames_line(tmp_path):
-    write_recording(whole_scene(), tmp_path / "drive")
+def test_videos_are_h264_with_one_image_per_frames_line(whole):
     for name in ("data.mkv", "data2.mkv"):
-        with av.open(str(tmp_path / "drive" / name)) as container:
+        with av.open(str(whole[0] / name)) as container:
             assert container.streams.video[0].codec_context.name == "h264"
-        images = read_video(tmp_path / "drive" / name)
+        images = read_video(whole[0] / name)
         assert len(images) == 4
         for index, rgb in enumerate(images):
             # flat colours survive but for rounding, 1 to 3 levels
@@ -343,14 +358,13 @@ def test_cameras_a_little_apart_share_a_line_and_keep_their_times(tmp_path):
     }
 
 
-def test_an_image_s_own_camera_model_and_mounting_stand_in_its_line(tmp_path):
-    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
+def test_an_image_s_own_CAMERA_and_mounting_stand_in_its_line(tmp_path):
     own = Camera("fisheye", 32, 16, 40.0, 41.0, 15.0, 7.0, (0.1, 0.2, 0.3, 0.4))
     images = [
-        CameraImage.of(0, camera_model, image_rgb(0)),
+        CameraImage.of(0, CAMERA, image_rgb(0)),
         CameraImage(100 * MS, own, lambda: image_rgb(1), mount=RigidTransform.identity()),
     ]
-    camera = CameraSensor("camera0", camera_model, LazyFrames.of(images, [0, 100 * MS]), mount=MOUNT)
+    camera = CameraSensor("camera0", CAMERA, LazyFrames.of(images, [0, 100 * MS]), mount=MOUNT)
     write_recording(a_scene(camera), tmp_path / "drive", images="png")
     first, second = (line["frames"][0] for line in lines_of(tmp_path / "drive"))
     assert set(first) == {"cameraInd", "time"}
@@ -466,22 +480,32 @@ def test_points_on_the_ego_are_brought_back_by_the_mounting(tmp_path):
     np.testing.assert_allclose(positions_in(tmp_path / "drive" / "lidar" / "000000.bin"), positions, atol=2e-5)
 
 
-def test_points_in_the_world_without_any_poses_are_refused(tmp_path):
-    lidar, _ = world_lidar()
-    with pytest.raises(PoseError, match="lidar 'lidar': its points are in the world"):
-        write_recording(a_scene(lidar), tmp_path / "drive")
+FAR = Poses(times(2, start_ms=5000), np.zeros((2, 3)), np.array([[0.0, 0, 0, 1]] * 2))
+REFUSED = {
+    "points in the world without any poses": (
+        lambda: [world_lidar()[0]],
+        PoseError,
+        "lidar 'lidar': its points are in the world",
+    ),
+    "points beyond the poses": (
+        lambda: [world_lidar(poses=FAR)[0]],
+        PoseError,
+        "sweep at 120000000 ns: no pose for 5 of its points",
+    ),
+    "an unknown mounting": (
+        lambda: [a_camera("front", mount=None)],
+        CalibrationError,
+        "camera 'front': nothing says how it is mounted",
+    ),
+    "nothing": (list, DataError, "holds nothing that a recording could hold"),
+}
+
+
+@pytest.mark.parametrize(("sensors", "error", "problem"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_be_written_is_refused_and_leaves_nothing(tmp_path, sensors, error, problem):
+    with pytest.raises(error, match=problem):
+        write_recording(a_scene(*sensors()), tmp_path / "drive")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_points_beyond_the_poses_are_refused(tmp_path):
-    lidar, _ = world_lidar(poses=Poses(times(2, start_ms=5000), np.zeros((2, 3)), np.array([[0.0, 0, 0, 1]] * 2)))
-    with pytest.raises(PoseError, match="sweep at 120000000 ns: no pose for 5 of its points"):
-        write_recording(a_scene(lidar), tmp_path / "drive")
-
-
-def test_a_camera_whose_mounting_is_unknown_is_refused(tmp_path):
-    with pytest.raises(CalibrationError, match="camera 'front': nothing says how it is mounted"):
-        write_recording(a_scene(a_camera("front", mount=None)), tmp_path / "drive")
 
 
 def test_a_lidar_whose_mounting_is_unknown_is_taken_to_be_the_ego(tmp_path):
@@ -619,12 +643,6 @@ def test_without_cameras_and_lidars_there_is_no_calibration(tmp_path):
     assert [path.name for path in (tmp_path / "drive").iterdir()] == ["data.jsonl"]
 
 
-def test_a_scene_with_nothing_for_a_recording_is_refused(tmp_path):
-    with pytest.raises(DataError, match="holds nothing that a recording could hold"):
-        write_recording(a_scene(), tmp_path / "drive")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_camera_without_images_is_calibrated_alone_and_left_out_beside_others(tmp_path):
     empty = a_camera("camera1", timestamps=times(0))
     report = write_recording(a_scene(a_camera(), empty), tmp_path / "both", images="png")
@@ -675,11 +693,7 @@ def test_an_empty_folder_is_replaced_on_request_and_a_file_never(tmp_path):
 def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, images):
     write_recording(a_scene(an_imu()), tmp_path / "drive")
     before = (tmp_path / "drive" / "data.jsonl").read_bytes()
-    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
-    shots = [
-        CameraImage(k * 100 * MS, camera_model, lambda k=k: image_rgb(k, 32, 16 if k < 2 else 14)) for k in range(4)
-    ]
-    camera = CameraSensor("camera0", camera_model, LazyFrames.of(shots, times(4)), mount=MOUNT)
+    camera = shooting(lambda k: image_rgb(k, 32, 16 if k < 2 else 14), times(4))
     with pytest.raises(ArrayError, match=r"image.*\(14, 32, 3\)"):
         write_recording(a_scene(camera), tmp_path / "drive", overwrite=True, images=images)
     assert (tmp_path / "drive" / "data.jsonl").read_bytes() == before
@@ -688,17 +702,13 @@ def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, images):
 
 @pytest.mark.parametrize("images", ["copy", "png", "ffv1"])
 def test_who_stops_in_the_middle_finds_nothing_new(tmp_path, images):
-    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
-
     def decode(k):
         if k == 2:
             raise KeyboardInterrupt
         return image_rgb(k)
 
-    shots = [CameraImage(k * 100 * MS, camera_model, lambda k=k: decode(k)) for k in range(4)]
-    camera = CameraSensor("camera0", camera_model, LazyFrames.of(shots, times(4)), mount=MOUNT)
     with pytest.raises(KeyboardInterrupt):
-        write_recording(a_scene(camera, a_lidar()), tmp_path / "drive", images=images)
+        write_recording(a_scene(shooting(decode, times(4)), a_lidar()), tmp_path / "drive", images=images)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -729,7 +739,6 @@ def test_no_more_than_a_frame_of_each_sensor_is_held(tmp_path, images):
         weakref.finalize(array, lambda: alive.__setitem__(kind, alive[kind] - 1))
         return array
 
-    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
     timestamps = times(40)
 
     def sweep(k):
@@ -737,10 +746,7 @@ def test_no_more_than_a_frame_of_each_sensor_is_held(tmp_path, images):
         born("lidar", points.positions)
         return LidarFrame(int(timestamps[k]), points)
 
-    def shot(k):
-        return CameraImage(int(timestamps[k]), camera_model, lambda: born("image", image_rgb(k)))
-
-    camera = CameraSensor("camera0", camera_model, LazyFrames(timestamps, shot), mount=MOUNT)
+    camera = shooting(lambda k: born("image", image_rgb(k)), timestamps)
     lidar = LidarSensor("lidar", LazyFrames(timestamps, sweep), mount=MOUNT)
     write_recording(a_scene(lidar, camera), tmp_path / "drive", images=images)
     gc.collect()
@@ -757,19 +763,12 @@ def test_frames_and_images_are_asked_for_one_by_one_in_the_order_of_time(tmp_pat
         asked.append(("lidar", int(sweeps[k])))
         return LidarFrame(int(sweeps[k]), some_points(k, int(sweeps[k])))
 
-    camera_model = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
-
     def decode(k):
         asked.append(("image", int(shots[k])))
         return image_rgb(k)
 
-    camera = CameraSensor(
-        "camera0",
-        camera_model,
-        LazyFrames(shots, lambda k: CameraImage(int(shots[k]), camera_model, lambda: decode(k))),
-        mount=MOUNT,
-    )
-    write_recording(a_scene(LidarSensor("lidar", LazyFrames(sweeps, sweep), mount=MOUNT), camera), tmp_path / "drive")
+    lidar = LidarSensor("lidar", LazyFrames(sweeps, sweep), mount=MOUNT)
+    write_recording(a_scene(lidar, shooting(decode, shots)), tmp_path / "drive")
     assert [kind for kind, _ in asked].count("image") == 4
     assert [kind for kind, _ in asked].count("lidar") == 4
     # a merge looks one line ahead in every stream, and no farther
@@ -794,3 +793,50 @@ def test_no_recording_is_written_into_another(tmp_path, location):
     with pytest.raises(OutputError, match="inside the recording"):
         write_recording(a_scene(an_imu()), outer / location)
     assert sorted(outer.rglob("*")) == before
+
+
+NO_IMU = "the vendor's software gives no output without accelerometer and gyroscope"
+CASES = {
+    "nothing wrong": ((a_camera(), a_camera("camera1"), an_imu()), {}),
+    "depth beside images": ((a_camera(), a_depth_camera(), an_imu()), {}),
+    "no IMU": ((a_camera(),), {NO_IMU: 1}),
+    "no gyroscope": (
+        (a_camera(), an_imu(accelerometer=VectorSamples(times(60, start_ms=1, step_ms=5), np.ones((60, 3))))),
+        {"the vendor's software gives no output without gyroscope": 1},
+    ),
+    "neither images": ((a_lidar("lidar"),), {}),
+    "times of the IMU": (
+        (a_camera(timestamps=times(3, start_ms=3)), an_imu()),
+        {
+            "images have exactly the times of IMU samples, which makes the vendor's diagnosis suspect that their times "
+            "were not measured; they are written as they are": 3
+        },
+    ),
+    "three cameras": (
+        (a_camera(), a_camera("camera1"), a_camera("camera2"), an_imu()),
+        {"the vendor's software uses the first two cameras, not camera2": 1},
+    ),
+    "two lidars": (
+        (a_lidar("lidar0"), a_lidar("lidar1")),
+        {"the vendor's software does not report lidars apart (`lidarInd`)": 2},
+    ),
+    "depth alone": (
+        (a_depth_camera("camera0"), an_imu()),
+        {"the vendor's software tracks in the first camera, and camera0 measures depth": 1},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_will_not_be_replayed_is_named(tmp_path, case):
+    sensors, expected = CASES[case]
+    report = write_recording(a_scene(*sensors), tmp_path / "drive", images="png")
+    assert replay_of(report) == expected
+
+
+def test_settings_that_are_not_publicly_known_are_named(tmp_path):
+    metadata = {"recording": {"vio_config": "useStereo: True\nsparkle: 3\n"}}
+    scene = a_scene(a_camera(), an_imu(), metadata=metadata, format="recording")
+    known = "the vendor's software may stop at settings that are not publicly known: sparkle"
+    assert replay_of(write_recording(scene, tmp_path / "drive")) == {known: 1}
+    assert (tmp_path / "drive" / "vio_config.yaml").read_text() == "useStereo: True\nsparkle: 3\n"

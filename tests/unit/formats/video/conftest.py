@@ -1,9 +1,11 @@
 """Videos made with FFmpeg's encoders directly, whose images bear their number in black and white bars."""
 
 import io
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from pathlib import Path
 from types import SimpleNamespace
 
 import av
@@ -42,6 +44,7 @@ class Recipe:
         pixel_format: what the encoder is fed with.
         count: how many images, numbered from 0.
         ticks: presentation times in thirtieths of a second; None for 0, 1, 2 ….
+        flags: FFmpeg's movflags of the container.
     """
 
     container: str = "matroska"
@@ -51,23 +54,26 @@ class Recipe:
     count: int = 40
     ticks: Sequence[int] | None = None
     size: tuple[int, int] = (WIDTH, HEIGHT)
+    flags: str = ""
 
 
 def make_video(recipe: Recipe) -> bytes:
     """Encode numbered images."""
-    file = io.BytesIO()
-    with av.open(file, "w", format=recipe.container) as output:
-        stream = output.add_stream(recipe.codec, rate=30, options=dict(recipe.options))
-        stream.width, stream.height = recipe.size
-        stream.pix_fmt = recipe.pixel_format
-        stream.codec_context.time_base = Fraction(1, 30)
-        for number in range(recipe.count):
-            frame = av.VideoFrame.from_ndarray(numbered_image(number, *recipe.size), format="rgb24")
-            frame.pts = number if recipe.ticks is None else recipe.ticks[number]
-            frame.time_base = Fraction(1, 30)
-            output.mux(stream.encode(frame))
-        output.mux(stream.encode(None))
-    return file.getvalue()
+    muxing = {"movflags": recipe.flags} if recipe.flags else {}
+    # a file, since FFmpeg reads it again to move the tables to the front
+    with tempfile.NamedTemporaryFile() as file:
+        with av.open(file.name, "w", format=recipe.container, container_options=muxing) as output:
+            stream = output.add_stream(recipe.codec, rate=30, options=dict(recipe.options))
+            stream.width, stream.height = recipe.size
+            stream.pix_fmt = recipe.pixel_format
+            stream.codec_context.time_base = Fraction(1, 30)
+            for number in range(recipe.count):
+                frame = av.VideoFrame.from_ndarray(numbered_image(number, *recipe.size), format="rgb24")
+                frame.pts = number if recipe.ticks is None else recipe.ticks[number]
+                frame.time_base = Fraction(1, 30)
+                output.mux(stream.encode(frame))
+            output.mux(stream.encode(None))
+        return Path(file.name).read_bytes()
 
 
 @pytest.fixture(scope="session")

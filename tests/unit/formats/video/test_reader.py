@@ -294,18 +294,8 @@ def test_an_image_of_another_size_than_the_first_is_refused_by_its_number(videos
             reader.rgb(2)
 
 
-def test_a_file_that_ends_before_all_its_images_is_cut_off(videos, tmp_path):
-    content = videos.make(videos.Recipe(container="mp4"))
-    with (
-        av.open(io.BytesIO(content)) as source,
-        av.open(str(tmp_path / "front.mp4"), "w", container_options={"movflags": "faststart"}) as output,
-    ):
-        stream = output.add_stream_from_template(source.streams.video[0], opaque=True)
-        for packet in source.demux(source.streams.video[0]):
-            if packet.size:
-                packet.stream = stream
-                output.mux(packet)
-    whole = (tmp_path / "front.mp4").read_bytes()
+def test_a_file_that_ends_before_all_its_images_is_cut_off(videos):
+    whole = videos.make(videos.Recipe(container="mp4", flags="faststart"))
     with pytest.raises(DataError, match="cut off"):
         _ = open_video(whole[: len(whole) * 3 // 4]).count
 

@@ -1,0 +1,551 @@
+"""Calibrations: camera models against OpenCV, mountings against NumPy, those of single lines, and older forms."""
+
+import json
+import re
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from sceneloom.cameras import project
+from sceneloom.errors import CalibrationError, DataError, OptionError
+from sceneloom.formats.recording.calibration import CAMERA_MODEL_READINGS
+from sceneloom.formats.recording.spec import FORMAT
+from sceneloom.scene import Scene, WarningKind
+
+CAMERA_MATRIX = np.array([[420.0, 0.0, 310.0], [0.0, 415.0, 245.0], [0.0, 0.0, 1.0]])
+POINTS_CAMERA = np.random.default_rng(3).uniform([-1.5, -1.0, 4.0], [1.5, 1.0, 12.0], (50, 3))
+ORIGIN = np.zeros(3)
+ROTATED = np.array(
+    [
+        [0.000998747205656553, -0.9999903820710413, 0.004259378487635177, -0.25422760500525077],
+        [0.00841690182755742, -0.004250821136069464, -0.9999555696753273, 0.7190941084821951],
+        [0.9999640486966582, 0.001034553284226362, 0.008412575208732587, -1.0863370561924168],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+IMU_LINE = '{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":0}'
+FRAMES_LINE = '{"frames":[{"cameraInd":0}],"number":0,"time":0}'
+
+
+def entry(model: str, coefficients: list[float], **further: Any) -> dict[str, Any]:
+    return {
+        "model": model,
+        "distortionCoefficients": coefficients,
+        "focalLengthX": CAMERA_MATRIX[0, 0],
+        "focalLengthY": CAMERA_MATRIX[1, 1],
+        "principalPointX": CAMERA_MATRIX[0, 2],
+        "principalPointY": CAMERA_MATRIX[1, 2],
+        "imageWidth": 640,
+        "imageHeight": 480,
+        "imuToCamera": ROTATED.tolist(),
+        **further,
+    }
+
+
+def open_with(recording, *cameras: dict[str, Any], lenient: bool = False, **further: Any) -> Scene:
+    return FORMAT.open(recording.lines([IMU_LINE]).calibration(cameras, **further).path, lenient=lenient)
+
+
+def perspective(coefficients):
+    return cv2.projectPoints(POINTS_CAMERA, ORIGIN, ORIGIN, CAMERA_MATRIX, np.array(coefficients))[0]
+
+
+def fisheye(coefficients):
+    numbers = np.array(coefficients or (0.0,) * 4)
+    return cv2.fisheye.projectPoints(POINTS_CAMERA[:, None], ORIGIN, ORIGIN, CAMERA_MATRIX, numbers)[0]
+
+
+def omnidirectional(coefficients):
+    k1, k2, skew, xi, p1, p2 = coefficients
+    matrix = CAMERA_MATRIX.copy()
+    matrix[0, 1] = skew
+    numbers = np.array([[k1, k2, p1, p2]])
+    return cv2.omnidir.projectPoints(POINTS_CAMERA[:, None], ORIGIN, ORIGIN, matrix, xi, numbers)[0]
+
+
+def slow_kannala_brandt18(numbers, point):
+    """Word by word, from the format's list k0-k3 l1-l3 i1-i4 m1-m3 j1-j4."""
+    k, ls, i, m, j = numbers[:4], numbers[4:7], numbers[7:11], numbers[11:14], numbers[14:18]
+    theta, phi = np.arctan2(np.hypot(point[0], point[1]), point[2]), np.arctan2(point[1], point[0])
+    waves = np.array([np.cos(phi), np.sin(phi), np.cos(2 * phi), np.sin(2 * phi)])
+    odd = np.array([theta, theta**3, theta**5])
+    radius = theta * (1 + sum(k[n] * theta ** (2 * n + 2) for n in range(4)))
+    along, across = radius + (odd @ ls) * (waves @ i), (odd @ m) * (waves @ j)
+    return along * np.array([np.cos(phi), np.sin(phi)]) + across * np.array([-np.sin(phi), np.cos(phi)])
+
+
+def by_formulas(coefficients):
+    numbers = np.array([*coefficients, *[0.0] * (18 - len(coefficients))])
+    found = np.array([slow_kannala_brandt18(numbers, point) for point in POINTS_CAMERA])
+    return (found * [CAMERA_MATRIX[0, 0], CAMERA_MATRIX[1, 1]] + CAMERA_MATRIX[:2, 2])[:, None]
+
+
+BROWN = (-0.2, 0.05, 1e-3, -2e-3, 0.01, 0.1, 0.02, -0.01, 1e-3, 2e-3, -1e-3, 3e-3, 0.01, -0.02)
+BENT = (-0.028, 0.0021, -0.0052, 0.0004)
+ASYMMETRIC = (*BENT, 0.01, 0.002, 1e-3, 0.5, 0.3, -0.2, 0.1, 4e-3, -2e-3, 1e-3, 0.2, 0.3, -0.2, 0.1)
+PROJECTIONS = [
+    ("pinhole", (), lambda _: perspective(np.zeros(5))),
+    ("pinhole", (-0.2, 0.05, -0.01), lambda _: perspective([-0.2, 0.05, 0.0, 0.0, -0.01])),
+    ("brown-conrady", BROWN[:5], perspective),
+    ("brown-conrady", BROWN[:8], perspective),
+    ("BROWN_CONRADY", BROWN, perspective),
+    *[(name, row, fisheye) for name in ("kannala-brandt4", "KANNALA_BRANDT4", "KannalaBrandt4") for row in ((), BENT)],
+    ("OMNIDIR", (-0.21, 0.034, 1.7, 1.23, 5e-4, -8e-4), omnidirectional),
+    *[("kannala-brandt18", ASYMMETRIC[:count], by_formulas) for count in (0, 4, 18)],
+]
+
+
+@pytest.mark.parametrize(("model", "coefficients", "theirs"), PROJECTIONS)
+def test_camera_models_project_as_opencv_or_their_formulas_do(recording, model, coefficients, theirs):
+    camera = open_with(recording, entry(model, list(coefficients))).cameras[0].camera
+    pixels, visible = project(camera, POINTS_CAMERA)
+    assert visible.sum() > 40
+    # both compute in float64, so only rounding is between them
+    np.testing.assert_allclose(pixels[visible], theirs(coefficients)[visible, 0], atol=1e-8)
+
+
+ROWS = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+ROTATION_ALONE = np.block([[np.array(ROWS), np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+
+
+@pytest.mark.parametrize(
+    ("key", "numbers", "matrix"),
+    [
+        ("imuToCamera", ROTATED.tolist(), ROTATED),
+        ("imuToCameraMatrix", ROTATED.tolist(), ROTATED),
+        ("imuToCamera", ROTATED.T.ravel().tolist(), ROTATED),
+        ("imuToCamera", ROWS, ROTATION_ALONE),
+        ("imuToCamera", np.array(ROWS).T.ravel().tolist(), ROTATION_ALONE),
+    ],
+    ids=["rows", "the other key", "columns", "a rotation", "a rotation by columns"],
+)
+def test_the_mounting_is_the_inverse_of_the_matrix(recording, key, numbers, matrix):
+    camera = entry("pinhole", [])
+    del camera["imuToCamera"]
+    scene = open_with(recording, {**camera, key: numbers})
+    # the file's numbers are orthonormal to about 1e-7 only, and are normalised
+    np.testing.assert_allclose(scene.cameras[0].mount.matrix, np.linalg.inv(matrix), atol=1e-6)
+    assert scene.warnings == ()
+
+
+@pytest.mark.parametrize(("scale", "noticed"), [(1.0004, False), (1.002, True)])
+def test_rotations_that_are_slightly_off_are_normalised(recording, scale, noticed):
+    matrix = ROTATED.copy()
+    matrix[:3, :3] *= scale
+    scene = open_with(recording, entry("pinhole", [], imuToCamera=matrix.tolist()))
+    np.testing.assert_allclose(scene.cameras[0].mount.rotation, ROTATED[:3, :3].T, atol=1e-6)
+    assert [warning.code for warning in scene.warnings] == (["rotation-normalised"] if noticed else [])
+    assert all(warning.location.endswith("calibration.json: cameras[0].imuToCamera") for warning in scene.warnings)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        (np.diag([1.01, 1.0, 1.0, 1.0]).tolist(), "rotation off by 0.02"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]).tolist(), "mirrored or singular"),
+        (np.zeros((4, 4)).tolist(), "last row"),
+        (ROTATED.T.tolist(), "transposed"),
+        (ROTATED.ravel().tolist(), "last row"),
+        (ROTATED[:3].tolist(), "3 rows; expected 4 rows of 4 numbers"),
+        (ROTATED[:, :3].tolist(), "4 rows; expected 4 rows of 4 numbers"),
+        ([1.0, 2.0], "2 numbers; expected"),
+        ([], "0 numbers; expected"),
+    ],
+)
+def test_matrices_that_are_not_rigid_are_refused(recording, matrix, words):
+    with pytest.raises(CalibrationError, match=r"calibration\.json: cameras\[0\]\.imuToCamera: ") as caught:
+        open_with(recording, entry("pinhole", [], imuToCamera=matrix))
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"model": "omnidir9"}, ["cameras[0].model: 'omnidir9'", "pinhole, brown-conrady, kannala-brandt4"]),
+        ({"model": None}, ["cameras[0].model: missing"]),
+        ({"distortionCoefficients": [0.1]}, ["1 numbers; expected 0 or 3 for 'pinhole'"]),
+        ({"focalLengthX": None}, ["cameras[0].focalLengthX: missing"]),
+        ({"focalLengthX": "wide"}, ["cameras[0].focalLengthX", '"wide"', "a number"]),
+        ({"focalLengthX": 0.0}, ["cameras[0]: focal lengths 0.0"]),
+        ({"imageWidth": -640}, ["cameras[0]: imageWidth, imageHeight (-640, 480)"]),
+        ({"imageWidth": 640.5}, ["(640.5, 480)", "whole numbers"]),
+        ({"imuToCamera": "left"}, ["cameras[0].imuToCamera", '"left"']),
+        ({"shutterRollTimeSeconds": -0.01}, ["cameras[0].shutterRollTimeSeconds"]),
+        ({"exposureTimeSeconds": "long"}, ["cameras[0].exposureTimeSeconds"]),
+        ({"rollingShutterLeftToRight": 1}, ["cameras[0].rollingShutterLeftToRight"]),
+    ],
+)
+def test_unusable_cameras_are_named_with_file_and_path(recording, change, words):
+    camera = entry("pinhole", []) | change
+    with pytest.raises((CalibrationError, DataError)) as caught:
+        open_with(recording, camera)
+    for word in ["calibration.json", *words]:
+        assert word in str(caught.value)
+
+
+def test_a_lenient_reading_leaves_unusable_cameras_out(recording):
+    scene = open_with(recording, entry("omnidir9", []), entry("pinhole", []), lenient=True)
+    assert [camera.id for camera in scene.cameras] == ["camera1"]
+    assert [(warning.code, warning.kind) for warning in scene.warnings] == [("unusable-cameras", WarningKind.SKIPPED)]
+
+
+def test_a_calibration_for_another_image_size_is_scaled_with_a_warning(recording, pinhole):
+    doubled = pinhole | {"imageWidth": 64, "imageHeight": 64, "principalPointX": 31.5, "principalPointY": 20.0}
+    recording.video("data.mkv", 1, width=32, height=16).lines([FRAMES_LINE]).calibration([doubled])
+    with FORMAT.open(recording.path) as scene:
+        camera, (warning,) = scene.cameras[0].camera, scene.warnings
+    # the edge of an image is half a pixel before the centre of its first one
+    expected = (32, 16, 10.0, 5.25, 15.5, 20.5 / 4 - 0.5)
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == expected
+    assert (warning.code, warning.kind) == ("camera-model-scaled", WarningKind.REPAIRED)
+    assert "64x64" in warning.message
+
+
+def test_a_missing_image_size_is_that_of_the_images(recording, pinhole):
+    del pinhole["imageWidth"], pinhole["imageHeight"]
+    recording.video("data.mkv", 1, width=48, height=32).lines([FRAMES_LINE]).calibration([pinhole])
+    with FORMAT.open(recording.path) as scene:
+        assert (scene.cameras[0].camera.width, scene.cameras[0].camera.height) == (48, 32)
+        assert scene.warnings == ()
+
+
+def test_a_camera_whose_image_size_nothing_reports_is_left_out_with_a_warning(recording):
+    scene = open_with(recording, entry("pinhole", [], imageWidth=None))
+    assert scene.cameras == ()
+    assert [warning.code for warning in scene.warnings] == ["cameras-without-size"]
+
+
+def test_a_camera_without_mounting_is_an_error_and_leniently_one_without_a_location(recording):
+    with pytest.raises(DataError, match=r"cameras\[0\]: imuToCamera is missing"):
+        open_with(recording, entry("pinhole", [], imuToCamera=None))
+    scene = FORMAT.open(recording.path, lenient=True)
+    assert scene.cameras[0].mount is None
+    assert [warning.code for warning in scene.warnings] == ["mounts-missing"]
+
+
+@pytest.mark.parametrize(("key", "listed"), [("imuToCamera", "cameras"), ("imuToLidar", "lidars")])
+def test_two_matrices_that_differ_are_an_error_and_leniently_the_first_counts(recording, key, listed):
+    one, other = np.eye(4), np.eye(4)
+    one[0, 3], other[0, 3] = 1.0, 1.5
+    camera = entry("pinhole", [])
+    sensor = camera if listed == "cameras" else {}
+    sensor |= {key: one.tolist(), f"{key}Matrix": other.tolist()}
+    further = {} if listed == "cameras" else {"lidars": [sensor]}
+    with pytest.raises(DataError, match=rf"{listed}\[0\].{key}Matrix: differs from {key} by up to 0.5"):
+        open_with(recording, camera, **further)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert [warning.code for warning in scene.warnings] == ["contradicting-mounts"]
+        if listed == "cameras":
+            assert scene.cameras[0].mount.translation[0] == -1.0
+    sensor[f"{key}Matrix"] = one.tolist()
+    with open_with(recording, camera, **further) as scene:
+        assert scene.warnings == ()
+
+
+def test_a_byte_order_mark_is_skipped_with_a_warning(recording):
+    open_with(recording, entry("pinhole", []))
+    path = recording.path / "calibration.json"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    with FORMAT.open(recording.path) as scene:
+        assert [warning.code for warning in scene.warnings] == ["byte-order-mark"]
+        assert len(scene.cameras) == 1
+
+
+def test_entries_are_kept_as_they_are(recording):
+    shutter = {"shutterRollTimeSeconds": 0.03, "rollingShutterLeftToRight": True, "exposureTimeSeconds": 0.008}
+    camera = entry("pinhole", [], **shutter, maker="ours")
+    scene = open_with(recording, camera, imuForward=[1, 0, 0])
+    assert scene.cameras[0].extras["calibration"] == json.loads(json.dumps(camera))
+    assert scene.metadata["recording"]["calibration"]["imuForward"] == [1, 0, 0]
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"cameras": {}}', '{"cameras": [3]}', '{"lidars": "none"}'])
+def test_a_calibration_that_is_no_calibration_is_a_fault_of_its_file(recording, text):
+    (recording.lines([IMU_LINE]).path / "calibration.json").write_text(text)
+    with pytest.raises(DataError, match=r"calibration\.json"):
+        FORMAT.open(recording.path)
+
+
+FIX = '{"gps":{"latitude":60.1,"longitude":24.9,"altitude":14.0},"time":1.0}'
+LEVER = [[0.0, 1.0, 0.0, 0.5], [-1.0, 0.0, 0.0, 0.25], [0.0, 0.0, 1.0, -1.5], [0.0, 0.0, 0.0, 1.0]]
+AT = np.block([[np.eye(3), np.array([[0.5], [-0.2], [1.25]])], [np.zeros((1, 3)), np.ones((1, 1))]])
+
+
+@pytest.mark.parametrize(
+    ("further", "matrix", "codes"),
+    [
+        # p_gnss = T p_imu, so the antenna, the origin of its own frame, is at the inverse's last column
+        ({"imuToGnss": LEVER}, np.linalg.inv(LEVER), set()),
+        ({"imuToGnss": [0.5, -0.2, 1.25]}, AT, {"antenna-location"}),
+        ({"imuToGnss": {"x": 0.5, "y": -0.2, "z": 1.25}}, AT, {"antenna-location"}),
+        ({}, None, set()),
+    ],
+)
+def test_the_antenna_sits_where_imu_to_gnss_says(recording, further, matrix, codes):
+    with FORMAT.open(recording.lines([FIX]).calibration((), **further).path) as scene:
+        mount = scene.sensor("gnss").mount
+        assert {warning.code for warning in scene.warnings} == codes
+    assert (mount is None) == (matrix is None)
+    if matrix is not None:
+        np.testing.assert_allclose(mount.matrix, matrix, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("further", "problem"),
+    [
+        (
+            {"imuToGnss": [[2.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
+            "imuToGnss: rotation off by 3",
+        ),
+        ({"imuToGnss": [1.0, 2.0]}, "imuToGnss: 2 numbers"),
+        (
+            {"imuToGnss": {"x": 1.0, "y": 2.0}},
+            'imuToGnss: {"x":1.0,"y":2.0}: Object missing required field `z`',
+        ),
+        ({"imuToOutput": "identity"}, 'imuToOutput: "identity"'),
+        ({"imuToMagnetometer": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "imuToMagnetometer: rotation mirrored"),
+        ({"imuForward": [0, 0, 0]}, "imuForward: [0.0, 0.0, 0.0]; expected a direction"),
+        ({"imuForward": [1, 0]}, "imuForward: [1.0, 0.0]; expected three numbers"),
+        ({"imuForward": [1, 0, 1e300]}, "imuForward: [1.0, 0.0, 1e+300]; expected three numbers"),
+    ],
+)
+def test_unusable_fields_of_the_device_are_named_and_left_out_when_lenient(recording, further, problem):
+    with pytest.raises((CalibrationError, DataError), match=re.escape(problem)):
+        open_with(recording, **further)
+    scene = open_with(recording, lenient=True, **further)
+    assert "unusable-calibrations" in {warning.code for warning in scene.warnings}
+    assert scene.metadata["recording"]["calibration"].keys() == {"cameras", *further}
+
+
+def test_another_frame_of_the_output_is_reported_not_applied(recording):
+    assert {warning.code for warning in open_with(recording, imuToOutput=LEVER).warnings} == {"poses-of-imu"}
+    assert not open_with(recording, imuToOutput=np.eye(4).tolist()).warnings
+
+
+@pytest.mark.parametrize(
+    ("camera_shift", "expected_ns"),
+    [("ignore", 1_000_000_000), ("apply", 1_015_000_000), ("subtract", 985_000_000)],
+)
+def test_camera_shifts_move_the_images_only_where_asked_for(recording, pinhole, camera_shift, expected_ns):
+    recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 1.0}]).video("data.mkv", 1)
+    recording.calibration([{**pinhole, "imuToCameraShiftSeconds": 0.015}])
+    with FORMAT.open(recording.path, camera_shift=camera_shift) as scene:
+        camera, asked = scene.cameras[0], camera_shift != "ignore"
+        assert camera.images.timestamps_ns.tolist() == [expected_ns]
+        assert camera.images[0].extras["file_seconds"] == 1.0
+        assert [warning.code for warning in scene.warnings] == [
+            "camera-shift-applied" if asked else "camera-shift-not-applied"
+        ]
+        # a shift that was applied must not be applied again by those who read what is written
+        assert ("imuToCameraShiftSeconds" in camera.extras["calibration"]) is not asked
+        shifts = {"camera0": (expected_ns - 1_000_000_000) / 1e9}
+        assert scene.metadata["recording"].get("camera_shifts") == (shifts if asked else None)
+
+
+def test_an_unknown_use_of_camera_shifts_names_the_known_ones(recording):
+    with pytest.raises(OptionError, match="camera_shift 'both'; expected one of: ignore, apply, subtract"):
+        FORMAT.open(recording.lines([FIX]).path, camera_shift="both")
+
+
+# two lines of "Example data.jsonl" in the description of the format, as they stand there
+FIRST = (
+    '{"frames":[{"cameraInd":0,"cameraParameters":{"focalLengthX":284.929992675781,"focalLengthY":285.165496826172,'
+    '"principalPointX":416.4547119140625,"principalPointY":395.77349853515625,"distortionModel":"KANNALA_BRANDT4",'
+    '"distortionCoefficients":[-0.004973,0.03975,-0.0374,0.006239]},"imuToCamera":[[0.01486,0.9995,-0.02577,0.06522],'
+    "[-0.9998,0.01496,0.003756,-0.0207],[0.00414,0.02571,0.9996,-0.008054],[0,0,0,1]],"
+    '"time":1.436207275390625},{"cameraInd":1,"cameraParameters":{"focalLengthX":284.559509277344,'
+    '"focalLengthY":284.4418029785162,"principalPointX":410.81329345703125,"principalPointY":394.1506042480469,'
+    '"distortionModel":"KANNALA_BRANDT4","distortionCoefficients":[-0.006496,0.04365,-0.04025,0.006813]},'
+    '"imuToCamera":[[0.01255,0.9995,-0.02538,-0.0449],[-0.9997,0.01301,0.0179,-0.02056],'
+    '[0.01822,0.02515,0.9995,-0.008638],[0,0,0,1]],"time":1.436207275390625}],"number":28,"time":1.436207275390625}'
+)
+EXAMPLE = [FIRST, FIRST.replace('"number":28', '"number":29').replace("1.436207275390625", "1.46955859375")]
+
+
+def test_the_example_of_the_formats_owner_is_read(recording):
+    size = {"width": 848, "height": 800}
+    recording.lines(EXAMPLE).video("data.mkv", 2, **size).video("data2.mkv", 2, **size)
+    with FORMAT.open(recording.path) as scene:
+        assert scene.warnings == ()
+        assert [camera.id for camera in scene.cameras] == ["camera0", "camera1"]
+        for index, camera in enumerate(scene.cameras):
+            assert camera.images.timestamps_ns.tolist() == [1436207275, 1469558594]
+            stated = json.loads(EXAMPLE[0])["frames"][index]
+            numbers = stated["cameraParameters"]
+            matrix = np.array(
+                [
+                    [numbers["focalLengthX"], 0.0, numbers["principalPointX"]],
+                    [0.0, numbers["focalLengthY"], numbers["principalPointY"]],
+                    [0.0, 0.0, 1.0],
+                ]
+            )
+            coefficients = np.array(numbers["distortionCoefficients"])
+            expected, _ = cv2.fisheye.projectPoints(
+                POINTS_CAMERA[:, None], np.zeros(3), np.zeros(3), matrix, coefficients
+            )
+            for image in camera.images:
+                pixels, visible = project(image.camera, POINTS_CAMERA)
+                assert visible.sum() > 40
+                # both compute in float64, so only rounding is between them
+                np.testing.assert_allclose(pixels[visible], expected[visible, 0], atol=1e-8)
+            # the example's matrices are rounded, so their rotations are off by some 2e-4
+            np.testing.assert_allclose(camera.mount.inverse().matrix, stated["imuToCamera"], atol=5e-4)
+
+
+@pytest.mark.parametrize(("model", "count"), [(name, n) for name, row in CAMERA_MODEL_READINGS.items() for n in row])
+def test_a_camera_model_of_any_model_is_the_same_from_a_line_as_from_the_calibration(recording, pinhole, model, count):
+    coefficients = [1e-3 * (k + 1) for k in range(count)]
+    numbers = {key: value for key, value in pinhole.items() if key.startswith(("focal", "principal"))}
+    own = {**numbers, "distortionModel": model.upper().replace("-", "_"), "distortionCoefficients": coefficients}
+    lines = [{"frames": [{"cameraInd": 0, "cameraParameters": own}, {"cameraInd": 1}], "number": 0, "time": 0.0}]
+    calibrated = {**pinhole, "model": model, "distortionCoefficients": coefficients}
+    recording.lines(lines).calibration([pinhole, calibrated]).video("data.mkv", 1).video("data2.mkv", 1)
+    with FORMAT.open(recording.path) as scene:
+        from_line, from_calibration = (camera.images[0].camera for camera in scene.cameras)
+        assert from_line == from_calibration
+        assert from_line.model == CAMERA_MODEL_READINGS[model][count].model
+
+
+CAMERA_FROM_IMU = np.array([[0.0, -1.0, 0.0, 0.1], [0.0, 0.0, -1.0, 0.2], [1.0, 0.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
+SECOND_FROM_IMU = np.array([[0.0, -1.0, 0.0, -0.1], [0.0, 0.0, -1.0, 0.2], [1.0, 0.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
+FISHEYE = [-0.005, 0.04, -0.037, 0.006]
+
+
+def by_columns(matrix):
+    return matrix.T.ravel().tolist()
+
+
+def parameters(*lines):
+    return "".join(f"{line};\n" for line in lines)
+
+
+FULL = parameters(
+    "focalLengthX 20.5; focalLengthY 21.5",
+    "principalPointX 15.25; principalPointY 7.75",
+    "distortionCoeffs " + ",".join(map(str, FISHEYE)),
+    "secondFocalLength 22; secondPrincipalPointX 16; secondPrincipalPointY 8",
+    "secondDistortionCoeffs 0",
+    "fisheyeCamera true; rot 0",
+    "imuToCameraMatrix " + ",".join(map(str, by_columns(CAMERA_FROM_IMU))),
+    "secondImuToCameraMatrix " + ",".join(map(str, by_columns(SECOND_FROM_IMU))),
+    "imuToCameraShiftSeconds 0.01",
+)
+
+
+def stereo(recording, *header, fields=None):
+    entries = [{"cameraInd": index, "time": 0.0, **(fields or {})} for index in range(2)]
+    recording.lines([*header, {"frames": entries, "number": 0, "time": 0.0}])
+    return recording.video("data.mkv", 1).video("data2.mkv", 1)
+
+
+def test_parameters_stand_in_for_a_calibration(recording):
+    stereo(recording).path.joinpath("parameters.txt").write_text(FULL)
+    with FORMAT.open(recording.path) as scene:
+        first, second = (camera.camera for camera in scene.cameras)
+        assert (first.model, first.coefficients) == ("fisheye", tuple(FISHEYE))
+        numbers = (first.fx, first.fy, first.cx, first.cy, first.width, first.height)
+        assert numbers == (20.5, 21.5, 15.25, 7.75, 32, 16)
+        assert (second.fx, second.fy, second.coefficients) == (22.0, 22.0, ())
+        for camera, matrix in zip(scene.cameras, (CAMERA_FROM_IMU, SECOND_FROM_IMU), strict=True):
+            np.testing.assert_allclose(camera.mount.matrix, np.linalg.inv(matrix), atol=1e-15)
+        assert scene.metadata["recording"]["parameters"] == FULL
+        assert {warning.code for warning in scene.warnings} == {"old-calibration", "camera-shift-not-applied"}
+
+
+@pytest.mark.parametrize("nested", [True, False])
+def test_lines_at_the_head_report_mountings_and_fisheye_camera_models(recording, nested):
+    header = []
+    for index, matrix in enumerate((CAMERA_FROM_IMU, SECOND_FROM_IMU)):
+        numbers = matrix.tolist() if nested else by_columns(matrix)
+        header += [
+            {"cameraInd": index, "imuToCamera": numbers},
+            {"cameraInd": index, "model": "KANNALA_BRANDT4", "coeffs": [*FISHEYE, 0]},
+        ]
+    fields = {"cameraParameters": {"focalLength": 20.0, "principalPointX": 15.0, "principalPointY": 7.0}}
+    stereo(recording, *header, fields=fields)
+    with FORMAT.open(recording.path) as scene:
+        for camera, matrix in zip(scene.cameras, (CAMERA_FROM_IMU, SECOND_FROM_IMU), strict=True):
+            assert (camera.camera.model, camera.camera.coefficients) == ("fisheye", tuple(FISHEYE))
+            assert (camera.camera.fx, camera.camera.fy) == (20.0, 20.0)
+            assert camera.images[0].camera == camera.camera
+            np.testing.assert_allclose(camera.mount.matrix, np.linalg.inv(matrix), atol=1e-15)
+        # the lines themselves stay
+        assert len(scene.metadata["recording"]["other_lines"]) == 4
+
+
+def test_parameters_count_before_lines_and_a_calibration_before_both(recording, pinhole):
+    header = {"cameraInd": 0, "imuToCamera": by_columns(SECOND_FROM_IMU)}
+    recording.lines([header, {"frames": [{"cameraInd": 0}], "number": 0, "time": 0.0}]).video("data.mkv", 1)
+    (recording.path / "parameters.txt").write_text(FULL)
+    with FORMAT.open(recording.path) as scene:
+        np.testing.assert_allclose(scene.cameras[0].mount.matrix, np.linalg.inv(CAMERA_FROM_IMU), atol=1e-15)
+    recording.calibration([pinhole])
+    with FORMAT.open(recording.path) as scene:
+        np.testing.assert_array_equal(scene.cameras[0].mount.matrix, np.eye(4))
+        assert "old-calibration" not in {warning.code for warning in scene.warnings}
+
+
+def test_a_camera_of_no_model_is_taken_for_a_pinhole(recording):
+    recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 0.0}]).video("data.mkv", 1)
+    text = parameters("focalLength 20; principalPointX 15; principalPointY 7; imuToCameraMatrix 1,0,0,0,-1,0,0,0,-1")
+    (recording.path / "parameters.txt").write_text(text)
+    with FORMAT.open(recording.path) as scene:
+        camera = scene.cameras[0]
+        assert camera.camera.model == "pinhole"
+        np.testing.assert_array_equal(camera.mount.matrix, np.diag([1.0, -1.0, -1.0, 1.0]))
+        assert [n.message for n in scene.warnings][1] == "camera 0 is taken for a pinhole: no model is stated"
+
+
+def test_a_rotated_video_leaves_the_mounting_open(recording):
+    stereo(recording).path.joinpath("parameters.txt").write_text(FULL + "videoRotation CW90;\n")
+    with pytest.raises(DataError, match="imuToCamera is missing"):
+        FORMAT.open(recording.path)
+    with FORMAT.open(recording.path, lenient=True) as scene:
+        assert [camera.mount for camera in scene.cameras] == [None, None]
+        assert any("videoRotation" in warning.message for warning in scene.warnings)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("focalLengthX 1 2;", "focalLengthX 1 2: expected a name and a value"),
+        ("focalLengthX;", "focalLengthX: expected a name and a value"),
+        ("rot 0; rot 1;", "rot 1: expected a name and a value, each name once"),
+        ("focalLengthX wide;", "focalLengthX: 'wide'; expected numbers"),
+        ("imuToCameraMatrix 1,0,x;", "imuToCameraMatrix: '1,0,x'; expected numbers"),
+    ],
+)
+def test_parameters_that_are_none_are_refused(recording, text, problem):
+    stereo(recording).path.joinpath("parameters.txt").write_text(text)
+    with pytest.raises(DataError, match=problem):
+        FORMAT.open(recording.path)
+
+
+def test_lines_that_only_look_like_old_ones_state_nothing(recording):
+    header = [
+        '{"cameraInd":7,"imuToCamera":[]}',
+        '{"cameraInd":"x","imuToCamera":[]}',
+        '{"cameraInd":0,"speed":1}',
+    ]
+    recording.lines([*header, '{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":0}'])
+    with FORMAT.open(recording.path) as scene:
+        assert "calibration" not in scene.metadata["recording"]
+
+
+def test_a_line_may_report_the_one_camera_under_frame(recording, pinhole):
+    lines = [
+        {
+            "frame": {"time": 0.1 * k, "cameraParameters": {"focalLength": 25.0}, "shown": k},
+            "number": k,
+            "time": 0.1 * k,
+        }
+        for k in range(3)
+    ]
+    recording.lines(lines).calibration([pinhole]).video("data.mkv", 3)
+    with FORMAT.open(recording.path) as scene:
+        images = scene.cameras[0].images
+        assert [image.rgb[0, 0, 0] for image in images] == [0, 10, 20]
+        assert [(image.camera.fx, image.camera.fy) for image in images] == [(25.0, 25.0)] * 3
+        assert [image.extras["shown"] for image in images] == [0, 1, 2]

@@ -35,7 +35,6 @@ class Batched:
     """A verb that can be done over many drives.
 
     Attributes:
-        drive: name of its parameter that is the drive.
         output: name of the one that is its output; "" if it only prints, which is then what is written.
         suffix: what names of outputs end in, unless the user says otherwise.
         modules: what it imports when it is called and takes long to import.
@@ -319,11 +318,9 @@ def find_listed(
     """Find the drives of a command, and report what lists state for other verbs.
 
     Args:
-        verb: what the command does.
         locations, lists, files: as of `find_inputs`.
         reading: the stated options of reading; each drive of a data set is then found for itself, unless they name one.
         stays: which data sets are not split so, since the verb does all their drives at once.
-        quiet: report nothing.
     """
     from sceneloom.batch.jobs import each_drive, find_inputs, flag_of
 
@@ -383,8 +380,6 @@ def run_verb(location: str, output: Path, values: Mapping[str, Any]) -> Any:
     """Do a verb for one drive, quietly, and give what it prints as JSON.
 
     Args:
-        location: path or URL of the drive.
-        output: the file or folder to write.
         values: of the verb's other parameters, its name as `verb`.
 
     Raises:

@@ -41,7 +41,6 @@ def option(
     Args:
         flags: as `--camera=ID… cameras` or `--method=fast|quality`: flags, what their value is called or the words to
             choose from, `…` where they may be repeated, and the name of the parameter where it is another one.
-        help: what it does.
         kind: type of the value: a function, or words to choose from; None for text, or for a switch where the value has
             no name.
         default: what it is without; shown in the help.

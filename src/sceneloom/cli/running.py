@@ -102,7 +102,6 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
     """What a person could do about an error, where the message does not state it already.
 
     Args:
-        error: what a verb ended with.
         values: the verb's options and arguments, by the names of its parameters.
     """
     if isinstance(error, DataError) and any(words in error.problem for words in _NOT_BROKEN):

@@ -80,7 +80,6 @@ class CheckedCalibration:
     """What a check gave.
 
     Attributes:
-        health: the verdicts.
         frames: what was looked at.
     """
 
@@ -117,7 +116,6 @@ def check_drive(
         start, stop: seconds after the first timestamp between which images count.
         boxes_3d, boxes_2d: lists of boxes, as for `fuse_detections`.
         motion: compare the rotation of both, too, by up to 100 images in the middle of the part.
-        lenient: leave out boxes that are faulty.
 
     Raises:
         OptionError: there is no such camera or lidar, or boxes of images or sweeps alone.
@@ -180,9 +178,6 @@ def _steps(quaternions_xyzw: Float64Array) -> Float64Array:
 
 def check_sequences(tracking: KittiTracking, sequences: Sequence[str] = ()) -> list[CalibrationHealth]:
     """Check the calibration of sequences laid out like KITTI's tracking benchmark, by boxes alone.
-
-    Args:
-        sequences: which ones; none for all.
 
     Raises:
         DataError: a file is faulty, or a sequence is not there.
@@ -427,7 +422,6 @@ class RepairReport(msgspec.Struct, frozen=True, kw_only=True):
     """The result of a repair.
 
     Attributes:
-        source: the drive.
         method: "refine", "hand-eye", "lidar-to-lidar" or "target".
         verdict: "refined", "kept" or "cannot determine".
         reason: why.
@@ -440,7 +434,6 @@ class RepairReport(msgspec.Struct, frozen=True, kw_only=True):
         frames: how many frames or motions took part.
         time_offset: seconds to be added to the camera's timestamps.
         output: what was written, or None.
-        form: as what.
     """
 
     source: str

@@ -115,7 +115,6 @@ class ColourOutputs:
         per_sweep: a folder of clouds, one for each sweep, or an .sfs file of the fused drive.
         project_labels: folder of label images of the scene's labelled points.
         images: folder of images for people.
-        overwrite: whether outputs that exist may be replaced.
     """
 
     map: Path | None = None
@@ -194,12 +193,10 @@ class ColourReport(msgspec.Struct, frozen=True, kw_only=True):
     """One colouring.
 
     Attributes:
-        source: what was coloured.
         output: the map written, or None.
         trajectory: name of the ego trajectory that the map stands on, or None where the scene's own poses were used.
         blend: how the colours of several images became one.
         frames: sweeps that were read.
-        fused: sweeps that are in the outputs.
         unfused: why the others are not, with counts.
         skipped: sweeps and images that could not be read, one line each.
         points: points of all fused sweeps.
@@ -210,10 +207,6 @@ class ColourReport(msgspec.Struct, frozen=True, kw_only=True):
         written: points of the map.
         exposure: None where it was left as it is.
         labels: None where there are none.
-        cameras: one report per camera.
-        files: further files written, with counts by kind.
-        seconds: how long it took.
-        warnings: what was assumed, repaired or left out.
     """
 
     source: str
@@ -810,8 +803,6 @@ def colour(
         heading: "motion" to derive orientations where the trajectory has positions only.
         start: seconds after the scene's first timestamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
-        settings: how to colour.
-        outputs: where to write what.
         lenient: count sweeps and images that cannot be read, and go on.
         progress: reported after each sweep; those that exposures are reported by count, too.
 

@@ -159,7 +159,6 @@ def field_supports(
     Args:
         contents: how many objects or frames hold each field.
         supports: what the format does with each field, whatever the scene.
-        losses: what the writing reported.
         kinds: of the scene's sensors and annotations, as `kinds_by_id` gives them.
 
     Returns:
@@ -469,7 +468,6 @@ def convert(
         strict: refuse to lose anything: what the format never holds before anything is written, what shows only while
             writing so that nothing is left behind.
         loss: a file for what becomes of every field: `.json`, `.md` or `.txt`; written also where `strict` refuses.
-        overwrite: whether a target that exists may be replaced.
         reading: reading options of the source's format; `format`, its name, where the content does not decide; `start`
             and `stop`, seconds between which a drive counts.
         progress: reported after each sweep, radar cycle and single image that is written, how many are done of how

@@ -35,7 +35,6 @@ class DepthCameraReport(msgspec.Struct, frozen=True, kw_only=True):
     """One camera's depth images.
 
     Attributes:
-        camera: its id.
         images: how many were written.
         filled_percent: share of their pixels that have a depth.
         confidence: mean of these pixels' confidence.
@@ -51,16 +50,11 @@ class DepthReport(msgspec.Struct, frozen=True, kw_only=True):
     """The depth images of a drive.
 
     Attributes:
-        source: what was read.
-        folder: where the images are.
         method: how they were made.
         sweeps: how many the drive, or the chosen part of it, has.
         unfused: how many of them could not be placed, by reason.
         skipped: one line for each sweep and image that could not be read.
-        cameras: the images of each camera.
         beyond_range: pixels whose depths the form cannot hold; they are written as 0.
-        seconds: how long it took.
-        warnings: what was assumed, repaired or left out.
     """
 
     source: str
@@ -148,10 +142,7 @@ def write_depth_images(
         heading: "motion" to derive orientations where the trajectory has positions only.
         start: seconds after the scene's first timestamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
-        configuration: settings of the fusion system.
         lenient: count sweeps and images that cannot be read, and go on.
-        overwrite: whether files that exist may be replaced.
-        progress: reported after each sweep.
 
     Raises:
         PoseError: the sensors' motion is not known, or at the time of no sweep.

@@ -39,11 +39,8 @@ class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):
     """One deskewing.
 
     Attributes:
-        source: what was read.
-        output: what was written.
         trajectory: name of the ego trajectory, or None where the lidars' own poses were used.
         at: the moment of each sweep that its points were brought to: "start", "middle" or "end".
-        lidars: the lidars that were deskewed.
         sweeps: how many they have.
         deskewed: sweeps whose points were brought to one moment.
         extrapolated: those of them that needed poses beyond the trajectory's ends.
@@ -51,9 +48,6 @@ class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):
         skipped: sweeps that could not be read, one line each.
         points: points of the deskewed sweeps whose location is a number.
         mean_shift, max_shift: how far these were moved [m].
-        seconds: how long it took.
-        losses: what the output could not hold.
-        warnings: what was assumed, repaired or left out.
     """
 
     source: str
@@ -302,8 +296,6 @@ def deskew(
         start: seconds after the scene's first timestamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
         lenient: leave out sweeps that cannot be read, and count them.
-        progress: reported after each sweep.
-        overwrite: whether an output that exists may be replaced.
         writing: further options of the output's format.
 
     Returns:

@@ -36,7 +36,6 @@ class SweepPoints:
     """Gives the points of a lidar by time; nothing is kept.
 
     Attributes:
-        lidar: the lidar.
         source: `world_from_lidar`.
         period_ns: time from sweep to sweep [ns].
     """
@@ -85,7 +84,6 @@ class DetectedCamera:
     """A camera, and what was found in its images.
 
     Attributes:
-        camera_model: of its images.
         source: `world_from_camera`.
         boxes: of each image, in the order of time; one without boxes: an image in which nothing was found.
         classes: that its detector looks for; None for all that there are, empty where it has none.
@@ -102,17 +100,13 @@ class DetectedDrive:
     """A drive as detection fusion and tracking see it: one lidar, and cameras.
 
     Attributes:
-        name: of the drive.
-        lidar_id: the lidar.
         source: `world_from_lidar`.
         boxes: of each sweep, in the order of time, in the lidar's frame.
-        cameras: by id.
         classes: that the detector of sweeps looks for; None for all that there are.
         period_ns: the usual time from sweep to sweep [ns].
         detectors: name of what is known of such detectors, for those who state none; None for the usual one.
         trajectory_known: whether the ego trajectory is known; else the world is the ego's frame.
         points: of the sweeps, by which what images alone show is placed; None where there are none.
-        warnings: what was assumed or is missing.
     """
 
     name: str
@@ -193,7 +187,6 @@ class Moment:
         timestamp_ns: of the sweep [ns].
         world_from_lidar: at that time.
         pairs: by camera that has an image of that time, without points.
-        boxes_3d: of the sweep.
         points: of the sweeps, or None.
     """
 
@@ -327,7 +320,6 @@ class KittiObjects(NamedTuple):
         labels, scores: their classes, (N,) float64.
         corners_xyxy: (N, 4) float64 [px] in the corner convention.
         boxes: centres (N, 3), sizes (N, 3) and yaws (N,) in the lidar's frame.
-        camera: of the image.
     """
 
     frame: int

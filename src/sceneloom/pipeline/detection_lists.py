@@ -469,7 +469,6 @@ class DetectionInput:
     """What of a path is fused or tracked.
 
     Attributes:
-        files: lists of boxes beside a drive.
         detector_2d, detector_3d: which folders of lists, in one laid out like KITTI's tracking benchmark.
         sequences: which of its sequences, empty for all; with lists, the one drive of a data set that they are of.
     """

@@ -42,13 +42,9 @@ class EditReport(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         edit: which one ("crop").
-        sources: what was read.
-        output: what was written.
         before: what was in the sources; points of frames that were left out are not counted.
         after: what is in the output.
-        seconds: how long it took.
         warnings: what was assumed, repaired or left out, on reading and by the edit.
-        losses: what the output could not hold.
     """
 
     edit: str
@@ -75,13 +71,10 @@ def edit_files(
     """Read drives, make one scene of them, and write it.
 
     Args:
-        edit: name of the edit, for the report.
-        sources: files or folders of any format.
         output: a file or a folder, by its suffix in any format that can be written.
         change: makes the scene.
         reading: reading options, each for the sources whose format takes it.
         progress: reported after each sweep and radar cycle that is written.
-        overwrite: whether an output that exists may be replaced.
         writing: further options of the output's format.
 
     Raises:

@@ -45,7 +45,6 @@ class CameraReport(msgspec.Struct, frozen=True, kw_only=True):
     """One camera's part in a fusion.
 
     Attributes:
-        camera: its id.
         images: how many the scene has.
         paired: sweeps that were fused with one of its images.
         unpaired: sweeps without an image near enough in time.
@@ -69,7 +68,6 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
     """One fusion.
 
     Attributes:
-        source: what was fused.
         output: the scene file written, or None.
         trajectory: name of the ego trajectory that the scene stands on, or None where its own poses were used.
         frames: sweeps that were read.
@@ -79,12 +77,8 @@ class FusionReport(msgspec.Struct, frozen=True, kw_only=True):
         skipped: sweeps and images that could not be read, and sweeps that the file cannot hold, one line each.
         points: points of all sweeps.
         coloured_percent: share of them that got a colour.
-        cameras: one report per camera.
-        files: further files written, with counts by kind.
         depth_beyond_range: pixels too far for the depth image's format.
-        seconds: how long it took.
         stages: how much of that by stage: reading, fusing, writing …
-        losses: what the scene file could not hold.
         warnings: what was assumed, repaired or left out on reading and fusing.
     """
 
@@ -216,7 +210,6 @@ class FusionOutputs:
         images_every: draw every Nth sweep; None: eight spread over the drive.
         profile: "sfs", or "scale" for a file that Scale's own library accepts.
         time_unit: "microseconds" or "nanoseconds", of the scene file.
-        overwrite: whether outputs that exist may be replaced.
     """
 
     scene: Path | None = None
@@ -265,7 +258,6 @@ def iter_fused(
         heading: "motion" to derive orientations where the trajectory has positions only.
         algorithm: a function that is called as `colouring.FusionAlgorithm`, the name of an installed algorithm, or
             "file.py:function"; None for what the configuration says.
-        configuration: settings of the fusion system.
 
     Yields:
         One result per sweep: world points relative to the ego's first position, colours, views.
@@ -304,10 +296,8 @@ def fuse(
         heading: "motion" to derive orientations where the trajectory has positions only.
         start: seconds after the scene's first timestamp, None for the beginning.
         stop: seconds after it, exclusive, None for the end.
-        outputs: where to write what, and how.
         algorithm: a function that is called as `colouring.FusionAlgorithm`, the name of an installed algorithm, or
             "file.py:function"; None for what the configuration says.
-        configuration: settings of the fusion system.
         lenient: count sweeps and images that cannot be read, and go on.
         progress: reported after each sweep; each counts twice where the ego trajectory is found from the sweeps first.
 

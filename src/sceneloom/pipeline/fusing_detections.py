@@ -278,11 +278,7 @@ class DetectionFusionReport(msgspec.Struct, frozen=True, kw_only=True):
     """All drives or sequences of one call.
 
     Attributes:
-        source: what was read.
         output: the file, or the folder of files.
-        drives: one by one.
-        seconds: the whole call.
-        warnings: of all of them.
     """
 
     source: str
@@ -331,13 +327,10 @@ def fuse_detections(
     Args:
         path: a folder laid out like KITTI's tracking benchmark, or a drive.
         output: the folder of files, or the file of lines of JSON.
-        chosen: what of it.
         form: "jsonl", or of KITTI's folders "kitti" for its text, `NNNN.txt`, without tracks.
         settings: what fusion by projection takes for granted; None for what is known of the drive's detectors.
         lenient: leave out what is faulty, and count it.
         reading: further options of opening a drive, `start` and `stop` of a part among them.
-        overwrite: whether files that exist may be replaced.
-        progress: reported after each pair, or each sequence.
 
     Raises:
         OptionError: an option does not concern such a path, or a value is not one that can be followed.

@@ -49,10 +49,8 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         group: "versions", "packages", "extras", "machine", "kernels", "codecs" or "programs".
-        name: what was looked at.
         status: "missing" is something that one can do without, "broken" something that is needed.
         stated: what was found.
-        remedy: what to do, where there is something.
     """
 
     group: str
@@ -63,11 +61,7 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class InstallationReport(msgspec.Struct, frozen=True, kw_only=True):
-    """This installation.
-
-    Attributes:
-        findings: group by group.
-    """
+    """This installation."""
 
     findings: tuple[Finding, ...]
 

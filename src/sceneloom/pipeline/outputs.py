@@ -110,7 +110,6 @@ class ImageSink:
 
     Attributes:
         folders: of the images of each lidar.
-        chosen: numbers of the sweeps to draw.
         ego_poses: the ego trajectory, drawn into the clouds; None where it is not known.
     """
 

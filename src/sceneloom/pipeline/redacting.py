@@ -99,10 +99,8 @@ class BlurReport(msgspec.Struct, frozen=True, kw_only=True):
     """What was done.
 
     Attributes:
-        edit: reading, writing, warnings and losses.
         fill: what took the position of what was there.
         margin: by what share of its size each box grew on each side.
-        cameras: one after the other.
     """
 
     edit: EditReport
@@ -140,9 +138,7 @@ def blur_files(
         fill, margin: see `editing.redact.hide_in_images`.
         hold: what a track or an annotation is hidden longer before its first and after its last image [s].
         drop_colours: whether points lose the colours that cameras gave them.
-        reading: reading options.
         progress: reported after each sweep and radar cycle that is written.
-        overwrite: whether an output that exists may be replaced.
         writing: further options of the output's format.
 
     Raises:

@@ -43,7 +43,6 @@ class AppliedCorrection(msgspec.Struct, frozen=True, kw_only=True):
     """What was taken off the times of a stream: t - offset - skew (t - offset - at).
 
     Attributes:
-        stream: its name.
         offset_ns, skew_ppm: offset and skew against the reference.
         at_ns: where the offset holds, on the reference's clock.
         through: the stream through which it was compared with the reference; None: directly.
@@ -60,15 +59,11 @@ class SyncReport(msgspec.Struct, frozen=True, kw_only=True):
     """The clocks of a drive.
 
     Attributes:
-        source: the drive.
         reference: name of the stream whose clock counts as the right one; None where nothing could be compared.
         comparisons: what was compared with what, each stream with the reference first.
         off: names of the streams that are not in step with the reference.
         output: what was written, or None.
         applied: what was corrected in it.
-        seconds: how long it took.
-        warnings: what was assumed, repaired or left out.
-        losses: what the output could not hold.
     """
 
     source: str
@@ -112,14 +107,11 @@ def sync(
     satellite receivers. Each is compared with the reference; what cannot be, with the first trajectory besides.
 
     Args:
-        scene: the drive.
         output: a recording or a scene file to write, by its suffix; None for none.
         reference: name of the stream whose clock is right; None for the first IMU, else trajectory, lidar, ….
         streams: names of the only streams to compare; None for all.
         reach_ns: offsets up to this are looked for [ns].
         lever_sigma: how far from the ego's origin a receiver's antenna may be on each axis [m].
-        progress: reported while sweeps and images are looked at.
-        overwrite: whether an output that exists may be replaced.
         writing: further options of the output's format.
 
     Raises:

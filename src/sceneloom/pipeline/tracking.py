@@ -85,7 +85,6 @@ class TrackOutputs:
         form: "kitti", "jsonl" or "sfs"; None for the form of the output's suffix, else KITTI's results.
         box2d: which boxes in the image are written.
         images: folder into which some moments are drawn, below it one for each of several drives; None for none.
-        overwrite: whether files that exist may be replaced.
         scene_options: how scenes are written, `profile` and `time_unit` as of `write_scene`; of "sfs" only.
     """
 
@@ -136,15 +135,10 @@ class TrackReport(msgspec.Struct, frozen=True, kw_only=True):
     """All drives or sequences of one call.
 
     Attributes:
-        source: what was read.
         output: the file, or the folder of files.
         form: "kitti", "sfs" or "jsonl".
-        drives: one by one.
         ms_per_frame: what a sweep takes, over all of them [ms].
-        seconds: the whole call.
         stages: how much of that by stage: reading, tracking, writing …
-        warnings: of all of them.
-        losses: what the form has no field for.
     """
 
     source: str
@@ -338,8 +332,6 @@ def label_drive(scene: Scene, drive: DetectedDrive, tracks: Tracks) -> Labelled:
     that is written.
 
     Args:
-        scene: the drive's.
-        drive: as it was tracked.
         tracks: in its world.
 
     Raises:
@@ -610,11 +602,8 @@ def track_objects(
         path: a folder laid out like KITTI's tracking benchmark, whose labels are never read, a drive, or what
             `fuse_detections` wrote.
         output: the folder of files, or the file.
-        chosen: what of it.
-        settings: how to track.
         lenient: leave out what is faulty, and count it.
         reading: further options of opening a drive, `start` and `stop` of a part among them.
-        progress: reported after each sweep.
         outputs: the fields of `TrackOutputs`.
 
     Raises:

@@ -72,7 +72,6 @@ class ClassNumbers(msgspec.Struct, frozen=True, kw_only=True):
     """The boxes of one class.
 
     Attributes:
-        label: the class.
         objects: annotations.
         key_frames: boxes that are stated.
         stationary: objects that are stated to are stationary.

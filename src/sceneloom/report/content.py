@@ -128,9 +128,7 @@ class Drawing:
     """A drawing with its words.
 
     Attributes:
-        title: what it is.
         text: what it shows, for those who cannot see it.
-        svg: the file.
         caption: how it is to be read, for all.
         kind: "plot"; "tall" stands beside several plots; "wide" takes the whole width, and on small screens is moved
             sideways; "map" takes it, too.
@@ -202,9 +200,7 @@ class Block:
     """A part of a section, with whatever of this it has, in this order.
 
     Attributes:
-        heading: its own heading.
         badge: a word before it, and how that looks: "error", "warning", "hint" or "good".
-        lines: paragraphs.
         plots, photos, tables: what it shows.
         listed: lines that are opened on demand, under the title `list_title`.
         faint: whether the paragraphs are notes.
@@ -226,12 +222,9 @@ class Section:
     """A section of the page.
 
     Attributes:
-        key: its anchor.
-        name: its heading.
         missing: why something could not be reported.
         absent: a sentence if the drive holds nothing to report here.
         facts: names and values that come first.
-        blocks: what it consists of.
     """
 
     key: str

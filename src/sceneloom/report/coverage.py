@@ -219,7 +219,6 @@ class CameraCoverage(msgspec.Struct, frozen=True, kw_only=True):
     """Where a camera looks.
 
     Attributes:
-        sensor: the camera.
         width, height: of its images [px].
         model: of its camera model.
         across_deg, upright_deg: angles of view along the middle row and column [deg].
@@ -244,8 +243,6 @@ class Coverage(msgspec.Struct, frozen=True, kw_only=True):
     """What the sensors see together.
 
     Attributes:
-        clouds: of lidars and radars.
-        cameras: where they look.
         ahead_by: how it is known where ahead is: "motion", "camera" or "axes".
         lidar_share, camera_share, both_share: of the horizon, what lidars, cameras, and both see.
         skipped: frames that could not be read or placed, and why.

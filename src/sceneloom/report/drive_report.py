@@ -81,7 +81,6 @@ def provenance_of(
 
     Args:
         path: the file or folder that was read; None for others.
-        settings: that were stated, by name.
         made: when; None for now.
     """
     digest, hashed, size = (None, None, None) if path is None else hash_of(path)
@@ -199,10 +198,6 @@ class Advice(msgspec.Struct, frozen=True, kw_only=True):
     """One thing to know, and what to do about it.
 
     Attributes:
-        severity: how bad it is.
-        title: what it is, in one line.
-        detail: numbers and locations.
-        remedy: what to do.
         section: the part of the report that reports more.
     """
 
@@ -449,21 +444,13 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     """A drive in numbers.
 
     Attributes:
-        name: what the drive is called.
-        verdict: what is to be reported first.
-        summary: what is in it.
-        timing: its streams against each other.
-        trajectories: where the ego went.
-        coverage: what its sensors see.
         calibration: a quick check of the camera-lidar calibration.
         fusion: what fusing some sweeps gave; None where that was not possible, or not to be.
         labels: statistics of its annotations; None without any.
-        metrics: comparisons with the truth.
         validation: what the rules of `validate` found; None where they were not run.
         conversions: what each format that can be written would make of it.
         losses: what was lost when the drive was written, where a loss report was given.
         warnings: what was assumed, repaired or left out on reading it, and on finding its trajectory.
-        provenance: what this report was made of and by.
         sampling: what was looked at in part only, in words.
         left_out: why a part of the report is missing, by its name.
     """

@@ -33,7 +33,6 @@ class CalibrationCheck(msgspec.Struct, frozen=True, kw_only=True):
     """What a quick check of one camera against the first lidar gave.
 
     Attributes:
-        camera, lidar: whose calibration.
         verdict: "good", "drifting", "wrong" or "cannot determine".
         reason: why, where that is known in one line.
         items: by part: rotation, translation, …
@@ -142,7 +141,6 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
         sweeps: how many were fused, `of` how many the drive has.
         points: of these sweeps.
         coloured_percent: of them that got a colour.
-        cameras: a report for each.
         extrapolated: sweeps that needed poses beyond the trajectory's ends.
         unfused: why others were not fused, with counts.
         skipped: sweeps and images that could not be read, one line each.
@@ -166,9 +164,7 @@ class Fusion(msgspec.Struct, frozen=True, kw_only=True):
 
         Args:
             scene: with an ego trajectory, or sensors that are placed in the world.
-            figures: gets the images.
             sweeps: of each lidar, at most.
-            lenient: pass over what cannot be read.
 
         Raises:
             PoseError: the sensors' motion is not known.

@@ -105,11 +105,9 @@ def collect(
 
     Args:
         source: a file or folder, the URL of a scene file, or a scene that is open.
-        settings: what is asked for.
         reading: reading options of the format, `start` and `stop` of a part among them; what is broken is passed over
             and reported.
         made: when the report is stated to be made; None for now.
-        progress: reported how many of the steps are done.
 
     Raises:
         UnknownFormatError: no format fits the path.
@@ -368,10 +366,7 @@ def write_report(
         source: a file or folder, the URL of a scene file, or a scene that is open.
         output: the page, a name that ends in .html; None for none.
         numbers: the numbers, a name that ends in .json; None for none.
-        settings: how the report is made.
-        overwrite: whether outputs that exist may be replaced.
         made: when the report is stated to be made; None for now.
-        progress: reported how many of the steps are done.
         reading: reading options of the format; `start` and `stop`, seconds between which the drive counts.
 
     Returns:

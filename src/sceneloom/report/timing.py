@@ -122,7 +122,6 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
     """The streams of a drive against each other.
 
     Attributes:
-        streams: all of them.
         overlap: when all streams with more than one timestamp give something, seconds after the scene's first
             timestamp; None where there is no such time.
         overlap_share: of the time from the first timestamp to the last.

@@ -65,7 +65,6 @@ class TrajectoryMetrics(msgspec.Struct, frozen=True, kw_only=True):
     """One ego trajectory.
 
     Attributes:
-        name: of the method that found it.
         found_now: whether it was found from the drive's measurements for this report.
         poses, seconds, metres: how many, over how long, how far.
         oriented: whether orientations are known.
@@ -103,7 +102,6 @@ class Fixes(msgspec.Struct, frozen=True, kw_only=True):
     """What a satellite receiver reported.
 
     Attributes:
-        sensor: the receiver.
         count, usable: fixes, and those that are locations.
         first_lla, last_lla: latitude, longitude [deg], height above the ellipsoid [m] of the first and the last usable
             one.

@@ -212,13 +212,10 @@ class DriveView:
     """A drive before it is logged.
 
     Attributes:
-        name: of its root entity.
         scene: the shown part of it, camera models made straight.
         measured: the same with its own camera models.
         reference_ns: (N,) int64 [ns], by which frames of the drive are counted.
-        locations: where its sensors are.
         bent: cameras whose images hang nowhere.
-        settings: what of it is shown.
         reported: what could not be shown.
     """
 
@@ -234,12 +231,6 @@ class DriveView:
     @classmethod
     def of(cls, scene: Scene, name: str, settings: ViewSettings, *, progress: Progress | None = None) -> "DriveView":
         """Choose what of a scene is shown, and find where its sensors are.
-
-        Args:
-            scene: as it was read.
-            name: of its root entity.
-            settings: what of it is shown.
-            progress: reported while the ego trajectory is computed.
 
         Raises:
             OptionError: a sensor or trajectory is not there, or no frame lies in the part.
@@ -279,9 +270,7 @@ class DriveView:
         """Log the drive to an open stream of Rerun's, frame by frame.
 
         Args:
-            recording: the stream, which several drives share.
             calendar: whether times are shown as times of day, else as seconds.
-            progress: reported after each frame.
 
         Raises:
             DataError: a frame cannot be read, and the reading is not lenient.

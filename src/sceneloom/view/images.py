@@ -313,8 +313,6 @@ def fused_depth_feed(stream: Stream, folder: Path, measured: Scene, shown: Scene
     """Show a folder of depth images.
 
     Args:
-        stream: where to.
-        folder: of the images.
         measured: the scene with its own camera models, in whose grids the images are.
         shown: the scene with the camera models that are shown.
 

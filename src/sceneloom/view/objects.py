@@ -26,8 +26,6 @@ def detection_feeds(stream: Stream, path: Path, origin: Float64Array) -> list[Fe
     """Show what `fuse --type detection` wrote, the objects of each camera below an entity of its own.
 
     Args:
-        stream: where to.
-        path: the file.
         origin: (3,) float64 [m], subtracted from positions.
 
     Raises:
@@ -43,9 +41,6 @@ def track_feed(stream: Stream, path: Path, scene: Scene, origin: Float64Array) -
     """Show the lines of JSON that `track` wrote.
 
     Args:
-        stream: where to.
-        path: the file.
-        scene: whose cameras the boxes in images are of.
         origin: (3,) float64 [m], subtracted from positions.
 
     Raises:

@@ -131,9 +131,6 @@ class LidarView:
     """Shows the sweeps of one lidar.
 
     Attributes:
-        stream: where to.
-        locations: of the drive's sensors.
-        lidar: whose sweeps they are.
         colour_by: what gives the points their colours; None: the best that there is.
         as_measured: leave the motion during a sweep in.
         notify: of what could not be shown.

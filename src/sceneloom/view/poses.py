@@ -30,11 +30,9 @@ class Locations:
     """Where the sensors of a scene are.
 
     Attributes:
-        scene: whose sensors they are.
         ego: the trajectory that they are placed by, or None where each has its own.
         path: the ego trajectory to be drawn, or None where none is known.
         origin_world: (3,) float64 [m], what is taken off all locations.
-        warnings: what was assumed.
     """
 
     scene: Scene
@@ -55,11 +53,9 @@ class Locations:
         """Find where the sensors of a scene are.
 
         Args:
-            scene: the scene.
             trajectory: the ego trajectory by name, computed if it is "gnss" or "lidar"; None: the scene's first one
                 that has orientations, else an ego that is stationary.
             heading: "motion" to derive orientations.
-            progress: reported while a trajectory is computed.
 
         Raises:
             OptionError: there is no such trajectory.

@@ -47,7 +47,6 @@ class ViewSettings:
         tracks: a file of lines of JSON that `track` wrote.
         depth: a folder of depth images that `fuse --depth` or `depth` wrote.
         map_tiles: let the viewer fetch the map behind fixes from OpenStreetMap.
-        reading: further options of opening a drive.
     """
 
     colour_by: ColourBy | None = None
@@ -119,7 +118,6 @@ class DriveShown(msgspec.Struct, frozen=True, kw_only=True):
     """One drive in the viewer.
 
     Attributes:
-        source: what was read.
         format: how it was read.
         root: its entity in the viewer; all of it is below.
         origin: what is taken off locations in its world, since the viewer has 32 bits a number [m].
@@ -127,7 +125,6 @@ class DriveShown(msgspec.Struct, frozen=True, kw_only=True):
         colours: what gives the points of each lidar their colours.
         logged: how many rows of which kind.
         findings: how many findings of `validate` are in its log, by severity.
-        warnings: what was assumed, changed or left out.
     """
 
     source: str
@@ -146,9 +143,6 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         output: the file, or None.
-        size_bytes: of the file.
-        drives: what was shown.
-        seconds: how long it took.
     """
 
     output: str | None

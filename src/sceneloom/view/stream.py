@@ -52,7 +52,6 @@ class Stream:
     """Logs one drive.
 
     Attributes:
-        recording: Rerun's stream, which several drives share.
         root: the drive's own entity.
         calendar: whether times are shown as times of day, else as seconds.
         reference_ns: (N,) int64 [ns], when each frame begins that is counted as a frame of the drive.
@@ -82,7 +81,6 @@ class Stream:
 
         Args:
             time_ns: capture time [ns].
-            path: of the entity.
             archetypes: what is there from then on.
             kind: under which it is counted.
             size: in bytes, where it is large.

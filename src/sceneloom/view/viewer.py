@@ -113,9 +113,6 @@ def save_view(
         sources: paths of recordings, scenes, …, scenes that are open, or parts of either; each is under a root of its
             own.
         output: the file, which ends in `.rrd`.
-        settings: what is shown, and how.
-        overwrite: whether the file may be replaced.
-        progress: reported after each frame.
 
     Raises:
         MissingExtraError: rerun-sdk is not installed.
@@ -301,7 +298,6 @@ class Viewer:
     """A viewer's program that runs.
 
     Attributes:
-        process: the program.
         sink: where it takes what is logged.
         address: where a browser finds it, or None of one with a window of its own.
     """
@@ -334,10 +330,8 @@ def show_view(
     Args:
         sources: paths of recordings, scenes, …, scenes that are open, or parts of either; each is under a root of its
             own.
-        settings: what is shown, and how.
         web: in a browser instead of a window: until the program is interrupted.
         ready: reported when the viewer runs, before anything is logged.
-        progress: reported after each frame.
 
     Raises:
         MissingExtraError: rerun-sdk is not installed.

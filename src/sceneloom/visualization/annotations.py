@@ -355,9 +355,7 @@ def draw_annotations_in_image(scene: Scene, sample: Sample, camera_id: Identifie
     state it, in thin lines. Points of labelled points are dots.
 
     Args:
-        scene: what the annotations are of.
         sample: has the image.
-        camera_id: the camera.
         title: what the image is about; goes before camera and time.
 
     Raises:
@@ -403,9 +401,7 @@ def draw_annotations_above(
     Links are arrows between what they join, groups and objects frames around what belongs to them.
 
     Args:
-        scene: what the annotations are of.
         sample: has the sweep.
-        title: what the image is about.
         reach: from the map's middle to its upper edge [m]; by default it holds most of the points.
         size_px: width and height of the image.
 
@@ -772,10 +768,7 @@ def save_annotation_images(
     of annotation that the scene has.
 
     Args:
-        scene: what the annotations are of.
-        folder: where the images go.
         at: seconds after the scene's first timestamp; None for its middle.
-        overwrite: replace files that are there.
 
     Returns:
         The paths written.

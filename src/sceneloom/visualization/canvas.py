@@ -86,7 +86,6 @@ class Canvas:
     """An image being drawn; everything is placed in pixels from its top-left corner.
 
     Attributes:
-        image: the image so far.
         text_px: height of the letters [px].
     """
 

@@ -152,7 +152,6 @@ class DepthScale:
 
     Attributes:
         near, far: depths [m] of the two ends of the colour map; depths beyond take the colour of the nearer end.
-        map: the colours from near to far.
 
     Raises:
         OptionError: not 0 < near < far < infinity.

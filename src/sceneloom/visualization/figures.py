@@ -30,8 +30,6 @@ class Figure:
     """What is drawn of one thing at one time.
 
     Attributes:
-        name: what is written beside it.
-        colour: what it is drawn in.
         lines: (K, D) vertices each, joined in order: locations [m] in the world (D = 3), or pixels [px] (D = 2).
         areas: (K, D) vertices each of areas to be tinted.
         marks: (M, D) single points.

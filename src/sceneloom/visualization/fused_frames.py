@@ -134,7 +134,6 @@ def draw_dense_depth(view: FusedView, dense: DenseDepth, *, scale: DepthScale | 
     """Draw a completed depth image below its image, and its confidence below it: black 0, white 1.
 
     Args:
-        view: the sweep in the image.
         dense: what was made of it.
         scale: the colours of the depths; by default chosen to hold the view's own depths.
     """
@@ -202,7 +201,6 @@ def save_images(
         index: number of the frame, six digits in the names.
         ego_poses: the ego trajectory through the world; by default the position of the first camera stands in.
         show_hidden: mark hidden points in the overlays.
-        overwrite: replace files that are there.
 
     Returns:
         The paths written.
@@ -282,11 +280,7 @@ class _Part:
 
 @dataclass(slots=True)
 class DriveCloud:
-    """Gathers fused sweeps and draws them together.
-
-    Attributes:
-        chosen: numbers of the sweeps to gather.
-    """
+    """Gathers fused sweeps and draws them together."""
 
     chosen: frozenset[int]
     _parts: list[_Part] = field(default_factory=list)

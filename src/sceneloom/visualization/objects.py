@@ -58,8 +58,6 @@ def objects_of_fused(
     """Give fused boxes of one sweep as objects that can be drawn; their numbers are those of the pair.
 
     Args:
-        fused: of one image.
-        camera_id: its camera.
         world_from_lidar: where the lidar was; None: the lidar's frame is drawn.
     """
     pose = RigidTransform.identity() if world_from_lidar is None else world_from_lidar
@@ -99,10 +97,8 @@ def draw_objects_in_image(
     """Draw objects over an image: their boxes in space through the camera model, and their boxes in the image.
 
     Args:
-        image: the image.
         objects: in the world.
         world_from_camera: where the camera was.
-        camera_id: which camera, for boxes in the image.
         title: what the image is about; goes before camera and time.
 
     Raises:

@@ -266,7 +266,6 @@ Clause5.TestCase.settings = settings(
 )
 TestClause5 = Clause5.TestCase
 
-
 SENDS = st.tuples(
     st.sampled_from(KINDS),
     st.integers(-120, 250),

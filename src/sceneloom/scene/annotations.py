@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import accumulate
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -192,10 +192,7 @@ class CuboidAnnotation:
     projections: tuple[Projection, ...] = ()
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> str:
-        """`cuboid`."""
-        return "cuboid"
+    type: ClassVar[str] = "cuboid"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,10 +234,7 @@ class Box2DAnnotation:
     attributes: tuple[AttributePath, ...] = ()
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> str:
-        """`box_2d`."""
-        return "box_2d"
+    type: ClassVar[str] = "box_2d"
 
 
 class ShapeType(StrEnum):
@@ -400,10 +394,7 @@ class PointsAnnotation:
     attributes: tuple[AttributePath, ...] = ()
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> str:
-        """`points`."""
-        return "points"
+    type: ClassVar[str] = "points"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -489,10 +480,7 @@ class GroupAnnotation:
     attributes: tuple[AttributePath, ...] = ()
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> str:
-        """`group`."""
-        return "group"
+    type: ClassVar[str] = "group"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -516,10 +504,7 @@ class LinkAnnotation:
     attributes: tuple[AttributePath, ...] = ()
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> str:
-        """`link`."""
-        return "link"
+    type: ClassVar[str] = "link"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -544,10 +529,7 @@ class EventAnnotation:
     def __post_init__(self) -> None:
         hold_timestamp(self, "start_ns")
 
-    @property
-    def type(self) -> str:
-        """`event`."""
-        return "event"
+    type: ClassVar[str] = "event"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -591,10 +573,7 @@ class LocalizationAdjustment:
     def __post_init__(self) -> None:
         object.__setattr__(self, "poses", _held(self.poses))
 
-    @property
-    def type(self) -> str:
-        """`localization_adjustment`."""
-        return "localization_adjustment"
+    type: ClassVar[str] = "localization_adjustment"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -625,10 +604,7 @@ class CameraCalibration:
         if self.poses is not None:
             object.__setattr__(self, "poses", _held(self.poses))
 
-    @property
-    def type(self) -> str:
-        """`camera_calibration`."""
-        return "camera_calibration"
+    type: ClassVar[str] = "camera_calibration"
 
 
 def effect_of(correction: LocalizationAdjustment | CameraCalibration) -> str:

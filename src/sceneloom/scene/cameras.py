@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, ClassVar, TypeVar
 
 import numpy as np
 
@@ -124,10 +124,7 @@ class CameraSensor:
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> SensorType:
-        """`camera`."""
-        return SensorType.CAMERA
+    type: ClassVar[SensorType] = SensorType.CAMERA
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,10 +201,7 @@ class DepthCameraSensor:
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> SensorType:
-        """`depth_camera`."""
-        return SensorType.DEPTH_CAMERA
+    type: ClassVar[SensorType] = SensorType.DEPTH_CAMERA
 
 
 ShootingSensor = CameraSensor | DepthCameraSensor

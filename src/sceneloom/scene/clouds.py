@@ -5,7 +5,7 @@ Points are unpacked when first used and stay in their file between processes.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, cast
 
 import numpy as np
 
@@ -234,10 +234,7 @@ class LidarSensor:
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> SensorType:
-        """`lidar`."""
-        return SensorType.LIDAR
+    type: ClassVar[SensorType] = SensorType.LIDAR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -299,10 +296,7 @@ class RadarSensor:
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> SensorType:
-        """`radar`."""
-        return SensorType.RADAR
+    type: ClassVar[SensorType] = SensorType.RADAR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -330,10 +324,7 @@ class PointsSensor:
         arrays = _packed(self.positions), _packed(self.colors)
         return _restored_map, (self.id, *arrays, self.parent_id, self.extras)
 
-    @property
-    def type(self) -> SensorType:
-        """`points`."""
-        return SensorType.POINTS
+    type: ClassVar[SensorType] = SensorType.POINTS
 
 
 def _restored_map(

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,10 +21,7 @@ class OdometrySensor:
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> SensorType:
-        """`odometry`."""
-        return SensorType.ODOMETRY
+    type: ClassVar[SensorType] = SensorType.ODOMETRY
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,10 +66,7 @@ class ImuSensor:
     parent_id: Identifier | None = None
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
-    @property
-    def type(self) -> SensorType:
-        """`imu`."""
-        return SensorType.IMU
+    type: ClassVar[SensorType] = SensorType.IMU
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,10 +109,7 @@ class GnssSensor:
             },
         )
 
-    @property
-    def type(self) -> SensorType:
-        """`gnss`."""
-        return SensorType.GNSS
+    type: ClassVar[SensorType] = SensorType.GNSS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

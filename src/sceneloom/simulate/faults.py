@@ -2,12 +2,12 @@
 
 import math
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import partial
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
-from sceneloom.scene.poses import Poses, PoseSource
+from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.scene import Scene, Sensor, frame_times
 from sceneloom.scene.time_range import select_rows
 from sceneloom.scene.types import Identifier, SensorType
@@ -162,24 +162,8 @@ class Faults:
             raise OptionError(f"faults.seed: {self.seed}; expected a number that is not negative")
 
 
-@dataclass(frozen=True, slots=True)
-class Clock:
-    """A sensor's clock against the true one: offset, and a drift from the sensor's first timestamp on."""
-
-    first_ns: int
-    offset_ns: int
-    skew_ppm: float
-
-    def stated(self, timestamps_ns: AnyArray) -> Int64Array:
-        """What the clock says at true times [ns]."""
-        times = np.asarray(timestamps_ns, np.int64)
-        drift = np.rint((times - self.first_ns) * (self.skew_ppm * 1e-6)).astype(np.int64)
-        stated: Int64Array = times + self.offset_ns + drift
-        return stated
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class FramePlan:
+class _FramePlan:
     """Which frames come, of what and when.
 
     Attributes:
@@ -194,34 +178,53 @@ class FramePlan:
     stated_ns: Int64Array
     blind: BoolArray
 
-    @classmethod
-    def of(
-        cls, wrong: SensorFaults, timestamps_ns: Int64Array, clock: Clock, *, seed: int, sensor_id: Identifier
-    ) -> "FramePlan":
-        """Work the faults of a sensor out for its true timestamps (N,) int64 [ns].
 
-        Raises:
-            OptionError: a frame number is beyond the last frame.
-        """
-        count = len(timestamps_ns)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Injection:
+    """The faults of one sensor, whose first timestamp is `first_ns`, and what its random losses start from."""
+
+    wrong: SensorFaults
+    first_ns: int
+    seed: int
+    sensor_id: Identifier
+
+    def stated(self, timestamps_ns: AnyArray) -> Int64Array:
+        """What the sensor's clock says at true times [ns]: an offset, and a drift from the first timestamp on."""
+        times = np.asarray(timestamps_ns, np.int64)
+        drift = np.rint((times - self.first_ns) * (self.wrong.clock_skew_ppm * 1e-6)).astype(np.int64)
+        stated: Int64Array = times + self.wrong.time_offset_ns + drift
+        return stated
+
+    def plan(self, timestamps_ns: Int64Array) -> _FramePlan:
+        """Work the faults out for true timestamps (N,) int64 [ns]."""
+        wrong, count = self.wrong, len(timestamps_ns)
         named = [*wrong.lost_frames, *(number for pair in wrong.swapped for number in pair)]
         beyond = [number for number in named if not 0 <= number < count]
         if beyond:
-            raise OptionError(f"faults of sensor {sensor_id!r}: frame {beyond[0]}; expected 0 to {count - 1}")
-        contents = np.arange(count)
+            raise OptionError(f"faults of sensor {self.sensor_id!r}: frame {beyond[0]}; expected 0 to {count - 1}")
+        contents, order = np.arange(count), np.arange(count)
         for interval in wrong.stuck:
             inside = np.flatnonzero(_within(timestamps_ns, (interval,)))
             contents[inside] = contents[inside[:1]]
-        order = np.arange(count)
         for one, other in wrong.swapped:
             order[[one, other]] = other, one
-        key = zlib.crc32(repr(sensor_id).encode())
-        lost = generator_for(seed, Stream.FAULTS, key).random(count) < wrong.lost_share
+        key = zlib.crc32(repr(self.sensor_id).encode())
+        lost = generator_for(self.seed, Stream.FAULTS, key).random(count) < wrong.lost_share
         lost[list(wrong.lost_frames)] = True
         lost |= _within(timestamps_ns, wrong.drop_outs)
         order = order[~lost[order]]
         true_ns = timestamps_ns[order]
-        return cls(contents[order], true_ns, clock.stated(true_ns), _within(true_ns, wrong.blind))
+        return _FramePlan(contents[order], true_ns, self.stated(true_ns), _within(true_ns, wrong.blind))
+
+    def placement(self, sensor: LidarSensor | RadarSensor | CameraSensor) -> dict[str, Any]:
+        """The mounting and the poses that the scene states, where they are wrong."""
+        if not self.wrong.named & {"rotation_deg", "shift"}:
+            return {}
+        poses, error = sensor.poses, self.wrong.error
+        if poses is not None:
+            stated = PoseSource(poses, error).at(poses.timestamps_ns)
+            poses = replace(poses, positions=stated.positions, quaternions_xyzw=stated.quaternions_xyzw)
+        return {"poses": poses, "mount": None if sensor.mount is None else sensor.mount @ error}
 
 
 def _within(timestamps_ns: Int64Array, intervals: tuple[_Interval, ...]) -> BoolArray:
@@ -246,67 +249,39 @@ _POINT_TIMES: Mapping[PointTimes, tuple[int, int, int]] = MappingProxyType(
 """Factor on the time within the frame, factor on the frame's timestamp, divisor of their sum; others have no times."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FaultyClouds:
-    """Reads the frames of a lidar or radar and injects its faults."""
+def _faulty_cloud(frames: LazyFrames[Any], plan: _FramePlan, injection: _Injection, index: int) -> Any:
+    """Read one of the frames of a lidar or radar that come."""
+    wrong, stated_ns = injection.wrong, int(plan.stated_ns[index])
+    frame: LidarFrame | RadarFrame = frames[int(plan.contents[index])]
+    points: Any = frame.points
+    if plan.blind[index]:
+        arrays = {f.name: getattr(points, f.name) for f in fields(points) if f.name != "extras"}
+        extras = {name: array[:0] if len(array) == len(points) else array for name, array in points.extras.items()}
+        empty = {name: None if array is None else array[:0] for name, array in arrays.items()}
+        points = replace(points, **empty, extras=extras)
+    times = None
+    if points.timestamps_ns is not None and wrong.point_times in _POINT_TIMES:
+        late_ns = int(plan.true_ns[index]) - frame.timestamp_ns
+        within, timestamp, divisor = _POINT_TIMES[wrong.point_times]
+        stated = injection.stated(points.timestamps_ns + late_ns) - stated_ns
+        times = read_only((within * stated + timestamp * stated_ns) // divisor)
+    points = replace(points, timestamps_ns=times)
+    if wrong.intensity_scale != 1.0 and points.intensities is not None:
+        scaled = np.clip(np.rint(points.intensities * wrong.intensity_scale), 0, 255)
+        points = replace(points, intensities=read_only(scaled, np.uint8))
+    changed: Any = replace(frame, timestamp_ns=stated_ns, points=points)
+    return changed
 
-    frames: LazyFrames[Any]
-    plan: FramePlan
-    clock: Clock
-    wrong: SensorFaults
 
-    def __call__(self, index: int) -> Any:
-        """Read one of the frames that come."""
-        frame: LidarFrame | RadarFrame = self.frames[int(self.plan.contents[index])]
-        stated_ns = int(self.plan.stated_ns[index])
-        points: Any = _emptied(frame.points) if self.plan.blind[index] else frame.points
-        late_ns = int(self.plan.true_ns[index]) - frame.timestamp_ns
-        points = replace(points, timestamps_ns=self._times(points.timestamps_ns, late_ns, stated_ns))
-        if self.wrong.intensity_scale != 1.0:
-            scaled = None if points.intensities is None else np.rint(points.intensities * self.wrong.intensity_scale)
-            clipped = None if scaled is None else read_only(np.clip(scaled, 0, 255), np.uint8)
-            points = replace(points, intensities=clipped)
-        changed: Any = replace(frame, timestamp_ns=stated_ns, points=points)
+def _faulty_image(images: LazyFrames[CameraImage], plan: _FramePlan, injection: _Injection, index: int) -> CameraImage:
+    """Read one of the images that come."""
+    image = images[int(plan.contents[index])]
+    camera, mount = _refocused(image.camera, injection.wrong.focal_scale), image.mount
+    mount = None if mount is None else mount @ injection.wrong.error
+    changed = replace(image, timestamp_ns=int(plan.stated_ns[index]), camera=camera, mount=mount)
+    if not plan.blind[index]:
         return changed
-
-    def _times(self, times: Int64Array | None, late_ns: int, stated_ns: int) -> Int64Array | None:
-        if times is None or self.wrong.point_times not in _POINT_TIMES:
-            return None
-        within, timestamp, divisor = _POINT_TIMES[self.wrong.point_times]
-        stated = self.clock.stated(times + late_ns) - stated_ns
-        return read_only((within * stated + timestamp * stated_ns) // divisor)
-
-
-def _emptied(points: Any) -> Any:
-    """The same arrays of a lidar's or a radar's points, without rows."""
-    arrays = {f.name: getattr(points, f.name) for f in fields(points) if f.name != "extras"}
-    empty = {name: None if array is None else array[:0] for name, array in arrays.items()}
-    extras = {name: array[:0] if len(array) == len(points) else array for name, array in points.extras.items()}
-    return replace(points, **empty, extras=extras)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _FaultyImages:
-    """Reads the images of a camera and injects its faults."""
-
-    images: LazyFrames[CameraImage]
-    plan: FramePlan
-    error: RigidTransform
-    focal_scale: float
-
-    def __call__(self, index: int) -> CameraImage:
-        """Read one of the images that come."""
-        image = self.images[int(self.plan.contents[index])]
-        camera = _refocused(image.camera, self.focal_scale)
-        changed = replace(
-            image,
-            timestamp_ns=int(self.plan.stated_ns[index]),
-            camera=camera,
-            mount=None if image.mount is None else image.mount @ self.error,
-        )
-        if not self.plan.blind[index]:
-            return changed
-        return replace(changed, decode=partial(_black, camera.height, camera.width), encoded=None)
+    return replace(changed, decode=partial(_black, camera.height, camera.width), encoded=None)
 
 
 def _black(height: int, width: int) -> UInt8Array:
@@ -318,81 +293,32 @@ def _refocused(camera: Camera, scale: float) -> Camera:
     return camera if scale == 1.0 else replace(camera, fx=camera.fx * scale, fy=camera.fy * scale)
 
 
-_Cloud = TypeVar("_Cloud", LidarSensor, RadarSensor)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Job:
-    """The faults of one sensor, and what its random losses start from."""
-
-    wrong: SensorFaults
-    clock: Clock
-    seed: int
-    sensor_id: Identifier
-
-    @classmethod
-    def of(cls, sensor: Sensor, wrong: SensorFaults, seed: int) -> "_Job":
-        times = frame_times(sensor)
-        first_ns = int(times.min()) if len(times) else 0
-        clock = Clock(first_ns, wrong.time_offset_ns, wrong.clock_skew_ppm)
-        return cls(wrong, clock, seed, sensor.id)
-
-    def plan(self, timestamps_ns: Int64Array) -> FramePlan:
-        return FramePlan.of(self.wrong, timestamps_ns, self.clock, seed=self.seed, sensor_id=self.sensor_id)
-
-
-def _inject_into_cloud(sensor: _Cloud, job: _Job) -> tuple[_Cloud, Int64Array]:
-    plan = job.plan(sensor.frames.timestamps_ns)
-    frames = LazyFrames(plan.stated_ns, FaultyClouds(sensor.frames, plan, job.clock, job.wrong))
-    return replace(sensor, frames=frames, **_placement(sensor, job.wrong)), plan.contents
-
-
-def _inject_into_camera(sensor: CameraSensor, job: _Job) -> tuple[CameraSensor, Int64Array]:
-    plan, scale = job.plan(sensor.images.timestamps_ns), job.wrong.focal_scale
-    images = LazyFrames(plan.stated_ns, _FaultyImages(sensor.images, plan, job.wrong.error, scale))
-    camera = _refocused(sensor.camera, scale)
-    placed = _placement(sensor, job.wrong)
-    return replace(sensor, camera=camera, images=images, video=None, **placed), plan.contents
-
-
-def _placement(sensor: LidarSensor | RadarSensor | CameraSensor, wrong: SensorFaults) -> dict[str, Any]:
-    """The mounting and the poses that the scene states, where they are wrong."""
-    if not wrong.named & {"rotation_deg", "shift"}:
-        return {}
-    poses: Poses | None = sensor.poses
-    if poses is not None:
-        stated = PoseSource(poses, wrong.error).at(poses.timestamps_ns)
-        poses = replace(poses, positions=stated.positions, quaternions_xyzw=stated.quaternions_xyzw)
-    return {"poses": poses, "mount": None if sensor.mount is None else sensor.mount @ wrong.error}
-
-
-def _inject_into_imu(sensor: ImuSensor, job: _Job) -> tuple[ImuSensor, Int64Array]:
-    plans = {name: job.plan(samples.timestamps_ns) for name, samples in sensor.streams.items()}
-    streams = {
-        # a rotated unit whose frame counts as the ego's; only vectors of space rotate
-        name: VectorSamples(plan.stated_ns, job.wrong.error.rotate(values) if values.shape[1] == 3 else values)
-        for name, plan in plans.items()
-        for values in [sensor.streams[name].values[plan.contents]]
-    }
-    contents = max((plan.contents for plan in plans.values()), key=len, default=np.zeros(0, np.int64))
-    return replace(sensor, streams=streams), contents
-
-
-def _inject_into_gnss(sensor: GnssSensor, job: _Job) -> tuple[GnssSensor, Int64Array]:
-    plan = job.plan(sensor.timestamps_ns)
-    chosen = select_rows(sensor, plan.contents)
-    return replace(chosen, timestamps_ns=plan.stated_ns, file_seconds=None), plan.contents
-
-
-_INJECTORS: Mapping[str, Callable[[Any, _Job], tuple[Any, Int64Array]]] = MappingProxyType(
-    {
-        SensorType.LIDAR: _inject_into_cloud,
-        SensorType.RADAR: _inject_into_cloud,
-        SensorType.CAMERA: _inject_into_camera,
-        SensorType.IMU: _inject_into_imu,
-        SensorType.GNSS: _inject_into_gnss,
-    }
-)
+def _injected(sensor: Any, injection: _Injection) -> tuple[Any, Int64Array]:
+    """Give a sensor with its faults, and which true frame each of its frames shows."""
+    wrong = injection.wrong
+    match sensor:
+        case LidarSensor() | RadarSensor():
+            plan = injection.plan(sensor.frames.timestamps_ns)
+            frames: Any = LazyFrames(plan.stated_ns, partial(_faulty_cloud, sensor.frames, plan, injection))
+            return replace(sensor, frames=frames, **injection.placement(sensor)), plan.contents
+        case CameraSensor():
+            plan = injection.plan(sensor.images.timestamps_ns)
+            images = LazyFrames(plan.stated_ns, partial(_faulty_image, sensor.images, plan, injection))
+            camera, placed = _refocused(sensor.camera, wrong.focal_scale), injection.placement(sensor)
+            return replace(sensor, camera=camera, images=images, video=None, **placed), plan.contents
+        case ImuSensor():
+            plans = {name: injection.plan(samples.timestamps_ns) for name, samples in sensor.streams.items()}
+            streams = {}
+            for name, plan in plans.items():
+                # a rotated unit whose frame counts as the ego's; only vectors of space rotate
+                values = sensor.streams[name].values[plan.contents]
+                rotated = wrong.error.rotate(values) if values.shape[1] == 3 else values
+                streams[name] = VectorSamples(plan.stated_ns, rotated)
+            contents = max((plan.contents for plan in plans.values()), key=len, default=np.zeros(0, np.int64))
+            return replace(sensor, streams=streams), contents
+    plan = injection.plan(sensor.timestamps_ns)
+    fixes: GnssSensor = replace(select_rows(sensor, plan.contents), timestamps_ns=plan.stated_ns, file_seconds=None)
+    return fixes, plan.contents
 
 
 def inject_into_scene(scene: Scene, faults: Faults) -> tuple[Scene, Mapping[Identifier, Int64Array]]:
@@ -406,23 +332,20 @@ def inject_into_scene(scene: Scene, faults: Faults) -> tuple[Scene, Mapping[Iden
         OptionError: there is no such sensor or frame, or a fault means nothing for that kind of sensor.
     """
     for sensor_id, wrong in faults.sensors.items():
-        _check_possible(scene.sensor(sensor_id), wrong)
+        sensor = scene.sensor(sensor_id)
+        possible = _POSSIBLE_FAULTS.get(str(sensor.type), frozenset())
+        if strange := sorted(wrong.named - possible):
+            raise OptionError(
+                f"faults of sensor {sensor.id!r}: {', '.join(strange)}; a sensor of type {sensor.type} can have "
+                f"{', '.join(sorted(possible)) or 'none'}"
+            )
     sensors: list[Sensor] = []
     true_frames: dict[Identifier, Int64Array] = {}
     for sensor in scene.sensors:
         changed = sensor
-        if sensor.id in faults.sensors:
-            job = _Job.of(sensor, faults.sensors[sensor.id], faults.seed)
-            changed, true_frames[sensor.id] = _INJECTORS[str(sensor.type)](sensor, job)
+        if sensor.id in faults.sensors and str(sensor.type) in _POSSIBLE_FAULTS:
+            first_ns = int(frame_times(sensor).min(initial=np.iinfo(np.int64).max))
+            injection = _Injection(faults.sensors[sensor.id], first_ns, faults.seed, sensor.id)
+            changed, true_frames[sensor.id] = _injected(sensor, injection)
         sensors.append(changed)
     return replace(scene, sensors=tuple(sensors)), true_frames
-
-
-def _check_possible(sensor: Sensor, wrong: SensorFaults) -> None:
-    possible = _POSSIBLE_FAULTS.get(str(sensor.type), frozenset())
-    strange = sorted(wrong.named - possible)
-    if strange:
-        raise OptionError(
-            f"faults of sensor {sensor.id!r}: {', '.join(strange)}; a sensor of type {sensor.type} can have "
-            f"{', '.join(sorted(possible)) or 'none'}"
-        )

@@ -1328,7 +1328,6 @@ _EGO_LW = (4.6, 1.86)
 
 _TRIES = 6
 
-
 _OWN_LANE, _ONCOMING_LANE = 0.0, 3.5
 
 _EDGES = ((-1.5, 1.0), (5.05, -1.0))

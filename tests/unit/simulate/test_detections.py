@@ -36,7 +36,6 @@ CAMERA_MODEL = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 95.5)
 
 SHARP = {"car": ClassSpec(half_evidence=1e-6, false_rate=0.0, size_lwh=(4.2, 1.8, 1.5))}
 
-
 EVERYTHING = Detector2dSpec(classes=SHARP, misses=MissSpec(recall=1.0, hiding=0.0))
 """Finds all there is and makes nothing up."""
 
@@ -630,7 +629,6 @@ def test_what_is_never_found_looks_false_and_nothing_else_changes():
 AHEAD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 
 READOUT_NS = 60_000_000
-
 
 WHOLE = Detector2dSpec(amodal=True, misses=MissSpec(recall=1.0, hiding=0.0))
 

@@ -276,7 +276,6 @@ RASTER = SolidStateSpec(
 
 ROSETTE = SolidStateSpec(Rosette(shots_per_second=20_000.0), period_ns=300_000_000, offset_ns=40_000_000)
 
-
 RADAR = RadarSpec(period_ns=70_000_000, offset_ns=10_000_000)
 
 LIDARS = (SMALL, RASTER, ROSETTE)

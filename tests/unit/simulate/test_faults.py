@@ -279,17 +279,13 @@ def test_faults_can_be_given_with_the_drive_and_do_not_depend_on_the_order_of_re
         np.testing.assert_array_equal(frames[k].points.timestamps_ns, others[k].points.timestamps_ns)
 
 
-def test_what_reads_faulty_frames_can_be_pickled_where_the_frames_can(right):
-    from sceneloom.scene import LazyFrames
-    from sceneloom.simulate.faults import Clock, FaultyClouds, FramePlan
-
-    kept = right.scene.lidars[0].frames
-    wrong, clock = SensorFaults(lost_frames=(1,), time_offset_ns=9), Clock(0, 9, 0.0)
-    plan = FramePlan.of(wrong, kept.timestamps_ns[:3], clock, seed=0, sensor_id="lidar")
-    in_memory = LazyFrames.of([kept[0], kept[1], kept[2]], kept.timestamps_ns[:3].tolist())
-    reader = FaultyClouds(in_memory, plan, clock, wrong)
-    again = pickle.loads(pickle.dumps(reader))
-    np.testing.assert_array_equal(again(1).points.timestamps_ns, kept[2].points.timestamps_ns + 9)
+def test_faulty_sensors_go_to_another_process(right):
+    faulty = SensorFaults(lost_frames=(1,), time_offset_ns=9, blind=((START_NS, START_NS + 1),))
+    scene = inject(right, Faults({"lidar": faulty, "camera0": faulty})).scene
+    lidar, camera = (pickle.loads(pickle.dumps(scene.sensor(name))) for name in ("lidar", "camera0"))
+    times = right.scene.lidars[0].frames[2].points.timestamps_ns
+    np.testing.assert_array_equal(lidar.frames[1].points.timestamps_ns, times + 9)
+    np.testing.assert_array_equal(camera.images[0].rgb, scene.cameras[0].images[0].rgb)
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,6 @@ HEIGHT = 1.5
 
 UPRIGHT = RigidTransform(np.eye(3), np.array([0.0, 0.0, HEIGHT]))
 
-
 EXACT = LidarSpec(beams=16, steps=360, range_sigma=0.0, drop_rate=0.0, mount=UPRIGHT)
 
 
@@ -248,7 +247,6 @@ def test_lasers_may_each_have_an_elevation_of_their_own():
 PERIOD_NS = 100_000_000
 
 SOLID_STATE_UPRIGHT = RigidTransform(np.eye(3), np.array([0.0, 0.0, 1.5]))
-
 
 SMALL = Raster(azimuth_deg=(-50, 50), elevation_deg=(-10, 8), rows=7, columns=10, channels=4, interleave=3)
 

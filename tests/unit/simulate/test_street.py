@@ -176,11 +176,9 @@ PLAIN = Material(Pattern.PLAIN, ((100.0, 120.0, 140.0),) * 3, reflectivity=0.3)
 
 STEP = 0.5
 
-
 COUNT = 30
 
 START_NS = 3_000_000
-
 
 SKY = -2
 
@@ -495,11 +493,9 @@ EXACT_LIDAR = LidarSpec(beams=32, steps=600, range_sigma=0.0, drop_rate=0.0)
 
 SMALL = CameraSpec(Camera("pinhole", 320, 200, 200.0, 200.0, 159.5, 90.0), camera_mount(pitch_deg=2.0))
 
-
 ROLLING = replace(SMALL, readout_ns=60_000_000, mount=camera_mount(yaw_deg=30.0))
 
 BUSY = TrafficSpec(cars=4.0, cyclists=2.0, pedestrians=8.0)
-
 
 SEED = 7
 

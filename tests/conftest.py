@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from tests.peers import python_with
 
-from sceneloom.kernels.cache import PACKAGES, compile_kernels, lacks_kernels
+from sceneloom.kernels.cache import PACKAGES, compile_kernels, declared_kernels, lacks_kernels
 
 settings.register_profile("default", max_examples=20, derandomize=True, database=None, deadline=None)
 settings.register_profile(
@@ -49,7 +49,7 @@ def pytest_configure(config: pytest.Config) -> None:
         module = f"sceneloom.{source.parent.name}.{source.stem}"
         if lacks_kernels(module):
             import_module(module)
-            compile_kernels([module])
+            compile_kernels(declared_kernels(module))
 
 
 @pytest.hookimpl(tryfirst=True)

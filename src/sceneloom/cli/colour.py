@@ -48,11 +48,13 @@ def colour(
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.pipeline.colouring import ColourOutputs, ColourSettings
     from sceneloom.pipeline.colouring import colour as colour_scene
+    from sceneloom.pipeline.warm_up import compile_for
 
     options.needs("--label-radius", given["label_radius_px"], "--project-labels DIR", given["project_labels"])
     settings = options.take(ColourSettings, given, exposure=not no_exposure)
     outputs = options.take(ColourOutputs, given, map=output)
     with open_scene(path, **reading) as scene, printer.progress("colouring") as progress:
+        compile_for("colour", scene)
         report = colour_scene(
             scene, settings=settings, outputs=outputs, lenient="lenient" in reading, progress=progress, **given
         )

@@ -39,11 +39,13 @@ def depth(
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.fusion.configuration import FusionConfiguration
     from sceneloom.pipeline.depth_images import write_depth_images
+    from sceneloom.pipeline.warm_up import compile_for
 
     configuration = FusionConfiguration(visibility=options.take(VisibilitySettings, given))
     own = {"configuration": configuration, "lenient": "lenient" in reading, **options.stated(**given)}
     with open_scene(path, **reading) as scene, printer.progress("completing") as progress:
         chosen = options.known_ids(scene, cameras)
+        compile_for("depth", scene)
         report = write_depth_images(scene, output, cameras=chosen, progress=progress, **own)
     printer.show(report, _print_report, given["images"])
 

@@ -86,6 +86,7 @@ def _fuse_sensor_data(
     from sceneloom.fusion.configuration import FusionConfiguration
     from sceneloom.pipeline.fusing import FusionOutputs
     from sceneloom.pipeline.fusing import fuse as fuse_scene
+    from sceneloom.pipeline.warm_up import compile_for
     from sceneloom.stages import timed
 
     algorithm = options.stated(fusion_algorithm=given.pop("algorithm"))
@@ -93,6 +94,7 @@ def _fuse_sensor_data(
     outputs = options.take(FusionOutputs, given, scene=output)
     own: dict[str, Any] = {"outputs": outputs, "configuration": configuration, "lenient": "lenient" in reading}
     with timed() as stages, open_scene(path, **reading) as scene, printer.progress("fusing") as progress:
+        compile_for("fuse", scene)
         report = fuse_scene(scene, progress=progress, **own, **given)
     printer.show(report, _print_fusion, outputs, stages=stages)
 
@@ -215,10 +217,12 @@ def demo(keep: Path, seed: int, frames: int, video: str, overwrite: bool, printe
     from sceneloom.formats.base.registry import open_scene, write_scene
     from sceneloom.pipeline.fusing import FusionOutputs
     from sceneloom.pipeline.fusing import fuse as fuse_scene
+    from sceneloom.pipeline.warm_up import compile_for
     from sceneloom.simulate.drive import demo_drive
 
     outputs = FusionOutputs(scene=fused, depth=depth, images=images, overwrite=overwrite)
     drive = demo_drive(seed=seed, frames=frames).scene
+    compile_for("demo", drive)
     written = write_scene(drive, recording, overwrite=overwrite, images=video)
     with open_scene(recording) as scene, printer.progress("fusing") as progress:
         report = fuse_scene(scene, outputs=outputs, progress=progress)

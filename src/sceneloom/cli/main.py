@@ -134,16 +134,19 @@ def _ending_cleanly() -> Iterator[None]:
 
 @contextmanager
 def reported_compiling() -> Iterator[None]:
-    """Report once on a terminal that kernels are compiled: the first run is silent for a minute otherwise."""
+    """Say on a terminal that kernels are compiled, and how many are left: a first run is silent for long otherwise."""
     if not sys.stderr.isatty():
         yield
         return
-    compiled: list[str] = []
+    words, said = "compiling numeric kernels for this machine, once", False
 
-    def report(module: str) -> None:
-        if not compiled:
-            click.echo("compiling the inner loops for this machine; they are kept …", err=True)
-        compiled.append(module)
+    def report(_: str, left: int) -> None:
+        nonlocal said
+        if left > 1 or said:
+            click.echo(f"\r{words}: {left:3} left", nl=left == 1, err=True)
+        else:
+            click.echo(f"{words} …", err=True)
+        said = True
 
     with reporting_compiling(report):
         yield

@@ -61,17 +61,12 @@ def serve(
 
     The first start on a machine compiles for minutes, and logs what; the port is closed until then.
     """
-    from sceneloom.kernels.cache import reporting_compiling
     from sceneloom.service.startup import check_port, log_to_standard_error
 
     check_port(host, port)
-    logger = log_to_standard_error(quiet=quiet, verbose=verbose)
-
-    def report(module: str) -> None:
-        logger.info("compiling for this machine; it is kept", extra={"fields": {"module": module}})
+    log_to_standard_error(quiet=quiet, verbose=verbose)
 
     with ExitStack() as stack:
-        stack.enter_context(reporting_compiling(report))
         from sceneloom.db34t.transport import read_token
         from sceneloom.service.running import configured, serve_until_ended
         from sceneloom.service.server import Security, ServerSettings

@@ -4,11 +4,14 @@ import os
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from hashlib import blake2b
+from importlib import import_module
 from pathlib import Path
+from subprocess import DEVNULL, PIPE, Popen
 from tempfile import TemporaryFile
 from typing import Any, TypeVar, cast
 
@@ -29,10 +32,14 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 OPTIONS: Mapping[str, Any] = {"nogil": True, "error_model": "numpy"}
 """Of all kernels: the interpreter is let go, and dividing by zero gives infinity or NaN."""
 
-_declared: dict[str, list[Callable[[], None]]] = {}
-"""What compiles each kernel of the modules that are imported, by the module's name."""
+_declared: dict[str, dict[str, Callable[[], None]]] = {}
+"""What compiles each kernel of the modules that are imported, by the names of module and kernel."""
 
-_reports: list[Callable[[str], None]] = []  # who hears of kernels that are compiled
+_reports: list[Callable[[str, int], None]] = []
+"""Who hears of kernels that are compiled."""
+
+_open: list[str] = []
+"""The kernels that are being compiled, under Numba's lock: the first is called from Python, and calls the others."""
 
 
 def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
@@ -67,11 +74,14 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
                 kept_as = getattr(dispatcher._cache, "_cache_file", None)  # noqa: SLF001
                 if kept_as is not None:
                     kept_as._source_stamp = source_digest(_source_of(function))  # noqa: SLF001
-                if _reports and not _is_kept(function):
-                    for report in tuple(_reports):
-                        report(f"{function.__module__}.{function.__name__}")
-                for signature in all_signatures:
-                    dispatcher.compile(signature)
+                if _reports and not _open and not _are_kept(_source_of(function), [function.__qualname__])[0]:
+                    _report(f"{function.__module__}:{function.__qualname__}", 1)
+                _open.append(function.__qualname__)
+                try:
+                    for signature in all_signatures:
+                        dispatcher.compile(signature)
+                finally:
+                    _open.pop()
                 dispatcher.disable_compile()
 
         def compile_for_arguments(*_: Any, **__: Any) -> Any:
@@ -85,22 +95,22 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
         # What Numba asks for where it knows no version yet: what to call from Python, and what a kernel calls.
         dispatcher._compile_for_args = compile_for_arguments  # noqa: SLF001
         dispatcher.get_call_template = call_template
-        _declared.setdefault(function.__module__, []).append(compile_now)
+        _declared.setdefault(function.__module__, {})[function.__qualname__] = compile_now
         return cast("_Function", dispatcher)
 
     return declare
 
 
-def declaring_modules() -> list[str]:
-    """Name the imported modules that have kernels."""
-    return list(_declared)
+def declared_kernels(module: str = "") -> list[str]:
+    """Name the kernels of the modules that are imported, or of one of them: `"module:qualified name"`."""
+    return [f"{owner}:{name}" for owner, own in _declared.items() for name in own if module in {"", owner}]
 
 
-def compile_kernels(modules: Iterable[str]) -> None:
-    """Compile, or load, all kernels of modules that are imported."""
-    for module in modules:
-        for compile_now in _declared.get(module, ()):
-            compile_now()
+def compile_kernels(names: Iterable[str]) -> None:
+    """Compile, or load, kernels of modules that are imported."""
+    for name in names:
+        module, _, kernel_name = name.partition(":")
+        _declared[module][kernel_name]()
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,21 +174,87 @@ def _can_write(folder: Path) -> bool:
 
 def lacks_kernels(module: str) -> bool:
     """Whether a module, by its whole name, has kernels that are not kept yet: calling them takes seconds then."""
+    source = _file_of(module)
+    return source is not None and _count_kept([source])[source] < _count_kernels(source)
+
+
+def _file_of(module: str) -> Path | None:
+    """The file of a module that may have kernels; None for any other."""
     parts = module.split(".")
-    source = _PACKAGE.parent.joinpath(*parts).with_suffix(".py")
     if len(parts) != 3 or parts[0] != _PACKAGE.name or parts[1] not in PACKAGES:
-        return False
-    return _count_kept([source])[source] < _count_kernels(source)
+        return None
+    return _PACKAGE.parent.joinpath(*parts).with_suffix(".py")
+
+
+def compile_ahead(names: Iterable[str], *, started: Callable[[Popen[str]], object] = id) -> None:
+    """Compile those of some kernels that are not kept yet, in as many processes as there are processors.
+
+    The compiler takes one processor, and a job meets its kernels one after another: this way they are ready in a
+    fraction of the time. They are kept, and loaded where they are called. Nothing is done where that would not help:
+    with one processor, or where kernels cannot be kept. What fails here fails again, and is reported, where it is
+    called.
+
+    Args:
+        names: `"module:qualified name"`, those that take longest first.
+        started: receives each process that compiles; it may be killed.
+    """
+    by_module: dict[str, list[str]] = {}
+    for name in (names := list(dict.fromkeys(names))):
+        module, _, kernel_name = name.partition(":")
+        by_module.setdefault(module, []).append(kernel_name)
+    kept: set[str] = set()
+    for module, kernel_names in by_module.items():
+        source = _file_of(module)
+        found = [False] * len(kernel_names) if source is None else _are_kept(source, kernel_names)
+        kept |= {f"{module}:{name}" for name, there in zip(kernel_names, found, strict=True) if there}
+    missing = [name for name in names if name not in kept]
+    processes = min(os.cpu_count() or 1, len(missing))
+    if processes < 2 or not find_kernel_cache().writable:
+        return
+    waiting = iter(enumerate(missing))
+
+    def work() -> None:
+        command = [sys.executable, "-c", f"from {__name__} import _compile_asked; _compile_asked()"]
+        with Popen(command, stdin=PIPE, stdout=PIPE, stderr=DEVNULL, text=True) as process:  # noqa: S603 - our own
+            started(process)
+            for k, name in waiting:
+                _report(name, len(missing) - k)
+                try:
+                    print(name, file=process.stdin, flush=True)
+                except BrokenPipeError:
+                    return
+                if not cast("Any", process.stdout).readline():
+                    return
+
+    with ThreadPoolExecutor(processes) as pool:
+        for done in [pool.submit(work) for _ in range(processes)]:
+            done.result()
+
+
+def _compile_asked() -> None:
+    """Compile the kernels that standard input names, and print each once it is kept."""
+    for line in sys.stdin:
+        module, _, name = line.strip().partition(":")
+        with suppress(ImportError, KeyError):
+            import_module(module)
+            _declared[module][name]()
+        sys.stdout.write(line)
+        sys.stdout.flush()
 
 
 @contextmanager
-def reporting_compiling(report: Callable[[str], None]) -> Iterator[None]:
-    """Report each kernel that is compiled meanwhile, by its module and name, before it is."""
+def reporting_compiling(report: Callable[[str, int], None]) -> Iterator[None]:
+    """Report each kernel before it is compiled: its module and name, and how many are left with it."""
     _reports.append(report)
     try:
         yield
     finally:
         _reports.remove(report)
+
+
+def _report(name: str, left: int) -> None:
+    for report in tuple(_reports):
+        report(name, left)
 
 
 def _count_kernels(source: Path) -> int:
@@ -188,17 +264,30 @@ def _count_kernels(source: Path) -> int:
     return sum(count * len(pattern.findall(text)) for pattern, count in _MAKERS.items())
 
 
-def _count_kept(sources: Collection[Path], name: str = "*") -> dict[Path, int]:
+def _count_kept(sources: Collection[Path]) -> dict[Path, int]:
     """Count, for each module, the functions of which an index of versions compiled from the present source is kept."""
     digests = {source: source_digest(source).encode() for source in sources if source.is_file()}
-    pattern = f"*.{name}-*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
+    contents = _indices({s.parent for s in digests})
+    counts = {s: sum(digest in content for content in contents.values()) for s, digest in digests.items()}
+    return {source: counts.get(source, 0) for source in sources}
+
+
+def _are_kept(source: Path, names: Collection[str]) -> list[bool]:
+    """Whether versions of kernels of a module, by their qualified names, are kept that fit its present source."""
+    digest = source_digest(source).encode()
+    indices = _indices({source.parent}).items()
+    kept = {name.partition(".")[2].rpartition("-")[0] for name, content in indices if digest in content}
+    return [name in kept for name in names]
+
+
+def _indices(folders: Iterable[Path]) -> dict[str, bytes]:
+    """The indices of kept kernels by their names, as Numba writes them: `FILE.FUNCTION-LINE.py311.nbi`."""
+    pattern = f"*.*-*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
     if elsewhere := os.environ.get("NUMBA_CACHE_DIR"):
         found = list(Path(elsewhere).glob(f"**/{pattern}"))
     else:
-        found = [i for folder in {s.parent for s in digests} for i in folder.glob(f"__pycache__/{pattern}")]
-    contents = {index.name: index.read_bytes() for index in found}
-    counts = {s: sum(digest in content for content in contents.values()) for s, digest in digests.items()}
-    return {source: counts.get(source, 0) for source in sources}
+        found = [index for folder in folders for index in folder.glob(f"__pycache__/{pattern}")]
+    return {index.name: index.read_bytes() for index in found}
 
 
 @cache
@@ -231,8 +320,3 @@ def _source_of(function: Callable[..., Any]) -> Path:
     """The file of a function's module, where a change makes it another function."""
     module = sys.modules.get(function.__module__)
     return Path(getattr(module, "__file__", None) or function.__code__.co_filename)
-
-
-def _is_kept(function: Callable[..., Any]) -> bool:
-    source = _source_of(function)
-    return _count_kept([source], function.__qualname__)[source] > 0

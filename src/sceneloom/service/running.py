@@ -6,14 +6,11 @@ Kernels are compiled and loaded before it listens.
 import asyncio
 import gc
 import logging
-import os
 import signal
 import subprocess
-import sys
 import threading
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -32,7 +29,7 @@ from sceneloom.db34t.records import Boxes2d, Boxes3d, CalibrationData, ImageData
 from sceneloom.db34t.types import Outcome, Timestamp
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.base.files import read_settings
-from sceneloom.kernels.cache import compile_kernels, declaring_modules, find_kernel_cache, lacks_kernels
+from sceneloom.kernels.cache import compile_ahead, compile_kernels, declared_kernels, reporting_compiling
 from sceneloom.service.server import FusionServer, ServerSettings
 from sceneloom.service.startup import ServiceLimits, log_to_standard_error
 
@@ -53,9 +50,9 @@ def warm_up(started: Callable[[_Process], object] = id) -> int:
     """
     for model in MODELS.values():
         import_module(model.module)
-    modules = declaring_modules()
-    _compile_apart([name for name in modules if lacks_kernels(name)], started)
-    compile_kernels(modules)
+    with reporting_compiling(_log_compiling):
+        compile_ahead(declared_kernels(), started=started)
+        compile_kernels(declared_kernels())
     with FusionInterface(inline=True) as fusion:
         fusion.set_calibration(
             CalibrationData(
@@ -71,32 +68,8 @@ def warm_up(started: Callable[[_Process], object] = id) -> int:
         return fusion.waiting_results
 
 
-def _compile_apart(modules: list[str], started: Callable[[_Process], object]) -> None:
-    """Compile modules in processes side by side, as the compiler takes one thread; they are kept, and loaded here.
-
-    What fails there fails again, and is reported, when it is compiled here.
-    """
-    processes = min(os.cpu_count() or 1, len(modules))
-    if processes < 2 or not find_kernel_cache().writable:
-        return
-    with ThreadPoolExecutor(processes) as pool:
-        list(pool.map(_compile, [modules[k::processes] for k in range(processes)], [started] * processes))
-
-
-def _compile(modules: list[str], started: Callable[[_Process], object]) -> None:
-    """Compile modules in a process of their own."""
-    code = (
-        "import importlib, sys; from sceneloom.kernels.cache import compile_kernels\n"
-        "for name in sys.argv[1:]:\n"
-        "    importlib.import_module(name); print(name, flush=True); compile_kernels([name])"
-    )
-    command = [sys.executable, "-c", code, *modules]
-    with subprocess.Popen(  # noqa: S603 - our own program
-        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as process:
-        started(process)
-        for line in process.stdout or ():
-            _LOG.info("compiling for this machine; it is kept", extra={"fields": {"module": line.strip()}})
+def _log_compiling(name: str, left: int) -> None:
+    _LOG.info("compiling for this machine; it is kept", extra={"fields": {"kernel": name, "left": left}})
 
 
 def _records() -> list[SentRecord]:

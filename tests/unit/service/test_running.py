@@ -17,6 +17,7 @@ import pytest
 from sceneloom.db34t import ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.errors import DataError
+from sceneloom.kernels import cache
 from sceneloom.service import running
 from sceneloom.service import running as service_running
 from sceneloom.service.running import read_configuration_file, warm_up
@@ -43,29 +44,18 @@ def test_the_whole_conformance_kit_reaches_none_either():
     assert reached("all") == {"events": 0, "later": []}
 
 
-def test_missing_kernels_are_compiled_side_by_side_and_reported(monkeypatch, caplog):
-    missing, asked = [f"sceneloom.cameras.{name}" for name in ("perspective", "fisheye", "panorama")], []
+def test_missing_kernels_are_compiled_before_requests_and_logged(monkeypatch, caplog):
+    asked = []
 
-    class Compiler:
-        def __init__(self, command, **_):
-            self.stdout = [f"{name}\n" for name in command[3:]]
-            asked.append(command[3:])
+    def compile_ahead(names, *, started):
+        asked.extend(names)
+        cache._report(asked[0], 1)
 
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            pass
-
-    monkeypatch.setattr(service_running, "lacks_kernels", lambda name: name in missing)
-    monkeypatch.setattr(service_running, "find_kernel_cache", lambda: SimpleNamespace(writable=True))
-    monkeypatch.setattr(service_running.os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(service_running.subprocess, "Popen", Compiler)
+    monkeypatch.setattr(service_running, "compile_ahead", compile_ahead)
     with caplog.at_level(logging.INFO, "sceneloom.service"):
         assert warm_up() == 2
-    assert len(asked) == 2
-    assert sorted(name for names in asked for name in names) == sorted(missing)
-    assert sorted(record.fields["module"] for record in caplog.records) == sorted(missing)
+    assert {"sceneloom.cameras.fisheye:Fisheye.project_into_image", "sceneloom.kernels.tracking:predict"} & set(asked)
+    assert caplog.records[0].fields == {"kernel": asked[0], "left": 1}
 
 
 def test_a_server_listens_only_when_it_is_warm(monkeypatch):

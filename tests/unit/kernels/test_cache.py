@@ -1,0 +1,39 @@
+"""Kernels that are compiled ahead, in processes side by side."""
+
+import os
+import subprocess
+import sys
+
+from sceneloom.kernels import cache
+
+KERNELS = [
+    "sceneloom.kernels.voxels:number_cubes",
+    "sceneloom.kernels.packed:unpack",
+    "sceneloom.cameras.perspective:Pinhole.project_points",
+]
+
+
+def test_kernels_are_compiled_ahead_kept_and_not_compiled_again(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    told = []
+    with cache.reporting_compiling(lambda name, left: told.append((name, left))):
+        cache.compile_ahead([*KERNELS, KERNELS[0]])
+        assert sorted(told) == sorted(zip(KERNELS, (3, 2, 1), strict=True))
+        cache.compile_ahead(KERNELS)
+    assert len(told) == 3
+    program = (
+        "import numpy as np; from sceneloom.kernels import cache; told = []\n"
+        "with cache.reporting_compiling(lambda name, left: told.append(name)):\n"
+        "    from sceneloom.cameras import Camera, project\n"
+        "    project(Camera('pinhole', 8, 8, 5.0, 5.0, 3.5, 3.5), np.array([[0.0, 0.0, 2.0]]))\n"
+        "print(told)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_a_name_of_no_kernel_is_passed_over(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    cache.compile_ahead(["sceneloom.kernels.voxels:no_such", "sceneloom.no.module:at_all"])

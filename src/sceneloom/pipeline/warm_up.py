@@ -22,11 +22,11 @@ _FUSION = (
     *_of("kernels.poses", "transform_by_path"),
     *_of("colouring.blending", "paint_points"),
     *_of("kernels.projection", "_draw_rows"),
-    *_of("colouring.visibility", "find_slopes measure_along_axes _read_keys _position_grid measure_across"),
+    *_of("colouring.visibility", "find_slopes _read_keys _position_grid"),
 )
 _ODOMETRY = (
     *_of("kernels.scan_matching", "accumulate_normal_equations describe_surfaces"),
-    *_of("kernels.scan_matching", "thin_points insert_points move_points"),
+    *_of("kernels.scan_matching", "insert_points move_points"),
 )
 _READING = (*_of("kernels.images", "rgb_from_halved_chroma"), *_of("kernels.packed", "unpack"))
 _DEPTH = _of(

@@ -79,21 +79,22 @@ def read_figures(folder: Path) -> RunFigures:
         run, rows = record.reported(), record.rows()
         reports = {row.number: record.report(row.number) for row in rows if row.state is State.DONE}
     ended = [row for row in rows if row.finished_ns is not None]
-    begun_ns = min((_ended_ns(row) - round(_seconds(row.seconds) * 1e9) for row in ended), default=None)
-    slowest = sorted(((row.name, _seconds(row.seconds)) for row in ended), key=lambda one: -one[1])
+    seconds = {row.number: row.seconds or 0.0 for row in ended}
+    ends_ns = {row.number: row.finished_ns or 0 for row in ended}
+    slowest = sorted(((row.name, seconds[row.number]) for row in ended), key=lambda one: -one[1])
     return RunFigures(
         folder=str(folder),
         verb=str(run.get("verb", "")),
         version=str(run.get("sceneloom", "")),
         states={str(state): sum(row.state is state for row in rows) for state in State},
         tries=sum(row.attempts for row in rows),
-        begun_ns=begun_ns,
-        ended_ns=max(map(_ended_ns, ended), default=None),
+        begun_ns=min((ends_ns[number] - round(taken * 1e9) for number, taken in seconds.items()), default=None),
+        ended_ns=max(ends_ns.values(), default=None),
         slowest=tuple(slowest[:_MOST_SHOWN]),
         causes=_causes(row for row in rows if row.state is State.FAILED),
         stages=_stages(rows, reports),
         workers=_workers(ended),
-        drive_seconds=tuple(sorted(_seconds(row.seconds) for row in ended)),
+        drive_seconds=tuple(sorted(seconds.values())),
     )
 
 
@@ -111,13 +112,24 @@ def write_page(figures: RunFigures, target: Path, *, overwrite: bool = False) ->
         facts.append(f"begun {begun:%Y-%m-%d %H:%M:%S} UTC; {figures.seconds:.0f} s; {rate:.1f} drives a minute")
         facts.append(f"a drive: median {times[len(times) // 2]:.1f} s, at most {times[-1]:.1f} s")
     stages = sorted(figures.stages.items(), key=lambda stage: -stage[1])
-    causes = [(len(drives), f"{kind}: {error}", drives[0]) for kind, error, drives in figures.causes]
-    workers = [(n, f"{a:.1f}", f"{b:.1f}", f"{most / 1e6:.0f}", name) for name, n, a, b, most in figures.workers]
+    tables: Mapping[str, tuple[tuple[str, ...], Sequence[Sequence[object]]]] = {
+        "Why drives failed": (
+            ("drives", "cause", "first"),
+            [(len(drives), f"{kind}: {error}", drives[0]) for kind, error, drives in figures.causes],
+        ),
+        "Time by stage": (("stage", "seconds"), [(name, f"{taken:.1f}") for name, taken in stages]),
+        "Slowest drives": (("drive", "seconds"), [(name, f"{taken:.1f}") for name, taken in figures.slowest]),
+        "Workers": (
+            ("drives", "seconds", "of processor", "most memory [MB]", "worker"),
+            [(n, f"{a:.1f}", f"{b:.1f}", f"{most / 1e6:.0f}", name) for name, n, a, b, most in figures.workers],
+        ),
+    }
     body = [f"<p>{escape(fact)}</p>" for fact in facts]
-    body += _table("Why drives failed", ("drives", "cause", "first"), causes)
-    body += _table("Time by stage", ("stage", "seconds"), [(name, f"{taken:.1f}") for name, taken in stages])
-    body += _table("Slowest drives", ("drive", "seconds"), [(name, f"{taken:.1f}") for name, taken in figures.slowest])
-    body += _table("Workers", ("drives", "seconds", "of processor", "most memory [MB]", "worker"), workers)
+    for heading, (heads, rows) in tables.items():
+        head = "".join(f'<th scope="col">{escape(one)}</th>' for one in heads)
+        cells = ("".join(f"<td>{escape(str(cell))}</td>" for cell in row) for row in rows)
+        lines = "".join(f"<tr>{one}</tr>\n" for one in cells)
+        body += [f"<h2>{escape(heading)}</h2>\n<table>\n<tr>{head}</tr>\n{lines}</table>"] if rows else []
     title = escape(f"{figures.verb} over {sum(figures.states.values())} drives")
     with replacing(target, overwrite=overwrite) as draft:
         draft.write_text(_PAGE.format(title=title, body="\n".join(body)), encoding="utf-8")
@@ -130,7 +142,7 @@ def format_metrics(
     stages: Mapping[str, float] | None = None,
     now: float | None = None,
 ) -> str:
-    """Give the state of a run as text for Prometheus.
+    """The state of a run as text for Prometheus.
 
     Args:
         summary: of the run.
@@ -140,28 +152,27 @@ def format_metrics(
 
     Source: Prometheus, "Exposition formats", text format 0.0.4.
     """
-    run = {"verb": summary.verb, "output": summary.output}
-    states = {"done": summary.done, "failed": summary.failed, "left": summary.left}
-    updated = time.time() if now is None else now
-    none: dict[str, str] = {}
-    metrics: list[tuple[str, str, str, list[tuple[dict[str, str], float]]]] = [
-        ("drives", "gauge", "Drives of the run.", [({"state": name}, n) for name, n in states.items()]),
-        ("skipped", "gauge", "Drives that an earlier run had done.", [(none, summary.skipped)]),
-        ("retries_total", "counter", "Tries beyond the first ones.", [(none, summary.retried)]),
-        ("run_seconds", "gauge", "How long the run has taken.", [(none, summary.seconds)]),
-        ("processor_seconds_total", "counter", "Of all workers' processors.", [(none, summary.processor_seconds)]),
-        ("worker_peak_bytes", "gauge", "The most memory that any worker had.", [(none, peak_bytes)]),
-        ("updated_timestamp_seconds", "gauge", "When this was written.", [(none, updated)]),
-        ("stage_seconds_total", "counter", "Wall time of each stage of the work.",
-         [({"stage": name}, taken) for name, taken in (stages or {}).items()]),
+    metrics: list[tuple[str, str, str, Mapping[str, float] | float]] = [
+        ("drives", "gauge", "Drives of the run.",
+         {"done": summary.done, "failed": summary.failed, "left": summary.left}),
+        ("skipped", "gauge", "Drives that an earlier run had done.", summary.skipped),
+        ("retries_total", "counter", "Tries beyond the first ones.", summary.retried),
+        ("run_seconds", "gauge", "How long the run has taken.", summary.seconds),
+        ("processor_seconds_total", "counter", "Of all workers' processors.", summary.processor_seconds),
+        ("worker_peak_bytes", "gauge", "The most memory that any worker had.", peak_bytes),
+        ("updated_timestamp_seconds", "gauge", "When this was written.", time.time() if now is None else now),
+        ("stage_seconds_total", "counter", "Wall time of each stage of the work.", stages or {}),
     ]  # fmt: skip
-    lines = []
-    for name, kind, reported, samples in metrics:
+    key, lines = {"drives": "state", "stage_seconds_total": "stage"}, []
+    for name, kind, reported, value in metrics:
         full = f"sceneloom_batch_{name}"
+        samples = list(value.items()) if isinstance(value, Mapping) else [("", value)]
         lines += [f"# HELP {full} {reported}", f"# TYPE {full} {kind}"] if samples else []
-        for own, value in samples:
-            labels = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in {**run, **own}.items())
-            lines.append(f"{full}{{{labels}}} {value}")
+        for word, number in samples:
+            own = {key[name]: word} if word else {}
+            texts = {"verb": summary.verb, "output": summary.output, **own}
+            labels = ",".join(f'{label}="{text.translate(_ESCAPES)}"' for label, text in texts.items())
+            lines.append(f"{full}{{{labels}}} {number}")
     return "\n".join(lines) + "\n"
 
 
@@ -195,14 +206,6 @@ class MetricsFile:
         self._due = time.monotonic() + _WRITE_EVERY_SECONDS
 
 
-def _ended_ns(row: Row) -> int:
-    return row.finished_ns or 0
-
-
-def _seconds(value: Any) -> float:
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else 0.0
-
-
 def _causes(failed: Iterable[Row]) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
     """Group errors that differ in names of drives and in numbers only."""
     alike: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
@@ -222,12 +225,12 @@ def _stages(rows: Iterable[Row], reports: Mapping[int, Any]) -> dict[str, float]
             continue
         stages = report.get("stages")
         if not isinstance(stages, dict):
-            if report.get("seconds") is None:
-                continue
-            stages = {"the verb at work": report["seconds"]}
-        for name, value in stages.items():
-            found[str(name)] += _seconds(value)
-        found["everything else"] += max(row.seconds - sum(map(_seconds, stages.values())), 0.0)
+            stages = {"the verb at work": report.get("seconds")}
+        numbers = {str(name): float(one) for name, one in stages.items() if type(one) in (int, float)}
+        if numbers or isinstance(report.get("stages"), dict):
+            for name, value in numbers.items():
+                found[name] += value
+            found["everything else"] += max(row.seconds - sum(numbers.values()), 0.0)
     return dict(found)
 
 
@@ -240,16 +243,9 @@ def _workers(ended: Iterable[Row]) -> tuple[tuple[str, int, float, float, int], 
         (
             name,
             len(own),
-            sum(_seconds(row.seconds) for row in own),
-            sum(_seconds(row.processor_seconds) for row in own),
+            sum(row.seconds or 0.0 for row in own),
+            sum(row.processor_seconds or 0.0 for row in own),
             max(row.peak_bytes or 0 for row in own),
         )
         for name, own in sorted(rows.items())
     )
-
-
-def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
-    """A table with its title; nothing without rows."""
-    head = "".join(f'<th scope="col">{escape(one)}</th>' for one in heads)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>\n" for row in rows)
-    return [f"<h2>{escape(title)}</h2>\n<table>\n<tr>{head}</tr>\n{body}</table>"] if rows else []

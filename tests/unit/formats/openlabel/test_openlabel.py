@@ -134,40 +134,36 @@ def annotations_of_every_kind():
     yield LinkAnnotation("tie", "brakes", 3, "causes", is_bidirectional=False)
 
 
-KIND_IDS = [f"{one.type}-{one.id}" for one in annotations_of_every_kind()]
+EVERYTHING = list(annotations_of_every_kind())
 
 
-@pytest.mark.parametrize("index", range(len(KIND_IDS)), ids=KIND_IDS)
-def test_every_kind_of_annotation_comes_back(tmp_path, index):
-    everything = list(annotations_of_every_kind())
-    found, losses = there_and_back(tmp_path, scene(*everything))
-    by_id = {(type(one.id), one.id): one for one in found.annotations}
-    assert len(by_id) == len(everything)
+@pytest.fixture(scope="module")
+def everything(tmp_path_factory):
+    found, losses = there_and_back(tmp_path_factory.mktemp("every"), scene(*EVERYTHING))
+    return {(type(one.id), one.id): one for one in found.annotations}, losses
+
+
+@pytest.mark.parametrize("expected", EVERYTHING, ids=lambda one: f"{one.type}-{one.id}")
+def test_every_kind_of_annotation_comes_back(everything, expected):
+    by_id, losses = everything
+    assert len(by_id) == len(EVERYTHING)
     assert not [loss for loss in losses if loss.field.startswith("annotations")]
-    expected = everything[index]
     same(by_id[type(expected.id), expected.id], expected)
 
 
 def same(found, expected):
-    assert type(found) is type(expected)
-    for name in type(expected).__dataclass_fields__:
-        one, other = getattr(found, name), getattr(expected, name)
-        if isinstance(other, tuple) and other and isinstance(other[0], tuple):
-            assert [len(row) for row in one] == [len(row) for row in other], name
-            one, other = ([each for row in rows for each in row] for rows in (one, other))
-        if isinstance(other, tuple | list) and other and hasattr(other[0], "__dataclass_fields__"):
-            assert len(one) == len(other), name
-            for a, b in zip(one, other, strict=True):
-                same(a, b)
-        elif hasattr(other, "__dataclass_fields__"):
+    if isinstance(expected, np.ndarray):
+        np.testing.assert_array_equal(found, expected)
+    elif hasattr(expected, "__dataclass_fields__"):
+        assert type(found) is type(expected)
+        for name in type(expected).__dataclass_fields__:
+            same(getattr(found, name), getattr(expected, name))
+    elif isinstance(expected, tuple | list) and not all(isinstance(one, str | int | float) for one in expected):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
             same(one, other)
-        elif isinstance(other, tuple) and other and isinstance(other[0], np.ndarray):
-            for a, b in zip(one, other, strict=True):
-                np.testing.assert_array_equal(a, b)
-        elif isinstance(other, np.ndarray):
-            np.testing.assert_array_equal(one, other, err_msg=name)
-        else:
-            assert one == other, name
+    else:
+        assert found == expected
 
 
 # what concerns one thing
@@ -383,34 +379,25 @@ QUARTER = [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]
 
 def test_boxes_in_a_sensor_are_brought_to_the_root_of_its_coordinate_systems(tmp_path):
     # the lidar looks to the left of a vehicle that stands at (100, 0, 0) in the map
+    pose = {"quaternion": QUARTER, "translation": [1, 0, 2]}
     systems = {
         "map": {"type": "scene_cs", "parent": ""},
         "car": {"type": "local_cs", "parent": "map"},
-        "lidar": {
-            "type": "sensor_cs",
-            "parent": "car",
-            "pose_wrt_parent": {"quaternion": QUARTER, "translation": [1, 0, 2]},
-        },
+        "lidar": {"type": "sensor_cs", "parent": "car", "pose_wrt_parent": pose},
     }
-    step = {
+    matrix = [1, 0, 0, -100, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+    forwards = {
         "src": "car",
         "dst": "map",
-        "transform_src_to_dst": {"euler_angles": [0, 0, 0], "translation": [100, 0, 0]},
+        "transform_src_to_dst": {"euler_angles": [0] * 3, "translation": [100, 0, 0]},
     }
-    frames = {
-        "0": frame("10.5", cuboid(5, 0, 0, 0, 0, 0, 1, 4, 2, 1, coordinate_system="lidar"), transforms={"t": step})
-    }
-    found = read(tmp_path, document(coordinate_systems=systems, objects=OBJECT, frames=frames))
-    np.testing.assert_allclose(found.annotations[0].path.values, [[4, 2, 1, 101, 5, 2, 0, 0, 90]], rtol=0, atol=1e-12)
-    assert found.annotations[0].path.timestamps_ns.tolist() == [10_500_000_000]
-    backwards = {
-        "src": "map",
-        "dst": "car",
-        "transform_src_to_dst": {"matrix4x4": [1, 0, 0, -100, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]},
-    }
-    frames["0"]["frame_properties"]["transforms"] = {"t": backwards}
-    again = read(tmp_path, document(coordinate_systems=systems, objects=OBJECT, frames=frames))
-    np.testing.assert_allclose(again.annotations[0].path.values, found.annotations[0].path.values, atol=1e-12)
+    backwards = {"src": "map", "dst": "car", "transform_src_to_dst": {"matrix4x4": matrix}}
+    for step in (forwards, backwards):
+        box = cuboid(5, 0, 0, 0, 0, 0, 1, 4, 2, 1, coordinate_system="lidar")
+        frames = {"0": frame("10.5", box, transforms={"t": step})}
+        path = read(tmp_path, document(coordinate_systems=systems, objects=OBJECT, frames=frames)).annotations[0].path
+        np.testing.assert_allclose(path.values, [[4, 2, 1, 101, 5, 2, 0, 0, 90]], rtol=0, atol=1e-12)
+        assert path.timestamps_ns.tolist() == [10_500_000_000]
 
 
 @pytest.mark.parametrize(
@@ -468,44 +455,25 @@ def test_matrices_and_whole_objects_are_attributes_and_come_back(tmp_path):
     assert {name: again[name] for name in kept} == kept
 
 
+UNIT = [1] * 16
+NO_SUBJECT = {"name": "r", "type": "t", "rdf_subjects": [{"type": "object", "uid": "9"}], "rdf_objects": []}
+VAL = "frames.0.objects.1.object_data.cuboid[0].val"
+PLACED = {"a": {"parent": "b", "pose_wrt_parent": {"matrix4x4": UNIT}}}
+
+
 @pytest.mark.parametrize(
     ("members", "location", "problem"),
     [
-        (
-            {"objects": OBJECT, "frames": {"0": frame(1, cuboid(1, 2))}},
-            "frames.0.objects.1.object_data.cuboid[0].val",
-            "9 or 10",
-        ),
-        (
-            {"objects": OBJECT, "frames": {"0": frame(1, cuboid(0, 0, 0, 9, 0, 0, 0, 1, 1, 1))}},
-            "val",
-            "length 1",
-        ),
+        ({"objects": OBJECT, "frames": {"0": frame(1, cuboid(1, 2))}}, VAL, "9 or 10"),
+        ({"objects": OBJECT, "frames": {"0": frame(1, cuboid(0, 0, 0, 9, 0, 0, 0, 1, 1, 1))}}, "val", "length 1"),
         ({"objects": OBJECT, "frames": {"0": frame("soon", {})}}, "timestamp", "soon"),
         ({"objects": {}, "frames": {"0": frame(1, {})}}, "frames.0.objects.1", "entry"),
         ({"objects": {"1": {"name": "x"}}}, "objects.1.type", "missing"),
         ({"objects": OBJECT, "frames": {"x": {}}}, "frames.x", "whole number"),
         ({"objects": OBJECT, "frames": {"0": frame(1, {"sphere": []})}}, "sphere", "a type of data out of"),
         ({"streams": {"c": {"type": "eye"}}}, "streams.c.type", "camera"),
-        (
-            {"coordinate_systems": {"a": {"parent": "b", "pose_wrt_parent": {"matrix4x4": [1] * 16}}}},
-            "matrix4x4",
-            "last row",
-        ),
-        (
-            {
-                "relations": {
-                    "0": {
-                        "name": "r",
-                        "type": "t",
-                        "rdf_subjects": [{"type": "object", "uid": "9"}],
-                        "rdf_objects": [],
-                    }
-                }
-            },
-            "rdf_subjects[0]",
-            "uid",
-        ),
+        ({"coordinate_systems": PLACED}, "matrix4x4", "last row"),
+        ({"relations": {"0": NO_SUBJECT}}, "rdf_subjects[0]", "uid"),
     ],
 )
 def test_what_is_wrong_is_reported_with_its_location(tmp_path, members, location, problem):

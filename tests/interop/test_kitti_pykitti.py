@@ -50,11 +50,7 @@ def drive():
 
 def run(python, program, *arguments):
     done = subprocess.run(
-        [python, "-c", program, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
+        [python, "-c", program, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=120
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

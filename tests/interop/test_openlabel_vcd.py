@@ -121,10 +121,7 @@ def drive():
     trajectory = Trajectory("pose", timestamps, rng.normal(scale=10, size=(3, 3)), rotations)
     values = np.concatenate([rng.uniform(1, 5, (3, 3)), rng.normal(size=(3, 3)), rng.uniform(-80, 80, (3, 3))], axis=1)
     box = CuboidAnnotation(
-        "car",
-        CuboidPath(timestamps, values),
-        "Car",
-        attributes=(AttributePath("speed", (1.0, 2.0, 3.0), timestamps),),
+        "car", CuboidPath(timestamps, values), "Car", attributes=(AttributePath("speed", (1.0, 2.0, 3.0), timestamps),)
     )
     flat = Box2DAnnotation("car 2", "top", BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]])), "Car")
     lane = ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(timestamps[:1], (rng.normal(size=(4, 3)),)))

@@ -90,11 +90,7 @@ def server(request):
     """A scheme, and the address of a server of its own, which ends with the tests."""
     pytest.importorskip(CLIENTS[request.param], reason=f"{CLIENTS[request.param]} of the extra `cloud` is not there")
     with subprocess.Popen(
-        command(request.param),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
+        command(request.param), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as running:
         address = next(found[1] for line in running.stdout if (found := re.search(r" (http://127\S+\d)", line)))
         yield request.param, address

@@ -12,25 +12,7 @@ from sceneloom.errors import SceneloomError
 from sceneloom.formats.openlabel.spec import FORMAT
 
 GOLDEN = Path(__file__).parents[1] / "interop" / "golden" / "openlabel_vcd.json"
-STRANGE = (
-    None,
-    0,
-    -1,
-    1e308,
-    2**70,
-    "",
-    "x",
-    [],
-    {},
-    True,
-    [1, 2],
-    {"a": 1},
-    1.5,
-    [None],
-    ["a"],
-    [[1]],
-    10**17,
-)
+STRANGE = (None, 0, -1, 1e308, 2**70, "", "x", [], {}, True, [1, 2], {"a": 1}, 1.5, [None], ["a"], [[1]], 10**17)
 
 
 def locations(value, location=()):
@@ -61,10 +43,7 @@ def test_parts_that_are_exchanged_give_a_scene_or_an_error_of_ours(tmp_path, see
     content = json.loads(GOLDEN.read_text())
     # what only we write besides, so that it is exchanged, too
     content["openlabel"]["metadata"]["sceneloom"] = {
-        "object": {
-            "0": {"id": "a", "stationary": True},
-            "1": {"id": 5, "shape": "polygon", "extras": {"b": 1}},
-        },
+        "object": {"0": {"id": "a", "stationary": True}, "1": {"id": 5, "shape": "polygon", "extras": {"b": 1}}},
         "event": {"0": {"id": "e", "start_ns": 5, "duration_ns": None}},
         "trajectory": "trajectory",
         "metadata": {"city": "x"},

@@ -54,11 +54,7 @@ def test_rotations_of_kitti_come_back_within_rounding(trajectory: Trajectory) ->
     assert angle_between(back.quaternions_xyzw, trajectory.quaternions_xyzw).max() < 1e-14
 
 
-@given(
-    timestamps=TIMESTAMPS,
-    data=st.data(),
-    given_accuracy=st.booleans(),
-)
+@given(timestamps=TIMESTAMPS, data=st.data(), given_accuracy=st.booleans())
 def test_fixes_come_back_number_for_number(timestamps: list[int], data: st.DataObject, given_accuracy: bool) -> None:
     count = len(timestamps)
     bounds = ((-90, 90), (-180, 180), (-1e4, 1e5))

@@ -105,12 +105,7 @@ class Future:
 
 def test_workers_elsewhere_find_files_that_are_named_from_the_folder_of_the_run(task, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    files = {
-        "boxes": (Path("a.jsonl"), Path("/b.jsonl")),
-        "rig": Path("in/rig.toml"),
-        "name": "a",
-        "more": None,
-    }
+    files = {"boxes": (Path("a.jsonl"), Path("/b.jsonl")), "rig": Path("in/rig.toml"), "name": "a", "more": None}
     client = Submitting()
     DaskCluster(client).submit(replace(task, location="in/a.sfs", options=files, files={"own": (Path("b"),)}))
     (sent,) = client.sent

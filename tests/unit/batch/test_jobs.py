@@ -22,8 +22,7 @@ def test_patterns_and_lists_give_each_drive_once(tmp_path):
         '# chosen\na.sfs\n\n{"path": "b.sfs", "start": 1.5, "stop": 3}\ns3://bucket/c.sfs\n'
     )
     found = find_inputs(
-        [str(tmp_path / "?.sfs"), str(tmp_path / "a.sfs"), str(tmp_path / "odd[1].sfs")],
-        [tmp_path / "more.jsonl"],
+        [str(tmp_path / "?.sfs"), str(tmp_path / "a.sfs"), str(tmp_path / "odd[1].sfs")], [tmp_path / "more.jsonl"]
     )
     names = [(drive.location.removeprefix(f"{tmp_path}/"), dict(drive.options)) for drive in found]
     assert names == [
@@ -41,10 +40,7 @@ def test_patterns_and_lists_give_each_drive_once(tmp_path):
         ('{"path": "a", "start": NaN}', "line 1: start nan; expected seconds"),
         ('{"path": "a", "stop": 1e999}', "stop inf; expected seconds"),
         ('{"path": "a", "start": -0.5}', "start -0.5; expected seconds from the beginning of the drive on"),
-        (
-            '{"path": "a", "reading": {"sequence": 3}}',
-            "reading {'sequence': 3}; expected options by their names",
-        ),
+        ('{"path": "a", "reading": {"sequence": 3}}', "reading {'sequence': 3}; expected options by their names"),
         ('{"path": "a", "stat": 3}', "line 1: 'stat'; expected path, start, stop and reading only"),
         ('{"path": ', "expected a path or an object"),
         pytest.param('{"path": ' + "[" * 100_000, "expected a path or an object", id="deep"),
@@ -84,10 +80,7 @@ def test_names_state_which_drive_it_was():
 
 
 @given(
-    st.lists(
-        st.lists(st.sampled_from(["a", "A", "b", "a.sfs", "ü", "..", "c d"]), min_size=1, max_size=4),
-        max_size=12,
-    )
+    st.lists(st.lists(st.sampled_from(["a", "A", "b", "a.sfs", "ü", "..", "c d"]), min_size=1, max_size=4), max_size=12)
 )
 def test_outputs_never_share_a_name(parts):
     locations = dict.fromkeys("/" + "/".join(part) for part in parts)
@@ -162,10 +155,7 @@ def test_placeholders_give_each_drive_its_own(made):
     assert alike == {}
     stated = {"from_times": Path("{folder}/times"), "boxes": (Path("{drive}.txt"), Path("far.txt"))}
     (given,), _ = give_files(drives[:1], stated, OPTIONS)
-    assert given.files == {
-        "from_times": Path("mon/times"),
-        "boxes": (Path("mon/cut.sfs.txt"), Path("far.txt")),
-    }
+    assert given.files == {"from_times": Path("mon/times"), "boxes": (Path("mon/cut.sfs.txt"), Path("far.txt"))}
     with pytest.raises(OptionError, match=r"s3://bucket/far.sfs is behind a URL.*expected \{name\} only"):
         give_files(drives[3:], stated, OPTIONS)
 
@@ -195,11 +185,7 @@ def test_lines_of_a_list_name_files_beside_it(made):
     found = find_inputs([], [Path("lists/all.jsonl")], files=OPTIONS)
     beside = {name: Path("lists", name) for name in ("b.txt", "c.txt", "t")}
     assert [dict(drive.files) for drive in found] == [
-        {
-            "boxes": (beside["b.txt"], beside["c.txt"]),
-            "from_times": beside["t"],
-            "detectors": "simulated",
-        },
+        {"boxes": (beside["b.txt"], beside["c.txt"]), "from_times": beside["t"], "detectors": "simulated"},
         {"boxes": (beside["c.txt"],), "detectors": beside["t"]},
         {},
     ]

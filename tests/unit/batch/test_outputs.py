@@ -78,13 +78,7 @@ def test_another_record_does_not_write_where_a_run_has_been(tmp_path, drives, jo
     with pytest.raises(OutputError, match=rf"holds the outputs of a run whose record is {tmp_path}/record on \S+"):
         run(job("copy", drives("b.sfs")), store, record=tmp_path / "other", executor=inline())
     with pytest.raises(OutputError, match="holds the record of a run with outputs in local://"):
-        run(
-            job("copy", drives("b.sfs")),
-            f"{store}deep",
-            record=tmp_path / "record",
-            executor=inline(),
-            resume=True,
-        )
+        run(job("copy", drives("b.sfs")), f"{store}deep", record=tmp_path / "record", executor=inline(), resume=True)
     assert objects(store) == {"a.txt": "a.sfs"}
 
 

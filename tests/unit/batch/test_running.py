@@ -50,8 +50,7 @@ def test_a_drive_that_fails_stops_no_other_and_is_reported_with_its_error(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "reported"),
-    [("crash", "ZeroDivisionError", "Traceback"), ("forget", "Missing", "without")],
+    ("name", "kind", "reported"), [("crash", "ZeroDivisionError", "Traceback"), ("forget", "Missing", "without")]
 )
 def test_faults_of_a_verb_are_failures_of_the_drive(tmp_path, drives, job, inline, name, kind, reported):
     assert run(job(name, drives("a.sfs")), tmp_path / "out", executor=inline()).failed == 1
@@ -273,12 +272,7 @@ def test_text_for_prometheus_has_a_type_for_each_figure_and_escaped_labels():
 
 def test_the_file_of_metrics_ends_with_what_the_run_ended_with(tmp_path, drives, job, inline):
     file = MetricsFile(tmp_path / "batch.prom")
-    run(
-        job("refuse", drives("a.sfs", "bad.sfs", "c.sfs")),
-        tmp_path / "out",
-        executor=inline(),
-        reported=file.reported,
-    )
+    run(job("refuse", drives("a.sfs", "bad.sfs", "c.sfs")), tmp_path / "out", executor=inline(), reported=file.reported)
     text = (tmp_path / "batch.prom").read_text()
     assert 'state="done"} 2' in text
     assert 'state="failed"} 1' in text

@@ -213,12 +213,7 @@ def test_a_run_whose_parent_is_killed_again_and_again_is_taken_up_to_the_same_ou
     quiet = batch(*words, tmp_path / "quiet")
     begun = time.monotonic()
     assert quiet.wait() == 0, quiet.stderr.read()
-    usual, generator, killed, out = (
-        time.monotonic() - begun,
-        random.Random(kills),
-        Counter(),
-        tmp_path / "out",
-    )
+    usual, generator, killed, out = (time.monotonic() - begun, random.Random(kills), Counter(), tmp_path / "out")
     while sum(killed.values()) < kills:
         going = batch(*words, out, *(("--resume",) if (out / FOLDER).exists() else ()))
         with suppress(subprocess.TimeoutExpired):

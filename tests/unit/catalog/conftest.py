@@ -8,15 +8,7 @@ import pytest
 
 import sceneloom
 from sceneloom.catalog import build
-from sceneloom.scene import (
-    AttributePath,
-    CuboidAnnotation,
-    CuboidPath,
-    GnssSensor,
-    OdometrySensor,
-    Poses,
-    Scene,
-)
+from sceneloom.scene import AttributePath, CuboidAnnotation, CuboidPath, GnssSensor, OdometrySensor, Poses, Scene
 
 ORIGIN = (48.0, 11.0, 500.0)
 

@@ -63,10 +63,7 @@ def test_scenes_share_parts_up_to_a_number_of_rows(copies, tmp_path, monkeypatch
     build(copies, folder)  # of 200, 200 and 40 frames
     counts = "SELECT path, count(*) FROM frames JOIN scenes USING (scene) GROUP BY path ORDER BY path"
     assert [count for _, count in query(folder, counts).rows] == [200, 200, 40]
-    assert [file.name for file in sorted(folder.glob("frames/*"))] == [
-        "part-00000.parquet",
-        "part-00001.parquet",
-    ]
+    assert [file.name for file in sorted(folder.glob("frames/*"))] == ["part-00000.parquet", "part-00001.parquet"]
     before = timestamps(folder)
     sceneloom.write(street(seconds=4), copies[1], overwrite=True)
     update(folder)
@@ -151,11 +148,7 @@ def test_drives_come_and_go(copies, tmp_path):
     folder = tmp_path / "catalogue"
     build(copies[:2], folder, checks="none")
     report = update(folder, copies)
-    assert (report.added, report.changed, report.unchanged) == (
-        (str(copies[2]),),
-        tuple(map(str, copies[:2])),
-        0,
-    )
+    assert (report.added, report.changed, report.unchanged) == ((str(copies[2]),), tuple(map(str, copies[:2])), 0)
     copies[0].unlink()
     assert update(folder).gone == (str(copies[0]),)
     assert update(folder).scenes == 3

@@ -404,13 +404,7 @@ def test_words_in_any_order_give_rows_or_are_refused(database, words):
 
 
 @patient
-@given(
-    wanted=selections,
-    show=st.sampled_from([*SHOWN]),
-    gap=numbers,
-    margin=numbers,
-    limit=st.none() | st.integers(),
-)
+@given(wanted=selections, show=st.sampled_from([*SHOWN]), gap=numbers, margin=numbers, limit=st.none() | st.integers())
 def test_any_filters_give_rows_or_are_refused(database, wanted, show, gap, margin, limit):
     try:
         sql, values = sql_of(Selection(**wanted), show=show, gap=gap, margin=margin)

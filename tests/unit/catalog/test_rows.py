@@ -137,7 +137,4 @@ def test_the_moments_of_a_drive_without_frames_are_the_timestamps_of_its_boxes(t
     rows = rows_of(tmp_path / "catalogue", "SELECT annotation, x FROM annotations ORDER BY timestamp_ns, track")
     assert rows[:1] == [("stands", 1.0)]
     assert rows[1:] == [(name, x) for goes in (0.0, 2.0, 6.0) for name, x in (("stands", 1.0), ("goes", goes))]
-    assert query(tmp_path / "catalogue", Selection(labels=("car",), count=2), gap=5.0).rows[0][3:] == (
-        3,
-        2,
-    )
+    assert query(tmp_path / "catalogue", Selection(labels=("car",), count=2), gap=5.0).rows[0][3:] == (3, 2)

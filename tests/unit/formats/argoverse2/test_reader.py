@@ -79,15 +79,7 @@ def write_log(log):
         sensor_name=list(MOUNTS),
         **poses([location for location, _ in MOUNTS.values()], [rotation for _, rotation in MOUNTS.values()]),
     )
-    camera_model = {
-        "fx_px": 60.0,
-        "fy_px": 61.0,
-        "cx_px": 31.0,
-        "cy_px": 24.0,
-        "k1": -0.24,
-        "k2": -0.2,
-        "k3": 0.3,
-    }
+    camera_model = {"fx_px": 60.0, "fy_px": 61.0, "cx_px": 31.0, "cy_px": 24.0, "k1": -0.24, "k2": -0.2, "k3": 0.3}
     table(
         log / "calibration" / "intrinsics.feather",
         sensor_name=["ring_front_center"],
@@ -125,10 +117,7 @@ def log(tmp_path):
 def test_points_of_both_lidars_are_distinguished_by_their_lasers(log):
     scene = sceneloom.open(log)
     rows = sweep(1)
-    for sensor_id, chosen in (
-        ("up_lidar", rows["laser_number"] < 32),
-        ("down_lidar", rows["laser_number"] >= 32),
-    ):
+    for sensor_id, chosen in (("up_lidar", rows["laser_number"] < 32), ("down_lidar", rows["laser_number"] >= 32)):
         lidar = scene.sensor(sensor_id)
         points = lidar.frames[1].points
         assert lidar.points_frame == "ego"
@@ -231,29 +220,17 @@ MOUNTINGS, CAMERA_MODELS = "calibration/egovehicle_SE3_sensor.feather", "calibra
 FAULTS = {
     "no poses": (without("city_SE3_egovehicle.feather"), "city_SE3_egovehicle.feather: is not there"),
     "no mountings": (without(MOUNTINGS), "egovehicle_SE3_sensor.feather: is not there"),
-    "no camera models": (
-        without(CAMERA_MODELS),
-        "is not there; expected the camera models of ring_front_center",
-    ),
+    "no camera models": (without(CAMERA_MODELS), "is not there; expected the camera models of ring_front_center"),
     "a camera model of another camera": (
         changed(CAMERA_MODELS, sensor_name=["x"]),
         "no camera 'ring_front_center'; it has x",
     ),
     "poses cut off": (cut("city_SE3_egovehicle.feather"), "is no whole feather file"),
     "no heights": (changed("annotations.feather", height_m=None), "no column height_m; it has timestamp_ns"),
-    "texts for numbers": (
-        changed("annotations.feather", length_m=["a"] * 3),
-        "length_m: values of type string",
-    ),
+    "texts for numbers": (changed("annotations.feather", length_m=["a"] * 3), "length_m: values of type string"),
     "a gap": (changed("annotations.feather", length_m=[1.0, None, 1.0]), "length_m: 1 values are missing"),
-    "no size": (
-        changed("annotations.feather", width_m=[1.0, 0.0, 1.0]),
-        r"row 1: length_m, width_m, height_m",
-    ),
-    "no rotation": (
-        changed("annotations.feather", qx=[0.0, 3.0, 0.0]),
-        r"row 1: qx, qy, qz, qw: .*expected 1",
-    ),
+    "no size": (changed("annotations.feather", width_m=[1.0, 0.0, 1.0]), r"row 1: length_m, width_m, height_m"),
+    "no rotation": (changed("annotations.feather", qx=[0.0, 3.0, 0.0]), r"row 1: qx, qy, qz, qw: .*expected 1"),
     "not finite": (changed("annotations.feather", tx_m=[0.0, 0.0, np.inf]), "tx_m: row 2 is not finite"),
     "boxes long ago": (
         changed("annotations.feather", timestamp_ns=[FIRST_NS, 5, FIRST_NS]),
@@ -327,9 +304,7 @@ def test_without_pyarrow_the_extra_is_named(log, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "gone",
-    [(MOUNTINGS,), (CAMERA_MODELS,), (MOUNTINGS, CAMERA_MODELS)],
-    ids=["mountings", "camera_models", "both"],
+    "gone", [(MOUNTINGS,), (CAMERA_MODELS,), (MOUNTINGS, CAMERA_MODELS)], ids=["mountings", "camera_models", "both"]
 )
 @pytest.mark.parametrize("how", [without, cut], ids=["missing", "cut"])
 def test_a_lenient_reading_does_without_calibration(log, gone, how):

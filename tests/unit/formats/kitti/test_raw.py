@@ -55,8 +55,7 @@ TRACKLETS = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>
 </poses><finished>1</finished></item></tracklets></boost_serialization>
 """
 SWEEP = np.array(
-    [[-9, -0.001, 0, 0.1], [0, -5, 1, 0.25], [8, 0, -1, 0.5], [0, 6, 1, 0.75], [-7, 0.001, 0, 1.0]],
-    np.float32,
+    [[-9, -0.001, 0, 0.1], [0, -5, 1, 0.25], [8, 0, -1, 0.5], [0, 6, 1, 0.75], [-7, 0.001, 0, 1.0]], np.float32
 )
 """Behind on the right, right, ahead, left, behind on the left: in the order in which the scanner rotates."""
 
@@ -263,10 +262,7 @@ def test_several_drives_are_listed_and_one_can_be_chosen(raw_folder):
         ({"DRIVE/image_02/timestamps.txt": "noon\nnight\n"}, "line 1: 'noon'; expected a number, or a date"),
         ({"DRIVE/image_02/timestamps.txt": "2011-09-26 13:02:25.5\n"}, "2 files up to number 1 for 1 times"),
         ({"DRIVE/oxts/data/0000000000.txt": "1 2 3\n"}, "line 1: 3 values; expected 30"),
-        (
-            {"DRIVE/velodyne_points/timestamps_end.txt": "2011-09-26 13:02:25.5\n"},
-            "1 times for 2 of timestamps",
-        ),
+        ({"DRIVE/velodyne_points/timestamps_end.txt": "2011-09-26 13:02:25.5\n"}, "1 times for 2 of timestamps"),
         ({"DRIVE/tracklet_labels.xml": "<a>"}, "is no XML"),
         ({"DRIVE/tracklet_labels.xml": "<a/>"}, "holds no `tracklets`"),
         ({"DRIVE/tracklet_labels.xml": "<!DOCTYPE a [<!ENTITY b 'c'>]><a/>"}, "declares entities"),
@@ -348,8 +344,7 @@ def test_a_changed_camera_model_makes_new_calibration_files(raw_folder, tmp_path
     camera = scene.sensor("camera2")
     camera_model = replace(camera.camera, fx=49.0)
     changed = replace(
-        scene,
-        sensors=tuple(replace(s, camera=camera_model) if s.id == "camera2" else s for s in scene.sensors),
+        scene, sensors=tuple(replace(s, camera=camera_model) if s.id == "camera2" else s for s in scene.sensors)
     )
     write_scene(changed, tmp_path / "out", format="kitti-raw")
     again = open_scene(tmp_path / "out").sensor("camera2")

@@ -116,11 +116,7 @@ def test_frames_are_ten_a_second_and_as_many_as_lines_of_oxts(tracking_folder):
 def test_boxes_of_images_are_counted_from_the_images_corner(tracking_folder):
     boxes = sequence(tracking_folder()).boxes_2d(0)
     assert boxes.corners_xyxy.tolist() == [[10.5, 20.5, 110.5, 220.5]]
-    assert (boxes.scores.tolist(), boxes.labels, boxes.score_form) == (
-        [0.75],
-        ("Car",),
-        ScoreForm.PROBABILITY,
-    )
+    assert (boxes.scores.tolist(), boxes.labels, boxes.score_form) == ([0.75], ("Car",), ScoreForm.PROBABILITY)
 
 
 def test_boxes_of_sweeps_stand_in_the_lidars_frame_with_their_middles(tracking_folder):
@@ -137,11 +133,7 @@ def test_boxes_of_sweeps_stand_in_the_lidars_frame_with_their_middles(tracking_f
 
 def test_a_frame_in_which_nothing_was_found_has_no_boxes(tracking_folder):
     found = sequence(tracking_folder())
-    assert (len(found.boxes_2d(1)), len(found.boxes_3d(1)), found.boxes_3d(3).timestamp_ns) == (
-        0,
-        0,
-        300_000_000,
-    )
+    assert (len(found.boxes_2d(1)), len(found.boxes_3d(1)), found.boxes_3d(3).timestamp_ns) == (0, 0, 300_000_000)
 
 
 def test_the_fourth_column_of_the_projection_is_a_shift_of_the_camera(tracking_folder):
@@ -152,10 +144,9 @@ def test_the_fourth_column_of_the_projection_is_a_shift_of_the_camera(tracking_f
     # the oracle is the projection as KITTI writes it: P2 R_rect Tr_velo_cam of the homogeneous point
     rectified = np.array([-point[1], -point[2] - 0.1, point[0] - 0.3, 1.0])
     u, v, w = np.array([[707.0493, 0, 600, 35], [0, 707.0493, 180, 0.7], [0, 0, 1, 0]]) @ rectified
-    assert (
-        camera_model.fx * x / z + camera_model.cx,
-        camera_model.fy * y / z + camera_model.cy,
-    ) == pytest.approx((u / w, v / w), abs=1e-9)
+    assert (camera_model.fx * x / z + camera_model.cx, camera_model.fy * y / z + camera_model.cy) == pytest.approx(
+        (u / w, v / w), abs=1e-9
+    )
 
 
 def test_both_spellings_of_a_calibration_mean_the_same(tracking_folder, spellings):
@@ -176,10 +167,7 @@ def test_the_trajectory_rotates_counter_clockwise_from_east(tracking_folder):
     [
         ({"oxts__0007": None}, "no-oxts"),
         ({"oxts__0007": ""}, "no-oxts"),
-        (
-            {"det2d_a__Pedestrian__0007": None, "det2d_a__Car__0007": None, "det2d_a__Car__0009": ""},
-            "no-detections",
-        ),
+        ({"det2d_a__Pedestrian__0007": None, "det2d_a__Car__0007": None, "det2d_a__Car__0009": ""}, "no-detections"),
         ({"det3d_b__Pedestrian__0007": None, "det3d_b__Pedestrian__0009": ""}, "no-detections"),
     ],
 )
@@ -199,10 +187,7 @@ def test_without_any_detector_of_images_there_are_none(tracking_folder):
 
 def test_a_folder_without_any_detector_is_refused(tracking_folder):
     folder = tracking_folder(
-        det2d_a__Car__0007=None,
-        det2d_a__Pedestrian__0007=None,
-        det3d_b__Car__0007=None,
-        det3d_b__Pedestrian__0007=None,
+        det2d_a__Car__0007=None, det2d_a__Pedestrian__0007=None, det3d_b__Car__0007=None, det3d_b__Pedestrian__0007=None
     )
     with pytest.raises(DataError, match="no folder det2d_NAME or det3d_NAME; expected one"):
         open_tracking_folder(folder)
@@ -255,19 +240,11 @@ GOOD_3D = "2,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2"
         ("det2d_a__Car__0007", "0,1,1,2,2,0.5\n0,car,2,3,4,0.5\n", "line 2: x1 'car'; expected a number"),
         ("det2d_a__Car__0007", "0,1,1,2,nan,0.5\n", "line 1: y2 'nan'"),
         ("det2d_a__Car__0007", "0,1,1,2,1e999,0.5\n", "line 1: y2 '1e999'"),
-        (
-            "det2d_a__Car__0007",
-            "-1,1,1,2,2,0.5\n",
-            "line 1: frame '-1'; expected a whole number from 0 to 999999",
-        ),
+        ("det2d_a__Car__0007", "-1,1,1,2,2,0.5\n", "line 1: frame '-1'; expected a whole number from 0 to 999999"),
         ("det2d_a__Car__0007", "1e8,1,1,2,2,0.5\n", "line 1: frame '1e8'"),
         ("det2d_a__Car__0007", "0.5,1,1,2,2,0.5\n", "line 1: frame '0.5'"),
         ("det2d_a__Car__0007", "0,1,1,2,2,7.5\n", "line 1: score 7.5; expected a probability"),
-        (
-            "det3d_b__Car__0007",
-            GOOD_3D.replace("1.5,1.6", "1.5,-1.6"),
-            "line 1: w -1.6; expected a size above 0",
-        ),
+        ("det3d_b__Car__0007", GOOD_3D.replace("1.5,1.6", "1.5,-1.6"), "line 1: w -1.6; expected a size above 0"),
         ("det3d_b__Car__0007", GOOD_3D.replace("2,2,0", "2,1,0"), "line 1: type 1 in the folder Car"),
         ("det3d_b__Car__0007", f"{GOOD_3D},1", "line 1: 16 values; expected 15"),
         ("oxts__0007", "49 8 110\n", "line 1: 3 values; expected 30"),
@@ -351,12 +328,7 @@ def test_images_report_their_size_else_the_focal_length_else_the_camera_model(tr
 
 def test_times_of_frames_are_taken_where_there_are(tracking_folder):
     folder = tracking_folder(times__0007="5.0\n5.1\n5.25\n5.3\n")
-    assert sequence(folder).timestamps_ns.tolist() == [
-        5_000_000_000,
-        5_100_000_000,
-        5_250_000_000,
-        5_300_000_000,
-    ]
+    assert sequence(folder).timestamps_ns.tolist() == [5_000_000_000, 5_100_000_000, 5_250_000_000, 5_300_000_000]
     with pytest.raises(DataError, match="3 times for 4 frames"):
         sequence(tracking_folder(times__0007="5.0\n5.1\n5.25\n"))
     with pytest.raises(DataError, match="line 2: is not later"):

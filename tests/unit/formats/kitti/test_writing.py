@@ -12,14 +12,7 @@ from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.base.losses import Support
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import rotate_vectors
-from sceneloom.scene import (
-    CuboidAnnotation,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LazyFrames,
-    PointsFrame,
-    Scene,
-)
+from sceneloom.scene import CuboidAnnotation, LabeledPoints, LabeledPointsAnnotation, LazyFrames, PointsFrame, Scene
 from sceneloom.scene.annotations_at import cuboid_poses
 from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import CameraSpec, GnssSpec, ImuSpec, LidarSpec, camera_mount, simulate_street
@@ -249,9 +242,7 @@ def test_points_without_a_location_are_left_out_of_files_of_bare_numbers(drive, 
     holes = replace(lidar, frames=LazyFrames.of(frames, lidar.frames.timestamps_ns))
     road = LabeledPoints(lidar.id, np.arange(8, dtype=np.uint32), 0)
     scene = replace(
-        drive,
-        sensors=(holes, *drive.cameras),
-        annotations=(LabeledPointsAnnotation("r", (road,), label="road"),),
+        drive, sensors=(holes, *drive.cameras), annotations=(LabeledPointsAnnotation("r", (road,), label="road"),)
     )
     losses = write_scene(scene, tmp_path / "out", format=name)
     assert any("not finite" in loss.what and loss.count == len(locations[::4]) for loss in losses)

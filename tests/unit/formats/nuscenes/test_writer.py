@@ -161,7 +161,7 @@ def test_samples_are_two_a_second_unless_somebody_says_otherwise(tmp_path):
     assert [row["timestamp"] for row in tables["sample"]] == [5_000_000, 5_500_000, 6_000_000]
     keys = [row for row in tables["sample_data"] if row["is_key_frame"]]
     assert sorted(row["timestamp"] for row in keys) == [
-        *(5_000_000, 5_020_000, 5_500_000, 5_520_000, 6_000_000, 6_020_000),
+        *(5_000_000, 5_020_000, 5_500_000, 5_520_000, 6_000_000, 6_020_000)
     ]
     # what lies between samples belongs to the one that follows
     sweep = next(row for row in tables["sample_data"] if row["timestamp"] == 5_100_000)
@@ -179,11 +179,7 @@ def test_points_stay_where_they_are_in_the_world(tmp_path, points_frame):
     assert again.id == "lid ar/1"
     k = 4
     lidar, ego = scene.lidars[0], RigidTransform(np.eye(3), np.array([4.0, 0.0, 0.0]))
-    into_world = {
-        "sensor": ego @ lidar.mount,
-        "ego": ego,
-        "world": RigidTransform.identity(),
-    }[points_frame]
+    into_world = {"sensor": ego @ lidar.mount, "ego": ego, "world": RigidTransform.identity()}[points_frame]
     expected = into_world.apply(lidar.frames[k].points.positions)
     pose = RigidTransform.from_quaternion(again.poses.positions[k], again.poses.quaternions_xyzw[k])
     found = pose.apply(again.frames[k].points.positions)
@@ -216,7 +212,7 @@ def test_boxes_are_reported_at_the_samples_and_between_timestamps_of_their_paths
     assert np.allclose(rotation.as_euler("ZYX", degrees=True), [25, 0, 0])
     levels = {row["token"]: row["level"] for row in tables["visibility"]}
     assert [levels.get(row["visibility_token"]) for row in tables["sample_annotation"][:3]] == [
-        *("v40-60", "v40-60", None),
+        *("v40-60", "v40-60", None)
     ]
     names = {row["token"]: row["name"] for row in tables["category"]}
     assert [names[row["category_token"]] for row in tables["instance"]] == ["unknown", "car"]
@@ -361,11 +357,7 @@ def looking(camera, name, degrees, pitch=0.0):
 
 
 def with_sensors(scene, *, lidars=("lidar",), cameras=()):
-    return replace(
-        scene,
-        annotations=(),
-        sensors=(*(replace(scene.lidars[0], id=name) for name in lidars), *cameras),
-    )
+    return replace(scene, annotations=(), sensors=(*(replace(scene.lidars[0], id=name) for name in lidars), *cameras))
 
 
 def channels(scene, folder, **options):
@@ -407,10 +399,7 @@ def test_a_name_that_a_sensor_has_is_given_to_no_other(scene, tmp_path):
     cameras = [looking(camera, "CAM_FRONT", 180), looking(camera, "ahead", 0), looking(camera, "behind", 180)]
     drive = with_sensors(scene, lidars=("first", "LIDAR_TOP"), cameras=cameras)
     found = channels(drive, tmp_path / "out", channel=["ahead=CAM_BACK"])
-    assert found == {
-        **{name: name for name in ("first", "LIDAR_TOP", "CAM_FRONT", "behind")},
-        "ahead": "CAM_BACK",
-    }
+    assert found == {**{name: name for name in ("first", "LIDAR_TOP", "CAM_FRONT", "behind")}, "ahead": "CAM_BACK"}
 
 
 def test_ids_of_sensors_that_are_not_unique_give_way_to_the_channels(scene, tmp_path):

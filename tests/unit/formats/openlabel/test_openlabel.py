@@ -79,11 +79,7 @@ def there_and_back(tmp_path, one):
 
 def test_boxes_come_back_with_times_classes_and_attributes(tmp_path):
     values = np.array(
-        [
-            [4, 2, 1.5, 10, 20, 1, 5, -10, 30],
-            [4, 2, 1.5, 11, 20, 1, 0, 0, 95],
-            [4, 2, 1.5, 12, 21, 1, 0, 0, -120.0],
-        ]
+        [[4, 2, 1.5, 10, 20, 1, 5, -10, 30], [4, 2, 1.5, 11, 20, 1, 0, 0, 95], [4, 2, 1.5, 12, 21, 1, 0, 0, -120.0]]
     )
     attributes = (
         AttributePath("speed", (1.0, 2, 2.5), TIMES),
@@ -203,10 +199,7 @@ def one_thing():
     )
     yield PointsAnnotation("joints", joints, ("head",), pixels, parent_id="cuboid")
     yield LabeledPointsAnnotation(
-        "own points",
-        (LabeledPoints("top", np.array([3], np.uint32), 1, {"e": 1}),),
-        "Car",
-        parent_id="thing",
+        "own points", (LabeledPoints("top", np.array([3], np.uint32), 1, {"e": 1}),), "Car", parent_id="thing"
     )
     yield CuboidAnnotation("trailer", CuboidPath(ENDS, ROWS), "Trailer", parent_id="thing")
     yield EventAnnotation("brakes", T0, 100_000_000, "Braking")
@@ -286,12 +279,7 @@ def test_what_others_change_of_a_thing_is_read(thing, tmp_path):
 
 
 def test_what_we_state_of_parts_and_is_wrong_is_refused_with_its_location(thing, tmp_path):
-    for name, value in (
-        ("data", 5),
-        ("own", [[1]]),
-        ("projections", [{}]),
-        ("activations", [{"sensor_id": 1}]),
-    ):
+    for name, value in (("data", 5), ("own", [[1]]), ("projections", [{}]), ("activations", [{"sensor_id": 1}])):
         written = json.loads(json.dumps(thing[2]))
         fields = next(iter(written["metadata"]["sceneloom"]["object"].values()))
         fields["parts"][0][name] = value

@@ -63,13 +63,7 @@ def test_what_a_pickle_asks_to_be_called_is_not_called(tmp_path, protocol):
 
 @pytest.mark.parametrize(
     ("module", "name"),
-    [
-        ("builtins", "eval"),
-        ("os", "system"),
-        ("numpy", "load"),
-        ("pandas", "eval"),
-        ("pandas.io.common", "os.system"),
-    ],
+    [("builtins", "eval"), ("os", "system"), ("numpy", "load"), ("pandas", "eval"), ("pandas.io.common", "os.system")],
 )
 def test_names_beside_those_of_frames_are_refused(tmp_path, module, name):
     program = b"\x80\x04" + b"".join(b"\x8c" + bytes([len(word)]) + word for word in (module.encode(), name.encode()))

@@ -49,11 +49,7 @@ def put(path, thing):
 
 
 def write_drive(drive, frames=FRAMES):
-    for kind, folder in (
-        ("lidar", "lidar"),
-        ("cuboids", "annotations/cuboids"),
-        ("semseg", "annotations/semseg"),
-    ):
+    for kind, folder in (("lidar", "lidar"), ("cuboids", "annotations/cuboids"), ("semseg", "annotations/semseg")):
         (drive / folder).mkdir(parents=True)
         for k in range(2):
             shutil.copy(frames / f"{kind}_{k}.pkl.gz", drive / folder / f"{k:02d}.pkl.gz")
@@ -202,18 +198,9 @@ def replaced(name, thing):
 
 FAULTS = {
     "no poses": (lambda d: (d / "lidar/poses.json").unlink(), "lidar/poses.json: is not there"),
-    "no times": (
-        lambda d: (d / "camera/front_camera/timestamps.json").unlink(),
-        "timestamps.json: is not there",
-    ),
-    "too few times": (
-        replaced("lidar/timestamps.json", [FIRST_S]),
-        "1 times; expected 2, one for each frame",
-    ),
-    "times backwards": (
-        replaced("lidar/timestamps.json", [2.0, 1.0]),
-        r"\[1\]: 1.0 after 2.0; expected later",
-    ),
+    "no times": (lambda d: (d / "camera/front_camera/timestamps.json").unlink(), "timestamps.json: is not there"),
+    "too few times": (replaced("lidar/timestamps.json", [FIRST_S]), "1 times; expected 2, one for each frame"),
+    "times backwards": (replaced("lidar/timestamps.json", [2.0, 1.0]), r"\[1\]: 1.0 after 2.0; expected later"),
     "milliseconds": (replaced("lidar/timestamps.json", [1.5e12, 1.6e12]), "expected seconds"),
     "too few poses": (replaced("lidar/poses.json", poses(lidar_pose, 1)), "1 poses; expected 2"),
     "a pose without a heading": (
@@ -222,8 +209,7 @@ FAULTS = {
     ),
     "a heading that is none": (
         replaced(
-            "lidar/poses.json",
-            [{**poses(lidar_pose)[0], "heading": {"w": 2.0, "x": 0.0, "y": 0.0, "z": 0.0}}] * 2,
+            "lidar/poses.json", [{**poses(lidar_pose)[0], "heading": {"w": 2.0, "x": 0.0, "y": 0.0, "z": 0.0}}] * 2
         ),
         r"\[0\].heading: w, x, y, z = \[2.0, 0.0, 0.0, 0.0\]; expected length 1",
     ),
@@ -252,10 +238,7 @@ FAULTS = {
         lambda d: (d / "annotations/cuboids/00.pkl.gz").write_bytes((FRAMES / "cuboids_0.pkl.gz").read_bytes()[:200]),
         "cuboids/00.pkl.gz: is no whole gzip file",
     ),
-    "no classes": (
-        lambda d: (d / "annotations/semseg/classes.json").unlink(),
-        "semseg/classes.json: is not there",
-    ),
+    "no classes": (lambda d: (d / "annotations/semseg/classes.json").unlink(), "semseg/classes.json: is not there"),
 }
 
 

@@ -163,16 +163,7 @@ def test_verbs_write_to_stores(memory, drive):
     assert "exists already" in str(again.exception)
     done = CliRunner().invoke(
         program,
-        [
-            "edit",
-            "thin",
-            "memory://bucket/copy.sfs",
-            "-o",
-            "memory://bucket/thin.sfs",
-            "--every",
-            "2",
-            "--json",
-        ],
+        ["edit", "thin", "memory://bucket/copy.sfs", "-o", "memory://bucket/thin.sfs", "--every", "2", "--json"],
     )
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["output"] == "memory://bucket/thin.sfs"

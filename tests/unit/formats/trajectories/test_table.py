@@ -87,11 +87,7 @@ def test_a_euroc_file_is_written_with_all_that_was_read(tmp_path: Path) -> None:
 def test_what_a_form_cannot_hold_is_reported(tmp_path: Path) -> None:
     content = read_trajectory_file(put(tmp_path, "data.csv", EUROC))
     losses = write_trajectory(content, tmp_path / "trajectory.tum")
-    assert [loss.field.split(".")[-1] for loss in losses] == [
-        "velocities",
-        "gyroscope_biases",
-        "accelerometer_biases",
-    ]
+    assert [loss.field.split(".")[-1] for loss in losses] == ["velocities", "gyroscope_biases", "accelerometer_biases"]
 
 
 def test_kitti_poses_get_their_times_from_a_file_a_rate_or_the_folder(tmp_path: Path) -> None:
@@ -239,11 +235,7 @@ BAD = [
     ("kitti", "1 0 0 0 0 1 0 0 0 0 1\n", "line 1: 11 values; expected 12"),
     ("euroc", "5,1,2,3,1,0,0\n", "line 1: 7 values; expected 4, 8, 11, 14, 17"),
     ("gnss", "time,lat,lon,alt\n1,95,8,3\n", "line 2: latitude 95.0, .*within ±90"),
-    (
-        "gnss",
-        "time,lat,lon,alt,accuracy\n1,45,8,3,bad\n",
-        "line 2: accuracy: 'bad'; expected metres, or nothing",
-    ),
+    ("gnss", "time,lat,lon,alt,accuracy\n1,45,8,3,bad\n", "line 2: accuracy: 'bad'; expected metres, or nothing"),
     ("gnss", "time,lat,alt\n1,95,8\n", "line 1: no column for longitude among time, lat, alt"),
     ("gnss", "time,lat,lon,alt\n", "holds no fixes"),
     ("csv", "t,x,y,z,qx\n1,1,2,3,0\n", "line 1: no column for qy, qz, qw"),
@@ -341,11 +333,7 @@ def test_fixes_before_reception_are_no_origin(tmp_path: Path) -> None:
 
 
 def test_fixes_are_taken_out_of_a_log_that_lies_by_itself(tmp_path: Path) -> None:
-    path = put(
-        tmp_path,
-        "log.jsonl",
-        JSONL + '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n',
-    )
+    path = put(tmp_path, "log.jsonl", JSONL + '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n')
     assert read_trajectory(f"{path}:fixes").timestamps_ns.tolist() == [1403636581 * 10**9]
     assert read_trajectory(f"{path}:vio").positions[0, 0] == 9.0
 

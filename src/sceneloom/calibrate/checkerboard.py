@@ -35,7 +35,6 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
 
 _TEXT = re.compile(r"(\d+)x(\d+):([\d.]+)(?::([\d.]+)x([\d.]+))?")
-
 _SMOOTHED_PX, _SHARE, _MOST_SADDLES, _SEEDS = 1.5, 0.08, 2000, 80
 """Saddles weaker than this share of the strong ones are left out."""
 
@@ -46,7 +45,6 @@ _TOLERANCE, _NEIGHBOURS = 0.3, 9
 """A corner lies within this part of a step from where the grid goes on."""
 
 _CELL, _REACH, _LEAST_POINTS, _FLATNESS, _SIZE_SHARE, _GROUND_M = 0.12, 15.0, 40, 0.03, 0.3, 0.15
-
 _LEAST_VIEWS, _LEAST_ROTATION = 3, np.radians(10.0)
 _PLANE_SIGMA, _MIDDLE_SIGMA = 0.01, 0.02
 """Errors of a board's plane, and of its extent as scan lines show it [m]: about a third of the gap between two."""

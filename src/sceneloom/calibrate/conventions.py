@@ -98,7 +98,6 @@ _TRANSLATIONS = ("translation", "position", "t", "T", "trans", "xyz")
 _ROTATIONS = ("rotation", "heading", "quaternion", "orientation", "R", "r", "q", "rpy", "rot")
 _MOST_FOUND = 1_000
 _BLANKS = str.maketrans(",[]", "   ")
-
 Score = Callable[[Float64Array], float]
 """How clearly points fit the images under a (4, 4) `camera_from_points`, in standard deviations."""
 

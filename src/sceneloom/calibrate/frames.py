@@ -29,13 +29,11 @@ LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 """Weights of red, green and blue in brightness."""
 
 _LEAST_LINES, _MOST_LINES, _LEAST_POINTS, _MOST_PEAKS = 4, 512, 64, 160
-
 _ORDERED_SHARE = 0.95
 """Of the steps in the order of a file that goes along its lines, so many rotate the same way."""
 
 _JITTER = np.radians(5.0)
 _BIN, _PEAKED_SHARE, _PEAKED_BINS, _FEW_SHARE = np.radians(0.02), 0.9, 0.35, 0.1
-
 _LEVEL_SHARE = 0.25
 """A line's elevations deviate by less than this part of the angle to the next line."""
 
@@ -225,10 +223,7 @@ class CalibrationFrame:
 
 
 def calibration_frames(
-    scene: Scene,
-    camera_id: Identifier | None = None,
-    lidar_id: Identifier | None = None,
-    most: int = MOST,
+    scene: Scene, camera_id: Identifier | None = None, lidar_id: Identifier | None = None, most: int = MOST
 ) -> tuple[CalibrationFrame, ...]:
     """Gather frames spread over a drive: images of a camera, each with the sweep nearest in time.
 
@@ -250,11 +245,7 @@ def calibration_frames(
     camera, lidar = chosen_camera(scene, camera_id), chosen_lidar(scene, lidar_id)
     drive = _Drive(scene, camera, lidar)
     samples = scene.samples(
-        reference=camera.id,
-        cameras=camera.id,
-        depth_cameras=(),
-        lidars=lidar.id,
-        trajectory=drive.ego,
+        reference=camera.id, cameras=camera.id, depth_cameras=(), lidars=lidar.id, trajectory=drive.ego
     )
     found = []
     for row in spread_rows(len(camera.images), most):

@@ -76,17 +76,14 @@ _GROUPS: dict[str, tuple[Parameter, ...]] = {
 """Parameters that are searched together with the rotation, by the part that the verdict is about."""
 
 _FINE, _WIDE = (EDGES, INFORMATION), MEASURES
-
 _FAR_LOOKS, _FAR_DEG = 48, (2.5, 6.0)
 """Rotations so far away that images and clouds agree by nothing but chance."""
 
 _REPLICATES, _SEED, _NO_DEVIATION = 100, 0, 1e-6
-
 _WIDE_RADII, _FINE_RADII = (20.0, 11.0, 6.0, 3.5), (2.4, 1.6)
 """Balls of rotations that are searched, one after another [units of a quarter degree]."""
 
 _NEAR_RADII, _FAR_RADII = (4.0, 2.0), (10.0, 5.0, 2.0)
-
 _MANY, _MANY_RADIUS, _PROMISING = 150, 7.0, 3
 """So many rotations up to so far are scored, and so many followed up: peaks are narrower than wide balls show."""
 
@@ -94,13 +91,11 @@ _FINE_FROM, _ROUGH_FROM = 4.0, 3.0
 """In wider balls the coarse measures count, too; in wider balls some of the features show where to look next."""
 
 _PROBES, _LOOKS_PER_COEFFICIENT, _FARTHEST_DEG = 3000, (4.0, 2.5), 6.0
-
 _DISTINCT = 4.5
 """Deviations above chance from which on images and sweeps agree; the best of some hundred chances reaches 3.3."""
 
 _OWN_VIEW_M, _OWN_VIEW_DEG = 4.0, 15.0
 _LEAST_SEEN, _LEAST_EDGES = 200, 60
-
 _PLAIN = 0.9
 """Images of which more shows nothing are dark, covered or fogged."""
 
@@ -124,7 +119,6 @@ _MOSTLY = 0.5
 """A rotation of which more than this share is about the optical axis does not come from the principal point."""
 
 _LEAST_STEPS, _LEAST_ROTATION_DEG, _BLOCKS, _ROUNDS = 20, 8.0, 10, 15
-
 _LEAST_AGREEING, _LEAST_IMAGES, _ABOVE_CHANCE = 40, 10, 2.0
 """So many couples must agree, in so many images, and so many times as many as about other rotations: boxes of other
 images reach 35, and less than twice as many."""

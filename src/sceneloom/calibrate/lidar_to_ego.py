@@ -39,7 +39,6 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
 
 _LEAST_MOTIONS, _STEPS = 6, 30
-
 _LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Seconds from one pose to the other of a pair: long ones rotate far, short ones have not drifted."""
 
@@ -125,11 +124,7 @@ class LidarToEgo:
 
 
 def lidar_to_ego(
-    scene: Scene,
-    lidar_id: Identifier | None = None,
-    *,
-    trajectory: str | None = None,
-    progress: Progress | None = None,
+    scene: Scene, lidar_id: Identifier | None = None, *, trajectory: str | None = None, progress: Progress | None = None
 ) -> LidarToEgo:
     """Estimate `ego_from_lidar` by hand-eye calibration of the lidar's odometry against a trajectory of the ego.
 

@@ -26,7 +26,6 @@ _HEADINGS, _FIRST_REACHES, _REACHES = 24, (4.0, 1.5), (2.0, 1.0, 0.5)
 """Points farther apart than this [m] do not match, from the first round to the last."""
 
 _LEAST_OVERLAP, _LEAST_POINTS, _NEAREST, _FARTHEST = 0.15, 300, 1.0, 80.0
-
 _SYSTEMATIC = np.array([*np.full(3, np.radians(0.02)), *np.full(3, 0.005)])
 """Errors that all frames may share [rad], [m]: surfaces that are thinned on both sides."""
 

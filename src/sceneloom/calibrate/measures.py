@@ -51,7 +51,6 @@ class Parameter(IntEnum):
 COUNT = len(Parameter)
 ROTATION = (Parameter.PITCH, Parameter.YAW, Parameter.ROLL)
 TRANSLATION = (Parameter.RIGHT, Parameter.DOWN, Parameter.AHEAD)
-
 UNITS = np.array([*(np.radians(0.25),) * 3, 0.05, 0.05, 0.05, 0.01, 0.02])
 """Comparable steps of each: 0.25 degrees, 5 cm, 1 % of the focal length, 20 ms."""
 
@@ -63,7 +62,6 @@ MEASURES = (EDGES, _EDGES_COARSE, INFORMATION)
 """The measures; of all of them more is better."""
 
 _WIDTHS = {EDGES: "fine", _EDGES_COARSE: "coarse"}
-
 _LEVELS, _LEVEL_STEPS = 24, 16
 """Grey levels and intensities are distinguished by so many; parts of a grey level that are distinguished."""
 
@@ -71,7 +69,6 @@ _PIXELS_PER_RADIAN = 750.0
 """About the finest that is looked at: a pixel of 0.08 degrees is less than the step of nearly all lidars."""
 
 _SMOOTHED_PX, _GREY_PX = 1.0, 1.5
-
 _SURROUNDINGS_PX = 61
 """Edges are compared with others this near."""
 
@@ -85,7 +82,6 @@ _LEAST_JUMP, _JUMP_SHARE, _LARGEST_JUMP = 0.4, 0.04, 3.0
 """A jump is larger than this [m], and than this share of the range; one larger than that counts no more [m]."""
 
 _GAP_STEPS, _NEIGHBOURS, _ISOLATED = 4.0, 16, 3.0
-
 _SLANT_FACTOR = 2.0
 """A surface that slants so many times as much as where it was last seen explains a jump."""
 
@@ -104,7 +100,6 @@ _MOST_POINTS = 6000
 """Points of a frame whose intensity is compared, evenly drawn."""
 
 _SMOOTHED_BINS = 0.7
-
 _THINNED = 3
 """One feature of so many shows well enough where to look next."""
 
@@ -544,12 +539,7 @@ class Agreement:
         return thinned
 
     def score(
-        self,
-        change: Change,
-        measures: Collection[str] = MEASURES,
-        *,
-        by_cells: bool = False,
-        rough: bool = False,
+        self, change: Change, measures: Collection[str] = MEASURES, *, by_cells: bool = False, rough: bool = False
     ) -> Score:
         """Score a candidate; a measure whose features have mostly left the images has no value.
 

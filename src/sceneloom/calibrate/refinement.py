@@ -82,7 +82,6 @@ _LEVEL_MAP = DIRECTIONS
 """Number of the map of brightness; those of edges come before it."""
 
 _MAPS = _LEVEL_MAP + 1
-
 _MOST_CONTRASTS, _MOST_EDGES = 3000, 1500
 """Points of a channel in a frame: the strongest contrasts, and edges evenly drawn."""
 
@@ -105,7 +104,6 @@ _STRIDES = {6.0: 3, 3.0: 2, 1.0: 1}
 """So many pixels of an image are one of the map: a wide blur leaves nothing between them."""
 
 _WIDER = 4.0
-
 _BRIGHTNESS_SHARE = 0.5
 """Contrasts are known where their points are, edges between two points: brightness is blurred less than edges."""
 
@@ -119,7 +117,6 @@ _CURVATURE_STEP = 0.4
 """Curvature is taken over this part of the blur's width: over less, single pixels show."""
 
 _ROTATIONS, _STARTS, _SEED = np.arange(3), 200, 7
-
 _KEPT = (8, 3, 1)
 """So many candidates are followed up after each look."""
 
@@ -127,12 +124,10 @@ _MOST_ROTATED, _MOST_MOVED = (12_000, 16_000, 24_000), (40_000, 160_000)
 """Points used at each stage, for the rotation alone and for all parameters: few suffice, since wide maps are smooth."""
 
 _ROUNDS, _LAST_STEPS, _MOST_STEPS = 2, 3, 10
-
 _FIRST_STEP, _LONGEST_STEP, _SMALLEST_STEP, _FARTHEST_CLIMB = 0.3, 1.0, 0.01, 2.0
 """Of a climb, in widths of the blur; the maps are smooth over about so much."""
 
 _ACROSS, _DOWN = 6, 3
-
 _SYSTEMATIC = 0.05
 """Errors that all parts share [units], such as shadows beside objects: 0.0125 degrees, 2.5 mm, 1 ms. With less,
 intervals of simulated drives hold the truth too rarely."""
@@ -151,7 +146,6 @@ _VIEW_LENGTH, _VIEW_ROTATION = 2.0, np.radians(6.0)
 """Beyond this length of the trajectory [m] or rotation [rad] a view counts as another one."""
 
 _LEAST_FRAMES, _FOLDS = 4, 3
-
 _LEAST_CUES, _PLAIN = 150, 0.97
 """A frame with fewer points around its image is not used; images of which more is plain show nothing."""
 
@@ -216,10 +210,7 @@ class Refinement:
 
 
 def refine(
-    frames: Sequence[CalibrationFrame],
-    *,
-    parameters: Sequence[str] = DEFAULT,
-    progress: Progress | None = None,
+    frames: Sequence[CalibrationFrame], *, parameters: Sequence[str] = DEFAULT, progress: Progress | None = None
 ) -> Refinement:
     """Refine the calibration of a camera against a lidar by frames of a drive.
 
@@ -640,11 +631,7 @@ class _Level:
         if most is not None:
             kept = kept[:: max(-(-len(kept) // most), 1)]
         return replace(
-            self,
-            rows=self.rows[kept],
-            groups=self.groups[kept],
-            weights=self.weights[kept],
-            chosen=self.chosen[kept],
+            self, rows=self.rows[kept], groups=self.groups[kept], weights=self.weights[kept], chosen=self.chosen[kept]
         )
 
 

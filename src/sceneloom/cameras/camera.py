@@ -73,10 +73,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
     {
         "pinhole": _row("perspective", "", Chart.PERSPECTIVE, "Hartley and Zisserman 2004"),
         "brown_conrady": _row(
-            "perspective",
-            "k1 k2 p1 p2 k3 k4 k5 k6 lx ly s1 s2 s3 s4 tx ty",
-            Chart.PERSPECTIVE,
-            "OpenCV",
+            "perspective", "k1 k2 p1 p2 k3 k4 k5 k6 lx ly s1 s2 s3 s4 tx ty", Chart.PERSPECTIVE, "OpenCV"
         ),
         "fisheye": _row("fisheye", "k1 k2 k3 k4", Chart.ANGLE, "OpenCV; Kannala and Brandt 2006"),
         "mod_equi_fish": _row("fisheye", "k1 k2 k3 k4", Chart.ANGLE, _SFS),
@@ -85,10 +82,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
         "equirectangular": _row("panorama", "", Chart.PANORAMA, "the usual equirectangular panorama", assumed=True),
         "omnidirectional": _row("omnidirectional", "k1 k2 k3 k4 p1 p2 xi lx ly", Chart.SPHERE, _MEI),
         "fisheye_rad_tan_prism": _row(
-            "fisheye",
-            "k1 k2 k3 k4 k5 k6 p1 p2 s1 s2 s3 s4",
-            Chart.ANGLE,
-            "Project Aria, Fisheye624",
+            "fisheye", "k1 k2 k3 k4 k5 k6 p1 p2 s1 s2 s3 s4", Chart.ANGLE, "Project Aria, Fisheye624"
         ),
         "fisheye_radial_custom": _row(
             "fisheye",
@@ -109,10 +103,7 @@ MODELS: Mapping[str, Model] = MappingProxyType(
             pixel_axes=dict.fromkeys(("k1", "k2", "k3", "k4", "k5"), "uv"),
         ),
         "kannala_brandt18": _row(
-            "fisheye",
-            "k0 k1 k2 k3 l1 l2 l3 i1 i2 i3 i4 m1 m2 m3 j1 j2 j3 j4",
-            Chart.ANGLE,
-            "Kannala and Brandt 2006",
+            "fisheye", "k0 k1 k2 k3 l1 l2 l3 i1 i2 i3 i4 m1 m2 m3 j1 j2 j3 j4", Chart.ANGLE, "Kannala and Brandt 2006"
         ),
         "omnidir": _row("omnidirectional", "k1 k2 s xi p1 p2", Chart.SPHERE, f"OpenCV; {_MEI}", pixel_axes={"s": "u"}),
     }

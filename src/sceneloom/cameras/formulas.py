@@ -31,7 +31,6 @@ from sceneloom.cameras.camera import MODELS
 # Of the fast mathematics only fused multiply-add: the others would let a NaN slip through the tests.
 PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 INLINE: dict[str, Any] = {**PART, "forceinline": True}
-
 MINIMUM_DEPTH = 1e-6
 """Perspective models see only what lies at least so far in front of the camera [m]."""
 
@@ -161,7 +160,6 @@ _A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7, _A8, _A9, _A10 = (
 
 # Taylor's: beyond these terms less than 1e-17 is left up to pi/4.
 _S3, _S5, _S7, _S9, _S11, _S13, _S15, _S17 = ((-1.0) ** (n // 2) / math.factorial(n) for n in range(3, 18, 2))
-
 _C2, _C4, _C6, _C8, _C10, _C12, _C14, _C16, _C18 = ((-1.0) ** (n // 2) / math.factorial(n) for n in range(2, 19, 2))
 
 

@@ -10,12 +10,7 @@ Source: Mei and Rives 2007, "Single View Point Omnidirectional Camera Calibratio
 import math
 from typing import Any
 
-from sceneloom.cameras.compiled import (
-    compiled_fold,
-    compiled_model,
-    first_positive_root,
-    look_through_chart,
-)
+from sceneloom.cameras.compiled import compiled_fold, compiled_model, first_positive_root, look_through_chart
 from sceneloom.cameras.formulas import (
     CENTRED,
     MINIMUM_DEPTH,

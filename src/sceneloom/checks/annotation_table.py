@@ -9,12 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from sceneloom.checks.rule import Hit, Subject
-from sceneloom.scene.annotations import (
-    Box2DAnnotation,
-    CuboidAnnotation,
-    PointsAnnotation,
-    ShapeAnnotation,
-)
+from sceneloom.scene.annotations import Box2DAnnotation, CuboidAnnotation, PointsAnnotation, ShapeAnnotation
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.types import key_of

@@ -38,13 +38,11 @@ _LONGEST_S = 2.0
 """Over a longer time an object may rotate, so that its heading is not that of its whole step."""
 
 _MOST_STEPS, _LEAST_STEPS = 5_000, 5
-
 _OFF_DEG, _ALONG_DEG = 20.0, 10.0
 """A reading whose headings are so far off the motion is wrong if under another one they are along it, in the median."""
 
 _LOOKED_AT, _KEPT_POINTS, _MOST_BOXES, _NEAR_M = 4, 60_000, 150, 60.0
 _LEAST_POINTS, _MORE_POINTS, _OFF_GROUND_M = 50, 1.15, 0.2
-
 _SAME_DEG, _SAME_SHARE = 1.0, 0.98
 """Of readings that are so nearly alike, the one that differs least from what is stated is named."""
 

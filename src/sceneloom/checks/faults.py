@@ -99,13 +99,7 @@ def _unreadable(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
         yield Hit(frame.path, frame.fault)
 
 
-def _rule(
-    identifier: str,
-    code: str,
-    summary: str,
-    remedy: str,
-    fix: Callable[[Scene], Scene] | None = None,
-) -> Rule:
+def _rule(identifier: str, code: str, summary: str, remedy: str, fix: Callable[[Scene], Scene] | None = None) -> Rule:
     return Rule(identifier, Severity.ERROR, summary, remedy, find=faults_of(code), fix=fix)
 
 

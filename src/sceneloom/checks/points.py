@@ -2,14 +2,14 @@
 
 import zlib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from sceneloom.arrays import Int64Array, UInt8Array, read_only
-from sceneloom.checks.rule import ERROR, HINT, WARNING, FrameInHand, Hit, Rule, Subject, repaired_annotations
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Find, FrameInHand, Hit, Rule, Subject, repaired_annotations
 from sceneloom.scene.annotations import Annotation, LabeledPoints, LabeledPointsAnnotation
 from sceneloom.scene.clouds import (
     LidarFrame,
@@ -26,16 +26,24 @@ from sceneloom.scene.types import Identifier, key_of
 _FAR_M = 10_000.0
 """Beyond it float32 is coarser than a millimetre."""
 
+_ENOUGH_POINTS = 100
+"""Of fewer points nothing is stated."""
+
+_ORIGIN_SHARE, _COLLAPSED_SHARE, _CLIPPED_SHARE, _FEW_LEVELS = 0.05, 0.1, 0.5, 4
+_NO_CAMERA, _NORM_TOLERANCE = 255, 0.01
+_FASTEST = 150.0
+"""Relative to the sensor: two vehicles that meet on a motorway [m/s]."""
+
+Key = tuple[type, Identifier]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CloudFacts:
-    """The points of one frame.
+    """Statistics of the points of one frame.
 
     Attributes:
         count: how many.
-        not_finite: of them, how many have a position that is not finite.
-        at_origin: how many lie exactly at the origin.
-        far: how many have a coordinate beyond `_FAR_M`.
+        not_finite, at_origin, far: how many have a position that is not finite, is the origin, is beyond `_FAR_M`.
         farthest: the largest coordinate [m], 0 without points.
         levels: (256,) int64, how many have each intensity; None without intensities.
         colours: (3,) int64, how many have a colour, are white, are black.
@@ -50,6 +58,32 @@ class _CloudFacts:
     levels: Int64Array | None
     colours: Int64Array
     digest: int
+
+    @classmethod
+    def of(cls, points: LidarPoints | RadarPoints) -> "_CloudFacts":
+        positions = points.positions
+        x, y, z = np.abs(positions).T
+        largest = np.maximum(np.maximum(x, y), z)
+        finite = np.isfinite(largest)
+        colors = points.colors if isinstance(points, LidarPoints) else None
+        intensities = points.intensities if isinstance(points, LidarPoints) else None
+        colours = (0, 0, 0) if colors is None else (len(colors), _count_of(colors, 255), _count_of(colors, 0))
+        return cls(
+            count=len(positions),
+            not_finite=int(len(positions) - np.count_nonzero(finite)),
+            at_origin=int(np.count_nonzero(largest == 0)),
+            far=int(np.count_nonzero(finite & (largest > _FAR_M))),
+            farthest=float(largest[finite].max(initial=0.0)),
+            levels=None if intensities is None else np.bincount(intensities, minlength=256),
+            colours=np.array(colours, np.int64),
+            digest=zlib.crc32(np.ascontiguousarray(positions).data),
+        )
+
+
+def _count_of(colors: UInt8Array, level: int) -> int:
+    """How many points have this level in red, green and blue."""
+    red, green, blue = colors.T
+    return int(np.count_nonzero((red == level) & (green == level) & (blue == level)))
 
 
 @dataclass(slots=True, eq=False)
@@ -82,86 +116,48 @@ class _SensorFacts:
         self.digest = facts.digest
 
 
-def _sensor_facts(subject: Subject) -> dict[tuple[type, Identifier], _SensorFacts]:
-    """What is known of each sensor with points, by the frames read so far."""
+def _sensor_facts(subject: Subject) -> dict[Key, _SensorFacts]:
+    """The statistics of each sensor with points, by the frames read so far."""
     return subject.table("facts of sensors", lambda _: {})
 
 
 def _cloud_facts(subject: Subject, frame: FrameInHand) -> _CloudFacts | None:
-    """Give the facts of a frame in hand, computed once; None for images and what cannot be read."""
+    """The statistics of a frame in hand, computed once; None for images and what cannot be read."""
     if not isinstance(frame.frame, LidarFrame | RadarFrame):
         return None
     latest = subject.table("facts of the frame in hand", lambda _: dict[str, _CloudFacts]())
     if frame.path not in latest:
         latest.clear()
-        latest[frame.path] = facts = _facts_of(frame.frame.points)
+        latest[frame.path] = facts = _CloudFacts.of(frame.frame.points)
         known, key = _sensor_facts(subject), key_of(frame.sensor.id)
         known.setdefault(key, _SensorFacts(frame.sensor_path)).add(frame.number, facts)
     return latest[frame.path]
 
 
-def _facts_of(points: LidarPoints | RadarPoints) -> _CloudFacts:
-    """Look through the points of one frame."""
-    positions = points.positions
-    x, y, z = np.abs(positions).T
-    largest = np.maximum(np.maximum(x, y), z)
-    finite = np.isfinite(largest)
-    colors = points.colors if isinstance(points, LidarPoints) else None
-    intensities = points.intensities if isinstance(points, LidarPoints) else None
-    colours = (0, 0, 0) if colors is None else (len(colors), _count_of(colors, 255), _count_of(colors, 0))
-    return _CloudFacts(
-        count=len(positions),
-        not_finite=int(len(positions) - np.count_nonzero(finite)),
-        at_origin=int(np.count_nonzero(largest == 0)),
-        far=int(np.count_nonzero(finite & (largest > _FAR_M))),
-        farthest=float(largest[finite].max(initial=0.0)),
-        levels=None if intensities is None else np.bincount(intensities, minlength=256),
-        colours=np.array(colours, np.int64),
-        digest=zlib.crc32(np.ascontiguousarray(positions).data),
-    )
+def _positions(judge: Callable[[_CloudFacts], tuple[int, str]]) -> Callable[[Subject, FrameInHand], Iterator[Hit]]:
+    """Report positions of a frame that are wrong: how many, and what."""
+
+    def look(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
+        facts = _cloud_facts(subject, frame)
+        count, message = (0, "") if facts is None else judge(facts)
+        if count:
+            yield Hit(f"{frame.path}.points.positions", message, count=count)
+
+    return look
 
 
-def _count_of(colors: UInt8Array, level: int) -> int:
-    """How many points have this level in red, green and blue."""
-    red, green, blue = colors.T
-    return int(np.count_nonzero((red == level) & (green == level) & (blue == level)))
+def _not_finite(facts: _CloudFacts) -> tuple[int, str]:
+    return facts.not_finite, f"{facts.not_finite} of {facts.count} points have a location that is not finite"
 
 
-_ORIGIN_SHARE = 0.05
-
-_ENOUGH_POINTS = 100
-"""Of fewer points nothing is stated."""
-
-_COLLAPSED_SHARE = 0.1
-_FEW_LEVELS = 4
-_CLIPPED_SHARE = 0.5
-_NO_CAMERA = 255
-_NORM_TOLERANCE = 0.01
-
-_FASTEST = 150.0
-"""Relative to the sensor: two vehicles that meet on a motorway [m/s]."""
+def _at_origin(facts: _CloudFacts) -> tuple[int, str]:
+    message = f"{facts.at_origin} of {facts.count} points lie at 0, 0, 0"
+    return facts.at_origin if facts.at_origin > max(1, _ORIGIN_SHARE * facts.count) else 0, message
 
 
-def _not_finite(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    facts = _cloud_facts(subject, frame)
-    if facts is not None and facts.not_finite:
-        message = f"{facts.not_finite} of {facts.count} points have a location that is not finite"
-        yield Hit(f"{frame.path}.points.positions", message, count=facts.not_finite)
-
-
-def _at_origin(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    facts = _cloud_facts(subject, frame)
-    if facts is not None and facts.at_origin > max(1, _ORIGIN_SHARE * facts.count):
-        message = f"{facts.at_origin} of {facts.count} points lie at 0, 0, 0"
-        yield Hit(f"{frame.path}.points.positions", message, count=facts.at_origin)
-
-
-def _far(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    facts = _cloud_facts(subject, frame)
-    if facts is not None and facts.far:
-        step_mm = float(np.spacing(np.float32(facts.farthest))) * 1e3
-        message = f"coordinates up to {facts.farthest:.0f} m, where float32 steps by {step_mm:.2g} mm"
-        yield Hit(f"{frame.path}.points.positions", message, count=facts.far)
+def _far(facts: _CloudFacts) -> tuple[int, str]:
+    step_mm = float(np.spacing(np.float32(facts.farthest))) * 1e3
+    return facts.far, f"coordinates up to {facts.farthest:.0f} m, where float32 steps by {step_mm:.2g} mm"
 
 
 def _map_not_finite(subject: Subject) -> Iterator[Hit]:
@@ -187,59 +183,63 @@ def _seen(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     return iter(())
 
 
-def _without_points(subject: Subject) -> Iterator[Hit]:
-    for facts in _sensor_facts(subject).values():
-        empty = [number for number, count in facts.counts.items() if count == 0]
-        if empty:
-            message = f"{len(empty)} of {len(facts.counts)} frames have no points"
-            yield Hit(f"{facts.path}.frames[{empty[0]}]", message, count=len(empty))
+_Odd = tuple[str, str, int]
+"""Where in a sensor something is odd, the message, and in how many frames."""
 
 
-def _collapsed(subject: Subject) -> Iterator[Hit]:
-    for facts in _sensor_facts(subject).values():
-        usual = float(np.median(list(facts.counts.values())))
-        few = [(number, count) for number, count in facts.counts.items() if 0 < count < _COLLAPSED_SHARE * usual]
-        if few and usual >= _ENOUGH_POINTS:
-            number, count = few[0]
-            message = f"{count} points; the sensor's frames have {usual:.0f} in the middle"
-            yield Hit(f"{facts.path}.frames[{number}].points", message, count=len(few))
+def _of_sensors(judge: Callable[[_SensorFacts], Iterator[_Odd]]) -> Find:
+    def conclude(subject: Subject) -> Iterator[Hit]:
+        for facts in _sensor_facts(subject).values():
+            for where, message, count in judge(facts):
+                yield Hit(f"{facts.path}.frames[{where}", message, count=count)
+
+    return conclude
 
 
-def _repeated(subject: Subject) -> Iterator[Hit]:
-    for facts in _sensor_facts(subject).values():
-        if facts.repeated:
-            message = f"{len(facts.repeated)} of {len(facts.counts)} frames have the very points of the one before"
-            yield Hit(f"{facts.path}.frames[{facts.repeated[0]}]", message, count=len(facts.repeated))
+def _without_points(facts: _SensorFacts) -> Iterator[_Odd]:
+    empty = [number for number, count in facts.counts.items() if count == 0]
+    if empty:
+        yield f"{empty[0]}]", f"{len(empty)} of {len(facts.counts)} frames have no points", len(empty)
 
 
-def _odd_intensities(subject: Subject) -> Iterator[Hit]:
-    for facts in _sensor_facts(subject).values():
-        reported = _reported_intensities(facts)
-        if reported is not None:
-            yield Hit(f"{facts.path}.frames[].points.intensities", reported, count=len(facts.counts))
+def _collapsed(facts: _SensorFacts) -> Iterator[_Odd]:
+    usual = float(np.median(list(facts.counts.values())))
+    few = [(number, count) for number, count in facts.counts.items() if 0 < count < _COLLAPSED_SHARE * usual]
+    if few and usual >= _ENOUGH_POINTS:
+        number, count = few[0]
+        yield f"{number}].points", f"{count} points; the sensor's frames have {usual:.0f} in the middle", len(few)
 
 
-def _reported_intensities(facts: _SensorFacts) -> str | None:
+def _repeated(facts: _SensorFacts) -> Iterator[_Odd]:
+    count = len(facts.repeated)
+    if count:
+        message = f"{count} of {len(facts.counts)} frames have the very points of the one before"
+        yield f"{facts.repeated[0]}]", message, count
+
+
+def _odd_intensities(facts: _SensorFacts) -> Iterator[_Odd]:
     levels = facts.levels
     if levels is None or levels.sum() < _ENOUGH_POINTS:
-        return None
-    used = np.flatnonzero(levels)
+        return
+    used, clipped = np.flatnonzero(levels), levels[255] / levels.sum()
     if len(used) == 1:
-        return f"all are {used[0]}"
-    if used[-1] <= 1:
-        return "all are 0 or 1: numbers from 0 to 1 were rounded to integers"
-    if len(used) <= _FEW_LEVELS:
-        return f"only {len(used)} levels: {', '.join(map(str, used.tolist()))}"
-    clipped = levels[255] / levels.sum()
-    return f"{clipped:.0%} are 255: they were cut off" if clipped > _CLIPPED_SHARE else None
+        message = f"all are {used[0]}"
+    elif used[-1] <= 1:
+        message = "all are 0 or 1: numbers from 0 to 1 were rounded to integers"
+    elif len(used) <= _FEW_LEVELS:
+        message = f"only {len(used)} levels: {', '.join(map(str, used.tolist()))}"
+    elif clipped > _CLIPPED_SHARE:
+        message = f"{clipped:.0%} are 255: they were cut off"
+    else:
+        return
+    yield "].points.intensities", message, len(facts.counts)
 
 
-def _all_one_colour(subject: Subject) -> Iterator[Hit]:
-    for facts in _sensor_facts(subject).values():
-        coloured, white, black = facts.colours.tolist()
-        for name, count in (("white", white), ("black", black)):
-            if coloured >= _ENOUGH_POINTS and count == coloured:
-                yield Hit(f"{facts.path}.frames[].points.colors", f"all {count} points are {name}")
+def _all_one_colour(facts: _SensorFacts) -> Iterator[_Odd]:
+    coloured, white, black = facts.colours.tolist()
+    for name, count in (("white", white), ("black", black)):
+        if coloured >= _ENOUGH_POINTS and count == coloured:
+            yield "].points.colors", f"all {count} points are {name}", 1
 
 
 def _unknown_camera(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
@@ -253,20 +253,17 @@ def _unknown_camera(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
         yield Hit(f"{frame.path}.points.camera_index", message, count=len(unknown))
 
 
-def _no_unit_vectors(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    del subject
+def _no_unit_vectors(_: Subject, frame: FrameInHand) -> Iterator[Hit]:
     points = frame.frame.points if isinstance(frame.frame, RadarFrame) else None
     if points is None or points.directions is None:
         return
     norms = np.linalg.norm(points.directions, axis=1)
     off = np.flatnonzero(~(np.abs(norms - 1.0) <= _NORM_TOLERANCE))
     if len(off):
-        message = f"length {norms[off[0]]:.4g}; expected 1"
-        yield Hit(f"{frame.path}.points.directions[{off[0]}]", message, count=len(off))
+        yield Hit(f"{frame.path}.points.directions[{off[0]}]", f"length {norms[off[0]]:.4g}; expected 1", len(off))
 
 
-def _absurd_speeds(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    del subject
+def _absurd_speeds(_: Subject, frame: FrameInHand) -> Iterator[Hit]:
     points = frame.frame.points if isinstance(frame.frame, RadarFrame) else None
     if points is None or points.lengths is None:
         return
@@ -274,40 +271,6 @@ def _absurd_speeds(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     if len(off):
         message = f"{points.lengths[off[0]]:g} m/s; expected at most {_FASTEST:g} either way"
         yield Hit(f"{frame.path}.points.lengths[{off[0]}]", message, count=len(off))
-
-
-# fmt: off
-POINT_RULES: tuple[Rule, ...] = (
-    Rule("points-not-finite", WARNING, "The location of every point is finite.",
-         "Leave points without a location out.", find=_map_not_finite, look=_not_finite),
-    Rule("points-at-origin", WARNING,
-         f"No more than {_ORIGIN_SHARE:.0%} of a frame's points lie exactly at the origin.",
-         "Leave out the beams that did not return.", look=_at_origin),
-    Rule("points-far", WARNING,
-         f"Points lie within {_FAR_M / 1000:g} km of the origin, where float32 reports millimetres.",
-         "Choose an origin near the drive, as `sceneloom fuse` does, and keep the way to it in the metadata.",
-         find=_map_far, look=_far),
-    Rule("frame-without-points", HINT, "Every frame has points.",
-         "Look whether the sensor was off, or its packets were lost.", look=_seen, conclude=_without_points),
-    Rule("frame-repeated", HINT, "No frame has the very points of the frame before it.",
-         "Look whether the sensor hung, or frames were filled in.", look=_seen, conclude=_repeated),
-    Rule("point-count-collapses", WARNING,
-         f"No frame has fewer points than {_COLLAPSED_SHARE:.0%} of the sensor's usual number.",
-         "Look whether packets were lost.", look=_seen, conclude=_collapsed),
-    Rule("intensity-scale", WARNING, "Intensities use the range from 0 to 255.",
-         "Scale them to 0 to 255 before they become integers.", look=_seen, conclude=_odd_intensities),
-    Rule("colors-all-alike", WARNING, "The points of a sensor are not all white, and not all black.",
-         "Leave `colors` out where no camera coloured the points, or look why none did.", look=_seen,
-         conclude=_all_one_colour),
-    Rule("camera-index-unknown", ERROR,
-         "The camera that coloured a point is a camera of the scene; 255 stands for none.",
-         "Colour the points again: cameras were added or taken out since.", look=_unknown_camera),
-    Rule("radar-direction-norm", WARNING, "The directions of radar points are unit vectors.",
-         "Divide each by its length.", look=_no_unit_vectors),
-    Rule("radar-length-absurd", WARNING, f"The lengths of radar points are speeds up to {_FASTEST:g} m/s.",
-         "Give metres per second along `directions`.", look=_absurd_speeds),
-)
-# fmt: on
 
 
 class _Entry(NamedTuple):
@@ -323,16 +286,21 @@ _FrameKey = tuple[type, Identifier, int | None]
 
 def _entries(subject: Subject) -> dict[_FrameKey, list[_Entry]]:
     """All labelled points by sensor and frame."""
+    return subject.table("labelled points by frame", _made_entries)
 
-    def made(inner: Subject) -> dict[_FrameKey, list[_Entry]]:
-        entries: dict[_FrameKey, list[_Entry]] = defaultdict(list)
-        for path, annotation in inner.annotations_of(LabeledPointsAnnotation):
-            for k, points in enumerate(annotation.labeled_points):
-                key = (type(points.sensor_id), points.sensor_id, points.sensor_frame)
-                entries[key].append(_Entry(f"{path}.labeled_points[{k}]", annotation, points))
-        return entries
 
-    return subject.table("labelled points by frame", made)
+def _made_entries(subject: Subject) -> dict[_FrameKey, list[_Entry]]:
+    entries: dict[_FrameKey, list[_Entry]] = defaultdict(list)
+    for path, annotation in subject.annotations_of(LabeledPointsAnnotation):
+        for k, points in enumerate(annotation.labeled_points):
+            key = (type(points.sensor_id), points.sensor_id, points.sensor_frame)
+            entries[key].append(_Entry(f"{path}.labeled_points[{k}]", annotation, points))
+    return entries
+
+
+def _totals(subject: Subject) -> defaultdict[Key, int]:
+    """How many points all frames of each sensor have that were read so far."""
+    return subject.table("points per sensor", lambda _: defaultdict[Key, int](int))
 
 
 def _frames_that_are_not(subject: Subject) -> Iterator[Hit]:
@@ -352,12 +320,10 @@ def _frames_that_are_not(subject: Subject) -> Iterator[Hit]:
 
 def _beyond_frame(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     entries = _entries(subject)
-    if not entries or not isinstance(frame.frame, LidarFrame | RadarFrame):
-        return
-    key, count = key_of(frame.sensor.id), len(frame.frame.points)
-    totals = subject.table("points per sensor", lambda _: defaultdict[tuple[type, Identifier], int](int))
-    totals[key] += count
-    yield from _beyond(entries.get((*key, frame.number), []), count, f"frame {frame.number}")
+    if entries and isinstance(frame.frame, LidarFrame | RadarFrame):
+        key, count = key_of(frame.sensor.id), len(frame.frame.points)
+        _totals(subject)[key] += count
+        yield from _beyond(entries.get((*key, frame.number), []), count, f"frame {frame.number}")
 
 
 def _beyond(entries: list[_Entry], count: int, whole: str) -> Iterator[Hit]:
@@ -370,10 +336,9 @@ def _beyond(entries: list[_Entry], count: int, whole: str) -> Iterator[Hit]:
 
 def _beyond_sensor(subject: Subject) -> Iterator[Hit]:
     """Judge points that are counted through a whole sensor, when all its frames have been read."""
-    totals = subject.table("points per sensor", lambda _: defaultdict[tuple[type, Identifier], int](int))
     for (kind, sensor_id, frame), entries in _entries(subject).items():
         if frame is None and isinstance(subject.sensor(sensor_id), LidarSensor | RadarSensor):
-            yield from _beyond(entries, totals[kind, sensor_id], f"sensor {sensor_id!r}")
+            yield from _beyond(entries, _totals(subject)[kind, sensor_id], f"sensor {sensor_id!r}")
 
 
 def _beyond_map(subject: Subject) -> Iterator[Hit]:
@@ -393,22 +358,20 @@ def _labelled_points_repeated(subject: Subject) -> Iterator[Hit]:
 
 def _each_once(scene: Scene) -> Scene:
     """Name each point once, at its first location."""
-    return repaired_annotations(scene, _with_each_once)
 
+    def once(points: LabeledPoints) -> LabeledPoints:
+        firsts = np.sort(np.unique(points.point_ids, return_index=True)[1])
+        whole = len(firsts) == len(points.point_ids)
+        return points if whole else replace(points, point_ids=read_only(points.point_ids[firsts]))
 
-def _with_each_once(annotation: Annotation) -> Annotation:
-    if not isinstance(annotation, LabeledPointsAnnotation):
-        return annotation
-    points = tuple(map(_once, annotation.labeled_points))
-    same = all(new is old for new, old in zip(points, annotation.labeled_points, strict=True))
-    return annotation if same else replace(annotation, labeled_points=points)
+    def repaired(annotation: Annotation) -> Annotation:
+        if not isinstance(annotation, LabeledPointsAnnotation):
+            return annotation
+        points = tuple(map(once, annotation.labeled_points))
+        same = all(new is old for new, old in zip(points, annotation.labeled_points, strict=True))
+        return annotation if same else replace(annotation, labeled_points=points)
 
-
-def _once(points: LabeledPoints) -> LabeledPoints:
-    firsts = np.sort(np.unique(points.point_ids, return_index=True)[1])
-    if len(firsts) == len(points.point_ids):
-        return points
-    return replace(points, point_ids=read_only(points.point_ids[firsts]))
+    return repaired_annotations(scene, repaired)
 
 
 def _of_two(subject: Subject) -> Iterator[Hit]:
@@ -440,6 +403,38 @@ def _points(count: int) -> str:
 
 
 # fmt: off
+POINT_RULES: tuple[Rule, ...] = (
+    Rule("points-not-finite", WARNING, "The location of every point is finite.",
+         "Leave points without a location out.", find=_map_not_finite, look=_positions(_not_finite)),
+    Rule("points-at-origin", WARNING,
+         f"No more than {_ORIGIN_SHARE:.0%} of a frame's points lie exactly at the origin.",
+         "Leave out the beams that did not return.", look=_positions(_at_origin)),
+    Rule("points-far", WARNING,
+         f"Points lie within {_FAR_M / 1000:g} km of the origin, where float32 resolves millimetres.",
+         "Choose an origin near the drive, as `sceneloom fuse` does, and keep the transform to it in the metadata.",
+         find=_map_far, look=_positions(_far)),
+    Rule("frame-without-points", HINT, "Every frame has points.",
+         "Check whether the sensor was off, or its packets were lost.", look=_seen,
+         conclude=_of_sensors(_without_points)),
+    Rule("frame-repeated", HINT, "No frame has the very points of the frame before it.",
+         "Check whether the sensor hung, or frames were filled in.", look=_seen, conclude=_of_sensors(_repeated)),
+    Rule("point-count-collapses", WARNING,
+         f"No frame has fewer points than {_COLLAPSED_SHARE:.0%} of the sensor's usual number.",
+         "Check whether packets were lost.", look=_seen, conclude=_of_sensors(_collapsed)),
+    Rule("intensity-scale", WARNING, "Intensities use the range from 0 to 255.",
+         "Scale them to 0 to 255 before they become integers.", look=_seen, conclude=_of_sensors(_odd_intensities)),
+    Rule("colors-all-alike", WARNING, "The points of a sensor are not all white, and not all black.",
+         "Leave `colors` out where no camera coloured the points, or check why none did.", look=_seen,
+         conclude=_of_sensors(_all_one_colour)),
+    Rule("camera-index-unknown", ERROR,
+         "The camera that coloured a point is a camera of the scene; 255 stands for none.",
+         "Colour the points again: cameras were added or removed since.", look=_unknown_camera),
+    Rule("radar-direction-norm", WARNING, "The directions of radar points are unit vectors.",
+         "Divide each by its length.", look=_no_unit_vectors),
+    Rule("radar-length-absurd", WARNING, f"The lengths of radar points are speeds up to {_FASTEST:g} m/s.",
+         "Give metres per second along `directions`.", look=_absurd_speeds),
+)
+
 LABELLED_POINT_RULES: tuple[Rule, ...] = (
     Rule("labelled-frame-unknown", ERROR, "The frame of labelled points is a frame of their sensor.",
          "Count frames from 0; leave `sensor_frame` out where the whole sensor is meant.",

@@ -38,7 +38,6 @@ FASTEST_ROTATION_DEG = 720.0
 
 STEP_FACTOR, STEP_MARGIN = 3.0, 1.0
 ROTATION_FACTOR, ROTATION_MARGIN_DEG = 3.0, 15.0
-
 _FEWEST_STEPS = 4
 """Fewer steps do not report what is usual."""
 
@@ -107,12 +106,7 @@ def _paths(subject: Subject) -> Iterator[tuple[str, Int64Array, Float64Array, Fl
             reported.add(str(sensor.id))
     for name, trajectory in subject.scene.trajectories.items():
         if name not in reported and len(trajectory.timestamps_ns):
-            yield (
-                f"trajectories[{name}]",
-                trajectory.timestamps_ns,
-                trajectory.positions,
-                trajectory.quaternions_xyzw,
-            )
+            yield (f"trajectories[{name}]", trajectory.timestamps_ns, trajectory.positions, trajectory.quaternions_xyzw)
 
 
 def _jumps(subject: Subject) -> Iterator[Hit]:

@@ -8,14 +8,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray
 from sceneloom.checks.rule import ERROR, HINT, SCALE_ONLY, WARNING, Hit, Rule, Subject
 from sceneloom.formats.sfs.container import format_keys
-from sceneloom.formats.sfs.profiles import (
-    ANNOTATIONS,
-    PARTS,
-    SENSORS,
-    VALIDATED_SENSORS,
-    record_faults,
-    time_fault,
-)
+from sceneloom.formats.sfs.profiles import ANNOTATIONS, PARTS, SENSORS, VALIDATED_SENSORS, record_faults, time_fault
 from sceneloom.formats.sfs.records import Location
 
 Located = tuple[Location, Any]
@@ -220,10 +213,7 @@ def _static_attributes(subject: Subject) -> Iterator[Hit]:
         for index, attribute in enumerate(attributes if isinstance(attributes, list) else ()):
             timestamps = attribute.get("timestamps") if isinstance(attribute, dict) else None
             if isinstance(timestamps, list) and attribute.get("static") is True and len(timestamps) > 1:
-                yield _hit(
-                    (*location, "attributes", index),
-                    f"static, with {len(timestamps)} timestamps; expected one",
-                )
+                yield _hit((*location, "attributes", index), f"static, with {len(timestamps)} timestamps; expected one")
 
 
 _DROPPED: Mapping[str, tuple[str, ...]] = {

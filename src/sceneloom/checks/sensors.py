@@ -35,7 +35,6 @@ from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Identifier, key_of
 
 Key = tuple[type, Identifier]
-
 _EMPTYING = frozenset({"missing-videos", "unreadable-videos", "unmatched-images"})
 """Faults of a recording that leave a camera without images."""
 
@@ -233,8 +232,7 @@ SENSOR_RULES: tuple[Rule, ...] = (
 
 def _known_ids(subject: Subject) -> Mapping[Key, int]:
     return subject.table(
-        "numbers of annotations by id",
-        lambda inner: {key_of(a.id): k for k, a in enumerate(inner.scene.annotations)},
+        "numbers of annotations by id", lambda inner: {key_of(a.id): k for k, a in enumerate(inner.scene.annotations)}
     )
 
 

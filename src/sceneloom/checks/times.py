@@ -7,12 +7,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Int64Array, read_only
-from sceneloom.checks.annotation_table import (
-    PART_KINDS,
-    PartTable,
-    annotation_parts,
-    camera_rows,
-)
+from sceneloom.checks.annotation_table import PART_KINDS, PartTable, annotation_parts, camera_rows
 from sceneloom.checks.faults import as_read
 from sceneloom.checks.rule import (
     ERROR,
@@ -30,13 +25,7 @@ from sceneloom.checks.rule import (
     timestamps_of,
     unless_recording,
 )
-from sceneloom.formats.sfs.clock import (
-    READABLE_TICKS_NS,
-    UINT32_MAX,
-    FileClock,
-    chosen_offset_ns,
-    point_times_dtype,
-)
+from sceneloom.formats.sfs.clock import READABLE_TICKS_NS, UINT32_MAX, FileClock, chosen_offset_ns, point_times_dtype
 from sceneloom.formats.sfs.container import RawBytes
 from sceneloom.scene.annotations import (
     AttributePath,
@@ -230,7 +219,6 @@ _WRAP_NS = (UINT32_MAX + 1) * 1_000
 """What microseconds in 32 bits run over at [ns]."""
 
 _NEAR_NS = 1_000_000_000
-
 _ROUNDING_NS = 1_000
 """Timestamps in microseconds may be so late [ns]."""
 
@@ -471,9 +459,7 @@ def _ordered(part: Any) -> Any:
     if rows is None:
         return part
     return replace(
-        part,
-        timestamps_ns=read_only(times[rows]),
-        **{name: _taken(column, rows) for name, column in columns.items()},
+        part, timestamps_ns=read_only(times[rows]), **{name: _taken(column, rows) for name, column in columns.items()}
     )
 
 

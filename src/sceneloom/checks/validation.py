@@ -130,18 +130,12 @@ RULE_TABLES: tuple[str, ...] = (
     "faults:RECORDING_FAULT_RULES",
     "recordings.lines:PRESENCE_RULES",
     "recordings.times:STREAM_RULES",
-    "recordings.samples:IMU_TIME_RULES",
-    "recordings.samples:IMU_VALUE_RULES",
-    "recordings.samples:SENSOR_VALUE_RULES",
+    "recordings.samples:SAMPLE_RULES",
     "recordings.satellite_fixes:FIX_RULES",
-    "recordings.satellite_fixes:FIX_ROTATION_RULES",
     "recordings.poses:POSE_STEP_RULES",
     "recordings.lines:CONFIGURATION_RULES",
     "recordings.lines:FRAME_LINE_RULES",
     "recordings.calibration:CALIBRATION_RULES",
-    "recordings.calibration:CALIBRATED_CAMERA_RULES",
-    "recordings.calibration:MOUNTING_RULES",
-    "recordings.calibration:STEREO_RULES",
     "recordings.lines:LIDAR_LINE_RULES",
     "times:TIME_RULES",
     "times:POINT_TIME_RULES",
@@ -405,7 +399,6 @@ def _finding(rule: Rule, hit: Hit) -> Finding:
 
 
 _MEANS_NOTHING = "what is at fault decides what the rest means"
-
 _UNWRITABLE = (DataError, CalibrationError, PoseError)
 """What is wrong with a scene, not with the location that it is to be written to."""
 
@@ -492,12 +485,7 @@ def validate(
         OutputError: `fix` exists, or cannot be written.
     """
     terms = _Terms(
-        profile,
-        strict,
-        frames,
-        chosen_rules(profile or "sfs", only=rules, ignored=ignore),
-        locations,
-        progress,
+        profile, strict, frames, chosen_rules(profile or "sfs", only=rules, ignored=ignore), locations, progress
     )
     if fix is not None:
         check_scene_output(Path(fix), overwrite=overwrite)

@@ -37,7 +37,6 @@ _LEAST_OVERLAPS: Mapping[str, float] = MappingProxyType({"car": 0.7, "pedestrian
 """KITTI's overlaps, by class, from which a detection has found an object; other classes have `_OTHER_OVERLAP`."""
 
 _OTHER_OVERLAP = 0.5
-
 _SAMPLES = 41
 """Thresholds at which KITTI looks at precision: one for recalls of 0, 1/40, …, 1."""
 

@@ -38,12 +38,10 @@ _Comparable = Trajectory | TrajectoryFile | Poses | str | Path
 """What can be compared: a trajectory, or a file or scene with one."""
 
 _FARTHEST_NS = 9_200_000_000_000_000_000
-
 _TOLERANCES_NS = {"interpolate": 100_000_000, "nearest": 10_000_000}
 """By kind of association, how far the nearest pose of the reference may be unless another tolerance is given [ns]."""
 
 _SHORTEST_GAP_NS, _GAP_SPACINGS = 1_000_000_000, 5.0
-
 _POINT = 1e-12
 """Spread [m²] below which positions are one point, a micrometre wide."""
 
@@ -60,7 +58,6 @@ _KITTI_LENGTHS, _KITTI_STEP = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 
 """Lengths [m] of the segments, and how many poses after each other they begin. Source: KITTI's development kit."""
 
 _DELTA, _LARGEST_DELTA = re.compile(r"(?P<amount>\d+(?:\.\d+)?)\s*(?P<unit>[a-z]+)"), 1e9
-
 _SLACK = 0.75
 """Share of the median spacing of poses by which a step of time may be off: less than one, so that the last poses are
 not taken for later ones."""

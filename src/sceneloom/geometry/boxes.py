@@ -7,17 +7,12 @@ from sceneloom.arrays import BoolArray, Float64Array, read_only
 from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
 
 CORNER_SIGNS: Float64Array = read_only(
-    [[1, 1, -1], [-1, 1, -1], [-1, -1, -1], [1, -1, -1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1]],
-    np.float64,
+    [[1, 1, -1], [-1, 1, -1], [-1, -1, -1], [1, -1, -1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1]], np.float64
 )
 """Side of the centre on which each corner lies: the bottom from the front left counter-clockwise as seen from
 above (front left, back left, back right, front right), then the top in the same order."""
 
-EDGES = (
-    *((0, 1), (1, 2), (2, 3), (3, 0)),
-    *((4, 5), (5, 6), (6, 7), (7, 4)),
-    *((0, 4), (1, 5), (2, 6), (3, 7)),
-)
+EDGES = (*((0, 1), (1, 2), (2, 3), (3, 0)), *((4, 5), (5, 6), (6, 7), (7, 4)), *((0, 4), (1, 5), (2, 6), (3, 7)))
 """The corners that each of the twelve edges joins: bottom, top, then the upright ones."""
 
 
@@ -39,12 +34,7 @@ def box_corners(center: ArrayLike, size_lwh: ArrayLike, quaternion_xyzw: ArrayLi
 
 
 def points_in_box(
-    points: ArrayLike,
-    center: ArrayLike,
-    size_lwh: ArrayLike,
-    quaternion_xyzw: ArrayLike,
-    *,
-    margin: float = 0.0,
+    points: ArrayLike, center: ArrayLike, size_lwh: ArrayLike, quaternion_xyzw: ArrayLike, *, margin: float = 0.0
 ) -> BoolArray:
     """Report which points lie in a box, its faces included.
 

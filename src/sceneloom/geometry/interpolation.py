@@ -11,7 +11,6 @@ from sceneloom.geometry.rotations import angle_between, normalise_quaternion, sl
 _EARLIEST_NS, _LATEST_NS = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 _ANY_REACH_NS = _LATEST_NS
 _LEVELS_AT_WORST_POSE = 32
-
 INSIDE, EXTRAPOLATED, OUT_OF_REACH = 0, 1, 2
 """Values of `coverage`."""
 

@@ -126,11 +126,7 @@ def scanned(lines: int = 16, steps: int = 360) -> tuple[np.ndarray, np.ndarray]:
     azimuths = np.tile(np.linspace(0.001, 2 * np.pi - 0.001, steps), lines)
     elevations = np.radians(-15.0 + 2.0 * rings)
     ranges = 10.0 + 0.3 * np.sin(7 * azimuths)
-    directions = [
-        np.cos(elevations) * np.cos(azimuths),
-        np.cos(elevations) * np.sin(azimuths),
-        np.sin(elevations),
-    ]
+    directions = [np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths), np.sin(elevations)]
     return (ranges * np.array(directions)).T.copy(), rings
 
 

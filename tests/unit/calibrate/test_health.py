@@ -133,9 +133,7 @@ def test_a_camera_rotated_by_a_degree_is_not_good_and_the_rotation_is_found(fram
 
 
 @pytest.mark.parametrize(
-    "rotation_deg",
-    [(0.0, 0.0, 180.0), (0.0, 180.0, 0.0), (25.0, 0.0, 0.0)],
-    ids=["upside-down", "backwards", "up"],
+    "rotation_deg", [(0.0, 0.0, 180.0), (0.0, 180.0, 0.0), (25.0, 0.0, 0.0)], ids=["upside-down", "backwards", "up"]
 )
 @pytest.mark.few(1)
 def test_a_camera_that_looks_elsewhere_is_never_good(frames, rotation_deg):
@@ -144,11 +142,7 @@ def test_a_camera_that_looks_elsewhere_is_never_good(frames, rotation_deg):
 
 @pytest.mark.parametrize(
     ("paint", "word"),
-    [
-        (np.zeros_like, "dark"),
-        (lambda rgb: rgb // 64, "dark"),
-        (lambda rgb: np.full_like(rgb, 120), "covered"),
-    ],
+    [(np.zeros_like, "dark"), (lambda rgb: rgb // 64, "dark"), (lambda rgb: np.full_like(rgb, 120), "covered")],
     ids=["black", "night", "covered"],
 )
 def test_images_that_show_nothing_state_nothing(frames, paint, word):

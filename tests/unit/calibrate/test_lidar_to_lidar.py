@@ -8,15 +8,7 @@ import pytest
 from sceneloom.calibrate.extrinsics import ground_plane, step_between
 from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.simulate import (
-    Faults,
-    LidarSpec,
-    SensorFaults,
-    SimulatedDrive,
-    inject,
-    sensor_mount,
-    simulate_street,
-)
+from sceneloom.simulate import Faults, LidarSpec, SensorFaults, SimulatedDrive, inject, sensor_mount, simulate_street
 
 ROOF = LidarSpec(beams=32, steps=900)
 CORNER = LidarSpec(

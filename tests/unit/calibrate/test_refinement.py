@@ -50,19 +50,13 @@ def test_an_injected_error_is_taken_out_again(frames: tuple[CalibrationFrame, ..
     assert min(found.gains) > 0
 
 
-def test_the_right_calibration_stays_what_it_is_within_what_is_known(
-    frames: tuple[CalibrationFrame, ...],
-) -> None:
+def test_the_right_calibration_stays_what_it_is_within_what_is_known(frames: tuple[CalibrationFrame, ...]) -> None:
     found = refine(frames, parameters=("rotation",))
     step = step_between(frames[0].camera_from_lidar, found.camera_from_lidar)
     assert np.degrees(np.linalg.norm(step[:3])) < 0.1
 
 
-@pytest.mark.parametrize(
-    "paint",
-    [np.zeros_like, lambda grey: np.full_like(grey, 120.0)],
-    ids=["black", "covered"],
-)
+@pytest.mark.parametrize("paint", [np.zeros_like, lambda grey: np.full_like(grey, 120.0)], ids=["black", "covered"])
 def test_images_that_show_nothing_state_nothing(
     frames: tuple[CalibrationFrame, ...], paint: Callable[[np.ndarray], np.ndarray]
 ) -> None:
@@ -73,9 +67,7 @@ def test_images_that_show_nothing_state_nothing(
 
 
 @pytest.mark.slow
-def test_a_right_calibration_is_not_repaired_by_images_of_the_night(
-    frames: tuple[CalibrationFrame, ...],
-) -> None:
+def test_a_right_calibration_is_not_repaired_by_images_of_the_night(frames: tuple[CalibrationFrame, ...]) -> None:
     """Of 256 levels four are left."""
     night = tuple(replace(frame, grey=np.floor(frame.grey / 64.0)) for frame in frames)
     found = refine(night, parameters=("rotation",))
@@ -120,13 +112,7 @@ def test_a_camera_that_looks_away_sees_too_little(frames: tuple[CalibrationFrame
 
 def test_clouds_of_one_point_state_nothing(frames: tuple[CalibrationFrame, ...]) -> None:
     bare = tuple(
-        replace(
-            frame,
-            points_lidar=frame.points_lidar[:1],
-            intensities=None,
-            seconds=None,
-            scan=None,
-        )
+        replace(frame, points_lidar=frame.points_lidar[:1], intensities=None, seconds=None, scan=None)
         for frame in frames
     )
     found = refine(bare)

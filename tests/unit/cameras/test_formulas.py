@@ -11,7 +11,6 @@ from sceneloom.cameras import MODELS, Camera, domain_angle, project_unbounded, u
 
 SIZE = (1280, 960, 410.0, 402.0, 633.2, 471.7)
 ROUNDING_PX = 1e-9  # 1e-16 of some 1e3 px, through some tens of operations and camera models that magnify
-
 Oracle = Callable[[dict[str, float], float, float, float], complex]
 """Named coefficients and a point give the location on the plane as x + iy, before focal lengths and centre."""
 
@@ -78,8 +77,7 @@ def on_shifted_sphere(xi, X, Y, Z):
 def decentred(location: complex, r2: float, radial: float, p1: float, p2: float) -> complex:
     x, y = location.real, location.imag
     return complex(
-        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
     )
 
 
@@ -183,9 +181,7 @@ CAMERA_MODELS = [
     ("omnidir", (-0.2, 0.05, 1.3, 1.2, 1e-3, -2e-3)),
 ]
 EACH_CAMERA_MODEL = pytest.mark.parametrize(
-    ("model", "coefficients"),
-    CAMERA_MODELS,
-    ids=[f"{model}-{len(numbers)}" for model, numbers in CAMERA_MODELS],
+    ("model", "coefficients"), CAMERA_MODELS, ids=[f"{model}-{len(numbers)}" for model, numbers in CAMERA_MODELS]
 )
 
 

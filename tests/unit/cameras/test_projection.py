@@ -26,34 +26,9 @@ from sceneloom.errors import ArrayError, CalibrationError
 from sceneloom.kernels.projection import map_directions
 
 SIZE = (640, 480, 500.0, 510.0, 318.7, 243.2)
-
-
 BARREL = (-0.3, 0.1, 0.001, -0.002, -0.01)
-
-
-EVERYTHING = (
-    0.2,
-    0.1,
-    0.001,
-    -0.002,
-    0.02,
-    0.4,
-    0.1,
-    0.02,
-    0.01,
-    -0.02,
-    1e-3,
-    2e-3,
-    -1e-3,
-    5e-4,
-    0.02,
-    -0.03,
-)
-
-
+EVERYTHING = (0.2, 0.1, 0.001, -0.002, 0.02, 0.4, 0.1, 0.02, 0.01, -0.02, 1e-3, 2e-3, -1e-3, 5e-4, 0.02, -0.03)
 SIX = (0.05, -0.02, 0.01, -0.003, 4e-4, -3e-5)
-
-
 ASYMMETRIC = (0.01, 0.002, -0.001, 0.3, -0.2, 0.1, 0.4, 0.01, -0.02, 0.001, 0.2, 0.3, -0.1, 0.2)
 
 
@@ -82,27 +57,16 @@ CAMERAS = [
 
 
 NAMES = [f"{camera.model}-{len(camera.coefficients)}-{camera.fx:g}" for camera in CAMERAS]
-
-
 SHIFTS = {"lx", "ly", "dcx", "dcy"}
-
-
 CENTRED = [c for c in CAMERAS if not SHIFTS & {*MODELS[c.model].coefficient_names[: len(c.coefficients)]}]
-
-
 EACH_CAMERA = pytest.mark.parametrize("camera", CAMERAS, ids=NAMES)
-
-
 ROUNDING_PX = 1e-9  # 1e-16 of some 1e3 px, through some tens of operations and camera models that magnify
 
 
 def points_before(camera: Camera, count: int, *, widest: float = 0.95) -> np.ndarray:
     """Random points inside most of the model's domain, at 1 to 50 m."""
     rng = np.random.default_rng(0)
-    angle, about = (
-        rng.uniform(0, widest * min(domain_angle(camera), 2.8), count),
-        rng.uniform(0, 2 * math.pi, count),
-    )
+    angle, about = (rng.uniform(0, widest * min(domain_angle(camera), 2.8), count), rng.uniform(0, 2 * math.pi, count))
     rays = np.column_stack([np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about), np.cos(angle)])
     return rays * rng.uniform(1, 50, (count, 1))
 

@@ -15,37 +15,80 @@ from sceneloom.formats.sfs.reader import copied, parse_path
 from sceneloom.scene import DataWarning, LazyFrames, LidarSensor, WarningKind
 
 POSE = [0, 0, 0, 0, 0, 0, 1]
+POSES = {"timestamps": [0, 10**6], "values": [POSE, [9, 0, 0, 0, 0, 0, 1]]}
+CAMERA_MODEL = {"fx": 9, "fy": 9, "cx": 4, "cy": 3, "width": 8, "height": 6}
+ATTRIBUTE = {"name": "colour", "timestamps": [0], "values": ["red"]}
+ACTIVE = {"sensor_id": "top", "timestamps": [0], "durations": [5]}
 
 
 def lidar(**fields):
-    return {
-        "id": "top",
-        "type": "lidar",
-        "poses": {"timestamps": [0], "values": [POSE]},
-        "frames": [{"timestamp": 0, "points": {"positions": np.ones((2, 3), np.float32)}}],
-        **fields,
-    }
+    frames = [{"timestamp": 0, "points": {"positions": np.ones((4, 3), np.float32)}}]
+    return {"id": "top", "type": "lidar", "poses": POSES, "frames": frames, **fields}
 
 
-def header(*sensors, **fields):
-    return {"version": "1.0", "sensors": list(sensors or [lidar()]), **fields}
+def timed_lidar(dtype):
+    """A lidar whose points have times, 1000 ticks apart."""
+    sensor = lidar()
+    sensor["frames"][0]["points"]["timestamps"] = np.arange(4, dtype=dtype) * dtype(1000)
+    return sensor
+
+
+def path(*row):
+    return {"timestamps": [0], "values": [list(row)]}
+
+
+def shape(identifier, kind, *row, **fields):
+    return {"id": identifier, "type": kind, **fields, "path": path(*row)}
+
+
+def cuboid(identifier="car", **fields):
+    return shape(identifier, "cuboid", 4, 2, 1.5, 1, 2, 3, 0, 0, 0, **fields)
+
+
+def seen(sensor="cam"):
+    return {"sensor_id": sensor, "timestamps": [0], "boxes": [[1, 2, 3, 4]]}
+
+
+def keypoints(*projections, paths=1, **fields):
+    """An annotation of points; each projection is that of a point into the sensors named."""
+    projected = [[{"sensor_id": s, "timestamps": [0], "points": [[1, 2]]} for s in sensors] for sensors in projections]
+    return {"id": "k", "type": "points", "paths": [path(1, 2, 3)] * paths, "projections": projected, **fields}
+
+
+def header(*sensors, annotations=(), **fields):
+    given = {"version": "1.0", "sensors": list(sensors or [lidar()]), **fields}
+    return {**given, "annotations": list(annotations)} if annotations else given
 
 
 @pytest.fixture
-def file_of(tmp_path, encode_sfs):
-    """Write a header through the independent writer; cut so many bytes off."""
+def file(tmp_path, encode_sfs):
+    """Write a header through the independent writer; items have no dtype and shape where `bare`."""
 
-    def write(content, *, cut=0):
-        path = tmp_path / "scene.sfs"
-        encoded = content if isinstance(content, bytes) else encode_sfs(content)
-        path.write_bytes(encoded[: len(encoded) - cut])
-        return path
+    def write(content, *, cut=0, bare=False):
+        written = tmp_path / "scene.sfs"
+        if not isinstance(content, bytes):
+            content = encode_sfs(content, **({"dtype": None, "shape": None} if bare else {}))
+        written.write_bytes(content[: len(content) - cut])
+        return written
 
     return write
 
 
-def poses(*rows, times=None):
-    return {"timestamps": list(times or range(len(rows))), "values": list(rows)}
+@pytest.fixture
+def hits(file):
+    """Rules, locations and messages of what rules that read no frames find in a header."""
+
+    def run(content, *rules, **options):
+        report = validate(file(content), rules=rules, frames=False, **options)
+        return [(f.rule, f.path.partition(" ")[0], f.message) for f in report.findings]
+
+    return run
+
+
+@pytest.fixture
+def locations(hits):
+    """Where a rule finds something in a header."""
+    return lambda content, *rules, **options: [location for _, location, _ in hits(content, *rules, **options)]
 
 
 FAULTY = {
@@ -53,35 +96,29 @@ FAULTY = {
     "version-known": (header(version="2.0"), "version"),
     "fields-valid": (header(lidar(coordinates="map")), "sensors[0].coordinates"),
     "ids-unique": (header(lidar(), lidar()), "sensors[1].id"),
-    "quaternion-norm": (header(lidar(poses=poses([0, 0, 0, 0, 0, 0, 3]))), "sensors[0].poses.values[0]"),
+    "quaternion-norm": (header(lidar(poses=path(0, 0, 0, 0, 0, 0, 3))), "sensors[0].poses.values[0]"),
     "pose-times-increasing": (
-        header(lidar(poses=poses(POSE, POSE, times=[5, 4]))),
+        header(lidar(poses={"timestamps": [5, 4], "values": [POSE, POSE]})),
         "sensors[0].poses.timestamps[1]",
     ),
-    "poses-finite": (
-        header(lidar(poses=poses([float("nan"), *POSE[1:]]))),
-        "sensors[0].poses.values[0]",
-    ),
+    "poses-finite": (header(lidar(poses=path(float("nan"), *POSE[1:]))), "sensors[0].poses.values[0]"),
 }
 
 
 @pytest.mark.parametrize("rule", FAULTY)
-def test_a_fault_of_a_file_is_known_by_its_rule_alone(file_of, found, rule):
+def test_a_fault_of_a_file_is_known_by_its_rule_alone(hits, rule):
     content, location = FAULTY[rule]
-    path = file_of(content)
-    assert [where for where, _ in found(path, rule)] == [location]
-    others = [other.id for other in FAULT_RULES if other.id != rule]
-    assert [hit for other in others for hit in found(path, other)] == []
+    faults = hits(content, *(fault.id for fault in FAULT_RULES))
+    assert [hit[:2] for hit in faults] == [(rule, location)]
 
 
-def test_an_array_that_is_cut_off_is_reported(file_of, found):
-    path = file_of(header(), cut=20)
-    assert [where for where, _ in found(path, "arrays-whole")] == ["sensors[0].frames[0].points.positions ($items[0])"]
+def test_an_array_that_is_cut_off_is_reported(file, found):
+    cut = file(header(), cut=20)
+    assert [where for where, _ in found(cut, "arrays-whole")] == ["sensors[0].frames[0].points.positions ($items[0])"]
 
 
-def test_a_sound_file_keeps_all_of_them(file_of, found):
-    path = file_of(header(lidar(poses=poses(POSE, POSE))))
-    assert [hit for rule in FAULT_RULES for hit in found(path, rule.id)] == []
+def test_a_sound_file_keeps_all_of_them(file):
+    assert validate(file(header()), rules=[rule.id for rule in FAULT_RULES]).findings == ()
 
 
 class Broken:
@@ -100,27 +137,23 @@ def test_a_frame_that_cannot_be_read_is_a_finding(sound, found):
     frames = LazyFrames(sound.times(3), Broken(sound.sweep(0)))
     scene = sound.scene(LidarSensor("top", frames, poses=sound.path()))
     assert found(scene, "frame-readable") == [
-        ("sensors[0].frames[1]", "drive: frames[1]: is torn"),
-        ("sensors[0].frames[2]", "drive: frames[2]: is torn"),
+        (f"sensors[0].frames[{k}]", f"drive: frames[{k}]: is torn") for k in (1, 2)
     ]
-    assert found(scene, "frame-readable", frames=False) == []
-    assert found(sound.scene(), "frame-readable") == []
+    assert found(scene, "frame-readable", frames=False) == found(sound.scene(), "frame-readable") == []
 
 
 @pytest.mark.parametrize("kind", list(WarningKind))
 def test_notes_of_readers_are_hints(sound, found, kind):
-    rule = f"reading-{kind}"
     note = DataWarning(kind=kind, code="lines-sorted", location="data.jsonl", message="so", count=3)
     reported_elsewhere = DataWarning(kind=kind, code="no-poses", location="sensors[0]", message="none")
-    scene = sound.scene(warnings=(note, reported_elsewhere))
-    assert found(scene, rule) == [("data.jsonl", "so")]
-    assert found(sound.scene(), rule) == []
+    assert found(sound.scene(warnings=(note, reported_elsewhere)), f"reading-{kind}") == [("data.jsonl", "so")]
+    assert found(sound.scene(), f"reading-{kind}") == []
 
 
-def test_what_was_remarked_when_a_file_was_made_is_not_remarked_again(file_of, tmp_path, found):
-    path, written = file_of(header()), tmp_path / "written.sfs"
-    assert [where for where, _ in found(path, "reading-assumed")] == ["sensors[0]"]
-    with sceneloom.open(path) as scene:
+def test_what_was_remarked_when_a_file_was_made_is_not_remarked_again(file, tmp_path, found):
+    made, written = file(header()), tmp_path / "written.sfs"
+    assert [where for where, _ in found(made, "reading-assumed")] == ["sensors[0]"]
+    with sceneloom.open(made) as scene:
         sceneloom.write(scene, written)
     with sceneloom.open(written) as scene:
         assert scene.warnings
@@ -135,25 +168,7 @@ def test_a_broken_recording_is_checked_without_what_is_broken(tmp_path, sound, f
     [(location, message)] = found(folder, "broken-lines")
     assert location == "data.jsonl: line 2"
     assert "{torn" in message
-    assert found(folder, "file-readable") == []
-    assert found(folder, "sensor-empty") == []
-
-
-POSES = {"timestamps": [0, 100_000], "values": [[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]]}
-CAMERA_MODEL = {"fx": 9, "fy": 9, "cx": 4, "cy": 3, "width": 8, "height": 6}
-ATTRIBUTE = {"name": "colour", "timestamps": [0], "values": ["red"]}
-
-
-def cloud():
-    return {"positions": np.ones((2, 3), np.float32)}
-
-
-def path(*row):
-    return {"timestamps": [0], "values": [list(row)]}
-
-
-def shape(identifier, kind, *row, **fields):
-    return {"id": identifier, "type": kind, **fields, "path": path(*row)}
+    assert found(folder, "file-readable") == found(folder, "sensor-empty") == []
 
 
 @cache
@@ -164,120 +179,59 @@ def film():
         stream = output.add_stream("mpeg4", rate=10)
         stream.width, stream.height = 16, 16
         image = av.VideoFrame.from_ndarray(np.zeros((16, 16, 3), np.uint8), format="rgb24")
-        for packet in [*stream.encode(image), *stream.encode()]:
-            output.mux(packet)
+        output.mux([*stream.encode(image), *stream.encode()])
     return np.frombuffer(target.getvalue(), np.uint8)
 
 
-def header_of_fields():
+def whole():
     """A scene with every type of sensor and annotation of the description."""
-    return {
-        "version": "1.0",
-        "sensors": [
-            {"id": "map", "type": "points", "points": cloud()},
-            {
-                "id": "top",
-                "type": "lidar",
-                "poses": POSES,
-                "frames": [{"timestamp": 0, "points": cloud()}],
-            },
-            {
-                "id": "front",
-                "type": "radar",
-                "poses": POSES,
-                "frames": [{"timestamp": 0, "points": cloud()}],
-            },
-            {
-                "id": "cam",
-                "type": "camera",
-                "poses": POSES,
-                "intrinsics": {**CAMERA_MODEL, "distortion": {"model": "fisheye", "params": [0.1, 0, 0, 0]}},
-                "images": [{"timestamp": 0, "content": np.zeros(9, np.uint8)}],
-            },
-            {
-                "id": "film",
-                "type": "camera",
-                "poses": POSES,
-                "intrinsics": CAMERA_MODEL,
-                "video": {"timestamps": [0], "content": film(), "fps": 10},
-            },
-            {"id": "ego", "type": "odometry", "poses": POSES},
-        ],
-        "annotations": [
-            {
-                **shape("car", "cuboid", 4, 2, 1, 0, 0, 0, 0, 0, 0),
-                "attributes": [ATTRIBUTE],
-                "activations": [{"sensor_id": "top", "timestamps": [0], "durations": [5]}],
-                "projections": [{"sensor_id": "cam", "timestamps": [0], "boxes": [[1, 2, 3, 4]]}],
-            },
-            shape("b", "box_2d", 1, 2, 3, 4, sensor_id="cam"),
-            shape("l2", "polyline_2d", 1, 2, 3, 4, sensor_id="cam"),
-            shape("p2", "polygon_2d", 1, 2, 3, 4, 5, 9, sensor_id="cam"),
-            shape("d2", "point_2d", 1, 2, sensor_id="cam"),
-            shape("p", "polygon", 0, 0, 0, 1, 0, 0, 1, 1, 0),
-            shape("t", "polygon_topdown", 0, 0, 0, 1, 0, 0, 1, 1, 0),
-            shape("l", "polyline", 0, 0, 0, 1, 0, 0, 1, 1, 0),
-            {
-                "id": "k",
-                "type": "points",
-                "paths": [path(1, 2, 3)],
-                "projections": [[{"sensor_id": "cam", "timestamps": [0], "points": [[1, 2]]}]],
-            },
-            {"id": "e", "type": "event", "start": 0},
-            {
-                "id": "r",
-                "type": "labeled_points",
-                "label": "road",
-                "is_instance": False,
-                "labeled_points": [{"sensor_id": "top", "sensor_frame": 0, "point_ids": np.zeros(1, np.uint32)}],
-            },
-            {"id": "a", "type": "localization_adjustment", "poses": POSES},
-            {
-                "id": "c",
-                "type": "camera_calibration",
-                "sensor_id": "cam",
-                "poses": POSES,
-                "intrinsics": CAMERA_MODEL,
-            },
-            {"id": "o", "type": "object", "label": "thing"},
-            {
-                "id": "n",
-                "type": "link",
-                "label": "tows",
-                "is_bidirectional": False,
-                "from_id": "car",
-                "to_id": "o",
-            },
-            {"id": "g", "type": "group", "label": "convoy"},
-        ],
-        "attributes": [ATTRIBUTE],
-    }
+    cloud = {"positions": np.ones((2, 3), np.float32)}
+    sweeps = {"poses": POSES, "frames": [{"timestamp": 0, "points": cloud}]}
+    fisheye = {**CAMERA_MODEL, "distortion": {"model": "fisheye", "params": [0.1, 0, 0, 0]}}
+    camera = {"type": "camera", "poses": POSES}
+    triangle = (0, 0, 0, 1, 0, 0, 1, 1, 0)
+    labeled = {"sensor_id": "top", "sensor_frame": 0, "point_ids": np.zeros(1, np.uint32)}
+    sensors = [
+        {"id": "map", "type": "points", "points": cloud},
+        {"id": "top", "type": "lidar", **sweeps},
+        {"id": "front", "type": "radar", **sweeps},
+        {"id": "cam", **camera, "intrinsics": fisheye, "images": [{"timestamp": 0, "content": np.zeros(9, np.uint8)}]},
+        {
+            "id": "film",
+            **camera,
+            "intrinsics": CAMERA_MODEL,
+            "video": {"timestamps": [0], "content": film(), "fps": 10},
+        },
+        {"id": "ego", "type": "odometry", "poses": POSES},
+    ]
+    annotations = [
+        cuboid(attributes=[ATTRIBUTE], activations=[ACTIVE], projections=[seen()]),
+        shape("b", "box_2d", 1, 2, 3, 4, sensor_id="cam"),
+        shape("l2", "polyline_2d", 1, 2, 3, 4, sensor_id="cam"),
+        shape("p2", "polygon_2d", 1, 2, 3, 4, 5, 9, sensor_id="cam"),
+        shape("d2", "point_2d", 1, 2, sensor_id="cam"),
+        shape("p", "polygon", *triangle),
+        shape("t", "polygon_topdown", *triangle),
+        shape("l", "polyline", *triangle),
+        keypoints(["cam"]),
+        {"id": "e", "type": "event", "start": 0},
+        {"id": "r", "type": "labeled_points", "label": "road", "is_instance": False, "labeled_points": [labeled]},
+        {"id": "a", "type": "localization_adjustment", "poses": POSES},
+        {"id": "c", "type": "camera_calibration", "sensor_id": "cam", "poses": POSES, "intrinsics": CAMERA_MODEL},
+        {"id": "o", "type": "object", "label": "thing"},
+        {"id": "n", "type": "link", "label": "tows", "is_bidirectional": False, "from_id": "car", "to_id": "o"},
+        {"id": "g", "type": "group", "label": "convoy"},
+    ]
+    return copied(header(*sensors, annotations=annotations, attributes=[ATTRIBUTE]))
 
 
-OPTIONAL = {
-    "distortion": "stands for a pinhole camera model",
-    "images": "or `video`",
-    "video": "or `images`",
-    "attributes": "",
-    "activations": "",
-    "projections": "",
-    "sensor_frame": "the whole sensor",
-    "sensors": "",
-    "annotations": "",
-}
-
-
-"""Fields of the scene above that the description calls optional."""
-
-
+# `distortion` absent stands for a pinhole, one of `images` and `video` suffices, no `sensor_frame` is the whole sensor
+OPTIONAL = {"distortion", "images", "video", "attributes", "activations", "projections", "sensor_frame"}
+OPTIONAL |= {"sensors", "annotations"}
 LABELS_THAT_MAY_BE_ABSENT = {"annotations[13].label", "annotations[15].label"}
+# required by the text, and free by the readings of docs/CONVENTIONS.md:
+# corrections of poses or of the camera model alone, and an event without a start, which is an object
 READ_WITHOUT = {"annotations[12].poses", "annotations[12].intrinsics", "annotations[9].start"}
-
-
-"""Required by the text, and free by the readings of docs/CONVENTIONS.md.
-
-Corrections of poses or of the camera model alone, and
-an event without a start, which is an object."""
 
 
 def fields_of(node, location=""):
@@ -294,56 +248,39 @@ def fields_of(node, location=""):
 
 REQUIRED = [
     location
-    for location in fields_of(header_of_fields())
-    if location.rpartition(".")[2] not in OPTIONAL
-    and location not in LABELS_THAT_MAY_BE_ABSENT
-    and location not in READ_WITHOUT
+    for location in fields_of(whole())
+    if location.rpartition(".")[2] not in OPTIONAL and location not in LABELS_THAT_MAY_BE_ABSENT | READ_WITHOUT
 ]
 
 
-def without(location):
-    changed = copied(header_of_fields())
+def changed(location, *value):
+    """The whole scene with another value at a path, or without what is there."""
+    content = node = whole()
     *above, last = parse_path(location)
-    node = changed
     for key in above:
         node = node[key]
-    del node[last]
-    return changed
+    if value:
+        [node[last]] = value
+    else:
+        del node[last]
+    return content
 
 
-@pytest.fixture
-def field_findings(tmp_path, encode_sfs):
-    """Write a header, and give what the rules that read no frames state of it."""
-
-    def run(content, **options):
-        file = tmp_path / "scene.sfs"
-        file.write_bytes(encode_sfs(content))
-        return [(f.rule, f.path.partition(" ")[0], f.message) for f in validate(file, frames=False, **options).findings]
-
-    return run
-
-
-def test_the_scene_of_these_tests_is_complete(field_findings):
-    assert not {rule for rule, _, _ in field_findings(header_of_fields())} & {
-        "fields-required",
-        "fields-valid",
-        "arrays-whole",
-    }
+def test_the_scene_of_these_tests_is_complete(hits):
+    assert hits(whole(), "fields-required", "fields-valid", "arrays-whole") == []
     assert len(REQUIRED) > 120
 
 
 @pytest.mark.parametrize("location", REQUIRED)
 @pytest.mark.few(60)
-def test_a_required_field_that_is_missing_is_found_at_its_path(field_findings, location):
-    before = {entry[:2] for entry in field_findings(header_of_fields())}
-    new = {path for rule, path, _ in field_findings(without(location)) if (rule, path) not in before}
-    assert location in new
+def test_a_required_field_that_is_missing_is_found_at_its_path(hits, location):
+    before = {hit[:2] for hit in hits(whole())}
+    assert location in {hit[1] for hit in hits(changed(location)) if hit[:2] not in before}
 
 
-def test_times_of_static_attributes_may_be_absent(field_findings):
-    content = header_of_fields()
-    content["attributes"] = [{"name": "weather", "static": True, "values": ["dry"]}]
-    assert not [path for rule, path, _ in field_findings(content) if rule == "fields-required"]
+def test_times_of_static_attributes_may_be_absent(hits):
+    content = changed("attributes", [{"name": "weather", "static": True, "values": ["dry"]}])
+    assert hits(content, "fields-required") == []
 
 
 @pytest.mark.parametrize(
@@ -354,102 +291,17 @@ def test_times_of_static_attributes_may_be_absent(field_findings):
         ("sensors[4].video.FPS", 10, None),
     ],
 )
-def test_a_field_with_nearly_the_name_of_one_that_is_missing_is_found(field_findings, location, wrong, right):
-    content = header_of_fields()
-    *above, last = parse_path(location)
-    node = content
-    for key in above:
-        node = node[key]
-    node[last] = wrong
-    reported = [(path, message) for rule, path, message in field_findings(content) if rule == "fields-spelling"]
-    assert [path for path, _ in reported] == ([] if right is None else [location])
-    assert all(repr(right) in message for _, message in reported)
+def test_a_field_with_nearly_the_name_of_one_that_is_missing_is_found(hits, location, wrong, right):
+    reported = hits(changed(location, wrong), "fields-spelling")
+    assert [path for _, path, _ in reported] == ([] if right is None else [location])
+    assert all(repr(right) in message for *_, message in reported)
 
 
 @pytest.mark.parametrize("kind", ["cubiod", "Cuboid", "labelled_points", ""])
-def test_of_an_annotation_of_an_unknown_type_nothing_is_required(field_findings, kind):
-    content = header_of_fields()
-    content["annotations"] = [{"id": "a", "type": kind, "path": path(1, 1, 1, 0, 0, 0, 0, 0, 0)}]
-    about = [rule for rule, location, _ in field_findings(content) if location.startswith("annotations")]
+def test_of_an_annotation_of_an_unknown_type_nothing_is_required(hits, kind):
+    content = changed("annotations", [{**cuboid(), "type": kind}])
+    about = [rule for rule, location, _ in hits(content) if location.startswith("annotations")]
     assert about == ["annotation-type-known"]
-
-
-@pytest.mark.parametrize("kind", ["polygon", "polygon_topdown"])
-def test_an_outline_of_six_numbers_is_reported_to_be_of_pairs(field_findings, kind):
-    content = header_of_fields()
-    content["annotations"] = [shape("a", kind, 10, 10, 14, 10, 12, 13)]
-    stated = [
-        (location, message) for rule, location, message in field_findings(content) if rule == "shape-vertices-pairs"
-    ]
-    read = "6 numbers, read as 2 x, y, z triples; they may be 3 x, y pairs"
-    assert stated == [("annotations[0].path.values", f"{read}, as triples they are too few for a {kind}")]
-
-
-POSES_OF_DESCRIPTION = {"timestamps": [0, 10**6], "values": [[0, 0, 0, 0, 0, 0, 1], [9, 0, 0, 0, 0, 0, 1]]}
-BOX = [4, 2, 1.5, 1, 2, 3, 0, 0, 0]
-ROAD = [[0.0, 10.0], [5.0, 12.0], [10.0, 14.0], [15.0, 16.0], [20.0, 18.0], [25.0, 20.0]]
-
-
-def lidar_of_description(times=None, **fields):
-    points = {"positions": np.ones((4, 3), np.float32)}
-    if times is not None:
-        points["timestamps"] = times
-    return {
-        "id": "top",
-        "type": "lidar",
-        "poses": POSES_OF_DESCRIPTION,
-        "frames": [{"timestamp": 0, "points": points}],
-        **fields,
-    }
-
-
-def scene(*annotations, sensors=None, **fields):
-    return {
-        "version": "1.0",
-        "sensors": [lidar_of_description()] if sensors is None else sensors,
-        "annotations": list(annotations),
-        **fields,
-    }
-
-
-def cuboid(**fields):
-    return {"id": "car", "type": "cuboid", "path": {"timestamps": [0], "values": [BOX]}, **fields}
-
-
-@pytest.fixture
-def file(tmp_path, encode_sfs):
-    """Write a header as a file; items have no dtype and shape where `bare`."""
-
-    def write(content, *, bare=False):
-        path = tmp_path / "scene.sfs"
-        path.write_bytes(encode_sfs(content, **({"dtype": None, "shape": None} if bare else {})))
-        return path
-
-    return write
-
-
-def found_of_description(path, *rules, **options):
-    report = validate(path, rules=rules, frames=False, **options)
-    return [(finding.path, finding.message) for finding in report.findings]
-
-
-@pytest.mark.parametrize(("unit", "dtype"), [("nanoseconds", np.uint64), ("microseconds", np.uint32)])
-def test_times_without_a_dtype_are_as_wide_as_the_unit_says(file, unit, dtype):
-    times = np.arange(4, dtype=dtype) * 1000
-    with sceneloom.open(file(scene(sensors=[lidar_of_description(times)], time_unit=unit), bare=True)) as opened:
-        ticks = 1 if unit == "nanoseconds" else 1000
-        points = opened.sensors[0].frames[0].points
-        assert points.timestamps_ns.tolist() == (np.arange(4) * 1000 * ticks).tolist()
-
-
-@pytest.mark.parametrize(
-    ("unit", "dtype", "fits"),
-    [("nanoseconds", np.uint32, "uint32"), ("microseconds", np.uint64, "uint64")],
-)
-def test_times_without_a_dtype_of_another_width_are_refused_and_named(file, unit, dtype, fits):
-    content = scene(sensors=[lidar_of_description(np.arange(4, dtype=dtype))], time_unit=unit)
-    with pytest.raises(DataError, match=f"the bytes fit {fits}"):
-        sceneloom.open(file(content, bare=True))
 
 
 @pytest.mark.parametrize(
@@ -463,20 +315,37 @@ def test_times_without_a_dtype_of_another_width_are_refused_and_named(file, unit
         (None, np.int32, True),
     ],
 )
-def test_times_of_another_width_than_the_unit_says_are_found_and_fixed(tmp_path, file, unit, dtype, wrong):
-    fields = {} if unit is None else {"time_unit": unit}
-    path = file(scene(sensors=[lidar_of_description(np.arange(4, dtype=dtype))], **fields))
-    locations = [location for location, _ in found_of_description(path, "point-times-width")]
-    assert locations == (["sensors[0].frames[0].points.timestamps"] if wrong else [])
-    report = validate(path, fix=tmp_path / "fixed.sfs")
+def test_times_of_another_width_than_the_unit_says_are_found_and_fixed(tmp_path, file, locations, unit, dtype, wrong):
+    content = header(timed_lidar(dtype), **({} if unit is None else {"time_unit": unit}))
+    assert locations(content, "point-times-width") == ["sensors[0].frames[0].points.timestamps"] * wrong
+    report = validate(file(content), fix=tmp_path / "fixed.sfs")
     assert "point-times-width" not in {finding.rule for finding in report.findings}
+
+
+@pytest.mark.parametrize(
+    ("unit", "dtype", "fitting"),
+    [
+        ("nanoseconds", np.uint64, None),
+        ("microseconds", np.uint32, None),
+        ("nanoseconds", np.uint32, "uint32"),
+        ("microseconds", np.uint64, "uint64"),
+    ],
+)
+def test_times_without_a_dtype_are_as_wide_as_the_unit_says_or_refused(file, unit, dtype, fitting):
+    bare = file(header(timed_lidar(dtype), time_unit=unit), bare=True)
+    if fitting:
+        with pytest.raises(DataError, match=f"the bytes fit {fitting}"):
+            sceneloom.open(bare)
+        return
+    with sceneloom.open(bare) as opened:
+        times = opened.sensors[0].frames[0].points.timestamps_ns
+        assert times.tolist() == (np.arange(4) * (10**3 if unit == "nanoseconds" else 10**6)).tolist()
 
 
 @pytest.mark.parametrize("unit", ["nanosecond", "microsecond", "nanoseconds", "microseconds"])
 def test_the_unit_of_time_is_written_back_as_it_was_read(tmp_path, file, decode_sfs, unit):
     dtype = np.uint64 if unit.startswith("nano") else np.uint32
-    path = file(scene(sensors=[lidar_of_description(np.arange(4, dtype=dtype))], time_unit=unit))
-    with sceneloom.open(path) as opened:
+    with sceneloom.open(file(header(timed_lidar(dtype), time_unit=unit))) as opened:
         sceneloom.write(opened, tmp_path / "again.sfs")
         sceneloom.write(opened, tmp_path / "asked.sfs", time_unit="nanoseconds")
     assert decode_sfs((tmp_path / "again.sfs").read_bytes())["time_unit"] == unit
@@ -484,123 +353,111 @@ def test_the_unit_of_time_is_written_back_as_it_was_read(tmp_path, file, decode_
 
 
 @pytest.mark.parametrize(
-    ("kind", "near"), [("cubiod", "cuboid"), ("Cuboid", "cuboid"), ("box2d", "box_2d"), ("xyzzy", None)]
+    ("kind", "near"),
+    [("cubiod", "cuboid"), ("Cuboid", "cuboid"), ("box2d", "box_2d"), ("xyzzy", None), ("lidr", "lidar")],
 )
-def test_a_misspelt_type_of_annotation_is_found_with_the_nearest_one(file, kind, near):
-    ((location, message),) = found_of_description(file(scene({"id": 1, "type": kind})), "annotation-type-known")
-    assert location == "annotations[0].type"
+def test_a_misspelt_type_is_found_with_the_nearest_one(hits, kind, near):
+    of_sensor = {"id": 1, "type": kind}
+    group, content = "annotation", header(annotations=[of_sensor])
+    if kind == "lidr":
+        group, content = "sensor", header(of_sensor)
+    ((_, location, message),) = hits(content, f"{group}-type-known")
+    assert location == f"{group}s[0].type"
     assert (f"which is like {near!r}" in message) if near else "which is like" not in message
 
 
-def test_a_misspelt_type_of_sensor_is_found_with_the_nearest_one(file):
-    path = file(scene(sensors=[{"id": 1, "type": "lidr"}]))
-    ((_, message),) = found_of_description(path, "sensor-type-known")
-    assert "which is like 'lidar'" in message
-
-
-def test_attributes_of_the_scene_name_sensors_of_it_and_have_rising_times(tmp_path, file):
+def test_attributes_of_the_scene_name_sensors_of_it_and_have_rising_times(tmp_path, file, hits):
     attributes = [
         {"name": "state", "sensor_id": "nowhere", "timestamps": [0], "values": ["dirty"]},
         {"name": "weather", "timestamps": [20, 10], "values": ["dry", "wet"]},
     ]
-    path = file(scene(attributes=attributes))
-    assert [location for location, _ in found_of_description(path, "annotation-sensor-unknown")] == [
-        "attributes[0].sensor_id"
-    ]
-    assert [location for location, _ in found_of_description(path, "annotation-times-increasing")] == [
-        "attributes[1].timestamps[1]"
-    ]
-    validate(path, fix=tmp_path / "fixed.sfs")
+    content = header(attributes=attributes)
+    found = hits(content, "annotation-sensor-unknown", "annotation-times-increasing")
+    assert {hit[:2] for hit in found} == {
+        ("annotation-sensor-unknown", "attributes[0].sensor_id"),
+        ("annotation-times-increasing", "attributes[1].timestamps[1]"),
+    }
+    validate(file(content), fix=tmp_path / "fixed.sfs")
     with sceneloom.open(tmp_path / "fixed.sfs") as opened:
         assert opened.attributes[1].timestamps_ns.tolist() == [10_000, 20_000]
         assert opened.attributes[1].values == ("wet", "dry")
 
 
-def test_a_second_activation_or_projection_of_one_sensor_is_found(file):
-    active = {"sensor_id": "top", "timestamps": [0], "durations": [5]}
-    seen = {"sensor_id": "top", "timestamps": [0], "boxes": [[1, 2, 3, 4]]}
-    point = {"sensor_id": "top", "timestamps": [0], "points": [[1, 2]]}
-    keypoints = {
-        "id": "k",
-        "type": "points",
-        "paths": [{"timestamps": [0], "values": [[1, 2, 3]]}] * 2,
-        "projections": [[point], [point, point]],
-    }
-    content = scene(cuboid(activations=[active, active], projections=[seen, seen]), keypoints)
-    assert [location for location, _ in found_of_description(file(content), "part-of-sensor-once")] == [
+def test_a_second_activation_or_projection_of_one_sensor_is_found(locations):
+    twice = cuboid(activations=[ACTIVE] * 2, projections=[seen("top")] * 2)
+    content = header(annotations=[twice, keypoints(["top"], ["top", "top"], paths=2)])
+    assert locations(content, "part-of-sensor-once") == [
         "annotations[0].activations[1].sensor_id",
         "annotations[0].projections[1].sensor_id",
         "annotations[1].projections[1][1].sensor_id",
     ]
-    assert not found_of_description(
-        file(scene(cuboid(activations=[active], projections=[seen]))), "part-of-sensor-once"
-    )
+    once = cuboid(activations=[ACTIVE], projections=[seen("top")])
+    assert locations(header(annotations=[once]), "part-of-sensor-once") == []
+
+
+ROAD = [[0.0, 10.0], [5.0, 12.0], [10.0, 14.0], [15.0, 16.0], [20.0, 18.0], [25.0, 20.0]]
 
 
 @pytest.mark.parametrize("kind", ["polyline", "polygon", "polygon_topdown"])
-def test_pairs_that_are_read_as_triples_are_found_and_read_as_pairs_on_request(file, kind):
-    pairs = [value for vertex in ROAD for value in vertex]
-    path = file(scene({"id": 1, "type": kind, "path": {"timestamps": [0], "values": [pairs]}}))
-    ((location, message),) = found_of_description(path, "shape-vertices-pairs")
+def test_pairs_that_are_read_as_triples_are_found_and_read_as_pairs_on_request(file, hits, kind):
+    content = header(annotations=[shape(1, kind, *np.ravel(ROAD).tolist())])
+    ((_, location, message),) = hits(content, "shape-vertices-pairs")
     assert location == "annotations[0].path.values"
     assert "12 numbers, read as 4 x, y, z triples" in message
-    assert not found_of_description(path, "shape-vertices-pairs", vertices="pairs")
-    with sceneloom.open(path, vertices="pairs") as opened:
+    assert not hits(content, "shape-vertices-pairs", vertices="pairs")
+    with sceneloom.open(file(content), vertices="pairs") as opened:
         assert opened.annotations[0].path.vertices[0].tolist() == [[x, y, 0.0] for x, y in ROAD]
-    with sceneloom.open(path) as opened:
+    with sceneloom.open(file(content)) as opened:
         assert len(opened.annotations[0].path.vertices[0]) == 4
 
 
+@pytest.mark.parametrize("kind", ["polygon", "polygon_topdown"])
+def test_an_outline_of_six_numbers_is_reported_to_be_of_pairs(hits, kind):
+    read = "6 numbers, read as 2 x, y, z triples; they may be 3 x, y pairs"
+    content = header(annotations=[shape("a", kind, 10, 10, 14, 10, 12, 13)])
+    assert hits(content, "shape-vertices-pairs") == [
+        ("shape-vertices-pairs", "annotations[0].path.values", f"{read}, as triples they are too few for a {kind}")
+    ]
+
+
 @pytest.mark.parametrize("offset", [0.0, 1.0, 40.0, -300.0])
-def test_triples_are_not_taken_for_pairs(file, offset):
+def test_triples_are_not_taken_for_pairs(hits, offset):
     triples = [value for x, y in ROAD for value in (x + offset, y, 0.1 * x)]
-    path = file(scene({"id": 1, "type": "polyline", "path": {"timestamps": [0], "values": [triples]}}))
-    assert not found_of_description(path, "shape-vertices-pairs")
+    assert not hits(header(annotations=[shape(1, "polyline", *triples)]), "shape-vertices-pairs")
 
 
-def test_rows_that_fit_both_are_questioned_beside_rows_that_are_pairs(file):
-    both = {"id": 1, "type": "polyline", "path": {"timestamps": [0], "values": [[0, 0, 1, 1, 0, 2]]}}
-    pairs = {"id": 2, "type": "polyline", "path": {"timestamps": [0], "values": [[0, 0, 1, 1]]}}
-    assert not found_of_description(file(scene(both)), "shape-vertices-pairs")
-    ((location, message),) = found_of_description(file(scene(both, pairs)), "shape-vertices-pairs")
+def test_rows_that_fit_both_are_questioned_beside_rows_that_are_pairs(hits):
+    both, pairs = shape(1, "polyline", 0, 0, 1, 1, 0, 2), shape(2, "polyline", 0, 0, 1, 1)
+    assert not hits(header(annotations=[both]), "shape-vertices-pairs")
+    ((_, location, message),) = hits(header(annotations=[both, pairs]), "shape-vertices-pairs")
     assert location == "annotations[0].path.values"
     assert "as in other annotations of the file" in message
 
 
 def test_vertices_that_are_not_what_was_stated_are_refused(file):
-    path = file(scene({"id": 1, "type": "polyline", "path": {"timestamps": [0], "values": [[0] * 8]}}))
     with pytest.raises(DataError, match="8 numbers; expected a multiple of 3"):
-        sceneloom.open(path, vertices="triples")
+        sceneloom.open(file(header(annotations=[shape(1, "polyline", *[0] * 8)])), vertices="triples")
 
 
-def test_one_bad_sensor_is_reported_once_and_not_by_all_that_name_it(file):
-    seen = [
-        cuboid(id=k, projections=[{"sensor_id": "cam", "timestamps": [0], "boxes": [[1, 2, 3, 4]]}]) for k in range(20)
-    ]
-    bad = {"id": "cam", "type": "camera", "poses": POSES_OF_DESCRIPTION, "intrinsics": {"fx": "wide"}}
-    child = {"id": "ego", "type": "odometry", "parent_id": "cam", "poses": POSES_OF_DESCRIPTION}
+def test_one_bad_sensor_is_reported_once_and_not_by_all_that_name_it(hits):
+    bad = {"id": "cam", "type": "camera", "poses": POSES, "intrinsics": {"fx": "wide"}}
+    child = {"id": "ego", "type": "odometry", "parent_id": "cam", "poses": POSES}
     link = {"id": "l", "type": "link", "label": "x", "is_bidirectional": True, "from_id": 0, "to_id": "gone"}
     gone = {"id": "gone", "type": "cuboid", "parent_id": "cam"}
-    path = file(scene(*seen, link, gone, sensors=[lidar_of_description(), bad, child]))
-    stated = [message for _, message in found_of_description(path)]
-    assert not [message for message in stated if "is no sensor" in message or "is no annotation" in message]
-    assert "sensors[1].intrinsics.fx" in [location for location, _ in found_of_description(path, "fields-valid")]
+    content = header(
+        *(lidar(), bad, child), annotations=[*(cuboid(k, projections=[seen()]) for k in range(20)), link, gone]
+    )
+    reported = hits(content)
+    assert not [m for *_, m in reported if "is no sensor" in m or "is no annotation" in m]
+    assert ("fields-valid", "sensors[1].intrinsics.fx") in [hit[:2] for hit in reported]
 
 
 def test_a_part_keeps_attributes_without_times_and_points_that_no_camera_sees(tmp_path, file):
     empty = {"name": "colour", "timestamps": [], "values": []}
-    point = {"sensor_id": "top", "timestamps": [0], "points": [[1, 2]]}
-    keypoints = {
-        "id": "k",
-        "type": "points",
-        "stationary": True,
-        "attributes": [empty],
-        "paths": [{"timestamps": [0], "values": [[1, 2, 3]]}] * 2,
-        "projections": [[], [point]],
-    }
-    path = file(scene(keypoints, attributes=[empty]))
-    sceneloom.convert(path, tmp_path / "whole.sfs")
-    with sceneloom.open(path) as opened:
+    hand = keypoints([], ["top"], paths=2, stationary=True, attributes=[empty])
+    written = file(header(annotations=[hand], attributes=[empty]))
+    sceneloom.convert(written, tmp_path / "whole.sfs")
+    with sceneloom.open(written) as opened:
         part = sceneloom.crop_scene(opened, stop=0.5)
         assert [attribute.name for attribute in part.attributes] == ["colour"]
         assert [attribute.name for attribute in part.annotations[0].attributes] == ["colour"]

@@ -57,11 +57,7 @@ def test_an_unknown_camera_model_is_found(sound, found):
 
 @pytest.mark.parametrize(
     ("fields", "locations"),
-    [
-        ({"cx": 40.0}, ["cx"]),
-        ({"cx": -3.0, "cy": 24.0}, ["cx", "cy"]),
-        ({"cx": -0.5, "cy": 23.5}, []),
-    ],
+    [({"cx": 40.0}, ["cx"]), ({"cx": -3.0, "cy": 24.0}, ["cx", "cy"]), ({"cx": -0.5, "cy": 23.5}, [])],
 )
 def test_a_centre_outside_the_image_is_found(sound, found, fields, locations):
     hits = found(sound.scene(with_camera_model(sound, **fields)), "principal-point")
@@ -204,12 +200,7 @@ def outlined(*vertices, name="shape"):
 
 def test_a_sound_scene_keeps_all_rules_about_boxes(sound, keeps):
     empty = CuboidAnnotation("other", CuboidPath(TIMES, np.ones((2, 9))), projections=(Projection("front", TIMES),))
-    annotations = (
-        drawn([0, 0, 32, 24]),
-        projected(NULL, (True, False)),
-        outlined([0, 0], [32, 0], [16, 24]),
-        empty,
-    )
+    annotations = (drawn([0, 0, 32, 24]), projected(NULL, (True, False)), outlined([0, 0], [32, 0], [16, 24]), empty)
     scene = sound.scene(annotations=annotations)
     assert keeps(scene, BOX_RULES)
 
@@ -254,11 +245,7 @@ def test_boxes_of_unknown_cameras_and_of_lidars_are_left_to_other_rules(sound, f
 def test_shapes_and_points_outside_are_found(sound, found):
     point = PointProjection("front", TIMES, np.array([[3.0, 3.0], [60.0, 3.0]]))
     keypoints = PointsAnnotation("hand", (PointPath(TIMES, np.ones((2, 3))),), projections=((point,),))
-    annotations = (
-        outlined([40, 3], [45, 3], [45, 9]),
-        keypoints,
-        outlined([30, 3], [40, 3], [40, 9], name=2),
-    )
+    annotations = (outlined([40, 3], [45, 3], [45, 9]), keypoints, outlined([30, 3], [40, 3], [40, 9], name=2))
     scene = sound.scene(annotations=annotations)
     assert [path for path, _ in found(scene, "box-outside-image")] == [
         "annotations[0].path.values[0]",

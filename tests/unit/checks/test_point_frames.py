@@ -24,15 +24,7 @@ from sceneloom.scene import (
     RadarPoints,
     RadarSensor,
 )
-from sceneloom.simulate import (
-    CameraSpec,
-    Faults,
-    LidarSpec,
-    SensorFaults,
-    SolidStateSpec,
-    TrafficSpec,
-    simulate_street,
-)
+from sceneloom.simulate import CameraSpec, Faults, LidarSpec, SensorFaults, SolidStateSpec, TrafficSpec, simulate_street
 
 PERIOD = 100_000_000
 RULE = "points-in-another-frame"
@@ -245,9 +237,7 @@ def test_a_lidar_that_is_rotated_by_ten_degrees_is_reported(found):
     [
         lambda scene: changed(scene, CameraSensor, lambda camera: replace(camera, mount=camera.mount.inverse())),
         lambda scene: changed(
-            scene,
-            CameraSensor,
-            lambda camera: replace(camera, mount=replace(camera.mount, rotation=np.eye(3))),
+            scene, CameraSensor, lambda camera: replace(camera, mount=replace(camera.mount, rotation=np.eye(3)))
         ),
         lambda scene: with_quaternions(scene, lambda q: np.ascontiguousarray(np.roll(q, 1, axis=1))),
     ],

@@ -26,18 +26,8 @@ def lidar_with(sound, **fields):
 
     def sweep(timestamp_ns):
         count = len(fields.get("positions", locations()))
-        given = {
-            "positions": locations(),
-            "intensities": np.arange(count) % 256,
-            "timestamps_ns": None,
-            **fields,
-        }
-        dtypes = {
-            "positions": np.float32,
-            "intensities": np.uint8,
-            "colors": np.uint8,
-            "camera_index": np.uint8,
-        }
+        given = {"positions": locations(), "intensities": np.arange(count) % 256, "timestamps_ns": None, **fields}
+        dtypes = {"positions": np.float32, "intensities": np.uint8, "colors": np.uint8, "camera_index": np.uint8}
         made = {k: v if v is None else np.asarray(v, dtypes.get(k)) for k, v in given.items()}
         return sound.sweep(timestamp_ns, **made)
 
@@ -46,10 +36,7 @@ def lidar_with(sound, **fields):
 
 def radar_with(**fields):
     positions = locations(4)
-    given = {
-        "directions": positions / np.linalg.norm(positions, axis=1, keepdims=True),
-        "lengths": np.full(4, 150.0),
-    }
+    given = {"directions": positions / np.linalg.norm(positions, axis=1, keepdims=True), "lengths": np.full(4, 150.0)}
     arrays = {name: np.asarray(value, np.float32) for name, value in {**given, **fields}.items()}
     return RadarSensor("radar", LazyFrames.of([RadarFrame(0, RadarPoints(positions, **arrays))], [0]))
 
@@ -66,10 +53,7 @@ def test_locations_that_are_not_finite_are_counted(sound, found):
     broken[[3, 7], 1] = np.nan, np.inf
     scene = sound.scene(lidar_with(sound, positions=broken), PointsSensor("map", broken))
     hits = found(scene, "points-not-finite")
-    assert (
-        "sensors[0].frames[0].points.positions",
-        "2 of 100 points have a location that is not finite",
-    ) in hits
+    assert ("sensors[0].frames[0].points.positions", "2 of 100 points have a location that is not finite") in hits
     assert ("sensors[1].points.positions", "2 of 100 points have a location that is not finite") in hits
     assert len(hits) == 7
 
@@ -243,20 +227,14 @@ def test_two_instances_that_share_points_of_many_frames_are_reported_once(sound,
 
     annotations = (in_frames("a", 1, 2, 3), in_frames("b", 1, 9, 3))
     assert found(sound.scene(annotations=annotations), "point-in-two-instances") == [
-        (
-            "annotations[1].labeled_points[0].point_ids",
-            "'b' shares 2 points with 'a' in 2 frames, first here",
-        )
+        ("annotations[1].labeled_points[0].point_ids", "'b' shares 2 points with 'a' in 2 frames, first here")
     ]
 
 
 def test_a_point_named_twice_by_one_instance_belongs_to_one(sound, found):
     both = LabeledPointsAnnotation(
         "a",
-        (
-            LabeledPoints("top", np.array([1], np.uint32), 0),
-            LabeledPoints("top", np.array([1], np.uint32), 0),
-        ),
+        (LabeledPoints("top", np.array([1], np.uint32), 0), LabeledPoints("top", np.array([1], np.uint32), 0)),
         is_instance=True,
     )
     scene = sound.scene(annotations=(both, marked([5], name="b")))

@@ -242,19 +242,12 @@ def test_an_activation_of_an_odometry_is_found(sound, found):
     seen = cuboid(activations=(Activation("ego", TIMES),))
     scene = sound.scene(sound.lidar(), sound.odometry(), annotations=(seen,))
     assert found(scene, "annotation-sensor-type") == [
-        (
-            "annotations[0].activations[0].sensor_id",
-            "'ego' is an odometry; expected a lidar, a radar or a camera",
-        )
+        ("annotations[0].activations[0].sensor_id", "'ego' is an odometry; expected a lidar, a radar or a camera")
     ]
 
 
 def test_links_to_nothing_and_to_themselves_are_found(sound, found):
-    links = (
-        LinkAnnotation("l", "car", "gone"),
-        LinkAnnotation("m", "car", "car"),
-        LinkAnnotation("n", "n", "car"),
-    )
+    links = (LinkAnnotation("l", "car", "gone"), LinkAnnotation("m", "car", "car"), LinkAnnotation("n", "n", "car"))
     scene = sound.scene(annotations=(cuboid(), *links))
     assert [path for path, _ in found(scene, "link-end-unknown")] == ["annotations[1].to_id"]
     assert [path for path, _ in found(scene, "link-to-itself")] == ["annotations[2]", "annotations[3]"]

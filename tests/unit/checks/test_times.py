@@ -113,8 +113,7 @@ def epoch_lidar(sound, start_ns):
 
 
 @pytest.mark.parametrize(
-    ("start_ns", "rule"),
-    [(1_700_000_000 * SECOND, "epoch-times"), (5_000 * SECOND, "late-start")],
+    ("start_ns", "rule"), [(1_700_000_000 * SECOND, "epoch-times"), (5_000 * SECOND, "late-start")]
 )
 def test_timestamps_far_from_the_clocks_zero_get_an_offset(sound, found, fixed, start_ns, rule):
     scene = sound.scene(epoch_lidar(sound, start_ns), format="sfs")
@@ -186,10 +185,7 @@ def test_times_that_are_not_on_the_scenes_clock_are_found_and_their_frames_count
 
 def test_what_the_reader_of_scene_files_put_right_is_reported(sound, found):
     warning = DataWarning(
-        kind=WarningKind.ASSUMED,
-        code="relative-point-times",
-        location="sensors[0].frames",
-        message="relative",
+        kind=WarningKind.ASSUMED, code="relative-point-times", location="sensors[0].frames", message="relative"
     )
     assert found(sound.scene(warnings=(warning,)), "point-times-clock") == [("sensors[0].frames", "relative")]
 
@@ -247,12 +243,7 @@ def test_keyframes_that_do_not_increase_are_found(sound, found, times):
 
 
 def test_the_first_time_of_a_path_may_be_before_the_last_of_the_path_before(sound, found):
-    scene = sound.scene(
-        annotations=(
-            cuboid([PERIOD, 2 * PERIOD]),
-            replace(cuboid([0, PERIOD]), id="b"),
-        )
-    )
+    scene = sound.scene(annotations=(cuboid([PERIOD, 2 * PERIOD]), replace(cuboid([0, PERIOD]), id="b")))
     assert found(scene, "annotation-times-increasing") == []
 
 
@@ -285,12 +276,7 @@ def test_sorting_takes_values_along_and_drops_rows_reported_twice(sound, fixed):
 
 def test_sorting_takes_vertices_along(sound, fixed):
     outlines = (np.full((3, 2), 2.0), np.full((4, 2), 1.0))
-    shape = ShapeAnnotation(
-        "s",
-        ShapeType.POLYGON_2D,
-        VertexPath(np.array([PERIOD, 0]), outlines),
-        sensor_id="front",
-    )
+    shape = ShapeAnnotation("s", ShapeType.POLYGON_2D, VertexPath(np.array([PERIOD, 0]), outlines), sensor_id="front")
     [repaired] = fixed(sound.scene(annotations=(shape,)), "annotation-times-increasing").annotations
     assert [len(vertices) for vertices in repaired.path.vertices] == [4, 3]
 
@@ -317,10 +303,7 @@ def test_the_poses_of_corrections_may_lie_around_the_scene(sound, found):
 
 
 def test_what_lies_outside_as_a_whole_by_more_than_a_second_is_found(sound, found):
-    for times, outside in (
-        ([16 * PERIOD, 20 * PERIOD], False),
-        ([16 * PERIOD + 1, 20 * PERIOD], True),
-    ):
+    for times, outside in (([16 * PERIOD, 20 * PERIOD], False), ([16 * PERIOD + 1, 20 * PERIOD], True)):
         scene = sound.scene(annotations=(cuboid(times),))
         assert bool(found(scene, "annotation-outside-scene")) == outside
         assert bool(found(scene, "annotation-beyond-scene")) != outside
@@ -333,10 +316,7 @@ def test_a_path_from_far_before_to_far_after_the_scene_is_in_it(sound, found):
 
 def test_what_holds_always_may_lie_outside(sound, found):
     static = AttributePath("colour", ("red",), np.array([90 * PERIOD]), static=True)
-    annotations = (
-        cuboid([90 * PERIOD], stationary=True),
-        replace(cuboid(attributes=(static,)), id="b"),
-    )
+    annotations = (cuboid([90 * PERIOD], stationary=True), replace(cuboid(attributes=(static,)), id="b"))
     scene = sound.scene(annotations=annotations)
     assert found(scene, "annotation-outside-scene") == []
     assert found(scene, "annotation-beyond-scene") == []
@@ -359,14 +339,7 @@ def test_an_activation_of_negative_length_is_found(sound, found):
 
 
 def test_a_projection_between_images_is_found(sound, found):
-    times = np.array(
-        [
-            0,
-            PERIOD + PERIOD // 4,
-            PERIOD + PERIOD // 4 + 1,
-            5 * PERIOD,
-        ]
-    )
+    times = np.array([0, PERIOD + PERIOD // 4, PERIOD + PERIOD // 4 + 1, 5 * PERIOD])
     scene = sound.scene(annotations=(cuboid(projections=(Projection("front", times),)),))
     assert [path for path, _ in found(scene, "projection-without-image")] == [
         "annotations[0].projections[0].timestamps[2]"

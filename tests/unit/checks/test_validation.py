@@ -147,10 +147,7 @@ def test_fixing_writes_a_sound_scene_and_says_what_was_done(faulty, target):
         assert lidar.poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1]] * 2
         assert [
             (warning.code, warning.location) for warning in scene.warnings if warning.code in ("repaired", "at-fault")
-        ] == [
-            ("at-fault", "sensors[0].type"),
-            ("repaired", "sensors[1].poses.values[1]"),
-        ]
+        ] == [("at-fault", "sensors[0].type"), ("repaired", "sensors[1].poses.values[1]")]
 
 
 def test_what_a_fix_leaves_is_not_reported_as_fixed_though_its_location_moves(tmp_path, encode_sfs, target):
@@ -212,15 +209,7 @@ def test_a_file_that_cannot_be_read_at_all_gives_one_finding(tmp_path, target):
 def test_short_distortions_are_written_in_full(tmp_path, encode_sfs, target):
     path = tmp_path / "short.sfs"
     distortion = {"model": "fisheye", "params": [0.1]}
-    camera_model = {
-        "fx": 9.0,
-        "fy": 9.0,
-        "cx": 15.5,
-        "cy": 11.5,
-        "width": 32,
-        "height": 24,
-        "distortion": distortion,
-    }
+    camera_model = {"fx": 9.0, "fy": 9.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24, "distortion": distortion}
     poses = {"timestamps": [0], "values": [POSE]}
     camera = {"id": "c", "type": "camera", "intrinsics": camera_model, "poses": poses, "images": []}
     path.write_bytes(encode_sfs({"version": "1.0", "sensors": [camera]}))
@@ -275,24 +264,14 @@ def test_fixes_leave_a_sound_scene_as_it_is(sound):
             assert find_all(Subject(fixed), [rule]) == {rule.id: []}
 
 
-REPAIRED = {
-    "annotation-times-increasing",
-    "cuboid-negative-size",
-    "labelled-point-twice",
-    "attribute-static-repeats",
-}
+REPAIRED = {"annotation-times-increasing", "cuboid-negative-size", "labelled-point-twice", "attribute-static-repeats"}
 
 
 def test_a_file_with_everything_that_can_be_repaired_is_repaired(sound, tmp_path):
     rows = np.tile([-4.0, 2, 1.5, 1, 2, 0, 0, 0, 30], (3, 1))
     repeated = AttributePath("make", ("vw", "vw"), np.array([0, PERIOD]), static=True)
     annotations = (
-        CuboidAnnotation(
-            "car",
-            CuboidPath(np.array([PERIOD, 0, PERIOD]), rows),
-            label="car",
-            attributes=(repeated,),
-        ),
+        CuboidAnnotation("car", CuboidPath(np.array([PERIOD, 0, PERIOD]), rows), label="car", attributes=(repeated,)),
         LabeledPointsAnnotation("road", (LabeledPoints("top", np.array([7, 7, 3], np.uint32), 0),), label="road"),
     )
     write_scene(sound.scene(annotations=annotations), tmp_path / "drive.sfs")

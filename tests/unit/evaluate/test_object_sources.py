@@ -39,8 +39,7 @@ def test_cuboids_are_rows_at_every_time_that_is_asked_for():
 def test_scores_hold_until_the_next_and_are_one_where_nothing_is_stated():
     stated = AttributePath("existence", (0.2, 0.8), np.array([0, 5 * SECOND]))
     table = scene_objects(
-        scene(cuboid("a", "car", 0, attributes=(stated,)), cuboid("b", "car", 30)),
-        np.array([0, 4, 6]) * SECOND,
+        scene(cuboid("a", "car", 0, attributes=(stated,)), cuboid("b", "car", 30)), np.array([0, 4, 6]) * SECOND
     )
     assert table.scores is not None
     assert table.scores[table.ids == 0].tolist() == [0.2, 0.2, 0.8]
@@ -105,13 +104,7 @@ def fused_line(cloud: int, x: float, confidence: float) -> str:
         "x2": 200,
         "y2": 180,
     }
-    head = {
-        "image_seq": cloud,
-        "points_seq": cloud,
-        "camera_id": 1,
-        "lidar_id": 0,
-        "timestamp": car["timestamp"],
-    }
+    head = {"image_seq": cloud, "points_seq": cloud, "camera_id": 1, "lidar_id": 0, "timestamp": car["timestamp"]}
     return json.dumps({"detections": {**head, "detections": [car]}})
 
 
@@ -153,10 +146,7 @@ def test_fused_detections_are_compared_in_the_lidars_frame_with_their_covariance
     ("change", "stated"),
     [
         (lambda results, truth: (truth / "calib" / "0000.txt").unlink(), "calib"),
-        (
-            lambda results, truth: (results / "0000.jsonl").write_text('{"detections": ]\n'),
-            "0000.jsonl: line 1",
-        ),
+        (lambda results, truth: (results / "0000.jsonl").write_text('{"detections": ]\n'), "0000.jsonl: line 1"),
         (
             lambda results, truth: (results / "0000.jsonl").write_text(
                 f"{fused_line(1, 9, 0.5)}\n{fused_line(1, 9, 0.5)}\n"

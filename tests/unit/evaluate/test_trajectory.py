@@ -11,14 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom import evaluate_trajectory
 from sceneloom.errors import ArrayError, OptionError, PoseError
-from sceneloom.evaluate.trajectory import (
-    MatchedPoses,
-    Pairs,
-    align_pairs,
-    associate_poses,
-    covered_share,
-    umeyama,
-)
+from sceneloom.evaluate.trajectory import MatchedPoses, Pairs, align_pairs, associate_poses, covered_share, umeyama
 from sceneloom.scene import Poses, Trajectory
 
 
@@ -50,10 +43,7 @@ def test_far_from_the_reference_nothing_is_compared() -> None:
 def test_rotates_between_poses_are_even() -> None:
     half = np.sqrt(0.5)
     reference = Trajectory(
-        "true",
-        np.array([0, 100_000_000], np.int64),
-        np.zeros((2, 3)),
-        np.array([[0, 0, 0, 1.0], [0, 0, half, half]]),
+        "true", np.array([0, 100_000_000], np.int64), np.zeros((2, 3)), np.array([[0, 0, 0, 1.0], [0, 0, half, half]])
     )
     estimate = Trajectory("found", np.array([50_000_000], np.int64), np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))
     pairs = associate_poses(estimate, reference)
@@ -368,9 +358,7 @@ def test_kitti_figures_are_those_of_the_development_kit(drive: tuple[Trajectory,
         assert part.rotation_deg_per_m == pytest.approx(np.degrees(errors[:, 1].mean()), rel=1e-6)
 
 
-def test_steps_of_time_and_trajectory_are_those_of_the_definition(
-    drive: tuple[Trajectory, Trajectory],
-) -> None:
+def test_steps_of_time_and_trajectory_are_those_of_the_definition(drive: tuple[Trajectory, Trajectory]) -> None:
     ours, theirs = map(matrices, drive)
     trajectory = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(drive[1].positions, axis=0), axis=1))])
     count = len(ours)

@@ -39,11 +39,7 @@ def test_many_boxes_at_once_give_what_each_gives_alone():
 
 def test_points_inside_are_those_between_all_six_faces():
     rng = np.random.default_rng(1)
-    rotation, center, size = (
-        Rotation.from_rotvec([0.2, -0.5, 2]),
-        np.array([5.0, -3, 1]),
-        np.array([4.0, 2, 1.5]),
-    )
+    rotation, center, size = (Rotation.from_rotvec([0.2, -0.5, 2]), np.array([5.0, -3, 1]), np.array([4.0, 2, 1.5]))
     points = center + rng.uniform(-3, 3, (2000, 3))
     rows = rotation.as_matrix().T  # each row is one of the box's axes
     expected = [
@@ -58,12 +54,7 @@ def test_points_inside_are_those_between_all_six_faces():
 def test_faces_belong_to_the_box_and_a_margin_widens_it():
     points = [(2, 0, 0), (2.0001, 0, 0), (0, 0, -0.5), (2.1, 0, 0)]
     assert points_in_box(points, (0, 0, 0), (4, 2, 1), NO_ROTATION).tolist() == [True, False, True, False]
-    assert points_in_box(points, (0, 0, 0), (4, 2, 1), NO_ROTATION, margin=0.05).tolist() == [
-        True,
-        True,
-        True,
-        False,
-    ]
+    assert points_in_box(points, (0, 0, 0), (4, 2, 1), NO_ROTATION, margin=0.05).tolist() == [True, True, True, False]
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

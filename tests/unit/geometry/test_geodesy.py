@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.geometry.geodesy import (
-    ecef_from_geodetic,
-    enu_from_geodetic,
-    geodetic_from_ecef,
-    geodetic_from_enu,
-)
+from sceneloom.geometry.geodesy import ecef_from_geodetic, enu_from_geodetic, geodetic_from_ecef, geodetic_from_enu
 
 NANOMETRES = 5e-9  # float64 resolves 1e-9 m at the earth's radius
 

@@ -79,11 +79,7 @@ def test_without_reach_nothing_beyond_the_ends_is_given(path):
 
 def test_a_path_of_one_pose_is_stationary_within_its_reach():
     positions, quaternions, coverage = interpolate_poses(
-        np.array([50]),
-        np.array([[1.0, 2, 3]]),
-        np.array([[0.0, 0, 0, 1]]),
-        np.array([30, 49, 50, 60, 61]),
-        reach_ns=10,
+        np.array([50]), np.array([[1.0, 2, 3]]), np.array([[0.0, 0, 0, 1]]), np.array([30, 49, 50, 60, 61]), reach_ns=10
     )
     assert coverage.tolist() == [2, 1, 0, 1, 2]
     assert np.array_equal(positions[1:4], np.tile([1.0, 2, 3], (3, 1)))

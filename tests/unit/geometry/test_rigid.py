@@ -64,11 +64,7 @@ def test_a_mirrored_matrix_has_an_infinite_error():
 
 @pytest.mark.parametrize(
     ("matrix", "message"),
-    [
-        (np.eye(3), "4x4 or 3x4"),
-        (np.full((4, 4), np.inf), "finite"),
-        (WORLD_FROM_EGO.matrix.T, "last row"),
-    ],
+    [(np.eye(3), "4x4 or 3x4"), (np.full((4, 4), np.inf), "finite"), (WORLD_FROM_EGO.matrix.T, "last row")],
 )
 def test_what_cannot_be_read_as_a_rigid_matrix_is_refused(matrix, message):
     with pytest.raises(CalibrationError, match=message):

@@ -13,9 +13,9 @@ from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, unproject
 from sceneloom.checks.faults import as_read, warnings_of_code
-from sceneloom.checks.rule import HINT, WARNING, FrameInHand, Hit, Rule, Subject
+from sceneloom.checks.rule import HINT, WARNING, FrameInHand, Hit, Rule, Subject, frames_spread
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.recording.calibration import CAMERA_MODEL_READINGS, CameraParameters
+from sceneloom.formats.recording.calibration import CAMERA_MODEL_READINGS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import SILENT_ERROR, nearest_rotation
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
@@ -31,19 +31,66 @@ CAMERA_KEYS = frozenset(
         *("shutterRollTimeSeconds", "rollingShutterLeftToRight", "exposureTimeSeconds"),
     )
 )
-
 LIDAR_KEYS = frozenset({"model", "lidarInd", "imuToLidar", "imuToLidarMatrix"})
-
 ROOT_KEYS = frozenset(
     {"cameras", "lidars", "imuToOutput", "imuToGnss", "imuForward", "imuToMagnetometer", "imuToOdometer"}
 )
 """Keys that the format has, or the vendor's software writes."""
 
-LONGEST_ROLL, LONGEST_EXPOSURE, LONGEST_SHIFT = 0.1, 1.0, 0.5
-"""Longer ones [s] belong to no camera that moves."""
+_SECONDS = {
+    "shutterRollTimeSeconds": (0.0, 0.1),
+    "exposureTimeSeconds": (0.0, 1.0),
+    "imuToCameraShiftSeconds": (-0.5, 0.5),
+}
+"""Times outside these [s] belong to no camera that moves."""
 
 _PADDED = {"brown-conrady": (5, 8)}
 """Lists of the first length are read, and other programs want the second."""
+
+SHORTEST, LONGEST = 0.2, 5.0
+"""Focal lengths outside these parts of the image's width are rare: they see 136° and more, or 11° and less."""
+
+MOST_UNEQUAL, OFF_CENTRE = 1.1, 0.2
+"""Focal lengths of square pixels differ by less; the principal point lies within this part of the image's size around
+its centre."""
+
+_PARTS, _MILLIMETRES = 2.0, 50.0
+"""A focal length up to the first number is none in pixels but in widths of the image, up to the second in mm."""
+
+_HALVES, _NEAR = (2.0, 4.0, 0.5, 0.25), 0.05
+"""A principal point at so many times the centre, within this share, comes from images that were resized."""
+
+_ALIKE_DEG = 15.0
+"""Cameras whose axes differ by no more are a pair [deg]."""
+
+FARTHEST, _MOUNTINGS_MILLIMETRES = 5.0, 50.0
+"""A sensor is no farther from the IMU [m]; numbers beyond the second are millimetres or centimetres."""
+
+_NARROWEST_BASELINE, WIDEST_BASELINE = 0.005, 1.0
+"""Two cameras that look the same way are so far apart [m]."""
+
+_SAME_LOCATION, _SAME_ROTATION = 1e-4, 1e-6
+"""Mountings whose translations [m] and rotation matrices differ by less were copied, not calibrated."""
+
+_UPRIGHT_DEG, _ROLLED_DEG, _STEEP_DEG = 20.0, 45.0, 65.0
+"""A camera is upright below the first angle, on its way to its side beyond the second, and looks up or down beyond the
+third."""
+
+_SAMPLES = 20_000
+"""So many samples of the accelerometer, spread over all, show where up is."""
+
+_MATRICES = ("imuToCamera", "imuToCameraMatrix", "imuToLidar", "imuToLidarMatrix")
+_WIDTH, _LOOKED_AT = 192, 4
+"""So many images are compared at this width [px], or at their own where that is less."""
+
+_WIDEST_SHIFT, _CLEAR_SHIFT, _PATCH = 16, 1.5, 12
+"""Disparities are searched up to the first, and reported from the second on [px]."""
+
+_TEXTURE, _MATCHED, _CLEARLY = 6.0, 0.5, 0.7
+"""A patch needs so much contrast (standard deviation, of 255) to be matched, has at most this part of it left where it
+is, and has to fit so much better on one side than on the other."""
+
+_FEWEST_PATCHES, _MOST_WRONG = 20, 0.5
 
 
 def _entries(subject: Subject, name: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -54,20 +101,27 @@ def _entries(subject: Subject, name: str) -> Iterator[tuple[str, Mapping[str, An
             yield f"calibration.json: {name}[{index}]", entry
 
 
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.lower() if letter.isalnum())
+
+
 def _spelling(subject: Subject) -> Iterator[Hit]:
-    for location, entry in _entries(subject, "cameras"):
-        yield from _spelling_of_model(location, entry)
-        yield from _spelling_of_matrix(location, entry, "imuToCamera")
-    for location, entry in _entries(subject, "lidars"):
-        yield from _spelling_of_matrix(location, entry, "imuToLidar")
+    for name, key in (("cameras", "imuToCamera"), ("lidars", "imuToLidar")):
+        for location, entry in _entries(subject, name):
+            if name == "cameras":
+                yield from _spelling_of_model(location, entry)
+            other = f"{key}Matrix"
+            if other in entry and key not in entry:
+                yield Hit(f"{location}.{other}", f"expected the key `{key}`")
+            matrix = entry.get(key, entry.get(other))
+            if isinstance(matrix, list) and len(matrix) == 16:
+                yield Hit(f"{location}.{key}", "16 numbers, read column by column; expected 4 rows of 4")
 
 
 def _spelling_of_model(location: str, entry: Mapping[str, Any]) -> Iterator[Hit]:
     key = "model" if "model" in entry else "distortionModel"
     name = entry.get(key)
-    if not isinstance(name, str):
-        return
-    usual = {_plain(known): known for known in CAMERA_MODEL_READINGS}.get(_plain(name))
+    usual = {_plain(known): known for known in CAMERA_MODEL_READINGS}.get(_plain(name) if isinstance(name, str) else "")
     if usual is None:
         return
     if name != usual:
@@ -80,99 +134,37 @@ def _spelling_of_model(location: str, entry: Mapping[str, Any]) -> Iterator[Hit]
         yield Hit(f"{location}.distortionCoefficients", f"{given} numbers; expected {wanted}, padded with 0")
 
 
-def _spelling_of_matrix(location: str, entry: Mapping[str, Any], key: str) -> Iterator[Hit]:
-    other = f"{key}Matrix"
-    if other in entry and key not in entry:
-        yield Hit(f"{location}.{other}", f"expected the key `{key}`")
-    matrix = entry.get(key, entry.get(other))
-    if isinstance(matrix, list) and len(matrix) == 16:
-        yield Hit(f"{location}.{key}", "16 numbers, read column by column; expected 4 rows of 4")
-
-
-def _plain(name: str) -> str:
-    return "".join(letter for letter in name.lower() if letter.isalnum())
-
-
 def _unknown_keys(subject: Subject) -> Iterator[Hit]:
     if subject.recording is None:
         return
-    yield from _strange("calibration.json: ", subject.recording.calibration.content, ROOT_KEYS)
+    listed = [("calibration.json: ", subject.recording.calibration.content, ROOT_KEYS)]
     for name, known in (("cameras", CAMERA_KEYS), ("lidars", LIDAR_KEYS)):
-        for location, entry in _entries(subject, name):
-            yield from _strange(f"{location}.", entry, known)
+        listed += [(f"{location}.", entry, known) for location, entry in _entries(subject, name)]
+    for location, entry, known in listed:
+        plain = {_plain(name): name for name in known}
+        for key in entry:
+            if key not in known:
+                near = get_close_matches(_plain(key), plain, n=1)
+                meant = f"; is {plain[near[0]]!r} meant?" if near else ""
+                yield Hit(f"{location}{key}", f"not used{meant}")
 
 
-def _strange(location: str, entry: Mapping[str, Any], known: frozenset[str]) -> Iterator[Hit]:
-    for key in entry:
-        if key not in known:
-            plain = {_plain(name): name for name in known}
-            near = get_close_matches(_plain(key), plain, n=1)
-            meant = f"; is {plain[near[0]]!r} meant?" if near else ""
-            yield Hit(f"{location}{key}", f"nothing here reads it{meant}")
+def _times(*keys: str) -> Any:
+    def find(subject: Subject) -> Iterator[Hit]:
+        for location, entry in _entries(subject, "cameras"):
+            for key in keys:
+                seconds, (least, most) = entry.get(key), _SECONDS[key]
+                if isinstance(seconds, int | float) and not least <= seconds <= most:
+                    expected = f"expected at most {most:g} either way" if least < 0 else f"expected 0 to {most:g}"
+                    hint = ": probably milliseconds" if seconds > most or least < 0 else ""
+                    yield Hit(f"{location}.{key}", f"{seconds:g} s; {expected}{hint}")
 
-
-def _shutter_times(subject: Subject) -> Iterator[Hit]:
-    limits = {"shutterRollTimeSeconds": LONGEST_ROLL, "exposureTimeSeconds": LONGEST_EXPOSURE}
-    for location, entry in _entries(subject, "cameras"):
-        for key, longest in limits.items():
-            seconds = entry.get(key)
-            if isinstance(seconds, int | float) and not 0 <= seconds <= longest:
-                hint = ": probably milliseconds" if seconds > longest else ""
-                yield Hit(f"{location}.{key}", f"{seconds:g} s; expected 0 to {longest:g}{hint}")
-
-
-def _shifts(subject: Subject) -> Iterator[Hit]:
-    for location, entry in _entries(subject, "cameras"):
-        seconds = entry.get("imuToCameraShiftSeconds")
-        if isinstance(seconds, int | float) and not abs(seconds) <= LONGEST_SHIFT:
-            reported = f"{seconds:g} s; expected at most {LONGEST_SHIFT:g} either way: probably milliseconds"
-            yield Hit(f"{location}.imuToCameraShiftSeconds", reported)
-
-
-# fmt: off
-CALIBRATION_RULES: tuple[Rule, ...] = (
-    Rule("calibration-spelling", WARNING,
-         "Keys, models and lists of a calibration are spelt as the vendor's software reads them.",
-         "Use `imuToCamera` of 4 rows, `model` in small letters with a dash, and 8 numbers for `brown-conrady`.",
-         find=_spelling, fix=as_read),
-    Rule("calibration-keys-known", HINT, "Every key of a calibration is one of the format.",
-         "See whether it is misspelt; it is kept as it is.", find=_unknown_keys),
-    Rule("calibration-shutter", WARNING,
-         f"A shutter rolls for {LONGEST_ROLL:g} s at most, and is open for {LONGEST_EXPOSURE:g} s at most.",
-         "Write seconds.", find=_shutter_times),
-    Rule("calibration-shift", WARNING, f"`imuToCameraShiftSeconds` is {LONGEST_SHIFT:g} s at most.",
-         "Write seconds.", find=_shifts),
-)
-# fmt: on
-
-SHORTEST, LONGEST = 0.2, 5.0
-"""Focal lengths outside these parts of the image's width are rare: they see 136° and more, or 11° and less."""
-
-MOST_UNEQUAL = 1.1
-"""Focal lengths of square pixels differ by less."""
-
-OFF_CENTRE = 0.2
-"""The principal point lies within this part of the image's width and height around its centre."""
-
-_PARTS, _MILLIMETRES = 2.0, 50.0
-"""A focal length up to the first number is none in pixels but in widths of the image, up to the second in mm."""
-
-_HALVES = (2.0, 4.0, 0.5, 0.25)
-"""A principal point at so many times the centre comes from images that were made smaller or larger."""
-
-_NEAR = 0.05
-"""Lengths in pixels are alike within this share."""
+    return find
 
 
 @dataclass(frozen=True, slots=True)
 class _Intrinsics:
-    """Intrinsics of a calibration, for images of a size [px].
-
-    Attributes:
-        location: where they stand.
-        fx, fy, cx, cy: as the file has them.
-        width, height: of the images that they are for.
-    """
+    """Intrinsics of a calibration where they stand, as the file has them, for images of a size [px]."""
 
     location: str
     fx: float
@@ -190,7 +182,9 @@ def _intrinsics(subject: Subject) -> Iterator[_Intrinsics]:
     sizes = {str(c.id): (c.camera.width, c.camera.height) for c in subject.scene.cameras}
     for index, camera in sorted(subject.recording.calibration.cameras.items()):
         p = camera.parameters
-        size = _size(p) or sizes.get(f"camera{index}")
+        size = sizes.get(f"camera{index}")
+        if p.imageWidth is not None and p.imageHeight is not None and min(p.imageWidth, p.imageHeight) >= 1:
+            size = int(p.imageWidth), int(p.imageHeight)
         numbers = (p.focalLengthX, p.focalLengthY, p.principalPointX, p.principalPointY)
         if size is not None and None not in numbers:
             fx, fy, cx, cy = (float("nan") if number is None else float(number) for number in numbers)
@@ -202,34 +196,23 @@ def _in_folder(subject: Subject, location: str) -> str:
     return location.removeprefix(folder).lstrip("/")
 
 
-def _size(parameters: CameraParameters) -> tuple[int, int] | None:
-    width, height = parameters.imageWidth, parameters.imageHeight
-    if width is None or height is None or min(width, height) < 1:
-        return None
-    return int(width), int(height)
-
-
 def _focal_lengths(subject: Subject) -> Iterator[Hit]:
     for k in _intrinsics(subject):
         larger, smaller = max(k.fx, k.fy), min(k.fx, k.fy)
         if smaller <= 0:
             problem = f"{k.fx:g}, focalLengthY {k.fy:g}; expected positive numbers"
         elif not SHORTEST * k.width <= larger <= LONGEST * k.width:
+            unit = ": probably in millimetres" if larger <= _MILLIMETRES else ""
+            unit = ": probably in parts of the image's width" if larger <= _PARTS else unit
             problem = (
                 f"{k.fx:g} px for images {k.width} px wide; expected {SHORTEST * k.width:g} to {LONGEST * k.width:g}"
-                f"{_unit(larger)}"
+                f"{unit}"
             )
         elif larger > MOST_UNEQUAL * smaller:
             problem = f"{k.fx:g}, focalLengthY {k.fy:g}; expected nearly equal ones, as of square pixels"
         else:
             continue
         yield Hit(f"{k.location}.focalLengthX", problem)
-
-
-def _unit(focal_length: float) -> str:
-    if focal_length <= _PARTS:
-        return ": probably in parts of the image's width"
-    return ": probably in millimetres" if focal_length <= _MILLIMETRES else ""
 
 
 def _principal_points(subject: Subject) -> Iterator[Hit]:
@@ -244,123 +227,31 @@ def _principal_points(subject: Subject) -> Iterator[Hit]:
 
 
 def _meant(k: _Intrinsics) -> str:
+    def near(x: float, y: float) -> bool:
+        return abs(k.cx - x) <= _NEAR * x and abs(k.cy - y) <= _NEAR * y
+
     if abs(k.cx) <= 1 and abs(k.cy) <= 1:
         return ": probably in parts of the image"
-    if _is_near(k.cy, k.width / 2) and _is_near(k.cx, k.height / 2):
+    if near(k.height / 2, k.width / 2):
         return ": probably x and y are exchanged"
     for times in _HALVES:
-        if _is_near(k.cx, times * k.width / 2) and _is_near(k.cy, times * k.height / 2):
+        if near(times * k.width / 2, times * k.height / 2):
             return f": probably for images {times:g} times as wide and high"
     return ""
 
 
-def _is_near(value: float, wanted: float) -> bool:
-    return abs(value - wanted) <= _NEAR * wanted
-
-
-# fmt: off
-CALIBRATED_CAMERA_RULES: tuple[Rule, ...] = (
-    Rule("calibration-focal-length", WARNING,
-         f"Focal lengths of a calibration are {SHORTEST:g} to {LONGEST:g} image widths, and differ by less than "
-         f"{MOST_UNEQUAL - 1:.0%}.", "Write pixels of the images that imageWidth and imageHeight report.",
-         find=_focal_lengths),
-    Rule("calibration-principal-point", WARNING,
-         f"Principal points of a calibration lie within {OFF_CENTRE:.0%} of the image's size around its centre.",
-         "See whether the camera model was calibrated for another size, or the image cut without moving the point.",
-         find=_principal_points),
-    Rule("calibration-size", WARNING,
-         "Images have the `imageWidth` and `imageHeight` that their camera model is calibrated for.",
-         "Write the numbers for the images as they are; `--fix` scales them, which is wrong for cut images.",
-         find=warnings_of_code("camera-model-scaled"), fix=as_read),
-)
-# fmt: on
-
-_ALIKE_DEG = 15.0
-"""Cameras whose axes differ by no more are a pair [deg]."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _CameraPair:
-    """Two cameras that look the same way.
-
-    Attributes:
-        first, second: their `cameraInd`.
-        first_from_second: takes points of the second camera into the first.
-    """
-
-    first: int
-    second: int
-    first_from_second: RigidTransform
-
-    @property
-    def baseline(self) -> Float64Array:
-        """Where the second camera is, seen from the first, (3,) [m]: x right, y down, z forward."""
-        return self.first_from_second.translation
-
-
-def stereo_pairs(subject: Subject) -> Sequence[_CameraPair]:
-    """All pairs by their mountings in the calibration."""
-    return subject.table("stereo pairs", _pairs)
-
-
-def _pairs(subject: Subject) -> list[_CameraPair]:
-    if subject.recording is None:
-        return []
-    cameras = subject.recording.calibration.cameras
-    mounted = [(index, c.camera_from_imu) for index, c in sorted(cameras.items()) if c.camera_from_imu is not None]
-    found = []
-    for (first, a), (second, b) in combinations(mounted, 2):
-        pair = _CameraPair(first, second, a @ b.inverse())
-        rotated = np.degrees(np.arccos(np.clip((np.trace(pair.first_from_second.rotation) - 1) / 2, -1.0, 1.0)))
-        if rotated <= _ALIKE_DEG:
-            found.append(pair)
-    return found
-
-
-FARTHEST = 5.0
-"""A sensor is no farther from the IMU [m]."""
-
-_MOUNTINGS_MILLIMETRES = 50.0
-"""What is farther [m] than this is in millimetres or centimetres."""
-
-WIDEST_BASELINE = 1.0
-
-_NARROWEST_BASELINE = 0.005
-"""Two cameras that look the same trajectory are so far apart [m]."""
-
-_SAME_LOCATION, _SAME_ROTATION = 1e-4, 1e-6
-"""Mountings whose translations [m] and rotation matrices differ by less were copied, not calibrated."""
-
-_UPRIGHT_DEG, _ROLLED_DEG = 20.0, 45.0
-"""A camera stands upright below the first angle off it, and is on its way to its side beyond the second."""
-
-_STEEP_DEG = 65.0
-
-_SAMPLES = 20_000
-"""So many samples of the accelerometer, spread over all, report where up is."""
-
-_MATRICES = ("imuToCamera", "imuToCameraMatrix", "imuToLidar", "imuToLidarMatrix")
-
-
-def _mounts(subject: Subject) -> Iterator[tuple[str, str, RigidTransform]]:
+def _mounts(subject: Subject, *, cameras_only: bool = False) -> Iterator[tuple[str, str, RigidTransform]]:
     """Location, name and `sensor_from_imu` of every sensor of the calibration."""
     if subject.recording is None:
         return
     calibration = subject.recording.calibration
     for index, camera in sorted(calibration.cameras.items()):
         if camera.camera_from_imu is not None:
-            yield (
-                f"{_in_folder(subject, camera.location)}.imuToCamera",
-                f"camera {index}",
-                camera.camera_from_imu,
-            )
-    for index, lidar in sorted(calibration.lidars.items()):
+            location = f"{_in_folder(subject, camera.location)}.imuToCamera"
+            yield location, f"camera {index}", camera.camera_from_imu
+    for index, lidar in sorted(calibration.lidars.items()) if not cameras_only else ():
         if lidar.lidar_from_imu is not None:
             yield f"{_in_folder(subject, lidar.location)}.imuToLidar", f"lidar {index}", lidar.lidar_from_imu
-
-
-def _camera_mounts(subject: Subject) -> list[tuple[str, str, RigidTransform]]:
-    return [mount for mount in _mounts(subject) if mount[1].startswith("camera")]
 
 
 def _far(subject: Subject) -> Iterator[Hit]:
@@ -369,12 +260,12 @@ def _far(subject: Subject) -> Iterator[Hit]:
         distance = float(np.linalg.norm(mount.translation))
         if distance > FARTHEST:
             hint = ": probably millimetres" if distance > _MOUNTINGS_MILLIMETRES else ""
-            reported = f"{name} is {distance:.1f} m from the IMU ({x:.2f}, {y:.2f}, {z:.2f})"
-            yield Hit(location, f"{reported}; expected {FARTHEST:g} m at most{hint}")
+            problem = f"{name} is {distance:.1f} m from the IMU ({x:.2f}, {y:.2f}, {z:.2f})"
+            yield Hit(location, f"{problem}; expected {FARTHEST:g} m at most{hint}")
 
 
 def _same(subject: Subject) -> Iterator[Hit]:
-    for (_, first, a), (location, second, b) in combinations(_camera_mounts(subject), 2):
+    for (_, first, a), (location, second, b) in combinations(_mounts(subject, cameras_only=True), 2):
         moved = float(np.abs(a.translation - b.translation).max())
         rotated = float(np.abs(a.rotation - b.rotation).max())
         if moved < _SAME_LOCATION and rotated < _SAME_ROTATION:
@@ -382,11 +273,8 @@ def _same(subject: Subject) -> Iterator[Hit]:
 
 
 def _inverted(subject: Subject) -> Iterator[Hit]:
-    """Cameras that lie on their side, while the inverse of their matrix stands upright."""
-    up = _up_imu(subject)
-    if up is None:
-        return
-    for location, name, mount in _camera_mounts(subject):
+    """Cameras that lie on their side, while the inverse of their matrix is upright."""
+    for location, name, mount, up in _mounts_with_up(subject):
         (rolled, _), (inverse, steep) = _posture(mount.rotation, up), _posture(mount.rotation.T, up)
         if rolled > _ROLLED_DEG and inverse < _UPRIGHT_DEG and abs(steep) < _ROLLED_DEG:
             problem = (
@@ -397,10 +285,7 @@ def _inverted(subject: Subject) -> Iterator[Hit]:
 
 
 def _steep(subject: Subject) -> Iterator[Hit]:
-    up = _up_imu(subject)
-    if up is None:
-        return
-    for location, name, mount in _camera_mounts(subject):
+    for location, name, mount, up in _mounts_with_up(subject):
         _, steep = _posture(mount.rotation, up)
         if abs(steep) > _STEEP_DEG:
             way = "up" if steep > 0 else "down"
@@ -413,23 +298,59 @@ def _posture(camera_from_imu: Float64Array, up_imu: Float64Array) -> tuple[float
     return float(np.degrees(np.arccos(down))), float(np.degrees(np.arcsin(ahead)))
 
 
-def _up_imu(subject: Subject) -> Float64Array | None:
-    """The mean direction of what the accelerometer measures, (3,), where it stays the same for long; else None."""
+def _mounts_with_up(subject: Subject) -> Iterator[tuple[str, str, RigidTransform, Float64Array]]:
+    """Mountings of cameras with the mean direction of the accelerometer, (3,), where it stays the same for long."""
     imu = next((s for s in subject.scene.sensors if isinstance(s, ImuSensor)), None)
-    forces = (MappingProxyType({}) if imu is None else imu.streams).get("accelerometer")
+    forces = None if imu is None else imu.streams.get("accelerometer")
     if forces is None or forces.values.shape[1] != 3 or len(forces) == 0:
-        return None
+        return
     some = forces.values[:: len(forces) // _SAMPLES + 1]
     some = some[np.isfinite(some).all(axis=1)]
     lengths = np.linalg.norm(some, axis=1)
     mean = some.mean(axis=0) if len(some) else np.zeros(3)
     length = float(np.linalg.norm(mean))
-    return mean / length if lengths.any() and length > 0.8 * float(lengths.mean()) else None
+    if lengths.any() and length > 0.8 * float(lengths.mean()):
+        for location, name, mount in _mounts(subject, cameras_only=True):
+            yield location, name, mount, mean / length
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CameraPair:
+    """Two cameras that look the same way: their `cameraInd`, and `first_from_second`."""
+
+    first: int
+    second: int
+    first_from_second: RigidTransform
+
+    @property
+    def baseline(self) -> Float64Array:
+        """Where the second camera is, seen from the first, (3,) [m]: x right, y down, z forward."""
+        return self.first_from_second.translation
+
+    @property
+    def location(self) -> str:
+        """Where findings about the pair are reported."""
+        return f"calibration.json: cameras[{self.second}].imuToCamera"
+
+
+def stereo_pairs(subject: Subject) -> Sequence[_CameraPair]:
+    """All pairs by their mountings in the calibration."""
+    return subject.table("stereo pairs", _pairs)
+
+
+def _pairs(subject: Subject) -> list[_CameraPair]:
+    if subject.recording is None:
+        return []
+    cameras = subject.recording.calibration.cameras
+    mounted = [(index, c.camera_from_imu) for index, c in sorted(cameras.items()) if c.camera_from_imu is not None]
+    pairs = [_CameraPair(first, second, a @ b.inverse()) for (first, a), (second, b) in combinations(mounted, 2)]
+    cosines = [np.clip((np.trace(pair.first_from_second.rotation) - 1) / 2, -1.0, 1.0) for pair in pairs]
+    return [pair for pair, cosine in zip(pairs, cosines, strict=True) if np.degrees(np.arccos(cosine)) <= _ALIKE_DEG]
 
 
 def _baselines(subject: Subject) -> Iterator[Hit]:
     for pair in stereo_pairs(subject):
-        length, names = float(np.linalg.norm(pair.baseline)), f"cameras {pair.first} and {pair.second}"
+        length = float(np.linalg.norm(pair.baseline))
         if _SAME_LOCATION <= length < _NARROWEST_BASELINE:
             problem = f"{length * 1e3:.1f} mm apart; expected {_NARROWEST_BASELINE * 1e3:g} mm to {WIDEST_BASELINE:g} m"
         elif length > WIDEST_BASELINE:
@@ -437,19 +358,18 @@ def _baselines(subject: Subject) -> Iterator[Hit]:
             problem = f"{length:.2f} m apart; expected {WIDEST_BASELINE:g} m at most{hint}"
         else:
             continue
-        location = f"calibration.json: cameras[{pair.second}].imuToCamera"
-        yield Hit(location, f"{names} look the same way from {problem}")
+        yield Hit(pair.location, f"cameras {pair.first} and {pair.second} look the same way from {problem}")
 
 
 def _left_and_right(subject: Subject) -> Iterator[Hit]:
     for pair in stereo_pairs(subject):
         x, y, z = pair.baseline
         if -x >= _NARROWEST_BASELINE and -x > max(abs(y), abs(z)):
-            reported = (
+            problem = (
                 f"camera {pair.second} is {-x:.3f} m to the left of camera {pair.first}; usual is the right: "
-                "see whether videos or entries are exchanged, or both matrices inverted"
+                "check whether videos or entries are exchanged, or both matrices inverted"
             )
-            yield Hit(f"calibration.json: cameras[{pair.second}].imuToCamera", reported)
+            yield Hit(pair.location, problem)
 
 
 def _with_rotations(scene: Scene) -> Scene:
@@ -466,13 +386,12 @@ def _with_rotation(sensor: Sensor) -> Sensor:
     stale = [key for key in _MATRICES if isinstance(entry, Mapping) and _is_off(entry.get(key))]
     if not stale or not isinstance(entry, Mapping):
         return sensor
-    matrix = sensor.mount.inverse().matrix.tolist()
-    repaired = MappingProxyType({**entry, **dict.fromkeys(stale, matrix)})
+    repaired = MappingProxyType({**entry, **dict.fromkeys(stale, sensor.mount.inverse().matrix.tolist())})
     return replace(sensor, extras=MappingProxyType({**sensor.extras, "calibration": repaired}))
 
 
 def _is_off(numbers: object) -> bool:
-    """Whether a matrix as JSON has it holds a rotation that is off by more than is passed over in silence."""
+    """Whether a matrix as JSON has it contains a rotation that is off by more than rounding."""
     try:
         matrix = np.array(numbers, np.float64)
         matrix = matrix.reshape(round(matrix.size**0.5), -1)[:3, :3]
@@ -481,61 +400,12 @@ def _is_off(numbers: object) -> bool:
         return False
 
 
-# fmt: off
-MOUNTING_RULES: tuple[Rule, ...] = (
-    Rule("mounting-rotation", WARNING,
-         "Rotations of mountings are orthonormal within 0.001; beyond 0.01 they are refused.",
-         "Write rotations with more digits; `--fix` writes the nearest rotation.",
-         find=warnings_of_code("rotation-normalised"), fix=_with_rotations),
-    Rule("mounting-far", WARNING, f"Cameras and lidars are at most {FARTHEST:g} m from the IMU.",
-         "Write metres.", find=_far),
-    Rule("mounting-repeated", WARNING, "No two cameras have one `imuToCamera`.", "Write each camera's own.",
-         find=_same),
-    Rule("mounting-inverted", WARNING,
-         "Cameras do not lie on their side where the inverse of their matrix would stand upright.",
-         "Write the matrix by rows that takes points of the IMU into the camera: x right, y down, z forward.",
-         find=_inverted),
-    Rule("mounting-steep", HINT, f"Cameras look ahead, not up or down by more than {_STEEP_DEG:g}°.",
-         "See whether the axes are x right, y down, z forward; it is allowed if the camera is mounted so.",
-         find=_steep),
-    Rule("stereo-baseline", WARNING,
-         f"Cameras that look the same way are {_NARROWEST_BASELINE * 1e3:g} mm to {WIDEST_BASELINE:g} m apart.",
-         "Write metres, and each camera's own mounting.", find=_baselines),
-    Rule("stereo-sides", HINT, "Of two cameras that look the same way, the first is the left one.",
-         "See whether videos, entries or matrices are exchanged; it is allowed if they are not.",
-         find=_left_and_right),
-)
-# fmt: on
-
-_WIDTH = 192
-"""Images are compared at this width [px], or at their own where that is less."""
-
-_LOOKED_AT = 4
-
-_WIDEST_SHIFT, _CLEAR_SHIFT = 16, 1.5
-"""Shifts are looked for up to the first, and reported from none at the second [px]."""
-
-_PATCH = 12
-
-_TEXTURE = 6.0
-"""A patch needs so much contrast (standard deviation, of 255) to be matched."""
-
-_CLEARLY = 0.7
-"""And has to fit so much better on one side than on the other."""
-
-_MATCHED = 0.5
-"""What is left of the difference where a patch is matched, as part of its contrast."""
-
-_FEWEST_PATCHES = 20
-_MOST_WRONG = 0.5
-
-
 @dataclass(slots=True)
 class _Views:
     """Some small grey images of each camera by their times [ns], kept until the second camera of a pair comes."""
 
     images: dict[int, dict[int, Float64Array]] = field(default_factory=dict)
-    camera_models: dict[int, Camera] = field(default_factory=dict)
+    models: dict[int, Camera] = field(default_factory=dict)
 
 
 def _views(subject: Subject) -> _Views:
@@ -543,36 +413,25 @@ def _views(subject: Subject) -> _Views:
 
 
 def _look(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
-    """Keep some images of cameras that are one of a pair; what they show is stated at the end."""
-    yield from ()
-    camera, image = frame.sensor, frame.frame
-    if not isinstance(camera, CameraSensor) or not isinstance(image, CameraImage):
-        return
-    index = _index(camera)
-    if not any(index in {pair.first, pair.second} for pair in stereo_pairs(subject)):
-        return
-    wanted = np.linspace(0, len(camera.images) - 1, _LOOKED_AT).astype(int)
-    if frame.number in wanted:
-        camera_model = _small(camera.camera)
-        _views(subject).camera_models[index] = camera_model
-        small = _grey(image.rgb, camera_model)
-        _views(subject).images.setdefault(index, {})[image.timestamp_ns] = small
+    """Keep some images of cameras that are one of a pair; what they show is reported at the end."""
+    camera, image, views = frame.sensor, frame.frame, _views(subject)
+    if isinstance(camera, CameraSensor) and isinstance(image, CameraImage):
+        name = str(camera.id).removeprefix("camera")
+        index = int(name) if name.isdigit() else -1
+        is_paired = any(index in {pair.first, pair.second} for pair in stereo_pairs(subject))
+        if is_paired and frame.number in frames_spread(len(camera.images), _LOOKED_AT):
+            model = camera.camera
+            width = min(_WIDTH, model.width)
+            views.models[index] = model.resized(width, max(1, round(model.height * width / model.width)))
+            small = _grey(image.rgb, views.models[index])
+            views.images.setdefault(index, {})[image.timestamp_ns] = small
+    return iter(())
 
 
-def _index(camera: CameraSensor) -> int:
-    name = str(camera.id).removeprefix("camera")
-    return int(name) if name.isdigit() else -1
-
-
-def _small(camera_model: Camera) -> Camera:
-    width = min(_WIDTH, camera_model.width)
-    return camera_model.resized(width, max(1, round(camera_model.height * width / camera_model.width)))
-
-
-def _grey(rgb: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], camera_model: Camera) -> Float64Array:
+def _grey(rgb: np.ndarray[tuple[int, ...], np.dtype[np.uint8]], model: Camera) -> Float64Array:
     """Mean brightness over the pixels of a smaller image, (height, width) float64."""
-    rows = np.linspace(0, rgb.shape[0], camera_model.height + 1).astype(int)
-    columns = np.linspace(0, rgb.shape[1], camera_model.width + 1).astype(int)
+    rows = np.linspace(0, rgb.shape[0], model.height + 1).astype(int)
+    columns = np.linspace(0, rgb.shape[1], model.width + 1).astype(int)
     sums = np.add.reduceat(np.add.reduceat(rgb.mean(axis=2), rows[:-1], axis=0), columns[:-1], axis=1)
     grey: Float64Array = sums / np.outer(np.diff(rows), np.diff(columns))
     return grey
@@ -586,24 +445,38 @@ def _wrong_side(subject: Subject) -> Iterator[Hit]:
         first, second = views.images.get(pair.first, {}), views.images.get(pair.second, {})
         right = wrong = 0
         for time in first.keys() & second.keys():
-            camera_models = views.camera_models[pair.first], views.camera_models[pair.second]
-            there, back = _sides(pair, camera_models, first[time], second[time])
+            models = views.models[pair.first], views.models[pair.second]
+            there, back = _sides(pair, models, first[time], second[time])
             right, wrong = right + there, wrong + back
         if right + wrong >= _FEWEST_PATCHES and wrong > _MOST_WRONG * (right + wrong):
-            reported = (
+            problem = (
                 f"{wrong} of {right + wrong} patches that show near things shift between the images of cameras "
                 f"{pair.first} and {pair.second} against the side on which their mountings put them: probably "
                 "videos or entries are exchanged, or the matrices inverted"
             )
-            yield Hit(f"calibration.json: cameras[{pair.second}].imuToCamera", reported)
+            yield Hit(pair.location, problem)
 
 
 def _sides(
-    pair: _CameraPair, camera_models: tuple[Camera, Camera], first: Float64Array, second: Float64Array
+    pair: _CameraPair, models: tuple[Camera, Camera], first: Float64Array, second: Float64Array
 ) -> tuple[int, int]:
     """How many patches of the first image shift as the mountings state, and how many the other way."""
+    height, width = first.shape
+    v, u = np.mgrid[0:height, 0:width]
+    rays = unproject(models[0], np.column_stack([u.ravel(), v.ravel()]).astype(np.float64))
+    rays = rays / rays[:, 2:]
+    second_from_first = pair.first_from_second.inverse()
+    rotated = second_from_first.rotate(rays)
     shifts = np.arange(-_WIDEST_SHIFT, _WIDEST_SHIFT + 1)
-    costs = np.stack([_cost(pair, camera_models, first, second, float(shift)) for shift in shifts])
+    every = []  # mean differences over each patch if all of it shifts by so many pixels; NaN beyond the second image
+    for shift in shifts.astype(np.float64).tolist():
+        away = second_from_first.translation * shift / (models[0].fx * float(np.linalg.norm(pair.baseline)))
+        pixels, visible = project(models[1], rotated + away)
+        columns = np.clip(np.rint(np.nan_to_num(pixels[:, 0])), 0, second.shape[1] - 1).astype(int)
+        rows = np.clip(np.rint(np.nan_to_num(pixels[:, 1])), 0, second.shape[0] - 1).astype(int)
+        differences = np.where(visible, np.abs(second[rows, columns] - first.ravel()), np.nan)
+        every.append(_patches(differences.reshape(height, width)))
+    costs = np.stack(every)
     contrast = np.sqrt(np.maximum(_patches(first * first) - _patches(first) ** 2, 0.0))
     matched = np.isfinite(costs).all(axis=0) & (costs.min(axis=0) < _MATCHED * contrast)
     costs = costs[:, matched & (contrast > _TEXTURE)]
@@ -616,27 +489,6 @@ def _sides(
     return int(right.sum()), int(wrong.sum())
 
 
-def _cost(
-    pair: _CameraPair,
-    camera_models: tuple[Camera, Camera],
-    first: Float64Array,
-    second: Float64Array,
-    shift: float,
-) -> Float64Array:
-    """Mean difference over each patch if all of it shifts by so many pixels; NaN where the second has no pixel."""
-    height, width = first.shape
-    v, u = np.mgrid[0:height, 0:width]
-    rays = unproject(camera_models[0], np.column_stack([u.ravel(), v.ravel()]).astype(np.float64))
-    rays = rays / rays[:, 2:]
-    second_from_first = pair.first_from_second.inverse()
-    away = second_from_first.translation * shift / (camera_models[0].fx * float(np.linalg.norm(pair.baseline)))
-    pixels, visible = project(camera_models[1], second_from_first.rotate(rays) + away)
-    columns = np.clip(np.rint(np.nan_to_num(pixels[:, 0])), 0, second.shape[1] - 1).astype(int)
-    rows = np.clip(np.rint(np.nan_to_num(pixels[:, 1])), 0, second.shape[0] - 1).astype(int)
-    differences = np.where(visible, np.abs(second[rows, columns] - first.ravel()), np.nan)
-    return _patches(differences.reshape(height, width))
-
-
 def _patches(values: Float64Array) -> Float64Array:
     """Means over squares of pixels."""
     height, width = (length // _PATCH for length in values.shape)
@@ -646,10 +498,56 @@ def _patches(values: Float64Array) -> Float64Array:
 
 
 # fmt: off
-STEREO_RULES: tuple[Rule, ...] = (
+CALIBRATION_RULES: tuple[Rule, ...] = (
+    Rule("calibration-spelling", WARNING,
+         "Keys, models and lists of a calibration are spelt as the vendor's software reads them.",
+         "Use `imuToCamera` of 4 rows, `model` in small letters with a dash, and 8 numbers for `brown-conrady`.",
+         find=_spelling, fix=as_read),
+    Rule("calibration-keys-known", HINT, "Every key of a calibration is one of the format.",
+         "Check whether it is misspelt; it is kept as it is.", find=_unknown_keys),
+    Rule("calibration-shutter", WARNING,
+         f"A shutter rolls for {_SECONDS['shutterRollTimeSeconds'][1]:g} s at most, and is open for "
+         f"{_SECONDS['exposureTimeSeconds'][1]:g} s at most.", "Write seconds.",
+         find=_times("shutterRollTimeSeconds", "exposureTimeSeconds")),
+    Rule("calibration-shift", WARNING,
+         f"`imuToCameraShiftSeconds` is {_SECONDS['imuToCameraShiftSeconds'][1]:g} s at most.", "Write seconds.",
+         find=_times("imuToCameraShiftSeconds")),
+    Rule("calibration-focal-length", WARNING,
+         f"Focal lengths of a calibration are {SHORTEST:g} to {LONGEST:g} image widths, and differ by less than "
+         f"{MOST_UNEQUAL - 1:.0%}.", "Write pixels of the images that imageWidth and imageHeight state.",
+         find=_focal_lengths),
+    Rule("calibration-principal-point", WARNING,
+         f"Principal points of a calibration lie within {OFF_CENTRE:.0%} of the image's size around its centre.",
+         "Check whether the camera model was calibrated for another size, or the image cropped without moving the "
+         "point.", find=_principal_points),
+    Rule("calibration-size", WARNING,
+         "Images have the `imageWidth` and `imageHeight` that their camera model is calibrated for.",
+         "Write the numbers for the images as they are; `--fix` scales them, which is wrong for cropped images.",
+         find=warnings_of_code("camera-model-scaled"), fix=as_read),
+    Rule("mounting-rotation", WARNING,
+         "Rotations of mountings are orthonormal within 0.001; beyond 0.01 they are refused.",
+         "Write rotations with more digits; `--fix` writes the nearest rotation.",
+         find=warnings_of_code("rotation-normalised"), fix=_with_rotations),
+    Rule("mounting-far", WARNING, f"Cameras and lidars are at most {FARTHEST:g} m from the IMU.",
+         "Write metres.", find=_far),
+    Rule("mounting-repeated", WARNING, "No two cameras have one `imuToCamera`.", "Write each camera's own.",
+         find=_same),
+    Rule("mounting-inverted", WARNING,
+         "Cameras do not lie on their side where the inverse of their matrix would be upright.",
+         "Write the matrix by rows that takes points of the IMU into the camera: x right, y down, z forward.",
+         find=_inverted),
+    Rule("mounting-steep", HINT, f"Cameras look ahead, not up or down by more than {_STEEP_DEG:g}°.",
+         "Check whether the axes are x right, y down, z forward; it is allowed if the camera is mounted so.",
+         find=_steep),
+    Rule("stereo-baseline", WARNING,
+         f"Cameras that look the same way are {_NARROWEST_BASELINE * 1e3:g} mm to {WIDEST_BASELINE:g} m apart.",
+         "Write metres, and each camera's own mounting.", find=_baselines),
+    Rule("stereo-sides", HINT, "Of two cameras that look the same way, the first is the left one.",
+         "Check whether videos, entries or matrices are exchanged; it is allowed if they are not.",
+         find=_left_and_right),
     Rule("stereo-images", WARNING,
-         "Near things shift between the images of a stereo pair to the side that the mountings report.",
-         "See whether videos or entries of the cameras are exchanged, or their matrices inverted.", look=_look,
+         "Near things shift between the images of a stereo pair to the side that the mountings show.",
+         "Check whether videos or entries of the cameras are exchanged, or their matrices inverted.", look=_look,
          conclude=_wrong_side),
 )
 # fmt: on

@@ -18,13 +18,7 @@ from sceneloom.checks.rule import HINT, WARNING, Find, FrameInHand, Hit, Rule, S
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
 from sceneloom.formats.recording.lines import FrameColumns, time_order, view
 from sceneloom.formats.recording.reader import VIO_CONFIG_FILE
-from sceneloom.formats.recording.vio_config import (
-    KNOWN_KEYS,
-    VioConfig,
-    read_vio_config,
-    repeated_keys,
-    similar_key,
-)
+from sceneloom.formats.recording.vio_config import KNOWN_KEYS, VioConfig, read_vio_config, repeated_keys, similar_key
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.scene import Scene
@@ -316,10 +310,7 @@ def _unknown(subject: Subject) -> Iterator[Hit]:
 def _repeated(subject: Subject) -> Iterator[Hit]:
     for key in repeated_keys(_text(subject)):
         lines = [str(s.line) for s in _config(subject).settings if s.key == key]
-        yield Hit(
-            f"{VIO_CONFIG_FILE}: line {lines[1]}",
-            f"{key!r} stands in lines {', '.join(lines)}; expected once",
-        )
+        yield Hit(f"{VIO_CONFIG_FILE}: line {lines[1]}", f"{key!r} stands in lines {', '.join(lines)}; expected once")
 
 
 def _strange(subject: Subject) -> Iterator[Hit]:

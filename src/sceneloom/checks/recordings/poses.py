@@ -15,7 +15,7 @@ from sceneloom.checks.poses import (
     STEP_MARGIN,
     beyond_neighbours,
 )
-from sceneloom.checks.recordings.times import Kind, Stream, location, streams_of_kind
+from sceneloom.checks.recordings.times import Kind, Stream, streams_of_kind
 from sceneloom.checks.rule import WARNING, Hit, Rule, Subject
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR
 from sceneloom.geometry.rotations import (
@@ -29,59 +29,124 @@ from sceneloom.geometry.rotations import (
 from sceneloom.scene.motion import ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
 
-_INTERVAL = 0.2
-"""Rates are compared over so long [s], or over the time from pose to pose where that is longer."""
-
-_LONGEST_INTERVAL = 1.0
-"""Poses farther apart [s] do not show how the device rotated between them."""
-
-_MOST_INTERVALS = 2_000
+_INTERVAL, _LONGEST_INTERVAL, _MOST_INTERVALS, _FEWEST_INTERVALS = 0.2, 1.0, 2_000, 10
+"""Rates are compared over so long [s], or over the time from pose to pose where that is longer; poses farther apart
+than the second do not show how the device rotated between them."""
 
 _TORN_FACTOR, _TORN_LENGTH = 5.0, 20.0
 """Samples beyond so many times what 99 % keep to, and longer than this, are blows or broken lines."""
 
-_ENOUGH_FOR_NOISE = 20_000
-
-_FROM_MEDIAN = 1.4826
+_ENOUGH_FOR_NOISE, _FROM_MEDIAN = 20_000, 1.4826
 """The deviation of a normal distribution is so many times the median of its absolute values."""
 
 _GAP_FACTOR = 5.5
-"""So many usual intervals without a sample are a gap: what the IMU felt then is not known."""
+"""So many usual intervals without a sample are a gap: the motion during it is not known."""
+
+_LEAST_CORRELATION = 0.8
+"""Angular velocities of orientations and gyroscope that correlate less do not agree."""
+
+_GREATEST_TILT_DEG = 25.0
+"""So far off up the mean of the accelerometer may be: a vehicle that brakes all the time leaves 20°."""
+
+_LEAST_COHERENCE = 0.6
+"""The accelerometer's mean in the world has to be this part of its mean length: gravity does not rotate with a device,
+and constant hard manoeuvres leave 0.8."""
+
+_LEAST_ROTATING, _ROTATING_PER_NOISE = 0.03, 2.0
+"""The gyroscope's means have to vary so much (rms) [rad/s], and so many times their noise, to be compared."""
+
+_GREATEST_SHIFT, _SHIFT_STEP, _SHIFTS_SHARE = 1.0, 0.02, 0.2
+"""Clock offsets are tried up to so long, in such steps [s], and up to this part of the time in common."""
+
+_LEAST_SHIFT = 0.05
+"""Shorter offsets between poses and IMU [s] are for `sceneloom sync` to find."""
+
+_SURE, _SCALES, _NEAR_DEGREES = 0.9, (0.6, 1.6), 0.2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+def _steps_of(stream: Stream, usable: BoolArray) -> tuple[Int64Array, Float64Array]:
+    """The usable poses that are the first of their time, (M,) int64, and the times from one to the next [s]."""
+    rows = np.flatnonzero(usable)
+    rows = rows[np.diff(stream.seconds[rows], prepend=-np.inf) > 0]
+    return rows, np.diff(stream.seconds[rows])
+
+
+def _first_of_each(wrong: BoolArray) -> list[int]:
+    """Steps that are wrong; of those that follow each other, as to a wrong pose and back, the first."""
+    found: list[int] = np.flatnonzero(wrong & ~np.concatenate([[False], wrong[:-1]])).tolist()
+    return found
+
+
+def _jumps(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.POSES):
+        positions = stream.values[:, :3]
+        rows, times = _steps_of(stream, _finite_rows(positions))
+        steps = np.linalg.norm(np.diff(positions[rows], axis=0), axis=1)
+        for k in _first_of_each(beyond_neighbours(steps, times, FASTEST, STEP_FACTOR, STEP_MARGIN)):
+            row = int(rows[k + 1])
+            problem = (
+                f"{stream.at(row)} is {steps[k]:.2f} m from the pose {times[k]:.3f} s before, "
+                f"{steps[k] / times[k]:.1f} m/s, unlike the steps beside it"
+            )
+            yield stream.hit(row, problem)
+
+
+def _rotations(subject: Subject) -> Iterator[Hit]:
+    limits = (FASTEST_ROTATION_DEG, ROTATION_FACTOR, ROTATION_MARGIN_DEG)
+    for stream in streams_of_kind(subject, Kind.POSES):
+        quaternions = stream.values[:, 3:]
+        norms = np.sqrt((quaternions * quaternions).sum(axis=1))
+        rows, times = _steps_of(stream, np.asarray(np.abs(norms - 1.0) <= GREATEST_NORM_ERROR))
+        if len(rows) < 2:
+            continue
+        rotations = np.degrees(angle_between(quaternions[rows[:-1]], quaternions[rows[1:]]))
+        for k in _first_of_each(beyond_neighbours(rotations, times, *limits)):
+            row = int(rows[k + 1])
+            problem = (
+                f"{stream.at(row)} is rotated by {rotations[k]:.1f} degrees against the pose {times[k]:.3f} s before, "
+                "unlike the steps beside it"
+            )
+            yield stream.hit(row, problem)
+
+
+def _finite_rows(array: Float64Array) -> BoolArray:
+    """Which rows are finite, (M,) bool."""
+    return np.asarray(np.isfinite(array).all(axis=1))
+
+
 class _CleanSamples:
     """Samples with finite values and strictly increasing times.
 
     Attributes:
-        seconds: (N,) float64 [s], counted from `origin_ns`.
+        seconds: (N,) float64 [s], counted from an origin.
         values: (N, 3) float64.
         sums: (N, 3) float64, integral of the values since the first sample.
         gaps: (N,) int64, how many gaps lie before each sample.
     """
 
-    seconds: Float64Array
-    values: Float64Array
-    sums: Float64Array
-    gaps: Int64Array
+    def __init__(self, seconds: Float64Array, values: Float64Array) -> None:
+        self.seconds, self.values = seconds, values
+        steps = np.diff(seconds)
+        areas = 0.5 * (values[1:] + values[:-1]) * steps[:, None]
+        self.sums = np.vstack([np.zeros((1, 3)), np.cumsum(areas, axis=0)])
+        self.gaps = np.concatenate([[0], np.cumsum(steps > _GAP_FACTOR * np.median(steps))])
 
     @classmethod
     def of(cls, samples: VectorSamples | None, origin_ns: int) -> "_CleanSamples | None":
         """Take the usable samples of a stream of three axes; None for fewer than three."""
         if samples is None or samples.values.shape[1] != 3:
             return None
-        usable = np.flatnonzero(_untorn(samples.values))
+        lengths = np.sqrt((samples.values * samples.values).sum(axis=1))
+        finite = lengths[np.isfinite(lengths)]
+        # not far beyond what nearly all others are
+        farthest = max(_TORN_FACTOR * float(np.percentile(finite, 99.0)), _TORN_LENGTH) if len(finite) else 0.0
+        usable = np.flatnonzero(np.isfinite(lengths) & (lengths <= farthest))
         times_ns = samples.timestamps_ns[usable]
         if not (np.diff(times_ns) > 0).all():
             usable = usable[np.unique(times_ns, return_index=True)[1]]
         if len(usable) < 3:
             return None
-        seconds, values = (samples.timestamps_ns[usable] - origin_ns) / 1e9, samples.values[usable]
-        steps = np.diff(seconds)
-        areas = 0.5 * (values[1:] + values[:-1]) * steps[:, None]
-        sums = np.vstack([np.zeros((1, 3)), np.cumsum(areas, axis=0)])
-        gaps = np.concatenate([[0], np.cumsum(steps > _GAP_FACTOR * np.median(steps))])
-        return cls(seconds, values, sums, gaps.astype(np.int64))
+        return cls((samples.timestamps_ns[usable] - origin_ns) / 1e9, samples.values[usable])
 
     def means(self, starts: Float64Array, stops: Float64Array) -> Float64Array:
         """The mean value over each interval, (M, 3); NaN where it reaches beyond the samples or over a gap."""
@@ -93,36 +158,29 @@ class _CleanSamples:
         return means
 
     def noise(self, length: float) -> float:
-        """Deviation of means over so long [s] that comes from noise, all axes together.
-
-        Second differences of independent errors have six times their variance; what moves smoothly has none.
-        """
-        some = self.values[:_ENOUGH_FOR_NOISE]
-        each = _FROM_MEDIAN * np.median(np.abs(np.diff(some, 2, axis=0)), axis=0) / np.sqrt(6.0)
+        """Deviation of means over so long [s] that comes from noise, all axes together."""
+        each = _noise_of(np.diff(self.values[:_ENOUGH_FOR_NOISE], axis=0))
         samples = max(1.0, length / float(np.median(np.diff(self.seconds[:_ENOUGH_FOR_NOISE]))))
-        return float(np.linalg.norm(each)) / float(np.sqrt(samples))
+        return each / float(np.sqrt(samples))
 
     def _location(self, seconds: Float64Array) -> Int64Array:
         found = np.searchsorted(self.seconds, seconds, side="right") - 1
         return np.clip(found, 0, len(self.seconds) - 1).astype(np.int64)
 
     def _sums_at(self, seconds: Float64Array, location: Int64Array) -> Float64Array:
-        """The sums at times that lie after these samples, (M, 3): once looked up for all axes."""
+        """The sums at times that lie after these samples, (M, 3): looked up once for all axes."""
         first = np.minimum(location, len(self.seconds) - 2)
         share = (seconds - self.seconds[first]) / (self.seconds[first + 1] - self.seconds[first])
         before = self.sums[first]
-        sums: Float64Array = before + share[:, None] * (self.sums[first + 1] - before)
-        return sums
+        return np.asarray(before + share[:, None] * (self.sums[first + 1] - before))
 
 
-def _untorn(values: Float64Array) -> BoolArray:
-    """Which samples are finite, and not far beyond what nearly all others are, (N,) bool."""
-    lengths = np.sqrt((values * values).sum(axis=1))
-    finite: BoolArray = np.asarray(np.isfinite(lengths))
-    if not finite.any():
-        return finite
-    farthest = max(_TORN_FACTOR * float(np.percentile(lengths[finite], 99.0)), _TORN_LENGTH)
-    return np.asarray(finite & (lengths <= farthest))
+def _noise_of(steps: Float64Array) -> float:
+    """Deviation of values whose steps are (N, 3), all axes together.
+
+    Second differences of independent errors have six times their variance; smooth motion has none.
+    """
+    return float(np.linalg.norm(_FROM_MEDIAN * np.median(np.abs(np.diff(steps, axis=0)), axis=0) / np.sqrt(6.0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,22 +198,18 @@ class _PoseIntervals:
     last: Int64Array
 
     @classmethod
-    def of(cls, trajectory: Trajectory) -> "_PoseIntervals":
-        """Choose intervals of about `_INTERVAL`, evenly spread where there are very many."""
+    def of(cls, trajectory: Trajectory) -> "_PoseIntervals | None":
+        """Choose intervals of about `_INTERVAL`, evenly spread where there are very many; None for too few."""
         seconds = (trajectory.timestamps_ns - trajectory.timestamps_ns[0]) / 1e9
         if len(seconds) < 2:
-            none = np.zeros(0)
-            return cls(none, none, none.astype(np.int64), none.astype(np.int64))
+            return None
         step = max(_INTERVAL, float(np.median(np.diff(seconds))))
         knots = np.flatnonzero(np.diff(np.floor((seconds + 1e-6) / step), prepend=-1.0))
         lengths = np.diff(seconds[knots])
         usable = np.flatnonzero((lengths > 0.5 * step) & (lengths < min(2.0 * step, _LONGEST_INTERVAL + 1e-6)))
         usable = usable[:: len(usable) // _MOST_INTERVALS + 1]
         first, last = knots[usable].astype(np.int64), knots[usable + 1].astype(np.int64)
-        return cls(seconds[first], seconds[last], first, last)
-
-    def __len__(self) -> int:
-        return len(self.starts)
+        return cls(seconds[first], seconds[last], first, last) if len(usable) >= _FEWEST_INTERVALS else None
 
     @property
     def lengths(self) -> Float64Array:
@@ -163,150 +217,40 @@ class _PoseIntervals:
         return self.stops - self.starts
 
     def rates(self, quaternions_xyzw: Float64Array) -> Float64Array:
-        """Mean yaw rate over each interval in the axes of the device, (M, 3) [rad/s]."""
+        """Mean angular velocity over each interval in the axes of the device, (M, 3) [rad/s]."""
         rotated = multiply_quaternions(conjugate_quaternion(quaternions_xyzw[self.first]), quaternions_xyzw[self.last])
         return rotation_vector_from_quaternion(rotated) / self.lengths[:, None]
-
-    def velocities(self, positions: Float64Array) -> Float64Array:
-        """Mean velocity over each interval in the world, (M, 3) [m/s]."""
-        velocities: Float64Array = (positions[self.last] - positions[self.first]) / self.lengths[:, None]
-        return velocities
-
-    def to_world(self, quaternions_xyzw: Float64Array, vectors: Float64Array) -> Float64Array:
-        """Rotate vectors (M, 3), one per interval, from the axes of the device into the world's in its middle."""
-        middle = (self.first + self.last) // 2
-        return rotate_vectors(quaternions_xyzw[middle], vectors)
-
-
-def _orientation_noise(quaternions_xyzw: Float64Array) -> float:
-    """Deviation of each orientation (N, 4) from those beside it, all axes together [rad]; see `CleanSamples.noise`."""
-    some = quaternions_xyzw[:_ENOUGH_FOR_NOISE]
-    steps = rotation_vector_from_quaternion(multiply_quaternions(conjugate_quaternion(some[:-1]), some[1:]))
-    if len(steps) < 2:
-        return 0.0
-    each = _FROM_MEDIAN * np.median(np.abs(np.diff(steps, axis=0)), axis=0) / np.sqrt(6.0)
-    return float(np.linalg.norm(each))
-
-
-def _finite_rows(*arrays: Float64Array) -> BoolArray:
-    """Which rows are finite in all of the arrays, (M,) bool."""
-    return np.asarray(np.logical_and.reduce([np.isfinite(array).all(axis=1) for array in arrays]))
-
-
-def _of_own_time(stream: Stream, usable: BoolArray) -> Int64Array:
-    """The usable poses that are the first of their time, (M,) int64."""
-    rows = np.flatnonzero(usable)
-    return np.asarray(rows[np.diff(stream.seconds[rows], prepend=-np.inf) > 0])
-
-
-def _first_of_each(wrong: BoolArray) -> list[int]:
-    """Steps that are wrong; of those that follow each other, as to a wrong pose and back, the first."""
-    found: list[int] = np.flatnonzero(wrong & ~np.concatenate([[False], wrong[:-1]])).tolist()
-    return found
-
-
-def _jumps(subject: Subject) -> Iterator[Hit]:
-    for stream in streams_of_kind(subject, Kind.POSES):
-        positions = stream.values[:, :3]
-        rows = _of_own_time(stream, _finite_rows(positions))
-        times = np.diff(stream.seconds[rows])
-        steps = np.linalg.norm(np.diff(positions[rows], axis=0), axis=1)
-        for k in _first_of_each(beyond_neighbours(steps, times, FASTEST, STEP_FACTOR, STEP_MARGIN)):
-            row = int(rows[k + 1])
-            problem = (
-                f"{stream.at(row)} is {steps[k]:.2f} m from the pose {times[k]:.3f} s before, "
-                f"{steps[k] / times[k]:.1f} m/s, unlike the steps beside it"
-            )
-            yield Hit(location(stream, row), problem)
-
-
-def _rotations(subject: Subject) -> Iterator[Hit]:
-    limits = (FASTEST_ROTATION_DEG, ROTATION_FACTOR, ROTATION_MARGIN_DEG)
-    for stream in streams_of_kind(subject, Kind.POSES):
-        quaternions_xyzw = stream.values[:, 3:]
-        norms = np.sqrt((quaternions_xyzw * quaternions_xyzw).sum(axis=1))
-        rows = _of_own_time(stream, np.asarray(np.abs(norms - 1.0) <= GREATEST_NORM_ERROR))
-        if len(rows) < 2:
-            continue
-        times = np.diff(stream.seconds[rows])
-        rotations = np.degrees(angle_between(quaternions_xyzw[rows[:-1]], quaternions_xyzw[rows[1:]]))
-        for k in _first_of_each(beyond_neighbours(rotations, times, *limits)):
-            row = int(rows[k + 1])
-            problem = (
-                f"{stream.at(row)} is rotated by {rotations[k]:.1f} degrees against the pose {times[k]:.3f} s before, "
-                "unlike the steps beside it"
-            )
-            yield Hit(location(stream, row), problem)
-
-
-# fmt: off
-POSE_STEP_RULES: tuple[Rule, ...] = (
-    Rule("pose-steps", WARNING,
-         "Poses of a recording move at up to 150 m/s, and no step is 3 times as fast as those beside it and 1 m "
-         "more.", "See whether the trajectory was pieced together, or tracking was lost and found again.",
-         find=_jumps),
-    Rule("pose-rotations", WARNING,
-         "Poses of a recording rotate by up to 720 degrees a second, and no step is 3 times as fast as those "
-         "beside it and 15 degrees more.",
-         "See whether the signs or the order of the quaternion's numbers change.", find=_rotations),
-)
-# fmt: on
-
-_LEAST_CORRELATION = 0.8
-"""Angular velocities of orientations and gyroscope that correlate less do not agree."""
-
-_GREATEST_TILT_DEG = 25.0
-"""So far off up the mean of the accelerometer may be: a vehicle that brakes all the time leaves 20°."""
-
-_LEAST_COHERENCE = 0.6
-"""The accelerometer's mean in the world has to be this part of its mean length: gravity does not rotate with a device,
-and hard rotates all the time leave 0.8."""
-
-_LEAST_ROTATING, _ROTATING_PER_NOISE = 0.03, 2.0
-"""The gyroscope's means have to vary so much (rms) [rad/s], and so many times their noise, to be compared."""
-
-_FEWEST_INTERVALS = 10
-
-_GREATEST_SHIFT, _SHIFT_STEP, _SHIFTS_SHARE = 1.0, 0.02, 0.2
-"""Shifts of the clocks are tried up to so long, in such steps [s], and up to this part of the time in common."""
-
-_LEAST_SHIFT = 0.05
-"""Shorter shifts between poses and IMU [s] are for `sceneloom sync` to find."""
-
-_SURE = 0.9
-_SCALES = (0.6, 1.6)
-_NEAR_DEGREES = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Comparison:
-    """A trajectory beside what the IMU measured over the same intervals.
+    """A trajectory compared with the IMU over the same intervals.
 
     Attributes:
         name: of the trajectory.
         up: (3,) mean of the accelerometer in the world, as part of its mean length; None where not known.
         shifts: (S,) float64 [s], by which the gyroscope's times were taken to be later; empty where it hardly rotated.
-        correlations: (S,) of the yaw rates of all axes together.
-        tolerance: samples and poses are so far apart [s] that shorter shifts are not known.
-        measured, reported: root mean square of the yaw rates of the gyroscope and of the orientations [rad/s].
+        correlations: (S,) of the angular velocities of all axes together.
+        tolerance: samples and poses are so far apart [s] that shorter offsets are not known.
+        measured, reported: root mean square of the angular velocities of gyroscope and orientations [rad/s].
     """
 
     name: str
     up: Float64Array | None
     shifts: Float64Array
     correlations: Float64Array
-    tolerance: float
-    measured: float
-    reported: float
+    tolerance: float = 0.0
+    measured: float = 0.0
+    reported: float = 0.0
 
     @property
     def correlation(self) -> float:
-        """Without a shift; 1 where the rotating is not known."""
+        """Without an offset; 1 where the rotation is not known."""
         return float(self.correlations[len(self.shifts) // 2]) if len(self.shifts) else 1.0
 
     @property
     def best_correlation(self) -> float:
-        """The greatest over all shifts; 1 where the rotating is not known."""
+        """The greatest over all offsets; 1 where the rotation is not known."""
         return float(self.correlations.max()) if len(self.shifts) else 1.0
 
 
@@ -316,25 +260,21 @@ def _comparisons(subject: Subject) -> Sequence[_Comparison]:
 
 def _compare_all(subject: Subject) -> list[_Comparison]:
     imu = next((sensor for sensor in subject.scene.sensors if isinstance(sensor, ImuSensor)), None)
-    trajectories = [
-        trajectory for trajectory in subject.scene.trajectories.values() if trajectory.quaternions_xyzw is not None
-    ]
-    found = [] if imu is None else [_compared(trajectory, imu) for trajectory in trajectories]
+    trajectories = subject.scene.trajectories.values() if imu is not None else ()
+    found = [_compared(one, imu) for one in trajectories if one.quaternions_xyzw is not None and imu is not None]
     return [comparison for comparison in found if comparison is not None]
 
 
 def _compared(trajectory: Trajectory, imu: ImuSensor) -> _Comparison | None:
     intervals = _PoseIntervals.of(trajectory)
-    if len(intervals) < _FEWEST_INTERVALS:
+    if intervals is None:
         return None
-    origin_ns = int(trajectory.timestamps_ns[0])
-    quaternions = normalise_quaternion(trajectory.poses.quaternions_xyzw)
+    origin_ns, quaternions = int(trajectory.timestamps_ns[0]), normalise_quaternion(trajectory.poses.quaternions_xyzw)
     up = _up(intervals, quaternions, _CleanSamples.of(imu.streams.get("accelerometer"), origin_ns))
     rates = _CleanSamples.of(imu.streams.get("gyroscope"), origin_ns)
     rotating = None if rates is None else _rotating(intervals, quaternions, rates)
     if rates is None or rotating is None:
-        none = np.zeros(0)
-        return None if up is None else _Comparison(trajectory.name, up, none, none, 0.0, 0.0, 0.0)
+        return None if up is None else _Comparison(trajectory.name, up, np.zeros(0), np.zeros(0))
     tolerance = max(float(np.median(np.diff(rates.seconds))), float(np.median(np.diff(trajectory.timestamps_ns))) / 1e9)
     shifts, correlations, measured, reported = rotating
     return _Comparison(trajectory.name, up, shifts, correlations, tolerance, measured, reported)
@@ -348,16 +288,17 @@ def _up(intervals: _PoseIntervals, quaternions_xyzw: Float64Array, forces: _Clea
     known = _finite_rows(measured)
     if np.count_nonzero(known) < _FEWEST_INTERVALS or not measured[known].any():
         return None
-    world = intervals.to_world(quaternions_xyzw, measured)[known]
+    middle = (intervals.first + intervals.last) // 2
+    world = rotate_vectors(quaternions_xyzw[middle], measured)[known]
     return np.asarray(world.mean(axis=0) / np.linalg.norm(measured[known], axis=1).mean())
 
 
 def _rotating(
     intervals: _PoseIntervals, quaternions_xyzw: Float64Array, rates: _CleanSamples
 ) -> tuple[Float64Array, Float64Array, float, float] | None:
-    """Shifts, correlations, measured and reported yaw rates; None where the device hardly rotated."""
+    """Clock offsets, correlations, measured and reported angular velocities; None where the device hardly rotated."""
     first = rates.means(intervals.starts, intervals.stops)
-    if _rms(first[_finite_rows(first)]) < 0.5 * _LEAST_ROTATING:  # before rates are measured for every shift
+    if _rms(first[_finite_rows(first)]) < 0.5 * _LEAST_ROTATING:  # before rates are measured for every offset
         return None
     overlap = min(rates.seconds[-1], intervals.stops[-1]) - max(rates.seconds[0], intervals.starts[0])
     count = int(min(_GREATEST_SHIFT, max(0.0, _SHIFTS_SHARE * overlap)) / _SHIFT_STEP)
@@ -366,17 +307,21 @@ def _rotating(
     known = np.flatnonzero(np.isfinite(measured).all(axis=(0, 2)))
     if len(known) < _FEWEST_INTERVALS:
         return None
-    length = float(np.median(intervals.lengths))
-    noise = max(rates.noise(length), np.sqrt(2.0) * _orientation_noise(quaternions_xyzw) / length)
+    length, some = float(np.median(intervals.lengths)), quaternions_xyzw[:_ENOUGH_FOR_NOISE]
+    steps = rotation_vector_from_quaternion(multiply_quaternions(conjugate_quaternion(some[:-1]), some[1:]))
+    of_orientations = _noise_of(steps) if len(steps) > 1 else 0.0
+    noise = max(rates.noise(length), np.sqrt(2.0) * of_orientations / length)
     if _rms(measured[count][known]) < max(_LEAST_ROTATING, _ROTATING_PER_NOISE * noise):
         return None
     reported = intervals.rates(quaternions_xyzw)[known]
-    kept = _without_jumps(reported)
+    # a single wrong pose, far beyond the usual, shows nothing about the others
+    lengths = np.linalg.norm(reported, axis=1)
+    kept = lengths <= 3.0 * np.percentile(lengths, 95.0) + 0.1
     reported, measured = _centred(reported[kept]), measured[:, known[kept]]
     measured = measured - measured.mean(axis=1, keepdims=True)
     products = np.einsum("smk,mk->s", measured, reported)
-    lengths = np.sqrt((measured * measured).sum(axis=(1, 2)) * (reported * reported).sum())
-    correlations = np.divide(products, lengths, out=np.zeros(len(products)), where=lengths > 0)
+    sizes = np.sqrt((measured * measured).sum(axis=(1, 2)) * (reported * reported).sum())
+    correlations = np.divide(products, sizes, out=np.zeros(len(products)), where=sizes > 0)
     return shifts, correlations, _rms(measured[count]), _rms(reported)
 
 
@@ -388,12 +333,6 @@ def _centred(rates: Float64Array) -> Float64Array:
 def _rms(rates: Float64Array) -> float:
     centred = _centred(rates)
     return float(np.sqrt((centred * centred).sum(axis=1).mean())) if len(rates) else 0.0
-
-
-def _without_jumps(rates: Float64Array) -> BoolArray:
-    """Which rates are not far beyond the usual, (M,) bool: a single wrong pose shows nothing about the others."""
-    lengths = np.linalg.norm(rates, axis=1)
-    return np.asarray(lengths <= 3.0 * np.percentile(lengths, 95.0) + 0.1)
 
 
 def _gravity(subject: Subject) -> Iterator[Hit]:
@@ -416,7 +355,7 @@ def _gyroscope(subject: Subject) -> Iterator[Hit]:
     for found in _comparisons(subject):
         if found.best_correlation < _LEAST_CORRELATION:
             problem = (
-                f"yaw rates of the orientations and of the gyroscope correlate by {found.correlation:.2f}; "
+                f"angular velocities of the orientations and of the gyroscope correlate by {found.correlation:.2f}; "
                 f"expected at least {_LEAST_CORRELATION}"
             )
             still = "" if found.reported else ": the orientations do not rotate"
@@ -445,17 +384,28 @@ def _clocks(subject: Subject) -> Iterator[Hit]:
             later = "later" if shift > 0 else "earlier"
             at_least = "at least " if best in {0, len(found.shifts) - 1} else ""
             problem = (
-                f"yaw rates agree best ({reached:.3f} instead of {now:.3f}) if the IMU's times are "
+                f"angular velocities agree best ({reached:.3f} instead of {now:.3f}) if the IMU's times are "
                 f"{at_least}{abs(shift):.2f} s {later} than those of the poses"
             )
             yield Hit(f"trajectories[{found.name}]", problem)
 
 
 # fmt: off
+POSE_STEP_RULES: tuple[Rule, ...] = (
+    Rule("pose-steps", WARNING,
+         "Poses of a recording move at up to 150 m/s, and no step is 3 times as fast as those beside it and 1 m "
+         "more.", "Check whether the trajectory was pieced together, or tracking was lost and found again.",
+         find=_jumps),
+    Rule("pose-rotations", WARNING,
+         "Poses of a recording rotate by up to 720 degrees a second, and no step is 3 times as fast as those "
+         "beside it and 15 degrees more.",
+         "Check whether the signs or the order of the quaternion's numbers change.", find=_rotations),
+)
+
 POSES_AND_IMU_RULES: tuple[Rule, ...] = (
     Rule("poses-against-gravity", WARNING,
-         f"What the accelerometer measures points up in the world of the poses, within {_GREATEST_TILT_DEG:.0f}°.",
-         "Write poses of the IMU as device to world, quaternions as x, y, z, w, in a world whose z points up; see "
+         f"The accelerometer points up in the world of the poses, within {_GREATEST_TILT_DEG:.0f}°.",
+         "Write poses of the IMU as device to world, quaternions as x, y, z, w, in a world whose z points up; check "
          "whether the accelerometer has the gyroscope's axes, and points up at rest.", find=_gravity),
     Rule("poses-against-gyroscope", WARNING,
          f"Orientations rotate as the gyroscope measures: their rates correlate by {_LEAST_CORRELATION} or more.",

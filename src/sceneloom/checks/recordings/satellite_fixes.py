@@ -7,7 +7,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.checks.poses import FASTEST
-from sceneloom.checks.recordings.times import Kind, Stream, location, streams_of_kind
+from sceneloom.checks.recordings.times import Kind, Stream, streams_of_kind
 from sceneloom.checks.rule import ERROR, WARNING, Hit, Rule, Subject
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.motion.ego_trajectory import usable_fixes
@@ -16,25 +16,37 @@ from sceneloom.scene.motion import GnssSensor
 LOWEST, HIGHEST = -500.0, 10_000.0
 """Altitudes [m] between the Dead Sea's shore and the highest roads, with room for aeroplanes."""
 
-WORST_ACCURACY = 1000.0
-"""A fix that is less accurate [m] is of a mobile network, or in another unit."""
+WORST_ACCURACY, UNKNOWN_ACCURACY = 1000.0, 5.0
+"""A fix that is less accurate [m] is of a mobile network, or in another unit; assumed where a fix has none [m]."""
 
-UNKNOWN_ACCURACY = 5.0
-"""Taken where a fix says none [m]."""
-
-JUMP_SIGMAS = 8.0
-HARDEST_ACCELERATION = 10.0
-
-JUMP_MARGIN = 0.5
-"""A fix jumps that lies farther off the trajectory between its neighbours than 8 of their accuracies.
-
-What a vehicle can
+JUMP_SIGMAS, HARDEST_ACCELERATION, JUMP_MARGIN = 8.0, 10.0, 0.5
+"""A fix jumps that is farther off the trajectory between its neighbours than 8 of their accuracies, what a vehicle can
 swerve meanwhile [m/s²], and half a metre."""
 
 LONGEST_STEP = 3.0
 """Between fixes farther apart [s] the trajectory is not known well enough."""
 
 _RADIANS = (np.pi / 2, np.pi)
+LEAST_CORRELATION = -0.8
+"""Rotations that correlate worse have the other sign."""
+
+_FEWEST_ROTATIONS, _LEAST_ROTATION, _SHARPEST_ROTATION = 6, 0.1, 1.0
+"""Root mean square of the rotations from leg to leg [rad] that show a side; between legs that differ by more than the
+last the trajectory is not known: it may have rotated to either side."""
+
+_SHORTEST_LEG, _LEG_SIGMAS, _MOST_FIXES = 5.0, 10.0, 4_000
+"""Legs are longer than this [m], and than so many accuracies of the fixes that bound them."""
+
+NEAREST_REPORTED, _ACCURACIES, _DRIFT = 5.0, 4.0, 0.01
+"""Fixes agree with a trajectory within this distance [m], since antennas sit elsewhere, within so many times their
+stated accuracy, and within this part of the trajectory, since odometry drifts."""
+
+_FEWEST_FIXES, _LEAST_SPREAD = 10, 5.0
+_CLEARLY, _MIRRORED_REPORTED = 0.3, 2.0
+"""A mirrored trajectory fits better if it leaves less than this part of the distance; less bent ones [m] have no left
+and right."""
+
+_HEIGHTS_REPORT, _ROTATED_HEIGHTS = 3.0, -0.7
 
 
 def _on_earth(stream: Stream) -> BoolArray:
@@ -54,12 +66,18 @@ def _fixes_in_order(stream: Stream) -> Int64Array:
     return first
 
 
+def _positions(fixes: Float64Array) -> Float64Array:
+    """East and north of latitudes and longitudes (N, 2 or more) from the first, (N, 2) [m]."""
+    flat = np.column_stack([fixes[:, :2], np.zeros(len(fixes))])
+    return enu_from_geodetic(flat, flat[0])[:, :2]
+
+
 def _column_hits(stream: Stream, wrong: BoolArray, column: str, values: Float64Array, expected: str) -> Iterator[Hit]:
     rows = np.flatnonzero(wrong)
     if len(rows):
         row = int(rows[0])
         problem = f"{stream.at(row)}: {column} {_shown(values[row])}; expected {expected}"
-        yield Hit(location(stream, row), problem, len(rows))
+        yield stream.hit(row, problem, len(rows))
 
 
 def _shown(value: Float64Array) -> str:
@@ -110,13 +128,18 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
         rows = _fixes_in_order(stream)
         if len(rows) < 2:
             continue
-        seconds, fixes = stream.seconds[rows], stream.values[rows]
-        flat = np.column_stack([fixes[:, :2], np.zeros(len(fixes))])
-        positions, sigmas = enu_from_geodetic(flat, flat[0])[:, :2], _sigmas(fixes[:, 3])
+        seconds, positions, stated = stream.seconds[rows], _positions(stream.values[rows]), stream.values[rows, 3]
+        sigmas = np.where((stated > 0) & (stated <= WORST_ACCURACY), stated, UNKNOWN_ACCURACY)
         off, allowed = _off_the_trajectory(seconds, positions, sigmas)
-        too_far, peaks = _too_far(seconds, positions, sigmas), _peaks(off, allowed)
-        too_far[1:] &= ~peaks[:-1]
+        # a wrong fix puts its neighbours off by half
+        padded = np.concatenate([[0.0], off, [0.0]])
+        peaks = (off > allowed) & (off > padded[:-2]) & (off >= padded[2:])
+        # nothing on the ground reaches a fix that far from the one before, nor leaves it for the next but one
         steps = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
+        reach = FASTEST * np.diff(seconds) + JUMP_SIGMAS * np.hypot(sigmas[1:], sigmas[:-1])
+        too_far = np.concatenate([[False], ~(steps[1:] <= reach)])
+        too_far[1:] &= ~too_far[:-1]
+        too_far[1:] &= ~peaks[:-1]
         for k in np.flatnonzero(peaks | too_far).tolist():
             speed = steps[k] / (seconds[k] - seconds[k - 1]) if k else 0.0
             lies = f"lies {off[k]:.1f} m off the trajectory between its neighbours, " if off[k] > 0 else "lies "
@@ -124,23 +147,19 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
                 f"{stream.at(int(rows[k]))} {lies}{steps[k]:.1f} m from the one before, {speed:.0f} m/s; its accuracy "
                 f"is {sigmas[k]:.2g} m"
             )
-            yield Hit(location(stream, int(rows[k])), problem)
-
-
-def _sigmas(accuracies: Float64Array) -> Float64Array:
-    return np.where((accuracies > 0) & (accuracies <= WORST_ACCURACY), accuracies, UNKNOWN_ACCURACY)
+            yield stream.hit(int(rows[k]), problem)
 
 
 def _off_the_trajectory(
-    seconds: Float64Array, locations: Float64Array, sigmas: Float64Array
+    seconds: Float64Array, positions: Float64Array, sigmas: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """How far each fix lies off the straight trajectory between its neighbours, and how far it may, (N,) [m] each."""
+    """How far each fix is off the straight line between its neighbours, and how far it may be, (N,) [m] each."""
     off, allowed = np.zeros(len(seconds)), np.full(len(seconds), np.inf)
     if len(seconds) < 3:
         return off, allowed
     before, after = seconds[1:-1] - seconds[:-2], seconds[2:] - seconds[1:-1]
     share = (before / (before + after))[:, None]
-    off[1:-1] = np.linalg.norm(locations[1:-1] - locations[:-2] * (1 - share) - locations[2:] * share, axis=1)
+    off[1:-1] = np.linalg.norm(positions[1:-1] - positions[:-2] * (1 - share) - positions[2:] * share, axis=1)
     worst = np.maximum(sigmas[1:-1], np.maximum(sigmas[:-2], sigmas[2:]))
     swerve = 0.5 * HARDEST_ACCELERATION * before * after
     known = (before <= LONGEST_STEP) & (after <= LONGEST_STEP)
@@ -148,96 +167,36 @@ def _off_the_trajectory(
     return off, allowed
 
 
-def _peaks(off: Float64Array, allowed: Float64Array) -> BoolArray:
-    """Fixes that are off by too much, and by more than their neighbours, which a wrong fix puts off by half."""
-    padded = np.concatenate([[0.0], off, [0.0]])
-    peaks: BoolArray = (off > allowed) & (off > padded[:-2]) & (off >= padded[2:])
-    return peaks
-
-
-def _too_far(seconds: Float64Array, locations: Float64Array, sigmas: Float64Array) -> BoolArray:
-    """Fixes that nothing on the ground reaches from the one before, nor leaves for the next but one, (N,) bool."""
-    steps = np.linalg.norm(np.diff(locations, axis=0), axis=1)
-    reach = FASTEST * np.diff(seconds) + JUMP_SIGMAS * np.hypot(sigmas[1:], sigmas[:-1])
-    far: BoolArray = np.concatenate([[False], ~(steps <= reach)])
-    far[1:] &= ~far[:-1]
-    return far
-
-
-# fmt: off
-FIX_RULES: tuple[Rule, ...] = (
-    Rule("fixes-on-earth", ERROR, "Latitudes of fixes lie within 90 degrees, longitudes within 180.",
-         "See whether they are exchanged, or in another unit than degrees.", find=_off_the_earth),
-    Rule("fixes-somewhere", WARNING,
-         "No fix is at latitude 0, longitude 0, and not all are within what radians reach.",
-         "Leave fixes out that are none; write degrees.", find=_at_zero),
-    Rule("fixes-altitude", WARNING, "Altitudes of fixes are -500 to 10000 m.",
-         "Write metres above the ellipsoid.", find=_altitudes),
-    Rule("fixes-accuracy", WARNING,
-         "Accuracies of fixes are more than 0 and at most 1000 m, where they are given.",
-         "Leave the accuracy out where it is not known: whoever weighs fixes by it trusts one of 0 without end.",
-         find=_accuracies),
-    Rule("fixes-jump", WARNING,
-         "No fix lies farther off the trajectory between its neighbours than 8 of their accuracies, 10 m/s² and "
-         "0.5 m explain, nor is reached at more than 150 m/s.",
-         "Leave the fix out, or give it the accuracy that it has.", find=_jumps),
-)
-# fmt: on
-
-LEAST_CORRELATION = -0.8
-"""Rotations that correlate worse have the other sign."""
-
-_FEWEST_ROTATIONS = 6
-
-_LEAST_ROTATION = 0.1
-"""Root mean square of the rotations from leg to leg [rad] that show a side."""
-
-_SHORTEST_LEG = 5.0
-
-_LEG_SIGMAS = 10.0
-"""Legs are longer than this [m], and than so many accuracies of the fixes that bound them."""
-
-_SHARPEST_ROTATION = 1.0
-"""Between legs that differ by more [rad] the trajectory is not known: it may have rotated to either side."""
-
-_MOST_FIXES = 4_000
-
-
 def _mirrored(subject: Subject) -> Iterator[Hit]:
     streams = {stream.kind: stream for stream in streams_of_kind(subject, Kind.GYROSCOPE, Kind.ACCELEROMETER)}
     if len(streams) < 2:
         return
-    seconds, rotated = _rotated_left(streams[Kind.GYROSCOPE], streams[Kind.ACCELEROMETER])
+    gyroscope, up = streams[Kind.GYROSCOPE], streams[Kind.ACCELEROMETER].values.mean(axis=0)
+    length = float(np.linalg.norm(up))
+    if not 0 < length < np.inf or len(gyroscope) < 2:
+        return
+    # how far the device had rotated to the left about its up at each sample [rad]
+    seconds, rates = gyroscope.seconds, gyroscope.values @ (up / length)
+    rotated = np.concatenate([[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds))])
     for fixes in streams_of_kind(subject, Kind.GNSS):
-        reported = _rotations_of(fixes)
-        if len(seconds) < 2 or reported is None:
+        found = _rotations_of(fixes)
+        if found is None:
             continue
-        times, rotations = reported
+        times, rotations = found
         measured = np.diff(np.interp(times, seconds, rotated))
         known = (np.abs(rotations) < _SHARPEST_ROTATION) & (times[:-1] >= seconds[0]) & (times[1:] <= seconds[-1])
         rotations, measured = rotations[known], measured[known]
         if len(rotations) < _FEWEST_ROTATIONS or np.sqrt((measured * measured).mean()) < _LEAST_ROTATION:
             continue
-        length = float(np.sqrt((rotations * rotations).sum() * (measured * measured).sum()))
-        found = float((rotations * measured).sum()) / length if length > 0 else 0.0
-        if found < LEAST_CORRELATION:
+        size = float(np.sqrt((rotations * rotations).sum() * (measured * measured).sum()))
+        correlation = float((rotations * measured).sum()) / size if size > 0 else 0.0
+        if correlation < LEAST_CORRELATION:
             problem = (
-                f"{len(rotations)} rotations of the trajectory correlate by {found:.2f} with those that the gyroscope "
-                f"measured about "
-                "the accelerometer's up: are latitude and longitude exchanged, or do accelerations point down at rest?"
+                f"{len(rotations)} rotations of the trajectory correlate by {correlation:.2f} with those that the "
+                "gyroscope measured about the accelerometer's up: are latitude and longitude exchanged, or do "
+                "accelerations point down at rest?"
             )
             yield Hit(fixes.whole, problem)
-
-
-def _rotated_left(gyroscope: Stream, accelerometer: Stream) -> tuple[Float64Array, Float64Array]:
-    """How far the device had rotated about its up at each sample of the gyroscope [rad]."""
-    up = accelerometer.values.mean(axis=0)
-    length = float(np.linalg.norm(up))
-    if not 0 < length < np.inf:
-        return np.zeros(0), np.zeros(0)
-    rates = gyroscope.values @ (up / length)
-    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(gyroscope.seconds)
-    return gyroscope.seconds, np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _rotations_of(fixes: Stream) -> tuple[Float64Array, Float64Array] | None:
@@ -246,57 +205,20 @@ def _rotations_of(fixes: Stream) -> tuple[Float64Array, Float64Array] | None:
     usable = usable[:: len(usable) // _MOST_FIXES + 1]
     if len(usable) <= _FEWEST_ROTATIONS:
         return None
-    lla = np.column_stack([fixes.values[usable, :2], np.zeros(len(usable))])
-    locations, seconds = enu_from_geodetic(lla, lla[0])[:, :2], fixes.seconds[usable]
-    accuracies = fixes.values[usable, 3]
+    positions, seconds, accuracies = _positions(fixes.values[usable]), fixes.seconds[usable], fixes.values[usable, 3]
     stated = accuracies[accuracies > 0]
-    ends = _ends_of_legs(locations, max(_SHORTEST_LEG, _LEG_SIGMAS * float(np.median(stated)) if len(stated) else 0.0))
-    legs = np.diff(locations[ends], axis=0)
+    shortest = max(_SHORTEST_LEG, _LEG_SIGMAS * float(np.median(stated)) if len(stated) else 0.0)
+    ends, (east, north) = [0], positions[0].tolist()
+    for row, (x, y) in enumerate(positions.tolist()):
+        if (x - east) ** 2 + (y - north) ** 2 >= shortest * shortest:
+            ends.append(row)
+            east, north = x, y
+    legs = np.diff(positions[ends], axis=0)
     courses = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
     return 0.5 * (seconds[ends[1:]] + seconds[ends[:-1]]), np.diff(courses)
 
 
-def _ends_of_legs(locations: Float64Array, shortest: float) -> Int64Array:
-    """Fixes that each lie so far from the one before, (L + 1,) int64."""
-    ends, (east, north) = [0], locations[0].tolist()
-    for row, (x, y) in enumerate(locations.tolist()):
-        if (x - east) ** 2 + (y - north) ** 2 >= shortest * shortest:
-            ends.append(row)
-            east, north = x, y
-    return np.array(ends, np.int64)
-
-
-# fmt: off
-FIX_ROTATION_RULES: tuple[Rule, ...] = (
-    Rule("fixes-mirrored", WARNING,
-         "The trajectory of the fixes rotates to the side to which the gyroscope rotates: they do not correlate "
-         "by less than -0.8.",
-         "See whether latitude and longitude are exchanged, and whether the accelerometer points up at rest.",
-         find=_mirrored),
-)
-# fmt: on
-
-NEAREST_REPORTED = 5.0
-"""Fixes within this distance [m] of a trajectory agree with it, whatever they claim: antennas sit elsewhere."""
-
-_ACCURACIES = 4.0
-"""And those within so many times the accuracy that they claim,"""
-
-_DRIFT = 0.01
-"""and within this part of the trajectory: odometry drifts."""
-
-_FEWEST_FIXES = 10
-_LEAST_SPREAD = 5.0
-_USUAL_ACCURACY = 5.0
-
-_CLEARLY = 0.3
-"""A mirrored trajectory fits better if it leaves less than this part of the distance."""
-
-_MIRRORED_REPORTED = 2.0
-"""Trajectories less bent [m] have no left and right."""
-
-_HEIGHTS_REPORT = 3.0
-_ROTATED_HEIGHTS = -0.7
+_Complex = np.ndarray[tuple[int], np.dtype[np.complex128]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -312,8 +234,8 @@ class _Case:
     """
 
     name: str
-    fixes: np.ndarray[tuple[int], np.dtype[np.complex128]]
-    trajectory: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    fixes: _Complex
+    trajectory: _Complex
     ups: Float64Array
     heights: Float64Array
     tolerance: float
@@ -345,18 +267,17 @@ def _cases(subject: Subject) -> Iterator[_Case]:
 
 def _usual(accuracies: Float64Array) -> float:
     known = accuracies[np.isfinite(accuracies)]
-    return float(np.median(known)) if len(known) else _USUAL_ACCURACY
+    return float(np.median(known)) if len(known) else UNKNOWN_ACCURACY
 
 
-def _fit(case: _Case, *, mirrored: bool = False) -> float:
-    """Distance [m] of half of the fixes once the trajectory is laid onto them by a rotation and a translation.
+def _fit(fixes: _Complex, positions: _Complex) -> float:
+    """Distance [m] of half of the fixes once the trajectory is aligned to them by a rotation and a translation.
 
-    It is laid once more without the farthest ones.
+    It is aligned once more without the farthest ones.
     """
-    positions = np.conj(case.trajectory) if mirrored else case.trajectory
     kept = np.ones(len(positions), np.bool_)
     for _ in range(2):
-        wanted, given = case.fixes - case.fixes[kept].mean(), positions - positions[kept].mean()
+        wanted, given = fixes - fixes[kept].mean(), positions - positions[kept].mean()
         product = np.vdot(given[kept], wanted[kept])
         rotation = product / np.abs(product) if product else 1.0
         away = np.abs(wanted - rotation * given)
@@ -370,18 +291,18 @@ def _far_apart(subject: Subject) -> Iterator[Hit]:
         moved = float(np.abs(case.trajectory - case.trajectory.mean()).max())
         if max(spread, moved) < max(_LEAST_SPREAD, 2.0 * case.tolerance):
             continue
-        away, mirrored = _fit(case), _fit(case, mirrored=True)
+        away, mirrored = (_fit(case.fixes, positions) for positions in (case.trajectory, np.conj(case.trajectory)))
         # so much better that no drift explains it, though both may be near
         is_mirrored = mirrored < _CLEARLY * away and away > _MIRRORED_REPORTED
         if away <= case.tolerance and not is_mirrored:
             continue
-        reported = (
+        problem = (
             f"rotated and shifted as well as can be, half of the fixes lie more than {away:.1f} m off; "
             f"expected {case.tolerance:.1f} m at most"
         )
         if is_mirrored:
-            reported += f", and it is {mirrored:.1f} m if x and y are exchanged, or one is negated (mirrored)"
-        yield Hit(f"trajectories[{case.name}]", reported)
+            problem += f", and it is {mirrored:.1f} m if x and y are exchanged, or one is negated (mirrored)"
+        yield Hit(f"trajectories[{case.name}]", problem)
 
 
 def _upside_down(subject: Subject) -> Iterator[Hit]:
@@ -391,17 +312,38 @@ def _upside_down(subject: Subject) -> Iterator[Hit]:
             continue
         correlation = float((ups * heights).mean() / (ups.std() * heights.std()))
         if correlation < _ROTATED_HEIGHTS:
-            reported = (
+            problem = (
                 f"z falls where the fixes climb (correlation {correlation:.2f}): probably z of the world points down"
             )
-            yield Hit(f"trajectories[{case.name}]", reported)
+            yield Hit(f"trajectories[{case.name}]", problem)
 
 
 # fmt: off
+FIX_RULES: tuple[Rule, ...] = (
+    Rule("fixes-on-earth", ERROR, "Latitudes of fixes lie within 90 degrees, longitudes within 180.",
+         "Check whether they are exchanged, or in another unit than degrees.", find=_off_the_earth),
+    Rule("fixes-somewhere", WARNING,
+         "No fix is at latitude 0, longitude 0, and not all are within what radians reach.",
+         "Leave fixes out that are none; write degrees.", find=_at_zero),
+    Rule("fixes-altitude", WARNING, "Altitudes of fixes are -500 to 10000 m.",
+         "Write metres above the ellipsoid.", find=_altitudes),
+    Rule("fixes-accuracy", WARNING,
+         "Accuracies of fixes are more than 0 and at most 1000 m, where they are given.",
+         "Leave the accuracy out where it is not known: an accuracy of 0 gets infinite weight.", find=_accuracies),
+    Rule("fixes-jump", WARNING,
+         "No fix is farther off the trajectory between its neighbours than 8 of their accuracies, 10 m/s² and "
+         "0.5 m explain, nor is reached at more than 150 m/s.",
+         "Leave the fix out, or give it the accuracy that it has.", find=_jumps),
+    Rule("fixes-mirrored", WARNING,
+         "The trajectory of the fixes rotates to the side to which the gyroscope rotates: they do not correlate "
+         "by less than -0.8.",
+         "Check whether latitude and longitude are exchanged, and whether the accelerometer points up at rest.",
+         find=_mirrored),
+)
+
 POSES_AND_GNSS_RULES: tuple[Rule, ...] = (
     Rule("poses-against-gnss", WARNING,
-         f"Trajectories lie along the fixes of the satellites, within {NEAREST_REPORTED:g} m or {_ACCURACIES:g} times "
-         f"their "
+         f"Trajectories follow the satellite fixes, within {NEAREST_REPORTED:g} m or {_ACCURACIES:g} times their "
          f"accuracy, and {_DRIFT:.0%} of the trajectory.",
          "Write positions in metres, in a right-handed world whose z points up, on the clock of the fixes.",
          find=_far_apart),

@@ -56,10 +56,7 @@ class SoundLines:
     def pose(self, time: float, east: float) -> Line:
         """A pose so many metres east."""
         rotation = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
-        return {
-            "groundTruth": {"position": {"x": east, "y": 0.0, "z": 0.0}, "orientation": rotation},
-            "time": time,
-        }
+        return {"groundTruth": {"position": {"x": east, "y": 0.0, "z": 0.0}, "orientation": rotation}, "time": time}
 
     def shifted(self, name: str, seconds: float) -> "SoundLines":
         """Put the clock of a stream off."""

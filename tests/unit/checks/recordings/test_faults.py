@@ -75,10 +75,7 @@ FAULTY = {
     "recording-readable": ({"lines": []}, "data.jsonl"),
     "broken-lines": ({"lines": [*SOUND, "{torn"]}, "data.jsonl: line 4"),
     "unfit-lines": ({"lines": [*SOUND, {"gps": {"latitude": 1.0}, "time": 1}]}, "data.jsonl: line 4"),
-    "unusable-orientations": (
-        {"lines": [*SOUND, {"groundTruth": BAD_POSE, "time": 2}]},
-        "data.jsonl: line 4",
-    ),
+    "unusable-orientations": ({"lines": [*SOUND, {"groundTruth": BAD_POSE, "time": 2}]}, "data.jsonl: line 4"),
     "unreadable-calibration": ({"calibration": "{"}, "calibration.json"),
     "unusable-calibrations": (
         {"calibration": {"cameras": [{**CAMERA_MODEL, "imuToCamera": TILTED}]}},

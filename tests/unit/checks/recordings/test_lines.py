@@ -54,12 +54,7 @@ def test_unknown_settings_are_reported_with_their_line_and_the_nearest_name(tmp_
 def test_settings_that_stand_there_twice_are_reported(tmp_path):
     found = findings(tmp_path / "drive", "useSlam: True\nvisualR: 0.01\nuseSlam: False\n")
     assert found == [
-        (
-            "config-keys-unique",
-            "warning",
-            "vio_config.yaml: line 3",
-            "'useSlam' stands in lines 1, 3; expected once",
-        )
+        ("config-keys-unique", "warning", "vio_config.yaml: line 3", "'useSlam' stands in lines 1, 3; expected once")
     ]
 
 

@@ -21,12 +21,7 @@ CAMERA = {
     "principalPointY": 15.5,
     "imageWidth": 48,
     "imageHeight": 32,
-    "imuToCamera": [
-        [0.0, -1.0, 0.0, 0.0],
-        [0.0, 0.0, -1.0, 1.2],
-        [1.0, 0.0, 0.0, -1.5],
-        [0.0, 0.0, 0.0, 1.0],
-    ],
+    "imuToCamera": [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.2], [1.0, 0.0, 0.0, -1.5], [0.0, 0.0, 0.0, 1.0]],
     "note": "kept as it is",
 }
 
@@ -277,10 +272,7 @@ def test_orientations_become_unit_quaternions_and_others_keep_their_numbers(driv
 
 def test_a_rotation_that_is_off_becomes_the_nearest_one(drive):
     matrix = np.array(CAMERA["imuToCamera"])
-    drive.calibration["cameras"][0]["imuToCamera"] = [
-        [0.0, -1.002, 0.0, 0.0],
-        *matrix[1:].tolist(),
-    ]
+    drive.calibration["cameras"][0]["imuToCamera"] = [[0.0, -1.002, 0.0, 0.0], *matrix[1:].tolist()]
     report = drive.fix()
     assert rules_of(report.fixed) == {"mounting-rotation"}
     written = np.array(drive.repaired_calibration()["cameras"][0]["imuToCamera"])

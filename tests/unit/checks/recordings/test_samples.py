@@ -52,12 +52,12 @@ def test_noise_above_the_limit_is_reported(reported, drive, deviation, is_loud):
 def test_noise_agrees_with_the_vendors_kind_of_filter():
     from scipy.signal import butter, filtfilt
 
-    from sceneloom.checks.recordings.samples import _mean_noise
+    from sceneloom.checks.recordings.samples import mean_noise
 
     noise = np.random.default_rng(1).standard_normal((20_000, 3))
     b, a = butter(3, 0.5, btype="high")
     expected = np.abs(filtfilt(b, a, noise, axis=0)).mean(axis=0)
-    np.testing.assert_allclose(_mean_noise(noise), expected, rtol=0.05)  # the flanks differ
+    np.testing.assert_allclose(mean_noise(noise), expected, rtol=0.05)  # the flanks differ
 
 
 def test_rotates_in_degrees_are_an_error(reported, drive):

@@ -6,11 +6,11 @@ import pytest
 
 from sceneloom.checks import validate
 from sceneloom.checks.recordings.lines import PRESENCE_RULES
-from sceneloom.checks.recordings.samples import IMU_TIME_RULES, IMU_VALUE_RULES, SENSOR_VALUE_RULES
+from sceneloom.checks.recordings.samples import SAMPLE_RULES
 from sceneloom.checks.recordings.satellite_fixes import FIX_RULES
 from sceneloom.checks.recordings.times import STREAM_RULES
 
-TABLES = (STREAM_RULES, IMU_TIME_RULES, IMU_VALUE_RULES, SENSOR_VALUE_RULES, FIX_RULES, PRESENCE_RULES)
+TABLES = (STREAM_RULES, SAMPLE_RULES, FIX_RULES, PRESENCE_RULES)
 
 
 def test_a_sound_drive_keeps_every_rule_over_its_lines(written, drive):

@@ -196,12 +196,7 @@ def test_regions_excuse_boxes_in_space_only_where_that_is_asked():
         np.zeros(1, np.int64), np.full(1, -1), ("DontCare",), np.array([[0.0, 0, 100, 100]]), boxes - 1000
     )
     found = ObjectTable(
-        np.zeros(1, np.int64),
-        np.full(1, -1),
-        ("Car",),
-        np.array([[10.0, 10, 60, 60]]),
-        boxes,
-        scores=np.ones(1),
+        np.zeros(1, np.int64), np.full(1, -1), ("Car",), np.array([[10.0, 10, 60, 60]]), boxes, scores=np.ones(1)
     )
     for asked, wrong in ((False, 1), (True, 0)):
         rules = DetectionRules(regions_in_space=asked)
@@ -293,12 +288,7 @@ def test_covariances_of_detections_are_judged_by_part_and_reversed_headings_are_
     rng = np.random.default_rng(11)
     count, deviations = 3000, np.array([0.2, 0.1, 0.05, 0.2, 0.1, 0.1, 0.03])
     true = np.column_stack(
-        [
-            np.arange(count) * 20.0,
-            np.zeros((count, 2)),
-            np.tile([4.2, 1.8, 1.5], (count, 1)),
-            rng.uniform(-3, 3, count),
-        ]
+        [np.arange(count) * 20.0, np.zeros((count, 2)), np.tile([4.2, 1.8, 1.5], (count, 1)), rng.uniform(-3, 3, count)]
     )
     boxes = true + rng.normal(0, 1, (count, 7)) * deviations
     boxes[::10, 6] += np.pi
@@ -312,17 +302,10 @@ def test_covariances_of_detections_are_judged_by_part_and_reversed_headings_are_
         covariances=np.tile(np.diag(deviations**2), (count, 1, 1)),
     )
     reported = evaluate_detection(
-        {"a": found},
-        {"a": ObjectTable(frames, ids, labels, boxes=true)},
-        classes=("car",),
-        difficulties=("all",),
+        {"a": found}, {"a": ObjectTable(frames, ids, labels, boxes=true)}, classes=("car",), difficulties=("all",)
     )["car"]
     assert reported.covariances is not None
     assert reported.headings_reversed == pytest.approx(0.1)
-    assert {name: part.dimensions for name, part in reported.covariances.items()} == {
-        "center": 3,
-        "size": 3,
-        "yaw": 1,
-    }
+    assert {name: part.dimensions for name, part in reported.covariances.items()} == {"center": 3, "size": 3, "yaw": 1}
     for part in reported.covariances.values():
         assert part.nees == pytest.approx(part.dimensions, rel=0.1)  # 3000 draws: 3 deviations are 0.08

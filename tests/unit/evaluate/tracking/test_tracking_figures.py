@@ -165,12 +165,7 @@ def test_nothing_on_a_side_has_defined_figures(empty):
     nothing, one = ObjectTable.empty(), table(track("Car", 0, 0))
     found, truth = (nothing if empty in (side, "both") else one for side in ("results", "truth"))
     reported = score_sequence(found, truth, "car")
-    assert (reported.hota.hota, reported.clear.mota, reported.identity.idf1, reported.hota.loca) == (
-        0.0,
-        0.0,
-        0.0,
-        1.0,
-    )
+    assert (reported.hota.hota, reported.clear.mota, reported.identity.idf1, reported.hota.loca) == (0.0, 0.0, 0.0, 1.0)
     assert (reported.clear.fn, reported.clear.fp) == (10 * (empty == "results"), 10 * (empty == "truth"))
 
 

@@ -12,33 +12,17 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array
 from sceneloom.errors import OptionError
 
-_POINT = np.dtype(
-    [
-        ("position", "f8", 3),
-        ("color", "f4", 3),
-        ("weight", "f4"),
-        ("intensity", "f4"),
-        ("time_ns", "i8"),
-        ("camera", "u1"),
-        ("image", "i4"),
-        ("pixel", "f4", 2),
-        ("label", "u2"),
-    ]
-)
+_POINT = np.dtype([
+    ("position", "f8", 3), ("color", "f4", 3), ("weight", "f4"), ("intensity", "f4"), ("time_ns", "i8"),
+    ("camera", "u1"), ("image", "i4"), ("pixel", "f4", 2), ("label", "u2"),
+])  # fmt: skip
 """One point: world position [m], colour (0 to 255), its weight (0 for none), brightness, time [ns], camera and number
 of the image that counts most (255 and -1 for none), position in it [px], label (65535 for none)."""
 
-_CELL = np.dtype(
-    [
-        ("cube", "i8"),
-        ("count", "u4"),
-        ("position", "f8", 3),
-        ("color", "f4", 3),
-        ("weight", "f4"),
-        ("intensity", "f4"),
-        ("best", _POINT),
-    ]
-)
+_CELL = np.dtype([
+    ("cube", "i8"), ("count", "u4"), ("position", "f8", 3), ("color", "f4", 3), ("weight", "f4"), ("intensity", "f4"),
+    ("best", _POINT),
+])  # fmt: skip
 """One cube: its number in the tile, number of points in it, sums of their positions, of their colours by weight, of the
 weights, of the brightness; and the point with the greatest weight."""
 

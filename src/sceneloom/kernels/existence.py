@@ -12,28 +12,10 @@ from sceneloom.kernels.overlaps import box_area, common_area
 from sceneloom.kernels.signatures import inlined
 
 (
-    PRIOR,
-    SWEEP_LOW,
-    _SWEEP_HIGH,
-    _SWEEP_BASE,
-    _SWEEP_SLOPE,
-    IMAGE_LOW,
-    _IMAGE_HIGH,
-    _IMAGE_BASE,
-    _IMAGE_SLOPE,
-    BOTH_BASE,
-    _BOTH_SWEEP,
-    _BOTH_IMAGE,
-    BOTH_OVERLAP,
-    RECALL_2D,
-    WEAK_RECALL_2D,
-    WEAK_SHARE,
-    LOW_PX,
-    HIGH_PX,
-    SEEN_SHARE,
-    RECALL_3D,
-    FARTHEST_3D,
-) = range(21)
+    PRIOR, SWEEP_LOW, _SWEEP_HIGH, _SWEEP_BASE, _SWEEP_SLOPE, IMAGE_LOW, _IMAGE_HIGH, _IMAGE_BASE, _IMAGE_SLOPE,
+    BOTH_BASE, _BOTH_SWEEP, _BOTH_IMAGE, BOTH_OVERLAP, RECALL_2D, WEAK_RECALL_2D, WEAK_SHARE, LOW_PX,
+    HIGH_PX, SEEN_SHARE, RECALL_3D, FARTHEST_3D,
+) = range(21)  # fmt: skip
 """The columns of the table, as `detections.detectors` names and explains them; PRIOR as logarithm of odds."""
 
 COLUMNS = 21

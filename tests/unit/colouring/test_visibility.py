@@ -238,15 +238,11 @@ def test_decisions_do_not_depend_on_where_the_world_begins(street):
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("margin", -0.1),
-        ("margin", math.nan),
+        *(("margin", value) for value in (-0.1, math.nan)),
+        *(("surface_distance", value) for value in (0.0, -1.0)),
+        *(("window_deg", value) for value in (0.0, 46.0)),
+        *(("near_deg", value) for value in (-1.0, math.nan)),
         ("margin_share", math.inf),
-        ("surface_distance", 0.0),
-        ("surface_distance", -1.0),
-        ("window_deg", 0.0),
-        ("window_deg", 46.0),
-        ("near_deg", -1.0),
-        ("near_deg", math.nan),
     ],
 )
 def test_settings_that_cannot_be_followed_are_refused(field, value):

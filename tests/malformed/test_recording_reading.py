@@ -119,29 +119,17 @@ def test_any_file_may_be_missing_or_be_a_folder(folder, name):
     read_everything(folder, lenient=True)
 
 
+@pytest.mark.parametrize("name", ["data.jsonl", "calibration.json"])
 @pytest.mark.parametrize("value", VALUES)
-@pytest.mark.few(2)
-def test_any_value_may_stand_anywhere_in_a_line(folder, value):
-    path = folder / "data.jsonl"
+@pytest.mark.few(4)
+def test_any_value_may_stand_anywhere(folder, name, value):
+    path = folder / name
     lines = path.read_text().splitlines()
     for number, line in enumerate(lines):
         for changed in with_each_value_replaced(json.loads(line), value):
             path.write_text("\n".join([*lines[:number], changed, *lines[number + 1 :]]))
-            assert read_everything(folder, lenient=False) or read_everything(folder, lenient=True) in {
-                True,
-                False,
-            }
-
-
-@pytest.mark.parametrize("value", VALUES)
-@pytest.mark.few(2)
-def test_any_value_may_stand_anywhere_in_the_calibration(folder, value):
-    path = folder / "calibration.json"
-    content = json.loads(path.read_text())
-    for changed in with_each_value_replaced(content, value):
-        path.write_text(changed)
-        read_everything(folder, lenient=False)
-        read_everything(folder, lenient=True)
+            read_everything(folder, lenient=False)
+            read_everything(folder, lenient=True)
 
 
 def with_each_value_replaced(content: object, value: str) -> Iterator[str]:
@@ -162,36 +150,9 @@ def with_each_value_replaced(content: object, value: str) -> Iterator[str]:
 
 
 CHUNKS = [
-    *(
-        b"",
-        b"\n",
-        b"\r\n",
-        b"\x00",
-        b"\xff",
-        b"\xe2\x82",
-        b"NaN",
-        b"-Infinity",
-        b"1e999",
-        b"null",
-        b"true",
-        b'""',
-    ),
-    *(
-        b"{",
-        b"}",
-        b"[",
-        b"]",
-        b",",
-        b":",
-        b'"',
-        b"[" * 2000,
-        b"9" * 400,
-        b'"\\ud800"',
-        b"-0",
-        b" ",
-        b'"time":1,',
-    ),
-    *(line for line in map(str.encode, map(json.dumps, LINES))),
+    *(b"", b"\n", b"\r\n", b"\x00", b"\xff", b"\xe2\x82", b" ", b"[" * 2000, b"9" * 400, b'"\\ud800"', b'"time":1,'),
+    *b'NaN -Infinity 1e999 null true "" { } [ ] , : " -0'.split(),
+    *(json.dumps(line).encode() for line in LINES),
 ]
 """What is put into a log instead of a part of it."""
 

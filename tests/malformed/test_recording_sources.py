@@ -40,23 +40,9 @@ FIELDS = st.sampled_from(["imuToGnss", "imuToOutput", "imuToMagnetometer", "imuF
 CAMERA_FIELDS = st.sampled_from(
     ["imuToCamera", "imuToCameraShiftSeconds", "shutterRollTimeSeconds", "exposureTimeSeconds", "model"]
 )
-PARAMETERS = st.lists(
-    st.tuples(
-        st.sampled_from(
-            [
-                "focalLength",
-                "secondFocalLengthX",
-                "imuToCameraMatrix",
-                "distortionCoeffs",
-                "fisheyeCamera",
-                "rot",
-                "x",
-            ]
-        ),
-        st.sampled_from(["1", "-1", "0,0,0", "1,0,0,0,1,0,0,0,1", "true", "nan", "1e999", "a b", ""]),
-    ),
-    max_size=5,
-)
+NAMES = ["focalLength", "secondFocalLengthX", "imuToCameraMatrix", "distortionCoeffs", "fisheyeCamera", "rot", "x"]
+NUMBERS = ["1", "-1", "0,0,0", "1,0,0,0,1,0,0,0,1", "true", "nan", "1e999", "a b", ""]
+PARAMETERS = st.lists(st.tuples(st.sampled_from(NAMES), st.sampled_from(NUMBERS)), max_size=5)
 QUICK = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 

@@ -1,6 +1,5 @@
 """A first pass over all topics: names of sensors, timestamps, small messages, and the notes of our own writer."""
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -66,7 +65,8 @@ def nearest(topic: str, others: Iterable[str]) -> str | None:
 
 
 VERSION = 1
-_ATTRIBUTE_PARTS = ("sensor_id", "static", "point_index")
+ATTRIBUTE_PARTS = ("sensor_id", "static", "point_index")
+"""What is noted of an attribute beside its name, values, timestamps and extras."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,53 +104,6 @@ def _read_notes(text: str | None, name: str) -> Notes:
     return Notes(**lists, root=MappingProxyType(root))
 
 
-def _as_json(value: Any) -> Any:
-    """Give a value as JSON says it."""
-    if value is None or isinstance(value, bool | str):
-        return value
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, float) and math.isfinite(value):
-        return float(value)
-    if isinstance(value, np.integer | np.floating | np.bool_):
-        return _as_json(value.item())
-    if isinstance(value, Mapping) and all(isinstance(name, str) for name in value):
-        return {str(name): _as_json(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_as_json(item) for item in value]
-    raise ValueError(f"a {type(value).__name__}")
-
-
-def sayable(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The values that JSON can state, and the names of the others."""
-    kept, lost = {}, []
-    for name, value in values.items():
-        try:
-            kept[name] = _as_json(value)
-        except ValueError:
-            lost.append(name)
-    return kept, lost
-
-
-def attribute_notes(attributes: Iterable[AttributePath]) -> tuple[list[dict[str, Any]], int]:
-    """Attributes as JSON, and how many cannot be."""
-    kept, lost = [], 0
-    for attribute in attributes:
-        reported: dict[str, Any] = {"name": attribute.name}
-        try:
-            reported["values"] = _as_json(list(attribute.values))
-            if attribute.extras:
-                reported["extras"] = _as_json(attribute.extras)
-        except ValueError:
-            lost += 1
-            continue
-        if attribute.timestamps_ns is not None:
-            reported["timestamps_ns"] = attribute.timestamps_ns.tolist()
-        reported |= {name: value for name in _ATTRIBUTE_PARTS if (value := getattr(attribute, name)) is not None}
-        kept.append(reported)
-    return kept, lost
-
-
 def attributes_from(notes: Iterable[Mapping[str, Any]]) -> tuple[AttributePath, ...]:
     """The attributes of notes."""
     return tuple(
@@ -159,7 +112,7 @@ def attributes_from(notes: Iterable[Mapping[str, Any]]) -> tuple[AttributePath, 
             tuple(tuple(value) if isinstance(value, list) else value for value in note["values"]),
             np.asarray(note["timestamps_ns"], np.int64) if "timestamps_ns" in note else None,
             extras=MappingProxyType(note["extras"]) if "extras" in note else NO_FIELDS,
-            **{name: note[name] for name in _ATTRIBUTE_PARTS if name in note},
+            **{name: note[name] for name in ATTRIBUTE_PARTS if name in note},
         )
         for note in notes
     )

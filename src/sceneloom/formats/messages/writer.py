@@ -2,7 +2,8 @@
 
 import io
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -29,9 +30,9 @@ from sceneloom.formats.messages.records import (
     TransformRecord,
     numbered,
 )
-from sceneloom.formats.messages.survey import VERSION, attribute_notes, sayable
+from sceneloom.formats.messages.survey import ATTRIBUTE_PARTS, VERSION
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.annotations import Box2DAnnotation, CuboidAnnotation
+from sceneloom.scene.annotations import AttributePath, Box2DAnnotation, CuboidAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, ShootingSensor, Shot, mounts_of_shots
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
@@ -59,6 +60,7 @@ _CUBOIDS_TOPIC = "/cuboids"
 _FRAMES_TOPIC, FIXED_FRAMES_TOPIC = "/tf", "/tf_static"
 
 _Note = dict[str, Any]
+_NO_JSON = "values that JSON cannot state"
 
 
 def check_images(images: str) -> None:
@@ -182,8 +184,33 @@ class SceneStreams:
         return note
 
     def _sayable(self, field: str, values: Mapping[str, Any]) -> dict[str, Any]:
-        kept, lost = sayable(values)
-        self.losses.dropped(field, f"values that JSON cannot state: {', '.join(lost)}", count=len(lost))
+        """The values that JSON can state."""
+        kept, lost = {}, []
+        for name, value in values.items():
+            try:
+                kept[name] = _as_json(value)
+            except ValueError:
+                lost.append(name)
+        self.losses.dropped(field, f"{_NO_JSON}: {', '.join(lost)}", count=len(lost))
+        return kept
+
+    def _attributes(self, field: str, attributes: Iterable[AttributePath]) -> list[_Note]:
+        """The attributes whose values JSON can state."""
+        kept, lost = [], 0
+        for attribute in attributes:
+            note: _Note = {"name": attribute.name}
+            try:
+                note["values"] = _as_json(list(attribute.values))
+                if attribute.extras:
+                    note["extras"] = _as_json(attribute.extras)
+            except ValueError:
+                lost += 1
+                continue
+            if attribute.timestamps_ns is not None:
+                note["timestamps_ns"] = attribute.timestamps_ns.tolist()
+            note |= {name: value for name in ATTRIBUTE_PARTS if (value := getattr(attribute, name)) is not None}
+            kept.append(note)
+        self.losses.dropped(field, _NO_JSON, count=lost)
         return kept
 
     def _drop_seconds(self, field: str, seconds: Any) -> None:
@@ -406,11 +433,9 @@ class SceneStreams:
 
     def _annotation_note(self, annotation: CuboidAnnotation | Box2DAnnotation, topic: str, key: str) -> _Note:
         kind, path, losses = KINDS[type(annotation)], annotation.path, self.losses
-        attributes, lost = attribute_notes(annotation.attributes)
-        extras, names = sayable(annotation.extras)
+        attributes = self._attributes(f"{kind}.attributes", annotation.attributes)
+        extras = self._sayable(f"{kind}.extras", annotation.extras)
         repeated = len(path.timestamps_ns) - len(np.unique(path.timestamps_ns))
-        losses.dropped(f"{kind}.attributes", "values that JSON cannot state", count=lost)
-        losses.dropped(f"{kind}.extras", "values that JSON cannot state", count=len(names))
         losses.dropped(f"{kind}.path.extras", "unknown fields of a path", count=bool(path.extras))
         losses.dropped(f"{kind}.path.timestamps_ns", "rows with the time of another one", count=repeated)
         for name in ("activations", "projections"):
@@ -425,8 +450,7 @@ class SceneStreams:
         scene = self._scene
         metadata = self._sayable("metadata", scene.metadata)
         extras = self._sayable("extras", scene.extras)
-        attributes, count = attribute_notes(scene.attributes)
-        self.losses.dropped("attributes", "values that JSON cannot state", count=count)
+        attributes = self._attributes("attributes", scene.attributes)
         if any(isinstance(annotation, CuboidAnnotation) for annotation in scene.annotations):
             ours = metadata.get("sceneloom")
             euler = {"euler_unit": "degrees", "euler_order": "xyz"}
@@ -525,6 +549,23 @@ class _ShotWriter:
         data: UInt8Array = np.ascontiguousarray(rows).view(np.uint8).reshape(-1)
         size = width, height, len(data) // height
         return self.topic, ImageRecord(shot.timestamp_ns, self.frame_id, encoding, *size, data.data)
+
+
+def _as_json(value: Any) -> Any:
+    """Give a value as JSON says it."""
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float) and math.isfinite(value):
+        return float(value)
+    if isinstance(value, np.integer | np.floating | np.bool_):
+        return _as_json(value.item())
+    if isinstance(value, Mapping) and all(isinstance(name, str) for name in value):
+        return {str(name): _as_json(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_json(item) for item in value]
+    raise ValueError(f"a {type(value).__name__}")
 
 
 def _jpeg(rgb: UInt8Array) -> bytes:

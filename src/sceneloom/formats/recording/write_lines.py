@@ -9,7 +9,6 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, finite_rows
 from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.text_tables import TimeWriter, number_texts
-from sceneloom.formats.recording.json_faults import DECODER_FAULTS, FARTHEST_TIME
 from sceneloom.formats.recording.lines import GPS_ORIGIN, ROOT_KEYS, Origin
 from sceneloom.formats.recording.reader import BAROMETER, RECEIVER
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
@@ -89,29 +88,6 @@ def rows_of(texts: Mapping[str, str], timestamps_ns: Int64Array) -> dict[int, st
         if row < len(timestamps_ns) and timestamps_ns[row] == int(timestamp):
             found[row] = text
     return found
-
-
-def kept_lines(texts: Sequence[str], anchors: Mapping[str, float]) -> LineStream:
-    """Unknown lines as they were.
-
-    Args:
-        texts: all such lines, in the order of the file.
-        anchors: by index in `texts`, the time of the line before [s], for lines without a time; those that have
-            neither come first.
-    """
-    seconds = [_seconds_of(text, anchors.get(str(k))) for k, text in enumerate(texts)]
-    timestamps = np.array([-(2**63) if s is None else round(s * 1e9) for s in seconds], np.int64)
-    order = np.argsort(timestamps, kind="stable")
-    return LineStream(timestamps[order], (texts[k].strip() for k in order.tolist()))
-
-
-def _seconds_of(text: str, anchor: float | None) -> float | None:
-    try:
-        line = msgspec.json.decode(text)
-    except DECODER_FAULTS:
-        return anchor
-    seconds = line.get("time") if isinstance(line, dict) else None
-    return float(seconds) if isinstance(seconds, int | float) and abs(seconds) < FARTHEST_TIME else anchor
 
 
 _TIME, _ROW = -1, -2
@@ -258,25 +234,9 @@ def _name_field(origin: Origin) -> dict[str, Any]:
     return {"name": name} if root == "pose" and name != "pose" else {}
 
 
-def receiver_origin(sensor: GnssSensor, origins: Mapping[str, Origin], receivers: Sequence[GnssSensor]) -> Origin:
-    """Root key and name of a receiver's lines: those that it was read under, `gps` for the first one, else its id."""
-    name = str(sensor.id)
-    if name in origins:
-        return origins[name]
-    if sensor in main_receiver([other for other in receivers if str(other.id) not in origins]):
-        return GPS_ORIGIN
-    return origin_for(name)
-
-
 def origin_for(name: str) -> Origin:
     """A root key of its own; where the format has another meaning for that key, a `pose` that bears the name."""
     return ("pose", name) if name in ROOT_KEYS - {"groundTruth"} or not name else (name, name)
-
-
-def main_receiver(receivers: Sequence[GnssSensor]) -> list[GnssSensor]:
-    """Give the one whose lines are `gps` lines: the one that is called so, else the first that has no other name."""
-    others = [sensor for sensor in receivers if sensor.id != "rtkgps"]
-    return [sensor for sensor in others if sensor.id == "gnss"][:1] or others[:1]
 
 
 def row_texts(rows: Float64Array) -> list[str]:

@@ -2,7 +2,7 @@
 
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import count
@@ -21,8 +21,9 @@ from sceneloom.formats.base.poses import each_mounted, mounting
 from sceneloom.formats.base.text_tables import TimeWriter, nanoseconds
 from sceneloom.formats.recording.calibration import CALIBRATION_FILE
 from sceneloom.formats.recording.cameras import FrameNotes
+from sceneloom.formats.recording.json_faults import DECODER_FAULTS, FARTHEST_TIME
 from sceneloom.formats.recording.lidars import XYZIRT
-from sceneloom.formats.recording.lines import LIDAR_MODELS, Origin
+from sceneloom.formats.recording.lines import GPS_ORIGIN, LIDAR_MODELS, Origin
 from sceneloom.formats.recording.reader import RANKS
 from sceneloom.formats.recording.spec import DATA_FILE
 from sceneloom.formats.recording.vio_config import unknown_keys
@@ -38,12 +39,9 @@ from sceneloom.formats.recording.write_images import (
 from sceneloom.formats.recording.write_lines import (
     LineStream,
     NumberLines,
-    kept_lines,
-    main_receiver,
     make_line,
     merged_lines,
     origin_for,
-    receiver_origin,
     rows_of,
 )
 from sceneloom.geometry.interpolation import OUT_OF_REACH
@@ -271,7 +269,7 @@ def _unwritten(plan: _WritingPlan, shooting: Sequence[ShootingSensor]) -> Iterat
             yield Loss(field=field, what="left out: it has no images, while other cameras have")
         if isinstance(sensor, ImuSensor) and sensor is not plan.imu:
             yield Loss(field=field, what=f"left out: the format has one {sensor.type} only")
-        if isinstance(sensor, GnssSensor) and sensor.mount is not None and sensor not in main_receiver(plan.receivers):
+        if isinstance(sensor, GnssSensor) and sensor.mount is not None and sensor not in _main_receiver(plan.receivers):
             yield Loss(field=f"{field}.mount", what=_NO_FIELD)
     names = [trajectory.name for trajectory, _ in plan.trajectories if trajectory.covariances is not None]
     yield from (Loss(field=f"trajectories.{name}.covariances", what=_NO_FIELD) for name in names)
@@ -286,7 +284,7 @@ def _renamed(plan: _WritingPlan) -> Iterator[Loss]:
     # the format knows sensors by number only
     read_back: list[tuple[Sensor, str]] = [(camera, f"camera{index}") for index, camera in enumerate(plan.cameras)]
     read_back += [(lidar, f"lidar{index}" if len(lidars) > 1 else "lidar") for index, lidar in enumerate(lidars)]
-    read_back += [(sensor, "imu") for sensor in imu] + [(sensor, "gnss") for sensor in main_receiver(plan.receivers)]
+    read_back += [(sensor, "imu") for sensor in imu] + [(sensor, "gnss") for sensor in _main_receiver(plan.receivers)]
     for sensor, name in read_back:
         if sensor.id != name:
             yield Loss(field=f"sensors[{sensor.id}].id", what=f"read back as {name!r}")
@@ -359,9 +357,9 @@ def _write(plan: _WritingPlan, folder: Path, images: str) -> list[Loss]:
         streams = [numbers.trajectory(trajectory, origin) for trajectory, origin in plan.trajectories]
         streams += [] if plan.imu is None else numbers.imu(plan.imu)
         for sensor in plan.receivers:
-            streams.append(numbers.gnss(sensor, receiver_origin(sensor, notes.receiver_origins, plan.receivers)))
+            streams.append(numbers.gnss(sensor, _receiver_origin(sensor, notes.receiver_origins, plan.receivers)))
         streams += [sweep.stream() for sweep in sweeps]
-        streams += [frames.stream(), kept_lines(notes.other_lines, notes.other_seconds)]
+        streams += [frames.stream(), _kept_lines(notes.other_lines, notes.other_seconds)]
         with (folder / DATA_FILE).open("wb") as file:
             for lines in merged_lines(streams):
                 file.write("\n".join([*lines, ""]).encode())
@@ -396,7 +394,7 @@ def _write_calibration(plan: _WritingPlan, sinks: Sequence[ImageSink], folder: P
         losses.extend(lost)
     lidar_mounts = plan.mounts[len(cameras) :]
     lidars = [lidar_entry(lidar, k, lidar_mounts[k], _LIDAR_MODEL) for k, lidar in enumerate(plan.lidars)]
-    further, main = dict(plan.notes.calibration), main_receiver(plan.receivers)
+    further, main = dict(plan.notes.calibration), _main_receiver(plan.receivers)
     if main and main[0].mount is not None:
         further.setdefault("imuToGnss", matrix_entry(main[0].mount.inverse()))
     content = {**further, "cameras": cameras, **({"lidars": lidars} if lidars else {})}
@@ -562,3 +560,39 @@ def _agree(along_ego: PoseSource, poses: Poses) -> bool:
     distances = np.linalg.norm(samples.positions - poses.positions, axis=1)
     angles = angle_between(samples.quaternions_xyzw, poses.quaternions_xyzw)
     return bool(distances.max() <= _SAME_POSITION and angles.max() <= _SAME_ROTATION)
+
+
+def _kept_lines(texts: Sequence[str], anchors: Mapping[str, float]) -> LineStream:
+    """Unknown lines as they were, in the order of time.
+
+    `anchors` are the times of the lines before [s], for lines without one; those that have neither come first.
+    """
+    seconds = [_seconds_of(text, anchors.get(str(k))) for k, text in enumerate(texts)]
+    timestamps = np.array([-(2**63) if s is None else round(s * 1e9) for s in seconds], np.int64)
+    order = np.argsort(timestamps, kind="stable")
+    return LineStream(timestamps[order], (texts[k].strip() for k in order.tolist()))
+
+
+def _seconds_of(text: str, anchor: float | None) -> float | None:
+    try:
+        line = msgspec.json.decode(text)
+    except DECODER_FAULTS:
+        return anchor
+    seconds = line.get("time") if isinstance(line, dict) else None
+    return float(seconds) if isinstance(seconds, int | float) and abs(seconds) < FARTHEST_TIME else anchor
+
+
+def _receiver_origin(sensor: GnssSensor, origins: Mapping[str, Origin], receivers: Sequence[GnssSensor]) -> Origin:
+    """Root key and name of a receiver's lines: those that it was read under, `gps` for the first one, else its id."""
+    name = str(sensor.id)
+    if name in origins:
+        return origins[name]
+    if sensor in _main_receiver([other for other in receivers if str(other.id) not in origins]):
+        return GPS_ORIGIN
+    return origin_for(name)
+
+
+def _main_receiver(receivers: Sequence[GnssSensor]) -> list[GnssSensor]:
+    """Give the one whose lines are `gps` lines: the one that is called so, else the first that has no other name."""
+    others = [sensor for sensor in receivers if sensor.id != "rtkgps"]
+    return [sensor for sensor in others if sensor.id == "gnss"][:1] or others[:1]

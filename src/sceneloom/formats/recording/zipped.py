@@ -6,7 +6,8 @@ import shutil
 import stat
 import tempfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from zipfile import BadZipFile, LargeZipFile, ZipFile, ZipInfo
@@ -146,13 +147,16 @@ def _unpack(archive: ZipFile, path: Path, data_file: str) -> UnpackedFolder:
     # messages that name a file in it then name the archive, too
     unpacked = UnpackedFolder(top / path.name, top, os.getpid())
     atexit.register(unpacked.remove)
-    try:
-        _check_space(members, top, path)
-        for member, target in _targets(members, root, unpacked.folder):
-            _write(archive, member, target, path)
-    except BaseException:
-        unpacked.remove()
-        raise
+    with ExitStack() as stack:
+        stack.callback(unpacked.remove)
+        total, free = sum(member.file_size for member in members), shutil.disk_usage(top).free
+        if total + _SPARE_BYTES > free:
+            problem = f"holds {total} bytes, and {top.parent} has {free} free"
+            raise DataError(path, "", f"{problem}; unpack it elsewhere and open the folder, or set TMPDIR")
+        for member in members:
+            if not member.is_dir():
+                _write(archive, member, unpacked.folder / member.filename.removeprefix(root), path)
+        stack.pop_all()
     return unpacked
 
 
@@ -165,13 +169,6 @@ def _check_bounds(members: Sequence[ZipInfo], path: Path) -> None:
     if total > max(LARGEST_RATIO * packed, _ALWAYS_FINE):
         problem = f"says that its {packed} bytes hold {total}, {total // max(packed, 1)} times as many"
         raise DataError(path, "", f"{problem}; expected {LARGEST_RATIO} times at most")
-
-
-def _check_space(members: Sequence[ZipInfo], top: Path, path: Path) -> None:
-    total, free = sum(member.file_size for member in members), shutil.disk_usage(top).free
-    if total + _SPARE_BYTES > free:
-        problem = f"holds {total} bytes, and {top.parent} has {free} free"
-        raise DataError(path, "", f"{problem}; unpack it elsewhere and open the folder, or set TMPDIR")
 
 
 def _check_name(member: ZipInfo, path: Path) -> None:
@@ -189,13 +186,6 @@ def _check_name(member: ZipInfo, path: Path) -> None:
     else:
         return
     raise DataError(path, repr(name[:_LONGEST_NAME]), f"{problem}; expected plain files in the recording's folder")
-
-
-def _targets(members: Sequence[ZipInfo], root: str, folder: Path) -> Iterator[tuple[ZipInfo, Path]]:
-    for member in members:
-        name = member.filename.removeprefix(root)
-        if not member.is_dir():
-            yield member, folder / name
 
 
 def _write(archive: ZipFile, member: ZipInfo, target: Path, path: Path) -> None:

@@ -171,37 +171,35 @@ def posed_camera(**fields):
     return CameraSensor("front", camera("pinhole"), LazyFrames.of([], []), **fields)
 
 
-def test_a_mounting_is_found_from_poses_in_the_world():
-    mount, losses = mounting(posed_camera(poses=sensor_path(MOUNT)), ego_path())
-    assert losses == []
-    np.testing.assert_allclose(mount.matrix, MOUNT.matrix, atol=1e-12)
+def turned(x):
+    return RigidTransform(MOUNT.rotation @ Rotation.from_rotvec([x, 0, 0]).as_matrix(), MOUNT.translation)
 
 
-def test_a_mounting_is_found_from_poses_on_the_ego():
-    poses = Poses(np.zeros(1, np.int64), MOUNT.translation[None], MOUNT.quaternion_xyzw[None])
-    mount, losses = mounting(posed_camera(poses=poses, coordinates=Coordinates.EGO), None)
-    assert losses == []
-    np.testing.assert_allclose(mount.matrix, MOUNT.matrix, atol=1e-12)
+RAISED = RigidTransform(MOUNT.rotation, MOUNT.translation + np.array([0, 0, 0.3]))
+ON_EGO = Poses(np.zeros(1, np.int64), MOUNT.translation[None], MOUNT.quaternion_xyzw[None])
+SHORT = Poses(ego_path().timestamps_ns[:3], ego_path().positions[:3], ego_path().quaternions_xyzw[:3])
+MOUNTINGS = {
+    "poses in the world": ({"poses": sensor_path(MOUNT)}, ego_path(), MOUNT, []),
+    "poses on the ego": ({"poses": ON_EGO, "coordinates": Coordinates.EGO}, None, MOUNT, []),
+    "moving on the ego": ({"poses": sensor_path(MOUNT, move=0.5)}, ego_path(), MOUNT, [(5, "moves up to 0.5 m")]),
+    "the same": ({"poses": sensor_path(MOUNT), "mount": MOUNT}, ego_path(), MOUNT, []),
+    "raised": ({"poses": sensor_path(MOUNT), "mount": RAISED}, ego_path(), RAISED, [(5, "up to 0.3 m and 0 degrees")]),
+    "turned": ({"poses": sensor_path(MOUNT), "mount": turned(0.01)}, ego_path(), turned(0.01), [(5, "0.573 degrees")]),
+    "beyond the ego's": ({"poses": sensor_path(MOUNT), "mount": MOUNT}, SHORT, MOUNT, [(2, "left out:")]),
+    "no poses": ({}, ego_path(), None, []),
+    "no ego trajectory": ({"poses": sensor_path(MOUNT)}, None, None, []),
+}
 
 
-def test_a_sensor_that_moves_on_the_vehicle_is_reported():
-    mount, losses = mounting(posed_camera(poses=sensor_path(MOUNT, move=0.5)), ego_path())
-    np.testing.assert_allclose(mount.matrix, MOUNT.matrix, atol=1e-12)
-    assert "moves up to 0.5 m" in losses[0].what
-
-
-def test_poses_that_contradict_a_mounting_or_go_beyond_the_ego_s_trajectory_are_reported():
-    raised = RigidTransform(MOUNT.rotation, MOUNT.translation + np.array([0, 0, 0.3]))
-    mount, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=raised), ego_path())
-    assert mount is raised
-    assert "up to 0.3 m and 0 degrees" in losses[0].what
-    rotated = RigidTransform(MOUNT.rotation @ Rotation.from_rotvec([0.01, 0, 0]).as_matrix(), MOUNT.translation)
-    _, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=rotated), ego_path())
-    assert "0.573 degrees" in losses[0].what
-    assert mounting(posed_camera(poses=sensor_path(MOUNT), mount=MOUNT), ego_path()) == (MOUNT, [])
-    short = Poses(ego_path().timestamps_ns[:3], ego_path().positions[:3], ego_path().quaternions_xyzw[:3])
-    _, losses = mounting(posed_camera(poses=sensor_path(MOUNT), mount=MOUNT), short)
-    assert [(loss.count, loss.what.split(":")[0]) for loss in losses] == [(2, "left out")]
+@pytest.mark.parametrize(("fields", "ego", "expected", "lost"), MOUNTINGS.values(), ids=MOUNTINGS)
+def test_mountings_come_from_poses_that_agree_with_the_ego_s_and_others_are_reported(fields, ego, expected, lost):
+    mount, losses = mounting(posed_camera(**fields), ego)
+    assert (mount is None) == (expected is None)
+    if mount is not None:
+        np.testing.assert_allclose(mount.matrix, expected.matrix, atol=1e-12)
+    for loss, (count, what) in zip(losses, lost, strict=True):
+        assert what in loss.what
+        assert loss.count == count
 
 
 def test_the_numbers_of_a_mounting_that_was_read_are_kept_while_they_mean_it():
@@ -213,11 +211,6 @@ def test_the_numbers_of_a_mounting_that_was_read_are_kept_while_they_mean_it():
     assert mount_entry(moved, {"imuToCamera": rows}, "imuToCamera") == matrix_entry(moved.inverse())
     for wrong in (None, "there", [1, 2], [[1.0] * 4] * 3, [["a"] * 4] * 4, [[float("nan")] * 4] * 4):
         assert mount_entry(read, {"imuToCamera": wrong}, "imuToCamera") == matrix_entry(read.inverse())
-
-
-def test_without_any_poses_there_is_no_mounting():
-    assert mounting(posed_camera(), ego_path()) == (None, [])
-    assert mounting(posed_camera(poses=sensor_path(MOUNT)), None) == (None, [])
 
 
 def test_a_matrix_is_four_rows():

@@ -1,13 +1,11 @@
 """Zipped recordings: the same scene as from the folder, nothing outside the folder, nothing left behind."""
 
-import io
 import pickle
 import stat
 import subprocess
 import sys
 import tempfile
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,6 +46,12 @@ def zip_of(folder, path, *, top="", extra=()):
         for name, content in extra:
             archive.writestr(name, content)
     return path
+
+
+def assert_refused(path, scratch, problem):
+    with pytest.raises(DataError, match=problem):
+        FORMAT.open(path)
+    assert list(scratch.iterdir()) == []
 
 
 @pytest.mark.parametrize("top", ["", "my drive/"])
@@ -97,22 +101,10 @@ def test_faults_of_a_zipped_drive_are_reported_as_those_of_a_folder(drive, scrat
     with (drive / "data.jsonl").open("a") as file:
         file.write("{broken\n")
     path = zip_of(drive, tmp_path / "drive.zip", top="drive/")
-    with pytest.raises(DataError, match=r"drive\.zip/data\.jsonl: line 5: {broken"):
-        FORMAT.open(path)
-    assert list(scratch.iterdir()) == []
+    assert_refused(path, scratch, r"drive\.zip/data\.jsonl: line 5: {broken")
     findings = validate(path, locations=None).findings
     assert [(f.rule, f.path) for f in findings if f.severity == "error"] == [("broken-lines", "data.jsonl: line 5")]
     assert list(scratch.iterdir()) == []
-
-
-def with_member(tmp_path, name, *, mode=0, content=b"x"):
-    path = tmp_path / "bad.zip"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("data.jsonl", "{}\n")
-        member = zipfile.ZipInfo(name)
-        member.external_attr = mode << 16
-        archive.writestr(member, content)
-    return path
 
 
 @pytest.mark.parametrize(
@@ -133,10 +125,13 @@ def with_member(tmp_path, name, *, mode=0, content=b"x"):
 )
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 def test_names_that_lead_astray_are_refused(tmp_path, scratch, name, mode, problem):
-    path = with_member(tmp_path, name, mode=mode, content=b"../../x")
-    with pytest.raises(DataError, match=problem):
-        FORMAT.open(path)
-    assert list(scratch.iterdir()) == []
+    path = tmp_path / "bad.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data.jsonl", "{}\n")
+        member = zipfile.ZipInfo(name)
+        member.external_attr = mode << 16
+        archive.writestr(member, b"../../x")
+    assert_refused(path, scratch, problem)
     assert not list(tmp_path.rglob("outside.bin"))
 
 
@@ -156,16 +151,13 @@ def test_archives_beyond_the_bounds_are_refused_before_anything_is_written(
         archive.writestr("data.jsonl", "{}\n")
         archive.writestr("data.mkv", bytes(5_000_000))
     monkeypatch.setattr(zipped, bound, value)
-    with pytest.raises(DataError, match=problem):
-        FORMAT.open(path)
-    assert list(scratch.iterdir()) == []
+    assert_refused(path, scratch, problem)
 
 
 def test_an_archive_larger_than_the_disk_has_room_for_is_refused(drive, scratch, tmp_path, monkeypatch):
     monkeypatch.setattr(zipped, "_SPARE_BYTES", 1 << 60)
-    with pytest.raises(DataError, match="free; unpack it elsewhere and open the folder, or set TMPDIR"):
-        FORMAT.open(zip_of(drive, tmp_path / "drive.zip"))
-    assert list(scratch.iterdir()) == []
+    problem = "free; unpack it elsewhere and open the folder, or set TMPDIR"
+    assert_refused(zip_of(drive, tmp_path / "drive.zip"), scratch, problem)
 
 
 def test_damaged_and_encrypted_archives_are_refused(drive, scratch, tmp_path):
@@ -176,27 +168,22 @@ def test_damaged_and_encrypted_archives_are_refused(drive, scratch, tmp_path):
     encrypted = bytearray(whole)
     for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
         encrypted[encrypted.find(signature) + offset] |= 1
-    for content, problem in ((flipped, "cannot be unpacked"), (encrypted, "is encrypted")):
-        path = tmp_path / "bad.zip"
-        path.write_bytes(content)
-        with pytest.raises(DataError, match=problem):
-            FORMAT.open(path)
-    (tmp_path / "bad.zip").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(DataError, match="cannot be unpacked: File is not a zip file"):
-        FORMAT.open(tmp_path / "bad.zip")
-    assert list(scratch.iterdir()) == []
+    for content, problem in (
+        (flipped, "cannot be unpacked"),
+        (encrypted, "is encrypted"),
+        (whole[: len(whole) // 2], "cannot be unpacked: File is not a zip file"),
+    ):
+        (tmp_path / "bad.zip").write_bytes(content)
+        assert_refused(tmp_path / "bad.zip", scratch, problem)
 
 
 def test_other_archives_are_no_recordings(tmp_path, scratch):
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
+    path = tmp_path / "two.zip"
+    with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("a/data.jsonl", "{}")
         archive.writestr("b/data.jsonl", "{}")
-    path = Path(tmp_path / "two.zip")
-    path.write_bytes(buffer.getvalue())
     assert not FORMAT.sniff(path)
-    with pytest.raises(DataError, match=r"holds no data\.jsonl, neither at its root nor in a single top folder"):
-        FORMAT.open(path)
+    assert_refused(path, scratch, r"holds no data\.jsonl, neither at its root nor in a single top folder")
 
 
 @pytest.mark.parametrize("cut", range(0, 400, 7))
@@ -204,9 +191,7 @@ def test_an_archive_cut_anywhere_raises_errors_of_ours_only(drive, scratch, tmp_
     whole = zip_of(drive, tmp_path / "drive.zip").read_bytes()
     path = tmp_path / "cut.zip"
     path.write_bytes(whole[: len(whole) * cut // 400])
-    with pytest.raises(DataError):
-        FORMAT.open(path)
-    assert list(scratch.iterdir()) == []
+    assert_refused(path, scratch, r"cut\.zip: ")
 
 
 def test_of_an_archive_that_is_cut_off_that_is_reported(drive, tmp_path):

@@ -608,7 +608,11 @@ def draw_calibration(sample: Sample, calibration: CameraCalibration) -> PilImage
     )
     before = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     points = _DISTANCE * unproject(camera, before)
-    correction = _correction(calibration, sample.times_ns.get(calibration.sensor_id, sample.timestamp_ns))
+    correction = RigidTransform.identity()
+    if calibration.poses is not None:
+        time_ns = sample.times_ns.get(calibration.sensor_id, sample.timestamp_ns)
+        pose = calibration.poses.held(np.array([time_ns], np.int64))
+        correction = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
     after = project_unbounded(calibration.intrinsics or camera, correction.inverse().apply(points))
     shifts = np.linalg.norm(after - before, axis=1)
     for start, stop in zip(before, after, strict=True):
@@ -627,8 +631,11 @@ def draw_adjustment(
 ) -> PilImage:
     """Draw the ego trajectory before and after a localisation adjustment, from above."""
     trajectory = _some_trajectory(scene)
-    before = np.zeros((0, 3)) if trajectory is None else trajectory.positions
-    after = before if trajectory is None else _adjusted(trajectory, adjustment.poses)
+    before = after = np.zeros((0, 3))
+    if trajectory is not None:  # p' = A(t) p; beyond its ends the adjustment holds
+        at = adjustment.poses.held(trajectory.timestamps_ns)
+        before = trajectory.positions
+        after = rotate_vectors(at.quaternions_xyzw, before) + at.positions
     both = np.concatenate([before, after]) if len(before) else np.zeros((1, 3))
     middle = (both.min(axis=0) + both.max(axis=0)) / 2
     reach = max(0.6 * float(np.ptp(both[:, :2], axis=0).max()), 1.0)
@@ -650,13 +657,6 @@ def draw_adjustment(
     )  # fmt: skip
 
 
-def _correction(calibration: CameraCalibration, timestamp_ns: int) -> RigidTransform:
-    if calibration.poses is None:
-        return RigidTransform.identity()
-    pose = calibration.poses.held(np.array([timestamp_ns], np.int64))
-    return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
-
-
 def _some_trajectory(scene: Scene) -> Poses | None:
     """Some way through the world: an odometry sensor's, else a trajectory's, else a lidar's."""
     for sensor in scene.sensors:
@@ -669,26 +669,10 @@ def _some_trajectory(scene: Scene) -> Poses | None:
     return lidars[0] if lidars else None
 
 
-def _adjusted(trajectory: Poses, adjustment: Poses) -> Float64Array:
-    """P' = A(t) p; beyond its ends the adjustment holds."""
-    at = adjustment.held(trajectory.timestamps_ns)
-    return rotate_vectors(at.quaternions_xyzw, trajectory.positions) + at.positions
-
-
 _Drawing = tuple[str, Callable[[], PilImage]]
-_Draw = Callable[[Scene, Sample | None, str], PilImage]
 
 _RELATIONS_REACH = 20.0
 """From the ego to the upper edge of a map that shows how annotations belong together [m]."""
-
-
-def _plots_by_type(scene: Scene, sample: Sample | None) -> Iterator[_Drawing]:
-    """Name each type of annotation that the scene has, and state how to draw it: alone, and what it belongs to."""
-    for type_name in dict.fromkeys(str(annotation.type) for annotation in scene.annotations):
-        chosen = [a for a in scene.annotations if str(a.type) == type_name]
-        shown = replace(scene, annotations=(*chosen, *_related(scene, chosen)), attributes=())
-        draw = _VIEWS.get(type_name, _in_image)
-        yield type_name, partial(draw, shown, sample, type_name)
 
 
 def _related(scene: Scene, chosen: list[Annotation]) -> list[Annotation]:
@@ -711,52 +695,29 @@ def _related(scene: Scene, chosen: list[Annotation]) -> list[Annotation]:
     ]
 
 
-def _in_image(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
-    """In the image of the camera that a shape in images names, else of the first one; else from above."""
-    seen = [] if sample is None else [key for key, image in sample.images.items() if image is not None]
-    if sample is None or not seen:
-        return _above(scene, sample, type_name)
+def _draw_type(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
+    """Draw annotations of one type as they show best: from above, over time, in a view of their own, else in an image.
+
+    The image is that of the camera that a shape in images names, else the first one.
+    """
+    chosen: Any = next(annotation for annotation in scene.annotations if str(annotation.type) == type_name)
+    if isinstance(chosen, LocalizationAdjustment):
+        return draw_adjustment(scene, chosen)
+    calibrated = isinstance(chosen, CameraCalibration)
+    if (
+        sample is None
+        or type_name in {"event", "attributes"}
+        or (calibrated and chosen.sensor_id not in sample.cameras)
+    ):
+        return draw_timeline(scene, title=type_name)
+    if calibrated:
+        return draw_calibration(sample, chosen)
+    seen = [key for key, image in sample.images.items() if image is not None]
+    if not seen or type_name in {"link", "group", "object"}:
+        return draw_annotations_above(scene, sample, title=type_name, reach=_RELATIONS_REACH)
     named = [getattr(annotation, "sensor_id", None) for annotation in scene.annotations]
     camera_id = next((key for key in seen if any(_same_id(key, name) for name in named)), seen[0])
     return draw_annotations_in_image(scene, sample, camera_id, title=type_name)
-
-
-def _above(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
-    if sample is None:
-        return draw_timeline(scene, title=type_name)
-    return draw_annotations_above(scene, sample, title=type_name, reach=_RELATIONS_REACH)
-
-
-def _over_time(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
-    del sample
-    return draw_timeline(scene, title=type_name)
-
-
-def _adjustment(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
-    del sample, type_name
-    chosen = next(a for a in scene.annotations if isinstance(a, LocalizationAdjustment))
-    return draw_adjustment(scene, chosen)
-
-
-def _calibration(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
-    chosen = next(a for a in scene.annotations if isinstance(a, CameraCalibration))
-    if sample is None or chosen.sensor_id not in sample.cameras:
-        return draw_timeline(scene, title=type_name)
-    return draw_calibration(sample, chosen)
-
-
-_VIEWS: Mapping[str, _Draw] = MappingProxyType(
-    {
-        "link": _above,
-        "group": _above,
-        "object": _above,
-        "event": _over_time,
-        "attributes": _over_time,
-        "localization_adjustment": _adjustment,
-        "camera_calibration": _calibration,
-    }
-)
-"""What shows best from above, over time, or in a view of its own; everything else is shown in an image."""
 
 
 def save_annotation_images(
@@ -797,8 +758,11 @@ def _plots(scene: Scene, at: float | None) -> Iterator[_Drawing]:
             if image is not None:
                 drawn = partial(draw_annotations_in_image, scene, sample, camera_id)
                 yield f"camera_{file_stem(camera_id)}", drawn
-    for type_name, draw in _plots_by_type(scene, sample):
-        yield f"type_{file_stem(type_name)}", draw
+    for type_name in dict.fromkeys(str(annotation.type) for annotation in scene.annotations):
+        # alone, with what it belongs to
+        chosen = [a for a in scene.annotations if str(a.type) == type_name]
+        shown = replace(scene, annotations=(*chosen, *_related(scene, chosen)), attributes=())
+        yield f"type_{file_stem(type_name)}", partial(_draw_type, shown, sample, type_name)
 
 
 def _sample(scene: Scene, at: float | None) -> Sample | None:

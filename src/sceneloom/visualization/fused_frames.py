@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.arrays import Float32Array, UInt8Array
 from sceneloom.colouring.depth_completion import DenseDepth
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.editing.thin import FIRST, one_per_cube
@@ -175,7 +175,11 @@ def iter_images(
         yield f"{stem}_{index:06d}_depth", partial(draw_depth_image, view, scale=scale)
     title = f"{frame.lidar_id} · {seconds_text(frame.timestamp_ns)}"
     ego_path = None if ego_poses is None else ego_poses.positions
-    ego = find_ego(_ego_at(ego_poses, frame.reference_ns), ego_path, frame.views)
+    world_from_ego = None
+    if ego_poses is not None:  # beyond the path's ends the pose of the nearer end
+        pose = ego_poses.held(np.array([frame.reference_ns], np.int64))
+        world_from_ego = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+    ego = find_ego(world_from_ego, ego_path, frame.views)
     points = frame.points
     stem = f"cloud_{file_stem(frame.lidar_id)}_{index:06d}"
     for name, draw in (("above", draw_cloud_above), ("perspective", draw_cloud_perspective)):
@@ -242,14 +246,6 @@ def contact_sheet(images: Sequence[PilImage], *, columns: int = 2, width_px: int
     return sheet.image
 
 
-def _ego_at(ego_poses: Poses | None, timestamp_ns: int) -> RigidTransform | None:
-    """Give `world_from_ego` at a time; beyond the path's ends the pose of the nearer end."""
-    if ego_poses is None:
-        return None
-    pose = ego_poses.held(np.array([timestamp_ns], np.int64))
-    return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
-
-
 def save_image(image: PilImage, path: Path, *, overwrite: bool = False) -> Path:
     """Write an image as PNG, whole or not at all; gives the path.
 
@@ -271,19 +267,12 @@ _MARGIN = 25.0
 """Around the trajectory of the ego, so much of its surroundings is shown [m]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    positions: Float32Array
-    colors: UInt8Array
-    camera_index: UInt8Array
-
-
 @dataclass(slots=True)
 class DriveCloud:
-    """Gathers fused sweeps and draws them together."""
+    """Gathers the fused sweeps of some numbers and draws them together."""
 
     chosen: frozenset[int]
-    _parts: list[_Part] = field(default_factory=list)
+    _parts: list[tuple[Float32Array, UInt8Array, UInt8Array]] = field(default_factory=list)
 
     def add(self, frame: FusedFrame) -> None:
         """Take a sweep if it is chosen, thinned; points with a colour go before those without."""
@@ -293,17 +282,14 @@ class DriveCloud:
         count = len(points)
         colors = np.full((count, 3), 255, np.uint8) if points.colors is None else points.colors
         seen_by = np.full(count, UNSEEN, np.uint8) if points.camera_index is None else points.camera_index
-        rows = _one_per_cube(points.positions, seen_by)
-        self._parts.append(_Part(points.positions[rows], colors[rows], seen_by[rows]))
+        rows = np.flatnonzero(np.isfinite(points.positions).all(axis=1))
+        leave_out("points", count - len(rows))
+        rows = rows[np.argsort(seen_by[rows] == UNSEEN, kind="stable")]
+        rows = rows[one_per_cube(points.positions[rows], CUBE, keep=FIRST)]
+        self._parts.append((points.positions[rows], colors[rows], seen_by[rows]))
 
     def save(self, folder: Path, ego_poses: Poses | None) -> list[Path]:
-        """Draw the cloud from above and in perspective: `cloud_drive_above.png`, `cloud_drive_perspective.png`.
-
-        Args:
-            ego_poses: the ego trajectory; the eye stands behind it, where half of it is done.
-
-        Returns:
-            The paths written; none where fewer than two sweeps were gathered.
+        """Draw the cloud as `draw` does into `cloud_drive_above.png` and `cloud_drive_perspective.png`; give the paths.
 
         Raises:
             OutputError: a file exists or cannot be written.
@@ -319,44 +305,22 @@ class DriveCloud:
         """
         if len(self._parts) < 2:
             return {}
-        positions = np.concatenate([part.positions for part in self._parts])
-        colors = np.concatenate([part.colors for part in self._parts])
-        camera_index = np.concatenate([part.camera_index for part in self._parts])
-        trajectory = None if ego_poses is None or ego_poses.static else ego_poses.positions
-        ego = find_ego(_middle(ego_poses), trajectory, ())
+        positions, colors, camera_index = (np.concatenate(part) for part in zip(*self._parts, strict=True))
+        trajectory, pose, reach = None, None, None
+        if ego_poses is not None:
+            steps = np.linalg.norm(np.diff(ego_poses.positions, axis=0), axis=1)
+            done = np.concatenate([[0.0], np.cumsum(steps)])
+            row = int(np.searchsorted(done, done[-1] / 2))
+            pose = RigidTransform.from_quaternion(ego_poses.positions[row], ego_poses.quaternions_xyzw[row])
+            if not ego_poses.static:
+                trajectory = ego_poses.positions
+            if trajectory is not None and len(trajectory) > 1:  # all of it is on the map
+                middle = trajectory[int(np.searchsorted(done[1:], done[-1] / 2))]
+                reach = float(np.abs(trajectory[:, :2] - middle[:2]).max()) + _MARGIN
+        ego = find_ego(pose, trajectory, ())
         caption = [f"{count_text(len(self._parts), 'sweep')} of the drive together"]
-        reach = None if trajectory is None or len(trajectory) < 2 else _reach(trajectory)
-        return {
-            "above": draw_cloud_above(
-                positions, colors, camera_index=camera_index, ego=ego, ego_path=trajectory, caption=caption, reach=reach
-            ),
-            "perspective": draw_cloud_perspective(
-                positions, colors, camera_index=camera_index, ego=ego, ego_path=trajectory, caption=caption
-            ),
-        }
-
-
-def _one_per_cube(positions: Float32Array, camera_index: UInt8Array) -> Int64Array:
-    """Numbers of the finite points that are kept, one per cube, one that a camera saw where there is one."""
-    rows = np.flatnonzero(np.isfinite(positions).all(axis=1))
-    leave_out("points", len(positions) - len(rows))
-    rows = rows[np.argsort(camera_index[rows] == UNSEEN, kind="stable")]
-    kept: Int64Array = rows[one_per_cube(positions[rows], CUBE, keep=FIRST)]
-    return kept
-
-
-def _middle(ego_poses: Poses | None) -> RigidTransform | None:
-    """`world_from_ego` where half of the trajectory is done."""
-    if ego_poses is None:
-        return None
-    steps = np.linalg.norm(np.diff(ego_poses.positions, axis=0), axis=1)
-    done = np.concatenate([[0.0], np.cumsum(steps)])
-    row = int(np.searchsorted(done, done[-1] / 2))
-    return RigidTransform.from_quaternion(ego_poses.positions[row], ego_poses.quaternions_xyzw[row])
-
-
-def _reach(trajectory: Float64Array) -> float:
-    """How far from the middle of the trajectory the map goes, so that all of it is on it [m]."""
-    done = np.linalg.norm(np.diff(trajectory, axis=0), axis=1).cumsum()
-    middle = trajectory[int(np.searchsorted(done, done[-1] / 2))]
-    return float(np.abs(trajectory[:, :2] - middle[:2]).max()) + _MARGIN
+        above, perspective = (
+            partial(draw, positions, colors, camera_index=camera_index, ego=ego, ego_path=trajectory, caption=caption)
+            for draw in (draw_cloud_above, draw_cloud_perspective)
+        )
+        return {"above": above(reach=reach), "perspective": perspective()}

@@ -216,6 +216,25 @@ def detected(tmp_path_factory):
     return folder, [report.boxes for report in in_space], [report.boxes for report in in_images]
 
 
+@pytest.fixture
+def folder(detected):
+    return detected[0]
+
+
+@pytest.fixture
+def files(folder):
+    return ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
+
+
+@pytest.fixture
+def kitti(tmp_path, tracking_texts):
+    """A folder laid out like KITTI's tracking benchmark."""
+    for name, text in tracking_texts.items():
+        (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "kitti" / name).write_text(text)
+    return tmp_path / "kitti"
+
+
 def test_objects_of_a_drive_are_records_of_table_10(succeeds, detected, tmp_path):
     folder, in_space, in_images = detected
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
@@ -238,8 +257,7 @@ def test_objects_of_a_drive_are_records_of_table_10(succeeds, detected, tmp_path
 
 
 @pytest.mark.usefixtures("inline")
-def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, succeeds, detected, tmp_path):
-    folder, _, _ = detected
+def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, succeeds, folder, tmp_path):
     (tmp_path / "mine.toml").write_text((FOLDER / "simulated.toml").read_text())
     line = {
         "path": str(folder / "recording"),
@@ -285,17 +303,13 @@ def test_a_part_of_a_drive_has_the_boxes_of_its_time(call, detected, tmp_path, n
     assert json.loads(call(*tracked).out)["drives"][0]["frames"] == 2
 
 
-def test_a_part_of_what_is_numbered_from_its_beginning_is_refused(refuses, succeeds, detected, tmp_path):
-    folder, _, _ = detected
-    files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
+def test_a_part_of_what_is_numbered_from_its_beginning_is_refused(refuses, succeeds, folder, files, tmp_path):
     out = tmp_path / "objects.jsonl"
     succeeds("fuse", folder / "recording", "--type", "detection", *files, "-o", out)
     refuses(2, "done whole", "track", out, "-o", tmp_path / "a.jsonl", "--start", 1)
 
 
-def test_what_was_fused_is_tracked_as_if_at_once(succeeds, detected, tmp_path):
-    folder, _, _ = detected
-    files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
+def test_what_was_fused_is_tracked_as_if_at_once(succeeds, folder, files, tmp_path):
     recording = folder / "recording"
     succeeds("fuse", recording, "--type", "detection", *files, "-o", tmp_path / "objects.jsonl")
     succeeds("track", tmp_path / "objects.jsonl", "-o", tmp_path / "a.jsonl")
@@ -337,18 +351,14 @@ def test_records_name_their_camera_or_the_command_does(call, tmp_path):
 
 
 @pytest.mark.parametrize("one", ["boxes3d", "boxes2d"])
-def test_one_detector_is_enough(succeeds, detected, tmp_path, one):
-    folder, _, _ = detected
+def test_one_detector_is_enough(succeeds, folder, tmp_path, one):
     succeeds("track", folder / "recording", f"--{one}", folder / f"{one}.jsonl", "-o", tmp_path / "a.sfs")
     with sceneloom.open(tmp_path / "a.sfs") as scene:
         assert len(scene.lidars) == 1
 
 
-def test_a_folder_of_kittis_sequences_gives_two_files_each(succeeds, tmp_path, tracking_texts):
-    for name, text in tracking_texts.items():
-        (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "kitti" / name).write_text(text)
-    succeeds("fuse", tmp_path / "kitti", "--type", "detection", "-o", tmp_path / "out")
+def test_a_folder_of_kittis_sequences_gives_two_files_each(succeeds, tmp_path, kitti):
+    succeeds("fuse", kitti, "--type", "detection", "-o", tmp_path / "out")
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["0001.frames.jsonl", "0001.jsonl"]
     (record, *_) = (parse_json(line) for line in (tmp_path / "out" / "0001.jsonl").read_text().splitlines())
     # the box of the sweep that no image's detector looked for keeps its probability: 1 / (1 + exp(-2))
@@ -356,11 +366,8 @@ def test_a_folder_of_kittis_sequences_gives_two_files_each(succeeds, tmp_path, t
     succeeds("track", tmp_path / "out", "-o", tmp_path / "tracked")
 
 
-def test_fused_objects_are_kittis_text_on_request(succeeds, tmp_path, tracking_texts):
-    for name, text in tracking_texts.items():
-        (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "kitti" / name).write_text(text)
-    command = ("fuse", tmp_path / "kitti", "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
+def test_fused_objects_are_kittis_text_on_request(succeeds, tmp_path, kitti):
+    command = ("fuse", kitti, "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
     succeeds(*command)
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["0001.txt"]
     found = read_labels(tmp_path / "out" / "0001.txt")
@@ -374,8 +381,7 @@ def test_fused_objects_are_kittis_text_on_request(succeeds, tmp_path, tracking_t
     assert found.track_ids.tolist() == [-1, -1]
 
 
-def test_kittis_text_is_not_written_of_other_drives(refuses, detected, tmp_path):
-    folder, _, _ = detected
+def test_kittis_text_is_not_written_of_other_drives(refuses, folder, tmp_path):
     command = ("fuse", folder / "recording", "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
     refuses(2, "for folders laid out like KITTI's only", *command)
 
@@ -410,22 +416,18 @@ def tracking_texts():
         (("--boxes3d", "{boxes3d}", "--depth", "x"), 2, "--depth does not count here"),
     ],
 )
-def test_what_cannot_be_fused_is_reported(refuses, detected, tmp_path, words, code, reported):
-    folder, _, _ = detected
+def test_what_cannot_be_fused_is_reported(refuses, folder, tmp_path, words, code, reported):
     given = [word.format(boxes2d=folder / "boxes2d.jsonl", boxes3d=folder / "boxes3d.jsonl") for word in words]
     refuses(code, reported, "fuse", folder / "recording", "--type", "detection", "-o", tmp_path / "out.jsonl", *given)
     assert not list(tmp_path.glob("out*"))
 
 
-def test_sensors_of_kittis_sequences_are_not_chosen(refuses, tmp_path, tracking_texts):
-    for name, text in tracking_texts.items():
-        (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "kitti" / name).write_text(text)
+def test_sensors_of_kittis_sequences_are_not_chosen(refuses, tmp_path, kitti):
     refuses(
         2,
         "--camera does not count here: it is a folder of KITTI's",
         "track",
-        tmp_path / "kitti",
+        kitti,
         "-o",
         tmp_path / "out",
         "--camera",
@@ -443,8 +445,7 @@ def test_a_batch_follows_the_objects_of_kittis_sequences_into_one_folder(succeed
     assert [file.name for file in sorted((tmp_path / "out" / "kitti").iterdir())] == ["0001.txt", "0002.txt"]
 
 
-def test_lists_of_boxes_are_of_one_drive_of_a_data_set(refuses, succeeds, detected, tmp_path):
-    folder, _, _ = detected
+def test_lists_of_boxes_are_of_one_drive_of_a_data_set(refuses, succeeds, folder, tmp_path):
     with sceneloom.open(folder / "recording") as scene:
         sceneloom.write(scene, tmp_path / "set", format="kitti-tracking")
     for path in sorted((tmp_path / "set").rglob("0000*")):
@@ -458,16 +459,13 @@ def test_lists_of_boxes_are_of_one_drive_of_a_data_set(refuses, succeeds, detect
     assert (tmp_path / "out.jsonl").read_text()
 
 
-def test_options_of_detections_need_the_type(refuses, detected, tmp_path):
-    folder, _, _ = detected
+def test_options_of_detections_need_the_type(refuses, folder, tmp_path):
     refuses(
         2, "state --type detection with it", "fuse", folder / "recording", "--boxes3d", "x", "-o", tmp_path / "out.sfs"
     )
 
 
-def test_results_whose_other_file_is_missing_are_reported(refuses, succeeds, detected, tmp_path):
-    folder, _, _ = detected
-    files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
+def test_results_whose_other_file_is_missing_are_reported(refuses, succeeds, folder, files, tmp_path):
     succeeds("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "o.jsonl")
     (tmp_path / "o.frames.jsonl").unlink()
     refuses(1, "o.frames.jsonl: is missing", "track", tmp_path / "o.jsonl", "-o", tmp_path / "a.jsonl")

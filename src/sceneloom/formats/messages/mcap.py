@@ -51,6 +51,8 @@ from sceneloom.formats.messages.records import (
     Topic,
     TransformRecord,
     merged,
+    rotation_of,
+    vector_of,
 )
 from sceneloom.formats.messages.writer import SceneStreams, check_images
 from sceneloom.geometry.rigid import RigidTransform
@@ -452,14 +454,6 @@ def _time(time_ns: int) -> dict[str, int]:
     return {"seconds": seconds, "nanos": nanos}
 
 
-def _vector(vector: Any) -> Float64Array:
-    return np.array([vector.x, vector.y, vector.z])
-
-
-def _rotation(quaternion: Any) -> Float64Array:
-    return np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
-
-
 def _xyz(values: Any) -> dict[str, float]:
     return dict(zip("xyz", map(float, values), strict=True))
 
@@ -489,8 +483,8 @@ _FIELDS: Mapping[type[Any], tuple[_Field, ...]] = {
         _HEAD[0],
         _Field("parent_frame_id", "parent"),
         _Field("child_frame_id", "child"),
-        _Field("translation", "position", _vector, _xyz),
-        _Field("rotation", "quaternion_xyzw", _rotation, _xyzw),
+        _Field("translation", "position", vector_of, _xyz),
+        _Field("rotation", "quaternion_xyzw", rotation_of, _xyzw),
     ),
     ImageRecord: (*_HEAD, *_SIZE, _Field("encoding", "encoding"), _Field("step", "step")),
     CompressedImageRecord: (
@@ -537,12 +531,12 @@ def _read_cloud(message: Any, data: memoryview) -> Iterable[CloudRecord]:
 
 
 def _rigid(pose: Any) -> RigidTransform:
-    quaternion = _rotation(pose.orientation)
+    quaternion = rotation_of(pose.orientation)
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(quaternion)
     if not 0 < length < math.inf:
-        return RigidTransform(np.eye(3), _vector(pose.position))
-    return RigidTransform.from_quaternion(_vector(pose.position), quaternion)
+        return RigidTransform(np.eye(3), vector_of(pose.position))
+    return RigidTransform.from_quaternion(vector_of(pose.position), quaternion)
 
 
 def _write_cloud(record: CloudRecord) -> tuple[str, _Parts]:
@@ -564,8 +558,8 @@ def _read_poses(message: Any, _: memoryview) -> Iterable[PoseRecord]:
         yield PoseRecord(
             _time_ns(message.timestamp),
             message.frame_id,
-            _vector(pose.position),
-            _rotation(pose.orientation) if pose.HasField("orientation") else None,
+            vector_of(pose.position),
+            rotation_of(pose.orientation) if pose.HasField("orientation") else None,
             getattr(message, "body_frame_id", ""),
         )
 
@@ -635,9 +629,9 @@ def _read_boxes_3d(message: Any, _: memoryview) -> Iterable[Boxes3DRecord]:
                 Box3D(
                     entity.id if len(entity.cubes) == 1 else f"{entity.id}/{k}",
                     entity.frame_id,
-                    _vector(cube.pose.position),
-                    _rotation(cube.pose.orientation),
-                    _vector(cube.size),
+                    vector_of(cube.pose.position),
+                    rotation_of(cube.pose.orientation),
+                    vector_of(cube.size),
                     label if label is not None else next((text.text for text in entity.texts if text.text), None),
                     MappingProxyType(reported),
                 )

@@ -321,6 +321,16 @@ def merged(streams: Sequence[Stream]) -> Iterator[tuple[int, str, AnyRecord]]:
             yield time_ns, topic, record
 
 
+def vector_of(vector: Any) -> Float64Array:
+    """(3,) float64 of the x, y and z of a message."""
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def rotation_of(quaternion: Any) -> Float64Array:
+    """(4,) float64, x y z w of a message."""
+    return np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
+
+
 def numbered(names: Iterable[str], mark: str = "~") -> list[str]:
     """The same names, with a mark and a number where one is there once more."""
     taken = Counter[str]()

@@ -13,7 +13,7 @@ import numpy as np
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import LossReport
@@ -40,6 +40,8 @@ from sceneloom.formats.messages.records import (
     Topic,
     TransformRecord,
     merged,
+    rotation_of,
+    vector_of,
 )
 from sceneloom.formats.messages.ros_bags import Bag, Connection, open_bags
 from sceneloom.formats.messages.writer import FIXED_FRAMES_TOPIC, SceneStreams, check_images
@@ -481,14 +483,6 @@ def _frame(name: str) -> str:
     return name.lstrip("/")
 
 
-def _vector(vector: Any) -> Float64Array:
-    return np.array([vector.x, vector.y, vector.z])
-
-
-def _rotation(quaternion: Any) -> Float64Array:
-    return np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
-
-
 def _bytes(data: Any) -> memoryview:
     return np.ascontiguousarray(data).data.cast("B")
 
@@ -498,7 +492,7 @@ def _transforms(message: Any) -> Iterable[TransformRecord]:
         time_ns, parent = _head(transform)
         moved = transform.transform
         child = _frame(transform.child_frame_id)
-        yield TransformRecord(time_ns, parent, child, _vector(moved.translation), _rotation(moved.rotation))
+        yield TransformRecord(time_ns, parent, child, vector_of(moved.translation), rotation_of(moved.rotation))
 
 
 def _cloud(message: Any) -> Sequence[CloudRecord]:
@@ -545,13 +539,13 @@ def _pose(message: Any) -> Sequence[PoseRecord]:
     if hasattr(pose, "pose"):
         spread = np.array(pose.covariance, np.float64).reshape(6, 6)
         pose, covariance = pose.pose, spread if spread.any() else None
-    rotation, body = _rotation(pose.orientation), _frame(getattr(message, "child_frame_id", ""))
+    rotation, body = rotation_of(pose.orientation), _frame(getattr(message, "child_frame_id", ""))
     reported = rotation if rotation.any() else None
-    return [PoseRecord(*_head(message), _vector(pose.position), reported, body, covariance)]
+    return [PoseRecord(*_head(message), vector_of(pose.position), reported, body, covariance)]
 
 
 def _point(message: Any) -> Sequence[PoseRecord]:
-    return [PoseRecord(*_head(message), _vector(message.point), None)]
+    return [PoseRecord(*_head(message), vector_of(message.point), None)]
 
 
 def _fix(message: Any) -> Sequence[FixRecord]:
@@ -565,17 +559,17 @@ def _imu(message: Any) -> Sequence[SampleRecord]:
     """Measurements; a first element -1 of their covariances says that there are none."""
     values: dict[str, tuple[float, ...]] = {}
     if message.linear_acceleration_covariance[0] != -1:
-        values["accelerometer"] = tuple(_vector(message.linear_acceleration).tolist())
+        values["accelerometer"] = tuple(vector_of(message.linear_acceleration).tolist())
     if message.angular_velocity_covariance[0] != -1:
-        values["gyroscope"] = tuple(_vector(message.angular_velocity).tolist())
-    rotation = _rotation(message.orientation)
+        values["gyroscope"] = tuple(vector_of(message.angular_velocity).tolist())
+    rotation = rotation_of(message.orientation)
     if message.orientation_covariance[0] != -1 and not lengths_of(rotation[None])[1][0]:
         values["orientation"] = tuple(rotation.tolist())
     return [SampleRecord(*_head(message), values)]
 
 
 def _magnetic(message: Any) -> Sequence[SampleRecord]:
-    field = _vector(message.magnetic_field) / _MICROTESLA
+    field = vector_of(message.magnetic_field) / _MICROTESLA
     return [SampleRecord(*_head(message), {"magnetometer": tuple(field.tolist())})]
 
 
@@ -604,9 +598,9 @@ def _boxes_3d(message: Any) -> Sequence[Boxes3DRecord]:
             Box3D(
                 str(getattr(detection, "id", "")),
                 _frame(detection.header.frame_id) or frame,
-                _vector(center.position),
-                _rotation(center.orientation),
-                _vector(detection.bbox.size),
+                vector_of(center.position),
+                rotation_of(center.orientation),
+                vector_of(detection.bbox.size),
                 label,
                 MappingProxyType(reported),
             )

@@ -118,6 +118,10 @@ class QueueLimits:
         """How many pixels all cameras may have together: a sweep is fused with an image of each at once."""
         return self.most_bytes // _PIXEL_BYTES
 
+    def too_many_pixels(self, count: int) -> str:
+        """Why cameras with so many pixels are refused."""
+        return f"the cameras have {count} pixels together; expected at most {self.most_pixels} here"
+
 
 _QUEUE_PROPERTIES = ("queue_length", "result_queue_length")  # those that `QueueLimits.most_length` bounds
 
@@ -228,7 +232,7 @@ class FusionInterface:
             return refused(Cause.BAD_CALIBRATION, error)
         width, height = data.image_size
         if width * height > self._limits.most_pixels:
-            return refused(Cause.TOO_MANY, self._too_many_pixels(width * height))
+            return refused(Cause.TOO_MANY, self._limits.too_many_pixels(width * height))
         with self._lock:
             table = calibration_table([CalibrationEntry(camera_id, lidar_id, data)], self._table)
             if len(table) > MOST_PAIRS:
@@ -369,11 +373,8 @@ class FusionInterface:
             except SceneloomError as error:
                 raise RefusedError(refused(Cause.BAD_CALIBRATION, error)) from error
         if found.pixels > self._limits.most_pixels:
-            raise RefusedError(refused(Cause.TOO_MANY, self._too_many_pixels(found.pixels)))
+            raise RefusedError(refused(Cause.TOO_MANY, self._limits.too_many_pixels(found.pixels)))
         return found
-
-    def _too_many_pixels(self, count: int) -> str:
-        return f"the cameras have {count} pixels together; expected at most {self._limits.most_pixels} here"
 
     def _admit(self, record: FrameRecord, setting: Setting, verb: str) -> Outcome:
         """Take a record of a whole frame, and count it as one that was received or gathered."""
@@ -382,26 +383,26 @@ class FusionInterface:
         if policy == "refuse" and self.counters.waiting(accepted.stream) >= most:
             reason = f"{most} records of {accepted.kind} {accepted.sensor_id} wait already (queue_length)"
             raise RefusedError(refused(Cause.QUEUE_FULL, reason))
-        self._check_room(accepted.ticket.size)
+        size, waiting, limit = accepted.ticket.size, self.counters.waiting_bytes, self._limits.most_bytes
+        if waiting + size > limit:
+            # let go of what waits for partners, so that there will be room
+            if self._making_room is None or self._making_room.done.is_set():
+                self._making_room = Flushed(final=True)
+                self._worker.do(self._making_room)
+            reason = f"{waiting} bytes wait and {size} come; expected at most {limit}"
+            raise RefusedError(refused(Cause.TOO_MANY, reason))
         jump = self._received.note(accepted)
         if jump:
             self.counters.add(f"clock.{jump}")
         self.counters.add(f"{verb}.{accepted.stream[0]}")
-        self.counters.add("left-out.points", _points_left_out(accepted))
+        frame = accepted.measurement
+        if isinstance(frame, LidarFrame):  # points with a number that is not finite are not fused
+            sent = record.length // XYZIRT.itemsize if isinstance(record, RawData) else 0
+            sent = record.number if isinstance(record, PointCloudData) else sent
+            self.counters.add("left-out.points", sent - len(frame.points))
         self.counters.issue(accepted.ticket)
         self._worker.do(accepted, most=most)
         return self._notes(accepted)
-
-    def _check_room(self, size: int) -> None:
-        """Refuse what there is no room for, and see to it that there will be: let go of what waits for partners."""
-        waiting, most = self.counters.waiting_bytes, self._limits.most_bytes
-        if waiting + size <= most:
-            return
-        if self._making_room is None or self._making_room.done.is_set():
-            self._making_room = Flushed(final=True)
-            self._worker.do(self._making_room)
-        reason = f"{waiting} bytes wait and {size} come; expected at most {most}"
-        raise RefusedError(refused(Cause.TOO_MANY, reason))
 
     def _notes(self, accepted: Accepted) -> Outcome:
         """The answer 1, with what looks wrong with the calibrations of a sensor if nobody was reported yet."""
@@ -448,12 +449,3 @@ class FusionInterface:
 
 
 _FUSION_TYPES = tuple(FusionType)
-
-
-def _points_left_out(accepted: Accepted) -> int:
-    """How many points of a cloud are not fused, because a number of theirs is not finite."""
-    record, frame = accepted.record, accepted.measurement
-    if not isinstance(frame, LidarFrame):
-        return 0
-    sent = record.length // XYZIRT.itemsize if isinstance(record, RawData) else 0
-    return (record.number if isinstance(record, PointCloudData) else sent) - len(frame.points)

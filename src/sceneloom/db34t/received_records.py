@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import NoReturn
 
 import numpy as np
@@ -38,12 +39,6 @@ _KINDS: dict[type, SensorKind] = {
     Boxes3d: SensorKind.LIDAR,
 }
 """Who sends a record; raw data can be of either."""
-
-_FRAME_STREAMS = {
-    SensorKind.CAMERA: ("image", "raw", "boxes_2d"),
-    SensorKind.LIDAR: ("points", "raw", "boxes_3d"),
-}
-"""The kinds of records whose numbers are those of a sensor's frames."""
 
 
 class RefusedError(SceneloomError):
@@ -166,9 +161,9 @@ class ReceivedRecords:
         """
         if isinstance(box, Box3d):
             _check_headings(np.array([box.direction]), "", setting)
-        sensor_id, seq = self._sender_of(box, setting), _seq_of(box)
+        sensor_id, seq = self._sender_of(box, setting), _SEQ_OF[type(box)](box)
         frame = self._frames.setdefault((type(box), sensor_id), _Frame(sensor_id, setting))
-        begins = not frame.boxes or _seq_of(frame.boxes[0]) != seq
+        begins = not frame.boxes or _SEQ_OF[type(box)](frame.boxes[0]) != seq
         if begins:
             stream = kind_of(Boxes3d if isinstance(box, Box3d) else Boxes2d).name, sensor_id
             if stream in self._arrivals and seq in self._arrivals[stream].times_ns:
@@ -206,14 +201,15 @@ class ReceivedRecords:
         Source: READING of missing ids in docs/CONVENTIONS.md.
         """
         kind = SensorKind.LIDAR if isinstance(box, Box3d) else SensorKind.CAMERA
-        seq, time_ns = _seq_of(box), box.timestamp.nanoseconds
+        streams = ("points", "raw", "boxes_3d") if kind is SensorKind.LIDAR else ("image", "raw", "boxes_2d")
+        seq, time_ns = _SEQ_OF[type(box)](box), box.timestamp.nanoseconds
         calibrated = setting.calibrated[kind]
         if len(calibrated) == 1:
             return calibrated[0]
         times_ns = {
             sensor_id: arrivals.times_ns[seq]
             for (name, sensor_id), arrivals in self._arrivals.items()
-            if name in _FRAME_STREAMS[kind] and seq in arrivals.times_ns and sensor_id in calibrated
+            if name in streams and seq in arrivals.times_ns and sensor_id in calibrated
         }
         found = [sensor_id for sensor_id in times_ns if times_ns[sensor_id] == time_ns] or list(times_ns)
         if len(found) != 1:
@@ -225,9 +221,8 @@ class ReceivedRecords:
         return found[0]
 
 
-def _seq_of(box: Box3d | Box2d) -> int:
-    """The number of the frame that a box belongs to."""
-    return box.points_seq if isinstance(box, Box3d) else box.image_seq
+_SEQ_OF = {Box3d: attrgetter("points_seq"), Box2d: attrgetter("image_seq")}
+"""The number of the frame that a box belongs to."""
 
 
 def accepted_alone(record: FrameRecord, setting: Setting) -> Accepted:
@@ -236,40 +231,31 @@ def accepted_alone(record: FrameRecord, setting: Setting) -> Accepted:
     Raises:
         RefusedError: it is not taken; the answer says why.
     """
-    kind = _kind_of_sensor(record, setting)
-    if record.sensor_id not in setting.calibrated[kind]:
-        fault = setting.fault_of(kind, record.sensor_id)
+    sensor_id, declared, kind = record.sensor_id, setting.sensors.get(record.sensor_id), _KINDS.get(type(record))
+    if kind is None:
+        if declared is None or declared.raw is None:
+            reason = f"raw data of sensor {sensor_id}; expected one whose kind and raw the property sensors says"
+            _refuse(Cause.UNKNOWN_SENSOR, reason)
+        kind = declared.kind
+    elif setting.sensors and (declared is None or declared.kind is not kind):
+        listed = ", ".join(f"{sensor.sensor_id} ({sensor.kind})" for sensor in setting.sensors.values())
+        _refuse(Cause.UNKNOWN_SENSOR, f"{kind} {sensor_id}; the property sensors has {listed}")
+    if sensor_id not in setting.calibrated[kind]:
+        fault = setting.fault_of(kind, sensor_id)
         if fault is not None:
             _refuse(Cause.BAD_CALIBRATION, fault)
         listed = ", ".join(map(str, setting.calibrated[kind])) or "none"
-        _refuse(Cause.NO_CALIBRATION, f"no calibration of {kind} {record.sensor_id}; calibrated are {listed}")
+        _refuse(Cause.NO_CALIBRATION, f"no calibration of {kind} {sensor_id}; calibrated are {listed}")
     try:
         if isinstance(record, Boxes3d):
             _check_headings(record.directions.astype(np.float64), "boxes", setting)
         measurement, image = measurement_of(record, setting)
-    except CalibrationError as error:
-        raise RefusedError(refused(Cause.BAD_CALIBRATION, error)) from error
     except RefusedError:
         raise
     except SceneloomError as error:
-        raise RefusedError(refused(Cause.BAD_RECORD, error)) from error
-    return Accepted(record.sensor_id, kind, record, measurement, setting, image)
-
-
-def _kind_of_sensor(record: FrameRecord, setting: Setting) -> SensorKind:
-    declared = setting.sensors.get(record.sensor_id)
-    wanted = _KINDS.get(type(record))
-    if wanted is None:
-        if declared is None or declared.raw is None:
-            _refuse(
-                Cause.UNKNOWN_SENSOR,
-                f"raw data of sensor {record.sensor_id}; expected one whose kind and raw the property sensors says",
-            )
-        return declared.kind
-    if setting.sensors and (declared is None or declared.kind is not wanted):
-        listed = ", ".join(f"{sensor.sensor_id} ({sensor.kind})" for sensor in setting.sensors.values())
-        _refuse(Cause.UNKNOWN_SENSOR, f"{wanted} {record.sensor_id}; the property sensors has {listed}")
-    return wanted
+        cause = Cause.BAD_CALIBRATION if isinstance(error, CalibrationError) else Cause.BAD_RECORD
+        raise RefusedError(refused(cause, error)) from error
+    return Accepted(sensor_id, kind, record, measurement, setting, image)
 
 
 def _check_headings(directions: Float64Array, group: str, setting: Setting) -> None:

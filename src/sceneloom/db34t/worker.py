@@ -28,11 +28,18 @@ from sceneloom.db34t.events import (
     Stream,
     Task,
 )
-from sceneloom.db34t.records import Boxes2d, Boxes3d, FusedDetections, ImageData, ResultRecord, size_of
+from sceneloom.db34t.records import (
+    Boxes2d,
+    Boxes3d,
+    FusedDetections,
+    ImageData,
+    ResultRecord,
+    SensorFusionData,
+    size_of,
+)
 from sceneloom.db34t.results import FoundObjects, fused_detections_record, sensor_fusion_record
 from sceneloom.db34t.scene_objects import boxes_2d_of, boxes_3d_of
 from sceneloom.db34t.setting import Setting
-from sceneloom.errors import DataError
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType
 from sceneloom.fusion.box_fusion import FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.pairing import STILL, Leave
@@ -44,37 +51,27 @@ from sceneloom.scene.cameras import GLOBAL, CameraImage
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.poses import Poses, PoseSource
 
-
-def _is_identity(matrix: Float64Array) -> bool:
-    """Whether a signed permutation leaves all as it is."""
-    return bool(matrix[0, 0] == matrix[1, 1] == matrix[2, 2] == 1.0)
+_Found = tuple[ResultRecord, Setting, FoundObjects | None]
+"""A result, the configuration in force when its sweep came, and of records of table 10 the objects that they report."""
 
 
 def _rotated(vectors: Float32Array, matrix: Float64Array) -> Float32Array:
     """Take (N, 3) vectors into other axes by a signed permutation, exactly; the same array where nothing rotates."""
-    if _is_identity(matrix):
+    if matrix[0, 0] == matrix[1, 1] == matrix[2, 2] == 1.0:
         return vectors
     columns = np.abs(matrix).argmax(axis=1)
     signs = matrix[range(3), columns].astype(np.float32)
     return read_only(np.ascontiguousarray(vectors[:, columns] * signs))
 
 
-def _standard_frame(frame: LidarFrame, standard_from_declared: Float64Array) -> LidarFrame:
-    """Take a sweep out of its declared frame."""
-    positions = _rotated(frame.points.positions, standard_from_declared)
-    if positions is frame.points.positions:
-        return frame
-    return replace(frame, points=replace(frame.points, positions=positions))
-
-
 def _standard_boxes(boxes: Boxes3d, standard_from_declared: Float64Array) -> Boxes3d:
     """Take boxes out of their declared frame."""
-    if _is_identity(standard_from_declared):
+    centers, vectors = _rotated(boxes.centers, standard_from_declared), boxes.velocity_vectors
+    if centers is boxes.centers:
         return boxes
-    vectors = boxes.velocity_vectors
     return replace(
         boxes,
-        centers=_rotated(boxes.centers, standard_from_declared),
+        centers=centers,
         directions=_rotated(boxes.directions, standard_from_declared),
         velocity_vectors=None if vectors is None else _rotated(vectors, standard_from_declared),
     )
@@ -82,15 +79,6 @@ def _standard_boxes(boxes: Boxes3d, standard_from_declared: Float64Array) -> Box
 
 _REACH_NS = 200_000_000
 """How far beyond the last pose the ego trajectory is continued: poses come later than what they are for."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _RigResult:
-    """One result, and the configuration in force when its sweep came."""
-
-    record: ResultRecord
-    setting: Setting
-    found: FoundObjects | None = None
 
 
 @dataclass(slots=True)
@@ -114,7 +102,7 @@ class Rig:
     _newest_ns: dict[Stream, int] = field(default_factory=dict)
     _left: list[tuple[Accepted, Leave]] = field(default_factory=list)
 
-    def feed(self, accepted: Accepted) -> Iterator[_RigResult]:
+    def feed(self, accepted: Accepted) -> Iterator[_Found]:
         """Take what a sensor sent, and give what could be fused with it."""
         setting, of_lidar = accepted.setting, accepted.kind is SensorKind.LIDAR
         yield from self._adopt(setting)
@@ -131,13 +119,13 @@ class Rig:
                 self.counters.settle(accepted.ticket, "failed")
             yield from self._fetch(lidar_id, system)
 
-    def flush(self) -> Iterator[_RigResult]:
+    def flush(self) -> Iterator[_Found]:
         """Fuse all that waits with what has come."""
         for lidar_id, system in self._systems.items():
             system.flush()
             yield from self._fetch(lidar_id, system)
 
-    def end(self) -> Iterator[_RigResult]:
+    def end(self) -> Iterator[_Found]:
         """Fuse all that waits, and keep nothing."""
         for lidar_id, system in self._systems.items():
             system.end()
@@ -155,15 +143,21 @@ class Rig:
             self._move(lidar_id)
 
     def _move(self, lidar_id: int) -> None:
-        """Derive the trajectory of a lidar from that of the vehicle, by the mounting in force."""
+        """Derive the trajectory of a lidar from that of the vehicle, by the extrinsics in force."""
         if self._path is None or self._setting is None:
             return
-        declared = self._setting.sensors.get(lidar_id)
-        trajectory = _trajectory_of_mounted(self._path, None if declared is None else declared.body_from_lidar)
-        self._trajectories[lidar_id] = trajectory
-        self._systems[lidar_id].move(trajectory, reach_ns=_REACH_NS)
+        path, declared = self._path, self._setting.sensors.get(lidar_id)
+        if declared is not None and declared.body_from_lidar is not None:
+            path = Poses(
+                path.timestamps_ns,
+                path.positions + rotate_vectors(path.quaternions_xyzw, declared.body_from_lidar.translation),
+                multiply_quaternions(path.quaternions_xyzw, declared.body_from_lidar.quaternion_xyzw),
+                static=path.static,
+            )
+        self._trajectories[lidar_id] = path
+        self._systems[lidar_id].move(path, reach_ns=_REACH_NS)
 
-    def _follow_clock(self, stream: Stream, time_ns: int) -> Iterator[_RigResult]:
+    def _follow_clock(self, stream: Stream, time_ns: int) -> Iterator[_Found]:
         """Where a sensor's clock was set back, fuse all that waits, and begin anew."""
         newest_ns = self._newest_ns.get(stream, time_ns)
         self._newest_ns[stream] = max(newest_ns, time_ns)
@@ -179,7 +173,9 @@ class Rig:
         name = f"{accepted.kind}{accepted.sensor_id}"
         match accepted.measurement:
             case LidarFrame() as frame:
-                system.send(name, replace(_standard_frame(frame, axes), extras=extras))
+                points, positions = frame.points, _rotated(frame.points.positions, axes)
+                points = points if positions is points.positions else replace(points, positions=positions)
+                system.send(name, replace(frame, points=points, extras=extras))
             case Boxes3d() as boxes:
                 system.send(name, boxes_3d_of(_standard_boxes(boxes, axes), sensor_id=name), extras=extras)
             case CameraImage() as image:
@@ -191,7 +187,7 @@ class Rig:
                 seen = boxes_2d_of(boxes, sensor_id=name)
                 system.send(name, SeenBoxes(seen, pair.camera, pair.lidar_from_camera, extras))
 
-    def _fetch(self, lidar_id: int, system: FusionSystem) -> Iterator[_RigResult]:
+    def _fetch(self, lidar_id: int, system: FusionSystem) -> Iterator[_Found]:
         """Give what a system has fused, and settle what it does not keep any more."""
         for fused in iter(system.get, None):
             yield from self._sensor_data(lidar_id, fused)
@@ -201,7 +197,7 @@ class Rig:
         for accepted, leave in left:
             self.counters.settle(accepted.ticket, leave.value)
 
-    def _sensor_data(self, lidar_id: int, fused: FusedFrame) -> Iterator[_RigResult]:
+    def _sensor_data(self, lidar_id: int, fused: FusedFrame) -> Iterator[_Found]:
         sweep: Accepted = fused.extras["sent"]
         compensated = self._is_compensated(sweep.setting, stationary=fused.stationary)
         world_from_lidar = self._world_from_lidar(lidar_id, fused.reference_ns) if compensated else _HERE
@@ -216,7 +212,7 @@ class Rig:
                     sent=cast("LidarFrame", sweep.measurement),
                     image=cast("ImageData", image.image),
                     numbers={
-                        "camera_id": _number(view.camera_id),
+                        "camera_id": int(str(view.camera_id).removeprefix("camera")),
                         "lidar_id": lidar_id,
                         "image_seq": image.record.seq,
                         "points_seq": sweep.record.seq,
@@ -227,13 +223,13 @@ class Rig:
                 self._failed(fused.extras, error)
                 continue
             sweep.ticket.fused = image.ticket.fused = True
-            yield _RigResult(record, sweep.setting)
+            yield record, sweep.setting, None
 
-    def _detections(self, lidar_id: int, found: FusedDetectionFrame) -> Iterator[_RigResult]:
+    def _detections(self, lidar_id: int, found: FusedDetectionFrame) -> Iterator[_Found]:
         sweep: Accepted = found.sweep_extras["sent"]
         image: Accepted = found.image_extras["sent"]
         boxes_3d, boxes_2d = cast("Boxes3d", sweep.measurement), cast("Boxes2d", image.measurement)
-        camera_id = _number(found.camera_id)
+        camera_id = int(str(found.camera_id).removeprefix("camera"))
         compensated = self._is_compensated(sweep.setting, stationary=found.stationary)
         try:
             record = fused_detections_record(
@@ -256,7 +252,7 @@ class Rig:
             self.counters.add(f"left-out.{kind}", max(len(boxes) - len(ids) + ids.count(None), 0))
         world_from_lidar = self._world_from_lidar(lidar_id, found.timestamp_ns) if compensated else _HERE
         origin = self._origin if compensated else _HERE.translation
-        yield _RigResult(record, sweep.setting, FoundObjects(found, world_from_lidar, origin, sweep.setting))
+        yield record, sweep.setting, FoundObjects(found, world_from_lidar, origin, sweep.setting)
 
     def _is_compensated(self, setting: Setting, *, stationary: bool) -> bool:
         """Whether the ego trajectory counts for a result; counts where it should and is not known."""
@@ -264,14 +260,21 @@ class Rig:
             self.counters.add("motion.beyond-reach")
         return self._path is not None and not stationary
 
-    def _adopt(self, setting: Setting) -> Iterator[_RigResult]:
+    def _adopt(self, setting: Setting) -> Iterator[_Found]:
         """Go by another configuration from this record on; gives what waited only for cameras that are gone."""
         if setting is self._setting:
             return
         self._setting = setting
         for camera_id, lidar_id in setting.pairs:
             if lidar_id not in self._systems:
-                self._systems[lidar_id] = self._system(lidar_id, setting)
+                system = self._systems[lidar_id] = FusionSystem(
+                    setting.configuration,
+                    on_unreadable=lambda _: self.counters.add("errors.unreadable-image"),
+                    on_failed=self._failed,
+                    on_left=lambda extras, leave: self._left.append((extras["sent"], leave)),
+                )
+                period_ns = setting.sweep_period_ns
+                system.add_lidar(f"lidar{lidar_id}", _AT_LIDAR, period_ns=period_ns, location=_AT_LIDAR)
             if (camera_id, lidar_id) not in self._cameras:
                 self._systems[lidar_id].add_camera(f"camera{camera_id}", _AT_LIDAR, index=camera_id % 255)
                 self._cameras.add((camera_id, lidar_id))
@@ -284,25 +287,10 @@ class Rig:
             system.expect([f"camera{camera}" for camera, lidar in setting.pairs if lidar == lidar_id])
             yield from self._fetch(lidar_id, system)
 
-    def _system(self, lidar_id: int, setting: Setting) -> FusionSystem:
-        system = FusionSystem(
-            setting.configuration, on_unreadable=self._unreadable, on_failed=self._failed, on_left=self._leave
-        )
-        system.add_lidar(f"lidar{lidar_id}", _AT_LIDAR, period_ns=setting.sweep_period_ns, location=_AT_LIDAR)
-        return system
-
-    def _unreadable(self, error: DataError) -> None:
-        del error
-        self.counters.add("errors.unreadable-image")
-
     def _failed(self, extras: Mapping[str, Any], error: Exception) -> None:
         self.counters.add(f"errors.{type(error).__name__}")
         sent: Accepted = extras["sent"]
         sent.ticket.outcome = sent.ticket.outcome or "failed"
-
-    def _leave(self, extras: Mapping[str, Any], leave: Leave) -> None:
-        sent: Accepted = extras["sent"]
-        self._left.append((sent, leave))
 
     def _world_from_lidar(self, lidar_id: int, time_ns: int) -> RigidTransform:
         if lidar_id not in self._trajectories:
@@ -313,24 +301,11 @@ class Rig:
         return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
 
 
-def _number(camera_id: object) -> int:
-    return int(str(camera_id).removeprefix("camera"))
-
-
-def _trajectory_of_mounted(path: Poses, body_from_lidar: RigidTransform | None) -> Poses:
-    """Give the trajectory of a lidar (`world_from_lidar`) on a body that moves along a path (`world_from_body`)."""
-    if body_from_lidar is None:
-        return path
-    return Poses(
-        path.timestamps_ns,
-        path.positions + rotate_vectors(path.quaternions_xyzw, body_from_lidar.translation),
-        multiply_quaternions(path.quaternions_xyzw, body_from_lidar.quaternion_xyzw),
-        static=path.static,
-    )
-
-
 _HERE = RigidTransform.identity()
 _AT_LIDAR = PoseSource(STILL, _HERE)
+
+
+_FUSION_TYPES = {SensorFusionData: FusionType.SENSOR_DATA, FusedDetections: FusionType.DETECTIONS}
 
 
 class ResultsQueue:
@@ -365,10 +340,11 @@ class ResultsQueue:
         """How many results wait to be fetched."""
         return sum(len(waiting) for waiting in self._waiting.values())
 
-    def give(self, found: _RigResult) -> None:
+    def give(self, found: _Found) -> None:
         """Let a result be fetched; the oldest ones beyond the limits are dropped and counted."""
-        kind, properties = _type_of(found.record), found.setting.properties
-        result = Result(self._given[kind], found.record, properties, found.found)
+        record, setting, objects = found
+        kind, properties = _FUSION_TYPES[type(record)], setting.properties
+        result = Result(self._given[kind], record, properties, objects)
         self._given[kind] += 1
         self._counters.add(f"results.{kind.name.lower()}")
         self._announcer.notify(result)
@@ -392,7 +368,7 @@ class ResultsQueue:
 
     def put_back(self, result: Result) -> None:
         """Take back a result that could not be delivered, in front of all that came after it."""
-        kind = _type_of(result.record)
+        kind = _FUSION_TYPES[type(result.record)]
         waiting = self._waiting[kind]
         with self._changed:
             later = (k for k, other in enumerate(waiting) if result.number < other.number)
@@ -415,10 +391,6 @@ class ResultsQueue:
         result = self._waiting[kind].popleft()
         self._bytes[kind] -= size_of(result.record)
         return result
-
-
-def _type_of(record: ResultRecord) -> FusionType:
-    return FusionType.DETECTIONS if isinstance(record, FusedDetections) else FusionType.SENSOR_DATA
 
 
 @dataclass(slots=True)
@@ -492,7 +464,6 @@ class _TaskQueue:
 
 _LONGEST_IDLE_S = 3600.0
 
-_FEW_BOXES = 100  # lists of so many boxes are fused in less time than it takes to hand them to another thread and back
 
 _MANY_LATER = 1000
 """After a longer list, a sweep or an image so many lists go to the thread, for they may be fused together."""
@@ -517,7 +488,7 @@ class Worker:
         self,
         counters: Counters,
         announcer: Announcer,
-        give: Callable[[_RigResult], None],
+        give: Callable[[_Found], None],
         *,
         inline: bool,
         overdue: Overdue,
@@ -586,7 +557,10 @@ class Worker:
         """Fuse a small list of boxes here, if nothing is before it."""
         if not isinstance(task, Accepted):
             return False
-        if not _is_small(task):
+        record, algorithms = task.record, task.setting.properties.algorithms
+        # lists of so few boxes are fused in less time than it takes to hand them to another thread and back
+        few = isinstance(record, Boxes3d | Boxes2d) and len(record) <= 100
+        if not few or algorithms[FusionType.DETECTIONS] not in BUILT_IN[FusionType.DETECTIONS]:
             self._later = _MANY_LATER
             return False
         if self._later > 0:
@@ -632,7 +606,15 @@ class Worker:
     def _perform(self, task: Task) -> None:
         self._announcer.notify(task)
         try:
-            for result in self._results(task):
+            if isinstance(task, Accepted):
+                self._idle_s = task.setting.idle_s
+                results = self._rig.feed(task)
+            elif isinstance(task, Moved):
+                self._rig.move(task.path, origin=task.sent.positions[-1])
+                results = iter(())
+            else:
+                results = self._rig.end() if task.final else self._rig.flush()
+            for result in results:
                 self._give(result)
         except Exception as error:  # noqa: BLE001 - one record must not end the session
             self._counters.add(f"errors.{type(error).__name__}")
@@ -640,20 +622,3 @@ class Worker:
             if isinstance(task, Flushed):
                 task.done.set()
         self._latest_s = time.monotonic()
-
-    def _results(self, task: Task) -> Iterator[_RigResult]:
-        if isinstance(task, Accepted):
-            self._idle_s = task.setting.idle_s
-            return self._rig.feed(task)
-        if isinstance(task, Moved):
-            self._rig.move(task.path, origin=task.sent.positions[-1])
-            return iter(())
-        return self._rig.end() if task.final else self._rig.flush()
-
-
-def _is_small(accepted: Accepted) -> bool:
-    """Whether its fusion takes no time to speak of: few boxes, and no algorithm of somebody else's."""
-    record = accepted.record
-    if not isinstance(record, Boxes3d | Boxes2d) or len(record) > _FEW_BOXES:
-        return False
-    return accepted.setting.properties.algorithms[FusionType.DETECTIONS] in BUILT_IN[FusionType.DETECTIONS]

@@ -117,15 +117,6 @@ def _brought(fusion_type: FusionType) -> tuple[EntryPoint, ...]:
     return tuple(entry_points(group=ENTRY_POINT_GROUPS[fusion_type]))
 
 
-_SIGNATURES: Mapping[FusionType, str] = MappingProxyType(
-    {
-        FusionType.SENSOR_DATA: "(points_world, requests, visibility, *, trajectory=None) -> ColouredPoints",
-        FusionType.DETECTIONS: "(pair) -> FusedBoxes",
-    }
-)
-"""How an algorithm of each type is called."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Checked:
     """An algorithm of someone else: what it gives is checked, and what it raises names it."""
@@ -139,13 +130,15 @@ class _Checked:
         if isinstance(function, _Checked):
             return function
         name = name or str(getattr(function, "__name__", function))
-        expected = f"expected a function {_SIGNATURES[fusion_type]}"
+        of_points = fusion_type is FusionType.SENSOR_DATA
+        arguments = "(points_world, requests, visibility, *, trajectory=None)" if of_points else "(pair)"
+        expected = f"expected a function {arguments} -> {'ColouredPoints' if of_points else 'FusedBoxes'}"
         if not callable(function):
             raise OptionError(f"algorithm {name}: a {type(function).__name__}; {expected}")
         inner = function.load() if isinstance(function, _FileFunction) else function
         try:
             signature = inspect.signature(inner)
-            if fusion_type is FusionType.SENSOR_DATA:
+            if of_points:
                 signature.bind(None, None, None, trajectory=None)
             else:
                 signature.bind(None)
@@ -164,35 +157,26 @@ class _Checked:
             last = traceback.extract_tb(error.__traceback__)[-1]
             where = f"{Path(last.filename).name}, line {last.lineno}"
             raise OptionError(f"algorithm {self.name}: {type(error).__name__}: {error} ({where})") from error
-        if self.fusion_type is FusionType.SENSOR_DATA:
-            self._check_coloured(found, *arguments[:2])
-        else:
-            self._check_boxes(found)
-        return found
-
-    def _check_coloured(self, found: Any, points_world: Any, requests: Any) -> None:
         from sceneloom.arrays import check_array
         from sceneloom.colouring.algorithms import ColouredPoints
-
-        if not isinstance(found, ColouredPoints):
-            raise self._returned(found, "sceneloom.colouring.ColouredPoints")
-        if len(found.views) != len(requests):
-            raise OptionError(
-                f"algorithm {self.name}: {len(found.views)} views of {len(requests)} images; expected one of each, "
-                "in the order of the requests"
-            )
-        count = len(points_world)
-        check_array(f"algorithm {self.name}: colors", found.colors, (count, 3), "uint8")
-        check_array(f"algorithm {self.name}: camera_index", found.camera_index, (count,), "uint8")
-
-    def _check_boxes(self, found: Any) -> None:
         from sceneloom.detections.results import FusedBoxes
 
-        if not isinstance(found, FusedBoxes):
-            raise self._returned(found, "sceneloom.detections.FusedBoxes")
-
-    def _returned(self, found: Any, expected: str) -> OptionError:
-        return OptionError(f"algorithm {self.name}: it returned a {type(found).__name__}; expected {expected}")
+        of_points = self.fusion_type is FusionType.SENSOR_DATA
+        wanted: Any = ColouredPoints if of_points else FusedBoxes
+        if not isinstance(found, wanted):
+            expected = f"sceneloom.{'colouring.ColouredPoints' if of_points else 'detections.FusedBoxes'}"
+            raise OptionError(f"algorithm {self.name}: it returned a {type(found).__name__}; expected {expected}")
+        if of_points:
+            points_world, requests = arguments[:2]
+            if len(found.views) != len(requests):
+                raise OptionError(
+                    f"algorithm {self.name}: {len(found.views)} views of {len(requests)} images; expected one of "
+                    "each, in the order of the requests"
+                )
+            count = len(points_world)
+            check_array(f"algorithm {self.name}: colors", found.colors, (count, 3), "uint8")
+            check_array(f"algorithm {self.name}: camera_index", found.camera_index, (count,), "uint8")
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,11 +197,8 @@ class _FileFunction:
         module = _module_of(Path(self.path))
         found = getattr(module, self.function, None)
         if found is None:
-            known = sorted(
-                name
-                for name, value in vars(module).items()
-                if inspect.isfunction(value) and value.__module__ == module.__name__
-            )
+            functions = inspect.getmembers(module, inspect.isfunction)
+            known = [name for name, value in functions if value.__module__ == module.__name__]
             has = ", ".join(known) or "none"
             raise OptionError(f"algorithm {self}: no function {self.function!r} in the file; it has {has}")
         if not callable(found):

@@ -92,6 +92,15 @@ _LONGEST_LAG_NS = 10_000_000_000
 """Sweeps that come, or are timestamped, later than so long after their points were measured are not paired any more."""
 
 
+class _TimedFrame(Protocol):
+    """A sweep, or the boxes that a detector saw in it."""
+
+    @property
+    def timestamp_ns(self) -> int:
+        """When it was [ns]."""
+        ...
+
+
 class Timed(Protocol):
     """Something of one time: an image, or the boxes that a detector saw in it."""
 
@@ -106,16 +115,7 @@ class Timed(Protocol):
         ...
 
 
-class TimedFrame(Protocol):
-    """Something that a lidar measured, or what a detector saw in it."""
-
-    @property
-    def timestamp_ns(self) -> int:
-        """When it was [ns]."""
-        ...
-
-
-_Frame = TypeVar("_Frame", bound=TimedFrame)  # of a lidar: a sweep, or the boxes in it
+_Frame = TypeVar("_Frame", bound=_TimedFrame)  # of a lidar: a sweep, or the boxes in it
 
 _Partner = TypeVar("_Partner", bound=Timed)  # of a camera: an image, or the boxes in it
 
@@ -173,9 +173,7 @@ class TimedQueue(Generic[_Partner]):
     def nearest(self, time_ns: int, tolerance_ns: int) -> _Partner | None:
         """The one nearest in time, the earlier one of two equally near, None beyond the tolerance."""
         near = min(self.items, key=lambda item: abs(item.timestamp_ns - time_ns), default=None)
-        if near is None or abs(near.timestamp_ns - time_ns) > tolerance_ns:
-            return None
-        return near
+        return None if near is None or abs(near.timestamp_ns - time_ns) > tolerance_ns else near
 
     def forget_before(self, time_ns: int) -> None:
         """Let go of what no sweep from that time on can be nearest to."""
@@ -264,7 +262,7 @@ class Pairing(Generic[_Frame, _Partner]):
         timestamp_ns = waiting.frame.timestamp_ns
         self.waiting.append(waiting)
         self._lags_ns[waiting.lidar_id] = min(max(timestamp_ns - waiting.reference_ns, 0), _LONGEST_LAG_NS)
-        self._note(timestamp_ns)
+        self._latest_ns = max(timestamp_ns, timestamp_ns if self._latest_ns is None else self._latest_ns)
         dropped = 0 if self.most_waiting is None else max(len(self.waiting) - self.most_waiting, 0)
         for _ in range(dropped):
             oldest = self.waiting.popleft()
@@ -274,9 +272,9 @@ class Pairing(Generic[_Frame, _Partner]):
 
     def add_partner(self, camera_id: Identifier, partner: _Partner) -> int:
         """Keep an image; gives how many were dropped to make room."""
-        dropped = self.queues[camera_id].add(partner)
-        self._note(partner.timestamp_ns)
-        return dropped
+        time_ns = partner.timestamp_ns
+        self._latest_ns = max(time_ns, time_ns if self._latest_ns is None else self._latest_ns)
+        return self.queues[camera_id].add(partner)
 
     def ready(self, *, final: bool = False) -> Iterator[Waiting[_Frame]]:
         """Yield the sweeps whose images are known, oldest first; with `final` all that wait.
@@ -289,9 +287,11 @@ class Pairing(Generic[_Frame, _Partner]):
             self._retire_after(waiting)
             # a later one can refer to any time from this timestamp on, less the lag and what sweeps may be out of order
             lag_ns = max(self._lags_ns.values(), default=0) + waiting.configuration.disorder_ns
-            self._forget_before(waiting.frame.timestamp_ns - lag_ns)
+            for queue in self.queues.values():
+                queue.forget_before(waiting.frame.timestamp_ns - lag_ns)
         if not self.waiting and self._latest_ns is not None:
-            self._forget_before(self._latest_ns - _LONGEST_LAG_NS)
+            for queue in self.queues.values():
+                queue.forget_before(self._latest_ns - _LONGEST_LAG_NS)
 
     def restart(self, time_ns: int) -> None:
         """Begin anew at a time, because clocks were set back; what is far later belongs to the time before."""
@@ -321,23 +321,13 @@ class Pairing(Generic[_Frame, _Partner]):
         while queue.items:
             self.on_left(queue.items.popleft().extras, Leave.DONE)
 
-    def _note(self, time_ns: int) -> None:
-        self._latest_ns = time_ns if self._latest_ns is None else max(self._latest_ns, time_ns)
-
     def _is_ready(self, waiting: Waiting[_Frame]) -> bool:
-        expected = (queue for camera_id, queue in self.queues.items() if camera_id not in self._retiring)
-        if all(self._is_known(queue, waiting) for queue in expected):
+        time_ns, period_ns = waiting.reference_ns, waiting.configuration.image_period_ns
+        expected = [queue for camera_id, queue in self.queues.items() if camera_id not in self._retiring]
+        if all(
+            queue.reaches(time_ns) and (period_ns is None or queue.nearest(time_ns, period_ns // 2) is not None)
+            for queue in expected
+        ):
             return True
-        latest = waiting.reference_ns if self._latest_ns is None else self._latest_ns
-        return latest > waiting.reference_ns + waiting.tolerance_ns + self.lateness_ns
-
-    def _is_known(self, queue: TimedQueue[_Partner], waiting: Waiting[_Frame]) -> bool:
-        """Whether the camera's image for a sweep is known, as far as images report."""
-        if not queue.reaches(waiting.reference_ns):
-            return False
-        period_ns = waiting.configuration.image_period_ns
-        return period_ns is None or queue.nearest(waiting.reference_ns, period_ns // 2) is not None
-
-    def _forget_before(self, time_ns: int) -> None:
-        for queue in self.queues.values():
-            queue.forget_before(time_ns)
+        latest = time_ns if self._latest_ns is None else self._latest_ns
+        return latest > time_ns + waiting.tolerance_ns + self.lateness_ns

@@ -88,12 +88,14 @@ class FusionSystem:
             location: `world_from_lidar`, from where it measures, whatever frame its points come in; None where that is
                 not known, and then a little less is known of what hides what.
         """
-        self._refuse_known(lidar_id)
+        if lidar_id in self._lidars or lidar_id in self._cameras:
+            raise OptionError(f"sensor {lidar_id!r} is known already")
         self._lidars[lidar_id] = KnownLidar(source, location, period_ns)
 
     def add_camera(self, camera_id: Identifier, source: PoseSource, *, index: int, shutter: Shutter = GLOBAL) -> None:
         """Make a camera known; `index` is what its points bear as `camera_index`, below 255."""
-        self._refuse_known(camera_id)
+        if camera_id in self._lidars or camera_id in self._cameras:
+            raise OptionError(f"sensor {camera_id!r} is known already")
         if not 0 <= index < 255:
             raise OptionError(f"camera {camera_id!r}: index {index}; expected 0 to 254")
         self._cameras[camera_id] = KnownCamera(camera_id, index, source, shutter)
@@ -113,8 +115,10 @@ class FusionSystem:
     def move(self, path: Poses, *, reach_ns: int = 0) -> None:
         """Let all sensors ride along another ego trajectory from now on."""
         for lidar in self._lidars.values():
-            lidar.source = _along(lidar.source, path, reach_ns)
-            lidar.location = _along(lidar.location, path, reach_ns)
+            sources = (lidar.source, lidar.location)
+            lidar.source, lidar.location = (
+                None if source is None else replace(source, path=path, reach_ns=reach_ns) for source in sources
+            )
         for camera in self._cameras.values():
             camera.source = replace(camera.source, path=path, reach_ns=reach_ns)
 
@@ -148,9 +152,18 @@ class FusionSystem:
         """
         lidar, camera = self._lidars.get(sensor_id), self._cameras.get(sensor_id)
         if lidar is not None and isinstance(measurement, LidarFrame):
-            self._receive_sweep(sensor_id, lidar, measurement)
+            frame, times = lidar.timed(measurement)
+            lidar.remember(frame)
+            chosen = self._algorithm(FusionType.SENSOR_DATA, self.configuration.fusion_algorithm)
+            sweep = TimedSweep(frame, times)
+            waiting = self._waiting(sensor_id, lidar.received, sweep, frame.reference_ns, chosen, frame.extras)
+            self.dropped += self._sweeps.add_frame(waiting)
+            lidar.received += 1
         elif lidar is not None and isinstance(measurement, Boxes3D):
-            self._receive_boxes(sensor_id, lidar, measurement, extras)
+            time_ns, chosen = measurement.timestamp_ns, self.detect or self._algorithm_of_boxes()
+            boxes = self._waiting(sensor_id, lidar.received_boxes, measurement, time_ns, chosen, extras)
+            self.dropped += self._boxes.add_frame(boxes)
+            lidar.received_boxes += 1
         elif camera is not None and isinstance(measurement, CameraImage):
             self.dropped += self._sweeps.add_partner(sensor_id, measurement)
         elif camera is not None and isinstance(measurement, SeenBoxes):
@@ -197,46 +210,20 @@ class FusionSystem:
         for pairing in (self._sweeps, self._boxes):
             pairing.end()
 
-    def _refuse_known(self, sensor_id: Identifier) -> None:
-        if sensor_id in self._lidars or sensor_id in self._cameras:
-            raise OptionError(f"sensor {sensor_id!r} is known already")
-
-    def _receive_sweep(self, lidar_id: Identifier, lidar: KnownLidar, frame: LidarFrame) -> None:
-        frame, times = lidar.timed(frame)
-        lidar.remember(frame)
-        sweep = TimedSweep(frame, times)
-        waiting = Waiting(
-            lidar_id,
-            lidar.received,
-            sweep,
-            frame.reference_ns,
-            self._tolerance_ns(lidar),
-            self._algorithm(FusionType.SENSOR_DATA, self.configuration.fusion_algorithm),
-            self.configuration,
-            frame.extras,
-        )
-        self.dropped += self._sweeps.add_frame(waiting)
-        lidar.received += 1
-
-    def _receive_boxes(
-        self, lidar_id: Identifier, lidar: KnownLidar, boxes: Boxes3D, extras: Mapping[str, Any]
-    ) -> None:
-        waiting = Waiting(
-            lidar_id,
-            lidar.received_boxes,
-            boxes,
-            boxes.timestamp_ns,
-            self._tolerance_ns(lidar),
-            self.detect or self._detection_algorithm(),
-            self.configuration,
-            extras,
-        )
-        self.dropped += self._boxes.add_frame(waiting)
-        lidar.received_boxes += 1
-
-    def _tolerance_ns(self, lidar: KnownLidar) -> int:
+    def _waiting(
+        self, lidar_id: Identifier, index: int, frame: Any, time_ns: int, chosen: Any, extras: Mapping[str, Any]
+    ) -> Waiting[Any]:
         tolerance_ns = self.configuration.pairing_tolerance_ns
-        return lidar.period_ns if tolerance_ns is None else tolerance_ns
+        tolerance_ns = self._lidars[lidar_id].period_ns if tolerance_ns is None else tolerance_ns
+        return Waiting(lidar_id, index, frame, time_ns, tolerance_ns, chosen, self.configuration, extras)
+
+    def _algorithm_of_boxes(self) -> DetectionAlgorithm:
+        """Find the algorithm of detection fusion; our own takes the detectors for what they are stated to be."""
+        name, detectors = self.configuration.detection_algorithm, self.configuration.detectors
+        found = self._algorithm(FusionType.DETECTIONS, name)
+        if name != "projection" or detectors == DEFAULT:
+            return cast("DetectionAlgorithm", found)
+        return partial(found, settings=ProjectionSettings(detectors=detectors))
 
     def _fuse_ready(self, *, final: bool) -> None:
         self._sweep_fusion.on_unreadable = self.on_unreadable
@@ -258,14 +245,6 @@ class FusionSystem:
             self.on_failed(waiting.extras, error)
         self.on_left(waiting.extras, Leave.DONE)
 
-    def _detection_algorithm(self) -> DetectionAlgorithm:
-        """Find the algorithm of detection fusion; our own takes the detectors for what they are stated to be."""
-        name, detectors = self.configuration.detection_algorithm, self.configuration.detectors
-        found = self._algorithm(FusionType.DETECTIONS, name)
-        if name != "projection" or detectors == DEFAULT:
-            return cast("DetectionAlgorithm", found)
-        return partial(found, settings=ProjectionSettings(detectors=detectors))
-
     def _algorithm(self, fusion_type: FusionType, name: AlgorithmChoice) -> Any:
         """Find an algorithm when it is first needed: few drives have boxes."""
         if not isinstance(name, str):
@@ -274,7 +253,3 @@ class FusionSystem:
         if found is None:
             found = self._algorithms[fusion_type, name] = algorithm(fusion_type, name)
         return found
-
-
-def _along(source: PoseSource | None, path: Poses, reach_ns: int) -> PoseSource | None:
-    return None if source is None else replace(source, path=path, reach_ns=reach_ns)

@@ -13,7 +13,7 @@ import numpy as np
 
 from sceneloom.db34t.events import Result
 from sceneloom.db34t.json import to_json
-from sceneloom.db34t.records import ENCODINGS, FusedDetections, SensorFusionData
+from sceneloom.db34t.records import FusedDetections, SensorFusionData
 from sceneloom.db34t.scene_objects import lidar_frame_of_result, rgb_of_pixels
 from sceneloom.db34t.types import bytes_of
 from sceneloom.errors import OptionError
@@ -22,8 +22,6 @@ from sceneloom.formats.base.output import filling, replacing
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.frames import LazyFrames
-
-_ARRAYS = ("image_data", "image_depth", "point_data")
 
 
 class ResultSink(Protocol):
@@ -35,13 +33,13 @@ class ResultSink(Protocol):
 
 
 def described(result: Result) -> dict[str, Any]:
-    """Give a result as a JSON object with the standard's names; arrays of sensor data are left out."""
-    content = to_json(result.record, lists=True) if isinstance(result.record, FusedDetections) else _plain(result)
+    """A result as a JSON object with the standard's names; arrays of sensor data are left out."""
+    if isinstance(result.record, FusedDetections):
+        return {"number": result.number, **to_json(result.record, lists=True)}
+    content = to_json(result.record)
+    for name in ("image_data", "image_depth", "point_data"):
+        content.pop(name, None)
     return {"number": result.number, **content}
-
-
-def _plain(result: Result) -> dict[str, Any]:
-    return {name: value for name, value in to_json(result.record).items() if name not in _ARRAYS}
 
 
 @contextmanager
@@ -113,37 +111,31 @@ class ResultFolder:
 
     def add(self, result: Result) -> None:
         """Take one result."""
-        record = _sensor_data(result)
-        name = f"{result.number:06d}"
-        depth = self._location("depth", f"{name}.png")
-        beyond = write_depth_png(record.depths, depth)
-        points = self._location("points", f"{name}.npz")
-        _write_columns(points, record)
+        record, name = _sensor_data(result), f"{result.number:06d}"
+        is_png = record.encoding == "png"
+        files = {
+            "depth": f"depth/{name}.png",
+            "points": f"points/{name}.npz",
+            "image": f"images/{name}.{'png' if is_png else 'jpg'}",
+        }
+        paths = {part: self.folder / file for part, file in files.items()}
+        for path in paths.values():
+            path.parent.mkdir(exist_ok=True)
+        beyond = write_depth_png(record.depths, paths["depth"])
+        _write_columns(paths["points"], record)
+        pixels = record.pixels
+        if pixels is None:
+            paths["image"].write_bytes(bytes_of(record.image_data))
+        else:
+            paths["image"].write_bytes(encode_jpeg(rgb_of_pixels(pixels, record.encoding)))
         line = described(result) | {
-            "depth": _relative(depth, self.folder),
+            "depth": files["depth"],
             "depth_beyond_range": beyond,
-            "points": _relative(points, self.folder),
-            "image": _relative(self._image(name, record), self.folder),
+            "points": files["points"],
+            "image": files["image"],
         }
         with (self.folder / "results.jsonl").open("ab") as lines:
             lines.write(msgspec.json.encode(line) + b"\n")
-
-    def _image(self, name: str, record: SensorFusionData) -> Path:
-        if ENCODINGS[record.encoding].is_file:
-            path = self._location("images", f"{name}.{'jpg' if record.encoding == 'jpeg' else 'png'}")
-            path.write_bytes(bytes_of(record.image_data))
-            return path
-        path = self._location("images", f"{name}.jpg")
-        pixels = record.pixels
-        if pixels is None:
-            raise OptionError(f"an image of encoding {record.encoding!r}; expected pixels")
-        path.write_bytes(encode_jpeg(rgb_of_pixels(pixels, record.encoding)))
-        return path
-
-    def _location(self, folder: str, name: str) -> Path:
-        location = self.folder / folder
-        location.mkdir(exist_ok=True)
-        return location / name
 
 
 def _write_columns(path: Path, record: SensorFusionData) -> None:
@@ -153,10 +145,6 @@ def _write_columns(path: Path, record: SensorFusionData) -> None:
             plain = name if name.isprintable() and not set(name) & set("/\\:") else quote(name, safe="")
             with archive.open(f"{plain}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, np.ascontiguousarray(record.points[:, k]), allow_pickle=False)
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return path.relative_to(folder).as_posix()
 
 
 def _sensor_data(result: Result) -> SensorFusionData:

@@ -25,7 +25,7 @@ from sceneloom.cameras.camera import MODELS
 from sceneloom.db34t.calibration import CalibrationEntry, entry_of
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.properties import parse_sensors
-from sceneloom.db34t.records import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, SentRecord
+from sceneloom.db34t.records import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData
 from sceneloom.db34t.types import Outcome, Timestamp
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.base.files import read_settings
@@ -62,44 +62,32 @@ def warm_up(started: Callable[[_Process], object] = id) -> int:
                 extrinsic_matrix=_FORWARD,
             )
         )
-        for record in _records():
-            fusion.send(record)
+        common: dict[str, Any] = {"sensor_id": 0, "seq": 0, "timestamp": Timestamp(1, 0)}
+        one: dict[str, Any] = {
+            "id": np.zeros(1, np.int32),
+            "class_names": ("car",),
+            "confidence": np.full(1, 0.5, np.float32),
+        }
+        point, pixels = np.array([[10.0, 0, 0]], np.float32), np.zeros(_HEIGHT * _WIDTH * 3, np.uint8)
+        fusion.send(ImageData(**common, height=_HEIGHT, width=_WIDTH, encoding="rgb8", channel=3, data=pixels))
+        fusion.send(PointCloudData(**common, number=1, fields=("x", "y", "z"), fields_number=3, data=point))
+        fusion.send(Boxes2d(**common, **one, corners_xyxy=np.array([[25, 18, 38, 30]], np.uint32)))
+        fusion.send(
+            Boxes3d(
+                **common,
+                **one,
+                centers=point,
+                sizes_lwh=np.full((1, 3), 2.0, np.float32),
+                directions=np.array([[1, 0, 0]], np.float32),
+                velocities=np.zeros(1, np.float32),
+            )
+        )
         fusion.flush()
         return fusion.waiting_results
 
 
 def _log_compiling(name: str, left: int) -> None:
     _LOG.info("compiling for this machine; it is kept", extra={"fields": {"kernel": name, "left": left}})
-
-
-def _records() -> list[SentRecord]:
-    common: dict[str, Any] = {"sensor_id": 0, "seq": 0, "timestamp": Timestamp(1, 0)}
-    of_one: dict[str, Any] = {
-        "id": np.zeros(1, np.int32),
-        "class_names": ("car",),
-        "confidence": np.full(1, 0.5, np.float32),
-    }
-    point = np.array([[10.0, 0, 0]], np.float32)
-    return [
-        ImageData(
-            **common,
-            height=_HEIGHT,
-            width=_WIDTH,
-            encoding="rgb8",
-            channel=3,
-            data=np.zeros(_HEIGHT * _WIDTH * 3, np.uint8),
-        ),
-        PointCloudData(**common, number=1, fields=("x", "y", "z"), fields_number=3, data=point),
-        Boxes2d(**common, **of_one, corners_xyxy=np.array([[25, 18, 38, 30]], np.uint32)),
-        Boxes3d(
-            **common,
-            **of_one,
-            centers=point,
-            sizes_lwh=np.full((1, 3), 2.0, np.float32),
-            directions=np.array([[1, 0, 0]], np.float32),
-            velocities=np.zeros(1, np.float32),
-        ),
-    ]
 
 
 _ENDING = (signal.SIGTERM, signal.SIGINT)
@@ -275,16 +263,23 @@ def read_configuration_file(path: Path | str, *, further: tuple[str, ...] = ()) 
     Source: DB34/T 4101-2022, clause 5.2, tables 2 and 3.
     """
     path = Path(path)
-    content = _tables(path)
+    try:
+        content = tomllib.loads(read_settings(path).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise DataError(path, "", f"no TOML: {error}") from error
     for name, table in content.items():
         if name not in (*_TABLES, *further):
             raise DataError(path, name, f"unknown; expected one of {', '.join((*_TABLES, *further))}")
         if not isinstance(table, list if name in ("added", "calibrations") else dict):
             wanted = f"[[{name}]]" if name in ("added", "calibrations") else f"[{name}]"
             raise DataError(path, name, f"{table!r}; expected a table {wanted}")
+    properties = content.get("properties", {})
+    for name, own in (("sensors", "[sensors.ID]"), ("calibration", "[[calibrations]]")):
+        if name in properties:
+            raise DataError(path, f"properties.{name}", f"a property with tables of its own; expected {own}")
     found = ConfigurationFile(
         path=path,
-        properties=MappingProxyType(_properties(path, content.get("properties", {}))),
+        properties=MappingProxyType(properties),
         added=tuple(_added(path, k, row) for k, row in enumerate(content.get("added", ()))),
         sensors=_sensors(path, content.get("sensors", {})),
         calibrations=_calibrations(path, content.get("calibrations", ())),
@@ -299,24 +294,6 @@ _TABLES = ("properties", "added", "sensors", "calibrations")
 
 
 _ADDED = ("name", "description", "type", "value")
-
-
-_IN_TABLES_OF_THEIR_OWN = ("sensors", "calibration")
-
-
-def _tables(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(read_settings(path).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise DataError(path, "", f"no TOML: {error}") from error
-
-
-def _properties(path: Path, table: dict[str, Any]) -> dict[str, Any]:
-    for name in _IN_TABLES_OF_THEIR_OWN:
-        if name in table:
-            own = "[sensors.ID]" if name == "sensors" else "[[calibrations]]"
-            raise DataError(path, f"properties.{name}", f"a property with tables of its own; expected {own}")
-    return table
 
 
 def _added(path: Path, k: int, row: Any) -> Mapping[str, Any]:

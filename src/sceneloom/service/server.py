@@ -5,7 +5,7 @@ import hmac
 import logging
 import time
 from bisect import bisect_left
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -57,14 +57,8 @@ class Security:
             raise OptionError("an authority of clients' certificates without the server's; expected it, too")
         if is_local(host):
             return
-        lacking = [
-            name
-            for name, there in (
-                ("a TLS certificate and key", self.tls_certificate is not None),
-                ("a token", self.token is not None),
-            )
-            if not there
-        ]
+        needed = {"a TLS certificate and key": self.tls_certificate, "a token": self.token}
+        lacking = [name for name, there in needed.items() if there is None]
         if lacking:
             raise OptionError(
                 f"host {host!r} is open to other machines, which needs {' and '.join(lacking)}; or use 127.0.0.1"
@@ -242,19 +236,15 @@ class FusionServer:
         for name in ("", SERVICE.full_name):
             await self._health.set(name, health_pb2.HealthCheckResponse.SERVING)
         self._sweeper = asyncio.get_running_loop().create_task(self._sweep())
-        await self._open_metrics()
+        if self.settings.metrics_port is not None:
+            try:
+                self._metrics_server = await _serve_metrics(self._metrics, self.sessions, self.settings.metrics_port)
+            except OSError as error:
+                await self.drain(0.0)
+                problem = f"cannot answer /metrics at port {self.settings.metrics_port}: {error.strerror}"
+                raise OptionError(problem) from error
+            self.metrics_port = self._metrics_server.sockets[0].getsockname()[1]
         _LOG.info("listening", extra={"fields": {"address": self.address}})
-
-    async def _open_metrics(self) -> None:
-        port = self.settings.metrics_port
-        if port is None:
-            return
-        try:
-            self._metrics_server = await _serve_metrics(self._metrics, self.sessions, port)
-        except OSError as error:
-            await self.drain(0.0)
-            raise OptionError(f"cannot answer /metrics at port {port}: {error.strerror}") from error
-        self.metrics_port = self._metrics_server.sockets[0].getsockname()[1]
 
     async def wait(self) -> None:
         """Return when the server has ended."""
@@ -372,24 +362,21 @@ class _Metrics:
     def __init__(self) -> None:
         """Begin at 0."""
         self._calls: Counter[tuple[str, str]] = Counter()
-        self._durations: dict[str, Histogram] = {}
+        self._durations: defaultdict[str, Histogram] = defaultdict(Histogram)
 
     def called(self, method: str, outcome: str, duration_s: float) -> None:
         """Count a call that was answered."""
         self._calls[method, outcome] += 1
-        histogram = self._durations.get(method)
-        if histogram is None:
-            histogram = self._durations[method] = Histogram()
-        histogram.add(duration_s)
+        self._durations[method].add(duration_s)
 
     def text(self, sessions: SessionTable) -> str:
         """Give all numbers.
 
         Source: prometheus.io, "Exposition formats", text-based format, version 0.0.4.
         """
-        return "\n".join([*self._of_calls(), *_of_sessions(sessions)]) + "\n"
+        return "\n".join(self._lines(sessions)) + "\n"
 
-    def _of_calls(self) -> Iterator[str]:
+    def _lines(self, sessions: SessionTable) -> Iterator[str]:
         yield from _head("sceneloom_calls_total", "counter", "Calls by method and how they ended.")
         for (method, outcome), count in sorted(self._calls.items()):
             yield _line("sceneloom_calls_total", count, method=method, outcome=outcome)
@@ -402,22 +389,19 @@ class _Metrics:
                 yield _line(f"{name}_bucket", below, method=method, le=bound)
             yield _line(f"{name}_sum", histogram.total_s, method=method)
             yield _line(f"{name}_count", below, method=method)
-
-
-def _of_sessions(sessions: SessionTable) -> Iterator[str]:
-    yield from _head("sceneloom_sessions", "gauge", "Sessions that are there.")
-    yield _line("sceneloom_sessions", len(sessions))
-    yield from _head("sceneloom_waiting_results", "gauge", "Results that wait to be fetched.")
-    for session in sessions:
-        yield _line("sceneloom_waiting_results", session.fusion.waiting_results, session=session.name)
-    yield from _head("sceneloom_open_requests", "gauge", "Requests that are being answered.")
-    for session in sessions:
-        yield _line("sceneloom_open_requests", session.open_requests, session=session.name)
-    name = "sceneloom_session_events_total"
-    yield from _head(name, "counter", "What came in, what was left out and why, by the names of GetCounters.")
-    for session in sessions:
-        for event, count in session.fusion.counters.counts().items():
-            yield _line(name, count, session=session.name, event=event)
+        yield from _head("sceneloom_sessions", "gauge", "Sessions that are there.")
+        yield _line("sceneloom_sessions", len(sessions))
+        yield from _head("sceneloom_waiting_results", "gauge", "Results that wait to be fetched.")
+        for session in sessions:
+            yield _line("sceneloom_waiting_results", session.fusion.waiting_results, session=session.name)
+        yield from _head("sceneloom_open_requests", "gauge", "Requests that are being answered.")
+        for session in sessions:
+            yield _line("sceneloom_open_requests", session.open_requests, session=session.name)
+        name = "sceneloom_session_events_total"
+        yield from _head(name, "counter", "What came in, what was left out and why, by the names of GetCounters.")
+        for session in sessions:
+            for event, count in session.fusion.counters.counts().items():
+                yield _line(name, count, session=session.name, event=event)
 
 
 def _head(name: str, kind: str, meaning: str) -> Iterable[str]:
@@ -425,12 +409,9 @@ def _head(name: str, kind: str, meaning: str) -> Iterable[str]:
 
 
 def _line(name: str, value: float, **labels: str) -> str:
-    quoted = ",".join(f'{label}="{_escaped(text)}"' for label, text in labels.items())
+    escapes = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
+    quoted = ",".join(f'{label}="{text.translate(escapes)}"' for label, text in labels.items())
     return f"{name}{{{quoted}}} {value}" if quoted else f"{name} {value}"
-
-
-def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
 
 
 async def _serve_metrics(metrics: _Metrics, sessions: SessionTable, port: int) -> asyncio.Server:

@@ -37,7 +37,7 @@ from sceneloom.db34t.protobuf import (
     value_to_protobuf,
 )
 from sceneloom.db34t.received_records import accepted_alone
-from sceneloom.db34t.records import Record, ResultRecord, SentRecord, kind_of, size_of
+from sceneloom.db34t.records import ResultRecord, SentRecord, kind_of, size_of
 from sceneloom.db34t.setting import Setting
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError, OutputError, SceneloomError
@@ -51,10 +51,8 @@ _LOG = logging.getLogger(__name__)
 _CHUNK_BYTES = 4 << 20
 """Of messages that are compressed and written together; the most that is kept in memory, beside the largest message."""
 
-_MOST_CHANNELS = 60_000  # channels of one file, of at most 65535 that the format counts
 _OVERHEAD = 2048  # what an event that waits keeps beside its arrays [byte], about
 
-_MAGIC_BYTES = 8
 _PACKAGE = fusion_pb2.DESCRIPTOR.package
 _SENSORS = {"raw": "sensor", "image": "camera", "boxes_2d": "camera", "points": "lidar", "boxes_3d": "lidar"}
 
@@ -144,7 +142,7 @@ class SessionLog:
             chosen = f"{name}#{number}"
         self._sessions[chosen] = _Messages(chosen)
         with suppress(NotLoggedError):
-            self._put(chosen, _Begun())
+            self._put(chosen, None)
         return partial(self._put, chosen)
 
     def close(self) -> None:
@@ -165,19 +163,34 @@ class SessionLog:
             draft = unfinished_path(self.path)
             raise OutputError(f"{self.path}: cannot be written: {self.failure}; see {draft}")
 
-    def _put(self, session: str, event: "_Logged") -> None:
+    def _put(self, session: str, event: Event | None) -> None:
         held = event.accepted.record if isinstance(event, Dropped) else getattr(event, "record", None)
         size = _OVERHEAD + (size_of(held) if isinstance(held, SentRecord | ResultRecord) else 0)
         with self._changed:
-            if self._closed or self.failure is not None or not self._has_room(size):
-                self._leave_out(session)
-            for name, count in self._missing.items():
-                self._append(name, _Gap(count), 0)
+            ended = self._closed or self.failure is not None
+            if ended or not self._has_room(size):
+                if not self._missing and not ended:
+                    waiting = {"waiting_bytes": self._bytes, "waiting_entries": len(self._waiting)}
+                    _LOG.warning(
+                        "the disk is slower than what is to be logged: the log has a gap",
+                        extra={"fields": {"session": session, **waiting}},
+                    )
+                self.lost[session] += 1
+                self._missing[session] += 1
+                raise NotLoggedError("the log has ended" if ended else "the log has no room")
+            self._waiting.extend(self._gaps())
             self._missing.clear()
-            self._append(session, event, size)
+            self._waiting.append(_Waiting(session, event, size, self._clock_ns()))
+            self._bytes += size
             self._changed.notify_all()
             if self._kept_back_s <= 0:
                 self._changed.wait_for(self._is_done)
+
+    def _is_done(self) -> bool:
+        return not self._waiting and not self._writing
+
+    def _gaps(self) -> "list[_Waiting]":
+        return [_Waiting(name, count, 0, self._clock_ns()) for name, count in self._missing.items()]
 
     def _has_room(self, size: int) -> bool:
         waiting = len(self._waiting) + self._writing
@@ -185,25 +198,6 @@ class SessionLog:
         fits = self._bytes + size <= share * self._most_bytes and waiting < share * self._most_entries
         self._full = waiting > 0 and not fits
         return not self._full
-
-    def _leave_out(self, session: str) -> None:
-        ended = self._closed or self.failure is not None
-        if not self._missing and not ended:
-            waiting = {"waiting_bytes": self._bytes, "waiting_entries": len(self._waiting)}
-            _LOG.warning(
-                "the disk is slower than what is to be logged: the log has a gap",
-                extra={"fields": {"session": session, **waiting}},
-            )
-        self.lost[session] += 1
-        self._missing[session] += 1
-        raise NotLoggedError("the log has ended" if ended else "the log has no room")
-
-    def _append(self, session: str, event: "_Logged", size: int) -> None:
-        self._waiting.append(_Waiting(session, event, size, self._clock_ns()))
-        self._bytes += size
-
-    def _is_done(self) -> bool:
-        return not self._waiting and not self._writing
 
     def _work(self) -> None:
         due_s: float | None = None
@@ -225,8 +219,8 @@ class SessionLog:
                 self._writing = False
                 self._bytes -= 0 if entry is None else entry.size
                 self._changed.notify_all()
-        for session, count in self._missing.items():
-            self._write(_Waiting(session, _Gap(count), 0, self._clock_ns()))
+        for gap in self._gaps():
+            self._write(gap)
 
     def _write(self, entry: "_Waiting") -> None:
         try:
@@ -258,24 +252,11 @@ class SessionLog:
                 self._changed.notify_all()
 
 
-@dataclass(frozen=True, slots=True)
-class _Begun:
-    """A session began."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Gap:
-    """So many events are missing."""
-
-    count: int
-
-
-_Logged = Event | _Begun | _Gap
-
-
 class _Waiting(NamedTuple):
+    """What waits to be written: an event, None for the beginning of a session, or how many events are missing."""
+
     session: str
-    event: _Logged
+    event: Event | int | None
     size: int
     time_ns: int
 
@@ -297,67 +278,62 @@ class _Messages:
         self._session = session
         self._setting: Setting | None = None
 
-    def of(self, event: _Logged) -> Iterator[_Message]:
+    def of(self, event: Event | int | None) -> Iterator[_Message]:
         """Give the messages of an event."""
         match event:
             case Accepted():
                 yield from self._configuration(event.setting)
                 kind = kind_of(event.record).name
-                name = f"{_SENSORS[kind]}/{event.sensor_id}/{kind}"
-                yield self._record(name, "record", event.record)
+                yield _record_message(f"{_SENSORS[kind]}/{event.sensor_id}/{kind}", "record", event.record)
             case Refused():
                 outcome = event.outcome
                 status = fusion_pb2.Status(status=outcome.status, cause=outcome.cause, reason=outcome.reason)
-                yield self._message("refused", status)
+                yield _message("refused", status)
                 if isinstance(event.record, SentRecord):
-                    name = f"refused/{kind_of(event.record).name}"
-                    yield self._record(name, "refused-record", event.record)
+                    yield _record_message(f"refused/{kind_of(event.record).name}", "refused-record", event.record)
             case Dropped():
                 record = event.accepted.record
-                yield self._record(f"dropped/{kind_of(record).name}", "dropped-record", record)
+                yield _record_message(f"dropped/{kind_of(record).name}", "dropped-record", record)
             case Moved():
-                yield self._message("motion", motion_request(event.sent, session=self._session))
+                yield _message("motion", motion_request(event.sent, session=self._session))
             case Flushed():
-                yield self._message("flush", fusion_pb2.FlushRequest(session=self._session))
+                yield _message("flush", fusion_pb2.FlushRequest(session=self._session))
             case Result():
-                yield self._result(event)
-            case _Gap():
-                reason = f"{event.count} entries are missing here: the disk was slower than what came"
-                yield self._message("gap", fusion_pb2.Status(status=0, cause="log-gap", reason=reason))
-            case _Begun():
-                values = {"session": self._session, "sceneloom": __version__}
-                yield _Message("session", "", None, values)
+                # of its configuration the revision, for it stands in the file already
+                reply = fusion_pb2.GetReply(number=event.number)
+                reply.configuration.revision = event.configuration.revision
+                content, time_ns = encode_in(reply, event.record), event.record.timestamp.nanoseconds
+                yield _Message(f"results/{kind_of(event.record).name}", "result", type(reply), content, time_ns)
+            case int():
+                reason = f"{event} entries are missing here: the disk was slower than what came"
+                yield _message("gap", fusion_pb2.Status(status=0, cause="log-gap", reason=reason))
+            case None:
+                yield _Message("session", "", None, {"session": self._session, "sceneloom": __version__})
 
     def _configuration(self, setting: Setting) -> Iterator[_Message]:
         before, self._setting = self._setting, setting
         if before is setting:
             return
         if before is None or before.properties is not setting.properties:
-            yield self._message("configuration", properties_message(setting.properties), "properties")
-            yield self._message("algorithms", value_to_protobuf(setting.properties.algorithms))
+            yield _message("configuration", properties_message(setting.properties), "properties")
+            yield _message("algorithms", value_to_protobuf(setting.properties.algorithms))
         known = {} if before is None else before.table
         for pair, entry in setting.table.items():
             if known.get(pair) is not entry:
                 request = fusion_pb2.SetCalibrationRequest(camera_id=pair[0], lidar_id=pair[1], session=self._session)
                 fill_message(request.calibration, entry.data)
-                yield self._message("calibration", request)
+                yield _message("calibration", request)
         if set(known) - set(setting.table):
-            yield self._message("pairs", value_to_protobuf(list(setting.table)))
+            yield _message("pairs", value_to_protobuf(list(setting.table)))
 
-    def _result(self, result: Result) -> _Message:
-        """Give a result; of its configuration the revision, for it stands in the file already."""
-        record = result.record
-        reply = fusion_pb2.GetReply(number=result.number)
-        reply.configuration.revision = result.configuration.revision
-        content, time_ns = encode_in(reply, record), record.timestamp.nanoseconds
-        return _Message(f"results/{kind_of(record).name}", "result", type(reply), content, time_ns)
 
-    def _record(self, name: str, what: str, record: Record) -> _Message:
-        message_type = getattr(fusion_pb2, kind_of(record).message_name)
-        return _Message(name, what, message_type, encode(record), record.timestamp.nanoseconds)  # type: ignore[union-attr]
+def _message(name: str, message: Message, what: str = "") -> _Message:
+    return _Message(name, what or name, type(message), serialised(message))
 
-    def _message(self, name: str, message: Message, what: str = "") -> _Message:
-        return _Message(name, what or name, type(message), serialised(message))
+
+def _record_message(name: str, what: str, record: Any) -> _Message:
+    message_type = getattr(fusion_pb2, kind_of(record).message_name)
+    return _Message(name, what, message_type, encode(record), record.timestamp.nanoseconds)
 
 
 class _LogFile:
@@ -394,8 +370,8 @@ class _LogFile:
     def _channel(self, session: str, message: _Message) -> int:
         topic, name = f"/{session}/{message.name}", message.type.DESCRIPTOR.full_name  # type: ignore[union-attr]
         if (topic, name) not in self._channels:
-            if len(self._channels) >= _MOST_CHANNELS:
-                raise OutputError(f"{_MOST_CHANNELS} channels, as many as a log may have")
+            if len(self._channels) >= 60_000:  # the format counts 65535
+                raise OutputError("60000 channels, as many as a log may have")
             if name not in self._schemas:
                 self._schemas[name] = self._writer.add_schema(name, "protobuf", schema_bytes(message.type))  # type: ignore[arg-type]
             metadata = {"session": session, "what": message.what}
@@ -444,12 +420,12 @@ def is_log(path: Path) -> bool:
 
 
 def is_complete(path: Path) -> bool:
-    """Whether a log was closed, rather than cut off by a crash."""
-    if not is_log(path) or path.stat().st_size < 2 * _MAGIC_BYTES:
+    """Whether a log was closed, rather than cut off by a crash: it ends with the 8 bytes that it begins with."""
+    if not is_log(path) or path.stat().st_size < 16:
         return False
     with open_file(path) as file:
-        start = file.read(_MAGIC_BYTES)
-        file.seek(-_MAGIC_BYTES, os.SEEK_END)
+        start = file.read(8)
+        file.seek(-8, os.SEEK_END)
         return file.read() == start
 
 
@@ -467,7 +443,8 @@ def read_log(path: Path) -> Iterator[LogEntry]:
     found = False
     for record in _records(path):
         if isinstance(record, Schema):
-            schemas[record.id] = _message_type(record.name)
+            package, _, name = record.name.rpartition(".")
+            schemas[record.id] = getattr(fusion_pb2, name, None) if package == _PACKAGE else None
         elif isinstance(record, Channel):
             channels[record.id] = record
         elif isinstance(record, Record):
@@ -476,21 +453,11 @@ def read_log(path: Path) -> Iterator[LogEntry]:
             if message_type is None or "what" not in channel.metadata:
                 continue
             found = True
-            reported = channel.metadata
-            yield LogEntry(
-                reported.get("session", ""),
-                reported["what"],
-                channel.topic,
-                record.log_time,
-                parse_message(message_type, record.data),
-            )
+            message = parse_message(message_type, record.data)
+            session, what = channel.metadata.get("session", ""), channel.metadata["what"]
+            yield LogEntry(session, what, channel.topic, record.log_time, message)
     if not found:
         raise DataError(path, "", f"no messages of {_PACKAGE}; expected a log of this service")
-
-
-def _message_type(schema: str) -> type[Any] | None:
-    package, _, name = schema.rpartition(".")
-    return getattr(fusion_pb2, name, None) if package == _PACKAGE else None
 
 
 def _records(path: Path) -> Iterator[Any]:
@@ -535,10 +502,7 @@ class ReplayReport:
 
 
 def replay(path: str | Path, *, session: str | None = None) -> Iterator[tuple[str, Result]]:
-    """Replay a log, and give session and result in the order in which they were.
-
-    Args:
-        session: only that one; None for all.
+    """Replay a log, or one of its sessions, and give session and result in the order in which they were.
 
     Raises:
         DataError: the file is no log, or what stands in it is faulty.

@@ -39,6 +39,11 @@ class CallError(SceneloomError):
     def __str__(self) -> str:
         return self.reason
 
+    @classmethod
+    def exhausted(cls, reason: str) -> "CallError":
+        """There are too many of something."""
+        return cls(grpc.StatusCode.RESOURCE_EXHAUSTED, Cause.TOO_MANY, reason)
+
 
 class _Bell:
     """Wakes the coroutines of one event loop that wait for it; rung from any thread, it never waits itself."""
@@ -108,10 +113,8 @@ class Session:
         name: of the session.
         fusion: its interface.
         replies: makes its answers.
-        open_requests: requests that are being answered.
-        fetching: requests that wait for results or deliver them.
-        last_used_s: when the last request began or ended.
-        last_fetched_s: when the last result was delivered.
+        open_requests, fetching: requests that are being answered, and those of them that fetch results.
+        last_used_s, last_fetched_s: when the last request began or ended, and when the last result was delivered.
         ended: whether its results were the last ones.
         observed: whether events have an observer, which takes time.
     """
@@ -155,10 +158,10 @@ class Session:
         """
         most = self._limits.most_open_requests
         if self.open_requests >= most:
-            raise _exhausted(f"session {self.name!r} has {most} open requests, as many as it may have")
+            raise CallError.exhausted(f"session {self.name!r} has {most} open requests, as many as it may have")
         if self._bytes + size > self._limits.most_bytes_waiting:
             most = self._limits.most_bytes_waiting
-            raise _exhausted(f"{self._bytes} bytes of session {self.name!r} wait; expected at most {most}")
+            raise CallError.exhausted(f"{self._bytes} bytes of session {self.name!r} wait; expected at most {most}")
         self.open_requests += 1
         self._bytes += size
         self.last_used_s = clock()
@@ -262,8 +265,20 @@ class SessionTable:
         Raises:
             CallError: the name cannot be one, or there are too many.
         """
-        session = self._sessions.get(name or DEFAULT_SESSION)
-        return self._begun(name or DEFAULT_SESSION) if session is None else session
+        name = name or DEFAULT_SESSION
+        session = self._sessions.get(name)
+        if session is not None:
+            return session
+        if _NAME.fullmatch(name) is None:
+            reason = f"session {name[:80]!r}; expected 1 to 64 letters, digits, and . _ : - after the first"
+            raise CallError(grpc.StatusCode.INVALID_ARGUMENT, Cause.OUT_OF_RANGE, reason)
+        if len(self) + len(self._ending) >= self._limits.most_sessions:
+            raise CallError.exhausted(
+                f"there are {len(self)} sessions, as many as there may be; end one, or raise the limit most_sessions"
+            )
+        session = self._sessions[name] = Session(name, self._make_interface, self._limits, self._pool, self.clock())
+        session.observed = self._observed
+        return session
 
     def take(self, name: str) -> Session | None:
         """Take a session out, so that the name is free; None where there is none."""
@@ -298,27 +313,6 @@ class SessionTable:
         """Let the threads go."""
         self._pool.shutdown(wait=False)
 
-    def _begun(self, name: str) -> Session:
-        if _NAME.fullmatch(name) is None:
-            wanted = "1 to 64 letters, digits, and . _ : - after the first"
-            raise CallError(
-                grpc.StatusCode.INVALID_ARGUMENT,
-                Cause.OUT_OF_RANGE,
-                f"session {name[:80]!r}; expected {wanted}",
-            )
-        if len(self) + len(self._ending) >= self._limits.most_sessions:
-            raise _exhausted(
-                f"there are {len(self)} sessions, as many as there may be; end one, or raise the limit most_sessions"
-            )
-        session = Session(name, self._make_interface, self._limits, self._pool, self.clock())
-        session.observed = self._observed
-        self._sessions[name] = session
-        return session
-
-
-def _exhausted(reason: str) -> CallError:
-    return CallError(grpc.StatusCode.RESOURCE_EXHAUSTED, Cause.TOO_MANY, reason)
-
 
 class _Replies:
     """Makes the answers of clause 5.7 of one session; for several threads.
@@ -332,23 +326,14 @@ class _Replies:
 
     def reply(self, result: Result) -> bytes:
         """Give the bytes of the answer that carries a result; large arrays are copied once."""
-        field = _REPLY.fields_by_name[kind_of(result.record).name]
-        return b"".join(
-            [
-                *enclosed(field.number, encoded_parts(result.record)),
-                fusion_pb2.GetReply(number=result.number).SerializeToString(),
-                *enclosed(_CONFIGURATION, [self._configuration(result.configuration)]),
-            ]
-        )
-
-    def _configuration(self, snapshot: Snapshot) -> bytes:
-        latest = self._latest
+        latest, snapshot = self._latest, result.configuration
         if latest is None or latest[0] is not snapshot:
             latest = self._latest = snapshot, properties_message(snapshot).SerializeToString()
-        return latest[1]
-
-
-_REPLY = fusion_pb2.GetReply.DESCRIPTOR
-
-
-_CONFIGURATION = _REPLY.fields_by_name["configuration"].number
+        fields = fusion_pb2.GetReply.DESCRIPTOR.fields_by_name
+        return b"".join(
+            [
+                *enclosed(fields[kind_of(result.record).name].number, encoded_parts(result.record)),
+                fusion_pb2.GetReply(number=result.number).SerializeToString(),
+                *enclosed(fields["configuration"].number, [latest[1]]),
+            ]
+        )

@@ -14,13 +14,11 @@ from typing import Any, Self
 
 from sceneloom.errors import DataError, MissingExtraError, OptionError, how_to_install
 
-_EXTRA = "serve"  # the extra of the package that the service needs
-
 for _name in ("google.protobuf", "grpc", "grpc_health", "grpc_reflection"):
     try:
         import_module(_name)
     except ImportError as missing:
-        raise MissingExtraError(f"{missing}; install the extra: {how_to_install(_EXTRA)}") from missing
+        raise MissingExtraError(f"{missing}; install the extra: {how_to_install('serve')}") from missing
 
 _MEBIBYTE = 1 << 20
 
@@ -70,39 +68,29 @@ class ServiceLimits:
 
 
 def check_port(host: str, port: int, *, option: str = "port") -> None:
-    """Check that a server may listen at an address.
-
-    Args:
-        port: 0 for a free one.
+    """Check that a server may listen at an address; `option` names the port in the message.
 
     Raises:
         OptionError: this machine does not have the address, or another program listens there.
     """
     reasons: list[str] = []
-    for family, address in _addresses(host, port):
-        with socket.socket(family, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what just closed is no hindrance
-            try:
-                probe.bind(address)
-            except OSError as error:
-                reasons.append(_advice(error, option))
-            else:
-                return
-    raise OptionError(f"cannot listen at {host}:{port}: {reasons[0]}")
-
-
-def _addresses(host: str, port: int) -> list[tuple[int, tuple[object, ...]]]:
     try:
         found = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
         problem = "no such host; expected an address or a name of this machine"
         raise OptionError(f"cannot listen at {host}:{port}: {problem}") from error
-    return [(family, address) for family, _, _, _, address in found]
-
-
-def _advice(error: OSError, option: str) -> str:
-    reported = (error.strerror or str(error)).lower()
-    return f"{reported}; choose another {option} (0 for a free one), or an address of this machine"
+    for family, _, _, _, address in found:
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what just closed is no hindrance
+            try:
+                probe.bind(address)
+            except OSError as error:
+                reported = (error.strerror or str(error)).lower()
+                advice = f"choose another {option} (0 for a free one), or an address of this machine"
+                reasons.append(f"{reported}; {advice}")
+            else:
+                return
+    raise OptionError(f"cannot listen at {host}:{port}: {reasons[0]}")
 
 
 def log_to_standard_error(*, quiet: bool = False, verbose: bool = False) -> logging.Logger:

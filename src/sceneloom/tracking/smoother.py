@@ -19,8 +19,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from sceneloom.scene.detections import Support, Track, TrackedObjects, Tracks
 from sceneloom.scene.types import Identifier
-from sceneloom.tracking import tracker as tracking_states
-from sceneloom.tracking import tracker as tracking_tracker
+from sceneloom.tracking import tracker as states
 from sceneloom.tracking.settings import ImageBox, TrackerSettings
 from sceneloom.tracking.tracker import DEFAULTS, Moment, Observation, Tracker, no_boxes
 
@@ -32,26 +31,20 @@ def smoothed(
     predicted_covariances: Float64Array,
     slopes: Float64Array,
 ) -> tuple[Float64Array, Float64Array]:
-    """Smooth the states of one object.
+    """Smooth the states of one object: means (K, 11) and covariances (K, 11, 11), with the boxes up to each moment.
 
-    A heading that was reversed on the way is taken as the last one says, all along.
-
-    Args:
-        means, covariances: (K, 11) and (K, 11, 11), with the boxes up to each moment.
-        predicted_means, predicted_covariances: the same before the boxes of each moment were read; the first are not
-            looked at.
-        slopes: (K, 11, 11), of each moment's prediction with respect to the moment before.
+    The predicted ones are those before the boxes of each moment were read, the first of which are not looked at;
+    slopes (K, 11, 11) are of each moment's prediction with respect to the moment before. A heading that was reversed on
+    the way is taken as the last one says, all along.
     """
     later, spread = means.copy(), covariances.copy()
     for k in range(len(means) - 2, -1, -1):
         gain = np.linalg.solve(predicted_covariances[k + 1], slopes[k + 1] @ covariances[k]).T
         apart = later[k + 1] - predicted_means[k + 1]
-        rotations = round(float(apart[tracking_tracker.YAW]) / np.pi)
-        apart[tracking_tracker.YAW] -= rotations * np.pi
+        rotations = round(float(apart[states.YAW]) / np.pi)
+        apart[states.YAW] -= rotations * np.pi
         later[k] = means[k] + gain @ apart
-        later[k, tracking_tracker.YAW] = tracking_tracker.wrapped(
-            later[k, tracking_tracker.YAW] + (rotations % 2) * np.pi
-        )
+        later[k, states.YAW] = states.wrapped(later[k, states.YAW] + (rotations % 2) * np.pi)
         spread[k] = covariances[k] + gain @ (spread[k + 1] - predicted_covariances[k + 1]) @ gain.T
         spread[k] = (spread[k] + spread[k].T) / 2.0
     return later, spread
@@ -60,16 +53,10 @@ def smoothed(
 def smoothed_walk(
     measures: Float64Array, noises: Float64Array, known: BoolArray, drifts: Float64Array, first: float
 ) -> Float64Array:
-    """Smooth numbers that wander, each on its own.
+    """Smooth (K, 4) numbers that wander, each on its own.
 
-    Args:
-        measures, noises: (K, 4), with variances; looked at where `known`.
-        known: (K,).
-        drifts: (K,), variance that is added from the moment before to each.
-        first: variance around 0 before anything is known.
-
-    Returns:
-        (K, 4) float64.
+    Measures and noises (variances) are looked at where `known` (K,). `drifts` (K,) are the variance that is added from
+    the moment before to each, `first` is the variance around 0 before anything is known.
     """
     count = len(measures)
     means, variances = np.zeros_like(measures), np.zeros_like(measures)
@@ -90,11 +77,7 @@ class Course:
     """One object through the moments of a drive, from its first box to its last.
 
     Attributes:
-        id: its number.
-        label: what most boxes state.
-        vehicle: whether it moves as vehicles do.
-        moments: (K,) int64, which moments of the drive.
-        timestamps_ns: (K,) int64.
+        moments, timestamps_ns: (K,) int64, which moments of the drive, and their times [ns].
         means, covariances: (K, 11) and (K, 11, 11), smoothed.
         supports: (K,) uint8 of `Support`.
         likely: (K,), probability that it exists, by what came before.
@@ -116,21 +99,6 @@ class Course:
         return len(self.moments)
 
 
-def _look_back(moments: Sequence[Moment], settings: TrackerSettings) -> Tracks:
-    """Give the objects of a drive by all its moments."""
-    kept = [course for course in _courses(moments) if course.likely.max() >= settings.accept]
-    return Tracks(tuple(_track(course, moments, settings) for course in kept))
-
-
-def _courses(moments: Sequence[Moment]) -> list[Course]:
-    """Give each object's trajectory through the drive, smoothed."""
-    locations: dict[int, list[tuple[int, int]]] = {}
-    for k, moment in enumerate(moments):
-        for row, number in enumerate(moment.objects.ids.tolist()):
-            locations.setdefault(number, []).append((k, row))
-    return [_course(number, moments, locations[number]) for number in sorted(locations)]
-
-
 def _course(number: int, moments: Sequence[Moment], locations: list[tuple[int, int]]) -> Course:
     while moments[locations[-1][0]].objects.supports[locations[-1][1]] == Support.PREDICTED:
         locations = locations[:-1]
@@ -147,31 +115,28 @@ def _course(number: int, moments: Sequence[Moment], locations: list[tuple[int, i
         means=means,
         covariances=covariances,
         supports=np.array([objects.supports[row] for objects, row in rows]),
-        likely=tracking_states.probabilities(np.array([objects.log_odds[row] for objects, row in rows])),
+        likely=states.probabilities(np.array([objects.log_odds[row] for objects, row in rows])),
         seen={
-            camera_id: np.array([_row(objects.corners_xyxy.get(camera_id), row) for objects, row in rows])
+            camera_id: np.array(
+                [objects.corners_xyxy.get(camera_id, no_boxes(len(objects)))[row] for objects, row in rows]
+            )
             for camera_id in cameras
         },
     )
-
-
-def _row(corners: Float64Array | None, row: int) -> Float64Array:
-    boxes: Float64Array = no_boxes(1)[0] if corners is None else corners[row]
-    return boxes
 
 
 def _smoothed(
     number: int, moments: Sequence[Moment], locations: list[tuple[int, int]]
 ) -> tuple[Float64Array, Float64Array]:
     """The states of an object, knowing what came later."""
-    states = [(moments[k].objects.means[row], moments[k].objects.covariances[row]) for k, row in locations]
-    spread = np.zeros((tracking_states.SIZE, tracking_states.SIZE))
-    predicted = [(np.zeros(tracking_states.SIZE), spread, spread)]
+    found = [(moments[k].objects.means[row], moments[k].objects.covariances[row]) for k, row in locations]
+    spread = np.zeros((states.SIZE, states.SIZE))
+    predicted = [(np.zeros(states.SIZE), spread, spread)]
     for k, _ in locations[1:]:
         before = moments[k].predicted
         row = int(np.searchsorted(before.ids, number))
         predicted.append((before.means[row], before.covariances[row], moments[k].slopes[row]))
-    return smoothed(*(np.array(column) for column in (*zip(*states, strict=True), *zip(*predicted, strict=True))))
+    return smoothed(*(np.array(column) for column in (*zip(*found, strict=True), *zip(*predicted, strict=True))))
 
 
 def _track(course: Course, moments: Sequence[Moment], settings: TrackerSettings) -> Track:
@@ -187,9 +152,9 @@ def _track(course: Course, moments: Sequence[Moment], settings: TrackerSettings)
         timestamps_ns=course.timestamps_ns[kept],
         centers=course.means[kept, :3],
         sizes_lwh=course.means[kept, 3:6],
-        yaws=course.means[kept, tracking_states.YAW],
+        yaws=course.means[kept, states.YAW],
         velocities=course.means[kept, 7:10],
-        yaw_rates=course.means[kept, tracking_states.ROTATION],
+        yaw_rates=course.means[kept, states.ROTATION],
         covariances=course.covariances[kept, :10, :10],
         scores=np.full(len(kept), course.likely.max()),
         supports=supports[kept].astype(np.uint8),
@@ -215,7 +180,12 @@ def _corners(
 ) -> Float64Array:
     """Boxes of an object in the images of a camera, (K, 4)."""
     observations = [moments[k].observation for k in course.moments.tolist()]
-    outlined = np.array([_outline(mean, o, camera_id) for mean, o in zip(course.means, observations, strict=True)])
+    outlined = np.zeros((len(course), 4))
+    for i, observation in enumerate(observations):
+        if camera_id in observation.views:
+            numbers, view = course.means[i : i + 1, :7], observation.views[camera_id]
+            lines = states.outlines(numbers, np.ones(1), observation.world_from_lidar, view)
+            outlined[i] = lines.corners_xyxy[0]
     differing = np.zeros((len(course), 4))
     if settings.image_box is ImageBox.IMAGE and camera_id in course.seen:
         differing = _smoothed_differences(course, course.seen[camera_id], outlined)
@@ -224,28 +194,18 @@ def _corners(
         if camera_id in observation.views:
             camera = observation.views[camera_id].camera
             row = slice(i, i + 1)
-            corners[row] = tracking_states.applied(differing[row], outlined[row], camera.width, camera.height)
+            corners[row] = states.applied(differing[row], outlined[row], camera.width, camera.height)
     return corners
 
 
-def _outline(mean: Float64Array, observation: Observation, camera_id: Identifier) -> Float64Array:
-    if camera_id not in observation.views:
-        return np.zeros(4)
-    lines = tracking_states.outlines(
-        mean[None, :7], np.ones(1), observation.world_from_lidar, observation.views[camera_id]
-    )
-    outline: Float64Array = lines.corners_xyxy[0]
-    return outline
-
-
 def _smoothed_differences(course: Course, seen: Float64Array, outlined: Float64Array) -> Float64Array:
-    known = tracking_states.has_area(seen) & tracking_states.has_area(outlined)
+    known = states.has_area(seen) & states.has_area(outlined)
     apart, noises = np.zeros((len(seen), 4)), np.ones((len(seen), 4))
-    apart[known] = tracking_states.differences(seen[known], outlined[known])
-    noises[known] = tracking_states.noises(seen[known])
+    apart[known] = states.differences(seen[known], outlined[known])
+    noises[known] = states.noises(seen[known])
     seconds = np.diff(course.timestamps_ns, prepend=course.timestamps_ns[:1]) / 1e9
-    drift = tracking_states.DRIFTS[0 if course.vehicle else 1] ** 2
-    return smoothed_walk(apart, noises, known, drift * seconds, tracking_states.UNKNOWN)
+    drift = states.DRIFTS[0 if course.vehicle else 1] ** 2
+    return smoothed_walk(apart, noises, known, drift * seconds, states.UNKNOWN)
 
 
 _COLUMNS = (*("centers", "sizes_lwh", "yaws", "velocities", "yaw_rates", "covariances", "scores", "supports"),)
@@ -262,12 +222,19 @@ def track_drive(
     """
     tracker = Tracker(settings)
     if offline:
-        return _look_back([tracker.advance(observation) for observation in observations], settings)
+        moments = [tracker.advance(observation) for observation in observations]
+        locations: dict[int, list[tuple[int, int]]] = {}
+        for k, moment in enumerate(moments):
+            for row, number in enumerate(moment.objects.ids.tolist()):
+                locations.setdefault(number, []).append((k, row))
+        courses = [_course(number, moments, locations[number]) for number in sorted(locations)]
+        kept = [course for course in courses if course.likely.max() >= settings.accept]
+        return Tracks(tuple(_track(course, moments, settings) for course in kept))
     return gathered([tracker.step(observation) for observation in observations])
 
 
 def gathered(moments: list[TrackedObjects]) -> Tracks:
-    """Give objects reported moment by moment as one track each; of several tellings of one time the last counts."""
+    """Objects reported moment by moment as one track each; of several reports of one time the last counts."""
     latest = list({moment.timestamp_ns: moment for moment in moments}.values())
     latest.sort(key=lambda moment: moment.timestamp_ns)
     rows: dict[int, list[tuple[TrackedObjects, int]]] = {}
@@ -277,24 +244,21 @@ def gathered(moments: list[TrackedObjects]) -> Tracks:
     return Tracks(tuple(_drive_track(number, rows[number]) for number in sorted(rows)))
 
 
-def _drive_track(number: int, states: list[tuple[TrackedObjects, int]]) -> Track:
+def _drive_track(number: int, reported: list[tuple[TrackedObjects, int]]) -> Track:
     columns: dict[str, Any] = {
-        name: np.array([getattr(moment, name)[row] for moment, row in states]) for name in _COLUMNS
+        name: np.array([getattr(moment, name)[row] for moment, row in reported]) for name in _COLUMNS
     }
-    cameras = dict.fromkeys(camera_id for moment, _ in states for camera_id in moment.corners_xyxy)
+    cameras = dict.fromkeys(camera_id for moment, _ in reported for camera_id in moment.corners_xyxy)
     corners = {
         camera_id: np.array(
-            [
-                moment.corners_xyxy[camera_id][row] if camera_id in moment.corners_xyxy else [np.nan] * 4
-                for moment, row in states
-            ]
+            [moment.corners_xyxy.get(camera_id, no_boxes(len(moment)))[row] for moment, row in reported]
         )
         for camera_id in cameras
     }
     return Track(
         id=number,
-        label=states[-1][0].labels[states[-1][1]],
-        timestamps_ns=np.array([moment.timestamp_ns for moment, _ in states], np.int64),
+        label=reported[-1][0].labels[reported[-1][1]],
+        timestamps_ns=np.array([moment.timestamp_ns for moment, _ in reported], np.int64),
         corners_xyxy=corners,
         **columns,
     )

@@ -38,19 +38,8 @@ def camera_models():
     """The property `camera_models` for every model that there is."""
     for name, model in MODELS.items():
         coefficients = [0.01] * min(2, len(model.coefficient_names))
-        yield json.dumps(
-            {
-                "1": {
-                    "model": name,
-                    "image_size": [WIDTH, HEIGHT],
-                    "coefficients": coefficients,
-                    "fx": 50.0,
-                    "fy": 50.0,
-                    "cx": 31.5,
-                    "cy": 23.5,
-                }
-            }
-        )
+        intrinsics = {"fx": 50.0, "fy": 50.0, "cx": 31.5, "cy": 23.5, "coefficients": coefficients}
+        yield json.dumps({"1": {"model": name, "image_size": [WIDTH, HEIGHT], **intrinsics}})
 
 
 def timestamp(milliseconds):
@@ -86,36 +75,17 @@ def session(properties=(), *, camera_model=None, cameras=(1,), moves=False, enco
             now = timestamp(100 * seq)
             common = {"id": 1, "class_name": "Car", "confidence": 0.9, "timestamp": now}
             for camera_id in cameras:
-                assert fusion.send(
-                    ImageData(
-                        sensor_id=camera_id,
-                        timestamp=now,
-                        seq=seq,
-                        encoding=encoding,
-                        height=HEIGHT,
-                        width=WIDTH,
-                        channel=channels,
-                        data=np.zeros(HEIGHT * WIDTH * channels, np.uint8),
-                    )
-                )
+                image = {"encoding": encoding, "height": HEIGHT, "width": WIDTH, "channel": channels}
+                data = np.zeros(HEIGHT * WIDTH * channels, np.uint8)
+                assert fusion.send(ImageData(sensor_id=camera_id, timestamp=now, seq=seq, data=data, **image))
                 box = Box2d(**common, image_seq=seq, x1=25 - 9 * seq, y1=18, x2=38, y2=30)
                 assert fusion.send(box.alone(camera_id))
             rng = np.random.default_rng(seq)
             rows = np.hstack([rng.normal(0, 9, (300, 3)), rng.random((300, 2)) * 0.1]).astype(np.float32)
             cloud = {"fields": ("x", "y", "z", "time", "reflectivity"), "fields_number": 5, "number": 300}
             assert fusion.send(PointCloudData(sensor_id=0, timestamp=now, seq=seq, data=rows, **cloud))
-            box = Box3d(
-                **common,
-                points_seq=seq,
-                X=20.0,
-                Y=0.0,
-                Z=0.0,
-                length=4.0,
-                width=2.0,
-                height=1.5,
-                direction=(1.0, 0.0, 0.0),
-                velocity=5.0,
-            )
+            place = {"X": 20.0, "Y": 0.0, "Z": 0.0, "direction": (1.0, 0.0, 0.0), "velocity": 5.0}
+            box = Box3d(**common, points_seq=seq, length=4.0, width=2.0, height=1.5, **place)
             assert fusion.send(box.alone(0))
         fusion.flush()
         tracked = TrackedResults()

@@ -1,9 +1,7 @@
 """The client: what the interface of another process answers is what the interface itself would answer."""
 
-import asyncio
 import socket
 import threading
-from contextlib import contextmanager
 from functools import partial
 
 import grpc
@@ -24,39 +22,17 @@ from sceneloom.service.client import (
     UnauthenticatedError,
     UnreachableError,
 )
-from sceneloom.service.server import FusionServer, Security, ServerSettings
+from sceneloom.service.running import running_server
+from sceneloom.service.server import Security, ServerSettings
 from sceneloom.service.startup import ServiceLimits
 
 WIDTH, HEIGHT = 32, 24
 TOKEN = "a token of sixteen or more".replace(" ", "-")
 
 
-@contextmanager
-def server(**settings):
-    """A server in a thread of its own."""
-    loop, started, ended = asyncio.new_event_loop(), threading.Event(), asyncio.Event()
-    found = {}
-
-    async def serve():
-        async with FusionServer(ServerSettings(**settings)) as running:
-            found["server"] = running
-            started.set()
-            await ended.wait()
-
-    thread = threading.Thread(target=loop.run_until_complete, args=(serve(),), daemon=True)
-    thread.start()
-    try:
-        assert started.wait(30)
-        yield found["server"]
-    finally:
-        loop.call_soon_threadsafe(ended.set)
-        thread.join(60)
-        loop.close()
-
-
 @pytest.fixture(scope="module")
 def running():
-    with server() as found:
+    with running_server() as found:
         yield found
 
 
@@ -197,7 +173,7 @@ def test_no_answer_in_time_is_reported_as_such():
 
 
 def test_a_missing_or_wrong_token_is_reported_as_such():
-    with server(security=Security(token=TOKEN)) as running:
+    with running_server(ServerSettings(security=Security(token=TOKEN))) as running:
         for token in (None, "another" * 4):
             with FusionClient(running.address, token=token) as client, pytest.raises(UnauthenticatedError):
                 client.counters()
@@ -206,10 +182,8 @@ def test_a_missing_or_wrong_token_is_reported_as_such():
 
 
 def test_a_record_beyond_the_limit_of_the_service_is_reported_as_too_large():
-    with (
-        server(limits=ServiceLimits(largest_message=10_000)) as running,
-        FusionClient(running.address) as client,
-    ):
+    settings = ServerSettings(limits=ServiceLimits(largest_message=10_000))
+    with running_server(settings) as running, FusionClient(running.address) as client:
         assert client.set_calibration(calibration(), camera_id=1, lidar_id=0)
         with pytest.raises(TooLargeError, match="larger than max"):
             client.send(cloud(0, 1, count=10_000))

@@ -1,6 +1,7 @@
 """The kit reaches a server by the descriptor alone, over TLS where the server wants it."""
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import grpc
 import pytest
@@ -63,15 +64,23 @@ def test_health_and_reflection_of_the_server_are_found(serve):
         assert examine(transport, only=SURROUNDINGS).failed_ids == ()
 
 
-def test_a_server_without_health_and_reflection_fails_these_checks_and_says_so():
+@contextmanager
+def connected(*handlers):
+    """A transport to a server with nothing but some handlers."""
     server = grpc.server(ThreadPoolExecutor(1))
+    server.add_generic_rpc_handlers(handlers)
     port = server.add_insecure_port("127.0.0.1:0")
     server.start()
     try:
         with GrpcTransport.connected(f"127.0.0.1:{port}", Access()) as transport:
-            examination = examine(transport, only=SURROUNDINGS)
+            yield transport
     finally:
         server.stop(None).wait()
+
+
+def test_a_server_without_health_and_reflection_fails_these_checks_and_says_so():
+    with connected() as transport:
+        examination = examine(transport, only=SURROUNDINGS)
     assert list(examination.failed_ids) == SURROUNDINGS
     assert all("UNIMPLEMENTED" in finding.seen[-1].found for finding in examination.findings)
 
@@ -83,17 +92,9 @@ def test_a_server_with_the_newer_reflection_alone_is_asked_by_that():
         reflection_pb2.ServerReflectionRequest.FromString,
         reflection_pb2.ServerReflectionResponse.SerializeToString,
     )
-    server = grpc.server(ThreadPoolExecutor(1))
-    server.add_generic_rpc_handlers(
-        [grpc.method_handlers_generic_handler("grpc.reflection.v1.ServerReflection", {"ServerReflectionInfo": method})]
-    )
-    port = server.add_insecure_port("127.0.0.1:0")
-    server.start()
-    try:
-        with GrpcTransport.connected(f"127.0.0.1:{port}", Access()) as transport:
-            assert transport.services() == set(names)
-            assert examine(transport, only=SURROUNDINGS).failed_ids == ("X-21",)
-            with pytest.raises(CallFailedError, match="code 5"):  # NOT_FOUND
-                transport.files_with("nothing.of.the.kind")
-    finally:
-        server.stop(None).wait()
+    handlers = {"ServerReflectionInfo": method}
+    with connected(grpc.method_handlers_generic_handler("grpc.reflection.v1.ServerReflection", handlers)) as transport:
+        assert transport.services() == set(names)
+        assert examine(transport, only=SURROUNDINGS).failed_ids == ("X-21",)
+        with pytest.raises(CallFailedError, match="code 5"):  # NOT_FOUND
+            transport.files_with("nothing.of.the.kind")

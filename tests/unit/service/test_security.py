@@ -208,25 +208,15 @@ def test_the_file_that_is_no_certificate_or_not_its_key_is_named(serve, authorit
         security = Security(tls_certificate=pair[0], tls_key=pair[1], tls_client_authority=client_authority)
         with pytest.raises(DataError, match=wrong):
             serve(security=security)
+    with pytest.raises(DataError, match=r"none.pem: no certificate"):
+        FusionClient("127.0.0.1:1", ca=none)
 
 
 def test_a_key_with_a_password_is_refused_and_nobody_asked_for_it(authority, tmp_path):
     certificate, key = authority.issue("server")
     locked = tmp_path / "locked.key"
     private = serialization.load_pem_private_key(key.read_bytes(), None)
-    locked.write_bytes(
-        private.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.BestAvailableEncryption(b"secret"),
-        )
-    )
+    encryption = serialization.BestAvailableEncryption(b"secret")
+    locked.write_bytes(private.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption))
     with pytest.raises(DataError, match="expected the unencrypted key"):
         read_pair(certificate, locked)
-
-
-def test_a_client_names_the_file_that_is_no_certificate(tmp_path):
-    none = tmp_path / "none.pem"
-    none.write_text("nothing")
-    with pytest.raises(DataError, match=r"none.pem: no certificate"):
-        FusionClient("127.0.0.1:1", ca=none)

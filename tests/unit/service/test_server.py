@@ -56,16 +56,8 @@ def test_properties_are_added_set_and_read(call):
         ("AddProperty", {"name": "chirality", "description": "", "type": "bool"}, "known-name"),
         ("AddProperty", {"name": "x", "description": "", "type": "int64"}, "ill-typed"),
         ("SetProperty", {"name": "x", "value": fusion_pb2.Value(integer_value=1)}, "unknown-name"),
-        (
-            "SetProperty",
-            {"name": "lidar_frequency", "value": fusion_pb2.Value(integer_value=2**32 + 10)},
-            "ill-typed",
-        ),
-        (
-            "SetProperty",
-            {"name": "lidar_frequency", "value": fusion_pb2.Value(string_value="10")},
-            "ill-typed",
-        ),
+        ("SetProperty", {"name": "lidar_frequency", "value": fusion_pb2.Value(integer_value=2**32 + 10)}, "ill-typed"),
+        ("SetProperty", {"name": "lidar_frequency", "value": fusion_pb2.Value(string_value="10")}, "ill-typed"),
         ("SetProperty", {"name": "lidar_frequency"}, "ill-typed"),
         ("SetCalibration", {"camera_id": 1}, "bad-calibration"),
         ("SetCalibration", {"camera_id": 256}, "bad-calibration"),
@@ -131,13 +123,7 @@ def test_a_pair_comes_back_as_a_record_of_table_9(call):
 
 
 def test_a_stream_of_records_is_summed_up(call, records):
-    sent = [
-        records.image(0, 0),
-        records.cloud(0, 0),
-        records.cloud(0, 0),
-        records.cloud(100, 1, sensor_id=9),
-        records.image(100, 1),
-    ]
+    sent = [records.image(0, 0), *[records.cloud(0, 0)] * 2, records.cloud(100, 1, sensor_id=9), records.image(100, 1)]
     summary = call("SendStream", (to_send_request(record) for record in sent))
     assert (summary.accepted, summary.refused) == (3, 2)
     assert [(r.number, r.status.cause) for r in summary.refusals] == [(2, "duplicate"), (3, "no-calibration")]

@@ -16,11 +16,11 @@ from mcap.stream_reader import StreamReader
 from tests.unit.db34t import sending
 from tests.unit.db34t.sending import HEIGHT, WIDTH, calibration, timestamp
 
-from sceneloom.db34t import Boxes2d, Boxes3d
 from sceneloom.db34t.calibration import CalibrationEntry, format_calibrations
 from sceneloom.db34t.events import Flushed, Result
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
+from sceneloom.db34t.records import join_boxes
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.db34t.worker import Rig
 from sceneloom.errors import DataError, OptionError, OutputError
@@ -40,31 +40,22 @@ def cloud(milliseconds, seq, sensor_id=0):
 
 
 def boxes_3d(milliseconds, seq):
-    count = 3
-    return Boxes3d(
-        sensor_id=0,
-        seq=seq,
-        timestamp=timestamp(milliseconds),
-        id=np.arange(count, dtype=np.int32),
-        class_names=("car", "pedestrian", "car"),
-        confidence=np.array([0.9, 0.5, 0.25], np.float32),
-        centers=np.array([[10, 0, 0], [12, 2, 0], [20, -3, 0]], np.float32),
-        sizes_lwh=np.array([[4, 2, 1.5], [0.6, 0.6, 1.8], [4, 2, 1.5]], np.float32),
-        directions=np.array([[1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32),
-        velocities=np.array([3, 1, 0], np.float32),
+    one = sending.box_3d(milliseconds, seq, id=0, X=10.0, confidence=0.9)
+    person = {"class_name": "pedestrian", "length": 0.6, "width": 0.6, "height": 1.8, "direction": (0.0, 1.0, 0.0)}
+    others = (
+        sending.box_3d(milliseconds, seq, id=1, X=12.0, Y=2.0, confidence=0.5, velocity=1.0, **person),
+        sending.box_3d(milliseconds, seq, id=2, Y=-3.0, confidence=0.25, direction=(1.0, 1.0, 0.0), velocity=0.0),
     )
+    return join_boxes([box.alone(0) for box in (one, *others)])
 
 
 def boxes_2d(milliseconds, seq):
-    return Boxes2d(
-        sensor_id=1,
-        seq=seq,
-        timestamp=timestamp(milliseconds),
-        id=np.array([4, 5], np.int32),
-        class_names=("car", "pedestrian"),
-        confidence=np.array([0.8, 0.7], np.float32),
-        corners_xyxy=np.array([[24, 18, 40, 30], [20, 16, 24, 30]], np.uint32),
+    person = {"class_name": "pedestrian", "x1": 20, "y1": 16, "x2": 24, "y2": 30}
+    boxes = (
+        sending.box_2d(milliseconds, seq, id=4, class_name="car", x1=24, y1=18, x2=40, y2=30),
+        sending.box_2d(milliseconds, seq, id=5, confidence=0.7, **person),
     )
+    return join_boxes([box.alone(1) for box in boxes])
 
 
 def drive(fusion, frames=4, *, start=0):

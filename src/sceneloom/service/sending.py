@@ -399,19 +399,26 @@ PATIENCE_MS = 1000
 class Receiver(Protocol):
     """What is sent to: a client of the service, or a fusion interface; methods by clause of the standard."""
 
-    def add_property(self, name: str, description: str, type: str) -> Outcome: ...  # noqa: D102 - clause 5.3
+    def add_property(self, name: str, description: str, type: str) -> Outcome:
+        """Clause 5.3."""
 
-    def set_property(self, name: str, value: Any) -> Outcome: ...  # noqa: D102 - clause 5.4
+    def set_property(self, name: str, value: Any) -> Outcome:
+        """Clause 5.4."""
 
-    def get_property(self, name: str) -> Any: ...  # noqa: D102 - clause 5.5
+    def get_property(self, name: str) -> Any:
+        """Clause 5.5."""
 
-    def set_calibration(self, data: CalibrationData, *, camera_id: int = 0, lidar_id: int = 0) -> Outcome: ...  # noqa: D102 - table 3
+    def set_calibration(self, data: CalibrationData, *, camera_id: int = 0, lidar_id: int = 0) -> Outcome:
+        """Table 3."""
 
-    def send_motion(self, path: Poses) -> Outcome: ...  # noqa: D102 - an extension
+    def send_motion(self, path: Poses) -> Outcome:
+        """Report where the vehicle was."""
 
-    def send(self, record: SentRecord) -> Outcome: ...  # noqa: D102 - clause 5.6
+    def send(self, record: SentRecord) -> Outcome:
+        """Clause 5.6."""
 
-    def flush(self) -> Any: ...  # noqa: D102 - an extension
+    def flush(self) -> Any:
+        """Fuse what waits."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
-from tempfile import mkdtemp, mkstemp
+from tempfile import gettempdir, mkdtemp, mkstemp
 from threading import Lock
 from typing import TYPE_CHECKING, Any, BinaryIO, Self, cast
 from urllib.parse import unquote, urlsplit
@@ -54,19 +54,19 @@ _AHEAD_BYTES = 256 << 20
 """How much of them at most: larger files come when they are asked for [bytes]."""
 
 HEAD = 64 << 10
-"""So much is fetched of a file of which only the first bytes are looked at [bytes]."""
+"""So much is fetched of a file of which only the first bytes are read [bytes]."""
 
 PIECE = 256 << 10
 """Length of the chunks that a file comes in where it is not fetched whole [bytes]."""
 
 _REMEMBERED = 32 << 20
-"""So much of chunks and beginnings is remembered: all formats look at the same files [bytes]."""
+"""So much of chunks and beginnings is cached: all formats look at the same files [bytes]."""
 
 _MUCH = 0.25
-"""Of a file of which this share was read in chunks all is fetched: who goes on would wait for each of the others."""
+"""A file of which more than this share was read in chunks is fetched whole: further chunks would each be waited for."""
 
 _STAY = 4 * SIDE_BY_SIDE
-"""So many files stay that were used last, however large they are: others may be about to open them."""
+"""So many recently used files stay, however large they are: other processes may be about to open them."""
 
 
 class _ListedFile(msgspec.Struct, frozen=True, array_like=True):
@@ -106,18 +106,6 @@ class _Listing(msgspec.Struct, frozen=True, kw_only=True):
     largest: int
     listed_ns: int
     files: tuple[_ListedFile, ...]
-
-    def plant(self) -> None:
-        """Make the tree: all files are there, and empty.
-
-        Who opens one without having it fetched finds too little in it, never other data.
-        """
-        for folder in (_MARKS, _DRAFTS):
-            Path(self.top).with_name(folder).mkdir()
-        for folder in {file.folder for file in self.files}:
-            Path(self.top, folder).mkdir(parents=True, exist_ok=True)
-        for file in self.files:
-            _make_empty(f"{self.top}/{file.name}", self.listed_ns)
 
 
 class _Mirror:
@@ -344,8 +332,8 @@ def _make_empty(path: str, time_ns: int) -> None:
     os.utime(path, ns=(time_ns, time_ns))
 
 
-WORKPLACE = "sceneloom-"
-"""What the names of the folders begin with that trees are injected in."""
+_WORKPLACE = "sceneloom-"
+"""What the names of the folders begin with that trees are made in."""
 
 _LISTING = "listing.json"
 
@@ -353,7 +341,7 @@ _WORTHWHILE = 4 << 20
 """Smaller files are fetched whole by those who could do with chunks [bytes]."""
 
 _open: dict[tuple[int, str], _Mirror] = {}
-"""What processes fetch from: by their number, since a forked one must begin anew, and the tops of trees."""
+"""Mirrors by process, since a forked one must begin anew, and by the top of the tree."""
 
 
 class MirroredPath(_AnyPath):
@@ -423,7 +411,7 @@ class MirroredPath(_AnyPath):
 
 
 class Chunks:
-    """The bytes of a file of a mirror, fetched as they are looked at: whole once much of it was."""
+    """The bytes of a file of a mirror, fetched as they are read; the whole file once much of it was."""
 
     def __init__(self, path: MirroredPath) -> None:
         """Nothing is fetched yet."""
@@ -493,12 +481,21 @@ class _LateFile(ByteStream):
         return self._on_disk
 
 
-def plant(listing: _Listing) -> MirroredPath:
-    """Make the tree of a folder behind a URL, and give its top."""
-    listing.plant()
-    Path(listing.top).with_name(_LISTING).write_bytes(msgspec.json.encode(listing))
-    _open[os.getpid(), listing.top] = _Mirror(listing)
-    return MirroredPath(listing.top)
+def _make_tree(listing: _Listing) -> _Mirror:
+    """Make the tree of a folder behind a URL: all files are there, and empty.
+
+    Who opens one without having it fetched finds too little in it, never other data.
+    """
+    top = Path(listing.top)
+    for name in (_MARKS, _DRAFTS):
+        top.with_name(name).mkdir()
+    for folder in {file.folder for file in listing.files}:
+        Path(top, folder).mkdir(parents=True, exist_ok=True)
+    for file in listing.files:
+        _make_empty(f"{top}/{file.name}", listing.listed_ns)
+    top.with_name(_LISTING).write_bytes(msgspec.json.encode(listing))
+    mirror = _open[os.getpid(), listing.top] = _Mirror(listing)
+    return mirror
 
 
 def mirror_of(path: Path) -> _Mirror | None:
@@ -506,33 +503,24 @@ def mirror_of(path: Path) -> _Mirror | None:
     return _find(str(path))[0]
 
 
-def uproot(workplace: Path) -> None:
-    """Fetch nothing more to what is below a folder."""
-    for process, top in list(_open):
-        if process == os.getpid() and Path(top).parent == workplace:
-            _open.pop((process, top)).close()
-
-
 def _find(text: str) -> tuple[_Mirror | None, _ListedFile | None]:
     """What fetches a path, and the file that it means, if any."""
-    mirror = _opened(text) or _injected(Path(text).parents)
+    process = os.getpid()
+    opened = (
+        mirror
+        for (owner, top), mirror in list(_open.items())
+        if owner == process and (text == top or text.startswith(top + os.sep))
+    )
+    mirror = next(opened, None) or _of_other_process(Path(text))
     if mirror is None:
         return None, None
     name = text[len(mirror.listing.top) + 1 :]
     return mirror, mirror.file(name.replace(os.sep, "/"))
 
 
-def _opened(text: str) -> _Mirror | None:
-    process = os.getpid()
-    for (owner, top), mirror in list(_open.items()):
-        if owner == process and (text == top or text.startswith(top + os.sep)):
-            return mirror
-    return None
-
-
-def _injected(above: Iterable[Path]) -> _Mirror | None:
-    """Begin to fetch to a tree that another process has injected."""
-    workplace = next((folder for folder in above if folder.name.startswith(WORKPLACE)), None)
+def _of_other_process(path: Path) -> _Mirror | None:
+    """Begin to fetch to a tree that another process has made."""
+    workplace = next((folder for folder in path.parents if folder.name.startswith(_WORKPLACE)), None)
     if workplace is None:
         return None
     try:
@@ -654,13 +642,19 @@ def fetch(url: str, *, largest: int = _LARGEST) -> Fetched:
         top = patiently(store.facts)
         found = patiently(lambda: list(store.walk())) if top.is_folder else [top]
     files = _listed(url, store, found) if top.is_folder else ()
-    workplace = Path(mkdtemp(prefix=WORKPLACE))
+    most = min(largest, shutil.disk_usage(gettempdir()).free - _LEFT_FREE)
+    size = max((facts.size or 0 for facts in found), default=0)
+    if size > most:
+        problem = (
+            f"a file of {size / 1e9:.1f} GB is more than the {max(most, 0) / 1e9:.1f} GB that may be fetched; "
+            "set TMPDIR to a folder of a larger disk"
+        )
+        raise DataError(url, "", problem)
+    workplace = Path(mkdtemp(prefix=_WORKPLACE))
     remove = partial(_remove, workplace, os.getpid())
     atexit.register(remove)
     try:
         root = workplace / (Path(unquote(urlsplit(url).path)).name or "drive")
-        most = min(largest, shutil.disk_usage(workplace).free - _LEFT_FREE)
-        _check_room(url, max((facts.size or 0 for facts in found), default=0), most)
         if not top.is_folder:
             with faults(url, ""):
                 patiently(lambda: _fetch_whole(store.at(top.path), top.size, root))
@@ -673,19 +667,14 @@ def fetch(url: str, *, largest: int = _LARGEST) -> Fetched:
             listed_ns=time.time_ns() // 10**9 * 10**9,
             files=files,
         )
-        path = plant(listing)
-        _gather_tables(path, listing)
+        mirror = _make_tree(listing)
+        tables = [file for file in files if file.size <= _SMALL and file.name.lower().endswith(_TABLES)]
+        if sum(file.size for file in tables) < most // 2:
+            mirror.gather(tables)
     except BaseException:
         remove()
         raise
-    return Fetched(path, len(files), sum(file.size for file in files), remove)
-
-
-def _gather_tables(path: Path, listing: _Listing) -> None:
-    tables = [file for file in listing.files if file.size <= _SMALL and file.name.lower().endswith(_TABLES)]
-    mirror = mirror_of(path)
-    if mirror is not None and sum(file.size for file in tables) < listing.largest // 2:
-        mirror.gather(tables)
+    return Fetched(MirroredPath(root), len(files), sum(file.size for file in files), remove)
 
 
 def _listed(url: str, store: Store, found: list[Facts]) -> tuple[_ListedFile, ...]:
@@ -704,24 +693,18 @@ def _listed(url: str, store: Store, found: list[Facts]) -> tuple[_ListedFile, ..
         files.append(_ListedFile(name, facts.size, facts.version))
     if not files:
         raise DataError(url, "", "is a folder without files")
-    return tuple(sorted(files, key=_as_numbered))
+    return tuple(sorted(files, key=_in_order))
 
 
-def _as_numbered(file: _ListedFile) -> tuple[str, list[tuple[int, str]]]:
+def _in_order(file: _ListedFile) -> tuple[str, list[tuple[int, str]]]:
     """By folders, and 2 before 10."""
     return file.folder, [(int(part or -1), text) for text, part in _NUMBERS.findall(file.name)]
 
 
-def _check_room(url: str, size: int, room: int) -> None:
-    if size > room:
-        problem = (
-            f"a file of {size / 1e9:.1f} GB is more than the {max(room, 0) / 1e9:.1f} GB that may be fetched; "
-            "set TMPDIR to a folder of a larger disk"
-        )
-        raise DataError(url, "", problem)
-
-
 def _remove(workplace: Path, process: int) -> None:
+    """Fetch nothing more to a tree, and take it away; does nothing in other processes."""
     if os.getpid() == process:
-        uproot(workplace)
+        for owner, top in list(_open):
+            if owner == process and Path(top).parent == workplace:
+                _open.pop((owner, top)).close()
         shutil.rmtree(workplace, ignore_errors=True)

@@ -84,7 +84,7 @@ def _status(error: BaseException) -> int | None:
 
 @contextmanager
 def faults(url: str, location: str, *, doing: str = "read") -> Iterator[None]:
-    """Rotate whatever a back end raises into errors of ours; what it stated stands in them without secrets.
+    """Turn whatever a back end raises into errors of ours, which quote it without secrets.
 
     Raises:
         DataError: it failed; `passing` says whether another try may do.
@@ -227,7 +227,8 @@ class Store:
 
     def handle(self, size: int) -> "Handle":
         """Open the file for reading by ranges."""
-        known = {"size": size} if "http" in _protocols(self.files) else {}
+        protocol = self.files.protocol
+        known = {"size": size} if "http" in ((protocol,) if isinstance(protocol, str) else protocol) else {}
         return Handle(self, self.files.open(self.path, "rb", cache_type="none", **known))
 
     def walk(self) -> Iterator[Facts]:
@@ -382,10 +383,6 @@ def _mark(reported: object) -> str:
     return f"{when:.6f}" if isinstance(when, float) else str(when).strip('"')
 
 
-def _protocols(files: Any) -> tuple[str, ...]:
-    return (files.protocol,) if isinstance(files.protocol, str) else tuple(files.protocol)
-
-
 Range = tuple[int, int]
 """First byte, and the one after the last."""
 
@@ -519,7 +516,11 @@ class RangedFile:
 
     def ask_ahead(self, ranges: Iterable[Range]) -> None:
         """Fetch ranges that will be read soon, neighbouring ones as one, side by side; too many are left for later."""
-        blocks = [part for block in coalesced(ranges) for part in _cut(block)]
+        blocks = [
+            (first, min(first + _LARGEST, stop))
+            for start, stop in coalesced(ranges)
+            for first in range(start, stop, _LARGEST)
+        ]
         if sum(stop - start for start, stop in blocks) > _AHEAD or len(blocks) < 2:
             return
         with ThreadPoolExecutor(min(SIDE_BY_SIDE, len(blocks))) as thread_pool:
@@ -579,11 +580,6 @@ def coalesced(ranges: Iterable[Range] | Sequence[Range]) -> list[Range]:
         else:
             blocks.append((start, stop))
     return blocks
-
-
-def _cut(block: Range) -> list[Range]:
-    start, stop = block
-    return [(first, min(first + _LARGEST, stop)) for first in range(start, stop, _LARGEST)]
 
 
 def _joined(blocks: list[Range], contents: list[bytes]) -> tuple[list[int], list[bytes]]:

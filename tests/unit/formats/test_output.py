@@ -15,188 +15,156 @@ from sceneloom.formats.base.output import FolderKind, Source, check_output, fill
 KIND = FolderKind("folder of ours", (r"data\.jsonl", r"images/\d+\.png"), r"data\.jsonl")
 
 
-def test_a_file_takes_its_location_when_it_is_whole(tmp_path: Path) -> None:
+def refused(target: Path, problem: str, *, overwrite: bool = True, folder: FolderKind | None = None) -> None:
+    """Check that nothing is written to a target."""
+    with pytest.raises(OutputError, match=problem), replacing(target, overwrite=overwrite, folder=folder):
+        pytest.fail("must not be entered")
+
+
+def write(folder: Path, **files: str) -> Path:
+    """Make a folder with files: `_` stands for the point before an ending."""
+    folder.mkdir(exist_ok=True)
+    for name, text in files.items():
+        (folder / name.replace("_", ".")).write_text(text)
+    return folder
+
+
+def tree(folder: Path) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_file_takes_its_location_when_it_is_whole(tmp_path):
     target = tmp_path / "drive.sfs"
     with replacing(target, overwrite=False) as draft:
         draft.write_text("whole")
         assert not target.exists()
-    assert target.read_text() == "whole"
-    assert [path.name for path in tmp_path.iterdir()] == ["drive.sfs"]
-
-
-def test_a_failure_leaves_what_was_there_and_nothing_else(tmp_path: Path) -> None:
-    target = tmp_path / "drive.sfs"
-    target.write_text("before")
+    assert tree(tmp_path) == {"drive.sfs": "whole"}
+    refused(target, "--overwrite", overwrite=False)
+    with replacing(target, overwrite=True) as draft:
+        draft.write_text("after")
+    assert tree(tmp_path) == {"drive.sfs": "after"}
     with pytest.raises(DataError), replacing(target, overwrite=True) as draft:
         draft.write_text("half")
         raise DataError("source", "line 3", "broken")
-    assert target.read_text() == "before"
+    assert tree(tmp_path) == {"drive.sfs": "after"}
     assert [path.name for path in tmp_path.iterdir()] == ["drive.sfs"]
 
 
-def test_an_existing_output_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    target = tmp_path / "drive.sfs"
-    target.write_text("before")
-    with pytest.raises(OutputError, match="--overwrite"), replacing(target, overwrite=False):
-        pytest.fail("must not be entered")
-    with replacing(target, overwrite=True) as draft:
-        draft.write_text("after")
-    assert target.read_text() == "after"
-
-
-def test_a_folder_is_never_replaced_by_a_file(tmp_path: Path) -> None:
-    (tmp_path / "drive.sfs").mkdir()
-    with pytest.raises(OutputError, match="is a folder"), replacing(tmp_path / "drive.sfs", overwrite=True):
-        pytest.fail("must not be entered")
-
-
-def test_a_missing_parent_is_named(tmp_path: Path) -> None:
-    with (
-        pytest.raises(OutputError, match=r"nowhere does not exist"),
-        replacing(tmp_path / "nowhere" / "drive.sfs", overwrite=False),
-    ):
-        pytest.fail("must not be entered")
-
-
-def test_a_file_where_a_folder_is_expected_is_called_a_file(tmp_path: Path) -> None:
+def test_a_target_of_another_kind_is_refused(tmp_path):
+    write(tmp_path / "drive.sfs")
     (tmp_path / "taken").write_text("mine")
-    with pytest.raises(OutputError, match=r"taken is a file"), replacing(tmp_path / "taken" / "a", overwrite=False):
-        pytest.fail("must not be entered")
+    refused(tmp_path / "drive.sfs", "is a folder")
+    refused(tmp_path / "nowhere" / "drive.sfs", r"nowhere does not exist", overwrite=False)
+    refused(tmp_path / "taken" / "a", r"taken is a file", overwrite=False)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a named pipe to try it on")
+def test_what_is_neither_a_file_nor_a_folder_is_left_alone(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    refused(tmp_path / "pipe", "left alone")
+    assert (tmp_path / "pipe").is_fifo()
 
 
 @pytest.mark.parametrize("folder", [False, True], ids=["file", "folder"])
-def test_what_another_program_made_meanwhile_is_not_replaced(tmp_path: Path, folder: bool) -> None:
-    target = tmp_path / "drive"
-    with (
-        pytest.raises(OutputError, match="meanwhile"),
-        replacing(target, overwrite=False, folder=KIND if folder else None) as draft,
-    ):
+def test_what_another_program_made_meanwhile_is_not_replaced(tmp_path, folder):
+    target, kind = tmp_path / "drive", KIND if folder else None
+    with pytest.raises(OutputError, match="meanwhile"), replacing(target, overwrite=False, folder=kind) as draft:
         (draft / "data.jsonl" if folder else draft).write_text("ours")
         target.write_text("theirs")
-    assert target.read_text() == "theirs"
+    assert tree(tmp_path) == {"drive": "theirs"}
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_filling_moves_nothing_where_another_program_was_quicker(tmp_path: Path) -> None:
-    folder = tmp_path / "depth"
-    with pytest.raises(OutputError, match=r"1\.png: .*meanwhile"), filling(folder, overwrite=False) as draft:
-        (draft / "0.png").write_text("ours")
-        (draft / "1.png").write_text("ours")
-        folder.mkdir()
-        (folder / "1.png").write_text("theirs")
-    assert [path.name for path in folder.iterdir()] == ["1.png"]
-    assert (folder / "1.png").read_text() == "theirs"
+def test_filling_moves_nothing_where_another_program_was_quicker(tmp_path):
+    with (
+        pytest.raises(OutputError, match=r"1\.png: .*meanwhile"),
+        filling(tmp_path / "depth", overwrite=False) as draft,
+    ):
+        write(draft, **{"0_png": "ours", "1_png": "ours"})
+        write(tmp_path / "depth", **{"1_png": "theirs"})
+    assert tree(tmp_path) == {"depth/1.png": "theirs"}
 
 
-def test_a_fault_of_reading_is_not_called_a_fault_of_writing(tmp_path: Path) -> None:
+def test_a_fault_of_reading_is_not_called_a_fault_of_writing(tmp_path):
     with pytest.raises(FileNotFoundError), replacing(tmp_path / "drive.sfs", overwrite=False):
         (tmp_path / "source").read_text()
 
 
-def test_filling_keeps_the_strangers_in_a_folder(tmp_path: Path) -> None:
-    folder = tmp_path / "images"
-    folder.mkdir()
+def test_filling_keeps_other_files_in_a_folder(tmp_path):
+    folder = write(tmp_path / "images")
     with filling(folder, overwrite=False) as draft:
-        (draft / "camera0").mkdir()
-        (draft / "camera0" / "0.png").write_text("new")
-    (folder / "mine.txt").write_text("mine")
+        write(draft / "camera0", **{"0_png": "new"})
+    write(folder, mine_txt="mine")
     with pytest.raises(OutputError, match="--overwrite"), filling(folder, overwrite=False):
         pytest.fail("must not be entered")
     with filling(folder, overwrite=True) as draft:
-        (draft / "camera0").mkdir()
-        (draft / "camera0" / "0.png").write_text("newer")
-    assert (folder / "camera0" / "0.png").read_text() == "newer"
-    assert (folder / "mine.txt").read_text() == "mine"
+        write(draft / "camera0", **{"0_png": "newer"})
+    assert tree(folder) == {"camera0/0.png": "newer", "mine.txt": "mine"}
 
 
-def test_a_failed_filling_leaves_no_trace(tmp_path: Path) -> None:
-    folder = tmp_path / "images"
-    with pytest.raises(DataError), filling(folder, overwrite=False) as draft:
-        (draft / "0.png").write_text("half")
+def test_a_failed_filling_leaves_no_trace(tmp_path):
+    with pytest.raises(DataError), filling(tmp_path / "images", overwrite=False) as draft:
+        write(draft, **{"0_png": "half"})
         raise DataError("source", "", "broken")
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a named pipe to try it on")
-def test_what_is_neither_a_file_nor_a_folder_is_left_alone(tmp_path: Path) -> None:
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    with pytest.raises(OutputError, match="left alone"), replacing(pipe, overwrite=True):
-        pytest.fail("must not be entered")
-    assert pipe.is_fifo()
-
-
-def _tree(folder: Path) -> dict[str, str]:
-    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.mark.parametrize(
     ("there", "named"),
     [
-        ({"data.jsonl": "", "mine.txt": ""}, "mine.txt"),
-        ({"data.jsonl": "", "images/0.png": "", "images/a.png": ""}, "images/a.png"),
-        ({"data.jsonl": "", "images/deep/0.png": ""}, "images/deep"),
-        ({"data.jsonl/0.png": ""}, "data.jsonl"),
-        ({"data.jsonl": "", "empty/": ""}, "empty"),
-        ({"images/0.png": ""}, "holds no data"),
+        (["data.jsonl", "mine.txt"], "mine.txt"),
+        (["data.jsonl", "images/0.png", "images/a.png"], "images/a.png"),
+        (["data.jsonl", "images/deep/0.png"], "images/deep"),
+        (["data.jsonl/0.png"], "data.jsonl"),
+        (["data.jsonl", "empty/"], "empty"),
+        (["images/0.png"], "holds no data"),
     ],
 )
-def test_a_folder_with_anything_foreign_in_it_is_left_alone(tmp_path: Path, there: dict[str, str], named: str) -> None:
+def test_a_folder_with_anything_foreign_in_it_is_left_alone(tmp_path, there, named):
     target = tmp_path / "home"
-    for name, text in there.items():
+    for name in there:
         (target / name).parent.mkdir(parents=True, exist_ok=True)
-        (target / name).mkdir() if name.endswith("/") else (target / name).write_text(text)
-    before = _tree(tmp_path)
-    with (
-        pytest.raises(OutputError, match=f"{named}.* choose another name"),
-        replacing(target, overwrite=True, folder=KIND),
-    ):
-        pytest.fail("must not be entered")
-    assert _tree(tmp_path) == before
+        (target / name).mkdir() if name.endswith("/") else (target / name).touch()
+    before = tree(tmp_path)
+    refused(target, f"{named}.* choose another name", folder=KIND)
+    assert tree(tmp_path) == before
 
 
-def test_a_link_in_a_folder_is_foreign(tmp_path: Path) -> None:
-    (tmp_path / "home").mkdir()
+def test_a_link_in_a_folder_is_foreign(tmp_path):
+    (write(tmp_path / "home") / "data.jsonl").symlink_to(tmp_path / "real")
     (tmp_path / "real").write_text("mine")
-    (tmp_path / "home" / "data.jsonl").symlink_to(tmp_path / "real")
-    with pytest.raises(OutputError, match=r"data\.jsonl"), replacing(tmp_path / "home", overwrite=True, folder=KIND):
-        pytest.fail("must not be entered")
+    refused(tmp_path / "home", r"data\.jsonl", folder=KIND)
 
 
-def test_what_appears_in_a_folder_while_its_successor_is_written_is_not_lost(tmp_path: Path) -> None:
-    target = tmp_path / "home"
-    target.mkdir()
-    (target / "data.jsonl").write_text("old")
+def test_what_appears_in_a_folder_while_its_successor_is_written_is_not_lost(tmp_path):
+    target = write(tmp_path / "home", data_jsonl="old")
     with pytest.raises(OutputError, match=r"mine\.txt"), replacing(target, overwrite=True, folder=KIND) as draft:
-        (draft / "data.jsonl").write_text("new")
-        (target / "mine.txt").write_text("mine")
-    assert _tree(tmp_path) == {"home/data.jsonl": "old", "home/mine.txt": "mine"}
+        write(draft, data_jsonl="new")
+        write(target, mine_txt="mine")
+    assert tree(tmp_path) == {"home/data.jsonl": "old", "home/mine.txt": "mine"}
 
 
 @pytest.mark.parametrize("read", ["home", "home/images/0.png", "."])
-def test_a_folder_that_holds_or_lies_in_what_is_read_is_left_alone(tmp_path: Path, read: str) -> None:
-    target = tmp_path / "home"
-    (target / "images").mkdir(parents=True)
-    (target / "data.jsonl").write_text("old")
-    (target / "images" / "0.png").write_text("old")
+def test_a_folder_that_holds_or_lies_in_what_is_read_is_left_alone(tmp_path, read):
+    target = write(tmp_path / "home", data_jsonl="old")
+    write(target / "images", **{"0_png": "old"})
     source = Source(tmp_path / read)
-    with pytest.raises(OutputError, match="is read"), replacing(target, overwrite=True, folder=KIND):
-        pytest.fail("must not be entered")
+    refused(target, "is read", folder=KIND)
     assert source.path.exists()
     del source
     with replacing(target, overwrite=True, folder=KIND) as draft:
-        (draft / "data.jsonl").write_text("new")
-    assert _tree(tmp_path) == {"home/data.jsonl": "new"}
+        write(draft, data_jsonl="new")
+    assert tree(tmp_path) == {"home/data.jsonl": "new"}
 
 
-def test_a_file_that_is_read_is_not_replaced_by_any_name_of_it(tmp_path: Path) -> None:
-    (tmp_path / "drive.sfs").write_text("old")
+def test_a_file_that_is_read_is_not_replaced_by_any_name_of_it(tmp_path):
+    write(tmp_path, drive_sfs="old")
     (tmp_path / "link").symlink_to(tmp_path / "drive.sfs")
     source = Source(tmp_path / "link")
     with pytest.raises(OutputError, match="is read"):
         check_output(tmp_path / "drive.sfs", overwrite=True)
     with pytest.raises(OutputError, match="is read"), filling(tmp_path, overwrite=True) as draft:
-        (draft / "drive.sfs").write_text("new")
+        write(draft, drive_sfs="new")
     assert source.path.read_text() == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.sfs", "link"]
 
@@ -302,7 +270,7 @@ print(deaths)
 @pytest.mark.parametrize("exchange", ["exchange", "two renames"])
 @pytest.mark.parametrize("job", ["file", "folder", "filling", "trial", "together"])
 @pytest.mark.few(4)
-def test_old_or_new_survives_a_kill_between_any_two_system_calls(tmp_path: Path, job: str, exchange: str) -> None:
+def test_old_or_new_survives_a_kill_between_any_two_system_calls(tmp_path, job, exchange):
     done = subprocess.run(
         [sys.executable, "-c", _KILLED, job, str(tmp_path), exchange], capture_output=True, text=True, check=False
     )
@@ -311,10 +279,8 @@ def test_old_or_new_survives_a_kill_between_any_two_system_calls(tmp_path: Path,
 
 
 @pytest.mark.parametrize("fault", [OSError(errno.EIO, "broken"), KeyboardInterrupt()], ids=["fault", "ctrl-c"])
-def test_a_second_rename_that_fails_leaves_the_old_folder(tmp_path: Path, monkeypatch, fault) -> None:
-    target = tmp_path / "home"
-    target.mkdir()
-    (target / "data.jsonl").write_text("old")
+def test_a_second_rename_that_fails_leaves_the_old_folder(tmp_path, monkeypatch, fault):
+    target = write(tmp_path / "home", data_jsonl="old")
     monkeypatch.setattr("sceneloom.formats.base.output._renameat2", lambda *_: errno.EINVAL)
     rename = Path.rename
 
@@ -329,10 +295,10 @@ def test_a_second_rename_that_fails_leaves_the_old_folder(tmp_path: Path, monkey
         replacing(target, overwrite=True, folder=KIND) as draft,
     ):
         (draft / "data.jsonl").write_text("new")
-    assert _tree(tmp_path) == {"home/data.jsonl": "old"}
+    assert tree(tmp_path) == {"home/data.jsonl": "old"}
 
 
-def test_the_workplace_of_a_living_process_is_left_alone(tmp_path: Path) -> None:
+def test_the_workplace_of_a_living_process_is_left_alone(tmp_path):
     target = tmp_path / "drive.sfs"
     with replacing(target, overwrite=True) as first:
         first.write_text("first")
@@ -345,9 +311,7 @@ def test_the_workplace_of_a_living_process_is_left_alone(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(("idle", "goes"), [(0.0, False), (7200.0, True)])
-def test_the_workplace_of_another_machine_goes_when_nothing_was_written_for_an_hour(
-    tmp_path: Path, idle: float, goes: bool
-) -> None:
+def test_the_workplace_of_another_machine_goes_when_nothing_was_written_for_an_hour(tmp_path, idle, goes):
     workplace = tmp_path / ".drive.sfs.sceneloom"
     (workplace / "files").mkdir(parents=True)
     (workplace / "lock").write_text("another machine")
@@ -358,10 +322,9 @@ def test_the_workplace_of_another_machine_goes_when_nothing_was_written_for_an_h
     assert workplace.exists() is not goes
 
 
-def test_a_folder_that_only_has_the_name_of_a_workplace_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / ".drive.sfs.sceneloom").mkdir()
-    (tmp_path / ".drive.sfs.sceneloom" / "mine.txt").write_text("mine")
-    before = _tree(tmp_path)
+def test_a_folder_that_only_has_the_name_of_a_workplace_is_left_alone(tmp_path):
+    write(tmp_path / ".drive.sfs.sceneloom", mine_txt="mine")
+    before = tree(tmp_path)
     with replacing(tmp_path / "drive.sfs", overwrite=False) as draft:
         draft.write_text("new")
-    assert _tree(tmp_path) == {**before, "drive.sfs": "new"}
+    assert tree(tmp_path) == {**before, "drive.sfs": "new"}

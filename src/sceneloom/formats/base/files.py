@@ -257,59 +257,29 @@ class ByteStream(io.RawIOBase):
 _LOCK = Lock()
 
 
-class FileView(io.RawIOBase):
+class _SharedFile:
+    """The bytes of an open file, which several readers share."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        with _LOCK:
+            self._size = file.seek(0, io.SEEK_END)
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> bytes:
+        with _LOCK:
+            self._file.seek(part.start)
+            return self._file.read(part.stop - part.start)
+
+
+class FileView(ByteStream):
     """A file over another one, which stays open when this is closed."""
 
     def __init__(self, file: BinaryIO) -> None:
         """Begin at the first byte."""
-        self._file, self._location = file, 0
-        with _LOCK:
-            self._size = file.seek(0, io.SEEK_END)
-
-    def readable(self) -> bool:
-        """Report yes."""
-        return True
-
-    def seekable(self) -> bool:
-        """Report yes."""
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        """Copy the next bytes into the buffer."""
-        with _LOCK:
-            self._file.seek(self._location)
-            content = self._file.read(len(buffer))
-        buffer[: len(content)] = content
-        self._location += len(content)
-        return len(content)
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Move to a byte."""
-        base = {io.SEEK_SET: 0, io.SEEK_CUR: self._location, io.SEEK_END: self._size}[whence]
-        self._location = max(0, base + offset)
-        return self._location
-
-    def tell(self) -> int:
-        """The byte that is read next."""
-        return self._location
-
-
-class Identity(Protocol):
-    """What reports a file, wherever it is, from one that takes its location."""
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-        ...
-
-    @property
-    def path(self) -> Path | str:
-        """Where other processes find it."""
-        ...
-
-    def check(self) -> None:
-        """Refuse a file that is not the one that was opened."""
-        ...
+        super().__init__(_SharedFile(file))
 
 
 @dataclass(frozen=True, slots=True)
@@ -421,19 +391,16 @@ def _remote_files(url: str) -> list[tuple[str, int, str]]:
 
 
 def _files(path: Path) -> Iterator[tuple[str, int, int]]:
-    for name, entry in _locations(path):
+    """The name, size and time of a file, or of all files below a folder."""
+    found = [(path.name, path)]
+    if path.is_dir():
+        found = []
+        for folder, inner, files in os.walk(path):
+            inner.sort()
+            found += [(os.path.relpath(Path(folder, name), path), Path(folder, name)) for name in sorted(files)]
+    for name, entry in found:
         status = entry.stat()
         yield name, status.st_size, status.st_mtime_ns
-
-
-def _locations(path: Path) -> list[tuple[str, Path]]:
-    if not path.is_dir():
-        return [(path.name, path)]
-    found = []
-    for folder, inner, files in os.walk(path):
-        inner.sort()
-        found += [(os.path.relpath(Path(folder, name), path), Path(folder, name)) for name in sorted(files)]
-    return found
 
 
 def size_on_disk(path: Path | str) -> int | None:

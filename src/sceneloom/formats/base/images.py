@@ -2,7 +2,7 @@
 
 import io
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from PIL import Image
 
 _PNG_HEAD = struct.Struct(">8s4x4sIIBB")
-_PNG_MARK = b"\x89PNG\r\n\x1a\n"
+_JPEG_START, PNG_START = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 _SCAN_MARK = b"\xff\xda"
 
 _MOST_SCANS = 100
 """Of a progressive image; encoders make some ten."""
 
 _FAULTS = (OSError, ValueError, SyntaxError, EOFError, MemoryError, RuntimeError, struct.error)
+"""What Pillow and the decoder of JPEG raise for files that are damaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,7 @@ class EncodedImage:
             problem = f"an image of {width}x{height}; expected {self.width}x{self.height}"
             raise DataError(self.owner, self.location, problem)
         try:
-            return _DECODERS[self.form](self.content)
+            return _decoded(self.content, self.form)
         except _FAULTS as error:
             problem = f"cannot be decoded as {self.form}: {error}"
             raise DataError(self.owner, self.location, problem) from error
@@ -112,7 +113,7 @@ def image_size(content: bytes, form: str, *, owner: str = "image", location: str
         DataError: it is no such file, of more than 8 bits, or has more pixels than `check_pixels` lets pass.
     """
     try:
-        width, height = _SIZES[form](content)
+        width, height = _size_of(content, form)
     except _FAULTS as error:
         raise DataError(owner, location, f"is no {form} file: {error}") from error
     check_pixels(owner, location, width, height)
@@ -128,34 +129,29 @@ def encode_png(rgb: UInt8Array) -> bytes:
     return content.getvalue()
 
 
-def _jpeg_size(content: bytes) -> tuple[int, int]:
-    from simplejpeg import decode_jpeg_header
+def _size_of(content: bytes, form: str) -> tuple[int, int]:
+    if form == "jpeg":
+        from simplejpeg import decode_jpeg_header
 
-    height, width = decode_jpeg_header(content)[:2]
-    return int(width), int(height)
-
-
-def _png_size(content: bytes) -> tuple[int, int]:
+        height, width = decode_jpeg_header(content)[:2]
+        return int(width), int(height)
     mark, chunk, width, height, bits, _ = _PNG_HEAD.unpack_from(content)
-    if (mark, chunk) != (_PNG_MARK, b"IHDR"):
+    if (mark, chunk) != (PNG_START, b"IHDR"):
         raise ValueError("it begins otherwise")
     if bits > 8:
         raise ValueError(f"it has {bits} bits a value; expected 8 or less")
     return width, height
 
 
-def _decode_jpeg(content: bytes) -> UInt8Array:
-    from simplejpeg import decode_jpeg
+def _decoded(content: bytes, form: str) -> UInt8Array:
+    if form == "jpeg":
+        from simplejpeg import decode_jpeg
 
-    scans = content.count(_SCAN_MARK)
-    if scans > _MOST_SCANS:
-        raise ValueError(
-            f"it has {scans} scans, each of which may paint the whole image; expected at most {_MOST_SCANS}"
-        )
-    return cast("UInt8Array", decode_jpeg(content, "RGB"))
-
-
-def _decode_png(content: bytes) -> UInt8Array:
+        scans = content.count(_SCAN_MARK)
+        if scans > _MOST_SCANS:
+            expected = f"expected at most {_MOST_SCANS}"
+            raise ValueError(f"it has {scans} scans, each of which may paint the whole image; {expected}")
+        return cast("UInt8Array", decode_jpeg(content, "RGB"))
     from PIL import Image
 
     try:
@@ -165,16 +161,10 @@ def _decode_png(content: bytes) -> UInt8Array:
         raise ValueError(str(error)) from error
 
 
-_SIZES: Mapping[str, Callable[[bytes], tuple[int, int]]] = MappingProxyType({"jpeg": _jpeg_size, "png": _png_size})
-
-_DECODERS: Mapping[str, Callable[[bytes], UInt8Array]] = MappingProxyType({"jpeg": _decode_jpeg, "png": _decode_png})
-
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 """Endings of files that hold images."""
 
-_FORMS = ("PNG", "JPEG")
 _EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "YCbCr", "CMYK"}
-_IMAGES_FAULTS = (OSError, ValueError, SyntaxError, EOFError, MemoryError)
 
 
 def is_jpeg(path: Path) -> bool:
@@ -187,10 +177,10 @@ def _open_image_file(path: Path) -> "Image.Image":
     from PIL import UnidentifiedImageError
 
     try:
-        return open_image(path, _FORMS)
+        return open_image(path, ("PNG", "JPEG"))
     except UnidentifiedImageError as error:
         raise DataError(path, "", "is no PNG and no JPEG image") from error
-    except _IMAGES_FAULTS as error:
+    except _FAULTS as error:
         raise DataError(path, "", f"cannot be read: {error}") from error
 
 
@@ -224,7 +214,7 @@ class ImageFile:
         Raises:
             DataError: it is damaged, of another size, or of more than 8 bits.
         """
-        rgb = _images_decode_jpeg(self.path) if is_jpeg(self.path) else None
+        rgb = self._decode_jpeg() if is_jpeg(self.path) else None
         if rgb is None:
             rgb = self._decode()
         self._check_size(rgb.shape[1], rgb.shape[0])
@@ -234,44 +224,38 @@ class ImageFile:
         """The bytes of the file."""
         return read_bytes(self.path)
 
+    def _decode_jpeg(self) -> UInt8Array | None:
+        """Decode a JPEG the quick way; None where that decoder cannot, so that the other one says why."""
+        from simplejpeg import decode_jpeg
+        from simplejpeg import is_jpeg as begins_as_jpeg
+
+        content = read_bytes(self.path)
+        try:
+            # a head of any size is claimed quickly: Pillow checks it before anything is made
+            if not begins_as_jpeg(content):
+                return None
+            images_image_size(self.path)
+            return cast("UInt8Array", decode_jpeg(content, "RGB"))
+        except (ValueError, RuntimeError, MemoryError):
+            return None
+
     def _decode(self) -> UInt8Array:
         with _open_image_file(self.path) as image:
             self._check_size(*image.size)
-            kind = _pixel_type(image)
+            # the type of the pixels in the file: Pillow makes 8 bits of colours of 16 in silence
+            stored = [str(arguments) for _, _, _, arguments in getattr(image, "tile", [])]
+            kind = next((kind.rstrip("BLN") for kind in stored if ";16" in kind), image.mode)
             if kind not in _EIGHT_BIT_MODES:
-                problem = f"has pixels of type {kind!r}; expected 8-bit grey or colour"
-                raise DataError(self.path, "", problem)
+                raise DataError(self.path, "", f"has pixels of type {kind!r}; expected 8-bit grey or colour")
             try:
                 return np.array(image.convert("RGB"), np.uint8)
-            except _IMAGES_FAULTS as error:
+            except _FAULTS as error:
                 raise DataError(self.path, "", f"cannot be decoded: {error}") from error
 
     def _check_size(self, width: int, height: int) -> None:
         if (width, height) != (self.width, self.height):
             problem = f"is {width}x{height}; expected {self.width}x{self.height} as the camera's first image"
             raise DataError(self.path, "", problem)
-
-
-def _pixel_type(image: "Image.Image") -> str:
-    """The type of the pixels in the file: Pillow makes 8 bits of colours of 16 without a word."""
-    stored = [str(arguments) for _, _, _, arguments in getattr(image, "tile", [])]
-    return next((kind.rstrip("BLN") for kind in stored if ";16" in kind), image.mode)
-
-
-def _images_decode_jpeg(path: Path) -> UInt8Array | None:
-    """Decode a JPEG the quick trajectory; None where that decoder cannot, so that the other one says why."""
-    from simplejpeg import decode_jpeg
-    from simplejpeg import is_jpeg as begins_as_jpeg
-
-    content = read_bytes(path)
-    try:
-        # a head of any size is claimed quickly: Pillow looks at it before anything is made
-        if not begins_as_jpeg(content):
-            return None
-        images_image_size(path)
-        return cast("UInt8Array", decode_jpeg(content, "RGB"))
-    except (ValueError, RuntimeError, MemoryError):
-        return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,8 +281,6 @@ class ImageReader:
         extras = MappingProxyType({"file": self.names[k]})
         return CameraImage(int(self.timestamps_ns[k]), self.camera, file, extras=extras, encoded=encoded)
 
-
-_JPEG_START, PNG_START = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 
 _KEPT_CHUNKS = frozenset(
     {b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"sBIT", b"bKGD", b"cICP"}

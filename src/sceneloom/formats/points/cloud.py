@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, BinaryIO, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -295,15 +295,6 @@ class CloudWriter(Protocol):
         ...
 
 
-def pack_records(columns: Mapping[str, AnyArray], count: int) -> AnyArray:
-    """Lay columns side by side, packed, little-endian."""
-    kinds = [(name, f"<{values.dtype.str[1:]}", values.shape[1:]) for name, values in columns.items()]
-    records = np.empty(count, kinds)
-    for name, values in columns.items():
-        records[name] = values
-    return records
-
-
 def axis_columns(positions: AnyArray) -> dict[str, AnyArray]:
     """Positions (N, 3) as columns x, y, z."""
     return {axis: positions[:, k] for k, axis in enumerate("xyz")}
@@ -327,52 +318,3 @@ def measured_columns(points: WrittenPoints) -> dict[str, AnyArray]:
     times = None if points.timestamps_ns is None else points.timestamps_ns.astype(np.float64) * 1e-9
     found = {"intensity": points.intensities, "time": times, "label": points.labels}
     return {name: values for name, values in found.items() if values is not None} | dict(points.extras)
-
-
-class RecordLayout(Protocol):
-    """How a kind of file lays out the points of a cloud."""
-
-    def columns(self, points: WrittenPoints, /) -> dict[str, AnyArray]:
-        """The columns of some points; the first are asked for before the head is."""
-        ...
-
-    def head(self, dtype: np.dtype[np.void], count: str, /) -> bytes:
-        """The head of a file of `count` records."""
-        ...
-
-
-_DIGITS = 12
-"""Room for the number of points, which is known at the end."""
-
-
-class RecordWriter:
-    """An open file of packed records. The head is written again at the end, when the number of points is known."""
-
-    def __init__(self, path: Path, layout: RecordLayout) -> None:
-        """Begin a file, which must not be there."""
-        self._file: BinaryIO = path.open("xb")
-        self._layout = layout
-        self._dtype: np.dtype[np.void] | None = None
-        self._count = 0
-
-    def add(self, points: WrittenPoints) -> None:
-        """Write some more points."""
-        records = pack_records(self._layout.columns(points), len(points))
-        if self._dtype is None:
-            self._dtype = records.dtype
-            self._write_head(records.dtype)
-        self._file.write(records.tobytes())
-        self._count += len(points)
-
-    def close(self) -> None:
-        """Complete the file."""
-        if self._dtype is None:
-            self.add(WrittenPoints(np.zeros((0, 3))))
-        else:
-            self._file.seek(0)
-            self._write_head(self._dtype)
-        self._file.close()
-
-    def _write_head(self, dtype: np.dtype[np.void]) -> None:
-        # zeros before a number: blanks behind it would be words to strict readers
-        self._file.write(self._layout.head(dtype, f"{self._count:0{_DIGITS}d}"))

@@ -134,7 +134,9 @@ def points_of(cloud: Cloud, mapping: PointMapping, clock: SweepClock, *, keep_al
     Raises:
         DataError: x, y or z or a column that the mapping names is missing, or a time is impossible.
     """
-    roles = find_roles(cloud.columns, {**mapping.named, **_named_time(mapping)})
+    times_field = None if mapping.times is None else mapping.times.field
+    named = mapping.named if times_field is None else {**mapping.named, "time": times_field}
+    roles = find_roles(cloud.columns, named)
     for role, name in roles.items():
         if name not in cloud.columns:
             raise DataError(cloud.file, name, f"no such column for {role}; the file has {_names(cloud)}")
@@ -170,12 +172,6 @@ def returns_of(positions: Float32Array) -> BoolArray:
 
 def _sealed(array: AnyArray | None) -> Any:
     return None if array is None else read_only(array)
-
-
-def _named_time(mapping: PointMapping) -> dict[str, str]:
-    if mapping.times is None or mapping.times.field is None:
-        return {}
-    return {"time": mapping.times.field}
 
 
 def _names(cloud: Cloud) -> str:
@@ -214,15 +210,12 @@ def _rings(values: AnyArray | None) -> UInt16Array | None:
 
 def _colors(columns: Mapping[str, AnyArray], roles: Mapping[str, str]) -> tuple[UInt8Array | None, tuple[str, ...]]:
     """Colours of one byte each, and the roles that they came from; others are left as they are."""
-    channels = [columns.get(roles.get(name, "")) for name in ("red", "green", "blue")]
-    if all(channel is not None and channel.dtype == np.uint8 for channel in channels):
-        return np.stack([channel for channel in channels if channel is not None], axis=1), ("red", "green", "blue")
-    if all(channel is not None and channel.dtype == np.uint16 for channel in channels):
-        return _bytes_of(np.stack([channel for channel in channels if channel is not None], axis=1)), (
-            "red",
-            "green",
-            "blue",
-        )
+    names = ("red", "green", "blue")
+    channels = [channel for name in names if (channel := columns.get(roles.get(name, ""))) is not None]
+    for dtype in (np.uint8, np.uint16):
+        if len(channels) == len(names) and all(channel.dtype == dtype for channel in channels):
+            stacked = np.stack(channels, axis=1)
+            return stacked if dtype is np.uint8 else _bytes_of(stacked), names
     rows = columns.get(roles.get("colors", ""))
     if rows is not None and rows.dtype == np.uint8:
         return rows, ("colors",)
@@ -246,51 +239,37 @@ def _times(
     name = roles.get("time")
     if name is None:
         return None
-    offsets = _nanoseconds(cloud, name, columns[name], UNITS_NS[times.unit])
-    base_ns = clock.base_ns(times.relative_to)
-    far = np.abs(offsets + np.float64(base_ns - clock.timestamp_ns)) > _FARTHEST_POINT_TIME_NS
-    if far.any():
-        row = int(np.flatnonzero(far)[0])
-        raise DataError(cloud.file, f"{name}[{row}]", _far_time(columns[name], row, times, clock))
-    # the base goes on as an integer: an absolute time has no room in float64
-    return _integers(columns[name], UNITS_NS[times.unit]) + base_ns
-
-
-def _nanoseconds(cloud: Cloud, name: str, values: AnyArray, unit_ns: int) -> AnyArray:
-    nanoseconds: AnyArray = values.astype(np.float64) * unit_ns
-    wrong = ~(np.abs(nanoseconds) < _LARGEST_NS)
+    values, unit_ns = columns[name], UNITS_NS[times.unit]
+    offsets: AnyArray = values.astype(np.float64) * unit_ns
+    wrong = ~(np.abs(offsets) < _LARGEST_NS)
     if values.ndim != 1 or wrong.any():
         row = int(np.flatnonzero(wrong.reshape(-1))[0]) if wrong.any() else 0
         problem = f"{values.reshape(-1)[row] if values.size else 'no'}; expected times"
         raise DataError(cloud.file, f"{name}[{row}]", problem)
-    return nanoseconds
-
-
-def _integers(values: AnyArray, unit_ns: int) -> Int64Array:
-    if values.dtype.kind in "iu":
-        return values.astype(np.int64) * unit_ns
-    return np.rint(values.astype(np.float64) * unit_ns).astype(np.int64)
+    base_ns = clock.base_ns(times.relative_to)
+    far = np.flatnonzero(np.abs(offsets + np.float64(base_ns - clock.timestamp_ns)) > _FARTHEST_POINT_TIME_NS)
+    if len(far):
+        raise DataError(cloud.file, f"{name}[{far[0]}]", _far_time(values, int(far[0]), times, clock))
+    # the base goes on as an integer: an absolute time has no room in float64
+    exact = values.astype(np.int64) * unit_ns if values.dtype.kind in "iu" else np.rint(offsets).astype(np.int64)
+    return np.asarray(exact + base_ns, np.int64)
 
 
 def _far_time(values: AnyArray, row: int, times: PointTimes, clock: SweepClock) -> str:
     """Report how far a point's time is off, and which unit and reference would bring all of them near."""
-    near = [
-        f'unit = "{unit}", relative_to = "{base}"'
-        for unit, unit_ns in UNITS_NS.items()
-        for base in ("timestamp", "clock")
-        if _span_fits(values.astype(np.float64) * unit_ns + float(clock.base_ns(base) - clock.timestamp_ns))
-    ]
+    near = []
+    for unit, unit_ns in UNITS_NS.items():
+        for base in ("timestamp", "clock"):
+            offsets_ns = values.astype(np.float64) * unit_ns + float(clock.base_ns(base) - clock.timestamp_ns)
+            # like those of one sweep: within two seconds, over more than a millisecond
+            if np.abs(offsets_ns).max() < 2e9 and np.ptp(offsets_ns) > 1e6:
+                near.append(f'unit = "{unit}", relative_to = "{base}"')
     off = (float(values[row]) * UNITS_NS[times.unit] + clock.base_ns(times.relative_to) - clock.timestamp_ns) / 1e9
     hint = f"; these would fit: {' or '.join(near)}" if near else ""
     return (
         f"{values[row]} {times.unit} relative to the {times.relative_to}: {off:.6g} s from the file's timestamp; "
         f"expected within {_FARTHEST_POINT_TIME_NS // 10**9} s{hint}"
     )
-
-
-def _span_fits(offsets_ns: AnyArray) -> bool:
-    """Whether offsets look like those of one sweep: within two seconds, over more than a millisecond."""
-    return bool(np.abs(offsets_ns).max() < 2e9 and np.ptp(offsets_ns) > 1e6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

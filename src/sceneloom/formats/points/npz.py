@@ -5,7 +5,6 @@ import math
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,44 +48,27 @@ def read_npz(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
     columns: dict[str, AnyArray] = {}
     for name, array in arrays.items():
         found = _columns(path, name, array, layout)
-        _check_new(path, name, found, columns)
+        twice = [column for column in found if column in columns]
+        if twice:
+            # whichever came last would be taken in silence
+            problem = f"gives {' '.join(twice)}, which another array gives, too; expected each column once"
+            hint = "leave out one of rows by `_` in `fields`, or one of the arrays"
+            raise DataError(path, name, f"{problem}: {hint}")
         columns.update(found)
     if not columns:
-        raise DataError(
-            path,
-            "",
-            f"holds {_reported(arrays)}; expected arrays of numbers with a row per point, of 1 or 2 dimensions",
-        )
+        held = ", ".join(f"{name} {getattr(array, 'shape', '')}".strip() for name, array in arrays.items()) or "nothing"
+        expected = "arrays of numbers with a row per point, of 1 or 2 dimensions"
+        raise DataError(path, "", f"holds {held}; expected {expected}")
     lengths = {name: len(column) for name, column in columns.items()}
-    count = next((lengths[name] for name in (*_PLAIN_COLUMNS, *POSITION_NAMES) if name in lengths), None)
-    if count is None:
-        count = max(lengths.values())
+    main = (lengths[name] for name in (*_PLAIN_COLUMNS, *POSITION_NAMES) if name in lengths)
+    count = next(main, max(lengths.values()))
     check_count(path, "", count)
-    _check_lengths(path, lengths, count)
-    # other arrays of other lengths state something of the file, not of its points
-    return Cloud(path, count, {name: column for name, column in columns.items() if len(column) == count})
-
-
-def _check_new(path: Path, name: str, found: Mapping[str, AnyArray], columns: Mapping[str, AnyArray]) -> None:
-    """Refuse columns that are there already: whichever came last would be taken in silence."""
-    twice = [column for column in found if column in columns]
-    if twice:
-        problem = (
-            f"gives {' '.join(twice)}, which another array gives, too; expected each column once: "
-            "leave out one of rows by `_` in `fields`, or one of the arrays"
-        )
-        raise DataError(path, name, problem)
-
-
-def _reported(arrays: Mapping[str, AnyArray]) -> str:
-    return ", ".join(f"{name} {getattr(array, 'shape', '')}".strip() for name, array in arrays.items()) or "nothing"
-
-
-def _check_lengths(path: Path, lengths: Mapping[str, int], count: int) -> None:
-    """Refuse a column that is one of the points by its name, but not by its length; single numbers are none."""
     for name, length in lengths.items():
+        # a column that is one of the points by its name; single numbers are none
         if length not in {1, count} and name.lower() in _NAMES_OF_COLUMNS:
             raise DataError(path, name, f"{length} numbers for {count} points; expected one per point")
+    # other arrays of other lengths state something of the file, not of its points
+    return Cloud(path, count, {name: column for name, column in columns.items() if len(column) == count})
 
 
 def _arrays(path: Path) -> dict[str, AnyArray]:
@@ -102,20 +84,16 @@ def _arrays(path: Path) -> dict[str, AnyArray]:
             loaded: Any = np.load(file, allow_pickle=False)
             if isinstance(loaded, np.ndarray):
                 return {"points" if loaded.dtype.names is None else "": loaded}
-            _check_sizes(path, loaded.zip, size)
+            # what the entries declare is compared with the bytes of the file before any of them is unpacked
+            check_unpacked(path, "", size, sum(entry.file_size for entry in loaded.zip.infolist()))
+            for entry in loaded.zip.infolist():
+                with loaded.zip.open(entry) as inner:
+                    _check_size(path, entry.filename, inner.read(_LONGEST_HEAD), entry.file_size)
             return {name: loaded[name] for name in loaded.files}
         except _FAULTS as error:
             objects = "allow_pickle" in str(error) or "pickle" in str(error).lower()
             problem = "holds Python objects, which are never loaded" if objects else f"cannot be read: {error}"
             raise DataError(path, "", f"{problem}; expected arrays of numbers") from error
-
-
-def _check_sizes(path: Path, archive: zipfile.ZipFile, size: int) -> None:
-    """Hold what the entries declare against the bytes of the file, before any of them is unpacked."""
-    check_unpacked(path, "", size, sum(entry.file_size for entry in archive.infolist()))
-    for entry in archive.infolist():
-        with archive.open(entry) as file:
-            _check_size(path, entry.filename, file.read(_LONGEST_HEAD), entry.file_size)
 
 
 def _check_size(path: Path, location: str, head: bytes, size: int) -> None:
@@ -125,9 +103,8 @@ def _check_size(path: Path, location: str, head: bytes, size: int) -> None:
     """
     if not head.startswith(_MAGIC) or len(head) < 12:
         return
-    start, stop = (10, 10 + int.from_bytes(head[8:10], "little")) if head[6] == 1 else (
-        12, 12 + int.from_bytes(head[8:12], "little")
-    )  # fmt: skip
+    start = 10 if head[6] == 1 else 12
+    stop = start + int.from_bytes(head[8:start], "little")
     reported = ast.literal_eval(head[start:stop].decode("latin-1").strip())
     kind = np.lib.format.descr_to_dtype(reported["descr"])
     if kind.hasobject:
@@ -149,16 +126,12 @@ def _columns(path: Path, name: str, array: AnyArray, layout: FieldLayout | None)
     plain = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
     if plain.ndim == 1 or name not in POSITION_NAMES:
         return {name: plain[:, 0] if plain.ndim == 2 and plain.shape[1] == 1 else plain}
-    return _rows(path, name, plain, layout)
-
-
-def _rows(path: Path, name: str, rows: AnyArray, layout: FieldLayout | None) -> dict[str, AnyArray]:
-    names = _PLAIN_COLUMNS[: rows.shape[1]] if layout is None else layout.names
-    if rows.shape[1] != len(names) or rows.shape[1] < 3:
+    names = _PLAIN_COLUMNS[: plain.shape[1]] if layout is None else layout.names
+    if plain.shape[1] != len(names) or plain.shape[1] < 3:
         expected = "3 or 4 (x y z intensity)" if layout is None else f"{len(names)}: {' '.join(names)}"
-        problem = f"rows of {rows.shape[1]} numbers; expected {expected}; name them with `fields`"
+        problem = f"rows of {plain.shape[1]} numbers; expected {expected}; name them with `fields`"
         raise DataError(path, name, problem)
-    return {column: np.ascontiguousarray(rows[:, k]) for k, column in enumerate(names) if column[0] != "_"}
+    return {column: np.ascontiguousarray(plain[:, k]) for k, column in enumerate(names) if column[0] != "_"}
 
 
 def default_layout(path: Path) -> FieldLayout:

@@ -141,7 +141,7 @@ def _find_folders(path: Path, kind: CloudKind, options: CloudReading, ledger: Le
 
 
 def _build_lidar(folder: _CloudFolder, trajectories: dict[str, Trajectory]) -> LidarSensor:
-    layout = default_layout(folder.files[0]) if folder.kind.layout else None
+    layout = default_layout(folder.files[0]) if folder.kind.has_layout else None
     frames = replace(_frames(folder), layout=layout)
     if folder.options.lenient:
         frames = _readable(frames, folder.ledger)

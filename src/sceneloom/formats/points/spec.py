@@ -71,7 +71,7 @@ class CloudKind:
         excluded: longer endings, which belong to another kind.
         begins: whether a file looks like one from its first bytes.
         reported: what a person recognises a file by.
-        layout: names of the columns of files that do not state them, for messages; "" for others.
+        has_layout: whether the files do not state their columns.
     """
 
     name: str
@@ -79,7 +79,7 @@ class CloudKind:
     begins: Callable[[Path, bytes], bool]
     reported: str
     excluded: tuple[str, ...] = ()
-    layout: str = ""
+    has_layout: bool = False
 
     def has_name(self, name: str) -> bool:
         """Whether a file of that name is of this kind."""
@@ -89,21 +89,6 @@ class CloudKind:
     def recognises(self, path: Path) -> bool:
         """Whether an existing file is of this kind, by its name and its first bytes."""
         return self.has_name(path.name) and self.begins(path, first_bytes(path, _BEGINNING))
-
-
-def _is_pcd(path: Path, start: bytes) -> bool:
-    del path
-    return b"FIELDS" in start or b"COLUMNS" in start or (start.startswith(b"#") and b"PCD" in start)
-
-
-def _is_ply(path: Path, start: bytes) -> bool:
-    del path
-    return start[:4] in {b"ply\n", b"ply\r", b"ply "}
-
-
-def _is_las(path: Path, start: bytes) -> bool:
-    del path
-    return start.startswith(b"LASF")
 
 
 def _is_bin(path: Path, start: bytes) -> bool:
@@ -135,33 +120,32 @@ def _is_npz(path: Path, start: bytes) -> bool:
     return bool(names & set(POSITION_NAMES)) or {"x", "y", "z"} <= names
 
 
-KINDS: Mapping[str, CloudKind] = MappingProxyType(
-    {
-        kind.name: kind
-        for kind in (
-            CloudKind("pcd", (".pcd",), _is_pcd, "`.pcd` files of the Point Cloud Library"),
-            CloudKind("ply", (".ply",), _is_ply, "`.ply` files with vertices"),
-            CloudKind("las", (".las",), _is_las, "`.las` files of laser scanning"),
-            CloudKind("laz", (".laz",), _is_las, "`.laz` files, compressed LAS"),
-            CloudKind(
-                "kitti-bin",
-                (".bin",),
-                _is_bin,
-                "`.bin` files of float32 x y z intensity",
-                excluded=(".pcd.bin",),
-                layout="x y z intensity",
-            ),
-            CloudKind(
-                "nuscenes-bin",
-                (".pcd.bin",),
-                _is_bin,
-                "`.pcd.bin` files of float32 x y z intensity ring",
-                layout="x y z intensity ring",
-            ),
-            CloudKind("npz", (".npz", ".npy"), _is_npz, "`.npz` files with x, y, z or rows of points"),
-        )
-    }
+def _is_las(_: Path, start: bytes) -> bool:
+    return start.startswith(b"LASF")
+
+
+_PLY_STARTS = {b"ply\n", b"ply\r", b"ply "}
+_KINDS = (
+    CloudKind(
+        "pcd",
+        (".pcd",),
+        lambda _, start: b"FIELDS" in start or b"COLUMNS" in start or (start.startswith(b"#") and b"PCD" in start),
+        "`.pcd` files of the Point Cloud Library",
+    ),
+    CloudKind(
+        "ply", (".ply",), lambda _, start: start[:4] in {b"ply\n", b"ply\r", b"ply "}, "`.ply` files with vertices"
+    ),
+    CloudKind("las", (".las",), _is_las, "`.las` files of laser scanning"),
+    CloudKind("laz", (".laz",), _is_las, "`.laz` files, compressed LAS"),
+    CloudKind(
+        "kitti-bin", (".bin",), _is_bin, "`.bin` files of float32 x y z intensity", (".pcd.bin",), has_layout=True
+    ),
+    CloudKind(
+        "nuscenes-bin", (".pcd.bin",), _is_bin, "`.pcd.bin` files of float32 x y z intensity ring", has_layout=True
+    ),
+    CloudKind("npz", (".npz", ".npy"), _is_npz, "`.npz` files with x, y, z or rows of points"),
 )
+KINDS: Mapping[str, CloudKind] = MappingProxyType({kind.name: kind for kind in _KINDS})
 """The kinds by name."""
 
 
@@ -225,8 +209,7 @@ def _near_miss(path: Path, kind: CloudKind) -> str | None:
         return _not_begun(ours[0], kind)
     return (
         f"it has {len(ours)} {kind.reported}, but {others[0]!r}, too: read them with `--input-format {kind.name}`, or "
-        f"state "
-        "with a rig.toml what is what"
+        "describe the folder with a rig.toml"
     )
 
 

@@ -35,6 +35,77 @@ _UNITS = ((18, 20, 1, "nanoseconds"), (15, 18, 1_000, "microseconds"), (12, 15, 
 
 _SECOND = 1_000_000_000
 
+_MOST_FRAMES = 10_000_000
+"""No drive has more frames than this."""
+
+_INTRINSICS = ("fx", "fy", "cx", "cy")
+_RADAR_COLUMNS = 7
+
+_LARGEST = 1e9
+"""No position and no speed of a return is larger than this."""
+
+
+def open_scale_toolkit(path: Path, *, rate_hz: float | str | None = None, lenient: bool = False) -> Scene:
+    """Open a folder; images and points are read on demand.
+
+    Args:
+        path: with `pointcloud/`, `poses/` and `cameras/`.
+        rate_hz: frames a second, where the names of the frames are no times; None: 10, which is reported.
+        lenient: go without poses and cameras that are missing or wrong, and count them.
+
+    Raises:
+        DataError: a file is missing or wrong.
+        OptionError: the rate is no number above 0.
+    """
+    rate = None if rate_hz is None else as_positive("rate_hz", rate_hz)
+    if not path.is_dir():
+        raise DataError(path, "", "no such folder; expected one with pointcloud/, poses/ and cameras/")
+    ledger = Ledger(lenient=lenient)
+    with ledger.telling():
+        clouds = _frame_names(path / "pointcloud", CLOUDS)
+        if not clouds:
+            raise DataError(path / "pointcloud", "", "no cloud; expected files such as 1.ply or 1.pcd")
+        timestamps_ns = _times_of(list(clouds), rate, path / "pointcloud", ledger)
+        trajectory = _read_trajectory(path, list(clouds), timestamps_ns, ledger)
+        poses = None if trajectory is None else trajectory.poses
+        drive = _Drive(dict(zip(clouds, timestamps_ns.tolist(), strict=True)), poses, ledger)
+        sensors: list[Sensor] = [_build_lidar(drive, tuple(clouds.values()), timestamps_ns)]
+        sensors += _build_radar(drive, path / "radar_points")
+        for folder in sorted(child for child in (path / "cameras").glob("*") if child.is_dir()):
+            try:
+                sensors.append(_build_camera(drive, folder))
+            except DataError as error:
+                ledger.fault("cameras", error)
+    return Scene(
+        sensors=tuple(sensors),
+        trajectories=MappingProxyType({} if trajectory is None else {trajectory.name: trajectory}),
+        source=str(path),
+        format="scale-toolkit",
+        warnings=ledger.warnings,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """What the sensors of a folder share: the time of each frame by its name [ns], and the ego trajectory."""
+
+    times_ns: dict[str, int]
+    trajectory: Poses | None
+    ledger: Ledger
+
+    def files(self, folder: Path, suffixes: Sequence[str], what: str) -> tuple[tuple[Path, ...], Int64Array]:
+        """The files of a folder that are of frames with a cloud, and their times; others are counted."""
+        found = _frame_names(folder, suffixes)
+        kept = {name: file for name, file in found.items() if name in self.times_ns}
+        if len(kept) < len(found):
+            message, count = f"{what} of frames without a cloud are left out", len(found) - len(kept)
+            self.ledger.note(WarningKind.SKIPPED, f"{what}-without-cloud", str(folder), message, count=count)
+        return tuple(kept.values()), np.array([self.times_ns[name] for name in kept], np.int64)
+
+    def poses(self, mount: RigidTransform, timestamps_ns: Int64Array) -> Poses | None:
+        """`world_from_sensor` at times."""
+        return poses_along(self.trajectory, {0: mount}, np.zeros(len(timestamps_ns), np.int64), timestamps_ns)
+
 
 def _frame_names(folder: Path, suffixes: Sequence[str]) -> dict[str, Path]:
     """The files of a folder by their names without ending: whole numbers in their order, else as texts."""
@@ -44,11 +115,7 @@ def _frame_names(folder: Path, suffixes: Sequence[str]) -> dict[str, Path]:
         if file.stem in found:
             raise DataError(file, "", f"{found[file.stem].name} is of the same frame; expected one of both")
         found[file.stem] = file
-    return {name: found[name] for name in sorted(found, key=_order)}
-
-
-def _order(name: str) -> tuple[int, int, str]:
-    return (0, int(name), name) if _is_number(name) else (1, 0, name)
+    return dict(sorted(found.items(), key=lambda item: (0, int(item[0])) if _is_number(item[0]) else (1, 0)))
 
 
 def _is_number(name: str) -> bool:
@@ -56,33 +123,21 @@ def _is_number(name: str) -> bool:
 
 
 def _times_of(names: Sequence[str], rate_hz: float | None, location: Path, ledger: Ledger) -> Int64Array:
-    """The times of frames [ns], by their names where these are times, else so many a second.
-
-    Args:
-        names: of the frames, in order.
-        rate_hz: frames a second; None: 10, unless the names are times.
-        location: the folder, for messages.
-        ledger: takes what is assumed.
-    """
-    lengths = {len(name) for name in names}
-    numbers = all(map(_is_number, names))
+    """The times of frames [ns], by their names where these are times, else so many a second (10 by default)."""
+    lengths, numbers = {len(name) for name in names}, all(map(_is_number, names))
     if numbers and rate_hz is None and len(lengths) == 1:
         for low, high, unit_ns, word in _UNITS:
             if low <= min(lengths) < high:
                 ledger.note(WarningKind.ASSUMED, "names-are-times", str(location), f"names of frames are {word}")
                 return _ascending(np.array([int(name) * unit_ns for name in names], np.int64), names, location)
-    period_ns = round(_SECOND / (10.0 if rate_hz is None else rate_hz))
     if rate_hz is None:
         message = "the folder has no times; 10 frames a second, from 0"
         ledger.note(WarningKind.ASSUMED, "nominal-times", str(location), message, count=len(names))
     counts = [int(name) - int(names[0]) for name in names] if numbers else range(len(names))
-    if numbers and counts and counts[-1] > _LONGEST:
+    if numbers and counts and counts[-1] > _MOST_FRAMES:
         raise DataError(location, names[-1], f"frame {names[-1]} after {names[0]}; expected numbers of frames")
+    period_ns = round(_SECOND / (10.0 if rate_hz is None else rate_hz))
     return _ascending(np.array(counts, np.int64) * period_ns, names, location)
-
-
-_LONGEST = 10_000_000
-"""No drive has more frames than this."""
 
 
 def _ascending(timestamps_ns: Int64Array, names: Sequence[str], location: Path) -> Int64Array:
@@ -93,11 +148,19 @@ def _ascending(timestamps_ns: Int64Array, names: Sequence[str], location: Path) 
     return timestamps_ns
 
 
-_CAMERA_MODEL = ("fx", "fy", "cx", "cy")
-_RADAR_COLUMNS = 7
-
-_LARGEST = 1e9
-"""No location and no speed of a return is larger than this."""
+def _read_trajectory(path: Path, names: list[str], timestamps_ns: Int64Array, ledger: Ledger) -> Trajectory | None:
+    """The ego trajectory: a file for each cloud, world from ego."""
+    known: dict[int, RigidTransform] = {}
+    for row, name in enumerate(names):
+        try:
+            known[row] = _read_pose(path / "poses" / f"{name}.json")
+        except DataError as error:
+            ledger.fault("poses", error)
+    if not known:
+        return None
+    positions = np.array([pose.translation for pose in known.values()])
+    quaternions = np.array([pose.quaternion_xyzw for pose in known.values()])
+    return Trajectory("pose", timestamps_ns[list(known)], positions, quaternions)
 
 
 def _read_pose(path: Path) -> RigidTransform:
@@ -112,18 +175,20 @@ def _read_pose(path: Path) -> RigidTransform:
 
 def _numbers(path: Path, record: dict[str, Any], name: str, count: int) -> Float64Array:
     values = record.get(name)
-    fits = isinstance(values, list) and len(values) == count
-    if not (fits and all(isinstance(v, float | int) and not isinstance(v, bool) for v in values or ())):
+    if not (isinstance(values, list) and len(values) == count and all(map(_is_real, values))):
         raise DataError(path, name, f"{values!r}; expected {count} numbers")
     return np.array(values, np.float64)
 
 
-def _build_lidar(clouds: dict[str, Path], timestamps_ns: Int64Array, trajectory: Poses | None) -> LidarSensor:
+def _is_real(value: object) -> bool:
+    return isinstance(value, float | int) and not isinstance(value, bool)
+
+
+def _build_lidar(drive: _Drive, files: tuple[Path, ...], timestamps_ns: Int64Array) -> LidarSensor:
     """Build the lidar; its points are in the ego's frame. The first file is read, to see how bright it is."""
-    files = tuple(clouds.values())
-    first = read_cloud(files[0])
-    name = find_roles(first.columns, {}).get("intensity")
-    scale = None if name is None else detect_scale(first.columns[name])
+    columns = read_cloud(files[0]).columns
+    name = find_roles(columns, {}).get("intensity")
+    scale = None if name is None else detect_scale(columns[name])
     reader = SweepReader(
         files=files,
         names=tuple(f"{file.parent.name}/{file.name}" for file in files),
@@ -136,78 +201,63 @@ def _build_lidar(clouds: dict[str, Path], timestamps_ns: Int64Array, trajectory:
     return LidarSensor(
         id="lidar",
         frames=LazyFrames(timestamps_ns, reader),
-        poses=_placed(trajectory, RigidTransform.identity(), timestamps_ns),
+        poses=drive.poses(RigidTransform.identity(), timestamps_ns),
         mount=RigidTransform.identity(),
         points_frame=PointsFrame.EGO,
         extras=MappingProxyType({} if scale is None else {"intensity_max": scale.maximum}),
     )
 
 
-def _placed(trajectory: Poses | None, mount: RigidTransform, timestamps_ns: Int64Array) -> Poses | None:
-    return poses_along(trajectory, {0: mount}, np.zeros(len(timestamps_ns), np.int64), timestamps_ns)
-
-
-def _build_camera(folder: Path, times: dict[str, int], trajectory: Poses | None, ledger: Ledger) -> CameraSensor:
+def _build_camera(drive: _Drive, folder: Path) -> CameraSensor:
     """Build a camera; images of frames without a cloud are left out and reported."""
-    found = _frame_names(folder, IMAGE_SUFFIXES)
-    kept = {name: file for name, file in found.items() if name in times}
-    _note_without(ledger, folder, "images", len(found) - len(kept))
-    if not kept:
+    files, timestamps_ns = drive.files(folder, IMAGE_SUFFIXES, "images")
+    if not files:
         raise DataError(folder, "", "no image with the name of a cloud; expected such as pointcloud/ has")
-    files, timestamps_ns = tuple(kept.values()), np.array([times[name] for name in kept], np.int64)
-    mount = _read_pose(folder / "extrinsics.json")
-    record = read_json(folder / "intrinsics.json", dict[str, Any])
-    camera = _camera_model(folder / "intrinsics.json", record, images_image_size(files[0]))
-    further = {name: value for name, value in record.items() if name not in _CAMERA_MODEL}
-    if further:
-        message = f"{', '.join(further)}: kept in the camera's extras, and not used"
-        ledger.note(WarningKind.SKIPPED, "camera-model-entries", str(folder / "intrinsics.json"), message)
+    mount, path = _read_pose(folder / "extrinsics.json"), folder / "intrinsics.json"
+    record = read_json(path, dict[str, Any])
+    size, values = images_image_size(files[0]), [record.pop(name, None) for name in _INTRINSICS]
+    if not all(map(_is_real, values)):
+        raise DataError(path, "", f"fx, fy, cx, cy are {values}; expected numbers")
+    fx, fy, cx, cy = (float(value) for value in values if value is not None)
+    try:
+        camera = Camera("pinhole", *size, fx, fy, cx, cy)
+    except CalibrationError as error:
+        raise DataError(path, "", str(error)) from error
+    if record:
+        message = f"{', '.join(record)}: kept in the camera's extras, and not used"
+        drive.ledger.note(WarningKind.SKIPPED, "camera-model-entries", str(path), message)
     names = tuple(f"cameras/{folder.name}/{file.name}" for file in files)
     return CameraSensor(
         id=folder.name,
         camera=camera,
         images=LazyFrames(timestamps_ns, ImageReader(files, names, timestamps_ns, camera)),
-        poses=_placed(trajectory, mount, timestamps_ns),
+        poses=drive.poses(mount, timestamps_ns),
         mount=mount,
-        extras=MappingProxyType(further),
+        extras=MappingProxyType(record),
     )
 
 
-def _note_without(ledger: Ledger, folder: Path, what: str, count: int) -> None:
-    if count:
-        message = f"{what} of frames without a cloud are left out"
-        ledger.note(WarningKind.SKIPPED, f"{what}-without-cloud", str(folder), message, count=count)
-
-
-def _camera_model(path: Path, record: dict[str, Any], size: tuple[int, int]) -> Camera:
-    values = [record.get(name) for name in _CAMERA_MODEL]
-    if not all(isinstance(v, float | int) and not isinstance(v, bool) for v in values):
-        raise DataError(path, "", f"fx, fy, cx, cy are {values}; expected numbers")
-    fx, fy, cx, cy = (float(v) for v in values if v is not None)
-    try:
-        return Camera("pinhole", *size, fx, fy, cx, cy)
-    except CalibrationError as error:
-        raise DataError(path, "", str(error)) from error
+def _build_radar(drive: _Drive, folder: Path) -> list[Sensor]:
+    """Build the radar; [] where there are no points of one."""
+    files, timestamps_ns = drive.files(folder, (".txt",), "radar-points")
+    radar = RadarSensor(
+        id="radar",
+        frames=LazyFrames(timestamps_ns, _RadarReader(files, timestamps_ns)),
+        poses=drive.poses(RigidTransform.identity(), timestamps_ns),
+        mount=RigidTransform.identity(),
+        points_frame=PointsFrame.EGO,
+    )
+    return [radar] if files else []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CycleTexts:
-    """Reads the cycles of the radar, which are lines of text.
-
-    Attributes:
-        files: of each cycle.
-        timestamps_ns: (N,) int64 [ns].
-    """
+class _RadarReader:
+    """Reads the cycles of the radar, lines of position, direction and speed of each point."""
 
     files: tuple[Path, ...]
     timestamps_ns: Int64Array
 
     def __call__(self, k: int) -> RadarFrame:
-        """Read cycle `k`: position, direction and size of each point.
-
-        Raises:
-            DataError: a line is no seven numbers.
-        """
         rows = _radar_rows(self.files[k])
         norms = np.linalg.norm(rows[:, 3:6], axis=1)
         directions = np.where(norms[:, None] > 0, rows[:, 3:6], [1.0, 0.0, 0.0])
@@ -235,87 +285,3 @@ def _radar_rows(path: Path) -> Float64Array:
             raise DataError(path, f"line {number}", f"{line[:60]!r}; expected x, y, z, direction x, y, z, size")
         rows.append(row)
     return np.array(rows, np.float64).reshape(-1, _RADAR_COLUMNS)
-
-
-def _build_radar(folder: Path, times: dict[str, int], trajectory: Poses | None, ledger: Ledger) -> list[Sensor]:
-    """Build the radar; [] where there are no points of one."""
-    found = _frame_names(folder, (".txt",))
-    kept = {name: file for name, file in found.items() if name in times}
-    _note_without(ledger, folder, "radar-points", len(found) - len(kept))
-    if not kept:
-        return []
-    timestamps_ns = np.array([times[name] for name in kept], np.int64)
-    return [
-        RadarSensor(
-            id="radar",
-            frames=LazyFrames(timestamps_ns, CycleTexts(tuple(kept.values()), timestamps_ns)),
-            poses=_placed(trajectory, RigidTransform.identity(), timestamps_ns),
-            mount=RigidTransform.identity(),
-            points_frame=PointsFrame.EGO,
-        )
-    ]
-
-
-_TRAJECTORY = "pose"
-
-
-def open_scale_toolkit(path: Path, *, rate_hz: float | str | None = None, lenient: bool = False) -> Scene:
-    """Open a folder; images and points are read when asked for.
-
-    Args:
-        path: with `pointcloud/`, `poses/` and `cameras/`.
-        rate_hz: frames a second, where the names of the frames are no times; None: 10, which is reported.
-        lenient: go without poses and cameras that are missing or wrong, and count them.
-
-    Raises:
-        DataError: a file is missing or wrong.
-        OptionError: the rate is no number above 0.
-    """
-    rate = None if rate_hz is None else as_positive("rate_hz", rate_hz)
-    if not path.is_dir():
-        raise DataError(path, "", "no such folder; expected one with pointcloud/, poses/ and cameras/")
-    ledger = Ledger(lenient=lenient)
-    with ledger.telling():
-        clouds = _frame_names(path / "pointcloud", CLOUDS)
-        if not clouds:
-            raise DataError(path / "pointcloud", "", "no cloud; expected files such as 1.ply or 1.pcd")
-        timestamps_ns = _times_of(list(clouds), rate, path / "pointcloud", ledger)
-        trajectory = _trajectory(path, clouds, timestamps_ns, ledger)
-        poses = None if trajectory is None else trajectory.poses
-        times = dict(zip(clouds, timestamps_ns.tolist(), strict=True))
-        sensors = [
-            _build_lidar(clouds, timestamps_ns, poses),
-            *_build_radar(path / "radar_points", times, poses, ledger),
-        ]
-        for folder in sorted(child for child in (path / "cameras").glob("*") if child.is_dir()):
-            try:
-                sensors.append(_build_camera(folder, times, poses, ledger))
-            except DataError as error:
-                ledger.fault("cameras", error)
-    return Scene(
-        sensors=tuple(sensors),
-        trajectories=MappingProxyType({} if trajectory is None else {trajectory.name: trajectory}),
-        source=str(path),
-        format="scale-toolkit",
-        warnings=ledger.warnings,
-    )
-
-
-def _trajectory(path: Path, clouds: dict[str, Path], timestamps_ns: Int64Array, ledger: Ledger) -> Trajectory | None:
-    """The ego trajectory: a file for each cloud, world from ego."""
-    known, rows = [], []
-    for row, name in enumerate(clouds):
-        try:
-            known.append(_read_pose(path / "poses" / f"{name}.json"))
-        except DataError as error:
-            ledger.fault("poses", error)
-        else:
-            rows.append(row)
-    if not known:
-        return None
-    return Trajectory(
-        _TRAJECTORY,
-        timestamps_ns[rows],
-        np.array([pose.translation for pose in known]),
-        np.array([pose.quaternion_xyzw for pose in known]),
-    )

@@ -20,7 +20,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray
 from sceneloom.errors import DataError, redacted
-from sceneloom.formats.base.files import ByteStream, FileIdentity, Identity, is_url, open_file
+from sceneloom.formats.base.files import ByteStream, FileIdentity, is_url, open_file
 from sceneloom.formats.remote.stores import Range, RangedFile, RemoteIdentity, coalesced
 
 ITEMS = "$items"
@@ -125,11 +125,11 @@ def format_keys(keys: Any, root: Any = None) -> str:
             text += f"[{key}]"
         else:
             text += f".{key}" if text else str(key)
-        node = step(node, key)
+        node = _step(node, key)
     return text
 
 
-def step(node: Any, key: Any) -> Any:
+def _step(node: Any, key: Any) -> Any:
     """Follow one key of a path; None where it leads nowhere."""
     if isinstance(node, dict):
         return node.get(str(key))
@@ -145,7 +145,7 @@ def _walk(node: Any, keys: list[Any]) -> Any:
         elif type(node) is dict and type(key) is str:
             node = node.get(key)
         else:
-            node = step(node, key)
+            node = _step(node, key)
     return node
 
 
@@ -245,7 +245,7 @@ def _missing(header: dict[str, Any], keys: list[Any]) -> str:
     """The part of a path that is not in the header."""
     node: Any = header
     for depth, key in enumerate(keys[:-1]):
-        node = step(node, key)
+        node = _step(node, key)
         if not isinstance(node, dict | list):
             return format_keys(keys[: depth + 1], header)
     return format_keys(keys, header)
@@ -669,7 +669,7 @@ class Container:
         self.file = redacted(path) if is_url(path) else str(path)
         self._stored: LocalFile | RemoteFile
         self._stored = RemoteFile.of(str(path), storage_options) if is_url(path) else LocalFile.of(Path(path))
-        self.identity: Identity = self._stored.identity
+        self.identity: FileIdentity | RemoteIdentity = self._stored.identity
         self.size = len(self._stored.content)
         self.closed = False
         self._on_close: list[Callable[[], None]] = [self._stored.close]
@@ -740,6 +740,19 @@ class Container:
     def item(self, number: int) -> Any:
         """Give an entry of `$items` as the file has it."""
         return self._items[number]
+
+    def item_keys(self, number: int) -> tuple[str | int, ...] | None:
+        """The path that an item names, with numbers where a list is: writers may state them as text; None for none."""
+        item = self._items[number]
+        keys = item.get("keys") if isinstance(item, dict) else None
+        if not isinstance(keys, list):
+            return None
+        node: Any = self.header
+        found: list[str | int] = []
+        for key in keys:
+            found.append(int(key) if isinstance(node, list) and str(key).isdigit() else str(key))
+            node = _step(node, key)
+        return tuple(found)
 
     def item_number(self, location: str, header: dict[str, Any] | None = None) -> int | None:
         """Find the item that fills a location such as `sensors[0].frames[3].points.positions`.

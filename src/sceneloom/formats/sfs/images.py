@@ -10,9 +10,8 @@ import numpy as np
 
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import Bytes
-from sceneloom.formats.sfs.container import Container, ItemFault, step
+from sceneloom.formats.sfs.container import Container, ItemFault
 from sceneloom.formats.sfs.records import Location
-from sceneloom.scene.cameras import CameraSensor
 
 if TYPE_CHECKING:
     from av.video.stream import VideoStream
@@ -38,7 +37,7 @@ _CODECS: Mapping[bytes, str] = MappingProxyType(
 
 """Sample entry of the video track, and what FFmpeg calls its codec. Source: the registry at mp4ra.org."""
 
-_UNKNOWN_CODEC = "unknown"
+UNKNOWN_CODEC = "unknown"
 
 _LONG_SIZE, _TO_THE_END = 1, 0
 
@@ -62,7 +61,7 @@ def video_codec(content: Bytes) -> str:
         if entry in _CODECS:
             return _CODECS[entry]
         location += 4
-    return _UNKNOWN_CODEC
+    return UNKNOWN_CODEC
 
 
 def _box(content: Bytes, wanted: bytes) -> bytes:
@@ -167,7 +166,7 @@ def rescue_videos(container: Container, items: Sequence[ItemFault]) -> dict[Loca
     """
     damaged = damaged_videos(container)
     for fault in items:
-        keys = as_keys(container.header, list(fault.keys or ()))
+        keys = container.item_keys(fault.number) or ()
         if keys[-2:] == ("video", "content"):
             item = container.item(fault.number)
             offset, length = item.get("offset"), item.get("length")
@@ -198,17 +197,6 @@ def _rescued(header: dict[str, Any], keys: Location, there: memoryview, length: 
     video["timestamps"] = [timestamps[k] for k in kept]
     problem = f"the video was cut: {len(kept)} of its {count} images are whole"
     return DamagedVideo(problem, missing, kept, count)
-
-
-def as_keys(header: dict[str, Any], keys: list[Any]) -> Location:
-    """The path that an item names, with numbers where a list is: writers may state them as text."""
-    node: Any = header
-    found: list[str | int] = []
-    for key in keys:
-        is_index = isinstance(node, list) and str(key).isdigit()
-        found.append(int(key) if is_index else str(key))
-        node = step(node, key)
-    return tuple(found)
 
 
 class _CutBytes:
@@ -293,20 +281,3 @@ def _copied(there: memoryview, count: int) -> bytes:
     finally:
         opened.close()
     return target.getvalue()
-
-
-def video_problem(camera: CameraSensor) -> str | None:
-    """Why a camera's video cannot be written; None where it can."""
-    from sceneloom.formats.video.index import read_index
-
-    if camera.video is None or not len(camera.images):
-        return None
-    try:
-        camera.images[0]  # opens the video
-        if camera.video.codec != _UNKNOWN_CODEC:
-            return None
-        count = len(read_index(camera.video.open, "video"))
-    except DataError as error:
-        return error.problem
-    timestamps = len(camera.images)
-    return None if count == timestamps else f"{count} images; expected {timestamps} as its timestamps"

@@ -2,7 +2,7 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from json.decoder import scanstring  # type: ignore[attr-defined]
 from pathlib import Path
@@ -16,7 +16,7 @@ from sceneloom.formats.base.files import is_url
 from sceneloom.formats.base.output import check_output
 from sceneloom.formats.sfs.annotations import encode_annotation
 from sceneloom.formats.sfs.container import ITEMS, Container, ItemFault, format_keys
-from sceneloom.formats.sfs.images import as_keys, video_problem
+from sceneloom.formats.sfs.images import UNKNOWN_CODEC
 from sceneloom.formats.sfs.reader import read_container
 from sceneloom.formats.sfs.records import Location
 from sceneloom.formats.sfs.spec import ReadingOptions
@@ -80,40 +80,30 @@ class _Recovery:
         start = self._skip(0)
         if not self._text.startswith("{", start):
             raise DataError(self._file, "header", "does not begin as the header of a scene; nothing can be reported")
-        header = self._object(start, ())[0]
+        header = self._parts(start, ())[0]
         if self._broken >= 0 and ITEMS not in header:
             self._find_items(header)
         return header, self._lost
 
-    def _object(self, location: int, keys: tuple[Any, ...]) -> tuple[dict[str, Any], int]:
-        """Read members until one is damaged."""
-        found: dict[str, Any] = {}
+    def _parts(self, location: int, keys: tuple[Any, ...]) -> tuple[Any, int]:
+        """Read the members of an object, or the entries of a list, until one is damaged."""
+        is_object = self._text.startswith("{", location)
+        closing, found = "}" if is_object else "]", dict[Any, Any]()
         location = self._skip(location + 1)
-        while self._text[location : location + 1] not in {"}", ""}:
+        while self._text[location : location + 1] not in {closing, ""} and self._broken < 0:
+            key: str | int = len(found)
             try:
-                name, location = self._name(location)
-                found[name], location = self._value(location, (*keys, name))
+                if is_object:
+                    key, location = self._name(location)
+                found[key], location = self._value(location, (*keys, key))
             except _DamageError:
-                return found, self._note(location, (*keys, "…"))
-            if self._broken >= 0:
-                return found, location
-            location = self._after(location, keys)
-        return found, self._closed(location, "}", keys)
-
-    def _list(self, location: int, keys: tuple[Any, ...]) -> tuple[list[Any], int]:
-        """Read entries until one is damaged."""
-        found: list[Any] = []
-        location = self._skip(location + 1)
-        while self._text[location : location + 1] not in {"]", ""}:
-            try:
-                value, location = self._value(location, (*keys, len(found)))
-            except _DamageError:
-                return found, self._note(location, (*keys, len(found)))
-            found.append(value)
-            if self._broken >= 0:
-                return found, location
-            location = self._after(location, keys)
-        return found, self._closed(location, "]", keys)
+                location = self._note(location, (*keys, "…" if is_object else len(found)))
+            if self._broken < 0:
+                location = self._after(location, keys)
+        if self._broken < 0:
+            closed = self._text.startswith(closing, location)
+            location = location + 1 if closed else self._note(location, keys)
+        return found if is_object else list(found.values()), location
 
     def _name(self, location: int) -> tuple[str, int]:
         if not self._text.startswith('"', location):
@@ -131,11 +121,9 @@ class _Recovery:
         try:
             value, stop = self._decoder.raw_decode(self._text, location)
         except (ValueError, RecursionError):
-            readers = {"{": self._object, "[": self._list} if keys in _TAKEN_APART else {}
-            reader = readers.get(self._text[location : location + 1])
-            if reader is None:
+            if keys not in _TAKEN_APART or not self._text.startswith(("{", "["), location):
                 raise _DamageError from None
-            return reader(location, keys)
+            return self._parts(location, keys)
         if isinstance(value, int | float) and stop == len(self._text):
             raise _DamageError  # further digits may have stood behind the cut
         return value, stop
@@ -148,11 +136,6 @@ class _Recovery:
         if self._text[location : location + 1] not in {"}", "]", ""}:
             return self._note(location, keys)
         return location
-
-    def _closed(self, location: int, bracket: str, keys: tuple[Any, ...]) -> int:
-        if self._broken < 0 and self._text.startswith(bracket, location):
-            return location + 1
-        return location if self._broken >= 0 else self._note(location, keys)
 
     def _note(self, location: int, keys: tuple[Any, ...]) -> int:
         """Remember where the damage is; what comes after it is lost."""
@@ -188,9 +171,6 @@ class _DamageError(Exception):
     """Something is not whole here."""
 
 
-_COUNTED = ("frames", "images")
-
-
 class LostPart(msgspec.Struct, frozen=True):
     """Something of a damaged file that is not in the salvaged scene.
 
@@ -202,18 +182,11 @@ class LostPart(msgspec.Struct, frozen=True):
 
     location: str
     problem: str
-    bytes: int
+    bytes: int = 0
 
 
 class KeptSensor(msgspec.Struct, frozen=True):
-    """A sensor of the salvaged scene.
-
-    Attributes:
-        id: as in the file.
-        type: "lidar", "camera", …
-        kept: how many of its frames or images are there.
-        count: how many the damaged file lists.
-    """
+    """A sensor of the salvaged scene; `kept` of the `count` frames or images that the damaged file lists are there."""
 
     id: str | int
     type: str
@@ -269,128 +242,29 @@ def salvage(path: str | Path, output: str | Path, *, overwrite: bool = False) ->
     check_output(target, overwrite=overwrite)
     if target.exists() and source.exists() and target.samefile(source):
         raise DataError(source, "", "is the output, too; choose another name: the damaged file stays as it is")
-    rescue = _Rescue(source)
-    try:
-        scene = rescue.scene()
-        write_scene(scene, target, overwrite=overwrite)
-        return SalvageReport(
-            str(source),
-            str(target),
-            rescue.container.size,
-            rescue.kept_sensors(scene),
-            len(scene.annotations),
-            tuple(rescue.lost),
-        )
-    finally:
-        rescue.container.close()
+    items: list[ItemFault] = []
+    lost: list[LostPart] = []
 
-
-class _Rescue:
-    """A damaged file whose header is being brought into order."""
-
-    def __init__(self, path: Path) -> None:
-        self.lost: list[LostPart] = []
-        self._items: list[ItemFault] = []
-        self.container = Container(path, faults=self._items, decode=self._decode)
-        self._counts = _frame_counts(self.container.header)
-        self._sizes = self._item_sizes()
-
-    def scene(self) -> Scene:
-        """Read what is sound, and list what is not."""
-        examined = read_container(self.container, self._items, ReadingOptions(), whole=True, vital=True)
-        bytes_of = self._bytes_below(loss.keys for loss in examined.losses)
-        for loss in examined.losses:
-            lost_bytes = bytes_of[loss.keys] if loss.lost_bytes is None else loss.lost_bytes
-            self.lost.append(LostPart(format_keys(loss.keys), loss.problem, lost_bytes))
-        if examined.scene is None:
-            raise DataError(self.container.file, "", "nothing of it can be read")
-        scene = self._without_unwritable(self._without_unreadable(examined.scene))
-        if self.lost:
-            message = f"taken out of {self.container.file}, which was damaged"
-            warning = DataWarning(
-                kind=WarningKind.SKIPPED, code="salvaged", location="", message=message, count=len(self.lost)
-            )
-            scene = replace(scene, warnings=(*scene.warnings, warning))
-        return scene
-
-    def kept_sensors(self, scene: Scene) -> tuple[KeptSensor, ...]:
-        """Report of each sensor how much of it is there."""
-        found = []
-        for sensor in scene.sensors:
-            kept = len(_frames_of(sensor))
-            count = self._counts.get(key_of(sensor.id), kept)
-            found.append(KeptSensor(sensor.id, str(sensor.type), kept, max(kept, count)))
-        return tuple(found)
-
-    def _decode(self, text: memoryview, file: str) -> Any:
-        header, lost = recover_header(text, file)
-        self.lost += [LostPart(*part) for part in lost]
+    def decode(text: memoryview, file: str) -> Any:
+        header, of_header = recover_header(text, file)
+        lost.extend(LostPart(*part) for part in of_header)
         return header
 
-    def _item_sizes(self) -> list[tuple[Location, int]]:
-        sizes = []
-        for number in range(self.container.item_count):
-            item = self.container.item(number)
-            keys = item.get("keys") if isinstance(item, dict) else None
-            length = item.get("length") if isinstance(item, dict) else None
-            if isinstance(keys, list):
-                sizes.append((as_keys(self.container.header, keys), length if type(length) is int else 0))
-        return sizes
-
-    def _bytes_below(self, lost: Iterable[Location]) -> Mapping[Location, int]:
-        found: dict[Location, int] = defaultdict(int)
-        wanted = set(lost)
-        for keys, size in self._sizes:
-            for depth in range(1, len(keys) + 1):
-                if keys[:depth] in wanted:
-                    found[keys[:depth]] += size
-                    break
-        return found
-
-    def _without_unreadable(self, scene: Scene) -> Scene:
-        """Leave out frames that the header lists soundly and that cannot be made all the same."""
-        return replace(scene, sensors=tuple(self._readable(sensor) for sensor in scene.sensors))
-
-    def _without_unwritable(self, scene: Scene) -> Scene:
-        """Leave out annotations with numbers that are none, which a reader passes on and a writer refuses."""
-        kept = []
-        for annotation in scene.annotations:
-            try:
-                encode_annotation(annotation)
-            except OptionError as error:
-                location, _, problem = str(error).partition(": ")
-                self.lost.append(LostPart(location, problem, 0))
-                continue
-            kept.append(annotation)
-        return replace(scene, annotations=tuple(kept))
-
-    def _readable(self, sensor: Sensor) -> Sensor:
-        if isinstance(sensor, CameraSensor):
-            return self._with_readable_video(sensor)
-        if not isinstance(sensor, LidarSensor | RadarSensor):
-            return sensor
-        kept = []
-        for index in range(len(sensor.frames)):
-            try:
-                sensor.frames[index]
-            except DataError as error:
-                self.lost.append(LostPart(error.location, error.problem, 0))
-                continue
-            kept.append(index)
-        if len(kept) == len(sensor.frames):
-            return sensor
-        frames: LazyFrames[Any] = sensor.frames
-        times_ns = frames.timestamps_ns[np.array(kept, np.int64)]
-        readable: Any = LazyFrames(times_ns, lambda k: frames[kept[k]])
-        return replace(sensor, frames=readable)
-
-    def _with_readable_video(self, camera: CameraSensor) -> CameraSensor:
-        """Leave out a video that is none, or that has not as many images as timestamps; the camera stays."""
-        problem = video_problem(camera)
-        if problem is None:
-            return camera
-        self.lost.append(LostPart(f"sensors[{camera.id}].video", problem, 0))
-        return replace(camera, images=LazyFrames.of([], []), video=None, fps=None)
+    container = Container(source, faults=items, decode=decode)
+    try:
+        counts = _frame_counts(container.header)
+        scene = _sound_scene(container, items, lost)
+        write_scene(scene, target, overwrite=overwrite)
+        sensors = []
+        for sensor in scene.sensors:
+            frames = sensor.images if isinstance(sensor, CameraSensor) else ()
+            kept = len(sensor.frames if isinstance(sensor, LidarSensor | RadarSensor) else frames)
+            count = max(kept, counts.get(key_of(sensor.id), kept))
+            sensors.append(KeptSensor(sensor.id, str(sensor.type), kept, count))
+        annotations = len(scene.annotations)
+        return SalvageReport(str(source), str(target), container.size, tuple(sensors), annotations, tuple(lost))
+    finally:
+        container.close()
 
 
 def _frame_counts(header: Mapping[str, Any]) -> dict[tuple[type, Any], int]:
@@ -399,16 +273,87 @@ def _frame_counts(header: Mapping[str, Any]) -> dict[tuple[type, Any], int]:
     sensors = header.get("sensors")
     for sensor in sensors if isinstance(sensors, list) else []:
         identifier = sensor.get("id") if isinstance(sensor, dict) else None
-        if not isinstance(identifier, str | int):
-            continue
-        lists = [sensor.get(name) for name in _COUNTED]
-        video = sensor.get("video")
-        lists.append(video.get("timestamps") if isinstance(video, dict) else None)
-        counts[type(identifier), identifier] = next((len(v) for v in lists if isinstance(v, list)), 0)
+        if isinstance(identifier, str | int):
+            video = sensor.get("video")
+            times = video.get("timestamps") if isinstance(video, dict) else None
+            lists = (sensor.get("frames"), sensor.get("images"), times)
+            counts[type(identifier), identifier] = next((len(v) for v in lists if isinstance(v, list)), 0)
     return counts
 
 
-def _frames_of(sensor: Sensor) -> Any:
+def _sound_scene(container: Container, items: list[ItemFault], lost: list[LostPart]) -> Scene:
+    """Read what is sound of a damaged file, and list what is not."""
+    sizes = []
+    for number in range(container.item_count):
+        keys = container.item_keys(number)
+        if keys is not None:
+            length = container.item(number).get("length")
+            sizes.append((keys, length if type(length) is int else 0))
+    examined = read_container(container, items, ReadingOptions(), whole=True, vital=True)
+    bytes_of: dict[Location, int] = defaultdict(int)
+    wanted = {loss.keys for loss in examined.losses}
+    for keys, size in sizes:
+        inside = next((keys[:depth] for depth in range(1, len(keys) + 1) if keys[:depth] in wanted), None)
+        if inside is not None:
+            bytes_of[inside] += size
+    for loss in examined.losses:
+        lost_bytes = bytes_of[loss.keys] if loss.lost_bytes is None else loss.lost_bytes
+        lost.append(LostPart(format_keys(loss.keys), loss.problem, lost_bytes))
+    if examined.scene is None:
+        raise DataError(container.file, "", "nothing of it can be read")
+    scene = replace(examined.scene, sensors=tuple(_readable(sensor, lost) for sensor in examined.scene.sensors))
+    annotations = []
+    for annotation in scene.annotations:
+        try:  # numbers that are not finite are passed on by a reader and refused by a writer
+            encode_annotation(annotation)
+            annotations.append(annotation)
+        except OptionError as error:
+            location, _, problem = str(error).partition(": ")
+            lost.append(LostPart(location, problem))
+    scene = replace(scene, annotations=tuple(annotations))
+    if not lost:
+        return scene
+    message, kind = f"taken out of {container.file}, which was damaged", WarningKind.SKIPPED
+    warning = DataWarning(kind=kind, code="salvaged", location="", message=message, count=len(lost))
+    return replace(scene, warnings=(*scene.warnings, warning))
+
+
+def _readable(sensor: Sensor, lost: list[LostPart]) -> Sensor:
+    """Leave out frames that the header lists soundly and that cannot be made all the same, and broken videos."""
     if isinstance(sensor, CameraSensor):
-        return sensor.images
-    return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor) else ()
+        problem = _video_problem(sensor)
+        if problem is None:
+            return sensor
+        lost.append(LostPart(f"sensors[{sensor.id}].video", problem))
+        return replace(sensor, images=LazyFrames.of([], []), video=None, fps=None)
+    if not isinstance(sensor, LidarSensor | RadarSensor):
+        return sensor
+    frames: LazyFrames[Any] = sensor.frames
+    kept = []
+    for index in range(len(frames)):
+        try:
+            frames[index]
+            kept.append(index)
+        except DataError as error:
+            lost.append(LostPart(error.location, error.problem))
+    if len(kept) == len(frames):
+        return sensor
+    readable: Any = LazyFrames(frames.timestamps_ns[np.array(kept, np.int64)], lambda k: frames[kept[k]])
+    return replace(sensor, frames=readable)
+
+
+def _video_problem(camera: CameraSensor) -> str | None:
+    """Why a camera's video cannot be written; None where it can."""
+    from sceneloom.formats.video.index import read_index
+
+    if camera.video is None or not len(camera.images):
+        return None
+    try:
+        camera.images[0]  # opens the video
+        if camera.video.codec != UNKNOWN_CODEC:
+            return None
+        count = len(read_index(camera.video.open, "video"))
+    except DataError as error:
+        return error.problem
+    timestamps = len(camera.images)
+    return None if count == timestamps else f"{count} images; expected {timestamps} as its timestamps"

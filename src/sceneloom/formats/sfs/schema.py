@@ -1,6 +1,6 @@
 """The fields of a Sensor Fusion Scene: names, kinds and units of each record."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -34,8 +34,6 @@ class Field:
     """One field of a record.
 
     Attributes:
-        name: as in the file.
-        kind: what it holds.
         required: whether a file without it is at fault.
         expected: whether the description requires it, though a file without it can be read.
         unit: "m", "px", "file" for the scene's time unit, …; for people.
@@ -87,6 +85,10 @@ _COORDINATES = Field("coordinates", Kind.TEXT)
 _POINT_TIMES = Field("timestamps", Kind.POINT_TIMES, unit="file")
 _CUBOIDS = Field("cuboids", Kind.LIST, unit="m, angles")
 _POSITIONS = _array("positions", "float32", 3, "m", required=True)
+_INTRINSICS = (
+    *(_needs(name, Kind.NUMBER, "px") for name in ("fx", "fy", "cx", "cy")),
+    *(_needs(name, Kind.INTEGER, "px") for name in ("width", "height")),
+)
 _SENSOR_FIELDS = (_ID, _TYPE, _PARENT)
 _MOVING_FIELDS = (*_SENSOR_FIELDS, _POSES, _COORDINATES)
 _ANNOTATION_FIELDS = (_ID, _TYPE, _PARENT)
@@ -235,12 +237,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _POINT_TIMES,
     ),
     "intrinsics": (
-        _needs("fx", Kind.NUMBER, "px"),
-        _needs("fy", Kind.NUMBER, "px"),
-        _needs("cx", Kind.NUMBER, "px"),
-        _needs("cy", Kind.NUMBER, "px"),
-        _needs("width", Kind.INTEGER, "px"),
-        _needs("height", Kind.INTEGER, "px"),
+        *_INTRINSICS,
         Field("distortion", Kind.RECORD, record="distortion"),
     ),
     "distortion": (_expects(Field("model", Kind.TEXT)), _expects(Field("params", Kind.LIST))),
@@ -268,12 +265,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
     ),
     "camera": (
         _needs("model", Kind.TEXT),
-        _needs("width", Kind.INTEGER, "px"),
-        _needs("height", Kind.INTEGER, "px"),
-        _needs("fx", Kind.NUMBER, "px"),
-        _needs("fy", Kind.NUMBER, "px"),
-        _needs("cx", Kind.NUMBER, "px"),
-        _needs("cy", Kind.NUMBER, "px"),
+        *_INTRINSICS,
         _needs("coefficients", Kind.LIST),
     ),
     "images_note": (
@@ -351,13 +343,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
 }
 
 
-def _unknown_annotation() -> tuple[Field, ...]:
-    """All fields that annotations of any type have, none of them required."""
-    fields = {field.name: field for record in ANNOTATION_RECORDS.values() for field in record}
-    return tuple(replace(field, required=False) for field in fields.values())
-
-
-def _by_name(fields: tuple[Field, ...]) -> Mapping[str, Field]:
+def _by_name(fields: Iterable[Field]) -> Mapping[str, Field]:
     return MappingProxyType({field.name: field for field in fields})
 
 
@@ -366,7 +352,9 @@ RECORDS: Mapping[str, Mapping[str, Field]] = MappingProxyType(
         **{name: _by_name(fields) for name, fields in _PART_RECORDS.items()},
         **{f"sensor {name}": _by_name(fields) for name, fields in SENSOR_RECORDS.items()},
         **{f"annotation {name}": _by_name(fields) for name, fields in ANNOTATION_RECORDS.items()},
-        "unknown_annotation": _by_name(_unknown_annotation()),
+        "unknown_annotation": _by_name(
+            replace(field, required=False) for record in ANNOTATION_RECORDS.values() for field in record
+        ),
     }
 )
 """Every record by name, its fields by name."""

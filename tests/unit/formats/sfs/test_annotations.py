@@ -412,6 +412,7 @@ def test_lenient_reading_leaves_out_only_the_annotation_at_fault(read):
     ("annotation", "location"),
     [
         (Box2DAnnotation("a", "c", BoxPath(np.zeros(1, np.int64), np.full((1, 4), np.inf))), "path.values[0]"),
+        (CuboidAnnotation("a", CuboidPath(np.zeros(1, np.int64), np.full((1, 9), np.nan))), "path.values[0]"),
         (
             ShapeAnnotation("a", ShapeType.POINT, VertexPath(np.zeros(1, np.int64), (np.full((1, 3), np.nan),))),
             "path.values[0], vertices[0]",

@@ -10,15 +10,24 @@ from sceneloom.formats.sfs import container as module
 from sceneloom.formats.sfs.container import DTYPES, Container, RawBytes, format_keys
 from sceneloom.formats.sfs.spec import has_scene_header
 
+ARRAY = np.arange(6, dtype=np.float32).reshape(2, 3)
+
 
 @pytest.fixture
-def opened(tmp_path, encode_sfs):
-    def open_header(header, **item_fields):
-        path = tmp_path / "scene.sfs"
-        path.write_bytes(encode_sfs(header, **item_fields))
-        return Container(path)
+def of_bytes(tmp_path):
+    """Open a file of some bytes."""
 
-    return open_header
+    def open_content(content, **options):
+        (tmp_path / "scene.sfs").write_bytes(content)
+        return Container(tmp_path / "scene.sfs", **options)
+
+    return open_content
+
+
+@pytest.fixture
+def opened(of_bytes, encode_sfs):
+    """Open a file of a header with arrays, the fields of its items replaced."""
+    return lambda header, **item_fields: of_bytes(encode_sfs(header, **item_fields))
 
 
 def refused(opened, header, **item_fields):
@@ -27,38 +36,22 @@ def refused(opened, header, **item_fields):
     return caught.value
 
 
-ARRAY = np.arange(6, dtype=np.float32).reshape(2, 3)
-
-
-def test_arrays_stand_where_their_keys_lead(opened):
+def test_arrays_stand_where_their_keys_lead(opened, of_bytes):
     header = opened({"a": [{"b": ARRAY}, {"b": ARRAY + 1}], "c": "text"}).header
     assert header["c"] == "text"
     np.testing.assert_array_equal(header["a"][1]["b"], ARRAY + 1)
-
-
-def test_numeric_text_counts_as_the_index_of_a_list(opened):
-    header = opened({"a": [{"b": ARRAY}]}, index_type=str).header
-    np.testing.assert_array_equal(header["a"][0]["b"], ARRAY)
-
-
-def test_integer_keys_lead_into_objects_too(tmp_path):
+    # numeric text counts as the index of a list, and integers lead into objects, too
+    np.testing.assert_array_equal(opened({"a": [{"b": ARRAY}]}, index_type=str).header["a"][0]["b"], ARRAY)
     text = b'{"a":{"7":""},"$items":[{"keys":["a",7],"offset":4,"length":1,"dtype":"uint8","shape":[1]}]}'
-    path = tmp_path / "scene.sfs"
-    path.write_bytes(text + bytes(4) + b"\x05")
-    np.testing.assert_array_equal(Container(path).header["a"]["7"], [5])
+    np.testing.assert_array_equal(of_bytes(text + bytes(4) + b"\x05").header["a"]["7"], [5])
 
 
-def test_arrays_are_read_only_views_of_the_file(opened):
+def test_arrays_are_read_only_views_of_the_file_even_at_odd_offsets(opened, of_bytes):
     array = opened({"a": ARRAY}).header["a"]
     assert not array.flags.writeable
     assert not array.flags.owndata
-
-
-def test_arrays_at_odd_offsets_are_read(tmp_path):
     text = b'{"a":"","$items":[{"keys":["a"],"offset":5,"length":8,"dtype":"float64","shape":[1]}]}'
-    path = tmp_path / "scene.sfs"
-    path.write_bytes(text + bytes(5) + np.array([0.1]).tobytes())
-    assert Container(path).header["a"].tolist() == [0.1]
+    assert of_bytes(text + bytes(5) + np.array([0.1]).tobytes()).header["a"].tolist() == [0.1]
 
 
 def test_an_item_without_dtype_gives_raw_bytes(opened):
@@ -73,31 +66,17 @@ def test_every_dtype_by_numpys_name_comes_back(opened, name):
     np.testing.assert_array_equal(opened({"a": array}).header["a"], array)
 
 
-def test_big_endian_items_have_their_values(opened):
-    array = np.array([1, 258], ">i4")
-    assert opened({"a": array}, dtype=">i4").header["a"].tolist() == [1, 258]
-
-
-def test_arrays_without_values_and_shapes_are_kept(opened):
+def test_big_endian_and_empty_arrays_and_numbers_come_back(opened):
+    assert opened({"a": np.array([1, 258], ">i4")}, dtype=">i4").header["a"].tolist() == [1, 258]
     assert opened({"a": np.zeros((0, 3), np.float32)}).header["a"].shape == (0, 3)
     assert opened({"a": np.array(2.5)}).header["a"].shape == ()
 
 
-def test_a_header_without_arrays_needs_no_nul(tmp_path):
-    path = tmp_path / "scene.sfs"
-    path.write_bytes(b' {"version": "1.0"}  ')
-    assert Container(path).header == {"version": "1.0"}
-
-
-def test_blanks_before_the_nul_are_skipped(tmp_path, encode_sfs):
+def test_headers_may_lack_a_nul_have_blanks_before_it_and_hold_nan(of_bytes, encode_sfs, opened):
+    assert of_bytes(b' {"version": "1.0"}  ').header == {"version": "1.0"}
     content = encode_sfs({"a": ARRAY})
     stop = content.index(b"\0")
-    path = tmp_path / "scene.sfs"
-    path.write_bytes(content[:stop] + b" " * 4096 + content[stop:])
-    np.testing.assert_array_equal(Container(path).header["a"], ARRAY)
-
-
-def test_not_a_number_in_the_header_is_read_as_python_writes_it(opened):
+    np.testing.assert_array_equal(of_bytes(content[:stop] + b" " * 4096 + content[stop:]).header["a"], ARRAY)
     assert np.isnan(opened({"a": float("nan"), "b": ARRAY}).header["a"])
 
 
@@ -139,40 +118,47 @@ def test_a_faulty_item_is_refused_with_its_number(opened, fields, problem):
     assert problem in error.problem
 
 
-def test_the_position_of_an_item_names_its_path(opened):
-    error = refused(opened, {"a": [{"b": ARRAY}]}, dtype="complex")
-    assert error.location == "$items[0] (a[0].b)"
+def test_faulty_items_name_their_paths(opened):
+    assert refused(opened, {"a": [{"b": ARRAY}]}, dtype="complex").location == "$items[0] (a[0].b)"
+    overlapping = refused(opened, {"a": ARRAY, "b": ARRAY}, offset=4)
+    assert overlapping.location == "$items[1] (b)"
+    assert "inside item 0" in overlapping.problem
+    assert "taken already" in refused(opened, {"a": ARRAY, "b": ARRAY}, keys=["a"]).problem
+    assert "1000000 axes" in refused(opened, {"a": ARRAY}, shape=[2**62] * 1_000_000).problem
 
 
-def test_items_that_overlap_are_refused(opened):
-    error = refused(opened, {"a": ARRAY, "b": ARRAY}, offset=4)
-    assert error.location == "$items[1] (b)"
-    assert "inside item 0" in error.problem
-
-
-def test_two_items_for_one_location_are_refused(opened):
-    error = refused(opened, {"a": ARRAY, "b": ARRAY}, keys=["a"])
-    assert "taken already" in error.problem
-
-
-def test_all_faulty_items_are_collected_and_leave_nothing_in_their_locations(tmp_path, encode_sfs):
-    path = tmp_path / "scene.sfs"
+def test_all_faulty_items_are_collected_and_leave_nothing_in_their_locations(of_bytes, encode_sfs):
     content = encode_sfs({"a": [{"b": ARRAY}], "c": ARRAY, "d": ARRAY, "e": ARRAY})
     content = content.replace(b'"offset": 60', b'"offset": 40').replace(b'"shape": [2, 3]}]', b'"shape": [7]}]   ')
-    path.write_bytes(content)
     faults = []
-    header = Container(path, faults=faults).header
+    header = of_bytes(content, faults=faults).header
     assert [(fault.number, fault.path) for fault in faults] == [(2, "d"), (3, "e")]
     assert faults[0].problem.startswith("starts at byte 40, inside item 1, which ends at 56")
     assert faults[1].location == "$items[3] (e)"
-    assert header["d"] is None
-    assert header["e"] is None
+    assert (header["d"], header["e"]) == (None, None)
     np.testing.assert_array_equal(header["a"][0]["b"], ARRAY)
 
 
+def test_an_item_at_fault_takes_no_array_from_another(of_bytes, encode_sfs):
+    items = [
+        {"keys": ["a"], "offset": 4, "length": 4, "dtype": "uint8", "shape": [4]},
+        {"keys": ["a"], "offset": 4, "length": 4, "dtype": "text"},
+        7,
+    ]
+    faults = []
+    container = of_bytes(json.dumps({"a": "", "$items": items}).encode() + bytes(8), faults=faults)
+    assert container.header["a"].tolist() == [0] * 4
+    assert [fault.number for fault in faults] == [1, 2]
+    assert container.item_number("a") == 0
+    taken = []
+    content = encode_sfs({"a": ARRAY, "text": "words"}, keys=["text"])
+    assert of_bytes(content, faults=taken).header == {"a": "", "text": "words"}
+    assert [fault.keys for fault in taken] == [("text",)]
+
+
 def test_arrays_behind_four_gigabytes_are_read(tmp_path, monkeypatch):
-    monkeypatch.setattr("sceneloom.formats.base.files.LARGEST_HOLES", 1e9)  # a file without holes would take minutes
-    """A file of holes takes no room on disk."""
+    # a file of holes takes no room on disk; one without them would take minutes
+    monkeypatch.setattr("sceneloom.formats.base.files.LARGEST_HOLES", 1e9)
     far = 5 * 2**30 + 3
     item = {"keys": ["a"], "offset": far, "length": 24, "dtype": "float32", "shape": [2, 3]}
     path = tmp_path / "scene.sfs"
@@ -185,47 +171,14 @@ def test_arrays_behind_four_gigabytes_are_read(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("limit", [100, 200])
-def test_a_header_beyond_the_limit_is_refused(tmp_path, encode_sfs, monkeypatch, limit):
+def test_a_header_beyond_the_limit_is_refused(opened, monkeypatch, limit):
     monkeypatch.setattr(module, "HEADER_LIMIT", limit)
-    path = tmp_path / "scene.sfs"
-    path.write_bytes(encode_sfs({"a": ARRAY, "text": "x" * 300}))
-    with pytest.raises(DataError, match=f"no NUL ends it within {limit} bytes"):
-        Container(path)
-
-
-def test_a_shape_of_a_million_axes_is_refused_at_once(opened):
-    error = refused(opened, {"a": ARRAY}, shape=[2**62] * 1_000_000)
-    assert "1000000 axes" in error.problem
+    assert f"no NUL ends it within {limit} bytes" in refused(opened, {"a": ARRAY, "text": "x" * 300}).problem
 
 
 def test_items_are_found_by_the_location_that_they_fill(opened):
     container = opened({"a": [{"b": ARRAY}, {"b": ARRAY}], "c": ARRAY})
-    assert container.item_number("a[1].b") == 1
-    assert container.item_number("c") == 2
-    assert container.item_number("d") is None
-
-
-def test_an_item_at_fault_takes_no_array_from_another(tmp_path):
-    items = [
-        {"keys": ["a"], "offset": 4, "length": 4, "dtype": "uint8", "shape": [4]},
-        {"keys": ["a"], "offset": 4, "length": 4, "dtype": "text"},
-        7,
-    ]
-    path = tmp_path / "scene.sfs"
-    path.write_bytes(json.dumps({"a": "", "$items": items}).encode() + bytes(8))
-    faults = []
-    container = Container(path, faults=faults)
-    assert container.header["a"].tolist() == [0] * 4
-    assert [fault.number for fault in faults] == [1, 2]
-    assert container.item_number("a") == 0
-
-
-def test_an_item_for_a_taken_location_leaves_what_stands_there(tmp_path, encode_sfs):
-    path = tmp_path / "scene.sfs"
-    path.write_bytes(encode_sfs({"a": ARRAY, "text": "words"}, keys=["text"]))
-    faults = []
-    assert Container(path, faults=faults).header == {"a": "", "text": "words"}
-    assert [fault.keys for fault in faults] == [("text",)]
+    assert [container.item_number(path) for path in ("a[1].b", "c", "d")] == [1, 2, None]
 
 
 @pytest.mark.parametrize(
@@ -244,11 +197,9 @@ def test_an_item_for_a_taken_location_leaves_what_stands_there(tmp_path, encode_
         (b'{"a": 1' + b"0" * 5000 + b"}\0", "no valid JSON"),
     ],
 )
-def test_what_is_no_header_is_refused(tmp_path, content, problem):
-    path = tmp_path / "scene.sfs"
-    path.write_bytes(content)
+def test_what_is_no_header_is_refused(of_bytes, content, problem):
     with pytest.raises(DataError, match=problem.replace("[", r"\[")):
-        Container(path)
+        of_bytes(content)
 
 
 def test_folders_and_missing_files_are_refused(tmp_path):
@@ -258,23 +209,22 @@ def test_folders_and_missing_files_are_refused(tmp_path):
         Container(tmp_path / "absent.sfs")
 
 
-def test_content_decides_what_is_recognised(tmp_path, encode_sfs):
-    cases = {
-        "scene.sfs": (b"  {\n", True),
-        "scene.SFS": (b"{", True),
-        "text.sfs": (b"hello", False),
-        "empty.sfs": (b"", False),
-        "other.bin": (encode_sfs({"a": ARRAY}), True),
-        "lines.jsonl": (b'{"time": 1.0}\n', False),
-        "other.json": (b'{"items": 1}\0', False),
-    }
-    for name, (content, expected) in cases.items():
-        path = tmp_path / name
-        path.write_bytes(content)
-        assert has_scene_header(path) is expected, name
-    folder = tmp_path / "folder.sfs"
-    folder.mkdir()
-    assert not has_scene_header(folder)
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("scene.sfs", b"  {\n", True),
+        ("scene.SFS", b"{", True),
+        ("text.sfs", b"hello", False),
+        ("empty.sfs", b"", False),
+        ("other.bin", None, True),
+        ("lines.jsonl", b'{"time": 1.0}\n', False),
+        ("other.json", b'{"items": 1}\0', False),
+    ],
+)
+def test_content_decides_what_is_recognised(tmp_path, encode_sfs, name, content, expected):
+    (tmp_path / name).write_bytes(encode_sfs({"a": ARRAY}) if content is None else content)
+    assert has_scene_header(tmp_path / name) is expected
+    assert not has_scene_header(tmp_path)
 
 
 def test_paths_are_written_as_in_messages():

@@ -6,6 +6,7 @@ import pytest
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import SceneWriter, write_scene
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     Coordinates,
     CuboidAnnotation,
@@ -62,16 +63,6 @@ def written(target, decode_sfs):
 
 def losses_of(report):
     return {(loss.field, loss.count): loss for loss in report}
-
-
-def test_a_scene_of_plain_arrays_takes_few_lines(target):
-    with SceneWriter(target) as writer:
-        writer.add_sensor(LidarSensor("top", LazyFrames.of([], []), points_frame=PointsFrame.WORLD))
-        for k in range(3):
-            writer.add_frame("top", LidarFrame(k * SECOND, LidarPoints(TWO)))
-        writer.set_poses("top", path_at(0, SECOND, 2 * SECOND))
-    scene = FORMAT.open(target)
-    assert [frame.timestamp_ns for frame in scene.sensors[0].frames] == [0, SECOND, 2 * SECOND]
 
 
 def test_the_words_of_the_file_are_those_of_the_format(written):
@@ -248,11 +239,9 @@ def test_positions_in_the_world_stay_within_ten_kilometres(written):
     with pytest.raises(DataError, match=r"sensors\[top\].frames\[0\].points.positions\[0\]: 10001 m"):
         written(frame)
     written(frame, sensor=lidar(points_frame=PointsFrame.SENSOR))
-
-
-def test_positions_that_are_no_numbers_pass(written):
-    header = written(LidarFrame(0, LidarPoints(np.full((2, 3), np.nan, np.float32))))
-    assert np.isnan(header["sensors"][0]["frames"][0]["points"]["positions"]).all()
+    though_another_is_infinitely_far = np.array([[np.inf, 0, 0], [0, -20_000, 0]], np.float32)
+    with pytest.raises(DataError, match=r"frames\[0\].points.positions\[1\]: 20000 m from .* in parts"):
+        written(LidarFrame(0, LidarPoints(though_another_is_infinitely_far)), overwrite=True)
 
 
 def test_a_failure_leaves_nothing_behind(target):
@@ -303,12 +292,6 @@ def test_what_a_sensor_cannot_take_is_refused(target):
             writer.add_sensor(lidar())
 
 
-def test_numbers_of_cuboids_must_be_finite(target):
-    bad = CuboidAnnotation("a", CuboidPath(np.zeros(1, np.int64), np.full((1, 9), np.nan)))
-    with pytest.raises(OptionError, match=r"annotations\[a\].path.values\[0\]"), SceneWriter(target) as writer:
-        writer.add_annotation(bad)
-
-
 def test_fields_that_no_file_can_hold_are_refused_with_their_location(target):
     with pytest.raises(OptionError, match=r"why\[0\].what: a object"), SceneWriter(target) as writer:
         writer.set_metadata({"why": [{"what": object()}]})
@@ -336,8 +319,6 @@ def test_a_pose_for_all_time_comes_back_as_one(written, target):
 
 
 def test_a_sensor_of_which_only_the_mounting_is_known_is_placed_on_the_ego(target, decode_sfs):
-    from sceneloom.geometry.rigid import RigidTransform
-
     mount = RigidTransform.from_quaternion(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3, 0.9]))
     sensor = lidar(mount=mount, points_frame=PointsFrame.SENSOR)
     with SceneWriter(target) as writer:
@@ -350,9 +331,7 @@ def test_a_sensor_of_which_only_the_mounting_is_known_is_placed_on_the_ego(targe
     read = FORMAT.open(target).sensors[0]
     assert (read.poses, read.coordinates, read.points_frame) == (None, Coordinates.WORLD, PointsFrame.SENSOR)
     np.testing.assert_array_equal(read.mount.matrix, mount.matrix)
-    assert (
-        "not known; the mounting is written" in {loss.field: loss.what for loss in writer.losses}["sensors[top].poses"]
-    )
+    assert "not known; the mounting is written" in losses_of(writer.losses)["sensors[top].poses", 1].what
 
 
 def test_equal_scenes_give_equal_bytes(tmp_path):
@@ -412,9 +391,13 @@ def test_sweeps_that_could_not_be_fused_stand_under_our_metadata(target, decode_
     with SceneWriter(target, overwrite=True) as writer:
         writer.add_scene(scene)
         writer.add_unfused("top", sweep(5), "still no pose")
+        for timestamp in (0, 1):
+            writer.add_unfused("top", sweep(timestamp), f"beyond the trajectory: points at {timestamp} ns")
+    losses = [(loss.what, loss.count) for loss in writer.losses if "left out of the frames" in loss.what]
+    assert ("left out of the frames: beyond the trajectory", 2) in losses
     assert len(scene.metadata["sceneloom"]["unfused"]) == 1
     reasons = [kept["reason"] for kept in FORMAT.open(target).metadata["sceneloom"]["unfused"]]
-    assert reasons == ["no pose", "still no pose"]
+    assert reasons[:2] == ["no pose", "still no pose"]
 
 
 def test_trajectories_stand_under_our_metadata_in_their_order(target):
@@ -456,23 +439,8 @@ def test_how_angles_are_meant_is_written(target, decode_sfs):
     assert FORMAT.open(target).metadata["sceneloom"]["euler_unit"] == "radians"
 
 
-def test_sweeps_left_out_for_one_reason_are_one_loss(target):
-    with SceneWriter(target) as writer:
-        writer.add_sensor(lidar(poses=path_at(0)))
-        for timestamp in (0, 1):
-            writer.add_unfused("top", sweep(timestamp), f"beyond the trajectory: points at {timestamp} ns")
-    losses = [(loss.what, loss.count) for loss in writer.losses if "left out of the frames" in loss.what]
-    assert losses == [("left out of the frames: beyond the trajectory", 2)]
-
-
 @pytest.mark.parametrize("far", [np.inf, -np.inf, np.nan])
 def test_a_point_without_a_location_is_written_as_it_is(written, far):
     positions = np.array([[1.0, far, 2.0], [3, 4, 5]], np.float32)
     header = written(LidarFrame(0, LidarPoints(positions)))
     np.testing.assert_array_equal(header["sensors"][0]["frames"][0]["points"]["positions"], positions)
-
-
-def test_a_point_too_far_for_float32_is_refused_though_another_is_infinitely_far(written):
-    positions = np.array([[np.inf, 0, 0], [0, -20_000, 0]], np.float32)
-    with pytest.raises(DataError, match=r"frames\[0\].points.positions\[1\]: 20000 m from .* in parts"):
-        written(LidarFrame(0, LidarPoints(positions)))

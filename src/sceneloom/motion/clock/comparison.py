@@ -26,9 +26,7 @@ from sceneloom.motion.clock.signals import (
     RotationCurve,
     SmoothedTrajectory,
     TrajectorySamples,
-    chunk_slices,
     finite_rows,
-    relative_rotation,
 )
 
 REACH_NS = 5_000_000_000
@@ -792,7 +790,7 @@ class _Steps:
             stride = max(1, int(np.ceil(least * 1e9 / orientations.step_ns - 1e-3)))
         none = np.zeros(0, np.int64)
         first, begins, count = [none], [none], 0
-        for chunk in chunk_slices(orientations.chunks):
+        for chunk in orientations.parts:
             rows = np.arange(chunk.start, chunk.stop - stride)
             # groups of one length: the remainder at the end of a chunk is left out
             rows = rows[: len(rows) - len(rows) % stride]
@@ -801,8 +799,7 @@ class _Steps:
             count += len(rows)
         starting, grouped = np.concatenate(first), np.concatenate(begins)
         seconds = np.asarray((orientations.timestamps_ns - origin_ns) * 1e-9, np.float64)
-        quaternions = orientations.quaternions_xyzw
-        vectors = relative_rotation(quaternions[starting], quaternions[starting + stride])
+        vectors = orientations.rotations(starting, starting + stride)
         chunks = orientations.chunks[starting[grouped]]
         return cls(seconds[starting], seconds[starting + stride], vectors, grouped, chunks)
 

@@ -69,7 +69,7 @@ class Orientations:
         times, first = np.unique(timestamps_ns[usable], return_index=True)
         values, chunks = rates[usable[first]], _number_chunks(times)
         rotations = np.tile(_IDENTITY, (len(times), 1))
-        for rows in chunk_slices(chunks):
+        for rows in _slices(chunks):
             if rows.stop - rows.start >= LEAST_KNOTS:
                 seconds, own = (times[rows] - times[rows.start]) * 1e-9, values[rows]
                 angles = CubicSpline(seconds, own).antiderivative()(seconds)
@@ -93,6 +93,15 @@ class Orientations:
         """Median time between samples [ns]; 0 where there are none."""
         return int(np.median(np.diff(self.timestamps_ns))) if len(self) > 1 else 0
 
+    @property
+    def parts(self) -> list[slice]:
+        """The rows of each chunk."""
+        return _slices(self.chunks)
+
+    def rotations(self, first: Int64Array, last: Int64Array) -> Float64Array:
+        """Rotation vectors (N, 3) [rad] from some samples to others, in the frames of the first ones."""
+        return _relative(self.quaternions_xyzw[first], self.quaternions_xyzw[last])
+
     def rate_noise(self) -> Float64Array:
         """Upper bound of the power of the white noise in the angular velocities, (3,) [rad²/s].
 
@@ -103,7 +112,7 @@ class Orientations:
             return np.full(3, np.inf)
         seconds = (self.timestamps_ns - self.timestamps_ns[0]) * 1e-9
         lengths = seconds[rows + 1] - seconds[rows]
-        vectors = relative_rotation(self.quaternions_xyzw[rows], self.quaternions_xyzw[rows + 1])
+        vectors = self.rotations(rows, rows + 1)
         jumps = np.diff(vectors / lengths[:, None], n=2, axis=0)
         variance = (1.4826 * np.median(np.abs(jumps), axis=0)) ** 2 / 6.0
         return np.asarray(variance * np.median(lengths), np.float64)
@@ -120,7 +129,7 @@ class RotationCurve:
         from scipy.interpolate import CubicSpline
 
         self._chunks = []
-        for rows in chunk_slices(orientations.chunks):
+        for rows in orientations.parts:
             if rows.stop - rows.start >= LEAST_KNOTS:
                 seconds = (orientations.timestamps_ns[rows] - origin_ns) * 1e-9
                 quaternions = orientations.quaternions_xyzw[rows]
@@ -139,7 +148,7 @@ class RotationCurve:
         vectors = np.full((len(starts), 3), np.nan)
         known = (of_first >= 0) & (of_first == of_last)
         if known.any():
-            vectors[known] = relative_rotation(first[known], last[known])
+            vectors[known] = _relative(first[known], last[known])
         return vectors
 
     def rates(self, seconds: Float64Array, window: float) -> Float64Array:
@@ -164,12 +173,11 @@ def finite_rows(values: Float64Array) -> BoolArray:
     return np.asarray(np.isfinite(values).all(axis=1), np.bool_)
 
 
-def relative_rotation(first: Float64Array, last: Float64Array) -> Float64Array:
-    """Rotation vectors (N, 3) [rad] from orientations (N, 4) xyzw to others, in the frames of the first ones."""
+def _relative(first: Float64Array, last: Float64Array) -> Float64Array:
     return rotation_vector_from_quaternion(multiply_quaternions(conjugate_quaternion(first), last))
 
 
-def chunk_slices(chunks: Int64Array) -> list[slice]:
+def _slices(chunks: Int64Array) -> list[slice]:
     """The rows of each chunk, from the chunks' numbers (N,)."""
     edges = [0, *(np.flatnonzero(np.diff(chunks)) + 1).tolist(), len(chunks)]
     return [slice(a, b) for a, b in pairwise(edges) if b > a]
@@ -261,7 +269,7 @@ class TrajectoryCurve:
         times, rotations = trajectory.timestamps_ns, trajectory.quaternions_xyzw
         self._chunks = [
             CubicSpline(seconds, trajectory.positions[rows, :2], extrapolate=False)
-            for rows in chunk_slices(_number_chunks(times))
+            for rows in _slices(_number_chunks(times))
             if len(seconds := (times[rows] - origin_ns) * 1e-9) >= LEAST_KNOTS
         ]
         self._rotation = (

@@ -696,13 +696,7 @@ class _Job:
         return self._report(drive.scene.source, form)
 
     def _track(
-        self,
-        source: _TrackableDrive,
-        form: str,
-        draft: Path,
-        file: Path,
-        images: Path | None,
-        steps: Progress | None,
+        self, source: _TrackableDrive, form: str, draft: Path, file: Path, images: Path | None, steps: Progress | None
     ) -> None:
         with stage("tracking"):
             fused = source.observations

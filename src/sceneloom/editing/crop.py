@@ -25,7 +25,7 @@ from sceneloom.editing.references import (
     with_sensor_parent,
     with_warnings,
 )
-from sceneloom.editing.retime import LINES, SHARED, TEXTS, streams_of
+from sceneloom.editing.retime import LINES, TEXTS, streams_of
 from sceneloom.editing.thin import OnPoints, with_map_points, with_points
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
@@ -451,15 +451,13 @@ def _cut_lines(scene: Scene, part: Interval | None) -> Mapping[str, Any]:
     there = {f"trajectories.{name}" for name in scene.trajectories}
     there |= {name for sensor in scene.sensors for name in streams_of(sensor)}
     changed = {**kept, **_other_lines(kept, part)}
-    texts, shared = kept.get(TEXTS), kept.get(SHARED)
+    texts = kept.get(TEXTS)
     if isinstance(texts, Mapping):
         changed[TEXTS] = {
             name: {key: text for key, text in lines.items() if _is_key_inside(key, part)}
             for name, lines in texts.items()
             if name in there and isinstance(lines, Mapping)
         }
-    if isinstance(shared, list):
-        changed[SHARED] = [line for line in shared if _stays(line, there, part)]
     if part is not None:
         changed.pop(_FRAMES, None)
     left = {name: value for name, value in changed.items() if value or value == kept.get(name)}
@@ -480,13 +478,6 @@ def _other_lines(kept: Mapping[str, Any], part: Interval | None) -> dict[str, An
             chosen.append((text, anchor))
     found = {str(number): anchor for number, (_, anchor) in enumerate(chosen) if anchor is not None}
     return {_OTHER: [text for text, _ in chosen], **({_ANCHORS: found} if _ANCHORS in kept else {})}
-
-
-def _stays(line: Any, there: set[str], part: Interval | None) -> bool:
-    """Whether a line of several streams is of the part, and of streams all of which stay."""
-    records = line.get("records") if isinstance(line, Mapping) else None
-    pairs = [record for record in records or () if len(record) == 2]
-    return all(stream in there and _is_key_inside(key, part) for stream, key in pairs)
 
 
 def _is_key_inside(key: str, part: Interval | None) -> bool:

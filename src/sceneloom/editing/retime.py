@@ -236,10 +236,10 @@ def _retimed_part(part: Any, sensors: Mapping[Key, _Right], otherwise: _Right | 
 
 # Lines of recordings that are kept as text.
 
-LINES, TEXTS, SHARED = "recording", "further_keys", "shared_lines"
+LINES, TEXTS = "recording", "further_keys"
 """Our entry of the metadata with lines of recordings that say more than their samples.
 
-In it, such lines by stream and by time [ns] as text, and those of several records, with stream and time of each.
+In it, such lines by stream and by time [ns] as text.
 """
 
 
@@ -257,10 +257,7 @@ def streams_of(sensor: Sensor) -> list[str]:
 def _retimed_lines(
     scene: Scene, sensors: Mapping[Key, ClockCorrection], trajectories: Mapping[str, ClockCorrection]
 ) -> Mapping[str, Any]:
-    """Give the scene's metadata with the keys of lines moved as their samples are.
-
-    Lines of several records of which one is moved are removed: they would report it twice.
-    """
+    """Give the scene's metadata with the keys of lines moved as their samples are."""
     kept = scene.metadata.get(LINES)
     if not isinstance(kept, Mapping):
         return scene.metadata
@@ -269,16 +266,12 @@ def _retimed_lines(
         if key_of(sensor.id) in sensors:
             clocks |= dict.fromkeys(streams_of(sensor), sensors[key_of(sensor.id)])
     changed = dict(kept)
-    texts, shared = kept.get(TEXTS), kept.get(SHARED)
+    texts = kept.get(TEXTS)
     if isinstance(texts, Mapping):
         changed[TEXTS] = {
             name: _moved_keys(lines, clocks[name]) if name in clocks and isinstance(lines, Mapping) else lines
             for name, lines in texts.items()
         }
-    if isinstance(shared, list):
-        records = [(line.get("records") if isinstance(line, Mapping) else None) or () for line in shared]
-        moved = [any(record and record[0] in clocks for record in of_line) for of_line in records]
-        changed[SHARED] = [line for line, is_moved in zip(shared, moved, strict=True) if not is_moved]
     return MappingProxyType({**scene.metadata, LINES: MappingProxyType(changed)})
 
 

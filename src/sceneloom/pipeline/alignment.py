@@ -5,30 +5,26 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, read_only
-from sceneloom.editing.move_world import annotations_to_world, with_odometry
+from sceneloom.arrays import Float64Array
+from sceneloom.editing.move_world import FrameChange, annotations_to_world, moved_world, with_odometry
 from sceneloom.editing.references import ours_of
 from sceneloom.errors import DataError, OptionError
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import find_ego_motion, is_computed, with_trajectory_estimated
 from sceneloom.scene.annotations import (
-    Annotation,
-    CuboidAnnotation,
     LocalizationAdjustment,
     PlainAnnotation,
-    PointsAnnotation,
-    ShapeAnnotation,
 )
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
-from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion, camera_path, must_be_placed, needs_ego, sensor_source
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.motion import OdometrySensor, PlainSensor
+from sceneloom.scene.motion import PlainSensor
 from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.scene import Scene, Sensor, check_camera_models, frame_times, scene_period_ns
 from sceneloom.scene.time_range import chosen_interval, cut_scene
@@ -172,75 +168,9 @@ def _check_order(scene: Scene) -> None:
 
 def moved_scene(scene: Scene, origin_world: Float64Array) -> Scene:
     """Give a scene whose world has its origin at (3,) float64 [m] of the old one; frames are moved when read."""
-    return replace(
-        scene,
-        sensors=tuple(_moved_sensor(sensor, origin_world) for sensor in scene.sensors),
-        trajectories={
-            name: replace(trajectory, positions=trajectory.positions - origin_world)
-            for name, trajectory in scene.trajectories.items()
-        },
-        annotations=tuple(_moved_annotation(annotation, origin_world) for annotation in scene.annotations),
-    )
-
-
-def _moved_sensor(sensor: Any, origin_world: Float64Array) -> Sensor:
-    if isinstance(sensor, PointsSensor):
-        return replace(sensor, positions=_moved_points(sensor.positions, origin_world))
-    if isinstance(sensor, OdometrySensor):
-        return replace(sensor, poses=sensor.poses.moved(origin_world))
-    changes: dict[str, Any] = {}
-    if isinstance(sensor, LidarSensor | RadarSensor) and sensor.points_frame is PointsFrame.WORLD:
-        frames: LazyFrames[Any] = sensor.frames
-        changes["frames"] = LazyFrames(frames.timestamps_ns, partial(_moved_frame, frames, origin_world))
-    if isinstance(sensor, _POSED) and sensor.poses is not None and sensor.coordinates is Coordinates.WORLD:
-        changes["poses"] = sensor.poses.moved(origin_world)
-    moved: Sensor = replace(sensor, **changes) if changes else sensor
-    return moved
-
-
-def _moved_frame(frames: LazyFrames[Any], origin_world: Float64Array, index: int) -> Any:
-    frame = frames[index]
-    positions = _moved_points(frame.points.positions, origin_world)
-    return replace(frame, points=replace(frame.points, positions=positions))
-
-
-def _moved_points(positions: Float32Array, origin_world: Float64Array) -> Float32Array:
-    return (positions.astype(np.float64) - origin_world).astype(np.float32)
-
-
-def _moved_annotation(annotation: Annotation, origin_world: Float64Array) -> Annotation:
-    """The annotation from the new origin; types without locations in the world stay."""
-    if isinstance(annotation, CuboidAnnotation):
-        offset = np.concatenate([np.zeros(3), origin_world, np.zeros(3)])  # of size, centre and angles
-        return replace(
-            annotation,
-            path=replace(annotation.path, values=read_only(annotation.path.values - offset)),
-            activations=_moved_fields(annotation.activations, "cuboids", offset),
-            projections=_moved_fields(annotation.projections, "cuboids", offset),
-        )
-    if isinstance(annotation, ShapeAnnotation) and annotation.dimensions == 3:
-        vertices = tuple(read_only(positions - origin_world) for positions in annotation.path.vertices)
-        return replace(annotation, path=replace(annotation.path, vertices=vertices))
-    if isinstance(annotation, PointsAnnotation):
-        return replace(
-            annotation,
-            paths=tuple(
-                replace(path, values=read_only(path.values - np.resize(origin_world, path.values.shape[-1])))
-                for path in annotation.paths
-            ),
-            projections=tuple(
-                _moved_fields(of_point, "positions", origin_world) for of_point in annotation.projections
-            ),
-        )
-    return annotation
-
-
-def _moved_fields(parts: tuple[Any, ...], name: str, offset: Float64Array) -> tuple[Any, ...]:
-    """Activations or projections whose field `name`, if they have it, is moved."""
-    return tuple(
-        part if getattr(part, name) is None else replace(part, **{name: read_only(getattr(part, name) - offset)})
-        for part in parts
-    )
+    if not origin_world.any():
+        return scene
+    return moved_world(scene, FrameChange.constant(RigidTransform(np.eye(3), -origin_world)))
 
 
 def _output_sensor(sensor: Sensor, sources: Mapping[Identifier, PoseSource]) -> Sensor:

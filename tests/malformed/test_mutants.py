@@ -5,7 +5,7 @@ import sys
 import pytest
 from tests.malformed.mutants import ALL_DRIVES, DRIVES, OTHER_DRIVES, STRANGERS, try_mutants
 
-from sceneloom.detections.detectors import read_detectors
+from sceneloom.detections.settings import read_detectors
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats import open_scene
 from sceneloom.service.running import read_configuration_file

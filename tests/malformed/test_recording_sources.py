@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.recording.vio_config import read_vio_config, repeated_keys, unknown_keys
+from sceneloom.formats.recording.vio_config import read_vio_config, repeated_keys
+from sceneloom.formats.recording.writer import unknown_keys
 
 LINES = [
     {"sensor": {"type": "gyroscope", "values": [0.0, 0.1, 0.2]}, "time": 0.0},

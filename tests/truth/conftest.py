@@ -21,7 +21,7 @@ from sceneloom.simulate import (
     camera_mount,
     simulate_street,
 )
-from sceneloom.simulate.camera import edge_mask
+from sceneloom.simulate.drive import edge_mask
 
 PINHOLE = Camera("pinhole", 960, 360, 700.0, 700.0, 479.5, 179.5)
 FISHEYE = Camera("fisheye", 640, 400, 250.0, 250.0, 319.5, 190.0, (0.03, -0.008, 0.002, -0.0004))

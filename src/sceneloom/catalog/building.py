@@ -1,5 +1,7 @@
 """Build catalogues and update them: only drives that changed are read again, by several workers."""
 
+import json
+import re
 import shutil
 import time
 from collections import deque
@@ -12,11 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from sceneloom.batch.jobs import Outcome, Task
 from sceneloom.batch.workers import LOST, Executor, ProcessPool, Warming, run_task
 from sceneloom.catalog.rows import scene_rows
-from sceneloom.catalog.storage import PART_ROWS, VERSION, Entry, Fresh, Layout, Parts, scene_name, write_draft
+from sceneloom.catalog.storage import PART_ROWS, VERSION, Entry, Fresh, Layout, Parts, arrow_type, pyarrow
+from sceneloom.catalog.tables import TABLES, Column, Kind, Repeated, Rows, Values
 from sceneloom.checks.validation import validate
 from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError, redacted
 from sceneloom.formats.base.files import fingerprint, is_url, path_or_url, processors, size_on_disk
@@ -24,6 +28,73 @@ from sceneloom.formats.base.registry import drives_of, open_scene
 from sceneloom.scene.types import Progress
 from sceneloom.version import __version__
 from sceneloom.warnings import Finding
+
+_ODD = re.compile(r"[^A-Za-z0-9_]+")
+
+
+_NAME_LENGTH = 60
+
+
+def scene_name(path: str, options: Mapping[str, Any]) -> str:
+    """Name a drive by its file and a hash of its whole path and how it is read.
+
+    The name holds letters, digits, `_` and one `-` only, so that it means the same in folders, SQL and URLs, and no
+    reader takes it for a number or a date.
+    """
+    reported = json.dumps([path, dict(options)], sort_keys=True, default=str)
+    code = blake2b(reported.encode("utf-8", "surrogateescape"), digest_size=8).hexdigest()
+    last = [part for part in re.split(r"[/\\]", path) if part]
+    return f"{_ODD.sub('_', last[-1] if last else '')[:_NAME_LENGTH]}-{code}"
+
+
+def write_draft(scene: str, tables: Mapping[str, Rows], folder: Path) -> int:
+    """Write the rows of all tables of a scene.
+
+    Returns:
+        the number of rows of the longest table.
+
+    Raises:
+        DataError: a value is one that a table cannot hold.
+        OutputError: the files cannot be written.
+        MissingExtraError: pyarrow is not installed.
+    """
+    pa, _ = pyarrow()
+    made = {name: _table(pa, scene, name, tables[name]) for name in TABLES}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, table in made.items():
+            with pa.OSFile(str(folder / name), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+                writer.write_table(table)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    return max(int(table.num_rows) for table in made.values())
+
+
+def _table(pa: Any, scene: str, name: str, rows: Rows) -> Any:
+    columns = TABLES[name]
+    try:
+        arrays = [_array(pa, column, rows[column.name]) for column in columns]
+    except (pa.ArrowException, OverflowError) as error:
+        raise DataError(name, "", f"holds what Parquet cannot ({' '.join(str(error).split())})") from error
+    scenes = pa.repeat(pa.scalar(scene, pa.string()), len(arrays[0]))
+    return pa.table([scenes, *arrays], names=["scene", *(column.name for column in columns)])
+
+
+def _array(pa: Any, column: Column, values: Values) -> Any:
+    kind = arrow_type(column.kind)
+    if isinstance(values, Repeated):
+        words = pa.array([_unicode(word) for word in values.words], pa.string())
+        return pa.DictionaryArray.from_arrays(pa.array(values.codes, pa.int32()), words).cast(kind)
+    if column.kind is Kind.TEXT:
+        return pa.array([_unicode(value) for value in values], kind)
+    if isinstance(values, np.ndarray) and column.kind is Kind.COUNT:
+        return pa.array(values.astype(np.int32), kind, mask=values < 0)
+    return pa.array(values, kind, from_pandas=True)
+
+
+def _unicode(value: Any) -> str | None:
+    """Names of files may be no Unicode, which Parquet cannot hold."""
+    return None if value is None else str(value).encode("utf-8", "backslashreplace").decode()
 
 
 class Checks(StrEnum):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.catalog.tables import Repeated, Rows, text_of
+from sceneloom.catalog.tables import Repeated, Rows
 from sceneloom.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, geodetic_from_enu
 from sceneloom.geometry.rotations import rotate_vectors
 from sceneloom.motion.ego_trajectory import usable_positions
@@ -282,11 +282,11 @@ def distances(scene: Scene, ego: Ego, rows: BoxRows) -> Float64Array:
 
 def _stated(annotation: Any) -> dict[str, str | None]:
     return {
-        "annotation": text_of(annotation.id),
+        "annotation": _text_of(annotation.id),
         "type": str(annotation.type),
-        "label": text_of(getattr(annotation, "label", None)),
-        "parent": text_of(getattr(annotation, "parent_id", None)),
-        "sensor": text_of(getattr(annotation, "sensor_id", None)),
+        "label": _text_of(getattr(annotation, "label", None)),
+        "parent": _text_of(getattr(annotation, "parent_id", None)),
+        "sensor": _text_of(getattr(annotation, "sensor_id", None)),
     }
 
 
@@ -334,7 +334,7 @@ def _rows(attribute: AttributePath, owner: str, track: int) -> Iterator[_Row]:
     for value, start_ns, stop_ns in _spans(attribute):
         for part in value if isinstance(value, tuple | list) else (value,):
             if part is not None:
-                sensor = text_of(attribute.sensor_id)
+                sensor = _text_of(attribute.sensor_id)
                 yield owner, track, sensor, str(attribute.name), _text(part), _number(part), start_ns, stop_ns
 
 
@@ -415,7 +415,7 @@ def scene_rows(
         "start_ns": summary.start_ns,
         "duration": summary.duration,
         "period": usual_period_ns(moments_ns) / 1e9,
-        "moments_of": None if reference is None else text_of(reference.id),
+        "moments_of": None if reference is None else _text_of(reference.id),
         "metres": ego.metres,
         "latitude": first_lla[0],
         "longitude": first_lla[1],
@@ -479,3 +479,8 @@ def _findings(findings: Sequence[Finding]) -> Rows:
     same = ("rule", "severity", "message", "remedy", "count", "fixable")
     rows: Rows = {name: [getattr(finding, name) for finding in findings] for name in same}
     return {**rows, "location": [finding.path for finding in findings]}
+
+
+def _text_of(identifier: object) -> str | None:
+    """An id as text; None where there is none."""
+    return None if identifier is None else str(identifier)

@@ -168,8 +168,3 @@ Values = np.ndarray[Any, Any] | list[Any] | Repeated
 
 Rows = dict[str, Values]
 """The rows of a table, by columns."""
-
-
-def text_of(identifier: object) -> str | None:
-    """An id as text; None where there is none."""
-    return None if identifier is None else str(identifier)

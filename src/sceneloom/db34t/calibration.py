@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from types import MappingProxyType
@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, read_only
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import Camera
 from sceneloom.db34t.records import CalibrationData
 from sceneloom.db34t.tables import CALIBRATION
 from sceneloom.errors import CalibrationError, DataError
@@ -339,43 +339,8 @@ def entry_of(item: Any, location: str) -> CalibrationEntry:
     return CalibrationEntry(camera_id, lidar_id, data)
 
 
-def format_calibrations(entries: Iterable[CalibrationEntry]) -> str:
-    """Write the property's text, which `parse_calibrations` reads back."""
-    items = [{"camera_id": e.camera_id, "lidar_id": e.lidar_id, **asdict(e.data)} for e in entries]
-    return msgspec.json.encode(items).decode()
-
-
 CAMERA_MODELS = "camera_models"
 """A property that a session adds where it needs it: camera models that table 3 cannot state."""
-
-
-def parse_camera_models(text: str) -> Mapping[int, Camera]:
-    """Read `{"1": {"model": "fisheye", "image_size": [w, h], "fx": …, "coefficients": […]}}`; an empty text: none.
-
-    Raises:
-        DataError: it is no JSON object of camera models.
-        CalibrationError: a camera model cannot be.
-    """
-    found = read_by_sensor(text, CAMERA_MODELS, '{"1": {"model": "fisheye", …}}')
-    return {camera_id: _camera_model(entry, str(camera_id)) for camera_id, entry in found.items()}
-
-
-def _camera_model(entry: Any, location: str) -> Camera:
-    try:
-        model, (width, height) = entry["model"], entry["image_size"]
-        fx, fy, cx, cy = (float(entry[name]) for name in ("fx", "fy", "cx", "cy"))
-        coefficients = tuple(float(value) for value in entry.get("coefficients", ()))
-        if model not in MODELS or not all(isinstance(size, int) for size in (width, height)):
-            problem = f"{entry!r}; expected a model out of {', '.join(MODELS)} and whole sizes"
-            raise DataError(CAMERA_MODELS, location, problem)
-    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
-        problem = f"{entry!r}; expected model, image_size, fx, fy, cx, cy, coefficients"
-        raise DataError(CAMERA_MODELS, location, problem) from error
-    wanted = len(MODELS[model].coefficient_names)
-    if len(coefficients) > wanted:
-        raise CalibrationError(f"{CAMERA_MODELS}.{location}: {len(coefficients)} coefficients; {model} has {wanted}")
-    padded = (*coefficients, *[0.0] * (wanted - len(coefficients)))
-    return Camera(model, width, height, fx, fy, cx, cy, padded)
 
 
 def read_by_sensor(text: str, owner: str, example: str) -> dict[int, Any]:

@@ -1,10 +1,9 @@
 """Configuration data of DB34/T 4101-2022: predefined properties (table 2 and extensions), added ones, and `sensors`."""
 
 import re
-import threading
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
 from types import MappingProxyType
@@ -13,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from sceneloom.db34t.calibration import DeclaredAxes, SensorKind, parse_calibrations, read_by_sensor
-from sceneloom.db34t.types import DONE, BasicType, Cause, Outcome, ValueForm, ValueType, refused, shown
+from sceneloom.db34t.types import ValueType
 from sceneloom.detections.detectors import detector_names
-from sceneloom.errors import ArrayError, CalibrationError, DataError, OptionError
+from sceneloom.errors import ArrayError, CalibrationError, DataError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import GLOBAL, LONGEST_ROLL_S, Shutter
 
@@ -209,14 +208,9 @@ Source: DB34/T 4101-2022, table 2; defaults are its examples, but for the algori
 
 
 _ENUM_PAIR = re.compile(r"(\w+)\s*=\s*(-?\d+)")
-_LONGEST_NAME = 256
-_LONGEST_DESCRIPTION = 65_536
 
 MOST_PROPERTIES = 1_000
 """Properties that one system may have: a caller that adds for ever is stopped."""
-
-_LARGEST_VALUES = 1 << 25
-"""How large the values of all properties may be together: their characters, and 8 for each number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,171 +254,3 @@ class Snapshot:
 
     def __getitem__(self, name: str) -> Any:
         return self.properties[name].value
-
-
-@dataclass(slots=True)
-class PropertyStore:
-    """Holds the properties; each call is whole before the next one is, whoever calls.
-
-    Attributes:
-        check_algorithm: called with a fusion type and a name before it is set; raises OptionError if there is no
-            such algorithm.
-
-    Source: DB34/T 4101-2022, clauses 5.2 to 5.5.
-    """
-
-    check_algorithm: Callable[[int, str], object] | None = None
-    _properties: dict[str, Property] = field(
-        default_factory=lambda: {
-            row.name: Property(
-                row.name, row.description, ValueType.parse(row.type), row.default, row.unit, predefined=True
-            )
-            for row in PREDEFINED.values()
-        }
-    )
-    _algorithms: list[str] = field(default_factory=lambda: [PREDEFINED["fusion_algorithm"].default] * 2)
-    _revision: int = 0
-    _size: int = 0
-    _snapshot: Snapshot | None = None
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def add(self, name: str, description: str, type: str) -> Outcome:
-        """Add a property without a value.
-
-        Args:
-            name: up to 256 characters, none of them blank or a control character.
-            description: for people; of an `enum` it lists its `name=number` pairs.
-            type: of table 1, or a tuple or an array of such.
-
-        Returns:
-            0 where the name is taken or not usable, or the type is none.
-
-        Source: DB34/T 4101-2022, clause 5.3.
-        """
-        try:
-            _check_words(name, description)
-            kind = ValueType.parse(type)
-        except DataError as error:
-            return refused(Cause.ILL_TYPED, error)
-        added = Property(name, description, kind)
-        if BasicType.ENUM in kind.elements and not added.enumeration:
-            return refused(Cause.ILL_TYPED, "an enum without values; expected name=number pairs in its description")
-        with self._lock:
-            if name in self._properties:
-                return refused(Cause.KNOWN_NAME, f"property {name!r} is there already")
-            if len(self._properties) >= MOST_PROPERTIES:
-                return refused(Cause.TOO_MANY, f"there are {MOST_PROPERTIES} properties, as many as there may be")
-            self._keep(added)
-        return DONE
-
-    def set(self, name: str, value: Any) -> Outcome:
-        """Set a property; what is refused leaves it as it was.
-
-        Source: DB34/T 4101-2022, clause 5.4.
-        """
-        with self._lock:
-            known = self._properties.get(name)
-            if known is None:
-                return refused(Cause.UNKNOWN_NAME, self._unknown(name))
-            try:
-                checked = _checked(known, value)
-            except DataError as error:
-                return refused(Cause.ILL_TYPED, error)
-            try:
-                self._check_further(name, checked)
-            except OptionError as error:
-                return refused(Cause.UNKNOWN_ALGORITHM, error)
-            except (DataError, CalibrationError) as error:
-                return refused(Cause.OUT_OF_RANGE, f"{name}: {error}")
-            size = self._size - _size_of(known.value) + _size_of(checked)
-            if size > _LARGEST_VALUES:
-                problem = f"all values have {size} characters and numbers then; expected at most {_LARGEST_VALUES}"
-                return refused(Cause.TOO_MANY, f"{name}: {problem}")
-            self._size = size
-            if name == "fusion_algorithm":
-                self._algorithms[self._properties["fusion_type"].value] = checked
-            self._keep(replace(known, value=checked))
-            # fusion_algorithm states the algorithm of the fusion that fusion_type names
-            algorithm = self._properties["fusion_algorithm"]
-            current = self._algorithms[self._properties["fusion_type"].value]
-            if algorithm.value != current:
-                self._properties["fusion_algorithm"] = replace(algorithm, value=current)
-        return DONE
-
-    def get(self, name: str) -> Property:
-        """Give a property.
-
-        Raises:
-            OptionError: there is none of that name.
-
-        Source: DB34/T 4101-2022, clause 5.5.
-        """
-        with self._lock:
-            if name not in self._properties:
-                raise OptionError(self._unknown(name))
-            return self._properties[name]
-
-    def snapshot(self) -> Snapshot:
-        """Give all properties as they are now."""
-        with self._lock:
-            if self._snapshot is None:
-                kept = MappingProxyType(dict(self._properties))
-                self._snapshot = Snapshot(self._revision, kept, (self._algorithms[0], self._algorithms[1]))
-            return self._snapshot
-
-    def _keep(self, changed: Property) -> None:
-        self._properties[changed.name] = changed
-        self._revision += 1
-        self._snapshot = None
-
-    def _check_further(self, name: str, value: Any) -> None:
-        row = PREDEFINED.get(name)
-        if row is not None and row.check is not None:
-            row.check(value)
-        if name == "fusion_algorithm" and self.check_algorithm is not None:
-            self.check_algorithm(self._properties["fusion_type"].value, value)
-
-    def _unknown(self, name: str) -> str:
-        names = list(self._properties)
-        listed = f"{', '.join(names[:40])}{'' if len(names) <= 40 else ', …'}"
-        return f"property {shown(name)} is not there; there are {listed}"
-
-
-def _check_words(name: str, description: str) -> None:
-    """Check name and description of a property that is added."""
-    usable = isinstance(name, str) and 0 < len(name) <= _LONGEST_NAME and name.isprintable() and " " not in name
-    if not usable:
-        raise DataError("property", "name", f"{shown(name)}; expected 1 to {_LONGEST_NAME} visible characters")
-    if not isinstance(description, str):
-        raise DataError(f"property {name}", "description", f"{shown(description)}; expected a text")
-    if len(description) > _LONGEST_DESCRIPTION:
-        problem = f"{len(description)} characters; expected at most {_LONGEST_DESCRIPTION}"
-        raise DataError(f"property {name}", "description", problem)
-
-
-def _size_of(value: Any) -> int:
-    if isinstance(value, tuple):
-        return sum(map(_size_of, value))
-    return len(value) if isinstance(value, str) else 8
-
-
-def _checked(known: Property, value: Any) -> Any:
-    checked = known.type.check(value, owner=known.name)
-    if BasicType.ENUM not in known.type.elements:
-        return checked
-    if known.type.form is ValueForm.SCALAR:
-        return _enumerated(known, checked)
-    return tuple(
-        _enumerated(known, item) if kind is BasicType.ENUM else item
-        for kind, item in zip(known.type.elements_of(len(checked)), checked, strict=True)
-    )
-
-
-def _enumerated(known: Property, value: str | int) -> int:
-    pairs = known.enumeration
-    if isinstance(value, str) and value in pairs:
-        return pairs[value]
-    if value in pairs.values():
-        return int(value)
-    expected = ", ".join(f"{name}={number}" for name, number in pairs.items())
-    raise DataError(known.name, "", f"{shown(value)}; expected one of {expected}")

@@ -3,9 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from sceneloom.arrays import Float64Array, read_only
-from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.db34t.calibration import (
     CAMERA_MODELS,
     CalibratedPair,
@@ -13,10 +14,10 @@ from sceneloom.db34t.calibration import (
     DeclaredAxes,
     SensorKind,
     calibrated_pair,
-    parse_camera_models,
+    read_by_sensor,
 )
 from sceneloom.db34t.properties import DeclaredSensor, Snapshot, parse_sensors
-from sceneloom.errors import CalibrationError
+from sceneloom.errors import CalibrationError, DataError
 from sceneloom.fusion.configuration import FusionConfiguration
 
 _MILLISECOND = 1_000_000
@@ -62,7 +63,7 @@ class Setting:
             return replace(before, properties=properties)
         axes = {kind: _declared_axes(properties, kind) for kind in SensorKind}
         added = properties.properties.get(CAMERA_MODELS)
-        models = parse_camera_models(added.value) if added is not None and isinstance(added.value, str) else {}
+        models = _parse_camera_models(added.value) if added is not None and isinstance(added.value, str) else {}
         pairs: dict[tuple[int, int], CalibratedPair] = {}
         faults: dict[tuple[int, int], str] = {}
         for (camera_id, lidar_id), entry in table.items():
@@ -183,3 +184,32 @@ def _declared_axes(properties: Snapshot, kind: SensorKind) -> DeclaredAxes:
     if properties[f"{kind}_axes"]:
         return DeclaredAxes.of_words(properties[f"{kind}_axes"])
     return DeclaredAxes.of_triple(properties[f"{kind}_coordinate"], left_handed=properties["chirality"] == 1)
+
+
+def _parse_camera_models(text: str) -> Mapping[int, Camera]:
+    """Read `{"1": {"model": "fisheye", "image_size": [w, h], "fx": …, "coefficients": […]}}`; an empty text: none.
+
+    Raises:
+        DataError: it is no JSON object of camera models.
+        CalibrationError: a camera model cannot be.
+    """
+    found = read_by_sensor(text, CAMERA_MODELS, '{"1": {"model": "fisheye", …}}')
+    return {camera_id: _camera_model(entry, str(camera_id)) for camera_id, entry in found.items()}
+
+
+def _camera_model(entry: Any, location: str) -> Camera:
+    try:
+        model, (width, height) = entry["model"], entry["image_size"]
+        fx, fy, cx, cy = (float(entry[name]) for name in ("fx", "fy", "cx", "cy"))
+        coefficients = tuple(float(value) for value in entry.get("coefficients", ()))
+        if model not in MODELS or not all(isinstance(size, int) for size in (width, height)):
+            problem = f"{entry!r}; expected a model out of {', '.join(MODELS)} and whole sizes"
+            raise DataError(CAMERA_MODELS, location, problem)
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+        problem = f"{entry!r}; expected model, image_size, fx, fy, cx, cy, coefficients"
+        raise DataError(CAMERA_MODELS, location, problem) from error
+    wanted = len(MODELS[model].coefficient_names)
+    if len(coefficients) > wanted:
+        raise CalibrationError(f"{CAMERA_MODELS}.{location}: {len(coefficients)} coefficients; {model} has {wanted}")
+    padded = (*coefficients, *[0.0] * (wanted - len(coefficients)))
+    return Camera(model, width, height, fx, fy, cx, cy, padded)

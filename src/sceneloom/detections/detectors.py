@@ -27,8 +27,7 @@ Ensembling", eq. 4 for the agreement; Thrun, Burgard and Fox 2005, "Probabilisti
 """
 
 import math
-import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -39,8 +38,6 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, read_only
-from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.base.files import read_settings
 
 
 class _Kind(NamedTuple):
@@ -366,92 +363,6 @@ DEFAULT = "simulated"
 def detector_names() -> tuple[str, ...]:
     """Names of the detectors whose numbers come with the package."""
     return (*sorted(path.stem for path in FOLDER.glob("*.toml")), INDEPENDENT)
-
-
-def find_detectors(name: str) -> Detectors:
-    """Find detectors by their name, or by the path of a file.
-
-    Raises:
-        OptionError: there are none of that name, and no such file.
-        DataError: the file is faulty.
-    """
-    if name == INDEPENDENT:
-        return independent_detectors()
-    if name in detector_names():
-        return _read_kept(FOLDER / f"{name}.toml")
-    path = Path(name)
-    if path.suffix != ".toml" and not path.is_file():
-        known = ", ".join(detector_names())
-        raise OptionError(f"detectors {name!r}; expected one of {known}, or the path of a TOML file")
-    return read_detectors(path)
-
-
-def read_detectors(path: str | Path) -> Detectors:
-    """Read the statistics of detectors.
-
-    Raises:
-        DataError: the file cannot be read, or is faulty.
-    """
-    try:
-        raw = tomllib.loads(read_settings(Path(path)).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise DataError(path, "", f"{error}; expected the TOML of detectors") from None
-    try:
-        found = msgspec.convert(raw, _File)
-    except (msgspec.ValidationError, OverflowError) as error:
-        raise DataError(path, "", f"{error}; expected the numbers of detectors") from None
-    for location, problem in _faults(found):
-        raise DataError(path, location, problem)
-    return Detectors(
-        name=found.name,
-        classes=MappingProxyType({kind_name(name): statistics for name, statistics in found.classes.items()}),
-        otherwise=kind_name(found.otherwise),
-        degrees_of_freedom=found.degrees_of_freedom,
-        provenance=MappingProxyType(found.provenance),
-    )
-
-
-_read_kept = lru_cache(maxsize=16)(read_detectors)
-
-
-class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The file's own form."""
-
-    name: str
-    otherwise: str
-    classes: dict[str, ClassStatistics]
-    degrees_of_freedom: float = float("inf")
-    provenance: dict[str, str] = {}
-
-
-def _faults(found: _File) -> Iterator[tuple[str, str]]:
-    """Locations and what is wrong there."""
-    if found.otherwise not in found.classes:
-        yield "otherwise", f"{found.otherwise!r}; expected one of {', '.join(found.classes)}"
-    if not found.degrees_of_freedom > 2.0:
-        yield "degrees_of_freedom", f"{found.degrees_of_freedom}; expected more than 2"
-    for name, own in found.classes.items():
-        if kind_name(name) not in KINDS:
-            yield f"classes.{name}", f"no known class; expected one of {', '.join(KINDS)}"
-        for location, value in _numbers(asdict(own), f"classes.{name}"):
-            if not math.isfinite(value):
-                yield location, f"{value}; expected a finite number"
-        visibility = own.visibility
-        for key in ("recall_2d", "recall_3d", "weak_recall_2d", "weak_share", "seen_share", "prior"):
-            value = getattr(visibility, key)
-            if not 0.0 <= value <= 1.0 or (key == "prior" and value in {0.0, 1.0}):
-                yield f"classes.{name}.visibility.{key}", f"{value}; expected 0 to 1"
-
-
-def _numbers(value: Any, location: str) -> Iterator[tuple[str, float]]:
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _numbers(inner, f"{location}.{key}")
-    elif isinstance(value, (tuple, list)):
-        for k, inner in enumerate(value):
-            yield from _numbers(inner, f"{location}[{k}]")
-    elif isinstance(value, (int, float)):
-        yield location, float(value)
 
 
 def format_detectors(detectors: Detectors) -> str:

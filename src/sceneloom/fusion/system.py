@@ -4,24 +4,275 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, cast
 
-from sceneloom.colouring.results import FusedFrame
+import numpy as np
+
+from sceneloom.arrays import Float32Array, UInt8Array
+from sceneloom.colouring.algorithms import FusionAlgorithm, ViewRequest
+from sceneloom.colouring.results import FusedFrame, LidarTrajectory
+from sceneloom.colouring.rolling_shutter import ShutterDirection
 from sceneloom.detections.detectors import DEFAULT
-from sceneloom.detections.results import DetectionAlgorithm
+from sceneloom.detections.results import DetectionAlgorithm, DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm
-from sceneloom.fusion.box_fusion import BoxFusion, BoxPairing, FusedDetectionFrame, SeenBoxes
+from sceneloom.fusion.box_fusion import BoxPairing, FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.configuration import FusionConfiguration
-from sceneloom.fusion.pairing import KnownCamera, KnownLidar, Leave, OnLeft, Pairing, Waiting, nobody
-from sceneloom.fusion.sweep_fusion import SweepFusion, SweepPairing, TimedSweep
+from sceneloom.fusion.pairing import KnownCamera, KnownLidar, Leave, OnLeft, Pairing, Waiting, nobody, stationary
+from sceneloom.fusion.sweep_fusion import SweepPairing, TimedSweep
+from sceneloom.geometry.interpolation import OUT_OF_REACH
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.motion.deskew import points_to_world
 from sceneloom.scene.cameras import GLOBAL, CameraImage, Shutter
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.detections import Boxes3D
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.types import NO_FIELDS, Identifier
+
+_Placed = Callable[[PoseSource | None], PoseSource | None]
+
+
+@dataclass(slots=True)
+class _Pairs:
+    """The images found for one sweep, and the cameras without one."""
+
+    extrapolated: bool
+    requests: list[ViewRequest] = field(default_factory=list)
+    unpaired: list[Identifier] = field(default_factory=list)
+    unposed: list[Identifier] = field(default_factory=list)
+    extras: dict[Identifier, Mapping[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _SweepFusion:
+    """Fuses sweeps with images.
+
+    Attributes:
+        lidars, cameras: what is known of the sensors.
+        on_unreadable: called for an image that cannot be decoded, which then counts as unpaired; None: it raises.
+    """
+
+    lidars: Mapping[Identifier, KnownLidar]
+    cameras: Mapping[Identifier, KnownCamera]
+    on_unreadable: Callable[[DataError], None] | None = None
+    _decoded: dict[Identifier, tuple[CameraImage, UInt8Array]] = field(default_factory=dict)
+
+    def fuse(self, waiting: Waiting[TimedSweep], pairing: SweepPairing) -> tuple[FusedFrame, ...]:
+        """Fuse a sweep; where the ego trajectory does not reach, the result says so.
+
+        Where it reaches the sweep and only some of the images, and those beyond it are to be fused as if the ego had
+        not moved, these are a second result: what a camera shows does not depend on how late another's image is.
+        """
+        settings = waiting.configuration
+        if not settings.motion_compensation:
+            return (self._fuse_stationary(waiting, pairing, self.cameras),)
+        fused = self._fuse(waiting, pairing, self.cameras, lambda source: source)
+        if not settings.stand_beyond_trajectory or not (fused.unfused or fused.unposed):
+            return (fused,)
+        if not fused.views:
+            return (self._fuse_stationary(waiting, pairing, self.cameras),)
+        beyond = {camera_id: self.cameras[camera_id] for camera_id in fused.unposed}
+        return replace(fused, unposed=()), self._fuse_stationary(waiting, pairing, beyond)
+
+    def _fuse_stationary(
+        self, waiting: Waiting[TimedSweep], pairing: SweepPairing, cameras: Mapping[Identifier, KnownCamera]
+    ) -> FusedFrame:
+        return replace(self._fuse(waiting, pairing, cameras, stationary), stationary=True)
+
+    def _fuse(
+        self,
+        waiting: Waiting[TimedSweep],
+        pairing: SweepPairing,
+        cameras: Mapping[Identifier, KnownCamera],
+        placed: _Placed,
+    ) -> FusedFrame:
+        frame, lidar = waiting.frame.frame, self.lidars[waiting.lidar_id]
+        fused = FusedFrame(
+            waiting.lidar_id,
+            waiting.index,
+            frame.timestamp_ns,
+            waiting.reference_ns,
+            frame.points,
+            extras=frame.extras,
+            times=waiting.frame.times,
+        )
+        source, location = placed(lidar.source), placed(lidar.location)
+        try:
+            positions_world, extrapolated = (
+                (frame.points.positions.astype(np.float64), False) if source is None else points_to_world(frame, source)
+            )
+        except PoseError as error:
+            return replace(fused, unfused=f"beyond the trajectory: {error}")
+        points = replace(frame.points, positions=positions_world.astype(np.float32))
+        if not cameras:
+            return replace(fused, points=points, extrapolated=extrapolated)
+        pairs = _Pairs(extrapolated=extrapolated)
+        for camera in cameras.values():
+            self._pair(waiting, pairing, camera, placed(camera.source) or camera.source, pairs)
+        trajectory = None if location is None else LidarTrajectory.of(frame, location)
+        algorithm: FusionAlgorithm = waiting.algorithm
+        coloured = algorithm(positions_world, pairs.requests, waiting.configuration.visibility, trajectory=trajectory)
+        return replace(
+            fused,
+            points=replace(points, colors=coloured.colors, camera_index=coloured.camera_index),
+            views=coloured.views,
+            unpaired=tuple(pairs.unpaired),
+            unposed=tuple(pairs.unposed),
+            extrapolated=pairs.extrapolated,
+            image_extras=pairs.extras,
+        )
+
+    def _pair(
+        self,
+        waiting: Waiting[TimedSweep],
+        pairing: SweepPairing,
+        camera: KnownCamera,
+        source: PoseSource,
+        pairs: _Pairs,
+    ) -> None:
+        """Find the camera's image for a sweep and where it was taken, or note why there is none."""
+        image = pairing.partner(waiting, camera.id)
+        if image is None:
+            pairs.unpaired.append(camera.id)
+            return
+        location = source.mounted(image.mount)
+        pose = location.at(np.array([image.timestamp_ns], np.int64))
+        if pose.coverage[0] == 2:
+            pairs.unposed.append(camera.id)
+            return
+        rgb = self._rgb(camera.id, image)
+        if rgb is None:
+            pairs.unpaired.append(camera.id)
+            return
+        pairs.extrapolated |= bool(pose.coverage[0] == 1)
+        pairs.extras[camera.id] = image.extras
+        pairs.requests.append(
+            ViewRequest(
+                camera_id=camera.id,
+                camera_index=camera.index,
+                camera=image.camera,
+                timestamp_ns=image.timestamp_ns,
+                world_from_camera=RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
+                rgb=rgb,
+                shutter=ShutterDirection.of(camera.shutter, image.timestamp_ns, location),
+            )
+        )
+
+    def _rgb(self, camera_id: Identifier, image: CameraImage) -> UInt8Array | None:
+        """Decode once where several sweeps are paired with one image."""
+        kept = self._decoded.get(camera_id)
+        if kept is None or kept[0] is not image:
+            try:
+                kept = image, image.rgb
+            except DataError as error:
+                if self.on_unreadable is None:
+                    raise
+                self.on_unreadable(error)
+                return None
+            self._decoded[camera_id] = kept
+        return kept[1]
+
+
+@dataclass(slots=True)
+class _BoxFusion:
+    """Fuses the boxes of sweeps with those of images.
+
+    Attributes:
+        lidars, cameras: what is known of the sensors.
+    """
+
+    lidars: Mapping[Identifier, KnownLidar]
+    cameras: Mapping[Identifier, KnownCamera]
+
+    def fuse(self, waiting: Waiting[Boxes3D], pairing: BoxPairing) -> Iterator[FusedDetectionFrame]:
+        """Fuse the boxes of a sweep with those of each image that belongs to it."""
+        algorithm: DetectionAlgorithm = waiting.algorithm
+        seen_by = list(self._seen_by(waiting, pairing))
+        points = None
+        if any(len(seen.boxes) for _, seen, _, _ in seen_by):
+            points = _points_lidar(self.lidars[waiting.lidar_id], waiting.reference_ns)
+        for number, (camera_id, seen, camera_from_lidar, stands) in enumerate(seen_by, start=1):
+            pair = DetectionPair(waiting.frame, seen.boxes, seen.camera, camera_from_lidar, points)
+            yield FusedDetectionFrame(
+                waiting.lidar_id,
+                camera_id,
+                waiting.index,
+                waiting.frame.timestamp_ns,
+                seen.timestamp_ns,
+                algorithm(pair),
+                seen.camera,
+                camera_from_lidar,
+                last=number == len(seen_by),
+                stationary=stands,
+                sweep_extras=waiting.extras,
+                image_extras=seen.extras,
+            )
+
+    def _seen_by(
+        self, waiting: Waiting[Boxes3D], pairing: BoxPairing
+    ) -> Iterator[tuple[Identifier, SeenBoxes, RigidTransform, bool]]:
+        """The boxes of each image of a sweep, `camera_from_lidar`, and whether the ego is taken to are stationary."""
+        lidar = self.lidars[waiting.lidar_id]
+        for camera in self.cameras.values():
+            seen = pairing.partner(waiting, camera.id)
+            if seen is None:
+                continue
+            camera_from_lidar = None
+            if waiting.configuration.motion_compensation:
+                camera_from_lidar = _camera_from_lidar(lidar, camera, waiting.reference_ns, seen, still=False)
+            stands = camera_from_lidar is None
+            if camera_from_lidar is None:
+                camera_from_lidar = _camera_from_lidar(lidar, camera, waiting.reference_ns, seen, still=True)
+            if camera_from_lidar is not None:
+                yield camera.id, seen, camera_from_lidar, stands
+
+
+def _points_lidar(lidar: KnownLidar, time_ns: int) -> Float32Array | None:
+    """The points of the sweep of a time in the lidar's frame, as they were measured; None where it has not come."""
+    frame = lidar.sweep_at(time_ns)
+    if frame is None or len(frame.points) == 0:
+        return None
+    positions, source, location = frame.points.positions, lidar.source, lidar.location or lidar.source
+    if location is None or source is location or (source is not None and source.mount is location.mount):
+        return np.ascontiguousarray(positions)
+    world_from_lidar = _at(location, time_ns)
+    world_from_points = RigidTransform.identity() if source is None else _at(source, time_ns)
+    if world_from_lidar is None or world_from_points is None:
+        return None
+    return (world_from_lidar.inverse() @ world_from_points).apply(positions).astype(np.float32)
+
+
+def _camera_from_lidar(
+    lidar: KnownLidar, camera: KnownCamera, reference_ns: int, seen: SeenBoxes, *, still: bool
+) -> RigidTransform | None:
+    """Give the transform between a sweep and an image of another time; None where the ego trajectory does not reach."""
+    location = lidar.location or lidar.source
+    sources = (stationary(location), stationary(camera.source)) if still else (location, camera.source)
+    if sources[0] is None or sources[1] is None:
+        return None
+    if sources[0].path is sources[1].path and sources[0].path.static:
+        return _between_mounts(sources[1].mounted(seen.mount).mount, sources[0].mount)
+    world_from_lidar = _at(sources[0], reference_ns)
+    world_from_camera = _at(sources[1].mounted(seen.mount), seen.timestamp_ns)
+    if world_from_lidar is None or world_from_camera is None:
+        return None
+    return world_from_camera.inverse() @ world_from_lidar
+
+
+@lru_cache(maxsize=256)
+def _between_mounts(ego_from_camera: RigidTransform, ego_from_lidar: RigidTransform) -> RigidTransform:
+    """Give `camera_from_lidar` of sensors on an ego that does not move; by object: they are the same for a drive."""
+    return ego_from_camera.inverse() @ ego_from_lidar
+
+
+def _at(source: PoseSource, time_ns: int) -> RigidTransform | None:
+    body = source.path.interpolate(np.array([time_ns], np.int64), reach_ns=source.reach_ns)
+    if body.coverage[0] == OUT_OF_REACH:
+        return None
+    return RigidTransform.from_quaternion(body.positions[0], body.quaternions_xyzw[0]) @ source.mount
+
 
 Measurement = LidarFrame | CameraImage | Boxes3D | SeenBoxes
 """What can be sent: sweeps and images, and what detectors saw in them."""
@@ -59,8 +310,8 @@ class FusionSystem:
     _cameras: dict[Identifier, KnownCamera] = field(default_factory=dict)
     _sweeps: SweepPairing = field(init=False)
     _boxes: BoxPairing = field(init=False)
-    _sweep_fusion: SweepFusion = field(init=False)
-    _box_fusion: BoxFusion = field(init=False)
+    _sweep_fusion: _SweepFusion = field(init=False)
+    _box_fusion: _BoxFusion = field(init=False)
     _algorithms: dict[tuple[FusionType, str], Any] = field(default_factory=dict)
     _results: deque[FusedFrame] = field(default_factory=deque)
     _detections: deque[FusedDetectionFrame] = field(default_factory=deque)
@@ -70,8 +321,8 @@ class FusionSystem:
         self._algorithm(FusionType.SENSOR_DATA, settings.fusion_algorithm)
         self._sweeps = Pairing(settings.lateness_ns, settings.most_waiting, on_left=self.on_left)
         self._boxes = Pairing(settings.lateness_ns, settings.most_waiting, on_left=self.on_left)
-        self._sweep_fusion = SweepFusion(self._lidars, self._cameras)
-        self._box_fusion = BoxFusion(self._lidars, self._cameras)
+        self._sweep_fusion = _SweepFusion(self._lidars, self._cameras)
+        self._box_fusion = _BoxFusion(self._lidars, self._cameras)
 
     def add_lidar(
         self,

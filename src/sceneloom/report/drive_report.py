@@ -6,7 +6,7 @@
 import hashlib
 import platform
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from importlib import metadata
@@ -38,7 +38,7 @@ from sceneloom.report.content import (
     warning_text,
 )
 from sceneloom.report.coverage import Coverage
-from sceneloom.report.fusion import CalibrationCheck, Fusion, calibration_section
+from sceneloom.report.fusion import CalibrationCheck, Fusion
 from sceneloom.report.timing import Timing
 from sceneloom.report.trajectory import Metrics, Trajectories
 from sceneloom.scene.contents import contents_of
@@ -479,7 +479,7 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
         yield self._drive_section()
         yield self.timing.section()
         yield self.trajectories.section(left_out("trajectory"))
-        yield calibration_section(self.calibration, figures, left_out("calibration"))
+        yield _calibration_section(self.calibration, figures, left_out("calibration"))
         yield self.coverage.section(left_out("coverage"), () if self.fusion is None else self.fusion.cameras)
         if self.fusion is None:
             none = "There is no lidar whose points could be fused."
@@ -698,4 +698,27 @@ def _kind_block(kind: WarningKind, lines: list[str]) -> Block:
         heading=f"{kind.capitalize()}: {len(lines):,}",
         list_title=f"All {len(lines):,}",
         listed=[*lines[:_MOST_WARNINGS], *more],
+    )
+
+
+def _calibration_section(checks: Sequence[CalibrationCheck], figures: Figures, missing: str | None) -> Section:
+    """Show overlays, and what a quick check says."""
+    photos = figures.of("calibration")
+    legend = (
+        "Discs: points of the lidar, coloured by depth; grey crosses: points behind something nearer. Where the "
+        "calibration is right, jumps in depth follow the edges of things in the image."
+    )
+    frames = max((check.frames for check in checks), default=0)
+    more = f"A quick check by {frames} images of each camera; `sceneloom calibrate DRIVE --check` takes more."
+    return Section(
+        key="calibration",
+        name="Calibration",
+        missing=missing,
+        absent=None if photos or checks else "There are no points in images to judge it by.",
+        blocks=[
+            Block(photos=photos),
+            Block(lines=[legend] if photos else [], faint=True),
+            *(check.block() for check in checks),
+            Block(lines=[more] if checks else [], faint=True),
+        ],
     )

@@ -1,6 +1,5 @@
 """A quick check of the camera-lidar calibration, the fusion of some sweeps, and the sections about both."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import msgspec
@@ -84,29 +83,6 @@ def check_cameras(scene: Scene, *, frames: int = _FRAMES) -> tuple[CalibrationCh
     if not lidars or not cameras:
         return ()
     return tuple(_check(scene, camera.id, lidars[0].id, frames) for camera in cameras[:_MOST_CAMERAS])
-
-
-def calibration_section(checks: Sequence[CalibrationCheck], figures: Figures, missing: str | None) -> Section:
-    """Show overlays, and what a quick check says."""
-    photos = figures.of("calibration")
-    legend = (
-        "Discs: points of the lidar, coloured by depth; grey crosses: points behind something nearer. Where the "
-        "calibration is right, jumps in depth follow the edges of things in the image."
-    )
-    frames = max((check.frames for check in checks), default=0)
-    more = f"A quick check by {frames} images of each camera; `sceneloom calibrate DRIVE --check` takes more."
-    return Section(
-        key="calibration",
-        name="Calibration",
-        missing=missing,
-        absent=None if photos or checks else "There are no points in images to judge it by.",
-        blocks=[
-            Block(photos=photos),
-            Block(lines=[legend] if photos else [], faint=True),
-            *(check.block() for check in checks),
-            Block(lines=[more] if checks else [], faint=True),
-        ],
-    )
 
 
 def _check(scene: Scene, camera_id: Identifier, lidar_id: Identifier, frames: int) -> CalibrationCheck:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, BinaryIO, ClassVar, TypeVar
+from typing import Any, BinaryIO, ClassVar, Generic, TypeVar, cast
 
 import numpy as np
 
@@ -15,13 +15,25 @@ from sceneloom.arrays import (
     as_array,
     check_array,
     hold_timestamp,
+    read_only,
 )
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.frames import Kept, LazyFrames
+from sceneloom.scene.frames import Array_co, LazyFrames
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, SensorType
 from sceneloom.stages import in_stage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kept(Generic[Array_co]):
+    """Gives an image that is in memory; others cannot write into it."""
+
+    image: Array_co
+
+    def __call__(self) -> Array_co:
+        """Give a view that refuses writing."""
+        return cast("Array_co", read_only(self.image))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

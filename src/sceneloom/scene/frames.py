@@ -1,9 +1,8 @@
 """A sequence whose timestamps are known at once and whose contents are made when asked for."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, Generic, TypeVar, cast, overload
+from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 
@@ -13,17 +12,6 @@ from sceneloom.stages import in_stage
 
 Item_co = TypeVar("Item_co", covariant=True)
 Array_co = TypeVar("Array_co", bound=AnyArray, covariant=True)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Kept(Generic[Array_co]):
-    """Gives an image that is in memory; others cannot write into it."""
-
-    image: Array_co
-
-    def __call__(self) -> Array_co:
-        """Give a view that refuses writing."""
-        return cast("Array_co", read_only(self.image))
 
 
 def _read_chosen(read: Callable[[int], Any], rows: "range | Int64Array", k: int) -> Any:

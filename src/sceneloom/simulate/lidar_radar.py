@@ -11,6 +11,7 @@ ground along the same line is `lengths + directions · v_radar`; the sensor does
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from sceneloom.simulate.casting import (
     paint,
     silhouettes,
 )
-from sceneloom.simulate.parameters import Stream, check_bounds, check_fans, generator_for
+from sceneloom.simulate.parameters import Stream, check_bounds, generator_for
 from sceneloom.simulate.street import GRAIN, Street
 from sceneloom.simulate.trajectory import EgoPath, sensor_mount
 
@@ -294,7 +295,7 @@ class Raster:
     def __post_init__(self) -> None:
         counts = {"rows": (1, 65535), "columns": (1, 65535), "channels": (1, 64), "interleave": (1, 65535)}
         check_bounds("raster", self, **counts)
-        check_fans("raster", self, azimuth_deg=180.0, elevation_deg=90.0)
+        _check_fans("raster", self, azimuth_deg=180.0, elevation_deg=90.0)
 
     def plan_shots(self, period_ns: int) -> _PlannedShots:
         """Give the shots, which are the same in each frame."""
@@ -485,7 +486,7 @@ class RadarSpec:
             min_range=(0.0, self.max_range),
             max_range=(self.min_range, 1e4),
         )
-        check_fans("radar", self, azimuth_deg=180.0, elevation_deg=90.0)
+        _check_fans("radar", self, azimuth_deg=180.0, elevation_deg=90.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -650,3 +651,15 @@ def _cells(fan_deg: tuple[float, float], shift: float) -> Float64Array:
     count = max(1, round((fan_deg[1] - fan_deg[0]) / _STEP_DEG))
     angles: Float64Array = low + (high - low) * (np.arange(count) + 0.5 + shift) / count
     return angles
+
+
+def _check_fans(device: str, spec: Any, **limits_deg: float) -> None:
+    """Check that ranges of angles are rising and stay within a limit to either side [deg].
+
+    Raises:
+        OptionError: one does not.
+    """
+    for name, limit in limits_deg.items():
+        low, high = getattr(spec, name)
+        if not -limit <= low < high <= limit:
+            raise OptionError(f"{device}.{name}: {(low, high)}; expected two rising angles within {limit} degrees")

@@ -32,18 +32,6 @@ def check_bounds(device: str, spec: Any, **bounds: Bounds | tuple[Bounds, ...]) 
                 raise OptionError(f"{device}.{location}: {one}; expected {low} to {high}")
 
 
-def check_fans(device: str, spec: Any, **limits_deg: float) -> None:
-    """Check that ranges of angles are rising and stay within a limit to either side [deg].
-
-    Raises:
-        OptionError: one does not.
-    """
-    for name, limit in limits_deg.items():
-        low, high = getattr(spec, name)
-        if not -limit <= low < high <= limit:
-            raise OptionError(f"{device}.{name}: {(low, high)}; expected two rising angles within {limit} degrees")
-
-
 @unique
 class Stream(IntEnum):
     """What random numbers are for; the values are part of what a seed means."""

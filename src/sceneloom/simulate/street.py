@@ -14,14 +14,7 @@ from sceneloom.simulate import painting
 from sceneloom.simulate import raycast as simulate_raycast
 from sceneloom.simulate.parameters import check_bounds
 from sceneloom.simulate.raycast import put_parts
-from sceneloom.simulate.trajectory import (
-    DEGREE,
-    EgoPath,
-    control_points_through,
-    rotation_from_angles,
-    spline_derivatives,
-    spline_grid,
-)
+from sceneloom.simulate.trajectory import DEGREE, EgoPath, rotation_from_angles, spline_derivatives, spline_grid
 
 _Color = tuple[float, float, float]
 """Red, green, blue in 0..255, as light of full strength would show them."""
@@ -1574,3 +1567,14 @@ def _crossing_share(seconds: Float64Array, begin: float, lasts: float) -> Float6
     starting, stopping = np.clip(past, 0.0, 1.0), np.clip(past - lasts, 0.0, 1.0)
     share: Float64Array = (0.5 * starting**2 + np.maximum(0.0, past - 1.0) - 0.5 * stopping**2) / lasts
     return share
+
+
+def control_points_through(samples: Float64Array) -> Float64Array:
+    """Give control points (..., N, C) of splines that pass samples (..., N, C) at the knots to fourth order.
+
+    A spline whose control points are the samples lags by a quarter of their second difference: the variance of the
+    basis, 6 / 12, halved. The ends keep their samples.
+    """
+    control = samples.copy()
+    control[..., 1:-1, :] -= 0.25 * np.diff(samples, 2, axis=-2)
+    return control

@@ -71,17 +71,6 @@ def spline_grid(control_points: Float64Array, along: Float64Array) -> Float64Arr
     return values
 
 
-def control_points_through(samples: Float64Array) -> Float64Array:
-    """Give control points (..., N, C) of splines that pass samples (..., N, C) at the knots to fourth order.
-
-    A spline whose control points are the samples lags by a quarter of their second difference: the variance of the
-    basis, 6 / 12, halved. The ends keep their samples.
-    """
-    control = samples.copy()
-    control[..., 1:-1, :] -= 0.25 * np.diff(samples, 2, axis=-2)
-    return control
-
-
 _RISE = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
 """A step from 0 to 1 over [0, 1], flat to the second derivative at both ends.
 

@@ -9,23 +9,468 @@ import subprocess
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
 
-from sceneloom.errors import MissingExtraError, OptionError, OutputError, how_to_install
+import numpy as np
+
+from sceneloom.arrays import Int64Array
+from sceneloom.checks.validation import validate
+from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError, how_to_install
 from sceneloom.formats.base.output import check_output, replacing
 from sceneloom.formats.base.registry import SharedOptions, open_scene
+from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
+from sceneloom.scene.annotations import EventAnnotation, PlainAnnotation
+from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
 from sceneloom.scene.scene import Scene, time_span
-from sceneloom.scene.types import Progress
-from sceneloom.view.drive import DriveView
+from sceneloom.scene.time_range import cut_scene
+from sceneloom.scene.types import Identifier, Key, Progress, key_of
+from sceneloom.view.annotations import ATTRIBUTES, EVENTS, LIST, RELATIONS, AnnotationView
+from sceneloom.view.images import (
+    DEPTH,
+    IMAGE,
+    CameraView,
+    PlacedCamera,
+    depth_feed,
+    fused_depth_feed,
+    with_straight_camera_models,
+)
+from sceneloom.view.motion import EARTH, EGO, GNSS, IMU, MAP, show_motion
+from sceneloom.view.objects import detection_feeds, track_feed
+from sceneloom.view.points import SENSORS, WORLD, LidarView, RadarView, show_map
+from sceneloom.view.poses import Locations
 from sceneloom.view.settings import DrivePart, DriveShown, Source, ViewReport, ViewSettings
-from sceneloom.view.stream import sdk
+from sceneloom.view.stream import TIME, Feed, Stream, escaped, play, sdk
+from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
+
+_NOTES = "notes"
+
+
+_LEVELS: Mapping[str, str] = MappingProxyType(
+    {
+        WarningKind.ASSUMED: "INFO",
+        WarningKind.REPAIRED: "INFO",
+        WarningKind.SKIPPED: "WARN",
+        Severity.ERROR: "ERROR",
+        Severity.WARNING: "WARN",
+        Severity.HINT: "INFO",
+    }
+)
+
+
+@dataclass(slots=True)
+class _Reported:
+    """Gathers what could not be shown, counted by code and location."""
+
+    lines: dict[tuple[str, str], tuple[str, int]] = field(default_factory=dict)
+
+    def __call__(self, code: str, location: str, message: str) -> None:
+        """Take one more."""
+        first, count = self.lines.get((code, location), (message, 0))
+        self.lines[code, location] = first, count + 1
+
+    @property
+    def warnings(self) -> tuple[DataWarning, ...]:
+        """All of it."""
+        return tuple(
+            DataWarning(
+                kind=WarningKind.REPAIRED if code == "straightened" else WarningKind.SKIPPED,
+                code=code,
+                location=location,
+                message=message,
+                count=count,
+            )
+            for (code, location), (message, count) in self.lines.items()
+        )
+
+
+def _log_notes(stream: Stream, time_ns: int, warnings: Sequence[DataWarning], findings: Sequence[Finding]) -> None:
+    """Log them at a time, the worst first; warnings that a finding reports already are not repeated."""
+    reported = {finding.message for finding in findings}
+    order = {level: k for k, level in enumerate(("ERROR", "WARN", "INFO"))}
+    lines = [(_LEVELS[one.severity], f"{one.path}: {one.message}; {one.remedy} [{one.rule}]") for one in findings]
+    lines += [
+        (
+            _LEVELS[one.kind],
+            f"{one.kind}: {one.location}: {one.message}" + (f" ({one.count} times)" if one.count > 1 else ""),
+        )
+        for one in warnings
+        if one.message not in reported
+    ]
+    for level, text in sorted(lines, key=lambda line: order[line[0]]):
+        stream.log(time_ns, stream.path(_NOTES), sdk().TextLog(text, level=level), kind="notes")
+
+
+_BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
+"""Where the eye stands behind the ego, and where it looks [m]."""
+
+
+_MOVED = 2.0
+"""How far the ego must have moved before its trajectory tells where forward is [m]."""
+
+
+_IN_IMAGES = ("annotations", "tracks/boxes", "tracks/history")
+"""What has a location in the world and is shown through the camera models, too."""
+
+
+_BACKGROUND = (16, 18, 22)
+
+
+def _eye(locations: Locations) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Behind and above the ego, looking where it goes; seen from the ego, whose axes may point anywhere."""
+    forward, up = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    path = locations.path
+    if path is not None:
+        back = conjugate_quaternion(path.quaternions_xyzw[:1])
+        up = rotate_vectors(back, up[None])[0]
+        steps = np.linalg.norm(path.positions - path.positions[0], axis=1)
+        trajectory = path.positions[int(np.argmax(steps > _MOVED))] - path.positions[0]
+        if steps.max() > _MOVED:
+            forward = rotate_vectors(back, trajectory[None])[0]
+        forward = forward - (forward @ up) * up
+        length = float(np.linalg.norm(forward))
+        forward = forward / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+    eye = _ABOVE * up - _BEHIND * forward
+    return tuple(eye.tolist()), tuple((_AHEAD * forward).tolist())
+
+
+@cache
+def _blueprint_sdk() -> Any:
+    """Import `rerun.blueprint`, of which layouts are made."""
+    sdk()
+    import rerun.blueprint
+
+    return rerun.blueprint
+
+
+def _layout_of(view: "DriveView") -> Any:
+    """The layout of one drive: its world, tabs of what has no location, and the images of its cameras."""
+    rrb, scene, root = _blueprint_sdk(), view.scene, f"/{escaped(view.name)}"
+    world_path, follows = f"{root}/{WORLD}", view.locations.path is not None
+    eye, target = _eye(view.locations)
+
+    def world(name: str, *, following: bool) -> Any:
+        """The world with the eye behind the ego; of a drive that moves also whole, the eye where the viewer puts it."""
+        controls = {"position": eye, "look_target": target} if following or not follows else {}
+        return rrb.Spatial3DView(
+            origin=f"{world_path}/{EGO}" if following else world_path,
+            contents=f"+ {world_path}/**",
+            name=name,
+            background=_BACKGROUND,
+            line_grid=not following,
+            eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, **controls),
+        )
+
+    def camera(camera_id: Identifier) -> Any:
+        """The images of a camera with what is drawn into them and what its model sees of the world; fused depths."""
+        path = f"{world_path}/{SENSORS}/{escaped(camera_id)}/{IMAGE}"
+        through = [f"+ {world_path}/{name}/**" for name in _IN_IMAGES]
+        contents = ["+ $origin/**", f"- $origin/{DEPTH}/**", *through]
+        images = rrb.Spatial2DView(origin=path, contents=contents, name=str(camera_id))
+        if view.settings.depth is None:
+            return images
+        depths = rrb.Spatial2DView(origin=path, contents=[f"+ $origin/{DEPTH}/**"], name=f"{camera_id}: depth")
+        return rrb.Tabs(images, depths, active_tab=0, name=str(camera_id))
+
+    worlds = [world("world", following=follows)]
+    if follows:
+        worlds.append(world("from afar", following=False))
+    top = rrb.Tabs(*worlds, active_tab=0) if len(worlds) > 1 else worlds[0]
+    left = rrb.Vertical(top, rrb.Tabs(*_tabs(view, root), active_tab=0), row_shares=[3, 1])
+    images = [camera(sensor.id) for sensor in scene.sensors if isinstance(sensor, CameraSensor | DepthCameraSensor)]
+    if not images:
+        return rrb.Horizontal(left, name=view.name)
+    side = rrb.Grid(*images, grid_columns=1 if len(images) <= 3 else 2) if len(images) > 1 else images[0]
+    return rrb.Horizontal(left, side, column_shares=[3, 2], name=view.name)
+
+
+def _tabs(view: "DriveView", root: str) -> list[Any]:
+    """What has no location in the world, as far as the drive has it."""
+    rrb, scene, annotations = _blueprint_sdk(), view.scene, view.scene.annotations
+    gnss = any(isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns) for sensor in scene.sensors)
+    views = [rrb.TextLogView(origin=root, contents=[f"+ {root}/{_NOTES}", f"+ {root}/{EVENTS}/**"], name="log")]
+    if gnss:
+        views.append(rrb.TimeSeriesView(origin=f"{root}/{GNSS}", name="satellite fixes"))
+    for sensor in scene.sensors:
+        if isinstance(sensor, ImuSensor) and sensor.streams:
+            base = f"{root}/{IMU}/{escaped(sensor.id)}"
+            plots = [rrb.TimeSeriesView(origin=f"{base}/{escaped(name)}", name=name) for name in sensor.streams]
+            views.append(rrb.Horizontal(*plots, name=str(sensor.id)))
+    if gnss or view.locations.path is not None:
+        views.append(rrb.Spatial2DView(origin=f"{root}/{MAP}", name="map [m]", background=_BACKGROUND))
+    if gnss and view.settings.map_tiles:
+        views.append(rrb.MapView(origin=f"{root}/{EARTH}", name="map", background=rrb.MapProvider.OpenStreetMap))
+    if any(isinstance(one, EventAnnotation) for one in annotations):
+        views.append(rrb.StateTimelineView(origin=f"{root}/{EVENTS}", name="events"))
+    if any(one.is_timed and one.values for one in scene.attributes):
+        views.append(rrb.TimeSeriesView(origin=f"{root}/{ATTRIBUTES}", name="attributes"))
+        views.append(rrb.StateTimelineView(origin=f"{root}/{ATTRIBUTES}", name="attributes in words"))
+    if annotations or any(not one.is_timed for one in scene.attributes):
+        views.append(rrb.TextDocumentView(origin=f"{root}/{LIST}", name="annotations"))
+    if any(one.parent_id is not None or one.type in {"link", "group", "object"} for one in annotations):
+        views.append(rrb.GraphView(origin=f"{root}/{RELATIONS}", name="relations"))
+    return views
+
+
+_READ_BY_THREADS = frozenset({"recording", "sfs"})
+"""Formats in which each camera has a reader of its own, so that several may be read at once."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveView:
+    """A drive before it is logged.
+
+    Attributes:
+        scene: the shown part of it, camera models made straight.
+        measured: the same with its own camera models.
+        reference_ns: (N,) int64 [ns], by which frames of the drive are counted.
+        bent: cameras whose images hang nowhere.
+        reported: what could not be shown.
+    """
+
+    name: str
+    scene: Scene
+    measured: Scene
+    reference_ns: Int64Array
+    locations: Locations
+    bent: frozenset[Key]
+    settings: ViewSettings
+    reported: _Reported
+
+    @classmethod
+    def of(cls, scene: Scene, name: str, settings: ViewSettings, *, progress: Progress | None = None) -> "DriveView":
+        """Choose what of a scene is shown, and find where its sensors are.
+
+        Raises:
+            OptionError: a sensor or trajectory is not there, or no frame lies in the part.
+            PoseError: the named trajectory cannot be used.
+        """
+        reported = _Reported()
+        scene = scene.corrected()
+        chosen = scene
+        if settings.sensors is not None:
+            ids = {str(sensor.id): sensor.id for sensor in scene.sensors}
+            keys = {key_of(scene.sensor(ids.get(str(stated), stated)).id) for stated in settings.sensors}
+            chosen = replace(scene, sensors=tuple(one for one in scene.sensors if key_of(one.id) in keys))
+        part = cut_scene(chosen, start=settings.start, stop=settings.stop)
+        straight, bent = with_straight_camera_models(part, reported)
+        locations = Locations.of(straight, trajectory=settings.trajectory, heading=settings.heading, progress=progress)
+        return cls(name, straight, part, _reference_ns(scene), locations, bent, settings, reported)
+
+    @staticmethod
+    def layout(views: "Sequence[DriveView]") -> Any:
+        """The layout of one drive, or of several, each under a tab of its own, with all worlds over each other."""
+        rrb, parts = _blueprint_sdk(), [_layout_of(view) for view in views]
+        content = parts[0]
+        if len(parts) > 1:
+            worlds = [f"+ /{escaped(view.name)}/{WORLD}/**" for view in views]
+            together = rrb.Spatial3DView(origin="/", contents=worlds, name="together")
+            content = rrb.Tabs(*parts, together, active_tab=0)
+        return rrb.Blueprint(
+            content,
+            rrb.BlueprintPanel(state="expanded"),
+            rrb.SelectionPanel(state="collapsed"),
+            rrb.TimePanel(state="collapsed", timeline=TIME),
+            auto_layout=False,
+            auto_views=False,
+        )
+
+    def log(self, recording: Any, *, calendar: bool, progress: Progress | None = None) -> DriveShown:
+        """Log the drive to an open stream of Rerun's, frame by frame.
+
+        Args:
+            calendar: whether times are shown as times of day, else as seconds.
+
+        Raises:
+            DataError: a frame cannot be read, and the reading is not lenient.
+            OptionError: angles of cuboids have a unit or order that is not known.
+        """
+        scene, reported = self.scene, self.reported
+        stream = Stream(recording, f"/{escaped(self.name)}", calendar, self.reference_ns)
+        show_motion(stream, self.locations, scene)
+        span_ns = time_span(scene) or (0, 0)
+        # the rules of `validate` that need no frames
+        findings = validate(self.measured, frames=False).findings if self.settings.findings else ()
+        _log_notes(stream, span_ns[0], (*scene.warnings, *self.locations.warnings), findings)
+        run = _Run(self, stream, AnnotationView.of(stream, self.locations, scene, reported))
+        run.log_maps()
+        feeds = run.feeds()
+        total = sum(map(len, feeds))
+        lenient = bool(self.settings.reading.get("lenient"))
+
+        def passed_over(error: Exception) -> bool:
+            """Whether to go on after a moment that cannot be read, and report it."""
+            if not (lenient and isinstance(error, DataError)):
+                return False
+            reported("unreadable", error.location or error.file, error.problem)
+            return True
+
+        for done, _ in enumerate(play(feeds, passed_over), start=1):
+            if progress is not None:
+                progress(done, total)
+        run.annotations.finish()
+        _log_notes(stream, span_ns[0], (*reported.warnings, *stream.warnings), ())
+        return run.shown(span_ns, findings)
+
+
+def _reference_ns(scene: Scene) -> Int64Array:
+    """When the frames begin by which a drive is counted: the sweeps of the first lidar, else the first images."""
+    for sensor in scene.lidars:
+        if len(sensor.frames):
+            return np.sort(sensor.frames.timestamps_ns)
+    for camera in scene.cameras:
+        if len(camera.images):
+            return np.sort(camera.images.timestamps_ns)
+    return np.zeros(0, np.int64)
+
+
+@dataclass(slots=True, eq=False)
+class _Run:
+    """The logging of one drive."""
+
+    view: DriveView
+    stream: Stream
+    annotations: AnnotationView
+    lidars: list[LidarView] = field(default_factory=list)
+
+    def feeds(self) -> list[Feed]:
+        """All that has a time, sensor by sensor."""
+        scene, every = self.view.scene, self.view.settings.every
+        feeds = [self._sweeps(lidar, first=lidar is scene.lidars[0]) for lidar in scene.lidars]
+        for sensor in scene.sensors:
+            if isinstance(sensor, RadarSensor):
+                shown = RadarView(self.stream, self.view.locations, sensor, self.view.reported)
+                feeds.append(_thinned(Feed(sensor.frames.timestamps_ns, shown.log), every))
+            elif isinstance(sensor, CameraSensor):
+                feeds.append(self._images(sensor))
+            elif isinstance(sensor, DepthCameraSensor):
+                feeds += self._depths(sensor)
+        return [*feeds, *self._accompanying()]
+
+    def _sweeps(self, lidar: LidarSensor, *, first: bool) -> Feed:
+        settings = self.view.settings
+        shown = LidarView(
+            self.stream, self.view.locations, lidar, settings.colour_by, settings.as_measured, self.view.reported
+        )
+        self.lidars.append(shown)
+
+        def log(k: int, _: None) -> None:
+            time_ns, positions = shown.log(k)
+            if positions is not None:
+                self.annotations.labelled.log(lidar.id, k, shown.path, time_ns, positions)
+            if first:
+                self.annotations.note(time_ns)
+
+        return _thinned(Feed(lidar.frames.timestamps_ns, log), settings.every)
+
+    def _images(self, sensor: CameraSensor) -> Feed:
+        """Images, and at once all that is drawn into them, which is small."""
+        view, every = self.view, self.view.settings.every
+        times_ns = sensor.images.timestamps_ns
+        self.annotations.log_in_images(sensor.id, np.unique(times_ns[::every]))
+        has_pinhole = key_of(sensor.id) not in view.bent
+        shown = CameraView(self._placed(sensor, times_ns, has_pinhole=has_pinhole), sensor.images)
+        counts_moments = not view.scene.lidars and sensor is view.scene.cameras[0]
+
+        def log(k: int, prepared: Any) -> None:
+            shown.log(shown.prepare(k) if prepared is None else prepared)
+            if counts_moments:
+                self.annotations.note(int(times_ns[k]))
+
+        ahead = view.scene.format in _READ_BY_THREADS
+        return _thinned(Feed(times_ns, log, shown.prepare if ahead else None), every)
+
+    def _placed(
+        self, sensor: CameraSensor | DepthCameraSensor, times_ns: Int64Array, *, has_pinhole: bool = True
+    ) -> PlacedCamera:
+        placed = PlacedCamera(self.stream, self.view.locations, sensor, self.view.reported, has_pinhole=has_pinhole)
+        placed.log_poses(np.unique(times_ns[:: self.view.settings.every]))
+        return placed
+
+    def _depths(self, sensor: DepthCameraSensor) -> list[Feed]:
+        feed = depth_feed(self._placed(sensor, sensor.frames.timestamps_ns), sensor, self.view.reported)
+        return [] if feed is None else [_thinned(feed, self.view.settings.every)]
+
+    def _accompanying(self) -> list[Feed]:
+        """What files beside the drive hold."""
+        view, settings, origin = self.view, self.view.settings, self.view.locations.origin_world
+        feeds: list[Feed] = []
+        if settings.detections is not None:
+            feeds += detection_feeds(self.stream, settings.detections, origin)
+        if settings.tracks is not None:
+            feeds.append(track_feed(self.stream, settings.tracks, view.scene, origin))
+        if settings.depth is not None:
+            feeds.append(fused_depth_feed(self.stream, settings.depth, view.measured, view.scene))
+        span_ns = time_span(view.scene)
+        if span_ns is None:
+            return feeds
+        first, last = span_ns  # the moments that lie in the shown part of the drive
+        return [_chosen(one, np.flatnonzero((one.times_ns >= first) & (one.times_ns <= last))) for one in feeds]
+
+    def log_maps(self) -> None:
+        """Log clouds without time, and report what cannot be shown."""
+        view, stream, scene = self.view, self.stream, self.view.scene
+        for sensor in scene.sensors:
+            if isinstance(sensor, PointsSensor):
+                show_map(stream, view.locations, sensor)
+                path = stream.path("world", "clouds", sensor.id)
+                with np.errstate(over="ignore"):  # what overflows is left out
+                    positions = (sensor.positions - view.locations.origin_world).astype(np.float32)
+                self.annotations.labelled.log(sensor.id, None, path, None, positions)
+        for kind, things in (("sensors", scene.sensors), ("annotations", scene.annotations)):
+            for one in things:
+                if isinstance(one, PlainSensor | PlainAnnotation):
+                    problem = f"nothing is known of the type {one.type!r}"
+                    view.reported("not-shown", f"{kind}[{one.id!r}]", problem)
+
+    def shown(self, span_ns: tuple[int, int], findings: tuple[Finding, ...]) -> DriveShown:
+        """What was logged."""
+        view, stream = self.view, self.stream
+        colours = {str(one.lidar.id): one.painter.used for one in self.lidars}
+        wanted = view.settings.colour_by
+        for sensor_id, used in colours.items():
+            if wanted is not None and used is not None and used is not wanted:
+                problem = f"its points have no {wanted}; they show {used}"
+                view.reported("colours-missing", f"sensors[{sensor_id!r}]", problem)
+        return DriveShown(
+            source=view.scene.source,
+            format=view.scene.format,
+            root=stream.root,
+            origin=tuple(view.locations.origin_world.tolist()),
+            seconds=(span_ns[1] - span_ns[0]) / 1e9,
+            colours={sensor_id: used.value for sensor_id, used in colours.items() if used is not None},
+            logged=dict(sorted(stream.counts.items())),
+            findings=dict(Counter(str(finding.severity) for finding in findings)),
+            warnings=(*view.scene.warnings, *view.locations.warnings, *view.reported.warnings, *stream.warnings),
+        )
+
+
+def _thinned(feed: Feed, every: int) -> Feed:
+    """Every Nth moment, in the order of time."""
+    rows = np.arange(0, len(feed), every)
+    return _chosen(feed, rows[np.argsort(feed.times_ns[rows], kind="stable")])
+
+
+def _chosen(feed: Feed, rows: Int64Array) -> Feed:
+    """Some moments of a feed: (M,) numbers of them."""
+    numbers: list[int] = rows.tolist()
+    prepare = feed.prepare
+    return Feed(
+        feed.times_ns[rows],
+        lambda k, prepared: feed.log(numbers[k], prepared),
+        None if prepare is None else lambda k: prepare(numbers[k]),
+    )
+
 
 _APPLICATION = "sceneloom"
 _SUFFIX = ".rrd"

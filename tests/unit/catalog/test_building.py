@@ -8,8 +8,9 @@ import pytest
 
 import sceneloom
 from sceneloom.catalog import TABLES, Selection, build, query, update
+from sceneloom.catalog.building import scene_name, write_draft
 from sceneloom.catalog.rows import scene_rows
-from sceneloom.catalog.storage import Entry, Fresh, Layout, Parts, scene_name, write_draft
+from sceneloom.catalog.storage import Entry, Fresh, Layout, Parts
 from sceneloom.errors import OptionError, OutputError
 from sceneloom.scene import AttributePath, EventAnnotation, Scene
 

@@ -15,7 +15,7 @@ from sceneloom.batch import jobs
 from sceneloom.calibrate.conventions import read_extrinsics
 from sceneloom.catalog.database import query
 from sceneloom.db34t.transport import read_certificates, read_pair, read_token
-from sceneloom.detections.detectors import read_detectors
+from sceneloom.detections.settings import read_detectors
 from sceneloom.errors import DataError
 from sceneloom.evaluate.object_files import fused_files
 from sceneloom.formats.base import files as base_files

@@ -23,8 +23,8 @@ from sceneloom.pipeline.calibrating import check_drive
 from sceneloom.scene import AttributePath, CameraCalibration, CuboidAnnotation, LocalizationAdjustment, Poses, Scene
 from sceneloom.service.sending import sent_rig
 from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
-from sceneloom.view.drive import DriveView
 from sceneloom.view.settings import ViewSettings
+from sceneloom.view.viewer import DriveView
 
 CAMERA_MODEL = Camera("brown_conrady", 160, 96, 90.0, 90.0, 79.5, 47.5, (-0.1, 0.02, 0.0, 0.0, 0.0))
 WRONG_CAMERA_MODEL = replace(CAMERA_MODEL, fx=97.0, fy=97.0)

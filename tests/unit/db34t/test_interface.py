@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from sceneloom.db34t import Boxes2d, Boxes3d, PointCloudData
-from sceneloom.db34t.calibration import MOST_PAIRS, CalibrationEntry, calibration_table, format_calibrations
-from sceneloom.db34t.interface import FusionInterface, QueueLimits
+from sceneloom.db34t.calibration import MOST_PAIRS, CalibrationEntry, calibration_table
+from sceneloom.db34t.interface import FusionInterface, QueueLimits, format_calibrations
 from sceneloom.db34t.types import Cause
 from sceneloom.errors import OptionError
 

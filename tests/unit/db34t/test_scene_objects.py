@@ -9,8 +9,8 @@ from PIL import Image
 from sceneloom.cameras import Camera
 from sceneloom.colouring import FusedFrame, view_points
 from sceneloom.db34t import ImageData, PointCloudData, RawData, Timestamp
-from sceneloom.db34t.properties import PropertyStore
-from sceneloom.db34t.results import sensor_fusion_record
+from sceneloom.db34t.interface import PropertyStore
+from sceneloom.db34t.received_records import image_record_of_raw, lidar_frame_of_raw
 from sceneloom.db34t.scene_objects import (
     boxes_2d_of,
     boxes_2d_record,
@@ -18,13 +18,12 @@ from sceneloom.db34t.scene_objects import (
     boxes_3d_record,
     image_data_of,
     image_of,
-    image_record_of_raw,
     lidar_frame_of,
-    lidar_frame_of_raw,
     lidar_frame_of_result,
     point_cloud_of,
 )
 from sceneloom.db34t.setting import Setting
+from sceneloom.db34t.worker import sensor_fusion_record
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.recording.lidars import XYZIRT
 from sceneloom.geometry.rigid import RigidTransform

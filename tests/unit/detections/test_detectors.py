@@ -13,16 +13,14 @@ from sceneloom.detections.detectors import (
     SIZES,
     UNLISTED,
     detector_names,
-    find_detectors,
     format_detectors,
     independent_detectors,
     kind_name,
     numbers_of,
-    read_detectors,
     table_rows,
 )
 from sceneloom.detections.projection import orient_by_motion, says_nothing
-from sceneloom.detections.settings import box_covariances, existence_table, noise_table
+from sceneloom.detections.settings import box_covariances, existence_table, find_detectors, noise_table, read_detectors
 from sceneloom.errors import DataError, OptionError
 from sceneloom.kernels import existence
 from sceneloom.scene.detections import ScoreForm

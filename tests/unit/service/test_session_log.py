@@ -16,9 +16,9 @@ from mcap.stream_reader import StreamReader
 from tests.unit.db34t import sending
 from tests.unit.db34t.sending import HEIGHT, WIDTH, calibration, timestamp
 
-from sceneloom.db34t.calibration import CalibrationEntry, format_calibrations
+from sceneloom.db34t.calibration import CalibrationEntry
 from sceneloom.db34t.events import Flushed, Result
-from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.interface import FusionInterface, format_calibrations
 from sceneloom.db34t.protobuf import encode
 from sceneloom.db34t.records import join_boxes
 from sceneloom.db34t.wire import fusion_pb2

@@ -12,8 +12,8 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, unproject
 from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.simulate import CameraSpec, ExposureSpec, ImageTruth, LidarSpec, camera_mount, simulate_street
-from sceneloom.simulate.camera import Exposure, RenderedCamera, edge_mask
-from sceneloom.simulate.drive import Truth
+from sceneloom.simulate.camera import Exposure, RenderedCamera
+from sceneloom.simulate.drive import Truth, edge_mask
 from sceneloom.simulate.street import (
     GroundMap,
     Lane,

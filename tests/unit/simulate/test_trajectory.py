@@ -5,12 +5,11 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import OptionError
-from sceneloom.simulate.street import Lane, build_street
+from sceneloom.simulate.street import Lane, build_street, control_points_through
 from sceneloom.simulate.trajectory import (
     PathSpec,
     Stop,
     TimeWarp,
-    control_points_through,
     plan_path,
     rotation_from_angles,
     spline_derivatives,

@@ -10,7 +10,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import LossReport
-from sceneloom.formats.base.output import FolderKind, replacing
+from sceneloom.formats.base.output import FolderKind, filling, replacing
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.kitti.calibration import Mounted, write_calibration
 from sceneloom.formats.kitti.frames_writer import (
@@ -31,7 +31,6 @@ from sceneloom.formats.kitti.labels import (
     KittiLabels,
     format_labels,
     observation_angles,
-    write_object_labels,
 )
 from sceneloom.formats.kitti.object_reader import FRAME_NS
 from sceneloom.formats.kitti.oxts import oxts_lines
@@ -587,3 +586,28 @@ def write_tracking(scene: Scene, path: Path, *, overwrite: bool = False, sequenc
         )
         write_lines(folder / "label_02" / f"{name}.txt", format_labels(rows.labels(), path))
     return LossReport.of(choice.losses)
+
+
+def write_object_labels(
+    labels: KittiLabels, folder: Path | str, *, frames: Sequence[int] | None = None, overwrite: bool = False
+) -> None:
+    """Write labels or results as the object benchmark has them: `NNNNNN.txt` for each frame, tracks left out.
+
+    Args:
+        labels: of any number of frames.
+        folder: to be written.
+        frames: that get a file, be it empty; None for those that have an object.
+        overwrite: whether files that exist may be replaced.
+
+    Raises:
+        OutputError: the folder has something in it, or cannot be written.
+        DataError: a number is not finite, or a class has a blank.
+    """
+    texts = dict.fromkeys(labels.frames.tolist() if frames is None else frames, "")
+    lines = format_labels(labels, folder, tracked=False)
+    for frame, line in zip(labels.frames.tolist(), lines, strict=True):
+        if frame in texts:
+            texts[frame] += f"{line}\n"
+    with filling(Path(folder), overwrite=overwrite) as draft:
+        for frame, text in texts.items():
+            (draft / f"{frame:06d}.txt").write_text(text, "utf-8", newline="\n")

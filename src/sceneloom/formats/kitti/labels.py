@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array, read_only
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.output import filling, replacing
+from sceneloom.formats.base.output import replacing
 from sceneloom.formats.kitti.text import Line, as_table, read_lines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.warnings import WarningKind
@@ -218,31 +218,6 @@ def write_labels(labels: KittiLabels, path: Path | str, *, overwrite: bool = Fal
     path = Path(path)
     with replacing(path, overwrite=overwrite) as draft:
         draft.write_text("".join(f"{line}\n" for line in format_labels(labels, path)), "utf-8", newline="\n")
-
-
-def write_object_labels(
-    labels: KittiLabels, folder: Path | str, *, frames: Sequence[int] | None = None, overwrite: bool = False
-) -> None:
-    """Write labels or results as the object benchmark has them: `NNNNNN.txt` for each frame, tracks left out.
-
-    Args:
-        labels: of any number of frames.
-        folder: to be written.
-        frames: that get a file, be it empty; None for those that have an object.
-        overwrite: whether files that exist may be replaced.
-
-    Raises:
-        OutputError: the folder has something in it, or cannot be written.
-        DataError: a number is not finite, or a class has a blank.
-    """
-    texts = dict.fromkeys(labels.frames.tolist() if frames is None else frames, "")
-    lines = format_labels(labels, folder, tracked=False)
-    for frame, line in zip(labels.frames.tolist(), lines, strict=True):
-        if frame in texts:
-            texts[frame] += f"{line}\n"
-    with filling(Path(folder), overwrite=overwrite) as draft:
-        for frame, text in texts.items():
-            (draft / f"{frame:06d}.txt").write_text(text, "utf-8", newline="\n")
 
 
 def format_labels(labels: KittiLabels, path: Path | str = "", *, tracked: bool = True) -> Iterator[str]:

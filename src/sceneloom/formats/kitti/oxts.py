@@ -145,26 +145,6 @@ def oxts_sensors(
     return (gnss, ImuSensor(IMU_ID, MappingProxyType(streams))), trajectory
 
 
-def rising(
-    values: Float64Array, timestamps_ns: Int64Array, location: str, ledger: Ledger
-) -> tuple[Float64Array, Int64Array]:
-    """Bring lines into the order of their times; of several of one time the first stays."""
-    back = int((np.diff(timestamps_ns) < 0).sum())
-    if back:
-        ledger.note(
-            WarningKind.REPAIRED,
-            "samples-sorted",
-            location,
-            "times run backwards; sorted by time",
-            count=back,
-        )
-    times, rows = np.unique(timestamps_ns, return_index=True)
-    lost = len(timestamps_ns) - len(times)
-    if lost:
-        ledger.note(WarningKind.SKIPPED, "repeated-times", location, "lines with the time of another one", count=lost)
-    return values[rows], times.astype(np.int64)
-
-
 _UNTOLD = {"navstat": -1.0, "numsats": -1.0, "posmode": -1.0, "velmode": -1.0, "orimode": -1.0}
 """What stands for states that nothing reports; of all other columns it is 0."""
 

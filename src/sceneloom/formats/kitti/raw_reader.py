@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from types import MappingProxyType
 from xml.etree import ElementTree as ET
@@ -19,7 +18,7 @@ from sceneloom.formats.base.images import images_image_size
 from sceneloom.formats.base.spec import named_folder
 from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
 from sceneloom.formats.kitti.calibration import camera_from_rectified, pinhole_of, projection_of, rotation_of
-from sceneloom.formats.kitti.oxts import oxts_sensors, read_fields, rising
+from sceneloom.formats.kitti.oxts import oxts_sensors, read_fields
 from sceneloom.formats.kitti.sensors import (
     LIDAR_ID,
     RotationTimes,
@@ -240,13 +239,6 @@ def _in_order(numbers: Int64Array, timestamps: _TimestampFile, ledger: Ledger) -
     return rows.astype(np.int64)
 
 
-def format_timestamp(timestamp_ns: int) -> str:
-    """Write a time as KITTI does, all nine digits of the second: `2011-09-26 13:02:25.594360375`."""
-    seconds, nanoseconds = divmod(timestamp_ns, 10**9)
-    moment = datetime.fromtimestamp(seconds, UTC)
-    return f"{moment:%Y-%m-%d %H:%M:%S}.{nanoseconds:09d}"
-
-
 FILE = "tracklet_labels.xml"
 POSE_FIELDS = ("tx", "ty", "tz", "rx", "ry", "rz", "state", "occlusion", "occlusion_kf", "truncation")
 
@@ -325,53 +317,6 @@ def _number(path: Path, location: str, item: ET.Element, name: str) -> float:
         shown = "nothing" if text is None else repr(text[:40])
         raise DataError(path, f"{location}/{name}", f"{shown}; expected a number within ±{LARGEST:g}")
     return value
-
-
-def format_tracklets(tracklets: Sequence[Tracklet]) -> str:
-    """The text of a file of tracklets, as boost's archives have it."""
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>',
-        "<!DOCTYPE boost_serialization>",
-        '<boost_serialization signature="serialization::archive" version="9">',
-        '<tracklets class_id="0" tracking_level="0" version="0">',
-        f"\t<count>{len(tracklets)}</count>",
-        "\t<item_version>1</item_version>",
-    ]
-    for k, tracklet in enumerate(tracklets):
-        lines += _tracklet_lines(tracklet, is_first=k == 0)
-    return "\n".join([*lines, "</tracklets>", "</boost_serialization>", ""])
-
-
-def _tracklet_lines(tracklet: Tracklet, *, is_first: bool) -> list[str]:
-    from xml.sax.saxutils import escape
-
-    head, pose_head, list_head = "", "", ""
-    if is_first:
-        head, list_head = (f' class_id="{n}" tracking_level="0" version="{v}"' for n, v in ((1, 1), (2, 0)))
-        pose_head = ' class_id="3" tracking_level="0" version="1"'
-    height, width, length = tracklet.size_hwl
-    lines = [
-        f"\t<item{head}>",
-        f"\t\t<objectType>{escape(tracklet.label)}</objectType>",
-        f"\t\t<h>{height!r}</h>",
-        f"\t\t<w>{width!r}</w>",
-        f"\t\t<l>{length!r}</l>",
-        f"\t\t<first_frame>{tracklet.first_frame}</first_frame>",
-        f"\t\t<poses{list_head}>",
-        f"\t\t\t<count>{len(tracklet.poses)}</count>",
-        "\t\t\t<item_version>2</item_version>",
-    ]
-    for k, row in enumerate(tracklet.poses.tolist()):
-        lines.append(f"\t\t\t<item{pose_head if k == 0 else ''}>")
-        fields = zip((*POSE_FIELDS, *FURTHER_FIELDS), row, strict=True)
-        lines += [f"\t\t\t\t<{name}>{_text(name, value)}</{name}>" for name, value in fields]
-        lines.append("\t\t\t</item>")
-    return [*lines, "\t\t</poses>", "\t\t<finished>1</finished>", "\t</item>"]
-
-
-def _text(name: str, value: float) -> str:
-    """A number of a pose: states are whole."""
-    return repr(value) if name in POSE_FIELDS[:6] or value != int(value) else str(int(value))
 
 
 ORDER = "zyx"
@@ -673,7 +618,7 @@ def _oxts(
         return (), None
     values = as_table([_one_line(path) for path in lines.files.paths], 30)
     location = str(drive.folder / "oxts")
-    values, timestamps = rising(values, lines.timestamps_ns, location, ledger)
+    values, timestamps = _rising(values, lines.timestamps_ns, location, ledger)
     sensors, trajectory = oxts_sensors(values, timestamps, location, ledger)
     if calibration.lidar_from_imu is not None or not others:
         return sensors, trajectory
@@ -688,3 +633,23 @@ def _one_line(path: Path) -> list[float]:
         raise DataError(path, "", f"{len(values)} lines; expected one")
     row: list[float] = values[0].tolist()
     return row
+
+
+def _rising(
+    values: Float64Array, timestamps_ns: Int64Array, location: str, ledger: Ledger
+) -> tuple[Float64Array, Int64Array]:
+    """Bring lines into the order of their times; of several of one time the first stays."""
+    back = int((np.diff(timestamps_ns) < 0).sum())
+    if back:
+        ledger.note(
+            WarningKind.REPAIRED,
+            "samples-sorted",
+            location,
+            "times run backwards; sorted by time",
+            count=back,
+        )
+    times, rows = np.unique(timestamps_ns, return_index=True)
+    lost = len(timestamps_ns) - len(times)
+    if lost:
+        ledger.note(WarningKind.SKIPPED, "repeated-times", location, "lines with the time of another one", count=lost)
+    return values[rows], times.astype(np.int64)

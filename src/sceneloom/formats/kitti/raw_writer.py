@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,6 @@ from sceneloom.formats.kitti.raw_reader import (
     STATES,
     VELO_TO_CAM,
     Tracklet,
-    format_timestamp,
-    format_tracklets,
     read_raw_calibration,
 )
 from sceneloom.formats.kitti.raw_reader import FILE as TRACKLETS
@@ -204,7 +203,9 @@ class _RotationWriter:
         """Write the times; starts and ends only where they report those of points."""
         for column, name in enumerate(_NAMES):
             if self._rotated or name == "timestamps.txt":
-                times = ("" if rotation is None else format_timestamp(rotation[column]) for rotation in self._rotations)
+                times = (
+                    "" if rotation is None else _format_timestamp(rotation[column]) for rotation in self._rotations
+                )
                 write_lines(self.folder / name, times)
         losses, field = self.choice.losses, "sensors.lidar.frames.points.timestamps_ns"
         if not self._rotated:
@@ -387,7 +388,7 @@ def write_raw(
         _write_oxts(choice, _oxts_times(choice, times, kind), folder / "oxts")
         if any(isinstance(annotation, CuboidAnnotation) for annotation in scene.annotations):
             starts = np.minimum(timeline.starts_ns(choice.lidar), times)
-            text = format_tracklets(_tracklets_of(choice, times, starts))
+            text = _format_tracklets(_tracklets_of(choice, times, starts))
             (folder / TRACKLETS).write_text(text, "utf-8", newline="\n")
     return LossReport.of(choice.losses)
 
@@ -419,7 +420,7 @@ def _names(scene: Scene, choice: Choice, kind: str, sequence: str | None) -> tup
     timestamps = [] if choice.lidar is None else [choice.lidar.frames.timestamps_ns]
     timestamps += [camera.images.timestamps_ns for camera in choice.cameras.values()]
     first = min((int(times[0]) for times in timestamps if len(times)), default=0)
-    day = kept[1] if kept else format_timestamp(first)[:10].replace("-", "_")
+    day = kept[1] if kept else _format_timestamp(first)[:10].replace("-", "_")
     return day, f"{day}_drive_{int(number):04d}_{kind}"
 
 
@@ -441,7 +442,7 @@ def _write_sync(choice: Choice, timeline: Timeline, folder: Path) -> Int64Array:
                 continue
             image = choice.cameras[number].images[row]
             write_image(choice.cameras[number], image, folder / RAW_CAMERAS[number] / "data" / f"{k:010d}.png")
-            lines.append(format_timestamp(image.timestamp_ns))
+            lines.append(_format_timestamp(image.timestamp_ns))
     for number, lines in timestamps.items():
         write_lines(folder / RAW_CAMERAS[number] / "timestamps.txt", lines)
     if rotations is None:
@@ -465,7 +466,7 @@ def _write_extract(choice: Choice, times: Int64Array, folder: Path) -> Int64Arra
         (location / "data").mkdir(parents=True)
         for k, image in enumerate(camera.images):
             write_image(camera, image, location / "data" / f"{k:010d}.png")
-        timestamps = [format_timestamp(time) for time in camera.images.timestamps_ns.tolist()]
+        timestamps = [_format_timestamp(time) for time in camera.images.timestamps_ns.tolist()]
         write_lines(location / "timestamps.txt", timestamps)
     return times
 
@@ -493,5 +494,59 @@ def _write_oxts(choice: Choice, times: Int64Array, folder: Path) -> None:
     (folder / "data").mkdir(parents=True)
     for k, line in enumerate(lines.texts()):
         write_lines(folder / "data" / f"{k:010d}.txt", [line])
-    write_lines(folder / "timestamps.txt", map(format_timestamp, times.tolist()))
+    write_lines(folder / "timestamps.txt", map(_format_timestamp, times.tolist()))
     choice.losses.extend(lines.losses)
+
+
+def _format_timestamp(timestamp_ns: int) -> str:
+    """Write a time as KITTI does, all nine digits of the second: `2011-09-26 13:02:25.594360375`."""
+    seconds, nanoseconds = divmod(timestamp_ns, 10**9)
+    moment = datetime.fromtimestamp(seconds, UTC)
+    return f"{moment:%Y-%m-%d %H:%M:%S}.{nanoseconds:09d}"
+
+
+def _format_tracklets(tracklets: Sequence[Tracklet]) -> str:
+    """The text of a file of tracklets, as boost's archives have it."""
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>',
+        "<!DOCTYPE boost_serialization>",
+        '<boost_serialization signature="serialization::archive" version="9">',
+        '<tracklets class_id="0" tracking_level="0" version="0">',
+        f"\t<count>{len(tracklets)}</count>",
+        "\t<item_version>1</item_version>",
+    ]
+    for k, tracklet in enumerate(tracklets):
+        lines += _tracklet_lines(tracklet, is_first=k == 0)
+    return "\n".join([*lines, "</tracklets>", "</boost_serialization>", ""])
+
+
+def _tracklet_lines(tracklet: Tracklet, *, is_first: bool) -> list[str]:
+    from xml.sax.saxutils import escape
+
+    head, pose_head, list_head = "", "", ""
+    if is_first:
+        head, list_head = (f' class_id="{n}" tracking_level="0" version="{v}"' for n, v in ((1, 1), (2, 0)))
+        pose_head = ' class_id="3" tracking_level="0" version="1"'
+    height, width, length = tracklet.size_hwl
+    lines = [
+        f"\t<item{head}>",
+        f"\t\t<objectType>{escape(tracklet.label)}</objectType>",
+        f"\t\t<h>{height!r}</h>",
+        f"\t\t<w>{width!r}</w>",
+        f"\t\t<l>{length!r}</l>",
+        f"\t\t<first_frame>{tracklet.first_frame}</first_frame>",
+        f"\t\t<poses{list_head}>",
+        f"\t\t\t<count>{len(tracklet.poses)}</count>",
+        "\t\t\t<item_version>2</item_version>",
+    ]
+    for k, row in enumerate(tracklet.poses.tolist()):
+        lines.append(f"\t\t\t<item{pose_head if k == 0 else ''}>")
+        fields = zip((*POSE_FIELDS, *FURTHER_FIELDS), row, strict=True)
+        lines += [f"\t\t\t\t<{name}>{_text(name, value)}</{name}>" for name, value in fields]
+        lines.append("\t\t\t</item>")
+    return [*lines, "\t\t</poses>", "\t\t<finished>1</finished>", "\t</item>"]
+
+
+def _text(name: str, value: float) -> str:
+    """A number of a pose: states are whole."""
+    return repr(value) if name in POSE_FIELDS[:6] or value != int(value) else str(int(value))

@@ -1,41 +1,48 @@
 """A log of messages as a scene: topics become sensors, frames become extrinsics and the ego trajectory."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
+import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, read_only
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import DataError, UnknownFormatError
+from sceneloom.errors import DataError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import lengths_of
-from sceneloom.formats.messages.annotations import read_annotations
 from sceneloom.formats.messages.cameras import CameraDraft, draft_camera
 from sceneloom.formats.messages.frames import FrameTree, Locations, choose_roles
 from sceneloom.formats.messages.points import CloudDraft, draft_cloud
 from sceneloom.formats.messages.records import (
+    LARGE,
+    AnyRecord,
+    Boxes2DRecord,
+    Boxes3DRecord,
     FixRecord,
     Kind,
     PoseRecord,
     SampleRecord,
+    Topic,
     TopicLog,
     TransformRecord,
 )
-from sceneloom.formats.messages.survey import (
-    Notes,
-    Survey,
-    attributes_from,
-    in_order,
-    nearest,
-    sensor_names,
-    survey,
-)
+from sceneloom.formats.messages.survey import Notes, Survey, attributes_from, in_order, nearest, sensor_names
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
+from sceneloom.scene.annotations import (
+    Annotation,
+    AttributePath,
+    Box2DAnnotation,
+    BoxPath,
+    CuboidAnnotation,
+    CuboidPath,
+)
+from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
@@ -44,6 +51,400 @@ from sceneloom.scene.poses import Poses, Trajectory, placed_along
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Coordinates, PointsFrame
 from sceneloom.warnings import WarningKind
+
+
+def _read_notes(text: str | None, name: str) -> Notes:
+    """Read what our writer left."""
+    if text is None:
+        return Notes()
+    try:
+        root = msgspec.json.decode(text, type=dict[str, Any])
+        lists = {
+            key: msgspec.convert(root.get(key, ()), tuple[dict[str, Any], ...])
+            for key in ("sensors", "trajectories", "annotations")
+        }
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise DataError(name, "sceneloom.scene", f"notes that cannot be read: {error}") from error
+    return Notes(**lists, root=MappingProxyType(root))
+
+
+_TIMESTAMPS = ("header", "receive")
+"""Which times can be asked for."""
+
+
+_FAR_NS = 60_000_000_000
+"""No network delays messages by more than this: another clock timestamped them."""
+
+
+_ZERO_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TopicTimes:
+    """The times of one topic's messages, (N,) int64 [ns]; `fixed` ones state what always holds."""
+
+    topic: Topic
+    timestamps_ns: Int64Array
+    received_ns: Int64Array
+    fixed: bool = False
+
+    @property
+    def unset(self) -> BoolArray:
+        """(N,) bool, which messages are timestamped 0 and were received at another time."""
+        unset: BoolArray = (self.timestamps_ns == 0) & (np.abs(self.received_ns) > _ZERO_NS)
+        return unset
+
+    @property
+    def delay_ns(self) -> int | None:
+        """How long after its timestamp a message was received, in the middle; None where no message has a timestamp."""
+        timestamped = ~self.unset
+        if self.fixed or not timestamped.any():
+            return None
+        return int(np.median(self.received_ns[timestamped] - self.timestamps_ns[timestamped]))
+
+
+def _settle_times(
+    all_times: Sequence[_TopicTimes], name: str, ledger: Ledger, *, wanted: str | None
+) -> dict[int, Int64Array]:
+    """By number of the topic, the times that count: of the heads, unless topics are on different clocks."""
+    if wanted not in (None, *_TIMESTAMPS):
+        raise OptionError(f"timestamps {wanted!r}; expected one of {', '.join(_TIMESTAMPS)}")
+    strangers = _strangers(all_times, name, ledger) if wanted is None else frozenset()
+    found = {}
+    for times in all_times:
+        if wanted == "receive" or times.topic.number in strangers:
+            found[times.topic.number] = times.received_ns
+            continue
+        unset = times.unset
+        if unset.any() and not times.fixed:
+            message = "messages timestamped 0; the time at which they were received counts"
+            location = f"{name}: {times.topic.name}"
+            ledger.note(WarningKind.REPAIRED, "timestamps-zero", location, message, count=int(unset.sum()))
+        found[times.topic.number] = np.where(unset, times.received_ns, times.timestamps_ns)
+    return found
+
+
+def _strangers(all_times: Sequence[_TopicTimes], name: str, ledger: Ledger) -> frozenset[int]:
+    """The topics whose timestamps are of another clock than those of the others."""
+    delays = {
+        times.topic.number: (times.topic.name, delay) for times in all_times if (delay := times.delay_ns) is not None
+    }
+    if not delays:
+        return frozenset()
+    near = {number for number, (_, delay) in delays.items() if abs(delay) <= _FAR_NS}
+    if not near:
+        usual = int(np.median([delay for _, delay in delays.values()]))
+        near = {number for number, (_, delay) in delays.items() if abs(delay - usual) <= _FAR_NS}
+        message = f"messages were received {usual / 1e9:.3f} s after their timestamps; the timestamps count"
+        ledger.note(WarningKind.ASSUMED, "received-much-later", name, message, count=len(near))
+    far = {number: row for number, row in delays.items() if number not in near}
+    if far:
+        reported = "; ".join(f"{topic} {delay / 1e9:+.3f} s" for topic, delay in sorted(far.values()))
+        usual = int(np.median([delays[number][1] for number in near]))
+        problem = (
+            f"mixed time bases: messages were received {usual / 1e9:+.3f} s after their timestamps, but of {reported}; "
+            'expected one clock: state timestamps="receive" to go by when they were received, timestamps="header" by '
+            "the "
+            "timestamps as they are, or `--lenient` to go by when those few were received"
+        )
+        ledger.fault("mixed-time-bases", DataError(name, "", problem), count=len(far))
+    return frozenset(far)
+
+
+def _survey(log: TopicLog, ledger: Ledger, *, timestamps: str | None) -> Survey:
+    """Look at all topics.
+
+    Args:
+        log: the messages.
+        ledger: takes warnings and faults.
+        timestamps: which times count, "header" or "receive"; None: see `_settle_times`.
+
+    Raises:
+        DataError: a small message is wrong, or topics are on different clocks.
+    """
+    found = Survey(log, ledger, _read_notes(log.notes, log.name))
+    _note_unknown(log, ledger)
+    times: list[_TopicTimes] = []
+    rows: dict[int, list[tuple[int, list[AnyRecord]]]] = {}
+    for topic in log.topics:
+        if topic.kind is None or not topic.count or topic.kind is Kind.NOTES:
+            continue
+        received = log.receive_times(topic)
+        if topic.kind in LARGE:
+            reported, looked = log.timestamps(topic)
+            if not looked and not found.notes.ours:
+                message = "some messages state the time at which they were received, so the others are taken to do so"
+                ledger.note(WarningKind.ASSUMED, "timestamps-from-index", f"{log.name}: {topic.name}", message)
+            times.append(_TopicTimes(topic, reported, received))
+        else:
+            rows[topic.number] = _read(log, topic, ledger)
+            first = np.array([records[0].timestamp_ns for _, records in rows[topic.number]], np.int64)
+            kept = received[np.array([k for k, _ in rows[topic.number]], np.int64)]
+            records = [record for _, row in rows[topic.number] for record in row]
+            fixed = all(isinstance(record, TransformRecord) and record.fixed for record in records)
+            fixed = topic.kind is Kind.CAMERA_MODEL or (bool(records) and fixed)
+            times.append(_TopicTimes(topic, first, kept, fixed))
+    settled = _settle_times([row for row in times if len(row.timestamps_ns)], log.name, ledger, wanted=timestamps)
+    # our own writer moves scenes that begin before 0 where a format knows no such times
+    moved_ns = int(found.notes.root.get("time_shift_ns", 0))
+    for row in times:
+        number = row.topic.number
+        settled[number] = settled.get(number, row.timestamps_ns) - moved_ns
+        if number in rows:
+            counted = settled[number] - row.timestamps_ns
+            found.records[number] = [
+                _moved(record, int(shift))
+                for (_, records), shift in zip(rows[number], counted.tolist(), strict=True)
+                for record in records
+            ]
+        else:
+            found.times_ns[number] = settled[number]
+    return found
+
+
+def _moved(record: AnyRecord, shift_ns: int) -> AnyRecord:
+    if shift_ns == 0:
+        return record
+    return cast("AnyRecord", replace(cast("Any", record), timestamp_ns=record.timestamp_ns + shift_ns))
+
+
+def _read(log: TopicLog, topic: Topic, ledger: Ledger) -> list[tuple[int, list[AnyRecord]]]:
+    """Read all messages of a topic; those that state nothing are left out."""
+    found = []
+    for k in range(topic.count):
+        try:
+            records = list(log.read(topic, k))
+        except DataError as error:
+            ledger.fault("messages-at-fault", error)
+            continue
+        if records:
+            found.append((k, records))
+    return found
+
+
+def _note_unknown(log: TopicLog, ledger: Ledger) -> None:
+    """Report which messages are not read, by their type."""
+    groups: dict[tuple[str, str], list[Topic]] = {}
+    for topic in log.topics:
+        if topic.kind is None and topic.count:
+            groups.setdefault((topic.schema, topic.why), []).append(topic)
+    for (schema, why), topics in groups.items():
+        names = ", ".join(sorted({topic.name for topic in topics}))
+        message = f"messages {schema or 'without a type'} on {names}: {why}"
+        count = sum(topic.count for topic in topics)
+        ledger.note(WarningKind.SKIPPED, "unknown-messages", log.name, message, count=count)
+
+
+_Key = tuple[str, str]
+"""Topic and id of an object."""
+
+
+@dataclass(slots=True)
+class _Track:
+    """The boxes of one object in the order of the messages."""
+
+    times_ns: list[int] = field(default_factory=list)
+    boxes: list[Any] = field(default_factory=list)
+
+    def drawn(self) -> tuple[Int64Array, list[Any]]:
+        """Times and boxes in order, the last one of several with one time: a drawing replaces the one before."""
+        latest = dict(zip(self.times_ns, self.boxes, strict=True))
+        times = sorted(latest)
+        return np.array(times, np.int64), [latest[time] for time in times]
+
+    @property
+    def label(self) -> str | None:
+        """The class that is stated first."""
+        return next((box.label for box in self.boxes if box.label), None)
+
+
+def _gather(topic: str, records: Iterable[Boxes3DRecord | Boxes2DRecord], survey: Survey) -> dict[_Key, _Track]:
+    """Collect the boxes of each object; a box without an id is an object of its own."""
+    tracks: dict[_Key, _Track] = {}
+    nameless = others = 0
+    for record in records:
+        others += record.no_boxes
+        for box in record.boxes:
+            identifier = box.id
+            if not identifier:
+                nameless += 1
+                identifier = f"{topic.strip('/')}/{nameless}"
+            track = tracks.setdefault((topic, identifier), _Track())
+            track.times_ns.append(record.timestamp_ns)
+            track.boxes.append(box)
+    location = f"{survey.log.name}: {topic}"
+    if others:
+        survey.ledger.note(WarningKind.SKIPPED, "plots-not-read", location, "plots that are no boxes", count=others)
+    if nameless:
+        message = "boxes without an id; each is an object of its own"
+        survey.ledger.note(WarningKind.ASSUMED, "boxes-without-id", location, message, count=nameless)
+    return tracks
+
+
+def _annotation_ids(keys: Sequence[_Key]) -> list[str]:
+    """Ids of annotations: those of the objects, with the topic where several topics or frames have the same."""
+    seen = Counter(identifier for _, identifier in keys)
+    return [name if seen[name] == 1 else f"{topic.strip('/')}/{name}" for topic, name in keys]
+
+
+def _cuboid_of_boxes(
+    identifier: str | int, track: _Track, locations: Locations, survey: Survey, location: str
+) -> CuboidAnnotation | None:
+    """Make the cuboid of an object; None where none of its boxes can be placed in the world."""
+    times, boxes = track.drawn()
+    centers = np.array([box.center for box in boxes]).reshape(-1, 3)
+    rotations = np.array([box.quaternion_xyzw for box in boxes]).reshape(-1, 4)
+    sizes = np.array([box.size_lwh for box in boxes]).reshape(-1, 3)
+    sound = ~lengths_of(rotations)[1]
+    sound &= np.isfinite(np.hstack([centers, rotations, sizes])).all(axis=1)
+    _note(survey, sound, "boxes-at-fault", location, "boxes without position, size or orientation")
+    placed = np.zeros(len(boxes), np.bool_)
+    for frame in dict.fromkeys(box.frame_id for box in boxes):
+        same = np.array([box.frame_id == frame for box in boxes]) & sound
+        if same.any():
+            with np.errstate(over="ignore", invalid="ignore"):
+                placed[same] = _to_world(centers, rotations, same, times, frame, locations)
+    placed &= np.isfinite(centers).all(axis=1)
+    message = "boxes in frames that are not placed in the world then"
+    _note(survey, placed | ~sound, "boxes-not-placed", location, message)
+    if not placed.any():
+        return None
+    angles = CuboidAngles().from_quaternions(normalise_quaternion(rotations[placed]))
+    path = CuboidPath(times[placed], np.hstack([sizes[placed], centers[placed], angles]))
+    kept = [box for box, good in zip(boxes, placed.tolist(), strict=True) if good]
+    return CuboidAnnotation(identifier, path, track.label, attributes=_attributes(times[placed], kept))
+
+
+def _note(survey: Survey, good: Any, code: str, location: str, message: str) -> None:
+    lost = int((~good).sum())
+    if lost:
+        survey.ledger.note(WarningKind.SKIPPED, code, location, message, count=lost)
+
+
+def _to_world(
+    centers: Float64Array,
+    rotations: Float64Array,
+    same: Any,
+    times: Int64Array,
+    frame: str,
+    locations: Locations,
+) -> Any:
+    """Move the chosen boxes of one frame into the world, in place; state which of them could be."""
+    path, fixed = locations.world_from(frame, times[same])
+    if fixed is not None:
+        if not np.array_equal(fixed.matrix, np.eye(4)):
+            centers[same] = fixed.apply(centers[same])
+            rotations[same] = multiply_quaternions(fixed.quaternion_xyzw, rotations[same])
+        return True
+    if path is None:
+        return False
+    poses = path.interpolate(times[same], reach_ns=_REACH_NS)
+    known = poses.coverage < 2
+    centers[same] = rotate_vectors(poses.quaternions_xyzw, centers[same]) + poses.positions
+    rotations[same] = multiply_quaternions(poses.quaternions_xyzw, rotations[same])
+    return known
+
+
+_REACH_NS = 100_000_000
+"""Boxes may be this much before or after all that is known of the ego trajectory."""
+
+
+def _box_2d(identifier: str | int, sensor_id: str | int, track: _Track) -> Box2DAnnotation:
+    """Make the box of an object in the images of a camera."""
+    times, boxes = track.drawn()
+    values = np.array([box.box_ltwh for box in boxes], np.float64).reshape(-1, 4)
+    return Box2DAnnotation(
+        identifier, sensor_id, BoxPath(times, values), track.label, attributes=_attributes(times, boxes)
+    )
+
+
+def _attributes(times: Int64Array, boxes: Sequence[Any]) -> tuple[AttributePath, ...]:
+    """What is stated for an object beside its class, where it changes."""
+    found = []
+    for name in dict.fromkeys(name for box in boxes for name in box.reported):
+        values = [box.reported.get(name) for box in boxes]
+        changes = [k for k, value in enumerate(values) if value is not None and (k == 0 or values[k - 1] != value)]
+        found.append(AttributePath(name, tuple(_value(values[k]) for k in changes), times[changes]))
+    return tuple(found)
+
+
+def _value(text: str) -> Any:
+    """A number where the text is one."""
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return int(number) if number.is_integer() and abs(number) < 2**53 else number
+
+
+def _read_annotations(survey: Survey, locations: Locations, cameras: Mapping[str, Any]) -> list[Annotation]:
+    """Make the annotations of all topics of boxes, those that notes speak of as these state.
+
+    Args:
+        survey: of all topics.
+        locations: of all frames.
+        cameras: ids by the topics of their images.
+    """
+    found = [*_cuboids(survey, locations), *_boxes_2d(survey, cameras)]
+    notes = {(str(note.get("topic")), str(note.get("key"))): note for note in survey.notes.annotations}
+    order = {key: row for row, key in enumerate(notes)}
+    found.sort(key=lambda pair: order.get(pair[0], len(order)))
+    annotations = [_with_note(annotation, notes.get(key)) for key, annotation in found]
+    # an object may be a cuboid and a box in images
+    taken = Counter[Any]()
+    for k, annotation in enumerate(annotations):
+        key = type(annotation.id), annotation.id
+        taken[key] += 1
+        if taken[key] > 1:
+            annotations[k] = replace(annotation, id=f"{annotation.id}~{taken[key]}")
+    return annotations
+
+
+def _cuboids(survey: Survey, locations: Locations) -> list[tuple[_Key, Annotation]]:
+    tracks: dict[_Key, _Track] = {}
+    for topic in survey.topics(Kind.BOXES_3D):
+        tracks |= _gather(topic.name, survey.of(topic, Boxes3DRecord), survey)
+    location = f"{survey.log.name}: boxes"
+    made = [
+        (key, _cuboid_of_boxes(identifier, track, locations, survey, location))
+        for (key, track), identifier in zip(tracks.items(), _annotation_ids([*tracks]), strict=True)
+    ]
+    return [(key, annotation) for key, annotation in made if annotation is not None]
+
+
+def _boxes_2d(survey: Survey, cameras: Mapping[str, Any]) -> list[tuple[_Key, Annotation]]:
+    found: list[tuple[_Key, Box2DAnnotation]] = []
+    noted = {note["boxes_topic"]: note["id"] for note in survey.notes.sensors if {"boxes_topic", "id"} <= note.keys()}
+    for topic in survey.topics(Kind.BOXES_2D):
+        records = survey.of(topic, Boxes2DRecord)
+        # the camera whose topic stands beside that of boxes; the only one where there is only one
+        name = nearest(topic.name, cameras) or (next(iter(cameras)) if len(cameras) == 1 else None)
+        camera = noted.get(topic.name, None if name is None else cameras[name])
+        if camera is None:
+            message = "boxes in images of a camera that is not reported"
+            location = f"{survey.log.name}: {topic.name}"
+            count = sum(len(record.boxes) for record in records)
+            survey.ledger.note(WarningKind.SKIPPED, "boxes-without-camera", location, message, count=count)
+            continue
+        tracks = _gather(topic.name, records, survey)
+        named = zip(tracks.items(), _annotation_ids([*tracks]), strict=True)
+        found += [(key, _box_2d(identifier, camera, track)) for (key, track), identifier in named]
+    # objects that several cameras see become an annotation for each
+    counts = Counter(annotation.id for _, annotation in found)
+    return [
+        (key, replace(one, id=f"{key[0].strip('/')}/{one.id}") if counts[one.id] > 1 else one) for key, one in found
+    ]
+
+
+def _with_note(annotation: Annotation, note: Mapping[str, Any] | None) -> Annotation:
+    if note is None:
+        return annotation
+    fields: dict[str, Any] = {name: note.get(name) for name in ("id", "parent_id", "label", "stationary")}
+    fields["attributes"] = attributes_from(note.get("attributes", ()))
+    if note.get("extras"):
+        fields["extras"] = MappingProxyType(note["extras"])
+    return replace(annotation, **fields)
+
 
 _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 """Messages have covariances of position, then rotation; trajectories of rotation, then position."""
@@ -446,7 +847,7 @@ def scene_from_topics(
     """
     closing = _Closing(log, [])
     try:
-        found = survey(log, ledger, timestamps=timestamps)
+        found = _survey(log, ledger, timestamps=timestamps)
         context = _Log(found, closing.cameras)
         trajectories = _locate(context, ego=ego, world=world)
         sensors = _noted_sensors(context)
@@ -456,7 +857,7 @@ def scene_from_topics(
             if note.get("type") == "camera" and {"topic", "id"} <= note.keys()
         }
         sensors += _foreign_sensors(context, {sensor.id for sensor in sensors}, cameras)
-        annotations = read_annotations(found, context.locations, cameras)
+        annotations = _read_annotations(found, context.locations, cameras)
         fields = _noted_scene_fields(found.notes, metadata, form)
     except BaseException:
         closing()

@@ -14,11 +14,14 @@ from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.loss_list import Losses
-from sceneloom.formats.messages.annotations import box_2d_stream, cuboid_stream
 from sceneloom.formats.messages.cameras import MILLIMETRE, camera_model_record, is_foreign
 from sceneloom.formats.messages.points import CloudWriter
 from sceneloom.formats.messages.records import (
     AnyRecord,
+    Box2D,
+    Box3D,
+    Boxes2DRecord,
+    Boxes3DRecord,
     CompressedImageRecord,
     Dialect,
     FixRecord,
@@ -42,6 +45,78 @@ from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainS
 from sceneloom.scene.poses import Poses, Trajectory, placed_along
 from sceneloom.scene.scene import Scene, Sensor, frame_times
 from sceneloom.scene.types import Coordinates, PointsFrame
+
+_Drawn = CuboidAnnotation | Box2DAnnotation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """All rows of some annotations in the order of time: whose each is, and which of its own."""
+
+    times_ns: Int64Array
+    owners: Int64Array
+    rows: Int64Array
+    starts: Int64Array
+
+    @classmethod
+    def of(cls, annotations: Sequence[_Drawn]) -> "_Rows":
+        lengths = [len(annotation.path.timestamps_ns) for annotation in annotations]
+        times = np.concatenate([annotation.path.timestamps_ns for annotation in annotations])
+        owners = np.repeat(np.arange(len(annotations)), lengths)
+        rows = np.concatenate([np.arange(length) for length in lengths])
+        order = np.lexsort((owners, times))
+        moments, starts = np.unique(times[order], return_index=True)
+        return cls(moments, owners[order], rows[order], np.append(starts, len(times)))
+
+    def at(self, k: int) -> Iterator[tuple[int, int]]:
+        part = slice(self.starts[k], self.starts[k + 1])
+        return zip(self.owners[part].tolist(), self.rows[part].tolist(), strict=True)
+
+
+def _cuboid_stream(
+    annotations: Sequence[CuboidAnnotation],
+    keys: Sequence[str],
+    topic: str,
+    frame_id: str,
+    angles: CuboidAngles,
+) -> Stream:
+    """Draw cuboids at each of their times, and take them away at the first one after their last."""
+    rows = _Rows.of(annotations)
+    last = {int(owner): int(annotations[owner].path.timestamps_ns[-1]) for owner in range(len(annotations))}
+    ends = sorted(last.items(), key=lambda row: row[1])
+    location = 0
+
+    def make(k: int) -> Iterator[Stated]:
+        nonlocal location
+        time_ns, gone = int(rows.times_ns[k]), []
+        while location < len(ends) and ends[location][1] < time_ns:
+            gone.append(keys[ends[location][0]])
+            location += 1
+        boxes = tuple(_cuboid(annotations[owner], keys[owner], row, frame_id, angles) for owner, row in rows.at(k))
+        yield topic, Boxes3DRecord(time_ns, boxes, tuple(gone))
+
+    return Stream(rows.times_ns, make)
+
+
+def _cuboid(annotation: CuboidAnnotation, key: str, row: int, frame_id: str, angles: CuboidAngles) -> Box3D:
+    values = annotation.path.values[row]
+    rotation = angles.quaternions(values[6:])
+    return Box3D(key, frame_id, values[3:6], rotation, values[:3], annotation.label)
+
+
+def _box_2d_stream(annotations: Sequence[Box2DAnnotation], keys: Sequence[str], topic: str, frame_id: str) -> Stream:
+    """Draw boxes into the images of a camera at each of their times."""
+    rows = _Rows.of(annotations)
+
+    def make(k: int) -> Iterator[Stated]:
+        boxes = []
+        for owner, row in rows.at(k):
+            left, top, width, height = annotations[owner].path.values[row].tolist()
+            boxes.append(Box2D(keys[owner], (left, top, width, height), annotations[owner].label))
+        yield topic, Boxes2DRecord(int(rows.times_ns[k]), frame_id, tuple(boxes))
+
+    return Stream(rows.times_ns, make)
+
 
 _POSITION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 """Trajectories have covariances of rotation, then position; messages of position, then rotation."""
@@ -407,7 +482,7 @@ class SceneStreams:
         cuboids = [a for a in annotations if isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns)]
         if cuboids:
             named, angles = [keys[id(annotation)] for annotation in cuboids], CuboidAngles.of(self._scene)
-            self.streams.append(cuboid_stream(cuboids, named, _CUBOIDS_TOPIC, self._dialect.world, angles))
+            self.streams.append(_cuboid_stream(cuboids, named, _CUBOIDS_TOPIC, self._dialect.world, angles))
             topics |= dict.fromkeys(map(id, cuboids), _CUBOIDS_TOPIC)
             what = "angles become unit quaternions, which do not report whole rotations"
             self.losses.converted("annotations.cuboid.path.values", what, count=len(cuboids))
@@ -421,7 +496,7 @@ class SceneStreams:
             if note is not None:
                 topic = note["boxes_topic"] = f"/{note['part']}/annotations"
                 named = [keys[id(annotation)] for annotation in boxes]
-                self.streams.append(box_2d_stream(boxes, named, topic, note["frame"]))
+                self.streams.append(_box_2d_stream(boxes, named, topic, note["frame"]))
                 topics |= dict.fromkeys(map(id, boxes), topic)
         notes = []
         for annotation in annotations:

@@ -1,6 +1,7 @@
 """Read one scene of a data set in the nuScenes schema."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -14,12 +15,12 @@ from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, U
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.files import read_bytes
+from sceneloom.formats.base.files import open_file, read_bytes
 from sceneloom.formats.base.images import ImageFile, images_image_size, is_jpeg
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import as_flag
 from sceneloom.formats.nuscenes.spec import table_folders
-from sceneloom.formats.nuscenes.tables import KEY_FRAMES, MICROSECOND, NEEDED, Quaternion, iter_rows
+from sceneloom.formats.nuscenes.tables import KEY_FRAMES, MICROSECOND, NEEDED, TABLES, Quaternion
 from sceneloom.formats.points.cloud import NUSCENES, Cloud
 from sceneloom.formats.points.files import read_pcd
 from sceneloom.formats.points.npz import read_bin
@@ -41,6 +42,72 @@ from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import key_of
 from sceneloom.warnings import WarningKind
+
+_PIECE = 1 << 23
+
+
+_LONGEST_ROW = 1 << 16
+
+
+_ROW_END = re.compile(rb"\}\s*,")
+
+
+_FIELD = re.compile(r"\$\[(?P<row>\d+)\](?:\.(?P<field>\S+?))?`?$")
+
+
+def iter_rows(folder: Path, table: str) -> Iterator[Any]:
+    """Read the rows of one of `TABLES` one by one; a piece of the file is in memory at a time.
+
+    Raises:
+        DataError: the file is missing, no JSON, or a row lacks a field or has one of another type.
+    """
+    path = folder / f"{table}.json"
+    rows_of_table: Any = list.__class_getitem__(TABLES[table])
+    decoder: msgspec.json.Decoder[list[Any]] = msgspec.json.Decoder(rows_of_table)
+    given = 0
+    try:
+        for piece in _chunks(path):
+            try:
+                rows = decoder.decode(piece)
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                # the piece ends inside a text, or is wrong: the whole file shows which
+                yield from _decoded(path, decoder, read_bytes(path))[given:]
+                return
+            given += len(rows)
+            yield from rows
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror or error}; expected a table of the nuScenes schema"
+        raise DataError(path, "", problem) from error
+
+
+def _chunks(path: Path) -> Iterator[bytes]:
+    """Cut a JSON list of objects into shorter lists of whole objects."""
+    with open_file(path) as file:
+        content = file.read(_PIECE)
+        if len(content) < _PIECE:
+            yield content
+            return
+        rest = content.lstrip().removeprefix(b"\xef\xbb\xbf").removeprefix(b"[")
+        while content:
+            for cut in [*_ROW_END.finditer(rest, max(0, len(rest) - _LONGEST_ROW))][-1:]:
+                yield b"[" + rest[: cut.start() + 1] + b"]"
+                rest = rest[cut.end() :]
+            content = file.read(_PIECE)
+            rest += content
+        yield b"[" + rest
+
+
+def _decoded(path: Path, decoder: "msgspec.json.Decoder[list[Any]]", content: bytes) -> list[Any]:
+    try:
+        return decoder.decode(content)
+    except msgspec.ValidationError as error:
+        problem, _, location = str(error).partition(" - at `")
+        found = _FIELD.search(location)
+        where = "" if found is None else ".".join(filter(None, (f"row {found['row']}", found["field"])))
+        raise DataError(path, where, problem) from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise DataError(path, "", f"is no JSON: {error}") from error
+
 
 _MOST_NAMES = 20
 _TRAJECTORY = "pose"

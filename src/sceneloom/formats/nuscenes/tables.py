@@ -1,9 +1,7 @@
 """Tables of the nuScenes schema: their columns, and reading their rows one by one."""
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from hashlib import blake2b
-from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
 
@@ -11,8 +9,6 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.errors import DataError
-from sceneloom.formats.base.files import open_file, read_bytes
 
 Quaternion = tuple[float, float, float, float]
 """w, x, y, z."""
@@ -97,65 +93,6 @@ TABLES: Mapping[str, type[Any]] = MappingProxyType(
 
 NEEDED = ("scene", "sample", "sample_data", "ego_pose", "calibrated_sensor", "sensor")
 """Tables without which no scene can be opened."""
-
-_PIECE = 1 << 23
-_LONGEST_ROW = 1 << 16
-_ROW_END = re.compile(rb"\}\s*,")
-_FIELD = re.compile(r"\$\[(?P<row>\d+)\](?:\.(?P<field>\S+?))?`?$")
-
-
-def iter_rows(folder: Path, table: str) -> Iterator[Any]:
-    """Read the rows of one of `TABLES` one by one; a piece of the file is in memory at a time.
-
-    Raises:
-        DataError: the file is missing, no JSON, or a row lacks a field or has one of another type.
-    """
-    path = folder / f"{table}.json"
-    rows_of_table: Any = list.__class_getitem__(TABLES[table])
-    decoder: msgspec.json.Decoder[list[Any]] = msgspec.json.Decoder(rows_of_table)
-    given = 0
-    try:
-        for piece in _chunks(path):
-            try:
-                rows = decoder.decode(piece)
-            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-                # the piece ends inside a text, or is wrong: the whole file shows which
-                yield from _decoded(path, decoder, read_bytes(path))[given:]
-                return
-            given += len(rows)
-            yield from rows
-    except OSError as error:
-        problem = f"cannot be read: {error.strerror or error}; expected a table of the nuScenes schema"
-        raise DataError(path, "", problem) from error
-
-
-def _chunks(path: Path) -> Iterator[bytes]:
-    """Cut a JSON list of objects into shorter lists of whole objects."""
-    with open_file(path) as file:
-        content = file.read(_PIECE)
-        if len(content) < _PIECE:
-            yield content
-            return
-        rest = content.lstrip().removeprefix(b"\xef\xbb\xbf").removeprefix(b"[")
-        while content:
-            for cut in [*_ROW_END.finditer(rest, max(0, len(rest) - _LONGEST_ROW))][-1:]:
-                yield b"[" + rest[: cut.start() + 1] + b"]"
-                rest = rest[cut.end() :]
-            content = file.read(_PIECE)
-            rest += content
-        yield b"[" + rest
-
-
-def _decoded(path: Path, decoder: "msgspec.json.Decoder[list[Any]]", content: bytes) -> list[Any]:
-    try:
-        return decoder.decode(content)
-    except msgspec.ValidationError as error:
-        problem, _, location = str(error).partition(" - at `")
-        found = _FIELD.search(location)
-        where = "" if found is None else ".".join(filter(None, (f"row {found['row']}", found["field"])))
-        raise DataError(path, where, problem) from error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise DataError(path, "", f"is no JSON: {error}") from error
 
 
 def token_of(*parts: object) -> str:

@@ -10,10 +10,12 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
+from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import as_positive
+from sceneloom.formats.base.text_tables import FARTHEST_NS, UNITS_NS, TimestampError, parse_timestamp
 from sceneloom.formats.openlabel.document import (
     ABSOLUTE,
     CONFIRMED,
@@ -32,15 +34,15 @@ from sceneloom.formats.openlabel.document import (
     restored,
 )
 from sceneloom.formats.openlabel.streams import read_streams
-from sceneloom.formats.openlabel.systems import (
-    FrameTimes,
-    Systems,
-    quaternion_from_euler,
-    read_frame_times,
-    read_systems,
-    unit_quaternions,
+from sceneloom.formats.openlabel.systems import Systems
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import (
+    matrix_from_quaternion,
+    multiply_quaternions,
+    normalise_quaternion,
+    quaternion_from_matrix,
+    rotate_vectors,
 )
-from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,
@@ -57,10 +59,191 @@ from sceneloom.scene.annotations import (
 )
 from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.cameras import CameraSensor
-from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import NO_FIELDS, Identifier
 from sceneloom.warnings import WarningKind
+
+_DEFAULT_RATE_HZ = 10.0
+
+
+_GREATEST_MATRIX_ERROR = 0.01
+
+
+_DEFAULT_SEQUENCE = "ZYX"
+
+
+_EPOCHS = (("nanoseconds", 1e17), ("microseconds", 1e14), ("milliseconds", 1e11))
+"""Numbers from here on are times of our day in that unit; smaller ones are seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class _FrameTimes:
+    """The times of the frames [ns], by number."""
+
+    by_number: dict[int, int]
+
+    @property
+    def first_ns(self) -> int:
+        """The earliest time; 0 where there are no frames."""
+        return min(self.by_number.values(), default=0)
+
+    def at(self, number: int, rate_hz: float = _DEFAULT_RATE_HZ) -> int:
+        """The time of a frame [ns]; of one that is not in the file, from the nearest one that is."""
+        if number in self.by_number:
+            return self.by_number[number]
+        if not self.by_number:
+            return round(number * 1e9 / rate_hz)
+        nearest = min(self.by_number, key=lambda known: (abs(known - number), known))
+        return self.by_number[nearest] + round((number - nearest) * 1e9 / _DEFAULT_RATE_HZ)
+
+
+def _read_frame_times(document: Part, ledger: Ledger, rate_hz: float | None) -> _FrameTimes:
+    """Read the times of all frames; those without one are timed by their number, or by their distance from others.
+
+    Raises:
+        DataError: a frame's key is no number, or its timestamp is none.
+    """
+    known: dict[int, int] = {}
+    missing: list[int] = []
+    for key, frame in document.each("frames"):
+        if not (key.isascii() and key.isdigit() and len(key) < 16):
+            fault = DataError(document.file, frame.location, "expected a whole number as its key")
+            ledger.fault("frame-numbers", fault)
+        elif (timestamp := frame.below("frame_properties").get("timestamp")) is None:
+            missing.append(int(key))
+        else:
+            known[int(key)] = _timestamp_ns(timestamp)
+    if missing:
+        rate = rate_hz or _DEFAULT_RATE_HZ
+        times = _FrameTimes(dict(known))
+        known |= {number: times.at(number, rate) for number in missing}
+        message = f"frames have no timestamp; taken at {rate:g} Hz by number, `--input-option rate_hz=HZ` sets the rate"
+        document.below("frames").note(ledger, WarningKind.ASSUMED, "frame-times-assumed", message, count=len(missing))
+    return _FrameTimes(known)
+
+
+def _timestamp_ns(timestamp: Part) -> int:
+    """Read a time [ns]: a number or its text, in seconds or another unit that makes it a time of our day; or a date."""
+    value = timestamp.value
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        unit = next((name for name, least in _EPOCHS if abs(value) >= least), "seconds")
+        time_ns = value * UNITS_NS[unit] if isinstance(value, int) else round(value * UNITS_NS[unit])
+        if abs(time_ns) <= FARTHEST_NS:
+            return int(time_ns)
+    if isinstance(value, str):
+        whole = value.strip().lstrip("-").partition(".")[0]
+        digits = len(whole) if whole.isdigit() else 0
+        unit = next((name for name, least in _EPOCHS if digits > len(f"{least:.0f}") - 1), "seconds")
+        try:
+            return parse_timestamp(value, unit if digits else None)
+        except TimestampError:
+            pass
+    raise timestamp.fault("a time in seconds, or a date as 2011-09-26T13:02:25.594Z")
+
+
+def _read_transform(part: Part) -> RigidTransform:
+    """Read a matrix of 4 times 4 by rows, or a translation with a quaternion x y z w or Euler angles."""
+    matrix = part.get("matrix4x4")
+    if matrix is not None:
+        return _of_matrix(matrix)
+    translation = np.array(part.need("translation").numbers(3))
+    quaternion, angles, sequence = part.get("quaternion"), part.get("euler_angles"), part.get("sequence")
+    if quaternion is not None:
+        rotation = _unit_quaternions([quaternion], [quaternion.numbers(4)])[0]
+    elif angles is not None:
+        order = _DEFAULT_SEQUENCE if sequence is None else sequence.text()
+        rotation = _quaternion_from_euler(part, angles.numbers(3), order)
+    else:
+        raise part.fault("matrix4x4, or quaternion or euler_angles with a translation")
+    return RigidTransform.from_quaternion(translation, rotation)
+
+
+def _of_matrix(part: Part) -> RigidTransform:
+    matrix = np.array(part.numbers(16)).reshape(4, 4)
+    if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-9):
+        raise part.fault("a matrix by rows, whose last row is 0 0 0 1")
+    try:
+        nearest, error = RigidTransform.nearest(matrix)
+    except SceneloomError as fault:
+        raise DataError(part.file, part.location, str(fault)) from fault
+    if not error <= _GREATEST_MATRIX_ERROR:
+        raise part.fault(f"a rotation; its rows are off by {error:.2g}")
+    return nearest
+
+
+def _unit_quaternions(parts: Sequence[Part], values: list[list[float]]) -> Float64Array:
+    """Quaternions x y z w, (N, 4), of length 1 within a hundredth; one part each, for messages.
+
+    Raises:
+        DataError: one has another length.
+    """
+    quaternions = np.array(values, np.float64)
+    wrong = np.flatnonzero(lengths_of(quaternions)[1])
+    if len(wrong):
+        raise parts[int(wrong[0])].fault("a quaternion x y z w of length 1")
+    return normalise_quaternion(quaternions)
+
+
+def _quaternion_from_euler(part: Part, angles: list[float], sequence: str = _DEFAULT_SEQUENCE) -> Float64Array:
+    """The product of three rotations about named axes, x y z w: of "ZYX" and (a, b, c) it is Rz(a) Ry(b) Rx(c).
+
+    Raises:
+        DataError: the sequence is none.
+    """
+    if len(sequence) != 3 or not set(sequence.upper()) <= set("XYZ"):
+        raise DataError(part.file, f"{part.location}.sequence", f"{sequence!r}; expected three of X, Y, Z")
+    rotation = np.eye(3)
+    for axis, angle in zip(sequence.upper(), angles, strict=True):
+        half = np.zeros(4)
+        half["XYZ".index(axis)], half[3] = np.sin(angle / 2), np.cos(angle / 2)
+        rotation = rotation @ matrix_from_quaternion(half)
+    return quaternion_from_matrix(rotation)
+
+
+def _read_systems(document: Part, times: _FrameTimes, ledger: Ledger) -> Systems:
+    """Read the coordinate systems and the transforms of all frames.
+
+    Raises:
+        DataError: one is wrong.
+    """
+    parents: dict[str, str] = {}
+    edges: dict[str, tuple[str, Poses]] = {}
+    for name, system in document.each("coordinate_systems"):
+        parent, pose = system.get("parent"), system.get("pose_wrt_parent")
+        parents[name] = "" if parent is None else parent.text()
+        if parents[name] and pose is not None:
+            edges[name] = (parents[name], _poses({0: _read_transform(pose)}, static=True))
+    moving: dict[tuple[str, str], dict[int, RigidTransform]] = {}
+    for key, frame in document.each("frames"):
+        if key.isdigit():
+            for _, part in frame.below("frame_properties").each("transforms"):
+                pair = (part.need("src").text(), part.need("dst").text())
+                found = _read_transform(part.need("transform_src_to_dst"))
+                moving.setdefault(pair, {})[times.at(int(key))] = found
+    for (source, goal), poses in moving.items():
+        if source != goal and parents.get(goal) == source:
+            edges[goal] = (source, _poses({time_ns: pose.inverse() for time_ns, pose in poses.items()}))
+        elif source != goal:
+            edges[source] = (goal, _poses(poses))
+    for name, parent_name in parents.items():
+        if parent_name and name not in edges:
+            message = f"its position in {parent_name!r} is not stated; it is taken as a root of its own"
+            part = document.need("coordinate_systems").need(name)
+            part.note(ledger, WarningKind.ASSUMED, "coordinate-system-unplaced", message)
+    names = frozenset({*parents, *(goal for goal, _ in edges.values())})
+    return Systems(edges, names, frozenset(name for name, _ in document.each("streams")))
+
+
+def _poses(by_time: dict[int, RigidTransform], *, static: bool = False) -> Poses:
+    times = sorted(by_time)
+    return Poses(
+        np.array(times, np.int64),
+        np.stack([by_time[time_ns].translation for time_ns in times]),
+        np.stack([by_time[time_ns].quaternion_xyzw for time_ns in times]),
+        static=static,
+    )
+
 
 _ELEMENTS = {"objects": "object", "actions": "action", "events": "event", "contexts": "context"}
 """What a file has lists of, and what one of each is called."""
@@ -169,8 +352,8 @@ class _Reader:
             metadata.note(ledger, WarningKind.ASSUMED, "schema-version", message)
         ours = metadata.below(OURS)
         self.ours = ours if isinstance(ours.value, dict) else Part(ours.file, ours.location, {})
-        self.times: FrameTimes = read_frame_times(document, ledger, rate_hz)
-        self.systems: Systems = read_systems(document, self.times, ledger)
+        self.times: _FrameTimes = _read_frame_times(document, ledger, rate_hz)
+        self.systems: Systems = _read_systems(document, self.times, ledger)
         self.sensors: dict[str, Sensor] = read_streams(document, self.systems, ledger)
 
     def scene(self) -> Scene:
@@ -533,10 +716,10 @@ class _Rows:
 def _cuboid(rows: _Rows, fields: dict[str, Any]) -> Annotation:
     values, parts = rows.numbers(9, 10), [part.need("val") for part in rows.parts]
     rotations = [
-        row[3:7] if len(row) == 10 else quaternion_from_euler(part, row[5:2:-1]).tolist()
+        row[3:7] if len(row) == 10 else _quaternion_from_euler(part, row[5:2:-1]).tolist()
         for part, row in zip(parts, values, strict=True)
     ]
-    quaternions = unit_quaternions(parts, rotations)
+    quaternions = _unit_quaternions(parts, rotations)
     if rows.system is not None and len(rows.systems.chain(rows.system)) > 1:
         quaternions = multiply_quaternions(rows.systems.root_from(rows.system, rows.timestamps_ns)[1], quaternions)
     sizes, centres = np.array([row[-3:] for row in values]), rows.in_root([np.array([row[:3]]) for row in values])

@@ -295,22 +295,9 @@ class CloudWriter(Protocol):
         ...
 
 
-def axis_columns(positions: AnyArray) -> dict[str, AnyArray]:
-    """Positions (N, 3) as columns x, y, z."""
-    return {axis: positions[:, k] for k, axis in enumerate("xyz")}
-
-
 def color_columns(colors: AnyArray | None) -> dict[str, AnyArray]:
     """Colours (N, 3) as columns red, green, blue; none where there are no colours."""
     return {} if colors is None else {name: colors[:, k] for k, name in enumerate(("red", "green", "blue"))}
-
-
-def packed_colors(colors: AnyArray | None) -> dict[str, AnyArray]:
-    """Colours as the bytes of a float, as PCL has them: blue, green, red, and one that is 0."""
-    if colors is None:
-        return {}
-    whole = colors.astype(np.uint32)
-    return {"rgb": ((whole[:, 0] << 16) | (whole[:, 1] << 8) | whole[:, 2]).view(np.float32)}
 
 
 def measured_columns(points: WrittenPoints) -> dict[str, AnyArray]:

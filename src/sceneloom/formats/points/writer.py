@@ -8,22 +8,76 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import AnyArray, Int64Array
 from sceneloom.editing.move_world import points_change, to_ego, to_sensor, to_world
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import LossReport, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stems, replacing
 from sceneloom.formats.base.poses import ego_in_world
-from sceneloom.formats.points.files import FRAME_WRITERS, frame_columns, left_out
+from sceneloom.formats.points.files import FRAME_WRITERS, FrameColumns
 from sceneloom.formats.points.spec import DEFAULT_ID, EGO_POSES, ENCODINGS, SENSOR_POSES, CloudKind, supports_of
 from sceneloom.motion.ego_trajectory import IDENTITY, is_computed, with_trajectory_estimated
-from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor, grey_where_unseen
 from sceneloom.scene.ego import EgoMotion, is_on_ego, named_odometry, sensor_source
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Coordinates, PointsFrame
+
+_OFFSET = "offset_ns"
+"""Times of points from the frame's time on [ns]: 32 bits hold two seconds either way."""
+
+
+_SPACES = re.compile(r"\s+")
+
+
+def _frame_columns(frame: LidarFrame, intensity_max: float | None) -> FrameColumns:
+    """Lay out a frame; intensities as its source had them are preferred to those of 0 to 255.
+
+    Args:
+        frame: the frame.
+        intensity_max: the full intensity in the source, where it is known.
+    """
+    points = frame.points
+    extras = {name: values for name, values in points.extras.items() if _is_column(values, len(points))}
+    intensities, brightest = points.intensities, 255.0
+    if intensities is not None and intensity_max and extras.get("intensity", np.zeros((0, 0))).ndim == 1:
+        intensities, brightest = extras.pop("intensity"), intensity_max
+    further: dict[str, AnyArray] = {}
+    if points.timestamps_ns is not None:
+        offsets = points.timestamps_ns - frame.timestamp_ns
+        small = not len(offsets) or bool(np.abs(offsets).max() < 2**31)
+        further[_OFFSET] = offsets.astype(np.int32) if small else offsets
+    known = {"ring": points.rings, "camera_index": points.camera_index}
+    further |= {name: values for name, values in known.items() if values is not None}
+    taken = {"x", "y", "z", "red", "green", "blue", "intensity", "rgb", *further}
+    for name, values in extras.items():
+        plain = _SPACES.sub("_", name) or "_"
+        while plain in taken:
+            plain += "_further"
+        taken.add(plain)
+        further[plain] = values
+    colors = None if points.colors is None else grey_where_unseen(points.colors, points.camera_index)
+    return FrameColumns(points.positions, colors, intensities, brightest, further)
+
+
+def _is_column(values: AnyArray, count: int) -> bool:
+    return values.ndim in {1, 2} and len(values) == count and values.dtype.kind in "iufb" and values.size > 0
+
+
+def _left_out(frame: LidarFrame, sensor: str, losses: Losses) -> None:
+    """Report what of a frame no file of points has a field for."""
+    count = len(frame.points)
+    for name, values in frame.points.extras.items():
+        field = f"sensors[{sensor}].frames.points.extras.{name}"
+        if count and not _is_column(values, count):
+            losses.dropped(field, "left out: no column of numbers with a row per point")
+        elif _SPACES.search(name):
+            losses.converted(field, "spaces in its name written as `_`")
+    what = "left out: a file of points has no other fields"
+    losses.dropped(f"sensors[{sensor}].frames.extras", what, count=len(frame.extras))
+
 
 _MOVES: Mapping[PointsFrame, Callable[..., Scene]] = MappingProxyType(
     {PointsFrame.SENSOR: to_sensor, PointsFrame.EGO: to_ego, PointsFrame.WORLD: to_world}
@@ -166,8 +220,8 @@ class _FrameFiles:
         """Write frame `k` of a lidar."""
         frame = lidar.frames[k]
         reported = {name: value for name, value in frame.extras.items() if name not in _WRITTEN}
-        left_out(replace(frame, extras=reported), str(lidar.id), self.losses)
-        columns = frame_columns(frame, lidar.extras.get("intensity_max"))
+        _left_out(replace(frame, extras=reported), str(lidar.id), self.losses)
+        columns = _frame_columns(frame, lidar.extras.get("intensity_max"))
         options = {"encoding": self.encoding} if self.kind.name == "pcd" else {}
         FRAME_WRITERS[self.kind.name](path, columns, f"sensors[{lidar.id}].frames.points", self.losses, **options)
 

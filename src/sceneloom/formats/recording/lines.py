@@ -350,25 +350,6 @@ def by_time(stream: Columns) -> SortedColumns:
     return SortedColumns(*map(read_only, arrays))
 
 
-def further_by_time(stream: Columns) -> dict[str, str]:
-    """Give the texts of lines that state more than a stream holds, by the time [ns] of their row as text.
-
-    Of several records of one time, the second is `TIME#1`.
-    """
-    if not stream.further:
-        return {}
-    rows = by_time(stream)
-    locations = np.empty(len(rows.order), np.int64)
-    locations[rows.order] = np.arange(len(rows.order))
-    texts = {}
-    for row in sorted(stream.further):
-        location = int(locations[row])
-        timestamp = int(rows.timestamps_ns[location])
-        count = location - int(np.searchsorted(rows.timestamps_ns, timestamp))
-        texts[f"{timestamp}#{count}" if count else str(timestamp)] = stream.further[row]
-    return texts
-
-
 def line_seconds(columns: RecordingColumns) -> Float64Array:
     """Give the time of each line in the order of the file, (N,) float64 [s], NaN for lines without one."""
     seconds = np.full(columns.count, np.nan)

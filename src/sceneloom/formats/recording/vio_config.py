@@ -138,11 +138,6 @@ def _without_comment(line: str) -> str:
     return line
 
 
-def unknown_keys(text: str) -> list[str]:
-    """The names of settings that are not publicly known, in the order of the lines; the SDK stops at those it lacks."""
-    return [setting.key for setting in read_vio_config(text).settings if setting.key not in KNOWN_KEYS]
-
-
 def repeated_keys(text: str) -> list[str]:
     """The names of settings that stand there more than once; which value counts is not stated."""
     keys = [setting.key for setting in read_vio_config(text).settings]

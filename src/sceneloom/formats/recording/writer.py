@@ -26,7 +26,7 @@ from sceneloom.formats.recording.lidars import XYZIRT
 from sceneloom.formats.recording.lines import GPS_ORIGIN, LIDAR_MODELS, Origin
 from sceneloom.formats.recording.reader import RANKS
 from sceneloom.formats.recording.spec import DATA_FILE
-from sceneloom.formats.recording.vio_config import unknown_keys
+from sceneloom.formats.recording.vio_config import KNOWN_KEYS, read_vio_config
 from sceneloom.formats.recording.write_calibration import camera_entry, lidar_entry, matrix_entry
 from sceneloom.formats.recording.write_images import (
     IMAGES,
@@ -596,3 +596,8 @@ def _main_receiver(receivers: Sequence[GnssSensor]) -> list[GnssSensor]:
     """Give the one whose lines are `gps` lines: the one that is called so, else the first that has no other name."""
     others = [sensor for sensor in receivers if sensor.id != "rtkgps"]
     return [sensor for sensor in others if sensor.id == "gnss"][:1] or others[:1]
+
+
+def unknown_keys(text: str) -> list[str]:
+    """The names of settings that are not publicly known, in the order of the lines; the SDK stops at those it lacks."""
+    return [setting.key for setting in read_vio_config(text).settings if setting.key not in KNOWN_KEYS]

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import ArrayError, DataError, OptionError
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.base.files import is_url
 from sceneloom.formats.sfs.annotations import read_annotations, read_attributes
@@ -29,9 +29,11 @@ from sceneloom.formats.sfs.metadata import OURS, FileParts, Source, root_fault
 from sceneloom.formats.sfs.profiles import restore_exact_attributes
 from sceneloom.formats.sfs.records import Faults, Location, RecordReader
 from sceneloom.formats.sfs.schema import RECORDS, Field, Kind, annotation_record, sensor_record
-from sceneloom.formats.sfs.sensors import read_sensors, read_trajectories
+from sceneloom.formats.sfs.sensors import read_sensors
 from sceneloom.formats.sfs.spec import BROWN, OPENCV, TANGENTIALS, ReadingOptions
 from sceneloom.scene.annotations import Annotation, AttributePath, CuboidAnnotation
+from sceneloom.scene.motion import OdometrySensor
+from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor, with_assumed_models
 from sceneloom.scene.types import Identifier, key_of
 from sceneloom.warnings import DataWarning, WarningKind
@@ -353,7 +355,7 @@ def _examination(
     attributes = _attributes(source, header.get("attributes"))
     faults = Faults()
     aside = read_attributes(source, ours.get("attributes"), faults)
-    trajectories = read_trajectories(ours.get("trajectories"), sensors, (*_OURS_AT, "trajectories"), faults)
+    trajectories = _read_trajectories(ours.get("trajectories"), sensors, (*_OURS_AT, "trajectories"), faults)
     source.collect(faults, ())
     annotations, attributes = restore_exact_attributes(
         ours.get("exact_attributes") or [], annotations, (*attributes, *aside)
@@ -785,3 +787,38 @@ def _records(header: Mapping[str, Any], keys: Location) -> list[dict[str, Any]]:
     for key in keys:
         node = node.get(key) if isinstance(node, dict) else None
     return [entry for entry in node if isinstance(entry, dict)] if isinstance(node, list) else []
+
+
+def _read_trajectories(
+    records: Any, sensors: tuple[Sensor, ...], location: Location, faults: Faults
+) -> Mapping[str, Trajectory]:
+    """Collect the trajectories of the ego: those of our metadata in their order, then one per odometry sensor."""
+    odometry = {
+        str(sensor.id): Trajectory(
+            str(sensor.id), sensor.poses.timestamps_ns, sensor.poses.positions, sensor.poses.quaternions_xyzw
+        )
+        for sensor in sensors
+        if isinstance(sensor, OdometrySensor)
+    }
+    trajectories: dict[str, Trajectory] = {}
+    for index, record in enumerate(records if isinstance(records, list) else []):
+        of_sensor = odometry.get(str(record.get("sensor_id")))
+        rows = record.get("covariances")
+        try:
+            name, covariances = record["name"], None if rows is None else rows.reshape(-1, 6, 6)
+            if record.get("timestamps_ns") is None and of_sensor is not None:
+                trajectories[name] = replace(of_sensor, name=name, covariances=covariances)
+                continue
+            trajectories[name] = Trajectory(
+                name,
+                record["timestamps_ns"],
+                record["positions"],
+                record.get("quaternions_xyzw"),
+                record.get("file_seconds"),
+                covariances,
+            )
+        except (ArrayError, KeyError) as error:
+            faults.add((*location, index), f"no trajectory: {error}")
+    for name, trajectory in odometry.items():
+        trajectories.setdefault(name, trajectory)
+    return trajectories

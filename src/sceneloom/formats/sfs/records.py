@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
-from sceneloom.errors import ArrayError, CalibrationError
+from sceneloom.errors import ArrayError
 from sceneloom.formats.base.diagnostics import MALFORMED
 from sceneloom.formats.sfs.clock import (
     INT64_MAX,
@@ -433,22 +433,6 @@ def extras_of_poses(record: Mapping[str, Any]) -> dict[str, Any]:
 def with_extras(record: dict[str, Any], extras: Mapping[str, Any]) -> dict[str, Any]:
     """Add unknown fields that the model carries along to a record, whose own fields win."""
     return {**record, **{name: value for name, value in extras.items() if record.get(name) is None}}
-
-
-def mount_of(rows: Any) -> RigidTransform:
-    """Make a mounting of the three rows of R and t.
-
-    Raises:
-        FieldError: they are no rigid transform.
-    """
-    matrix = rows_of(rows, 4)
-    if len(matrix) != 3:
-        raise FieldError(f"{len(matrix)} rows; expected three of R and t")
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            return RigidTransform(matrix[:, :3], matrix[:, 3])
-    except (ArrayError, CalibrationError) as error:
-        raise FieldError(str(error)) from None
 
 
 def mount_rows(mount: RigidTransform) -> list[list[float]]:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
@@ -11,19 +12,19 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array, UInt8Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, CalibrationError, DataError
-from sceneloom.formats.base.files import check_pixels
+from sceneloom.formats.base.files import Bytes, check_pixels
 from sceneloom.formats.sfs.clock import TimeRangeError
 from sceneloom.formats.sfs.container import Container, MappedContent, RemoteContent, format_keys
-from sceneloom.formats.sfs.images import is_mp4, video_codec
+from sceneloom.formats.sfs.images import UNKNOWN_CODEC, is_mp4
 from sceneloom.formats.sfs.metadata import Source, root_fault
 from sceneloom.formats.sfs.records import (
     Faults,
     FieldError,
     Location,
     extras_of_poses,
-    mount_of,
     mount_rows,
     repaired_poses,
+    rows_of,
     times_of,
     with_extras,
 )
@@ -42,7 +43,7 @@ from sceneloom.scene.clouds import (
 )
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor, VectorSamples
-from sceneloom.scene.poses import Poses, Trajectory
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import NO_FIELDS, Coordinates, PointsFrame
 from sceneloom.warnings import WarningKind
@@ -50,6 +51,67 @@ from sceneloom.warnings import WarningKind
 if TYPE_CHECKING:
     from sceneloom.formats.video.index import VideoIndex
     from sceneloom.formats.video.reader import VideoReader
+
+_CODECS: Mapping[bytes, str] = MappingProxyType(
+    {
+        b"avc1": "h264",
+        b"avc3": "h264",
+        b"hvc1": "hevc",
+        b"hev1": "hevc",
+        b"av01": "av1",
+        b"vp09": "vp9",
+        b"vp08": "vp8",
+        b"mp4v": "mpeg4",
+        b"jpeg": "mjpeg",
+        b"mjpa": "mjpeg",
+        b"FFV1": "ffv1",
+        b"png ": "png",
+    }
+)
+
+"""Sample entry of the video track, and what FFmpeg calls its codec. Source: the registry at mp4ra.org."""
+
+
+_LONG_SIZE, _TO_THE_END = 1, 0
+
+
+_MOST_BOXES = 10_000
+
+
+def video_codec(content: Bytes) -> str:
+    """Name the codec of the first known track, as FFmpeg calls it; "unknown" where none is found.
+
+    Source: ISO/IEC 14496-12, 4.2 (boxes) and 8.5.2 (sample description).
+    """
+    movie = _box(content, b"moov")
+    location = 0
+    while (location := movie.find(b"stsd", location)) >= 0:
+        entry = movie[location + 16 : location + 20]
+        if entry in _CODECS:
+            return _CODECS[entry]
+        location += 4
+    return UNKNOWN_CODEC
+
+
+def _box(content: Bytes, wanted: bytes) -> bytes:
+    """Find a box of the outermost level and give what is in it; nothing where there is none."""
+    location = 0
+    for _ in range(_MOST_BOXES):
+        size, name = (
+            int.from_bytes(content[location : location + 4], "big"),
+            bytes(content[location + 4 : location + 8]),
+        )
+        header = 8
+        if size == _LONG_SIZE:
+            size, header = int.from_bytes(content[location + 8 : location + 16], "big"), 16
+        stop = len(content) if size == _TO_THE_END else location + size
+        if name == wanted:
+            return bytes(content[location + header : stop])
+        if stop < location + header or stop >= len(content):
+            break
+        location = stop
+    return b""
+
 
 _Fields = dict[str, Any]
 
@@ -132,7 +194,7 @@ class _Record:
             self.warning(WarningKind.SKIPPED, "no-poses", "no poses; expected where the sensor was", "poses")
         mount = None
         try:
-            mount = None if self.note.get("mount") is None else mount_of(self.note["mount"])
+            mount = None if self.note.get("mount") is None else _mount_of(self.note["mount"])
         except FieldError as error:
             self.faults.add(("mount",), f"our note: {error}")
         if self.note.get("poses_from_mount"):
@@ -375,7 +437,7 @@ def _read_gnss(record: _Record) -> GnssSensor | None:
     arrays = {name: values.pop(name) for name in GNSS_ARRAYS if values.get(name) is not None}
     rows = values.pop("mount", None)
     try:
-        mount = None if rows is None else mount_of(rows)
+        mount = None if rows is None else _mount_of(rows)
         parent_id, extras = values.get("parent_id"), record.extras()
         return GnssSensor(values["id"], **arrays, mount=mount, parent_id=parent_id, extras=extras)
     except FieldError as error:
@@ -383,41 +445,6 @@ def _read_gnss(record: _Record) -> GnssSensor | None:
     except ArrayError as error:
         record.faults.add((), str(error))
     return None
-
-
-def read_trajectories(
-    records: Any, sensors: tuple[Sensor, ...], location: Location, faults: Faults
-) -> Mapping[str, Trajectory]:
-    """Collect the trajectories of the ego: those of our metadata in their order, then one per odometry sensor."""
-    odometry = {
-        str(sensor.id): Trajectory(
-            str(sensor.id), sensor.poses.timestamps_ns, sensor.poses.positions, sensor.poses.quaternions_xyzw
-        )
-        for sensor in sensors
-        if isinstance(sensor, OdometrySensor)
-    }
-    trajectories: dict[str, Trajectory] = {}
-    for index, record in enumerate(records if isinstance(records, list) else []):
-        of_sensor = odometry.get(str(record.get("sensor_id")))
-        rows = record.get("covariances")
-        try:
-            name, covariances = record["name"], None if rows is None else rows.reshape(-1, 6, 6)
-            if record.get("timestamps_ns") is None and of_sensor is not None:
-                trajectories[name] = replace(of_sensor, name=name, covariances=covariances)
-                continue
-            trajectories[name] = Trajectory(
-                name,
-                record["timestamps_ns"],
-                record["positions"],
-                record.get("quaternions_xyzw"),
-                record.get("file_seconds"),
-                covariances,
-            )
-        except (ArrayError, KeyError) as error:
-            faults.add((*location, index), f"no trajectory: {error}")
-    for name, trajectory in odometry.items():
-        trajectories.setdefault(name, trajectory)
-    return trajectories
 
 
 def _read_camera(record: _Record) -> CameraSensor | None:
@@ -673,7 +700,7 @@ class _ImageNotes:
             raise FieldError(f"camera_of_image: expected numbers below {len(cameras)}")
         if any(not isinstance(extra, dict | None) for extra in fields):
             raise FieldError("extras: expected objects")
-        mounts = [None if row is None else mount_of(row) for row in listed("mounts")]
+        mounts = [None if row is None else _mount_of(row) for row in listed("mounts")]
         return cls(camera_model, [cameras[k] for k in chosen], mounts, [extra or NO_FIELDS for extra in fields])
 
     def camera(self, index: int) -> Camera:
@@ -820,3 +847,19 @@ def intrinsics_record(camera: Camera, extras: Any) -> _Fields:
     if isinstance(of_distortion, Mapping):
         record["distortion"] = with_extras(record.get("distortion") or {}, of_distortion)
     return with_extras(record, extras)
+
+
+def _mount_of(rows: Any) -> RigidTransform:
+    """Make a mounting of the three rows of R and t.
+
+    Raises:
+        FieldError: they are no rigid transform.
+    """
+    matrix = rows_of(rows, 4)
+    if len(matrix) != 3:
+        raise FieldError(f"{len(matrix)} rows; expected three of R and t")
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return RigidTransform(matrix[:, :3], matrix[:, 3])
+    except (ArrayError, CalibrationError) as error:
+        raise FieldError(str(error)) from None

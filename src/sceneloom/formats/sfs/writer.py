@@ -1,10 +1,15 @@
 """Writing a scene as a whole or as a stream; arrays are spooled as they come, and the header is made at the end."""
 
+import ctypes
+import io
 import math
+import os
+import shutil
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from types import TracebackType
@@ -50,7 +55,7 @@ from sceneloom.formats.sfs.sensors import (
     exposure_ns,
     intrinsics_record,
 )
-from sceneloom.formats.sfs.spool import Blob, Spool
+from sceneloom.formats.sfs.spool import ALIGNMENT
 from sceneloom.scene.annotations import (
     Annotation,
     Box2DAnnotation,
@@ -68,6 +73,215 @@ from sceneloom.scene.poses import Poses, Trajectory, same_direction
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, PointsFrame, key_of
 from sceneloom.warnings import DataWarning, WarningKind
+
+_NULS = bytes(2 * ALIGNMENT)
+
+
+_GAP = 4
+
+
+_IN_MEMORY = 8 << 20
+
+
+_GATHERED = 1 << 20
+
+
+_SMALL = 1 << 16
+
+
+_ALLOCATED = 64 << 20
+
+
+_BLOCK = 4096
+"""Space can be put into a file in multiples of the block of its file system, which is nearly always this [bytes]."""
+
+
+_EXTEND, _INSERT_RANGE = 0x00, 0x20
+"""Modes of fallocate(2) of Linux: reserve space, which is then cheaper to fill; put space before the first byte of a
+file without copying what follows (FALLOC_FL_INSERT_RANGE, which ext4 and XFS know)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Blob:
+    """An array that stands in the spool, and in the header's tree until its item is written.
+
+    Attributes:
+        offset: of its first byte, from the end of the header.
+        length: in bytes.
+        dtype: NumPy's name.
+    """
+
+    offset: int
+    length: int
+    dtype: str
+    shape: tuple[int, ...]
+
+
+class Spool:
+    """Collects arrays for a file whose header comes last."""
+
+    def __init__(self, draft: Path, *, reserve: Callable[[], int]) -> None:
+        """Start empty.
+
+        Args:
+            draft: the file to be written.
+            reserve: gives the bytes that the header is expected to take; called when the arrays go to disk.
+        """
+        self._draft = draft
+        self._reserve = reserve
+        self._file: io.FileIO | None = None
+        self._start = 0
+        self._gathered = bytearray(ALIGNMENT)
+        self._end = ALIGNMENT
+        self._allocated = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def add(self, array: AnyArray) -> _Blob:
+        """Write an array, byte for byte, in little-endian order."""
+        dtype, name = _form_of(array.dtype)
+        if array.nbytes < _SMALL:
+            content: Any = array.astype(dtype, copy=False).tobytes()
+        else:
+            content = np.ascontiguousarray(array, dtype).reshape(-1).view(np.uint8).data
+        self._write(content, array.nbytes)
+        return self._added(array.nbytes, name, array.shape)
+
+    def add_file(self, path: Path) -> _Blob:
+        """Write the bytes of a file as an array of uint8."""
+        length = path.stat().st_size
+        with path.open("rb", buffering=0) as source:
+            if length < _SMALL:
+                self._write(source.read(), length)
+            else:
+                _copy(source, 0, self._file_for(length))
+        return self._added(length, "uint8", (length,))
+
+    def change(self, blob: _Blob, change: Callable[[AnyArray], AnyArray]) -> None:
+        """Replace an array by one of the same shape and dtype."""
+        if self._file is None:
+            location = slice(blob.offset, blob.offset + blob.length)
+            self._gathered[location] = _changed(bytes(self._gathered[location]), blob, change)
+            return
+        file = self._file_for(0)
+        file.seek(self._start + blob.offset)
+        content = bytearray()
+        while len(content) < blob.length and (chunk := file.read(blob.length - len(content))):
+            content += chunk
+        file.seek(self._start + blob.offset)
+        _write_all(file, _changed(bytes(content), blob, change))
+        file.seek(self._start + self._end)
+
+    def finish(self, header: bytes) -> None:
+        """Put the header, padded with blanks, before the arrays; the draft is then complete."""
+        if self._file is None:
+            with self._draft.open("wb", buffering=0) as file:
+                _write_all(file, header.ljust(_aligned(len(header))), self._gathered)
+            return
+        spooled = self._file_for(0)
+        spooled.truncate(self._start + self._end)
+        missing = -(-max(0, len(header) - self._start) // _BLOCK) * _BLOCK
+        front = header.ljust(self._start + missing)
+        if not missing or _fallocate(spooled.fileno(), _INSERT_RANGE, 0, missing):
+            spooled.seek(0)
+            _write_all(spooled, front)
+            spooled.close()
+            return
+        whole = self._draft.with_name(self._draft.name + ".whole")
+        with whole.open("wb", buffering=0) as file:
+            _write_all(file, front)
+            _copy(spooled, self._start, file)
+        spooled.close()
+        whole.replace(self._draft)
+
+    def _write(self, content: Any, length: int) -> None:
+        """Gather small arrays, write large ones; a caller may change its array as soon as this returns."""
+        in_memory = self._file is None and self._end + length <= _IN_MEMORY
+        if in_memory or (length < _SMALL and len(self._gathered) < _GATHERED):
+            self._gathered += content
+        else:
+            _write_all(self._file_for(length), content)
+
+    def _file_for(self, length: int) -> io.FileIO:
+        """Give the draft, opened at its first use, all gathered arrays written, with room for `length` bytes more."""
+        if self._file is None:
+            self._start = _aligned(self._reserve())
+            self._file = self._draft.open("w+b", buffering=0)
+            self._file.seek(self._start)
+        file, wanted = self._file, self._start + self._end + length
+        if length and wanted > self._allocated:
+            self._allocated = max(self._allocated, self._start) + max(_ALLOCATED, wanted - self._allocated)
+            _fallocate(file.fileno(), _EXTEND, 0, self._allocated)
+        if self._gathered:
+            _write_all(file, self._gathered)
+            self._gathered = bytearray()
+        return file
+
+    def _added(self, length: int, dtype: str, shape: tuple[int, ...]) -> _Blob:
+        start, stop = self._end, self._end + length
+        self._end = -(-(stop + _GAP) // ALIGNMENT) * ALIGNMENT
+        self._gathered += _NULS[: self._end - stop]
+        return _Blob(start, length, dtype, shape)
+
+
+@lru_cache(maxsize=64)
+def _form_of(dtype: np.dtype[Any]) -> tuple[np.dtype[Any], str]:
+    """The little-endian dtype, and NumPy's name of it, which takes long to compute."""
+    return dtype.newbyteorder("<"), dtype.name
+
+
+def _changed(content: bytes, blob: _Blob, change: Callable[[AnyArray], AnyArray]) -> bytes:
+    old = np.frombuffer(content, blob.dtype).reshape(blob.shape)
+    return change(old).astype(blob.dtype, copy=False).tobytes()
+
+
+def _aligned(length: int) -> int:
+    return -(-length // ALIGNMENT) * ALIGNMENT
+
+
+def _write_all(file: io.FileIO, *contents: Any) -> None:
+    for content in contents:
+        rest = memoryview(content)
+        while rest:
+            rest = rest[file.write(rest) :]
+
+
+def _copy(source: io.FileIO, start: int, target: io.FileIO) -> None:
+    """Append what lies behind `start` of one file to another, inside the kernel where that is possible."""
+    stop = os.fstat(source.fileno()).st_size
+    try:
+        while start < stop:
+            start += os.copy_file_range(source.fileno(), target.fileno(), stop - start, start)
+    except (AttributeError, OSError):
+        source.seek(start)
+        shutil.copyfileobj(source, target, _GATHERED)
+
+
+def _fallocate(descriptor: int, mode: int, start: int, length: int) -> bool:
+    call = _system_call()
+    return call is not None and call(descriptor, mode, start, length) == 0
+
+
+@lru_cache(maxsize=1)
+def _system_call() -> Any:
+    """Find the function in the C library; unlike `os.posix_fallocate` it does not write zeros where it cannot."""
+    if not sys.platform.startswith("linux"):
+        return None
+    try:
+        call = ctypes.CDLL(None, use_errno=True).fallocate64
+    except (OSError, AttributeError):
+        return None
+    call.argtypes = [ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64]
+    call.restype = ctypes.c_int
+    return call
+
 
 _Frame = LidarFrame | RadarFrame | CameraImage
 
@@ -501,7 +715,7 @@ class _SensorDraft:
     coordinates: str | None = None
     further_poses: Mapping[str, Any] = field(default_factory=dict)
     frames: list[dict[str, Any]] | None = None
-    point_times: list[Blob] = field(default_factory=list)
+    point_times: list[_Blob] = field(default_factory=list)
     lengths: list[Any] = field(default_factory=list)
     images: ImageNotesWriter | None = None
     streamed: bool = True
@@ -791,7 +1005,7 @@ class _OpenFile:
         self.keeper.clock_for(start_ns)
         return start_ns // tick_ns * tick_ns
 
-    def _point_times(self, draft: _SensorDraft, times_ns: Int64Array | None) -> Blob | None:
+    def _point_times(self, draft: _SensorDraft, times_ns: Int64Array | None) -> _Blob | None:
         if times_ns is None or (len(times_ns) == 0 and self.profile.scale):
             return None
         clock, span_ns = self.keeper.clock, None
@@ -861,7 +1075,7 @@ class _OpenFile:
         if draft.images is not None:
             draft.images.add(image, {})
 
-    def _video(self, draft: _SensorDraft, sensor: CameraSensor, video: VideoContent) -> Blob | None:
+    def _video(self, draft: _SensorDraft, sensor: CameraSensor, video: VideoContent) -> _Blob | None:
         """Spool a camera's video as mp4; None where its images have to go one by one."""
         file, location = self.folder / "video.mp4", f"{draft.location}.video"
         if video.frame_indices is None and _copy_mp4(video, file):
@@ -926,10 +1140,10 @@ class _Arrays:
 
     def __init__(self, spool: Spool) -> None:
         self._spool = spool
-        self._ready: dict[int, tuple[AnyArray, Blob]] = {}
-        self._added: dict[int, tuple[AnyArray, Blob]] = {}
+        self._ready: dict[int, tuple[AnyArray, _Blob]] = {}
+        self._added: dict[int, tuple[AnyArray, _Blob]] = {}
 
-    def add(self, array: AnyArray) -> Blob:
+    def add(self, array: AnyArray) -> _Blob:
         """Spool an array, unless it was spooled for the header that was made before."""
         blob = self._ready.pop(id(array))[1] if id(array) in self._ready else self._spool.add(array)
         self._added[id(array)] = array, blob
@@ -952,7 +1166,7 @@ class _RecordWriter:
 
     def __init__(self, clock: FileClock, arrays: _Arrays) -> None:
         self.clock, self._arrays = clock, arrays
-        self.items: list[tuple[Location, Blob]] = []
+        self.items: list[tuple[Location, _Blob]] = []
         self.lowest = self.rounded = self.not_numbers = 0
         self._keys: list[str | int] = []
 
@@ -970,7 +1184,7 @@ class _RecordWriter:
         written: dict[str, Any] = {}
         for name, value in values.items():
             known = fields.get(name)
-            if type(value) is Blob:
+            if type(value) is _Blob:
                 written[name] = ""
                 self.items.append(((*self._keys, name), value))
             elif value is not None:
@@ -996,10 +1210,10 @@ class _RecordWriter:
         """Write any value that JSON and the container can hold."""
         if value is None or type(value) in _JSON_TYPES:
             return value
-        if isinstance(value, Blob | np.ndarray):
+        if isinstance(value, _Blob | np.ndarray):
             if isinstance(value, np.ndarray) and value.dtype.name not in DTYPES:
                 raise OptionError(f"{format_keys(self._keys)}: an array of {value.dtype}; expected numbers")
-            self.items.append((tuple(self._keys), value if isinstance(value, Blob) else self._arrays.add(value)))
+            self.items.append((tuple(self._keys), value if isinstance(value, _Blob) else self._arrays.add(value)))
             return ""
         if isinstance(value, np.generic):
             return self.plain(value.item())

@@ -10,13 +10,13 @@ import numpy as np
 from sceneloom.arrays import Float64Array, read_only
 from sceneloom.errors import OptionError, PoseError, UnknownFormatError, check_option_names
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.files import is_url
+from sceneloom.formats.base.files import file_faults, is_url, open_file
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import replacing_together
 from sceneloom.formats.base.registry import chosen_corrections, claims_of, format_and_location, format_names
 from sceneloom.formats.base.spec import FormatSpec
 from sceneloom.formats.trajectories.text_formats import of_fixes
-from sceneloom.formats.trajectories.trajectory_file import Reading, TrajectoryFile, TrajectoryForm, beginning
+from sceneloom.formats.trajectories.trajectory_file import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.lazy import imported
 from sceneloom.motion.ego_trajectory import GNSS, RESERVED, usable_fixes
 from sceneloom.scene.motion import GnssSensor
@@ -24,6 +24,26 @@ from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Corrections, Scene
 from sceneloom.scene.types import Progress
 from sceneloom.warnings import DataWarning, WarningKind
+
+_BEGINNING = 65_536
+
+
+def _beginning(path: Path) -> str | None:
+    """The first lines of a file that is a text, else None; a line that is cut off is left out.
+
+    Raises:
+        DataError: it cannot be read.
+    """
+    with file_faults(path), open_file(path) as file:
+        raw = file.read(_BEGINNING + 1)
+    if b"\0" in raw:
+        return None
+    whole = raw if len(raw) <= _BEGINNING else raw[: raw.rfind(b"\n") + 1]
+    try:
+        return whole.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return None
+
 
 _FIXES = "fixes"
 """Name of the positions that the first satellite receiver of a scene reported; of others, `fixes:ID`."""
@@ -350,7 +370,7 @@ def find_form(path: str | Path) -> TrajectoryForm | None:
     claims = {form.name for form in claims_of(where)}
     if claims - {"recording"}:
         return None
-    text = None if where.name == "data.jsonl" else beginning(where)
+    text = None if where.name == "data.jsonl" else _beginning(where)
     if text is not None:
         forms = TRAJECTORY_FORMS.values()
         found = next((form for form in forms if form.recognises(text)), None)

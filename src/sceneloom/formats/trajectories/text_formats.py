@@ -34,7 +34,6 @@ from sceneloom.formats.trajectories.trajectory_file import (
     TrajectoryForm,
     further_losses,
     ordered,
-    oriented,
 )
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rotations import GREATEST_ERROR, matrix_from_quaternion, quaternion_from_matrix
@@ -119,7 +118,7 @@ def _tum_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
 
 
 def _tum_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
-    trajectory, quaternions = oriented(content, target, TUM.name)
+    trajectory, quaternions = _oriented(content, target, TUM.name)
     times = map(seconds_text, trajectory.timestamps_ns.tolist())
     values = np.concatenate([trajectory.positions, quaternions], axis=1)
     _write_rows(path, "# timestamp tx ty tz qx qy qz qw\n", times, values, " ")
@@ -210,7 +209,7 @@ def _evenly(count: int, rate_hz: float) -> Int64Array:
 
 
 def _kitti_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
-    trajectory, quaternions = oriented(content, target, KITTI.name)
+    trajectory, quaternions = _oriented(content, target, KITTI.name)
     matrices = np.concatenate([matrix_from_quaternion(quaternions), trajectory.positions[:, :, None]], axis=2)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{' '.join(map(repr, matrix))}\n" for matrix in matrices.reshape(-1, 12).tolist())
@@ -256,7 +255,7 @@ def _euroc_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
 
 
 def _euroc_write(content: TrajectoryFile, path: Path, target: Path) -> Iterable[Loss]:
-    trajectory, quaternions = oriented(content, target, EUROC.name)
+    trajectory, quaternions = _oriented(content, target, EUROC.name)
     extra = list(takewhile(content.columns.__contains__, _EXTRA))
     names = [*_EUROC_POSE, *(_EXTRA[name].format(axis) for name in extra for axis in "xyz")]
     parts = [trajectory.positions, quaternions[:, [3, 0, 1, 2]], *(content.columns[name] for name in extra)]
@@ -410,3 +409,18 @@ def _first_names(text: str) -> list[str] | None:
     delimiter = next((sign for sign in ",;\t" if sign in line), None)
     names = [name.strip().strip('"').lower() for name in line.split(delimiter)]
     return None if any(not name or name[0] in "0123456789.-+{[" for name in names) else names
+
+
+def _oriented(content: TrajectoryFile, target: Path, form: str) -> tuple[Trajectory, Float64Array]:
+    """The trajectory with its orientations, for a form that cannot do without.
+
+    Raises:
+        OptionError: it has none.
+    """
+    trajectory = content.trajectory
+    if trajectory.quaternions_xyzw is None:
+        raise OptionError(
+            f"{target}: the trajectory {trajectory.name!r} has positions without orientations, and {form} needs both; "
+            "choose the form csv or jsonl, or gnss for fixes"
+        )
+    return trajectory, trajectory.quaternions_xyzw

@@ -8,9 +8,8 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, read_only
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.files import file_faults, open_file
 from sceneloom.formats.base.losses import KEPT, Holding, Loss, Support, Supports, converted, dropped
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR, PoseRows
 from sceneloom.formats.base.text_tables import seconds_text
@@ -204,21 +203,6 @@ def _once(path: Path, rows: PoseRows, usable: Int64Array, ledger: Ledger) -> Int
     return np.delete(usable, repeated)
 
 
-def oriented(content: TrajectoryFile, target: Path, form: str) -> tuple[Trajectory, Float64Array]:
-    """The trajectory with its orientations, for a form that cannot do without.
-
-    Raises:
-        OptionError: it has none.
-    """
-    trajectory = content.trajectory
-    if trajectory.quaternions_xyzw is None:
-        raise OptionError(
-            f"{target}: the trajectory {trajectory.name!r} has positions without orientations, and {form} needs both; "
-            "choose the form csv or jsonl, or gnss for fixes"
-        )
-    return trajectory, trajectory.quaternions_xyzw
-
-
 def further_losses(content: TrajectoryFile, *, kept: Iterable[str] = ()) -> list[Loss]:
     """What poses bear besides, and a form of plain poses has no field for."""
     trajectory = content.trajectory
@@ -235,23 +219,3 @@ def further_losses(content: TrajectoryFile, *, kept: Iterable[str] = ()) -> list
         reported = Loss(field=field, what=what, count=len(content.fixes.timestamps_ns), support=Support.CONVERTED)
         losses.append(reported)
     return losses
-
-
-_BEGINNING = 65_536
-
-
-def beginning(path: Path) -> str | None:
-    """The first lines of a file that is a text, else None; a line that is cut off is left out.
-
-    Raises:
-        DataError: it cannot be read.
-    """
-    with file_faults(path), open_file(path) as file:
-        raw = file.read(_BEGINNING + 1)
-    if b"\0" in raw:
-        return None
-    whole = raw if len(raw) <= _BEGINNING else raw[: raw.rfind(b"\n") + 1]
-    try:
-        return whole.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return None

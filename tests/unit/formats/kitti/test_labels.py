@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError, OutputError
-from sceneloom.formats.kitti.labels import read_labels, write_labels, write_object_labels
+from sceneloom.formats.kitti.benchmark_writer import write_object_labels
+from sceneloom.formats.kitti.labels import read_labels, write_labels
 
 CAR = "Car 0 1 -1.50 10.0 20.0 30.0 40.0 1.5 1.6 4.0 2.0 1.5 10.0 0.25"
 NOWHERE = "DontCare -1 -1 -10 5 6 7 8 -1 -1 -1 -1000 -1000 -1000 -10"

@@ -3,13 +3,8 @@
 import pytest
 
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.recording.vio_config import (
-    KNOWN_KEYS,
-    read_vio_config,
-    repeated_keys,
-    similar_key,
-    unknown_keys,
-)
+from sceneloom.formats.recording.vio_config import KNOWN_KEYS, read_vio_config, repeated_keys, similar_key
+from sceneloom.formats.recording.writer import unknown_keys
 
 # set: wrapper-base of the vendor's ROS 2 node, with a comment, a list in each form and a quoted text
 TEXT = """\

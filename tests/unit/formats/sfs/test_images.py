@@ -9,7 +9,7 @@ from PIL import Image
 
 from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs.images import video_codec
+from sceneloom.formats.sfs.sensors import video_codec
 from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import SceneWriter, write_scene
 from sceneloom.formats.video.reader import open_video

@@ -14,7 +14,7 @@ from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError, OutputError, SceneloomError
 from sceneloom.formats.sfs.reader import parse_path, take_out, what_goes
 from sceneloom.formats.sfs.salvage import recover_header, salvage
-from sceneloom.formats.sfs.spool import Spool
+from sceneloom.formats.sfs.writer import Spool
 
 POSES = {"timestamps": [0, 10**6], "values": [[0, 0, 0, 0, 0, 0, 1], [9, 0, 0, 0, 0, 0, 1]]}
 CAMERA_MODEL = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": 96, "height": 64}
@@ -191,7 +191,7 @@ def test_a_changed_number_costs_one_frame(salvaged, encode_sfs):
 
 @pytest.mark.parametrize("reserve", [640, 1 << 17])
 def test_the_draft_of_a_writer_that_was_stopped_is_reported(tmp_path, reserve, monkeypatch):
-    monkeypatch.setattr("sceneloom.formats.sfs.spool._IN_MEMORY", 1000)
+    monkeypatch.setattr("sceneloom.formats.sfs.writer._IN_MEMORY", 1000)
     with Spool(tmp_path / "draft.sfs", reserve=lambda: reserve) as spool:
         spool.add(np.ones(100_000, np.float32))
         spool.add(np.ones(100_000, np.float32))

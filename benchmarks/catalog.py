@@ -28,15 +28,7 @@ from sceneloom.catalog.building import scene_name, write_draft
 from sceneloom.catalog.rows import scene_rows
 from sceneloom.catalog.storage import MARKER, PART_ROWS, Entry, Fresh, Layout, Parts
 from sceneloom.geometry.geodesy import geodetic_from_enu
-from sceneloom.scene import (
-    AttributePath,
-    CuboidAnnotation,
-    CuboidPath,
-    GnssSensor,
-    OdometrySensor,
-    Poses,
-    Scene,
-)
+from sceneloom.scene import AttributePath, CuboidAnnotation, CuboidPath, GnssSensor, OdometrySensor, Poses, Scene
 
 FRAMES = 200
 LABELS = ("car", "truck", "bus", "pedestrian.adult", "pedestrian.child", "bicycle", "cone", "sign")

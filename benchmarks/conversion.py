@@ -22,7 +22,7 @@ import numpy as np
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.base.images import EncodedImage
-from sceneloom.formats.sfs.spool import encode_jpeg
+from sceneloom.formats.sfs.writer import encode_jpeg
 from sceneloom.scene import (
     CameraImage,
     CameraSensor,

@@ -20,14 +20,7 @@ from sceneloom.formats.kitti.labels import lidar_boxes, read_labels
 from sceneloom.formats.kitti.tracking_reader import open_tracking_folder
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes3D
-from sceneloom.simulate import (
-    Detector2dSpec,
-    Detector3dSpec,
-    SimulatedDrive,
-    detect_2d,
-    detect_3d,
-    simulate_street,
-)
+from sceneloom.simulate import Detector2dSpec, Detector3dSpec, SimulatedDrive, detect_2d, detect_3d, simulate_street
 
 KITTI = "kitti_rrc_pointrcnn"
 NEIGHBOURS = {"Van": "Car", "Person_sitting": "Pedestrian"}

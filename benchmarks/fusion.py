@@ -34,13 +34,7 @@ from benchmarks.street import CAMERA_WORLD, LIDAR_WORLD, make_street
 from benchmarks.visibility_in_numpy import find_visible_in_numpy
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import intrinsics_vector, projection_kernel
-from sceneloom.colouring import (
-    LidarTrajectory,
-    ViewRequest,
-    VisibilitySettings,
-    algorithms,
-    fuse_by_projection,
-)
+from sceneloom.colouring import LidarTrajectory, ViewRequest, VisibilitySettings, algorithms, fuse_by_projection
 from sceneloom.colouring import algorithms as view_module
 from sceneloom.colouring import visibility as visibility_module
 from sceneloom.geometry.rigid import RigidTransform

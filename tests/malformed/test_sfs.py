@@ -11,7 +11,7 @@ import simplejpeg
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import write_scene
-from sceneloom.formats.video.remux import encode_to_mp4
+from sceneloom.formats.video.writer import encode_to_mp4
 
 TWO = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
 POSES = {"timestamps": [0, 100], "values": [[1, 2, 3, 0, 0, 0, 1], [1, 2, 3, 0, 0, 0.6, 0.8]]}

@@ -10,8 +10,7 @@ import pytest
 from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
 from sceneloom.formats.recording.cameras import PngFolder
 from sceneloom.formats.video.reader import open_video
-from sceneloom.formats.video.remux import remux_to_mp4
-from sceneloom.formats.video.writer import VideoWriter
+from sceneloom.formats.video.writer import VideoWriter, remux_to_mp4
 
 COUNT = 12
 
@@ -93,9 +92,9 @@ def test_a_decoder_that_works_ahead_refuses_the_same_images_as_one_that_does_not
         locations = rng.integers(heads, len(content), 3)
         content[locations] ^= rng.integers(1, 256, len(locations)).astype(np.uint8)
         with suppress(DataError):
-            monkeypatch.setattr("sceneloom.formats.video.index.processors", lambda: 4)
+            monkeypatch.setattr("sceneloom.formats.video.reader.processors", lambda: 4)
             ahead = refused(content.tobytes())
-            monkeypatch.setattr("sceneloom.formats.video.index.processors", lambda: 1)
+            monkeypatch.setattr("sceneloom.formats.video.reader.processors", lambda: 1)
             assert refused(content.tobytes()) == ahead
             found += len(ahead)
     assert found > 0

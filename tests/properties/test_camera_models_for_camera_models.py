@@ -5,15 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sceneloom.cameras import (
-    MODELS,
-    Camera,
-    Undistortion,
-    fit,
-    project_unbounded,
-    undistorted_camera,
-    unproject,
-)
+from sceneloom.cameras import MODELS, Camera, Undistortion, fit, project_unbounded, undistorted_camera, unproject
 from sceneloom.errors import CalibrationError
 
 SMALL = (64, 48)

@@ -4,8 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sceneloom.geometry.interpolation import interpolate_poses, thin_poses
-from sceneloom.geometry.rotations import angle_between, quaternion_from_rotation_vector
+from sceneloom.geometry.rotations import angle_between, interpolate_poses, quaternion_from_rotation_vector, thin_poses
 
 Path = tuple[np.ndarray, np.ndarray, np.ndarray]
 

@@ -10,15 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from sceneloom.editing import simplify_scene
 from sceneloom.geometry.thinning import thin_greedily
-from sceneloom.scene import (
-    CuboidAnnotation,
-    CuboidPath,
-    OdometrySensor,
-    PointPath,
-    PointsAnnotation,
-    Poses,
-    Scene,
-)
+from sceneloom.scene import CuboidAnnotation, CuboidPath, OdometrySensor, PointPath, PointsAnnotation, Poses, Scene
 
 STEPS = st.lists(st.integers(1, 10**9), min_size=1, max_size=40)
 ARITHMETIC = 1e-6

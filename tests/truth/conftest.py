@@ -13,14 +13,7 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.pipeline import FusionOutputs, fuse
 from sceneloom.scene import CameraSensor, LidarSensor, Scene
-from sceneloom.simulate import (
-    CameraSpec,
-    CleanPoints,
-    ImageTruth,
-    SimulatedDrive,
-    camera_mount,
-    simulate_street,
-)
+from sceneloom.simulate import CameraSpec, CleanPoints, ImageTruth, SimulatedDrive, camera_mount, simulate_street
 from sceneloom.simulate.drive import edge_mask
 
 PINHOLE = Camera("pinhole", 960, 360, 700.0, 700.0, 479.5, 179.5)

@@ -5,15 +5,7 @@ import pytest
 
 from sceneloom.geometry.rotations import matrix_from_quaternion
 from sceneloom.motion.odometry import LidarOdometry, PoseEstimate
-from sceneloom.simulate import (
-    LidarSpec,
-    PathSpec,
-    SimulatedDrive,
-    SolidStateSpec,
-    Stop,
-    TrafficSpec,
-    simulate_street,
-)
+from sceneloom.simulate import LidarSpec, PathSpec, SimulatedDrive, SolidStateSpec, Stop, TrafficSpec, simulate_street
 
 pytestmark = pytest.mark.slow
 

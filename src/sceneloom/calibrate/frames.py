@@ -17,8 +17,7 @@ from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion, needs_ego, points_source, sensor_source
 from sceneloom.scene.poses import PoseSource
-from sceneloom.scene.samples import Sample
-from sceneloom.scene.sampling import WORLD, choose_ego
+from sceneloom.scene.samples import WORLD, Sample, choose_ego
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, key_of
 

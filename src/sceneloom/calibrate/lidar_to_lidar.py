@@ -15,7 +15,7 @@ from sceneloom.geometry.rotations import quaternion_from_rotation_vector, rotati
 from sceneloom.motion.deskew import BodyKnots
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.poses import Poses, PoseSource
-from sceneloom.scene.sampling import choose_ego
+from sceneloom.scene.samples import choose_ego
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, Progress, key_of
 

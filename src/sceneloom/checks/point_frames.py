@@ -18,7 +18,7 @@ from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
 from sceneloom.scene.ego import EgoMotion, points_source, sensor_source
 from sceneloom.scene.poses import Poses, PoseSource
-from sceneloom.scene.sampling import choose_ego, locations_of
+from sceneloom.scene.samples import choose_ego, locations_of
 from sceneloom.scene.scene import scene_period_ns
 from sceneloom.scene.types import PointsFrame
 

@@ -24,7 +24,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.point_times import timed_frame
 from sceneloom.scene.poses import PoseSource
-from sceneloom.scene.sampling import ALL, WORLD, Choice, choose_ego, chosen_sensors, frame_of_points
+from sceneloom.scene.samples import ALL, WORLD, Choice, choose_ego, chosen_sensors, frame_of_points
 from sceneloom.scene.scene import Scene, sweep_period_ns, usual_period_ns
 from sceneloom.scene.types import Identifier, Progress, key_of
 

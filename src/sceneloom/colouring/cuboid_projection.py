@@ -25,7 +25,7 @@ from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.point_times import timed_frame
 from sceneloom.scene.poses import PoseSource
-from sceneloom.scene.sampling import ALL, Choice, choose_ego, chosen_sensors, locations_of
+from sceneloom.scene.samples import ALL, Choice, choose_ego, chosen_sensors, locations_of
 from sceneloom.scene.scene import Scene, check_camera_models, sweep_period_ns
 from sceneloom.scene.types import Identifier, Progress, key_of
 from sceneloom.warnings import DataWarning, WarningKind

@@ -11,7 +11,7 @@ from sceneloom.db34t.records import FusedDetections
 from sceneloom.db34t.scene_objects import whole_corners
 from sceneloom.db34t.setting import Setting
 from sceneloom.detections.results import NO_BOX, FusedBoxes
-from sceneloom.fusion.box_fusion import FusedDetectionFrame
+from sceneloom.fusion.system import FusedDetectionFrame
 from sceneloom.geometry.rigid import RigidTransform
 
 

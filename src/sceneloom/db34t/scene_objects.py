@@ -9,14 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.db34t.records import (
-    ENCODINGS,
-    Boxes2d,
-    Boxes3d,
-    ImageData,
-    PointCloudData,
-    SensorFusionData,
-)
+from sceneloom.db34t.records import ENCODINGS, Boxes2d, Boxes3d, ImageData, PointCloudData, SensorFusionData
 from sceneloom.db34t.tables import IMAGE
 from sceneloom.db34t.types import INTEGER_RANGES, NANOSECONDS, BasicType, Timestamp, bytes_of
 from sceneloom.errors import OptionError

@@ -45,12 +45,10 @@ from sceneloom.db34t.setting import Setting
 from sceneloom.db34t.types import Timestamp
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType
-from sceneloom.fusion.box_fusion import FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.pairing import STILL, Leave
-from sceneloom.fusion.system import FusionSystem
-from sceneloom.geometry.interpolation import OUT_OF_REACH
+from sceneloom.fusion.system import FusedDetectionFrame, FusionSystem, SeenBoxes
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
+from sceneloom.geometry.rotations import OUT_OF_REACH, multiply_quaternions, rotate_vectors
 from sceneloom.kernels.projection import draw_depths
 from sceneloom.scene.cameras import GLOBAL, CameraImage
 from sceneloom.scene.clouds import LidarFrame, LidarPoints

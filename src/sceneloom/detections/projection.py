@@ -52,13 +52,7 @@ from sceneloom.cameras.projection import project, project_unbounded, unproject
 from sceneloom.colouring.cuboid_projection import CENTRE_TO_CORNER, COARSE, box_extents
 from sceneloom.detections.detectors import FAMILIES, SAYS_NOTHING, SIZES, kind_name, numbers_of, table_rows
 from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
-from sceneloom.detections.settings import (
-    AGREED,
-    ProjectionSettings,
-    box_covariances,
-    image_sigmas,
-    tables_of,
-)
+from sceneloom.detections.settings import AGREED, ProjectionSettings, box_covariances, image_sigmas, tables_of
 from sceneloom.errors import OptionError
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform

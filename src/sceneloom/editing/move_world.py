@@ -12,13 +12,13 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, finite_rows
 from sceneloom.editing.references import assumed, ours_of, skipped, with_ours, with_warnings
 from sceneloom.errors import ArrayError, OptionError, PoseError
-from sceneloom.geometry.interpolation import thin_poses
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import (
     conjugate_quaternion,
     matrix_from_quaternion,
     multiply_quaternions,
     rotate_vectors,
+    thin_poses,
 )
 from sceneloom.motion.ego_trajectory import ego_motion_as_given, is_computed, with_trajectory_estimated
 from sceneloom.scene.annotations import (

@@ -1,4 +1,4 @@
-"""The fusion system: sensors and detectors send, pairs are fused, results are fetched in order."""
+"""The fusion system: sensors and detectors send; sweeps and images, or boxes of both, are fused in order of time."""
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -10,26 +10,105 @@ from typing import Any, cast
 import numpy as np
 
 from sceneloom.arrays import Float32Array, UInt8Array
+from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.algorithms import FusionAlgorithm, ViewRequest
 from sceneloom.colouring.results import FusedFrame, LidarTrajectory
 from sceneloom.colouring.rolling_shutter import ShutterDirection
 from sceneloom.detections.detectors import DEFAULT
-from sceneloom.detections.results import DetectionAlgorithm, DetectionPair
+from sceneloom.detections.results import DetectionAlgorithm, DetectionPair, FusedBoxes
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm
-from sceneloom.fusion.box_fusion import BoxPairing, FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.pairing import KnownCamera, KnownLidar, Leave, OnLeft, Pairing, Waiting, nobody, stationary
-from sceneloom.fusion.sweep_fusion import SweepPairing, TimedSweep
-from sceneloom.geometry.interpolation import OUT_OF_REACH
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import OUT_OF_REACH
 from sceneloom.motion.deskew import points_to_world
 from sceneloom.scene.cameras import GLOBAL, CameraImage, Shutter
 from sceneloom.scene.clouds import LidarFrame
-from sceneloom.scene.detections import Boxes3D
+from sceneloom.scene.detections import Boxes2D, Boxes3D
+from sceneloom.scene.point_times import TimesFound
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.types import NO_FIELDS, Identifier
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TimedSweep:
+    """A sweep whose point times are on the scene's clock.
+
+    Attributes:
+        frame: the sweep.
+        times: what its times were.
+    """
+
+    frame: LidarFrame
+    times: TimesFound
+
+    @property
+    def timestamp_ns(self) -> int:
+        """Of the sweep [ns]."""
+        return self.frame.timestamp_ns
+
+
+_SweepPairing = Pairing[_TimedSweep, CameraImage]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenBoxes:
+    """The boxes of an image, and the camera model that it was seen through.
+
+    Attributes:
+        boxes: in the image.
+        camera: the camera model.
+        mount: `ego_from_camera` where this image has a mounting of its own, else None.
+        extras: further fields, by name.
+    """
+
+    boxes: Boxes2D
+    camera: Camera
+    mount: RigidTransform | None = None
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+    @property
+    def timestamp_ns(self) -> int:
+        """Of the image [ns]."""
+        return self.boxes.timestamp_ns
+
+
+_BoxPairing = Pairing[Boxes3D, SeenBoxes]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedDetectionFrame:
+    """The objects of one pair of a sweep and an image.
+
+    Attributes:
+        lidar_id, camera_id: the sensors.
+        index: number of the list of boxes in its lidar.
+        timestamp_ns: of the sweep [ns].
+        image_timestamp_ns: of the image [ns].
+        fused: the objects.
+        camera: the camera model of the image.
+        camera_from_lidar: takes the lidar's frame at the time of the sweep into the camera's at that of the image.
+        last: whether no other image of the same sweep comes after it.
+        stationary: whether it was fused as if the ego had not moved, because its trajectory did not reach or was not to
+            count.
+        sweep_extras, image_extras: further fields of the boxes of the sweep and of the image.
+    """
+
+    lidar_id: Identifier
+    camera_id: Identifier
+    index: int
+    timestamp_ns: int
+    image_timestamp_ns: int
+    fused: FusedBoxes
+    camera: Camera
+    camera_from_lidar: RigidTransform
+    last: bool = True
+    stationary: bool = False
+    sweep_extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+    image_extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
 
 _Placed = Callable[[PoseSource | None], PoseSource | None]
 
@@ -59,7 +138,7 @@ class _SweepFusion:
     on_unreadable: Callable[[DataError], None] | None = None
     _decoded: dict[Identifier, tuple[CameraImage, UInt8Array]] = field(default_factory=dict)
 
-    def fuse(self, waiting: Waiting[TimedSweep], pairing: SweepPairing) -> tuple[FusedFrame, ...]:
+    def fuse(self, waiting: Waiting[_TimedSweep], pairing: _SweepPairing) -> tuple[FusedFrame, ...]:
         """Fuse a sweep; where the ego trajectory does not reach, the result says so.
 
         Where it reaches the sweep and only some of the images, and those beyond it are to be fused as if the ego had
@@ -77,14 +156,14 @@ class _SweepFusion:
         return replace(fused, unposed=()), self._fuse_stationary(waiting, pairing, beyond)
 
     def _fuse_stationary(
-        self, waiting: Waiting[TimedSweep], pairing: SweepPairing, cameras: Mapping[Identifier, KnownCamera]
+        self, waiting: Waiting[_TimedSweep], pairing: _SweepPairing, cameras: Mapping[Identifier, KnownCamera]
     ) -> FusedFrame:
         return replace(self._fuse(waiting, pairing, cameras, stationary), stationary=True)
 
     def _fuse(
         self,
-        waiting: Waiting[TimedSweep],
-        pairing: SweepPairing,
+        waiting: Waiting[_TimedSweep],
+        pairing: _SweepPairing,
         cameras: Mapping[Identifier, KnownCamera],
         placed: _Placed,
     ) -> FusedFrame:
@@ -126,8 +205,8 @@ class _SweepFusion:
 
     def _pair(
         self,
-        waiting: Waiting[TimedSweep],
-        pairing: SweepPairing,
+        waiting: Waiting[_TimedSweep],
+        pairing: _SweepPairing,
         camera: KnownCamera,
         source: PoseSource,
         pairs: _Pairs,
@@ -186,7 +265,7 @@ class _BoxFusion:
     lidars: Mapping[Identifier, KnownLidar]
     cameras: Mapping[Identifier, KnownCamera]
 
-    def fuse(self, waiting: Waiting[Boxes3D], pairing: BoxPairing) -> Iterator[FusedDetectionFrame]:
+    def fuse(self, waiting: Waiting[Boxes3D], pairing: _BoxPairing) -> Iterator[FusedDetectionFrame]:
         """Fuse the boxes of a sweep with those of each image that belongs to it."""
         algorithm: DetectionAlgorithm = waiting.algorithm
         seen_by = list(self._seen_by(waiting, pairing))
@@ -211,7 +290,7 @@ class _BoxFusion:
             )
 
     def _seen_by(
-        self, waiting: Waiting[Boxes3D], pairing: BoxPairing
+        self, waiting: Waiting[Boxes3D], pairing: _BoxPairing
     ) -> Iterator[tuple[Identifier, SeenBoxes, RigidTransform, bool]]:
         """The boxes of each image of a sweep, `camera_from_lidar`, and whether the ego is taken to are stationary."""
         lidar = self.lidars[waiting.lidar_id]
@@ -274,10 +353,10 @@ def _at(source: PoseSource, time_ns: int) -> RigidTransform | None:
     return RigidTransform.from_quaternion(body.positions[0], body.quaternions_xyzw[0]) @ source.mount
 
 
-Measurement = LidarFrame | CameraImage | Boxes3D | SeenBoxes
+_Measurement = LidarFrame | CameraImage | Boxes3D | SeenBoxes
 """What can be sent: sweeps and images, and what detectors saw in them."""
 
-OnFailed = Callable[[Mapping[str, Any], Exception], None]
+_OnFailed = Callable[[Mapping[str, Any], Exception], None]
 """Receives the extra fields of a sweep that could not be fused, and why."""
 
 
@@ -302,14 +381,14 @@ class FusionSystem:
 
     configuration: FusionConfiguration = field(default_factory=FusionConfiguration)
     on_unreadable: Callable[[DataError], None] | None = None
-    on_failed: OnFailed | None = None
+    on_failed: _OnFailed | None = None
     on_left: OnLeft = nobody
     detect: DetectionAlgorithm | None = None
     dropped: int = 0
     _lidars: dict[Identifier, KnownLidar] = field(default_factory=dict)
     _cameras: dict[Identifier, KnownCamera] = field(default_factory=dict)
-    _sweeps: SweepPairing = field(init=False)
-    _boxes: BoxPairing = field(init=False)
+    _sweeps: _SweepPairing = field(init=False)
+    _boxes: _BoxPairing = field(init=False)
     _sweep_fusion: _SweepFusion = field(init=False)
     _box_fusion: _BoxFusion = field(init=False)
     _algorithms: dict[tuple[FusionType, str], Any] = field(default_factory=dict)
@@ -392,7 +471,7 @@ class FusionSystem:
             pairing.expect(camera_ids)
         self._fuse_ready(final=False)
 
-    def send(self, sensor_id: Identifier, measurement: Measurement, *, extras: Mapping[str, Any] = NO_FIELDS) -> None:
+    def send(self, sensor_id: Identifier, measurement: _Measurement, *, extras: Mapping[str, Any] = NO_FIELDS) -> None:
         """Hand in a sweep or its boxes for a lidar, an image or its boxes for a camera.
 
         Args:
@@ -406,7 +485,7 @@ class FusionSystem:
             frame, times = lidar.timed(measurement)
             lidar.remember(frame)
             chosen = self._algorithm(FusionType.SENSOR_DATA, self.configuration.fusion_algorithm)
-            sweep = TimedSweep(frame, times)
+            sweep = _TimedSweep(frame, times)
             waiting = self._waiting(sensor_id, lidar.received, sweep, frame.reference_ns, chosen, frame.extras)
             self.dropped += self._sweeps.add_frame(waiting)
             lidar.received += 1

@@ -16,10 +16,7 @@ from sceneloom.editing.references import ours_of
 from sceneloom.errors import DataError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import find_ego_motion, is_computed, with_trajectory_estimated
-from sceneloom.scene.annotations import (
-    LocalizationAdjustment,
-    PlainAnnotation,
-)
+from sceneloom.scene.annotations import LocalizationAdjustment, PlainAnnotation
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion, camera_path, must_be_placed, needs_ego, sensor_source

@@ -32,9 +32,8 @@ from sceneloom.formats.kitti.labels import NO_TRACK, write_labels
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.tracking_reader import KittiTracking
 from sceneloom.fusion.algorithms import FusionType, algorithm, chosen_algorithm
-from sceneloom.fusion.box_fusion import FusedDetectionFrame, SeenBoxes
 from sceneloom.fusion.configuration import FusionConfiguration
-from sceneloom.fusion.system import FusionSystem
+from sceneloom.fusion.system import FusedDetectionFrame, FusionSystem, SeenBoxes
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detected_drive import (
     DetectedCamera,

@@ -35,7 +35,7 @@ from sceneloom.report.content import (
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarPoints, LidarSensor, RadarSensor
 from sceneloom.scene.ego import EgoMotion
-from sceneloom.scene.sampling import choose_ego, frame_of_points, locations_of, poses_at
+from sceneloom.scene.samples import choose_ego, frame_of_points, locations_of, poses_at
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 

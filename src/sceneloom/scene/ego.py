@@ -9,13 +9,13 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import PoseError, SceneloomError
-from sceneloom.geometry.interpolation import thin_poses
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import (
     matrix_from_quaternion,
     multiply_quaternions,
     normalise_quaternion,
     rotate_vectors,
+    thin_poses,
 )
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
 from sceneloom.scene.clouds import LidarSensor, RadarSensor

@@ -1,6 +1,6 @@
 """Synchronised samples of a scene: a sweep with the images, poses and boxes that belong to it."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from typing import Any, Generic, TypeVar, overload
@@ -9,8 +9,9 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.geometry.rotations import EXTRAPOLATED, OUT_OF_REACH, matrix_from_quaternion
 from sceneloom.scene.annotations_at import Boxes, BoxTable
 from sceneloom.scene.cameras import (
     CameraImage,
@@ -22,22 +23,167 @@ from sceneloom.scene.cameras import (
     shots_of,
 )
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
-from sceneloom.scene.ego import EgoMotion, Posed
+from sceneloom.scene.ego import EgoMotion, Posed, needs_ego, points_source, sensor_source
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.point_times import timed_frame
-from sceneloom.scene.sampling import (
-    ALL,
-    Choice,
-    Location,
-    Pose,
-    choose_ego,
-    chosen_sensors,
-    frame_of_points,
-    locations_of,
-    poses_at,
-)
-from sceneloom.scene.scene import Scene, frame_times, sweep_period_ns, usual_period_ns
-from sceneloom.scene.types import Identifier, key_of
+from sceneloom.scene.poses import Poses, PoseSource
+from sceneloom.scene.scene import Scene, frame_times, scene_period_ns, sweep_period_ns, usual_period_ns
+from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, key_of
+
+ALL = "all"
+
+Choice = Identifier | Iterable[Identifier]
+"""Sensors of one kind: "all", one id, or several."""
+
+_Kind = TypeVar("_Kind", LidarSensor, CameraSensor, RadarSensor, DepthCameraSensor)
+
+
+def chosen_sensors(scene: Scene, kind: str, there: tuple[_Kind, ...], wanted: Choice) -> tuple[_Kind, ...]:
+    """Find the sensors of one kind that are wanted, in that order.
+
+    Raises:
+        OptionError: the scene has no such sensor.
+    """
+    if isinstance(wanted, str) and wanted == ALL:
+        return there
+    ids = [wanted] if isinstance(wanted, str | int) else list(wanted)
+    chosen: dict[int, _Kind] = {}
+    for wanted_id in ids:
+        found = [sensor for sensor in there if key_of(sensor.id) == key_of(wanted_id)]
+        if not found:
+            known = ", ".join([repr(ALL), _listed(there)])
+            raise OptionError(f"{scene.source}: no {kind} {wanted_id!r}; expected some of: {known}")
+        chosen[id(found[0])] = found[0]
+    return tuple(chosen.values())
+
+
+def _listed(sensors: Iterable[Posed]) -> str:
+    return ", ".join(repr(sensor.id) for sensor in sensors) or "none, it has no such sensor"
+
+
+_IDENTITY = "identity"
+"""The trajectory of an ego that is stationary."""
+
+WORLD = PoseSource(Poses.identity(), RigidTransform.identity())
+"""Where points are that are in the world already."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Location:
+    """Where something is, as far as it is known.
+
+    Attributes:
+        source: its pose in the world over time, or None.
+        problem: why there is none.
+        mount: `ego_from_sensor` where it is rigid and known, or None.
+    """
+
+    source: PoseSource | None
+    problem: str = ""
+    mount: RigidTransform | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pose:
+    """A pose at a time, as far as it is known.
+
+    Attributes:
+        world_from_sensor: the pose, or None.
+        problem: why there is none.
+        extrapolated: whether the time lies beyond the trajectory's ends.
+    """
+
+    world_from_sensor: RigidTransform | None
+    problem: str = ""
+    extrapolated: bool = False
+
+
+def choose_ego(scene: Scene, trajectory: str | EgoMotion | None) -> EgoMotion | None:
+    """Take the ego trajectory by name, or the scene's default one; None where poses need none, or there is none.
+
+    Raises:
+        OptionError: there is none of that name, or everything is placed in the world already.
+        PoseError: the named one has no orientations.
+    """
+    if not needs_ego(scene):
+        if trajectory is not None:
+            raise OptionError(
+                f"{scene.source}: its points and sensors are placed in the world already; a trajectory cannot be chosen"
+            )
+        return None
+    if isinstance(trajectory, EgoMotion):
+        return trajectory
+    if trajectory is None:
+        default = next(iter(scene.trajectories.values()), None)
+        return None if default is None or default.quaternions_xyzw is None else EgoMotion.of(default)
+    if trajectory in scene.trajectories:
+        return EgoMotion.of(scene.trajectories[trajectory])
+    if trajectory == _IDENTITY:
+        return EgoMotion(_IDENTITY, Poses.identity())
+    choices = ", ".join([*scene.trajectories, _IDENTITY])
+    raise OptionError(
+        f"{scene.source}: no trajectory {trajectory!r}; there are: {choices}; "
+        "one that `sceneloom.motion.ego_trajectory.find_ego_motion` finds can be handed in"
+    )
+
+
+def locations_of(scene: Scene, sensors: Iterable[Posed], ego: EgoMotion | None) -> dict[Identifier, _Location]:
+    """Give the locations of sensors by id; a sensor of which nothing is known has a location that says why."""
+    found, period_ns = {}, scene_period_ns(scene)
+    for sensor in sensors:
+        mount, source = _static_mount(sensor), None
+        problem = f"{scene.source}: no trajectory with orientations, so that it is not known where the ego was"
+        try:
+            source, problem = sensor_source(scene, sensor, ego, reach_ns=period_ns), ""
+        except PoseError as error:
+            problem = problem if mount is not None else str(error)
+        found[sensor.id] = _Location(source, problem, mount)
+    return found
+
+
+def frame_of_points(scene: Scene, lidar: LidarSensor | RadarSensor, ego: EgoMotion | None) -> _Location:
+    """Give what takes a lidar's or radar's points as stored into the world, and into the ego's frame where rigid."""
+    mounts = {PointsFrame.SENSOR: _static_mount(lidar), PointsFrame.EGO: RigidTransform.identity()}
+    mount = mounts.get(lidar.points_frame)
+    try:
+        source = points_source(scene, lidar, ego, reach_ns=scene_period_ns(scene))
+    except PoseError as error:
+        return _Location(None, str(error), mount)
+    return _Location(source or WORLD, "", mount)
+
+
+def poses_at(locations: Sequence[tuple[_Location, int]]) -> list[_Pose]:
+    """Give the pose of each location at its time [ns]; locations on one path are interpolated in one go."""
+    poses = [_Pose(None, location.problem) for location, _ in locations]
+    by_path: dict[int, list[int]] = {}
+    for row, (location, _) in enumerate(locations):
+        if location.source is not None:
+            by_path.setdefault(id(location.source.path), []).append(row)
+    for rows in by_path.values():
+        sources = [source for row in rows if (source := locations[row][0].source) is not None]
+        times = np.array([locations[row][1] for row in rows], np.int64)
+        body = sources[0].path.interpolate(times, reach_ns=sources[0].reach_ns)
+        rotations = matrix_from_quaternion(np.nan_to_num(body.quaternions_xyzw, nan=0.5))
+        for k, (row, source) in enumerate(zip(rows, sources, strict=True)):
+            if body.coverage[k] == OUT_OF_REACH:
+                away_ns = max(source.path.start_ns - int(times[k]), int(times[k]) - source.path.stop_ns)
+                poses[row] = _Pose(None, f"{away_ns / 1e9:.3f} s beyond the ends of the trajectory")
+                continue
+            moved = RigidTransform(
+                rotations[k] @ source.mount.rotation,
+                rotations[k] @ source.mount.translation + body.positions[k],
+            )
+            poses[row] = _Pose(moved, extrapolated=bool(body.coverage[k] == EXTRAPOLATED))
+    return poses
+
+
+def _static_mount(sensor: Posed) -> RigidTransform | None:
+    """The mounting on the ego, stated as such or as the one pose of a sensor in ego coordinates."""
+    if sensor.mount is not None:
+        return sensor.mount
+    if sensor.poses is None or sensor.coordinates is not Coordinates.EGO or len(sensor.poses.positions) != 1:
+        return None
+    return RigidTransform.from_quaternion(sensor.poses.positions[0], sensor.poses.quaternions_xyzw[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,6 +226,7 @@ class SamplePoses:
 
 
 _Value = TypeVar("_Value")
+
 _Image = TypeVar("_Image", CameraImage, DepthFrame)
 
 
@@ -244,7 +391,9 @@ def _with_pixels(image: _Image | None) -> _Image | None:
 
 
 _Named = tuple[str, np.ndarray[Any, Any]]
+
 _LIDAR_ARRAYS = ("positions", "intensities", "colors", "timestamps_ns", "rings", "camera_index")
+
 _RADAR_ARRAYS = ("positions", "directions", "lengths", "timestamps_ns")
 
 
@@ -323,6 +472,7 @@ def _texts(texts: list[str]) -> np.ndarray[Any, Any]:
 
 
 _Timestamped = TypeVar("_Timestamped", CameraImage, DepthFrame, RadarFrame)
+
 _NONE = "it has no frames"
 
 
@@ -477,7 +627,8 @@ def _reference(scene: Scene, wanted: Identifier) -> LidarSensor | CameraSensor:
 
 
 _Finder = _SweepsByReference | _FramesByTimestamp[Any]
-_NO_POINTS = Location(None, "there is no sweep")
+
+_NO_POINTS = _Location(None, "there is no sweep")
 
 
 @dataclass(slots=True)
@@ -570,7 +721,7 @@ class _SampleMaker:
         """The boxes as a sensor sees them at the time of its frame."""
         return self._boxes.at(time_ns, sensor_id=sensor_id, window_ns=(int(frame.timestamp_ns), time_ns))
 
-    def _locations_for(self, frames: Mapping[Identifier, Any]) -> dict[Identifier, Location]:
+    def _locations_for(self, frames: Mapping[Identifier, Any]) -> dict[Identifier, _Location]:
         """The sensors' locations, of cameras those of images that have a mounting of their own."""
         locations = dict(self._locations)
         for sensor_id, frame in frames.items():
@@ -589,8 +740,8 @@ class _SampleMaker:
         if swept_ns is not None:
             asked.append((self._points, swept_ns))
         poses = poses_at(asked)
-        points = Pose(None) if swept_ns is None else poses.pop()
-        found = {key: Pose(None, "it has no frame in this sample") for key in locations}
+        points = _Pose(None) if swept_ns is None else poses.pop()
+        found = {key: _Pose(None, "it has no frame in this sample") for key in locations}
         found |= dict(zip(times_ns, poses, strict=True))
         return SamplePoses(
             world_from_sensor={key: pose.world_from_sensor for key, pose in found.items()},

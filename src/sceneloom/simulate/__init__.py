@@ -30,15 +30,7 @@ if TYPE_CHECKING:
         simulate_street,
     )
     from sceneloom.simulate.faults import Faults, PointTimes, SensorFaults
-    from sceneloom.simulate.lidar_radar import (
-        LidarSpec,
-        RadarSpec,
-        RadarTruth,
-        Raster,
-        Rosette,
-        SolidStateSpec,
-        Sweep,
-    )
+    from sceneloom.simulate.lidar_radar import LidarSpec, RadarSpec, RadarTruth, Raster, Rosette, SolidStateSpec, Sweep
     from sceneloom.simulate.street import BoxTruth, Mover, StreetObject, TrafficSpec
     from sceneloom.simulate.trajectory import PathSpec, Stop, sensor_mount
 else:

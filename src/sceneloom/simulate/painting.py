@@ -14,16 +14,7 @@ from numba import njit, prange
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.simulate.raycast import (
-    BOX,
-    CYLINDER,
-    ELLIPSOID,
-    GROUND,
-    INNER,
-    SKY,
-    Int32Array,
-    take_into_frame,
-)
+from sceneloom.simulate.raycast import BOX, CYLINDER, ELLIPSOID, GROUND, INNER, SKY, Int32Array, take_into_frame
 
 PLAIN, FACADE, BRICK, TILES, FOLIAGE, BARK, CAR_BODY, CAR_CABIN, TYRE, BANDS = range(10)
 """The patterns: see the functions below."""

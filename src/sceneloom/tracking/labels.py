@@ -42,7 +42,7 @@ from sceneloom.scene.clouds import RadarFrame, RadarSensor
 from sceneloom.scene.detections import Support, Track, Tracks
 from sceneloom.scene.ego import EgoMotion, points_source, sensor_source
 from sceneloom.scene.poses import PoseSource
-from sceneloom.scene.sampling import WORLD, choose_ego
+from sceneloom.scene.samples import WORLD, choose_ego
 from sceneloom.scene.scene import Scene, scene_period_ns, usual_period_ns
 from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 from sceneloom.tracking.settings import LabelSettings

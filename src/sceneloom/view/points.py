@@ -20,8 +20,8 @@ from sceneloom.scene.types import PointsFrame
 from sceneloom.view.poses import Locations, pose_at, transform
 from sceneloom.view.settings import ColourBy
 from sceneloom.view.stream import Report, Stream, fits, sdk
+from sceneloom.visualization.annotations import PALETTE
 from sceneloom.visualization.colour_scales import colour_map
-from sceneloom.visualization.figures import PALETTE
 
 _Packed = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]
 """Colours 0xRRGGBBAA."""

@@ -55,7 +55,6 @@ from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
 
 _NOTES = "notes"
 
-
 _LEVELS: Mapping[str, str] = MappingProxyType(
     {
         WarningKind.ASSUMED: "INFO",
@@ -114,14 +113,11 @@ def _log_notes(stream: Stream, time_ns: int, warnings: Sequence[DataWarning], fi
 _BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
 """Where the eye stands behind the ego, and where it looks [m]."""
 
-
 _MOVED = 2.0
 """How far the ego must have moved before its trajectory tells where forward is [m]."""
 
-
 _IN_IMAGES = ("annotations", "tracks/boxes", "tracks/history")
 """What has a location in the world and is shown through the camera models, too."""
-
 
 _BACKGROUND = (16, 18, 22)
 
@@ -473,6 +469,7 @@ def _chosen(feed: Feed, rows: Int64Array) -> Feed:
 
 
 _APPLICATION = "sceneloom"
+
 _SUFFIX = ".rrd"
 
 _SINCE_EPOCH_NS = 100_000_000_000_000_000
@@ -591,8 +588,11 @@ _LOOPBACK = "127.0.0.1"
 """Nobody but this machine is answered."""
 
 _TILES = "https://tile.openstreetmap.org https://*.tile.openstreetmap.org"
+
 _PASSED_ON = ("Content-Type", "rerun-final-length")
+
 _PIECE = 1 << 20
+
 _ANSWER_SECONDS = 60.0
 
 
@@ -735,6 +735,7 @@ _SERVER_MEMORY = "2GiB"
 """What the browser's server holds for it; beyond that the earliest frames go."""
 
 _PATIENCE = 30.0
+
 _POLL = 0.05
 
 

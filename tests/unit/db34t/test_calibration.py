@@ -8,13 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.db34t import CalibrationData
-from sceneloom.db34t.calibration import (
-    DeclaredAxes,
-    SensorKind,
-    calibrated_pair,
-    calibration_data,
-    check_calibration,
-)
+from sceneloom.db34t.calibration import DeclaredAxes, SensorKind, calibrated_pair, calibration_data, check_calibration
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rigid import RigidTransform
 

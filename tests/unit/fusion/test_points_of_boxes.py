@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.fusion.box_fusion import SeenBoxes
-from sceneloom.fusion.system import FusionSystem
+from sceneloom.fusion.system import FusionSystem, SeenBoxes
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes2D, Boxes3D, LidarFrame, LidarPoints
 from sceneloom.scene.poses import Poses, PoseSource

@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from sceneloom.errors import ArrayError
-from sceneloom.geometry.interpolation import interpolate_poses
-from sceneloom.geometry.rotations import angle_between
+from sceneloom.geometry.rotations import angle_between, interpolate_poses
 
 EPOCH_NS = 1_700_000_000_000_000_000
 SECOND_NS = 1_000_000_000

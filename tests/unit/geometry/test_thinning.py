@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.geometry.interpolation import interpolate_poses, thin_poses
-from sceneloom.geometry.rotations import angle_between, quaternion_from_rotation_vector
+from sceneloom.geometry.rotations import angle_between, interpolate_poses, quaternion_from_rotation_vector, thin_poses
 
 STEP_NS = 5_000_000
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-3, np.radians(0.01)

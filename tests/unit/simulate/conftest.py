@@ -7,16 +7,7 @@ import pytest
 
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
-from sceneloom.simulate.street import (
-    GroundMap,
-    Lane,
-    Material,
-    PackedShapes,
-    Pattern,
-    Shape,
-    ShapeKind,
-    Street,
-)
+from sceneloom.simulate.street import GroundMap, Lane, Material, PackedShapes, Pattern, Shape, ShapeKind, Street
 from sceneloom.simulate.trajectory import EgoPath
 
 GREY = Material(Pattern.PLAIN, ((128.0, 128.0, 128.0),) * 3)

@@ -16,15 +16,7 @@ from sceneloom.cameras.projection import project
 from sceneloom.errors import OptionError
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.motion.deskew import points_to_world
-from sceneloom.scene import (
-    CameraSensor,
-    GnssSensor,
-    ImuSensor,
-    LidarSensor,
-    PointsFrame,
-    RadarSensor,
-    SensorType,
-)
+from sceneloom.scene import CameraSensor, GnssSensor, ImuSensor, LidarSensor, PointsFrame, RadarSensor, SensorType
 from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import (
     CameraSpec,

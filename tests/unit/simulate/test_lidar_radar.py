@@ -11,15 +11,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_to_world
 from sceneloom.scene import PointsFrame, SensorType
 from sceneloom.scene.poses import PoseSource
-from sceneloom.simulate import (
-    LidarSpec,
-    RadarSpec,
-    Raster,
-    Rosette,
-    SolidStateSpec,
-    sensor_mount,
-    simulate_street,
-)
+from sceneloom.simulate import LidarSpec, RadarSpec, Raster, Rosette, SolidStateSpec, sensor_mount, simulate_street
 from sceneloom.simulate.lidar_radar import FALSE_ALARM, ScanningLidar, SimulatedRadar
 from sceneloom.simulate.street import (
     GroundMap,

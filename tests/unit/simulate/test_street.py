@@ -13,15 +13,7 @@ from scipy.spatial.transform import Rotation
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.simulate import (
-    CameraSpec,
-    LidarSpec,
-    PathSpec,
-    Stop,
-    TrafficSpec,
-    camera_mount,
-    simulate_street,
-)
+from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, Stop, TrafficSpec, camera_mount, simulate_street
 from sceneloom.simulate.camera import RenderedCamera
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, instances_of, paint
 from sceneloom.simulate.street import (

@@ -10,8 +10,8 @@ from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import DetectionPair
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes2D, Boxes3D, CameraImage, Support, TrackedObjects
+from sceneloom.visualization.annotations import PALETTE
 from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, layout_map
-from sceneloom.visualization.figures import PALETTE
 from sceneloom.visualization.objects import draw_objects_above, draw_objects_in_image, objects_of_fused
 
 CAMERA = Camera("pinhole", 640, 400, 300.0, 300.0, 319.5, 199.5)

@@ -22,14 +22,7 @@ from sceneloom.db34t.conformance import (
     record_checks,
     result_checks,
 )
-from sceneloom.db34t.conformance.catalogue import (
-    Bench,
-    CallFailedError,
-    Check,
-    NoResultError,
-    Seen,
-    Transport,
-)
+from sceneloom.db34t.conformance.catalogue import Bench, CallFailedError, Check, NoResultError, Seen, Transport
 from sceneloom.db34t.transport import calls_of, details_of, open_channel, read_token, reader_of
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import OptionError, SceneloomError

@@ -15,15 +15,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.errors import CalibrationError, DataError, MissingExtraError, how_to_install
-from sceneloom.formats.argoverse2.spec import (
-    ANNOTATIONS,
-    CAMERA_MODELS,
-    CAMERAS,
-    LIDAR,
-    MOUNTS,
-    POSES,
-    is_log,
-)
+from sceneloom.formats.argoverse2.spec import ANNOTATIONS, CAMERA_MODELS, CAMERAS, LIDAR, MOUNTS, POSES, is_log
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import check_length, check_unpacked, file_faults, open_file
 from sceneloom.formats.base.images import ImageReader

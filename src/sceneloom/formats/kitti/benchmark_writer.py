@@ -41,14 +41,7 @@ from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.geometry.rotations import matrix_from_quaternion, multiply_quaternions
 from sceneloom.scene.annotations import AttributePath, Box2DAnnotation, CuboidAnnotation, Projection
-from sceneloom.scene.annotations_at import (
-    CuboidAngles,
-    activated,
-    active_at,
-    attribute_at,
-    box_2d_at,
-    cuboid_poses,
-)
+from sceneloom.scene.annotations_at import CuboidAngles, activated, active_at, attribute_at, box_2d_at, cuboid_poses
 from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor

@@ -14,13 +14,7 @@ from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import ImageFile, images_image_size, is_jpeg
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration
 from sceneloom.formats.kitti.labels import KittiLabels, joined_labels, read_labels
-from sceneloom.formats.kitti.sensors import (
-    LabelLocations,
-    camera_id,
-    kitti_metadata,
-    label_annotations,
-    lidar_sensor,
-)
+from sceneloom.formats.kitti.sensors import LabelLocations, camera_id, kitti_metadata, label_annotations, lidar_sensor
 from sceneloom.formats.kitti.spec import IMAGES, OBJECT_CAMERAS, PARTS, SWEEPS, TEXTS, object_folders
 from sceneloom.formats.kitti.text import NumberedFiles, note_other_part, note_unread, numbered_files
 from sceneloom.geometry.rigid import RigidTransform

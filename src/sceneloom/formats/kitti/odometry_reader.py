@@ -16,14 +16,7 @@ from sceneloom.formats.base.text_tables import line_timestamps
 from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration, rotation_of
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.sensors import LIDAR_ID, POINT_BYTES, camera_sensor, kitti_metadata, lidar_sensor
-from sceneloom.formats.kitti.spec import (
-    IMAGES,
-    LABELS,
-    ODOMETRY_CAMERAS,
-    SWEEPS,
-    OdometrySequence,
-    odometry_sequences,
-)
+from sceneloom.formats.kitti.spec import IMAGES, LABELS, ODOMETRY_CAMERAS, SWEEPS, OdometrySequence, odometry_sequences
 from sceneloom.formats.kitti.text import (
     NumberedFiles,
     choose_sequence,

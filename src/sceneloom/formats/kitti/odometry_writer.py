@@ -14,12 +14,7 @@ from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.kitti.calibration import write_calibration
-from sceneloom.formats.kitti.frames_writer import (
-    Choice,
-    Timeline,
-    kept_calibration,
-    kept_of,
-)
+from sceneloom.formats.kitti.frames_writer import Choice, Timeline, kept_calibration, kept_of
 from sceneloom.formats.kitti.odometry_reader import CLASS_BITS, CLASS_NAMES, UNLABELED
 from sceneloom.formats.kitti.spec import ODOMETRY_CAMERAS, OdometrySequence
 from sceneloom.formats.kitti.text import write_lines

@@ -39,21 +39,8 @@ from sceneloom.formats.kitti.sensors import (
     lidar_sensor,
     stationary,
 )
-from sceneloom.formats.kitti.spec import (
-    IMAGES,
-    PARTS,
-    SWEEPS,
-    TRACKING_CAMERAS,
-    tracking_folders,
-    tracking_sequences,
-)
-from sceneloom.formats.kitti.text import (
-    choose_sequence,
-    frames_within,
-    note_other_part,
-    note_unread,
-    numbered_files,
-)
+from sceneloom.formats.kitti.spec import IMAGES, PARTS, SWEEPS, TRACKING_CAMERAS, tracking_folders, tracking_sequences
+from sceneloom.formats.kitti.text import choose_sequence, frames_within, note_other_part, note_unread, numbered_files
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.cameras import CameraImage, CameraSensor

@@ -349,7 +349,7 @@ class _MessageVideo:
 
     def _made(self) -> BinaryIO:
         """Put the packets into a file, with the times that the messages state."""
-        from sceneloom.formats.video.remux import annex_b_to_mp4
+        from sceneloom.formats.video.writer import annex_b_to_mp4
 
         with tempfile.TemporaryFile() as raw:
             for packet in self.packets():
@@ -500,7 +500,7 @@ def draft_camera(survey: Survey, topic: Topic, camera_model_topic: Topic | None)
 def _draft_video(
     survey: Survey, topic: Topic, camera_model_topic: Topic | None, timestamps: Int64Array, location: str
 ) -> CameraDraft:
-    from sceneloom.formats.video.remux import starts_video
+    from sceneloom.formats.video.writer import starts_video
 
     skipped, first = 0, None
     for skipped in range(len(timestamps)):
@@ -528,7 +528,7 @@ def _draft_video(
 
 def _video_size(packet: bytes, name: str) -> tuple[int, int]:
     """Width and height of the image in the first packet of a video [px]."""
-    from sceneloom.formats.video.index import OpenVideo
+    from sceneloom.formats.video.reader import OpenVideo
 
     opened = OpenVideo(packet, name)
     try:

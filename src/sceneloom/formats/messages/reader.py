@@ -71,10 +71,8 @@ def _read_notes(text: str | None, name: str) -> Notes:
 _TIMESTAMPS = ("header", "receive")
 """Which times can be asked for."""
 
-
 _FAR_NS = 60_000_000_000
 """No network delays messages by more than this: another clock timestamped them."""
-
 
 _ZERO_NS = 1_000_000_000
 
@@ -450,6 +448,7 @@ _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 """Messages have covariances of position, then rotation; trajectories of rotation, then position."""
 
 _R = TypeVar("_R")
+
 _VECTORS = frozenset({"accelerometer", "gyroscope", "magnetometer"})
 
 

@@ -411,7 +411,7 @@ class SceneStreams:
         """The packets of a camera's video, if they are to be, and can be, handed on."""
         if sensor.video is None or not self._dialect.videos or self._images != "copy" or not len(sensor.images):
             return None
-        from sceneloom.formats.video.remux import AnnexBPackets
+        from sceneloom.formats.video.writer import AnnexBPackets
 
         packets = AnnexBPackets(sensor.video, len(sensor.images), f"sensors[{sensor.id}].video")
         if packets.obstacle is not None:

@@ -30,48 +30,39 @@ from sceneloom.formats.points.cloud import (
     parse_rows,
     unique_names,
 )
-from sceneloom.formats.points.las import MOST_STEPS
 from sceneloom.formats.points.npz import read_bin, read_npz
+
+MOST_STEPS = 2**31 - 1
+"""Steps between a position and the offset at most."""
 
 _STEP = 0.001
 """Positions are whole multiples of this [m] from an offset: finer than any lidar measures."""
 
-
 _PLAIN, _COLORED = 6, 7
 """Point formats: positions, intensity, classification and time; and with colours. Source: section 2.6."""
-
 
 _FULL_SCALE = 257
 """From 8 to 16 bits: 255 becomes 65535. Source: "Red, Green, Blue" and "Intensity", to be normalised to 16 bits."""
 
-
 _LARGEST_CLASS = 255
-
 
 _FARTHEST_M = 1e10
 """Limit of coordinates [m]; 70 times the distance to the sun."""
 
-
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e6
 """Steps of positions [m]."""
 
-
 _LAYOUT = struct.Struct("<HIIBHI")
 
-
 _RECORD_HEAD, _EXTENDED_HEAD = 54, 60
-
 
 _HEADER_LENGTHS = (227, 227, 227, 235, 375)
 """Shortest headers of the versions 1.0 to 1.4 [bytes]."""
 
-
 _LONGEST_HEADER = 375
-
 
 _POINT_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Shortest points of the point formats 0 to 10 [bytes]. Source: section 2.6."""
-
 
 _KNOWN_RECORDS = (4, 22204)
 """Numbers of the records that describe further dimensions and how LAZ is packed. Source: section 2.8, "Extra Bytes"."""
@@ -486,10 +477,15 @@ def read_cloud(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
 
 
 _LONGEST_PCD_HEAD = 1 << 16
+
 _LETTERS = {"F": "f", "I": "i", "U": "u"}
+
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+
 _MOST_VALUES = 1 << 16
+
 _NO_VIEWPOINT = ["0", "0", "0", "1", "0", "0", "0"]
 
 
@@ -667,6 +663,7 @@ _PLY_TYPES: Mapping[str, str] = {
 }  # fmt: skip
 
 _PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
 _LONGEST_PLY_HEAD = 1 << 20
 
 
@@ -1081,6 +1078,7 @@ def _single_columns(columns: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
 
 
 _WHOLE = frozenset({"u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"})
+
 _WIDER: Mapping[str, str] = {"b1": "u1", "f2": "f4", "i8": "f8", "u8": "f8"}
 
 

@@ -24,8 +24,7 @@ from sceneloom.formats.recording.lines import record_keys, with_frames
 from sceneloom.formats.recording.write_calibration import CAMERA_MODEL, MOUNT, ImageParameters
 from sceneloom.formats.recording.write_lines import LineStream, make_line
 from sceneloom.formats.video.reader import VideoReader
-from sceneloom.formats.video.remux import copy_to_matroska
-from sceneloom.formats.video.writer import VideoWriter, is_lossless
+from sceneloom.formats.video.writer import VideoWriter, copy_to_matroska, is_lossless
 from sceneloom.scene.cameras import (
     CameraImage,
     CameraSensor,

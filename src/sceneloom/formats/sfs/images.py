@@ -15,7 +15,7 @@ from sceneloom.formats.sfs.records import Location
 if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
-    from sceneloom.formats.video.index import OpenVideo
+    from sceneloom.formats.video.reader import OpenVideo
 
 UNKNOWN_CODEC = "unknown"
 
@@ -86,7 +86,7 @@ def _cut(there: memoryview, length: int) -> str:
 
 
 def _problem_of_tables(there: memoryview) -> str | None:
-    from sceneloom.formats.video.index import read_index, read_table_index
+    from sceneloom.formats.video.reader import read_index, read_table_index
 
     try:
         index = read_table_index(there, "video") if is_mp4(there) else read_index(there, "video")
@@ -162,7 +162,7 @@ def _rescue_video(there: memoryview, length: int) -> tuple[bytes, list[int], int
         A video of these packets, which images of the original it holds, in the order of their times, and how many
         the original had.
     """
-    from sceneloom.formats.video.index import (
+    from sceneloom.formats.video.reader import (
         BY_TABLES,
         OpenVideo,
         decoder_faults,
@@ -207,7 +207,7 @@ def _copied(there: memoryview, count: int) -> bytes:
     """Copy the first packets of a video into one of its own."""
     import av
 
-    from sceneloom.formats.video.index import BY_TABLES, OpenVideo
+    from sceneloom.formats.video.reader import BY_TABLES, OpenVideo
 
     target = io.BytesIO()
     opened = OpenVideo(there, "video", options=BY_TABLES)

@@ -344,7 +344,7 @@ def _readable(sensor: Sensor, lost: list[LostPart]) -> Sensor:
 
 def _video_problem(camera: CameraSensor) -> str | None:
     """Why a camera's video cannot be written; None where it can."""
-    from sceneloom.formats.video.index import read_index
+    from sceneloom.formats.video.reader import read_index
 
     if camera.video is None or not len(camera.images):
         return None

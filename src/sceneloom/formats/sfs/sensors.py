@@ -49,8 +49,7 @@ from sceneloom.scene.types import NO_FIELDS, Coordinates, PointsFrame
 from sceneloom.warnings import WarningKind
 
 if TYPE_CHECKING:
-    from sceneloom.formats.video.index import VideoIndex
-    from sceneloom.formats.video.reader import VideoReader
+    from sceneloom.formats.video.reader import VideoIndex, VideoReader
 
 _CODECS: Mapping[bytes, str] = MappingProxyType(
     {
@@ -637,7 +636,7 @@ class _Player:
 
     def open(self) -> Any:
         """Open the video's bytes as a file."""
-        from sceneloom.formats.video.index import open_bytes
+        from sceneloom.formats.video.reader import open_bytes
 
         self._container.check_open(self._location)
         return open_bytes(self._content)
@@ -656,8 +655,7 @@ class _Player:
         return reader.rgb(index)
 
     def _opened(self) -> "VideoReader":
-        from sceneloom.formats.video.index import read_table_index
-        from sceneloom.formats.video.reader import VideoReader
+        from sceneloom.formats.video.reader import VideoReader, read_table_index
 
         self._container.check_open(self._location)
         reader = self._reader

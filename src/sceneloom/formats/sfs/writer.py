@@ -55,7 +55,6 @@ from sceneloom.formats.sfs.sensors import (
     exposure_ns,
     intrinsics_record,
 )
-from sceneloom.formats.sfs.spool import ALIGNMENT
 from sceneloom.scene.annotations import (
     Annotation,
     Box2DAnnotation,
@@ -74,27 +73,23 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, PointsFrame, key_of
 from sceneloom.warnings import DataWarning, WarningKind
 
-_NULS = bytes(2 * ALIGNMENT)
+ALIGNMENT = 64
+"""A cache line, and enough for every dtype and vector instruction."""
 
+_NULS = bytes(2 * ALIGNMENT)
 
 _GAP = 4
 
-
 _IN_MEMORY = 8 << 20
-
 
 _GATHERED = 1 << 20
 
-
 _SMALL = 1 << 16
-
 
 _ALLOCATED = 64 << 20
 
-
 _BLOCK = 4096
 """Space can be put into a file in multiples of the block of its file system, which is nearly always this [bytes]."""
-
 
 _EXTEND, _INSERT_RANGE = 0x00, 0x20
 """Modes of fallocate(2) of Linux: reserve space, which is then cheaper to fill; put space before the first byte of a
@@ -291,8 +286,11 @@ _RESERVED = frozenset(
         *("trajectories", "exact_attributes", "warnings"),
     }
 )
+
 _ROOT = frozenset({"version", "time_unit", "time_offset"})
+
 _PER_FRAME, _PER_POSE, _PER_ANNOTATION = 2048, 180, 2048
+
 _LEAST_HEADER, _UNKNOWN_HEADER = 1 << 17, 1 << 20
 
 _NOTES = "metadata.sceneloom.sensor_notes[]"
@@ -941,7 +939,9 @@ _FLOAT_TIMES = "file_seconds"
 """Readers of float seconds keep the file's own number of each point beside its time."""
 
 _JPEG_START = b"\xff\xd8\xff"
+
 _USUAL_FPS = 10.0
+
 _CHUNK = 1 << 20
 
 
@@ -1092,7 +1092,7 @@ class _OpenFile:
         return blob
 
     def _remux(self, sensor: CameraSensor, video: VideoContent, file: Path, location: str) -> bool:
-        from sceneloom.formats.video.remux import remux_to_mp4
+        from sceneloom.formats.video.writer import remux_to_mp4
 
         times_ns = sensor.images.timestamps_ns
         increasing = bool((np.diff(times_ns) > 0).all())
@@ -1348,6 +1348,7 @@ _LAYOUT = 1
 """Number of the layout of our metadata."""
 
 _UNIT_OF = {tick_ns: unit for unit, tick_ns in TICKS_NS.items()}
+
 _EVERYWHERE = "sensors[], annotations[], attributes[]"
 
 

@@ -11,14 +11,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from sceneloom.errors import (
-    DataError,
-    OptionError,
-    OutputError,
-    SceneloomError,
-    UnknownFormatError,
-    UnknownOptionError,
-)
+from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError, UnknownFormatError, UnknownOptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.registry import find_format
 from sceneloom.formats.messages.file_bytes import FileBytes

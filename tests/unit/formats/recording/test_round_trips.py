@@ -26,15 +26,7 @@ from sceneloom.scene import (
     Trajectory,
     VectorSamples,
 )
-from sceneloom.simulate import (
-    CameraSpec,
-    ImuSpec,
-    LidarSpec,
-    RadarSpec,
-    camera_mount,
-    sensor_mount,
-    simulate_street,
-)
+from sceneloom.simulate import CameraSpec, ImuSpec, LidarSpec, RadarSpec, camera_mount, sensor_mount, simulate_street
 
 MS = 1_000_000
 

@@ -14,12 +14,7 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import mounting
 from sceneloom.formats.recording.calibration import rigid_transform
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.recording.write_calibration import (
-    camera_entry,
-    camera_model_entry,
-    matrix_entry,
-    mount_entry,
-)
+from sceneloom.formats.recording.write_calibration import camera_entry, camera_model_entry, matrix_entry, mount_entry
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraSensor, Coordinates, GnssSensor, LazyFrames, Poses, Scene
 

@@ -12,15 +12,7 @@ from sceneloom.errors import ArrayError, OptionError
 from sceneloom.formats.recording.write_images import to_steps
 from sceneloom.formats.recording.writer import write_recording
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraImage,
-    CameraSensor,
-    DepthCameraSensor,
-    DepthFrame,
-    LazyFrames,
-    Scene,
-    VideoContent,
-)
+from sceneloom.scene import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, LazyFrames, Scene, VideoContent
 
 MS = 1_000_000
 CAMERA_MODEL = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)

@@ -13,7 +13,7 @@ from sceneloom.formats.sfs.sensors import video_codec
 from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import SceneWriter, write_scene
 from sceneloom.formats.video.reader import open_video
-from sceneloom.formats.video.remux import encode_to_mp4
+from sceneloom.formats.video.writer import encode_to_mp4
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraImage, CameraSensor, LazyFrames, Poses, Scene, VideoContent
 
@@ -162,7 +162,7 @@ def test_an_mp4_is_copied_byte_for_byte(target, decode_sfs, mp4):
 
 
 def test_another_container_is_remuxed_without_decoding(target, mp4):
-    from sceneloom.formats.video.remux import copy_to_matroska
+    from sceneloom.formats.video.writer import copy_to_matroska
 
     matroska = io.BytesIO()
     copy_to_matroska(mp4, matroska)
@@ -184,7 +184,7 @@ def test_a_part_of_a_video_is_encoded_anew_and_stated_to_be(target, mp4):
 
 
 def test_a_video_with_too_few_images_is_refused(target, mp4):
-    from sceneloom.formats.video.remux import copy_to_matroska
+    from sceneloom.formats.video.writer import copy_to_matroska
 
     matroska = io.BytesIO()
     copy_to_matroska(mp4, matroska)

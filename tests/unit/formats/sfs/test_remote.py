@@ -16,7 +16,7 @@ from sceneloom.formats.base.files import is_url, path_or_url
 from sceneloom.formats.remote.stores import GAP, coalesced
 from sceneloom.formats.sfs import container as module
 from sceneloom.formats.sfs.container import Container, RemoteFile
-from sceneloom.formats.video.remux import encode_to_mp4
+from sceneloom.formats.video.writer import encode_to_mp4
 
 
 def big_scene(encode_sfs, *, frames=30, points=20_000):

@@ -5,9 +5,8 @@ import io
 import numpy as np
 import pytest
 
-from sceneloom.formats.sfs import spool as module
-from sceneloom.formats.sfs.spool import ALIGNMENT
-from sceneloom.formats.sfs.writer import Spool
+from sceneloom.formats.sfs import writer as module
+from sceneloom.formats.sfs.writer import ALIGNMENT, Spool
 
 SMALL = np.arange(7, dtype=np.uint8)
 LARGE = np.arange(100_000, dtype=np.float32).reshape(-1, 2)

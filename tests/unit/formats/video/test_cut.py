@@ -4,7 +4,7 @@ import av
 import numpy as np
 import pytest
 
-from sceneloom.formats.video.remux import copy_to_matroska
+from sceneloom.formats.video.writer import copy_to_matroska
 
 LEANING = {"g": "5", "keyint_min": "5", "sc_threshold": "0", "bf": "2", "x264-params": "open-gop=0"}
 """Groups of five images, with images between that look both ways."""

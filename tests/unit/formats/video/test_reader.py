@@ -191,7 +191,7 @@ def test_an_image_beyond_the_last_is_refused_with_the_number_that_there_are(mkv_
 def test_as_many_images_are_decoded_at_once_as_there_are_processors_for_and_four_at_most(
     videos, decoded_packets, monkeypatch, processors, most
 ):
-    monkeypatch.setattr("sceneloom.formats.video.index.processors", lambda: processors)
+    monkeypatch.setattr("sceneloom.formats.video.reader.processors", lambda: processors)
     content = videos.make(videos.Recipe(codec="ffv1", pixel_format="bgr0", options={}))
     with open_video(content) as reader:
         assert videos.number(reader.rgb(0)) == 0
@@ -201,7 +201,7 @@ def test_as_many_images_are_decoded_at_once_as_there_are_processors_for_and_four
 
 
 def test_jumps_among_images_that_need_no_other_decode_one_each(videos, decoded_packets, monkeypatch):
-    monkeypatch.setattr("sceneloom.formats.video.index.processors", lambda: 64)
+    monkeypatch.setattr("sceneloom.formats.video.reader.processors", lambda: 64)
     content = videos.make(videos.Recipe(codec="ffv1", pixel_format="bgr0", options={"g": "1"}))
     jumps = [5, 20, 3, 17, 18, 0, 39]
     with open_video(content) as reader:
@@ -212,7 +212,7 @@ def test_jumps_among_images_that_need_no_other_decode_one_each(videos, decoded_p
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the system does not list threads")
 def test_no_thread_of_a_decoder_is_left_when_reading_stops_halfway(mkv_bytes, monkeypatch):
-    monkeypatch.setattr("sceneloom.formats.video.index.processors", lambda: 8)
+    monkeypatch.setattr("sceneloom.formats.video.reader.processors", lambda: 8)
     tasks = Path("/proc/self/task")
     before = set(tasks.iterdir())
     with open_video(mkv_bytes) as reader:

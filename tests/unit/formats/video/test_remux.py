@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import ArrayError, DataError, OptionError, OutputError
-from sceneloom.formats.video.remux import copy_to_matroska, encode_to_mp4, remux_to_mp4
-from sceneloom.formats.video.writer import VideoWriter
+from sceneloom.formats.video.writer import VideoWriter, copy_to_matroska, encode_to_mp4, remux_to_mp4
 
 X265 = {"x265-params": "log-level=none:keyint=12:pools=1", "preset": "ultrafast"}
 X264 = {"g": "12", "bf": "3", "preset": "veryfast"}

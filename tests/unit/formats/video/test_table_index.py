@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.video.index import read_index, read_table_index
+from sceneloom.formats.video.reader import read_index, read_table_index
 
 
 class Counted:

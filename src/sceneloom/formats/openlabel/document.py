@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import MappingProxyType, NoneType
 from typing import Any
@@ -308,10 +308,14 @@ def annotation_fields(annotation: Any) -> dict[str, Any]:
     return fields
 
 
+def _names(kind: type[Any]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
+
+
 def _written(record: Any, table: _Fields) -> dict[str, Any]:
     found = {}
     for name, field in table.items():
-        if name in type(record).__dataclass_fields__:
+        if name in _names(type(record)):
             value = getattr(record, name)
             value = None if value is None else field.write(value)
             if value is not None or not field.omitted:
@@ -319,7 +323,7 @@ def _written(record: Any, table: _Fields) -> dict[str, Any]:
     return found
 
 
-def _read(stated: Mapping[str, Any], table: _Fields, known: Mapping[str, Any]) -> dict[str, Any]:
+def _read(stated: Mapping[str, Any], table: _Fields, known: tuple[str, ...]) -> dict[str, Any]:
     """The fields of a table that are stated; null counts as missing, where it is no value of the field."""
     values = {}
     for name in (name for name in table if name in stated and name in known):
@@ -332,7 +336,7 @@ def _read(stated: Mapping[str, Any], table: _Fields, known: Mapping[str, Any]) -
 
 
 def _record(kind: type[Any], stated: Mapping[str, Any]) -> Any:
-    return kind(**_read(stated, _RECORDS[kind], kind.__dataclass_fields__))
+    return kind(**_read(stated, _RECORDS[kind], _names(kind)))
 
 
 SeenBoxes = Mapping[int, tuple[tuple[float, ...], bool | None]]
@@ -364,8 +368,8 @@ def _restored(annotation: Any, fields: Mapping[str, Any], boxes: Mapping[str, Se
     kind: Any = type(annotation)
     if kind is ObjectAnnotation:
         kind = _CLASSES.get(fields.get("class"), kind)  # type: ignore[arg-type]
-    known = kind.__dataclass_fields__
-    values = {name: getattr(annotation, name) for name in type(annotation).__dataclass_fields__ if name in known}
+    known = _names(kind)
+    values = {name: getattr(annotation, name) for name in _names(type(annotation)) if name in known}
     values |= _read(fields, {**_COMMON, **_OF_CLASS.get(kind, {})}, known)
     if fields.get("unlabelled") is True and "label" in known:
         values["label"] = None

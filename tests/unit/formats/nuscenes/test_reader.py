@@ -21,7 +21,7 @@ from tests.unit.formats.nuscenes.schema_folder import (
 import sceneloom
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.registry import drives_of
-from sceneloom.formats.nuscenes import tables as row_tables
+from sceneloom.formats.nuscenes import reader as row_tables
 from sceneloom.scene.annotations_at import CuboidAngles
 
 NEAR = 1e-9

@@ -15,6 +15,7 @@ RENAMED_WORDS: tuple[tuple[str, str], ...] = (
     *(
         (rf"(?<![A-Za-z]){old}(?![A-Za-z])", new)
         for old, new in {
+            "nowhere_share": "non_finite_share",
             "turn_rate": "yaw_rate",
             "turn_acceleration": "yaw_acceleration",
             "poses_endless": "poses_static",

@@ -74,7 +74,7 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
                 kept_as = getattr(dispatcher._cache, "_cache_file", None)  # noqa: SLF001
                 if kept_as is not None:
                     kept_as._source_stamp = source_digest(_source_of(function))  # noqa: SLF001
-                if _reports and not _open and not _are_kept(_source_of(function), [function.__qualname__])[0]:
+                if _reports and not _open and not _is_kept(function):
                     _report(f"{function.__module__}:{function.__qualname__}", 1)
                 _open.append(function.__qualname__)
                 try:
@@ -198,15 +198,15 @@ def compile_ahead(names: Iterable[str], *, started: Callable[[Popen[str]], objec
         names: `"module:qualified name"`, those that take longest first.
         started: receives each process that compiles; it may be killed.
     """
-    by_module: dict[str, list[str]] = {}
-    for name in (names := list(dict.fromkeys(names))):
-        module, _, kernel_name = name.partition(":")
-        by_module.setdefault(module, []).append(kernel_name)
-    kept: set[str] = set()
-    for module, kernel_names in by_module.items():
-        source = _file_of(module)
-        found = [False] * len(kernel_names) if source is None else _are_kept(source, kernel_names)
-        kept |= {f"{module}:{name}" for name, there in zip(kernel_names, found, strict=True) if there}
+    names = list(dict.fromkeys(names))
+    sources = {module: _file_of(module) for module in dict.fromkeys(name.partition(":")[0] for name in names)}
+    indices = _indices({source.parent for source in sources.values() if source is not None})
+    kept = {
+        f"{module}:{name}"
+        for module, source in sources.items()
+        if source is not None and source.is_file()
+        for name in _kept_names(source, indices)
+    }
     missing = [name for name in names if name not in kept]
     processes = min(os.cpu_count() or 1, len(missing))
     if processes < 2 or not find_kernel_cache().writable:
@@ -272,12 +272,16 @@ def _count_kept(sources: Collection[Path]) -> dict[Path, int]:
     return {source: counts.get(source, 0) for source in sources}
 
 
-def _are_kept(source: Path, names: Collection[str]) -> list[bool]:
-    """Whether versions of kernels of a module, by their qualified names, are kept that fit its present source."""
+def _is_kept(function: Callable[..., Any]) -> bool:
+    """Whether versions of a kernel are kept that fit the present source of its module."""
+    source = _source_of(function)
+    return function.__qualname__ in _kept_names(source, _indices({source.parent}))
+
+
+def _kept_names(source: Path, indices: Mapping[str, bytes]) -> set[str]:
+    """The qualified names of the kernels whose indices are of the present source of a module."""
     digest = source_digest(source).encode()
-    indices = _indices({source.parent}).items()
-    kept = {name.partition(".")[2].rpartition("-")[0] for name, content in indices if digest in content}
-    return [name in kept for name in names]
+    return {name.partition(".")[2].rpartition("-")[0] for name, content in indices.items() if digest in content}
 
 
 def _indices(folders: Iterable[Path]) -> dict[str, bytes]:

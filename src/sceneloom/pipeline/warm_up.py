@@ -57,10 +57,10 @@ def compile_for(job: str, scene: "Scene") -> None:
     """
     if not scene.lidars:
         return
-    models = {sensor.camera.model: MODELS[sensor.camera.model] for sensor in scene.cameras}
+    models = {sensor.camera.model for sensor in scene.cameras} & MODELS.keys()  # others are refused by the job
     cameras = [
-        f"{model.module}:{''.join(word.capitalize() for word in name.split('_'))}.{kernel}"
-        for name, model in models.items()
+        f"{MODELS[name].module}:{''.join(word.capitalize() for word in name.split('_'))}.{kernel}"
+        for name in sorted(models)
         for kernel in ("project_into_image", *(("unproject_pixels",) if job in {"depth", "demo"} else ()))
     ]
     placed = scene.trajectories or any(lidar.poses is not None for lidar in scene.lidars)

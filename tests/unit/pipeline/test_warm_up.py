@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import import_module
 
 import pytest
@@ -25,13 +26,23 @@ def test_all_kernels_that_a_job_names_are_there(job, monkeypatch):
         assert name in cache.declared_kernels()
 
 
+def test_a_camera_of_an_unknown_model_is_left_to_the_job_that_refuses_it(monkeypatch):
+    asked = []
+    monkeypatch.setattr(warm_up, "compile_ahead", asked.extend)
+    scene = simulate_street(1, frames=2).scene
+    cameras = {camera.id: replace(camera, camera=replace(camera.camera, model="own")) for camera in scene.cameras}
+    warm_up.compile_for("fuse", replace(scene, sensors=tuple(cameras.get(s.id, s) for s in scene.sensors)))
+    assert cameras
+    assert not [name for name in asked if "cameras" in name]
+
+
 PROGRAM = """
 import sys
 from sceneloom.kernels import cache
 from sceneloom.pipeline import warm_up
 asked, met = [], []
 warm_up.compile_ahead = asked.extend
-cache._are_kept = lambda source, names: [False] * len(names)
+cache._is_kept = lambda function: False
 import sceneloom
 with cache.reporting_compiling(lambda name, _: met.append(name)), sceneloom.open(sys.argv[1]) as scene:
     warm_up.compile_for("fuse", scene)

@@ -188,10 +188,7 @@ def kills(locations: list[Path], scratch: Path) -> None:
     if not calm.exists():
         run(fuse_job(locations), calm, workers=2)
     expected = hashes(calm)
-    for name, make in {
-        "pool": lambda: ProcessPool(2, MODULES),
-        "dask local": lambda: DaskCluster.local(2),
-    }.items():
+    for name, make in {"pool": lambda: ProcessPool(2, MODULES), "dask local": lambda: DaskCluster.local(2)}.items():
         out = scratch / "kills" / name
         summary, made, killed = disturbed(locations, out, make(), KILL_SECONDS)
         with Record.opened(out) as record:

@@ -68,10 +68,7 @@ class _Answers(BaseHTTPRequestHandler):
         file = self.server.folder / name
         if "list-type" in asked:
             self._send(
-                200,
-                self._listing(asked).encode(),
-                {"Content-Type": "application/xml"},
-                with_content=with_content,
+                200, self._listing(asked).encode(), {"Content-Type": "application/xml"}, with_content=with_content
             )
         elif name and file.is_file():
             self._send_file(file, with_content=with_content)
@@ -98,11 +95,7 @@ class _Answers(BaseHTTPRequestHandler):
         wanted = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
         start = int(wanted[1]) if wanted else 0
         stop = min(int(wanted[2] or size - 1) + 1, size) if wanted else size
-        named = {
-            "Accept-Ranges": "bytes",
-            "ETag": _tag(file),
-            "Last-Modified": "Thu, 01 Jan 2026 00:00:00 GMT",
-        }
+        named = {"Accept-Ranges": "bytes", "ETag": _tag(file), "Last-Modified": "Thu, 01 Jan 2026 00:00:00 GMT"}
         if wanted:
             named["Content-Range"] = f"bytes {start}-{stop - 1}/{size}"
         with file.open("rb") as content:
@@ -111,13 +104,7 @@ class _Answers(BaseHTTPRequestHandler):
         self._send(206 if wanted else 200, piece, named, with_content=with_content, length=stop - start)
 
     def _send(
-        self,
-        status: int,
-        content: bytes,
-        named: dict[str, str],
-        *,
-        with_content: bool,
-        length: int | None = None,
+        self, status: int, content: bytes, named: dict[str, str], *, with_content: bool, length: int | None = None
     ) -> None:
         self.send_response(status)
         for name, value in named.items():

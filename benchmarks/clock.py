@@ -76,19 +76,9 @@ ROWS = (
     Row("trajectory, GNSS 10 Hz, 0.4 m", "groundTruth", "gnss", plain, sigma=0.4),
     Row("the same, antenna at the origin", "groundTruth", "gnss", plain, lever=0.0, sigma=0.4),
     Row(
-        "trajectory, GNSS 10 Hz, 0.4 m, 5 min",
-        "groundTruth",
-        "gnss",
-        lambda seed: plain(seed, seconds=300),
-        sigma=0.4,
+        "trajectory, GNSS 10 Hz, 0.4 m, 5 min", "groundTruth", "gnss", lambda seed: plain(seed, seconds=300), sigma=0.4
     ),
-    Row(
-        "trajectory, GNSS 10 Hz, 2 cm",
-        "groundTruth",
-        "gnss",
-        lambda seed: plain(seed, sigma=0.02),
-        sigma=0.02,
-    ),
+    Row("trajectory, GNSS 10 Hz, 2 cm", "groundTruth", "gnss", lambda seed: plain(seed, sigma=0.02), sigma=0.02),
     Row(
         "trajectory, GNSS 1 Hz, 2 cm",
         "groundTruth",

@@ -31,11 +31,7 @@ def at_time(pair: DetectionPair, moment: int) -> DetectionPair:
     """The same boxes at another time."""
     time_ns = moment * PERIOD_NS
     three, two = pair.boxes_3d, pair.boxes_2d
-    return replace(
-        pair,
-        boxes_3d=replace(three, timestamp_ns=time_ns),
-        boxes_2d=replace(two, timestamp_ns=time_ns),
-    )
+    return replace(pair, boxes_3d=replace(three, timestamp_ns=time_ns), boxes_2d=replace(two, timestamp_ns=time_ns))
 
 
 def drives(boxes: int, moments: int) -> Iterator[tuple[str, list[list[DetectionPair]]]]:

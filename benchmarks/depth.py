@@ -239,10 +239,7 @@ def compare(title: str, cases: list[Case]) -> None:
             )  # fmt: skip
         rmse, mae, irmse, share, together = np.mean(rows, axis=0)
         taken = least_ms(lambda side=side: side(cases[0]))
-        print(
-            f"  {name:28} {rmse:6.0f} {mae:5.0f} {irmse:6.2f} {share:6.1f}% {together:7.0f} {taken:6.1f}",
-            flush=True,
-        )
+        print(f"  {name:28} {rmse:6.0f} {mae:5.0f} {irmse:6.2f} {share:6.1f}% {together:7.0f} {taken:6.1f}", flush=True)
 
 
 def right(depths: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -329,20 +326,14 @@ def main() -> None:
     if stated.what == "fit":
         fit()
     if stated.what == "simulated":
-        compare(
-            "simulated streets, 64 beams, every pixel that is no sky",
-            [simulated(seed) for seed in range(20, 24)],
-        )
+        compare("simulated streets, 64 beams, every pixel that is no sky", [simulated(seed) for seed in range(20, 24)])
     if stated.what == "confidence":
         show_confidence("simulated streets, whole sweeps", [simulated(seed) for seed in range(20, 24)], sky=True)
     if stated.what in ("rings", "window", "confidence"):
         if stated.data is None:
             parser.error("state where the real data are")
         for title, names in ROWS.items():
-            folder, heading = (
-                stated.data / "real" / "kitti_object",
-                f"KITTI object {title}, every other ring in",
-            )
+            folder, heading = (stated.data / "real" / "kitti_object", f"KITTI object {title}, every other ring in")
             cases = [kitti(folder, name, window=stated.what == "window") for name in names]
             if stated.what == "confidence":
                 show_confidence(heading, cases, sky=False)

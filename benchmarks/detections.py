@@ -84,10 +84,7 @@ def drives_of(folder: Path) -> list[Drive]:
         sequence, labels = tracking.sequence(name), read_labels(path)
         pairs = tuple(
             DetectionPair(
-                sequence.boxes_3d(frame),
-                sequence.boxes_2d(frame),
-                sequence.camera,
-                sequence.camera_from_lidar,
+                sequence.boxes_3d(frame), sequence.boxes_2d(frame), sequence.camera, sequence.camera_from_lidar
             )
             for frame in range(sequence.frame_count)
         )
@@ -171,13 +168,7 @@ def table_of(pairs: Sequence[DetectionPair], fuse: Fuse) -> tuple[ObjectTable, f
     boxes, scores, corners, covariances = (np.concatenate(parts) for parts in zip(*fields, strict=True))
     numbers = np.array(frames, np.int64)
     table = ObjectTable(
-        numbers,
-        np.full(len(numbers), -1),
-        tuple(labels),
-        corners,
-        boxes,
-        scores=scores,
-        covariances=covariances,
+        numbers, np.full(len(numbers), -1), tuple(labels), corners, boxes, scores=scores, covariances=covariances
     )
     return table, freedom
 
@@ -221,12 +212,7 @@ def spread_of_calibration(results: dict[str, ObjectTable], drives: list[Drive], 
 
 
 def print_row(
-    name: str,
-    drives: list[Drive],
-    tables: dict[str, tuple[ObjectTable, float | None]],
-    label: str,
-    *,
-    inside: bool,
+    name: str, drives: list[Drive], tables: dict[str, tuple[ObjectTable, float | None]], label: str, *, inside: bool
 ) -> None:
     """Print the figures of one rule."""
     results = {key: table for key, (table, _) in tables.items()}
@@ -290,11 +276,7 @@ def tracked(drive: Drive, pairs: Sequence[DetectionPair], settings: ProjectionSe
             np.column_stack([np.cos(reported.yaws), np.sin(reported.yaws), np.zeros(len(reported))]) @ location.rotation
         )
         boxes = np.column_stack(
-            [
-                location.inverse().apply(reported.centers),
-                reported.sizes_lwh,
-                np.arctan2(heads[:, 1], heads[:, 0]),
-            ]
+            [location.inverse().apply(reported.centers), reported.sizes_lwh, np.arctan2(heads[:, 1], heads[:, 0])]
         )
         corners = np.nan_to_num(reported.corners_xyxy["camera"])
         parts.append((np.full(len(reported), frame, np.float64), corners, boxes, reported.scores))

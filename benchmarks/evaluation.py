@@ -82,11 +82,7 @@ def by_trackeval(location: Path) -> None:
         dataset = trackeval.datasets.Kitti2DBox(
             {"GT_FOLDER": str(location / "truth"), "TRACKERS_FOLDER": str(location / "results"), **quiet}
         )
-        metrics = [
-            trackeval.metrics.HOTA(),
-            trackeval.metrics.CLEAR({**quiet}),
-            trackeval.metrics.Identity({**quiet}),
-        ]
+        metrics = [trackeval.metrics.HOTA(), trackeval.metrics.CLEAR({**quiet}), trackeval.metrics.Identity({**quiet})]
         trackeval.Evaluator({**off, **quiet, "LOG_ON_ERROR": None}).evaluate([dataset], metrics)
 
 

@@ -192,10 +192,7 @@ def show_before(count, repetitions, checkout):
     """Ours beside another checkout, each in a process of its own."""
     sides = [Elsewhere(location, count) for location in (Path(__file__).parent.parent, checkout)]
     for name in CLOUDS:
-        for known_trajectory, words in (
-            (False, "lidar's trajectory unknown"),
-            (True, "lidar's trajectory known"),
-        ):
+        for known_trajectory, words in ((False, "lidar's trajectory unknown"), (True, "lidar's trajectory known")):
             runs = [
                 [
                     [side.spent(name, known_trajectory=known_trajectory) for _ in range(RUNS_A_ROTATION)]
@@ -206,10 +203,7 @@ def show_before(count, repetitions, checkout):
             rotations = np.median(np.array(runs)[1:, :, 1:], axis=2)  # the first of a rotation meets cold caches
             reported = [
                 f"{how} {ours:.1f} ms, before {theirs:.1f} ms, ratio {theirs / ours:.2f}"
-                for how, (ours, theirs) in (
-                    ("least", rotations.min(axis=0)),
-                    ("median", np.median(rotations, axis=0)),
-                )
+                for how, (ours, theirs) in (("least", rotations.min(axis=0)), ("median", np.median(rotations, axis=0)))
             ]
             print(f"{name}, {words}: {'; '.join(reported)} (aim 1.5)")
     for side in sides:

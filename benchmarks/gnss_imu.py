@@ -120,16 +120,8 @@ def print_kitti(folder: Path, seeds: int) -> None:
 
 DRIVES: dict[str, tuple[ImuSpec, GnssSpec, PathSpec]] = {
     "IMU 200 Hz, fixes 10 Hz of 0.4 m": (ImuSpec(), GnssSpec(), PathSpec()),
-    "fixes 1 Hz of 1.5 m": (
-        ImuSpec(),
-        GnssSpec(rate_hz=1.0, horizontal_sigma=1.5, vertical_sigma=3.0),
-        PathSpec(),
-    ),
-    "poor IMU, 100 Hz": (
-        ImuSpec(100.0, 0.01, 0.001, 0.1, 0.01),
-        GnssSpec(rate_hz=1.0),
-        PathSpec(),
-    ),
+    "fixes 1 Hz of 1.5 m": (ImuSpec(), GnssSpec(rate_hz=1.0, horizontal_sigma=1.5, vertical_sigma=3.0), PathSpec()),
+    "poor IMU, 100 Hz": (ImuSpec(100.0, 0.01, 0.001, 0.1, 0.01), GnssSpec(rate_hz=1.0), PathSpec()),
     "fast": (ImuSpec(), GnssSpec(rate_hz=5.0), PathSpec(speeds=(15.0, 30.0), yaw_rate=0.1)),
 }
 
@@ -181,10 +173,7 @@ def print_made_up(seeds: int, seconds: float) -> None:
             rows.append(judged(run, trajectory, truth, gnss))
         mean = np.mean(rows, axis=0)
         mean[[0, 1, 2, 3, 5, 6]] = np.sqrt(mean[[0, 1, 2, 3, 5, 6]])
-        print(
-            f"| {name} | " + " | ".join(f"{value:.4g}" for value in mean) + f" | {np.median(took):.2f} |",
-            flush=True,
-        )
+        print(f"| {name} | " + " | ".join(f"{value:.4g}" for value in mean) + f" | {np.median(took):.2f} |", flush=True)
 
 
 def main() -> None:

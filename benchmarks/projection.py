@@ -50,11 +50,7 @@ def project_with_numpy(points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarr
     x, y, z = (points @ matrix[:3, :3].T + matrix[:3, 3]).T
     u, v = distort(x / z, y / z)
     ids = inside_image(u, v, z)
-    return (
-        ids,
-        np.floor(v[ids] + 0.5).astype(np.int64) * WIDTH + np.floor(u[ids] + 0.5).astype(np.int64),
-        z[ids],
-    )
+    return (ids, np.floor(v[ids] + 0.5).astype(np.int64) * WIDTH + np.floor(u[ids] + 0.5).astype(np.int64), z[ids])
 
 
 def project_with_cv2(points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -67,21 +63,10 @@ def project_with_cv2(points: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray
     u, v = cv2.projectPoints(points, rotation, matrix[:3, 3], camera_model, np.array(CAMERA.coefficients))[0][:, 0].T
     z = points @ matrix[2, :3] + matrix[2, 3]
     ids = inside_image(u, v, z)
-    return (
-        ids,
-        np.floor(v[ids] + 0.5).astype(np.int64) * WIDTH + np.floor(u[ids] + 0.5).astype(np.int64),
-        z[ids],
-    )
+    return (ids, np.floor(v[ids] + 0.5).astype(np.int64) * WIDTH + np.floor(u[ids] + 0.5).astype(np.int64), z[ids])
 
 
-def draw(
-    ids: np.ndarray,
-    cells: np.ndarray,
-    depths: np.ndarray,
-    rgb: np.ndarray,
-    count: int,
-    seen: np.ndarray | None,
-):
+def draw(ids: np.ndarray, cells: np.ndarray, depths: np.ndarray, rgb: np.ndarray, count: int, seen: np.ndarray | None):
     """Depth image and colours; without `seen`, the nearest points of each pixel are seen."""
     depths = depths.astype(np.float32)
     image = np.full(HEIGHT * WIDTH, np.inf, np.float32)

@@ -67,10 +67,7 @@ def measure_scene(folder: Path, frames: int, latency: float) -> None:
     with Bucket(folder, latency) as bucket:
         scenes = []
         print(f"a scene file of {path.stat().st_size / 1e9:.2f} GB, {frames} frames:")
-        print(
-            "  opening   ",
-            counted(bucket, lambda: scenes.append(sceneloom.open(f"{bucket.address}/b/drive.sfs"))),
-        )
+        print("  opening   ", counted(bucket, lambda: scenes.append(sceneloom.open(f"{bucket.address}/b/drive.sfs"))))
         lidar = scenes[0].lidars[0]
         print("  one frame ", counted(bucket, lambda: lidar.frames[frames // 2].points.positions))
         scenes[0].close()
@@ -163,10 +160,7 @@ def write_film(folder: Path, images: int) -> None:
     """A recording with a video of noise that moves, in groups of 20 images."""
     folder.mkdir()
     camera_model = {"model": "pinhole", "focalLengthX": 900, "focalLengthY": 900}
-    camera = {
-        "cameraInd": 0,
-        "cameraParameters": {**camera_model, "principalPointX": 640, "principalPointY": 360},
-    }
+    camera = {"cameraInd": 0, "cameraParameters": {**camera_model, "principalPointX": 640, "principalPointY": 360}}
     lines = [json.dumps({"time": k / 10, "number": k, "frames": [camera]}) for k in range(images)]
     (folder / "data.jsonl").write_text("\n".join(lines) + "\n")
     noise = np.random.default_rng(0).integers(0, 256, (720, 1280, 3), np.uint8)
@@ -203,11 +197,7 @@ def measure_video(folder: Path, frames: int, latency: float) -> None:
         (camera,) = scenes[0].cameras
         print("  one image", counted(bucket, lambda: camera.images[middle].rgb))
         address = f"{bucket.address}/b/film/data.mp4"
-        print(
-            "  both       ",
-            counted(bucket, lambda: image_by_peer(address, middle / 10)),
-            "by PyAV on fsspec",
-        )
+        print("  both       ", counted(bucket, lambda: image_by_peer(address, middle / 10)), "by PyAV on fsspec")
         print("  all        ", counted(bucket, lambda: [image.rgb.shape for image in camera.images]))
         scenes[0].close()
 

@@ -147,10 +147,7 @@ def _call_properties(port, calls):
     value = fusion_pb2.Value(integer_value=10)
     requests = [
         ("GetProperty", fusion_pb2.GetPropertyRequest(name="camera_frequency").SerializeToString()),
-        (
-            "SetProperty",
-            fusion_pb2.SetPropertyRequest(name="camera_frequency", value=value).SerializeToString(),
-        ),
+        ("SetProperty", fusion_pb2.SetPropertyRequest(name="camera_frequency", value=value).SerializeToString()),
     ]
     taken = []
     with connect(port) as channel:

@@ -126,13 +126,7 @@ class Images:
 
     def __init__(self, width, height):
         pixels = np.random.default_rng(1).integers(0, 255, (height, width, 3), np.uint8)
-        self.fields = {
-            "height": height,
-            "width": width,
-            "encoding": "rgb8",
-            "channel": 3,
-            "data": pixels.tobytes(),
-        }
+        self.fields = {"height": height, "width": width, "encoding": "rgb8", "channel": 3, "data": pixels.tobytes()}
 
     def request(self, number, period_ns, session=""):
         image = fusion_pb2.ImageData(
@@ -244,11 +238,7 @@ class Exchange:
     def __init__(self, port, makers, number_of, *, count, period_s=0.0, window=4, streamed=False):
         """Start the senders; `number_of` gives a reply's sweep; `streamed`: by one call, not by one for each record."""
         context = multiprocessing.get_context("spawn")
-        self.begun, self.received, ready = (
-            context.Value("d", 0.0),
-            context.Value("q", 0),
-            context.Value("i", 0),
-        )
+        self.begun, self.received, ready = (context.Value("d", 0.0), context.Value("q", 0), context.Value("i", 0))
         self.count, self.period_s, self.number_of = count, period_s, number_of
         self.sent = [context.Array("d", count, lock=False) for _ in makers]
         self.processes = [

@@ -227,8 +227,7 @@ def measure_reading(folder: Path, megabytes: int, peer: str, runs: int) -> None:
     found = [run_program([sys.executable, "-c", OURS, str(path), str(small)]) for _ in range(runs)]
     seconds, memory = (min(values) for values in zip(*found, strict=True))
     print(
-        f"opening {megabytes} MB and one frame: {seconds * 1e3:.1f} ms, {memory / 1e6:.0f} MB more (limit 40)",
-        end="",
+        f"opening {megabytes} MB and one frame: {seconds * 1e3:.1f} ms, {memory / 1e6:.0f} MB more (limit 40)", end=""
     )
     if peer:
         theirs, their_memory = run_program([peer, "-c", PEER, "read", str(path)])

@@ -23,20 +23,12 @@ def make_street(count: int, *, azimuth_deg: float = 42) -> np.ndarray:
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
     )
     origin = LIDAR_WORLD
-    centers = [
-        (40, 14, 5),
-        (40, -12, 5),
-        (90, 0, 8),
-        *((x, y, 0.8) for x in range(7, 70, 7) for y in (-4.5, 4.5)),
-    ]
+    centers = [(40, 14, 5), (40, -12, 5), (90, 0, 8), *((x, y, 0.8) for x in range(7, 70, 7) for y in (-4.5, 4.5))]
     halves = [(80, 0.5, 9), (80, 0.5, 7), (0.5, 15, 8), *([(2.1, 0.9, 0.8)] * 18)]
     with np.errstate(divide="ignore"):
         ranges = np.where(rays[:, 2] < 0, -origin[2] / rays[:, 2], np.inf)
         for center, half in zip(centers, halves, strict=True):
-            enter, leave = (
-                (np.array(center) - half - origin) / rays,
-                (np.array(center) + half - origin) / rays,
-            )
+            enter, leave = ((np.array(center) - half - origin) / rays, (np.array(center) + half - origin) / rays)
             near, far = np.minimum(enter, leave).max(axis=1), np.maximum(enter, leave).min(axis=1)
             ranges = np.where((near < far) & (near > 0), np.minimum(ranges, near), ranges)
     hit = np.flatnonzero(ranges < 120)

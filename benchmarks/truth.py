@@ -196,12 +196,7 @@ def first_surface(
     directions = apart / ranges[:, None]
     rays = Rays.bundled(directions, bundles_by_direction(directions))
     hits = cast(
-        drive.truth.street,
-        rays,
-        np.eye(3)[None],
-        origin[None].copy(),
-        times_ns,
-        reach=float(ranges.max()) + 1.0,
+        drive.truth.street, rays, np.eye(3)[None], origin[None].copy(), times_ns, reach=float(ranges.max()) + 1.0
     )
     return origin + directions * np.where(hits.ranges == 0, ranges, hits.ranges)[:, None]
 

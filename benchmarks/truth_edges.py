@@ -94,11 +94,7 @@ class _Lines:
         """Azimuth, elevation [deg] and range [m] of locations, from where the lidar measured the points `ids`."""
         local = np.einsum("nji,nj->ni", self._rotations[ids], locations - self._origins[ids])
         ranges = np.linalg.norm(local, axis=1)
-        return (
-            np.degrees(np.arctan2(local[:, 1], local[:, 0])),
-            np.degrees(np.arcsin(local[:, 2] / ranges)),
-            ranges,
-        )
+        return (np.degrees(np.arctan2(local[:, 1], local[:, 0])), np.degrees(np.arcsin(local[:, 2] / ranges)), ranges)
 
     def met(self, rings: np.ndarray, azimuths: np.ndarray, near: np.ndarray, far: np.ndarray) -> np.ndarray:
         """Whether lines met something at a range, and nearer than halfway to what lies behind."""

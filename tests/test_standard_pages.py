@@ -78,11 +78,7 @@ def test_the_program_on_the_page_runs(page, tmp_path, monkeypatch, capsys):
 def test_the_program_on_the_page_imports_what_it_needs(page, tmp_path):
     program = re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)[1]
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-W", "error", "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("10.0 ('x', 'y', 'z'")

@@ -102,17 +102,7 @@ def test_a_module_imports_only_from_rows_below_its_own(modules_of_room):
 
 
 FORMAT_ROWS = (
-    (
-        "nuscenes",
-        "openlabel",
-        "colmap",
-        "nerfstudio",
-        "kitti",
-        "pandaset",
-        "argoverse2",
-        "euroc_mav",
-        "scale_toolkit",
-    ),
+    ("nuscenes", "openlabel", "colmap", "nerfstudio", "kitti", "pandaset", "argoverse2", "euroc_mav", "scale_toolkit"),
     ("sfs", "recording", "rig", "messages", "posed_images"),
     ("points",),
     ("trajectories", "video"),

@@ -20,10 +20,7 @@ ALLOWED = {
     ("sceneloom.formats.base.output", "read_bytes"): "of the running system",
     ("sceneloom.formats.remote.mirror", "open"): "of files that were fetched into a folder of our own",
     ("sceneloom.formats.remote.mirror", "read_bytes"): "the listing in a folder of our own",
-    (
-        "sceneloom.formats.remote.mirror",
-        "io.FileIO",
-    ): "of files that were fetched into a folder of our own",
+    ("sceneloom.formats.remote.mirror", "io.FileIO"): "of files that were fetched into a folder of our own",
     ("sceneloom.formats.remote.stores", "source.open"): "what was written is sent",
     ("sceneloom.formats.sfs.writer", "path.open"): "what was written before is put together",
     ("sceneloom.formats.base.images", "Image.open"): "after `check_regular`, or of bytes in memory",
@@ -45,10 +42,7 @@ ALLOWED = {
     ("sceneloom.catalog.storage", "pa.OSFile"): "what was drafted before, in a folder of our own",
     ("sceneloom.colouring.world_map", "np.load"): "what was written before, in a folder of our own",
     ("sceneloom.colouring.world_map", "np.fromfile"): "what was written before, in a folder of our own",
-    (
-        "sceneloom.pipeline.colouring",
-        "np.memmap",
-    ): "what was written before, in a folder of our own",
+    ("sceneloom.pipeline.colouring", "np.memmap"): "what was written before, in a folder of our own",
     ("sceneloom.kernels.cache", "read_bytes"): "an index of compiled kernels that was found in a folder",
     ("sceneloom.service.result_files", "ZipFile"): "for writing",
     ("sceneloom.view.images", "np.load"): "after `check_regular`",
@@ -68,10 +62,7 @@ def called(node: ast.Call) -> str:
 
 def mode_of(node: ast.Call, location: int) -> str | None:
     """The mode that a file is opened with, or None where the call says none that can be read here."""
-    given = [
-        *node.args[location : location + 1],
-        *(word.value for word in node.keywords if word.arg == "mode"),
-    ]
+    given = [*node.args[location : location + 1], *(word.value for word in node.keywords if word.arg == "mode")]
     if not given:
         return "r" if {word.arg for word in node.keywords} & {"encoding", "buffering"} else None
     return given[0].value if isinstance(given[0], ast.Constant) and isinstance(given[0].value, str) else None
@@ -107,21 +98,7 @@ def test_files_are_opened_by_the_one_function_that_refuses_pipes_and_devices(mod
 
 
 def test_what_opens_files_is_distinguished_from_what_does_not():
-    reading = [
-        "p.open('rb')",
-        "p.open(encoding='utf-8')",
-        "open(p)",
-        "open(p, 'rb')",
-        "a.b.read_bytes()",
-        "np.load(p)",
-    ]
-    other = [
-        "p.open('wb')",
-        "video.open()",
-        "open(p, 'xb')",
-        "read_bytes(p)",
-        "open_file(p)",
-        "form.open(path)",
-    ]
+    reading = ["p.open('rb')", "p.open(encoding='utf-8')", "open(p)", "open(p, 'rb')", "a.b.read_bytes()", "np.load(p)"]
+    other = ["p.open('wb')", "video.open()", "open(p, 'xb')", "read_bytes(p)", "open_file(p)", "form.open(path)"]
     assert all(opens_for_reading(ast.parse(text).body[0].value) for text in reading)
     assert not any(opens_for_reading(ast.parse(text).body[0].value) for text in other)

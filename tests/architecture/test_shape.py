@@ -4,30 +4,11 @@ import re
 
 import pytest
 
-REFUSED_NAMES = {
-    "util",
-    "utils",
-    "common",
-    "core",
-    "helper",
-    "helpers",
-    "misc",
-    "manager",
-    "managers",
-    "tools",
-}
+REFUSED_NAMES = {"util", "utils", "common", "core", "helper", "helpers", "misc", "manager", "managers", "tools"}
 LARGEST_FILE = 1_000_000
 
 MACHINE_PATHS = re.compile(r"(?<![\w.~$}-])/(?:root|work|home|Users|mnt|data|scratch)/\w")
-HOSTS = (
-    "pypi.org",
-    "pythonhosted.org",
-    "conda.anaconda.org",
-    "index-url",
-    "find-links",
-    "artifactory",
-    "nexus",
-)
+HOSTS = ("pypi.org", "pythonhosted.org", "conda.anaconda.org", "index-url", "find-links", "artifactory", "nexus")
 QUOTES_THE_HOSTS = "tests/architecture/test_shape.py"
 
 

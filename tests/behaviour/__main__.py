@@ -121,12 +121,7 @@ def run_all(names: list[str]) -> dict[str, Any]:
             for future in done:
                 name = running.pop(future)
                 problem = future.exception()
-                nothing = {
-                    "code": -1,
-                    "printed": {},
-                    "written": {},
-                    "ended": f"cannot be measured: {problem!r}",
-                }
+                nothing = {"code": -1, "printed": {}, "written": {}, "ended": f"cannot be measured: {problem!r}"}
                 found[name] = nothing if problem else future.result()
                 ended = found[name]["ended"]
                 sys.stderr.write(f"{len(found)}/{len(wanted)} {name}: exit {found[name]['code']} {ended}\n")

@@ -160,10 +160,7 @@ COMMANDS: tuple[Command, ...] = (
             ("npz", "drive", ""),
         )
     ),
-    _command(
-        "from_argoverse2",
-        "convert {data}/real/argoverse2/7fab2350-7eaf-3b7e-a39d-6937a4c1bede {out}/drive.sfs",
-    ),
+    _command("from_argoverse2", "convert {data}/real/argoverse2/7fab2350-7eaf-3b7e-a39d-6937a4c1bede {out}/drive.sfs"),
     _command("from_scale_toolkit", "convert {data}/real/pandaset_scale_sample {out}/drive.sfs"),
     _command("from_kitti", "convert {data}/real/kitti_object {out}/drive.sfs"),
     # fused, coloured, followed, drawn
@@ -192,8 +189,7 @@ COMMANDS: tuple[Command, ...] = (
     # judged
     _command("eval_trajectory", "eval trajectory {to_tum}/drive.tum {to_csv}/drive.csv"),
     _command(
-        "eval_detection",
-        "eval detection {fuse_detections}/fused {data}/real/kitti_tracking/label_02 --sequence 0012",
+        "eval_detection", "eval detection {fuse_detections}/fused {data}/real/kitti_tracking/label_02 --sequence 0012"
     ),
     _command("eval_tracking", "eval tracking {track}/results {data}/real/kitti_tracking/label_02 --sequence 0012"),
     _command("sync", f"sync {_PANDASET}"),
@@ -249,21 +245,12 @@ COMMANDS: tuple[Command, ...] = (
         "fuse {inputs}/drive.sfs --type detection --boxes3d {inputs}/boxes3d.jsonl"
         " --boxes2d {inputs}/boxes2d.jsonl -o {out}/objects.jsonl",
     ),
-    _command(
-        "track_boxes",
-        "track {inputs}/drive.sfs --boxes3d {inputs}/boxes3d.jsonl -o {out}/tracks.sfs --offline",
-    ),
-    _command(
-        "fuse_drive",
-        "fuse {inputs}/drive.sfs -o {out}/drive.sfs --algorithm blending --visualize {out}/drawn",
-    ),
+    _command("track_boxes", "track {inputs}/drive.sfs --boxes3d {inputs}/boxes3d.jsonl -o {out}/tracks.sfs --offline"),
+    _command("fuse_drive", "fuse {inputs}/drive.sfs -o {out}/drive.sfs --algorithm blending --visualize {out}/drawn"),
     _command("fuse_gnss", "fuse {inputs}/drive.sfs -o {out}/drive.sfs --trajectory gnss"),
     # many drives
     _command("batch", f"batch convert {_KITTI} {_PANDASET} -o {{out}}/all --to mcap {_SHORT}"),
-    _command(
-        "batch_fuse",
-        f"batch fuse {_KITTI} {{inputs}}/drive.sfs -o {{out}}/all {_SHORT} --trajectory identity",
-    ),
+    _command("batch_fuse", f"batch fuse {_KITTI} {{inputs}}/drive.sfs -o {{out}}/all {_SHORT} --trajectory identity"),
     _command("batch_validate", "batch validate {inputs}/drive.sfs {inputs}/cut.sfs -o {out}/all"),
     _command("batch_track", "batch track {data}/real/kitti_tracking -o {out}/all --sequence 0012"),
     _command("batch_report", "batch report {inputs}/drive.sfs -o {out}/all --quick"),
@@ -271,8 +258,7 @@ COMMANDS: tuple[Command, ...] = (
     _command("catalog", "catalog build {to_sfs}/drive.sfs {inputs}/drive.sfs -o {out}/catalogue"),
     _command("catalog_query", "catalog query {catalog}/catalogue --label car"),
     _command(
-        "catalog_update",
-        "catalog build {to_sfs}/drive.sfs -o {out}/all && catalog update {out}/all {inputs}/drive.sfs",
+        "catalog_update", "catalog build {to_sfs}/drive.sfs -o {out}/all && catalog update {out}/all {inputs}/drive.sfs"
     ),
     # the service
     _command("conformance", "conformance {address}"),

@@ -22,32 +22,8 @@ Found = dict[str, Any]
 
 _SILENT = frozenset(
     {"seconds", "stages", "took", "elapsed", "size_bytes", "bytes", "peak_memory", "memory", "cpu_seconds"}
-    | {
-        "path",
-        "paths",
-        "file",
-        "files",
-        "source",
-        "target",
-        "output",
-        "outputs",
-        "url",
-        "host",
-        "python",
-        "platform",
-    }
-    | {
-        "warnings",
-        "message",
-        "messages",
-        "summary",
-        "text",
-        "texts",
-        "title",
-        "description",
-        "version",
-        "generator",
-    }
+    | {"path", "paths", "file", "files", "source", "target", "output", "outputs", "url", "host", "python", "platform"}
+    | {"warnings", "message", "messages", "summary", "text", "texts", "title", "description", "version", "generator"}
     | {"address", "port", "pid", "per_second", "mtime_ns", "processors", "stated"}
     | {"created", "modified", "progress", "started", "finished"}
 )

@@ -195,9 +195,7 @@ def test_points_come_with_brightness_and_times_in_their_unit(scene):
 
 def test_fixed_transforms_are_mountings_and_moving_ones_the_ego_trajectory(scene):
     np.testing.assert_allclose(
-        scene.sensor("top").mount.matrix,
-        [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]],
-        atol=1e-15,
+        scene.sensor("top").mount.matrix, [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]], atol=1e-15
     )
     # forward of the camera is x of the car
     np.testing.assert_allclose(scene.sensor("front").mount.rotate(np.array([0, 0, 1.0])), [1, 0, 0], atol=1e-15)

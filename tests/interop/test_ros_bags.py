@@ -117,17 +117,7 @@ class Bag:
         self.add(topic, name, self.make(name, [timestamped]), timestamp_ns)
 
     def cloud(
-        self,
-        topic,
-        timestamp_ns,
-        frame,
-        table,
-        *,
-        received_ns=None,
-        step=None,
-        order="<",
-        height=1,
-        offsets=None,
+        self, topic, timestamp_ns, frame, table, *, received_ns=None, step=None, order="<", height=1, offsets=None
     ):
         offsets = offsets or {}
         fields = [
@@ -192,13 +182,7 @@ def drive(path, kind, **options):
                 jpeg,
             )
             bag.camera_model("/front/camera_info", timestamp, "camera", "equidistant", [0.1, 0.02, 0.003, 0.0004])
-            bag.image(
-                "/depth/image",
-                timestamp,
-                "camera",
-                "32FC1",
-                np.linspace(1, 5, 96, dtype="<f4").reshape(8, 12),
-            )
+            bag.image("/depth/image", timestamp, "camera", "32FC1", np.linspace(1, 5, 96, dtype="<f4").reshape(8, 12))
             bag.send("/imu/data", "sensor_msgs/msg/Imu", timestamp, "imu", bag.rotation(0, 0, 0, 1), np.full(9, -1.0),
                      bag.vector(0.1, 0.2, 0.3), np.zeros(9), bag.vector(1, 2, 9.8), np.zeros(9))  # fmt: skip
             bag.send("/gps/fix", "sensor_msgs/msg/NavSatFix", timestamp, "base_link",
@@ -443,13 +427,7 @@ def test_what_we_write_rosbags_reads(name, options, tmp_path):
         )
         np.testing.assert_array_equal(np.stack([table[a] for a in "xyz"], axis=1), lidar.frames[0].points.positions)
     names = {type(message).__name__ for _, _, message in found}
-    assert {n.rpartition("__")[2] for n in names} >= {
-        "TFMessage",
-        "CameraInfo",
-        "Imu",
-        "NavSatFix",
-        "Odometry",
-    }
+    assert {n.rpartition("__")[2] for n in names} >= {"TFMessage", "CameraInfo", "Imu", "NavSatFix", "Odometry"}
     assert find_format(path).name == ("ros1" if name.endswith(".bag") else "ros2")
 
 
@@ -607,11 +585,7 @@ def test_timestamps_of_two_clocks_are_refused_unless_one_is_chosen(tmp_path):
         sceneloom.open(bag.path)
     for options in ({"lenient": True}, {"timestamps": "receive"}):
         with sceneloom.open(bag.path, **options) as scene:
-            assert (scene.cameras[0].images.timestamps_ns - EPOCH_NS).tolist() == [
-                0,
-                PERIOD_NS,
-                2 * PERIOD_NS,
-            ]
+            assert (scene.cameras[0].images.timestamps_ns - EPOCH_NS).tolist() == [0, PERIOD_NS, 2 * PERIOD_NS]
     with sceneloom.open(bag.path, timestamps="header") as scene:
         assert scene.cameras[0].images.timestamps_ns[0] == 5 * 10**9
     with pytest.raises(OptionError, match="header, receive"):

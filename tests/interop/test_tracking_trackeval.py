@@ -119,11 +119,7 @@ def theirs(sides):
     off = dict.fromkeys(("PRINT_RESULTS", "OUTPUT_SUMMARY", "OUTPUT_DETAILED", "PLOT_CURVES", "TIME_PROGRESS"), False)
     with contextlib.redirect_stdout(io.StringIO()):
         dataset = trackeval.datasets.Kitti2DBox({"GT_FOLDER": str(truth), "TRACKERS_FOLDER": str(results), **quiet})
-        metrics = [
-            trackeval.metrics.HOTA(),
-            trackeval.metrics.CLEAR({**quiet}),
-            trackeval.metrics.Identity({**quiet}),
-        ]
+        metrics = [trackeval.metrics.HOTA(), trackeval.metrics.CLEAR({**quiet}), trackeval.metrics.Identity({**quiet})]
         evaluator = trackeval.Evaluator({**off, **quiet, "LOG_ON_ERROR": None})
         reported, _ = evaluator.evaluate([dataset], metrics)
     return reported["Kitti2DBox"]["greedy"]
@@ -149,10 +145,7 @@ def test_figures_are_those_of_trackeval(ours, theirs, label, family):
         scores, expected = getattr(reported, family), theirs[sequence][label][name]
         for figure, their_name in figures.items():
             # both add the same numbers in another order
-            assert getattr(scores, figure) == pytest.approx(np.mean(expected[their_name]), abs=1e-9), (
-                sequence,
-                figure,
-            )
+            assert getattr(scores, figure) == pytest.approx(np.mean(expected[their_name]), abs=1e-9), (sequence, figure)
 
 
 @pytest.mark.parametrize("label", ["car", "pedestrian"])

@@ -67,12 +67,7 @@ def a_file():
                     {"timestamp": 100_000, "points": points},
                 ],
             },
-            {
-                "id": 7,
-                "type": "radar",
-                "poses": deepcopy(POSES),
-                "frames": [{"timestamp": 0, "points": echoes}],
-            },
+            {"id": 7, "type": "radar", "poses": deepcopy(POSES), "frames": [{"timestamp": 0, "points": echoes}]},
             {
                 "id": "front",
                 "type": "camera",
@@ -97,19 +92,10 @@ def a_file():
                 "stationary": False,
                 "path": {"timestamps": [0, 50_000], "values": [row, row]},
                 "attributes": [attribute],
-                "activations": [
-                    {"sensor_id": "top", "timestamps": [0], "durations": [1.5], "cuboids": [row]},
-                ],
-                "projections": [
-                    {"sensor_id": "front", "timestamps": [0, 1], "boxes": [[1, 1, 2, 2], None]},
-                ],
+                "activations": [{"sensor_id": "top", "timestamps": [0], "durations": [1.5], "cuboids": [row]}],
+                "projections": [{"sensor_id": "front", "timestamps": [0, 1], "boxes": [[1, 1, 2, 2], None]}],
             },
-            {
-                "id": "b",
-                "type": "box_2d",
-                "sensor_id": "front",
-                "path": {"timestamps": [0], "values": [[1, 1, 2, 2]]},
-            },
+            {"id": "b", "type": "box_2d", "sensor_id": "front", "path": {"timestamps": [0], "values": [[1, 1, 2, 2]]}},
             {
                 "id": "p2",
                 "type": "polygon_2d",
@@ -162,10 +148,7 @@ REFUSED = {
     "metadata that are a list": (("metadata",), []),
     "a float attribute of the scene": (("attributes", 0, "values"), ["parked", 3.5]),
     "an attribute of the scene without times": (("attributes", 0, "timestamps"), GONE),
-    "a points sensor": (
-        RADAR,
-        {"id": "map", "type": "points", "points": {"positions": np.ones((2, 3), np.float32)}},
-    ),
+    "a points sensor": (RADAR, {"id": "map", "type": "points", "points": {"positions": np.ones((2, 3), np.float32)}}),
     "an odometry sensor": (RADAR, {"id": "ego", "type": "odometry", "poses": deepcopy(POSES)}),
     "a sensor of another type": (RADAR, {"id": "s", "type": "sonar", "poses": deepcopy(POSES)}),
     "a sensor without a type": ((*RADAR, "type"), GONE),
@@ -247,10 +230,7 @@ REFUSED = {
         CAR,
         {"id": "l", "type": "link", "label": "tows", "is_bidirectional": False, "from_id": "b", "to_id": "o"},
     ),
-    "a camera calibration": (
-        CAR,
-        {"id": "cc", "type": "camera_calibration", "sensor_id": "front", "time_offset": 3},
-    ),
+    "a camera calibration": (CAR, {"id": "cc", "type": "camera_calibration", "sensor_id": "front", "time_offset": 3}),
     "an annotation of another type": (CAR, {"id": "x", "type": "spline"}),
     "an event without a start": (("annotations", 5, "start"), GONE),
     "an event of a float duration": (("annotations", 5, "duration"), 0.5),

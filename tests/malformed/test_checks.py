@@ -74,15 +74,10 @@ def odd_annotations(draw):
         ),
         Box2DAnnotation("box", names[0], BoxPath(times, rows(draw, count, 4)), parent_id="cuboid"),
         ShapeAnnotation(
-            "s3",
-            draw(st.sampled_from([ShapeType.POLYGON, ShapeType.POLYGON_TOPDOWN])),
-            VertexPath(times, outlines),
+            "s3", draw(st.sampled_from([ShapeType.POLYGON, ShapeType.POLYGON_TOPDOWN])), VertexPath(times, outlines)
         ),
         ShapeAnnotation(
-            "s2",
-            ShapeType.POLYGON_2D,
-            VertexPath(times, tuple(o[:, :2] for o in outlines)),
-            sensor_id=names[1],
+            "s2", ShapeType.POLYGON_2D, VertexPath(times, tuple(o[:, :2] for o in outlines)), sensor_id=names[1]
         ),
         PointsAnnotation(
             "points",

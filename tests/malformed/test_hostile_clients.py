@@ -152,14 +152,7 @@ def calibration(**changed):
 
 
 def image(seq, now, **changed):
-    fields = {
-        "sensor_id": 1,
-        "timestamp": now,
-        "seq": seq,
-        "height": HEIGHT,
-        "width": WIDTH,
-        "encoding": "rgb8",
-    }
+    fields = {"sensor_id": 1, "timestamp": now, "seq": seq, "height": HEIGHT, "width": WIDTH, "encoding": "rgb8"}
     fields |= {"channel": 3, "data": bytes(range(256)) * (HEIGHT * WIDTH * 3 // 256)}
     return fusion_pb2.ImageData(**fields | changed)
 
@@ -184,11 +177,7 @@ def boxes_3d(seq, now):
 
 def boxes_2d(seq, now):
     box = fusion_pb2.Box2d(
-        **{"id": 6, "class": "Car", "image_seq": seq, "confidence": 0.9, "timestamp": now},
-        x1=28,
-        y1=21,
-        x2=35,
-        y2=26,
+        **{"id": 6, "class": "Car", "image_seq": seq, "confidence": 0.9, "timestamp": now}, x1=28, y1=21, x2=35, y2=26
     )
     return fusion_pb2.Boxes2d(sensor_id=1, seq=seq, timestamp=now, boxes=[box])
 
@@ -213,11 +202,7 @@ def seeds(rig):
             made("SetProperty", name="lidar_coordinate", value=value(list_value=listed)),
             made("SetProperty", name="queue_length", value=value(integer_value=8)),
             made("SetProperty", name="camera_models", value=value(string_value=json.dumps({"1": camera_model}))),
-            made(
-                "SetProperty",
-                name="sensors",
-                value=value(string_value='{"1": {"kind": "camera", "raw": "png"}}'),
-            ),
+            made("SetProperty", name="sensors", value=value(string_value='{"1": {"kind": "camera", "raw": "png"}}')),
             made("SetProperty", name="pairing_tolerance_ms", value=value(number_value=5.0)),
         ],
         "GetProperty": [made("GetProperty", name="chirality")],
@@ -378,21 +363,10 @@ def test_images_that_declare_more_pixels_than_a_session_may_have_are_refused(ser
     huge = calibration(image_size=(100_000, 10_000))
     status = rig("SetCalibration", calibration=huge, camera_id=1)
     assert (status.status, status.cause) == (0, "too-many")
-    for changed in (
-        {"height": 31_250, "width": 32_000},
-        {"height": 2**31},
-        {"encoding": "png", "width": 10**9},
-    ):
+    for changed in ({"height": 31_250, "width": 32_000}, {"height": 2**31}, {"encoding": "png", "width": 10**9}):
         assert rig.send(image=image(1, timestamp(0), **changed)).cause == "bad-record"
     assert rig("AddProperty", name="camera_models", type="string").status == 1
-    camera_model = {
-        "model": "pinhole",
-        "image_size": [31_250, 32_000],
-        "fx": 50,
-        "fy": 50,
-        "cx": 31,
-        "cy": 23,
-    }
+    camera_model = {"model": "pinhole", "image_size": [31_250, 32_000], "fx": 50, "fy": 50, "cx": 31, "cy": 23}
     for size in ([31_250, 32_000], [10**400, 1], [1e400, 2], [True, 2]):
         content = fusion_pb2.Value(
             string_value=json.dumps({"1": camera_model | {"image_size": size}, "2": camera_model | {"fx": 10**400}})
@@ -564,10 +538,7 @@ def test_messages_of_very_many_parts_are_refused_before_they_are_taken_apart(ser
     rig, other = rigs
     before = server.peak()
     count = 18_000_000 if kind == "too large" else 6_000_000
-    values, sensors = (
-        enclosed(2, enclosed(6, b"\x0a\x00" * count)),
-        rig.request("SetProperty", name="sensors"),
-    )
+    values, sensors = (enclosed(2, enclosed(6, b"\x0a\x00" * count)), rig.request("SetProperty", name="sensors"))
     requests = {
         "values": ("SetProperty", sensors, values),
         "boxes": ("Send", rig.request("Send"), enclosed(4, b"\x22\x00" * count)),

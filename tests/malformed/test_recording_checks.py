@@ -128,10 +128,7 @@ def mutated_lines(draw: Any) -> list[str]:
     return texts
 
 
-@settings(
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(texts=mutated_lines())
 def test_changed_lines_give_a_report(tmp_path, texts):
     assert isinstance(validate(write(tmp_path / "drive", texts), locations=None), ValidationReport)
@@ -141,10 +138,7 @@ def test_changed_lines_give_a_report(tmp_path, texts):
 def scaled_streams(draw: Any) -> list[str]:
     """All values of a stream odd at once, and all its times."""
     name = draw(st.sampled_from(["sensor", "gps", "groundTruth", "barometer", "frames"]))
-    factor, shift = (
-        draw(st.sampled_from([0.0, 1e-300, -1.0, 1e9, 1e308])),
-        draw(st.sampled_from([0, 1e-10, 1e8])),
-    )
+    factor, shift = (draw(st.sampled_from([0.0, 1e-300, -1.0, 1e9, 1e308])), draw(st.sampled_from([0, 1e-10, 1e8])))
     slowness = draw(st.sampled_from([0.0, 1e-12, 1.0, -1.0, 1e6]))
 
     def scaled(value: Any) -> Any:
@@ -162,19 +156,13 @@ def scaled_streams(draw: Any) -> list[str]:
     ]
 
 
-@settings(
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(texts=scaled_streams())
 def test_streams_of_absurd_numbers_give_a_report(tmp_path, texts):
     assert isinstance(validate(write(tmp_path / "drive", texts), locations=None), ValidationReport)
 
 
-@settings(
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_a_changed_calibration_gives_a_report(tmp_path, data):
     changed = with_odd_value(data.draw, CALIBRATION)

@@ -79,8 +79,7 @@ def look(path: Path) -> None:
 
 @QUICK
 @given(
-    st.dictionaries(FIELDS, JSON | MATRICES, max_size=3),
-    st.dictionaries(CAMERA_FIELDS, JSON | MATRICES, max_size=3),
+    st.dictionaries(FIELDS, JSON | MATRICES, max_size=3), st.dictionaries(CAMERA_FIELDS, JSON | MATRICES, max_size=3)
 )
 def test_any_calibration(drive, fields, camera):
     content = {"cameras": [{**CAMERA_MODEL, **camera}], **fields}

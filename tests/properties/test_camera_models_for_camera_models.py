@@ -9,18 +9,7 @@ from sceneloom.cameras import MODELS, Camera, Undistortion, fit, project_unbound
 from sceneloom.errors import CalibrationError
 
 SMALL = (64, 48)
-LARGEST = {
-    "k": 0.05,
-    "p": 0.01,
-    "l": 0.02,
-    "s": 0.01,
-    "t": 0.1,
-    "d": 0.5,
-    "i": 1.0,
-    "m": 0.02,
-    "j": 1.0,
-    "x": 2.0,
-}
+LARGEST = {"k": 0.05, "p": 0.01, "l": 0.02, "s": 0.01, "t": 0.1, "d": 0.5, "i": 1.0, "m": 0.02, "j": 1.0, "x": 2.0}
 """By first letter, how large a coefficient may be."""
 IN_PIXELS = ((0.0, 0.0), (25.0, 60.0), (-3.0, 3.0), (-3.0, 3.0), (-1.0, 1.0))
 """Ranges of the coefficients of `ftheta`."""

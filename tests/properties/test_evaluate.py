@@ -37,10 +37,7 @@ def moved(trajectory: Trajectory, world: Rotation, shift: np.ndarray, scale: flo
     """The same way in another world."""
     rotations = (world * Rotation.from_quat(trajectory.quaternions_xyzw)).as_quat()
     return Trajectory(
-        trajectory.name,
-        trajectory.timestamps_ns,
-        scale * world.apply(trajectory.positions) + shift,
-        rotations,
+        trajectory.name, trajectory.timestamps_ns, scale * world.apply(trajectory.positions) + shift, rotations
     )
 
 

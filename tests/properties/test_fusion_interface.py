@@ -23,17 +23,9 @@ RESTART_NS = 2_000 * MS
 CLOCK_JUMP_NS = 10_000 * MS
 FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
 CALIBRATION = CalibrationData(
-    image_size=(2, 1),
-    intrinsic_matrix=(2.0, 0, 0.5, 0, 2.0, 0, 0, 0, 1),
-    reference_frame=0,
-    extrinsic_matrix=FORWARD,
+    image_size=(2, 1), intrinsic_matrix=(2.0, 0, 0.5, 0, 2.0, 0, 0, 0, 1), reference_frame=0, extrinsic_matrix=FORWARD
 )
-TYPES = {
-    "bool": (0, 1, 2),
-    "uint32": (7, 2**32, -1),
-    "string": ("a", 3),
-    "(int8, int8)": ((1, -2), (1,), (1, 300)),
-}
+TYPES = {"bool": (0, 1, 2), "uint32": (7, 2**32, -1), "string": ("a", 3), "(int8, int8)": ((1, -2), (1,), (1, 300))}
 """Types, and values of which the first ones fit."""
 FITTING = {"bool": 2, "uint32": 1, "string": 1, "(int8, int8)": 1}
 
@@ -47,25 +39,12 @@ def record(kind, time_ns, seq):
     if kind == "image":
         pixels = np.zeros(6, np.uint8)
         return ImageData(
-            sensor_id=1,
-            timestamp=timestamp,
-            seq=seq,
-            height=1,
-            width=2,
-            encoding="rgb8",
-            channel=3,
-            data=pixels,
+            sensor_id=1, timestamp=timestamp, seq=seq, height=1, width=2, encoding="rgb8", channel=3, data=pixels
         )
     if kind == "points":
         points = np.array([5.0, 0, 0], np.float32)
         return PointCloudData(
-            sensor_id=0,
-            timestamp=timestamp,
-            seq=seq,
-            number=1,
-            fields=("x", "y", "z"),
-            fields_number=3,
-            data=points,
+            sensor_id=0, timestamp=timestamp, seq=seq, number=1, fields=("x", "y", "z"), fields_number=3, data=points
         )
     return Boxes2d.empty(1, seq, timestamp) if kind == "boxes_2d" else Boxes3d.empty(0, seq, timestamp)
 
@@ -112,10 +91,7 @@ class Clause5(RuleBasedStateMachine):
         if hasattr(self, "fusion"):
             self.fusion.close()
 
-    @rule(
-        name=st.sampled_from(["frequency", "mood", "chirality"]),
-        type=st.sampled_from([*TYPES, "float16", "int8["]),
-    )
+    @rule(name=st.sampled_from(["frequency", "mood", "chirality"]), type=st.sampled_from([*TYPES, "float16", "int8["]))
     def add(self, name, type):
         expected = name not in {*self.added, "chirality"} and type in TYPES
         assert self.fusion.add_property(name, "", type).status == int(expected)
@@ -141,11 +117,7 @@ class Clause5(RuleBasedStateMachine):
             with pytest.raises(OptionError, match=name):
                 self.fusion.get_property(name)
 
-    @rule(
-        tolerance=st.sampled_from([0.0, 30.0]),
-        timeout=st.sampled_from([0, 100, 400]),
-        type=st.sampled_from([0, 1]),
-    )
+    @rule(tolerance=st.sampled_from([0.0, 30.0]), timeout=st.sampled_from([0, 100, 400]), type=st.sampled_from([0, 1]))
     def configure(self, tolerance, timeout, type):
         assert self.fusion.set_property("pairing_tolerance_ms", tolerance)
         assert self.fusion.set_property("pairing_timeout_ms", timeout)
@@ -186,10 +158,7 @@ class Clause5(RuleBasedStateMachine):
             assert (str(found[name].type), found[name].value) == (type, value)
 
     @rule(
-        kind=st.sampled_from(KINDS),
-        step=st.integers(0, 150),
-        late=st.sampled_from([0, 40, 130]),
-        again=st.booleans(),
+        kind=st.sampled_from(KINDS), step=st.integers(0, 150), late=st.sampled_from([0, 40, 130]), again=st.booleans()
     )
     def send(self, kind, step, late, again):
         self.now_ns += step * MS
@@ -267,10 +236,7 @@ Clause5.TestCase.settings = settings(
 TestClause5 = Clause5.TestCase
 
 SENDS = st.tuples(
-    st.sampled_from(KINDS),
-    st.integers(-120, 250),
-    st.integers(0, 12),
-    st.sampled_from([0, 0, 0, 0, 10**8, -(10**8)]),
+    st.sampled_from(KINDS), st.integers(-120, 250), st.integers(0, 12), st.sampled_from([0, 0, 0, 0, 10**8, -(10**8)])
 )
 
 
@@ -290,12 +256,7 @@ class FailsNowAndThen:
 @pytest.mark.parametrize("inline", [True, False])
 @pytest.mark.parametrize("policy", ["drop-oldest", "refuse"])
 @settings(max_examples=15)
-@given(
-    sends=st.lists(SENDS, max_size=60),
-    most=st.integers(1, 4),
-    failing=st.booleans(),
-    flushes=st.integers(5, 40),
-)
+@given(sends=st.lists(SENDS, max_size=60), most=st.integers(1, 4), failing=st.booleans(), flushes=st.integers(5, 40))
 def test_every_record_is_accounted_for(inline, policy, sends, most, failing, flushes):
     taken, refused = Counter(), Counter()
     fusion = FusionInterface(inline=inline)

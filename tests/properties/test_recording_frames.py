@@ -43,13 +43,7 @@ def camera_models(draw: st.DrawFn) -> dict[str, Any]:
     coefficients = st.floats(-0.01, 0.01)
     name, count = draw(
         st.sampled_from(
-            [
-                ("KANNALA_BRANDT4", 4),
-                ("kannala-brandt4", 0),
-                ("brown-conrady", 5),
-                ("PINHOLE", 3),
-                ("pinhole", 0),
-            ]
+            [("KANNALA_BRANDT4", 4), ("kannala-brandt4", 0), ("brown-conrady", 5), ("PINHOLE", 3), ("pinhole", 0)]
         )
     )
     whole = {

@@ -181,10 +181,7 @@ def test_lines_are_written_as_they_were(drive):
 EVERY_KIND: list[dict[str, Any]] = [
     {"sdkVersion": "1.5"},
     {"sensor": {"type": "gyroscope", "values": [1, 2.5, -3]}, "time": 0.30000000000000004},
-    {
-        "time": 0.30000000000000004,
-        "sensor": {"type": "accelerometer", "values": [1, 2, 3], "temperature": 40},
-    },
+    {"time": 0.30000000000000004, "sensor": {"type": "accelerometer", "values": [1, 2, 3], "temperature": 40}},
     {"sensor": {"type": "gyroscope", "values": [1, 2.5, 4]}, "time": 0.30000000000000004, "note": None},
     {"gps": {"longitude": 25, "latitude": 60, "altitude": 14.2}, "time": 0.5},
     {"rtkgps": {"latitude": 60, "longitude": 25, "altitude": 14.1, "accuracy": 0.02}, "time": 0.5},

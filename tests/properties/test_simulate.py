@@ -25,10 +25,7 @@ def shapes(draw):
     rotation = Rotation.from_rotvec(draw(triples)).as_matrix()
     center = np.add(draw(triples), [0, 0, 40.0])
     return Shape(
-        draw(st.sampled_from(ShapeKind)),
-        RigidTransform(rotation, center),
-        draw(st.tuples(sizes, sizes, sizes)),
-        PLAIN,
+        draw(st.sampled_from(ShapeKind)), RigidTransform(rotation, center), draw(st.tuples(sizes, sizes, sizes)), PLAIN
     )
 
 

@@ -49,10 +49,7 @@ def test_a_rosette_stays_between_its_least_and_its_greatest_bend(fov_deg, rotati
 
 
 @given(
-    height=st.integers(2, 50),
-    width=st.integers(2, 50),
-    readout_ns=st.integers(1, 10**8),
-    left_to_right=st.booleans(),
+    height=st.integers(2, 50), width=st.integers(2, 50), readout_ns=st.integers(1, 10**8), left_to_right=st.booleans()
 )
 def test_the_lines_of_a_shutter_lie_evenly_around_the_images_time(height, width, readout_ns, left_to_right):
     camera = Camera("pinhole", width, height, 30.0, 30.0, 10.0, 10.0)

@@ -56,9 +56,7 @@ def guarded(shape, dtype, value):
 @given(
     points=clouds,
     ids=hnp.arrays(
-        np.int64,
-        st.integers(0, 50),
-        elements=st.one_of(st.integers(-3, 45), st.integers(-(2**63), 2**63 - 1)),
+        np.int64, st.integers(0, 50), elements=st.one_of(st.integers(-3, 45), st.integers(-(2**63), 2**63 - 1))
     ),
 )
 def test_directions_of_any_points_stay_in_the_map_and_in_the_outputs(points, ids):
@@ -148,12 +146,7 @@ def test_any_cloud_can_be_fused(points, size, enabled):
     camera = Camera("pinhole", *size, 20.0, 20.0, (size[0] - 1) / 2, (size[1] - 1) / 2)
     rgb = np.full((size[1], size[0], 3), 3, np.uint8)
     request = ViewRequest(
-        camera_id=0,
-        camera_index=0,
-        camera=camera,
-        timestamp_ns=0,
-        world_from_camera=RigidTransform.identity(),
-        rgb=rgb,
+        camera_id=0, camera_index=0, camera=camera, timestamp_ns=0, world_from_camera=RigidTransform.identity(), rgb=rgb
     )
     fused = fuse_by_projection(points, [request], VisibilitySettings(enabled=enabled))
     view = fused.views[0]

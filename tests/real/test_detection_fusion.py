@@ -85,10 +85,7 @@ def read_drive(folder: Path, sequence: str) -> Drive:
             tuple(c for _, c in rows_2d),
         )
         boxes_3d = boxes_in_lidar(
-            [row[7:14] for row, _ in rows_3d],
-            [row[6] for row, _ in rows_3d],
-            [c for _, c in rows_3d],
-            rectified,
+            [row[7:14] for row, _ in rows_3d], [row[6] for row, _ in rows_3d], [c for _, c in rows_3d], rectified
         )
         pairs.append(DetectionPair(boxes_3d, boxes_2d, camera, camera_from_lidar))
         own = [row for row in labels if int(row[0]) == frame]
@@ -99,11 +96,7 @@ def read_drive(folder: Path, sequence: str) -> Drive:
         centers = np.vstack([locations.centers, np.full((len(own) - len(known), 3), np.nan)])
         ordered = [*known, *(row for row in own if row[2] == "DontCare")]
         truth.append(
-            (
-                np.array([row[6:10] for row in ordered], np.float64).reshape(-1, 4),
-                centers,
-                [row[2] for row in ordered],
-            )
+            (np.array([row[6:10] for row in ordered], np.float64).reshape(-1, 4), centers, [row[2] for row in ordered])
         )
     return Drive(pairs, truth)
 

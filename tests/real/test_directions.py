@@ -8,11 +8,7 @@ from sceneloom.scene.ego import ego_axes
 
 KNOWN = {
     "recordings/pandaset": {"camera0": "ahead", "camera1": "ahead left", "camera2": "back"},
-    "real/pandaset_scale_sample": {
-        "front_camera": "ahead",
-        "front_left_camera": "ahead left",
-        "back_camera": "back",
-    },
+    "real/pandaset_scale_sample": {"front_camera": "ahead", "front_left_camera": "ahead left", "back_camera": "back"},
     "real/argoverse2/7fab2350-7eaf-3b7e-a39d-6937a4c1bede": {
         "ring_front_center": "ahead",
         "ring_front_left": "ahead left",

@@ -34,10 +34,7 @@ def squares(scene: Scene, rows: np.ndarray, left: np.ndarray, noise: np.ndarray 
     truth = enu_from_geodetic(gnss.positions_lla[left], run.origin_lla)[:, :2]
     known = enu_from_geodetic(locations, run.origin_lla)
     found = []
-    for times, positions in (
-        (run.trajectory.timestamps_ns, run.trajectory.positions),
-        (kept.timestamps_ns, known),
-    ):
+    for times, positions in ((run.trajectory.timestamps_ns, run.trajectory.positions), (kept.timestamps_ns, known)):
         at = [np.interp(gnss.timestamps_ns[left], times, positions[:, axis]) for axis in range(2)]
         found.append(float(((np.stack(at, axis=1) - truth) ** 2).sum(axis=1).mean()))
     return found[0], found[1]

@@ -169,12 +169,7 @@ camera_model = {{ fx = {model["fx"]}, fy = {model["fy"]}, cx = {model["cx"]}, cy
 
 @pytest.mark.parametrize(
     ("folder", "lidars", "cameras"),
-    [
-        ("kitti_object", 1, 1),
-        ("kitti_raw_sfnd", 1, 1),
-        ("nuscenes_one_sample", 1, 6),
-        ("pandaset_scale_sample", 1, 3),
-    ],
+    [("kitti_object", 1, 1), ("kitti_raw_sfnd", 1, 1), ("nuscenes_one_sample", 1, 6), ("pandaset_scale_sample", 1, 3)],
 )
 def test_a_look_into_real_folders_finds_their_sensors(data_dir, folder, lidars, cameras):
     types = [sensor.type for sensor in survey(data_dir / "real" / folder).sensors]

@@ -122,10 +122,7 @@ def test_kitti_oxts_is_a_scene_of_motion_only(data_dir):
         imu, gnss = scene.sensors
         assert isinstance(imu, ImuSensor)
         assert isinstance(gnss, GnssSensor)
-        assert {name: len(stream) for name, stream in imu.streams.items()} == {
-            "accelerometer": 154,
-            "gyroscope": 154,
-        }
+        assert {name: len(stream) for name, stream in imu.streams.items()} == {"accelerometer": 154, "gyroscope": 154}
         assert gnss.timestamps_ns.tolist() == [round(0.1 * k * 1e9) for k in range(154)]
         assert len(scene.trajectories["groundTruth"].positions) == 154
         lines = (data_dir / "recordings" / "kitti_oxts_0000" / "data.jsonl").read_text().splitlines()

@@ -44,10 +44,7 @@ def test_folders_hold_what_they_hold_on_disk_and_opening_takes_a_part(data_dir, 
     monkeypatch.setattr(stores.Store, "get", noted)
     folder = data_dir / location
     whole = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
-    with (
-        sceneloom.open(folder, **options) as local,
-        sceneloom.open(f"local://{folder}", **options) as remote,
-    ):
+    with sceneloom.open(folder, **options) as local, sceneloom.open(f"local://{folder}", **options) as remote:
         if share is not None:
             assert sum(fetched) < share * whole
         assert content(remote) == content(local)

@@ -39,10 +39,7 @@ def read_feather(path: Path) -> dict[str, np.ndarray]:
 
 def test_points_in_the_cuboids_of_argoverse_are_as_many_as_its_annotations_state(data_dir):
     log = data_dir / ARGOVERSE_LOG
-    rows, trajectories = (
-        read_feather(log / "annotations.feather"),
-        read_feather(log / "city_SE3_egovehicle.feather"),
-    )
+    rows, trajectories = (read_feather(log / "annotations.feather"), read_feather(log / "city_SE3_egovehicle.feather"))
     sweeps = sorted((log / "sensors" / "lidar").glob("*.feather"))
     times = np.array([int(path.stem) for path in sweeps])
     frames = []

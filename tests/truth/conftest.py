@@ -23,9 +23,7 @@ BROWN = Camera("brown_conrady", 800, 400, 430.0, 430.0, 399.5, 190.0, (-0.12, 0.
 CAMERAS = (
     CameraSpec(PINHOLE, camera_mount(yaw_deg=-0.4, pitch_deg=0.6)),
     CameraSpec(
-        FISHEYE,
-        camera_mount(position=(0.35, 0.45, 1.6), yaw_deg=62.0, pitch_deg=2.0, roll_deg=1.0),
-        20_000_000,
+        FISHEYE, camera_mount(position=(0.35, 0.45, 1.6), yaw_deg=62.0, pitch_deg=2.0, roll_deg=1.0), 20_000_000
     ),
     # Taken after the middle of its sweep by more than half a period: the sweep's nearest image is the one before.
     CameraSpec(BROWN, camera_mount(position=(0.3, -0.45, 1.6), yaw_deg=-58.0), 107_000_000),

@@ -20,9 +20,7 @@ ASYMMETRIC = (0.01, 0.002, -0.001, 0.3, -0.2, 0.1, 0.4, 0.01, -0.02, 0.001, 0.2,
 CAMERA_MODELS = {
     "pinhole": Camera("pinhole", *WIDE),
     "brown_conrady": Camera(
-        "brown_conrady",
-        *WIDE,
-        (0.4461, -0.1213, 1.7e-4, -2.5e-4, 0.0035, 0.8021, -0.0771, 0.011, 0.002, -0.001),
+        "brown_conrady", *WIDE, (0.4461, -0.1213, 1.7e-4, -2.5e-4, 0.0035, 0.8021, -0.0771, 0.011, 0.002, -0.001)
     ),
     "fisheye": Camera("fisheye", *WIDE, SIX[:4]),
     "mod_equi_fish": Camera("mod_equi_fish", *WIDE, (0.0, 0.02, -0.02, 0.003)),

@@ -127,9 +127,7 @@ def test_colours_out_of_h264_videos_are_close(with_h264: list[Any]) -> None:
     check_colours(with_h264, exact=False)
 
 
-def test_points_in_the_world_are_where_the_laser_hit_but_for_the_noise_of_their_range(
-    with_png: list[Any],
-) -> None:
+def test_points_in_the_world_are_where_the_laser_hit_but_for_the_noise_of_their_range(with_png: list[Any]) -> None:
     for fused in with_png:
         for sweep in fused.sweeps:
             measured, true = fused.drive.truth.sweep(sweep), fused.clean(sweep)
@@ -212,9 +210,7 @@ def test_the_files_world_begins_at_the_first_position_of_the_ego(with_png: list[
         np.testing.assert_allclose(matrix[:3, 3], first, atol=MILLIMETRE)
 
 
-def test_sweeps_are_paired_with_the_image_nearest_to_the_median_time_of_their_points(
-    with_png: list[Any],
-) -> None:
+def test_sweeps_are_paired_with_the_image_nearest_to_the_median_time_of_their_points(with_png: list[Any]) -> None:
     before = 0
     for fused in with_png:
         with sceneloom.open(fused.recording) as scene:

@@ -22,14 +22,8 @@ from sceneloom.errors import redacted
             "https://h/a?AWSAccessKeyId=AK&Signature=s/+=&Expires=9",
             "https://h/a?AWSAccessKeyId=***&Signature=***&Expires=***",
         ),
-        (
-            "https://h/a?access_token=x&api-key=y&API_KEY=z",
-            "https://h/a?access_token=***&api-key=***&API_KEY=***",
-        ),
-        (
-            "503, message='no', url='https://u:p@h/a?sig=s'",
-            "503, message='no', url='https://***@h/a?sig=***'",
-        ),
+        ("https://h/a?access_token=x&api-key=y&API_KEY=z", "https://h/a?access_token=***&api-key=***&API_KEY=***"),
+        ("503, message='no', url='https://u:p@h/a?sig=s'", "503, message='no', url='https://***@h/a?sig=***'"),
         ("{'Authorization': 'Bearer abc.def', 'x': 1}", "{'Authorization': '***', 'x': 1}"),
         ("AccountName=n;AccountKey=k==;X=1", "AccountName=n;AccountKey=***;X=1"),
         ("a.sfs: sensors[3]: expected a list", "a.sfs: sensors[3]: expected a list"),

@@ -21,12 +21,4 @@ else:
         },
     )
 
-__all__ = [
-    "Input",
-    "Job",
-    "Outcome",
-    "RunSummary",
-    "State",
-    "Task",
-    "run",
-]
+__all__ = ["Input", "Job", "Outcome", "RunSummary", "State", "Task", "run"]

@@ -136,11 +136,7 @@ def write_page(figures: RunFigures, target: Path, *, overwrite: bool = False) ->
 
 
 def format_metrics(
-    summary: RunSummary,
-    *,
-    peak_bytes: int = 0,
-    stages: Mapping[str, float] | None = None,
-    now: float | None = None,
+    summary: RunSummary, *, peak_bytes: int = 0, stages: Mapping[str, float] | None = None, now: float | None = None
 ) -> str:
     """The state of a run as text for Prometheus.
 

@@ -229,13 +229,7 @@ class Record:
             )
 
     def end(
-        self,
-        outcome: Outcome,
-        state: State,
-        *,
-        finished_ns: int,
-        fingerprint: str = "",
-        configuration: str = "",
+        self, outcome: Outcome, state: State, *, finished_ns: int, fingerprint: str = "", configuration: str = ""
     ) -> None:
         """Keep what came of a try."""
         values = {

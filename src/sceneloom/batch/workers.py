@@ -64,10 +64,7 @@ def run_task(task: Task) -> Outcome:
             "passing": may_pass(error),
         }
     except Exception as error:  # noqa: BLE001 - a fault in one drive must not end the others
-        reported = {
-            "error": redacted("".join(traceback.format_exception(error))),
-            "kind": type(error).__name__,
-        }
+        reported = {"error": redacted("".join(traceback.format_exception(error))), "kind": type(error).__name__}
     return Outcome(
         number=task.number,
         seconds=time.perf_counter() - begun,
@@ -94,10 +91,7 @@ def _done(task: Task) -> dict[str, Any]:
     values = {**task.options, **task.files, **further}
     report = getattr(import_module(module), name)(task.location, draft, values)
     if not draft.exists():
-        return {
-            "error": f"{redacted(task.location)}: ended without its output {draft.name}",
-            "kind": "Missing",
-        }
+        return {"error": f"{redacted(task.location)}: ended without its output {draft.name}", "kind": "Missing"}
     if task.target:
         with stage("sending"):
             bring(draft, task.further)
@@ -279,11 +273,7 @@ class ProcessPool:
                 worker = self._idle.pop() if self._idle else self._started()
                 try:
                     future = worker.submit(run_task, task)
-                except (
-                    BrokenProcessPool,
-                    EOFError,
-                    OSError,
-                ) as fault:  # it died idle, or what forks it is gone
+                except (BrokenProcessPool, EOFError, OSError) as fault:  # it died idle, or what forks it is gone
                     error = fault
                     worker.shutdown(wait=False)
                     continue

@@ -228,13 +228,7 @@ class _Run:
     """
 
     def __init__(
-        self,
-        parts: Parts,
-        drafts: Path,
-        checks: Checks,
-        *,
-        workers: int | None = 1,
-        progress: Progress | None = None,
+        self, parts: Parts, drafts: Path, checks: Checks, *, workers: int | None = 1, progress: Progress | None = None
     ) -> None:
         """Have nothing read yet.
 

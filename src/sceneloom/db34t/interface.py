@@ -350,11 +350,7 @@ class FusionInterface:
             self.counters, self._announcer, on_result=on_result, most_bytes=self._limits.most_bytes
         )
         self._worker = Worker(
-            self.counters,
-            self._announcer,
-            self._results_queue.give,
-            inline=inline,
-            overdue=self._close_overdue,
+            self.counters, self._announcer, self._results_queue.give, inline=inline, overdue=self._close_overdue
         )
 
     def __enter__(self) -> Self:

@@ -38,10 +38,7 @@ class RawForm(StrEnum):
     """Camera: height x width x 3 bytes; the size is that of the camera's calibration."""
 
 
-_RAW_FORMS = {
-    SensorKind.LIDAR: (RawForm.RECORDS,),
-    SensorKind.CAMERA: (RawForm.JPEG, RawForm.PNG, RawForm.RGB8),
-}
+_RAW_FORMS = {SensorKind.LIDAR: (RawForm.RECORDS,), SensorKind.CAMERA: (RawForm.JPEG, RawForm.PNG, RawForm.RGB8)}
 """What raw data a sensor of each kind can send."""
 
 

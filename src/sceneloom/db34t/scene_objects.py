@@ -331,8 +331,7 @@ def _seconds(timestamps_ns: AnyArray, timestamp_ns: int) -> Float32Array:
 
 
 _PARTS: Mapping[
-    str,
-    tuple[tuple[str, ...], Callable[[Float32Array, int], AnyArray | None], Callable[[AnyArray, int], Float32Array]],
+    str, tuple[tuple[str, ...], Callable[[Float32Array, int], AnyArray | None], Callable[[AnyArray, int], Float32Array]]
 ] = {
     "intensities": (_REFLECTIVITY_NAMES, _intensities, _numbers),
     "rings": (("ring",), _rings, _numbers),

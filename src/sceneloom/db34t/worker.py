@@ -315,12 +315,7 @@ class ResultsQueue:
     """The results of both fusion types: given by one thread at a time, fetched by several."""
 
     def __init__(
-        self,
-        counters: Counters,
-        announcer: Announcer,
-        *,
-        on_result: Callable[[], None] | None,
-        most_bytes: int,
+        self, counters: Counters, announcer: Announcer, *, on_result: Callable[[], None] | None, most_bytes: int
     ) -> None:
         """Hold nothing yet.
 

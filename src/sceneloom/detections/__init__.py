@@ -16,8 +16,4 @@ else:
         },
     )
 
-__all__ = [
-    "DetectionAlgorithm",
-    "DetectionPair",
-    "FusedBoxes",
-]
+__all__ = ["DetectionAlgorithm", "DetectionPair", "FusedBoxes"]

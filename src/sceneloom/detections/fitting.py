@@ -92,11 +92,7 @@ def fit_odds(
 
 
 def _loss(
-    features: Float64Array,
-    came_true: BoolArray,
-    found: Float64Array,
-    expected: Float64Array,
-    weights: Float64Array,
+    features: Float64Array, came_true: BoolArray, found: Float64Array, expected: Float64Array, weights: Float64Array
 ) -> float:
     odds = features @ found
     return float((np.logaddexp(0.0, odds) - odds * came_true).sum() + (weights * (found - expected) ** 2).sum() / 2)
@@ -343,12 +339,7 @@ class _Truth(NamedTuple):
         return cls(boxes, numbers_of(list(truth.labels), labels_3d)[0], example)
 
     def judge(
-        self,
-        boxes: Float64Array,
-        classes: Int64Array,
-        likely: Float64Array,
-        shown: Float64Array,
-        overlap: float,
+        self, boxes: Float64Array, classes: Int64Array, likely: Float64Array, shown: Float64Array, overlap: float
     ) -> tuple[Int64Array, Int64Array]:
         """Verdicts over boxes, the surest first, and which object each is of, NO_BOX for none."""
         overlaps = overlaps_in_space(
@@ -370,12 +361,7 @@ class _Truth(NamedTuple):
         return project_outlines(pair.camera, pair.camera_from_lidar, self.boxes.copy()).corners_xyxy
 
     def _judge(
-        self,
-        overlaps: Float64Array,
-        classes: Int64Array,
-        likely: Float64Array,
-        shown: Float64Array,
-        least: float,
+        self, overlaps: Float64Array, classes: Int64Array, likely: Float64Array, shown: Float64Array, least: float
     ) -> tuple[Int64Array, Int64Array]:
         example = self.example
         fits = np.where((classes[:, None] == self.classes) & (overlaps >= least), overlaps, 0.0)
@@ -509,10 +495,7 @@ def _fit_agreement(columns: SweepColumns, of_sweep: Reported, of_image: Reported
         ]
     )
     found = fit_odds(
-        features,
-        columns.verdict[rows] == 1,
-        expected=np.array(_AGREEMENT),
-        weights=np.array(_AGREEMENT_WEIGHTS),
+        features, columns.verdict[rows] == 1, expected=np.array(_AGREEMENT), weights=np.array(_AGREEMENT_WEIGHTS)
     )
     base, sweep, image, overlap = found.tolist()
     return Agreement(base=base, sweep=sweep, image=image, overlap=overlap)
@@ -574,12 +557,7 @@ def _fit_noise(columns: SweepColumns, reported: Reported, degrees_of_freedom: fl
     features = np.column_stack([np.ones(len(held)), held, far])
     weights = _even(columns.group[rows])
     parts = [
-        fit_deviations(
-            features,
-            columns.errors[rows][:, part],
-            weights=weights,
-            degrees_of_freedom=degrees_of_freedom,
-        )
+        fit_deviations(features, columns.errors[rows][:, part], weights=weights, degrees_of_freedom=degrees_of_freedom)
         for part in _PARTS
     ]
     numbers = [[tuple(column) for column in part.T.tolist()] for part in parts]
@@ -784,11 +762,7 @@ def fit_detectors(
 
 
 def fit_columns(
-    columns: Columns,
-    *,
-    name: str,
-    settings: FitSettings = DEFAULTS,
-    provenance: Mapping[str, str] | None = None,
+    columns: Columns, *, name: str, settings: FitSettings = DEFAULTS, provenance: Mapping[str, str] | None = None
 ) -> Detectors:
     """Fit what two detectors are like to examples that were held against the truth; else as `fit_detectors`."""
     names = tuple(KINDS)

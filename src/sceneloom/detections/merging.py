@@ -130,11 +130,7 @@ def _best_of_sweep(views: tuple[FusedBoxes, ...], rows: Int64Array) -> Int64Arra
 
 
 def _scores_of_sweep(
-    boxes: Boxes3D,
-    numbers: Int64Array,
-    views: tuple[FusedBoxes, ...],
-    rows: Int64Array,
-    table: Float64Array,
+    boxes: Boxes3D, numbers: Int64Array, views: tuple[FusedBoxes, ...], rows: Int64Array, table: Float64Array
 ) -> Float64Array:
     """(N,) float64, how likely the objects of the sweep are by all images."""
     kinds = table_rows(numbers_of([boxes.labels[k] for k in numbers.tolist()], [])[0])

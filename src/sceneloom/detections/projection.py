@@ -108,11 +108,7 @@ class _Placed(NamedTuple):
 
 
 def position_by_height(
-    camera: Camera,
-    camera_from_lidar: RigidTransform,
-    corners_xyxy: Float64Array,
-    rows: Int64Array,
-    kinds: Int64Array,
+    camera: Camera, camera_from_lidar: RigidTransform, corners_xyxy: Float64Array, rows: Int64Array, kinds: Int64Array
 ) -> _Placed:
     """Estimate where objects are whose boxes in the image are all that is known.
 
@@ -440,11 +436,7 @@ class Outlines:
 
 
 def project_outlines(
-    camera: Camera,
-    camera_from_lidar: RigidTransform,
-    boxes: Float64Array,
-    *,
-    likely: Float64Array | None = None,
+    camera: Camera, camera_from_lidar: RigidTransform, boxes: Float64Array, *, likely: Float64Array | None = None
 ) -> Outlines:
     """Find where an image shows the boxes of a sweep.
 

@@ -100,10 +100,7 @@ def _with_positions_from_start(scene: Scene, fixes: str) -> Scene:
 
 
 _REVEALING_STREAMS = MappingProxyType(
-    {
-        "magnetometer": "reports where north was",
-        "barometer": "reports the height above the sea and the weather",
-    }
+    {"magnetometer": "reports where north was", "barometer": "reports the height above the sea and the weather"}
 )
 """Streams that report something of a location."""
 

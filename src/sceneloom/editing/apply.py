@@ -37,10 +37,7 @@ _Correction = LocalizationAdjustment | CameraCalibration
 
 
 def apply_corrections(
-    scene: Scene,
-    *,
-    corrections: Iterable[Identifier] | None = None,
-    annotations_in: Coordinates | str | None = None,
+    scene: Scene, *, corrections: Iterable[Identifier] | None = None, annotations_in: Coordinates | str | None = None
 ) -> Scene:
     """Apply localization adjustments and camera calibrations, and remove them.
 

@@ -312,11 +312,7 @@ def to_ego(
 
 
 def to_sensor(
-    scene: Scene,
-    *,
-    trajectory: str | None = None,
-    heading: str | None = None,
-    progress: Progress | None = None,
+    scene: Scene, *, trajectory: str | None = None, heading: str | None = None, progress: Progress | None = None
 ) -> Scene:
     """Bring the points of lidars and radars into the frames of their sensors, each frame at its own time.
 

@@ -320,12 +320,7 @@ def _is_image(_name: str, value: Any, _location: str) -> bool:
 
 
 def hide_in_images(
-    scene: Scene,
-    hidings: tuple[Hiding, ...],
-    *,
-    fill: str = "blur",
-    margin: float = 0.1,
-    drop_colours: bool = False,
+    scene: Scene, hidings: tuple[Hiding, ...], *, fill: str = "blur", margin: float = 0.1, drop_colours: bool = False
 ) -> Scene:
     """Give the scene with regions of its images hidden for good.
 

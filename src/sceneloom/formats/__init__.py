@@ -24,13 +24,4 @@ else:
         },
     )
 
-__all__ = [
-    "FORMATS",
-    "FormatSpec",
-    "Loss",
-    "LossReport",
-    "find_format",
-    "open_scene",
-    "size_on_disk",
-    "write_scene",
-]
+__all__ = ["FORMATS", "FormatSpec", "Loss", "LossReport", "find_format", "open_scene", "size_on_disk", "write_scene"]

@@ -32,10 +32,7 @@ class FormatListing(msgspec.Struct, frozen=True, kw_only=True):
 
 def list_formats() -> tuple[FormatListing, ...]:
     """Give all formats of scenes, then all forms of trajectories."""
-    return (
-        *map(_of_format, all_formats()),
-        *(_of_form(form) for form in TRAJECTORY_FORMS.values()),
-    )
+    return (*map(_of_format, all_formats()), *(_of_form(form) for form in TRAJECTORY_FORMS.values()))
 
 
 def list_supported_fields(name: str) -> dict[str, Holding]:
@@ -62,20 +59,11 @@ def _supports(name: str) -> Supports:
 
 def _of_format(form: FormatSpec) -> FormatListing:
     return FormatListing(
-        name=form.name,
-        reads=form.reads,
-        writes=form.writes,
-        suffixes=tuple(form.suffixes),
-        looks_like=form.looks_like,
+        name=form.name, reads=form.reads, writes=form.writes, suffixes=tuple(form.suffixes), looks_like=form.looks_like
     )
 
 
 def _of_form(form: TrajectoryForm) -> FormatListing:
     return FormatListing(
-        name=form.name,
-        reads=True,
-        writes=True,
-        suffixes=form.suffixes,
-        looks_like=form.looks_like,
-        trajectory=True,
+        name=form.name, reads=True, writes=True, suffixes=form.suffixes, looks_like=form.looks_like, trajectory=True
     )

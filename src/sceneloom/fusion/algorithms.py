@@ -28,10 +28,7 @@ class FusionType(IntEnum):
 
 
 ENTRY_POINT_GROUPS: Mapping[FusionType, str] = MappingProxyType(
-    {
-        FusionType.SENSOR_DATA: "sceneloom.sensor_data_fusion",
-        FusionType.DETECTIONS: "sceneloom.detection_fusion",
-    }
+    {FusionType.SENSOR_DATA: "sceneloom.sensor_data_fusion", FusionType.DETECTIONS: "sceneloom.detection_fusion"}
 )
 """Under which group of entry points a package offers an algorithm of each type.
 

@@ -404,12 +404,7 @@ class FusionSystem:
         self._box_fusion = _BoxFusion(self._lidars, self._cameras)
 
     def add_lidar(
-        self,
-        lidar_id: Identifier,
-        source: PoseSource | None,
-        *,
-        period_ns: int,
-        location: PoseSource | None = None,
+        self, lidar_id: Identifier, source: PoseSource | None, *, period_ns: int, location: PoseSource | None = None
     ) -> None:
         """Make a lidar known.
 

@@ -153,9 +153,7 @@ def _posed_path(scene: Scene) -> Poses | None:
             try:
                 rows = slice(0, 10_000)
                 return Poses(
-                    trajectory.timestamps_ns[rows],
-                    trajectory.positions[rows],
-                    trajectory.quaternions_xyzw[rows],
+                    trajectory.timestamps_ns[rows], trajectory.positions[rows], trajectory.quaternions_xyzw[rows]
                 )
             except SceneloomError:
                 continue

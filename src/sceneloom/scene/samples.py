@@ -170,8 +170,7 @@ def poses_at(locations: Sequence[tuple[_Location, int]]) -> list[_Pose]:
                 poses[row] = _Pose(None, f"{away_ns / 1e9:.3f} s beyond the ends of the trajectory")
                 continue
             moved = RigidTransform(
-                rotations[k] @ source.mount.rotation,
-                rotations[k] @ source.mount.translation + body.positions[k],
+                rotations[k] @ source.mount.rotation, rotations[k] @ source.mount.translation + body.positions[k]
             )
             poses[row] = _Pose(moved, extrapolated=bool(body.coverage[k] == EXTRAPOLATED))
     return poses
@@ -214,10 +213,7 @@ class SamplePoses:
         world_from_body, ego_from_body = self.world_from_points, self.ego_from_points
         if body_id is not None:
             world_from_body, ego_from_body = self.world_from_sensor[body_id], self.ego_from_sensor[body_id]
-        world_from_sensor, ego_from_sensor = (
-            self.world_from_sensor[sensor_id],
-            self.ego_from_sensor[sensor_id],
-        )
+        world_from_sensor, ego_from_sensor = (self.world_from_sensor[sensor_id], self.ego_from_sensor[sensor_id])
         if world_from_sensor is not None and world_from_body is not None:
             return world_from_sensor.inverse() @ world_from_body
         if ego_from_sensor is not None and ego_from_body is not None:

@@ -91,10 +91,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         hold_timestamp(self, "time_offset_ns")
-        for kind, ids in (
-            ("sensors", [s.id for s in self.sensors]),
-            ("annotations", [a.id for a in self.annotations]),
-        ):
+        for kind, ids in (("sensors", [s.id for s in self.sensors]), ("annotations", [a.id for a in self.annotations])):
             seen: set[tuple[type, Identifier]] = set()
             for index, identifier in enumerate(ids):
                 if (type(identifier), identifier) in seen:

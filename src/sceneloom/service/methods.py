@@ -161,10 +161,7 @@ class _Method:
 METHODS: Mapping[str, _Method] = MappingProxyType(
     {
         method.name: _Method(
-            method.name,
-            GetMessageClass(method.input_type),
-            GetMessageClass(method.output_type),
-            CALLS[method.name],
+            method.name, GetMessageClass(method.input_type), GetMessageClass(method.output_type), CALLS[method.name]
         )
         for method in SERVICE.methods
     }

@@ -112,11 +112,7 @@ def configured(path: Path | None, **limits: Any) -> tuple[ServiceLimits, Callabl
 
 
 def serve_until_ended(
-    settings: ServerSettings,
-    *,
-    started: Callable[[FusionServer], None],
-    quiet: bool = False,
-    verbose: bool = False,
+    settings: ServerSettings, *, started: Callable[[FusionServer], None], quiet: bool = False, verbose: bool = False
 ) -> tuple[str, ...]:
     """Serve until SIGTERM or Ctrl-C; then fuse what waits, deliver it, and return. A second signal ends at once.
 

@@ -167,10 +167,7 @@ class FusionServer:
         self.settings.security.check_host(self.settings.host)
         self._credentials = self.settings.security.credentials()
         self.sessions = SessionTable(
-            self._interface,
-            self.settings.limits,
-            observed=self.settings.observe is not None,
-            clock=self.settings.clock,
+            self._interface, self.settings.limits, observed=self.settings.observe is not None, clock=self.settings.clock
         )
         self.port = 0
         self.metrics_port = 0

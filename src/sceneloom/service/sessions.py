@@ -120,12 +120,7 @@ class Session:
     """
 
     def __init__(
-        self,
-        name: str,
-        make_interface: MakeInterface,
-        limits: ServiceLimits,
-        pool: ThreadPoolExecutor,
-        now_s: float,
+        self, name: str, make_interface: MakeInterface, limits: ServiceLimits, pool: ThreadPoolExecutor, now_s: float
     ) -> None:
         """Start; `sessions` makes them."""
         self.name = name
@@ -182,10 +177,7 @@ class Session:
             self.fetching -= 1
 
     async def run(
-        self,
-        function: Callable[_Arguments, _Answer],
-        *arguments: _Arguments.args,
-        **options: _Arguments.kwargs,
+        self, function: Callable[_Arguments, _Answer], *arguments: _Arguments.args, **options: _Arguments.kwargs
     ) -> _Answer:
         """Call a function in one of the session's threads; it goes on where the caller does not wait for it."""
         await self._threads.acquire()

@@ -159,11 +159,7 @@ def _in_images(drive: SimulatedDrive, view: _View, car: StreetObject) -> tuple[A
     middles = tuple((row[:2] + row[2:] / 2)[None] for row in box)
     lanes = tuple(_lane_pixels(drive, int(k)) for k in there)
     shapes = {ShapeType.POLYGON_2D: outlines, ShapeType.POINT_2D: middles, ShapeType.POLYLINE_2D: lanes}
-    labels = {
-        ShapeType.POLYGON_2D: "outline",
-        ShapeType.POINT_2D: "middle",
-        ShapeType.POLYLINE_2D: "trajectory",
-    }
+    labels = {ShapeType.POLYGON_2D: "outline", ShapeType.POINT_2D: "middle", ShapeType.POLYLINE_2D: "trajectory"}
     return (
         Box2DAnnotation("box", _CAMERA, BoxPath(seen_ns, box), label="car", parent_id="vehicle"),
         *(

@@ -118,13 +118,7 @@ class Paint:
 
 
 def cast(
-    street: Street,
-    rays: Rays,
-    rotations: Float64Array,
-    origins: Float64Array,
-    times_ns: Int64Array,
-    *,
-    reach: float,
+    street: Street, rays: Rays, rotations: Float64Array, origins: Float64Array, times_ns: Int64Array, *, reach: float
 ) -> Hits:
     """Find what each ray meets first.
 
@@ -159,13 +153,7 @@ def cast(
 
 
 def silhouettes(
-    street: Street,
-    rays: Rays,
-    rotations: Float64Array,
-    origins: Float64Array,
-    times_ns: Int64Array,
-    *,
-    reach: float,
+    street: Street, rays: Rays, rotations: Float64Array, origins: Float64Array, times_ns: Int64Array, *, reach: float
 ) -> Int64Array:
     """Count for each object, whatever stands or moves, the rays that would meet it if it were alone.
 
@@ -217,13 +205,7 @@ def _moving(street: Street, origins: Float64Array, times_ns: Int64Array, *, reac
 
 
 def paint(
-    street: Street,
-    rays: Rays,
-    rotations: Float64Array,
-    origins: Float64Array,
-    hits: Hits,
-    *,
-    pixel_angle: float = 0.0,
+    street: Street, rays: Rays, rotations: Float64Array, origins: Float64Array, hits: Hits, *, pixel_angle: float = 0.0
 ) -> Paint:
     """Colour what the rays met, with the poses that they were cast with.
 

@@ -617,10 +617,7 @@ def demo_drive(seed: int = 0, *, frames: int = 30) -> SimulatedDrive:
     cameras = (
         CameraSpec(ahead, camera_mount(pitch_deg=0.6), supersampling=2),
         CameraSpec(
-            aside,
-            camera_mount(position=(0.35, 0.25, 1.6), yaw_deg=62.0, pitch_deg=2.0),
-            45_000_000,
-            supersampling=2,
+            aside, camera_mount(position=(0.35, 0.25, 1.6), yaw_deg=62.0, pitch_deg=2.0), 45_000_000, supersampling=2
         ),
     )
     return simulate_street(

@@ -72,15 +72,7 @@ def bands(x: float, period: float, low: float, high: float, width: float) -> flo
 
 @njit(**INNER)
 def _facade(
-    face: int,
-    u: float,
-    v: float,
-    wu: float,
-    wv: float,
-    half_u: float,
-    height: float,
-    measures: Float64Array,
-    salt: int,
+    face: int, u: float, v: float, wu: float, wv: float, half_u: float, height: float, measures: Float64Array, salt: int
 ) -> tuple[float, float, float]:
     """Plaster or bricks with rows of windows: glass is the second colour, frames and ledges the third."""
     pitch, storey, bricks = measures[0], measures[1], measures[2]
@@ -459,10 +451,7 @@ def _paint_shape(
     rising = frame[2, 0] * local[0] + frame[2, 1] * local[1] + frame[2, 2] * local[2]
     steep = max(1e-3, abs(facing))
     su, sv = _surface_point(kind, face, unit, half)
-    wu, wv = (
-        footprint * math.sqrt(1.0 + (along / steep) ** 2),
-        footprint * math.sqrt(1.0 + (rising / steep) ** 2),
-    )
+    wu, wv = (footprint * math.sqrt(1.0 + (along / steep) ** 2), footprint * math.sqrt(1.0 + (rising / steep) ** 2))
     second, third, bright = _mix_palette(patterns[hit], face, su, sv, wu, wv, point, half, measures[hit], salts[hit])
     for i in range(3):
         local[i] = m[0, i] * half[0] * frame[0, 0] + m[1, i] * half[1] * frame[0, 1] + m[2, i] * half[2] * frame[0, 2]

@@ -82,11 +82,7 @@ def _enter_unit_body(
         near, far = _clip_round(near, far, dx * dx + dy * dy, ox * dx + oy * dy, ox * ox + oy * oy - 1.0)
     elif kind == ELLIPSOID:
         near, far = _clip_round(
-            near,
-            far,
-            dx * dx + dy * dy + dz * dz,
-            ox * dx + oy * dy + oz * dz,
-            ox * ox + oy * oy + oz * oz - 1.0,
+            near, far, dx * dx + dy * dy + dz * dz, ox * dx + oy * dy + oz * dz, ox * ox + oy * oy + oz * oz - 1.0
         )
     else:
         near, far = _clip(near, far, ox - 1.0, dx)

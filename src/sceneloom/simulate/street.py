@@ -1403,12 +1403,7 @@ class _Plan:
 
 
 def plan_traffic(
-    generator: np.random.Generator,
-    spec: TrafficSpec,
-    path: EgoPath,
-    street: Street,
-    *,
-    span_ns: tuple[int, int],
+    generator: np.random.Generator, spec: TrafficSpec, path: EgoPath, street: Street, *, span_ns: tuple[int, int]
 ) -> Movers:
     """Put movers into a street for a drive; where there is no room for one it is left out.
 

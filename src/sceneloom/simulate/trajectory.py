@@ -403,11 +403,7 @@ def _plan_waves(generator: np.random.Generator) -> Float64Array:
 
 
 def sensor_mount(
-    *,
-    position: tuple[float, float, float],
-    yaw_deg: float = 0.0,
-    pitch_deg: float = 0.0,
-    roll_deg: float = 0.0,
+    *, position: tuple[float, float, float], yaw_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0
 ) -> RigidTransform:
     """Give `ego_from_sensor` of a lidar or radar, whose own axes are x ahead, y left, z up.
 

@@ -21,11 +21,4 @@ else:
         },
     )
 
-__all__ = [
-    "ImageBox",
-    "Observation",
-    "Tracker",
-    "TrackerSettings",
-    "View",
-    "track_drive",
-]
+__all__ = ["ImageBox", "Observation", "Tracker", "TrackerSettings", "View", "track_drive"]

@@ -608,11 +608,7 @@ class Labelled:
 
 
 def label_tracks(
-    scene: Scene,
-    tracks: Tracks,
-    *,
-    settings: LabelSettings = DEFAULTS,
-    trajectory: str | EgoMotion | None = None,
+    scene: Scene, tracks: Tracks, *, settings: LabelSettings = DEFAULTS, trajectory: str | EgoMotion | None = None
 ) -> Labelled:
     """Turn tracks into annotations of a scene, with what its sensors state of them.
 

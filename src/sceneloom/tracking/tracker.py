@@ -337,11 +337,7 @@ def wrapped(angles: Float64Array) -> Float64Array:
 
 
 def predicted(
-    means: Float64Array,
-    covariances: Float64Array,
-    vehicles: BoolArray,
-    seconds: float,
-    settings: TrackerSettings,
+    means: Float64Array, covariances: Float64Array, vehicles: BoolArray, seconds: float, settings: TrackerSettings
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Move states (N, 11) and their covariances (N, 11, 11) on by so many seconds.
 
@@ -837,12 +833,7 @@ class Tracker:
             self._objects.votes = np.pad(self._objects.votes, ((0, 0), (0, missing)))
 
     def _read(
-        self,
-        objects: _Population,
-        rows: Int64Array,
-        seen: _Observations,
-        columns: Int64Array,
-        predicted: _Population,
+        self, objects: _Population, rows: Int64Array, seen: _Observations, columns: Int64Array, predicted: _Population
     ) -> None:
         """Read of some objects the boxes that are theirs."""
         settings = self.settings
@@ -866,12 +857,7 @@ class Tracker:
         return votes
 
     def _with_newborn(
-        self,
-        objects: _Population,
-        rows: Int64Array,
-        seen: _Observations,
-        columns: Int64Array,
-        timestamp_ns: int,
+        self, objects: _Population, rows: Int64Array, seen: _Observations, columns: Int64Array, timestamp_ns: int
     ) -> _Population:
         free = seen.log_odds > log_odds(self.settings.drop)
         free[columns] = False

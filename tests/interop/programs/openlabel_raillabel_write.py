@@ -6,15 +6,7 @@ from decimal import Decimal
 from pathlib import Path
 
 import raillabel
-from raillabel.format import (
-    Camera,
-    IntrinsicsPinhole,
-    Lidar,
-    Point3d,
-    Quaternion,
-    Size3d,
-    Transform,
-)
+from raillabel.format import Camera, IntrinsicsPinhole, Lidar, Point3d, Quaternion, Size3d, Transform
 from raillabel.scene_builder import SceneBuilder
 
 builder = SceneBuilder.empty().add_object(object_type="person").add_sensor("rgb_center").add_sensor("lidar")

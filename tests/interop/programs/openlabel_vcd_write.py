@@ -29,16 +29,10 @@ def P(m):
 
 
 v.add_coordinate_system(
-    "lidar",
-    cs_type=types.CoordinateSystemType.sensor_cs,
-    parent_name="vehicle-iso8855",
-    pose_wrt_parent=P(lidar),
+    "lidar", cs_type=types.CoordinateSystemType.sensor_cs, parent_name="vehicle-iso8855", pose_wrt_parent=P(lidar)
 )
 v.add_coordinate_system(
-    "front",
-    cs_type=types.CoordinateSystemType.sensor_cs,
-    parent_name="vehicle-iso8855",
-    pose_wrt_parent=P(cam),
+    "front", cs_type=types.CoordinateSystemType.sensor_cs, parent_name="vehicle-iso8855", pose_wrt_parent=P(cam)
 )
 v.add_stream("lidar", "clouds/", "top lidar", core.StreamType.lidar)
 v.add_stream("front", "front.mp4", "front camera", core.StreamType.camera)

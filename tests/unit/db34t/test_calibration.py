@@ -115,8 +115,7 @@ def test_reference_frame_1_maps_into_the_lidar():
 
 @pytest.mark.parametrize("left_handed", [False, True])
 @pytest.mark.parametrize(
-    "triple",
-    [t for order in itertools.permutations(range(3)) for t in itertools.product(*[{a, -a} for a in order])],
+    "triple", [t for order in itertools.permutations(range(3)) for t in itertools.product(*[{a, -a} for a in order])]
 )
 def test_axes_of_any_frame_lead_to_the_same_mounting(triple, left_handed):
     axes = DeclaredAxes.of_triple(triple, left_handed=left_handed)

@@ -119,10 +119,7 @@ def test_boxes_come_back_in_the_frame_that_was_declared(lidar_words, camera_word
         fusion.flush()
         known = fusion.get(1).record
     assert len(record) == len(known) == 1
-    assert (record.box_3d_ids, record.box_2d_ids) == (
-        (4,),
-        (6,),
-    )  # the ray through the camera model decides the pair
+    assert (record.box_3d_ids, record.box_2d_ids) == ((4,), (6,))  # the ray through the camera model decides the pair
     rotation = lidar @ standard.T
     np.testing.assert_allclose(record.centers, known.centers @ rotation.T, atol=1e-5)
     np.testing.assert_allclose(record.directions, [heading], atol=1e-6)
@@ -258,10 +255,7 @@ def test_a_shutter_that_rolls_sees_each_point_at_the_time_of_its_line(over_colum
 def test_a_shutter_that_does_not_roll_any_more_takes_all_lines_at_once():
     with interface("+x,-y,+z", "+z,+x,-y") as fusion:
         assert fusion.send_motion(path(-50, 200))
-        for reported in (
-            json.dumps({"0": {"kind": "lidar"}, "1": {"kind": "camera", "shutter_roll_s": 0.1}}),
-            "",
-        ):
+        for reported in (json.dumps({"0": {"kind": "lidar"}, "1": {"kind": "camera", "shutter_roll_s": 0.1}}), ""):
             assert fusion.set_property("sensors", reported)
             send_all(fusion, moving_sweep() if reported else replace(moving_sweep(), seq=2))
             send_all(fusion, image(90, 1 if reported else 2))

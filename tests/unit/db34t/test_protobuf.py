@@ -113,20 +113,12 @@ def test_boxes_are_read_into_columns():
 
 FAULTS = [
     (image(timestamp=None), "timestamp", "missing; expected uint32. uint32"),
-    (
-        image(timestamp=fusion_pb2.Timestamp(s=1, ns=10**9)),
-        "timestamp.ns",
-        "1000000000; expected 0 to 999999999",
-    ),
+    (image(timestamp=fusion_pb2.Timestamp(s=1, ns=10**9)), "timestamp.ns", "1000000000; expected 0 to 999999999"),
     (image(sensor_id=256), "sensor_id", "256; expected 0 to 255"),
     (image(data=b"\1\2"), "data", "2 values; expected 3"),
     (image(encoding=""), "encoding", "''; expected one of rgb8"),
     (boxes(box(), box(points_seq=6)), "boxes[1].points_seq", "6; expected 5 as all of them"),
-    (
-        boxes(box(timestamp=fusion_pb2.Timestamp(s=1))),
-        "boxes[0].timestamp",
-        "1.000000000; expected 1595682678",
-    ),
+    (boxes(box(timestamp=fusion_pb2.Timestamp(s=1))), "boxes[0].timestamp", "1.000000000; expected 1595682678"),
     (boxes(box(timestamp=None)), "boxes[0].timestamp", "0.000000000; expected 1595682678"),
     (boxes(box(direction=(1, 0))), "boxes[0].direction", "(1.0, 0.0); expected float[3]"),
     (boxes(box(length=0)), "boxes[0].length", "0.0; expected more than 0"),
@@ -199,8 +191,7 @@ def test_what_is_no_record_and_no_message_of_one_is_refused():
 def test_a_list_without_boxes_marks_its_location_in_a_reply():
     reply = fusion_pb2.GetReply()
     fill_message(
-        reply.detections,
-        FusedDetections.empty(Timestamp(0), image_seq=0, points_seq=0, camera_id=0, lidar_id=0),
+        reply.detections, FusedDetections.empty(Timestamp(0), image_seq=0, points_seq=0, camera_id=0, lidar_id=0)
     )
     assert reply.WhichOneof("result") == "detections"
     sent = fusion_pb2.GetReply.FromString(reply.SerializeToString())

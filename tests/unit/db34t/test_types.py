@@ -151,8 +151,7 @@ def test_the_latest_time_fits():
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["1.5", "1595682678", "1.0000000001", " 1.000000000", "-1.000000000", "٣.000000000", 1595682678.7, None],
+    "text", ["1.5", "1595682678", "1.0000000001", " 1.000000000", "-1.000000000", "٣.000000000", 1595682678.7, None]
 )
 def test_a_text_that_could_be_read_two_ways_is_refused(text):
     with pytest.raises(DataError, match="expected"):

@@ -74,11 +74,7 @@ BOTH_SEE, ONLY_LEFT = (20.0, 7.0, -0.5), (10.0, 14.0, -0.5)
 
 def test_a_box_of_the_sweep_is_one_object_to_which_each_image_adds_its_evidence():
     boxes = sweep((*BOTH_SEE, 0.6), (*ONLY_LEFT, 0.7), (-15, 0, 0, 0.5))
-    found = views(
-        boxes,
-        front=(FRONT, image(FRONT, BOTH_SEE)),
-        left=(LEFT, image(LEFT, ONLY_LEFT, BOTH_SEE)),
-    )
+    found = views(boxes, front=(FRONT, image(FRONT, BOTH_SEE)), left=(LEFT, image(LEFT, ONLY_LEFT, BOTH_SEE)))
     merged = merge_views(boxes, found)
     assert merged.objects.rows_3d.tolist() == [0, 1, 2]
     assert merged.rows["front"].tolist() == merged.rows["left"].tolist() == [0, 1, 2]
@@ -106,10 +102,7 @@ def test_an_image_that_does_not_show_a_location_changes_nothing_and_one_that_mis
 def test_an_object_is_where_the_image_says_that_knows_its_middle_best():
     boxes = sweep((*BOTH_SEE, 0.6))
     found = views(
-        boxes,
-        left=(LEFT, image(LEFT, BOTH_SEE)),
-        back=(BACK, NOTHING),
-        front=(FRONT, image(FRONT, BOTH_SEE)),
+        boxes, left=(LEFT, image(LEFT, BOTH_SEE)), back=(BACK, NOTHING), front=(FRONT, image(FRONT, BOTH_SEE))
     )
     merged = merge_views(boxes, found)
     traces = {name: view.center_covariances[0].trace() for name, view in found.items()}

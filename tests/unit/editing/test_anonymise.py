@@ -42,10 +42,7 @@ def drive(**fields):
     points = LidarPoints(point[None].astype(np.float32), timestamps_ns=TIMES[:1] + 5)
     frame = LidarFrame(int(TIMES[0]), points, extras=MappingProxyType({"gps": [48.1, 11.5], "n": 1}))
     lidar = LidarSensor(
-        "lidar",
-        LazyFrames.of([frame], TIMES[:1].tolist()),
-        poses=trajectory.poses,
-        points_frame=PointsFrame.WORLD,
+        "lidar", LazyFrames.of([frame], TIMES[:1].tolist()), poses=trajectory.poses, points_frame=PointsFrame.WORLD
     )
     image = CameraImage.of(int(TIMES[1]), CAMERA, np.zeros((6, 8, 3), np.uint8))
     camera = CameraSensor("camera", CAMERA, LazyFrames.of([image], [int(TIMES[1])]), poses=trajectory.poses)
@@ -95,11 +92,7 @@ def test_fixes_that_are_no_location_do_not_report_how_far_from_there_the_drive_w
 
 def test_what_says_where_on_earth_the_world_was_is_left_out():
     stated = {"latitude": 48.1, "longitude": 11.5, "altitude": 520.0}
-    ours = {
-        "enu_origin": stated,
-        "cropped": {"box": [690_000.0] * 6, "frame": "world"},
-        "euler_unit": "degrees",
-    }
+    ours = {"enu_origin": stated, "cropped": {"box": [690_000.0] * 6, "frame": "world"}, "euler_unit": "degrees"}
     found = anonymised_scene(drive(metadata={"sceneloom": ours}))
     assert found.metadata["sceneloom"].keys() == {"euler_unit", "relative"}
 
@@ -141,10 +134,7 @@ def test_free_fields_that_report_a_location_a_name_or_a_file_go_and_others_stay(
         "notes": ["wet road"],
         "recording": {"calibration": {"cameras": []}},
     }
-    assert scene.metadata["sceneloom"] == {
-        "euler_unit": "degrees",
-        "relative": {"fixes": "drop", "dates": "keep"},
-    }
+    assert scene.metadata["sceneloom"] == {"euler_unit": "degrees", "relative": {"fixes": "drop", "dates": "keep"}}
     assert [one.name for one in scene.attributes] == ["light"]
     assert dict(scene.lidars[0].frames[0].extras) == {"n": 1}
     locations = {n.location for n in scene.warnings}

@@ -145,10 +145,7 @@ def test_what_the_new_image_does_not_show_is_left_out_and_counted():
     corner = np.array([[1.0, 1.0, 3.0, 3.0]])  # of a barrel's image, cut off from an image without black border
     box = Box2DAnnotation("b", "front", BoxPath(TIME, corner))
     line = ShapeAnnotation(
-        "s",
-        ShapeType.POLYGON_2D,
-        VertexPath(TIME, (np.array([[1.0, 1], [4, 1], [1, 4]]),)),
-        sensor_id="front",
+        "s", ShapeType.POLYGON_2D, VertexPath(TIME, (np.array([[1.0, 1], [4, 1], [1, 4]]),)), sensor_id="front"
     )
     cuboid = CuboidAnnotation(
         "c", CuboidPath(TIME, np.ones((1, 9))), projections=(Projection("front", TIME, boxes=corner),)
@@ -264,8 +261,7 @@ def test_images_have_their_own_camera_models_converted_too():
 
 def test_a_camera_model_that_comes_no_nearer_than_the_limit_is_refused_with_its_distance():
     with pytest.raises(
-        CalibrationError,
-        match=r"sensors\[front\].camera: fisheye camera model reported as pinhole, off by up to",
+        CalibrationError, match=r"sensors\[front\].camera: fisheye camera model reported as pinhole, off by up to"
     ):
         convert_camera_models(fitted_scene_of(FISHEYE), "pinhole")
     assert convert_camera_models(fitted_scene_of(FISHEYE), "pinhole", limit_px=500).cameras[0].camera.model == "pinhole"

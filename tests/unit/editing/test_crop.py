@@ -121,10 +121,7 @@ def test_shapes_and_named_points_stay_whole_when_any_vertex_is_inside(drive):
         ShapeAnnotation("touching", ShapeType.POLYGON, VertexPath(drive.timestamps_ns[:1], (square,))),
         ShapeAnnotation("away", ShapeType.POLYLINE, VertexPath(drive.timestamps_ns[:1], (square + 9.0,))),
         ShapeAnnotation(
-            "drawn",
-            ShapeType.POLYGON_2D,
-            VertexPath(drive.timestamps_ns[:1], (square[:, :2] + 99.0,)),
-            "camera",
+            "drawn", ShapeType.POLYGON_2D, VertexPath(drive.timestamps_ns[:1], (square[:, :2] + 99.0,)), "camera"
         ),
         PointsAnnotation(
             "body",

@@ -67,8 +67,7 @@ def sweeps(count=3, *, moved=None, extra=0):
 def a_image(k, *, value=7, encoded=b"jpeg"):
     rgb = np.full((6, 8, 3), value, np.uint8)
     return replace(
-        CameraImage.of(int(TIMESTAMPS[k]), CAMERA_MODEL, rgb),
-        encoded=None if encoded is None else (lambda: encoded),
+        CameraImage.of(int(TIMESTAMPS[k]), CAMERA_MODEL, rgb), encoded=None if encoded is None else (lambda: encoded)
     )
 
 
@@ -173,11 +172,7 @@ def test_images_are_compared_byte_by_byte():
     images = [a_image(0), a_image(1, encoded=b"other"), a_image(2)]
     changed = a_scene(sensors=(a_scene().sensors[0], a_camera(images), a_scene().sensors[2]))
     found = only(a_scene(), changed)
-    assert (found.path, found.message, found.frame) == (
-        "sensors['camera'].images[].content",
-        "other bytes",
-        1,
-    )
+    assert (found.path, found.message, found.frame) == ("sensors['camera'].images[].content", "other bytes", 1)
     assert diff_scenes(a_scene(), changed, pixels=True).equal
 
 
@@ -321,14 +316,8 @@ def test_a_unit_of_times_that_is_not_stated_is_the_usual_one():
 
 
 def test_attributes_are_the_same_by_name_and_sensor():
-    reported = (
-        AttributePath("colour", ("red",)),
-        AttributePath("points", (3,), TIMESTAMPS[:1], sensor_id="lidar"),
-    )
-    other = (
-        AttributePath("points", (4,), TIMESTAMPS[:1], sensor_id="lidar"),
-        AttributePath("colour", ("red",)),
-    )
+    reported = (AttributePath("colour", ("red",)), AttributePath("points", (3,), TIMESTAMPS[:1], sensor_id="lidar"))
+    other = (AttributePath("points", (4,), TIMESTAMPS[:1], sensor_id="lidar"), AttributePath("colour", ("red",)))
     found = only(Scene((), (a_cuboid(attributes=reported),)), Scene((), (a_cuboid(attributes=other),)))
     assert found.path == "annotations['car'].attributes['points', 'lidar'].values[0]"
     assert (found.message, found.amount) == ("3; then 4", 1.0)

@@ -283,18 +283,9 @@ def test_what_the_second_part_says_otherwise_is_reported(drive, box):
         for label, still, attribute in (("car", False, weather[0]), ("truck", True, weather[1]))
     ]
     joined = merge_scenes(scenes, join=True)
-    assert (joined.annotations[0].label, joined.attributes, joined.extras["owner"]) == (
-        "car",
-        (weather[0],),
-        "car",
-    )
+    assert (joined.annotations[0].label, joined.attributes, joined.extras["owner"]) == ("car", (weather[0],), "car")
     reported = [warning.location for warning in joined.warnings if warning.code == "fields-differ"]
-    assert sorted(reported) == [
-        "annotations[b].label",
-        "annotations[b].stationary",
-        "attributes[weather]",
-        "owner",
-    ]
+    assert sorted(reported) == ["annotations[b].label", "annotations[b].stationary", "attributes[weather]", "owner"]
 
 
 @pytest.mark.parametrize(
@@ -344,10 +335,7 @@ def test_metadata_of_both_are_kept_and_differences_reported(drive):
     first = only(drive.scene(), "lidar", metadata={"weather": "A", "sceneloom": {"applied": [{"id": 1}], "x": 1}})
     second = only(drive.scene(), "radar", metadata={"weather": "B", "sceneloom": {"applied": [{"id": 2}], "y": 2}})
     merged = merge_scenes([first, second])
-    assert merged.metadata == {
-        "weather": "A",
-        "sceneloom": {"applied": [{"id": 1}, {"id": 2}], "x": 1, "y": 2},
-    }
+    assert merged.metadata == {"weather": "A", "sceneloom": {"applied": [{"id": 1}, {"id": 2}], "x": 1, "y": 2}}
     assert [(n.code, n.location) for n in merged.warnings] == [("metadata-differ", "metadata.weather")]
 
 

@@ -127,10 +127,7 @@ def everything(drive, box):
         ShapeAnnotation("lane", ShapeType.POLYGON_TOPDOWN, VertexPath(times[:1], (corners,)), stationary=True),
         PointsAnnotation(
             "body",
-            (
-                PointPath(times[:3], np.arange(9.0).reshape(3, 3)),
-                PointPath(times[1:3], np.ones((2, 3))),
-            ),
+            (PointPath(times[:3], np.arange(9.0).reshape(3, 3)), PointPath(times[1:3], np.ones((2, 3)))),
             projections=((PointProjection("camera", times[:2], positions=dots),), ()),
         ),
         GroupAnnotation("group"),

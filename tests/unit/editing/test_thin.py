@@ -100,12 +100,7 @@ def test_every_other_frame_of_the_named_sensors_stays():
 
 
 def test_labelled_points_follow_the_points_and_frames_that_stay():
-    entries = (
-        labels(0, 4, 5, 14, 15, 99),
-        labels(1, 7),
-        labels(2, 0, 90, 91),
-        labels(None, 1, 2, sensor="map"),
-    )
+    entries = (labels(0, 4, 5, 14, 15, 99), labels(1, 7), labels(2, 0, 90, 91), labels(None, 1, 2, sensor="map"))
     scene = scene_of(annotations=[LabeledPointsAnnotation("a", entries), LabeledPointsAnnotation("b", entries[1:2])])
     thinned = thin_scene(scene, voxel=1.0, keep="first", every=2)
     assert [annotation.id for annotation in thinned.annotations] == ["a"]

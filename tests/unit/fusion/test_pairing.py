@@ -38,11 +38,7 @@ def test_the_nearest_image_is_found_and_ties_go_to_the_earlier(times: list[int],
     assert (None if near is None else near.timestamp_ns) == exhaustive(times, time, tolerance)
 
 
-@given(
-    st.lists(st.integers(0, 100), min_size=1, max_size=20, unique=True),
-    st.integers(0, 100),
-    st.integers(0, 20),
-)
+@given(st.lists(st.integers(0, 100), min_size=1, max_size=20, unique=True), st.integers(0, 100), st.integers(0, 20))
 def test_forgetting_changes_no_later_pair(times: list[int], start: int, later: int) -> None:
     queue = queue_of(times)
     queue.forget_before(start)

@@ -56,8 +56,7 @@ def test_boxes_in_another_frame_have_their_corners_velocities_and_spreads_there(
     np.testing.assert_allclose(moved.velocities, rotation.apply(boxes.velocities.copy()), atol=1e-12)
     np.testing.assert_allclose(moved.speeds, boxes.speeds, atol=1e-12)
     np.testing.assert_allclose(
-        moved.covariances[2, :3, :3],
-        rotation.as_matrix() @ boxes.covariances[2, :3, :3] @ rotation.as_matrix().T,
+        moved.covariances[2, :3, :3], rotation.as_matrix() @ boxes.covariances[2, :3, :3] @ rotation.as_matrix().T
     )
     np.testing.assert_array_equal(moved.covariances[:, 3:, 3:], boxes.covariances[:, 3:, 3:])
     cross = rotation.as_matrix() @ boxes.covariances[1, :3, 6]
@@ -76,11 +75,7 @@ def test_selected_boxes_keep_all_that_belongs_to_them(boxes, rows):
 
 def test_boxes_in_an_image_are_edges_and_can_be_selected():
     boxes = Boxes2D(
-        3,
-        np.array([[0.0, 0, 1, 1], [2.0, 3, 6, 10]]),
-        np.array([-4.0, 9.0]),
-        ("a", "b"),
-        score_form=ScoreForm.LOGIT,
+        3, np.array([[0.0, 0, 1, 1], [2.0, 3, 6, 10]]), np.array([-4.0, 9.0]), ("a", "b"), score_form=ScoreForm.LOGIT
     )
     np.testing.assert_array_equal(boxes.sizes_wh, [[1, 1], [4, 7]])
     some = boxes.select([1])

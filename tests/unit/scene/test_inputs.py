@@ -93,10 +93,7 @@ def test_float64_positions_are_rounded_where_half_a_millimetre_is_kept():
         ({"positions": [[0, 0, 0]], "intensities": [-1]}, "-1, which uint8 cannot hold"),
         ({"positions": [[0, 0, 0]], "intensities": [0.5]}, "intensities.*float64"),
         ({"positions": [[0, 0, 0]], "timestamps_ns": [1e9]}, "floats cannot hold them exactly"),
-        (
-            {"positions": [[0, 0, 0]], "timestamps_ns": np.array([2**63], np.uint64)},
-            "which int64 cannot hold",
-        ),
+        ({"positions": [[0, 0, 0]], "timestamps_ns": np.array([2**63], np.uint64)}, "which int64 cannot hold"),
         ({"positions": [[0, 0, 0]], "timestamps_ns": [2**70]}, "timestamps_ns"),
         ({"positions": [[0, 0, 0]], "rings": [70000]}, "70000"),
         ({"positions": [[0, 0, 0]], "intensities": [1, 2]}, "intensities"),

@@ -165,10 +165,7 @@ def posed(pose, times=TRAJECTORY_NS):
 
 def test_points_in_the_world_stay_there_and_no_trajectory_can_be_chosen_for_them():
     world = {"coordinates": Coordinates.WORLD, "mount": None}
-    sensors = (
-        lidar(points_frame=PointsFrame.WORLD, **world),
-        camera(poses=posed(EGO_FROM_CAMERA), **world),
-    )
+    sensors = (lidar(points_frame=PointsFrame.WORLD, **world), camera(poses=posed(EGO_FROM_CAMERA), **world))
     sample = drive(*sensors).samples()[1]
     np.testing.assert_allclose(sample.poses.world_from_points.matrix, np.eye(4), atol=EXACT)
     path = posed(EGO_FROM_CAMERA)
@@ -321,10 +318,7 @@ def test_nothing_is_read_when_samples_are_made_and_only_what_a_sample_holds_afte
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            {"reference": "side"},
-            "reference 'side'; expected one of its lidars and cameras: 'lidar', 'camera0'",
-        ),
+        ({"reference": "side"}, "reference 'side'; expected one of its lidars and cameras: 'lidar', 'camera0'"),
         ({"cameras": ["camera0", "rear"]}, "no camera 'rear'; expected some of: 'all', 'camera0'"),
         ({"cameras": "lidar"}, "no camera 'lidar'"),
         ({"radars": ["r"]}, "no radar 'r'; expected some of: 'all', none, it has no such sensor"),

@@ -100,11 +100,7 @@ def test_a_summary_says_from_what_to_what_the_camera_models_of_single_images_go(
     ]
     varied = CameraSensor("varied", CAMERA, LazyFrames.of(images, range(4)))
     found, same = summarise(Scene((varied, camera_at([0, 1])))).sensors
-    assert (found.intrinsics.camera_models, found.intrinsics.fx, found.intrinsics.cx) == (
-        3,
-        (2.5, 4.5),
-        (1.5, 1.5),
-    )
+    assert (found.intrinsics.camera_models, found.intrinsics.fx, found.intrinsics.cx) == (3, (2.5, 4.5), (1.5, 1.5))
     assert (same.intrinsics.camera_models, same.intrinsics.fx) == (1, (3.0, 3.0))
 
 

@@ -141,14 +141,7 @@ def test_a_point_that_is_not_there_keeps_its_number():
 
 @pytest.mark.parametrize(
     ("start", "duration", "expected"),
-    [
-        (6, None, (6, None)),
-        (6, 30, (6, 30)),
-        (2, 4, (5, 1)),
-        (2, 3, None),
-        (2, None, None),
-        (10, 1, None),
-    ],
+    [(6, None, (6, None)), (6, 30, (6, 30)), (2, 4, (5, 1)), (2, 3, None), (2, None, None), (10, 1, None)],
 )
 def test_an_event_stays_where_it_lasts_into_the_part_and_ends_when_it_did(start, duration, expected):
     lasting_ns = None if duration is None else duration * SECOND
@@ -165,16 +158,9 @@ def test_labelled_points_follow_their_frames():
     ids = np.arange(2, dtype=np.uint32)
     parts = [LabeledPoints("top", ids, sensor_frame=k) for k in (4, 5, 9, 10)]
     of_map = LabeledPoints("map", ids)
-    part = cut(
-        LabeledPointsAnnotation("road", (*parts, of_map)),
-        LabeledPointsAnnotation("gone", (parts[0],)),
-    )
+    part = cut(LabeledPointsAnnotation("road", (*parts, of_map)), LabeledPointsAnnotation("gone", (parts[0],)))
     (kept,) = part.annotations
-    assert [(p.sensor_id, p.sensor_frame) for p in kept.labeled_points] == [
-        ("top", 0),
-        ("top", 4),
-        ("map", None),
-    ]
+    assert [(p.sensor_id, p.sensor_frame) for p in kept.labeled_points] == [("top", 0), ("top", 4), ("map", None)]
     assert reported(part)["labelled-frames"] == 3
     assert reported(part)["annotations-cut"] == 1
 

@@ -112,10 +112,7 @@ def test_poses_are_there_before_what_they_are_for(receiver):
     order = []
     receiver.send = lambda record: (order.append(record.timestamp.nanoseconds), receiver.fusion.send(record))[1]
     known = []
-    receiver.send_motion = lambda path: (
-        known.append((len(order), path.stop_ns)),
-        receiver.fusion.send_motion(path),
-    )[1]
+    receiver.send_motion = lambda path: (known.append((len(order), path.stop_ns)), receiver.fusion.send_motion(path))[1]
     send_scene(scene, receiver, rate=0)
     last = next(iter(scene.trajectories.values())).timestamps_ns[-1]
     for k, time_ns in enumerate(order):

@@ -259,16 +259,10 @@ def gains(spec, seconds, *, seed=0, camera=0):
 def drives():
     """The same drive with plain images, and with exposures that change."""
     spec = ExposureSpec(drift_stops=0.5, steps=((0.25, 1.0),), vignetting=0.4, exposure_ns=6_000_000)
-    cameras = (
-        CameraSpec(CAMERA_MODEL, exposure=spec),
-        CameraSpec(CAMERA_MODEL, exposure=spec, supersampling=2),
-    )
+    cameras = (CameraSpec(CAMERA_MODEL, exposure=spec), CameraSpec(CAMERA_MODEL, exposure=spec, supersampling=2))
     return (
         simulate_street(
-            2,
-            frames=6,
-            lidar=SMALL,
-            cameras=(CameraSpec(CAMERA_MODEL), CameraSpec(CAMERA_MODEL, supersampling=2)),
+            2, frames=6, lidar=SMALL, cameras=(CameraSpec(CAMERA_MODEL), CameraSpec(CAMERA_MODEL, supersampling=2))
         ),
         simulate_street(2, frames=6, lidar=SMALL, cameras=cameras),
     )
@@ -317,8 +311,7 @@ def test_the_truth_knows_nothing_of_the_exposure(drives):
     plain, exposed = drives
     for name in ("colors", "depths", "instances"):
         np.testing.assert_array_equal(
-            getattr(plain.truth.image("camera0", 3), name),
-            getattr(exposed.truth.image("camera0", 3), name),
+            getattr(plain.truth.image("camera0", 3), name), getattr(exposed.truth.image("camera0", 3), name)
         )
     assert plain.truth.exposure("camera0", 3) == 1.0
 

@@ -29,12 +29,7 @@ def rays_towards(generator, targets, origin, spread):
 def cast_from(street, origin, directions, *, reach=200.0, bundles=None):
     bundles = bundles_by_direction(directions) if bundles is None else bundles
     return cast(
-        street,
-        Rays.bundled(directions, bundles),
-        np.eye(3)[None],
-        origin[None],
-        np.zeros(1, np.int64),
-        reach=reach,
+        street, Rays.bundled(directions, bundles), np.eye(3)[None], origin[None], np.zeros(1, np.int64), reach=reach
     )
 
 

@@ -434,10 +434,7 @@ def test_what_moves_has_its_box_and_its_velocity_of_the_reference_time():
 
 
 def test_a_wrong_mounting_moves_boxes_of_the_ego_and_not_those_of_the_sensor(busy_drive):
-    faulty = inject(
-        busy_drive,
-        Faults({"lidar": SensorFaults(rotation_deg=(0.0, 0.0, 2.0), shift=(0.0, 0.3, 0.0))}),
-    )
+    faulty = inject(busy_drive, Faults({"lidar": SensorFaults(rotation_deg=(0.0, 0.0, 2.0), shift=(0.0, 0.3, 0.0))}))
     shift = np.array([0.0, 0.3, 0.0])
     for frame, factor in ((PointsFrame.SENSOR, 0.0), (PointsFrame.EGO, 1.0)):
         right, wrong = (detect_3d(d, ALL_3D, frames=[5], boxes_frame=frame)[0] for d in (busy_drive, faulty))
@@ -643,10 +640,7 @@ def drives():
             lidar=LidarSpec(beams=1, steps=1),
             cameras=(
                 CameraSpec(
-                    CAMERA_MODEL,
-                    camera_mount(yaw_deg=20.0),
-                    readout_ns=READOUT_NS,
-                    left_to_right=left_to_right,
+                    CAMERA_MODEL, camera_mount(yaw_deg=20.0), readout_ns=READOUT_NS, left_to_right=left_to_right
                 ),
             ),
             traffic=TrafficSpec(cars=5.0, cyclists=4.0, pedestrians=8.0),

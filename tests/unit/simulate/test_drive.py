@@ -521,10 +521,7 @@ def test_biases_differ_between_seeds_and_axes(path):
 
 
 def test_the_bias_is_not_drawn_from_the_numbers_of_the_noise(path):
-    times, spec = (
-        timestamps(0.1, 100),
-        ImuSpec(rate_hz=100, accelerometer_noise=0.1, accelerometer_bias_sigma=1.0),
-    )
+    times, spec = (timestamps(0.1, 100), ImuSpec(rate_hz=100, accelerometer_noise=0.1, accelerometer_bias_sigma=1.0))
     truth = imu_truth(spec, path, times, seed=0)
     noise = imu_sensor(spec, truth, seed=0).streams["accelerometer"].values[0] - truth.specific_forces[0]
     assert not np.allclose(noise - truth.accelerometer_bias, truth.accelerometer_bias, rtol=0.01)
@@ -616,14 +613,10 @@ def test_the_motion_of_a_seed_is_the_one_it_has_always_been(plain):
     streams = plain.scene.sensor("imu").streams
     assert len(streams["gyroscope"].values) == 142
     np.testing.assert_allclose(
-        streams["gyroscope"].values[50],
-        [0.0032136599131289446, 0.005590593738119201, 0.11757726706541065],
-        atol=1e-9,
+        streams["gyroscope"].values[50], [0.0032136599131289446, 0.005590593738119201, 0.11757726706541065], atol=1e-9
     )
     np.testing.assert_allclose(
-        streams["accelerometer"].values[50],
-        [1.4936717650823574, 0.8771658277854153, 9.71216806560011],
-        atol=1e-8,
+        streams["accelerometer"].values[50], [1.4936717650823574, 0.8771658277854153, 9.71216806560011], atol=1e-8
     )
     # 1e-11 degrees are a micrometre.
     np.testing.assert_allclose(

@@ -591,12 +591,7 @@ def test_points_move_with_what_they_are_on_and_stand_on_what_stands(busy):
 
 @pytest.mark.parametrize(
     "options",
-    [
-        {},
-        {"seed": 1},
-        {"path": PathSpec(yaw_rate=1.0)},
-        {"path": PathSpec(stops=(Stop(1.0, 2.0),), ramp=1.0)},
-    ],
+    [{}, {"seed": 1}, {"path": PathSpec(yaw_rate=1.0)}, {"path": PathSpec(stops=(Stop(1.0, 2.0),), ramp=1.0)}],
     ids=["default", "another seed", "fast rotates", "a stop"],
 )
 @pytest.mark.few(1)
@@ -685,10 +680,7 @@ def alone(street, instance):
     own = np.flatnonzero(shapes.instances == instance)
     if len(own):
         return Street(
-            (),
-            type(shapes)(*(getattr(shapes, name)[own] for name in shapes.__slots__)),
-            street.ground,
-            NO_MOVERS,
+            (), type(shapes)(*(getattr(shapes, name)[own] for name in shapes.__slots__)), street.ground, NO_MOVERS
         )
     nobody = type(shapes)(*(getattr(shapes, name)[:0] for name in shapes.__slots__))
     return Street(
@@ -791,14 +783,7 @@ def test_nobody_moves_where_nobody_is_wanted():
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        {"cars": 7.0},
-        {"cyclists": -1.0},
-        {"pedestrians": float("nan")},
-        {"stationary": 1.5},
-        {"crossing": 0.9},
-    ],
+    "wrong", [{"cars": 7.0}, {"cyclists": -1.0}, {"pedestrians": float("nan")}, {"stationary": 1.5}, {"crossing": 0.9}]
 )
 def test_traffic_that_cannot_be_is_refused_by_name(wrong):
     with pytest.raises(OptionError, match=f"traffic.{next(iter(wrong))}"):

@@ -216,10 +216,7 @@ def _boxes(peer: Peer, sent: str, lidar: np.ndarray[Any, Any]) -> Iterator[Seen]
     yield near(f"{sent}: distance of its middle from where it was sent [m]", 0.0, error, 0.25)
     cosine = float(np.array(found.direction) @ direction / np.linalg.norm(direction))
     yield near(
-        f"{sent}: cosine of its direction to what was sent",
-        1.0,
-        cosine / float(np.linalg.norm(found.direction)),
-        1e-4,
+        f"{sent}: cosine of its direction to what was sent", 1.0, cosine / float(np.linalg.norm(found.direction)), 1e-4
     )
 
 

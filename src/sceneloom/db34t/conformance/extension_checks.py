@@ -64,9 +64,7 @@ def _sessions(bench: Bench) -> Iterator[Seen]:
     other.calibrate()
     send_pairs(one, range(1))
     yield same(
-        "a pair in one session, Get in another",
-        "no_data",
-        other.fetch(SENSOR_DATA, wait_ms=0).WhichOneof("result"),
+        "a pair in one session, Get in another", "no_data", other.fetch(SENSOR_DATA, wait_ms=0).WhichOneof("result")
     )
     yield taken("the same seq in another session", other.send(scene.cloud(0)))
 
@@ -93,10 +91,7 @@ def _listed(bench: Bench) -> Iterator[Seen]:
     second = peer.call("ListProperties").revision
     third = peer.call("ListProperties").revision
     yield true(
-        "SetProperty, ListProperties: revision",
-        f"more than {first.revision}",
-        second,
-        agrees=second > first.revision,
+        "SetProperty, ListProperties: revision", f"more than {first.revision}", second, agrees=second > first.revision
     )
     yield same("ListProperties again: revision", second, third)
 
@@ -188,13 +183,7 @@ def _boxes_named(bench: Bench) -> Iterator[Seen]:
 @CHECKS.extension(14, "FusedDetections, fields 2 to 6", "detections state of which image and which sweep they are")
 def _pair_named(bench: Bench) -> Iterator[Seen]:
     found = bench.once(fused_boxes)
-    numbers = (
-        found.image_seq,
-        found.points_seq,
-        found.camera_id,
-        found.lidar_id,
-        scene.in_ns(found.timestamp),
-    )
+    numbers = (found.image_seq, found.points_seq, found.camera_id, found.lidar_id, scene.in_ns(found.timestamp))
     expected = (1, 1, scene.CAMERA_ID, scene.LIDAR_ID, scene.in_ns(scene.timestamp()))
     yield same("image_seq, points_seq, camera_id, lidar_id, timestamp", expected, numbers)
 
@@ -223,9 +212,7 @@ def _motion(bench: Bench) -> Iterator[Seen]:
 
 def _pose(offset_ns: int, forward: float) -> fusion_pb2.Pose:
     return fusion_pb2.Pose(
-        timestamp=scene.timestamp(offset_ns),
-        position=(forward, 0.0, 0.0),
-        quaternion_xyzw=(0.0, 0.0, 0.0, 1.0),
+        timestamp=scene.timestamp(offset_ns), position=(forward, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0)
     )
 
 
@@ -317,9 +304,7 @@ def _surroundings_listed(bench: Bench) -> Iterator[Seen]:
 
 
 @CHECKS.extension(
-    23,
-    "grpc.reflection",
-    "reflection gives the methods, messages and fields of the .proto, further ones aside",
+    23, "grpc.reflection", "reflection gives the methods, messages and fields of the .proto, further ones aside"
 )
 def _described(bench: Bench) -> Iterator[Seen]:
     files = [FileDescriptorProto.FromString(content) for content in bench.transport.files_with(SERVICE.full_name)]

@@ -95,18 +95,8 @@ _TRIPLE = "(int8,int8,int8)"
 _TABLE_2: dict[str, tuple[str, Any, tuple[Any, ...], tuple[Any, ...]]] = {
     "fusion_type": ("bool", 0, (1, 0), (2, -1, "0")),
     "chirality": ("bool", 0, (1, 0), (2, -1, "0")),
-    "camera_coordinate": (
-        _TRIPLE,
-        [2, 0, -1],
-        ([0, -1, 2], [1, 0, -2]),
-        ([0, 0, 1], [0, 1], [0, 1, 3], [0, 1, 258]),
-    ),
-    "lidar_coordinate": (
-        _TRIPLE,
-        [0, -1, 2],
-        ([1, 0, 2], [2, 0, -1]),
-        ([0, 0, 1], [0, 1], [0, 1, 3], [0, 1, 258]),
-    ),
+    "camera_coordinate": (_TRIPLE, [2, 0, -1], ([0, -1, 2], [1, 0, -2]), ([0, 0, 1], [0, 1], [0, 1, 3], [0, 1, 258])),
+    "lidar_coordinate": (_TRIPLE, [0, -1, 2], ([1, 0, 2], [2, 0, -1]), ([0, 0, 1], [0, 1], [0, 1, 3], [0, 1, 258])),
     "camera_frequency": ("uint32", 10, (20, 2**32 - 1, 1), (-1, 2**32, 10.5, "10")),
     "lidar_frequency": ("uint32", 10, (20, 2**32 - 1, 1), (-1, 2**32, 10.5, "10")),
     "fusion_algorithm": ("string", None, (), (1, "", "there is no such algorithm")),

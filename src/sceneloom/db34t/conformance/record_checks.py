@@ -167,9 +167,7 @@ def _no_trace(bench: Bench) -> Iterator[Seen]:
     peer.send(scene.cloud(1))
     record = peer.result(SENSOR_DATA)
     yield same(
-        "faulty records with seq 1, then good ones with seq 1, Get",
-        (1, 1),
-        (record.points_seq, record.image_seq),
+        "faulty records with seq 1, then good ones with seq 1, Get", (1, 1), (record.points_seq, record.image_seq)
     )
 
 
@@ -191,10 +189,7 @@ _CLOUD_ROWS: Mapping[str, _Case] = {
     "timestamp": ((scene.timestamp(), fusion_pb2.Timestamp(s=0, ns=0)), _TIMESTAMPS),
     "seq": ((0, 2**31, 2**32 - 1), ()),
     "number": ((len(_POINTS),), (0, len(_POINTS) - 1, len(_POINTS) + 1, 2**32 - 1)),
-    "fields": (
-        (("x", "y", "z"), ("z", "y", "x")),
-        ((), ("x", "y"), ("x", "y", "reflectivity"), ("x", "x", "y")),
-    ),
+    "fields": ((("x", "y", "z"), ("z", "y", "x")), ((), ("x", "y"), ("x", "y", "reflectivity"), ("x", "x", "y"))),
     "fields_number": ((3,), (0, 2, 4, 3 + 256)),
     "data": ((_POINTS.tobytes(),), (b"", _POINTS.tobytes()[:-4], _POINTS.tobytes()[:-1])),
     "sensor_type": ((0, 1), (2,)),
@@ -325,10 +320,7 @@ def _blue_first(bench: Bench) -> Iterator[Seen]:
 @CHECKS.clause("6.4-1", "6.4", "beam and ring are of mechanical lidars only")
 def _solid_state(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
-    for name, request in (
-        ("beam", scene.cloud(sensor_type=1, beam=1)),
-        ("ring", scene.cloud(sensor_type=1, ring=1)),
-    ):
+    for name, request in (("beam", scene.cloud(sensor_type=1, beam=1)), ("ring", scene.cloud(sensor_type=1, ring=1))):
         status = peer.send(request)
         yield refused(f"Send sensor_type = 1, {name} = 1", status)
 
@@ -355,10 +347,7 @@ def _missing_returns(bench: Bench) -> Iterator[Seen]:
 
 
 @CHECKS.clause(
-    "6.5-1",
-    "6.5",
-    "a box whose direction is vertical does not state how it lies, and is refused",
-    reading=True,
+    "6.5-1", "6.5", "a box whose direction is vertical does not state how it lies, and is refused", reading=True
 )
 def _vertical(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
@@ -383,10 +372,7 @@ def _both(bench: Bench) -> Iterator[Seen]:
 
 
 @CHECKS.clause(
-    "5.7-2",
-    "5.7.2",
-    "the fusion type is 0 or 1; without it, what the property fusion_type says",
-    reading=True,
+    "5.7-2", "5.7.2", "the fusion type is 0 or 1; without it, what the property fusion_type says", reading=True
 )
 def _type(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()

@@ -72,11 +72,7 @@ def _image_data(bench: Bench) -> Iterator[Seen]:
     yield true(f"{_SENT}: image_data", "the image", "the image" if equal else "another", agrees=equal)
 
 
-@CHECKS.row(
-    9,
-    "image_depth",
-    "how far from the camera what each pixel shows is, along the optical axis; 0 for nothing",
-)
+@CHECKS.row(9, "image_depth", "how far from the camera what each pixel shows is, along the optical axis; 0 for nothing")
 def _image_depth(bench: Bench) -> Iterator[Seen]:
     record = bench.once(fused_pair)
     yield same(f"{_SENT}: bytes of image_depth", 4 * record.width * record.height, len(record.image_depth))
@@ -228,12 +224,7 @@ _ROWS_OF_BOXES: Mapping[str, tuple[str, Callable[[scene.SentBox], Sequence[float
     },
     # rounding outwards and the pixel grid's two conventions differ by a pixel at most
     **{
-        name: (
-            f"{name} of the box in the image: of the 2D box, else of the projected 3D box",
-            scene.outline,
-            k,
-            1.0,
-        )
+        name: (f"{name} of the box in the image: of the 2D box, else of the projected 3D box", scene.outline, k, 1.0)
         for k, name in enumerate(("x1", "y1", "x2", "y2"))
     },
 }

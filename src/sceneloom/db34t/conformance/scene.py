@@ -268,10 +268,7 @@ def boxes_3d(
 
 
 def boxes_2d(
-    seq: int = 1,
-    offset_ns: int = IMAGE_LATER_NS,
-    boxes: Sequence[fusion_pb2.Box2d] | None = None,
-    **changed: Any,
+    seq: int = 1, offset_ns: int = IMAGE_LATER_NS, boxes: Sequence[fusion_pb2.Box2d] | None = None, **changed: Any
 ) -> fusion_pb2.SendRequest:
     """A request with the boxes of an image; the one box where none are stated."""
     listed = [box_2d(seq, offset_ns)] if boxes is None else boxes

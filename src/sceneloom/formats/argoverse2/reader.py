@@ -55,12 +55,7 @@ _COLUMNS: Mapping[str, Mapping[str, type[Any]]] = {
         **_POSE,
         "num_interior_pts": np.int64,
     },
-    LIDAR: {
-        **dict.fromkeys("xyz", np.float32),
-        "intensity": np.uint8,
-        "laser_number": np.uint8,
-        "offset_ns": np.int32,
-    },
+    LIDAR: {**dict.fromkeys("xyz", np.float32), "intensity": np.uint8, "laser_number": np.uint8, "offset_ns": np.int32},
 }
 """The columns that are read of each table, and what their values become; `str` for texts."""
 
@@ -126,11 +121,7 @@ def open_argoverse2(
     """
     joined, with_distortion = as_flag("one_lidar", one_lidar), as_flag("distorted", distorted)
     folder = choose_drive(
-        path,
-        drives_in(path, is_log),
-        sequence,
-        called="log",
-        expected=f"{POSES}, calibration/ and sensors/",
+        path, drives_in(path, is_log), sequence, called="log", expected=f"{POSES}, calibration/ and sensors/"
     )
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
@@ -355,10 +346,7 @@ def _cuboid(file: Path, track: str, rows: list[int], columns: Columns, values: F
     if len(set(categories)) > 1:
         attributes.append(AttributePath("category", tuple(categories), timestamps_ns))
     return CuboidAnnotation(
-        id=track,
-        path=CuboidPath(timestamps_ns, values[order]),
-        label=categories[0],
-        attributes=tuple(attributes),
+        id=track, path=CuboidPath(timestamps_ns, values[order]), label=categories[0], attributes=tuple(attributes)
     )
 
 

@@ -276,10 +276,7 @@ class _LabelRows:
         if self._tilted:
             what = "stood upright about the camera's y axis: their tilt against it is dropped [deg]"
             self.losses.approximated(
-                "annotations.cuboid.path.values",
-                what,
-                count=self._tilted,
-                error=float(np.degrees(self._tilt)),
+                "annotations.cuboid.path.values", what, count=self._tilted, error=float(np.degrees(self._tilt))
             )
 
     def _add_box(self, annotation: Box2DAnnotation) -> None:
@@ -374,11 +371,7 @@ _OBJECT_HELD = frozenset({LidarSensor, CameraSensor, CuboidAnnotation, Box2DAnno
 
 _OBJECT_KIND = FolderKind(
     "folder of KITTI's object benchmark",
-    (
-        r"training/velodyne/\d{6}\.bin",
-        r"training/(calib|label_2)/\d{6}\.txt",
-        r"training/image_\d/\d{6}\.(png|jpe?g)",
-    ),
+    (r"training/velodyne/\d{6}\.bin", r"training/(calib|label_2)/\d{6}\.txt", r"training/image_\d/\d{6}\.(png|jpe?g)"),
     r"training/calib/\d{6}\.txt",
 )
 
@@ -413,10 +406,7 @@ def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossRe
         locations = _FrameLocations(choice, timeline)
         rectified = [
             write_calibration(
-                folder / "calib" / f"{numbers[k]:06d}.txt",
-                "object",
-                locations.mounted(k),
-                _kept(scene, numbers[k]),
+                folder / "calib" / f"{numbers[k]:06d}.txt", "object", locations.mounted(k), _kept(scene, numbers[k])
             )
             for k in range(len(timeline))
         ]

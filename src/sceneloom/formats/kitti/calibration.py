@@ -33,13 +33,7 @@ _OPTICAL_FROM_BODY = RigidTransform(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]
 """Takes a frame that looks forward, left and up into the camera's: right, down, forward."""
 
 _IMAGE_SIZES: Mapping[float, tuple[int, int]] = MappingProxyType(
-    {
-        721.5377: (1242, 375),
-        707.0493: (1224, 370),
-        718.3351: (1238, 374),
-        718.856: (1241, 376),
-        707.0912: (1226, 370),
-    }
+    {721.5377: (1242, 375), 707.0493: (1224, 370), 718.3351: (1238, 374), 718.856: (1241, 376), 707.0912: (1226, 370)}
 )
 """Width and height of rectified images by focal length [px], one for each day of the recordings.
 

@@ -17,10 +17,7 @@ from sceneloom.formats.kitti.text import Line, as_table, read_lines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.warnings import WarningKind
 
-NUMBERS = (
-    *("truncated", "occluded", "alpha", "x1", "y1", "x2", "y2"),
-    *("h", "w", "l", "x", "y", "z", "ry"),
-)
+NUMBERS = (*("truncated", "occluded", "alpha", "x1", "y1", "x2", "y2"), *("h", "w", "l", "x", "y", "z", "ry"))
 """The numbers behind the class of an object; a score may follow."""
 
 NO_TRACK = -1
@@ -248,10 +245,7 @@ CENTRE_TO_CORNER = 0.5
 
 
 def lidar_boxes(
-    sizes_hwl: Float64Array,
-    bottoms: Float64Array,
-    rotations_y: Float64Array,
-    rectified_from_lidar: RigidTransform,
+    sizes_hwl: Float64Array, bottoms: Float64Array, rotations_y: Float64Array, rectified_from_lidar: RigidTransform
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Give boxes in the lidar's frame.
 
@@ -272,11 +266,7 @@ def lidar_boxes(
     headings = np.column_stack([np.cos(rotations_y), np.zeros(len(rotations_y)), -np.sin(rotations_y)])
     lidar_from_rectified = rectified_from_lidar.inverse()
     rotated = lidar_from_rectified.rotate(headings)
-    return (
-        lidar_from_rectified.apply(centers),
-        sizes_hwl[:, ::-1].copy(),
-        np.arctan2(rotated[:, 1], rotated[:, 0]),
-    )
+    return (lidar_from_rectified.apply(centers), sizes_hwl[:, ::-1].copy(), np.arctan2(rotated[:, 1], rotated[:, 0]))
 
 
 def rectified_boxes(
@@ -304,10 +294,7 @@ def observation_angles(bottoms: Float64Array, rotations_y: Float64Array) -> Floa
 
 COLUMNS_2D = ("frame", "x1", "y1", "x2", "y2", "score")
 
-COLUMNS_3D = (
-    *("frame", "type", "x1", "y1", "x2", "y2", "score"),
-    *("h", "w", "l", "x", "y", "z", "ry", "alpha"),
-)
+COLUMNS_3D = (*("frame", "type", "x1", "y1", "x2", "y2", "score"), *("h", "w", "l", "x", "y", "z", "ry", "alpha"))
 """What the numbers of a line are."""
 
 TYPES: Mapping[int, str] = MappingProxyType({1: "Pedestrian", 2: "Car", 3: "Cyclist"})

@@ -170,9 +170,7 @@ def open_odometry(path: Path, *, sequence: str | None = None, labels: str = "rea
 def _open(location: OdometrySequence, ledger: Ledger, *, with_labels: bool) -> Scene:
     folder = location.folder
     note_unread(
-        folder,
-        ("calib.txt", "times.txt", "poses.txt", "velodyne", "labels", *ODOMETRY_CAMERAS.values()),
-        ledger,
+        folder, ("calib.txt", "times.txt", "poses.txt", "velodyne", "labels", *ODOMETRY_CAMERAS.values()), ledger
     )
     sweeps = numbered_files(folder / "velodyne", SWEEPS, ledger)
     images = {number: numbered_files(folder / name, IMAGES, ledger) for number, name in ODOMETRY_CAMERAS.items()}

@@ -522,11 +522,7 @@ def _open(drive: RawDrive, ledger: Ledger) -> Scene:
         frames = dict(zip(reference.files.numbers.tolist(), reference.timestamps_ns.tolist(), strict=True))
         found = _read_tracklets(tracklets)
         annotations = _tracklet_annotations(found, tracklets, frames, poses, ego_from_lidar, ledger)
-    reported = {
-        "drive": drive.folder.resolve().name,
-        "rectified": rectified,
-        "calibration": calibration.texts,
-    }
+    reported = {"drive": drive.folder.resolve().name, "rectified": rectified, "calibration": calibration.texts}
     return Scene(
         (*sensors, *own),
         annotations=annotations,
@@ -641,13 +637,7 @@ def _rising(
     """Bring lines into the order of their times; of several of one time the first stays."""
     back = int((np.diff(timestamps_ns) < 0).sum())
     if back:
-        ledger.note(
-            WarningKind.REPAIRED,
-            "samples-sorted",
-            location,
-            "times run backwards; sorted by time",
-            count=back,
-        )
+        ledger.note(WarningKind.REPAIRED, "samples-sorted", location, "times run backwards; sorted by time", count=back)
     times, rows = np.unique(timestamps_ns, return_index=True)
     lost = len(timestamps_ns) - len(times)
     if lost:

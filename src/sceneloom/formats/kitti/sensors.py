@@ -85,11 +85,7 @@ class _SweepFiles:
         if self.rotations is not None:
             start_ns, middle_ns, end_ns = (
                 int(timestamps[k])
-                for timestamps in (
-                    self.rotations.starts_ns,
-                    self.rotations.middles_ns,
-                    self.rotations.ends_ns,
-                )
+                for timestamps in (self.rotations.starts_ns, self.rotations.middles_ns, self.rotations.ends_ns)
             )
             times = read_only(times_in_rotation(positions, start_ns, middle_ns, end_ns))
             extras |= {"forward_ns": middle_ns, "end_ns": end_ns}
@@ -226,10 +222,7 @@ def stationary(timestamps_ns: Int64Array, location: Path | str, reason: str, led
         ledger: takes the warning.
     """
     ledger.note(
-        WarningKind.ASSUMED,
-        "ego-stands",
-        str(location),
-        f"{reason}: boxes are placed as if the ego was stationary",
+        WarningKind.ASSUMED, "ego-stands", str(location), f"{reason}: boxes are placed as if the ego was stationary"
     )
     times = np.unique(np.array([timestamps_ns.min(), timestamps_ns.max()], np.int64))
     rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
@@ -333,11 +326,7 @@ def _objects(labels: KittiLabels, file: object) -> list[tuple[Identifier, Int64A
 
 
 def _cuboid(
-    identifier: Identifier,
-    labels: KittiLabels,
-    rows: Int64Array,
-    values: Float64Array,
-    locations: LabelLocations,
+    identifier: Identifier, labels: KittiLabels, rows: Int64Array, values: Float64Array, locations: LabelLocations
 ) -> CuboidAnnotation:
     timestamps = locations.timestamps_ns[rows]
     shown = rows[labels.have_outline[rows]]

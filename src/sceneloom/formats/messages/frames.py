@@ -209,13 +209,7 @@ class _Roles:
 
 
 def choose_roles(
-    tree: FrameTree,
-    sensor_frames: Iterable[str],
-    *,
-    ego: str | None,
-    world: str | None,
-    location: str,
-    ledger: Ledger,
+    tree: FrameTree, sensor_frames: Iterable[str], *, ego: str | None, world: str | None, location: str, ledger: Ledger
 ) -> _Roles:
     """Choose the frames.
 

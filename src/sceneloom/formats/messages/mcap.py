@@ -84,10 +84,7 @@ _SAMPLE_JSON = MappingProxyType(
                 "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
             },
             "frame_id": {"type": "string"},
-            "values": {
-                "type": "object",
-                "additionalProperties": {"type": "array", "items": {"type": "number"}},
-            },
+            "values": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}},
         },
         "required": ["timestamp", "frame_id", "values"],
     }

@@ -320,12 +320,7 @@ def _note(survey: Survey, good: Any, code: str, location: str, message: str) -> 
 
 
 def _to_world(
-    centers: Float64Array,
-    rotations: Float64Array,
-    same: Any,
-    times: Int64Array,
-    frame: str,
-    locations: Locations,
+    centers: Float64Array, rotations: Float64Array, same: Any, times: Int64Array, frame: str, locations: Locations
 ) -> Any:
     """Move the chosen boxes of one frame into the world, in place; state which of them could be."""
     path, fixed = locations.world_from(frame, times[same])

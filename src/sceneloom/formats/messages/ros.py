@@ -229,12 +229,7 @@ def _dialect(*, videos: bool) -> Dialect:
         fisheye="equidistant",
         camera_model_topic="camera_info",
         sample_topics=MappingProxyType(
-            {
-                "accelerometer": "data",
-                "gyroscope": "data",
-                "magnetometer": "mag",
-                "imuTemperature": "temperature",
-            }
+            {"accelerometer": "data", "gyroscope": "data", "magnetometer": "mag", "imuTemperature": "temperature"}
         ),
         videos=videos,
         covariances=True,

@@ -477,9 +477,5 @@ class _UnpackedBag:
 
 
 _STORAGES: Mapping[str, Callable[[Path, Ledger], Bag]] = MappingProxyType(
-    {
-        ".bag": partial(_open_chunked, _read_ros1),
-        ".db3": _SqliteBag,
-        ".mcap": partial(_open_chunked, _read_mcap),
-    }
+    {".bag": partial(_open_chunked, _read_ros1), ".db3": _SqliteBag, ".mcap": partial(_open_chunked, _read_mcap)}
 )

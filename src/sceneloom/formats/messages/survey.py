@@ -110,13 +110,7 @@ def in_order(timestamps_ns: Int64Array, location: str, ledger: Ledger) -> Int64A
     _, rows = np.unique(timestamps_ns, return_index=True)
     if len(rows) < len(timestamps_ns):
         message = "messages with the time of another one; the first counts"
-        ledger.note(
-            WarningKind.SKIPPED,
-            "repeated-timestamps",
-            location,
-            message,
-            count=len(timestamps_ns) - len(rows),
-        )
+        ledger.note(WarningKind.SKIPPED, "repeated-timestamps", location, message, count=len(timestamps_ns) - len(rows))
     return rows.astype(np.int64)
 
 

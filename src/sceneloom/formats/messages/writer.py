@@ -74,11 +74,7 @@ class _Rows:
 
 
 def _cuboid_stream(
-    annotations: Sequence[CuboidAnnotation],
-    keys: Sequence[str],
-    topic: str,
-    frame_id: str,
-    angles: CuboidAngles,
+    annotations: Sequence[CuboidAnnotation], keys: Sequence[str], topic: str, frame_id: str, angles: CuboidAngles
 ) -> Stream:
     """Draw cuboids at each of their times, and take them away at the first one after their last."""
     rows = _Rows.of(annotations)

@@ -40,9 +40,7 @@ _CORNER = 0.5
 _POINTS_FILE = "points.ply"
 
 _KIND = FolderKind(
-    "folder of nerfstudio",
-    (r"transforms\.json", r"points\.ply", r"images/.+/\d{6,}_-?\d+\.\w+"),
-    r"transforms\.json",
+    "folder of nerfstudio", (r"transforms\.json", r"points\.ply", r"images/.+/\d{6,}_-?\d+\.\w+"), r"transforms\.json"
 )
 
 _GL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])

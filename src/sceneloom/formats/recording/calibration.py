@@ -494,11 +494,7 @@ class _Reader:
 
 
 def read_texts(
-    frames: FrameColumns,
-    rows: "array[int]",
-    chosen: "array[int]",
-    read: Callable[[bytes, int], _Value],
-    ledger: Ledger,
+    frames: FrameColumns, rows: "array[int]", chosen: "array[int]", read: Callable[[bytes, int], _Value], ledger: Ledger
 ) -> dict[int, _Value]:
     """Read every text that a camera's entries have.
 

@@ -197,11 +197,7 @@ def choose_images(
 
 def _aligned(numbers: Int64Array, image_count: int, alignment: str) -> _ImageChoice:
     """The images that lines mean by a given rule; lines that mean none are a problem."""
-    by_rule = {
-        "number": numbers,
-        "first": numbers - numbers.min(),
-        "line": np.arange(len(numbers), dtype=np.int64),
-    }
+    by_rule = {"number": numbers, "first": numbers - numbers.min(), "line": np.arange(len(numbers), dtype=np.int64)}
     indices = by_rule[alignment]
     outside = (indices < 0) | (indices >= image_count)
     problem = None

@@ -93,11 +93,7 @@ class _Records:
         from sceneloom.kernels.packed import unpack
 
         count = len(self.records)
-        positions, intensities, rings = (
-            np.empty((count, 3), "f4"),
-            np.empty(count, "u1"),
-            np.empty(count, "u2"),
-        )
+        positions, intensities, rings = (np.empty((count, 3), "f4"), np.empty(count, "u1"), np.empty(count, "u2"))
         seconds, timestamps_ns = np.empty(count, np.float64), np.empty(count, np.int64)
         unpack(read_only(self.records), positions, intensities, rings, seconds, timestamps_ns)
         return LidarPoints(

@@ -79,10 +79,7 @@ def _read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     values = np.frombuffer(poses.values, np.float64).reshape(-1, 7)
     rotated = poses.unturned < len(poses.lines)
     rows = PoseRows(
-        np.frombuffer(poses.timestamps_ns, np.int64),
-        values[:, :3],
-        values[:, 3:] if rotated else None,
-        poses.lines,
+        np.frombuffer(poses.timestamps_ns, np.int64), values[:, :3], values[:, 3:] if rotated else None, poses.lines
     )
     return TrajectoryFile(ordered(path, name, rows, ledger)[0], JSONL.name)
 

@@ -32,16 +32,7 @@ _BLOCK = 1 << 20
 _LONGEST_NAME = 1000
 _BESIDE = ("__MACOSX/", ".DS_Store")
 
-_FAULTS = (
-    BadZipFile,
-    LargeZipFile,
-    OSError,
-    EOFError,
-    RuntimeError,
-    NotImplementedError,
-    ValueError,
-    zlib.error,
-)
+_FAULTS = (BadZipFile, LargeZipFile, OSError, EOFError, RuntimeError, NotImplementedError, ValueError, zlib.error)
 """What reading of an archive that nobody checked may raise; `RuntimeError` is for one with a password."""
 
 

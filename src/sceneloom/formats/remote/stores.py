@@ -21,14 +21,7 @@ _EXTRA = f"files behind URLs need {how_to_install('cloud')}"
 _PASSING_STATUS = {408, 425, 429, 500, 502, 503, 504}
 """Source: RFC 9110, clauses 15.5.9 and 15.6; RFC 6585, clause 4; RFC 8470, clause 5.2."""
 
-_PASSING_ERRNO = {
-    errno.EBUSY,
-    errno.EAGAIN,
-    errno.ECONNRESET,
-    errno.ECONNREFUSED,
-    errno.EPIPE,
-    errno.ETIMEDOUT,
-}
+_PASSING_ERRNO = {errno.EBUSY, errno.EAGAIN, errno.ECONNRESET, errno.ECONNREFUSED, errno.EPIPE, errno.ETIMEDOUT}
 
 _PASSING_KINDS = (ConnectionError, TimeoutError, InterruptedError, BlockingIOError)
 
@@ -370,10 +363,7 @@ def _facts(reported: Mapping[str, Any]) -> Facts:
     size = reported.get("size")
     version = next((_mark(reported[name]) for name in _VERSIONS if reported.get(name)), None)
     return Facts(
-        str(reported["name"]),
-        size if isinstance(size, int) else None,
-        version,
-        reported.get("type") == "directory",
+        str(reported["name"]), size if isinstance(size, int) else None, version, reported.get("type") == "directory"
     )
 
 

@@ -236,10 +236,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _array("lengths", "float32", unit="m/s"),
         _POINT_TIMES,
     ),
-    "intrinsics": (
-        *_INTRINSICS,
-        Field("distortion", Kind.RECORD, record="distortion"),
-    ),
+    "intrinsics": (*_INTRINSICS, Field("distortion", Kind.RECORD, record="distortion")),
     "distortion": (_expects(Field("model", Kind.TEXT)), _expects(Field("params", Kind.LIST))),
     "video": (_TIMESTAMPS, _array("content", "uint8", required=True), _expects(Field("fps", Kind.NUMBER, unit="1/s"))),
     "image": (_needs("timestamp", Kind.TIME, "file"), _array("content", "uint8", required=True)),
@@ -263,11 +260,7 @@ _PART_RECORDS: Mapping[str, tuple[Field, ...]] = {
         _array("file_seconds", "float64", unit="s"),
         _array("covariances", "float64", 36, "rad², rad m, m²"),
     ),
-    "camera": (
-        _needs("model", Kind.TEXT),
-        *_INTRINSICS,
-        _needs("coefficients", Kind.LIST),
-    ),
+    "camera": (_needs("model", Kind.TEXT), *_INTRINSICS, _needs("coefficients", Kind.LIST)),
     "images_note": (
         Field("cameras", Kind.RECORDS, record="camera"),
         Field("camera_of_image", Kind.LIST),

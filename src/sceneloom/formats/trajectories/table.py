@@ -50,11 +50,7 @@ _FIXES = "fixes"
 
 
 def _read_scene_trajectory(
-    form: FormatSpec,
-    location: Any,
-    reading: Reading,
-    options: Mapping[str, Any],
-    progress: Progress | None = None,
+    form: FormatSpec, location: Any, reading: Reading, options: Mapping[str, Any], progress: Progress | None = None
 ) -> TrajectoryFile:
     """Open a scene and take a trajectory out of it.
 
@@ -69,12 +65,7 @@ def _read_scene_trajectory(
         scene = replace(opened, corrections=chosen).corrected()
         found = _named(scene, reading, progress)
     return TrajectoryFile(
-        found.trajectory,
-        form.name,
-        found.fixes,
-        found.origin_lla,
-        found.columns,
-        (*scene.warnings, *found.warnings),
+        found.trajectory, form.name, found.fixes, found.origin_lla, found.columns, (*scene.warnings, *found.warnings)
     )
 
 

@@ -628,12 +628,7 @@ class VideoReader:
     """
 
     def __init__(
-        self,
-        source: VideoSource,
-        *,
-        name: str | None = None,
-        index: VideoIndex | None = None,
-        cut_off: bool = False,
+        self, source: VideoSource, *, name: str | None = None, index: VideoIndex | None = None, cut_off: bool = False
     ) -> None:
         """Open the container and read its head.
 

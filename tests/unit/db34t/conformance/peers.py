@@ -48,8 +48,7 @@ class HereTransport:
             return fusion_pb2.GetReply(no_data=fusion_pb2.NoData())
         properties = result.configuration.properties.values()
         reply = fusion_pb2.GetReply(
-            number=result.number,
-            configuration=fusion_pb2.Properties(properties=map(property_to_protobuf, properties)),
+            number=result.number, configuration=fusion_pb2.Properties(properties=map(property_to_protobuf, properties))
         )
         fill_message(getattr(reply, kind_of(result.record).name), result.record)
         return reply

@@ -140,11 +140,7 @@ def examination():
 def test_json_holds_every_check_with_what_it_saw(examination, tmp_path):
     examination.write(tmp_path / "r.json")
     found = json.loads((tmp_path / "r.json").read_text("utf-8"))
-    assert (found["address"], found["passed"], found["counts"]) == (
-        "127.0.0.1:1",
-        False,
-        {"passed": 4, "failed": 1},
-    )
+    assert (found["address"], found["passed"], found["counts"]) == ("127.0.0.1:1", False, {"passed": 4, "failed": 1})
     failed = next(check for check in found["checks"] if check["verdict"] == "failed")
     assert failed["id"] == "5.3-3"
     assert "1—添加成功" in failed["chinese"]

@@ -17,16 +17,12 @@ POINTS = np.random.default_rng(0).uniform(-1, 1, (50, 3)) * [1, 0.7, 0] + [0, 0,
 
 def camera_model(model, coefficients, k=K):
     return read_camera_model(
-        CameraModelRecord(0, "c", 640, 480, model, coefficients, k),
-        "file",
-        "camera_model",
-        Ledger(lenient=False),
+        CameraModelRecord(0, "c", 640, 480, model, coefficients, k), "file", "camera_model", Ledger(lenient=False)
     )
 
 
 @pytest.mark.parametrize(
-    ("model", "count"),
-    [("plumb_bob", 5), ("rational_polynomial", 8), ("rational_polynomial", 14), ("equidistant", 4)],
+    ("model", "count"), [("plumb_bob", 5), ("rational_polynomial", 8), ("rational_polynomial", 14), ("equidistant", 4)]
 )
 def test_camera_models_project_as_opencv_does(model, count):
     camera = camera_model(model, D[:count])

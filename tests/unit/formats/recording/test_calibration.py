@@ -295,15 +295,9 @@ def test_the_antenna_sits_where_imu_to_gnss_says(recording, further, matrix, cod
 @pytest.mark.parametrize(
     ("further", "problem"),
     [
-        (
-            {"imuToGnss": [[2.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
-            "imuToGnss: rotation off by 3",
-        ),
+        ({"imuToGnss": [[2.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "imuToGnss: rotation off by 3"),
         ({"imuToGnss": [1.0, 2.0]}, "imuToGnss: 2 numbers"),
-        (
-            {"imuToGnss": {"x": 1.0, "y": 2.0}},
-            'imuToGnss: {"x":1.0,"y":2.0}: Object missing required field `z`',
-        ),
+        ({"imuToGnss": {"x": 1.0, "y": 2.0}}, 'imuToGnss: {"x":1.0,"y":2.0}: Object missing required field `z`'),
         ({"imuToOutput": "identity"}, 'imuToOutput: "identity"'),
         ({"imuToMagnetometer": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "imuToMagnetometer: rotation mirrored"),
         ({"imuForward": [0, 0, 0]}, "imuForward: [0.0, 0.0, 0.0]; expected a direction"),
@@ -325,8 +319,7 @@ def test_another_frame_of_the_output_is_reported_not_applied(recording):
 
 
 @pytest.mark.parametrize(
-    ("camera_shift", "expected_ns"),
-    [("ignore", 1_000_000_000), ("apply", 1_015_000_000), ("subtract", 985_000_000)],
+    ("camera_shift", "expected_ns"), [("ignore", 1_000_000_000), ("apply", 1_015_000_000), ("subtract", 985_000_000)]
 )
 def test_camera_shifts_move_the_images_only_where_asked_for(recording, pinhole, camera_shift, expected_ns):
     recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 1.0}]).video("data.mkv", 1)
@@ -524,11 +517,7 @@ def test_parameters_that_are_none_are_refused(recording, text, problem):
 
 
 def test_lines_that_only_look_like_old_ones_state_nothing(recording):
-    header = [
-        '{"cameraInd":7,"imuToCamera":[]}',
-        '{"cameraInd":"x","imuToCamera":[]}',
-        '{"cameraInd":0,"speed":1}',
-    ]
+    header = ['{"cameraInd":7,"imuToCamera":[]}', '{"cameraInd":"x","imuToCamera":[]}', '{"cameraInd":0,"speed":1}']
     recording.lines([*header, '{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":0}'])
     with FORMAT.open(recording.path) as scene:
         assert "calibration" not in scene.metadata["recording"]

@@ -34,11 +34,7 @@ def reported(text, kind=Entry):
     ("text", "path", "problem"),
     [
         (b'{"number":"7"}', "number", '"7": expected a number, not a text'),
-        (
-            b'{"seconds":17e17}',
-            "seconds",
-            "1.7e18: expected seconds, within ±9.2e+09; this looks like nanoseconds",
-        ),
+        (b'{"seconds":17e17}', "seconds", "1.7e18: expected seconds, within ±9.2e+09; this looks like nanoseconds"),
         (
             b'{"seconds":17e11}',
             "seconds",

@@ -154,17 +154,10 @@ def test_unsorted_lines_show_their_own_images_in_the_order_of_time(recording, pi
 
 def test_a_line_brings_along_a_camera_model_and_a_mounting(recording, pinhole):
     shifted = [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]]
-    own = {
-        "cameraInd": 0,
-        "cameraParameters": {"focalLengthX": 25.0, "focalLengthY": 26.0},
-        "imuToCamera": shifted,
-    }
+    own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 25.0, "focalLengthY": 26.0}, "imuToCamera": shifted}
     other = {
         "cameraInd": 0,
-        "cameraParameters": {
-            "distortionModel": "KANNALA_BRANDT4",
-            "distortionCoefficients": [1e-3, 2e-3, 3e-3, 4e-3],
-        },
+        "cameraParameters": {"distortionModel": "KANNALA_BRANDT4", "distortionCoefficients": [1e-3, 2e-3, 3e-3, 4e-3]},
     }
     lines = [frames(0, 0.0), frames(1, 0.1, own), frames(2, 0.2, other), frames(3, 0.3, own)]
     recording.video("data.mkv", 4).lines(lines).calibration([pinhole])
@@ -194,11 +187,7 @@ def test_coefficients_of_the_calibration_hold_for_a_line_of_the_same_model_only(
     recording.video("data.mkv", 1).lines([frames(0, 0.0, own)]).calibration([bent])
     with FORMAT.open(recording.path) as scene:
         camera_model = scene.cameras[0].images[0].camera
-        assert (camera_model.model, camera_model.fx, camera_model.coefficients) == (
-            model_here,
-            25.0,
-            coefficients,
-        )
+        assert (camera_model.model, camera_model.fx, camera_model.coefficients) == (model_here, 25.0, coefficients)
 
 
 def test_a_camera_model_of_a_line_is_scaled_like_that_of_the_calibration(recording, pinhole):
@@ -227,11 +216,7 @@ def test_a_recording_may_have_all_its_parameters_in_the_lines(recording, pinhole
 @pytest.mark.parametrize(
     ("entry", "kind", "words"),
     [
-        (
-            {"cameraParameters": {"focalLengthX": "x"}},
-            DataError,
-            ["line 2", "cameraParameters.focalLengthX", '"x"'],
-        ),
+        ({"cameraParameters": {"focalLengthX": "x"}}, DataError, ["line 2", "cameraParameters.focalLengthX", '"x"']),
         ({"cameraParameters": {"focalLengthX": -1}}, CalibrationError, ["line 2", "focal lengths -1"]),
         ({"cameraParameters": 3}, DataError, ["line 2", "cameraParameters", "3"]),
         ({"imuToCamera": "x"}, DataError, ["line 2", "imuToCamera", '"x"']),
@@ -285,10 +270,7 @@ def test_frames_without_images_are_an_error_that_names_the_files_to_be_there(rec
     with pytest.raises(DataError, match=r"no images of camera 1, .*data2\.\{mkv,mp4,mov,avi,ts\} or frames2/"):
         FORMAT.open(recording.path)
     with FORMAT.open(recording.path, lenient=True) as scene:
-        assert [(camera.id, len(camera.images)) for camera in scene.cameras] == [
-            ("camera0", 1),
-            ("camera1", 0),
-        ]
+        assert [(camera.id, len(camera.images)) for camera in scene.cameras] == [("camera0", 1), ("camera1", 0)]
         assert codes(scene) == ["missing-videos"]
 
 

@@ -105,16 +105,7 @@ def test_a_missing_file_is_a_fault_of_its_line_when_it_is_read(recording, file):
 
 
 @pytest.mark.parametrize(
-    "file",
-    [
-        "/etc/passwd",
-        "../outside.bin",
-        "lidar/../../outside.bin",
-        "C:\\points.bin",
-        "..\\points.bin",
-        "",
-        "a\0b",
-    ],
+    "file", ["/etc/passwd", "../outside.bin", "lidar/../../outside.bin", "C:\\points.bin", "..\\points.bin", "", "a\0b"]
 )
 def test_names_that_lead_out_of_the_folder_are_refused(recording, file):
     recording.points("../outside.bin", POINTS).lines([sweep(file, 0.0)])
@@ -204,7 +195,4 @@ def test_unsorted_sweeps_come_in_the_order_of_time_with_their_own_files(recordin
     recording.points("late.bin", POINTS).points("early.bin", POINTS[:1])
     recording.lines([sweep("late.bin", 0.2), sweep("early.bin", 0.1)])
     frames = FORMAT.open(recording.path).lidars[0].frames
-    assert [(frame.timestamp_ns, len(frame.points)) for frame in frames] == [
-        (100_000_000, 1),
-        (200_000_000, 3),
-    ]
+    assert [(frame.timestamp_ns, len(frame.points)) for frame in frames] == [(100_000_000, 1), (200_000_000, 3)]

@@ -118,10 +118,7 @@ def test_the_default_trajectory_stands_first(recording):
 def test_poses_keep_position_and_orientation(recording):
     rotation = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
     recording.lines(
-        [
-            pose_line("groundTruth", 1.5, 7.0, rotation=rotation),
-            pose_line("groundTruth", 2.5, 8.0, rotation=rotation),
-        ]
+        [pose_line("groundTruth", 1.5, 7.0, rotation=rotation), pose_line("groundTruth", 2.5, 8.0, rotation=rotation)]
     )
     trajectory = FORMAT.open(recording.path).trajectories["groundTruth"]
     assert trajectory.positions.tolist() == [[7.0, 2.0, 3.0], [8.0, 2.0, 3.0]]
@@ -177,11 +174,7 @@ def test_the_example_of_the_formats_description_is_read(recording):
 
 
 def test_lines_of_other_kinds_are_counted_and_kept_word_by_word(recording):
-    lines = [
-        '{"barometer": {"pressure":  1013.25}, "time": 0.1}',
-        '{"sdkVersion":"1.54"}',
-        '{"status": null}',
-    ]
+    lines = ['{"barometer": {"pressure":  1013.25}, "time": 0.1}', '{"sdkVersion":"1.54"}', '{"status": null}']
     recording.lines([imu_line(0.0), *lines])
     scene = FORMAT.open(recording.path)
     assert scene.metadata["recording"]["other_lines"] == lines
@@ -249,11 +242,7 @@ FAULTS = {
     '{"sensor":{"type":"gyroscope","values":[1,2,3]},"time":1e10}': ["time", "10000000000.0", "9.2e+09"],
     '{"sensor":{"type":"gyroscope","values":[1,2]},"time":1}': ["sensor.values", "[1.0, 2.0]", "expected 3"],
     '{"sensor":{"type":"odd","values":[]},"time":1}': ["sensor.values", "at least one"],
-    '{"sensor":{"type":"gyroscope","values":[1,"two",3]},"time":1}': [
-        "sensor.values[1]",
-        '"two"',
-        "a number",
-    ],
+    '{"sensor":{"type":"gyroscope","values":[1,"two",3]},"time":1}': ["sensor.values[1]", '"two"', "a number"],
     '{"sensor":{"type":"gyroscope"},"time":1}': ["sensor", "values", "missing"],
     '{"gps":{"latitude":60,"longitude":25},"time":1}': ["gps", "altitude", "missing"],
     '{"groundTruth":{"position":{"x":1,"y":2}},"time":1}': ["groundTruth.position", "`z`"],
@@ -263,15 +252,8 @@ FAULTS = {
     '{"frames":[{}],"number":0,"time":1}': ["frames[0]", "cameraInd"],
     '{"frames":[{"cameraInd":0},{"cameraInd":0}],"number":0,"time":1}': ["cameraInd", "[0, 0]", "once"],
     '{"frames":[{"cameraInd":-1}],"number":0,"time":1}': ["frames[0].cameraInd", "-1"],
-    '{"lidar":{"model":"other","dataFile":"a.bin"},"time":1}': [
-        "lidar.model",
-        "'other'",
-        "RoboSense M1 XYZIRT",
-    ],
-    '{"lidar":{"model":"RoboSense M1 XYZIRT","dataFile":"../a.bin"},"time":1}': [
-        "lidar.dataFile",
-        "'../a.bin'",
-    ],
+    '{"lidar":{"model":"other","dataFile":"a.bin"},"time":1}': ["lidar.model", "'other'", "RoboSense M1 XYZIRT"],
+    '{"lidar":{"model":"RoboSense M1 XYZIRT","dataFile":"../a.bin"},"time":1}': ["lidar.dataFile", "'../a.bin'"],
     '{"lidar":{"model":"RoboSense M1 XYZIRT"},"time":1}': ["lidar", "dataFile", "missing"],
     '{"barometer":{"pressureHectopascals":"1013"},"time":1}': ["barometer.pressureHectopascals", '"1013"'],
     '{"rtkgps":{"latitude":60,"longitude":25},"time":1}': ["rtkgps", "altitude", "missing"],
@@ -353,11 +335,7 @@ def test_poses_without_the_orientation_that_others_have_are_left_out_counted_and
         assert times.tolist() == [k * 100_000_000 for k in range(10) if k not in (3, 7)]
         assert scene.trajectories["groundTruth"].quaternions_xyzw is not None
         (warning,) = scene.warnings
-        assert (warning.code, warning.kind, warning.count) == (
-            "poses-without-orientation",
-            WarningKind.SKIPPED,
-            2,
-        )
+        assert (warning.code, warning.kind, warning.count) == ("poses-without-orientation", WarningKind.SKIPPED, 2)
         assert warning.location.endswith("line 4")
         assert "2 of 10 poses" in warning.message
         FORMAT.write(scene, tmp_path / "again")
@@ -384,10 +362,7 @@ def test_blank_lines_before_others_are_faults_however_many(recording, blank):
         FORMAT.open(recording.path)
     with FORMAT.open(recording.path, lenient=True) as scene:
         found = {warning.code: (warning.count, warning.location.split(": ")[-1]) for warning in scene.warnings}
-        assert found == {
-            "unfit-lines": (blank, "line 2"),
-            "blank-lines-at-end": (2, f"line {blank + 3}"),
-        }
+        assert found == {"unfit-lines": (blank, "line 2"), "blank-lines-at-end": (2, f"line {blank + 3}")}
 
 
 def test_a_file_of_blank_lines_is_empty(recording):

@@ -114,13 +114,7 @@ def test_sensor_poses_are_the_trajectory_after_the_mounting_at_the_sensors_own_t
 
 def test_frames_beyond_the_trajectory_get_no_pose(recording):
     still = Rotation.identity()
-    lines = [
-        sweep(0.0),
-        pose_line(0.1, still, np.zeros(3)),
-        sweep(0.2),
-        pose_line(0.3, still, np.ones(3)),
-        sweep(0.4),
-    ]
+    lines = [sweep(0.0), pose_line(0.1, still, np.zeros(3)), sweep(0.2), pose_line(0.3, still, np.ones(3)), sweep(0.4)]
     scene = FORMAT.open(
         recording.points("0.bin", [POINT]).lines(lines).calibration(lidars=[{"imuToLidar": np.eye(4).tolist()}]).path
     )

@@ -97,11 +97,7 @@ def stereo():
     """Two cameras, lidar, IMU, GNSS and ground truth."""
     camera_model = Camera("pinhole", 64, 40, 40.0, 40.0, 31.5, 19.5)
     return simulate_street(
-        1,
-        frames=4,
-        lidar=LidarSpec(beams=16, steps=100),
-        cameras=cameras(camera_model),
-        imu=ImuSpec(rate_hz=200.0),
+        1, frames=4, lidar=LidarSpec(beams=16, steps=100), cameras=cameras(camera_model), imu=ImuSpec(rate_hz=200.0)
     ).scene
 
 

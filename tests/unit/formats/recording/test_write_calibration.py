@@ -108,8 +108,7 @@ def test_a_camera_model_that_the_format_lacks_is_fitted_and_the_error_that_is_le
 
 def test_a_camera_model_that_nothing_of_the_format_comes_near_is_refused():
     with pytest.raises(
-        CalibrationError,
-        match=r"cylindrical camera model reported as .* a recording can hold pinhole, fisheye",
+        CalibrationError, match=r"cylindrical camera model reported as .* a recording can hold pinhole, fisheye"
     ):
         camera_model_entry(Camera("cylindrical", 640, 480, 110.0, 200.0, 320.0, 240.0))
     with pytest.raises(CalibrationError, match="camera model 'periscope'; a recording can hold pinhole, fisheye"):
@@ -130,12 +129,7 @@ def test_imu_to_camera_takes_points_of_the_ego_into_the_camera():
 
 
 def test_what_else_a_recording_stated_of_a_camera_is_written_back():
-    before = {
-        "shutterRollTimeSeconds": 0.02,
-        "model": "pinhole",
-        "imuToCameraMatrix": [[1]],
-        "note": {"a": 1},
-    }
+    before = {"shutterRollTimeSeconds": 0.02, "model": "pinhole", "imuToCameraMatrix": [[1]], "note": {"a": 1}}
     sensor = CameraSensor(
         "front", camera("fisheye"), LazyFrames.of([], []), extras=MappingProxyType({"calibration": before})
     )

@@ -25,11 +25,7 @@ def drive(tmp_path):
         for timestamp, grey in zip(TIMESTAMPS_NS, GREYS, strict=True)
     ]
     camera = CameraSensor(
-        "camera0",
-        CAMERA_MODEL,
-        LazyFrames.of(images, TIMESTAMPS_NS),
-        mount=RigidTransform.identity(),
-        fps=10.0,
+        "camera0", CAMERA_MODEL, LazyFrames.of(images, TIMESTAMPS_NS), mount=RigidTransform.identity(), fps=10.0
     )
     FORMAT.write(Scene((camera,)), tmp_path / "drive")
     with FORMAT.open(tmp_path / "drive") as scene:

@@ -96,10 +96,7 @@ def an_imu(**streams):
     return ImuSensor(
         "imu",
         streams
-        or {
-            "accelerometer": VectorSamples(timestamps, values),
-            "gyroscope": VectorSamples(timestamps, -values),
-        },
+        or {"accelerometer": VectorSamples(timestamps, values), "gyroscope": VectorSamples(timestamps, -values)},
     )
 
 
@@ -195,10 +192,7 @@ def test_samples_fixes_and_poses_are_written_in_the_format_s_words(whole):
             },
             "time": 0.02,
         },
-        {
-            "gps": {"latitude": 60.2, "longitude": 24.9, "altitude": 15.0, "verticalAccuracy": 2.5},
-            "time": 0.12,
-        },
+        {"gps": {"latitude": 60.2, "longitude": 24.9, "altitude": 15.0, "verticalAccuracy": 2.5}, "time": 0.12},
     ]
     pose = [line for line in lines if "groundTruth" in line][3]["groundTruth"]
     assert pose["position"] == {"x": 3.0, "y": 0.0, "z": 0.0}
@@ -425,10 +419,7 @@ def world_lidar(**fields):
         ego = RigidTransform.from_quaternion(body.positions[0], body.quaternions_xyzw[0])
         world.append((ego @ MOUNT).apply(position))
     points = LidarPoints(
-        np.array(world, np.float32),
-        np.zeros(5, np.uint8),
-        timestamps_ns=timestamps,
-        rings=np.zeros(5, np.uint16),
+        np.array(world, np.float32), np.zeros(5, np.uint8), timestamps_ns=timestamps, rings=np.zeros(5, np.uint16)
     )
     return a_lidar(frames=[LidarFrame(start, points)], points_frame=PointsFrame.WORLD, **fields), positions
 
@@ -603,11 +594,7 @@ def test_numbers_that_times_were_read_from_are_written_back(tmp_path):
     seconds[2] = 99.0  # no longer means its time
     imu = an_imu(gyroscope=VectorSamples(timestamps, np.ones((3, 3)), seconds))
     write_recording(a_scene(imu), tmp_path / "drive")
-    assert [line["time"] for line in lines_of(tmp_path / "drive")] == [
-        1.43846240234375,
-        1.4387,
-        1.444770263671875,
-    ]
+    assert [line["time"] for line in lines_of(tmp_path / "drive")] == [1.43846240234375, 1.4387, 1.444770263671875]
 
 
 def test_what_a_recording_stated_beside_is_written_back(tmp_path):

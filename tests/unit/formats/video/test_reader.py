@@ -26,10 +26,7 @@ KINDS = {
     "h264 as a bare stream": {"container": "h264"},
     "h264 with open groups of images": {"options": X264 | {"x264-params": "open-gop=1"}},
     "h264 that refreshes bit by bit": {"options": X264 | {"intra-refresh": "1"}, "container": "mpegts"},
-    "hevc": {
-        "codec": "libx265",
-        "options": {"x265-params": "log-level=none:keyint=12:pools=1", "preset": "ultrafast"},
-    },
+    "hevc": {"codec": "libx265", "options": {"x265-params": "log-level=none:keyint=12:pools=1", "preset": "ultrafast"}},
     "mpeg4 in avi": {"codec": "mpeg4", "container": "avi", "options": {"bf": "2", "b": "2M"}},
     "mjpeg in avi": {"codec": "mjpeg", "container": "avi", "pixel_format": "yuvj420p", "options": {}},
     "vp9": {"codec": "libvpx-vp9", "options": {"g": "12", "deadline": "realtime", "cpu-used": "8"}},

@@ -24,10 +24,7 @@ COPIED = {
 }
 ENCODED = {
     "ffv1": ({"codec": "ffv1", "pixel_format": "bgr0", "options": {}}, "ffv1 is not copied into mp4"),
-    "vp9": (
-        {"codec": "libvpx-vp9", "options": {"deadline": "realtime", "cpu-used": "8"}},
-        "vp9 is not copied",
-    ),
+    "vp9": ({"codec": "libvpx-vp9", "options": {"deadline": "realtime", "cpu-used": "8"}}, "vp9 is not copied"),
     "h264 with B-frames from avi": ({"container": "avi"}, "does not state when its images are shown"),
 }
 

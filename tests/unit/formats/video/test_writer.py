@@ -157,10 +157,7 @@ def test_images_of_one_time_keep_their_order(tmp_path):
 
 
 def test_a_video_without_images_is_refused(tmp_path):
-    with (
-        pytest.raises(OutputError, match="needs at least one image"),
-        VideoWriter(tmp_path / "data.mkv", 96, 64, 10),
-    ):
+    with pytest.raises(OutputError, match="needs at least one image"), VideoWriter(tmp_path / "data.mkv", 96, 64, 10):
         pass
 
 

@@ -39,17 +39,10 @@ DEGREES = CuboidAngles()
 def wandering(a_track, seed, count=16):
     """A track that wanders and rotates."""
     random = np.random.default_rng(seed)
-    centers = np.cumsum(random.normal(0.0, 0.08, (count, 3)), axis=0) + np.arange(count)[:, None] * [
-        0.8,
-        0,
-        0,
-    ]
+    centers = np.cumsum(random.normal(0.0, 0.08, (count, 3)), axis=0) + np.arange(count)[:, None] * [0.8, 0, 0]
     steps = np.cumsum(random.integers(50_000_000, 150_000_000, count))
     return a_track(
-        count=count,
-        timestamps_ns=steps,
-        centers=centers,
-        yaws=np.cumsum(random.normal(0.0, 0.03, count)) + 3.0,
+        count=count, timestamps_ns=steps, centers=centers, yaws=np.cumsum(random.normal(0.0, 0.03, count)) + 3.0
     )
 
 
@@ -419,19 +412,13 @@ def test_boxes_in_images_and_cuboid_belong_to_one_object(a_track, drive):
     corners = np.full((FRAMES, 4), np.nan)
     corners[[0, 1, 2, 8, 9]] = np.array([10.0, 20.0, 50.0, 60.004])
     track = a_track(
-        5,
-        count=FRAMES,
-        timestamps_ns=images + 7_000_000,
-        corners_xyxy={"camera0": corners, "other": corners},
+        5, count=FRAMES, timestamps_ns=images + 7_000_000, corners_xyxy={"camera0": corners, "other": corners}
     )
     settings = LabelSettings(projections=False, points=False, radar=False)
     scene = label_tracks(replace(drive.scene, annotations=()), Tracks((track,)), settings=settings).scene
     (thing,) = [each for each in scene.annotations if isinstance(each, ObjectAnnotation)]
     boxes = [each for each in scene.annotations if isinstance(each, Box2DAnnotation)]
-    assert [box.path.timestamps_ns.tolist() for box in boxes] == [
-        images[[0, 1, 2]].tolist(),
-        images[[8, 9]].tolist(),
-    ]
+    assert [box.path.timestamps_ns.tolist() for box in boxes] == [images[[0, 1, 2]].tolist(), images[[8, 9]].tolist()]
     assert boxes[0].path.values[0].tolist() == [10.0, 20.0, 40.0, 40.0]
     assert {each.parent_id for each in (*boxes, *cuboids_of(scene).values())} == {thing.id}
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from sceneloom.cameras import Camera
 from sceneloom.editing.retime import ClockCorrection, retimed_scene
-from sceneloom.geometry.rotations import multiply_quaternions, quaternion_from_rotation_vector
+from sceneloom.geometry.rigid import multiply_quaternions, quaternion_from_rotation_vector
 from sceneloom.motion.clock.signals import Fixes, RotationCurve, TrajectoryCurve
 from sceneloom.motion.clock.streams import Stream, StreamKind, compare_streams, streams_of
 from sceneloom.scene import Scene

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions, rotation_vector_from_quaternion
+from sceneloom.geometry.rigid import conjugate_quaternion, multiply_quaternions, rotation_vector_from_quaternion
 from sceneloom.motion.gnss_imu import GnssImuRun, SmootherSettings, gnss_imu_motion
 from sceneloom.scene import GnssSensor, ImuSensor, Scene, VectorSamples
 from sceneloom.simulate.drive import GRAVITY, GnssSpec, ImuSpec, ImuTruth, gnss_sensor, imu_sensor, imu_truth

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import sceneloom
-from sceneloom.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix
+from sceneloom.geometry.rigid import matrix_from_quaternion, quaternion_from_matrix
 from sceneloom.motion.deskew import points_to_world
 from sceneloom.motion.odometry import LidarOdometry, lidar_odometry
 from sceneloom.pipeline import iter_fused

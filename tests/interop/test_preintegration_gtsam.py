@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
+from sceneloom.geometry.rigid import quaternion_from_matrix, rotation_vector_from_quaternion
 from sceneloom.motion.gnss_imu import Chain, Fixes, InertialSamples, SmootherSettings, States, equations
 
 gtsam = pytest.importorskip("gtsam", reason="needs gtsam")

@@ -12,7 +12,7 @@ from tests.properties.injected import injected_scene
 from sceneloom.errors import MissingExtraError, OptionError
 from sceneloom.formats.base.losses import LossReport, Support, unknown_names
 from sceneloom.formats.base.registry import FORMATS, find_format, format_named
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import matrix_from_quaternion
 from sceneloom.pipeline.converting import field_supports, fields_meant, kinds_by_id
 from sceneloom.scene import LazyFrames, Scene, VideoContent
 from sceneloom.scene.contents import MODEL_FIELDS, Counting, frame_values, frames_of, stationary_values

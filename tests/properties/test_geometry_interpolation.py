@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sceneloom.geometry.rotations import angle_between, interpolate_poses, quaternion_from_rotation_vector, thin_poses
+from sceneloom.geometry.rigid import angle_between, interpolate_poses, quaternion_from_rotation_vector, thin_poses
 
 Path = tuple[np.ndarray, np.ndarray, np.ndarray]
 

@@ -8,8 +8,8 @@ from hypothesis.extra.numpy import arrays
 from sceneloom.geometry.boxes import box_corners, points_in_box
 from sceneloom.geometry.euler import ORDERS, cuboid_angles_from_rotation, rotation_from_cuboid_angles
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
+    RigidTransform,
     angle_between,
     conjugate_quaternion,
     matrix_from_quaternion,

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from sceneloom import read_trajectory, write_trajectory
 from sceneloom.formats.trajectories.table import read_trajectory_file
 from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
-from sceneloom.geometry.rotations import angle_between, normalise_quaternion
+from sceneloom.geometry.rigid import angle_between, normalise_quaternion
 from sceneloom.scene import GnssSensor, Trajectory
 
 COORDINATES = st.floats(-1e9, 1e9, allow_nan=False)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.geometry.rotations import angle_between, conjugate_quaternion, multiply_quaternions, rotate_vectors
+from sceneloom.geometry.rigid import angle_between, conjugate_quaternion, multiply_quaternions, rotate_vectors
 from sceneloom.motion.odometry import OdometryRun, lidar_odometry
 from sceneloom.simulate import LidarSpec, SimulatedDrive, simulate_street
 

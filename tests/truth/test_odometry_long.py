@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import matrix_from_quaternion
 from sceneloom.motion.odometry import LidarOdometry, PoseEstimate
 from sceneloom.simulate import LidarSpec, PathSpec, SimulatedDrive, SolidStateSpec, Stop, TrafficSpec, simulate_street
 

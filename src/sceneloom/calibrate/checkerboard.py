@@ -29,8 +29,7 @@ from sceneloom.calibrate.frames import LUMA, chosen_camera, chosen_lidar, spread
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import nearest_rotation
+from sceneloom.geometry.rigid import RigidTransform, nearest_rotation
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
 

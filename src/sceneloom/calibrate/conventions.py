@@ -21,8 +21,7 @@ from sceneloom.checks.rule import Subject
 from sceneloom.errors import DataError, PoseError
 from sceneloom.formats.base.files import read_settings
 from sceneloom.geometry.euler import AngleUnit, rotation_from_cuboid_angles
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import matrix_from_quaternion, nearest_rotation
+from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion, nearest_rotation
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Float64Array, check_array
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
+    RigidTransform,
     conjugate_quaternion,
     matrix_from_quaternion,
     multiply_quaternions,

@@ -50,7 +50,7 @@ from sceneloom.calibrate.measures import (
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.detections.residuals import BoxRotation
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     cross_matrix,
     matrix_from_quaternion,
     multiply_quaternions,

@@ -19,8 +19,8 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.calibrate.extrinsics import MountingEstimate, moved_by, step_between
 from sceneloom.calibrate.frames import chosen_lidar
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
+    RigidTransform,
     conjugate_quaternion,
     cross_matrix,
     matrix_from_quaternion,

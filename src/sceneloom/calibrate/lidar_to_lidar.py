@@ -10,8 +10,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.calibrate.extrinsics import MountingEstimate, ground_plane
 from sceneloom.calibrate.frames import MOST, spread_rows
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import quaternion_from_rotation_vector, rotation_vector_from_quaternion
+from sceneloom.geometry.rigid import RigidTransform, quaternion_from_rotation_vector, rotation_vector_from_quaternion
 from sceneloom.motion.deskew import BodyKnots
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.poses import Poses, PoseSource

@@ -50,8 +50,7 @@ from sceneloom.calibrate.measures import (
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded
 from sceneloom.errors import CalibrationError, OptionError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import cross_matrix
+from sceneloom.geometry.rigid import RigidTransform, cross_matrix
 from sceneloom.kernels.image_agreement import sum_maps
 from sceneloom.scene.types import Progress
 

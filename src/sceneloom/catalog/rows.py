@@ -11,7 +11,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.catalog.tables import Repeated, Rows
 from sceneloom.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, geodetic_from_enu
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.rigid import rotate_vectors
 from sceneloom.motion.ego_trajectory import usable_positions
 from sceneloom.scene.annotations import AttributePath, Box2DAnnotation, CuboidAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame, box_2d_at, cuboid_poses

@@ -11,8 +11,7 @@ from sceneloom.checks.annotation_table import cuboids_at
 from sceneloom.checks.rule import HINT, WARNING, FrameInHand, Hit, Rule, Subject, frames_spread
 from sceneloom.errors import SceneloomError
 from sceneloom.geometry.euler import rotation_from_cuboid_angles
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, rotate_vectors
 from sceneloom.kernels.boxes import find_points_in_boxes
 from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor

@@ -20,7 +20,7 @@ from sceneloom.checks.rule import (
     timestamps_of,
     unless_recording,
 )
-from sceneloom.geometry.rotations import angle_between
+from sceneloom.geometry.rigid import angle_between
 from sceneloom.scene.annotations import CameraCalibration, LocalizationAdjustment, effect_of
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor

@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, UInt32Array
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions, rotate_vectors
+from sceneloom.geometry.rigid import conjugate_quaternion, multiply_quaternions, rotate_vectors
 from sceneloom.kernels.boxes import find_points_in_boxes
 from sceneloom.kernels.poses import transform_by_path
 from sceneloom.scene.annotations import (

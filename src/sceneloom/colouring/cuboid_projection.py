@@ -14,8 +14,7 @@ from sceneloom.colouring.cuboid_points import activation_of, points_in_world, po
 from sceneloom.colouring.rolling_shutter import ShutterDirection, pixels_by_lines, project_by_lines
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.boxes import EDGES, box_corners
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import conjugate_quaternion, multiply_quaternions
+from sceneloom.geometry.rigid import RigidTransform, conjugate_quaternion, multiply_quaternions
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import inlined
 from sceneloom.scene.annotations import Activation, Annotation, AttributePath, CuboidAnnotation, Projection

@@ -19,7 +19,7 @@ from numba import int32, uint8, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, check_array
 from sceneloom.colouring.results import LidarTrajectory
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import matrix_from_quaternion
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F32_1D, IN_F32_2D, IN_F64_1D, IN_F64_2D, IN_I32_2D, inlined
 from sceneloom.kernels.voxels import number_cubes

@@ -22,8 +22,7 @@ from numba import float64, int64, types, void
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import domain_angle, project_unbounded
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F64_1D, IN_F64_2D, IN_F64_3D
 from sceneloom.scene.cameras import Shutter

@@ -47,8 +47,7 @@ from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType
 from sceneloom.fusion.pairing import STILL, Leave
 from sceneloom.fusion.system import FusedDetectionFrame, FusionSystem, SeenBoxes
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import OUT_OF_REACH, multiply_quaternions, rotate_vectors
+from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform, multiply_quaternions, rotate_vectors
 from sceneloom.kernels.projection import draw_depths
 from sceneloom.scene.cameras import GLOBAL, CameraImage
 from sceneloom.scene.clouds import LidarFrame, LidarPoints

@@ -11,8 +11,7 @@ from sceneloom.arrays import Int64Array
 from sceneloom.editing.move_world import EGO_ID, FrameChange, moved_world, to_world, with_odometry
 from sceneloom.editing.references import assumed, ours_of, skipped, with_ours, with_warnings
 from sceneloom.errors import OptionError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
     Box2DAnnotation,

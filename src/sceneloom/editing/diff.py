@@ -13,7 +13,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.errors import OptionError
-from sceneloom.geometry.rotations import angle_between, normalise_quaternion, quaternion_from_matrix
+from sceneloom.geometry.rigid import angle_between, normalise_quaternion, quaternion_from_matrix
 from sceneloom.scene.annotations import CuboidAnnotation, CuboidPath, PointPath, locations_of
 from sceneloom.scene.annotations_at import CuboidAngles, cuboid_poses, point_at
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, ShootingSensor, shots_of

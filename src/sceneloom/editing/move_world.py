@@ -12,8 +12,8 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, finite_rows
 from sceneloom.editing.references import assumed, ours_of, skipped, with_ours, with_warnings
 from sceneloom.errors import ArrayError, OptionError, PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
+    RigidTransform,
     conjugate_quaternion,
     matrix_from_quaternion,
     multiply_quaternions,

@@ -9,7 +9,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.editing.references import skipped, with_warnings
 from sceneloom.errors import OptionError
-from sceneloom.geometry.rotations import angle_between, slerp
+from sceneloom.geometry.rigid import angle_between, slerp
 from sceneloom.geometry.thinning import thin_greedily
 from sceneloom.scene.annotations import (
     CuboidAnnotation,

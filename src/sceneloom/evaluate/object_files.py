@@ -25,7 +25,7 @@ from sceneloom.formats.kitti.labels import (
     read_labels,
 )
 from sceneloom.formats.kitti.text import sequences_called
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.rigid import rotate_vectors
 from sceneloom.scene.annotations import AttributePath, CuboidAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame, cuboid_poses, not_in_world
 from sceneloom.scene.scene import Scene, frame_times

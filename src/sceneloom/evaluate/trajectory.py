@@ -17,7 +17,7 @@ from sceneloom.evaluate.plot import check_plot, save_plot
 from sceneloom.formats.trajectories.table import content_of, read_trajectory_file
 from sceneloom.formats.trajectories.text_formats import of_fixes
 from sceneloom.formats.trajectories.trajectory_file import FARTHEST, TrajectoryFile
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     angle_between,
     conjugate_quaternion,
     interpolate_poses,

@@ -21,8 +21,7 @@ from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.fusion.pairing import KnownCamera, KnownLidar, Leave, OnLeft, Pairing, Waiting, nobody, stationary
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import OUT_OF_REACH
+from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform
 from sceneloom.motion.deskew import points_to_world
 from sceneloom.scene.cameras import GLOBAL, CameraImage, Shutter
 from sceneloom.scene.clouds import LidarFrame

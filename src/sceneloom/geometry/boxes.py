@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sceneloom.arrays import BoolArray, Float64Array, read_only
-from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
+from sceneloom.geometry.rigid import conjugate_quaternion, rotate_vectors
 
 CORNER_SIGNS: Float64Array = read_only(
     [[1, 1, -1], [-1, 1, -1], [-1, -1, -1], [1, -1, -1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1]], np.float64

@@ -9,8 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.errors import DataError, PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import EXTRAPOLATED, OUT_OF_REACH, multiply_quaternions
+from sceneloom.geometry.rigid import EXTRAPOLATED, OUT_OF_REACH, RigidTransform, multiply_quaternions
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.point_times import LONGEST_LAG_NS, PointTimes, RawTimes, TimesFound, timed_frame

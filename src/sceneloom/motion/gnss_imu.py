@@ -14,7 +14,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.geodesy import ecef_from_geodetic, enu_from_geodetic, normal_gravity
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     matrix_from_quaternion,
     quaternion_from_matrix,
     quaternion_from_rotation_vector,

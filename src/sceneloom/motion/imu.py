@@ -6,7 +6,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import PoseError
-from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, quaternion_from_rotation_vector
+from sceneloom.geometry.rigid import multiply_quaternions, normalise_quaternion, quaternion_from_rotation_vector
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.scene.motion import ImuSensor, VectorSamples
 from sceneloom.scene.poses import Poses

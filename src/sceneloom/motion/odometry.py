@@ -12,8 +12,8 @@ import small_gicp
 
 from sceneloom.arrays import AnyArray, Float64Array, FloatArray, Int64Array
 from sceneloom.errors import ArrayError, DataError, OptionError, PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
+    RigidTransform,
     matrix_from_quaternion,
     multiply_quaternions,
     quaternion_from_matrix,

@@ -41,9 +41,9 @@ from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.output import check_output, filling, replacing
 from sceneloom.formats.base.registry import format_for_output
 from sceneloom.formats.kitti.tracking_reader import KittiTracking
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     OUT_OF_REACH,
+    RigidTransform,
     conjugate_quaternion,
     matrix_from_quaternion,
     multiply_quaternions,

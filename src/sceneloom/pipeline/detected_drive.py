@@ -21,8 +21,7 @@ from sceneloom.errors import PoseError
 from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, KittiLabels, observation_angles, rectified_boxes
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.tracking_reader import CAMERA_ID, LIDAR_ID, KittiSequence
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import OUT_OF_REACH
+from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.poses import Poses, PoseSource

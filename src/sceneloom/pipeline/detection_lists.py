@@ -36,8 +36,7 @@ from sceneloom.formats.kitti.labels import (
     read_labels,
 )
 from sceneloom.formats.kitti.tracking_reader import KittiTracking, is_tracking_folder, open_tracking_folder
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion
 from sceneloom.motion.ego_trajectory import find_ego_motion
 from sceneloom.pipeline.detected_drive import DetectedCamera, DetectedDrive, SweepPoints, poses_at
 from sceneloom.scene.cameras import CameraSensor

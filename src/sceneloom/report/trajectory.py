@@ -11,7 +11,7 @@ from sceneloom.errors import ArrayError, DataError, OptionError, PoseError, Scen
 from sceneloom.evaluate.tracking import TrackingReport, compare_tracks
 from sceneloom.evaluate.trajectory import TrajectoryReport, evaluate_trajectory
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import matrix_from_quaternion
 from sceneloom.motion.ego_trajectory import find_ego_motion, usable_fixes, usable_positions
 from sceneloom.report.content import (
     NOTHING,

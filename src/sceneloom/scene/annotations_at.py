@@ -15,7 +15,7 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array, hold_arrays
 from sceneloom.errors import DataError, OptionError
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     conjugate_quaternion,
     matrix_from_quaternion,
     multiply_quaternions,

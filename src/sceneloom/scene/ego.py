@@ -9,8 +9,8 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import PoseError, SceneloomError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
+    RigidTransform,
     matrix_from_quaternion,
     multiply_quaternions,
     normalise_quaternion,

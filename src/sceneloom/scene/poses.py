@@ -8,8 +8,13 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, hold_arrays
 from sceneloom.errors import ArrayError, PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import interpolate_poses, multiply_quaternions, normalise_quaternion, rotate_vectors
+from sceneloom.geometry.rigid import (
+    RigidTransform,
+    interpolate_poses,
+    multiply_quaternions,
+    normalise_quaternion,
+    rotate_vectors,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

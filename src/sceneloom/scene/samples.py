@@ -10,8 +10,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import EXTRAPOLATED, OUT_OF_REACH, matrix_from_quaternion
+from sceneloom.geometry.rigid import EXTRAPOLATED, OUT_OF_REACH, RigidTransform, matrix_from_quaternion
 from sceneloom.scene.annotations_at import Boxes, BoxTable
 from sceneloom.scene.cameras import (
     CameraImage,

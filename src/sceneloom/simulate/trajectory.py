@@ -9,8 +9,7 @@ from numpy.polynomial import polynomial
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import OptionError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import quaternion_from_matrix
+from sceneloom.geometry.rigid import RigidTransform, quaternion_from_matrix
 from sceneloom.scene.poses import Poses
 from sceneloom.simulate.parameters import check_bounds
 

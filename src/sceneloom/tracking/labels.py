@@ -24,7 +24,7 @@ from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.detections.detectors import kind_name
 from sceneloom.editing.references import skipped, with_ours, with_warnings
 from sceneloom.errors import CalibrationError, PoseError
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.rigid import rotate_vectors
 from sceneloom.kernels.tracking import fewest_keyframes
 from sceneloom.scene.annotations import (
     Annotation,

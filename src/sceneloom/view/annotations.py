@@ -15,7 +15,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt16Array, finite_rows
 from sceneloom.errors import CalibrationError
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.rigid import rotate_vectors
 from sceneloom.scene.annotations import (
     Activation,
     Annotation,

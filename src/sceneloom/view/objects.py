@@ -11,7 +11,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.detections.settings import radius_squared
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.files import file_faults, open_file
-from sceneloom.geometry.rotations import quaternion_from_matrix
+from sceneloom.geometry.rigid import quaternion_from_matrix
 from sceneloom.pipeline.fusing_detections import fused_files, read_fused
 from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.scene import Scene

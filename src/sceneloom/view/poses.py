@@ -8,8 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import OUT_OF_REACH
+from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform
 from sceneloom.motion.ego_trajectory import find_ego_motion
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor

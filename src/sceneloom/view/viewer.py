@@ -27,7 +27,7 @@ from sceneloom.checks.validation import validate
 from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError, how_to_install
 from sceneloom.formats.base.output import check_output, replacing
 from sceneloom.formats.base.registry import SharedOptions, open_scene
-from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
+from sceneloom.geometry.rigid import conjugate_quaternion, rotate_vectors
 from sceneloom.scene.annotations import EventAnnotation, PlainAnnotation
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor

@@ -20,8 +20,7 @@ from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.output import file_stem, filling
 from sceneloom.geometry.boxes import EDGES, box_corners
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,

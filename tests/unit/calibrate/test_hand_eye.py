@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.calibrate.lidar_to_ego import align_motions, lidar_to_ego, paired_motions
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
+    RigidTransform,
     multiply_quaternions,
     normalise_quaternion,
     quaternion_from_rotation_vector,

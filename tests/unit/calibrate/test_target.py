@@ -16,8 +16,7 @@ from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.cameras import project, unproject
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import quaternion_from_rotation_vector
+from sceneloom.geometry.rigid import RigidTransform, quaternion_from_rotation_vector
 
 BOARD = Board(7, 5, 0.12, 1.1, 0.86)
 CAMERA = Camera("brown_conrady", 600, 380, 465.0, 465.0, 301.0, 186.0, (-0.1, 0.02, 0.0005, -0.0003, 0.0))

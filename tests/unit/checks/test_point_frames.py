@@ -7,8 +7,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.checks import validate
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion
 from sceneloom.scene import (
     CameraSensor,
     Coordinates,

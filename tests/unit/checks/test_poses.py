@@ -7,8 +7,7 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.checks.poses import CORRECTION_RULES, POSE_RULES
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import quaternion_from_rotation_vector
+from sceneloom.geometry.rigid import RigidTransform, quaternion_from_rotation_vector
 from sceneloom.scene import (
     CameraCalibration,
     Coordinates,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.checks.shapes import ATTRIBUTE_RULES, SHAPE_RULES
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import matrix_from_quaternion
 from sceneloom.scene import (
     AttributePath,
     ObjectAnnotation,

@@ -5,7 +5,7 @@ import pytest
 
 from sceneloom.colouring.moving_points import LAGS, MovingBoxes, MovingPoints
 from sceneloom.colouring.results import LidarTrajectory
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import matrix_from_quaternion
 from sceneloom.scene import CuboidAnnotation, CuboidPath, Scene
 from sceneloom.simulate import LidarSpec, TrafficSpec, simulate_street
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from sceneloom.errors import ArrayError
-from sceneloom.geometry.rotations import angle_between, interpolate_poses
+from sceneloom.geometry.rigid import angle_between, interpolate_poses
 
 EPOCH_NS = 1_700_000_000_000_000_000
 SECOND_NS = 1_000_000_000

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from sceneloom.errors import ArrayError, CalibrationError
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     angle_between,
     conjugate_quaternion,
     matrix_from_quaternion,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.geometry.rotations import angle_between, interpolate_poses, quaternion_from_rotation_vector, thin_poses
+from sceneloom.geometry.rigid import angle_between, interpolate_poses, quaternion_from_rotation_vector, thin_poses
 
 STEP_NS = 5_000_000
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-3, np.radians(0.01)

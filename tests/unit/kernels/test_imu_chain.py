@@ -6,7 +6,7 @@ Chains of blocks against the same matrix written out.
 import numpy as np
 import pytest
 
-from sceneloom.geometry.rotations import quaternion_from_matrix, rotation_vector_from_quaternion
+from sceneloom.geometry.rigid import quaternion_from_matrix, rotation_vector_from_quaternion
 from sceneloom.kernels.imu_chain import chain_covariances, solve_chain
 from sceneloom.motion.gnss_imu import InertialSamples, Preintegrated
 from sceneloom.simulate.drive import GRAVITY, ImuSpec, imu_truth

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.rigid import rotate_vectors
 from sceneloom.motion.ego_trajectory import choose_trajectory, find_ego_motion, headed_poses
 from sceneloom.scene import (
     DataWarning,

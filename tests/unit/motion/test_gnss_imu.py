@@ -7,8 +7,8 @@ import pytest
 
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
+    RigidTransform,
     conjugate_quaternion,
     matrix_from_quaternion,
     multiply_quaternions,

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import PoseError
-from sceneloom.geometry.rotations import angle_between
+from sceneloom.geometry.rigid import angle_between
 from sceneloom.motion.imu import find_stationary, imu_motion, integrate_rates
 from sceneloom.scene import ImuSensor, Scene, VectorSamples, WarningKind
 from sceneloom.simulate import simulate_street

@@ -16,8 +16,7 @@ from sceneloom.checks.faults import as_read, warnings_of_code
 from sceneloom.checks.rule import HINT, WARNING, FrameInHand, Hit, Rule, Subject, frames_spread
 from sceneloom.errors import CalibrationError
 from sceneloom.formats.recording.calibration import CAMERA_MODEL_READINGS
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import SILENT_ERROR, nearest_rotation
+from sceneloom.geometry.rigid import SILENT_ERROR, RigidTransform, nearest_rotation
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.motion import ImuSensor

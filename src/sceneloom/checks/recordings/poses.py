@@ -18,7 +18,7 @@ from sceneloom.checks.poses import (
 from sceneloom.checks.recordings.times import Kind, Stream, streams_of_kind
 from sceneloom.checks.rule import WARNING, Hit, Rule, Subject
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     angle_between,
     conjugate_quaternion,
     multiply_quaternions,

@@ -15,7 +15,7 @@ from sceneloom.checks.faults import as_read
 from sceneloom.checks.rule import HINT, WARNING, Find, Hit, Rule, Subject
 from sceneloom.formats.recording.lines import Columns, is_sorted, line_seconds, time_order
 from sceneloom.formats.recording.reader import RECEIVER, imu_streams, receivers
-from sceneloom.geometry.rotations import normalise_quaternion
+from sceneloom.geometry.rigid import normalise_quaternion
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor
 from sceneloom.scene.poses import Trajectory

@@ -21,8 +21,7 @@ from sceneloom.formats.base.files import check_length, check_unpacked, file_faul
 from sceneloom.formats.base.images import ImageReader
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import as_flag, choose_drive, drives_in
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import AttributePath, CuboidAnnotation, CuboidPath
 from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.cameras import CameraSensor

@@ -12,8 +12,13 @@ from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import CalibrationError, PoseError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import Loss, Support
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import angle_between, conjugate_quaternion, multiply_quaternions, rotate_vectors
+from sceneloom.geometry.rigid import (
+    RigidTransform,
+    angle_between,
+    conjugate_quaternion,
+    multiply_quaternions,
+    rotate_vectors,
+)
 from sceneloom.motion.ego_trajectory import (
     GNSS,
     IDENTITY,

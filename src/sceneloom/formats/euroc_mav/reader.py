@@ -21,8 +21,7 @@ from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.mapping import PointMapping, SweepClock, points_of
 from sceneloom.formats.trajectories.text_formats import EUROC
 from sceneloom.formats.trajectories.trajectory_file import Reading
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, rotate_vectors
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import PointsSensor
 from sceneloom.scene.frames import LazyFrames

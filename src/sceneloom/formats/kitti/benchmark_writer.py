@@ -38,8 +38,7 @@ from sceneloom.formats.kitti.sensors import UNTOLD
 from sceneloom.formats.kitti.spec import OBJECT_CAMERAS, TRACKING_CAMERAS
 from sceneloom.formats.kitti.text import LATEST, write_lines
 from sceneloom.geometry.boxes import box_corners
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import matrix_from_quaternion, multiply_quaternions
+from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion, multiply_quaternions
 from sceneloom.scene.annotations import AttributePath, Box2DAnnotation, CuboidAnnotation, Projection
 from sceneloom.scene.annotations_at import CuboidAngles, activated, active_at, attribute_at, box_2d_at, cuboid_poses
 from sceneloom.scene.cameras import CameraImage, CameraSensor

@@ -13,8 +13,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
 from sceneloom.formats.kitti.text import Line, read_entries
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import GREATEST_ERROR, nearest_rotation
+from sceneloom.geometry.rigid import GREATEST_ERROR, RigidTransform, nearest_rotation
 
 _RECTIFIED_FROM_VELODYNE = "Tr"
 """The odometry benchmark's entry: it leads into the rectified frame at once, so that no rotation stands beside it."""

@@ -20,8 +20,7 @@ from sceneloom.formats.base.poses import each_mounted, mounting, stationary_ego
 from sceneloom.formats.base.written_ego import ego_trajectory
 from sceneloom.formats.kitti.calibration import Mounted
 from sceneloom.formats.kitti.sensors import LIDAR_ID, camera_id
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import angle_between
+from sceneloom.geometry.rigid import RigidTransform, angle_between
 from sceneloom.scene.annotations import Box2DAnnotation, CuboidAnnotation
 from sceneloom.scene.annotations_at import annotations_frame
 from sceneloom.scene.cameras import CameraImage, CameraSensor

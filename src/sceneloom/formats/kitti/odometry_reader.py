@@ -25,8 +25,7 @@ from sceneloom.formats.kitti.text import (
     numbered_files,
     read_lines,
 )
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import quaternion_from_matrix
+from sceneloom.geometry.rigid import RigidTransform, quaternion_from_matrix
 from sceneloom.scene.annotations import Annotation, LabeledPoints, LabeledPointsAnnotation
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor

@@ -14,8 +14,7 @@ from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.kitti.text import as_table, read_lines
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import matrix_from_quaternion, multiply_quaternions
+from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion, multiply_quaternions
 from sceneloom.scene.ego import stated_origin
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Poses, Trajectory

@@ -48,8 +48,7 @@ from sceneloom.formats.kitti.text import (
     read_lines,
 )
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion
 from sceneloom.scene.annotations import Annotation, AttributePath, CuboidAnnotation, CuboidPath
 from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.poses import Poses, PoseSource, Trajectory

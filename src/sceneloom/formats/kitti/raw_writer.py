@@ -44,8 +44,7 @@ from sceneloom.formats.kitti.sensors import times_in_rotation
 from sceneloom.formats.kitti.spec import RAW_CAMERAS
 from sceneloom.formats.kitti.text import write_lines
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import angle_between, matrix_from_quaternion
+from sceneloom.geometry.rigid import RigidTransform, angle_between, matrix_from_quaternion
 from sceneloom.scene.annotations import CuboidAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles, activated, active_at, attribute_at, cuboid_poses
 from sceneloom.scene.cameras import CameraSensor

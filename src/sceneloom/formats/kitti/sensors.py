@@ -21,8 +21,7 @@ from sceneloom.formats.points.cloud import KITTI, parse_rows
 from sceneloom.formats.points.mapping import IntensityScale, detect_scale
 from sceneloom.formats.points.npz import read_bin
 from sceneloom.geometry.euler import cuboid_angles_from_rotation
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import matrix_from_quaternion
+from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,

@@ -14,8 +14,7 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.messages.records import TransformRecord
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.poses import Poses, poses_along
 from sceneloom.scene.types import PointsFrame
 from sceneloom.warnings import WarningKind

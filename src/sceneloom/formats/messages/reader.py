@@ -32,8 +32,7 @@ from sceneloom.formats.messages.records import (
     TransformRecord,
 )
 from sceneloom.formats.messages.survey import Notes, Survey, attributes_from, in_order, nearest, sensor_names
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,

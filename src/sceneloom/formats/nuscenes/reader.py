@@ -24,8 +24,7 @@ from sceneloom.formats.nuscenes.tables import KEY_FRAMES, MICROSECOND, NEEDED, T
 from sceneloom.formats.points.cloud import NUSCENES, Cloud
 from sceneloom.formats.points.files import read_pcd
 from sceneloom.formats.points.npz import read_bin
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion, rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,

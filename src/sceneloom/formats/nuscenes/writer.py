@@ -20,8 +20,7 @@ from sceneloom.formats.base.spec import as_positive
 from sceneloom.formats.nuscenes.plan import Channel, WritingPlan, unknown_fields
 from sceneloom.formats.nuscenes.tables import MICROSECOND, TABLES, microseconds, token_of
 from sceneloom.formats.points.cloud import NUSCENES
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import conjugate_quaternion, rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, conjugate_quaternion, rotate_vectors
 from sceneloom.scene.annotations import CuboidAnnotation, LabeledPointsAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles, CuboidPoses, attribute_at, cuboid_poses
 from sceneloom.scene.cameras import CameraImage

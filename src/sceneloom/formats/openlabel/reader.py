@@ -35,8 +35,8 @@ from sceneloom.formats.openlabel.document import (
 )
 from sceneloom.formats.openlabel.streams import read_streams
 from sceneloom.formats.openlabel.systems import Systems
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
+    RigidTransform,
     matrix_from_quaternion,
     multiply_quaternions,
     normalise_quaternion,

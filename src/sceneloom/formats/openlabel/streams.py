@@ -15,8 +15,7 @@ from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.openlabel.document import EGO, OURS, WORLD, Part
 from sceneloom.formats.openlabel.systems import Systems
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import angle_between
+from sceneloom.geometry.rigid import RigidTransform, angle_between
 from sceneloom.scene.cameras import CameraSensor, mounts_of_shots
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.ego import check_one_ego

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.geometry.rotations import multiply_quaternions, rotate_vectors
+from sceneloom.geometry.rigid import multiply_quaternions, rotate_vectors
 from sceneloom.scene.poses import Poses
 
 

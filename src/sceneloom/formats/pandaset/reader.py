@@ -23,8 +23,7 @@ from sceneloom.formats.base.spec import choose_drive, drives_in
 from sceneloom.formats.pandaset.pickles import PickledFrame, read_pickled_frame
 from sceneloom.formats.pandaset.spec import is_drive
 from sceneloom.formats.points.mapping import FARTHEST_WORLD
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import multiply_quaternions, normalise_quaternion
+from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,

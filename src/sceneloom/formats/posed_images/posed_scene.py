@@ -16,8 +16,7 @@ from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.formats.base.output import file_stems
 from sceneloom.formats.base.poses import ego_in_world
 from sceneloom.formats.posed_images.spec import PosedSettings
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, rotate_vectors
 from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarPoints, LidarSensor, PointsSensor, grey_where_unseen
 from sceneloom.scene.ego import EgoMotion, needs_ego, points_source, sensor_source

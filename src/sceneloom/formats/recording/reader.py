@@ -62,8 +62,7 @@ from sceneloom.formats.recording.lines import (
 from sceneloom.formats.recording.spec import DATA_FILE
 from sceneloom.formats.recording.zipped import is_zip, unpack
 from sceneloom.formats.video.reader import VideoReader, open_video, open_whole_or_left
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import angle_between
+from sceneloom.geometry.rigid import RigidTransform, angle_between
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, VideoContent
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples

@@ -44,8 +44,7 @@ from sceneloom.formats.recording.write_lines import (
     origin_for,
     rows_of,
 )
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import OUT_OF_REACH, angle_between, conjugate_quaternion, rotate_vectors
+from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform, angle_between, conjugate_quaternion, rotate_vectors
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, ShootingSensor, shots_of
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.ego import check_one_ego

@@ -54,10 +54,10 @@ from sceneloom.formats.rig.manifest import Faults, Manifest, Record, read_manife
 from sceneloom.formats.rig.spec import MANIFEST, natural_key
 from sceneloom.formats.video.reader import VideoFile, VideoImages
 from sceneloom.geometry.euler import rotation_from_cuboid_angles
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     GREATEST_ERROR,
     SILENT_ERROR,
+    RigidTransform,
     matrix_from_quaternion,
     multiply_quaternions,
     nearest_rotation,

@@ -36,7 +36,7 @@ from sceneloom.formats.trajectories.trajectory_file import (
     ordered,
 )
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.geometry.rotations import GREATEST_ERROR, matrix_from_quaternion, quaternion_from_matrix
+from sceneloom.geometry.rigid import GREATEST_ERROR, matrix_from_quaternion, quaternion_from_matrix
 from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.warnings import WarningKind

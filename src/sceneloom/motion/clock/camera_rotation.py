@@ -7,7 +7,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from sceneloom.cameras.projection import unproject
 from sceneloom.errors import DataError
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     matrix_from_quaternion,
     quaternion_from_matrix,
     quaternion_from_rotation_vector,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     matrix_from_quaternion,
     quaternion_from_matrix,
     quaternion_from_rotation_vector,

@@ -12,7 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from sceneloom.geometry.geodesy import enu_from_geodetic
-from sceneloom.geometry.rotations import (
+from sceneloom.geometry.rigid import (
     conjugate_quaternion,
     matrix_from_quaternion,
     multiply_quaternions,

@@ -58,7 +58,7 @@ def test_points_lie_in_the_world_where_poses_of_the_camera_put_them(root):
     lidar, point = scene.sensor("velodyne"), np.array([7.0, 1.0, -1.5, 1.0])
     source = PoseSource(scene.trajectories["groundTruth"].poses, lidar.mount)
     at = source.at(lidar.frames.timestamps_ns)
-    from sceneloom.geometry.rotations import rotate_vectors
+    from sceneloom.geometry.rigid import rotate_vectors
 
     found = rotate_vectors(at.quaternions_xyzw, np.tile(point[:3], (2, 1))) + at.positions
     # the world is the lidar's first frame: back from the first camera's

@@ -10,8 +10,7 @@ from sceneloom.cameras.projection import project
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.base.losses import Support
-from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.geometry.rotations import rotate_vectors
+from sceneloom.geometry.rigid import RigidTransform, rotate_vectors
 from sceneloom.scene import CuboidAnnotation, LabeledPoints, LabeledPointsAnnotation, LazyFrames, PointsFrame, Scene
 from sceneloom.scene.annotations_at import cuboid_poses
 from sceneloom.scene.poses import PoseSource

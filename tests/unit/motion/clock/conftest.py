@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from sceneloom.geometry.rotations import multiply_quaternions, quaternion_from_rotation_vector
+from sceneloom.geometry.rigid import multiply_quaternions, quaternion_from_rotation_vector
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from sceneloom.batch import Input, Job
+from sceneloom.batch import Input, Job, run
 from sceneloom.batch.workers import run_task
 
 VERBS = '''
@@ -118,8 +118,17 @@ class Inline:
 
 
 @pytest.fixture
-def inline():
-    return Inline
+def go(tmp_path):
+    """Runs a job in this process, with the outputs in a folder of the test; `.drives` are those of its tasks."""
+
+    def go(job, output="out", **settings):
+        executor = Inline()
+        try:
+            return run(job, output if "://" in str(output) else tmp_path / output, executor=executor, **settings)
+        finally:
+            go.drives = [task.location.rpartition("/")[2] for task in executor.tasks]
+
+    return go
 
 
 @pytest.fixture
@@ -127,13 +136,10 @@ def drives(tmp_path):
     """Makes drives: files with their name in them."""
 
     def make(*names):
-        locations = []
+        (tmp_path / "in").mkdir(exist_ok=True)
         for name in names:
-            location = tmp_path / "in" / name
-            location.parent.mkdir(parents=True, exist_ok=True)
-            location.write_text(name)
-            locations.append(str(location))
-        return locations
+            (tmp_path / "in" / name).write_text(name)
+        return [str(tmp_path / "in" / name) for name in names]
 
     return make
 

@@ -1,4 +1,4 @@
-"""Runs: order, tries, resuming, killed processes, statistics, pages and metrics."""
+"""Runs: order, tries, resuming, damaged records, statistics, pages, metrics and secrets."""
 
 import os
 import re
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sceneloom.batch import Outcome, RunSummary, State, run
+from sceneloom.batch import Outcome, RunSummary, State
 from sceneloom.batch.figures import MetricsFile, format_metrics, read_figures, write_page
 from sceneloom.batch.record import FOLDER, Record
 from sceneloom.batch.running import record_folder
@@ -28,103 +28,93 @@ def rows(folder):
         return {Path(row.input).name: row for row in record.rows()}
 
 
-def test_every_drive_has_its_output_and_its_row(tmp_path, drives, job, inline):
-    out = tmp_path / "out"
-    summary = run(job("copy", drives("a.sfs", "b.sfs")), out, executor=inline())
-    assert (summary.done, summary.failed, summary.left) == (2, 0, 0)
-    assert outputs(out) == {"a.txt": "a.sfs", "b.txt": "b.sfs"}
-    assert {row.state for row in rows(out).values()} == {State.DONE}
+def test_every_drive_has_its_output_or_its_error_and_its_row(tmp_path, drives, job, go):
+    out, metrics = tmp_path / "out", MetricsFile(tmp_path / "batch.prom")
+    summary = go(job("refuse", drives("a.sfs", "bad.sfs", "c.sfs")), reported=metrics.reported)
+    assert (summary.done, summary.failed, summary.left) == (2, 1, 0)
+    assert outputs(out) == {"a.txt": "a.sfs", "c.txt": "c.sfs"}
+    found = rows(out)
+    assert {name: row.state for name, row in found.items()} == {
+        "a.sfs": State.DONE, "bad.sfs": State.FAILED, "c.sfs": State.DONE,
+    }  # fmt: skip
+    assert (found["bad.sfs"].kind, found["bad.sfs"].attempts) == ("DataError", 1)
+    assert "line 1: 7; expected 8" in found["bad.sfs"].error
     with Record.opened(out) as record:
-        assert record.report(1) == {"size": 5}
-        assert record.reported()["verb"] == "copy"
+        assert (record.report(1), record.reported()["verb"]) == ({"size": 5}, "refuse")
     assert not (out / FOLDER / "drafts").exists()
-
-
-def test_a_drive_that_fails_stops_no_other_and_is_reported_with_its_error(tmp_path, drives, job, inline):
-    summary = run(job("refuse", drives("a.sfs", "bad.sfs", "c.sfs")), tmp_path / "out", executor=inline())
-    assert (summary.done, summary.failed) == (2, 1)
-    assert outputs(tmp_path / "out") == {"a.txt": "a.sfs", "c.txt": "c.sfs"}
-    failed = rows(tmp_path / "out")["bad.sfs"]
-    assert (failed.state, failed.kind, failed.attempts) == (State.FAILED, "DataError", 1)
-    assert "line 1: 7; expected 8" in failed.error
+    text = (tmp_path / "batch.prom").read_text()
+    assert 'state="done"} 2' in text
+    assert 'state="failed"} 1' in text
+    assert [path.name for path in tmp_path.glob("*.prom*")] == ["batch.prom"]
 
 
 @pytest.mark.parametrize(
     ("name", "kind", "reported"), [("crash", "ZeroDivisionError", "Traceback"), ("forget", "Missing", "without")]
 )
-def test_faults_of_a_verb_are_failures_of_the_drive(tmp_path, drives, job, inline, name, kind, reported):
-    assert run(job(name, drives("a.sfs")), tmp_path / "out", executor=inline()).failed == 1
+def test_faults_of_a_verb_are_failures_of_the_drive(tmp_path, drives, job, go, name, kind, reported):
+    assert go(job(name, drives("a.sfs"))).failed == 1
     row = rows(tmp_path / "out")["a.sfs"]
     assert (row.kind, reported in row.error) == (kind, True)
 
 
-def test_what_may_pass_is_tried_again_and_only_so_often(tmp_path, drives, job, inline, monkeypatch):
+def test_what_may_pass_is_tried_again_and_only_so_often(tmp_path, drives, job, go, monkeypatch):
     monkeypatch.setattr("sceneloom.batch.running._PATIENCE_SECONDS", (0.0,))
-    once = run(job("shake", drives("a.sfs"), options={"needed": 3}), tmp_path / "out", executor=inline())
+    once = go(job("shake", drives("a.sfs"), options={"needed": 3}))
     assert (once.done, once.retried) == (1, 2)
-    often = run(job("shake", drives("b.sfs"), options={"needed": 9}), tmp_path / "two", executor=inline())
+    often = go(job("shake", drives("b.sfs"), options={"needed": 9}), "two")
     assert (often.failed, often.retried, rows(tmp_path / "two")["b.sfs"].attempts) == (1, 2, 3)
 
 
-def test_a_run_is_taken_up_where_it_was_left(tmp_path, drives, job, inline):
+def test_a_run_is_taken_up_where_it_was_left_and_made_anew_with_other_options(tmp_path, drives, job, go):
     out, locations = tmp_path / "out", drives("a.sfs", "bad.sfs", "c.sfs")
-    run(job("refuse", locations), out, executor=inline())
+    go(job("refuse", locations))
     with pytest.raises(OutputError, match="--resume"):
-        run(job("refuse", locations), out, executor=inline())
+        go(job("refuse", locations))
     Path(locations[2]).write_text("changed")
     os.utime(locations[2], ns=(1, 1))
     (out / "a.txt").unlink()
-    more = drives("d.sfs")
-    executor = inline()
-    again = run(job("refuse", [*locations, *more]), out, executor=executor, resume=True)
+    every = [*locations, *drives("d.sfs")]
+    again = go(job("refuse", every), resume=True)
     # the output of a is gone, bad failed, c changed, d is new
-    assert [Path(task.location).name for task in executor.tasks] == ["a.sfs", "bad.sfs", "c.sfs", "d.sfs"]
+    assert go.drives == ["a.sfs", "bad.sfs", "c.sfs", "d.sfs"]
     assert (again.total, again.skipped, again.done, again.failed) == (4, 0, 3, 1)
-    executor = inline()
-    last = run(job("refuse", [*locations, *more]), out, executor=executor, resume=True)
-    assert [Path(task.location).name for task in executor.tasks] == ["bad.sfs"]
-    assert last.skipped == 3
-    assert outputs(out)["c.txt"] == "changed"
+    last = go(job("refuse", every), resume=True)
+    assert (go.drives, last.skipped, outputs(out)["c.txt"]) == (["bad.sfs"], 3, "changed")
+    other = go(job("refuse", every, options={"more": "!"}), resume=True)
+    assert (other.skipped, outputs(out)["a.txt"]) == (0, "a.sfs!")
 
 
-def test_other_options_make_everything_anew(tmp_path, drives, job, inline):
+def test_outputs_that_are_folders_replace_those_that_were_there(tmp_path, drives, job, go):
     locations = drives("a.sfs")
-    run(job("copy", locations), tmp_path / "out", executor=inline())
-    again = run(job("copy", locations, options={"more": "!"}), tmp_path / "out", executor=inline(), resume=True)
-    assert (again.skipped, outputs(tmp_path / "out")) == (0, {"a.txt": "a.sfs!"})
-
-
-def test_outputs_that_are_folders_replace_those_that_were_there(tmp_path, drives, job, inline):
-    locations = drives("a.sfs")
-    run(job("folder", locations, suffix=""), tmp_path / "out", executor=inline())
+    go(job("folder", locations, suffix=""))
     Path(locations[0]).write_text("new")
-    run(job("folder", locations, suffix=""), tmp_path / "out", executor=inline(), resume=True)
+    go(job("folder", locations, suffix=""), resume=True)
     assert (tmp_path / "out" / "a" / "a.txt").read_text() == "new"
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [FOLDER, "a"]
 
 
-def test_files_that_are_no_output_of_the_run_are_left_alone(tmp_path, drives, job, inline):
+def test_files_and_folders_of_others_are_left_alone(tmp_path, drives, job, go):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "a.txt").write_text("mine")
+    work = job("copy", drives("a.sfs"))
     with pytest.raises(OutputError, match=r"a\.txt: exists already"):
-        run(job("copy", drives("a.sfs")), tmp_path / "out", executor=inline())
+        go(work)
     assert outputs(tmp_path / "out") == {"a.txt": "mine"}
+    with Record.held(tmp_path / "two"), pytest.raises(OutputError, match="another run"):
+        go(work, "two")
+    (tmp_path / "three" / FOLDER / "lock.sqlite").mkdir(parents=True)
+    with pytest.raises(OutputError, match="cannot be written"):
+        go(work, "three")
 
 
-def test_two_runs_do_not_share_a_folder(tmp_path, drives, job, inline):
-    with Record.held(tmp_path / "out"), pytest.raises(OutputError, match="another run"):
-        run(job("copy", drives("a.sfs")), tmp_path / "out", executor=inline())
-
-
-def test_a_damaged_record_is_an_error_that_names_it(tmp_path, drives, job, inline):
+def test_a_damaged_or_missing_record_is_an_error_that_names_it(tmp_path, drives, job, go):
     (tmp_path / "out" / FOLDER).mkdir(parents=True)
     (tmp_path / "out" / FOLDER / "record.sqlite").write_text("no database at all, but text " * 50)
     with pytest.raises(DataError, match=r"record\.sqlite"):
-        run(job("copy", drives("a.sfs")), tmp_path / "out", executor=inline())
-    with pytest.raises(DataError, match=r"record\.sqlite"), Record.opened(tmp_path / "out"):
-        pass
-    with pytest.raises(DataError, match="no record of a run"), Record.opened(tmp_path):
-        pass
+        go(job("copy", drives("a.sfs")))
+    for folder, problem in ((tmp_path / "out", r"record\.sqlite"), (tmp_path, "no record of a run")):
+        with pytest.raises(DataError, match=problem), Record.opened(folder):
+            pass
 
 
 @pytest.mark.parametrize(
@@ -148,22 +138,15 @@ def test_a_damaged_row_of_a_record_is_named(tmp_path, damage, reported):
     assert f"record.sqlite: {reported}" in str(caught.value)
 
 
-def test_a_lock_that_cannot_be_opened_is_an_error_of_the_output(tmp_path):
-    (tmp_path / FOLDER / "lock.sqlite").mkdir(parents=True)
-    with pytest.raises(OutputError, match="cannot be written"), Record.held(tmp_path):
-        pass
-
-
-def test_what_stops_a_run_leaves_no_half_output_and_no_lock(tmp_path, drives, job, inline):
-    locations = drives("a.sfs", "b.sfs")
-
+def test_what_stops_a_run_leaves_no_half_output_and_no_lock(tmp_path, drives, job, go):
     def stopped(_summary, _outcome):
         raise KeyboardInterrupt
 
+    work = job("copy", drives("a.sfs", "b.sfs"))
     with pytest.raises(KeyboardInterrupt):
-        run(job("copy", locations), tmp_path / "out", executor=inline(), reported=stopped)
+        go(work, reported=stopped)
     assert not (tmp_path / "out" / FOLDER / "drafts").exists()
-    again = run(job("copy", locations), tmp_path / "out", executor=inline(), resume=True)
+    again = go(work, resume=True)
     assert (again.done, again.skipped) == (2, 1)
 
 
@@ -224,6 +207,12 @@ class Reader(HTMLParser):
 
 
 def test_the_page_shows_them_and_asks_for_nothing(folder, tmp_path):
+    with Record.held(tmp_path / "begun") as record:
+        record.add([("a.sfs", {}, "a.sfs")])
+    begun = read_figures(tmp_path / "begun")
+    assert (begun.seconds, begun.workers) == (0.0, ())
+    write_page(begun, tmp_path / "begun.html")
+    assert "1 waiting" in (tmp_path / "begun.html").read_text("utf-8")
     write_page(read_figures(folder), tmp_path / "run.html")
     reader = Reader()
     text = (tmp_path / "run.html").read_text("utf-8")
@@ -239,27 +228,11 @@ def test_the_page_shows_them_and_asks_for_nothing(folder, tmp_path):
         write_page(read_figures(folder), tmp_path / "run.html")
 
 
-def test_a_run_that_has_only_begun_has_a_page(tmp_path):
-    with Record.held(tmp_path / "out") as record:
-        record.add([("a.sfs", {}, "a.sfs")])
-    figures = read_figures(tmp_path / "out")
-    assert (figures.seconds, figures.workers) == (0.0, ())
-    write_page(figures, tmp_path / "run.html")
-    assert "1 waiting" in (tmp_path / "run.html").read_text("utf-8")
-
-
 def test_text_for_prometheus_has_a_type_for_each_figure_and_escaped_labels():
     summary = RunSummary(
-        output='o"u\\t\n',
-        record="r",
-        verb="fuse",
-        total=9,
-        done=4,
-        failed=1,
-        retried=2,
-        seconds=8.5,
+        output='o"u\\t\n', record="r", verb="fuse", total=9, done=4, failed=1, retried=2, seconds=8.5,
         processor_seconds=16.0,
-    )
+    )  # fmt: skip
     text = format_metrics(summary, peak_bytes=7, stages={'read"ing': 1.5}, now=12.0)
     lines = [line for line in text.splitlines() if not line.startswith("#")]
     run = r'verb="fuse",output="o\"u\\t\n"'
@@ -270,21 +243,9 @@ def test_text_for_prometheus_has_a_type_for_each_figure_and_escaped_labels():
     assert {line.split("{")[0] for line in lines} == set(re.findall(r"# TYPE (\S+) (?:gauge|counter)", text))
 
 
-def test_the_file_of_metrics_ends_with_what_the_run_ended_with(tmp_path, drives, job, inline):
-    file = MetricsFile(tmp_path / "batch.prom")
-    run(job("refuse", drives("a.sfs", "bad.sfs", "c.sfs")), tmp_path / "out", executor=inline(), reported=file.reported)
-    text = (tmp_path / "batch.prom").read_text()
-    assert 'state="done"} 2' in text
-    assert 'state="failed"} 1' in text
-    assert [path.name for path in tmp_path.glob("*.prom*")] == ["batch.prom"]
-
-
-QUERY = "X-Amz-Signature={}&X-Amz-Date={}&Expires={}"
-
-
 @pytest.fixture
 def web(tmp_path):
-    """A web server over a folder, and the requests to it."""
+    """A web server over a folder, the requests to it, and addresses in it that a secret signs."""
     asked = []
 
     class Handler(SimpleHTTPRequestHandler):
@@ -295,32 +256,29 @@ def web(tmp_path):
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(tmp_path / "web")))
     thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
     thread.start()
-    yield tmp_path / "web", f"http://127.0.0.1:{server.server_port}", asked
+
+    def signed(secret, *names):
+        query = f"X-Amz-Signature={secret}&X-Amz-Date={secret}&Expires={secret}"
+        return [f"http://127.0.0.1:{server.server_port}/{name}?{query}" for name in names]
+
+    yield tmp_path / "web", asked, signed
     server.shutdown()
     server.server_close()
     thread.join()
     __import__("fsspec").filesystem("http").clear_instance_cache()
 
 
-def signed(web, name, secret):
-    return f"{web[1]}/{name}?{QUERY.format(secret, secret, secret)}"
-
-
-def test_no_secret_is_kept_or_reported_anywhere(tmp_path, job, inline, web):
-    (web[0] / "a.sfs").write_text("one")
+def test_no_secret_is_kept_or_reported_anywhere(tmp_path, job, go, web):
+    folder, _, signed = web
+    (folder / "a.sfs").write_text("one")
     reported, metrics = [], MetricsFile(tmp_path / "run.prom")
-    locations = [signed(web, name, "hush") for name in ("a.sfs", "bad.sfs", "odd.sfs", "gone.sfs")]
+    locations = signed("hush", "a.sfs", "bad.sfs", "odd.sfs", "gone.sfs")
 
     def notify(summary, outcome):
         reported.append(repr((summary, outcome)))
         metrics.reported(summary, outcome)
 
-    summary = run(
-        job("fetch", locations, options={"truth": locations[0]}, retries=0),
-        tmp_path / "out",
-        executor=inline(),
-        reported=notify,
-    )
+    summary = go(job("fetch", locations, options={"truth": locations[0]}, retries=0), reported=notify)
     assert (summary.done, summary.failed) == (1, 3)
     assert (tmp_path / "out" / "a.txt").read_text() == "one"
     write_page(read_figures(tmp_path / "out"), tmp_path / "run.html")
@@ -331,31 +289,22 @@ def test_no_secret_is_kept_or_reported_anywhere(tmp_path, job, inline, web):
     reported += [path.read_bytes().decode("latin-1") for path in tmp_path.rglob("*") if path.is_file()]
     assert len(reported) > 8
     assert not any("hush" in text for text in reported)
-
-
-def test_drives_are_known_again_when_they_are_signed_anew_and_looked_at_without_reading(tmp_path, job, inline, web):
-    for name in ("a.sfs", "b.sfs"):
-        (web[0] / name).write_text(name)
-    out = tmp_path / "out"
-    run(job("fetch", [signed(web, name, "first") for name in ("a.sfs", "b.sfs")]), out, executor=inline())
-    (web[0] / "b.sfs").write_text("other content")
-    web[2].clear()
-    executor = inline()
-    again = [signed(web, name, "second") for name in ("a.sfs", "b.sfs")]
-    summary = run(job("fetch", again), out, executor=executor, resume=True)
-    assert (summary.skipped, summary.done) == (1, 2)
-    assert [task.location for task in executor.tasks] == again[1:]
-    assert {command for command, path in web[2] if path.startswith("/a.sfs")} == {"HEAD"}
-    assert (out / "b.txt").read_text() == "other content"
-
-
-def test_drives_that_only_secrets_distinguish_are_refused(tmp_path, job, inline, web):
-    locations = [signed(web, "a.sfs", secret) for secret in ("one", "two")]
     with pytest.raises(OptionError, match="differ in secrets only") as caught:
-        run(job("fetch", locations), tmp_path / "out", executor=inline())
+        go(job("fetch", signed("one", "a.sfs") + signed("two", "a.sfs")), "other")
     assert "one" not in str(caught.value).replace("done", "")
-
-
-def test_the_folder_of_a_record_has_no_secret_in_its_name():
     assert record_folder("s3://me:hush@bucket/x?token=hush") == record_folder("s3://me:other@bucket/x?token=new")
     assert "hush" not in str(record_folder("s3://bucket/x?token=hush"))
+
+
+def test_drives_are_known_again_when_they_are_signed_anew_and_looked_at_without_reading(tmp_path, job, go, web):
+    folder, asked, signed = web
+    for name in ("a.sfs", "b.sfs"):
+        (folder / name).write_text(name)
+    go(job("fetch", signed("first", "a.sfs", "b.sfs")))
+    (folder / "b.sfs").write_text("other content")
+    asked.clear()
+    summary = go(job("fetch", signed("second", "a.sfs", "b.sfs")), resume=True)
+    assert (summary.skipped, summary.done) == (1, 2)
+    assert [drive.partition("&")[0] for drive in go.drives] == ["b.sfs?X-Amz-Signature=second"]
+    assert {command for command, path in asked if path.startswith("/a.sfs")} == {"HEAD"}
+    assert (tmp_path / "out" / "b.txt").read_text() == "other content"

@@ -18,28 +18,23 @@ import pytest
 import sceneloom
 from sceneloom.batch import Input, Job, run
 from sceneloom.batch.cluster import DaskCluster
-from sceneloom.batch.record import FOLDER, Record
+from sceneloom.batch.record import FOLDER
 from sceneloom.batch.workers import ProcessPool, Warming
 from sceneloom.cli.batch import CALL, verb_named
 from sceneloom.kernels.cache import KernelCache
 from sceneloom.simulate import LidarSpec, simulate_street
 
 
-def test_a_killed_worker_harms_one_try_and_nothing_else(tmp_path, drives, job):
-    names = [f"{k}.sfs" for k in range(4)]
-    summary = run(job("die", drives(*names)), tmp_path / "out", workers=2)
-    assert (summary.done, summary.failed, summary.retried) == (4, 0, 4)
-    found = {path.name: path.read_text() for path in (tmp_path / "out").glob("*.txt")}
-    assert found == {f"{k}.txt": f"{k}.sfs" for k in range(4)}
-    with Record.opened(tmp_path / "out") as record:
-        assert all(row.attempts == 2 for row in record.rows())
-
-
-def test_workers_have_one_thread_unless_the_user_says_otherwise(tmp_path, drives, job, monkeypatch):
+@pytest.mark.parametrize(("openmp", "numba", "seen"), [(None, "3", "13"), ("2", "1", "21"), ("5", "1", "51")])
+def test_workers_have_one_thread_unless_the_user_says_otherwise(
+    tmp_path, drives, job, monkeypatch, openmp, numba, seen
+):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", numba)
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
+    if openmp:
+        monkeypatch.setenv("OMP_NUM_THREADS", openmp)
     run(job("environment", drives("a.sfs")), tmp_path / "out", workers=1)
-    assert (tmp_path / "out" / "a.txt").read_text() == "13"
+    assert (tmp_path / "out" / "a.txt").read_text() == seen
 
 
 def test_a_worker_that_cannot_be_started_is_started_once_more(tmp_path, drives, job, monkeypatch):
@@ -57,57 +52,33 @@ def test_a_worker_that_cannot_be_started_is_started_once_more(tmp_path, drives, 
     assert (summary.done, summary.retried, len(starts)) == (1, 0, 2)
 
 
-def test_a_fault_of_a_worker_that_is_no_outcome_is_one_of_its_task(tmp_path, drives, job, monkeypatch):
-    monkeypatch.setattr("sceneloom.batch.workers.run_task", print_nothing)
-    summary = run(job("copy", drives("a.sfs")), tmp_path / "out", workers=1)
-    assert summary.failed == 1
-
-
-def print_nothing(task):
+def refuse_task(task):
     raise RuntimeError(task.location)
 
 
-def test_what_workers_have_in_their_environment_is_that_of_the_run(tmp_path, drives, job, monkeypatch):
-    for name, threads in (("first", "2"), ("second", "5")):
-        monkeypatch.setenv("OMP_NUM_THREADS", threads)
-        monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
-        run(job("environment", drives("a.sfs")), tmp_path / name, workers=1)
-        assert (tmp_path / name / "a.txt").read_text() == f"{threads}1"
+def test_a_fault_of_a_worker_that_is_no_outcome_is_one_of_its_task(tmp_path, drives, job, monkeypatch):
+    monkeypatch.setattr("sceneloom.batch.workers.run_task", refuse_task)
+    assert run(job("copy", drives("a.sfs")), tmp_path / "out", workers=1).failed == 1
 
 
-@pytest.fixture
-def cache(monkeypatch):
-    """What is found of 9 kernels, and what the clock says."""
+def test_others_wait_only_as_long_as_more_and_more_is_compiled(monkeypatch):
     found = {"compiled": 0, "writable": True, "clock": 0.0}
-    monkeypatch.setattr(
-        "sceneloom.batch.workers.find_kernel_cache",
-        lambda: KernelCache(Path(), found["writable"], 9, found["compiled"]),
-    )
+    cache = lambda: KernelCache(Path(), found["writable"], 9, found["compiled"])  # noqa: E731
+    monkeypatch.setattr("sceneloom.batch.workers.find_kernel_cache", cache)
     monkeypatch.setattr("sceneloom.batch.workers.time.monotonic", lambda: found["clock"])
-    return found
-
-
-def test_others_wait_as_long_as_more_and_more_is_compiled(cache):
-    warming = Warming(grown=0.0)
+    ended, warming = Warming(grown=0.0), Warming(grown=0.0)
+    ended.end()
+    assert not ended.goes_on()
     for compiled in (0, 1, 2, 3):
-        cache |= {"compiled": compiled, "clock": compiled * 9.0}
+        found |= {"compiled": compiled, "clock": compiled * 9.0}
         assert warming.goes_on()
-    cache["clock"] += 10.5
+    found["clock"] += 10.5
     assert not warming.goes_on()
-    cache["compiled"] = 4
+    found["compiled"] = 4
     assert not warming.goes_on()
-
-
-@pytest.mark.parametrize("change", [{"compiled": 9}, {"writable": False}])
-def test_nobody_waits_where_nothing_would_be_gained(cache, change):
-    cache |= change
-    assert not Warming(grown=0.0).goes_on()
-
-
-def test_nobody_waits_once_the_first_drive_has_ended(cache):
-    warming = Warming(grown=0.0)
-    warming.end()
-    assert not warming.goes_on()
+    for gained_nothing in ({"compiled": 9}, {"compiled": 0, "writable": False}):
+        found |= gained_nothing
+        assert not Warming(grown=0.0).goes_on()
 
 
 pytestmark = [

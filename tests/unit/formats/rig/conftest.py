@@ -78,26 +78,16 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def changed(folder: Path) -> Callable[..., Path]:
-    """Replace parts of the manifest: pairs of old and new text."""
+def opened(folder: Path) -> Callable[..., Scene]:
+    """Open the folder with parts of its manifest replaced: pairs of old and new text."""
 
-    def change(*pairs: tuple[str, str]) -> Path:
+    def open_changed(*pairs: tuple[str, str], **options: bool) -> Scene:
         text = MANIFEST
         for old, new in pairs:
             assert old in text, old
             text = text.replace(old, new)
         (folder / "rig.toml").write_text(text)
-        return folder
-
-    return change
-
-
-@pytest.fixture
-def opened(changed: Callable[..., Path]) -> Callable[..., Scene]:
-    """Open the folder with parts of its manifest replaced."""
-
-    def open_changed(*pairs: tuple[str, str], **options: bool) -> Scene:
-        return FORMAT.open(changed(*pairs), **options)
+        return FORMAT.open(folder, **options)
 
     return open_changed
 

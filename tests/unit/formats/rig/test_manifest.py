@@ -72,21 +72,16 @@ def test_a_fault_is_reported_with_location_value_and_what_was_expected(refused, 
     refused(problem, (old, new))
 
 
-def test_all_faults_are_reported_at_once(refused, opened):
+def test_all_faults_are_reported_at_once(refused):
     refused(r"2 faults", ('ego = "base"', 'egoo = "base"'), ("rate_hz = 10", "rate_hz = -1"))
+    both = r"transforms\[0\](.|\n)*sensors\[1\] \(front\)\.extrinsic"
+    refused(both, ("0.0, 1.0]", "0.0, 9.0]"), ("[0.5, 0", "[1e7, 0"))
     refused(
-        r"transforms\[0\](.|\n)*sensors\[1\] \(front\)\.extrinsic", ("0.0, 1.0]", "0.0, 9.0]"), ("[0.5, 0", "[1e7, 0")
+        r"3 faults\n.*trajectories\[0\].file: 'path.txt': no such file.*\n"
+        r".*sensors\[0\] \(top\).files: 'tip/\*.bin': no such files.* has the folders front, top\n"
+        r".*sensors\[1\] \(front\): no focal length",
+        *(("top/*.bin", "tip/*.bin"), ("fx = 6.0,", ""), ('file = "poses.txt"', 'file = "path.txt"')),
     )
-    with pytest.raises(DataError) as caught:
-        opened(("top/*.bin", "tip/*.bin"), ("fx = 6.0,", ""), ('file = "poses.txt"', 'file = "path.txt"'))
-    for reported in (
-        "3 faults",
-        "sensors[0] (top).files: 'tip/*.bin': no such files",
-        "has the folders front, top",
-        "sensors[1] (front): no focal length",
-        "trajectories[0].file: 'path.txt': no such file",
-    ):
-        assert reported in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,11 @@ from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 CAMERA_MODEL = Camera("brown_conrady", 96, 64, 60.0, 61.0, 47.5, 31.5, (-0.2, 0.05, 0.001, -0.001, 0.01))
 CLOUD = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("i", "u1"), ("ring", "<u2"), ("t", "<i8")])
+PCD = "FIELDS x y z i ring t\nSIZE 4 4 4 1 2 8\nTYPE F F F U U I\nWIDTH {}\nHEIGHT 1\nDATA {}\n"
+PLY = "".join(
+    f"property {kind} {name}\n"
+    for kind, name in zip(["float", "float", "float", "uchar", "ushort", "double"], CLOUD.names, strict=True)
+)
 
 
 @pytest.fixture(scope="module")
@@ -20,63 +25,43 @@ def drive():
     return simulate_street(4, frames=3, lidar=LidarSpec(beams=16, steps=300), cameras=(CameraSpec(CAMERA_MODEL),)).scene
 
 
-def table(points) -> np.ndarray:
-    """The points as records."""
+def write_cloud(path: Path, points, kind: str) -> None:
+    """Write the points in a kind of file, by hand."""
     records = np.zeros(len(points), CLOUD)
     for axis, name in enumerate("xyz"):
         records[name] = points.positions[:, axis]
     records["i"], records["ring"], records["t"] = points.intensities, points.rings, points.timestamps_ns
-    return records
-
-
-def write_pcd(path: Path, records: np.ndarray) -> None:
-    head = "FIELDS x y z i ring t\nSIZE 4 4 4 1 2 8\nTYPE F F F U U I\nWIDTH {}\nHEIGHT 1\nDATA binary\n"
-    path.with_suffix(".pcd").write_bytes(head.format(len(records)).encode() + records.tobytes())
-
-
-def write_ascii(path: Path, records: np.ndarray) -> None:
-    head = "FIELDS x y z i ring t\nSIZE 4 4 4 1 2 8\nTYPE F F F U U I\nWIDTH {}\nHEIGHT 1\nDATA ascii\n"
-    lines = "".join(" ".join(repr(value.item()) for value in row) + "\n" for row in records)
-    path.with_suffix(".pcd").write_text(head.format(len(records)) + lines)
-
-
-def write_ply(path: Path, records: np.ndarray) -> None:
-    names = zip(["float", "float", "float", "uchar", "ushort", "double"], CLOUD.names, strict=True)
-    head = "".join(f"property {kind} {name}\n" for kind, name in names)
-    records = records.astype([*CLOUD.descr[:-1], ("t", "<f8")])
-    text = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(records)}\n{head}end_header\n"
-    path.with_suffix(".ply").write_bytes(text.encode() + records.tobytes())
-
-
-def write_npz(path: Path, records: np.ndarray) -> None:
-    np.savez_compressed(path.with_suffix(".npz"), **{name: records[name] for name in CLOUD.names})
-
-
-def write_bin(path: Path, records: np.ndarray) -> None:
-    path.with_suffix(".bin").write_bytes(records.tobytes())
-
-
-WRITERS = {"pcd": write_pcd, "ascii": write_ascii, "ply": write_ply, "npz": write_npz, "bin": write_bin}
+    if kind == "npz":
+        np.savez_compressed(path, **{name: records[name] for name in CLOUD.names})
+        return
+    if kind == "ascii":
+        lines = "".join(" ".join(repr(value.item()) for value in row) + "\n" for row in records)
+        path.write_text(PCD.format(len(records), "ascii") + lines)
+        return
+    heads = {
+        "pcd": PCD.format(len(records), "binary"),
+        "ply": f"ply\nformat binary_little_endian 1.0\nelement vertex {len(records)}\n{PLY}end_header\n",
+        "bin": "",
+    }
+    if kind == "ply":
+        records = records.astype([*CLOUD.descr[:-1], ("t", "<f8")])
+    path.write_bytes(heads[kind].encode() + records.tobytes())
 
 
 def write_folder(folder: Path, scene: sceneloom.Scene, kind: str) -> None:
     """Write plain files and a manifest by hand."""
     lidar, camera = scene.lidars[0], scene.cameras[0]
+    suffix = "pcd" if kind == "ascii" else kind
     for name in ("lidar", "images"):
         (folder / name).mkdir()
     for frame in lidar.frames:
-        WRITERS[kind](folder / "lidar" / str(frame.timestamp_ns), table(frame.points))
+        write_cloud(folder / "lidar" / f"{frame.timestamp_ns}.{suffix}", frame.points, kind)
     for image in camera.images:
         Image.fromarray(image.rgb).save(folder / "images" / f"{image.timestamp_ns}.png")
     trajectory = scene.trajectories["groundTruth"]
-    rows = zip(
-        trajectory.timestamps_ns.tolist(),
-        trajectory.positions.tolist(),
-        trajectory.quaternions_xyzw.tolist(),
-        strict=True,
-    )
-    (folder / "trajectory.txt").write_text("".join(f"{t} {' '.join(map(repr, p + q))}\n" for t, p, q in rows))
-    suffix = "pcd" if kind == "ascii" else kind
+    poses = np.column_stack([trajectory.positions, trajectory.quaternions_xyzw]).tolist()
+    rows = zip(trajectory.timestamps_ns.tolist(), poses, strict=True)
+    (folder / "trajectory.txt").write_text("".join(f"{t} {' '.join(map(repr, pose))}\n" for t, pose in rows))
     fields = 'fields = ["x", "y", "z", "i:uint8", "ring:uint16", "t:int64"]' if kind == "bin" else ""
     (folder / "rig.toml").write_text(f"""
 [[trajectories]]
@@ -102,7 +87,7 @@ camera_model = {{ fx = 60, fy = 61, cx = 47.5, cy = 31.5, coefficients = {list(C
 """)
 
 
-@pytest.mark.parametrize("kind", WRITERS)
+@pytest.mark.parametrize("kind", ["pcd", "ascii", "ply", "npz", "bin"])
 def test_every_kind_of_cloud_brings_the_drive_back_exactly(tmp_path, drive, kind):
     write_folder(tmp_path, drive, kind)
     scene = sceneloom.open(tmp_path)
@@ -125,12 +110,10 @@ def test_every_kind_of_cloud_brings_the_drive_back_exactly(tmp_path, drive, kind
 
 def test_fusing_the_folder_gives_the_same_colours_as_fusing_the_drive(tmp_path, drive):
     write_folder(tmp_path, drive, "npz")
-    own = list(sceneloom.iter_fused(sceneloom.open(tmp_path)))
-    known = list(sceneloom.iter_fused(drive))
+    own, known = list(sceneloom.iter_fused(sceneloom.open(tmp_path))), list(sceneloom.iter_fused(drive))
     assert len(own) == len(known) == 3
     for found, expected in zip(own, known, strict=True):
         np.testing.assert_allclose(found.points.positions, expected.points.positions, atol=1e-5)
-        same = (found.points.colors == expected.points.colors).all(axis=1)
         # mountings that were inverted twice may move a point over the edge of a pixel
-        assert same.mean() > 0.999
+        assert (found.points.colors == expected.points.colors).all(axis=1).mean() > 0.999
         assert (found.points.camera_index != 255).any()

@@ -23,8 +23,13 @@ def filled(text: str) -> str:
     rows = iter(["[0, 0, 1, 0.5]", "[-1, 0, 0, 0]", "[0, -1, 0, 0]"])
     text = re.sub(r"(?m)^    \[nan, nan, nan, nan\]", lambda _: f"    {next(rows)}", text)
     text = re.sub(r"(fx|fy) = nan", r"\1 = 60.0", text)
-    text = re.sub(r"rate_hz = nan", "rate_hz = 10", text)
-    return text.replace("nan", "0.0")
+    return text.replace("rate_hz = nan", "rate_hz = 10").replace("nan", "0.0")
+
+
+def opened_timestamps(folder):
+    """Open a folder with the manifest that a look into it gives."""
+    (folder / "rig.toml").write_text(filled(template_text(folder=folder)))
+    return FORMAT.open(folder).lidars[0].frames.timestamps_ns.tolist()
 
 
 @pytest.fixture
@@ -37,7 +42,14 @@ def clouds_and_images(tmp_path):
     return tmp_path
 
 
-def test_the_template_opens_once_it_is_filled_in(clouds_and_images):
+def test_the_template_opens_once_it_is_filled_in_and_says_before_what_is_left(clouds_and_images):
+    write_template(clouds_and_images / "rig.toml")
+    left = (
+        r"sensors\[0\] \(lidar_top\): still to be filled in: extrinsic.translation, extrinsic.quaternion_xyzw(.|\n)*"
+        r"sensors\[1\] \(cam_front\): still to be filled in: camera_model.fx"
+    )
+    with pytest.raises(DataError, match=left):
+        sceneloom.open(clouds_and_images)
     (clouds_and_images / "rig.toml").write_text(filled(TEMPLATE))
     scene = sceneloom.open(clouds_and_images)
     assert [sensor.id for sensor in scene.sensors] == ["lidar_top", "cam_front"]
@@ -45,24 +57,16 @@ def test_the_template_opens_once_it_is_filled_in(clouds_and_images):
     np.testing.assert_allclose(scene.cameras[0].mount.translation, [0.5, 0, 0])
 
 
-def test_the_template_that_is_not_filled_in_says_what_is_left(clouds_and_images):
-    write_template(clouds_and_images / "rig.toml")
-    with pytest.raises(DataError) as caught:
-        sceneloom.open(clouds_and_images)
-    reported = str(caught.value)
-    assert "sensors[0] (lidar_top): still to be filled in: extrinsic.translation, extrinsic.quaternion_xyzw" in reported
-    assert "sensors[1] (cam_front): still to be filled in: camera_model.fx" in reported
-
-
-def test_lines_that_are_commented_out_are_right_as_well(clouds_and_images):
+def test_lines_that_are_commented_out_are_right_as_well_and_no_field_is_unknown(clouds_and_images):
     lines = [re.sub(r"^# (?=[a-z_]+ = (?!R)|\[\[)", "", line) for line in TEMPLATE.splitlines()]
-    choices = [
-        line for line in lines if not re.match(r"times = \{ (csv|lines|rate_hz)|root = |point_times|fields", line)
-    ]
-    text = filled("\n".join(choices)).replace('timestamp = "start"', 'timestamp = "end"')
+    left_out = r"times = \{ (csv|lines|rate_hz)|root = |point_times|fields"
+    text = filled("\n".join(line for line in lines if not re.match(left_out, line)))
+    text = text.replace('timestamp = "start"', 'timestamp = "end"').replace("width = 1920", "width = 64")
     (clouds_and_images / "poses.txt").write_text("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")
-    (clouds_and_images / "rig.toml").write_text(text.replace("width = 1920", "width = 64").replace("1080", "48"))
+    (clouds_and_images / "rig.toml").write_text(text.replace("1080", "48"))
     assert [*sceneloom.open(clouds_and_images).trajectories] == ["pose"]
+    known = {*tomllib.loads(MANIFEST)["sensors"][0], "timestamp", "extrinsic"}
+    assert set(tomllib.loads(TEMPLATE)["sensors"][0]) <= known
 
 
 @pytest.mark.parametrize("location", ["inside", "above", "elsewhere"])
@@ -82,14 +86,11 @@ def test_a_look_into_a_folder_gives_a_manifest_that_opens_once_it_is_filled_in(
     assert ("root" in tomllib.loads(path.read_text())) == (location != "inside")
 
 
-def test_a_template_does_not_replace_a_file_unless_reported_to(tmp_path):
+def test_a_template_is_a_toml_file_and_replaces_none_unless_reported_to(tmp_path):
     write_template(tmp_path / "rig.toml")
     with pytest.raises(OutputError, match="exists already"):
         write_template(tmp_path / "rig.toml")
     write_template(tmp_path / "rig.toml", overwrite=True)
-
-
-def test_a_template_is_a_toml_file(tmp_path):
     with pytest.raises(OptionError, match=r"expected a name that ends with \.toml"):
         write_template(tmp_path / "rig.json")
 
@@ -102,27 +103,24 @@ def test_a_folder_without_clouds_and_images_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "times"),
+    ("name", "pattern"),
     [
-        ("1532402927647951000", {"pattern": "{ns}"}),
-        ("1532402927647951", {"pattern": "{us}"}),
-        ("1532402927647", {"pattern": "{ms}"}),
-        ("1532402927", {"pattern": "{s}"}),
-        ("1532402927_647951000", {"pattern": "{s}_{ns}"}),
-        ("1532402927-647951", {"pattern": "{s}-{us}"}),
-        ("1532402927.647951", {"pattern": "{s}"}),
-        ("top_1532402927.6479510_raw", {"pattern": "*{s}_raw"}),
-        ("top_1532402927647951000_raw", {"pattern": "*{ns}_raw"}),
+        ("1532402927647951000", "{ns}"),
+        ("1532402927647951", "{us}"),
+        ("1532402927647", "{ms}"),
+        ("1532402927", "{s}"),
+        ("1532402927_647951000", "{s}_{ns}"),
+        ("1532402927-647951", "{s}-{us}"),
+        ("1532402927.647951", "{s}"),
+        ("top_1532402927.6479510_raw", "*{s}_raw"),
+        ("top_1532402927647951000_raw", "*{ns}_raw"),
     ],
 )
-def test_times_are_distinguished_from_names_and_those_patterns_read_them(tmp_path, name, times):
-    (tmp_path / "top").mkdir()
-    (tmp_path / "top" / f"{name}.pcd").write_bytes(PCD)
+def test_times_are_distinguished_from_names_and_those_patterns_read_them(tmp_path, name, pattern):
+    (tmp_path / f"{name}.pcd").write_bytes(PCD)
     (found,) = survey(tmp_path).sensors
-    assert found.times == times
-    (tmp_path / "rig.toml").write_text(filled(template_text(folder=tmp_path)))
-    timestamps = FORMAT.open(tmp_path).lidars[0].frames.timestamps_ns
-    assert abs(int(timestamps[0]) - START_NS) < 1_000_000_000
+    assert found.times == {"pattern": pattern}
+    assert abs(opened_timestamps(tmp_path)[0] - START_NS) < 1_000_000_000
 
 
 @pytest.mark.parametrize(
@@ -130,17 +128,14 @@ def test_times_are_distinguished_from_names_and_those_patterns_read_them(tmp_pat
     [
         (["0000000001050000000", "0000000001150000000"], [1_050_000_000, 1_150_000_000]),
         (["1532402927.647951", "1532402928.5"], [1_532_402_927_647_951_000, 1_532_402_928_500_000_000]),
-        (
-            ["1532402927647951000_000001", "1532402927747951000_000002"],
-            [1_532_402_927_647_951_000, 1_532_402_927_747_951_000],
-        ),
+        (["1532402927647951000_000001", "1532402927747951000_000002"],
+         [1_532_402_927_647_951_000, 1_532_402_927_747_951_000]),
     ],
-)
+)  # fmt: skip
 def test_the_pattern_that_the_first_name_reports_reads_the_others(tmp_path, names, expected_ns):
     for name in names:
         (tmp_path / f"{name}.pcd").write_bytes(PCD)
-    (tmp_path / "rig.toml").write_text(filled(template_text(folder=tmp_path)))
-    assert FORMAT.open(tmp_path).lidars[0].frames.timestamps_ns.tolist() == expected_ns
+    assert opened_timestamps(tmp_path) == expected_ns
 
 
 @pytest.mark.parametrize("names", [["000000", "000001"], ["0000000000", "0000000001"], ["scan_1", "scan_2"]])
@@ -161,23 +156,24 @@ def test_lists_of_times_beside_the_files_are_found(clouds_and_images):
     assert camera.times == {"csv": "front.csv", "column": "time"}
 
 
-def test_files_of_several_sensors_in_one_folder_are_distinguished(tmp_path):
-    for sensor in ("FRONT", "BACK"):
-        for k in range(2):
-            Image.new("RGB", (8, 6)).save(tmp_path / f"n015__CAM_{sensor}__{START_NS + k}.png")
-    found = survey(tmp_path).sensors
-    assert {sensor.id for sensor in found} == {"CAM_FRONT", "CAM_BACK"}
-    for sensor in found:
-        assert len(list(tmp_path.glob(sensor.files["files"]))) == 2
-
-
-def test_signs_of_patterns_in_names_are_taken_as_they_are(tmp_path):
-    for name in ("run [1]", "run 1"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / f"{START_NS}.pcd").write_bytes(PCD)
+@pytest.mark.parametrize(
+    ("files", "ids", "counts"),
+    [
+        # several sensors in one folder
+        ([f"n015__CAM_{name}__{START_NS + k}.pcd" for name in ("FRONT", "BACK") for k in range(2)],
+         {"CAM_FRONT", "CAM_BACK"}, [2, 2]),
+        # signs of patterns in names
+        ([f"run [1]/{START_NS}.pcd", f"run 1/{START_NS}.pcd"], None, [1, 1]),
+    ],
+)  # fmt: skip
+def test_files_of_several_sensors_are_distinguished(tmp_path, files, ids, counts):
+    for file in files:
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_bytes(PCD)
     found = survey(tmp_path).sensors
     assert len({sensor.id for sensor in found}) == 2
-    assert [len(list(tmp_path.glob(sensor.files["files"]))) for sensor in found] == [1, 1]
+    assert ids is None or {sensor.id for sensor in found} == ids
+    assert [len(list(tmp_path.glob(sensor.files["files"]))) for sensor in found] == counts
 
 
 def test_layouts_of_files_without_a_head_are_guessed_from_their_numbers(tmp_path):
@@ -199,25 +195,23 @@ def test_layouts_of_files_without_a_head_are_guessed_from_their_numbers(tmp_path
         ("tum.txt", "0 0 0 0 0 0 0 1\n", "tum"),
         ("kitti.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "kitti"),
         ("trajectory.csv", "time,x,y,z\n0,1,2,3\n", "csv"),
+        ("imu.csv", "time,ax,ay,az\n0,1,2,3\n", "imu"),
+        ("gnss.csv", "time,lat,lon,alt\n0,1,2,3\n", "gnss"),
     ],
 )
-def test_trajectories_are_found(clouds_and_images, name, text, form):
+def test_trajectories_and_motion_sensors_are_found(clouds_and_images, name, text, form):
     (clouds_and_images / name).write_text(text)
-    assert [(trajectory.file, trajectory.form) for trajectory in survey(clouds_and_images).trajectories] == [
-        (name, form)
-    ]
+    found = survey(clouds_and_images)
+    trajectories = [(trajectory.file, trajectory.form) for trajectory in found.trajectories]
+    sensors = [(f"{sensor.id}.csv", sensor.type) for sensor in found.sensors if sensor.type in {"imu", "gnss"}]
+    assert trajectories + sensors == [(name, form)]
 
 
-def test_motion_sensors_and_videos_are_found(clouds_and_images):
-    (clouds_and_images / "imu.csv").write_text("time,ax,ay,az\n0,1,2,3\n")
-    (clouds_and_images / "gnss.csv").write_text("time,lat,lon,alt\n0,1,2,3\n")
-    types = {sensor.id: sensor.type for sensor in survey(clouds_and_images).sensors}
-    assert (types["imu"], types["gnss"]) == ("imu", "gnss")
-
-
-def test_strange_names_are_written_as_toml_reads_them():
-    for text in ("plain", 'with "quotes"', "back\\slash", "it's", "new\nline", "ümlaut", "both ' and \"", "del\x7f"):
-        assert tomllib.loads(f"x = {quoted(text)}")["x"] == text
+@pytest.mark.parametrize(
+    "text", ["plain", 'with "quotes"', "back\\slash", "it's", "new\nline", "ümlaut", "both ' and \"", "del\x7f"]
+)
+def test_strange_names_are_written_as_toml_reads_them(text):
+    assert tomllib.loads(f"x = {quoted(text)}")["x"] == text
 
 
 def test_columns_with_strange_names_leave_the_template_readable(clouds_and_images):
@@ -228,17 +222,10 @@ def test_columns_with_strange_names_leave_the_template_readable(clouds_and_image
     assert [sensor["id"] for sensor in tomllib.loads(text)["sensors"]] == ["lidar_top", "cam_front"]
 
 
-def test_the_template_names_no_field_that_is_unknown():
-    assert set(tomllib.loads(TEMPLATE)["sensors"][0]) <= set(tomllib.loads(MANIFEST)["sensors"][0]) | {
-        "timestamp",
-        "extrinsic",
-    }
-
-
 def test_columns_that_are_not_known_by_name_are_offered_as_comments_that_work(tmp_path):
-    columns = {"refl": np.ones(3, "f4"), "dt_ms": np.array([0.0, 50.0, 99.0], "f4")}
-    np.savez(tmp_path / "0.npz", pts=np.ones((3, 3), "f4"), **columns)
-    np.savez(tmp_path / "1.npz", pts=np.ones((3, 3), "f4"), **columns)
+    for k in range(2):
+        times = np.array([0.0, 50.0, 99.0], "f4")
+        np.savez(tmp_path / f"{k}.npz", pts=np.ones((3, 3), "f4"), refl=np.ones(3, "f4"), dt_ms=times)
     text = template_text(folder=tmp_path)
     assert '# use = { intensity = "refl" }' in text
     assert '# point_times = { field = "dt_ms", unit = "milliseconds" }' in text

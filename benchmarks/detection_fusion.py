@@ -20,14 +20,9 @@ from sceneloom.arrays import Float64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
 from sceneloom.detections.detectors import numbers_of
-from sceneloom.detections.projection import (
-    assign,
-    boxes_with_position,
-    fuse_by_projection,
-    pair_gains,
-    project_outlines,
-)
+from sceneloom.detections.projection import assign, fuse_by_projection, pair_gains, project_outlines
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.box_fusion import boxes_with_position
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 
 CAMERA = Camera("brown_conrady", 1920, 1080, 1100.0, 1100.0, 959.5, 539.5, (-0.1, 0.02, 5e-4, -3e-4, 1e-3))

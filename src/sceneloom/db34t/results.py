@@ -10,9 +10,10 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.db34t.records import FusedDetections
 from sceneloom.db34t.scene_objects import whole_corners
 from sceneloom.db34t.setting import Setting
-from sceneloom.detections.results import NO_BOX, FusedBoxes
+from sceneloom.detections.results import FusedBoxes
 from sceneloom.fusion.system import FusedDetectionFrame
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.box_fusion import single_precision
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,38 +59,31 @@ def declared_columns(
         declared_from_standard: (3, 3) float64, a signed permutation: from the standard axes of the lidar to those of
             the record.
     """
-    rotation, none = declared_from_standard, np.zeros(len(fused))
     velocities = np.zeros((len(fused), 3)) if fused.velocities is None else fused.velocities
-    with np.errstate(invalid="ignore", over="ignore"):
-        headings = np.stack([np.cos(fused.yaws), np.sin(fused.yaws), none], axis=1)
-        numbers = {
-            "confidence": np.clip(fused.scores, 0.0, 1.0),
-            "centers": fused.centers @ rotation.T,
-            "center_covs": _symmetric(rotation @ fused.center_covariances @ rotation.T),
-            "sizes_lwh": fused.sizes_lwh,
-            "size_covs": _symmetric(fused.size_covariances),
-            "directions": headings @ rotation.T,
-            "velocities": (velocities * headings).sum(axis=1),
-            "velocity_vectors": velocities @ rotation.T,
-        }
-        columns: dict[str, Any] = {name: values.astype(np.float32) for name, values in numbers.items()}
-    corners = whole_corners(fused.corners_xyxy, (camera.width, camera.height))
-    sizes, seen = columns["sizes_lwh"], fused.rows_3d != NO_BOX
-    variances = np.diagonal([columns["center_covs"], columns["size_covs"]], axis1=2, axis2=3)
-    sound = (
-        all(np.isfinite(values).all() for values in columns.values())
-        and (variances >= 0.0).all()
-        and (sizes >= 0.0).all()
-        and (sizes[seen] > 0.0).all()
-        and (corners[:, :2] <= corners[:, 2:]).all()
+    *numbers, sound = single_precision(
+        fused.scores,
+        fused.centers,
+        fused.center_covariances,
+        fused.sizes_lwh,
+        fused.size_covariances,
+        fused.yaws,
+        velocities,
+        fused.rows_3d,
+        np.ascontiguousarray(declared_from_standard),
     )
+    columns: dict[str, Any] = dict(zip(_COLUMNS, numbers, strict=True))
+    corners = whole_corners(fused.corners_xyxy, (camera.width, camera.height))
+    sound = sound and bool((corners[:, :2] <= corners[:, 2:]).all())
     # what is cut off at the image's edge is beside the view, and has no outline
     corners[~(corners[:, 2:] > corners[:, :2]).all(axis=1)] = 0
     columns["corners_xyxy"] = corners
     if fused.velocities is None:
         columns["velocity_vectors"] = None
-    return columns, bool(sound)
+    return columns, sound
 
 
-def _symmetric(matrices: Float64Array) -> Float64Array:
-    return (matrices + matrices.transpose(0, 2, 1)) / 2.0
+_COLUMNS = (
+    *("confidence", "centers", "center_covs", "sizes_lwh", "size_covs", "directions"),
+    *("velocities", "velocity_vectors"),
+)
+"""What `single_precision` gives."""

@@ -22,27 +22,12 @@ from sceneloom.detections.detectors import (
     numbers_of,
     table_rows,
 )
-from sceneloom.detections.projection import (
-    Outlines,
-    assign,
-    boxes_with_area,
-    boxes_with_position,
-    pair_gains,
-    project_outlines,
-    refine,
-)
+from sceneloom.detections.projection import Outlines, assign, pair_gains, project_outlines, refine
 from sceneloom.detections.results import NO_BOX, DetectionPair
-from sceneloom.detections.settings import (
-    NEAREST,
-    USUAL,
-    box_covariances,
-    existence_table,
-    image_sigmas,
-    noise_table,
-    radius_squared,
-)
+from sceneloom.detections.settings import box_covariances, existence_table, image_sigmas, noise_table, radius_squared
 from sceneloom.errors import OptionError
 from sceneloom.kernels import existence
+from sceneloom.kernels.box_fusion import NEAREST, USUAL, boxes_with_area, boxes_with_position
 from sceneloom.kernels.existence import USUAL_OVERLAP
 from sceneloom.kernels.overlaps import overlaps_in_space
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm

@@ -52,12 +52,21 @@ from sceneloom.cameras.projection import project, project_unbounded, unproject
 from sceneloom.colouring.cuboid_projection import CENTRE_TO_CORNER, COARSE, box_extents
 from sceneloom.detections.detectors import FAMILIES, SAYS_NOTHING, SIZES, kind_name, numbers_of, table_rows
 from sceneloom.detections.results import NO_BOX, DetectionPair, FusedBoxes
-from sceneloom.detections.settings import AGREED, ProjectionSettings, box_covariances, image_sigmas, tables_of
+from sceneloom.detections.settings import ProjectionSettings, box_covariances, image_sigmas, tables_of
 from sceneloom.errors import OptionError
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels import existence, overlaps
-from sceneloom.kernels.box_noise import shifted_sides, update_by_sides
+from sceneloom.kernels.box_fusion import (
+    AGREED,
+    boxes_from_eye,
+    boxes_with_area,
+    boxes_with_position,
+    pair_uncontested,
+    positions_by_height,
+    shifted_sides,
+    update_by_sides,
+)
 from sceneloom.kernels.boxes import points_in_cones
 from sceneloom.kernels.overlaps import hide_covered
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
@@ -117,32 +126,14 @@ def position_by_height(
         rows: (L,) int64, which of them are asked for.
         kinds: (M,) int64, of `detectors.table_rows`.
     """
-    boxes = corners_xyxy[rows]
-    pixels = (boxes @ _RAYS).reshape(-1, 2) - CENTRE_TO_CORNER
+    pixels = (corners_xyxy[rows] @ _RAYS).reshape(-1, 2) - CENTRE_TO_CORNER
     rays = unproject(camera, pixels).reshape(len(rows), 5, 3)
-    chords = rays[:, 1::2] - rays[:, 2::2]
-    angles = 2.0 * np.arcsin(np.minimum(np.sqrt((chords * chords).sum(axis=2)) / 2.0, 1.0))
-    seen = np.isfinite(rays).all(axis=(1, 2)) & (angles[:, 0] > 0.0)
-    rows, boxes, sizes = rows[seen], boxes[seen], SIZES[kinds[rows[seen]]]
-    angle_upright, angle_across = angles[seen].T
-    distances = sizes[:, 2] / (2.0 * np.tan(np.minimum(angle_upright, 3.0) / 2.0)) + sizes[:, 1] / 2.0
-    # variances along the ray and across, as shares of the distance squared
-    upright = (EDGES[0] + EDGES[1] / (boxes[:, 3] - boxes[:, 1])) ** 2
-    sideways = (EDGES[0] + EDGES[1] / (boxes[:, 2] - boxes[:, 0])) ** 2
-    cut = (boxes[:, 1] < _BORDER_PX) | (boxes[:, 3] > camera.height - _BORDER_PX)
-    along = (sizes[:, 5] / sizes[:, 2]) ** 2 + 2.0 * upright + np.where(cut, _CUT_SIGMA**2, 0.0)
-    across = np.maximum(sideways * angle_across**2, upright * angle_upright**2)
-    rays_lidar = rays[seen, 0] @ camera_from_lidar.rotation
-    outer = rays_lidar[:, :, None] * rays_lidar[:, None]
-    shares = across[:, None, None] * np.eye(3) + (along - across)[:, None, None] * outer
-    return _Placed(
-        rows,
-        distances[:, None] * rays_lidar - camera_from_lidar.translation @ camera_from_lidar.rotation,
-        distances[:, None, None] ** 2 * shares,
-        sizes[:, :3],
-        sizes[:, 3:, None] ** 2 * np.eye(3),
-        distances,
+    rotation, translation = camera_from_lidar.rotation, camera_from_lidar.translation
+    sizes, height = SIZES[kinds], float(camera.height)
+    found = positions_by_height(
+        corners_xyxy, rays, rows, sizes, rotation, translation, height, _BORDER_PX, *EDGES, _CUT_SIGMA
     )
+    return _Placed(*found)
 
 
 _LEAST_POINTS = 5  # fewer points at one distance state nothing
@@ -395,29 +386,6 @@ _APART = 1.5
 """Boxes whose middles are nearer to each other than this along the ray are one object and hide no other [m]."""
 
 
-def boxes_with_position(
-    centers: Float64Array, sizes: Float64Array, yaws: Float64Array
-) -> tuple[Float64Array, Int64Array]:
-    """Those of N boxes in space that have finite numbers, and sizes above 0.
-
-    Returns:
-        (M, 7) float64, middle, size [m] and heading [rad] of those, and (M,) int64, which they are.
-    """
-    boxes = np.column_stack([centers, sizes, yaws])
-    rows = np.flatnonzero(np.isfinite(boxes).all(axis=1) & (boxes[:, 3:6] > 0.0).all(axis=1))
-    return boxes[rows], rows
-
-
-def boxes_with_area(corners: Float64Array) -> tuple[Float64Array, Int64Array]:
-    """Those of (N, 4) boxes in an image [px] that have finite edges, right and lower ones beyond left and upper ones.
-
-    Returns:
-        (M, 4) float64 [px], their edges, and (M,) int64, which they are.
-    """
-    rows = np.flatnonzero(np.isfinite(corners).all(axis=1) & (corners[:, 2:] > corners[:, :2]).all(axis=1))
-    return corners[rows], rows
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlines:
     """Boxes of a sweep as an image shows them.
@@ -447,18 +415,8 @@ def project_outlines(
     Raises:
         CalibrationError: the camera model is unknown.
     """
-    rotation, halves = camera_from_lidar.rotation, boxes[:, 3:6] / 2.0
-    rotations = np.zeros((len(boxes), 3, 3))
-    rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(boxes[:, 6])
-    rotations[:, 1, 0] = np.sin(boxes[:, 6])
-    rotations[:, 0, 1] = -rotations[:, 1, 0]
-    rotations[:, 2, 2] = 1.0
-    axes = rotation @ rotations
-    middles = boxes[:, :3] @ rotation.T + camera_from_lidar.translation
-    corners = middles[:, None] + (CORNER_SIGNS * halves[:, None]) @ axes.transpose(0, 2, 1)
-    distances = np.sqrt((middles * middles).sum(axis=1))
-    outside = np.maximum(np.abs((middles[:, None] @ axes)[:, 0]) - halves, 0.0)
-    gaps = np.sqrt((outside * outside).sum(axis=1))
+    rotation, translation = camera_from_lidar.rotation, camera_from_lidar.translation
+    axes, corners, distances, gaps = boxes_from_eye(rotation, translation, CORNER_SIGNS, boxes)
     extents, shares = box_extents(camera, corners, steps=COARSE)
     hide_covered(extents, shares, distances, gaps, np.ones(len(boxes)) if likely is None else likely, _NEAR, _APART)
     return Outlines(extents, shares, axes, corners)
@@ -513,10 +471,13 @@ def assign(gains: Float64Array) -> tuple[Int64Array, Int64Array]:
     Returns:
         (N,) int64, the column of each row, and (M,) int64, the row of each column; NO_BOX for none.
     """
-    rows, columns = np.nonzero(gains > 0.0)
-    rows, columns = assign_pairs(rows, columns, gains[rows, columns])
-    of_rows, of_columns = (np.full(count, NO_BOX, np.int64) for count in gains.shape)
-    of_rows[rows], of_columns[columns] = columns, rows
+    of_rows, of_columns, rows, columns = pair_uncontested(gains)
+    if len(rows):
+        table = gains[rows][:, columns]
+        first, second = linear_sum_assignment(table, maximize=True)
+        paired = table[first, second] > 0.0
+        rows, columns = rows[first[paired]], columns[second[paired]]
+        of_rows[rows], of_columns[columns] = columns, rows
     return of_rows, of_columns
 
 

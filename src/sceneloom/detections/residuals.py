@@ -26,8 +26,9 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
 from sceneloom.colouring.cuboid_projection import CENTRE_TO_CORNER
 from sceneloom.detections.detectors import numbers_of
-from sceneloom.detections.projection import boxes_with_area, boxes_with_position, project_outlines
+from sceneloom.detections.projection import project_outlines
 from sceneloom.detections.results import DetectionPair
+from sceneloom.kernels.box_fusion import boxes_with_area, boxes_with_position
 from sceneloom.warnings import DataWarning, WarningKind
 
 _LARGEST_DEG = 5.0  # rotates beyond are not looked for [°]

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, check_array, hold_arrays, read_only
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, check_array, hold_arrays
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError
 from sceneloom.geometry.rigid import RigidTransform
@@ -39,14 +39,6 @@ class DetectionPair:
 
     def __post_init__(self) -> None:
         check_array("pair.points_lidar", self.points_lidar, (None, 3), np.float32, optional=True)
-
-
-_ARRAYS = (
-    *("centers", "center_covariances", "sizes_lwh", "size_covariances", "yaws", "velocities", "scores"),
-    "yaw_variances",
-    *("corners_xyxy", "ids", "rows_3d", "rows_2d"),
-)
-"""The fields of `FusedBoxes` that are arrays."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,16 +103,14 @@ class FusedBoxes:
                 "yaw_variances?": (np.float64, "N"),
                 "corners_xyxy": (np.float64, "N", 4),
                 "by_points?": (np.bool_, "N"),
+                "ids": (np.int64, "N"),
+                "rows_3d": (np.int64, "N"),
+                "rows_2d": (np.int64, "N"),
             },
+            frozen=True,
         )
-        for name in ("ids", "rows_3d", "rows_2d"):
-            check_array(f"fused.{name}", getattr(self, name), (count,), np.int64)
         if len(self.labels) != count:
             raise ArrayError(f"fused.labels: {len(self.labels)}; expected {count}")
-        for name in _ARRAYS:
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, read_only(value))
 
     def __len__(self) -> int:
         return len(self.centers)

@@ -1,7 +1,7 @@
 """Settings of detection fusion, with the tables of existence probability and box noise.
 
 A score names the logarithm of odds x. What comes true of boxes with such scores is fitted to data with few numbers,
-all of which grow with the scores (`detectors` names them, `fitting` fits them, `kernels.existence_probability`
+all of which grow with the scores (`detectors` names them, `fitting` fits them, `kernels.existence`
 computes):
 
     log odds(e | box of the sweep)       = a + b x
@@ -63,6 +63,7 @@ from sceneloom.detections.detectors import (
 )
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.files import read_settings
+from sceneloom.kernels import box_fusion
 from sceneloom.kernels import existence as columns
 
 
@@ -198,31 +199,8 @@ def _row(own: ClassStatistics, recall_2d: float | None, recall_3d: float | None)
     return row
 
 
-_LOW, _HIGH, _BASE = 0, 1, 2
-"""The first columns of the table: how low and how high scores count, as logarithms of odds, and the logarithms of the
-deviations of x, y, z along the axes of the box, length, width, height [m] and heading [rad], at score 0 and `USUAL`."""
-
-_BY_SCORE, _BY_RANGE = _BASE + 7, _BASE + 14
-"""How much those grow with the score, and with the logarithm of the range, seven columns each."""
-
-AGREED = _BASE + 21
-"""By how much the covariances of middle and size of a box with a partner in the image are multiplied."""
-
-_IMAGE = AGREED + 2
-"""Deviations of the partner in the image: of its middle across, of its middle upright and of its height, in pixels
-and beside that as a share of its own size there, six columns."""
-
-_COLUMNS = _IMAGE + 6
-
-USUAL = 20.0
-"""The range at which `_BASE` holds [m]."""
-
-NEAREST = 5.0
-"""What is nearer counts as so far away [m]."""
-
-
 def noise_table(detectors: Detectors) -> Float64Array:
-    """The table that `box_covariances` takes: (K + 1, COLUMNS) float64, of the columns named above.
+    """The table that `box_covariances` takes: (K + 1, COLUMNS) float64 of `kernels.box_fusion`.
 
     It has a row for each class of `detectors.KINDS` and a last one for whatever else there is.
     """
@@ -238,17 +216,17 @@ def noise_table(detectors: Detectors) -> Float64Array:
 
 
 def _noise_row(own: ClassStatistics, growth: Float64Array) -> Float64Array:
-    noise, row = own.noise, np.empty(_COLUMNS)
-    row[_LOW], row[_HIGH] = noise.scores
+    noise, row = own.noise, np.empty(box_fusion.COLUMNS)
+    row[box_fusion.LOW], row[box_fusion.HIGH] = noise.scores
     for first, (centers, sizes, yaw) in (
-        (_BASE, (noise.center_base + growth, noise.size_base + growth, noise.yaw[0])),
-        (_BY_SCORE, (noise.center_by_score, noise.size_by_score, noise.yaw[1])),
-        (_BY_RANGE, (noise.center_by_range, noise.size_by_range, noise.yaw[2])),
+        (box_fusion.BASE, (noise.center_base + growth, noise.size_base + growth, noise.yaw[0])),
+        (box_fusion.BY_SCORE, (noise.center_by_score, noise.size_by_score, noise.yaw[1])),
+        (box_fusion.BY_RANGE, (noise.center_by_range, noise.size_by_range, noise.yaw[2])),
     ):
         row[first : first + 7] = *centers, *sizes, yaw
-    row[AGREED : AGREED + 2] = noise.agreed
+    row[box_fusion.AGREED : box_fusion.AGREED + 2] = noise.agreed
     reported = own.image_noise
-    row[_IMAGE : _IMAGE + 6] = *reported.across, *reported.upright, *reported.height
+    row[box_fusion.IMAGE : box_fusion.IMAGE + 6] = *reported.across, *reported.upright, *reported.height
     return row
 
 
@@ -257,7 +235,7 @@ def image_sigmas(table: Float64Array, kinds: Int64Array, *, added_px: float = 0.
 
     `added_px` is the deviation of locations in the image by a calibration that is not exact [px].
     """
-    sigmas: Float64Array = table[kinds, _IMAGE:]
+    sigmas: Float64Array = table[kinds, box_fusion.IMAGE :]
     if added_px > 0.0:
         for column in (0, 2):
             sigmas[:, column] = np.sqrt(sigmas[:, column] ** 2 + added_px**2)
@@ -285,21 +263,8 @@ def box_covariances(
         (N, 6, 6) float64 [m²]: middle in the frame of the boxes, then length, width, height; (N,) float64 [rad²], and
         (N,) bool, whether they are the detector's own.
     """
-    distances = np.sqrt((boxes[:, :3] ** 2).sum(axis=1))
-    numbers = table[kinds]
-    # one whose score is no number is as uncertain as the lowest
-    held = np.where(np.isnan(scores), numbers[:, _LOW], np.clip(scores, numbers[:, _LOW], numbers[:, _HIGH]))
-    far = np.log(np.maximum(distances, NEAREST) / USUAL)
-    base, by_score, by_range = (numbers[:, first : first + 7] for first in (_BASE, _BY_SCORE, _BY_RANGE))
-    variances = np.exp(base + by_score * held[:, None] + by_range * far[:, None]) ** 2
-    along, across, of_yaws = variances[:, 0], variances[:, 1], variances[:, 6].copy()
-    cosines, sines = np.cos(boxes[:, 6]), np.sin(boxes[:, 6])
-    found, own = np.zeros((len(boxes), 6, 6)), np.zeros(len(boxes), np.bool_)
-    found[:, 0, 0] = along * cosines * cosines + across * sines * sines
-    found[:, 1, 1] = along * sines * sines + across * cosines * cosines
-    found[:, 0, 1] = found[:, 1, 0] = (along - across) * cosines * sines
-    for k in range(2, 6):
-        found[:, k, k] = variances[:, k]
+    found, of_yaws = box_fusion.usual_covariances(boxes, scores, kinds, table)
+    own = np.zeros(len(boxes), np.bool_)
     if len(reported):
         # halves first: no sum of finite numbers is infinite then
         halves = reported[rows, :6, :6] / 2.0
@@ -379,8 +344,8 @@ class Tables(NamedTuple):
     """What detectors are like, as compiled formulas take it.
 
     Attributes:
-        existence: columns of `kernels.existence_probability`.
-        noise: columns of `noise`.
+        existence: columns of `kernels.existence`.
+        noise: columns of `kernels.box_fusion`.
         degrees_of_freedom: of errors.
     """
 

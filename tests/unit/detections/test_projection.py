@@ -20,8 +20,6 @@ from sceneloom.detections.projection import (
     SURER,
     assign,
     assign_pairs,
-    boxes_with_area,
-    boxes_with_position,
     fuse_by_projection,
     pair_gains,
     position_by_height,
@@ -33,6 +31,7 @@ from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.box_fusion import boxes_with_area, boxes_with_position
 from sceneloom.scene import Boxes2D, Boxes3D
 from sceneloom.scene.types import PointsFrame
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, detect_2d, simulate_street

@@ -3,6 +3,8 @@
 A sweep has some tens of boxes, for which a call of NumPy takes longer than all that it computes.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import boolean, float32, float64, int64, types
 
@@ -34,7 +36,7 @@ NEAREST = 5.0
 """What is nearer counts as so far away [m]."""
 
 
-def _tuple(*kinds):  # type: ignore[no-untyped-def]
+def _tuple(*kinds: Any) -> Any:
     return types.Tuple(kinds)
 
 

@@ -37,7 +37,7 @@ NEAREST = 5.0
 
 
 def _tuple(*kinds: Any) -> Any:
-    return types.Tuple(kinds)
+    return types.Tuple(kinds)  # type: ignore[no-untyped-call]
 
 
 @kernel(_tuple(float64[:, ::1], int64[::1])(IN_F64_2D, IN_F64_2D, IN_F64_1D))

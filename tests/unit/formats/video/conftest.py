@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import av
+import cv2
 import numpy as np
 import pytest
 
@@ -79,7 +80,14 @@ def make_video(recipe: Recipe) -> bytes:
 @pytest.fixture(scope="session")
 def videos() -> SimpleNamespace:
     """The makers of this module, since tests cannot import one another."""
-    return SimpleNamespace(Recipe=Recipe, make=make_video, image=numbered_image, number=read_number, decode=decode_all)
+    return SimpleNamespace(
+        Recipe=Recipe,
+        make=lambda **recipe: make_video(Recipe(**recipe)),
+        image=numbered_image,
+        number=read_number,
+        decode=decode_all,
+        opencv=read_with_opencv,
+    )
 
 
 @pytest.fixture(scope="session")
@@ -93,6 +101,28 @@ def decode_all(content: bytes) -> list[np.ndarray]:
     with av.open(io.BytesIO(content)) as container:
         frames = list(container.decode(video=0))
     return [np.concatenate([np.frombuffer(plane, np.uint8) for plane in frame.planes]) for frame in frames]
+
+
+def read_with_opencv(path: Path) -> list[np.ndarray]:
+    """All images as OpenCV reads them, in red, green, blue."""
+    capture, images = cv2.VideoCapture(str(path)), []
+    while (found := capture.read())[0]:
+        images.append(found[1][:, :, ::-1])
+    return images
+
+
+class FullDisk(io.BytesIO):
+    """A file with room for 2000 bytes."""
+
+    def write(self, data: bytes) -> int:
+        if self.tell() + len(data) > 2000:
+            raise OSError(28, "No space left on device")
+        return super().write(data)
+
+
+@pytest.fixture
+def full_disk() -> FullDisk:
+    return FullDisk()
 
 
 @pytest.fixture

@@ -28,67 +28,58 @@ def test_images_are_those_that_were_put_in(folder, videos):
         np.testing.assert_array_equal(images.rgb(number), videos.image(number, 31, 17))
 
 
-def test_grey_is_repeated_and_transparency_dropped(tmp_path):
+def test_grey_is_repeated_transparency_dropped_and_sixteen_bits_keep_their_upper_eight(tmp_path):
     rng = np.random.default_rng(0)
     grey, rgba = rng.integers(0, 256, (5, 7), np.uint8), rng.integers(0, 256, (5, 7, 4), np.uint8)
-    Image.fromarray(grey).save(tmp_path / "00000000.png")
-    Image.fromarray(rgba).save(tmp_path / "00000001.png")
-    Image.fromarray(grey > 128).save(tmp_path / "00000002.png")
-    Image.fromarray(grey).convert("P").save(tmp_path / "00000003.png")
+    deep = rng.integers(0, 65536, (5, 7, 3)).astype(np.uint16)
+    pillow = map(Image.fromarray, (grey, rgba, grey > 128))
+    for number, image in enumerate((*pillow, Image.fromarray(grey).convert("P"))):
+        image.save(tmp_path / f"{number:08d}.png")
+    cv2.imwrite(str(tmp_path / "00000004.png"), deep[:, :, ::-1])
     images = PngFolder(tmp_path)
     np.testing.assert_array_equal(images.rgb(0), np.repeat(grey[:, :, None], 3, axis=2))
     np.testing.assert_array_equal(images.rgb(1), rgba[:, :, :3])
     np.testing.assert_array_equal(images.rgb(2)[:, :, 1], np.where(grey > 128, 255, 0))
     np.testing.assert_array_equal(images.rgb(3)[:, :, 2], grey)
+    np.testing.assert_array_equal(images.rgb(4), deep >> 8)
 
 
-def test_sixteen_bit_colours_keep_their_upper_eight_bits(tmp_path):
-    values = np.random.default_rng(0).integers(0, 65536, (5, 7, 3)).astype(np.uint16)
-    cv2.imwrite(str(tmp_path / "00000000.png"), values[:, :, ::-1])
-    np.testing.assert_array_equal(PngFolder(tmp_path).rgb(0), values >> 8)
-
-
-def test_sixteen_bit_grey_is_refused_since_it_may_be_depth(tmp_path):
-    cv2.imwrite(str(tmp_path / "00000000.png"), np.full((5, 7), 4000, np.uint16))
-    with pytest.raises(DataError, match=r"00000000.png: has pixels of type .*expected 8-bit"):
-        PngFolder(tmp_path).rgb(0)
-
-
-def test_a_missing_number_is_named_with_the_one_after(folder):
+def test_what_is_no_folder_of_images_is_refused(folder, tmp_path):
+    with pytest.raises(DataError, match=re.escape(f"{tmp_path / 'frames1'}: no such folder")):
+        PngFolder(tmp_path / "frames1")
     (folder / "00000001.png").unlink()
     with pytest.raises(DataError, match=r"00000001.png: is missing; the next image is 00000002.png"):
         PngFolder(folder)
-
-
-def test_a_folder_that_is_empty_or_not_there_is_refused(tmp_path):
+    for number in (0, 2):
+        (folder / f"{number:08d}.png").unlink()
     with pytest.raises(DataError, match=r"holds no images; expected 00000000\.png"):
-        PngFolder(tmp_path)
-    with pytest.raises(DataError, match=re.escape(f"{tmp_path / 'frames1'}: no such folder")):
-        PngFolder(tmp_path / "frames1")
+        PngFolder(folder)
 
 
-def test_an_image_of_another_size_is_refused(folder):
-    Image.new("RGB", (30, 17)).save(folder / "00000001.png")
-    with pytest.raises(DataError, match=r"00000001\.png: is 30x17; expected 31x17"):
-        PngFolder(folder).rgb(1)
-
-
-@pytest.mark.parametrize("index", [-1, 3])
-def test_an_image_beyond_the_last_is_refused(folder, index):
-    with pytest.raises(DataError, match=f"image {index}: does not exist: the folder holds 3"):
-        PngFolder(folder).rgb(index)
-
-
-@pytest.mark.parametrize("damage", ["cut", "other"])
-def test_a_damaged_image_is_named(folder, damage):
+@pytest.mark.parametrize(
+    ("image", "problem"),
+    [
+        (np.zeros((17, 30, 3), np.uint8), r"00000001\.png: is 30x17; expected 31x17"),
+        # grey of 16 bits may be depth
+        (np.full((17, 31), 4000, np.uint16), r"00000001.png: has pixels of type .*expected 8-bit"),
+        (None, r"00000001\.png"),
+        (b"GIF89a, not a PNG", r"00000001\.png"),
+    ],
+)
+def test_an_image_that_is_damaged_or_of_another_kind_is_refused(folder, image, problem):
     path = folder / "00000001.png"
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2] if damage == "cut" else b"GIF89a, not a PNG")
-    with pytest.raises(DataError, match=r"00000001\.png"):
+    if isinstance(image, np.ndarray):
+        cv2.imwrite(str(path), image)
+    else:
+        path.write_bytes(image or path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(DataError, match=problem):
         PngFolder(folder).rgb(1)
 
 
-def test_closing_keeps_nothing_from_being_read_again(folder):
+def test_an_image_beyond_the_last_is_refused_and_closing_keeps_nothing_from_being_read_again(folder):
     images = PngFolder(folder)
+    for index in (-1, 3):
+        with pytest.raises(DataError, match=f"image {index}: does not exist: the folder holds 3"):
+            images.rgb(index)
     images.close()
     assert images.rgb(0).shape == (17, 31, 3)

@@ -73,7 +73,6 @@ def write_folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A small folder of own data."""
     return write_folder(tmp_path)
 
 
@@ -104,5 +103,4 @@ def refused(opened: Callable[..., Scene]) -> Callable[..., None]:
 
 
 def codes(scene: Scene) -> list[str]:
-    """The codes of a scene's warnings."""
     return [warning.code for warning in scene.warnings]

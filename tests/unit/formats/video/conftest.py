@@ -59,7 +59,6 @@ class Recipe:
 
 
 def make_video(recipe: Recipe) -> bytes:
-    """Encode numbered images."""
     muxing = {"movflags": recipe.flags} if recipe.flags else {}
     # a file, since FFmpeg reads it again to move the tables to the front
     with tempfile.NamedTemporaryFile() as file:
@@ -104,7 +103,6 @@ def decode_all(content: bytes) -> list[np.ndarray]:
 
 
 def read_with_opencv(path: Path) -> list[np.ndarray]:
-    """All images as OpenCV reads them, in red, green, blue."""
     capture, images = cv2.VideoCapture(str(path)), []
     while (found := capture.read())[0]:
         images.append(found[1][:, :, ::-1])

@@ -1,14 +1,15 @@
-"""Encoded images come back in order, with their colours and times; impossible requests are refused."""
+"""Videos are encoded in order with their colours and times, or change their container without being encoded anew."""
 
 import io
+from itertools import pairwise
 
 import av
 import cv2
 import numpy as np
 import pytest
 
-from sceneloom.errors import ArrayError, OptionError, OutputError
-from sceneloom.formats.video.writer import VideoWriter
+from sceneloom.errors import ArrayError, DataError, OptionError, OutputError
+from sceneloom.formats.video.writer import VideoWriter, copy_to_matroska, encode_to_mp4, remux_to_mp4
 
 
 def write(target, images, times=None, *, fps=10.0, **options):
@@ -145,3 +146,256 @@ def test_a_writer_that_is_closed_also_by_an_exception_takes_no_images(tmp_path, 
     writer.close()
     with pytest.raises(OutputError, match="the video is closed"):
         writer.add(videos.image(1))
+
+
+X265 = {"x265-params": "log-level=none:keyint=12:pools=1", "preset": "ultrafast"}
+X264 = {"g": "12", "bf": "3", "preset": "veryfast"}
+COPIED = {
+    "h264 from mkv": {},
+    "h264 from mp4": {"container": "mp4"},
+    "h264 from ts": {"container": "mpegts"},
+    "h264 that starts late": {"ticks": range(300, 340)},
+    "h264 with uneven times": {"ticks": np.cumsum([0, *([1, 2, 5] * 13)]).tolist()},
+    "hevc from mkv": {"codec": "libx265", "options": X265},
+    "h264 without B-frames from avi": {"container": "avi", "options": X264 | {"bf": "0"}},
+}
+FFV1 = {"codec": "ffv1", "pixel_format": "bgr0", "options": {}}
+
+
+def times_of_packets(content):
+    """(pts, dts) of every packet in the order of storage [s], as FFmpeg demultiplexes them."""
+    with av.open(io.BytesIO(content)) as container:
+        packets = [p for p in container.demux(video=0) if p.size]
+        return [(float(p.pts * p.time_base), float(p.dts * p.time_base)) for p in packets]
+
+
+def numbers_of(videos, path):
+    """The numbers of all images as OpenCV reads them, which are as many as the container states."""
+    images = videos.opencv(path)
+    assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT) == len(images)
+    return [videos.number(rgb) for rgb in images]
+
+
+@pytest.fixture
+def target(tmp_path):
+    return tmp_path / "made.mp4"
+
+
+def remux(source, target, **options):
+    with target.open("wb") as file:
+        return remux_to_mp4(source, file, **options)
+
+
+@pytest.mark.parametrize("kind", COPIED)
+def test_a_copy_holds_the_same_images_bit_by_bit_in_the_same_order_and_is_decodable_in_time(videos, target, kind):
+    content = videos.make(**COPIED[kind])
+    result = remux(lambda: io.BytesIO(content), target)
+    assert (result.images, result.copied, result.reason) == (40, True, None)
+    np.testing.assert_array_equal(videos.decode(target.read_bytes()), videos.decode(content))
+    assert numbers_of(videos, target) == list(range(40))
+    times = times_of_packets(target.read_bytes())
+    assert all(dts <= pts for pts, dts in times)
+    assert all(later > earlier for (_, earlier), (_, later) in pairwise(times))
+    assert min(pts for pts, _ in times) == 0.0
+    ticks = COPIED[kind].get("ticks", range(40))
+    # Matroska rounds to its milliseconds
+    assert sorted(pts for pts, _ in times) == pytest.approx((np.array(ticks) - ticks[0]) / 30, abs=1.01e-3)
+    # the name of HEVC that every player knows
+    assert (b"hvc1" in target.read_bytes()) == ("hevc" in kind)
+
+
+@pytest.mark.slow
+def test_real_recordings_with_b_frames_and_missing_decoding_times_are_copied(data_dir, videos, target):
+    paths = sorted((data_dir / "recordings").glob("*/data*.mkv"))
+    assert len(paths) >= 4
+    for path in paths:
+        assert remux(lambda path=path: path.open("rb"), target).copied
+        expected = videos.decode(path.read_bytes())
+        for found, planes in zip(videos.decode(target.read_bytes()), expected, strict=True):
+            np.testing.assert_array_equal(found, planes)
+        assert len(numbers_of(videos, target)) == len(expected)
+
+
+def test_given_times_replace_those_of_the_source(videos, mkv_bytes, target):
+    timestamps = 1.7e9 + np.cumsum(np.linspace(0.01, 0.2, 40))
+    remux(mkv_bytes, target, timestamps_seconds=timestamps)
+    found = sorted(pts for pts, _ in times_of_packets(target.read_bytes()))
+    assert found == pytest.approx(timestamps - timestamps[0], abs=1e-6)
+    assert numbers_of(videos, target) == list(range(40))
+
+
+SOME = [3, 4, 9, 30]
+
+
+@pytest.mark.parametrize(
+    ("recipe", "chosen", "reason"),
+    [
+        (FFV1, None, "ffv1 is not copied into mp4"),
+        ({"codec": "libvpx-vp9", "options": {"deadline": "realtime", "cpu-used": "8"}}, None, "vp9 is not copied"),
+        ({"container": "avi"}, None, "does not state when its images are shown"),
+        ({}, SOME, ""),
+    ],
+)
+def test_what_cannot_be_copied_is_encoded_as_h264_and_says_why(videos, target, recipe, chosen, reason):
+    result = remux(videos.make(**recipe), target, frame_indices=chosen)
+    expected = chosen or list(range(40))
+    assert (result.images, result.codec, result.copied) == (len(expected), "h264", False)
+    assert reason in str(result.reason)
+    assert numbers_of(videos, target) == expected
+    times = [pts for pts, _ in sorted(times_of_packets(target.read_bytes()))]
+    assert times == pytest.approx((np.array(expected) - expected[0]) / 30, abs=1e-3)
+
+
+def test_impossible_sources_times_and_targets_are_refused(videos, mkv_bytes, full_disk):
+    for count in (39, 41):
+        with pytest.raises(ArrayError, match=f"{count} times for 40 images"):
+            remux_to_mp4(mkv_bytes, io.BytesIO(), timestamps_seconds=np.arange(count) / 10)
+    timestamps = np.arange(40) / 10
+    timestamps[7] = timestamps[6]
+    with pytest.raises(ArrayError, match=r"timestamps_seconds\[7\]: 0.6.*; expected more than 0.6"):
+        remux_to_mp4(mkv_bytes, io.BytesIO(), timestamps_seconds=timestamps)
+    with pytest.raises(OptionError, match="97x65, it needs even sizes; cut them to 96x64"):
+        remux_to_mp4(videos.make(**FFV1, count=4, size=(97, 65)), io.BytesIO())
+    for content in (b"no video at all" * 50, b""):
+        with pytest.raises(DataError, match=r"front: cannot be read as video"):
+            remux_to_mp4(content, io.BytesIO(), name="front")
+    with pytest.raises(OutputError, match="No space left"):
+        remux_to_mp4(mkv_bytes, full_disk)
+
+
+def test_encoding_nothing_or_with_a_wrong_number_of_images_or_times_is_refused(videos):
+    images = [videos.image(k) for k in range(3)]
+    with pytest.raises(OutputError, match="needs at least one image"):
+        encode_to_mp4([], io.BytesIO())
+    for count in (2, 4):
+        with pytest.raises(ArrayError, match=f"{count} times for 3 images"):
+            encode_to_mp4(iter(images), io.BytesIO(), timestamps_seconds=np.arange(count) / 10)
+    with pytest.raises(ArrayError, match="image 2: expected no more than 2"):
+        encode_to_mp4(images, io.BytesIO(), fps=10.0, count=2)
+
+
+def test_images_are_encoded_one_at_a_time_also_where_no_one_says_how_many(videos):
+    asked: list[int] = []
+
+    class Target(io.BytesIO):
+        first_write_after = None
+
+        def write(self, data):
+            self.first_write_after = self.first_write_after or len(asked)
+            return super().write(data)
+
+    def images():
+        for number in range(100):
+            asked.append(number)
+            yield videos.image(number)
+
+    target = Target()
+    assert encode_to_mp4(images(), target, fps=10.0).images == 100
+    assert target.first_write_after < 70
+    assert boxes_of(target.getvalue())[-1] == b"moov"
+    with av.open(io.BytesIO(target.getvalue())) as container:
+        numbers = [videos.number(frame.to_ndarray(format="rgb24")) for frame in container.decode(video=0)]
+    assert numbers == list(range(100))
+
+
+def test_copying_holds_no_more_of_the_video_than_a_piece(videos):
+    content = videos.make(options={"g": "12", "qp": "2"}, size=(640, 480))
+    log: list[tuple[str, int]] = []
+
+    class File(io.BytesIO):
+        def read(self, size=-1):
+            log.append(("read", size))
+            return super().read(size)
+
+        def write(self, data):
+            log.append(("write", len(data)))
+            return super().write(data)
+
+    remux_to_mp4(lambda: File(content), File())
+    assert max(size for kind, size in log if kind == "read") <= 1 << 20
+    last_read = max(k for k, (kind, _) in enumerate(log) if kind == "read")
+    assert sum(size for kind, size in log[:last_read] if kind == "write") > len(content) // 2
+
+
+@pytest.mark.parametrize("recipe", [COPIED["h264 from mp4"], COPIED["h264 from ts"], COPIED["hevc from mkv"], FFV1])
+def test_matroska_takes_the_packets_of_any_codec_and_keeps_the_rate(videos, tmp_path, recipe):
+    content = videos.make(**recipe)
+    result = copy_to_matroska(content, tmp_path / "data.mkv", images=40)
+    assert result is not None
+    assert (result.images, result.copied) == (40, True)
+    np.testing.assert_array_equal(videos.decode((tmp_path / "data.mkv").read_bytes()), videos.decode(content))
+    with av.open(str(tmp_path / "data.mkv")) as container:
+        assert container.streams.video[0].average_rate == 30
+
+
+def boxes_of(content):
+    """The names of the outermost boxes of an mp4 file, in their order."""
+    location, names = 0, []
+    while location < len(content):
+        names.append(content[location + 4 : location + 8])
+        location += int.from_bytes(content[location : location + 4], "big")
+    return names
+
+
+@pytest.mark.parametrize("kind", ["copied", "remuxed", "at times", "counted"])
+def test_the_tables_stand_before_the_images_and_the_bytes_are_always_the_same(videos, kind):
+    rng = np.random.default_rng(3)
+    images = rng.integers(0, 255, (40, 48, 64, 3), np.uint8)
+    uneven = np.cumsum(rng.uniform(0.02, 0.3, 40))
+    content = videos.make(**(FFV1 if kind == "remuxed" else {}))
+    made = []
+    for _ in range(2):
+        target = io.BytesIO()
+        if kind in {"copied", "remuxed"}:
+            remux_to_mp4(content, target, timestamps_seconds=uneven)
+        elif kind == "at times":
+            encode_to_mp4(images, target, timestamps_seconds=uneven)
+        else:
+            encode_to_mp4(iter(images), target, fps=10.0, count=40)
+        made.append(target.getvalue())
+    names = boxes_of(made[0])
+    assert names.index(b"moov") < names.index(b"mdat")
+    assert made[0] == made[1]
+    assert len(videos.decode(made[0])) == 40
+
+
+def test_tables_of_very_many_uneven_key_frames_find_room():
+    timestamps = np.cumsum(np.random.default_rng(1).uniform(1e-3, 1.0, 3000))
+    target = io.BytesIO()
+    with VideoWriter(target, 16, 16, 10.0, container="mp4", images=3000) as writer:
+        for seconds in timestamps:
+            writer.add(np.full((16, 16, 3), int(seconds * 255) % 255, np.uint8), seconds)
+    names = boxes_of(target.getvalue())
+    assert names.index(b"moov") < names.index(b"mdat")
+
+
+GROUPS = {"g": "5", "keyint_min": "5", "sc_threshold": "0", "bf": "2", "x264-params": "open-gop=0"}
+"""Groups of five images, with images between that look both ways."""
+ALONE = {"codec": "ffv1", "options": {"g": "1"}, "pixel_format": "bgr0"}
+"""Every image by itself."""
+
+
+@pytest.mark.parametrize(
+    ("recipe", "taken"),
+    [
+        *(({"options": GROUPS}, taken) for taken in (range(20), range(10), range(5, 20), range(10, 15))),
+        ({"options": GROUPS}, [*range(5), *range(10, 20)]),
+        *((ALONE, taken) for taken in ([0, 3, 4, 9], [7], [1, 19])),
+    ],
+)
+def test_images_that_need_no_others_are_copied_as_they_are(videos, tmp_path, recipe, taken):
+    content = videos.make(count=20, **recipe)
+    result = copy_to_matroska(content, tmp_path / "cut.mkv", frame_indices=list(taken))
+    assert result is not None
+    assert result.images == len(taken)
+    expected = [videos.decode(content)[index] for index in taken]
+    np.testing.assert_array_equal(videos.decode((tmp_path / "cut.mkv").read_bytes()), expected)
+
+
+def test_nothing_is_written_where_packets_cannot_be_copied(videos, mkv_bytes, tmp_path):
+    target, groups = tmp_path / "cut.mkv", videos.make(options=GROUPS, count=20)
+    assert copy_to_matroska(videos.make(container="avi"), target) is None
+    assert copy_to_matroska(mkv_bytes, target, images=39) is None
+    for taken in (range(1, 20), [0, 2, *range(3, 20)], [*range(5), *range(6, 20)], [], [3, 3], [20]):
+        assert copy_to_matroska(groups, target, frame_indices=list(taken)) is None
+    assert not target.exists()

@@ -17,6 +17,7 @@ from sceneloom.lazy import names_on_first_use
 from sceneloom.version import __version__
 
 if TYPE_CHECKING:
+    from sceneloom.cameras.projection import project
     from sceneloom.checks.validation import validate
     from sceneloom.colouring.cuboid_points import count_points
     from sceneloom.colouring.cuboid_projection import project_cuboids
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.fusing_detections import fuse_detections
     from sceneloom.pipeline.syncing import sync
     from sceneloom.pipeline.tracking import track_objects
+    from sceneloom.scene.annotations import CuboidAnnotation
     from sceneloom.scene.poses import Poses
     from sceneloom.scene.scene import Scene
     from sceneloom.service.client import FusionClient
@@ -51,6 +53,7 @@ else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
+            "CuboidAnnotation": "sceneloom.scene.annotations:CuboidAnnotation",
             "FusionClient": "sceneloom.service.client:FusionClient",
             "Poses": "sceneloom.scene.poses:Poses",
             "Scene": "sceneloom.scene.scene:Scene",
@@ -71,6 +74,7 @@ else:
             "iter_fused": "sceneloom.pipeline.fusing:iter_fused",
             "merge_scenes": "sceneloom.editing.merge:merge_scenes",
             "open": "sceneloom.formats.base.registry:open_scene",
+            "project": "sceneloom.cameras.projection:project",
             "project_cuboids": "sceneloom.colouring.cuboid_projection:project_cuboids",
             "read_trajectory": "sceneloom.formats.trajectories.table:read_trajectory",
             "salvage": "sceneloom.formats.sfs.salvage:salvage",
@@ -89,6 +93,7 @@ else:
     )
 
 __all__ = [
+    "CuboidAnnotation",
     "FusionClient",
     "Poses",
     "Scene",
@@ -111,6 +116,7 @@ __all__ = [
     "iter_fused",
     "merge_scenes",
     "open",
+    "project",
     "project_cuboids",
     "read_trajectory",
     "salvage",

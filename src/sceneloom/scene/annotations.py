@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sceneloom.arrays import (
     Float64Array,
@@ -193,6 +194,47 @@ class CuboidAnnotation:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     type: ClassVar[str] = "cuboid"
+
+    @classmethod
+    def of(
+        cls,
+        id: Identifier,
+        timestamps_ns: ArrayLike,
+        centers: ArrayLike,
+        sizes_lwh: ArrayLike,
+        yaws: ArrayLike,
+        *,
+        label: str | None = None,
+    ) -> "CuboidAnnotation":
+        """Make an upright box over time of where it is, how large, and where it heads.
+
+        ```python
+        car = CuboidAnnotation.of(7, [0, 100_000_000], [[10, 2, 0.8], [11, 2, 0.8]], (4.5, 1.8, 1.6), 0.0, label="Car")
+        ```
+
+        Args:
+            id: unique among the scene's annotations.
+            timestamps_ns: (N,) [ns], one per row.
+            centers: (N, 3) [m], middles of the box, in the scene's world (z up).
+            sizes_lwh: (3,) or (N, 3) [m], length, width and height.
+            yaws: one or (N,) [rad], heading about z, counter-clockwise from x.
+            label: the object's class.
+
+        Raises:
+            ArrayError: shapes differ.
+        """
+        times = np.atleast_1d(np.asarray(timestamps_ns, np.int64))
+        given = {"centers": (centers, 3), "sizes_lwh": (sizes_lwh, 3), "yaws": (np.asarray(yaws)[..., None], 1)}
+        columns = {}
+        for name, (value, width) in given.items():
+            column = np.asarray(value, np.float64)
+            if column.shape not in {(width,), (1, width), (len(times), width)}:
+                raise ArrayError(f"{name}: {column.shape}; expected {(width,)} or {(len(times), width)}")
+            columns[name] = np.broadcast_to(column, (len(times), width))
+        # angles of a scene that names no unit are degrees
+        angles = np.column_stack([np.zeros((len(times), 2)), np.degrees(columns["yaws"])])
+        values = np.hstack([columns["sizes_lwh"], columns["centers"], angles])
+        return cls(id, CuboidPath(times, values), label=label)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -51,6 +51,9 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
     def __reduce__(self) -> tuple[Any, ...]:
         return LazyFrames, (self.timestamps_ns, self._read)
 
+    def __repr__(self) -> str:
+        return f"<{len(self)} frames, read when asked for>"
+
     def __len__(self) -> int:
         return len(self.timestamps_ns)
 

@@ -53,6 +53,9 @@ class Poses:
     quaternions_xyzw: Float64Array
     static: bool = False
 
+    def __repr__(self) -> str:
+        return "Poses(static)" if self.static else f"Poses({_extent(self)})"
+
     def __post_init__(self) -> None:
         count = hold_arrays(
             self,
@@ -153,6 +156,10 @@ class Trajectory:
     file_seconds: Float64Array | None = None
     covariances: Float64Array | None = None
 
+    def __repr__(self) -> str:
+        positions_only = "" if self.quaternions_xyzw is not None else ", positions only"
+        return f"Trajectory({self.name!r}, {_extent(self)}{positions_only})"
+
     def __post_init__(self) -> None:
         hold_arrays(
             self,
@@ -180,6 +187,13 @@ class Trajectory:
                 "`--trajectory NAME`"
             )
         return Poses(self.timestamps_ns, self.positions, self.quaternions_xyzw)
+
+
+def _extent(path: Poses | Trajectory) -> str:
+    """How many poses there are, over how long and how far."""
+    times, steps = path.timestamps_ns, np.diff(path.positions, axis=0)
+    seconds, metres = (int(times[-1] - times[0]) / 1e9 if len(times) else 0.0), np.linalg.norm(steps, axis=1).sum()
+    return f"{len(times)} poses over {seconds:.2f} s and {metres:.1f} m"
 
 
 def same_direction(a: Poses | Trajectory, b: Poses | Trajectory) -> bool:

@@ -1,8 +1,10 @@
 """The scene: all sensors of a drive on one clock and in one frame tree; its time span and its assumed camera models."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from html import escape
 from importlib import import_module
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -61,7 +63,7 @@ class Scene:
     Attributes:
         sensors: all sensors, ids unique.
         annotations: what is stated about the scene.
-        trajectories: the known ways of the ego through the world, by name, the default one first.
+        trajectories: the known trajectories of the ego in the world, by name, the default one first.
         attributes: what is stated about the scene and its sensors.
         metadata: free fields.
         time_offset_ns: what a file's clock leaves out of its timestamps [ns]; all our times include it.
@@ -170,6 +172,36 @@ class Scene:
             tolerance_ns=tolerance_ns,
         )
 
+    def __repr__(self) -> str:
+        """Five lines: where it comes from, its lidars, its cameras, its other sensors, what is known and stated."""
+        span, rows = time_span(self), [_row(sensor) for sensor in self.sensors]
+        seconds = "no time" if span is None else f"{(span[1] - span[0]) / 1e9:.2f} s"
+
+        def listed(wanted: str) -> str:
+            return _some(f"{name} ({text})" for type_, name, text in rows if type_ == wanted)
+
+        others = [f"{type_} {name} ({text})" for type_, name, text in rows if type_ not in {"lidar", "camera"}]
+        counts = Counter(annotation.type for annotation in self.annotations)
+        known = f"trajectories: {_some(self.trajectories)}"
+        stated = f"annotations: {_some(f'{count} {name}' for name, count in counts.most_common())}"
+        lines = (
+            f"<Scene {self.source!r}: {self.format}, {seconds}",
+            f"lidars: {listed('lidar')}",
+            f"cameras: {listed('camera')}",
+            f"other sensors: {_some(others)}",
+            f"{known}; {stated}>",
+        )
+        return "\n  ".join(lines)
+
+    def _repr_html_(self) -> str:
+        """The sensors as a table: what a notebook shows of a scene."""
+        first, *_, last = repr(self).strip("<>").split("\n")
+        cells = "".join(
+            f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in _row(sensor))}</tr>" for sensor in self.sensors
+        )
+        head = "<tr><th>type</th><th>sensor</th><th>what it has</th></tr>"
+        return f"<p><b>{escape(first)}</b><br>{escape(last)}</p><table>{head}{cells}</table>"
+
     @property
     def pending_corrections(self) -> tuple[CameraCalibration | LocalizationAdjustment, ...]:
         """The camera calibrations of its cameras and the localization adjustments, which are not applied yet."""
@@ -226,6 +258,33 @@ class Scene:
     def cameras(self) -> tuple[CameraSensor, ...]:
         """The cameras, in the order of `sensors`; `camera_index` of a point counts these."""
         return tuple(sensor for sensor in self.sensors if isinstance(sensor, CameraSensor))
+
+
+_MOST_LISTED = 6
+
+
+def _some(names: Iterable[str]) -> str:
+    """The first few names, or "none"."""
+    found = list(names)
+    return ", ".join(found[:_MOST_LISTED]) + (", …" if len(found) > _MOST_LISTED else "") if found else "none"
+
+
+_UNITS = {"lidar": "sweeps", "camera": "images", "depth_camera": "depth images", "radar": "cycles", "odometry": "poses"}
+
+
+def _row(sensor: Sensor) -> tuple[str, str, str]:
+    """Type and id of a sensor, and what it has, without reading it: "12 images at 10 Hz, 1242x375 pinhole"."""
+    if isinstance(sensor, PointsSensor):
+        return sensor.type, str(sensor.id), f"{len(sensor.positions)} points"
+    times = frame_times(sensor)
+    parts = [f"{len(times)} {_UNITS.get(sensor.type, 'samples')}"]
+    if len(times) > 1 and times[-1] > times[0]:
+        parts[0] += f" at {1e9 / usual_period_ns(times):.3g} Hz"
+    if isinstance(sensor, CameraSensor | DepthCameraSensor):
+        parts.append(f"{sensor.camera.width}x{sensor.camera.height} {sensor.camera.model}")
+    elif isinstance(sensor, LidarSensor) and sensor.model is not None:
+        parts.append(sensor.model)
+    return str(sensor.type), str(sensor.id), ", ".join(parts)
 
 
 NOMINAL_PERIOD_NS = 100_000_000

@@ -1,5 +1,6 @@
 """The table of formats in the documentation against the formats."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,7 @@ from tests.test_documentation import SHARED_PAGES
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import Support
-from sceneloom.formats.base.registry import FORMATS, format_named
+from sceneloom.formats.base.registry import FORMATS, format_named, open_scene
 from sceneloom.formats.listing import FormatListing, list_formats, list_supported_fields
 from sceneloom.scene.contents import MODEL_FIELDS
 
@@ -28,6 +29,12 @@ def row(form: FormatListing) -> str:
 @pytest.mark.parametrize("form", list_formats(), ids=lambda form: form.name)
 def test_the_page_says_of_each_format_what_the_code_says(form):
     assert row(form) in PAGE.read_text().splitlines(), f"docs/converting.md lacks: {row(form)}"
+
+
+def test_help_of_open_names_each_format_that_is_read():
+    named = open_scene.__doc__.split("Formats: ")[1].split("`sceneloom formats`")[0]
+    words = set(re.split(r"[,;.\s]+", named))
+    assert {form.name for form in list_formats() if form.reads and not form.trajectory} <= words
 
 
 def test_the_page_lists_no_format_that_is_not_there():

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import OptionError
+from sceneloom.errors import ArrayError, OptionError
 from sceneloom.scene import (
     CameraImage,
     CameraSensor,
+    CuboidAnnotation,
     ImuSensor,
     LazyFrames,
     LidarFrame,
@@ -20,6 +21,7 @@ from sceneloom.scene import (
     VectorSamples,
     VideoContent,
 )
+from sceneloom.scene.annotations_at import BoxTable
 from sceneloom.scene.scene import time_span
 from sceneloom.scene.summary import summarise
 from sceneloom.scene.time_range import cut_scene
@@ -123,3 +125,31 @@ def test_the_rate_of_an_imu_is_that_of_its_longest_stream_and_its_gaps_are_real(
     summary = summarise(Scene((imu,))).sensors[0]
     assert (summary.count, summary.gap_count) == (105, 0)
     assert summary.rate_hz == pytest.approx(100)
+
+
+def test_a_scene_is_shown_in_five_lines_and_as_a_table_without_reading_it() -> None:
+    def unread(_: int) -> LidarFrame:
+        pytest.fail("a frame was read")
+
+    lidar = LidarSensor("<top>", LazyFrames(np.array([0, SECOND // 10], np.int64), unread))
+    path = Trajectory("gnss", np.array([0, SECOND]), np.array([[0.0, 0, 0], [3.0, 4, 0]]))
+    box = CuboidAnnotation.of(1, 0, (1, 2, 3), (4, 2, 1), 0.5)
+    scene = Scene((lidar, camera_at([0])), (box,), {"gnss": path}, source="drive")
+    assert repr(scene).splitlines() == [
+        "<Scene 'drive': memory, 0.10 s",
+        "  lidars: <top> (2 sweeps at 10 Hz)",
+        "  cameras: camera0 (1 images, 4x2 pinhole)",
+        "  other sensors: none",
+        "  trajectories: gnss; annotations: 1 cuboid>",
+    ]
+    assert "<td>lidar</td><td>&lt;top&gt;</td><td>2 sweeps at 10 Hz</td>" in scene._repr_html_()
+    assert repr(path) == "Trajectory('gnss', 2 poses over 1.00 s and 5.0 m, positions only)"
+    assert len(repr(lidar)) < 400
+
+
+def test_a_cuboid_is_made_of_centres_size_and_yaws() -> None:
+    box = CuboidAnnotation.of("a", [0, SECOND], [[1, 2, 3], [2, 2, 3]], (4, 2, 1), [0.0, np.pi / 2], label="Car")
+    assert box.path.values.tolist() == [[4, 2, 1, 1, 2, 3, 0, 0, 0], [4, 2, 1, 2, 2, 3, 0, 0, 90]]
+    assert BoxTable(Scene((lidar_at([0]),), (box,))).at(SECOND).yaws_world == pytest.approx(np.pi / 2)
+    with pytest.raises(ArrayError, match=r"centers: \(3, 3\); expected \(3,\) or \(2, 3\)"):
+        CuboidAnnotation.of("a", [0, 1], np.zeros((3, 3)), (4, 2, 1), 0.0)

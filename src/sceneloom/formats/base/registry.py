@@ -291,6 +291,17 @@ def open_scene(
 ) -> Scene:
     """Open a recording or a scene file lazily.
 
+    ```python
+    with sceneloom.open("2011_09_26/2011_09_26_drive_0001_sync") as scene:
+        print(scene)  # five lines: sensors, trajectories, annotations
+        for sample in scene.samples():
+            print(sample.timestamp_ns, len(sample.sweep.points), list(sample.images))
+    ```
+
+    Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
+    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel; clouds as pcd, ply, las, laz, kitti-bin, nuscenes-bin,
+    npz. `sceneloom formats` describes each.
+
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by
             ranges, files of folders fetched when they are opened, and other files at once, into a temporary folder,
@@ -300,7 +311,8 @@ def open_scene(
             None for the beginning and the end.
         corrections: "apply" or "ignore": what is done with the scene's camera calibrations and localization adjustments
             by everything that computes with it (`Scene.corrected`). Here they stay as they are.
-        options: reading options of the format.
+        options: reading options of the format, such as `lenient=True`, which skips what is broken, counts it, and goes
+            on; one that the format does not have is named in the error, with those that it has.
 
     Raises:
         UnknownFormatError: no format fits the path.

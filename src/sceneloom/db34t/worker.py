@@ -45,8 +45,7 @@ from sceneloom.db34t.setting import Setting
 from sceneloom.db34t.types import Timestamp
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType
-from sceneloom.fusion.pairing import STILL, Leave
-from sceneloom.fusion.system import FusedDetectionFrame, FusionSystem, SeenBoxes
+from sceneloom.fusion.system import STILL, FusedDetectionFrame, FusionSystem, Leave, SeenBoxes
 from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform, multiply_quaternions, rotate_vectors
 from sceneloom.kernels.projection import draw_depths
 from sceneloom.scene.cameras import GLOBAL, CameraImage

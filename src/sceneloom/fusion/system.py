@@ -1,11 +1,15 @@
-"""The fusion system: sensors and detectors send; sweeps and images, or boxes of both, are fused in order of time."""
+"""The fusion system: sensors and detectors send; sweeps and images, or boxes of both, are fused in order of time.
+
+Which images belong to which sweep, and when that is known, `_Pairing` decides; the same for the boxes of detectors.
+"""
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from functools import lru_cache, partial
-from typing import Any, cast
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -20,15 +24,330 @@ from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm
 from sceneloom.fusion.configuration import FusionConfiguration
-from sceneloom.fusion.pairing import KnownCamera, KnownLidar, Leave, OnLeft, Pairing, Waiting, nobody, stationary
 from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform
 from sceneloom.motion.deskew import points_to_world
 from sceneloom.scene.cameras import GLOBAL, CameraImage, Shutter
 from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.detections import Boxes2D, Boxes3D
-from sceneloom.scene.point_times import TimesFound
+from sceneloom.scene.point_times import RawTimes, TimesFound, timed_frame
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.types import NO_FIELDS, Identifier
+
+_MOST_SWEEPS = 3  # so many sweeps are kept for boxes, which come later
+
+
+@dataclass(slots=True)
+class _Lidar:
+    """A lidar.
+
+    Attributes:
+        source: takes its points into the world; None where they come in world coordinates.
+        location: `world_from_lidar`, whatever frame its points come in; None where that is not known.
+        period_ns: the nominal time from sweep to sweep [ns].
+        received: how many sweeps have come.
+        received_boxes: how many lists of boxes have come.
+        last_raw: times of the last sweep's points as they were read.
+        latest: the last sweeps, from the first list of boxes on: their points location what images alone show.
+    """
+
+    source: PoseSource | None
+    location: PoseSource | None
+    period_ns: int
+    received: int = 0
+    received_boxes: int = 0
+    last_raw: RawTimes | None = None
+    latest: deque[LidarFrame] = field(default_factory=lambda: deque(maxlen=_MOST_SWEEPS))
+
+    def remember(self, frame: LidarFrame) -> None:
+        """Keep a sweep for the boxes that will come of it, if any have come so far."""
+        if self.received_boxes:
+            self.latest.append(frame)
+
+    def sweep_at(self, time_ns: int) -> LidarFrame | None:
+        """The sweep that is kept of a time [ns], within half a period; None where there is none."""
+        near = [(abs(frame.reference_ns - time_ns), -k, frame) for k, frame in enumerate(self.latest)]
+        if not near:
+            return None
+        away_ns, _, frame = min(near, key=lambda one: one[:2])
+        return frame if away_ns <= self.period_ns // 2 else None
+
+    def timed(self, frame: LidarFrame) -> tuple[LidarFrame, TimesFound]:
+        """Bring the times of the points onto the scene's clock, and state what they were."""
+        timed = timed_frame(frame, self.period_ns, previous=self.last_raw)
+        self.last_raw = timed.raw
+        return timed.frame, timed.found
+
+
+@dataclass(slots=True)
+class _Camera:
+    """A camera.
+
+    Attributes:
+        id: the camera.
+        index: what its points bear as `camera_index`.
+        source: `world_from_camera`.
+        shutter: when the lines of its images are taken.
+    """
+
+    id: Identifier
+    index: int
+    source: PoseSource
+    shutter: Shutter = GLOBAL
+
+
+STILL = Poses.identity()
+
+
+def _stationary(source: PoseSource | None) -> PoseSource | None:
+    """The same sensor on an ego that does not move."""
+    return None if source is None else replace(source, path=STILL)
+
+
+_DEFAULTS = FusionConfiguration()
+
+_LONGEST_LAG_NS = 10_000_000_000
+"""Sweeps that come, or are timestamped, later than so long after their points were measured are not paired any more."""
+
+
+class _HasTime(Protocol):
+    """A sweep, or the boxes that a detector saw in it."""
+
+    @property
+    def timestamp_ns(self) -> int:
+        """When it was [ns]."""
+        ...
+
+
+class _Timed(Protocol):
+    """Something of one time: an image, or the boxes that a detector saw in it."""
+
+    @property
+    def timestamp_ns(self) -> int:
+        """When it was [ns]."""
+        ...
+
+    @property
+    def extras(self) -> Mapping[str, Any]:
+        """Further fields, by name."""
+        ...
+
+
+_Frame = TypeVar("_Frame", bound=_HasTime)  # of a lidar: a sweep, or the boxes in it
+
+_Partner = TypeVar("_Partner", bound=_Timed)  # of a camera: an image, or the boxes in it
+
+
+class Leave(StrEnum):
+    """Why something is not kept any more."""
+
+    DONE = ""
+    """Nothing can need it."""
+    DROPPED = "dropped.waiting"
+    """It had to make room for others."""
+
+
+_OnLeft = Callable[[Mapping[str, Any], Leave], None]
+"""Reported the further fields of what is not kept any more, and why."""
+
+
+def _nobody(extras: Mapping[str, Any], leave: Leave) -> None:
+    """Listen to nothing."""
+    del extras, leave
+
+
+@dataclass(slots=True)
+class _Queue(Generic[_Partner]):
+    """What one camera has sent and a sweep may still ask for, in time order.
+
+    Attributes:
+        camera_id: the camera.
+        most: how many are kept, the oldest are dropped; None for as many as come.
+        items: what is kept.
+        on_left: called with what is not kept any more.
+    """
+
+    camera_id: Identifier
+    most: int | None = None
+    items: deque[_Partner] = field(default_factory=deque)
+    on_left: _OnLeft = _nobody
+
+    def add(self, item: _Partner) -> int:
+        """Keep one; one that comes late takes its location in time. Gives how many were dropped to make room."""
+        late: list[_Partner] = []
+        while self.items and self.items[-1].timestamp_ns > item.timestamp_ns:
+            late.append(self.items.pop())
+        self.items.append(item)
+        self.items.extend(reversed(late))
+        dropped = 0 if self.most is None else max(len(self.items) - self.most, 0)
+        for _ in range(dropped):
+            self.on_left(self.items.popleft().extras, Leave.DROPPED)
+        return dropped
+
+    def reaches(self, time_ns: int) -> bool:
+        """Whether one at or after that time has come, so that the nearest one is known."""
+        return bool(self.items) and self.items[-1].timestamp_ns >= time_ns
+
+    def nearest(self, time_ns: int, tolerance_ns: int) -> _Partner | None:
+        """The one nearest in time, the earlier one of two equally near, None beyond the tolerance."""
+        near = min(self.items, key=lambda item: abs(item.timestamp_ns - time_ns), default=None)
+        return None if near is None or abs(near.timestamp_ns - time_ns) > tolerance_ns else near
+
+    def forget_before(self, time_ns: int) -> None:
+        """Let go of what no sweep from that time on can be nearest to."""
+        while len(self.items) > 1 and self.items[1].timestamp_ns <= time_ns:
+            self.on_left(self.items.popleft().extras, Leave.DONE)
+
+    def forget_after(self, time_ns: int) -> None:
+        """Let go of what is later than a time."""
+        while self.items and self.items[-1].timestamp_ns > time_ns:
+            self.on_left(self.items.pop().extras, Leave.DONE)
+
+
+@dataclass(frozen=True, slots=True)
+class _Waiting(Generic[_Frame]):
+    """A sweep that waits for images.
+
+    Attributes:
+        lidar_id: its lidar.
+        index: its number in the lidar.
+        frame: the sweep.
+        reference_ns: the time that it is paired by [ns].
+        tolerance_ns: how far an image may be from it [ns].
+        algorithm: how it is to be fused.
+        configuration: the settings in force when it came.
+        extras: further fields, by name.
+    """
+
+    lidar_id: Identifier
+    index: int
+    frame: _Frame
+    reference_ns: int
+    tolerance_ns: int
+    algorithm: Any = None
+    configuration: FusionConfiguration = _DEFAULTS
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+
+
+@dataclass(slots=True)
+class _Pairing(Generic[_Frame, _Partner]):
+    """Sweeps in the order in which they came, and the images that they may be paired with.
+
+    A sweep is ready as soon as every camera has sent an image at or after its reference time, and where images may
+    come out of order one so near that no other is nearer; or when so much time has passed that none can come any more.
+
+    Attributes:
+        lateness_ns: how much later than its time an image may arrive and still be waited for.
+        most_waiting: sweeps that may wait; None for as many as come.
+        queues: the images of each camera.
+        waiting: the sweeps, oldest first.
+        on_left: called with what is not kept any more, but for sweeps that became ready.
+    """
+
+    lateness_ns: int = 0
+    most_waiting: int | None = None
+    queues: dict[Identifier, _Queue[_Partner]] = field(default_factory=dict)
+    waiting: deque[_Waiting[_Frame]] = field(default_factory=deque)
+    on_left: _OnLeft = _nobody
+    _lags_ns: dict[Identifier, int] = field(default_factory=dict)
+    _retiring: dict[Identifier, _Waiting[_Frame]] = field(default_factory=dict)
+    _latest_ns: int | None = None
+
+    def configure(self, lateness_ns: int, most: int | None) -> None:
+        """Wait so long, and keep so many sweeps and images of each camera, from now on."""
+        self.lateness_ns, self.most_waiting = lateness_ns, most
+        for queue in self.queues.values():
+            queue.most = most
+
+    def add_camera(self, camera_id: Identifier, *, most: int | None = None) -> None:
+        """Make a camera known; `most` of its images are kept."""
+        self.queues[camera_id] = _Queue(camera_id, most, on_left=self.on_left)
+
+    def expect(self, camera_ids: Collection[Identifier]) -> None:
+        """Wait for these cameras alone from now on; sweeps that wait can have what the others have sent."""
+        for camera_id in camera_ids:
+            self._retiring.pop(camera_id, None)
+            if camera_id not in self.queues:
+                self.add_camera(camera_id, most=self.most_waiting)
+        for camera_id in [known for known in self.queues if known not in camera_ids]:
+            if self.waiting:
+                self._retiring.setdefault(camera_id, self.waiting[-1])
+            else:
+                self._let_go(self.queues.pop(camera_id))
+
+    def add_frame(self, waiting: _Waiting[_Frame]) -> int:
+        """Let a sweep wait; gives how many were dropped to make room."""
+        timestamp_ns = waiting.frame.timestamp_ns
+        self.waiting.append(waiting)
+        self._lags_ns[waiting.lidar_id] = min(max(timestamp_ns - waiting.reference_ns, 0), _LONGEST_LAG_NS)
+        self._latest_ns = max(timestamp_ns, timestamp_ns if self._latest_ns is None else self._latest_ns)
+        dropped = 0 if self.most_waiting is None else max(len(self.waiting) - self.most_waiting, 0)
+        for _ in range(dropped):
+            oldest = self.waiting.popleft()
+            self.on_left(oldest.extras, Leave.DROPPED)
+            self._retire_after(oldest)
+        return dropped
+
+    def add_partner(self, camera_id: Identifier, partner: _Partner) -> int:
+        """Keep an image; gives how many were dropped to make room."""
+        time_ns = partner.timestamp_ns
+        self._latest_ns = max(time_ns, time_ns if self._latest_ns is None else self._latest_ns)
+        return self.queues[camera_id].add(partner)
+
+    def ready(self, *, final: bool = False) -> Iterator[_Waiting[_Frame]]:
+        """Yield the sweeps whose images are known, oldest first; with `final` all that wait.
+
+        What no later sweep can ask for is forgotten once the one after is asked for.
+        """
+        while self.waiting and (final or self._is_ready(self.waiting[0])):
+            waiting = self.waiting.popleft()
+            yield waiting
+            self._retire_after(waiting)
+            # a later one can refer to any time from this timestamp on, less the lag and what sweeps may be out of order
+            lag_ns = max(self._lags_ns.values(), default=0) + waiting.configuration.disorder_ns
+            for queue in self.queues.values():
+                queue.forget_before(waiting.frame.timestamp_ns - lag_ns)
+        if not self.waiting and self._latest_ns is not None:
+            for queue in self.queues.values():
+                queue.forget_before(self._latest_ns - _LONGEST_LAG_NS)
+
+    def restart(self, time_ns: int) -> None:
+        """Begin anew at a time, because clocks were set back; what is far later belongs to the time before."""
+        for queue in self.queues.values():
+            queue.forget_after(time_ns + _LONGEST_LAG_NS)
+        kept = [queue.items[-1].timestamp_ns for queue in self.queues.values() if queue.items]
+        self._latest_ns = max(kept, default=None)
+        self._lags_ns.clear()
+
+    def end(self) -> None:
+        """Let go of all images."""
+        for queue in self.queues.values():
+            self._let_go(queue)
+
+    def partner(self, waiting: _Waiting[_Frame], camera_id: Identifier) -> _Partner | None:
+        """A camera's image for a sweep; None where none is near enough."""
+        queue = self.queues.get(camera_id)
+        return None if queue is None else queue.nearest(waiting.reference_ns, waiting.tolerance_ns)
+
+    def _retire_after(self, waiting: _Waiting[_Frame]) -> None:
+        """Forget the cameras that a sweep was the last one to know."""
+        for camera_id in [known for known, last in self._retiring.items() if last is waiting]:
+            del self._retiring[camera_id]
+            self._let_go(self.queues.pop(camera_id))
+
+    def _let_go(self, queue: _Queue[_Partner]) -> None:
+        while queue.items:
+            self.on_left(queue.items.popleft().extras, Leave.DONE)
+
+    def _is_ready(self, waiting: _Waiting[_Frame]) -> bool:
+        time_ns, period_ns = waiting.reference_ns, waiting.configuration.image_period_ns
+        expected = [queue for camera_id, queue in self.queues.items() if camera_id not in self._retiring]
+        if all(
+            queue.reaches(time_ns) and (period_ns is None or queue.nearest(time_ns, period_ns // 2) is not None)
+            for queue in expected
+        ):
+            return True
+        latest = time_ns if self._latest_ns is None else self._latest_ns
+        return latest > time_ns + waiting.tolerance_ns + self.lateness_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +368,7 @@ class _TimedSweep:
         return self.frame.timestamp_ns
 
 
-_SweepPairing = Pairing[_TimedSweep, CameraImage]
+_SweepPairing = _Pairing[_TimedSweep, CameraImage]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +393,7 @@ class SeenBoxes:
         return self.boxes.timestamp_ns
 
 
-_BoxPairing = Pairing[Boxes3D, SeenBoxes]
+_BoxPairing = _Pairing[Boxes3D, SeenBoxes]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,12 +451,12 @@ class _SweepFusion:
         on_unreadable: called for an image that cannot be decoded, which then counts as unpaired; None: it raises.
     """
 
-    lidars: Mapping[Identifier, KnownLidar]
-    cameras: Mapping[Identifier, KnownCamera]
+    lidars: Mapping[Identifier, _Lidar]
+    cameras: Mapping[Identifier, _Camera]
     on_unreadable: Callable[[DataError], None] | None = None
     _decoded: dict[Identifier, tuple[CameraImage, UInt8Array]] = field(default_factory=dict)
 
-    def fuse(self, waiting: Waiting[_TimedSweep], pairing: _SweepPairing) -> tuple[FusedFrame, ...]:
+    def fuse(self, waiting: _Waiting[_TimedSweep], pairing: _SweepPairing) -> tuple[FusedFrame, ...]:
         """Fuse a sweep; where the ego trajectory does not reach, the result says so.
 
         Where it reaches the sweep and only some of the images, and those beyond it are to be fused as if the ego had
@@ -155,15 +474,15 @@ class _SweepFusion:
         return replace(fused, unposed=()), self._fuse_stationary(waiting, pairing, beyond)
 
     def _fuse_stationary(
-        self, waiting: Waiting[_TimedSweep], pairing: _SweepPairing, cameras: Mapping[Identifier, KnownCamera]
+        self, waiting: _Waiting[_TimedSweep], pairing: _SweepPairing, cameras: Mapping[Identifier, _Camera]
     ) -> FusedFrame:
-        return replace(self._fuse(waiting, pairing, cameras, stationary), stationary=True)
+        return replace(self._fuse(waiting, pairing, cameras, _stationary), stationary=True)
 
     def _fuse(
         self,
-        waiting: Waiting[_TimedSweep],
+        waiting: _Waiting[_TimedSweep],
         pairing: _SweepPairing,
-        cameras: Mapping[Identifier, KnownCamera],
+        cameras: Mapping[Identifier, _Camera],
         placed: _Placed,
     ) -> FusedFrame:
         frame, lidar = waiting.frame.frame, self.lidars[waiting.lidar_id]
@@ -203,12 +522,7 @@ class _SweepFusion:
         )
 
     def _pair(
-        self,
-        waiting: Waiting[_TimedSweep],
-        pairing: _SweepPairing,
-        camera: KnownCamera,
-        source: PoseSource,
-        pairs: _Pairs,
+        self, waiting: _Waiting[_TimedSweep], pairing: _SweepPairing, camera: _Camera, source: PoseSource, pairs: _Pairs
     ) -> None:
         """Find the camera's image for a sweep and where it was taken, or note why there is none."""
         image = pairing.partner(waiting, camera.id)
@@ -261,10 +575,10 @@ class _BoxFusion:
         lidars, cameras: what is known of the sensors.
     """
 
-    lidars: Mapping[Identifier, KnownLidar]
-    cameras: Mapping[Identifier, KnownCamera]
+    lidars: Mapping[Identifier, _Lidar]
+    cameras: Mapping[Identifier, _Camera]
 
-    def fuse(self, waiting: Waiting[Boxes3D], pairing: _BoxPairing) -> Iterator[FusedDetectionFrame]:
+    def fuse(self, waiting: _Waiting[Boxes3D], pairing: _BoxPairing) -> Iterator[FusedDetectionFrame]:
         """Fuse the boxes of a sweep with those of each image that belongs to it."""
         algorithm: DetectionAlgorithm = waiting.algorithm
         seen_by = list(self._seen_by(waiting, pairing))
@@ -289,7 +603,7 @@ class _BoxFusion:
             )
 
     def _seen_by(
-        self, waiting: Waiting[Boxes3D], pairing: _BoxPairing
+        self, waiting: _Waiting[Boxes3D], pairing: _BoxPairing
     ) -> Iterator[tuple[Identifier, SeenBoxes, RigidTransform, bool]]:
         """The boxes of each image of a sweep, `camera_from_lidar`, and whether the ego is taken to are stationary."""
         lidar = self.lidars[waiting.lidar_id]
@@ -307,7 +621,7 @@ class _BoxFusion:
                 yield camera.id, seen, camera_from_lidar, stands
 
 
-def _points_lidar(lidar: KnownLidar, time_ns: int) -> Float32Array | None:
+def _points_lidar(lidar: _Lidar, time_ns: int) -> Float32Array | None:
     """The points of the sweep of a time in the lidar's frame, as they were measured; None where it has not come."""
     frame = lidar.sweep_at(time_ns)
     if frame is None or len(frame.points) == 0:
@@ -323,11 +637,11 @@ def _points_lidar(lidar: KnownLidar, time_ns: int) -> Float32Array | None:
 
 
 def _camera_from_lidar(
-    lidar: KnownLidar, camera: KnownCamera, reference_ns: int, seen: SeenBoxes, *, still: bool
+    lidar: _Lidar, camera: _Camera, reference_ns: int, seen: SeenBoxes, *, still: bool
 ) -> RigidTransform | None:
     """Give the transform between a sweep and an image of another time; None where the ego trajectory does not reach."""
     location = lidar.location or lidar.source
-    sources = (stationary(location), stationary(camera.source)) if still else (location, camera.source)
+    sources = (_stationary(location), _stationary(camera.source)) if still else (location, camera.source)
     if sources[0] is None or sources[1] is None:
         return None
     if sources[0].path is sources[1].path and sources[0].path.static:
@@ -363,7 +677,7 @@ _OnFailed = Callable[[Mapping[str, Any], Exception], None]
 class FusionSystem:
     """Pairs sweeps with images and fuses each pair; the same object works offline and behind a service.
 
-    Sweeps wait for images, and boxes of sweeps for boxes of images, as `Pairing` says. Results are fetched first
+    Sweeps wait for images, and boxes of sweeps for boxes of images, as `_Pairing` says. Results are fetched first
     in, first out. Memory holds what waits. Not for several threads at once.
 
     Attributes:
@@ -381,11 +695,11 @@ class FusionSystem:
     configuration: FusionConfiguration = field(default_factory=FusionConfiguration)
     on_unreadable: Callable[[DataError], None] | None = None
     on_failed: _OnFailed | None = None
-    on_left: OnLeft = nobody
+    on_left: _OnLeft = _nobody
     detect: DetectionAlgorithm | None = None
     dropped: int = 0
-    _lidars: dict[Identifier, KnownLidar] = field(default_factory=dict)
-    _cameras: dict[Identifier, KnownCamera] = field(default_factory=dict)
+    _lidars: dict[Identifier, _Lidar] = field(default_factory=dict)
+    _cameras: dict[Identifier, _Camera] = field(default_factory=dict)
     _sweeps: _SweepPairing = field(init=False)
     _boxes: _BoxPairing = field(init=False)
     _sweep_fusion: _SweepFusion = field(init=False)
@@ -397,8 +711,8 @@ class FusionSystem:
     def __post_init__(self) -> None:
         settings = self.configuration
         self._algorithm(FusionType.SENSOR_DATA, settings.fusion_algorithm)
-        self._sweeps = Pairing(settings.lateness_ns, settings.most_waiting, on_left=self.on_left)
-        self._boxes = Pairing(settings.lateness_ns, settings.most_waiting, on_left=self.on_left)
+        self._sweeps = _Pairing(settings.lateness_ns, settings.most_waiting, on_left=self.on_left)
+        self._boxes = _Pairing(settings.lateness_ns, settings.most_waiting, on_left=self.on_left)
         self._sweep_fusion = _SweepFusion(self._lidars, self._cameras)
         self._box_fusion = _BoxFusion(self._lidars, self._cameras)
 
@@ -414,7 +728,7 @@ class FusionSystem:
         """
         if lidar_id in self._lidars or lidar_id in self._cameras:
             raise OptionError(f"sensor {lidar_id!r} is known already")
-        self._lidars[lidar_id] = KnownLidar(source, location, period_ns)
+        self._lidars[lidar_id] = _Lidar(source, location, period_ns)
 
     def add_camera(self, camera_id: Identifier, source: PoseSource, *, index: int, shutter: Shutter = GLOBAL) -> None:
         """Make a camera known; `index` is what its points bear as `camera_index`, below 255."""
@@ -422,7 +736,7 @@ class FusionSystem:
             raise OptionError(f"sensor {camera_id!r} is known already")
         if not 0 <= index < 255:
             raise OptionError(f"camera {camera_id!r}: index {index}; expected 0 to 254")
-        self._cameras[camera_id] = KnownCamera(camera_id, index, source, shutter)
+        self._cameras[camera_id] = _Camera(camera_id, index, source, shutter)
         self._sweeps.add_camera(camera_id, most=self.configuration.most_waiting)
         self._boxes.add_camera(camera_id, most=self.configuration.most_waiting)
 
@@ -536,10 +850,10 @@ class FusionSystem:
 
     def _waiting(
         self, lidar_id: Identifier, index: int, frame: Any, time_ns: int, chosen: Any, extras: Mapping[str, Any]
-    ) -> Waiting[Any]:
+    ) -> _Waiting[Any]:
         tolerance_ns = self.configuration.pairing_tolerance_ns
         tolerance_ns = self._lidars[lidar_id].period_ns if tolerance_ns is None else tolerance_ns
-        return Waiting(lidar_id, index, frame, time_ns, tolerance_ns, chosen, self.configuration, extras)
+        return _Waiting(lidar_id, index, frame, time_ns, tolerance_ns, chosen, self.configuration, extras)
 
     def _algorithm_of_boxes(self) -> DetectionAlgorithm:
         """Find the algorithm of detection fusion; our own takes the detectors for what they are stated to be."""
@@ -559,7 +873,7 @@ class FusionSystem:
                 self._detections.extend(self._box_fusion.fuse(boxes, self._boxes))
 
     @contextmanager
-    def _reported(self, waiting: Waiting[Any]) -> Iterator[None]:
+    def _reported(self, waiting: _Waiting[Any]) -> Iterator[None]:
         """Report of a failure, where someone listens: an algorithm may be anyone's, and ends only its own sweep."""
         try:
             yield

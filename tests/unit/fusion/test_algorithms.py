@@ -22,9 +22,7 @@ def install(site, monkeypatch, entry_points):
     metadata = site / "somebody_s-1.0.dist-info"
     metadata.mkdir(parents=True)
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: somebody-s\nVersion: 1.0\n", "utf-8")
-    lines = (
-        f"[{group}]\n" + "\n".join(f"{k} = {v}" for k, v in found.items()) for group, found in entry_points.items()
-    )
+    lines = (f"[{group}]\n{name} = {target}" for group, own in entry_points.items() for name, target in own.items())
     (metadata / "entry_points.txt").write_text("\n".join(lines), "utf-8")
     monkeypatch.syspath_prepend(str(site))
 
@@ -46,13 +44,8 @@ def fusion():
 
 
 @pytest.mark.usefixtures("example_package")
-def test_the_example_package_is_found_under_both_types():
+def test_the_sensor_data_fusion_of_the_example_package_colours_near_points_alone(fusion):
     assert names(FusionType.SENSOR_DATA) == ("projection", "blending", "near")
-    assert names(FusionType.DETECTIONS) == ("projection", "agreed")
-
-
-@pytest.mark.usefixtures("example_package")
-def test_its_sensor_data_fusion_colours_near_points_alone(fusion):
     assert fusion.set_property("fusion_algorithm", "near")
     assert fusion.send(image(0, 1))
     assert fusion.send(cloud(0, 1, [(10.0, 0, 0), (30.0, 3.0, 0)]))
@@ -63,7 +56,8 @@ def test_its_sensor_data_fusion_colours_near_points_alone(fusion):
 
 
 @pytest.mark.usefixtures("example_package")
-def test_its_detection_fusion_keeps_what_both_saw(fusion):
+def test_the_detection_fusion_of_the_example_package_keeps_what_both_saw(fusion):
+    assert names(FusionType.DETECTIONS) == ("projection", "agreed")
     both = (boxes_3d(0, 1), boxes_2d(0, 1))
     alone = (box_3d(100, 2), box_3d(100, 2, Y=5.0, id=9), box_2d(100, 2), box_2d(100, 2, x1=1, x2=6, id=8))
     assert fusion.set_property("fusion_type", 1)
@@ -114,26 +108,23 @@ def test_an_unknown_one_is_reported_with_those_that_are_there():
         algorithm(FusionType.DETECTIONS, "magic")
 
 
-def confidence_with(detectors):
-    with FusionInterface(inline=True) as fusion:
-        assert fusion.set_calibration(calibration(), camera_id=1)
-        assert fusion.set_property("detectors", detectors)
-        assert fusion.send(boxes_2d(0, 0))
-        assert fusion.send(boxes_3d(0, 0))
-        fusion.flush()
-        return fusion.get(1).record.confidence[0]
-
-
 def test_confidence_is_that_of_the_detectors_that_are_named():
-    found = {name: float(confidence_with(name)) for name in detector_names()}
-    assert len(set(found.values())) == len(found) >= 3
-    assert all(0.5 < confidence <= 1.0 for confidence in found.values())
+    found = set()
+    for detectors in detector_names():
+        with FusionInterface(inline=True) as fusion:
+            assert fusion.set_calibration(calibration(), camera_id=1)
+            assert fusion.set_property("detectors", detectors)
+            assert fusion.send(boxes_2d(0, 0))
+            assert fusion.send(boxes_3d(0, 0))
+            fusion.flush()
+            found.add(float(fusion.get(1).record.confidence[0]))
+    assert len(found) == len(detector_names()) >= 3
+    assert all(0.5 < confidence <= 1.0 for confidence in found)
 
 
 @pytest.mark.parametrize("name", ["nobody", "", "/etc/passwd", "other.toml"])
-def test_detectors_that_do_not_come_with_the_package_are_refused(name):
-    with FusionInterface(inline=True) as fusion:
-        outcome = fusion.set_property("detectors", name)
-        assert outcome.cause is Cause.OUT_OF_RANGE
-        assert "simulated" in outcome.reason
-        assert fusion.get_property("detectors") == "simulated"
+def test_detectors_that_do_not_come_with_the_package_are_refused(fusion, name):
+    outcome = fusion.set_property("detectors", name)
+    assert outcome.cause is Cause.OUT_OF_RANGE
+    assert "simulated" in outcome.reason
+    assert fusion.get_property("detectors") == "simulated"

@@ -134,7 +134,8 @@ def test_images_and_colours_are_written_nowhere_else(pixels, size, data):
     numbers[::7] = data.draw(st.integers(-(2**31), 2**31 - 1))
     draw_depths(numbers, depths, visible, image)
     mark_nearest(numbers, depths, image, nearest)
-    paint_points(ids, pixels, numbers, visible, np.full((*size, 3), 9, np.uint8), 1, best, colors, camera_index)
+    shown, rows = np.full((*size, 3), 9, np.uint8), (0, 0, len(ids))
+    paint_points(ids, pixels, numbers, visible, shown, 1, best, colors, camera_index, *rows)
     for check in (check_image, check_nearest, check_colors, check_index, check_best):
         check()
     assert ((image >= 0) & np.isfinite(image)).all()

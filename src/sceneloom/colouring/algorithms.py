@@ -68,8 +68,7 @@ def view_points(
         visible = find_visible(
             seen.cloud, seen.rows, seen.camera_from_cloud, settings, trajectory=trajectory, looks=seen.looks
         )
-    depth_image = np.empty((camera.height, camera.width), np.float32)
-    thread_pool.share(Phase(camera.height, lambda _, top, bottom: depth_image[top:bottom].fill(0.0)))
+    depth_image = np.zeros((camera.height, camera.width), np.float32)
     draw_depths(seen.pixel_numbers, depths, visible, depth_image, thread_pool=thread_pool)
     if not settings.enabled:
         mark_nearest(seen.pixel_numbers, depths, depth_image, visible)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite, radians
 
 import numpy as np
@@ -66,16 +67,15 @@ def colour_points(
         OptionError: the indices are not as many as the views, or out of range.
     """
     _check_indices(views, camera_indices)
-    colors, camera_index = np.empty((count, 3), np.uint8), np.empty(count, np.uint8)
+    colors, camera_index = np.full((count, 3), 255, np.uint8), np.full(count, NO_CAMERA, np.uint8)
     eccentricities = np.full(count if len(views) > 1 else 0, np.inf)
-
-    def clear(_: int, a: int, b: int) -> None:
-        colors[a:b].fill(255)
-        camera_index[a:b].fill(NO_CAMERA)
-
-    ThreadPool.of(threads, count).share(Phase(count, clear))
     for view, index in zip(views, camera_indices, strict=True):
-        _paint(view, index, eccentricities, colors, camera_index, ThreadPool.of(threads, len(view.point_ids)))
+        paint = partial(
+            paint_points, view.point_ids, view.pixels, view.pixel_numbers, view.visible, np.ascontiguousarray(view.rgb),
+            index, eccentricities, colors, camera_index,
+        )  # fmt: skip
+        # the points of one image are all different: threads write to different rows
+        ThreadPool.of(threads, len(view.point_ids)).share(Phase(len(view.point_ids), paint))
     return colors, camera_index
 
 
@@ -85,22 +85,6 @@ def _check_indices(views: Sequence[FusedView], camera_indices: Sequence[int]) ->
     for view, index in zip(views, camera_indices, strict=True):
         if not 0 <= index < NO_CAMERA:
             raise OptionError(f"camera {view.camera_id!r}: index {index}; expected 0 to {NO_CAMERA - 1}")
-
-
-def _paint(
-    view: FusedView, index: int, eccentricities: Float64Array, colors: UInt8Array, camera_index: UInt8Array,
-    thread_pool: ThreadPool,
-) -> None:  # fmt: skip
-    """Paint the points of one image, which are all different: threads write to different rows."""
-    rgb = np.ascontiguousarray(view.rgb)
-
-    def paint(_: int, a: int, b: int) -> None:
-        paint_points(
-            view.point_ids[a:b], view.pixels[a:b], view.pixel_numbers[a:b], view.visible[a:b], rgb, index,
-            eccentricities, colors, camera_index,
-        )  # fmt: skip
-
-    thread_pool.share(Phase(len(view.point_ids), paint))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -420,12 +404,17 @@ def _paint_block(
             camera_index[k] = camera
 
 
-@kernel(void(IN_I64_1D, IN_F32_2D, IN_I32_1D, IN_BOOL_1D, IN_U8_3D, uint8, float64[::1], uint8[:, ::1], uint8[::1]))
+@kernel(void(
+    IN_I64_1D, IN_F32_2D, IN_I32_1D, IN_BOOL_1D, IN_U8_3D, uint8, float64[::1], uint8[:, ::1], uint8[::1],
+    int64, int64, int64,
+))  # fmt: skip
 def paint_points(
     point_ids: Int64Array, pixels: Float32Array, pixel_numbers: Int32Array, visible: BoolArray, rgb: UInt8Array,
-    camera: int, eccentricities: Float64Array, colors: UInt8Array, camera_index: UInt8Array,
+    camera: int, eccentricities: Float64Array, colors: UInt8Array, camera_index: UInt8Array, _: int, a: int, b: int,
 ) -> None:  # fmt: skip
     """Give each visible point its nearest pixel's colour if this image shows it more centrally than those before.
+
+    Of the points of the image those from a to b.
 
     `point_ids` (M,), rows of the outputs; `pixels` (M, 2) [px]; `pixel_numbers` (M,), the nearest ones, counted row by
     row; negative outside the image; `visible` (M,); `rgb` (H, W, 3), the image; `camera`: number to write into
@@ -438,10 +427,9 @@ def paint_points(
         rgb.reshape(rgb.size),
         colors.reshape(colors.size),
     )
-    count = point_ids.shape[0]
     numbers, size = np.empty(BLOCK, np.int32), width * height
-    for start in range(0, count, BLOCK):
-        stop = min(start + BLOCK, count)
+    for start in range(a, b, BLOCK):
+        stop = min(start + BLOCK, b)
         block, ids = numbers[: stop - start], point_ids[start:stop]
         _number_painted(pixel_numbers[start:stop], size, visible[start:stop], ids, camera_index.shape[0], block)
         if eccentricities.shape[0] > 0:

@@ -47,7 +47,7 @@ hide pass. docs/fusion.md has the figures on simulated streets.
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import cos, degrees, isfinite, isnan, log, pi, radians, sin
 from typing import Any
 
@@ -889,40 +889,40 @@ def _decide(
 
 
 @kernel(void(
-    IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_I32_1D, float64, int64, IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D,
-    int64, int64, int64, IN_F32_1D, IN_F64_2D, IN_I64_1D, IN_F32_1D, boolean[::1]
+    IN_F32_2D, IN_F32_1D, IN_I32_1D, float64, int64, IN_F32_2D, IN_F32_2D, int64, int64, int64, IN_F32_1D, IN_F64_2D,
+    IN_I64_1D, IN_F32_1D, boolean[::1], int64, int64, int64
 ))  # fmt: skip
 def _search_hiding(
-    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, numbers: AnyArray,
-    per_cell: float, columns: int, nearest: Float32Array, right: Float32Array, down: Float32Array,
-    from_any: Float32Array, from_opposite: Float32Array, size_x: int, size_y: int, border: int,
-    limits: Float32Array, eyes: Float64Array, point_ids: Int64Array, fractions: Float32Array, visible: BoolArray,
+    directions: Float32Array, inverse_ranges: Float32Array, numbers: AnyArray, per_cell: float, columns: int,
+    held: Float32Array, bounds: Float32Array, size_x: int, size_y: int, border: int, limits: Float32Array,
+    eyes: Float64Array, point_ids: Int64Array, fractions: Float32Array, visible: BoolArray, _: int, a: int, b: int,
 ) -> None:  # fmt: skip
-    """Write which points nothing hides; most of them only need the bounds of their cells.
+    """Write which of the points from a to b nothing hides; most of them only need the bounds of their cells.
 
     Args:
-        rightward, downward, inverse_ranges: (M,) points, as of `occlusion.mark_unhidden`.
-        numbers: (M,) int32, their cells, 0 for none.
+        directions, inverse_ranges, eyes, point_ids, fractions: of all points, as of `mark_unhidden`.
+        numbers: (M,) int32, the points' cells, 0 for none.
         per_cell: cells in a radian.
         columns: of the grid.
-        nearest, right, down: (cells,) what the cells hold.
-        from_any, from_opposite: (cells,) their bounds.
+        held: (3, cells) what the cells hold: inverse range, and how far right and down in the cell.
+        bounds: (2, cells), `from_any` and `from_opposite` of `_bound_cells`.
         size_x, size_y: how many columns and rows away a single thing hides.
         border: how many cells away anything hides.
         limits: (8,) in cells: square of the window, square of the slope; margin and its share; p, q, r of the ellipse;
             nearing.
-        eyes, point_ids, fractions: as of `occlusion.mark_unhidden`.
         visible: (M,), written.
     """
-    count, pitch, share = inverse_ranges.shape[0], np.float32(per_cell), limits[7]
+    pitch, share = np.float32(per_cell), limits[7]
+    rightward, downward = directions[0], directions[1]
+    nearest, right, down, from_any, from_opposite = held[0], held[1], held[2], bounds[0], bounds[1]
     rule, near = (limits[0], limits[1], limits[2], limits[3]), (limits[4], limits[5], limits[6])
     beside, around = _list_cells(size_x, size_y, columns), _list_cells(border, border, columns)
     picked, lists, room = (
         np.empty(_POINTS_AT_ONCE, np.int32), np.empty((3, _POINTS_AT_ONCE + 1), np.int32),
         np.empty((8, _POINTS_AT_ONCE), np.float32),
     )  # fmt: skip
-    for start in range(0, count, _POINTS_AT_ONCE):
-        stop = min(start + _POINTS_AT_ONCE, count)
+    for start in range(a, b, _POINTS_AT_ONCE):
+        stop = min(start + _POINTS_AT_ONCE, b)
         seen, inverse, block = visible[start:stop], inverse_ranges[start:stop], numbers[start:stop]
         found = _pick(inverse, block, from_any, rule, seen, picked, room[2])
         _decide(
@@ -935,40 +935,42 @@ def _search_hiding(
 _ROUNDS = 4  # chunks for each thread: some parts of a cloud hide much and others nothing
 
 
-@kernel(void(IN_F32_1D, IN_F32_1D, IN_F32_1D, IN_F32_1D, float64, int64, int64, int64, int64, int32[::1], int64[::1]))
+@kernel(void(
+    IN_F32_2D, IN_F32_1D, IN_F32_1D, float64, int64, int64, int64, int64, int32[::1], int64[:, ::1], int64, int64, int64
+))  # fmt: skip
 def _keep_nearest(
-    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, hiding: Float32Array, cell: float,
-    first_column: int, first_row: int, columns: int, rows: int, numbers: AnyArray, keys: AnyArray,
+    directions: Float32Array, inverse_ranges: Float32Array, hiding: Float32Array, cell: float, first_column: int,
+    first_row: int, columns: int, rows: int, numbers: AnyArray, keys: AnyArray, part: int, a: int, b: int,
 ) -> None:  # fmt: skip
-    """Number the cells of some points, and write for each cell the key of its nearest; 0 where none is."""
-    keys[:] = 0
+    """Number the cells of the points from a to b, and write for each cell the key of its nearest; 0 where none is."""
+    own = keys[part]
+    own[:] = 0
     grid = (np.float32(1.0 / cell), np.int32(first_column), np.int32(first_row), columns, rows)
-    keep_nearest(rightward, downward, inverse_ranges, hiding, grid, numbers, keys)
-    keys[0] = 0
+    keep_nearest(directions[0, a:b], directions[1, a:b], inverse_ranges[a:b], hiding[a:b], grid, numbers[a:b], own)
+    own[0] = 0
 
 
-@kernel(void(int64[:, ::1], int64, int64, float32[::1], float32[::1], float32[::1]))
-def _read_keys(
-    keys: AnyArray, start: int, stop: int, nearest: Float32Array, right: Float32Array, down: Float32Array
-) -> None:
-    """Unpack the largest keys of some cells out of several tables."""
-    whole = keys[0, start:stop]
+@kernel(void(int64[:, ::1], float32[:, ::1], int64, int64, int64))
+def _read_keys(keys: AnyArray, held: Float32Array, _: int, a: int, b: int) -> None:
+    """Unpack the largest keys of the cells from a to b out of several tables."""
+    whole = keys[0, a:b]
     for part in range(1, keys.shape[0]):
-        other = keys[part, start:stop]
+        other = keys[part, a:b]
         for c in range(whole.shape[0]):
             whole[c] = max(whole[c], other[c])
-    read_keys(whole, nearest[start:stop], right[start:stop], down[start:stop])
+    read_keys(whole, held[0, a:b], held[1, a:b], held[2, a:b])
 
 
-@kernel(void(IN_F32_1D, IN_F32_1D, IN_F32_1D, int64, int64, float64, float64, float64, float32[::1], float32[::1]))
+@kernel(void(IN_F32_2D, int64, int64, float64, float64, float64, float32[:, ::1], int64, int64, int64))
 def _bound_hiding(
-    nearest: Float32Array, right: Float32Array, down: Float32Array, columns: int, border: int, slope: float,
-    reach_x: float, reach_y: float, from_any: Float32Array, from_opposite: Float32Array,
+    held: Float32Array, columns: int, border: int, slope: float, reach_x: float, reach_y: float, bounds: Float32Array,
+    _: int, first: int, last: int,
 ) -> None:  # fmt: skip
-    """Write the bounds of some rows' cells, `border` rows in from both ends."""
+    """Write the bounds of the cells of some rows, which are counted without the border; each needs those around it."""
+    a, b, c, d = first * columns, (first + border) * columns, (last + border) * columns, (last + 2 * border) * columns
     _bound_cells(
-        nearest, right, down, columns, border, np.float32(slope), np.float32(reach_x), np.float32(reach_y),
-        from_any, from_opposite,
+        held[0, a:d], held[1, a:d], held[2, a:d], columns, border, np.float32(slope), np.float32(reach_x),
+        np.float32(reach_y), bounds[0, b:c], bounds[1, b:c],
     )  # fmt: skip
 
 
@@ -1008,42 +1010,23 @@ def mark_unhidden(
     reach_x, reach_y, radius = math.sqrt(yy / area), math.sqrt(xx / area), window / cell
     size_x, size_y = math.ceil(reach_x), math.ceil(reach_y)
     border = max(math.ceil(radius), size_x, size_y)
-    right, down = directions
     first_column, first_row, columns, rows = position_grid(extent, cell, border)
-    cells, numbers = columns * rows, np.empty(len(inverse_ranges), np.int32)
-    keys = np.empty((thread_pool.size, cells), np.int64)
-    held, (from_any, from_opposite) = np.empty((3, cells), np.float32), np.empty((2, cells), np.float32)
+    count, cells = len(inverse_ranges), columns * rows
+    numbers, keys = np.empty(count, np.int32), np.empty((thread_pool.size, cells), np.int64)
+    held, bounds = np.empty((3, cells), np.float32), np.empty((2, cells), np.float32)
     limits = (radius * radius, (slope * cell) ** 2, margin, margin_share, xx, xy, yy, nearing)
-    rule = np.array(limits, np.float32)
-
-    def keep(part: int, a: int, b: int) -> None:
-        _keep_nearest(
-            right[a:b], down[a:b], inverse_ranges[a:b], hiding[a:b], cell, first_column, first_row, columns, rows,
-            numbers[a:b], keys[part],
-        )  # fmt: skip
-
-    def read(_: int, a: int, b: int) -> None:
-        _read_keys(keys, a, b, held[0], held[1], held[2])
-
-    def bound(_: int, first: int, last: int) -> None:
-        # Each needs the rows around its own as well.
-        around = slice(first * columns, (last + 2 * border) * columns)
-        own = slice((first + border) * columns, (last + border) * columns)
-        _bound_hiding(
-            held[0, around], held[1, around], held[2, around], columns, border, slope * cell, reach_x, reach_y,
-            from_any[own], from_opposite[own],
-        )  # fmt: skip
-
-    def search(_: int, a: int, b: int) -> None:
-        _search_hiding(
-            right[a:b], down[a:b], inverse_ranges[a:b], numbers[a:b], 1.0 / cell, columns, held[0], held[1], held[2],
-            from_any, from_opposite, size_x, size_y, border, rule, eyes, point_ids[a:b], fractions, visible[a:b],
-        )  # fmt: skip
-
-    count = len(numbers)
-    thread_pool.share(
-        Phase(count, keep), Phase(cells, read), Phase(rows - 2 * border, bound), Phase(count, search, rounds=_ROUNDS)
+    keep = partial(
+        _keep_nearest, directions, inverse_ranges, hiding, cell, first_column, first_row, columns, rows, numbers, keys
     )
+    bound = partial(_bound_hiding, held, columns, border, slope * cell, reach_x, reach_y, bounds)
+    search = partial(
+        _search_hiding, directions, inverse_ranges, numbers, 1.0 / cell, columns, held, bounds, size_x, size_y, border,
+        np.array(limits, np.float32), eyes, point_ids, fractions, visible,
+    )  # fmt: skip
+    thread_pool.share(
+        Phase(count, keep), Phase(cells, partial(_read_keys, keys, held)), Phase(rows - 2 * border, bound),
+        Phase(count, search, rounds=_ROUNDS),
+    )  # fmt: skip
 
 
 _BLOCK = 512  # points whose cells are numbered at once, by SIMD
@@ -1088,15 +1071,17 @@ def _order(bits: Any) -> Any:
     return np.int32(bits ^ np.int32(np.int32(bits >> _SIGN) & _GREATEST))
 
 
-@kernel(void(IN_F32_1D, IN_F32_1D, IN_F32_1D, float32[::1]))
+@kernel(void(IN_F32_2D, IN_F32_1D, float32[:, ::1], int64, int64, int64))
 def _measure_extent(
-    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, extent: Float32Array
+    directions: Float32Array, inverse_ranges: Float32Array, extents: Float32Array, part: int, first: int, last: int
 ) -> None:
     """Write the extent of some points; by integers, since SIMD finds no least of floats that may be NaN."""
+    rightward, downward, known = directions[0, first:last], directions[1, first:last], inverse_ranges[first:last]
+    extent = extents[part]
     a_bits, b_bits, found = rightward.view(np.int32), downward.view(np.int32), extent.view(np.int32)
     left, right, top, bottom = _GREATEST, _LEAST, _GREATEST, _LEAST
-    for i in range(inverse_ranges.shape[0]):
-        placed = _is_placed(rightward[i], downward[i], inverse_ranges[i])
+    for i in range(known.shape[0]):
+        placed = _is_placed(rightward[i], downward[i], known[i])
         a, b = _order(a_bits[i]), _order(b_bits[i])
         left, right = min(left, a if placed else _GREATEST), max(right, a if placed else _LEAST)
         top, bottom = min(top, b if placed else _GREATEST), max(bottom, b if placed else _LEAST)
@@ -1122,11 +1107,7 @@ def measure_extent(
         minus infinity where no point counts.
     """
     found = np.empty((thread_pool.size, 4), np.float32)
-
-    def measure(part: int, a: int, b: int) -> None:
-        _measure_extent(directions[0, a:b], directions[1, a:b], inverse_ranges[a:b], found[part])
-
-    thread_pool.share(Phase(len(inverse_ranges), measure))
+    thread_pool.share(Phase(len(inverse_ranges), partial(_measure_extent, directions, inverse_ranges, found)))
     extent: Float32Array = found.min(axis=0)
     extent[1::2] = found[:, 1::2].max(axis=0)
     return extent
@@ -1235,30 +1216,33 @@ def read_keys(keys: AnyArray, nearest: Float32Array, right: Float32Array, down: 
         down[c] = np.float32(np.int32(keys[c]) & _LAST_PART) * _PART
 
 
-@kernel(void(IN_F32_1D, IN_F32_1D, IN_F32_1D, int64, int64, IN_F32_1D, float64, int64, int32[::1], int32[::1]))
+@kernel(void(
+    IN_F32_2D, IN_F32_1D, IN_F32_1D, float64, int64, int32[::1], int32[:, ::1], int64, int64, int64
+))  # fmt: skip
 def _occupy(
-    rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, first: int, count: int,
-    extent: Float32Array, cell: float, border: int, sampled: AnyArray, holders: AnyArray,
+    directions: Float32Array, inverse_ranges: Float32Array, extent: Float32Array, cell: float, border: int,
+    sampled: AnyArray, holders: AnyArray, part: int, first: int, last: int,
 ) -> None:  # fmt: skip
-    """Put the numbers of some of `count` points, the first of them `first`, from 1 on into their cells.
+    """Put the numbers of the points from `first` to `last`, from 1 on, into their cells, a row of `holders` a part.
 
     The last point in a cell holds it; cells without a point hold 0. The cells of evenly drawn points go to `sampled`;
     0 for a point without a cell.
     """
     grid, numbers = _fit_grid(extent, cell, border), np.empty(_BLOCK, np.int32)
-    holders[:] = 0
+    count, own = inverse_ranges.shape[0], holders[part]
+    own[:] = 0
     samples = min(sampled.shape[0], count)
     taken = -(-first * samples // count)
-    for start in range(0, inverse_ranges.shape[0], _BLOCK):
-        stop = min(start + _BLOCK, inverse_ranges.shape[0])
-        block, before = numbers[: stop - start], first + start
-        _number_cells(rightward[start:stop], downward[start:stop], inverse_ranges[start:stop], grid, block)
+    for start in range(first, last, _BLOCK):
+        stop = min(start + _BLOCK, last)
+        block = numbers[: stop - start]
+        _number_cells(directions[0, start:stop], directions[1, start:stop], inverse_ranges[start:stop], grid, block)
         for k in range(block.shape[0]):
-            holders[np.uint32(block[k])] = before + k + 1
-        while taken < samples and taken * count // samples < first + stop:
-            sampled[taken] = block[taken * count // samples - before]
+            own[np.uint32(block[k])] = start + k + 1
+        while taken < samples and taken * count // samples < stop:
+            sampled[taken] = block[taken * count // samples - start]
             taken += 1
-    holders[0] = 0
+    own[0] = 0
 
 
 @kernel(void(IN_I32_2D, int64, IN_I32_1D, IN_I64_1D, IN_I64_1D, IN_I64_1D, IN_F64_1D, float64[:, ::1], int64[:, ::1]))
@@ -1306,15 +1290,11 @@ def find_neighbours(
         neighbours: (samples, sectors), written: a point in that cell; -1 for none.
         thread_pool: the threads that share the points; the result is the same.
     """
-    reach, count = int(max(1, np.abs(right).max(), np.abs(down).max())), len(inverse_ranges)
+    reach = int(max(1, np.abs(right).max(), np.abs(down).max()))
     _, _, columns, rows = position_grid(extent, cell, reach)
     sampled, holders = np.zeros(len(found), np.int32), np.empty((thread_pool.size, columns * rows), np.int32)
-
-    def occupy(part: int, a: int, b: int) -> None:
-        some = directions[0, a:b], directions[1, a:b], inverse_ranges[a:b]
-        _occupy(*some, a, count, extent, cell, reach, sampled, holders[part])
-
-    thread_pool.share(Phase(count, occupy))
+    occupy = partial(_occupy, directions, inverse_ranges, extent, cell, reach, sampled, holders)
+    thread_pool.share(Phase(len(inverse_ranges), occupy))
     _find_holders(holders, columns, sampled, right, down, sectors, distances, found, neighbours)
 
 

@@ -88,44 +88,20 @@ def test_every_pixel_of_the_image_looks_along_a_ray_that_comes_back_to_it(camera
 
 
 @EACH_CAMERA
-def test_rays_of_projected_points_point_at_them(camera):
-    points = points_before(camera, 300, widest=0.8)
-    rays = unproject(camera, project_unbounded(camera, points))
-    assert np.abs(rays - points / np.linalg.norm(points, axis=1, keepdims=True)).max() < 1e-9
-
-
-@EACH_CAMERA
-def test_points_that_are_not_finite_are_never_seen(camera):
+def test_points_and_pixels_that_mean_nothing_are_never_seen(camera):
     points = np.tile([0.1, 0.1, 5.0], (9, 1))
     for k, (axis, value) in enumerate((a, v) for a in range(3) for v in (np.nan, np.inf, -np.inf)):
         points[k, axis] = value
-    pixels, visible = project(camera, points)
-    assert not visible.any()
-    assert np.isnan(pixels).all()
-    assert np.isnan(project_unbounded(camera, points)).all()
-
-
-@EACH_CAMERA
-def test_points_and_pixels_whose_distance_is_no_number_have_nothing_instead_of_the_middle(camera):
-    # squares of them overflow, or vanish, and would leave the axis
-    points = np.array([[1e308, 1e308, 1e308], [1e200, 0.0, 1e200], [1e-300, 0.0, 1e-300]])
-    assert np.isnan(project_unbounded(camera, points)).all()
+    # squares of these overflow, or vanish, and would leave the axis
+    huge = [[1e308, 1e308, 1e308], [1e200, 0.0, 1e200], [1e-300, 0.0, 1e-300]]
+    assert np.isnan(project_unbounded(camera, [*points, *huge])).all()
     assert np.isnan(unproject(camera, [[1e308, 0.0], [-1e200, 1e200], [0.0, -1e160]])).all()
-
-
-@EACH_CAMERA
-def test_the_camera_does_not_see_its_own_centre_nor_the_point_right_behind_it(camera):
-    pixels, visible = project(camera, [[0.0, 0, 0], [0.0, 0, -1], [0.0, -0.0, -1e-300]])
+    # nor are the camera's own centre and the point right behind it
+    pixels, visible = project(camera, [*points, [0.0, 0, 0], [0.0, 0, -1], [0.0, -0.0, -1e-300]])
     assert not visible.any()
     assert np.isnan(pixels).all()
-
-
-@EACH_CAMERA
-def test_no_points_and_no_pixels_are_fine(camera):
     pixels, visible = project(camera, np.zeros((0, 3)))
-    assert pixels.shape == (0, 2)
-    assert visible.shape == (0,)
-    assert unproject(camera, np.zeros((0, 2))).shape == (0, 3)
+    assert (pixels.shape, visible.shape, unproject(camera, np.zeros((0, 2))).shape) == ((0, 2), (0,), (0, 3))
 
 
 @pytest.mark.parametrize("model", ["pinhole", "brown_conrady"])
@@ -154,47 +130,36 @@ def test_the_edges_of_the_image_are_half_a_pixel_around_the_centres_of_its_pixel
     assert np.allclose(project_unbounded(camera, [(*outside[1], 1.0)]), [outside[1]])
 
 
-def test_a_strong_barrel_does_not_fold_the_outside_back_into_the_image():
-    camera = Camera("brown_conrady", *SIZE, (-0.3,))
-    fold = math.sqrt(1 / 0.9)  # r - 0.3 r³ grows up to here
-    assert intrinsics_vector(camera)[-1] == pytest.approx(fold)
-    far_out = np.array([[1.7, 0.0, 1.0]])  # r - 0.3 r³ = 0.226: 113 px from the centre if it were believed
+@pytest.mark.parametrize(
+    ("model", "coefficients", "limit"),
+    [
+        ("pinhole", (), math.inf),
+        ("brown_conrady", (), math.inf),
+        ("fisheye", (), math.pi),
+        ("brown_conrady", (-0.3,), math.sqrt(1 / 0.9)),  # r - 0.3 r³ grows up to here
+        ("brown_conrady", (0, 0, 0, 0, 0, -0.25), 2.0),  # the pole: 1 - r²/4 vanishes
+        # y' = y + 0.1 (x² + 3 y²) and x' = x + 0.2 x y: the area factor vanishes first at y = -1 / 0.6 on the axis
+        ("brown_conrady", (0, 0, 0.1, 0.0), 1 / 0.6),
+        ("fisheye", (-0.2,), math.sqrt(1 / 0.6)),
+    ],
+)
+def test_the_domain_ends_where_the_camera_model_folds(model, coefficients, limit):
+    camera = Camera(model, *SIZE, coefficients)
+    assert intrinsics_vector(camera)[-1] == pytest.approx(limit, rel=1e-3 if coefficients[2:3] == (0.1,) else 1e-6)
+    if limit < math.inf and limit != math.pi:
+        beyond = limit + 0.3 if model == "fisheye" else math.atan(1.6 * limit)
+        assert not project(camera, [[math.sin(beyond), 0.0, math.cos(beyond)]])[1].any()
+
+
+def test_a_strong_barrel_neither_folds_the_outside_back_into_the_image_nor_has_rays_beyond_its_largest_radius():
+    # r - 0.3 r³ = 0.226 at r = 1.7: 113 px from the centre if it were believed
     assert 0 < 318.7 + 500 * (1.7 - 0.3 * 1.7**3) < 640
-    _, visible = project(camera, [*far_out, [0.6, 0.0, 1.0]])
+    _, visible = project(Camera("brown_conrady", *SIZE, (-0.3,)), [[1.7, 0.0, 1.0], [0.6, 0.0, 1.0]])
     assert visible.tolist() == [False, True]
-
-
-def test_the_largest_radius_of_a_barrel_has_no_ray_beyond_it():
-    camera = Camera("brown_conrady", 2000, 2000, 500.0, 500.0, 999.5, 999.5, (-0.3,))
-    fold = math.sqrt(1 / 0.9)
+    fold, camera = math.sqrt(1 / 0.9), Camera("brown_conrady", 2000, 2000, 500.0, 500.0, 999.5, 999.5, (-0.3,))
     largest = 500 * (fold - 0.3 * fold**3)
     rays = unproject(camera, [[999.5 + 0.999 * largest, 999.5], [999.5 + 1.001 * largest, 999.5]])
-    assert np.isfinite(rays[0]).all()
-    assert np.isnan(rays[1]).all()
-
-
-def test_a_pole_of_the_rational_part_ends_the_domain():
-    camera = Camera("brown_conrady", *SIZE, (0, 0, 0, 0, 0, -0.25))  # 1 - r²/4 vanishes at 2
-    assert intrinsics_vector(camera)[-1] == pytest.approx(2.0)
-    assert not project(camera, [[2.5, 0.0, 1.0]])[1].any()
-
-
-def test_tangential_terms_end_the_domain_where_they_fold():
-    camera = Camera("brown_conrady", *SIZE, (0, 0, 0.1, 0.0))
-    # y' = y + 0.1 (x² + 3 y²) and x' = x + 0.2 x y: the area factor vanishes first at y = -1 / 0.6 on the axis
-    assert intrinsics_vector(camera)[-1] == pytest.approx(1 / 0.6, rel=1e-3)
-
-
-def test_a_fisheye_ends_where_its_angle_polynomial_rotates():
-    camera = Camera("fisheye", *SIZE, (-0.2,))
-    assert intrinsics_vector(camera)[-1] == pytest.approx(math.sqrt(1 / 0.6))
-    beyond = math.sqrt(1 / 0.6) + 0.3
-    assert not project(camera, [[math.sin(beyond), 0.0, math.cos(beyond)]])[1].any()
-
-
-@pytest.mark.parametrize("model", ["pinhole", "brown_conrady", "fisheye"])
-def test_camera_models_that_never_fold_have_no_limit_but_the_sphere(model):
-    assert intrinsics_vector(Camera(model, *SIZE))[-1] == (math.pi if model == "fisheye" else math.inf)
+    assert np.isfinite(rays).all(axis=1).tolist() == [True, False]
 
 
 @EACH_CAMERA
@@ -222,13 +187,9 @@ def test_coefficients_that_nearly_vanish_change_nothing(tiny):
 
 
 def run_kernel(camera: Camera, points_world, camera_from_world):
-    count = len(points_world)
-    room = PointsInImage(
-        np.full(count, -1),
-        np.full((count, 2), np.nan, np.float32),
-        np.full(count, -1, np.int32),
-        *np.full((4, count), np.nan, np.float32),
-    )
+    room = PointsInImage.room(len(points_world))
+    for rows in room:
+        rows.fill(-1)
     kernel, camera_model = projection_kernel(camera.model), intrinsics_vector(camera)
     kept = kernel(points_world, camera_from_world, camera_model, camera.width, camera.height, room)
     return room.part(0, kept)
@@ -277,18 +238,14 @@ def test_runs_of_points_inside_and_outside_the_image_are_distinguished_wherever_
     assert_looks_as_mapped(kept, points, np.eye(4)[:3])
 
 
-def test_the_hot_path_stores_nothing_that_rounds_to_the_edge():
+def test_the_hot_path_stores_nothing_that_rounds_to_the_edge_and_takes_arrays_that_nobody_may_write():
     camera = Camera("pinhole", 2048, 4, 1.0, 1.0, 0.0, 0.0)
     just_inside = np.nextafter(2047.5, 0.0)  # below the edge in float64, on it once rounded to float32
-    kept = run_kernel(camera, np.array([[just_inside, 0.0, 1.0], [2047.0, 0.0, 1.0]]), np.eye(4)[:3])
+    points = np.array([[just_inside, 0.0, 1.0], [2047.0, 0.0, 1.0]])
+    points.flags.writeable = False
+    kept = run_kernel(camera, points, np.eye(4)[:3])
     assert kept.point_ids.tolist() == [1]
     assert np.floor(kept.pixels[0] + 0.5).tolist() == [2047, 0]
-
-
-def test_the_hot_path_takes_arrays_that_nobody_may_write():
-    points = np.array([[0.0, 0.0, 1.0]])
-    points.flags.writeable = False
-    assert len(run_kernel(CAMERAS[2], points, np.eye(4)[:3]).point_ids) == 1
 
 
 @EACH_CAMERA
@@ -311,21 +268,18 @@ def test_an_unknown_model_is_refused_with_those_known(use):
 
 
 @pytest.mark.parametrize(
-    ("model", "count", "message"),
+    ("model", "coefficients", "message"),
     [
-        ("pinhole", 1, "1 distortion coefficients; pinhole has 0$"),
-        ("fisheye", 5, "5 distortion coefficients; fisheye has 4: k1 k2 k3 k4"),
-        ("brown_conrady", 17, "brown_conrady has 16: k1 k2 p1 p2"),
+        ("pinhole", (0.0,), "1 distortion coefficients; pinhole has 0$"),
+        ("fisheye", (0.0,) * 5, "5 distortion coefficients; fisheye has 4: k1 k2 k3 k4"),
+        ("brown_conrady", (0.0,) * 17, "brown_conrady has 16: k1 k2 p1 p2"),
+        ("brown_conrady", (1e300, 1e300), "expected no more than"),
     ],
 )
-def test_more_coefficients_than_the_model_has_are_refused(model, count, message):
-    with pytest.raises(CalibrationError, match=message):
-        check_camera(Camera(model, *SIZE, (0.0,) * count))
-
-
-def test_coefficients_of_absurd_size_are_refused():
-    with pytest.raises(CalibrationError, match="expected no more than"):
-        intrinsics_vector(Camera("brown_conrady", *SIZE, (1e300, 1e300)))
+def test_too_many_or_too_large_coefficients_are_refused(model, coefficients, message):
+    for use in (check_camera, intrinsics_vector):
+        with pytest.raises(CalibrationError, match=message):
+            use(Camera(model, *SIZE, coefficients))
 
 
 @pytest.mark.parametrize(("function", "wrong"), [(project, np.zeros((3, 2))), (unproject, np.zeros(2))])
@@ -400,14 +354,14 @@ def test_asymmetric_terms_end_a_camera_model_where_they_rotate_it_inward():
     assert 0.5 < domain_angle(camera) < math.sqrt(1 / 0.6)  # along y it folds there at the latest
 
 
-def test_pixels_beyond_the_seam_of_a_panorama_look_nowhere():
-    for model in ("cylindrical", "equirectangular"):
-        camera = Camera(model, *SIZE)
-        edge = SIZE[2] * math.pi
-        pixels = [[SIZE[4] + 0.999 * edge, 240.0], [SIZE[4] - 1.001 * edge, 240.0], [SIZE[4] + edge, 240.0]]
-        rays = unproject(camera, pixels)
-        assert np.isfinite(rays).all(axis=1).tolist() == [True, False, True]
-        assert rays[0, 2] < -0.99
+@pytest.mark.parametrize("model", ["cylindrical", "equirectangular"])
+def test_pixels_beyond_the_seam_of_a_panorama_look_nowhere_and_nothing_is_seen_straight_up_or_down(model):
+    camera, edge = Camera(model, *SIZE), SIZE[2] * math.pi
+    rays = unproject(camera, [[SIZE[4] + share * edge, 240.0] for share in (0.999, -1.001, 1.0)])
+    assert np.isfinite(rays).all(axis=1).tolist() == [True, False, True]
+    assert rays[0, 2] < -0.99
+    pixels = project_unbounded(camera, [[0, 1, 0], [0, -3, 0], [1e-9, 1, 0], [1e-3, 1, 0]])
+    assert np.isfinite(pixels).all(axis=1).tolist() == [False, False, False, True]
 
 
 def test_pixels_above_the_pole_of_an_equirectangular_image_look_nowhere():
@@ -420,20 +374,11 @@ def test_pixels_above_the_pole_of_an_equirectangular_image_look_nowhere():
     assert rays[0, 1] < -0.99
 
 
-def test_nothing_is_seen_straight_up_or_down_in_a_panorama():
-    for model in ("cylindrical", "equirectangular"):
-        pixels = project_unbounded(Camera(model, *SIZE), [[0, 1, 0], [0, -3, 0], [1e-9, 1, 0], [1e-3, 1, 0]])
-        assert np.isfinite(pixels).all(axis=1).tolist() == [False, False, False, True]
-
-
-def test_the_middle_of_an_ftheta_image_with_an_offset_shows_nothing():
+def test_what_an_ftheta_polynomial_leaves_out_of_the_middle_or_takes_through_it_is_not_seen():
     camera = Camera("ftheta", *SIZE, (5.0, 300.0))
     assert np.isnan(project_unbounded(camera, [[0.0, 0.0, 1.0]])).all()
-    rays = unproject(camera, [[SIZE[4], SIZE[5]], [SIZE[4] + 4.9, SIZE[5]], [SIZE[4] + 5.1, SIZE[5]]])
+    rays = unproject(camera, [[SIZE[4] + off, SIZE[5]] for off in (0.0, 4.9, 5.1)])
     assert np.isfinite(rays).all(axis=1).tolist() == [False, False, True]
-
-
-def test_directions_that_an_ftheta_polynomial_takes_through_the_centre_have_no_pixel():
     camera = Camera("ftheta", *SIZE, (-30.0, 300.0))  # negative up to 0.1 rad
     points = [[math.sin(angle), 0.0, math.cos(angle)] for angle in (0.0, 0.05, 0.1 - 1e-9, 0.11)]
     assert np.isfinite(project_unbounded(camera, points)).all(axis=1).tolist() == [False, False, False, True]
@@ -449,14 +394,16 @@ def test_the_far_side_of_the_shifted_sphere_is_hidden():
     assert np.isfinite(rays).all(axis=1).tolist() == [True, False]
 
 
-@pytest.mark.parametrize("model", ["brown_conrady", "fisheye_rad_tan_prism", "kannala_brandt18", "omnidirectional"])
-def test_a_camera_model_that_folds_at_its_centre_sees_nothing(model):
-    coefficients = {
-        "brown_conrady": (0.0, 0.0, 10.0, 10.0, 0.0, 0.0, 0.0, 0.0, 3.0, -3.0),
-        "fisheye_rad_tan_prism": (-1e6,),
-        "kannala_brandt18": (0.0,) * 4 + (1.0, 0.0, 0.0, 9.0),
-        "omnidirectional": (0.0, 0.0, 0.0, 0.0, 10.0, 10.0, 1.0, 3.0, -3.0),
-    }[model]
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [
+        ("brown_conrady", (0.0, 0.0, 10.0, 10.0, 0.0, 0.0, 0.0, 0.0, 3.0, -3.0)),
+        ("fisheye_rad_tan_prism", (-1e6,)),
+        ("kannala_brandt18", (0.0,) * 4 + (1.0, 0.0, 0.0, 9.0)),
+        ("omnidirectional", (0.0, 0.0, 0.0, 0.0, 10.0, 10.0, 1.0, 3.0, -3.0)),
+    ],
+)
+def test_a_camera_model_that_folds_at_its_centre_sees_nothing(model, coefficients):
     camera = Camera(model, *SIZE, coefficients)
     assert intrinsics_vector(camera)[-1] < 1e-2
     assert np.isnan(unproject(camera, [[10.0, 10.0], [600.0, 20.0]])).all()

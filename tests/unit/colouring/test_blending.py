@@ -15,51 +15,42 @@ from sceneloom.kernels.projection import pixel_numbers
 
 CAMERA = Camera("pinhole", 101, 81, 100.0, 100.0, 50.0, 40.0)
 PLAIN = VisibilitySettings(enabled=False)
+BEST = BlendSettings(mode="best")
 
 
-def looking(x: float = 0.0) -> RigidTransform:
-    return RigidTransform(np.eye(3), np.array([x, 0.0, 0.0]))
-
-
-def image(level: int) -> np.ndarray:
+def image(level):
     return np.full((81, 101, 3), level, np.uint8)
 
 
 def view(points, rgb, *, x=0.0, camera_id="a", timestamp_ns=0):
-    points = np.asarray(points, np.float64)
-    return view_points(
-        points, CAMERA, looking(x), rgb, camera_id=camera_id, timestamp_ns=timestamp_ns, visibility=PLAIN
-    )
-
-
-def bilinear(rgb: np.ndarray, u: float, v: float) -> np.ndarray:
-    """A slow answer: the four pixels around, weighted by the areas opposite to them."""
-    column, row = int(np.floor(u)), int(np.floor(v))
-    total = np.zeros(3)
-    for dv in (0, 1):
-        for du in (0, 1):
-            area = abs(1 - du - (u - column)) * abs(1 - dv - (v - row))
-            total += area * rgb[row + dv, column + du]
-    return total
+    points, pose = np.asarray(points, np.float64), RigidTransform(np.eye(3), np.array([x, 0.0, 0.0]))
+    return view_points(points, CAMERA, pose, rgb, camera_id=camera_id, timestamp_ns=timestamp_ns, visibility=PLAIN)
 
 
 def test_colours_are_taken_between_the_pixels():
     rgb = np.random.default_rng(0).integers(0, 255, (81, 101, 3)).astype(np.uint8)
     u, v = np.array([10.25, 50.0, 99.9]), np.array([20.75, 40.5, 3.1])
     points = np.stack([(u - 50) / 100 * 5, (v - 40) / 100 * 5, np.full(3, 5.0)], axis=1)
-    blended = blend_colours(points, [view(points, rgb)], [0], settings=BlendSettings(mode="best"))
-    wanted = [bilinear(rgb, a, b) for a, b in zip(u, v, strict=True)]
+    blended = blend_colours(points, [view(points, rgb)], [0], settings=BEST)
+    # A slow answer: the four pixels around, weighted by the areas opposite to them.
+    column, row = np.floor([u, v]).astype(int)
+    wanted = sum(
+        (abs(1 - du - (u - column)) * abs(1 - dv - (v - row)))[:, None] * rgb[row + dv, column + du]
+        for dv in (0, 1)
+        for du in (0, 1)
+    )
     np.testing.assert_allclose(blended.colors, wanted, atol=0.51)  # rounding to levels
 
 
 def test_the_image_that_shows_a_point_away_from_its_border_counts():
     points = np.array([[2.4, 0.0, 5.0]])  # 98 px: at the border of the first, 49 px from the axis of the second
     views = [view(points, image(10)), view(points, image(200), x=1.2, camera_id="b", timestamp_ns=7)]
-    blended = blend_colours(points, views, [3, 5], settings=BlendSettings(mode="best"))
-    assert blended.colors.tolist() == [[200, 200, 200]]
-    assert blended.sources.camera_index.tolist() == [5]
-    assert blended.sources.images_ns.tolist() == [7]
-    np.testing.assert_allclose(blended.sources.pixels, [[74.0, 40.0]], atol=1e-4)
+    blended = blend_colours(points, views, [3, 5], settings=BEST)
+    sources = blended.sources
+    assert (blended.colors.tolist(), sources.camera_index.tolist(), sources.images_ns.tolist()) == (
+        [[200, 200, 200]], [5], [7]
+    )  # fmt: skip
+    np.testing.assert_allclose(sources.pixels, [[74.0, 40.0]], atol=1e-4)
 
 
 def test_the_mean_holds_only_colours_that_agree_with_the_best_one():
@@ -73,18 +64,16 @@ def test_the_mean_holds_only_colours_that_agree_with_the_best_one():
 def test_a_point_measured_long_before_an_image_takes_the_colour_of_the_other_one():
     points, times = np.array([[0.0, 0.0, 5.0]]), np.array([0])
     views = [view(points, image(10), timestamp_ns=200_000_000), view(points, image(200), camera_id="b")]
-    blended = blend_colours(points, views, [0, 1], timestamps_ns=times, settings=BlendSettings(mode="best"))
-    assert blended.colors.tolist() == [[200, 200, 200]]
+    assert blend_colours(points, views, [0, 1], timestamps_ns=times, settings=BEST).colors.tolist() == [[200] * 3]
 
 
 def test_a_surface_seen_along_itself_takes_the_colour_of_the_camera_that_faces_it():
     points = np.array([[1.0, 0.0, 5.0]])
     along = np.array([[0.98058, 0.0, -0.19612]], np.float32)  # at a right angle to the first line of sight
     views = [view(points, image(10)), view(points, image(200), x=3.0, camera_id="b")]
-    settings = BlendSettings(mode="best")
-    facing = blend_colours(points, views, [0, 1], normals_world=along, settings=settings)
-    assert facing.colors.tolist() == [[200, 200, 200]]
-    assert blend_colours(points, views, [0, 1], settings=settings).colors.tolist() == [[10, 10, 10]]
+    for normals, level in ((along, 200), (None, 10)):
+        blended = blend_colours(points, views, [0, 1], normals_world=normals, settings=BEST)
+        assert blended.colors.tolist() == [[level] * 3]
 
 
 def test_gains_multiply_colours_and_are_cut_off_at_white():
@@ -129,19 +118,17 @@ def test_settings_that_mean_nothing_are_refused(wrong):
 
 def test_an_index_is_needed_for_each_view():
     points = np.array([[0.0, 0.0, 5.0]])
-    with pytest.raises(OptionError, match="0 camera indices for 1 views"):
-        blend_colours(points, [view(points, image(1))], [])
-    with pytest.raises(OptionError, match="index 255"):
-        blend_colours(points, [view(points, image(1))], [255])
+    for indices, message in (([], "0 camera indices for 1 views"), ([255], "index 255")):
+        with pytest.raises(OptionError, match=message):
+            blend_colours(points, [view(points, image(1))], indices)
 
 
 def make_view(point_ids, pixels, rgb, visible=None):
-    height, width = rgb.shape[:2]
-    count = len(point_ids)
+    (height, width), count = rgb.shape[:2], len(point_ids)
+    pixels = np.array(pixels, np.float32).reshape(count, 2)
     return FusedView(
         "c", Camera("pinhole", width, height, 100.0, 100.0, 0.0, 0.0), 0, RigidTransform.identity(), rgb,
-        np.array(point_ids, np.int64), np.array(pixels, np.float32).reshape(count, 2),
-        pixel_numbers(np.array(pixels, np.float32).reshape(count, 2), width, height), np.ones(count, np.float32),
+        np.array(point_ids, np.int64), pixels, pixel_numbers(pixels, width, height), np.ones(count, np.float32),
         np.ones(count, bool) if visible is None else np.array(visible, bool), np.zeros((height, width), np.float32),
         np.zeros((max(point_ids, default=-1) + 1, 3)),
     )  # fmt: skip
@@ -151,28 +138,31 @@ def plain(color, size=(4, 6)):
     return np.full((*size, 3), color, np.uint8)
 
 
-def test_unseen_points_are_white_and_have_no_camera():
-    colors, camera_index = colour_points(3, [make_view([1], [(2, 1)], plain((1, 2, 3)))], [4])
-    assert colors.tolist() == [[255] * 3, [1, 2, 3], [255] * 3]
-    assert camera_index.tolist() == [255, 4, 255]
-    assert colors.dtype == camera_index.dtype == np.uint8
+def central(size, pixel, color):
+    return make_view([0], [pixel], plain(color, size))
 
 
-def test_without_views_no_point_has_a_colour():
-    colors, camera_index = colour_points(2, [], [])
-    assert colors.tolist() == [[255] * 3] * 2
-    assert camera_index.tolist() == [255, 255]
-
-
-def test_an_empty_cloud_has_no_colours():
-    colors, camera_index = colour_points(0, [make_view([], [], plain(0)), make_view([], [], plain(0))], [0, 1])
-    assert colors.shape == (0, 3)
-    assert camera_index.shape == (0,)
-
-
-def test_hidden_points_take_no_colour():
-    view = make_view([0, 1], [(1, 1), (1, 1)], plain((9, 9, 9)), visible=[False, True])
-    assert colour_points(2, [view], [0])[1].tolist() == [255, 0]
+@pytest.mark.parametrize(
+    ("count", "views", "indices", "colors", "cameras"),
+    [
+        (3, [make_view([1], [(2, 1)], plain((1, 2, 3)))], [4], [[255] * 3, [1, 2, 3], [255] * 3], [255, 4, 255]),
+        (2, [], [], [[255] * 3] * 2, [255, 255]),
+        (0, [make_view([], [], plain(0)), make_view([], [], plain(0))], [0, 1], [], []),
+        # hidden points take no colour
+        (2, [make_view([0, 1], [(1, 1), (1, 1)], plain(9), [False, True])], [0], [[255] * 3, [9] * 3], [255, 0]),
+        (1, [make_view([0], [(2, 1)], plain(1), [False]), make_view([0], [(0, 0)], plain(2))], [0, 1], [[2] * 3], [1]),
+        # 5 px off the centre of the small image are a fifth of its half diagonal, 40 px of the large one 0.16
+        (1, [central((30, 40), (24.5, 14.5), 1), central((300, 400), (239.5, 149.5), 2)], [7, 8], [[2] * 3], [8]),
+        (1, [central((30, 40), (24.5, 14.5), 1), central((300, 400), (259.5, 149.5), 2)], [7, 8], [[1] * 3], [7]),
+        # of equally central views the first counts
+        (1, [make_view([0], [(1, 2)], plain(color)) for color in (10, 20, 30)], [2, 1, 0], [[10] * 3], [2]),
+    ],
+)  # fmt: skip
+def test_points_have_the_colour_of_the_image_that_shows_them_most_centrally(count, views, indices, colors, cameras):
+    found, camera_index = colour_points(count, views, indices)
+    assert found.dtype == camera_index.dtype == np.uint8
+    assert found.shape == (count, 3)
+    assert (found.tolist(), camera_index.tolist()) == (colors, cameras)
 
 
 def test_the_nearest_pixel_gives_the_colour():
@@ -183,41 +173,16 @@ def test_the_nearest_pixel_gives_the_colour():
     np.testing.assert_array_equal(colors, nearest)
 
 
-def test_the_most_central_view_counts_in_units_of_half_the_diagonal():
-    small, large = plain((1, 1, 1), (30, 40)), plain((2, 2, 2), (300, 400))
-    # 5 px off the centre of the small image are a fifth of its half diagonal, 40 px of the large one 0.16.
-    views = [make_view([0], [(24.5, 14.5)], small), make_view([0], [(239.5, 149.5)], large)]
-    assert colour_points(1, views, [7, 8])[1].tolist() == [8]
-    views = [make_view([0], [(24.5, 14.5)], small), make_view([0], [(259.5, 149.5)], large)]
-    assert colour_points(1, views, [7, 8])[1].tolist() == [7]
-
-
-def test_of_equally_central_views_the_first_counts():
-    views = [make_view([0], [(1, 2)], plain(color)) for color in (10, 20, 30)]
-    assert colour_points(1, views, [2, 1, 0])[1].tolist() == [2]
-
-
-def test_a_view_that_hides_a_point_leaves_it_to_the_others():
-    views = [
-        make_view([0], [(2.5, 1.5)], plain((1, 1, 1)), visible=[False]),
-        make_view([0], [(0, 0)], plain((2, 2, 2))),
-    ]
-    colors, camera_index = colour_points(1, views, [0, 1])
-    assert (colors.tolist(), camera_index.tolist()) == ([[2, 2, 2]], [1])
-
-
 def test_many_views_agree_with_a_choice_made_point_by_point():
-    random = np.random.default_rng(1)
-    views = []
+    random, views, indices = np.random.default_rng(1), [], (5, 0, 254)
     for size in ((4, 6), (9, 5), (1, 1)):
         ids = np.sort(random.permutation(50)[:35])
         pixels = random.uniform(-0.5, np.array(size[::-1]) - 0.5, (35, 2))
-        rgb = random.integers(0, 255, (*size, 3), np.uint8)
-        views.append(make_view(ids, pixels, rgb, random.random(35) < 0.8))
-    colors, camera_index = colour_points(50, views, [5, 0, 254])
+        views.append(make_view(ids, pixels, random.integers(0, 255, (*size, 3), np.uint8), random.random(35) < 0.8))
+    colors, camera_index = colour_points(50, views, indices)
     for k in range(50):
         best, expected = math.inf, ([255] * 3, 255)
-        for view, index in zip(views, (5, 0, 254), strict=True):
+        for view, index in zip(views, indices, strict=True):
             for i in np.flatnonzero((view.point_ids == k) & view.visible):
                 (u, v), (height, width) = view.pixels[i].tolist(), view.rgb.shape[:2]
                 off = math.hypot(u - (width - 1) / 2, v - (height - 1) / 2) / math.hypot(width, height)

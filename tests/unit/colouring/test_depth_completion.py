@@ -11,39 +11,17 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring.depth_completion import (
-    METHODS,
-    MOST_EXTENT,
-    blend_neighbours,
-    complete_depth,
-    fill_across,
-    fill_down,
-    fill_triangles,
-    grade_depths,
-    hilbert_codes,
-    link_pixels,
-    look_up,
-    measure_slopes,
-    measure_triangles,
-    smooth_downward,
-    smooth_rightward,
-    triangles_between,
-    triangulate,
-    widen_samples,
-)
+from sceneloom.colouring import depth_completion as completion
+from sceneloom.colouring.depth_completion import METHODS, complete_depth
 from sceneloom.errors import ArrayError, OptionError
 
 CAMERA = Camera("pinhole", 160, 120, 120.0, 120.0, 79.5, 59.5)
 
 
-def directions(camera=CAMERA):
-    row, column = np.mgrid[: camera.height, : camera.width]
-    return (column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy
-
-
 def plane(normal, distance, camera=CAMERA):
     """Depth of the plane normal · p = distance in each pixel, 0 where the pixel does not see it."""
-    x, y = directions(camera)
+    row, column = np.mgrid[: camera.height, : camera.width]
+    x, y = (column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy
     inverse = (normal[0] * x + normal[1] * y + normal[2]) / distance
     return np.where(inverse > 0, 1 / np.maximum(inverse, 1e-9), 0).astype(np.float32)
 
@@ -72,68 +50,50 @@ SLANTED = {
 
 
 @pytest.mark.parametrize("name", SLANTED)
-def test_quality_gives_back_a_slanted_plane_between_its_samples_exactly(name):
+@pytest.mark.parametrize(
+    # Quality gives it back but for the seven digits of float32, over inverse depths of a few per mille. For fast,
+    # samples stand for two columns, and five pixels are averaged: a plane as steep as these bends by a few per cent.
+    ("method", "margin", "most"),
+    [("quality", 0, 2e-4), ("fast", 3, 0.08)],
+)
+def test_a_slanted_plane_comes_back_between_its_samples(name, method, margin, most):
     truth = plane(*SLANTED[name])
     truth[truth > 60] = 0
     sparse = scanned(truth)
-    dense = complete_depth(sparse, CAMERA)
-    inner = between_samples(sparse, 0) & (truth > 0) & (truth < 30)
-    assert inner.sum() > 5000
-    # seven digits of float32, over inverse depths of a few per mille
-    np.testing.assert_allclose(dense.depths[inner], truth[inner], rtol=2e-4)
-
-
-@pytest.mark.parametrize("name", SLANTED)
-def test_fast_comes_near_to_a_slanted_plane(name):
-    truth = plane(*SLANTED[name])
-    truth[truth > 60] = 0
-    sparse = scanned(truth)
-    dense = complete_depth(sparse, CAMERA, method="fast")
-    inner = between_samples(sparse, 3) & (truth > 0) & (truth < 30)
-    # samples stand for two columns, and five pixels are averaged: a plane as steep as these bends by a few per cent
-    assert np.abs(dense.depths[inner] / truth[inner] - 1).max() < 0.08
+    inner = between_samples(sparse, margin) & (truth > 0) & (truth < 30)
+    assert inner.sum() > 4000
+    dense = complete_depth(sparse, CAMERA, method=method)
+    np.testing.assert_allclose(dense.depths[inner], truth[inner], rtol=most)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_no_points_give_no_depths(method):
-    dense = complete_depth(np.zeros((120, 160), np.float32), CAMERA, method=method)
+def test_no_points_give_no_depths_one_stays_one_and_what_is_no_depth_is_refused_with_its_location(method):
+    sparse = np.zeros((120, 160), np.float32)
+    dense = complete_depth(sparse, CAMERA, method=method)
     assert not dense.depths.any()
     assert not dense.confidence.any()
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_one_point_stays_one_point(method):
-    sparse = np.zeros((120, 160), np.float32)
-    sparse[40, 70] = 8.0
+    sparse[7, 9] = 8.0
     dense = complete_depth(sparse, CAMERA, method=method)
     np.testing.assert_array_equal(dense.depths, sparse)
     assert (dense.confidence > 0).sum() == 1
+    for value in (np.nan, np.inf, -1.0):
+        sparse[7, 9] = value
+        with pytest.raises(ArrayError, match=r"sparse\[7, 9\]"):
+            complete_depth(sparse, CAMERA, method=method)
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_depths_that_are_none_are_refused_with_their_location(method, value):
-    sparse = np.zeros((120, 160), np.float32)
-    sparse[7, 9] = value
-    with pytest.raises(ArrayError, match=r"sparse\[7, 9\]"):
-        complete_depth(sparse, CAMERA, method=method)
-
-
-def test_an_image_of_another_size_than_the_camera_is_refused():
-    with pytest.raises(ArrayError, match=r"rgb: \(120, 161, 3\)"):
-        complete_depth(np.zeros((120, 160), np.float32), CAMERA, np.zeros((120, 161, 3), np.uint8))
-    with pytest.raises(ArrayError, match=r"sparse: \(119, 160\)"):
-        complete_depth(np.zeros((119, 160), np.float32), CAMERA)
-
-
-def test_a_method_that_is_not_known_is_refused_with_those_that_are():
-    with pytest.raises(OptionError, match="fast, quality"):
-        complete_depth(np.zeros((120, 160), np.float32), CAMERA, method="best")
-
-
-def test_a_depth_image_without_its_camera_is_refused():
-    with pytest.raises(ArrayError, match="camera"):
-        complete_depth(np.zeros((120, 160), np.float32))
+@pytest.mark.parametrize(
+    ("height", "arguments", "options", "error", "message"),
+    [
+        (120, (CAMERA, np.zeros((120, 161, 3), np.uint8)), {}, ArrayError, r"rgb: \(120, 161, 3\)"),
+        (119, (CAMERA,), {}, ArrayError, r"sparse: \(119, 160\)"),
+        (120, (CAMERA,), {"method": "best"}, OptionError, "fast, quality"),
+        (120, (), {}, ArrayError, "camera"),
+    ],
+)
+def test_what_does_not_fit_is_refused(height, arguments, options, error, message):
+    with pytest.raises(error, match=message):
+        complete_depth(np.zeros((height, 160), np.float32), *arguments, **options)
 
 
 def two_walls(edge=80, near=6.0, far=20.0):
@@ -145,25 +105,17 @@ def two_walls(edge=80, near=6.0, far=20.0):
     return truth, rgb
 
 
-def test_quality_puts_a_jump_where_the_image_has_its_edge():
+def test_quality_puts_a_jump_where_the_image_has_its_edge_and_without_between_the_samples():
     truth, rgb = two_walls()
     # samples eight columns apart leave the position of the edge open: they end 4 px before it and begin 4 px behind it
     sparse = scanned(truth, slice(5, None, 10), slice(4, None, 8))
-    dense = complete_depth(sparse, CAMERA, rgb)
-    rows = slice(10, 110)
-    half = (6.0 + 20.0) / 2
-    jumps = np.argmax(dense.depths[rows] > half, axis=1)
+    guided, alone = (complete_depth(sparse, CAMERA, image).depths[10:110] for image in (rgb, None))
+    jumps, between = (np.argmax(depths > (6.0 + 20.0) / 2, axis=1) for depths in (guided, alone))
     assert np.abs(jumps - 80).max() <= 1
+    assert ((between > 76) & (between <= 84)).all()
     # beyond three pixels nothing of the other wall is left but what no edge of an image is believed for
-    assert np.abs(dense.depths[rows, 60:76] - 6).max() < 0.02
-    assert np.abs(dense.depths[rows, 85:100] - 20).max() < 0.02
-
-
-def test_quality_without_an_image_puts_the_jump_between_the_samples():
-    truth, _ = two_walls()
-    dense = complete_depth(scanned(truth, slice(5, None, 10), slice(4, None, 8)), CAMERA)
-    jumps = np.argmax(dense.depths[10:110] > 13.0, axis=1)
-    assert ((jumps > 76) & (jumps <= 84)).all()
+    assert np.abs(guided[:, 60:76] - 6).max() < 0.02
+    assert np.abs(guided[:, 85:100] - 20).max() < 0.02
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -218,7 +170,7 @@ def joined(near, to_near, other, to_other):
 def test_samples_are_widened_to_the_nearer_one_within_their_row(slack):
     sparse = sparse_image(slack)
     widened = np.empty_like(sparse)
-    widen_samples(sparse, slack, widened)
+    completion.widen_samples(sparse, slack, widened)
     for row in range(SHAPE[0]):
         known = np.flatnonzero(sparse[row])
         for column in range(SHAPE[1]):
@@ -234,8 +186,8 @@ def test_samples_are_widened_to_the_nearer_one_within_their_row(slack):
 def test_columns_are_filled_between_samples_and_a_little_beyond(seed):
     sparse, longest, reach = sparse_image(seed), 12.0, 3.0
     above, distances, depths, trusts, spreads, gaps = (np.empty_like(sparse) for _ in range(6))
-    look_up(sparse, above, distances)
-    fill_down(sparse, above, distances, longest, reach, STEEPEST, depths, trusts, spreads, gaps)
+    completion.look_up(sparse, above, distances)
+    completion.fill_down(sparse, above, distances, longest, reach, STEEPEST, depths, trusts, spreads, gaps)
     for column in range(SHAPE[1]):
         known = np.flatnonzero(sparse[:, column])
         for row in range(SHAPE[0]):
@@ -259,23 +211,16 @@ def test_rows_are_filled_where_that_is_the_shorter_way():
     depths, trusts, spreads, gaps = (np.zeros_like(sparse) for _ in range(4))
     depths[5, 6], gaps[5, 6] = 7, 4
     depths[5, 7], gaps[5, 7] = 7, 30
-    fill_across(sparse, 8.0, STEEPEST, depths, trusts, spreads, gaps)
-    expected = {
-        4: joined(10, 1, 20, 5),
-        5: joined(10, 2, 20, 4),
-        6: 7,
-        7: joined(10, 4, 20, 2),
-        8: joined(10, 5, 20, 1),
-    }
-    for column, depth in expected.items():
-        assert depths[5, column] == pytest.approx(depth, rel=1e-5)
+    completion.fill_across(sparse, 8.0, STEEPEST, depths, trusts, spreads, gaps)
+    between = [joined(10, k, 20, 6 - k) for k in range(1, 6)]
+    assert depths[5, 4:9].tolist() == pytest.approx([*between[:2], 7, *between[3:]], rel=1e-5)
     assert np.count_nonzero(depths) == 5
 
 
 def test_filled_pixels_are_blended_with_filled_ones_only():
     image = sparse_image(7, share=0.6)
     blended = np.empty_like(image)
-    blend_neighbours(image, np.empty((2, image.size), np.float32), blended)
+    completion.blend_neighbours(image, np.empty((2, image.size), np.float32), blended)
     kernel = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1])
     for row in range(2, SHAPE[0] - 2):
         for column in range(2, SHAPE[1] - 2):
@@ -292,25 +237,32 @@ MESH_SHAPE = (50, 70)
 def mesh():
     random = np.random.default_rng(4)
     pixels = random.uniform([-5, -5], [75, 55], (60, 2)).astype(np.float32)
-    depths = random.uniform(4, 30, 60).astype(np.float32)
     triangulation = Delaunay(pixels.astype(float))
-    return pixels, depths, triangulation, triangulation.simplices.astype(np.int32)
+    return pixels, random.uniform(4, 30, 60).astype(np.float32), triangulation, triangulation.simplices.astype(np.int32)
+
+
+def filled(pixels, depths, triangles, trusts, *, slopes=None, lengths=None, images=None):
+    """The images that `fill_triangles` writes, from empty ones."""
+    count = len(triangles)
+    images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)] if images is None else images
+    slopes = np.zeros_like(pixels) if slopes is None else slopes
+    lengths = np.ones(count, np.float32) if lengths is None else lengths
+    completion.fill_triangles(pixels, depths, slopes, triangles, np.ones(count, bool), trusts, lengths, *images)
+    return images
 
 
 @pytest.mark.parametrize("trust", [1.0, 0.0, 0.3])
 def test_pixels_are_filled_as_scipy_interpolates(mesh, trust):
     pixels, depths, triangulation, triangles = mesh
     count = len(triangles)
-    images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)]
-    trusts = np.full(count, trust, np.float32)
     # without slopes, what corners report one another is missed by all there is
-    slopes, lengths = np.zeros_like(pixels), np.full(count, 9, np.float32)
-    fill_triangles(pixels, depths, slopes, triangles, np.ones(count, bool), trusts, lengths, *images)
+    trusts, lengths = np.full(count, trust, np.float32), np.full(count, 9, np.float32)
+    images = filled(pixels, depths, triangles, trusts, lengths=lengths)
     rows, columns = np.mgrid[: MESH_SHAPE[0], : MESH_SHAPE[1]]
     surface = 1 / LinearNDInterpolator(triangulation, 1 / depths.astype(float))(columns, rows)
     between = LinearNDInterpolator(triangulation, depths.astype(float))(columns, rows)
-    at = triangulation.find_simplex(np.stack([columns, rows], axis=-1).astype(float))
-    even = np.minimum(1, depths[triangles[at]].max(-1) / depths[triangles[at]].min(-1) - 1)
+    at = depths[triangles[triangulation.find_simplex(np.stack([columns, rows], axis=-1).astype(float))]]
+    even = np.minimum(1, at.max(-1) / at.min(-1) - 1)
     expected = trust * ((1 - even) * surface + even * between) + (1 - trust) * between
     inside = np.isfinite(expected)
     off = np.abs(images[0][inside] / expected[inside] - 1)
@@ -318,19 +270,31 @@ def test_pixels_are_filled_as_scipy_interpolates(mesh, trust):
     assert np.quantile(off, 0.99) < 1e-5
     assert off.max() < 0.02
     assert (images[3][inside] == 9).all()
-    lone = ~inside & (images[0] > 0)
-    assert lone.sum() <= 0.002 * inside.sum()  # a ten-thousandth of a triangle beside the hull
+    # a ten-thousandth of a triangle beside the hull
+    assert (~inside & (images[0] > 0)).sum() <= 0.002 * inside.sum()
 
 
 def test_across_jumps_what_the_image_reported_stays(mesh):
     pixels, depths, _, triangles = mesh
     images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)]
     images[0][20:30] = 5.0
-    count = len(triangles)
-    none, ones = np.zeros(count, np.float32), np.ones(count, np.float32)
-    slopes = np.zeros_like(pixels)
-    fill_triangles(pixels, depths, slopes, triangles, np.ones(count, bool), none, ones, *images)
+    filled(pixels, depths, triangles, np.zeros(len(triangles), np.float32), images=images)
     np.testing.assert_array_equal(images[0][20:30], 5.0)
+
+
+def test_what_bends_evenly_comes_out_as_it_is(mesh):
+    pixels, _, triangulation, triangles = mesh
+    inverse, slopes = bent(pixels)
+    depths, ones = (1 / inverse).astype(np.float32), np.ones(len(triangles), np.float32)
+    depth_image = filled(pixels, depths, triangles, ones, slopes=slopes.astype(np.float32))[0]
+    rows, columns = np.nonzero(depth_image)
+    locations = np.stack([columns, rows], axis=1)
+    reported, straight = bent(locations)[0], LinearNDInterpolator(triangulation, inverse)(locations)
+    known = np.isfinite(straight)
+    off = np.abs(1 / depth_image[rows, columns] - reported)[known]
+    # float32 reports 1e-8 of 0.06; where a location leaves the range of its corners, and where depth is taken as linear
+    assert np.median(off) < 2e-8
+    assert np.median(off) < 0.1 * np.median(np.abs(straight - reported)[known])
 
 
 def bent(pixels):
@@ -340,45 +304,27 @@ def bent(pixels):
     return inverse, np.stack([1e-5 + 8e-8 * u - 3e-8 * v, 2e-5 - 3e-8 * u + 1e-7 * v], axis=1)
 
 
-def test_what_bends_evenly_comes_out_as_it_is(mesh):
-    pixels, _, triangulation, triangles = mesh
-    inverse, slopes = bent(pixels)
-    images, ones = ([np.zeros(MESH_SHAPE, np.float32) for _ in range(4)], np.ones(len(triangles), np.float32))
-    depths = (1 / inverse).astype(np.float32)
-    fill_triangles(pixels, depths, slopes.astype(np.float32), triangles, ones.astype(bool), ones, ones, *images)
-    rows, columns = np.nonzero(images[0])
-    locations = np.stack([columns, rows], axis=1)
-    reported, straight = bent(locations)[0], LinearNDInterpolator(triangulation, inverse)(locations)
-    known = np.isfinite(straight)
-    off = np.abs(1 / images[0][rows, columns] - reported)[known]
-    # float32 reports 1e-8 of 0.06; where a location leaves the range of its corners, and where depth is taken as linear
-    assert np.median(off) < 2e-8
-    assert np.median(off) < 0.1 * np.median(np.abs(straight - reported)[known])
-
-
 def test_slopes_of_a_plane_are_its_own_at_every_corner_and_jumps_report_none(mesh):
     pixels, _, _, triangles = mesh
     inverse = (0.1 + 1e-4 * pixels[:, 0] - 3e-4 * pixels[:, 1]).astype(np.float32)
     slopes, room = np.empty_like(pixels), np.empty(len(pixels), np.float32)
-    measure_slopes(pixels, inverse, triangles, np.ones(len(triangles), np.float32), slopes, room)
+    completion.measure_slopes(pixels, inverse, triangles, np.ones(len(triangles), np.float32), slopes, room)
     # differences of float32 numbers of a tenth over a pixel
     np.testing.assert_allclose(slopes, np.broadcast_to([1e-4, -3e-4], slopes.shape), atol=2e-6)
-    measure_slopes(pixels, inverse, triangles, np.zeros(len(triangles), np.float32), slopes, room)
+    completion.measure_slopes(pixels, inverse, triangles, np.zeros(len(triangles), np.float32), slopes, room)
     assert not slopes.any()
 
 
 def test_triangles_are_measured(mesh):
     pixels, depths, _, triangles = mesh
     measures = np.empty((len(triangles), 3), np.float32)
-    measure_triangles(pixels, 1 / depths, triangles, measures)
+    completion.measure_triangles(pixels, 1 / depths, triangles, measures)
     for triangle, (area, longest, slope) in zip(triangles, measures, strict=True):
         a, b, c = pixels[triangle].astype(float)
         assert area == pytest.approx(abs(np.linalg.det([b - a, c - a])) / 2, rel=1e-3, abs=1e-3)
-        assert longest == pytest.approx(
-            max(np.linalg.norm(a - b), np.linalg.norm(b - c), np.linalg.norm(c - a)), rel=1e-5
-        )
+        assert longest == pytest.approx(np.linalg.norm([a - b, b - c, c - a], axis=1).max(), rel=1e-5)
         y = 1 / depths[triangle].astype(float)
-        gradient = np.linalg.solve([b - a, c - a], [y[1] - y[0], y[2] - y[0]])
+        gradient = np.linalg.solve([b - a, c - a], y[1:] - y[0])
         assert slope == pytest.approx(np.linalg.norm(gradient), rel=1e-2)  # differences of float32
 
 
@@ -403,10 +349,10 @@ def test_rows_and_columns_are_smoothed_by_least_squares(strength):
     links[:, -1] = 0
     expected = [solved_along_rows(image, links, strength) for image in (first, second)]
     down = [np.ascontiguousarray(image.T) for image in (first, second)]
-    smooth_rightward(links, strength, first, second)
+    completion.smooth_rightward(links, strength, first, second)
     # float32, and systems whose condition grows with the strength
     np.testing.assert_allclose([first, second], expected, atol=2e-5)
-    smooth_downward(np.ascontiguousarray(links.T), strength, *down, np.empty(LINKED_SHAPE[::-1], np.float32))
+    completion.smooth_downward(np.ascontiguousarray(links.T), strength, *down, np.empty(LINKED_SHAPE[::-1], np.float32))
     np.testing.assert_allclose([image.T for image in down], expected, atol=2e-5)
 
 
@@ -415,7 +361,7 @@ def test_links_follow_the_sum_of_the_differences_of_the_channels():
     rgb = random.integers(0, 256, (*LINKED_SHAPE, 3), dtype=np.uint8)
     table = np.linspace(1, 0, 766).astype(np.float32)
     rightward, downward = np.empty(LINKED_SHAPE, np.float32), np.empty(LINKED_SHAPE, np.float32)
-    link_pixels(rgb, table, rightward, downward)
+    completion.link_pixels(rgb, table, rightward, downward)
     wide = rgb.astype(int)
     np.testing.assert_array_equal(rightward[:, :-1], table[np.abs(np.diff(wide, axis=1)).sum(axis=2)])
     np.testing.assert_array_equal(downward[:-1], table[np.abs(np.diff(wide, axis=0)).sum(axis=2)])
@@ -432,7 +378,9 @@ def test_each_pixel_gets_the_cell_of_its_doubt_and_its_gap():
     doubt_steps, gap_steps = np.array([0.5, 1.0], np.float32), np.array([0.1, 0.2, 0.25], np.float32)
     table = random.random((3, 4)).astype(np.float32)
     confidence = np.empty_like(depths)
-    grade_depths(depths, trusts, spreads, gaps, 3.0, 0.5, 0.05, 0.1, doubt_steps, gap_steps, table, confidence)
+    completion.grade_depths(
+        depths, trusts, spreads, gaps, 3.0, 0.5, 0.05, 0.1, doubt_steps, gap_steps, table, confidence
+    )
     for location in np.ndindex(depths.shape):
         doubt = (1 - 0.9 * trusts[location]) * spreads[location] / max(0.5, 0.05 * depths[location])
         cell = (doubt >= doubt_steps).sum(), (gaps[location] / 3 >= gap_steps).sum()
@@ -443,7 +391,7 @@ def triangulated(inner, extent=1000):
     corners = [[-extent, -extent], [2 * extent, -extent], [2 * extent, 2 * extent], [-extent, 2 * extent]]
     points = np.concatenate([np.array(corners, np.int64), np.asarray(inner, np.int64).reshape(-1, 2)])
     triangles = np.empty((2 * len(points), 3), np.int32)
-    count = triangulate(points, np.arange(4, len(points)), triangles)
+    count = completion.triangulate(points, np.arange(4, len(points)), triangles)
     return points, triangles[:count]
 
 
@@ -494,7 +442,7 @@ def test_no_circumcircle_holds_another_point_and_no_location_is_left_out(kind):
 
 
 def test_numbers_stay_exact_at_the_largest_extent():
-    side = MOST_EXTENT // 3
+    side = completion.MOST_EXTENT // 3
     random = np.random.default_rng(0)
     inner = np.concatenate([random.integers(0, side, (200, 2)), [[0, 0], [side, 0], [side, side], [0, side]]])
     points, triangles = triangulated(inner, side)
@@ -505,7 +453,7 @@ def test_the_curve_goes_through_every_location_once_in_single_steps():
     side = 32
     locations = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2).astype(np.int64)
     codes = np.empty(len(locations), np.int64)
-    hilbert_codes(locations, codes)
+    completion.hilbert_codes(locations, codes)
     assert len(set(codes.tolist())) == len(locations)
     steps = np.abs(np.diff(locations[np.argsort(codes)], axis=0)).sum(axis=1)
     assert (steps == 1).all()
@@ -513,5 +461,5 @@ def test_the_curve_goes_through_every_location_once_in_single_steps():
 
 def test_triangles_of_an_image_leave_out_what_lies_outside_the_hull():
     pixels = np.array([[10, 10], [50.5, 12], [30, 40.25]], np.float32)
-    np.testing.assert_array_equal(np.sort(triangles_between(pixels, 60, 80)), [[0, 1, 2]])
-    assert triangles_between(pixels[:2], 60, 80).shape == (0, 3)
+    np.testing.assert_array_equal(np.sort(completion.triangles_between(pixels, 60, 80)), [[0, 1, 2]])
+    assert completion.triangles_between(pixels[:2], 60, 80).shape == (0, 3)

@@ -1,7 +1,6 @@
 """Corners of boxes and the points inside them."""
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.geometry.boxes import EDGES, box_corners, points_in_box
@@ -12,13 +11,9 @@ NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 def test_corners_come_bottom_first_from_the_front_left_counter_clockwise():
     corners = box_corners((10, 20, 30), (4, 2, 1.5), NO_ROTATION)
     bottom = [(12, 21, 29.25), (8, 21, 29.25), (8, 19, 29.25), (12, 19, 29.25)]
-    assert np.allclose(corners[:4], bottom)
-    assert np.allclose(corners[4:], np.add(bottom, (0, 0, 1.5)))
-
-
-def test_a_box_rotated_left_has_its_front_on_the_left():
+    assert np.allclose(corners, [*bottom, *np.add(bottom, (0, 0, 1.5))])
     corners = box_corners((0, 0, 0), (4, 2, 1), Rotation.from_euler("z", 90, degrees=True).as_quat())
-    assert np.allclose(corners[[0, 3], 1], 2.0)  # the front corners lie 2 m to the left now
+    assert np.allclose(corners[[0, 3], 1], 2.0)  # rotated left, the front corners lie 2 m to the left
 
 
 def test_edges_join_neighbours_only():
@@ -51,14 +46,8 @@ def test_points_inside_are_those_between_all_six_faces():
     assert 50 < found.sum() < 1950
 
 
-def test_faces_belong_to_the_box_and_a_margin_widens_it():
-    points = [(2, 0, 0), (2.0001, 0, 0), (0, 0, -0.5), (2.1, 0, 0)]
-    assert points_in_box(points, (0, 0, 0), (4, 2, 1), NO_ROTATION).tolist() == [True, False, True, False]
-    assert points_in_box(points, (0, 0, 0), (4, 2, 1), NO_ROTATION, margin=0.05).tolist() == [True, True, True, False]
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_point_with_a_missing_coordinate_lies_in_no_box(axis):
-    point = np.zeros((1, 3))
-    point[0, axis] = np.nan
-    assert not points_in_box(point, (0, 0, 0), (4, 2, 1), NO_ROTATION).any()
+def test_faces_belong_to_the_box_a_margin_widens_it_and_missing_coordinates_lie_in_none():
+    points = [(2, 0, 0), (2.0001, 0, 0), (0, 0, -0.5), (2.1, 0, 0), (np.nan, 0, 0), (0, np.nan, 0), (0, 0, np.nan)]
+    for margin, inside in ((0.0, [True, False, True]), (0.05, [True, True, True])):
+        found = points_in_box(points, (0, 0, 0), (4, 2, 1), NO_ROTATION, margin=margin)
+        assert found.tolist() == [*inside, False, False, False, False]

@@ -18,19 +18,12 @@ def test_rotations_are_those_of_scipy_in_every_order(order):
     assert np.abs(rotation_from_cuboid_angles(angles, order=order) - expected).max() < ROUNDING
 
 
-def test_the_default_is_roll_times_pitch_times_yaw_in_degrees():
-    roll, pitch, yaw = 10.0, 20.0, 30.0
-    rx, ry, rz = (
-        Rotation.from_euler(a, v, degrees=True).as_matrix() for a, v in (("x", roll), ("y", pitch), ("z", yaw))
-    )
-    assert np.allclose(rotation_from_cuboid_angles((roll, pitch, yaw)), rx @ ry @ rz, atol=ROUNDING)
-
-
-def test_yaw_alone_means_the_same_in_every_order():
-    rotations = [rotation_from_cuboid_angles((0, 0, 0.7), unit="radians", order=order) for order in ORDERS]
-    assert all(
-        np.allclose(rotation, Rotation.from_euler("z", 0.7).as_matrix(), atol=ROUNDING) for rotation in rotations
-    )
+def test_the_default_is_roll_times_pitch_times_yaw_in_degrees_and_yaw_alone_the_same_in_every_order():
+    rx, ry, rz = (Rotation.from_euler(a, v, degrees=True).as_matrix() for a, v in (("x", 10), ("y", 20), ("z", 30)))
+    assert np.allclose(rotation_from_cuboid_angles((10.0, 20.0, 30.0)), rx @ ry @ rz, atol=ROUNDING)
+    for order in ORDERS:
+        found = rotation_from_cuboid_angles((0, 0, 0.7), unit="radians", order=order)
+        assert np.allclose(found, Rotation.from_euler("z", 0.7).as_matrix(), atol=ROUNDING)
 
 
 @pytest.mark.parametrize("unit", ["degrees", "radians"])
@@ -54,12 +47,16 @@ def test_near_a_quarter_rotation_of_the_middle_axis_the_rotation_still_comes_bac
     assert np.abs(rotation_from_cuboid_angles(found, unit="radians", order=order) - rotation).max() < ROUNDING
 
 
-def test_a_unit_that_nobody_knows_is_refused_with_those_known():
-    with pytest.raises(OptionError, match="'grad'; expected one of degrees, radians"):
-        rotation_from_cuboid_angles((0, 0, 0), unit="grad")
-
-
-@pytest.mark.parametrize("order", ["xyx", "XYZ", "", "rpy"])
-def test_an_order_that_nobody_knows_is_refused_with_those_known(order):
-    with pytest.raises(OptionError, match="expected one of xyz, xzy"):
-        cuboid_angles_from_rotation(np.eye(3), order=order)
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: rotation_from_cuboid_angles((0, 0, 0), unit="grad"), "'grad'; expected one of degrees, radians"),
+        *(
+            (lambda order=order: cuboid_angles_from_rotation(np.eye(3), order=order), "expected one of xyz, xzy")
+            for order in ("xyx", "XYZ", "", "rpy")
+        ),
+    ],
+)
+def test_a_unit_or_an_order_that_nobody_knows_is_refused_with_those_known(call, message):
+    with pytest.raises(OptionError, match=message):
+        call()

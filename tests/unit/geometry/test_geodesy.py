@@ -48,24 +48,22 @@ def test_locations_agree_with_the_ellipse_drawn_by_its_reduced_latitude():
 
 def test_locations_from_the_sea_floor_to_satellites_come_back():
     rng = np.random.default_rng(1)
-    lla = np.column_stack(
-        [rng.uniform(-90, 90, 3000), rng.uniform(-180, 180, 3000), rng.choice([-1e4, 0, 1e3, 1e5, 2e7], 3000)]
-    )
+    heights = rng.choice([-1e4, 0, 1e3, 1e5, 2e7], 3000)
+    lla = np.column_stack([rng.uniform(-90, 90, 3000), rng.uniform(-180, 180, 3000), heights])
     back = geodetic_from_ecef(ecef_from_geodetic(lla))
     assert np.abs(back[:, :2] - lla[:, :2]).max() < 1e-12 * 180  # rounding of angles in degrees
     assert np.abs(back[:, 2] - lla[:, 2]).max() < 2e-8  # float64 resolves 4e-9 m at a satellite's distance
-
-
-def test_near_the_poles_and_the_equator_heights_keep_their_digits():
+    # near the poles and the equator heights keep their digits
     lla = np.array([[lat, 12.0, 123.456] for lat in (90, -90, 89.9999999, -89.9999999, 0, 1e-9, -1e-9)])
     assert np.allclose(geodetic_from_ecef(ecef_from_geodetic(lla))[:, [0, 2]], lla[:, [0, 2]], rtol=0, atol=1e-8)
+    assert np.isnan(ecef_from_geodetic([10.0, 20.0, np.nan])).all()
 
 
 def test_east_north_and_up_point_where_they_state():
-    origin = (48.0, 11.0, 500.0)
-    north = enu_from_geodetic((48.001, 11.0, 500.0), origin)
-    east = enu_from_geodetic((48.0, 11.001, 500.0), origin)
-    up = enu_from_geodetic((48.0, 11.0, 600.0), origin)
+    east, north, up = (
+        enu_from_geodetic(lla, (48.0, 11.0, 500.0))
+        for lla in ((48.0, 11.001, 500.0), (48.001, 11.0, 500.0), (48.0, 11.0, 600.0))
+    )
     assert north[1] == pytest.approx(111.2, abs=0.1)  # metres of a thousandth of a degree of latitude
     assert east[0] == pytest.approx(111.32 * np.cos(np.radians(48)), abs=0.2)
     assert np.allclose(up, [0, 0, 100], atol=NANOMETRES)
@@ -78,7 +76,3 @@ def test_offsets_of_a_drive_come_back_to_their_locations():
     enu = np.random.default_rng(2).uniform(-2e4, 2e4, (500, 3))
     back = enu_from_geodetic(geodetic_from_enu(enu, origin), origin)
     assert np.abs(back - enu).max() < 2e-8  # rounding of degrees, 1e-14 of 6e6 m, and of coordinates
-
-
-def test_a_missing_height_gives_a_missing_location():
-    assert np.isnan(ecef_from_geodetic([10.0, 20.0, np.nan])).all()

@@ -113,7 +113,7 @@ def _see(
     found: list[tuple[int, int]] = []
 
     def project(_: int, a: int, b: int) -> None:
-        part = room.part(a, b)
+        part = PointsInImage._make(rows[a:b] for rows in room)
         found.append((a, kernel(points_world[a:b], camera_from_world, camera_model, camera.width, camera.height, part)))
 
     thread_pool.share(Phase(count, project))

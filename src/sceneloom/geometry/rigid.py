@@ -13,9 +13,7 @@ from numpy.typing import ArrayLike
 from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, UInt8Array, hold_arrays
 from sceneloom.errors import ArrayError, CalibrationError
 
-SILENT_ERROR = 1e-3
-
-GREATEST_ERROR = 1e-2
+SILENT_ERROR, GREATEST_ERROR = 1e-3, 1e-2
 """Errors of a rotation read from a file, max abs of R·Rᵀ - I: up to the first normalised in silence (the examples of
 the specifications are 2e-4 off), up to the second with a warning, beyond it refused."""
 
@@ -319,12 +317,16 @@ def _measure(rotation: Float64Array) -> tuple[float, float]:
     return error, a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
+def mounted_poses(
+    positions: Float64Array, quaternions_xyzw: Float64Array, mount: RigidTransform
+) -> tuple[Float64Array, Float64Array]:
+    """Give the poses, (N, 3) [m] and (N, 4), of what is mounted on a body that has the given ones."""
+    moved = rotate_vectors(quaternions_xyzw, mount.translation) + positions
+    return moved, multiply_quaternions(quaternions_xyzw, mount.quaternion_xyzw)
+
+
 _EARLIEST_NS, _LATEST_NS = np.iinfo(np.int64).min, np.iinfo(np.int64).max
-
-_ANY_REACH_NS = _LATEST_NS
-
 _LEVELS_AT_WORST_POSE = 32
-
 _INSIDE, EXTRAPOLATED, OUT_OF_REACH = 0, 1, 2
 """Values of `coverage`."""
 
@@ -372,8 +374,7 @@ def interpolate_poses(
     start, stop = positions[before], positions[after]
     locations = start + fraction[:, None] * (stop - start)
     rotations = slerp(quaternions_xyzw[before], quaternions_xyzw[after], fraction)
-    locations[coverage == OUT_OF_REACH] = np.nan
-    rotations[coverage == OUT_OF_REACH] = np.nan
+    locations[coverage == OUT_OF_REACH], rotations[coverage == OUT_OF_REACH] = np.nan, np.nan
     return locations, rotations, coverage
 
 
@@ -430,7 +431,7 @@ def thin_poses(
     level = 0
     while len(open_poses):
         knots_ns = np.union1d(required, timestamps_ns[kept])
-        locations, rotations, _ = interpolate_poses(timestamps_ns, positions, unit, knots_ns, reach_ns=_ANY_REACH_NS)
+        locations, rotations, _ = interpolate_poses(timestamps_ns, positions, unit, knots_ns, reach_ns=_LATEST_NS)
         times = timestamps_ns[open_poses]
         near, rotated, _ = interpolate_poses(knots_ns, locations, rotations, times)
         misfits = np.maximum(

@@ -8,13 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, hold_arrays
 from sceneloom.errors import ArrayError, PoseError
-from sceneloom.geometry.rigid import (
-    RigidTransform,
-    interpolate_poses,
-    multiply_quaternions,
-    normalise_quaternion,
-    rotate_vectors,
-)
+from sceneloom.geometry.rigid import RigidTransform, interpolate_poses, mounted_poses, normalise_quaternion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,11 +224,7 @@ class PoseSource:
     def at(self, timestamps_ns: Int64Array) -> PoseSamples:
         """Give `world_from_sensor` at each time, (M,) int64 [ns]."""
         body = self.path.interpolate(timestamps_ns, reach_ns=self.reach_ns)
-        return PoseSamples(
-            rotate_vectors(body.quaternions_xyzw, self.mount.translation) + body.positions,
-            multiply_quaternions(body.quaternions_xyzw, self.mount.quaternion_xyzw),
-            body.coverage,
-        )
+        return PoseSamples(*mounted_poses(body.positions, body.quaternions_xyzw, self.mount), body.coverage)
 
 
 def placed_along(

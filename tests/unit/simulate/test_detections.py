@@ -14,8 +14,7 @@ from sceneloom.errors import OptionError
 from sceneloom.geometry.boxes import points_in_box
 from sceneloom.scene import PointsFrame, ScoreForm
 from sceneloom.simulate import ClassSpec, Detector2dSpec, Detector3dSpec, MissSpec, ScoreSpec, detect_2d, detect_3d
-from sceneloom.simulate.camera import LineViews, projected_boxes
-from sceneloom.simulate.detections import FALSE, deal_out, draw_scores
+from sceneloom.simulate.detections import FALSE, _LineViews, _projected_boxes, deal_out, draw_scores
 from sceneloom.simulate.street import PackedShapes
 
 CAMERA_MODEL = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 95.5)
@@ -547,8 +546,8 @@ def drives():
 def test_the_box_of_an_object_beside_the_camera_reaches_the_border_and_stays_finite():
     ahead = np.array([[[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]])
     middle, size = np.array([[[1.0, 3.0, -1.0]]]), np.array([[8.0, 2.0, 2.0]])
-    views = LineViews(CAMERA_MODEL, False, ahead, np.zeros((1, 3)), middle, np.zeros((1, 1)), size)
-    (box,) = projected_boxes(views, np.array([[1.0, 2.0, 3.0, 4.0]]))
+    views = _LineViews(CAMERA_MODEL, False, ahead, np.zeros((1, 3)), middle, np.zeros((1, 1)), size)
+    (box,) = _projected_boxes(views, np.array([[1.0, 2.0, 3.0, 4.0]]))
     # Its far end is 5 m ahead and begins 2 m to the left; its top is on the camera's height.
     assert box == pytest.approx([0.0, 96.0, 159.5 - 190 * 2 / 5 + 0.5, 200.0])
 
@@ -596,10 +595,10 @@ def test_whole_boxes_of_a_rolling_shutter_are_what_all_its_lines_see_of_the_boxe
             # A corner can fall between two lines: half a pixel.
             np.testing.assert_allclose(found, expected, atol=0.6)
             # all lines at once, with the middle one, would give other boxes
-            views = LineViews.of(camera, 3, np.array([instance]))
+            views = _LineViews.of(camera, 3, np.array([instance]))
             middle = slice(len(views.origins) // 2, len(views.origins) // 2 + 1)
             names = ("rotations", "origins", "centers_world", "yaws")
             frozen = replace(views, **{name: getattr(views, name)[middle] for name in names})
-            still_px.append(np.abs(projected_boxes(frozen, found[None])[0] - expected).max())
+            still_px.append(np.abs(_projected_boxes(frozen, found[None])[0] - expected).max())
     assert len(still_px) >= 3
     assert max(still_px) > 1.0

@@ -35,30 +35,32 @@ def inside_one_by_one(points, locations, centers, rotations, halves):
     return inside
 
 
+def counted(points, locations, *boxes):
+    counts = np.zeros(boxes[0].shape[1], np.int64)
+    find_points_in_boxes(points, locations, *boxes, counts, np.zeros(0, np.int64))
+    return counts
+
+
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize(("seed", "spread"), [(0, 20.0), (1, 3.0), (2, 4000.0)])
 def test_counts_and_lists_are_those_of_every_pair(seed, spread, dtype):
-    points, centers, rotations, halves = a_crowd(seed, spread=spread, dtype=dtype)
-    expected = inside_one_by_one(points, np.zeros(len(points)), centers, rotations, halves)
-    counts = np.zeros(centers.shape[1], np.int64)
-    nothing = np.zeros(0, np.int64)
-    find_points_in_boxes(points, np.zeros(0), centers, rotations, halves, counts, nothing)
+    points, *boxes = a_crowd(seed, spread=spread, dtype=dtype)
+    expected = inside_one_by_one(points, np.zeros(len(points)), *boxes)
+    counts = counted(points, np.zeros(0), *boxes)
     np.testing.assert_array_equal(counts, expected.sum(axis=0))
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    starts = np.cumsum(counts) - counts
     listed, stops = np.full(max(1, counts.sum()), -1), starts.copy()
-    find_points_in_boxes(points, np.zeros(0), centers, rotations, halves, stops, listed)
+    find_points_in_boxes(points, np.zeros(0), *boxes, stops, listed)
     for b, (start, stop) in enumerate(zip(starts, stops, strict=True)):
         np.testing.assert_array_equal(listed[start:stop], np.flatnonzero(expected[:, b]))
 
 
 def test_boxes_that_move_are_met_where_they_are_when_a_point_is_measured():
-    points, centers, rotations, halves = a_crowd(3, knots=4, spread=8.0)
+    points, *boxes = a_crowd(3, knots=4, spread=8.0)
     locations = np.random.default_rng(4).uniform(0.0, 3.0, len(points))
-    expected = inside_one_by_one(points, locations, centers, rotations, halves)
-    counts = np.zeros(centers.shape[1], np.int64)
-    find_points_in_boxes(points, locations, centers, rotations, halves, counts, np.zeros(0, np.int64))
+    counts = counted(points, locations, *boxes)
     assert counts.sum() > 100
-    np.testing.assert_array_equal(counts, expected.sum(axis=0))
+    np.testing.assert_array_equal(counts, inside_one_by_one(points, locations, *boxes).sum(axis=0))
 
 
 @pytest.mark.parametrize(
@@ -70,9 +72,8 @@ def test_boxes_that_move_are_met_where_they_are_when_a_point_is_measured():
 )
 def test_points_on_faces_count_and_those_that_are_not_finite_do_not(points, expected):
     centers, halves = np.array([[[0.0, 0, 0], [1e7, -1e7, 0]]]), np.array([[[1.0, 1, 1], [0.0, 0, 0]]])
-    counts, rotations = np.zeros(2, np.int64), np.tile(np.eye(3), (1, 2, 1, 1))
-    find_points_in_boxes(np.array(points), np.zeros(0), centers, rotations, halves, counts, np.zeros(0, np.int64))
-    assert counts.tolist() == [expected, 0]
+    rotations = np.tile(np.eye(3), (1, 2, 1, 1))
+    assert counted(np.array(points), np.zeros(0), centers, rotations, halves).tolist() == [expected, 0]
 
 
 def test_points_whose_angle_to_an_axis_is_small_enough_are_chosen():
@@ -92,6 +93,5 @@ def test_points_whose_angle_to_an_axis_is_small_enough_are_chosen():
 
 
 def test_without_cones_or_points_there_are_none():
-    none = np.zeros((0, 3))
-    assert len(points_in_cones(np.ones((5, 3), np.float32), np.zeros(3), none, np.zeros(0))) == 0
-    assert len(points_in_cones(none.astype(np.float32), np.zeros(3), np.eye(3), np.full(3, 0.5))) == 0
+    for points, axes in ((np.ones((5, 3)), np.zeros((0, 3))), (np.zeros((0, 3)), np.eye(3))):
+        assert len(points_in_cones(points.astype(np.float32), np.zeros(3), axes, np.full(len(axes), 0.5))) == 0

@@ -88,7 +88,7 @@ def resampled(rgb, locations):
     return out[0], filled[0]
 
 
-def test_values_are_those_of_the_four_pixels_around():
+def test_values_are_those_of_the_four_pixels_around_and_centres_give_the_pixels_themselves():
     random = np.random.default_rng(0)
     rgb = random.integers(0, 256, (9, 13, 3), np.uint8)
     locations = np.float32(random.uniform((-0.5, -0.5), (12.49, 8.49), (500, 2)))
@@ -96,14 +96,8 @@ def test_values_are_those_of_the_four_pixels_around():
     expected = np.array([slow_value(rgb, float(u), float(v)) for u, v in locations])
     assert filled.all()
     assert np.abs(out - expected).max() <= 0.5 + 1e-3  # rounded to whole levels, blended in float32
-
-
-def test_centres_of_pixels_give_the_pixels_themselves():
-    rgb = np.random.default_rng(1).integers(0, 256, (5, 4, 3), np.uint8)
-    locations = np.stack(np.meshgrid(np.arange(4), np.arange(5)), axis=-1).astype(np.float32)
-    out, filled = np.zeros_like(rgb), np.empty((5, 4), bool)
-    resample_bilinear(rgb, locations, out, filled)
-    assert np.array_equal(out, rgb)
+    out, filled = resampled(rgb, np.stack(np.meshgrid(np.arange(13), np.arange(9)), axis=-1))
+    assert np.array_equal(out, rgb.reshape(-1, 3))
     assert filled.all()
 
 
@@ -115,14 +109,10 @@ def test_what_lies_outside_the_image_or_nowhere_is_left_as_it_was():
     assert (out == 7).all()
 
 
-def test_any_number_of_channels_goes():
+def test_any_number_of_channels_goes_and_an_image_of_one_pixel_is_that_pixel_everywhere():
     for channels in (1, 4):
         rgb = np.random.default_rng(2).integers(0, 256, (3, 3, channels), np.uint8)
-        out, _ = resampled(rgb, [(1.0, 2.0)])
-        assert np.array_equal(out[0], rgb[2, 1])
-
-
-def test_an_image_of_one_pixel_is_that_pixel_everywhere():
+        assert np.array_equal(resampled(rgb, [(1.0, 2.0)])[0][0], rgb[2, 1])
     out, filled = resampled(np.full((1, 1, 3), 90, np.uint8), [(-0.4, 0.4), (0, 0), (0.49, -0.5)])
     assert filled.all()
     assert (out == 90).all()

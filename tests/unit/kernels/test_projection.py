@@ -16,21 +16,13 @@ def pixel_of(u, v, width, height):
     return min(math.floor(v + 0.5), height - 1), min(math.floor(u + 0.5), width - 1)
 
 
-def drawn_one_by_one(pixels, depths, visible, width, height):
-    image = np.zeros((height, width), np.float32)
-    for (u, v), depth, seen in zip(pixels, depths, visible, strict=True):
-        location = pixel_of(float(u), float(v), width, height)
+def drawn_one_by_one(pixels, depths, visible):
+    image = np.zeros((HEIGHT, WIDTH), np.float32)
+    for (u, v), depth, seen in zip(pixels.tolist(), depths, visible, strict=True):
+        location = pixel_of(u, v, WIDTH, HEIGHT)
         if seen and location is not None and 0 < depth < math.inf and (image[location] == 0 or depth < image[location]):
             image[location] = depth
     return image
-
-
-def nearest_one_by_one(pixels, depths, image):
-    locations = [pixel_of(float(u), float(v), image.shape[1], image.shape[0]) for u, v in pixels]
-    return [
-        location is not None and bool(depth <= max(image[location], 0))
-        for location, depth in zip(locations, depths, strict=True)
-    ]
 
 
 def numbered(pixels, size=(WIDTH, HEIGHT)):
@@ -49,27 +41,29 @@ def random_points(count, seed):
 
 
 @pytest.mark.parametrize("count", [0, 1, 40, 512, 1300])
-def test_each_pixel_holds_the_least_depth_of_the_visible_points_in_it(count):
+def test_each_pixel_holds_the_least_depth_of_its_visible_points_and_a_point_is_nearest_if_it_holds_nothing_less(count):
     pixels, depths, visible = random_points(count, seed=count)
-    image = np.zeros((HEIGHT, WIDTH), np.float32)
+    image, nearest = np.zeros((HEIGHT, WIDTH), np.float32), np.zeros(count, bool)
     draw_depths(numbered(pixels), depths, visible, image)
-    np.testing.assert_array_equal(image, drawn_one_by_one(pixels, depths, visible, WIDTH, HEIGHT))
+    np.testing.assert_array_equal(image, drawn_one_by_one(pixels, depths, visible))
+    image = drawn_one_by_one(pixels, depths, np.ones(count, bool))
+    mark_nearest(numbered(pixels), depths, image, nearest)
+    locations = [pixel_of(u, v, WIDTH, HEIGHT) for u, v in pixels.tolist()]
+    assert nearest.tolist() == [
+        location is not None and bool(depth <= max(image[location], 0))
+        for location, depth in zip(locations, depths, strict=True)
+    ]
 
 
-def test_points_are_added_to_what_the_image_holds():
+def test_points_are_added_to_what_the_image_holds_and_one_pixel_takes_the_nearest():
     image = np.zeros((HEIGHT, WIDTH), np.float32)
     for depth in (3, 2, 4):
         draw_depths(numbered([[1, 2]]), np.array([depth], np.float32), np.ones(1, bool), image)
     assert image[2, 1] == 2
-
-
-@pytest.mark.parametrize("count", [0, 1, 40, 512, 1300])
-def test_a_point_is_nearest_if_its_pixel_holds_nothing_less(count):
-    pixels, depths, _ = random_points(count, seed=count + 1)
-    image = drawn_one_by_one(pixels, depths, np.ones(count, bool), WIDTH, HEIGHT)
-    nearest = np.zeros(count, bool)
-    mark_nearest(numbered(pixels), depths, image, nearest)
-    assert nearest.tolist() == nearest_one_by_one(pixels, depths, image)
+    image = np.zeros((1, 1), np.float32)
+    numbers = numbered([[0, 0], [0.5, 0.5], [-0.5, 0], [0.6, 0]], (1, 1))
+    draw_depths(numbers, np.array([3, 2, 4, 1], np.float32), np.ones(4, bool), image)
+    assert image[0, 0] == 2
 
 
 @pytest.mark.parametrize(
@@ -86,13 +80,6 @@ def test_points_on_borders_fall_into_the_pixel_after_the_border_and_never_beyond
     image = np.zeros((HEIGHT, WIDTH), np.float32)
     draw_depths(numbered([[u, v]]), np.ones(1, np.float32), np.ones(1, bool), image)
     assert np.argwhere(image).tolist() == [list(location)]
-
-
-def test_an_image_of_one_pixel_takes_the_nearest_point():
-    image = np.zeros((1, 1), np.float32)
-    numbers = numbered([[0, 0], [0.5, 0.5], [-0.5, 0], [0.6, 0]], (1, 1))
-    draw_depths(numbers, np.array([3, 2, 4, 1], np.float32), np.ones(4, bool), image)
-    assert image[0, 0] == 2
 
 
 ROTATION = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -128,28 +115,24 @@ def test_directions_are_lamberts_map_of_the_sphere():
     np.testing.assert_allclose(inverse_ranges, inverse, rtol=1e-6)
 
 
-def test_more_points_than_one_block_are_all_mapped():
-    points = np.random.default_rng(1).normal(size=(1025, 3))
+def test_more_points_than_one_block_are_all_mapped_and_only_those_asked_for_in_that_order():
+    points, some = np.random.default_rng(1).normal(size=(1025, 3)), [1024, 0, 511, 512, 1023]
     directions, _ = mapped(points)
-    alone = np.column_stack([mapped(points, [i])[0] for i in (0, 511, 512, 1023, 1024)])
-    np.testing.assert_array_equal(directions[:, [0, 511, 512, 1023, 1024]], alone)
+    np.testing.assert_array_equal(directions[:, some], np.column_stack([mapped(points, [i])[0] for i in some]))
+    np.testing.assert_array_equal(directions[:, some], mapped(points, some)[0])
 
 
-def test_only_the_points_asked_for_are_mapped_and_in_that_order():
-    points = np.random.default_rng(2).normal(size=(9, 3))
-    np.testing.assert_array_equal(mapped(points, [5, 2])[0], mapped(points)[0][:, [5, 2]])
-
-
-@pytest.mark.parametrize("point", [(math.nan, 0, 0), (0, math.inf, 0), (-1.1, 0.3, -0.2), (1e200, 0, 0)], ids=str)
-def test_a_point_without_direction_has_inverse_range_zero(point):
-    directions, inverse_ranges = mapped([point])
+@pytest.mark.parametrize(
+    ("point", "number"),
+    [
+        *((point, 0) for point in ((math.nan, 0, 0), (0, math.inf, 0), (-1.1, 0.3, -0.2), (1e200, 0, 0))),
+        *(((5, 0, 0), missing) for missing in (-1, 1, 2**62, -(2**63))),
+    ],
+)
+def test_a_point_without_direction_or_that_does_not_exist_has_inverse_range_zero(point, number):
+    directions, inverse_ranges = mapped([point], [number])
     assert directions.tolist() == [[0], [0]]
     assert inverse_ranges.tolist() == [0]
-
-
-@pytest.mark.parametrize("missing", [-1, 1, 2**62, -(2**63)])
-def test_a_point_that_does_not_exist_has_inverse_range_zero(missing):
-    assert mapped([(5, 0, 0)], [missing])[1].tolist() == [0]
 
 
 def test_a_point_straight_behind_the_camera_stays_inside_the_map():

@@ -20,19 +20,13 @@ def moved(points, seconds, rotation, position, yaw_rate, velocity):
     return position + seconds[:, None] * velocity + bend + arms, arms
 
 
-def random_sweep(count=200):
-    generator = np.random.default_rng(1)
-    return generator.uniform(-30, 30, (count, 3)), generator.uniform(-0.05, 0.05, count)
-
-
 def test_points_move_with_the_rotating_ego():
-    points, seconds = random_sweep()
+    generator = np.random.default_rng(1)
+    points, seconds = generator.uniform(-30, 30, (200, 3)), generator.uniform(-0.05, 0.05, 200)
     rotation, position = Rotation.from_rotvec([0.1, 0.2, -0.5]).as_matrix(), np.array([5.0, -3.0, 1.0])
-    world, arms = np.empty_like(points), np.empty_like(points)
-    move_points(points, seconds, rotation, position, YAW_RATE, VELOCITY, world, arms)
-    expected = moved(points, seconds, rotation, position, YAW_RATE, VELOCITY)
-    np.testing.assert_allclose(world, expected[0], atol=1e-9)
-    np.testing.assert_allclose(arms, expected[1], atol=1e-9)
+    found = np.empty_like(points), np.empty_like(points)
+    move_points(points, seconds, rotation, position, YAW_RATE, VELOCITY, *found)
+    np.testing.assert_allclose(found, moved(points, seconds, rotation, position, YAW_RATE, VELOCITY), atol=1e-9)
 
 
 def equations(local_map, points, seconds, change, scale):
@@ -45,31 +39,26 @@ def equations(local_map, points, seconds, change, scale):
     return information, gradient, sums
 
 
-def test_the_gradient_is_that_of_half_the_squared_error():
+def on_ground(noise, z):
+    """A map of level ground, and points above it."""
     generator = np.random.default_rng(2)
-    ground = np.column_stack([generator.uniform(-30, 30, (60_000, 2)), generator.normal(-1.0, 0.01, 60_000)])
     local_map = LocalMap(1.0, 0.02)
-    local_map.insert(ground)
-    points = np.column_stack([generator.uniform(-20, 20, (300, 2)), np.full(300, -0.99)])
-    seconds = np.zeros(300)
-    scale = 1e6  # every weight is that of where the surface lies, so that the error is a sum of squares
-    _, gradient, _ = equations(local_map, points, seconds, np.zeros(12), scale)
-    step = 1e-6
+    local_map.insert(np.column_stack([generator.uniform(-30, 30, (60_000, 2)), generator.normal(-1.0, noise, 60_000)]))
+    return local_map, np.column_stack([generator.uniform(-20, 20, (300, 2)), np.full(300, z)]), np.zeros(300)
+
+
+def test_the_gradient_is_that_of_half_the_squared_error():
+    cloud, scale, step = on_ground(0.01, -0.99), 1e6, 1e-6
+    # every weight is that of where the surface lies, so that the error is a sum of squares
+    _, gradient, _ = equations(*cloud, np.zeros(12), scale)
     for axis in (0, 1, 5):  # roll, pitch and height: what a level ground reports
-        change = np.zeros(12)
-        change[axis] = step
-        ahead, behind = (equations(local_map, points, seconds, sign * change, scale)[2][2] for sign in (1, -1))
+        change = step * (np.arange(12) == axis)
+        ahead, behind = (equations(*cloud, sign * change, scale)[2][2] for sign in (1, -1))
         assert np.isclose(gradient[0, axis], (ahead - behind) / (4 * step), rtol=0.02)
 
 
 def test_level_ground_states_nothing_about_the_trajectory_along_it():
-    generator = np.random.default_rng(2)
-    ground = np.column_stack([generator.uniform(-30, 30, (60_000, 2)), np.full(60_000, -1.0)])
-    local_map = LocalMap(1.0, 0.02)
-    local_map.insert(ground)
-    points, seconds = generator.uniform(-20, 20, (300, 3)), np.zeros(300)
-    points[:, 2] = -1.0
-    information, _, sums = equations(local_map, points, seconds, np.zeros(12), 3.0)
+    information, _, sums = equations(*on_ground(0.0, -1.0), np.zeros(12), 3.0)
     assert sums[0] == 300
     assert np.abs(information[0][3:5, 3:5]).max() < 1e-9 * information[0][5, 5]
     assert abs(information[0][2, 2]) < 1e-9 * information[0][0, 0]
@@ -114,17 +103,13 @@ def test_a_flat_cube_informs_across_its_plane_alone_by_the_spread_there():
     np.testing.assert_allclose(square(level.surfaces[0, 9:]), along, atol=1e-6)
 
 
-def test_a_level_scan_line_informs_about_nothing_and_a_pole_about_both_of_its_sides():
-    heights = np.linspace(0.05, 1.95, 12)
-    pole = np.column_stack([np.full(12, 1.0), np.full(12, 1.0), heights])
-    assert (level_of(pole[:, [2, 0, 1]]).surfaces[0, 3:9] == 0.0).all()
+def test_a_level_scan_line_or_few_points_inform_about_nothing_and_a_pole_about_both_of_its_sides():
+    pole = np.column_stack([np.full(12, 1.0), np.full(12, 1.0), np.linspace(0.05, 1.95, 12)])
+    for points in (pole[:, [2, 0, 1]], tilted_patch(np.array([0.0, 0.0, 1.0]), count=4)):
+        assert (level_of(points).surfaces[0, 3:9] == 0.0).all()
     information = square(level_of(pole).surfaces[0, 3:9])
     np.testing.assert_allclose(np.diag(information)[:2], 1 / NOISE**2, rtol=1e-6)
     assert abs(information[2, 2]) < 1e-6
-
-
-def test_a_cube_with_few_points_informs_about_nothing():
-    assert (level_of(tilted_patch(np.array([0.0, 0.0, 1.0]), count=4)).surfaces[0, 3:9] == 0.0).all()
 
 
 def test_a_full_part_of_a_cube_stays_as_it_was_measured_first():

@@ -19,60 +19,31 @@ def covariances(random, count):
 def space(count=5, others=7):
     random = np.random.default_rng(0)
     locations, seen = random.normal(size=(count, 3)) * 2.0, random.normal(size=(others, 3)) * 2.0
-    codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1]])
-    seen_codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1], [4, -1], [0, 0]])
+    codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1], [4, -1], [0, 0]])
     doubts, density = -random.random(others), np.log(random.uniform(1e-4, 1e-2, count))
-    return (
-        locations,
-        covariances(random, count),
-        codes,
-        density,
-        seen,
-        covariances(random, others),
-        seen_codes,
-        doubts,
-    )
+    ours = locations, covariances(random, count), codes[:count], density
+    return ours, (seen, covariances(random, others), codes, doubts)
 
 
-def as_table(rows, columns, gains, shape=(5, 7)):
-    """Gains of all pairs, -inf where there are none."""
-    table = np.full(shape, -np.inf)
-    table[rows, columns] = gains
-    return table
-
-
-def test_gains_in_space_are_those_of_the_formula():
-    locations, spreads, codes, density, seen, seen_spreads, seen_codes, doubts = space()
-    found = as_table(
-        *gains_in_space(
-            locations, spreads, codes, density, seen, seen_spreads, seen_codes, doubts, LEAST, FREEDOM, MOST
-        )
-    )
-    for i in range(5):
-        for j in range(7):
-            same = codes[i, 0] == seen_codes[j, 0] or -1 in (codes[i, 0], seen_codes[j, 0])
-            family = codes[i, 1] == seen_codes[j, 1] != -1
-            if not (same or family):
+def test_gains_in_space_are_those_of_the_formula_and_what_is_hopelessly_far_is_no_pair():
+    ours, theirs = space()
+    found = np.full((5, 7), -np.inf)
+    rows, columns, gains = gains_in_space(*ours, *theirs, LEAST, FREEDOM, MOST)
+    found[rows, columns] = gains
+    for i, (location, covariance, (name, family), density) in enumerate(zip(*ours, strict=True)):
+        for j, (where, other_covariance, (other, its_family), doubt) in enumerate(zip(*theirs, strict=True)):
+            if not (name == other or -1 in (name, other) or family == its_family != -1):
                 assert found[i, j] == -np.inf
                 continue
-            spread = spreads[i] + seen_spreads[j] + LEAST * np.eye(3)
-            apart = seen[j] - locations[i]
+            spread, apart = covariance + other_covariance + LEAST * np.eye(3), where - location
             square = apart @ np.linalg.inv(spread) @ apart
-            far = (FREEDOM + 3) * np.log(1.0 + square / FREEDOM)
-            reported = found[i, j]
             ground = -0.5 * np.log(np.linalg.det(2.0 * np.pi * spread[:2, :2]))
-            expected = ground - far / 2.0 - density[i] + doubts[j]
+            expected = ground - (FREEDOM + 3) * np.log(1.0 + square / FREEDOM) / 2.0 - density + doubt
             # what images cannot make up for need not be reported
-            assert reported == pytest.approx(expected, rel=1e-9) or (reported == -np.inf and expected < -MOST)
+            assert found[i, j] == pytest.approx(expected, rel=1e-9) or (found[i, j] == -np.inf and expected < -MOST)
     assert np.isfinite(found).sum() > 8
-
-
-def test_what_is_hopelessly_far_is_no_pair():
-    locations, spreads, codes, density, seen, seen_spreads, seen_codes, doubts = space()
-    found = gains_in_space(
-        locations, spreads, codes, density, seen + 1e3, seen_spreads, seen_codes, doubts, LEAST, FREEDOM, MOST
-    )
-    assert [len(column) for column in found] == [0, 0, 0]
+    far = gains_in_space(*ours, theirs[0] + 1e3, *theirs[1:], LEAST, FREEDOM, MOST)
+    assert [len(column) for column in far] == [0, 0, 0]
 
 
 def test_boxes_in_images_speak_for_and_against():

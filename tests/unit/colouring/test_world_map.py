@@ -9,18 +9,15 @@ from sceneloom.errors import OptionError
 VOXEL = 0.25
 
 
-def drive(count: int = 6000, sweeps: int = 8) -> list[np.ndarray]:
+def drive(count=6000, sweeps=8):
     """Sweeps of points over several tiles, on either side of the origin."""
-    random = np.random.default_rng(2)
-    found = []
+    random, found = np.random.default_rng(2), []
     for k in range(sweeps):
         points = empty_points(count)
         points["position"] = random.uniform(-1, 1, (count, 3)) * [150, 150, 3] + [20 * k, 0, 0]
-        points["weight"] = random.uniform(0.1, 1, count)
+        points["weight"], points["time_ns"] = random.uniform(0.1, 1, count), k
         points["color"] = 100 + random.integers(0, 20, (count, 3))
-        points["intensity"] = random.integers(0, 255, count)
-        points["label"] = random.integers(0, 3, count)
-        points["time_ns"] = k
+        points["intensity"], points["label"] = random.integers(0, 255, count), random.integers(0, 3, count)
         found.append(points)
     return found
 
@@ -65,36 +62,32 @@ def test_each_cube_gives_one_point_with_the_means_of_its_points(tmp_path, most_c
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_map_does_not_depend_on_what_rests_on_the_disk(tmp_path):
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    little = gathered(drive(), tmp_path / "a", most_cells=5_000)
-    much = gathered(drive(), tmp_path / "b")
-    assert little.tobytes() == much.tobytes()
-
-
-def test_tiles_rest_on_the_disk_while_others_are_added(tmp_path):
+def test_tiles_rest_on_the_disk_while_others_are_added_and_the_map_does_not_depend_on_that(tmp_path):
+    (tmp_path / "much").mkdir()
     world = WorldMap(VOXEL, tmp_path, most_cells=5_000)
     for points in drive():
         world.add(points)
     assert sum(tile.size for tile in world._tiles.values()) <= 5_000
-    assert len(list(tmp_path.iterdir())) > 4
+    assert len(list(tmp_path.iterdir())) > 5
+    little = np.concatenate(list(world.points()))
+    assert little.tobytes() == gathered(drive(), tmp_path / "much").tobytes()
 
 
-def test_best_takes_the_colour_that_is_trusted_most(tmp_path):
+@pytest.mark.parametrize(
+    ("weights", "reds", "mean", "expected"),
+    [
+        ([0.2, 0.9, 0.5], [10, 20, 30], False, 20),
+        ([0.9, 0.8, 0.5], [200, 20, 190], True, (0.9 * 200 + 0.5 * 190) / 1.4),  # one that disagrees makes no ghost
+    ],
+)
+def test_best_takes_the_colour_that_is_trusted_most_and_the_mean_those_that_agree_with_it(
+    tmp_path, weights, reds, mean, expected
+):
     points = empty_points(3)
     points["position"] = 0.1
-    points["weight"], points["color"][:, 0] = [0.2, 0.9, 0.5], [10, 20, 30]
-    (point,) = gathered([points[:2], points[2:]], tmp_path, mean=False)
-    assert point["color"][0] == 20
-
-
-def test_colours_that_disagree_with_the_best_one_make_no_ghost(tmp_path):
-    points = empty_points(3)
-    points["position"] = 0.1
-    points["weight"], points["color"] = [0.9, 0.8, 0.5], np.array([[200], [20], [190]])
-    (point,) = gathered([points], tmp_path)
-    np.testing.assert_allclose(point["color"], (0.9 * 200 + 0.5 * 190) / 1.4, rtol=1e-5)
+    points["weight"], points["color"] = weights, np.array(reds)[:, None]
+    (point,) = gathered([points[:2], points[2:]], tmp_path, mean=mean)
+    np.testing.assert_allclose(point["color"], expected, rtol=1e-5)
 
 
 def test_uncoloured_points_stay_white_and_do_not_dim_the_coloured_ones(tmp_path):

@@ -5,21 +5,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sceneloom import simulate as sim
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project
 from sceneloom.errors import OptionError
-from sceneloom.simulate import (
-    CameraSpec,
-    Faults,
-    LidarSpec,
-    PointTimes,
-    RadarSpec,
-    SensorFaults,
-    TrafficSpec,
-    camera_mount,
-    inject,
-    simulate_street,
-)
+from sceneloom.simulate import Faults, SensorFaults, inject
 
 SWEEP_NS = 100_000_000
 START_NS = 1_000_000_000
@@ -29,8 +19,8 @@ CAMERA_MODEL = Camera("pinhole", 160, 120, 150.0, 150.0, 79.5, 59.5)
 @pytest.fixture(scope="module")
 def right():
     """A drive of twelve sweeps without faults."""
-    lidar = LidarSpec(beams=8, steps=120, range_sigma=0.0, drop_rate=0.0)
-    return simulate_street(4, frames=12, lidar=lidar, cameras=(CameraSpec(CAMERA_MODEL, camera_mount()),))
+    lidar = sim.LidarSpec(beams=8, steps=120, range_sigma=0.0, drop_rate=0.0)
+    return sim.simulate_street(4, frames=12, lidar=lidar, cameras=(sim.CameraSpec(CAMERA_MODEL, sim.camera_mount()),))
 
 
 def injected(drive, sensor_id, *, seed=0, **wrong):
@@ -193,13 +183,13 @@ def test_swapped_sweeps_come_out_of_order_with_their_own_timestamps(right):
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        (PointTimes.MISSING, lambda times, timestamp: None),
-        (PointTimes.ZERO, lambda times, timestamp: 0 * times),
-        (PointTimes.FRAME, lambda times, timestamp: 0 * times + timestamp),
-        (PointTimes.RELATIVE, lambda times, timestamp: times - timestamp),
-        (PointTimes.MICROSECONDS, lambda times, timestamp: times // 1000),
-        (PointTimes.RELATIVE_MICROSECONDS, lambda times, timestamp: (times - timestamp) // 1000),
-        (PointTimes.STRETCHED, lambda times, timestamp: timestamp + 1000 * (times - timestamp)),
+        (sim.PointTimes.MISSING, lambda times, timestamp: None),
+        (sim.PointTimes.ZERO, lambda times, timestamp: 0 * times),
+        (sim.PointTimes.FRAME, lambda times, timestamp: 0 * times + timestamp),
+        (sim.PointTimes.RELATIVE, lambda times, timestamp: times - timestamp),
+        (sim.PointTimes.MICROSECONDS, lambda times, timestamp: times // 1000),
+        (sim.PointTimes.RELATIVE_MICROSECONDS, lambda times, timestamp: (times - timestamp) // 1000),
+        (sim.PointTimes.STRETCHED, lambda times, timestamp: timestamp + 1000 * (times - timestamp)),
     ],
 )
 def test_point_times_are_wrong_as_asked_for(right, kind, expected):
@@ -209,17 +199,22 @@ def test_point_times_are_wrong_as_asked_for(right, kind, expected):
     np.testing.assert_array_equal(given.points.timestamps_ns, expected(true.points.timestamps_ns, true.timestamp_ns))
 
 
-def test_intensities_are_scaled_and_stay_within_a_byte(right):
-    given = injected(right, "lidar", intensity_scale=3.3).scene.lidars[0].frames[0].points.intensities
-    true = right.scene.lidars[0].frames[0].points.intensities
+def test_intensities_are_scaled_within_a_byte_and_a_stated_camera_model_is_longer_for_the_same_image(right):
+    drive = injected(right, "lidar", intensity_scale=3.3)
+    given, true = (one.scene.lidars[0].frames[0].points.intensities for one in (drive, right))
     assert (true > 80).any()
     np.testing.assert_array_equal(given, [min(255, round(3.3 * int(value))) for value in true])
+    camera, exact = injected(right, "camera0", focal_scale=1.02).scene.cameras[0], right.scene.cameras[0]
+    assert (camera.camera.fx, camera.camera.fy) == pytest.approx((153.0, 153.0))
+    assert camera.images[0].camera == camera.camera
+    assert camera.mount is exact.mount
+    np.testing.assert_array_equal(camera.images[0].rgb, exact.images[0].rgb)
 
 
 def test_a_radar_and_a_second_lidar_can_be_wrong_as_well():
-    small, blind = LidarSpec(beams=4, steps=60), (START_NS + 2 * SWEEP_NS, START_NS + 3 * SWEEP_NS)
-    right = simulate_street(
-        4, frames=4, lidars=(small, small), cameras=(), radars=(RadarSpec(),), traffic=TrafficSpec()
+    small, blind = sim.LidarSpec(beams=4, steps=60), (START_NS + 2 * SWEEP_NS, START_NS + 3 * SWEEP_NS)
+    right = sim.simulate_street(
+        4, frames=4, lidars=(small, small), cameras=(), radars=(sim.RadarSpec(),), traffic=sim.TrafficSpec()
     )
     wrong = SensorFaults(rotation_deg=(0.0, 0.0, -3.0), lost_frames=(1,), time_offset_ns=11, blind=(blind,))
     drive = inject(right, Faults({"radar0": wrong, "lidar1": wrong}))
@@ -237,19 +232,10 @@ def test_a_radar_and_a_second_lidar_can_be_wrong_as_well():
     assert drive.scene.sensor("lidar0").frames is right.scene.sensor("lidar0").frames
 
 
-def test_the_stated_camera_model_is_longer_and_the_image_the_same(right):
-    drive = injected(right, "camera0", focal_scale=1.02)
-    camera = drive.scene.cameras[0]
-    assert (camera.camera.fx, camera.camera.fy) == pytest.approx((153.0, 153.0))
-    assert camera.images[0].camera == camera.camera
-    assert camera.mount is right.scene.cameras[0].mount
-    np.testing.assert_array_equal(camera.images[0].rgb, right.scene.cameras[0].images[0].rgb)
-
-
 def test_faults_can_be_given_with_the_drive_and_do_not_depend_on_the_order_of_reading(right):
     faults = Faults({"lidar": SensorFaults(lost_share=0.4, time_offset_ns=5, blind=((0, START_NS + SWEEP_NS),))})
-    lidar = LidarSpec(beams=8, steps=120, range_sigma=0.0, drop_rate=0.0)
-    drive = simulate_street(4, frames=12, lidar=lidar, cameras=(), faults=faults)
+    lidar = sim.LidarSpec(beams=8, steps=120, range_sigma=0.0, drop_rate=0.0)
+    drive = sim.simulate_street(4, frames=12, lidar=lidar, cameras=(), faults=faults)
     same = inject(right, faults)
     assert drive.faults is faults
     frames, others = drive.scene.lidars[0].frames, same.scene.lidars[0].frames
@@ -273,7 +259,7 @@ def test_faulty_sensors_go_to_another_process(right):
     [
         ("lidar7", {}, "no sensor 'lidar7'; it has 'lidar', 'camera0', 'imu', 'gnss'"),
         ("lidar", {"focal_scale": 1.1}, "focal_scale; a sensor of type lidar can have"),
-        ("camera0", {"point_times": PointTimes.ZERO}, "point_times; a sensor of type camera can have"),
+        ("camera0", {"point_times": sim.PointTimes.ZERO}, "point_times; a sensor of type camera can have"),
         ("camera0", {"intensity_scale": 2.0}, "intensity_scale"),
         ("imu", {"shift": (0.0, 0.0, 1.0)}, "shift; a sensor of type imu can have"),
         ("gnss", {"blind": ((0, 1),)}, "blind"),

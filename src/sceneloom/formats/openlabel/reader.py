@@ -4,13 +4,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NoReturn
 
 import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.errors import DataError, SceneloomError
+from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.poses import lengths_of
@@ -19,11 +20,15 @@ from sceneloom.formats.base.text_tables import FARTHEST_NS, UNITS_NS, TimestampE
 from sceneloom.formats.openlabel.document import (
     ABSOLUTE,
     CONFIRMED,
+    FISHEYE,
     INTERPOLATED,
     KEPT,
     KEPT_WHOLE,
     KIND,
+    OPENCV_COUNTS,
+    OPENCV_ORDER,
     OURS,
+    OURS_CAMERA,
     PLAIN,
     RBBOX,
     RELATIVE,
@@ -33,8 +38,6 @@ from sceneloom.formats.openlabel.document import (
     SeenBoxes,
     restored,
 )
-from sceneloom.formats.openlabel.streams import read_streams
-from sceneloom.formats.openlabel.systems import Systems
 from sceneloom.geometry.rigid import (
     RigidTransform,
     matrix_from_quaternion,
@@ -59,6 +62,9 @@ from sceneloom.scene.annotations import (
 )
 from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import NO_FIELDS, Identifier
@@ -201,7 +207,59 @@ def _quaternion_from_euler(part: Part, angles: list[float], sequence: str = _DEF
     return quaternion_from_matrix(rotation)
 
 
-def _read_systems(document: Part, times: _FrameTimes, ledger: Ledger) -> Systems:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Systems:
+    """Coordinate systems, each with the one that it is placed in.
+
+    Attributes:
+        edges: by name: the name of the next one towards the root, and `next_from_this` over time.
+        names: of all systems.
+        sensors: those that are sensors'.
+    """
+
+    edges: dict[str, tuple[str, Poses]]
+    names: frozenset[str]
+    sensors: frozenset[str] = frozenset()
+
+    def chain(self, name: str) -> list[str]:
+        """The systems from one to its root, both included."""
+        found = [name]
+        while found[-1] in self.edges and self.edges[found[-1]][0] not in found:
+            found.append(self.edges[found[-1]][0])
+        return found
+
+    @property
+    def ego(self) -> str | None:
+        """The moving system that is nearest to its root, and no sensor's; None where nothing moves."""
+        moving = [name for name, (_, path) in self.edges.items() if not path.static and name not in self.sensors]
+        return min(moving, key=lambda name: (len(self.chain(name)), name), default=None)
+
+    def path_to(self, name: str, goal: str) -> Poses | None:
+        """`goal_from_name` over time, at the times of all poses between; None where one does not lead to the other."""
+        chain = self.chain(name)
+        if goal not in chain:
+            return None
+        paths = [self.edges[one][1] for one in chain[: chain.index(goal)]]
+        moving = [path.timestamps_ns for path in paths if not path.static]
+        times = np.unique(np.concatenate(moving)) if moving else np.zeros(1, np.int64)
+        positions, quaternions = self._composed(paths, times)
+        return Poses(times, positions, quaternions, static=not moving)
+
+    def root_from(self, name: str, times: Int64Array) -> tuple[Float64Array, Float64Array]:
+        """`root_from_name` at some times: positions (N, 3) and quaternions (N, 4), scalar last."""
+        return self._composed([self.edges[one][1] for one in self.chain(name)[:-1]], times)
+
+    def _composed(self, paths: list[Poses], times: Int64Array) -> tuple[Float64Array, Float64Array]:
+        positions = np.zeros((len(times), 3))
+        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
+        for path in paths:
+            poses = path.held(times)
+            positions = rotate_vectors(poses.quaternions_xyzw, positions) + poses.positions
+            quaternions = multiply_quaternions(poses.quaternions_xyzw, quaternions)
+        return positions, quaternions
+
+
+def _read_systems(document: Part, times: _FrameTimes, ledger: Ledger) -> _Systems:
     """Read the coordinate systems and the transforms of all frames.
 
     Raises:
@@ -232,7 +290,7 @@ def _read_systems(document: Part, times: _FrameTimes, ledger: Ledger) -> Systems
             part = document.need("coordinate_systems").need(name)
             part.note(ledger, WarningKind.ASSUMED, "coordinate-system-unplaced", message)
     names = frozenset({*parents, *(goal for goal, _ in edges.values())})
-    return Systems(edges, names, frozenset(name for name, _ in document.each("streams")))
+    return _Systems(edges, names, frozenset(name for name, _ in document.each("streams")))
 
 
 def _poses(by_time: dict[int, RigidTransform], *, static: bool = False) -> Poses:
@@ -243,6 +301,136 @@ def _poses(by_time: dict[int, RigidTransform], *, static: bool = False) -> Poses
         np.stack([by_time[time_ns].quaternion_xyzw for time_ns in times]),
         static=static,
     )
+
+
+_KNOWN_TYPES = ("camera", "lidar", "radar", "gps_imu", "other")
+
+
+def _read_streams(document: Part, systems: _Systems, ledger: Ledger) -> dict[str, Sensor]:
+    """Read all streams by their names, placed by the coordinate systems of these names.
+
+    Raises:
+        DataError: one is wrong.
+    """
+    found = {name: _sensor(name, stream, systems, ledger) for name, stream in document.each("streams")}
+    if found:
+        message = "OpenLABEL names sensors and holds what is stated for their frames, but not the frames"
+        document.need("streams").note(ledger, WarningKind.SKIPPED, "frames-elsewhere", message, count=len(found))
+    return found
+
+
+def _sensor(name: str, stream: Part, systems: _Systems, ledger: Ledger) -> Sensor:
+    kind = "other" if stream.get("type") is None else stream.need("type").text()
+    if kind not in _KNOWN_TYPES:
+        raise stream.need("type").fault(f"one of {', '.join(_KNOWN_TYPES)}")
+    properties = stream.below("stream_properties")
+    ours = properties.members().get(OURS)
+    ours = ours if isinstance(ours, dict) else {}
+    sensor_id: Identifier = ours["id"] if isinstance(ours.get("id"), int | str) else name
+    extras = {key: value for key, value in stream.members().items() if key not in {"type", "stream_properties"}}
+    rest = {key: value for key, value in properties.members().items() if key not in {OURS, "intrinsics_pinhole"}}
+    if kind != "camera" and rest:
+        extras["stream_properties"] = rest
+    further, placed = MappingProxyType(extras), _placed(name, systems)
+    frames = LazyFrames[Any](np.zeros(0, np.int64), _no_frame)
+    stated = ours.get("type")
+    if kind == "camera":
+        camera = _read_camera(properties)
+        if camera is not None:
+            return CameraSensor(sensor_id, camera, frames, extras=further, **placed)
+        message = "its camera model is missing or unknown; the stream is kept as it is"
+        stream.note(ledger, WarningKind.SKIPPED, "camera-model-not-read", message)
+    else:
+        match stated if stated in ("lidar", "radar", "imu", "gnss") else kind:
+            case "lidar":
+                return LidarSensor(sensor_id, frames, extras=further, **placed)
+            case "radar":
+                return RadarSensor(sensor_id, frames, extras=further, **placed)
+            case "imu":
+                return ImuSensor(sensor_id, {}, extras=further)
+            case "gnss" | "gps_imu":
+                no_times, none, mount = np.zeros(0, np.int64), np.zeros(0), placed.get("mount")
+                return GnssSensor(sensor_id, no_times, np.zeros((0, 3)), none, none, mount=mount, extras=further)
+    return PlainSensor(sensor_id, f"openlabel_{kind}", MappingProxyType(dict(stream.members())))
+
+
+def _no_frame(number: int) -> NoReturn:
+    raise OptionError(f"frame {number}: an OpenLABEL file holds no frames of sensors")
+
+
+def _placed(name: str, systems: _Systems) -> dict[str, Any]:
+    """The poses of a sensor in the root, and its mounting on the ego where there is one."""
+    if name not in systems.names:
+        return {}
+    chain, ego = systems.chain(name), systems.ego
+    if ego is None and len(chain) > 1:
+        # nothing moves: the root may be the vehicle as well as the world
+        ego = chain[-1]
+    found: dict[str, Any] = {} if len(chain) == 1 else {"poses": systems.path_to(name, chain[-1])}
+    mount = None if ego is None or ego == name else systems.path_to(name, ego)
+    if mount is not None and mount.static:
+        found["mount"] = RigidTransform.from_quaternion(mount.positions[0], mount.quaternions_xyzw[0])
+    return found
+
+
+def _read_camera(properties: Part) -> Camera | None:
+    """The camera model of a stream: ours, else that of the format; None where it is missing or unknown."""
+    ours = properties.get(OURS)
+    camera = None if ours is None else ours.get("camera_model")
+    if camera is not None:
+        model = camera.need("model").text()
+        if model not in MODELS:
+            raise camera.need("model").fault(f"one of {', '.join(MODELS)}")
+        size = [_pixels(camera, name) for name in ("width", "height")]
+        numbers = [camera.need(name).number() for name in OURS_CAMERA[3:]]
+        return _built(camera, model, *size, *numbers, tuple(camera.need("coefficients").numbers()))
+    pinhole, fisheye = properties.get("intrinsics_pinhole"), properties.get("intrinsics_fisheye")
+    if pinhole is not None:
+        return _pinhole(pinhole)
+    return None if fisheye is None else _fisheye(fisheye)
+
+
+def _pinhole(part: Part) -> Camera:
+    matrix = part.get("camera_matrix_3x4") or part.get("camera_matrix")
+    if matrix is None:
+        raise DataError(part.file, f"{part.location}.camera_matrix_3x4", "missing")
+    (fx, skew, cx, *_), (_, fy, cy, *_), _ = np.reshape(matrix.numbers(12, 9), (3, -1)).tolist()
+    if abs(skew) > 1e-9 * abs(fx):
+        raise matrix.fault("a camera matrix without skew")
+    listed = part.get("distortion_coeffs_1xN") or part.get("distortion_coeffs")
+    coefficients = [] if listed is None else listed.numbers(*OPENCV_COUNTS)
+    values = (_pixels(part, "width_px"), _pixels(part, "height_px"), fx, fy, cx, cy)
+    if not any(coefficients):
+        return _built(part, "pinhole", *values)
+    named = dict(zip(OPENCV_ORDER, coefficients, strict=False))
+    ordered = np.array([named.get(name, 0.0) for name in MODELS["brown_conrady"].coefficient_names])
+    count = max([5, *(np.flatnonzero(ordered) + 1).tolist()])
+    return _built(part, "brown_conrady", *values, tuple(ordered[:count].tolist()))
+
+
+def _fisheye(part: Part) -> Camera | None:
+    numbers = {field: found for name, field in FISHEYE.items() if (found := part.get(name)) is not None}
+    listed = part.get("camera_model_coeffs_1xN") or part.get("camera_model_coeffs_1x4")
+    model = part.get("model")
+    if listed is None or len(numbers) < len(FISHEYE) or (model is not None and model.text() != "opencv_fisheye"):
+        return None
+    size = [_pixels(part, "width_px"), _pixels(part, "height_px")]
+    values = [numbers[name].number() for name in OURS_CAMERA[3:]]
+    return _built(part, "fisheye", *size, *values, tuple(listed.numbers(4)))
+
+
+def _pixels(part: Part, name: str) -> int:
+    found = part.need(name)
+    if not isinstance(found.value, int) or not 0 < found.value < 1 << 20:
+        raise found.fault("a number of pixels")
+    return found.value
+
+
+def _built(part: Part, *values: Any) -> Camera:
+    try:
+        return Camera(*values)
+    except (SceneloomError, TypeError) as error:
+        raise DataError(part.file, part.location, str(error)) from error
 
 
 _ELEMENTS = {"objects": "object", "actions": "action", "events": "event", "contexts": "context"}
@@ -353,8 +541,8 @@ class _Reader:
         ours = metadata.below(OURS)
         self.ours = ours if isinstance(ours.value, dict) else Part(ours.file, ours.location, {})
         self.times: _FrameTimes = _read_frame_times(document, ledger, rate_hz)
-        self.systems: Systems = _read_systems(document, self.times, ledger)
-        self.sensors: dict[str, Sensor] = read_streams(document, self.systems, ledger)
+        self.systems: _Systems = _read_systems(document, self.times, ledger)
+        self.sensors: dict[str, Sensor] = _read_streams(document, self.systems, ledger)
 
     def scene(self) -> Scene:
         elements = self._elements()
@@ -690,7 +878,7 @@ class _Rows:
     parts: tuple[Part, ...]
     timestamps_ns: Int64Array
     system: str | None
-    systems: Systems
+    systems: _Systems
 
     def numbers(self, *counts: int) -> list[list[float]]:
         return [part.need("val").numbers(*counts) for part in self.parts]

@@ -1,6 +1,7 @@
 """Write a scene as an OpenLABEL file."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from uuid import NAMESPACE_URL, uuid5
@@ -8,19 +9,24 @@ from uuid import NAMESPACE_URL, uuid5
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.formats.base.loss_list import Losses
-from sceneloom.formats.base.losses import LossReport, field_losses
+from sceneloom.formats.base.losses import Loss, LossReport, Support, field_losses
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.openlabel.document import (
     ABSOLUTE,
     CONFIRMED,
     EGO,
+    FISHEYE,
     INTERPOLATED,
     KEPT,
     KIND,
+    OPENCV_COUNTS,
+    OPENCV_ORDER,
     OURS,
+    OURS_CAMERA,
     PLAIN,
     RBBOX,
     SCHEMA_VERSION,
@@ -32,7 +38,7 @@ from sceneloom.formats.openlabel.document import (
     record_fields,
 )
 from sceneloom.formats.openlabel.spec import SUPPORTS
-from sceneloom.formats.openlabel.streams import Streams
+from sceneloom.geometry.rigid import RigidTransform, angle_between
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,
@@ -52,6 +58,11 @@ from sceneloom.scene.annotations import (
     locations_of,
 )
 from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame, cuboid_poses
+from sceneloom.scene.cameras import CameraSensor, mounts_of_shots
+from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.ego import check_one_ego
+from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
+from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor, frame_times
 from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 
@@ -93,7 +104,7 @@ class _Writer:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.streams = Streams.of(scene)
+        self.streams = _Streams.of(scene)
         self.losses = Losses(field_losses(scene, SUPPORTS))
         self.times = _frame_times(scene)
         self.heads: dict[str, dict[str, dict[str, Any]]] = {"object": {}, "event": {}}
@@ -591,3 +602,232 @@ def _kind(value: Any, attribute: AttributePath) -> str | None:
         kind = attribute.extras.get(TYPE)
         return kind if isinstance(kind, str) else None
     return next((kind for kind, holds in PLAIN.items() if holds(value)), None)
+
+
+# sensors as streams
+
+_STREAM_TYPES: Mapping[type[Any], str] = {
+    CameraSensor: "camera",
+    LidarSensor: "lidar",
+    RadarSensor: "radar",
+    ImuSensor: "gps_imu",
+    GnssSensor: "gps_imu",
+}
+
+_FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
+
+_EXACT_M, _EXACT_DEG = 1e-6, 1e-4
+"""Poses this near to the exact ones count as exact."""
+
+_WITHIN = 0.5
+"""A frame of a sensor belongs to the file's nearest frame within this share of the sensor's median interval."""
+
+
+def _camera_properties(camera: Camera) -> dict[str, Any]:
+    """A camera model in the words of the format where it has some, and in ours, which state it exactly."""
+    ours = {name: getattr(camera, name) for name in OURS_CAMERA}
+    named = dict(zip(MODELS[camera.model].coefficient_names, camera.coefficients, strict=False))
+    size = {"width_px": camera.width, "height_px": camera.height}
+    # OpenCV has no model with distortion whose centre of distortion is shifted
+    unshifted = not (named.get("lx") or named.get("ly"))
+    if camera.model == "fisheye":
+        kind, found = (
+            "fisheye",
+            {
+                **{name: getattr(camera, field) for name, field in FISHEYE.items()},
+                "camera_model_coeffs_1xN": [named.get(name, 0.0) for name in _FISHEYE_COEFFICIENTS],
+                "model": "opencv_fisheye",
+            },
+        )
+    elif camera.model == "pinhole" or (camera.model == "brown_conrady" and unshifted):
+        coefficients = [named.get(name, 0.0) for name in OPENCV_ORDER]
+        count = next(count for count in OPENCV_COUNTS[2:] if not any(coefficients[count:]))
+        matrix = [camera.fx, 0.0, camera.cx, 0.0, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+        kind, found = "pinhole", {"camera_matrix_3x4": matrix, "distortion_coeffs_1xN": coefficients[:count]}
+    else:
+        kind, found = "custom", {**ours, **named}
+    return {
+        OURS: {"camera_model": {**ours, "coefficients": list(camera.coefficients)}},
+        f"intrinsics_{kind}": {**size, **found},
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Streams:
+    """The sensors of a scene that a file names.
+
+    Attributes:
+        names: of the streams, by the ids of sensors.
+        sensors: by the names.
+        trajectory: `world_from_ego`, or None.
+        placed: by the names, the coordinate system that each is placed in, and its pose there, None where it moves.
+    """
+
+    names: Mapping[Identifier, str]
+    sensors: Mapping[str, Sensor]
+    trajectory: Poses | None
+    placed: Mapping[str, tuple[str, RigidTransform | None]]
+
+    @classmethod
+    def of(cls, scene: Scene) -> "_Streams":
+        """Name the sensors of a scene; those of types that streams do not have are left out.
+
+        Raises:
+            PoseError: sensors in ego coordinates refer to another trajectory than the one that is written.
+        """
+        trajectory = _trajectory_of(scene)
+        check_one_ego(scene, trajectory)
+        names: dict[Identifier, str] = {}
+        sensors: dict[str, Sensor] = {}
+        placed = {}
+        for sensor in scene.sensors:
+            plain = isinstance(sensor, PlainSensor) and sensor.type.startswith("openlabel_")
+            if type(sensor) not in _STREAM_TYPES and not plain:
+                continue
+            name = str(sensor.id)
+            while name in sensors or name in {WORLD, EGO}:
+                name += "_"
+            names[sensor.id], sensors[name] = name, sensor
+            if (where := _system_and_pose(sensor)) is not None:
+                placed[name] = where
+        return cls(names, sensors, trajectory, placed)
+
+    def members(self) -> dict[str, Any]:
+        """The member `streams`."""
+        return {name: _stream(sensor) for name, sensor in self.sensors.items()}
+
+    def systems(self, *, world: bool) -> dict[str, Any]:
+        """The member `coordinate_systems`; the ego is the root where nothing is placed in the world."""
+        parents = {parent for parent, _ in self.placed.values()}
+        systems: dict[str, Any] = {}
+        if world or self.trajectory is not None or WORLD in parents:
+            systems[WORLD] = {"type": "scene_cs", "parent": ""}
+        if EGO in parents or self.trajectory is not None or not systems:
+            systems[EGO] = {"type": "local_cs", "parent": WORLD if self.trajectory is not None else ""}
+        for name, (parent, pose) in self.placed.items():
+            stated = {} if pose is None else {"pose_wrt_parent": _matrix(pose)}
+            systems[name] = {"type": "sensor_cs", "parent": parent, **stated}
+        for name, system in systems.items():
+            system["children"] = [other for other, one in systems.items() if one["parent"] == name]
+        return systems
+
+    def transforms(self, time_ns: int) -> dict[str, Any]:
+        """The transforms of the frame of a time: of the ego, and of sensors with poses of their own."""
+        ego = {} if self.trajectory is None else {EGO: self.trajectory}
+        found = {}
+        for name, path in (ego | self._moving_sensors()).items():
+            at = path.interpolate(np.array([time_ns], np.int64))
+            if np.isfinite(at.positions[0]).all():
+                pose = _matrix(RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0]))
+                found[f"{name}_to_{WORLD}"] = {"src": name, "dst": WORLD, "transform_src_to_dst": pose}
+        return found
+
+    def _moving_sensors(self) -> dict[str, Poses]:
+        """`world_from_sensor` of the sensors that have transforms of their own, by the names of their streams."""
+        moving = [name for name, (_, pose) in self.placed.items() if pose is None]
+        return {name: poses for name in moving if (poses := getattr(self.sensors[name], "poses", None)) is not None}
+
+    def losses(self, times_ns: Int64Array) -> Iterator[Loss]:
+        """How far the poses that transforms at the times of the file's frames give are off, and which are left out.
+
+        Of a sensor at the times of its own frames, of the ego at those of its trajectory's poses.
+        """
+        ego = self.trajectory
+        if ego is not None:
+            yield from _sampled(ego, ego.timestamps_ns, times_ns, "trajectories.positions", "its poses")
+        for name, path in self._moving_sensors().items():
+            sensor = self.sensors[name]
+            field, times = f"sensors[{sensor.id}].poses", _times(sensor)
+            if len(times):
+                yield from _sampled(path, times, times_ns, field, "its frames")
+            else:
+                yield from _sampled(path, path.timestamps_ns, times_ns, field, "its poses")
+
+    def syncs(self, time_ns: int) -> dict[str, Any]:
+        """Which frame of each sensor is the nearest to a time, and its own time."""
+        found = {}
+        for name, sensor in self.sensors.items():
+            times = _times(sensor)
+            if not len(times):
+                continue
+            k = int(np.argmin(np.abs(times - time_ns)))
+            limit = float(np.median(np.diff(times))) * _WITHIN if len(times) > 1 else 0.0
+            if abs(int(times[k]) - time_ns) <= limit:
+                properties: dict[str, Any] = {"sync": {"frame_stream": k, "timestamp": seconds_text(int(times[k]))}}
+                if isinstance(sensor, CameraSensor) and (camera := sensor.images[k].camera) != sensor.camera:
+                    properties |= _camera_properties(camera)
+                    del properties[OURS]
+                found[name] = {"stream_properties": properties}
+        return found
+
+
+def _sampled(path: Poses, own_ns: Int64Array, times_ns: Int64Array, field: str, own: str) -> Iterator[Loss]:
+    """How far a path is off between the times that it is written at, and how many of its own lie beyond them."""
+    written = path.interpolate(times_ns)
+    known = np.isfinite(written.positions).all(axis=1)
+    right = path.interpolate(own_ns)
+    wanted = np.isfinite(right.positions).all(axis=1)
+    reached: BoolArray = np.zeros(len(own_ns), bool)
+    if known.any():
+        read = Poses(times_ns[known], written.positions[known], written.quaternions_xyzw[known])
+        found = read.interpolate(own_ns)
+        reached = np.asarray(wanted & np.isfinite(found.positions).all(axis=1), np.bool_)
+        moved = np.linalg.norm(found.positions[reached] - right.positions[reached], axis=1)
+        rotated = np.degrees(angle_between(found.quaternions_xyzw[reached], right.quaternions_xyzw[reached]))
+        off, rotation = float(moved.max(initial=0.0)), float(rotated.max(initial=0.0))
+        if off > _EXACT_M or rotation > _EXACT_DEG:
+            what = (
+                f"written at the times of the frames; at the times of {own} they are up to {round(off, 4):g} m and "
+                f"{round(rotation, 3):g} degrees off"
+            )
+            count = int(reached.sum())
+            yield Loss(field=field, what=what, count=count, support=Support.APPROXIMATED, largest_error=off)
+    beyond = int((wanted & ~reached).sum())
+    if beyond:
+        yield Loss(field=field, what=f"left out at times of {own} that lie beyond the file's frames", count=beyond)
+
+
+def _times(sensor: Sensor) -> Int64Array:
+    has_frames = isinstance(sensor, LidarSensor | RadarSensor | CameraSensor)
+    return frame_times(sensor) if has_frames else np.zeros(0, np.int64)
+
+
+def _trajectory_of(scene: Scene) -> Poses | None:
+    """The ego trajectory: the first one with orientations, else that of an odometry sensor."""
+    trajectories = [one.poses for one in scene.trajectories.values() if one.quaternions_xyzw is not None]
+    trajectories += [sensor.poses for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
+    return next((trajectory for trajectory in trajectories if not trajectory.static), None)
+
+
+def _system_and_pose(sensor: Any) -> tuple[str, RigidTransform | None] | None:
+    """The system that a sensor is placed in, and its pose there, None where it moves; None where nothing is known."""
+    mount, poses = getattr(sensor, "mount", None), getattr(sensor, "poses", None)
+    if isinstance(sensor, CameraSensor) and sensor.coordinates is Coordinates.WORLD and mounts_of_shots(sensor):
+        # its images have mountings of their own: only its poses state where they were taken
+        return None if poses is None else (WORLD, None)
+    if mount is not None:
+        return EGO, mount
+    if poses is None:
+        return None
+    if len(poses.timestamps_ns) == 1:
+        parent = EGO if sensor.coordinates is Coordinates.EGO else WORLD
+        return parent, RigidTransform.from_quaternion(poses.positions[0], poses.quaternions_xyzw[0])
+    return None if sensor.coordinates is Coordinates.EGO else (WORLD, None)
+
+
+def _matrix(pose: RigidTransform) -> dict[str, Any]:
+    return {"matrix4x4": pose.matrix.reshape(-1).tolist()}
+
+
+def _stream(sensor: Any) -> dict[str, Any]:
+    if isinstance(sensor, PlainSensor):
+        return dict(sensor.fields)
+    camera = _camera_properties(sensor.camera) if isinstance(sensor, CameraSensor) else {}
+    kept = sensor.extras.get("stream_properties")
+    own = {"id": sensor.id, "type": str(sensor.type), **camera.get(OURS, {})}
+    stream = {
+        "type": _STREAM_TYPES[type(sensor)],
+        "stream_properties": {**(kept if isinstance(kept, dict) else {}), **camera, OURS: own},
+    }
+    texts = {name: sensor.extras.get(name) for name in ("uri", "description")}
+    return stream | {name: text for name, text in texts.items() if isinstance(text, str)}

@@ -32,12 +32,8 @@ def test_labels_of_tracking_have_frames_and_tracks(tmp_path):
 
 def test_labels_of_objects_take_the_frame_from_the_files_name(tmp_path):
     labels = read_labels(written(tmp_path, f"{CAR} 0.5\n{CAR} -2.5\n", "000114.txt"))
-    assert labels.frames.tolist() == [114, 114]
-    assert labels.track_ids.tolist() == [-1, -1]
+    assert (labels.frames.tolist(), labels.track_ids.tolist()) == ([114, 114], [-1, -1])
     assert labels.scores.tolist() == [0.5, -2.5]
-
-
-def test_an_empty_file_holds_no_labels(tmp_path):
     assert len(read_labels(written(tmp_path, "\n"))) == 0
 
 
@@ -48,6 +44,8 @@ def test_what_is_written_is_read_back(tmp_path):
     np.testing.assert_array_equal(back.bottoms, labels.bottoms[[0, 2]])
     assert back.scores.tolist() == [0.125, 0.125]
     assert len((tmp_path / "out.txt").read_text().splitlines()[0].split()) == 18
+    with pytest.raises(OutputError, match="exists already"):
+        write_labels(labels, tmp_path / "0001.txt")
 
 
 def test_labels_of_objects_have_a_file_for_each_frame(tmp_path):
@@ -58,12 +56,6 @@ def test_labels_of_objects_have_a_file_for_each_frame(tmp_path):
     back = read_labels(tmp_path / "out" / "000004.txt")
     assert (back.frames.tolist(), back.types, back.track_ids.tolist()) == ([4], ("Car",), [-1])
     np.testing.assert_array_equal(back.bottoms, labels.bottoms[[2]])
-
-
-def test_an_output_is_not_overwritten_unasked(tmp_path):
-    labels = read_labels(written(tmp_path, TRACKING))
-    with pytest.raises(OutputError, match="exists already"):
-        write_labels(labels, tmp_path / "0001.txt")
 
 
 @pytest.mark.parametrize(

@@ -22,10 +22,7 @@ AROUND = "DontCare -1 -1 -10 1.00 2.00 3.00 4.00 -1 -1 -1 -1000 -1000 -1000 -10\
 
 def calibration(frame):
     rows = CALIBRATIONS[frame]
-    velo = " ".join(
-        f"{delta_rotation} {shift}"
-        for delta_rotation, shift in zip(("0 -1 0", "0 0 -1", "1 0 0"), rows["T"].split(), strict=True)
-    )
+    velo = "0 -1 0 {} 0 0 -1 {} 1 0 0 {}".format(*rows["T"].split())
     unit = "Tr_imu_to_velo: 1 0 0 -0.8 0 1 0 0.3 0 0 1 -0.8"
     return f"P2: {rows['P2']}\nR0_rect: {R0}\nTr_velo_to_cam: {velo}\n{unit}\n\n"
 
@@ -68,17 +65,11 @@ def test_boxes_stand_where_the_kits_formula_puts_their_corners(frames):
     poses = cuboid_poses(box, box.path.timestamps_ns)
     found = box_corners(poses.centers_world[0], poses.sizes_lwh[0], poses.quaternions_xyzw[0])
     # corners of the kit: x along the length, y down from the bottom, rotated about y, moved to the location
-    height, width, length, delta_rotation = 1.5, 1.6, 4.0, 0.8
+    height, width, length, cosine, sine = 1.5, 1.6, 4.0, np.cos(0.8), np.sin(0.8)
     x = np.array([1, -1, -1, 1, 1, -1, -1, 1]) * length / 2
     y = np.array([0, 0, 0, 0, -1, -1, -1, -1]) * height
     z = np.array([1, 1, -1, -1, 1, 1, -1, -1]) * width / 2
-    about_y = np.array(
-        [
-            [np.cos(delta_rotation), 0, np.sin(delta_rotation)],
-            [0, 1, 0],
-            [-np.sin(delta_rotation), 0, np.cos(delta_rotation)],
-        ]
-    )
+    about_y = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
     rectified = (about_y @ np.array([x, y, z])).T + np.array([1.0, 1.7, 12.0])
     camera = rectified @ rotation()
     lidar = (camera - np.array(CALIBRATIONS[7]["T"].split(), float)) @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
@@ -92,9 +83,8 @@ def test_what_labels_state_beside_locations_is_kept(frames):
     ids = [a.id for a in scene.annotations]
     assert ids == ["000003.0", "000003.1", "000007.0", "000007.1"]
     car, around = scene.annotations[:2]
-    assert {a.name: a.values for a in car.attributes} == {
-        "truncated": (0.25,), "occluded": (1,), "alpha": (-1.57,),
-    }  # fmt: skip
+    stated = {a.name: a.values for a in car.attributes}
+    assert stated == {"truncated": (0.25,), "occluded": (1,), "alpha": (-1.57,)}
     # the text counts from the centre of the first pixel, boxes here from the image's corner
     assert car.projections[0].boxes.tolist() == [[6.0, 7.0, 14.75, 11.5]]
     assert (around.label, around.type, around.attributes) == ("DontCare", "box_2d", ())
@@ -120,10 +110,6 @@ def test_a_frame_without_calibration_is_a_fault(frames):
     with pytest.raises(DataError, match=r"calib/000007.txt: is missing; velodyne/000007.bin needs"):
         open_scene(frames)
     assert len(open_scene(frames, lenient=True).sensor("velodyne").frames) == 1
-
-
-def test_a_folder_without_calibration_is_reported_what_it_lacks(frames):
-    for file in (frames / "training/calib").iterdir():
-        file.unlink()
+    (frames / "training/calib/000003.txt").unlink()
     with pytest.raises(DataError, match=r"without calibration: expected training/calib/000000.txt for each"):
         open_scene(frames)

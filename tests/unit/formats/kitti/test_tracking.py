@@ -1,6 +1,7 @@
 """Sequences of KITTI's tracking benchmark as scenes, and its folders of detections."""
 
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -13,20 +14,19 @@ from sceneloom.formats.base.registry import drives_of
 from sceneloom.formats.kitti.tracking_reader import is_tracking_folder, open_tracking_folder, sequence_scene
 from sceneloom.scene import ScoreForm
 
-CALIBRATION = """P2: 48 0 17 2.88 0 48 13 0.5 0 0 1 0.003
-R_rect 1 0 0 0 1 0 0 0 1
-Tr_velo_cam 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27
-Tr_imu_velo 1 0 0 -0.8 0 1 0 0.3 0 0 1 -0.8
-
-"""
-OXTS = "49.0 8.0 110.0 0 0 0" + " 0" * 24 + "\n"
+R = "1 0 0 0 1 0 0 0 1"
+IMU = "1 0 0 -0.8 0 1 0 0.3 0 0 1 -0.8"
+VELODYNE = "0 -1 0 0 0 0 -1 {} 1 0 0 {}"
+CALIBRATION = f"P2: 48 0 17 2.88 0 48 13 0.5 0 0 1 0.003\nR_rect {R}\nTr_velo_cam {VELODYNE.format(-0.08, -0.27)}\n"
+CALIBRATION += f"Tr_imu_velo {IMU}\n\n"
+OXTS = "49.0 8.0 110.0 0 0 {yaw}" + " 0" * 24 + "\n"
 ROW = "{frame} {track} Car 0 1 -1.5 5 6 20 18 1.5 1.6 4.0 {x} 1.7 12.0 0.8\n"
 LABELS = "".join(ROW.format(frame=k, track=4, x=k) for k in (0, 1, 3)) + ROW.format(frame=1, track=9, x=5)
 
 
 @pytest.fixture
 def folder(tmp_path):
-    for name, text in {"calib": CALIBRATION, "oxts": OXTS * 4, "label_02": LABELS}.items():
+    for name, text in {"calib": CALIBRATION, "oxts": OXTS.format(yaw=0) * 4, "label_02": LABELS}.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "0002.txt").write_text(text)
     (tmp_path / "image_02/0002").mkdir(parents=True)
@@ -47,16 +47,13 @@ def test_tracks_are_boxes_over_time_with_their_numbers_as_ids(folder):
     assert {a.name for a in four.attributes} == {"truncated", "occluded", "alpha"}
     # the middle of the box is 12 m before the camera and 0.95 m below it: the ego is 0.27 + 0.8 m behind, 0.3 m aside
     np.testing.assert_allclose(four.path.values[0, 3:6], [12 + 0.27 + 0.8, -0.3, 0.8 - 0.08 - 0.95], atol=1e-9)
-
-
-def test_files_are_of_the_frames_that_their_numbers_state(folder):
-    scene = open_scene(folder)
-    assert scene.sensor("velodyne").frames.timestamps_ns.tolist() == [0, 100_000_000, 300_000_000]
-    assert scene.sensor("velodyne").frames[2].points.positions[0, 0] == 3
+    frames = scene.sensor("velodyne").frames  # their numbers state which frames they are
+    assert frames.timestamps_ns.tolist() == [0, 100_000_000, 300_000_000]
+    assert frames[2].points.positions[0, 0] == 3
 
 
 def test_several_sequences_are_listed_and_one_can_be_chosen(folder):
-    (folder / "oxts/0005.txt").write_text(OXTS)
+    (folder / "oxts/0005.txt").write_text(OXTS.format(yaw=0))
     (folder / "calib/0005.txt").write_text(CALIBRATION)
     with pytest.raises(OptionError, match=r"has several sequences: 0002, 0005; choose one with `--sequence NAME`"):
         open_scene(folder)
@@ -66,19 +63,15 @@ def test_several_sequences_are_listed_and_one_can_be_chosen(folder):
         open_scene(folder, sequence="7")
 
 
-def test_without_oxts_boxes_are_placed_as_if_the_ego_stood(folder):
+def test_without_oxts_boxes_are_placed_as_if_the_ego_stood_and_beyond_it_left_out(folder):
+    (folder / "oxts/0002.txt").write_text(OXTS.format(yaw=0) * 2)
+    scene = open_scene(folder)
+    assert scene.annotations[0].path.timestamps_ns.tolist() == [0, 100_000_000]
+    assert {n.code: n.count for n in scene.warnings}["boxes-beyond-trajectory"] == 1
     (folder / "oxts/0002.txt").unlink()
     scene = open_scene(folder)
     assert list(scene.trajectories) == ["stationary"]
     assert "ego-stands" in [n.code for n in scene.warnings]
-
-
-def test_boxes_beyond_the_trajectory_are_left_out_and_counted(folder):
-    (folder / "oxts/0002.txt").write_text(OXTS * 2)
-    scene = open_scene(folder)
-    assert scene.annotations[0].path.timestamps_ns.tolist() == [0, 100_000_000]
-    counts = {n.code: n.count for n in scene.warnings}
-    assert counts["boxes-beyond-trajectory"] == 1
 
 
 @pytest.mark.parametrize(
@@ -95,28 +88,57 @@ def test_a_fault_is_reported_with_its_location(folder, name, text, problem):
     with pytest.raises(DataError) as caught:
         open_scene(folder)
     assert problem in str(caught.value)
-
-
-def test_a_sequence_without_calibration_is_reported_so(folder):
     (folder / "calib/0002.txt").unlink()
     with pytest.raises(DataError, match=r"without calibration: expected .*/calib/0000.txt for each"):
         open_scene(folder)
+
+
+P2 = "7.070493e+02 0 6.0e+02 3.5e+01 0 7.070493e+02 1.8e+02 7.0e-01 0 0 1 0"
+VELODYNE = VELODYNE.format(-0.1, -0.3)
+TRACKING = f"P2: {P2}\nR_rect {R}\nTr_velo_cam {VELODYNE}\nTr_imu_velo {IMU}\n\n"
+OBJECT = f"P2: {P2}\nR0_rect: {R}\nTr_velo_to_cam: {VELODYNE}\nTr_imu_to_velo: {IMU}\n"
+"""The same calibration as the object benchmark spells it."""
+CAR_2D, PEDESTRIAN_2D = "det2d_a__Car__0007", "det2d_a__Pedestrian__0007"
+CAR_3D, PEDESTRIAN_3D = "det3d_b__Car__0007", "det3d_b__Pedestrian__0007"
+GOOD_3D = "2,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2"
+FILES = {
+    "calib__0007": TRACKING,
+    "oxts__0007": "".join(OXTS.format(yaw=0.1 * k) for k in range(4)) + "\n",
+    CAR_2D: "0,10,20,110,220,0.75\n2,1,2,3,4,0.5\n",
+    PEDESTRIAN_2D: "",
+    CAR_3D: f"{GOOD_3D}\n",
+    PEDESTRIAN_3D: "2,1,0,0,9,9,3.5,1.8,0.6,0.8,-1.0,1.5,8.0,-1.5707963,0.2\n",
+}
+
+
+@pytest.fixture
+def tracking_folder(tmp_path):
+    """Write a folder of detections, some of its files replaced or, with None, left out."""
+
+    def write(**changed):
+        folder = tmp_path / "drive"
+        for name, text in (FILES | changed).items():
+            if text is not None:
+                path = folder / f"{name.replace('__', '/')}.txt"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(text)
+        return folder
+
+    return write
 
 
 def sequence(folder, **options):
     return open_tracking_folder(folder, **options).sequence("0007")
 
 
-def test_frames_are_ten_a_second_and_as_many_as_lines_of_oxts(tracking_folder):
+def test_frames_are_ten_a_second_and_boxes_of_images_counted_from_the_images_corner(tracking_folder):
     found = sequence(tracking_folder())
-    assert found.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000, 300_000_000]
+    assert found.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000, 300_000_000]  # as many as lines of oxts
     assert found.warnings == ()
-
-
-def test_boxes_of_images_are_counted_from_the_images_corner(tracking_folder):
-    boxes = sequence(tracking_folder()).boxes_2d(0)
+    boxes = found.boxes_2d(0)
     assert boxes.corners_xyxy.tolist() == [[10.5, 20.5, 110.5, 220.5]]
     assert (boxes.scores.tolist(), boxes.labels, boxes.score_form) == ([0.75], ("Car",), ScoreForm.PROBABILITY)
+    assert (len(found.boxes_2d(1)), len(found.boxes_3d(1)), found.boxes_3d(3).timestamp_ns) == (0, 0, 300_000_000)
 
 
 def test_boxes_of_sweeps_stand_in_the_lidars_frame_with_their_middles(tracking_folder):
@@ -131,11 +153,6 @@ def test_boxes_of_sweeps_stand_in_the_lidars_frame_with_their_middles(tracking_f
     assert boxes.scores.tolist() == [-1.5, 3.5]
 
 
-def test_a_frame_in_which_nothing_was_found_has_no_boxes(tracking_folder):
-    found = sequence(tracking_folder())
-    assert (len(found.boxes_2d(1)), len(found.boxes_3d(1)), found.boxes_3d(3).timestamp_ns) == (0, 0, 300_000_000)
-
-
 def test_the_fourth_column_of_the_projection_is_a_shift_of_the_camera(tracking_folder):
     found = sequence(tracking_folder())
     point = np.array([20.0, 3.0, -1.0])
@@ -144,14 +161,13 @@ def test_the_fourth_column_of_the_projection_is_a_shift_of_the_camera(tracking_f
     # the oracle is the projection as KITTI writes it: P2 R_rect Tr_velo_cam of the homogeneous point
     rectified = np.array([-point[1], -point[2] - 0.1, point[0] - 0.3, 1.0])
     u, v, w = np.array([[707.0493, 0, 600, 35], [0, 707.0493, 180, 0.7], [0, 0, 1, 0]]) @ rectified
-    assert (camera_model.fx * x / z + camera_model.cx, camera_model.fy * y / z + camera_model.cy) == pytest.approx(
-        (u / w, v / w), abs=1e-9
-    )
+    pixel = camera_model.fx * x / z + camera_model.cx, camera_model.fy * y / z + camera_model.cy
+    assert pixel == pytest.approx((u / w, v / w), abs=1e-9)
 
 
-def test_both_spellings_of_a_calibration_mean_the_same(tracking_folder, spellings):
+def test_both_spellings_of_a_calibration_mean_the_same(tracking_folder):
     one = sequence(tracking_folder())
-    other = sequence(tracking_folder(calib__0007=spellings["object"]))
+    other = sequence(tracking_folder(calib__0007=OBJECT))
     np.testing.assert_array_equal(one.camera_from_lidar.matrix, other.camera_from_lidar.matrix)
     np.testing.assert_array_equal(one.lidar_from_imu.matrix, other.lidar_from_imu.matrix)
 
@@ -167,8 +183,8 @@ def test_the_trajectory_rotates_counter_clockwise_from_east(tracking_folder):
     [
         ({"oxts__0007": None}, "no-oxts"),
         ({"oxts__0007": ""}, "no-oxts"),
-        ({"det2d_a__Pedestrian__0007": None, "det2d_a__Car__0007": None, "det2d_a__Car__0009": ""}, "no-detections"),
-        ({"det3d_b__Pedestrian__0007": None, "det3d_b__Pedestrian__0009": ""}, "no-detections"),
+        ({PEDESTRIAN_2D: None, CAR_2D: None, "det2d_a__Car__0009": ""}, "no-detections"),
+        ({PEDESTRIAN_3D: None, "det3d_b__Pedestrian__0009": ""}, "no-detections"),
     ],
 )
 def test_what_is_missing_is_reported_and_the_rest_is_read(tracking_folder, changed, code):
@@ -179,16 +195,12 @@ def test_what_is_missing_is_reported_and_the_rest_is_read(tracking_folder, chang
     assert (found.world_from_ego is None) == (code == "no-oxts")
 
 
-def test_without_any_detector_of_images_there_are_none(tracking_folder):
-    tracking = open_tracking_folder(tracking_folder(det2d_a__Car__0007=None, det2d_a__Pedestrian__0007=None))
+def test_without_any_detector_of_images_there_are_none_and_without_any_at_all_the_folder_is_refused(tracking_folder):
+    folder = tracking_folder(**{CAR_2D: None, PEDESTRIAN_2D: None})
+    tracking = open_tracking_folder(folder)
     assert [warning.code for warning in tracking.warnings] == ["no-detector"]
     assert len(tracking.sequence("0007").boxes_2d(0)) == 0
-
-
-def test_a_folder_without_any_detector_is_refused(tracking_folder):
-    folder = tracking_folder(
-        det2d_a__Car__0007=None, det2d_a__Pedestrian__0007=None, det3d_b__Car__0007=None, det3d_b__Pedestrian__0007=None
-    )
+    shutil.rmtree(folder / "det3d_b")
     with pytest.raises(DataError, match="no folder det2d_NAME or det3d_NAME; expected one"):
         open_tracking_folder(folder)
 
@@ -200,16 +212,23 @@ def test_detections_without_a_calibration_are_a_tracking_folder_that_lacks_it(tr
         open_tracking_folder(folder)
 
 
-def test_a_class_that_one_detector_has_no_folder_for_is_reported(tracking_folder):
-    found = sequence(tracking_folder(det2d_a__Pedestrian__0007=None))
-    assert [(warning.code, warning.location) for warning in found.warnings] == [("one-detector", "0007: Pedestrian")]
-
-
-def test_frames_beyond_the_trajectory_are_reported(tracking_folder):
-    found = sequence(tracking_folder(det2d_a__Car__0007="9,10,20,110,220,0.75\n"))
-    assert found.frame_count == 10
-    assert [warning.code for warning in found.warnings] == ["oxts-short"]
+@pytest.mark.parametrize(
+    ("changed", "warning"),
+    [
+        ({PEDESTRIAN_2D: None}, ("one-detector", "0007: Pedestrian", 1)),
+        ({CAR_2D: "0,5,5,5,9,0.5\n0,5,9,9,5,0.5\n0,1,1,2,2,0.5\n"}, ("boxes-without-area", None, 2)),
+        ({CAR_2D: "9,10,20,110,220,0.75\n"}, ("oxts-short", None, 1)),
+    ],
+)
+def test_classes_of_one_detector_boxes_without_area_and_frames_beyond_the_trajectory_are_reported(
+    tracking_folder, changed, warning
+):
+    found = sequence(tracking_folder(**changed))
+    (reported,) = found.warnings
+    assert (reported.code, reported.location if warning[1] else None, reported.count) == warning
+    assert found.frame_count == (10 if warning[0] == "oxts-short" else 4)
     assert len(found.world_from_ego.timestamps_ns) == 4
+    assert len(found.boxes_2d(0)) == (0 if warning[0] == "oxts-short" else 1)
 
 
 def test_several_detectors_are_a_question_to_the_user(tracking_folder):
@@ -222,31 +241,22 @@ def test_several_detectors_are_a_question_to_the_user(tracking_folder):
         open_tracking_folder(folder, detector_2d="x")
 
 
-def test_boxes_without_an_area_are_left_out_and_counted(tracking_folder):
-    found = sequence(tracking_folder(det2d_a__Car__0007="0,5,5,5,9,0.5\n0,5,9,9,5,0.5\n0,1,1,2,2,0.5\n"))
-    assert len(found.boxes_2d(0)) == 1
-    assert [(warning.code, warning.count) for warning in found.warnings] == [("boxes-without-area", 2)]
-
-
-GOOD_3D = "2,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2"
-
-
 @pytest.mark.parametrize(
     ("file", "text", "reported"),
     [
-        ("det3d_b__Car__0007", f"2,9{GOOD_3D[3:]}\n", "line 1: type 9 in the folder Car; the types are"),
-        ("det2d_a__Car__0007", "0,10,20,110,220\n", "line 1: 5 values; expected 6: frame,x1,y1,x2,y2,score"),
-        ("det2d_a__Car__0007", "0,1,1,2,2,0.5\n0,10,2", "line 2: 3 values"),
-        ("det2d_a__Car__0007", "0,1,1,2,2,0.5\n0,car,2,3,4,0.5\n", "line 2: x1 'car'; expected a number"),
-        ("det2d_a__Car__0007", "0,1,1,2,nan,0.5\n", "line 1: y2 'nan'"),
-        ("det2d_a__Car__0007", "0,1,1,2,1e999,0.5\n", "line 1: y2 '1e999'"),
-        ("det2d_a__Car__0007", "-1,1,1,2,2,0.5\n", "line 1: frame '-1'; expected a whole number from 0 to 999999"),
-        ("det2d_a__Car__0007", "1e8,1,1,2,2,0.5\n", "line 1: frame '1e8'"),
-        ("det2d_a__Car__0007", "0.5,1,1,2,2,0.5\n", "line 1: frame '0.5'"),
-        ("det2d_a__Car__0007", "0,1,1,2,2,7.5\n", "line 1: score 7.5; expected a probability"),
-        ("det3d_b__Car__0007", GOOD_3D.replace("1.5,1.6", "1.5,-1.6"), "line 1: w -1.6; expected a size above 0"),
-        ("det3d_b__Car__0007", GOOD_3D.replace("2,2,0", "2,1,0"), "line 1: type 1 in the folder Car"),
-        ("det3d_b__Car__0007", f"{GOOD_3D},1", "line 1: 16 values; expected 15"),
+        (CAR_3D, f"2,9{GOOD_3D[3:]}\n", "line 1: type 9 in the folder Car; the types are"),
+        (CAR_2D, "0,10,20,110,220\n", "line 1: 5 values; expected 6: frame,x1,y1,x2,y2,score"),
+        (CAR_2D, "0,1,1,2,2,0.5\n0,10,2", "line 2: 3 values"),
+        (CAR_2D, "0,1,1,2,2,0.5\n0,car,2,3,4,0.5\n", "line 2: x1 'car'; expected a number"),
+        (CAR_2D, "0,1,1,2,nan,0.5\n", "line 1: y2 'nan'"),
+        (CAR_2D, "0,1,1,2,1e999,0.5\n", "line 1: y2 '1e999'"),
+        (CAR_2D, "-1,1,1,2,2,0.5\n", "line 1: frame '-1'; expected a whole number from 0 to 999999"),
+        (CAR_2D, "1e8,1,1,2,2,0.5\n", "line 1: frame '1e8'"),
+        (CAR_2D, "0.5,1,1,2,2,0.5\n", "line 1: frame '0.5'"),
+        (CAR_2D, "0,1,1,2,2,7.5\n", "line 1: score 7.5; expected a probability"),
+        (CAR_3D, GOOD_3D.replace("1.5,1.6", "1.5,-1.6"), "line 1: w -1.6; expected a size above 0"),
+        (CAR_3D, GOOD_3D.replace("2,2,0", "2,1,0"), "line 1: type 1 in the folder Car"),
+        (CAR_3D, f"{GOOD_3D},1", "line 1: 16 values; expected 15"),
         ("oxts__0007", "49 8 110\n", "line 1: 3 values; expected 30"),
         ("oxts__0007", "91 8" + " 0" * 28, "line 1: latitude 91.0"),
         ("oxts__0007", "49 8" + " 0" * 28 + "\n\n49 8" + " 0" * 28, "line 2: 0 values"),
@@ -262,12 +272,8 @@ def test_a_faulty_line_is_reported_with_its_location_and_what_was_expected(track
 
 
 def test_the_type_reports_the_class_where_the_folder_has_another_name(tracking_folder):
-    folder = tracking_folder(
-        det3d_b__Car__0007=None,
-        det3d_b__Pedestrian__0007=None,
-        det3d_b__Car_val__0007=f"{GOOD_3D}\n",
-        det3d_b__cyclist__0007="",
-    )
+    other = {"det3d_b__Car_val__0007": f"{GOOD_3D}\n", "det3d_b__cyclist__0007": ""}
+    folder = tracking_folder(**{CAR_3D: None, PEDESTRIAN_3D: None}, **other)
     found = sequence(folder)
     assert found.boxes_3d(2).labels == ("Car",)
     assert found.classes_3d == {"Car", "Cyclist"}
@@ -289,35 +295,28 @@ def test_a_lenient_reading_leaves_faulty_lines_out(tracking_folder):
         ("P2: 0 0 6 0 0 7 1 0 0 0 1 0", "focal lengths above 0"),
     ],
 )
-def test_a_calibration_that_is_none_is_refused(tracking_folder, spellings, line, reported):
-    kept = [
-        row
-        for row in spellings["tracking"].splitlines()
-        if row and not (row.split()[0] == line.split()[0] and "already" not in reported)
-    ]
+def test_a_calibration_that_is_none_is_refused(tracking_folder, line, reported):
+    kept = [row for row in TRACKING.split("\n") if "already" in reported or row[:4] != line[:4] or "to_cam" in line]
     with pytest.raises(DataError, match=re.escape(reported)):
-        sequence(tracking_folder(calib__0007="\n".join([*kept, line])))
+        sequence(tracking_folder(calib__0007="\n".join([*filter(None, kept), line])))
 
 
-def test_a_sequence_that_is_not_there_is_reported_with_those_that_are(tracking_folder):
-    with pytest.raises(DataError, match="sequence 0001: is not there; expected one of 0007"):
-        open_tracking_folder(tracking_folder()).sequence("0001")
-    with pytest.raises(OptionError, match="sequence '1'"):
-        open_tracking_folder(tracking_folder()).chosen(["7", "1"])
-
-
-def test_sequences_are_chosen_without_their_zeros_and_each_once(tracking_folder):
+def test_sequences_are_chosen_without_their_zeros_and_each_once_or_reported_with_those_that_are(tracking_folder):
     folder = open_tracking_folder(tracking_folder())
     assert folder.chosen(["7", "0007"]) == folder.chosen([]) == ("0007",)
+    with pytest.raises(DataError, match="sequence 0001: is not there; expected one of 0007"):
+        folder.sequence("0001")
+    with pytest.raises(OptionError, match="sequence '1'"):
+        folder.chosen(["7", "1"])
 
 
-def test_images_report_their_size_else_the_focal_length_else_the_camera_model(tracking_folder, spellings):
+def test_images_report_their_size_else_the_focal_length_else_the_camera_model(tracking_folder):
     def size(folder):
         camera_model = sequence(folder).camera
         return camera_model.width, camera_model.height
 
     assert size(tracking_folder()) == (1224, 370)
-    other = tracking_folder(calib__0007=spellings["tracking"].replace("7.070493e+02", "7.0e+02"))
+    other = tracking_folder(calib__0007=TRACKING.replace("7.070493e+02", "7.0e+02"))
     assert size(other) == (1201, 361)
     assert [warning.code for warning in sequence(other).warnings] == ["image-size"]
     (other / "image_02" / "0007").mkdir(parents=True)

@@ -6,33 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.unit.formats.nuscenes.schema_folder import CAMERA_MOUNT, lidar_rows, street
+from tests.unit.formats.nuscenes.schema_folder import CAMERA_MOUNT, lidar_rows, street, with_classes
 
 import sceneloom
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats import write_scene
 from sceneloom.formats.base.losses import Support
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    AttributePath,
-    CameraImage,
-    CameraSensor,
-    CuboidAnnotation,
-    CuboidPath,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    PointsFrame,
-    RadarFrame,
-    RadarPoints,
-    RadarSensor,
-    Scene,
-    Trajectory,
-)
 from sceneloom.scene.annotations_at import CuboidAngles
 
 KEYS = {
@@ -72,18 +54,8 @@ def check_tables(folder):
     return tables
 
 
-def with_classes(tables):
-    for k in (0, 2, 4):
-        token = f"scene-0001-LIDAR_TOP-{k}"
-        labels = np.zeros(40 + k, np.uint8)
-        labels[3:9] = 17
-        name = tables.file(f"lidarseg/v1.0-mini/{token}_lidarseg.bin", labels.tobytes())
-        tables.add("lidarseg", token, sample_data_token=token, filename=name)
-    return tables
-
-
 def test_what_was_read_from_nuscenes_is_written_again_without_a_loss(tmp_path):
-    source = with_classes(street(tmp_path / "a")).write()
+    source = with_classes(street(tmp_path / "a"), dict.fromkeys((0, 2, 4), slice(3, 9))).write()
     scene = sceneloom.open(source)
     losses = sceneloom.write(scene, tmp_path / "b", format="nuscenes")
     assert len(losses) == 0
@@ -104,14 +76,10 @@ def test_what_was_read_from_nuscenes_is_written_again_without_a_loss(tmp_path):
     attributes = {row["token"]: row["name"] for row in after["attribute"]}
     found = [[attributes[token] for token in row["attribute_tokens"]] for row in after["sample_annotation"]]
     assert found == [["vehicle.parked"], ["vehicle.moving"], ["vehicle.moving"]]
-    for name in ("sweeps", "samples"):
-        files = {path.parent.name: [] for path in (source / name).glob("*/*")}
-        for folder in files:
-            contents = [
-                sorted(path.read_bytes() for path in (root / name / folder).iterdir())
-                for root in (source, tmp_path / "b")
-            ]
-            assert contents[0] == contents[1], (name, folder)
+    for folder in source.glob("s*s/*"):
+        again = tmp_path / "b" / folder.relative_to(source)
+        before, written = (sorted(path.read_bytes() for path in each.iterdir()) for each in (folder, again))
+        assert before == written, folder
     labels = sorted((tmp_path / "b" / "lidarseg" / "v1.0-mini").iterdir())
     assert len(labels) == 3
     assert {row["name"]: row["index"] for row in after["category"]} == {"vehicle.car": 17, "noise": 0}
@@ -119,39 +87,36 @@ def test_what_was_read_from_nuscenes_is_written_again_without_a_loss(tmp_path):
 
 def test_writing_is_the_same_again(tmp_path):
     scene = sceneloom.open(street(tmp_path / "a").write())
+    contents = []
     for name in ("b", "c"):
         (tmp_path / name).mkdir()
         sceneloom.write(scene, tmp_path / name / "drive", format="nuscenes")
-    files = [sorted(p.relative_to(tmp_path / n) for p in (tmp_path / n).rglob("*") if p.is_file()) for n in "bc"]
-    assert files[0] == files[1]
-    assert all((tmp_path / "b" / f).read_bytes() == (tmp_path / "c" / f).read_bytes() for f in files[0])
+        files = (path for path in sorted((tmp_path / name).rglob("*")) if path.is_file())
+        contents.append({path.relative_to(tmp_path / name): path.read_bytes() for path in files})
+    assert contents[0] == contents[1]
 
 
 SECOND = 1_000_000_000
 
 
-def drive(*, points_frame=PointsFrame.SENSOR, sweeps=11, annotations=(), camera_model=None, radar=None):
+def drive(*, points_frame=sc.PointsFrame.SENSOR, sweeps=11, annotations=(), camera_model=None, radar=None):
     """A drive at 10 Hz without anything of nuScenes in it; the ego drives 10 m/s along x."""
     timestamps = np.arange(sweeps, dtype=np.int64) * (SECOND // 10) + 5 * SECOND
     mount = RigidTransform(Rotation.from_euler("z", 30, degrees=True).as_matrix(), np.array([1.0, 0.2, 1.8]))
     quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (sweeps, 1))
-    trajectory = Trajectory("gt", timestamps, np.outer(np.arange(sweeps), [1.0, 0, 0]), quaternions)
-    sweep = [
-        LidarFrame(int(t), LidarPoints(lidar_rows(20, k)[:, :3].copy(), intensities=np.full(20, 9, np.uint8)))
-        for k, t in enumerate(timestamps)
-    ]
-    lidar = LidarSensor("lid ar/1", LazyFrames.of(sweep, timestamps), mount=mount, points_frame=points_frame)
+    trajectory = sc.Trajectory("gt", timestamps, np.outer(np.arange(sweeps), [1.0, 0, 0]), quaternions)
+    intensities = np.full(20, 9, np.uint8)
+    points = [sc.LidarPoints(lidar_rows(20, k)[:, :3].copy(), intensities=intensities) for k in range(sweeps)]
+    sweep = [sc.LidarFrame(int(t), p) for t, p in zip(timestamps, points, strict=True)]
+    lidar = sc.LidarSensor("lid ar/1", sc.LazyFrames.of(sweep, timestamps), mount=mount, points_frame=points_frame)
     camera_model = camera_model or Camera("pinhole", 64, 48, 40.0, 40.0, 31.5, 23.5)
     rgb = np.random.default_rng(1).integers(0, 256, (48, 64, 3)).astype(np.uint8)
-    shots = [CameraImage.of(int(t) + 20_000_400, camera_model, rgb) for t in timestamps]
-    camera = CameraSensor(
-        7,
-        camera_model,
-        LazyFrames.of(shots, [shot.timestamp_ns for shot in shots]),
-        mount=RigidTransform(CAMERA_MOUNT.as_matrix(), np.array([1.5, 0.0, 1.5])),
-    )
+    shots = [sc.CameraImage.of(int(t) + 20_000_400, camera_model, rgb) for t in timestamps]
+    images = sc.LazyFrames.of(shots, [shot.timestamp_ns for shot in shots])
+    looking = RigidTransform(CAMERA_MOUNT.as_matrix(), np.array([1.5, 0.0, 1.5]))
+    camera = sc.CameraSensor(7, camera_model, images, mount=looking)
     sensors = (lidar, camera) if radar is None else (lidar, camera, radar)
-    return Scene(sensors, tuple(annotations), trajectories={"gt": trajectory}, source="drive")
+    return sc.Scene(sensors, tuple(annotations), trajectories={"gt": trajectory}, source="drive")
 
 
 def test_samples_are_two_a_second_unless_somebody_says_otherwise(tmp_path):
@@ -160,9 +125,7 @@ def test_samples_are_two_a_second_unless_somebody_says_otherwise(tmp_path):
     tables = check_tables(tmp_path / "a")
     assert [row["timestamp"] for row in tables["sample"]] == [5_000_000, 5_500_000, 6_000_000]
     keys = [row for row in tables["sample_data"] if row["is_key_frame"]]
-    assert sorted(row["timestamp"] for row in keys) == [
-        *(5_000_000, 5_020_000, 5_500_000, 5_520_000, 6_000_000, 6_020_000)
-    ]
+    assert sorted(row["timestamp"] // 10_000 for row in keys) == [500, 502, 550, 552, 600, 602]
     # what lies between samples belongs to the one that follows
     sweep = next(row for row in tables["sample_data"] if row["timestamp"] == 5_100_000)
     assert sweep["sample_token"] == tables["sample"][1]["token"]
@@ -171,7 +134,7 @@ def test_samples_are_two_a_second_unless_somebody_says_otherwise(tmp_path):
     assert not (tmp_path / "b" / "sweeps").exists()
 
 
-@pytest.mark.parametrize("points_frame", PointsFrame)
+@pytest.mark.parametrize("points_frame", sc.PointsFrame)
 def test_points_stay_where_they_are_in_the_world(tmp_path, points_frame):
     scene = drive(points_frame=points_frame)
     sceneloom.write(scene, tmp_path / "a", format="nuscenes")
@@ -189,16 +152,15 @@ def test_points_stay_where_they_are_in_the_world(tmp_path, points_frame):
 
 def box(identifier, timestamps, *, label="car", size=(4.6, 1.9, 1.7), **fields):
     rows = [[*size, 10.0 + k, -2.0, 0.9, 0.0, 0.0, 20.0 + 10 * k] for k in range(len(timestamps))]
-    return CuboidAnnotation(
-        identifier, CuboidPath(np.array(timestamps, np.int64), np.array(rows)), label=label, **fields
-    )
+    path = sc.CuboidPath(np.array(timestamps, np.int64), np.array(rows))
+    return sc.CuboidAnnotation(identifier, path, label=label, **fields)
 
 
 def test_boxes_are_reported_at_the_samples_and_between_timestamps_of_their_paths(tmp_path):
     timestamps = [5 * SECOND, 6 * SECOND]
-    stated = AttributePath("attributes", (("vehicle.moving",), ()), np.array(timestamps, np.int64))
-    seen = AttributePath("visibility", ("v40-60", "unheard"), np.array(timestamps, np.int64))
-    other = AttributePath("speed", (1.0,), static=True)
+    stated = sc.AttributePath("attributes", (("vehicle.moving",), ()), np.array(timestamps, np.int64))
+    seen = sc.AttributePath("visibility", ("v40-60", "unheard"), np.array(timestamps, np.int64))
+    other = sc.AttributePath("speed", (1.0,), static=True)
     car = box(12, timestamps, label=None, attributes=(stated, seen, other))
     stationary = box("sign", [5 * SECOND], stationary=True)
     gone = box("gone", [50 * SECOND])
@@ -211,9 +173,8 @@ def test_boxes_are_reported_at_the_samples_and_between_timestamps_of_their_paths
     rotation = Rotation.from_quat(np.roll(middle["rotation"], -1))
     assert np.allclose(rotation.as_euler("ZYX", degrees=True), [25, 0, 0])
     levels = {row["token"]: row["level"] for row in tables["visibility"]}
-    assert [levels.get(row["visibility_token"]) for row in tables["sample_annotation"][:3]] == [
-        *("v40-60", "v40-60", None)
-    ]
+    found = [levels.get(row["visibility_token"]) for row in tables["sample_annotation"][:3]]
+    assert found == ["v40-60", "v40-60", None]
     names = {row["token"]: row["name"] for row in tables["category"]}
     assert [names[row["category_token"]] for row in tables["instance"]] == ["unknown", "car"]
     assert tables["instance"][1]["token"] == "sign"
@@ -237,7 +198,7 @@ def test_points_in_boxes_are_counted_where_nobody_reported_their_number(tmp_path
         expected.append(int(inside.all(axis=1).sum()))
     assert sum(expected) > 10
     assert [row["num_lidar_pts"] for row in rows] == expected
-    stated = AttributePath("num_lidar_pts", (77,), static=True)
+    stated = sc.AttributePath("num_lidar_pts", (77,), static=True)
     reported = drive(annotations=(box("car", [5 * SECOND], stationary=True, attributes=(stated,)),))
     sceneloom.write(reported, tmp_path / "b", format="nuscenes")
     assert {row["num_lidar_pts"] for row in tables_of(tmp_path / "b")["sample_annotation"]} == {77}
@@ -246,9 +207,8 @@ def test_points_in_boxes_are_counted_where_nobody_reported_their_number(tmp_path
 def test_images_of_other_camera_models_are_resampled_and_that_is_reported(tmp_path):
     bent = Camera("brown_conrady", 64, 48, 40.0, 40.0, 31.5, 23.5, (-0.2, *(0.0,) * 15))
     losses = sceneloom.write(drive(camera_model=bent, sweeps=2), tmp_path / "a", format="nuscenes")
-    supports = {loss.field: loss.support for loss in losses}
-    assert supports["sensors.camera.camera"] == Support.APPROXIMATED
-    assert supports["sensors.camera.images.rgb"] == Support.APPROXIMATED
+    approximated = {loss.field for loss in losses if loss.support == Support.APPROXIMATED}
+    assert approximated >= {"sensors.camera.camera", "sensors.camera.images.rgb"}
     camera = sceneloom.open(tmp_path / "a").cameras[0]
     assert camera.camera.model == "pinhole"
     assert camera.images[0].rgb.shape == (48, 64, 3)
@@ -264,18 +224,13 @@ def test_images_as_png_lose_nothing(tmp_path):
     assert (rounded.count, rounded.largest_error) == (2, 400.0)
 
 
-def radar(frames):
-    timestamps = [5 * SECOND + k * SECOND // 10 for k in range(len(frames))]
-    made = [RadarFrame(t, points) for t, points in zip(timestamps, frames, strict=True)]
-    return RadarSensor("radar", LazyFrames.of(made, timestamps), mount=RigidTransform.identity())
-
-
 def test_radars_without_returns_and_upward_speeds_are_written_too(tmp_path):
     positions = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
     directions = np.array([[0.6, 0.8, 0], [0, 0.6, 0.8]], np.float32)
-    full = RadarPoints(positions, directions, np.array([5, -10], np.float32))
-    none = np.zeros((0, 3), np.float32)
-    scene = drive(radar=radar([full, RadarPoints(none)]), sweeps=2)
+    full = sc.RadarPoints(positions, directions, np.array([5, -10], np.float32))
+    none, times = sc.RadarPoints(np.zeros((0, 3), np.float32)), [5 * SECOND, 5 * SECOND + SECOND // 10]
+    frames = sc.LazyFrames.of([sc.RadarFrame(times[0], full), sc.RadarFrame(times[1], none)], times)
+    scene = drive(radar=sc.RadarSensor("radar", frames, mount=RigidTransform.identity()), sweeps=2)
     losses = sceneloom.write(scene, tmp_path / "a", format="nuscenes")
     again = sceneloom.open(tmp_path / "a").sensor("radar")
     assert len(again.frames[1].points) == 0
@@ -288,11 +243,10 @@ def test_radars_without_returns_and_upward_speeds_are_written_too(tmp_path):
 
 def test_classes_of_points_get_numbers_and_points_without_one_are_noise(tmp_path):
     rows = np.array([2, 5], np.uint32)
-    road = LabeledPointsAnnotation(
-        "a", (LabeledPoints("lid ar/1", rows, 0), LabeledPoints("lid ar/1", rows, 1)), label="road"
-    )
-    single = LabeledPointsAnnotation("b", (), label="car", is_instance=True)
-    also = LabeledPointsAnnotation("c", (LabeledPoints("lid ar/1", rows[:1], 0),), label="road")
+    both = sc.LabeledPoints("lid ar/1", rows, 0), sc.LabeledPoints("lid ar/1", rows, 1)
+    road = sc.LabeledPointsAnnotation("a", both, label="road")
+    single = sc.LabeledPointsAnnotation("b", (), label="car", is_instance=True)
+    also = sc.LabeledPointsAnnotation("c", (sc.LabeledPoints("lid ar/1", rows[:1], 0),), label="road")
     losses = sceneloom.write(drive(annotations=(also, road, single)), tmp_path / "a", format="nuscenes")
     again = sceneloom.open(tmp_path / "a")
     noise, found = again.annotations
@@ -331,12 +285,9 @@ def test_nobody_elses_folder_is_replaced(tmp_path):
 def test_options_that_mean_nothing_are_refused(tmp_path, options, message):
     with pytest.raises(OptionError, match=message):
         sceneloom.write(drive(), tmp_path / "a", format="nuscenes", **options)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_scene_without_a_frame_is_refused(tmp_path):
     with pytest.raises(DataError, match="holds no sweep, radar cycle or image"):
-        sceneloom.write(Scene(()), tmp_path / "a", format="nuscenes")
+        sceneloom.write(sc.Scene(()), tmp_path / "a", format="nuscenes")
+    assert list(tmp_path.iterdir()) == []
 
 
 AHEAD = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -370,33 +321,24 @@ def channels(scene, folder, **options):
 
 
 def test_the_lidar_and_cameras_all_round_get_the_channels_of_nuscenes_and_keep_their_ids(scene, tmp_path):
-    (camera,) = scene.cameras
-    cameras = [looking(camera, f"camera{degrees}", degrees) for degrees in ROUND]
+    cameras = [looking(scene.cameras[0], f"camera{degrees}", degrees) for degrees in ROUND]
     found = channels(with_sensors(scene, cameras=cameras), tmp_path / "out")
     named = {f"camera{degrees}": f"CAM_{name}" for degrees, name in ROUND.items()}
     assert found == {"lidar": "LIDAR_TOP", **named}
 
 
 def test_cameras_whose_direction_is_not_theirs_alone_or_not_known_keep_their_ids(scene, tmp_path):
-    (camera,) = scene.cameras
-    cameras = [
-        looking(camera, "left", 0),
-        looking(camera, "right", 3),
-        looking(camera, "roof", 180, pitch=-80),
-        looking(camera, 7, 82),
-        replace(looking(camera, "somewhere", 0), mount=None),
-    ]
+    directions = {"left": (0,), "right": (3,), "roof": (180, -80), 7: (82,), "somewhere": (0,)}
+    cameras = [looking(scene.cameras[0], name, *direction) for name, direction in directions.items()]
+    cameras[-1] = replace(cameras[-1], mount=None)
     found = channels(with_sensors(scene, lidars=("front", "Top_lidar"), cameras=cameras), tmp_path / "out")
-    assert found == {
-        **{name: name for name in ("front", "left", "right", "roof", "somewhere")},
-        "Top_lidar": "LIDAR_TOP",
-        7: "7",
-    }
+    same = {name: name for name in ("front", "left", "right", "roof", "somewhere")}
+    assert found == {**same, "Top_lidar": "LIDAR_TOP", 7: "7"}
 
 
 def test_a_name_that_a_sensor_has_is_given_to_no_other(scene, tmp_path):
-    (camera,) = scene.cameras
-    cameras = [looking(camera, "CAM_FRONT", 180), looking(camera, "ahead", 0), looking(camera, "behind", 180)]
+    directions = {"CAM_FRONT": 180, "ahead": 0, "behind": 180}
+    cameras = [looking(scene.cameras[0], name, degrees) for name, degrees in directions.items()]
     drive = with_sensors(scene, lidars=("first", "LIDAR_TOP"), cameras=cameras)
     found = channels(drive, tmp_path / "out", channel=["ahead=CAM_BACK"])
     assert found == {**{name: name for name in ("first", "LIDAR_TOP", "CAM_FRONT", "behind")}, "ahead": "CAM_BACK"}
@@ -417,7 +359,7 @@ def test_a_sensor_gets_the_channel_that_is_named(scene, tmp_path):
     assert (found[lidar], found[camera]) == ("LIDAR_TEST", "CAM_TEST")
 
 
-@pytest.mark.parametrize("stated", ["nosuch=LIDAR_TOP", "LIDAR_TOP", "=LIDAR_TOP", ["nosuch=LIDAR_TOP"]])
-def test_a_channel_of_no_sensor_is_refused(scene, tmp_path, stated):
-    with pytest.raises(OptionError, match="expected SENSOR=CHANNEL"):
-        write_scene(scene, tmp_path / "out", format="nuscenes", channel=stated)
+def test_a_channel_of_no_sensor_is_refused(scene, tmp_path):
+    for stated in ("nosuch=LIDAR_TOP", "LIDAR_TOP", "=LIDAR_TOP", ["nosuch=LIDAR_TOP"]):
+        with pytest.raises(OptionError, match="expected SENSOR=CHANNEL"):
+            write_scene(scene, tmp_path / "out", format="nuscenes", channel=stated)

@@ -62,12 +62,11 @@ def test_what_a_pickle_asks_to_be_called_is_not_called(tmp_path, protocol):
 
 
 @pytest.mark.parametrize(
-    ("module", "name"),
-    [("builtins", "eval"), ("os", "system"), ("numpy", "load"), ("pandas", "eval"), ("pandas.io.common", "os.system")],
+    "name", ["builtins eval", "os system", "numpy load", "pandas eval", "pandas.io.common os.system"]
 )
-def test_names_beside_those_of_frames_are_refused(tmp_path, module, name):
-    program = b"\x80\x04" + b"".join(b"\x8c" + bytes([len(word)]) + word for word in (module.encode(), name.encode()))
-    with pytest.raises(DataError, match=f"asks for {module}.{name}"):
+def test_names_beside_those_of_frames_are_refused(tmp_path, name):
+    program = b"\x80\x04" + b"".join(b"\x8c" + bytes([len(word)]) + word for word in name.encode().split())
+    with pytest.raises(DataError, match=f"asks for {name.replace(' ', '.')}"):
         read_pickled_frame(written(tmp_path / "a.pkl", program + b"\x93."))
 
 
@@ -92,30 +91,23 @@ def test_a_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
         read_pickled_frame(path)
 
 
-@pytest.mark.parametrize("thing", [[1, 2], {"a": 1}, "text", None, b"bytes", 5])
-def test_pickles_of_other_things_are_refused(tmp_path, thing):
-    with pytest.raises(DataError, match=r"a pandas frame|operation"):
-        read_pickled_frame(written(tmp_path / "a.pkl", thing))
+def test_pickles_of_other_things_are_refused(tmp_path):
+    for thing in ([1, 2], {"a": 1}, "text", None, b"bytes", 5):
+        with pytest.raises(DataError, match=r"a pandas frame|operation"):
+            read_pickled_frame(written(tmp_path / "a.pkl", thing))
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_frame_that_is_cut_off_anywhere_is_a_data_error(tmp_path, version):
-    whole = gzip.decompress((FRAMES / version / "cuboids_0.pkl.gz").read_bytes())
+def test_a_frame_that_is_cut_off_or_has_a_flipped_byte_is_a_data_error_or_read(tmp_path, version):
+    whole, rng = gzip.decompress((FRAMES / version / "cuboids_1.pkl.gz").read_bytes()), np.random.default_rng(3)
     for stop in range(0, len(whole) - 1, 83):
         with pytest.raises(DataError):
             read_pickled_frame(written(tmp_path / "a.pkl", whole[:stop]))
-
-
-@pytest.mark.parametrize("version", VERSIONS)
-def test_a_frame_with_a_flipped_byte_is_read_or_a_data_error(tmp_path, version):
-    whole = gzip.decompress((FRAMES / version / "cuboids_1.pkl.gz").read_bytes())
-    rng = np.random.default_rng(3)
     for location in rng.integers(0, len(whole), 50).tolist():
         changed = bytearray(whole)
         changed[location] ^= 1 << int(rng.integers(8))
-        path = written(tmp_path / "a.pkl", bytes(changed))
         with suppress(DataError):
-            read_pickled_frame(path)
+            read_pickled_frame(written(tmp_path / "a.pkl", bytes(changed)))
 
 
 def test_the_golden_frames_hold_only_what_the_reader_allows():

@@ -29,18 +29,16 @@ def lidar_pose(k):
 
 def camera_pose(k):
     location, rotation = lidar_pose(k)
-    return (np.array(location) + rotation.apply([0.0, 0.5, -0.1])).tolist(), rotation * Rotation.from_euler(
-        "x", -np.pi / 2
-    )
+    there = np.array(location) + rotation.apply([0.0, 0.5, -0.1])
+    return there.tolist(), rotation * Rotation.from_euler("x", -np.pi / 2)
 
 
 def poses(of, count=2):
-    reported = []
-    for k in range(count):
-        location, rotation = of(k)
+    found = []
+    for location, rotation in map(of, range(count)):
         heading = dict(zip("xyzw", rotation.as_quat().tolist(), strict=True))
-        reported.append({"position": dict(zip("xyz", location, strict=True)), "heading": heading})
-    return reported
+        found.append({"position": dict(zip("xyz", location, strict=True)), "heading": heading})
+    return found
 
 
 def put(path, thing):
@@ -105,7 +103,7 @@ def test_the_main_lidar_is_where_its_poses_state_and_the_ego_looks_along_its_y(s
         assert np.allclose(mounted.matrix, own.matrix, atol=NEAR)
 
 
-def test_cameras_have_their_own_times_poses_and_camera_models(scene):
+def test_cameras_have_their_own_times_poses_and_camera_models_and_fixes_their_velocities(scene):
     camera = scene.cameras[0]
     assert camera.id == "front_camera"
     assert camera.images.timestamps_ns.tolist() == [FIRST_NS + 50_000_000, FIRST_NS + 150_000_000]
@@ -114,6 +112,11 @@ def test_cameras_have_their_own_times_poses_and_camera_models(scene):
     assert np.allclose(camera.poses.positions[1], location)
     assert (Rotation.from_quat(camera.poses.quaternions_xyzw[1]).inv() * rotation).magnitude() < NEAR
     assert camera.images[1].rgb.shape == (48, 64, 3)
+    for frames in (scene.lidars[1].frames, camera.images):
+        assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
+    receiver = scene.sensor("gps")
+    assert receiver.positions_lla[0].tolist() == [37.776089291519924, -122.39931707791749, 2.95]
+    assert receiver.extras["xvel"] == (0.5, 0.75)
 
 
 @pytest.mark.parametrize("version", ["pandas_1", "pandas_2", "pandas_3"])
@@ -143,35 +146,13 @@ def test_boxes_keep_their_corners_and_what_is_stated_about_them(tmp_path, versio
 def test_classes_count_the_points_of_each_lidar(scene):
     vegetation, ground, road = (a for a in scene.annotations if a.type == "labeled_points")
     assert (vegetation.label, ground.label, road.is_instance) == ("Vegetation", "Ground", False)
-    assert [(p.sensor_id, p.sensor_frame) for p in ground.labeled_points] == [
-        ("main_pandar64", 0),
-        ("front_gt", 0),
-        ("main_pandar64", 1),
-        ("front_gt", 1),
-    ]
+    found = [(part.sensor_id, part.sensor_frame) for part in ground.labeled_points]
+    assert found == [("main_pandar64", 0), ("front_gt", 0), ("main_pandar64", 1), ("front_gt", 1)]
     classes = np.arange(13) % 3 + 5
     assert ground.labeled_points[2].point_ids.tolist() == np.flatnonzero(classes[:8] == 6).tolist()
     assert ground.labeled_points[3].point_ids.tolist() == np.flatnonzero(classes[8:] == 6).tolist()
     again = pickle.loads(pickle.dumps(road))
     assert len(again.labeled_points) == len(road.labeled_points)
-
-
-def test_classes_are_not_read_before_somebody_asks(drive):
-    (drive / "annotations" / "semseg" / "00.pkl.gz").write_bytes(b"no pickle")
-    scene = sceneloom.open(drive)
-    with pytest.raises(DataError, match=r"semseg/00.pkl.gz"):
-        len(scene.annotations[-1].labeled_points)
-
-
-def test_satellite_fixes_keep_their_velocities(scene):
-    receiver = scene.sensor("gps")
-    assert receiver.positions_lla[0].tolist() == [37.776089291519924, -122.39931707791749, 2.95]
-    assert receiver.extras["xvel"] == (0.5, 0.75)
-
-
-def test_frames_go_to_other_processes(scene):
-    for frames in (scene.lidars[1].frames, scene.cameras[0].images):
-        assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
 
 
 def test_a_drive_survives_a_scene_file(scene, tmp_path):
@@ -192,68 +173,56 @@ def test_one_of_several_drives_has_to_be_chosen(tmp_path):
     assert sceneloom.open(tmp_path, sequence="002").metadata["pandaset"]["sequence"] == "002"
 
 
-def replaced(name, thing):
-    return lambda drive: put(drive / name, thing)
+CAMERA, POSES, CUBOIDS = "camera/front_camera", "lidar/poses.json", "annotations/cuboids/00.pkl.gz"
+ORIGIN, NO_HEADING = {"x": 0.0, "y": 0.0, "z": 0.0}, {"heading": {"w": 2.0, "x": 0.0, "y": 0.0, "z": 0.0}}
+FAULTS = [
+    (POSES, None, "lidar/poses.json: is not there"),
+    (f"{CAMERA}/timestamps.json", None, "timestamps.json: is not there"),
+    ("lidar/timestamps.json", [FIRST_S], "1 times; expected 2, one for each frame"),
+    ("lidar/timestamps.json", [2.0, 1.0], r"\[1\]: 1.0 after 2.0; expected later"),
+    ("lidar/timestamps.json", [1.5e12, 1.6e12], "expected seconds"),
+    (POSES, poses(lidar_pose, 1), "1 poses; expected 2"),
+    (POSES, [{"position": ORIGIN}] * 2, r"\$\[0\]: Object missing required field `heading`"),
+    (POSES, [poses(lidar_pose)[0] | NO_HEADING] * 2, r"\[0\].heading: w, x, y, z = \[2.0, .*\]; expected length 1"),
+    (POSES, b"[{", "poses.json: is no JSON"),
+    (f"{CAMERA}/intrinsics.json", None, "intrinsics.json: is not there"),
+    (f"{CAMERA}/intrinsics.json", {"fx": 0.0, "fy": 1.0, "cx": 1.0, "cy": 1.0}, "focal lengths 0.0, 1.0"),
+    ("annotations/cuboids/07.pkl.gz", FRAMES / "cuboids_0.pkl.gz", "07.pkl.gz: there is no sweep of this number"),
+    (CUBOIDS, FRAMES / "lidar_0.pkl.gz", "no column 'dimensions.x'; it has x, y, z, i, t, d"),
+    (CUBOIDS, (FRAMES / "cuboids_0.pkl.gz").read_bytes()[:200], "cuboids/00.pkl.gz: is no whole gzip file"),
+    ("annotations/semseg/classes.json", None, "semseg/classes.json: is not there"),
+]
 
 
-FAULTS = {
-    "no poses": (lambda d: (d / "lidar/poses.json").unlink(), "lidar/poses.json: is not there"),
-    "no times": (lambda d: (d / "camera/front_camera/timestamps.json").unlink(), "timestamps.json: is not there"),
-    "too few times": (replaced("lidar/timestamps.json", [FIRST_S]), "1 times; expected 2, one for each frame"),
-    "times backwards": (replaced("lidar/timestamps.json", [2.0, 1.0]), r"\[1\]: 1.0 after 2.0; expected later"),
-    "milliseconds": (replaced("lidar/timestamps.json", [1.5e12, 1.6e12]), "expected seconds"),
-    "too few poses": (replaced("lidar/poses.json", poses(lidar_pose, 1)), "1 poses; expected 2"),
-    "a pose without a heading": (
-        replaced("lidar/poses.json", [{"position": {"x": 0.0, "y": 0.0, "z": 0.0}}] * 2),
-        r"\$\[0\]: Object missing required field `heading`",
-    ),
-    "a heading that is none": (
-        replaced(
-            "lidar/poses.json", [{**poses(lidar_pose)[0], "heading": {"w": 2.0, "x": 0.0, "y": 0.0, "z": 0.0}}] * 2
-        ),
-        r"\[0\].heading: w, x, y, z = \[2.0, 0.0, 0.0, 0.0\]; expected length 1",
-    ),
-    "no JSON": (lambda d: (d / "lidar/poses.json").write_text("[{"), "poses.json: is no JSON"),
-    "no camera model": (
-        lambda d: (d / "camera/front_camera/intrinsics.json").unlink(),
-        "intrinsics.json: is not there",
-    ),
-    "a camera model without focus": (
-        replaced("camera/front_camera/intrinsics.json", {"fx": 0.0, "fy": 1.0, "cx": 1.0, "cy": 1.0}),
-        "focal lengths 0.0, 1.0",
-    ),
-    "no images": (
-        lambda d: [file.unlink() for file in (d / "camera/front_camera").glob("*.jpg")],
-        "front_camera: no image",
-    ),
-    "boxes of no sweep": (
-        lambda d: shutil.copy(d / "annotations/cuboids/00.pkl.gz", d / "annotations/cuboids/07.pkl.gz"),
-        "07.pkl.gz: there is no sweep of this number",
-    ),
-    "boxes that are points": (
-        lambda d: shutil.copy(d / "lidar/00.pkl.gz", d / "annotations/cuboids/00.pkl.gz"),
-        "no column 'dimensions.x'; it has x, y, z, i, t, d",
-    ),
-    "boxes cut off": (
-        lambda d: (d / "annotations/cuboids/00.pkl.gz").write_bytes((FRAMES / "cuboids_0.pkl.gz").read_bytes()[:200]),
-        "cuboids/00.pkl.gz: is no whole gzip file",
-    ),
-    "no classes": (lambda d: (d / "annotations/semseg/classes.json").unlink(), "semseg/classes.json: is not there"),
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_wrong_with_a_drive_is_reported_with_its_location(drive, fault):
-    change, message = FAULTS[fault]
-    change(drive)
+@pytest.mark.parametrize(("name", "thing", "message"), FAULTS)
+def test_what_is_wrong_with_a_drive_is_reported_with_its_location(drive, name, thing, message):
+    (drive / name).unlink(missing_ok=True)
+    if isinstance(thing, bytes | Path):
+        (drive / name).write_bytes(thing if isinstance(thing, bytes) else thing.read_bytes())
+    elif thing is not None:
+        put(drive / name, thing)
     with pytest.raises(DataError, match=message):
         sceneloom.open(drive)
 
 
-def test_a_sweep_that_is_none_is_reported_when_it_is_read(drive):
-    shutil.copy(drive / "annotations/cuboids/00.pkl.gz", drive / "lidar/00.pkl.gz")
-    with pytest.raises(DataError, match=r"00.pkl.gz: no column 'x'"):
-        sceneloom.open(drive).lidars[0].frames[0]
+def test_a_camera_without_images_and_half_a_drive_are_reported(drive):
+    for file in (drive / CAMERA).glob("*.jpg"):
+        file.unlink()
+    with pytest.raises(DataError, match="front_camera: no image"):
+        sceneloom.open(drive)
+    shutil.rmtree(drive / "lidar")
+    shutil.rmtree(drive / "annotations")
+    (drive / CAMERA / "00.jpg").touch()
+    with pytest.raises(DataError, match="has camera/front_camera/ as PandaSet has, but no lidar/"):
+        sceneloom.open(drive)
+
+
+@pytest.mark.parametrize("kind", ["lidar", "annotations/semseg"])
+def test_sweeps_and_classes_are_read_and_faults_reported_when_somebody_asks(drive, kind):
+    shutil.copy(drive / "annotations/cuboids/00.pkl.gz", drive / kind / "00.pkl.gz")
+    scene = sceneloom.open(drive)
+    with pytest.raises(DataError, match=r"00.pkl.gz: no column '(x|class)'"):
+        _ = scene.lidars[0].frames[0] if kind == "lidar" else list(scene.annotations[-1].labeled_points)
 
 
 def test_labels_of_another_number_than_the_points_are_reported(drive):
@@ -267,10 +236,3 @@ def test_files_of_boxes_at_fault_are_left_out_and_counted_by_a_lenient_reading(d
     scene = sceneloom.open(drive, lenient=True)
     assert len(scene.annotations[0].path.values) == 1
     assert {warning.code: warning.count for warning in scene.warnings}["cuboids"] == 1
-
-
-def test_half_a_drive_is_reported_what_it_lacks(drive):
-    shutil.rmtree(drive / "lidar")
-    shutil.rmtree(drive / "annotations")
-    with pytest.raises(DataError, match="has camera/front_camera/ as PandaSet has, but no lidar/"):
-        sceneloom.open(drive)

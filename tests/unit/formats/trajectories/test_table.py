@@ -1,7 +1,6 @@
 """Files of trajectories as other programs write them, and what is wrong with bad ones."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,41 +31,42 @@ FIXES = """Time,Lat,Lon,Alt,hAcc
 """
 
 
-def put(folder: Path, name: str, text: str) -> Path:
-    """Write a file."""
+def put(folder, name, text):
     path = folder / name
     path.write_text(text, "utf-8")
     return path
 
 
-def test_a_tum_file_is_read_with_exact_times(tmp_path: Path) -> None:
+def test_a_tum_file_is_read_with_exact_times(tmp_path):
     trajectory = read_trajectory(put(tmp_path, "gt.txt", TUM))
     assert trajectory.name == "gt"
     assert trajectory.timestamps_ns.tolist() == [1305031098665900000, 1305031098675900123]
     assert trajectory.positions[1].tolist() == [1.3543, 0.6306, 1.6360]
-    assert trajectory.quaternions_xyzw is not None
     assert trajectory.quaternions_xyzw[0].tolist() == [0.6132, 0.5962, -0.3311, -0.3986]
 
 
-def test_a_euroc_file_is_read_with_w_first_velocities_and_biases(tmp_path: Path) -> None:
+def test_a_euroc_file_is_read_with_w_first_velocities_and_biases_and_written_again(tmp_path):
     content = read_trajectory_file(put(tmp_path, "data.csv", EUROC))
     trajectory = content.trajectory
     assert content.form == "euroc"
     assert trajectory.timestamps_ns.tolist() == [1403636580838555648, 1403636580843555328]
-    assert trajectory.quaternions_xyzw is not None
     assert trajectory.quaternions_xyzw[0].tolist() == [-0.153029, -0.827383, -0.082152, 0.534108]
     assert content.columns["velocities"][1].tolist() == [-0.029272, 0.033992, 0.804771]
     assert content.columns["accelerometer_biases"][0].tolist() == [-0.025266, 0.136696, 0.075593]
-
-
-def test_a_file_of_eurocs_position_tracker_has_no_orientations(tmp_path: Path) -> None:
+    assert len(write_trajectory(content, tmp_path / "again.csv")) == 0
+    assert (tmp_path / "again.csv").read_text("utf-8").splitlines()[0] == EUROC.splitlines()[0]
+    again = read_trajectory_file(tmp_path / "again.csv")
+    for name, values in content.columns.items():
+        assert np.array_equal(values, again.columns[name])
+    losses = write_trajectory(content, tmp_path / "trajectory.tum")
+    assert [loss.field.split(".")[-1] for loss in losses] == ["velocities", "gyroscope_biases", "accelerometer_biases"]
+    # that of its position tracker has no orientations
     text = "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m]\n1403636616613303296,0.1,0.2,0.3\n"
     trajectory = read_trajectory(put(tmp_path, "leica.csv", text))
-    assert trajectory.positions.tolist() == [[0.1, 0.2, 0.3]]
-    assert trajectory.quaternions_xyzw is None
+    assert (trajectory.positions.tolist(), trajectory.quaternions_xyzw) == ([[0.1, 0.2, 0.3]], None)
 
 
-def test_a_path_of_poses_is_written_as_it_is(tmp_path: Path) -> None:
+def test_a_path_of_poses_is_written_as_it_is(tmp_path):
     path = Poses(np.array([5], np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
     write_trajectory(path, tmp_path / "a.tum")
     assert read_trajectory(tmp_path / "a.tum").positions.tolist() == [[1.0, 1.0, 1.0]]
@@ -74,23 +74,7 @@ def test_a_path_of_poses_is_written_as_it_is(tmp_path: Path) -> None:
         write_trajectory(Poses.identity(), tmp_path / "b.tum")
 
 
-def test_a_euroc_file_is_written_with_all_that_was_read(tmp_path: Path) -> None:
-    first = read_trajectory_file(put(tmp_path, "data.csv", EUROC))
-    assert len(write_trajectory(first, tmp_path / "again.csv")) == 0
-    text = (tmp_path / "again.csv").read_text("utf-8")
-    assert text.splitlines()[0] == EUROC.splitlines()[0]
-    again = read_trajectory_file(tmp_path / "again.csv")
-    for name, values in first.columns.items():
-        assert np.array_equal(values, again.columns[name])
-
-
-def test_what_a_form_cannot_hold_is_reported(tmp_path: Path) -> None:
-    content = read_trajectory_file(put(tmp_path, "data.csv", EUROC))
-    losses = write_trajectory(content, tmp_path / "trajectory.tum")
-    assert [loss.field.split(".")[-1] for loss in losses] == ["velocities", "gyroscope_biases", "accelerometer_biases"]
-
-
-def test_kitti_poses_get_their_times_from_a_file_a_rate_or_the_folder(tmp_path: Path) -> None:
+def test_kitti_poses_get_their_times_from_a_file_a_rate_or_the_folder(tmp_path):
     poses = put(tmp_path, "00.txt", KITTI)
     with pytest.raises(DataError, match="--from-rate HZ"):
         read_trajectory(poses)
@@ -102,22 +86,20 @@ def test_kitti_poses_get_their_times_from_a_file_a_rate_or_the_folder(tmp_path: 
     assert content.trajectory.timestamps_ns.tolist() == [0, 103622400]
     assert [warning.code for warning in content.warnings] == ["times-beside"]
     # the second rotation rotates x to y, y to z and z to x: 120° about (1, 1, 1)
-    assert content.trajectory.quaternions_xyzw is not None
     assert content.trajectory.quaternions_xyzw[1].tolist() == [0.5, 0.5, 0.5, 0.5]
     assert content.trajectory.positions.tolist() == [[0.5, -0.25, 2.0], [3.0, 4.0, 5.0]]
 
 
-def test_poses_of_a_camera_are_rotated_to_x_forward(tmp_path: Path) -> None:
+def test_poses_of_a_camera_are_rotated_to_x_forward(tmp_path):
     # 10 m ahead, 2 m to the right and 1 m down, rotated to the right: about the camera's y axis, which points down
     half = math.sqrt(0.5)
     path = put(tmp_path, "trajectory.tum", f"0 2 1 10 0 {half!r} 0 {half!r}\n")
     trajectory = read_trajectory(path, optical=True)
     assert trajectory.positions.tolist() == [[10.0, -2.0, -1.0]]
-    assert trajectory.quaternions_xyzw is not None
     np.testing.assert_allclose(trajectory.quaternions_xyzw, [[0, 0, -half, half]], atol=1e-15)
 
 
-def test_fixes_are_metres_from_the_first_of_them(tmp_path: Path) -> None:
+def test_fixes_are_metres_from_the_first_of_them_or_from_an_origin_that_is_named(tmp_path):
     content = read_trajectory_file(put(tmp_path, "fixes.csv", FIXES))
     assert content.form == "gnss"
     assert content.trajectory.quaternions_xyzw is None
@@ -127,16 +109,12 @@ def test_fixes_are_metres_from_the_first_of_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(content.trajectory.positions[0], 0.0, atol=1e-9)
     # 1e-3 m: the earth's curvature lowers the second fix by 0.4 mm
     np.testing.assert_allclose(content.trajectory.positions[1], [east, 0.0, 1.0], atol=1e-3)
-    assert content.fixes is not None
     np.testing.assert_array_equal(content.fixes.accuracies, [0.5, np.nan])
-
-
-def test_fixes_are_seen_from_an_origin_that_is_named(tmp_path: Path) -> None:
-    trajectory = read_trajectory(put(tmp_path, "fixes.csv", FIXES), origin_lla=(49.0, 8.0, 100.0))
+    trajectory = read_trajectory(tmp_path / "fixes.csv", origin_lla=(49.0, 8.0, 100.0))
     np.testing.assert_allclose(trajectory.positions[0], [0, 0, 10], atol=1e-6)
 
 
-def test_a_trajectory_with_an_origin_is_written_as_fixes(tmp_path: Path) -> None:
+def test_a_trajectory_with_an_origin_is_written_as_fixes(tmp_path):
     trajectory = Trajectory("trajectory", np.array([0, 10], np.int64), np.array([[0.0, 0, 0], [10.0, 20, 1]]))
     with pytest.raises(OptionError, match="--origin"):
         write_trajectory(trajectory, tmp_path / "a.csv", form="gnss")
@@ -160,27 +138,21 @@ def test_a_trajectory_with_an_origin_is_written_as_fixes(tmp_path: Path) -> None
         ("a.out", '{"time":5,"position":{"x":1,"y":2,"z":3}}\n', "jsonl"),
     ],
 )
-def test_the_form_is_known_by_the_content(tmp_path: Path, name: str, text: str, form: str) -> None:
-    found = find_form(put(tmp_path, name, text))
-    assert found is not None
-    assert found.name == form
+def test_the_form_is_known_by_the_content(tmp_path, name, text, form):
+    assert find_form(put(tmp_path, name, text)).name == form
 
 
-def test_a_suffix_decides_where_the_first_line_is_bad(tmp_path: Path) -> None:
+def test_a_suffix_decides_where_the_first_line_is_bad_and_what_is_no_trajectory_is_refused_with_all_forms(tmp_path):
     with pytest.raises(DataError, match="line 1: 7 values; expected 8"):
         read_trajectory(put(tmp_path, "a.tum", "0 1 2 3 0 0 0\n"))
     with pytest.raises(DataError, match="line 1"):
         read_trajectory(put(tmp_path, "a.jsonl", "{torn\n"))
-
-
-def test_what_is_no_trajectory_is_refused_with_all_forms(tmp_path: Path) -> None:
     with pytest.raises(UnknownFormatError, match="tum, lines of 8 numbers"):
         read_trajectory(put(tmp_path, "a.txt", "hello world\n"))
     with pytest.raises(UnknownFormatError, match="no such file"):
         read_trajectory(tmp_path / "absent.txt")
-    (tmp_path / "b.bin").write_bytes(b"\0\1\2")
     with pytest.raises(UnknownFormatError):
-        read_trajectory(tmp_path / "b.bin")
+        read_trajectory(put(tmp_path, "b.bin", "\0\1\2"))
 
 
 JSONL = """{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":1403636580.838555648}
@@ -200,23 +172,16 @@ JSONL = """{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":1403636580.838
         ("output", 7.0, 1403636581000000000),
     ],
 )
-def test_lines_of_json_hold_trajectories_under_any_key(
-    tmp_path: Path, name: str | None, x: float, timestamp_ns: int
-) -> None:
+def test_lines_of_json_hold_trajectories_under_any_key(tmp_path, name, x, timestamp_ns):
     path = put(tmp_path, "lines.jsonl", JSONL)
     for trajectory in (read_trajectory(path, name=name), read_trajectory(f"{path}:{name}" if name else path)):
         assert trajectory.positions[0, 0] == x
         assert trajectory.timestamps_ns.tolist() == [timestamp_ns]
-
-
-def test_an_unknown_name_is_answered_with_the_known_ones(tmp_path: Path) -> None:
-    path = put(tmp_path, "lines.jsonl", JSONL)
     with pytest.raises(OptionError, match="vio, groundTruth, ARKit, output"):
         read_trajectory(path, name="slam")
 
 
-def pose(time: object, x: object = 1, w: object = 1) -> str:
-    """A line of JSON."""
+def pose(time, x=1, w=1):
     rotation = f'{{"x":0,"y":0,"z":0,"w":{w}}}'
     return f'{{"groundTruth":{{"position":{{"x":{x},"y":2,"z":3}},"orientation":{rotation}}},"time":{time}}}\n'
 
@@ -251,33 +216,30 @@ BAD = [
 
 
 @pytest.mark.parametrize(("form", "text", "problem"), BAD)
-def test_bad_content_is_one_error_with_its_line(tmp_path: Path, form: str, text: str, problem: str) -> None:
+def test_bad_content_is_one_error_with_its_line(tmp_path, form, text, problem):
     path = put(tmp_path, "bad.txt", text)
     with pytest.raises(DataError, match=problem):
         read_trajectory(path, form=form, rate_hz=10 if form == "kitti" else None)
 
 
-def test_a_lenient_reading_leaves_out_what_is_bad(tmp_path: Path) -> None:
+def test_a_lenient_reading_leaves_out_what_is_bad(tmp_path):
     path = put(tmp_path, "a.jsonl", pose(0) + "{torn\n" + pose(1, w=0.5) + pose(0) + pose(2))
     content = read_trajectory_file(path, lenient=True)
     assert content.trajectory.timestamps_ns.tolist() == [0, 2 * 10**9]
     assert {warning.code for warning in content.warnings} == {"bad-lines", "unusable-poses", "repeated-poses"}
 
 
-def test_poses_out_of_order_are_sorted_and_reported(tmp_path: Path) -> None:
+def test_poses_out_of_order_are_sorted_and_reported(tmp_path):
     content = read_trajectory_file(put(tmp_path, "a.txt", "2 2 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n"))
     assert content.trajectory.positions[:, 0].tolist() == [1.0, 2.0]
     assert [warning.code for warning in content.warnings] == ["poses-sorted"]
-
-
-def test_times_whose_difference_no_int64_holds_are_in_order(tmp_path: Path) -> None:
-    lines = "-9000000000 1 0 0 0 0 0 1\n9000000000 2 0 0 0 0 0 1\n"
+    lines = "-9000000000 1 0 0 0 0 0 1\n9000000000 2 0 0 0 0 0 1\n"  # no int64 holds their difference
     content = read_trajectory_file(put(tmp_path, "a.txt", lines))
     assert content.trajectory.timestamps_ns.tolist() == [-9 * 10**18, 9 * 10**18]
     assert content.warnings == ()
 
 
-def test_positions_alone_are_refused_where_orientations_are_needed(tmp_path: Path) -> None:
+def test_positions_alone_are_refused_where_orientations_are_needed(tmp_path):
     trajectory = Trajectory("trajectory", np.array([0], np.int64), np.zeros((1, 3)))
     for name in ("a.tum", "a.kitti", "a.csv"):
         with pytest.raises(OptionError, match="positions without orientations"):
@@ -287,40 +249,37 @@ def test_positions_alone_are_refused_where_orientations_are_needed(tmp_path: Pat
     assert read_trajectory(tmp_path / "a.csv").quaternions_xyzw is None
 
 
-def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
+def test_files_are_not_replaced_unasked_and_suffixes_that_no_form_has_refused(tmp_path):
     trajectory = read_trajectory(put(tmp_path, "a.txt", TUM))
     write_trajectory(trajectory, tmp_path / "a.kitti")
     (tmp_path / "a.kitti").unlink()
     with pytest.raises(OutputError, match=r"a\.times\.txt: exists already"):
         write_trajectory(trajectory, tmp_path / "a.kitti")
     assert not (tmp_path / "a.kitti").exists()
+    with pytest.raises(OptionError, match=r"expected one of: tum \(\.tum \.txt\)"):
+        write_trajectory(TrajectoryFile(trajectory), tmp_path / "a.poses")
     write_trajectory(trajectory, tmp_path / "a.kitti", overwrite=True)
     assert read_trajectory(tmp_path / "a.kitti").timestamps_ns.tolist() == trajectory.timestamps_ns.tolist()
 
 
-def test_a_suffix_that_no_form_has_is_refused(tmp_path: Path) -> None:
-    trajectory = read_trajectory(put(tmp_path, "a.txt", TUM))
-    with pytest.raises(OptionError, match=r"expected one of: tum \(\.tum \.txt\)"):
-        write_trajectory(TrajectoryFile(trajectory), tmp_path / "a.poses")
-
-
-def test_a_trajectory_is_taken_out_of_a_scene_by_name(tmp_path: Path) -> None:
-    folder = tmp_path / "drive"
+def test_a_trajectory_is_taken_out_of_a_scene_by_name(tmp_path):
+    folder, fix = tmp_path / "drive", '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n'
     folder.mkdir()
-    put(folder, "data.jsonl", JSONL + '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n')
+    put(folder, "data.jsonl", JSONL + fix)
     assert read_trajectory(folder).name == "groundTruth"
     assert read_trajectory(f"{folder}:vio").positions[0, 0] == 9.0
     assert read_trajectory(f"{folder}:fixes").quaternions_xyzw is None
     with pytest.raises(OptionError, match=r"there are: groundTruth, .*gnss, fixes$"):
         read_trajectory(folder, name="slam")
+    path = put(tmp_path, "log.jsonl", JSONL + fix)  # a log that lies by itself
+    assert read_trajectory(f"{path}:fixes").timestamps_ns.tolist() == [1403636581 * 10**9]
+    assert read_trajectory(f"{path}:vio").positions[0, 0] == 9.0
 
 
-def test_fixes_before_reception_are_no_origin(tmp_path: Path) -> None:
+def test_fixes_before_reception_are_no_origin(tmp_path):
     locations = [(0, 0, 0), (0, 0, 0), (49, 8, 1), (49.001, 8, 1)]
-    lines = [
-        f'{{"gps":{{"latitude":{latitude},"longitude":{longitude},"altitude":{altitude}}},"time":{k}}}\n'
-        for k, (latitude, longitude, altitude) in enumerate(locations)
-    ]
+    fields = '{{"gps":{{"latitude":{},"longitude":{},"altitude":{}}},"time":{}}}\n'
+    lines = [fields.format(*location, k) for k, location in enumerate(locations)]
     path = put(tmp_path, "log.jsonl", "".join(lines))
     content = read_trajectory_file(f"{path}:fixes")
     assert content.trajectory.timestamps_ns.tolist() == [2 * 10**9, 3 * 10**9]
@@ -332,25 +291,15 @@ def test_fixes_before_reception_are_no_origin(tmp_path: Path) -> None:
         read_trajectory(f"{nowhere}:fixes")
 
 
-def test_fixes_are_taken_out_of_a_log_that_lies_by_itself(tmp_path: Path) -> None:
-    path = put(tmp_path, "log.jsonl", JSONL + '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n')
-    assert read_trajectory(f"{path}:fixes").timestamps_ns.tolist() == [1403636581 * 10**9]
-    assert read_trajectory(f"{path}:vio").positions[0, 0] == 9.0
-
-
 @pytest.mark.parametrize(
     ("name", "options", "word"),
     [
-        ("trajectory.tum", {"rate_hz": 10.0}, "has its own times; the rate 10 Hz would not be used"),
-        ("trajectory.tum", {"origin_lla": (48.0, 9.0, 300.0)}, "the origin would not be used"),
-        ("trajectory.kitti", {"rate_hz": 10.0, "unit": "seconds"}, "the unit 'seconds' would not be used"),
+        ("a.tum", {"rate_hz": 10.0}, "has its own times; the rate 10 Hz would not be used"),
+        ("a.tum", {"origin_lla": (48.0, 9.0, 300.0)}, "the origin would not be used"),
+        ("a.kitti", {"rate_hz": 10.0, "unit": "seconds"}, "the unit 'seconds' would not be used"),
     ],
 )
 def test_what_would_be_ignored_of_a_trajectory_s_times_and_origin_is_refused(tmp_path, name, options, word):
-    text = {
-        "trajectory.tum": "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n",
-        "trajectory.kitti": "1 0 0 0 0 1 0 0 0 0 1 0\n" * 2,
-    }[name]
-    (tmp_path / name).write_text(text)
+    path = put(tmp_path, name, TUM if name == "a.tum" else KITTI)
     with pytest.raises(OptionError, match=word):
-        read_trajectory(tmp_path / name, **options)
+        read_trajectory(path, **options)

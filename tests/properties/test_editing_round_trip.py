@@ -6,25 +6,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sceneloom import scene as sc
 from sceneloom.editing import crop_scene, merge_scenes, to_ego, to_sensor, to_world
 from sceneloom.editing.thin import one_per_cube
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CuboidAnnotation,
-    CuboidPath,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    OdometrySensor,
-    PointsFrame,
-    Poses,
-    Scene,
-    ShapeAnnotation,
-    ShapeType,
-    Trajectory,
-    VertexPath,
-)
 from sceneloom.scene.annotations_at import CuboidAngles
 
 PERIOD_NS = 100_000_000
@@ -38,36 +23,25 @@ def drives(draw):
     numbers = np.random.default_rng(seed)
     times = np.arange(-1, frames + 1, dtype=np.int64) * PERIOD_NS
     rotations = numbers.normal(size=(len(times), 4))
-    path = Poses(
-        times,
-        numbers.uniform(-1, 1, (len(times), 3)).cumsum(axis=0) * draw(st.floats(0.0, 3.0)),
-        rotations / np.linalg.norm(rotations, axis=1, keepdims=True),
-    )
+    positions = numbers.uniform(-1, 1, (len(times), 3)).cumsum(axis=0) * draw(st.floats(0.0, 3.0))
+    path = sc.Poses(times, positions, rotations / np.linalg.norm(rotations, axis=1, keepdims=True))
     timestamps = times[1:-1]
-    points = [LidarPoints(numbers.uniform(-50, 50, (20, 3)).astype(np.float32)) for _ in timestamps]
-    sweeps = [LidarFrame(int(t), p) for t, p in zip(timestamps, points, strict=True)]
+    points = [sc.LidarPoints(numbers.uniform(-50, 50, (20, 3)).astype(np.float32)) for _ in timestamps]
+    sweeps = [sc.LidarFrame(int(t), p) for t, p in zip(timestamps, points, strict=True)]
     mount = RigidTransform.from_quaternion(numbers.uniform(-2, 2, 3), numbers.normal(size=4))
-    lidar = LidarSensor(
-        "lidar", LazyFrames.of(sweeps, timestamps.tolist()), mount=mount, points_frame=PointsFrame.WORLD
-    )
-    rows = np.concatenate(
-        [
-            numbers.uniform(0.5, 5, (frames, 3)),
-            numbers.uniform(-50, 50, (frames, 3)),
-            numbers.uniform(-400, 400, (frames, 3)),
-        ],
-        axis=1,
-    )
+    frames_world = sc.LazyFrames.of(sweeps, timestamps.tolist())
+    lidar = sc.LidarSensor("lidar", frames_world, mount=mount, points_frame=sc.PointsFrame.WORLD)
+    rows = numbers.uniform([0.5] * 3 + [-50] * 3 + [-400] * 3, [5] * 3 + [50] * 3 + [400] * 3, (frames, 9))
     corners = tuple(numbers.uniform(-50, 50, (4, 3)) for _ in timestamps)
     annotations = (
-        CuboidAnnotation("box", CuboidPath(timestamps, rows)),
-        CuboidAnnotation("parked", CuboidPath(timestamps[:1], rows[:1]), stationary=True),
-        ShapeAnnotation("area", ShapeType.POLYGON_TOPDOWN, VertexPath(timestamps, corners)),
+        sc.CuboidAnnotation("box", sc.CuboidPath(timestamps, rows)),
+        sc.CuboidAnnotation("parked", sc.CuboidPath(timestamps[:1], rows[:1]), stationary=True),
+        sc.ShapeAnnotation("area", sc.ShapeType.POLYGON_TOPDOWN, sc.VertexPath(timestamps, corners)),
     )
-    trajectory = Trajectory("ego", path.timestamps_ns, path.positions, path.quaternions_xyzw)
+    trajectory = sc.Trajectory("ego", path.timestamps_ns, path.positions, path.quaternions_xyzw)
     unit, order = draw(st.sampled_from(["degrees", "radians"])), draw(st.sampled_from(["xyz", "zyx", "yxz"]))
-    return Scene(
-        (lidar, OdometrySensor("ego", path)),
+    return sc.Scene(
+        (lidar, sc.OdometrySensor("ego", path)),
         annotations,
         trajectories={"ego": trajectory},
         metadata={"sceneloom": {"euler_unit": unit, "euler_order": order}},

@@ -35,18 +35,13 @@ PARTNERS = {"points": ("image", 0), "boxes_3d": ("boxes_2d", 1)}
 
 
 def record(kind, time_ns, seq):
-    timestamp = Timestamp.of(time_ns)
+    head = {"sensor_id": int(kind in {"image", "boxes_2d"}), "timestamp": Timestamp.of(time_ns), "seq": seq}
     if kind == "image":
-        pixels = np.zeros(6, np.uint8)
-        return ImageData(
-            sensor_id=1, timestamp=timestamp, seq=seq, height=1, width=2, encoding="rgb8", channel=3, data=pixels
-        )
+        return ImageData(**head, height=1, width=2, encoding="rgb8", channel=3, data=np.zeros(6, np.uint8))
     if kind == "points":
         points = np.array([5.0, 0, 0], np.float32)
-        return PointCloudData(
-            sensor_id=0, timestamp=timestamp, seq=seq, number=1, fields=("x", "y", "z"), fields_number=3, data=points
-        )
-    return Boxes2d.empty(1, seq, timestamp) if kind == "boxes_2d" else Boxes3d.empty(0, seq, timestamp)
+        return PointCloudData(**head, number=1, fields=("x", "y", "z"), fields_number=3, data=points)
+    return (Boxes2d if kind == "boxes_2d" else Boxes3d).empty(head["sensor_id"], seq, head["timestamp"])
 
 
 class Pairs:
@@ -134,9 +129,8 @@ class Clause5(RuleBasedStateMachine):
     @rule(row_major=st.booleans())
     def replace(self, row_major):
         numbers = tuple(np.reshape(FORWARD, (4, 4)).T.ravel().tolist()) if row_major else FORWARD
-        assert self.fusion.set_calibration(
-            dataclasses.replace(CALIBRATION, extrinsic_matrix=numbers), camera_id=1, lidar_id=0
-        )
+        calibration = dataclasses.replace(CALIBRATION, extrinsic_matrix=numbers)
+        assert self.fusion.set_calibration(calibration, camera_id=1, lidar_id=0)
 
     @rule(back=st.sampled_from([0, 30, 20_000]), count=st.integers(1, 3))
     def move(self, back, count):
@@ -231,7 +225,7 @@ class Clause5(RuleBasedStateMachine):
 
 
 Clause5.TestCase.settings = settings(
-    max_examples=40, stateful_step_count=40, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+    max_examples=40, stateful_step_count=40, suppress_health_check=[HealthCheck.too_slow]
 )
 TestClause5 = Clause5.TestCase
 

@@ -37,7 +37,6 @@ def records(draw, types=TYPES):
 
 @pytest.fixture(scope="module")
 def location(tmp_path_factory):
-    """A folder for the files."""
     return tmp_path_factory.mktemp("clouds")
 
 

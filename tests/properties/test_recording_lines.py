@@ -1,32 +1,29 @@
 """Any lines of a recording, opened and written, state the same again: sorted by time, and else as they were."""
 
+import copy
 import json
 import struct
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
+import numpy as np
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from sceneloom.formats import open_scene, write_scene
 
 ROWS = [[1.0, 0.0, 0.0, 0.25], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.75], [0.0, 0.0, 0.0, 1.0]]
-CAMERA_MODEL = {
-    "model": "pinhole",
-    "focalLengthX": 9.0,
-    "focalLengthY": 9.0,
-    "principalPointX": 3.5,
-    "principalPointY": 3.5,
-    "imuToCamera": ROWS,
-}
+PINHOLE = {"model": "pinhole", "focalLengthX": 9.0, "focalLengthY": 9.0, "principalPointX": 3.5, "principalPointY": 3.5}
 ROTATION = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
 TIMES = (0, 0.1 + 0.2, 1.5, 1.5000000000000002, 1.4497692636718750, 7, -3.25, 1e-10, 1e-9, 123456.789012345)
 """Few, so that many lines have one; some closer than a nanosecond."""
 
 numbers = st.one_of(st.floats(-1e6, 1e6), st.integers(-5, 5))
+triples = st.lists(numbers, min_size=3, max_size=3)
 beside = st.dictionaries(
     st.sampled_from(["temperature", "status", "note", "ünïcode %s"]),
     st.one_of(st.none(), st.booleans(), numbers, st.text(max_size=3), st.lists(numbers, max_size=2)),
@@ -34,12 +31,45 @@ beside = st.dictionaries(
 )
 
 
-def axes(names: str) -> st.SearchStrategy[dict[str, Any]]:
+def write_drive(folder, drive, *, cameras=None):
+    """A recording with these lines, a sweep, and an image for each `frames` line of so many cameras."""
+    count = sum("frames" in line for line in drive)
+    cameras = bool(count) if cameras is None else cameras
+    folder.mkdir()
+    (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in drive), "utf-8")
+    calibration = {"cameras": [PINHOLE | {"imuToCamera": ROWS}] * cameras, "lidars": [{"imuToLidar": ROWS}]}
+    (folder / "calibration.json").write_text(json.dumps(calibration))
+    (folder / "points.bin").write_bytes(struct.pack("<fffBHd", 1, 2, 3, 4, 5, 0.5))
+    for index in range(cameras):
+        images = folder / f"frames{index + 1}"
+        images.mkdir()
+        for number in range(count):
+            Image.new("RGB", (8, 8), (10 * number, 0, 100 * index)).save(images / f"{number:08d}.png")
+
+
+def read_lines(folder):
+    return [json.loads(line) for line in (folder / "data.jsonl").read_text("utf-8").split("\n")[:-1]]
+
+
+def written_again(folder, change=lambda scene: scene, *, scene_file=True):
+    """The lines as they are written, as they are through a scene file, and the loss report of the former."""
+    with open_scene(folder) as scene:
+        report = write_scene(change(scene), folder.with_name("again"), images="png")
+        if scene_file:
+            write_scene(scene, folder.with_name("scene.sfs"), time_unit="nanoseconds")
+    if scene_file:
+        with open_scene(folder.with_name("scene.sfs")) as scene:
+            write_scene(scene, folder.with_name("from_scene"), images="png")
+    found = [read_lines(folder.with_name(name)) for name in ("again", "from_scene")[: 1 + scene_file]]
+    return *found, report
+
+
+def axes(names):
     return st.fixed_dictionaries(dict.fromkeys(names, numbers))
 
 
 @st.composite
-def samples(draw: st.DrawFn) -> dict[str, Any]:
+def samples(draw):
     width = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3, "imuTemperature": 1}
     name = draw(st.sampled_from([*width, "barometer", "odd"]))
     count = width.get(name) or draw(st.integers(1, 3))
@@ -48,18 +78,17 @@ def samples(draw: st.DrawFn) -> dict[str, Any]:
 
 
 @st.composite
-def fixes(draw: st.DrawFn) -> dict[str, Any]:
+def fixes(draw):
     accuracy = st.dictionaries(st.sampled_from(["accuracy", "verticalAccuracy"]), st.floats(0, 99))
-    fix = draw(axes("abc"))
-    fix = {"latitude": fix["a"], "longitude": fix["b"], "altitude": fix["c"]} | draw(accuracy) | draw(beside)
+    fix = draw(axes(["latitude", "longitude", "altitude"])) | draw(accuracy) | draw(beside)
     root = draw(st.sampled_from(["gps", "gps", "rtkgps", "groundTruth", "pose"]))
     return {root: {"name": "gps"} | fix if root == "pose" else fix}
 
 
 @st.composite
-def poses(draw: st.DrawFn) -> dict[str, Any]:
+def poses(draw):
     root = draw(st.sampled_from(["groundTruth", "pose", "ARKit", "arengine", "output", "externalPose", ""]))
-    pose: dict[str, Any] = {"position": draw(axes("xyz")) | draw(beside)}
+    pose = {"position": draw(axes("xyz")) | draw(beside)}
     # a trajectory has an orientation with each pose, or with none
     if root in {"groundTruth", "ARKit", ""}:
         pose["orientation"] = ROTATION
@@ -69,31 +98,26 @@ def poses(draw: st.DrawFn) -> dict[str, Any]:
     return {root: pose} if root else pose
 
 
-@st.composite
-def others(draw: st.DrawFn) -> dict[str, Any]:
-    root = draw(st.sampled_from(["systemMetrics", "droppedFrame", "trigger", "externalVelocity", "barometer"]))
-    return {root: draw(st.one_of(st.none(), st.booleans(), numbers, beside))}
-
-
 pressures = st.builds(lambda value, more: {"barometer": {"pressureHectopascals": value} | more}, numbers, beside)
-enus = st.builds(
-    lambda mean, more: {"gnssEnu": {"mean": mean} | more}, st.lists(numbers, min_size=3, max_size=3), beside
+enus = st.builds(lambda mean, more: {"gnssEnu": {"mean": mean} | more}, triples, beside)
+others = st.dictionaries(
+    st.sampled_from(["systemMetrics", "droppedFrame", "trigger", "externalVelocity", "barometer"]),
+    st.one_of(st.none(), st.booleans(), numbers, beside),
+    min_size=1,
+    max_size=1,
 )
-records = st.one_of(samples(), samples(), fixes(), poses(), pressures, enus)
 
 
 @st.composite
-def lines(draw: st.DrawFn) -> dict[str, Any]:
+def lines(draw):
     """A line: one record, unknown keys, a time, in any order."""
-    line: dict[str, Any] = draw(records)
-    line |= draw(st.sampled_from([{}, draw(others())]))
-    line |= draw(beside)
-    line["time"] = draw(st.sampled_from(TIMES))
+    line = draw(st.one_of(samples(), samples(), fixes(), poses(), pressures, enus))
+    line |= draw(st.sampled_from([{}, draw(others)])) | draw(beside) | {"time": draw(st.sampled_from(TIMES))}
     return {key: line[key] for key in draw(st.permutations(list(line)))}
 
 
 @st.composite
-def drives(draw: st.DrawFn) -> list[dict[str, Any]]:
+def drives(draw):
     """All lines of a recording: of records, of images, of sweeps, without time or subject; in any order."""
     found = draw(st.lists(lines(), max_size=8))
     times = sorted(draw(st.lists(st.sampled_from(TIMES), max_size=3, unique=True)))
@@ -109,20 +133,7 @@ def drives(draw: st.DrawFn) -> list[dict[str, Any]]:
     return draw(st.permutations(found))
 
 
-def write_drive(folder: Path, drive: list[dict[str, Any]]) -> None:
-    count = sum("frames" in line for line in drive)
-    (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in drive), "utf-8")
-    (folder / "calibration.json").write_text(
-        json.dumps({"cameras": [CAMERA_MODEL] if count else [], "lidars": [{"imuToLidar": ROWS}]})
-    )
-    (folder / "points.bin").write_bytes(struct.pack("<fffBHd", 1, 2, 3, 4, 5, 0.5))
-    if count:
-        (folder / "frames1").mkdir()
-    for number in range(count):
-        Image.new("RGB", (8, 8)).save(folder / "frames1" / f"{number:08d}.png")
-
-
-def in_order(drive: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def in_order(drive):
     """Sorted by time, lines without one behind those of the time that they stood behind; of one time by their text."""
     keys, last = [], -float("inf")
     for line in drive:
@@ -131,7 +142,7 @@ def in_order(drive: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [drive[k] for k in sorted(range(len(drive)), key=lambda k: keys[k])]
 
 
-def as_floats(value: Any) -> Any:
+def as_floats(value):
     """A value with all its whole numbers as floats, which mean the same."""
     if isinstance(value, dict):
         return {key: as_floats(one) for key, one in value.items()}
@@ -140,25 +151,8 @@ def as_floats(value: Any) -> Any:
     return float(value) if type(value) is int else value
 
 
-def without_names(line: dict[str, Any]) -> dict[str, Any]:
-    """Files of sweeps get new names."""
-    if "lidar" not in line:
-        return line
-    return {**line, "lidar": {**line["lidar"], "dataFile": ""}}
-
-
-def read_lines(folder: Path) -> list[dict[str, Any]]:
-    text = (folder / "data.jsonl").read_text("utf-8")
-    return [json.loads(line) for line in text.split("\n")[:-1]]
-
-
-def check(drive: list[dict[str, Any]], target: Path) -> None:
-    found = read_lines(target)
-    timestamps = [round(line["time"] * 1e9) for line in found if "time" in line]
-    assert timestamps == sorted(timestamps)
-    lines = ([without_names(line) for line in each] for each in (drive, found))
-    expected, written = map(in_order, lines)
-    assert written == expected
+def without_names(line):
+    return {**line, "lidar": {**line["lidar"], "dataFile": ""}} if "lidar" in line else line
 
 
 TWICE = {"gnssEnu": {"mean": [0.0, 0.0, 0.0]}, "time": 7}
@@ -167,18 +161,17 @@ TWICE = {"gnssEnu": {"mean": [0.0, 0.0, 0.0]}, "time": 7}
 @given(drives())
 @example([TWICE, {"temperature": None, **TWICE}, TWICE])  # nothing but poses that came before
 def test_lines_are_written_as_they_were(drive):
-    with TemporaryDirectory() as temporary:
-        folder, target = Path(temporary, "drive"), Path(temporary, "again")
-        folder.mkdir()
-        write_drive(folder, drive)
-        if not drive:
-            return
-        with open_scene(folder) as scene:
-            write_scene(scene, target, images="png")
-        check(drive, target)
+    if drive:
+        with TemporaryDirectory() as temporary:
+            write_drive(Path(temporary, "drive"), drive)
+            found, _ = written_again(Path(temporary, "drive"), scene_file=False)
+        timestamps = [round(line["time"] * 1e9) for line in found if "time" in line]
+        assert timestamps == sorted(timestamps)
+        expected, written = (in_order([without_names(line) for line in each]) for each in (drive, found))
+        assert written == expected
 
 
-EVERY_KIND: list[dict[str, Any]] = [
+EVERY_KIND = [
     {"sdkVersion": "1.5"},
     {"sensor": {"type": "gyroscope", "values": [1, 2.5, -3]}, "time": 0.30000000000000004},
     {"time": 0.30000000000000004, "sensor": {"type": "accelerometer", "values": [1, 2, 3], "temperature": 40}},
@@ -197,34 +190,24 @@ EVERY_KIND: list[dict[str, Any]] = [
 
 
 def test_lines_of_every_kind_come_back_key_by_key_and_through_a_scene_file(tmp_path):
-    (tmp_path / "drive").mkdir()
     write_drive(tmp_path / "drive", EVERY_KIND)
-    with open_scene(tmp_path / "drive") as scene:
-        write_scene(scene, tmp_path / "again")
-        write_scene(scene, tmp_path / "scene.sfs")
-    with open_scene(tmp_path / "scene.sfs") as scene:
-        write_scene(scene, tmp_path / "from_scene")
-    for target in ("again", "from_scene"):
-        found = read_lines(tmp_path / target)
+    for found in written_again(tmp_path / "drive")[:2]:
         assert in_order(found) == in_order(EVERY_KIND)
 
 
 def test_what_was_changed_is_written_and_the_rest_of_its_line_stays(tmp_path):
-    (tmp_path / "drive").mkdir()
-    write_drive(tmp_path / "drive", EVERY_KIND)
-    with open_scene(tmp_path / "drive") as scene:
+    def rotated(scene):
         imu = scene.sensor("imu")
         gyroscope = imu.streams["gyroscope"]
-        rotated = {**imu.streams, "gyroscope": replace(gyroscope, values=gyroscope.values + 1)}
-        others = tuple(sensor for sensor in scene.sensors if sensor.id != "imu")
-        write_scene(replace(scene, sensors=(*others, replace(imu, streams=rotated))), tmp_path / "again")
-    expected = [
-        {**line, "sensor": {**line["sensor"], "values": [value + 1 for value in line["sensor"]["values"]]}}
-        if line.get("sensor", {}).get("type") == "gyroscope"
-        else line
-        for line in EVERY_KIND
-    ]
-    assert in_order(read_lines(tmp_path / "again")) == in_order(expected)
+        changed = replace(imu, streams={**imu.streams, "gyroscope": replace(gyroscope, values=gyroscope.values + 1)})
+        return replace(scene, sensors=tuple(changed if sensor is imu else sensor for sensor in scene.sensors))
+
+    write_drive(tmp_path / "drive", EVERY_KIND)
+    expected = copy.deepcopy(EVERY_KIND)
+    for sensor in (line["sensor"] for line in expected if "sensor" in line):
+        sensor["values"] = [value + (sensor["type"] == "gyroscope") for value in sensor["values"]]
+    found, _ = written_again(tmp_path / "drive", rotated, scene_file=False)
+    assert in_order(found) == in_order(expected)
 
 
 def test_the_records_of_a_line_are_written_one_by_one_and_its_unknown_keys_stay(tmp_path):
@@ -232,16 +215,218 @@ def test_the_records_of_a_line_are_written_one_by_one_and_its_unknown_keys_stay(
     fix = {"gps": {"latitude": 1.0, "longitude": 2.0, "altitude": 3.0}}
     images = {"frames": [{"cameraInd": 0, "time": 0.5, "features": [1]}], "number": 0}
     drive = [sample | images | fix | {"status": "INIT", "time": 0.5}, fix | sample | {"note": 1, "time": 1.5}]
-    (tmp_path / "drive").mkdir()
     write_drive(tmp_path / "drive", drive)
-    with open_scene(tmp_path / "drive") as scene:
-        write_scene(scene, tmp_path / "again", images="png")
-    assert in_order(read_lines(tmp_path / "again")) == in_order(
-        [
-            sample | {"time": 0.5},
-            fix | {"time": 0.5},
-            images | {"status": "INIT", "time": 0.5},
-            sample | {"note": 1, "time": 1.5},
-            fix | {"time": 1.5},
-        ]
+    expected = [sample | {"time": 0.5}, fix | {"time": 0.5}, images | {"status": "INIT", "time": 0.5}]
+    expected += [sample | {"note": 1, "time": 1.5}, fix | {"time": 1.5}]
+    assert in_order(written_again(tmp_path / "drive", scene_file=False)[0]) == in_order(expected)
+
+
+beside_entry = st.dictionaries(
+    st.sampled_from(["exposureTimeSeconds", "number", "line", "note", "ünïcode %s"]),
+    st.one_of(st.none(), st.booleans(), numbers, st.text(max_size=3)),
+    max_size=2,
+).map(lambda found: found if isinstance(found.get("exposureTimeSeconds", 0.5), float) else {})
+beside_line = st.dictionaries(st.sampled_from(["status", "note"]), st.one_of(st.none(), numbers), max_size=1)
+MODELS = [("KANNALA_BRANDT4", 4), ("kannala-brandt4", 0), ("brown-conrady", 5), ("PINHOLE", 3), ("pinhole", 0)]
+
+
+@st.composite
+def camera_models(draw):
+    """Parameters in any spelling, some or all of them."""
+    name, count = draw(st.sampled_from(MODELS))
+    whole = {
+        "focalLengthX": draw(st.sampled_from([9, 9.0, 284.929992675781])),
+        "focalLengthY": draw(st.floats(5, 300)),
+        "principalPointX": 3.5,
+        "principalPointY": draw(st.floats(2, 5)),
+        draw(st.sampled_from(["model", "distortionModel"])): name,
+        "distortionCoefficients": draw(st.lists(st.floats(-0.01, 0.01), min_size=count, max_size=count)),
+    }
+    some = {"principalPointX": draw(st.sampled_from([3, 3.5, 4.25]))}
+    return draw(st.sampled_from([whole, some, {"focalLength": 11}, {}])) | draw(
+        st.sampled_from([{}, {"rollingShutter": True}])
     )
+
+
+@st.composite
+def mounts(draw):
+    """A matrix with rounded digits, by rows or flat by columns."""
+    matrix = np.eye(4)
+    rotation = draw(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
+    # five digits leave a rotation within 1e-4 of one, which is read without a word
+    matrix[:3, :3] = Rotation.from_rotvec(rotation).as_matrix().round(5)
+    matrix[:3, 3] = draw(st.lists(st.floats(-5, 5), min_size=3, max_size=3))
+    return draw(st.sampled_from([matrix.tolist(), matrix.T.ravel().tolist()]))
+
+
+@st.composite
+def entries(draw, index, seconds):
+    entry = {"cameraInd": index, "time": seconds + draw(st.sampled_from([0, 0, 1e-9, -0.004, 0.4]))}
+    entry |= draw(beside_entry)
+    if draw(st.booleans()):
+        entry["cameraParameters"] = draw(camera_models())
+    if draw(st.booleans()):
+        entry["imuToCamera"] = draw(mounts())
+    entry |= draw(st.sampled_from([{}, {}, {"missingBitmap": True}]))
+    return {key: entry[key] for key in draw(st.permutations(list(entry)))}
+
+
+@st.composite
+def drives_of_images(draw):
+    """Lines of images, each of some cameras, with a sample between."""
+    first, count, cameras = draw(st.sampled_from([0, 0, 28])), draw(st.integers(1, 5)), draw(st.integers(1, 2))
+    steps = draw(st.lists(st.sampled_from([0.1, 0.033, 1.5]), min_size=count, max_size=count))
+    found = []
+    for number, seconds in enumerate(np.cumsum(steps).tolist(), first):
+        listed = [index for index in range(cameras) if draw(st.integers(0, 4))]
+        listed = [draw(entries(index, seconds)) for index in draw(st.permutations(listed))]
+        found.append({"frames": listed, "number": number, "time": seconds} | draw(beside_line))
+        if draw(st.booleans()):
+            found.append({"sensor": {"type": "gyroscope", "values": [0, 0.5, 1]}, "time": seconds + 0.01})
+    return found
+
+
+def by_camera(drive):
+    """The cameras of a line stand in it in the order of their numbers."""
+    ordered = copy.deepcopy(drive)
+    for line in ordered:
+        line.get("frames", []).sort(key=lambda entry: entry["cameraInd"])
+    return ordered
+
+
+def shows(line, index):
+    return any(entry["cameraInd"] == index and entry.get("missingBitmap") is not True for entry in line)
+
+
+@given(drives_of_images())
+def test_frames_lines_are_written_as_they_were(drive):
+    listed = [line["frames"] for line in drive if "frames" in line]
+    cameras = range(len({entry["cameraInd"] for line in listed for entry in line}))
+    if not cameras or not all(any(shows(line, index) for line in listed) for index in cameras):
+        return  # a camera without any image is left out, and the loss report says so
+    models = [entry["cameraParameters"] for line in listed for entry in line if "cameraParameters" in entry]
+    if not all("focalLengthX" in model for model in models):
+        return  # a part of a camera model is written whole where the calibration becomes that of the images
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary, "drive")
+        write_drive(folder, drive, cameras=len(cameras))
+        for found in written_again(folder)[:2]:
+            assert by_camera(found) == by_camera(drive)
+        for name in ("again", "from_scene"):
+            for index in cameras:
+                files = sorted(Path(temporary, name, f"frames{index + 1}").iterdir())
+                for number, (path, line) in enumerate(zip(files, listed, strict=True)):
+                    if shows(line, index):
+                        shown = np.asarray(Image.open(path))[0, 0].astype(int)
+                        # scene files hold JPEG, which is off by a step or two where an image is of one colour
+                        assert np.abs(shown - [10 * number, 0, 100 * index]).max() <= 4
+
+
+def recorded_entry(index):
+    parameters = {
+        "focalLengthX": 284.917388916016,
+        "focalLengthY": 285.203491210938,
+        "principalPointX": 3.4547119140625,
+        "principalPointY": 3.77349853515625 + index,
+        "distortionModel": "KANNALA_BRANDT4",
+        "distortionCoefficients": [-0.005131, 0.04012, -0.03751, 0.006324],
+    }
+    rows = [[0.01361, 0.9996, -0.02533, 0.0611 - index / 10], [-0.9998, 0.01371, 0.003916, -0.0203]]
+    rows += [[0.00426, 0.02527, 0.9997, -0.008021], [0, 0, 0, 1]]
+    return {"cameraInd": index, "cameraParameters": parameters, "imuToCamera": rows, "time": 1.416107177734375}
+
+
+POSITION = {"x": -0.0081264712, "y": 0.022171846215, "z": 0.0079135264873}
+FIX = {"accuracy": 3.5, "altitude": 12.70541106834269, "latitude": 60.1729, "longitude": 24.9211}
+RECORDED = [
+    {"groundTruth": {"position": POSITION, "orientation": ROTATION}, "time": 1.410257080078125},
+    {"frames": [recorded_entry(0), recorded_entry(1)], "number": 31, "time": 1.416107177734375},
+    {"gps": FIX, "time": 1.41977294921875},
+]
+"""Lines as recorders write them: a stereo pair with all its parameters, more decimals than a nanosecond."""
+
+
+def test_lines_of_a_recorder_come_back_without_a_loss(tmp_path):
+    write_drive(tmp_path / "drive", RECORDED, cameras=2)
+    found, from_scene, report = written_again(tmp_path / "drive")
+    assert found == from_scene == RECORDED
+    assert {loss.field for loss in report} <= {"replay"}
+
+
+def frames_written(drive, tmp_path, change=lambda scene: scene, cameras=1):
+    write_drive(tmp_path / "drive", drive, cameras=cameras)
+    found, reported = written_again(tmp_path / "drive", change, scene_file=False)
+    return [line for line in found if "frames" in line], reported
+
+
+def with_images(camera, images):
+    return replace(camera, images=type(camera.images).of(images, [image.timestamp_ns for image in images]))
+
+
+def test_a_mounting_that_was_normalised_is_written_as_it_was_taken(tmp_path):
+    drive = copy.deepcopy(RECORDED[1:2])
+    off = drive[0]["frames"][0]["imuToCamera"]
+    off[0] = [1.003 * number for number in off[0]]
+    found, _ = frames_written(drive, tmp_path, cameras=2)
+    taken, kept = (np.array(entry["imuToCamera"]) for entry in found[0]["frames"])
+    np.testing.assert_allclose(taken[:3, :3] @ taken[:3, :3].T, np.eye(3), atol=1e-12)
+    # the nearest rotation is hardly more off than the row that is 0.003 too long
+    np.testing.assert_allclose(taken, np.array(off), atol=0.0035)
+    assert kept.tolist() == drive[0]["frames"][1]["imuToCamera"]
+
+
+def test_a_camera_model_that_was_changed_is_written_as_it_is_now(tmp_path):
+    def wider(scene):
+        camera = scene.sensor("camera0")
+        changed = with_images(camera, [replace(shot, camera=replace(shot.camera, fx=200.0)) for shot in camera.images])
+        return replace(scene, sensors=tuple(changed if sensor is camera else sensor for sensor in scene.sensors))
+
+    found, _ = frames_written(RECORDED, tmp_path, wider, cameras=2)
+    changed, kept = (entry["cameraParameters"] for entry in found[0]["frames"])
+    before, other = (entry["cameraParameters"] for entry in RECORDED[1]["frames"])
+    assert (changed["focalLengthX"], changed["focalLengthY"]) == (200.0, before["focalLengthY"])
+    assert kept == other
+
+
+def numbered(*numbers):
+    times = [k / 10 for k in range(len(numbers))]
+    entries = [[{"cameraInd": 0, "time": time}] for time in times]
+    return [{"frames": e, "number": n, "time": t} for e, n, t in zip(entries, numbers, times, strict=True)]
+
+
+@pytest.mark.parametrize("numbers", [[0, 1, 2], [28, 29, 30], [28, 30, 31]])
+def test_numbers_stay_with_their_gaps(numbers, tmp_path):
+    found, reported = frames_written(numbered(*numbers), tmp_path)
+    assert [line["number"] for line in found] == numbers
+    assert "frames[].number" not in {loss.field for loss in reported}
+
+
+def test_images_that_were_left_out_are_not_counted(tmp_path):
+    def shorter(scene):
+        camera = scene.cameras[0]
+        return replace(scene, sensors=(with_images(camera, [camera.images[k] for k in (1, 2)]),))
+
+    found, _ = frames_written(numbered(28, 29, 30), tmp_path, shorter)
+    assert [(line["number"], line["time"]) for line in found] == [(0, 0.1), (1, 0.2)]
+
+
+def test_lines_whose_clock_was_moved_are_put_together_anew_and_that_is_reported(tmp_path):
+    def later(scene):
+        (camera,) = scene.cameras
+        moved = [replace(shot, timestamp_ns=shot.timestamp_ns + 10**9, extras={}) for shot in camera.images]
+        return replace(scene, sensors=(with_images(camera, moved),))
+
+    drive = numbered(0, 1, 2)
+    drive[0]["time"] = -0.05
+    drive[1]["frames"][0]["missingBitmap"] = True
+    found, reported = frames_written(drive, tmp_path, later)
+    assert [(line["number"], line["time"]) for line in found] == [(0, 1.0), (1, 1.2)]
+    assert {loss.field: loss.count for loss in reported}["frames"] == 2
+
+
+def test_cameras_that_a_line_does_not_list_are_not_listed_and_that_is_reported(tmp_path):
+    drive = [*RECORDED[1:2], {"frames": [{"cameraInd": 1, "time": 2.0}], "number": 32, "time": 2.0}]
+    found, reported = frames_written(drive, tmp_path, cameras=2)
+    assert found == drive
+    assert [loss.count for loss in reported if "do not list every camera" in loss.what] == [1]
+    assert not [loss for loss in reported if "not in step" in loss.what]

@@ -17,7 +17,7 @@ from sceneloom.simulate.drive import Rig
     passes=st.integers(1, 12),
     period_ns=st.integers(1_000, 10**9),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_raster_shoots_at_each_of_its_cells_once_and_in_the_order_of_time(rows, columns, channels, passes, period_ns):
     raster = Raster((-40.0, 40.0), (-5.0, 5.0), rows, columns, channels, passes)
     shots = raster.plan_shots(period_ns)(0)
@@ -37,7 +37,7 @@ def test_a_raster_shoots_at_each_of_its_cells_once_and_in_the_order_of_time(rows
     share=st.floats(0.0, 1.0),
     elapsed_ns=st.integers(0, 10**12),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_rosette_stays_between_its_least_and_its_greatest_bend(fov_deg, rotations, share, elapsed_ns):
     shots = Rosette(fov_deg, 5000.0, rotations, share).plan_shots(20_000_000)(elapsed_ns)
     off_axis = np.degrees(np.arccos(shots.rays.spread()[:, 0].clip(-1.0, 1.0)))

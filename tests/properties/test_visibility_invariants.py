@@ -146,9 +146,8 @@ def test_images_and_colours_are_written_nowhere_else(pixels, size, data):
 def test_any_cloud_can_be_fused(points, size, enabled):
     camera = Camera("pinhole", *size, 20.0, 20.0, (size[0] - 1) / 2, (size[1] - 1) / 2)
     rgb = np.full((size[1], size[0], 3), 3, np.uint8)
-    request = ViewRequest(
-        camera_id=0, camera_index=0, camera=camera, timestamp_ns=0, world_from_camera=RigidTransform.identity(), rgb=rgb
-    )
+    stated = {"camera_id": 0, "camera_index": 0, "timestamp_ns": 0, "world_from_camera": RigidTransform.identity()}
+    request = ViewRequest(camera=camera, rgb=rgb, **stated)
     fused = fuse_by_projection(points, [request], VisibilitySettings(enabled=enabled))
     view = fused.views[0]
     seen = np.zeros(len(points), bool)

@@ -28,12 +28,14 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.malformed.damage import look_at_everything
 
 SECONDS = 40.0
 """How long one mutant may take; a sound drive takes a fraction of a second, a busy machine ten times as long."""
@@ -45,19 +47,16 @@ _HEAD = 400
 _TEXTS = ("", "NaN", "-1", "0", "1e999", "-1e308", "99999999999999999999999", "9223372036854775808", "null", "true",
           '"a"', "[]", "{}", "[[[]]]", "1e-320", "Infinity", "\u00e9", "0x10", "-0", "1_0", "\x00")  # fmt: skip
 _DEEP = ("[" * 100_000, "[" * 100_000 + "]" * 100_000, '{"a":' * 100_000, "<a>" * 100_000)
-_NUMBERS = tuple(
-    struct.pack(kind, value)
-    for kind, values in (
-        ("<b", (0, -1, 127, -128)),
-        ("<h", (0, -1, 32767, -32768)),
-        ("<i", (0, -1, 2**31 - 1, -(2**31), 2**28)),
-        ("<q", (0, -1, 2**63 - 1, -(2**63), 2**40)),
-        ("<f", (float("nan"), float("inf"), 3e38, 1e-40)),
-        ("<d", (float("nan"), float("-inf"), 1e308, 1e-310, 0.0)),
-        (">i", (2**31 - 1, 2**28)),
-    )
-    for value in values
-)
+_KINDS = {
+    "<b": (0, -1, 127, -128),
+    "<h": (0, -1, 32767, -32768),
+    "<i": (0, -1, 2**31 - 1, -(2**31), 2**28),
+    "<q": (0, -1, 2**63 - 1, -(2**63), 2**40),
+    "<f": (float("nan"), float("inf"), 3e38, 1e-40),
+    "<d": (float("nan"), float("-inf"), 1e308, 1e-310, 0.0),
+    ">i": (2**31 - 1, 2**28),
+}
+_NUMBERS = tuple(struct.pack(kind, value) for kind, values in _KINDS.items() for value in values)
 
 
 def sound_scene() -> Any:
@@ -70,34 +69,31 @@ def sound_scene() -> Any:
     return simulate_street(5, frames=2, lidar=lidar, cameras=(camera,), imu=imu).scene
 
 
-def _written(name: str, location: str, **options: Any) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        from sceneloom.formats import write_scene
-
-        write_scene(sound_scene(), folder / location, format=name, **options)
-        return folder / location
-
-    return write
+Write = Callable[[Path], Path]
+"""Writes a sound drive into an empty folder, and gives its path, of a file or a folder."""
 
 
-def _by_test(module: str, function: str, location: str = "drive") -> Callable[[Path], Path]:
+def _written(name: str, location: str, folder: Path, **options: Any) -> Path:
+    from sceneloom.formats import write_scene
+    from sceneloom.scene import LabeledPoints, LabeledPointsAnnotation
+
+    scene = sound_scene()
+    labels = LabeledPoints("lidar", np.arange(4, dtype=np.uint32), 0)
+    road = LabeledPointsAnnotation("road", (labels,), label="road")
+    write_scene(replace(scene, annotations=(*scene.annotations, road)), folder / location, format=name, **options)
+    return folder / location
+
+
+def _by_test(module: str, function: str, location: str, folder: Path) -> Path:
     """A drive of a format that is only read, made by the writer in the tests of that format."""
-
-    def write(folder: Path) -> Path:
-        (folder / location).mkdir(exist_ok=True)
-        written: Path = getattr(import_module(f"tests.unit.formats.{module}"), function)(folder / location)
-        return written
-
-    return write
+    (folder / location).mkdir(exist_ok=True)
+    return getattr(import_module(f"tests.unit.formats.{module}"), function)(folder / location)
 
 
 def _street(folder: Path) -> Path:
-    """A folder of the nuScenes schema."""
-    from tests.unit.formats.nuscenes.schema_folder import street
-    from tests.unit.formats.nuscenes.test_writer import with_classes
+    from tests.unit.formats.nuscenes.schema_folder import street, with_classes
 
-    written: Path = with_classes(street(folder / "drive")).write()
-    return written
+    return with_classes(street(folder / "drive"), dict.fromkeys((0, 2, 4), slice(3, 9))).write()
 
 
 def _without_checksums(folder: Path) -> Path:
@@ -105,7 +101,7 @@ def _without_checksums(folder: Path) -> Path:
     from mcap.reader import make_reader
     from mcap.writer import CompressionType, Writer
 
-    sound = _written("mcap", "sound.mcap")(folder)
+    sound = _written("mcap", "sound.mcap", folder)
     target = folder / "drive.mcap"
     with sound.open("rb") as source, target.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD, enable_crcs=False)
@@ -121,200 +117,141 @@ def _without_checksums(folder: Path) -> Path:
     return target
 
 
-def _packed_bag(folder: Path) -> Path:
-    """Write a bag of ROS 1 whose chunks are compressed."""
+def rewrite_bag(sound: Path, target: Path, change: Callable[[Any, Any], Any] | None = None, lz4: bool = False) -> Path:
+    """Write a bag of ROS 1 again: its messages changed by a function of type and message, or its chunks compressed."""
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag1 import Writer
 
-    sound = _written("ros1", "sound.bag")(folder)
-    bag = Writer(folder / "drive.bag")
-    bag.set_compression(Writer.CompressionFormat.LZ4)
+    bag = Writer(target)
+    if lz4:
+        bag.set_compression(Writer.CompressionFormat.LZ4)
     with AnyReader([sound]) as reader, bag:
-        known = {
-            one.id: bag.add_connection(one.topic, one.msgtype, typestore=reader.typestore) for one in reader.connections
-        }
-        for connection, time_ns, content in reader.messages():
-            bag.write(known[connection.id], time_ns, content)
+        store = reader.typestore
+        known = {one.id: bag.add_connection(one.topic, one.msgtype, typestore=store) for one in reader.connections}
+        for connection, time_ns, raw in reader.messages():
+            kind = connection.msgtype
+            changed = change(kind, reader.deserialize(raw, kind)) if change else None
+            bag.write(known[connection.id], time_ns, raw if changed is None else store.serialize_ros1(changed, kind))
     sound.unlink()
-    return folder / "drive.bag"
+    return target
 
 
-def _copied(location: str) -> Callable[[Path], Path]:
+def _packed_bag(folder: Path) -> Path:
+    return rewrite_bag(_written("ros1", "sound.bag", folder), folder / "drive.bag", lz4=True)
+
+
+def _copied(location: str, folder: Path) -> Path:
     """A file of someone else, out of the folder of real data."""
-
-    def copy(folder: Path) -> Path:
-        data = os.environ.get("SCENELOOM_DATA", _ROOT.parent / "shared" / "data")
-        source = Path(data, "real", "strangers", location)
-        return Path(shutil.copyfile(source, folder / source.name))
-
-    return copy
+    data = os.environ.get("SCENELOOM_DATA", _ROOT.parent / "shared" / "data")
+    source = Path(data, "real", "strangers", location)
+    return Path(shutil.copyfile(source, folder / source.name))
 
 
-DRIVES: dict[str, Callable[[Path], Path]] = {
-    "openlabel": _written("openlabel", "drive.json"),
-    "kitti-raw": _written("kitti-raw", "drive"),
-    "kitti-object": _written("kitti-object", "drive"),
-    "laz": _written("laz", "drive"),
-    "las": _written("las", "drive"),
-    "pcd": _written("pcd", "drive"),
-    "ply": _written("ply", "drive"),
-    "npz": _written("npz", "drive"),
-    "mcap": _written("mcap", "drive.mcap"),
-    "mcap lz4": _written("mcap", "drive.mcap", compression="lz4"),
+def _folders(*names: str) -> dict[str, Write]:
+    return {name: partial(_written, name, "drive") for name in names}
+
+
+DRIVES: dict[str, Write] = {
+    "openlabel": partial(_written, "openlabel", "drive.json"),
+    **_folders("kitti-raw", "kitti-object", "laz", "las", "pcd", "ply", "npz"),
+    "mcap": partial(_written, "mcap", "drive.mcap"),
+    "mcap lz4": partial(_written, "mcap", "drive.mcap", compression="lz4"),
     "mcap zstd unchecked": _without_checksums,
-    "ros1": _written("ros1", "drive.bag", images="raw"),
+    "ros1": partial(_written, "ros1", "drive.bag", images="raw"),
     "ros1 lz4": _packed_bag,
-    "ros2": _written("ros2", "drive"),
-    "ros2 sqlite": _written("ros2", "drive", storage="sqlite3"),
+    **_folders("ros2"),
+    "ros2 sqlite": partial(_written, "ros2", "drive", storage="sqlite3"),
 }
-"""Writers of sound drives, by their format and what else reports them apart.
+"""Writers of sound drives, by their format and what else reports them apart."""
 
-Each takes an empty folder and gives the path of the drive in it, a file or a folder.
-"""
-
-STRANGERS: dict[str, Callable[[Path], Path]] = {
-    "mcap stranger": _copied("mcap/custom-camera-model.mcap"),
-    "ros1 stranger lz4": _copied("ros1_bags/example-lz4.bag"),
-    "ros1 stranger tf": _copied("tf_bags/tf_example.bag"),
-    "ros2 stranger tf": _copied("tf_bags/tf_example.db3"),
-    "ros2 stranger radar": _copied("radar_bag/ars548/1708578204.db3"),
+STRANGERS: dict[str, Write] = {
+    "mcap stranger": partial(_copied, "mcap/custom-camera-model.mcap"),
+    "ros1 stranger lz4": partial(_copied, "ros1_bags/example-lz4.bag"),
+    "ros1 stranger tf": partial(_copied, "tf_bags/tf_example.bag"),
+    "ros2 stranger tf": partial(_copied, "tf_bags/tf_example.db3"),
+    "ros2 stranger radar": partial(_copied, "radar_bag/ars548/1708578204.db3"),
 }
 """The same with files of others."""
 
-OTHER_DRIVES: dict[str, Callable[[Path], Path]] = {
-    "sfs": _written("sfs", "drive.sfs"),
-    "recording": _written("recording", "drive"),
-    "rig": _by_test("rig.conftest", "write_folder"),
-    "kitti-tracking": _written("kitti-tracking", "drive"),
-    "kitti-odometry": _written("kitti-odometry", "drive"),
-    "kitti-bin": _written("kitti-bin", "drive"),
-    "nuscenes-bin": _written("nuscenes-bin", "drive"),
+OTHER_DRIVES: dict[str, Write] = {
+    "sfs": partial(_written, "sfs", "drive.sfs"),
+    "recording": partial(_written, "recording", "drive"),
+    "rig": partial(_by_test, "rig.conftest", "write_folder", "drive"),
+    **_folders("kitti-tracking", "kitti-odometry", "kitti-bin", "nuscenes-bin"),
     "nuscenes": _street,
-    "argoverse2": _by_test("argoverse2.test_read", "write_log"),
-    "pandaset": _by_test("pandaset.test_read", "write_drive"),
-    "scale-toolkit": _by_test("scale_toolkit.test_read", "write_folder"),
-    "euroc-mav": _by_test("euroc_mav.test_euroc_mav", "write_drive", "."),
+    "argoverse2": partial(_by_test, "argoverse2.test_reader", "write_log", "drive"),
+    "pandaset": partial(_by_test, "pandaset.test_reader", "write_drive", "drive"),
+    "scale-toolkit": partial(_by_test, "scale_toolkit.test_reader", "write_folder", "drive"),
+    "euroc-mav": partial(_by_test, "euroc_mav.test_reader", "write_drive", "."),
 }
 """Those of the formats whose mutants are tried elsewhere."""
 
 ALL_DRIVES = DRIVES | OTHER_DRIVES | STRANGERS
 
 
+_WAYS = ("flip", "set", "cut", "double", "remove", "insert", *["number"] * 2, *["token"] * 3, "line")
+
+
 def mutant_of(content: bytes, chance: np.random.Generator) -> bytes:
     """Change a file in one of many ways; its beginning more often than the rest."""
-    return _TRAJECTORIES[int(chance.integers(len(_TRAJECTORIES)))](content, chance)
 
+    def location() -> int:
+        reach = len(content) if chance.random() < 0.5 else min(_HEAD, len(content))
+        return int(chance.integers(reach + 1))
 
-def _location(content: bytes, chance: np.random.Generator) -> int:
-    reach = len(content) if chance.random() < 0.5 else min(_HEAD, len(content))
-    return int(chance.integers(reach + 1))
-
-
-def _span(content: bytes, chance: np.random.Generator) -> tuple[int, int]:
-    start = _location(content, chance)
-    return start, start + int(chance.integers(1, 65))
-
-
-def _flipped(content: bytes, chance: np.random.Generator) -> bytes:
-    changed = bytearray(content)
-    for _ in range(int(chance.integers(1, 4))):
-        if changed:
-            changed[min(_location(content, chance), len(changed) - 1)] ^= 1 << int(chance.integers(8))
-    return bytes(changed)
-
-
-def _set(content: bytes, chance: np.random.Generator) -> bytes:
-    location = _location(content, chance)
-    return content[:location] + chance.bytes(1) + content[location + 1 :]
-
-
-def _cut(content: bytes, chance: np.random.Generator) -> bytes:
-    return content[: _location(content, chance)]
-
-
-def _doubled(content: bytes, chance: np.random.Generator) -> bytes:
-    start, stop = _span(content, chance)
-    return content[:stop] + content[start:stop] * int(chance.integers(1, 4)) + content[stop:]
-
-
-def _removed(content: bytes, chance: np.random.Generator) -> bytes:
-    start, stop = _span(content, chance)
-    return content[:start] + content[stop:]
-
-
-def _inserted(content: bytes, chance: np.random.Generator) -> bytes:
-    location = _location(content, chance)
-    return content[:location] + chance.bytes(int(chance.integers(1, 17))) + content[location:]
-
-
-def _numbered(content: bytes, chance: np.random.Generator) -> bytes:
-    location, number = _location(content, chance), _NUMBERS[int(chance.integers(len(_NUMBERS)))]
-    if chance.random() < 0.5:
-        location -= location % len(number)
-    return content[:location] + number + content[location + len(number) :]
-
-
-def _replaced(content: bytes, chance: np.random.Generator) -> bytes:
-    """Put something else for a number or a word of a text; where there is no text, for a number of bytes."""
-    if b"\x00" in content[:_HEAD]:
-        return _numbered(content, chance)
-    tokens = list(re.finditer(rb"-?\d[\d.eE+-]*|\"[^\"]*\"|[A-Za-z_]+", content))
-    if not tokens:
-        return _inserted(content, chance)
-    token = tokens[int(chance.integers(len(tokens)))]
-    texts = _DEEP if chance.random() < 0.03 else _TEXTS
-    text = texts[int(chance.integers(len(texts)))].encode()
-    return content[: token.start()] + text + content[token.end() :]
-
-
-def _relined(content: bytes, chance: np.random.Generator) -> bytes:
-    """Leave a line out, or state it twice, or somewhere else."""
-    lines = content.split(b"\n")
-    taken = lines.pop(int(chance.integers(len(lines))))
-    for _ in range(int(chance.integers(3))):
-        lines.insert(int(chance.integers(len(lines) + 1)), taken)
-    return b"\n".join(lines)
-
-
-_TRAJECTORIES = (_flipped, _set, _cut, _doubled, _removed, _inserted, _numbered, _numbered, _replaced,
-    _replaced, _replaced,
-         _relined)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Failure:
-    """What should not have become of a mutant.
-
-    Attributes:
-        number: which mutant.
-        reported: the traceback, or what became of the process.
-    """
-
-    number: int
-    reported: str
-
-    @property
-    def kind(self) -> str:
-        """The same for failures of one cause: where the exception came from, or what became of the process."""
-        locations = re.findall(r'File "[^"]*/(sceneloom/[^"]*)", line (\d+)', self.reported)
-        last = self.reported.strip().splitlines()[-1][:120]
-        return f"{':'.join(locations[-1])}: {last}" if locations else last
+    way, start = _WAYS[int(chance.integers(len(_WAYS)))], location()
+    stop = start + int(chance.integers(1, 65))
+    tokens = list(re.finditer(rb"-?\d[\d.eE+-]*|\"[^\"]*\"|[A-Za-z_]+", content)) if way == "token" else []
+    if way == "token" and (b"\x00" in content[:_HEAD] or not tokens):  # where there is no text, a number of bytes
+        way = "number"
+    match way:
+        case "flip":
+            changed = bytearray(content)
+            for _ in range(int(chance.integers(1, 4)) if changed else 0):
+                changed[min(location(), len(changed) - 1)] ^= 1 << int(chance.integers(8))
+            return bytes(changed)
+        case "set":
+            return content[:start] + chance.bytes(1) + content[start + 1 :]
+        case "cut":
+            return content[:start]
+        case "double":
+            return content[:stop] + content[start:stop] * int(chance.integers(1, 4)) + content[stop:]
+        case "remove":
+            return content[:start] + content[stop:]
+        case "insert":
+            return content[:start] + chance.bytes(int(chance.integers(1, 17))) + content[start:]
+        case "number":
+            number = _NUMBERS[int(chance.integers(len(_NUMBERS)))]
+            start -= start % len(number) if chance.random() < 0.5 else 0
+            return content[:start] + number + content[start + len(number) :]
+        case "token":
+            token = tokens[int(chance.integers(len(tokens)))]
+            texts = _DEEP if chance.random() < 0.03 else _TEXTS
+            text = texts[int(chance.integers(len(texts)))].encode()
+            return content[: token.start()] + text + content[token.end() :]
+        case _:  # a line left out, or stated twice, or somewhere else
+            lines = content.split(b"\n")
+            taken = lines.pop(int(chance.integers(len(lines))))
+            for _ in range(int(chance.integers(3))):
+                lines.insert(int(chance.integers(len(lines) + 1)), taken)
+            return b"\n".join(lines)
 
 
 class Tried:
-    """What became of many mutants."""
+    """What became of many mutants: how many had each outcome, and the traceback, or the end, of each failure."""
 
     def __init__(self) -> None:
         self.outcomes: Counter[str] = Counter()
-        self.failures: list[Failure] = []
+        self.failures: dict[int, str] = {}
 
     def __str__(self) -> str:
+        kinds: dict[str, list[int]] = {}
+        for number, reported in self.failures.items():
+            locations = re.findall(r'File "[^"]*/(sceneloom/[^"]*)", line (\d+)', reported)
+            last = reported.strip().splitlines()[-1][:120]
+            kinds.setdefault(f"{':'.join(locations[-1])}: {last}" if locations else last, []).append(number)
         counts = ", ".join(f"{count} {name}" for name, count in sorted(self.outcomes.items()))
-        kinds: dict[str, list[Failure]] = {}
-        for failure in self.failures:
-            kinds.setdefault(failure.kind, []).append(failure)
-        lines = [f"  {len(found)} x {kind} (such as mutant {found[0].number})" for kind, found in kinds.items()]
-        return "\n".join([counts, *lines])
+        return "\n".join([counts, *(f"  {len(n)} x {kind} (such as mutant {n[0]})" for kind, n in kinds.items())])
 
 
 def try_mutants(name: str, numbers: range | None, *, seconds: float = float("inf")) -> Tried:
@@ -351,27 +288,21 @@ def _work_off(name: str, folder: Path, waiting: list[int], tried: Tried, stop: f
             if reported is None:
                 worker.kill()
                 code = worker.wait()
-                support = "was killed: it took too long" if code == -9 else f"died: exit code {code}"
-                tried.outcomes["failed"] += 1
-                tried.failures.append(Failure(number, f"the process {support}"))
-                return
+                end = "was killed: it took too long" if code == -9 else f"died: exit code {code}"
+                reported = {"outcome": "failed", "reported": f"the process {end}"}
             tried.outcomes[reported["outcome"]] += 1
             if reported["outcome"] == "failed":
-                tried.failures.append(Failure(number, reported["reported"]))
+                tried.failures[number] = reported["reported"]
+            if worker.poll() is not None:
+                return
 
 
 @contextmanager
 def _worker(name: str, folder: Path) -> Iterator[Any]:
     command = [sys.executable, "-m", "tests.malformed.mutants", "--worker", name, str(folder)]
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-    worker = subprocess.Popen(
-        command,
-        cwd=_ROOT,
-        env={**os.environ, **threads},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    worker = subprocess.Popen(command, cwd=_ROOT, env={**os.environ, **threads}, **pipes)
     try:
         yield worker
     finally:
@@ -419,7 +350,7 @@ def _work(name: str, folder: Path) -> None:
 def change(drive: Path, name: str, number: int) -> tuple[Path, bytes]:
     """Make a mutant of a drive in place; gives the file that was changed and what it was before."""
     chance = np.random.default_rng([abs(number), *name.encode()])
-    kinds = _kinds_of_files(drive)
+    kinds = kinds_of_files(drive)
     if number < 0:
         file = kinds[(-number - 1) // len(IMPOSTORS)][0]
         content = file.read_bytes()
@@ -434,7 +365,7 @@ def change(drive: Path, name: str, number: int) -> tuple[Path, bytes]:
     return file, content
 
 
-def _kinds_of_files(drive: Path) -> list[list[Path]]:
+def kinds_of_files(drive: Path) -> list[list[Path]]:
     """All files of a drive, those of one ending in one folder together, unless each has a name of its own."""
     kinds: dict[Any, list[Path]] = {}
     for file in sorted(file for file in drive.rglob("*") if file.is_file()) if drive.is_dir() else [drive]:
@@ -451,8 +382,7 @@ def _restore(file: Path, content: bytes) -> None:
     file.write_bytes(content)
 
 
-def _make_socket(name: str, content: bytes) -> None:
-    del content
+def _make_socket(name: str, _: bytes) -> None:
     with socket.socket(socket.AF_UNIX) as there:
         there.bind(name)
 
@@ -462,33 +392,29 @@ def _make_sparse(name: str, content: bytes) -> None:
     os.truncate(name, SPARSE)
 
 
-def _make_number(name: str, content: bytes) -> None:
-    """Name a file by a number that 64 bits with a sign do not hold."""
-    Path(f"{_LARGE}{Path(name).suffix}").write_bytes(content)
-
-
 def _nest(name: str, content: bytes) -> None:
     """Put lists in lists, or elements in elements, into the position of the first value, or of all that there is."""
     opened, closed = (b"<a>", b"</a>") if name.endswith(".xml") else (b"[", b"]")
     if name.endswith((".xml", ".json", ".jsonl", ".toml", ".yaml", ".yml")):
         first = re.search(rb"(?<=: )[^\s,{}\[\]]+|(?<=\":)[^\s,{}\[\]]+|(?<= = )[^\s,{}\[\]]+", content)
         start, stop = first.span() if first and opened == b"[" else (0, len(content))
-        content = content[:start] + opened * _DEPTH + closed * _DEPTH + content[stop:]
+        content = content[:start] + opened * 100_000 + closed * 100_000 + content[stop:]
     Path(name).write_bytes(content)
 
 
-_LARGE, _DEPTH = "9999999999999999999", 100_000
+_LARGE = "9999999999999999999"
+"""A number that 64 bits with a sign do not hold."""
 
 SPARSE = 200_000_000_000 // 55_200 * 55_200
 """Length of files without content [bytes]: a whole number of points of every kind."""
 
-IMPOSTORS: dict[str, Callable[[str, bytes], None]] = {
+IMPOSTORS: dict[str, Callable[[str, bytes], object]] = {
     "pipe": lambda name, _: os.mkfifo(name),
     "device": lambda name, _: Path(name).symlink_to("/dev/zero"),
     "folder": lambda name, _: Path(name).mkdir(),
     "socket": _make_socket,
     "sparse": _make_sparse,
-    "number": _make_number,
+    "number": lambda name, content: Path(f"{_LARGE}{Path(name).suffix}").write_bytes(content),
     "nested": _nest,
 }
 """What stands in the position of a file, and the function that makes it there, given what the file held."""
@@ -496,7 +422,7 @@ IMPOSTORS: dict[str, Callable[[str, bytes], None]] = {
 
 def impostors_of(drive: Path) -> range:
     """The numbers of the mutants that have something else in the position of a file, for each kind of file."""
-    return range(-len(IMPOSTORS) * len(_kinds_of_files(drive)), 0)
+    return range(-len(IMPOSTORS) * len(kinds_of_files(drive)), 0)
 
 
 def _use(drive: Path, name: str, number: int) -> tuple[str, str]:
@@ -507,7 +433,7 @@ def _use(drive: Path, name: str, number: int) -> tuple[str, str]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            for step in (_read, _STEPS[number % len(_STEPS)]):
+            for step in (read, _STEPS[number % len(_STEPS)]):
                 try:
                     step(drive, name)
                 except SceneloomError:
@@ -517,35 +443,11 @@ def _use(drive: Path, name: str, number: int) -> tuple[str, str]:
     return outcome, ""
 
 
-def _read(drive: Path, name: str, *, lenient: bool = False) -> None:
-    """Open a drive and read all that is in it."""
+def read(drive: Path, name: str, *, lenient: bool = False) -> None:
     import sceneloom
 
     with sceneloom.open(drive, format=name.split(maxsplit=1)[0], lenient=lenient) as scene:
-        for sensor in scene.sensors:
-            for frame in getattr(sensor, "frames", ()):
-                points = frame.points
-                for part in ("positions", "intensities", "timestamps_ns", "colors"):
-                    getattr(points, part, None)
-            for image in getattr(sensor, "images", ()):
-                image.decode()
-        for annotation in scene.annotations:
-            list(getattr(annotation, "labeled_points", ()))
-
-
-def _read_leniently(drive: Path, name: str) -> None:
-    _read(drive, name, lenient=True)
-
-
-def _notify(drive: Path, name: str) -> None:
-    """Do what `info` does, the format found by the content."""
-    del name
-    _run_verb("info", str(drive))
-
-
-def _validate(drive: Path, name: str) -> None:
-    del name
-    _run_verb("validate", str(drive), "--json")
+        look_at_everything(scene)
 
 
 def _run_verb(*arguments: str) -> None:
@@ -558,7 +460,11 @@ def _run_verb(*arguments: str) -> None:
         raise result.exception
 
 
-_STEPS: tuple[Callable[[Path, str], None], ...] = (_read_leniently, _notify, _validate)
+_STEPS: tuple[Callable[[Path, str], None], ...] = (
+    lambda drive, name: read(drive, name, lenient=True),
+    lambda drive, _: _run_verb("info", str(drive)),
+    lambda drive, _: _run_verb("validate", str(drive), "--json"),
+)
 
 
 def _main() -> None:

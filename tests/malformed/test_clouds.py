@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.malformed.damage import flipped
 
 from sceneloom.errors import DataError
 from sceneloom.formats import open_scene
@@ -71,16 +72,12 @@ def read(path: Path, content: bytes) -> bool:
 
 @pytest.fixture(params=FILES)
 def name(request):
-    """Each kind of file."""
     return request.param
 
 
-def test_the_file_itself_is_read(tmp_path, name):
-    assert read(tmp_path / name, FILES[name])
-
-
-def test_a_file_cut_anywhere_is_read_or_refused(tmp_path, name):
+def test_a_file_is_read_and_cut_anywhere_is_read_or_refused(tmp_path, name):
     content = FILES[name]
+    assert read(tmp_path / name, content)
     whole = [cut for cut in range(len(content)) if read(tmp_path / name, content[:cut])]
     # without its last line's end, or its last digits; a whole number of records; the archive's directory comes last
     assert all(cut > len(content) - 3 or cut % LAYOUT.dtype.itemsize == 0 for cut in whole)
@@ -91,9 +88,7 @@ def test_a_file_with_any_byte_flipped_is_read_or_refused(tmp_path, name):
     content = FILES[name]
     for location in range(0, len(content), 2 if name.endswith("npz") else 1):
         for flip in (0x01, 0xF0):
-            broken = bytearray(content)
-            broken[location] ^= flip
-            read(tmp_path / name, bytes(broken))
+            read(tmp_path / name, flipped(content, location, flip))
 
 
 @pytest.mark.parametrize("value", [b"0", b"-1", b"99999999999999999999", b"1e3", b"", b"nan", b"x" * 300])
@@ -121,83 +116,69 @@ def test_folders_and_missing_files_are_refused(tmp_path, suffix):
             read_cloud(path)
 
 
-def laz(path: Path) -> bytes:
-    laspy = pytest.importorskip("laspy")
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales = np.full(3, 0.001)
-    points = laspy.LasData(header)
-    points.x = points.y = points.z = np.arange(300) / 7.0
-    points.write(str(path))
-    return path.read_bytes()
-
-
-def test_no_byte_of_a_table_of_chunks_ends_the_process(tmp_path):
-    whole = laz(tmp_path / "whole.laz")
-    assert read_cloud(tmp_path / "whole.laz").count == 300
-    start = struct.unpack_from("<I", whole, 96)[0]
-    table = struct.unpack_from("<q", whole, start)[0]
-    locations = [start, start + 7, *range(table, len(whole))]
-    for location, bit in ((location, bit) for location in locations for bit in range(8)):
-        content = bytearray(whole)
-        content[location] ^= 1 << bit
-        read(tmp_path / "changed.laz", bytes(content))
-    many = bytearray(whole)
-    struct.pack_into("<I", many, table + 4, 1_851_981_824)
-    (tmp_path / "many.laz").write_bytes(bytes(many))
-    with pytest.raises(DataError, match=rf"byte {table + 4}: 1851981824 chunks; expected"):
-        read_cloud(tmp_path / "many.laz")
-
-
-def las(path: Path, version: str) -> bytes:
+def las(path: Path, version: str = "1.4") -> bytes:
+    """A file of 300 points, packed where its name ends so."""
     laspy = pytest.importorskip("laspy")
     header = laspy.LasHeader(version=version, point_format=6 if version == "1.4" else 3)
     header.scales = np.full(3, 0.001)
     points = laspy.LasData(header)
     points.x = points.y = points.z = np.arange(300) / 7.0
     points.write(str(path))
+    assert read_cloud(path).count == 300
     return path.read_bytes()
 
 
-NAN, INFINITE = float("nan"), float("inf")
-LAS_FAULTS = {
-    "points begin beyond the file": ("<I", 96, 1 << 31, "points begin at byte 2147483648; expected"),
-    "points begin in the header": ("<I", 96, 100, "points begin at byte 100; expected"),
-    "points begin a byte late": ("<I", 96, 400, "is the file cut off?"),
-    "as many records as there are numbers": ("<I", 100, 2**32 - 1, "4294967295 records of variable length"),
-    "a point format that there is none of": ("<B", 104, 63, "point format 63; expected 0 to 10"),
-    "points too short": ("<H", 105, 12, "points of 12 bytes; expected"),
-    "points a byte too long": ("<H", 105, 35, "is the file cut off?"),
-    "no scale": ("<d", 131, 0.0, "scale of x is 0.0; expected"),
-    "a scale that is no number": ("<d", 139, NAN, "scale of y is nan; expected"),
-    "a huge scale": ("<d", 147, 1e308, "scale of z is 1e[+]308; expected"),
-    "a tiny scale": ("<d", 131, 1e-300, "scale of x is 1e-300; expected"),
-    "an offset that is not finite": ("<d", 155, INFINITE, "offset of x is inf; expected"),
-    "a huge offset": ("<d", 163, -1e308, "offset of y is -1e[+]308; expected"),
-}
-COUNTS = {
-    "no points": (0, "behind the last of 0 points"),
-    "a point less": (299, "behind the last of 299 points"),
-    "a point more": (301, "is the file cut off?"),
-    "all points": (2**32 - 1, "4294967295 points; expected 0 to"),
-}
-
-
-def refused(tmp_path: Path, content: bytes, reported: str, suffix: str = "las") -> None:
-    (tmp_path / f"changed.{suffix}").write_bytes(content)
+def refused(path: Path, content: bytes, reported: str) -> None:
+    path.write_bytes(content)
     with pytest.raises(DataError, match=reported):
-        read_cloud(tmp_path / f"changed.{suffix}")
+        read_cloud(path)
 
 
-@pytest.mark.parametrize("version", ["1.2", "1.4"])
-def test_a_las_header_that_does_not_agree_with_the_content_is_refused(tmp_path, version):
+def with_number(content: bytes, form: str, location: int, *values: float) -> bytes:
+    changed = bytearray(content)
+    struct.pack_into(form, changed, location, *values)
+    return bytes(changed)
+
+
+def test_no_byte_of_a_table_of_chunks_ends_the_process(tmp_path):
+    whole = las(tmp_path / "whole.laz")
+    start = struct.unpack_from("<I", whole, 96)[0]
+    table = struct.unpack_from("<q", whole, start)[0]
+    locations = [start, start + 7, *range(table, len(whole))]
+    for location, bit in ((location, bit) for location in locations for bit in range(8)):
+        read(tmp_path / "changed.laz", flipped(whole, location, 1 << bit))
+    many = with_number(whole, "<I", table + 4, 1_851_981_824)
+    refused(tmp_path / "many.laz", many, rf"byte {table + 4}: 1851981824 chunks; expected")
+
+
+LAS_FAULTS = [
+    ("<I", 96, 1 << 31, "points begin at byte 2147483648; expected"),
+    ("<I", 96, 100, "points begin at byte 100; expected"),  # in the header
+    ("<I", 96, 400, "is the file cut off?"),  # a byte late
+    ("<I", 100, 2**32 - 1, "4294967295 records of variable length"),
+    ("<B", 104, 63, "point format 63; expected 0 to 10"),
+    ("<H", 105, 12, "points of 12 bytes; expected"),
+    ("<H", 105, 35, "is the file cut off?"),  # points a byte too long
+    ("<d", 131, 0.0, "scale of x is 0.0; expected"),
+    ("<d", 139, float("nan"), "scale of y is nan; expected"),
+    ("<d", 147, 1e308, "scale of z is 1e[+]308; expected"),
+    ("<d", 131, 1e-300, "scale of x is 1e-300; expected"),
+    ("<d", 155, float("inf"), "offset of x is inf; expected"),
+    ("<d", 163, -1e308, "offset of y is -1e[+]308; expected"),
+]
+COUNTS = [
+    (0, "behind the last of 0 points"),
+    (299, "behind the last of 299 points"),
+    (301, "is the file cut off?"),
+    (2**32 - 1, "4294967295 points; expected 0 to"),
+]
+
+
+@pytest.mark.parametrize(("version", "form", "at"), [("1.2", "<I", 107), ("1.4", "<Q", 247)])
+def test_a_las_header_that_does_not_agree_with_the_content_is_refused(tmp_path, version, form, at):
     whole = las(tmp_path / "whole.las", version)
-    assert read_cloud(tmp_path / "whole.las").count == 300
-    kind, location = ("<Q", 247) if version == "1.4" else ("<I", 107)
-    faults = [*LAS_FAULTS.values(), *((kind, location, value, reported) for value, reported in COUNTS.values())]
-    for form, at, value, reported in faults:
-        content = bytearray(whole)
-        struct.pack_into(form, content, at, value)
-        refused(tmp_path, bytes(content), reported)
+    for *number, reported in [*LAS_FAULTS, *((form, at, *count) for count in COUNTS)]:
+        refused(tmp_path / "changed.las", with_number(whole, *number), reported)
 
 
 def test_no_number_of_a_las_header_loses_points_in_silence(tmp_path):
@@ -205,9 +186,7 @@ def test_no_number_of_a_las_header_loses_points_in_silence(tmp_path):
     known = read_cloud(tmp_path / "whole.las").columns["x"]
     for location in range(94, 227):
         for value in (0, 1, 0x7F, 0xFF):
-            content = bytearray(whole)
-            content[location] = value
-            (tmp_path / "changed.las").write_bytes(bytes(content))
+            (tmp_path / "changed.las").write_bytes(with_number(whole, "<B", location, value))
             try:
                 cloud = read_cloud(tmp_path / "changed.las")
             except DataError:
@@ -219,35 +198,28 @@ def test_no_number_of_a_las_header_loses_points_in_silence(tmp_path):
 
 
 def test_points_elsewhere_than_the_bounds_of_a_las_header_are_remarked(tmp_path):
-    content = bytearray(las(tmp_path / "whole.las", "1.2"))
-    struct.pack_into("<d", content, 131, 0.01)
-    (tmp_path / "moved.las").write_bytes(bytes(content))
+    whole = las(tmp_path / "whole.las", "1.2")
+    (tmp_path / "moved.las").write_bytes(with_number(whole, "<d", 131, 0.01))
     with open_scene(tmp_path / "moved.las") as scene:
         reported = [warning.message for warning in scene.warnings if warning.code == "other-bounds"]
     assert len(reported) == 1
     assert "x by 384.426 m" in reported[0]
 
 
-def test_records_behind_the_points_that_reach_beyond_the_file_are_refused(tmp_path):
-    content = bytearray(las(tmp_path / "whole.las", "1.4"))
-    for start, count in ((len(content) - 10, 1), (0, 1), (len(content), 2**32 - 1)):
-        struct.pack_into("<QI", content, 235, start, count)
-        refused(tmp_path, bytes(content), "extended record")
-
-
-def test_bytes_behind_the_last_point_are_refused_but_for_zeros(tmp_path):
+def test_records_and_bytes_behind_the_points_are_refused_but_for_zeros(tmp_path):
+    whole = las(tmp_path / "whole.las")
+    for start, count in ((len(whole) - 10, 1), (0, 1), (len(whole), 2**32 - 1)):
+        refused(tmp_path / "changed.las", with_number(whole, "<QI", 235, start, count), "extended record")
     whole = las(tmp_path / "whole.las", "1.2")
     (tmp_path / "padded.las").write_bytes(whole + bytes(100))
     assert read_cloud(tmp_path / "padded.las").count == 300
-    refused(tmp_path, whole + b"\0\0\1", "3 bytes behind the last of 300 points")
+    refused(tmp_path / "changed.las", whole + b"\0\0\1", "3 bytes behind the last of 300 points")
 
 
 @pytest.mark.parametrize("count", [0, 50_001, 2**28])
 def test_a_laz_header_that_does_not_agree_with_the_table_of_chunks_is_refused(tmp_path, count):
-    content = bytearray(laz(tmp_path / "whole.laz"))
-    struct.pack_into("<Q", content, 247, count)
-    struct.pack_into("<I", content, 107, 0)
-    refused(tmp_path, bytes(content), "its 1 chunks hold 1 to 50000|bytes that unpack to", "laz")
+    content = with_number(with_number(las(tmp_path / "whole.laz"), "<Q", 247, count), "<I", 107, 0)
+    refused(tmp_path / "changed.laz", content, "its 1 chunks hold 1 to 50000|bytes that unpack to")
 
 
 @pytest.mark.parametrize("count", [0, 1])

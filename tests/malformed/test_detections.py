@@ -24,47 +24,12 @@ CONTEXT = ListContext(
     sensor_from_camera=RigidTransform.identity(),
     label="Car",
 )
-RECORD = {
-    "id": 3,
-    "class": "Car",
-    "points_seq": 1,
-    "confidence": 0.5,
-    "timestamp": "0.100000000",
-    "X": 10.0,
-    "Y": 1.0,
-    "Z": -0.5,
-    "length": 4.0,
-    "width": 2.0,
-    "height": 1.5,
-    "direction": [0.0, 2.0, 0.0],
-    "velocity": -3.0,
-}
-NUSCENES = {
-    "results": {
-        "100000": [
-            {
-                "translation": [5, 11, 1],
-                "size": [2, 4, 1.5],
-                "rotation": [1, 0, 0, 0],
-                "velocity": [0, 3],
-                "detection_name": "car",
-                "detection_score": 0.4,
-            }
-        ]
-    }
-}
-FUSED = json.dumps(
-    {
-        "detections": {
-            "timestamp": "0.100000000",
-            "image_seq": 1,
-            "points_seq": 1,
-            "camera_id": 1,
-            "lidar_id": 0,
-            "detections": [],
-        }
-    }
-)
+RECORD = {"id": 3, "class": "Car", "points_seq": 1, "confidence": 0.5, "timestamp": "0.100000000", "velocity": -3.0}
+RECORD |= {"X": 10.0, "Y": 1.0, "Z": -0.5, "length": 4.0, "width": 2.0, "height": 1.5, "direction": [0.0, 2.0, 0.0]}
+NUSCENES = {"translation": [5, 11, 1], "size": [2, 4, 1.5], "rotation": [1, 0, 0, 0], "velocity": [0, 3]}
+NUSCENES |= {"detection_name": "car", "detection_score": 0.4}
+IDS = {"image_seq": 1, "points_seq": 1, "camera_id": 1, "lidar_id": 0}
+FUSED = json.dumps({"detections": {"timestamp": "0.100000000", **IDS, "detections": []}})
 SIDE = {
     "timestamp_ns": 100_000_000,
     "image_timestamp_ns": 100_000_000,
@@ -102,33 +67,21 @@ GOOD = {
     "list 3d": (boxes_3d, "1,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2\n"),
     "list 2d": (boxes_2d, "0,10,20,30,40,0.5\n"),
     "json lines": (boxes_3d, json.dumps(RECORD)),
-    "nuscenes": (boxes_3d, json.dumps(NUSCENES)),
+    "nuscenes": (boxes_3d, json.dumps({"results": {"100000": [NUSCENES]}})),
     "fused": (fused, json.dumps(SIDE)),
 }
 
 
 @pytest.mark.parametrize("kind", GOOD)
-def test_a_whole_file_is_read(tmp_path, kind):
+def test_a_whole_file_is_read_and_a_damaged_one_read_or_refused(tmp_path, kind):
     read, text = GOOD[kind]
-    path = tmp_path / "0001.txt"
-    path.write_text(text)
+    path, whole, dice = tmp_path / "0001.txt", text.encode(), random.Random(7)
+    path.write_bytes(whole)
     read(path)
-
-
-@pytest.mark.parametrize("kind", GOOD)
-def test_a_damaged_file_is_read_or_refused(tmp_path, kind):
-    read, text = GOOD[kind]
-    whole, dice = text.encode(), random.Random(7)
-    damaged = [whole[:k] for k in range(0, len(whole), 3)]
-    for _ in range(120):
-        k = dice.randrange(len(whole))
-        damaged.append(
-            whole[:k]
-            + dice.choice([b"x", b"-", b"nan", b"e9", b"\xff", b"\0", b" ", b",", b"\n", b"{"])
-            + whole[k + 1 :]
-        )
-    refused = 0
-    path = tmp_path / "0001.txt"
+    damaged, refused = [whole[:k] for k in range(0, len(whole), 3)], 0
+    for k in dice.choices(range(len(whole)), k=120):
+        byte = dice.choice([b"x", b"-", b"nan", b"e9", b"\xff", b"\0", b" ", b",", b"\n", b"{"])
+        damaged.append(whole[:k] + byte + whole[k + 1 :])
     for content in damaged:
         path.write_bytes(content)
         try:

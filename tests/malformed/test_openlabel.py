@@ -1,41 +1,17 @@
 """OpenLABEL files with parts exchanged, taken out or cut off: a scene or an error of ours, nothing else."""
 
-import copy
 import json
 import random
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from tests.malformed.damage import STRANGE, locations, replaced
 
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.openlabel.spec import FORMAT
 
 GOLDEN = Path(__file__).parents[1] / "interop" / "golden" / "openlabel_vcd.json"
-STRANGE = (None, 0, -1, 1e308, 2**70, "", "x", [], {}, True, [1, 2], {"a": 1}, 1.5, [None], ["a"], [[1]], 10**17)
-
-
-def locations(value, location=()):
-    if location:
-        yield location
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, below in inner:
-        yield from locations(below, (*location, key))
-
-
-def exchanged(content, location, strange):
-    changed = copy.deepcopy(content)
-    owner = changed
-    for key in location[:-1]:
-        owner = owner[key]
-    owner[location[-1]] = strange
-    return changed
-
-
-def opened(path):
-    for lenient in (False, True):
-        with suppress(SceneloomError):
-            FORMAT.open(path, lenient=lenient)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -48,13 +24,14 @@ def test_parts_that_are_exchanged_give_a_scene_or_an_error_of_ours(tmp_path, see
         "trajectory": "trajectory",
         "metadata": {"city": "x"},
     }
-    choice = random.Random(seed)
+    choice, path = random.Random(seed), tmp_path / "strange.json"
     everywhere = list(locations(content))
     for _ in range(25):
-        changed = exchanged(content, choice.choice(everywhere), choice.choice(STRANGE))
-        path = tmp_path / "strange.json"
-        path.write_text(json.dumps(changed))
-        opened(path)
+        strange = choice.choice([*STRANGE, 0, 1e308, 10**17, [1, 2], ["a"], [[1]]])
+        path.write_text(json.dumps(replaced(content, choice.choice(everywhere), strange)))
+        for lenient in (False, True):
+            with suppress(SceneloomError):
+                FORMAT.open(path, lenient=lenient)
 
 
 def test_a_file_that_is_cut_off_is_no_json(tmp_path):

@@ -1,5 +1,6 @@
 """Files of trajectories cut anywhere and with bytes changed: a trajectory, or an error of ours."""
 
+import itertools
 import tempfile
 from pathlib import Path
 
@@ -16,7 +17,6 @@ FORMS = sorted(TRAJECTORY_FORMS)
 
 
 def written(form: str) -> bytes:
-    """A small file of that form."""
     timestamps = np.arange(3, dtype=np.int64) * 100_000_000
     half = np.sqrt(0.5)
     rotations = np.array([[0.0, 0, 0, 1], [0, 0, half, half], [0.5, -0.5, 0.5, -0.5]])
@@ -63,15 +63,13 @@ def test_a_file_with_other_bytes_is_read_or_refused(form: str, data: st.DataObje
     read_or_refuse(bytes(content), form if named else None, suffix, lenient=data.draw(st.booleans()))
 
 
-@pytest.mark.parametrize("number", ["nan", "inf", "-inf", "1e400"])
-@pytest.mark.parametrize("count", [4, 8, 12, 17])
-@pytest.mark.parametrize("delimiter", [",", " "])
-def test_a_first_number_that_is_none_is_refused(number: str, count: int, delimiter: str) -> None:
-    row = delimiter.join([number, *["1"] * (count - 1)])
-    read_or_refuse(f"{row}\n".encode(), None, ".txt", lenient=False)
+def test_a_first_number_that_is_none_is_refused():
+    for number, count, delimiter in itertools.product(("nan", "inf", "-inf", "1e400"), (4, 8, 12, 17), ", "):
+        row = delimiter.join([number, *["1"] * (count - 1)])
+        read_or_refuse(f"{row}\n".encode(), None, ".txt", lenient=False)
 
 
 @settings(max_examples=60)
 @given(content=st.binary(max_size=200), form=st.sampled_from([None, *FORMS]))
-def test_any_bytes_are_read_or_refused(content: bytes, form: str | None) -> None:
+def test_any_bytes_are_read_or_refused(content, form):
     read_or_refuse(content, form, ".txt", lenient=False)

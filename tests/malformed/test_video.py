@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+from tests.malformed.damage import flipped, scattered
 
 from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
 from sceneloom.formats.recording.cameras import PngFolder
@@ -69,12 +71,8 @@ def test_a_video_cut_anywhere_gives_its_first_images_or_an_error(kind):
 def test_a_video_with_any_bytes_changed_gives_images_or_an_error(kind):
     rng = np.random.default_rng(11)
     for _ in range(80):
-        content = np.frombuffer(VIDEOS[kind], np.uint8).copy()
-        locations = rng.integers(0, len(content), rng.integers(1, 6))
-        content[locations] ^= rng.integers(1, 256, len(locations)).astype(np.uint8)
-        for rgb in read_all(content.tobytes()).values():
-            assert rgb.dtype == np.uint8
-            assert rgb.ndim == 3
+        for rgb in read_all(scattered(VIDEOS[kind], rng, int(rng.integers(1, 6)))).values():
+            assert (rgb.dtype, rgb.ndim) == (np.uint8, 3)
 
 
 def refused(content: bytes) -> set[int]:
@@ -86,16 +84,14 @@ def refused(content: bytes) -> set[int]:
 @pytest.mark.parametrize("kind", ["mp4 h264", "matroska ffv1"])
 def test_a_decoder_that_works_ahead_refuses_the_same_images_as_one_that_does_not(kind, monkeypatch):
     rng = np.random.default_rng(15)
-    heads, found = 600, 0
+    head, found = 600, 0
     for _ in range(40):
-        content = np.frombuffer(VIDEOS[kind], np.uint8).copy()
-        locations = rng.integers(heads, len(content), 3)
-        content[locations] ^= rng.integers(1, 256, len(locations)).astype(np.uint8)
+        content = scattered(VIDEOS[kind], rng, 3, start=head)
         with suppress(DataError):
             monkeypatch.setattr("sceneloom.formats.video.reader.processors", lambda: 4)
-            ahead = refused(content.tobytes())
+            ahead = refused(content)
             monkeypatch.setattr("sceneloom.formats.video.reader.processors", lambda: 1)
-            assert refused(content.tobytes()) == ahead
+            assert refused(content) == ahead
             found += len(ahead)
     assert found > 0
 
@@ -105,37 +101,24 @@ def test_a_decoder_that_works_ahead_refuses_the_same_images_as_one_that_does_not
 def test_bytes_changed_in_the_head_of_a_container_give_images_or_an_error(kind):
     rng = np.random.default_rng(12)
     for location in range(min(120, len(VIDEOS[kind]))):
-        content = bytearray(VIDEOS[kind])
-        content[location] ^= int(rng.integers(1, 256))
-        read_all(bytes(content))
+        read_all(flipped(VIDEOS[kind], location, int(rng.integers(1, 256))))
 
 
 @pytest.mark.parametrize("kind", VIDEOS)
 def test_copying_a_damaged_video_gives_a_video_or_an_error(kind):
     rng = np.random.default_rng(13)
     for _ in range(30):
-        content = np.frombuffer(VIDEOS[kind], np.uint8).copy()
-        locations = rng.integers(0, len(content), 4)
-        content[locations] ^= rng.integers(1, 256, len(locations)).astype(np.uint8)
-        try:
-            remux_to_mp4(content.tobytes(), io.BytesIO())
-        except (DataError, OutputError, OptionError):
-            continue
+        with suppress(DataError, OutputError, OptionError):
+            remux_to_mp4(scattered(VIDEOS[kind], rng, 4), io.BytesIO())
 
 
 def test_a_png_folder_with_any_bytes_changed_gives_images_or_an_error(tmp_path: Path):
-    from PIL import Image
-
     path = tmp_path / "00000000.png"
     Image.fromarray(image(3)).save(path)
     content, rng = path.read_bytes(), np.random.default_rng(14)
-    damaged = [content[:cut] for cut in range(0, len(content), 7)]
-    for _ in range(60):
-        changed = bytearray(content)
-        changed[rng.integers(len(changed))] ^= int(rng.integers(1, 256))
-        damaged.append(bytes(changed))
-    for content_now in damaged:
-        path.write_bytes(content_now)
+    cut = [content[:stop] for stop in range(0, len(content), 7)]
+    for damaged in (*cut, *(scattered(content, rng, 1) for _ in range(60))):
+        path.write_bytes(damaged)
         try:
             found = str(PngFolder(tmp_path).rgb(0).shape[2])
         except SceneloomError as error:

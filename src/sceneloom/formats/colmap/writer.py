@@ -198,8 +198,8 @@ class _CameraModels:
         """The number of the camera model of an image."""
         camera = view.image.camera
         if camera not in self._numbers:
-            reported = stated_camera_model(camera, _CAMERA_MODEL_MODELS, view.sensor_id)
-            self._posed.losses += [] if reported.loss is None else [reported.loss]
-            self.cameras.append(_colmap_camera(len(self.cameras) + 1, reported.camera))
+            stated, loss = stated_camera_model(camera, _CAMERA_MODEL_MODELS, view.sensor_id)
+            self._posed.losses += [] if loss is None else [loss]
+            self.cameras.append(_colmap_camera(len(self.cameras) + 1, stated))
             self._numbers[camera] = len(self.cameras)
         return self._numbers[camera]

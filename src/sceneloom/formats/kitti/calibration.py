@@ -58,11 +58,11 @@ class KittiCalibration:
 
     def camera(self, number: int, size_wh: tuple[int, int]) -> Camera:
         """The camera model of a rectified camera whose images have a size [px]."""
-        return pinhole_of(self.projections[number], size_wh)
+        return _pinhole(self.projections[number], size_wh)
 
     def camera_from_lidar(self, number: int) -> RigidTransform:
         """Takes the lidar's frame into that of a camera."""
-        return camera_from_rectified(self.projections[number]) @ self.rectified_from_lidar
+        return _camera_from_rectified(self.projections[number]) @ self.rectified_from_lidar
 
     def usual_size(self, number: int) -> tuple[int, int] | None:
         """Width and height of the images of KITTI's cameras with this focal length [px]; None for others."""
@@ -84,7 +84,7 @@ def read_calibration(path: Path, *, needs_lidar: bool = True) -> KittiCalibratio
     """
     entries = read_entries(path)
     projections = {
-        int(name[1:]): projection_of(line)
+        int(name[1:]): _projection(line)
         for name, line in entries.items()
         if len(name) == 2 and name[0] == "P" and name[1].isdigit()
     }
@@ -99,6 +99,16 @@ def read_calibration(path: Path, *, needs_lidar: bool = True) -> KittiCalibratio
         _rigid(_entry(path, entries, "velodyne_from_imu")) if has_imu else None,
         MappingProxyType(finite),
     )
+
+
+def rectified_camera(line: Line, size_wh: tuple[int, int]) -> tuple[Camera, RigidTransform]:
+    """The camera model of a line of a projection, for images of a size [px], and `camera_from_rectified`.
+
+    Raises:
+        DataError: it is no projection.
+    """
+    projection = _projection(line)
+    return _pinhole(projection, size_wh), _camera_from_rectified(projection)
 
 
 def _rectified_from_lidar(path: Path, entries: Mapping[str, Line], *, needs_lidar: bool) -> RigidTransform:
@@ -124,7 +134,7 @@ def _entry(path: Path, entries: Mapping[str, Line], meaning: str) -> Line:
     raise found[1].fault(f"{found[1].words[0]} beside {found[0].words[0]}; expected one of both")
 
 
-def projection_of(line: Line) -> Float64Array:
+def _projection(line: Line) -> Float64Array:
     """The (3, 4) matrix of a projection, K [I t]; DataError if it is none."""
     matrix = line.entry(12).reshape(3, 4)
     k = matrix[:, :3]
@@ -134,13 +144,13 @@ def projection_of(line: Line) -> Float64Array:
     return matrix
 
 
-def pinhole_of(projection: Float64Array, size_wh: tuple[int, int]) -> Camera:
+def _pinhole(projection: Float64Array, size_wh: tuple[int, int]) -> Camera:
     """The camera model of a projection, for images of a size [px]."""
     p = projection.tolist()
     return Camera("pinhole", *size_wh, p[0][0], p[1][1], p[0][2], p[1][2])
 
 
-def camera_from_rectified(projection: Float64Array) -> RigidTransform:
+def _camera_from_rectified(projection: Float64Array) -> RigidTransform:
     """Takes the rectified frame into the camera's: K [I t] sees it from t = K⁻¹ p₄, its fourth column being p₄."""
     return RigidTransform(np.eye(3), np.linalg.solve(projection[:, :3], projection[:, 3]).astype(np.float64))
 

@@ -328,6 +328,13 @@ class DetectionList:
         first, stop = np.searchsorted(self.frames, (frame, frame + 1)).tolist()
         return self.values[first:stop], self.labels[first:stop]
 
+    @classmethod
+    def joined(cls, lists: Sequence["DetectionList"], columns: Sequence[str]) -> "DetectionList":
+        """The lists of several classes together; within a frame they keep their order."""
+        values = np.concatenate([np.zeros((0, len(columns))), *(one.values for one in lists)])
+        classes = frozenset[str]().union(*(one.classes for one in lists))
+        return _by_frame(values, [label for one in lists for label in one.labels], classes)
+
     @property
     def frame_count(self) -> int:
         """One more than the last frame in which something was found."""
@@ -404,13 +411,6 @@ def _by_frame(values: Float64Array, labels: Sequence[str], classes: frozenset[st
     frames = values[:, 0].astype(np.int64)
     order = np.argsort(frames, kind="stable")
     return DetectionList(frames[order], values[order], tuple(labels[k] for k in order.tolist()), classes)
-
-
-def joined(lists: Sequence[DetectionList], columns: Sequence[str]) -> DetectionList:
-    """Put the lists of several classes together; within a frame they keep their order."""
-    values = np.concatenate([np.zeros((0, len(columns))), *(one.values for one in lists)])
-    classes = frozenset[str]().union(*(one.classes for one in lists))
-    return _by_frame(values, [label for one in lists for label in one.labels], classes)
 
 
 def class_word(name: str) -> str:

@@ -17,7 +17,7 @@ from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import images_image_size
 from sceneloom.formats.base.spec import named_folder
 from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
-from sceneloom.formats.kitti.calibration import camera_from_rectified, pinhole_of, projection_of, rotation_of
+from sceneloom.formats.kitti.calibration import rectified_camera, rotation_of
 from sceneloom.formats.kitti.oxts import oxts_sensors, read_fields
 from sceneloom.formats.kitti.sensors import (
     LIDAR_ID,
@@ -147,10 +147,9 @@ def read_raw_calibration(folder: Path, cameras: tuple[int, ...], *, rectified: b
 def _rectified_camera(file: _RawFile, ending: str) -> tuple[Camera, RigidTransform]:
     """The camera model of a rectified camera, and what takes the frame of camera 0, as recorded, into its own."""
     file.numbers(f"P_rect{ending}")
-    projection = projection_of(file.lines[f"P_rect{ending}"])
+    camera, camera_from_rectified = rectified_camera(file.lines[f"P_rect{ending}"], file.size(f"S_rect{ending}"))
     rotation = rotation_of(file.lines["R_rect_00"], file.numbers("R_rect_00").reshape(3, 3))
-    camera_from_first = camera_from_rectified(projection) @ RigidTransform(rotation, np.zeros(3))
-    return pinhole_of(projection, file.size(f"S_rect{ending}")), camera_from_first
+    return camera, camera_from_rectified @ RigidTransform(rotation, np.zeros(3))
 
 
 def _recorded_camera(file: _RawFile, ending: str) -> tuple[Camera, RigidTransform]:
@@ -159,7 +158,7 @@ def _recorded_camera(file: _RawFile, ending: str) -> tuple[Camera, RigidTransfor
     if not (k[0, 0] > 0 and k[1, 1] > 0 and k[2].tolist() == [0, 0, 1] and k[0, 1] == k[1, 0] == 0):
         expected = "rows (f, 0, c), (0, f, c), (0, 0, 1) with focal lengths above 0"
         raise file.lines[f"K{ending}"].fault(f"{k.tolist()}; expected {expected}")
-    pinhole = pinhole_of(k, file.size(f"S{ending}"))
+    pinhole = Camera("pinhole", *file.size(f"S{ending}"), *k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
     distortion = file.numbers(f"D{ending}").tolist()
     if not any(distortion):
         return pinhole, file.rigid(ending)

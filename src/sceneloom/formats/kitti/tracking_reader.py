@@ -22,7 +22,6 @@ from sceneloom.formats.kitti.labels import (
     DetectionList,
     KittiLabels,
     class_word,
-    joined,
     joined_labels,
     lidar_boxes,
     read_boxes_2d_list,
@@ -293,7 +292,7 @@ def _detections(
     if not found:
         message = "no folders named after classes in it: continues without its boxes"
         ledger.note(WarningKind.SKIPPED, "no-detections", str(detector), message)
-    return joined(lists, columns) if lists else None
+    return DetectionList.joined(lists, columns) if lists else None
 
 
 class _Files:

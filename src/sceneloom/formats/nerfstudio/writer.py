@@ -18,7 +18,6 @@ from sceneloom.formats.posed_images.posed_scene import (
     MapPoints,
     Models,
     PosedScene,
-    StatedCameraModel,
     View,
     coefficients,
     map_points,
@@ -109,10 +108,10 @@ def _camera_model(scene: Scene) -> str:
 def _cost(camera: Camera, models: Models, sensor_id: Identifier) -> float:
     """How bad a camera model is known by some models: 0 where it is exact, the worst error [px] otherwise."""
     try:
-        reported = stated_camera_model(camera, models, sensor_id)
+        _, loss = stated_camera_model(camera, models, sensor_id)
     except CalibrationError:
         return np.inf
-    return 0.0 if reported.loss is None else 1.0 + float(reported.loss.largest_error or 0.0)
+    return 0.0 if loss is None else 1.0 + float(loss.largest_error or 0.0)
 
 
 class _CameraModels:
@@ -121,16 +120,15 @@ class _CameraModels:
     def __init__(self, model: str, posed: PosedScene) -> None:
         self.model = model
         self._posed = posed
-        self._reported: dict[Camera, StatedCameraModel] = {}
+        self._reported: dict[Camera, Camera] = {}
 
     def camera(self, view: View) -> Camera:
         """The camera model of an image in the model of all."""
         exact = view.image.camera
         if exact not in self._reported:
-            self._reported[exact] = stated_camera_model(exact, _CAMERA_MODELS[self.model], view.sensor_id)
-            loss = self._reported[exact].loss
+            self._reported[exact], loss = stated_camera_model(exact, _CAMERA_MODELS[self.model], view.sensor_id)
             self._posed.losses += [] if loss is None else [loss]
-        return self._reported[exact].camera
+        return self._reported[exact]
 
 
 def _write_points(path: Path, points: MapPoints) -> None:

@@ -147,27 +147,14 @@ Models = Mapping[str, Collection[str]]
 """Names of models, each with the coefficients of it that the target does not have."""
 
 
-@dataclass(frozen=True, slots=True)
-class StatedCameraModel:
-    """A camera model as a target has it.
-
-    Attributes:
-        camera: of one of the target's models.
-        loss: what it costs, None where it is exact.
-    """
-
-    camera: Camera
-    loss: Loss | None = None
-
-
 def coefficients(camera: Camera) -> dict[str, float]:
     """The coefficients by name; those that are not stated are 0."""
     names = MODELS[camera.model].coefficient_names
     return {**dict.fromkeys(names, 0.0), **dict(zip(names, camera.coefficients, strict=False))}
 
 
-def stated_camera_model(camera: Camera, models: Models, sensor_id: Identifier) -> StatedCameraModel:
-    """Report a camera model in one of some models.
+def stated_camera_model(camera: Camera, models: Models, sensor_id: Identifier) -> tuple[Camera, Loss | None]:
+    """Report a camera model in one of some models, and what that costs, None where it is exact.
 
     Args:
         camera: the camera model.
@@ -181,7 +168,7 @@ def stated_camera_model(camera: Camera, models: Models, sensor_id: Identifier) -
         plain = camera.model == "pinhole" and model == "brown_conrady"
         named = coefficients(camera)
         if plain or (camera.model == model and not any(named[name] for name in missing)):
-            return StatedCameraModel(camera)
+            return camera, None
     fit = nearest(camera, models)
     loss = Loss(
         field=f"sensors[{sensor_id}].camera",
@@ -189,7 +176,7 @@ def stated_camera_model(camera: Camera, models: Models, sensor_id: Identifier) -
         support=Support.APPROXIMATED,
         largest_error=fit.largest_px,
     )
-    return StatedCameraModel(fit.camera, loss)
+    return fit.camera, loss
 
 
 _GREY = 128

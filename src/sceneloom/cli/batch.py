@@ -16,6 +16,7 @@ import click
 
 from sceneloom.batch.jobs import READING, FileOption
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb, Verbs
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import SHOWN, print_json, print_table, several
 from sceneloom.errors import OptionError
@@ -88,7 +89,7 @@ _LEFT_OUT = ("as_json", "quiet", "verbose", "overwrite")
 """Options of the verbs that the run decides."""
 
 
-class _Verbs(click.Group):
+class _Verbs(Verbs):
     """Makes a verb over many drives of one over a single drive when it is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -123,7 +124,7 @@ def target(text: str) -> "Path | str":
 
 _options = options.stacked(
     click.argument("inputs", nargs=-1, metavar="DRIVES..."),
-    option("-o --output=OUT", "Folder of all outputs, or its URL in a store.", target, required=True),
+    option("-o --output=OUT", "Folder of all outputs, or its URL in a store.", target, required=True, group="output"),
     option(
         "--record=DIR",
         "Folder of the run's record where OUT is a URL. [default: one in ~/.local/state/sceneloom]",
@@ -150,9 +151,9 @@ _options = options.stacked(
         "--metrics=FILE", "Progress of the run as text for Prometheus, rewritten every few seconds.", options.target
     ),
     option("--suffix=TEXT", "Suffix of the outputs. [default: that of the verb]"),
-    option("--json as_json", "Print the result as JSON."),
-    option("-q --quiet", "No progress, no warnings."),
-    option("-v --verbose", "Every failure, not only the first ones."),
+    option("--json as_json", "Print the result as JSON.", group="general"),
+    option("-q --quiet", "No progress, no warnings.", group="general"),
+    option("-v --verbose", "Every failure, not only the first ones.", group="general"),
 )
 
 
@@ -172,7 +173,7 @@ def _over_many(name: str) -> click.Command:
 
     ours = click.command()(_options(lambda: None)).params
     reported = f"{inspect.cleandoc(verb.help or '')}\n\nOver many drives: {_HELP}"
-    return click.Command(name, params=[*ours, *theirs], callback=callback, help=reported)
+    return Verb(name, params=[*ours, *theirs], callback=callback, help=reported)
 
 
 _HELP = (
@@ -436,7 +437,7 @@ def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
 # how a run stands
 
 
-@batch.command()
+@batch.command(examples=("sceneloom batch status fused/", "sceneloom batch status fused/ --json"))
 @click.argument("output", type=options.location)
 @option(
     "--record=DIR",
@@ -445,7 +446,7 @@ def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
 )
 @option("--html=FILE", "Write a page about the run as well.", options.target)
 @option("--overwrite", "Replace outputs that exist.")
-@option("--json as_json", "Print the result as JSON.")
+@option("--json as_json", "Print the result as JSON.", group="general")
 @option("-q --quiet", "Only how many, no failures.")
 @option("-v --verbose", "Every drive, not only the failures.")
 def status(output: Path | str, record: Path | None, html: Path | None, overwrite: bool, **shown: bool) -> None:

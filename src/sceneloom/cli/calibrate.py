@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import detection_options, options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
-from sceneloom.cli.printing import Printer, print_json, print_table, several
+from sceneloom.cli.printing import Printer, print_json, print_table, several, wrote
 from sceneloom.cli.running import reading_verb
 
 if TYPE_CHECKING:
@@ -31,7 +32,9 @@ _OF_REPAIRS = ("output", "parameters", "form", "onto")
 _BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences", "motion")
 
 
-@click.command()
+@click.command(
+    cls=Verb, examples=("sceneloom calibrate drive/", "sceneloom calibrate drive/ --refine -o corrected.sfs")
+)
 @click.argument("path", type=options.location)
 @option("--check", "Report whether the calibration is right. The default.")
 @option(
@@ -252,7 +255,7 @@ def _print_repair(report: "RepairReport", _: Printer) -> None:
     for line in (*report.unobserved, *report.notes):
         click.echo(line)
     if report.output is not None:
-        click.echo(f"written as {report.form}: {report.output}")
+        wrote(report.output)
 
 
 # --conventions

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verbs
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_json, print_table, several
 from sceneloom.cli.running import reading_verb, verb
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from sceneloom.catalog.database import Result, Selection
 
 
-@click.group()
+@click.group(cls=Verbs)
 def catalog() -> None:
     """Put many drives into tables (Parquet), and find drives and moments in them."""
 
@@ -34,9 +35,14 @@ _building = options.stacked(
 _lists = options.lists('a path, or {"path": …, "reading": {"sequence": …}}')
 
 
-@catalog.command()
+@catalog.command(
+    examples=(
+        "sceneloom catalog build 'drives/*.sfs' -o catalogue",
+        "sceneloom catalog build --list drives.txt -o catalogue",
+    )
+)
 @click.argument("drives", nargs=-1, metavar="DRIVES...")
-@option("-o --output=OUT", "Folder of the catalogue.", options.target, required=True)
+@option("-o --output=OUT", "Folder of the catalogue.", options.target, required=True, group="output")
 @_lists
 @option("--overwrite", "Replace a catalogue that exists.")
 @_building
@@ -58,7 +64,12 @@ def build(
     return int(bool(report.failed))
 
 
-@catalog.command()
+@catalog.command(
+    examples=(
+        "sceneloom catalog update catalogue 'drives/*.sfs'",
+        "sceneloom catalog update catalogue --list drives.txt",
+    )
+)
 @click.argument("catalogue", type=click.Path(path_type=Path))
 @click.argument("drives", nargs=-1, metavar="[DRIVES...]")
 @_lists
@@ -117,7 +128,12 @@ def _print_report(report: "CatalogReport", printer: Printer) -> None:
     always.notes([f"not there any more: {path}; `--prune` takes it out" for path in report.gone])
 
 
-@catalog.command()
+@catalog.command(
+    examples=(
+        "sceneloom catalog query catalogue --label pedestrian --distance 0 20",
+        "sceneloom catalog query catalogue --sql 'SELECT path FROM scenes'",
+    )
+)
 @click.argument("catalogue", type=click.Path(path_type=Path))
 @option("--sql=TEXT", "One statement that reads, instead of filters.")
 @option("--label=NAME… labels", "Boxes of this class, `*` allowed; may be repeated.")

@@ -6,15 +6,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
-from sceneloom.cli.printing import Printer, print_outputs, print_table, several
+from sceneloom.cli.printing import Printer, print_outputs, print_table, several, wrote
 from sceneloom.cli.running import reading_verb
 
 if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs none of it
     from sceneloom.pipeline.colouring import ColourOutputs, ColourReport
 
 
-@click.command()
+@click.command(
+    cls=Verb, examples=("sceneloom colour drive.sfs --voxel 0.05 -o map.laz", "sceneloom colour drive/ -o coloured.sfs")
+)
 @click.argument("path", type=options.location)
 @options.output("The map: .las, .laz, .ply, .pcd or .sfs.", required=False)
 @option("--voxel=M", "Keep one point per cube of M metres. [default: all]", options.positive)
@@ -94,7 +97,7 @@ def _print_report(report: "ColourReport", outputs: "ColourOutputs", printer: Pri
     for reason, count in report.unfused.items():
         click.echo(f"{several(count, 'sweep')} left out: {reason}")
     if outputs.map is not None:
-        click.echo(f"map: {outputs.map} ({several(report.written, 'point')})")
+        wrote(outputs.map, {"point": report.written})
     folders = {"sweeps": outputs.per_sweep, "label images": outputs.project_labels, "images": outputs.images}
     print_outputs(folders, report.files)
     printer.remarks(report)

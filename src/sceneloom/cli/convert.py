@@ -6,15 +6,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
-from sceneloom.cli.printing import SHOWN, Printer, print_table, several
+from sceneloom.cli.printing import SHOWN, Printer, print_table, several, wrote
 from sceneloom.cli.running import reading_verb
 
 if TYPE_CHECKING:
     from sceneloom.pipeline.converting import ConversionReport
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=("sceneloom convert drive/ drive.mcap", "sceneloom convert drive.sfs nuscenes/ --to nuscenes --strict"),
+)
 @click.argument("source", type=options.location)
 @click.argument("target", type=options.target)
 @options.writing_scenes
@@ -98,3 +102,19 @@ def _print_report(report: "ConversionReport", printer: Printer) -> None:
             print_table(rows if printer.verbose else rows[:SHOWN], indent="    ", err=True)
             if len(rows) > SHOWN and not printer.verbose:
                 click.echo(f"    … and {len(rows) - SHOWN} more: state --verbose", err=True)
+    if report.written:
+        kept = {field.field: field.count for field in report.fields if field.support != "dropped"}
+        dropped = sum(field.support == "dropped" for field in report.fields)
+        remark = f"{several(dropped, 'field')} could not be kept" if dropped else ""
+        wrote(report.target, {noun: kept.get(name, 0) for name, noun in _COUNTED.items()}, remark=remark)
+
+
+_COUNTED = {
+    "sensors.lidar.frames.timestamp_ns": "sweep",
+    "sensors.camera.images.timestamp_ns": "image",
+    "sensors.depth_camera.frames.timestamp_ns": "depth image",
+    "sensors.radar.frames.timestamp_ns": "radar cycle",
+    "annotations.cuboid.id": "cuboid",
+    "trajectories.timestamps_ns": "trajectory",
+}
+"""The fields of which the last line says how many were written."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_table, several
 from sceneloom.cli.running import reading_verb
@@ -14,7 +15,10 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.depth_images import DepthReport
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=("sceneloom depth drive/ -o depth/", "sceneloom depth drive/ --method sparse --form npz -o depth/"),
+)
 @click.argument("path", type=options.location)
 @options.output("Folder for the depth images.")
 @option(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import SHOWN, Printer, print_json, several
 from sceneloom.cli.running import reading_verb
@@ -18,7 +19,10 @@ _MOST = 10 * SHOWN
 """Differences shown unless `--verbose` is stated."""
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=("sceneloom diff before.sfs after.sfs", "sceneloom diff drive/ drive.sfs --tolerance-m 0.001 --json"),
+)
 @click.argument("first", type=options.location)
 @click.argument("second", type=options.location)
 @option("--tolerance-m=M", "Ignore distances up to this.", options.not_negative, default=0.0)

@@ -10,8 +10,9 @@ import click
 from msgspec import structs
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb, Verbs
 from sceneloom.cli.options import option
-from sceneloom.cli.printing import Printer, print_json, print_table, several
+from sceneloom.cli.printing import Printer, print_json, print_table, several, wrote
 from sceneloom.cli.running import rewriting_verb
 from sceneloom.lazy import imported
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     from sceneloom.scene.scene import Scene
 
 
-@click.group()
+@click.group(cls=Verbs)
 def edit() -> None:
     """Change one thing of a drive, and write the drive anew."""
 
@@ -293,10 +294,37 @@ def _command(name: str, row: _Edit) -> click.Command:
         else click.argument("path", type=options.location)
     )
     decorated = options.stacked(argument, _OUTPUT, *row.options)(rewriting_verb(run))
-    return click.command(name, help=row.help)(decorated)
+    return click.command(name, cls=Verb, help=row.help, examples=_EXAMPLES[name])(decorated)
 
 
 _OUTPUT = options.output("The file or folder to write; its suffix chooses the format.")
+
+_EXAMPLES = {
+    name: tuple(f"sceneloom edit {name} {words}" for words in both)
+    for name, both in {
+        "anonymise": ("drive.sfs -o shared.sfs", "drive.sfs --fixes shift --dates shift -o shared.sfs"),
+        "apply": ("drive.sfs -o corrected.sfs", "drive.sfs --only calibration-1 -o corrected.sfs"),
+        "blur": (
+            "drive.sfs --boxes faces.csv -o shared.sfs",
+            "drive.sfs --label Pedestrian --fill black -o shared.sfs",
+        ),
+        "camera-model": (
+            "drive.sfs --model pinhole -o pinhole.sfs",
+            "drive.sfs --model brown_conrady --limit 0.5 -o brown.sfs",
+        ),
+        "count": ("labels.sfs -o counted.sfs", "labels.sfs --lidar top --labeled-points -o counted.sfs"),
+        "crop": ("drive.sfs --start 10 --stop 20 -o part.sfs", "drive.sfs --range 50 --sensor lidar -o near.sfs"),
+        "deskew": ("drive/ -o deskewed.sfs", "drive/ --trajectory gnss --at end -o deskewed.sfs"),
+        "merge": ("lidar.sfs cameras.sfs -o drive.sfs", "part1.sfs part2.sfs --join -o drive.sfs"),
+        "project": ("labels.sfs -o projected.sfs", "labels.sfs --camera front --min-pixels 10 -o projected.sfs"),
+        "simplify": ("labels.sfs -o simpler.sfs", "labels.sfs --tolerance-m 0.02 --only cuboids -o simpler.sfs"),
+        "thin": ("drive.sfs --voxel 0.1 -o thin.sfs", "drive.sfs --every 5 -o thin.sfs"),
+        "to-ego": ("drive.sfs -o ego.sfs", "drive.sfs --trajectory gnss -o ego.sfs"),
+        "to-sensor": ("drive.sfs -o sensor.sfs", "drive.sfs --trajectory gnss -o sensor.sfs"),
+        "to-world": ("drive.sfs -o world.sfs", "drive.sfs --trajectory lidar -o world.sfs"),
+        "undistort": ("drive.sfs -o undistorted.sfs", "drive.sfs --camera front --size 1280x720 -o undistorted.sfs"),
+    }.items()
+}
 
 
 def _print_edit(report: "EditReport", printer: Printer) -> None:
@@ -306,7 +334,7 @@ def _print_edit(report: "EditReport", printer: Printer) -> None:
         was, is_now = getattr(before, f"{noun}s"), getattr(after, f"{noun}s")
         those = " of the frames that stay" if noun == "point" and before.frames != after.frames else ""
         click.echo(several(was, noun) if was == is_now else f"{several(was, noun)}{those} -> {is_now}")
-    click.echo(f"written: {report.output}")
+    wrote(report.output)
     printer.remarks(report)
 
 
@@ -384,7 +412,7 @@ for _name, _row in _EDITS.items():
 # jobs of their own
 
 
-@edit.command()
+@edit.command(examples=_EXAMPLES["deskew"])
 @click.argument("path", type=options.location)
 @_OUTPUT
 @options.trajectory("`imu`: only the rotation measured by the IMU")
@@ -422,11 +450,11 @@ def _print_deskewing(report: "DeskewReport", printer: Printer) -> None:
         click.echo(f"{several(count, 'sweep')} left as measured: {reason}")
     if report.skipped:
         click.echo(f"{several(len(report.skipped), 'unreadable sweep')} skipped")
-    click.echo(f"scene: {report.output}")
+    wrote(report.output)
     printer.remarks(report)
 
 
-@edit.command()
+@edit.command(examples=_EXAMPLES["blur"])
 @click.argument("path", type=options.location)
 @_OUTPUT
 @option(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verbs
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_table, seconds, several
 from sceneloom.cli.running import reading_verb, verb
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from sceneloom.evaluate.trajectory import ErrorStatistics, RelativeErrors, TrajectoryReport
 
 
-@click.group("eval")
+@click.group("eval", cls=Verbs)
 def evaluate() -> None:
     """Evaluate an estimate against a reference."""
 
@@ -63,7 +64,12 @@ _objects = options.stacked(
 # detections
 
 
-@evaluate.command()
+@evaluate.command(
+    examples=(
+        "sceneloom eval detection fused.jsonl labels.sfs",
+        "sceneloom eval detection results/ kitti_object/ --json",
+    )
+)
 @_objects
 @option(
     "--similarity=2d|bev|3d… similarities",
@@ -162,7 +168,9 @@ def _detection_cells(scores: "DetectionScores") -> list[str]:
 # tracks
 
 
-@evaluate.command()
+@evaluate.command(
+    examples=("sceneloom eval tracking tracks/ kitti_tracking/", "sceneloom eval tracking tracks.sfs labels.sfs --json")
+)
 @_objects
 @option(
     "--similarity=2d|bev|3d|distance",
@@ -216,7 +224,12 @@ def _print_tracking(report: "TrackingReport", printer: Printer) -> None:
 # trajectories
 
 
-@evaluate.command()
+@evaluate.command(
+    examples=(
+        "sceneloom eval trajectory estimate.tum truth.tum",
+        "sceneloom eval trajectory fused.sfs truth.csv --json",
+    )
+)
 @click.argument("estimate", type=options.location, metavar="EST")
 @click.argument("reference", type=options.location, metavar="REF")
 @option(

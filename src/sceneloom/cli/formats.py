@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_table
 from sceneloom.cli.running import verb
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
     from sceneloom.formats.listing import FormatListing
 
 
-@click.command()
+@click.command(
+    cls=Verb, examples=("sceneloom formats", "sceneloom formats --template my_drive/rig.toml --from my_drive")
+)
 @click.argument("name", required=False)
 @option(
     "--template=rig.toml",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import detection_options, options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_outputs, print_table, several
 from sceneloom.cli.running import rewriting_verb, verb
@@ -17,7 +18,13 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     from sceneloom.pipeline.fusing_detections import DetectionFusionReport
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=(
+        "sceneloom fuse drive/ -o drive.sfs",
+        "sceneloom fuse drive/ --trajectory lidar --depth depth/ --visualize look/ -o drive.sfs",
+    ),
+)
 @click.argument("path", type=options.location)
 @options.output("The .sfs file to write; for detections, the .jsonl file.", required=False)
 @option("--type=sensor|detection fusion_type", "Fuse clouds and images, or detections in them. [default: sensor]")
@@ -32,13 +39,16 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     "`projection`: colours of nearest pixels; `blending`: of all images, by weight; one that a package brings, "
     "or a function of a Python file, which is executed. [default: projection]",
 )
-@option("--depth=DIR", "Folder for depth images.", options.target)
-@option("--depth-format=png|npz", "16-bit PNG (metres times 256) or NPZ (float32 metres). [default: png]")
+@option("--depth=DIR", "Folder for depth images.", options.target, group="output")
+@option(
+    "--depth-format=png|npz", "16-bit PNG (metres times 256) or NPZ (float32 metres). [default: png]", group="output"
+)
 @options.visualize()
 @option(
     "--visualize-every=N images_every",
     "Draw every Nth sweep. [default: eight spread over the drive]",
     click.IntRange(min=1),
+    group="output",
 )
 @options.threads
 @options.part
@@ -194,7 +204,7 @@ def _print_detections(report: "DetectionFusionReport", printer: Printer) -> None
     printer.warnings(report.warnings)
 
 
-@click.command()
+@click.command(cls=Verb, examples=("sceneloom demo", "sceneloom demo --keep street --frames 50"))
 @option("--keep=DIR", "Folder for the drive, the scene and the images.", options.target, default=Path("sceneloom-demo"))
 @option("--seed", "Random seed of the street.", int, default=0)
 @option("--frames", "Lidar sweeps at 10 Hz.", click.IntRange(min=2), default=30)

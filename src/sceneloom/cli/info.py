@@ -10,6 +10,7 @@ from msgspec import structs
 
 from sceneloom.arrays import Float64Array
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, amount, print_json, print_table, seconds, several
 from sceneloom.cli.running import reading_verb
@@ -31,7 +32,9 @@ _TILTED = np.cos(np.pi / 4)
 _STANDARD = EgoAxes(np.eye(3), known=True)
 
 
-@click.command()
+@click.command(
+    cls=Verb, examples=("sceneloom info 2011_09_26/2011_09_26_drive_0001_sync", "sceneloom info drive.sfs --json")
+)
 @click.argument("path", type=options.location)
 @options.visualize("Draw the annotations into DIR: in the images, from above, over time, and each type by itself.")
 @option("--at=S", "When to draw them. [default: the middle of the scene]", float)

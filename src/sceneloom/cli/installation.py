@@ -8,6 +8,7 @@ from types import MappingProxyType
 import click
 from click.shell_completion import get_completion_class
 
+from sceneloom.cli.help import Verb
 from sceneloom.cli.printing import Printer, print_json, print_table
 from sceneloom.cli.running import verb
 from sceneloom.errors import OptionError
@@ -15,7 +16,7 @@ from sceneloom.errors import OptionError
 _MARKS = {"good": "ok", "missing": "--", "broken": "BROKEN"}
 
 
-@click.command()
+@click.command(cls=Verb, examples=("sceneloom doctor", "sceneloom doctor --json"))
 @verb
 def doctor(printer: Printer) -> int:
     """Report what this installation can do and what it lacks; exit 1 if something needed is broken."""
@@ -49,7 +50,13 @@ _INSTALLED = MappingProxyType(
 """How each shell takes it in."""
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=(
+        'eval "$(sceneloom completion bash)"',
+        "sceneloom completion fish > ~/.config/fish/completions/sceneloom.fish",
+    ),
+)
 @click.argument("shell", type=click.Choice(list(_INSTALLED)), required=False)
 def completion(shell: str | None) -> None:
     """Print what SHELL needs to complete verbs, options and their values.

@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 import click
 
+from sceneloom.cli.help import Verbs
 from sceneloom.errors import OptionError, SceneloomError, ignore_warnings_of_extreme_numbers
 from sceneloom.kernels.cache import reporting_compiling
 from sceneloom.lazy import imported
@@ -63,7 +64,7 @@ VERBS = MappingProxyType(
 """Where each verb is, and a line on it for `--help`."""
 
 
-class _Program(click.Group):
+class _Program(Verbs):
     """Imports a verb only when it is called, so that `--help` is quick."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
@@ -110,7 +111,7 @@ _SIGNALS = ("SIGTERM", "SIGHUP")
 
 
 class _Ended(BaseException):
-    """One of the signals came; passes through everything, so that half written outputs are removed."""
+    """One of the signals came; passes through everything, so that partial outputs are removed."""
 
 
 def _end(number: int, frame: FrameType | None) -> NoReturn:  # noqa: ARG001 - the signature of a signal's handler
@@ -156,15 +157,17 @@ def _run(arguments: list[str] | None) -> int:
     try:
         result: Any = sceneloom.main(args=arguments, prog_name="sceneloom", standalone_mode=False)
     except (click.exceptions.Abort, KeyboardInterrupt, _Ended) as stopped:
-        click.echo("sceneloom: stopped; nothing was left half written", err=True)
+        click.echo("sceneloom: stopped; no partial output was left", err=True)
         return 128 + (int(stopped.args[0]) if isinstance(stopped, _Ended) else signal.SIGINT)
     except click.ClickException as error:
         error.show()
         return error.exit_code
     except tuple(kind for kind, _ in EXIT_CODES) as error:
-        click.echo(f"sceneloom: {_reported(error)}", err=True)
+        from sceneloom.cli.printing import marked
+
+        click.echo(f"{marked('sceneloom')}: {_reported(error)}", err=True)
         for step in filter(None, getattr(error, "__notes__", ())):
-            click.echo(f"next: {step}", err=True)
+            click.echo(f"{marked('next')}: {step}", err=True)
         return next(code for kind, code in EXIT_CODES if isinstance(error, kind))
     return result if isinstance(result, int) else 0
 

@@ -3,12 +3,13 @@
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from sceneloom.cli.help import Option
 from sceneloom.errors import OptionError
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def option(
     metavar: str | None = None,
     **more: Any,
 ) -> Callable[[Command], Command]:
-    """An option of a verb.
+    """An option of a verb, in a group of its help (`cli.help.GROUPS`).
 
     Args:
         flags: as `--camera=ID… cameras` or `--method=fast|quality`: flags, what their value is called or the words to
@@ -63,6 +64,7 @@ def option(
         metavar=metavar,
         default=False if is_switch else default,
         show_default=default not in (None, ""),
+        cls=Option,
         **more,
     )
 
@@ -152,6 +154,8 @@ def one_sequence(given: Sequence[str]) -> str | None:
 no_corrections = click.option(
     "--no-corrections",
     "corrections",
+    cls=Option,
+    group="input",
     is_flag=True,
     flag_value="ignore",
     default=None,
@@ -159,84 +163,90 @@ no_corrections = click.option(
     "written. [default: apply them]",
 )
 
-lenient = option("--lenient", "Skip what is broken, count it, and go on.")
+_input = partial(option, group="input")
+_rare = partial(_input, rare=True)
+_output = partial(option, group="output")
+
+lenient = _input("--lenient", "Skip what is broken, count it, and go on.")
 
 reading = stacked(
-    option(
+    _input(
         "--input-format=NAME format",
         "Format of the drive, where its content is ambiguous: a name from `sceneloom formats`.",
     ),
     click.option(
         "--input-option",
         INPUT_OPTIONS,
+        cls=Option,
+        group="input",
         multiple=True,
         metavar="NAME=VALUE",
         help="An option of the drive's format, such as `world=odom` for bags; each format's page lists its own.",
     ),
     lenient,
-    option(
+    _rare(
         "--points-frame=world|ego|sensor",
         "Frame of the lidar points of a scene file that does not state it. [default: that of its coordinates]",
     ),
-    option(
+    _rare(
         "--euler-unit=degrees|radians",
         "Unit of the boxes' angles in a scene file that does not state it. [default: degrees]",
     ),
-    option(
+    _rare(
         "--euler-order=ORDER", "Order of the boxes' rotations in a scene file that does not state it. [default: xyz]"
     ),
-    option(
+    _rare(
         "--tangential=opencv|brown",
         "What p1 and p2 of `brown_conrady` camera models mean in a scene file that does not state it: `brown` "
         "exchanges them. [default: opencv]",
     ),
-    option(
+    _rare(
         "--vertices=pairs|triples",
         "How a scene file writes polygons and polylines in space: x, y pairs or x, y, z triples. "
         "[default: triples where they fit]",
     ),
-    option(
+    _rare(
         "--assume-model",
         "Compute with camera models whose formulas are not confirmed: `ftheta`, `fisheye_radial_custom`.",
     ),
-    option(
+    _rare(
         "--altitude=wgs84|msl",
         "What a recording's altitudes are above: the ellipsoid or mean sea level. [default: wgs84]",
     ),
-    option(
+    _rare(
         "--image-index=auto|number|first|line",
         "Which image of a video a recording's `frames` line means: its `number`, that less the first number, or "
         "each line the next. [default: auto: by the counts, if they agree]",
     ),
-    option(
+    _rare(
         "--camera-shift=ignore|apply|subtract",
         "How to use a recording's `imuToCameraShiftSeconds`: `apply` adds it to the timestamps of the camera's "
         "images, `subtract` subtracts it. [default: ignore]",
     ),
-    option(
+    _input(
         "--sequence=NAME…",
         "Which drive of a data set that has several.",
         callback=lambda _context, _parameter, given: one_sequence(given),
     ),
-    option("--keyframes", "Read only the samples of nuScenes, not the sweeps between."),
+    _rare("--keyframes", "Read only the samples of nuScenes, not the sweeps between."),
     no_corrections,
 )
 """On every verb that reads a drive; it is then called with the stated ones as `reading`."""
 
 READING_OPTIONS = click.command()(reading(lambda: None)).params
 READING = frozenset(str(option.name) for option in READING_OPTIONS)
-overwrite = option("--overwrite", "Replace outputs that exist.")
+overwrite = _output("--overwrite", "Replace outputs that exist.")
 
 writing_scenes = stacked(
     overwrite,
-    option("--profile=sfs|scale", "`scale`: a scene file that Scale's own library loads and validates. [default: sfs]"),
-    option("--time-unit=microseconds|nanoseconds", "Unit of all times in a scene file. [default: microseconds]"),
+    _output("--profile=sfs|scale", "`scale`: a file that Scale's own library loads and validates. [default: sfs]"),
+    _output("--time-unit=microseconds|nanoseconds", "Unit of all times in a scene file. [default: microseconds]"),
 )
 """On every verb that writes `.sfs`."""
 
 part = stacked(
-    option("--start=S", "Begin S seconds after the first timestamp.", not_negative),
-    option("--stop=S", "End before S seconds after it.", not_negative),
+    _input("--start=S", "Begin S seconds after the first timestamp.", not_negative),
+    _input("--stop=S", "End before S seconds after it.", not_negative),
 )
 """On every verb that can take a part of a drive."""
 
@@ -244,6 +254,7 @@ threads = option(
     "--threads=N",
     "Size of the thread pool for per-cloud kernels; results do not depend on it. [default: 1]",
     click.IntRange(1, 256),
+    group="general",
 )
 
 
@@ -279,14 +290,14 @@ def trajectory_file(side: str, path: str) -> Callable[[Command], Command]:
 
 def output(help: str, *, required: bool = True) -> Callable[[Command], Command]:  # noqa: A002 - click's word
     """The output of a verb."""
-    return option("-o --output", help, target, required=required)
+    return option("-o --output", help, target, required=required, group="output")
 
 
 def visualize(
     help: str = "Draw images to look at into DIR.",  # noqa: A002 - click's word
 ) -> Callable[[Command], Command]:
     """On every verb that can draw what it did."""
-    return option("--visualize=DIR images", help, target)
+    return option("--visualize=DIR images", help, target, group="output")
 
 
 def lists(lines: str) -> Callable[[Command], Command]:

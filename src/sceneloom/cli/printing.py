@@ -1,10 +1,13 @@
 """Results on standard output, progress and warnings on standard error."""
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -88,7 +91,8 @@ class Printer:
             return
         shown = lines if self.verbose else lines[:SHOWN]
         for line in shown:
-            click.echo(line, err=True)
+            word, colon, rest = line.partition(":")
+            click.echo(f"{marked(word)}{colon}{rest}", err=True)
         if len(lines) > len(shown):
             click.echo(f"… and {len(lines) - len(shown)} more: state --verbose", err=True)
 
@@ -121,11 +125,10 @@ def print_table(rows: Iterable[Sequence[str]], *, indent: str = "  ", err: bool 
 
 
 def print_outputs(outputs: Mapping[str, Any], files: Mapping[str, int]) -> None:
-    """Print where each kind of output is, and of how many files it is."""
+    """Print what each kind of output is written to, and of how many files it is."""
     for kind, location in outputs.items():
         if location is not None:
-            count = files.get(kind)
-            click.echo(f"{kind}: {location}" + ("" if count is None else f" ({several(count, 'file')})"))
+            wrote(location, {kind.removesuffix("s"): files[kind]} if kind in files else {})
 
 
 def several(count: int, noun: str, plural: str | None = None) -> str:
@@ -142,6 +145,39 @@ def seconds(timestamp_ns: int) -> str:
     """A time in seconds with all its nanoseconds."""
     whole, part = divmod(abs(timestamp_ns), 1_000_000_000)
     return f"{'-' if timestamp_ns < 0 else ''}{whole}.{part:09d} s"
+
+
+def wrote(output: Path | str, counts: Mapping[str, int] = MappingProxyType({}), *, remark: str = "") -> None:
+    """Say what a verb wrote, and how large it is: "wrote 12 sweeps and 12 images to drive.mcap, 24.1 MB"."""
+    path = Path(output)
+    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
+    size = f", {amount(sum(file.stat().st_size for file in files))}" if files else ""
+    several_files = f", {several(len(files), 'file')}" if path.is_dir() else ""
+    names = [several(count, noun, _PLURALS.get(noun)) for noun, count in counts.items() if count]
+    listed = " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+    what = f"{listed} to {output}" if listed else str(output)
+    click.echo(f"wrote {what}{several_files}{size}{remark and f'; {remark}'}")
+
+
+_PLURALS = {"trajectory": "trajectories"}
+
+_COLOURS = {
+    **dict.fromkeys(("passed", "good"), "green"),
+    **dict.fromkeys(
+        ("assumed", "skipped", "repaired", "approximated", "kept aside", "warning", "drifting", "next"), "yellow"
+    ),
+    **dict.fromkeys(("lost", "not passed", "wrong", "error", "sceneloom"), "red"),
+}
+"""What marks lines and verdicts on a terminal."""
+
+
+def marked(word: str) -> str:
+    """A verdict, or the word that a line begins with, in its colour on a terminal; as it is where NO_COLOR is set.
+
+    Source: no-color.org.
+    """
+    colour = None if os.environ.get("NO_COLOR") else _COLOURS.get(word)
+    return word if colour is None else click.style(word, fg=colour, bold=colour == "red")
 
 
 def amount(size_bytes: int) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, several
 from sceneloom.cli.running import reading_verb
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from sceneloom.report.drive_report import DriveReport
 
 
-@click.command()
+@click.command(cls=Verb, examples=("sceneloom report drive.sfs -o drive.html", "sceneloom report drive/ --json"))
 @click.argument("path", type=options.location)
 @option(
     "-o --output=FILE",

@@ -50,9 +50,9 @@ def verb(command: Command) -> Command:
 
 
 _printing = options.stacked(
-    option("--json as_json", "Print the result as JSON."),
-    option("-q --quiet", "No progress, no warnings."),
-    option("-v --verbose", "Every warning and loss, not only the first ones."),
+    option("--json as_json", "Print the result as JSON.", group="general"),
+    option("-q --quiet", "No progress, no warnings.", group="general"),
+    option("-v --verbose", "Every warning and loss, not only the first ones.", group="general"),
 )
 
 

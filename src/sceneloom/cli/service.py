@@ -13,6 +13,7 @@ import click
 import msgspec
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_json
 from sceneloom.cli.running import reading_verb, verb
@@ -34,7 +35,7 @@ _PORT = click.IntRange(0, 65535)
 # serve
 
 
-@click.command()
+@click.command(cls=Verb, examples=("sceneloom serve --port 50051", "sceneloom serve --config service.toml"))
 @option("--config", "TOML file: properties, sensors and calibrations of new sessions, limits.", _FILE)
 @option("--host=ADDRESS", "Address; others need TLS and a token.", default="127.0.0.1")
 @option("--port", "Port; 0 for a free one.", _PORT, default=0)
@@ -166,7 +167,9 @@ def _connected(
 # send
 
 
-@click.command()
+@click.command(
+    cls=Verb, examples=("sceneloom send drive/ 127.0.0.1:50051", "sceneloom send drive/ 127.0.0.1:50051 --rate 0")
+)
 @click.argument("path", type=options.location)
 @click.argument("address", type=_host_and_port, metavar="HOST:PORT")
 @option(
@@ -225,7 +228,13 @@ def _print_sent(report: "SendReport", address: str, printer: Printer) -> None:
 _TYPES = {"sensor": 0, "detection": 1}
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=(
+        "sceneloom get 127.0.0.1:50051 --type sensor --follow -o fused/",
+        "sceneloom get 127.0.0.1:50051 --type detection --count 10",
+    ),
+)
 @click.argument("address", type=_host_and_port, metavar="HOST:PORT")
 @option("--type kind", "Which fusion.", list(_TYPES), required=True)
 @option(
@@ -292,7 +301,13 @@ def get(
 # conformance
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=(
+        "sceneloom conformance 127.0.0.1:50051",
+        "sceneloom conformance 127.0.0.1:50051 --only T9 --report report.html",
+    ),
+)
 @click.argument("address", type=_host_and_port, metavar="HOST:PORT", required=False)
 @option("--report=FILE", "Write all that was sent, expected and found to a .json, .md or .html file.", options.target)
 @options.overwrite

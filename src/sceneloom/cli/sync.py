@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
-from sceneloom.cli.printing import Printer, print_table, several
+from sceneloom.cli.printing import Printer, print_table, several, wrote
 from sceneloom.cli.running import rewriting_verb
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.syncing import SyncReport
 
 
-@click.command()
+@click.command(cls=Verb, examples=("sceneloom sync drive/", "sceneloom sync drive/ --reference imu --json"))
 @click.argument("path", type=options.location)
 @option("--reference=STREAM", "The stream of reference. [default: the IMU, else …]")
 @option("--streams=NAMES", "The only streams to compare, with commas. [default: all]")
@@ -68,7 +69,7 @@ def _print_report(report: "SyncReport", printer: Printer) -> None:
             skew = f", skew {correction.skew_ppm:+.1f} ppm" if correction.skew_ppm else ""
             through = f" (through {correction.through})" if correction.through else ""
             click.echo(f"corrected: {correction.stream}: {-correction.offset_ns / 1e6:+.3f} ms{skew}{through}")
-        click.echo(f"written: {report.output}" + ("" if report.applied else ", as it was"))
+        wrote(report.output)
     printer.remarks(report)
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import detection_options, options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_table, several
 from sceneloom.cli.running import rewriting_verb
@@ -14,7 +15,13 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     from sceneloom.pipeline.tracking import TrackReport
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=(
+        "sceneloom track kitti_tracking/ --sequence 0000 -o tracks/",
+        "sceneloom track drive.sfs --boxes3d lidar.jsonl --boxes2d camera.jsonl -o labels.sfs",
+    ),
+)
 @click.argument("path", type=options.location)
 @options.output("The file or folder to write.")
 @option(

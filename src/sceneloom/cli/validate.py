@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sceneloom.cli import options
+from sceneloom.cli.help import Verb
 from sceneloom.cli.options import option
-from sceneloom.cli.printing import Printer, amount, print_json, print_table, several, times
+from sceneloom.cli.printing import Printer, amount, marked, print_json, print_table, several, times, wrote
 from sceneloom.cli.running import reading_verb, verb
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from sceneloom.warnings import Finding
 
 
-@click.command()
+@click.command(cls=Verb, examples=("sceneloom validate drive.sfs", "sceneloom validate drive/ --fix repaired/"))
 @click.argument("path", type=options.location, required=False)
 @option(
     "--profile=sfs|scale",
@@ -81,7 +82,7 @@ def validate(
 
 def _print_validation(report: "ValidationReport", asked_to_fix: bool, printer: Printer) -> None:
     found = ", ".join(several(count, severity) for severity, count in report.counts.items() if count)
-    verdict = "passed" if report.passed else "not passed"
+    verdict = marked("passed" if report.passed else "not passed")
     read = "" if report.frames_read else "; frames were not read"
     # what was written is known by what it was checked against: a recording, or a scene file
     against = [report.format] if report.output is None else []
@@ -100,7 +101,7 @@ def _print_validation(report: "ValidationReport", asked_to_fix: bool, printer: P
         for title, lines in changes.items():
             for line in [title, *lines] if lines else ():
                 click.echo(line)
-        click.echo(f"written: {report.output}")
+        wrote(report.output)
     elif asked_to_fix:
         click.echo(f"nothing was written: {report.unwritten}", err=True)
 
@@ -122,7 +123,10 @@ def _line(finding: "Finding") -> str:
     return ": ".join(filter(None, (finding.path, finding.message))) + times(finding.count)
 
 
-@click.command()
+@click.command(
+    cls=Verb,
+    examples=("sceneloom salvage cut-off.sfs -o whole.sfs", "sceneloom salvage cut-off.sfs -o whole.sfs --json"),
+)
 @click.argument("path", type=options.location)
 @options.output("The .sfs file to write.")
 @options.overwrite

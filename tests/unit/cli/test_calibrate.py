@@ -251,7 +251,7 @@ def test_one_lidar_is_led_to_the_other(succeeds, two_lidars, tmp_path):
     out = tmp_path / "calibration.json"
     outcome = succeeds("calibrate", two_lidars, "--lidar-to-lidar", "--onto", "lidar0", "--lidar", "lidar1", "-o", out)
     assert "lidar0 from lidar1 (lidar-to-lidar): refined" in outcome.out
-    assert f"written as recording: {out}" in outcome.out
+    assert f"wrote {out}, " in outcome.out
     mountings = [entry["imuToLidar"] for entry in json.loads(out.read_text())["lidars"]]
     assert len(mountings) == 2
 

@@ -20,7 +20,9 @@ FILES_OF_ONE_DRIVE = ("sfs", "mcap", "ros1", "openlabel")
 
 def test_a_short_table_says_what_is_not_simply_kept(call, recording, tmp_path):
     outcome = call("convert", recording, tmp_path / "drive.sfs")
-    assert outcome.out.strip() == f"{recording} (recording) → {tmp_path / 'drive.sfs'} (sfs)"
+    headline, ending = outcome.out.splitlines()
+    assert headline == f"{recording} (recording) → {tmp_path / 'drive.sfs'} (sfs)"
+    assert ending.startswith(f"wrote 3 sweeps, 3 images and 1 trajectory to {tmp_path / 'drive.sfs'}, ")
     titles = [line.strip() for line in outcome.err.splitlines() if line.startswith("  ") and line[2] != " "]
     assert any(title.startswith("kept: ") for title in titles)
     assert any(title.startswith("kept aside, where other programs do not look: ") for title in titles)

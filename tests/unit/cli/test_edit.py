@@ -368,7 +368,7 @@ def test_edit_undistort_writes_pinholes_of_the_size_asked_for(succeeds, distorte
     outcome = succeeds(
         "edit undistort", distorted, "-o", tmp_path / "d.sfs", *size, "--keep", "all", "--camera", "camera0"
     )
-    assert f"written: {tmp_path / 'd.sfs'}" in outcome.out
+    assert f"wrote {tmp_path / 'd.sfs'}, " in outcome.out
     with sceneloom.open(tmp_path / "d.sfs") as scene:
         camera = scene.cameras[0].camera
         assert (camera.model, camera.width, camera.height) == ("pinhole", 48, 32)

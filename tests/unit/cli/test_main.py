@@ -47,7 +47,7 @@ def test_a_signal_in_the_middle_of_a_fusion_leaves_nothing_behind(call, recordin
     finally:
         signal.signal(number, found)
     assert outcome.code == 128 + number
-    assert "stopped; nothing was left half written" in outcome.err
+    assert "stopped; no partial output was left" in outcome.err
     assert seen, "there were drafts when the signal came"
     assert list(tmp_path.iterdir()) == []
     assert after == before
@@ -151,7 +151,7 @@ def commands(command, words=()):
 @cache
 def known_options():
     own = {name for _, command in commands(command_line) for option in command.params for name in option.opts}
-    return frozenset(own | {"--help"})
+    return frozenset(own | {"--help", "--help-all"})
 
 
 @cache

@@ -43,7 +43,7 @@ def test_fixing_writes_and_passes(call, succeeds, faulty, tmp_path):
     target = tmp_path / "repaired.sfs"
     done = succeeds("validate", faulty, "--fix", target)
     assert "fixed\n  quaternion-norm: sensors[0].poses.values[1]" in done.out
-    assert f"written: {target}" in done.out
+    assert f"wrote {target}, " in done.out
     succeeds("validate", target)
     assert call("validate", faulty, "--fix", target).code == 1
     succeeds("validate", faulty, "--fix", target, "--overwrite")

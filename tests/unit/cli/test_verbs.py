@@ -52,7 +52,7 @@ def test_fuse_writes_and_reports(succeeds, recording, tmp_path):
 def test_fuse_for_people_says_frames_points_share_and_location(call, recording, tmp_path):
     outcome = call("fuse", recording, "-o", tmp_path / "d.sfs")
     assert "fused 3 of 3 sweeps by trajectory groundTruth" in outcome.out
-    assert f"scene: {tmp_path / 'd.sfs'}" in outcome.out
+    assert f"wrote {tmp_path / 'd.sfs'}, " in outcome.out
     assert "kept aside: " in outcome.err
     quiet = call("fuse", recording, "-o", tmp_path / "e.sfs", "--quiet")
     assert quiet.err == ""

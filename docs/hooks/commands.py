@@ -5,6 +5,8 @@ from collections.abc import Iterator
 
 import click
 
+from sceneloom.cli.help import GROUPS
+
 Pages = dict[str, str]
 """The text of each page, by its location on the site."""
 
@@ -49,9 +51,15 @@ def _page(command: click.Command, called: str) -> str:
             "[OPTIONS]",
         ]
     )
-    rows = "\n".join(f"| {_names(option)} | {_cell(_stated(option))} |" for option in options)
-    table = f"\n## Options\n\n| option | what it does |\n| --- | --- |\n{rows}\n" if rows else ""
-    return f"# {called}\n\n{_text(command)}\n\n```sh\n{usage}\n```\n{table}"
+    tables = ""
+    for group, title in GROUPS.items():
+        own = [option for option in options if getattr(option, "group", "main") == group]
+        if own:
+            rows = "\n".join(f"| {_names(option)} | {_cell(_stated(option))} |" for option in own)
+            tables += f"\n## {title}\n\n| option | what it does |\n| --- | --- |\n{rows}\n"
+    examples = "\n".join(getattr(command, "examples", ()))
+    shown = f"\n## Examples\n\n```sh\n{examples}\n```\n" if examples else ""
+    return f"# {called}\n\n{_text(command)}\n\n```sh\n{usage}\n```\n{shown}{tables}"
 
 
 def _first_line(command: click.Command) -> str:

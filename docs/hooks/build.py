@@ -74,7 +74,7 @@ def _listed_examples(pages: dict[str, str]) -> str:
             name = title.removeprefix("# ").strip()
             first = "" if rest.startswith("```") else rest.split("\n")[0]
             rows.append(f"| [{name}]({location.removeprefix('examples/')}) | {first} |")
-    table = "\n".join(["| example | what it shows |", "| --- | --- |", *rows])
+    table = "\n".join(["| example | content |", "| --- | --- |", *rows])
     return f"# Examples\n\nEach runs as it stands, on simulated data, and is run by the tests.\n\n{table}\n"
 
 

@@ -25,7 +25,7 @@ def command_pages(program: click.Group, name: str) -> Pages:
         rows.append(
             f"| [`{name} {' '.join(words)}`]({location.removeprefix('commands/')}) | {_cell(_first_line(command))} |"
         )
-    listing = "\n".join(["| command | what it does |", "| --- | --- |", *rows])
+    listing = "\n".join(["| command | purpose |", "| --- | --- |", *rows])
     pages["commands/index.md"] = f"# Commands\n\n{_text(program)}\n\n{listing}\n"
     return pages
 
@@ -56,7 +56,7 @@ def _page(command: click.Command, called: str) -> str:
         own = [option for option in options if getattr(option, "group", "main") == group]
         if own:
             rows = "\n".join(f"| {_names(option)} | {_cell(_stated(option))} |" for option in own)
-            tables += f"\n## {title}\n\n| option | what it does |\n| --- | --- |\n{rows}\n"
+            tables += f"\n## {title}\n\n| option | meaning |\n| --- | --- |\n{rows}\n"
     examples = "\n".join(getattr(command, "examples", ()))
     shown = f"\n## Examples\n\n```sh\n{examples}\n```\n" if examples else ""
     return f"# {called}\n\n{_text(command)}\n\n```sh\n{usage}\n```\n{shown}{tables}"
@@ -77,7 +77,7 @@ def _names(option: click.Option) -> str:
     context = click.Context(click.Command("any"))
     value = "" if option.is_flag else f" {option.make_metavar(context)}"
     names = ", ".join(sorted((*option.opts, *option.secondary_opts), key=len))
-    required = " (needed)" if option.required else ""
+    required = " (required)" if option.required else ""
     return f"`{names}{value}`{required}"
 
 

@@ -5,7 +5,7 @@ def rules_page() -> str:
     """The text of the page: a row a rule, those of single profiles apart."""
     from sceneloom.checks.validation import catalogue
 
-    head = "| rule | | what holds in a sound scene | what to do |\n| --- | --- | --- | --- |"
+    head = "| rule | | expectation | remedy |\n| --- | --- | --- | --- |"
     rows: dict[str, list[str]] = {}
     for rule in catalogue():
         marks = ", ".join([rule.severity, *(["fix"] if rule.fixable else [])])

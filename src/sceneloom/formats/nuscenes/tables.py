@@ -1,14 +1,10 @@
-"""Tables of the nuScenes schema: their columns, and reading their rows one by one."""
+"""Tables of the nuScenes schema: their columns, and the types of their rows."""
 
 from collections.abc import Mapping
-from hashlib import blake2b
 from types import MappingProxyType
 from typing import Annotated, Any
 
 import msgspec
-import numpy as np
-
-from sceneloom.arrays import Int64Array
 
 Quaternion = tuple[float, float, float, float]
 """w, x, y, z."""
@@ -19,8 +15,6 @@ _Microseconds = Annotated[int, msgspec.Meta(ge=-9_000_000_000_000_000, le=9_000_
 
 MICROSECOND = 1000
 """Nanoseconds in the unit of all times of the tables."""
-
-_SECOND = 1_000_000_000
 
 KEY_FRAMES = "key_frames_us"
 """Extra field of a sensor that was read from nuScenes: the times of its key frames."""
@@ -93,14 +87,3 @@ TABLES: Mapping[str, type[Any]] = MappingProxyType(
 
 NEEDED = ("scene", "sample", "sample_data", "ego_pose", "calibrated_sensor", "sensor")
 """Tables without which no scene can be opened."""
-
-
-def token_of(*parts: object) -> str:
-    """A token of 32 hexadecimal digits, as nuScenes has them."""
-    return blake2b("\0".join(map(str, parts)).encode(), digest_size=16).hexdigest()
-
-
-def microseconds(timestamps_ns: Int64Array) -> Int64Array:
-    """Times [ns] as the tables have them [µs]; halves go to the even one."""
-    whole: Int64Array = np.rint(timestamps_ns % _SECOND / MICROSECOND).astype(np.int64)
-    return timestamps_ns // _SECOND * 1_000_000 + whole

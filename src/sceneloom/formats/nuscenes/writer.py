@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from hashlib import blake2b
 from math import atan2, degrees, remainder
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from sceneloom.formats.base.poses import each_mounted, ego_in_world, mounting
 from sceneloom.formats.base.spec import as_positive
 from sceneloom.formats.base.written_ego import ego_trajectory
 from sceneloom.formats.nuscenes.spec import SUPPORTS
-from sceneloom.formats.nuscenes.tables import KEY_FRAMES, MICROSECOND, TABLES, microseconds, token_of
+from sceneloom.formats.nuscenes.tables import KEY_FRAMES, MICROSECOND, TABLES
 from sceneloom.formats.points.cloud import NUSCENES
 from sceneloom.geometry.rigid import RigidTransform, conjugate_quaternion, rotate_vectors
 from sceneloom.scene.annotations import CuboidAnnotation, LabeledPointsAnnotation
@@ -176,6 +177,17 @@ def _unknown_fields(field: str, names: Iterable[str], known: frozenset[str]) -> 
         yield Loss(field=field, what=f"the tables have no field for {', '.join(others)}")
 
 
+def _token_of(*parts: object) -> str:
+    """A token of 32 hexadecimal digits, as nuScenes has them."""
+    return blake2b("\0".join(map(str, parts)).encode(), digest_size=16).hexdigest()
+
+
+def _microseconds(timestamps_ns: Int64Array) -> Int64Array:
+    """Times [ns] as the tables have them [µs]; halves go to the even one."""
+    whole: Int64Array = np.rint(timestamps_ns % _SECOND / MICROSECOND).astype(np.int64)
+    return timestamps_ns // _SECOND * 1_000_000 + whole
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Channel:
     """One sensor of a data set.
@@ -210,7 +222,7 @@ class _Channel:
     @property
     def token(self) -> str:
         """Of the row in sensor.json."""
-        return token_of("sensor", self.name)
+        return _token_of("sensor", self.name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,7 +244,7 @@ class _Samples:
         timestamps = channel.frames.timestamps_ns
         known = channel.sensor.extras.get(KEY_FRAMES)
         if isinstance(known, list | tuple):
-            return np.isin(microseconds(timestamps), np.array(known, np.int64))
+            return np.isin(_microseconds(timestamps), np.array(known, np.int64))
         chosen = np.zeros(len(timestamps), np.bool_)
         for time in self.timestamps_ns.tolist():
             after = int(np.searchsorted(timestamps, time))
@@ -379,10 +391,10 @@ def _rows(about: Mapping[str, Any], path: Path) -> tuple[Any, Any]:
     kept, log = (rows if isinstance(rows := about.get(name), Mapping) else {} for name in ("scene", "log"))
     name = str(kept.get("name") or path.stem)
     row = TABLES["scene"](
-        token=str(kept.get("token") or token_of("scene", name)),
+        token=str(kept.get("token") or _token_of("scene", name)),
         name=name,
         description=str(kept.get("description") or ""),
-        log_token=str(log.get("token") or token_of("log", name)),
+        log_token=str(log.get("token") or _token_of("log", name)),
     )
     fields = {key: str(log.get(key) or "") for key in ("vehicle", "date_captured", "location")}
     return row, TABLES["log"](token=row.log_token, logfile=str(log.get("logfile") or name), **fields)
@@ -483,7 +495,7 @@ def _samples(
     timestamps = np.sort(reference.frames.timestamps_ns)
     rows = about.get("samples")
     if rate_hz is None and isinstance(rows, list | tuple):
-        there = set(microseconds(timestamps).tolist())
+        there = set(_microseconds(timestamps).tolist())
         kept = [(str(token), int(time)) for token, time in rows if int(time) in there]
         if kept:
             times = np.array([time for _, time in kept], np.int64) * MICROSECOND
@@ -496,7 +508,7 @@ def _samples(
         if time >= due - slack and (not chosen or time > chosen[-1]):
             chosen.append(time)
             due = max(due + period_ns, time + period_ns / 2)
-    tokens = tuple(token_of("sample", name, time) for time in chosen)
+    tokens = tuple(_token_of("sample", name, time) for time in chosen)
     return _Samples(tokens, np.array(chosen, np.int64), round(period_ns / 2))
 
 
@@ -557,7 +569,7 @@ class _Writer:
             for channel in self.plan.channels:
                 self._write_channel(channel, rows, poses)
         self._lose(_POINTS, "classes of sweeps between samples are left out", len(self.classes))
-        categories = {one.label or _UNKNOWN: token_of("category", one.label or _UNKNOWN) for one, _, _ in self.cuboids}
+        categories = {one.label or _UNKNOWN: _token_of("category", one.label or _UNKNOWN) for one, _, _ in self.cuboids}
         self._write_boxes(categories)
         self._write_table("category", self._category_rows(categories))
         if self.lidarseg:
@@ -605,10 +617,10 @@ class _Writer:
 
     def _write_channel(self, channel: _Channel, add_row: _Add, add_pose: _Add) -> None:
         plan, timestamps = self.plan, channel.frames.timestamps_ns
-        timestamps_us, egos = microseconds(timestamps), plan.egos_at(timestamps)
+        timestamps_us, egos = _microseconds(timestamps), plan.egos_at(timestamps)
         is_key = plan.samples.key_rows(channel)
         samples = plan.samples.numbers(timestamps, is_key)
-        tokens = [token_of("sample_data", self.name, channel.name, k) for k in range(len(timestamps))]
+        tokens = [_token_of("sample_data", self.name, channel.name, k) for k in range(len(timestamps))]
         stems = _stems(self.name, channel, timestamps_us.tolist())
         for k, token in enumerate(tokens):
             folder = self.root / ("samples" if is_key[k] else "sweeps") / channel.folder
@@ -657,7 +669,7 @@ class _Writer:
     def _calibration(self, channel: _Channel, mount: RigidTransform, camera: Camera | None) -> str:
         """The token of a mounting and a camera model; their row is kept for later."""
         numbers = [] if camera is None else camera.matrix.tolist()
-        token = token_of("calibrated_sensor", channel.name, mount.matrix.tolist(), numbers)
+        token = _token_of("calibrated_sensor", channel.name, mount.matrix.tolist(), numbers)
         row = {"sensor_token": channel.token, **_placed(mount), "camera_intrinsic": numbers}
         self.calibrations.setdefault(token, row)
         return token
@@ -759,8 +771,8 @@ class _Writer:
                 if not there:
                     continue
                 named = isinstance(cuboid.id, str) and cuboid.id
-                token = str(cuboid.id) if named else token_of("instance", self.name, cuboid.id)
-                tokens = [token_of("sample_annotation", token, samples.tokens[s]) for s in there]
+                token = str(cuboid.id) if named else _token_of("instance", self.name, cuboid.id)
+                tokens = [_token_of("sample_annotation", token, samples.tokens[s]) for s in there]
                 add_instance(
                     {
                         "token": token,
@@ -776,7 +788,7 @@ class _Writer:
                 for k, sample in enumerate(there):
                     values = {name: column[k] for name, column in stated.items()}
                     listed = _listed(values.get("attributes"))
-                    known |= {name: token_of("attribute", name) for name in listed}
+                    known |= {name: _token_of("attribute", name) for name in listed}
                     length, width, height = poses.sizes_lwh[sample].tolist()
                     add_row(
                         {
@@ -805,8 +817,8 @@ class _Writer:
         if not there:
             self._lose(_CUBOID, "cuboids that are at no sample are left out", 1)
             return
-        own = microseconds(cuboid.path.timestamps_ns)
-        at_samples = microseconds(self.plan.samples.timestamps_ns[list(there)])
+        own = _microseconds(cuboid.path.timestamps_ns)
+        at_samples = _microseconds(self.plan.samples.timestamps_ns[list(there)])
         lost = int((~np.isin(own, at_samples)).sum())
         self._lose(f"{_CUBOID}.path.values", "boxes between samples are left out", lost)
         between = int((~np.isin(at_samples, own)).sum())
@@ -868,7 +880,7 @@ class _Writer:
         number = _MOST_CLASSES
         for name in names:
             number += name not in taken
-            token = categories.get(name, token_of("category", name))
+            token = categories.get(name, _token_of("category", name))
             indexed = {"index": taken.get(name, number)} if numbers else {}
             yield {"token": token, "name": name, "description": "", **indexed}
 
@@ -876,7 +888,7 @@ class _Writer:
 
     def _write_samples(self) -> None:
         row, tokens = self.plan.row, self.plan.samples.tokens
-        times = microseconds(self.plan.samples.timestamps_ns).tolist()
+        times = _microseconds(self.plan.samples.timestamps_ns).tolist()
         rows = (
             {"token": token, "timestamp": times[k], **_chained(tokens, k), "scene_token": row.token}
             for k, token in enumerate(tokens)
@@ -891,7 +903,7 @@ class _Writer:
 
         (self.root / _MAP).parent.mkdir()
         Image.new("L", (1, 1)).save(self.root / _MAP)
-        row = {"category": "semantic_prior", "token": token_of("map"), "filename": _MAP}
+        row = {"category": "semantic_prior", "token": _token_of("map"), "filename": _MAP}
         self._write_table("map", [{**row, "log_tokens": [self.plan.log.token]}])
 
 

@@ -3,8 +3,6 @@
 import functools
 import json
 import operator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -38,12 +36,7 @@ CAMERA = {
     "axes": "-y,-z,+x",
     "time_offset_s": 0.001,
     "extrinsic": {"from": "base", "quaternion_wxyz": [1, 0, 0, 0]},
-    "camera_model": {
-        "K": [[6, 0, 3.5], [0, 6, 2.5], [0, 0, 1]],
-        "coefficients": [0.1, 0, 0, 0],
-        "width": 8,
-        "height": 6,
-    },
+    "camera_model": {"K": K, "coefficients": [0.1, 0, 0, 0], "width": 8, "height": 6},
 }
 RIG = {
     "ego": "base",
@@ -55,7 +48,7 @@ VALUES = ["nan", "-1", "1e308", '"x"', '""', "[]", "{}", "[[1]]", "true", "2020-
 FURTHER_VALUES = ["inf", "0", '"\\u0000"', "1" * 25, "[[[[1]]]]", '"["', '"**"', '"nan"', "[nan, nan, nan]"]
 
 
-def as_toml(value: Any) -> str:
+def as_toml(value):
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{json.dumps(k)} = {as_toml(v)}" for k, v in value.items()) + " }"
     if isinstance(value, list):
@@ -69,19 +62,19 @@ class Raw(str):
     __slots__ = ()
 
 
-def misspelt(value: Any, keys: tuple[Any, ...]) -> Any:
+def misspelt(value, keys):
     """The value with one key that nobody knows."""
     holder = functools.reduce(operator.getitem, keys[:-1], value)
     changed = {f"{k}_x" if k == keys[-1] else k: v for k, v in holder.items()}
     return replaced(value, keys[:-1], changed) if len(keys) > 1 else changed
 
 
-def write(folder: Path, rig: dict[str, Any]) -> None:
+def write(folder, rig):
     (folder / "rig.toml").write_text("".join(f"{key} = {as_toml(value)}\n" for key, value in rig.items()))
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     for name in ("top", "front"):
         (tmp_path / name).mkdir()
     for k in range(2):
@@ -94,7 +87,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def read_everything(folder: Path, *, lenient: bool = False) -> bool:
+def read_everything(folder, *, lenient=False):
     """Open the folder and read all of it; report whether that went well."""
     try:
         scene = FORMAT.open(folder, lenient=lenient)

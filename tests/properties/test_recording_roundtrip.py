@@ -37,11 +37,15 @@ def round_trip(scene: sc.Scene, **options):
             yield found, [loss for loss in report if loss.field != "replay"]
 
 
+def gyroscope(timestamps, values=None, seconds=None):
+    values = np.ones((len(timestamps), 3)) if values is None else values
+    return sc.Scene((sc.ImuSensor("imu", {"gyroscope": sc.VectorSamples(timestamps, values, seconds)}),))
+
+
 @given(timestamps(-EXACT_NS, EXACT_NS, unique=False), st.data())
 def test_samples_keep_their_times_to_the_nanosecond_and_their_values_to_the_bit(timestamps, data):
     values = data.draw(floats(len(timestamps), 3, within=1e6))
-    scene = sc.Scene((sc.ImuSensor("imu", {"gyroscope": sc.VectorSamples(timestamps, values)}),))
-    for found, report in round_trip(scene):
+    for found, report in round_trip(gyroscope(timestamps, values)):
         assert not report
         stream = found.sensor("imu").streams["gyroscope"]
         np.testing.assert_array_equal(stream.timestamps_ns, timestamps)
@@ -52,21 +56,16 @@ def test_samples_keep_their_times_to_the_nanosecond_and_their_values_to_the_bit(
 def test_the_seconds_that_a_file_had_are_in_the_next_file(seconds):
     numbers = np.array(sorted(seconds))
     timestamps = np.rint(numbers * 1e9).astype(np.int64)
-    scene = sc.Scene(
-        (sc.ImuSensor("imu", {"gyroscope": sc.VectorSamples(timestamps, np.ones((len(timestamps), 3)), numbers)}),)
-    )
-    for found, report in round_trip(scene):
-        stream = found.sensor("imu").streams["gyroscope"]
+    for found, report in round_trip(gyroscope(timestamps, None, numbers)):
         assert not report
-        # equal as numbers: -0.0 is 0.0
-        np.testing.assert_array_equal(stream.file_seconds, numbers)
+        stream = found.sensor("imu").streams["gyroscope"]
+        np.testing.assert_array_equal(stream.file_seconds, numbers)  # equal as numbers: -0.0 is 0.0
         np.testing.assert_array_equal(stream.timestamps_ns, timestamps)
 
 
 @given(timestamps(EPOCH_NS, EPOCH_NS + 10**13, unique=False))
 def test_times_since_1970_are_off_by_no_more_than_is_reported(timestamps):
-    scene = sc.Scene((sc.ImuSensor("imu", {"gyroscope": sc.VectorSamples(timestamps, np.ones((len(timestamps), 3)))}),))
-    for found, report in round_trip(scene):
+    for found, report in round_trip(gyroscope(timestamps)):
         off = np.abs(found.sensor("imu").streams["gyroscope"].timestamps_ns - timestamps)
         # half of the step of such seconds, 2^-22 s, and half of the step of the same time in nanoseconds, 2^8 ns
         assert off.max() <= 119 + 128

@@ -1,22 +1,27 @@
 """The data fusion interface of DB34/T 4101-2022, clause 5, in one process.
 
-Properties, calibration and the ego trajectory are set, records are sent, results are fetched.
+Properties, calibration and the ego trajectory are set, records are sent, results are fetched. What is sent is checked
+against the configuration in force; boxes that come one by one are gathered to frames.
 """
 
 import math
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
+from operator import attrgetter
 from types import MappingProxyType, TracebackType
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 import msgspec
 import numpy as np
 
+from sceneloom.arrays import Float64Array
 from sceneloom.db34t.calibration import (
     MOST_PAIRS,
     CalibrationEntry,
     CalibrationTable,
+    SensorKind,
     calibration_table,
     check_calibration,
     parse_calibrations,
@@ -32,22 +37,26 @@ from sceneloom.db34t.events import (
     Observer,
     Refused,
     Result,
+    Stream,
     Task,
 )
 from sceneloom.db34t.properties import MOST_PROPERTIES, PREDEFINED, Property, Snapshot
-from sceneloom.db34t.received_records import ReceivedRecords, RefusedError
 from sceneloom.db34t.records import (
     Box2d,
     Box3d,
     Boxes2d,
     Boxes3d,
     CalibrationData,
+    ImageData,
     PointCloudData,
     RawData,
     SentRecord,
+    join_boxes,
     kind_of,
 )
+from sceneloom.db34t.scene_objects import measurement_of
 from sceneloom.db34t.setting import Setting
+from sceneloom.db34t.tables import BOX_3D
 from sceneloom.db34t.types import DONE, BasicType, Cause, Outcome, ValueForm, ValueType, refused, shown
 from sceneloom.db34t.worker import ResultsQueue, Worker
 from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError
@@ -57,10 +66,7 @@ from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.poses import Poses
 
 _LONGEST_NAME = 256
-
-
 _LONGEST_DESCRIPTION = 65_536
-
 
 _LARGEST_VALUES = 1 << 25
 """How large the values of all properties may be together: their characters, and 8 for each number."""
@@ -234,6 +240,258 @@ def _enumerated(known: Property, value: str | int) -> int:
     raise DataError(known.name, "", f"{shown(value)}; expected one of {expected}")
 
 
+_MOST_BOXES = 100_000  # boxes of one frame: a sender that never begins another is stopped
+_REMEMBERED = 256  # numbers of each stream that are kept to report one that comes again
+_LEAST_LEVEL = 1e-3  # a direction whose part along the ground is a smaller share of it than this is vertical
+_RESTART_NS = 2_000_000_000  # a sensor that was silent for so long may have been started again, and count from 0
+
+_KINDS: dict[type, SensorKind] = {
+    ImageData: SensorKind.CAMERA,
+    Boxes2d: SensorKind.CAMERA,
+    PointCloudData: SensorKind.LIDAR,
+    Boxes3d: SensorKind.LIDAR,
+}
+"""Who sends a record; raw data can be of either."""
+
+
+class RefusedError(SceneloomError):
+    """A record is not taken; carries the answer."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        super().__init__(outcome.reason)
+        self.outcome = outcome
+
+
+def _refuse(cause: Cause, reason: object) -> NoReturn:
+    raise RefusedError(refused(cause, reason))
+
+
+@dataclass(slots=True)
+class _Arrivals:
+    """What came in one stream: the times of the last numbers, and the newest time [ns]."""
+
+    times_ns: dict[int, int] = field(default_factory=dict)
+    newest_ns: int = -1
+
+    def note(self, seq: int, time_ns: int) -> None:
+        self.times_ns[seq] = time_ns
+        if len(self.times_ns) > _REMEMBERED:
+            del self.times_ns[next(iter(self.times_ns))]
+        self.newest_ns = max(self.newest_ns, time_ns)
+
+    def is_set_back(self, time_ns: int) -> bool:
+        """Whether a record is so old that its sensor's clock must have been set back."""
+        return time_ns < self.newest_ns - CLOCK_JUMP_NS
+
+
+@dataclass(slots=True)
+class _Frame:
+    """The boxes of one sensor that came one by one, of the frame that is not whole yet.
+
+    Attributes:
+        latest_s: when the last one came, on the monotonic clock [s].
+    """
+
+    sensor_id: int
+    setting: Setting
+    boxes: list[Box3d | Box2d] = field(default_factory=list)
+    latest_s: float = 0.0
+
+
+class _ReceivedRecords:
+    """Checks records; remembers numbers and times of each stream, and boxes until their frames are whole.
+
+    A frame is whole as soon as a box of another frame comes, or none came for a while. Not for several threads at once.
+
+    Source: DB34/T 4101-2022, clause 5.6.
+    """
+
+    def __init__(self, hand_in: Callable[[Boxes3d | Boxes2d, Setting], None]) -> None:
+        """Know nothing yet.
+
+        Args:
+            hand_in: takes a frame of boxes that is whole, by the configuration in force when its first box came.
+        """
+        self._hand_in = hand_in
+        self._arrivals: dict[Stream, _Arrivals] = {}
+        self._frames: dict[tuple[type, int], _Frame] = {}
+
+    def accept(self, record: FrameRecord, setting: Setting) -> Accepted:
+        """Take a record, unless it came already or is too old.
+
+        Raises:
+            RefusedError: it is not taken; the answer says why.
+        """
+        accepted = accepted_alone(record, setting)
+        arrivals = self._arrivals.get(accepted.stream)
+        if arrivals is None or arrivals.is_set_back(accepted.timestamp_ns):
+            return accepted
+        sensor = f"{accepted.kind} {accepted.sensor_id}"
+        late_ns = arrivals.newest_ns - accepted.timestamp_ns
+        if record.seq in arrivals.times_ns and -late_ns <= _RESTART_NS:
+            _refuse(Cause.DUPLICATE, f"seq {record.seq} of {sensor} came already")
+        if late_ns > setting.lateness_ns:
+            _refuse(
+                Cause.TIME_BACKWARDS,
+                f"{late_ns / 1e6:.3f} ms older than the newest of {sensor}; expected at most "
+                f"{setting.lateness_ns / 1e6:g} ms (pairing_timeout_ms, or one period of the sensors' frequencies)",
+            )
+        return accepted
+
+    def note(self, accepted: Accepted) -> str:
+        """Remember a record that was taken.
+
+        Returns:
+            "set-back" or "set-forward" where its sensor's clock must have been, or it was silent for long; else "".
+        """
+        arrivals, time_ns = self._arrivals.get(accepted.stream), accepted.timestamp_ns
+        jump = ""
+        if arrivals is not None and arrivals.is_set_back(time_ns):
+            self._arrivals.clear()
+            arrivals, jump = None, "set-back"
+        elif arrivals is not None and time_ns > arrivals.newest_ns + CLOCK_JUMP_NS:
+            jump = "set-forward"
+        if arrivals is None:
+            arrivals = self._arrivals[accepted.stream] = _Arrivals()
+        elif time_ns > arrivals.newest_ns + _RESTART_NS:
+            arrivals.times_ns.clear()
+        arrivals.note(accepted.record.seq, time_ns)
+        return jump
+
+    @property
+    def waiting_boxes(self) -> int:
+        """How many boxes wait for others of their frame."""
+        return sum(len(frame.boxes) for frame in self._frames.values())
+
+    def add_box(self, box: Box3d | Box2d, setting: Setting) -> bool:
+        """Keep a box; where it begins a frame, the one before is whole.
+
+        Returns:
+            Whether it begins a frame.
+
+        Raises:
+            RefusedError: it is not taken; the answer says why.
+        """
+        if isinstance(box, Box3d):
+            _check_headings(np.array([box.direction]), "", setting)
+        sensor_id, seq = self._sender_of(box, setting), _SEQ_OF[type(box)](box)
+        frame = self._frames.setdefault((type(box), sensor_id), _Frame(sensor_id, setting))
+        begins = not frame.boxes or _SEQ_OF[type(box)](frame.boxes[0]) != seq
+        if begins:
+            stream = kind_of(Boxes3d if isinstance(box, Box3d) else Boxes2d).name, sensor_id
+            if stream in self._arrivals and seq in self._arrivals[stream].times_ns:
+                reason = f"a box of frame {seq}, of which all have come; expected it before the next frame's"
+                _refuse(Cause.DUPLICATE, reason)
+            self._close(frame)
+            frame.setting = setting
+        elif len(frame.boxes) >= _MOST_BOXES:
+            _refuse(Cause.TOO_MANY, f"more than {_MOST_BOXES} boxes of frame {seq}")
+        frame.boxes.append(box)
+        frame.latest_s = time.monotonic()
+        return begins
+
+    def close_frames(self, *, older_than_s: float | None = None) -> None:
+        """Hand in frames: all of them, or those that nothing came for since a time of the monotonic clock [s]."""
+        for frame in self._frames.values():
+            if older_than_s is None or frame.latest_s <= older_than_s:
+                self._close(frame)
+
+    def oldest_frame_s(self) -> float | None:
+        """When the last box of the frame came that waits longest for another, by the monotonic clock [s].
+
+        For any thread. None where no boxes wait.
+        """
+        return min((frame.latest_s for frame in tuple(self._frames.values()) if frame.boxes), default=None)
+
+    def _close(self, frame: _Frame) -> None:
+        boxes, frame.boxes = frame.boxes, []
+        if boxes:
+            self._hand_in(join_boxes([box.alone(frame.sensor_id) for box in boxes]), frame.setting)
+
+    def _sender_of(self, box: Box3d | Box2d, setting: Setting) -> int:
+        """Find the sensor of a box that names none: that of the frame with its number, or the only one there is.
+
+        Source: READING of missing ids in docs/CONVENTIONS.md.
+        """
+        kind = SensorKind.LIDAR if isinstance(box, Box3d) else SensorKind.CAMERA
+        streams = ("points", "raw", "boxes_3d") if kind is SensorKind.LIDAR else ("image", "raw", "boxes_2d")
+        seq, time_ns = _SEQ_OF[type(box)](box), box.timestamp.nanoseconds
+        calibrated = setting.calibrated[kind]
+        if len(calibrated) == 1:
+            return calibrated[0]
+        times_ns = {
+            sensor_id: arrivals.times_ns[seq]
+            for (name, sensor_id), arrivals in self._arrivals.items()
+            if name in streams and seq in arrivals.times_ns and sensor_id in calibrated
+        }
+        found = [sensor_id for sensor_id in times_ns if times_ns[sensor_id] == time_ns] or list(times_ns)
+        if len(found) != 1:
+            _refuse(
+                Cause.UNKNOWN_SENSOR if calibrated else Cause.NO_CALIBRATION,
+                f"a box of frame {seq} that names no sensor: {len(found)} of {len(calibrated)} calibrated {kind}s sent "
+                "a frame of that number; expected one, or lists of boxes, which state theirs",
+            )
+        return found[0]
+
+
+_SEQ_OF = {Box3d: attrgetter("points_seq"), Box2d: attrgetter("image_seq")}
+"""The number of the frame that a box belongs to."""
+
+
+def accepted_alone(record: FrameRecord, setting: Setting) -> Accepted:
+    """Take a record by what it says itself, whatever came before it.
+
+    Raises:
+        RefusedError: it is not taken; the answer says why.
+    """
+    sensor_id, declared, kind = record.sensor_id, setting.sensors.get(record.sensor_id), _KINDS.get(type(record))
+    if kind is None:
+        if declared is None or declared.raw is None:
+            reason = f"raw data of sensor {sensor_id}; expected one whose kind and raw the property sensors says"
+            _refuse(Cause.UNKNOWN_SENSOR, reason)
+        kind = declared.kind
+    elif setting.sensors and (declared is None or declared.kind is not kind):
+        listed = ", ".join(f"{sensor.sensor_id} ({sensor.kind})" for sensor in setting.sensors.values())
+        _refuse(Cause.UNKNOWN_SENSOR, f"{kind} {sensor_id}; the property sensors has {listed}")
+    if sensor_id not in setting.calibrated[kind]:
+        fault = setting.fault_of(kind, sensor_id)
+        if fault is not None:
+            _refuse(Cause.BAD_CALIBRATION, fault)
+        listed = ", ".join(map(str, setting.calibrated[kind])) or "none"
+        _refuse(Cause.NO_CALIBRATION, f"no calibration of {kind} {sensor_id}; calibrated are {listed}")
+    try:
+        if isinstance(record, Boxes3d):
+            _check_headings(record.directions.astype(np.float64), "boxes", setting)
+        measurement, image = measurement_of(record, setting)
+    except RefusedError:
+        raise
+    except SceneloomError as error:
+        cause = Cause.BAD_CALIBRATION if isinstance(error, CalibrationError) else Cause.BAD_RECORD
+        raise RefusedError(refused(cause, error)) from error
+    return Accepted(sensor_id, kind, record, measurement, setting, image)
+
+
+def _check_headings(directions: Float64Array, group: str, setting: Setting) -> None:
+    """Refuse boxes that head straight up or down: boxes are upright, so nothing would be known of how they lie.
+
+    Args:
+        directions: (N, 3), of any length but 0, in the declared lidar frame.
+
+    Source: READING of direction in docs/CONVENTIONS.md.
+    """
+    lifts = directions @ setting.standard_from_lidar[2]
+    if not lifts.any():
+        return
+    squares = (directions * directions).sum(axis=1)
+    upright = squares - lifts * lifts <= _LEAST_LEVEL**2 * squares
+    if upright.any():
+        k = int(np.argmax(upright))
+        location = f"{group}[{k}].direction" if group else "direction"
+        direction = tuple(directions[k].tolist())
+        problem = f"{direction} is vertical; expected where the box heads along the ground"
+        _refuse(Cause.BAD_RECORD, BOX_3D.fault(location, problem))
+
+
 _KEPT_NS = 60_000_000_000  # so much of the trajectory is kept
 _MOST_POSES = 100_000  # of one minute: a sender that reports more than 1600 poses a second is stopped
 
@@ -274,8 +532,6 @@ class RecentTrajectory:
 
 
 _MOST_MOVES = 100  # chunks of the vehicle's trajectory that may wait for the thread that fuses
-
-
 _PIXEL_BYTES = 7  # what a pixel takes while its image is fused: red, green, blue, and a depth of 32 bits
 
 
@@ -345,7 +601,7 @@ class FusionInterface:
         self._remarked: set[tuple[tuple[int, int], str]] = set()
         self._closed = False
         self._announcer = Announcer(observer, self.counters)
-        self._received = ReceivedRecords(self._hand_in)
+        self._received = _ReceivedRecords(self._hand_in)
         self._results_queue = ResultsQueue(
             self.counters, self._announcer, on_result=on_result, most_bytes=self._limits.most_bytes
         )
@@ -547,7 +803,7 @@ class FusionInterface:
             except SceneloomError as error:
                 raise RefusedError(refused(Cause.BAD_CALIBRATION, error)) from error
         if found.pixels > self._limits.most_pixels:
-            raise RefusedError(refused(Cause.TOO_MANY, self._limits.too_many_pixels(found.pixels)))
+            _refuse(Cause.TOO_MANY, self._limits.too_many_pixels(found.pixels))
         return found
 
     def _admit(self, record: FrameRecord, setting: Setting, verb: str) -> Outcome:
@@ -556,15 +812,14 @@ class FusionInterface:
         most, policy = setting.properties["queue_length"], setting.properties["queue_policy"]
         if policy == "refuse" and self.counters.waiting(accepted.stream) >= most:
             reason = f"{most} records of {accepted.kind} {accepted.sensor_id} wait already (queue_length)"
-            raise RefusedError(refused(Cause.QUEUE_FULL, reason))
+            _refuse(Cause.QUEUE_FULL, reason)
         size, waiting, limit = accepted.ticket.size, self.counters.waiting_bytes, self._limits.most_bytes
         if waiting + size > limit:
             # let go of what waits for partners, so that there will be room
             if self._making_room is None or self._making_room.done.is_set():
                 self._making_room = Flushed(final=True)
                 self._worker.do(self._making_room)
-            reason = f"{waiting} bytes wait and {size} come; expected at most {limit}"
-            raise RefusedError(refused(Cause.TOO_MANY, reason))
+            _refuse(Cause.TOO_MANY, f"{waiting} bytes wait and {size} come; expected at most {limit}")
         jump = self._received.note(accepted)
         if jump:
             self.counters.add(f"clock.{jump}")

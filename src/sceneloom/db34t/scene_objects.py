@@ -9,11 +9,14 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.db34t.records import ENCODINGS, Boxes2d, Boxes3d, ImageData, PointCloudData, SensorFusionData
-from sceneloom.db34t.tables import IMAGE
+from sceneloom.db34t.calibration import SensorKind
+from sceneloom.db34t.records import ENCODINGS, Boxes2d, Boxes3d, ImageData, PointCloudData, RawData, SensorFusionData
+from sceneloom.db34t.setting import Setting
+from sceneloom.db34t.tables import IMAGE, POINT_CLOUD, RAW
 from sceneloom.db34t.types import INTEGER_RANGES, NANOSECONDS, BasicType, Timestamp, bytes_of
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.images import EncodedImage
+from sceneloom.formats.recording.lidars import XYZIRT
 from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame, LidarPoints
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
@@ -427,3 +430,97 @@ def _pixels_of_rgb(rgb: UInt8Array, encoding: str) -> UInt8Array:
     for k, channel in enumerate(known.order):
         pixels[:, :, channel] = rgb[:, :, k]
     return pixels
+
+
+def lidar_frame_of_raw(record: RawData) -> LidarFrame:
+    """The sweep of raw data that are the 23-byte records of the recording format.
+
+    Points with a number that is not finite are left out, as those of table 6 are.
+
+    Raises:
+        DataError: the bytes are no whole number of records, or times are none.
+    """
+    count, remainder = divmod(record.length, XYZIRT.itemsize)
+    if remainder:
+        expected = f"expected records of {XYZIRT.itemsize} bytes"
+        raise RAW.fault("data", f"{count} records and a remainder of {remainder} bytes; {expected}")
+    rows = np.frombuffer(record.data, XYZIRT)
+    finite = np.ones(count, np.bool_)
+    for name in ("x", "y", "z", "timestamp"):
+        finite &= np.isfinite(rows[name])
+    if not finite.all():
+        rows = rows[finite]
+    times = rows["timestamp"]
+    if len(times) and (times.max() >= 2**32 or times.min() < 0):
+        raise RAW.fault("data", f"times up to {float(times.max())} s; expected 0 to {2**32} s")
+    seconds = np.floor(times)
+    points = LidarPoints(
+        np.column_stack([rows[name] for name in "xyz"]).astype(np.float32, copy=False).reshape(len(rows), 3),
+        rows["intensity"].copy(),
+        timestamps_ns=seconds.astype(np.int64) * NANOSECONDS
+        + np.rint((times - seconds) * NANOSECONDS).astype(np.int64),
+        rings=rows["ring"].astype(np.uint16),
+    )
+    extras = {"sensor_id": record.sensor_id, "seq": record.seq}
+    return LidarFrame(record.timestamp.nanoseconds, points, extras=MappingProxyType(extras))
+
+
+def image_record_of_raw(record: RawData, camera: Camera, encoding: str) -> ImageData:
+    """The image record of raw data: jpeg, png, or pixels of the camera's size in another one of `ENCODINGS`.
+
+    Raises:
+        DataError: there are more or fewer bytes than pixels need.
+        OptionError: the encoding is not known, or does not state how many values a pixel has.
+    """
+    known = ENCODINGS.get(encoding)
+    if known is None or encoding == "raw":
+        names = ", ".join(name for name in ENCODINGS if name != "raw")
+        raise OptionError(f"encoding {encoding!r}; expected one of {names}")
+    channel = 3 if known.is_file else min(known.channels)
+    length = camera.height * camera.width * channel
+    if not known.is_file and record.length != length:
+        expected = f"{length}, as {camera.width}x{camera.height} pixels of {encoding} have"
+        raise RAW.fault("length", f"{record.length}; expected {expected}")
+    if record.length == 0:
+        raise RAW.fault("length", f"0; expected a file of {encoding}")
+    return ImageData(
+        sensor_id=record.sensor_id,
+        timestamp=record.timestamp,
+        seq=record.seq,
+        height=camera.height,
+        width=camera.width,
+        encoding=encoding,
+        channel=channel,
+        data=np.frombuffer(record.data, np.uint8),
+    )
+
+
+_MOST_FIELDS = 255  # of a point of table 9, whose fields_number is a uint8
+
+
+def measurement_of(
+    record: RawData | ImageData | PointCloudData | Boxes3d | Boxes2d, setting: Setting
+) -> tuple[LidarFrame | CameraImage | Boxes3d | Boxes2d, ImageData | None]:
+    """What is fused of a record of one frame, and the record of an image where it is or makes one.
+
+    Raises:
+        DataError: the record does not fit its calibration, or cannot be read.
+        CalibrationError: the calibrations of its camera are of images of several sizes.
+    """
+    match record:
+        case PointCloudData():
+            frame = lidar_frame_of(record)
+            if len(result_fields(frame)) > _MOST_FIELDS:
+                expected = f"expected so many that {_MOST_FIELDS} are left with r, g, b"
+                raise POINT_CLOUD.fault("fields", f"{len(record.fields)} names; {expected}")
+            return frame, None
+        case ImageData():
+            return image_of(record, setting.camera(record.sensor_id)), record
+        case RawData():
+            declared = setting.sensors[record.sensor_id]
+            if declared.kind is SensorKind.LIDAR:
+                return lidar_frame_of_raw(record), None
+            camera = setting.camera(record.sensor_id)
+            image = image_record_of_raw(record, camera, str(declared.raw))
+            return image_of(image, camera), image
+    return record, None

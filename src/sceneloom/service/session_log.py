@@ -22,7 +22,7 @@ from google.protobuf.message import Message
 
 from sceneloom.db34t.calibration import CalibrationEntry, CalibrationTable, calibration_table
 from sceneloom.db34t.events import Accepted, Dropped, Event, Flushed, Moved, Refused, Result
-from sceneloom.db34t.interface import FusionInterface, RecentTrajectory
+from sceneloom.db34t.interface import FusionInterface, RecentTrajectory, accepted_alone
 from sceneloom.db34t.protobuf import (
     encode,
     encode_in,
@@ -36,7 +36,6 @@ from sceneloom.db34t.protobuf import (
     value_from_protobuf,
     value_to_protobuf,
 )
-from sceneloom.db34t.received_records import accepted_alone
 from sceneloom.db34t.records import ResultRecord, SentRecord, kind_of, size_of
 from sceneloom.db34t.setting import Setting
 from sceneloom.db34t.wire import fusion_pb2

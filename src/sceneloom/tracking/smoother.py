@@ -21,7 +21,7 @@ from sceneloom.scene.detections import Support, Track, TrackedObjects, Tracks
 from sceneloom.scene.types import Identifier
 from sceneloom.tracking import tracker as states
 from sceneloom.tracking.settings import ImageBox, TrackerSettings
-from sceneloom.tracking.tracker import DEFAULTS, Moment, Observation, Tracker, no_boxes
+from sceneloom.tracking.tracker import DEFAULTS, Observation, Tracker
 
 
 def smoothed(
@@ -99,7 +99,7 @@ class Course:
         return len(self.moments)
 
 
-def _course(number: int, moments: Sequence[Moment], locations: list[tuple[int, int]]) -> Course:
+def _course(number: int, moments: Sequence[states.Moment], locations: list[tuple[int, int]]) -> Course:
     while moments[locations[-1][0]].objects.supports[locations[-1][1]] == Support.PREDICTED:
         locations = locations[:-1]
     rows = [(moments[k].objects, row) for k, row in locations]
@@ -118,7 +118,7 @@ def _course(number: int, moments: Sequence[Moment], locations: list[tuple[int, i
         likely=states.probabilities(np.array([objects.log_odds[row] for objects, row in rows])),
         seen={
             camera_id: np.array(
-                [objects.corners_xyxy.get(camera_id, no_boxes(len(objects)))[row] for objects, row in rows]
+                [objects.corners_xyxy.get(camera_id, states.no_boxes(len(objects)))[row] for objects, row in rows]
             )
             for camera_id in cameras
         },
@@ -126,7 +126,7 @@ def _course(number: int, moments: Sequence[Moment], locations: list[tuple[int, i
 
 
 def _smoothed(
-    number: int, moments: Sequence[Moment], locations: list[tuple[int, int]]
+    number: int, moments: Sequence[states.Moment], locations: list[tuple[int, int]]
 ) -> tuple[Float64Array, Float64Array]:
     """The states of an object, knowing what came later."""
     found = [(moments[k].objects.means[row], moments[k].objects.covariances[row]) for k, row in locations]
@@ -139,7 +139,7 @@ def _smoothed(
     return smoothed(*(np.array(column) for column in (*zip(*found, strict=True), *zip(*predicted, strict=True))))
 
 
-def _track(course: Course, moments: Sequence[Moment], settings: TrackerSettings) -> Track:
+def _track(course: Course, moments: Sequence[states.Moment], settings: TrackerSettings) -> Track:
     kept = _filled(course, settings)
     corners = {
         camera_id: _corners(course, camera_id, moments, settings)[kept]
@@ -176,7 +176,7 @@ def _filled(course: Course, settings: TrackerSettings) -> Int64Array:
 
 
 def _corners(
-    course: Course, camera_id: Identifier, moments: Sequence[Moment], settings: TrackerSettings
+    course: Course, camera_id: Identifier, moments: Sequence[states.Moment], settings: TrackerSettings
 ) -> Float64Array:
     """Boxes of an object in the images of a camera, (K, 4)."""
     observations = [moments[k].observation for k in course.moments.tolist()]
@@ -189,7 +189,7 @@ def _corners(
     differing = np.zeros((len(course), 4))
     if settings.image_box is ImageBox.IMAGE and camera_id in course.seen:
         differing = _smoothed_differences(course, course.seen[camera_id], outlined)
-    corners = no_boxes(len(course))
+    corners = states.no_boxes(len(course))
     for i, observation in enumerate(observations):
         if camera_id in observation.views:
             camera = observation.views[camera_id].camera
@@ -251,7 +251,7 @@ def _drive_track(number: int, reported: list[tuple[TrackedObjects, int]]) -> Tra
     cameras = dict.fromkeys(camera_id for moment, _ in reported for camera_id in moment.corners_xyxy)
     corners = {
         camera_id: np.array(
-            [moment.corners_xyxy.get(camera_id, no_boxes(len(moment)))[row] for moment, row in reported]
+            [moment.corners_xyxy.get(camera_id, states.no_boxes(len(moment)))[row] for moment, row in reported]
         )
         for camera_id in cameras
     }

@@ -7,8 +7,6 @@ import numpy as np
 
 from sceneloom.db34t.conformance import scene
 from sceneloom.db34t.conformance.catalogue import (
-    DETECTIONS,
-    SENSOR_DATA,
     Bench,
     Catalogue,
     Peer,
@@ -25,9 +23,7 @@ CHECKS = Catalogue()
 
 
 def _pixels(peer: Peer, request: Any = None) -> list[tuple[int, int]]:
-    peer.send(scene.image())
-    peer.send(scene.cloud() if request is None else request)
-    return filled(peer.result(SENSOR_DATA))
+    return filled(peer.fused(scene.image(), scene.cloud() if request is None else request))
 
 
 _EXPECTED = sorted((point.column, point.row) for point in scene.SEEN)
@@ -42,28 +38,22 @@ def _refusals(bench: Bench, *cases: dict[str, Any]) -> Iterator[Seen]:
 
 @CHECKS.row(3, "image_size", "two whole numbers above 0: width, height; an image of another size does not fit")
 def _image_size(bench: Bench) -> Iterator[Seen]:
-    yield from _refusals(
-        bench, {"image_size": ()}, {"image_size": (64,)}, {"image_size": (0, 48)}, {"image_size": (64, 48, 3)}
-    )
-    peer = bench.peer()
-    peer.calibrate(image_size=(scene.HEIGHT, scene.WIDTH))
-    status = peer.send(scene.image())
+    sizes: tuple[tuple[int, ...], ...] = ((), (64,), (0, 48), (64, 48, 3))
+    yield from _refusals(bench, *({"image_size": size} for size in sizes))
+    status = bench.ready(image_size=(scene.HEIGHT, scene.WIDTH)).send(scene.image())
     yield refused("Send of an image 64 x 48 after image_size (48, 64)", status)
 
 
 @CHECKS.row(3, "distortion_coeffs", "k1 k2 p1 p2 k3 of the pinhole model; all 0 where they are left out")
 def _distortion(bench: Bench) -> Iterator[Seen]:
     yield from _refusals(bench, {"distortion_coeffs": (0.1,) * 4}, {"distortion_coeffs": (0.1,) * 6})
-    peer = bench.peer()
-    peer.calibrate(distortion_coeffs=())
-    yield same("a pair after a calibration without coefficients: pixels", _EXPECTED, _pixels(peer))
+    found = _pixels(bench.ready(distortion_coeffs=()))
+    yield same("a pair after a calibration without coefficients: pixels", _EXPECTED, found)
     coefficients = (-0.25, 0.125, 0.0625, -0.09375, 0.5)
     point = (0.375, -0.25)
     column, row = (round(number) for number in _distorted(point, coefficients))
-    peer = bench.peer()
-    peer.calibrate(distortion_coeffs=coefficients)
     cloud = scene.lidar_from_camera(np.array([[8.0 * point[0], 8.0 * point[1], 8.0]])).astype(np.float32)
-    found = _pixels(peer, scene.cloud(points=cloud))
+    found = _pixels(bench.ready(distortion_coeffs=coefficients), scene.cloud(points=cloud))
     yield same(f"a point at (x, y) / z = {point} after k1 k2 p1 p2 k3 = {coefficients}", [(column, row)], found)
 
 
@@ -89,8 +79,7 @@ def _intrinsic(bench: Bench) -> Iterator[Seen]:
         {"intrinsic_matrix": (0, 0, cx, 0, f, cy, 0, 0, 1)},
         {"intrinsic_matrix": (f, 0, 0, 0, f, 0, cx, cy, 1)},
     )
-    peer = bench.peer()
-    peer.calibrate(intrinsic_matrix=(32.0, 0, 30.0, 0, 44.8, 22.0, 0, 0, 1))
+    peer = bench.ready(intrinsic_matrix=(32.0, 0, 30.0, 0, 44.8, 22.0, 0, 0, 1))
     x, y, z = scene.depth_of_pixel(scene.SEEN[0])
     expected = [(round(32.0 * x / z + 30.0), round(44.8 * y / z + 22.0))]
     cloud = scene.cloud(points=scene.points_lidar()[:1])
@@ -102,8 +91,7 @@ def _reference_frame(bench: Bench) -> Iterator[Seen]:
     yield from _refusals(bench, {"reference_frame": 2})
     inverse = np.linalg.inv(scene.CAMERA_FROM_LIDAR)
     for frame, matrix in ((0, scene.CAMERA_FROM_LIDAR), (1, inverse)):
-        peer = bench.peer()
-        peer.calibrate(reference_frame=frame, extrinsic_matrix=scene.by_columns(matrix))
+        peer = bench.ready(reference_frame=frame, extrinsic_matrix=scene.by_columns(matrix))
         yield same(f"a pair after reference_frame {frame}: pixels", _EXPECTED, _pixels(peer))
 
 
@@ -115,18 +103,12 @@ def _reference_frame(bench: Bench) -> Iterator[Seen]:
 )
 def _extrinsic(bench: Bench) -> Iterator[Seen]:
     good = scene.by_columns(scene.CAMERA_FROM_LIDAR)
-    yield from _refusals(
-        bench,
-        {"extrinsic_matrix": good[:15]},
-        {"extrinsic_matrix": [2 * number for number in good[:15]] + [1.0]},
-        {"extrinsic_matrix": [float("nan"), *good[1:]]},
-        {"extrinsic_matrix": [*good[:15], 2.0]},
-    )
-    layouts = {"columns": good, "rows": scene.by_rows(scene.CAMERA_FROM_LIDAR)}
-    for layout, numbers in layouts.items():
-        peer = bench.peer()
-        peer.calibrate(extrinsic_matrix=numbers)
-        yield same(f"a pair after the matrix by {layout}: pixels", _EXPECTED, _pixels(peer))
+    doubled = [*(2 * number for number in good[:15]), 1.0]
+    wrong = (good[:15], doubled, [float("nan"), *good[1:]], [*good[:15], 2.0])
+    yield from _refusals(bench, *({"extrinsic_matrix": numbers} for numbers in wrong))
+    for layout, numbers in (("columns", good), ("rows", scene.by_rows(scene.CAMERA_FROM_LIDAR))):
+        found = _pixels(bench.ready(extrinsic_matrix=numbers))
+        yield same(f"a pair after the matrix by {layout}: pixels", _EXPECTED, found)
 
 
 @CHECKS.clause("4.1-1", "4.1", "the standard's own example of a calibration is taken, and points lie where it says")
@@ -147,10 +129,10 @@ def _example(bench: Bench) -> Iterator[Seen]:
     x, y, z = rotation @ point + translation
     # so near the middle of the image the distortion is below a hundredth of a pixel
     expected = [(round(matrix[0] * x / z + matrix[2]), round(matrix[4] * y / z + matrix[5]))]
-    pixels = np.zeros((480, 640, 3), np.uint8)
-    peer.send(scene.image(height=480, width=640, data=pixels.tobytes()))
-    peer.send(scene.cloud(points=point[None]))
-    yield same("a point 8 m ahead: pixel", expected, filled(peer.result(SENSOR_DATA)))
+    pixels = np.zeros((480, 640, 3), np.uint8).tobytes()
+    image = scene.image(height=480, width=640, data=pixels)
+    found = filled(peer.fused(image, scene.cloud(points=point[None])))
+    yield same("a point 8 m ahead: pixel", expected, found)
 
 
 @CHECKS.clause("4.1-2", "4.1", "a calibration that is replaced counts for the frames after it", reading=True)
@@ -158,12 +140,10 @@ def _replaced(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     first = _pixels(peer)
     peer.calibrate(intrinsic_matrix=(64.0, 0, 34.0, 0, 64.0, 25.0, 0, 0, 1))
-    later = 100_000_000
-    peer.send(scene.image(2, later + scene.IMAGE_LATER_NS))
-    peer.send(scene.cloud(2, later))
+    second = peer.fused(scene.image(2, scene.PERIOD_NS + scene.IMAGE_LATER_NS), scene.cloud(2, scene.PERIOD_NS))
     moved = sorted((column + 2, row + 1) for column, row in _EXPECTED)
     yield same("a pair, a middle 2 px right and 1 px down, a pair: pixels of the first", _EXPECTED, first)
-    yield same("pixels of the second", moved, filled(peer.result(SENSOR_DATA)))
+    yield same("pixels of the second", moved, filled(second))
 
 
 _STANDARD_CAMERA, _STANDARD_LIDAR = [2, 0, -1], [0, -1, 2]
@@ -192,9 +172,7 @@ def _look(
     matrix = camera @ scene.CAMERA_FROM_LIDAR @ lidar.T
     peer.calibrate(extrinsic_matrix=scene.by_columns(matrix))
     points = (scene.points_lidar() @ lidar[:3, :3].T).astype(np.float32)
-    peer.send(scene.image())
-    peer.send(scene.cloud(points=points))
-    record = peer.result(SENSOR_DATA)
+    record = peer.fused(scene.image(), scene.cloud(points=points))
     sent = ", ".join(f"{name} {value}" for name, value in properties.items())
     yield same(f"{sent}, a pair, Get: pixels with a depth", _EXPECTED, filled(record))
     error = float(np.abs(columns_of(record, ("x", "y", "z")) - points).max())
@@ -207,17 +185,14 @@ def _boxes(peer: Peer, sent: str, lidar: np.ndarray[Any, Any]) -> Iterator[Seen]
     center = lidar[:3, :3] @ scene.MATCHED.center
     direction = lidar[:3, :3] @ scene.MATCHED.direction
     box = scene.MATCHED._replace(center=tuple(center.tolist()), direction=tuple(direction.tolist()))
-    peer.send(scene.boxes_2d())
-    peer.send(scene.boxes_3d(boxes=[scene.box_3d(box)]))
-    detections = peer.result(DETECTIONS).detections
+    detections = peer.detected(scene.boxes_2d(), scene.boxes_3d(boxes=[scene.box_3d(box)])).detections
     yield same(f"{sent}, a box in space and in the image: detections", 1, len(detections))
     found = detections[0]
     error = float(np.abs(np.array([found.X, found.Y, found.Z]) - center).max())
     yield near(f"{sent}: distance of its middle from where it was sent [m]", 0.0, error, 0.25)
     cosine = float(np.array(found.direction) @ direction / np.linalg.norm(direction))
-    yield near(
-        f"{sent}: cosine of its direction to what was sent", 1.0, cosine / float(np.linalg.norm(found.direction)), 1e-4
-    )
+    cosine /= float(np.linalg.norm(found.direction))
+    yield near(f"{sent}: cosine of its direction to what was sent", 1.0, cosine, 1e-4)
 
 
 @CHECKS.clause("5.2-1", "5.2", "chirality 1: data of left-handed frames are fused, and come back in them", reading=True)
@@ -245,7 +220,6 @@ def _lidar(bench: Bench) -> Iterator[Seen]:
     reading=True,
 )
 def _mirrored(bench: Bench) -> Iterator[Seen]:
-    peer = bench.peer()
-    peer.calibrate(extrinsic_matrix=scene.by_columns(scene.CAMERA_FROM_LIDAR @ _MIRRORED_LIDAR))
+    peer = bench.ready(extrinsic_matrix=scene.by_columns(scene.CAMERA_FROM_LIDAR @ _MIRRORED_LIDAR))
     status = peer.send(scene.cloud())
     yield refused("SetCalibration with a mirroring matrix, Send of a cloud", status)

@@ -87,7 +87,7 @@ class Transport(Protocol):
         ...
 
 
-class NoResultError(Exception):
+class _NoResultError(Exception):
     """A result that should have been there was not."""
 
 
@@ -141,12 +141,18 @@ class Peer:
         return self.call("Get", fusion_type=fusion_type, wait_ms=wait_ms)
 
     def result(self, fusion_type: int) -> Any:
-        """Clause 5.7; the record or records of the next result.
-
-        Raises:
-            NoResultError: none came.
-        """
+        """Clause 5.7; the record or records of the next result, which has to be there."""
         return _result_of(self.fetch(fusion_type), fusion_type)
+
+    def fused(self, *requests: fusion_pb2.SendRequest, fusion_type: int = SENSOR_DATA) -> Any:
+        """Send records one after the other, and give the record or records of the next result."""
+        for request in requests:
+            self.send(request)
+        return self.result(fusion_type)
+
+    def detected(self, *requests: fusion_pb2.SendRequest) -> Any:
+        """The same of boxes and the records of table 10."""
+        return self.fused(*requests, fusion_type=DETECTIONS)
 
     def subscribe(self, fusion_type: int, most: int) -> list[Any]:
         """Clause 5.7 as a stream; the records of so many replies."""
@@ -184,10 +190,10 @@ class Bench:
         self._open.append(peer)
         return peer
 
-    def ready(self) -> Peer:
-        """A session that has the scene's calibration."""
+    def ready(self, **changed: Any) -> Peer:
+        """A session that has the scene's calibration, but for what is stated."""
         peer = self.peer()
-        peer.calibrate()
+        peer.calibrate(**changed)
         return peer
 
     def once(self, make: Callable[[Peer], _Made]) -> _Made:
@@ -205,9 +211,12 @@ class Bench:
 
 def fused_pair(peer: Peer) -> Any:
     """The record of table 9 of the scene."""
-    peer.send(scene.image())
-    peer.send(scene.cloud())
-    return peer.result(SENSOR_DATA)
+    return peer.fused(scene.image(), scene.cloud())
+
+
+def fused_boxes(peer: Peer) -> Any:
+    """The records of table 10 of the scene."""
+    return peer.detected(scene.boxes_2d(), scene.boxes_3d())
 
 
 def send_pairs(peer: Peer, numbers: range) -> None:
@@ -215,13 +224,6 @@ def send_pairs(peer: Peer, numbers: range) -> None:
     for k in numbers:
         peer.send(scene.image(k, k * scene.PERIOD_NS + scene.IMAGE_LATER_NS))
         peer.send(scene.cloud(k, k * scene.PERIOD_NS))
-
-
-def fused_boxes(peer: Peer) -> Any:
-    """The records of table 10 of the scene."""
-    peer.send(scene.boxes_2d())
-    peer.send(scene.boxes_3d())
-    return peer.result(DETECTIONS)
 
 
 def depths(record: Any) -> np.ndarray[Any, np.dtype[np.float32]]:
@@ -247,20 +249,16 @@ def _result_of(reply: Any, fusion_type: int) -> Any:
     name = RESULT_NAMES[fusion_type]
     held = reply.WhichOneof("result")
     if held != name:
-        raise NoResultError(f"a reply with {held or 'nothing'}; expected {name}")
+        raise _NoResultError(f"a reply with {held or 'nothing'}; expected {name}")
     return getattr(reply, name)
 
 
 def detection_of(result: Any, box: scene.SentBox) -> Any:
-    """The fused detection that stands where a box was sent.
-
-    Raises:
-        NoResultError: there is none.
-    """
+    """The fused detection that stands where a box was sent; there has to be one."""
     for found in result.detections:
         if max(abs(a - b) for a, b in zip((found.X, found.Y, found.Z), box.center, strict=True)) < 1.0:
             return found
-    raise NoResultError(f"no detection near {box.center}, where a {box.name} was sent")
+    raise _NoResultError(f"no detection near {box.center}, where a {box.name} was sent")
 
 
 _VALUE_FIELDS = {bool: "bool_value", int: "integer_value", float: "number_value", str: "string_value"}
@@ -340,6 +338,21 @@ class Check:
     basis: Basis
     quote: _Quote
     look: Look
+
+    def seen(self, bench: Bench) -> Iterator[Seen]:
+        """Look, whatever the server answers; an answer that cannot be read is the last thing seen."""
+        sent = "what the check begins with"
+        try:
+            for each in self.look(bench):
+                sent = f"what comes after: {each.sent}"
+                yield each
+        except (CallFailedError, _NoResultError) as error:
+            yield Seen(sent, "an answer", str(error), agrees=False)
+        except Exception as error:  # noqa: BLE001 - whatever a server answers, the other checks go on
+            found = f"an answer that cannot be read: {type(error).__name__}: {error}"
+            yield Seen(sent, "an answer", found, agrees=False)
+        finally:
+            bench.end_sessions()
 
 
 _Declare = Callable[[Look], Look]

@@ -3,7 +3,7 @@
 import json
 import secrets
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from html import escape
@@ -22,7 +22,7 @@ from sceneloom.db34t.conformance import (
     record_checks,
     result_checks,
 )
-from sceneloom.db34t.conformance.catalogue import Bench, CallFailedError, Check, NoResultError, Seen, Transport
+from sceneloom.db34t.conformance.catalogue import Bench, CallFailedError, Check, Seen, Transport
 from sceneloom.db34t.transport import calls_of, details_of, open_channel, read_token, reader_of
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import OptionError, SceneloomError
@@ -173,23 +173,9 @@ def examine(
 
 
 def _run(check: Check, bench: Bench) -> Finding:
-    seen: list[Seen] = []
-    try:
-        for each in check.look(bench):
-            seen.append(each)  # noqa: PERF402 - what was seen before an error counts
-    except (CallFailedError, NoResultError) as error:
-        seen.append(Seen(_after(seen), "an answer", str(error), agrees=False))
-    except Exception as error:  # noqa: BLE001 - whatever a server answers, the other checks go on
-        found = f"an answer that cannot be read: {type(error).__name__}: {error}"
-        seen.append(Seen(_after(seen), "an answer", found, agrees=False))
-    finally:
-        bench.end_sessions()
+    seen = tuple(check.seen(bench))
     passed = bool(seen) and all(each.agrees for each in seen)
-    return Finding(check, Verdict.PASSED if passed else Verdict.FAILED, tuple(seen))
-
-
-def _after(seen: Sequence[Seen]) -> str:
-    return f"what comes after: {seen[-1].sent}" if seen else "what the check begins with"
+    return Finding(check, Verdict.PASSED if passed else Verdict.FAILED, seen)
 
 
 def _markdown_lines(examination: Examination) -> Iterator[str]:

@@ -11,7 +11,6 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, FileDescriptorProto
 
 from sceneloom.db34t.conformance import scene
 from sceneloom.db34t.conformance.catalogue import (
-    DETECTIONS,
     QUOTES,
     SENSOR_DATA,
     Bench,
@@ -63,9 +62,8 @@ def _sessions(bench: Bench) -> Iterator[Seen]:
     yield same("SetCalibration in one session, Send in another", 0, other.send(scene.cloud()))
     other.calibrate()
     send_pairs(one, range(1))
-    yield same(
-        "a pair in one session, Get in another", "no_data", other.fetch(SENSOR_DATA, wait_ms=0).WhichOneof("result")
-    )
+    held = other.fetch(SENSOR_DATA, wait_ms=0).WhichOneof("result")
+    yield same("a pair in one session, Get in another", "no_data", held)
     yield taken("the same seq in another session", other.send(scene.cloud(0)))
 
 
@@ -90,9 +88,8 @@ def _listed(bench: Bench) -> Iterator[Seen]:
     peer.set("added", 3)
     second = peer.call("ListProperties").revision
     third = peer.call("ListProperties").revision
-    yield true(
-        "SetProperty, ListProperties: revision", f"more than {first.revision}", second, agrees=second > first.revision
-    )
+    more = f"more than {first.revision}"
+    yield true("SetProperty, ListProperties: revision", more, second, agrees=second > first.revision)
     yield same("ListProperties again: revision", second, third)
 
 
@@ -196,15 +193,13 @@ def _motion(bench: Bench) -> Iterator[Seen]:
     for compensated in (1, 0):
         peer = bench.ready()
         peer.set("motion_compensation", compensated)
-        reply = peer.call(
-            "SendMotion", poses=[_pose(-later, -2.0), _pose(0, 0.0), _pose(later, 2.0), _pose(2 * later, 4.0)]
-        )
+        poses = [_pose(-later, -2.0), _pose(0, 0.0), _pose(later, 2.0), _pose(2 * later, 4.0)]
+        reply = peer.call("SendMotion", poses=poses)
         yield same("SendMotion of 40 m/s forward", 1, reply.status)
         x, y, depth = scene.depth_of_pixel(scene.SEEN[0])
         before = np.array([[x, y, depth + 2.0 * compensated]])
-        peer.send(scene.image(1, later))
-        peer.send(scene.cloud(points=scene.lidar_from_camera(before).astype(np.float32)))
-        record = peer.result(SENSOR_DATA)
+        cloud = scene.cloud(points=scene.lidar_from_camera(before).astype(np.float32))
+        record = peer.fused(scene.image(1, later), cloud)
         pixel = (scene.SEEN[0].column, scene.SEEN[0].row)
         yield same(f"motion_compensation {compensated}: pixels with a depth", [pixel], filled(record))
         yield same("motion_compensated of the result", compensated, int(record.motion_compensated))
@@ -260,9 +255,7 @@ def _vector(bench: Bench) -> Iterator[Seen]:
     vector = (-1.5, 2.0, 0.0)
     box = scene.box_3d(scene.MATCHED)
     box.velocity_vector.extend(vector)
-    peer.send(scene.boxes_2d())
-    peer.send(scene.boxes_3d(boxes=[box]))
-    found = list(peer.result(DETECTIONS).detections[0].velocity_vector)
+    found = list(peer.detected(scene.boxes_2d(), scene.boxes_3d(boxes=[box])).detections[0].velocity_vector)
     agrees = len(found) == 3 and max(abs(a - b) for a, b in zip(found, vector, strict=True)) < 1e-4
     yield true("velocity_vector (-1.5, 2, 0), Get", str(vector), found, agrees=agrees)
 

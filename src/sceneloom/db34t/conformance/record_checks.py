@@ -93,11 +93,8 @@ def _bare(bench: Bench) -> Iterator[Seen]:
     later = scene.PERIOD_NS + scene.IMAGE_LATER_NS
     for box in (scene.box_2d(), scene.box_2d(2, later)):
         yield taken(f"Send box_2d of image {box.image_seq}", peer.send(fusion_pb2.SendRequest(box_2d=box)))
-    for bare in (
-        scene.box_3d(scene.MATCHED),
-        scene.box_3d(scene.ALONE),
-        scene.box_3d(scene.MATCHED, 2, scene.PERIOD_NS),
-    ):
+    boxes = (scene.box_3d(scene.MATCHED), scene.box_3d(scene.ALONE))
+    for bare in (*boxes, scene.box_3d(scene.MATCHED, 2, scene.PERIOD_NS)):
         request = fusion_pb2.SendRequest(box_3d=bare)
         yield taken(f"Send box_3d of sweep {bare.points_seq}", peer.send(request))
     found = peer.result(DETECTIONS)
@@ -128,26 +125,18 @@ def _wrap(bench: Bench) -> Iterator[Seen]:
 @CHECKS.clause("5.6-9", "5.6.1", "a sweep gets the image nearest in time", reading=True)
 def _nearest(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
-    for seq, offset_ns in ((1, -30_000_000), (2, 10_000_000), (3, 60_000_000)):
-        peer.send(scene.image(seq, offset_ns))
-    peer.send(scene.cloud(9))
+    images = [scene.image(seq, offset_ns) for seq, offset_ns in ((1, -30_000_000), (2, 10_000_000), (3, 60_000_000))]
     sent = "images 1, 2, 3 taken 30 ms before, 10 and 60 ms after a sweep, Get: image_seq"
-    yield same(sent, 2, peer.result(SENSOR_DATA).image_seq)
+    yield same(sent, 2, peer.fused(*images, scene.cloud(9)).image_seq)
 
 
 @CHECKS.clause("5.6-10", "5.6.1", "records that come late and out of order find their partners", reading=True)
 def _out_of_order(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
-    peer.send(scene.image(2, scene.PERIOD_NS))
-    peer.send(scene.image(1, 0))
-    peer.send(scene.cloud(1))
-    peer.send(scene.cloud(2, scene.PERIOD_NS))
-    found = [peer.result(SENSOR_DATA) for _ in range(2)]
-    yield same(
-        "images 2, 1, then sweeps 1, 2, Get: (points_seq, image_seq)",
-        [(1, 1), (2, 2)],
-        [(record.points_seq, record.image_seq) for record in found],
-    )
+    images = scene.image(2, scene.PERIOD_NS), scene.image(1, 0)
+    first = peer.fused(*images, scene.cloud(1), scene.cloud(2, scene.PERIOD_NS))
+    found = [(record.points_seq, record.image_seq) for record in (first, peer.result(SENSOR_DATA))]
+    yield same("images 2, 1, then sweeps 1, 2, Get: (points_seq, image_seq)", [(1, 1), (2, 2)], found)
 
 
 @CHECKS.clause("5.6-11", "5.6.1", "a record far older than its sensor's newest is refused", reading=True)
@@ -161,14 +150,10 @@ def _backwards(bench: Bench) -> Iterator[Seen]:
 @CHECKS.clause("5.6-12", "5.6.3", "what is refused leaves no trace: the next pair is fused", reading=True)
 def _no_trace(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
-    peer.send(scene.image(1, width=1))
-    peer.send(scene.cloud(1, number=1))
-    peer.send(scene.image(1))
-    peer.send(scene.cloud(1))
-    record = peer.result(SENSOR_DATA)
-    yield same(
-        "faulty records with seq 1, then good ones with seq 1, Get", (1, 1), (record.points_seq, record.image_seq)
-    )
+    faulty = scene.image(1, width=1), scene.cloud(1, number=1)
+    record = peer.fused(*faulty, scene.image(1), scene.cloud(1))
+    found = (record.points_seq, record.image_seq)
+    yield same("faulty records with seq 1, then good ones with seq 1, Get", (1, 1), found)
 
 
 _Case = tuple[Any, Any]  # values of a field: taken, refused
@@ -294,24 +279,18 @@ for _number, (_rows, _) in _TABLES.items():
 @CHECKS.clause("6.2-1", "6.2", "raw data that are pixels are fused as an image is", reading=True)
 def _raw_pixels(bench: Bench) -> Iterator[Seen]:
     peer = _raw_ready(bench)
-    peer.send(scene.raw(_PIXELS, offset_ns=scene.IMAGE_LATER_NS))
-    peer.send(scene.cloud())
-    record = peer.result(0)
-    yield true(
-        "Send of raw data and a cloud, Get: image_data",
-        "the pixels that were sent",
-        "the same" if record.image_data == _PIXELS else "others",
-        agrees=record.image_data == _PIXELS,
-    )
+    record = peer.fused(scene.raw(_PIXELS, offset_ns=scene.IMAGE_LATER_NS), scene.cloud())
+    agrees = record.image_data == _PIXELS
+    found = "the same" if agrees else "others"
+    yield true("Send of raw data and a cloud, Get: image_data", "the pixels that were sent", found, agrees=agrees)
 
 
 @CHECKS.clause("6.3-1", "6.3", "an image in bgr8 gives the points the colours that it has in rgb8", reading=True)
 def _blue_first(bench: Bench) -> Iterator[Seen]:
     peer = bench.ready()
     blue_first = scene.drawn_image()[:, :, ::-1].tobytes()
-    peer.send(scene.image(encoding="bgr8", data=blue_first))
-    peer.send(scene.cloud())
-    found = columns_of(peer.result(0), ("r", "g", "b"))
+    record = peer.fused(scene.image(encoding="bgr8", data=blue_first), scene.cloud())
+    found = columns_of(record, ("r", "g", "b"))
     for k, point in enumerate(scene.SEEN):
         expected = [float(level) for level in scene.color_at(point)]
         yield same(f"the scene's image in bgr8, Get: r, g, b of point {k}", expected, found[k].tolist())
@@ -339,7 +318,7 @@ def _missing_returns(bench: Bench) -> Iterator[Seen]:
         peer.send(scene.image())
         status = peer.send(scene.cloud(points=points))
         yield taken(f"Send of a cloud whose point 1 is {missing}", status)
-        record = peer.result(0)
+        record = peer.result(SENSOR_DATA)
         yield same("Get: point_num", len(points) - 1, record.point_num)
         found = columns_of(record, ("x", "y", "z"))
         error = float(np.abs(found - np.delete(scene.points_lidar(), 1, axis=0)).max())

@@ -131,10 +131,9 @@ def _layout(bench: Bench) -> Iterator[Seen]:
     for seq, (name, scale) in enumerate((("whole numbers", 40.0), ("fractions", 0.3), ("below 0", -0.7))):
         rows = np.full((len(scene.points_lidar()), len(sent)), scale, np.float32)
         rows[:, [sent.index(axis) for axis in "xyz"]] = scene.points_lidar()
-        later = 100_000_000 * seq
-        peer.send(scene.image(seq + 1, scene.IMAGE_LATER_NS + later))
-        peer.send(scene.cloud(seq + 1, later, rows, fields=sent, fields_number=len(sent)))
-        record = peer.result(0)
+        later = scene.PERIOD_NS * seq
+        cloud = scene.cloud(seq + 1, later, rows, fields=sent, fields_number=len(sent))
+        record = peer.fused(scene.image(seq + 1, scene.IMAGE_LATER_NS + later), cloud)
         yield same(f"points with {name}, Get: point_fields", expected, list(record.point_fields))
         kept = columns_of(record, ("reflectivity", "echo"))
         agrees = bool((kept == np.float32(scale)).all())
@@ -155,16 +154,11 @@ def _encodings(bench: Bench) -> Iterator[Seen]:
         ("rgba8", (red, green, blue, clear)),
         ("bgra8", (blue, green, red, clear)),
     ):
-        peer = bench.ready()
         data = np.stack(channels, axis=2).tobytes()
-        peer.send(scene.image(encoding=encoding, channel=len(channels), data=data))
-        peer.send(scene.cloud())
-        record = peer.result(0)
-        yield same(
-            f"the scene's image in {encoding}, Get: encoding, image_channel",
-            (encoding, len(channels)),
-            (record.encoding, record.image_channel),
-        )
+        image = scene.image(encoding=encoding, channel=len(channels), data=data)
+        record = bench.ready().fused(image, scene.cloud())
+        stated = record.encoding, record.image_channel
+        yield same(f"the scene's image in {encoding}, Get: encoding, image_channel", (encoding, len(channels)), stated)
         agrees = record.image_data == data
         found = "as sent" if agrees else "others"
         yield true(f"the scene's image in {encoding}, Get: image_data", "as sent", found, agrees=agrees)
@@ -214,14 +208,10 @@ def _class(bench: Bench) -> Iterator[Seen]:
 
 _ROWS_OF_BOXES: Mapping[str, tuple[str, Callable[[scene.SentBox], Sequence[float]], int, float]] = {
     # what the image adds may move a middle within what its covariance allows, a few decimetres
-    **{
-        name: (f"{name} of the middle, in the lidar's frame", lambda box: box.center, k, 0.25)
-        for k, name in enumerate("XYZ")
-    },
-    **{
-        name: (f"the {name} of the box", lambda box: box.size_lwh, k, 0.25)
-        for k, name in enumerate(("length", "width", "height"))
-    },
+    **{n: (f"{n} of the middle, in the lidar's frame", lambda box: box.center, k, 0.25) for k, n in enumerate("XYZ")},
+    "length": ("the length of the box", lambda box: box.size_lwh, 0, 0.25),
+    "width": ("the width of the box", lambda box: box.size_lwh, 1, 0.25),
+    "height": ("the height of the box", lambda box: box.size_lwh, 2, 0.25),
     # rounding outwards and the pixel grid's two conventions differ by a pixel at most
     **{
         name: (f"{name} of the box in the image: of the 2D box, else of the projected 3D box", scene.outline, k, 1.0)
@@ -290,26 +280,17 @@ def _velocity(bench: Bench) -> Iterator[Seen]:
 
 @CHECKS.clause("4.2-1", "4.2", "a box in space and the box that it makes in the image become one detection")
 def _one(bench: Bench) -> Iterator[Seen]:
-    found = [_center(box) for box in bench.once(fused_boxes).detections]
+    found = [(box.X, box.Y, box.Z) for box in bench.once(fused_boxes).detections]
     count = sum(max(abs(a - b) for a, b in zip(c, scene.MATCHED.center, strict=True)) < 1.0 for c in found)
     yield same(f"{_BOXES_SENT}: detections where both detectors saw one", 1, count)
     yield same(f"{_BOXES_SENT}: detections", len(_BOXES), len(found))
 
 
-def _center(found: Any) -> tuple[float, float, float]:
-    return found.X, found.Y, found.Z
-
-
 @CHECKS.clause("4.2-2", "4.2", "what one detector alone saw is kept", reading=True)
 def _alone(bench: Bench) -> Iterator[Seen]:
-    peer = bench.ready()
-    peer.send(scene.boxes_2d(boxes=[]))
-    peer.send(scene.boxes_3d())
-    yield same("two boxes in space, none in the image: detections", 2, len(peer.result(1).detections))
-    peer = bench.ready()
-    peer.send(scene.boxes_2d())
-    peer.send(scene.boxes_3d(boxes=[]))
-    detections = peer.result(1).detections
+    detections = bench.ready().detected(scene.boxes_2d(boxes=[]), scene.boxes_3d()).detections
+    yield same("two boxes in space, none in the image: detections", 2, len(detections))
+    detections = bench.ready().detected(scene.boxes_2d(), scene.boxes_3d(boxes=[])).detections
     yield same("a box in the image, none in space: detections", 1, len(detections))
 
 
@@ -321,10 +302,8 @@ def _alone(bench: Bench) -> Iterator[Seen]:
 )
 def _not_shown(bench: Bench) -> Iterator[Seen]:
     for location, X, Y in (("behind the camera", -16.0, 2.0), ("beside its view", 5.0, 60.0)):
-        peer = bench.ready()
-        peer.send(scene.boxes_2d(boxes=[]))
-        peer.send(scene.boxes_3d(boxes=[scene.box_3d(scene.MATCHED, X=X, Y=Y)]))
-        found = peer.result(1).detections
+        box = scene.boxes_3d(boxes=[scene.box_3d(scene.MATCHED, X=X, Y=Y)])
+        found = bench.ready().detected(scene.boxes_2d(boxes=[]), box).detections
         corners = [(box.x1, box.y1, box.x2, box.y2) for box in found]
         yield same(f"a box {location}, Get: x1, y1, x2, y2", [(0, 0, 0, 0)], corners)
 

@@ -158,13 +158,8 @@ def cloud(
 
 def raw(data: bytes, seq: int = 1, offset_ns: int = 0, **changed: Any) -> fusion_pb2.SendRequest:
     """A request with raw data, table 4."""
-    fields: dict[str, Any] = {
-        "sensor_id": CAMERA_ID,
-        "timestamp": timestamp(offset_ns),
-        "seq": seq,
-        "length": len(data),
-        "data": data,
-    }
+    fields: dict[str, Any] = {"sensor_id": CAMERA_ID, "timestamp": timestamp(offset_ns), "seq": seq}
+    fields |= {"length": len(data), "data": data}
     return fusion_pb2.SendRequest(raw=fusion_pb2.RawData(**fields | changed))
 
 
@@ -222,39 +217,18 @@ def outline(box: SentBox) -> tuple[int, int, int, int]:
 
 def box_3d(box: SentBox, seq: int = 1, offset_ns: int = 0, **changed: Any) -> fusion_pb2.Box3d:
     """A message of table 7."""
-    (X, Y, Z), (length, width, height) = box.center, box.size_lwh
-    fields: dict[str, Any] = {
-        "id": box.id,
-        "class": box.name,
-        "points_seq": seq,
-        "confidence": box.confidence,
-        "timestamp": timestamp(offset_ns),
-        "X": X,
-        "Y": Y,
-        "Z": Z,
-        "length": length,
-        "width": width,
-        "height": height,
-        "direction": box.direction,
-        "velocity": box.velocity,
-    }
+    fields: dict[str, Any] = {"id": box.id, "class": box.name, "points_seq": seq, "confidence": box.confidence}
+    fields |= {"timestamp": timestamp(offset_ns), "direction": box.direction, "velocity": box.velocity}
+    fields |= zip("XYZ", box.center, strict=True)
+    fields |= zip(("length", "width", "height"), box.size_lwh, strict=True)
     return fusion_pb2.Box3d(**fields | changed)
 
 
 def box_2d(seq: int = 1, offset_ns: int = IMAGE_LATER_NS, **changed: Any) -> fusion_pb2.Box2d:
     """A message of table 8: the outline of the matched box."""
-    x1, y1, x2, y2 = outline(MATCHED)
-    fields: dict[str, Any] = {
-        "id": MATCHED_2D_ID,
-        "class": MATCHED.name,
-        "image_seq": seq,
-        "confidence": 0.75,
-        "timestamp": timestamp(offset_ns),
-        "x1": x1,
-        "y1": y1,
-        "x2": x2,
-        "y2": y2,
-    }
+    fields: dict[str, Any] = {"id": MATCHED_2D_ID, "class": MATCHED.name, "image_seq": seq, "confidence": 0.75}
+    fields |= {"timestamp": timestamp(offset_ns)}
+    fields |= zip(("x1", "y1", "x2", "y2"), outline(MATCHED), strict=True)
     return fusion_pb2.Box2d(**fields | changed)
 
 

@@ -20,11 +20,10 @@ PINHOLE = Camera("pinhole", 960, 360, 700.0, 700.0, 479.5, 179.5)
 FISHEYE = Camera("fisheye", 640, 400, 250.0, 250.0, 319.5, 190.0, (0.03, -0.008, 0.002, -0.0004))
 BROWN = Camera("brown_conrady", 800, 400, 430.0, 430.0, 399.5, 190.0, (-0.12, 0.04, 0.0004, -0.0003, -0.006))
 
+ASIDE = {"position": (0.35, 0.45, 1.6), "yaw_deg": 62.0, "pitch_deg": 2.0, "roll_deg": 1.0}
 CAMERAS = (
     CameraSpec(PINHOLE, camera_mount(yaw_deg=-0.4, pitch_deg=0.6)),
-    CameraSpec(
-        FISHEYE, camera_mount(position=(0.35, 0.45, 1.6), yaw_deg=62.0, pitch_deg=2.0, roll_deg=1.0), 20_000_000
-    ),
+    CameraSpec(FISHEYE, camera_mount(**ASIDE), 20_000_000),
     # Taken after the middle of its sweep by more than half a period: the sweep's nearest image is the one before.
     CameraSpec(BROWN, camera_mount(position=(0.3, -0.45, 1.6), yaw_deg=-58.0), 107_000_000),
 )
@@ -162,18 +161,6 @@ class FusedDrive:
         """A time of the file on the truth's clock [ns]."""
         return (np.asarray(file_time, np.int64) + self.content["time_offset"]) * 1000
 
-    def clean(self, sweep: int) -> CleanPoints:
-        """Where the points of a sweep come from."""
-        return self.truths.clean(sweep)
-
-    def nearest_image(self, camera_id: str, sweep: int) -> int:
-        """The number of the recorded image nearest to the median time of a sweep's points."""
-        return self.truths.nearest_image(camera_id, sweep)
-
-    def seen(self, camera_id: str, sweep: int) -> Seen:
-        """The truth about a sweep in the image that belongs to it."""
-        return self.truths.seen(camera_id, sweep)
-
 
 def cut(scene: Scene, sweeps: range) -> Scene:
     """Some sweeps of a scene, and each camera's images of these."""
@@ -188,26 +175,20 @@ def cut(scene: Scene, sweeps: range) -> Scene:
     return replace(scene, sensors=tuple(part(sensor) for sensor in scene.sensors))
 
 
-def fuse_over_disk(
-    drive: SimulatedDrive, truths: Truths, sweeps: range, images: str, folder: Path, decode: Decoder
-) -> FusedDrive:
-    """Write a recording, open it, give it the boxes that recordings cannot hold, fuse it, read the file."""
-    recording, target, depth = folder / "drive", folder / "drive.sfs", folder / "depth"
-    sceneloom.write(cut(drive.scene, sweeps), recording, images=images)
-    with sceneloom.open(recording) as scene:
-        boxed = replace(scene, annotations=drive.scene.annotations, metadata=drive.scene.metadata)
-        report = fuse(boxed, outputs=FusionOutputs(scene=target, depth=depth, depth_format="npz"))
-    assert report.fused == len(sweeps)
-    return FusedDrive(drive, recording, decode(target.read_bytes()), depth, sweeps, truths)
-
-
 @pytest.fixture(scope="session")
 def take_over_disk(tmp_path_factory: pytest.TempPathFactory, decode_sfs: Decoder) -> Callable[..., FusedDrive]:
-    """Take some sweeps of a drive over a recording and a scene file."""
+    """Write some sweeps as a recording, open it, add the boxes that recordings cannot hold, fuse it, read the file."""
 
     def take(drive: SimulatedDrive, sweeps: range, *, images: str, truths: Truths | None = None) -> FusedDrive:
         folder = tmp_path_factory.mktemp(images)
-        return fuse_over_disk(drive, truths or Truths(drive, sweeps), sweeps, images, folder, decode_sfs)
+        recording, target, depth = folder / "drive", folder / "drive.sfs", folder / "depth"
+        sceneloom.write(cut(drive.scene, sweeps), recording, images=images)
+        with sceneloom.open(recording) as scene:
+            boxed = replace(scene, annotations=drive.scene.annotations, metadata=drive.scene.metadata)
+            report = fuse(boxed, outputs=FusionOutputs(scene=target, depth=depth, depth_format="npz"))
+        assert report.fused == len(sweeps)
+        content = decode_sfs(target.read_bytes())
+        return FusedDrive(drive, recording, content, depth, sweeps, truths or Truths(drive, sweeps))
 
     return take
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 import sceneloom
@@ -47,11 +48,11 @@ def levels_outside(image: np.ndarray, pixels: np.ndarray, colours: np.ndarray) -
     return outside.max(axis=1).clip(0)
 
 
-def check_visibility(drives: list[Any]) -> None:
+def test_hidden_points_stay_without_colour_and_visible_ones_get_one(with_png: list[Any]) -> None:
     """Under 3 % of the hidden points coloured, under 3 % of the visible ones lost, away from outlines."""
     hidden = coloured = visible = lost = 0
-    for fused, camera_id, sweep in pairs(drives):
-        seen, mine = fused.seen(camera_id, sweep), coloured_by(fused, camera_id, sweep)
+    for fused, camera_id, sweep in pairs(with_png):
+        seen, mine = fused.truths.seen(camera_id, sweep), coloured_by(fused, camera_id, sweep)
         behind, plain = seen.counted & ~seen.free, seen.counted & seen.free
         hidden += behind.sum()
         coloured += (behind & mine).sum()
@@ -61,17 +62,6 @@ def check_visibility(drives: list[Any]) -> None:
     assert visible > 100_000
     assert coloured / hidden < 0.03
     assert lost / visible < 0.03
-
-
-def check_depth_images(drives: list[Any]) -> None:
-    """Depth within 2 cm + 3 sigma at the 99th percentile, away from outlines; every depth lies on something."""
-    errors = []
-    for fused, camera_id, sweep in pairs(drives):
-        seen = fused.seen(camera_id, sweep)
-        image = np.load(fused.depth / camera_id / f"{sweep - fused.sweeps.start:06d}.npz")["depth"]
-        errors.append(depth_errors(image, seen))
-    bound = 0.02 + 3 * drives[0].drive.truth.lidar.spec.range_sigma
-    assert np.percentile(np.concatenate(errors), 99) < bound
 
 
 def depth_errors(image: np.ndarray, seen: Any) -> np.ndarray:
@@ -94,11 +84,23 @@ def depth_errors(image: np.ndarray, seen: Any) -> np.ndarray:
     return found
 
 
-def check_colours(drives: list[Any], *, exact: bool) -> None:
+def test_depth_images_hold_the_true_depths(with_png: list[Any]) -> None:
+    """Depth within 2 cm + 3 sigma at the 99th percentile, away from outlines; every depth lies on something."""
+    errors = []
+    for fused, camera_id, sweep in pairs(with_png):
+        seen = fused.truths.seen(camera_id, sweep)
+        image = np.load(fused.depth / camera_id / f"{sweep - fused.sweeps.start:06d}.npz")["depth"]
+        errors.append(depth_errors(image, seen))
+    bound = 0.02 + 3 * with_png[0].drive.truth.lidar.spec.range_sigma
+    assert np.percentile(np.concatenate(errors), 99) < bound
+
+
+@pytest.mark.parametrize("images", ["with_png", "with_h264"])
+def test_colours_out_of_png_images_are_exact_and_out_of_h264_videos_close(request, images: str) -> None:
     """Colours of points in plain view are those of the true image there."""
-    outside, differences = [], []
-    for fused, camera_id, sweep in pairs(drives):
-        seen = fused.seen(camera_id, sweep)
+    outside, differences, exact = [], [], images == "with_png"
+    for fused, camera_id, sweep in pairs(request.getfixturevalue(images)):
+        seen = fused.truths.seen(camera_id, sweep)
         chosen = seen.counted & seen.free & coloured_by(fused, camera_id, sweep)
         colours = fused.points(sweep)["colors"][chosen].astype(int)
         pixels = seen.pixels[chosen]
@@ -111,26 +113,10 @@ def check_colours(drives: list[Any], *, exact: bool) -> None:
     assert np.median(np.concatenate(differences)) <= (1 if exact else 4)
 
 
-def test_hidden_points_stay_without_colour_and_visible_ones_get_one(with_png: list[Any]) -> None:
-    check_visibility(with_png)
-
-
-def test_depth_images_hold_the_true_depths(with_png: list[Any]) -> None:
-    check_depth_images(with_png)
-
-
-def test_colours_out_of_png_images_are_exact(with_png: list[Any]) -> None:
-    check_colours(with_png, exact=True)
-
-
-def test_colours_out_of_h264_videos_are_close(with_h264: list[Any]) -> None:
-    check_colours(with_h264, exact=False)
-
-
 def test_points_in_the_world_are_where_the_laser_hit_but_for_the_noise_of_their_range(with_png: list[Any]) -> None:
     for fused in with_png:
         for sweep in fused.sweeps:
-            measured, true = fused.drive.truth.sweep(sweep), fused.clean(sweep)
+            measured, true = fused.drive.truth.sweep(sweep), fused.truths.clean(sweep)
             found = fused.to_world(fused.points(sweep)["positions"])
             rays = true.positions_world - measured.origins_world
             rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -157,33 +143,24 @@ def test_points_keep_their_times_strengths_and_rings(with_png: list[Any]) -> Non
 def expected_poses(fused: Any, sensor_id: str, times_ns: np.ndarray) -> tuple[np.ndarray, Rotation]:
     """True positions (M, 3) and rotations of a sensor in the world."""
     truth = fused.drive.truth
-    mount = truth.lidar.spec.mount if sensor_id == "lidar" else None
-    mount = truth.cameras[sensor_id].spec.mount if sensor_id in truth.cameras else mount
     ego = truth.path.at(times_ns)
-    if mount is None:
-        return ego.positions, Rotation.from_matrix(ego.rotations)
-    rotated = Rotation.from_matrix(ego.rotations)
-    return ego.positions + rotated.apply(mount.translation.copy()), rotated * Rotation.from_matrix(
-        mount.rotation.copy()
-    )
+    rotations = Rotation.from_matrix(ego.rotations)
+    if sensor_id == "ego":
+        return ego.positions, rotations
+    mount = (truth.lidar if sensor_id == "lidar" else truth.cameras[sensor_id]).spec.mount
+    positions = ego.positions + rotations.apply(mount.translation.copy())
+    return positions, rotations * Rotation.from_matrix(mount.rotation.copy())
 
 
-def test_poses_in_the_file_are_the_true_ones(with_png: list[Any]) -> None:
-    for fused in with_png:
-        for sensor_id in ("ego", "lidar", *fused.camera_ids):
-            path = fused.sensor(sensor_id)["poses"]
-            times, rows = fused.time_ns(path["timestamps"]), np.array(path["values"])
-            positions, rotations = expected_poses(fused, sensor_id, times)
-            assert np.abs(fused.to_world(rows[:, :3]) - positions).max() < MILLIMETRE
-            rotated = Rotation.from_matrix(fused.world_from_file[:3, :3]) * Rotation.from_quat(rows[:, 3:])
-            assert (rotated.inv() * rotations).magnitude().max() < HUNDREDTH_DEG
-
-
-def test_poses_between_those_in_the_file_are_true_as_well(with_png: list[Any]) -> None:
+def test_poses_in_the_file_and_between_those_are_the_true_ones(with_png: list[Any]) -> None:
     for fused in with_png:
         for sensor_id in ("ego", "lidar", *fused.camera_ids):
             path = fused.sensor(sensor_id)["poses"]
             timestamps, rows = fused.time_ns(path["timestamps"]), np.array(path["values"])
+            positions, rotations = expected_poses(fused, sensor_id, timestamps)
+            assert np.abs(fused.to_world(rows[:, :3]) - positions).max() < MILLIMETRE
+            rotated = Rotation.from_matrix(fused.world_from_file[:3, :3]) * Rotation.from_quat(rows[:, 3:])
+            assert (rotated.inv() * rotations).magnitude().max() < HUNDREDTH_DEG
             times = np.linspace(timestamps[0], timestamps[-1], 200).astype(np.int64)
             positions, _ = expected_poses(fused, sensor_id, times)
             between = np.column_stack([np.interp(times, timestamps, rows[:, k]) for k in range(3)])
@@ -217,7 +194,7 @@ def test_sweeps_are_paired_with_the_image_nearest_to_the_median_time_of_their_po
             for sweep, frame in zip(fused.sweeps, iter_fused(scene), strict=True):
                 assert [view.camera_id for view in frame.views] == fused.camera_ids
                 for view in frame.views:
-                    image = fused.nearest_image(view.camera_id, sweep)
+                    image = fused.truths.nearest_image(view.camera_id, sweep)
                     time_ns = fused.drive.truth.cameras[view.camera_id].timestamps_ns[image]
                     assert abs(view.timestamp_ns - time_ns) <= 1
                     before += image < sweep
@@ -232,7 +209,7 @@ def test_points_are_coloured_by_the_image_that_shows_them_most_centrally(with_pn
             distances = np.full((len(fused.camera_ids), len(index)), np.inf)
             doubtful = np.zeros(len(index), bool)
             for number, camera_id in enumerate(fused.camera_ids):
-                seen, camera = fused.seen(camera_id, sweep), fused.drive.truth.cameras[camera_id].spec.camera
+                seen, camera = fused.truths.seen(camera_id, sweep), fused.drive.truth.cameras[camera_id].spec.camera
                 size = np.array([camera.width, camera.height])
                 radii = np.linalg.norm(seen.pixels - (size - 1) / 2, axis=1) / np.linalg.norm(size)
                 in_plain_view = seen.counted & seen.free
@@ -247,14 +224,8 @@ def test_points_are_coloured_by_the_image_that_shows_them_most_centrally(with_pn
             assert (index[clear] == distances.argmin(axis=0)[clear]).mean() > 0.97
             in_view = np.isfinite(ordered[0])
             assert (index[~in_view & ~doubtful] == NO_CAMERA).all()
+            assert (fused.points(sweep)["colors"][index == NO_CAMERA] == 255).all()
     assert overlapping > 5000
-
-
-def test_points_without_a_camera_are_white(with_png: list[Any]) -> None:
-    for fused in with_png:
-        for sweep in fused.sweeps:
-            points = fused.points(sweep)
-            assert (points["colors"][points["camera_index"] == NO_CAMERA] == 255).all()
 
 
 def test_boxes_hold_the_points_of_their_objects(with_png: list[Any]) -> None:
@@ -262,7 +233,7 @@ def test_boxes_hold_the_points_of_their_objects(with_png: list[Any]) -> None:
     slack, held = 5 * LidarSpec().range_sigma, 0
     for fused in with_png:
         points = np.concatenate([fused.to_world(fused.points(sweep)["positions"]) for sweep in fused.sweeps])
-        instances = np.concatenate([fused.clean(sweep).instances for sweep in fused.sweeps])
+        instances = np.concatenate([fused.truths.clean(sweep).instances for sweep in fused.sweeps])
         truth = {f"{thing.label}-{thing.instance}": thing for thing in fused.drive.truth.objects}
         assert fused.content["annotations"]
         for annotation in fused.content["annotations"]:

@@ -1,16 +1,21 @@
 """Axes of declared frames, and records of table 3 as camera models and mountings in frames of any axes."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.db34t import CalibrationData
 from sceneloom.db34t.calibration import DeclaredAxes, SensorKind, calibrated_pair, calibration_data, check_calibration
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rigid import RigidTransform
+
+from .test_records import CALIBRATION
+
+CAMERA_AXES = DeclaredAxes.of_triple((2, 0, -1), left_handed=False)
+LIDAR_AXES = DeclaredAxes.of_triple((0, -1, 2), left_handed=False)
 
 
 @pytest.mark.parametrize(
@@ -31,54 +36,27 @@ def test_a_triple_says_what_its_words_state(triple, left_handed, words):
     np.testing.assert_array_equal(DeclaredAxes.of_words(words).forward_right_up, by_triple.forward_right_up)
 
 
-def test_the_frames_of_the_examples_are_those_used_inside():
-    camera = DeclaredAxes.of_triple((2, 0, -1), left_handed=False)
-    lidar = DeclaredAxes.of_triple((0, -1, 2), left_handed=False)
-    np.testing.assert_array_equal(camera.standard_from_declared(SensorKind.CAMERA), np.eye(3))
-    np.testing.assert_array_equal(lidar.standard_from_declared(SensorKind.LIDAR), np.eye(3))
+def test_a_left_handed_frame_is_mirrored_on_the_way_in_and_those_of_the_examples_are_used_inside():
+    np.testing.assert_array_equal(CAMERA_AXES.standard_from_declared(SensorKind.CAMERA), np.eye(3))
+    np.testing.assert_array_equal(LIDAR_AXES.standard_from_declared(SensorKind.LIDAR), np.eye(3))
+    mirrored = DeclaredAxes.of_words("+x,+y,+z").standard_from_declared(SensorKind.LIDAR)
+    np.testing.assert_array_equal(mirrored, np.diag([1.0, -1.0, 1.0]))
 
 
-def test_a_left_handed_frame_is_mirrored_on_the_way_in():
-    axes = DeclaredAxes.of_words("+x,+y,+z")
-    matrix = axes.standard_from_declared(SensorKind.LIDAR)
-    np.testing.assert_array_equal(matrix @ (1.0, 2.0, 3.0), (1.0, -2.0, 3.0))
-    assert np.linalg.det(matrix) == -1.0
-
-
-@pytest.mark.parametrize("triple", [(0, 1), (0, 1, 1), (0, -1, 3), (0, 1, 2, 0)])
-def test_triples_that_are_no_axes_are_refused(triple):
+@pytest.mark.parametrize(
+    "axes", [(0, 1), (0, 1, 1), (0, -1, 3), (0, 1, 2, 0), "", "+x", "+x,+y", "+x,+x,+z", "a,b,c", "+x,-y,+z,+x"]
+)
+def test_triples_and_words_that_are_no_axes_are_refused(axes):
     with pytest.raises(CalibrationError, match="axes"):
-        DeclaredAxes.of_triple(triple, left_handed=False)
+        DeclaredAxes.of_words(axes) if isinstance(axes, str) else DeclaredAxes.of_triple(axes, left_handed=False)
 
 
-@pytest.mark.parametrize("words", ["", "+x", "+x,+y", "+x,+x,+z", "a,b,c", "+x,-y,+z,+x"])
-def test_words_that_are_no_axes_are_refused(words):
-    with pytest.raises(CalibrationError, match="axes"):
-        DeclaredAxes.of_words(words)
-
-
-EXAMPLE = {
-    "image_size": (640, 480),
-    "distortion_coeffs": (-0.3995, 0.1803, 0, 0, 0.0429),
-    "intrinsic_matrix": (468.3708, 0.0, 339.7596, 0.0, 470.2517, 235.6143, 0.0, 0.0, 1.0),
-    "reference_frame": 0,
-    "extrinsic_matrix": (
-        *(0.0070, 1e-06, 0.9999, 0),
-        *(-0.9999, -0.0016, 0.0070, 0),
-        *(0.0016, -0.9999, -1e-06, 0),
-        *(-0.0062, 0.0756, 0.0337, 1),
-    ),
-}
-"""The example column of table 3."""
-
-CAMERA_AXES = DeclaredAxes.of_triple((2, 0, -1), left_handed=False)
-LIDAR_AXES = DeclaredAxes.of_triple((0, -1, 2), left_handed=False)
 FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 PINHOLE = Camera("pinhole", 640, 480, 500.0, 500.0, 319.5, 239.5)
 
 
 def record(**changed):
-    return CalibrationData(**{**EXAMPLE, **changed})
+    return replace(CALIBRATION, **changed)
 
 
 def declared_record(rotation, translation, *, by_rows=False, reference_frame=0):
@@ -99,10 +77,9 @@ def test_the_example_of_the_standard_looks_forward_from_beside_the_lidar():
 @pytest.mark.parametrize("translation", [(1, 2, 3), (0, 0, 0)])
 @pytest.mark.parametrize("by_rows", [False, True])
 def test_the_layout_is_known_by_the_translation_or_else_by_which_looks_forward(by_rows, translation):
-    data = declared_record(FORWARD, translation, by_rows=by_rows)
-    found = calibrated_pair(data, CAMERA_AXES, LIDAR_AXES).camera_from_lidar
-    np.testing.assert_allclose(found.rotation, FORWARD, atol=1e-12)
-    np.testing.assert_array_equal(found.translation, translation)
+    pair = calibrated_pair(declared_record(FORWARD, translation, by_rows=by_rows), CAMERA_AXES, LIDAR_AXES)
+    np.testing.assert_allclose(pair.camera_from_lidar.rotation, FORWARD, atol=1e-12)
+    np.testing.assert_array_equal(pair.camera_from_lidar.translation, translation)
 
 
 def test_reference_frame_1_maps_into_the_lidar():
@@ -127,20 +104,11 @@ def test_axes_of_any_frame_lead_to_the_same_mounting(triple, left_handed):
     # a point 5 m before, 1 m left of and 2 m above the lidar, in the declared frame by the triple's own words
     point = axes.forward_right_up @ (5.0, -1.0, 2.0)
     seen = declared[:3, :3] @ point + declared[:3, 3]
-    expected_optical = FORWARD @ (5.0, 1.0, 2.0) + (0.1, -0.2, 0.3)
-    forward_right_up = camera_axes.forward_right_up.T @ seen
-    np.testing.assert_allclose(
-        forward_right_up, (expected_optical[2], expected_optical[0], -expected_optical[1]), atol=1e-12
-    )
+    right, down, forward = FORWARD @ (5.0, 1.0, 2.0) + (0.1, -0.2, 0.3)
+    np.testing.assert_allclose(camera_axes.forward_right_up.T @ seen, (forward, right, -down), atol=1e-12)
     again = calibrated_pair(data, camera_axes, axes)
     np.testing.assert_allclose(again.camera_from_lidar.matrix, inside.matrix, atol=1e-12)
     assert np.linalg.det(declared[:3, :3]) == pytest.approx(1.0)
-
-
-def test_a_mirroring_matrix_is_refused():
-    mirrored = declared_record(np.diag([-1.0, 1.0, 1.0]) @ FORWARD, (0, 0, 1))
-    with pytest.raises(CalibrationError, match="mirrors"):
-        calibrated_pair(mirrored, CAMERA_AXES, LIDAR_AXES)
 
 
 @pytest.mark.parametrize("rotation_deg", [44, 46, 90, 180])
@@ -165,12 +133,10 @@ def test_numbers_that_are_no_calibration_are_refused(changed, problem):
         check_calibration(record(**changed))
 
 
-def test_a_camera_model_without_distortion_is_a_pinhole():
-    pair = calibrated_pair(record(distortion_coeffs=(0, 0, 0, 0, 0)), CAMERA_AXES, LIDAR_AXES)
-    assert pair.camera.model == "pinhole"
-
-
-def test_a_camera_model_that_table_3_lacks_is_refused_by_name():
+def test_a_camera_model_without_distortion_is_a_pinhole_and_one_that_table_3_lacks_is_refused_by_name():
+    assert calibrated_pair(record(distortion_coeffs=(0,) * 5), CAMERA_AXES, LIDAR_AXES).camera.model == "pinhole"
     fisheye = Camera("fisheye", 640, 480, 300.0, 300.0, 319.5, 239.5, (0.1, 0.0, 0.0, 0.0))
     with pytest.raises(CalibrationError, match="fisheye"):
         calibration_data(fisheye, RigidTransform.identity(), CAMERA_AXES, LIDAR_AXES)
+    with pytest.raises(CalibrationError, match="mirrors"):
+        calibrated_pair(declared_record(np.diag([-1.0, 1.0, 1.0]) @ FORWARD, (0, 0, 1)), CAMERA_AXES, LIDAR_AXES)

@@ -26,21 +26,15 @@ def rows(page):
 @pytest.mark.parametrize("name", PREDEFINED)
 def test_every_property_stands_there_with_type_and_default(page, name):
     known, cells = PREDEFINED[name], rows(page)[name]
-    unit = f" [{known.unit}]" if known.unit else ""
-    assert cells[1] == f"{known.type}{unit}"
-    if known.default != "":
-        assert cells[2] == repr(known.default)
-
-
-@pytest.mark.parametrize("name", PREDEFINED)
-def test_the_english_page_says_what_the_interface_itself_says(name):
-    assert rows(PAGES["db34t-4101"])[name][3].startswith(PREDEFINED[name].description)
+    assert cells[1] == (f"{known.type} [{known.unit}]" if known.unit else known.type)
+    assert known.default == "" or cells[2] == repr(known.default)
+    if page is PAGES["db34t-4101"]:
+        assert cells[3].startswith(known.description)
 
 
 @BOTH
-@pytest.mark.parametrize("cause", [cause for cause in Cause if cause])
-def test_every_cause_stands_there(page, cause):
-    assert cause in rows(page)
+def test_every_cause_stands_there(page):
+    assert set(filter(None, Cause)) <= set(rows(page))
 
 
 @BOTH

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sceneloom.db34t import Boxes2d, Boxes3d, PointCloudData
+from sceneloom.colouring.algorithms import fuse_by_projection
+from sceneloom.db34t import Boxes2d, Boxes3d
 from sceneloom.db34t.calibration import MOST_PAIRS, CalibrationEntry, calibration_table
 from sceneloom.db34t.interface import FusionInterface, QueueLimits, format_calibrations
 from sceneloom.db34t.types import Cause
@@ -24,6 +25,7 @@ from .sending import (
     boxes_3d,
     calibration,
     cloud,
+    fused,
     image,
     interface,
     no_boxes_2d,
@@ -40,14 +42,30 @@ def both(request):
         yield fusion
 
 
+@pytest.fixture
+def fusion():
+    with interface(inline=True) as fusion:
+        yield fusion
+
+
+@pytest.fixture
+def bare():
+    """An interface without calibrations."""
+    with FusionInterface(inline=True) as fusion:
+        yield fusion
+
+
+def pairs(fusion, kind=0):
+    return [(record.points_seq, record.image_seq) for record in fused(fusion, kind)]
+
+
 def test_a_pair_comes_back_as_a_record_of_table_9(both):
     send_all(both, image(0, 5), cloud(0, 9, [(10, 0, 0), (-10, 0, 0)]))
     both.flush()
     result = both.get(0)
     record = result.record
     assert (result.number, record.image_seq, record.points_seq) == (0, 5, 9)
-    assert (record.camera_id, record.lidar_id) == (1, 0)
-    assert record.timestamp == timestamp(0)
+    assert (record.camera_id, record.lidar_id, record.timestamp) == (1, 0, timestamp(0))
     assert record.point_fields == ("x", "y", "z", "r", "g", "b")
     np.testing.assert_array_equal(record.points, [[10, 0, 0, 7, 7, 7], [-10, 0, 0, 128, 128, 128]])
     assert record.depths[23, 31] == 10.0 or record.depths[24, 32] == 10.0  # the axis meets the corner of four pixels
@@ -56,36 +74,13 @@ def test_a_pair_comes_back_as_a_record_of_table_9(both):
     assert both.get(0) is None
 
 
-def test_axes_that_were_declared_rotate_points_on_the_way_in_and_back(both):
-    assert both.set_property("lidar_coordinate", (1, 0, 2))  # y forward, x right, z up
-    by_columns = (1, 0, 0, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1)
-    assert both.set_calibration(calibration(extrinsic_matrix=by_columns), camera_id=1, lidar_id=0)
-    send_all(both, image(0, 1), cloud(0, 1, points=[(0.0, 10.0, 0.0), (10.0, 0.0, 0.0)]))
-    both.flush()
-    points = both.get(0).record.points
-    np.testing.assert_array_equal(points, [[0, 10, 0, 7, 7, 7], [10, 0, 0, 128, 128, 128]])
-
-
-def test_results_of_points_can_be_in_the_camera_frame_and_depths_ranges(both):
-    assert both.set_property("reference_frame", 0)
-    assert both.set_property("depth_kind", "range")
-    send_all(both, image(0, 1), cloud(0, 1, points=[(3.0, 0.0, -1.0)]))
-    both.flush()
-    record = both.get(0).record
-    np.testing.assert_allclose(record.points[:, :3], [[0, 1, 3]], atol=1e-6)
-    assert record.depths.max() == pytest.approx(10**0.5)
-    assert (record.point_frame, record.depth_kind) == ("camera", "range")
-
-
 def test_a_calibration_that_is_replaced_counts_for_what_comes_after(both):
     longer = calibration(intrinsic_matrix=(100.0, 0, 31.5, 0, 100.0, 23.5, 0, 0, 1))
-    point = [(10.0, -2.0, 0.0)]
     for seq in range(4):
         if seq == 2:
             assert both.set_calibration(longer, camera_id=1, lidar_id=0)
-        send_all(both, image(100 * seq, seq), cloud(100 * seq, seq, points=point))
-    both.flush()
-    columns = [int(np.nonzero(result.record.depths)[1][0]) for result in both.results(0)]
+        send_all(both, image(100 * seq, seq), cloud(100 * seq, seq, points=[(10.0, -2.0, 0.0)]))
+    columns = [int(np.nonzero(record.depths)[1][0]) for record in fused(both)]
     assert columns == [42, 42, 52, 52]  # 31.5 + f * 2 / 10, to the pixel that it falls into
 
 
@@ -105,15 +100,11 @@ def test_what_cannot_be_taken_gets_0_and_the_reason(both, record, cause):
     assert both.counters.counts() == {f"refused.{cause}": 1}
 
 
-def test_the_same_number_again_is_refused(both):
-    assert both.send(cloud(0, 1))
-    assert both.send(cloud(0, 1)).cause is Cause.DUPLICATE
-
-
-def test_an_algorithm_that_is_not_installed_is_refused_with_what_it_needs(both):
-    outcome = both.set_property("fusion_algorithm", "MV3d")
-    assert (outcome.status, outcome.cause) == (0, Cause.UNKNOWN_ALGORITHM)
-    assert "trained network" in outcome.reason
+def test_a_number_again_is_refused_and_taken_after_a_sensor_was_started_again(both):
+    assert both.send(cloud(0, 0))
+    for milliseconds in (0, 100):
+        assert both.send(cloud(milliseconds, 0)).cause is Cause.DUPLICATE
+    assert both.send(cloud(5000, 0))
 
 
 def test_an_unknown_fusion_type_is_an_error(both):
@@ -121,70 +112,42 @@ def test_an_unknown_fusion_type_is_an_error(both):
         both.get(2)
 
 
-def test_after_the_end_nothing_is_taken(both):
-    both.close()
-    assert both.send(cloud(0, 1)).cause is Cause.CLOSED
+@pytest.mark.parametrize("cameras", [(1,), (1, 2)])
+def test_points_have_the_colours_of_the_image_in_the_result_however_many_images_there_are(cameras):
+    with interface(inline=True, cameras=cameras) as fusion:
+        sent = [image(0, 5, level=20 * camera, sensor_id=camera) for camera in cameras]
+        records = fused(fusion, 0, *sent, cloud(0, 5, ((10.0, 0.0, 0.0), (10.0, 1.0, 0.5), (-10.0, 0.0, 0.0))))
+    assert {record.camera_id for record in records} == set(cameras)
+    for record in records:
+        colors = [record.point_fields.index(name) for name in "rgb"]
+        seen = [20.0 * record.camera_id] * 3
+        assert record.points[:, colors].tolist() == [seen, seen, [128.0] * 3]
 
 
-def test_points_have_the_colours_of_the_image_in_the_result_however_many_images_there_are():
-    points = ((10.0, 0.0, 0.0), (10.0, 1.0, 0.5), (-10.0, 0.0, 0.0))
-    for cameras in ((1,), (1, 2)):
-        with FusionInterface(inline=True) as fusion:
-            for camera in cameras:
-                assert fusion.set_calibration(calibration(), camera_id=camera, lidar_id=0)
-                assert fusion.send(image(0, 5, level=20 * camera, sensor_id=camera))
-            assert fusion.send(cloud(0, 5, points))
-            fusion.flush()
-            results = {result.record.camera_id: result.record for result in fusion.results(0)}
-        assert set(results) == set(cameras)
-        for camera, record in results.items():
-            colors = [record.point_fields.index(name) for name in "rgb"]
-            seen, other = [20.0 * camera] * 3, [128.0] * 3
-            assert record.points[:, colors].tolist() == [seen, seen, other]
-
-
-_LAYOUTS = {
-    "plain": ("x", "y", "z"),
-    "reflectivity": ("x", "y", "z", "reflectivity"),
-    "both": ("intensity", "x", "reflectivity", "y", "z", "ring"),
-    "colours first": ("b", "g", "r", "x", "y", "z", "time", "azimuth"),
-    "a third of a colour": ("x", "y", "z", "r", "echo"),
-}
-
-
-_VALUES = {
-    "whole": lambda rng, shape: rng.integers(0, 100, shape),
-    "shares": lambda rng, shape: rng.random(shape),
-    "negative": lambda rng, shape: -rng.random(shape) * 1000,
-    "large": lambda rng, shape: rng.random(shape) * 1e6,
-    "none": lambda rng, shape: np.zeros((0, shape[1])),
-}
-
-
-@pytest.mark.parametrize("fields", _LAYOUTS.values(), ids=_LAYOUTS)
+@pytest.mark.parametrize(
+    "fields",
+    [
+        "x y z",
+        "x y z reflectivity",
+        "intensity x reflectivity y z ring",
+        "b g r x y z time azimuth",  # colours first
+        "x y z r echo",  # a third of a colour
+    ],
+)
 def test_point_fields_go_by_the_names_that_were_sent_and_never_by_the_values(both, fields):
+    fields = tuple(fields.split())
     others = tuple(name for name in fields if name not in ("x", "y", "z", "r", "g", "b"))
-    expected = ("x", "y", "z", *others, "r", "g", "b")
-    rng = np.random.default_rng(3)
-    for seq, draw in enumerate(_VALUES.values()):
-        data = draw(rng, (4, len(fields))).astype(np.float32)
+    rng, shape = np.random.default_rng(3), (4, len(fields))
+    whole, shares, nothing = rng.integers(0, 100, shape), rng.random(shape), np.zeros((0, len(fields)))
+    for seq, values in enumerate((whole, shares, -rng.random(shape) * 1000, rng.random(shape) * 1e6, nothing)):
+        data = values.astype(np.float32)
         for axis, value in zip("xyz", (10.0, 0.0, 0.0), strict=True):
             data[:, fields.index(axis)] = value
         if "time" in fields:  # images are paired by it
             data[:, fields.index("time")] *= 1e-8
-        sent = PointCloudData(
-            sensor_id=0,
-            timestamp=timestamp(100 * seq),
-            seq=seq,
-            number=len(data),
-            fields=fields,
-            fields_number=len(fields),
-            data=data,
-        )
-        send_all(both, image(100 * seq, seq, level=9), sent)
-        both.flush()
-        record = both.get(0).record
-        assert record.point_fields == expected
+        sent = cloud(100 * seq, seq, data, fields=fields)
+        (record,) = fused(both, 0, image(100 * seq, seq, level=9), sent)
+        assert record.point_fields == ("x", "y", "z", *others, "r", "g", "b")
         columns = dict(zip(record.point_fields, record.points.T, strict=True))
         for name in (*"xyz", *others):
             np.testing.assert_array_equal(columns[name], data[:, fields.index(name)])
@@ -192,70 +155,66 @@ def test_point_fields_go_by_the_names_that_were_sent_and_never_by_the_values(bot
             np.testing.assert_array_equal(columns[name], 9.0)
 
 
-_PIXELS = {
-    "rgb8": (200, 100, 50),
-    "bgr8": (50, 100, 200),
-    "rgba8": (200, 100, 50, 7),
-    "bgra8": (50, 100, 200, 7),
-    "mono8": (90,),
-    "raw": (200, 100, 50),
-}
+def encoded(form, rgb=(9, 9, 9), **options):
+    file = io.BytesIO()
+    Image.new("RGB", (WIDTH, HEIGHT), rgb).save(file, form, **options)
+    return file.getvalue()
 
 
-@pytest.mark.parametrize("encoding", [*_PIXELS, "jpeg", "png"])
+@pytest.mark.parametrize(
+    ("encoding", "pixel"),
+    [
+        ("rgb8", (200, 100, 50)),
+        ("bgr8", (50, 100, 200)),
+        ("rgba8", (200, 100, 50, 7)),
+        ("bgra8", (50, 100, 200, 7)),
+        ("mono8", (90,)),
+        ("raw", (200, 100, 50)),
+        ("jpeg", (200, 100, 50)),
+        ("png", (200, 100, 50)),
+    ],
+)
 @pytest.mark.parametrize("cameras", [1, 2])
-def test_an_image_comes_back_in_the_encoding_in_which_it_was_sent(encoding, cameras):
-    pixel = _PIXELS.get(encoding, (200, 100, 50))
-    pixels = np.tile(np.array(pixel, np.uint8), (HEIGHT, WIDTH, 1))
-    data = pixels.reshape(-1)
-    if encoding in ("jpeg", "png"):
-        file = io.BytesIO()
-        Image.fromarray(pixels).save(file, encoding, **({"quality": 100} if encoding == "jpeg" else {}))
-        data = np.frombuffer(file.getvalue(), np.uint8)
-    with FusionInterface(inline=True) as fusion:
-        for camera_id in range(cameras):
-            assert fusion.set_calibration(calibration(), camera_id=camera_id, lidar_id=0)
-            sent = replace(image(0, 1, sensor_id=camera_id), encoding=encoding, channel=len(pixel), data=data)
-            assert fusion.send(sent)
-        assert fusion.send(cloud(0, 1))
-        fusion.flush()
-        records = [result.record for result in fusion.results(0)]
+def test_an_image_comes_back_in_the_encoding_in_which_it_was_sent(encoding, pixel, cameras):
+    file = encoding in ("jpeg", "png")
+    content = encoded(encoding, pixel, quality=100) if file else bytes(pixel) * (WIDTH * HEIGHT)
+    form = {"encoding": encoding, "channel": len(pixel), "data": np.frombuffer(content, np.uint8)}
+    with interface(inline=True, cameras=range(cameras)) as fusion:
+        sent = [replace(image(0, 1, sensor_id=camera_id), **form) for camera_id in range(cameras)]
+        records = fused(fusion, 0, *sent, cloud(0, 1))
     assert len(records) == cameras
     for record in records:
         assert (record.encoding, record.image_channel) == (encoding, len(pixel))
-        np.testing.assert_array_equal(record.image_data, data)
+        np.testing.assert_array_equal(record.image_data, form["data"])
         expected = (90, 90, 90) if encoding == "mono8" else (200, 100, 50)
         np.testing.assert_allclose(record.points[0, 3:], expected, atol=3 if encoding == "jpeg" else 0)
 
 
-def many_boxes_2d(milliseconds, seq, count=0):
-    return Boxes2d(
-        sensor_id=1,
-        seq=seq,
-        timestamp=timestamp(milliseconds),
-        id=np.arange(count, dtype=np.int32),
-        class_names=("car",) * count,
-        confidence=np.full(count, 0.5, np.float32),
-        corners_xyxy=np.tile(np.array([5, 5, 15, 15], np.uint32), (count, 1)),
-    )
+def list_2d(milliseconds, seq, confidence, corners):
+    count = len(corners)
+    known = {"id": np.arange(count, dtype=np.int32), "class_names": ("Car",) * count}
+    known |= {"confidence": np.asarray(confidence, np.float32), "corners_xyxy": np.asarray(corners, np.uint32)}
+    return Boxes2d(sensor_id=1, seq=seq, timestamp=timestamp(milliseconds), **known)
+
+
+def many_boxes_2d(milliseconds, seq, count):
+    return list_2d(milliseconds, seq, np.full(count, 0.5), np.tile([5, 5, 15, 15], (count, 1)))
 
 
 def test_boxes_that_wait_are_fused_after_a_while_though_nothing_more_comes():
     with interface() as fusion:
         for seq in range(3):
             # an image shortly before the sweep: one after it could be nearer
-            send_all(fusion, many_boxes_2d(1000 * seq, seq), no_boxes_3d(1000 * seq + 10, seq))
+            send_all(fusion, no_boxes_2d(1000 * seq, seq), no_boxes_3d(1000 * seq + 10, seq))
             result = fusion.get(1, timeout_s=30.0)
-            assert result is not None
             assert (result.number, result.record.image_seq, result.record.points_seq) == (seq, seq, seq)
 
 
 def test_results_keep_the_order_of_what_came_whoever_fuses_it():
     count = 150
-    with FusionInterface() as fusion:
+    with interface() as fusion:
         assert fusion.set_property("queue_length", 1000)
         assert fusion.set_property("result_queue_length", 1000)
-        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
 
         def send_frames():
             for seq in range(20):
@@ -266,9 +225,8 @@ def test_results_keep_the_order_of_what_came_whoever_fuses_it():
             if seq == count // 2:
                 other.start()
             # a long list goes to the thread, and so do those after it
-            send_all(
-                fusion, many_boxes_2d(100 * seq, seq, 120 if seq == count // 4 else 1), no_boxes_3d(100 * seq, seq)
-            )
+            boxes = many_boxes_2d(100 * seq, seq, 120 if seq == count // 4 else 1)
+            send_all(fusion, boxes, no_boxes_3d(100 * seq, seq))
         other.join()
         fusion.flush()
         for fusion_type, number in ((1, count), (0, 20)):
@@ -280,22 +238,15 @@ def test_results_keep_the_order_of_what_came_whoever_fuses_it():
         assert counts[f"received.{kind}"] == counts[f"fused.{kind}"] == number
 
 
-@pytest.fixture
-def fusion():
-    with interface(inline=True) as fusion:
-        yield fusion
-
-
-def pairs(fusion, kind=0):
-    fusion.flush()
-    return [(result.record.points_seq, result.record.image_seq) for result in fusion.results(kind)]
-
-
-def test_before_a_calibration_nothing_is_taken():
-    with FusionInterface(inline=True) as fusion:
-        for record in (cloud(0, 1), image(0, 1), boxes_3d(0, 1), boxes_2d(0, 1), box_3d(0, 1), box_2d(0, 1)):
-            outcome = fusion.send(record)
+def test_without_a_calibration_nothing_is_taken(bare):
+    for seq in range(2):
+        for send in (cloud, image, boxes_3d, boxes_2d, box_3d, box_2d):
+            outcome = bare.send(send(0, seq))
             assert (outcome.status, outcome.cause) == (0, Cause.NO_CALIBRATION)
+        if not seq:
+            assert bare.set_calibration(calibration(), camera_id=1)
+            assert '"extrinsic_matrix"' in bare.get_property("calibration")
+            assert bare.set_property("calibration", "")
 
 
 def test_a_calibration_against_the_axes_is_reported_at_the_first_send_and_stops_no_other_sensor(fusion):
@@ -318,57 +269,52 @@ def test_a_camera_that_looks_backward_is_taken_with_a_note_that_is_reported_once
     assert fusion.counters.counts()["notes.calibration"] == 1
 
 
-def test_clouds_without_points_and_images_of_one_pixel_are_fused():
-    with FusionInterface(inline=True) as fusion:
-        one = calibration(image_size=(1, 1), intrinsic_matrix=(1, 0, 0, 0, 1, 0, 0, 0, 1))
-        assert fusion.set_calibration(one, camera_id=1, lidar_id=0)
-        for seq, points in enumerate([(), ((5.0, 0.0, 0.0),)]):
-            send_all(fusion, image(100 * seq, seq, width=1, height=1), cloud(100 * seq, seq, points))
-        fusion.flush()
-        empty, full = (result.record for result in fusion.results(0))
+def test_clouds_without_points_and_images_of_one_pixel_are_fused(bare):
+    one = calibration(image_size=(1, 1), intrinsic_matrix=(1, 0, 0, 0, 1, 0, 0, 0, 1))
+    assert bare.set_calibration(one, camera_id=1, lidar_id=0)
+    for seq, points in enumerate([(), ((5.0, 0.0, 0.0),)]):
+        send_all(bare, image(100 * seq, seq, width=1, height=1), cloud(100 * seq, seq, points))
+    empty, full = fused(bare)
     assert (empty.point_num, empty.depths.tolist()) == (0, [[0.0]])
     np.testing.assert_array_equal(full.points, [[5, 0, 0, 7, 7, 7]])
     assert full.depths.tolist() == [[5.0]]
-
-
-def test_frames_without_boxes_are_fused_to_none(fusion):
-    send_all(fusion, no_boxes_3d(0, 3), no_boxes_2d(0, 4))
-    fusion.flush()
-    record = fusion.get(1).record
-    assert (len(record), record.points_seq, record.image_seq) == (0, 3, 4)
 
 
 def test_points_that_are_not_finite_are_left_out_and_counted(fusion):
     gone = (np.nan, np.nan, np.nan)
     for seq, points in enumerate(([gone, (10, 0, 0), (0, np.inf, 0), (10, 1, 0)], [gone, gone], [gone])):
         send_all(fusion, image(100 * seq, seq), cloud(100 * seq, seq, points))
-    fusion.flush()
-    found = [result.record.points[:, :3].tolist() for result in fusion.results(0)]
-    assert found == [[[10, 0, 0], [10, 1, 0]], [], []]
+    assert [record.points[:, :3].tolist() for record in fused(fusion)] == [[[10, 0, 0], [10, 1, 0]], [], []]
     assert fusion.counters.counts()["left-out.points"] == 5
+
+
+def records_of_a_recording(seq, *points, seconds):
+    """A record of table 4 with points of reflectivity 30 and ring 5, `seconds` after the start."""
+    rows = np.zeros(len(points), [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
+    rows["xyz"], rows["i"], rows["r"], rows["t"] = points, 30, 5, timestamp(0).nanoseconds / 1e9 + np.array(seconds)
+    assert rows.itemsize == 23
+    return raw(0, seq, rows.tobytes(), sensor_id=0)
 
 
 def test_raw_points_that_are_not_finite_are_left_out_and_counted(fusion):
     assert fusion.set_property("sensors", '{"0": {"kind": "lidar", "raw": "records"}, "1": {"kind": "camera"}}')
-    row = np.zeros(3, [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
-    row["xyz"] = [(np.nan, 0, 0), (10, 0, 0), (10, 1, 0)]
-    row["t"] = [timestamp(0).nanoseconds / 1e9, timestamp(0).nanoseconds / 1e9, np.nan]
-    send_all(fusion, image(0, 1), raw(0, 1, row.tobytes(), sensor_id=0))
-    fusion.flush()
-    record = fusion.get(0).record
+    sent = records_of_a_recording(1, (np.nan, 0, 0), (10, 0, 0), (10, 1, 0), seconds=(0, 0, np.nan))
+    (record,) = fused(fusion, 0, image(0, 1), sent)
     assert record.points[:, :3].tolist() == [[10, 0, 0]]
     assert record.point_fields == ("x", "y", "z", "reflectivity", "ring", "time", "r", "g", "b")
     assert fusion.counters.counts()["left-out.points"] == 2
     assert fusion.send(raw(0, 2, b"x" * 24, sensor_id=0)).cause is Cause.BAD_RECORD
 
 
-@pytest.mark.parametrize("axes", ["+x,-y,+z", "+z,+x,-y"])
-def test_a_box_that_heads_straight_up_is_refused_for_it_does_not_state_how_it_lies(fusion, axes):
+FORWARD_OPTICAL = (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("axes", "matrix", "up"), [("+x,-y,+z", FORWARD, (0.0, 0.0, 2.0)), ("+z,+x,-y", FORWARD_OPTICAL, (0.0, -2.0, 0.0))]
+)
+def test_a_box_that_heads_straight_up_is_refused_for_it_does_not_state_how_it_lies(fusion, axes, matrix, up):
     assert fusion.set_property("lidar_axes", axes)
-    up = (0.0, 0.0, 2.0) if axes.endswith("z") else (0.0, -2.0, 0.0)
-    if not axes.endswith("z"):
-        forward = (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
-        assert fusion.set_calibration(calibration(extrinsic_matrix=forward), camera_id=1, lidar_id=0)
+    assert fusion.set_calibration(calibration(extrinsic_matrix=matrix), camera_id=1, lidar_id=0)
     for send in (boxes_3d, box_3d):
         outcome = fusion.send(send(0, 1, direction=up))
         assert (outcome.cause, "is vertical" in outcome.reason) == (Cause.BAD_RECORD, True)
@@ -377,32 +323,15 @@ def test_a_box_that_heads_straight_up_is_refused_for_it_does_not_state_how_it_li
 
 def test_every_box_that_was_taken_is_in_a_result_or_counted(fusion):
     rng = np.random.default_rng(5)
+    known = {"id": np.arange(6, dtype=np.int32), "class_names": ("Car",) * 6, "velocities": np.zeros(6, np.float32)}
     for seq in range(40):
-        corners = rng.integers(0, 200, (6, 4)).astype(np.uint32)
-        two = Boxes2d(
-            sensor_id=1,
-            seq=seq,
-            timestamp=timestamp(100 * seq),
-            id=np.arange(6, dtype=np.int32),
-            class_names=("Car",) * 6,
-            confidence=rng.random(6, np.float32),
-            corners_xyxy=np.hstack([corners[:, :2], corners[:, :2] + 1 + corners[:, 2:]]),
-        )
-        three = Boxes3d(
-            sensor_id=0,
-            seq=seq,
-            timestamp=timestamp(100 * seq),
-            id=np.arange(6, dtype=np.int32),
-            class_names=("Car",) * 6,
-            confidence=rng.random(6, np.float32),
-            centers=rng.normal(0, 30, (6, 3)).astype(np.float32),
-            sizes_lwh=rng.uniform(0.1, 5, (6, 3)).astype(np.float32),
-            directions=rng.normal(0, 1, (6, 3)).astype(np.float32),
-            velocities=np.zeros(6, np.float32),
-        )
-        send_all(fusion, three, two)
-        fusion.flush()
-        record, counts = fusion.get(1).record, fusion.counters.counts()
+        corners = rng.integers(0, 200, (6, 4))
+        two = list_2d(100 * seq, seq, rng.random(6), np.hstack([corners[:, :2], corners[:, :2] + 1 + corners[:, 2:]]))
+        drawn = {"confidence": rng.random(6), "centers": rng.normal(0, 30, (6, 3))}
+        drawn |= {"sizes_lwh": rng.uniform(0.1, 5, (6, 3)), "directions": rng.normal(0, 1, (6, 3))}
+        columns = known | {name: values.astype(np.float32) for name, values in drawn.items()}
+        (record,) = fused(fusion, 1, Boxes3d(sensor_id=0, seq=seq, timestamp=timestamp(100 * seq), **columns), two)
+        counts = fusion.counters.counts()
         for kind, ids in (("boxes_3d", record.box_3d_ids), ("boxes_2d", record.box_2d_ids)):
             left_out = counts.get(f"left-out.{kind}", 0)
             assert len({number for number in ids if number is not None}) + left_out == 6
@@ -410,152 +339,102 @@ def test_every_box_that_was_taken_is_in_a_result_or_counted(fusion):
 
 
 def test_a_box_that_goes_uphill_heads_there_in_the_result(fusion):
-    send_all(fusion, boxes_2d(0, 1), boxes_3d(0, 1, direction=(3.0, 0.0, 4.0), velocity=-2.0))
-    fusion.flush()
-    (found,) = fusion.get(1).record
+    (record,) = fused(fusion, 1, boxes_2d(0, 1), boxes_3d(0, 1, direction=(3.0, 0.0, 4.0), velocity=-2.0))
+    (found,) = record
     assert found.direction == pytest.approx((0.6, 0.0, 0.8)) or found.direction == pytest.approx((-0.6, 0.0, -0.8))
     assert found.velocity == pytest.approx(-2.0 if found.direction[0] > 0 else 2.0)
 
 
-def test_objects_that_the_image_does_not_show_have_an_empty_outline(fusion):
+def test_objects_that_the_image_does_not_show_have_an_empty_outline_and_frames_without_boxes_are_fused_to_none(fusion):
     for seq, center in enumerate(({"X": -20.0}, {"X": 5.0, "Y": 60.0}, {"X": 20.0})):
         send_all(fusion, no_boxes_2d(100 * seq, seq), boxes_3d(100 * seq, seq, **center))
-    fusion.flush()
-    behind, beside, ahead = (result.record for result in fusion.results(1))
-    for record in (behind, beside):
+    *hidden, ahead, none = fused(fusion, 1, no_boxes_3d(300, 3), no_boxes_2d(300, 4))
+    for record in hidden:  # behind and beside
         assert record.corners_xyxy.tolist() == [[0, 0, 0, 0]]
         assert record.in_image.tolist() == [False]
     assert ahead.in_image.tolist() == [True]
-
-
-def encoded(form):
-    file = io.BytesIO()
-    Image.new("RGB", (64, 48), (9, 9, 9)).save(file, form)
-    return file.getvalue()
+    assert (len(none), none.points_seq, none.image_seq) == (0, 3, 4)
 
 
 @pytest.mark.parametrize("form", ["jpeg", "png", "rgb8"])
 def test_raw_data_of_each_declared_form_are_fused(fusion, form):
     sensors = '{"0": {"kind": "lidar", "raw": "records"}, "1": {"kind": "camera", "raw": "%s"}}'
     assert fusion.set_property("sensors", sensors % form)
-    data = bytes([9]) * (64 * 48 * 3) if form == "rgb8" else encoded(form.upper())
-    assert fusion.send(raw(0, 8, data, sensor_id=1))
-    row = np.zeros(2, [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
-    row["xyz"], row["i"], row["r"] = [(10, 0, 0), (-10, 0, 0)], 30, 5
-    row["t"] = timestamp(0).nanoseconds / 1e9
-    assert row.itemsize == 23
-    assert fusion.send(raw(0, 9, row.tobytes(), sensor_id=0))
-    fusion.flush()
-    record = fusion.get(0).record
+    data = bytes([9]) * (WIDTH * HEIGHT * 3) if form == "rgb8" else encoded(form)
+    sweep = records_of_a_recording(9, (10, 0, 0), (-10, 0, 0), seconds=(0, 0))
+    (record,) = fused(fusion, 0, raw(0, 8, data, sensor_id=1), sweep)
     assert (record.points_seq, record.image_seq) == (9, 8)
-    columns = dict(zip(record.point_fields, record.points.T, strict=True))
-    assert (columns["reflectivity"].tolist(), columns["ring"].tolist()) == ([30, 30], [5, 5])
-    assert columns["r"].tolist() == [9, 128]
+    columns = {name: column.tolist() for name, column in zip(record.point_fields, record.points.T, strict=True)}
+    assert (columns["reflectivity"], columns["ring"], columns["r"]) == ([30, 30], [5, 5], [9, 128])
 
 
 def test_raw_data_of_a_sensor_that_nobody_declared_are_refused(fusion):
     assert fusion.send(raw(0, 1, b"", sensor_id=0)).cause is Cause.UNKNOWN_SENSOR
     assert fusion.set_property("sensors", '{"1": {"kind": "camera", "raw": "jpeg"}}')
-    assert fusion.send(cloud(0, 1)).cause is Cause.UNKNOWN_SENSOR
-    assert fusion.send(cloud(0, 1, sensor_id=1)).cause is Cause.UNKNOWN_SENSOR
+    for sensor_id in (0, 1):
+        assert fusion.send(cloud(0, 1, sensor_id=sensor_id)).cause is Cause.UNKNOWN_SENSOR
 
 
 def test_an_image_that_cannot_be_decoded_is_counted_and_ends_nothing(fusion):
     assert fusion.set_property("sensors", '{"0": {"kind": "lidar"}, "1": {"kind": "camera", "raw": "jpeg"}}')
-    send_all(
-        fusion, raw(0, 1, encoded("JPEG")[:200], sensor_id=1), cloud(0, 1), raw(100, 2, encoded("JPEG"), sensor_id=1)
-    )
-    send_all(fusion, cloud(100, 2))
+    send_all(fusion, raw(0, 1, encoded("jpeg")[:200], sensor_id=1), cloud(0, 1))
+    send_all(fusion, raw(100, 2, encoded("jpeg"), sensor_id=1), cloud(100, 2))
     assert pairs(fusion) == [(2, 2)]
     assert fusion.counters.counts()["errors.unreadable-image"] == 1
 
 
-def test_late_and_out_of_order_arrivals_find_their_partners(fusion):
-    for record in (cloud(0, 0), cloud(100, 1), image(110, 11), image(10, 10), cloud(200, 2), image(190, 12)):
-        assert fusion.send(record)
-    assert pairs(fusion) == [(0, 10), (1, 11), (2, 12)]
-
-
-def test_what_is_older_than_lateness_allows_is_refused(fusion):
+def test_what_is_older_than_lateness_allows_and_an_image_of_another_size_are_refused(fusion):
     assert fusion.send(image(500, 5))
-    late = fusion.send(image(399, 4))
+    late, other = fusion.send(image(399, 4)), fusion.send(image(500, 6, width=32))
     assert (late.cause, "101.000 ms older" in late.reason) == (Cause.TIME_BACKWARDS, True)
+    assert (other.cause, "expected 64" in other.reason) == (Cause.BAD_RECORD, True)
     assert fusion.send(image(401, 4))
 
 
-@pytest.mark.parametrize("hours", [-30, 30])
-def test_after_all_clocks_were_set_pairs_go_on(fusion, hours):
-    for seq in range(5):
-        send_all(fusion, image(100 * seq, seq), cloud(100 * seq + 3, seq))
-    jump = hours * 3_600_000
-    for seq in range(5, 10):
-        send_all(fusion, image(100 * seq + jump, seq), cloud(100 * seq + 3 + jump, seq))
-    assert pairs(fusion) == [(seq, seq) for seq in range(10)]
-    assert fusion.counters.counts()[f"clock.set-{'back' if hours < 0 else 'forward'}"] >= 1
-
-
-def test_one_wrong_timestamp_far_ahead_costs_one_record(fusion):
+@pytest.mark.parametrize(
+    ("hours", "jumping", "lost", "counted"),
+    [
+        (-30, range(5, 10), [], "clock.set-back"),
+        (30, range(5, 10), [], "clock.set-forward"),
+        (1, [4], [4], None),  # one wrong timestamp costs one record
+    ],
+)
+def test_after_all_clocks_were_set_pairs_go_on(fusion, hours, jumping, lost, counted):
     for seq in range(10):
-        jump = 3_600_000 if seq == 4 else 0
-        send_all(fusion, image(100 * seq, seq), cloud(100 * seq + 3 + jump, seq))
-    assert pairs(fusion) == [(seq, seq) for seq in range(10) if seq != 4]
-
-
-def test_a_number_again_is_refused_and_taken_after_a_sensor_was_started_again(fusion):
-    assert fusion.send(cloud(0, 0))
-    assert fusion.send(cloud(0, 0)).cause is Cause.DUPLICATE
-    assert fusion.send(cloud(100, 0)).cause is Cause.DUPLICATE
-    assert fusion.send(cloud(5000, 0))
-
-
-def test_numbers_wrap_at_2_to_the_32(fusion):
-    numbers = [2**32 - 2, 2**32 - 1, 0, 1]
-    for k, seq in enumerate(numbers):
-        send_all(fusion, image(100 * k, seq), cloud(100 * k, seq))
-    assert pairs(fusion) == [(seq, seq) for seq in numbers]
-
-
-def test_an_image_of_another_size_is_refused(fusion):
-    outcome = fusion.send(image(0, 1, width=32))
-    assert (outcome.cause, "expected 64" in outcome.reason) == (Cause.BAD_RECORD, True)
+        jump = hours * 3_600_000 * (seq in jumping)
+        image_jump = 0 if lost else jump
+        send_all(fusion, image(100 * seq + image_jump, seq), cloud(100 * seq + 3 + jump, seq))
+    assert pairs(fusion) == [(seq, seq) for seq in range(10) if seq not in lost]
+    assert counted is None or fusion.counters.counts()[counted] >= 1
 
 
 def failing(*_, **__):
     raise ZeroDivisionError("an algorithm of somebody")
 
 
-@pytest.mark.parametrize("kind", [0, 1])
-def test_an_algorithm_that_fails_is_counted_and_ends_nothing(fusion, kind, monkeypatch):
-    monkeypatch.setattr("sceneloom.fusion.system.algorithm", lambda kind, name: failing)
-    monkeypatch.setattr("sceneloom.db34t.interface.algorithm", lambda kind, name: failing)
+@pytest.mark.parametrize(
+    ("kind", "name", "sends"), [(0, "points", (image, cloud)), (1, "boxes_3d", (boxes_2d, boxes_3d))]
+)
+def test_an_algorithm_that_fails_is_counted_and_ends_nothing(fusion, kind, name, sends, monkeypatch):
+    for module in ("fusion.system", "db34t.interface"):
+        monkeypatch.setattr(f"sceneloom.{module}.algorithm", lambda kind, name: failing)
     assert fusion.set_property("fusion_type", kind)
     assert fusion.set_property("fusion_algorithm", "failing")
-    sends = ((image, cloud), (boxes_2d, boxes_3d))[kind]
-    for send in sends:
-        assert fusion.send(send(0, 1))
-    fusion.flush()
+    assert fused(fusion, kind, *(send(0, 1) for send in sends)) == []
     monkeypatch.undo()
     assert fusion.set_property("fusion_algorithm", "projection")
-    for send in sends:
-        assert fusion.send(send(100, 2))
+    send_all(fusion, *(send(100, 2) for send in sends))
     assert pairs(fusion, kind) == [(2, 2)]
     counts = fusion.counters.counts()
-    assert counts["errors.ZeroDivisionError"] == 1
-    assert counts[f"failed.{('points', 'boxes_3d')[kind]}"] == 1
+    assert counts["errors.ZeroDivisionError"] == counts[f"failed.{name}"] == 1
 
 
 def test_an_algorithm_that_fails_for_one_lidar_leaves_the_other_its_images(monkeypatch):
-    from sceneloom.colouring.algorithms import fuse_by_projection
-
-    def fails_near(points, requests, visibility, /, *, trajectory=None):
-        if points[0, 0] < 15:
-            failing()
-        return fuse_by_projection(points, requests, visibility, trajectory=trajectory)
+    def fails_near(points, *given, **options):
+        return failing() if points[0, 0] < 15 else fuse_by_projection(points, *given, **options)
 
     monkeypatch.setattr("sceneloom.fusion.system.algorithm", lambda kind, name: fails_near)
-    with FusionInterface(inline=True) as fusion:
-        for lidar_id in (0, 2):
-            assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=lidar_id)
+    with interface(inline=True, lidars=(0, 2)) as fusion:
         send_all(fusion, cloud(0, 1, sensor_id=0), cloud(0, 5, [(20.0, 0, 0)], sensor_id=2), image(0, 1))
         assert pairs(fusion) == [(5, 1)]
 
@@ -582,10 +461,8 @@ def test_one_that_never_fetches_keeps_only_the_newest_results(fusion):
 
 def test_only_so_many_sweeps_and_images_wait_for_one_another(fusion):
     assert fusion.set_property("queue_length", 4)
-    for seq in range(20):
-        assert fusion.send(image(10 * seq, seq))
-    for seq in range(20):
-        assert fusion.send(cloud(10_000_000 + seq, seq))
+    send_all(fusion, *(image(10 * seq, seq) for seq in range(20)))
+    send_all(fusion, *(cloud(10_000_000 + seq, seq) for seq in range(20)))
     assert fusion.waiting_records <= 8
     assert fusion.counters.counts()["dropped.waiting.image"] == 16
 
@@ -601,24 +478,16 @@ def test_a_full_queue_refuses_where_it_is_reported_to(fusion):
 
 
 def test_boxes_alone_are_closed_by_the_next_number_and_by_flush(fusion):
-    for seq in (0, 1):
-        for number in range(3):
-            assert fusion.send(box_2d(100 * seq, seq, id=number))
-    for seq in (0, 1):
-        for number in range(2):
-            assert fusion.send(box_3d(100 * seq, seq, id=number, X=20.0 + 10 * number))
+    send_all(fusion, *(box_2d(100 * seq, seq, id=number) for seq in (0, 1) for number in range(3)))
+    send_all(fusion, *(box_3d(100 * seq, seq, id=k, X=20.0 + 10 * k) for seq in (0, 1) for k in range(2)))
+    assert fusion.waiting_boxes == 5
+    assert fusion.send(box_3d(0, 0)).cause is Cause.DUPLICATE  # of a frame that is closed already
     assert fusion.waiting_boxes == 5
     assert pairs(fusion, 1) == [(0, 0), (1, 1)]
     assert fusion.waiting_boxes == 0
     fusion.close()
     counts = fusion.counters.counts()
     assert (counts["received.box_2d"], counts["gathered.boxes_2d"], counts["fused.boxes_2d"]) == (6, 2, 2)
-
-
-def test_a_box_of_a_frame_that_is_closed_already_is_refused(fusion):
-    send_all(fusion, box_3d(0, 0), box_3d(100, 1))
-    assert fusion.send(box_3d(0, 0)).cause is Cause.DUPLICATE
-    assert fusion.waiting_boxes == 1
 
 
 def test_boxes_alone_are_closed_when_nothing_comes_for_a_while():
@@ -630,13 +499,10 @@ def test_boxes_alone_are_closed_when_nothing_comes_for_a_while():
 
 
 def test_a_box_alone_belongs_to_the_sensor_that_sent_its_frame():
-    with FusionInterface(inline=True) as fusion:
-        for lidar_id in (0, 2):
-            assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=lidar_id)
+    with interface(inline=True, lidars=(0, 2)) as fusion:
         assert fusion.send(box_3d(0, 7)).cause is Cause.UNKNOWN_SENSOR
-        send_all(fusion, cloud(0, 6, sensor_id=0), cloud(0, 7, sensor_id=2), box_3d(0, 7), box_2d(0, 1))
-        fusion.flush()
-        record = fusion.get(1).record
+        sent = cloud(0, 6, sensor_id=0), cloud(0, 7, sensor_id=2), box_3d(0, 7), box_2d(0, 1)
+        record = fused(fusion, 1, *sent)[0]
     assert (record.lidar_id, record.points_seq) == (2, 7)
 
 
@@ -651,14 +517,12 @@ def test_without_images_sweeps_are_not_kept_waiting():
         assert fusion.waiting_records == 0
 
 
-def test_nothing_waits_after_the_end():
-    fusion = interface()
-    for record in (cloud(0, 1), image(700, 2), boxes_3d(0, 1), boxes_2d(900, 1), box_3d(2000, 3)):
-        assert fusion.send(record)
-    fusion.close()
-    fusion.flush()  # which finds nothing to do
-    assert (fusion.waiting_records, fusion.waiting_boxes) == (0, 0)
-    assert fusion.send(cloud(0, 1)).cause is Cause.CLOSED
+def test_nothing_waits_and_nothing_is_taken_after_the_end(both):
+    send_all(both, cloud(0, 1), image(700, 2), boxes_3d(0, 1), boxes_2d(900, 1), box_3d(2000, 3))
+    both.close()
+    both.flush()  # which finds nothing to do
+    assert (both.waiting_records, both.waiting_boxes) == (0, 0)
+    assert both.send(cloud(0, 1)).cause is Cause.CLOSED
 
 
 def test_all_who_wait_are_let_go_at_the_end_and_each_result_goes_to_one():
@@ -683,13 +547,6 @@ def test_all_who_wait_are_let_go_at_the_end_and_each_result_goes_to_one():
     assert sorted(found) == list(range(20))
 
 
-def test_a_removed_calibration_is_gone():
-    with interface(inline=True) as fusion:
-        assert '"extrinsic_matrix"' in fusion.get_property("calibration")
-        assert fusion.set_property("calibration", "")
-        assert fusion.send(cloud(0, 1)).cause is Cause.NO_CALIBRATION
-
-
 def test_a_pair_of_another_setting_than_its_sweep_is_fused(fusion):
     assert fusion.send(boxes_3d(0, 1))
     assert fusion.set_calibration(calibration(extrinsic_matrix=FORWARD), camera_id=2, lidar_id=0)
@@ -697,16 +554,23 @@ def test_a_pair_of_another_setting_than_its_sweep_is_fused(fusion):
     assert pairs(fusion, 1) == [(1, 1), (1, 2)]
 
 
-def test_a_camera_whose_calibration_was_taken_away_is_not_waited_for_any_more(fusion):
-    assert fusion.set_calibration(calibration(), camera_id=2, lidar_id=0)
-    for sensor_id in (1, 2):
-        assert fusion.send(image(0, 0, sensor_id=sensor_id))
-    assert fusion.send(cloud(0, 0))
+def keep_cameras(fusion, *cameras):
+    entries = tuple(CalibrationEntry(camera_id, 0, calibration()) for camera_id in cameras)
+    assert fusion.set_property("calibration", format_calibrations(entries))
+
+
+@pytest.fixture
+def two_cameras():
+    with interface(inline=True, cameras=(1, 2)) as fusion:
+        yield fusion
+
+
+def test_a_camera_whose_calibration_was_taken_away_is_not_waited_for_any_more(two_cameras):
+    fusion = two_cameras
+    send_all(fusion, image(0, 0, sensor_id=1), image(0, 0, sensor_id=2), cloud(0, 0))
     assert len(list(fusion.results(0))) == 2
-    assert fusion.send(cloud(150, 1))
-    assert fusion.send(image(150, 1))  # that of camera 2 never comes
-    only = (CalibrationEntry(1, 0, calibration()),)
-    assert fusion.set_property("calibration", format_calibrations(only))
+    send_all(fusion, cloud(150, 1), image(150, 1))  # that of camera 2 never comes
+    keep_cameras(fusion, 1)
     assert not list(fusion.results(0))
     assert fusion.send(cloud(300, 2))  # from here on the other calibrations count
     assert [found.record.points_seq for found in fusion.results(0)] == [1]
@@ -715,33 +579,24 @@ def test_a_camera_whose_calibration_was_taken_away_is_not_waited_for_any_more(fu
     assert fusion.send(image(300, 2, sensor_id=2)).cause is Cause.NO_CALIBRATION
 
 
-def test_what_a_camera_sent_before_it_was_taken_away_is_for_the_sweeps_of_that_time_alone(fusion):
-    assert fusion.set_calibration(calibration(), camera_id=2, lidar_id=0)
-    send_all(fusion, image(0, 0, sensor_id=2), boxes_2d(0, 0, sensor_id=2), cloud(0, 0), boxes_3d(0, 0))
-    only = (CalibrationEntry(1, 0, calibration()),)
-    assert fusion.set_property("calibration", format_calibrations(only))
-    send_all(fusion, cloud(20, 1), boxes_3d(20, 1))
-    for record in (image(0, 0), boxes_2d(0, 0)):
-        assert fusion.send(record)
-    fusion.flush()
+def test_what_a_camera_sent_before_it_was_taken_away_is_for_the_sweeps_of_that_time_alone(two_cameras):
+    send_all(two_cameras, image(0, 0, sensor_id=2), boxes_2d(0, 0, sensor_id=2), cloud(0, 0), boxes_3d(0, 0))
+    keep_cameras(two_cameras, 1)
+    send_all(two_cameras, cloud(20, 1), boxes_3d(20, 1), image(0, 0), boxes_2d(0, 0))
     for kind in (0, 1):
-        found = [(r.record.points_seq, r.record.camera_id) for r in fusion.results(kind)]
+        found = [(record.points_seq, record.camera_id) for record in fused(two_cameras, kind)]
         assert found == [(0, 1), (0, 2), (1, 1)]
-    fusion.close()
-    assert fusion.waiting_records == 0
+    two_cameras.close()
+    assert two_cameras.waiting_records == 0
 
 
 def test_a_camera_that_comes_back_is_waited_for_again(fusion):
-    assert fusion.send(cloud(0, 0))
-    both = (CalibrationEntry(1, 0, calibration()), CalibrationEntry(2, 0, calibration()))
-    assert fusion.set_property("calibration", format_calibrations(both[1:]))
-    assert fusion.send(cloud(100, 1))
-    assert fusion.set_property("calibration", format_calibrations(both))
-    assert fusion.send(cloud(200, 2))
+    for seq, cameras in enumerate(((1,), (2,), (1, 2))):
+        keep_cameras(fusion, *cameras)
+        assert fusion.send(cloud(100 * seq, seq))
     for sensor_id in (2, 1):
         assert not list(fusion.results(0))
-        for seq in range(3):
-            assert fusion.send(image(100 * seq, seq, sensor_id=sensor_id))
+        send_all(fusion, *(image(100 * seq, seq, sensor_id=sensor_id) for seq in range(3)))
     found = {(r.record.points_seq, r.record.camera_id) for r in fusion.results(0)}
     assert {(2, 1), (2, 2)} <= found
 
@@ -749,19 +604,9 @@ def test_a_camera_that_comes_back_is_waited_for_again(fusion):
 def test_a_cloud_leaves_room_for_colours_in_the_result(fusion):
     for count, status in ((252, 1), (253, 0)):
         fields = ("x", "y", "z", *(f"f{k}" for k in range(count - 3)))
-        sent = PointCloudData(
-            sensor_id=0,
-            timestamp=timestamp(count),
-            seq=count,
-            number=1,
-            fields=fields,
-            fields_number=count,
-            data=np.ones(count, np.float32),
-        )
-        assert fusion.send(sent).status == status
-    assert fusion.send(image(252, 1))
-    fusion.flush()
-    assert fusion.get(0).record.fields_number == 255
+        assert fusion.send(cloud(count, count, np.ones(count), fields=fields)).status == status
+    (record,) = fused(fusion, 0, image(252, 1))
+    assert record.fields_number == 255
 
 
 def test_cameras_may_have_so_many_pixels_together():
@@ -773,13 +618,10 @@ def test_cameras_may_have_so_many_pixels_together():
             assert fusion.send(cloud(100 * camera_id, camera_id)).status == status
 
 
-def test_so_many_calibrations_may_be_there():
-    with FusionInterface(inline=True) as fusion:
-        for k in range(MOST_PAIRS):
-            fusion._table = calibration_table([CalibrationEntry(k % 256, k // 256, calibration())], fusion._table)
-        assert fusion.set_calibration(calibration(), camera_id=3, lidar_id=0)
-        assert fusion.set_calibration(calibration(), camera_id=3, lidar_id=200).cause is Cause.TOO_MANY
-        many = format_calibrations(
-            tuple(CalibrationEntry(k % 256, k // 256, calibration()) for k in range(MOST_PAIRS + 1))
-        )
-        assert fusion.set_property("calibration", many).cause is Cause.OUT_OF_RANGE
+def test_so_many_calibrations_may_be_there(bare):
+    entries = [CalibrationEntry(k % 256, k // 256, calibration()) for k in range(MOST_PAIRS + 1)]
+    for entry in entries[:-1]:
+        bare._table = calibration_table([entry], bare._table)
+    assert bare.set_calibration(calibration(), camera_id=3, lidar_id=0)
+    assert bare.set_calibration(calibration(), camera_id=3, lidar_id=200).cause is Cause.TOO_MANY
+    assert bare.set_property("calibration", format_calibrations(tuple(entries))).cause is Cause.OUT_OF_RANGE

@@ -11,7 +11,6 @@ from sceneloom.db34t import (
     CalibrationData,
     FusedDetection,
     FusedDetections,
-    PointCloudData,
     RawData,
     SensorFusionData,
     Timestamp,
@@ -19,7 +18,7 @@ from sceneloom.db34t import (
 )
 from sceneloom.errors import DataError, OptionError
 
-from .sending import box_2d, box_3d, image
+from .sending import box_2d, box_3d, cloud, image
 
 TIME = Timestamp(1595682678, 715705367)
 COV = (0.2, 0.01, 0.01, 0.01, 0.2, 0.01, 0.01, 0.01, 0.2)
@@ -36,64 +35,24 @@ CALIBRATION = CalibrationData(
 )
 RAW = RawData(sensor_id=1, timestamp=TIME, seq=1, length=1, data=b"\x80")
 IMAGE = image(0, 1, width=360, height=480)
-CLOUD = PointCloudData(
-    sensor_id=0,
-    timestamp=TIME,
-    seq=1,
-    number=1000,
-    fields=("x", "y", "z", "reflectivity"),
-    fields_number=4,
-    data=np.zeros((1000, 4), np.float32),
-    beam=32,
-    ring=0,
-)
+CLOUD = replace(cloud(0, 1, np.zeros((1000, 4)), fields=("x", "y", "z", "reflectivity")), beam=32, ring=0)
 BOX_3D = box_3d(0, 2, direction=(2.0, 3.0, 0.0), velocity=1)
 BOX_2D = box_2d(0, 1, x1=103, y1=103, x2=204, y2=204)
+PAIR = {"timestamp": TIME, "image_seq": 1, "points_seq": 1, "camera_id": 1, "lidar_id": 1}
+PIXELS = {"encoding": "rgb8", "image_channel": 3, "image_data": np.zeros(480 * 360 * 3, np.uint8)}
+POINTS = {"point_fields": ("x", "y", "z"), "fields_number": 3, "point_data": np.zeros((10000, 3), np.float32)}
 FUSION = SensorFusionData(
-    timestamp=TIME,
-    image_seq=1,
-    points_seq=1,
-    camera_id=1,
-    lidar_id=1,
-    height=480,
-    width=360,
-    encoding="rgb8",
-    image_channel=3,
-    image_data=np.zeros(480 * 360 * 3, np.uint8),
-    image_depth=np.zeros(480 * 360, np.float32),
-    point_num=10000,
-    point_fields=("x", "y", "z"),
-    fields_number=3,
-    point_data=np.zeros((10000, 3), np.float32),
+    **PAIR, height=480, width=360, **PIXELS, image_depth=np.zeros(480 * 360, np.float32), point_num=10000, **POINTS
 )
-DETECTION = FusedDetection(
-    id=1,
-    confidence=0.8,
-    timestamp=TIME,
-    class_name="Car",
-    X=1.0,
-    Y=1.0,
-    Z=1.0,
-    center_cov=COV,
-    length=1.0,
-    width=1.0,
-    height=1.0,
-    size_cov=COV,
-    direction=(2.0, 3.0, 0.0),
-    velocity=1,
-    x1=103,
-    y1=103,
-    x2=204,
-    y2=204,
-)
+SIZE = {"length": 1.0, "width": 1.0, "height": 1.0, "size_cov": COV}
+GOING = {"direction": (2.0, 3.0, 0.0), "velocity": 1}
+CORNERS = {"x1": 103, "y1": 103, "x2": 204, "y2": 204}
+CENTER = {"X": 1.0, "Y": 1.0, "Z": 1.0, "center_cov": COV}
+DETECTION = FusedDetection(id=1, confidence=0.8, timestamp=TIME, class_name="Car", **CENTER, **SIZE, **GOING, **CORNERS)
 BOXES_3D = BOX_3D.alone(0)
 BOXES_2D = BOX_2D.alone(1)
 DETECTIONS = FusedDetections(
-    timestamp=TIME,
-    image_seq=1,
-    points_seq=1,
-    camera_id=1,
-    lidar_id=0,
+    **PAIR,
     id=np.array([1, 2], np.int32),
     class_names=("Car", "Car"),
     confidence=np.array([0.8, 0.5], np.float32),
@@ -109,55 +68,33 @@ DETECTIONS = FusedDetections(
 )
 
 
-def nan_in(array):
-    """A copy in which one number is none."""
-    changed = array.copy()
-    changed.reshape(-1)[-1] = np.nan
-    return changed
-
-
 def test_numbers_of_32_bits_are_kept_as_such():
     assert BOX_3D.confidence == float(np.float32(0.8))
     assert BOX_3D.velocity == 1.0
     assert BOXES_3D.confidence[0] == np.float32(0.8)
-    assert BOXES_3D[0] == BOX_3D
-    assert BOXES_2D[0] == BOX_2D
-
-
-def test_distortion_is_zero_where_it_is_missing():
-    assert replace(CALIBRATION, distortion_coeffs=None).distortion_coeffs == (0.0,) * 5
+    assert (BOXES_3D[0], BOXES_2D[0]) == (BOX_3D, BOX_2D)
 
 
 def test_arrays_are_flat_read_only_views_with_shaped_views_beside_them():
-    assert IMAGE.data.shape == (480 * 360 * 3,)
-    assert IMAGE.pixels.shape == (480, 360, 3)
-    assert CLOUD.points.shape == (1000, 4)
-    assert FUSION.depths.shape == (480, 360)
-    assert FUSION.pixels.shape == (480, 360, 3)
-    assert FUSION.points.shape == (10000, 3)
+    assert (IMAGE.data.shape, IMAGE.pixels.shape) == ((480 * 360 * 3,), (480, 360, 3))
+    assert (FUSION.depths.shape, FUSION.pixels.shape) == ((480, 360), (480, 360, 3))
+    assert (CLOUD.points.shape, FUSION.points.shape) == ((1000, 4), (10000, 3))
     with pytest.raises(ValueError, match="read-only"):
         IMAGE.pixels[0, 0, 0] = 1
+    # a file of an image has no pixels before it is decoded
+    assert replace(IMAGE, encoding="jpeg", data=np.zeros(7, np.uint8)).pixels is None
 
 
-def test_a_file_of_an_image_has_no_pixels_before_it_is_decoded():
-    jpeg = replace(IMAGE, encoding="jpeg", data=np.zeros(7, np.uint8))
-    assert jpeg.pixels is None
-
-
-def test_lists_without_boxes_are_records_too():
+def test_what_may_be_missing_empty_or_not_finite():
+    assert replace(CALIBRATION, distortion_coeffs=None).distortion_coeffs == (0.0,) * 5
     assert len(Boxes3d.empty(0, 1, TIME)) == len(Boxes2d.empty(0, 1, TIME)) == 0
     empty = FusedDetections.empty(TIME, image_seq=1, points_seq=2, camera_id=3, lidar_id=4)
     assert (len(empty), empty.box_3d_ids) == (0, ())
-
-
-def test_a_detection_without_a_box_in_space_has_no_size():
-    assert DETECTIONS[1].length == 0.0
+    assert DETECTIONS[1].length == 0.0  # without a box in space
     assert (DETECTIONS[0].box_3d_id, DETECTIONS[1].box_3d_id) == (7, None)
-
-
-def test_bytes_can_be_given_in_several_forms():
     for data in (bytearray(b"\x80"), memoryview(b"\x80"), np.array([-128], np.int8)):
         assert replace(RAW, data=data).data == b"\x80"
+    assert np.isnan(replace(CLOUD, data=np.full(4000, np.nan, np.float32)).data).all()
 
 
 FAULTS = [
@@ -208,12 +145,7 @@ FAULTS = [
     (BOXES_3D, {"id": np.array([1])}, "id", "expected an array (N) int32"),
     (BOXES_3D, {"class_names": ("Car", "Car")}, "class", "expected a tuple of 1"),
     (BOXES_3D, {"class_names": ([],)}, "boxes[0].class", "[]; expected a string"),
-    (
-        BOXES_2D,
-        {"corners_xyxy": np.array([[2, 0, 1, 0]], np.uint32)},
-        "boxes[0].x2",
-        "1; expected more than 2, which is x1",
-    ),
+    (BOXES_2D, {"corners_xyxy": np.array([[2, 0, 1, 0]], np.uint32)}, "boxes[0].x2", "1; expected more than 2, which"),
     (BOXES_2D, {"corners_xyxy": np.array([[2, 0, 3, 0]])}, "corners_xyxy", "expected an array (1, 4) uint32"),
     (FUSION, {"image_depth": np.zeros(5, np.float32)}, "image_depth", "5 values; expected 172800 (width * height)"),
     (FUSION, {"image_depth": np.full(172800, -1, np.float32)}, "image_depth[0]", "-1.0; expected 0 or more"),
@@ -231,11 +163,6 @@ FAULTS = [
     (DETECTIONS, {"box_2d_ids": (None, 2**31)}, "box_2d_id", "2147483648; expected"),
     (DETECTIONS, {"motion_compensated": 2}, "motion_compensated", "2; expected 0 to 1"),
 ]
-
-
-def test_a_cloud_may_hold_points_that_are_not_finite():
-    data = nan_in(np.zeros(4000, np.float32))
-    assert np.isnan(replace(CLOUD, data=data).data[3999])
 
 
 @pytest.mark.parametrize(("record", "changes", "location", "problem"), FAULTS, ids=lambda value: str(value)[:40])

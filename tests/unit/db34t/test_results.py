@@ -2,19 +2,17 @@
 
 import numpy as np
 import pytest
-from tests.unit.db34t.sending import START_NS, box_3d, calibration, send_all, timestamp
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.db34t import Boxes2d, Boxes3d
-from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.results import declared_columns
 from sceneloom.detections.results import FusedBoxes
 from sceneloom.scene import Poses
 from sceneloom.service.methods import TrackedResults
 
+from .sending import START_NS, boxes_3d, interface, no_boxes_2d, no_boxes_3d, send_all
+
 ROTATION = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 CAMERA = Camera("pinhole", 640, 480, 500.0, 500.0, 319.5, 239.5)
-NAMES = ("scores", "centers", "center_covs", "sizes", "size_covs", "yaws", "velocities", "corners")
 
 
 def objects(count=7, seed=0):
@@ -24,34 +22,20 @@ def objects(count=7, seed=0):
     return {
         "scores": random.uniform(-0.2, 1.2, count),
         "centers": random.normal(scale=30.0, size=(count, 3)),
-        "center_covs": covariances[0],
-        "sizes": random.uniform(0.5, 5.0, (count, 3)),
-        "size_covs": covariances[1],
+        "center_covariances": covariances[0],
+        "sizes_lwh": random.uniform(0.5, 5.0, (count, 3)),
+        "size_covariances": covariances[1],
         "yaws": random.uniform(-3.0, 3.0, count),
         "velocities": random.normal(size=(count, 3)),
-        "corners": np.sort(random.uniform(-50, 700, (count, 2, 2)), axis=1).reshape(count, 4),
+        "corners_xyxy": np.sort(random.uniform(-50, 700, (count, 2, 2)), axis=1).reshape(count, 4),
         "rows_3d": np.arange(count) - 1,
     }
 
 
 def declared(found):
     count = len(found["scores"])
-    fused = FusedBoxes(
-        timestamp_ns=0,
-        centers=found["centers"],
-        center_covariances=found["center_covs"],
-        sizes_lwh=found["sizes"],
-        size_covariances=found["size_covs"],
-        yaws=found["yaws"],
-        velocities=found["velocities"],
-        scores=found["scores"],
-        labels=("car",) * count,
-        corners_xyxy=found["corners"],
-        ids=np.arange(count),
-        rows_3d=found["rows_3d"],
-        rows_2d=np.full(count, -1),
-    )
-    columns, sound = declared_columns(fused, ROTATION, CAMERA)
+    known = {"labels": ("car",) * count, "ids": np.arange(count), "rows_2d": np.full(count, -1)}
+    columns, sound = declared_columns(FusedBoxes(timestamp_ns=0, **found, **known), ROTATION, CAMERA)
     pixels = columns.pop("corners_xyxy")
     return *columns.values(), pixels, sound
 
@@ -59,13 +43,13 @@ def declared(found):
 def test_objects_are_rotated_and_rounded_as_numpy_does_it():
     found = objects()
     headings = np.column_stack([np.cos(found["yaws"]), np.sin(found["yaws"]), np.zeros(7)])
-    both = ROTATION @ found["center_covs"] @ ROTATION.T
+    both = ROTATION @ found["center_covariances"] @ ROTATION.T
     expected = (
         np.clip(found["scores"], 0, 1),
         found["centers"] @ ROTATION.T,
         both,
-        found["sizes"],
-        found["size_covs"],
+        found["sizes_lwh"],
+        found["size_covariances"],
         headings @ ROTATION.T,
         (found["velocities"] * headings).sum(axis=1),
         found["velocities"] @ ROTATION.T,
@@ -75,7 +59,7 @@ def test_objects_are_rotated_and_rounded_as_numpy_does_it():
     for column, values in zip(columns, expected, strict=True):
         # one rounding to 32 bits
         np.testing.assert_allclose(column, values.astype(np.float32), rtol=2e-7, atol=1e-7)
-    whole = np.column_stack([np.floor(found["corners"][:, :2]), np.ceil(found["corners"][:, 2:])])
+    whole = np.column_stack([np.floor(found["corners_xyxy"][:, :2]), np.ceil(found["corners_xyxy"][:, 2:])])
     cut = np.clip(whole, 0, [640, 480, 640, 480])
     cut[~(cut[:, 2:] > cut[:, :2]).all(axis=1)] = 0
     np.testing.assert_array_equal(pixels, cut)
@@ -83,16 +67,7 @@ def test_objects_are_rotated_and_rounded_as_numpy_does_it():
         np.testing.assert_array_equal(covariances, covariances.transpose(0, 2, 1))
 
 
-def test_a_box_that_is_not_finite_has_no_pixels():
-    found = objects()
-    found["corners"][2] = np.nan, 10, 20, 30
-    found["corners"][3] = 0, 10, np.inf, 30
-    *_, pixels, sound = declared(found)
-    assert sound
-    assert pixels[2:4].tolist() == [[0] * 4] * 2
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "corners"])
+@pytest.mark.parametrize("name", [name for name in objects() if name not in ("corners_xyxy", "rows_3d")])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_number_that_is_not_finite_is_not_sound(name, value):
     found = objects()
@@ -101,54 +76,53 @@ def test_a_number_that_is_not_finite_is_not_sound(name, value):
     assert declared(found)[-1] == cut
 
 
-def test_what_makes_no_sense_is_not_sound():
-    for name, location, value, row, expected in (
-        ("sizes", (3, 1), -1.0, -1, False),
-        ("sizes", (3, 1), 0.0, -1, True),
-        ("sizes", (3, 1), 0.0, 4, False),
-        ("center_covs", (3, 2, 2), -1e-3, -1, False),
-        ("size_covs", (3, 0, 0), -1e-3, -1, False),
-        ("corners", (3, 2), -5.0, -1, False),
-    ):
-        found = objects()
-        found["corners"][3] = 100, 100, 200, 200
-        if name == "corners":
-            found[name][3, 0] = 50.0
-        found[name][location], found["rows_3d"][3] = value, row
-        assert declared(found)[-1] == expected, name
-
-
-def test_no_objects_are_sound():
+def test_an_outline_that_is_not_finite_has_no_pixels_and_no_objects_are_sound():
+    found = objects()
+    found["corners_xyxy"][2:4] = (np.nan, 10, 20, 30), (0, 10, np.inf, 30)
+    *_, pixels, sound = declared(found)
+    assert sound
+    assert pixels[2:4].tolist() == [[0] * 4] * 2
     *columns, sound = declared(objects(0))
     assert sound
     assert {len(column) for column in columns} == {0}
+
+
+@pytest.mark.parametrize(
+    ("name", "location", "value", "row", "expected"),
+    [
+        ("sizes_lwh", 1, -1.0, -1, False),
+        ("sizes_lwh", 1, 0.0, -1, True),
+        ("sizes_lwh", 1, 0.0, 4, False),
+        ("center_covariances", (2, 2), -1e-3, -1, False),
+        ("size_covariances", (0, 0), -1e-3, -1, False),
+        ("corners_xyxy", slice(None), (50, 100, -5, 200), -1, False),
+    ],
+)
+def test_what_makes_no_sense_is_not_sound(name, location, value, row, expected):
+    found = objects()
+    found["corners_xyxy"][3] = 100, 100, 200, 200
+    found[name][3][location], found["rows_3d"][3] = value, row
+    assert declared(found)[-1] == expected
 
 
 PERIOD_MS, COUNT, SPEED = 100, 12, 10.0
 
 
 def boxes_at(k, x):
-    milliseconds = PERIOD_MS * k
-    found = box_3d(milliseconds, k, X=x, Y=0.0, Z=0.0, confidence=0.9, velocity=0.0)
-    return found.alone(0), Boxes2d.empty(1, k, timestamp(milliseconds))
+    return boxes_3d(PERIOD_MS * k, k, X=x, confidence=0.9, velocity=0.0)
 
 
 def results_of(positions, *, cameras=(1,), path=None):
     """Results of a box at each of some distances, one sweep each; the ego goes along a path, piece by piece."""
     found = []
-    with FusionInterface(inline=True) as fusion:
-        for camera in cameras:
-            assert fusion.set_calibration(calibration(), camera_id=camera)
+    with interface(inline=True, cameras=cameras) as fusion:
         for k, x in enumerate(positions):
-            if path is not None:
-                assert fusion.send_motion(path(k))
-            sweep, image = boxes_at(k, x)
-            for camera in cameras:
-                assert fusion.send(Boxes2d.empty(camera, k, image.timestamp))
-            assert fusion.send(sweep)
-            found += iter(lambda: fusion.get(1), None)
+            assert path is None or fusion.send_motion(path(k))
+            images = [no_boxes_2d(PERIOD_MS * k, k, sensor_id=camera) for camera in cameras]
+            send_all(fusion, *images, boxes_at(k, x) if x is not None else no_boxes_3d(PERIOD_MS * k, k))
+            found += fusion.results(1)
         fusion.flush()
-        found += iter(lambda: fusion.get(1), None)
+        found += fusion.results(1)
     return found
 
 
@@ -198,11 +172,5 @@ def test_a_sweep_whose_last_result_was_dropped_is_reported_with_the_next_one():
 
 
 def test_a_missed_box_does_not_end_a_track():
-    with FusionInterface(inline=True) as fusion:
-        assert fusion.set_calibration(calibration(), camera_id=1)
-        tracker, reported = TrackedResults(), []
-        for k in range(8):
-            sweep, image = boxes_at(k, 15.0)
-            send_all(fusion, image, Boxes3d.empty(0, k, timestamp(PERIOD_MS * k)) if k == 6 else sweep)
-            reported += [one for found in iter(lambda: fusion.get(1), None) for one in tracker.take(found)]
+    reported = tracked(results_of([*[15.0] * 6, None, 15.0]))
     assert reported[7].record.id.tolist() == reported[5].record.id.tolist() == [1]

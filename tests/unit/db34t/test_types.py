@@ -41,13 +41,7 @@ def test_what_is_no_type_is_refused(text):
 
 @pytest.mark.parametrize(
     ("kind", "low", "high"),
-    [
-        ("int8", -128, 127),
-        ("uint8", 0, 255),
-        ("int32", -2147483648, 2147483647),
-        ("uint32", 0, 4294967295),
-        ("bool", 0, 1),
-    ],
+    [("int8", -128, 127), ("uint8", 0, 255), ("int32", -(2**31), 2**31 - 1), ("uint32", 0, 2**32 - 1), ("bool", 0, 1)],
 )
 def test_whole_numbers_do_not_wrap(kind, low, high):
     value_type = ValueType.parse(kind)
@@ -58,34 +52,19 @@ def test_whole_numbers_do_not_wrap(kind, low, high):
             value_type.check(beyond)
 
 
-@pytest.mark.parametrize(
-    ("kind", "value"),
-    [
-        ("uint32", 20.0),
-        ("uint32", "20"),
-        ("uint32", True),
-        ("uint32", None),
-        ("uint32", [20]),
-        ("bool", "true"),
-        ("bool", 0.0),
-        ("float", math.nan),
-        ("float", math.inf),
-        ("float", 3.5e38),
-        ("float", "1.0"),
-        ("float", True),
-        ("double", -math.inf),
-        ("double", 10**400),
-        ("string", b"MV3d"),
-        ("string", "\ud800"),
-        ("(int8, int8)", (1,)),
-        ("(int8, int8)", 5),
-        ("(int8, int8)", (1, 200)),
-        ("uint32[2]", (1, 2, 3)),
-        ("uint32[2]", "12"),
-        ("uint32[2]", np.zeros((1, 2), np.uint32)),
-        ("string[]", "xyz"),
-    ],
-)
+WRONG = {
+    "uint32": [20.0, "20", True, None, [20]],
+    "bool": ["true", 0.0],
+    "float": [math.nan, math.inf, 3.5e38, "1.0", True],
+    "double": [-math.inf, 10**400],
+    "string": [b"MV3d", "\ud800"],
+    "(int8, int8)": [(1,), 5, (1, 200)],
+    "uint32[2]": [(1, 2, 3), "12", np.zeros((1, 2), np.uint32)],
+    "string[]": ["xyz"],
+}
+
+
+@pytest.mark.parametrize(("kind", "value"), [(kind, value) for kind, values in WRONG.items() for value in values])
 def test_a_value_of_another_type_or_size_is_refused(kind, value):
     with pytest.raises(DataError) as fault:
         ValueType.parse(kind).check(value, owner="properties", location="p")
@@ -116,21 +95,13 @@ def test_a_value_is_kept_as_plain_python(kind, value, kept):
     assert type(found) is type(kept)
 
 
-EXAMPLE = Timestamp(1595682678, 715705367)
-
-
-def test_the_example_of_the_tables_keeps_every_nanosecond():
-    assert EXAMPLE.nanoseconds == 1595682678715705367
-    assert str(EXAMPLE) == "1595682678.715705367"
-    assert Timestamp.of(1595682678715705367) == EXAMPLE
-    assert Timestamp.parse("1595682678.715705367") == EXAMPLE
-
-
-def test_leading_zeros_of_the_nanoseconds_are_written():
+def test_timestamps_keep_every_nanosecond_and_are_ordered():
+    example = Timestamp(1595682678, 715705367)
+    assert example.nanoseconds == 1595682678715705367
+    assert str(example) == "1595682678.715705367"
+    assert Timestamp.of(1595682678715705367) == Timestamp.parse("1595682678.715705367") == example
     assert str(Timestamp(7, 5)) == "7.000000005"
-
-
-def test_times_are_ordered():
+    assert Timestamp.of(2**32 * 10**9 - 1) == Timestamp(2**32 - 1, 10**9 - 1)
     assert Timestamp(1, 999999999) < Timestamp(2, 0) < Timestamp(2, 1)
 
 
@@ -140,24 +111,17 @@ def test_numbers_out_of_range_are_refused(s, ns):
         Timestamp(s, ns)
 
 
-@pytest.mark.parametrize("timestamp_ns", [-1, 2**32 * 10**9, 1.5])
-def test_times_that_no_timestamp_can_state_are_refused(timestamp_ns):
-    with pytest.raises(DataError, match="expected 0 to"):
-        Timestamp.of(timestamp_ns)
-
-
-def test_the_latest_time_fits():
-    assert Timestamp.of(2**32 * 10**9 - 1) == Timestamp(2**32 - 1, 10**9 - 1)
-
-
 @pytest.mark.parametrize(
-    "text", ["1.5", "1595682678", "1.0000000001", " 1.000000000", "-1.000000000", "٣.000000000", 1595682678.7, None]
+    ("make", "value", "expected"),
+    [
+        (Timestamp.of, -1, "expected 0 to"),
+        (Timestamp.of, 2**32 * 10**9, "expected 0 to"),
+        (Timestamp.of, 1.5, "expected 0 to"),
+        (Timestamp.parse, "4294967296.000000000", "expected a uint32"),
+        *((Timestamp.parse, text, "expected") for text in ("1.5", "1595682678", "1.0000000001", " 1.000000000")),
+        *((Timestamp.parse, text, "expected") for text in ("-1.000000000", "٣.000000000", 1595682678.7, None)),
+    ],
 )
-def test_a_text_that_could_be_read_two_ways_is_refused(text):
-    with pytest.raises(DataError, match="expected"):
-        Timestamp.parse(text)
-
-
-def test_seconds_beyond_32_bits_are_refused_in_a_text():
-    with pytest.raises(DataError, match="expected a uint32"):
-        Timestamp.parse("4294967296.000000000")
+def test_what_no_timestamp_can_state_or_what_could_be_read_two_ways_is_refused(make, value, expected):
+    with pytest.raises(DataError, match=expected):
+        make(value)

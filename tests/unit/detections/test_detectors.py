@@ -26,17 +26,14 @@ from sceneloom.kernels import existence
 from sceneloom.scene.detections import ScoreForm
 
 
-@pytest.mark.parametrize(
-    ("word", "name"),
-    [("Car", "car"), ("Person_sitting", "pedestrian"), ("BICYCLIST", "cyclist"), ("Pick-up Truck", "van")],
-)
-def test_words_are_found_whatever_their_case_and_dashes(word, name):
-    assert kind_name(word) == name
-
-
-def test_no_word_stands_for_two_classes():
+def test_words_are_found_whatever_their_case_and_dashes_and_none_stands_for_two_classes():
+    words = {"Car": "car", "Person_sitting": "pedestrian", "BICYCLIST": "cyclist", "Pick-up Truck": "van"}
+    assert {word: kind_name(word) for word in words} == words
     words = [word for name, kind in KINDS.items() for word in (name, *kind.words)]
     assert len(words) == len(set(words))
+    assert says_nothing("Unknown")
+    assert says_nothing("")
+    assert not says_nothing("dragon")
 
 
 def test_words_in_no_table_are_equal_to_themselves_and_of_no_family():
@@ -48,15 +45,6 @@ def test_words_in_no_table_are_equal_to_themselves_and_of_no_family():
     assert rows.tolist() == [UNLISTED, UNLISTED, 0, UNLISTED, UNLISTED, list(KINDS).index("van"), 0]
     assert FAMILIES[UNLISTED] == -1
     assert FAMILIES[0] == FAMILIES[list(KINDS).index("van")] >= 0
-
-
-def test_a_word_that_names_no_class_says_nothing():
-    assert says_nothing("Unknown")
-    assert says_nothing("")
-    assert not says_nothing("dragon")
-
-
-def test_typical_sizes_are_those_of_the_class():
     people, dragons = SIZES[table_rows(numbers_of(["Pedestrian", "dragon"], [])[0])]
     assert people[2] == pytest.approx(1.7, abs=0.1)
     assert (dragons[3:] > people[3:]).all()
@@ -65,37 +53,23 @@ def test_typical_sizes_are_those_of_the_class():
 TEXT = format_detectors(independent_detectors())
 
 
-@pytest.mark.parametrize("name", detector_names())
-def test_what_is_written_is_read_again(tmp_path, name):
-    detectors = find_detectors(name)
-    path = tmp_path / "mine.toml"
-    path.write_text(format_detectors(detectors), "utf-8")
-    again = find_detectors(str(path))
-    assert (again.name, again.otherwise, again.provenance) == (
-        detectors.name,
-        detectors.otherwise,
-        detectors.provenance,
-    )
-    assert again.degrees_of_freedom == detectors.degrees_of_freedom
-    for label, own in detectors.classes.items():
-        # five digits are written
-        assert flat(asdict(again.classes[label])) == pytest.approx(flat(asdict(own)), rel=1e-4)
-
-
 def flat(value):
     if isinstance(value, dict):
         return [x for inner in value.values() for x in flat(inner)]
-    if isinstance(value, tuple):
-        return [x for inner in value for x in flat(inner)]
-    return [value]
+    return [x for inner in value for x in flat(inner)] if isinstance(value, tuple) else [value]
 
 
 @pytest.mark.parametrize("name", detector_names())
-def test_surer_scores_never_make_an_object_of_the_package_s_detectors_less_likely(name):
-    for own in find_detectors(name).classes.values():
-        assert own.sweep.slope >= 0.0
-        assert own.image.slope >= 0.0
-        assert min(own.both.sweep, own.both.image, own.both.overlap) >= 0.0
+def test_what_is_written_is_read_again_and_surer_scores_never_make_an_object_less_likely(tmp_path, name):
+    detectors, path = find_detectors(name), tmp_path / "mine.toml"
+    path.write_text(format_detectors(detectors), "utf-8")
+    again = find_detectors(str(path))
+    for field in ("name", "otherwise", "provenance", "degrees_of_freedom"):
+        assert getattr(again, field) == getattr(detectors, field)
+    for label, own in detectors.classes.items():
+        # five digits are written
+        assert flat(asdict(again.classes[label])) == pytest.approx(flat(asdict(own)), rel=1e-4)
+        assert min(own.sweep.slope, own.image.slope, own.both.sweep, own.both.image, own.both.overlap) >= 0.0
         assert own.visibility.weak_recall_2d <= own.visibility.recall_2d
 
 
@@ -120,12 +94,9 @@ def test_a_wrong_file_is_reported_with_its_location(tmp_path, old, new, location
     assert location in str(caught.value)
 
 
-def test_unknown_detectors_are_reported_with_the_known_ones():
+def test_detectors_that_are_not_there_are_reported_with_the_known_ones(tmp_path):
     with pytest.raises(OptionError, match=r"detectors 'kiti'; expected one of .*independent"):
         find_detectors("kiti")
-
-
-def test_a_file_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(DataError, match=r"none\.toml"):
         find_detectors(str(tmp_path / "none.toml"))
 
@@ -160,9 +131,8 @@ def exists(of_sweep, of_image=None, *, seen_share=1.0):
     """How likely the object of a box of a sweep is, with a partner in the image or without."""
     partners, others = (CAR - 1, CAR * 0.0) if of_image is None else (CAR, of_image[0])
     shares = np.array([seen_share])
-    return existence.scores_of_sweep(OUTLINE, shares, partners, of_sweep[0], of_sweep[1], OUTLINE, others, CAR, TABLE)[
-        0
-    ]
+    given = OUTLINE, shares, partners, of_sweep[0], of_sweep[1], OUTLINE, others, CAR, TABLE
+    return existence.scores_of_sweep(*given)[0]
 
 
 @pytest.mark.parametrize("first", [1, 2])
@@ -213,13 +183,11 @@ def logistic(odds):
 def scores_without_boxes(count):
     """How likely sure objects of a sweep are, of which so many have no box in the image, all of them plain to see."""
     kinds = np.zeros(count, np.int64)
-    reported_3d, odds, _ = existence.reported_odds(
-        np.full(count, 5.0), np.arange(count), True, False, kinds, FITTED_TABLE
-    )
-    outlines, none = np.tile(OUTLINE, (count, 1)), np.zeros((0, 4))
-    return existence.scores_of_sweep(
-        outlines, np.ones(count), kinds - 1, reported_3d, odds, none, np.zeros(0), kinds, FITTED_TABLE
-    )
+    surely = np.full(count, 5.0), np.arange(count), True, False, kinds, FITTED_TABLE
+    reported_3d, odds, _ = existence.reported_odds(*surely)
+    none = np.zeros((0, 4)), np.zeros(0), kinds, FITTED_TABLE
+    outlines = np.tile(OUTLINE, (count, 1))
+    return existence.scores_of_sweep(outlines, np.ones(count), kinds - 1, reported_3d, odds, *none)
 
 
 def test_a_fitted_pair_has_the_odds_that_the_formula_says():
@@ -228,29 +196,22 @@ def test_a_fitted_pair_has_the_odds_that_the_formula_says():
     reported_2d = existence.reported_odds(np.array([score_2d]), CAR, False, True, CAR, FITTED_TABLE)
     # half as wide as the outline: an overlap of one half
     partner = OUTLINE - np.array([[0.0, 0, 50, 0]])
-    found = existence.scores_of_sweep(
-        OUTLINE, np.ones(1), CAR, reported_3d[0], reported_3d[1], partner, reported_2d[0], CAR, FITTED_TABLE
-    )
+    given = OUTLINE, np.ones(1), CAR, *reported_3d[:2], partner, reported_2d[0], CAR, FITTED_TABLE
+    found = existence.scores_of_sweep(*given)
     both = CAR_NUMBERS.both
     of_image = np.clip(np.log(score_2d / (1 - score_2d)), low, high)
     odds = both.base + both.sweep * score_3d + both.image * of_image + both.overlap * (0.5 - 0.7)
     assert found[0] == pytest.approx(logistic(odds), rel=1e-9)
 
 
-def test_a_single_box_that_the_image_lacks_has_the_odds_of_a_camera_that_is_good_or_poor():
+def test_a_box_that_the_image_lacks_has_the_odds_of_a_camera_that_is_good_or_poor_and_many_those_of_a_poor_one():
     reported, visibility = CAR_NUMBERS.sweep, CAR_NUMBERS.visibility
     recall = (1 - visibility.weak_share) * visibility.recall_2d + visibility.weak_share * visibility.weak_recall_2d
-    odds = reported.base + reported.slope * 5.0 + np.log(1 - recall)
-    assert scores_without_boxes(1)[0] == pytest.approx(logistic(odds), rel=1e-9)
-
-
-def test_an_image_that_lacks_all_sure_objects_is_believed_less():
-    alone, together = scores_without_boxes(1)[0], scores_without_boxes(6)
+    sure, alone, together = reported.base + reported.slope * 5.0, scores_without_boxes(1)[0], scores_without_boxes(6)
+    assert alone == pytest.approx(logistic(sure + np.log(1 - recall)), rel=1e-9)
     assert (together > alone).all()
-    reported, visibility = CAR_NUMBERS.sweep, CAR_NUMBERS.visibility
     # it is as good as certain that such a camera is the poor one
-    poor = logistic(reported.base + reported.slope * 5.0 + np.log(1 - visibility.weak_recall_2d))
-    assert together[0] == pytest.approx(poor, abs=0.02)
+    assert together[0] == pytest.approx(logistic(sure + np.log(1 - visibility.weak_recall_2d)), abs=0.02)
 
 
 NOISE = noise_table(independent_detectors())
@@ -293,15 +254,10 @@ def test_what_a_detector_reports_counts_where_it_is_a_covariance():
     [(8.0, 180.0, True), (8.0, 150.0, True), (8.0, 90.0, False), (8.0, 0.0, False), (2.0, 180.0, False)],
 )
 def test_what_drives_backwards_fast_is_reversed(speed, off_deg, rotated):
-    yaw = 2.5
-    trajectory = yaw + np.radians(off_deg)
+    yaw, trajectory = 2.5, 2.5 + np.radians(off_deg)
     velocities = np.array([[speed * np.cos(trajectory), speed * np.sin(trajectory), 0.0]])
     found = orient_by_motion(np.array([yaw]), velocities)[0]
     assert np.cos(found - yaw) == pytest.approx(-1.0 if rotated else 1.0)
     assert -np.pi <= found <= np.pi
-
-
-def test_without_velocities_headings_stay():
-    yaws = np.array([0.3, -2.0])
-    np.testing.assert_array_equal(orient_by_motion(yaws, None), yaws)
-    np.testing.assert_array_equal(orient_by_motion(yaws, np.full((2, 3), np.nan)), yaws)
+    for unknown in (None, np.full((1, 3), np.nan)):
+        np.testing.assert_array_equal(orient_by_motion(np.array([yaw]), unknown), [yaw])

@@ -1,7 +1,6 @@
 """Detection fusion: assignment, outlines, refinement, objects that only an image shows, and what becomes of boxes."""
 
 from dataclasses import replace
-from itertools import permutations
 
 import cv2
 import numpy as np
@@ -81,30 +80,6 @@ def test_gains_are_those_of_the_definition():
     assert (found > 0).sum() > 20
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_no_other_assignment_gains_more(seed):
-    generator = np.random.default_rng(seed)
-    rows, columns = generator.integers(1, 7, 2)
-    gains = np.where(generator.random((rows, columns)) < 0.6, generator.random((rows, columns)), 0.0)
-    partners, takers = assign(gains)
-    chosen = np.flatnonzero(partners >= 0), partners[partners >= 0]
-    assert takers[chosen[1]].tolist() == chosen[0].tolist()
-    assert (takers >= 0).sum() == len(chosen[0])
-    wide = gains if rows <= columns else gains.T
-    best = max(
-        sum(wide[i, j] for i, j in enumerate(order)) for order in permutations(range(wide.shape[1]), wide.shape[0])
-    )
-    assert gains[chosen].sum() == pytest.approx(best, rel=1e-12)
-    assert (gains[chosen] > 0).all()
-    assert len(set(chosen[0].tolist())) == len(set(chosen[1].tolist())) == len(chosen[0])
-
-
-def test_a_box_that_is_worth_nothing_to_any_other_stays_alone():
-    partners, takers = assign(np.array([[0.0, 0.0], [0.9, 0.8]]))
-    assert partners.tolist() == [NO_BOX, 0]
-    assert takers.tolist() == [1, NO_BOX]
-
-
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.5])
 def test_pairs_without_rivals_are_assigned_as_in_the_whole_table(share):
     rng = np.random.default_rng(3)
@@ -118,13 +93,20 @@ def test_pairs_without_rivals_are_assigned_as_in_the_whole_table(share):
         of_rows, of_columns = assign(gains)
         assert [(i, j) for i, j in enumerate(of_rows) if j != NO_BOX] == expected
         assert sorted((i, j) for j, i in enumerate(of_columns) if i != NO_BOX) == expected
+    partners, takers = assign(np.array([[0.0, 0.0], [0.9, 0.8]]))
+    assert (partners.tolist(), takers.tolist()) == ([NO_BOX, 0], [1, NO_BOX])
 
 
 CAMERA_MODEL = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
 CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, CAMERA_MODEL)
-CAMERA_FROM_LIDAR = RigidTransform(
-    np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.05, -0.1, -0.3])
-)
+LOOKING = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+"""How a camera that looks along the x axis of the lidar is rotated."""
+
+CAMERA_FROM_LIDAR = RigidTransform(LOOKING, np.array([0.05, -0.1, -0.3]))
+
+
+def about_z(yaw):
+    return np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
 
 
 def boxes_of(centers, sizes, yaws):
@@ -136,8 +118,7 @@ def surface(center, size, yaw):
     along = np.linspace(-0.5, 0.5, 41)
     a, b = (grid.ravel() for grid in np.meshgrid(along, along))
     faces = [np.roll(np.column_stack([np.full(a.size, s), a, b]), k, axis=1) for s in (-0.5, 0.5) for k in range(3)]
-    rotation = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    return np.vstack(faces) * size @ rotation.T + center
+    return np.vstack(faces) * size @ about_z(yaw).T + center
 
 
 def cv2_pixels(points_lidar):
@@ -197,27 +178,26 @@ def test_what_stands_behind_a_nearer_box_is_seen_less():
 ODD = (0.0, -1.0, np.nan, np.inf, -np.inf)
 
 
-def test_boxes_have_a_location_where_all_numbers_are_finite_and_sizes_above_0():
-    numbers = np.ones((1 + 7 * len(ODD), 7))
-    for k, (column, value) in enumerate((column, value) for column in range(7) for value in ODD):
-        numbers[k + 1, column] = value
-    expected = np.isfinite(numbers).all(axis=1) & (numbers[:, 3:6] > 0).all(axis=1)
+def spoilt(sound, values):
+    """The sound row, and copies of which one column each has one of the values."""
+    rows = np.tile(sound, (1 + len(sound) * len(values), 1))
+    for k, (column, value) in enumerate((column, value) for column in range(len(sound)) for value in values):
+        rows[k + 1, column] = value
+    return rows
+
+
+def test_boxes_have_a_location_or_an_area_where_all_numbers_are_finite_and_in_order():
+    numbers, corners = spoilt(np.ones(7), ODD), spoilt(np.array([10.0, 20, 30, 40]), (*ODD, 30.0))
     parts = (np.ascontiguousarray(numbers[:, part]) for part in (slice(0, 3), slice(3, 6), 6))
-    boxes, rows = boxes_with_position(*parts)
-    np.testing.assert_array_equal(rows, np.flatnonzero(expected))
-    np.testing.assert_array_equal(boxes, numbers[expected])
-    assert 0 < expected.sum() < len(expected)
-
-
-def test_boxes_have_an_area_where_all_edges_are_finite_and_in_order():
-    corners = np.tile([10.0, 20, 30, 40], (1 + 4 * 6, 1))
-    for k, (column, value) in enumerate((column, value) for column in range(4) for value in (*ODD, 30.0)):
-        corners[k + 1, column] = value
-    expected = np.isfinite(corners).all(axis=1) & (corners[:, 2:] > corners[:, :2]).all(axis=1)
-    boxes, rows = boxes_with_area(corners)
-    np.testing.assert_array_equal(rows, np.flatnonzero(expected))
-    np.testing.assert_array_equal(boxes, corners[expected])
-    assert 0 < expected.sum() < len(expected)
+    for given, found, sound in (
+        (numbers, boxes_with_position(*parts), (numbers[:, 3:6] > 0).all(axis=1)),
+        (corners, boxes_with_area(corners), (corners[:, 2:] > corners[:, :2]).all(axis=1)),
+    ):
+        expected = np.isfinite(given).all(axis=1) & sound
+        boxes, rows = found
+        np.testing.assert_array_equal(rows, np.flatnonzero(expected))
+        np.testing.assert_array_equal(boxes, given[expected])
+        assert 0 < expected.sum() < len(expected)
 
 
 MIDDLE_SIGMAS, HEIGHT_SIGMAS = (2.0, 0.03), (2.0, 0.06)
@@ -228,8 +208,7 @@ COVARIANCE = np.diag([0.3, 0.25, 0.2, 0.3, 0.15, 0.12]) ** 2
 
 def bounds(state):
     """Left, top, right and bottom of the corners of a box, by OpenCV."""
-    rotation = np.array([[np.cos(YAW), -np.sin(YAW), 0], [np.sin(YAW), np.cos(YAW), 0], [0, 0, 1]])
-    pixels = cv2_pixels(state[:3] + (CORNER_SIGNS * state[3:] / 2) @ rotation.T)
+    pixels = cv2_pixels(state[:3] + (CORNER_SIGNS * state[3:] / 2) @ about_z(YAW).T)
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
 
@@ -270,10 +249,16 @@ def test_the_update_is_that_of_the_information_form():
     np.testing.assert_allclose(state, before + expected @ slopes.T @ np.diag(noise**-2) @ residual, rtol=1e-6)
 
 
-def test_a_partner_that_is_elsewhere_changes_nothing():
-    partner = bounds(np.concatenate([CENTER, SIZE])) + np.array([60.0, 40.0, 60.0, 80.0])
-    state, covariance = sharpened(CENTER, partner)
-    np.testing.assert_array_equal(state, np.concatenate([CENTER, SIZE]))
+@pytest.mark.parametrize(
+    ("center", "partner"),
+    [
+        (CENTER, bounds(np.concatenate([CENTER, SIZE])) + np.array([60.0, 40.0, 60.0, 80.0])),  # it is elsewhere
+        (np.array([0.5, 2.5, -0.8]), np.array([100.0, 100.0, 300.0, 300.0])),  # the box reaches behind the camera
+    ],
+)
+def test_a_partner_that_says_nothing_changes_nothing(center, partner):
+    state, covariance = sharpened(center, partner)
+    np.testing.assert_array_equal(state, np.concatenate([center, SIZE]))
     np.testing.assert_array_equal(covariance, COVARIANCE)
 
 
@@ -287,13 +272,6 @@ def test_what_the_border_cuts_reports_only_of_the_other_direction():
     assert up > 0.3 * COVARIANCE[2, 2]
     assert aside < 0.05 * COVARIANCE[1, 1]
     assert ahead < 0.05 * COVARIANCE[0, 0]
-
-
-def test_a_box_that_reaches_behind_the_camera_stays_as_it_is():
-    center = np.array([0.5, 2.5, -0.8])
-    state, covariance = sharpened(center, np.array([100.0, 100.0, 300.0, 300.0]))
-    np.testing.assert_array_equal(state[:3], center)
-    np.testing.assert_array_equal(covariance, COVARIANCE)
 
 
 def test_errors_are_as_large_as_the_covariance_says():
@@ -313,70 +291,42 @@ def test_errors_are_as_large_as_the_covariance_says():
     assert np.mean(squares) == pytest.approx(3.0, abs=0.6)
 
 
-CAMERA_ONLY_CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
-CAMERA_ONLY_CAMERA_FROM_LIDAR = RigidTransform(
-    np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.0, -0.2, -0.5])
-)
+WIDE_CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
+WIDE_CAMERA_FROM_LIDAR = RigidTransform(LOOKING, np.array([0.0, -0.2, -0.5]))
+BENT = Camera("brown_conrady", 1000, 600, 500.0, 500.0, 499.5, 299.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
 
 
-def placed(*corners, label="pedestrian"):
-    return position_all(CAMERA_ONLY_CAMERA, np.array(corners, np.float64), label)
-
-
-def position_all(camera, corners, label):
-    kinds = table_rows(numbers_of([label] * len(corners), [])[0])
-    return position_by_height(camera, CAMERA_ONLY_CAMERA_FROM_LIDAR, corners, np.arange(len(corners)), kinds)
+def placed(corners, labels, *, rows=None, camera=WIDE_CAMERA):
+    kinds, corners = table_rows(numbers_of(labels, [])[0]), np.array(corners, np.float64).reshape(-1, 4)
+    rows = np.arange(len(corners)) if rows is None else np.array(rows)
+    return position_by_height(camera, WIDE_CAMERA_FROM_LIDAR, corners, rows, kinds)
 
 
 def test_a_person_is_where_their_height_says():
     # 43 px high at 500 px focal length: 1.72 m at 20 m, to the middle of a body 0.65 m wide a third of a metre more
-    found = placed([490.0, 278.5, 510.0, 321.5])
+    found = placed([490.0, 278.5, 510.0, 321.5], ["pedestrian"])
     np.testing.assert_allclose(found.centers[0], [20.0 + 0.325 + 0.5, 0.0, -0.2], atol=0.02)
     assert found.sizes_lwh[0, 2] == 1.72
-
-
-def test_the_distance_is_less_certain_than_the_direction():
-    found = placed([690.0, 278.5, 710.0, 321.5])
-    values, vectors = np.linalg.eigh(found.center_covariances[0])
-    camera_lidar = np.array([0.5, 0.0, -0.2])
-    ray = (found.centers[0] - camera_lidar) / np.linalg.norm(found.centers[0] - camera_lidar)
-    assert abs(vectors[:, 2] @ ray) > 0.999
-    assert values[2] > 100 * values[1]
     # people differ by 9 % in height; the edges of the box are not sharper
-    assert 0.09 < np.sqrt(values[2]) / found.ranges[0] < 0.25
+    assert 0.09 < np.sqrt(np.linalg.eigvalsh(found.center_covariances[0])[2]) / found.ranges[0] < 0.25
 
 
-def test_what_the_border_cuts_is_less_certain():
-    whole, cut = placed([400.0, 100.0, 500.0, 300.0]), placed([400.0, 0.0, 500.0, 200.0])
-    assert cut.center_covariances[0].trace() > 4 * whole.center_covariances[0].trace()
-
-
-def test_without_boxes_there_is_nothing():
-    assert len(position_all(CAMERA_ONLY_CAMERA, np.zeros((0, 4)), "car").centers) == 0
-
-
-@pytest.mark.parametrize("label", ["car", "dragon", ""])
-def test_every_class_has_a_size(label):
-    found = placed([400.0, 100.0, 500.0, 200.0], label=label)
-    assert (found.sizes_lwh > 0).all()
-    assert np.isfinite(found.center_covariances).all()
-
-
-def test_what_the_camera_model_has_no_rays_for_is_not_known():
-    bent = Camera("brown_conrady", 1000, 600, 500.0, 500.0, 499.5, 299.5, (-0.5, 0.0, 0.0, 0.0, 0.0))
-    corners = np.array([[400.0, 100.0, 500.0, 200.0], [-3e4, -2e4, -2.9e4, -1.9e4]])
-    found = position_all(bent, corners[::-1].copy(), "car")
-    assert found.rows.tolist() == [1]
-    assert np.isfinite(found.centers).all()
+def test_every_class_has_a_size_and_what_the_camera_model_has_no_rays_for_is_not_known():
+    assert len(placed([], []).centers) == 0
+    for label in ("car", "dragon", ""):
+        found = placed([[-3e4, -2e4, -2.9e4, -1.9e4], [400.0, 100.0, 500.0, 200.0]], [label] * 2, camera=BENT)
+        assert found.rows.tolist() == [1]
+        assert (found.sizes_lwh > 0).all()
+        assert np.isfinite(found.centers).all()
+        assert np.isfinite(found.center_covariances).all()
 
 
 def test_only_the_boxes_asked_for_are_placed():
     corners = np.array([[400.0, 100.0, 500.0, 200.0], [10.0, 20.0, 30.0, 90.0], [700.0, 100.0, 720.0, 300.0]])
-    kinds = table_rows(numbers_of(["car", "bus", "pedestrian"], [])[0])
-    found = position_by_height(CAMERA_ONLY_CAMERA, CAMERA_ONLY_CAMERA_FROM_LIDAR, corners, np.array([2, 0]), kinds)
+    found = placed(corners, ["car", "bus", "pedestrian"], rows=[2, 0])
     assert found.rows.tolist() == [2, 0]
-    np.testing.assert_array_equal(found.centers[0], placed(corners[2]).centers[0])
-    np.testing.assert_array_equal(found.centers[1], placed(corners[0], label="car").centers[0])
+    np.testing.assert_array_equal(found.centers[0], placed(corners[2], ["pedestrian"]).centers[0])
+    np.testing.assert_array_equal(found.centers[1], placed(corners[0], ["car"]).centers[0])
 
 
 def angle(one, other):
@@ -421,20 +371,17 @@ def test_locations_are_those_of_the_formulas_for_bent_camera_models_and_rotated_
 
 
 FRUSTUM_CAMERA = Camera("pinhole", 1200, 400, 700.0, 700.0, 599.5, 199.5)
-# the camera is where the lidar is and looks along its x axis
-FRUSTUM_CAMERA_FROM_LIDAR = RigidTransform(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), np.zeros(3))
+FRUSTUM_CAMERA_FROM_LIDAR = RigidTransform(LOOKING, np.zeros(3))
 # what a pedestrian of 1.72 m shows who stands 15 m ahead with his feet 1.7 m below the camera
 FEET, HEAD = 199.5 + 0.5 + 700.0 * 1.7 / 15.0, 199.5 + 0.5 - 700.0 * 0.02 / 15.0
 PEDESTRIAN = np.array([[590.0, HEAD, 610.0, FEET]])
 
 
 def pair_of(points, corners=PEDESTRIAN, label="pedestrian", boxes_3d=None):
+    boxes_2d = Boxes2D(0, corners, np.full(len(corners), 0.9), (label,) * len(corners))
+    points = None if points is None else np.asarray(points, np.float32)
     return DetectionPair(
-        Boxes3D.empty(0) if boxes_3d is None else boxes_3d,
-        Boxes2D(0, corners, np.full(len(corners), 0.9), (label,) * len(corners)),
-        FRUSTUM_CAMERA,
-        FRUSTUM_CAMERA_FROM_LIDAR,
-        None if points is None else np.asarray(points, np.float32),
+        Boxes3D.empty(0) if boxes_3d is None else boxes_3d, boxes_2d, FRUSTUM_CAMERA, FRUSTUM_CAMERA_FROM_LIDAR, points
     )
 
 
@@ -476,9 +423,8 @@ def test_points_that_do_not_report_leave_an_object_where_its_height_puts_it(poin
 
 def test_points_of_a_box_of_the_sweep_are_of_that_object():
     # a car that stands before the pedestrian and hides the lower part, and has a box of its own
-    car = Boxes3D(
-        0, np.array([[10.0, 0.0, -1.0]]), np.array([[4.2, 1.8, 1.5]]), np.zeros(1), np.array([0.95]), ("car",)
-    )
+    size = np.array([[4.2, 1.8, 1.5]])
+    car = Boxes3D(0, np.array([[10.0, 0.0, -1.0]]), size, np.zeros(1), np.array([0.95]), ("car",))
     points = np.concatenate([a_wall(14.0), a_wall(8.0, low=-1.7, high=-0.3, count=14)])
     assert not fuse_by_projection(pair_of(points)).by_points[0]
     fused = fuse_by_projection(pair_of(points, boxes_3d=car))
@@ -497,21 +443,10 @@ def test_what_the_border_cuts_is_known_less_well():
     assert volumes[1] > 4.0 * volumes[0]
 
 
-def test_points_of_another_form_are_refused():
-    with pytest.raises(ArrayError, match="points_lidar"):
-        replace(pair_of(None), points_lidar=np.zeros((3, 3)))
-
-
-@pytest.fixture(scope="module")
-def errors():
-    """Errors of centres with their covariances, and of the distances that heights alone give, of simulated objects."""
-    drive = simulate_street(
-        21,
-        frames=9,
-        lidar=LidarSpec(steps=1200),
-        cameras=(CameraSpec(Camera("pinhole", 620, 188, 360.0, 360.0, 309.5, 93.5)),),
-        traffic=TrafficSpec(cars=4.0, cyclists=3.0, pedestrians=6.0),
-    )
+def test_points_report_distances_several_times_better_than_heights_and_covariances_are_wide_enough():
+    specs = (CameraSpec(Camera("pinhole", 620, 188, 360.0, 360.0, 309.5, 93.5)),)
+    traffic = TrafficSpec(cars=4.0, cyclists=3.0, pedestrians=6.0)
+    drive = simulate_street(21, frames=9, lidar=LidarSpec(steps=1200), cameras=specs, traffic=traffic)
     lidar, camera, frames, found = drive.truth.lidar, drive.scene.cameras[0], [0, 4, 8], []
     for k, detected in zip(frames, detect_2d(drive, frames=frames), strict=True):
         sweep = drive.scene.lidars[0].frames[k]
@@ -529,21 +464,14 @@ def errors():
                 off, ray = fused.centers[row] - center, (center - origin) / np.linalg.norm(center - origin)
                 squared = off @ np.linalg.solve(fused.center_covariances[row], off)
                 found.append((squared, abs(off @ ray), abs((by_height.centers[row] - center) @ ray)))
-    return np.array(found)
-
-
-def test_points_report_distances_several_times_better_than_heights(errors):
-    assert len(errors) > 15
-    assert np.median(errors[:, 1]) < np.median(errors[:, 2]) / 4.0
-
-
-def test_covariances_of_simulated_objects_are_wide_enough(errors):
+    squared, by_points, by_height = np.array(found).T
+    assert len(found) > 15
+    assert np.median(by_points) < np.median(by_height) / 4.0
     # of some dozens of objects; a few stand behind what fills their box, whatever the covariance says
-    assert (errors[:, 0] < chi2.ppf(0.95, 3)).mean() > 0.85
-    assert np.median(errors[:, 0]) < chi2.ppf(0.5, 3) * 1.5
+    assert (squared < chi2.ppf(0.95, 3)).mean() > 0.85
+    assert np.median(squared) < chi2.ppf(0.5, 3) * 1.5
 
 
-PROJECTION_CAMERA = Camera("pinhole", 1000, 600, 500.0, 500.0, 499.5, 299.5)
 CAR = (4.0, 2.0, 1.6)
 
 
@@ -570,7 +498,7 @@ def outline(x, y, z):
 
 
 def fused(three, two, **changes):
-    pair = DetectionPair(three, two, PROJECTION_CAMERA, FRUSTUM_CAMERA_FROM_LIDAR)
+    pair = DetectionPair(three, two, WIDE_CAMERA, FRUSTUM_CAMERA_FROM_LIDAR)
     return fuse_by_projection(pair, settings=ProjectionSettings(detectors="independent", **changes))
 
 
@@ -597,26 +525,25 @@ def test_missing_boxes_on_either_side_are_no_fault(count_3d, count_2d):
     assert len(set(result.ids.tolist())) == len(result)
 
 
+HIDDEN = 0.6 * 0.91 / (0.6 * 0.91 + 0.4)
+MISSED = 0.6 / 0.4 * (1 - 0.9)
+
+
 @pytest.mark.parametrize(
-    ("boxes", "row"),
+    ("boxes", "score", "accuracy"),
     [
-        ([(-20, 3, -1, 0.6)], 0),  # behind the camera
-        ([(60, 3, -1, 0.6)], 0),  # tiny in the image
-        ([(10, 0, 0, 0.9), (25, 0, 0, 0.6)], 1),  # hidden by a nearer one
+        ([(-20, 3, -1, 0.6)], 0.6, 1e-3),  # behind the camera: it stays as likely
+        ([(60, 3, -1, 0.6)], 0.6, 1e-3),  # tiny in the image
+        ([(10, 0, 0, 0.9), (25, 0, 0, 0.6)], HIDDEN, 1e-3),  # hidden by a nearer one
+        ([(20, 3, -1, 0.6)], MISSED / (1 + MISSED), 1e-12),  # the image should have shown it
     ],
 )
-def test_a_box_of_the_sweep_that_the_image_need_not_show_stays_as_likely(boxes, row):
+def test_a_box_of_the_sweep_alone_becomes_less_likely_where_the_image_should_have_shown_it(boxes, score, accuracy):
     result = fused(boxes_3d(*boxes), boxes_2d())
-    hidden = 0.6 * 0.91 / (0.6 * 0.91 + 0.4)
-    assert result.scores[row] == pytest.approx(0.6 if row == 0 else hidden, abs=1e-3)
-    assert result.corners_xyxy[row].any() == (boxes[0][0] > 0)
-
-
-def test_a_box_of_the_sweep_that_the_image_should_have_shown_becomes_less_likely():
-    result = fused(boxes_3d((20, 3, -1, 0.6)), boxes_2d())
-    odds = 0.6 / 0.4 * (1 - 0.9)
-    assert result.scores[0] == pytest.approx(odds / (1 + odds), rel=1e-12)
-    np.testing.assert_allclose(result.corners_xyxy[0], outline(20, 3, -1), atol=1e-9)
+    assert result.scores[-1] == pytest.approx(score, abs=accuracy)
+    assert result.corners_xyxy[-1].any() == (boxes[0][0] > 0)
+    if boxes[0][0] > 0:
+        np.testing.assert_allclose(result.corners_xyxy[-1], outline(*boxes[-1][:3]), atol=1e-9)
 
 
 def test_a_box_of_the_image_alone_has_its_ray_and_less_existence():
@@ -632,10 +559,14 @@ def test_a_box_of_the_image_alone_has_its_ray_and_less_existence():
     assert (result.sizes_lwh[1] > 0).all()
 
 
-def test_boxes_of_the_image_alone_are_left_out_on_request():
-    boxes = boxes_3d((20, 3, -1, 0.6)), boxes_2d((700, 250, 750, 350, 0.8))
-    assert len(fused(*boxes)) == 2
-    assert len(fused(*boxes, keep_camera_only=False)) == 1
+def test_boxes_of_the_image_alone_are_left_out_on_request_and_have_no_velocity():
+    three, two = (
+        boxes_3d((20, 3, -1, 0.6), velocities=np.array([[5.0, 1.0, 0.0]])),
+        boxes_2d((700, 250, 750, 350, 0.8)),
+    )
+    assert fused(three, two).velocities.tolist() == [[5.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    assert fused(boxes_3d((20, 3, -1, 0.6)), two).velocities is None
+    assert len(fused(three, two, keep_camera_only=False)) == 1
 
 
 @pytest.mark.parametrize(
@@ -655,40 +586,24 @@ def test_the_surer_detector_names_the_class(score_3d, label_3d, score_2d, label_
     assert result.rows_2d.tolist() == [0]
 
 
-def test_a_car_and_a_person_are_never_one_object_and_of_two_boxes_the_surer_one_gets_the_partner():
+def test_a_car_and_a_person_are_never_one_object_and_boxes_are_paired_one_to_one_the_surer_ones_first():
     two = boxes_2d((*outline(20, 3, -1), 0.9), labels=("pedestrian",))
     assert len(fused(boxes_3d((20, 3, -1, 0.6), labels=("car",)), two)) == 2
     three = boxes_3d((20, 3, -1, 0.4), (20, 3, -1, 0.6))
     assert fused(three, boxes_2d((*outline(20, 3, -1), 0.5))).rows_2d.tolist() == [NO_BOX, 0]
+    equal = fused(boxes_3d(*[(20, 3, -1, 0.5)] * 5), boxes_2d(*[(*outline(20, 3, -1), 0.5)] * 3))
+    assert len(equal) == 5
+    assert sorted(equal.rows_2d.tolist()) == [NO_BOX, NO_BOX, 0, 1, 2]
 
 
-def test_equal_boxes_with_equal_scores_are_paired_one_to_one():
-    three = boxes_3d(*[(20, 3, -1, 0.5)] * 5)
-    result = fused(three, boxes_2d(*[(*outline(20, 3, -1), 0.5)] * 3))
-    assert len(result) == 5
-    assert sorted(result.rows_2d.tolist()) == [NO_BOX, NO_BOX, 0, 1, 2]
-
-
-def test_boxes_without_a_location_are_left_out_and_rows_count_them():
+def test_boxes_without_a_location_are_left_out_and_scores_that_are_no_numbers_leave_numbers():
     three = boxes_3d((np.nan, 3, -1, 0.6), (20, 3, -1, 0.6), (np.inf, 0, 0, 0.5))
     two = boxes_2d((50, 50, 40, 60, 0.5), (*outline(20, 3, -1), 0.5), (0, 0, np.nan, 9, 0.5))
     result = fused(three, two)
-    assert result.rows_3d.tolist() == [1]
-    assert result.rows_2d.tolist() == [1]
-
-
-def test_scores_that_are_no_numbers_leave_numbers():
+    assert (result.rows_3d.tolist(), result.rows_2d.tolist()) == ([1], [1])
     three = boxes_3d((20, 3, -1, np.nan), (-20, 3, -1, np.nan))
     result = fused(three, boxes_2d((*outline(20, 3, -1), 0.8)))
-    assert result.scores[0] == pytest.approx(0.8, rel=1e-12)
-    assert result.scores[1] == pytest.approx(0.1, rel=1e-12)
-
-
-def test_velocities_come_from_the_sweep_and_are_zero_for_the_image_alone():
-    three = boxes_3d((20, 3, -1, 0.6), velocities=np.array([[5.0, 1.0, 0.0]]))
-    result = fused(three, boxes_2d((700, 250, 750, 350, 0.8)))
-    assert result.velocities.tolist() == [[5.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
-    assert fused(boxes_3d((20, 3, -1, 0.6)), boxes_2d((700, 250, 750, 350, 0.8))).velocities is None
+    assert result.scores == pytest.approx([0.8, 0.1], rel=1e-12)
 
 
 def test_the_object_of_both_is_surer_across_the_line_of_sight_than_the_sweep_alone():
@@ -713,13 +628,11 @@ def test_a_thousand_boxes_on_each_side_find_their_partners():
     np.testing.assert_array_equal(order[result.rows_2d], np.arange(1000))
 
 
-def test_boxes_in_another_frame_are_refused():
-    three = boxes_3d((20, 3, -1, 0.6), frame=PointsFrame.WORLD)
+def test_boxes_in_another_frame_points_of_another_form_and_settings_out_of_bounds_are_refused():
     with pytest.raises(OptionError, match="boxes in the world frame; expected the lidar's"):
-        fused(three, boxes_2d())
-
-
-@pytest.mark.parametrize("wrong", [{"time_sigma": -1.0}, {"least_iou": np.nan}, {"recall_2d": 1.0}])
-def test_settings_out_of_bounds_are_refused(wrong):
-    with pytest.raises(OptionError, match=next(iter(wrong))):
-        ProjectionSettings(**wrong)
+        fused(boxes_3d((20, 3, -1, 0.6), frame=PointsFrame.WORLD), boxes_2d())
+    with pytest.raises(ArrayError, match="points_lidar"):
+        replace(pair_of(None), points_lidar=np.zeros((3, 3)))
+    for wrong in ({"time_sigma": -1.0}, {"least_iou": np.nan}, {"recall_2d": 1.0}):
+        with pytest.raises(OptionError, match=next(iter(wrong))):
+            ProjectionSettings(**wrong)

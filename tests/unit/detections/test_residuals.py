@@ -15,16 +15,14 @@ from sceneloom.scene.detections import Boxes2D, Boxes3D
 
 CAMERA_MODEL = (-0.12, 0.03, 5e-4, -3e-4, -2e-3)
 CAMERA = Camera("brown_conrady", 1242, 375, 720.0, 721.0, 610.0, 173.0, CAMERA_MODEL)
-CAMERA_FROM_LIDAR = RigidTransform(
-    np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.05, -0.1, -0.3])
-)
+LOOKING = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+CAMERA_FROM_LIDAR = RigidTransform(LOOKING, np.array([0.05, -0.1, -0.3]))
 SIZE = np.array([4.2, 1.8, 1.5])
 
 
 def shown(center):
     """The corners of a car that heads along x, bounded, by OpenCV."""
-    points = (center + CORNER_SIGNS * SIZE / 2) @ CAMERA_FROM_LIDAR.rotation.T
-    points = points + CAMERA_FROM_LIDAR.translation
+    points = CAMERA_FROM_LIDAR.apply(center + CORNER_SIGNS * SIZE / 2)
     pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA_MODEL))[0][:, 0] + 0.5
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
@@ -68,11 +66,8 @@ def test_a_calibration_that_is_right_is_not_reported(rotation):
     assert residuals.warnings("front") == []
 
 
-def test_too_few_boxes_state_nothing():
+def test_too_few_boxes_empty_lists_and_other_classes_state_nothing():
     assert reported((2.0, 0, 0), count=2).warnings("front") == []
-
-
-def test_empty_lists_and_other_classes_state_nothing():
     residuals = BoxResiduals()
     for pair in pairs(np.zeros(3), count=3):
         two = pair.boxes_2d

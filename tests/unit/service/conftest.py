@@ -1,13 +1,11 @@
 """A server on a free port of this machine, and a caller that knows no more than the descriptor of the service."""
 
 import contextlib
-from functools import partial
 
 import grpc
 import pytest
 from google.protobuf.message_factory import GetMessageClass
-from tests.unit.db34t import sending
-from tests.unit.db34t.sending import calibration, image, timestamp
+from tests.unit.db34t.sending import calibration, cloud, image
 
 from sceneloom.db34t.protobuf import fill_message, to_send_request
 from sceneloom.db34t.wire import fusion_pb2
@@ -51,11 +49,18 @@ class Caller:
         asked = self.request(name, **fields) if request is None else request
         return self.method(name)(asked, timeout=timeout, metadata=self.metadata)
 
+    def fails(self, name, request=None, /, **options):
+        """The code and the details that a call ends with."""
+        with pytest.raises(grpc.RpcError) as caught:
+            answer = self(name, request, **options)
+            list(answer if name == "Subscribe" else ())
+        return caught.value.code().name, caught.value.details()
+
     def send(self, record):
         return self("Send", to_send_request(record, session=self.session))
 
     def send_pair(self, seq, level=7):
-        for record in (image(100 * seq, seq, level), cloud(100 * seq, seq)):
+        for record in (image(100 * seq, seq, level), cloud(100 * seq, seq, ((10.0, 0.0, 0.0), (-10.0, 0.0, 0.0)))):
             assert self.send(record).status == 1
 
     def calibrate(self, **changed):
@@ -94,16 +99,3 @@ def call(serve, connect):
     caller = connect(serve())
     assert caller.calibrate().status == 1
     return caller
-
-
-cloud = partial(sending.cloud, points=((10.0, 0.0, 0.0), (-10.0, 0.0, 0.0)))
-
-
-@pytest.fixture
-def records():
-    """Makes records: `records.image(milliseconds, seq)`, `records.cloud(…)`, `records.timestamp(milliseconds)`."""
-
-    class Records:
-        image, cloud, timestamp, calibration = map(staticmethod, (image, cloud, timestamp, calibration))
-
-    return Records

@@ -5,20 +5,19 @@ With the argument "all" it is asked by the whole conformance kit over the networ
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 from numba.core import event
 from numba.core.dispatcher import Dispatcher
+from tests.unit.db34t.sending import HEIGHT, WIDTH, boxes_2d, boxes_3d, calibration, cloud, image, send_all, timestamp
 
 from sceneloom.cameras.camera import MODELS
-from sceneloom.db34t import Box2d, Box3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.scene.poses import Poses
 from sceneloom.service.methods import TrackedResults
 from sceneloom.service.running import running_server, warm_up
 
-WIDTH, HEIGHT = 64, 48
-FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
 PIXELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}
 SHUTTER = json.dumps({"0": {"kind": "lidar"}, "1": {"kind": "camera", "shutter_roll_s": 0.03}})
 
@@ -42,10 +41,6 @@ def camera_models():
         yield json.dumps({"1": {"model": name, "image_size": [WIDTH, HEIGHT], **intrinsics}})
 
 
-def timestamp(milliseconds):
-    return Timestamp.of(10**18 + milliseconds * 1_000_000)
-
-
 def path():
     times = np.array([timestamp(k).nanoseconds for k in range(-1000, 2000, 50)])
     positions = np.column_stack([np.arange(len(times)) * 0.1, np.zeros((len(times), 2))])
@@ -62,31 +57,21 @@ def session(properties=(), *, camera_model=None, cameras=(1,), moves=False, enco
         for name, value in properties:
             assert fusion.set_property(name, value)
         for camera_id in cameras:
-            data = CalibrationData(
-                image_size=(WIDTH, HEIGHT),
-                intrinsic_matrix=(50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1),
-                distortion_coeffs=(0.01, 0, 0, 0, 0),
-                reference_frame=0,
-                extrinsic_matrix=FORWARD,
-            )
-            assert fusion.set_calibration(data, camera_id=camera_id)
+            assert fusion.set_calibration(calibration(distortion_coeffs=(0.01, 0, 0, 0, 0)), camera_id=camera_id)
         assert not moves or fusion.send_motion(path())
         for seq in range(3):
-            now = timestamp(100 * seq)
-            common = {"id": 1, "class_name": "Car", "confidence": 0.9, "timestamp": now}
+            at = 100 * seq
             for camera_id in cameras:
-                image = {"encoding": encoding, "height": HEIGHT, "width": WIDTH, "channel": channels}
-                data = np.zeros(HEIGHT * WIDTH * channels, np.uint8)
-                assert fusion.send(ImageData(sensor_id=camera_id, timestamp=now, seq=seq, data=data, **image))
-                box = Box2d(**common, image_seq=seq, x1=25 - 9 * seq, y1=18, x2=38, y2=30)
-                assert fusion.send(box.alone(camera_id))
+                form = {
+                    "encoding": encoding,
+                    "channel": channels,
+                    "data": np.zeros(HEIGHT * WIDTH * channels, np.uint8),
+                }
+                box = boxes_2d(at, seq, sensor_id=camera_id, x1=25 - 9 * seq, y1=18, x2=38, y2=30)
+                send_all(fusion, replace(image(at, seq, sensor_id=camera_id), **form), box)
             rng = np.random.default_rng(seq)
-            rows = np.hstack([rng.normal(0, 9, (300, 3)), rng.random((300, 2)) * 0.1]).astype(np.float32)
-            cloud = {"fields": ("x", "y", "z", "time", "reflectivity"), "fields_number": 5, "number": 300}
-            assert fusion.send(PointCloudData(sensor_id=0, timestamp=now, seq=seq, data=rows, **cloud))
-            place = {"X": 20.0, "Y": 0.0, "Z": 0.0, "direction": (1.0, 0.0, 0.0), "velocity": 5.0}
-            box = Box3d(**common, points_seq=seq, length=4.0, width=2.0, height=1.5, **place)
-            assert fusion.send(box.alone(0))
+            rows = np.hstack([rng.normal(0, 9, (300, 3)), rng.random((300, 2)) * 0.1])
+            send_all(fusion, cloud(at, seq, rows, fields=("x", "y", "z", "time", "reflectivity")), boxes_3d(at, seq))
         fusion.flush()
         tracked = TrackedResults()
         assert list(fusion.results(0))

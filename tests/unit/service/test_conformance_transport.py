@@ -59,11 +59,6 @@ def test_a_call_that_ends_with_an_error_is_reported_with_its_code(serve):
 SURROUNDINGS = ["X-21", "X-22", "X-23"]
 
 
-def test_health_and_reflection_of_the_server_are_found(serve):
-    with GrpcTransport.connected(serve().address, Access()) as transport:
-        assert examine(transport, only=SURROUNDINGS).failed_ids == ()
-
-
 @contextmanager
 def connected(*handlers):
     """A transport to a server with nothing but some handlers."""

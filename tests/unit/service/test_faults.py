@@ -3,15 +3,15 @@
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
+from contextlib import contextmanager
 
 import grpc
-import numpy as np
 import pytest
+from tests.unit.db34t.sending import cloud, image
 
 from sceneloom.db34t.events import Refused
 from sceneloom.db34t.protobuf import to_send_request
@@ -27,40 +27,23 @@ LARGE = (640, 480)
 """An image whose result does not fit into what a connection takes without being read."""
 
 
-def failure(function, *arguments, **options):
-    with pytest.raises(grpc.RpcError) as caught:
-        function(*arguments, **options)
-    return caught.value.code().name, caught.value.details()
-
-
-def send_large_pairs(call, records, count):
+def send_large_pairs(call, count):
     """Pairs whose results are of megabytes."""
     width, height = LARGE
     assert call.calibrate(image_size=LARGE).status == 1
     for seq in range(count):
-        image = fusion_pb2.SendRequest(session=call.session)
-        image.image.CopyFrom(to_send_request(records.image(100 * seq, seq)).image)
-        image.image.height, image.image.width = height, width
-        image.image.data = np.zeros(height * width * 3, np.uint8).tobytes()
-        assert call("Send", image).status == 1
-        assert call.send(records.cloud(100 * seq, seq)).status == 1
+        assert call.send(image(100 * seq, seq, width=width, height=height)).status == 1
+        assert call.send(cloud(100 * seq, seq)).status == 1
     assert call("Flush").status == 1
 
 
-def test_a_caller_that_gives_up_waiting_takes_no_result_along(call):
-    waiting = call.method("Get").future(call.request("Get", wait_ms=60_000))
-    again = call.method("Get").future(call.request("Get", wait_ms=60_000))
+def test_a_caller_that_gives_up_or_waits_too_long_takes_no_result_along(call):
+    waiting, again = (call.method("Get").future(call.request("Get", wait_ms=60_000)) for _ in range(2))
     assert waiting.cancel()
+    assert call.fails("Get", timeout=0.05, wait_ms=60_000)[0] == "DEADLINE_EXCEEDED"
     call.send_pair(0)
     call("Flush")
     assert again.result(timeout=PATIENCE_S).number == 0
-
-
-def test_a_deadline_ends_a_wait_and_takes_no_result_along(call):
-    assert failure(call, "Get", timeout=0.05, wait_ms=60_000)[0] == "DEADLINE_EXCEEDED"
-    call.send_pair(0)
-    call("Flush")
-    assert call("Get", wait_ms=PATIENCE_S * 1000, timeout=PATIENCE_S).number == 0
 
 
 def left_of(call, count):
@@ -77,9 +60,9 @@ COUNT = 12
 """Results of 2 MB: more than are on their trajectory at once."""
 
 
-def test_what_a_subscriber_had_not_got_when_it_left_goes_to_others_in_order(call, records):
+def test_what_a_subscriber_had_not_got_when_it_left_goes_to_others_in_order(call):
     subscription = call("Subscribe", timeout=PATIENCE_S)
-    send_large_pairs(call, records, COUNT)
+    send_large_pairs(call, COUNT)
     assert next(subscription).number == 0
     subscription.cancel()
     left = left_of(call, COUNT)
@@ -109,17 +92,13 @@ else:
 
 
 @pytest.fixture
-def dying(request):
+def dying():
     """Starts a caller in a process of its own that says when it is ready and can be killed."""
     started = []
 
     def start(server, method):
-        process = subprocess.Popen(
-            [sys.executable, "-c", DYING, server.address, method],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
+        command = [sys.executable, "-c", DYING, server.address, method]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         started.append(process)
         assert process.stdout.readline() == "ready\n"
         return process
@@ -131,11 +110,11 @@ def dying(request):
 
 
 @pytest.mark.few(1)
-def test_what_a_subscriber_had_not_got_when_it_was_killed_goes_to_others_in_order(serve, connect, records, dying):
+def test_what_a_subscriber_had_not_got_when_it_was_killed_goes_to_others_in_order(serve, connect, dying):
     server = serve()
     call = connect(server)
     process = dying(server, "Subscribe")
-    send_large_pairs(call, records, COUNT)
+    send_large_pairs(call, COUNT)
     process.send_signal(signal.SIGKILL)
     process.wait()
     left = left_of(call, COUNT)
@@ -155,25 +134,7 @@ def test_a_sender_that_is_killed_in_a_stream_leaves_a_session_that_goes_on(serve
     assert call("Get").WhichOneof("result") == "sensor_data"
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"\x00" * 1000,
-        b"GET / HTTP/1.1\r\n\r\n",
-        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\xff" * 500,
-        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
-        b"",
-    ],
-    ids=["zeros", "http1", "bad frames", "half-open", "silent"],
-)
-def test_a_connection_of_garbage_or_silence_disturbs_nobody(serve, connect, content):
-    server = serve()
-    with socket.create_connection(("127.0.0.1", server.port), timeout=30) as connection:
-        connection.sendall(content)
-        assert connect(server)("GetProperty", name="chirality").name == "chirality"
-
-
-def test_a_session_whose_fusion_hangs_blocks_no_other(serve, connect, records):
+def test_a_session_whose_fusion_hangs_blocks_no_other(serve, connect):
     hanging, release = threading.Event(), threading.Event()
 
     def observe(name):
@@ -188,11 +149,11 @@ def test_a_session_whose_fusion_hangs_blocks_no_other(serve, connect, records):
     slow, quick = connect(server, session="slow"), connect(server, session="quick")
     try:
         slow.calibrate()
-        assert slow.send(records.cloud(0, 0)).status == 1
+        assert slow.send(cloud(0, 0)).status == 1
         assert hanging.wait(PATIENCE_S)
         flushing = [slow.method("Flush").future(slow.request("Flush")) for _ in range(5)]
         refused = [  # to be reported to the observer, who does not listen
-            slow.method("Send").future(to_send_request(records.cloud(0, 0), session="slow")) for _ in range(5)
+            slow.method("Send").future(to_send_request(cloud(0, 0), session="slow")) for _ in range(5)
         ]
         quick.calibrate()
         quick.send_pair(0)
@@ -206,16 +167,6 @@ def test_a_session_whose_fusion_hangs_blocks_no_other(serve, connect, records):
     assert [call.result(PATIENCE_S).status for call in refused] == [0] * 5
 
 
-def test_a_message_that_is_too_large_ends_its_call_alone(serve, connect, records):
-    call = connect(serve(limits=ServiceLimits(largest_message=20_000)))
-    call.calibrate()
-    large = records.cloud(0, 0, points=np.ones((2_000, 3), np.float32))
-    code, details = failure(call.send, large)
-    assert code == "RESOURCE_EXHAUSTED"
-    assert "20000" in details
-    call.send_pair(0)
-
-
 def test_sessions_beyond_the_limit_get_0_or_an_error_until_one_is_closed(serve, connect):
     server = serve(limits=ServiceLimits(most_sessions=2))
     for name in ("a", "b"):
@@ -223,18 +174,18 @@ def test_sessions_beyond_the_limit_get_0_or_an_error_until_one_is_closed(serve, 
     call = connect(server, session="c")
     status = call("AddProperty", name="x", description="", type="bool")
     assert (status.status, status.cause) == (0, "too-many")
-    assert failure(call, "ListProperties")[0] == "RESOURCE_EXHAUSTED"
+    assert call.fails("ListProperties")[0] == "RESOURCE_EXHAUSTED"
     assert connect(server, session="a")("CloseSession").status == 1
     assert call("AddProperty", name="x", description="", type="bool").status == 1
 
 
-@pytest.mark.parametrize("name", ["a b", "a/b", "../x", "é", "x" * 65, "-x", "a\n"])
-def test_a_name_that_cannot_be_a_session_is_refused(serve, connect, name):
-    call = connect(serve(), session=name)
-    assert call("Flush").cause == "out-of-range"
-    code, details = failure(call, "ListProperties")
-    assert code == "INVALID_ARGUMENT"
-    assert "expected 1 to 64 letters" in details
+def test_a_name_that_cannot_be_a_session_is_refused(serve, connect):
+    server = serve()
+    for name in ("a b", "a/b", "../x", "é", "x" * 65, "-x", "a\n"):
+        call = connect(server, session=name)
+        assert call("Flush").cause == "out-of-range", name
+        code, details = call.fails("ListProperties")
+        assert (code, "expected 1 to 64 letters" in details) == ("INVALID_ARGUMENT", True)
 
 
 def is_refused(call, method):
@@ -250,22 +201,27 @@ def test_requests_beyond_the_limit_are_refused_while_the_others_wait(serve, conn
     waiting = [call.method("Get").future(call.request("Get", wait_ms=60_000)) for _ in range(3)]
     while not is_refused(call, "ListProperties"):  # until all of them have come
         pass
-    assert failure(call, "ListProperties")[0] == "RESOURCE_EXHAUSTED"
+    assert call.fails("ListProperties")[0] == "RESOURCE_EXHAUSTED"
     assert call("Flush").cause == "too-many"
     for one in waiting:
         one.cancel()
 
 
-def test_a_server_that_is_reported_to_end_delivers_what_waits_and_says_goodbye(connect, records, tmp_path):
-    process = subprocess.Popen(
-        [sys.executable, "-m", "sceneloom", "serve", "--json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+@contextmanager
+def served(*options, **environment):
+    """A server in a process of its own, and its address."""
+    command = [sys.executable, "-m", "sceneloom", "serve", "--json", *map(str, options)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **environment)
     try:
-        reported = "".join(iter(process.stdout.readline, "}\n")) + "}"
-        call = connect(json.loads(reported)["address"])
+        yield process, json.loads("".join(iter(process.stdout.readline, "}\n")) + "}")["address"]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_server_that_is_reported_to_end_delivers_what_waits_and_says_goodbye(connect):
+    with served() as (process, address):
+        call = connect(address)
         results = call("Subscribe", timeout=PATIENCE_S)
         call.calibrate()
         for seq in range(4):
@@ -273,12 +229,8 @@ def test_a_server_that_is_reported_to_end_delivers_what_waits_and_says_goodbye(c
         process.send_signal(signal.SIGTERM)
         assert [reply.number for reply in results] == [0, 1, 2, 3]
         _, err = process.communicate(timeout=PATIENCE_S)
-    finally:
-        process.kill()
-        process.wait()
     assert process.returncode == 0
-    lines = [json.loads(line) for line in err.splitlines()]
-    lines = [line for line in lines if not line["event"].startswith("compiling")]
+    lines = [line for line in map(json.loads, err.splitlines()) if not line["event"].startswith("compiling")]
     loading, *events = [line["event"] for line in lines]
     assert "the port is closed until then" in loading
     assert events == ["listening", "session begins", "draining", "ended"]
@@ -308,14 +260,8 @@ def logged(path):
 @pytest.mark.slow
 def test_a_server_that_is_killed_ends_calls_with_unavailable_and_leaves_a_log_to_be_read(connect, tmp_path):
     log = tmp_path / "log.mcap"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "sceneloom", "serve", "--json", "--quiet", "--log", str(log)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        reported = "".join(iter(process.stdout.readline, "}\n")) + "}"
-        call = connect(json.loads(reported)["address"])
+    with served("--quiet", "--log", log) as (process, address):
+        call = connect(address)
         call.calibrate()
         results = call("Subscribe", timeout=PATIENCE_S)
         for seq in range(3):
@@ -334,9 +280,6 @@ def test_a_server_that_is_killed_ends_calls_with_unavailable_and_leaves_a_log_to
         assert caught.value.code().name == "UNAVAILABLE"
         assert streaming.exception(timeout=PATIENCE_S).code().name == "UNAVAILABLE"
         end.set()
-    finally:
-        process.kill()
-        process.communicate()
     assert not log.exists()
     assert not is_complete(unfinished_path(log))
     assert compare(unfinished_path(log))
@@ -361,28 +304,17 @@ def install(folder):
 
 
 @pytest.mark.slow
-def test_a_server_with_an_algorithm_that_hangs_ends_by_itself_and_says_so(connect, records, tmp_path):
+def test_a_server_with_an_algorithm_that_hangs_ends_by_itself_and_says_so(connect, tmp_path):
     config, log = tmp_path / "rig.toml", tmp_path / "log.mcap"
     config.write_text('[properties]\nfusion_algorithm = "hang"\n[service]\ndrain_seconds = 0.2\n')
-    process = subprocess.Popen(
-        [sys.executable, "-m", "sceneloom", "serve", "--json", "--config", str(config), "--log", str(log)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=install(tmp_path),
-    )
-    try:
-        reported = "".join(iter(process.stdout.readline, "}\n")) + "}"
-        call = connect(json.loads(reported)["address"], session="stuck")
+    with served("--config", config, "--log", log, env=install(tmp_path)) as (process, address):
+        call = connect(address, session="stuck")
         call.calibrate()
         call.send_pair(0)
         call.send_pair(1)
         assert process.stdout.readline() == "hangs\n"
         process.send_signal(signal.SIGTERM)
         _, err = process.communicate(timeout=PATIENCE_S)
-    finally:
-        process.kill()
-        process.wait()
     assert process.returncode == 1
     *lines, last = err.splitlines()
     (reported,) = [line for line in map(json.loads, lines) if line["level"] == "error"]
@@ -391,14 +323,14 @@ def test_a_server_with_an_algorithm_that_hangs_ends_by_itself_and_says_so(connec
     assert is_complete(log)  # the session log was closed all the same
 
 
-def test_records_that_wait_may_be_so_large_together(serve, connect, records):
+def test_records_that_wait_may_be_so_large_together(serve, connect):
     call = connect(serve(limits=ServiceLimits(most_bytes_waiting=30_000)))
     call.calibrate()
-    statuses = [call.send(records.image(100 * seq, seq)) for seq in range(4)]  # 9216 bytes each, and no sweep
+    statuses = [call.send(image(100 * seq, seq)) for seq in range(4)]  # 9216 bytes each, and no sweep
     assert [(status.status, status.cause) for status in statuses] == [(1, "")] * 3 + [(0, "too-many")]
     assert "27648 bytes wait and 9216 come; expected at most 30000" in statuses[3].reason
     assert call("Flush").status == 1  # what waited for a sweep was let go
-    assert call.send(records.image(500, 5)).status == 1
+    assert call.send(image(500, 5)).status == 1
     assert call("GetCounters").counts["unpaired.image"] == 3
 
 
@@ -413,11 +345,10 @@ def test_results_that_nobody_fetches_may_be_so_large_together(serve, connect):
     assert call("GetCounters").counts["dropped.results"] == 3
 
 
-@pytest.mark.parametrize("name", ["queue_length", "result_queue_length"])
-def test_queues_can_be_made_so_long(serve, connect, name):
+def test_queues_can_be_made_so_long(serve, connect):
     call = connect(serve(limits=ServiceLimits(most_queue_length=64)))
-    for length, expected in ((64, 1), (65, 0)):
-        status = call("SetProperty", name=name, value=fusion_pb2.Value(integer_value=length))
-        assert status.status == expected
-    assert status.cause == "out-of-range"
-    assert "expected at most 64 here" in status.reason
+    for name in ("queue_length", "result_queue_length"):
+        assert call("SetProperty", name=name, value=fusion_pb2.Value(integer_value=64)).status == 1
+        status = call("SetProperty", name=name, value=fusion_pb2.Value(integer_value=65))
+        assert (status.status, status.cause) == (0, "out-of-range")
+        assert "expected at most 64 here" in status.reason

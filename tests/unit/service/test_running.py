@@ -11,37 +11,24 @@ import threading
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
+from tests.unit.db34t.sending import cloud, image
 
-from sceneloom.db34t import ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.errors import DataError
 from sceneloom.kernels import cache
 from sceneloom.service import running
-from sceneloom.service import running as service_running
 from sceneloom.service.running import read_configuration_file, warm_up
 from sceneloom.service.server import ServerSettings
 
-REACHING = Path(__file__).with_name("reach_kernels.py")
 
-
-def reached(*arguments):
-    done = subprocess.run(
-        [sys.executable, REACHING, *arguments], capture_output=True, text=True, check=False, timeout=1200
-    )
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", [(), ("all",)])
+def test_requests_and_the_whole_conformance_kit_reach_no_kernel_that_was_not_there_after_warming_up(arguments):
+    command, folder = [sys.executable, "-m", "tests.unit.service.reach_kernels", *arguments], Path(__file__).parents[3]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=1200)
     assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
-@pytest.mark.slow
-def test_requests_reach_no_kernel_that_was_not_there_after_warming_up():
-    assert reached() == {"events": 0, "later": []}
-
-
-@pytest.mark.slow
-def test_the_whole_conformance_kit_reaches_none_either():
-    assert reached("all") == {"events": 0, "later": []}
+    assert json.loads(done.stdout) == {"events": 0, "later": []}
 
 
 def test_missing_kernels_are_compiled_before_requests_and_logged(monkeypatch, caplog):
@@ -51,7 +38,7 @@ def test_missing_kernels_are_compiled_before_requests_and_logged(monkeypatch, ca
         asked.extend(names)
         cache._report(asked[0], 1)
 
-    monkeypatch.setattr(service_running, "compile_ahead", compile_ahead)
+    monkeypatch.setattr(running, "compile_ahead", compile_ahead)
     with caplog.at_level(logging.INFO, "sceneloom.service"):
         assert warm_up() == 2
     assert {"sceneloom.cameras.fisheye:Fisheye.project_into_image", "sceneloom.kernels.tracking:predict"} & set(asked)
@@ -78,10 +65,6 @@ def test_a_server_listens_only_when_it_is_warm(monkeypatch):
     assert seen == [("warming up", False), ("started", True)]
 
 
-def test_both_fusions_give_a_result():
-    assert warm_up() == 2
-
-
 WITHOUT_GRPC = """
 import sys
 sys.modules["grpc"] = None
@@ -91,9 +74,8 @@ main(["serve"])
 
 
 def test_without_the_extra_the_verb_says_how_to_get_it():
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_GRPC], capture_output=True, text=True, check=False, timeout=120
-    )
+    command = [sys.executable, "-c", WITHOUT_GRPC]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 1
     assert done.stdout == ""
     assert "pip install 'sceneloom[serve]'" in done.stderr
@@ -164,17 +146,9 @@ def test_a_system_starts_as_the_file_says(read):
         assert fusion.get_property("lidar_frequency") == 20
         assert fusion.get_property("lidar_coordinate") == (0, -1, 2)
         assert fusion.get_property("site") == ("yard", "road")
-        common = {"timestamp": Timestamp(5, 0), "seq": 1}
-        pixels = {"height": 2, "width": 4, "encoding": "mono8", "channel": 1, "data": np.zeros(8, np.uint8)}
-        assert fusion.send(ImageData(sensor_id=1, **common, **pixels))
-        points = np.ones((1, 3), np.float32)
-        cloud = PointCloudData(sensor_id=0, **common, number=1, fields=("x", "y", "z"), fields_number=3, data=points)
-        assert fusion.send(cloud)
-        assert fusion.send(PointCloudData(**{**as_fields(cloud), "sensor_id": 1})).cause == "unknown-sensor"
-
-
-def as_fields(record):
-    return {name: getattr(record, name) for name in type(record).__slots__}
+        assert fusion.send(image(0, 1, width=4, height=2))
+        assert fusion.send(cloud(0, 1))
+        assert fusion.send(cloud(0, 1, sensor_id=1)).cause == "unknown-sensor"
 
 
 def test_an_empty_file_changes_nothing(read):

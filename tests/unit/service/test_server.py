@@ -7,16 +7,13 @@ import re
 import socket
 
 import grpc
-import numpy as np
 import pytest
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
-from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha.proto_reflection_descriptor_database import ProtoReflectionDescriptorDatabase
 from tests.unit.db34t.sending import boxes_3d, no_boxes_2d
 
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.db34t.protobuf import to_send_request
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
 from sceneloom.service.client import FusionClient
@@ -26,33 +23,13 @@ from sceneloom.service.sessions import CallError, SessionTable
 from sceneloom.service.startup import ServiceLimits
 
 
-def failure(function, *arguments, **options):
-    """The code and the details that a call ends with."""
-    with pytest.raises(grpc.RpcError) as caught:
-        function(*arguments, **options)
-    return caught.value.code().name, caught.value.details()
-
-
 def test_the_table_has_the_methods_of_the_descriptor():
     assert list(CALLS) == list(METHODS) == [method.name for method in SERVICE.methods]
 
 
-def test_properties_are_added_set_and_read(call):
-    assert call("AddProperty", name="site", description="where", type="string[]").status == 1
-    sites = [fusion_pb2.Value(string_value=name) for name in ("yard", "road")]
-    value = fusion_pb2.Value(list_value=fusion_pb2.ValueList(values=sites))
-    assert call("SetProperty", name="site", value=value).status == 1
-    found = call("GetProperty", name="site")
-    assert (found.description, found.type, found.predefined) == ("where", "string[]", False)
-    assert [item.string_value for item in found.value.list_value.values] == ["yard", "road"]
-    listed = call("ListProperties").properties
-    assert [p.name for p in listed[:3]] == ["fusion_type", "chirality", "camera_coordinate"]
-    assert listed[-1] == found
-
-
-@pytest.mark.parametrize(
-    ("method", "fields", "cause"),
-    [
+def test_what_cannot_be_done_gets_0_with_cause_and_reason(serve, connect):
+    call = connect(serve())
+    for method, fields, cause in (
         ("AddProperty", {"name": "chirality", "description": "", "type": "bool"}, "known-name"),
         ("AddProperty", {"name": "x", "description": "", "type": "int64"}, "ill-typed"),
         ("SetProperty", {"name": "x", "value": fusion_pb2.Value(integer_value=1)}, "unknown-name"),
@@ -65,83 +42,43 @@ def test_properties_are_added_set_and_read(call):
         ("SendMotion", {"poses": [fusion_pb2.Pose(position=[0, 0, 0])]}, "bad-motion"),
         ("Send", {}, "bad-record"),
         ("Send", {"image": fusion_pb2.ImageData(height=1)}, "bad-record"),
-        ("CloseSession", {}, "unknown-name"),
-    ],
-)
-def test_what_cannot_be_done_gets_0_with_cause_and_reason(serve, connect, method, fields, cause):
-    status = connect(serve())(method, **fields)
-    assert (status.status, status.cause) == (0, cause)
-    assert status.reason
+        ("CloseSession", {"session": "nobody"}, "unknown-name"),
+    ):
+        status = call(method, GetMessageClass(SERVICE.methods_by_name[method].input_type)(**fields))
+        assert (status.status, status.cause) == (0, cause), (method, fields)
+        assert status.reason
 
 
-@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if method.answers_status])
-@pytest.mark.parametrize("garbage", [b"\xff\xff\xff", b"\x0a\x7fshort", b"\x00\x00", b"\xa2\x06\x02\xff\xfe"])
-def test_bytes_that_are_no_message_get_0_where_a_status_answers(call, method, garbage):
-    status = call(method, garbage)
-    assert status.status == 0
-    assert status.cause
+def test_bytes_that_are_no_message_get_0_where_a_status_answers_and_are_an_invalid_argument_elsewhere(call):
+    for method in (name for name, method in METHODS.items() if method.answers_status):
+        for garbage in (b"\xff\xff\xff", b"\x0a\x7fshort", b"\x00\x00", b"\xa2\x06\x02\xff\xfe"):
+            status = call(method, garbage)
+            assert status.status == 0, method
+            assert status.cause
+    for method in ("GetProperty", "ListProperties", "GetCounters", "Get", "Subscribe"):
+        assert call.fails(method, b"\xff\xff\xff")[0] == "INVALID_ARGUMENT", method
     assert call("GetProperty", name="chirality").value.integer_value == 0
 
 
-@pytest.mark.parametrize("method", ["GetProperty", "ListProperties", "GetCounters", "Get"])
-def test_bytes_that_are_no_message_are_an_invalid_argument_elsewhere(call, method):
-    assert failure(lambda: list_of(call(method, b"\xff\xff\xff")))[0] == "INVALID_ARGUMENT"
+def test_what_is_not_there_is_an_error(call):
+    code, details = call.fails("GetProperty", name="colour")
+    assert (code, "'colour'" in details, "chirality" in details) == ("NOT_FOUND", True, True)
+    words = "fusion type 2; expected 0 (sensor data) or 1 (detections)"
+    assert call.fails("Get", fusion_type=2) == ("INVALID_ARGUMENT", words)
+    code, details = call.fails("Subscribe", track=True, fusion_type=0)
+    assert (code, "expected 1, detections" in details) == ("INVALID_ARGUMENT", True)
 
 
-def list_of(answer):
-    return list(answer) if hasattr(answer, "__iter__") else [answer]
-
-
-def test_a_subscription_that_is_no_message_is_an_invalid_argument(call):
-    assert failure(list, call("Subscribe", b"\xff\xff\xff"))[0] == "INVALID_ARGUMENT"
-
-
-def test_an_unknown_property_is_not_found(call):
-    code, details = failure(call, "GetProperty", name="colour")
-    assert code == "NOT_FOUND"
-    assert "'colour'" in details
-    assert "chirality" in details
-
-
-def test_an_unknown_fusion_type_is_an_invalid_argument(call):
-    assert failure(call, "Get", fusion_type=2) == (
-        "INVALID_ARGUMENT",
-        "fusion type 2; expected 0 (sensor data) or 1 (detections)",
-    )
-
-
-def test_a_pair_comes_back_as_a_record_of_table_9(call):
-    call.send_pair(5)
-    assert call("Flush").status == 1
-    reply = call("Get", fusion_type=0)
-    record = reply.sensor_data
-    assert (reply.number, record.image_seq, record.points_seq, record.camera_id) == (0, 5, 5, 1)
-    points = np.frombuffer(record.point_data, "<f4").reshape(record.point_num, record.fields_number)
-    np.testing.assert_array_equal(points, [[10, 0, 0, 7, 7, 7], [-10, 0, 0, 128, 128, 128]])
-    assert {p.name: p.value.integer_value for p in reply.configuration.properties}["lidar_frequency"] == 10
-    assert call("Get").WhichOneof("result") == "no_data"
-
-
-def test_a_stream_of_records_is_summed_up(call, records):
-    sent = [records.image(0, 0), *[records.cloud(0, 0)] * 2, records.cloud(100, 1, sensor_id=9), records.image(100, 1)]
-    summary = call("SendStream", (to_send_request(record) for record in sent))
-    assert (summary.accepted, summary.refused) == (3, 2)
-    assert [(r.number, r.status.cause) for r in summary.refusals] == [(2, "duplicate"), (3, "no-calibration")]
-
-
-def test_a_get_that_waits_has_what_comes_meanwhile(call):
+def test_a_get_that_waits_and_a_subscriber_have_what_comes_meanwhile_in_order(call):
     waiting = call.method("Get").future(call.request("Get", wait_ms=30_000), timeout=60)
     call.send_pair(0)
     call("Flush")
     assert waiting.result().sensor_data.points_seq == 0
-
-
-def test_a_subscriber_has_all_results_in_order(call):
     results = call("Subscribe", most=3)
-    for seq in range(3):
+    for seq in range(1, 4):
         call.send_pair(seq)
     call("Flush")
-    assert [reply.number for reply in results] == [0, 1, 2]
+    assert [reply.number for reply in results] == [1, 2, 3]
 
 
 def test_a_session_that_is_closed_ends_its_subscriptions_and_is_forgotten(call):
@@ -174,92 +111,76 @@ class Clock:
         return self.now_s
 
 
-@pytest.fixture
-def clock():
-    return Clock()
+def with_table(**limits):
+    """Make a test of a coroutine that examines a table of sessions and its clock."""
+
+    def declared(examine):
+        async def run():
+            clock = Clock()
+            interface = lambda name, on_result: FusionInterface(on_result=on_result)  # noqa: E731
+            table = SessionTable(interface, ServiceLimits(**limits), clock=clock)
+            try:
+                await examine(table, clock)
+            finally:
+                await table.end_all(30)
+                table.close()
+
+        return lambda: asyncio.run(run())
+
+    return declared
 
 
-def with_table(examine, clock, **limits):
-    """Run a coroutine that examines a table of sessions."""
-
-    async def run():
-        table = SessionTable(
-            lambda name, on_result: FusionInterface(on_result=on_result), ServiceLimits(**limits), clock=clock
-        )
-        try:
-            await examine(table)
-        finally:
-            await table.end_all(30)
-            table.close()
-
-    asyncio.run(run())
-
-
-def test_a_session_that_nobody_uses_ends_after_its_time_and_not_before(clock):
-    async def examine(table):
-        idle, used, waiting = (table.named(name) for name in ("idle", "used", "waiting"))
-        with waiting.request(0, clock):
-            clock.now_s += 119.9
-            with used.request(0, clock):
-                pass
-            assert table.end_idle() == []
-            clock.now_s += 0.1
-            assert table.end_idle() == ["idle"]
-            clock.now_s += 1000
-            assert table.end_idle() == ["used"]
-        assert table.end_idle() == []  # its request has just ended
-        clock.now_s += 120
-        assert table.end_idle() == ["waiting"]
-        assert len(table) == 0
-        assert table.named("idle") is not idle
-
-    with_table(examine, clock, idle_minutes=2)
-
-
-def test_sessions_that_are_ending_count_until_they_have_ended(clock):
-    async def examine(table):
-        table.named("a")
-        clock.now_s += 10_000
-        assert table.end_idle() == ["a"]
-        with pytest.raises(CallError, match="as many as there may be"):
-            table.named("b")
-
-    with_table(examine, clock, most_sessions=1)
-
-
-def test_a_session_that_names_none_is_the_default_one(clock):
-    async def examine(table):
-        assert table.named("") is table.named("default")
-        assert table.take("").name == "default"
-        assert table.take("") is None
-
-    with_table(examine, clock)
-
-
-def test_requests_that_wait_may_hold_so_many_bytes(clock):
-    async def examine(table):
-        session = table.named("a")
-        with session.request(60, clock):
-            with pytest.raises(CallError, match="60 bytes of session 'a' wait; expected at most 100"):
-                session.request(41, clock).__enter__()
-            with session.request(40, clock):
-                pass
-        with session.request(100, clock):
+@with_table(idle_minutes=2)
+async def test_a_session_that_nobody_uses_ends_after_its_time_and_not_before(table, clock):
+    idle, used, waiting = (table.named(name) for name in ("idle", "used", "waiting"))
+    with waiting.request(0, clock):
+        clock.now_s += 119.9
+        with used.request(0, clock):
             pass
+        assert table.end_idle() == []
+        clock.now_s += 0.1
+        assert table.end_idle() == ["idle"]
+        clock.now_s += 1000
+        assert table.end_idle() == ["used"]
+    assert table.end_idle() == []  # its request has just ended
+    clock.now_s += 120
+    assert table.end_idle() == ["waiting"]
+    assert len(table) == 0
+    assert table.named("idle") is not idle
 
-    with_table(examine, clock, most_bytes_waiting=100)
+
+@with_table(most_sessions=1)
+async def test_sessions_that_are_ending_count_until_they_have_ended(table, clock):
+    table.named("a")
+    clock.now_s += 10_000
+    assert table.end_idle() == ["a"]
+    with pytest.raises(CallError, match="as many as there may be"):
+        table.named("b")
 
 
-def test_a_result_wakes_those_who_wait_for_it_and_an_end_all_of_them(clock):
-    async def examine(table):
-        session = table.named("a")
-        waiting = [asyncio.ensure_future(session.next_result(kind, None)) for kind in (0, 1)]
-        await asyncio.sleep(0)
-        assert not any(one.done() for one in waiting)
-        await session.end()
-        assert await asyncio.gather(*waiting) == [None, None]
+@with_table(most_bytes_waiting=100)
+async def test_requests_that_wait_may_hold_so_many_bytes(table, clock):
+    session = table.named("a")
+    with session.request(60, clock):
+        with pytest.raises(CallError, match="60 bytes of session 'a' wait; expected at most 100"):
+            session.request(41, clock).__enter__()
+        with session.request(40, clock):
+            pass
+    with session.request(100, clock):
+        pass
 
-    with_table(examine, clock)
+
+@with_table()
+async def test_the_end_of_a_session_wakes_all_who_wait_and_one_without_a_name_is_the_default_one(table, clock):
+    session = table.named("")
+    assert session is table.named("default")
+    waiting = [asyncio.ensure_future(session.next_result(kind, None)) for kind in (0, 1)]
+    await asyncio.sleep(0)
+    assert not any(one.done() for one in waiting)
+    await session.end()
+    assert await asyncio.gather(*waiting) == [None, None]
+    assert table.take("").name == "default"
+    assert table.take("") is None
 
 
 @pytest.mark.parametrize(
@@ -273,12 +194,9 @@ def test_a_result_wakes_those_who_wait_for_it_and_an_end_all_of_them(clock):
         ({"idle_minutes": "1"}, "service.idle_minutes", "'1'; expected a number above 0"),
     ],
 )
-def test_a_limit_that_is_none_is_reported_with_its_location(table, location, words):
+def test_limits_are_read_from_a_table_and_one_that_is_none_is_reported_with_its_location(table, location, words):
     with pytest.raises(DataError, match=f"rig.toml: {location}: {words}"):
         ServiceLimits.of(table, file="rig.toml", location="service")
-
-
-def test_limits_are_read_from_a_table():
     assert ServiceLimits.of({"most_sessions": 3, "idle_minutes": 1}) == ServiceLimits(most_sessions=3, idle_minutes=1)
 
 
@@ -296,22 +214,15 @@ def samples(text):
     return found
 
 
-@pytest.fixture
-def server(serve):
-    return serve(metrics_port=0)
-
-
 def ask(port, path="/metrics", method="GET"):
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
-    try:
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=30)) as connection:
         connection.request(method, path)
         answer = connection.getresponse()
         return answer.status, answer.read().decode(), answer.headers
-    finally:
-        connection.close()
 
 
-def test_calls_and_what_sessions_count_are_reported(server, connect):
+def test_calls_and_what_sessions_count_are_reported(serve, connect):
+    server = serve(metrics_port=0)
     call = connect(server, session="rig")
     call.calibrate()
     call.send_pair(0)
@@ -321,12 +232,15 @@ def test_calls_and_what_sessions_count_are_reported(server, connect):
     assert status == 200
     assert headers["Content-Type"].startswith("text/plain; version=0.0.4")
     found = samples(text)
-    assert found["sceneloom_calls_total", 'method="Send",outcome="OK"'] == 2
-    assert found["sceneloom_call_seconds_count", 'method="Send"'] == 2
-    assert found["sceneloom_call_seconds_bucket", 'method="Send",le="+Inf"'] == 2
-    assert found["sceneloom_sessions", ""] == 1
-    assert found["sceneloom_waiting_results", 'session="rig"'] == 1
-    assert found["sceneloom_session_events_total", 'session="rig",event="received.image"'] == 1
+    expected = {
+        ("sceneloom_calls_total", 'method="Send",outcome="OK"'): 2,
+        ("sceneloom_call_seconds_count", 'method="Send"'): 2,
+        ("sceneloom_call_seconds_bucket", 'method="Send",le="+Inf"'): 2,
+        ("sceneloom_sessions", ""): 1,
+        ("sceneloom_waiting_results", 'session="rig"'): 1,
+        ("sceneloom_session_events_total", 'session="rig",event="received.image"'): 1,
+    }
+    assert {key: found[key] for key in expected} == expected
     assert text.count("# TYPE sceneloom_call_seconds histogram") == 1
 
 
@@ -337,24 +251,18 @@ def test_a_duration_is_counted_in_the_class_that_it_is_at_most():
     assert histogram.counts == [2, 1, *[0] * (len(BOUNDS_S) - 3), 1, 1]
 
 
-@pytest.mark.parametrize(("path", "method", "status"), [("/", "GET", 404), ("/metrics", "POST", 405)])
-def test_nothing_else_is_answered(server, path, method, status):
-    assert ask(server.metrics_port, path, method)[0] == status
-
-
-@pytest.mark.parametrize("garbage", [b"\r\n\r\n", b"\xff" * 100 + b"\r\n\r\n", b"x" * 100_000, b""])
-def test_garbage_ends_a_connection_and_nothing_else(server, garbage):
-    with socket.create_connection(("127.0.0.1", server.metrics_port), timeout=30) as connection:
-        connection.sendall(garbage)
-        connection.shutdown(socket.SHUT_WR)
-        with contextlib.suppress(ConnectionResetError):
-            connection.recv(100)
-    assert ask(server.metrics_port)[0] == 200
-
-
-def test_the_port_is_of_this_machine_alone(server):
+def test_nothing_but_metrics_is_answered_and_garbage_ends_a_connection_alone(serve):
+    server = serve(metrics_port=0)
     (address,) = {found.getsockname()[0] for found in server._metrics_server.sockets}
     assert address == "127.0.0.1"
+    for garbage in (b"\r\n\r\n", b"\xff" * 100 + b"\r\n\r\n", b"x" * 100_000, b""):
+        with socket.create_connection(("127.0.0.1", server.metrics_port), timeout=30) as connection:
+            connection.sendall(garbage)
+            connection.shutdown(socket.SHUT_WR)
+            with contextlib.suppress(ConnectionResetError):
+                connection.recv(100)
+    for path, method, status in (("/", "GET", 404), ("/metrics", "POST", 405), ("/metrics", "GET", 200)):
+        assert ask(server.metrics_port, path, method)[0] == status
 
 
 def test_the_service_reports_its_methods_and_messages(serve):
@@ -376,18 +284,9 @@ def test_the_service_reports_its_methods_and_messages(serve):
         assert call(request(name="lidar_frequency"), timeout=30).value.integer_value == 10
 
 
-def test_the_service_says_that_it_is_well(serve):
-    with grpc.insecure_channel(serve().address) as channel:
-        health = health_pb2_grpc.HealthStub(channel)
-        for name in ("", "sceneloom.db34t4101.v1.DataFusion"):
-            answer = health.Check(health_pb2.HealthCheckRequest(service=name), timeout=30)
-            assert answer.status == health_pb2.HealthCheckResponse.SERVING
-
-
-def send_boxes(call, seqs, *, cameras=(1,)):
+def send_boxes(call, seqs):
     for seq in seqs:
-        for camera in cameras:
-            assert call.send(no_boxes_2d(100 * seq, seq, sensor_id=camera)).status == 1
+        assert call.send(no_boxes_2d(100 * seq, seq)).status == 1
         assert call.send(boxes_3d(100 * seq, seq, id=40 + seq, X=12.0 + seq)).status == 1
     assert call("Flush").status == 1
 
@@ -410,13 +309,6 @@ def test_the_client_asks_for_tracks(serve, connect):
     with FusionClient(server.address) as client:
         reported = list(client.subscribe(1, most=3, track=True))
     assert [result.record.id.tolist() for result in reported] == [[1], [1], [1]]
-
-
-def test_tracks_of_sensor_data_are_refused(call):
-    with pytest.raises(grpc.RpcError) as caught:
-        list(call("Subscribe", track=True, fusion_type=0))
-    assert caught.value.code() is grpc.StatusCode.INVALID_ARGUMENT
-    assert "expected 1, detections" in caught.value.details()
 
 
 def test_results_after_a_tracking_subscriber_has_left_are_as_they_were_sent(call):

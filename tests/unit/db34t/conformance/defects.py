@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,16 @@ from sceneloom.db34t.conformance.catalogue import CallFailedError
 from sceneloom.db34t.transport import SERVICE
 from sceneloom.db34t.wire import fusion_pb2
 
+from .peers import summary_of
+
 
 @dataclass
 class Broken:
-    """A server that does one thing wrong.
+    """A sound server, `inner`, of which one thing is changed on its way.
 
     Attributes:
-        inner: a sound server.
-        incoming: changes requests; gets this object, the method and the request, and gives the request.
-        outgoing: changes answers; gets this object, the method, the request and the answer, and gives the answer.
+        incoming: gets this object, the method and the request, and gives the request.
+        outgoing: gets this object, the method, the request and the answer, and gives the answer.
         notes: what it remembers.
     """
 
@@ -27,6 +29,9 @@ class Broken:
     incoming: Callable[..., Any] | None = None
     outgoing: Callable[..., Any] | None = None
     notes: dict[Any, Any] = field(default_factory=dict)
+
+    def __getattr__(self, name):
+        return getattr(self.inner, name)  # health and reflection
 
     def call(self, method, request):
         # the kit keeps its requests; what is broken here must not reach it
@@ -37,14 +42,7 @@ class Broken:
         return reply if self.outgoing is None else self.outgoing(self, method, request, reply)
 
     def send_stream(self, requests):
-        summary = fusion_pb2.SendSummary()
-        for number, request in enumerate(requests):
-            status = self.call("Send", request)
-            summary.accepted += status.status != 0
-            summary.refused += status.status == 0
-            if status.status == 0:
-                summary.refusals.add(number=number, status=status)
-        return summary
+        return summary_of(self.call("Send", request) for request in requests)
 
     def subscribe(self, request):
         for _ in range(request.most):
@@ -53,18 +51,20 @@ class Broken:
                 get.fusion_type = request.fusion_type
             yield self.call("Get", get)
 
-    def health(self, service):
-        return self.inner.health(service)
-
-    def services(self):
-        return self.inner.services()
-
-    def files_with(self, symbol):
-        return self.inner.files_with(symbol)
-
 
 SERVERS = []
 """Every broken server's name, how it is made of a sound one, and the checks that find it."""
+
+
+def broken(ids, where=None):
+    """Declare a class of servers, or a change `where` it is one of `Broken`: incoming or outgoing."""
+
+    def declared(change):
+        make = change if where is None else lambda inner: Broken(inner, **{where: change})
+        SERVERS.append((change.__name__, make, ids.split()))
+        return change
+
+    return declared
 
 
 def incoming(ids, *kinds, method="Send"):
@@ -74,14 +74,13 @@ def incoming(ids, *kinds, method="Send"):
     """
 
     def declared(change):
-        def changed(broken, called, request):
+        @broken(ids, "incoming")
+        @wraps(change)
+        def changed(_, called, request):
             if called != method or (kinds and request.WhichOneof("data") not in kinds):
                 return request
             found = change(getattr(request, request.WhichOneof("data"))) if kinds else change(request)
             return fusion_pb2.SendRequest(session=request.session) if found == "refuse" else request
-
-        SERVERS.append((change.__name__, lambda inner: Broken(inner, incoming=changed), ids.split()))
-        return change
 
     return declared
 
@@ -90,43 +89,15 @@ def outgoing(ids, held="sensor_data"):
     """Declare a change of results: it gets the record of table 9, or each one of table 10."""
 
     def declared(change):
+        @broken(ids, "outgoing")
+        @wraps(change)
         def changed(_, method, request, reply):
             if method == "Get" and reply.HasField(held):
                 for record in [reply.sensor_data] if held == "sensor_data" else reply.detections.detections:
                     change(record)
             return reply
 
-        SERVERS.append((change.__name__, lambda inner: Broken(inner, outgoing=changed), ids.split()))
-        return change
-
     return declared
-
-
-def broken_in(ids):
-    """Declare a change that gets the server, the method and the request."""
-    return _declare(ids, lambda change: lambda inner: Broken(inner, incoming=change))
-
-
-def broken_out(ids):
-    """Declare a change that gets the server, the method, the request and the reply."""
-    return _declare(ids, lambda change: lambda inner: Broken(inner, outgoing=change))
-
-
-def broken_server(ids):
-    """Declare a server that is broken in another way."""
-    return _declare(ids, lambda kind: kind)
-
-
-def _declare(ids, make_of):
-    def declared(change):
-        SERVERS.append((change.__name__, make_of(change), ids.split()))
-        return change
-
-    return declared
-
-
-def broken_servers():
-    return SERVERS
 
 
 def records(reply):
@@ -161,14 +132,12 @@ def matrix_by_rows(request):
 
 @incoming("T3-4", method="SetCalibration")
 def reference_frame_ignored(request):
-    """The matrix is always taken for one into the camera's frame."""
     if request.calibration.reference_frame == 1:
         request.calibration.reference_frame = 0
 
 
 @incoming("T9-11 4.1-3 6.7-1", "image")
 def colours_swapped(image):
-    """Red and blue change places."""
     pixels = np.frombuffer(image.data, np.uint8)
     if image.encoding == "rgb8" and pixels.size % 3 == 0:
         image.data = pixels.reshape(-1, 3)[:, ::-1].tobytes()
@@ -188,36 +157,32 @@ def negative_seq(record):
 
 @incoming("T2-2 5.2-1", method="SetProperty")
 def chirality_ignored(request):
-    """Frames are right-handed, whatever is declared."""
     if request.name == "chirality" and request.value.integer_value == 1:
         request.value.integer_value = 0
 
 
 @incoming("T3-2", method="SetCalibration")
 def distortion_ignored(request):
-    """Camera models are taken to have no distortion."""
     if len(request.calibration.distortion_coeffs) == 5:
         request.calibration.distortion_coeffs[:] = [0.0] * 5
 
 
 @incoming("T3-2", method="SetCalibration")
 def tangential_swapped(request):
-    """p1 and p2 change places."""
     coefficients = request.calibration.distortion_coeffs
     if len(coefficients) == 5:
         coefficients[2], coefficients[3] = coefficients[3], coefficients[2]
 
 
-@broken_in("4.1-2")
-def first_calibration_kept(broken, method, request):
-    """A calibration cannot be replaced."""
+@broken("4.1-2", "incoming")
+def first_calibration_kept(server, method, request):
     if method == "SetCalibration":
         key = request.session, request.camera_id, request.lidar_id
-        request.calibration.CopyFrom(broken.notes.setdefault(key, request.calibration))
+        request.calibration.CopyFrom(server.notes.setdefault(key, request.calibration))
     return request
 
 
-@broken_in("X-2 X-3")
+@broken("X-2 X-3", "incoming")
 def one_session(_, method, request):
     """All sessions are one, but for ending it."""
     if method in ("SetProperty", "GetProperty") and request.name == "camera_frequency":
@@ -227,18 +192,17 @@ def one_session(_, method, request):
 
 @incoming("X-15", method="SendMotion")
 def motion_ignored(request):
-    """The vehicle stands, whatever is reported."""
     for pose in request.poses:
         pose.position[:] = [0.0, 0.0, 0.0]
 
 
-@broken_in("5.6-10")
-def late_refused(broken, method, request):
+@broken("5.6-10", "incoming")
+def late_refused(server, method, request):
     """What is older than something that came before is refused."""
     if method == "Send" and request.WhichOneof("data") == "image":
         timestamp = request.image.timestamp.s, request.image.timestamp.ns
-        newest = broken.notes.get(request.session, (0, 0))
-        broken.notes[request.session] = max(newest, timestamp)
+        newest = server.notes.get(request.session, (0, 0))
+        server.notes[request.session] = max(newest, timestamp)
         if timestamp < newest:
             return fusion_pb2.SendRequest(session=request.session)
     return request
@@ -246,27 +210,23 @@ def late_refused(broken, method, request):
 
 @incoming("5.6-6", "box_3d", "box_2d")
 def bare_boxes_refused(_):
-    """Boxes are taken in lists only."""
     return "refuse"
 
 
 @incoming("T10-9", "boxes_3d")
 def lengths_halved(boxes):
-    """Lengths of boxes are taken for twice what is meant."""
     for box in boxes.boxes:
         box.length /= 2
 
 
 @incoming("6.4-2", "points")
 def whole_cloud_refused(points):
-    """A cloud with one number that is not finite is refused."""
     whole = len(points.data) % 4 == 0
     return "refuse" if whole and not np.isfinite(np.frombuffer(points.data, "<f4")).all() else None
 
 
 @incoming("T8-8", "boxes_2d")
 def flat_boxes_taken(boxes):
-    """Boxes without a width are taken for a pixel wide."""
     for box in boxes.boxes:
         box.x2 += box.x1 == box.x2
 
@@ -281,7 +241,6 @@ def vertical_taken_for_forward(boxes):
 
 @outgoing("6.7-2")
 def always_rgb8(record):
-    """Images are reported to be rgb8, whatever they are."""
     record.encoding = "rgb8"
 
 
@@ -297,7 +256,6 @@ def layout_by_values(record):
 
 @outgoing("6.7-3")
 def unseen_white(record):
-    """Points that the image does not show are white."""
     rows = rows_of(record).copy()
     rows[(rows[:, -3:] == 128).all(axis=1), -3:] = 255
     record.point_data = rows.tobytes()
@@ -305,14 +263,12 @@ def unseen_white(record):
 
 @outgoing("T9-12 T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 5.2-1 5.2-2 5.2-3 X-10 X-15 X-20")
 def depth_by_columns(record):
-    """The depth image is written column after column."""
     image = np.frombuffer(record.image_depth, "<f4").reshape(record.height, record.width)
     record.image_depth = image.T.tobytes()
 
 
 @outgoing("5.6-8 5.6-9 5.6-10 5.6-12 T9-3")
 def missing_field(record):
-    """image_seq of table 9 is left out."""
     record.ClearField("image_seq")
 
 
@@ -324,7 +280,6 @@ def points_reversed(record):
 
 @outgoing("T9-1")
 def time_of_the_image(record):
-    """Results bear the time of the image."""
     record.timestamp.CopyFrom(record.image_timestamp)
 
 
@@ -337,7 +292,6 @@ def outlines_at_the_border(found):
 
 @outgoing("T10-4", "detections")
 def class_lost(found):
-    """Detections have no class."""
     setattr(found, "class", "")
 
 
@@ -349,7 +303,6 @@ def covariance_by_halves(found):
 
 @outgoing("T10-14", "detections")
 def speed_without_sign(found):
-    """Speeds lose their sign."""
     found.velocity = abs(found.velocity)
 
 
@@ -360,24 +313,22 @@ def directions_rotated(found):
     found.direction[:] = [-y, -z, x]
 
 
-@broken_out("5.3-3 5.4-3 5.6-3")
+@broken("5.3-3 5.4-3 5.6-3", "outgoing")
 def status_two(_, method, request, reply):
-    """What is done is reported with 2."""
     of_standard = method not in ("CloseSession", "SendMotion", "Flush")
     if isinstance(reply, fusion_pb2.Status) and reply.status == 1 and of_standard:
         reply.status = 2
     return reply
 
 
-@broken_out("5.3-2 5.3-3 X-1")
+@broken("5.3-2 5.3-3 X-1", "outgoing")
 def always_done(_, method, request, reply):
     """What is refused is reported as done."""
     return fusion_pb2.Status(status=1) if method == "AddProperty" else reply
 
 
-@broken_out("T9-1 T10-3 X-14")
+@broken("T9-1 T10-3 X-14", "outgoing")
 def float_seconds(_, method, request, reply):
-    """Times go through seconds in a float of 64 bits."""
     for record in records(reply) if method == "Get" else ():
         seconds = record.timestamp.s + record.timestamp.ns * 1e-9
         record.timestamp.s = int(seconds)
@@ -385,7 +336,7 @@ def float_seconds(_, method, request, reply):
     return reply
 
 
-@broken_out("5.6-8")
+@broken("5.6-8", "outgoing")
 def float_seq(_, method, request, reply):
     """Numbers of sweeps go through a float of 32 bits."""
     for record in records(reply) if method == "Get" else ():
@@ -394,35 +345,34 @@ def float_seq(_, method, request, reply):
     return reply
 
 
-@broken_out("5.6-8 5.6-10 5.7-3 X-6")
-def newest_first(broken, method, request, reply):
-    """The newest result comes first."""
+@broken("5.6-8 5.6-10 5.7-3 X-6", "outgoing")
+def newest_first(server, method, request, reply):
     if method != "Get":
         return reply
     key = request.session, request.fusion_type if request.HasField("fusion_type") else None
-    kept = broken.notes.setdefault(key, [])
+    kept = server.notes.setdefault(key, [])
     while reply.WhichOneof("result") != "no_data":
         kept.append(reply)
         again = fusion_pb2.GetRequest()
         again.CopyFrom(request)
         again.wait_ms = 0
-        reply = broken.inner.call("Get", again)
+        reply = server.inner.call("Get", again)
     return kept.pop() if kept else reply
 
 
-@broken_out("5.7-4")
-def result_again(broken, method, request, reply):
+@broken("5.7-4", "outgoing")
+def result_again(server, method, request, reply):
     """The last result is given again where there is none."""
     if method != "Get":
         return reply
     key = request.session, request.fusion_type
     if reply.WhichOneof("result") == "no_data":
-        return broken.notes.get(key, reply)
-    broken.notes[key] = reply
+        return server.notes.get(key, reply)
+    server.notes[key] = reply
     return reply
 
 
-@broken_out("5.7-4 5.7-5 X-2 X-5")
+@broken("5.7-4 5.7-5 X-2 X-5", "outgoing")
 def no_data_is_an_error(_, method, request, reply):
     """Where there is no result the call fails."""
     if method == "Get" and reply.WhichOneof("result") == "no_data":
@@ -430,15 +380,14 @@ def no_data_is_an_error(_, method, request, reply):
     return reply
 
 
-@broken_out("X-1")
+@broken("X-1", "outgoing")
 def no_reasons(_, method, request, reply):
-    """What is refused is refused without a word."""
     if isinstance(reply, fusion_pb2.Status):
         reply.reason = reply.cause = ""
     return reply
 
 
-@broken_server("5.5-2")
+@broken("5.5-2")
 class UnknownIsEmpty(Broken):
     """A property that is not there is an empty one."""
 
@@ -451,7 +400,7 @@ class UnknownIsEmpty(Broken):
             return fusion_pb2.Property(name=request.name)
 
 
-@broken_server("T9-12 X-10")
+@broken("T9-12 X-10")
 class RangesForDepths(Broken):
     """Depth images hold distances along the rays, and the records state that they do not."""
 
@@ -467,25 +416,25 @@ class RangesForDepths(Broken):
         return reply
 
 
-@broken_server("X-21")
+@broken("X-21")
 class NeverWell(Broken):
     """The service is there, and its health says that it is not."""
 
     def health(self, service):
-        return "NOT_SERVING" if super().health(service) and service else "SERVING"
+        return "NOT_SERVING" if self.inner.health(service) and service else "SERVING"
 
 
-@broken_server("X-21")
+@broken("X-21")
 class WellWithoutName(Broken):
     """Health is known of all together and of no service."""
 
     def health(self, service):
         if service:
             raise CallFailedError("NOT_FOUND", service)
-        return super().health(service)
+        return self.inner.health(service)
 
 
-@broken_server("X-21")
+@broken("X-21")
 class AnythingIsWell(Broken):
     """Health is SERVING of services that there are not."""
 
@@ -493,15 +442,15 @@ class AnythingIsWell(Broken):
         return "SERVING"
 
 
-@broken_server("X-22")
+@broken("X-22")
 class Unlisted(Broken):
     """Reflection lists others than the service."""
 
     def services(self):
-        return super().services() - {SERVICE.full_name}
+        return self.inner.services() - {SERVICE.full_name}
 
 
-@broken_server("X-22 X-23")
+@broken("X-22 X-23")
 class NoReflection(Broken):
     """Nobody answers questions of reflection."""
 
@@ -512,12 +461,12 @@ class NoReflection(Broken):
         raise CallFailedError("UNIMPLEMENTED", "reflection")
 
 
-@broken_server("X-23")
+@broken("X-23")
 class AnotherProto(Broken):
     """Reflection describes a service whose fields have other numbers."""
 
     def files_with(self, symbol):
-        (content,) = super().files_with(symbol)
+        (content,) = self.inner.files_with(symbol)
         file = FileDescriptorProto.FromString(content)
         next(m for m in file.message_type if m.name == "ImageData").field[3].number = 99
         return [file.SerializeToString()]

@@ -13,6 +13,18 @@ from sceneloom.service.methods import METHODS
 from sceneloom.service.sessions import CallError
 
 
+def summary_of(statuses):
+    """What SendStream replies where its requests have these statuses."""
+    summary = fusion_pb2.SendSummary()
+    for number, status in enumerate(statuses):
+        if status.status:
+            summary.accepted += 1
+        else:
+            summary.refused += 1
+            summary.refusals.add(number=number, status=status)
+    return summary
+
+
 class HereTransport:
     """Calls the fusion interface of a session directly; each session fuses inline, so that nothing has to wait."""
 
@@ -23,8 +35,7 @@ class HereTransport:
         if method == "Get":
             return self.get(request)
         if method == "CloseSession":
-            known = self.sessions.pop(request.session, None)
-            return fusion_pb2.Status(status=int(known is not None))
+            return fusion_pb2.Status(status=int(self.sessions.pop(request.session, None) is not None))
         entry = METHODS[method]
         try:
             answer = entry.perform(self.sessions[request.session], request.SerializeToString())
@@ -46,22 +57,13 @@ class HereTransport:
             raise CallFailedError("INVALID_ARGUMENT", str(error)) from error
         if result is None:
             return fusion_pb2.GetReply(no_data=fusion_pb2.NoData())
-        properties = result.configuration.properties.values()
-        reply = fusion_pb2.GetReply(
-            number=result.number, configuration=fusion_pb2.Properties(properties=map(property_to_protobuf, properties))
-        )
+        properties = map(property_to_protobuf, result.configuration.properties.values())
+        reply = fusion_pb2.GetReply(number=result.number, configuration=fusion_pb2.Properties(properties=properties))
         fill_message(getattr(reply, kind_of(result.record).name), result.record)
         return reply
 
     def send_stream(self, requests):
-        summary = fusion_pb2.SendSummary()
-        for number, request in enumerate(requests):
-            status = self.call("Send", request)
-            summary.accepted += status.status
-            summary.refused += 1 - status.status
-            if not status.status:
-                summary.refusals.add(number=number, status=status)
-        return summary
+        return summary_of(self.call("Send", request) for request in requests)
 
     def subscribe(self, request):
         for _ in range(request.most):

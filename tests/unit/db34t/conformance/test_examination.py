@@ -11,33 +11,27 @@ from sceneloom.db34t.conformance.examination import CHECKS, chosen, examine
 from sceneloom.db34t.tables import TABLES
 from sceneloom.errors import OptionError, OutputError
 
-from .defects import Broken, broken_servers, status_two
+from .defects import SERVERS, Broken, status_two
 from .peers import HereTransport
 
-SERVERS = list(broken_servers())
+EACH_SERVER = pytest.mark.parametrize(("make", "ids"), [row[1:] for row in SERVERS], ids=[row[0] for row in SERVERS])
 
 
-@pytest.fixture(scope="module")
-def sound():
-    """What the kit finds about our own interface."""
-    return examine(HereTransport(), address="here")
-
-
-def test_our_own_interface_passes_all_checks(sound):
+def test_our_own_interface_passes_all_checks():
+    sound = examine(HereTransport(), address="here")
     assert sound.failed_ids == ()
     assert sound.passed
     assert [finding.check for finding in sound.findings] == list(CHECKS)
     assert all(finding.seen for finding in sound.findings)
 
 
-@pytest.mark.parametrize(("make", "ids"), [server[1:] for server in SERVERS], ids=[name for name, *_ in SERVERS])
+@EACH_SERVER
 def test_a_broken_server_fails_the_checks_of_its_defect_if_only_these_are_made(make, ids):
-    examination = examine(make(HereTransport()), only=ids)
-    assert sorted(examination.failed_ids) == sorted(ids)
+    assert sorted(examine(make(HereTransport()), only=ids).failed_ids) == sorted(ids)
 
 
 @pytest.mark.few(5)
-@pytest.mark.parametrize(("make", "ids"), [server[1:] for server in SERVERS], ids=[name for name, *_ in SERVERS])
+@EACH_SERVER
 def test_a_broken_server_fails_exactly_the_checks_of_its_defect(make, ids):
     examination = examine(make(HereTransport()))
     assert sorted(examination.failed_ids) == sorted(ids)
@@ -45,47 +39,32 @@ def test_a_broken_server_fails_exactly_the_checks_of_its_defect(make, ids):
 
 
 class Silent:
-    """A server that answers nothing."""
+    def fails(self, *_):
+        raise CallFailedError("UNIMPLEMENTED", "")
 
-    def call(self, method, request):
-        raise CallFailedError("UNIMPLEMENTED", method)
-
-    def send_stream(self, requests):
-        raise CallFailedError("UNIMPLEMENTED", "SendStream")
-
-    def subscribe(self, request):
-        raise CallFailedError("UNIMPLEMENTED", "Subscribe")
-
-    def health(self, service):
-        raise CallFailedError("UNIMPLEMENTED", "Check")
-
-    def services(self):
-        raise CallFailedError("UNIMPLEMENTED", "ServerReflectionInfo")
-
-    files_with = health
+    call = send_stream = subscribe = health = services = files_with = fails
 
 
 def test_a_server_that_answers_nothing_fails_all_checks_and_the_kit_goes_on():
     assert examine(Silent()).counts == {"passed": 0, "failed": len(CHECKS)}
 
 
-def test_every_row_of_every_table_has_its_check_and_every_number_is_there_once():
+def test_every_row_of_every_table_and_every_interface_of_clause_5_has_its_check_once():
     ids = [check.id for check in CHECKS]
     assert len(set(ids)) == len(ids)
     expected = {f"T1-{k + 1}" for k in range(9)} | {f"T2-{k + 1}" for k in range(7)}
     expected |= {f"T{n}-{row.number}" for n, table in TABLES.items() for row in table.rows if not row.is_extension}
     assert expected <= set(ids)
-
-
-def test_every_interface_of_clause_5_has_checks():
-    parts = {check.id.split("-")[0] for check in CHECKS}
-    assert {"5.3", "5.4", "5.5", "5.6", "5.7"} <= parts
+    assert {"5.3", "5.4", "5.5", "5.6", "5.7"} <= {check_id.split("-")[0] for check_id in ids}
     assert {check.basis for check in CHECKS} == set(Basis)
 
 
-def test_quotes_are_what_the_standard_prints(standard_text):
+def test_quotes_are_what_the_standard_prints(data_dir):
+    path = data_dir.parent / "specs" / "db34t_4101_2022.txt"
+    if not path.is_file():
+        pytest.skip("the text of the standard is not here")
     # the text at hand has blanks, line breaks and two kinds of commas where the print has none
-    printed = _plain(standard_text)
+    printed = _plain(path.read_text("utf-8"))
     for clause, (_, chinese) in QUOTES["clauses"].items():
         for part in re.split(r"[;:]", chinese):
             assert _plain(part) in printed, clause
@@ -103,14 +82,6 @@ def _plain(text):
     return re.sub(r"[\s,，、。;；:：.\\()（）|/]", "", text)
 
 
-@pytest.fixture
-def standard_text(data_dir):
-    path = data_dir.parent / "specs" / "db34t_4101_2022.txt"
-    if not path.is_file():
-        pytest.skip("the text of the standard is not here")
-    return path.read_text("utf-8")
-
-
 def test_one_check_or_those_of_a_clause_or_table_can_be_chosen():
     assert [check.id for check in chosen(["5.4-3"])] == ["5.4-3"]
     assert [check.id for check in chosen(["T8", "5.5-1"])] == ["5.5-1", *(f"T8-{k}" for k in range(1, 10))]
@@ -125,47 +96,32 @@ def test_sessions_are_ended_after_their_check():
     assert not transport.sessions
 
 
-def renamed(_, method, request, reply):
-    if method == "GetProperty":
-        reply.description = "<script>alert(1)</script> | & \n # x"
-    return reply
-
-
 @pytest.fixture(scope="module")
 def examination():
     only = ["5.3", "T10-5"]
     return examine(Broken(HereTransport(), outgoing=status_two), address="127.0.0.1:1", only=only)
 
 
-def test_json_holds_every_check_with_what_it_saw(examination, tmp_path):
-    examination.write(tmp_path / "r.json")
+def test_json_and_markdown_hold_every_check_with_what_it_saw(examination, tmp_path):
+    for suffix in (".json", ".md"):
+        examination.write(tmp_path / f"r{suffix}")
     found = json.loads((tmp_path / "r.json").read_text("utf-8"))
     assert (found["address"], found["passed"], found["counts"]) == ("127.0.0.1:1", False, {"passed": 4, "failed": 1})
     failed = next(check for check in found["checks"] if check["verdict"] == "failed")
     assert failed["id"] == "5.3-3"
     assert "1—添加成功" in failed["chinese"]
     assert {"sent": "AddProperty speed", "expected": "1", "found": "2", "agrees": False} in failed["seen"]
-
-
-def test_markdown_has_a_row_for_each_check_and_a_section_for_each_that_failed(examination, tmp_path):
-    examination.write(tmp_path / "r.md")
     lines = (tmp_path / "r.md").read_text("utf-8").splitlines()
     assert sum(line.startswith(("| 5.3-", "| T10-")) for line in lines) == len(examination.findings)
-    assert [line for line in lines if line.startswith("## ")] == [
-        "## 5.3-3: adding returns 1, and 0 where the name is taken"
-    ]
+    (section,) = (line for line in lines if line.startswith("## "))
+    assert section == "## 5.3-3: adding returns 1, and 0 where the name is taken"
     assert "| AddProperty speed | 1 | 2 |" in lines
 
 
-class Page(HTMLParser):
-    """Counts the elements of a page."""
-
-    def __init__(self):
-        super().__init__()
-        self.tags = []
-
-    def handle_starttag(self, tag, attributes):
-        self.tags.append(tag)
+def renamed(_, method, request, reply):
+    if method == "GetProperty":
+        reply.description = "<script>alert(1)</script> | & \n # x"
+    return reply
 
 
 def test_html_shows_each_check_and_runs_nothing_that_a_server_wrote(tmp_path):
@@ -173,10 +129,12 @@ def test_html_shows_each_check_and_runs_nothing_that_a_server_wrote(tmp_path):
     assert found.failed_ids == ("5.3-1",)
     for suffix in (".html", ".md"):
         found.write(tmp_path / f"r{suffix}")
-    page = Page()
+    tags = []
+    page = HTMLParser()
+    page.handle_starttag = lambda tag, attributes: tags.append(tag)
     page.feed((tmp_path / "r.html").read_text("utf-8"))
-    assert page.tags.count("details") == 1
-    assert not {"script", "b"} & set(page.tags)
+    assert tags.count("details") == 1
+    assert not {"script", "b"} & set(tags)
     table = (tmp_path / "r.md").read_text("utf-8").split("| sent |")[1]
     assert all(line.count(" | ") == 2 for line in table.splitlines()[2:] if line)
 

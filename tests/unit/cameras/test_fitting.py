@@ -73,22 +73,22 @@ def test_prism_terms_that_have_no_location_are_taken_over_by_others():
     assert 3 * found.rms_px < measured_fit(prism, cut).rms_px
 
 
-def test_what_looks_behind_the_camera_cannot_be_held_by_a_perspective_model():
+def test_what_looks_behind_the_camera_cannot_be_held_by_a_perspective_model_and_that_is_reported_in_words():
     found = fit(ALL_AROUND, "brown_conrady")
     rays = unproject(ALL_AROUND, found.unheld_pixels)
     assert (rays[:, 2] <= math.cos(PERSPECTIVE_REACH) + 1e-12).all()
     # a disk of 140 px per radian, out to 80 degrees, in a square of 640 px
     assert found.share == pytest.approx(math.pi * (140 * PERSPECTIVE_REACH) ** 2 / 640**2, abs=0.01)
     assert found.largest_px < 1
+    message = found.message(ALL_AROUND)
+    assert message.startswith("fisheye camera model reported as brown_conrady, off by up to ")
+    assert message.endswith(" % of the image cannot be held")
 
 
 def test_distances_are_measured_where_both_camera_models_see():
-    shifted = Camera("pinhole", 640, 480, 500.0, 510.0, 321.0, 246.0)
-    measured = measured_fit(PLAIN, shifted)
-    assert measured.largest_px == pytest.approx(5.0)
-    assert measured.rms_px == pytest.approx(5.0)
-    assert measured.share == 1
-    assert len(measured.unheld_pixels) == 0
+    measured = measured_fit(PLAIN, Camera("pinhole", 640, 480, 500.0, 510.0, 321.0, 246.0))
+    assert (measured.largest_px, measured.rms_px) == pytest.approx((5.0, 5.0))
+    assert (measured.share, len(measured.unheld_pixels)) == (1, 0)
 
 
 @pytest.mark.parametrize(
@@ -105,29 +105,21 @@ def test_what_cannot_be_fitted_is_refused(camera, model, fixed, error, message):
 
 
 HALF_ROUND = Camera("fisheye", 640, 480, 230.0, 230.0, 319.5, 239.5, (0.02, -0.004))  # 97 degrees at its corners
-WITHOUT_SIDES = ("cylindrical", "equirectangular")  # they have no distortion that could be fitted
 
 
-@pytest.mark.parametrize("model", [name for name in MODELS if MODELS[name].chart is Chart.ANGLE])
-def test_models_over_the_angle_come_near_to_any_fisheye(model):
-    found = fit(HALF_ROUND, model)
-    assert found.share == 1
-    assert found.largest_px < 1.5  # those of four coefficients for a polynomial of other powers
-    assert largest_distance_px(HALF_ROUND, found.camera) <= 1.01 * found.largest_px + 1e-9
+@pytest.mark.parametrize("model", [name for name in MODELS if MODELS[name].chart in (Chart.ANGLE, Chart.SPHERE)])
+def test_models_over_the_angle_or_a_sphere_come_near_to_any_fisheye_and_see_what_lies_behind_the_camera(model):
+    found, over_angle = fit(HALF_ROUND, model), MODELS[model].chart is Chart.ANGLE
+    assert found.share == 1 if over_angle else found.share > 0.99
+    assert found.largest_px < (1.5 if over_angle else 5)  # those of four coefficients for a polynomial of other powers
+    if over_angle:
+        assert largest_distance_px(HALF_ROUND, found.camera) <= 1.01 * found.largest_px + 1e-9
 
 
-@pytest.mark.parametrize("model", [name for name in MODELS if MODELS[name].chart is Chart.SPHERE])
-def test_models_over_a_sphere_see_what_lies_behind_the_camera(model):
-    found = fit(HALF_ROUND, model)
-    assert found.share > 0.99
-    assert found.largest_px < 5
-
-
-@pytest.mark.parametrize("model", WITHOUT_SIDES)
-def test_a_panorama_stands_for_nothing_but_a_panorama(model):
+@pytest.mark.parametrize("model", ["cylindrical", "equirectangular"])
+def test_a_panorama_stands_for_nothing_but_a_panorama(model):  # it has no distortion that could be fitted
     assert fit(HALF_ROUND, model).largest_px > 20
-    own = Camera(model, 640, 480, 200.0, 210.0, 310.0, 250.0)
-    assert fit(own, model).largest_px < 1e-6
+    assert fit(Camera(model, 640, 480, 200.0, 210.0, 310.0, 250.0), model).largest_px < 1e-6
 
 
 def test_asymmetric_terms_are_found_though_they_are_factors_of_one_another():
@@ -137,22 +129,18 @@ def test_asymmetric_terms_are_found_though_they_are_factors_of_one_another():
     assert fit(camera_model, "kannala_brandt18").largest_px < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("focal", "numbers"),
+    [(1970.0, (-0.5894, 0.66, 0.0011, -0.001, -1.0088)), (930.0, (-0.165, 0.0099, -7.5e-4, 5.4e-5, 0.01))],
+)
+def test_perspective_camera_models_of_real_cameras_are_held_by_a_sphere_without_shift(focal, numbers):
+    camera_model = Camera("brown_conrady", 1920, 1080, focal, focal, 970.0, 500.0, numbers)
+    assert fit(camera_model, "omnidirectional").largest_px < 0.1
+
+
 def test_of_several_models_the_nearest_one_is_taken_and_of_equals_the_first():
     assert nearest(FISHEYE, {"pinhole": (), "fisheye": (), "kannala_brandt18": ()}).camera.model == "fisheye"
     assert nearest(BARREL, {"fisheye": (), "brown_conrady": ()}).camera.model == "brown_conrady"
     assert nearest(ALL_AROUND, {"pinhole": (), "mod_kannala": ()}).camera.model == "mod_kannala"
     with pytest.raises(CalibrationError, match="pinhole holds nothing"):
         nearest(BACKWARDS, {"pinhole": ()})
-
-
-def test_a_fit_is_reported_in_words():
-    found = fit(ALL_AROUND, "brown_conrady")
-    assert found.message(ALL_AROUND).startswith("fisheye camera model reported as brown_conrady, off by up to ")
-    assert found.message(ALL_AROUND).endswith(" % of the image cannot be held")
-
-
-@pytest.mark.parametrize("numbers", [(-0.5894, 0.66, 0.0011, -0.001, -1.0088), (-0.165, 0.0099, -7.5e-4, 5.4e-5, 0.01)])
-def test_perspective_camera_models_of_real_cameras_are_held_by_a_sphere_without_shift(numbers):
-    focal = 1970.0 if numbers[1] > 0.1 else 930.0
-    camera_model = Camera("brown_conrady", 1920, 1080, focal, focal, 970.0, 500.0, numbers)
-    assert fit(camera_model, "omnidirectional").largest_px < 0.1

@@ -20,8 +20,8 @@ def view(points, *, x=0.0, camera_id="a"):
     )  # fmt: skip
 
 
-def labels(number: int) -> np.ndarray:
-    return np.full((40, 60), number, np.uint16)
+def labels(number, size=(40, 60)):
+    return np.full(size, number, np.uint16)
 
 
 def test_points_take_the_label_of_their_nearest_pixel_and_of_no_other():
@@ -41,19 +41,14 @@ def test_most_images_decide_and_of_equally_many_the_better_one():
     assert paint_labels(points, views, [labels(7), labels(8), labels(9)]).tolist() == [7]
 
 
-def test_hidden_points_points_outside_and_points_without_images_have_no_label():
+def test_hidden_points_points_outside_and_points_without_images_have_no_label_and_other_sizes_are_refused():
     points = np.array([[0.0, 0.0, 5.0], [0.0, 0.0, 9.0], [0.0, 0.0, -5.0]])
     assert paint_labels(points, [view(points)], [labels(3)]).tolist() == [3, NO_LABEL, NO_LABEL]
     assert paint_labels(points, [view(points)], [None]).tolist() == [NO_LABEL] * 3
     assert paint_labels(np.zeros((0, 3)), [], []).tolist() == []
-
-
-def test_an_image_of_another_size_is_refused():
-    points = np.array([[0.0, 0.0, 5.0]])
-    with pytest.raises(ArrayError, match="label_image"):
-        paint_labels(points, [view(points)], [np.zeros((20, 30), np.uint16)])
-    with pytest.raises(ArrayError, match="0 label images for 1 views"):
-        paint_labels(points, [view(points)], [])
+    for images, message in (([labels(0, (20, 30))], "label_image"), ([], "0 label images for 1 views")):
+        with pytest.raises(ArrayError, match=message):
+            paint_labels(points, [view(points)], images)
 
 
 def test_labels_are_drawn_where_points_are_visible_and_the_nearest_counts():

@@ -157,28 +157,20 @@ _WALLS: tuple[_Color, ...] = (
     (226, 205, 170), (204, 152, 124), (236, 226, 206), (178, 190, 196), (214, 178, 112), (190, 122, 100),
     (168, 182, 152), (222, 190, 186), (150, 160, 178), (240, 214, 150),
 )  # fmt: skip
-
 _ROOFS: tuple[_Color, ...] = ((162, 78, 58), (120, 66, 56), (92, 92, 100), (140, 88, 66), (78, 84, 92))
-
 _LACQUERS: tuple[_Color, ...] = (
     (188, 40, 38), (42, 86, 164), (232, 232, 232), (60, 64, 70), (44, 122, 84), (224, 176, 50), (150, 156, 164),
     (110, 44, 90), (32, 136, 158), (236, 118, 44),
 )  # fmt: skip
-
 _LEAVES: tuple[tuple[_Color, _Color, _Color], ...] = (
     ((62, 110, 48), (104, 150, 62), (172, 196, 104)),
     ((48, 92, 56), (82, 128, 70), (142, 176, 110)),
     ((116, 124, 44), (164, 158, 62), (212, 200, 110)),
 )
-
 _BIN_COLORS: tuple[_Color, ...] = ((40, 90, 60), (60, 66, 74), (60, 80, 140), (150, 110, 40))
-
 _WHITE: _Color = (240, 240, 236)
-
 _GLASS: _Color = (66, 84, 104)
-
 _DARK: _Color = (34, 36, 40)
-
 _STEEL: _Color = (150, 156, 160)
 
 
@@ -607,17 +599,11 @@ _CLOTHES: tuple[_Color, ...] = (
     (178, 42, 46), (38, 72, 140), (228, 226, 220), (46, 48, 54), (52, 118, 82), (226, 178, 62), (120, 66, 126),
     (214, 110, 52), (92, 148, 180), (150, 132, 108),
 )  # fmt: skip
-
 _TROUSERS: tuple[_Color, ...] = ((44, 54, 84), (40, 40, 44), (110, 98, 80), (76, 82, 90))
-
 _SKIN: tuple[_Color, ...] = ((232, 190, 160), (198, 150, 116), (140, 98, 72), (92, 64, 48))
-
 _HAIR: tuple[_Color, ...] = ((48, 36, 28), (28, 26, 26), (150, 116, 70), (120, 60, 36), (176, 174, 170))
-
 _HELMETS: tuple[_Color, ...] = ((236, 236, 232), (200, 40, 40), (40, 44, 52), (240, 190, 40))
-
 _FRAMES: tuple[_Color, ...] = ((180, 36, 40), (36, 76, 150), (40, 44, 48), (60, 130, 90), (222, 222, 218))
-
 _SHOES: _Color = (42, 38, 36)
 
 _PACE = 0.3
@@ -691,8 +677,7 @@ def _leg(left: float, hip: float, cloth: Material) -> tuple[Shape, ...]:
 
 
 def _cloth(generator: np.random.Generator, choices: Sequence[_Color]) -> Material:
-    color = choices[int(generator.integers(len(choices)))]
-    return Material(Pattern.PLAIN, (color,) * 3, reflectivity=0.55)
+    return Material(Pattern.PLAIN, (_pick(generator, choices),) * 3, reflectivity=0.55)
 
 
 def _limb(start: _Point, end: _Point, radius: float, material: Material) -> Shape:
@@ -818,29 +803,24 @@ class GroundMap:
         nodes = np.zeros((*size, 4), np.float32)
         nodes[..., 1], nodes[..., 2] = _WIDTH, 1.0
         nearest = np.full(size, np.inf)
-        for k in range(len(lane.points)):
-            _draw(nodes, nearest, corner, lane, k)
+        # the nodes that lie nearer to a point of the lane than to those before take its coordinates
+        for point, heading, curvature, along in zip(
+            lane.points, lane.headings, lane.curvatures, lane.along, strict=True
+        ):
+            low = np.maximum(0, np.floor((point - _WIDTH - corner) / _CELL).astype(np.int64))
+            high = np.ceil((point + _WIDTH - corner) / _CELL).astype(np.int64) + 1
+            window = (slice(low[0], high[0]), slice(low[1], high[1]))
+            columns, rows = nearest[window].shape
+            x = (corner[0] + _CELL * (low[0] + np.arange(columns)) - point[0])[:, None]
+            y = (corner[1] + _CELL * (low[1] + np.arange(rows)) - point[1])[None, :]
+            squared = x * x + y * y
+            closer = squared < np.minimum(nearest[window], _WIDTH**2)
+            cosine, sine = np.cos(heading), np.sin(heading)
+            ahead, left = (cosine * x + sine * y)[closer], (cosine * y - sine * x)[closer]
+            stretched = along + ahead / np.maximum(0.2, 1.0 - curvature * left)
+            nearest[window][closer] = squared[closer]
+            nodes[window][closer] = np.column_stack(np.broadcast_arrays(stretched, left, cosine, sine))
         return cls(nodes, corner)
-
-
-def _draw(nodes: Float32Array, nearest: Float64Array, corner: Float64Array, lane: Lane, k: int) -> None:
-    """Write the coordinates of the nodes that lie nearer to point k of the lane than to those before."""
-    low = np.maximum(0, np.floor((lane.points[k] - _WIDTH - corner) / _CELL).astype(np.int64))
-    high = np.ceil((lane.points[k] + _WIDTH - corner) / _CELL).astype(np.int64) + 1
-    window = (slice(low[0], high[0]), slice(low[1], high[1]))
-    shape = nearest[window].shape
-    x = (corner[0] + _CELL * (low[0] + np.arange(shape[0])) - lane.points[k, 0])[:, None]
-    y = (corner[1] + _CELL * (low[1] + np.arange(shape[1])) - lane.points[k, 1])[None, :]
-    squared = x * x + y * y
-    closer = squared < np.minimum(nearest[window], _WIDTH**2)
-    cosine, sine = np.cos(lane.headings[k]), np.sin(lane.headings[k])
-    ahead, left = (cosine * x + sine * y)[closer], (cosine * y - sine * x)[closer]
-    stretch = np.maximum(0.2, 1.0 - lane.curvatures[k] * left)
-    values = np.column_stack(
-        [lane.along[k] + ahead / stretch, left, np.full(len(left), cosine), np.full(len(left), sine)]
-    )
-    nearest[window][closer] = squared[closer]
-    nodes[window][closer] = values
 
 
 @dataclass(frozen=True, slots=True)
@@ -1320,7 +1300,6 @@ _EGO_LW = (4.6, 1.86)
 """Ground that the ego takes [m]."""
 
 _TRIES = 6
-
 _OWN_LANE, _ONCOMING_LANE = 0.0, 3.5
 
 _EDGES = ((-1.5, 1.0), (5.05, -1.0))
@@ -1416,9 +1395,8 @@ def plan_traffic(
     knots: Float64Array = first - _MARGIN + _KNOT_STEP * (np.arange(count, dtype=np.float64) - 2.0)
     looks: Float64Array = np.arange(first, last + _LOOK, _LOOK)
     plan = _Plan(path, Lane.of(path), knots, looks, _Clearance(_plans_of(street.shapes), [_ego_plans(path, looks)]))
-    _add_cars(generator, spec, plan)
-    _add_cyclists(generator, spec, plan)
-    _add_pedestrians(generator, spec, plan)
+    for add in (_add_cars, _add_cyclists, _add_pedestrians):
+        add(generator, spec, plan)
     things = [_mover(len(street.objects) + 1 + k, plan, k, span_ns=span_ns) for k in range(len(plan.designs))]
     curves = np.array(plan.curves).reshape(-1, count, 4)
     first_knot, start_ns = plan.first_knot, path.start_ns

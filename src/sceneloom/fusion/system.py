@@ -38,24 +38,15 @@ _MOST_SWEEPS = 3  # so many sweeps are kept for boxes, which come later
 
 @dataclass(slots=True)
 class _Lidar:
-    """A lidar.
+    """What is known of a lidar."""
 
-    Attributes:
-        source: takes its points into the world; None where they come in world coordinates.
-        location: `world_from_lidar`, whatever frame its points come in; None where that is not known.
-        period_ns: the nominal time from sweep to sweep [ns].
-        received: how many sweeps have come.
-        received_boxes: how many lists of boxes have come.
-        last_raw: times of the last sweep's points as they were read.
-        latest: the last sweeps, from the first list of boxes on: their points location what images alone show.
-    """
-
-    source: PoseSource | None
-    location: PoseSource | None
-    period_ns: int
-    received: int = 0
-    received_boxes: int = 0
-    last_raw: RawTimes | None = None
+    source: PoseSource | None  # takes its points into the world; None where they come in world coordinates
+    location: PoseSource | None  # `world_from_lidar`, whatever frame its points come in; None where not known
+    period_ns: int  # the nominal time from sweep to sweep
+    received: int = 0  # sweeps
+    received_boxes: int = 0  # lists of boxes
+    last_raw: RawTimes | None = None  # times of the last sweep's points as they were read
+    # the last sweeps, from the first list of boxes on: their points locate what images alone show
     latest: deque[LidarFrame] = field(default_factory=lambda: deque(maxlen=_MOST_SWEEPS))
 
     def remember(self, frame: LidarFrame) -> None:
@@ -65,11 +56,8 @@ class _Lidar:
 
     def sweep_at(self, time_ns: int) -> LidarFrame | None:
         """The sweep that is kept of a time [ns], within half a period; None where there is none."""
-        near = [(abs(frame.reference_ns - time_ns), -k, frame) for k, frame in enumerate(self.latest)]
-        if not near:
-            return None
-        away_ns, _, frame = min(near, key=lambda one: one[:2])
-        return frame if away_ns <= self.period_ns // 2 else None
+        near = min(reversed(self.latest), key=lambda frame: abs(frame.reference_ns - time_ns), default=None)
+        return None if near is None or abs(near.reference_ns - time_ns) > self.period_ns // 2 else near
 
     def timed(self, frame: LidarFrame) -> tuple[LidarFrame, TimesFound]:
         """Bring the times of the points onto the scene's clock, and state what they were."""
@@ -80,19 +68,12 @@ class _Lidar:
 
 @dataclass(slots=True)
 class _Camera:
-    """A camera.
-
-    Attributes:
-        id: the camera.
-        index: what its points bear as `camera_index`.
-        source: `world_from_camera`.
-        shutter: when the lines of its images are taken.
-    """
+    """What is known of a camera."""
 
     id: Identifier
-    index: int
-    source: PoseSource
-    shutter: Shutter = GLOBAL
+    index: int  # what its points bear as `camera_index`
+    source: PoseSource  # `world_from_camera`
+    shutter: Shutter = GLOBAL  # when the lines of its images are taken
 
 
 STILL = Poses.identity()
@@ -102,8 +83,6 @@ def _stationary(source: PoseSource | None) -> PoseSource | None:
     """The same sensor on an ego that does not move."""
     return None if source is None else replace(source, path=STILL)
 
-
-_DEFAULTS = FusionConfiguration()
 
 _LONGEST_LAG_NS = 10_000_000_000
 """Sweeps that come, or are timestamped, later than so long after their points were measured are not paired any more."""
@@ -118,13 +97,8 @@ class _HasTime(Protocol):
         ...
 
 
-class _Timed(Protocol):
-    """Something of one time: an image, or the boxes that a detector saw in it."""
-
-    @property
-    def timestamp_ns(self) -> int:
-        """When it was [ns]."""
-        ...
+class _Timed(_HasTime, Protocol):
+    """An image, or the boxes that a detector saw in it."""
 
     @property
     def extras(self) -> Mapping[str, Any]:
@@ -133,7 +107,6 @@ class _Timed(Protocol):
 
 
 _Frame = TypeVar("_Frame", bound=_HasTime)  # of a lidar: a sweep, or the boxes in it
-
 _Partner = TypeVar("_Partner", bound=_Timed)  # of a camera: an image, or the boxes in it
 
 
@@ -157,19 +130,11 @@ def _nobody(extras: Mapping[str, Any], leave: Leave) -> None:
 
 @dataclass(slots=True)
 class _Queue(Generic[_Partner]):
-    """What one camera has sent and a sweep may still ask for, in time order.
+    """What one camera has sent and a sweep may still ask for, in time order."""
 
-    Attributes:
-        camera_id: the camera.
-        most: how many are kept, the oldest are dropped; None for as many as come.
-        items: what is kept.
-        on_left: called with what is not kept any more.
-    """
-
-    camera_id: Identifier
-    most: int | None = None
+    most: int | None = None  # how many are kept, the oldest are dropped; None for as many as come
     items: deque[_Partner] = field(default_factory=deque)
-    on_left: _OnLeft = _nobody
+    on_left: _OnLeft = _nobody  # called with what is not kept any more
 
     def add(self, item: _Partner) -> int:
         """Keep one; one that comes late takes its location in time. Gives how many were dropped to make room."""
@@ -205,27 +170,16 @@ class _Queue(Generic[_Partner]):
 
 @dataclass(frozen=True, slots=True)
 class _Waiting(Generic[_Frame]):
-    """A sweep that waits for images.
-
-    Attributes:
-        lidar_id: its lidar.
-        index: its number in the lidar.
-        frame: the sweep.
-        reference_ns: the time that it is paired by [ns].
-        tolerance_ns: how far an image may be from it [ns].
-        algorithm: how it is to be fused.
-        configuration: the settings in force when it came.
-        extras: further fields, by name.
-    """
+    """A sweep that waits for images."""
 
     lidar_id: Identifier
-    index: int
+    index: int  # its number in the lidar
     frame: _Frame
-    reference_ns: int
-    tolerance_ns: int
-    algorithm: Any = None
-    configuration: FusionConfiguration = _DEFAULTS
-    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
+    reference_ns: int  # the time that it is paired by
+    tolerance_ns: int  # how far an image may be from it
+    algorithm: Any  # how it is to be fused
+    configuration: FusionConfiguration  # the settings in force when it came
+    extras: Mapping[str, Any]  # further fields, by name
 
 
 @dataclass(slots=True)
@@ -234,20 +188,13 @@ class _Pairing(Generic[_Frame, _Partner]):
 
     A sweep is ready as soon as every camera has sent an image at or after its reference time, and where images may
     come out of order one so near that no other is nearer; or when so much time has passed that none can come any more.
-
-    Attributes:
-        lateness_ns: how much later than its time an image may arrive and still be waited for.
-        most_waiting: sweeps that may wait; None for as many as come.
-        queues: the images of each camera.
-        waiting: the sweeps, oldest first.
-        on_left: called with what is not kept any more, but for sweeps that became ready.
     """
 
-    lateness_ns: int = 0
-    most_waiting: int | None = None
-    queues: dict[Identifier, _Queue[_Partner]] = field(default_factory=dict)
-    waiting: deque[_Waiting[_Frame]] = field(default_factory=deque)
-    on_left: _OnLeft = _nobody
+    lateness_ns: int = 0  # how much later than its time an image may arrive and still be waited for
+    most_waiting: int | None = None  # sweeps that may wait; None for as many as come
+    queues: dict[Identifier, _Queue[_Partner]] = field(default_factory=dict)  # the images of each camera
+    waiting: deque[_Waiting[_Frame]] = field(default_factory=deque)  # the sweeps, oldest first
+    on_left: _OnLeft = _nobody  # called with what is not kept any more, but for sweeps that became ready
     _lags_ns: dict[Identifier, int] = field(default_factory=dict)
     _retiring: dict[Identifier, _Waiting[_Frame]] = field(default_factory=dict)
     _latest_ns: int | None = None
@@ -260,7 +207,7 @@ class _Pairing(Generic[_Frame, _Partner]):
 
     def add_camera(self, camera_id: Identifier, *, most: int | None = None) -> None:
         """Make a camera known; `most` of its images are kept."""
-        self.queues[camera_id] = _Queue(camera_id, most, on_left=self.on_left)
+        self.queues[camera_id] = _Queue(most, on_left=self.on_left)
 
     def expect(self, camera_ids: Collection[Identifier]) -> None:
         """Wait for these cameras alone from now on; sweeps that wait can have what the others have sent."""
@@ -352,12 +299,7 @@ class _Pairing(Generic[_Frame, _Partner]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TimedSweep:
-    """A sweep whose point times are on the scene's clock.
-
-    Attributes:
-        frame: the sweep.
-        times: what its times were.
-    """
+    """A sweep whose point times are on the scene's clock, and what they were."""
 
     frame: LidarFrame
     times: TimesFound
@@ -444,16 +386,11 @@ class _Pairs:
 
 @dataclass(slots=True)
 class _SweepFusion:
-    """Fuses sweeps with images.
-
-    Attributes:
-        lidars, cameras: what is known of the sensors.
-        on_unreadable: called for an image that cannot be decoded, which then counts as unpaired; None: it raises.
-    """
+    """Fuses sweeps with images."""
 
     lidars: Mapping[Identifier, _Lidar]
     cameras: Mapping[Identifier, _Camera]
-    on_unreadable: Callable[[DataError], None] | None = None
+    on_unreadable: Callable[[DataError], None] | None = None  # as in `FusionSystem`
     _decoded: dict[Identifier, tuple[CameraImage, UInt8Array]] = field(default_factory=dict)
 
     def fuse(self, waiting: _Waiting[_TimedSweep], pairing: _SweepPairing) -> tuple[FusedFrame, ...]:
@@ -569,11 +506,7 @@ class _SweepFusion:
 
 @dataclass(slots=True)
 class _BoxFusion:
-    """Fuses the boxes of sweeps with those of images.
-
-    Attributes:
-        lidars, cameras: what is known of the sensors.
-    """
+    """Fuses the boxes of sweeps with those of images."""
 
     lidars: Mapping[Identifier, _Lidar]
     cameras: Mapping[Identifier, _Camera]

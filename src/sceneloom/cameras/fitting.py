@@ -153,21 +153,13 @@ def _is_perspective(camera: Camera) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
-    """What is searched for.
+    """What is searched for."""
 
-    Attributes:
-        exact: the camera model to be replaced.
-        model: of the camera model that replaces it.
-        fixed: names of numbers that stay.
-        pixels: (N, 2) of the exact camera model.
-        rays: (N, 3) along which it looks there.
-    """
-
-    exact: Camera
-    model: str
-    fixed: frozenset[str]
-    pixels: Float64Array
-    rays: Float64Array
+    exact: Camera  # the camera model to be replaced
+    model: str  # of the one that replaces it
+    fixed: frozenset[str]  # names of numbers that stay
+    pixels: Float64Array  # (N, 2) of the exact camera model
+    rays: Float64Array  # (N, 3) along which it looks there
 
     @classmethod
     def of(cls, exact: Camera, plain: Camera, fixed: frozenset[str]) -> "_Search":

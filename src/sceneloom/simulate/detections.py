@@ -333,28 +333,18 @@ class SimulatedDetections(Generic[_Boxes]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:
-    """What one frame shows.
+    """What one frame shows."""
 
-    Attributes:
-        stream, spec, sensor_id: of the detector.
-        frame: number of the true frame.
-        stated_ns: its timestamp in the scene; of a sweep its reference time [ns].
-        objects: boxes of the objects in it, in the world at the true time.
-        instances: (M,) int64, which they are.
-        evidence: (M,) float64, how many points or pixels show them.
-        occlusions: (M,) float64, which share of them is hidden behind others, 0 in plain view to 1.
-        clutter: (C, 3) float64, where a false box may be: points of the world [m], or column, row [px] and depth [m].
-    """
-
-    stream: Stream
+    stream: Stream  # of the detector, as the next two
     spec: Detector2dSpec | Detector3dSpec
     sensor_id: Identifier
-    frame: int
-    stated_ns: int
-    objects: Boxes3D
-    instances: Int64Array
-    evidence: Float64Array
-    occlusions: Float64Array
+    frame: int  # number of the true frame
+    stated_ns: int  # its timestamp in the scene; of a sweep its reference time [ns]
+    objects: Boxes3D  # boxes of the objects in it, in the world at the true time
+    instances: Int64Array  # (M,) int64, which they are
+    evidence: Float64Array  # (M,) float64, how many points or pixels show them
+    occlusions: Float64Array  # (M,) float64, which share of them is hidden behind others, 0 in plain view to 1
+    # (C, 3) float64, where a false box may be: points of the world [m], or column, row [px] and depth [m]
     clutter: Float64Array
 
     def generator(self, number: int) -> np.random.Generator:
@@ -365,24 +355,16 @@ class _Look:
 
 @dataclass(slots=True, eq=False)
 class _Draft(Generic[_Boxes]):
-    """One frame before its boxes have scores; what is drawn for it is drawn in the order of these steps.
+    """One frame before its boxes have scores; what is drawn for it is drawn in the order of these steps."""
 
-    Attributes:
-        look: what it shows.
-        generator: of the frame.
-        chances: (M,) float64, of its objects to be found.
-        found: how many are.
-        rows: (F,) int64, which they are, then those that are reported twice.
-        false_rates: expected false boxes by class, 0 where there is no room for them.
-        report: found boxes, duplicates and false ones, in this order, all with score 0.
-    """
-
-    look: _Look
-    generator: np.random.Generator = field(init=False)
-    chances: Float64Array = field(init=False)
-    found: int = field(init=False)
-    rows: Int64Array = field(init=False)
+    look: _Look  # what it shows
+    generator: np.random.Generator = field(init=False)  # of the frame
+    chances: Float64Array = field(init=False)  # (M,) float64, of its objects to be found
+    found: int = field(init=False)  # how many are
+    rows: Int64Array = field(init=False)  # (F,) int64, which they are, then those that are reported twice
+    # expected false boxes by class, 0 where there is no room for them
     false_rates: Mapping[str, float] = field(init=False)
+    # found boxes, duplicates and false ones, in this order, all with score 0
     report: SimulatedDetections[_Boxes] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -559,14 +541,9 @@ def detect_2d(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ImageLook(_Look):
-    """What one image shows.
+    """What one image shows."""
 
-    Attributes:
-        corners_xyxy: (M, 4) float64 [px], where the objects are in the image.
-        camera_model: of the camera.
-    """
-
-    corners_xyxy: Float64Array
+    corners_xyxy: Float64Array  # (M, 4) float64 [px], where the objects are in the image
     camera_model: Camera
 
 
@@ -729,16 +706,11 @@ def detect_3d(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SweepLook(_Look):
-    """What one sweep shows.
+    """What one sweep shows."""
 
-    Attributes:
-        world_from_ego, world_from_lidar: true poses at its reference time.
-        points_world: (N, 3) float64 [m], all points.
-    """
-
-    world_from_ego: RigidTransform
-    world_from_lidar: RigidTransform
-    points_world: Float64Array
+    world_from_ego: RigidTransform  # true pose at its reference time
+    world_from_lidar: RigidTransform  # true pose at its reference time
+    points_world: Float64Array  # (N, 3) float64 [m], all points
 
     def placed(self, boxes: Boxes3D, frame: PointsFrame) -> Boxes3D:
         """True boxes of the world in a frame, exactly."""
@@ -897,24 +869,15 @@ _ALONG_EDGES = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LineViews:
-    """Where a camera and the boxes of some objects are when each line of an image is taken.
-
-    Attributes:
-        camera_model: of the camera.
-        left_to_right: whether the lines are columns, not rows.
-        rotations, origins: (L, 3, 3) and (L, 3) float64 [m], `world_from_camera` at each line's time.
-        centers_world: (L, M, 3) float64 [m].
-        yaws: (L, M) float64 [rad], counter-clockwise from the world's x.
-        sizes_lwh: (M, 3) float64 [m].
-    """
+    """Where a camera and the boxes of some objects are when each line of an image is taken."""
 
     camera_model: Camera
-    left_to_right: bool
-    rotations: Float64Array
-    origins: Float64Array
-    centers_world: Float64Array
-    yaws: Float64Array
-    sizes_lwh: Float64Array
+    left_to_right: bool  # whether the lines are columns, not rows
+    rotations: Float64Array  # (L, 3, 3), of `world_from_camera` at each line's time
+    origins: Float64Array  # (L, 3) float64 [m], of the same
+    centers_world: Float64Array  # (L, M, 3) float64 [m]
+    yaws: Float64Array  # (L, M) float64 [rad], counter-clockwise from the world's x
+    sizes_lwh: Float64Array  # (M, 3) float64 [m]
 
     @classmethod
     def of(cls, camera: RenderedCamera, k: int, instances: Int64Array) -> "_LineViews":

@@ -164,19 +164,12 @@ class Faults:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FramePlan:
-    """Which frames come, of what and when.
+    """Which frames come, of what and when."""
 
-    Attributes:
-        contents: (F,) int64, number of the true frame that each one shows.
-        true_ns: (F,) int64 [ns], when the frame should be of.
-        stated_ns: (F,) int64 [ns], the timestamp that it gets.
-        blind: (F,) bool, nothing is in it.
-    """
-
-    contents: Int64Array
-    true_ns: Int64Array
-    stated_ns: Int64Array
-    blind: BoolArray
+    contents: Int64Array  # (F,) int64, number of the true frame that each one shows
+    true_ns: Int64Array  # (F,) int64 [ns], when the frame should be of
+    stated_ns: Int64Array  # (F,) int64 [ns], the timestamp that it gets
+    blind: BoolArray  # (F,) bool, nothing is in it
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1125,21 +1125,14 @@ def _annotation(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Track:
-    """A line at a constant distance beside the trajectory, straight on beyond its ends.
+    """A line at a constant distance beside the trajectory, straight on beyond its ends."""
 
-    Attributes:
-        points: (L, 2) float64 [m], world frame.
-        headings: (L,) float64 [rad], of the trajectory.
-        along: (L,) float64 [m], arc length of this line, from 0.
-        widths: (L,) float64, length of this line per length of the trajectory: small on the inside of a bend.
-        parameters: (L,) float64, the ego's curve parameters beside the points.
-    """
-
-    points: Float64Array
-    headings: Float64Array
-    along: Float64Array
+    points: Float64Array  # (L, 2) float64 [m], world frame
+    headings: Float64Array  # (L,) float64 [rad], of the trajectory
+    along: Float64Array  # (L,) float64 [m], arc length of this line, from 0
+    # (L,) float64, length of this line per length of the trajectory: small on the inside of a bend
     widths: Float64Array
-    parameters: Float64Array
+    parameters: Float64Array  # (L,) float64, the ego's curve parameters beside the points
 
     @classmethod
     def of(cls, lane: Lane, left: float) -> "_Track":
@@ -1186,19 +1179,12 @@ _STRETCH = 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plans:
-    """Rectangles on the ground, one per time or per thing.
+    """Rectangles on the ground, one per time or per thing."""
 
-    Attributes:
-        centers: (N, 2) float64 [m], world frame.
-        yaws: (N,) float64 [rad], of the side `half[:, 0]`.
-        half: (N, 2) float64 [m].
-        there: (N,) bool, whether it counts.
-    """
-
-    centers: Float64Array
-    yaws: Float64Array
-    half: Float64Array
-    there: BoolArray
+    centers: Float64Array  # (N, 2) float64 [m], world frame
+    yaws: Float64Array  # (N,) float64 [rad], of the side `half[:, 0]`
+    half: Float64Array  # (N, 2) float64 [m]
+    there: BoolArray  # (N,) bool, whether it counts
 
     @property
     def radii(self) -> Float64Array:
@@ -1240,15 +1226,10 @@ def _overlapping(a: _Plans, b: _Plans) -> BoolArray:
 
 @dataclass(slots=True)
 class _Clearance:
-    """The ground that is taken at each of T times while movers are planned.
+    """The ground that is taken at each of T times while movers are planned."""
 
-    Attributes:
-        stationary: what never moves.
-        moving: the plans of each mover, one per time.
-    """
-
-    stationary: _Plans
-    moving: list[_Plans] = field(default_factory=list)
+    stationary: _Plans  # what never moves
+    moving: list[_Plans] = field(default_factory=list)  # the plans of each mover, one per time
 
     def try_add(self, plans: _Plans) -> bool:
         """Take the ground of a mover at all times unless it would come too near something; report whether."""
@@ -1337,24 +1318,16 @@ class TrafficSpec:
 
 @dataclass(slots=True)
 class _Plan:
-    """The street over the time of a drive, while movers are put into it.
+    """The street over the time of a drive, while movers are put into it."""
 
-    Attributes:
-        path, lane: the ego trajectory.
-        knots: (N,) float64 [s], when control points weigh most.
-        looks: (T,) float64 [s], when movers are kept apart.
-        clearance: the ground that is taken.
-        designs, curves, there: of those that found room; (N, 4) control points, (T,) bool.
-    """
-
-    path: EgoPath
-    lane: Lane
-    knots: Float64Array
-    looks: Float64Array
-    clearance: _Clearance
-    designs: list[MovingDesign] = field(default_factory=list)
-    curves: list[Float64Array] = field(default_factory=list)
-    there: list[BoolArray] = field(default_factory=list)
+    path: EgoPath  # of the ego
+    lane: Lane  # of the ego
+    knots: Float64Array  # (N,) float64 [s], when control points weigh most
+    looks: Float64Array  # (T,) float64 [s], when movers are kept apart
+    clearance: _Clearance  # the ground that is taken
+    designs: list[MovingDesign] = field(default_factory=list)  # of those that found room
+    curves: list[Float64Array] = field(default_factory=list)  # (N, 4) control points of each
+    there: list[BoolArray] = field(default_factory=list)  # (T,) of each
 
     @property
     def first_knot(self) -> float:

@@ -528,20 +528,6 @@ def test_the_share_outside_the_image_is_that_of_random_directions(name):
     assert compared >= 5
 
 
-@pytest.mark.parametrize(
-    ("plates", "expected"),
-    [
-        # (right of the axis, distance, width) each: the nearer one covers 0 to 2 m at 10 m, the right half of -1 to 1 m
-        ([(0.0, 10.0, 2.0), (0.5, 5.0, 1.0)], [0.5, 0.0]),
-        # the nearest covers -0.5 to 1.5 m at 4 m: all that the middle one shows, and -1.25 to 3.75 m at 10 m
-        ([(0.0, 10.0, 2.0), (0.5, 5.0, 1.0), (0.5, 4.0, 2.0)], [1.0, 1.0, 0.0]),
-    ],
-)
-def test_a_plate_hides_what_it_covers_of_those_behind_it(plates, expected):
-    boxes = some_boxes([[x, 0.0, z] for x, z, _ in plates], [[0.01, side, side] for _, _, side in plates])
-    np.testing.assert_allclose(observe_cuboids(WIDE_PINHOLE, HERE, boxes).occlusions, expected, atol=0.01)
-
-
 def along_rays(rays, center, size, rotation):
     """Where rays (N, 3) from the origin enter and leave a box."""
     directions, origin = rotation.inv().apply(rays), rotation.inv().apply(-center)
@@ -578,14 +564,6 @@ def test_boxes_behind_the_camera_or_around_it_hide_nothing_and_those_too_small_t
     seen = observe_cuboids(WIDE_PINHOLE, HERE, plates, min_pixels=4.0)
     assert seen.rows.tolist() == [0]
     assert seen.occlusions[0] == pytest.approx(0.02, abs=ON_GRID)
-
-
-def test_a_fisheye_sees_what_stands_behind_the_plane_of_the_image():
-    camera_model = Camera("fisheye", 1200, 1200, 300.0, 300.0, 599.5, 599.5)
-    corners = seen_box(camera_model, [5.0, 0.0, -1.0], [0.5, 0.5, 0.5]).boxes_xyxy.reshape(2, 2)
-    # 90 degrees and atan(1 / 5) off the axis, 300 pixels a radian
-    middle = [600 + 300 * (np.pi / 2 + np.arctan(0.2)), 600.0]
-    np.testing.assert_allclose(corners.mean(axis=0), middle, atol=2.0)
 
 
 @pytest.mark.parametrize(

@@ -205,28 +205,3 @@ def test_pixels_are_those_of_the_formulas_and_look_at_their_points(model, coeffi
     assert np.allclose(project_unbounded(camera, points), expected, rtol=1e-12, atol=ROUNDING_PX)
     toward = points / np.linalg.norm(points, axis=1, keepdims=True)
     assert np.abs(unproject(camera, expected) - toward).max() < 1e-9  # a millionth of a pixel
-
-
-@pytest.mark.parametrize("model", ["fisheye", "mod_equi_fish", "mod_kannala", "kannala_brandt18"])
-def test_fisheyes_without_coefficients_are_equidistant_all_around(model):
-    angle = np.radians([1.0, 60.0, 90.0, 135.0, 179.0])
-    points = np.column_stack([np.sin(angle), np.zeros(5), np.cos(angle)])
-    pixels = project_unbounded(Camera(model, *SIZE), points)
-    assert np.allclose(pixels[:, 0], SIZE[4] + SIZE[2] * angle, atol=ROUNDING_PX)
-
-
-@pytest.mark.parametrize("model", ["omnidirectional", "omnidir"])
-def test_the_sphere_shifted_by_one_is_the_stereographic_projection_and_not_shifted_a_pinhole(model):
-    angle = np.radians([10.0, 90.0, 150.0, 175.0])
-    points = np.column_stack([np.zeros(4), np.sin(angle), np.cos(angle)])
-    camera = Camera(model, *SIZE, ((0.0,) * 6 if model == "omnidirectional" else (0.0,) * 3) + (1.0,))
-    assert np.allclose(project_unbounded(camera, points)[:, 1], SIZE[5] + SIZE[3] * np.tan(angle / 2))
-    points = points_in_domain(Camera("pinhole", *SIZE), 50)
-    expected = project_unbounded(Camera("pinhole", *SIZE), points)
-    assert np.allclose(project_unbounded(Camera(model, *SIZE), points), expected)
-
-
-def test_the_focal_lengths_of_an_ftheta_camera_model_take_no_part():
-    points = points_in_domain(Camera("ftheta", *SIZE, (0.0, 420.0)), 20)
-    one, other = (Camera("ftheta", 1280, 960, f, 3 * f, 640.0, 480.0, (0.0, 420.0)) for f in (1.0, 700.0))
-    assert np.array_equal(project_unbounded(one, points), project_unbounded(other, points))

@@ -63,14 +63,11 @@ def test_a_screw_of_a_quarter_rotation_is_a_quarter_circle():
     np.testing.assert_allclose(moved[:3, 0], [0.0, 1.0, 0.0], atol=1e-12)
 
 
-def test_frames_are_spread_over_the_drive_and_no_more_than_asked(drive):
+def test_frames_are_spread_over_the_drive_and_unknown_sensors_named_with_those_that_are_there(drive):
     assert [frame.index for frame in calibration_frames(drive.scene, most=2)] == [0, 3]
     assert len(calibration_frames(drive.scene, most=100)) == 4
     with pytest.raises(OptionError, match="0 frames"):
         calibration_frames(drive.scene, most=0)
-
-
-def test_unknown_sensors_are_named_with_those_that_are_there(drive):
     with pytest.raises(OptionError, match=r"'left'.*'camera0'"):
         calibration_frames(drive.scene, "left")
     with pytest.raises(OptionError, match=r"'roof'.*'lidar'"):
@@ -78,28 +75,17 @@ def test_unknown_sensors_are_named_with_those_that_are_there(drive):
 
 
 def with_camera(scene: Scene, **changes: object) -> Scene:
-    """The scene with another camera0."""
     sensors = [replace(s, **changes) if s.id == "camera0" else s for s in scene.sensors]
     return replace(scene, sensors=tuple(sensors))
 
 
-def test_images_of_another_size_than_calibrated_are_refused(drive):
+def test_images_of_another_size_or_that_no_sweep_is_near_and_cameras_without_location_are_refused(drive):
     first = drive.scene.cameras[0].images[0]
     small = CameraImage(first.timestamp_ns, AHEAD, lambda: np.zeros((32, 48, 3), np.uint8))
-    scene = with_camera(drive.scene, images=LazyFrames.of([small], [first.timestamp_ns]))
-    with pytest.raises(DataError, match="48x32 pixels; expected 96x64"):
-        calibration_frames(scene)
-
-
-def test_images_that_no_sweep_is_near_are_an_error(drive):
-    first = drive.scene.cameras[0].images[0]
     late = replace(first, timestamp_ns=first.timestamp_ns + 60_000_000_000)
-    scene = with_camera(drive.scene, images=LazyFrames.of([late], [late.timestamp_ns]))
-    with pytest.raises(DataError, match="none with a sweep"):
-        calibration_frames(scene)
-
-
-def test_a_camera_without_location_is_an_error(drive):
+    for image, problem in ((small, "48x32 pixels; expected 96x64"), (late, "none with a sweep")):
+        with pytest.raises(DataError, match=problem):
+            calibration_frames(with_camera(drive.scene, images=LazyFrames.of([image], [image.timestamp_ns])))
     with pytest.raises(PoseError, match="not known"):
         calibration_frames(with_camera(drive.scene, mount=None, poses=None))
 
@@ -130,36 +116,23 @@ def scanned(lines: int = 16, steps: int = 360) -> tuple[np.ndarray, np.ndarray]:
     return (ranges * np.array(directions)).T.copy(), rings
 
 
-@pytest.mark.parametrize("known", [True, False], ids=["rings", "order"])
-def test_lines_are_reported_by_rings_or_by_the_order_of_the_file(known):
-    points, rings = scanned()
-    scan = find_scan_order(points, rings.astype(np.uint16) if known else None)
-    assert scan is not None
-    assert scan.count == 16
-    assert (rings[scan.order] == scan.lines).all()
-
-
-def test_lines_are_reported_by_elevations_where_the_order_says_nothing():
+def test_lines_are_reported_by_rings_by_the_order_of_the_file_or_by_elevations():
     points, rings = scanned()
     shuffled = np.random.default_rng(1).permutation(len(points))
-    scan = find_scan_order(points[shuffled], None)
-    assert scan is not None
-    assert (rings[shuffled][scan.order] == scan.lines).all()
-
-
-def test_each_line_goes_by_azimuth():
-    scan = find_scan_order(scanned()[0], None)
+    plain = np.arange(len(points))
+    for order, known in ((plain, rings.astype(np.uint16)), (plain, None), (shuffled, None)):
+        scan = find_scan_order(points[order], known)
+        assert scan is not None
+        assert scan.count == 16
+        assert (rings[order][scan.order] == scan.lines).all()
+    scan = find_scan_order(points, None)
     assert scan is not None
     same = np.diff(scan.lines) == 0
     assert (np.diff(scan.azimuths)[same] > 0).all()
 
 
-def test_a_cloud_without_lines_has_none():
-    points = np.random.default_rng(2).normal(size=(5000, 3)) * 10.0
-    assert find_scan_order(points, None) is None
-
-
-def test_few_points_have_no_lines():
+def test_a_cloud_without_lines_and_few_points_have_none():
+    assert find_scan_order(np.random.default_rng(2).normal(size=(5000, 3)) * 10.0, None) is None
     assert find_scan_order(scanned()[0][:20], None) is None
     assert find_scan_order(np.zeros((500, 3)), None) is None
 
@@ -175,20 +148,15 @@ def edges_of(ranges: np.ndarray) -> DepthEdges:
     rotations, heights = np.meshgrid(AZIMUTHS, ELEVATIONS)
     points = directions_at(rotations.ravel(), heights.ravel()) * ranges.reshape(-1, 1)
     rings = np.repeat(np.arange(9, dtype=np.uint16), 80)
+    images = {"grey": np.zeros((32, 64), np.float32), "rgb": np.zeros((32, 64, 3), np.uint8)}
     frame = CalibrationFrame(
-        camera_id="camera0",
-        lidar_id="lidar",
-        index=0,
-        image_ns=0,
-        sweep_ns=0,
+        **{"camera_id": "camera0", "lidar_id": "lidar", "index": 0, "image_ns": 0, "sweep_ns": 0, **images},
         camera=Camera("pinhole", 64, 32, 40.0, 40.0, 31.5, 15.5),
         camera_from_lidar=CAMERA_FROM_LIDAR,
         points_lidar=points,
         intensities=None,
         seconds=None,
         scan=find_scan_order(points, rings),
-        grey=np.zeros((32, 64), np.float32),
-        rgb=np.zeros((32, 64, 3), np.uint8),
     )
     return find_depth_edges(frame, np.arange(len(points)))
 

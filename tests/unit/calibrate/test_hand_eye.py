@@ -25,7 +25,6 @@ MOUNT = RigidTransform.from_quaternion(
 
 
 def tumbling_body() -> Poses:
-    """A body that rotates about all its axes."""
     seconds = np.arange(COUNT) * 0.1
     rotations = np.stack([0.4 * np.sin(0.9 * seconds), 0.3 * np.sin(1.3 * seconds), 0.2 * seconds], axis=1)
     locations = np.stack([4.0 * seconds, np.sin(seconds), 0.3 * np.cos(seconds)], axis=1)
@@ -87,7 +86,6 @@ def _by_scipy(body: Poses, sensor: Poses) -> RigidTransform:
 
 
 def _relative(path: Poses) -> tuple[Rotation, np.ndarray]:
-    """Motions over a second, as scipy computes them."""
     rotations = Rotation.from_quat(path.quaternions_xyzw)
     back = rotations[:-10].inv()
     return back * rotations[10:], back.apply(path.positions[10:] - path.positions[:-10])

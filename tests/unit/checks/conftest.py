@@ -32,7 +32,6 @@ class Sound:
     """Parts of a scene in which no rule finds anything; each takes what is to be different."""
 
     def times(self, count: int = 6) -> np.ndarray:
-        """Timestamps of 10 Hz [ns]."""
         return np.arange(count, dtype=np.int64) * PERIOD
 
     def path(self, timestamps_ns: Any = None, **fields: Any) -> Poses:
@@ -62,7 +61,6 @@ class Sound:
         return LidarSensor(**{"id": "top", "frames": frames, **given, **fields})
 
     def camera(self, timestamps_ns: Any = None, *, camera_model: Camera = CAMERA_MODEL, **fields: Any) -> CameraSensor:
-        """A camera with noise for images."""
         times = self.times() if timestamps_ns is None else np.asarray(timestamps_ns, np.int64)
         rng = np.random.default_rng(0)
         noise = rng.integers(0, 255, (len(times), camera_model.height, camera_model.width, 3), np.uint8)
@@ -73,17 +71,17 @@ class Sound:
         return CameraSensor(**{"id": "front", "camera": camera_model, "images": images, "poses": poses, **fields})
 
     def odometry(self, **fields: Any) -> OdometrySensor:
-        """The ego trajectory."""
         return OdometrySensor(**{"id": "ego", "poses": self.path(), **fields})
 
-    def scene(self, *sensors: Sensor, **fields: Any) -> Scene:
-        """A scene of these sensors, or of a lidar and a camera."""
-        return Scene(sensors or (self.lidar(), self.camera()), **fields)
+    def scene(self, *parts: Any, **fields: Any) -> Scene:
+        """A scene of these sensors, or of a lidar and a camera, and of these annotations."""
+        sensors = tuple(part for part in parts if isinstance(part, Sensor))
+        annotations = tuple(part for part in parts if not isinstance(part, Sensor))
+        return Scene(sensors or (self.lidar(), self.camera()), annotations, **fields)
 
 
 @pytest.fixture
 def sound() -> Sound:
-    """Parts of sound scenes."""
     return Sound()
 
 
@@ -92,12 +90,28 @@ Found = Callable[..., list[tuple[str, str]]]
 
 @pytest.fixture
 def found() -> Found:
-    """What one rule finds: locations and messages."""
-
     def run(source: Any, rule: str, **options: Any) -> list[tuple[str, str]]:
         report = validate(source, rules=[rule], **options)
         assert all(finding.rule == rule for finding in report.findings)
         return [(finding.path, finding.message) for finding in report.findings]
+
+    return run
+
+
+@pytest.fixture
+def check(sound: Sound, found: Found) -> Callable[..., None]:
+    """Compare what one rule finds in a scene, or in one of these sensors and annotations, with what is expected.
+
+    That is "" for nothing, or for each finding its location, or "location: part of the message".
+    """
+
+    def run(rule: str, expected: str | list[str], *parts: Any) -> None:
+        scene = parts[0] if isinstance(parts[0], Scene) else sound.scene(*parts)
+        lines = [expected] if isinstance(expected, str) and expected else list(expected)
+        hits = found(scene, rule)
+        assert [path for path, _ in hits] == [line.partition(": ")[0] for line in lines]
+        for (_, message), line in zip(hits, lines, strict=True):
+            assert line.partition(": ")[2] in message
 
     return run
 

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.checks.poses import CORRECTION_RULES, POSE_RULES
@@ -20,166 +19,105 @@ from sceneloom.scene import (
 
 PERIOD = 100_000_000
 MOUNT = RigidTransform(np.eye(3), np.zeros(3))
+CALIBRATION = CameraCalibration("c", "front", time_offset_ns=5)
+WIDE = CameraCalibration("c", "front", intrinsics=Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5))
 
 
-def trajectory(sound, name="ego"):
-    path = sound.path()
-    return {name: Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)}
+def trajectory(s, *, row=0, up=0.0, early_ns=0):
+    """A scene with one trajectory, of which the rows from one on are higher, or one is earlier."""
+    path = s.path()
+    positions, times = path.positions.copy(), path.timestamps_ns.copy()
+    positions[row:, 2] += up
+    times[row] -= early_ns
+    return s.scene(trajectories={"ego": Trajectory("ego", times, positions, path.quaternions_xyzw)})
+
+
+def moved(s, count, row, left):
+    """A lidar of which one pose is farther to the left."""
+    path = s.path(s.times(count))
+    positions = path.positions.copy()
+    positions[row, 1] += left
+    return s.lidar(poses=replace(path, positions=positions))
+
+
+def braking(s):
+    """A lidar that brakes and then stands, by fixes with noise."""
+    times = np.arange(200) * PERIOD
+    along = np.cumsum(np.clip(20 - 8 * times / 1e9, 0, None) * 0.1)
+    positions = np.column_stack([along, np.zeros((200, 2))]) + np.random.default_rng(2).normal(0, 0.1, (200, 3))
+    return s.lidar(poses=s.path(times, positions=positions))
+
+
+def rotated(s, degrees, signs=1):
+    quaternions = np.tile([0.0, 0, 0, 1], (6, 1))
+    quaternions[3] = quaternion_from_rotation_vector(np.array([0, 0, np.radians(degrees)]))
+    quaternions[::2] *= signs
+    return s.lidar(poses=s.path(quaternions_xyzw=quaternions))
+
+
+def on_ego(s, coordinates=Coordinates.EGO):
+    return s.lidar(coordinates=coordinates, points_frame=PointsFrame.EGO)
+
+
+def camera_of_two(s, parent_id=None):
+    camera = s.camera(coordinates=Coordinates.EGO, parent_id=parent_id)
+    return camera, s.odometry(id="wheels"), s.odometry(id=2)
+
+
+def adjusted(s, *times, name="a"):
+    return LocalizationAdjustment(name, s.path(np.array(times)))
+
+
+def imu(first, stop):
+    times = np.arange(first, stop) * PERIOD
+    return ImuSensor("imu", {"gyroscope": VectorSamples(times, np.zeros((len(times), 3)))})
 
 
 def test_a_sound_scene_keeps_all_of_them(sound, keeps):
     mounted = sound.lidar(id="mounted", poses=None, mount=MOUNT)
-    scene = sound.scene(sound.lidar(), sound.camera(), mounted, sound.odometry(), trajectories=trajectory(sound))
-    assert keeps(scene, POSE_RULES)
-
-
-def test_a_sensor_without_poses_and_mounting_is_found(sound, found):
-    scene = sound.scene(sound.lidar(poses=None))
-    assert [path for path, _ in found(scene, "sensor-placed")] == ["sensors[0].poses"]
-
-
-def test_a_mounted_sensor_without_any_ego_trajectory_is_reported(sound, found):
-    scene = sound.scene(sound.lidar(poses=None, mount=MOUNT))
-    assert found(scene, "sensor-placed") == []
-    [(path, message)] = found(scene, "ego-trajectory-known")
-    assert path == "trajectories"
-    assert "sensors[0]" in message
-
-
-def test_frames_beyond_the_poses_are_counted(sound, found):
-    scene = sound.scene(sound.lidar(sound.times(9)))
-    [(path, message)] = found(scene, "poses-cover-frames")
-    assert path == "sensors[0].frames[7]"
-    assert message.startswith("2 of 9 frames")
-    within = sound.scene(sound.lidar(sound.times(7)))
-    assert found(within, "poses-cover-frames") == []
-
-
-def test_a_pose_off_its_trajectory_is_found_at_both_steps(sound, found):
-    path = sound.path(sound.times(12))
-    positions = path.positions.copy()
-    positions[5] += [0, 4.0, 0]
-    scene = sound.scene(sound.lidar(poses=replace(path, positions=positions)))
-    assert [location for location, _ in found(scene, "poses-jump")] == [
-        "sensors[0].poses.values[5]",
-        "sensors[0].poses.values[6]",
-    ]
-
-
-def test_braking_a_noisy_fix_and_stationary_are_no_jumps(sound, found):
-    times = np.arange(200) * PERIOD
-    seconds = times / 1e9
-    speed = np.clip(20 - 8 * seconds, 0, None)
-    along = np.cumsum(speed * 0.1)
-    rng = np.random.default_rng(2)
-    positions = np.column_stack([along, np.zeros(200), np.zeros(200)]) + rng.normal(0, 0.1, (200, 3))
-    assert found(sound.scene(sound.lidar(poses=sound.path(times, positions=positions))), "poses-jump") == []
-
-
-def test_a_trajectory_that_jumps_is_found_once(sound, found):
-    trajectories = trajectory(sound, "vio")
-    positions = trajectories["vio"].positions.copy()
-    positions[3:] += [0, 0, 40.0]
-    trajectories["vio"] = replace(trajectories["vio"], positions=positions)
-    assert [location for location, _ in found(sound.scene(trajectories=trajectories), "poses-jump")] == [
-        "trajectories[vio].values[3]"
-    ]
-
-
-@pytest.mark.parametrize(("degrees", "wrong"), [(10.0, False), (80.0, True)])
-def test_a_rotated_pose_is_found(sound, found, degrees, wrong):
-    quaternions = np.tile([0.0, 0, 0, 1], (6, 1))
-    quaternions[3] = quaternion_from_rotation_vector(np.array([0, 0, np.radians(degrees)]))
-    poses = sound.path(quaternions_xyzw=quaternions)
-    locations = [location for location, _ in found(sound.scene(sound.lidar(poses=poses)), "poses-rotation")]
-    assert locations == (["sensors[0].poses.values[3]", "sensors[0].poses.values[4]"] if wrong else [])
-
-
-def test_opposite_quaternions_are_the_same_rotation(sound, found):
-    quaternions = np.tile([0.0, 0, 0, 1], (6, 1))
-    quaternions[::2] *= -1
-    poses = sound.path(quaternions_xyzw=quaternions)
-    assert found(sound.scene(sound.lidar(poses=poses)), "poses-rotation") == []
-
-
-def test_a_trajectory_that_goes_back_in_time_is_found(sound, found):
-    trajectories = trajectory(sound)
-    times = trajectories["ego"].timestamps_ns.copy()
-    times[2] = times[1]
-    trajectories["ego"] = replace(trajectories["ego"], timestamps_ns=times)
-    assert [p for p, _ in found(sound.scene(trajectories=trajectories), "trajectory-times-increasing")] == [
-        "trajectories[ego][2]"
-    ]
-
-
-def test_ego_coordinates_need_an_odometry_sensor(sound, found):
-    on_ego = sound.lidar(coordinates=Coordinates.EGO, points_frame=PointsFrame.EGO)
-    assert [path for path, _ in found(sound.scene(on_ego), "ego-odometry")] == ["sensors[0].coordinates"]
-    rider_association = replace(on_ego, coordinates=Coordinates.WORLD)
-    assert [path for path, _ in found(sound.scene(rider_association), "ego-points-placed")] == ["sensors[0]"]
-    assert found(sound.scene(rider_association, sound.odometry()), "ego-points-placed") == []
-    assert found(sound.scene(on_ego, sound.odometry()), "ego-odometry") == []
-
-
-def test_several_odometry_sensors_need_a_parent_that_says_which(sound, found):
-    two = (sound.odometry(id="wheels"), sound.odometry(id=2))
-    on_ego = sound.camera(coordinates=Coordinates.EGO)
-    [(path, message)] = found(sound.scene(on_ego, *two), "ego-odometry-unique")
-    assert path == "sensors[0].parent_id"
-    assert "'wheels', 2" in message
-    named = sound.camera(coordinates=Coordinates.EGO, parent_id=2)
-    assert found(sound.scene(named, *two), "ego-odometry-unique") == []
-    assert found(sound.scene(replace(named, parent_id="2"), *two), "ego-odometry-unique")
-
-
-def test_a_sound_scene_keeps_all_rules_about_corrections(sound, keeps):
-    annotations = (
-        LocalizationAdjustment("a", sound.path(np.array([PERIOD, 4 * PERIOD]))),
-        CameraCalibration("c", "front", time_offset_ns=5),
-        CameraCalibration("d", "back", intrinsics=sound.camera().camera),
-    )
-    scene = sound.scene(sound.lidar(), sound.camera(), sound.camera(id="back"), annotations=annotations)
+    sensors = sound.lidar(), sound.camera(), mounted, sound.odometry()
+    assert keeps(replace(trajectory(sound), sensors=sensors), POSE_RULES)
+    other = CameraCalibration("d", "back", intrinsics=sound.camera().camera)
+    sensors = sound.lidar(), sound.camera(), sound.camera(id="back")
+    scene = sound.scene(*sensors, adjusted(sound, PERIOD, 4 * PERIOD), CALIBRATION, other)
     assert keeps(scene, [rule for rule in CORRECTION_RULES if rule.id != "corrections-not-applied"])
 
 
-def test_a_second_adjustment_is_found(sound, found):
-    scene = sound.scene(annotations=tuple(LocalizationAdjustment(k, sound.path()) for k in "ab"))
-    assert [path for path, _ in found(scene, "localization-adjustments-several")] == ["annotations[1]"]
+def test_corrections(check, sound):
+    check("localization-adjustments-several", "annotations[1]", adjusted(sound, 0), adjusted(sound, 0, name="b"))
+    # it may end a sweep too soon, hold throughout with one pose, and not cover what only the IMU measured
+    check("localization-adjustment-short", "", adjusted(sound, 0, 4 * PERIOD))
+    check("localization-adjustment-short", "annotations[0].poses", adjusted(sound, 0, 4 * PERIOD - 1))
+    check("localization-adjustment-short", "", adjusted(sound, 0))
+    check("localization-adjustment-short", "", sound.lidar(), imu(-20, 40), adjusted(sound, 0, 5 * PERIOD))
+    check("camera-calibrations-several", "annotations[1]", CALIBRATION, replace(CALIBRATION, id="d"))
+    check(
+        "camera-calibration-empty",
+        "annotations[0]",
+        CameraCalibration("c", "front"),
+        CameraCalibration("d", "front", sound.path()),
+    )
+    check("camera-calibration-size", "annotations[0].intrinsics: 64 x 48 px; the camera's images are 32 x 24 px", WIDE)
 
 
-def test_an_adjustment_that_ends_more_than_a_sweep_too_soon_is_found(sound, found):
-    for last, hits in ((4 * PERIOD, 0), (4 * PERIOD - 1, 1)):
-        adjustment = LocalizationAdjustment("a", sound.path(np.array([0, last])))
-        assert len(found(sound.scene(annotations=(adjustment,)), "localization-adjustment-short")) == hits
-
-
-def test_an_adjustment_need_not_cover_what_inertial_sensors_measured_before_and_after(sound, found):
-    timestamps = np.arange(-20, 40) * PERIOD
-    imu = ImuSensor("imu", {"gyroscope": VectorSamples(timestamps, np.zeros((60, 3)))})
-    adjustment = LocalizationAdjustment("a", sound.path(np.array([0, 5 * PERIOD])))
-    scene = sound.scene(sound.lidar(), imu, annotations=(adjustment,))
-    assert found(scene, "localization-adjustment-short") == []
-
-
-def test_an_adjustment_of_one_pose_may_hold_throughout(sound, found):
-    adjustment = LocalizationAdjustment("a", sound.path(np.array([0])))
-    assert found(sound.scene(annotations=(adjustment,)), "localization-adjustment-short") == []
-
-
-def test_a_second_calibration_of_a_camera_is_found(sound, found):
-    first = CameraCalibration("c", "front", time_offset_ns=5)
-    scene = sound.scene(annotations=(first, replace(first, id="d")))
-    assert [path for path, _ in found(scene, "camera-calibrations-several")] == ["annotations[1]"]
-
-
-def test_a_calibration_that_says_nothing_is_found(sound, found):
-    scene = sound.scene(annotations=(CameraCalibration("c", "front"), CameraCalibration("d", "front", sound.path())))
-    assert [path for path, _ in found(scene, "camera-calibration-empty")] == ["annotations[0]"]
-
-
-def test_a_calibrated_camera_model_for_other_images_is_found(sound, found):
-    camera_model = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
-    scene = sound.scene(annotations=(CameraCalibration("c", "front", intrinsics=camera_model),))
-    assert found(scene, "camera-calibration-size") == [
-        ("annotations[0].intrinsics", "64 x 48 px; the camera's images are 32 x 24 px")
-    ]
+def test_poses(check, sound):
+    check("sensor-placed", "sensors[0].poses", sound.lidar(poses=None))
+    check("sensor-placed", "", sound.lidar(poses=None, mount=MOUNT))
+    check("ego-trajectory-known", "trajectories: sensors[0]", sound.lidar(poses=None, mount=MOUNT))
+    check("poses-cover-frames", "sensors[0].frames[7]: 2 of 9 frames", sound.lidar(sound.times(9)))
+    check("poses-cover-frames", "", sound.lidar(sound.times(7)))
+    # what is off is found at both steps, what jumps for good once
+    check("poses-jump", ["sensors[0].poses.values[5]", "sensors[0].poses.values[6]"], moved(sound, 12, 5, 4.0))
+    check("poses-jump", "trajectories[ego].values[3]", trajectory(sound, row=3, up=40.0))
+    check("poses-jump", "", braking(sound))
+    check("poses-rotation", "", rotated(sound, 10.0))
+    check("poses-rotation", ["sensors[0].poses.values[3]", "sensors[0].poses.values[4]"], rotated(sound, 80.0))
+    check("poses-rotation", "", rotated(sound, 0.0, signs=-1))
+    check("trajectory-times-increasing", "trajectories[ego][2]", trajectory(sound, row=2, early_ns=PERIOD))
+    check("ego-odometry", "sensors[0].coordinates", on_ego(sound))
+    check("ego-odometry", "", on_ego(sound), sound.odometry())
+    check("ego-points-placed", "sensors[0]", on_ego(sound, Coordinates.WORLD))
+    check("ego-points-placed", "", on_ego(sound, Coordinates.WORLD), sound.odometry())
+    check("ego-odometry-unique", "sensors[0].parent_id: 'wheels', 2", *camera_of_two(sound))
+    check("ego-odometry-unique", "", *camera_of_two(sound, 2))
+    check("ego-odometry-unique", "sensors[0].parent_id", *camera_of_two(sound, "2"))

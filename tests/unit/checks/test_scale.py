@@ -51,40 +51,23 @@ def everything(sound):
 
 
 def found_in(path):
-    report = validate(path, profile="scale", rules=RULES)
-    return sorted({finding.rule for finding in report.findings})
+    findings = validate(path, profile="scale", rules=RULES).findings
+    return sorted({finding.rule for finding in findings})
 
 
-def test_what_the_profile_writes_keeps_all_of_them(sound, tmp_path):
-    write_scene(everything(sound), tmp_path / "scale.sfs", profile="scale")
-    assert found_in(tmp_path / "scale.sfs") == []
+def test_what_the_text_alone_allows_is_found_where_the_profile_asks_for_it(sound, tmp_path):
+    scene, ours, text = everything(sound), tmp_path / "scale.sfs", tmp_path / "text.sfs"
+    write_scene(scene, ours, profile="scale")
+    write_scene(scene, text, time_unit="nanoseconds")
+    kinds = ("annotation-type", "field", "points", "radar-lengths", "scene", "sensor-type", "static-attribute")
+    assert found_in(text) == [f"scale-{kind}" for kind in kinds]
+    assert not set(validate(text).rules) & set(RULES)
+    # nor is a scene that is no file of the format refused anything
+    assert found_in(ours) == found_in(scene) == []
 
 
-def test_what_the_text_alone_allows_is_found(sound, tmp_path):
-    write_scene(everything(sound), tmp_path / "text.sfs", time_unit="nanoseconds")
-    assert found_in(tmp_path / "text.sfs") == [
-        "scale-annotation-type",
-        "scale-field",
-        "scale-points",
-        "scale-radar-lengths",
-        "scale-scene",
-        "scale-sensor-type",
-        "scale-static-attribute",
-    ]
-
-
-def test_the_profile_of_the_text_does_not_ask_for_them(sound, tmp_path):
-    write_scene(everything(sound), tmp_path / "text.sfs")
-    assert not set(validate(tmp_path / "text.sfs").rules) & set(RULES)
-
-
-def test_a_scene_that_is_no_file_of_the_format_has_nothing_to_be_refused(sound):
-    assert validate(everything(sound), profile="scale", rules=RULES).findings == ()
-
-
-@pytest.mark.parametrize("field", ["coordinates", "parent_id"])
-def test_what_the_library_drops_in_silence_is_reported(sound, tmp_path, encode_sfs, field):
-    value = {"coordinates": "ego", "parent_id": "rack"}[field]
+@pytest.mark.parametrize(("field", "value"), [("coordinates", "ego"), ("parent_id", "rack")])
+def test_what_the_library_drops_in_silence_is_reported(tmp_path, encode_sfs, field, value):
     poses = {"timestamps": [0], "values": [[0.0, 0, 0, 0, 0, 0, 1]]}
     frames = [{"timestamp": 0, "points": {"positions": ONE}}]
     lidar = {"id": "top", "type": "lidar", "poses": poses, "frames": frames, field: value}

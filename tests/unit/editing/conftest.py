@@ -44,11 +44,9 @@ class CircleDrive:
 
     @property
     def timestamps_ns(self):
-        """Of the frames."""
         return np.arange(self.frames, dtype=np.int64) * self.period_ns
 
     def world_from_ego(self, time_ns):
-        """The pose at a time, by formula."""
         angle = RATE * time_ns * 1e-9
         half = (angle + np.pi / 2) / 2
         return RigidTransform.from_quaternion(
@@ -71,24 +69,14 @@ class CircleDrive:
         """A lidar, a radar and a camera on the ego, an odometry sensor, and a trajectory of the same poses."""
         lidar = LidarSensor("lidar", self._frames(LidarFrame, LidarPoints, points_frame), mount=MOUNT)
         radar = RadarSensor("radar", self._frames(RadarFrame, RadarPoints, points_frame), mount=MOUNT)
-        images = [
-            CameraImage.of(int(t), CAMERA_MODEL, np.zeros((6, 8, 3), np.uint8)) for t in self.timestamps_ns + 20_000_000
-        ]
-        camera = CameraSensor(
-            "camera", CAMERA_MODEL, LazyFrames.of(images, [p.timestamp_ns for p in images]), mount=MOUNT
-        )
+        times = (self.timestamps_ns + 20_000_000).tolist()
+        images = [CameraImage.of(t, CAMERA_MODEL, np.zeros((6, 8, 3), np.uint8)) for t in times]
+        camera = CameraSensor("camera", CAMERA_MODEL, LazyFrames.of(images, times), mount=MOUNT)
         path = self.path(beyond_ns=100_000_000)
         trajectory = Trajectory("ego", path.timestamps_ns, path.positions, path.quaternions_xyzw)
-        return Scene(
-            (
-                replace(lidar, points_frame=points_frame),
-                replace(radar, points_frame=points_frame),
-                camera,
-                OdometrySensor("ego", path),
-            ),
-            tuple(annotations),
-            trajectories={"ego": trajectory},
-        )
+        clouds = (replace(sensor, points_frame=points_frame) for sensor in (lidar, radar))
+        sensors = (*clouds, camera, OdometrySensor("ego", path))
+        return Scene(sensors, tuple(annotations), trajectories={"ego": trajectory})
 
     def frame_from_world(self, k, points_frame):
         """By formula, at the time of frame `k`."""

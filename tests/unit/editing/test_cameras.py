@@ -34,7 +34,11 @@ from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 BARREL = Camera("brown_conrady", 320, 200, 210.0, 215.0, 161.0, 98.0, (-0.28, 0.08, 1e-3, -5e-4, -0.01))
 PINHOLE = undistorted_camera(BARREL)
+FISHEYE = Camera("fisheye", 640, 480, 320.0, 320.0, 319.5, 239.5, (0.05, -0.02, 0.01, -0.003))
+OTHER = Camera("fisheye", 640, 480, 330.0, 320.0, 319.5, 239.5, (0.05, -0.02, 0.01, -0.003))
+ALL_AROUND = Camera("fisheye", 640, 640, 140.0, 140.0, 319.5, 319.5)
 TIME = np.array([0], np.int64)
+CORNER = np.array([[1.0, 1.0, 3.0, 3.0]])  # of a barrel's image, cut off from an image without black border
 
 
 def street(camera):
@@ -42,11 +46,26 @@ def street(camera):
     return simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=(spec,)).scene
 
 
-def scene_of(camera, *annotations, count=1):
-    rgb = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), np.uint8)
-    images = [CameraImage.of(k, camera, rgb) for k in range(count)]
-    sensor = CameraSensor("front", camera, LazyFrames.of(images, list(range(count))))
-    return Scene((sensor,), annotations)
+def scene_of(cameras, *annotations, value=0):
+    """A scene of one camera with an image of each of these camera models, or of one."""
+    cameras = cameras if isinstance(cameras, list) else [cameras]
+    rgb = np.full((cameras[0].height, cameras[0].width, 3), value, np.uint8)
+    images = [CameraImage.of(k, camera, rgb) for k, camera in enumerate(cameras)]
+    return Scene((CameraSensor("front", cameras[0], LazyFrames.of(images, list(range(len(images))))),), annotations)
+
+
+def box(identifier, row, sensor="front"):
+    return Box2DAnnotation(identifier, sensor, BoxPath(TIME, np.array([row])))
+
+
+def shape(identifier, kind, vertices):
+    path = VertexPath(TIME, (np.array(vertices, float),))
+    return ShapeAnnotation(identifier, kind, path, sensor_id="front" if kind.value.endswith("_2d") else None)
+
+
+def cuboid(*boxes):
+    projection = Projection("front", np.arange(len(boxes)), boxes=np.array(boxes))
+    return CuboidAnnotation("c", CuboidPath(TIME, np.ones((1, 9))), projections=(projection,))
 
 
 def moved(pixels, before=BARREL, after=PINHOLE):
@@ -77,20 +96,17 @@ def test_images_are_those_that_a_pinhole_takes_of_the_same_street(distorted):
         assert np.corrcoef(ours.rgb.ravel(), theirs.rgb.ravel())[0, 1] > 0.98
 
 
-def test_poses_mountings_and_everything_else_stay(distorted):
-    before, after = distorted.cameras[0], undistort_scene(distorted).cameras[0]
+def test_everything_else_stays_and_the_camera_model_that_took_the_images_stands_in_the_metadata(distorted):
+    scene = undistort_scene(distorted, keep=1.0)
+    before, after = distorted.cameras[0], scene.cameras[0]
     assert after.poses is before.poses
     assert after.mount is before.mount
     assert np.array_equal(after.images.timestamps_ns, before.images.timestamps_ns)
-    assert undistort_scene(distorted).lidars == distorted.lidars
-
-
-def test_the_camera_model_that_took_the_images_stands_in_the_metadata(distorted):
-    ours = undistort_scene(distorted, keep=1.0).metadata["sceneloom"]["undistorted"]
-    assert ours[0]["sensor"] == distorted.cameras[0].id
-    assert ours[0]["keep"] == 1.0
-    assert ours[0]["camera"]["model"] == "brown_conrady"
-    assert tuple(ours[0]["camera"]["coefficients"]) == BARREL.coefficients
+    assert scene.lidars == distorted.lidars
+    [ours] = scene.metadata["sceneloom"]["undistorted"]
+    assert (ours["sensor"], ours["keep"], ours["camera"]["model"]) == (before.id, 1.0, "brown_conrady")
+    assert tuple(ours["camera"]["coefficients"]) == BARREL.coefficients
+    assert np.array_equal(pickle.loads(pickle.dumps(after.images))[1].rgb, after.images[1].rgb)
 
 
 @pytest.mark.parametrize("name", ["drive.sfs", "drive"])
@@ -103,24 +119,14 @@ def test_undistorted_scenes_are_written_and_read(distorted, tmp_path, name):
 
 def test_images_with_camera_models_of_their_own_all_get_the_same_new_one():
     other = Camera("brown_conrady", 320, 200, 215.0, 215.0, 160.0, 100.0, (-0.2,))
-    rgb = np.full((200, 320, 3), 77, np.uint8)
-    images = [CameraImage.of(0, BARREL, rgb), CameraImage.of(1, other, rgb)]
-    scene = Scene((CameraSensor("front", BARREL, LazyFrames.of(images, [0, 1])),))
-    found = undistort_scene(scene).cameras[0].images
+    found = undistort_scene(scene_of([BARREL, other], value=77)).cameras[0].images
     assert [image.camera for image in found] == [PINHOLE, PINHOLE]
     assert (found[1].rgb == 77).mean() > 0.9
 
 
-def test_images_can_be_pickled_for_other_processes(distorted):
-    images = undistort_scene(distorted).cameras[0].images
-    again = pickle.loads(pickle.dumps(images))
-    assert np.array_equal(again[1].rgb, images[1].rgb)
-
-
 def test_encoded_images_and_locations_of_features_are_no_longer_true():
-    scene = scene_of(BARREL)
-    image = scene.cameras[0].images[0]
-    image = CameraImage(0, BARREL, image.decode, extras={"features": [1], "number": 3}, encoded=lambda: b"jpeg")
+    decode = scene_of(BARREL).cameras[0].images[0].decode
+    image = CameraImage(0, BARREL, decode, extras={"features": [1], "number": 3}, encoded=lambda: b"jpeg")
     scene = Scene((CameraSensor("front", BARREL, LazyFrames.of([image], [0])),))
     found = undistort_scene(scene).cameras[0].images[0]
     assert found.encoded is None
@@ -128,9 +134,9 @@ def test_encoded_images_and_locations_of_features_are_no_longer_true():
 
 
 def test_boxes_become_what_bounds_their_bent_outline():
-    box = Box2DAnnotation("b", "front", BoxPath(TIME, np.array([[60.0, 50.0, 120.0, 80.0]])))
-    other = Box2DAnnotation("o", "rear", BoxPath(TIME, np.array([[60.0, 50.0, 120.0, 80.0]])))
-    found, untouched = undistort_scene(scene_of(BARREL, box, other)).annotations
+    row = [60.0, 50.0, 120.0, 80.0]
+    other = box("o", row, "rear")
+    found, untouched = undistort_scene(scene_of(BARREL, box("b", row), other)).annotations
     along = np.linspace(0, 1, 200)
     sides = [(along, 0 * along), (along, 0 * along + 1), (0 * along, along), (0 * along + 1, along)]
     outline = np.concatenate([np.stack(side, axis=1) for side in sides])
@@ -142,33 +148,29 @@ def test_boxes_become_what_bounds_their_bent_outline():
 
 
 def test_what_the_new_image_does_not_show_is_left_out_and_counted():
-    corner = np.array([[1.0, 1.0, 3.0, 3.0]])  # of a barrel's image, cut off from an image without black border
-    box = Box2DAnnotation("b", "front", BoxPath(TIME, corner))
-    line = ShapeAnnotation(
-        "s", ShapeType.POLYGON_2D, VertexPath(TIME, (np.array([[1.0, 1], [4, 1], [1, 4]]),)), sensor_id="front"
-    )
-    cuboid = CuboidAnnotation(
-        "c", CuboidPath(TIME, np.ones((1, 9))), projections=(Projection("front", TIME, boxes=corner),)
-    )
-    scene = undistort_scene(scene_of(BARREL, box, line, cuboid))
+    line = shape("s", ShapeType.POLYGON_2D, [[1.0, 1], [4, 1], [1, 4]])
+    drawn = scene_of(BARREL, box("b", CORNER[0]), line, cuboid(*CORNER))
+    scene = undistort_scene(drawn)
     assert [annotation.id for annotation in scene.annotations] == ["c"]
     assert np.isnan(scene.annotations[0].projections[0].boxes).all()
     assert [warning.count for warning in scene.warnings if warning.code == "drawn-beyond-image"] == [3]
-    whole = undistort_scene(scene_of(BARREL, box, line, cuboid), keep=1.0)
-    assert [annotation.id for annotation in whole.annotations] == ["b", "s", "c"]
+    assert [annotation.id for annotation in undistort_scene(drawn, keep=1.0).annotations] == ["b", "s", "c"]
+    # what a pinhole cannot show: 144 degrees off the axis
+    wide = Camera("fisheye", 640, 640, 180.0, 180.0, 319.5, 319.5)
+    values = np.array([[300.0, 300.0, 9.0, 9.0], [0.0, 0.0, 9.0, 9.0]])
+    seen = Box2DAnnotation("box", "front", BoxPath(np.array([0, 5], np.int64), values))
+    scene = undistort_scene(scene_of(wide, shape("lone", ShapeType.POINT_2D, [[2.0, 2.0]]), seen))
+    assert [(a.id, a.path.timestamps_ns.tolist()) for a in scene.annotations] == [("box", [0])]
+    assert [(n.code, n.count) for n in scene.warnings] == [("drawn-beyond-image", 2)]
 
 
 def test_shapes_points_and_projections_follow():
     vertices = np.array([[40.5, 30.0], [100.0, 150.0], [200.0, 60.0]])
-    shape = ShapeAnnotation("s", ShapeType.POLYGON_2D, VertexPath(TIME, (vertices,)), sensor_id="front")
-    space = ShapeAnnotation("a", ShapeType.POLYGON, VertexPath(TIME, (np.zeros((3, 3)),)))
-    gone = np.full((1, 4), np.nan)
-    seen = np.array([[90.0, 60.0, 4.0, 4.0]])
-    projection = Projection("front", np.array([0, 1], np.int64), boxes=np.concatenate([seen, gone]))
-    cuboid = CuboidAnnotation("c", CuboidPath(TIME, np.ones((1, 9))), projections=(projection,))
+    space = shape("a", ShapeType.POLYGON, np.zeros((3, 3)))
     point = PointProjection("front", TIME, points=np.array([[70.0, 80.0]]))
     points = PointsAnnotation("p", (PointPath(TIME, np.zeros((1, 3))),), projections=((point,),))
-    scene = undistort_scene(scene_of(BARREL, shape, space, cuboid, points))
+    seen = cuboid([90.0, 60.0, 4.0, 4.0], [np.nan] * 4)
+    scene = undistort_scene(scene_of(BARREL, shape("s", ShapeType.POLYGON_2D, vertices), space, seen, points))
     assert np.allclose(scene.annotations[0].path.vertices[0], moved(vertices))
     assert scene.annotations[1] is space
     boxes = scene.annotations[2].projections[0].boxes
@@ -178,24 +180,14 @@ def test_shapes_points_and_projections_follow():
     assert "drawn-beyond-image" not in [warning.code for warning in scene.warnings]
 
 
-def test_what_a_pinhole_cannot_show_is_left_out_and_counted():
-    wide = Camera("fisheye", 640, 640, 180.0, 180.0, 319.5, 319.5)
-    corner = np.array([[2.0, 2.0]])  # 144 degrees off the axis
-    lone = ShapeAnnotation("lone", ShapeType.POINT_2D, VertexPath(TIME, (corner,)), sensor_id="front")
-    times = np.array([0, 5], np.int64)
-    values = np.array([[300.0, 300.0, 9.0, 9.0], [0.0, 0.0, 9.0, 9.0]])
-    box = Box2DAnnotation("box", "front", BoxPath(times, values))
-    scene = undistort_scene(scene_of(wide, lone, box))
-    assert [annotation.id for annotation in scene.annotations] == ["box"]
-    assert scene.annotations[0].path.timestamps_ns.tolist() == [0]
-    assert [(n.code, n.count) for n in scene.warnings] == [("drawn-beyond-image", 2)]
-
-
-def test_a_drive_of_pinholes_stays_as_it_is_with_a_warning():
-    scene = scene_of(PINHOLE)
-    found = undistort_scene(scene)
-    assert found.sensors == scene.sensors
-    assert [warning.code for warning in found.warnings] == ["nothing-to-undistort"]
+def test_camera_models_of_the_wanted_model_stay_as_they_are_with_a_warning():
+    for scene, change, code in (
+        (scene_of(PINHOLE), undistort_scene, "nothing-to-undistort"),
+        (scene_of(FISHEYE), lambda scene: convert_camera_models(scene, "fisheye"), "nothing-to-convert"),
+    ):
+        found = change(scene)
+        assert found.sensors == scene.sensors
+        assert [warning.code for warning in found.warnings] == [code]
 
 
 def test_only_cameras_can_be_undistorted(distorted):
@@ -222,24 +214,13 @@ def test_a_camera_model_that_an_annotation_replaces_is_applied_first_and_not_lef
     assert undistort_scene(left_off).annotations == (of_another, moved_only)
 
 
-FISHEYE = Camera("fisheye", 640, 480, 320.0, 320.0, 319.5, 239.5, (0.05, -0.02, 0.01, -0.003))
-OTHER = Camera("fisheye", 640, 480, 330.0, 320.0, 319.5, 239.5, (0.05, -0.02, 0.01, -0.003))
-ALL_AROUND = Camera("fisheye", 640, 640, 140.0, 140.0, 319.5, 319.5)
-
-
-def fitted_scene_of(*cameras):
-    rgb = np.zeros((cameras[0].height, cameras[0].width, 3), np.uint8)
-    images = [CameraImage.of(k, camera, rgb) for k, camera in enumerate(cameras)]
-    return Scene((CameraSensor("front", cameras[0], LazyFrames.of(images, list(range(len(cameras))))),))
-
-
 def distances_px(exact, other):
     pixels = np.stack(np.meshgrid(np.arange(0, 640, 7.0), np.arange(0, 480, 7.0)), axis=-1).reshape(-1, 2)
     return np.hypot(*(project_unbounded(other, unproject(exact, pixels)) - pixels).T)
 
 
 def test_the_new_camera_model_shows_what_the_old_one_does_within_what_is_reported():
-    scene = convert_camera_models(fitted_scene_of(FISHEYE), "brown_conrady")
+    scene = convert_camera_models(scene_of([FISHEYE, OTHER]), "brown_conrady")
     camera_model = scene.cameras[0].camera
     entry = scene.metadata["sceneloom"]["camera_models"][0]
     assert camera_model.model == "brown_conrady"
@@ -249,46 +230,34 @@ def test_the_new_camera_model_shows_what_the_old_one_does_within_what_is_reporte
     warning = scene.warnings[0]
     assert (warning.code, warning.location) == ("camera-model-fitted", "sensors[front].camera")
     assert "fisheye camera model reported as brown_conrady, off by up to" in warning.message
-
-
-def test_images_have_their_own_camera_models_converted_too():
-    scene = convert_camera_models(fitted_scene_of(FISHEYE, OTHER), "brown_conrady")
+    # images have their own camera models converted, too
     first, second = scene.cameras[0].images
-    assert first.camera == scene.cameras[0].camera
-    assert second.camera.model == "brown_conrady"
+    assert (first.camera, second.camera.model) == (camera_model, "brown_conrady")
     assert np.nanmax(distances_px(OTHER, second.camera)) < 0.1  # corners may be given up, as the share reports
 
 
-def test_a_camera_model_that_comes_no_nearer_than_the_limit_is_refused_with_its_distance():
+def test_a_camera_model_that_comes_no_nearer_or_holds_too_little_is_refused_with_the_figure():
     with pytest.raises(
         CalibrationError, match=r"sensors\[front\].camera: fisheye camera model reported as pinhole, off by up to"
     ):
-        convert_camera_models(fitted_scene_of(FISHEYE), "pinhole")
-    assert convert_camera_models(fitted_scene_of(FISHEYE), "pinhole", limit_px=500).cameras[0].camera.model == "pinhole"
-
-
-def test_a_camera_model_that_holds_too_little_of_the_image_is_refused_with_the_share():
+        convert_camera_models(scene_of(FISHEYE), "pinhole")
+    assert convert_camera_models(scene_of(FISHEYE), "pinhole", limit_px=500).cameras[0].camera.model == "pinhole"
     with pytest.raises(CalibrationError, match="% of the image cannot be held; expected at most 1 px and 1 %"):
-        convert_camera_models(fitted_scene_of(ALL_AROUND), "brown_conrady")
-    found = convert_camera_models(fitted_scene_of(ALL_AROUND), "brown_conrady", share=0.2)
+        convert_camera_models(scene_of(ALL_AROUND), "brown_conrady")
+    found = convert_camera_models(scene_of(ALL_AROUND), "brown_conrady", share=0.2)
     assert found.metadata["sceneloom"]["camera_models"][0]["share"] < 0.5
 
 
-def test_camera_models_of_that_model_stay_as_they_are():
-    scene = fitted_scene_of(FISHEYE)
-    found = convert_camera_models(scene, "fisheye")
-    assert found.sensors == scene.sensors
-    assert [warning.code for warning in found.warnings] == ["nothing-to-convert"]
-
-
-@pytest.mark.parametrize("limits", [{"limit_px": -1}, {"limit_px": float("nan")}, {"share": 1.5}])
-def test_limits_that_are_none_are_refused(limits):
-    with pytest.raises(OptionError, match="expected 0 px or more and a share of 0 to 1"):
-        convert_camera_models(fitted_scene_of(FISHEYE), "brown_conrady", **limits)
-
-
-def test_unknown_models_and_cameras_are_refused():
-    with pytest.raises(OptionError, match="camera model 'periscope'"):
-        convert_camera_models(fitted_scene_of(FISHEYE), "periscope")
-    with pytest.raises(OptionError, match="no sensor 'rear'"):
-        convert_camera_models(fitted_scene_of(FISHEYE), "pinhole", cameras=["rear"])
+@pytest.mark.parametrize(
+    ("model", "options", "problem"),
+    [
+        ("brown_conrady", {"limit_px": -1}, "expected 0 px or more and a share of 0 to 1"),
+        ("brown_conrady", {"limit_px": float("nan")}, "expected 0 px or more and a share of 0 to 1"),
+        ("brown_conrady", {"share": 1.5}, "expected 0 px or more and a share of 0 to 1"),
+        ("periscope", {}, "camera model 'periscope'"),
+        ("pinhole", {"cameras": ["rear"]}, "no sensor 'rear'"),
+    ],
+)
+def test_limits_models_and_cameras_that_are_none_are_refused(model, options, problem):
+    with pytest.raises(OptionError, match=problem):
+        convert_camera_models(scene_of(FISHEYE), model, **options)

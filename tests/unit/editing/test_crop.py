@@ -39,7 +39,6 @@ REACH = 22.0
 
 
 def inside_box(points):
-    """By formula."""
     return ((points >= BOX[:3]) & (points <= BOX[3:])).all(axis=1)
 
 
@@ -116,21 +115,14 @@ def test_cuboids_on_the_ego_are_cropped_in_the_world_and_the_other_way_round(dri
 
 
 def test_shapes_and_named_points_stay_whole_when_any_vertex_is_inside(drive):
-    square = np.array([[24.0, 0, 0], [30, 0, 0], [30, 6, 0]])
+    first, square = drive.timestamps_ns[:1], np.array([[24.0, 0, 0], [30, 0, 0], [30, 6, 0]])
+    near, far = PointPath(first, np.zeros((1, 3))), PointPath(first, np.array([[99.0, 0, 0]]))
     shapes = [
-        ShapeAnnotation("touching", ShapeType.POLYGON, VertexPath(drive.timestamps_ns[:1], (square,))),
-        ShapeAnnotation("away", ShapeType.POLYLINE, VertexPath(drive.timestamps_ns[:1], (square + 9.0,))),
-        ShapeAnnotation(
-            "drawn", ShapeType.POLYGON_2D, VertexPath(drive.timestamps_ns[:1], (square[:, :2] + 99.0,)), "camera"
-        ),
-        PointsAnnotation(
-            "body",
-            (
-                PointPath(drive.timestamps_ns[:1], np.array([[99.0, 0, 0]])),
-                PointPath(drive.timestamps_ns[:1], np.zeros((1, 3))),
-            ),
-        ),
-        PointsAnnotation("far body", (PointPath(drive.timestamps_ns[:1], np.array([[99.0, 0, 0]])),)),
+        ShapeAnnotation("touching", ShapeType.POLYGON, VertexPath(first, (square,))),
+        ShapeAnnotation("away", ShapeType.POLYLINE, VertexPath(first, (square + 9.0,))),
+        ShapeAnnotation("drawn", ShapeType.POLYGON_2D, VertexPath(first, (square[:, :2] + 99.0,)), "camera"),
+        PointsAnnotation("body", (far, near)),
+        PointsAnnotation("far body", (far,)),
     ]
     cropped = crop_scene(drive.scene(annotations=shapes), box=BOX)
     assert [annotation.id for annotation in cropped.annotations] == ["touching", "drawn", "body"]
@@ -152,27 +144,20 @@ def test_sensors_go_with_all_that_is_stated_for_them(drive, box):
     assert [(a.id, a.parent_id) for a in cropped.annotations] == [("seen", None), ("owner", None)]
     assert [entry.sensor_id for entry in cropped.annotations[0].activations] == ["lidar"]
     assert [attribute.name for attribute in cropped.annotations[0].attributes] == ["new"]
-    reported = {warning.code: warning.count for warning in cropped.warnings}
-    assert reported == {
-        "annotations-left-out": 1,
-        "links-left-out": 1,
-        "parents-left-out": 1,
-        "sensors-left-out": 2,
-        "colours-kept": 1,
-    }
+    counts = {"annotations": 1, "links": 1, "parents": 1, "sensors": 2}
+    expected = {"colours-kept": 1, **{f"{name}-left-out": count for name, count in counts.items()}}
+    assert {warning.code: warning.count for warning in cropped.warnings} == expected
 
 
 def test_points_name_the_cameras_by_their_new_locations(drive):
     scene = drive.scene(PointsFrame.WORLD)
-    camera = scene.sensor("camera")
-    frame = scene.sensor("lidar").frames[0]
+    camera, frame = scene.sensor("camera"), scene.sensor("lidar").frames[0]
     index = np.resize(np.array([0, 1, 2, 255], np.uint8), len(frame.points))
     coloured = replace(frame, points=replace(frame.points, camera_index=index))
     lidar = replace(scene.sensor("lidar"), frames=LazyFrames.of([coloured], [0]))
-    sensors = (lidar, camera, replace(camera, id="left"), replace(camera, id="right"))
-    scene = replace(
-        scene, sensors=sensors, metadata={"sceneloom": {"fusion": {"cameras": ["camera", "left", "right"]}}}
-    )
+    cameras = ("camera", "left", "right")
+    sensors = (lidar, *(replace(camera, id=name) for name in cameras))
+    scene = replace(scene, sensors=sensors, metadata={"sceneloom": {"fusion": {"cameras": list(cameras)}}})
     cropped = crop_scene(scene, without=["left"])
     assert cropped.sensor("lidar").frames[0].points.camera_index[:4].tolist() == [0, 255, 1, 255]
     assert cropped.metadata["sceneloom"]["fusion"]["cameras"] == ["camera", "right"]
@@ -219,71 +204,50 @@ def test_a_cropped_scene_can_go_to_another_process(drive):
         ({"without": ["nose"]}, "no sensor 'nose'"),
         ({"labels": ["unicorn"]}, "no annotation has the label 'unicorn'"),
         ({"sensors": ["lidar"], "without": ["lidar"]}, "no sensor is left"),
+        ({}, "nothing to crop by; expected one of a time"),
     ],
 )
 def test_what_cannot_be_followed_is_refused(drive, stated, problem):
     with pytest.raises(OptionError, match=problem):
         crop_scene(drive.scene(), **stated)
-
-
-def test_the_ego_cannot_go_from_under_what_rides_on_it(drive):
+    # the ego cannot go from under what rides on it
     with pytest.raises(OptionError, match="to-world"):
         crop_scene(to_ego(drive.scene()), without=["ego"])
 
 
-def test_a_crop_by_nothing_is_refused(drive):
-    with pytest.raises(OptionError, match="nothing to crop by; expected one of a time"):
-        crop_scene(drive.scene(PointsFrame.WORLD))
-
-
-@pytest.fixture
-def recording(tmp_path):
-    """Three sweeps, at 1.0, 1.1 and 1.2 s, with lines that no scene has a location for."""
+@pytest.mark.parametrize(
+    ("cut", "counts"),
+    [
+        ({"without": ("imu",)}, {"at home": 3, "on the road": 2, "a phone": 1}),
+        # the line without a time stood behind the last one, and goes with it
+        ({"stop": 1.12}, {"at home": 0, "on the road": 2, "a phone": 0}),
+        # a line of which nothing says what it is of stays
+        ({"without": ("gnss",)}, {"gps": 0, "at home": 1, "latitude": 0}),
+    ],
+)
+def test_lines_of_a_recording_that_no_scene_has_a_location_for_are_cut_with_it(tmp_path, cut, counts):
     folder = tmp_path / "drive"
     write_scene(simulate_street(1, frames=3, lidar=LidarSpec(beams=4, steps=30), cameras=()).scene, folder)
+
+    def fix(latitude, note):
+        return {"latitude": latitude, "longitude": 25.0, "altitude": 1.0, "note": note}
+
     lines = [
         {"madeBy": "a phone"},
         {"location": "on the road", "time": 1.02},
         {"location": "at home", "time": 1.19},
-        {"gps": {"latitude": 60.0, "longitude": 25.0, "altitude": 1.0, "note": "on the road"}, "time": 1.03},
-        {"gps": {"latitude": 61.0, "longitude": 25.0, "altitude": 1.0, "note": "at home"}, "time": 1.18},
-        {
-            "sensor": {"type": "gyroscope", "values": [1.0, 1.0, 1.0]},
-            "gps": {"latitude": 62.0, "longitude": 25.0, "altitude": 1.0, "note": "at home"},
-            "time": 1.185,
-        },
+        {"gps": fix(60.0, "on the road"), "time": 1.03},
+        {"gps": fix(61.0, "at home"), "time": 1.18},
+        {"sensor": {"type": "gyroscope", "values": [1.0, 1.0, 1.0]}, "gps": fix(62.0, "at home"), "time": 1.185},
     ]
     with (folder / "data.jsonl").open("a") as file:
         file.writelines(json.dumps(line) + "\n" for line in lines)
-    return folder
-
-
-def written(scene, folder):
-    write_scene(scene, folder)
-    return (folder / "data.jsonl").read_text()
-
-
-def test_without_a_cut_all_lines_come_back(recording, tmp_path):
-    with open_scene(recording) as scene:
-        text = written(crop_scene(scene, without=("imu",)), tmp_path / "out")
-    assert (text.count("at home"), text.count("a phone")) == (3, 1)
-
-
-def test_lines_of_another_time_are_left_out(recording, tmp_path):
-    with open_scene(recording) as scene:
-        first_ns, _ = time_span(scene)
-        cut = crop_scene(scene, stop=1.12 - first_ns / 1e9)
-        text = written(cut, tmp_path / "out")
-        assert "at home" not in str(cut.metadata["recording"])
-    assert "at home" not in text
-    # the line without a time stood behind the last one, and goes with it
-    assert (text.count("on the road"), text.count("a phone")) == (2, 0)
-
-
-def test_lines_of_a_sensor_that_is_left_out_are_left_out_too(recording, tmp_path):
-    with open_scene(recording) as scene:
-        cut = crop_scene(scene, without=("gnss",))
-        assert "latitude" not in str(cut.metadata["recording"])
-        text = written(cut, tmp_path / "out")
-    assert "gps" not in text
-    assert text.count("at home") == 1  # a line of which nothing says what it is of
+    with open_scene(folder) as scene:
+        if "stop" in cut:
+            cut = {"stop": cut["stop"] - time_span(scene)[0] / 1e9}
+        cropped = crop_scene(scene, **cut)
+        kept = str(cropped.metadata["recording"])
+        write_scene(cropped, tmp_path / "out")
+    text = (tmp_path / "out" / "data.jsonl").read_text()
+    assert {word: text.count(word) for word in counts} == counts
+    assert not [word for word, count in counts.items() if count == 0 and word in kept and word != "gps"]

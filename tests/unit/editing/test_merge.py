@@ -38,7 +38,6 @@ from sceneloom.scene import (
 
 
 def only(scene, *ids, **changes):
-    """A scene with some of its sensors."""
     return replace(scene, sensors=tuple(scene.sensor(identifier) for identifier in ids), **changes)
 
 
@@ -63,8 +62,7 @@ def test_ids_that_are_taken_are_refused_or_changed_with_all_references(drive, bo
         CameraCalibration("d", "camera", time_offset_ns=1),
     )
     other = only(drive.scene(annotations=(second, *others)), "camera", "lidar")
-    lidar = replace(other.sensor("lidar"), parent_id="camera")
-    other = replace(other, sensors=(other.sensor("camera"), lidar))
+    other = replace(other, sensors=(other.sensor("camera"), replace(other.sensor("lidar"), parent_id="camera")))
     with pytest.raises(OptionError, match=r"sensors\['camera'\]: scene has this id, too; `--rename`"):
         merge_scenes([first, other])
     merged = merge_scenes([first, other], rename=True)
@@ -72,17 +70,12 @@ def test_ids_that_are_taken_are_refused_or_changed_with_all_references(drive, bo
     assert merged.sensor("lidar").parent_id == "camera-2"
     found = {annotation.id: annotation for annotation in merged.annotations}
     assert list(found) == ["a", "a-2", "b", "c", "d"]
-    assert found["a-2"].path.values[0, 3] == 1.0
-    assert found["a-2"].activations[0].sensor_id == "camera-2"
-    assert found["a-2"].attributes[0].sensor_id == "camera-2"
-    assert (found["b"].sensor_id, found["b"].parent_id) == ("camera-2", "a-2")
-    assert (found["c"].from_id, found["c"].to_id) == ("a-2", "b")
-    assert found["d"].sensor_id == "camera-2"
-
-
-def test_numbers_and_texts_are_two_ids(drive):
-    camera = drive.scene().sensor("camera")
-    one, text = (replace(drive.scene(), sensors=(replace(camera, id=identifier),)) for identifier in (1, "1"))
+    car, drawn, link = found["a-2"], found["b"], found["c"]
+    assert car.path.values[0, 3] == 1.0
+    assert {e.sensor_id for e in (*car.activations, *car.attributes, drawn, found["d"])} == {"camera-2"}
+    assert (drawn.parent_id, link.from_id, link.to_id) == ("a-2", "a-2", "b")
+    # numbers and texts are two ids
+    one, text = (replace(first, sensors=(replace(first.sensors[0], id=k),), annotations=()) for k in (1, "1"))
     assert [sensor.id for sensor in merge_scenes([one, text]).sensors] == [1, "1"]
     assert [sensor.id for sensor in merge_scenes([one, one], rename=True).sensors] == [1, 2]
 
@@ -97,26 +90,19 @@ WORLDS = [
 def seen_from(world_from_file, drive, box):
     """A scene whose locations were computed by formula in the frame of a file."""
     file_from_world = world_from_file.inverse()
-    positions = file_from_world.apply(drive.points_world(1)).astype(np.float32)
     corner = file_from_world.apply(np.array([[1.0, 2.0, 3.0]]))
     rotated = box("box", [0], corner, 30.0 - np.degrees(2 * np.arcsin(world_from_file.quaternion_xyzw[2])))
-    trajectory = drive.path()
-    poses = [
-        file_from_world @ RigidTransform.from_quaternion(p, q)
-        for p, q in zip(trajectory.positions, trajectory.quaternions_xyzw, strict=True)
-    ]
-    path = Poses(
-        trajectory.timestamps_ns,
-        np.array([pose.translation for pose in poses]),
-        np.array([pose.quaternion_xyzw for pose in poses]),
-    )
-    scene = only(drive.scene(PointsFrame.WORLD), "camera")
-    camera = replace(scene.sensor("camera"), poses=path, mount=None)
-    chart = PointsSensor("map", positions)
     shape = ShapeAnnotation("shape", ShapeType.POINT, VertexPath(np.zeros(1, np.int64), (corner,)))
+    path = drive.path()
+    poses = zip(path.positions, path.quaternions_xyzw, strict=True)
+    poses = [file_from_world @ RigidTransform.from_quaternion(p, q) for p, q in poses]
+    positions, quaternions = [p.translation for p in poses], [p.quaternion_xyzw for p in poses]
+    scene = drive.scene(PointsFrame.WORLD)
+    poses = Poses(path.timestamps_ns, np.array(positions), np.array(quaternions))
+    camera = replace(scene.sensor("camera"), poses=poses, mount=None)
     return replace(
         scene,
-        sensors=(camera, chart),
+        sensors=(camera, PointsSensor("map", file_from_world.apply(drive.points_world(1)).astype(np.float32))),
         annotations=(rotated, shape),
         metadata={"sceneloom": {"world_from_file": world_from_file.matrix.tolist()}},
         trajectories={},
@@ -126,53 +112,41 @@ def seen_from(world_from_file, drive, box):
 def test_scenes_of_two_origins_are_brought_into_the_world_of_the_first(drive, box):
     first, second = (seen_from(world, drive, box) for world in WORLDS)
     merged = merge_scenes([first, second], rename=True)
-    np.testing.assert_allclose(
-        merged.sensor("camera-2").poses.positions, merged.sensor("camera").poses.positions, atol=1e-9
-    )
+    cameras = [merged.sensor(name).poses.positions for name in ("camera", "camera-2")]
+    np.testing.assert_allclose(*cameras, atol=1e-9)
     boxes = {annotation.id: annotation for annotation in merged.annotations}
     np.testing.assert_allclose(boxes["box-2"].path.values, boxes["box"].path.values, atol=1e-9)
     np.testing.assert_allclose(boxes["shape-2"].path.vertices[0], boxes["shape"].path.vertices[0], atol=1e-9)
     # float32 was rounded at up to 130 m from either origin
     np.testing.assert_allclose(merged.sensor("map-2").positions, merged.sensor("map").positions, atol=3e-5)
     assert merged.metadata["sceneloom"]["world_from_file"] == WORLDS[0].matrix.tolist()
-
-
-def test_a_scene_that_says_nothing_of_its_world_is_taken_to_be_in_the_one_others_came_from(drive, box):
-    moved, plain = (seen_from(world, drive, box) for world in (WORLDS[0], RigidTransform.identity()))
-    plain = replace(plain, metadata={})
-    merged = merge_scenes([moved, plain], rename=True)
-    np.testing.assert_allclose(
-        merged.sensor("camera-2").poses.positions, merged.sensor("camera").poses.positions, atol=1e-9
-    )
+    # a scene that says nothing of its world is taken to be in the one that others came from
+    plain = replace(seen_from(RigidTransform.identity(), drive, box), metadata={})
+    merged = merge_scenes([first, plain], rename=True)
+    cameras = [merged.sensor(name).poses.positions for name in ("camera", "camera-2")]
+    np.testing.assert_allclose(*cameras, atol=1e-9)
     assert "worlds-related" in [warning.code for warning in merged.warnings]
 
 
 def test_angles_are_stated_as_the_first_scene_says_them(drive, box):
-    rows = np.array([[4.0, 2, 1, 0, 0, 0, 0.3, -0.4, 2.0]])
     other = box("b", [0], [[0.0, 0, 0]])
-    other = replace(other, path=replace(other.path, values=rows))
-    radians = drive.scene(annotations=[other])
-    radians = replace(only(radians, "radar"), metadata={"sceneloom": {"euler_unit": "radians", "euler_order": "zyx"}})
+    other = replace(other, path=replace(other.path, values=np.array([[4.0, 2, 1, 0, 0, 0, 0.3, -0.4, 2.0]])))
+    ours = {"sceneloom": {"euler_unit": "radians", "euler_order": "zyx"}}
+    radians = only(drive.scene(annotations=[other]), "radar", metadata=ours)
     first = only(drive.scene(annotations=[box("a", [0], [[0.0, 0, 0]])]), "lidar")
     found = merge_scenes([first, radians]).annotations[1].path.values[0, 6:]
     expected = Rotation.from_euler("ZYX", [2.0, -0.4, 0.3])
-    away = Rotation.from_euler("XYZ", found, degrees=True).inv() * expected
-    assert away.magnitude() < 1e-12
+    assert (Rotation.from_euler("XYZ", found, degrees=True).inv() * expected).magnitude() < 1e-12
 
 
 def with_cameras(drive, *ids):
-    """A scene of cameras and a lidar whose points name them."""
     scene = drive.scene(PointsFrame.WORLD)
     frame = scene.sensor("lidar").frames[0]
     index = np.resize(np.array([0, 1, 255], np.uint8), len(frame.points))
-    lidar = replace(
-        scene.sensor("lidar"),
-        id="lidar of " + ids[0],
-        frames=LazyFrames.of([replace(frame, points=replace(frame.points, camera_index=index))], [0]),
-    )
+    frames = LazyFrames.of([replace(frame, points=replace(frame.points, camera_index=index))], [0])
+    lidar = replace(scene.sensor("lidar"), id="lidar of " + ids[0], frames=frames)
     cameras = tuple(replace(scene.sensor("camera"), id=identifier) for identifier in ids)
-    metadata = {"sceneloom": {"fusion": {"cameras": list(ids)}}}
-    return replace(scene, sensors=(lidar, *cameras), metadata=metadata)
+    return replace(scene, sensors=(lidar, *cameras), metadata={"sceneloom": {"fusion": {"cameras": list(ids)}}})
 
 
 def test_points_name_the_cameras_by_their_locations_among_all(drive):
@@ -187,66 +161,59 @@ def test_points_name_the_cameras_by_their_locations_among_all(drive):
 
 def whole_drive(drive, box):
     """A drive with one thing of everything, whose parts are to be joined."""
-    times = drive.timestamps_ns
-    labelled = LabeledPointsAnnotation(
-        "labels", tuple(LabeledPoints("lidar", np.arange(5, dtype=np.uint32), k) for k in range(5))
-    )
-    body = PointsAnnotation("body", (PointPath(times, np.arange(15.0).reshape(5, 3)),))
-    shape = ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(times, (np.ones((2, 3)),) * 5))
-    event = EventAnnotation("rotation", int(times[0]), int(times[4]))
-    drawn = Box2DAnnotation("drawn", "camera", BoxPath(times, np.arange(20.0).reshape(5, 4)))
+    times, threes = drive.timestamps_ns, np.arange(15.0).reshape(5, 3)
     attribute = AttributePath("speed", tuple(range(5)), times)
-    car = replace(
-        box("car", times, np.arange(15.0).reshape(5, 3)),
-        activations=(Activation("lidar", times, durations_ns=(1, 2, 3, 4, 5)),),
-        attributes=(attribute,),
-    )
-    repair = LocalizationAdjustment("repair", drive.path(hz=10))
-    scene = drive.scene(annotations=[car, labelled, body, shape, event, drawn, repair])
-    imu = ImuSensor("imu", {"gyroscope": VectorSamples(times, np.arange(15.0).reshape(5, 3))})
-    gnss = GnssSensor("gnss", times, np.arange(15.0).reshape(5, 3) * 1e-6, np.ones(5), np.ones(5))
-    return replace(to_world(scene), sensors=(*to_world(scene).sensors, imu, gnss), attributes=(attribute,))
+    entries = tuple(LabeledPoints("lidar", np.arange(5, dtype=np.uint32), k) for k in range(5))
+    annotations = [
+        replace(
+            box("car", times, threes),
+            activations=(Activation("lidar", times, durations_ns=(1, 2, 3, 4, 5)),),
+            attributes=(attribute,),
+        ),
+        LabeledPointsAnnotation("labels", entries),
+        PointsAnnotation("body", (PointPath(times, threes),)),
+        ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(times, (np.ones((2, 3)),) * 5)),
+        EventAnnotation("rotation", int(times[0]), int(times[4])),
+        Box2DAnnotation("drawn", "camera", BoxPath(times, np.arange(20.0).reshape(5, 4))),
+        LocalizationAdjustment("repair", drive.path(hz=10)),
+    ]
+    scene = to_world(drive.scene(annotations=annotations))
+    imu = ImuSensor("imu", {"gyroscope": VectorSamples(times, threes)})
+    gnss = GnssSensor("gnss", times, threes * 1e-6, np.ones(5), np.ones(5))
+    return replace(scene, sensors=(*scene.sensors, imu, gnss), attributes=(attribute,))
 
 
-def test_parts_of_a_drive_are_joined_to_what_they_were(drive, box):
+@pytest.mark.parametrize("order", [1, -1])
+def test_parts_of_a_drive_are_joined_to_what_they_were(drive, box, order):
     scene = whole_drive(drive, box)
-    parts = [crop_scene(scene, stop=0.2), crop_scene(scene, start=0.2)]
-    for order in (parts, parts[::-1]):
-        joined = merge_scenes(order, join=True)
-        for sensor_id in ("lidar", "radar"):
-            before, after = scene.sensor(sensor_id), joined.sensor(sensor_id)
-            assert after.frames.timestamps_ns.tolist() == before.frames.timestamps_ns.tolist()
-            for a, b in zip(before.frames, after.frames, strict=True):
-                assert a.timestamp_ns == b.timestamp_ns
-                np.testing.assert_array_equal(a.points.positions, b.points.positions)
-        camera = joined.sensor("camera")
-        assert [image.timestamp_ns for image in camera.images] == (drive.timestamps_ns + 20_000_000).tolist()
-        np.testing.assert_array_equal(camera.poses.positions, scene.sensor("camera").poses.positions)
-        np.testing.assert_array_equal(joined.sensor("ego").poses.positions, scene.sensor("ego").poses.positions)
-        np.testing.assert_array_equal(joined.trajectories["ego"].positions, scene.trajectories["ego"].positions)
-        np.testing.assert_array_equal(
-            joined.sensor("imu").streams["gyroscope"].values, scene.sensor("imu").streams["gyroscope"].values
-        )
-        np.testing.assert_array_equal(joined.sensor("gnss").positions_lla, scene.sensor("gnss").positions_lla)
-        assert len(pickle.loads(pickle.dumps(joined.sensor("lidar"))).frames[3].points) == 40
-
-
-def test_annotations_of_the_parts_are_joined_to_what_they_were(drive, box):
-    scene = whole_drive(drive, box)
-    parts = [crop_scene(scene, stop=0.2), crop_scene(scene, start=0.2)]
-    for order in (parts, parts[::-1]):
-        found = {a.id: a for a in merge_scenes(order, join=True).annotations}
-        assert set(found) == {a.id for a in scene.annotations}
-        for name in ("car", "drawn"):
-            before = next(a for a in scene.annotations if a.id == name)
-            np.testing.assert_array_equal(found[name].path.values, before.path.values)
-        assert found["car"].activations[0].durations_ns == (1, 2, 3, 4, 5)
-        labelled = sorted(entry.sensor_frame for entry in found["labels"].labeled_points)
-        assert labelled == [0, 1, 2, 3, 4]
-        np.testing.assert_array_equal(found["body"].paths[0].values, np.arange(15.0).reshape(5, 3))
-        assert len(found["lane"].path.vertices) == 5
-        assert (found["rotation"].start_ns, found["rotation"].duration_ns) == (0, 400_000_000)
-        np.testing.assert_array_equal(found["repair"].poses.positions, drive.path(hz=10).positions)
+    joined = merge_scenes([crop_scene(scene, stop=0.2), crop_scene(scene, start=0.2)][::order], join=True)
+    for sensor_id in ("lidar", "radar"):
+        before, after = scene.sensor(sensor_id), joined.sensor(sensor_id)
+        assert after.frames.timestamps_ns.tolist() == before.frames.timestamps_ns.tolist()
+        for a, b in zip(before.frames, after.frames, strict=True):
+            assert a.timestamp_ns == b.timestamp_ns
+            np.testing.assert_array_equal(a.points.positions, b.points.positions)
+    images = joined.sensor("camera").images
+    assert [image.timestamp_ns for image in images] == (drive.timestamps_ns + 20_000_000).tolist()
+    for values in (
+        lambda s: s.sensor("camera").poses.positions,
+        lambda s: s.sensor("ego").poses.positions,
+        lambda s: s.trajectories["ego"].positions,
+        lambda s: s.sensor("imu").streams["gyroscope"].values,
+        lambda s: s.sensor("gnss").positions_lla,
+    ):
+        np.testing.assert_array_equal(values(joined), values(scene))
+    assert len(pickle.loads(pickle.dumps(joined.sensor("lidar"))).frames[3].points) == 40
+    was, found = ({a.id: a for a in each.annotations} for each in (scene, joined))
+    assert set(found) == set(was)
+    for name in ("car", "drawn"):
+        np.testing.assert_array_equal(found[name].path.values, was[name].path.values)
+    assert found["car"].activations[0].durations_ns == (1, 2, 3, 4, 5)
+    assert sorted(entry.sensor_frame for entry in found["labels"].labeled_points) == [0, 1, 2, 3, 4]
+    np.testing.assert_array_equal(found["body"].paths[0].values, was["body"].paths[0].values)
+    assert len(found["lane"].path.vertices) == 5
+    assert (found["rotation"].start_ns, found["rotation"].duration_ns) == (0, 400_000_000)
+    np.testing.assert_array_equal(found["repair"].poses.positions, drive.path(hz=10).positions)
 
 
 def test_frames_that_are_in_both_parts_are_taken_once_if_they_are_equal(drive):
@@ -263,25 +230,19 @@ def test_frames_that_are_in_both_parts_are_taken_once_if_they_are_equal(drive):
 
 
 def test_what_is_stationary_in_both_parts_of_a_scene_keeps_its_one_keyframe(drive, box):
-    stationary = box("b", drive.timestamps_ns[:1], np.ones(3), stationary=True)
-    lane = ShapeAnnotation(
-        "lane", ShapeType.POLYLINE, VertexPath(drive.timestamps_ns[:1], (np.eye(3),)), stationary=True
-    )
-    scene = drive.scene(annotations=(stationary, lane))
+    first = drive.timestamps_ns[:1]
+    lane = ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(first, (np.eye(3),)), stationary=True)
+    scene = drive.scene(annotations=(box("b", first, np.ones(3), stationary=True), lane))
     joined = merge_scenes([crop_scene(scene, stop=0.2), crop_scene(scene, start=0.2)], join=True)
     assert [a.path.timestamps_ns.tolist() for a in joined.annotations] == [[0], [0]]
 
 
 def test_what_the_second_part_says_otherwise_is_reported(drive, box):
     weather = [AttributePath("weather", (stated,), static=True) for stated in ("rain", "sun")]
-    scenes = [
-        replace(
-            drive.scene(annotations=(box("b", drive.timestamps_ns, np.ones(3), label=label, stationary=still),)),
-            attributes=(attribute,),
-            extras={"owner": label},
-        )
-        for label, still, attribute in (("car", False, weather[0]), ("truck", True, weather[1]))
-    ]
+    scenes = []
+    for label, still, attribute in (("car", False, weather[0]), ("truck", True, weather[1])):
+        seen = box("b", drive.timestamps_ns, np.ones(3), label=label, stationary=still)
+        scenes.append(replace(drive.scene(annotations=(seen,)), attributes=(attribute,), extras={"owner": label}))
     joined = merge_scenes(scenes, join=True)
     assert (joined.annotations[0].label, joined.attributes, joined.extras["owner"]) == ("car", (weather[0],), "car")
     reported = [warning.location for warning in joined.warnings if warning.code == "fields-differ"]
@@ -321,12 +282,9 @@ def test_what_cannot_be_merged_is_refused(drive, box):
 
 
 def test_closing_the_merged_scene_closes_all(drive):
-    closed = []
-    scenes = [
-        replace(only(drive.scene(), name), on_close=lambda name=name: closed.append(name))
-        for name in ("lidar", "radar")
-    ]
-    with merge_scenes(scenes):
+    closed, scene = [], drive.scene()
+    names = ("lidar", "radar")
+    with merge_scenes([only(scene, name, on_close=lambda name=name: closed.append(name)) for name in names]):
         assert closed == []
     assert closed == ["lidar", "radar"]
 
@@ -354,17 +312,41 @@ def test_an_event_lasts_until_its_last_part_ends_though_that_is_a_moment(parts, 
     assert (event.start_ns, event.duration_ns) == joined
 
 
-def fixes(times, lla):
-    count = len(times)
-    return GnssSensor("gnss", times, np.tile(np.array(lla, np.float64), (count, 1)), np.ones(count), np.ones(count))
+def fixes(identifier, *lla):
+    return GnssSensor(identifier, np.array([0, 10**8]), np.array([lla] * 2), np.ones(2), np.ones(2))
 
 
-def moved_away(scene, metres):
-    trajectories = {
-        n: replace(trajectory, positions=trajectory.positions + np.array([metres, 0, 0]))
-        for n, trajectory in scene.trajectories.items()
-    }
-    return replace(scene, trajectories=trajectories)
+def located(metadata, *sensors):
+    return lambda scene: replace(scene, metadata=metadata, sensors=(*scene.sensors, *sensors))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "reason"),
+    [
+        (located({"city": "Pittsburgh"}), located({"city": "Miami"}), "it was in miami"),
+        (
+            located({"nuscenes": {"log": {"location": "boston-seaport"}}}),
+            located({"sceneloom": {"location": "singapore-onenorth"}}),
+            "singapore-onenorth, the other in boston-seaport",
+        ),
+        (
+            located({}, fixes("gnss", 48.0, 11.0, 500.0)),
+            located({}, fixes("gnss2", 52.5, 13.4, 30.0)),
+            r"satellite fixes are 5\d\d\.\d km apart",
+        ),
+    ],
+)
+def test_scenes_of_two_cities_are_refused_unless_they_are_forced(drive, first, second, reason):
+    parts = [first(only(drive.scene(), "lidar")), second(only(drive.scene(), "radar"))]
+    with pytest.raises(OptionError, match=reason):
+        merge_scenes(parts)
+    merged = merge_scenes(parts, force=True)
+    assert [n.message for n in merged.warnings if n.code == "different-drives"]
+    assert {"lidar", "radar"} <= {sensor.id for sensor in merged.sensors}
+
+
+def moved_away(path, metres):
+    return replace(path, positions=path.positions + np.array([metres, 0, 0]))
 
 
 def later(scene, seconds):
@@ -375,71 +357,26 @@ def later(scene, seconds):
     return replace(scene, sensors=(replace(lidar, id="other", frames=LazyFrames.of(frames, times)),), trajectories={})
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (
-            lambda s, t: (s | {"metadata": {"city": "Pittsburgh"}}, t | {"metadata": {"city": "Miami"}}),
-            "it was in miami",
-        ),
-        (
-            lambda s, t: (
-                s | {"metadata": {"nuscenes": {"log": {"location": "boston-seaport"}}}},
-                t | {"metadata": {"sceneloom": {"location": "singapore-onenorth"}}},
-            ),
-            "singapore-onenorth, the other in boston-seaport",
-        ),
-        (
-            lambda s, t: (
-                s | {"sensors": (*s["sensors"], fixes(TIMESTAMPS, [48.0, 11.0, 500.0]))},
-                t | {"sensors": (*t["sensors"], replace(fixes(TIMESTAMPS, [52.5, 13.4, 30.0]), id="gnss2"))},
-            ),
-            r"satellite fixes are 5\d\d\.\d km apart",
-        ),
-    ],
-)
-def test_scenes_of_two_cities_are_refused_unless_they_are_forced(drive, change, reason):
-    scene = drive.scene()
-    one = {"sensors": (scene.sensor("lidar"),), "metadata": {}}
-    two = {"sensors": (scene.sensor("radar"),), "metadata": {}}
-    parts = [replace(scene, **fields) for fields in change(one, two)]
-    with pytest.raises(OptionError, match=reason):
-        merge_scenes(parts)
-    merged = merge_scenes(parts, force=True)
-    assert [n.message for n in merged.warnings if n.code == "different-drives"]
-    assert {"lidar", "radar"} <= {sensor.id for sensor in merged.sensors}
-
-
-def test_egos_that_are_far_apart_at_one_time_are_of_two_drives(drive):
+def test_egos_far_apart_and_parts_of_other_days_are_of_two_drives(drive):
     scene = drive.scene()
     lidar, radar = only(scene, "lidar"), only(scene, "radar")
-    assert merge_scenes([lidar, moved_away(radar, 20)], rename=True)
+    away = [replace(radar, trajectories={"ego": moved_away(scene.trajectories["ego"], x)}) for x in (20, 5000)]
+    assert merge_scenes([lidar, away[0]], rename=True)
     with pytest.raises(OptionError, match="their egos are 5,000 m apart at one time"):
-        merge_scenes([lidar, moved_away(radar, 5000)], rename=True)
-
-
-def test_parts_that_are_days_apart_are_of_two_drives(drive):
-    scene = drive.scene()
-    assert merge_scenes([only(scene, "radar"), later(scene, 600)])
+        merge_scenes([lidar, away[1]], rename=True)
+    assert merge_scenes([radar, later(scene, 600)])
     with pytest.raises(OptionError, match="10 days are between them"):
-        merge_scenes([only(scene, "radar"), later(scene, 864_001)])
-
-
-def test_poses_of_sensors_stand_in_for_an_ego_that_is_not_known(drive):
-    scene = drive.scene()
-    lidar = replace(to_world(only(scene, "lidar")), trajectories={})
-    sensor = lidar.sensor("lidar")
-    away = replace(sensor, id="other", poses=replace(sensor.poses, positions=sensor.poses.positions + 5000.0))
-    with pytest.raises(OptionError, match="their egos are 8,660 m apart at one time"):
-        merge_scenes([lidar, replace(lidar, sensors=(away,))])
+        merge_scenes([radar, later(scene, 864_001)])
+    # poses of sensors stand in for an ego that is not known
+    alone = replace(to_world(lidar), trajectories={})
+    sensor = alone.sensor("lidar")
+    other = replace(sensor, id="other", poses=moved_away(sensor.poses, 5000.0))
+    with pytest.raises(OptionError, match="their egos are 5,000 m apart at one time"):
+        merge_scenes([alone, replace(alone, sensors=(other,))])
 
 
 def test_scenes_that_nothing_relates_are_merged_with_a_warning(drive):
-    scene = drive.scene()
-    first, second = only(scene, "lidar"), only(scene, "radar")
+    first, second = only(drive.scene(), "lidar"), only(drive.scene(), "radar")
     bare = replace(second, trajectories={}, sensors=tuple(replace(one, poses=None) for one in second.sensors))
     assert "drives-unrelated" not in {n.code for n in merge_scenes([first, second]).warnings}
     assert "drives-unrelated" in {n.code for n in merge_scenes([first, bare]).warnings}
-
-
-TIMESTAMPS = np.array([0, 10**8], np.int64)

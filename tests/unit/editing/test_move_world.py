@@ -51,13 +51,13 @@ def test_points_are_where_the_formulas_state(drive, before, after):
         for k, frame in enumerate(sensor.frames):
             expected = drive.frame_from_world(k, after).apply(drive.points_world(k))
             np.testing.assert_allclose(frame.points.positions, expected, atol=FLOAT32_ULPS)
-
-
-def test_directions_of_a_radar_rotate(drive):
-    for k, frame in enumerate(to_ego(drive.scene()).sensor("radar").frames):
-        expected = drive.frame_from_world(k, PointsFrame.EGO).rotate(drive.points_world(k))
+    for k, frame in enumerate(changed.sensor("radar").frames):
+        expected = drive.frame_from_world(k, after).rotate(drive.points_world(k))
         expected /= np.linalg.norm(expected, axis=1, keepdims=True)
         np.testing.assert_allclose(frame.points.directions, expected, atol=1e-6)  # unit vectors of float32
+    sensor = changed.sensor("lidar")
+    again = pickle.loads(pickle.dumps(sensor))
+    np.testing.assert_array_equal(again.frames[1].points.positions, sensor.frames[1].points.positions)
 
 
 def test_poses_in_the_world_are_those_of_the_ego_and_the_mounting(drive, mount):
@@ -111,10 +111,10 @@ def everything(drive, box):
     """One annotation of each kind that has a location, at the times of frames."""
     times = drive.timestamps_ns
     rows = np.tile([4.0, 2, 1, 10, 20, 1, 5, -3, 200], (2, 1))
-    gone = np.full((1, 9), np.nan)
     corners = np.array([[0.0, 0, 0], [5, 0, 0], [5, 5, 1]])
-    seen = Projection("camera", times[:3], cuboids=np.concatenate([rows, gone]))
-    dots = np.array([[1.0, 2, 3], [np.nan] * 3])
+    seen = Projection("camera", times[:3], cuboids=np.concatenate([rows, np.full((1, 9), np.nan)]))
+    dots = PointProjection("camera", times[:2], positions=np.array([[1.0, 2, 3], [np.nan] * 3]))
+    paths = PointPath(times[:3], np.arange(9.0).reshape(3, 3)), PointPath(times[1:3], np.ones((2, 3)))
     return [
         replace(
             box("moving", times, np.arange(15.0).reshape(5, 3), 33.0),
@@ -125,17 +125,12 @@ def everything(drive, box):
         ShapeAnnotation("area", ShapeType.POLYGON, VertexPath(times[:2], (corners, corners + 1.0))),
         ShapeAnnotation("growing", ShapeType.POLYLINE, VertexPath(times[:2], (corners[:2], corners))),
         ShapeAnnotation("lane", ShapeType.POLYGON_TOPDOWN, VertexPath(times[:1], (corners,)), stationary=True),
-        PointsAnnotation(
-            "body",
-            (PointPath(times[:3], np.arange(9.0).reshape(3, 3)), PointPath(times[1:3], np.ones((2, 3)))),
-            projections=((PointProjection("camera", times[:2], positions=dots),), ()),
-        ),
+        PointsAnnotation("body", paths, projections=((dots,), ())),
         GroupAnnotation("group"),
     ]
 
 
 def numbers_of(annotation):
-    """All locations of an annotation in one row."""
     if annotation.type == "cuboid":
         further = [e.cuboids for e in (*annotation.activations, *annotation.projections)]
         return np.concatenate([annotation.path.values, *further]).ravel()
@@ -181,33 +176,24 @@ def test_what_has_no_location_on_the_ego_is_reported(drive):
     assert codes == ["map-in-world", "annotations-not-moved"]
 
 
+def labels(frame):
+    entry = LabeledPoints("lidar", np.array([1, 2], np.uint32), frame)
+    return LabeledPointsAnnotation(f"labels {frame}", (entry,))
+
+
 def test_frames_that_the_trajectory_does_not_reach_are_left_out_with_their_labels(drive):
-    scene = drive.scene(PointsFrame.WORLD, [labels(0), labels(3)])
     path = drive.path()
     short = Trajectory("short", path.timestamps_ns[:6], path.positions[:6], path.quaternions_xyzw[:6])
-    scene = replace(scene, trajectories={"short": short})
+    scene = replace(drive.scene(PointsFrame.WORLD, [labels(0), labels(3)]), trajectories={"short": short})
     changed = to_ego(scene, trajectory="short")
     # poses up to 50 ms; one period beyond that reaches the frame at 100 ms
     assert changed.sensor("lidar").frames.timestamps_ns.tolist() == [0, 100_000_000]
     assert [annotation.id for annotation in changed.annotations] == ["labels 0"]
     reported = {warning.code: warning.count for warning in changed.warnings}
-    assert reported["frames-beyond-the-trajectory"] == 3
-    assert reported["frames-extrapolated"] == 1
-    assert reported["labelled-frames"] == 1
+    counts = {"frames-beyond-the-trajectory": 3, "frames-extrapolated": 1, "labelled-frames": 1}
+    assert reported.items() >= counts.items()
     assert {sensor.id for sensor in changed.sensors} == {"lidar", "radar", "camera", "ego", "ego2"}
     assert changed.sensor("lidar").parent_id == "ego2"
-
-
-def labels(frame):
-    """Two labelled points of a frame of the lidar."""
-    entry = LabeledPoints("lidar", np.array([1, 2], np.uint32), frame)
-    return LabeledPointsAnnotation(f"labels {frame}", (entry,))
-
-
-def test_a_scene_that_was_changed_can_go_to_another_process(drive):
-    changed = to_ego(drive.scene())
-    again = pickle.loads(pickle.dumps(changed.sensor("lidar")))
-    np.testing.assert_array_equal(again.frames[1].points.positions, changed.sensor("lidar").frames[1].points.positions)
 
 
 def test_locations_that_cannot_be_known_are_an_error(drive):
@@ -256,21 +242,14 @@ def test_what_metadata_state_in_a_form_unknown_takes_nothing_away(drive, box, en
 
 
 def test_keyframes_that_a_file_rounded_to_microseconds_are_taken_away_again(drive, box, tmp_path):
-    def later(timestamps_ns):
-        return timestamps_ns + 123_456_789
-
-    odd = [
-        box("moves", later(drive.timestamps_ns[::4]), np.ones(3)),
-        box("stands", later(drive.timestamps_ns[:1]), 2.0),
-    ]
-    scene = drive.scene(annotations=(odd[0], replace(odd[1], stationary=True)))
-    trajectories = {
-        name: replace(trajectory, timestamps_ns=later(trajectory.timestamps_ns))
-        for name, trajectory in scene.trajectories.items()
-    }
-    lidar = scene.sensor("lidar")
-    frames = [replace(frame, timestamp_ns=int(later(frame.timestamp_ns))) for frame in lidar.frames]
-    lidar = replace(lidar, frames=LazyFrames.of(frames, later(drive.timestamps_ns).tolist()))
+    late_ns = 123_456_789
+    moves = box("moves", drive.timestamps_ns[::4] + late_ns, np.ones(3))
+    stands = box("stands", drive.timestamps_ns[:1] + late_ns, 2.0, stationary=True)
+    scene = drive.scene(annotations=(moves, stands))
+    lidar, path = scene.sensor("lidar"), scene.trajectories["ego"]
+    frames = [replace(frame, timestamp_ns=frame.timestamp_ns + late_ns) for frame in lidar.frames]
+    lidar = replace(lidar, frames=LazyFrames.of(frames, (drive.timestamps_ns + late_ns).tolist()))
+    trajectories = {"ego": replace(path, timestamps_ns=path.timestamps_ns + late_ns)}
     sceneloom.write(to_ego(replace(scene, sensors=(lidar,), trajectories=trajectories)), tmp_path / "ego.sfs")
     with sceneloom.open(tmp_path / "ego.sfs") as written:
         assert [len(a.path.timestamps_ns) > 2 for a in written.annotations] == [True, True]

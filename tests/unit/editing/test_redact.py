@@ -80,25 +80,16 @@ def test_boxes_of_one_track_are_joined_by_straight_lines_in_time_and_others_are_
         ImageBox((1, 2, 3, 4), number=5),
     )
     found, hiding = hidings_of(scene_with(), boxes=boxes)
-    assert found == {
-        1: [[0, 0, 10, 10]],
-        2: [[10, 2, 20, 12]],
-        3: [[20, 4, 30, 14]],
-        4: [[30, 6, 40, 16]],
-        5: [[1, 2, 3, 4]],
-    }
+    rows = [[0, 0, 10, 10], [10, 2, 20, 12], [20, 4, 30, 14], [30, 6, 40, 16], [1, 2, 3, 4]]
+    assert found == {number: [row] for number, row in enumerate(rows, 1)}
     assert (hiding.given, hiding.unmatched) == (3, 0)
 
 
-def test_a_track_that_is_held_is_hidden_before_and_after_its_images():
+def test_a_track_that_is_held_is_hidden_before_and_after_and_both_boxes_where_it_is_in_an_image_twice():
     boxes = (ImageBox((0, 0, 9, 9), number=2, track="a"), ImageBox((0, 0, 9, 9), number=3, track="a"))
     assert sorted(hidings_of(scene_with(), boxes=boxes, hold=0.1)[0]) == [1, 2, 3, 4]
-
-
-def test_both_boxes_of_a_track_that_is_in_an_image_twice_are_hidden():
     boxes = (ImageBox((0, 0, 9, 9), number=2, track="a"), ImageBox((20, 0, 29, 9), number=2, track="a"))
-    found, _ = hidings_of(scene_with(), boxes=boxes)
-    assert sorted(found[2]) == [[0, 0, 9, 9], [20, 0, 29, 9]]
+    assert sorted(hidings_of(scene_with(), boxes=boxes)[0][2]) == [[0, 0, 9, 9], [20, 0, 29, 9]]
 
 
 def test_boxes_of_images_that_are_not_there_are_counted():
@@ -109,6 +100,8 @@ def test_boxes_of_images_that_are_not_there_are_counted():
     )
     found, hiding = hidings_of(scene_with(), boxes=boxes)
     assert (sorted(found), hiding.unmatched) == ([2], 2)
+    with pytest.raises(OptionError, match="camera 'rear'; its cameras are 'front'"):
+        find_hidings(scene_with(), boxes=(ImageBox((0, 0, 9, 9), camera="rear", number=0),))
 
 
 def test_annotations_are_hidden_by_their_labels_while_they_last():
@@ -136,17 +129,10 @@ def test_boxes_whose_times_are_stored_in_any_order_are_hidden_all_the_while():
     path = BoxPath(times, np.array([[2.0 * k, 1.0, 8.0, 8.0] for k in rows]))
     found, _ = hidings_of(scene_with((Box2DAnnotation("f", "front", path, label="face"),)), labels=("face",))
     assert {k: boxes[0][0] for k, boxes in found.items()} == {0: 0.0, 1: 2.0, 2: 4.0, 3: 6.0}
-
-
-def test_what_is_stationary_in_an_image_is_hidden_in_all_of_them():
-    path = BoxPath(np.array([EARLY]), np.array([[1.0, 1.0, 8.0, 8.0]]))
-    bonnet = Box2DAnnotation("b", "front", path, label="bonnet", stationary=True)
+    # what is stationary in an image is hidden in all of them
+    first = BoxPath(np.array([EARLY]), np.array([[1.0, 1.0, 8.0, 8.0]]))
+    bonnet = Box2DAnnotation("b", "front", first, label="bonnet", stationary=True)
     assert sorted(hidings_of(scene_with((bonnet,)), labels=("bonnet",))[0]) == list(range(6))
-
-
-def test_a_camera_that_is_not_there_is_refused():
-    with pytest.raises(OptionError, match="camera 'rear'; its cameras are 'front'"):
-        find_hidings(scene_with(), boxes=(ImageBox((0, 0, 9, 9), camera="rear", number=0),))
 
 
 def test_regions_are_the_even_pixels_around_boxes_with_their_margin_within_the_image():
@@ -164,20 +150,15 @@ def test_regions_are_the_even_pixels_around_boxes_with_their_margin_within_the_i
 
 def test_images_of_a_scene_are_hidden_when_they_are_decoded_and_the_others_stay():
     scene = scene_with()
-    hidden = hide_in_images(
-        scene, find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=2),)), fill="black", margin=0.0
-    )
+    hidings = find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=2),))
+    hidden = hide_in_images(scene, hidings, fill="black", margin=0.0)
     before, after = scene.cameras[0].images, hidden.cameras[0].images
     assert not after[2].rgb[8:24, 8:24].any()
     assert np.array_equal(after[2].rgb[:, 24:], before[2].rgb[:, 24:])
     assert np.array_equal(after[1].rgb, before[1].rgb)
-
-
-def test_boxes_none_of_which_is_in_an_image_hide_nothing_and_are_refused():
-    scene = scene_with()
-    hidings = find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=60),))
+    # boxes none of which is in an image hide nothing and are refused
     with pytest.raises(OptionError, match="none of the 1 boxes lies in any image"):
-        hide_in_images(scene, hidings)
+        hide_in_images(scene, find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=60),)))
 
 
 def test_copies_of_images_in_free_fields_go_and_colours_of_points_are_reported_or_dropped():

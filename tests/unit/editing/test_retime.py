@@ -40,20 +40,16 @@ def corrected(scene, *ids):
     return retimed_scene(scene, sensors={key_of(i): LATE for i in ids})
 
 
-def test_sweeps_move_with_their_points(scene):
+def test_sweeps_move_with_their_points_unless_those_are_of_another_clock(scene):
     before, after = scene.sensor("lidar").frames, corrected(scene, "lidar").sensor("lidar").frames
     assert after.timestamps_ns.tolist() == by_hand(before.timestamps_ns).tolist()
     for old, new in zip(before, after, strict=True):
         assert new.timestamp_ns == by_hand(np.array([old.timestamp_ns]))[0]
         assert new.points.timestamps_ns.tolist() == by_hand(old.points.timestamps_ns).tolist()
         assert np.array_equal(new.points.positions, old.points.positions)
-
-
-def test_point_times_of_another_clock_stay(scene):
-    lidar = scene.sensor("lidar")
-    points = replace(lidar.frames[0].points, timestamps_ns=lidar.frames[0].points.timestamps_ns + 10**15)
-    frames = type(lidar.frames).of([replace(lidar.frames[0], points=points)], [lidar.frames[0].timestamp_ns])
-    strange = replace(scene, sensors=(replace(lidar, frames=frames),), annotations=())
+    points = replace(before[0].points, timestamps_ns=before[0].points.timestamps_ns + 10**15)
+    frames = type(before).of([replace(before[0], points=points)], [before[0].timestamp_ns])
+    strange = replace(scene, sensors=(replace(scene.sensor("lidar"), frames=frames),), annotations=())
     moved = corrected(strange, "lidar").sensor("lidar").frames[0]
     assert np.array_equal(moved.points.timestamps_ns, points.timestamps_ns)
 
@@ -67,16 +63,12 @@ def test_images_samples_and_fixes_move(scene):
         lambda s: s.sensor("gnss").timestamps_ns,
     ):
         assert pick(moved).tolist() == by_hand(pick(scene)).tolist()
+    # what is not named stays
+    assert moved.sensor("lidar") is scene.sensor("lidar")
+    assert moved.trajectories == scene.trajectories
     image = moved.sensor("camera0").images[1]
     assert image.timestamp_ns == moved.sensor("camera0").images.timestamps_ns[1]
     assert np.array_equal(image.rgb, scene.sensor("camera0").images[1].rgb)
-
-
-def test_what_is_not_named_stays(scene):
-    moved = corrected(scene, "camera0")
-    assert moved.sensor("lidar") is scene.sensor("lidar")
-    assert moved.sensor("imu") is scene.sensor("imu")
-    assert moved.trajectories == scene.trajectories
 
 
 def test_annotations_go_with_what_they_were_drawn_in(scene):
@@ -98,13 +90,9 @@ def test_poses_of_a_mounted_sensor_are_the_trajectories_at_its_right_times(scene
     times = lidar.frames.timestamps_ns[1:3]
     ego, sensor = trajectory.interpolate(times), lidar.poses.interpolate(times)
     for k in range(2):
-        expected = ego.positions[k] + rotated(ego.quaternions_xyzw[k], lidar.mount.translation)
+        expected = ego.positions[k] + Rotation.from_quat(ego.quaternions_xyzw[k]).apply(lidar.mount.translation)
         # poses are thinned to a millimetre
         assert np.allclose(sensor.positions[k], expected, atol=2e-3)
-
-
-def rotated(quaternion_xyzw, vector):
-    return Rotation.from_quat(quaternion_xyzw).apply(np.array(vector))
 
 
 def test_a_trajectory_moves_and_takes_mounted_sensors_along(scene):
@@ -157,34 +145,27 @@ def fix(seconds, **beside):
     return {"gps": {"latitude": 60.0, "longitude": 25.0, "altitude": seconds} | beside, "time": seconds}
 
 
+def retimed_lines(folder, lines, **corrections):
+    (folder / "drive").mkdir()
+    (folder / "drive" / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with open_scene(folder / "drive") as scene:
+        write_scene(retimed_scene(scene, **corrections), folder / "again")
+    return [json.loads(line) for line in (folder / "again" / "data.jsonl").read_text().splitlines()]
+
+
 def test_further_keys_move_with_their_samples(tmp_path):
-    (tmp_path / "drive").mkdir()
     lines = [
-        sample(0.5, temperature=20.0),
-        sample(0.5, temperature=21.0),
-        pose(1.0, status="TRACKING"),
-        fix(1.125, satellites=7),
-        sample(1.5),
-        sample(2.5, temperature=22.0),
+        *(sample(0.5, temperature=20.0), sample(0.5, temperature=21.0), pose(1.0, status="TRACKING")),
+        *(fix(1.125, satellites=7), sample(1.5), sample(2.5, temperature=22.0)),
     ]
-    text = "".join(json.dumps(line) + "\n" for line in lines)
-    (tmp_path / "drive" / "data.jsonl").write_text(text)
-    with open_scene(tmp_path / "drive") as scene:
-        late, early = ClockCorrection(250_000_000), ClockCorrection(-500_000_000)
-        moved = retimed_scene(scene, sensors={key_of("imu"): late}, trajectories={"groundTruth": early})
-        write_scene(moved, tmp_path / "again")
+    late, early = ClockCorrection(250_000_000), ClockCorrection(-500_000_000)
+    found = retimed_lines(tmp_path, lines, sensors={key_of("imu"): late}, trajectories={"groundTruth": early})
     shifts = {"sensor": -0.25, "groundTruth": 0.5, "gps": 0.0}
     expected = [{**line, "time": line["time"] + shifts[next(iter(line))]} for line in lines]
-    found = [json.loads(line) for line in (tmp_path / "again" / "data.jsonl").read_text().splitlines()]
     assert found == sorted(expected, key=lambda line: line["time"])
 
 
 def test_a_line_of_two_records_is_two_lines_when_one_of_them_moves(tmp_path):
-    (tmp_path / "drive").mkdir()
-    line = {**sample(0.5), **fix(0.5)}
-    (tmp_path / "drive" / "data.jsonl").write_text(json.dumps(line) + "\n")
-    with open_scene(tmp_path / "drive") as scene:
-        moved = retimed_scene(scene, sensors={key_of("imu"): ClockCorrection(250_000_000)})
-        write_scene(moved, tmp_path / "again")
-    found = [json.loads(line) for line in (tmp_path / "again" / "data.jsonl").read_text().splitlines()]
+    sensors = {key_of("imu"): ClockCorrection(250_000_000)}
+    found = retimed_lines(tmp_path, [{**sample(0.5), **fix(0.5)}], sensors=sensors)
     assert found == [{**sample(0.5), "time": 0.25}, fix(0.5)]

@@ -35,23 +35,20 @@ def rows(x, *, yaw=0.0):
     return values
 
 
-def test_a_straight_trajectory_needs_its_ends_only():
-    scene = Scene((), (a_cuboid(rows(np.linspace(0, 50, 1001))),))
-    (simple,) = simplify_scene(scene, tolerance_m=1e-9).annotations
-    assert simple.path.timestamps_ns.tolist() == [0, 100_000]
-
-
-def test_a_corner_of_a_trajectory_stays():
-    x = np.concatenate([np.linspace(0, 10, 50), np.full(50, 10.0)])
-    (simple,) = simplify_scene(Scene((), (a_cuboid(rows(x)),))).annotations
-    assert simple.path.timestamps_ns.tolist() == [0, 4900, 9900]
-
-
-def test_rotating_counts_the_shorter_arc_and_beside_the_location():
-    rotating = rows(np.zeros(37), yaw=np.arange(37) * 10.0)
-    (simple,) = simplify_scene(Scene((), (a_cuboid(rotating),)), tolerance_deg=0.01).annotations
-    # less than half a rotation is known by its ends: 17 steps of 10 degrees
-    assert simple.path.values[:, 8].tolist() == [0.0, 170.0, 340.0, 360.0]
+@pytest.mark.parametrize(
+    ("values", "options", "kept"),
+    [
+        (rows(np.linspace(0, 50, 1001)), {"tolerance_m": 1e-9}, [0, 100_000]),
+        (rows(np.concatenate([np.linspace(0, 10, 50), np.full(50, 10.0)])), {}, [0, 4900, 9900]),
+        # less than half a rotation is known by its ends: 17 steps of 10 degrees
+        (rows(np.zeros(37), yaw=np.arange(37) * 10.0), {"tolerance_deg": 0.01}, [0, 1700, 3400, 3600]),
+        # values that are not finite stay
+        (rows([0.0, 0.0, np.nan, 0.0, 0.0]), {}, [0, 100, 200, 300, 400]),
+    ],
+)
+def test_a_path_needs_its_ends_and_corners_only(values, options, kept):
+    (simple,) = simplify_scene(Scene((), (a_cuboid(values),)), **options).annotations
+    assert simple.path.timestamps_ns.tolist() == kept
 
 
 def test_a_smooth_bend_needs_about_as_many_timestamps_as_its_curvature_says():
@@ -63,36 +60,20 @@ def test_a_smooth_bend_needs_about_as_many_timestamps_as_its_curvature_says():
     assert 100 <= len(simple.path.timestamps_ns) <= 102
 
 
-def test_paths_of_equal_or_running_back_timestamps_stay():
-    cuboid = a_cuboid(rows(np.zeros(4)), timestamps=[0, 5, 5, 9])
-    assert simplify_scene(Scene((), (cuboid,))).annotations[0].path is cuboid.path
-
-
-def test_values_that_are_not_finite_stay():
-    values = rows(np.zeros(5))
-    values[2, 3] = np.nan
-    (simple,) = simplify_scene(Scene((), (a_cuboid(values),))).annotations
-    np.testing.assert_array_equal(simple.path.timestamps_ns, [0, 100, 200, 300, 400])
-
-
-def test_empty_and_short_paths_stay():
-    for count in (0, 1, 2):
-        cuboid = a_cuboid(rows(np.zeros(count)))
+def test_paths_of_equal_or_running_back_timestamps_and_short_ones_stay():
+    paths = [a_cuboid(rows(np.zeros(count))) for count in (0, 1, 2)]
+    for cuboid in (a_cuboid(rows(np.zeros(4)), timestamps=[0, 5, 5, 9]), *paths):
         assert simplify_scene(Scene((), (cuboid,))).annotations[0].path is cuboid.path
+    empty = PointsAnnotation("p", (PointPath(np.zeros(0, np.int64), np.zeros((0, 3))),))
+    assert simplify_scene(Scene((), (empty,)), tolerance_m=1.0).annotations[0].paths == empty.paths
 
 
 def a_scene():
     timestamps = np.arange(9) * 100
     locations = np.column_stack([np.arange(9.0), np.zeros(9), np.zeros(9)])
     path = Poses(timestamps, locations, np.repeat(ROTATION, 9, axis=0))
-    trajectory = Trajectory(
-        "trajectory",
-        timestamps,
-        locations,
-        None,
-        file_seconds=timestamps * 1e-9,
-        covariances=np.tile(np.eye(6), (9, 1, 1)),
-    )
+    known = {"file_seconds": timestamps * 1e-9, "covariances": np.tile(np.eye(6), (9, 1, 1))}
+    trajectory = Trajectory("trajectory", timestamps, locations, None, **known)
     annotations = (
         a_cuboid(rows(np.arange(9.0))),
         PointsAnnotation("p", (PointPath(timestamps, locations, id="q"),), labels=("nose",)),
@@ -122,22 +103,16 @@ def test_all_kinds_of_paths_are_simplified_and_reported():
     assert simple.annotations[1].paths[0].id == "q"
 
 
-@pytest.mark.parametrize(("kind", "left"), [("cuboids", ["cuboids"]), ("keypoints", ["keypoints"])])
-def test_one_kind_of_paths_can_be_chosen(kind, left):
-    others = dict.fromkeys(("cuboids", "keypoints", "poses"), False)
-    found = counts(simplify_scene(a_scene(), **{**others, kind: True}))
-    assert [name for name, count in found.items() if count == 2] == left
-
-
-def test_a_pose_that_holds_for_ever_stays():
+def test_one_kind_of_paths_can_be_chosen_and_a_pose_that_holds_for_ever_stays():
+    for kind in ("cuboids", "keypoints"):
+        others = dict.fromkeys(("cuboids", "keypoints", "poses"), False)
+        found = counts(simplify_scene(a_scene(), **{**others, kind: True}))
+        assert [name for name, count in found.items() if count == 2] == [kind]
     scene = replace(a_scene(), sensors=(OdometrySensor("ego", Poses.identity()),))
     assert simplify_scene(scene).sensors[0].poses.static
-
-
-@pytest.mark.parametrize("wrong", [{"tolerance_m": -1.0}, {"tolerance_deg": float("nan")}])
-def test_tolerances_that_are_none_are_refused(wrong):
-    with pytest.raises(OptionError, match="expected a number from 0 on"):
-        simplify_scene(Scene(()), **wrong)
+    for wrong in ({"tolerance_m": -1.0}, {"tolerance_deg": float("nan")}):
+        with pytest.raises(OptionError, match="expected a number from 0 on"):
+            simplify_scene(Scene(()), **wrong)
 
 
 def test_long_straight_curves_are_not_looked_at_point_by_point():
@@ -149,8 +124,3 @@ def test_long_straight_curves_are_not_looked_at_point_by_point():
 
     assert thin_greedily(100_000, misfits).tolist() == [0, 99_999]
     assert len(calls) < 20
-
-
-def test_points_without_timestamps_stay_as_they_are():
-    empty = PointsAnnotation("p", (PointPath(np.zeros(0, np.int64), np.zeros((0, 3))),))
-    assert simplify_scene(Scene((), (empty,)), tolerance_m=1.0).annotations[0].paths == empty.paths

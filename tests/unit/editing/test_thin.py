@@ -28,22 +28,14 @@ def lidar_frame(k, count=100):
     numbers = np.arange(count)
     positions = np.zeros((count, 3), np.float32)
     positions[:, 0] = (numbers - count // 2) * 0.1 + 0.05
-    return LidarFrame(
-        k * 100,
-        LidarPoints(
-            positions,
-            numbers.astype(np.uint8),
-            np.repeat(numbers[:, None], 3, 1).astype(np.uint8),
-            numbers.astype(np.int64) + k * 100,
-            numbers.astype(np.uint16),
-            numbers.astype(np.uint8),
-            extras={"echo": numbers.astype(np.float64), "calibration": np.zeros(3)},
-        ),
-    )
+    byte, times = numbers.astype(np.uint8), numbers.astype(np.int64) + k * 100
+    extras = {"echo": numbers.astype(np.float64), "calibration": np.zeros(3)}
+    colors = np.repeat(byte[:, None], 3, 1)
+    points = LidarPoints(positions, byte, colors, times, numbers.astype(np.uint16), byte, extras=extras)
+    return LidarFrame(k * 100, points)
 
 
 def scene_of(frames=6, annotations=()):
-    """A lidar, a radar and a map."""
     times = [k * 100 for k in range(frames)]
     lidar = LidarSensor("top", LazyFrames.of([lidar_frame(k) for k in range(frames)], times))
     cycles = [
@@ -54,7 +46,6 @@ def scene_of(frames=6, annotations=()):
 
 
 def labels(frame, *ids, sensor="top"):
-    """Labelled points of a frame."""
     return LabeledPoints(sensor, np.array(ids, np.uint32), frame)
 
 
@@ -69,16 +60,17 @@ def test_one_point_of_each_cube_stays_with_all_that_is_known_of_it():
     np.testing.assert_array_equal(points.colors[:, 1], rows)
     np.testing.assert_array_equal(points.positions, lidar_frame(2).points.positions[rows])
     assert len(points.extras["calibration"]) == 3
+    again = pickle.loads(pickle.dumps(thin_scene(scene_of(), voxel=1.0).sensor("top")))
+    np.testing.assert_array_equal(again.frames[2].points.positions, points.positions)
+    first = thin_scene(scene_of(), voxel=1.0, keep="first").sensor("top").frames[0].points
+    assert first.rings.tolist() == list(range(0, 100, 10))
 
 
-def test_the_first_point_of_a_cube_stays_where_that_is_asked_for():
-    points = thin_scene(scene_of(), voxel=1.0, keep="first").sensor("top").frames[0].points
-    assert points.rings.tolist() == list(range(0, 100, 10))
-
-
-def test_a_cube_at_the_origin_is_as_large_as_others():
+def test_a_cube_at_the_origin_is_as_large_as_others_and_points_that_are_nowhere_go():
     positions = np.array([[-0.4, 0, 0], [0.4, 0, 0], [0.6, 0, 0]], np.float32)
     assert one_per_cube(positions, 1.0, keep="first").tolist() == [0, 1]
+    positions = np.array([[0, 0, 0], [np.nan, 0, 0], [5, 0, 0]], np.float32)
+    assert one_per_cube(positions, 1.0).tolist() == [0, 2]
 
 
 def test_shares_and_counts_are_spread_evenly():
@@ -111,17 +103,6 @@ def test_labelled_points_follow_the_points_and_frames_that_stay():
     ]
     reported = {warning.code: warning.count for warning in thinned.warnings}
     assert reported == {"labelled-points": 7, "labelled-frames": 2, "labelled-annotations": 1}
-
-
-def test_points_that_are_nowhere_go():
-    positions = np.array([[0, 0, 0], [np.nan, 0, 0], [5, 0, 0]], np.float32)
-    assert one_per_cube(positions, 1.0).tolist() == [0, 2]
-
-
-def test_a_thinned_scene_can_go_to_another_process():
-    thinned = thin_scene(scene_of(), voxel=1.0)
-    again = pickle.loads(pickle.dumps(thinned.sensor("top")))
-    np.testing.assert_array_equal(again.frames[3].points.positions, thinned.sensor("top").frames[3].points.positions)
 
 
 @pytest.mark.parametrize(

@@ -9,15 +9,8 @@ from sceneloom.scene import Trajectory
 def quaternions(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
     """(N, 4) xyzw of rotates about z, then y, then x."""
     (cy, cp, cr), (sy, sp, sr) = ([f(a / 2) for a in (yaw, pitch, roll)] for f in (np.cos, np.sin))
-    return np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=1,
-    )
+    xy = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
+    return np.stack([*xy, cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy], axis=1)
 
 
 @pytest.fixture
@@ -32,6 +25,5 @@ def curve() -> tuple[Trajectory, Trajectory]:
     rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     found = 0.9 * (true + drift) @ rotation.T + np.array([10.0, -20, 3])
     rotations = quaternions(yaw + 0.01 * t + 0.4, pitch + 0.01, roll - 0.02 * np.sin(t))
-    return Trajectory("found", timestamps, found, rotations), Trajectory(
-        "true", timestamps, true, quaternions(yaw, pitch, roll)
-    )
+    reference = Trajectory("true", timestamps, true, quaternions(yaw, pitch, roll))
+    return Trajectory("found", timestamps, found, rotations), reference

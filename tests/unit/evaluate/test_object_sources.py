@@ -44,9 +44,6 @@ def test_scores_hold_until_the_next_and_are_one_where_nothing_is_stated():
     assert table.scores is not None
     assert table.scores[table.ids == 0].tolist() == [0.2, 0.2, 0.8]
     assert table.scores[table.ids == 1].tolist() == [1, 1, 1]
-
-
-def test_a_scene_without_cuboids_is_named():
     with pytest.raises(OptionError, match="no cuboids"):
         scene_objects(scene(), np.zeros(1, np.int64))
 
@@ -84,6 +81,7 @@ Tr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0
 
 def fused_line(cloud: int, x: float, confidence: float) -> str:
     """A car of 4 x 2 x 1.5 m that heads along the lidar's x axis, x known to 0.1 m, y to 0.2 m."""
+    names = ("length", "width", "height", "x1", "y1", "x2", "y2")
     car = {
         "id": 0,
         "confidence": confidence,
@@ -92,17 +90,11 @@ def fused_line(cloud: int, x: float, confidence: float) -> str:
         "X": x,
         "Y": 2.0,
         "Z": 0.0,
-        "center_cov": [0.01, 0, 0, 0, 0.04, 0, 0, 0, 0.01],
-        "length": 4.0,
-        "width": 2.0,
-        "height": 1.5,
-        "size_cov": [0.01, 0, 0, 0, 0.01, 0, 0, 0, 0.01],
         "direction": [1.0, 0.0, 0.0],
         "velocity": 0.0,
-        "x1": 100,
-        "y1": 100,
-        "x2": 200,
-        "y2": 180,
+        **dict(zip(names, (4.0, 2.0, 1.5, 100, 100, 200, 180), strict=True)),
+        "center_cov": [0.01, 0, 0, 0, 0.04, 0, 0, 0, 0.01],
+        "size_cov": [0.01, 0, 0, 0, 0.01, 0, 0, 0, 0.01],
     }
     head = {"image_seq": cloud, "points_seq": cloud, "camera_id": 1, "lidar_id": 0, "timestamp": car["timestamp"]}
     return json.dumps({"detections": {**head, "detections": [car]}})
@@ -143,20 +135,19 @@ def test_fused_detections_are_compared_in_the_lidars_frame_with_their_covariance
 
 
 @pytest.mark.parametrize(
-    ("change", "stated"),
+    ("name", "text", "stated"),
     [
-        (lambda results, truth: (truth / "calib" / "0000.txt").unlink(), "calib"),
-        (lambda results, truth: (results / "0000.jsonl").write_text('{"detections": ]\n'), "0000.jsonl: line 1"),
-        (
-            lambda results, truth: (results / "0000.jsonl").write_text(
-                f"{fused_line(1, 9, 0.5)}\n{fused_line(1, 9, 0.5)}\n"
-            ),
-            "line 2: cloud 1 comes twice",
-        ),
+        ("calib", None, "calib"),
+        ("results", '{"detections": ]\n', "0000.jsonl: line 1"),
+        ("results", f"{fused_line(1, 9, 0.5)}\n" * 2, "line 2: cloud 1 comes twice"),
     ],
 )
-def test_what_is_wrong_with_fused_detections_is_named(fused: tuple[Path, Path], change, stated):
-    change(*fused)
+def test_what_is_wrong_with_fused_detections_is_named(fused: tuple[Path, Path], name, text, stated):
+    results, truth = fused
+    if name == "calib":
+        (truth / "calib" / "0000.txt").unlink()
+    else:
+        (results / "0000.jsonl").write_text(text)
     with pytest.raises(DataError, match=stated):
         compare_detections(*fused)
 
@@ -171,9 +162,5 @@ def test_what_is_no_text_of_kitti_is_named(fused: tuple[Path, Path], tmp_path: P
     (tmp_path / "empty").mkdir()
     with pytest.raises(OptionError, match="is taken for a scene"):
         compare_detections(tmp_path / "empty", truth)
-
-
-def test_fused_detections_are_no_truth(fused: tuple[Path, Path]):
-    results, truth = fused
     with pytest.raises(OptionError, match="has no truth"):
-        compare_detections(truth, results)
+        compare_detections(truth, fused[0])

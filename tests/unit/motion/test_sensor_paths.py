@@ -11,6 +11,7 @@ from sceneloom.scene.ego import camera_path, sensor_path
 from sceneloom.scene.poses import PoseSource
 
 MOUNT = RigidTransform(Rotation.from_euler("z", 0.4).as_matrix(), np.array([2.0, 0.5, 1.7]))
+RAISED = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
 
 
 def winding_path(seconds: float = 4.0, rate: int = 100) -> Poses:
@@ -72,9 +73,8 @@ def images_with(mounts: list[RigidTransform | None], times_ns: list[int]) -> Laz
 
 
 def test_each_image_has_the_pose_of_its_own_mounting() -> None:
-    raised = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
-    same = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
-    mounts = [None, None, raised, same, None, raised]
+    same = RigidTransform(RAISED.rotation.copy(), RAISED.translation.copy())
+    mounts = [None, None, RAISED, same, None, RAISED]
     times = [400_000_000 + 100_000_000 * k for k in range(6)]
     source = PoseSource(winding_path(), MOUNT)
     path = camera_path(source, images_with(mounts, times))
@@ -84,24 +84,17 @@ def test_each_image_has_the_pose_of_its_own_mounting() -> None:
         expected = PoseSource(winding_path(), mount or MOUNT).at(at)
         np.testing.assert_allclose(path.interpolate(at).positions, expected.positions, atol=1e-9)
     between = np.linspace(times[2], times[3], 50).astype(np.int64)
-    truth = PoseSource(winding_path(), raised).at(between).positions
+    truth = PoseSource(winding_path(), RAISED).at(between).positions
     assert np.linalg.norm(path.interpolate(between).positions - truth, axis=1).max() < 1.1e-3
 
 
-def test_images_of_one_time_share_the_pose_of_the_first() -> None:
-    raised = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
-    path = camera_path(PoseSource(winding_path(), MOUNT), images_with([None, raised], [500, 500]))
+def test_images_of_one_time_share_a_pose_and_a_camera_with_poses_of_its_own_or_without_images_keeps_none() -> None:
+    source = PoseSource(winding_path(), MOUNT)
+    path = camera_path(source, images_with([None, RAISED], [500, 500]))
     assert path is not None
-    at = np.array([500], np.int64)
-    np.testing.assert_allclose(path.positions, PoseSource(winding_path(), MOUNT).at(at).positions)
-
-
-def test_a_camera_with_poses_of_its_own_keeps_them_whatever_its_images_state() -> None:
-    source = PoseSource(winding_path(), RigidTransform.identity(), own=True)
-    path = camera_path(source, images_with([MOUNT, MOUNT], [0, 100_000_000]))
+    np.testing.assert_allclose(path.positions, source.at(np.array([500], np.int64)).positions)
+    own = PoseSource(winding_path(), RigidTransform.identity(), own=True)
+    path = camera_path(own, images_with([MOUNT, MOUNT], [0, 100_000_000]))
     assert path is not None
     np.testing.assert_allclose(path.positions[0], winding_path().positions[0])
-
-
-def test_a_camera_without_images_has_no_path() -> None:
-    assert camera_path(PoseSource(winding_path(), MOUNT), images_with([], [])) is None
+    assert camera_path(source, images_with([], [])) is None

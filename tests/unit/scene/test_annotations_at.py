@@ -93,7 +93,7 @@ def test_a_cuboid_rotates_as_scipys_slerp_does(unit, order):
     assert (expected.inv() * scipy_rotations(rows[:, 6:], unit, order)).magnitude().max() < CLOSE
 
 
-def test_size_and_location_of_a_cuboid_go_straight():
+def test_size_and_location_of_a_cuboid_go_straight_and_pass_through_the_very_numbers_of_its_path():
     cuboid = a_cuboid(1)
     times, timestamps, values = times_of(cuboid), cuboid.path.timestamps_ns, cuboid.path.values
     rows, _ = cuboid_at(cuboid, times)
@@ -103,50 +103,37 @@ def test_size_and_location_of_a_cuboid_go_straight():
         np.testing.assert_allclose(rows[:, column], straight, rtol=0, atol=CLOSE)
     np.testing.assert_array_equal(poses.sizes_lwh, rows[:, :3])
     np.testing.assert_array_equal(poses.centers_world, rows[:, 3:6])
-
-
-def test_at_its_timestamps_a_cuboid_has_the_very_numbers_of_its_path():
-    cuboid = a_cuboid(2)
-    rows, there = cuboid_at(cuboid, cuboid.path.timestamps_ns)
+    rows, there = cuboid_at(cuboid, timestamps)
     assert there.all()
-    np.testing.assert_array_equal(rows, cuboid.path.values)
+    np.testing.assert_array_equal(rows, values)
 
 
-def test_three_quarters_of_a_rotation_do_not_come_back_as_minus_one_quarter():
-    values = np.array([[4, 2, 1, 0, 0, 0, 0, 0, 270.0], [4, 2, 1, 0, 0, 0, 0, 0, 280.0]])
-    cuboid = CuboidAnnotation("a", CuboidPath(np.array([0, 100]), values))
-    rows, _ = cuboid_at(cuboid, [0, 50, 100])
-    np.testing.assert_allclose(rows[:, 8], [270.0, 275.0, 280.0], atol=CLOSE)
+@pytest.mark.parametrize(
+    ("yaws", "expected"),
+    [
+        ((270.0, 280.0), [270.0, 275.0, 277.5]),  # three quarters do not come back as minus one quarter
+        ((170.0, -170.0), [170.0, 180.0, 185.0]),  # the shorter arc over the end of the circle
+    ],
+)
+def test_a_cuboid_rotates_evenly_in_the_numbers_of_its_path(yaws, expected):
+    values = np.array([[4, 2, 1, 0, 0, 0, 0, 0, yaw] for yaw in yaws])
+    rows, _ = cuboid_at(CuboidAnnotation("a", CuboidPath(np.array([0, 100]), values)), [0, 50, 75])
+    np.testing.assert_allclose(rows[:, 8], expected, atol=CLOSE)
 
 
-def test_a_cuboid_rotates_the_shorter_arc_over_the_end_of_the_circle():
-    values = np.array([[4, 2, 1, 0, 0, 0, 0, 0, 170.0], [4, 2, 1, 0, 0, 0, 0, 0, -170.0]])
-    cuboid = CuboidAnnotation("a", CuboidPath(np.array([0, 100]), values))
-    rows, _ = cuboid_at(cuboid, [75])
-    np.testing.assert_allclose(rows[0, 8], 185.0, atol=CLOSE)
-
-
-def test_a_cuboid_is_there_from_its_first_timestamp_to_its_last():
-    cuboid = a_cuboid(3)
+def test_a_cuboid_is_there_from_its_first_timestamp_to_its_last_and_a_stationary_one_always():
+    cuboid, still = a_cuboid(3), a_cuboid(3, stationary=True)
     first, last = cuboid.path.timestamps_ns[[0, -1]]
     rows, there = cuboid_at(cuboid, [first - 1, first, last, last + 1])
     assert there.tolist() == [False, True, True, False]
     assert np.isnan(rows[[0, 3]]).all()
     assert np.isnan(cuboid_poses(cuboid, [first - 1]).quaternions_xyzw).all()
-
-
-def test_a_stationary_cuboid_is_there_at_all_times():
-    cuboid = a_cuboid(3, stationary=True)
-    rows, there = cuboid_at(cuboid, [-(10**18), 10**18])
+    rows, there = cuboid_at(still, [-(10**18), 10**18])
     assert there.all()
     np.testing.assert_array_equal(rows, cuboid.path.values[[0, -1]])
-
-
-def test_a_cuboid_without_timestamps_is_nowhere():
-    empty = CuboidAnnotation("a", CuboidPath(np.zeros(0, np.int64), np.zeros((0, 9))), stationary=True)
-    rows, _ = cuboid_at(empty, [0, 1])
-    assert np.isnan(rows).all()
-    assert not cuboid_poses(empty, [0]).there.any()
+    nowhere = CuboidAnnotation("a", CuboidPath(np.zeros(0, np.int64), np.zeros((0, 9))), stationary=True)
+    assert np.isnan(cuboid_at(nowhere, [0, 1])[0]).all()
+    assert not cuboid_poses(nowhere, [0]).there.any()
 
 
 @pytest.mark.parametrize(("unit", "order"), READINGS)
@@ -195,20 +182,26 @@ def test_vertices_go_straight_only_where_there_are_as_many_before_and_after():
     np.testing.assert_array_equal(last, four)
 
 
-def test_an_attribute_holds_until_the_next():
-    attribute = AttributePath("colour", ("red", ("green", "blue"), 7), np.array([10, 20, 30]))
-    assert attribute_at(attribute, [9, 10, 19, 20, 99]) == [None, "red", "red", ("green", "blue"), 7]
+RED = ("red",)
 
 
-def test_a_static_attribute_holds_at_all_times():
-    assert attribute_at(AttributePath("colour", ("red",), np.array([10]), static=True), [0]) == ["red"]
-    assert attribute_at(AttributePath("colour", ("red",)), [0, 5]) == ["red", "red"]
-    assert attribute_at(AttributePath("colour", ()), [0]) == [None]
-
-
-def test_a_timestamp_without_a_value_says_nothing():
-    attribute = AttributePath("colour", ("red",), np.array([10, 20]))
-    assert attribute_at(attribute, [10, 19, 20, 30]) == ["red", "red", None, None]
+@pytest.mark.parametrize(
+    ("attribute", "times", "expected"),
+    [
+        (
+            AttributePath("colour", ("red", ("green", "blue"), 7), np.array([10, 20, 30])),
+            [9, 10, 19, 20, 99],
+            [None, "red", "red", ("green", "blue"), 7],
+        ),
+        (AttributePath("colour", RED, np.array([10]), static=True), [0], ["red"]),
+        (AttributePath("colour", RED), [0, 5], ["red", "red"]),
+        (AttributePath("colour", ()), [0], [None]),
+        # a timestamp without a value says nothing
+        (AttributePath("colour", RED, np.array([10, 20])), [10, 19, 20, 30], ["red", "red", None, None]),
+    ],
+)
+def test_an_attribute_holds_until_the_next_and_a_static_one_at_all_times(attribute, times, expected):
+    assert attribute_at(attribute, times) == expected
 
 
 MS = 1_000_000
@@ -277,6 +270,9 @@ def test_an_own_cuboid_that_is_null_leaves_the_path_and_one_beyond_the_path_stay
     np.testing.assert_allclose(rows[1], OWN, atol=1e-12)
 
 
+SIGHT = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
+
+
 def still_scene(*annotations: CuboidAnnotation) -> Scene:
     """Two lidars in the world with a point in the path's box and one in the own cuboid's, and a camera, at rest."""
     times = np.arange(0, 1000, 100) * MS
@@ -291,12 +287,9 @@ def still_scene(*annotations: CuboidAnnotation) -> Scene:
 
     optical = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
     poses = Poses(np.zeros(1, np.int64), optical.translation[None], optical.quaternion_xyzw[None], static=True)
-    camera_model = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
-    drive = simulate_street(0, frames=10, lidar=LidarSpec(beams=2, steps=8), cameras=(CameraSpec(camera_model),)).scene
+    drive = simulate_street(0, frames=10, lidar=LidarSpec(beams=2, steps=8), cameras=(CameraSpec(SIGHT),)).scene
     images = [replace(drive.cameras[0].images[k], timestamp_ns=int(t)) for k, t in enumerate(times)]
-    camera = CameraSensor(
-        "front", camera_model, LazyFrames.of(images, times), poses=poses, coordinates=Coordinates.WORLD
-    )
+    camera = CameraSensor("front", SIGHT, LazyFrames.of(images, times), poses=poses, coordinates=Coordinates.WORLD)
     return Scene((lidar("near"), lidar("other"), camera), annotations)
 
 
@@ -336,14 +329,25 @@ def test_cameras_see_what_is_active_for_them_unless_activations_are_found_anew()
     assert (anew.activations[0].timestamps_ns // MS).tolist() == [0]
 
 
-def test_plots_show_what_is_active_for_the_sensor() -> None:
+def test_plots_and_tables_show_what_is_active_for_the_sensor() -> None:
     scene = still_scene(SEEN)
+    for sensor, shown in (("front", [0, 1, 1, 0]), (None, [1, 1, 1, 1])):
+        drawn = [len(list(figures_in_world(scene, t * MS, sensor_id=sensor))) for t in (200, 300, 500, 600)]
+        assert drawn == shown
+    table = BoxTable(scene)
+    rows, boxes = table.find(800 * MS)
+    assert rows.tolist() == [0]
+    np.testing.assert_allclose(boxes.centers_world[0], row(800)[3:6])
+    assert table.find(800 * MS, sensor_id="near")[0].tolist() == []
+    assert len(table.at(800 * MS, sensor_id="front", window_ns=(550 * MS, 800 * MS))) == 1
 
-    def drawn(sensor: str | None, time_ms: int) -> int:
-        return len(list(figures_in_world(scene, time_ms * MS, sensor_id=sensor)))
 
-    assert [drawn("front", t) for t in (200, 300, 500, 600)] == [0, 1, 1, 0]
-    assert [drawn(None, t) for t in (200, 300, 500, 600)] == [1, 1, 1, 1]
+def boxes_written(scene: Scene, box: CuboidAnnotation, path: Path, to: str) -> tuple[int, Any]:
+    """How many boxes come back from a format, and what it could not carry."""
+    losses = sceneloom.write(replace(scene, annotations=(box,)), path, format=to)
+    with sceneloom.open(path) as found:
+        boxes = [a for a in found.annotations if isinstance(a, CuboidAnnotation)]
+        return sum(len(a.path.timestamps_ns) for a in boxes), losses
 
 
 @pytest.mark.parametrize(
@@ -353,28 +357,15 @@ def test_plots_show_what_is_active_for_the_sensor() -> None:
 def test_exports_write_boxes_while_they_are_active_and_list_what_they_cannot_carry(
     to: str, sensor: str, least: int, frames: int, tmp_path: Path
 ) -> None:
-    camera_model = Camera("pinhole", 200, 100, 100.0, 100.0, 99.5, 49.5)
-    scene = simulate_street(1, frames=5, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(camera_model),)).scene
+    scene = simulate_street(1, frames=5, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(SIGHT),)).scene
     ego = next(iter(scene.trajectories.values()))
-    times = (scene.lidars if sensor == "lidar" else scene.cameras)[0]
-    timestamps = times.frames.timestamps_ns if sensor == "lidar" else times.images.timestamps_ns
-    world = RigidTransform.from_quaternion(ego.positions[40], ego.quaternions_xyzw[40]).apply(
-        np.array([[15.0, 0.0, 1.0]])
-    )[0]
-    span = np.array([0, 10_000_000_000])
-    path = CuboidPath(span, np.tile([3.0, 2.0, 2.0, *world, 0.0, 0.0, 0.0], (2, 1)))
-    lasting = int(timestamps[3] - timestamps[1])
-    part = Activation(sensor, timestamps[1:2], (lasting,))
-    whole = CuboidAnnotation("box", path, label="car")
-
-    def written(name: str, box: CuboidAnnotation) -> tuple[int, Any]:
-        losses = sceneloom.write(replace(scene, annotations=(box,)), tmp_path / name, format=to)
-        with sceneloom.open(tmp_path / name) as found:
-            boxes = [a for a in found.annotations if isinstance(a, CuboidAnnotation)]
-            return sum(len(a.path.timestamps_ns) for a in boxes), losses
-
-    assert written("all", whole)[0] >= least
-    count, losses = written("some", replace(whole, activations=(part,)))
+    timestamps = (scene.lidars[0].frames if sensor == "lidar" else scene.cameras[0].images).timestamps_ns
+    world_from_ego = RigidTransform.from_quaternion(ego.positions[40], ego.quaternions_xyzw[40])
+    values = [3.0, 2.0, 2.0, *world_from_ego.apply(np.array([15.0, 0.0, 1.0])), 0.0, 0.0, 0.0]
+    whole = CuboidAnnotation("box", CuboidPath(np.array([0, 10**10]), np.tile(values, (2, 1))), label="car")
+    assert boxes_written(scene, whole, tmp_path / "all", to)[0] >= least
+    part = Activation(sensor, timestamps[1:2], (int(timestamps[3] - timestamps[1]),))
+    count, losses = boxes_written(scene, replace(whole, activations=(part,)), tmp_path / "some", to)
     assert count == frames
     assert any(loss.field.endswith("cuboid.activations") for loss in losses)
 
@@ -386,28 +377,14 @@ def test_labels_of_sweeps_hold_what_is_active_at_any_time_of_them(to: str, tmp_p
     path = CuboidPath(np.array([0, 10**10]), np.tile([3.0, 2.0, 2.0, 15.0, 0.0, 1.0, 0.0, 0.0, 0.0], (2, 1)))
     early = Activation("lidar", timestamps[1:2], (10 * MS,))
     box = CuboidAnnotation("box", path, label="car", activations=(early,))
-    sceneloom.write(replace(scene, annotations=(box,)), tmp_path / "out", format=to)
-    with sceneloom.open(tmp_path / "out") as found:
-        boxes = [a for a in found.annotations if isinstance(a, CuboidAnnotation)]
-        assert sum(len(a.path.timestamps_ns) for a in boxes) == 1
-
-
-def test_a_table_of_boxes_asks_only_the_sensor_that_is_named() -> None:
-    table = BoxTable(still_scene(SEEN))
-    rows, boxes = table.find(800 * MS)
-    assert rows.tolist() == [0]
-    np.testing.assert_allclose(boxes.centers_world[0], row(800)[3:6])
-    assert table.find(800 * MS, sensor_id="near")[0].tolist() == []
-    assert len(table.at(800 * MS, sensor_id="front", window_ns=(550 * MS, 800 * MS))) == 1
+    assert boxes_written(scene, box, tmp_path / "out", to)[0] == 1
 
 
 def columns(count, **others):
     return {
-        "centers": np.zeros((count, 3)),
+        **{name: np.zeros((count, 3)) for name in ("centers", "velocities")},
+        **{name: np.zeros(count) for name in ("yaws", "yaw_rates")},
         "sizes_lwh": np.ones((count, 3)),
-        "yaws": np.zeros(count),
-        "velocities": np.zeros((count, 3)),
-        "yaw_rates": np.zeros(count),
         "covariances": np.tile(np.eye(10), (count, 1, 1)),
         "scores": np.ones(count),
         "supports": np.full(count, Support.SWEEP, np.uint8),
@@ -427,24 +404,22 @@ def test_a_track_cannot_be_written_to():
     assert corners.flags.writeable
 
 
-@pytest.mark.parametrize("times", [[10, 10], [10, 0]])
-def test_times_that_do_not_rise_are_refused(times):
-    with pytest.raises(ArrayError, match="do not rise"):
-        track(3, times)
+@pytest.mark.parametrize(
+    ("times", "wrong", "named"),
+    [
+        ([10, 10], {}, "do not rise"),
+        ([10, 0], {}, "do not rise"),
+        ([0, 10], {"yaws": np.zeros(3)}, "yaws"),
+        ([0, 10], {"corners_xyxy": {"left": np.zeros((2, 3))}}, "corners_xyxy"),
+    ],
+)
+def test_times_that_do_not_rise_and_columns_of_another_length_are_refused(times, wrong, named):
+    with pytest.raises(ArrayError, match=named):
+        track(3, times, **wrong)
 
 
-@pytest.mark.parametrize("wrong", [{"yaws": np.zeros(3)}, {"corners_xyxy": {"left": np.zeros((2, 3))}}])
-def test_columns_of_another_length_are_named(wrong):
-    with pytest.raises(ArrayError, match=next(iter(wrong))):
-        track(3, [0, 10], **wrong)
-
-
-def test_objects_at_one_time_need_a_class_each():
+def test_objects_at_one_time_need_a_class_each_and_tracks_are_a_sequence():
     with pytest.raises(ArrayError, match="labels"):
         TrackedObjects(0, np.arange(2), ("car",), **columns(2))
-
-
-def test_tracks_are_a_sequence():
     tracks = Tracks((track(1, [0]), track(4, [0, 5])))
-    assert [one.id for one in tracks] == [1, 4]
-    assert [len(one) for one in tracks] == [1, 2]
+    assert [(one.id, len(one)) for one in tracks] == [(1, 1), (4, 2)]

@@ -34,15 +34,9 @@ def test_corners_are_those_of_the_box_rotated_about_the_z_axis(boxes):
 
 
 def test_speed_is_along_the_heading_and_negative_for_reversing():
-    boxes = Boxes3D(
-        0,
-        np.zeros((2, 3)),
-        np.ones((2, 3)),
-        np.array([np.pi / 2, 0.0]),
-        np.ones(2),
-        ("car", "car"),
-        velocities=np.array([[1.0, 3.0, 0.0], [-2.0, 5.0, 0.0]]),
-    )
+    velocities = np.array([[1.0, 3.0, 0.0], [-2.0, 5.0, 0.0]])
+    yaws, labels = np.array([np.pi / 2, 0.0]), ("car", "car")
+    boxes = Boxes3D(0, np.zeros((2, 3)), np.ones((2, 3)), yaws, np.ones(2), labels, velocities=velocities)
     np.testing.assert_allclose(boxes.directions, [[0, 1, 0], [1, 0, 0]], atol=1e-15)
     np.testing.assert_allclose(boxes.speeds, [3.0, -2.0])
 
@@ -81,9 +75,9 @@ def test_boxes_in_an_image_are_edges_and_can_be_selected():
     some = boxes.select([1])
     assert (len(some), some.labels, some.scores.tolist()) == (1, ("b",), [9.0])
     assert some.score_form is ScoreForm.LOGIT
-
-
-def test_a_frame_without_detections_has_all_its_arrays():
+    with pytest.raises(ArrayError, match="corners_xyxy"):
+        Boxes2D(0, np.zeros((2, 3)), np.zeros(2), ("a", "b"))
+    # a frame without detections has all its arrays
     assert len(Boxes3D.empty(5)) == len(Boxes2D.empty(5)) == 0
     assert Boxes3D.empty(5).corners.shape == (0, 8, 3)
     assert Boxes2D.empty(5, sensor_id="camera0").sensor_id == "camera0"
@@ -112,8 +106,3 @@ def test_arrays_that_do_not_fit_are_refused_by_name(boxes, wrong, message):
     fields = {name: getattr(boxes, name) for name in ("centers", "sizes_lwh", "yaws", "scores", "labels")}
     with pytest.raises(ArrayError, match=message):
         Boxes3D(0, **{**fields, **wrong})
-
-
-def test_corners_of_boxes_in_an_image_are_four_numbers():
-    with pytest.raises(ArrayError, match="corners_xyxy"):
-        Boxes2D(0, np.zeros((2, 3)), np.zeros(2), ("a", "b"))

@@ -45,18 +45,12 @@ def assert_same(found: LidarPoints, expected: LidarPoints) -> None:
     assert found.extras.keys() == expected.extras.keys()
 
 
-def test_their_number_is_known_before_they_are_unpacked():
-    records = Records()
-    points = LidarPoints.of_packed(records)
-    assert len(points) == 3
-    assert records.asked == []
-    assert points.packed_count() == 3
-
-
 @pytest.mark.parametrize("name", [each.name for each in fields(LidarPoints)])
 def test_whichever_field_is_asked_for_first_all_are_unpacked_once(name):
     records = Records()
     points = LidarPoints.of_packed(records)
+    assert len(points) == points.packed_count() == 3
+    assert records.asked == []
     first = getattr(points, name)
     assert first is getattr(points, name)
     assert_same(points, plain())
@@ -81,26 +75,19 @@ def test_a_field_can_be_replaced_and_the_others_stay():
     assert_same(replace(changed, positions=plain().positions), plain())
 
 
-def test_they_are_frozen_and_have_no_further_attributes():
-    points = LidarPoints.of_packed(Records())
+def test_they_are_frozen_equal_to_themselves_only_and_paired_by_the_median_of_their_times():
+    records = Records()
+    points, other = LidarPoints.of_packed(records), LidarPoints.of_packed(records)
+    assert points == points
+    assert points != other
+    assert len({points, other}) == 2
+    assert records.asked == []
     with pytest.raises(FrozenInstanceError):
         points.positions = np.zeros((3, 3), np.float32)  # type: ignore[misc]
     with pytest.raises(AttributeError, match="'LidarPoints' object has no attribute 'position'"):
         _ = points.position  # type: ignore[attr-defined]
     assert not hasattr(plain(), "position")
-
-
-def test_each_is_equal_to_itself_only_as_any_points_are():
-    records = Records()
-    a, b = LidarPoints.of_packed(records), LidarPoints.of_packed(records)
-    assert a == a
-    assert a != b
-    assert len({a, b}) == 2
-    assert records.asked == []
-
-
-def test_a_frame_is_paired_by_the_median_of_packed_times():
-    assert LidarFrame(0, LidarPoints.of_packed(Records())).reference_ns == 20
+    assert LidarFrame(0, other).reference_ns == 20
 
 
 def test_what_is_wrong_with_records_is_reported_at_each_use():

@@ -37,9 +37,13 @@ def path_at(times_ns: np.ndarray) -> Poses:
     return Poses(times_ns, positions, np.tile([0.0, 0, 0, 1], (len(times_ns), 1)))
 
 
+def scene_at(timestamps_ns: list[int]) -> Scene:
+    frames = [LidarFrame(t, LidarPoints(np.zeros((1, 3), np.float32))) for t in timestamps_ns]
+    return Scene((LidarSensor("lidar", LazyFrames.of(frames, timestamps_ns)),))
+
+
 def lidar() -> LidarSensor:
-    frames = [LidarFrame(int(t), LidarPoints(np.zeros((1, 3), np.float32))) for t in TIMES]
-    return LidarSensor("lidar", LazyFrames.of(frames, TIMES.tolist()))
+    return scene_at(TIMES.tolist()).lidars[0]
 
 
 def moving_scene() -> Scene:
@@ -78,19 +82,20 @@ def test_poses_reach_a_little_around_the_part_and_state_the_same_in_it() -> None
         assert PART[0] - 2 * SECOND < poses.start_ns <= PART[0]
 
 
-@pytest.mark.parametrize("times", [[0, 10 * SECOND], [180 * SECOND, 190 * SECOND], [5 * SECOND]])
-def test_a_trajectory_that_misses_the_part_keeps_its_nearest_pose(times: list[int]) -> None:
-    trajectory = path_at(np.array(times, np.int64))
-    scene = Scene((lidar(), OdometrySensor("ego", trajectory)))
+@pytest.mark.parametrize(
+    ("times", "kept"),
+    [
+        # one that misses the part keeps its nearest pose, one whose poses are far apart those on both sides
+        ([0, 10], [10]),
+        ([180, 190], [180]),
+        ([5], [5]),
+        ([0, 50, 150, 190], [50, 150]),
+    ],
+)
+def test_a_trajectory_keeps_its_poses_around_the_part(times: list[int], kept: list[int]) -> None:
+    scene = Scene((lidar(), OdometrySensor("ego", path_at(np.array(times, np.int64) * SECOND))))
     poses = cut_scene(scene, start=100.0, stop=110.0).sensor("ego").poses
-    nearest = min(times, key=lambda time: abs(time - PART[0]))
-    assert poses.timestamps_ns.tolist() == [nearest]
-
-
-def test_poses_far_apart_stay_on_both_sides_of_the_part() -> None:
-    trajectory = path_at(np.array([0, 50 * SECOND, 150 * SECOND, 190 * SECOND], np.int64))
-    poses = cut_scene(Scene((lidar(), OdometrySensor("ego", trajectory))), start=100.0, stop=110.0).sensor("ego").poses
-    assert poses.timestamps_ns.tolist() == [50 * SECOND, 150 * SECOND]
+    assert (poses.timestamps_ns // SECOND).tolist() == kept
 
 
 def box(identifier: str, times: list[int], *, stationary: bool | None = None) -> CuboidAnnotation:
@@ -126,16 +131,12 @@ def test_the_last_sweep_keeps_its_image() -> None:
     assert part.cameras[0].images.timestamps_ns[[0, -1]].tolist() == [100.25 * SECOND, 102.75 * SECOND]
 
 
-@pytest.mark.parametrize("stop", [float("inf"), 1e300, 1e12])
-def test_a_stop_beyond_all_time_is_the_end(stop: float) -> None:
-    part = cut_scene(moving_scene(), stop=stop)
-    assert len(part.lidars[0].frames) == len(TIMES)
-
-
-@pytest.mark.parametrize("start", [1e300, 1e12])
-def test_a_start_beyond_all_time_is_refused(start: float) -> None:
-    with pytest.raises(OptionError, match=r"no frame from .* the scene lasts 199\.500 s"):
-        cut_scene(moving_scene(), start=start)
+def test_a_stop_beyond_all_time_is_the_end_and_a_start_beyond_it_refused() -> None:
+    for stop in (float("inf"), 1e300, 1e12):
+        assert len(cut_scene(moving_scene(), stop=stop).lidars[0].frames) == len(TIMES)
+    for start in (1e300, 1e12):
+        with pytest.raises(OptionError, match=r"no frame from .* the scene lasts 199\.500 s"):
+            cut_scene(moving_scene(), start=start)
 
 
 def test_a_path_that_holds_always_is_not_cut() -> None:
@@ -143,25 +144,13 @@ def test_a_path_that_holds_always_is_not_cut() -> None:
     assert cut_scene(scene, start=100.0).sensor("ego").poses.static
 
 
-def test_a_part_is_counted_from_the_first_frame_and_not_from_poses_before_it():
-    times = np.arange(-3_000_000_000, 3_000_000_001, 500_000_000)
-    poses = Poses(times, np.zeros((len(times), 3)), np.tile([0.0, 0, 0, 1], (len(times), 1)))
+def test_a_part_is_counted_from_the_first_frame_and_without_frames_from_the_first_pose():
+    poses = path_at(np.arange(-3 * SECOND, 3 * SECOND + 1, SECOND // 2))
     timestamps = [0, 100_000_000, 200_000_000]
-    sweeps = [LidarFrame(timestamp, LidarPoints(np.zeros((1, 3), np.float32))) for timestamp in timestamps]
-    scene = Scene((OdometrySensor("ego", poses), LidarSensor("top", LazyFrames.of(sweeps, timestamps))))
-    cut = cut_scene(scene, start=0.1)
+    cut = cut_scene(Scene((OdometrySensor("ego", poses), *scene_at(timestamps).sensors)), start=0.1)
     assert cut.lidars[0].frames.timestamps_ns.tolist() == timestamps[1:]
     assert cut_scene(cut, start=0.1).lidars[0].frames.timestamps_ns.tolist() == timestamps[2:]
-
-
-def test_a_scene_of_poses_alone_is_counted_from_its_first_pose():
-    poses = Poses(np.array([5, 9]), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
-    assert time_span(Scene((OdometrySensor("ego", poses),))) == (5, 9)
-
-
-def scene_at(timestamps_ns: list[int]) -> Scene:
-    frames = [LidarFrame(t, LidarPoints(np.zeros((1, 3), np.float32))) for t in timestamps_ns]
-    return Scene((LidarSensor("lidar", LazyFrames.of(frames, timestamps_ns)),))
+    assert time_span(Scene((OdometrySensor("ego", path_at(np.array([5, 9]))),))) == (5, 9)
 
 
 @pytest.mark.parametrize("early_ns", [0, 1, 1000, 90_000])
@@ -171,8 +160,5 @@ def test_a_first_sweep_that_begins_late_by_some_points_takes_no_sweep_out_of_the
     before, after = cut_scene(scene, stop=0.3), cut_scene(scene, start=0.3)
     assert after.lidars[0].frames.timestamps_ns.tolist() == timestamps_ns[3:]
     assert before.lidars[0].frames.timestamps_ns.tolist() == timestamps_ns[:3]
-
-
-def test_a_sweep_that_begins_well_before_a_part_is_not_in_it() -> None:
-    scene = scene_at([0, 100_000_000, 199_800_000, 300_000_000])
-    assert cut_scene(scene, start=0.2).lidars[0].frames.timestamps_ns.tolist() == [300_000_000]
+    late = scene_at([0, 100_000_000, 199_800_000, 300_000_000])  # a sweep that begins well before a part is not in it
+    assert cut_scene(late, start=0.2).lidars[0].frames.timestamps_ns.tolist() == [300_000_000]

@@ -13,9 +13,7 @@ from sceneloom.scene.point_times import PointTimes, RawTimes, TimedFrame, TimesF
 
 PERIOD = 100_000_000
 EPOCH = 1_700_000_000_123_456_789
-CLOCKS = pytest.mark.parametrize(
-    "clock", [EPOCH, 3_000_000_000, 15_000_000_000, 250_000_000_000], ids=["epoch", "3 s", "15 s", "250 s"]
-)
+CLOCKS = pytest.mark.parametrize("clock", [EPOCH, 3_000_000_000, 15_000_000_000, 250_000_000_000])
 
 
 def times_of_sweep(count: int = 1000, span: int = PERIOD) -> np.ndarray:
@@ -37,26 +35,10 @@ def judged(timestamp_ns: int, times_ns: np.ndarray | None, previous: RawTimes | 
 @pytest.mark.parametrize(
     ("first", "span"),
     [
-        (0, PERIOD),
-        (-PERIOD, PERIOD),
-        (-PERIOD // 2, PERIOD),
-        (0, PERIOD // 10),
-        (-PERIOD // 3, PERIOD // 1000),
-        (-5 * PERIOD, PERIOD),
-        (-9 * PERIOD, 10 * PERIOD),
-        (2 * PERIOD, PERIOD),
-        (0, 3),
-    ],
-    ids=[
-        "timestamped at the start",
-        "timestamped at the end",
-        "timestamped in the middle",
-        "a tenth of the period",
-        "a flash in several parts",
-        "timestamped late",
-        "ten sweeps gathered",
-        "timestamped early",
-        "nanoseconds",
+        # timestamped at the start, at the end, in the middle; a tenth of the period; a flash in several parts
+        *((0, PERIOD), (-PERIOD, PERIOD), (-PERIOD // 2, PERIOD), (0, PERIOD // 10), (-PERIOD // 3, PERIOD // 1000)),
+        # timestamped late, ten sweeps gathered, timestamped early, nanoseconds
+        *((-5 * PERIOD, PERIOD), (-9 * PERIOD, 10 * PERIOD), (2 * PERIOD, PERIOD), (0, 3)),
     ],
 )
 def test_conventions_are_no_faults_and_nothing_is_touched(clock: int, first: int, span: int) -> None:
@@ -66,21 +48,16 @@ def test_conventions_are_no_faults_and_nothing_is_touched(clock: int, first: int
     assert timed.frame is frame
 
 
-def test_a_flash_near_the_timestamp_is_believed_and_points_without_times_have_none() -> None:
+def test_one_time_for_all_points_is_believed_near_the_timestamp_and_states_nothing_elsewhere() -> None:
     flash = judged(EPOCH, np.full(10, EPOCH + PERIOD // 2))
     assert (flash.verdict, flash.frame.points.timestamps_ns is None) == (PointTimes.ABSOLUTE, False)
     assert judged(EPOCH, None).verdict is PointTimes.ABSENT
     assert judged(EPOCH, np.zeros(0, np.int64)).verdict is PointTimes.ABSOLUTE
-
-
-@pytest.mark.parametrize("time", [0, EPOCH - 2 * PERIOD])
-def test_one_time_for_all_points_that_is_not_the_sweeps_states_nothing(time: int) -> None:
-    timed = judged(EPOCH, np.full(10, time))
-    assert (timed.verdict, timed.found.untimed) == (PointTimes.EQUAL, True)
-    assert timed.frame.points.timestamps_ns is None
-
-
-def test_zero_is_no_time_however_near_the_timestamp_is() -> None:
+    for time in (0, EPOCH - 2 * PERIOD):
+        timed = judged(EPOCH, np.full(10, time))
+        assert (timed.verdict, timed.found.untimed) == (PointTimes.EQUAL, True)
+        assert timed.frame.points.timestamps_ns is None
+    # zero is no time however near the timestamp is
     assert judged(PERIOD // 2, np.zeros(10, np.int64)).verdict is PointTimes.EQUAL
     assert judged(0, np.zeros(10, np.int64)).verdict is PointTimes.ABSOLUTE
 
@@ -195,15 +172,10 @@ def test_a_drive_from_zero_on_that_is_timestamped_late_is_believed(late: int) ->
             assert timed.frame is frame
 
 
-def test_one_long_scan_of_a_scanner_that_stands_is_believed() -> None:
+def test_long_scans_unknown_periods_and_extreme_times_are_judged() -> None:
     assert judged(EPOCH, EPOCH + times_of_sweep(span=1000 * PERIOD)).verdict is PointTimes.ABSOLUTE
-
-
-def test_an_unknown_period_is_taken_to_be_a_tenth_of_a_second() -> None:
+    # an unknown period is taken to be a tenth of a second
     assert timed_frame(sweep(EPOCH, times_of_sweep()), 0).verdict is PointTimes.RELATIVE
-
-
-def test_extreme_times_are_judged_without_overflow() -> None:
     extremes = np.array([-(2**63), 2**63 - 1] * 50, np.int64)
     assert judged(EPOCH, extremes).verdict is PointTimes.UNKNOWN
     assert judged(-EPOCH, np.full(3, 2**63 - 1)).verdict is PointTimes.EQUAL

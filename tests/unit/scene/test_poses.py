@@ -1,5 +1,7 @@
 """Poses refuses what is no path, and says where."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -16,26 +18,20 @@ def path_with(times: list[int], quaternion: list[float] | None = None, location:
     return Poses(np.array(times, np.int64), np.full((count, 3), location), rotations)
 
 
-def test_times_that_do_not_increase_are_named_by_their_index() -> None:
-    with pytest.raises(ArrayError, match=r"timestamps_ns\[2\]: 5; expected strictly increasing"):
-        path_with([0, 5, 5])
-
-
-def test_a_quaternion_far_from_unit_norm_is_refused_and_a_near_one_accepted() -> None:
-    with pytest.raises(ArrayError, match=r"norm 1\.0200"):
-        path_with([0], [0, 0, 0, 1.02])
+@pytest.mark.parametrize(
+    ("times", "quaternion", "location", "problem"),
+    [
+        ([0, 5, 5], None, 0.0, r"timestamps_ns\[2\]: 5; expected strictly increasing"),
+        ([0], [0, 0, 0, 1.02], 0.0, r"norm 1\.0200"),
+        ([0], None, float("nan"), "not finite"),
+        ([0], None, float("inf"), "not finite"),
+        ([], None, 0.0, "at least one pose"),
+    ],
+)
+def test_what_is_no_path_is_refused(times: list[int], quaternion: Any, location: float, problem: str) -> None:
+    with pytest.raises(ArrayError, match=problem):
+        path_with(times, quaternion, location)
     assert path_with([0], [0, 0, 0, 1.005]).start_ns == 0
-
-
-@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
-def test_values_that_are_not_finite_are_refused(bad: float) -> None:
-    with pytest.raises(ArrayError, match="not finite"):
-        path_with([0], location=bad)
-
-
-def test_an_empty_path_is_refused() -> None:
-    with pytest.raises(ArrayError, match="at least one pose"):
-        Poses(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 4)))
 
 
 def test_the_identity_holds_at_all_times() -> None:
@@ -45,12 +41,9 @@ def test_the_identity_holds_at_all_times() -> None:
     np.testing.assert_array_equal(samples.coverage, 0)
 
 
-def test_a_pose_that_holds_always_comes_out_of_unit_length_as_every_other() -> None:
+def test_a_pose_that_holds_always_comes_out_of_unit_length_and_a_moved_one_keeps_the_rest() -> None:
     path = Poses(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0, 0, 0.603, 0.804]]), static=True)
     np.testing.assert_allclose(path.interpolate(np.zeros(2, np.int64)).quaternions_xyzw, [[0, 0, 0.6, 0.8]] * 2)
-
-
-def test_a_moved_path_lies_elsewhere_and_keeps_the_rest() -> None:
     moved = Poses.identity().moved(np.array([1.0, 2.0, 3.0]))
     np.testing.assert_array_equal(moved.positions, [[-1, -2, -3]])
     assert moved.static

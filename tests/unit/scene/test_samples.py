@@ -66,7 +66,6 @@ def world_from_ego(time_ns):
 
 
 def sweep(start_ns, middle_ns=50 * MS):
-    """Three points around the middle of a sweep."""
     times = start_ns + np.array([0, middle_ns, 99 * MS], np.int64)
     positions = np.arange(9, dtype=np.float32).reshape(3, 3)
     return LidarFrame(int(start_ns), LidarPoints(positions, np.array([1, 2, 3], np.uint8), timestamps_ns=times))
@@ -77,20 +76,16 @@ def lidar(sensor_id="lidar", **fields):
     return replace(LidarSensor(sensor_id, frames, mount=transform(EGO_FROM_LIDAR)), **fields)
 
 
-def camera(sensor_id="camera0", timestamps=IMAGES_NS, **fields):
-    images = [
-        CameraImage.of(t, CAMERA_MODEL, np.full((3, 4, 3), k, np.uint8)) for k, t in enumerate(timestamps.tolist())
-    ]
-    frames = LazyFrames.of(images, timestamps)
-    return replace(CameraSensor(sensor_id, CAMERA_MODEL, frames, mount=transform(EGO_FROM_CAMERA)), **fields)
+def camera(**fields):
+    images = [CameraImage.of(int(t), CAMERA_MODEL, np.full((3, 4, 3), k, np.uint8)) for k, t in enumerate(IMAGES_NS)]
+    frames = LazyFrames.of(images, IMAGES_NS)
+    return replace(CameraSensor("camera0", CAMERA_MODEL, frames, mount=transform(EGO_FROM_CAMERA)), **fields)
 
 
-def depth_camera(timestamps=IMAGES_NS, **fields):
-    images = [
-        DepthFrame.of(t, CAMERA_MODEL, np.full((3, 4), k + 0.5, np.float32)) for k, t in enumerate(timestamps.tolist())
-    ]
-    frames = LazyFrames.of(images, timestamps)
-    return DepthCameraSensor("depth0", CAMERA_MODEL, frames, mount=transform(EGO_FROM_CAMERA), **fields)
+def depth_camera(late_ns=0):
+    times = IMAGES_NS + late_ns
+    depths = [DepthFrame.of(int(t), CAMERA_MODEL, np.full((3, 4), k + 0.5, np.float32)) for k, t in enumerate(times)]
+    return DepthCameraSensor("depth0", CAMERA_MODEL, LazyFrames.of(depths, times), mount=transform(EGO_FROM_CAMERA))
 
 
 def drive(*sensors, **fields):
@@ -208,12 +203,14 @@ def test_a_trajectory_is_chosen_by_name_or_handed_in():
     assert by_default.world_from_lidar is None
 
 
-def test_an_image_s_own_mounting_counts_before_the_camera_s():
+def test_the_own_mounting_of_an_image_and_of_a_depth_image_counts_before_the_camera_s():
     own = transform((Rotation.identity(), np.array([9.0, 8.0, 7.0])))
-    images = [replace(image, mount=own) for image in camera().images]
-    sample = drive(lidar(), camera(images=LazyFrames.of(images, IMAGES_NS))).samples()[0]
-    expected = world_from_ego(40 * MS) @ own.matrix
-    np.testing.assert_allclose(sample.world_from_camera["camera0"].matrix, expected, atol=EXACT)
+    images = LazyFrames.of([replace(image, mount=own) for image in camera().images], IMAGES_NS)
+    depths = LazyFrames.of([replace(frame, mount=own) for frame in depth_camera().frames], IMAGES_NS)
+    sample = drive(lidar(), camera(images=images), replace(depth_camera(), frames=depths)).samples()[0]
+    for name in ("camera0", "depth0"):
+        expected = world_from_ego(40 * MS) @ own.matrix
+        np.testing.assert_allclose(sample.world_from_camera[name].matrix, expected, atol=EXACT)
     np.testing.assert_array_equal(sample.poses.ego_from_sensor["camera0"].matrix, own.matrix)
 
 
@@ -244,7 +241,7 @@ def test_further_lidars_and_radars_are_there_when_asked_for():
 
 
 def test_the_depth_image_nearest_to_a_sweep_is_there_with_its_camera_model_and_pose():
-    scene = drive(lidar(), camera(), depth_camera(IMAGES_NS + 5 * MS))
+    scene = drive(lidar(), camera(), depth_camera(5 * MS))
     sample = scene.samples()[1]
     assert sample.times_ns["depth0"] == 165 * MS
     np.testing.assert_array_equal(sample.depth_frames["depth0"].depth, 2.5)
@@ -260,16 +257,6 @@ def test_the_depth_image_nearest_to_a_sweep_is_there_with_its_camera_model_and_p
         scene.samples(depth_cameras="camera0")
 
 
-def test_a_depth_image_s_own_mounting_counts_before_the_camera_s():
-    own = transform((Rotation.identity(), np.array([9.0, 8.0, 7.0])))
-    sensor = depth_camera()
-    frames = LazyFrames.of([replace(frame, mount=own) for frame in sensor.frames], IMAGES_NS)
-    sample = drive(lidar(), replace(sensor, frames=frames)).samples()[0]
-    np.testing.assert_allclose(
-        sample.world_from_camera["depth0"].matrix, world_from_ego(40 * MS) @ own.matrix, atol=EXACT
-    )
-
-
 def test_a_depth_image_is_decoded_when_it_is_asked_for_and_goes_along_with_a_pickled_sample():
     decoded = []
     image = np.arange(12, dtype=np.float32).reshape(3, 4)
@@ -282,37 +269,34 @@ def test_a_depth_image_is_decoded_when_it_is_asked_for_and_goes_along_with_a_pic
     assert decoded == [1]
 
 
-def test_depths_are_arrays_of_the_same_names_whether_an_image_is_there_or_not():
-    scene = drive(lidar(), depth_camera())
-    near, far = (scene.samples(tolerance_ns=t)[2].arrays() for t in (90 * MS, 10 * MS))
-    assert {name: array.dtype for name, array in near.items()} == {n: a.dtype for n, a in far.items()}
-    np.testing.assert_array_equal(near["depth0.depth"], np.full((3, 4), 2.5, np.float32))
-    np.testing.assert_array_equal(far["depth0.depth"], np.zeros((3, 4), np.float32))
-    np.testing.assert_array_equal(near["depth0.matrix"], [[2, 0, 1.5], [0, 2.5, 1], [0, 0, 1]])
-    near["depth0.depth"][:] = 9
-    assert scene.samples()[2].depth_frames["depth0"].depth.max() == 2.5
-
-
-def test_slices_and_negative_numbers_behave_like_those_of_a_list():
-    samples = drive().samples()
-    numbers = [0, 1, 2, 3]
-    for part in (slice(1, 3), slice(None, None, -2), slice(3, 1), slice(-2, None)):
-        assert [sample.index for sample in samples[part]] == numbers[part]
-        assert len(samples[part]) == len(numbers[part])
-    assert samples[1:][1:][0].index == 2
-    assert samples[-1].index == 3
-    with pytest.raises(IndexError):
-        samples[4]
-
-
-def test_nothing_is_read_when_samples_are_made_and_only_what_a_sample_holds_after():
-    asked = []
+def torn_at(broken, asked):
+    """A lidar that notes which sweeps are read, and whose sweep of a number is torn."""
     sensor = lidar()
-    frames = LazyFrames(SWEEPS_NS, lambda k: asked.append(k) or sensor.frames[k])
-    samples = drive(replace(sensor, frames=frames), camera()).samples()
+
+    def read(k):
+        asked.append(k)
+        if k == broken:
+            raise DataError("drive", f"frames[{k}]", "is torn")
+        return sensor.frames[k]
+
+    return replace(sensor, frames=LazyFrames(SWEEPS_NS, read))
+
+
+def test_samples_are_a_list_of_which_only_what_a_sample_holds_is_read():
+    asked, numbers = [], [0, 1, 2, 3]
+    samples = drive(torn_at(1, asked), camera()).samples()
     assert asked == []
     assert samples[2].sweep.timestamp_ns == 200 * MS
     assert asked == [2]
+    with pytest.raises(DataError, match="is torn"):
+        samples[1]
+    samples = drive().samples()
+    for part in (slice(1, 3), slice(None, None, -2), slice(3, 1), slice(-2, None)):
+        assert [sample.index for sample in samples[part]] == numbers[part]
+        assert len(samples[part]) == len(numbers[part])
+    assert (samples[1:][1:][0].index, samples[-1].index) == (2, 3)
+    with pytest.raises(IndexError):
+        samples[4]
 
 
 @pytest.mark.parametrize(
@@ -329,9 +313,6 @@ def test_nothing_is_read_when_samples_are_made_and_only_what_a_sample_holds_afte
 def test_what_is_not_there_is_refused_with_what_is(arguments, message):
     with pytest.raises(OptionError, match=message):
         drive().samples(**arguments)
-
-
-def test_a_drive_without_lidar_is_refused_where_a_lidar_counts():
     with pytest.raises(OptionError, match=r"reference 'lidar'; .*: 'camera0'"):
         drive(camera()).samples()
 
@@ -356,21 +337,14 @@ def test_boxes_are_those_that_are_there_at_the_moment_rotated_the_shorter_arc():
 
 
 def test_arrays_name_each_box_and_number_it_alike_in_all_samples():
-    def cuboid(identifier, label, times):
-        return CuboidAnnotation(identifier, CuboidPath(times, np.tile(ROW, (len(times), 1))), label=label)
-
-    early = cuboid("early", "car", SWEEPS_NS[:2])
-    whole = cuboid(7, None, np.array([0, 400 * MS], np.int64))
-    scene = drive(annotations=(early, whole))
-    first, last = (scene.samples()[k].arrays() for k in (0, 3))
+    row = np.array([4.0, 2.0, 1.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    annotations = box("early", [0, 100], [row, row], label="car"), box(7, [0, 400], [row, row])
+    first, last = (drive(annotations=annotations).samples()[k].arrays() for k in (0, 3))
     assert first["boxes.track_ids"].tolist() == ["early", "7"]
     assert first["boxes.labels"].tolist() == ["car", ""]
     assert first["boxes.track_numbers"].tolist() == [0, 1]
     assert (last["boxes.track_ids"].tolist(), last["boxes.track_numbers"].tolist()) == (["7"], [1])
     assert {name: array.dtype for name, array in first.items()} == {name: array.dtype for name, array in last.items()}
-
-
-ROW = np.array([4.0, 2.0, 1.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def test_angles_of_boxes_are_read_as_the_metadata_state():
@@ -383,13 +357,19 @@ def test_angles_of_boxes_are_read_as_the_metadata_state():
 
 
 def test_arrays_have_the_same_names_and_dtypes_whether_an_image_is_there_or_not():
-    near, far = (drive().samples(tolerance_ns=t)[2].arrays() for t in (90 * MS, 10 * MS))
+    scene = drive(lidar(), camera(), depth_camera())
+    near, far = (scene.samples(tolerance_ns=t)[2].arrays() for t in (90 * MS, 10 * MS))
     assert {name: array.dtype for name, array in near.items()} == {n: a.dtype for n, a in far.items()}
     assert (near["camera0.found"], far["camera0.found"]) == (True, False)
     assert near["camera0.rgb"].shape == far["camera0.rgb"].shape == (3, 4, 3)
     assert not far["camera0.rgb"].any()
     assert np.isnan(far["camera0.camera_from_lidar"]).any() == np.False_, "the mountings are known"
     assert np.isnan(far["camera0.world_from_sensor"]).all()
+    np.testing.assert_array_equal(near["depth0.depth"], np.full((3, 4), 2.5, np.float32))
+    np.testing.assert_array_equal(far["depth0.depth"], np.zeros((3, 4), np.float32))
+    np.testing.assert_array_equal(near["depth0.matrix"], [[2, 0, 1.5], [0, 2.5, 1], [0, 0, 1]])
+    near["depth0.depth"][:] = 9
+    assert scene.samples()[2].depth_frames["depth0"].depth.max() == 2.5
 
 
 def test_arrays_are_what_the_sample_says_and_the_caller_s_own():
@@ -410,20 +390,6 @@ def test_arrays_are_what_the_sample_says_and_the_caller_s_own():
     assert samples[1].images["camera0"].rgb.max() == 2
 
 
-def test_a_damaged_sweep_raises_when_its_sample_is_asked_for_and_no_other():
-    sensor = lidar()
-
-    def read(k):
-        if k == 1:
-            raise DataError("drive", "frames[1]", "is torn")
-        return sensor.frames[k]
-
-    samples = drive(replace(sensor, frames=LazyFrames(SWEEPS_NS, read)), camera()).samples()
-    assert samples[2].index == 2
-    with pytest.raises(DataError, match="is torn"):
-        samples[1]
-
-
 def test_what_a_function_makes_of_samples_is_a_sequence_that_makes_nothing_before_it_is_asked():
     made = []
     numbers = drive().samples().map(lambda sample: made.append(sample.index) or sample.index * 10)
@@ -435,16 +401,12 @@ def test_what_a_function_makes_of_samples_is_a_sequence_that_makes_nothing_befor
     assert drive().samples().map(Sample.arrays)[0]["index"] == 0
 
 
-NEAREST_CAMERA_MODEL = Camera("pinhole", 4, 3, 2.0, 2.0, 1.5, 1.0)
 PERIOD = 100
 TIMESTAMPS = st.lists(st.integers(0, 60), max_size=12)
 
 
 def images_at(timestamps):
-    items = [
-        CameraImage(timestamp, NEAREST_CAMERA_MODEL, lambda: np.zeros((3, 4, 3), np.uint8)) for timestamp in timestamps
-    ]
-    return LazyFrames.of(items, timestamps)
+    return LazyFrames.of([CameraImage(t, CAMERA_MODEL, lambda: None) for t in timestamps], timestamps)
 
 
 def sweep_at(start, times):
@@ -510,8 +472,7 @@ def test_a_sweep_in_the_middle_of_its_image_is_read_once_and_no_other():
 
 
 def test_point_times_that_count_from_the_timestamp_are_put_right_before_they_report_the_moment():
-    sweep = sweep_at(1000, [5, 6, 7])
-    frame, reference_ns = SweepsByReference(LazyFrames.of([sweep], [1000]), PERIOD).read(0)
+    frame, reference_ns = SweepsByReference(LazyFrames.of([sweep_at(1000, [5, 6, 7])], [1000]), PERIOD).read(0)
     assert reference_ns == 1006
     assert frame.points.timestamps_ns.tolist() == [1005, 1006, 1007]
 
@@ -519,5 +480,4 @@ def test_point_times_that_count_from_the_timestamp_are_put_right_before_they_rep
 def test_that_a_sensor_has_nothing_or_nothing_near_is_stated():
     assert FramesByTimestamp(images_at([])).find(0, 5) == "it has no frames"
     assert "0.000 s away" in FramesByTimestamp(images_at([9])).find(0, 5)
-    empty = SweepsByReference(LazyFrames.of([], []), PERIOD)
-    assert empty.find(0, 5) == "it has no frames"
+    assert SweepsByReference(LazyFrames.of([], []), PERIOD).find(0, 5) == "it has no frames"

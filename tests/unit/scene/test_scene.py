@@ -67,12 +67,10 @@ def test_a_part_holds_the_frames_from_start_until_before_stop() -> None:
     again = cut_scene(part, start=0.9)
     assert again.cameras[0].video is not None
     assert again.cameras[0].video.frame_indices == (2,)
-
-
-def test_a_part_that_takes_all_images_keeps_the_video_whole() -> None:
-    part = cut_scene(Scene((camera_at([0, SECOND]),)), start=0.0, stop=10.0)
-    assert part.cameras[0].video is not None
-    assert part.cameras[0].video.frame_indices is None
+    # a part that takes all images keeps the video whole
+    whole = cut_scene(Scene((camera_at([0, SECOND]),)), start=0.0, stop=10.0)
+    assert whole.cameras[0].video is not None
+    assert whole.cameras[0].video.frame_indices is None
 
 
 @pytest.mark.parametrize(("start", "stop"), [(2.0, 1.0), (-1.0, None), (None, 0.0), (50.0, None), (float("nan"), None)])
@@ -97,24 +95,19 @@ def test_a_summary_counts_rates_and_gaps() -> None:
 
 def test_a_summary_says_from_what_to_what_the_camera_models_of_single_images_go() -> None:
     camera_models = [replace(CAMERA, fx=fx) for fx in (3.0, 2.5, 3.0, 4.5)]
-    images = [
-        CameraImage.of(k, camera_model, np.zeros((2, 4, 3), np.uint8)) for k, camera_model in enumerate(camera_models)
-    ]
+    images = [CameraImage.of(k, model, np.zeros((2, 4, 3), np.uint8)) for k, model in enumerate(camera_models)]
     varied = CameraSensor("varied", CAMERA, LazyFrames.of(images, range(4)))
     found, same = summarise(Scene((varied, camera_at([0, 1])))).sensors
     assert (found.intrinsics.camera_models, found.intrinsics.fx, found.intrinsics.cx) == (3, (2.5, 4.5), (1.5, 1.5))
     assert (same.intrinsics.camera_models, same.intrinsics.fx) == (1, (3.0, 3.0))
 
 
-def test_the_reference_time_of_a_sweep_is_the_median_of_its_points() -> None:
+def test_the_reference_time_of_a_sweep_is_the_median_of_its_points_and_its_start_where_they_share_one() -> None:
     points = LidarPoints(np.zeros((5, 3), np.float32), timestamps_ns=np.array([9, 1, 5, 7, 3], np.int64))
     assert LidarFrame(0, points).reference_ns == 5
     assert LidarFrame(3, LidarPoints(np.zeros((1, 3), np.float32))).reference_ns == 3
-
-
-def test_a_sweep_whose_points_share_one_time_is_known_by_its_start() -> None:
-    points = LidarPoints(np.zeros((3, 3), np.float32), timestamps_ns=np.full(3, 70, np.int64))
-    assert LidarFrame(20, points).reference_ns == 20
+    shared = LidarPoints(np.zeros((3, 3), np.float32), timestamps_ns=np.full(3, 70, np.int64))
+    assert LidarFrame(20, shared).reference_ns == 20
 
 
 def test_the_rate_of_an_imu_is_that_of_its_longest_stream_and_its_gaps_are_real() -> None:

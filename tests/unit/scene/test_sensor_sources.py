@@ -28,23 +28,22 @@ def relative_path(moving: bool) -> Poses:
     return Poses(TIMES[:count], positions, np.tile([0.0, 0, 0, 1], (count, 1)))
 
 
-def test_a_mounting_rides_on_the_chosen_trajectory() -> None:
+def riding(moving: bool, **fields: str) -> LidarSensor:
+    return LidarSensor("lidar", NO_FRAMES, poses=relative_path(moving), coordinates=Coordinates.EGO, **fields)
+
+
+def test_a_mounting_rides_on_the_chosen_trajectory_and_ego_poses_on_the_only_odometry_sensor() -> None:
     lidar = LidarSensor("lidar", NO_FRAMES, mount=MOUNT)
     pose = sensor_source(Scene((lidar,)), lidar, EgoMotion("groundTruth", EGO), reach_ns=0).at(TIMES[1:2])
-    expected = WORLD_AT_100
-    np.testing.assert_allclose(pose.positions[0], expected, atol=1e-12)
-
-
-@pytest.mark.parametrize("moving", [False, True])
-def test_poses_in_ego_coordinates_ride_on_the_only_odometry_sensor(moving: bool) -> None:
-    lidar = LidarSensor("lidar", NO_FRAMES, poses=relative_path(moving), coordinates=Coordinates.EGO)
-    scene = Scene((lidar, OdometrySensor("odometry", EGO)))
-    pose = sensor_source(scene, lidar, None, reach_ns=0).at(TIMES[1:2])
     np.testing.assert_allclose(pose.positions[0], WORLD_AT_100, atol=1e-12)
+    for moving in (False, True):
+        lidar = riding(moving)
+        pose = sensor_source(Scene((lidar, OdometrySensor("odometry", EGO))), lidar, None, reach_ns=0).at(TIMES[1:2])
+        np.testing.assert_allclose(pose.positions[0], WORLD_AT_100, atol=1e-12)
 
 
 def test_ego_coordinates_without_or_with_several_odometry_sensors_are_refused() -> None:
-    lidar = LidarSensor("lidar", NO_FRAMES, poses=relative_path(moving=False), coordinates=Coordinates.EGO)
+    lidar = riding(moving=False)
     two = (OdometrySensor("a", EGO), OdometrySensor("b", EGO))
     with pytest.raises(PoseError, match="no odometry sensor says where the ego was"):
         sensor_source(Scene((lidar,)), lidar, None, reach_ns=0)
@@ -59,11 +58,8 @@ def test_ego_coordinates_without_or_with_several_odometry_sensors_are_refused() 
 
 
 def test_the_parent_decides_between_several_odometry_sensors() -> None:
-    still = Poses.identity()
-    lidar = LidarSensor(
-        "lidar", NO_FRAMES, poses=relative_path(moving=False), coordinates=Coordinates.EGO, parent_id="b"
-    )
-    scene = Scene((lidar, OdometrySensor("a", EGO), OdometrySensor("b", still)))
+    lidar = riding(moving=False, parent_id="b")
+    scene = Scene((lidar, OdometrySensor("a", EGO), OdometrySensor("b", Poses.identity())))
     pose = sensor_source(scene, lidar, None, reach_ns=0).at(TIMES[2:])
     np.testing.assert_allclose(pose.positions[0], [0, 1, 2])
 
@@ -77,15 +73,9 @@ def test_world_points_need_no_source_and_ego_points_take_the_egos_own() -> None:
     np.testing.assert_allclose(source.at(TIMES).positions, EGO.positions)
 
 
-def test_a_sensor_with_neither_poses_nor_mounting_is_named() -> None:
-    lidar = LidarSensor("roof", NO_FRAMES)
-    with pytest.raises(PoseError, match="'roof'"):
-        sensor_source(Scene((lidar,)), lidar, None, reach_ns=0)
-
-
 def test_poses_relative_to_an_ego_that_is_stationary_hold_at_their_own_times() -> None:
     stands = Poses(np.zeros(1, np.int64), np.array([[5.0, 0, 0]]), np.array([[0, 0, 0, 1.0]]), static=True)
-    lidar = LidarSensor("lidar", NO_FRAMES, poses=relative_path(moving=True), coordinates=Coordinates.EGO)
+    lidar = riding(moving=True)
     source = sensor_source(Scene((lidar, OdometrySensor("odometry", stands))), lidar, None, reach_ns=0)
     np.testing.assert_allclose(source.at(TIMES).positions, np.tile([5.0, 1, 2], (3, 1)))
 
@@ -102,21 +92,18 @@ def test_a_mounting_changes_a_sensor_on_the_ego_and_not_one_with_poses_of_its_ow
 
 
 def test_a_sensor_of_unknown_location_is_named_with_what_to_write() -> None:
-    lidar = LidarSensor("lidar", NO_FRAMES)
-    with pytest.raises(PoseError, match=r"where sensor 'lidar' is.*`imuToLidar`"):
+    lidar = LidarSensor("roof", NO_FRAMES)
+    with pytest.raises(PoseError, match=r"where sensor 'roof' is.*`imuToLidar`"):
         sensor_source(Scene((lidar,)), lidar, None, reach_ns=0)
 
 
-@pytest.mark.parametrize("points_frame", [PointsFrame.SENSOR, PointsFrame.EGO, PointsFrame.WORLD])
-def test_a_lidar_has_its_location_whatever_frame_its_points_come_in(points_frame: PointsFrame) -> None:
-    lidar = LidarSensor("lidar", NO_FRAMES, mount=MOUNT, points_frame=points_frame)
-    location = lidar_position(Scene((lidar,)), lidar, EgoMotion("groundTruth", EGO), reach_ns=0)
-    assert location is not None
-    np.testing.assert_allclose(location.at(TIMES[1:2]).positions[0], WORLD_AT_100, atol=1e-12)
-
-
-def test_a_lidar_without_poses_or_mounted_by_the_identity_has_no_known_location() -> None:
+def test_a_lidar_has_its_location_whatever_frame_its_points_come_in_unless_it_has_neither_poses_nor_mounting() -> None:
     ego = EgoMotion("groundTruth", EGO)
+    for points_frame in PointsFrame:
+        lidar = LidarSensor("lidar", NO_FRAMES, mount=MOUNT, points_frame=points_frame)
+        location = lidar_position(Scene((lidar,)), lidar, ego, reach_ns=0)
+        assert location is not None
+        np.testing.assert_allclose(location.at(TIMES[1:2]).positions[0], WORLD_AT_100, atol=1e-12)
     for mount in (None, RigidTransform.identity()):
         lidar = LidarSensor("lidar", NO_FRAMES, mount=mount)
         assert lidar_position(Scene((lidar,)), lidar, ego, reach_ns=0) is None

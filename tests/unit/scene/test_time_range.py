@@ -84,14 +84,8 @@ def test_activations_that_last_into_the_part_stay():
 
 
 def test_projections_into_images_of_the_part_stay():
-    projection = Projection(
-        "front",
-        at(4, 5, 9.9, 10),
-        boxes=rows(4, 4),
-        confirmed=(True, None, False, True),
-        cuboids=rows(9, 4),
-        extras={"by": "hand"},
-    )
+    confirmed = (True, None, False, True)
+    projection = Projection("front", at(4, 5, 9.9, 10), rows(4, 4), confirmed, rows(9, 4), extras={"by": "hand"})
     (kept,) = only(CuboidAnnotation("c", PATH, projections=(projection,))).projections
     assert seconds(kept) == [5, 9.9]
     np.testing.assert_array_equal(kept.boxes, rows(4, 4)[1:3])
@@ -112,17 +106,12 @@ def test_paths_keep_the_rows_in_and_next_to_the_part():
     assert kept_lane.path.vertices == corners[1:4]
 
 
-@pytest.mark.parametrize("times", [at(0, 4.9), at(10, 12)])
-def test_what_is_not_there_in_the_part_is_left_out_and_reported(times):
-    shape = ShapeAnnotation("s", ShapeType.POLYGON, VertexPath(times, (rows(3, 1),) * 2))
-    part = cut(shape)
-    assert part.annotations == ()
-    assert reported(part) == {"annotations-cut": 1}
-
-
-def test_what_is_stationary_holds_in_any_part():
-    shape = ShapeAnnotation("s", ShapeType.POLYGON, VertexPath(at(1), (rows(3, 4),)), stationary=True)
-    kept = only(shape)
+def test_what_is_not_there_in_the_part_is_left_out_and_reported_and_what_is_stationary_holds_in_any():
+    for times in (at(0, 4.9), at(10, 12)):
+        part = cut(ShapeAnnotation("s", ShapeType.POLYGON, VertexPath(times, (rows(3, 1),) * 2)))
+        assert part.annotations == ()
+        assert reported(part) == {"annotations-cut": 1}
+    kept = only(ShapeAnnotation("s", ShapeType.POLYGON, VertexPath(at(1), (rows(3, 4),)), stationary=True))
     assert seconds(kept.path) == [5]
     np.testing.assert_array_equal(kept.path.vertices[0], rows(3, 4))
 
@@ -163,10 +152,8 @@ def test_labelled_points_follow_their_frames():
     assert [(p.sensor_id, p.sensor_frame) for p in kept.labeled_points] == [("top", 0), ("top", 4), ("map", None)]
     assert reported(part)["labelled-frames"] == 3
     assert reported(part)["annotations-cut"] == 1
-
-
-def test_labels_of_a_whole_sensor_stay_where_all_of_its_frames_do():
-    whole = LabeledPointsAnnotation("road", (LabeledPoints("top", np.arange(2, dtype=np.uint32)),))
+    # labels of a whole sensor stay where all of its frames do
+    whole = LabeledPointsAnnotation("road", (LabeledPoints("top", ids),))
     assert cut(whole, start=0.0, stop=100.0).annotations[0].labeled_points[0].sensor_frame is None
     assert cut(whole).annotations == ()
 

@@ -35,7 +35,6 @@ class SoundLines:
         }
 
     def times(self, rate: float, shift: float = 0.0) -> list[float]:
-        """Times of a stream at a constant rate [s]."""
         return [round(1.0 + shift + k / rate, 9) for k in range(int(SPAN * rate))]
 
     def _sensor(self, name: str, rate: float, mean: list[float], noise: float) -> list[Line]:
@@ -44,7 +43,6 @@ class SoundLines:
         return [self.sample(name, t, row) for t, row in zip(times, values.tolist(), strict=True)]
 
     def sample(self, name: str, time: float, values: list[float]) -> Line:
-        """A line of an N-axis sensor."""
         return {"sensor": {"type": name, "values": values}, "time": time}
 
     def fix(self, time: float, north: float = 0.0, **fields: Any) -> Line:
@@ -54,36 +52,30 @@ class SoundLines:
         return {"gps": {**location, "accuracy": 0.5, **fields}, "time": time}
 
     def pose(self, time: float, east: float) -> Line:
-        """A pose so many metres east."""
         rotation = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
         return {"groundTruth": {"position": {"x": east, "y": 0.0, "z": 0.0}, "orientation": rotation}, "time": time}
 
     def shifted(self, name: str, seconds: float) -> "SoundLines":
-        """Put the clock of a stream off."""
         self.streams[name] = [{**line, "time": line["time"] + seconds} for line in self.streams[name]]
         return self
 
     def scaled(self, name: str, factor: float, rows: slice = slice(None)) -> "SoundLines":
-        """Give the samples of a sensor another unit."""
         for line in self.streams[name][rows]:
             line["sensor"] = {**line["sensor"], "values": [v * factor for v in line["sensor"]["values"]]}
         return self
 
     def lines(self) -> list[Line]:
-        """All lines in order of time."""
         every = [line for stream in self.streams.values() for line in stream]
         return sorted(every, key=lambda line: line["time"])
 
 
 @pytest.fixture(scope="session")
 def sound_lines() -> bytes:
-    """A sound drive, to be copied."""
     return pickle.dumps(SoundLines())
 
 
 @pytest.fixture
 def drive(sound_lines: bytes) -> SoundLines:
-    """The lines of a sound drive, of the test's own."""
     made = pickle.loads(sound_lines)
     assert isinstance(made, SoundLines)
     return made
@@ -111,8 +103,6 @@ Reported = Callable[[SoundLines, str], list[tuple[str, str]]]
 
 @pytest.fixture
 def reported(written: Write) -> Reported:
-    """What one rule finds in a drive: locations and messages."""
-
     def run(drive: SoundLines, rule: str) -> list[tuple[str, str]]:
         report = validate(written(drive), rules=[rule])
         return [(finding.path, finding.message) for finding in report.findings]

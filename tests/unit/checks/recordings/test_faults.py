@@ -49,6 +49,7 @@ def test_every_code_of_the_reader_has_a_rule():
     codes = set(codes_of_reader())
     assert "broken-lines" in codes
     assert codes - FAULT_CODES == set()
+    assert len(FAULT_CODES) == len(RECORDING_FAULT_RULES)
 
 
 @pytest.fixture
@@ -69,38 +70,33 @@ def write(tmp_path):
     return run
 
 
+def cameras(**fields):
+    return {"cameras": [{**CAMERA_MODEL, **fields}]}
+
+
+def lines(*more):
+    return {"lines": [*SOUND, *more]}
+
+
 TILTED = [[1.0, 0.0, 0.5, 0.0], *ROWS[1:]]
-BAD_POSE = {**POSE, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 3.0}}
-FAULTY = {
-    "recording-readable": ({"lines": []}, "data.jsonl"),
-    "broken-lines": ({"lines": [*SOUND, "{torn"]}, "data.jsonl: line 4"),
-    "unfit-lines": ({"lines": [*SOUND, {"gps": {"latitude": 1.0}, "time": 1}]}, "data.jsonl: line 4"),
-    "unusable-orientations": ({"lines": [*SOUND, {"groundTruth": BAD_POSE, "time": 2}]}, "data.jsonl: line 4"),
-    "unreadable-calibration": ({"calibration": "{"}, "calibration.json"),
-    "unusable-calibrations": (
-        {"calibration": {"cameras": [{**CAMERA_MODEL, "imuToCamera": TILTED}]}},
-        "calibration.json: cameras[0].imuToCamera",
-    ),
-    "repeated-lidars": (
-        {"calibration": {"lidars": [{"imuToLidar": ROWS}, {"imuToLidar": ROWS}]}},
-        "calibration.json: lidars[1]",
-    ),
-    "unusable-cameras": (
-        {"calibration": {"cameras": [{**CAMERA_MODEL, "model": "kaleidoscope"}]}},
-        "calibration.json: cameras[0]",
-    ),
-    "cameras-without-calibration": ({"lines": [*SOUND, FRAME]}, "calibration.json"),
-    "missing-videos": ({"lines": [*SOUND, FRAME], "calibration": {"cameras": [CAMERA_MODEL]}}, ""),
-    "unreadable-videos": (
-        {"lines": [*SOUND, FRAME], "calibration": {"cameras": [CAMERA_MODEL]}, "data__mkv": b"no video"},
-        "data.mkv",
-    ),
-    "unusable-lidar-files": (
-        {"lines": [*SOUND, {"lidar": {**SOUND[1]["lidar"], "dataFile": "1.bin"}, "time": 1}]},
-        "data.jsonl: line 4",
-    ),
-    "unreadable-vio-config": ({"vio_config__yaml": b"\xff\xfe\xff"}, "vio_config.yaml"),
-}
+BAD_POSE = {"groundTruth": {**POSE, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 3.0}}, "time": 2}
+OTHER_FILE = {"lidar": {**SOUND[1]["lidar"], "dataFile": "1.bin"}, "time": 1}
+FAULTY = [
+    (None, {}, None),
+    ("recording-readable", {"lines": []}, "data.jsonl"),
+    ("broken-lines", lines("{torn"), "data.jsonl: line 4"),
+    ("unfit-lines", lines({"gps": {"latitude": 1.0}, "time": 1}), "data.jsonl: line 4"),
+    ("unusable-orientations", lines(BAD_POSE), "data.jsonl: line 4"),
+    ("unreadable-calibration", {"calibration": "{"}, "calibration.json"),
+    ("unusable-calibrations", {"calibration": cameras(imuToCamera=TILTED)}, "calibration.json: cameras[0].imuToCamera"),
+    ("repeated-lidars", {"calibration": {"lidars": [{"imuToLidar": ROWS}] * 2}}, "calibration.json: lidars[1]"),
+    ("unusable-cameras", {"calibration": cameras(model="kaleidoscope")}, "calibration.json: cameras[0]"),
+    ("cameras-without-calibration", lines(FRAME), "calibration.json"),
+    ("missing-videos", {**lines(FRAME), "calibration": cameras()}, ""),
+    ("unreadable-videos", {**lines(FRAME), "calibration": cameras(), "data__mkv": b"no video"}, "data.mkv"),
+    ("unusable-lidar-files", lines(OTHER_FILE), "data.jsonl: line 4"),
+    ("unreadable-vio-config", {"vio_config__yaml": b"\xff\xfe\xff"}, "vio_config.yaml"),
+]
 
 
 def reported(folder):
@@ -109,17 +105,11 @@ def reported(folder):
     return [(f.rule, f.path) for f in report.findings if f.rule in FAULT_CODES]
 
 
-@pytest.mark.parametrize("code", FAULTY)
-def test_a_fault_is_reported_once_with_its_location(write, code):
-    content, location = FAULTY[code]
+@pytest.mark.parametrize(("code", "content", "location"), FAULTY)
+def test_a_fault_is_reported_once_with_its_location(write, code, content, location):
     found = reported(write(**content))
-    [path] = [path for rule, path in found if rule == code]
-    assert path.startswith(location)
-    assert {rule for rule, _ in found} <= {code, "missing-videos"}  # a camera of lines alone lacks that, too
-
-
-def test_a_sound_recording_has_none(write):
-    assert reported(write()) == []
+    assert [path.startswith(location) for rule, path in found if rule == code] == [True] * (code is not None)
+    assert {rule for rule, _ in found} <= {code, "missing-videos"} - {None}  # a camera of lines alone lacks that, too
 
 
 def test_a_lidar_file_is_distinguished_from_the_folder_on_also_where_that_is_named_relatively(
@@ -134,9 +124,8 @@ def test_a_lidar_file_is_distinguished_from_the_folder_on_also_where_that_is_nam
 
 
 def test_all_faults_are_reported_at_once(write):
-    lines = ["{torn", *SOUND, "", {"groundTruth": BAD_POSE, "time": 2}]
-    calibration = {"cameras": [{**CAMERA_MODEL, "focalLengthX": "wide"}]}
-    assert reported(write([*lines, FRAME], calibration)) == [
+    texts = ["{torn", *SOUND, "", BAD_POSE, FRAME]
+    assert reported(write(texts, cameras(focalLengthX="wide"))) == [
         ("broken-lines", "data.jsonl: line 1"),
         ("unfit-lines", "data.jsonl: line 5"),
         ("unusable-orientations", "data.jsonl: line 6"),
@@ -146,19 +135,14 @@ def test_all_faults_are_reported_at_once(write):
 
 
 def test_very_many_faults_are_counted(write):
-    lines = [*SOUND * (3 * MOST_LOCATIONS), *["{torn"] * (2 * MOST_LOCATIONS)]
-    report = validate(write(lines), rules=["broken-lines"], locations=None)
+    texts = [*SOUND * (3 * MOST_LOCATIONS), *["{torn"] * (2 * MOST_LOCATIONS)]
+    report = validate(write(texts), rules=["broken-lines"], locations=None)
     assert sum(finding.count for finding in report.findings) == 2 * MOST_LOCATIONS
     assert len(report.findings) == MOST_LOCATIONS + 1
 
 
 def test_nothing_is_repaired_where_the_calibration_cannot_be_read(write, tmp_path):
-    report = validate(write(calibration="["), fix=tmp_path / "out.sfs")
-    assert report.output is None
-
-
-def test_ids_of_the_rules_are_the_codes():
-    assert len(FAULT_CODES) == len(RECORDING_FAULT_RULES)
+    assert validate(write(calibration="["), fix=tmp_path / "out.sfs").output is None
 
 
 COUNT = 40
@@ -176,62 +160,44 @@ def reported_of_lines(folder, content):
 
 
 @pytest.mark.parametrize(
-    ("encode", "kind"),
+    ("content", "kind"),
     [
-        (lambda log: gzip.compress(log, mtime=0), "compressed by gzip"),
-        (lambda log: log.decode().encode("utf-16"), "text in UTF-16"),
-        (lambda log: log.decode().encode("utf-16-be"), "text in UTF-16"),
-        (lambda log: log[:0], "empty"),
+        (gzip.compress(LOG, mtime=0), "compressed by gzip"),
+        (LOG.decode().encode("utf-16"), "text in UTF-16"),
+        (LOG.decode().encode("utf-16-be"), "text in UTF-16"),
+        (b"", "empty"),
     ],
-    ids=["gzip", "utf-16 with mark", "utf-16 without", "empty"],
 )
-def test_a_file_that_is_no_log_is_one_finding(tmp_path, encode, kind):
-    [(rule, location, message, count)] = reported_of_lines(tmp_path, encode(LOG))
+def test_a_file_that_is_no_log_is_one_finding(tmp_path, content, kind):
+    [(rule, location, message, count)] = reported_of_lines(tmp_path, content)
     assert (rule, location, count) == ("recording-readable", "data.jsonl", 1)
     assert kind in message
-
-
-def test_what_to_do_about_an_empty_log_is_not_to_salvage_it(tmp_path):
-    (tmp_path / "data.jsonl").touch()
     [finding] = validate(tmp_path).findings
-    assert "salvage" not in finding.remedy
+    assert ("salvage" in finding.remedy) == (kind != "empty")
     assert "record" in finding.remedy
-
-
-def in_unit(factor):
-    lines = [line | {"time": int((1.7e9 + line["time"]) * factor)} for line in LINES]
-    return "".join(json.dumps(line) + "\n" for line in lines).encode()
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])
 def test_times_in_another_unit_are_one_finding_that_names_it(tmp_path, factor, unit):
-    [(rule, location, message, count)] = reported_of_lines(tmp_path, in_unit(factor))
+    texts = [json.dumps(line | {"time": int((1.7e9 + line["time"]) * factor)}) + "\n" for line in LINES]
+    [(rule, location, message, count)] = reported_of_lines(tmp_path, "".join(texts).encode())
     assert (rule, count) == ("unfit-lines", COUNT)
     assert location == f"data.jsonl: lines 1, 2, 3, … {COUNT}"
     assert f"looks like {unit}" in message
     assert f"{COUNT} of {COUNT} lines" in message
 
 
-def test_a_list_of_objects_is_one_finding_and_its_end(tmp_path):
+def test_logs_of_another_layout_are_few_findings_and_torn_lines_are_listed_singly(tmp_path):
     found = reported_of_lines(tmp_path, ("[\n" + ",\n".join(TEXTS) + "\n]\n").encode())
     assert [(rule, count) for rule, _, _, count in found] == [("broken-lines", COUNT), ("broken-lines", 1)]
     assert "a log is no list" in found[0][2]
-
-
-def test_objects_over_several_lines_are_reported_by_kinds(tmp_path):
     content = "\n".join(json.dumps(line, indent=1) for line in LINES).encode()
     found = reported_of_lines(tmp_path, content)
     assert len(found) <= 5
     assert sum(count for *_, count in found) == content.count(b"\n") + 1
-
-
-def test_a_log_with_more_lines_than_locations_are_kept_is_one_finding(tmp_path):
     [(_, location, _, count)] = reported_of_lines(tmp_path, b"time,x,y\n" * (3 * MOST_LOCATIONS))
     assert count == 3 * MOST_LOCATIONS
     assert location.endswith(f" {3 * MOST_LOCATIONS}")
-
-
-def test_lines_that_are_torn_here_and_there_are_listed_singly(tmp_path):
     texts = [text[:-1] if k % 9 == 4 else text for k, text in enumerate(TEXTS)]
     found = reported_of_lines(tmp_path, ("\n".join(texts) + "\n").encode())
     assert [location for _, location, _, _ in found] == [f"data.jsonl: line {k + 1}" for k in range(4, COUNT, 9)]

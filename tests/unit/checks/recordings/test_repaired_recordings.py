@@ -134,175 +134,149 @@ def frames_of(lines):
     return [line for line in lines if "frames" in line]
 
 
+def same_images(drive):
+    before, after = decoded(drive.folder / "data.mkv"), decoded(drive.repaired / "data.mkv")
+    return all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+
+
 def test_a_sound_recording_stays_what_it_was(drive):
     report = drive.fix()
-    assert report.fixed == ()
-    assert report.losses == ()
+    assert report.fixed == report.losses == ()
     assert kept_lines(drive.repaired_lines()) == kept_lines(drive.lines)
     assert drive.repaired_calibration() == drive.calibration
-    before, after = decoded(drive.folder / "data.mkv"), decoded(drive.repaired / "data.mkv")
-    assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+    assert same_images(drive)
 
 
-def test_lines_are_sorted_and_nothing_else_is_changed(drive):
-    sound = list(drive.lines)
-    drive.lines[40:60] = reversed(drive.lines[40:60])
+def with_reversed(lines):
+    lines[40:60] = reversed(lines[40:60])
+
+
+def with_doubled(lines):
+    """Let a sample, a fix, a pose and a frame stand there twice."""
+    for key in ("sensor", "gps", "groundTruth", "frames"):
+        line = [line for line in lines if key in line][5]
+        lines.insert(lines.index(line), copy.deepcopy(line))
+
+
+def with_unit_off(lines):
+    line = next(line for line in lines if "groundTruth" in line and line["time"] > 0.5)
+    line["groundTruth"]["orientation"]["w"] = 1.005
+
+
+def numbered(*numbers):
+    def change(lines):
+        for line, number in zip(frames_of(lines), numbers, strict=True):
+            line["number"] = number
+
+    return change
+
+
+def with_broken(lines):
+    lines.insert(7, '{"sensor":{"type":"gyroscope","values":[NaN,0,0]},"time":0.02}')
+    lines.insert(70, '{"sensor":{"type":"gyro')
+
+
+def with_late_image(lines):
+    entry = {"cameraInd": 0, "time": 1.195, "own": FRAMES}
+    lines.append({"frames": [entry], "number": FRAMES, "time": 1.195})
+
+
+@pytest.mark.parametrize(
+    ("change", "fixed", "left_out"),
+    [
+        (with_reversed, {"lines-in-order"}, []),
+        (with_doubled, {"stream-times-unique", "frame-numbers-increasing", "frame-numbers-gaps"}, []),
+        (with_unit_off, {"orientation-norm"}, []),
+        (numbered(*range(28, 40)), {"frame-numbers-begin"}, []),
+        (numbered(0, 1, 2, 3, 4, 5, 8, 9, 10, 11, 12, 13), {"frame-numbers-gaps"}, []),
+        (numbered(0, 1, 2, 2, 4, 5, 6, 7, 8, 9, 10, 11), {"frame-numbers-gaps", "frame-numbers-increasing"}, []),
+        (with_broken, set(), ["broken-lines"] * 2),
+        (with_late_image, set(), ["unmatched-images"]),
+    ],
+)
+@pytest.mark.few(6)
+def test_lines_become_those_of_the_sound_drive_again(drive, change, fixed, left_out):
+    sound = copy.deepcopy(drive.lines)
+    change(drive.lines)
     report = drive.fix()
-    assert rules_of(report.fixed) == {"lines-in-order"}
+    assert rules_of(report.fixed) == fixed
+    assert [finding.rule for finding in report.left_out] == left_out
+    assert kept_lines(drive.repaired_lines()) == kept_lines(sound)
     times = [line["time"] for line in drive.repaired_lines()]
     assert times == sorted(times)
-    assert kept_lines(drive.repaired_lines()) == kept_lines(sound)
-
-
-def test_samples_fixes_poses_and_frames_that_stand_there_twice_are_reported_once(drive):
-    sound = list(drive.lines)
-    kinds = [
-        next(line for line in sound if line.get("sensor", {}).get("type") == "gyroscope"),
-        next(line for line in sound if "gps" in line),
-        next(line for line in sound if "groundTruth" in line and line["time"] > 0.3),
-        frames_of(sound)[5],
-    ]
-    for line in kinds:
-        drive.lines.insert(drive.lines.index(line), copy.deepcopy(line))
-    report = drive.fix()
-    assert "stream-times-unique" in rules_of(report.fixed)
-    assert kept_lines(drive.repaired_lines()) == kept_lines(sound)
-    before, after = decoded(drive.folder / "data.mkv"), decoded(drive.repaired / "data.mkv")
-    assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+    assert same_images(drive)
 
 
 def test_samples_of_one_time_that_differ_are_left_to_a_person(drive):
     line = next(line for line in drive.lines if line.get("sensor", {}).get("type") == "gyroscope")
-    other = sample("gyroscope", line["time"], 1.0, 2.0, 3.0)
-    drive.lines.insert(drive.lines.index(line) + 1, other)
+    drive.lines.insert(drive.lines.index(line) + 1, sample("gyroscope", line["time"], 1.0, 2.0, 3.0))
     drive.write()
     report = validate(drive.folder, fix=drive.repaired)
     assert "stream-times-unique" in rules_of(report.findings)
     assert kept_lines(drive.repaired_lines()) == kept_lines(drive.lines)
 
 
+H264 = {"codec": "libx264", "pixels": "yuv420p", "options": {"g": "12", "bf": "0", "sc_threshold": "0"}}
+
+
 @pytest.mark.parametrize(
-    ("numbers", "rules"),
+    ("dropped", "encoded", "fixed", "left_out"),
     [
-        (range(28, 40), {"frame-numbers-begin"}),
-        ([0, 1, 2, 3, 4, 5, 8, 9, 10, 11, 12, 13], {"frame-numbers-gaps"}),
-        ([0, 1, 2, 2, 4, 5, 6, 7, 8, 9, 10, 11], {"frame-numbers-gaps", "frame-numbers-increasing"}),
+        ([4, 5, 9], {}, True, []),  # cut without encoding, as its images stand for themselves
+        ([10, 11], {}, False, ["unmatched-images"]),
+        ([4, 5, 9], H264, True, []),
     ],
 )
-@pytest.mark.few(1)
-def test_frames_are_numbered_from_0_without_gaps(drive, numbers, rules):
-    sound = [copy.deepcopy(line) for line in drive.lines]
-    for line, number in zip(frames_of(drive.lines), numbers, strict=True):
-        line["number"] = number
-    report = drive.fix()
-    assert rules_of(report.fixed) == rules
-    assert kept_lines(drive.repaired_lines()) == kept_lines(sound)
-
-
-def cut_lines(drive, dropped):
-    """Take frames lines out, while the video keeps all images; give those that stay."""
+def test_the_video_is_cut_to_the_lines(drive, dropped, encoded, fixed, left_out):
     gone = [frames_of(drive.lines)[k] for k in dropped]
     drive.lines = [line for line in drive.lines if line not in gone]
-    return frames_of(drive.lines)
-
-
-def check_images(drive, dropped, *, within=0):
-    before, after = decoded(drive.folder / "data.mkv"), decoded(drive.repaired / "data.mkv")
-    stay = [image for k, image in enumerate(before) if k not in dropped]
-    assert len(after) == len(stay)
-    differences = [np.abs(a.astype(int) - b).max() for a, b in zip(after, stay, strict=True)]
-    assert max(differences) <= within
+    report = drive.fix(**encoded)
+    assert ("frame-numbers-gaps" in rules_of(report.fixed)) is fixed
+    assert [finding.rule for finding in report.left_out] == left_out
+    # encoded anew without loss, where it cannot be cut
+    assert [loss.field for loss in report.losses] == (["sensors[camera0].video"] if encoded else [])
+    assert all("FFV1" in loss.what for loss in report.losses)
+    stay = [image for k, image in enumerate(decoded(drive.folder / "data.mkv")) if k not in dropped]
+    differences = [
+        np.abs(a.astype(int) - b).max() for a, b in zip(decoded(drive.repaired / "data.mkv"), stay, strict=True)
+    ]
+    # the two ways from YUV to RGB, ours and that of PyAV, differ by up to 3 levels
+    assert max(differences) <= (3 if encoded else 0)
     frames = frames_of(drive.repaired_lines())
     assert [line["number"] for line in frames] == list(range(len(stay)))
     assert [line["frames"][0]["own"] for line in frames] == [k for k in range(FRAMES) if k not in dropped]
 
 
-def test_the_video_is_cut_to_the_lines_without_encoding_where_images_stand_for_themselves(drive):
-    cut_lines(drive, [4, 5, 9])
-    report = drive.fix()
-    assert "frame-numbers-gaps" in rules_of(report.fixed)
-    assert report.losses == ()
-    check_images(drive, [4, 5, 9])
-
-
-def test_a_video_that_cannot_be_cut_is_encoded_anew_without_loss_and_that_is_reported(drive):
-    cut_lines(drive, [4, 5, 9])
-    options = {"g": "12", "bf": "0", "sc_threshold": "0"}
-    report = drive.fix(codec="libx264", pixels="yuv420p", options=options)
-    assert [loss.field for loss in report.losses] == ["sensors[camera0].video"]
-    assert "FFV1" in report.losses[0].what
-    # the two ways from YUV to RGB, ours and that of PyAV, differ by up to 3 levels
-    check_images(drive, [4, 5, 9], within=3)
-
-
-def test_lines_that_lack_an_image_at_the_end_are_left_out_and_reported(drive):
-    extra = {"frames": [{"cameraInd": 0, "time": 1.195, "own": FRAMES}], "number": FRAMES, "time": 1.195}
-    sound = list(drive.lines)
-    drive.lines.append(extra)
-    report = drive.fix()
-    assert "unmatched-images" in rules_of(report.left_out)
-    assert kept_lines(drive.repaired_lines()) == kept_lines(sound)
-
-
-def test_images_that_lack_a_line_at_the_end_are_cut_off_and_reported(drive):
-    cut_lines(drive, [10, 11])
-    report = drive.fix()
-    assert "unmatched-images" in rules_of(report.left_out)
-    check_images(drive, [10, 11])
-
-
-def test_broken_lines_are_left_out_and_reported(drive):
-    sound = list(drive.lines)
-    drive.lines.insert(7, '{"sensor":{"type":"gyroscope","values":[NaN,0,0]},"time":0.02}')
-    drive.lines.insert(70, '{"sensor":{"type":"gyro')
-    report = drive.fix()
-    assert rules_of(report.left_out) == {"broken-lines"}
-    assert len(report.left_out) == 2
-    assert kept_lines(drive.repaired_lines()) == kept_lines(sound)
-
-
-def test_orientations_become_unit_quaternions_and_others_keep_their_numbers(drive):
-    sound = [copy.deepcopy(line) for line in drive.lines]
-    line = next(line for line in drive.lines if "groundTruth" in line and line["time"] > 0.5)
-    line["groundTruth"]["orientation"]["w"] = 1.005
-    report = drive.fix()
-    assert rules_of(report.fixed) == {"orientation-norm"}
-    assert kept_lines(drive.repaired_lines()) == kept_lines(sound)
-
-
-def test_a_rotation_that_is_off_becomes_the_nearest_one(drive):
-    matrix = np.array(CAMERA["imuToCamera"])
-    drive.calibration["cameras"][0]["imuToCamera"] = [[0.0, -1.002, 0.0, 0.0], *matrix[1:].tolist()]
-    report = drive.fix()
-    assert rules_of(report.fixed) == {"mounting-rotation"}
-    written = np.array(drive.repaired_calibration()["cameras"][0]["imuToCamera"])
-    # the nearest rotation to one stretched along an axis is the unstretched one
-    np.testing.assert_allclose(written, matrix, atol=1e-12)
+MATRIX = np.array(CAMERA["imuToCamera"])
+KANNALA, BROWN = [0.1, 0.01, 0.0, 0.001], [0.1, 0.01, 0.001, 0.002, 0.003]
 
 
 @pytest.mark.parametrize(
-    "given",
+    ("given", "rule", "expected"),
     [
-        {"model": "KANNALA_BRANDT4", "distortionCoefficients": [0.1, 0.01, 0.0, 0.001]},
-        {"model": "Brown-Conrady", "distortionCoefficients": [0.1, 0.01, 0.001, 0.002, 0.003]},
+        # the nearest rotation to one stretched along an axis is the unstretched one
+        ({"imuToCamera": [[0.0, -1.002, 0.0, 0.0], *MATRIX[1:].tolist()]}, "mounting-rotation", {}),
+        (
+            {"model": "KANNALA_BRANDT4", "distortionCoefficients": KANNALA},
+            "calibration-spelling",
+            {"model": "kannala-brandt4", "distortionCoefficients": KANNALA},
+        ),
+        (
+            {"model": "Brown-Conrady", "distortionCoefficients": BROWN},
+            "calibration-spelling",
+            {"model": "brown-conrady", "distortionCoefficients": [*BROWN, 0.0, 0.0, 0.0]},
+        ),
+        ({"imuToCamera": None, "imuToCameraMatrix": MATRIX.T.ravel().tolist()}, "calibration-spelling", {}),
     ],
 )
-def test_models_are_written_as_the_vendors_software_reads_them(drive, given):
-    drive.calibration["cameras"][0].update(given)
-    report = drive.fix()
-    assert rules_of(report.fixed) == {"calibration-spelling"}
-    padded = given["distortionCoefficients"] + [0.0] * (3 if len(given["distortionCoefficients"]) == 5 else 0)
-    name = given["model"].lower().replace("_b", "-b")
-    expected = {**CAMERA, "model": name, "distortionCoefficients": padded}
-    assert drive.repaired_calibration()["cameras"] == [expected]
-
-
-def test_matrices_are_written_by_rows_under_the_key_that_software_reads(drive):
-    entry = drive.calibration["cameras"][0]
-    entry["imuToCameraMatrix"] = np.array(entry.pop("imuToCamera")).T.ravel().tolist()
-    report = drive.fix()
-    assert rules_of(report.fixed) == {"calibration-spelling"}
-    assert drive.repaired_calibration()["cameras"] == [CAMERA]
+def test_the_calibration_is_written_as_the_vendors_software_reads_it(drive, given, rule, expected):
+    [entry] = drive.calibration["cameras"]
+    entry |= given
+    drive.calibration["cameras"] = [{key: value for key, value in entry.items() if value is not None}]
+    assert rules_of(drive.fix().fixed) == {rule}
+    [repaired] = drive.repaired_calibration()["cameras"]
+    np.testing.assert_allclose(repaired.pop("imuToCamera"), MATRIX, atol=1e-12)
+    assert repaired == {key: value for key, value in {**CAMERA, **expected}.items() if key != "imuToCamera"}
 
 
 def test_the_command_line_reports_what_was_fixed_left_out_and_lost(drive):
@@ -310,15 +284,15 @@ def test_the_command_line_reports_what_was_fixed_left_out_and_lost(drive):
 
     from sceneloom.cli.main import sceneloom
 
-    drive.lines[40:60] = reversed(drive.lines[40:60])
+    with_reversed(drive.lines)
     drive.lines.insert(7, "{torn")
-    cut_lines(drive, [4])
-    drive.write(codec="libx264", pixels="yuv420p", options={"g": "12", "bf": "0", "sc_threshold": "0"})
+    drive.lines.remove(frames_of(drive.lines)[4])
+    drive.write(**H264)
     command = ["validate", str(drive.folder), "--fix", str(drive.repaired), "--quiet"]
     reported = CliRunner().invoke(sceneloom, command).stdout
-    fixed, left_out = reported.index("\nfixed\n"), reported.index("\nleft out\n")
-    lost = reported.index("\nlost\n")
-    assert fixed < reported.index("lines-in-order") < left_out < reported.index("broken-lines") < lost
+    words = ["\nfixed\n", "lines-in-order", "\nleft out\n", "broken-lines", "\nlost\n"]
+    places = [reported.index(word) for word in words]
+    assert places == sorted(places)
     as_json = json.loads(CliRunner().invoke(sceneloom, [*command, "--overwrite", "--json"]).stdout)
     assert {finding["rule"] for finding in as_json["fixed"]} == {"lines-in-order", "frame-numbers-gaps"}
     assert [finding["rule"] for finding in as_json["left_out"]] == ["broken-lines"]

@@ -20,13 +20,9 @@ class Sway:
     @classmethod
     def of(cls, seed: int, *, size: float = 0.2, axes: tuple[float, float, float] = (0.3, 0.3, 1.0)) -> "Sway":
         """Draw one; `size` is that of the rates [rad/s]."""
-        draw = np.random.default_rng(seed)
-        shape = (6, 3)
-        return cls(
-            size * np.array(axes) * draw.standard_normal(shape),
-            2 * np.pi * draw.uniform(0.05, 1.2, shape),
-            draw.uniform(0, 2 * np.pi, shape),
-        )
+        draw, shape = np.random.default_rng(seed), (6, 3)
+        amplitudes = size * np.array(axes) * draw.standard_normal(shape)
+        return cls(amplitudes, 2 * np.pi * draw.uniform(0.05, 1.2, shape), draw.uniform(0, 2 * np.pi, shape))
 
     def rates(self, seconds: np.ndarray) -> np.ndarray:
         """(N, 3) [rad/s] in the body's frame."""
@@ -39,16 +35,8 @@ class Sway:
         rotations = [np.array([0.0, 0.0, 0.0, 1.0])]
         for x, y, z, w in steps.tolist():
             a, b, c, d = rotations[-1]
-            rotations.append(
-                np.array(
-                    [
-                        d * x + a * w + b * z - c * y,
-                        d * y - a * z + b * w + c * x,
-                        d * z + a * y - b * x + c * w,
-                        d * w - a * x - b * y - c * z,
-                    ]
-                )
-            )
+            axis = d * x + a * w + b * z - c * y, d * y - a * z + b * w + c * x, d * z + a * y - b * x + c * w
+            rotations.append(np.array([*axis, d * w - a * x - b * y - c * z]))
         rows = np.searchsorted(edges, seconds) - 1
         rest = (seconds - edges[rows])[:, None] * self.rates(0.5 * (seconds + edges[rows]))
         return multiply_quaternions(np.array(rotations)[rows], quaternion_from_rotation_vector(rest))
@@ -56,7 +44,6 @@ class Sway:
 
 @pytest.fixture
 def sway() -> Callable[..., Sway]:
-    """Draws a swaying body."""
     return Sway.of
 
 

@@ -29,7 +29,6 @@ class Sky:
         return cls(draw.normal(0.0, 12.0, (3, 8)), draw.uniform(0, 2 * np.pi, 8))
 
     def image(self, world_from_camera, rays):
-        """What a camera sees; one rotation for all rays, or one each."""
         grey = 127 + 38 * np.sin(world_from_camera.apply(rays) @ self.waves + self.phases).sum(axis=1)
         rows = np.clip(grey, 0, 255).reshape(CAMERA_MODEL.height, CAMERA_MODEL.width)
         return np.repeat(rows[:, :, None], 3, axis=2).astype(np.uint8)
@@ -82,25 +81,19 @@ def test_the_offset_of_a_camera_against_a_gyroscope_comes_back(sway, timestamps,
     assert found.offset_ns == pytest.approx(offset * 1e9, abs=3e6)
 
 
-def test_a_black_image_breaks_the_rotation(sway):
+def test_a_black_image_and_one_that_cannot_be_read_break_the_rotation(sway):
     seconds = np.arange(0.0, 0.45, 0.05)
     images, _, _ = swayed(sway, seconds)
     images[6] = np.zeros_like(images[6])
-    rotating = camera_rotation(camera_of(images, seconds * 1e9))
-    assert np.flatnonzero(np.diff(rotating.chunks)).tolist() == [5, 6]
-
-
-def test_an_image_that_cannot_be_read_breaks_the_rotation(sway):
-    seconds = np.arange(0.0, 0.4, 0.05)
-    images, _, _ = swayed(sway, seconds)
     whole = camera_of(images, seconds * 1e9)
+    assert np.flatnonzero(np.diff(camera_rotation(whole).chunks)).tolist() == [5, 6]
 
     def read(k):
         if k == 3:
             raise DataError("data.mp4", "image 3", "is torn")
         return whole.images[k]
 
-    broken = CameraSensor("camera0", CAMERA_MODEL, LazyFrames(whole.images.timestamps_ns, read))
+    broken = CameraSensor("camera0", CAMERA_MODEL, LazyFrames(whole.images.timestamps_ns[:6], read))
     assert np.flatnonzero(np.diff(camera_rotation(broken).chunks)).tolist() == [2, 3]
 
 

@@ -40,17 +40,13 @@ def test_two_tracks_of_one_object_are_one_switch_and_half_of_the_association():
 
 
 def test_a_gap_is_a_fragment_and_no_switch():
+    gap = track("Car", 7, 0, [0, 1, 2, 6, 7, 8, 9])
     truth = table(track("Car", 0, 0) + track("Car", 1, 500))
-    found = table(track("Car", 7, 0, [0, 1, 2, 6, 7, 8, 9]) + track("Car", 8, 500))
-    reported = clear_of(found, truth)
+    reported = clear_of(table(gap + track("Car", 8, 500)), truth)
     assert (reported.frag, reported.idsw, reported.fn, reported.fp) == (1, 0, 3, 0)
     assert (reported.mt, reported.pt, reported.ml) == (1, 1, 0)
-
-
-def test_frames_in_which_nothing_is_found_at_all_end_no_track():
-    truth, found = table(track("Car", 0, 0)), table(track("Car", 7, 0, [0, 1, 2, 6, 7, 8, 9]))
-    # as in TrackEval, whose memory of the frame before outlives frames without results
-    assert clear_of(found, truth).frag == 0
+    # frames in which nothing is found at all end no track, as in TrackEval, whose memory of the frame before stays
+    assert clear_of(table(gap), table(track("Car", 0, 0))).frag == 0
 
 
 @pytest.mark.parametrize(
@@ -71,16 +67,15 @@ def test_small_boxes_and_boxes_in_regions_are_not_false_where_no_object_is():
     assert clear_of(found, truth).fp == 2
 
 
-def test_other_classes_are_neither_found_nor_false():
+def test_other_classes_are_neither_found_nor_false_and_names_do_not_depend_on_capitals():
     truth = table(track("Car", 0, 0) + track("Cyclist", 1, 300))
     found = table(track("Car", 5, 0) + track("Pedestrian", 6, 600))
     reported = clear_of(found, truth)
     assert (reported.tp, reported.fn, reported.fp) == (10, 0, 0)
-
-
-def test_names_of_classes_do_not_depend_on_capitals():
-    truth, found = table(track("CAR", 0, 0)), table(track("car", 1, 0))
-    assert clear_of(found, truth, "Car").tp == 10
+    assert clear_of(table(track("car", 1, 0)), table(track("CAR", 0, 0)), "Car").tp == 10
+    # the same id of two classes is no mistake
+    both = table([(0, 9, "Car", 0), (0, 9, "Pedestrian", 300)])
+    assert clear_of(both, both).tp == 1
 
 
 def test_the_order_of_rows_says_nothing():
@@ -126,22 +121,16 @@ def test_an_id_that_comes_twice_in_a_frame_is_named(side):
         evaluate_tracking({"0007": sides[0]}, {"0007": sides[1]}, classes=("car",))
 
 
-def test_the_same_id_of_two_classes_is_no_mistake():
-    both = table([(0, 9, "Car", 0), (0, 9, "Pedestrian", 300)])
-    assert clear_of(both, both).tp == 1
-
-
-def test_numbers_that_are_none_are_named_with_their_frame():
+def test_numbers_that_are_none_frames_beyond_the_sequence_and_boxes_that_are_not_there_are_named():
+    truth, found = table(track("Car", 0, 0)), table([(12, 1, "Car", 0)])
     with pytest.raises(ArrayError, match=r"corners_xyxy\[1\] \(frame 3\).*nan.*expected finite"):
         table([(0, 1, "Car", 0.0), (3, 1, "Car", float("nan"))])
-
-
-def test_frames_beyond_the_sequence_and_below_zero_are_named():
-    truth, found = table(track("Car", 0, 0)), table([(12, 1, "Car", 0)])
     with pytest.raises(ArrayError, match="results: frame 12; the sequence has 10 frames"):
         score_sequence(found, truth, "car", frame_count=10)
     with pytest.raises(ArrayError, match=r"frames: -1; expected 0 or more"):
         table([(-1, 1, "Car", 0)])
+    with pytest.raises(OptionError, match="similarity '3d': the truth without boxes"):
+        score_sequence(truth, truth, "car", rules=IN_SPACE)
 
 
 def test_different_sequences_on_both_sides_are_named():
@@ -154,12 +143,6 @@ def test_different_sequences_on_both_sides_are_named():
         evaluate_tracking({}, {})
 
 
-def test_boxes_that_are_not_there_are_asked_for():
-    one = table(track("Car", 0, 0))
-    with pytest.raises(OptionError, match="similarity '3d': the truth without boxes"):
-        score_sequence(one, one, "car", rules=IN_SPACE)
-
-
 @pytest.mark.parametrize("empty", ["results", "truth", "both"])
 def test_nothing_on_a_side_has_defined_figures(empty):
     nothing, one = ObjectTable.empty(), table(track("Car", 0, 0))
@@ -170,15 +153,11 @@ def test_nothing_on_a_side_has_defined_figures(empty):
 
 
 def test_several_sequences_are_weighted_by_their_boxes():
-    good, bad = table(track("Car", 0, 0)), table(track("Car", 0, 500, range(2)))
+    good, bad, nothing = table(track("Car", 0, 0)), table(track("Car", 0, 500, range(2))), ObjectTable.empty()
     reported = evaluate_tracking({"a": good, "b": bad}, {"a": good, "b": good}, classes=("car",))["car"].combined
     assert (reported.clear.tp, reported.clear.fn, reported.clear.fp) == (10, 10, 2)
     assert reported.hota.deta == pytest.approx(10 / 22)
     assert reported.hota.assa == 1.0
-
-
-def test_sequences_without_any_object_count_their_false_boxes_when_taken_together():
-    nothing, one = ObjectTable.empty(), table(track("Car", 0, 0))
-    reported = evaluate_tracking({"a": one, "b": one}, {"a": nothing, "b": nothing}, classes=("car",))["car"]
-    # as TrackEval has it
+    # sequences without any object count their false boxes when taken together, as TrackEval has it
+    reported = evaluate_tracking({"a": good, "b": good}, {"a": nothing, "b": nothing}, classes=("car",))["car"]
     assert (reported.sequences["a"].clear.mota, reported.combined.clear.mota) == (0.0, -20.0)

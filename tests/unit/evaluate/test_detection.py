@@ -22,10 +22,12 @@ IN_IMAGE = DetectionRules(similarity=Similarity.IMAGE, least_overlap=0.5)
 
 def table(frames, labels, corners, **columns) -> ObjectTable:
     columns = {name: np.asarray(column, float) for name, column in columns.items()}
-    frames = np.asarray(frames, np.int64)
-    return ObjectTable(
-        frames, np.full(len(frames), -1), tuple(labels), np.asarray(corners, float).reshape(-1, 4), **columns
-    )
+    frames, corners = np.asarray(frames, np.int64), np.asarray(corners, float).reshape(-1, 4)
+    return ObjectTable(frames, np.full(len(frames), -1), tuple(labels), corners, **columns)
+
+
+def cars_of(found, truth, **options):
+    return evaluate_detection({"a": found}, {"a": truth}, classes=("car",), **{"rules": IN_IMAGE, **options})["car"]
 
 
 def overlap(one, other, *, of_first=False) -> float:
@@ -114,9 +116,8 @@ def street(seed: int) -> tuple[ObjectTable, ObjectTable]:
             ]
         for _ in range(rng.integers(0, 3)):
             left, top = rng.uniform(0, 400), rng.uniform(0, 100)
-            found_rows.append(
-                (frame, "Car", [left, top, left + 60, top + rng.uniform(15, 60)], np.round(rng.random(), 1))
-            )
+            box = [left, top, left + 60, top + rng.uniform(15, 60)]
+            found_rows.append((frame, "Car", box, np.round(rng.random(), 1)))
     frames, labels, corners, occlusions, truncations = zip(*true_rows, strict=True)
     truth = table(frames, labels, corners, occlusions=occlusions, truncations=truncations)
     frames, labels, corners, scores = zip(*found_rows, strict=True)
@@ -138,9 +139,8 @@ def test_counts_of_every_score_are_those_of_the_rules_written_out(seed, difficul
 @pytest.mark.parametrize("difficulty", ["easy", "moderate", "hard"])
 def test_average_precision_is_that_of_the_rules_written_out(difficulty):
     truth, found = street(3)
-    found = table(
-        found.frames, found.labels, found.corners_xyxy, scores=found.scores + np.linspace(0, 0.01, len(found))
-    )
+    scores = found.scores + np.linspace(0, 0.01, len(found))
+    found = table(found.frames, found.labels, found.corners_xyxy, scores=scores)
     rule = DIFFICULTIES[difficulty]
     *_, right = count_slowly(truth, found, "Car", "Van", rule, 0.5, -1, by_score=True)
     count = sum(not need_not for *_, need_not in judged_truth(truth, "Car", "Van", rule))
@@ -149,8 +149,7 @@ def test_average_precision_is_that_of_the_rules_written_out(difficulty):
         tp, fp, *_ = count_slowly(truth, found, "Car", "Van", rule, 0.5, threshold, by_score=False)
         precisions[k] = tp / (tp + fp)
     best = [precisions[k:].max() for k in range(41)]
-    reported = evaluate_detection({"a": found}, {"a": truth}, classes=("car",), rules=IN_IMAGE)["car"]
-    scores = reported.difficulties[difficulty]
+    scores = cars_of(found, truth).difficulties[difficulty]
     assert scores.ap40 == pytest.approx(np.mean(best[1:]), abs=1e-12)
     assert scores.ap11 == pytest.approx(np.mean(best[::4]), abs=1e-12)
     assert 0.05 < scores.ap40 < 0.95
@@ -158,25 +157,18 @@ def test_average_precision_is_that_of_the_rules_written_out(difficulty):
 
 def test_the_best_f1_is_the_best_of_all_scores():
     truth, found = street(4)
-    reported = evaluate_detection({"a": found}, {"a": truth}, classes=("car",), rules=IN_IMAGE)["car"]
-    best = 0.0
+    rule, best = DIFFICULTIES["moderate"], 0.0
     for threshold in set(found.scores.tolist()):
-        tp, fp, fn, _ = count_slowly(
-            truth, found, "Car", "Van", DIFFICULTIES["moderate"], 0.5, threshold, by_score=False
-        )
+        tp, fp, fn, _ = count_slowly(truth, found, "Car", "Van", rule, 0.5, threshold, by_score=False)
         best = max(best, 2 * tp / (2 * tp + fp + fn))
-    assert reported.difficulties["moderate"].max_f1 == pytest.approx(best, abs=1e-12)
+    assert cars_of(found, truth).difficulties["moderate"].max_f1 == pytest.approx(best, abs=1e-12)
 
 
 def test_frames_of_different_sequences_do_not_meet():
-    box = [[0, 0, 100, 60]]
+    box, nothing = [[0, 0, 100, 60]], ObjectTable.empty()
     there = table([0], ["Car"], box, occlusions=[0], truncations=[0])
-    nothing = ObjectTable.empty()
-    found = table([0], ["Car"], box, scores=[0.9])
-    reported = evaluate_detection(
-        {"a": found, "b": nothing}, {"a": nothing, "b": there}, classes=("car",), rules=IN_IMAGE
-    )
-    scores = reported["car"].difficulties["moderate"]
+    sides = {"a": table([0], ["Car"], box, scores=[0.9]), "b": nothing}, {"a": nothing, "b": there}
+    scores = evaluate_detection(*sides, classes=("car",), rules=IN_IMAGE)["car"].difficulties["moderate"]
     assert (scores.true_objects, scores.detections, scores.max_f1) == (1, 1, 0.0)
 
 
@@ -184,24 +176,19 @@ def test_nothing_found_and_nothing_there_have_defined_figures():
     truth, found = street(5)
     empty = ObjectTable.empty()
     for results, true in ((empty, truth), (found, empty), (empty, empty)):
-        reported = evaluate_detection({"a": results}, {"a": true}, classes=("car",), rules=IN_IMAGE)
-        scores = reported["car"].difficulties["moderate"]
+        scores = cars_of(results, true).difficulties["moderate"]
         assert (scores.ap40, scores.max_f1, scores.recall) == (0.0, 0.0, 0.0)
         assert (scores.threshold is None) == (results is empty)
 
 
 def test_regions_excuse_boxes_in_space_only_where_that_is_asked():
     boxes = np.array([[10.0, 0, 0, 4, 2, 1.5, 0]])
-    truth = ObjectTable(
-        np.zeros(1, np.int64), np.full(1, -1), ("DontCare",), np.array([[0.0, 0, 100, 100]]), boxes - 1000
-    )
-    found = ObjectTable(
-        np.zeros(1, np.int64), np.full(1, -1), ("Car",), np.array([[10.0, 10, 60, 60]]), boxes, scores=np.ones(1)
-    )
+    one = np.zeros(1, np.int64), np.full(1, -1)
+    truth = ObjectTable(*one, ("DontCare",), np.array([[0.0, 0, 100, 100]]), boxes - 1000)
+    found = ObjectTable(*one, ("Car",), np.array([[10.0, 10, 60, 60]]), boxes, scores=np.ones(1))
     for asked, wrong in ((False, 1), (True, 0)):
-        rules = DetectionRules(regions_in_space=asked)
-        reported = evaluate_detection({"a": found}, {"a": truth}, classes=("car",), rules=rules)
-        assert reported["car"].difficulties["hard"].detections == wrong
+        reported = cars_of(found, truth, rules=DetectionRules(regions_in_space=asked))
+        assert reported.difficulties["hard"].detections == wrong
 
 
 def test_scores_and_boxes_that_are_missing_are_named():
@@ -236,16 +223,12 @@ def test_scores_that_state_too_much_have_their_excess_as_error():
     ]
 
 
-def test_a_score_of_one_is_in_the_last_bin():
+def test_a_score_of_one_is_in_the_last_bin_and_logits_have_no_error_of_calibration():
     reported = judge_calibration(np.array([1.0, 0.0]), np.array([True, False]))
     assert (reported.bins[0].count, reported.bins[-1].count, reported.error) == (1, 1, 0.0)
-
-
-def test_logits_have_no_error_of_calibration():
     truth, found = street(8)
     logits = table(found.frames, found.labels, found.corners_xyxy, scores=10 * found.scores - 5)
-    reported = evaluate_detection({"a": logits}, {"a": truth}, classes=("car",), rules=IN_IMAGE)["car"]
-    assert reported.difficulties["hard"].calibration is None
+    assert cars_of(logits, truth).difficulties["hard"].calibration is None
 
 
 @pytest.mark.parametrize("degrees_of_freedom", [None, 4.0, 9.0])
@@ -287,23 +270,15 @@ def test_what_is_no_covariance_is_named():
 def test_covariances_of_detections_are_judged_by_part_and_reversed_headings_are_reported():
     rng = np.random.default_rng(11)
     count, deviations = 3000, np.array([0.2, 0.1, 0.05, 0.2, 0.1, 0.1, 0.03])
-    true = np.column_stack(
-        [np.arange(count) * 20.0, np.zeros((count, 2)), np.tile([4.2, 1.8, 1.5], (count, 1)), rng.uniform(-3, 3, count)]
-    )
+    sizes, yaws = np.tile([4.2, 1.8, 1.5], (count, 1)), rng.uniform(-3, 3, count)
+    true = np.column_stack([np.arange(count) * 20.0, np.zeros((count, 2)), sizes, yaws])
     boxes = true + rng.normal(0, 1, (count, 7)) * deviations
     boxes[::10, 6] += np.pi
-    frames, ids, labels = np.zeros(count, np.int64), np.full(count, -1), ("Car",) * count
-    found = ObjectTable(
-        frames,
-        ids,
-        labels,
-        boxes=boxes,
-        scores=np.full(count, 0.5),
-        covariances=np.tile(np.diag(deviations**2), (count, 1, 1)),
-    )
-    reported = evaluate_detection(
-        {"a": found}, {"a": ObjectTable(frames, ids, labels, boxes=true)}, classes=("car",), difficulties=("all",)
-    )["car"]
+    rows = np.zeros(count, np.int64), np.full(count, -1), ("Car",) * count
+    covariances = np.tile(np.diag(deviations**2), (count, 1, 1))
+    found = ObjectTable(*rows, boxes=boxes, scores=np.full(count, 0.5), covariances=covariances)
+    truth = ObjectTable(*rows, boxes=true)
+    reported = cars_of(found, truth, rules=DetectionRules(), difficulties=("all",))
     assert reported.covariances is not None
     assert reported.headings_reversed == pytest.approx(0.1)
     assert {name: part.dimensions for name, part in reported.covariances.items()} == {"center": 3, "size": 3, "yaw": 1}

@@ -22,9 +22,9 @@ from sceneloom.checks.rule import (
 )
 from sceneloom.geometry.rigid import angle_between
 from sceneloom.scene.annotations import CameraCalibration, LocalizationAdjustment, effect_of
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
+from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
-from sceneloom.scene.ego import is_on_ego
+from sceneloom.scene.ego import Posed, is_on_ego
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Sensor, scene_period_ns, time_span
@@ -41,13 +41,9 @@ ROTATION_FACTOR, ROTATION_MARGIN_DEG = 3.0, 15.0
 _FEWEST_STEPS = 4
 """Fewer steps do not report what is usual."""
 
-Placed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
 
-
-def _placed_sensors(subject: Subject) -> Iterator[tuple[str, Placed]]:
-    for path, sensor in subject.sensors():
-        if isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor):
-            yield path, sensor
+def _placed_sensors(subject: Subject) -> Iterator[tuple[str, Posed]]:
+    return ((path, sensor) for path, sensor in subject.sensors() if isinstance(sensor, Posed))
 
 
 def _without_position(subject: Subject) -> Iterator[Hit]:
@@ -185,7 +181,7 @@ def _ego_points_unknown(subject: Subject) -> Iterator[Hit]:
 
 def _has_ego_poses(sensor: Sensor) -> bool:
     return (
-        isinstance(sensor, LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor)
+        isinstance(sensor, Posed)
         and sensor.coordinates is Coordinates.EGO
         and sensor.poses is not None
         and sensor.mount is None

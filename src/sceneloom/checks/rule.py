@@ -14,6 +14,7 @@ from sceneloom.formats.recording.calibration import RecordingContents
 from sceneloom.scene.annotations import Annotation
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import NOMINAL_PERIOD_NS, Scene, Sensor
 from sceneloom.scene.types import Identifier, key_of
 from sceneloom.warnings import DataWarning, Severity
@@ -233,13 +234,17 @@ class Rule:
     profiles: frozenset[CheckProfile] = ALL_PROFILES
 
 
+def frames_of(sensor: Sensor) -> Sequence[Any]:
+    """The frames or images of a sensor; none for sensors without."""
+    if isinstance(sensor, CameraSensor):
+        return sensor.images
+    return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor) else ()
+
+
 def timestamps_of(sensor: Sensor) -> Int64Array:
     """The times of a sensor's frames or images, (N,) int64 [ns]; none for sensors without frames."""
-    if isinstance(sensor, CameraSensor):
-        return sensor.images.timestamps_ns
-    if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
-        return sensor.frames.timestamps_ns
-    return np.zeros(0, np.int64)
+    frames = frames_of(sensor)
+    return frames.timestamps_ns if isinstance(frames, LazyFrames) else np.zeros(0, np.int64)
 
 
 def period_ns(timestamps_ns: Int64Array) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.checks.rule import ERROR, HINT, WARNING, Hit, Rule, Subject, unless_recording
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Hit, Rule, Subject, frames_of, unless_recording
 from sceneloom.formats.sfs.schema import ANNOTATION_RECORDS, SENSOR_RECORDS
 from sceneloom.scene.annotations import (
     Activation,
@@ -28,8 +28,9 @@ from sceneloom.scene.annotations import (
     Projection,
     ShapeAnnotation,
 )
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
+from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.ego import Posed
 from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
 from sceneloom.scene.scene import Sensor
 from sceneloom.scene.types import Identifier, key_of
@@ -93,10 +94,8 @@ def _nothing(subject: Subject) -> Iterator[Hit]:
 
 def _count(sensor: Sensor) -> int | None:
     """How much a sensor has measured; None where that cannot be stated, and for poses, of which there is always one."""
-    if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
-        return len(sensor.frames)
-    if isinstance(sensor, CameraSensor):
-        return len(sensor.images)
+    if isinstance(sensor, Posed):
+        return len(frames_of(sensor))
     if isinstance(sensor, PointsSensor):
         return len(sensor.positions)
     if isinstance(sensor, ImuSensor):

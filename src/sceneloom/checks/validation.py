@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.checks.faults import FAULT_CODES, FAULT_RULES, RECORDING_FAULT_RULES, UNREADABLE
-from sceneloom.checks.rule import ALL_PROFILES, CheckProfile, FrameInHand, Hit, Rule, Subject
+from sceneloom.checks.rule import ALL_PROFILES, CheckProfile, FrameInHand, Hit, Rule, Subject, frames_of
 from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError, redacted
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.base.losses import Loss, LossReport
@@ -28,9 +28,8 @@ from sceneloom.formats.base.spec import FormatSpec
 from sceneloom.formats.recording.reader import RecordingExamination
 from sceneloom.formats.sfs.container import collector_paused
 from sceneloom.formats.sfs.reader import Examination
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
-from sceneloom.scene.clouds import LidarSensor, RadarSensor
-from sceneloom.scene.scene import Corrections, Scene, Sensor
+from sceneloom.scene.cameras import CameraImage, DepthFrame
+from sceneloom.scene.scene import Corrections, Scene
 from sceneloom.scene.types import Progress
 from sceneloom.stages import stage
 from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
@@ -246,7 +245,7 @@ def find_all(
     looking = [rule for rule in rules if rule.look is not None]
     if not (frames and looking):
         return hits
-    total = sum(len(_frames_of(sensor)) for sensor in subject.scene.sensors)
+    total = sum(len(frames_of(sensor)) for sensor in subject.scene.sensors)
     for done, frame in enumerate(_frames_in_hand(subject), start=1):
         for rule in looking:
             if rule.look is not None:
@@ -262,25 +261,14 @@ def find_all(
 def _frames_in_hand(subject: Subject) -> Iterator[FrameInHand]:
     """Read every frame and decode every image once; one that cannot be read is handed out with its fault."""
     for path, sensor in subject.sensors():
-        for number in range(len(_frames_of(sensor))):
+        frames = frames_of(sensor)
+        for number in range(len(frames)):
             try:
-                yield FrameInHand(sensor, path, number, _read(sensor, number))
+                frame = frames[number]
+                shot = isinstance(frame, CameraImage | DepthFrame)
+                yield FrameInHand(sensor, path, number, frame.loaded() if shot else frame)
             except SceneloomError as error:
                 yield FrameInHand(sensor, path, number, None, str(error))
-
-
-def _frames_of(sensor: Sensor) -> Sequence[Any]:
-    if isinstance(sensor, CameraSensor):
-        return sensor.images
-    return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor) else ()
-
-
-def _read(sensor: Sensor, number: int) -> Any:
-    if isinstance(sensor, CameraSensor):
-        return sensor.images[number].loaded()
-    if isinstance(sensor, DepthCameraSensor):
-        return sensor.frames[number].loaded()
-    return _frames_of(sensor)[number]
 
 
 _MOST_ROUNDS = 8
@@ -365,16 +353,6 @@ def findings_of(hits: _Hits, rules: Sequence[Rule], *, locations: int | None = L
     return tuple(finding for rule in ranked for finding in _of_rule(rule, hits.get(rule.id, []), locations))
 
 
-def _counts_of(findings: Sequence[Finding]) -> dict[str, int]:
-    """How many locations were found, by severity."""
-    return {severity.value: sum(f.count for f in findings if f.severity == severity) for severity in Severity}
-
-
-def _is_passed(counts: dict[str, int], *, strict: bool) -> bool:
-    """Whether a scene with so many findings is good enough."""
-    return not counts[Severity.ERROR] and not (strict and counts[Severity.WARNING])
-
-
 def _of_rule(rule: Rule, hits: Sequence[Hit], locations: int | None) -> list[Finding]:
     shown = hits if locations is None or len(hits) <= locations + 1 else hits[:locations]
     findings = [_finding(rule, hit) for hit in shown]
@@ -431,13 +409,13 @@ class _Terms:
     def report(self, subject: Subject, hits: _Hits) -> ValidationReport:
         """Put what was found into a report."""
         findings = findings_of(hits, self.rules, locations=self.locations)
-        counts = _counts_of(findings)
+        counts = {severity.value: sum(f.count for f in findings if f.severity == severity) for severity in Severity}
         return ValidationReport(
             source=subject.scene.source,
             format=subject.scene.format,
             profile=self.profile or ("recording" if subject.is_recording else "sfs"),
             strict=self.strict,
-            passed=_is_passed(counts, strict=self.strict),
+            passed=not counts[Severity.ERROR] and not (self.strict and counts[Severity.WARNING]),
             findings=findings,
             counts=counts,
             rules=tuple(rule.id for rule in self.rules),
@@ -545,12 +523,13 @@ def _after_fixing(before: ValidationReport, applied: frozenset[str], output: Pat
     with subject.scene:
         after = terms.report(subject, terms.hits(subject))
     gone = _gone(before.findings, after.findings)
+    unmended = {rule.id for rule in (*FAULT_RULES, *RECORDING_FAULT_RULES) if rule.fix is None} - applied
     return msgspec.structs.replace(
         after,
         source=before.source,
         format=before.format,
         fixed=tuple(finding for finding in gone if finding.rule in applied),
-        left_out=_left_out(gone, applied),
+        left_out=tuple(finding for finding in gone if finding.rule in unmended),
         output=str(output),
     )
 
@@ -565,9 +544,3 @@ def _gone(before: Sequence[Finding], after: Sequence[Finding]) -> list[Finding]:
         else:
             gone.append(finding)
     return gone
-
-
-def _left_out(gone: Sequence[Finding], applied: frozenset[str]) -> tuple[Finding, ...]:
-    rules = (*FAULT_RULES, *RECORDING_FAULT_RULES)
-    unmended = {rule.id for rule in rules if rule.fix is None} - applied
-    return tuple(finding for finding in gone if finding.rule in unmended)

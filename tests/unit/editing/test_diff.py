@@ -220,8 +220,8 @@ def test_what_is_not_the_same_is_not_equal(first, second, options):
             annotated(attributes=(seen_points(4), COLOUR)),
             ["annotations['car'].attributes['points', 'lidar'].values[0] 1: 3; then 4"],
         ),
-        (drawn([0, 0], [3, 4]), drawn([0, 0], [3, 6]), ["annotations['s'].path.vertices 2 px"]),
-        (drawn([0, 0, 0]), drawn([3, 4, 0]), ["annotations['s'].path.vertices 5 m"]),
+        (drawn([0, 0], [3, 4]), drawn([0, 0], [3, 6]), ["annotations['s'].path.vertices[0] 2 px"]),
+        (drawn([0, 0, 0]), drawn([3, 4, 0]), ["annotations['s'].path.vertices[0] 5 m"]),
         (
             a_scene(),
             a_scene(metadata={"location": "there", "weather": {"rain": 0.5, "words": ["wet"]}, "new": 1}),

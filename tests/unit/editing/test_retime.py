@@ -90,7 +90,8 @@ def test_poses_of_a_mounted_sensor_are_the_trajectories_at_its_right_times(scene
     times = lidar.frames.timestamps_ns[1:3]
     ego, sensor = trajectory.interpolate(times), lidar.poses.interpolate(times)
     for k in range(2):
-        expected = ego.positions[k] + Rotation.from_quat(ego.quaternions_xyzw[k]).apply(lidar.mount.translation)
+        rotation = Rotation.from_quat(ego.quaternions_xyzw[k])
+        expected = ego.positions[k] + rotation.apply(lidar.mount.translation.copy())
         # poses are thinned to a millimetre
         assert np.allclose(sensor.positions[k], expected, atol=2e-3)
 

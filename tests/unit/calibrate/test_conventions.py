@@ -98,32 +98,18 @@ def test_other_axes_rotate_the_frames_on_both_sides():
     np.testing.assert_allclose(right.camera_from_points, RIG, atol=1e-9)  # rounding alone
 
 
-def test_a_rotation_beside_its_translation_is_read_by_rows_and_by_columns():
+def test_parts_apart_known_choices_and_numbers_that_are_no_transform():
     readings = hypotheses(np.r_[RIG[:3, :3].T.reshape(-1), RIG[:3, 3]], apart=True)
-    layouts = {one.choices["layout"] for one in readings if np.allclose(one.camera_from_points, RIG)}
-    assert layouts == {"columns"}
-
-
-@pytest.mark.parametrize(
-    "numbers",
-    [
-        np.full(16, np.nan),
-        np.diag([1.0, 1.0, -1.0, 1.0]).reshape(-1),
-        [1, 2, 3, 0.5, 0.5, 0.5, 0.6],
-        [400, 0, 0, 400, 0, 0],
-        [700, 0, 600, 0, 700, 180, 0, 0, 1],
-        [1.0, 2.0],
-    ],
-)
-def test_numbers_that_are_no_transform_have_no_reading(numbers):
-    assert hypotheses(numbers) == ()
-
-
-def test_known_choices_leave_the_others_out():
+    assert {one.choices["layout"] for one in readings if np.allclose(one.camera_from_points, RIG)} == {"columns"}
     numbers = WRITINGS["translation, x y z w"][0](RIG)
     everything, certain = hypotheses(numbers), hypotheses(numbers, {"quaternion": "x y z w"})
     assert {one.choices["quaternion"] for one in certain} == {"x y z w"}
     assert {one.choices["quaternion"] for one in everything} == {"x y z w", "w x y z"}
+    for none in (
+        *(np.full(16, np.nan), np.diag([1.0, 1.0, -1.0, 1.0]).reshape(-1), [1, 2, 3, 0.5, 0.5, 0.5, 0.6]),
+        *([400, 0, 0, 400, 0, 0], [700, 0, 600, 0, 700, 180, 0, 0, 1], [1.0, 2.0]),
+    ):
+        assert hypotheses(none) == ()
 
 
 def test_readings_of_the_same_transform_make_one_group():
@@ -183,19 +169,16 @@ def test_rigs_written_in_many_ways_are_found_or_left_open(judge, step, wrong):
     assert verdicts.count("right") >= 0.9 * len(verdicts)
 
 
-def test_without_a_drive_only_implausible_readings_are_left_out(judge):
+def test_without_a_drive_only_implausible_readings_are_left_out_and_other_rigs_are_not_accepted(judge):
     decision = judge.decide(judge.truth, alone=True)
     assert decision.possible["direction"] == ("camera from lidar",)
     assert decision.possible["camera axes"] == (OPENCV,)
     assert len(decision.possible["lidar axes"]) > 1
     assert not decision.decided
-
-
-def test_a_rig_of_another_vehicle_and_a_camera_upside_down_are_not_accepted(judge):
     elsewhere = np.eye(4)
     elsewhere[:3, :3] = Rotation.from_euler("y", 40, degrees=True).as_matrix()
     assert not judge.decide(elsewhere @ judge.truth).decided
-    over = np.diag([-1.0, -1.0, 1.0, 1.0]) @ judge.truth
+    over = np.diag([-1.0, -1.0, 1.0, 1.0]) @ judge.truth  # upside down
     decision = judge.decide(over[:3])
     assert not decision.decided or not np.allclose(decision.camera_from_lidar, over)
 
@@ -282,20 +265,12 @@ def test_usual_sensors_show_their_unit(unit):
         assert time_units((start + np.arange(50) / rate) * 1e9 / UNITS_NS[unit], kind) == (unit,)
 
 
-@pytest.mark.parametrize(
-    ("timestamps", "kind", "units"),
-    [
-        ([0, 0, 100, 200, 300, 5000, 5100, 5100, 5200], "lidar", ("milliseconds",)),
-        ([], "lidar", ()),
-        ([1.0], "lidar", ()),
-        ([2.0, 2.0], "lidar", ()),
-        ([np.nan, np.inf], "lidar", ()),
-        # 9,091 Hz in microseconds, 9.1 Hz in milliseconds: too fast and too slow for an IMU
-        (np.arange(10) * 110.0, "imu", ()),
-    ],
-)
-def test_units_of_unusual_timestamps(timestamps, kind, units):
-    assert time_units(timestamps, kind) == units
+def test_units_of_unusual_timestamps():
+    assert time_units([0, 0, 100, 200, 300, 5000, 5100, 5100, 5200], "lidar") == ("milliseconds",)
+    for timestamps in ([], [1.0], [2.0, 2.0], [np.nan, np.inf]):
+        assert time_units(timestamps, "lidar") == ()
+    # 9,091 Hz in microseconds, 9.1 Hz in milliseconds: too fast and too slow for an IMU
+    assert time_units(np.arange(10) * 110.0, "imu") == ()
 
 
 def test_a_sound_drive_is_as_read(scene):
@@ -307,7 +282,7 @@ def test_a_sound_drive_is_as_read(scene):
     assert not report.wrong
 
 
-def test_a_camera_whose_mounting_was_reversed_is_reported(scene):
+def test_a_reversed_mounting_and_milliseconds_read_as_seconds_are_reported(scene):
     frame = calibration_frames(scene, most=1)[0]
     upside = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
     mount = scene.lidars[0].mount @ frame.camera_from_lidar.inverse() @ upside
@@ -316,9 +291,6 @@ def test_a_camera_whose_mounting_was_reversed_is_reported(scene):
     assert [found.as_read for found in report.extrinsics] == [False]
     assert report.extrinsics[0].possible["camera axes"] == ("x right, y up, z backward",)
     assert report.wrong
-
-
-def test_timestamps_in_milliseconds_read_as_seconds_are_reported(scene):
     imu = next(sensor for sensor in scene.sensors if sensor.type == "imu")
     slow = {name: replace(stream, timestamps_ns=stream.timestamps_ns * 1000) for name, stream in imu.streams.items()}
     report = check_drive(replace(scene, sensors=(replace(imu, streams=slow),)))
@@ -338,13 +310,10 @@ def test_a_file_is_judged_by_a_drive(scene, tmp_path):
     assert found.possible["direction"] == ("lidar from camera",)
     np.testing.assert_allclose(found.camera_from_lidar, truth.matrix, atol=1e-6)  # rounding of the text
     assert reported == [(1, 1)]
-
-
-def test_a_file_alone_is_judged_by_plausibility(tmp_path):
+    # alone by plausibility
     (tmp_path / "rig.txt").write_text("Tr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 0.3\n", "utf-8")
     (found,) = check_file(tmp_path / "rig.txt").extrinsics
-    assert found.possible["direction"] == ("camera from lidar",)
-    assert found.camera is None
+    assert (found.possible["direction"], found.camera) == (("camera from lidar",), None)
 
 
 @pytest.mark.slow

@@ -242,9 +242,11 @@ def changed(location, *value):
     return content
 
 
-def test_the_scene_of_these_tests_is_complete(hits):
+def test_the_scene_of_these_tests_is_complete_and_times_of_static_attributes_may_be_absent(hits):
     assert hits(whole(), "fields-required", "fields-valid", "arrays-whole") == []
     assert len(REQUIRED) > 120
+    content = changed("attributes", [{"name": "weather", "static": True, "values": ["dry"]}])
+    assert hits(content, "fields-required") == []
 
 
 @pytest.mark.parametrize("location", REQUIRED)
@@ -254,55 +256,39 @@ def test_a_required_field_that_is_missing_is_found_at_its_path(hits, location):
     assert location in {hit[1] for hit in hits(changed(location)) if hit[:2] not in before}
 
 
-def test_times_of_static_attributes_may_be_absent(hits):
-    content = changed("attributes", [{"name": "weather", "static": True, "values": ["dry"]}])
-    assert hits(content, "fields-required") == []
-
-
-@pytest.mark.parametrize(
-    ("location", "wrong", "right"),
-    [
+def test_fields_and_types_with_nearly_a_known_name_are_found(hits):
+    for location, wrong, right in (
         ("sensors[1].frames[0].points.intensites", [1, 2], "intensities"),
         ("annotations[0].lable", "car", "label"),
         ("sensors[4].video.FPS", 10, None),
-    ],
-)
-def test_a_field_with_nearly_the_name_of_one_that_is_missing_is_found(hits, location, wrong, right):
-    reported = hits(changed(location, wrong), "fields-spelling")
-    assert [path for _, path, _ in reported] == ([] if right is None else [location])
-    assert all(repr(right) in message for *_, message in reported)
+    ):
+        reported = hits(changed(location, wrong), "fields-spelling")
+        assert [path for _, path, _ in reported] == ([] if right is None else [location])
+        assert all(repr(right) in message for *_, message in reported)
+    nearest = {"cubiod": "cuboid", "Cuboid": "cuboid", "box2d": "box_2d", "xyzzy": None, "lidr": "lidar"}
+    for kind, near in nearest.items():
+        misspelt = {"id": 1, "type": kind}
+        group, content = "annotation", header(annotations=[misspelt])
+        if kind == "lidr":
+            group, content = "sensor", header(misspelt)
+        ((_, location, message),) = hits(content, f"{group}-type-known")
+        assert location == f"{group}s[0].type"
+        assert (f"which is like {near!r}" in message) if near else "which is like" not in message
+    # of an annotation of an unknown type nothing is required
+    for kind in ("cubiod", "Cuboid", "labelled_points", ""):
+        content = changed("annotations", [{**cuboid(), "type": kind}])
+        about = [rule for rule, location, _ in hits(content) if location.startswith("annotations")]
+        assert about == ["annotation-type-known"]
 
 
-@pytest.mark.parametrize("kind", ["cubiod", "Cuboid", "labelled_points", ""])
-def test_of_an_annotation_of_an_unknown_type_nothing_is_required(hits, kind):
-    content = changed("annotations", [{**cuboid(), "type": kind}])
-    about = [rule for rule, location, _ in hits(content) if location.startswith("annotations")]
-    assert about == ["annotation-type-known"]
-
-
-@pytest.mark.parametrize(
-    ("kind", "near"),
-    [("cubiod", "cuboid"), ("Cuboid", "cuboid"), ("box2d", "box_2d"), ("xyzzy", None), ("lidr", "lidar")],
-)
-def test_a_misspelt_type_is_found_with_the_nearest_one(hits, kind, near):
-    misspelt = {"id": 1, "type": kind}
-    group = "sensor" if kind == "lidr" else "annotation"
-    content = header(misspelt) if kind == "lidr" else header(annotations=[misspelt])
-    ((_, location, message),) = hits(content, f"{group}-type-known")
-    assert location == f"{group}s[0].type"
-    assert (f"which is like {near!r}" in message) if near else "which is like" not in message
+NANO, MICRO = "nanoseconds", "microseconds"
 
 
 @pytest.mark.parametrize(
     ("unit", "dtype", "wrong"),
     [
-        ("nanoseconds", np.uint32, True),
-        ("nanoseconds", np.uint64, False),
-        ("microseconds", np.uint64, True),
-        ("microseconds", np.uint32, False),
-        (None, np.uint64, True),
-        (None, np.uint32, False),
-        (None, np.int32, True),
+        *((NANO, np.uint32, True), (NANO, np.uint64, False), (MICRO, np.uint64, True), (MICRO, np.uint32, False)),
+        *((None, np.uint64, True), (None, np.uint32, False), (None, np.int32, True)),
     ],
 )
 def test_times_of_another_width_than_the_unit_says_are_found_and_fixed(tmp_path, file, hits, unit, dtype, wrong):
@@ -377,18 +363,15 @@ def test_pairs_that_are_read_as_triples_are_found_and_read_as_pairs_on_request(f
         assert opened.annotations[0].path.vertices[0].tolist() == [[x, y, 0.0] for x, y in ROAD]
     with sceneloom.open(file(content)) as opened:
         assert len(opened.annotations[0].path.vertices[0]) == 4
+    if kind != "polyline":
+        content = header(annotations=[shape("a", kind, 10, 10, 14, 10, 12, 13)])
+        ((_, location, message),) = hits(content, "shape-vertices-pairs")
+        assert location == "annotations[0].path.values"
+        read = "6 numbers, read as 2 x, y, z triples; they may be 3 x, y pairs"
+        assert message == f"{read}, as triples they are too few for a {kind}"
 
 
-@pytest.mark.parametrize("kind", ["polygon", "polygon_topdown"])
-def test_an_outline_of_six_numbers_is_reported_to_be_of_pairs(hits, kind):
-    read = "6 numbers, read as 2 x, y, z triples; they may be 3 x, y pairs"
-    content = header(annotations=[shape("a", kind, 10, 10, 14, 10, 12, 13)])
-    assert hits(content, "shape-vertices-pairs") == [
-        ("shape-vertices-pairs", "annotations[0].path.values", f"{read}, as triples they are too few for a {kind}")
-    ]
-
-
-def test_triples_are_not_taken_for_pairs_and_rows_that_fit_both_are_questioned_beside_pairs(hits):
+def test_triples_are_not_taken_for_pairs_and_rows_that_fit_both_are_questioned_beside_pairs(file, hits):
     for offset in (0.0, 1.0, 40.0, -300.0):
         triples = [value for x, y in ROAD for value in (x + offset, y, 0.1 * x)]
         assert not hits(header(annotations=[shape(1, "polyline", *triples)]), "shape-vertices-pairs")
@@ -397,9 +380,6 @@ def test_triples_are_not_taken_for_pairs_and_rows_that_fit_both_are_questioned_b
     ((_, location, message),) = hits(header(annotations=[both, pairs]), "shape-vertices-pairs")
     assert location == "annotations[0].path.values"
     assert "as in other annotations of the file" in message
-
-
-def test_vertices_that_are_not_what_was_stated_are_refused(file):
     with pytest.raises(DataError, match="8 numbers; expected a multiple of 3"):
         sceneloom.open(file(header(annotations=[shape(1, "polyline", *[0] * 8)])), vertices="triples")
 

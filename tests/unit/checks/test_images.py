@@ -96,8 +96,10 @@ def test_boxes(check, sound):
     check("box-beyond-image", "", drawn([50, 5, 4, 4]))
     check("box-outside-image", "", drawn([90, 5, 4, 4], "gone"))
     check("box-outside-image", "", drawn([90, 5, 4, 4], "top"))
-    check("box-outside-image", ["annotations[0].path.values[0]", "annotations[1].projections[0][0].points[1]"], OUTSIDE)
-    check("box-beyond-image", "annotations[2].path.values[0]", OUTSIDE)
+    check(
+        "box-outside-image", ["annotations[0].path.values[0]", "annotations[1].projections[0][0].points[1]"], *OUTSIDE
+    )
+    check("box-beyond-image", "annotations[2].path.values[0]", *OUTSIDE)
     check(
         "null-box-confirmed",
         "annotations[0].projections[0].confirmed[1]: true, yet boxes[1] is null",

@@ -92,9 +92,9 @@ def test_labelled_points(check, sound):
     check(
         "labelled-point-unknown",
         [
+            "annotations[2].labeled_points[0].point_ids: point 5; sensor 'map' has 5 points, counted from 0",
             "annotations[0].labeled_points[0].point_ids: point 101; frame 0 has 100 points, counted from 0",
             "annotations[1].labeled_points[0].point_ids: point 600; sensor 'top' has 600 points, counted from 0",
-            "annotations[2].labeled_points[0].point_ids: point 5; sensor 'map' has 5 points, counted from 0",
         ],
         *(sound.lidar(), MAP, marked([5, 100, 101], 0), marked([600], name="whole")),
         marked([5], name="map", sensor_id="map"),
@@ -126,7 +126,7 @@ def test_points(check, sound):
     check("points-at-origin", FRAMES, lidar_with(sound, positions=TOO_NEAR))
     check(
         "points-far",
-        [f"{path}: coordinates up to 10001 m, where float32 steps by 0.98 mm" for path in POSITIONS],
+        [POSITIONS[0], *(f"{path}: coordinates up to 10001 m, where float32 steps by 0.98 mm" for path in FRAMES)],
         *(lidar_with(sound, positions=FAR), PointsSensor("map", FAR)),
     )
     check(

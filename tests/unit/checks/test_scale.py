@@ -46,7 +46,8 @@ def everything(sound):
         RadarSensor("radar", LazyFrames.of([radar], [late]), path),
         replace(sound.odometry(), poses=path),
         PointsSensor("map", ONE),
-        annotations=(cuboid, GroupAnnotation("all")),
+        cuboid,
+        GroupAnnotation("all"),
     )
 
 

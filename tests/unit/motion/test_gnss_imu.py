@@ -186,12 +186,8 @@ def test_without_imu_each_fix_goes_to_the_nearest_state():
     assert found.knots.tolist() == [0, 0, 0, 1, 1, 2, 2, 3, 3]
     assert not found.falls.any()
     assert np.array_equal(found.levers, np.tile(LEVER, (len(TIMES), 1)))
-
-
-def test_a_bias_taken_off_is_one_known_to_the_slopes():
-    bias = np.array([2e-3, -1e-3, 3e-3, 0.05, -0.04, 0.02])
-    plain = carried()
-    other = carried(bias=bias)
+    # a bias taken off is one known to the slopes
+    plain, other = carried(), carried(bias=np.array([2e-3, -1e-3, 3e-3, 0.05, -0.04, 0.02]))
     assert np.abs(other.levers - plain.levers).max() > 0.01
     # what is second order in 3e-3 rad and 0.05 m/s² over 0.9 s
     assert np.abs(expected(other) - expected(plain)).max() < 1e-4
@@ -224,12 +220,12 @@ def test_states_lie_farther_apart_than_fixes_only_where_the_imu_leads_well():
     noisy = samples()
     noisy.values[:, 3:] += 3.0 * np.random.default_rng(2).standard_normal((len(noisy.values), 3))
     assert len(knot_times(fixes, noisy, np.empty(0, np.int64), settings)) >= len(fixes)
-
-
-def test_times_of_no_imu_are_all_states():
+    # times of no IMU are all states
     fixes = np.array([0, 5, 30, 2000]) * 1_000_000
     knots = knot_times(fixes, None, np.array([15, 1000], np.int64) * 1_000_000, SmootherSettings())
     assert knots.tolist() == [0, 30_000_000, 1_000_000_000, 2_000_000_000]
+    with pytest.raises(OptionError, match="gate"):
+        SmootherSettings(gate=0.0)
 
 
 SETTINGS = SmootherSettings(gravity=GRAVITY)  # the synthetic world has the same gravity everywhere
@@ -341,13 +337,6 @@ def test_the_trajectory_is_given_at_the_rate_of_the_imu_in_the_world_of_the_firs
     assert rms(speeds) < 0.2
 
 
-def test_the_antenna_may_sit_elsewhere(town):
-    lever = np.array([0.8, -0.4, 1.2])
-    states = town.path.at(town.gnss.timestamps_ns)
-    fixes = moved(town.gnss, enu(town.gnss) + states.rotations @ lever, mount=RigidTransform(np.eye(3), lever))
-    assert rms(errors(town.run(gnss=fixes), town.path)[:, 3:]) < rms(errors(town.run(), town.path)[:, 3:]) + 0.05
-
-
 def test_fixes_that_jump_are_left_out_alone_and_in_a_row(town):
     rng = np.random.default_rng(0)
     positions = enu(town.gnss)
@@ -383,18 +372,19 @@ def test_without_imu_for_five_seconds_the_fixes_lead_on(town):
     assert "imu-gaps" in [warning.code for warning in run.warnings]
 
 
-def test_the_noise_of_fixes_is_found_whatever_they_report(town):
+def test_the_antenna_may_sit_elsewhere_and_the_noise_of_fixes_is_found_whatever_they_report(town):
+    lever = np.array([0.8, -0.4, 1.2])
+    states = town.path.at(town.gnss.timestamps_ns)
+    fixes = moved(town.gnss, enu(town.gnss) + states.rotations @ lever, mount=RigidTransform(np.eye(3), lever))
+    assert rms(errors(town.run(gnss=fixes), town.path)[:, 3:]) < rms(errors(town.run(), town.path)[:, 3:]) + 0.05
     nothing = np.full(len(town.gnss.timestamps_ns), np.nan)
     for accuracy in (nothing, np.full(len(nothing), 0.05)):
         run = town.run(gnss=replace(town.gnss, accuracies=accuracy, vertical_accuracies=nothing))
         # 240 residuals report a deviation to 5 %
         assert np.median(run.fix_sigmas[:, 0]) == pytest.approx(0.4, rel=0.25)
         assert np.median(run.fix_sigmas[:, 2]) == pytest.approx(0.8, rel=0.25)
-
-
-def test_an_accuracy_worse_than_the_noise_stands_for_what_all_fixes_have_in_common(town):
-    reported = replace(town.gnss, accuracies=np.full(len(town.gnss.timestamps_ns), 3.0))
-    run = town.run(gnss=reported)
+    # an accuracy worse than the noise stands for what all fixes have in common
+    run = town.run(gnss=replace(town.gnss, accuracies=np.full(len(nothing), 3.0)))
     assert "gnss-common-offset" in [warning.code for warning in run.warnings]
     assert np.sqrt(run.trajectory.covariances[:, 3, 3]).min() > 2.5
 
@@ -494,19 +484,15 @@ def test_fixes_that_are_none_are_left_out(town):
     assert len(run.used) == len(gnss.timestamps_ns)
 
 
-def test_two_fixes_are_enough_for_a_trajectory_and_fewer_are_not(town):
+def test_two_fixes_are_enough_fewer_are_not_and_of_two_locations_far_apart_one_is_taken(town):
     for count in (0, 1):
         with pytest.raises(PoseError, match="GNSS"):
             find_ego_motion(town.scene(gnss=some_fixes(town.gnss, np.arange(count))), name="gnss")
     run = town.run(gnss=some_fixes(town.gnss, np.array([0, 40])))
     assert np.isfinite(run.trajectory.positions).all()
     assert np.isfinite(run.trajectory.covariances).all()
-
-
-def test_of_two_locations_far_apart_one_is_taken(town):
-    """Their middle is a hundred kilometres and more from both."""
     locations = town.gnss.positions_lla.copy()
-    locations[: len(locations) // 2, 0] -= 20.0
+    locations[: len(locations) // 2, 0] -= 20.0  # their middle is a hundred kilometres and more from both
     run = town.run(gnss=replace(town.gnss, positions_lla=locations))
     assert len(run.fixes) == len(locations) // 2
     assert "gnss-fixes-elsewhere" in {warning.code for warning in run.warnings}
@@ -549,8 +535,3 @@ def test_samples_that_nothing_measures_are_left_out(stream, torn, town):
     run = town.run(imu=ImuSensor("imu", streams))
     assert {warning.code: warning.count for warning in run.warnings}["imu-samples"] == 1
     assert np.abs(errors(run, town.path)[:, 3:]).max() < 2.0  # as without it: fixes of 0.4 m an axis
-
-
-def test_settings_that_mean_nothing_are_refused():
-    with pytest.raises(OptionError, match="gate"):
-        SmootherSettings(gate=0.0)

@@ -26,21 +26,20 @@ def drive() -> SimulatedDrive:
     return simulate_street(5, frames=4, lidar=exact, cameras=(CameraSpec(AHEAD),))
 
 
-def test_points_lie_where_they_were_when_the_image_was_taken(drive):
+def test_points_and_motion_are_those_of_the_truth_when_the_image_was_taken(drive):
     frame = calibration_frames(drive.scene, most=2)[1]
     sweep = next(k for k, lidar in enumerate(drive.scene.lidars[0].frames) if lidar.reference_ns == frame.sweep_ns)
     truth_world = drive.truth.clean_points_world(sweep).positions_world
     assert frame.world_from_lidar is not None
     # float32 positions and a trajectory of 100 Hz: millimetres
     np.testing.assert_allclose(frame.world_from_lidar.apply(frame.points_lidar), truth_world, atol=0.01)
-
-
-def test_the_motion_at_the_image_is_that_of_the_truth(drive):
-    frame = calibration_frames(drive.scene, most=1)[0]
     ego = drive.truth.path.at(np.array([frame.image_ns]))
     assert frame.twist_lidar is not None
     # the lidar's mounting rotates with the ego, so that speeds differ by a lever of 2 m times the yaw rate
     assert np.linalg.norm(frame.twist_lidar[3:]) == pytest.approx(float(np.linalg.norm(ego.velocities[0])), abs=0.5)
+    assert frame.scan is not None
+    assert frame.scan.count == 12  # lines are the rings of the sensor
+    assert (np.diff(frame.scan.lines) >= 0).all()
 
 
 def test_a_later_image_sees_the_points_from_farther_on(drive):
@@ -97,13 +96,6 @@ def test_without_a_trajectory_the_mountings_relate_points_as_measured(drive):
     scene = replace(drive.scene, sensors=sensors, trajectories={})
     frame = calibration_frames(scene, most=1)[0]
     assert len(frame.points_lidar) == len(first.points)
-
-
-def test_scan_lines_are_the_rings_of_the_sensor(drive):
-    frame = calibration_frames(drive.scene, most=1)[0]
-    assert frame.scan is not None
-    assert frame.scan.count == 12
-    assert (np.diff(frame.scan.lines) >= 0).all()
 
 
 def scanned(lines: int = 16, steps: int = 360) -> tuple[np.ndarray, np.ndarray]:
@@ -184,14 +176,11 @@ def test_an_edge_of_a_slanting_wall_lies_on_it() -> None:
     np.testing.assert_allclose(np.linalg.norm(edges.points_lidar[:, :2], axis=1), there, rtol=1e-3)
 
 
-def test_a_plane_that_recedes_steeply_has_no_edges() -> None:
-    """A roof half a metre below: from line to line the range grows by metres."""
+def test_planes_that_recede_steeply_and_surfaces_seen_in_one_line_behind_another_have_no_edges() -> None:
+    # a roof half a metre below: from line to line the range grows by metres
     heights = np.append(0.5 / np.sin(-ELEVATIONS[:4]), np.full(5, 100.0))
     assert len(edges_of(np.repeat(heights[:, None], 80, axis=1)).weights) == 0
-
-
-def test_a_surface_that_is_seen_in_one_line_behind_another_has_no_edge() -> None:
-    """Nothing reports how far it goes on: a roof whose far end lies behind its near one."""
+    # nothing reports how far it goes on: a roof whose far end lies behind its near one
     ranges = np.full((9, 80), 50.0)
     ranges[:4], ranges[4] = 8.0, 11.0
     edges = edges_of(ranges)

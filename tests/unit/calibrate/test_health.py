@@ -100,15 +100,12 @@ def thinned(frame: CalibrationFrame, count: int) -> CalibrationFrame:
     return replace(frame, **kept, scan=None)
 
 
-def test_a_true_calibration_is_good(good):
+def test_a_true_calibration_is_good_and_a_camera_rotated_by_a_degree_is_not_and_the_rotation_is_found(frames, good):
     assert good.verdict is GOOD
     rotation = good.item("rotation")
     # what is found lies within what is stated for its uncertainty
     assert np.linalg.norm(np.array(rotation.values) / rotation.sigmas) < 3.0
     assert good.stated_distinctness > 4.5
-
-
-def test_a_camera_rotated_by_a_degree_is_not_good_and_the_rotation_is_found(frames):
     injected = np.array([0.7, -0.5, 0.5])
     health = check_frames(rotated(frames, *injected))
     assert health.verdict in {DRIFTING, WRONG}

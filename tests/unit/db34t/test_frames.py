@@ -2,18 +2,16 @@
 
 import itertools
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.db34t import CalibrationData
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
 from sceneloom.scene.poses import Poses
 
-from .sending import HEIGHT, START_NS, WIDTH, boxes_2d, boxes_3d, cloud, image, send_all
+from .sending import HEIGHT, START_NS, WIDTH, boxes_2d, boxes_3d, calibration, cloud, fused, image
 
 LIDAR_WORDS = ["+x,-y,+z", "+y,+x,+z", "+x,+y,+z", "-z,+y,+x", "-y,-x,-z"]
 CAMERA_WORDS = ["+z,+x,-y", "+x,-y,+z", "+z,-x,-y"]
@@ -42,12 +40,7 @@ def declared_calibration(lidar_words, camera_words):
     matrix = np.eye(4)
     matrix[:3, :3] = camera @ lidar.T
     matrix[:3, 3] = camera @ -CAMERA_AT
-    return CalibrationData(
-        image_size=(WIDTH, HEIGHT),
-        intrinsic_matrix=(50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1),
-        reference_frame=0,
-        extrinsic_matrix=tuple(matrix.T.reshape(-1).tolist()),
-    )
+    return calibration(extrinsic_matrix=tuple(matrix.T.reshape(-1).tolist()))
 
 
 def seen(forward_right_up):
@@ -60,7 +53,7 @@ def seen(forward_right_up):
     return (round(column), round(row), forward) if inside else None
 
 
-def interface(lidar_words, camera_words):
+def interface(lidar_words="+x,-y,+z", camera_words="+z,+x,-y"):
     fusion = FusionInterface(inline=True)
     assert fusion.set_property("lidar_axes", lidar_words)
     assert fusion.set_property("camera_axes", camera_words)
@@ -79,52 +72,39 @@ def test_points_come_back_in_the_frames_that_were_declared(lidar_words, camera_w
         assert fusion.set_property("reference_frame", of_lidar)
         assert fusion.send(image(0, 1))
         assert fusion.send(cloud(0, 1, FORWARD_RIGHT_UP @ lidar.T)).reason == ""
-        fusion.flush()
-        record = fusion.get(0).record
+        (record,) = fused(fusion)
     expected = FORWARD_RIGHT_UP @ lidar.T if of_lidar else (FORWARD_RIGHT_UP - CAMERA_AT) @ camera.T
     np.testing.assert_allclose(record.points[:, :3], expected, atol=1e-5)  # float32 of tens of metres
     depths = np.zeros((HEIGHT, WIDTH))
-    for point in FORWARD_RIGHT_UP:
-        found = seen(point)
-        if found is not None:
-            depths[found[1], found[0]] = found[2]
+    for column, row, depth in filter(None, map(seen, FORWARD_RIGHT_UP)):
+        depths[row, column] = depth
     assert np.count_nonzero(depths) == 3
     np.testing.assert_allclose(record.depths, depths, atol=1e-5)
 
 
 @pytest.mark.parametrize(("lidar_words", "camera_words"), FRAMES)
 def test_boxes_come_back_in_the_frame_that_was_declared(lidar_words, camera_words):
-    lidar = axes_matrix(lidar_words)
-    center, heading = lidar @ (20.0, 0.25, -0.5), lidar @ (0.6, 0.8, 0.0)
-    vector = lidar @ (3.0, 4.5, 0.5)
-    box = boxes_3d(
-        0,
-        1,
-        **dict(zip("XYZ", center.tolist(), strict=True)),
-        direction=tuple((2 * heading).tolist()),
-        velocity=5.4,
-        velocity_vector=tuple(vector.tolist()),
-    )
-    with interface(lidar_words, camera_words) as fusion:
-        send_all(fusion, box, boxes_2d(0, 2, x1=25, y1=20, x2=38, y2=28))
-        fusion.flush()
-        record = fusion.get(1).record
-    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
-        standard = axes_matrix("+x,-y,+z")
-        rotated = dict(zip("XYZ", (standard @ lidar.T @ center).tolist(), strict=True))
-        heads = tuple((standard @ lidar.T @ heading).tolist())
-        speeds = tuple((standard @ lidar.T @ vector).tolist())
-        send_all(fusion, boxes_3d(0, 1, **rotated, direction=heads, velocity=5.4, velocity_vector=speeds))
-        send_all(fusion, boxes_2d(0, 2, x1=25, y1=20, x2=38, y2=28))
-        fusion.flush()
-        known = fusion.get(1).record
+    lidar, standard = axes_matrix(lidar_words), axes_matrix("+x,-y,+z")
+    center, heading, vector = (20.0, 0.25, -0.5), (0.6, 0.8, 0.0), (3.0, 4.5, 0.5)
+    records = []
+    for frame, words, length in ((lidar, (lidar_words, camera_words), 2.0), (standard, (), 1.0)):
+        where = dict(zip("XYZ", (frame @ center).tolist(), strict=True))
+        going = {
+            "direction": tuple(length * frame @ heading),
+            "velocity_vector": tuple(frame @ vector),
+            "velocity": 5.4,
+        }
+        sent = boxes_3d(0, 1, **where, **going), boxes_2d(0, 2, x1=25, y1=20, x2=38, y2=28)
+        with interface(*words) as fusion:
+            records += fused(fusion, 1, *sent)
+    record, known = records
     assert len(record) == len(known) == 1
     assert (record.box_3d_ids, record.box_2d_ids) == ((4,), (6,))  # the ray through the camera model decides the pair
     rotation = lidar @ standard.T
     np.testing.assert_allclose(record.centers, known.centers @ rotation.T, atol=1e-5)
-    np.testing.assert_allclose(record.directions, [heading], atol=1e-6)
+    np.testing.assert_allclose(record.directions, [lidar @ heading], atol=1e-6)
     np.testing.assert_allclose(record.velocities, [5.4], atol=1e-6)  # 0.6 * 3 + 0.8 * 4.5
-    np.testing.assert_allclose(record.velocity_vectors, [vector], atol=1e-5)
+    np.testing.assert_allclose(record.velocity_vectors, [lidar @ vector], atol=1e-5)
     np.testing.assert_allclose(record.center_covs, rotation @ known.center_covs @ rotation.T, atol=1e-6)
     np.testing.assert_allclose(record.size_covs, known.size_covs)
     np.testing.assert_array_equal(record.corners_xyxy, known.corners_xyxy)
@@ -160,37 +140,39 @@ def from_lidar(seconds):
     return rotation.inv().apply(WORLD_POINT - position)
 
 
-def moving_sweep(words="+x,-y,+z"):
+def seen_at(seconds):
+    """Its pixel and depth in an image of a time."""
+    return seen(from_lidar(seconds) * (1, -1, 1))
+
+
+def moving_sweep(words="+x,-y,+z", seq=1):
     """The same thing measured at 0, 20, 40, 60 and 80 ms."""
     seconds = np.array([0.0, 0.02, 0.04, 0.06, 0.08])
-    standard = np.array([from_lidar(s) for s in seconds])
-    forward_right_up = standard * (1, -1, 1)
-    return cloud(0, 1, forward_right_up @ axes_matrix(words).T, times=seconds)
+    forward_right_up = np.array([from_lidar(s) for s in seconds]) * (1, -1, 1)
+    return cloud(0, seq, forward_right_up @ axes_matrix(words).T, times=seconds)
 
 
-def fused_with_motion(words, camera_words, chunks, *, image_ms=90, order="before", compensate=1):
-    with interface(words, camera_words) as fusion:
+def fused_with_motion(words, chunks, *, order="before", compensate=1):
+    with interface(*words) as fusion:
         assert fusion.set_property("motion_compensation", compensate)
-        records = [moving_sweep(words), image(image_ms, 1)]
-        sent = [*chunks, *records] if order == "before" else [records[0], *chunks, records[1]]
-        for what in sent:
+        sweep, later = moving_sweep(*words[:1]), image(90, 1)
+        for what in [*chunks, sweep, later] if order == "before" else [sweep, *chunks, later]:
             assert fusion.send_motion(what) if isinstance(what, Poses) else fusion.send(what)
-        fusion.flush()
-        return fusion.get(0).record, fusion.counters.counts()
+        (record,) = fused(fusion)
+        return record, fusion.counters.counts()
 
 
-@pytest.mark.parametrize(("words", "camera_words"), FRAMES[:4])
+@pytest.mark.parametrize("words", FRAMES[:4])
 @pytest.mark.parametrize("order", ["before", "between"])
 @pytest.mark.parametrize("cuts", [(-50, 200), (-50, 30, 200)])
-def test_what_stands_is_at_one_location_whenever_it_was_measured(words, camera_words, order, cuts):
+def test_what_stands_is_at_one_location_whenever_it_was_measured(words, order, cuts):
     chunks = [path(first + 1, last) for first, last in itertools.pairwise(cuts)]
-    record, counts = fused_with_motion(words, camera_words, chunks, order=order)
+    record, counts = fused_with_motion(words, chunks, order=order)
     assert record.motion_compensated == 1
-    expected = axes_matrix(words) @ (from_lidar(0.04) * (1, -1, 1))  # the reference is the middle point's time
-    # the trajectory between poses of each millisecond is straight: 20 m/s * 1 ms bends by less than a tenth of a
-    # millimetre
+    expected = axes_matrix(words[0]) @ (from_lidar(0.04) * (1, -1, 1))  # the reference is the middle point's time
+    # straight between poses of each millisecond: 20 m/s * 1 ms bends by less than a tenth of a millimetre
     np.testing.assert_allclose(record.points[:, :3], np.tile(expected, (5, 1)), atol=2e-4)
-    column, row, depth = seen(from_lidar(0.09) * (1, -1, 1))
+    column, row, depth = seen_at(0.09)
     assert record.depths[row, column] == pytest.approx(depth, abs=2e-4)
     assert "motion.beyond-reach" not in counts
 
@@ -204,10 +186,10 @@ def test_what_stands_is_at_one_location_whenever_it_was_measured(words, camera_w
     ],
 )
 def test_without_a_trajectory_that_reaches_all_is_fused_as_if_stationary_and_says_so(chunks, compensate, counted):
-    record, counts = fused_with_motion("+x,-y,+z", "+z,+x,-y", chunks, compensate=compensate)
+    record, counts = fused_with_motion((), chunks, compensate=compensate)
     assert record.motion_compensated == 0
     np.testing.assert_array_equal(record.points[:, :3], moving_sweep().points[:, :3])
-    column, row, depth = seen(from_lidar(0.0) * (1, -1, 1))
+    column, row, depth = seen_at(0.0)
     assert record.depths[row, column] == pytest.approx(depth, abs=1e-4)
     assert ("motion.beyond-reach" in counts) is counted
 
@@ -237,51 +219,56 @@ def seen_by_line(image_s, *, over_columns):
 def test_a_shutter_that_rolls_sees_each_point_at_the_time_of_its_line(over_columns, reported):
     camera = {"kind": "camera", "shutter_roll_s": ROLL_S, "shutter_left_to_right": over_columns}
     sensors = json.dumps({"0": {"kind": "lidar"}, "1": camera})
-    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+    with interface() as fusion:
         if reported == "before":
             assert fusion.set_property("sensors", sensors)
         assert fusion.send_motion(path(-50, 200))
         assert fusion.send(moving_sweep())
         if reported == "after":  # what waits for its image goes by it as well
             assert fusion.set_property("sensors", sensors)
-        assert fusion.send(image(90, 1))
-        fusion.flush()
-        record = fusion.get(0).record
+        (record,) = fused(fusion, 0, image(90, 1))
+        assert fusion.set_property("sensors", "")  # from here on it takes all lines at once
+        (at_once,) = fused(fusion, 0, moving_sweep(seq=2), image(90, 2))
     column, row, depth = seen_by_line(0.09, over_columns=over_columns)
-    assert abs(depth - seen(from_lidar(0.09) * (1, -1, 1))[2]) > 0.05
+    assert abs(depth - seen_at(0.09)[2]) > 0.05
     assert record.depths[round(row), round(column)] == pytest.approx(depth, abs=2e-4)
+    column, row, depth = seen_at(0.09)
+    assert at_once.depths[row, column] == pytest.approx(depth, abs=2e-4)
 
 
-def test_a_shutter_that_does_not_roll_any_more_takes_all_lines_at_once():
-    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
-        assert fusion.send_motion(path(-50, 200))
-        for reported in (json.dumps({"0": {"kind": "lidar"}, "1": {"kind": "camera", "shutter_roll_s": 0.1}}), ""):
-            assert fusion.set_property("sensors", reported)
-            send_all(fusion, moving_sweep() if reported else replace(moving_sweep(), seq=2))
-            send_all(fusion, image(90, 1 if reported else 2))
-            fusion.flush()
-            record = fusion.get(0).record
-    column, row, depth = seen(from_lidar(0.09) * (1, -1, 1))
-    assert record.depths[row, column] == pytest.approx(depth, abs=2e-4)
+CAMERA, AN_OBJECT = {"kind": "camera"}, "expected an object with position"
 
 
 @pytest.mark.parametrize(
     ("entry", "location", "problem"),
     [
-        ({"kind": "camera", "shutter_roll_s": 33}, "1.shutter_roll_s", "expected seconds, 0 to 1"),
-        ({"kind": "camera", "shutter_roll_s": -0.01}, "1.shutter_roll_s", "expected seconds, 0 to 1"),
-        ({"kind": "camera", "shutter_roll_s": True}, "1.shutter_roll_s", "expected seconds, 0 to 1"),
-        ({"kind": "camera", "shutter_roll_s": "0.03"}, "1.shutter_roll_s", "expected seconds, 0 to 1"),
-        ({"kind": "camera", "shutter_left_to_right": 1}, "1.shutter_left_to_right", "expected true or false"),
-        ({"kind": "lidar", "shutter_roll_s": 0.03}, "1.shutter_roll_s", "of a lidar; expected of cameras"),
-        ({"kind": "camera", "shutter": 0.03}, "1.shutter", "expected kind and perhaps raw, shutter_roll_s"),
+        (CAMERA | {"shutter_roll_s": 33}, "shutter_roll_s", "expected seconds, 0 to 1"),
+        (CAMERA | {"shutter_roll_s": -0.01}, "shutter_roll_s", "expected seconds, 0 to 1"),
+        (CAMERA | {"shutter_roll_s": True}, "shutter_roll_s", "expected seconds, 0 to 1"),
+        (CAMERA | {"shutter_roll_s": "0.03"}, "shutter_roll_s", "expected seconds, 0 to 1"),
+        (CAMERA | {"shutter_left_to_right": 1}, "shutter_left_to_right", "expected true or false"),
+        ({"kind": "lidar", "shutter_roll_s": 0.03}, "shutter_roll_s", "of a lidar; expected of cameras"),
+        (CAMERA | {"shutter": 0.03}, "shutter", "expected kind and perhaps raw, shutter_roll_s"),
+        ([1, 2, 3], "body_from_lidar", AN_OBJECT),
+        ({"quaternion_xyzw": [0, 0, 0, 1]}, "body_from_lidar", AN_OBJECT),
+        ({"position": [1, 2]}, "body_from_lidar", "expected 3 finite numbers"),
+        ({"position": [1, 2, True]}, "body_from_lidar", "expected 3 finite numbers"),
+        (
+            {"position": [1, 2, 3], "quaternion_xyzw": [0, 0, 0, 2]},
+            "body_from_lidar",
+            "norm 2.0000; expected a unit quaternion",
+        ),
+        ({"position": [1, 2, 3], "yaw": 1}, "body_from_lidar", AN_OBJECT),
+        (CAMERA | {"body_from_lidar": {"position": [0, 0, 0]}}, "body_from_lidar", "expected of lidars"),
+        (CAMERA | {"body_from_lidar": [1, 2, 3]}, "body_from_lidar", ""),
     ],
 )
-def test_a_shutter_that_is_none_is_refused(entry, location, problem):
+def test_a_shutter_or_a_mounting_that_is_none_is_refused(entry, location, problem):
+    sensor = entry if "kind" in entry else {"kind": "lidar", "body_from_lidar": entry}
     with FusionInterface(inline=True) as fusion:
-        outcome = fusion.set_property("sensors", json.dumps({"1": entry}))
+        outcome = fusion.set_property("sensors", json.dumps({"1": sensor}))
         assert outcome.status == 0
-        assert location in outcome.reason
+        assert f"1.{location}" in outcome.reason
         assert problem in outcome.reason
 
 
@@ -306,52 +293,24 @@ def test_poses_of_the_vehicle_do_where_the_mounting_of_the_lidar_is_known(words)
         with interface(words, "+z,+x,-y" if handed(words) == handed("+z,+x,-y") else "+x,-y,+z") as fusion:
             assert fusion.set_property("sensors", reported)
             assert fusion.send_motion(trajectory_of_the_vehicle(-50, 200))
-            send_all(fusion, moving_sweep(words), image(90, 1))
-            fusion.flush()
-            found.append(fusion.get(0).record)
+            found += fused(fusion, 0, moving_sweep(words), image(90, 1))
     mounted, alone = found
     expected = axes_matrix(words) @ (from_lidar(0.04) * (1, -1, 1))
     np.testing.assert_allclose(mounted.points[:, :3], np.tile(expected, (5, 1)), atol=2e-4)
-    column, row, depth = seen(from_lidar(0.09) * (1, -1, 1))
+    column, row, depth = seen_at(0.09)
     assert mounted.depths[row, column] == pytest.approx(depth, abs=2e-4)
     assert not np.allclose(alone.points[:, :3], expected, atol=0.01)  # taken for the lidar's own trajectory
 
 
-@pytest.mark.parametrize(
-    ("mounting", "problem"),
-    [
-        ([1, 2, 3], "expected an object with position"),
-        ({"quaternion_xyzw": [0, 0, 0, 1]}, "expected an object with position"),
-        ({"position": [1, 2]}, "expected 3 finite numbers"),
-        ({"position": [1, 2, True]}, "expected 3 finite numbers"),
-        ({"position": [1, 2, 3], "quaternion_xyzw": [0, 0, 0, 2]}, "norm 2.0000; expected a unit quaternion"),
-        ({"position": [1, 2, 3], "yaw": 1}, "expected an object with position"),
-    ],
-)
-def test_a_mounting_that_is_none_is_refused(mounting, problem):
-    with FusionInterface(inline=True) as fusion:
-        for kind, reported in (("lidar", problem), ("camera", "")):
-            outcome = fusion.set_property("sensors", json.dumps({"0": {"kind": kind, "body_from_lidar": mounting}}))
-            assert outcome.status == 0
-            assert reported in outcome.reason
-            assert "0.body_from_lidar" in outcome.reason
-        good = {"0": {"kind": "camera", "body_from_lidar": {"position": [0, 0, 0]}}}
-        assert "expected of lidars" in fusion.set_property("sensors", json.dumps(good)).reason
-
-
 def fused_by_cameras(images_ms):
     """Records of cameras that stand at one location, whose images come at these times, by camera."""
-    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+    with interface() as fusion:
         for camera_id in images_ms:
-            calibration = declared_calibration("+x,-y,+z", "+z,+x,-y")
-            assert fusion.set_calibration(calibration, camera_id=camera_id, lidar_id=0)
+            assert fusion.set_calibration(declared_calibration("+x,-y,+z", "+z,+x,-y"), camera_id=camera_id)
         assert fusion.set_property("pairing_tolerance_ms", 600.0)
         assert fusion.send_motion(path(-50, 100))  # continued to 300 ms
-        assert fusion.send(moving_sweep())
-        for camera_id, image_ms in images_ms.items():
-            assert fusion.send(image(image_ms, 1, sensor_id=camera_id))
-        fusion.flush()
-        found = {result.record.camera_id: result.record for result in fusion.results(0)}
+        images = [image(image_ms, 1, sensor_id=camera_id) for camera_id, image_ms in images_ms.items()]
+        found = {record.camera_id: record for record in fused(fusion, 0, moving_sweep(), *images)}
         return found, fusion.counters.counts().get("motion.beyond-reach", 0)
 
 
@@ -368,44 +327,39 @@ def test_an_image_beyond_the_trajectory_leaves_those_of_other_cameras_as_they_ar
 
 
 def test_a_trajectory_that_ends_shortly_before_is_continued():
-    record, _ = fused_with_motion("+x,-y,+z", "+z,+x,-y", [path(-500, 0)])
+    record, _ = fused_with_motion((), [path(-500, 0)])
     assert record.motion_compensated == 1
     # constant speed and rotating off a circle: half of a * t² = 0.5 * 16 m/s² * (0.08 s)² is the most
     np.testing.assert_allclose(record.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=0.06)
 
 
 def test_a_setting_counts_for_the_sweeps_that_come_after_it():
-    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+    with interface() as fusion:
         assert fusion.send_motion(path(-50, 400))
         assert fusion.send(moving_sweep())
         assert fusion.set_property("motion_compensation", 0)
-        send_all(fusion, image(90, 1), cloud(200, 2, [from_lidar(0.2)]), image(200, 2))
-        fusion.flush()
-        first, second = (result.record for result in fusion.results(0))
+        first, second = fused(fusion, 0, image(90, 1), cloud(200, 2, [from_lidar(0.2)]), image(200, 2))
     assert (first.motion_compensated, second.motion_compensated) == (1, 0)
     np.testing.assert_allclose(first.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=2e-4)
 
 
 def test_boxes_are_put_where_they_are_at_the_time_of_the_image():
     """A car that stands, seen 90 ms later: by then the vehicle is 1.8 m nearer and rotated by 4°."""
-    center = from_lidar(0.0)
-    then = seen(from_lidar(0.09) * (1, -1, 1))
-    box = boxes_3d(0, 1, X=center[0], Y=center[1], Z=center[2], length=0.5, width=0.5, height=0.5, velocity=0.0)
-    edges = {"x1": then[0] - 1, "y1": then[1] - 1, "x2": then[0] + 2, "y2": then[1] + 2}
+    center = dict(zip("XYZ", from_lidar(0.0), strict=True))
+    column, row, _ = seen_at(0.09)
+    box = boxes_3d(0, 1, **center, length=0.5, width=0.5, height=0.5, velocity=0.0)
+    outline = boxes_2d(90, 2, x1=column - 1, y1=row - 1, x2=column + 2, y2=row + 2)
     matched = []
     for chunks in ([path(-50, 200)], []):
-        with interface("+x,-y,+z", "+z,+x,-y") as fusion:
-            for piece in chunks:
-                assert fusion.send_motion(piece)
-            send_all(fusion, box, boxes_2d(90, 2, **edges))
-            fusion.flush()
-            record = fusion.get(1).record
+        with interface() as fusion:
+            assert all(map(fusion.send_motion, chunks))
+            (record,) = fused(fusion, 1, box, outline)
             matched.append((record.motion_compensated, record.box_2d_ids[0]))
     assert matched == [(1, 6), (0, None)]
 
 
 def test_motion_that_is_none_or_older_is_refused():
-    with interface("+x,-y,+z", "+z,+x,-y") as fusion:
+    with interface() as fusion:
         assert fusion.send_motion(path(0, 10))
         again = fusion.send_motion(path(5, 20))
         assert (again.cause, "expected newer ones" in again.reason) == ("bad-motion", True)

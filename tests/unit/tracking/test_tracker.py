@@ -11,6 +11,8 @@ from sceneloom.scene.detections import Support
 from sceneloom.tracking import ImageBox, Observation, Tracker, TrackerSettings, track_drive, tracker
 from sceneloom.tracking.tracker import UNKNOWN_VARIANCE, observed
 
+from .streets import FRONT, Actor, Street, seen
+
 SETTINGS = TrackerSettings()
 
 
@@ -43,23 +45,16 @@ def test_velocity_rotates_with_a_vehicle_and_not_with_a_person():
     assert after[:, tracker.YAW] == pytest.approx([0.04, 0.04])
 
 
-def test_slopes_are_those_of_differences():
-    means, _ = states(4)
+def test_covariances_are_moved_by_slopes_which_are_those_of_differences():
+    means, covariances = states(4)
     vehicles = np.array([True, False, True, False])
-    _, _, slopes = moved(means, vehicles, 0.2)
+    _, spread, slopes = tracker.predicted(means, covariances, vehicles, 0.2, SETTINGS)
     for column in range(tracker.SIZE):
-        step = np.zeros(tracker.SIZE)
-        step[column] = 1e-5
+        step = 1e-5 * np.eye(tracker.SIZE)[column]
         ahead, behind = (moved(means + sign * step, vehicles, 0.2)[0] for sign in (1, -1))
         difference = ahead - behind
         difference[:, tracker.YAW] = tracker.wrapped(difference[:, tracker.YAW])
         assert difference / 2e-5 == pytest.approx(slopes[:, :, column], abs=1e-6)
-
-
-def test_covariances_are_moved_by_the_slopes():
-    means, covariances = states(3)
-    vehicles = np.array([True, False, True])
-    _, spread, slopes = tracker.predicted(means, covariances, vehicles, 0.2, SETTINGS)
     noise = moved(means, vehicles, 0.2)[1]
     assert spread == pytest.approx(slopes @ covariances @ slopes.transpose(0, 2, 1) + noise)
     assert (np.linalg.eigvalsh(noise) > -1e-12).all()
@@ -89,20 +84,13 @@ def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman():
         assert after[k] == pytest.approx(mean, abs=1e-9)
 
 
-def test_a_box_far_off_moves_a_state_less_than_kalman_would():
-    means, covariances = np.zeros((1, tracker.SIZE)), np.eye(tracker.SIZE)[None] * 0.01
-    noise = np.eye(7)[None] * 0.01
-    measures = np.zeros((1, 7))
+def test_a_box_far_off_moves_a_state_less_than_kalman_would_and_one_the_wrong_way_round_is_read_the_other_way():
+    start, measures = np.zeros((1, tracker.SIZE)), np.zeros((1, 7))
     measures[0, 0] = 5.0
-    after, _ = updated(means, covariances, measures, noise)
+    after, _ = updated(start, np.eye(tracker.SIZE)[None] * 0.01, measures, np.eye(7)[None] * 0.01)
     assert 0.0 < after[0, 0] < 0.5  # of 2.5
-
-
-def test_a_heading_that_is_reported_the_wrong_way_round_is_read_the_other_way():
-    means, covariances = np.zeros((1, tracker.SIZE)), np.eye(tracker.SIZE)[None]
-    measures = np.zeros((1, 7))
-    measures[0, 6] = np.pi - 0.1
-    after, _ = updated(means, covariances, measures, np.eye(7)[None])
+    measures[0] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.pi - 0.1
+    after, _ = updated(start, np.eye(tracker.SIZE)[None], measures, np.eye(7)[None])
     assert after[0, tracker.YAW] == pytest.approx(-0.05)
 
 
@@ -115,10 +103,9 @@ def test_a_vehicle_that_seems_to_slide_sideways_rotates_or_slows_down():
     assert abs(across) < 0.2  # of 2; rotating is linearised
     assert after[0, 6] > 0.0
     assert (np.linalg.eigvalsh(spread[0]) > 0.0).all()
-    information = np.eye(tracker.SIZE)
     slope = np.zeros(tracker.SIZE)
     slope[[6, 7, 8]] = -10.0, 0.0, 1.0
-    information += np.outer(slope, slope) / 0.01
+    information = np.eye(tracker.SIZE) + np.outer(slope, slope) / 0.01
     assert spread[0] == pytest.approx(np.linalg.inv(information), abs=1e-9)
 
 
@@ -126,10 +113,7 @@ def test_probabilities_and_logarithms_of_odds_are_inverse():
     assert tracker.log_odds(0.9) == pytest.approx(np.log(9.0))
     assert tracker.probabilities(np.array([np.log(9.0)])) == pytest.approx([0.9])
     assert tracker.log_odds(0.0) == -np.inf
-
-
-def test_time_takes_objects_away():
-    odds = np.array([np.log(9.0)])
+    odds = np.array([np.log(9.0)])  # which time takes away
     assert tracker.probabilities(tracker.aged(odds, 2.0, 10.0)) == pytest.approx([0.9 * np.exp(-0.2)])
     assert tracker.aged(odds, 0.0, 10.0) == pytest.approx(odds)
 
@@ -142,96 +126,8 @@ def test_what_detectors_cannot_find_is_not_missed():
     assert chances == pytest.approx(np.array([[0.2, 1.0], [1.0, 0.75], [1.0, 1.0]]))
 
 
-TIMES = np.arange(12) / 10.0
+TIMES = np.arange(40) / 10.0
 OFTEN_ROTATED = frozenset(k for k in range(12) if k % 5 in (1, 2, 4))
-
-
-def crawling(t):
-    return 14.0 + 0.5 * t, 3.0, 0.0
-
-
-def driving(start, y=3.0):
-    return lambda t: (start + 8.0 * t, y, 0.0)
-
-
-def towards(t):
-    return 60.0 - 8.0 * t, 3.2, np.pi
-
-
-def last_yaw(tracks, near):
-    return next(t.yaws[-1] for t in tracks if np.hypot(*(t.centers[-1, :2] - near)) < 1.0)
-
-
-@pytest.mark.parametrize(
-    ("others", "heads"),
-    [
-        ([], -1.0),  # nobody says otherwise
-        ([driving(22.0), driving(35.0)], 1.0),
-        ([driving(22.0, y=-9.0), driving(35.0, y=-9.0)], -1.0),  # not in its lane
-        ([driving(22.0), towards], -1.0),  # of two opinions
-    ],
-)
-def test_a_crawling_car_whose_boxes_are_rotated_heads_as_those_before_it_in_its_lane(street, actor, others, heads):
-    drive = street([actor(crawling), *map(actor, others)], rotated=OFTEN_ROTATED)
-    yaw = last_yaw(track_drive(drive.observe(TIMES)), (14.5, 3.0))
-    assert np.cos(yaw) == pytest.approx(heads, abs=0.1)  # boxes are off by 0.1 m, headings by less
-
-
-def test_persons_do_not_head_as_their_neighbours(street, actor):
-    person = actor(lambda t: (14.0, 3.0, 0.0), "Pedestrian")
-    walkers = [actor(lambda t, x=x: (x + 2.0 * t, 3.0, 0.0), "Pedestrian") for x in (17.0, 20.0)]
-    yaw = last_yaw(track_drive(street([person, *walkers], rotated=OFTEN_ROTATED).observe(TIMES)), (14.0, 3.0))
-    assert np.cos(yaw) == pytest.approx(-1.0, abs=0.1)
-
-
-ROTATION = RigidTransform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 6.0, 7.0]))
-
-
-def stationary(street, actor, **options):
-    return street([actor(lambda t: (10.0, 2.0, 0.2), **options)], sigma=0.0).observe([0.0])[0]
-
-
-def test_locations_headings_and_covariances_are_those_of_the_world(street, actor):
-    seen = stationary(street, actor)
-    fused = replace(seen.fused["front"], center_covariances=np.diag([0.01, 0.04, 0.09])[None])
-    there = observed(replace(seen, fused={"front": fused}, world_from_lidar=ROTATION))
-    assert there.measures[0, :2] == pytest.approx([5.0 - 2.0, 6.0 + 10.0])
-    assert there.measures[0, 6] == pytest.approx(0.2 + np.pi / 2)
-    assert np.diag(there.covariances[0])[:3] == pytest.approx([0.04, 0.01, 0.09])
-
-
-def test_a_box_of_the_image_alone_reports_no_heading_and_little_of_its_distance(street, actor):
-    there = observed(stationary(street, actor, only_in_image=(0.0, 1.0)))
-    assert not there.measured[0]
-    assert there.covariances[0, 6, 6] == UNKNOWN_VARIANCE
-    ray = there.measures[0, :3] / np.linalg.norm(there.measures[0, :3])
-    along = ray @ there.covariances[0, :3, :3] @ ray
-    across = np.linalg.eigvalsh(there.covariances[0, :3, :3])[0]
-    assert along == pytest.approx(9.0 * across)
-
-
-def test_of_two_cameras_the_one_with_a_partner_counts_else_the_doubtful_one(street, actor):
-    fused = stationary(street, actor).fused["front"]
-    alone = replace(fused, rows_2d=np.array([-1]))
-    sure, doubtful = (replace(alone, scores=np.array([score])) for score in (0.8, 0.3))
-    seen = stationary(street, actor)
-    for by_camera, odds in (
-        ({"a": doubtful, "b": replace(fused, scores=np.array([0.6]))}, 0.6),
-        ({"a": sure, "b": doubtful}, 0.3),
-    ):
-        there = observed(replace(seen, fused=by_camera))
-        assert len(there) == 1
-        assert there.log_odds[0] == pytest.approx(np.log(odds / (1.0 - odds)))
-
-
-def test_yaw_variances_of_the_fusion_count_where_they_are_some(street, actor):
-    seen = stationary(street, actor)
-    for stated, expected in ((np.array([0.04]), 0.04), (np.array([np.nan]), 0.01), (None, 0.01)):
-        fused = replace(seen.fused["front"], yaw_variances=stated)
-        assert observed(replace(seen, fused={"front": fused})).covariances[0, 6, 6] == pytest.approx(expected)
-
-
-TRACKER_TIMES = np.arange(40) / 10.0
 
 
 def straight(speed, y=0.0, start=10.0, heading=0.0):
@@ -243,219 +139,257 @@ def round_a_corner(t):
     return 25.0 + 20.0 * np.sin(0.5 * t), -10.0 + 20.0 * (1.0 - np.cos(0.5 * t)), 0.5 * t
 
 
-def test_a_car_that_drives_straight_is_one_object_with_its_location_and_speed(street, actor):
-    tracks = track_drive(street([actor(straight(8.0, y=3.0))]).observe(TRACKER_TIMES))
-    assert len(tracks) == 1
-    track = tracks[0]
-    assert len(track) == len(TRACKER_TIMES)
+def tracked(*actors, times=TIMES, **street):
+    return track_drive(seen(times, *actors, **street))
+
+
+CRAWLING = straight(0.5, 3.0, 14.0)
+TOWARDS = straight(-8.0, 3.2, 60.0, np.pi)
+
+
+def last_yaw(tracks, near):
+    return next(t.yaws[-1] for t in tracks if np.hypot(*(t.centers[-1, :2] - near)) < 1.0)
+
+
+@pytest.mark.parametrize(
+    ("others", "heads"),
+    [
+        ([], -1.0),  # nobody says otherwise
+        ([straight(8.0, 3.0, 22.0), straight(8.0, 3.0, 35.0)], 1.0),
+        ([straight(8.0, -9.0, 22.0), straight(8.0, -9.0, 35.0)], -1.0),  # not in its lane
+        ([straight(8.0, 3.0, 22.0), TOWARDS], -1.0),  # of two opinions
+    ],
+)
+def test_a_crawling_car_whose_boxes_are_rotated_heads_as_those_before_it_in_its_lane(others, heads):
+    tracks = tracked(Actor(CRAWLING), *map(Actor, others), times=TIMES[:12], rotated=OFTEN_ROTATED)
+    yaw = last_yaw(tracks, (14.5, 3.0))
+    assert np.cos(yaw) == pytest.approx(heads, abs=0.1)  # boxes are off by 0.1 m, headings by less
+
+
+def test_persons_do_not_head_as_their_neighbours():
+    people = [Actor(straight(speed, 3.0, x), "Pedestrian") for speed, x in ((0.0, 14.0), (2.0, 17.0), (2.0, 20.0))]
+    yaw = last_yaw(tracked(*people, times=TIMES[:12], rotated=OFTEN_ROTATED), (14.0, 3.0))
+    assert np.cos(yaw) == pytest.approx(-1.0, abs=0.1)
+
+
+ROTATION = RigidTransform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 6.0, 7.0]))
+
+
+def stationary(**options):
+    return seen([0.0], Actor(lambda t: (10.0, 2.0, 0.2), **options), sigma=0.0)[0]
+
+
+def test_locations_headings_and_covariances_are_those_of_the_world():
+    standing = stationary()
+    fused = replace(standing.fused["front"], center_covariances=np.diag([0.01, 0.04, 0.09])[None])
+    there = observed(replace(standing, fused={"front": fused}, world_from_lidar=ROTATION))
+    assert there.measures[0, :2] == pytest.approx([5.0 - 2.0, 6.0 + 10.0])
+    assert there.measures[0, 6] == pytest.approx(0.2 + np.pi / 2)
+    assert np.diag(there.covariances[0])[:3] == pytest.approx([0.04, 0.01, 0.09])
+
+
+def test_a_box_of_the_image_alone_reports_no_heading_and_little_of_its_distance():
+    there = observed(stationary(only_in_image=(0.0, 1.0)))
+    assert not there.measured[0]
+    assert there.covariances[0, 6, 6] == UNKNOWN_VARIANCE
+    ray = there.measures[0, :3] / np.linalg.norm(there.measures[0, :3])
+    along = ray @ there.covariances[0, :3, :3] @ ray
+    assert along == pytest.approx(9.0 * np.linalg.eigvalsh(there.covariances[0, :3, :3])[0])
+
+
+def test_of_two_cameras_the_one_with_a_partner_counts_else_the_doubtful_one_and_yaw_variances_where_there_are_some():
+    standing = stationary()
+    fused = standing.fused["front"]
+    sure, doubtful = (replace(fused, rows_2d=np.array([-1]), scores=np.array([score])) for score in (0.8, 0.3))
+    partner = replace(fused, scores=np.array([0.6]))
+    for by_camera, odds in (({"a": doubtful, "b": partner}, 0.6), ({"a": sure, "b": doubtful}, 0.3)):
+        there = observed(replace(standing, fused=by_camera))
+        assert len(there) == 1
+        assert there.log_odds[0] == pytest.approx(np.log(odds / (1.0 - odds)))
+    for stated, expected in ((np.array([0.04]), 0.04), (np.array([np.nan]), 0.01), (None, 0.01)):
+        there = observed(replace(standing, fused={"front": replace(fused, yaw_variances=stated)}))
+        assert there.covariances[0, 6, 6] == pytest.approx(expected)
+
+
+def test_a_car_that_drives_straight_is_one_object_with_its_location_and_speed():
+    (track,) = tracked(Actor(straight(8.0, y=3.0)))
+    assert len(track) == len(TIMES)
     assert track.label == "Car"
     # a filter knows better than single boxes, which are off by 0.1 m
-    off = track.centers[10:, :2] - np.column_stack([10.0 + 8.0 * TRACKER_TIMES[10:], np.full(30, 3.0)])
+    off = track.centers[10:, :2] - np.column_stack([10.0 + 8.0 * TIMES[10:], np.full(30, 3.0)])
     assert np.sqrt((off**2).mean()) < 0.1
     assert track.velocities[-1, :2] == pytest.approx([8.0, 0.0], abs=0.5)  # 0.1 m of noise at 10 Hz
 
 
-def test_deviations_of_states_are_as_large_as_the_covariances_state(street, actor):
-    tracks = track_drive(
-        street([actor(straight(8.0, y=y)) for y in (-12.0, -6.0, 0.0, 6.0, 12.0)]).observe(TRACKER_TIMES)
-    )
+def test_deviations_of_states_are_as_large_as_the_covariances_state():
     squares = []
-    for track in tracks:
-        truth = np.column_stack([10.0 + 8.0 * TRACKER_TIMES[5:], np.full(35, round(track.centers[-1, 1] / 6.0) * 6.0)])
+    for track in tracked(*(Actor(straight(8.0, y=y)) for y in (-12.0, -6.0, 0.0, 6.0, 12.0))):
+        truth = np.column_stack([10.0 + 8.0 * TIMES[5:], np.full(35, round(track.centers[-1, 1] / 6.0) * 6.0)])
         off = track.centers[5:, :2] - truth
         squares += np.einsum("ni,nij,nj->n", off, np.linalg.inv(track.covariances[5:, :2, :2]), off).tolist()
     # of two numbers the mean is 2; the noise of motion that is not there makes states less sure than they could be
     assert 0.5 < np.mean(squares) < 2.5
 
 
-def test_a_rotation_is_followed_with_its_rate(street, actor):
-    track = track_drive(street([actor(round_a_corner)], sigma=0.05).observe(TRACKER_TIMES))[0]
-    assert len(track) == len(TRACKER_TIMES)
+def test_a_rotation_is_followed_with_its_rate():
+    (track,) = tracked(Actor(round_a_corner), sigma=0.05)
+    assert len(track) == len(TIMES)
     assert track.yaw_rates[-1] == pytest.approx(0.5, abs=0.15)
-    assert track.yaws[-1] == pytest.approx(0.5 * TRACKER_TIMES[-1], abs=0.1)
+    assert track.yaws[-1] == pytest.approx(0.5 * TIMES[-1], abs=0.1)
     assert np.linalg.norm(track.velocities[-1]) == pytest.approx(10.0, abs=0.7)
 
 
-def test_what_is_stationary_is_stationary_for_a_lidar_that_moves_and_rotates(street, actor):
-    seen = street([actor(lambda t: (30.0, 4.0, 0.3))], ego=lambda t: (5.0 * t, 0.0, 0.1 * t)).observe(TRACKER_TIMES)
-    track = track_drive(seen)[0]
+def test_what_is_stationary_is_stationary_for_a_lidar_that_moves_and_rotates():
+    track = tracked(Actor(lambda t: (30.0, 4.0, 0.3)), ego=lambda t: (5.0 * t, 0.0, 0.1 * t))[0]
     assert np.linalg.norm(track.velocities[-1]) < 0.4
     assert track.centers[-1, :2] == pytest.approx([30.0, 4.0], abs=0.15)
     assert track.yaws[-1] == pytest.approx(0.3, abs=0.05)
 
 
-def test_objects_that_cross_each_other_keep_their_numbers(street, actor):
-    left = actor(lambda t: (20.0, -4.0 + 2.0 * t, np.pi / 2), "Pedestrian")
-    right = actor(lambda t: (20.8, 4.0 - 2.0 * t, -np.pi / 2), "Pedestrian")
-    tracks = track_drive(street([left, right]).observe(TRACKER_TIMES))
+def test_objects_that_cross_each_other_keep_their_numbers():
+    left = Actor(lambda t: (20.0, -4.0 + 2.0 * t, np.pi / 2), "Pedestrian")
+    right = Actor(lambda t: (20.8, 4.0 - 2.0 * t, -np.pi / 2), "Pedestrian")
+    tracks = tracked(left, right)
     assert len(tracks) == 2
     for track in tracks:
         steps = np.diff(track.centers[:, 1])
         assert abs(np.sign(steps).sum()) > 0.9 * len(steps)  # each walks on where it was going
 
 
-def test_what_is_hidden_for_a_second_is_the_same_object_afterwards(street, actor):
-    drive = street([actor(straight(5.0, y=2.0), unseen=(1.5, 2.5))])
-    tracks = track_drive(drive.observe(TRACKER_TIMES))
-    assert len(tracks) == 1
-    reported = set(tracks[0].timestamps_ns.tolist())
+def test_what_is_hidden_for_a_second_is_the_same_object_afterwards():
+    (track,) = tracked(Actor(straight(5.0, y=2.0), unseen=(1.5, 2.5)))
+    reported = set(track.timestamps_ns.tolist())
     assert round(2.4e9) not in reported  # nothing has been seen of it for long
     assert round(2.6e9) in reported
 
 
-def test_what_the_image_alone_shows_goes_on_with_a_box_in_the_image(street, actor):
-    drive = street([actor(straight(5.0, y=2.0), only_in_image=(1.5, 3.0))])
-    tracks = track_drive(drive.observe(TRACKER_TIMES))
-    assert len(tracks) == 1
-    track = tracks[0]
-    assert len(track) == len(TRACKER_TIMES)
+def test_what_the_image_alone_shows_goes_on_with_a_box_in_the_image():
+    (track,) = tracked(Actor(straight(5.0, y=2.0), only_in_image=(1.5, 3.0)))
+    assert len(track) == len(TIMES)
     middle = track.timestamps_ns == round(2.5e9)
     assert track.supports[middle] == Support.IMAGE
-    truth = street([actor(straight(5.0, y=2.0))]).observe([2.5])[0].fused["front"].corners_xyxy[0]
+    truth = seen([2.5], Actor(straight(5.0, y=2.0)))[0].fused["front"].corners_xyxy[0]
     # the detector's boxes are the truth here, and the filter adds little
     assert np.abs(track.corners_xyxy["front"][middle][0] - truth).max() < 3.0
 
 
-def test_a_single_doubtful_box_is_no_object_and_many_are_one(street, actor):
-    seen = street([actor(straight(0.0), score=0.3)]).observe(TRACKER_TIMES[:12])
+def test_a_single_doubtful_box_is_no_object_and_many_are_one():
     tracker = Tracker()
-    reported = [len(tracker.step(observation)) for observation in seen]
-    assert reported[0] == 0
-    assert reported[-1] == 1
+    reported = [len(tracker.step(one)) for one in seen(TIMES[:12], Actor(straight(0.0), score=0.3))]
+    assert (reported[0], reported[-1]) == (0, 1)
 
 
-def test_boxes_the_wrong_way_round_do_not_rotate_an_object_round(street, actor):
-    drive = street([actor(straight(5.0, y=2.0))], rotated=frozenset({8, 9, 21}))
-    track = track_drive(drive.observe(TRACKER_TIMES))[0]
-    assert np.abs(track.yaws).max() < 0.2
+@pytest.mark.parametrize("rotated", [{8, 9, 21}, {0, 1}])
+def test_boxes_the_wrong_way_round_do_not_rotate_an_object_that_drives(rotated):
+    track = tracked(Actor(straight(5.0, y=2.0)), rotated=frozenset(rotated))[0]
+    assert np.abs(track.yaws[-1 if 0 in rotated else 0 :]).max() < 0.2
 
 
-def test_an_object_that_was_born_the_wrong_way_round_rotates_as_it_drives(street, actor):
-    drive = street([actor(straight(5.0, y=2.0))], rotated=frozenset({0, 1}))
-    assert abs(track_drive(drive.observe(TRACKER_TIMES))[0].yaws[-1]) < 0.2
-
-
-def test_numbers_of_objects_do_not_depend_on_the_rate_of_frames(street, actor):
-    actors = [actor(straight(6.0, y=y)) for y in (-5.0, 5.0)]
+def test_numbers_of_objects_do_not_depend_on_the_rate_of_frames():
     for rate in (5.0, 10.0, 25.0):
-        tracks = track_drive(street(actors).observe(np.arange(int(3 * rate)) / rate))
+        tracks = tracked(*(Actor(straight(6.0, y=y)) for y in (-5.0, 5.0)), times=np.arange(int(3 * rate)) / rate)
         assert [track.label for track in tracks] == ["Car", "Car"]
         half = len(tracks[0]) // 2
         # the filter's own deviation of a speed is 0.6 m/s; half the states are not independent, but some are
         assert tracks[0].velocities[half:, 0].mean() == pytest.approx(6.0, abs=0.6)
 
 
-def test_the_same_drive_gives_the_same_tracks(street, actor):
-    drive = street([actor(straight(6.0, y=y), unseen=(1.0, 1.4)) for y in (-5.0, 0.0, 5.0)])
-    first, second = (track_drive(drive.observe(TRACKER_TIMES)) for _ in range(2))
-    for a, b in zip(first, second, strict=True):
+def test_the_same_drive_gives_the_same_tracks():
+    actors = [Actor(straight(6.0, y=y), unseen=(1.0, 1.4)) for y in (-5.0, 0.0, 5.0)]
+    for a, b in zip(tracked(*actors), tracked(*actors), strict=True):
         assert a.id == b.id
         assert np.array_equal(a.centers, b.centers)
         assert np.array_equal(a.scores, b.scores)
 
 
-def test_a_box_in_the_image_may_be_the_outline_of_the_box_in_space(street, actor):
-    seen = street([actor(straight(6.0, y=3.0))], sigma=0.01).observe(TRACKER_TIMES)
-    wider = []
-    for observation in seen:
-        fused = observation.fused["front"]
-        corners = fused.corners_xyxy + np.array([-10.0, 0.0, 10.0, 0.0])
-        wider.append(replace(observation, fused={"front": replace(fused, corners_xyxy=corners)}))
-    outlined = np.array([observation.fused["front"].corners_xyxy[0] for observation in seen])
+def with_changed(observations, change):
+    """The observations with what is fused of the front camera changed."""
+    return [
+        replace(one, fused={"front": replace(one.fused["front"], **change(one.fused["front"]))}) for one in observations
+    ]
+
+
+def test_a_box_in_the_image_may_be_the_outline_of_the_box_in_space():
+    there = seen(TIMES, Actor(straight(6.0, y=3.0)), sigma=0.01)
+    wider = with_changed(there, lambda fused: {"corners_xyxy": fused.corners_xyxy + np.array([-10.0, 0.0, 10.0, 0.0])})
+    outlined = np.array([one.fused["front"].corners_xyxy[0] for one in there])
     projected = track_drive(wider, settings=TrackerSettings(image_box=ImageBox.PROJECTED))[0]
     detected = track_drive(wider)[0]
     assert np.abs(projected.corners_xyxy["front"] - outlined)[20:].max() < 3.0
     assert np.abs(detected.corners_xyxy["front"] - outlined)[20:, 0].min() > 6.0
 
 
-def test_two_cameras_and_one_lidar_see_one_object(street, actor):
-    front = street([]).observe([0.0])[0].views["front"]
-    seen = street([actor(straight(4.0))]).observe(TRACKER_TIMES[:10], views={"left": front, 7: front})
-    tracks = track_drive(seen)
-    assert len(tracks) == 1
-    assert set(tracks[0].corners_xyxy) == {"left", 7}
-    assert np.isfinite(tracks[0].corners_xyxy[7]).all()
+def test_two_cameras_and_one_lidar_see_one_object():
+    there = Street([Actor(straight(4.0))]).observe(TIMES[:10], views={"left": FRONT, 7: FRONT})
+    (track,) = track_drive(there)
+    assert set(track.corners_xyxy) == {"left", 7}
+    assert np.isfinite(track.corners_xyxy[7]).all()
 
 
-def test_moments_without_boxes_or_cameras_are_moments(street, actor):
-    seen = street([actor(straight(4.0))]).observe(TRACKER_TIMES[:10])
-    seen[3] = replace(seen[3], fused={})
-    seen[4] = replace(seen[4], fused={}, views={})
-    seen[5] = replace(seen[5], views={})
-    tracks = track_drive(seen)
-    assert len(tracks) == 1
-    assert track_drive([replace(o, fused={}) for o in seen]).tracks == ()
+def test_moments_without_boxes_or_cameras_are_moments():
+    there = seen(TIMES[:10], Actor(straight(4.0)))
+    there[3] = replace(there[3], fused={})
+    there[4] = replace(there[4], fused={}, views={})
+    there[5] = replace(there[5], views={})
+    assert len(track_drive(there)) == 1
+    assert track_drive([replace(one, fused={}) for one in there]).tracks == ()
     assert track_drive([]).tracks == ()
+    objects = Tracker().step(Observation(5, RigidTransform.identity()))
+    assert (len(objects), objects.timestamp_ns) == (0, 5)
 
 
-def test_cars_one_behind_the_other_are_two_however_they_overlap_in_the_image(street, actor):
-    seen = street([actor(straight(0.0, start=12.0)), actor(straight(0.0, start=17.5))]).observe(TRACKER_TIMES[:5])
-    assert len(track_drive(seen)) == 2
-
-
-def test_a_class_is_that_of_the_most_boxes(street, actor):
-    seen = street([actor(straight(1.0))]).observe(TRACKER_TIMES[:12])
-    for k in (0, 5):
-        fused = seen[k].fused["front"]
-        seen[k] = replace(seen[k], fused={"front": replace(fused, labels=("Van",))})
-    tracks = track_drive(seen)
-    assert [track.label for track in tracks] == ["Car"]
-    assert len(tracks[0]) == 12
-
-
-def test_a_person_beside_a_car_is_not_taken_for_it(street, actor):
-    drive = street([actor(straight(1.0, y=2.0)), actor(straight(1.0, y=2.9), "Pedestrian")])
-    tracks = track_drive(drive.observe(TRACKER_TIMES[:15]))
+def test_cars_one_behind_the_other_are_two_and_a_person_beside_a_car_is_not_taken_for_it():
+    assert len(tracked(Actor(straight(0.0, start=12.0)), Actor(straight(0.0, start=17.5)), times=TIMES[:5])) == 2
+    tracks = tracked(Actor(straight(1.0, y=2.0)), Actor(straight(1.0, y=2.9), "Pedestrian"), times=TIMES[:15])
     assert sorted(track.label for track in tracks) == ["Car", "Pedestrian"]
 
 
+def test_a_class_is_that_of_the_most_boxes():
+    there = seen(TIMES[:12], Actor(straight(1.0)))
+    for k in (0, 5):
+        there[k : k + 1] = with_changed(there[k : k + 1], lambda _: {"labels": ("Van",)})
+    (track,) = track_drive(there)
+    assert (track.label, len(track)) == ("Car", 12)
+
+
 @pytest.mark.parametrize("column", ["centers", "sizes_lwh", "yaws", "scores", "center_covariances"])
-def test_boxes_that_are_no_numbers_are_left_out(street, actor, column):
-    seen = street([actor(straight(4.0)), actor(straight(4.0, y=6.0))]).observe(TRACKER_TIMES[:10])
-    spoilt = []
-    for observation in seen:
-        fused = observation.fused["front"]
+def test_boxes_that_are_no_numbers_are_left_out(column):
+    def spoil(fused):
         numbers = getattr(fused, column).copy()
         numbers[0] = np.nan
-        spoilt.append(replace(observation, fused={"front": replace(fused, **{column: numbers})}))
-    tracks = track_drive(spoilt)
+        return {column: numbers}
+
+    there = seen(TIMES[:10], Actor(straight(4.0)), Actor(straight(4.0, y=6.0)))
+    tracks = track_drive(with_changed(there, spoil))
     assert len(tracks) in (1, 2)
     assert all(np.isfinite(track.covariances).all() for track in tracks)
 
 
-def test_time_that_goes_back_or_leaps_ends_all_objects(street, actor):
-    seen = street([actor(straight(0.0))]).observe([0.0, 0.1, 0.2])
+def test_time_that_goes_back_or_leaps_ends_all_objects():
+    there = seen([0.0, 0.1, 0.2], Actor(straight(0.0)))
     tracker = Tracker()
-    first = [tracker.step(observation).ids.tolist() for observation in seen][-1]
-    assert tracker.step(seen[0]).ids.tolist() != first
-    later = replace(seen[0], timestamp_ns=round(60e9))
+    first = [tracker.step(one).ids.tolist() for one in there][-1]
+    assert tracker.step(there[0]).ids.tolist() != first
+    later = replace(there[0], timestamp_ns=round(60e9))
     assert tracker.step(later).ids.tolist() not in (first, [])
 
 
 @pytest.mark.parametrize("offline", [False, True])
-def test_one_moment_reported_twice_counts_as_one_state(street, actor, offline):
-    seen = street([actor(straight(2.0))]).observe([0.0, 0.1, 0.1, 0.2])
-    assert track_drive(seen, offline=offline)[0].timestamps_ns.tolist() == [0, round(0.1e9), round(0.2e9)]
+def test_one_moment_reported_twice_counts_as_one_state(offline):
+    there = seen([0.0, 0.1, 0.1, 0.2], Actor(straight(2.0)))
+    assert track_drive(there, offline=offline)[0].timestamps_ns.tolist() == [0, round(0.1e9), round(0.2e9)]
 
 
-def test_thousands_of_boxes_of_one_object_are_one_object(street, actor):
-    seen = street([actor(straight(0.0))]).observe([0.0, 0.1, 0.2])
+COLUMNS = "centers center_covariances sizes_lwh size_covariances yaws scores corners_xyxy ids rows_3d rows_2d"
+
+
+def test_thousands_of_boxes_of_one_object_are_one_object():
+    names = COLUMNS.split()
+
+    def repeat(fused):
+        columns = {name: np.repeat(getattr(fused, name), 3000, axis=0) for name in names}
+        return {"labels": fused.labels * 3000, **columns}
+
     tracker = Tracker()
-    for observation in seen:
-        fused = observation.fused["front"]
-        columns = {
-            name: np.repeat(getattr(fused, name), 3000, axis=0)
-            for name in (
-                *("centers", "center_covariances", "sizes_lwh", "size_covariances", "yaws", "scores"),
-                *("corners_xyxy", "ids", "rows_3d", "rows_2d"),
-            )
-        }
-        many = replace(fused, labels=fused.labels * 3000, **columns)
-        objects = tracker.step(replace(observation, fused={"front": many}))
-        assert len(objects) == 1
-
-
-def test_a_tracker_that_saw_nothing_states_nothing():
-    objects = Tracker().step(Observation(5, RigidTransform.identity()))
-    assert len(objects) == 0
-    assert objects.timestamp_ns == 5
+    for one in with_changed(seen([0.0, 0.1, 0.2], Actor(straight(0.0))), repeat):
+        assert len(tracker.step(one)) == 1

@@ -33,42 +33,37 @@ from sceneloom.tracking.labels import (
 )
 from sceneloom.tracking.settings import LabelSettings
 
+from .made import followed, made
+
 DEGREES = CuboidAngles()
 
 
-def wandering(a_track, seed, count=16):
+def wandering(seed, count=16):
     """A track that wanders and rotates."""
     random = np.random.default_rng(seed)
     centers = np.cumsum(random.normal(0.0, 0.08, (count, 3)), axis=0) + np.arange(count)[:, None] * [0.8, 0, 0]
     steps = np.cumsum(random.integers(50_000_000, 150_000_000, count))
-    return a_track(
-        count=count, timestamps_ns=steps, centers=centers, yaws=np.cumsum(random.normal(0.0, 0.03, count)) + 3.0
-    )
+    yaws = np.cumsum(random.normal(0.0, 0.03, count)) + 3.0
+    return made(count=count, timestamps_ns=steps, centers=centers, yaws=yaws)
 
 
-def deviations(path, rows):
-    """How far the scene's own readers, asked for all states, are from them: locations [m], headings [deg]."""
-    annotation = CuboidAnnotation("a", path.cuboids(rows, DEGREES))
-    values, there = cuboid_at(annotation, path.timestamps_ns)
+def deviations(path, first, last, keyframes):
+    """How far the scene's own readers, asked for states, are from them: most of locations [m], of headings [deg]."""
+    part = CuboidPath(path.timestamps_ns[keyframes], path.cuboids(keyframes, DEGREES).values)
+    values, there = cuboid_at(CuboidAnnotation("a", part), path.timestamps_ns[first : last + 1])
     assert there.all()
-    locations = np.linalg.norm(values[:, 3:6] - path.boxes[:, :3], axis=1)
-    rotations = (values[:, 8] - np.degrees(path.boxes[:, 6]) + 180.0) % 360.0 - 180.0
-    return locations, np.abs(rotations)
+    boxes = path.boxes[first : last + 1]
+    rotations = (values[:, 8] - np.degrees(boxes[:, 6]) + 180.0) % 360.0 - 180.0
+    return np.linalg.norm(values[:, 3:6] - boxes[:, :3], axis=1).max(), np.abs(rotations).max()
 
 
 def least_count(path, settings):
     """The fewest keyframes, by trying every way from the first state to the last."""
-
-    @cache
-    def reports(a, b):
-        rows = np.array([a, b])
-        part = CuboidPath(path.timestamps_ns[rows], path.cuboids(rows, DEGREES).values)
-        values, _ = cuboid_at(CuboidAnnotation("a", part), path.timestamps_ns[a : b + 1])
-        away = np.linalg.norm(values[:, 3:6] - path.boxes[a : b + 1, :3], axis=1)
-        rotations = (values[:, 8] - np.degrees(path.boxes[a : b + 1, 6]) + 180.0) % 360.0 - 180.0
-        return away.max() <= settings.tolerance_m and np.abs(rotations).max() <= settings.tolerance_deg
-
     last = len(path.timestamps_ns) - 1
+
+    def reports(a, b):
+        away, rotated = deviations(path, a, b, np.array([a, b]))
+        return away <= settings.tolerance_m and rotated <= settings.tolerance_deg
 
     @cache
     def fewest(a):
@@ -78,45 +73,41 @@ def least_count(path, settings):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_no_fewer_keyframes_would_do(a_track, seed):
+def test_no_fewer_keyframes_would_do(seed):
     settings = LabelSettings(tolerance_m=0.1, tolerance_deg=2.0, stationary=False)
-    path = label_path(wandering(a_track, seed), settings)
+    path = label_path(wandering(seed), settings)
     rows = path.keyframes(settings)
     assert len(rows) == least_count(path, settings)
     assert 2 < len(rows) < len(path.timestamps_ns)
 
 
 @pytest.mark.parametrize(("tolerance_m", "tolerance_deg"), [(0.02, 5.0), (0.3, 0.5), (0.0, 0.0)])
-def test_every_state_is_reported_within_the_tolerances(a_track, tolerance_m, tolerance_deg):
+def test_every_state_is_reported_within_the_tolerances(tolerance_m, tolerance_deg):
     settings = LabelSettings(tolerance_m=tolerance_m, tolerance_deg=tolerance_deg)
-    path = label_path(wandering(a_track, 9, count=60), settings)
-    locations, rotations = deviations(path, path.keyframes(settings))
-    assert locations.max() <= tolerance_m + 1e-9  # centimetres of metres: sums of few roundings
-    assert rotations.max() <= tolerance_deg + 1e-6
+    path = label_path(wandering(9, count=60), settings)
+    away, rotated = deviations(path, 0, 59, path.keyframes(settings))
+    assert away <= tolerance_m + 1e-9  # centimetres of metres: sums of few roundings
+    assert rotated <= tolerance_deg + 1e-6
 
 
-def test_a_straight_drive_needs_two_keyframes_and_a_long_gap_no_more(a_track):
+def test_a_straight_drive_needs_two_keyframes_and_neither_a_long_gap_nor_the_half_rotation_any_more():
     times = np.concatenate([np.arange(10), np.arange(40, 50)]) * 100_000_000
-    track = a_track(count=20, timestamps_ns=times, centers=np.column_stack([times * 8e-9, np.zeros(20), np.zeros(20)]))
-    path = label_path(track, LabelSettings())
-    assert path.keyframes(LabelSettings()).tolist() == [0, 19]
-
-
-def test_a_heading_goes_on_beyond_the_half_rotation(a_track):
+    track = made(count=20, timestamps_ns=times, centers=np.column_stack([times * 8e-9, np.zeros(20), np.zeros(20)]))
+    assert label_path(track, LabelSettings()).keyframes(LabelSettings()).tolist() == [0, 19]
     yaws = (np.linspace(2.6, 3.8, 21) + np.pi) % (2 * np.pi) - np.pi
-    path = label_path(a_track(yaws=yaws), LabelSettings())
+    path = label_path(made(yaws=yaws), LabelSettings())
     assert path.boxes[:, 6] == pytest.approx(np.linspace(2.6, 3.8, 21), abs=1e-12)
     assert path.keyframes(LabelSettings()).tolist() == [0, 20]
 
 
-def test_a_size_is_what_most_of_the_weight_says(a_track):
+def test_a_size_is_what_most_of_the_weight_says():
     sizes = np.tile([4.2, 1.8, 1.6], (21, 1))
     sizes[:15, 0] = 3.0
     covariances = np.tile(0.01 * np.eye(10), (21, 1, 1))
     covariances[:15] *= 4.0  # half the states weigh 15 / 4 against 6
-    path = label_path(a_track(sizes_lwh=sizes, covariances=covariances), LabelSettings())
+    path = label_path(made(sizes_lwh=sizes, covariances=covariances), LabelSettings())
     assert (path.boxes[:, 3] == 4.2).all()
-    free = label_path(a_track(sizes_lwh=sizes), LabelSettings(constant_sizes=False))
+    free = label_path(made(sizes_lwh=sizes), LabelSettings(constant_sizes=False))
     assert (free.boxes[:, 3] == sizes[:, 0]).all()
 
 
@@ -128,29 +119,26 @@ def test_medians_are_those_of_repeated_values():
         assert median == repeated[(len(repeated) - 1) // 2]
 
 
-def test_what_stands_gets_one_pose_and_what_creeps_does_not(a_track):
+def test_what_stands_gets_one_pose_and_what_creeps_does_not():
     random = np.random.default_rng(0)
     noise = np.column_stack([random.normal(0.0, 0.1, (21, 2)), np.zeros(21)])
-    stationary = label_path(a_track(speed=0.0, centers=noise + np.array([5.0, 2.0, 0.8])), LabelSettings())
+    stationary = label_path(made(speed=0.0, centers=noise + np.array([5.0, 2.0, 0.8])), LabelSettings())
     assert stationary.stands
     assert stationary.keyframes(LabelSettings()).tolist() == [0]
     # the median of 21 numbers of deviation 0.1 deviates by 0.027
     assert stationary.boxes[0, :3] == pytest.approx([5.0, 2.0, 0.8], abs=0.1)
-    assert not label_path(a_track(speed=0.5), LabelSettings()).stands
-    assert not label_path(a_track(speed=0.0), LabelSettings(stationary=False)).stands
+    assert not label_path(made(speed=0.5), LabelSettings()).stands
+    assert not label_path(made(speed=0.0), LabelSettings(stationary=False)).stands
 
 
-def test_what_is_seen_so_briefly_that_its_speed_is_not_known_may_stand(a_track):
+def test_what_is_seen_so_briefly_that_its_speed_is_not_known_may_stand():
     unsure = np.tile(np.diag([0.01] * 7 + [0.2] * 3), (4, 1, 1))
-    assert label_path(a_track(count=4, speed=0.4, covariances=unsure), LabelSettings()).stands
-    assert not label_path(a_track(count=4, speed=0.4), LabelSettings()).stands
-    assert not label_path(a_track(count=4, speed=1.0, covariances=100.0 * unsure), LabelSettings()).stands
-
-
-def test_a_pedestrian_who_stands_at_first_and_then_walks_does_not_stand(a_track):
-    along = np.concatenate([np.zeros(15), np.linspace(0.0, 1.5, 6)])
-    track = a_track(label="pedestrian", centers=np.column_stack([along, np.zeros((21, 2))]))
-    assert not label_path(track, LabelSettings()).stands
+    assert label_path(made(count=4, speed=0.4, covariances=unsure), LabelSettings()).stands
+    assert not label_path(made(count=4, speed=0.4), LabelSettings()).stands
+    assert not label_path(made(count=4, speed=1.0, covariances=100.0 * unsure), LabelSettings()).stands
+    along = np.concatenate([np.zeros(15), np.linspace(0.0, 1.5, 6)])  # stationary at first, then walking
+    walking = made(label="pedestrian", centers=np.column_stack([along, np.zeros((21, 2))]))
+    assert not label_path(walking, LabelSettings()).stands
 
 
 def test_a_stationary_object_heads_where_most_states_head():
@@ -160,12 +148,12 @@ def test_a_stationary_object_heads_where_most_states_head():
     assert np.cos(usual_heading(yaws + np.pi, np.ones(21)) - 0.4) == pytest.approx(-1.0, abs=1e-12)
 
 
-def test_states_before_the_first_box_and_after_the_last_are_left_out(a_track):
+def test_states_before_the_first_box_and_after_the_last_are_left_out():
     supports = np.full(21, Support.PREDICTED, np.uint8)
-    assert boxed_part(a_track(supports=supports)) is None
+    assert boxed_part(made(supports=supports)) is None
     supports[[4, 9]] = Support.IMAGE, Support.SWEEP
-    part = boxed_part(a_track(supports=supports, corners_xyxy={"camera": np.ones((21, 4))}))
-    assert part.timestamps_ns.tolist() == a_track().timestamps_ns[4:10].tolist()
+    part = boxed_part(made(supports=supports, corners_xyxy={"camera": np.ones((21, 4))}))
+    assert part.timestamps_ns.tolist() == made().timestamps_ns[4:10].tolist()
     assert part.corners_xyxy["camera"].shape == (6, 4)
 
 
@@ -173,21 +161,19 @@ def kinds(track):
     return {found.kind for found in flags_of(track)}
 
 
-@pytest.fixture
-def changed(a_track):
-    """Make a track of which some rows of a column are changed."""
-
-    def change(column, rows, values):
-        whole = np.array(getattr(a_track(), column))
-        whole[rows] = values
-        return a_track(**{column: whole})
-
-    return change
+def changed(column, rows, values):
+    """A track of which some rows of a column are changed."""
+    whole = np.array(getattr(made(), column))
+    whole[rows] = values
+    return made(**{column: whole})
 
 
-def test_a_good_track_has_no_flag(a_track):
-    assert not flags_of(a_track())
-    assert not flags_of(a_track(label="pedestrian", speed=0.0))
+def test_a_good_track_has_no_flag_not_even_where_its_heading_goes_round_the_half_rotation():
+    assert not flags_of(made())
+    assert not flags_of(made(label="pedestrian", speed=0.0))
+    yaws = (np.linspace(2.9, 3.5, 21) + np.pi) % (2 * np.pi) - np.pi
+    velocities = 8.0 * np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(21)])
+    assert not flags_of(made(yaws=yaws, velocities=velocities, centers=np.cumsum(velocities * 0.1, axis=0)))
 
 
 ZIGZAG = np.column_stack([0.8 * np.arange(21), 0.3 * (-1.0) ** np.arange(21), np.full(21, 0.8)])
@@ -208,67 +194,48 @@ ZIGZAG = np.column_stack([0.8 * np.arange(21), 0.3 * (-1.0) ** np.arange(21), np
         ({"yaws": np.full(21, np.pi)}, FlagKind.AGAINST_MOTION, 0),
     ],
 )
-def test_each_flaw_is_flagged_where_it_is(a_track, changed, changes, kind, row):
-    track = a_track(**changes) if isinstance(changes, dict) else changed(*changes)
+def test_each_flaw_is_flagged_where_it_is(changes, kind, row):
+    track = made(**changes) if isinstance(changes, dict) else changed(*changes)
     (found,) = [one for one in flags_of(track) if one.kind is kind]
     assert found.timestamp_ns == track.timestamps_ns[row]
     assert found.urgency > 1.0
 
 
-def test_one_jump_is_no_jitter_and_one_flip_is_no_jitter_of_the_heading(changed):
+def test_one_jump_is_no_jitter_and_one_flip_is_no_jitter_of_the_heading():
     assert FlagKind.JITTER not in kinds(changed("centers", (slice(12, None), 1), 3.0))
     assert FlagKind.YAW_JITTER not in kinds(changed("yaws", slice(9, 10), np.pi))
 
 
-def test_a_heading_that_goes_round_the_half_rotation_is_no_flip(a_track):
-    yaws = (np.linspace(2.9, 3.5, 21) + np.pi) % (2 * np.pi) - np.pi
-    velocities = 8.0 * np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(21)])
-    centers = np.cumsum(velocities * 0.1, axis=0)
-    assert not flags_of(a_track(yaws=yaws, velocities=velocities, centers=centers))
-
-
-def test_of_two_objects_in_one_location_the_less_sure_one_is_flagged(a_track):
-    sure, unsure = a_track(1), a_track(2, scores=np.full(21, 0.6))
-    apart = a_track(3, centers=a_track().centers + np.array([0.0, 4.0, 0.0]))
-    above = a_track(4, centers=a_track().centers + np.array([0.0, 0.0, 5.0]), scores=np.full(21, 0.5))
+def test_of_two_objects_in_one_location_the_less_sure_one_is_flagged():
+    sure, unsure = made(1), made(2, scores=np.full(21, 0.6))
+    apart = made(3, centers=made().centers + np.array([0.0, 4.0, 0.0]))
+    above = made(4, centers=made().centers + np.array([0.0, 0.0, 5.0]), scores=np.full(21, 0.5))
     (found,) = overlap_flags([sure, unsure, apart, above])
     assert (found.track, found.kind) == (2, FlagKind.OVERLAP)
     assert not overlap_flags([sure, unsure], {frozenset((1, 2))})
-
-
-def test_objects_that_are_there_at_different_times_do_not_overlap(a_track):
-    later = a_track(2, timestamps_ns=a_track().timestamps_ns + 10_000_000_000)
-    assert not overlap_flags([a_track(1), later])
+    later = made(2, timestamps_ns=made().timestamps_ns + 10_000_000_000)
+    assert not overlap_flags([made(1), later])
     assert not overlap_flags([])
 
 
-@pytest.fixture
-def beside(a_track):
-    return lambda number, label, left: a_track(number, label, centers=a_track().centers + np.array([0.1, left, 0.0]))
+def beside(number, label, left):
+    return made(number, label, centers=made().centers + np.array([0.1, left, 0.0]))
 
 
-def pairs(*tracks):
-    return [(person.id, bike.id) for person, bike in riders(tracks)]
-
-
-def test_a_person_is_linked_with_the_nearest_thing_that_it_stays_with(beside):
-    assert pairs(beside(1, "Pedestrian", 0.0), beside(2, "bicycle", 0.5), beside(3, "bicycle", 0.1)) == [(1, 3)]
-
-
-def test_each_rides_one_thing_and_is_ridden_by_one(beside):
-    people = beside(1, "rider", 0.0), beside(2, "person", 0.3)
-    assert pairs(*people, beside(3, "motorcycle", 0.1)) == [(1, 3)]
-
-
-def test_who_walks_past_or_is_somewhere_else_does_not_ride(a_track, beside):
-    passing = a_track(1, "pedestrian", centers=np.zeros((21, 3)))
-    assert pairs(passing, beside(2, "bicycle", 0.0)) == []
-    later = a_track(1, "pedestrian", timestamps_ns=a_track().timestamps_ns + 7)
-    assert pairs(later, beside(2, "bicycle", 0.0)) == []
-
-
-def test_cars_are_not_ridden(beside):
-    assert pairs(beside(1, "pedestrian", 0.0), beside(2, "car", 0.0)) == []
+@pytest.mark.parametrize(
+    ("tracks", "pairs"),
+    [
+        # the nearest thing that a person stays with
+        ([beside(1, "Pedestrian", 0.0), beside(2, "bicycle", 0.5), beside(3, "bicycle", 0.1)], [(1, 3)]),
+        # each rides one thing and is ridden by one
+        ([beside(1, "rider", 0.0), beside(2, "person", 0.3), beside(3, "motorcycle", 0.1)], [(1, 3)]),
+        ([made(1, "pedestrian", centers=np.zeros((21, 3))), beside(2, "bicycle", 0.0)], []),  # who walks past
+        ([made(1, "pedestrian", timestamps_ns=made().timestamps_ns + 7), beside(2, "bicycle", 0.0)], []),
+        ([beside(1, "pedestrian", 0.0), beside(2, "car", 0.0)], []),  # cars are not ridden
+    ],
+)
+def test_a_person_rides_the_nearest_thing_to_ride_that_it_stays_with(tracks, pairs):
+    assert [(person.id, bike.id) for person, bike in riders(tracks)] == pairs
 
 
 FRAMES = 10
@@ -277,19 +244,20 @@ TOLERANCES = LabelSettings(tolerance_m=0.04, tolerance_deg=0.8)
 
 @pytest.fixture(scope="module")
 def drive():
-    return simulate_street(
-        3,
-        frames=FRAMES,
-        lidar=LidarSpec(beams=32, steps=600),
-        cameras=(CameraSpec(sceneloom.cameras.Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5)),),
-        radars=(RadarSpec(),),
-        traffic=TrafficSpec(),
-    )
+    cameras = (CameraSpec(sceneloom.cameras.Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5)),)
+    lidar, sensors = LidarSpec(beams=32, steps=600), {"cameras": cameras, "radars": (RadarSpec(),)}
+    return simulate_street(3, frames=FRAMES, lidar=lidar, **sensors, traffic=TrafficSpec())
 
 
 @pytest.fixture(scope="module")
-def tracks(true_tracks, drive):
-    return true_tracks(drive, drive.truth.lidar.timestamps_ns + 50_000_000)
+def tracks(drive):
+    return followed(drive, drive.truth.lidar.timestamps_ns + 50_000_000)
+
+
+def label(drive, *tracks, **settings):
+    """What becomes of tracks without anything of the drive's sensors but what settings say."""
+    off = {"projections": False, "points": False, "radar": False} | settings
+    return label_tracks(replace(drive.scene, annotations=()), Tracks(tracks), settings=LabelSettings(**off))
 
 
 @pytest.fixture(scope="module")
@@ -384,16 +352,15 @@ def test_a_radar_contradicts_a_track_of_another_speed(labelled, drive, tracks):
     fast = [track for track in tracks if np.linalg.norm(track.velocities[0]) > 5.0]
     heard = max(fast, key=lambda track: len(radial_speeds(labelled, track)[0]))
     wrong = replace(heard, velocities=-heard.velocities)
-    settings = LabelSettings(projections=False, points=False)
-    found = label_tracks(replace(drive.scene, annotations=()), Tracks((wrong,)), settings=settings)
+    found = label(drive, wrong, radar=True)
     assert FlagKind.RADAR in {one.kind for one in found.flags}
 
 
-def test_a_label_says_how_sure_it_is_and_whence_it_comes(a_track):
+def test_a_label_says_how_sure_it_is_and_whence_it_comes():
     scores = np.linspace(0.5, 1.0, 21)
     supports = np.full(21, Support.BOTH, np.uint8)
     supports[8:10] = Support.PREDICTED
-    track = a_track(7, scores=scores, supports=supports)
+    track = made(7, scores=scores, supports=supports)
     scene = label_tracks(Scene(()), Tracks((track,)), settings=LabelSettings(source="made by hand")).scene
     cuboid = cuboids_of(scene)["cuboid-7"]
     existence = reported(cuboid, "existence")
@@ -407,15 +374,13 @@ def test_a_label_says_how_sure_it_is_and_whence_it_comes(a_track):
     assert reported(cuboid, "track").values == (7,)
 
 
-def test_boxes_in_images_and_cuboid_belong_to_one_object(a_track, drive):
+def test_boxes_in_images_and_cuboid_belong_to_one_object(drive):
     images = drive.scene.cameras[0].images.timestamps_ns
     corners = np.full((FRAMES, 4), np.nan)
     corners[[0, 1, 2, 8, 9]] = np.array([10.0, 20.0, 50.0, 60.004])
-    track = a_track(
-        5, count=FRAMES, timestamps_ns=images + 7_000_000, corners_xyxy={"camera0": corners, "other": corners}
-    )
-    settings = LabelSettings(projections=False, points=False, radar=False)
-    scene = label_tracks(replace(drive.scene, annotations=()), Tracks((track,)), settings=settings).scene
+    shown = {"camera0": corners, "other": corners}
+    track = made(5, count=FRAMES, timestamps_ns=images + 7_000_000, corners_xyxy=shown)
+    scene = label(drive, track).scene
     (thing,) = [each for each in scene.annotations if isinstance(each, ObjectAnnotation)]
     boxes = [each for each in scene.annotations if isinstance(each, Box2DAnnotation)]
     assert [box.path.timestamps_ns.tolist() for box in boxes] == [images[[0, 1, 2]].tolist(), images[[8, 9]].tolist()]
@@ -423,17 +388,16 @@ def test_boxes_in_images_and_cuboid_belong_to_one_object(a_track, drive):
     assert {each.parent_id for each in (*boxes, *cuboids_of(scene).values())} == {thing.id}
 
 
-def test_riders_are_linked_with_what_they_ride_and_do_not_count_as_overlapping(a_track):
-    found = label_tracks(Scene(()), Tracks((a_track(1, "rider"), a_track(2, "bicycle"))))
+def test_riders_are_linked_with_what_they_ride_and_do_not_count_as_overlapping():
+    found = label_tracks(Scene(()), Tracks((made(1, "rider"), made(2, "bicycle"))))
     (link,) = [each for each in found.scene.annotations if isinstance(each, LinkAnnotation)]
     assert (link.from_id, link.to_id, link.label) == ("cuboid-1", "cuboid-2", "rides")
     assert not found.flags
 
 
-def test_flags_are_reported_in_the_label_and_the_worst_first_in_the_metadata(a_track, drive):
-    short, empty = a_track(1, count=3), a_track(2, centers=a_track().centers + np.array([0.0, 0.0, 300.0]))
-    settings = LabelSettings(projections=False, radar=False)
-    found = label_tracks(replace(drive.scene, annotations=()), Tracks((short, empty)), settings=settings)
+def test_flags_are_reported_in_the_label_and_the_worst_first_in_the_metadata(drive):
+    short, empty = made(1, count=3), made(2, centers=made().centers + np.array([0.0, 0.0, 300.0]))
+    found = label(drive, short, empty, points=True)
     review = found.scene.metadata["sceneloom"]["labels"]["review"]
     assert [one["urgency"] for one in review] == sorted((one["urgency"] for one in review), reverse=True)
     assert ("cuboid-2", "empty boxes") in {(one["annotation"], one["flag"]) for one in review}
@@ -442,32 +406,28 @@ def test_flags_are_reported_in_the_label_and_the_worst_first_in_the_metadata(a_t
     assert reported(cuboids["cuboid-2"], "review").values == (("empty boxes",),)
 
 
-def test_what_is_hardly_there_is_left_out_on_request(a_track):
-    tracks = Tracks((a_track(1, count=2), a_track(2, scores=np.full(21, 0.2)), a_track(3)))
+def test_what_is_hardly_there_is_left_out_on_request():
+    tracks = Tracks((made(1, count=2), made(2, scores=np.full(21, 0.2)), made(3)))
     settings = LabelSettings(least_states=3, least_score=0.3)
     assert list(cuboids_of(label_tracks(Scene(()), tracks, settings=settings).scene)) == ["cuboid-3"]
     assert label_tracks(Scene(()), Tracks(())).objects == 0
 
 
-def test_a_scene_without_a_trajectory_keeps_the_labels_and_says_what_is_missing(a_track, drive):
+def test_a_scene_without_a_trajectory_keeps_the_labels_and_says_what_is_missing(drive):
     lost = replace(drive.scene, annotations=(), trajectories={})
     sensors = tuple(replace(s, poses=None) if hasattr(s, "poses") else s for s in lost.sensors)
-    found = label_tracks(replace(lost, sensors=sensors), Tracks((a_track(),)))
-    assert {"labels-not-projected", "labels-not-counted", "labels-not-heard"} <= {
-        warning.code for warning in found.scene.warnings
-    }
+    found = label_tracks(replace(lost, sensors=sensors), Tracks((made(),)))
+    codes = {warning.code for warning in found.scene.warnings}
+    assert {"labels-not-projected", "labels-not-counted", "labels-not-heard"} <= codes
     assert len(cuboids_of(found.scene)) == 1
 
 
-def test_annotations_stay_and_ids_that_are_taken_are_refused(labelled, tracks):
+def test_ids_that_are_taken_and_numbers_out_of_bounds_are_refused(labelled, tracks):
     with pytest.raises(OptionError, match="used twice"):
         label_tracks(labelled.scene, tracks, settings=LabelSettings(projections=False, points=False, radar=False))
-
-
-@pytest.mark.parametrize("wrong", [{"tolerance_m": -0.1}, {"least_score": 1.5}, {"tolerance_deg": float("nan")}])
-def test_numbers_out_of_bounds_are_refused(wrong):
-    with pytest.raises(OptionError, match=next(iter(wrong))):
-        LabelSettings(**wrong)
+    for wrong in ({"tolerance_m": -0.1}, {"least_score": 1.5}, {"tolerance_deg": float("nan")}):
+        with pytest.raises(OptionError, match=next(iter(wrong))):
+            LabelSettings(**wrong)
 
 
 @pytest.mark.parametrize("profile", ["sfs", "scale"])

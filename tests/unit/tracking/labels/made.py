@@ -1,7 +1,6 @@
 """Tracks made by hand or taken from the truth of simulated drives, for the tests of labels."""
 
 import numpy as np
-import pytest
 
 from sceneloom.scene import Support, Track, Tracks
 
@@ -33,29 +32,11 @@ def followed(drive, timestamps_ns):
     for i, (instance, label) in enumerate(zip(truth.instances.tolist(), truth.labels, strict=True)):
         rows = np.flatnonzero(truth.present[:, i])
         if len(rows) > 1 and label in FOLLOWED:
-            found.append(
-                made(
-                    instance,
-                    label,
-                    count=len(rows),
-                    timestamps_ns=truth.timestamps_ns[rows],
-                    centers=truth.centers_world[rows, i],
-                    sizes_lwh=np.tile(truth.sizes_lwh[i], (len(rows), 1)),
-                    yaws=truth.yaws[rows, i],
-                    velocities=truth.velocities[rows, i],
-                    yaw_rates=truth.yaw_rates[rows, i],
-                )
-            )
+            columns = {
+                "timestamps_ns": truth.timestamps_ns[rows],
+                "centers": truth.centers_world[rows, i],
+                "sizes_lwh": np.tile(truth.sizes_lwh[i], (len(rows), 1)),
+                **{name: getattr(truth, name)[rows, i] for name in ("yaws", "velocities", "yaw_rates")},
+            }
+            found.append(made(instance, label, count=len(rows), **columns))
     return Tracks(tuple(found))
-
-
-@pytest.fixture(scope="session")
-def a_track():
-    """Make a track, as `made` says."""
-    return made
-
-
-@pytest.fixture(scope="session")
-def true_tracks():
-    """Take tracks from the truth, as `followed` says."""
-    return followed

@@ -1,10 +1,9 @@
 """Drives whose truth is known by formula, as a tracker sees them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import FusedBoxes
@@ -15,10 +14,8 @@ from sceneloom.tracking import Observation, View
 Path = Callable[[float], tuple[float, float, float]]
 """Where an object is at a time [s]: x, y [m] and heading [rad] in the world."""
 
-FRONT = View(
-    Camera("pinhole", 1200, 400, 700.0, 700.0, 599.5, 199.5),
-    RigidTransform(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3)),
-)
+LOOKING = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+FRONT = View(Camera("pinhole", 1200, 400, 700.0, 700.0, 599.5, 199.5), RigidTransform(LOOKING, np.zeros(3)))
 SIZES = {"Car": (4.2, 1.8, 1.5), "Pedestrian": (0.8, 0.6, 1.7)}
 
 
@@ -55,7 +52,7 @@ class Street:
     actors: Sequence[Actor]
     ego: Path = lambda seconds: (0.0, 0.0, 0.0)
     sigma: float = 0.1
-    rotated: frozenset[int] = field(default_factory=frozenset)
+    rotated: frozenset[int] = frozenset()
 
     def observe(self, times: Sequence[float], *, views: Mapping[str, View] | None = None) -> list[Observation]:
         """What is seen at these times [s]."""
@@ -109,13 +106,6 @@ def _pose(x: float, y: float, heading: float) -> RigidTransform:
     return RigidTransform(rotation, np.array([x, y, 0.0]))
 
 
-@pytest.fixture
-def street() -> type[Street]:
-    """Drives by formula."""
-    return Street
-
-
-@pytest.fixture
-def actor() -> type[Actor]:
-    """Their objects."""
-    return Actor
+def seen(times, *actors, **street):
+    """What is seen of actors at some times [s]."""
+    return Street(actors, **street).observe(times)

@@ -127,6 +127,7 @@ def _check(path: Path | str, given: dict[str, Any], printer: Printer, reading: d
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.formats.kitti.tracking_reader import is_tracking_folder
     from sceneloom.pipeline.calibrating import check_drive
+    from sceneloom.pipeline.warm_up import compile_for
 
     images: Path | None = given["images"]
     if not (given["boxes3d"] or given["boxes2d"]) and is_tracking_folder(Path(path)):
@@ -140,6 +141,7 @@ def _check(path: Path | str, given: dict[str, Any], printer: Printer, reading: d
         is_empty = images.is_dir() and not any(images.iterdir())
         check_output(images, overwrite=given["overwrite"] or is_empty)
     with open_scene(path, **reading) as scene:
+        compile_for("calibrate", scene)
         found = check_drive(
             scene,
             options.known_id(scene, given["camera"]),
@@ -209,10 +211,12 @@ def _repair(path: Path | str, repair: str, given: dict[str, Any], printer: Print
     if given["images"] is not None and repair != "refine":
         raise click.UsageError("--visualize: with --check and --refine only")
     from sceneloom.formats.base.registry import open_scene
+    from sceneloom.pipeline.warm_up import compile_for
     from sceneloom.scene.time_range import cut_scene
 
     with open_scene(path, **reading) as scene, printer.progress("repairing") as progress:
         part = cut_scene(scene, start=given["start"], stop=given["stop"])
+        compile_for("calibrate", part)
         report = _repaired(part, repair, given, progress)
     printer.show(report, _print_repair)
     return _REPAIRED[report.verdict]

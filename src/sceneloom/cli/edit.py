@@ -426,9 +426,11 @@ def deskew(
     """Undo the motion during each lidar sweep: points stay in their sensor, as if measured all at one time."""
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.pipeline.deskewing import deskew as deskew_scene
+    from sceneloom.pipeline.warm_up import compile_for
 
     own = {"lenient": "lenient" in reading, **options.scene_options(given), **given}
     with open_scene(path, **reading) as scene, printer.progress("deskewing") as progress:
+        compile_for("deskew", scene)
         report = deskew_scene(scene, output, lidar=options.known_id(scene, lidar), progress=progress, **own)
     printer.show(report, _print_deskewing)
 

@@ -170,9 +170,11 @@ def _fuse_detections(
     from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.fusion.configuration import FusionConfiguration
     from sceneloom.pipeline.fusing_detections import fuse_detections
+    from sceneloom.pipeline.warm_up import compile_for_boxes
 
     chosen = detection_options.detection_input(given)
     detectors = given["detectors"]
+    compile_for_boxes("detections")
     with printer.progress("fusing") as progress:
         report = fuse_detections(
             path,

@@ -52,10 +52,12 @@ def track(
     """
     from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.pipeline.tracking import TrackingSettings, track_objects
+    from sceneloom.pipeline.warm_up import compile_for_boxes
     from sceneloom.tracking.settings import ImageBox
 
     chosen, detectors = detection_options.detection_input(given), given["detectors"]
     fusion = None if detectors is None else ProjectionSettings(detectors=detectors)
+    compile_for_boxes("track")
     with printer.progress("tracking") as progress:
         report = track_objects(
             path,

@@ -4,6 +4,7 @@ A kernel that is missing here is compiled when it is called, as any other. Withi
 first.
 """
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from sceneloom.cameras.camera import MODELS
@@ -45,26 +46,60 @@ _DEMO = (
     *_of("simulate.raycast", "trace_rays"),
     *_of("kernels.voxels", "number_cubes first_of_cubes"),
 )
-_JOBS = {"fuse": (), "depth": _DEPTH, "colour": _COLOUR, "demo": _DEMO}
+_CALIBRATION = (
+    *_of("kernels.projection", "_map_all"),
+    *_of("kernels.image_agreement", "sum_edges fill_histogram sum_by_table"),
+)
+_DETECTIONS = (
+    *_of("kernels.box_fusion", "update_by_sides positions_by_height boxes_from_eye usual_covariances shifted_sides"),
+    *_of("colouring.cuboid_projection", "sample_edges bound_edges extend_to_corners halve_steps extend_bounds"),
+    *_of("kernels.overlaps", "pair_gains hide_covered"),
+    *_of("kernels.existence", "scores_of_sweep reported_odds scores_of_image"),
+    *_of("kernels.box_fusion", "boxes_with_position boxes_with_area pair_uncontested single_precision"),
+)
+_TRACKING = _of("kernels.tracking", "add_gains_in_image gains_in_space without_twins predict read_boxes read_no_slip")
+_OF_SCENES = {"fuse": (), "depth": _DEPTH, "colour": _COLOUR, "demo": _DEMO, "calibrate": _CALIBRATION, "deskew": ()}
+_OF_BOXES = {"detections": _DETECTIONS, "track": (*_DETECTIONS, *_TRACKING)}
 
 
 def compile_for(job: str, scene: "Scene") -> None:
     """Compile the kernels that are not kept yet and that a job needs with the sensors of a scene.
 
     Args:
-        job: `fuse`, `depth`, `colour`, or `demo`, whose scene is a simulated one.
+        job: `fuse`, `depth`, `colour`, `calibrate`, `deskew`, or `demo`, whose scene is a simulated one.
         scene: what it reads.
     """
     if not scene.lidars:
         return
-    models = {sensor.camera.model for sensor in scene.cameras} & MODELS.keys()  # others are refused by the job
-    cameras = [
-        f"{MODELS[name].module}:{''.join(word.capitalize() for word in name.split('_'))}.{kernel}"
-        for name in sorted(models)
-        for kernel in ("project_into_image", *(("unproject_pixels",) if job in {"depth", "demo"} else ()))
-    ]
+    moving = _of("kernels.poses", "transform_by_path")
     placed = scene.trajectories or any(lidar.poses is not None for lidar in scene.lidars)
     odometry = () if placed else _ODOMETRY
-    fusion = _FUSION if scene.cameras else _of("kernels.poses", "transform_by_path")
-    first, *further = fusion
-    compile_ahead([*_JOBS[job][:2], first, *cameras, *_READING, *odometry, *further, *_JOBS[job][2:]])
+    if job == "deskew":
+        compile_ahead([*moving, *_READING, *odometry])
+        return
+    kernels = {"depth": "unproject_pixels", "demo": "unproject_pixels", "calibrate": "project_points unproject_pixels"}
+    models = {sensor.camera.model for sensor in scene.cameras}
+    cameras = _of_cameras(models, f"project_into_image {kernels.get(job, '')}")
+    first, *further = _FUSION if scene.cameras else moving
+    own = _OF_SCENES[job]
+    compile_ahead([*own[:2], first, *cameras, *_READING, *odometry, *further, *own[2:]])
+
+
+def compile_for_boxes(job: str, models: Iterable[str] = ("pinhole",)) -> None:
+    """Compile the kernels that are not kept yet and that fusing detections needs.
+
+    Args:
+        job: `detections`, or `track`.
+        models: of the cameras; KITTI's are pinholes.
+    """
+    own = _OF_BOXES[job]
+    compile_ahead([own[0], *_of_cameras(models, "project_points unproject_pixels"), *own[1:]])
+
+
+def _of_cameras(models: Iterable[str], kernels: str) -> list[str]:
+    """Kernels of camera models; those that are not known are refused by the job."""
+    return [
+        f"{MODELS[name].module}:{''.join(word.capitalize() for word in name.split('_'))}.{kernel}"
+        for name in sorted(MODELS.keys() & set(models))
+        for kernel in kernels.split()
+    ]

@@ -124,7 +124,6 @@ def _is_las(_: Path, start: bytes) -> bool:
     return start.startswith(b"LASF")
 
 
-_PLY_STARTS = {b"ply\n", b"ply\r", b"ply "}
 _KINDS = (
     CloudKind(
         "pcd",

@@ -177,12 +177,6 @@ def _needs_trajectory(scene: Scene, lidar: LidarSensor, frame: PointsFrame) -> b
     return False
 
 
-def _by_own_poses(lidar: LidarSensor, frame: PointsFrame) -> LidarSensor:
-    """A lidar without the mounting, where its own poses in the world state more."""
-    in_world = PointsFrame.WORLD in {frame, lidar.points_frame}
-    return replace(lidar, mount=None) if in_world and lidar.poses is not None else lidar
-
-
 def _note_fields(scene: Scene, kind: CloudKind, losses: Losses) -> None:
     """Report what becomes of the scene, but for what depends on the frames, and for what this scene does not have."""
     table = dict(supports_of(kind.name))

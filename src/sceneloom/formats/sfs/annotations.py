@@ -533,7 +533,6 @@ _ATTRIBUTE: Mapping[str, _Column] = {
 _SEEN = {"sensor_id": _AS_IS, "timestamps": _TIMESTAMPS}
 """What activations and projections begin with."""
 
-_VERTEX_PATH = {"timestamps": _TIMESTAMPS, "values": _Column("vertices", _read_vertices, _write_vertices)}
 _CONFIRMED = _Column(read=_read_confirmed)
 _CUBOIDS = _nullable_rows(9)
 _POSES = _Column(read=_read_poses, write=_write_poses, extras=extras_of_poses)

@@ -28,7 +28,7 @@ from sceneloom.motion.clock.signals import (
 )
 from sceneloom.motion.imu import ACCELEROMETER, GYROSCOPE
 from sceneloom.scene.clouds import LidarSensor
-from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
+from sceneloom.scene.motion import GnssSensor, ImuSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
@@ -243,23 +243,3 @@ def _by_trajectory(reference: _Motion, stream: _Motion, reach_ns: int, lever_sig
                 lever_sigma=lever_sigma if lever is None else min(lever_sigma, _KNOWN_LEVER_SIGMA),
             )
     return None
-
-
-def gyroscope_against_trajectory(
-    gyroscope: VectorSamples, trajectory: Trajectory, *, reach_ns: int = REACH_NS
-) -> ClockEstimate:
-    """Estimate the clock of a trajectory against that of a gyroscope on the same body.
-
-    Args:
-        gyroscope: angular velocities (N, 3) [rad/s] in the ego frame; non-finite rows are left out.
-        trajectory: `world_from_ego`.
-        reach_ns: largest offset that is searched [ns].
-
-    Returns:
-        The trajectory's clock against the gyroscope's. A minute of 100 Hz takes a few tenths of a second.
-    """
-    if trajectory.quaternions_xyzw is None:
-        return ClockEstimate.unknown(f"trajectory {trajectory.name!r} has no orientations")
-    rates = Orientations.of_rates(gyroscope.timestamps_ns, gyroscope.values[:, :3])
-    orientations = Orientations.of_poses(trajectory.timestamps_ns, trajectory.quaternions_xyzw)
-    return compare_rotations(rates, orientations, reach_ns=reach_ns)

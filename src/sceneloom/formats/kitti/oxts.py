@@ -12,7 +12,7 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.loss_list import Losses
 from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.kitti.text import as_table, read_lines
-from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation
+from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion, multiply_quaternions
 from sceneloom.scene.ego import stated_origin
@@ -105,9 +105,9 @@ _STREAMS = MappingProxyType(
 """Streams of the IMU and their columns: every number that is not in the fixes or the trajectory."""
 
 
-def _columns_of(values: Float64Array, names: tuple[str, ...]) -> Float64Array:
-    """Some of the columns of lines (N, 30), by their names."""
-    return np.ascontiguousarray(values[:, [_FIELDS.index(name) for name in names]])
+def _columns(names: tuple[str, ...]) -> list[int]:
+    """The positions of some numbers in a line."""
+    return [_FIELDS.index(name) for name in names]
 
 
 def oxts_sensors(
@@ -122,7 +122,7 @@ def oxts_sensors(
         ledger: takes warnings of columns that state nothing.
     """
     timestamps = read_only(timestamps_ns)
-    accuracies = _columns_of(values, ("pos_accuracy",))[:, 0]
+    accuracies = np.ascontiguousarray(values[:, _FIELDS.index("pos_accuracy")])
     gnss = GnssSensor(
         _GNSS_ID,
         timestamps,
@@ -133,7 +133,7 @@ def oxts_sensors(
     )
     streams = {}
     for stream, names in _STREAMS.items():
-        found = _columns_of(values, names)
+        found = np.ascontiguousarray(values[:, _columns(names)])
         if stream in ("accelerometer", "gyroscope") and not found.any():
             message = f"{' '.join(names)} are 0 in every line, which no unit measures: taken as not reported"
             ledger.note(WarningKind.ASSUMED, "oxts-zeros", location, message)
@@ -204,13 +204,10 @@ class _Table:
         self.values = np.zeros((len(timestamps_ns), len(_FIELDS)))
         self.losses = Losses()
         for name, value in _UNTOLD.items():
-            self.put((name,), np.full((len(timestamps_ns), 1), value))
+            self.values[:, _FIELDS.index(name)] = value
 
     def put(self, names: tuple[str, ...], values: Float64Array) -> None:
-        self.values[:, [_FIELDS.index(name) for name in names]] = values
-
-    def of(self, names: tuple[str, ...]) -> Float64Array:
-        return self.values[:, [_FIELDS.index(name) for name in names]]
+        self.values[:, _columns(names)] = values
 
 
 def _put_locations(table: _Table, scene: Scene, path: Poses, positions: Float64Array, gnss: GnssSensor | None) -> None:
@@ -273,7 +270,8 @@ def _put_inertial(table: _Table, imu: ImuSensor | None, angles: Float64Array) ->
     """Accelerations and rates at the lines' times, in the unit's axes and in level ones."""
     if imu is None:
         return
-    level = _level_rotations(angles)
+    # what takes the unit's axes into level ones of the same heading, (N, 3, 3)
+    level = rotation_from_cuboid_angles(angles * [1.0, 1.0, 0.0], unit=AngleUnit.RADIANS, order="zyx")
     for stream, levelled in (("accelerometer", "levelAcceleration"), ("gyroscope", "levelGyroscope")):
         values = _at(table, imu, stream)
         if values is not None:
@@ -290,15 +288,6 @@ def _put_inertial(table: _Table, imu: ImuSensor | None, angles: Float64Array) ->
         elif not _same_times(table, imu, stream):
             what = "a value at the time of each line, between the nearest two; the others are left out"
             table.losses.approximated(f"sensors.imu.streams.{kind}", what, count=len(samples))
-
-
-def _level_rotations(angles: Float64Array) -> Float64Array:
-    """What takes the unit's axes into level ones of the same heading, (N, 3, 3)."""
-    from sceneloom.geometry.euler import rotation_from_cuboid_angles
-
-    level = angles.copy()
-    level[:, 2] = 0.0
-    return rotation_from_cuboid_angles(level, unit=AngleUnit.RADIANS, order="zyx")
 
 
 def _same_times(table: _Table, imu: ImuSensor, stream: str) -> bool:

@@ -139,9 +139,6 @@ def _scale_of(path: Path, ledger: Ledger) -> IntensityScale:
 
 LIDAR_ID = "velodyne"
 
-_STATIONARY = "stationary"
-"""The name of a trajectory that is none: the ego is stationary, since nothing reports how it moved."""
-
 
 def camera_id(number: int) -> str:
     """What a camera is called: its number is that of KITTI's."""
@@ -225,7 +222,7 @@ def stationary(timestamps_ns: Int64Array, location: Path | str, reason: str, led
     )
     times = np.unique(np.array([timestamps_ns.min(), timestamps_ns.max()], np.int64))
     rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
-    return Trajectory(_STATIONARY, read_only(times), read_only(np.zeros((len(times), 3))), read_only(rotations))
+    return Trajectory("stationary", read_only(times), read_only(np.zeros((len(times), 3))), read_only(rotations))
 
 
 def kitti_metadata(benchmark: str, **reported: Any) -> Mapping[str, Any]:
@@ -236,11 +233,7 @@ def kitti_metadata(benchmark: str, **reported: Any) -> Mapping[str, Any]:
         reported: further fields; those that are None are left out.
     """
     about = {"benchmark": benchmark, **{name: value for name, value in reported.items() if value is not None}}
-    return MappingProxyType({"sceneloom": dict(_ANGLES), "kitti": about})
-
-
-_ANGLES = {"euler_unit": "degrees", "euler_order": "xyz"}
-"""How the angles of the boxes are meant: what `metadata["sceneloom"]` says of them."""
+    return MappingProxyType({"sceneloom": {"euler_unit": "degrees", "euler_order": "xyz"}, "kitti": about})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,11 +20,18 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
+from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 from tests.unit.service.test_security import Authority
 
+from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.wire import fusion_pb2
+from sceneloom.errors import DataError
+from sceneloom.service.methods import METHODS
+from sceneloom.service.sessions import CallError
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 WIDTH, HEIGHT = 64, 48
@@ -167,7 +174,7 @@ def boxes_2d(seq, now):
 
 
 def seeds(rig):
-    """Sound requests of each method, whose records are of the next time."""
+    """Sound requests of each method, whose records are of the next time; nothing is sent."""
     value, made = fusion_pb2.Value, rig.request
     listed = fusion_pb2.ValueList(values=[value(integer_value=k) for k in (0, -1, 2)])
     pose = fusion_pb2.Pose(timestamp=timestamp(100 * rig.seq), position=[1, 2, 3], quaternion_xyzw=[0, 0, 0, 1])
@@ -260,6 +267,33 @@ def change(rng, message, field):
             found[rng.randrange(len(found))] = rng.choice(pool)
     else:
         setattr(message, field.name, rng.choice(pool))
+
+
+ONE_STEP = [name for name, method in METHODS.items() if method.call.perform is not None]
+SEEDS = seeds(Rig("localhost:1", "a"))
+
+
+@pytest.mark.parametrize("name", ONE_STEP)
+@given(data=st.data())
+def test_other_bytes_are_answered_or_refused_by_a_method_that_is_one_step(name, data):
+    content = bytearray(data.draw(st.sampled_from(SEEDS[name])).SerializeToString())
+    for _ in range(data.draw(st.integers(1, 3))):
+        k = data.draw(st.integers(0, len(content)))
+        content[k : k + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
+    method = METHODS[name]
+    with FusionInterface(inline=True) as fusion, contextlib.suppress(CallError):
+        method.reply_type.FromString(method.perform(fusion, bytes(content)))
+
+
+@pytest.mark.parametrize("name", ONE_STEP)
+@given(content=st.binary(max_size=60))
+def test_any_bytes_name_a_session_or_are_refused(name, content):
+    expected = found = None
+    with contextlib.suppress(DecodeError):
+        expected = METHODS[name].request_type.FromString(content).session
+    with contextlib.suppress(DataError):
+        found = METHODS[name].session_of(content)
+    assert expected is None or found == expected
 
 
 def attack(rig, other, name, count, *, seed=0):

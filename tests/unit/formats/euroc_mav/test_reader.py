@@ -67,13 +67,10 @@ def write_drive(tmp_path):
     poses = [f"{T0 + k * STEP},{k}.0,2.0,0.5,1,0,0,0,0,0,0,0,0,0,0,0,0" for k in range(3)]
     (mav / "state_groundtruth_estimate0" / "data.csv").write_text(TRAJECTORY + "\n".join(poses) + "\n")
     spots = [f"{T0 + k * STEP},{k}.25,1.0,2.0" for k in range(2)]
-    (mav / "leica0" / "data.csv").write_text(
-        "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m]\n" + "\n".join(spots)
-    )
-    (mav / "pointcloud0" / "data.ply").write_text(
-        "ply\nformat ascii 1.0\nelement vertex 2\n"
-        "property float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n4 5 6\n"
-    )
+    head = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m]"
+    (mav / "leica0" / "data.csv").write_text("\n".join([head, *spots]))
+    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    (mav / "pointcloud0" / "data.ply").write_text(f"{head}1 2 3\n4 5 6\n")
     return mav.parent
 
 
@@ -92,8 +89,9 @@ def test_a_drive_is_read_whole(drive):
         assert {warning.code for warning in scene.warnings} == {"states-not-read"}
 
 
-def test_images_have_their_times_camera_model_and_location(drive):
-    camera = open_scene(drive).sensor("cam0")
+def test_images_and_inertial_values_are_reported_in_the_axes_of_the_body(drive):
+    scene = open_scene(drive)
+    camera, imu = scene.sensor("cam0"), scene.sensor("imu0")
     assert camera.images.timestamps_ns.tolist() == [T0, T0 + STEP, T0 + 2 * STEP]
     assert camera.images[2].rgb.tolist() == np.full((6, 8, 3), 20).tolist()
     assert camera.camera.model == "brown_conrady"
@@ -102,10 +100,6 @@ def test_images_have_their_times_camera_model_and_location(drive):
     # T_BS takes the sensor's x axis to the body's y axis
     np.testing.assert_allclose(camera.mount.apply(np.array([1.0, 0.0, 0.0])), [-0.02, 0.94, 0.01])
     np.testing.assert_allclose(camera.poses.positions, [[-0.02, 1.94, 0.51], [0.98, 1.94, 0.51], [1.98, 1.94, 0.51]])
-
-
-def test_rates_and_accelerations_are_reported_in_the_axes_of_the_body(drive):
-    imu = open_scene(drive).sensor("imu0")
     assert imu.streams["gyroscope"].values[0].tolist() == [-2.0, 1.0, 3.0]
     assert imu.streams["accelerometer"].values[3].tolist() == [-3.5, 9.8, -0.25]
     assert imu.streams["accelerometer"].timestamps_ns.tolist() == [T0 + k * 5_000_000 for k in range(4)]

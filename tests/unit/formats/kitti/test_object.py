@@ -91,15 +91,12 @@ def test_what_labels_state_beside_locations_is_kept(frames):
     assert around.path.values.tolist() == [[1.5, 2.5, 2.0, 2.0]]
 
 
-def test_frames_are_apart_and_share_no_world(frames):
+def test_frames_are_apart_and_share_no_world_and_of_training_and_testing_the_former_is_read(frames):
     scene = open_scene(frames)
     assert scene.sensor("velodyne").frames.timestamps_ns.tolist() == [0, 10**9]
     assert scene.metadata["kitti"]["numbers"] == [3, 7]
     assert [n.code for n in scene.warnings] == ["frames-apart"]
     assert not scene.trajectories["frames"].positions.any()
-
-
-def test_of_training_and_testing_the_former_is_read_with_a_warning(frames):
     (frames / "testing/image_2").mkdir(parents=True)
     Image.new("RGB", (36, 28)).save(frames / "testing/image_2/000000.png")
     assert "other-part" in [n.code for n in open_scene(frames).warnings]

@@ -114,15 +114,13 @@ def test_a_fault_is_reported_with_its_location(root, name, text, problem):
     assert problem in str(caught.value)
 
 
-def test_a_sequence_or_calibration_that_is_not_there_is_reported(root):
+def test_each_sequence_is_a_drive_and_one_or_a_calibration_that_is_not_there_is_reported(root):
+    assert drives_of(root) == ()
+    shutil.copytree(root / "sequences/04", root / "sequences/06")
+    assert drives_of(root) == (root / "sequences/04", root / "sequences/06")
+    shutil.rmtree(root / "sequences/06")
     with pytest.raises(OptionError, match=r"sequence '05': .* has 04"):
         open_scene(root, sequence="05")
     (root / "sequences/04/calib.txt").unlink()
     with pytest.raises(DataError, match=r"calib.txt: is missing; expected P0 to P3, and Tr"):
         open_scene(root)
-
-
-def test_each_sequence_is_a_drive(root):
-    assert drives_of(root) == ()
-    shutil.copytree(root / "sequences/04", root / "sequences/05")
-    assert drives_of(root) == (root / "sequences/04", root / "sequences/05")

@@ -4,7 +4,7 @@ import ast
 import os
 import shutil
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -35,7 +35,6 @@ class SourceModule:
 
     @cached_property
     def nodes(self) -> tuple[ast.AST, ...]:
-        """All nodes of the tree."""
         return tuple(ast.walk(self.tree))
 
     @cached_property
@@ -90,38 +89,21 @@ def tracked_files() -> list[Path]:
     return files
 
 
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run a guard once per room where it asks for one, so that a failure names the room, and its message the module.
-
-    Once per module would be half of all tests of the project, and most of the time they take goes to their bookkeeping.
-    """
-    if "modules_of_room" in metafunc.fixturenames:
-        _parametrize_by_room(metafunc, "modules_of_room", source_modules())
-    if "packages_of_room" in metafunc.fixturenames:
-        packages = [module for module in source_modules() if module.is_package]
-        _parametrize_by_room(metafunc, "packages_of_room", packages)
-
-
-def _parametrize_by_room(metafunc: pytest.Metafunc, name: str, modules: Iterable[SourceModule]) -> None:
-    rooms: dict[str, list[SourceModule]] = {}
-    for module in modules:
-        rooms.setdefault(".".join(module.name.split(".")[:2]), []).append(module)
-    metafunc.parametrize(name, list(rooms.values()), ids=list(rooms))
-
-
 @pytest.fixture(scope="session")
 def modules() -> tuple[SourceModule, ...]:
-    """All modules of the package."""
     return source_modules()
 
 
 @pytest.fixture(scope="session")
+def packages() -> list[SourceModule]:
+    return [module for module in source_modules() if module.is_package]
+
+
+@pytest.fixture(scope="session")
 def project_files() -> list[Path]:
-    """The files under version control."""
     return tracked_files()
 
 
 @pytest.fixture(scope="session")
 def project() -> Path:
-    """The root of the checkout."""
     return PROJECT

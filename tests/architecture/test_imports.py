@@ -1,12 +1,25 @@
-"""A module imports only from rows below its own, and `import sceneloom` stays light."""
+"""A module imports only from rows below its own, little is imported at once, and what is on first use is there."""
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
+from dataclasses import fields, is_dataclass
+from importlib import import_module
+from inspect import signature
 from itertools import chain
 
 import pytest
+
+import sceneloom
+from sceneloom.cameras.camera import Camera
+from sceneloom.formats import FORMATS
+from sceneloom.formats.base.registry import format_named
+from sceneloom.lazy import imported
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+
+NAMED = re.compile(r"(sceneloom(?:\.\w+)+):(\w+)")
 
 ROWS = (
     ("__main__",),
@@ -90,15 +103,14 @@ def test_every_room_has_its_row(modules):
     assert not unknown, f"rooms without a row: {unknown}; add them to ROWS and to docs/ARCHITECTURE.md"
 
 
-def test_a_module_imports_only_from_rows_below_its_own(modules_of_room):
-    for module in modules_of_room:
-        room = room_of(module.name)
-        wrong = [
-            f"line {line}: {name}"
-            for name, line in module.imports
-            if name.split(".")[0] == "sceneloom" and not may_import(room, room_of(name))
-        ]
-        assert not wrong, f"{module.name} imports from its own row or above: {wrong}"
+def test_a_module_imports_only_from_rows_below_its_own(modules):
+    wrong = [
+        f"{module.name}, line {line}: {name}"
+        for module in modules
+        for name, line in module.imports
+        if name.split(".")[0] == "sceneloom" and not may_import(room_of(module.name), room_of(name))
+    ]
+    assert not wrong
 
 
 FORMAT_ROWS = (
@@ -149,16 +161,19 @@ def _reached(graph, start):
     return seen
 
 
-def test_a_third_party_is_imported_only_in_the_rooms_that_wrap_it(modules_of_room):
-    for module in modules_of_room:
-        room = room_of(module.name)
-        foreign = [
-            (name.split(".")[0], line)
-            for name, line in module.imports
-            if name.split(".")[0] not in sys.stdlib_module_names and name.split(".")[0] != "sceneloom"
-        ]
-        wrong = [f"line {line}: {name}" for name, line in foreign if room not in WRAPPERS.get(name, set())]
-        assert not wrong, f"{module.name}: {wrong}; WRAPPERS says who wraps what"
+def foreign_imports(modules):
+    own = {*sys.stdlib_module_names, "sceneloom"}
+    found = [(module, name.split(".")[0], line) for module in modules for name, line in module.imports]
+    return [row for row in found if row[1] not in own]
+
+
+def test_a_third_party_is_imported_only_in_the_rooms_that_wrap_it(modules):
+    wrong = [
+        f"{module.name}, line {line}: {name}"
+        for module, name, line in foreign_imports(modules)
+        if room_of(module.name) not in WRAPPERS.get(name, set())
+    ]
+    assert not wrong, "WRAPPERS says who wraps what"
 
 
 def test_every_third_party_that_is_imported_is_declared(modules, project):
@@ -166,20 +181,11 @@ def test_every_third_party_that_is_imported_is_declared(modules, project):
     requirements = [*declared["dependencies"], *chain(*declared["optional-dependencies"].values())]
     names = {requirement.split(">")[0].split("=")[0].split("[")[0] for requirement in requirements}
     distributions = {
-        "PIL": "pillow",
-        "distributed": "dask",
-        "foxglove_schemas_protobuf": "foxglove-schemas-protobuf",
-        "google": "protobuf",
-        "rerun": "rerun-sdk",
-        "ruamel": "ruamel.yaml",
-        "grpc": "grpcio",
-        "grpc_health": "grpcio-health-checking",
-        "grpc_reflection": "grpcio-reflection",
-        "small_gicp": "small-gicp",
-    }
-    imported = {name.split(".")[0] for m in modules for name, _ in m.imports}
-    foreign = imported - set(sys.stdlib_module_names) - {"sceneloom"}
-    assert {distributions.get(name, name) for name in foreign} <= names
+        "PIL": "pillow", "distributed": "dask", "foxglove_schemas_protobuf": "foxglove-schemas-protobuf",
+        "google": "protobuf", "rerun": "rerun-sdk", "ruamel": "ruamel.yaml", "grpc": "grpcio",
+        "grpc_health": "grpcio-health-checking", "grpc_reflection": "grpcio-reflection", "small_gicp": "small-gicp",
+    }  # fmt: skip
+    assert {distributions.get(name, name) for _, name, _ in foreign_imports(modules)} <= names
 
 
 def test_benchmarks_and_examples_import_what_is_there(project, modules):
@@ -209,12 +215,6 @@ def test_the_rule_of_rows_reports_right_from_wrong(importer, imported, allowed):
     assert may_import(importer, imported) is allowed
 
 
-LOADED = """
-import sys
-{statement}
-print(*sorted({{name.split(".")[0] for name in sys.modules}} - set(sys.stdlib_module_names)))
-"""
-
 OPENED = """
 import sys
 import numpy, msgspec
@@ -228,26 +228,103 @@ print(*(name for name in opened if not name.endswith(code) and ".pyc." not in na
 """
 
 
-def run_python(program: str) -> str:
-    """Run a program in a fresh interpreter outside the checkout and give what it prints."""
+COUNT = """
+import sys
+{}
+modules = [name for name in sys.modules if name.partition(".")[0] == "sceneloom"]
+print(len(modules), *sorted({{name.partition(".")[0] for name in sys.modules}} - set(sys.stdlib_module_names)))
+"""
+
+
+def run_python(program: str) -> list[str]:
+    """Run a program in a fresh interpreter outside the checkout and give the words that it prints."""
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stdout
+    return done.stdout.split()
 
 
-LIGHT_STATEMENTS = (
-    "import sceneloom",
-    "from sceneloom import Poses, Scene, SceneloomError, open, write",
-    "import sceneloom.scene, sceneloom.formats, sceneloom.cameras, sceneloom.geometry",
+def imported_by(statement: str) -> tuple[int, set[str]]:
+    """How many of our modules a statement imports in a fresh interpreter, and the third parties."""
+    count, *names = run_python(COUNT.format(statement))
+    return int(count), set(names) - {"sceneloom"}
+
+
+@pytest.fixture(scope="module")
+def light() -> set[str]:
+    """What may be imported with the package."""
+    return imported_by("import numpy, msgspec")[1]
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import sceneloom",
+        "from sceneloom import Poses, Scene, SceneloomError, open, write",
+        "import sceneloom.scene, sceneloom.formats, sceneloom.cameras, sceneloom.geometry",
+    ],
 )
-
-
-@pytest.mark.parametrize("statement", LIGHT_STATEMENTS)
-def test_the_package_and_its_model_load_only_numpy_and_msgspec(statement):
-    before = set(run_python(LOADED.format(statement="import numpy, msgspec")).split())
-    after = set(run_python(LOADED.format(statement=statement)).split())
-    assert after - before == {"sceneloom"}
+def test_the_package_and_its_model_load_only_numpy_and_msgspec(statement, light):
+    assert imported_by(statement)[1] <= light
 
 
 def test_importing_the_package_opens_no_file_but_modules():
-    assert run_python(OPENED).split() == []
+    assert run_python(OPENED) == []
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drives")
+    camera = CameraSpec(Camera("pinhole", 32, 24, 20.0, 20.0, 15.5, 11.5))
+    scene = simulate_street(1, frames=2, lidar=LidarSpec(beams=4, steps=40), cameras=(camera,)).scene
+    for name in ("drive.sfs", "drive"):
+        sceneloom.write(scene, folder / name)
+    return folder
+
+
+@pytest.mark.parametrize(("name", "most"), [("drive.sfs", 110), ("drive", 130)])
+def test_opening_a_drive_imports_nothing_of_other_formats(name, most, drives):
+    count, _ = imported_by(f"import sceneloom; sceneloom.open({str(drives / name)!r})")
+    assert count <= most
+
+
+def test_specs_are_light(light):
+    count, others = imported_by("from sceneloom.formats.base.registry import all_formats; all_formats()")
+    assert count <= 90
+    assert others <= light
+
+
+def test_what_is_named_to_be_imported_on_first_use_is_there(modules):
+    named = {
+        match.groups()
+        for module in modules
+        for node in module.nodes
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        if (match := NAMED.fullmatch(node.value))
+    }
+    assert len(named) > 100
+    absent = [f"{module}:{name}" for module, name in named if not hasattr(import_module(module), name)]
+    assert not absent
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_format_is_what_its_row_says_and_its_reader_and_writer_take_what_it_states(name):
+    spec, row = format_named(name), FORMATS[name]
+    assert spec.name == name
+    assert spec.suffixes
+    assert spec.reads or spec.writes
+    assert spec.reads == bool(row.file or row.folder)
+    assert spec.instead or (spec.reads and spec.writes)
+    for function, options, first in (
+        (spec.reader, spec.read_options, ("path",)),
+        (spec.writer, spec.write_options, ("scene", "path", "overwrite")),
+    ):
+        if not function:
+            continue
+        taken = signature(imported(function)).parameters
+        expected = {*first, *spec.given, *(("options",) if is_dataclass(options) else options)}
+        if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in taken.values()):
+            assert expected <= set(taken), function
+        needed = {key for key, one in taken.items() if one.default is one.empty and one.kind < one.VAR_KEYWORD}
+        assert needed <= expected, function
+        if is_dataclass(options):
+            assert all(field.metadata.get("help") for field in fields(options))

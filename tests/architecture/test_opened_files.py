@@ -39,7 +39,6 @@ ALLOWED = {
     ("sceneloom.batch.cluster", "read_bytes"): "what a worker of ours left",
     ("sceneloom.batch.record", "sqlite3.connect"): "the lock and the record in a folder of our own",
     ("sceneloom.catalog.building", "pa.OSFile"): "what was drafted before, in a folder of our own",
-    ("sceneloom.catalog.storage", "pa.OSFile"): "what was drafted before, in a folder of our own",
     ("sceneloom.colouring.world_map", "np.load"): "what was written before, in a folder of our own",
     ("sceneloom.colouring.world_map", "np.fromfile"): "what was written before, in a folder of our own",
     ("sceneloom.pipeline.colouring", "np.memmap"): "what was written before, in a folder of our own",

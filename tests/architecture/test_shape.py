@@ -1,8 +1,9 @@
-"""Modules have names of the field, and no file is large or holds anything of one machine."""
+"""Modules have names of the field, no file is large or of one machine, and what a package offers is explained."""
 
+import ast
 import re
-
-import pytest
+from importlib import import_module
+from importlib.util import find_spec
 
 REFUSED_NAMES = {"util", "utils", "common", "core", "helper", "helpers", "misc", "manager", "managers", "tools"}
 LARGEST_FILE = 1_000_000
@@ -12,14 +13,10 @@ HOSTS = ("pypi.org", "pythonhosted.org", "conda.anaconda.org", "index-url", "fin
 QUOTES_THE_HOSTS = "tests/architecture/test_shape.py"
 
 
-def test_a_module_is_named_after_what_it_is_about(modules_of_room):
-    for module in modules_of_room:
+def test_a_module_is_named_after_what_it_is_about_and_stands_in_a_package(modules):
+    for module in modules:
         refused = REFUSED_NAMES & set(module.name.split("."))
         assert not refused, f"{module.name}: {refused} says nothing about its content"
-
-
-def test_a_folder_of_modules_is_a_package(modules_of_room):
-    for module in modules_of_room:
         assert (module.path.parent / "__init__.py").is_file(), module.name
 
 
@@ -40,11 +37,99 @@ def test_no_file_holds_a_path_of_one_machine_or_the_host_of_a_registry(project_f
     assert not found
 
 
-@pytest.mark.parametrize("text", ["see /root/x", "'/work/main/a'", "at /home/someone", "file:///Users/a"])
-def test_paths_of_one_machine_are_noticed(text):
-    assert MACHINE_PATHS.search(text)
+def test_paths_of_one_machine_are_distinguished_from_relative_ones():
+    assert all(map(MACHINE_PATHS.search, ["see /root/x", "'/work/main/a'", "at /home/someone", "file:///Users/a"]))
+    relative = ["a/work/b", "$HOME/work/x", "../shared/data/x", "/tmp/x", "rows/data"]
+    assert not any(map(MACHINE_PATHS.search, relative))
 
 
-@pytest.mark.parametrize("text", ["a/work/b", "$HOME/work/x", "../shared/data/x", "/tmp/x", "rows/data"])
-def test_relative_paths_are_not_mistaken_for_paths_of_one_machine(text):
-    assert not MACHINE_PATHS.search(text)
+def names_on_first_use(tree: ast.Module) -> tuple[dict[str, str], dict[str, str]]:
+    """What a package imports when it is first asked for, as type checkers see it, and as its table says it.
+
+    Both give `"module:name"` by the name here.
+    """
+    seen, stated = {}, {}
+    for node in tree.body:
+        if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+            continue
+        for line in node.body:
+            assert isinstance(line, ast.ImportFrom)
+            seen |= {alias.asname or alias.name: f"{line.module}:{alias.name}" for alias in line.names}
+        for table in (found for line in node.orelse for found in ast.walk(line) if isinstance(found, ast.Dict)):
+            stated |= ast.literal_eval(table)
+    return seen, stated
+
+
+def public_bindings(tree: ast.Module) -> set[str]:
+    """Public names that a package offers: imported at once, but for what it needs itself, or on first use."""
+    imports = [
+        node
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom)
+        and str(node.module).startswith("sceneloom")
+        and node.module != "sceneloom.lazy"
+    ]
+    names = {alias.asname or alias.name for node in imports for alias in node.names}
+    return {name for name in names if not name.startswith("_")} | set(names_on_first_use(tree)[0])
+
+
+def offered_names(tree: ast.Module) -> list[str] | None:
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
+            return list(ast.literal_eval(node.value))
+    return None
+
+
+def by_kind_and_name(name: str) -> tuple[int, list[tuple[bool, int, str]]]:
+    """Order of `__all__`: constants, classes, functions, each by name, digits as numbers."""
+    kind = 0 if name.isupper() and len(name) > 1 else 1 if name[:1].isupper() else 2
+    digits = re.findall(r"\d+|\D+", name)
+    return kind, [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in digits]
+
+
+def test_a_package_offers_exactly_what_it_binds_in_order_and_all_of_it_is_there(packages):
+    for package in packages:
+        offered = offered_names(package.tree) or []
+        assert {name for name in offered if not name.startswith("__")} == public_bindings(package.tree), package.name
+        assert len(offered) == len(set(offered)), package.name
+        assert offered == sorted(offered, key=by_kind_and_name), package.name
+        loaded = import_module(package.name)
+        absent = [name for name in offered if not hasattr(loaded, name)]
+        assert not absent, f"{package.name}.__all__ names {absent}, which are not there"
+
+
+def test_names_on_first_use_are_the_same_for_type_checkers_and_at_run_time(packages):
+    for package in packages:
+        seen, stated = names_on_first_use(package.tree)
+        assert seen == stated, package.name
+        taken = [name for name in stated if find_spec(f"{package.name}.{name}")]
+        assert not taken, f"{package.name}: modules have these names, and would take their locations: {taken}"
+
+
+def test_a_package_has_only_a_docstring_imports_and_its_names(packages):
+    for package in packages:
+        lazy = (ast.If,) if names_on_first_use(package.tree)[0] else ()
+        allowed = (ast.Import, ast.ImportFrom, ast.Assign, ast.Expr, *lazy)
+        strange = [f"line {node.lineno}" for node in package.tree.body if not isinstance(node, allowed)]
+        assert not strange, f"{package.name} defines things in its __init__: {strange}"
+
+
+def public_classes(tree: ast.Module) -> list[ast.ClassDef]:
+    """The classes of a module whose methods are there for others."""
+    return [node for node in tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
+
+
+def test_public_things_are_explained(modules):
+    for module in modules:
+        explained = ast.get_docstring(module.tree)
+        assert explained, f"{module.name} has no docstring"
+        silent = [
+            f"{node.name} (line {node.lineno})"
+            for scope in (module.tree, *public_classes(module.tree))
+            for node in scope.body
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
+            and not node.name.startswith("_")
+            and not ast.get_docstring(node)
+            and not any(ast.unparse(mark).endswith("overload") for mark in node.decorator_list)
+        ]
+        assert not silent, f"{module.name}: without docstring: {silent}"

@@ -425,7 +425,9 @@ def give_files(
         for option, value in stated.items()
         if value not in options[option].names
     }
-    own = {option: value for option, value in paths.items() if any(map(_varies, _each(value)))}
+    own = {
+        option: value for option, value in paths.items() if any(_PLACEHOLDER.search(str(path)) for path in _each(value))
+    }
     alike = {option: value for option, value in paths.items() if option not in own}
     for option, value in alike.items():
         for path in _each(value):
@@ -464,10 +466,6 @@ def _each(value: Any) -> tuple[Path, ...]:
     """The files of an option, without names."""
     values = value if isinstance(value, tuple) else (value,)
     return tuple(path for path in values if isinstance(path, Path))
-
-
-def _varies(path: Path) -> bool:
-    return _PLACEHOLDER.search(str(path)) is not None
 
 
 def _placed(own: Mapping[str, Any], drive: Input, name: str) -> dict[str, Any]:

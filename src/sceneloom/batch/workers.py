@@ -58,11 +58,8 @@ def run_task(task: Task) -> Outcome:
         if stages and isinstance(reported.get("report"), dict):
             reported["report"]["stages"] = {name: round(seconds, 6) for name, seconds in stages.items()}
     except (SceneloomError, OSError, MemoryError) as error:
-        reported = {
-            "error": redacted(_message(error)) or type(error).__name__,
-            "kind": type(error).__name__,
-            "passing": may_pass(error),
-        }
+        kind, text = type(error).__name__, error.with_sources() if isinstance(error, SceneloomError) else str(error)
+        reported = {"error": redacted(text) or kind, "kind": kind, "passing": may_pass(error)}
     except Exception as error:  # noqa: BLE001 - a fault in one drive must not end the others
         reported = {"error": redacted("".join(traceback.format_exception(error))), "kind": type(error).__name__}
     return Outcome(
@@ -73,10 +70,6 @@ def run_task(task: Task) -> Outcome:
         worker=f"{socket.gethostname()}:{os.getpid()}",
         **reported,
     )
-
-
-def _message(error: BaseException) -> str:
-    return error.with_sources() if isinstance(error, SceneloomError) else str(error)
 
 
 def _done(task: Task) -> dict[str, Any]:

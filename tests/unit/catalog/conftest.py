@@ -43,14 +43,8 @@ def street(*, seconds: int = 10, origin=ORIGIN, annotations=None) -> Scene:
             box("car 1", "Car", [0.0, seconds - 0.1], [[50, 10, 0]] * 2, attributes=(colour,)),
             box(7, "pedestrian.adult", [2.0, 3.0], [[20, 5, 0], [20, 7, 0]]),
         )
-    return Scene(
-        sensors=(
-            GnssSensor("gnss", times, lla, unknown, unknown),
-            OdometrySensor("ego", Poses(times, points, rotations)),
-        ),
-        annotations=tuple(annotations),
-        attributes=(rain,),
-    )
+    sensors = GnssSensor("gnss", times, lla, unknown, unknown), OdometrySensor("ego", Poses(times, points, rotations))
+    return Scene(sensors, annotations=tuple(annotations), attributes=(rain,))
 
 
 @pytest.fixture(scope="session")

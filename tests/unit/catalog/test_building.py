@@ -1,6 +1,7 @@
-"""Building, and bringing up to date."""
+"""Building, bringing up to date, and what stands in the tables."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,18 +9,17 @@ import pytest
 
 import sceneloom
 from sceneloom.catalog import TABLES, Selection, build, query, update
-from sceneloom.catalog.building import scene_name, write_draft
-from sceneloom.catalog.rows import scene_rows
-from sceneloom.catalog.storage import Entry, Fresh, Layout, Parts
+from sceneloom.catalog.building import Entry, Fresh, Parts, scene_name, write_draft
+from sceneloom.catalog.rows import Ego, box_rows, distances, scene_rows, track_rows
+from sceneloom.catalog.storage import Layout
 from sceneloom.errors import OptionError, OutputError
-from sceneloom.scene import AttributePath, EventAnnotation, Scene
+from sceneloom.scene import AttributePath, EventAnnotation, Poses, Scene
 
-from .conftest import box, street
+from .conftest import box, street, times_ns
 
 
 @pytest.fixture
 def copies(drives, tmp_path):
-    """Drives that may be changed."""
     return sorted(shutil.copytree(drives[0].parent, tmp_path / "drives").iterdir())
 
 
@@ -27,39 +27,28 @@ def timestamps(folder):
     return {file: (file.stat().st_ino, file.stat().st_mtime_ns) for file in folder.rglob("*.parquet")}
 
 
-def rows_of_others(folder, path):
-    return {
-        table: query(folder, f"SELECT * FROM {table} WHERE scene != '{scene_name(path, {})}' ORDER BY ALL").rows
-        for table in TABLES
-    }
-
-
-def put(layout, **scenes):
-    """Put rows of scenes into a catalogue."""
-    fresh = []
-    for name, tables in scenes.items():
-        draft = layout.drafts / name
-        fresh.append(Fresh(name, Entry(name, {}, "?"), draft, write_draft(name, tables, draft)))
-    with layout.held():
-        assert not Parts(layout).put(fresh)
+def all_rows(folder, where=""):
+    """The rows of all tables as text: not-a-number is equal to itself."""
+    return {table: repr(query(folder, f"SELECT * FROM {table} {where} ORDER BY ALL").rows) for table in TABLES}
 
 
 def test_an_update_reads_only_what_changed(copies, tmp_path):
     folder = tmp_path / "catalogue"
     build(copies, folder)
-    before, others = timestamps(folder), rows_of_others(folder, str(copies[2]))
+    elsewhere = f"WHERE scene != '{scene_name(str(copies[2]), {})}'"
+    before, others = timestamps(folder), all_rows(folder, elsewhere)
     assert update(folder).unchanged == 3
     assert timestamps(folder) == before
     sceneloom.write(street(seconds=4), copies[2], overwrite=True)
     report = update(folder)
     assert (report.changed, report.unchanged) == ((str(copies[2]),), 2)
-    assert repr(rows_of_others(folder, str(copies[2]))) == repr(others)  # equal, not-a-number included
+    assert all_rows(folder, elsewhere) == others
     assert query(folder, "SELECT count(*) FROM scenes WHERE duration > 3.8 AND duration < 4").rows == [(1,)]
     assert not [*folder.rglob(".part*"), *folder.rglob(".drafts")]
 
 
 def test_scenes_share_parts_up_to_a_number_of_rows(copies, tmp_path, monkeypatch):
-    monkeypatch.setattr("sceneloom.catalog.storage.PART_ROWS", 250)
+    monkeypatch.setattr("sceneloom.catalog.building.PART_ROWS", 250)
     folder = tmp_path / "catalogue"
     build(copies, folder)  # of 200, 200 and 40 frames
     counts = "SELECT path, count(*) FROM frames JOIN scenes USING (scene) GROUP BY path ORDER BY path"
@@ -98,9 +87,7 @@ def test_an_update_that_is_stopped_anywhere_is_done_again(copies, tmp_path, monk
     assert (len(report.added) + len(report.changed), report.failed) == (2, ())
     whole = tmp_path / "whole"
     build(copies, whole)
-    for table in TABLES:
-        sql = f"SELECT * FROM {table} ORDER BY ALL"
-        assert repr(query(folder, sql).rows) == repr(query(whole, sql).rows)
+    assert all_rows(folder) == all_rows(whole)
     assert update(folder).unchanged == 3
 
 
@@ -116,9 +103,7 @@ def test_workers_make_the_same_catalogue(copies, tmp_path):
     assert [[failure.path for failure in report.failed] for report in reports] == [[str(torn)]] * 2
     assert sorted(reports[0].added) == sorted(reports[1].added) == sorted(map(str, copies))
     assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)] * 2
-    for table in TABLES:
-        sql = f"SELECT * FROM {table} ORDER BY ALL"
-        assert repr(query(tmp_path / "1", sql).rows) == repr(query(tmp_path / "2", sql).rows)
+    assert all_rows(tmp_path / "1") == all_rows(tmp_path / "2")
 
 
 def test_one_process_at_a_time_writes(copies, tmp_path):
@@ -208,11 +193,11 @@ def test_names_of_scenes_mean_the_same_everywhere(path):
     assert name != scene_name(path, {"sequence": "2"})
 
 
-@pytest.mark.parametrize("address", ["https://me:hush@host/a.sfs", "https://host/a.sfs?X-Amz-Signature=hush"])
-def test_addresses_with_secrets_are_not_kept(tmp_path, address):
-    with pytest.raises(OptionError, match="holds a secret") as refused:
-        build([address], tmp_path / "catalogue")
-    assert "hush" not in str(refused.value)
+def test_addresses_with_secrets_are_not_kept(tmp_path):
+    for address in ("https://me:hush@host/a.sfs", "https://host/a.sfs?X-Amz-Signature=hush"):
+        with pytest.raises(OptionError, match="holds a secret") as refused:
+            build([address], tmp_path / "catalogue")
+        assert "hush" not in str(refused.value)
     assert not (tmp_path / "catalogue").exists()
 
 
@@ -226,14 +211,144 @@ def test_odd_scenes_are_catalogued_too(tmp_path):
         EventAnnotation("e", 5, label="rotation"),
     )
     scene = street(seconds=2, annotations=boxes)
-    tables = scene_rows(scene, path="x", options={}, fingerprint="", size_bytes=None, findings=())
-    empty = scene_rows(Scene(()), path="y", options={}, fingerprint="", size_bytes=None, findings=())
+    about = {"options": {}, "fingerprint": "", "size_bytes": None, "findings": ()}
+    tables, empty = scene_rows(scene, path="x", **about), scene_rows(Scene(()), path="y", **about)
     layout = Layout.made(tmp_path / "catalogue", overwrite=False)
     assert query(layout.folder, "SELECT count(*) FROM scenes JOIN annotations USING (scene)").rows == [(0,)]
     assert query(layout.folder, Selection(labels=("car",))).rows == []
-    put(layout, a=tables, b=empty)
+    fresh = []
+    for name, rows in (("a", tables), ("b", empty)):
+        draft = layout.drafts / name
+        fresh.append(Fresh(name, Entry(name, {}, "?"), draft, write_draft(name, rows, draft)))
+    with layout.held():
+        assert not Parts(layout).put(fresh)
     sql = "SELECT track, annotation, boxes FROM tracks ORDER BY track"
     assert query(layout.folder, sql).rows == [(0, "'; DROP", 11), (1, "1", 1), (2, "1", 0), (3, "e", 0)]
     values = query(layout.folder, "SELECT value, number FROM attributes WHERE owner = 'annotation'").rows
     assert values == [(str(10**400), None), ("true", None), ("a", None), ("b", None), ('{"x": 1}', None)]
     assert query(layout.folder, Selection(types=("cuboid",))).rows[0][3:] == (12, 1)
+
+
+@pytest.fixture
+def rows(catalogue, drives):
+    """Rows of the first drive's boxes of a label: seconds, and some columns."""
+
+    def read(columns, label):
+        return query(
+            catalogue,
+            f"SELECT seconds, {columns} FROM annotations a JOIN scenes USING (scene) "
+            f"WHERE path = '{drives[0]}' AND label LIKE '{label}' ORDER BY seconds",
+        ).rows
+
+    return read
+
+
+def test_a_box_stands_at_every_moment_between_its_timestamps(rows):
+    seconds, y, speed, names = zip(*rows("y, speed, a.annotation", "ped%"), strict=True)
+    assert seconds == pytest.approx(np.arange(2.0, 3.05, 0.1))
+    assert y == pytest.approx(5 + 2 * np.arange(0, 1.05, 0.1))
+    assert speed == pytest.approx([2.0] * 11)
+    assert set(names) == {"7"}
+
+
+def test_distances_are_those_from_the_ego_at_that_moment(rows):
+    t, distance, ego_speed = np.array(rows("distance, ego_speed", "Car")).T
+    east = np.where(t < 5, 5 * t, 25 + 15 * (t - 5))
+    assert len(t) == 100
+    assert distance == pytest.approx(np.hypot(50 - east, 10))
+    steady = np.abs(t - 5) > 0.3  # a speed is that over half a second
+    assert ego_speed[steady] == pytest.approx(np.where(t < 5, 5, 15)[steady])
+
+
+def test_a_track_reports_its_span_trajectory_and_least_distance(catalogue):
+    sql = "SELECT start, stop, metres, nearest, boxes FROM tracks WHERE annotation = '7' LIMIT 1"
+    ((start, stop, metres, nearest, boxes),) = query(catalogue, sql).rows
+    assert (start, stop, metres, boxes) == pytest.approx((2.0, 3.0, 2.0, 11))
+    t = np.arange(2.0, 3.05, 0.1)
+    assert nearest == pytest.approx(np.hypot(20 - 5 * t, 5 + 2 * (t - 2)).min())
+
+
+def test_the_least_distance_is_that_of_the_moments_at_which_the_ego_is_known():
+    scene = street()
+    ego = scene.sensor("ego")
+    rows = slice(0, 30)
+    path = Poses(ego.poses.timestamps_ns[rows], ego.poses.positions[rows], ego.poses.quaternions_xyzw[rows])
+    part = replace(scene, sensors=(replace(ego, poses=path),))
+    boxes = box_rows(part, times_ns(100))
+    nearest = track_rows(part, boxes, distances(part, Ego.of(part), boxes), 0)["nearest"]
+    assert nearest == pytest.approx([np.hypot(50 - 5 * 2.9, 10), np.hypot(20 - 5 * 2.9, 7 - 0.2)], abs=0.5)
+
+
+def test_frames_report_where_on_earth_the_ego_was(catalogue, drives):
+    sql = (
+        "SELECT f.latitude, f.longitude FROM frames f JOIN scenes s USING (scene) WHERE reference AND "
+        f"path = '{drives[0]}' ORDER BY frame"
+    )
+    found = np.array(query(catalogue, sql).rows)
+    assert found == pytest.approx(street().sensors[0].positions_lla[:, :2], abs=1e-9)
+
+
+def test_fixes_without_reception_or_height_are_reported_as_far_as_they_are_locations():
+    whole = street()
+    lla = whole.sensor("gnss").positions_lla.copy()
+    lla[:, 2] = np.nan
+    lla[50] = 0.0
+    ego = Ego.of(replace(whole, sensors=(replace(whole.sensor("gnss"), positions_lla=lla),)))
+    found = ego.positions_lla(times_ns(100))
+    assert found[:, :2] == pytest.approx(whole.sensor("gnss").positions_lla[:, :2], abs=1e-5)
+    assert ego.speeds(times_ns(100)).max() < 20.0
+
+
+@pytest.mark.parametrize(
+    ("ours", "known"),
+    [
+        ({}, True),
+        ({"world_from_file": np.eye(4).tolist()}, False),
+        ({"enu_origin": {"latitude": 10**400, "longitude": 11.0, "altitude": 0.0}}, False),
+    ],
+)
+def test_a_location_of_the_world_counts_where_it_is_one_and_the_world_was_not_moved(ours, known):
+    origin = dict(zip(("latitude", "longitude", "altitude"), (48.0, 11.0, 500.0), strict=True))
+    scene = replace(street(), sensors=street().sensors[1:], metadata={"sceneloom": {"enu_origin": origin, **ours}})
+    assert np.isfinite(Ego.of(scene).positions_lla(times_ns(3))).all() == known
+
+
+def test_the_scene_row_counts_what_is_there(catalogue, drives):
+    sql = f"SELECT duration, period, metres, tracks, boxes, frames FROM scenes WHERE path = '{drives[0]}'"
+    assert query(catalogue, sql).rows[0] == pytest.approx((9.9, 0.1, 25 + 15 * 4.9, 2, 111, 200))
+
+
+def test_every_table_has_its_columns_and_the_scene_and_the_page_about_catalogues_names_them(catalogue, request):
+    page = (request.config.rootpath / "docs" / "catalogue.md").read_text("utf-8")
+    for table, columns in TABLES.items():
+        result = query(catalogue, f"SELECT * FROM {table} LIMIT 0")
+        assert result.columns == ("scene", *(column.name for column in columns))
+        reported = "; ".join(f"`{column.name}` {column.words}" for column in columns)
+        assert f"| `{table}` | {reported} |" in page
+
+
+@pytest.mark.parametrize("reader", ["pyarrow", "polars"])
+def test_other_readers_find_the_same_rows_and_scenes(catalogue, reader):
+    folder = str(catalogue / "annotations")
+    if reader == "pyarrow":
+        from pyarrow import dataset
+
+        table = dataset.dataset(folder, partitioning="hive").to_table()
+        found = (table.num_rows, len(set(table["scene"].to_pylist())))
+    else:
+        polars = pytest.importorskip("polars")
+        frame = polars.scan_parquet(folder, hive_partitioning=True, glob=False).collect()
+        found = (frame.height, frame["scene"].n_unique())
+    assert found == query(catalogue, "SELECT count(*), count(DISTINCT scene) FROM annotations").rows[0]
+
+
+def test_the_moments_of_a_drive_without_frames_are_the_timestamps_of_its_boxes(tmp_path):
+    stands = replace(box("stands", "car", [0.0], [[1, 2, 0]]), stationary=True)
+    boxes = (stands, box("goes", "car", [1.0, 2.0, 4.0], [[0, 0, 0], [2, 0, 0], [6, 0, 0]]))
+    sceneloom.write(replace(street(annotations=boxes), sensors=()), tmp_path / "boxes.sfs")
+    build([tmp_path / "boxes.sfs"], tmp_path / "catalogue")
+    sql = "SELECT annotation, x FROM annotations ORDER BY timestamp_ns, track"
+    rows = query(tmp_path / "catalogue", sql).rows
+    assert rows[:1] == [("stands", 1.0)]
+    assert rows[1:] == [(name, x) for goes in (0.0, 2.0, 6.0) for name, x in (("stands", 1.0), ("goes", goes))]
+    assert query(tmp_path / "catalogue", Selection(labels=("car",), count=2), gap=5.0).rows[0][3:] == (3, 2)

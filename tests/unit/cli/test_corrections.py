@@ -12,8 +12,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.catalog.building import read_drive
-from sceneloom.catalog.storage import read_draft
+from sceneloom.catalog.building import read_draft, read_drive
 from sceneloom.cli.main import sceneloom as command_line
 from sceneloom.db34t.json import format_json
 from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record

@@ -214,7 +214,8 @@ def find_format(path: Path) -> FormatSpec:
     if len(claims) == 1:
         return claims[0]
     if not claims:
-        raise UnknownFormatError(path, "", "; ".join(["no reader knows this", *_guesses(path), _known()]))
+        expected = f"expected one of: {', '.join(form.name for form in all_formats() if form.reads)}"
+        raise UnknownFormatError(path, "", "; ".join(["no reader knows this", *_guesses(path), expected]))
     names = "; ".join(f"{form.name}, {form.looks_like}" for form in claims)
     raise UnknownFormatError(
         path,
@@ -257,10 +258,6 @@ def _inside(path: Path) -> list[str]:
 
 _LOOKED_AT = 20
 """How many entries of an unknown folder are looked into."""
-
-
-def _known() -> str:
-    return f"expected one of: {', '.join(form.name for form in all_formats() if form.reads)}"
 
 
 def _format_of_url(url: str) -> FormatSpec:

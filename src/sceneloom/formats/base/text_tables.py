@@ -94,18 +94,6 @@ def _of_date(match: "re.Match[str]") -> int:
     return timestamp_ns
 
 
-def shifted(timestamps_ns: Int64Array, offset_ns: int, file: object, location: str) -> Int64Array:
-    """Add an offset to timestamps.
-
-    Raises:
-        DataError: a sum is beyond the year 2261.
-    """
-    ends = (int(timestamps_ns.min()), int(timestamps_ns.max())) if len(timestamps_ns) else (0,)
-    if max(abs(end + offset_ns) for end in ends) > FARTHEST_NS:
-        raise DataError(file, location, f"times with {offset_ns / 1e9:g} s added are beyond the year 2261")
-    return timestamps_ns + offset_ns
-
-
 FILE_COLUMNS = ("file", "filename", "file_name", "path", "image", "image_name", "pcd", "cloud", "name")
 _UNIT_ENDINGS = {"_ns": "nanoseconds", "_us": "microseconds", "_ms": "milliseconds", "_s": "seconds"}
 _SECONDS = ("seconds", "secs", "sec", "stamp_sec", "stamp_secs")

@@ -30,8 +30,9 @@ from sceneloom.formats.messages.records import (
     Topic,
     TopicLog,
     TransformRecord,
+    numbered,
 )
-from sceneloom.formats.messages.survey import Notes, Survey, attributes_from, in_order, nearest, sensor_names
+from sceneloom.formats.messages.survey import ATTRIBUTE_PARTS, Notes, Survey, in_order
 from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
@@ -48,7 +49,7 @@ from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.poses import Poses, Trajectory, placed_along
 from sceneloom.scene.scene import Scene, Sensor
-from sceneloom.scene.types import Coordinates, PointsFrame
+from sceneloom.scene.types import NO_FIELDS, Coordinates, PointsFrame
 from sceneloom.warnings import WarningKind
 
 
@@ -410,7 +411,7 @@ def _boxes_2d(survey: Survey, cameras: Mapping[str, Any]) -> list[tuple[_Key, An
     for topic in survey.topics(Kind.BOXES_2D):
         records = survey.of(topic, Boxes2DRecord)
         # the camera whose topic stands beside that of boxes; the only one where there is only one
-        name = nearest(topic.name, cameras) or (next(iter(cameras)) if len(cameras) == 1 else None)
+        name = _nearest(topic.name, cameras) or (next(iter(cameras)) if len(cameras) == 1 else None)
         camera = noted.get(topic.name, None if name is None else cameras[name])
         if camera is None:
             message = "boxes in images of a camera that is not reported"
@@ -432,7 +433,7 @@ def _with_note(annotation: Annotation, note: Mapping[str, Any] | None) -> Annota
     if note is None:
         return annotation
     fields: dict[str, Any] = {name: note.get(name) for name in ("id", "parent_id", "label", "stationary")}
-    fields["attributes"] = attributes_from(note.get("attributes", ()))
+    fields["attributes"] = _attributes_from(note.get("attributes", ()))
     if note.get("extras"):
         fields["extras"] = MappingProxyType(note["extras"])
     return replace(annotation, **fields)
@@ -757,7 +758,7 @@ def _noted_scene_fields(notes: Notes, metadata: Mapping[str, Any], form: str) ->
     return {
         "metadata": MappingProxyType(notes.root.get("metadata", {})),
         "extras": MappingProxyType(notes.root.get("extras", {})),
-        "attributes": attributes_from(notes.root.get("attributes", ())),
+        "attributes": _attributes_from(notes.root.get("attributes", ())),
         "time_offset_ns": int(notes.root.get("time_offset_ns", 0)),
     }
 
@@ -877,7 +878,7 @@ def _draft_all(found: Survey, cameras: list[CameraDraft]) -> list[CloudDraft]:
             if topic.kind is Kind.CLOUD:
                 clouds.append(draft_cloud(found, topic))
                 continue
-            name = noted[topic.name] if topic.name in noted else nearest(topic.name, camera_models)
+            name = noted[topic.name] if topic.name in noted else _nearest(topic.name, camera_models)
             cameras.append(draft_camera(found, topic, camera_models.get(name or "")))
         except UnknownFormatError as error:
             location = f"{found.log.name}: {topic.name}"
@@ -941,7 +942,7 @@ def _foreign_trajectories(found: Survey, locations: Locations) -> dict[str, Traj
                 _FROM_FRAMES, path.timestamps_ns, path.positions, path.quaternions_xyzw
             )
     topics = found.topics(Kind.POSE)
-    for topic, name in zip(topics, sensor_names([topic.name for topic in topics]), strict=True):
+    for topic, name in zip(topics, _sensor_names([topic.name for topic in topics]), strict=True):
         rows = _pose_rows(found, topic.name, found.of(topic, PoseRecord))
         if rows is not None:
             called = f"{name}~" if name in _RESERVED_NAMES or name in trajectories else name
@@ -965,7 +966,7 @@ def _foreign_sensors(context: _Log, taken: set[Any], camera_ids: dict[str, Any])
         for draft in context.drafts
     }
     sensors: list[Sensor] = []
-    for topic, name in zip(topics, sensor_names([topic.name for topic in topics]), strict=True):
+    for topic, name in zip(topics, _sensor_names([topic.name for topic in topics]), strict=True):
         identifier, draft = f"{name}~" if name in taken else name, drafts.get(topic.number)
         if isinstance(draft, CloudDraft):
             sensors.append(draft.placed(identifier, locations))
@@ -994,3 +995,66 @@ def _camera_model_from_text(text: str) -> Camera:
     """The camera model of the writer's `_camera_model_text`."""
     model, width, height, (fx, fy, cx, cy), coefficients = json.loads(text)
     return Camera(model, width, height, fx, fy, cx, cy, tuple(coefficients))
+
+
+_TAILS = frozenset(
+    {
+        "points", "points_raw", "point_cloud", "pointcloud", "pointcloud2", "cloud", "points2", "image", "image_raw",
+        "image_rect", "image_color", "image_rect_color", "image_mono", "image_rect_raw", "raw", "compressed",
+        "compressed_image", "compressed_video", "video", "data", "data_raw", "fix", "imu", "h264", "navsatfix",
+        "location", "odometry", "pose", "mag", "temperature", "compressedDepth",
+    }
+)  # fmt: skip
+"""Last parts of topics that state what messages are, and not of which sensor."""
+
+
+_CAMERA_MODEL_TAILS = frozenset({"camera_info", "calibration", "camera_calibration", "info", "intrinsics"})
+
+
+_SAYING = (
+    _TAILS | _CAMERA_MODEL_TAILS | {"annotations", "detections", "detections_2d", "boxes", "bounding_boxes", "objects"}
+)
+
+
+def _parts_of(topic: str, *, without: frozenset[str] = frozenset()) -> list[str]:
+    """The parts of a topic's name, without those at the end that state what messages are; one at least stays."""
+    parts = [part for part in topic.split("/") if part]
+    while len(parts) > 1 and parts[-1] in without:
+        parts.pop()
+    return parts
+
+
+def _sensor_names(topics: Sequence[str]) -> list[str]:
+    """Name the sensors of topics: short where that is unique, else the whole topic, with a number if need be."""
+    bases = ["/".join(_parts_of(topic, without=_TAILS)) or topic or "topic" for topic in topics]
+    counts, pairs = Counter(bases), zip(topics, bases, strict=True)
+    return numbered(base if counts[base] == 1 else "/".join(_parts_of(topic)) or base for topic, base in pairs)
+
+
+def _nearest(topic: str, others: Iterable[str]) -> str | None:
+    """The topic that belongs to the same sensor as another one: /front/camera_info to /front/image_raw.
+
+    Without the last parts, which state what messages are, one of the two names has to begin with the other.
+    """
+    base = _parts_of(topic, without=_SAYING)
+    found = []
+    for other in others:
+        bare = _parts_of(other, without=_SAYING)
+        shared = min(len(base), len(bare))
+        if shared and base[:shared] == bare[:shared]:
+            found.append((shared, -len(bare), other))
+    return max(found)[2] if found else None
+
+
+def _attributes_from(notes: Iterable[Mapping[str, Any]]) -> tuple[AttributePath, ...]:
+    """The attributes of notes."""
+    return tuple(
+        AttributePath(
+            note["name"],
+            tuple(tuple(value) if isinstance(value, list) else value for value in note["values"]),
+            np.asarray(note["timestamps_ns"], np.int64) if "timestamps_ns" in note else None,
+            extras=MappingProxyType(note["extras"]) if "extras" in note else NO_FIELDS,
+            **{name: note[name] for name in ATTRIBUTE_PARTS if name in note},
+        )
+        for note in notes
+    )

@@ -305,7 +305,8 @@ def _write(scene: Scene, bag: Any, distro: str, images: str, *, ros1: bool) -> L
     plan = SceneStreams(scene, _dialect(videos=videos), images=form)
     shift_ns = -(plan.start_ns // _SECOND_NS) * _SECOND_NS if plan.start_ns < 0 else 0
     store = _distro_store(distro)
-    if ("std_msgs/msg/Header" in store.types) and _has_number(store) is not ros1:
+    header = store.fielddefs.get("std_msgs/msg/Header")
+    if header is not None and any(name == "seq" for name, _ in header[1]) is not ros1:
         raise OptionError(f"distro {distro!r}; expected one of ROS {1 if ros1 else 2}")
     if shift_ns:
         plan.notes["time_shift_ns"] = shift_ns
@@ -316,10 +317,6 @@ def _write(scene: Scene, bag: Any, distro: str, images: str, *, ros1: bool) -> L
     for time_ns, topic, record in merged(plan.streams):
         records.add(time_ns, topic, record)
     return LossReport.of(plan.losses.all)
-
-
-def _has_number(store: Any) -> bool:
-    return any(name == "seq" for name, _ in store.fielddefs["std_msgs/msg/Header"][1])
 
 
 class _Records:
@@ -408,18 +405,13 @@ _USUAL_DISTRO = {"ros1": "noetic", "cdr": "humble"}
 """The distribution whose types are taken where nothing is stated, by the encoding of messages."""
 
 
-def _distros() -> tuple[str, ...]:
-    """The distributions whose types are known."""
-    return tuple(store.value.partition("_")[2] for store in Stores if "_" in store.value)
-
-
 @cache
 def _distro_store(distro: str) -> Any:
     """Give the types of a distribution, and those that it lacks."""
-    found = [store for store in Stores if store.value.partition("_")[2] == distro]
-    if not found:
-        raise OptionError(f"distro {distro!r}; expected one of {', '.join(_distros())}")
-    store = get_typestore(found[0])
+    known = {store.value.partition("_")[2]: store for store in Stores if "_" in store.value}
+    if distro not in known:
+        raise OptionError(f"distro {distro!r}; expected one of {', '.join(known)}")
+    store = get_typestore(known[distro])
     for name, text in DEFINITIONS.items():
         if name not in store.fielddefs:
             store.register(get_types_from_msg(text, name))

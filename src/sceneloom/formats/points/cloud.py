@@ -64,23 +64,6 @@ def check_count(path: Path, location: str, count: int) -> None:
         raise DataError(path, location, f"{count} points; expected 0 to {MOST_POINTS}")
 
 
-def check_end(path: Path, left: bytes, location: int, reported: str) -> None:
-    """Refuse bytes behind the last point that a head declares: they may be points that it does not count.
-
-    Args:
-        path: for messages.
-        left: what stands behind the last point; zeros and blanks fill files up, and are no points.
-        location: where they begin [byte].
-        reported: the points that the head declares.
-
-    Raises:
-        DataError: there is anything else.
-    """
-    if left.strip(b"\0\t\r\n "):
-        problem = f"{len(left)} bytes behind the last of {reported}; expected none: is the count of the head wrong?"
-        raise DataError(path, f"byte {location}", problem)
-
-
 TYPES = (
     "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64",
 )  # fmt: skip
@@ -293,15 +276,3 @@ class CloudWriter(Protocol):
     def close(self) -> None:
         """Complete the file; its head says how many points there are."""
         ...
-
-
-def color_columns(colors: AnyArray | None) -> dict[str, AnyArray]:
-    """Colours (N, 3) as columns red, green, blue; none where there are no colours."""
-    return {} if colors is None else {name: colors[:, k] for k, name in enumerate(("red", "green", "blue"))}
-
-
-def measured_columns(points: WrittenPoints) -> dict[str, AnyArray]:
-    """What points have besides positions and colours; times [s], which float64 holds to a quarter of a microsecond."""
-    times = None if points.timestamps_ns is None else points.timestamps_ns.astype(np.float64) * 1e-9
-    found = {"intensity": points.intensities, "time": times, "label": points.labels}
-    return {name: values for name, values in found.items() if values is not None} | dict(points.extras)

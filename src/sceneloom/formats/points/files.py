@@ -23,10 +23,7 @@ from sceneloom.formats.points.cloud import (
     FieldLayout,
     WrittenPoints,
     check_count,
-    check_end,
-    color_columns,
     columns_of,
-    measured_columns,
     parse_rows,
     unique_names,
 )
@@ -141,7 +138,7 @@ def _las_dimensions(colors: AnyArray | None) -> frozenset[str]:
 
 def _colors_16(colors: AnyArray | None) -> dict[str, AnyArray]:
     """Colours of 16 bits by channel."""
-    return {name: values.astype(np.uint16) * _FULL_SCALE for name, values in color_columns(colors).items()}
+    return {name: values.astype(np.uint16) * _FULL_SCALE for name, values in _color_columns(colors).items()}
 
 
 class _LasWriter:
@@ -164,7 +161,7 @@ class _LasWriter:
         """
         finite = np.isfinite(points.positions_world).all(axis=1)
         positions = points.positions_world[finite]
-        measured = measured_columns(points)
+        measured = _measured_columns(points)
         if self._file is None:
             further = {name: values for name, values in measured.items() if name not in {"intensity", "time"}}
             self._file = _LasFile(self._path, positions, _STEP, further, colored=True)
@@ -342,7 +339,7 @@ def _check_records(path: Path, stream: BinaryIO, header: _Header, size: int) -> 
         stop = header.points_start + header.count * header.point_length
         stream.seek(stop)
         left = stream.read(max(header.points_end(size) - stop, 0))
-        check_end(path, left, stop, f"{header.count} points of {header.point_length} bytes")
+        _check_end(path, left, stop, f"{header.count} points of {header.point_length} bytes")
 
 
 def _check_positions(path: Path, columns: dict[str, AnyArray], count: int) -> None:
@@ -498,7 +495,7 @@ def read_pcd(path: Path) -> Cloud:
     file = _PcdFile(path, read_bytes(path))
     if file.count == 0 or file.dtype.itemsize == 0:
         # a compressed file of no points still says that it is 0 bytes
-        check_end(path, file.content[file.start :], file.start, f"{file.count} points")
+        _check_end(path, file.content[file.start :], file.start, f"{file.count} points")
         return Cloud(path, file.count, columns_of(np.zeros(file.count, file.dtype)), file.further)
     return Cloud(path, file.count, _PCD_READERS[file.data](file), file.further)
 
@@ -616,7 +613,7 @@ class _PcdFile:
             problem = f"{found} bytes of points; expected {expected}: {points}; the file breaks off"
             raise DataError(self.path, f"byte {self.start}", problem)
         stop = self.start + expected
-        check_end(self.path, self.content[stop:], stop, points)
+        _check_end(self.path, self.content[stop:], stop, points)
         return columns_of(np.frombuffer(self.content, self.dtype, self.count, self.start))
 
     def read_compressed(self) -> dict[str, AnyArray]:
@@ -634,7 +631,7 @@ class _PcdFile:
         if size != expected or size > packed_size * LARGEST_RATIO:
             problem = f"{packed_size} bytes that unfold to {size}; expected {expected} from {self.count} points"
             raise DataError(path, location, problem)
-        check_end(path, content[body + packed_size :], body + packed_size, f"{self.count} points")
+        _check_end(path, content[body + packed_size :], body + packed_size, f"{self.count} points")
         unpacked = np.empty(size, np.uint8)
         if unfold(np.frombuffer(content, np.uint8, packed_size, body), unpacked) != size:
             problem = "the compressed points are damaged: they do not unfold to what the head says"
@@ -780,7 +777,7 @@ class _PlyFile:
         if not any(element.has_lists for element in others):
             stop = start + sum(element.count * element.dtype(self.order).itemsize for element in others)
             reported = f"{self._vertex.count} vertices" + (" and of what follows them" if others else "")
-            check_end(self.path, self.content[stop:], stop, reported)
+            _check_end(self.path, self.content[stop:], stop, reported)
         return rows
 
     def _check_bytes(self, start: int, element: _Element, size: int) -> None:
@@ -961,7 +958,7 @@ class _PcdLayout:
             finite = points.positions_world[np.isfinite(points.positions_world).all(axis=1)]
             far = len(finite) and np.abs(finite).max() > _FARTHEST_EXACT
             self.origin_world = np.rint(finite.mean(axis=0)) if far else np.zeros(3)
-        measured = measured_columns(points)
+        measured = _measured_columns(points)
         for name, kind in (("intensity", np.float32), ("label", np.uint32)):
             if name in measured:
                 measured[name] = measured[name].astype(kind)
@@ -1023,7 +1020,7 @@ class _PlyLayout:
 
     def columns(self, points: WrittenPoints) -> dict[str, AnyArray]:
         """All columns in their own types."""
-        return {**_axis_columns(points.positions_world), **color_columns(points.colors), **measured_columns(points)}
+        return {**_axis_columns(points.positions_world), **_color_columns(points.colors), **_measured_columns(points)}
 
     def head(self, dtype: np.dtype[np.void], count: str) -> bytes:
         """A head that says what the numbers are."""
@@ -1125,7 +1122,7 @@ def write_ply(path: Path, columns: FrameColumns, location: str, losses: Losses) 
     """Write a binary PLY file."""
     further = _fitted(_single_columns(columns.named), _WHOLE, location, losses)
     records = _pack_records(
-        {**_axis_columns(columns.positions), **color_columns(columns.colors), **further}, len(columns.positions)
+        {**_axis_columns(columns.positions), **_color_columns(columns.colors), **further}, len(columns.positions)
     )
     with path.open("xb") as file:
         file.write(_ply_head(records.dtype, str(len(records))))
@@ -1225,3 +1222,32 @@ def _packed_colors(colors: AnyArray | None) -> dict[str, AnyArray]:
         return {}
     whole = colors.astype(np.uint32)
     return {"rgb": ((whole[:, 0] << 16) | (whole[:, 1] << 8) | whole[:, 2]).view(np.float32)}
+
+
+def _check_end(path: Path, left: bytes, location: int, reported: str) -> None:
+    """Refuse bytes behind the last point that a head declares: they may be points that it does not count.
+
+    Args:
+        path: for messages.
+        left: what stands behind the last point; zeros and blanks fill files up, and are no points.
+        location: where they begin [byte].
+        reported: the points that the head declares.
+
+    Raises:
+        DataError: there is anything else.
+    """
+    if left.strip(b"\0\t\r\n "):
+        problem = f"{len(left)} bytes behind the last of {reported}; expected none: is the count of the head wrong?"
+        raise DataError(path, f"byte {location}", problem)
+
+
+def _color_columns(colors: AnyArray | None) -> dict[str, AnyArray]:
+    """Colours (N, 3) as columns red, green, blue; none where there are no colours."""
+    return {} if colors is None else {name: colors[:, k] for k, name in enumerate(("red", "green", "blue"))}
+
+
+def _measured_columns(points: WrittenPoints) -> dict[str, AnyArray]:
+    """What points have besides positions and colours; times [s], which float64 holds to a quarter of a microsecond."""
+    times = None if points.timestamps_ns is None else points.timestamps_ns.astype(np.float64) * 1e-9
+    found = {"intensity": points.intensities, "time": times, "label": points.labels}
+    return {name: values for name, values in found.items() if values is not None} | dict(points.extras)

@@ -158,12 +158,9 @@ def _in_frame(
         part = move(part, trajectory=None if by_default else ego.name)
     else:
         # nothing says where the ego was, nor need it be known: no poses of it are made up
-        in_world = [PointsFrame.WORLD in {frame, lidar.points_frame} for lidar in lidars]
         # the mounting does not count where the lidar's own poses in the world state more
-        placed = [
-            replace(lidar, mount=None) if world and lidar.poses is not None else lidar
-            for lidar, world in zip(lidars, in_world, strict=True)
-        ]
+        posed = [PointsFrame.WORLD in {frame, lidar.points_frame} and lidar.poses is not None for lidar in lidars]
+        placed = [replace(lidar, mount=None) if own else lidar for lidar, own in zip(lidars, posed, strict=True)]
         moved = move(replace(part, sensors=(*placed, *odometries)), trajectory=IDENTITY)
         part = replace(part, sensors=(*moved.lidars, *odometries))
     return replace(part, sensors=(*part.sensors, *others))

@@ -37,7 +37,6 @@ from sceneloom.formats.base.text_tables import (
     parse_timestamp,
     pick_columns,
     read_table,
-    shifted,
 )
 from sceneloom.formats.points.cloud import ALIASES, ROW_ALIASES, FieldLayout, find_roles, parse_layout
 from sceneloom.formats.points.files import CLOUD_SUFFIXES, cloud_suffix, read_cloud
@@ -393,7 +392,7 @@ def _timed_images(part: _Part, count: int, container_ns: Callable[[], Int64Array
     names = [f"{name} image {k}" for k in range(count)]
     if source == "container":
         offset_ns = int(part.record["times"].get("start_s", 0))
-        timestamps = shifted(container_ns(), offset_ns, part.drive.manifest.path, part.where("times.start_s"))
+        timestamps = _shifted(container_ns(), offset_ns, part.drive.manifest.path, part.where("times.start_s"))
         return _in_time_order(part, np.arange(count), timestamps, names)
     if source == "csv":
         table, timestamps = _timestamp_table(part)
@@ -498,7 +497,7 @@ def _in_parallel(part: _Part, path: Path, timestamps: Int64Array, count: int) ->
 
 def _in_time_order(part: _Part, chosen: Int64Array, times: Int64Array, names: Sequence[str]) -> _Chosen:
     """Add the sensor's offset, sort by time, and take one file per time."""
-    timestamps = shifted(times, part.offset_ns, part.drive.manifest.path, part.where("times"))
+    timestamps = _shifted(times, part.offset_ns, part.drive.manifest.path, part.where("times"))
     back = int((timestamps[1:] < timestamps[:-1]).sum())
     if back:
         message = "times run backwards in the order of the names; sorted by time"
@@ -843,7 +842,7 @@ def _build_trajectory(part: _Part) -> Trajectory:
         ledger.note(WarningKind.ASSUMED, "lever-arm-ignored", str(path), message)
     return Trajectory(
         record.get("name", "pose"),
-        read_only(shifted(times_ns, part.offset_ns, part.drive.manifest.path, part.where("time_offset_s"))),
+        read_only(_shifted(times_ns, part.offset_ns, part.drive.manifest.path, part.where("time_offset_s"))),
         read_only(positions),
         None if quaternions is None else read_only(quaternions),
     )
@@ -1356,7 +1355,7 @@ def _read_samples(
         problem = f"no column of times among {', '.join(table.names)}; name it with `columns`"
         raise DataError(table.path, "line 1", problem)
     times = table.timestamps(columns["time"], part.record.get("unit"))
-    timestamps = shifted(times, part.offset_ns, table.path, "")
+    timestamps = _shifted(times, part.offset_ns, table.path, "")
     back = int((timestamps[1:] < timestamps[:-1]).sum())
     if back:
         message = "times run backwards; sorted by time"
@@ -1423,3 +1422,15 @@ def _note_doubts(drive: _Drive, sensors: Sequence[Sensor], trajectories: Mapping
         if after[0] > latest + _WITHIN_NS:
             found = f"{after[2]} begins {(after[0] - latest) / 1e9:.3f} s after {before[2]} and all before it end"
             doubt("clocks-apart", f"{found}; are their clocks or units the same?")
+
+
+def _shifted(timestamps_ns: Int64Array, offset_ns: int, file: object, location: str) -> Int64Array:
+    """Add an offset to timestamps.
+
+    Raises:
+        DataError: a sum is beyond the year 2261.
+    """
+    ends = (int(timestamps_ns.min()), int(timestamps_ns.max())) if len(timestamps_ns) else (0,)
+    if max(abs(end + offset_ns) for end in ends) > FARTHEST_NS:
+        raise DataError(file, location, f"times with {offset_ns / 1e9:g} s added are beyond the year 2261")
+    return timestamps_ns + offset_ns

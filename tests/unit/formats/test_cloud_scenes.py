@@ -1,4 +1,4 @@
-"""Files of points as scenes, and scenes as files of points."""
+"""Files of points as scenes, scenes as files of points, and points in them that no camera saw."""
 
 import pickle
 import shutil
@@ -8,9 +8,11 @@ import laspy
 import numpy as np
 import pytest
 
+import sceneloom
 from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError, UnknownOptionError
 from sceneloom.formats.base.losses import Support
 from sceneloom.formats.base.registry import find_format, open_scene, write_scene
+from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.reader import numbers_of_names, stem_of, times_of_names
 from sceneloom.pipeline.converting import convert
 from sceneloom.scene import (
@@ -26,6 +28,7 @@ from sceneloom.scene import (
     Scene,
     Trajectory,
 )
+from sceneloom.scene.clouds import grey_where_unseen, white_where_unseen
 
 RNG = np.random.default_rng(11)
 COUNT = 400
@@ -48,9 +51,7 @@ def points(timestamp_ns, *, extras=None):
 
 
 def scene_of(frames, **fields):
-    timestamps = [frame.timestamp_ns for frame in frames]
-    lidar = LidarSensor(fields.pop("id", "lidar"), LazyFrames.of(frames, timestamps), **fields)
-    return Scene((lidar,))
+    return Scene((LidarSensor("lidar", LazyFrames.of(frames, [frame.timestamp_ns for frame in frames]), **fields),))
 
 
 @pytest.fixture
@@ -86,10 +87,13 @@ def test_a_folder_of_clouds_gives_back_all_that_its_points_bear(tmp_path, scene,
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
-def test_pcd_files_of_every_encoding_hold_the_same(tmp_path, scene, encoding):
+def test_pcd_files_of_every_encoding_hold_the_same_and_become_another_kind_without_loss(tmp_path, scene, encoding):
     write_scene(scene, tmp_path / "clouds", format="pcd", encoding=encoding)
-    found = open_scene(tmp_path / "clouds").lidars[0].frames[1].points
-    same(found, scene.lidars[0].frames[1].points)
+    report = convert(tmp_path / "clouds", tmp_path / "second", to="ply", strict=True)
+    assert not [support for support in report.fields if support.support in {Support.APPROXIMATED, Support.DROPPED}]
+    for folder in ("clouds", "second"):
+        for one, other in zip(open_scene(tmp_path / folder).lidars[0].frames, scene.lidars[0].frames, strict=True):
+            same(one.points, other.points)
 
 
 @pytest.mark.parametrize(("kind", "columns"), [("kitti-bin", 4), ("nuscenes-bin", 5)])
@@ -127,12 +131,6 @@ def test_a_scene_of_one_frame_is_written_to_a_file(tmp_path, kind):
     np.testing.assert_allclose(found.points.positions, one.lidars[0].frames[0].points.positions, atol=1.3e-5)
 
 
-def test_several_frames_do_not_go_into_one_file(tmp_path, scene):
-    with pytest.raises(OptionError, match="one file for 2 frames"):
-        write_scene(scene, tmp_path / "one.pcd")
-    assert not list(tmp_path.iterdir())
-
-
 def test_an_array_without_names_is_read_and_not_written(tmp_path):
     rows = RNG.uniform(-9, 9, (7, 4)).astype(np.float32)
     np.save(tmp_path / "rows.npy", rows)
@@ -162,9 +160,8 @@ def test_points_are_written_in_the_frame_that_is_asked_for(tmp_path):
     write_scene(one, tmp_path / "world", format="ply", frame="world")
     found = open_scene(tmp_path / "world", points_frame="world").lidars[0]
     assert found.points_frame is PointsFrame.WORLD
-    np.testing.assert_allclose(
-        [frame.points.positions[0] for frame in found.frames], [[10, 5, 0], [20, 5, 0]], atol=1e-5
-    )
+    locations = [frame.points.positions[0] for frame in found.frames]
+    np.testing.assert_allclose(locations, [[10, 5, 0], [20, 5, 0]], atol=1e-5)
     write_scene(one, tmp_path / "sensor", format="ply", frame="sensor")
     back = open_scene(tmp_path / "sensor").lidars[0]
     assert back.points_frame is PointsFrame.SENSOR
@@ -176,19 +173,14 @@ def test_points_are_written_in_the_frame_that_is_asked_for(tmp_path):
 
 def test_points_on_the_ego_bring_the_ego_trajectory(tmp_path):
     timestamps = np.array(TIMESTAMPS)
-    estimated_trajectory = Trajectory(
-        "vio", timestamps, np.array([[1.0, 2, 3], [4, 5, 6]]), np.array([[0.0, 0, 0, 1]] * 2)
-    )
-    one = scene_of(
-        [LidarFrame(timestamp, points(timestamp)) for timestamp in TIMESTAMPS],
-        points_frame=PointsFrame.EGO,
-        poses=estimated_trajectory.poses,
-    )
-    write_scene(replace(one, trajectories={"vio": estimated_trajectory}), tmp_path / "o", format="pcd")
+    vio = Trajectory("vio", timestamps, np.array([[1.0, 2, 3], [4, 5, 6]]), np.array([[0.0, 0, 0, 1]] * 2))
+    frames = [LidarFrame(timestamp, points(timestamp)) for timestamp in TIMESTAMPS]
+    one = scene_of(frames, points_frame=PointsFrame.EGO, poses=vio.poses)
+    write_scene(replace(one, trajectories={"vio": vio}), tmp_path / "o", format="pcd")
     with open_scene(tmp_path / "o") as found:
         assert found.lidars[0].points_frame is PointsFrame.EGO
         (trajectory,) = found.trajectories.values()
-        np.testing.assert_array_equal(trajectory.positions, estimated_trajectory.positions)
+        np.testing.assert_array_equal(trajectory.positions, vio.positions)
 
 
 def test_several_lidars_are_folders_of_their_own(tmp_path):
@@ -265,15 +257,21 @@ def test_numbers_and_endings_of_names():
     assert times_of_names(["-0000000000000000003"]) == [-3]
 
 
-def numbered(folder, numbers):
-    folder.mkdir()
-    for number in numbers:
-        RNG.uniform(0, 1, (4, 4)).astype("<f4").tofile(folder / f"{number:06d}.bin")
-    return folder
+@pytest.fixture
+def numbered(tmp_path):
+    """Makes a folder with files of such names."""
+
+    def make(*names):
+        (tmp_path / "data").mkdir()
+        for name in names:
+            RNG.uniform(0, 1, (4, 4)).astype("<f4").tofile(tmp_path / "data" / f"{name}.bin")
+        return tmp_path / "data"
+
+    return make
 
 
-def test_numbered_files_are_taken_at_ten_hertz_and_that_is_reported(tmp_path):
-    folder = numbered(tmp_path / "v", (0, 1, 3))
+def test_numbered_files_are_taken_at_ten_hertz_and_that_is_reported(numbered):
+    folder = numbered("000000", "000001", "000003")
     scene = open_scene(folder)
     assert scene.lidars[0].frames.timestamps_ns.tolist() == [0, 100_000_000, 300_000_000]
     assert {"cloud-times-assumed", "cloud-frame-assumed"} <= {warning.code for warning in scene.warnings}
@@ -282,35 +280,30 @@ def test_numbered_files_are_taken_at_ten_hertz_and_that_is_reported(tmp_path):
     assert "cloud-times-assumed" not in {warning.code for warning in reported.warnings}
 
 
-def test_a_list_of_times_beside_the_files_counts(tmp_path):
-    folder = numbered(tmp_path / "data", (0, 1))
-    (tmp_path / "timestamps.txt").write_text("2011-09-26 13:02:25.5\n2011-09-26 13:02:25.600000001\n")
-    times = open_scene(folder).lidars[0].frames.timestamps_ns
-    assert np.diff(times).tolist() == [100_000_001]
-    (tmp_path / "timestamps.txt").write_text("2011-09-26 13:02:25.5\n")
+def test_a_list_of_times_beside_the_files_counts_and_times_are_all_different(numbered):
+    folder = numbered("000000", "000001")
+    times = folder.parent / "timestamps.txt"
+    times.write_text("2011-09-26 13:02:25.5\n2011-09-26 13:02:25.600000001\n")
+    assert np.diff(open_scene(folder).lidars[0].frames.timestamps_ns).tolist() == [100_000_001]
+    times.write_text("2011-09-26 13:02:25.5\n")
     with pytest.raises(DataError, match="1 times for 2 files"):
         open_scene(folder)
     assert len(open_scene(folder, lenient=True).lidars[0].frames) == 1
-
-
-def test_two_files_of_one_time_are_refused(tmp_path):
-    folder = tmp_path / "v"
-    folder.mkdir()
-    for name in ("a_1.5.bin", "b_1.5.bin"):
-        np.ones((4, 4), "<f4").tofile(folder / name)
+    times.unlink()
+    for file, name in zip(sorted(folder.iterdir()), ("a_1.5.bin", "b_1.5.bin"), strict=True):
+        file.rename(folder / name)
     with pytest.raises(DataError, match="have the same time"):
         open_scene(folder)
 
 
-def test_a_folder_with_other_files_is_reported_what_keeps_it_from_being_clouds(tmp_path):
-    folder = numbered(tmp_path / "v", (0, 1))
+def test_folders_with_other_files_or_two_kinds_are_reported_with_what_keeps_them_from_being_clouds(
+    tmp_path, scene, numbered
+):
+    folder = numbered("000000", "000001")
     (folder / "image.png").write_bytes(b"x")
     with pytest.raises(UnknownFormatError, match=r"2 .*\.bin.* but 'image.png', too"):
         open_scene(folder)
     assert len(open_scene(folder, format="kitti-bin").lidars[0].frames) == 2
-
-
-def test_two_kinds_of_clouds_in_one_folder_are_named(tmp_path, scene):
     write_scene(scene, tmp_path / "o", format="pcd")
     write_scene(scene, tmp_path / "p", format="ply")
     shutil.copy(next((tmp_path / "p").iterdir()), tmp_path / "o")
@@ -328,7 +321,7 @@ def test_other_bin_files_are_no_clouds(tmp_path, content, reported):
         open_scene(tmp_path / "a.bin")
 
 
-def test_a_later_file_that_is_torn_is_named_when_it_is_read_and_left_out_leniently(tmp_path, scene):
+def test_a_file_that_is_torn_is_named_and_left_out_leniently_and_the_folder_recognised(tmp_path, scene):
     write_scene(scene, tmp_path / "o", format="laz")
     torn = tmp_path / "o" / f"{TIMESTAMPS[1]}.laz"
     torn.write_bytes(torn.read_bytes()[:-200])
@@ -338,14 +331,23 @@ def test_a_later_file_that_is_torn_is_named_when_it_is_read_and_left_out_lenient
     lenient = open_scene(tmp_path / "o", lenient=True)
     assert lenient.lidars[0].frames.timestamps_ns.tolist() == [TIMESTAMPS[0]]
     assert [n.count for n in lenient.warnings if n.code == "unreadable-files"] == [1]
+    write_scene(scene, tmp_path / "p", format="ply")
+    (tmp_path / "p" / f"{TIMESTAMPS[0] - 5}.ply").touch()
+    assert find_format(tmp_path / "p").name == "ply"
+    with pytest.raises(DataError, match=r"does not begin with `ply`"):
+        open_scene(tmp_path / "p")
+    assert len(open_scene(tmp_path / "p", lenient=True).lidars[0].frames) == 2
 
 
-def test_options_that_do_not_count_are_refused(tmp_path, scene):
+def test_options_that_do_not_count_and_targets_that_cannot_be_are_refused(tmp_path, scene):
     with pytest.raises(UnknownOptionError):
         write_scene(scene, tmp_path / "o", format="pcd", profile="scale")
     for options in ({"frame": "moon"}, {"encoding": "zip"}, {"lidar": "none"}):
         with pytest.raises(OptionError):
             write_scene(scene, tmp_path / "o", format="pcd", **options)
+    with pytest.raises(OptionError, match="one file for 2 frames"):
+        write_scene(scene, tmp_path / "one.pcd")
+    assert not list(tmp_path.iterdir())
     write_scene(scene, tmp_path / "o", format="pcd")
     with pytest.raises(OutputError):
         write_scene(scene, tmp_path / "o", format="pcd")
@@ -354,25 +356,66 @@ def test_options_that_do_not_count_are_refused(tmp_path, scene):
             open_scene(tmp_path / "o", **options)
 
 
-def test_one_kind_becomes_another_without_loss(tmp_path, scene):
-    write_scene(scene, tmp_path / "first", format="pcd")
-    report = convert(tmp_path / "first", tmp_path / "second", to="ply", strict=True)
-    assert not [support for support in report.fields if support.support in {Support.APPROXIMATED, Support.DROPPED}]
-    found = open_scene(tmp_path / "second").lidars[0]
-    for one, other in zip(found.frames, scene.lidars[0].frames, strict=True):
-        same(one.points, other.points)
-
-
 def test_frames_of_clouds_go_to_other_processes(tmp_path, scene):
     write_scene(scene, tmp_path / "o", format="npz")
     frames = pickle.loads(pickle.dumps(open_scene(tmp_path / "o").lidars[0].frames))
     same(frames[1].points, scene.lidars[0].frames[1].points)
 
 
-def test_a_folder_is_recognised_though_some_of_its_files_are_torn(tmp_path, scene):
-    write_scene(scene, tmp_path / "o", format="ply")
-    (tmp_path / "o" / f"{TIMESTAMPS[0] - 5}.ply").touch()
-    assert find_format(tmp_path / "o").name == "ply"
-    with pytest.raises(DataError, match=r"does not begin with `ply`"):
-        open_scene(tmp_path / "o")
-    assert len(open_scene(tmp_path / "o", lenient=True).lidars[0].frames) == 2
+COLORS = np.array([[255, 255, 255], [255, 255, 255], [10, 20, 30], [1, 2, 3]], np.uint8)
+SEEN_BY = np.array([255, 0, 1, 255], np.uint8)
+"""A point that no camera saw, a white wall, another point, and a colour that came from elsewhere."""
+GREY = [[128, 128, 128], *COLORS[1:].tolist()]
+
+
+@pytest.fixture
+def fused():
+    points = LidarPoints(np.eye(4, 3, dtype=np.float32) + 1, colors=COLORS, camera_index=SEEN_BY)
+    poses = Poses([0], [[0, 0, 0]], [[0, 0, 0, 1]], static=True)
+    frames = LazyFrames.of([LidarFrame(10**9, points)], [10**9])
+    return Scene((LidarSensor("top", frames, poses=poses, points_frame=PointsFrame.WORLD),))
+
+
+@pytest.mark.parametrize("suffix", [".sfs", ".ply", ".pcd", ".las", ".laz", ".npz", ".mcap", ".bag", ".ros2"])
+def test_the_model_has_them_white_again(fused, tmp_path, suffix):
+    sceneloom.write(fused, tmp_path / f"cloud{suffix}")
+    with sceneloom.open(tmp_path / f"cloud{suffix}") as scene:
+        points = scene.lidars[0].frames[0].points
+        assert points.colors.tolist() == COLORS.tolist()
+        assert points.camera_index.tolist() == SEEN_BY.tolist()
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".pcd", ".las", ".npz"])
+def test_files_of_points_have_them_grey_with_a_column_that_says_so(fused, tmp_path, suffix):
+    sceneloom.write(fused, tmp_path / f"cloud{suffix}")
+    columns = read_cloud(tmp_path / f"cloud{suffix}").columns
+    assert colours_in(columns) == GREY
+    assert columns["camera_index"].tolist() == SEEN_BY.tolist()
+
+
+def colours_in(columns):
+    if "rgb" in columns:
+        packed = columns["rgb"].view(np.uint32)
+        return np.column_stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255]).tolist()
+    if "colors" in columns:
+        return columns["colors"].tolist()
+    found = np.column_stack([columns[name] for name in ("red", "green", "blue")])
+    return (found // 257 if found.dtype == np.uint16 else found).tolist()
+
+
+def test_messages_have_them_grey(fused, tmp_path):
+    reader = pytest.importorskip("mcap.reader")
+    sceneloom.write(fused, tmp_path / "cloud.mcap")
+    with (tmp_path / "cloud.mcap").open("rb") as file:
+        data = b"".join(
+            message.data
+            for schema, _, message in reader.make_reader(file).iter_messages()
+            if schema.name == "foxglove.PointCloud"
+        )
+    assert bytes([128, 128, 128]) in data
+
+
+def test_only_what_no_camera_saw_changes():
+    assert grey_where_unseen(COLORS, SEEN_BY).tolist() == GREY
+    assert white_where_unseen(np.array(GREY, np.uint8), SEEN_BY).tolist() == COLORS.tolist()
+    assert grey_where_unseen(COLORS, None) is COLORS

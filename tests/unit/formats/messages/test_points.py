@@ -29,24 +29,23 @@ def points(k):
     )
 
 
+def write(path, *sweeps):
+    frames = [LidarFrame(int(time), one) for time, one in zip(TIMESTAMPS, sweeps, strict=False)]
+    write_scene(Scene((LidarSensor("top", LazyFrames.of(frames, TIMESTAMPS[: len(frames)].tolist())),)), path)
+    return path
+
+
 @pytest.fixture
 def log(tmp_path):
-    frames = [LidarFrame(int(TIMESTAMPS[k]), points(k)) for k in range(2)]
-    scene = Scene((LidarSensor("top", LazyFrames.of(frames, TIMESTAMPS.tolist())),))
-    write_scene(scene, tmp_path / "log.mcap")
-    return tmp_path / "log.mcap"
+    return write(tmp_path / "log.mcap", points(0), points(1))
 
 
-def test_sweeps_of_a_log_stay_packed_until_a_field_is_asked_for(log):
+def test_sweeps_of_a_log_stay_packed_until_a_field_is_asked_for_and_are_the_same_in_a_copy(log, tmp_path):
     with open_scene(log) as scene:
         frame = scene.lidars[0].frames[1]
         assert (frame.points.packed_count(), len(frame.points)) == (COUNT, COUNT)
         np.testing.assert_array_equal(frame.points.positions, points(1).positions)
         assert frame.points.packed_count() is None
-
-
-def test_sweeps_copied_into_another_log_are_the_same(log, tmp_path):
-    with open_scene(log) as scene:
         write_scene(scene, tmp_path / "copy.mcap")
     with open_scene(tmp_path / "copy.mcap") as copy:
         for k, frame in enumerate(copy.lidars[0].frames):
@@ -67,9 +66,7 @@ def test_a_sweep_whose_time_was_moved_is_packed_anew(log):
 
 def test_a_sweep_without_points_is_written_with_all_its_fields(tmp_path):
     empty = LidarPoints(np.zeros((0, 3), np.float32), intensities=np.zeros(0, np.uint8), rings=np.zeros(0, np.uint16))
-    frames = [LidarFrame(int(TIMESTAMPS[0]), empty), LidarFrame(int(TIMESTAMPS[1]), points(1))]
-    write_scene(Scene((LidarSensor("top", LazyFrames.of(frames, TIMESTAMPS.tolist())),)), tmp_path / "log.mcap")
-    with open_scene(tmp_path / "log.mcap") as scene:
+    with open_scene(write(tmp_path / "log.mcap", empty, points(1))) as scene:
         first, second = (frame.points for frame in scene.lidars[0].frames)
         assert (len(first), first.rings.shape, first.intensities.shape) == (0, (0,), (0,))
         np.testing.assert_array_equal(second.positions, points(1).positions)
@@ -80,10 +77,7 @@ def test_logs_that_state_times_in_their_older_column_are_read(tmp_path, monkeypa
         return {("offset_ns",): (times - timestamp).astype(np.int32)}
 
     monkeypatch.setattr(messages_points, "_offsets", old)
-    scene = Scene(
-        (LidarSensor("top", LazyFrames.of([LidarFrame(int(TIMESTAMPS[0]), points(0))], [int(TIMESTAMPS[0])])),)
-    )
-    write_scene(scene, tmp_path / "old.mcap")
+    write(tmp_path / "old.mcap", points(0))
     monkeypatch.undo()
     with open_scene(tmp_path / "old.mcap") as read:
         np.testing.assert_array_equal(read.lidars[0].frames[0].points.timestamps_ns, points(0).timestamps_ns)

@@ -17,6 +17,7 @@ from sceneloom.formats.points.mapping import (
     points_of,
 )
 
+COLOURS = ("red", "green", "blue")
 XYZ = {axis: np.array([1.0, 2.0, 3.0], np.float32) for axis in "xyz"}
 CLOCK = SweepClock(timestamp_ns=1_532_402_927_647_951_001, start_ns=1_532_402_927_597_951_001, zero_ns=7)
 
@@ -26,16 +27,13 @@ def read(columns, mapping=None, clock=CLOCK):
     return points_of(Cloud(Path("a.pcd"), count, columns), mapping or PointMapping(), clock)
 
 
-def test_positions_come_as_float32_from_any_type():
-    points = read({axis: np.array([1, -2, 3], np.int16) for axis in "xyz"}).points
+def test_positions_come_as_float32_from_any_type_and_names_are_found_whatever_their_case():
+    columns = {axis: np.array([1, -2, 3], np.int16) for axis in "XYZ"}
+    columns["Reflectivity"] = np.array([9, 8, 7], np.uint8)
+    points = read(columns, PointMapping(scale=IntensityScale(255.0))).points
     assert points.positions.dtype == np.float32
     assert points.positions[1].tolist() == [-2, -2, -2]
-
-
-def test_names_are_found_whatever_their_case():
-    columns = {"X": np.ones(1), "Y": np.ones(1), "Z": np.ones(1), "Reflectivity": np.array([9], np.uint8)}
-    points = read(columns, PointMapping(scale=IntensityScale(255.0))).points
-    assert points.intensities.tolist() == [9]
+    assert points.intensities.tolist() == [9, 8, 7]
 
 
 def test_points_without_a_return_are_dropped_and_counted():
@@ -69,14 +67,11 @@ def test_brightness_is_scaled_rounded_and_clipped(values, maximum, expected, cli
         (np.array([1], np.uint16), 255.0),
         (np.array([1000], np.uint16), 65535.0),
         (np.array([1], np.uint8), 255.0),
+        (np.array([1e6]), None),
     ],
 )
 def test_the_scale_of_brightness_is_distinguished_from_the_values(values, maximum):
-    assert detect_scale(values) == IntensityScale(maximum)
-
-
-def test_brightness_beyond_all_scales_is_not_guessed():
-    assert detect_scale(np.array([1e6])) is None
+    assert detect_scale(values) == (maximum and IntensityScale(maximum))
 
 
 def test_absolute_times_lose_no_nanosecond():
@@ -101,54 +96,52 @@ def test_relative_times_count_from_what_they_are_relative_to(unit, values, offse
     assert points.timestamps_ns.tolist() == [base_ns + offset for offset in offsets_ns]
 
 
-def test_times_of_the_wrong_unit_are_refused_and_the_right_one_is_named():
-    mapping = PointMapping(times=PointTimes("seconds", "timestamp", "t"))
-    with pytest.raises(DataError, match=r't\[1\]: 50000000 seconds .*unit = "nanoseconds", relative_to = "timestamp"'):
-        read({**XYZ, "t": np.array([0, 50_000_000, 100_000_000], np.uint32)}, mapping)
+COUNTS = np.array([0, 257, 65535], np.uint16)
 
 
-def test_a_time_that_is_no_number_is_refused():
-    mapping = PointMapping(times=PointTimes("seconds", "timestamp", "t"))
-    with pytest.raises(DataError, match=r"t\[2\]: nan"):
-        read({**XYZ, "t": np.array([0.0, 0.1, np.nan])}, mapping)
+@pytest.mark.parametrize(
+    ("columns", "colors"),
+    [
+        *(({"rgb": packed.view(dtype)}, [[0x11, 0x22, 0x33], [0, 0, 0xFF], [0, 0, 0]])
+          for packed in [np.array([0x00112233, 0xFF0000FF, 0], np.uint32)] for dtype in (np.uint32, np.float32)),
+        ({name: np.array([k, 0, 255], np.uint8) for k, name in enumerate(COLOURS)},
+         [[0, 1, 2], [0, 0, 0], [255, 255, 255]]),
+        # of 16 bits, also where their writer put bytes into them
+        (dict.fromkeys(COLOURS, COUNTS), [[0] * 3, [1] * 3, [255] * 3]),
+        (dict.fromkeys(COLOURS, np.array([0, 128, 255], np.uint16)), [[0] * 3, [128] * 3, [255] * 3]),
+    ],
+)  # fmt: skip
+def test_colours_of_one_or_two_bytes_each_or_packed_are_taken(columns, colors):
+    assert read({**XYZ, **columns}).points.colors.tolist() == colors
 
 
-def test_packed_colours_are_taken_apart():
-    packed = np.array([0x00112233, 0xFF0000FF, 0], np.uint32)
-    for column in (packed, packed.view(np.float32)):
-        points = read({**XYZ, "rgb": column}).points
-        assert points.colors.tolist() == [[0x11, 0x22, 0x33], [0, 0, 0xFF], [0, 0, 0]]
+def test_what_means_nothing_or_is_of_another_kind_is_kept():
+    colours = dict.fromkeys(COLOURS, np.array([0.0, 0.5, 1.0]))
+    near_ir, ring = np.array([5, 6, 7], np.uint16), np.array([0.0, 1.5, 2.0])
+    points = read({**XYZ, **colours, "near_ir": near_ir, "ring": ring}).points
+    assert (points.colors, points.rings) == (None, None)
+    assert {name: column.tolist() for name, column in points.extras.items()} == {
+        "near_ir": [5, 6, 7], "ring": [0.0, 1.5, 2.0], **{name: [0.0, 0.5, 1.0] for name in COLOURS},
+    }  # fmt: skip
 
 
-def test_colours_of_one_byte_each_are_taken_and_others_are_left():
-    channels = {name: np.array([k, 0, 255], np.uint8) for k, name in enumerate(("red", "green", "blue"))}
-    assert read({**XYZ, **channels}).points.colors.tolist() == [[0, 1, 2], [0, 0, 0], [255, 255, 255]]
-    floats = {name: column / 255.0 for name, column in channels.items()}
-    left = read({**XYZ, **floats}).points
-    assert left.colors is None
-    assert {"red", "green", "blue"} <= set(left.extras)
+SECONDS = PointMapping(times=PointTimes("seconds", "timestamp", "t"))
 
 
-def test_columns_that_mean_nothing_are_kept():
-    points = read({**XYZ, "near_ir": np.array([5, 6, 7], np.uint16)}).points
-    assert points.extras["near_ir"].tolist() == [5, 6, 7]
-    assert set(points.extras) == {"near_ir"}
-
-
-def test_lasers_that_are_no_whole_numbers_are_left_as_they_are():
-    points = read({**XYZ, "ring": np.array([0.0, 1.5, 2.0])}).points
-    assert points.rings is None
-    assert points.extras["ring"].tolist() == [0.0, 1.5, 2.0]
-
-
-def test_a_column_that_was_named_but_is_not_there_is_reported():
-    with pytest.raises(DataError, match="reflex: no such column for intensity; the file has x y z"):
-        read(XYZ, PointMapping(named={"intensity": "reflex"}))
-
-
-def test_a_cloud_without_positions_is_refused():
-    with pytest.raises(DataError, match="no column for z; the file has x y"):
-        read({name: XYZ[name] for name in "xy"})
+@pytest.mark.parametrize(
+    ("columns", "mapping", "problem"),
+    [
+        ({**XYZ, "t": np.array([0, 50_000_000, 100_000_000], np.uint32)}, SECONDS,
+         r't\[1\]: 50000000 seconds .*unit = "nanoseconds", relative_to = "timestamp"'),
+        ({**XYZ, "t": np.array([0.0, 0.1, np.nan])}, SECONDS, r"t\[2\]: nan"),
+        (XYZ, PointMapping(named={"intensity": "reflex"}),
+         "reflex: no such column for intensity; the file has x y z"),
+        ({name: XYZ[name] for name in "xy"}, PointMapping(), "no column for z; the file has x y"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_points_is_refused(columns, mapping, problem):
+    with pytest.raises(DataError, match=problem):
+        read(columns, mapping)
 
 
 def test_nothing_can_be_written_into_the_arrays():
@@ -161,10 +154,3 @@ def test_nothing_can_be_written_into_the_arrays():
 def test_a_mapping_goes_to_other_processes():
     mapping = PointMapping(scale=IntensityScale(1.0), times=PointTimes("seconds"))
     assert pickle.loads(pickle.dumps(mapping)).scale == mapping.scale
-
-
-def test_colours_of_16_bits_become_bytes_also_where_their_writer_put_bytes_into_them():
-    wide = {name: np.array([0, 257, 65535], np.uint16) for name in ("red", "green", "blue")}
-    assert read({**XYZ, **wide}).points.colors.tolist() == [[0] * 3, [1] * 3, [255] * 3]
-    narrow = {name: np.array([0, 128, 255], np.uint16) for name in ("red", "green", "blue")}
-    assert read({**XYZ, **narrow}).points.colors.tolist() == [[0] * 3, [128] * 3, [255] * 3]

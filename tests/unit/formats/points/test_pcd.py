@@ -30,7 +30,6 @@ def literal_lzf(content: bytes) -> bytes:
 
 
 def pcd(data: str) -> bytes:
-    """The points in one of the three forms."""
     head = HEAD.format(count=len(POINTS), data=data).encode()
     if data == "ascii":
         return head + "\n".join(" ".join(map(str, point)) for point in POINTS).encode() + b"\n"
@@ -42,24 +41,17 @@ def pcd(data: str) -> bytes:
     return head + struct.pack("<II", len(packed), len(columns)) + packed
 
 
-@pytest.fixture(params=["ascii", "binary", "binary_compressed"])
-def form(request):
-    """Each way to write the points."""
-    return request.param
+EACH_FORM = pytest.mark.parametrize("form", ["ascii", "binary", "binary_compressed"])
 
 
+@EACH_FORM
 def test_columns_come_with_their_names_types_and_exact_values(tmp_path, form):
     (tmp_path / "a.pcd").write_bytes(pcd(form))
     cloud = read_cloud(tmp_path / "a.pcd")
     assert cloud.count == 2
-    assert {name: column.dtype.name for name, column in cloud.columns.items()} == {
-        "x": "float32",
-        "y": "float32",
-        "z": "float32",
-        "intensity": "float32",
-        "ring": "uint16",
-        "t": "uint64",
-    }
+    floats = dict.fromkeys(("x", "y", "z", "intensity"), "float32")
+    types = {name: column.dtype.name for name, column in cloud.columns.items()}
+    assert types == {**floats, "ring": "uint16", "t": "uint64"}
     for k, column in enumerate(cloud.columns.values()):
         assert column.tolist() == [point[k] for point in POINTS]
 
@@ -74,22 +66,14 @@ def test_fields_with_several_values_padding_and_repeated_names_are_kept_apart(tm
     assert columns["n~2"].tolist() == [-1]
 
 
-def test_organised_clouds_have_width_times_height_points(tmp_path):
+@EACH_FORM
+def test_organised_clouds_have_width_times_height_points_and_empty_ones_none(tmp_path, form):
     head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 3\nHEIGHT 2\nDATA binary\n"
     (tmp_path / "a.pcd").write_bytes(head.encode() + np.arange(18, dtype="<f4").tobytes())
     assert read_cloud(tmp_path / "a.pcd").columns["z"].tolist() == [2, 5, 8, 11, 14, 17]
-
-
-def test_a_cloud_without_points_is_read(tmp_path, form):
     (tmp_path / "a.pcd").write_bytes(HEAD.format(count=0, data=form).encode())
     cloud = read_cloud(tmp_path / "a.pcd")
     assert (cloud.count, len(cloud.columns["t"])) == (0, 0)
-
-
-def test_a_file_that_breaks_off_is_reported_with_its_bytes(tmp_path):
-    (tmp_path / "a.pcd").write_bytes(pcd("binary")[:-5])
-    with pytest.raises(DataError, match=r"47 bytes of points; expected 52: 2 points of 26 bytes"):
-        read_cloud(tmp_path / "a.pcd")
 
 
 @pytest.mark.parametrize(
@@ -112,17 +96,15 @@ def test_a_wrong_file_is_reported_with_its_location(tmp_path, old, new, problem)
         read_cloud(tmp_path / "a.pcd")
 
 
-def test_compressed_points_that_claim_more_than_they_can_unfold_to_are_refused(tmp_path):
+def test_points_that_break_off_claim_too_much_or_are_damaged_are_refused(tmp_path):
     head = HEAD.format(count=1_000_000, data="binary_compressed").encode()
-    (tmp_path / "a.pcd").write_bytes(head + struct.pack("<II", 10, 26_000_000) + bytes(10))
-    with pytest.raises(DataError, match="10 bytes that unfold to 26000000"):
-        read_cloud(tmp_path / "a.pcd")
-
-
-def test_damaged_compressed_points_are_refused(tmp_path):
-    content = bytearray(pcd("binary_compressed"))
-    start = content.index(b"binary_compressed\n") + len(b"binary_compressed\n") + 8
-    content[start] = 0xE0
-    (tmp_path / "a.pcd").write_bytes(bytes(content))
-    with pytest.raises(DataError, match="damaged"):
-        read_cloud(tmp_path / "a.pcd")
+    damaged = bytearray(pcd("binary_compressed"))
+    damaged[damaged.index(b"binary_compressed\n") + len(b"binary_compressed\n") + 8] = 0xE0
+    for content, problem in (
+        (pcd("binary")[:-5], r"47 bytes of points; expected 52: 2 points of 26 bytes"),
+        (head + struct.pack("<II", 10, 26_000_000) + bytes(10), "10 bytes that unfold to 26000000"),
+        (bytes(damaged), "damaged"),
+    ):
+        (tmp_path / "a.pcd").write_bytes(content)
+        with pytest.raises(DataError, match=problem):
+            read_cloud(tmp_path / "a.pcd")

@@ -1,131 +1,160 @@
-"""The recordings that were made from real logs, held against what their sources state."""
+"""The recordings that were made from real logs, held against their sources: scenes, samples, and written again."""
 
 import json
 import statistics
 import struct
-from pathlib import Path
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
+import sceneloom
 from sceneloom.cameras import project
-from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.scene import GnssSensor, ImuSensor, Scene
+from sceneloom.motion.ego_trajectory import find_ego_motion
+from sceneloom.scene import GnssSensor, ImuSensor
+
+KITTI, PANDASET, OXTS = "kitti_drive", "pandaset", "kitti_oxts_0000"
 
 
-def open_recording(data_dir: Path, name: str) -> Scene:
-    folder = data_dir / "recordings" / name
-    if not folder.is_dir():
-        pytest.skip(f"no recording at {folder}")
-    return FORMAT.open(folder)
+@pytest.fixture
+def scene(drive, request):
+    """The recording whose name the test has as its parameter."""
+    with sceneloom.open(drive(f"recordings/{request.param}")) as scene:
+        yield scene
 
 
-def calibrated(data_dir: Path, name: str, key: str, index: int, matrix: str) -> np.ndarray:
-    content = json.loads((data_dir / "recordings" / name / "calibration.json").read_text())
-    return np.array(content[key][index][matrix])
+def of(name):
+    return pytest.mark.parametrize("scene", [name], indirect=True)
 
 
-def test_kitti_drive_has_twelve_sweeps_and_images_half_a_sweep_apart(data_dir):
-    with open_recording(data_dir, "kitti_drive") as scene:
-        assert scene.warnings == ()
-        assert scene.trajectories == {}
-        lidar, camera = scene.lidars[0], scene.cameras[0]
-        assert lidar.frames.timestamps_ns.tolist() == [100_000_000 * k for k in range(12)]
-        assert camera.images.timestamps_ns.tolist() == [100_000_000 * k + 50_000_000 for k in range(12)]
-        assert lidar.poses is None
-        assert camera.poses is None
-        assert (camera.camera.width, camera.camera.height, camera.camera.model) == (1242, 374, "pinhole")
-        assert (camera.camera.fx, camera.camera.cx, camera.camera.cy) == (721.5377, 609.5593, 172.854)
-        for index, image in enumerate(camera.images):
-            assert image.rgb.shape == (374, 1242, 3), index
+@of(KITTI)
+def test_kitti_drive_has_twelve_sweeps_and_images_half_a_sweep_apart_and_its_calibration(scene, drive):
+    assert (scene.warnings, scene.trajectories) == ((), {})
+    lidar, camera = scene.lidars[0], scene.cameras[0]
+    assert lidar.frames.timestamps_ns.tolist() == [100_000_000 * k for k in range(12)]
+    assert camera.images.timestamps_ns.tolist() == [100_000_000 * k + 50_000_000 for k in range(12)]
+    assert (lidar.poses, camera.poses) == (None, None)
+    assert (camera.camera.width, camera.camera.height, camera.camera.model) == (1242, 374, "pinhole")
+    assert (camera.camera.fx, camera.camera.cx, camera.camera.cy) == (721.5377, 609.5593, 172.854)
+    assert [image.rgb.shape for image in camera.images] == [(374, 1242, 3)] * 12
+    known = json.loads((drive(f"recordings/{KITTI}") / "calibration.json").read_text())
+    camera_from_imu, lidar_from_imu = known["cameras"][0]["imuToCamera"], known["lidars"][0]["imuToLidar"]
+    for sensor, sensor_from_imu in ((camera, camera_from_imu), (lidar, lidar_from_imu)):
+        # the source gives seven digits, so its rotations are orthonormal to about 1e-7
+        np.testing.assert_allclose(sensor.mount.matrix, np.linalg.inv(sensor_from_imu), atol=1e-6)
+    camera_from_lidar = np.array(camera_from_imu) @ np.linalg.inv(lidar_from_imu)
+    for k, sample in enumerate(scene.samples()):
+        assert (sample.index, sample.sweep.timestamp_ns, sample.missing) == (k, k * 100_000_000, {})
+        assert sample.images["camera0"].timestamp_ns == k * 100_000_000 + 50_000_000
+        # the middle of the rotation, but for the points that never came back
+        assert abs(sample.time_differences_ns["camera0"]) < 10_000_000
+        assert sample.world_from_lidar is None
+        # the file's matrices are rounded, ours are made orthonormal
+        np.testing.assert_allclose(sample.camera_from_points["camera0"].matrix, camera_from_lidar, atol=1e-5)
+    assert k == 11
 
 
-def test_kitti_drive_points_are_those_of_the_files_and_lie_within_their_sweep(data_dir):
-    folder = data_dir / "recordings" / "kitti_drive"
-    with open_recording(data_dir, "kitti_drive") as scene:
-        for k, frame in enumerate(scene.lidars[0].frames):
-            content = (folder / "lidar" / f"{k:06d}.bin").read_bytes()
-            assert len(frame.points) == len(content) // 23
-            x, y, z, intensity, ring, time = struct.unpack_from("<fffBHd", content, 23 * 1000)
-            assert frame.points.positions[1000].tolist() == [x, y, z]
-            assert frame.points.intensities is not None
-            assert frame.points.rings is not None
-            assert frame.points.timestamps_ns is not None
-            assert (frame.points.intensities[1000], frame.points.rings[1000]) == (intensity, ring)
-            assert frame.points.timestamps_ns[1000] == round(time * 1e9)
-            timestamps = frame.points.timestamps_ns - frame.timestamp_ns
-            # the times were derived from azimuths in single precision, which is worth 100 ns of a sweep
-            assert timestamps.min() > -100
-            assert timestamps.max() < 100_000_000 + 100
+@of(KITTI)
+def test_kitti_drive_points_are_those_of_the_files_and_lie_within_their_sweep(scene, drive):
+    for k, frame in enumerate(scene.lidars[0].frames):
+        content = (drive(f"recordings/{KITTI}") / "lidar" / f"{k:06d}.bin").read_bytes()
+        records = list(struct.iter_unpack("<fffBHd", content))
+        assert len(frame.points) == len(records)
+        x, y, z, intensity, ring, time = records[1000]
+        assert frame.points.positions[1000].tolist() == [x, y, z]
+        assert (frame.points.intensities[1000], frame.points.rings[1000]) == (intensity, ring)
+        assert frame.points.timestamps_ns[1000] == round(time * 1e9)
+        assert frame.reference_ns == round(statistics.median_high(record[5] for record in records) * 1e9)
+        timestamps = frame.points.timestamps_ns - frame.timestamp_ns
+        # the times were derived from azimuths in single precision, which is worth 100 ns of a sweep
+        assert timestamps.min() > -100
+        assert timestamps.max() < 100_000_000 + 100
 
 
-def test_the_reference_of_a_sweep_is_the_median_of_its_files_point_times(data_dir):
-    content = (data_dir / "recordings" / "kitti_drive" / "lidar" / "000003.bin").read_bytes()
-    times = [record[5] for record in struct.iter_unpack("<fffBHd", content)]
-    with open_recording(data_dir, "kitti_drive") as scene:
-        assert scene.lidars[0].frames[3].reference_ns == round(statistics.median_high(times) * 1e9)
+@of(KITTI)
+def test_a_trajectory_found_from_the_sweeps_locations_the_samples_of_the_kitti_drive(scene):
+    samples = scene.samples(trajectory=find_ego_motion(scene))
+    assert samples.trajectory == "lidar"
+    steps = [sample.world_from_lidar.inverse() @ later.world_from_lidar for sample, later in pairwise(samples)]
+    # it crawls ahead, about as fast all the time
+    forward = [step.translation[0] for step in steps]
+    assert 0.1 < min(forward) <= max(forward) < 0.3
+    assert max(abs(step.translation[1]) for step in steps) < 0.03
 
 
-def test_kitti_drive_mountings_are_the_inverse_of_the_files_matrices(data_dir):
-    with open_recording(data_dir, "kitti_drive") as scene:
-        for sensor, key, matrix in (
-            (scene.cameras[0], "cameras", "imuToCamera"),
-            (scene.lidars[0], "lidars", "imuToLidar"),
-        ):
-            assert sensor.mount is not None
-            expected = np.linalg.inv(calibrated(data_dir, "kitti_drive", key, 0, matrix))
-            # the source gives seven digits, so its rotations are orthonormal to about 1e-7
-            np.testing.assert_allclose(sensor.mount.matrix, expected, atol=1e-6)
+@of(PANDASET)
+def test_pandaset_sensors_follow_the_ego_and_see_as_many_points_as_were_counted(scene):
+    assert scene.warnings == ()
+    truth, lidar = scene.trajectories["groundTruth"], scene.lidars[0]
+    assert truth.timestamps_ns.tolist() == [100_000_000 * k for k in range(5)]
+    # this lidar is given in the ego frame, and the points share their sweep's time, so that it is the reference
+    np.testing.assert_allclose(lidar.poses.positions, truth.positions, atol=1e-12)
+    assert [frame.reference_ns for frame in lidar.frames] == [100_000_000 * k for k in range(5)]
+    assert [len(frame.points) for frame in lidar.frames] == [168814, 168751, 169439, 167351, 167316]
+    assert [camera.id for camera in scene.cameras] == ["camera0", "camera1", "camera2"]
+    for camera in scene.cameras:
+        assert (len(camera.images), len(camera.poses.timestamps_ns)) == (5, 5)
+        assert camera.images[4].rgb.shape == (1080, 1920, 3)
+    samples = list(scene.samples())
+    shares = [
+        [
+            project(sample.cameras[camera_id], transform.apply(sample.sweep.points.positions))[1].mean()
+            for camera_id, transform in sample.camera_from_points.items()
+        ]
+        for sample in samples
+    ]
+    # the figures are of frames of the same drive, to a tenth of a per cent, of all frames together
+    np.testing.assert_allclose(np.mean(shares, axis=0), [0.400, 0.218, 0.145], atol=0.003)
+    arrays = [sample.arrays() for sample in samples]
+    for name in arrays[0]:  # they can be stacked but for their points
+        assert len({array[name].shape for array in arrays}) == 1 or name.startswith("lidar."), name
+        assert len({array[name].dtype for array in arrays}) == 1, name
 
 
-def test_pandaset_sensors_follow_the_ego(data_dir):
-    with open_recording(data_dir, "pandaset") as scene:
-        assert scene.warnings == ()
-        truth = scene.trajectories["groundTruth"]
-        assert truth.timestamps_ns.tolist() == [100_000_000 * k for k in range(5)]
-        lidar = scene.lidars[0]
-        assert lidar.poses is not None
-        # this lidar is given in the ego frame
-        np.testing.assert_allclose(lidar.poses.positions, truth.positions, atol=1e-12)
-        assert [camera.id for camera in scene.cameras] == ["camera0", "camera1", "camera2"]
-        for camera in scene.cameras:
-            assert len(camera.images) == 5
-            assert camera.images[4].rgb.shape == (1080, 1920, 3)
-            assert camera.poses is not None
-            assert len(camera.poses.timestamps_ns) == 5
+@of(OXTS)
+def test_kitti_oxts_is_a_scene_of_motion_only(scene, drive):
+    assert scene.warnings == ()
+    imu, gnss = scene.sensors
+    assert isinstance(imu, ImuSensor)
+    assert isinstance(gnss, GnssSensor)
+    assert {name: len(stream) for name, stream in imu.streams.items()} == {"accelerometer": 154, "gyroscope": 154}
+    assert gnss.timestamps_ns.tolist() == [round(0.1 * k * 1e9) for k in range(154)]
+    assert len(scene.trajectories["groundTruth"].positions) == 154
+    fixes = [line["gps"] for line in lines_of(drive(f"recordings/{OXTS}")) if "gps" in line]
+    expected = [[fix["latitude"], fix["longitude"], fix["altitude"]] for fix in fixes]
+    np.testing.assert_array_equal(gnss.positions_lla, expected)
 
 
-def test_pandaset_points_share_their_sweeps_time_so_that_it_is_the_reference(data_dir):
-    with open_recording(data_dir, "pandaset") as scene:
-        frames = scene.lidars[0].frames
-        assert [frame.reference_ns for frame in frames] == [100_000_000 * k for k in range(5)]
-        assert [len(frame.points) for frame in frames] == [168814, 168751, 169439, 167351, 167316]
+def lines_of(folder):
+    lines = [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
+    return sorted(lines, key=lambda line: (line["time"], json.dumps(line, sort_keys=True)))
 
 
-@pytest.mark.parametrize(("camera", "share"), [(0, 40.0), (1, 21.8), (2, 14.5)])
-def test_pandaset_points_fall_into_each_image_as_its_source_counted(data_dir, camera, share):
-    with open_recording(data_dir, "pandaset") as scene:
-        sensor = scene.cameras[camera]
-        assert sensor.mount is not None
-        inside = total = 0
-        for frame in scene.lidars[0].frames:
-            points_camera = sensor.mount.inverse().apply(frame.points.positions)
-            inside += int(project(sensor.camera, points_camera)[1].sum())
-            total += len(points_camera)
-        # the counted shares are rounded to a tenth, and vary between sweeps
-        assert abs(100.0 * inside / total - share) < 0.5
+def files_of(folder, *, videos):
+    """The content of the files that are a recording's own, but for its lines; a README says where it is from."""
+    found = {}
+    for path in folder.rglob("*.*"):
+        if path.name not in ("README.txt", "data.jsonl") and (videos or path.suffix in (".json", ".bin")):
+            content = path.read_bytes()
+            found[path.relative_to(folder)] = json.loads(content) if path.suffix == ".json" else content
+    return found
 
 
-def test_kitti_oxts_is_a_scene_of_motion_only(data_dir):
-    with open_recording(data_dir, "kitti_oxts_0000") as scene:
-        assert scene.warnings == ()
-        imu, gnss = scene.sensors
-        assert isinstance(imu, ImuSensor)
-        assert isinstance(gnss, GnssSensor)
-        assert {name: len(stream) for name, stream in imu.streams.items()} == {"accelerometer": 154, "gyroscope": 154}
-        assert gnss.timestamps_ns.tolist() == [round(0.1 * k * 1e9) for k in range(154)]
-        assert len(scene.trajectories["groundTruth"].positions) == 154
-        lines = (data_dir / "recordings" / "kitti_oxts_0000" / "data.jsonl").read_text().splitlines()
-        fixes = [record["gps"] for record in map(json.loads, lines) if "gps" in record]
-        expected = [[fix["latitude"], fix["longitude"], fix["altitude"]] for fix in fixes]
-        np.testing.assert_array_equal(gnss.positions_lla, expected)
+@pytest.mark.parametrize("name", [KITTI, PANDASET, OXTS])
+def test_a_real_recording_written_again_at_once_or_through_a_scene_file_is_the_same(drive, tmp_path, name):
+    source = drive(f"recordings/{name}")
+    report = sceneloom.convert(source, tmp_path / "again")
+    assert {loss.field for loss in report.losses} <= {"replay"}
+    assert lines_of(tmp_path / "again") == lines_of(source)
+    assert files_of(tmp_path / "again", videos=True) == files_of(source, videos=True)
+    sceneloom.convert(source, tmp_path / "scene.sfs")
+    sceneloom.convert(tmp_path / "scene.sfs", tmp_path / "through")
+    if name != KITTI:
+        assert lines_of(tmp_path / "through") == lines_of(source)
+        kept, through = files_of(source, videos=False), files_of(tmp_path / "through", videos=False)
+        assert {file: through[file] for file in kept} == kept
+        return
+    for line, again in zip(lines_of(source), lines_of(tmp_path / "through"), strict=True):
+        # sweeps begin with their earliest point, rounded down to a microsecond
+        assert abs(line.pop("time") - again.pop("time")) <= 2.5e-6
+        assert line == again

@@ -133,7 +133,6 @@ def go(tmp_path):
 
 @pytest.fixture
 def drives(tmp_path):
-    """Makes drives: files with their name in them."""
 
     def make(*names):
         (tmp_path / "in").mkdir(exist_ok=True)

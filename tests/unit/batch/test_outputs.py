@@ -33,7 +33,6 @@ def contents(folder):
 
 @pytest.fixture
 def puts(monkeypatch):
-    """Names of what was sent, in order."""
     sent, put = [], stores.Store.put
 
     def noted(self, source):

@@ -63,8 +63,8 @@ def test_a_fault_of_a_worker_that_is_no_outcome_is_one_of_its_task(tmp_path, dri
 
 def test_others_wait_only_as_long_as_more_and_more_is_compiled(monkeypatch):
     found = {"compiled": 0, "writable": True, "clock": 0.0}
-    cache = lambda: KernelCache(Path(), found["writable"], 9, found["compiled"])  # noqa: E731
-    monkeypatch.setattr("sceneloom.batch.workers.find_kernel_cache", cache)
+    looked = "sceneloom.batch.workers.find_kernel_cache"
+    monkeypatch.setattr(looked, lambda: KernelCache(Path(), found["writable"], 9, found["compiled"]))
     monkeypatch.setattr("sceneloom.batch.workers.time.monotonic", lambda: found["clock"])
     ended, warming = Warming(grown=0.0), Warming(grown=0.0)
     ended.end()

@@ -10,13 +10,6 @@ def line(number):
     return DataError("/drive/data.jsonl", f"line {number}", f"{number} is odd")
 
 
-def test_locations_are_distinguished_from_the_folder_on():
-    ledger = FaultLedger("/drive")
-    ledger.fault("broken", line(3))
-    [fault] = ledger.faults
-    assert (fault.path, fault.problem, fault.code, fault.vital) == ("data.jsonl: line 3", "3 is odd", "broken", False)
-
-
 def test_of_very_many_faults_those_beyond_are_counted_with_the_position_of_the_last():
     ledger = FaultLedger("/drive")
     for number in range(MOST_LOCATIONS + 500):
@@ -36,13 +29,16 @@ def test_what_decides_the_meaning_of_the_rest_is_refused_even_by_a_lenient_readi
     assert [fault.vital for fault in ledger.faults] == [True]
 
 
-def test_a_message_that_begins_with_its_location_is_taken_apart():
+def test_locations_are_distinguished_from_the_folder_on_and_taken_out_of_messages():
     ledger = FaultLedger("/drive")
     ledger.fault("camera_model", CalibrationError("/drive/data.jsonl: line 3: frames[].imuToCamera: is skewed: 0.5"))
     ledger.fault("camera_model", CalibrationError("no camera model at all"))
     ledger.fault("camera_model", CalibrationError("/drive/a file: is odd"))
+    ledger.fault("broken", line(3))
+    assert (ledger.faults[-1].code, ledger.faults[-1].vital) == ("broken", False)
     assert [(fault.path, fault.problem) for fault in ledger.faults] == [
         ("data.jsonl: line 3: frames[].imuToCamera", "is skewed: 0.5"),
         ("", "no camera model at all"),
         ("", "a file: is odd"),
+        ("data.jsonl: line 3", "3 is odd"),
     ]

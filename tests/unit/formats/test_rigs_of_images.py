@@ -122,22 +122,17 @@ def transforms_of(path):
                     yield connection.topic, one.child_frame_id, time, one.transform.rotation
 
 
-def test_other_programs_find_one_fixed_transform_for_equal_mountings(recording, tmp_path):
-    with open_scene(recording(different=False)) as scene:
-        write_scene(scene, tmp_path / "drive.bag")
-    ((topic, _, _, rotation),) = [row for row in transforms_of(tmp_path / "drive.bag") if row[1] == "camera0"]
-    assert topic == "/tf_static"
-    ((ego_from_camera, _), *_) = expected(different=False)
-    found = [rotation.x, rotation.y, rotation.z, rotation.w]
-    assert abs(np.dot(found, ego_from_camera.quaternion_xyzw)) == pytest.approx(1.0, abs=1e-12)
-
-
-def test_other_programs_find_a_transform_at_the_time_of_each_image(recording, tmp_path):
-    with open_scene(recording(different=True)) as scene:
+@pytest.mark.parametrize(
+    ("different", "expected_rows"), [(False, [("/tf_static", None)]), (True, [("/tf", t) for t in (0.25, 0.45, 0.65)])]
+)
+def test_other_programs_find_one_fixed_transform_or_one_at_the_time_of_each_image(
+    recording, tmp_path, different, expected_rows
+):
+    with open_scene(recording(different=different)) as scene:
         write_scene(scene, tmp_path / "drive.bag")
     rows = [row for row in transforms_of(tmp_path / "drive.bag") if row[1] == "camera0"]
-    assert [(row[0], round(row[2], 6)) for row in rows] == [("/tf", 0.25), ("/tf", 0.45), ("/tf", 0.65)]
-    for (_, _, _, rotation), (ego_from_camera, _) in zip(rows, expected(different=True), strict=True):
+    assert [(topic, round(time, 6) if different else None) for topic, _, time, _ in rows] == expected_rows
+    for (_, _, _, rotation), (ego_from_camera, _) in zip(rows, expected(different), strict=False):
         found = [rotation.x, rotation.y, rotation.z, rotation.w]
         assert abs(np.dot(found, ego_from_camera.quaternion_xyzw)) == pytest.approx(1.0, abs=1e-12)
 
@@ -162,24 +157,18 @@ def test_openlabel_says_where_the_camera_was_at_each_image(recording, tmp_path):
 
 @pytest.mark.parametrize("name", ["kitti-raw", "kitti-tracking", "kitti-odometry"])
 def test_a_target_with_one_mounting_for_all_images_refuses_different_ones(recording, tmp_path, name):
-    with (
-        open_scene(recording(different=True)) as scene,
-        pytest.raises(CalibrationError, match="images have mountings of their own"),
-    ):
+    problem = "images have mountings of their own"
+    with open_scene(recording(different=True)) as scene, pytest.raises(CalibrationError, match=problem):
         write_scene(scene, tmp_path / "out", format=name)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_calibration_that_no_image_uses_is_reported(recording):
+def test_a_calibration_that_no_image_uses_is_reported_and_parameters_without_a_size_are_those_of_the_images(recording):
     with open_scene(recording(different=False)) as scene:
         messages = [warning.message for warning in scene.warnings if warning.code == "calibration-not-used"]
+        camera = scene.cameras[0].camera
     assert len(messages) == 2
     assert "179 degrees" in messages[1]
-
-
-def test_whole_parameters_without_a_size_are_those_of_the_images_as_they_are(recording):
-    with open_scene(recording(different=False)) as scene:
-        camera = scene.cameras[0].camera
     assert (camera.width, camera.height) == SIZE
     assert (camera.fx, camera.cx) == (CAMERA_MODEL["focalLengthX"], CAMERA_MODEL["principalPointX"])
 
@@ -204,16 +193,14 @@ def corrected_over_time(kind: str) -> Scene:
     """A drive whose camera moves on the vehicle: by a correction, as its poses state, or as each image says."""
     drive = street()
     correction = CameraCalibration("drift", "camera0", drifting())
-    if kind == "poses":
-        (camera,) = replace(drive, annotations=(correction,)).corrected().cameras
-        return replace(drive, sensors=tuple(camera if one.id == camera.id else one for one in drive.sensors))
+    corrected = replace(drive, annotations=(correction,))
+    (camera,) = corrected.corrected().cameras if kind == "poses" else drive.cameras
+    shots, mount = drive.cameras[0].images, drive.cameras[0].mount
     if kind == "mountings":
-        (camera,) = drive.cameras
-        shots = camera.images
-        own = LazyFrames(shots.timestamps_ns, lambda k: replace(shots[k], mount=camera.mount))
-        rigged = replace(camera, images=own)
-        drive = replace(drive, sensors=tuple(rigged if one.id == rigged.id else one for one in drive.sensors))
-    return replace(drive, annotations=(correction,))
+        own = LazyFrames(shots.timestamps_ns, lambda k: replace(shots[k], mount=mount))
+        camera = replace(camera, images=own)
+    sensors = tuple(camera if one.id == camera.id else one for one in drive.sensors)
+    return replace(drive if kind == "poses" else corrected, sensors=sensors)
 
 
 def mountings(scene: Scene, injected: Scene) -> np.ndarray:
@@ -242,6 +229,10 @@ def expected_mountings() -> np.ndarray:
     return np.linalg.inv(matrices[0]) @ np.array(matrices)
 
 
+def of_poses(report, support):
+    return [loss for loss in report if loss.field == "sensors[camera0].poses" and loss.support is support]
+
+
 @pytest.mark.parametrize("kind", ["correction", "poses", "mountings"])
 @pytest.mark.parametrize(
     ("name", "keeps"),
@@ -266,7 +257,7 @@ def test_a_camera_that_moves_on_the_vehicle_does_so_in_the_target_or_is_a_loss(n
             write_scene(injected, target, format=form)
         return
     report = write_scene(injected, target, format=form)
-    lost = [loss for loss in report if loss.field == "sensors[camera0].poses" and loss.support is Support.APPROXIMATED]
+    lost = of_poses(report, Support.APPROXIMATED)
     if not keeps:
         (loss,) = lost
         assert loss.largest_error == pytest.approx(0.3)
@@ -276,16 +267,11 @@ def test_a_camera_that_moves_on_the_vehicle_does_so_in_the_target_or_is_a_loss(n
     assert not lost
 
 
-def shared(loss_field, report):
-    return [loss for loss in report if loss.field == loss_field and loss.support is Support.APPROXIMATED]
-
-
 @pytest.mark.parametrize("kind", ["correction", "poses", "mountings"])
 def test_openlabel_lists_how_far_poses_at_its_frames_are_off_at_the_images_times(kind, tmp_path):
     injected = corrected_over_time(kind)
     report = write_scene(injected, tmp_path / "d.json", format="openlabel")
-    (loss,) = shared("sensors[camera0].poses", report)
-    left = [one for one in report if one.field == "sensors[camera0].poses" and one.support is Support.DROPPED]
+    (loss,) = of_poses(report, Support.APPROXIMATED)
     times = injected.cameras[0].images.timestamps_ns
     with open_scene(tmp_path / "d.json") as read:
         found = read.cameras[0].poses.interpolate(times)
@@ -293,14 +279,14 @@ def test_openlabel_lists_how_far_poses_at_its_frames_are_off_at_the_images_times
     off = np.linalg.norm(found.positions - right.positions, axis=1)
     assert loss.largest_error == pytest.approx(np.nanmax(off), abs=1e-9)
     assert loss.largest_error > 1e-3
-    assert [one.count for one in left] == [np.isnan(off).sum()] == [1]
+    assert [one.count for one in of_poses(report, Support.DROPPED)] == [np.isnan(off).sum()] == [1]
 
 
 def test_openlabel_with_frames_at_the_images_times_has_their_poses(tmp_path):
     injected = corrected_over_time("poses")
     injected = replace(injected, sensors=injected.cameras)
     report = write_scene(injected, tmp_path / "d.json", format="openlabel")
-    assert not shared("sensors[camera0].poses", report)
+    assert not of_poses(report, Support.APPROXIMATED)
     with open_scene(tmp_path / "d.json") as read:
         np.testing.assert_allclose(mountings(read, injected), expected_mountings(), atol=1e-7)
 
@@ -310,7 +296,7 @@ def test_openlabel_with_frames_at_the_images_times_has_their_poses(tmp_path):
 def test_images_of_a_camera_that_moves_on_the_vehicle_stand_where_each_was(name, kind, tmp_path):
     injected = corrected_over_time(kind)
     report = write_scene(injected, tmp_path / "out", format=name)
-    assert not shared("sensors[camera0].poses", report)
+    assert not of_poses(report, Support.APPROXIMATED)
     if name == "colmap":
         lines = (tmp_path / "out/sparse/0/images.txt").read_text().splitlines()
         rows = [line.split() for line in lines if line.endswith(".jpg")]
@@ -326,8 +312,7 @@ def test_images_of_a_camera_that_moves_on_the_vehicle_stand_where_each_was(name,
         found = [np.array(frame["transform_matrix"]) @ np.diag([1, -1, -1, 1]) for frame in frames]
     times = injected.cameras[0].images.timestamps_ns
     held = next(iter(injected.trajectories.values())).poses.held(times)
-    egos = [
-        RigidTransform.from_quaternion(*pair).matrix for pair in zip(held.positions, held.quaternions_xyzw, strict=True)
-    ]
+    pairs = zip(held.positions, held.quaternions_xyzw, strict=True)
+    egos = [RigidTransform.from_quaternion(*pair).matrix for pair in pairs]
     mounts = np.linalg.inv(egos) @ np.array(found)
     np.testing.assert_allclose(np.linalg.inv(mounts[0]) @ mounts, expected_mountings(), atol=1e-5)

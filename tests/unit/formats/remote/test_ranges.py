@@ -1,6 +1,9 @@
-"""Files behind URLs read by ranges: scene files and MCAP."""
+"""Files behind URLs read by ranges, and secrets of addresses, which no error, record, log or traceback has."""
 
+import json
 import pickle
+import subprocess
+import sys
 import traceback
 from pathlib import Path
 
@@ -13,54 +16,43 @@ from sceneloom.batch.workers import may_pass
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError
 from sceneloom.formats.remote import stores
+from sceneloom.formats.remote.mirror import find_urls
 from sceneloom.formats.remote.stores import Patience, RemoteIdentity, patiently
+from sceneloom.formats.remote.uploads import upload
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.scene import LidarFrame, LidarPoints, LidarSensor
 
 CONTENT = bytes(np.random.default_rng(3).integers(0, 256, 900_000, np.uint8))
-SECRET = "https-me:hidden"
-SIGNED = "?X-Amz-Credential=hidden&X-Amz-Signature=hidden&sig=hidden&token=hidden"
 
 
-def opened(served, name="drive.bin", query=""):
-    return RemoteIdentity.of(served.url(name) + query).open()
-
-
-@pytest.mark.parametrize("faults", [["503"], ["cut"], ["503", "cut", "503"]])
-def test_ranges_come_whole_after_faults_that_pass(served, waits, faults):
+@pytest.fixture
+def file(served):
     served.files["drive.bin"] = CONTENT
-    file = opened(served)
+    file = RemoteIdentity.of(served.url("drive.bin")).open()
+    yield file
+    file.close()
+
+
+@pytest.mark.parametrize("faults", [["503"], ["cut"], ["503", "cut", "503"], ["slow"]])
+def test_ranges_come_whole_after_faults_that_pass_and_slow_answers(served, file, waits, faults, monkeypatch):
+    if "slow" in faults:
+        monkeypatch.setattr(stores, "_PATIENCE", Patience(answer=0.3))
     served.faults[:] = faults
     assert file.fetch(1000, 500_000) == CONTENT[1000:500_000]
     assert len(waits) == len(faults)
-    file.close()
-
-
-def test_a_slow_answer_is_asked_for_again(served, waits, monkeypatch):
-    served.files["drive.bin"] = CONTENT
-    monkeypatch.setattr(stores, "_PATIENCE", Patience(answer=0.3))
-    file = opened(served)
-    served.faults[:] = ["slow"]
-    assert file.fetch(5, 5000) == CONTENT[5:5000]
-    assert len(waits) == 1
-    file.close()
 
 
 @pytest.mark.parametrize("fault", ["503", "cut"])
-def test_a_fault_that_stays_says_that_it_may_pass(served, waits, fault):
-    served.files["drive.bin"] = CONTENT
-    file = opened(served)
+def test_a_fault_that_stays_says_that_it_may_pass(served, file, waits, fault):
     served.faults[:] = [fault] * 50
-    with pytest.raises(
-        DataError, match=r"bytes 5 to 5000: (cannot be read: .*503|.*Not enough data|the server gave)"
-    ) as reported:
+    problem = r"bytes 5 to 5000: (cannot be read: .*503|.*Not enough data|the server gave)"
+    with pytest.raises(DataError, match=problem) as reported:
         file.fetch(5, 5000)
     assert reported.value.passing
     reported.value.__context__ = None  # pickled, too, once a library for clusters was imported
     assert may_pass(pickle.loads(pickle.dumps(reported.value)))
     assert len(waits) == Patience().tries - 1
     assert all(first > 0 for first in waits)
-    file.close()
 
 
 def test_a_server_that_is_busy_at_first_is_opened(served, waits, encode_sfs):
@@ -71,41 +63,17 @@ def test_a_server_that_is_busy_at_first_is_opened(served, waits, encode_sfs):
     assert waits
 
 
-def test_what_is_missing_is_not_tried_again(served, waits):
+def test_what_is_missing_or_refused_is_not_tried_again(served, waits):
     with pytest.raises(DataError, match="cannot be found") as reported:
-        opened(served, "absent.sfs")
+        RemoteIdentity.of(served.url("absent.sfs")).open()
     assert not reported.value.passing
+
+    def fails():
+        raise PermissionError(13, "no")
+
+    with pytest.raises(PermissionError):
+        patiently(fails)
     assert waits == []
-
-
-@pytest.mark.parametrize("fault", [None, "503", "cut"])
-def test_no_message_shows_secrets(served, fault, encode_sfs):
-    """Neither a file that is missing, nor a server that fails, nor a fault inside of the file."""
-    user = served.url("drive.sfs").replace("http://", "http://me:hidden@")
-    served.files["drive.sfs"] = encode_sfs({"version": "1.0", "sensors": [{"id": 1.5, "type": "lidar"}]})
-    served.faults[:] = [fault] * 40
-    for url in (served.url("drive.sfs"), user, served.url("absent.sfs"), "http://127.0.0.1:9/drive.sfs"):
-        with pytest.raises(DataError) as reported:
-            sceneloom.open(url + SIGNED)
-        shown = "".join(traceback.format_exception(reported.value)) + repr(reported.value) + str(reported.value.args)
-        assert "hidden" not in shown.replace("hidden)", "")
-        done = CliRunner().invoke(program, ["info", url + SIGNED])
-        assert done.exit_code == 1
-        assert "hidden" not in done.output + str(done.exception)
-        served.faults[:] = [fault] * 40
-    if fault is None:
-        assert "sig=hidden" in served.queries[0], "the server has to get what the user stated"
-
-
-def test_a_scene_reports_its_source_without_secrets(served, encode_sfs):
-    served.files["drive.sfs"] = encode_sfs({"version": "1.0", "sensors": []})
-    url = served.url("drive.sfs").replace("http://", "http://me:hidden@") + SIGNED
-    for arguments in (["info", url], ["info", "--json", url], ["validate", url]):
-        done = CliRunner().invoke(program, arguments)
-        assert "127.0.0.1" in done.output
-        assert "hidden" not in done.output, arguments
-    with sceneloom.open(url) as scene:
-        assert "hidden" not in repr(scene)
 
 
 def test_waits_grow_and_end_at_the_deadline(waits):
@@ -124,37 +92,18 @@ def test_waits_grow_and_end_at_the_deadline(waits):
     assert waits == []
 
 
-def test_errors_of_data_are_not_tried_again(waits):
-    def fails():
-        raise PermissionError(13, "no")
-
-    with pytest.raises(PermissionError):
-        patiently(fails)
-    assert waits == []
-
-
-def test_what_is_asked_for_ahead_is_not_asked_for_again(served):
-    served.files["drive.bin"] = CONTENT
-    file = opened(served)
+def test_what_is_asked_for_ahead_is_not_asked_for_again_and_reading_near_takes_what_follows(served, file):
     file.ask_ahead([(0, 100), (200_000, 200_300), (200_400, 200_500), (800_000, 800_001)])
-    asked = len(served.asked)
-    assert asked == 3
+    assert len(served.asked) == 3
     for start, stop in ((0, 100), (10, 20), (200_290, 200_450), (800_000, 800_001)):
         assert file.fetch(start, stop) == CONTENT[start:stop]
-    assert len(served.asked) == asked
+    assert len(served.asked) == 3
     assert file.fetch(50, 150) == CONTENT[50:150]
-    assert len(served.asked) == asked + 1
-    file.close()
-
-
-def test_reading_near_takes_what_follows_with_it(served):
-    served.files["drive.bin"] = CONTENT
-    file = opened(served)
-    assert file.read_near(100, 110, 50_000) == CONTENT[100:110]
+    assert len(served.asked) == 4
+    assert file.read_near(1100, 1110, 50_000) == CONTENT[1100:1110]
     assert file.read_near(40_000, 40_010, 50_000) == CONTENT[40_000:40_010]
-    assert len(served.asked) == 1
+    assert len(served.asked) == 5
     assert file.read_near(899_990, 900_000, 50_000) == CONTENT[-10:]
-    file.close()
 
 
 def test_one_frame_of_a_file_of_a_gigabyte_costs_a_few_megabytes(tmp_path, monkeypatch):
@@ -187,7 +136,7 @@ def drive(tmp_path_factory):
     return folder / "drive.mcap"
 
 
-def test_a_sweep_costs_its_message_and_not_the_file(served, drive):
+def test_a_sweep_costs_its_message_and_not_the_file_and_faults_that_pass_do_not_show(served, drive, waits):
     served.files["drive.mcap"] = drive.read_bytes()
     with sceneloom.open(served.url("drive.mcap")) as scene, sceneloom.open(drive) as local:
         assert served.bytes_sent < len(served.files["drive.mcap"]) / 4
@@ -196,14 +145,9 @@ def test_a_sweep_costs_its_message_and_not_the_file(served, drive):
         assert found.timestamp_ns == expected.timestamp_ns
         np.testing.assert_array_equal(found.points.positions, expected.points.positions)
         assert served.bytes_sent - opened < 2 * 8_000 * 16 + 200_000
-
-
-def test_faults_that_pass_do_not_show(served, drive, waits):
-    served.files["drive.mcap"] = drive.read_bytes()
-    with sceneloom.open(served.url("drive.mcap")) as scene:
         served.faults[:] = ["503", "cut", "503"]
         assert len(scene.lidars[0].frames[3].points.positions) == 8_000
-    assert waits
+        assert waits
 
 
 def test_a_drive_goes_to_other_processes_and_is_distinguished_from_another_one(served, drive):
@@ -216,3 +160,120 @@ def test_a_drive_goes_to_other_processes_and_is_distinguished_from_another_one(s
     with pytest.raises(DataError, match="was changed after it was opened") as reported:
         _ = late.lidars[0].frames[5].points.positions
     assert "hidden" not in str(reported.value)
+
+
+SIGNED = "?X-Amz-Signature=hidden&X-Amz-Credential=hidden%2Fus&sig=hidden&token=hidden"
+
+
+def all_that_hangs_on(error):
+    """An error, what it came from, and their texts."""
+    seen, waiting = [], [error]
+    while waiting:
+        one = waiting.pop()
+        if one is not None and one not in seen:
+            seen.append(one)
+            waiting += [one.__cause__, one.__context__]
+    texts = [f"{one!r} {one} {one.args} {vars(one)}" for one in seen]
+    return seen, "".join([*texts, *traceback.format_exception(error)]).replace("hidden)", "")
+
+
+@pytest.mark.parametrize("fault", [None, "503", "cut"])
+@pytest.mark.parametrize("sensors", [[{"id": 1.5, "type": "lidar"}], None])
+def test_an_error_brings_nothing_of_what_the_back_end_raised(served, encode_sfs, fault, sensors):
+    """Neither a file that is missing or faulty, nor one that is cut, nor a server that fails."""
+    whole = encode_sfs({"version": "1.0", "sensors": sensors})
+    served.files["drive.sfs"] = whole if sensors else b'{"version": "1.0"' + b" " * 100_000
+    there = served.url("drive.sfs")
+    user = there.replace("http://", "http://me:hidden@")
+    for url in (there, user, served.url("absent.sfs"), "http://127.0.0.1:9/drive.sfs"):
+        served.faults[:] = [fault] * 40
+        with pytest.raises(DataError) as reported:
+            sceneloom.open(url + SIGNED)
+        seen, text = all_that_hangs_on(reported.value)
+        assert "hidden" not in text
+        assert all(type(one).__module__.startswith("sceneloom") for one in seen)
+        assert b"hidden" not in pickle.dumps(reported.value)
+        done = CliRunner().invoke(program, ["info", url + SIGNED])
+        assert done.exit_code == 1
+        assert "hidden" not in done.output + str(done.exception)
+    if fault is None:
+        assert "sig=hidden" in served.queries[0], "the server has to get what the user stated"
+
+
+def test_a_scene_reports_its_source_without_secrets(served, encode_sfs):
+    served.files["drive.sfs"] = encode_sfs({"version": "1.0", "sensors": []})
+    url = served.url("drive.sfs").replace("http://", "http://me:hidden@") + SIGNED
+    for arguments in (["info", url], ["info", "--json", url], ["validate", url]):
+        done = CliRunner().invoke(program, arguments)
+        assert "127.0.0.1" in done.output
+        assert "hidden" not in done.output, arguments
+    with sceneloom.open(url) as scene:
+        assert "hidden" not in repr(scene)
+
+
+def test_the_other_doors_bring_nothing_either(tmp_path):
+    (tmp_path / "file").write_bytes(b"x")
+    url = "nosuch://me:hidden@host/a.sfs" + SIGNED
+    for door in (find_urls, lambda location: upload(tmp_path / "file", location)):
+        with pytest.raises(sceneloom.SceneloomError) as reported:
+            door(url)
+        assert "hidden" not in all_that_hangs_on(reported.value)[1]
+
+
+POOL = """
+import json, logging, multiprocessing, sys, traceback
+from concurrent.futures import ProcessPoolExecutor
+import sceneloom
+from sceneloom.formats.remote import stores
+
+def read(url):
+    # who tries again for long, tries here no longer than the test
+    stores.time.sleep = lambda _: None
+    with sceneloom.open(url) as scene:
+        return float(scene.lidars[0].frames[0].points.positions.sum())
+
+def frame(scene):
+    return float(scene.lidars[0].frames[1].points.positions.sum())
+
+if __name__ == "__main__":
+    given = json.load(sys.stdin)
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        print(pool.submit(read, given["there"]).result())
+        with sceneloom.open(given["there"]) as scene:
+            print(pool.submit(frame, scene).result())
+            for work, what in ((read, given["absent"]), (read, given["nobody"]), (read, given["refused"])):
+                try:
+                    pool.submit(work, what).result()
+                except Exception as error:
+                    traceback.print_exc()
+                    logging.exception("in the log")
+                    print(repr(error), error.args, error.__cause__, error.__context__)
+    print("validated", repr(sceneloom.validate(given["nobody"])))
+    sceneloom.open(given["absent"])  # and what nobody catches
+"""
+
+
+@pytest.mark.slow
+def test_errors_of_worker_processes_show_none_in_tracebacks_and_logs(served, encode_sfs, tmp_path):
+    frames = [{"timestamp": 100_000 * k, "points": {"positions": np.ones((30_000, 3), np.float32)}} for k in range(2)]
+    served.files["drive.sfs"] = encode_sfs(
+        {"version": "1.0", "sensors": [{"id": "top", "type": "lidar", "frames": frames}]}
+    )
+    (tmp_path / "pool.py").write_text(POOL)
+    given = {
+        "there": served.url("drive.sfs"),
+        "absent": served.url("absent.sfs"),
+        "nobody": "http://me:hidden@127.0.0.1:9/drive.sfs",
+        "refused": "nosuch://me:hidden@host/drive.sfs",
+    }
+    signed = json.dumps({name: url + SIGNED for name, url in given.items()})
+    command = [sys.executable, str(tmp_path / "pool.py")]
+    done = subprocess.run(command, input=signed, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stdout.splitlines()[:2] == ["90000.0", "90000.0"]
+    assert "127.0.0.1:9/drive.sfs" in done.stdout.partition("validated")[2]
+    assert done.stderr.count("cannot be found") > 4, "each fault is reported in traceback and log"
+    assert "in the log" in done.stderr
+    # the last line of the program is shown as it stands, without its values
+    assert "hidden" not in done.stdout + done.stderr
+    assert "***" in done.stderr

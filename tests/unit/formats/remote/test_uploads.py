@@ -2,7 +2,6 @@
 
 import json
 
-import fsspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -13,16 +12,7 @@ from sceneloom.errors import MissingExtraError, OutputError
 from sceneloom.formats.remote import stores
 from sceneloom.formats.remote.uploads import MARKER, check_remote_output, upload, uploading
 
-
-@pytest.fixture
-def memory():
-    """A store in memory, empty at first."""
-    files = fsspec.filesystem("memory")
-    files.store.clear()
-    files.pseudo_dirs[:] = [""]
-    yield files
-    files.store.clear()
-    files.pseudo_dirs[:] = [""]
+NAMES = ["data.jsonl", "frames/0.png", "frames/1.png"]
 
 
 @pytest.fixture
@@ -33,21 +23,41 @@ def drive(tmp_path, encode_sfs):
     return path
 
 
-def test_a_scene_is_written_to_a_store_as_to_disk(memory, drive, tmp_path):
+@pytest.fixture
+def folder(tmp_path):
+    root = tmp_path / "drive"
+    (root / "frames").mkdir(parents=True)
+    for name in NAMES:
+        (root / name).write_text(name)
+    return root
+
+
+@pytest.fixture
+def puts(monkeypatch):
+    """Paths of what was sent, in order, and the errors that come of some of them."""
+    put, order, faults = stores.Store.put, [], {}
+
+    def noted(self, source):
+        order.append(self.path)
+        for name in [name for name in faults if self.path.endswith(name) and faults[name]]:
+            raise faults[name].pop()
+        put(self, source)
+
+    monkeypatch.setattr(stores.Store, "put", noted)
+    return order, faults
+
+
+def test_a_scene_is_written_to_a_store_as_to_disk_and_replaces_nothing_unless_it_may(memory, drive, tmp_path):
+    memory.pipe("/bucket/deep/copy.sfs", b"old")
     with sceneloom.open(drive) as scene:
+        with pytest.raises(OutputError, match=r"bucket/deep/copy\.sfs: exists already; .*--overwrite"):
+            sceneloom.write(scene, "memory://bucket/deep/copy.sfs")
+        assert memory.cat_file("/bucket/deep/copy.sfs") == b"old"
         sceneloom.write(scene, tmp_path / "copy.sfs")
-        sceneloom.write(scene, "memory://bucket/deep/copy.sfs")
+        sceneloom.write(scene, "memory://bucket/deep/copy.sfs", overwrite=True)
     assert memory.cat_file("/bucket/deep/copy.sfs") == (tmp_path / "copy.sfs").read_bytes()
-
-
-def test_what_is_there_is_kept_unless_it_may_be_replaced(memory, drive):
-    memory.pipe("/bucket/copy.sfs", b"old")
-    with sceneloom.open(drive) as scene:
-        with pytest.raises(OutputError, match=r"bucket/copy\.sfs: exists already; .*--overwrite"):
-            sceneloom.write(scene, "memory://bucket/copy.sfs")
-        assert memory.cat_file("/bucket/copy.sfs") == b"old"
-        sceneloom.write(scene, "memory://bucket/copy.sfs", overwrite=True)
-    assert memory.cat_file("/bucket/copy.sfs")[:1] == b"{"
+    assert sceneloom.convert(drive, "memory://bucket/other.sfs").target == "memory://bucket/other.sfs"
+    assert "/bucket/other.sfs" in memory.store
 
 
 def test_a_verb_that_fails_leaves_nothing(memory):
@@ -58,19 +68,11 @@ def test_a_verb_that_fails_leaves_nothing(memory):
     assert not draft.parent.exists()
 
 
-def test_an_upload_that_is_cut_is_begun_anew(memory, tmp_path, waits, monkeypatch):
-    (tmp_path / "a.bin").write_bytes(b"x" * 100)
-    put, faults = stores.Store.put, [ConnectionResetError("cut"), TimeoutError("slow")]
-
-    def failing(self, source):
-        if faults:
-            raise faults.pop()
-        put(self, source)
-
-    monkeypatch.setattr(stores.Store, "put", failing)
-    upload(tmp_path / "a.bin", "memory://bucket/a.bin")
+def test_an_upload_that_is_cut_is_begun_anew(memory, folder, waits, puts):
+    puts[1]["data.jsonl"] = [ConnectionResetError("cut"), TimeoutError("slow")]
+    upload(folder / "data.jsonl", "memory://bucket/data.jsonl")
     assert len(waits) == 2
-    assert memory.cat_file("/bucket/a.bin") == b"x" * 100
+    assert memory.cat_file("/bucket/data.jsonl") == b"data.jsonl"
 
 
 def test_chunks_that_were_sent_are_given_up_where_one_fails(memory, tmp_path, waits, monkeypatch):
@@ -97,81 +99,49 @@ def test_chunks_that_were_sent_are_given_up_where_one_fails(memory, tmp_path, wa
     assert waits == []
 
 
-def folder(tmp_path, names):
-    root = tmp_path / "drive"
-    for name in names:
-        path = root / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(name)
-    return root
-
-
-def test_the_marker_of_a_folder_comes_last(memory, tmp_path, monkeypatch):
-    put, order = stores.Store.put, []
-    monkeypatch.setattr(stores.Store, "put", lambda self, source: (order.append(self.path), put(self, source)))
-    upload(folder(tmp_path, ["data.jsonl", "frames/0.png", "frames/1.png"]), "memory://bucket/drive")
-    assert order[-1] == f"/bucket/drive/{MARKER}"
-    assert sorted(memory.find("/bucket/drive")) == [
-        f"/bucket/drive/{name}" for name in (MARKER, "data.jsonl", "frames/0.png", "frames/1.png")
-    ]
-    assert memory.cat_file("/bucket/drive/frames/1.png") == b"frames/1.png"
-
-
-def test_a_folder_that_fails_midway_is_taken_back(memory, tmp_path, monkeypatch):
-    put = stores.Store.put
-
-    def failing(self, source):
-        if self.path.endswith("1.png"):
-            raise PermissionError(13, "no")
-        put(self, source)
-
-    monkeypatch.setattr(stores.Store, "put", failing)
-    with pytest.raises(OutputError, match="cannot be written"):
-        upload(folder(tmp_path, ["data.jsonl", "frames/0.png", "frames/1.png"]), "memory://bucket/drive")
-    assert memory.store == {}
-
-
-def test_a_folder_that_is_replaced_keeps_nothing_of_the_old_one(memory, tmp_path):
+def test_a_folder_replaces_all_of_the_old_one_and_its_marker_comes_last(memory, folder, puts):
     for name in (MARKER, "old.bin", "data.jsonl"):
         memory.pipe(f"/bucket/drive/{name}", b"old")
     with pytest.raises(OutputError, match="exists already"):
         check_remote_output("memory://bucket/drive", overwrite=False)
-    upload(folder(tmp_path, ["data.jsonl"]), "memory://bucket/drive")
-    assert sorted(memory.find("/bucket/drive")) == [f"/bucket/drive/{MARKER}", "/bucket/drive/data.jsonl"]
-    assert memory.cat_file("/bucket/drive/data.jsonl") == b"data.jsonl"
+    upload(folder, "memory://bucket/drive")
+    assert puts[0][-1] == f"/bucket/drive/{MARKER}"
+    assert sorted(memory.find("/bucket/drive")) == [f"/bucket/drive/{name}" for name in (MARKER, *NAMES)]
+    assert [memory.cat_file(f"/bucket/drive/{name}").decode() for name in NAMES] == NAMES
 
 
-def test_web_servers_and_locations_without_a_name_are_refused():
-    with pytest.raises(OutputError, match="web server, which is only read from"):
-        check_remote_output("https://me:hidden@host/drive.sfs", overwrite=False)
-    with pytest.raises(OutputError, match="names no file or folder"):
-        check_remote_output("s3://", overwrite=False)
+def test_a_folder_that_fails_midway_is_taken_back(memory, folder, puts):
+    puts[1]["1.png"] = [PermissionError(13, "no")]
+    with pytest.raises(OutputError, match="cannot be written"):
+        upload(folder, "memory://bucket/drive")
+    assert memory.store == {}
 
 
-def test_the_extra_that_is_missing_for_a_scheme_is_named(monkeypatch):
+@pytest.mark.parametrize(
+    ("url", "error", "problem"),
+    [
+        ("https://me:hidden@host/drive.sfs", OutputError, "web server, which is only read from"),
+        ("s3://", OutputError, "names no file or folder"),
+        ("gs://b/drive.sfs", MissingExtraError, r"gs://b/drive\.sfs: .*gcsfs.*pip install 'sceneloom\[cloud\]'"),
+    ],
+)
+def test_locations_that_nothing_can_be_written_to_are_refused(monkeypatch, url, error, problem):
     monkeypatch.setitem(__import__("sys").modules, "gcsfs", None)
-    with pytest.raises(MissingExtraError, match=r"gs://b/drive\.sfs: .*gcsfs.*pip install 'sceneloom\[cloud\]'"):
-        check_remote_output("gs://b/drive.sfs", overwrite=False)
+    with pytest.raises(error, match=problem):
+        check_remote_output(url, overwrite=False)
 
 
 def test_verbs_write_to_stores(memory, drive):
-    done = CliRunner().invoke(program, ["convert", str(drive), "memory://bucket/copy.sfs"])
+    convert = ["convert", str(drive), "memory://bucket/copy.sfs"]
+    done = CliRunner().invoke(program, convert)
     assert done.exit_code == 0, done.output
     assert "memory://bucket/copy.sfs" in done.output
-    again = CliRunner().invoke(program, ["convert", str(drive), "memory://bucket/copy.sfs"])
+    again = CliRunner().invoke(program, convert)
     assert again.exit_code == 1
     assert "exists already" in str(again.exception)
-    done = CliRunner().invoke(
-        program,
-        ["edit", "thin", "memory://bucket/copy.sfs", "-o", "memory://bucket/thin.sfs", "--every", "2", "--json"],
-    )
+    thin = ["edit", "thin", "memory://bucket/copy.sfs", "-o", "memory://bucket/thin.sfs", "--every", "2", "--json"]
+    done = CliRunner().invoke(program, thin)
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["output"] == "memory://bucket/thin.sfs"
     with sceneloom.open("memory://bucket/thin.sfs") as scene:
         assert len(scene.lidars[0].frames) == 2
-
-
-def test_convert_of_the_library_writes_to_stores(memory, drive):
-    report = sceneloom.convert(drive, "memory://bucket/copy.sfs")
-    assert report.target == "memory://bucket/copy.sfs"
-    assert "/bucket/copy.sfs" in memory.store

@@ -1,4 +1,4 @@
-"""The page beside the standard says what the fusion interface does: properties, causes, counters."""
+"""The page beside the standard says what the fusion interface does: properties and counters."""
 
 import re
 from pathlib import Path
@@ -7,13 +7,11 @@ import pytest
 
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.properties import PREDEFINED
-from sceneloom.db34t.types import Cause
 
 from .sending import boxes_2d, boxes_3d, calibration, cloud, image
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGES = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in ("db34t-4101", "db34t-4101.zh")}
-BOTH = pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
 
 
 def rows(page):
@@ -22,22 +20,12 @@ def rows(page):
     return {cells[0].replace("`", "").strip(): cells for cells in found}
 
 
-@BOTH
-@pytest.mark.parametrize("name", PREDEFINED)
-def test_every_property_stands_there_with_type_and_default(page, name):
-    known, cells = PREDEFINED[name], rows(page)[name]
-    assert cells[1] == (f"{known.type} [{known.unit}]" if known.unit else known.type)
-    assert known.default == "" or cells[2] == repr(known.default)
-    if page is PAGES["db34t-4101"]:
-        assert cells[3].startswith(known.description)
+def test_the_english_page_says_of_properties_what_the_interface_itself_says():
+    cells = rows(PAGES["db34t-4101"])
+    assert [name for name, row in PREDEFINED.items() if not cells[name][3].startswith(row.description)] == []
 
 
-@BOTH
-def test_every_cause_stands_there(page):
-    assert set(filter(None, Cause)) <= set(rows(page))
-
-
-@BOTH
+@pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
 def test_every_counter_stands_there(page):
     with FusionInterface(inline=True) as fusion:
         fusion.send(cloud(0, 0))

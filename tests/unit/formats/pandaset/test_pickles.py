@@ -18,7 +18,7 @@ VERSIONS = ["pandas_1", "pandas_2", "pandas_3"]
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_frames_of_every_pandas_give_the_columns_that_were_written(version):
+def test_frames_of_every_pandas_give_the_columns_that_were_written(tmp_path, version):
     lidar = read_pickled_frame(FRAMES / version / "lidar_1.pkl.gz")
     row = np.arange(13)
     assert list(lidar.columns) == list("xyzitd")
@@ -29,12 +29,8 @@ def test_frames_of_every_pandas_give_the_columns_that_were_written(version):
     assert cuboids.columns["label"].tolist() == ["Car", "Car", "Pedestrian"]
     assert cuboids.columns["stationary"].tolist() == [False, False, True]
     assert cuboids.columns["dimensions.y"].tolist() == [4.6, 4.6, 0.7]
-
-
-def test_a_file_that_is_not_packed_is_read_as_well(tmp_path):
-    path = tmp_path / "00.pkl"
-    path.write_bytes(gzip.decompress((FRAMES / "pandas_1" / "lidar_0.pkl.gz").read_bytes()))
-    assert read_pickled_frame(path).count == 12
+    plain = gzip.decompress((FRAMES / version / "lidar_0.pkl.gz").read_bytes())  # a file that is not packed
+    assert read_pickled_frame(written(tmp_path / "00.pkl", plain)).count == 12
 
 
 class Calls:
@@ -77,18 +73,14 @@ def test_the_objects_that_stand_for_names_cannot_be_changed_by_a_file(tmp_path):
     assert pickles._NAMED["slice"](1, 2) == slice(1, 2)
 
 
-def test_operations_that_no_frame_needs_are_refused(tmp_path):
+def test_operations_that_no_frame_needs_and_too_much_content_are_refused(tmp_path, monkeypatch):
     with pytest.raises(DataError, match="operation PERSID"):
         read_pickled_frame(written(tmp_path / "a.pkl", b"\x80\x02Psecret\n."))
     with pytest.raises(DataError, match="things to remember"):
         read_pickled_frame(written(tmp_path / "b.pkl", b"\x80\x02Nr\xff\xff\xff\x7f."))
-
-
-def test_a_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(pickles, "LARGEST", 1000)
-    path = written(tmp_path / "a.pkl.gz", gzip.compress(bytes(5000)))
     with pytest.raises(DataError, match="more than 1000 bytes"):
-        read_pickled_frame(path)
+        read_pickled_frame(written(tmp_path / "a.pkl.gz", gzip.compress(bytes(5000))))
 
 
 def test_pickles_of_other_things_are_refused(tmp_path):

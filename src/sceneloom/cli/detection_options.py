@@ -32,13 +32,11 @@ _KITTI = (
     option("--sequence=NAME… sequences", "Only this sequence; may be repeated."),
 )
 """Choices in a folder laid out like KITTI's tracking benchmark."""
-
 _DETECTORS = option(
     "--detectors=NAME",
     "Error model of the detectors: a name, or a TOML file. [default: in KITTI's folders those of KITTI, else "
     "simulated ones]",
 )
-
 NAMES = ("boxes3d", "boxes2d", "lidar", "cameras", "det2d", "det3d", "sequences", "detectors")
 """The names of the parameters; the ego trajectory is an option of other verbs, too."""
 

@@ -105,7 +105,6 @@ EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
     (MemoryError, 1),
 )
 """What each kind of failure means to the shell; the first that fits counts."""
-
 _SIGNALS = ("SIGTERM", "SIGHUP")
 """What asks a program to end, besides Ctrl-C: `kill`, a container or a batch system, a terminal that closes."""
 

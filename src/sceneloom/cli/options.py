@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Options = TypeVar("Options")
-
 INPUT_OPTIONS = "input_options"
 """Name of the parameter that holds reading options which have no flag of their own."""
 
@@ -107,12 +106,40 @@ def target(text: str) -> Path:
     from sceneloom.formats.base.files import is_url
 
     if is_url(text):
-        from sceneloom.cli.uploads import draft_of
-
-        return draft_of(text)
+        return _draft_of(text)
     if text == "-":
         raise click.BadParameter("'-'; nothing is written to standard output: state the name of a file or folder")
     return Path(text)
+
+
+def drafts(context: click.Context) -> dict[Path, str]:
+    """The outputs of a verb whose own paths are URLs, by where they are written first."""
+    found: dict[Path, str] = context.meta.setdefault(f"{__name__}.drafts", {})
+    return found
+
+
+def _draft_of(url: str) -> Path:
+    """Give a path on disk for an output whose own is a URL; it is gone when the verb ends.
+
+    Raises:
+        click.BadParameter: nothing can be written there.
+    """
+    from tempfile import TemporaryDirectory
+
+    from sceneloom.errors import OutputError
+    from sceneloom.formats.remote.uploads import output_name
+
+    context = click.get_current_context()
+    if not getattr(context.command.callback, "uploads", False):
+        raise click.BadParameter(f"{url} is a URL; this verb writes to disk only")
+    try:
+        name = output_name(url)
+    except OutputError as error:
+        raise click.BadParameter(str(error)) from error
+    folder = context.with_resource(TemporaryDirectory(prefix="sceneloom-"))
+    draft = Path(folder) / name
+    drafts(context)[draft] = url
+    return draft
 
 
 def number(text: str | float, holds: Callable[[float], bool], expected: str) -> float:
@@ -232,24 +259,20 @@ reading = stacked(
     no_corrections,
 )
 """On every verb that reads a drive; it is then called with the stated ones as `reading`."""
-
 READING_OPTIONS = click.command()(reading(lambda: None)).params
 READING = frozenset(str(option.name) for option in READING_OPTIONS)
 overwrite = _output("--overwrite", "Replace outputs that exist.")
-
 writing_scenes = stacked(
     overwrite,
     _output("--profile=sfs|scale", "`scale`: a file that Scale's own library loads and validates. [default: sfs]"),
     _output("--time-unit=microseconds|nanoseconds", "Unit of all times in a scene file. [default: microseconds]"),
 )
 """On every verb that writes `.sfs`."""
-
 part = stacked(
     _input("--start=S", "Begin S seconds after the first timestamp.", not_negative),
     _input("--stop=S", "End before S seconds after it.", not_negative),
 )
 """On every verb that can take a part of a drive."""
-
 threads = option(
     "--threads=N",
     "Size of the thread pool for per-cloud kernels; results do not depend on it. [default: 1]",

@@ -19,7 +19,6 @@ if TYPE_CHECKING:  # a verb that reads no drive starts quickly without them
 
 SHOWN = 5
 """Warnings and losses shown unless `--verbose` is stated."""
-
 _LOSSES = {"kept": "note", "converted": "converted", "approximated": "approximated", "dropped": "lost"}
 """What a line about a loss begins with."""
 

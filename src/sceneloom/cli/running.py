@@ -1,11 +1,12 @@
 """How a verb runs: its options become a printer and reading options, its outputs are uploaded, its errors explained."""
 
 import shlex
+import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO, cast
 
 import click
 
@@ -33,10 +34,8 @@ def verb(command: Command) -> Command:
 
     @wraps(command)
     def run(*arguments: Any, **values: Any) -> Any:
-        from sceneloom.cli.uploads import uploads
-
         try:
-            with uploads(overwrite=values.get("overwrite", False)), _flags_named():
+            with _uploads(overwrite=values.get("overwrite", False)), _flags_named():
                 return command(*arguments, **packed(values))
         except SceneloomError as error:
             if not values["quiet"]:
@@ -45,7 +44,7 @@ def verb(command: Command) -> Command:
                 error.add_note(next_step(error, values) or "")
             raise
 
-    run.__dict__["uploads"] = True  # `cli.uploads` looks for it
+    run.__dict__["uploads"] = True  # `options.target` looks for it
     return _printing(run)
 
 
@@ -64,6 +63,45 @@ def reading_verb(command: Command) -> Command:
 def rewriting_verb(command: Command) -> Command:
     """On every verb that reads a drive and writes one."""
     return options.writing_scenes(reading_verb(command))
+
+
+@contextmanager
+def _uploads(*, overwrite: bool) -> Iterator[None]:
+    """Refuse outputs that are there before much is done; put all of them into their stores after it.
+
+    Raises:
+        OutputError: something is there already, or a store cannot be written to.
+    """
+    drafts: dict[Path, str] = dict(options.drafts(click.get_current_context()))
+    if not drafts:
+        yield
+        return
+    from sceneloom.errors import redacted
+    from sceneloom.formats.remote.uploads import check_remote_output, upload
+
+    for url in drafts.values():
+        check_remote_output(url, overwrite=overwrite)
+    names = {str(draft): redacted(url) for draft, url in drafts.items()}
+    with redirect_stdout(cast("TextIO", _Renaming(sys.stdout, names))):
+        yield
+        for draft, url in drafts.items():
+            upload(draft, url)
+
+
+class _Renaming:
+    """A stream in which outputs have the names that the user gave them."""
+
+    def __init__(self, stream: TextIO, names: Mapping[str, str]) -> None:
+        self._stream, self._names = stream, names
+
+    def write(self, text: str) -> int:
+        """Write text with names exchanged."""
+        for draft, url in self._names.items():
+            text = text.replace(draft, url)
+        return self._stream.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 _PREFIXES = {"opening": ("from_", "est_", "ref_", ""), "writing": ("to_", "")}
@@ -93,7 +131,6 @@ def _flags_named() -> Iterator[None]:
 
 _NOT_BROKEN = ("no such file", "no lidar in it")
 """What problems of drives state that no rule finds and nothing repairs."""
-
 _DRIVES = ("path", "source", "drive")
 """What verbs call the argument that is a drive."""
 

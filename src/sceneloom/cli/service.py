@@ -124,7 +124,6 @@ _access = options.stacked(
     option("--client-key", "PEM file: its key.", _FILE),
 )
 """On every verb that reaches a service."""
-
 _calling = options.stacked(
     _access, option("--session=NAME", "The session. [default: the service's default one]", default="")
 )

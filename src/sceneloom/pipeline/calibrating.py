@@ -67,10 +67,8 @@ from sceneloom.visualization.fused_frames import framed, image_canvas, save_imag
 
 _MOST_DRAWN = 3
 """Frames that are drawn, evenly spread."""
-
 _MOST_ROTATIONS = 100
 """So many images rotation is estimated from at most."""
-
 _MOST_IMAGES = 200
 """Boxes of more images add hardly anything."""
 
@@ -262,7 +260,6 @@ def _draw_points(frame: CalibrationFrame, points_lidar: Float64Array, change: Ch
 
 
 _CALIBRATION_FILE = "calibration.json"
-
 _CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
 """Forward, right and up in a camera's and in a lidar's frame, as the declared axes state it."""
 

@@ -62,7 +62,6 @@ from sceneloom.warnings import DataWarning
 _BLENDS = ("nearest", "best", "weighted")
 """How the colours of several images become one: that of the pixel nearest to an image's middle, the interpolated one
 with the largest weight, or the weighted mean of all that agree with it."""
-
 _SCENE_SUFFIX = ".sfs"
 
 
@@ -233,8 +232,6 @@ class ColourReport(msgspec.Struct, frozen=True, kw_only=True):
 
 _MOST_COMPARED = 300
 """So many sweeps, spread over the drive, exposures are compared by at most."""
-
-
 _NO_IMAGE = -1
 
 

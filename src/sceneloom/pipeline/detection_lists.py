@@ -392,7 +392,6 @@ _FORMS: tuple[_ListForm, ...] = (
     ),
 )
 """All forms; at most one of them recognises a file."""
-
 _HEAD = 65536
 
 

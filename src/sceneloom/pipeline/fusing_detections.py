@@ -301,7 +301,6 @@ def _kitti_objects(frame: FusedDetectionFrame) -> KittiObjects:
 
 
 _Fuse = Callable[[DetectedDrive], Iterator[FusedDetectionFrame]]
-
 _SIDE_SUFFIX = ".frames.jsonl"
 """The name of the file that says for each line of results where lidar and camera were ends in this."""
 

@@ -21,17 +21,13 @@ from sceneloom.kernels.cache import find_kernel_cache
 from sceneloom.version import __version__
 
 _BROWSERS = ("chromium", "google-chrome", "firefox", "open")
-
 _LEAST_TEMPORARY_BYTES = 1_000_000_000
 """Images and clouds are spooled; less room is soon filled."""
-
 _REQUIREMENT = re.compile(r"^(?P<name>[\w.-]+)(\[[^\]]*\])?\s*(?P<bounds>[^;]*)(;(?P<marker>.*))?$")
 _LEAST = re.compile(r">=\s*(?P<least>[\w.]+)")
 _EXTRA = re.compile(r"extra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
-
 _NOT_FOR_USERS = frozenset({"dev", "bench", "fuzz", "docs"})
 """Extras for those who work on sceneloom itself."""
-
 _MODULES = {"pillow": "PIL", "small-gicp": "small_gicp", "protobuf": "google.protobuf"}
 """What is imported of packages whose modules are called otherwise."""
 

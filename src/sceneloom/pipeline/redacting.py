@@ -240,11 +240,8 @@ _ALIASES: Mapping[str, str] = MappingProxyType(
     }
 )
 """Other words for the columns."""
-
 _COLUMNS = "camera, number or time or timestamp_ns, x1, y1, x2, y2 (or left, top, width, height), track, label"
-
 _MOST_SECONDS = 9_000_000_000
-
 _MOST_DIGITS = 40
 """What has more is no number or time of an image, and 1e99999999 would take hours to write out."""
 

@@ -320,7 +320,6 @@ def _observations(drive: DetectedDrive, chosen: AlgorithmChoice, known: Projecti
 
 _NO_CAMERA_MODEL = Camera("pinhole", 1, 1, 1.0, 1.0, 0.0, 0.0)
 """Stands for a camera where there is none: nothing is found in its images, and nothing is expected."""
-
 FOLLOWED = "tracking"
 """Name of an ego trajectory that tracking used and the scene does not have itself."""
 
@@ -521,7 +520,6 @@ def _object(moment: TrackedObjects, k: int) -> dict[str, Any]:
 
 _REACH = 40.0
 """From the middle of the map to its upper edge [m]."""
-
 _TRAIL = 20
 """So many sweeps back the trajectories of objects are drawn."""
 

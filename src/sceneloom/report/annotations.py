@@ -39,12 +39,9 @@ from sceneloom.visualization.annotations import draw_annotations_above, draw_ann
 
 _MOMENTS = 12
 """Moments at which boxes are looked at, at most."""
-
 _RANGE_EDGES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0)
-
 _POINT_EDGES = (0, 1, 5, 20, 100, 500, 2000)
 """Borders of the numbers of points in a box."""
-
 NO_CLASS = "(no class)"
 _MOST_TIMES = 120
 
@@ -97,6 +94,10 @@ class ClassNumbers(msgspec.Struct, frozen=True, kw_only=True):
     empty_share: float | None = None
     hidden: Spread | None = None
     in_images_share: float | None = None
+
+
+_MOST_CAMERAS = 4
+"""Cameras whose images are shown with annotations."""
 
 
 class Labels(msgspec.Struct, frozen=True, kw_only=True):
@@ -223,6 +224,25 @@ class Labels(msgspec.Struct, frozen=True, kw_only=True):
             text = f"{self.point_counts[0]:,} of {sum(self.point_counts):,} boxes hold no point"
             found.append(Drawing("Boxes by points inside", text, svg))
         return found
+
+    @staticmethod
+    def draw(scene: Scene, figures: Figures) -> None:
+        """Draw the annotations at the middle of a drive from above and in images; nothing without frames.
+
+        Raises:
+            DataError: a sweep or image cannot be read.
+        """
+        samples = _samples(scene) if scene.annotations else None
+        if not samples:
+            return
+        sample = samples[len(samples) // 2]
+        text = "The sweep in the middle of the drive as a map, with everything of the annotations that has a location"
+        figures.add("annotations", "Annotations from above", text, draw_annotations_above(scene, sample))
+        shown = [camera_id for camera_id, image in sample.images.items() if image is not None]
+        for camera_id in shown[:_MOST_CAMERAS]:
+            text = f"The image of camera {camera_id} at the middle of the drive, with the outlines of the annotations"
+            image = draw_annotations_in_image(scene, sample, camera_id)
+            figures.add("annotations", f"Annotations in {camera_id}", text, image)
 
 
 _MOST_CLASSES, _MOST_BARS, _MOST_ATTRIBUTES = 40, 14, 100
@@ -399,26 +419,3 @@ def _binned(values: Sequence[float], edges: Sequence[float]) -> tuple[int, ...]:
         return ()
     rows = np.searchsorted(edges, known, side="right") - 1
     return tuple(np.bincount(np.maximum(rows, 0), minlength=len(edges)).tolist())
-
-
-_MOST_CAMERAS = 4
-"""Cameras whose images are shown with annotations."""
-
-
-def draw_labels(scene: Scene, figures: Figures) -> None:
-    """Draw the annotations at the middle of a drive from above and in images; nothing without frames.
-
-    Raises:
-        DataError: a sweep or image cannot be read.
-    """
-    samples = _samples(scene) if scene.annotations else None
-    if not samples:
-        return
-    sample = samples[len(samples) // 2]
-    text = "The sweep in the middle of the drive as a map, with everything of the annotations that has a location"
-    figures.add("annotations", "Annotations from above", text, draw_annotations_above(scene, sample))
-    shown = [camera_id for camera_id, image in sample.images.items() if image is not None]
-    for camera_id in shown[:_MOST_CAMERAS]:
-        text = f"The image of camera {camera_id} at the middle of the drive, with the outlines of the annotations"
-        image = draw_annotations_in_image(scene, sample, camera_id)
-        figures.add("annotations", f"Annotations in {camera_id}", text, image)

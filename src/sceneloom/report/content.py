@@ -16,10 +16,8 @@ from sceneloom.warnings import DataWarning
 
 _WIDTH_PX = 1100
 """Wider images are made smaller."""
-
 _MOST_BYTES = 150_000
 """Of one image; its quality is lowered until it fits."""
-
 _QUALITIES = (82, 74, 66, 56, 46)
 
 
@@ -108,19 +106,14 @@ def percent(share: float | None, digits: int = 1) -> str:
     return NOTHING if share is None else f"{100.0 * share:.{digits}f} %"
 
 
-def joined(*parts: str | None) -> str:
-    """The parts that are not empty, separated by colons."""
-    return ": ".join(part for part in parts if part)
-
-
-def times(value: int) -> str:
-    """How often, if more than once."""
-    return f" ({value:,} times)" if value > 1 else ""
+def counted(count: int, *parts: str | None) -> str:
+    """The parts that are not empty, separated by colons, and how often, if more than once."""
+    return ": ".join(part for part in parts if part) + (f" ({count:,} times)" if count > 1 else "")
 
 
 def warning_text(warning: DataWarning) -> str:
     """A warning in one line."""
-    return joined(str(warning.kind), warning.location, warning.message) + times(warning.count)
+    return counted(warning.count, str(warning.kind), warning.location, warning.message)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +231,6 @@ class Section:
 COLOURS = ("#2f6fb3", "#c2570c", "#2b8a57", "#9046a8", "#b3355c", "#7a6a00", "#0f8496", "#5f6773")
 PLOT_INCHES, WIDE_INCHES = (5.0, 2.8), 10.0
 _MOST_LETTERS = 40
-
 FARTHEST = 1e12
 """Coordinates beyond this are not drawn [m]: no axis has ticks for them."""
 

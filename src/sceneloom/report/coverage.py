@@ -50,12 +50,9 @@ def spread_rows(count: int, most: int) -> Int64Array:
 
 RANGE_EDGES = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0, 200.0)
 """Borders of the ranges that points are counted by [m]; farther ones are counted by themselves."""
-
 _MOST_RINGS = 256
-
 _SECTORS = 72
 """Parts of the horizon that are looked at, 5 degrees each."""
-
 _FINE = 360
 _STEP, _STEPS = 0.5, 600
 _FAR_SHARE = 0.95
@@ -203,15 +200,11 @@ def _quantile(counts: Float64Array, share: float) -> float:
 
 _SWEEPS = 12
 """Sweeps of each lidar and radar that are looked at, at most."""
-
 _RAYS = 65
-
 _MOVES = 0.5
 """Between two looks the ego has to move so far for its motion to state where ahead is [m]."""
-
 _AROUND_NS = 1_000_000_000
 """Where ahead is, is reported by the motion so long before and after the middle of the drive, at most [ns]."""
-
 _Surveying = LidarSensor | RadarSensor
 
 

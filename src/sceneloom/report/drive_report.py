@@ -29,12 +29,11 @@ from sceneloom.report.content import (
     Section,
     Table,
     count,
+    counted,
     fixed,
-    joined,
     pair_columns,
     several,
     text_column,
-    times,
     warning_text,
 )
 from sceneloom.report.coverage import Coverage
@@ -49,7 +48,6 @@ from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
 
 MOST_HASHED = 1_000_000_000
 """Larger drives are hashed by names, sizes, first and last bytes of their files [bytes]."""
-
 _ENDS = 1_000_000
 _PACKAGES = ("numpy", "scipy", "numba", "av", "pillow")
 _MOST_ENTRY = 400
@@ -184,13 +182,10 @@ def conversions_of(scene: Scene) -> tuple[_Conversion, ...]:
 
 _MISSING_SHARE = 0.01
 """Streams that lack more than this share of their timestamps are reported first."""
-
 _JITTER_SHARE = 0.15
 """Of the usual interval; more is reported."""
-
 _OVERLAP_SHARE = 0.8
 """All streams together should cover this share of the drive."""
-
 _LEAST_TIMESTAMPS = 10
 
 
@@ -613,7 +608,6 @@ _HASHED = {
     "folder": "SHA-256 of the names and contents of all files, in order of the names",
     "ends": "SHA-256 of the names, sizes, first and last megabytes of all files: it is too large to read it all",
 }
-
 _MOST_WARNINGS = 300
 
 
@@ -673,7 +667,7 @@ _CONVERSION_COLUMNS = (
 
 
 def _finding_text(finding: Finding) -> str:
-    return joined(finding.path, finding.message) + times(finding.count)
+    return counted(finding.count, finding.path, finding.message)
 
 
 def _rule_block(found: list[Finding]) -> Block:

@@ -23,7 +23,6 @@ from sceneloom.visualization.fused_frames import DriveCloud, iter_images
 
 _FRAMES = 6
 """Images of each camera that are looked at; `sceneloom calibrate --check` takes more."""
-
 _MOST_CAMERAS = 6
 """Cameras that are checked: each takes seconds."""
 
@@ -59,6 +58,15 @@ class CalibrationCheck(msgspec.Struct, frozen=True, kw_only=True):
             tables=[Table(caption, _ITEM_COLUMNS, self.items, folded=True)],
         )
 
+    @classmethod
+    def of(cls, scene: Scene, *, frames: int = _FRAMES) -> "tuple[CalibrationCheck, ...]":
+        """Check the first cameras of a scene against its first lidar; nothing where it has no lidar."""
+        lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
+        cameras = [camera for camera in scene.cameras if len(camera.images)]
+        if not lidars or not cameras:
+            return ()
+        return tuple(_check(scene, camera.id, lidars[0].id, frames) for camera in cameras[:_MOST_CAMERAS])
+
 
 _BADGES = {"good": "good", "wrong": "error", "drifting": "warning", "cannot determine": "hint"}
 
@@ -74,15 +82,6 @@ _ITEM_COLUMNS = (
     Column("Would have to change by", _change_text),
     text_column("Why", lambda item: item.reason or NOTHING, wide=True),
 )
-
-
-def check_cameras(scene: Scene, *, frames: int = _FRAMES) -> tuple[CalibrationCheck, ...]:
-    """Check the first cameras of a scene against its first lidar; nothing where it has no lidar."""
-    lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
-    cameras = [camera for camera in scene.cameras if len(camera.images)]
-    if not lidars or not cameras:
-        return ()
-    return tuple(_check(scene, camera.id, lidars[0].id, frames) for camera in cameras[:_MOST_CAMERAS])
 
 
 def _check(scene: Scene, camera_id: Identifier, lidar_id: Identifier, frames: int) -> CalibrationCheck:
@@ -104,7 +103,6 @@ def _check(scene: Scene, camera_id: Identifier, lidar_id: Identifier, frames: in
 
 _SWEEPS = 8
 """Sweeps of each lidar that are fused, at most."""
-
 _MOST_VIEWS = 12
 """Cameras of a sweep that are drawn, at most."""
 

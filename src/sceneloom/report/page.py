@@ -19,11 +19,11 @@ from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.output import check_output, replacing
 from sceneloom.formats.base.registry import PART
 from sceneloom.motion.ego_trajectory import find_ego_motion, is_computed, with_trajectory_estimated
-from sceneloom.report.annotations import Labels, draw_labels
+from sceneloom.report.annotations import Labels
 from sceneloom.report.content import Figures, plain
 from sceneloom.report.coverage import Coverage
 from sceneloom.report.drive_report import DriveReport, Verdict, conversions_of, provenance_of
-from sceneloom.report.fusion import CalibrationCheck, Fusion, check_cameras
+from sceneloom.report.fusion import CalibrationCheck, Fusion
 from sceneloom.report.timing import Timing
 from sceneloom.report.trajectory import Metrics, Trajectories
 from sceneloom.scene.ego import needs_ego
@@ -74,13 +74,10 @@ class ReportSettings:
 
 
 _USUAL = ReportSettings()
-
 _MOST_SWEEPS_FOR_A_TRAJECTORY = 200
 """The ego trajectory of longer drives is estimated from their sweeps only on request: it takes a while."""
-
 _MOST_FRAMES_VALIDATED = 6000
 """Frames and images of drives with more are not read by the rules: `sceneloom validate` does that."""
-
 _STEPS = 10
 _Part = TypeVar("_Part")
 
@@ -178,12 +175,11 @@ class _Collector:
         start_ns = summary.start_ns or 0
         figures = Figures(self.settings.images)
         coverage = self.part("coverage", lambda: Coverage.of(self.scene), Coverage())
-        calibration: tuple[CalibrationCheck, ...] = ()
+        none: tuple[CalibrationCheck, ...] = ()
         if self.settings.quick:
             self.left_out["calibration"] = "not checked: a quick report was asked for"
-        calibration = self.part(
-            "calibration", lambda: () if self.settings.quick else check_cameras(self.scene), calibration
-        )
+        check = (lambda: none) if self.settings.quick else partial(CalibrationCheck.of, self.scene)
+        calibration = self.part("calibration", check, none)
         with counting_left_out() as left:
             fusion = self.part("fusion", lambda: self._fusion(figures), None)
             labels = self.part("annotations", lambda: self._labels(start_ns, figures), None)
@@ -276,7 +272,7 @@ class _Collector:
         if found.moments < found.of:
             self.sampling.append(f"boxes were looked at in {found.moments} of {found.of:,} moments")
         try:
-            draw_labels(self.scene, figures)
+            Labels.draw(self.scene, figures)
         except SceneloomError as error:
             found = msgspec.structs.replace(found, skipped=(*found.skipped, f"images: {error}"))
         return found

@@ -34,12 +34,9 @@ from sceneloom.scene.types import Identifier
 
 _MOST_GAPS = 20
 """Gaps of a stream that are reported one by one: the longest."""
-
 _MOST_STREAMS, _MOST_PLOTS = 40, 12
 """So many streams and histograms of intervals are drawn."""
-
 _MOST_BINS = 40
-
 _WIDEST_BIN = 3.0
 """Intervals beyond so many usual ones fall into the last bin."""
 

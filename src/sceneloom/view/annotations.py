@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt16Array, finite_rows
-from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rigid import rotate_vectors
 from sceneloom.scene.annotations import (
     Activation,
@@ -50,9 +49,9 @@ from sceneloom.scene.annotations_at import (
 )
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
-from sceneloom.view.images import camera_path, image_path, pinhole, straight_camera_model
+from sceneloom.view.images import image_path, show_calibration
 from sceneloom.view.points import WORLD, colour_of_name, one_packed
-from sceneloom.view.poses import Locations, transform_columns
+from sceneloom.view.poses import Locations
 from sceneloom.view.stream import EDGES, Report, Stream, escaped, fits, sdk
 
 _SHORT = 12
@@ -217,15 +216,11 @@ def _attribute_text(values: Mapping[str, Any]) -> str:
 
 _HISTORY_NS = 3_000_000_000
 """So much of an object's trajectory trails behind it [ns]."""
-
 _TRAIL_WIDTH, _LINK_WIDTH, _LINE_WIDTH = -1.5, -2.0, -1.0
 """Negative widths and radii are points of the screen, not metres."""
-
 _KEYPOINT, _LABELLED, _MARK = -4.0, -2.4, -3.0
-
 _MOVED = 0.5
 """What moved less than that in all has no trail [m]."""
-
 _POINTS_OF_TRAIL = 24
 
 
@@ -670,30 +665,7 @@ def _show_adjustment(stream: Stream, locations: Locations, annotation: Localizat
     stream.count("localization adjustments", 1)
 
 
-def _show_calibration(stream: Stream, annotation: CameraCalibration, notify: Report) -> None:
-    """The camera' = camera D(t), with the other camera model if one is stated."""
-    entity = f"{camera_path(stream, annotation.sensor_id)}/calibrated"
-    if annotation.poses is not None:
-        poses = annotation.poses.held(annotation.poses.timestamps_ns)
-        if annotation.poses.static:
-            rotation = sdk().Quaternion(xyzw=poses.quaternions_xyzw[0])
-            stream.static(entity, sdk().Transform3D(translation=poses.positions[0], quaternion=rotation))
-        else:
-            held = fits(poses.positions)
-            stream.leave_out("poses of calibrations", np.count_nonzero(~held))
-            rows = np.flatnonzero(held)
-            stream.columns(annotation.poses.timestamps_ns[rows], entity, transform_columns(poses, rows))
-    if annotation.intrinsics is not None:
-        try:
-            stream.static(f"{entity}/camera model", pinhole(straight_camera_model(annotation.intrinsics)))
-        except CalibrationError as error:
-            notify("camera-model-left", f"annotations[{annotation.id!r}]", f"its camera model is not drawn: {error}")
-    stream.static(entity, sdk().TransformAxes3D(0.5))
-    stream.count("camera calibrations", 1)
-
-
 _EGO, _ANNOTATIONS = "ego", "annotations"
-
 _AT_ONCE = 128
 """Moments that are logged together."""
 
@@ -723,7 +695,7 @@ class AnnotationView:
             if isinstance(one, LocalizationAdjustment):
                 _show_adjustment(stream, locations, one)
             elif isinstance(one, CameraCalibration):
-                _show_calibration(stream, one, notify)
+                show_calibration(stream, one, notify)
         _show_events(stream, scene.annotations)
         _show_attributes(stream, scene)
         _show_graph(stream, scene.annotations, notify)

@@ -1,4 +1,4 @@
-"""Camera images in their frusta, undistorted where the camera model is not a pinhole, and depth images."""
+"""Camera images in their frusta, undistorted where the camera model is not a _pinhole, and depth images."""
 
 import zipfile
 import zlib
@@ -30,16 +30,12 @@ from sceneloom.view.stream import Feed, Report, Stream, fits, sdk
 
 IMAGE = "image"
 """The entity of a camera's images, below that of the camera; its own space of pixels."""
-
 _QUALITY = 88
 _JPEG_START = b"\xff\xd8"
-
 _CORNER = 0.5
 """The viewer counts pixels from the image's corner, camera models from the centre of the first one."""
-
 _FRUSTUM, _HALF_WIDTH = 2.5, 1.2
 """How far before the camera its image hangs at most, and half of how wide it is at most [m]."""
-
 _FINEST = 0.7
 """A straightened image magnifies its middle by this or more, of what one without empty borders would.
 
@@ -83,16 +79,7 @@ def _kept_share(camera: Camera) -> float:
     return (1.0 - _FINEST) * valid / (valid - whole)
 
 
-def straight_camera_model(camera: Camera) -> Camera:
-    """The pinhole that is shown for a camera model.
-
-    Raises:
-        CalibrationError: none can stand for it.
-    """
-    return camera if camera.model == "pinhole" else undistorted_camera(camera, keep=_kept_share(camera))
-
-
-def pinhole(camera: Camera) -> Any:
+def _pinhole(camera: Camera) -> Any:
     """A camera model without distortion as the viewer takes it."""
     matrix = np.array(camera.matrix)
     matrix[:2, 2] += _CORNER
@@ -105,14 +92,14 @@ def pinhole(camera: Camera) -> Any:
     )
 
 
-def camera_path(stream: Stream, sensor_id: Identifier) -> str:
+def _camera_path(stream: Stream, sensor_id: Identifier) -> str:
     """The entity of a camera."""
     return stream.path(WORLD, SENSORS, sensor_id)
 
 
 def image_path(stream: Stream, sensor_id: Identifier) -> str:
     """The entity of its images."""
-    return f"{camera_path(stream, sensor_id)}/{IMAGE}"
+    return f"{_camera_path(stream, sensor_id)}/{IMAGE}"
 
 
 def _jpeg_of(camera_image: CameraImage) -> bytes:
@@ -124,7 +111,7 @@ def _jpeg_of(camera_image: CameraImage) -> bytes:
 
 
 @dataclass(slots=True, eq=False)
-class PlacedCamera:
+class _PlacedCamera:
     """Logs where a camera is, and its camera model where that is another one than before."""
 
     stream: Stream
@@ -149,14 +136,14 @@ class PlacedCamera:
                 f"sensors[{self.sensor.id!r}]",
                 f"its location is not known at {len(times_ns) - len(rows)} of {len(times_ns)} times",
             )
-        path = camera_path(self.stream, self.sensor.id)
+        path = _camera_path(self.stream, self.sensor.id)
         self.stream.columns(times_ns[rows], path, transform_columns(poses, rows))
 
     def log(self, time_ns: int, camera_model: Camera, mount: RigidTransform | None) -> None:
         """Log what is the image's own at a time [ns]: another mounting, another camera model."""
         pose = None if mount is None else pose_at(self._source.mounted(mount), time_ns)
         if pose is not None:
-            self.stream.log(time_ns, camera_path(self.stream, self.sensor.id), transform(pose))
+            self.stream.log(time_ns, _camera_path(self.stream, self.sensor.id), transform(pose))
         if self.has_pinhole and camera_model != self._camera_model:
             self._camera_model = camera_model
             if not fits(camera_model.matrix).all():
@@ -166,7 +153,7 @@ class PlacedCamera:
                     "its camera model is beyond the viewer's float32",
                 )
                 return
-            self.stream.log(time_ns, image_path(self.stream, self.sensor.id), pinhole(camera_model))
+            self.stream.log(time_ns, image_path(self.stream, self.sensor.id), _pinhole(camera_model))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,10 +165,10 @@ class _ShownImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraView:
+class _CameraView:
     """Shows the images of one camera."""
 
-    camera: PlacedCamera
+    camera: _PlacedCamera
     images: LazyFrames[CameraImage]
 
     def prepare(self, k: int) -> _ShownImage:
@@ -189,8 +176,9 @@ class CameraView:
         camera_image = self.images[k]
         return _ShownImage(camera_image, _jpeg_of(camera_image))
 
-    def log(self, shown: _ShownImage) -> None:
-        """Log an image."""
+    def log(self, k: int, prepared: _ShownImage | None) -> None:
+        """Log image `k`."""
+        shown = self.prepare(k) if prepared is None else prepared
         stream, camera_image = self.camera.stream, shown.image
         self.camera.log(camera_image.timestamp_ns, camera_image.camera, camera_image.mount)
         image = sdk().EncodedImage(contents=shown.content, media_type="image/jpeg")
@@ -200,9 +188,7 @@ class CameraView:
 
 _STEPS_PER_METRE = 256
 """Shown depths are whole steps of 1/256 m, as in KITTI's depth images: 4 mm, up to 256 m."""
-
 _LARGEST = 65535
-
 DEPTH = "depth"
 """The entity of fused depth images, below that of the images that they belong to."""
 
@@ -239,7 +225,7 @@ class _Straightener:
 class _DepthView:
     """Shows the images of one depth camera."""
 
-    camera: PlacedCamera
+    camera: _PlacedCamera
     frames: Any
     straightener: _Straightener
 
@@ -253,15 +239,36 @@ class _DepthView:
         stream.log(frame.timestamp_ns, path, _depth_image(depths), kind="depth images", size=2 * depths.size)
 
 
-def depth_feed(camera: PlacedCamera, sensor: DepthCameraSensor, notify: Report) -> Feed | None:
-    """Show a depth camera; None where no pinhole can stand for its camera model."""
+def camera_feed(
+    stream: Stream,
+    locations: Locations,
+    sensor: CameraSensor | DepthCameraSensor,
+    notify: Report,
+    *,
+    every: int,
+    has_pinhole: bool,
+    ahead: bool,
+) -> Feed | None:
+    """Place a camera, and show its images; None where no pinhole can stand for the camera model of a depth camera.
+
+    Args:
+        every: of so many images one is placed.
+        has_pinhole: whether its images hang somewhere.
+        ahead: whether images are prepared while others are logged.
+    """
+    times_ns = (sensor.images if isinstance(sensor, CameraSensor) else sensor.frames).timestamps_ns
+    placed = _PlacedCamera(stream, locations, sensor, notify, has_pinhole=has_pinhole)
+    placed.log_poses(np.unique(times_ns[::every]))
+    if isinstance(sensor, CameraSensor):
+        shown = _CameraView(placed, sensor.images)
+        return Feed(times_ns, shown.log, shown.prepare if ahead else None)
     if sensor.camera.model != "pinhole":
         try:
             undistorted_camera(sensor.camera)
         except CalibrationError as error:
             notify("camera-model-left", f"sensors[{sensor.id!r}]", f"its depth images are not shown: {error}")
             return None
-    return Feed(sensor.frames.timestamps_ns, _DepthView(camera, sensor.frames, _Straightener()).log)
+    return Feed(times_ns, _DepthView(placed, sensor.frames, _Straightener()).log)
 
 
 class _Entry(msgspec.Struct, frozen=True):
@@ -342,3 +349,28 @@ def _read(path: Path) -> Float32Array:
             return read_depth_png(path)
         except (ValueError, KeyError, EOFError, SyntaxError, zipfile.BadZipFile, zlib.error) as error:
             raise DataError(path, "", f"cannot be read as a depth image: {error}") from error
+
+
+def show_calibration(stream: Stream, annotation: CameraCalibration, notify: Report) -> None:
+    """The camera' = camera D(t), with the other camera model if one is stated."""
+    entity = f"{_camera_path(stream, annotation.sensor_id)}/calibrated"
+    if annotation.poses is not None:
+        poses = annotation.poses.held(annotation.poses.timestamps_ns)
+        if annotation.poses.static:
+            rotation = sdk().Quaternion(xyzw=poses.quaternions_xyzw[0])
+            stream.static(entity, sdk().Transform3D(translation=poses.positions[0], quaternion=rotation))
+        else:
+            held = fits(poses.positions)
+            stream.leave_out("poses of calibrations", np.count_nonzero(~held))
+            rows = np.flatnonzero(held)
+            stream.columns(annotation.poses.timestamps_ns[rows], entity, transform_columns(poses, rows))
+    if annotation.intrinsics is not None:
+        try:
+            camera = annotation.intrinsics
+            if camera.model != "pinhole":
+                camera = undistorted_camera(camera, keep=_kept_share(camera))
+            stream.static(f"{entity}/camera model", _pinhole(camera))
+        except CalibrationError as error:
+            notify("camera-model-left", f"annotations[{annotation.id!r}]", f"its camera model is not drawn: {error}")
+    stream.static(entity, sdk().TransformAxes3D(0.5))
+    stream.count("camera calibrations", 1)

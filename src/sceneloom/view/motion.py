@@ -18,7 +18,6 @@ from sceneloom.visualization.canvas import Colour
 
 EGO, TRAJECTORIES, IMU, GNSS, MAP, EARTH = "ego", "trajectories", "imu", "gnss", "map", "earth"
 """Entities: the ego's frame, ways through the world, curves of both kinds of sensors, the plan, locations on earth."""
-
 _AXES = ("x", "y", "z")
 _UNITS: Mapping[str, str] = MappingProxyType(
     {"accelerometer": "m/s²", "gyroscope": "rad/s", "magnetometer": "µT", "imuTemperature": "K", "barometer": "hPa"}

@@ -1,14 +1,8 @@
-"""Logging to Rerun: the SDK (imported on first use, analytics off), entity paths and time.
+"""Logging to Rerun: the SDK (imported on first use, analytics off), entity paths and time."""
 
-And the streams of a drive in time order.
-"""
-
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache
-from heapq import merge
 from typing import Any, SupportsInt
 
 import numpy as np
@@ -36,13 +30,10 @@ def sdk() -> Any:
 
 TIME = "time"
 """The timeline of capture times [ns]."""
-
 _FRAME = "frame"
 """The timeline of frame numbers: which sweep of the first lidar (or image of the first camera) was the last one."""
-
 _PENDING_BYTES = 48_000_000
 """So much may wait to be written; then the writer is waited for, which bounds the memory of a long drive."""
-
 EDGES = "majorwireframe"
 """Boxes are drawn as their edges: what is in them stays in view."""
 
@@ -163,8 +154,6 @@ def escaped(name: Identifier) -> str:
 Report = Callable[[str, str, str], None]
 """Is reported what could not be shown: a code, a location, a message; the same code and location are counted."""
 
-_MOST_THREADS = 4
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Feed:
@@ -183,54 +172,3 @@ class Feed:
 
     def __len__(self) -> int:
         return len(self.times_ns)
-
-
-@dataclass(slots=True)
-class _Ahead:
-    """Prepares the next moment of a feed while others are logged."""
-
-    feed: Feed
-    pool: ThreadPoolExecutor
-    coming: "Future[Any] | None" = None
-
-    def begin(self, k: int) -> None:
-        """Begin to prepare moment `k`, if there is one."""
-        if self.feed.prepare is not None and k < len(self.feed):
-            self.coming = self.pool.submit(self.feed.prepare, k)
-
-    def log(self, k: int) -> None:
-        """Log moment `k`, and begin to prepare the next one."""
-        coming, self.coming = self.coming, None
-        try:
-            prepared = None if coming is None else coming.result()
-        finally:
-            self.begin(k + 1)
-        self.feed.log(k, prepared)
-
-
-def play(feeds: Sequence[Feed], on_fault: Callable[[Exception], bool]) -> Iterator[None]:
-    """Log the moments of all feeds in the order of time, yielding after each.
-
-    Args:
-        feeds: the feeds.
-        on_fault: is given what went wrong with a moment; whether to go on with the next.
-    """
-    threads = min(_MOST_THREADS, os.cpu_count() or 1)
-    with ThreadPoolExecutor(threads, thread_name_prefix="sceneloom-view") as pool:
-        ahead = [_Ahead(feed, pool) for feed in feeds]
-        for one in ahead:
-            one.begin(0)
-        try:
-            for _, order, k in merge(*(_keyed(order, feed) for order, feed in enumerate(feeds))):
-                try:
-                    ahead[order].log(k)
-                except Exception as error:
-                    if not on_fault(error):
-                        raise
-                yield
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _keyed(order: int, feed: Feed) -> Iterator[tuple[int, int, int]]:
-    return ((time_ns, order, k) for k, time_ns in enumerate(feed.times_ns.tolist()))

@@ -11,9 +11,11 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from heapq import merge
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import MappingProxyType
@@ -36,21 +38,13 @@ from sceneloom.scene.scene import Scene, time_span
 from sceneloom.scene.time_range import cut_scene
 from sceneloom.scene.types import Identifier, Key, Progress, key_of
 from sceneloom.view.annotations import ATTRIBUTES, EVENTS, LIST, RELATIONS, AnnotationView
-from sceneloom.view.images import (
-    DEPTH,
-    IMAGE,
-    CameraView,
-    PlacedCamera,
-    depth_feed,
-    fused_depth_feed,
-    with_straight_camera_models,
-)
+from sceneloom.view.images import DEPTH, IMAGE, camera_feed, fused_depth_feed, with_straight_camera_models
 from sceneloom.view.motion import EARTH, EGO, GNSS, IMU, MAP, show_motion
 from sceneloom.view.objects import detection_feeds, track_feed
 from sceneloom.view.points import SENSORS, WORLD, LidarView, RadarView, show_map
 from sceneloom.view.poses import Locations
 from sceneloom.view.settings import DrivePart, DriveShown, Source, ViewReport, ViewSettings
-from sceneloom.view.stream import TIME, Feed, Stream, escaped, play, sdk
+from sceneloom.view.stream import TIME, Feed, Stream, escaped, sdk
 from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
 
 _NOTES = "notes"
@@ -112,13 +106,10 @@ def _log_notes(stream: Stream, time_ns: int, warnings: Sequence[DataWarning], fi
 
 _BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
 """Where the eye stands behind the ego, and where it looks [m]."""
-
 _MOVED = 2.0
 """How far the ego must have moved before its trajectory tells where forward is [m]."""
-
 _IN_IMAGES = ("annotations", "tracks/boxes", "tracks/history")
 """What has a location in the world and is shown through the camera models, too."""
-
 _BACKGROUND = (16, 18, 22)
 
 
@@ -311,7 +302,7 @@ class DriveView:
             reported("unreadable", error.location or error.file, error.problem)
             return True
 
-        for done, _ in enumerate(play(feeds, passed_over), start=1):
+        for done, _ in enumerate(_play(feeds, passed_over), start=1):
             if progress is not None:
                 progress(done, total)
         run.annotations.finish()
@@ -347,10 +338,8 @@ class _Run:
             if isinstance(sensor, RadarSensor):
                 shown = RadarView(self.stream, self.view.locations, sensor, self.view.reported)
                 feeds.append(_thinned(Feed(sensor.frames.timestamps_ns, shown.log), every))
-            elif isinstance(sensor, CameraSensor):
-                feeds.append(self._images(sensor))
-            elif isinstance(sensor, DepthCameraSensor):
-                feeds += self._depths(sensor)
+            elif isinstance(sensor, CameraSensor | DepthCameraSensor):
+                feeds += self._camera(sensor)
         return [*feeds, *self._accompanying()]
 
     def _sweeps(self, lidar: LidarSensor, *, first: bool) -> Feed:
@@ -369,33 +358,30 @@ class _Run:
 
         return _thinned(Feed(lidar.frames.timestamps_ns, log), settings.every)
 
-    def _images(self, sensor: CameraSensor) -> Feed:
+    def _camera(self, sensor: CameraSensor | DepthCameraSensor) -> list[Feed]:
         """Images, and at once all that is drawn into them, which is small."""
         view, every = self.view, self.view.settings.every
-        times_ns = sensor.images.timestamps_ns
-        self.annotations.log_in_images(sensor.id, np.unique(times_ns[::every]))
-        has_pinhole = key_of(sensor.id) not in view.bent
-        shown = CameraView(self._placed(sensor, times_ns, has_pinhole=has_pinhole), sensor.images)
-        counts_moments = not view.scene.lidars and sensor is view.scene.cameras[0]
+        if isinstance(sensor, CameraSensor):
+            self.annotations.log_in_images(sensor.id, np.unique(sensor.images.timestamps_ns[::every]))
+        feed = camera_feed(
+            self.stream,
+            view.locations,
+            sensor,
+            view.reported,
+            every=every,
+            has_pinhole=key_of(sensor.id) not in view.bent,
+            ahead=view.scene.format in _READ_BY_THREADS,
+        )
+        if feed is None:
+            return []
+        log_image, times_ns = feed.log, feed.times_ns
 
         def log(k: int, prepared: Any) -> None:
-            shown.log(shown.prepare(k) if prepared is None else prepared)
-            if counts_moments:
-                self.annotations.note(int(times_ns[k]))
+            log_image(k, prepared)
+            self.annotations.note(int(times_ns[k]))
 
-        ahead = view.scene.format in _READ_BY_THREADS
-        return _thinned(Feed(times_ns, log, shown.prepare if ahead else None), every)
-
-    def _placed(
-        self, sensor: CameraSensor | DepthCameraSensor, times_ns: Int64Array, *, has_pinhole: bool = True
-    ) -> PlacedCamera:
-        placed = PlacedCamera(self.stream, self.view.locations, sensor, self.view.reported, has_pinhole=has_pinhole)
-        placed.log_poses(np.unique(times_ns[:: self.view.settings.every]))
-        return placed
-
-    def _depths(self, sensor: DepthCameraSensor) -> list[Feed]:
-        feed = depth_feed(self._placed(sensor, sensor.frames.timestamps_ns), sensor, self.view.reported)
-        return [] if feed is None else [_thinned(feed, self.view.settings.every)]
+        counts_moments = not view.scene.lidars and sensor is next(iter(view.scene.cameras), None)
+        return [_thinned(replace(feed, log=log) if counts_moments else feed, every)]
 
     def _accompanying(self) -> list[Feed]:
         """What files beside the drive hold."""
@@ -451,6 +437,60 @@ class _Run:
         )
 
 
+_MOST_THREADS = 4
+
+
+@dataclass(slots=True)
+class _Ahead:
+    """Prepares the next moment of a feed while others are logged."""
+
+    feed: Feed
+    pool: ThreadPoolExecutor
+    coming: "Future[Any] | None" = None
+
+    def begin(self, k: int) -> None:
+        """Begin to prepare moment `k`, if there is one."""
+        if self.feed.prepare is not None and k < len(self.feed):
+            self.coming = self.pool.submit(self.feed.prepare, k)
+
+    def log(self, k: int) -> None:
+        """Log moment `k`, and begin to prepare the next one."""
+        coming, self.coming = self.coming, None
+        try:
+            prepared = None if coming is None else coming.result()
+        finally:
+            self.begin(k + 1)
+        self.feed.log(k, prepared)
+
+
+def _play(feeds: Sequence[Feed], on_fault: Callable[[Exception], bool]) -> Iterator[None]:
+    """Log the moments of all feeds in the order of time, yielding after each.
+
+    Args:
+        feeds: the feeds.
+        on_fault: is given what went wrong with a moment; whether to go on with the next.
+    """
+    threads = min(_MOST_THREADS, os.cpu_count() or 1)
+    with ThreadPoolExecutor(threads, thread_name_prefix="sceneloom-view") as pool:
+        ahead = [_Ahead(feed, pool) for feed in feeds]
+        for one in ahead:
+            one.begin(0)
+        try:
+            for _, order, k in merge(*(_keyed(order, feed) for order, feed in enumerate(feeds))):
+                try:
+                    ahead[order].log(k)
+                except Exception as error:
+                    if not on_fault(error):
+                        raise
+                yield
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _keyed(order: int, feed: Feed) -> Iterator[tuple[int, int, int]]:
+    return ((time_ns, order, k) for k, time_ns in enumerate(feed.times_ns.tolist()))
+
+
 def _thinned(feed: Feed, every: int) -> Feed:
     """Every Nth moment, in the order of time."""
     rows = np.arange(0, len(feed), every)
@@ -469,12 +509,9 @@ def _chosen(feed: Feed, rows: Int64Array) -> Feed:
 
 
 _APPLICATION = "sceneloom"
-
 _SUFFIX = ".rrd"
-
 _SINCE_EPOCH_NS = 100_000_000_000_000_000
 """Timestamps from here on (March 1973) count from 1970; smaller ones from the beginning of the drive."""
-
 _MOST_DRIVES = 32
 """More tabs would be hard to find."""
 
@@ -586,13 +623,9 @@ def save_view(
 
 _LOOPBACK = "127.0.0.1"
 """Nobody but this machine is answered."""
-
 _TILES = "https://tile.openstreetmap.org https://*.tile.openstreetmap.org"
-
 _PASSED_ON = ("Content-Type", "rerun-final-length")
-
 _PIECE = 1 << 20
-
 _ANSWER_SECONDS = 60.0
 
 
@@ -676,12 +709,9 @@ _FOLDERS = ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME", "XDG_STATE_HOM
 
 Source: XDG Base Directory Specification 0.8.
 """
-
 _PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
-
 _NOBODY = "http://127.0.0.1:1"
 """A proxy that is not there: what would go through it goes nowhere."""
-
 _NEAR = "127.0.0.1,localhost"
 
 
@@ -733,9 +763,7 @@ def silent_environment(folder: Path, given: Mapping[str, str] | None = None, *, 
 
 _SERVER_MEMORY = "2GiB"
 """What the browser's server holds for it; beyond that the earliest frames go."""
-
 _PATIENCE = 30.0
-
 _POLL = 0.05
 
 

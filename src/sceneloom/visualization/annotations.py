@@ -15,13 +15,13 @@ from zlib import crc32
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.output import file_stem, filling
 from sceneloom.geometry.boxes import EDGES, box_corners
 from sceneloom.geometry.rigid import RigidTransform, rotate_vectors
 from sceneloom.scene.annotations import (
+    DIMENSIONS,
     Annotation,
     AttributePath,
     Box2DAnnotation,
@@ -35,7 +35,6 @@ from sceneloom.scene.annotations import (
     ObjectAnnotation,
     PointsAnnotation,
     ShapeAnnotation,
-    ShapeType,
 )
 from sceneloom.scene.annotations_at import (
     CuboidAngles,
@@ -66,157 +65,21 @@ from sceneloom.visualization.canvas import (
     seconds_text,
     text_height,
 )
-from sceneloom.visualization.clouds import (
-    SIZE_PX,
-    EgoPosition,
-    MapLayout,
-    draw_cloud_above,
-    first_level,
-    sample_polyline,
-)
+from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
 from sceneloom.visualization.colour_scales import COARSE_DIGITS, draw_caption, draw_strip, round_up, strip_height
+from sceneloom.visualization.figures import (
+    CORNER_FROM_CENTRE,
+    PALETTE,
+    Figure,
+    Name,
+    draw_figure,
+    draw_marks,
+    on_map,
+    pixels_of,
+    through_camera_model,
+    write_names,
+)
 from sceneloom.visualization.fused_frames import framed, image_canvas, save_image, subdued
-
-PALETTE: tuple[Colour, ...] = (
-    (255, 122, 69), (82, 196, 255), (138, 226, 52), (255, 206, 84), (214, 137, 255), (64, 224, 190),
-    (255, 110, 160), (168, 184, 255), (222, 222, 120), (255, 160, 122),
-)  # fmt: skip
-"""Colours that stand out from images and from each other."""
-
-CORNER_FROM_CENTRE = 0.5
-"""Boxes and vertices of files count from the image's corner, pixels that are drawn from the centre of the first."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Figure:
-    """What is drawn of one thing at one time.
-
-    Attributes:
-        lines: (K, D) vertices each, joined in order: locations [m] in the world (D = 3), or pixels [px] (D = 2).
-        areas: (K, D) vertices each of areas to be tinted.
-        marks: (M, D) single points.
-        anchor: (D,) where its name goes, or None.
-    """
-
-    name: str
-    colour: Colour
-    lines: tuple[Float64Array, ...] = ()
-    areas: tuple[Float64Array, ...] = ()
-    marks: Float64Array | None = None
-    anchor: Float64Array | None = None
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether all of it has a location."""
-        parts = (*self.lines, *self.areas, *(() if self.marks is None else (self.marks,)))
-        return all(bool(np.isfinite(part).all()) for part in parts)
-
-
-_CHUNKS = 48
-"""A straight line of the world is bent by a camera model: it is drawn in so many chunks."""
-
-_JUMP_SHARE = 0.5
-"""Neighbouring chunks farther apart than this share of the image are not joined: a camera model may see both sides."""
-
-_TINT = 0.28
-
-_SMALL = 0.8
-
-Name = tuple[Figure, Float64Array]
-"""A figure, and the pixel at which its name goes."""
-
-
-def draw_figure(canvas: Canvas, seen: Figure, *, thickness: int) -> list[Name]:
-    """Draw a figure whose vertices are pixels; gives the position of its name if anything of it lies on the canvas."""
-    size = canvas.image.size
-    parts = [*seen.lines, *seen.areas, *([] if seen.marks is None else [seen.marks])]
-    if not any(((part > -1) & (part < size)).all(axis=1).any() for part in parts):
-        return []
-    for area in seen.areas:
-        canvas.polygon(_tuples(_clamped(area, size)), seen.colour, opacity=_TINT)
-    for line in seen.lines:
-        canvas.line(_tuples(_clamped(line, size)), seen.colour, width=thickness)
-    if seen.marks is not None:
-        _draw_marks(canvas, seen.marks, seen.colour, 1.2 + 1.6 * thickness)
-    anchor = seen.anchor
-    return [] if anchor is None or not np.isfinite(anchor).all() else [(seen, anchor)]
-
-
-def _draw_marks(canvas: Canvas, pixels: Float64Array, colour: Colour, radius: float) -> int:
-    """Draw a disc of a radius [px] at each of (N, 2) pixels that are on the canvas; gives how many those are."""
-    finite = pixels[np.isfinite(pixels).all(axis=1)]
-    shown = finite[((finite >= 0) & (finite < canvas.image.size)).all(axis=1)]
-    for location in _tuples(shown):
-        canvas.disc(location, radius, colour)
-    return len(shown)
-
-
-def write_names(canvas: Canvas, names: list[Name]) -> None:
-    """Write names, lower ones first; one that would cover another is left out."""
-    taken: list[tuple[float, float, float]] = []
-    for figure, (column, row) in sorted(names, key=lambda item: -float(item[1][1])):
-        text = canvas.fitted(figure.name, 0.4 * canvas.image.width, scale=_SMALL)
-        half = canvas.text_width(text, scale=_SMALL) / 2 + 3
-        line = 1.1 * canvas.text_px
-        location = float(np.clip(column, half, max(canvas.image.width - half, half)))
-        level = float(np.clip(row - 0.7 * line, line, canvas.image.height - line))
-        if all(abs(location - p) > half + h or abs(level - v) > line for p, v, h in taken):
-            canvas.label((location, level), text, colour=figure.colour, scale=_SMALL)
-            taken.append((location, level, half))
-
-
-def _clamped(pixels: Float64Array, size: tuple[int, int]) -> Float64Array:
-    """Keep coordinates within what Pillow can draw."""
-    reach = 4.0 * max(size)
-    return np.clip(pixels, -reach, reach)
-
-
-def _tuples(pixels: Float64Array) -> list[tuple[float, float]]:
-    return [(float(column), float(row)) for column, row in pixels]
-
-
-def through_camera_model(figure: Figure, camera: Camera, camera_from_world: RigidTransform) -> Figure:
-    """The same figure as pixels; lines end where the camera model sees no further."""
-    lines = tuple(part for line in figure.lines for part in _projected_line(line, camera, camera_from_world))
-    areas = tuple(_pixels_of(camera, camera_from_world, _bent(area)) for area in figure.areas)
-    marks = None if figure.marks is None else _pixels_of(camera, camera_from_world, figure.marks)
-    anchor = None if figure.anchor is None else _pixels_of(camera, camera_from_world, figure.anchor[None])[0]
-    whole = tuple(area for area in areas if np.isfinite(area).all())
-    return Figure(figure.name, figure.colour, lines, whole, marks, anchor)
-
-
-def _bent(vertices: Float64Array) -> Float64Array:
-    closed = np.concatenate([vertices, vertices[:1]])
-    length = float(np.linalg.norm(np.diff(closed, axis=0), axis=1).sum())
-    return sample_polyline(closed, max(length / _CHUNKS, 1e-6))
-
-
-def _pixels_of(camera: Camera, camera_from_world: RigidTransform, positions: Float64Array) -> Float64Array:
-    """Pixels (N, 2) [px] of world points (N, 3) [m], NaN where the camera model sees none."""
-    return project_unbounded(camera, camera_from_world.apply(positions))
-
-
-def _projected_line(line: Float64Array, camera: Camera, camera_from_world: RigidTransform) -> Iterator[Float64Array]:
-    length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-    pixels = _pixels_of(camera, camera_from_world, sample_polyline(line, max(length / _CHUNKS, 1e-6)))
-    reach = _JUMP_SHARE * max(camera.width, camera.height)
-    jumps = np.abs(np.diff(pixels, axis=0)).max(axis=1, initial=0.0)
-    broken = np.flatnonzero(~(jumps <= reach)) + 1  # a NaN breaks the line, too
-    for part in np.split(pixels, broken):
-        if len(part) > 1 and np.isfinite(part).all():
-            yield part
-
-
-def on_map(figure: Figure, layout: MapLayout) -> Figure:
-    """The same figure as pixels of the map."""
-    return Figure(
-        figure.name,
-        figure.colour,
-        tuple(map(layout.pixels, figure.lines)),
-        tuple(map(layout.pixels, figure.areas)),
-        None if figure.marks is None else layout.pixels(figure.marks),
-        None if figure.anchor is None else layout.pixels(figure.anchor[None])[0],
-    )
 
 
 def colour_of(annotation: Annotation) -> Colour:
@@ -242,7 +105,7 @@ def figures_in_world(
     """Give what has a location in the world at a time [ns]; cuboids as a sensor sees them, where one is named."""
     angles = CuboidAngles.of(scene)
     for annotation in scene.annotations:
-        draw = _IN_WORLD.get(_key(annotation))
+        draw = _IN_WORLD.get(str(annotation.type))
         if isinstance(annotation, CuboidAnnotation):
             figure = _cuboid(annotation, timestamp_ns, angles, sensor_id)
         else:
@@ -255,15 +118,11 @@ def figures_in_world(
 def figures_in_image(scene: Scene, sensor_id: Identifier, timestamp_ns: int) -> Iterator[tuple[Annotation, Figure]]:
     """Give what is drawn in the images of one camera at a time [ns], as pixels in the centre convention."""
     for annotation in scene.annotations:
-        draw = _IN_IMAGE.get(_key(annotation))
+        draw = _IN_IMAGE.get(str(annotation.type))
         figure = None if draw is None else draw(annotation, sensor_id, timestamp_ns)
         if figure is not None:
             leave_out("annotations", not figure.is_finite)
             yield annotation, figure
-
-
-def _key(annotation: Annotation) -> str:
-    return str(annotation.type)
 
 
 def _value_text(value: Any) -> str:
@@ -288,20 +147,15 @@ def _figure(annotation: Annotation, timestamp_ns: int, **parts: Any) -> Figure:
     return Figure(_name_of(annotation, timestamp_ns), colour_of(annotation), **parts)
 
 
-_CLOSED = frozenset({ShapeType.POLYGON, ShapeType.POLYGON_TOPDOWN, ShapeType.POLYGON_2D})
-
-_MARKS = frozenset({ShapeType.POINT, ShapeType.POINT_TOPDOWN, ShapeType.POINT_2D})
-
-
 def _shape(annotation: ShapeAnnotation, timestamp_ns: int, corner: float | CuboidAngles = 0.0) -> Figure | None:
     vertices = shape_at(annotation, [timestamp_ns])[0]
     if vertices is None or len(vertices) == 0:
         return None
     vertices = vertices - corner if isinstance(corner, float) else vertices
     anchor = vertices.mean(axis=0)
-    if annotation.type in _MARKS:
+    if annotation.type.startswith("point"):
         return _figure(annotation, timestamp_ns, marks=vertices, anchor=anchor)
-    round_ = annotation.type in _CLOSED
+    round_ = annotation.type.startswith("polygon")
     line = np.concatenate([vertices, vertices[:1]]) if round_ or annotation.is_closed else vertices
     areas = (vertices,) if round_ and len(vertices) > 2 else ()
     return _figure(annotation, timestamp_ns, lines=(line,), areas=areas, anchor=anchor)
@@ -372,14 +226,8 @@ def _same_id(one: Identifier | None, other: Identifier | None) -> bool:
     return one == other and type(one) is type(other)
 
 
-_SHAPES_2D = (ShapeType.POLYLINE_2D, ShapeType.POLYGON_2D, ShapeType.POINT_2D)
-
-_SHAPES_3D = (
-    ShapeType.POLYGON, ShapeType.POLYGON_TOPDOWN, ShapeType.POLYLINE, ShapeType.POINT, ShapeType.POINT_TOPDOWN,
-)  # fmt: skip
-
 _IN_WORLD: Mapping[str, Callable[[Any, int, CuboidAngles], Figure | None]] = MappingProxyType(
-    {"cuboid": _cuboid, "points": _keypoints, **{str(kind): _shape for kind in _SHAPES_3D}}
+    {"cuboid": _cuboid, "points": _keypoints, **{str(kind): _shape for kind, count in DIMENSIONS.items() if count == 3}}
 )
 
 _IN_IMAGE: Mapping[str, Callable[[Any, Identifier, int], Figure | None]] = MappingProxyType(
@@ -387,7 +235,7 @@ _IN_IMAGE: Mapping[str, Callable[[Any, Identifier, int], Figure | None]] = Mappi
         "cuboid": _projected_cuboid,
         "points": _projected_points,
         "box_2d": _box_in_image,
-        **{str(kind): _shape_in_image for kind in _SHAPES_2D},
+        **{str(kind): _shape_in_image for kind, count in DIMENSIONS.items() if count == 2},
     }
 )
 
@@ -507,7 +355,7 @@ def draw_annotations_in_image(scene: Scene, sample: Sample, camera_id: Identifie
     if world_from_camera is not None:
         camera_from_world = world_from_camera.inverse()
         for positions, colour in _labelled_locations(scene, sample):
-            labelled += _draw_marks(canvas, _pixels_of(camera, camera_from_world, positions), colour, 1.5) > 0
+            labelled += draw_marks(canvas, pixels_of(camera, camera_from_world, positions), colour, 1.5) > 0
         for _, figure in figures_in_world(scene, timestamp_ns, sensor_id=camera_id):
             names += draw_figure(canvas, through_camera_model(figure, camera, camera_from_world), thickness=2)
     for _, figure in figures_in_image(scene, camera_id, timestamp_ns):
@@ -553,7 +401,7 @@ def draw_annotations_above(
         points, colors = sample.sweep.points, sample.sweep.points.colors
         points_world = world_from_points.apply(points.positions.astype(np.float64))
     pose = sample.world_from_lidar or next((p for p in sample.world_from_camera.values() if p is not None), None)
-    ego = None if pose is None else EgoPosition(pose.translation, first_level([pose.rotation[:, 0]]))
+    ego = None if pose is None else EgoPosition.facing(pose.translation, [pose.rotation[:, 0]])
     events = _active_events(scene, sample.timestamp_ns)
     now = f" · now: {', '.join(events)}" if events else ""
     return draw_cloud_above(
@@ -570,7 +418,7 @@ def draw_annotations_above(
 def _draw_over(scene: Scene, sample: Sample, plot: Canvas, layout: MapLayout) -> None:
     names: list[Name] = []
     for positions, colour in _labelled_locations(scene, sample):
-        _draw_marks(plot, layout.pixels(positions), colour, _MARK_PX)
+        draw_marks(plot, layout.pixels(positions), colour, _MARK_PX)
     for figure in _relations_in_world(scene, sample.timestamp_ns):
         names += draw_figure(plot, on_map(figure, layout), thickness=1)
     for _, figure in figures_in_world(scene, sample.timestamp_ns, sensor_id=sample.reference_id):
@@ -579,15 +427,10 @@ def _draw_over(scene: Scene, sample: Sample, plot: Canvas, layout: MapLayout) ->
 
 
 _WIDTH_PX = 1280
-
 _MOST_ROWS = 60
-
 _ROW_LETTERS = 1.5
-
 _NAME_SHARE = 0.3
-
 _TICKS = 8
-
 _SHORTEST_NS = 1_000_000
 
 
@@ -729,10 +572,8 @@ def _dimmed(colour: Colour) -> Colour:
 
 
 _GRID = (16, 9)
-
 _DISTANCE = 20.0
 """How far away the things are whose pixels are compared [m]."""
-
 _BEFORE, _AFTER = FAINT_INK, (255, 206, 84)
 
 
@@ -760,7 +601,7 @@ def draw_calibration(sample: Sample, calibration: CameraCalibration) -> PilImage
     for start, stop in zip(before, after, strict=True):
         if np.isfinite(stop).all():
             plot.line([(start[0], start[1]), (stop[0], stop[1])], _AFTER, width=2)
-    _draw_marks(plot, before, _BEFORE, 1.5)
+    draw_marks(plot, before, _BEFORE, 1.5)
     largest = float(np.nanmax(shifts)) if np.isfinite(shifts).any() else float("nan")
     stated = f"things {_DISTANCE:g} m away move by {largest:.1f} px at most"
     if calibration.time_offset_ns is not None:
@@ -812,7 +653,6 @@ def _some_trajectory(scene: Scene) -> Poses | None:
 
 
 _Drawing = tuple[str, Callable[[], PilImage]]
-
 _RELATIONS_REACH = 20.0
 """From the ego to the upper edge of a map that shows how annotations belong together [m]."""
 

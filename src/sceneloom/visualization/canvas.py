@@ -26,7 +26,6 @@ INK: Colour = (232, 234, 237)
 FAINT_INK: Colour = (158, 164, 173)
 LINE: Colour = (92, 98, 108)
 ACCENT: Colour = (255, 122, 69)
-
 _FINE = 4
 """Polygons are filled on a grid this much finer and averaged."""
 

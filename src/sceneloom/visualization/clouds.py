@@ -47,6 +47,15 @@ class EgoPosition:
     position_world: Float64Array
     forward_world: Float64Array
 
+    @classmethod
+    def facing(cls, position_world: Float64Array, directions: Sequence[Float64Array]) -> "EgoPosition":
+        """Face the first direction that is not upright, made level; x of the world if none."""
+        for direction in directions:
+            length = float(np.hypot(direction[0], direction[1]))
+            if length > 0.1:
+                return cls(position_world, np.array([direction[0] / length, direction[1] / length, 0.0]))
+        return cls(position_world, np.array([1.0, 0.0, 0.0]))
+
     def arrow(self, length: float) -> Float64Array:
         """Give the (4, 3) corners of a level arrowhead of that length [m] around the position."""
         left = np.array([-self.forward_world[1], self.forward_world[0], 0.0])
@@ -73,7 +82,7 @@ def find_ego(
     directions = [] if ego_path is None else [_path_direction(ego_path, position)]
     directions += [view.world_from_camera.rotation[:, 2] for view in views[:1]]
     directions += [pose.rotation[:, 0] for pose in poses[:1]]
-    return EgoPosition(position, first_level(directions))
+    return EgoPosition.facing(position, directions)
 
 
 def middle_of(points_world: Float64Array) -> EgoPosition:
@@ -95,25 +104,14 @@ def _path_direction(ego_path: FloatArray, position_world: Float64Array) -> Float
     return step if np.linalg.norm(step[:2]) >= _MOVED else np.zeros(3)
 
 
-def first_level(directions: Sequence[Float64Array]) -> Float64Array:
-    """Give the first direction that is not upright, made level; x of the world if none."""
-    for direction in directions:
-        length = float(np.hypot(direction[0], direction[1]))
-        if length > 0.1:
-            return np.array([direction[0] / length, direction[1] / length, 0.0])
-    return np.array([1.0, 0.0, 0.0])
-
-
 UNSEEN = 255
 """`camera_index` of a point that no camera saw."""
-
 _DARKEST_GREY, _LIGHTEST_GREY = 78.0, 138.0
 _LIFT, _LIFT_POWER = 24.0, 0.8
 _GREY_TINT = np.array([0.93, 0.98, 1.06])
 _HEIGHT_ENDS_PERCENT = (2.0, 96.0)
 _NEAREST_REACH = 2.0
 _LEAST_SIZE_PX = (320, 240)
-
 _MOST_SAMPLES = 200_000
 """Bounds the work for an ego path of any length."""
 
@@ -238,7 +236,6 @@ _SPACING_LETTERS = 6.0
 _BAR_LETTERS = 14.0
 _FAR_PX = 100_000.0
 _REACH_PERCENT, _FARTHEST_REACH = 94.0, 50.0
-
 _MOST_LINES = 1000
 """More than this no grid has: its locations are so far off that there are no numbers for its lines."""
 

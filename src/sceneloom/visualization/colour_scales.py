@@ -21,7 +21,6 @@ _LMS_FROM_LINEAR_RGB = np.array(
         [0.0883024619, 0.2817188376, 0.6299787005],
     ]
 )
-
 _OKLAB_FROM_ROOT_LMS = np.array(
     [
         [0.2104542553, 0.7936177850, -0.0040720468],
@@ -29,7 +28,6 @@ _OKLAB_FROM_ROOT_LMS = np.array(
         [0.0259040371, 0.7827717662, -0.8086757660],
     ]
 )
-
 _STEPS = 256
 _FINE_STEPS = 4096
 
@@ -213,7 +211,6 @@ def round_up(value: float, digits: tuple[float, ...] = ROUND_DIGITS) -> float:
 
 _STRIP_LINES = 3.6
 """Height of the strip in heights of its letters."""
-
 _SMALL = 0.86
 _BAR_SHARE = 0.46
 _BAR_MOST_LETTERS = 40

@@ -33,16 +33,12 @@ from sceneloom.visualization.colour_scales import DepthScale, draw_caption, draw
 
 _LEAST_WIDTH_PX = 520
 """Narrower images get a canvas of this width, so that caption and scale fit below them."""
-
 NO_DEPTH = (10, 11, 14)
 """Colour of the pixels of a depth image that hold no depth: darker than any colour of the maps."""
-
 _HIDDEN = (176, 178, 184)
 _LARGEST_RADIUS_PX = 4.0
-
 _MOST_COVER = 0.35
 """Share of the image that the discs may cover together, so that the image can be seen between them."""
-
 _GREYNESS = 0.45
 _BRIGHTNESS = 0.62
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -259,10 +255,8 @@ def save_image(image: PilImage, path: Path, *, overwrite: bool = False) -> Path:
 
 CUBE = 0.04
 """Of each sweep, one point per cube of this side is kept [m]: more shows in no image."""
-
 MOST_SWEEPS = 40
 """Sweeps of one lidar that are gathered, spread over the drive: enough for an image, bounded for any drive."""
-
 _MARGIN = 25.0
 """Around the trajectory of the ego, so much of its surroundings is shown [m]."""
 

@@ -17,7 +17,9 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.types import Identifier
-from sceneloom.visualization.annotations import (
+from sceneloom.visualization.canvas import Canvas, Colour, PilImage, count_text, seconds_text
+from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
+from sceneloom.visualization.figures import (
     CORNER_FROM_CENTRE,
     PALETTE,
     Figure,
@@ -27,8 +29,6 @@ from sceneloom.visualization.annotations import (
     through_camera_model,
     write_names,
 )
-from sceneloom.visualization.canvas import Canvas, Colour, PilImage, count_text, seconds_text
-from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
 from sceneloom.visualization.fused_frames import framed, image_canvas, subdued
 
 _WORDS = {

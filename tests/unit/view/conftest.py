@@ -46,14 +46,13 @@ class Saved:
         """The rows of an entity that have a component and a time."""
         return [row for row in self.rows[path] if row.time_ns is not None and component in row.values]
 
+    def arrays(self, path, component):
+        """A component of an entity at all its times, as arrays."""
+        return [row.array(component) for row in self.timed(path, component)]
+
     def lasting(self, path, component):
         """A component that holds at all times."""
         return next(row.values[component] for row in self.rows[path] if row.time_ns is None and component in row.values)
-
-
-def nanoseconds(value):
-    """A timestamp of either kind."""
-    return int(value.value)
 
 
 def read_saved(path, report):
@@ -65,20 +64,14 @@ def read_saved(path, report):
         batch = chunk.to_record_batch()
         saved.timelines.update(chunk.timeline_names)
         columns = {name: batch.column(name) for name in batch.schema.names if not name.startswith("rerun.")}
+        time = columns.pop("time", None)
+        frame = columns.pop("frame", None)
         for k in range(batch.num_rows):
-            time = columns.get("time")
-            values = {
-                name: column[k].as_py()
-                for name, column in columns.items()
-                if name not in {"time", "frame"} and column[k].is_valid
-            }
+            found = ((name, column[k].as_py()) for name, column in columns.items() if column[k].is_valid)
+            values = {name: value for name, value in found if value is not None}
             known = time is not None and time[k].is_valid
-            row = Row(
-                nanoseconds(time[k]) if known else None,
-                int(columns["frame"][k].as_py()) if known else None,
-                {name: value for name, value in values.items() if value is not None},
-            )
-            saved.rows.setdefault(str(chunk.entity_path), []).append(row)
+            times = (int(time[k].value), int(frame[k].as_py())) if known else (None, None)
+            saved.rows.setdefault(str(chunk.entity_path), []).append(Row(*times, values))
     for rows in saved.rows.values():
         rows.sort(key=lambda row: (row.time_ns is not None, row.time_ns or 0))
     for entry in reader.blueprints():

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.properties.injected import SHOTS, TIMES
 
 from sceneloom.cameras.camera import Camera
+from sceneloom.detections.results import FusedBoxes
 from sceneloom.errors import DataError
 from sceneloom.formats.base.images import write_depth_png
 from sceneloom.geometry.rigid import RigidTransform
@@ -60,6 +61,14 @@ def test_an_ellipsoid_has_the_axes_of_its_covariance():
     assert np.allclose(made, covariances)
 
 
+def covariance_of(saved, path):
+    """What the first ellipsoid of an entity says."""
+    reported = saved.timed(path, "Ellipsoids3D:half_sizes")[0]
+    rotation = Rotation.from_quat(reported.array("Ellipsoids3D:quaternions")[0]).as_matrix()
+    squares = reported.array("Ellipsoids3D:half_sizes")[0] ** 2 / stats.chi2.ppf(0.95, 3)
+    return rotation @ np.diag(squares) @ rotation.T
+
+
 def test_tracks_are_boxes_with_ellipsoids_in_the_world_and_in_images(save, injected, tracks):
     saved = save(injected, tracks=tracks)
     rows = saved.timed("/injected/world/tracks/boxes", "Boxes3D:centers")
@@ -68,56 +77,38 @@ def test_tracks_are_boxes_with_ellipsoids_in_the_world_and_in_images(save, injec
     assert np.allclose(Rotation.from_quat(rows[1].array("Boxes3D:quaternions")).as_euler("xyz")[:, 2], [0.3, -1.2])
     assert rows[1].values["Boxes3D:labels"] == ["car 4", "pedestrian 9"]
     assert rows[1].values["support"] == ["both", "image"]
-    reported = saved.timed("/injected/world/tracks/certainty", "Ellipsoids3D:half_sizes")[0]
-    rotation = Rotation.from_quat(reported.array("Ellipsoids3D:quaternions")[0]).as_matrix()
-    squares = reported.array("Ellipsoids3D:half_sizes")[0] ** 2 / stats.chi2.ppf(0.95, 3)
-    assert np.allclose(rotation @ np.diag(squares) @ rotation.T, COVARIANCE, atol=1e-6)
+    assert np.allclose(covariance_of(saved, "/injected/world/tracks/certainty"), COVARIANCE, atol=1e-6)
     seen = saved.timed("/injected/world/sensors/left/image/tracks", "Boxes2D:half_sizes")[0]
     assert np.allclose(seen.array("Boxes2D:centers"), [[15.0, 21.0]])
     assert np.allclose(seen.array("Boxes2D:half_sizes"), [[5.0, 9.0]])
+    history = saved.timed("/injected/world/tracks/history", "LineStrips3D:strips")[2].values["LineStrips3D:strips"]
+    assert np.allclose(history[0], [[10.0, 2.0, 0.5], [11.0, 2.0, 0.5], [12.0, 2.0, 0.5]])
 
 
-def test_the_history_of_a_track_is_the_trajectory_that_it_has_come(save, injected, tracks):
-    rows = save(injected, tracks=tracks).timed("/injected/world/tracks/history", "LineStrips3D:strips")
-    strips = rows[2].values["LineStrips3D:strips"]
-    assert np.allclose(strips[0], [[10.0, 2.0, 0.5], [11.0, 2.0, 0.5], [12.0, 2.0, 0.5]])
+FUSED = FusedBoxes(
+    timestamp_ns=int(TIMES[1]),
+    centers=np.array([[8.0, 0.0, 0.0]]),
+    center_covariances=COVARIANCE[None],
+    sizes_lwh=np.array([[4.0, 2.0, 1.5]]),
+    size_covariances=np.eye(3)[None],
+    yaws=np.array([0.0]),
+    velocities=None,
+    scores=np.array([0.8]),
+    labels=("car",),
+    corners_xyxy=np.array([[1.0, 2.0, 3.0, 4.0]]),
+    **{name: np.array([0]) for name in ("ids", "rows_3d", "rows_2d")},
+)
 
 
 def test_fused_detections_are_shown_where_the_lidar_was(save, injected, tmp_path, monkeypatch):
-    from sceneloom.view import objects
-
     lidar = RigidTransform(Rotation.from_euler("z", 0.5).as_matrix(), np.array([3.0, 1.0, 0.0]))
-    fused = fused_boxes()
-    shown = objects_of_fused(fused, "left", world_from_lidar=lidar)
-    monkeypatch.setattr(objects, "_read_detections", lambda path: (shown,))
+    shown = objects_of_fused(FUSED, "left", world_from_lidar=lidar)
+    monkeypatch.setattr("sceneloom.view.objects._read_detections", lambda path: (shown,))
     saved = save(injected, detections=tmp_path / "any")
     row = saved.timed("/injected/world/detections/left/boxes", "Boxes3D:centers")[0]
     assert np.allclose(row.array("Boxes3D:centers")[0], lidar.apply(np.array([[8.0, 0.0, 0.0]]))[0], atol=1e-6)
-    reported = saved.timed("/injected/world/detections/left/certainty", "Ellipsoids3D:half_sizes")[0]
-    rotation = Rotation.from_quat(reported.array("Ellipsoids3D:quaternions")[0]).as_matrix()
-    squares = reported.array("Ellipsoids3D:half_sizes")[0] ** 2 / stats.chi2.ppf(0.95, 3)
     expected = lidar.rotation @ COVARIANCE @ lidar.rotation.T
-    assert np.allclose(rotation @ np.diag(squares) @ rotation.T, expected, atol=1e-6)
-
-
-def fused_boxes():
-    from sceneloom.detections.results import FusedBoxes
-
-    return FusedBoxes(
-        timestamp_ns=int(TIMES[1]),
-        centers=np.array([[8.0, 0.0, 0.0]]),
-        center_covariances=COVARIANCE[None],
-        sizes_lwh=np.array([[4.0, 2.0, 1.5]]),
-        size_covariances=np.eye(3)[None],
-        yaws=np.array([0.0]),
-        velocities=None,
-        scores=np.array([0.8]),
-        labels=("car",),
-        corners_xyxy=np.array([[1.0, 2.0, 3.0, 4.0]]),
-        ids=np.array([0]),
-        rows_3d=np.array([0]),
-        rows_2d=np.array([0]),
-    )
+    assert np.allclose(covariance_of(saved, "/injected/world/detections/left/certainty"), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(

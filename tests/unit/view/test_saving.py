@@ -8,10 +8,20 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
-from tests.properties.injected import CAMERA_MODEL, POINTS, RANDOM_POINTS, SHOTS, TIMES, TRAJECTORY_TIMES, ego_at, jpeg
+from tests.properties.injected import (
+    CAMERA_MODEL,
+    POINTS,
+    RANDOM_POINTS,
+    SHOTS,
+    TIMES,
+    TRAJECTORY_TIMES,
+    ego_at,
+    injected_scene,
+    jpeg,
+)
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import OptionError, OutputError
+from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.scene import CameraImage, CameraSensor, LazyFrames, Poses, Trajectory
 from sceneloom.view import ColourBy, ViewSettings, save_view
 
@@ -62,36 +72,36 @@ def test_the_only_times_are_capture_times_and_frame_numbers(injected_saved):
     assert [(row.time_ns, row.frame) for row in images] == [(int(SHOTS[k]), k) for k in range(3)]
 
 
-def test_a_lidar_is_where_the_ego_carried_it(injected_saved):
-    for k, row in enumerate(injected_saved.timed(f"{SENSORS}/top", "Transform3D:translation")):
+def test_a_lidar_is_where_the_ego_carried_it_and_its_points_where_it_met_them(injected_saved):
+    poses = injected_saved.timed(f"{SENSORS}/top", "Transform3D:translation")
+    for k, row in enumerate(poses):
         locations, rotations = ego_at(np.array([reference_ns(k)]))
         where = locations[0] + rotations[0].apply([1.0, 0.0, 1.8])
         assert np.allclose(row.array("Transform3D:translation")[0], where, atol=SINGLE)
         assert (rotated(row).inv() * rotations[0]).magnitude() < SINGLE
-
-
-def test_the_points_of_a_sweep_are_where_the_moving_lidar_met_them(injected_saved):
     shown = injected_saved.timed(f"{SENSORS}/top/points", "Points3D:positions")[1]
-    pose = injected_saved.timed(f"{SENSORS}/top", "Transform3D:translation")[1]
-    world = rotated(pose).apply(shown.array("Points3D:positions")) + pose.array("Transform3D:translation")[0]
-    times = TIMES[1] + np.arange(POINTS) * 1_000_001
-    locations, rotations = ego_at(times)
+    world = rotated(poses[1]).apply(shown.array("Points3D:positions")) + poses[1].array("Transform3D:translation")[0]
+    locations, rotations = ego_at(TIMES[1] + np.arange(POINTS) * 1_000_001)
     expected = locations + rotations.apply(RANDOM_POINTS[1] + [1.0, 0.0, 1.8])
     assert np.allclose(world, expected, atol=1e-4)  # float32 twice, at 40 m
+    rgb = (np.arange(POINTS * 3) + 1).astype(np.uint8).reshape(POINTS, 3).astype(np.uint32)
+    assert np.array_equal(shown.array("Points3D:colors"), rgb[:, 0] << 24 | rgb[:, 1] << 16 | rgb[:, 2] << 8 | 255)
+    labelled = injected_saved.timed(f"{SENSORS}/top/points/labelled", "Points3D:positions")[0]
+    assert labelled.time_ns == reference_ns(1)
+    assert np.allclose(labelled.array("Points3D:positions"), shown.array("Points3D:positions")[[1, 3, 5]])
+    context = injected_saved.lasting("/injected", "AnnotationContext:context")[0]
+    names = {one["class_id"]: one["class_description"]["info"]["label"] for one in context}
+    assert [names[one] for one in labelled.values["Points3D:class_ids"]] == ["tree-1"] * 3
 
 
 def test_points_as_measured_are_those_of_the_file(save, injected):
-    saved = save(injected, as_measured=True)
-    shown = saved.timed(f"{SENSORS}/top/points", "Points3D:positions")[2]
-    assert np.array_equal(shown.array("Points3D:positions").astype(np.float32), RANDOM_POINTS[2])
+    shown = save(injected, as_measured=True).arrays(f"{SENSORS}/top/points", "Points3D:positions")[2]
+    assert np.array_equal(shown.astype(np.float32), RANDOM_POINTS[2])
 
 
-def test_points_that_ride_on_the_ego_or_lie_in_the_world_are_the_same_locations(save, injected, injected_saved):
-    from tests.properties.injected import injected_scene
-
-    rider_association = injected_scene(odd=True)
-    path = "/injected/world/clouds/top"
-    shown = save(replace(rider_association, corrections="ignore")).timed(path, "Points3D:positions")[1]
+def test_points_that_ride_on_the_ego_or_lie_in_the_world_are_the_same_locations(save):
+    saved = save(replace(injected_scene(odd=True), corrections="ignore"))
+    shown = saved.timed("/injected/world/clouds/top", "Points3D:positions")[1]
     world = rotated(shown).apply(shown.array("Points3D:positions")) + shown.array("Transform3D:translation")[0]
     locations, rotations = ego_at(TIMES[1] + np.arange(POINTS) * 1_000_001)
     assert np.allclose(world, locations + rotations.apply(RANDOM_POINTS[1]), atol=1e-4)
@@ -103,12 +113,6 @@ def test_every_way_of_colouring_reports_points_apart(save, injected, trajectory)
     assert saved.report.drives[0].colours == {"top": trajectory.value}
     colours = saved.timed(f"{SENSORS}/top/points", "Points3D:colors")[0].array("Points3D:colors")
     assert len(np.unique(colours)) >= 4
-
-
-def test_own_colours_are_the_points_colours(injected_saved):
-    colours = injected_saved.timed(f"{SENSORS}/top/points", "Points3D:colors")[1].array("Points3D:colors")
-    rgb = (np.arange(POINTS * 3) + 1).astype(np.uint8).reshape(POINTS, 3).astype(np.uint32)
-    assert np.array_equal(colours, rgb[:, 0] << 24 | rgb[:, 1] << 16 | rgb[:, 2] << 8 | 255)
 
 
 def test_a_radar_return_has_an_arrow_as_long_as_its_way_in_a_second(injected_saved):
@@ -140,9 +144,8 @@ def test_images_of_a_pinhole_are_its_own_files(save, injected):
 def test_what_a_bent_camera_model_shows_is_where_the_shown_pinhole_has_it(save, injected):
     camera_model = Camera("brown_conrady", 400, 300, 250.0, 250.0, 199.5, 149.5, (-0.3, 0.1, 0.002, -0.001, 0.0))
     marks = np.array([[-0.5, -0.35, 1.0], [0.45, -0.3, 1.0], [0.1, 0.2, 1.0], [-0.4, 0.3, 1.0]])
-    pixels, _ = cv2.projectPoints(
-        marks, np.zeros(3), np.zeros(3), camera_model.matrix, np.array(camera_model.coefficients)
-    )
+    none, coefficients = np.zeros(3), np.array(camera_model.coefficients)
+    pixels, _ = cv2.projectPoints(marks, none, none, camera_model.matrix, coefficients)
     rgb = np.zeros((300, 400, 3), np.uint8)
     for u, v in np.rint(pixels.reshape(-1, 2)).astype(int):
         rgb[v - 2 : v + 3, u - 2 : u + 3] = 255
@@ -162,9 +165,7 @@ def test_what_is_drawn_into_a_bent_image_follows_it(injected_saved):
     matrix = pinhole_of(injected_saved)
     points = injected_saved.timed(f"{SENSORS}/left/image/points", "Points2D:positions")[0]
     drawn = np.array([[10.0, 20.0], [11.0, 20.0]]) - 0.5
-    straight = cv2.undistortPoints(drawn[:, None], CAMERA_MODEL.matrix, np.array(CAMERA_MODEL.coefficients)).reshape(
-        -1, 2
-    )
+    straight = cv2.undistortPoints(drawn[:, None], CAMERA_MODEL.matrix, np.array(CAMERA_MODEL.coefficients))[:, 0]
     expected = (np.column_stack([straight, np.ones(2)]) @ matrix.T)[:, :2]
     assert np.allclose(points.array("Points2D:positions"), expected, atol=2e-3)  # OpenCV iterates to 1e-3 of a pixel
 
@@ -178,7 +179,7 @@ def test_depths_are_steps_of_a_256th_of_a_metre_and_none_is_made_up(injected_sav
     assert len(np.unique(steps)) > 50
 
 
-def test_a_cuboid_is_at_each_moment_where_its_path_leads(injected_saved):
+def test_a_cuboid_is_at_each_moment_where_its_path_leads_with_its_trail_and_links(injected_saved):
     rows = injected_saved.timed("/injected/world/annotations/cuboids/car", "Boxes3D:centers")
     moments = {row.time_ns: row for row in rows if row.values["Boxes3D:centers"]}
     assert set(map(int, TIMES)) <= set(moments)
@@ -191,85 +192,58 @@ def test_a_cuboid_is_at_each_moment_where_its_path_leads(injected_saved):
     assert middle.values["attributes"] == ["speed fast"]
     assert (middle.values["parent"], middle.values["links"]) == (["group-1"], ["drives: points person-1"])
     assert moments[int(TIMES[1])].values["seen_by"] == ["top"]
+    trails = injected_saved.timed("/injected/world/annotations/cuboids/car/trails", "LineStrips3D:strips")
+    trail = next(row for row in trails if row.time_ns == TIMES[2]).array("LineStrips3D:strips")[0]
+    assert np.allclose(trail, [[10.0 + k, 1.0, 0.75] for k in range(3)], atol=SINGLE)
+    links = injected_saved.timed("/injected/world/annotations/links/drives", "Arrows3D:vectors")
+    first = next(row for row in links if row.time_ns == TIMES[0])
+    assert np.allclose(first.array("Arrows3D:origins"), [[10.0, 1.0, 0.75]])
+    assert np.allclose(first.array("Arrows3D:vectors"), [[-5.0, 0.0, -0.75]])
     late = [row for row in rows if row.time_ns > TIMES[2]]
     assert late
     assert all(row.values["Boxes3D:centers"] == [] for row in late)
 
 
-def test_a_moving_cuboid_trails_the_trajectory_that_it_has_come(injected_saved):
-    rows = injected_saved.timed("/injected/world/annotations/cuboids/car/trails", "LineStrips3D:strips")
-    trail = next(row for row in rows if row.time_ns == TIMES[2]).array("LineStrips3D:strips")[0]
-    assert np.allclose(trail, [[10.0 + k, 1.0, 0.75] for k in range(3)], atol=SINGLE)
-
-
-def test_a_link_leads_from_one_end_to_the_other(injected_saved):
-    rows = injected_saved.timed("/injected/world/annotations/links/drives", "Arrows3D:vectors")
-    first = next(row for row in rows if row.time_ns == TIMES[0])
-    assert np.allclose(first.array("Arrows3D:origins"), [[10.0, 1.0, 0.75]])
-    assert np.allclose(first.array("Arrows3D:vectors"), [[-5.0, 0.0, -0.75]])
-
-
-def test_labelled_points_lie_on_their_cloud_and_have_their_class(injected_saved):
-    row = injected_saved.timed(f"{SENSORS}/top/points/labelled", "Points3D:positions")[0]
-    cloud = injected_saved.timed(f"{SENSORS}/top/points", "Points3D:positions")[1].array("Points3D:positions")
-    assert row.time_ns == reference_ns(1)
-    assert np.allclose(row.array("Points3D:positions"), cloud[[1, 3, 5]])
-    context = injected_saved.lasting("/injected", "AnnotationContext:context")[0]
-    names = {one["class_id"]: one["class_description"]["info"]["label"] for one in context}
-    assert [names[one] for one in row.values["Points3D:class_ids"]] == ["tree-1"] * 3
-
-
 def test_an_adjustment_leads_from_the_given_way_to_the_corrected_one(injected_saved):
-    strip = np.array(
-        injected_saved.lasting(r"/injected/world/corrected\ trajectories/adjust-1", "LineStrips3D:strips")[0]
-    )
+    path = r"/injected/world/corrected\ trajectories/adjust-1"
+    strip = np.array(injected_saved.lasting(path, "LineStrips3D:strips")[0])
     locations, rotations = ego_at(TRAJECTORY_TIMES)
     assert np.allclose(strip, rotations.apply(locations) + locations + 0.01, atol=SINGLE)
 
 
-def test_an_event_begins_and_ends_and_its_words_are_in_the_log(injected_saved):
+def test_events_and_findings_are_in_the_log_relations_a_graph_and_all_annotations_listed(injected_saved):
     rows = injected_saved.timed("/injected/events/event-1", "StateChange:state")
     reported = [(row.time_ns, row.values["StateChange:state"]) for row in rows]
     assert reported == [(TIMES[1], ["braking"]), (TIMES[1] + 30_000_000, [""])]
     assert "state fast" in rows[0].values["TextLog:text"][0]
-
-
-def test_relations_are_a_graph_and_all_annotations_are_listed(injected_saved):
     edges = injected_saved.lasting("/injected/relations", "GraphEdges:edges")
     pairs = {(edge["first"], edge["second"]) for edge in edges}
     assert {("group-1", "car-1"), ("object-1", "group-1"), ("car-1", "person-1")} <= pairs
     table = injected_saved.lasting("/injected/annotations", "TextDocument:text")[0]
-    for name in ("car-1", "sign-1", "person-1", "tree-1", "adjust-1", "calib-1", "odd-1", "colour"):
-        assert name in table or name == "colour"
-
-
-def test_fixes_are_degrees_on_earth_and_curves(injected_saved):
-    fixes = injected_saved.timed("/injected/earth/antenna/fix", "GeoPoints:positions")
-    assert [row.values["GeoPoints:positions"] for row in fixes][2] == [[48.1001, 11.5001]]
-    heights = injected_saved.timed("/injected/gnss/antenna/height", "Scalars:scalars")
-    assert [row.values["Scalars:scalars"] for row in heights] == [[520.5]] * 3
-    inertial = injected_saved.timed("/injected/imu/imu_box/accelerometer", "Scalars:scalars")
-    assert np.allclose([row.values["Scalars:scalars"] for row in inertial], np.linspace(9, 10, 9).reshape(3, 3))
-
-
-def test_findings_and_warnings_are_in_the_log_the_worst_first(injected_saved):
-    rows = injected_saved.timed("/injected/notes", "TextLog:text")
-    levels = [row.values["TextLog:level"][0] for row in rows]
-    assert levels[0] == "ERROR"
-    texts = " ".join(row.values["TextLog:text"][0] for row in rows)
+    for name in ("car-1", "sign-1", "person-1", "tree-1", "adjust-1", "calib-1", "odd-1"):
+        assert name in table
+    notes = injected_saved.timed("/injected/notes", "TextLog:text")
+    assert notes[0].values["TextLog:level"] == ["ERROR"], "the worst first"
+    texts = " ".join(row.values["TextLog:text"][0] for row in notes)
     for word in ("cycle", "without distortion", "'scribble'", "'temperature'"):
         assert word in texts
 
 
-def test_no_map_is_fetched_unless_it_is_asked_for(save, injected):
+def test_fixes_are_degrees_on_earth_and_curves(injected_saved):
+    fixes = injected_saved.arrays("/injected/earth/antenna/fix", "GeoPoints:positions")
+    assert fixes[2].tolist() == [[48.1001, 11.5001]]
+    heights = injected_saved.arrays("/injected/gnss/antenna/height", "Scalars:scalars")
+    assert np.array_equal(heights, [[520.5]] * 3)
+    inertial = injected_saved.arrays("/injected/imu/imu_box/accelerometer", "Scalars:scalars")
+    assert np.allclose(inertial, np.linspace(9, 10, 9).reshape(3, 3))
+
+
+def test_every_camera_has_a_view_and_no_map_is_fetched_unless_it_is_asked_for(save, injected, injected_saved):
     def kinds(saved):
         return {v[0] for name, v in saved.layout if name == "ViewBlueprint:class_identifier" and v}
 
-    assert "Map" not in kinds(save(injected))
+    assert "Map" not in kinds(injected_saved)
     assert "Map" in kinds(save(injected, map_tiles=True))
-
-
-def test_every_camera_has_a_view_and_the_layout_is_not_guessed(injected_saved):
     names = [value[0] for name, value in injected_saved.layout if name == "ViewBlueprint:display_name" and value]
     assert {"left", "right", "depth", "world", "from afar", "log", "events", "accelerometer"} <= set(names)
     assert ("ViewportBlueprint:auto_views", [False]) in injected_saved.layout
@@ -343,8 +317,6 @@ def test_a_file_that_is_there_stays_and_another_suffix_is_refused(injected, tmp_
 
 
 def test_a_broken_image_is_an_error_with_its_location_or_passed_over(save, injected):
-    from sceneloom.errors import DataError
-
     def torn():
         raise DataError("drive", "images[1]", "is torn")
 

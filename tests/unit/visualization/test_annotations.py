@@ -107,12 +107,9 @@ def test_a_cuboid_is_drawn_through_its_projected_corners(scene, sample):
 
 
 def test_pixels_of_files_count_from_the_corner_and_are_drawn_from_the_centre(scene, sample):
-    (pair,) = ((a, f) for a, f in figures_in_image(scene, "camera0", sample.times_ns["camera0"]) if a.type == "box_2d")
-    annotation, figure = pair
+    found = figures_in_image(scene, "camera0", sample.times_ns["camera0"])
+    ((annotation, figure),) = ((a, f) for a, f in found if a.type == "box_2d")
     np.testing.assert_allclose(figure.lines[0][0], annotation.path.values[1, :2] - 0.5)
-
-
-def test_nothing_is_drawn_in_the_images_of_another_camera(scene):
     chosen, _ = only(scene, "box_2d")
     assert list(figures_in_image(chosen, "camera1", scene.annotations[0].path.timestamps_ns[0])) == []
 
@@ -120,12 +117,12 @@ def test_nothing_is_drawn_in_the_images_of_another_camera(scene):
 def test_from_above_a_link_joins_what_it_links(scene, sample):
     chosen, link = only(scene, "link")
     ends = tuple(a for a in scene.annotations if a.id in (link.from_id, link.to_id))
-    apart = np.asarray(draw_annotations_above(replace(chosen, annotations=ends), sample, reach=30.0))
-    joined = np.asarray(draw_annotations_above(replace(chosen, annotations=(*ends, link)), sample, reach=30.0))
-    assert (apart != joined).any()
-    alone = np.asarray(draw_annotations_above(replace(chosen, annotations=(link,)), sample, reach=30.0))
-    without = np.asarray(draw_annotations_above(replace(chosen, annotations=()), sample, reach=30.0))
-    assert np.array_equal(alone, without)
+
+    def drawn(*annotations):
+        return np.asarray(draw_annotations_above(replace(chosen, annotations=annotations), sample, reach=30.0))
+
+    assert (drawn(*ends) != drawn(*ends, link)).any()
+    assert np.array_equal(drawn(link), drawn())
 
 
 def test_an_event_is_a_bar_as_long_as_it_lasts(scene):
@@ -140,23 +137,22 @@ def test_an_event_is_a_bar_as_long_as_it_lasts(scene):
     assert lengths[0] == pytest.approx(2 * lengths[1], abs=3)
 
 
-def test_what_does_not_fit_the_timeline_is_counted(scene):
-    many = tuple(EventAnnotation(k, 1_000_000_000 + k) for k in range(500))
-    tall = draw_timeline(replace(scene, annotations=many, attributes=()))
-    assert tall.height == draw_timeline(replace(scene, annotations=many[:200], attributes=())).height
+def test_what_does_not_fit_the_timeline_is_counted_and_attributes_of_the_scene_have_a_line(scene):
+    def height(*annotations, attributes=()):
+        return draw_timeline(replace(scene, annotations=annotations, attributes=attributes)).height
 
-
-def test_attributes_of_the_scene_have_a_line(scene):
+    many = [EventAnnotation(k, 1_000_000_000 + k) for k in range(500)]
+    assert height(*many) == height(*many[:200])
     stated = AttributePath("weather", ("dry",), np.array([1_100_000_000]))
-    without = draw_timeline(replace(scene, annotations=(), attributes=()))
-    assert draw_timeline(replace(scene, annotations=(), attributes=(stated,))).height > without.height
+    assert height(attributes=(stated,)) > height()
 
 
 def test_a_calibration_that_changes_nothing_moves_nothing(sample):
-    still = Poses(np.array([0]), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), static=True)
-    nothing = np.asarray(draw_calibration(sample, CameraCalibration("c", "camera0", still)))
-    rotated = Poses(np.array([0]), np.zeros((1, 3)), np.array([[0.0, 0.02, 0.0, 0.9998]]), static=True)
-    moved = np.asarray(draw_calibration(sample, CameraCalibration("c", "camera0", rotated)))
+    def drawn(*quaternion):
+        poses = Poses(np.array([0]), np.zeros((1, 3)), np.array([quaternion]), static=True)
+        return np.asarray(draw_calibration(sample, CameraCalibration("c", "camera0", poses)))
+
+    nothing, moved = drawn(0.0, 0.0, 0.0, 1.0), drawn(0.0, 0.02, 0.0, 0.9998)
     yellow = (255, 206, 84)
     assert (moved == yellow).all(axis=2).sum() > 10 * (nothing == yellow).all(axis=2).sum()
 
@@ -179,16 +175,12 @@ def test_every_type_gets_a_file_of_its_own(scene, tmp_path):
         save_annotation_images(scene, tmp_path / "look")
 
 
-def test_a_time_outside_the_scene_is_refused(scene, tmp_path):
-    with pytest.raises(OptionError, match="expected a time within the scene"):
-        save_annotation_images(scene, tmp_path / "look", at=1000.0)
-
-
-def test_a_scene_without_sweeps_and_images_has_its_timeline(scene, tmp_path):
-    bare = replace(scene, sensors=())
-    names = {path.stem for path in save_annotation_images(bare, tmp_path / "look")}
+def test_a_scene_without_sweeps_and_images_has_its_timeline_and_times_outside_are_refused(scene, tmp_path):
+    names = {path.stem for path in save_annotation_images(replace(scene, sensors=()), tmp_path / "look")}
     assert {"timeline", "type_cuboid"} <= names
     assert "above" not in names
+    with pytest.raises(OptionError, match="expected a time within the scene"):
+        save_annotation_images(scene, tmp_path / "other", at=1000.0)
 
 
 def test_a_street_without_two_cars_in_view_is_refused():

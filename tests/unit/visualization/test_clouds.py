@@ -12,16 +12,19 @@ from sceneloom.visualization.clouds import Viewpoint, background, find_ego, layo
 SIZE = (900, 640)
 EGO = EgoPosition(np.array([100.0, 50.0, 0.0]), np.array([1.0, 0.0, 0.0]))
 RED, GREEN = (255, 0, 0), (0, 255, 0)
+LAYOUT = layout_map((100.0, 50.0), 20.0, SIZE)
 
 
-def _draw(points, colors, **options):
-    return np.asarray(
-        draw_cloud_above(
-            np.array(points, np.float32).reshape(-1, 3),
-            None if colors is None else np.array(colors, np.uint8).reshape(-1, 3),
-            **{"size_px": SIZE, "ego": EGO, "reach": 20.0, **options},
-        )
-    ).astype(int)
+def _draw(points, colors, *, draw=draw_cloud_above, ego=EGO, **options):
+    points = np.array(points, np.float32).reshape(-1, 3)
+    colors = None if colors is None else np.array(colors, np.uint8).reshape(-1, 3)
+    return np.asarray(draw(points, colors, **{"size_px": SIZE, "ego": ego, "reach": 20.0, **options})).astype(int)
+
+
+def _pixel(layout, drawn, x, y):
+    """The colour of a map at a position."""
+    column, row = np.rint(layout.pixels(np.array([[x, y]]))[0]).astype(int)
+    return drawn[layout.top + row, layout.left + column]
 
 
 def _middle(drawn, channel):
@@ -51,47 +54,33 @@ def test_points_lie_at_their_metric_locations():
     assert step == pytest.approx([-20.0 * px_per_m, -7.0 * px_per_m], abs=2.0)
 
 
-def test_the_map_reaches_as_far_as_asked_from_the_ego():
-    layout = layout_map((100.0, 50.0), 20.0, SIZE)
-    corners = layout.pixels(np.array([[100.0, 50.0], [100.0, 70.0], [100.0, 30.0]]))
-    assert corners[0] == pytest.approx([(layout.width - 1) / 2, (layout.height - 1) / 2])
+def test_the_map_reaches_as_far_as_asked_and_its_grid_stands_at_multiples_of_its_spacing():
+    corners = LAYOUT.pixels(np.array([[100.0, 50.0], [100.0, 70.0], [100.0, 30.0]]))
+    assert corners[0] == pytest.approx([(LAYOUT.width - 1) / 2, (LAYOUT.height - 1) / 2])
     # The edges of the map are the outer edges of its first and last pixel.
-    assert corners[1:, 1] == pytest.approx([-0.5, layout.height - 0.5])
-
-
-def test_the_lines_of_the_grid_stand_at_multiples_of_their_spacing():
-    layout = layout_map((100.0, 50.0), 20.0, SIZE)
+    assert corners[1:, 1] == pytest.approx([-0.5, LAYOUT.height - 0.5])
     for axis, middle in ((0, 100.0), (1, 50.0)):
-        lines = layout.grid(axis, 5.0)
-        half = ((layout.width, layout.height)[axis] - 1) / 2 / layout.px_per_m
-        expected = [at for at in np.arange(-500.0, 500.0, 5.0) if abs(at - middle) <= half]
-        assert [at for at, _ in lines] == expected
+        lines = LAYOUT.grid(axis, 5.0)
+        half = ((LAYOUT.width, LAYOUT.height)[axis] - 1) / 2 / LAYOUT.px_per_m
+        assert [at for at, _ in lines] == [at for at in np.arange(-500.0, 500.0, 5.0) if abs(at - middle) <= half]
         for at, location in lines:
             point = np.array([[at, 50.0] if axis == 0 else [100.0, at]])
-            assert location == pytest.approx(layout.pixels(point)[0, axis], abs=0.5)
-
-
-def test_the_zero_of_the_grid_has_no_sign():
-    layout = layout_map((0.0, 0.0), 20.0, SIZE)
-    assert [f"{at:g}" for at, _ in layout.grid(1, 10.0) if at == 0] == ["0"]
+            assert location == pytest.approx(LAYOUT.pixels(point)[0, axis], abs=0.5)
+    zeros = [f"{at:g}" for at, _ in layout_map((0.0, 0.0), 20.0, SIZE).grid(1, 10.0) if at == 0]
+    assert zeros == ["0"], "without a sign"
 
 
 def test_the_higher_point_is_drawn_over_the_lower():
     for points, colors in (([[105, 55, 3], [105, 55, 0]], [RED, GREEN]), ([[105, 55, 0], [105, 55, 3]], [GREEN, RED])):
-        drawn = _draw(points, colors)
-        layout = layout_map((100.0, 50.0), 20.0, SIZE)
-        column, row = np.rint(layout.pixels(np.array([[105.0, 55.0]]))[0]).astype(int)
-        assert drawn[layout.top + row, layout.left + column, 0] > 200
-        assert drawn[layout.top + row, layout.left + column, 1] < 70
+        red, green, _ = _pixel(LAYOUT, _draw(points, colors), 105.0, 55.0)
+        assert (red > 200, green < 70) == (True, True)
 
 
 def test_points_that_no_camera_saw_are_grey_and_lighter_the_higher():
     points = [[104.0 + 4 * k, 50.0, float(k)] for k in range(4)]
     index = np.array([255, 255, 255, 0], np.uint8)
     drawn = _draw(points, [RED] * 4, camera_index=index)
-    layout = layout_map((100.0, 50.0), 20.0, SIZE)
-    locations = np.rint(layout.pixels(np.array(points))).astype(int) + np.array([layout.left, layout.top])
-    colours = drawn[locations[:, 1], locations[:, 0]]
+    colours = np.array([_pixel(LAYOUT, drawn, x, y) for x, y, _ in points])
     assert np.ptp(colours[:3], axis=1).max() < 30
     assert (np.diff(colours[:3].mean(axis=1)) > 5).all()
     assert colours[3].tolist()[0] > 200
@@ -99,15 +88,12 @@ def test_points_that_no_camera_saw_are_grey_and_lighter_the_higher():
 
 def test_the_ego_is_marked_in_the_middle_and_its_path_drawn():
     path = np.column_stack([np.linspace(80, 120, 9), np.full(9, 60.0), np.zeros(9)])
-    bare, marked = _draw([], [], ego=None, reach=20.0), _draw([], [], ego_path=path)
-    layout = layout_map((100.0, 50.0), 20.0, SIZE)
-    column, row = np.rint(layout.pixels(np.array([[100.0, 50.0]]))[0]).astype(int)
-    r, g, b = marked[layout.top + row, layout.left + column]
+    marked = _draw([], [], ego_path=path)
+    r, g, b = _pixel(LAYOUT, marked, 100.0, 50.0)
     assert r > g > b
-    line = np.rint(layout.pixels(np.array([[91.3, 60.0]]))[0]).astype(int)
-    r, g, b = marked[layout.top + line[1], layout.left + line[0]]
+    r, g, b = _pixel(LAYOUT, marked, 91.3, 60.0)
     assert r > g > b > 60
-    grey = bare[layout.top : layout.top + layout.height, layout.left : layout.left + layout.width]
+    grey = _draw([], [], ego=None)[LAYOUT.top :, LAYOUT.left :][: LAYOUT.height, : LAYOUT.width]
     assert np.ptp(grey, axis=2).max() < 30
 
 
@@ -115,11 +101,6 @@ def test_points_that_are_not_finite_or_very_far_are_passed_over():
     points = [[105, 55, 0], [np.nan, 0, 0], [0, np.inf, 0], [1e30, -1e30, 0]]
     top = slice(0, SIZE[1] - 100)
     assert np.array_equal(_draw(points[:1], [RED])[top], _draw(points, [RED] * 4)[top])
-
-
-@pytest.mark.parametrize("ego", [None, EGO])
-def test_a_cloud_without_points_is_an_empty_map(ego):
-    assert draw_cloud_above(np.zeros((0, 3), np.float32), None, ego=ego).size == (1280, 900)
 
 
 def test_the_chosen_reach_holds_most_points():
@@ -130,12 +111,6 @@ def test_the_chosen_reach_holds_most_points():
     rows, _ = np.nonzero((drawn[..., 0] > 200) & (drawn[..., 1] < 70))
     layout = layout_map((100.0, 50.0), 15.0, SIZE)
     assert np.ptp(rows) > 0.85 * layout.height
-
-
-def test_drawing_twice_gives_the_same_map():
-    rng = np.random.default_rng(1)
-    points = rng.normal(0, 10, (3000, 3)) + np.array([100, 50, 0])
-    assert np.array_equal(_draw(points, [RED] * 3000), _draw(points, [RED] * 3000))
 
 
 @pytest.mark.parametrize(
@@ -150,24 +125,18 @@ def test_drawing_twice_gives_the_same_map():
 def test_what_cannot_be_drawn_is_refused(options, error, message):
     with pytest.raises(error, match=message):
         _draw([[105, 55, 0]], [RED], **options)
-
-
-def test_points_of_another_shape_are_refused():
     with pytest.raises(ArrayError, match=r"points_world: \(4, 2\)"):
         draw_cloud_above(np.zeros((4, 2)), None)
+    for options, message in (({"reach": -1}, "reach -1"), ({"size_px": (900, 100)}, "expected at least 320x240")):
+        with pytest.raises(OptionError, match=message):
+            _draw([], [], draw=draw_cloud_perspective, **options)
 
 
 DRIVER = EgoPosition(np.array([100.0, 50.0, 1.0]), np.array([0.0, 1.0, 0.0]))
 
 
 def _perspective(points, colors, **options):
-    return np.asarray(
-        draw_cloud_perspective(
-            np.array(points, np.float32).reshape(-1, 3),
-            np.array(colors, np.uint8).reshape(-1, 3),
-            **{"size_px": SIZE, "ego": DRIVER, "reach": 20.0, **options},
-        )
-    ).astype(int)
+    return _draw(points, colors, draw=draw_cloud_perspective, ego=DRIVER, **options)
 
 
 def _area(drawn, channel):
@@ -199,9 +168,8 @@ def test_the_eye_stands_behind_and_above_the_ego_and_sees_it():
     offset = viewpoint.eye_world - DRIVER.position_world
     assert offset @ DRIVER.forward_world < 0
     assert offset[2] > 0
-    pixels, depths = viewpoint.project(
-        np.array([DRIVER.position_world, DRIVER.position_world + 1e6 * DRIVER.forward_world])
-    )
+    far = DRIVER.position_world + 1e6 * DRIVER.forward_world
+    pixels, depths = viewpoint.project(np.array([DRIVER.position_world, far]))
     assert (depths > 0).all()
     # The ego in the middle of the lower half, the horizon in the upper half.
     assert pixels[0] == pytest.approx([(SIZE[0] - 1) / 2, pixels[0, 1]])
@@ -227,30 +195,23 @@ def test_near_points_cover_far_ones_on_the_same_ray(order):
     assert len(_area(drawn, 1)[0]) == 0
 
 
-def test_near_points_are_larger_than_far_ones():
+def test_near_points_are_larger_than_far_ones_and_those_behind_the_eye_are_not_drawn():
     drawn = _perspective([[100, 54, 0], [100, 90, 0]], [RED, GREEN])
     assert len(_area(drawn, 0)[0]) > 2 * len(_area(drawn, 1)[0])
-
-
-def test_points_behind_the_eye_are_not_drawn():
-    eye = viewpoint_behind(DRIVER, 20.0, *SIZE).eye_world
-    behind = eye - 5.0 * DRIVER.forward_world
-    top = slice(0, SIZE[1] - 100)
-    assert np.array_equal(
-        _perspective([[100, 60, 0]], [RED])[top], _perspective([[100, 60, 0], behind], [RED, GREEN])[top]
-    )
-
-
-def test_points_that_no_camera_saw_are_grey():
+    behind = viewpoint_behind(DRIVER, 20.0, *SIZE).eye_world - 5.0 * DRIVER.forward_world
+    one, both = _perspective([[100, 60, 0]], [RED]), _perspective([[100, 60, 0], behind], [RED, GREEN])
+    assert np.array_equal(one[: SIZE[1] - 100], both[: SIZE[1] - 100])
     drawn = _perspective([[95, 60, 0], [105, 60, 0]], [RED, GREEN], camera_index=np.array([0, 255], np.uint8))
-    assert len(_area(drawn, 0)[0]) > 0
-    assert len(_area(drawn, 1)[0]) == 0
+    assert (len(_area(drawn, 0)[0]) > 0, len(_area(drawn, 1)[0])) == (True, 0), "what no camera saw is grey"
 
 
 def test_the_ego_and_its_path_are_marked():
     path = np.column_stack([np.full(20, 100.0), np.linspace(40, 90, 20), np.full(20, 1.0)])
     drawn = _perspective([], [], ego_path=path)
-    viewpoint = viewpoint_behind(DRIVER, 20.0, SIZE[0], _plot_height(drawn))
+    # rows above the strip, whose left column has one colour to the end
+    column = drawn[:, 0]
+    height = int(np.flatnonzero((column != column[-1]).any(axis=1)).max()) + 1
+    viewpoint = viewpoint_behind(DRIVER, 20.0, SIZE[0], height)
     for location in (DRIVER.position_world, np.array([100.0, 60.0, 1.0])):
         column, row = np.rint(viewpoint.project(location[None])[0][0]).astype(int)
         r, g, b = drawn[row, column]
@@ -258,15 +219,10 @@ def test_the_ego_and_its_path_are_marked():
         assert r - b > 50
 
 
-def _plot_height(drawn):
-    """Rows above the strip, whose left column has one colour to the end."""
-    column = drawn[:, 0]
-    return int(np.flatnonzero((column != column[-1]).any(axis=1)).max()) + 1
-
-
 @pytest.mark.parametrize("ego", [None, DRIVER])
-def test_a_cloud_without_points_is_an_empty_stage(ego):
-    assert draw_cloud_perspective(np.zeros((0, 3), np.float32), None, ego=ego).size == (1280, 780)
+@pytest.mark.parametrize(("draw", "size"), [(draw_cloud_above, (1280, 900)), (draw_cloud_perspective, (1280, 780))])
+def test_a_cloud_without_points_is_an_empty_stage(draw, size, ego):
+    assert draw(np.zeros((0, 3), np.float32), None, ego=ego).size == size
 
 
 def test_the_background_is_lightest_at_the_horizon():
@@ -277,16 +233,10 @@ def test_the_background_is_lightest_at_the_horizon():
     assert (np.diff(column[lightest + 1 :]) <= 0).all()
 
 
-def test_drawing_twice_gives_the_same_image():
+@pytest.mark.parametrize("draw", [draw_cloud_above, draw_cloud_perspective])
+def test_drawing_twice_gives_the_same_image(draw):
     points = np.random.default_rng(1).normal(0, 10, (3000, 3)) + np.array([100, 60, 0])
-    assert np.array_equal(_perspective(points, [RED] * 3000), _perspective(points, [RED] * 3000))
-
-
-def test_perspectives_that_cannot_be_drawn_are_refused():
-    with pytest.raises(OptionError, match="reach -1"):
-        _perspective([], [], reach=-1)
-    with pytest.raises(OptionError, match="expected at least 320x240"):
-        _perspective([], [], size_px=(900, 100))
+    assert np.array_equal(*(_draw(points, [RED] * 3000, draw=draw) for _ in range(2)))
 
 
 # An IMU whose x points to the left of the car, as z stays up.
@@ -298,9 +248,6 @@ def test_forward_is_where_the_path_leads_not_where_the_imu_points():
     ego = find_ego(ROTATED, path, ())
     assert ego.position_world.tolist() == [5.0, 0.0, 1.0]
     assert ego.forward_world == pytest.approx([1.0, 0.0, 0.0])
-
-
-def test_on_a_bend_forward_is_the_tangent():
     angles = np.linspace(0, np.pi, 181)
     path = np.column_stack([30 * np.cos(angles), 30 * np.sin(angles), np.zeros(181)])
     ego = find_ego(RigidTransform(np.eye(3), path[90].copy()), path, ())
@@ -308,35 +255,22 @@ def test_on_a_bend_forward_is_the_tangent():
     assert ego.forward_world == pytest.approx([-1.0, 0.0, 0.0], abs=0.01)
 
 
-def test_an_ego_that_is_stationary_faces_where_its_first_camera_looks(make_view):
+def test_an_ego_that_is_stationary_faces_where_its_first_camera_looks_which_stands_in_for_an_unknown_one(make_view):
     view = make_view([])
     for path in (None, np.zeros((5, 3)), np.zeros((0, 3)), np.full((3, 3), np.nan)):
         assert find_ego(ROTATED, path, [view]).forward_world == pytest.approx([1.0, 0.0, 0.0])
     assert find_ego(ROTATED, None, ()).forward_world == pytest.approx([0.0, 1.0, 0.0])
-
-
-def test_a_camera_stands_in_for_an_unknown_ego(make_view):
-    view = make_view([])
     assert find_ego(None, None, [view]).position_world == pytest.approx(view.world_from_camera.translation)
     assert find_ego(None, None, ()) is None
-
-
-def test_an_ego_that_looks_straight_up_faces_somewhere_level():
     upright = RigidTransform(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), np.zeros(3))
-    assert find_ego(upright, None, ()).forward_world == pytest.approx([1.0, 0.0, 0.0])
+    assert find_ego(upright, None, ()).forward_world == pytest.approx([1.0, 0.0, 0.0]), "somewhere level"
 
 
-def test_the_arrow_points_forward_and_is_as_long_as_asked():
+def test_the_arrow_points_forward_and_the_middle_of_no_points_is_the_origin():
     corners = EgoPosition(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0])).arrow(2.0)
     assert np.ptp(corners, axis=0)[1] == pytest.approx(2.0)
     assert corners[0] == pytest.approx([1.0, 2.0 + 1.2, 3.0])
     assert corners[:, 0].mean() == pytest.approx(1.0)
-
-
-def test_the_middle_of_no_points_is_the_origin():
     assert middle_of(np.zeros((0, 3))).position_world.tolist() == [0.0, 0.0, 0.0]
-    assert middle_of(np.array([[1.0, 5.0, 0.0], [2.0, 4.0, 9.0], [90.0, 3.0, 1.0]])).position_world.tolist() == [
-        2,
-        4,
-        1,
-    ]
+    points = np.array([[1.0, 5.0, 0.0], [2.0, 4.0, 9.0], [90.0, 3.0, 1.0]])
+    assert middle_of(points).position_world.tolist() == [2, 4, 1]

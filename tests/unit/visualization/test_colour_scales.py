@@ -45,41 +45,28 @@ def test_every_colour_comes_back_from_oklab():
 
 
 @pytest.mark.parametrize("name", ANCHORS)
-def test_lightness_falls_along_the_whole_map(name):
+def test_lightness_falls_in_equal_steps_along_the_whole_map_and_no_colour_had_to_be_clipped_visibly(name):
     table = colour_map(name).table
     lightness = cv2.cvtColor((table[None] / 255.0).astype(np.float32), cv2.COLOR_RGB2Lab)[0, :, 0]
-    # 0.5 of 100: colours are rounded to 8 bits.
+    # 0.5 of 100: colours are rounded to 8 bits; over six colours the fall is far above the rounding.
     assert np.diff(lightness).max() < 0.5
-    # Over six colours the fall is far above the rounding.
     assert (lightness[6:] < lightness[:-6]).all()
     assert lightness[0] - lightness[-1] > 40
-
-
-@pytest.mark.parametrize("name", ANCHORS)
-def test_equal_steps_of_the_value_look_equally_large(name):
-    oklab = oklab_from_srgb(colour_map(name).table)
+    oklab = oklab_from_srgb(table)
     lengths = np.linalg.norm(oklab[15::15] - oklab[:-15:15], axis=1)
     # 8 %: rounding to 8 bits, and chords across the bends of the curve.
     assert np.abs(lengths / lengths.mean() - 1).max() < 0.08
-
-
-@pytest.mark.parametrize("name", ANCHORS)
-def test_no_colour_of_a_map_had_to_be_clipped_visibly(name):
-    anchors = np.array(ANCHORS[name])
-    hue = np.deg2rad(anchors[:, 2])
-    wanted = np.column_stack([anchors[:, 0], anchors[:, 1] * np.cos(hue), anchors[:, 1] * np.sin(hue)])
-    nearest = np.linalg.norm(oklab_from_srgb(colour_map(name).table)[None] - wanted[:, None], axis=2).min(axis=1)
+    light, chroma, hue = np.array(ANCHORS[name]).T
+    wanted = np.column_stack([light, chroma * np.cos(np.deg2rad(hue)), chroma * np.sin(np.deg2rad(hue))])
+    nearest = np.linalg.norm(oklab[None] - wanted[:, None], axis=2).min(axis=1)
     # 0.02 is about the smallest difference that is seen side by side.
     assert nearest.max() < 0.02
 
 
-def test_values_beyond_the_ends_take_the_colours_of_the_ends():
+def test_values_beyond_the_ends_take_the_colours_of_the_ends_and_unknown_maps_are_refused():
     beacon = colour_map("beacon")
     colours = beacon.colours(np.array([-3.0, 0.0, 1.0, 7.0, np.inf]))
     assert np.array_equal(colours, beacon.table[[0, 0, 255, 255, 255]])
-
-
-def test_an_unknown_map_is_refused_with_the_known_ones():
     with pytest.raises(OptionError, match=r"'rainbow'.*beacon"):
         colour_map("rainbow")
 
@@ -95,10 +82,9 @@ def _round_numbers(digits):
 @given(value=st.floats(1e-4, 1e5))
 def test_rounding_finds_the_nearest_round_number_on_each_side(digits, value):
     # Half a billionth: a number that is round but for its last bits counts as round.
-    assert round_down(value, digits) == pytest.approx(
-        max(n for n in _round_numbers(digits) if n <= value * (1 + 5e-10))
-    )
-    assert round_up(value, digits) == pytest.approx(min(n for n in _round_numbers(digits) if n >= value * (1 - 5e-10)))
+    numbers = _round_numbers(digits)
+    assert round_down(value, digits) == pytest.approx(max(n for n in numbers if n <= value * (1 + 5e-10)))
+    assert round_up(value, digits) == pytest.approx(min(n for n in numbers if n >= value * (1 - 5e-10)))
 
 
 @given(st.lists(DEPTHS, min_size=1, max_size=50))
@@ -119,10 +105,6 @@ def test_a_scale_is_chosen_where_no_depth_is_known():
 def test_equal_ratios_of_depth_are_equal_lengths_on_the_scale():
     scale = DepthScale(2.0, 32.0)
     assert scale.fractions(np.array([2.0, 4.0, 8.0, 16.0, 32.0])) == pytest.approx([0, 0.25, 0.5, 0.75, 1])
-
-
-def test_depths_of_zero_and_without_limit_take_the_colours_of_the_ends():
-    scale = DepthScale(2.0, 80.0)
     assert np.array_equal(scale.colours(np.array([0.0, np.inf])), scale.map.table[[0, 255]])
 
 

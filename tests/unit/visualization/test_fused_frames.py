@@ -48,12 +48,8 @@ def test_a_point_is_a_disc_in_the_colour_of_its_depth_at_its_pixel(make_view, dr
     for u, v, depth in ((60, 40, 10.0), (150, 90, 30.0)):
         share = np.log(depth / 2.0) / np.log(50.0 / 2.0)
         assert np.array_equal(drawn[v, u], colour_map("beacon").table[round(share * 255)])
-
-
-def test_near_points_cover_far_ones(make_view):
-    view = make_view([(60, 40, 40.0, True), (60, 40, 4.0, True), (60, 40, 20.0, True)])
-    drawn = _pixels(draw_overlay(view, scale=SCALE))
-    assert np.array_equal(drawn[40, 60], SCALE.colours(np.array([4.0]))[0])
+    drawn = _pixels(draw_overlay(make_view([(60, 40, depth, True) for depth in (40.0, 4.0, 20.0)]), scale=SCALE))
+    assert np.array_equal(drawn[40, 60], SCALE.colours(np.array([4.0]))[0]), "near points cover far ones"
 
 
 def test_hidden_points_are_drawn_only_on_request_and_then_as_crosses(make_view):
@@ -118,16 +114,12 @@ def test_images_of_any_size_keep_their_pixels_and_cut_nothing_off(make_view, dra
     assert (drawn[-2:] == STRIP).all()
 
 
-@pytest.mark.parametrize("points", [[], [(60, 40, 10.0, False)]])
 @pytest.mark.parametrize("draw", [draw_overlay, draw_depth_image])
-def test_views_without_visible_points_are_drawn_too(make_view, draw, points):
-    view = make_view(points)
-    drawn = _pixels(draw(view))[: view.camera.height, : view.camera.width]
-    assert (drawn == drawn[0, 0]).all()
-
-
-@pytest.mark.parametrize("draw", [draw_overlay, draw_depth_image])
-def test_drawing_twice_gives_the_same_image(make_view, draw):
+def test_views_without_visible_points_are_drawn_too_and_drawing_twice_gives_the_same_image(make_view, draw):
+    for points in ([], [(60, 40, 10.0, False)]):
+        view = make_view(points)
+        drawn = _pixels(draw(view))[: view.camera.height, : view.camera.width]
+        assert (drawn == drawn[0, 0]).all()
     points = [(u, v, 3.0 + (u * v) % 40, True) for u in range(5, 195, 7) for v in range(5, 115, 5)]
     assert draw(make_view(points)).tobytes() == draw(make_view(points)).tobytes()
 
@@ -138,10 +130,8 @@ def test_labels_of_the_scale_bar_do_not_touch_and_stay_on_the_canvas(near, far, 
     canvas = Canvas.blank(width, 100, text_px=max(12, width // 70))
     first, last = width // 2, width - 2 * canvas.text_px
     ticks = placed_ticks(canvas, DepthScale(near, far), first, last)
-    spans = sorted(
-        (middle - canvas.text_width(label, scale=0.86) / 2, middle + canvas.text_width(label, scale=0.86) / 2)
-        for _, label, middle in ticks
-    )
+    halves = [(middle, canvas.text_width(label, scale=0.86) / 2) for _, label, middle in ticks]
+    spans = sorted((middle - half, middle + half) for middle, half in halves)
     assert all(right < left for (_, right), (left, _) in pairwise(spans))
     assert spans[0][0] > 0
     assert spans[-1][1] < width
@@ -157,19 +147,16 @@ def _frame(views, *, lidar_id="lidar"):
     return FusedFrame(lidar_id, 7, 0, 0, points, tuple(views))
 
 
-def test_one_file_per_image_is_written_and_named(make_view, tmp_path):
+def test_one_file_per_image_is_written_and_named_with_the_same_bytes_again(make_view, tmp_path):
     view = make_view([(60, 40, 10.0, True)])
-    paths = save_images(_frame([view]), tmp_path / "new" / "folder", 7)
-    assert [path.name for path in paths] == [
-        "front_000007_overlay.png",
-        "front_000007_depth.png",
-        "cloud_lidar_000007_above.png",
-        "cloud_lidar_000007_perspective.png",
-    ]
-    assert sorted(paths) == sorted((tmp_path / "new" / "folder").iterdir())
+    paths, again = (save_images(_frame([view]), tmp_path / name / "folder", 7) for name in ("once", "twice"))
+    names = ["front_000007_overlay", "front_000007_depth", "cloud_lidar_000007_above", "cloud_lidar_000007_perspective"]
+    assert [path.stem for path in paths] == names
+    assert sorted(paths) == sorted((tmp_path / "once" / "folder").iterdir())
+    assert [path.read_bytes() for path in paths] == [path.read_bytes() for path in again]
     for path in paths:
         with Image.open(path) as image:
-            assert image.mode == "RGB"
+            assert (path.suffix, image.mode) == (".png", "RGB")
             assert image.width >= view.camera.width
 
 
@@ -181,17 +168,10 @@ def test_the_cloud_is_drawn_around_the_ego_at_the_time_of_its_sweep(tmp_path):
         frame = replace(_frame([]), reference_ns=reference_ns)
         ego = EgoPosition(np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
         drawn = dict(iter_images(frame, 0, ego_poses=ego_poses))["cloud_lidar_000000_above"]()
-        points = frame.points
-        around = draw_cloud_above(
-            points.positions, points.colors, camera_index=points.camera_index, ego=ego, ego_path=positions
-        )
+        points, seen = frame.points, {"camera_index": frame.points.camera_index}
+        around = draw_cloud_above(points.positions, points.colors, **seen, ego=ego, ego_path=positions)
         # Only the captions differ.
         assert np.array_equal(np.asarray(drawn)[:800], np.asarray(around)[:800])
-
-
-def test_a_frame_without_views_and_colours_has_images_of_its_cloud(tmp_path):
-    frame = FusedFrame("lidar", 0, 0, 0, LidarPoints(np.zeros((0, 3), np.float32)), unfused="no pose")
-    assert len(save_images(frame, tmp_path, 0)) == 2
 
 
 @pytest.mark.parametrize(
@@ -220,14 +200,15 @@ def test_existing_images_are_replaced_only_on_request(make_view, tmp_path):
     assert first.read_bytes() == b"kept"
     save_images(frame, tmp_path, 0, overwrite=True)
     assert first.read_bytes().startswith(b"\x89PNG")
+    bare = FusedFrame("lidar", 0, 0, 0, LidarPoints(np.zeros((0, 3), np.float32)), unfused="no pose")
+    assert len(save_images(bare, tmp_path / "bare", 0)) == 2, "its cloud alone"
 
 
-def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path):
+@pytest.mark.parametrize("name", ["file/folder", "file"])
+def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path, name):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="file"):
-        save_images(_frame([]), tmp_path / "file" / "folder", 0)
-    with pytest.raises(OutputError, match="file"):
-        save_images(_frame([]), tmp_path / "file", 0)
+        save_images(_frame([]), tmp_path / name, 0)
 
 
 def test_ids_too_long_for_a_file_name_are_cut_but_stay_apart(make_view, tmp_path):
@@ -237,17 +218,10 @@ def test_ids_too_long_for_a_file_name_are_cut_but_stay_apart(make_view, tmp_path
     assert max(len(path.name) for path in paths) < 200
 
 
-def test_the_same_frame_gives_the_same_bytes(make_view, tmp_path):
-    frame = _frame([make_view([(60, 40, 10.0, True)])])
-    once, twice = (save_images(frame, tmp_path / name, 3) for name in ("once", "twice"))
-    assert [path.read_bytes() for path in once] == [path.read_bytes() for path in twice]
-
-
 def test_a_contact_sheet_shows_every_image_in_its_column():
     colours = [(200, 0, 0), (0, 200, 0), (0, 0, 200)]
-    images = [
-        Image.new("RGB", size, colour) for size, colour in zip([(40, 20), (80, 80), (10, 5)], colours, strict=True)
-    ]
+    sizes = [(40, 20), (80, 80), (10, 5)]
+    images = [Image.new("RGB", size, colour) for size, colour in zip(sizes, colours, strict=True)]
     sheet = np.asarray(contact_sheet(images, columns=2, width_px=340))
     # Gaps of 2 px: two columns of 167 px; the first row is as high as the square image.
     assert sheet.shape == (2 + 167 + 2 + round(167 / 2) + 2, 340, 3)
@@ -267,11 +241,8 @@ RED, BLUE = (250, 10, 10), (10, 10, 250)
 
 def sweep(index, positions, color, *, seen=True):
     count = len(positions)
-    points = LidarPoints(
-        positions.astype(np.float32),
-        colors=np.full((count, 3), color, np.uint8),
-        camera_index=np.full(count, 0 if seen else 255, np.uint8),
-    )
+    index_of, colors = np.full(count, 0 if seen else 255, np.uint8), np.full((count, 3), color, np.uint8)
+    points = LidarPoints(positions.astype(np.float32), colors=colors, camera_index=index_of)
     return FusedFrame("lidar", index, index, index, points)
 
 
@@ -289,53 +260,41 @@ def has(image, color):
     """Whether some pixels show that hue clearly."""
     pixels = np.asarray(Image.open(image).convert("RGB")).astype(int)
     strongest = int(np.argmax(color))
-    others = [axis for axis in range(3) if axis != strongest]
-    return bool((pixels[..., strongest] > pixels[..., others].max(axis=2) + 100).sum() > 50)
+    others = np.delete(pixels, strongest, axis=2).max(axis=2)
+    return bool((pixels[..., strongest] > others + 100).sum() > 50)
+
+
+def cloud_of(*sweeps):
+    cloud = DriveCloud(frozenset(range(3)))
+    for one in sweeps:
+        cloud.add(one)
+    return cloud
 
 
 def test_sweeps_are_drawn_together(tmp_path):
-    cloud = DriveCloud(frozenset({0, 1}))
-    cloud.add(sweep(0, wall(6.0), RED))
-    cloud.add(sweep(1, wall(3.0) + np.array([0, 5, 0]), BLUE))
+    cloud = cloud_of(sweep(0, wall(6.0), RED), sweep(1, wall(3.0) + np.array([0, 5, 0]), BLUE))
     paths = cloud.save(tmp_path, trajectory())
     assert [path.name for path in paths] == ["cloud_drive_above.png", "cloud_drive_perspective.png"]
     assert has(paths[1], RED)
     assert has(paths[1], BLUE)
 
 
-def test_sweeps_that_are_not_chosen_or_not_fused_stay_out(tmp_path):
-    cloud = DriveCloud(frozenset({0, 1, 2}))
-    cloud.add(sweep(0, wall(6.0), RED))
-    cloud.add(sweep(1, wall(6.0), RED))
-    cloud.add(sweep(5, wall(4.0), BLUE))
-    fused = sweep(2, wall(4.0), BLUE)
-    cloud.add(FusedFrame("lidar", 2, 2, 2, fused.points, unfused="beyond the trajectory"))
+def test_sweeps_that_are_not_chosen_or_not_fused_stay_out_and_one_alone_is_no_drive(tmp_path):
+    assert cloud_of(sweep(0, wall(6.0), RED)).save(tmp_path, trajectory()) == []
+    assert list(tmp_path.iterdir()) == []
+    unfused = replace(sweep(2, wall(4.0), BLUE), unfused="beyond the trajectory")
+    cloud = cloud_of(sweep(0, wall(6.0), RED), sweep(1, wall(6.0), RED), sweep(5, wall(4.0), BLUE), unfused)
     assert not has(cloud.save(tmp_path, trajectory())[1], BLUE)
 
 
-def test_one_sweep_alone_is_no_drive(tmp_path):
-    cloud = DriveCloud(frozenset({0}))
-    cloud.add(sweep(0, wall(6.0), RED))
-    assert cloud.save(tmp_path, trajectory()) == []
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_of_points_in_one_cube_the_one_that_a_camera_saw_is_kept(tmp_path):
-    cloud = DriveCloud(frozenset({0, 1}))
     locations = wall(6.0) // CUBE * CUBE
-    grey, red = (sweep(0, locations + 0.1 * CUBE, RED, seen=False), sweep(0, locations + 0.2 * CUBE, RED))
-    both = LidarPoints(
-        np.concatenate([grey.points.positions, red.points.positions]),
-        colors=np.concatenate([grey.points.colors, red.points.colors]),
-        camera_index=np.concatenate([grey.points.camera_index, red.points.camera_index]),
-    )
-    cloud.add(FusedFrame("lidar", 0, 0, 0, both))
-    cloud.add(sweep(1, wall(60.0), BLUE, seen=False))
+    pair = [sweep(0, locations + share * CUBE, RED, seen=share > 0.1).points for share in (0.1, 0.2)]
+    columns = {n: np.concatenate([getattr(one, n) for one in pair]) for n in ("positions", "colors", "camera_index")}
+    cloud = cloud_of(FusedFrame("lidar", 0, 0, 0, LidarPoints(**columns)), sweep(1, wall(60.0), BLUE, seen=False))
     assert has(cloud.save(tmp_path, trajectory())[1], RED)
 
 
 def test_without_a_trajectory_the_cloud_is_drawn_from_its_middle(tmp_path):
-    cloud = DriveCloud(frozenset({0, 1}))
-    cloud.add(sweep(0, wall(6.0), RED))
-    cloud.add(sweep(1, np.full((3, 3), np.nan), RED))
+    cloud = cloud_of(sweep(0, wall(6.0), RED), sweep(1, np.full((3, 3), np.nan), RED))
     assert len(cloud.save(tmp_path, None)) == 2

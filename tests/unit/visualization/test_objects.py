@@ -10,8 +10,8 @@ from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import DetectionPair
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes2D, Boxes3D, CameraImage, Support, TrackedObjects
-from sceneloom.visualization.annotations import PALETTE
 from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, layout_map
+from sceneloom.visualization.figures import PALETTE
 from sceneloom.visualization.objects import draw_objects_above, draw_objects_in_image, objects_of_fused
 
 CAMERA = Camera("pinhole", 640, 400, 300.0, 300.0, 319.5, 199.5)
@@ -92,14 +92,8 @@ def test_ways_of_objects_are_drawn():
 
 
 def test_fused_boxes_are_objects_that_state_what_they_rest_on():
-    sweep = Boxes3D(
-        5,
-        np.array([[10.0, 0.0, 0.0], [20.0, 6.0, 0.0]]),
-        np.full((2, 3), 2.0),
-        np.zeros(2),
-        np.full(2, 0.9),
-        ("car",) * 2,
-    )
+    centers = np.array([[10.0, 0.0, 0.0], [20.0, 6.0, 0.0]])
+    sweep = Boxes3D(5, centers, np.full((2, 3), 2.0), np.zeros(2), np.full(2, 0.9), ("car",) * 2)
     outline = np.array([[286.0, 166.0, 353.0, 233.0], [20.0, 150.0, 60.0, 230.0]])
     image = Boxes2D(5, outline, np.full(2, 0.9), ("car", "pedestrian"))
     camera_from_lidar = WORLD_FROM_CAMERA.inverse()

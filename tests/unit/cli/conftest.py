@@ -1,5 +1,6 @@
 """The command line, called in the process, and a small recording to call it on."""
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,7 +11,9 @@ import sceneloom
 from sceneloom.batch.workers import run_task
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli import main
-from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
+from sceneloom.db34t.json import format_json
+from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
+from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,12 @@ def succeeds(call):
         return outcome
 
     return run
+
+
+@pytest.fixture
+def reported(succeeds):
+    """What `sceneloom` reports to machines when it is called with arguments."""
+    return lambda *arguments: json.loads(succeeds(*arguments, "--json").out)
 
 
 @pytest.fixture
@@ -98,13 +107,26 @@ def inline(monkeypatch):
     monkeypatch.setattr("sceneloom.batch.running.ProcessPool", Inline)
 
 
-def verbs(command, words=()):
-    """Every verb below a group: its name, with those of its groups, and its command."""
+def write_boxes(drive, folder):
+    """Write what detectors report of a simulated drive as records; the file of boxes in space, that of its images."""
+    files = folder / "boxes3d.jsonl", folder / "boxes2d.jsonl"
+    found = ((detect_3d(drive), boxes_3d_record), (detect_2d(drive), boxes_2d_record))
+    for path, (reports, record) in zip(files, found, strict=True):
+        path.write_text("\n".join(format_json(record(r.boxes, sensor_id=0, seq=k)) for k, r in enumerate(reports)))
+    return files
+
+
+def commands(command, words=()):
+    """Every command from one on, groups too: its name, with those of its groups, and itself."""
+    yield " ".join(words), command
     if isinstance(command, click.Group):
         context = click.Context(command)
         for name in command.list_commands(context):
             found = command.get_command(context, name)
             assert found is not None, name
-            yield from verbs(found, (*words, name))
-    else:
-        yield " ".join(words), command
+            yield from commands(found, (*words, name))
+
+
+def verbs(command):
+    """Every verb below a group."""
+    return [(name, found) for name, found in commands(command) if not isinstance(found, click.Group)]

@@ -22,8 +22,6 @@ from sceneloom.formats.base import files as base_files
 from sceneloom.report.page import read_losses
 from sceneloom.service.running import read_configuration_file
 
-Spoil = Callable[[Path], object]
-
 
 def edit_lines(edit):
     def spoil(folder):
@@ -36,8 +34,7 @@ def edit_lines(edit):
 def edit_calibration(edit):
     def spoil(folder):
         path = folder / "calibration.json"
-        calibration = json.loads(path.read_text())
-        edit(calibration)
+        edit(calibration := json.loads(path.read_text()))
         path.write_text(json.dumps(calibration))
 
     return spoil
@@ -54,18 +51,31 @@ def with_nan_position(lines):
     return [*lines[:location], json.dumps(record), *lines[location + 1 :]]
 
 
-FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
+def with_late_truth(lines):
+    records = [json.loads(line) for line in lines]
+    return [json.dumps(r | {"time": r["time"] + 100.0 * ("groundTruth" in r)}) for r in records]
+
+
+def written(name, content):
+    return lambda folder: (folder / name).write_bytes(content)
+
+
+def missing(name):
+    return lambda folder: (folder / name).unlink()
+
+
+FAULTS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "no such folder": (shutil.rmtree, ("no such file or folder",)),
     "an empty folder": (
         lambda f: [shutil.rmtree(f), f.mkdir()],
         ("no reader knows this", "recording", "sceneloom formats"),
     ),
-    "no calibration": (lambda f: (f / "calibration.json").unlink(), ("calibration.json",)),
+    "no calibration": (missing("calibration.json"), ("calibration.json",)),
     "no video": (lambda f: shutil.rmtree(f / "frames1"), ("frames1", "data.{mkv")),
-    "fewer images than lines": (lambda f: (f / "frames1" / "00000002.png").unlink(), ("2 images", "3")),
-    "a lidar file missing": (lambda f: (f / "lidar" / "000001.bin").unlink(), ("000001.bin",)),
+    "fewer images than lines": (missing("frames1/00000002.png"), ("2 images", "3")),
+    "a lidar file missing": (missing("lidar/000001.bin"), ("000001.bin",)),
     "a torn lidar file": (
-        lambda f: (f / "lidar" / "000001.bin").write_bytes(b"x" * 50),
+        written("lidar/000001.bin", b"x" * 50),
         ("000001.bin", "records of 23 bytes", "remainder of 4"),
     ),
     "a broken line": (edit_lines(lambda lines: [*lines[:3], lines[3][:-5], *lines[4:]]), ("data.jsonl", "line 4")),
@@ -75,49 +85,46 @@ FAULTS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         ("fisheye-of-mine", "kannala-brandt4"),
     ),
     "a mounting that is not rigid": (edit_calibration(shear), ("cameras[0].imuToCamera", "rotation")),
-    "calibration that is no JSON": (lambda f: (f / "calibration.json").write_text("{"), ("calibration.json",)),
+    "calibration that is no JSON": (written("calibration.json", b"{"), ("calibration.json",)),
     "calibration cut in the middle of its lines": (
-        lambda f: (f / "calibration.json").write_text('{\n  "cameras": [\n    {\n'),
+        written("calibration.json", b'{\n  "cameras": [\n    {\n'),
         ("calibration.json", "truncated"),
     ),
-    "no lines": (lambda f: (f / "data.jsonl").write_text(""), ("data.jsonl",)),
-    "binary lines": (lambda f: (f / "data.jsonl").write_bytes(bytes(range(256)) * 20), ("data.jsonl", "line 1")),
+    "no lines": (written("data.jsonl", b""), ("data.jsonl",)),
+    "binary lines": (written("data.jsonl", bytes(range(256)) * 20), ("data.jsonl", "line 1")),
 }
 
 
+@pytest.fixture
+def drive(recording, tmp_path):
+    """A copy of the recording that may be spoiled."""
+    return shutil.copytree(recording, tmp_path / "drive")
+
+
 @pytest.mark.parametrize("fault", FAULTS)
-def test_one_clear_error_and_no_output(call, recording, tmp_path, fault):
-    folder = tmp_path / "drive"
-    shutil.copytree(recording, folder)
-    spoil, words = FAULTS[fault]
-    spoil(folder)
+def test_one_clear_error_and_no_output(refuses, drive, tmp_path, fault):
+    spoil, (word, *words) = FAULTS[fault]
+    spoil(drive)
     outputs = ["-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth", "--visualize", tmp_path / "look"]
-    outcome = call("fuse", folder, *outputs)
-    assert outcome.code == 1
+    outcome = refuses(1, word, "fuse", drive, *outputs)
     assert outcome.err.startswith("sceneloom: ")
-    _, *further = outcome.err.strip().splitlines()
-    assert [line.split(":")[0] for line in further] in ([], ["next"])
-    for word in words:
-        assert word in outcome.err
+    assert [line.split(":")[0] for line in outcome.err.strip().splitlines()[1:]] in ([], ["next"])
+    assert [word for word in words if word not in outcome.err] == []
     assert {path.name for path in tmp_path.iterdir()} <= {"drive"}
 
 
-def test_times_that_run_backwards_are_sorted_with_a_warning(call, recording, tmp_path):
-    folder = tmp_path / "drive"
-    shutil.copytree(recording, folder)
-    edit_lines(lambda lines: lines[::-1])(folder)
-    straight, backwards = (json.loads(call("info", path, "--json").out) for path in (recording, folder))
+def test_times_that_run_backwards_are_sorted_with_a_warning(reported, recording, drive):
+    edit_lines(lambda lines: lines[::-1])(drive)
+    straight, backwards = (reported("info", path) for path in (recording, drive))
     counts = [[(s["id"], s["count"], s["start"], s["stop"]) for s in x["sensors"]] for x in (straight, backwards)]
     assert counts[0] == counts[1]
     assert any(warning["kind"] == "repaired" for warning in backwards["warnings"])
 
 
-def test_lenient_counts_what_it_skips(call, recording, tmp_path):
-    folder = tmp_path / "drive"
-    shutil.copytree(recording, folder)
-    (folder / "lidar" / "000001.bin").write_bytes(b"x" * 50)
-    edit_lines(lambda lines: [*lines, '{"broken'])(folder)
-    report = json.loads(call("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient", "--json").out)
+def test_lenient_counts_what_it_skips(reported, drive, tmp_path):
+    FAULTS["a torn lidar file"][0](drive)
+    edit_lines(lambda lines: [*lines, '{"broken'])(drive)
+    report = reported("fuse", drive, "-o", tmp_path / "d.sfs", "--lenient")
     skipped = [warning["location"] for warning in report["warnings"] if warning["kind"] == "skipped"]
     locations = " ".join([*skipped, *report["skipped"]])
     assert (report["fused"], report["frames"]) == (2, 2)
@@ -125,71 +132,46 @@ def test_lenient_counts_what_it_skips(call, recording, tmp_path):
     assert "data.jsonl" in locations
 
 
-def test_a_camera_that_cannot_be_used_is_skipped_leniently_and_named_without_empty_locations(
-    succeeds, recording, tmp_path
-):
-    folder = tmp_path / "drive"
-    shutil.copytree(recording, folder)
-    FAULTS["an unknown camera model"][0](folder)
-    outcome = succeeds("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient")
+def test_a_camera_that_cannot_be_used_is_skipped_leniently_and_named_without_empty_locations(succeeds, drive, tmp_path):
+    FAULTS["an unknown camera model"][0](drive)
+    outcome = succeeds("fuse", drive, "-o", tmp_path / "d.sfs", "--lenient")
     assert "fused 3 of 3 sweeps" in outcome.out
     assert "skipped: left out: " in outcome.err
     assert "fisheye-of-mine" in outcome.err
 
 
-def test_points_that_are_not_finite_are_kept_and_never_coloured(succeeds, recording, tmp_path):
-    folder = tmp_path / "drive"
-    shutil.copytree(recording, folder)
-    path = folder / "lidar" / "000000.bin"
-    record = np.dtype([("p", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
-    points = np.fromfile(path, record)
+def test_points_that_are_not_finite_are_kept_and_never_coloured(reported, drive, tmp_path):
+    path = drive / "lidar" / "000000.bin"
+    points = np.fromfile(path, np.dtype([("p", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")]))
     points["p"][::2] = np.nan
     points.tofile(path)
-    outcome = succeeds("fuse", folder, "-o", tmp_path / "d.sfs", "--visualize", tmp_path / "look", "--json")
-    assert json.loads(outcome.out)["frames"] == 3
+    assert reported("fuse", drive, "-o", tmp_path / "d.sfs", "--visualize", tmp_path / "look")["frames"] == 3
 
 
 @pytest.mark.parametrize(
     ("target", "words"),
     [("missing/d.sfs", "does not exist"), ("taken.sfs", "--overwrite"), ("folder.sfs", "--overwrite")],
 )
-def test_outputs_that_cannot_be_written_are_named(call, recording, tmp_path, target, words):
+def test_outputs_that_cannot_be_written_are_named(refuses, recording, tmp_path, target, words):
     (tmp_path / "taken.sfs").write_text("mine")
     (tmp_path / "folder.sfs").mkdir()
-    outcome = call("fuse", recording, "-o", tmp_path / target)
-    assert outcome.code == 1
-    assert target.rsplit("/", maxsplit=1)[-1] in outcome.err
-    assert words in outcome.err
+    assert target.rsplit("/", maxsplit=1)[-1] in refuses(1, words, "fuse", recording, "-o", tmp_path / target).err
     assert (tmp_path / "taken.sfs").read_text() == "mine"
 
 
-def test_a_trajectory_that_is_not_there_is_answered_with_those_that_are(call, recording):
-    outcome = call("fuse", recording, "-o", "nowhere.sfs", "--trajectory", "vio")
-    assert outcome.code == 2
-    assert "groundTruth, gnss, lidar, identity" in outcome.err
+def test_a_trajectory_that_is_not_there_is_answered_with_those_that_are(refuses, recording):
+    refuses(2, "groundTruth, gnss, lidar, identity", "fuse", recording, "-o", "nowhere.sfs", "--trajectory", "vio")
 
 
-@pytest.mark.parametrize("before_output", [("convert",), ("edit", "simplify")])
-def test_a_number_that_is_none_is_a_fault_of_the_file(call, tmp_path, encode_sfs, before_output):
+@pytest.mark.parametrize("words", [("convert",), ("edit simplify", "-o")])
+def test_a_number_that_is_none_is_a_fault_of_the_file(refuses, tmp_path, encode_sfs, words):
     path = {"timestamps": [0], "values": np.array([[1.0, 1, 1, np.nan, 0, 0, 0, 0, 0]])}
     cuboid = {"id": "nowhere", "type": "cuboid", "path": path}
     source, target = tmp_path / "nan.sfs", tmp_path / "out.sfs"
     source.write_bytes(encode_sfs({"version": "1.0", "sensors": [], "annotations": [cuboid]}))
-    output = (target,) if before_output == ("convert",) else ("-o", target)
-    outcome = call(*before_output, source, *output)
-    assert outcome.code == 1
-    assert f"{source}: annotations[nowhere].path.values[0]: [1.0" in outcome.err
+    verb, *option = words
+    refuses(1, f"{source}: annotations[nowhere].path.values[0]: [1.0", verb, source, *option, target)
     assert not target.exists()
-
-
-def test_a_scene_file_cut_in_half_is_one_clear_error(call, recording, tmp_path):
-    call("convert", recording, tmp_path / "a.sfs")
-    whole = (tmp_path / "a.sfs").read_bytes()
-    (tmp_path / "half.sfs").write_bytes(whole[: len(whole) // 2])
-    outcome = call("fuse", tmp_path / "half.sfs", "-o", tmp_path / "b.sfs")
-    assert outcome.code == 1
-    assert "half.sfs" in outcome.err
-    assert not (tmp_path / "b.sfs").exists()
 
 
 @pytest.mark.parametrize(
@@ -203,10 +185,8 @@ def test_a_scene_file_cut_in_half_is_one_clear_error(call, recording, tmp_path):
         ("demo", "--keep"),
     ],
 )
-def test_nothing_is_written_to_a_url(call, arguments):
-    outcome = call(*arguments, "https://127.0.0.1:9/b.sfs")
-    assert outcome.code == 2
-    assert "https://127.0.0.1:9/b.sfs is a URL" in outcome.err
+def test_nothing_is_written_to_a_url(refuses, arguments):
+    refuses(2, "https://127.0.0.1:9/b.sfs is a URL", *arguments, "https://127.0.0.1:9/b.sfs")
 
 
 @pytest.mark.parametrize(
@@ -216,24 +196,14 @@ def test_nothing_is_written_to_a_url(call, arguments):
         (("salvage", "http://127.0.0.1:9/b.sfs", "-o", "c.sfs"), "is behind a URL"),
     ],
 )
-def test_a_url_that_cannot_be_read_is_named_as_it_was_stated(call, monkeypatch, arguments, problem):
+def test_a_url_that_cannot_be_read_is_named_as_it_was_stated(refuses, monkeypatch, arguments, problem):
     monkeypatch.setattr("sceneloom.formats.remote.stores.time.sleep", lambda _: None)
-    outcome = call(*arguments)
-    assert outcome.code == 1
-    assert f"http://127.0.0.1:9/b.sfs: {problem}" in outcome.err
+    refuses(1, f"http://127.0.0.1:9/b.sfs: {problem}", *arguments)
 
 
-def spoiled(recording, target, fault):
-    """A copy of the recording with a fault."""
-    folder = target / "drive"
-    shutil.copytree(recording, folder)
-    FAULTS[fault][0](folder)
-    return folder
-
-
-def test_what_was_left_out_before_an_error_is_reported_with_it(call, recording, tmp_path):
-    broken = spoiled(recording, tmp_path, "a broken line")
-    arguments = ("fuse", broken, "--lenient", "--trajectory", "nope", "-o", tmp_path / "out.sfs")
+def test_what_was_left_out_before_an_error_is_reported_with_it(call, drive, tmp_path):
+    FAULTS["a broken line"][0](drive)
+    arguments = ("fuse", drive, "--lenient", "--trajectory", "nope", "-o", tmp_path / "out.sfs")
     outcome = call(*arguments)
     assert outcome.code in (1, 2)
     *left_out, error = outcome.err.splitlines()
@@ -242,50 +212,40 @@ def test_what_was_left_out_before_an_error_is_reported_with_it(call, recording, 
     assert "left out" not in call(*arguments, "--quiet").err
 
 
-def test_what_was_left_out_is_reported_also_where_reading_comes_to_no_end(call, recording, tmp_path):
-    broken = spoiled(recording, tmp_path, "a broken line")
-    FAULTS["calibration that is no JSON"][0](broken)
-    outcome = call("info", broken, "--lenient")
-    assert outcome.code == 1
-    *left_out, error, step = outcome.err.splitlines()
-    assert step == f"next: `sceneloom validate {broken}` lists all that is wrong"
+def test_what_was_left_out_is_reported_also_where_reading_comes_to_no_end(refuses, drive):
+    FAULTS["a broken line"][0](drive)
+    FAULTS["calibration that is no JSON"][0](drive)
+    *left_out, error, step = refuses(1, "data.jsonl: line 4: left out", "info", drive, "--lenient").err.splitlines()
+    assert step == f"next: `sceneloom validate {drive}` lists all that is wrong"
     assert any("data.jsonl: line 4: left out" in line for line in left_out)
     assert "calibration.json" in error
 
 
-def with_late_truth(lines):
-    records = [json.loads(line) for line in lines]
-    return [json.dumps(r | {"time": r["time"] + 100.0 * ("groundTruth" in r)}) for r in records]
-
-
-def test_sweeps_that_could_not_be_read_are_reported_where_the_others_could_not_be_fused(call, recording, tmp_path):
-    folder = tmp_path / "drive"
-    shutil.copytree(recording, folder)
-    edit_lines(with_late_truth)(folder)
-    (folder / "lidar" / "000001.bin").write_bytes(struct.pack("<fffBHd", 1.0, 2.0, 3.0, 4, 5, 1e300))
-    outcome = call("fuse", folder, "--lenient", "-o", tmp_path / "out.sfs")
-    assert outcome.code == 1
+def test_sweeps_that_could_not_be_read_are_reported_where_the_others_could_not_be_fused(refuses, drive, tmp_path):
+    edit_lines(with_late_truth)(drive)
+    (drive / "lidar" / "000001.bin").write_bytes(struct.pack("<fffBHd", 1.0, 2.0, 3.0, 4, 5, 1e300))
+    outcome = refuses(1, "could be fused", "fuse", drive, "--lenient", "-o", tmp_path / "out.sfs")
     *skipped, error = outcome.err.splitlines()
     assert any("000001.bin" in line for line in skipped)
     assert "could be fused" in error
 
 
-def test_a_stray_point_beyond_what_the_file_can_hold_is_reported_as_a_fault_of_the_data(call, recording, tmp_path):
-    folder = tmp_path / "drive"
-    shutil.copytree(recording, folder)
-    file = folder / "lidar" / "000001.bin"
+def test_a_stray_point_beyond_what_the_file_can_hold_is_reported_as_a_fault_of_the_data(
+    refuses, succeeds, reported, drive, tmp_path
+):
+    file = drive / "lidar" / "000001.bin"
     records = bytearray(file.read_bytes())
     records[23 * 5 : 23 * 5 + 12] = struct.pack("<fff", 2e4, 3.0, 1.0)
     file.write_bytes(records)
-    outcome = call("fuse", folder, "-o", tmp_path / "out.sfs")
-    assert outcome.code == 1
-    for word in (str(folder), "sensors[lidar].frames[1].points.positions[5]", "m from the origin"):
-        assert word in outcome.err
-    report = json.loads(call("fuse", folder, "-o", tmp_path / "out.sfs", "--lenient", "--json").out)
+    words = ("fuse", drive, "-o", tmp_path / "out.sfs")
+    outcome = refuses(1, "sensors[lidar].frames[1].points.positions[5]", *words)
+    assert str(drive) in outcome.err
+    assert "m from the origin" in outcome.err
+    report = reported(*words, "--lenient")
     (skipped,) = report["skipped"]
     assert "frames[1].points.positions[5]" in skipped
     assert (report["frames"], report["fused"]) == (3, 2)
-    summary = call("fuse", folder, "-o", tmp_path / "out.sfs", "--lenient", "--overwrite").out
+    summary = succeeds(*words, "--lenient", "--overwrite").out
     assert summary.startswith("fused 2 of 3 sweeps by trajectory groundTruth")
     assert "\n1 sweep or image skipped\n" in summary
     with sceneloom.open(tmp_path / "out.sfs") as scene:
@@ -293,23 +253,21 @@ def test_a_stray_point_beyond_what_the_file_can_hold_is_reported_as_a_fault_of_t
 
 
 def test_a_scene_file_that_was_cut_off_names_what_takes_out_the_rest(refuses, recording, tmp_path):
-    sceneloom.convert(recording, tmp_path / "cut.sfs")
-    content = (tmp_path / "cut.sfs").read_bytes()
+    cut, out = tmp_path / "cut.sfs", tmp_path / "out.sfs"
+    sceneloom.convert(recording, cut)
+    content = cut.read_bytes()
     for length in (300, len(content) // 2):
-        (tmp_path / "cut.sfs").write_bytes(content[:length])
-        refuses(1, f"sceneloom salvage {tmp_path / 'cut.sfs'} -o ", "info", tmp_path / "cut.sfs")
+        cut.write_bytes(content[:length])
+        refuses(1, f"sceneloom salvage {cut} -o ", "info", cut)
+    refuses(1, "cut.sfs", "fuse", cut, "-o", out)
+    assert not out.exists()
 
 
 def test_a_scene_held_against_kittis_text_says_how_to_go_on(refuses, recording, tmp_path):
-    sceneloom.convert(recording, tmp_path / "drive.sfs")
-    (tmp_path / "0000.txt").write_text("0 1 Car 0 0 0 10 10 50 50 1.5 1.6 4 1 1 10 0\n")
-    refuses(
-        2,
-        "sceneloom convert SCENE OUT --to kitti-tracking",
-        "eval tracking",
-        tmp_path / "drive.sfs",
-        tmp_path / "0000.txt",
-    )
+    drive, truth = tmp_path / "drive.sfs", tmp_path / "0000.txt"
+    sceneloom.convert(recording, drive)
+    truth.write_text("0 1 Car 0 0 0 10 10 50 50 1.5 1.6 4 1 1 10 0\n")
+    refuses(2, "sceneloom convert SCENE OUT --to kitti-tracking", "eval tracking", drive, truth)
 
 
 @pytest.mark.parametrize(
@@ -359,15 +317,12 @@ def test_an_input_that_is_a_pipe_is_named_and_not_waited_for(tmp_path, what):
         READERS[what](path)
 
 
-def test_a_pipe_among_the_sweeps_of_a_recording_is_named_as_what_it_is(recording, call, tmp_path):
-    drive = tmp_path / "drive"
-    shutil.copytree(recording, drive)
+def test_a_pipe_among_the_sweeps_of_a_recording_is_named_as_what_it_is(refuses, drive, tmp_path):
     sweep = drive / "lidar" / "000001.bin"
     sweep.unlink()
     os.mkfifo(sweep)
-    outcome = call("convert", drive, tmp_path / "drive.sfs")
-    assert outcome.code == 1
-    assert "'lidar/000001.bin': is a named pipe; expected a regular file" in outcome.err
+    named = "'lidar/000001.bin': is a named pipe; expected a regular file"
+    refuses(1, named, "convert", drive, tmp_path / "drive.sfs")
 
 
 def test_the_marker_of_a_catalogue_that_is_a_pipe_is_named(tmp_path):

@@ -18,28 +18,25 @@ from sceneloom.formats.remote import stores
 from sceneloom.scene.scene import time_span
 
 
-def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, recording, tmp_path):
-    missing = tmp_path / "missing"
-    outcome = call("batch validate", recording, missing, "-o", tmp_path / "out", "--workers", 1, "--quick")
-    assert outcome.code == 1
+def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, refuses, reported, recording, tmp_path):
+    missing, out = tmp_path / "missing", tmp_path / "out"
+    stated = f"failed: {missing}: no such file or folder"
+    outcome = refuses(1, stated, "batch validate", recording, missing, "-o", out, "--workers", 1, "--quick")
     assert "validate: 2 drives" in outcome.out
     assert "1 done, 1 failed" in outcome.out
-    assert f"failed: {missing}: no such file or folder" in outcome.err
-    report = json.loads((tmp_path / "out" / f"{recording.name}.json").read_text())
+    report = json.loads((out / f"{recording.name}.json").read_text())
     assert (report["source"], "stages" in report) == (str(recording), False)
-    reported = call("batch status", tmp_path / "out", "--json")
-    assert [row["state"] for row in json.loads(reported.out)["drives"]] == ["done", "failed"]
-    stages = json.loads(reported.out)["stages"]
-    assert set(stages) == {"opening", "checking", "everything else"}
-    shown = call("batch status", tmp_path / "out", "--html", tmp_path / "run.html").out
+    status = json.loads(call("batch status", out, "--json").out)
+    assert [row["state"] for row in status["drives"]] == ["done", "failed"]
+    assert set(status["stages"]) == {"opening", "checking", "everything else"}
+    shown = call("batch status", out, "--html", tmp_path / "run.html").out
     assert "checking 0." in shown
     assert f"page: {tmp_path / 'run.html'}" in shown
-    again = call("batch validate", recording, "-o", tmp_path / "out", "--quick", "--resume", "--json")
-    assert json.loads(again.out)["skipped"] == 1
+    assert reported("batch validate", recording, "-o", out, "--quick", "--resume")["skipped"] == 1
 
 
 @pytest.mark.usefixtures("inline")
-def test_parts_of_drives_are_those_of_a_list_or_of_the_options(call, succeeds, recording, tmp_path):
+def test_parts_of_drives_are_those_of_a_list_or_of_the_options(succeeds, reported, recording, tmp_path):
     parts = tmp_path / "parts.jsonl"
     with sceneloom.open(recording) as scene:
         times = scene.lidars[0].frames.timestamps_ns
@@ -48,10 +45,10 @@ def test_parts_of_drives_are_those_of_a_list_or_of_the_options(call, succeeds, r
     succeeds("batch convert -o", tmp_path / "out", "--list", parts, "--workers", 1)
     with sceneloom.open(tmp_path / "out" / f"{recording.name}_start{start:g}_stop{start + 0.1:g}.sfs") as part:
         assert part.lidars[0].frames.timestamps_ns.tolist() == [times[1]]
-    words = ("--start", start, "--stop", start + 0.1, "--quick", "--json")
-    numbers = json.loads(call("report", recording, *words).out)
-    assert [sensor["count"] for sensor in numbers["summary"]["sensors"] if sensor["type"] == "lidar"] == [1]
-    checked = json.loads(call("validate", recording, *words).out)
+    words = ("--start", start, "--stop", start + 0.1, "--quick")
+    sensors = reported("report", recording, *words)["summary"]["sensors"]
+    assert [sensor["count"] for sensor in sensors if sensor["type"] == "lidar"] == [1]
+    checked = reported("validate", recording, *words)
     assert (checked["passed"], checked["profile"]) == (True, "sfs")
 
 
@@ -94,16 +91,13 @@ def test_each_drive_has_its_own_files(call, refuses, succeeds, tmp_path):
     refuses(1, f"--from-times of {tmp_path}/b.kitti", "batch convert", tmp_path / "*.kitti", *times, *words, "--resume")
 
 
-def test_every_file_that_a_verb_reads_beside_a_drive_is_known_to_batches():
-    for name, batched in BATCHED.items():
-        read = {option.name for option in verb_named(name).params if isinstance(option.type, click.Path)}
-        assert read | ({"detectors"} & {o.name for o in verb_named(name).params}) == {*batched.beside}, name
-
-
-def test_every_output_of_a_verb_is_known_to_batches():
-    for name, batched in BATCHED.items():
-        written = {option.name for option in verb_named(name).params if option.type.name == "target"}
-        assert written - {batched.output} == {*batched.folders, *batched.files}, name
+@pytest.mark.parametrize("name", BATCHED)
+def test_every_file_that_a_verb_reads_or_writes_beside_a_drive_is_known_to_batches(name):
+    batched, options = BATCHED[name], verb_named(name).params
+    read = {option.name for option in options if isinstance(option.type, click.Path) or option.name == "detectors"}
+    assert read == {*batched.beside}
+    written = {option.name for option in options if option.type.name == "target"}
+    assert written - {batched.output} == {*batched.folders, *batched.files}
 
 
 def test_options_of_the_verb_are_those_of_the_run(call, refuses, tmp_path):
@@ -166,41 +160,38 @@ class Web:
 
             def _answer(self, *, reported):
                 name = "whole" if web.well else self.path[1:].removesuffix(".sfs")
-                content = web.mutants.get(name, web.content)
+                self.close_connection = True
                 if name in ("404", "500"):
                     self.send_error(int(name))
-                    return
-                if name == "stall" and reported:
+                elif name == "stall" and reported:
                     web.free.wait(30)
-                    return
-                if name == "reset":
+                elif name == "reset":
                     self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
                     self.connection.close()
-                    self.close_connection = True
-                    return
-                if name == "loop":
-                    self.send_response(302)
-                    self.send_header("Location", self.path)
-                    self.send_header("Content-Length", "0")
-                    self.end_headers()
-                    return
-                content = b"\x00garbage\xff" * 500 if name == "garbage" else content
-                start, stop, ranges = 0, len(content), name != "none"
-                asked = self.headers.get("Range", "")
-                if asked.startswith("bytes=") and ranges:
+                elif name == "loop":
+                    self._head(302, {"Location": self.path, "Content-Length": "0"})
+                else:
+                    garbage = b"\x00garbage\xff" * 500
+                    self._send(name, garbage if name == "garbage" else web.mutants.get(name, web.content), reported)
+
+            def _head(self, code, headers):
+                self.send_response(code)
+                for header in headers.items():
+                    self.send_header(*header)
+                self.end_headers()
+
+            def _send(self, name, content, reported):
+                start, stop, ranges = 0, len(content), {} if name == "none" else {"Accept-Ranges": "bytes"}
+                asked = self.headers.get("Range", "") if ranges else ""
+                if asked.startswith("bytes="):
                     first, _, last = asked[6:].partition("-")
                     start, stop = int(first or 0), min(int(last or stop - 1) + 1, stop)
-                self.send_response(206 if asked and ranges else 200)
-                if asked and ranges:
-                    self.send_header("Content-Range", f"bytes {start}-{stop - 1}/{len(content)}")
-                if ranges:
-                    self.send_header("Accept-Ranges", "bytes")
+                if asked:
+                    ranges["Content-Range"] = f"bytes {start}-{stop - 1}/{len(content)}"
                 length = stop - start + (1000 if name == "long" else 0)
-                self.send_header("Content-Length", str(length))
-                self.end_headers()
+                self._head(206 if asked else 200, {**ranges, "Content-Length": str(length)})
                 if reported:
                     self.wfile.write(content[start:stop][: (stop - start) // 2 if name == "short" else None])
-                self.close_connection = True
 
             def log_message(self, *_):
                 pass

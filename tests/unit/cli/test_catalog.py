@@ -29,17 +29,15 @@ def test_filters_beside_sql_and_what_is_no_catalogue_are_refused(refuses, tmp_pa
 def test_a_list_says_how_its_drives_are_opened(call, succeeds, recording, tmp_path):
     both, fleet = tmp_path / "kitti", tmp_path / "fleet"
     for name in ("0001", "0002"):
-        written = tmp_path / name
-        to = ("--to", "kitti-tracking", "--output-option", f"sequence={name}")
-        succeeds("convert", recording, written, *to)
-        shutil.copytree(written, both, dirs_exist_ok=True)
+        how = ("--to", "kitti-tracking", "--output-option", f"sequence={name}")
+        succeeds("convert", recording, tmp_path / name, *how)
+        shutil.copytree(tmp_path / name, both, dirs_exist_ok=True)
     succeeds("catalog build", both, "-o", fleet, "--input-option", "sequence=0001")
     succeeds("catalog update", fleet, both, "--input-option", "sequence=0002")
     assert "2 scenes: 2 unchanged" in call("catalog update", fleet, both).out
     reported = call("catalog query", fleet, "--speed", 0, "inf", "--show", "drives", "--as", "list").out
-    assert [json.loads(line)["reading"] for line in reported.splitlines()] == [
-        {"sequence": "0001"}, {"sequence": "0002"},
-    ]  # fmt: skip
+    readings = [json.loads(line)["reading"] for line in reported.splitlines()]
+    assert readings == [{"sequence": "0001"}, {"sequence": "0002"}]
     (tmp_path / "list.jsonl").write_text(reported)
     succeeds("batch convert --list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
     names = sorted(file.name for file in (tmp_path / "out").glob("*.sfs"))
@@ -49,14 +47,12 @@ def test_a_list_says_how_its_drives_are_opened(call, succeeds, recording, tmp_pa
     assert f"{both}: 2 drives; --sequence chooses one\n" in again.err
     assert "2 unchanged" in call("catalog update", fleet, "--list", tmp_path / "list.jsonl").out
     saved = call("view --list", tmp_path / "list.jsonl", "--save", tmp_path / "both.rrd", "--json")
-    assert (saved.code, [drive["root"] for drive in json.loads(saved.out)["drives"]]) == (
-        0, [r"/kitti\ 0001", r"/kitti\ 0002"],
-    )  # fmt: skip
+    roots = [drive["root"] for drive in json.loads(saved.out)["drives"]]
+    assert (saved.code, roots) == (0, [r"/kitti\ 0001", r"/kitti\ 0002"])
 
 
 def test_a_list_says_nothing_but_how_a_drive_is_read(refuses, recording, tmp_path):
-    (tmp_path / "list.jsonl").write_text(
-        json.dumps({"path": str(recording), "reading": {"output": str(tmp_path / "elsewhere.sfs")}})
-    )
+    line = {"path": str(recording), "reading": {"output": str(tmp_path / "elsewhere.sfs")}}
+    (tmp_path / "list.jsonl").write_text(json.dumps(line))
     refuses(1, "'output'", "batch convert --list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
     assert not (tmp_path / "elsewhere.sfs").exists()

@@ -20,49 +20,34 @@ def test_each_sweep_and_image_gets_a_depth_image(succeeds, recording, tmp_path, 
     assert steps.any()
 
 
-def test_dense_images_keep_the_pixels_of_sparse_ones_nearly(call, recording, tmp_path):
+def test_dense_images_keep_the_pixels_of_sparse_ones_nearly(succeeds, recording, tmp_path):
     for method in ("sparse", "quality"):
-        call("depth", recording, "-o", tmp_path / method, "--method", method, "--form", "npz")
+        succeeds("depth", recording, "-o", tmp_path / method, "--method", method, "--form", "npz")
     sparse = np.load(tmp_path / "sparse" / "camera0" / "000000.npz")["depth"]
-    dense = np.load(tmp_path / "quality" / "camera0" / "000000.npz")["depth"]
+    with np.load(tmp_path / "quality" / "camera0" / "000000.npz") as arrays:
+        dense, confidence = arrays["depth"], arrays["confidence"]
+    assert dense.dtype == confidence.dtype == np.float32
+    assert ((confidence > 0) == (dense > 0)).all()
     measured = sparse > 0
     assert (dense > 0).sum() > 2 * measured.sum()
     differences = np.abs(dense[measured] / sparse[measured] - 1)
     assert np.median(differences) < 0.03  # points lie beside the centres of pixels, which are large here
 
 
-def test_npz_files_hold_depth_and_confidence(call, recording, tmp_path):
-    call("depth", recording, "-o", tmp_path / "out", "--form", "npz")
-    with np.load(tmp_path / "out" / "camera0" / "000000.npz") as arrays:
-        assert set(arrays) == {"depth", "confidence"}
-        assert arrays["depth"].dtype == arrays["confidence"].dtype == np.float32
-        assert ((arrays["confidence"] > 0) == (arrays["depth"] > 0)).all()
-
-
-def test_confidence_and_images_go_where_they_were_asked_for(call, recording, tmp_path):
-    outcome = call(
-        "depth", recording, "-o", tmp_path / "out", "--confidence", "--visualize", tmp_path / "look", "--json"
-    )
-    report = json.loads(outcome.out)
-    assert report["cameras"][0]["images"] == 3
-    assert 0 < report["cameras"][0]["confidence"] <= 1
+def test_confidence_and_images_go_where_they_were_asked_for(reported, recording, tmp_path):
+    how = ("--confidence", "--visualize", tmp_path / "look")
+    (camera,) = reported("depth", recording, "-o", tmp_path / "out", *how)["cameras"]
+    assert (camera["images"], 0 < camera["confidence"] <= 1) == (3, True)
     grey = np.array(Image.open(tmp_path / "out" / "camera0" / "confidence" / "000000.png"))
-    assert grey.dtype == np.uint8
-    assert grey.shape == (64, 96)
+    assert (grey.dtype, grey.shape) == (np.uint8, (64, 96))
     assert len(list((tmp_path / "look" / "camera0").iterdir())) == 3
 
 
-def test_a_camera_that_is_not_there_is_reported_with_those_that_are(call, recording, tmp_path):
-    outcome = call("depth", recording, "-o", tmp_path / "out", "--camera", "roof")
-    assert outcome.code == 2
-    assert "'roof'" in outcome.err
-    assert "camera0" in outcome.err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_with_something_in_it_is_left_alone(call, recording, tmp_path):
+def test_a_camera_that_is_not_there_is_reported_and_a_folder_with_something_in_it_left_alone(
+    refuses, recording, tmp_path
+):
+    assert "camera0" in refuses(2, "'roof'", "depth", recording, "-o", tmp_path / "out", "--camera", "roof").err
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("mine")
-    outcome = call("depth", recording, "-o", tmp_path / "out")
-    assert outcome.code == 1
+    refuses(1, "", "depth", recording, "-o", tmp_path / "out")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["mine.txt"]

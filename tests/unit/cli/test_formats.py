@@ -1,6 +1,5 @@
 """`sceneloom formats`: the list, and manifests to fill in."""
 
-import json
 import tomllib
 
 import pytest
@@ -9,11 +8,21 @@ from PIL import Image
 from sceneloom.formats import FORMATS
 
 
-def test_all_formats_are_listed(call):
-    listed = {form["name"] for form in json.loads(call("formats --json").out)}
-    assert listed >= set(FORMATS)
-    assert "rig" in call("formats").out
-    assert "euroc" in call("formats").out
+def test_all_formats_are_listed_with_what_they_can_do(call, reported):
+    known = {form["name"]: form for form in reported("formats")}
+    assert set(known) >= set(FORMATS)
+    assert [known[name]["suffixes"] for name in ("sfs", "recording", "rig")] == [[".sfs"], [""], [".toml"]]
+    assert [known[name]["writes"] for name in ("sfs", "recording", "rig")] == [True, True, False]
+    assert known["tum"]["trajectory"]
+    assert {"rig", "euroc"} <= set(call("formats").out.split())
+
+
+def test_formats_says_what_one_of_them_holds(call, refuses, reported):
+    held = reported("formats tum")
+    assert held["trajectories.positions"] == {"support": "kept", "how": ""}
+    assert held["sensors.lidar.id"]["support"] == "dropped"
+    assert "dropped (" in call("formats tum").out
+    refuses(2, "no format or form 'nope'; there are sfs", "formats nope")
 
 
 def test_a_template_is_written_once(refuses, succeeds, tmp_path):
@@ -22,14 +31,11 @@ def test_a_template_is_written_once(refuses, succeeds, tmp_path):
     assert tomllib.loads(path.read_text())["sensors"]
     refuses(1, "exists already", "formats --template", path)
     succeeds("formats --template", path, "--overwrite")
+    assert tomllib.loads(succeeds("formats --template -").out)["sensors"], "it is printed"
 
 
 def test_whoever_has_a_folder_that_nothing_reads_is_reported_the_template(refuses, tmp_path):
     refuses(1, "sceneloom formats --template FOLDER/rig.toml --from FOLDER", "info", tmp_path)
-
-
-def test_a_template_is_printed(call):
-    assert tomllib.loads(call("formats --template -").out)["sensors"]
 
 
 def test_a_look_into_a_folder_names_what_is_in_it(refuses, succeeds, tmp_path):

@@ -7,12 +7,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from tests.unit.cli.conftest import write_boxes
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import fuse_by_projection
 from sceneloom.db34t.json import format_json, parse_json
-from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
+from sceneloom.db34t.scene_objects import boxes_2d_record
 from sceneloom.detections.detectors import FOLDER
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.formats.kitti.labels import read_labels
@@ -36,11 +37,9 @@ def test_the_algorithm_that_is_named_fuses(call, recording, tmp_path, monkeypatc
     assert len(called) == json.loads(done.out)["fused"] == 3
 
 
-def test_one_that_is_not_installed_is_bad_usage(call, recording, tmp_path):
-    done = call("fuse", recording, "-o", tmp_path / "out.sfs", "--algorithm", "MV3d")
-    assert done.code == 2
-    assert "there are projection" in done.err
-    assert "trained network" in done.err
+def test_one_that_is_not_installed_is_bad_usage(refuses, recording, tmp_path):
+    words = ("fuse", recording, "-o", tmp_path / "out.sfs", "--algorithm", "MV3d")
+    assert "trained network" in refuses(2, "there are projection", *words).err
     assert not (tmp_path / "out.sfs").exists()
 
 
@@ -78,44 +77,37 @@ def file(tmp_path):
     return path
 
 
-def green(points_world, requests, visibility, *, trajectory=None):
-    found = fuse_by_projection(points_world, requests, visibility, trajectory=trajectory)
-    colors = found.colors.copy()
-    colors[found.camera_index < 255] = [0, 255, 0]
-    return replace(found, colors=colors)
-
-
 def colours_of(path):
     with sceneloom.open(path) as scene:
         points = [frame.points for lidar in scene.lidars for frame in lidar.frames]
         return np.unique(np.concatenate([p.colors[p.camera_index < 255] for p in points]), axis=0).tolist()
 
 
-def test_a_function_fuses(drive, tmp_path):
-    report = sceneloom.fuse(drive, tmp_path / "a.sfs", algorithm=green)
-    assert report.fused == 2
-    assert report.coloured_percent > 0
-    assert colours_of(tmp_path / "a.sfs") == [[0, 255, 0]]
+def changing(change):
+    def function(points_world, requests, visibility, *, trajectory=None):
+        return change(fuse_by_projection(points_world, requests, visibility, trajectory=trajectory))
+
+    return function
 
 
-def test_a_function_of_a_file_fuses(drive, tmp_path, file):
+def green(found):
+    return replace(found, colors=np.where(found.camera_index[:, None] < 255, np.uint8([0, 255, 0]), found.colors))
+
+
+def test_a_function_or_one_of_a_file_fuses(call, drive, recording, tmp_path, file):
+    report = sceneloom.fuse(drive, tmp_path / "green.sfs", algorithm=changing(green))
+    assert (report.fused, report.coloured_percent > 0) == (2, True)
     sceneloom.fuse(drive, tmp_path / "a.sfs", algorithm=f"{file}:red")
-    assert colours_of(tmp_path / "a.sfs") == [[255, 0, 0]]
+    done = call("fuse", recording, "-o", tmp_path / "b.sfs", "--algorithm", f"{file}:red", "--quiet")
+    assert (done.code, done.err) == (0, "")
+    found = [colours_of(tmp_path / f"{name}.sfs") for name in ("green", "a", "b")]
+    assert found == [[[0, 255, 0]], [[255, 0, 0]], [[255, 0, 0]]]
     configuration = FusionConfiguration(fusion_algorithm=f"{file}:red")
     found = list(sceneloom.iter_fused(drive, configuration=configuration))
     assert len(found) == 2
     assert {tuple(c) for c in found[0].points.colors[found[0].points.camera_index < 255].tolist()} == {(255, 0, 0)}
-
-
-def test_a_function_of_a_file_is_found_by_other_processes(file):
     chosen = chosen_algorithm(FusionType.SENSOR_DATA, f"{file}:red")
-    assert pickle.loads(pickle.dumps(chosen)) == chosen
-
-
-def test_the_command_line_takes_a_function_of_a_file(call, recording, tmp_path, file):
-    done = call("fuse", recording, "-o", tmp_path / "a.sfs", "--algorithm", f"{file}:red", "--quiet")
-    assert (done.code, done.err) == (0, "")
-    assert colours_of(tmp_path / "a.sfs") == [[255, 0, 0]]
+    assert pickle.loads(pickle.dumps(chosen)) == chosen, "other processes find it"
 
 
 @pytest.mark.parametrize(
@@ -131,13 +123,12 @@ def test_the_command_line_takes_a_function_of_a_file(call, recording, tmp_path, 
         ("{file}:", "no function is named; expected FILE.py:FUNCTION"),
     ],
 )
-def test_what_cannot_be_an_algorithm_is_named_as_bad_usage(call, recording, tmp_path, file, chosen, message):
+def test_what_cannot_be_an_algorithm_is_named_as_bad_usage(refuses, recording, tmp_path, file, chosen, message):
     broken, leaving = tmp_path / "broken.py", tmp_path / "leaving.py"
     broken.write_text("1 / 0\n", "utf-8")
     leaving.write_text("raise SystemExit(3)\n", "utf-8")
     stated = chosen.format(file=file, broken=broken, leaving=leaving)
-    done = call("fuse", recording, "-o", tmp_path / "a.sfs", "--algorithm", stated)
-    assert done.code == 2
+    done = refuses(2, "", "fuse", recording, "-o", tmp_path / "a.sfs", "--algorithm", stated)
     assert "Traceback" not in done.err
     with pytest.raises(OptionError, match=message):
         algorithm(FusionType.SENSOR_DATA, chosen_algorithm(FusionType.SENSOR_DATA, stated))
@@ -147,29 +138,13 @@ def raising(points_world, requests, visibility, *, trajectory=None):
     return points_world["no such"]
 
 
-def returning(value):
-    def function(points_world, requests, visibility, *, trajectory=None):
-        return value
-
-    return function
-
-
-def shortened(points_world, requests, visibility, *, trajectory=None):
-    found = fuse_by_projection(points_world, requests, visibility, trajectory=trajectory)
-    return replace(found, colors=found.colors[1:])
-
-
-def without_views(points_world, requests, visibility, *, trajectory=None):
-    return replace(fuse_by_projection(points_world, requests, visibility, trajectory=trajectory), views=())
-
-
 @pytest.mark.parametrize(
     ("function", "error", "message"),
     [
         (raising, OptionError, r"algorithm raising: IndexError: .*test_fuse.py, line \d+"),
-        (returning(None), OptionError, "returned a NoneType; expected sceneloom.colouring.ColouredPoints"),
-        (shortened, ArrayError, r"algorithm shortened: colors"),
-        (without_views, OptionError, r"0 views of \d images; expected one of each"),
+        (changing(lambda found: None), OptionError, "returned a NoneType; expected sceneloom.colouring.ColouredPoints"),
+        (changing(lambda found: replace(found, colors=found.colors[1:])), ArrayError, r"algorithm function: colors"),
+        (changing(lambda found: replace(found, views=())), OptionError, r"0 views of \d images; expected one of each"),
         (7, OptionError, "algorithm 7: a int; expected a function"),
         (lambda points: None, OptionError, "expected a function"),
     ],
@@ -206,14 +181,8 @@ def detected(tmp_path_factory):
     camera = CameraSpec(Camera("pinhole", 320, 200, 180.0, 180.0, 159.5, 99.5))
     drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=16, steps=240), cameras=(camera,))
     sceneloom.write(drive.scene, folder / "recording", images="png")
-    in_space, in_images = detect_3d(drive), detect_2d(drive)
-    for name, reports, record in (
-        ("boxes3d.jsonl", in_space, boxes_3d_record),
-        ("boxes2d.jsonl", in_images, boxes_2d_record),
-    ):
-        lines = [format_json(record(report.boxes, sensor_id=0, seq=k)) for k, report in enumerate(reports)]
-        (folder / name).write_text("\n".join(lines))
-    return folder, [report.boxes for report in in_space], [report.boxes for report in in_images]
+    write_boxes(drive, folder)
+    return folder, *([report.boxes for report in reports] for reports in (detect_3d(drive), detect_2d(drive)))
 
 
 @pytest.fixture
@@ -235,11 +204,10 @@ def kitti(tmp_path, tracking_texts):
     return tmp_path / "kitti"
 
 
-def test_objects_of_a_drive_are_records_of_table_10(succeeds, detected, tmp_path):
+def test_objects_of_a_drive_are_records_of_table_10(reported, detected, files, tmp_path):
     folder, in_space, in_images = detected
-    files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", folder / "boxes2d.jsonl")
     out = tmp_path / "objects.jsonl"
-    outcome = succeeds("fuse", folder / "recording", "--type", "detection", *files, "-o", out, "--json")
+    report = reported("fuse", folder / "recording", "--type", "detection", *files, "-o", out)["drives"][0]
     records = [parse_json(line) for line in out.read_text().splitlines()]
     sides = [json.loads(line) for line in (tmp_path / "objects.frames.jsonl").read_text().splitlines()]
     assert len(records) == len(sides) == len(in_space)
@@ -249,7 +217,6 @@ def test_objects_of_a_drive_are_records_of_table_10(succeeds, detected, tmp_path
         assert sorted(n for n in record.box_3d_ids if n is not None) == list(range(len(boxes)))
         assert sorted(n for n in record.box_2d_ids if n is not None) == list(range(len(seen)))
         assert all(pair != (None, None) for pair in zip(record.box_3d_ids, record.box_2d_ids, strict=True))
-    report = json.loads(outcome.out)["drives"][0]
     assert report["objects"] == sum(map(len, records))
     assert report["both"] == sum(
         None not in pair for r in records for pair in zip(r.box_3d_ids, r.box_2d_ids, strict=True)
@@ -276,7 +243,7 @@ def test_lines_of_a_batch_name_the_boxes_and_detectors_of_their_drives(call, suc
 
 
 @pytest.mark.parametrize("numbered", [False, True], ids=["by times", "by numbers of frames"])
-def test_a_part_of_a_drive_has_the_boxes_of_its_time(call, detected, tmp_path, numbered):
+def test_a_part_of_a_drive_has_the_boxes_of_its_time(succeeds, reported, detected, tmp_path, numbered):
     folder, _, in_images = detected
     seen = folder / "boxes2d.jsonl"
     if numbered:
@@ -284,47 +251,39 @@ def test_a_part_of_a_drive_has_the_boxes_of_its_time(call, detected, tmp_path, n
         rows = [(k, *corners, 0.9) for k, boxes in enumerate(in_images) for corners in boxes.corners_xyxy.tolist()]
         seen.write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
     files = ("--boxes3d", folder / "boxes3d.jsonl", "--boxes2d", seen)
-    words = ("fuse", folder / "recording", "--type", "detection", *files, "-o")
-    whole = call(*words, tmp_path / "whole.jsonl")
     with sceneloom.open(folder / "recording") as scene:
         start = (scene.lidars[0].frames.timestamps_ns[1] - time_span(scene)[0]) / 1e9
-    part = call(*words, tmp_path / "part.jsonl", "--start", start, "--stop", start + 0.1)
-    assert (whole.code, part.code) == (0, 0), part.err
-    fused, cut = (
-        [parse_json(line) for line in (tmp_path / f"{name}.jsonl").read_text().splitlines()]
-        for name in ("whole", "part")
-    )
-    assert len(fused) == 3
-    (one,) = cut
-    assert one.timestamp == fused[1].timestamp
-    assert one.box_2d_ids == fused[1].box_2d_ids
+    records = []
+    for name, part in (("whole", ()), ("part", ("--start", start, "--stop", start + 0.1))):
+        out = tmp_path / f"{name}.jsonl"
+        succeeds("fuse", folder / "recording", "--type", "detection", *files, "-o", out, *part)
+        records.append([parse_json(line) for line in out.read_text().splitlines()])
+    (_, second, _), (one,) = records
+    assert (one.timestamp, one.box_2d_ids) == (second.timestamp, second.box_2d_ids)
     assert any(number is not None for number in one.box_2d_ids)
-    tracked = ("track", folder / "recording", *files, "-o", tmp_path / "t.jsonl", "--start", start, "--json")
-    assert json.loads(call(*tracked).out)["drives"][0]["frames"] == 2
+    tracked = ("track", folder / "recording", *files, "-o", tmp_path / "t.jsonl", "--start", start)
+    assert reported(*tracked)["drives"][0]["frames"] == 2
 
 
-def test_a_part_of_what_is_numbered_from_its_beginning_is_refused(refuses, succeeds, folder, files, tmp_path):
-    out = tmp_path / "objects.jsonl"
-    succeeds("fuse", folder / "recording", "--type", "detection", *files, "-o", out)
-    refuses(2, "done whole", "track", out, "-o", tmp_path / "a.jsonl", "--start", 1)
-
-
-def test_what_was_fused_is_tracked_as_if_at_once(succeeds, folder, files, tmp_path):
-    recording = folder / "recording"
-    succeeds("fuse", recording, "--type", "detection", *files, "-o", tmp_path / "objects.jsonl")
-    succeeds("track", tmp_path / "objects.jsonl", "-o", tmp_path / "a.jsonl")
+def test_what_was_fused_is_tracked_as_if_at_once_and_done_whole(refuses, succeeds, folder, files, tmp_path):
+    recording, objects = folder / "recording", tmp_path / "objects.jsonl"
+    succeeds("fuse", recording, "--type", "detection", *files, "-o", objects)
+    refuses(2, "done whole", "track", objects, "-o", tmp_path / "a.jsonl", "--start", 1)
+    succeeds("track", objects, "-o", tmp_path / "a.jsonl")
     succeeds("track", recording, *files, "-o", tmp_path / "b.jsonl")
     one, other = (
-        [json.loads(line)["objects"] for line in (tmp_path / name).read_text().splitlines()]
-        for name in ("a.jsonl", "b.jsonl")
+        [(k, each) for k, line in enumerate(path.read_text().splitlines()) for each in json.loads(line)["objects"]]
+        for path in (tmp_path / "a.jsonl", tmp_path / "b.jsonl")
     )
-    assert [len(objects) for objects in one] == [len(objects) for objects in other]
-    assert sum(map(len, one)) > 0
-    for objects, others in zip(one, other, strict=True):
-        for a, b in zip(objects, others, strict=True):
-            assert (a["id"], a["class"]) == (b["id"], b["class"])
-            # 0.4 m: 1 % of the distance, as boxes of some 50 px get whole pixels on the way through the file
-            np.testing.assert_allclose(a["center"], b["center"], atol=0.4)
+    assert one
+    for (k, a), (n, b) in zip(one, other, strict=True):
+        assert (k, a["id"], a["class"]) == (n, b["id"], b["class"])
+        # 0.4 m: 1 % of the distance, as boxes of some 50 px get whole pixels on the way through the file
+        np.testing.assert_allclose(a["center"], b["center"], atol=0.4)
+    for name in ("boxes3d", "boxes2d"):  # one detector is enough
+        succeeds("track", recording, f"--{name}", folder / f"{name}.jsonl", "-o", tmp_path / f"{name}.sfs")
+    (tmp_path / "objects.frames.jsonl").unlink()
+    refuses(1, "objects.frames.jsonl: is missing", "track", objects, "-o", tmp_path / "c.jsonl")
 
 
 def test_records_name_their_camera_or_the_command_does(call, tmp_path):
@@ -350,13 +309,6 @@ def test_records_name_their_camera_or_the_command_does(call, tmp_path):
     assert sum(found) == sum(len(r.boxes) for reports_of_one in reports.values() for r in reports_of_one)
 
 
-@pytest.mark.parametrize("one", ["boxes3d", "boxes2d"])
-def test_one_detector_is_enough(succeeds, folder, tmp_path, one):
-    succeeds("track", folder / "recording", f"--{one}", folder / f"{one}.jsonl", "-o", tmp_path / "a.sfs")
-    with sceneloom.open(tmp_path / "a.sfs") as scene:
-        assert len(scene.lidars) == 1
-
-
 def test_a_folder_of_kittis_sequences_gives_two_files_each(succeeds, tmp_path, kitti):
     succeeds("fuse", kitti, "--type", "detection", "-o", tmp_path / "out")
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["0001.frames.jsonl", "0001.jsonl"]
@@ -367,23 +319,15 @@ def test_a_folder_of_kittis_sequences_gives_two_files_each(succeeds, tmp_path, k
 
 
 def test_fused_objects_are_kittis_text_on_request(succeeds, tmp_path, kitti):
-    command = ("fuse", kitti, "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
-    succeeds(*command)
+    succeeds("fuse", kitti, "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["0001.txt"]
     found = read_labels(tmp_path / "out" / "0001.txt")
-    assert found.frames.tolist() == [0, 1]
-    assert found.types == ("Pedestrian", "Car")
+    assert (found.frames.tolist(), found.types, found.track_ids.tolist()) == ([0, 1], ("Pedestrian", "Car"), [-1, -1])
     # what one detector alone found stays as it reported it
     np.testing.assert_allclose(found.sizes_hwl[0], [1.8, 0.6, 0.8], atol=1e-6)
     np.testing.assert_allclose(found.bottoms[0], [-1.0, 1.5, 8.0], atol=1e-6)
     assert found.rotations_y[0] == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(found.corners_xyxy[1], [10, 20, 110, 220], atol=1e-6)
-    assert found.track_ids.tolist() == [-1, -1]
-
-
-def test_kittis_text_is_not_written_of_other_drives(refuses, folder, tmp_path):
-    command = ("fuse", folder / "recording", "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
-    refuses(2, "for folders laid out like KITTI's only", *command)
 
 
 @pytest.fixture
@@ -398,6 +342,9 @@ def tracking_texts():
     }
 
 
+LISTED = "--det2d x does not count here: the boxes come from the lists of --boxes3d and --boxes2d"
+
+
 @pytest.mark.parametrize(
     ("words", "code", "reported"),
     [
@@ -406,11 +353,7 @@ def tracking_texts():
         (("--boxes3d", "{boxes2d}"), 1, "expected Boxes3d or Box3d"),
         (("--boxes3d", "{boxes3d}", "--lidar", "roof"), 2, "lidar 'roof'"),
         (("--boxes2d", "{boxes2d}", "--camera", "front"), 2, "camera 'front'"),
-        (
-            ("--boxes3d", "{boxes3d}", "--det2d", "x"),
-            2,
-            "--det2d x does not count here: the boxes come from the lists of --boxes3d and --boxes2d",
-        ),
+        (("--boxes3d", "{boxes3d}", "--det2d", "x"), 2, LISTED),
         (("--det3d", "x"), 2, "--det3d x does not count here: it is no folder of KITTI's sequences"),
         (("--boxes3d", "{boxes3d}", "--sequence", "1", "--sequence", "2"), 2, "one drive is opened at a time"),
         (("--boxes3d", "{boxes3d}", "--depth", "x"), 2, "--depth does not count here"),
@@ -422,17 +365,15 @@ def test_what_cannot_be_fused_is_reported(refuses, folder, tmp_path, words, code
     assert not list(tmp_path.glob("out*"))
 
 
+def test_options_that_do_not_go_together_are_refused(refuses, folder, tmp_path):
+    words = ("fuse", folder / "recording", "-o", tmp_path / "out")
+    refuses(2, "state --type detection with it", *words, "--boxes3d", "x")
+    refuses(2, "for folders laid out like KITTI's only", *words, "--type", "detection", "--format", "kitti")
+
+
 def test_sensors_of_kittis_sequences_are_not_chosen(refuses, tmp_path, kitti):
-    refuses(
-        2,
-        "--camera does not count here: it is a folder of KITTI's",
-        "track",
-        kitti,
-        "-o",
-        tmp_path / "out",
-        "--camera",
-        "front",
-    )
+    stated = "--camera does not count here: it is a folder of KITTI's"
+    refuses(2, stated, "track", kitti, "-o", tmp_path / "out", "--camera", "front")
 
 
 @pytest.mark.usefixtures("inline")
@@ -457,15 +398,3 @@ def test_lists_of_boxes_are_of_one_drive_of_a_data_set(refuses, succeeds, folder
     refuses(2, "choose one with `--sequence NAME`", *stated)
     succeeds(*stated, "--sequence", "0001")
     assert (tmp_path / "out.jsonl").read_text()
-
-
-def test_options_of_detections_need_the_type(refuses, folder, tmp_path):
-    refuses(
-        2, "state --type detection with it", "fuse", folder / "recording", "--boxes3d", "x", "-o", tmp_path / "out.sfs"
-    )
-
-
-def test_results_whose_other_file_is_missing_are_reported(refuses, succeeds, folder, files, tmp_path):
-    succeeds("fuse", folder / "recording", "--type", "detection", *files, "-o", tmp_path / "o.jsonl")
-    (tmp_path / "o.frames.jsonl").unlink()
-    refuses(1, "o.frames.jsonl: is missing", "track", tmp_path / "o.jsonl", "-o", tmp_path / "a.jsonl")

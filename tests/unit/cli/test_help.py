@@ -1,30 +1,22 @@
 """Help: groups of options, examples that the verbs accept, and verbs that were meant."""
 
 import shlex
-from collections.abc import Iterator
 
 import click
 import pytest
 from click.shell_completion import ShellComplete
 from click.testing import CliRunner
+from tests.unit.cli.conftest import verbs
 
 from sceneloom.cli.help import Verb
 from sceneloom.cli.main import sceneloom
 
 
-def verbs_of(group: click.Group, words: tuple[str, ...] = ()) -> Iterator[tuple[str, click.Command]]:
-    context = click.Context(group)
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        if isinstance(command, click.Group):
-            yield from verbs_of(command, (*words, name))
-        elif words != ("batch",) or name == "status":  # the others are verbs that stand elsewhere, too
-            yield " ".join((*words, name)), command
-
-
 def test_every_verb_ends_with_two_examples_that_its_options_fit(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, verb in verbs_of(sceneloom):
+    for name, verb in verbs(sceneloom):
+        if name.startswith("batch ") and name != "batch status":
+            continue  # they stand elsewhere, too
         assert isinstance(verb, Verb), name
         assert len(verb.examples) == 2, name
         for example in verb.examples:

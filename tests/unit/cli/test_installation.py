@@ -53,12 +53,6 @@ def test_completion_goes_by_the_shell_in_use_or_asks_for_it(call, refuses, monke
 
 def test_bash_completes_verbs_and_options_with_it(tmp_path):
     words = {"COMP_WORDS": "sceneloom edit bl", "COMP_CWORD": "2", "_SCENELOOM_COMPLETE": "bash_complete"}
-    done = subprocess.run(
-        [sys.executable, "-m", "sceneloom"],
-        env={**words, "PATH": "/usr/bin:/bin"},
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=tmp_path,
-    )
+    command, environment = [sys.executable, "-m", "sceneloom"], {**words, "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.stdout.split() == ["plain,blur"], done.stderr

@@ -7,13 +7,12 @@ import re
 import signal
 import subprocess
 import sys
-from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import click
 import pytest
+from tests.unit.cli.conftest import commands
 
 import sceneloom
 from sceneloom.checks.validation import catalogue
@@ -138,25 +137,16 @@ OF_OTHER_PROGRAMS = frozenset({Path("view/viewer.py")})
 """Modules that start another program with its own options."""
 
 
-def commands(command, words=()):
-    yield words, command
-    if isinstance(command, click.Group):
-        context = click.Context(command)
-        for name in command.list_commands(context):
-            found = command.get_command(context, name)
-            assert found is not None, name
-            yield from commands(found, (*words, name))
+COMMANDS = dict(commands(command_line))
 
 
-@cache
-def known_options():
-    own = {name for _, command in commands(command_line) for option in command.params for name in option.opts}
-    return frozenset(own | {"--help", "--help-all"})
+def options_of(commands):
+    return {"--help", "--help-all"} | {
+        name for command in commands for option in command.params for name in option.opts
+    }
 
 
-@cache
-def known_verbs():
-    return frozenset(" ".join(words) for words, _ in commands(command_line))
+KNOWN = options_of(COMMANDS.values())
 
 
 def texts(path):
@@ -171,7 +161,7 @@ MODULES = sorted(path.relative_to(SOURCES) for path in SOURCES.rglob("*.py"))
 
 @pytest.mark.parametrize("rule", catalogue(), ids=lambda rule: rule.id)
 def test_a_remedy_names_no_option_that_there_is_not(rule):
-    assert set(OPTION.findall(f"{rule.summary} {rule.remedy}")) <= known_options()
+    assert set(OPTION.findall(f"{rule.summary} {rule.remedy}")) <= KNOWN
 
 
 @pytest.mark.few(15)
@@ -179,7 +169,7 @@ def test_a_remedy_names_no_option_that_there_is_not(rule):
 def test_texts_name_no_option_and_no_verb_that_there_is_not(room):
     for module in (path for path in MODULES if path.parts[0] == room):
         for text in texts(SOURCES / module) if module not in OF_OTHER_PROGRAMS else ():
-            unknown = set(OPTION.findall(text)) - known_options()
+            unknown = set(OPTION.findall(text)) - KNOWN
             assert not unknown, f"{module}: {unknown} in {text!r}"
             for call in re.findall(r"`sceneloom ([a-z][^`]*)`", text):
                 assert call_is_known(call), f"{module}: sceneloom {call}"
@@ -188,12 +178,8 @@ def test_texts_name_no_option_and_no_verb_that_there_is_not(room):
 def call_is_known(call):
     """Whether a call begins with a verb, and has only options of that verb."""
     words = call.split()
-    verb = next((words[:n] for n in (2, 1) if " ".join(words[:n]) in known_verbs()), None)
-    if verb is None:
-        return False
-    command = dict(commands(command_line))[tuple(verb)]
-    own = {name for option in command.params for name in option.opts} | {"--help"}
-    return set(OPTION.findall(call)) <= own
+    verb = next((name for n in (2, 1) if (name := " ".join(words[:n])) in COMMANDS), None)
+    return verb is not None and set(OPTION.findall(call)) <= options_of([COMMANDS[verb]])
 
 
 def test_a_call_with_an_option_of_another_verb_would_be_found():

@@ -1,6 +1,7 @@
 """`sceneloom report` on the command line."""
 
 import json
+import shutil
 
 import pytest
 
@@ -24,45 +25,25 @@ def test_numbers_alone_are_printed(call, recording, tmp_path, monkeypatch):
 
 
 def test_a_drive_whose_lines_are_broken_is_reported_to_be_faulty(succeeds, recording, tmp_path):
-    import shutil
-
-    broken = tmp_path / "drive"
-    shutil.copytree(recording, broken)
+    broken = shutil.copytree(recording, tmp_path / "drive")
     with (broken / "data.jsonl").open("a") as lines:
         lines.write('{"time": 1.0, "sens\n')
     outcome = succeeds("report", broken, "--quick", "-o", tmp_path / "r.html")
     assert "that will break downstream tools" in outcome.out
 
 
-def test_a_path_that_is_not_there_is_an_error(call, tmp_path):
-    outcome = call("report", tmp_path / "nothing", "-o", tmp_path / "r.html")
-    assert outcome.code == 1
-    assert "no such file" in outcome.err
+def test_what_is_not_there_is_an_error(refuses, recording, tmp_path):
+    page = tmp_path / "page.html"
+    refuses(1, "no such file", "report", tmp_path / "nothing", "-o", page)
+    refuses(1, "no.tum: no such file or folder", "report", recording, "-o", page, "--truth", tmp_path / "no.tum")
+    assert not page.exists()
 
 
-def test_a_truth_that_is_not_there_is_an_error(refuses, recording, tmp_path):
-    refuses(
-        1,
-        "no.tum: no such file or folder",
-        "report",
-        recording,
-        "-o",
-        tmp_path / "page.html",
-        "--truth",
-        tmp_path / "no.tum",
-    )
-    assert not (tmp_path / "page.html").exists()
-
-
-@pytest.mark.parametrize("kind", ["another time", "another kind"])
-def test_a_truth_that_cannot_be_compared_is_an_error_that_says_why(call, recording, tmp_path, kind):
-    truth = tmp_path / "truth.tum"
-    if kind == "another time":
-        truth.write_text("".join(f"{9e8 + k} {k} 0 0 0 0 0 1\n" for k in range(5)))
-    else:
-        truth.write_text("a letter to somebody\n")
-    outcome = call("report", recording, "--quick", "-o", tmp_path / "page.html", "--truth", truth)
-    assert outcome.code == 1, outcome.out
-    assert f"{truth}: cannot be compared with the drive: " in outcome.err
+@pytest.mark.parametrize("text", ["".join(f"{9e8 + k} {k} 0 0 0 0 0 1\n" for k in range(5)), "a letter to somebody\n"])
+def test_a_truth_of_another_time_or_kind_is_an_error_that_says_why(refuses, recording, tmp_path, text):
+    page, truth = tmp_path / "page.html", tmp_path / "truth.tum"
+    truth.write_text(text)
+    stated = f"{truth}: cannot be compared with the drive: "
+    outcome = refuses(1, stated, "report", recording, "--quick", "-o", page, "--truth", truth)
     assert "leave `--truth` out" in outcome.err
-    assert not (tmp_path / "page.html").exists()
+    assert not page.exists()

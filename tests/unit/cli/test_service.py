@@ -9,10 +9,10 @@ from PIL import Image
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.cli.main import main
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
+from sceneloom.db34t.conformance import examination
 from sceneloom.db34t.conformance.examination import CHECKS
 from sceneloom.service.client import FusionClient
 from sceneloom.service.running import running_server
@@ -32,11 +32,6 @@ def drive(tmp_path_factory):
     return path
 
 
-@pytest.fixture(scope="module")
-def logged(tmp_path_factory):
-    return tmp_path_factory.mktemp("log") / "session.mcap"
-
-
 def run(*arguments, code=0, reported=""):
     done = CliRunner().invoke(program, [str(argument) for argument in arguments])
     assert done.exit_code == code, (done.output, done.exception)
@@ -45,8 +40,8 @@ def run(*arguments, code=0, reported=""):
 
 
 @pytest.fixture(scope="module")
-def address(logged):
-    with SessionLog(logged) as log, running_server(ServerSettings(observe=log.session)) as server:
+def address():
+    with running_server() as server:
         yield server.address
 
 
@@ -61,17 +56,19 @@ def sent(drive, address, request):
 
 
 def test_what_was_sent_is_reported(drive, address):
-    reported = run("send", drive, address, "--rate", 0, "--session", "reported", "-q")
-    assert "3 image" in reported
-    assert "refused: none" in reported
-    assert "lidar" in reported
+    shown = run("send", drive, address, "--rate", 0, "--session", "reported", "-q")
+    assert all(text in shown for text in ("3 image", "refused: none", "lidar"))
 
 
 def test_results_without_an_output_are_lines_of_json(address, sent):
-    lines = [json.loads(line) for line in run("get", address, "--type", "sensor", "--session", sent).splitlines()]
-    assert [line["number"] for line in lines] == [0, 1, 2]
+    get = ("get", address, "--type", "sensor", "--session", sent)
+    followed = run(*get, "--follow", "--count", 2)
+    assert [json.loads(line)["number"] for line in followed.splitlines()] == [0, 1], "it ends after so many"
+    lines = [json.loads(line) for line in run(*get).splitlines()]
+    assert [line["number"] for line in lines] == [2]
     assert {line["width"] for line in lines} == {96}
     assert "image_data" not in lines[0]
+    assert run(*get) == "", "all were fetched, which is no error"
 
 
 def test_sensor_data_become_a_folder_with_depths_images_and_points(address, sent, tmp_path):
@@ -109,12 +106,7 @@ def test_detections_become_lines_with_the_names_of_table_10(address, sent, tmp_p
     assert set(found) >= {"id", "class", "confidence", "X", "Y", "Z", "center_cov", "direction", "x1"}
 
 
-def test_following_ends_after_as_many_as_asked_for(address, sent):
-    shown = run("get", address, "--type", "sensor", "--follow", "--count", 2, "--session", sent)
-    assert [json.loads(line)["number"] for line in shown.splitlines()] == [0, 1]
-
-
-def test_a_log_is_sent_once_more(drive, tmp_path, logged):
+def test_a_log_is_sent_once_more(drive, tmp_path):
     log = tmp_path / "first.mcap"
     with SessionLog(log) as kept, running_server(ServerSettings(observe=kept.session)) as server:
         run("send", drive, server.address, "--rate", 0, "--session", "rig", "-q")
@@ -148,37 +140,25 @@ def test_an_address_without_a_port_is_reported_at_once(verb, address):
 
 
 @pytest.mark.parametrize("form", [[], ["--json"], ["-o", "x.jsonl"]])
-def test_a_session_that_received_nothing_is_an_error_and_is_named(address, tmp_path, monkeypatch, capsys, form):
+def test_a_session_that_received_nothing_is_an_error_and_is_named(refuses, address, tmp_path, monkeypatch, form):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        main(["get", address, "--type", "detection", "--session", "nosuch", *form])
-    shown = capsys.readouterr()
-    assert (ended.value.code, shown.out) == (2, "")
-    assert "session 'nosuch' has received no records" in shown.err
+    stated = "session 'nosuch' has received no records"
+    assert refuses(2, stated, "get", address, "--type", "detection", "--session", "nosuch", *form).out == ""
     assert not list(tmp_path.iterdir())
-
-
-def test_a_session_whose_results_were_all_fetched_gives_none_and_is_no_error(address, sent):
-    for _ in range(2):
-        run("get", address, "--type", "sensor", "--session", sent)
 
 
 def test_points_with_fields_of_any_name_become_a_folder(address, tmp_path):
     fields = ("x", "y", "z", "file", "allow_pickle", "../up", "echo 1")
     with FusionClient(address, session="names") as client:
+        intrinsics, extrinsics = (8, 0, 3.5, 0, 8, 3.5, 0, 0, 1), (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
         client.set_calibration(
             CalibrationData(
-                image_size=(8, 8),
-                intrinsic_matrix=(8, 0, 3.5, 0, 8, 3.5, 0, 0, 1),
-                reference_frame=0,
-                extrinsic_matrix=(0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1),
+                image_size=(8, 8), intrinsic_matrix=intrinsics, reference_frame=0, extrinsic_matrix=extrinsics
             )
         )
         now = Timestamp(5, 0)
-        pixels = np.zeros((8, 8, 2), np.uint8)[:, :, :1]
-        image = ImageData(
-            sensor_id=0, timestamp=now, seq=0, height=8, width=8, encoding="mono8", channel=1, data=pixels
-        )
+        pixels, how = np.zeros((8, 8, 1), np.uint8), {"encoding": "mono8", "channel": 1}
+        image = ImageData(sensor_id=0, timestamp=now, seq=0, height=8, width=8, **how, data=pixels)
         rows = np.arange(14, dtype=np.float32).reshape(2, 7)
         cloud = PointCloudData(sensor_id=0, timestamp=now, seq=0, number=2, fields=fields, fields_number=7, data=rows)
         assert client.send(image)
@@ -192,40 +172,24 @@ def test_points_with_fields_of_any_name_become_a_folder(address, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-pytest.importorskip("grpc", reason="the extra `serve` is not installed")
-
-
-@pytest.fixture(scope="module")
-def conforming():
-    with running_server() as server:
-        yield server.address
-
-
-def test_our_server_passes_every_check_and_the_report_says_so(call, conforming, tmp_path):
-    outcome = call("conformance", conforming, "--report", tmp_path / "r.json", "--quiet")
-    assert (outcome.code, outcome.err) == (0, "")
-    assert outcome.out.splitlines()[0] == f"{conforming}: {len(CHECKS)} checks: {len(CHECKS)} passed, 0 failed"
+def test_our_server_passes_every_check_and_the_report_says_so(succeeds, address, tmp_path):
+    outcome = succeeds("conformance", address, "--report", tmp_path / "r.json", "--quiet")
+    assert outcome.err == ""
+    assert outcome.out.splitlines()[0] == f"{address}: {len(CHECKS)} checks: {len(CHECKS)} passed, 0 failed"
     report = json.loads((tmp_path / "r.json").read_text("utf-8"))
     assert (report["passed"], len(report["checks"])) == (True, len(CHECKS))
-
-
-def test_some_checks_can_be_run_and_printed_for_machines(call, conforming):
-    outcome = call("conformance", conforming, "--only", "5.4", "--only", "T10-8", "--json", "--quiet")
-    found = json.loads(outcome.out)
-    assert [check["id"] for check in found["checks"]] == ["5.4-1", "5.4-2", "5.4-3", "T10-8"]
-    shown = call("conformance", conforming, "--only", "5.4-3", "--verbose", "--quiet").out
-    assert shown.splitlines()[0] == "5.4"
-    assert "5.4-3   passed" in shown
-
-
-def test_checks_are_listed_without_a_server(succeeds):
     listed = succeeds("conformance --checks")
     assert [line.split()[0] for line in listed.out.splitlines()] == [check.id for check in CHECKS]
 
 
-def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, conforming, monkeypatch):
-    from sceneloom.db34t.conformance import examination
+def test_some_checks_can_be_run_and_printed_for_machines(call, reported, address):
+    found = reported("conformance", address, "--only", "5.4", "--only", "T10-8", "--quiet")
+    assert [check["id"] for check in found["checks"]] == ["5.4-1", "5.4-2", "5.4-3", "T10-8"]
+    shown = call("conformance", address, "--only", "5.4-3", "--verbose", "--quiet").out
+    assert (shown.splitlines()[0], "5.4-3   passed" in shown) == ("5.4", True)
 
+
+def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, address, monkeypatch):
     sound = examination.GrpcTransport.call
 
     def two(self, method, request):
@@ -235,22 +199,20 @@ def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, co
         return reply
 
     monkeypatch.setattr(examination.GrpcTransport, "call", two)
-    outcome = call("conformance", conforming, "--only", "5.3-3", "--quiet")
+    outcome = call("conformance", address, "--only", "5.3-3", "--quiet")
     assert outcome.code == 1
     assert "5.3-3   failed" in outcome.out
     assert "0—添加失败" in outcome.out
     assert "sent AddProperty speed: expected 1, found 2" in outcome.out
 
 
-def test_nobody_at_the_address_unknown_checks_and_reports_are_reported(call, conforming, tmp_path, monkeypatch):
-    from sceneloom.db34t.conformance import examination
-
+def test_nobody_at_the_address_unknown_checks_and_reports_are_reported(call, address, tmp_path, monkeypatch):
     monkeypatch.setattr(examination, "PATIENCE_S", 1.0)
     nobody = call("conformance 127.0.0.1:1 --quiet")
     assert nobody.code == 1
     assert nobody.err.startswith("sceneloom: 127.0.0.1:1: no server answers there; is it running")
-    assert call("conformance", conforming, "--only", "9.9").code == 2
-    assert call("conformance", conforming, "--report", tmp_path / "r.pdf").code == 2
+    assert call("conformance", address, "--only", "9.9").code == 2
+    assert call("conformance", address, "--report", tmp_path / "r.pdf").code == 2
     assert call("conformance").code == 2
 
 

@@ -28,9 +28,8 @@ def locations(frame):
 def outline(location, size_hwl):
     """The box in the image of a box whose length lies along x of the camera, by its eight corners."""
     h, w, length = size_hwl
-    corners = (
-        np.array([[x, y, z] for x in (-length / 2, length / 2) for y in (-h, 0) for z in (-w / 2, w / 2)]) + location
-    )
+    xs, zs = (-length / 2, length / 2), (-w / 2, w / 2)
+    corners = np.array([[x, y, z] for x in xs for y in (-h, 0) for z in zs]) + location
     u, v = FOCAL * corners[:, 0] / corners[:, 2] + CX, FOCAL * corners[:, 1] / corners[:, 2] + CY
     return u.min(), v.min(), u.max(), v.max()
 
@@ -85,17 +84,10 @@ def test_projected_boxes_are_the_outlines_of_those_in_space(succeeds, folder, tm
     for k in range(len(found)):
         h, w, length = found.sizes_hwl[k]
         rotation, (x, y, z) = found.rotations_y[k], found.bottoms[k]
-        corners = [
-            (
-                x + np.cos(rotation) * i * length + np.sin(rotation) * j * w,
-                y - up,
-                z - np.sin(rotation) * i * length + np.cos(rotation) * j * w,
-            )
-            for i in (-0.5, 0.5)
-            for j in (-0.5, 0.5)
-            for up in (0.0, h)
-        ]
-        seen = np.array(corners)
+        i, j, up = np.array([(i, j, up) for i in (-0.5, 0.5) for j in (-0.5, 0.5) for up in (0.0, h)]).T
+        along, across = i * length, j * w
+        x, y = x + np.cos(rotation) * along + np.sin(rotation) * across, y - up
+        seen = np.stack([x, y, z - np.sin(rotation) * along + np.cos(rotation) * across], axis=1)
         u, v = FOCAL * seen[:, 0] / seen[:, 2] + CX, FOCAL * seen[:, 1] / seen[:, 2] + CY
         # 0.2 px: how closely edges are followed; no box is at the border of the image
         np.testing.assert_allclose(found.corners_xyxy[k], [u.min(), v.min(), u.max(), v.max()], atol=0.2)
@@ -104,11 +96,7 @@ def test_projected_boxes_are_the_outlines_of_those_in_space(succeeds, folder, tm
 @pytest.mark.parametrize(
     "gone",
     [
-        ("oxts",),
-        ("det2d_x",),
-        ("det3d_y",),
-        ("det2d_x/Pedestrian",),
-        ("det3d_y/Car",),
+        *(("oxts",), ("det2d_x",), ("det3d_y",), ("det2d_x/Pedestrian",), ("det3d_y/Car",)),
         ("det2d_x/Pedestrian", "det3d_y/Pedestrian"),
     ],
 )
@@ -142,27 +130,19 @@ def test_lines_of_json_report_the_world(succeeds, folder, tmp_path, offline):
     assert np.hypot(*car["velocity"][:2]) < 1.0
 
 
-def test_labels_of_a_scene_are_cuboids(succeeds, folder, tmp_path):
-    succeeds("track", folder, "-o", tmp_path / "out", "--format", "sfs")
-    with sceneloom.open(tmp_path / "out" / "0003.sfs") as scene:
-        cuboids = [one for one in scene.annotations if one.type == "cuboid"]
-    assert len(cuboids) == 2
-
-
-def test_the_report_counts_frames_and_tracks(call, folder, tmp_path):
-    report = json.loads(call("track", folder, "-o", tmp_path / "out", "--json").out)
-    assert report["form"] == "kitti"
-    assert report["drives"][0]["frames"] == FRAMES
+def test_labels_of_a_scene_are_cuboids(reported, folder, tmp_path):
+    report = reported("track", folder, "-o", tmp_path / "out", "--format", "sfs")
+    assert (report["form"], report["drives"][0]["frames"]) == ("sfs", FRAMES)
     assert report["drives"][0]["tracks"] == {"Car": 1, "Pedestrian": 1}
+    with sceneloom.open(tmp_path / "out" / "0003.sfs") as scene:
+        assert [one.type for one in scene.annotations].count("cuboid") == 2
 
 
-def test_a_sequence_can_be_chosen_and_must_be_there(call, succeeds, folder, tmp_path):
+def test_a_sequence_can_be_chosen_and_must_be_there(refuses, succeeds, folder, tmp_path):
     (folder / "calib" / "0009.txt").write_text(CALIB)
     succeeds("track", folder, "-o", tmp_path / "out", "--sequence", "3")
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["0003.txt"]
-    outcome = call("track", folder, "-o", tmp_path / "other", "--sequence", "0001")
-    assert outcome.code == 2
-    assert "sequence '0001'" in outcome.err
+    refuses(2, "sequence '0001'", "track", folder, "-o", tmp_path / "other", "--sequence", "0001")
 
 
 def test_scenes_are_written_for_scales_library_on_request(succeeds, folder, tmp_path):
@@ -192,11 +172,10 @@ def test_an_output_is_not_overwritten_unasked(refuses, succeeds, folder, tmp_pat
     succeeds("track", folder, "-o", tmp_path / "out", "--overwrite")
 
 
-def test_a_faulty_list_is_reported_with_its_line_and_nothing_is_written(call, succeeds, folder, tmp_path):
+def test_a_faulty_list_is_reported_with_its_line_and_nothing_is_written(refuses, succeeds, folder, tmp_path):
     (folder / "det2d_x/Car/0003.txt").write_text("0,1,1,9,9,0.5\n0,1,car\n")
-    outcome = call("track", folder, "-o", tmp_path / "out")
-    assert outcome.code == 1
-    assert "det2d_x/Car/0003.txt: line 2: 3 values; expected 6" in outcome.err
+    stated = "det2d_x/Car/0003.txt: line 2: 3 values; expected 6"
+    refuses(1, stated, "track", folder, "-o", tmp_path / "out")
     assert not (tmp_path / "out").exists()
     succeeds("track", folder, "-o", tmp_path / "out", "--lenient")
 

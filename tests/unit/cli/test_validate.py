@@ -33,8 +33,7 @@ def test_findings_stand_under_their_rule_with_the_remedy_once(call, faulty):
 def test_the_result_as_json_has_every_finding(call, faulty):
     done = call("validate", faulty, "--json", "--rule", "quaternion-norm")
     report = json.loads(done.out)
-    assert done.code == 1
-    assert report["counts"] == {"error": 1, "warning": 0, "hint": 0}
+    assert (done.code, report["counts"]) == (1, {"error": 1, "warning": 0, "hint": 0})
     assert report["findings"][0]["path"] == "sensors[0].poses.values[1]"
     assert report["findings"][0]["fixable"] is True
 
@@ -49,23 +48,14 @@ def test_fixing_writes_and_passes(call, succeeds, faulty, tmp_path):
     succeeds("validate", faulty, "--fix", target, "--overwrite")
 
 
-def test_what_cannot_be_written_is_stated(call, tmp_path):
-    path = tmp_path / "torn.sfs"
+def test_what_cannot_be_written_is_stated_and_what_is_found_is_reported(refuses, tmp_path):
+    path, target = tmp_path / "torn.sfs", tmp_path / "repaired"
     path.write_bytes(b'{"version": ')
-    done = call("validate", path, "--fix", tmp_path / "repaired.sfs")
-    assert done.code == 1
-    assert "nothing was written" in done.err
-
-
-def test_what_is_found_is_reported_also_where_nothing_of_a_recording_is_left_to_write(call, tmp_path):
-    drive = tmp_path / "drive"
-    drive.mkdir()
+    refuses(1, "nothing was written", "validate", path, "--fix", tmp_path / "repaired.sfs")
+    (drive := tmp_path / "drive").mkdir()
     (drive / "data.jsonl").write_text('[{"groundTruth":{"position":{"x":0,"y":0,"z":0}},"time":0}\n')
-    target = tmp_path / "repaired"
-    done = call("validate", drive, "--fix", target)
-    assert done.code == 1
+    done = refuses(1, "nothing was written: ", "validate", drive, "--fix", target)
     assert "broken-lines: 1 time\n    data.jsonl: line 1: " in done.out
-    assert "nothing was written: " in done.err
     assert not target.exists()
 
 
@@ -89,34 +79,23 @@ def test_the_rules_are_listed(call, succeeds):
     assert {"id", "severity", "summary", "remedy", "fixable", "only_in"} == set(rows[0])
 
 
-@pytest.mark.parametrize("arguments", [[], ["x.sfs", "--profile", "bs5"]])
-def test_bad_usage_is_refused(call, arguments):
-    assert call("validate", *arguments).code == 2
+def test_bad_usage_is_refused(refuses, faulty, recording, tmp_path):
+    refuses(2, "", "validate")
+    refuses(2, "", "validate", "x.sfs", "--profile", "bs5")
+    refuses(2, "--rules", "validate", faulty, "--rule", "no-such")
+    stated = "repaired.xyz: suffix '.xyz' belongs to no format; expected one of: sfs (.sfs)"
+    for source in (recording, faulty):
+        refuses(2, stated, "validate", source, "--fix", tmp_path / "repaired.xyz")
+        assert not (tmp_path / "repaired.xyz").exists()
 
 
-def test_an_unknown_rule_is_bad_usage(call, faulty):
-    done = call("validate", faulty, "--rule", "no-such")
-    assert done.code == 2
-    assert "--rules" in done.err
-
-
-def test_what_is_written_is_not_called_by_the_form_that_it_was_made_from(call, recording, tmp_path):
-    repaired = call("validate", recording, "--fix", tmp_path / "repaired.sfs")
-    assert repaired.out.startswith(f"{tmp_path / 'repaired.sfs'}: profile sfs: passed")
-    back = call("validate", tmp_path / "repaired.sfs", "--fix", tmp_path / "back")
-    assert back.out.startswith(f"{tmp_path / 'back'}: recording: passed")
-
-
-def test_what_the_target_keeps_aside_is_not_called_lost(call, recording, tmp_path):
+def test_what_is_written_is_not_called_by_the_form_that_it_was_made_from_nor_lost_what_is_kept_aside(
+    call, recording, tmp_path
+):
     repaired = call("validate", recording, "--fix", tmp_path / "repaired.sfs").out
+    assert repaired.startswith(f"{tmp_path / 'repaired.sfs'}: profile sfs: passed")
     lost, _, aside = repaired.partition("\nkept aside\n")
     assert "trajectories[]: " not in lost
     assert "  trajectories[]: the format knows odometry sensors only; it is in metadata.sceneloom." in aside
-
-
-def test_a_target_whose_suffix_belongs_to_no_format_is_bad_usage(call, recording, faulty, tmp_path):
-    for source in (recording, faulty):
-        done = call("validate", source, "--fix", tmp_path / "repaired.xyz")
-        assert done.code == 2
-        assert "repaired.xyz: suffix '.xyz' belongs to no format; expected one of: sfs (.sfs)" in done.err
-        assert not (tmp_path / "repaired.xyz").exists()
+    back = call("validate", tmp_path / "repaired.sfs", "--fix", tmp_path / "back")
+    assert back.out.startswith(f"{tmp_path / 'back'}: recording: passed")

@@ -20,9 +20,9 @@ def test_a_view_is_saved_and_summed_up(refuses, succeeds, recording, tmp_path):
     refuses(1, "--overwrite", "view", recording, "--save", target)
 
 
-def test_the_summary_is_json_for_machines(call, recording, tmp_path):
-    words = ("--save", tmp_path / "d.rrd", "--json", "--colour-by", "height", "--sensors", "lidar", "--no-findings")
-    report = json.loads(call("view", recording, *words).out)
+def test_the_summary_is_json_for_machines(reported, recording, tmp_path):
+    words = ("--save", tmp_path / "d.rrd", "--colour-by", "height", "--sensors", "lidar", "--no-findings")
+    report = reported("view", recording, *words)
     assert report["drives"][0]["colours"] == {"lidar": "height"}
     assert report["drives"][0]["logged"]["sweeps"] == 3
     assert report["size_bytes"] == (tmp_path / "d.rrd").stat().st_size
@@ -45,22 +45,19 @@ def test_what_cannot_be_followed_is_reported(call, recording, tmp_path, words, r
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_list_names_drives_and_parts_of_them(succeeds, recording, tmp_path):
+def test_a_list_names_drives_and_parts_of_them(reported, recording, tmp_path):
     parts = tmp_path / "parts.jsonl"
     with sceneloom.open(recording) as scene:
         sweeps_ns, first_ns = scene.lidars[0].frames.timestamps_ns, time_span(scene)[0]
     between = round(float(sweeps_ns[:2].mean() - first_ns) / 1e9, 3)
     lines = [{"path": str(recording), "stop": between}, {"path": str(recording), "start": between}]
     parts.write_text("\n".join(map(json.dumps, lines)))
-    words = ("--save", tmp_path / "d.rrd", "--no-findings", "--json", "--start", "99")
-    outcome = succeeds("view --list", parts, *words)
-    first, second = json.loads(outcome.out)["drives"]
+    words = ("--save", tmp_path / "d.rrd", "--no-findings", "--start", "99")
+    first, second = reported("view --list", parts, *words)["drives"]
     assert first["source"] == second["source"]
     assert (first["logged"]["sweeps"], second["logged"]["sweeps"]) == (1, len(sweeps_ns) - 1)
-    assert [shown["root"].replace("\\", "") for shown in (first, second)] == [
-        f"/{recording.name} 0-{between:g} s",
-        f"/{recording.name} {between:g}-",
-    ]
+    roots = [shown["root"].replace("\\", "") for shown in (first, second)]
+    assert roots == [f"/{recording.name} 0-{between:g} s", f"/{recording.name} {between:g}-"]
 
 
 def test_more_than_can_be_looked_at_is_refused(call, recording, tmp_path):

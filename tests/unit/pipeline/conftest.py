@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.scene import CameraSensor, LazyFrames, LidarSensor
+from sceneloom.scene import CameraSensor, GnssSensor, LazyFrames, LidarSensor
 from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, simulate_street
 
 SMALL = Camera("pinhole", 160, 96, 90.0, 90.0, 79.5, 47.5)
@@ -32,3 +32,27 @@ def kept(sensor):
         images = [p.loaded() for p in sensor.images]
         return replace(sensor, images=LazyFrames.of(images, sensor.images.timestamps_ns))
     return sensor
+
+
+def with_lidar(scene, **changes):
+    """The scene with fields of its lidars changed."""
+    sensors = tuple(replace(s, **changes) if isinstance(s, LidarSensor) else s for s in scene.sensors)
+    return replace(scene, sensors=sensors)
+
+
+def with_frames(scene, edit):
+    """The scene with what a function makes of each sweep, when it is read, and of its number."""
+    frames = scene.lidars[0].frames
+    return with_lidar(scene, frames=LazyFrames(frames.timestamps_ns, lambda k: edit(frames[k], k)))
+
+
+def without_trajectory(scene):
+    """The scene with nothing to find the trajectory by but its sweeps."""
+    return replace(scene, trajectories={}, sensors=tuple(s for s in scene.sensors if not isinstance(s, GnssSensor)))
+
+
+def shortened(trajectory, stop_ns):
+    """The trajectory up to a time."""
+    part = trajectory.timestamps_ns <= stop_ns
+    names = ("timestamps_ns", "positions", "quaternions_xyzw")
+    return replace(trajectory, **{name: getattr(trajectory, name)[part] for name in names})

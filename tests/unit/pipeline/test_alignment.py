@@ -63,11 +63,8 @@ def origin_of(scene):
 
 def test_everything_in_the_world_moves_to_the_new_origin(drive, tmp_path):
     trajectory, origin = drive.trajectories["groundTruth"].poses, origin_of(drive)
-    more = (
-        radar(drive, Coordinates.WORLD, PointsFrame.WORLD),
-        PointsSensor("map", LOCATIONS),
-        OdometrySensor("wheels", trajectory),
-    )
+    in_world = radar(drive, Coordinates.WORLD, PointsFrame.WORLD)
+    more = (in_world, PointsSensor("map", LOCATIONS), OdometrySensor("wheels", trajectory))
     fuse(with_sensors(drive, *more), tmp_path / "drive.sfs")
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         # float32 resolves 2e-5 m at 200 m
@@ -80,13 +77,12 @@ def test_everything_in_the_world_moves_to_the_new_origin(drive, tmp_path):
 
 
 def test_what_rides_on_the_ego_or_a_sensor_does_not_move(drive, tmp_path):
-    rider_association = radar(drive, Coordinates.EGO, PointsFrame.SENSOR)
-    fuse(with_sensors(drive, rider_association), tmp_path / "drive.sfs")
+    riding = radar(drive, Coordinates.EGO, PointsFrame.SENSOR)
+    fuse(with_sensors(drive, riding), tmp_path / "drive.sfs")
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
-        np.testing.assert_array_equal(scene.sensor("radar").frames[0].points.positions, LOCATIONS)
-        np.testing.assert_allclose(
-            scene.sensor("radar").poses.positions[0], rider_association.poses.positions[0], atol=1e-12
-        )
+        found = scene.sensor("radar")
+        np.testing.assert_array_equal(found.frames[0].points.positions, LOCATIONS)
+        np.testing.assert_allclose(found.poses.positions[0], riding.poses.positions[0], atol=1e-12)
 
 
 STAND = Poses.identity()
@@ -114,20 +110,15 @@ def test_the_origin_stays_where_an_annotation_could_not_move_along(drive, tmp_pa
 
 def test_locations_of_annotations_move_with_the_origin_and_pixels_stay(drive, tmp_path):
     timestamps, row = np.zeros(1, np.int64), np.arange(9.0)[None]
+    activation = Activation("lidar", timestamps, cuboids=row)
+    projection = Projection("front", timestamps, boxes=np.ones((1, 4)), cuboids=row * np.nan)
+    seen = PointProjection("front", timestamps, positions=CORNERS[1:])
+    flat = VertexPath(timestamps, (CORNERS[:, :2],))
     annotations = (
-        CuboidAnnotation(
-            "box",
-            CuboidPath(timestamps, row),
-            activations=(Activation("lidar", timestamps, cuboids=row),),
-            projections=(Projection("front", timestamps, boxes=np.ones((1, 4)), cuboids=row * np.nan),),
-        ),
+        CuboidAnnotation("box", CuboidPath(timestamps, row), activations=(activation,), projections=(projection,)),
         ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(timestamps, (CORNERS,))),
-        ShapeAnnotation("drawn", ShapeType.POLYLINE_2D, VertexPath(timestamps, (CORNERS[:, :2],)), "front"),
-        PointsAnnotation(
-            "keys",
-            (PointPath(timestamps, CORNERS[:1]),),
-            projections=((PointProjection("front", timestamps, positions=CORNERS[1:]),),),
-        ),
+        ShapeAnnotation("drawn", ShapeType.POLYLINE_2D, flat, "front"),
+        PointsAnnotation("keys", (PointPath(timestamps, CORNERS[:1]),), projections=((seen,),)),
     )
     fuse(replace(drive, annotations=annotations), tmp_path / "drive.sfs")
     origin = origin_of(drive)
@@ -155,17 +146,9 @@ def test_the_ego_gets_another_id_where_a_sensor_has_its_own(drive, tmp_path):
 def test_points_that_lie_in_the_world_need_no_poses(drive, tmp_path):
     fused = list(iter_fused(drive))
     frames = [LidarFrame(f.timestamp_ns, replace(f.points, colors=None)) for f in fused]
-    placed = replace(
-        changed(
-            drive,
-            "lidar",
-            frames=LazyFrames.of(frames, [f.timestamp_ns for f in frames]),
-            points_frame=PointsFrame.WORLD,
-            poses=None,
-            mount=None,
-        ),
-        trajectories={},
-    )
+    sweeps = LazyFrames.of(frames, [f.timestamp_ns for f in frames])
+    placed = changed(drive, "lidar", frames=sweeps, points_frame=PointsFrame.WORLD, poses=None, mount=None)
+    placed = replace(placed, trajectories={})
     cameras = tuple(replace(c, mount=None, poses=c.poses.moved(origin_of(drive))) for c in placed.cameras)
     report = fuse(replace(placed, sensors=(placed.lidars[0], *cameras)), tmp_path / "drive.sfs")
     assert (report.fused, report.trajectory) == (4, None)
@@ -189,38 +172,25 @@ def test_a_camera_with_images_and_no_location_is_refused_by_name(drive):
         fuse(changed(drive, "camera1", mount=None, poses=None))
 
 
-def own_mountings(drive):
-    """Every second image of the first camera hangs one metre higher than the calibration says."""
+def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file_and_fusing_again_applies_it_once(
+    drive, tmp_path
+):
     camera = drive.cameras[0]
-    assert camera.mount is not None
     higher = RigidTransform(camera.mount.rotation, np.add(camera.mount.translation, [0.0, 0.0, 1.0]))
 
     def read(index):
-        image = camera.images[index]
-        return replace(image, mount=higher) if index % 2 else image
+        return replace(camera.images[index], mount=higher) if index % 2 else camera.images[index]
 
-    images = LazyFrames(camera.images.timestamps_ns, read)
-    return changed(drive, camera.id, images=images)
-
-
-def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file(drive, tmp_path):
-    mixed = own_mountings(drive)
+    mixed = changed(drive, camera.id, images=LazyFrames(camera.images.timestamps_ns, read))
     fuse(mixed, tmp_path / "drive.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
     trajectory = drive.trajectories["groundTruth"].poses
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
-        camera = scene.cameras[0]
-        for image, source in zip(camera.images, mixed.cameras[0].images, strict=True):
+        for image, source in zip(scene.cameras[0].images, mixed.cameras[0].images, strict=True):
             at = np.array([source.timestamp_ns], np.int64)
-            expected = PoseSource(trajectory, source.mount or mixed.cameras[0].mount).at(at).positions
-            given = camera.poses.interpolate(at).positions + origin_of(drive)
+            expected = PoseSource(trajectory, source.mount or camera.mount).at(at).positions
+            given = scene.cameras[0].poses.interpolate(at).positions + origin_of(drive)
             np.testing.assert_allclose(given, expected, atol=1e-9)
             assert (image.mount is None) == (source.mount is None)
-
-
-def test_fusing_again_does_not_apply_a_mounting_twice(drive, tmp_path):
-    mixed = own_mountings(drive)
-    fuse(mixed, tmp_path / "drive.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
-    with sceneloom.open(tmp_path / "drive.sfs") as scene:
         for again, first in zip(iter_fused(scene), iter_fused(mixed), strict=True):
             for view, source in zip(again.views, first.views, strict=True):
                 np.testing.assert_allclose(view.world_from_camera.matrix, source.world_from_camera.matrix, atol=1e-9)

@@ -30,10 +30,7 @@ SIZE = np.array([4.2, 1.8, 1.5])
 
 @pytest.fixture(scope="module")
 def drive():
-    """A lidar of few beams and a camera.
-
-    Whose images are of another camera model than the one that boxes are made for.
-    """
+    """A lidar of few beams and a camera, whose images are of another camera model than boxes are made for."""
     return simulate_street(2, frames=14, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(CAMERA_MODEL),))
 
 
@@ -73,15 +70,10 @@ def test_boxes_report_what_images_cannot(drive, tmp_path, rotation_deg, verdict)
     np.testing.assert_allclose(health.item("boxes").values, rotation_deg[:2], atol=0.2)
 
 
-def test_a_part_of_the_drive_is_judged_by_its_own_boxes(drive, tmp_path):
+def test_a_part_of_the_drive_is_judged_by_its_own_boxes_of_both_kinds(drive, tmp_path):
     found = lists(drive.scene, tmp_path, (2.0, -1.0, 0.0))
     health = check_drive(drive.scene, most=2, stop=0.5, **found).health
-    # five images are too few
-    assert health.item("boxes").verdict is Verdict.UNDETERMINED
-
-
-def test_boxes_of_one_kind_are_refused(drive, tmp_path):
-    found = lists(drive.scene, tmp_path, (0.0, 0.0, 0.0))
+    assert health.item("boxes").verdict is Verdict.UNDETERMINED, "five images are too few"
     with pytest.raises(OptionError, match="boxes of images alone"):
         check_drive(drive.scene, boxes_2d=found["boxes_2d"])
 

@@ -209,33 +209,27 @@ def test_label_images_that_do_not_fit_are_refused_with_their_names(exposed, tmp_
 
 
 def test_what_cannot_be_done_is_refused_before_anything_is_written(exposed, tmp_path):
-    with pytest.raises(OptionError, match=r"'\.xyz'; expected one of \.las \.laz \.ply \.pcd .* or \.sfs"):
-        colour(exposed.scene, tmp_path / "map.xyz")
-    with pytest.raises(OptionError, match="nothing to write"):
-        colour(exposed.scene)
-    with pytest.raises(OptionError, match="named twice"):
-        outputs = ColourOutputs(map=tmp_path / "m.las", images=tmp_path / "m.las")
-        colour(exposed.scene, outputs=outputs)
     (tmp_path / "there.las").touch()
-    with pytest.raises(OutputError, match="exists already"):
-        colour(exposed.scene, tmp_path / "there.las")
-    with pytest.raises(DataError, match="no labelled points"):
-        colour(exposed.scene, outputs=ColourOutputs(project_labels=tmp_path / "back"))
-    with pytest.raises(OptionError, match="blend 'mean'"):
-        ColourSettings(blend="mean")
-    with pytest.raises(OptionError, match="voxel -1"):
-        ColourSettings(voxel=-1)
+    twice, back = ColourOutputs(map=tmp_path / "m.las", images=tmp_path / "m.las"), tmp_path / "back"
+    for error, message, arguments, options in (
+        (OptionError, r"'\.xyz'; expected one of \.las \.laz \.ply \.pcd .* or \.sfs", ("map.xyz",), {}),
+        (OptionError, "nothing to write", (), {}),
+        (OptionError, "named twice", (), {"outputs": twice}),
+        (OutputError, "exists already", ("there.las",), {}),
+        (DataError, "no labelled points", (), {"outputs": ColourOutputs(project_labels=back)}),
+    ):
+        with pytest.raises(error, match=message):
+            colour(exposed.scene, *(tmp_path / name for name in arguments), **options)
+    for options, message in (({"blend": "mean"}, "blend 'mean'"), ({"voxel": -1}, "voxel -1")):
+        with pytest.raises(OptionError, match=message):
+            ColourSettings(**options)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["there.las"]
 
 
 def odd_scene(points, level=0, *, yaw_deg=0.0):
     """Three sweeps of these points, and a camera that takes images of one grey level."""
-    drive = simulate_street(
-        2,
-        frames=3,
-        lidar=LidarSpec(beams=4, steps=90),
-        cameras=[CameraSpec(CAMERA_MODEL, camera_mount(yaw_deg=yaw_deg))],
-    )
+    cameras = [CameraSpec(CAMERA_MODEL, camera_mount(yaw_deg=yaw_deg))]
+    drive = simulate_street(2, frames=3, lidar=LidarSpec(beams=4, steps=90), cameras=cameras)
     lidar, camera = drive.scene.lidars[0], drive.scene.cameras[0]
     times = lidar.frames.timestamps_ns.tolist()
     cloud = LidarPoints(np.asarray(points, np.float32).reshape(-1, 3))

@@ -86,51 +86,38 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_strict_conversion_that_loses_nothing_is_written(scene_file, tmp_path):
-    report = convert(scene_file, tmp_path / "copy.sfs", strict=True)
-    assert (report.written, report.lost) == (True, ())
-    with open_scene(tmp_path / "copy.sfs") as copy:
-        assert len(copy.lidars[0].frames) == 2
-    assert names(tmp_path) == ["copy.sfs", "drive.sfs"]
-
-
 def test_what_is_known_beforehand_is_refused_before_anything_is_written(with_event, tmp_path, monkeypatch):
     monkeypatch.setattr("sceneloom.formats.recording.writer.write_recording", None)
     with pytest.raises(LossError, match=r"recording would not hold all: .*annotations.event.id") as caught:
         convert(with_event, tmp_path / "drive", strict=True, loss=tmp_path / "loss.json")
     assert names(tmp_path) == ["event.sfs", "loss.json"]
     reported = json.loads((tmp_path / "loss.json").read_text())
-    assert reported["written"] is False
-    assert {"field": "annotations.event.id", "support": "dropped"}.items() <= {
-        key: value for row in reported["fields"] if row["field"] == "annotations.event.id" for key, value in row.items()
-    }.items()
-    assert caught.value.report.written is False
+    assert reported["written"] is caught.value.report.written is False
+    assert ("annotations.event.id", "dropped") in {(row["field"], row["support"]) for row in reported["fields"]}
 
 
-def test_what_shows_only_while_writing_leaves_nothing_behind(tmp_path):
+def test_what_shows_only_while_writing_leaves_nothing_behind_and_rounding_to_other_units_is_no_loss(tmp_path):
     write_scene(drive(points_ns=500), tmp_path / "drive.sfs", time_unit="nanoseconds")
     with open_scene(tmp_path / "drive.sfs") as scene:
         assert scene.lidars[0].frames[0].points.timestamps_ns[0] == TIMESTAMPS[0] + 500
     with pytest.raises(LossError, match=r"'lidar'|points_frame|model|poses"):
         convert(tmp_path / "drive.sfs", tmp_path / "trajectory", strict=True)
     assert names(tmp_path) == ["drive.sfs"]
-
-
-def test_rounding_to_other_units_is_no_loss(tmp_path):
-    write_scene(drive(points_ns=500), tmp_path / "drive.sfs", time_unit="nanoseconds")
     report = convert(tmp_path / "drive.sfs", tmp_path / "copy.sfs", strict=True, time_unit="microseconds")
     rounded = {field.field: field for field in report.of_support(Support.CONVERTED)}
     assert rounded["sensors.lidar.frames.points.timestamps_ns"].largest_error == 0.5
 
 
 def test_strict_output_replaces_only_where_it_may(scene_file, tmp_path):
-    (tmp_path / "copy.sfs").write_bytes(b"mine")
+    (copy := tmp_path / "copy.sfs").write_bytes(b"mine")
     with pytest.raises(OutputError, match="exists already"):
-        convert(scene_file, tmp_path / "copy.sfs", strict=True)
-    assert (tmp_path / "copy.sfs").read_bytes() == b"mine"
-    convert(scene_file, tmp_path / "copy.sfs", strict=True, overwrite=True)
-    with open_scene(tmp_path / "copy.sfs") as copy:
-        assert copy.lidars[0].id == "top"
+        convert(scene_file, copy, strict=True)
+    assert copy.read_bytes() == b"mine"
+    report = convert(scene_file, copy, strict=True, overwrite=True)
+    assert (report.written, report.lost) == (True, ())
+    with open_scene(copy) as scene:
+        assert (len(scene.lidars[0].frames), scene.lidars[0].id) == (2, "top")
+    assert names(tmp_path) == ["copy.sfs", "drive.sfs"]
 
 
 def test_a_trajectory_out_of_a_drive_says_what_stays_behind(scene_file, tmp_path):
@@ -141,10 +128,6 @@ def test_a_trajectory_out_of_a_drive_says_what_stays_behind(scene_file, tmp_path
     with pytest.raises(LossError, match="jsonl would not hold all"):
         convert(scene_file, tmp_path / "again.jsonl", strict=True)
     assert "again.jsonl" not in names(tmp_path)
-
-
-def test_a_trajectory_from_form_to_form_loses_nothing(tmp_path, scene_file):
-    convert(scene_file, tmp_path / "trajectory.jsonl")
     report = convert(tmp_path / "trajectory.jsonl", tmp_path / "trajectory.tum")
     assert [field.field for field in report.lost] == ["trajectories.name"]
 
@@ -158,15 +141,18 @@ def test_a_report_for_people_names_every_field(with_event, tmp_path, suffix):
     assert f"{with_event.name} (sfs) → drive (recording)" in text
 
 
-def test_a_report_whose_name_says_no_form_is_refused_before_anything_is_done(scene_file, tmp_path):
-    with pytest.raises(OptionError, match=r"suffix '.pdf'; a loss report is written as .json, .md, .txt"):
-        convert(scene_file, tmp_path / "drive", loss=tmp_path / "loss.pdf")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"loss": "loss.pdf"}, r"suffix '.pdf'; a loss report is written as .json, .md, .txt"),
+        ({"to": "rig"}, "the format rig is only read; written are sfs, recording"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_anything_is_done(scene_file, tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OptionError, match=message):
+        convert(scene_file, tmp_path / "drive", **options)
     assert names(tmp_path) == ["drive.sfs"]
-
-
-def test_a_format_that_is_only_read_is_refused_as_a_target(scene_file, tmp_path):
-    with pytest.raises(OptionError, match="the format rig is only read; written are sfs, recording"):
-        convert(scene_file, tmp_path / "drive", to="rig")
 
 
 HOLDS = {
@@ -193,11 +179,8 @@ def test_the_longest_beginning_that_ends_at_a_dot_counts(field, support):
     assert holding_of(HOLDS, field).support == support
 
 
-def test_a_table_that_says_nothing_of_a_field_gives_none():
+def test_a_table_that_says_nothing_of_a_field_gives_none_and_slips_of_the_pen_are_found():
     assert holding_of({"sensors": KEPT}, "metadata") is None
-
-
-def test_slips_of_the_pen_are_found():
     assert unknown_names({**HOLDS, "sensors.lidar.frame": KEPT, "meta": KEPT}) == ["sensors.lidar.frame", "meta"]
 
 
@@ -232,11 +215,10 @@ def test_a_line_about_a_sensor_is_about_all_of_its_fields():
 
 def test_the_worst_that_happened_counts_and_the_largest_error():
     contents = {"sensors.lidar.frames.points.timestamps_ns": 9, "sensors.lidar.id": 1, "metadata": 1}
+    times = "sensors[top].frames[].points.timestamps"
     reported = [
-        Loss(field="sensors[top].frames[].points.timestamps", what="µs", support=Support.CONVERTED, largest_error=0.4),
-        Loss(
-            field="sensors[top].frames[].points.timestamps", what="ms", support=Support.APPROXIMATED, largest_error=0.2
-        ),
+        Loss(field=times, what="µs", support=Support.CONVERTED, largest_error=0.4),
+        Loss(field=times, what="ms", support=Support.APPROXIMATED, largest_error=0.2),
         Loss(field="sensors[top].id", what="read back as 'lidar'", kept="the header"),
         Loss(field="replay", what="a note", count=3, support=Support.KEPT),
     ]
@@ -254,10 +236,8 @@ def test_the_worst_that_happened_counts_and_the_largest_error():
 def test_what_is_reported_fields_that_the_scene_does_not_hold_stands_by_itself():
     reported = [Loss(field="sensors[top].mount", what="taken to be where the IMU is")]
     found = field_supports({"metadata": 1}, {"": KEPT}, reported, KINDS)
-    assert [(support.field, support.support) for support in found] == [
-        ("metadata", Support.KEPT),
-        ("sensors[top].mount", Support.DROPPED),
-    ]
+    supports = [(support.field, support.support) for support in found]
+    assert supports == [("metadata", Support.KEPT), ("sensors[top].mount", Support.DROPPED)]
 
 
 SMALL = LidarSpec(beams=8, steps=90)
@@ -311,7 +291,7 @@ def source(request, tmp_path_factory):
     return scene, path
 
 
-IS_READ = {"colmap": False, "nerfstudio": False}
+SUFFIXES = {"sfs": ".sfs", "mcap": ".mcap", "ros1": ".bag", "openlabel": ".json"}
 
 
 @pytest.mark.few(18)
@@ -321,9 +301,7 @@ def test_each_annotation_is_read_back_or_listed_with_its_count(source, target, t
     only_written = target in ("colmap", "nerfstudio")
     if only_written and not scene.cameras:
         pytest.skip("writes images, of which there are none")
-    written = tmp_path / {"sfs": "out.sfs", "mcap": "out.mcap", "ros1": "out.bag", "openlabel": "out.json"}.get(
-        target, "out"
-    )
+    written = tmp_path / f"out{SUFFIXES.get(target, '')}"
     report = sceneloom.convert(path, written, to=target)
     found = ()
     if not only_written:
@@ -350,22 +328,14 @@ _WHOLE = {"annotations", *(f"annotations.{kind}" for kind in kinds_of(annotated(
 @pytest.mark.parametrize("target", ["kitti-object", "kitti-tracking", "kitti-raw"])
 def test_boxes_of_a_drive_without_a_camera_are_in_their_locations_in_each_frame(tmp_path, target):
     scene = annotated(with_camera=False)
-    sceneloom.convert(_saved(scene, tmp_path), tmp_path / "out", to=target)
+    sceneloom.write(scene, tmp_path / "drive.sfs")
+    sceneloom.convert(tmp_path / "drive.sfs", tmp_path / "out", to=target)
     with sceneloom.open(tmp_path / "out") as again:
         assert not again.cameras
-        for mine, theirs in zip(scene.samples(), again.samples(), strict=True):
-            assert len(theirs.boxes) == len(mine.boxes) == 6
-            np.testing.assert_allclose(in_lidar(theirs), in_lidar(mine), atol=1e-3)  # numbers of fixed digits
-
-
-def in_lidar(sample):
-    return sample.world_from_lidar.inverse().apply(sample.boxes.centers_world)
-
-
-def _saved(scene, folder):
-    path = folder / "drive.sfs"
-    sceneloom.write(scene, path)
-    return path
+        for samples in zip(scene.samples(), again.samples(), strict=True):
+            mine, theirs = (s.world_from_lidar.inverse().apply(s.boxes.centers_world) for s in samples)
+            assert len(theirs) == len(mine) == 6
+            np.testing.assert_allclose(theirs, mine, atol=1e-3)  # numbers of fixed digits
 
 
 def test_every_sweep_and_every_single_image_is_reported_once(tmp_path):
@@ -373,25 +343,14 @@ def test_every_sweep_and_every_single_image_is_reported_once(tmp_path):
     drive = simulate_street(frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=(CameraSpec(camera_model),))
     write_scene(drive.scene, tmp_path / "drive.sfs")
     reported = []
-    convert(tmp_path / "drive.sfs", tmp_path / "copy.sfs", progress=lambda done, total: reported.append((done, total)))
+    convert(tmp_path / "drive.sfs", tmp_path / "copy.sfs", progress=lambda *counts: reported.append(counts))
     assert reported[-1] == (6, 6)
     assert [done for done, _ in reported] == sorted(done for done, _ in reported)
     with open_scene(tmp_path / "copy.sfs") as copy:
         assert [len(copy.lidars[0].frames), len(copy.cameras[0].images)] == [3, 3]
 
 
-TARGETS = {
-    "sfs": ".sfs",
-    "mcap": ".mcap",
-    "openlabel": ".json",
-    "ros2": "",
-    "nuscenes": "",
-    "kitti-raw": "",
-    "kitti-object": "",
-    "recording": "",
-    "pcd": "",
-    "ply": "",
-}
+TARGETS = ("sfs", "mcap", "openlabel", "ros2", "nuscenes", "kitti-raw", "kitti-object", "recording", "pcd", "ply")
 
 
 @pytest.fixture(scope="module")
@@ -407,7 +366,7 @@ def source_paths(tmp_path_factory):
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.few(5)
 def test_no_target_holds_the_folder_of_its_source(source_paths, target, tmp_path):
-    out = tmp_path / f"out{TARGETS[target]}"
+    out = tmp_path / f"out{SUFFIXES.get(target, '')}"
     sceneloom.convert(source_paths, out, to=target, loss=tmp_path / "loss.json")
     files = [out] if out.is_file() else [path for path in out.rglob("*") if path.is_file()]
     for path in (*files, tmp_path / "loss.json"):
@@ -415,9 +374,8 @@ def test_no_target_holds_the_folder_of_its_source(source_paths, target, tmp_path
 
 
 def test_an_assumption_names_the_drive_alone_and_what_was_repaired_is_not_reported_again(source_paths, tmp_path):
-    repaired = DataWarning(
-        kind=WarningKind.REPAIRED, code="poses-sorted", location=f"{source_paths}/oxts.txt", message="sorted"
-    )
+    location = f"{source_paths}/oxts.txt"
+    repaired = DataWarning(kind=WarningKind.REPAIRED, code="poses-sorted", location=location, message="sorted")
     with sceneloom.open(source_paths) as scene:
         reported = replace(scene, warnings=(*scene.warnings, repaired))
         sceneloom.write(reported, tmp_path / "b.sfs")

@@ -2,10 +2,10 @@
 
 import pickle
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
+from tests.unit.pipeline.conftest import shortened, with_frames, with_lidar, without_trajectory
 
 import sceneloom
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError
@@ -14,10 +14,9 @@ from sceneloom.motion.deskew import LEFT_SKEWED, MEASURED
 from sceneloom.pipeline import deskew, deskewed_scene, iter_fused
 from sceneloom.scene import (
     Coordinates,
-    GnssSensor,
     ImuSensor,
     LazyFrames,
-    LidarSensor,
+    LidarPoints,
     OdometrySensor,
     PointsFrame,
     Scene,
@@ -37,28 +36,6 @@ def drive(keep):
     imu = ImuSpec(gyroscope_bias_sigma=0.0)
     made = simulate_street(2, frames=SWEEPS, lidar=lidar, cameras=(), imu=imu)
     return replace(made, scene=keep(made.scene))
-
-
-def with_lidar(scene, **changes):
-    return replace(
-        scene,
-        sensors=tuple(
-            replace(sensor, **changes) if isinstance(sensor, LidarSensor) else sensor for sensor in scene.sensors
-        ),
-    )
-
-
-def _edited(frames, edit, k):
-    return edit(frames[k])
-
-
-def with_frames(scene, edit):
-    frames = scene.lidars[0].frames
-    return with_lidar(scene, frames=LazyFrames(frames.timestamps_ns, partial(_edited, frames, edit)))
-
-
-def without_times(frame):
-    return replace(frame, points=replace(frame.points, timestamps_ns=None))
 
 
 def errors(drive, frames):
@@ -100,7 +77,7 @@ def test_an_imu_alone_undoes_the_rotating(drive):
 def test_points_in_the_egos_frame_stay_in_it(drive):
     mount = drive.scene.lidars[0].mount
 
-    def on_ego(frame):
+    def on_ego(frame, _):
         positions = mount.apply(frame.points.positions).astype(np.float32)
         return replace(frame, points=replace(frame.points, positions=positions))
 
@@ -113,16 +90,9 @@ def test_a_lidar_with_poses_of_its_own_needs_no_trajectory(drive):
     scene = replace(with_lidar(drive.scene, mount=None), trajectories={})
     # own poses are of the trajectory's times: between them the lidar's trajectory is as straight as the ego's
     assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 3e-3
-    with pytest.raises(PoseError, match="how lidar 'lidar' is mounted"):
-        deskewed_scene(scene, trajectory="imu")
-    with pytest.raises(PoseError, match="how lidar 'lidar' is mounted"):
-        deskewed_scene(scene, trajectory="identity")
-
-
-def test_a_deskewed_scene_fuses_to_the_same_world_as_the_measured_one(drive):
-    for deskewed, measured in zip(iter_fused(deskewed_scene(drive.scene)), iter_fused(drive.scene), strict=True):
-        # two roundings to float32 at 100 m
-        np.testing.assert_allclose(deskewed.points.positions, measured.points.positions, atol=5e-5)
+    for trajectory in ("imu", "identity"):
+        with pytest.raises(PoseError, match="how lidar 'lidar' is mounted"):
+            deskewed_scene(scene, trajectory=trajectory)
 
 
 @pytest.mark.parametrize("name", ["drive.sfs", "drive"])
@@ -131,14 +101,9 @@ def test_the_step_writes_scene_files_and_recordings(drive, tmp_path, name):
     report = deskew(drive.scene, tmp_path / name, progress=lambda done, total: calls.append((done, total)))
     assert (report.sweeps, report.deskewed, report.left, report.trajectory) == (SWEEPS, SWEEPS, {}, "groundTruth")
     assert calls == [(k, SWEEPS) for k in range(1, SWEEPS + 1)]
-    shifts = np.concatenate(
-        [
-            np.linalg.norm(after.points.positions - before.points.positions, axis=1)
-            for after, before in zip(
-                deskewed_scene(drive.scene).lidars[0].frames, drive.scene.lidars[0].frames, strict=True
-            )
-        ]
-    )
+    pairs = zip(deskewed_scene(drive.scene).lidars[0].frames, drive.scene.lidars[0].frames, strict=True)
+    moved = [after.points.positions - before.points.positions for after, before in pairs]
+    shifts = np.linalg.norm(np.concatenate(moved), axis=1)
     np.testing.assert_allclose([report.mean_shift, report.max_shift], [shifts.mean(), shifts.max()], rtol=1e-5)
     assert report.points == len(shifts)
     with sceneloom.open(tmp_path / name) as scene:
@@ -172,16 +137,9 @@ def test_a_recording_says_that_it_loses_the_measured_times_and_is_not_moved_agai
 
 
 def test_sweeps_beyond_the_trajectory_stay_as_measured_and_are_counted(drive, tmp_path):
-    estimated_trajectory = drive.scene.trajectories["groundTruth"]
-    rows = estimated_trajectory.timestamps_ns < int(drive.scene.lidars[0].frames.timestamps_ns[1]) + 20_000_000
-    short = replace(
-        estimated_trajectory,
-        timestamps_ns=estimated_trajectory.timestamps_ns[rows],
-        positions=estimated_trajectory.positions[rows],
-        quaternions_xyzw=estimated_trajectory.quaternions_xyzw[rows],
-    )
-    scene = replace(drive.scene, trajectories={"short": short})
-    report = deskew(scene, tmp_path / "drive.sfs")
+    trajectory = drive.scene.trajectories["groundTruth"]
+    short = shortened(trajectory, int(drive.scene.lidars[0].frames.timestamps_ns[1]) + 19_999_999)
+    report = deskew(replace(drive.scene, trajectories={"short": short}), tmp_path / "drive.sfs")
     # it ends soon after the first sweep; the end of the second lies within one sweep period beyond it
     assert (report.deskewed, report.extrapolated) == (2, 1)
     assert report.left == {"beyond the trajectory": 2}
@@ -203,33 +161,21 @@ def test_sweeps_in_a_gap_of_the_imu_stay_as_measured(drive):
     assert reasons == [None, "in a gap of the measured motion", None, None]
 
 
-def test_points_without_times_stay_as_they_are_and_that_is_counted(drive, tmp_path):
-    report = deskew(with_frames(drive.scene, without_times), tmp_path / "drive")
+def timed(drive, times_of):
+    """The drive with what a function makes of the times of each sweep."""
+    return with_frames(drive.scene, lambda f, _: replace(f, points=replace(f.points, timestamps_ns=times_of(f))))
+
+
+def test_points_without_times_stay_as_they_are_and_times_from_zero_are_understood_and_reported(drive, tmp_path):
+    report = deskew(timed(drive, lambda _: None), tmp_path / "drive")
     assert (report.deskewed, report.left) == (0, {"no times of the points": SWEEPS})
-
-
-def test_point_times_from_zero_are_understood_and_reported(drive, tmp_path):
-    def relative(frame):
-        times = frame.points.timestamps_ns - frame.timestamp_ns
-        return replace(frame, points=replace(frame.points, timestamps_ns=times))
-
-    scene = with_frames(drive.scene, relative)
+    scene = timed(drive, lambda frame: frame.points.timestamps_ns - frame.timestamp_ns)
     report = deskew(scene, tmp_path / "drive.sfs")
     assert [(warning.code, warning.count) for warning in report.warnings] == [("relative-point-times", SWEEPS)]
     assert errors(drive, deskewed_scene(scene).lidars[0].frames).max() < 2e-3
-
-
-def test_empty_sweeps_pass(drive, tmp_path):
-    def emptied(frame):
-        points = frame.points
-        chosen = slice(0 if frame.timestamp_ns == drive.scene.lidars[0].frames.timestamps_ns[1] else None)
-        cut = {
-            name: None if getattr(points, name) is None else getattr(points, name)[chosen]
-            for name in ("positions", "intensities", "timestamps_ns", "rings")
-        }
-        return replace(frame, points=replace(points, **cut))
-
-    report = deskew(with_frames(drive.scene, emptied), tmp_path / "drive.sfs")
+    empty = LidarPoints(np.zeros((0, 3), np.float32), timestamps_ns=np.zeros(0, np.int64))
+    scene = with_frames(drive.scene, lambda frame, k: replace(frame, points=empty) if k == 1 else frame)
+    report = deskew(scene, tmp_path / "empty.sfs")
     assert (report.deskewed, report.left) == (SWEEPS - 1, {"no points": 1})
 
 
@@ -237,21 +183,18 @@ def test_sweeps_in_any_order_are_deskewed_each_by_itself(drive):
     frames, order = drive.scene.lidars[0].frames, [2, 0, 3, 1]
     mixed = LazyFrames.of([frames[k] for k in order], frames.timestamps_ns[order].tolist())
     sound = deskewed_scene(drive.scene, at="start").lidars[0].frames
-    for k, frame in zip(
-        order, deskewed_scene(with_lidar(drive.scene, frames=mixed), at="start").lidars[0].frames, strict=True
-    ):
+    found = deskewed_scene(with_lidar(drive.scene, frames=mixed), at="start").lidars[0].frames
+    for k, frame in zip(order, found, strict=True):
         np.testing.assert_array_equal(frame.points.positions, sound[k].points.positions)
 
 
-def broken_at(frame, timestamp_ns):
-    if frame.timestamp_ns == timestamp_ns:
-        raise DataError("drive", "lidar/000001.bin", "no such file")
-    return frame
-
-
 def test_an_unreadable_sweep_is_left_out_only_when_asked(drive, tmp_path):
-    second = int(drive.scene.lidars[0].frames.timestamps_ns[1])
-    scene = with_frames(drive.scene, partial(broken_at, timestamp_ns=second))
+    def broken(frame, k):
+        if k == 1:
+            raise DataError("drive", "lidar/000001.bin", "no such file")
+        return frame
+
+    scene = with_frames(drive.scene, broken)
     with pytest.raises(DataError, match=r"000001\.bin"):
         deskew(scene, tmp_path / "strict.sfs")
     assert not list(tmp_path.iterdir())
@@ -272,8 +215,7 @@ def test_a_part_is_deskewed_as_it_is_in_the_whole(drive, tmp_path):
 
 
 def test_deskewed_sweeps_go_to_other_processes(drive):
-    source = LazyFrames.of(list(drive.scene.lidars[0].frames), drive.scene.lidars[0].frames.timestamps_ns.tolist())
-    frames = deskewed_scene(with_lidar(drive.scene, frames=source)).lidars[0].frames
+    frames = deskewed_scene(drive.scene).lidars[0].frames
     again = pickle.loads(pickle.dumps(frames))
     np.testing.assert_array_equal(again[2].points.positions, frames[2].points.positions)
 
@@ -302,11 +244,6 @@ def test_what_cannot_be_followed_is_refused_with_the_reason(drive, tmp_path):
         deskew(scene, tmp_path / "drive.sfs")
 
 
-def without_trajectory(scene):
-    """A scene with nothing to find the trajectory by but its sweeps."""
-    return replace(scene, trajectories={}, sensors=tuple(s for s in scene.sensors if not isinstance(s, GnssSensor)))
-
-
 def test_a_trajectory_that_was_found_goes_along_so_that_nothing_finds_it_again(drive, tmp_path):
     lost = without_trajectory(drive.scene)
     deskew(lost, tmp_path / "deskewed.sfs")
@@ -332,11 +269,8 @@ def test_a_second_lidar_can_be_deskewed_later(drive, tmp_path):
 def test_poses_in_ego_coordinates_are_followed(drive):
     """A scene file's own trajectory: the lidar's stationary pose on an odometry sensor."""
     lidar, estimated_trajectory = drive.scene.lidars[0], drive.scene.trajectories["groundTruth"]
-    stationary = replace(
-        lidar.poses.identity(),
-        positions=lidar.mount.translation[None],
-        quaternions_xyzw=lidar.mount.quaternion_xyzw[None],
-    )
+    position, quaternion = lidar.mount.translation[None], lidar.mount.quaternion_xyzw[None]
+    stationary = replace(lidar.poses.identity(), positions=position, quaternions_xyzw=quaternion)
     scene = with_lidar(drive.scene, mount=None, poses=stationary, coordinates=Coordinates.EGO)
     scene = replace(scene, sensors=(*scene.sensors, OdometrySensor("ego", estimated_trajectory.poses)))
     for trajectory in (None, "groundTruth"):
@@ -349,12 +283,10 @@ def test_whatever_stands_in_the_position_of_the_note_does_no_harm(drive, note):
     assert scene.metadata["sceneloom"]["deskew"][-1]["lidars"] == ["lidar"]
 
 
-def test_odometry_deskews_a_drive_without_poses_and_that_is_reported(tmp_path):
+def test_odometry_deskews_a_drive_without_poses_and_that_is_reported(keep, tmp_path):
     lidar = LidarSpec(beams=32, steps=600, range_sigma=0.0)
     drive = simulate_street(2, frames=8, lidar=lidar, cameras=())
-    scene = with_lidar(without_trajectory(drive.scene), poses=None)
-    frames = scene.lidars[0].frames
-    scene = with_lidar(scene, frames=LazyFrames.of(list(frames), frames.timestamps_ns.tolist()))
+    scene = keep(with_lidar(without_trajectory(drive.scene), poses=None))
     report = deskew(scene, tmp_path / "drive.sfs")
     assert (report.trajectory, report.deskewed) == ("lidar", 8)
     assert "trajectory-from-lidar" in [warning.code for warning in report.warnings]

@@ -22,11 +22,8 @@ LIDAR_FROM_CAMERA = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]
 @pytest.fixture
 def context():
     """A lidar that drives 10 m/s to the north and looks there."""
-    trajectory = Poses(
-        TIMES,
-        np.array([[5.0, 0.0, 0.0], [5.0, 1.0, 0.0], [5.0, 2.0, 0.0]]),
-        np.tile([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)], (3, 1)),
-    )
+    positions = np.array([[5.0, 0.0, 0.0], [5.0, 1.0, 0.0], [5.0, 2.0, 0.0]])
+    trajectory = Poses(TIMES, positions, np.tile([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)], (3, 1)))
     source = PoseSource(trajectory, RigidTransform.identity())
     return ListContext("lidar", TIMES, source=source, sensor_from_camera=LIDAR_FROM_CAMERA)
 
@@ -42,32 +39,19 @@ def file(tmp_path, text, name="boxes.txt"):
     return path
 
 
+NAMED = {"id": 3, "class": "Car", "confidence": 0.5, "timestamp": "0.100000000"}
+SIZE = {"length": 4.0, "width": 2.0, "height": 1.5}
 BOX_3D = {
-    "id": 3,
-    "class": "Car",
+    **NAMED,
+    **SIZE,
     "points_seq": 1,
-    "confidence": 0.5,
-    "timestamp": "0.100000000",
     "X": 10.0,
     "Y": 1.0,
     "Z": -0.5,
-    "length": 4.0,
-    "width": 2.0,
-    "height": 1.5,
     "direction": [0.0, 2.0, 0.0],
     "velocity": -3.0,
 }
-BOX_2D = {
-    "id": 3,
-    "class": "Car",
-    "image_seq": 1,
-    "confidence": 0.5,
-    "timestamp": "0.100000000",
-    "x1": 10,
-    "y1": 20,
-    "x2": 30,
-    "y2": 40,
-}
+BOX_2D = {**NAMED, "image_seq": 1, "x1": 10, "y1": 20, "x2": 30, "y2": 40}
 
 
 def test_bare_records_of_table_7_are_put_together_by_frame(tmp_path, context):
@@ -84,9 +68,8 @@ def test_bare_records_of_table_7_are_put_together_by_frame(tmp_path, context):
 
 
 def test_lists_of_frames_are_read_as_they_were_written(tmp_path, context):
-    boxes = Boxes3D(
-        100_000_000, np.ones((2, 3)), np.full((2, 3), 2.0), np.zeros(2), np.array([0.25, 0.75]), ("Car", "Bus")
-    )
+    ones, scores = np.ones((2, 3)), np.array([0.25, 0.75])
+    boxes = Boxes3D(100_000_000, ones, 2 * ones, np.zeros(2), scores, ("Car", "Bus"))
     seen = Boxes2D(200_000_000, np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([0.5]), ("Car",))
     in_space = file(tmp_path, format_json(boxes_3d_record(boxes, sensor_id=0, seq=1)), "a.jsonl")
     in_image = file(tmp_path, format_json(boxes_2d_record(seen, sensor_id=1, seq=2)), "b.jsonl")
@@ -142,13 +125,10 @@ def test_boxes_of_nuscenes_come_from_the_world_into_the_lidars_frame(tmp_path, c
     assert (boxes.timestamp_ns, boxes.labels) == (100_000_000, ("car",))
 
 
-def test_samples_whose_times_are_not_known_are_a_question(tmp_path, context):
+def test_samples_whose_times_are_not_known_are_a_question_and_those_of_other_drives_left_out(tmp_path, context):
     path = file(tmp_path, json.dumps({"results": {TOKEN: [NUSCENES]}}))
     with pytest.raises(DataError, match=r"put nuScenes' table sample\.json"):
         read_boxes_3d(path, context, strict())
-
-
-def test_samples_of_other_drives_are_left_out(tmp_path, context):
     ledger = strict()
     assert not read_boxes_3d(nuscenes(tmp_path, NUSCENES, micros=10**15), context, ledger)
     assert [warning.code for warning in ledger.warnings] == ["other-samples"]

@@ -132,20 +132,6 @@ def test_kept_kernels_are_those_of_the_content_of_their_sources_and_not_of_their
     assert cache.source_digest(changed) != known
 
 
-@pytest.mark.parametrize(
-    ("warm", "writable", "stated"),
-    [
-        (True, True, None),
-        (True, False, "NUMBA_CACHE_DIR"),
-        (False, True, "compiled when first used"),
-        (False, False, "NUMBA_CACHE_DIR"),
-    ],
-)
-def test_what_to_do_about_kernels(warm, writable, stated):
-    remedy = installation._KERNEL_REMEDIES[warm, writable]
-    assert remedy is None if stated is None else stated in remedy
-
-
 @pytest.mark.parametrize("usable", [False, True])
 def test_a_cache_that_cannot_be_written_is_no_good(monkeypatch, tmp_path, usable):
     (tmp_path / "file").write_text("in the way")

@@ -139,27 +139,21 @@ def test_mountings_may_change_from_frame_to_frame():
     mast = Poses(
         times, np.tile(lidar.mount.translation, (50, 1)), (swing * Rotation.from_matrix(lidar.mount.rotation)).as_quat()
     )
-    scene = replace(
-        drive.scene,
-        sensors=tuple(
-            replace(sensor, images=swinging)
-            if sensor is camera
-            else replace(sensor, poses=mast, mount=None, coordinates=Coordinates.EGO)
-            if sensor is lidar
-            else sensor
-            for sensor in drive.scene.sensors
-        ),
-    )
+    moved = {
+        camera.id: replace(camera, images=swinging),
+        lidar.id: replace(lidar, poses=mast, mount=None, coordinates=Coordinates.EGO),
+    }
+    scene = replace(drive.scene, sensors=tuple(moved.get(sensor.id, sensor) for sensor in drive.scene.sensors))
     for k, (fused, plain) in enumerate(zip(iter_fused(scene), iter_fused(drive.scene), strict=True)):
         ego = plain.views[0].world_from_camera @ camera.mount.inverse()
         expected = ego @ rotations[k] @ camera.mount
         np.testing.assert_allclose(fused.views[0].world_from_camera.matrix, expected.matrix, atol=1e-12)
         at = lidar.frames[k].points.timestamps_ns
         path = trajectory.poses.interpolate(at)
-        on_ego = (
-            swing[0]
-            * Rotation.from_rotvec(np.outer(np.interp(at, times, np.linspace(0, np.radians(20), 50)), (0, 0, 1)))
-        ).apply(lidar.mount.apply(lidar.frames[k].points.positions) - lidar.mount.translation) + lidar.mount.translation
+        angles = np.interp(at, times, np.linspace(0, np.radians(20), 50))
+        swung = swing[0] * Rotation.from_rotvec(np.outer(angles, (0, 0, 1)))
+        from_mast = lidar.mount.apply(lidar.frames[k].points.positions) - lidar.mount.translation
+        on_ego = swung.apply(from_mast) + lidar.mount.translation
         world = Rotation.from_quat(path.quaternions_xyzw).apply(on_ego) + path.positions
         into_fused = plain.points.positions[0] - points_in_world(drive, k)[0]
         np.testing.assert_allclose(fused.points.positions, world + into_fused, atol=3e-3)

@@ -22,19 +22,10 @@ def simulated():
 
 def a_car(times_ns, centers):
     count = len(times_ns)
-    return Track(
-        1,
-        "car",
-        times_ns,
-        centers,
-        np.tile([4.2, 1.8, 1.5], (count, 1)),
-        np.zeros(count),
-        np.zeros((count, 3)),
-        np.zeros(count),
-        np.tile(0.01 * np.eye(10), (count, 1, 1)),
-        np.full(count, 0.9),
-        np.full(count, Support.SWEEP, np.uint8),
-    )
+    sizes, still, none = np.tile([4.2, 1.8, 1.5], (count, 1)), np.zeros((count, 3)), np.zeros(count)
+    covariances, scores = np.tile(0.01 * np.eye(10), (count, 1, 1)), np.full(count, 0.9)
+    supports = np.full(count, Support.SWEEP, np.uint8)
+    return Track(1, "car", times_ns, centers, sizes, none, still, none, covariances, scores, supports)
 
 
 def drive_along(scene, path):
@@ -79,14 +70,10 @@ def scene_and_drive():
     ego = EgoMotion.of(next(iter(scene.trajectories.values())))
     lidar, camera = scene.lidars[0], scene.cameras[0]
     source, eye = (sensor_source(scene, sensor, ego, reach_ns=10**8) for sensor in (lidar, camera))
-    drive = DetectedDrive(
-        "street",
-        lidar.id,
-        source,
-        tuple(one.boxes for one in detect_3d(simulated)),
-        {camera.id: DetectedCamera(camera.camera, eye, tuple(one.boxes for one in detect_2d(simulated)))},
-        points=SweepPoints.of(scene, lidar.id, source),
-    )
+    boxes = tuple(one.boxes for one in detect_3d(simulated))
+    seen = DetectedCamera(camera.camera, eye, tuple(one.boxes for one in detect_2d(simulated)))
+    points = SweepPoints.of(scene, lidar.id, source)
+    drive = DetectedDrive("street", lidar.id, source, boxes, {camera.id: seen}, points=points)
     return scene, drive
 
 
@@ -94,12 +81,8 @@ def test_a_dozen_moments_are_drawn_over_images_and_from_above(scene_and_drive, t
     scene, drive = scene_and_drive
     objects, _ = track(drive)
     paths = save_tracking_images(scene, drive, objects, tmp_path / "drawn", count=2)
-    assert [path.name for path in paths] == [
-        "000000_above.png",
-        "000000_camera0.png",
-        "000002_above.png",
-        "000002_camera0.png",
-    ]
+    names = [f"{number:06d}_{view}.png" for number in (0, 2) for view in ("above", "camera0")]
+    assert [path.name for path in paths] == names
     with Image.open(paths[1]) as image:
         assert image.width >= 320
     bare = save_tracking_images(Scene(()), drive, objects, tmp_path / "bare", count=1)

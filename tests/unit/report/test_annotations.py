@@ -61,57 +61,32 @@ def labels(scene):
     return Labels.measured(scene, start_ns=0)
 
 
-def test_types_classes_and_attributes_are_counted(labels):
-    assert labels.types == {"cuboid": 3, "event": 1}
-    assert [(c.label, c.objects) for c in labels.classes] == [("car", 2), (NO_CLASS, 1)]
-    assert labels.attributes == {"speed": 1}
-
-
-def test_sizes_and_lengths_of_time_are_those_of_the_boxes(labels):
+def test_types_classes_sizes_and_times_are_those_of_the_boxes(labels):
     cars, things = labels.classes
+    assert (labels.types, labels.attributes) == ({"cuboid": 3, "event": 1}, {"speed": 1})
+    assert [(c.label, c.objects) for c in labels.classes] == [("car", 2), (NO_CLASS, 1)]
     assert (cars.length.median, cars.height.low, cars.seconds.median) == (4.0, pytest.approx(1.525), 1.0)
-    assert (things.stationary, things.seconds) == (1, None)
-    assert cars.key_frames == 4
+    assert (things.stationary, things.seconds, cars.key_frames) == (1, None, 4)
+    assert (labels.over_time[0], labels.over_time[-1]) == ((0.0, 3), (1.0, 3))
 
 
-def test_ranges_are_those_from_the_lidar(labels):
+def test_ranges_points_and_what_hides_boxes_are_those_that_sensors_see(labels):
     cars, things = labels.classes
     assert things.ranges.median == pytest.approx(20.0)
     assert (cars.ranges.count, cars.ranges.median) == (4, pytest.approx(20.0))  # 10 and 30 m at two moments
     assert dict(zip(labels.range_edges, labels.range_counts, strict=True))[10.0] == 2
-
-
-def test_points_inside_are_counted(labels):
-    cars, things = labels.classes
     assert cars.points.median == pytest.approx(1.5)  # 3 in one, 0 in the other
-    assert (cars.empty_share, things.empty_share) == (0.5, 1.0)
-    assert labels.point_counts[:2] == (4, 2)
-
-
-def test_what_hides_boxes_and_which_are_in_images(labels):
-    cars, things = labels.classes
+    assert (cars.empty_share, things.empty_share, labels.point_counts[:2]) == (0.5, 1.0, (4, 2))
     assert (cars.in_images_share, things.in_images_share) == (1.0, 0.0)
     # the far car lies wholly behind the near one, which nothing hides
     assert (cars.hidden.low, cars.hidden.high) == (pytest.approx(0.0, abs=1e-9), pytest.approx(1.0, abs=0.01))
 
 
-def test_boxes_over_time_are_those_that_are_there(labels):
-    assert labels.over_time[0] == (0.0, 3)
-    assert labels.over_time[-1] == (1.0, 3)
-
-
-def test_a_scene_without_annotations_has_no_labels():
+def test_without_annotations_there_are_no_labels_and_without_sensors_they_are_counted_all_the_same():
     assert Labels.measured(Scene(()), start_ns=0) is None
-
-
-def test_annotations_without_sensors_are_counted_all_the_same():
     found = Labels.measured(Scene((), annotations=(cuboid("a", (1, 1, 1), (0, 0, 0)),), metadata=OURS), start_ns=0)
     assert (found.classes[0].objects, found.moments) == (1, 0)
-
-
-def test_a_spread_passes_over_what_is_no_number():
-    assert Spread.of([np.nan, 1.0, 3.0]).median == 2.0
-    assert Spread.of([np.nan]) is None
+    assert (Spread.of([np.nan, 1.0, 3.0]).median, Spread.of([np.nan])) == (2.0, None)
 
 
 def test_boxes_count_from_the_first_timestamp_to_the_last_in_days_of_today():

@@ -15,9 +15,8 @@ from sceneloom.simulate import camera_mount
 
 def on_circle(degrees, radius, height=0.0):
     angles = np.radians(degrees)
-    return np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), height)]).astype(
-        np.float32
-    )
+    columns = [radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), height)]
+    return np.column_stack(columns).astype(np.float32)
 
 
 def lidar(points, *, rings=None, **more):

@@ -49,16 +49,14 @@ def test_length_speed_rotate_and_climb_are_those_of_the_formula():
     assert found.stationary_share == 0.0
 
 
-def test_an_ego_that_stands_is_stated_to_stand():
+def test_an_ego_that_stands_is_stated_to_stand_and_a_long_way_known_by_few_corners():
     trajectory = replace(circle(), positions=np.tile([5.0, 6.0, 7.0], (401, 1)))
     (found,) = Trajectories.of(Scene((), trajectories={"trajectory": trajectory}), start_ns=0).trajectories
     assert (found.stationary_share, found.metres, found.mean_speed) == (1.0, 0.0, 0.0)
-
-
-def test_a_long_way_is_known_by_few_corners():
     (found,) = Trajectories.of(Scene((), trajectories={"trajectory": circle(20_001)}), start_ns=0).trajectories
     assert len(found.corners) <= MOST_CORNERS
     assert found.corners[-1].seconds == SECONDS
+    assert Trajectories.of(Scene(()), start_ns=0).trajectories == ()
 
 
 @pytest.mark.parametrize("north_deg", [90.0, 25.0, -140.0])
@@ -76,10 +74,6 @@ def test_fixes_of_an_ego_that_stands_do_not_report_north():
     trajectory = circle()
     still = replace(trajectory, positions=np.zeros_like(trajectory.positions))
     assert Trajectories.of(Scene((fixes(still, 90.0),), trajectories={"trajectory": still}), start_ns=0).north is None
-
-
-def test_a_scene_without_anything_has_no_ways():
-    assert Trajectories.of(Scene(()), start_ns=0).trajectories == ()
 
 
 def test_fixes_without_reception_are_no_locations():

@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sceneloom.formats.recording.spec import FORMAT
+from sceneloom.scene import Scene
+
 IDENTITY_ROWS = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 
 
@@ -74,6 +77,10 @@ class RecordingFolder:
         file.parent.mkdir(exist_ok=True)
         file.write_bytes(b"".join(struct.pack("<fffBHd", *point) for point in points) + extra)
         return self
+
+    def open(self, **options: Any) -> Scene:
+        """The recording as a scene."""
+        return FORMAT.open(self.path, **options)
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import pytest
 import sceneloom
 from sceneloom.checks import validate
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.spec import FORMAT
 
 COUNT = 24
 CODECS = {
@@ -20,8 +19,8 @@ CODECS = {
 """By name of the video: an encoder that its container is usual with. H.264 stores images out of their order."""
 
 
-def video(path, codec, pixels):
-    """Images that get brighter by 8 levels each, with noise so that all take some room."""
+def video(path, codec, pixels, *, share=1.0):
+    """Images that get brighter by 8 levels each, with noise so that all take some room; cut off after a share."""
     rng = np.random.default_rng(5)
     options = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
     with av.open(str(path), "w", options=options) as container:
@@ -33,6 +32,7 @@ def video(path, codec, pixels):
             image = (20 + 8 * k + rng.integers(-15, 16, (48, 64, 1))).repeat(3, axis=2).astype(np.uint8)
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         container.mux(stream.encode())
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
 
 
 @pytest.fixture
@@ -51,30 +51,20 @@ def brightness(image):
 @pytest.mark.parametrize("name", CODECS)
 def test_each_line_gets_its_image_from_a_video_of_any_container(drive, name):
     video(drive.path / name, *CODECS[name])
-    with FORMAT.open(drive.path) as scene:
+    with drive.open() as scene:
         camera = scene.cameras[0]
         assert [brightness(image) for image in camera.images] == list(range(COUNT))
         assert not scene.warnings
 
 
-def test_folders_of_images_are_cameras_too(recording, pinhole):
-    lines = [{"frames": [{"cameraInd": 0}, {"cameraInd": 1}], "number": k, "time": 0.1 * k} for k in range(5)]
-    recording.lines(lines).calibration([pinhole, pinhole]).pngs("frames1", 5).video("data2.mkv", 5)
-    with FORMAT.open(recording.path) as scene:
-        for camera in scene.cameras:
-            assert [image.rgb[0, 0, 0] for image in camera.images] == [0, 10, 20, 30, 40]
-
-
 @pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
 @pytest.mark.parametrize("name", CODECS)
 def test_of_a_video_that_is_cut_off_the_whole_images_are_read_when_lenient(drive, name, share):
-    path = drive.path / name
-    video(path, *CODECS[name])
-    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
+    video(drive.path / name, *CODECS[name], share=share)
     with pytest.raises(DataError) as error:
-        FORMAT.open(drive.path)
+        drive.open()
     assert name in str(error.value)
-    with FORMAT.open(drive.path, lenient=True) as scene:
+    with drive.open(lenient=True) as scene:
         images = scene.cameras[0].images if scene.cameras else ()
         assert [brightness(image) for image in images] == list(range(len(images)))
         assert 0 <= len(images) < COUNT
@@ -86,12 +76,10 @@ def test_of_a_video_that_is_cut_off_the_whole_images_are_read_when_lenient(drive
 
 
 def test_what_is_left_of_a_video_is_reported_with_its_count(drive):
-    path = drive.path / "data.mkv"
-    video(path, "ffv1", "bgr0")
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    video(drive.path / "data.mkv", "ffv1", "bgr0", share=0.5)
     with pytest.raises(DataError, match=r"data\.mkv: byte \d+: is cut off: the container goes on"):
-        FORMAT.open(drive.path)
-    with FORMAT.open(drive.path, lenient=True) as scene:
+        drive.open()
+    with drive.open(lenient=True) as scene:
         count = len(scene.cameras[0].images)
         assert COUNT // 2 - 3 < count < COUNT // 2 + 3
         messages = {warning.code: warning.message for warning in scene.warnings}
@@ -106,10 +94,8 @@ def test_what_is_left_of_a_video_is_reported_with_its_count(drive):
 
 @pytest.mark.parametrize("target", ["written", "written.sfs"])
 def test_what_is_left_of_a_video_can_be_written(drive, tmp_path, target):
-    path = drive.path / "data.mkv"
-    video(path, "libx264", "yuv420p")
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with FORMAT.open(drive.path, lenient=True) as scene:
+    video(drive.path / "data.mkv", "libx264", "yuv420p", share=0.5)
+    with drive.open(lenient=True) as scene:
         count = len(scene.cameras[0].images)
         sceneloom.write(scene, tmp_path / target)
     with sceneloom.open(tmp_path / target) as scene:
@@ -124,6 +110,6 @@ def test_a_video_of_which_nothing_is_left_is_reported_and_left_out(drive):
     video(path, "libx264", "yuv420p")
     path.write_bytes(path.read_bytes()[:600])
     with pytest.raises(DataError, match="cannot be read as video"):
-        FORMAT.open(drive.path)
-    with FORMAT.open(drive.path, lenient=True) as scene:
+        drive.open()
+    with drive.open(lenient=True) as scene:
         assert [len(camera.images) for camera in scene.cameras] == [0]

@@ -1,6 +1,5 @@
 """Which image belongs to which line, and what single lines state about their images."""
 
-import json
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 import sceneloom
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.recording.cameras import choose_images
-from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.scene import CameraSensor, Scene, WarningKind
 
 GREY_STEP = 10
@@ -43,39 +41,30 @@ def codes(scene: Scene) -> list[str]:
         ([5, 7, 8], 3, [0, 1, 2], True),
         ([0, 1, 0, 1], 4, [0, 1, 2, 3], True),
         ([9, 5, 7], 3, [2, 0, 1], True),
+        # other counts are a problem that names both
+        ([0, 1, 2, 3], 3, [0, 1, 2, -1], None),
+        ([0, 1, 2, 3], 5, [0, 1, 2, 3], None),
+        ([5, 7, 9], 4, [0, 2, -1], None),
+        ([0, 0, 1], 4, [0, 1, 2], None),
+        ([], 2, [], None),
     ],
 )
 def test_images_are_counted_by_number_from_the_first_or_by_line_where_only_these_counts_agree(
     numbers, count, indices, by_line
 ):
     choice = choose_images(np.array(numbers, np.int64), count)
-    assert (choice.indices.tolist(), choice.by_line, choice.problem) == (indices, by_line, None)
-
-
-@pytest.mark.parametrize(
-    ("numbers", "count", "indices"),
-    [
-        ([0, 1, 2, 3], 3, [0, 1, 2, -1]),
-        ([0, 1, 2, 3], 5, [0, 1, 2, 3]),
-        ([5, 7, 9], 4, [0, 2, -1]),
-        ([0, 0, 1], 4, [0, 1, 2]),
-        ([], 2, []),
-    ],
-)
-def test_other_counts_are_a_problem_that_names_both(numbers, count, indices):
-    choice = choose_images(np.array(numbers, np.int64), count)
     assert choice.indices.tolist() == indices
-    assert f"{count} images" in choice.problem
-    assert (f"{len(numbers)} frames lines" if numbers else "no frames line") in choice.problem
+    if by_line is None:
+        assert f"{count} images" in choice.problem
+        assert (f"{len(numbers)} frames lines" if numbers else "no frames line") in choice.problem
+    else:
+        assert (choice.by_line, choice.problem) == (by_line, None)
 
 
 @pytest.mark.parametrize("kind", ["video", "pngs"])
 def test_images_are_those_of_the_video_or_the_png_folder(recording, pinhole, kind):
-    if kind == "video":
-        recording.video("data.mkv", 4)
-    else:
-        recording.pngs("frames1", 4)
-    scene = FORMAT.open(recording.lines([frames(k, 0.1 * k) for k in range(4)]).calibration([pinhole]).path)
+    recording.video("data.mkv", 4) if kind == "video" else recording.pngs("frames1", 4)
+    scene = recording.lines([frames(k, 0.1 * k) for k in range(4)]).calibration([pinhole]).open()
     camera = scene.cameras[0]
     assert camera.id == "camera0"
     assert shown(camera) == [0, 1, 2, 3]
@@ -83,13 +72,12 @@ def test_images_are_those_of_the_video_or_the_png_folder(recording, pinhole, kin
     assert camera.images[2].extras == {"file_seconds": 0.2, "number": 2}
     assert scene.warnings == ()
     assert (camera.video is None) == (kind == "pngs")
-    if camera.video is not None:
+    image = camera.images[0]
+    if kind == "video":
         assert (camera.video.codec, camera.video.frame_indices) == ("ffv1", None)
         with camera.video.open() as file:
             assert file.read() == (recording.path / "data.mkv").read_bytes()
-    image = camera.images[0]
-    scene.close()
-    if kind == "video":
+        scene.close()
         with pytest.raises(DataError, match="closed"):
             _ = image.rgb
 
@@ -103,7 +91,7 @@ def test_lines_without_a_camera_or_without_its_bitmap_still_use_up_an_image(reco
             frames(3, 0.3, {"cameraInd": 0}, {"cameraInd": 1}),
         ]
     )
-    with FORMAT.open(recording.calibration([pinhole, pinhole]).path) as scene:
+    with recording.calibration([pinhole, pinhole]).open() as scene:
         assert [shown(camera) for camera in scene.cameras] == [[0, 2, 3], [0, 1, 3]]
         assert scene.cameras[1].images.timestamps_ns.tolist() == [0, 100_000_000, 300_000_000]
         assert scene.cameras[0].video is not None
@@ -120,7 +108,7 @@ def test_a_gap_in_the_numbers_is_a_gap_in_the_video_unless_the_counts_say_otherw
     recording, pinhole, images, greys, found
 ):
     recording.video("data.mkv", images).lines([frames(10, 0.0), frames(12, 0.2), frames(13, 0.3)])
-    with FORMAT.open(recording.calibration([pinhole]).path) as scene:
+    with recording.calibration([pinhole]).open() as scene:
         assert shown(scene.cameras[0]) == greys
         assert [(warning.code, warning.kind) for warning in scene.warnings] == found
 
@@ -130,16 +118,15 @@ def test_a_count_that_does_not_fit_is_a_fault_with_both_counts(recording, pinhol
     recording.video("data.mkv", images).lines([frames(k, 0.1 * k) for k in range(5)])
     recording.calibration([pinhole])
     with pytest.raises(DataError, match=rf"data\.mkv: {images} images, but data\.jsonl has 5 frames lines"):
-        FORMAT.open(recording.path)
-    with FORMAT.open(recording.path, lenient=True) as scene:
+        recording.open()
+    with recording.open(lenient=True) as scene:
         assert shown(scene.cameras[0]) == kept
         assert [(n.code, n.count) for n in scene.warnings] == [("unmatched-images", left_out)]
 
 
 def test_the_time_of_an_entry_goes_before_that_of_its_line(recording, pinhole):
-    entry = {"cameraInd": 0, "time": 0.125}
-    recording.video("data.mkv", 1).lines([frames(0, 0.25, entry)]).calibration([pinhole])
-    with FORMAT.open(recording.path) as scene:
+    recording.video("data.mkv", 1).lines([frames(0, 0.25, {"cameraInd": 0, "time": 0.125})]).calibration([pinhole])
+    with recording.open() as scene:
         image = scene.cameras[0].images[0]
         assert image.timestamp_ns == 125_000_000
         assert image.extras == {"file_seconds": 0.125, "line_seconds": 0.25, "number": 0}
@@ -147,68 +134,66 @@ def test_the_time_of_an_entry_goes_before_that_of_its_line(recording, pinhole):
 
 def test_unsorted_lines_show_their_own_images_in_the_order_of_time(recording, pinhole):
     recording.video("data.mkv", 3).lines([frames(2, 0.2), frames(0, 0.0), frames(1, 0.1)]).calibration([pinhole])
-    with FORMAT.open(recording.path) as scene:
+    with recording.open() as scene:
         assert shown(scene.cameras[0]) == [0, 1, 2]
         assert scene.cameras[0].images.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000]
 
 
+SHIFTED = [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]]
+
+
 def test_a_line_brings_along_a_camera_model_and_a_mounting(recording, pinhole):
-    shifted = [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]]
-    own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 25.0, "focalLengthY": 26.0}, "imuToCamera": shifted}
-    other = {
-        "cameraInd": 0,
-        "cameraParameters": {"distortionModel": "KANNALA_BRANDT4", "distortionCoefficients": [1e-3, 2e-3, 3e-3, 4e-3]},
-    }
+    own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 25.0, "focalLengthY": 26.0}, "imuToCamera": SHIFTED}
+    parameters = {"distortionModel": "KANNALA_BRANDT4", "distortionCoefficients": [1e-3, 2e-3, 3e-3, 4e-3]}
+    other = {"cameraInd": 0, "cameraParameters": parameters}
     lines = [frames(0, 0.0), frames(1, 0.1, own), frames(2, 0.2, other), frames(3, 0.3, own)]
-    recording.video("data.mkv", 4).lines(lines).calibration([pinhole])
-    with FORMAT.open(recording.path) as scene:
+    with recording.video("data.mkv", 4).lines(lines).calibration([pinhole]).open() as scene:
         camera = scene.cameras[0]
         plain, zoomed, fisheye, again = camera.images
-        assert plain.camera == camera.camera
-        assert plain.mount is None
+        assert (plain.camera, plain.mount) == (camera.camera, None)
         assert (zoomed.camera.fx, zoomed.camera.fy, zoomed.camera.cx) == (25.0, 26.0, camera.camera.cx)
-        assert zoomed.mount is not None
         assert zoomed.mount.translation.tolist() == [-0.5, 0.0, 0.0]
-        assert fisheye.camera.model == "fisheye"
+        assert (fisheye.camera.model, fisheye.camera.fx) == ("fisheye", camera.camera.fx)
         assert fisheye.camera.coefficients == (1e-3, 2e-3, 3e-3, 4e-3)
-        assert fisheye.camera.fx == camera.camera.fx
         assert again.camera == zoomed.camera
 
 
+BENT = {"distortionCoefficients": [-0.2, 0.1, 0.05]}
+
+
 @pytest.mark.parametrize(
-    ("model", "model_here", "coefficients"),
-    [("PINHOLE", "brown_conrady", (-0.2, 0.1, 0.0, 0.0, 0.05)), ("KannalaBrandt4", "fisheye", ())],
+    ("change", "own", "expected"),
+    [
+        # coefficients of the calibration hold for a line of the same model only
+        (
+            BENT,
+            {"focalLengthX": 25.0, "distortionModel": "PINHOLE"},
+            ("brown_conrady", 32, 25.0, 15.5, (-0.2, 0.1, 0.0, 0.0, 0.05)),
+        ),
+        (BENT, {"focalLengthX": 25.0, "distortionModel": "KannalaBrandt4"}, ("fisheye", 32, 25.0, 15.5, ())),
+        # and numbers of a line are scaled like those of the calibration
+        (
+            {"imageWidth": 64, "imageHeight": 32},
+            {"focalLengthX": 50.0, "principalPointX": 31.5},
+            ("pinhole", 32, 25.0, 15.5, ()),
+        ),
+    ],
 )
-def test_coefficients_of_the_calibration_hold_for_a_line_of_the_same_model_only(
-    recording, pinhole, model, model_here, coefficients
-):
-    bent = pinhole | {"distortionCoefficients": [-0.2, 0.1, 0.05]}
-    own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 25.0, "distortionModel": model}}
-    recording.video("data.mkv", 1).lines([frames(0, 0.0, own)]).calibration([bent])
-    with FORMAT.open(recording.path) as scene:
-        camera_model = scene.cameras[0].images[0].camera
-        assert (camera_model.model, camera_model.fx, camera_model.coefficients) == (model_here, 25.0, coefficients)
-
-
-def test_a_camera_model_of_a_line_is_scaled_like_that_of_the_calibration(recording, pinhole):
-    doubled = pinhole | {"imageWidth": 64, "imageHeight": 32}
-    own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 50.0, "principalPointX": 31.5}}
-    recording.video("data.mkv", 1).lines([frames(0, 0.0, own)]).calibration([doubled])
-    with FORMAT.open(recording.path) as scene:
-        camera_model = scene.cameras[0].images[0].camera
-        assert (camera_model.width, camera_model.fx, camera_model.cx) == (32, 25.0, 15.5)
+def test_a_camera_model_of_a_line_is_completed_and_scaled_by_the_calibration(recording, pinhole, change, own, expected):
+    recording.video("data.mkv", 1).lines([frames(0, 0.0, {"cameraInd": 0, "cameraParameters": own})])
+    with recording.calibration([pinhole | change]).open() as scene:
+        model = scene.cameras[0].images[0].camera
+        assert (model.model, model.width, model.fx, model.cx, model.coefficients) == expected
 
 
 def test_a_recording_may_have_all_its_parameters_in_the_lines(recording, pinhole):
-    mount = [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]]
     parameters = {key: value for key, value in pinhole.items() if key.startswith(("focal", "principal"))}
     parameters["distortionModel"] = "PINHOLE"
-    entry = {"cameraInd": 0, "cameraParameters": parameters, "imuToCamera": mount}
+    entry = {"cameraInd": 0, "cameraParameters": parameters, "imuToCamera": SHIFTED}
     recording.video("data.mkv", 2).lines([frames(k, 0.1 * k, entry) for k in range(2)])
-    with FORMAT.open(recording.path) as scene:
+    with recording.open() as scene:
         camera = scene.cameras[0]
         assert (camera.camera.model, camera.camera.width, camera.camera.fx) == ("pinhole", 32, 20.0)
-        assert camera.mount is not None
         assert camera.mount.translation.tolist() == [-0.5, 0.0, 0.0]
         assert scene.warnings == ()
 
@@ -220,21 +205,17 @@ def test_a_recording_may_have_all_its_parameters_in_the_lines(recording, pinhole
         ({"cameraParameters": {"focalLengthX": -1}}, CalibrationError, ["line 2", "focal lengths -1"]),
         ({"cameraParameters": 3}, DataError, ["line 2", "cameraParameters", "3"]),
         ({"imuToCamera": "x"}, DataError, ["line 2", "imuToCamera", '"x"']),
-        (
-            {"imuToCamera": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
-            CalibrationError,
-            ["line 2", "off"],
-        ),
+        ({"imuToCamera": np.diag([2, 1, 1, 1]).tolist()}, CalibrationError, ["line 2", "off"]),
     ],
 )
 def test_unusable_parameters_of_a_line_are_named_with_it(recording, pinhole, entry, kind, words):
     lines = [frames(0, 0.0), frames(1, 0.1, {"cameraInd": 0, **entry}), frames(2, 0.2)]
     recording.video("data.mkv", 3).lines(lines).calibration([pinhole])
     with pytest.raises(kind) as caught:
-        FORMAT.open(recording.path)
+        recording.open()
     for word in ["data.jsonl", *words]:
         assert word in str(caught.value)
-    with FORMAT.open(recording.path, lenient=True) as scene:
+    with recording.open(lenient=True) as scene:
         assert shown(scene.cameras[0]) == [0, 2]
         assert [(n.code, n.count) for n in scene.warnings] == [("unusable-frame-parameters", 1)]
 
@@ -242,7 +223,7 @@ def test_unusable_parameters_of_a_line_are_named_with_it(recording, pinhole, ent
 def test_what_a_line_says_further_is_read_with_the_image(recording, pinhole):
     entry = {"cameraInd": 0, "exposureTimeSeconds": 0.01, "features": [{"id": 1, "x": 2.5}]}
     recording.video("data.mkv", 2).lines([frames(0, 0.0), frames(1, 0.1, entry, note="é")]).calibration([pinhole])
-    with FORMAT.open(recording.path) as scene:
+    with recording.open() as scene:
         first, second = scene.cameras[0].images
         assert set(first.extras) == {"file_seconds", "number"}
         assert second.extras["exposureTimeSeconds"] == 0.01
@@ -258,18 +239,17 @@ def test_frames_without_a_calibration_are_an_error_that_says_what_to_do(recordin
     recording.video("data.mkv", 1).lines([frames(0, 0.0)])
     if calibration is not None:
         recording.calibration(calibration)
-    with pytest.raises(
-        DataError, match=r"calibration\.json: .*missing, while data\.jsonl has frames .*write its entry"
-    ):
-        FORMAT.open(recording.path)
+    problem = r"calibration\.json: .*missing, while data\.jsonl has frames .*write its entry"
+    with pytest.raises(DataError, match=problem):
+        recording.open()
 
 
 def test_frames_without_images_are_an_error_that_names_the_files_to_be_there(recording, pinhole):
     lines = [frames(0, 0.0, {"cameraInd": 0}, {"cameraInd": 1})]
     recording.video("data.mkv", 1).lines(lines).calibration([pinhole, pinhole])
     with pytest.raises(DataError, match=r"no images of camera 1, .*data2\.\{mkv,mp4,mov,avi,ts\} or frames2/"):
-        FORMAT.open(recording.path)
-    with FORMAT.open(recording.path, lenient=True) as scene:
+        recording.open()
+    with recording.open(lenient=True) as scene:
         assert [(camera.id, len(camera.images)) for camera in scene.cameras] == [("camera0", 1), ("camera1", 0)]
         assert codes(scene) == ["missing-videos"]
 
@@ -279,7 +259,7 @@ def test_a_video_of_another_name_is_reported_where_one_is_missing(recording, pin
     recording.video("data.mkv", 1).lines([frames(0, 0.0, {"cameraInd": 0})]).calibration([pinhole])
     (recording.path / "data.mkv").rename(recording.path / name)
     with pytest.raises(DataError, match=f"in the folder there is {name}"):
-        FORMAT.open(recording.path)
+        recording.open()
 
 
 @pytest.mark.parametrize("content", [b"", b"no video at all", b"\x1aE\xdf\xa3 almost"])
@@ -287,8 +267,8 @@ def test_a_video_that_is_none_is_a_fault_of_its_file(recording, pinhole, content
     recording.lines([frames(0, 0.0)]).calibration([pinhole])
     (recording.path / "data.mkv").write_bytes(content)
     with pytest.raises(DataError, match=r"data\.mkv"):
-        FORMAT.open(recording.path)
-    with FORMAT.open(recording.path, lenient=True) as scene:
+        recording.open()
+    with recording.open(lenient=True) as scene:
         assert len(scene.cameras[0].images) == 0
         assert codes(scene) == ["unreadable-videos"]
 
@@ -296,43 +276,36 @@ def test_a_video_that_is_none_is_a_fault_of_its_file(recording, pinhole, content
 def test_two_videos_of_one_camera_are_a_fault(recording, pinhole):
     recording.video("data.mkv", 1).video("data.avi", 1).lines([frames(0, 0.0)]).calibration([pinhole])
     with pytest.raises(DataError, match=r"data\.mkv, data\.avi for camera 0; expected one"):
-        FORMAT.open(recording.path)
-    with FORMAT.open(recording.path, lenient=True) as scene:
+        recording.open()
+    with recording.open(lenient=True) as scene:
         assert shown(scene.cameras[0]) == [0]
         assert codes(scene) == ["repeated-videos"]
 
 
 def test_videos_that_nothing_names_are_reported(recording):
-    recording.video("data.mkv", 1).pngs("frames3", 1).lines(
-        [json.dumps({"sensor": {"type": "a", "values": [1]}, "time": 0})]
-    )
-    (warning,) = FORMAT.open(recording.path).warnings
+    recording.video("data.mkv", 1).pngs("frames3", 1).lines([{"sensor": {"type": "a", "values": [1]}, "time": 0}])
+    (warning,) = recording.open().warnings
     assert (warning.code, warning.count) == ("videos-not-used", 2)
     assert "data.mkv, frames3" in warning.message
 
 
-@pytest.mark.parametrize(
-    ("alignment", "greys"), [("number", [20, 30, 50]), ("first", [0, 10, 30]), ("line", [0, 10, 20])]
-)
+@pytest.mark.parametrize(("alignment", "images"), [("number", [2, 3, 5]), ("first", [0, 1, 3]), ("line", [0, 1, 2])])
 def test_where_counts_do_not_agree_the_trajectory_that_was_taken_is_named_and_others_can_be(
-    recording, pinhole, alignment, greys
+    recording, pinhole, alignment, images
 ):
-    numbers = [2, 3, 5]
-    recording.video("data.mkv", 7).calibration([pinhole]).lines(
-        {"frames": [{"cameraInd": 0}], "number": number, "time": 0.1 * number} for number in numbers
-    )
+    recording.video("data.mkv", 7).calibration([pinhole]).lines(frames(k, 0.1 * k) for k in (2, 3, 5))
     with pytest.raises(DataError, match=r"7 images.*3 frames lines with numbers from 2 to 5") as caught:
-        FORMAT.open(recording.path)
+        recording.open()
     for words in (
         "a lenient reading takes --image-index first",
         "--image-index number (`number` is the image's index, from 0)",
         "--image-index line",
     ):
         assert words in caught.value.problem
-    with FORMAT.open(recording.path, lenient=True) as scene:
+    with recording.open(lenient=True) as scene:
         assert "takes --image-index first" in scene.warnings[0].message
-    with FORMAT.open(recording.path, image_index=alignment) as scene:
-        assert [int(np.median(image.rgb)) for image in scene.cameras[0].images] == greys
+    with recording.open(image_index=alignment) as scene:
+        assert shown(scene.cameras[0]) == images
         assert scene.warnings == ()
     report = sceneloom.validate(recording.path, image_index=alignment, rules=["unmatched-images"])
     assert report.passed
@@ -342,13 +315,11 @@ def test_where_counts_do_not_agree_the_trajectory_that_was_taken_is_named_and_ot
 
 
 def test_lines_that_mean_no_image_by_the_way_that_is_asked_for_are_a_fault(recording, pinhole):
-    recording.video("data.mkv", 4).calibration([pinhole]).lines(
-        {"frames": [{"cameraInd": 0}], "number": number, "time": 0.1 * number} for number in (2, 3, 4)
-    )
+    recording.video("data.mkv", 4).calibration([pinhole]).lines(frames(k, 0.1 * k) for k in (2, 3, 4))
     with pytest.raises(DataError, match=r"1 of 3 frames lines mean images that are not there.*image 4, while"):
-        FORMAT.open(recording.path, image_index="number")
-    with FORMAT.open(recording.path, image_index="number", lenient=True) as scene:
+        recording.open(image_index="number")
+    with recording.open(image_index="number", lenient=True) as scene:
         assert len(scene.cameras[0].images) == 2
         assert scene.warnings[0].count == 1
     with pytest.raises(OptionError, match="image_index 'nearest'; expected one of: auto, number, first, line"):
-        FORMAT.open(recording.path, image_index="nearest")
+        recording.open(image_index="nearest")

@@ -1,5 +1,6 @@
 """Reading lidar binaries: every field, lazily, and files that are not what a line says."""
 
+import re
 import struct
 import sys
 from pathlib import Path
@@ -9,7 +10,6 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.scene import WarningKind
 
 POINTS = [
@@ -26,7 +26,7 @@ def sweep(file: str, time: float, **further: Any) -> dict[str, Any]:
 
 def test_points_hold_what_the_records_hold(recording):
     recording.points("lidar/0.bin", POINTS).lines([sweep("lidar/0.bin", 0.1)])
-    lidar = FORMAT.open(recording.path).lidars[0]
+    lidar = recording.open().lidars[0]
     assert (lidar.id, lidar.model, len(lidar.frames)) == ("lidar", "RoboSense M1 XYZIRT", 1)
     frame = lidar.frames[0]
     assert frame.timestamp_ns == 100_000_000
@@ -44,64 +44,60 @@ def test_points_hold_what_the_records_hold(recording):
         assert (flags.writeable, flags.aligned) == (False, True)
 
 
-def test_sweeps_of_one_point_or_none_are_aligned_too(recording):
-    recording.points("0.bin", POINTS[:1]).points("1.bin", []).lines([sweep("0.bin", 0.0), sweep("1.bin", 0.5)])
-    one, none = FORMAT.open(recording.path).lidars[0].frames
+def test_sweeps_of_one_point_or_none_are_aligned_too_and_points_that_are_not_numbers_stay(recording):
+    recording.points("0.bin", POINTS[:1]).points("1.bin", [])
+    recording.points("2.bin", [(float("nan"), 1.0, 2.0, 3, 4, 0.5), POINTS[0]])
+    scene = recording.lines([sweep(f"{k}.bin", 0.5 * k) for k in range(3)]).open()
+    one, none, nowhere = scene.lidars[0].frames
     assert one.points.rings.flags.aligned
     assert one.points.rings.tolist() == [17]
     assert (len(none.points), none.reference_ns) == (0, 500_000_000)
-
-
-def test_points_that_are_not_numbers_stay_in_the_sweep(recording):
-    recording.points("0.bin", [(float("nan"), 1.0, 2.0, 3, 4, 0.5), POINTS[0]]).lines([sweep("0.bin", 0.5)])
-    positions = FORMAT.open(recording.path).lidars[0].frames[0].points.positions
-    np.testing.assert_array_equal(positions[0], np.array([np.nan, 1.0, 2.0], np.float32))
+    np.testing.assert_array_equal(nowhere.points.positions[0], np.array([np.nan, 1.0, 2.0], np.float32))
 
 
 @pytest.mark.parametrize("time", [9.2e9, -9.2e9, 2.0**33, 2.0**33 - 1e-6, 0.0, -0.0, 5e-324, -1e-9])
 def test_a_point_time_may_be_any_that_nanoseconds_hold(recording, time):
     recording.points("0.bin", [POINTS[0], (*POINTS[1][:5], time)]).lines([sweep("0.bin", 0.5)])
-    times = FORMAT.open(recording.path).lidars[0].frames[0].points.timestamps_ns
+    times = recording.open().lidars[0].frames[0].points.timestamps_ns
     assert times.tolist() == [100_000_001, round(time * 1e9)]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a file that is read cannot be removed there")
 def test_points_are_counted_without_being_unpacked_and_outlive_their_file(recording):
     recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.1)])
-    points = FORMAT.open(recording.path).lidars[0].frames[0].points
+    points = recording.open().lidars[0].frames[0].points
     assert (len(points), points.packed_count()) == (3, 3)
     (recording.path / "0.bin").unlink()
     np.testing.assert_array_equal(points.positions, np.array([p[:3] for p in POINTS], np.float32))
 
 
-WRONG_TIMES = [*map(float, ["nan", "-nan", "inf", "-inf"]), 9.3e9, -9.3e9, 1e300]
-
-
-@pytest.mark.parametrize("time", WRONG_TIMES)
+@pytest.mark.parametrize("time", [*map(float, ["nan", "-nan", "inf", "-inf"]), 9.3e9, -9.3e9, 1e300])
 def test_a_point_time_that_is_no_time_is_a_fault_of_its_record(recording, time):
     recording.points("0.bin", [POINTS[0], (*POINTS[1][:5], time)]).lines([sweep("0.bin", 0.5)])
-    frames = FORMAT.open(recording.path).lidars[0].frames
+    frames = recording.open().lidars[0].frames
     with pytest.raises(DataError, match=r"0\.bin: record 1 \(byte 23\): timestamp .*expected seconds") as caught:
         _ = frames[0]
     assert f"{time}" in caught.value.problem
 
 
-@pytest.mark.parametrize("remainder", [1, 22])
-def test_a_size_that_is_no_whole_number_of_records_is_a_fault_naming_the_remainder(recording, remainder):
-    recording.points("0.bin", POINTS, extra=b"\0" * remainder).lines([sweep("0.bin", 0.5)])
-    frames = FORMAT.open(recording.path).lidars[0].frames
-    with pytest.raises(DataError, match=rf"0\.bin: byte 69: .* 3 records .* remainder of {remainder};"):
-        _ = frames[0]
+def test_a_size_that_is_no_whole_number_of_records_is_a_fault_naming_the_remainder(recording):
+    for k, remainder in enumerate((1, 22)):
+        recording.points(f"{k}.bin", POINTS, extra=b"\0" * remainder).lines([sweep(f"{k}.bin", 0.5)])
+        frames = recording.open().lidars[0].frames
+        with pytest.raises(DataError, match=rf"{k}\.bin: byte 69: .* 3 records .* remainder of {remainder};"):
+            _ = frames[0]
 
 
-@pytest.mark.parametrize("file", ["missing.bin", "folder"])
-def test_a_missing_file_is_a_fault_of_its_line_when_it_is_read(recording, file):
+def test_a_missing_file_is_a_fault_of_its_line_when_it_is_read(recording):
     (recording.path / "folder").mkdir()
-    recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.0), sweep(file, 0.1)])
-    frames = FORMAT.open(recording.path).lidars[0].frames
+    names = ("0.bin", "missing.bin", "folder")
+    recording.points("0.bin", POINTS).lines([sweep(name, 0.1 * k) for k, name in enumerate(names)])
+    frames = recording.open().lidars[0].frames
     assert len(frames[0].points) == 3
-    with pytest.raises(DataError, match=rf"data\.jsonl: line 2: lidar\.dataFile: '{file}': no such file"):
-        _ = frames[1]
+    for k in (1, 2):
+        problem = rf"data\.jsonl: line {k + 1}: lidar\.dataFile: '{names[k]}': no such file"
+        with pytest.raises(DataError, match=problem):
+            _ = frames[k]
 
 
 @pytest.mark.parametrize(
@@ -110,29 +106,26 @@ def test_a_missing_file_is_a_fault_of_its_line_when_it_is_read(recording, file):
 def test_names_that_lead_out_of_the_folder_are_refused(recording, file):
     recording.points("../outside.bin", POINTS).lines([sweep(file, 0.0)])
     with pytest.raises(DataError, match=r"line 1: lidar\.dataFile: .*expected a path inside the recording's folder"):
-        FORMAT.open(recording.path)
+        recording.open()
 
 
-def test_links_that_lead_out_of_the_folder_are_refused(recording, tmp_path: Path):
-    recording.points("../outside.bin", POINTS).lines([sweep("0.bin", 0.0), sweep("lidar/outside.bin", 0.1)])
+def test_links_that_lead_out_of_the_folder_are_refused_and_others_followed(recording, tmp_path: Path):
+    recording.points("../outside.bin", POINTS).points("own.bin", POINTS)
     (recording.path / "0.bin").symlink_to(tmp_path / "outside.bin")
     (recording.path / "lidar").symlink_to(tmp_path)
-    frames = FORMAT.open(recording.path).lidars[0].frames
+    (recording.path / "1.bin").symlink_to("own.bin")
+    recording.lines([sweep("0.bin", 0.0), sweep("lidar/outside.bin", 0.1), sweep("1.bin", 0.2)])
+    frames = recording.open().lidars[0].frames
     for k in range(2):
         with pytest.raises(DataError, match=f"line {k + 1}: .* by a link"):
             _ = frames[k]
-
-
-def test_links_that_stay_in_the_folder_are_followed(recording):
-    recording.points("0.bin", POINTS).lines([sweep("1.bin", 0.0)])
-    (recording.path / "1.bin").symlink_to("0.bin")
-    assert len(FORMAT.open(recording.path).lidars[0].frames[0].points) == 3
+    assert len(frames[2].points) == 3
 
 
 def test_a_lenient_reading_leaves_unusable_files_out_and_counts_them(recording):
     recording.points("0.bin", POINTS).points("1.bin", POINTS, extra=b"\0")
     recording.lines([sweep("missing.bin", 0.0), sweep("1.bin", 0.1), sweep("0.bin", 0.2)])
-    scene = FORMAT.open(recording.path, lenient=True)
+    scene = recording.open(lenient=True)
     assert [frame.timestamp_ns for frame in scene.lidars[0].frames] == [200_000_000]
     skipped = next(warning for warning in scene.warnings if warning.code == "unusable-lidar-files")
     assert (skipped.kind, skipped.count) == (WarningKind.SKIPPED, 2)
@@ -141,7 +134,7 @@ def test_a_lenient_reading_leaves_unusable_files_out_and_counts_them(recording):
 def test_the_mounting_is_the_inverse_of_imu_to_lidar(recording):
     recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.0)])
     recording.calibration(lidars=[{"model": "RoboSense M1 XYZIRT", "imuToLidar": SHIFTED}])
-    scene = FORMAT.open(recording.path)
+    scene = recording.open()
     mount = scene.lidars[0].mount
     assert mount.translation.tolist() == [-1.0, -2.0, -3.0]
     assert scene.lidars[0].extras["calibration"]["imuToLidar"] == SHIFTED
@@ -153,46 +146,44 @@ def test_without_imu_to_lidar_the_mounting_is_the_identity_with_a_warning(record
     recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.0)])
     if entries is not None:
         recording.calibration(lidars=entries)
-    scene = FORMAT.open(recording.path)
+    scene = recording.open()
     mount = scene.lidars[0].mount
     np.testing.assert_array_equal(mount.matrix, np.eye(4))
-    assert [(warning.code, warning.kind) for warning in scene.warnings] == [
-        ("lidar-mount-identity", WarningKind.ASSUMED)
-    ]
+    assert [(n.code, n.kind) for n in scene.warnings] == [("lidar-mount-identity", WarningKind.ASSUMED)]
 
 
 def test_several_lidars_are_distinguished_by_their_index(recording):
     recording.points("a.bin", POINTS).points("b.bin", POINTS[:2])
     recording.lines([sweep("a.bin", 0.0), sweep("b.bin", 0.05, lidarInd=1), sweep("a.bin", 0.1, lidarInd=0)])
     recording.calibration(lidars=[{"lidarInd": 1, "imuToLidar": SHIFTED}, {"imuToLidar": np.eye(4).tolist()}])
-    lidars = FORMAT.open(recording.path).lidars
-    assert [(lidar.id, [len(frame.points) for frame in lidar.frames]) for lidar in lidars] == [
-        ("lidar0", [3, 3]),
-        ("lidar1", [2]),
-    ]
+    lidars = recording.open().lidars
+    counts = {lidar.id: [len(frame.points) for frame in lidar.frames] for lidar in lidars}
+    assert counts == {"lidar0": [3, 3], "lidar1": [2]}
     assert lidars[0].mount.translation.tolist() == [0.0, 0.0, 0.0]
     assert lidars[1].mount.translation.tolist() == [-1.0, -2.0, -3.0]
 
 
-@pytest.mark.parametrize("index", [0, 1])
-def test_an_index_that_two_lidars_have_is_a_fault(recording, index):
-    recording.points("a.bin", POINTS).lines([sweep("a.bin", 0.0)])
-    recording.calibration(lidars=[{"lidarInd": index}, {"lidarInd": index}] if index else [{}, {}])
-    with pytest.raises(DataError, match=rf"lidars\[1\]: lidarInd {index} is used twice") as caught:
-        FORMAT.open(recording.path)
-    assert caught.value.file == str(recording.path / "calibration.json")
-    assert len(FORMAT.open(recording.path, lenient=True).lidars) == 1
-
-
-def test_a_lidar_mounting_that_is_not_rigid_is_refused(recording):
-    recording.points("a.bin", POINTS).lines([sweep("a.bin", 0.0)])
-    recording.calibration(lidars=[{"imuToLidar": np.diag([2.0, 1.0, 1.0, 1.0]).tolist()}])
-    with pytest.raises(CalibrationError, match=r"calibration\.json: lidars\[0\]\.imuToLidar: rotation off by 3"):
-        FORMAT.open(recording.path)
+@pytest.mark.parametrize(
+    ("entries", "error", "problem"),
+    [
+        ([{}, {}], DataError, "lidars[1]: lidarInd 0 is used twice"),
+        ([{"lidarInd": 1}, {"lidarInd": 1}], DataError, "lidars[1]: lidarInd 1 is used twice"),
+        (
+            [{"imuToLidar": np.diag([2.0, 1.0, 1.0, 1.0]).tolist()}],
+            CalibrationError,
+            "lidars[0].imuToLidar: rotation off by 3",
+        ),
+    ],
+)
+def test_entries_of_the_calibration_that_contradict_are_faults(recording, entries, error, problem):
+    recording.points("a.bin", POINTS).lines([sweep("a.bin", 0.0)]).calibration(lidars=entries)
+    with pytest.raises(error, match=re.escape(f"{recording.path / 'calibration.json'}: {problem}")):
+        recording.open()
+    assert len(recording.open(lenient=True).lidars) == 1
 
 
 def test_unsorted_sweeps_come_in_the_order_of_time_with_their_own_files(recording):
     recording.points("late.bin", POINTS).points("early.bin", POINTS[:1])
     recording.lines([sweep("late.bin", 0.2), sweep("early.bin", 0.1)])
-    frames = FORMAT.open(recording.path).lidars[0].frames
+    frames = recording.open().lidars[0].frames
     assert [(frame.timestamp_ns, len(frame.points)) for frame in frames] == [(100_000_000, 1), (200_000_000, 3)]

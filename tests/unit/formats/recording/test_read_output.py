@@ -38,9 +38,7 @@ def test_a_file_of_output_is_a_scene_with_a_trajectory(output):
     with FORMAT.open(output) as scene:
         assert (scene.source, list(scene.trajectories), scene.sensors) == (str(output), ["output"], ())
         trajectory = scene.trajectories["output"]
-        np.testing.assert_allclose(
-            trajectory.positions, [[-0.01, -0.14, 0.046], [0.49, -0.14, 0.046], [0.99, -0.14, 0.046]]
-        )
+        np.testing.assert_allclose(trajectory.positions, [[x, -0.14, 0.046] for x in (-0.01, 0.49, 0.99)])
         np.testing.assert_array_equal(trajectory.quaternions_xyzw[0], [0.453153, -0.603051, 0.532354, -0.384162])
         assert trajectory.timestamps_ns[0] == 7323558535105
         # what a trajectory has no field for is kept word by word
@@ -52,23 +50,23 @@ POSITION = '"position":{"x":1,"y":2,"z":3}'
 
 
 @pytest.mark.parametrize(
-    ("root", "pose", "name"),
+    ("line", "name"),
     [
-        ("output", "", "output"),
-        ("pose", '"name":"basalt",', "basalt"),
-        ("groundTruth", "", "groundTruth"),
-        ("arkit", '"orientation":{"w":1,"x":0,"y":0,"z":0},', "arkit"),
+        ('"output":{POSITION}', "output"),
+        ('"pose":{"name":"basalt",POSITION}', "basalt"),
+        ('"groundTruth":{POSITION}', "groundTruth"),
+        ('"arkit":{"orientation":{"w":1,"x":0,"y":0,"z":0},POSITION}', "arkit"),
     ],
 )
-def test_poses_under_the_name_of_a_method_are_read_from_any_file(tmp_path, root, pose, name):
+def test_poses_under_the_name_of_a_method_are_read_from_any_file(tmp_path, line, name):
     path = tmp_path / "results.json"
-    path.write_text(f'{{"{root}":{{{pose}{POSITION}}},"time":0.5}}\n')
+    path.write_text("{" + line.replace("POSITION", '"position":{"x":1,"y":2,"z":3}') + ',"time":0.5}\n')
     assert FORMAT.sniff(path)
     with FORMAT.open(path) as scene:
         assert list(scene.trajectories) == [name]
 
 
-def test_what_lies_beside_output_is_not_taken_for_its_own(output, recording, pinhole):
+def test_what_lies_beside_output_is_not_its_own_and_beside_a_log_of_any_name_it_is(output, recording, pinhole):
     recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 0.0}]).calibration([pinhole])
     recording.video("data.mkv", 1)
     (recording.path / "vio_config.yaml").write_text("useSlam: True\n")
@@ -77,19 +75,15 @@ def test_what_lies_beside_output_is_not_taken_for_its_own(output, recording, pin
         assert scene.sensors == ()
         assert not {"calibration", "vio_config"} & scene.metadata["recording"].keys()
         assert {warning.code for warning in scene.warnings} == {"further-keys-kept"}
-
-
-def test_a_log_under_another_name_has_the_images_beside_it(recording, pinhole):
-    recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 0.0}]).calibration([pinhole])
-    recording.video("data.mkv", 1).path.joinpath("data.jsonl").rename(recording.path / "log.jsonl")
+    (recording.path / "data.jsonl").rename(recording.path / "log.jsonl")
     with FORMAT.open(recording.path / "log.jsonl") as scene:
         assert [camera.id for camera in scene.cameras] == ["camera0"]
 
 
-OTHERS = ["", "{}\n", '{"time":1}\n', '{"version":"1.0","sensors":[]}\n', "[1]\n", '"time"\n', "{broken\n", "\x00" * 99]
-
-
-@pytest.mark.parametrize("text", OTHERS)
+@pytest.mark.parametrize(
+    "text",
+    ["", "{}\n", '{"time":1}\n', '{"version":"1.0","sensors":[]}\n', "[1]\n", '"time"\n', "{broken\n", "\x00" * 99],
+)
 def test_other_files_are_no_logs(tmp_path, text):
     path = tmp_path / "other.jsonl"
     path.write_text(text)
@@ -118,7 +112,5 @@ def test_faults_of_output_are_named_with_their_line(output):
         file.write(OUTPUT.replace('"x":-0.01,', "") + "\n")
     with pytest.raises(DataError, match=r"out\.jsonl: line 4: .*position"):
         FORMAT.open(output)
-    errors = [f for f in validate(output).findings if f.severity == "error"]
-    assert [(f.rule, f.path.partition(": ")[0], "line 4" in f.path) for f in errors] == [
-        ("unfit-lines", "out.jsonl", True)
-    ]
+    (error,) = (f for f in validate(output).findings if f.severity == "error")
+    assert (error.rule, error.path.partition(": ")[0], "line 4" in error.path) == ("unfit-lines", "out.jsonl", True)

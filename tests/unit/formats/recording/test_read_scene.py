@@ -16,12 +16,10 @@ POINT = (1.0, 2.0, 3.0, 4, 5, 0.0)
 IMU_TO_SENSOR = np.array([[0.0, -1, 0, 0.5], [0, 0, -1, 1.5], [1, 0, 0, -0.25], [0, 0, 0, 1]])
 
 
-def pose_line(time: float, rotation: Rotation, position: np.ndarray, key: str = "groundTruth") -> dict[str, Any]:
-    delta_rotation = dict(zip("xyzw", rotation.as_quat().tolist(), strict=True))
-    return {
-        key: {"position": dict(zip("xyz", position.tolist(), strict=True)), "orientation": delta_rotation},
-        "time": time,
-    }
+def pose_line(time: float, rotation: Rotation, position: np.ndarray) -> dict[str, Any]:
+    orientation = dict(zip("xyzw", rotation.as_quat().tolist(), strict=True))
+    pose = {"position": dict(zip("xyz", position.tolist(), strict=True)), "orientation": orientation}
+    return {"groundTruth": pose, "time": time}
 
 
 def sweep(time: float) -> dict[str, Any]:
@@ -45,45 +43,34 @@ def test_other_paths_are_not_recognised(recording, tmp_path):
         assert not FORMAT.sniff(path)
 
 
-@pytest.mark.parametrize("name", ["drive", "missing", "missing/data.jsonl"])
-def test_a_folder_that_is_none_or_empty_is_an_error(recording, tmp_path, name):
-    with pytest.raises(DataError, match=r"expected a recording's folder"):
-        FORMAT.open(tmp_path / name)
-
-
-def test_a_recording_without_any_line_is_an_error(recording):
+def test_a_folder_that_is_none_or_empty_is_an_error(recording, tmp_path):
+    for name in ("drive", "missing", "missing/data.jsonl"):
+        with pytest.raises(DataError, match=r"expected a recording's folder"):
+            FORMAT.open(tmp_path / name)
     with pytest.raises(DataError, match=r"data\.jsonl: is empty"):
-        FORMAT.open(recording.lines([]).path, lenient=True)
+        recording.lines([]).open(lenient=True)
 
 
 def test_unknown_options_and_values_are_refused(recording):
     recording.lines([IMU_LINE])
     with pytest.raises(OptionError, match="option 'speed'; opening a recording takes lenient, altitude"):
-        FORMAT.open(recording.path, speed=2)
+        recording.open(speed=2)
     with pytest.raises(OptionError, match="altitude 'moon'; expected one of: wgs84, msl"):
-        FORMAT.open(recording.path, altitude="moon")
-    with FORMAT.open(recording.path) as scene, pytest.raises(OptionError, match="option 'speed'; writing"):
+        recording.open(altitude="moon")
+    with recording.open() as scene, pytest.raises(OptionError, match="option 'speed'; writing"):
         FORMAT.write(scene, recording.path.with_name("copy"), speed=2)
 
 
-@pytest.mark.parametrize("altitude", ["wgs84", "msl"])
-def test_what_altitudes_are_above_is_recorded(recording, altitude):
-    scene = FORMAT.open(recording.lines([IMU_LINE]).path, altitude=altitude)
-    assert scene.metadata["recording"]["altitude"] == altitude
-
-
-def test_the_settings_of_the_vendors_software_are_kept_as_text(recording):
-    (recording.path / "vio_config.yaml").write_text("useSlam: true  # yes\n")
-    scene = FORMAT.open(recording.lines([IMU_LINE]).path)
-    assert scene.metadata["recording"]["vio_config"] == "useSlam: true  # yes\n"
-
-
-def test_settings_that_are_no_text_are_a_fault(recording):
-    (recording.path / "vio_config.yaml").write_bytes(b"\xff\xfe")
-    recording.lines([IMU_LINE])
+def test_altitudes_and_settings_of_the_vendors_software_are_recorded(recording):
+    path = recording.lines([IMU_LINE]).path / "vio_config.yaml"
+    path.write_text("useSlam: true  # yes\n")
+    for altitude in ("wgs84", "msl"):
+        metadata = recording.open(altitude=altitude).metadata["recording"]
+        assert (metadata["altitude"], metadata["vio_config"]) == (altitude, "useSlam: true  # yes\n")
+    path.write_bytes(b"\xff\xfe")
     with pytest.raises(DataError, match=r"vio_config\.yaml: cannot be read as text"):
-        FORMAT.open(recording.path)
-    assert [warning.code for warning in FORMAT.open(recording.path, lenient=True).warnings] == ["unreadable-vio-config"]
+        recording.open()
+    assert [warning.code for warning in recording.open(lenient=True).warnings] == ["unreadable-vio-config"]
 
 
 def test_sensor_poses_are_the_trajectory_after_the_mounting_at_the_sensors_own_times(recording, pinhole):
@@ -96,10 +83,9 @@ def test_sensor_poses_are_the_trajectory_after_the_mounting_at_the_sensors_own_t
     recording.points("0.bin", [POINT]).video("data.mkv", 1).lines(sorted(lines, key=lambda line: line["time"]))
     matrix = IMU_TO_SENSOR.tolist()
     recording.calibration([pinhole | {"imuToCamera": matrix}], lidars=[{"imuToLidar": matrix}])
-    with FORMAT.open(recording.path) as scene:
+    with recording.open() as scene:
         for sensor, time in ((scene.lidars[0], 0.05), (scene.cameras[0], 0.125)):
             assert sensor.coordinates is Coordinates.WORLD
-            assert sensor.poses is not None
             assert sensor.poses.timestamps_ns.tolist() == [round(time * 1e9)]
             world_from_ego = np.eye(4)
             world_from_ego[:3, :3] = Slerp(times, rotations)([time]).as_matrix()[0]
@@ -114,35 +100,22 @@ def test_sensor_poses_are_the_trajectory_after_the_mounting_at_the_sensors_own_t
 
 def test_frames_beyond_the_trajectory_get_no_pose(recording):
     still = Rotation.identity()
+    recording.points("0.bin", [POINT]).calibration(lidars=[{"imuToLidar": np.eye(4).tolist()}])
     lines = [sweep(0.0), pose_line(0.1, still, np.zeros(3)), sweep(0.2), pose_line(0.3, still, np.ones(3)), sweep(0.4)]
-    scene = FORMAT.open(
-        recording.points("0.bin", [POINT]).lines(lines).calibration(lidars=[{"imuToLidar": np.eye(4).tolist()}]).path
-    )
-    lidar = scene.lidars[0]
+    lidar = recording.lines(lines).open().lidars[0]
     assert len(lidar.frames) == 3
-    assert lidar.poses is not None
     assert lidar.poses.timestamps_ns.tolist() == [200_000_000]
     np.testing.assert_allclose(lidar.poses.positions, [[0.5, 0.5, 0.5]], atol=1e-12)
-
-
-@pytest.mark.parametrize("key", ["groundTruth", None])
-def test_without_a_reaching_trajectory_there_are_no_poses(recording, key):
-    lines = [sweep(0.0), *([pose_line(5.0, Rotation.identity(), np.zeros(3), key)] if key else [])]
-    scene = FORMAT.open(
-        recording.points("0.bin", [POINT]).lines(lines).calibration(lidars=[{"imuToLidar": np.eye(4).tolist()}]).path
-    )
-    assert scene.lidars[0].poses is None
+    for late in ([pose_line(5.0, still, np.zeros(3))], []):
+        assert recording.lines([sweep(0.0), *late]).open().lidars[0].poses is None
 
 
 def test_a_lines_own_mounting_counts_for_its_pose(recording, pinhole):
     lines = [pose_line(t, Rotation.identity(), np.zeros(3)) for t in (0.0, 1.0)]
-    own = {"cameraInd": 0, "imuToCamera": IMU_TO_SENSOR.tolist()}
-    lines += [
-        {"frames": [entry], "number": k, "time": 0.25 + 0.25 * k} for k, entry in enumerate([{"cameraInd": 0}, own])
-    ]
+    entries = [{"cameraInd": 0}, {"cameraInd": 0, "imuToCamera": IMU_TO_SENSOR.tolist()}]
+    lines += [{"frames": [entry], "number": k, "time": 0.25 + 0.25 * k} for k, entry in enumerate(entries)]
     recording.video("data.mkv", 2).lines(sorted(lines, key=lambda line: line["time"])).calibration([pinhole])
-    with FORMAT.open(recording.path) as scene:
+    with recording.open() as scene:
         poses = scene.cameras[0].poses
-        assert poses is not None
         expected = [[0.0, 0.0, 0.0], np.linalg.inv(IMU_TO_SENSOR)[:3, 3]]
         np.testing.assert_allclose(poses.positions, expected, atol=1e-12)

@@ -1,12 +1,14 @@
 """The container: what is read, where arrays land, and what is refused with its location."""
 
 import json
+import mmap
+import re
 
 import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
-from sceneloom.formats.sfs import container as module
+from sceneloom.formats.sfs import container
 from sceneloom.formats.sfs.container import DTYPES, Container, RawBytes, format_keys
 from sceneloom.formats.sfs.spec import has_scene_header
 
@@ -46,15 +48,12 @@ def test_arrays_stand_where_their_keys_lead(opened, of_bytes):
     np.testing.assert_array_equal(of_bytes(text + bytes(4) + b"\x05").header["a"]["7"], [5])
 
 
-def test_arrays_are_read_only_views_of_the_file_even_at_odd_offsets(opened, of_bytes):
+def test_arrays_are_read_only_views_of_the_file_even_at_odd_offsets_and_raw_without_a_dtype(opened, of_bytes):
     array = opened({"a": ARRAY}).header["a"]
     assert not array.flags.writeable
     assert not array.flags.owndata
     text = b'{"a":"","$items":[{"keys":["a"],"offset":5,"length":8,"dtype":"float64","shape":[1]}]}'
     assert of_bytes(text + bytes(5) + np.array([0.1]).tobytes()).header["a"].tolist() == [0.1]
-
-
-def test_an_item_without_dtype_gives_raw_bytes(opened):
     raw = opened({"a": ARRAY}, dtype=None, shape=None).header["a"]
     assert isinstance(raw, RawBytes)
     assert raw.tobytes() == ARRAY.tobytes()
@@ -140,16 +139,13 @@ def test_all_faulty_items_are_collected_and_leave_nothing_in_their_locations(of_
 
 
 def test_an_item_at_fault_takes_no_array_from_another(of_bytes, encode_sfs):
-    items = [
-        {"keys": ["a"], "offset": 4, "length": 4, "dtype": "uint8", "shape": [4]},
-        {"keys": ["a"], "offset": 4, "length": 4, "dtype": "text"},
-        7,
-    ]
+    item = {"keys": ["a"], "offset": 4, "length": 4, "dtype": "uint8"}
+    items = [{**item, "shape": [4]}, {**item, "dtype": "text"}, 7]
     faults = []
-    container = of_bytes(json.dumps({"a": "", "$items": items}).encode() + bytes(8), faults=faults)
-    assert container.header["a"].tolist() == [0] * 4
+    found = of_bytes(json.dumps({"a": "", "$items": items}).encode() + bytes(8), faults=faults)
+    assert found.header["a"].tolist() == [0] * 4
     assert [fault.number for fault in faults] == [1, 2]
-    assert container.item_number("a") == 0
+    assert found.item_number("a") == 0
     taken = []
     content = encode_sfs({"a": ARRAY, "text": "words"}, keys=["text"])
     assert of_bytes(content, faults=taken).header == {"a": "", "text": "words"}
@@ -170,15 +166,15 @@ def test_arrays_behind_four_gigabytes_are_read(tmp_path, monkeypatch):
     np.testing.assert_array_equal(Container(path).header["a"], ARRAY)
 
 
-@pytest.mark.parametrize("limit", [100, 200])
-def test_a_header_beyond_the_limit_is_refused(opened, monkeypatch, limit):
-    monkeypatch.setattr(module, "HEADER_LIMIT", limit)
-    assert f"no NUL ends it within {limit} bytes" in refused(opened, {"a": ARRAY, "text": "x" * 300}).problem
+def test_a_header_beyond_the_limit_is_refused(opened, monkeypatch):
+    for limit in (100, 200):
+        monkeypatch.setattr(container, "HEADER_LIMIT", limit)
+        assert f"no NUL ends it within {limit} bytes" in refused(opened, {"a": ARRAY, "text": "x" * 300}).problem
 
 
 def test_items_are_found_by_the_location_that_they_fill(opened):
-    container = opened({"a": [{"b": ARRAY}, {"b": ARRAY}], "c": ARRAY})
-    assert [container.item_number(path) for path in ("a[1].b", "c", "d")] == [1, 2, None]
+    found = opened({"a": [{"b": ARRAY}, {"b": ARRAY}], "c": ARRAY})
+    assert [found.item_number(path) for path in ("a[1].b", "c", "d")] == [1, 2, None]
 
 
 @pytest.mark.parametrize(
@@ -198,15 +194,14 @@ def test_items_are_found_by_the_location_that_they_fill(opened):
     ],
 )
 def test_what_is_no_header_is_refused(of_bytes, content, problem):
-    with pytest.raises(DataError, match=problem.replace("[", r"\[")):
+    with pytest.raises(DataError, match=re.escape(problem)):
         of_bytes(content)
 
 
 def test_folders_and_missing_files_are_refused(tmp_path):
-    with pytest.raises(DataError, match="not a file"):
-        Container(tmp_path)
-    with pytest.raises(DataError, match="No such file"):
-        Container(tmp_path / "absent.sfs")
+    for path, problem in ((tmp_path, "not a file"), (tmp_path / "absent.sfs", "No such file")):
+        with pytest.raises(DataError, match=problem):
+            Container(path)
 
 
 @pytest.mark.parametrize(
@@ -230,3 +225,21 @@ def test_content_decides_what_is_recognised(tmp_path, encode_sfs, name, content,
 def test_paths_are_written_as_in_messages():
     assert format_keys(["sensors", 3, "frames", 12, "points"]) == "sensors[3].frames[12].points"
     assert format_keys(["sensors", "3", "id"], {"sensors": []}) == "sensors[3].id"
+
+
+@pytest.mark.skipif(not hasattr(mmap, "MADV_DONTNEED"), reason="this system cannot let go of single pages")
+def test_pages_are_let_go_now_and_then_and_still_state_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr(container, "_MAPPED_AT_MOST", 1 << 20)
+    path = tmp_path / "drive.sfs"
+    path.write_bytes(np.arange(1 << 20, dtype=np.uint32).tobytes())
+    file = container.LocalFile.of(path)
+    whole = np.frombuffer(file.content, np.uint32)
+    let_go = []
+    monkeypatch.setattr(container.MappedFile, "madvise", lambda *what: let_go.append(what[1:]), raising=False)
+    for k in range(4):
+        piece = file.fetch({"points": {"positions": whole[k << 18 : (k + 1) << 18]}, "timestamp": 5})
+        assert piece["points"]["positions"][1] == (k << 18) + 1
+    assert let_go == [(mmap.MADV_DONTNEED,)] * 2
+    monkeypatch.undo()
+    file.content.madvise(mmap.MADV_DONTNEED)
+    np.testing.assert_array_equal(whole[::4096], np.arange(1 << 20, dtype=np.uint32)[::4096])

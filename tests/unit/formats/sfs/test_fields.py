@@ -29,15 +29,12 @@ def test_every_field_and_type_stands_on_the_page_about_the_format():
     assert names - words - reported_in_words == set()
 
 
+# records that have a table of their own on the page; sensors of ours, which stand under our metadata, have none
 SHARED = {"poses": "Poses", "attribute": "Attributes"}
-"""Records that have a table of their own on the page."""
-
 EVERYWHERE = {"sensor": ("Every sensor", "Poses"), "annotation": ("Every annotation", "Poses")}
 ELSEWHERE = {"sensor imu", "sensor gnss"}
-"""Sensors of ours, that stand under our metadata."""
-
+# one record serves the projections of cuboids and of keypoints
 NOT_BOTH = {"annotation cuboid": ("points", "positions"), "annotation points": ("boxes", "cuboids")}
-"""One record serves the projections of cuboids and of keypoints."""
 
 
 def tables_of_the_page():

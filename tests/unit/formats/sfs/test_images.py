@@ -13,11 +13,18 @@ from sceneloom.formats.sfs.sensors import video_codec
 from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import SceneWriter, write_scene
 from sceneloom.formats.video.reader import open_video
-from sceneloom.formats.video.writer import encode_to_mp4
+from sceneloom.formats.video.writer import copy_to_matroska, encode_to_mp4
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import CameraImage, CameraSensor, LazyFrames, Poses, Scene, VideoContent
 
 CAMERA_MODEL = Camera("pinhole", 32, 16, 40.0, 40.0, 15.5, 7.5)
+
+
+def brown(*coefficients):
+    return Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, coefficients)
+
+
+PRISM = brown(*[0.0] * 10, 0.01, 0, 0, 0, 0, 0)
 MS = 1_000_000
 
 
@@ -39,23 +46,35 @@ def mp4():
     return target.getvalue()
 
 
+@pytest.fixture(scope="module")
+def matroska(mp4):
+    target = io.BytesIO()
+    copy_to_matroska(mp4, target)
+    return target.getvalue()
+
+
 def camera(camera_images, **fields):
     lazy = LazyFrames.of(camera_images, [camera_image.timestamp_ns for camera_image in camera_images])
     return CameraSensor(**{"id": "front", "camera": CAMERA_MODEL, "images": lazy, "poses": Poses.identity(), **fields})
 
 
+def shot(timestamp_ns, k=0, camera_model=CAMERA_MODEL):
+    return CameraImage.of(timestamp_ns, camera_model, image_array(k))
+
+
 def camera_header(**content):
     intrinsics = {"fx": 40, "fy": 40, "cx": 15.5, "cy": 7.5, "width": 32, "height": 16}
     poses = {"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 1]]}
-    return {
-        "version": "1.0",
-        "sensors": [{"id": "c", "type": "camera", "poses": poses, "intrinsics": intrinsics, **content}],
-    }
+    camera = {"id": "c", "type": "camera", "poses": poses, "intrinsics": intrinsics, **content}
+    return {"version": "1.0", "sensors": [camera]}
+
+
+def jpeg_header(content, **fields):
+    return camera_header(images=[{"timestamp": 5, "content": np.frombuffer(content, np.uint8), **fields}])
 
 
 def test_jpeg_images_are_decoded_as_pillow_does(open_header):
-    images = [{"timestamp": 5, "content": np.frombuffer(jpeg(3), np.uint8), "note": "dusk"}]
-    camera_image = open_header(camera_header(images=images)).cameras[0].images[0]
+    camera_image = open_header(jpeg_header(jpeg(3), note="dusk")).cameras[0].images[0]
     expected = np.asarray(Image.open(io.BytesIO(jpeg(3))).convert("RGB"))
     # both decode with libjpeg-turbo; builds may differ by a level in the inverse transform
     assert np.abs(camera_image.rgb.astype(int) - expected).max() <= 1
@@ -66,15 +85,13 @@ def test_jpeg_images_are_decoded_as_pillow_does(open_header):
 
 def test_an_image_of_another_size_has_a_camera_model_of_its_size(open_header):
     big = simplejpeg.encode_jpeg(np.zeros((32, 64, 3), np.uint8), 90, "RGB", "444")
-    images = [{"timestamp": 5, "content": np.frombuffer(big, np.uint8)}]
-    camera_model = open_header(camera_header(images=images)).cameras[0].images[0].camera
+    camera_model = open_header(jpeg_header(big)).cameras[0].images[0].camera
     assert (camera_model.width, camera_model.height, camera_model.fx, camera_model.cx) == (64, 32, 80.0, 31.5)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a jpeg", b"\xff\xd8\xff\xe0", jpeg(1)[:40]])
 def test_what_is_no_jpeg_is_refused_when_it_is_asked_for(open_header, content):
-    images = [{"timestamp": 5, "content": np.frombuffer(content, np.uint8)}]
-    camera_images = open_header(camera_header(images=images)).cameras[0].images
+    camera_images = open_header(jpeg_header(content)).cameras[0].images
     with pytest.raises(DataError, match=r"sensors\[0\].images\[0\].content: cannot be decoded"):
         camera_images[0].rgb  # noqa: B018
 
@@ -98,9 +115,9 @@ def test_a_broken_video_opens_and_fails_with_its_location(open_header):
         front.images[0].rgb  # noqa: B018
 
 
-@pytest.mark.parametrize("content", [b"", b"\0" * 8, b"\0\0\0\1moov", b"\xff" * 64, b"\0\0\0\x10moovxxxxstsd"])
-def test_any_bytes_have_a_codec_or_none(content):
-    assert video_codec(memoryview(content)) == "unknown"
+def test_any_bytes_have_a_codec_or_none():
+    for content in (b"", b"\0" * 8, b"\0\0\0\1moov", b"\xff" * 64, b"\0\0\0\x10moovxxxxstsd"):
+        assert video_codec(memoryview(content)) == "unknown"
 
 
 def test_a_camera_without_images_opens(open_header):
@@ -120,15 +137,17 @@ def test_video_and_images_together_lose_nothing(open_header, target, decode_sfs,
     assert record["video"]["content"].tobytes() == mp4
 
 
-def test_images_are_written_as_jpeg_and_stated_to_be(target):
-    camera_images = [CameraImage.of(k * 100 * MS, CAMERA_MODEL, image_array(k)) for k in range(3)]
-    report = write_scene(Scene((camera(camera_images),)), target)
-    front = FORMAT.open(target).cameras[0]
-    for k, camera_image in enumerate(front.images):
+def test_images_are_written_as_jpeg_and_stated_to_be_and_can_be_streamed(target):
+    report = write_scene(Scene((camera([shot(k * 100 * MS, k) for k in range(3)]),)), target)
+    for k, camera_image in enumerate(FORMAT.open(target).cameras[0].images):
         # quality 95 without subsampling: a few levels on a smooth image
         assert np.abs(camera_image.rgb.astype(int) - image_array(k)).max() <= 6
         assert camera_image.timestamp_ns == k * 100 * MS
     assert {loss.field: loss.count for loss in report} == {"sensors[front].images[].content": 3}
+    with SceneWriter(target, overwrite=True) as writer:
+        writer.add_sensor(camera([]))
+        writer.add_frame("front", shot(5 * MS, 1))
+    assert FORMAT.open(target).cameras[0].images.timestamps_ns.tolist() == [5 * MS]
 
 
 def test_jpeg_files_are_copied_byte_for_byte(target, decode_sfs):
@@ -139,16 +158,9 @@ def test_jpeg_files_are_copied_byte_for_byte(target, decode_sfs):
     assert len(report) == 0
 
 
-def test_images_can_be_streamed(target):
-    with SceneWriter(target) as writer:
-        writer.add_sensor(camera([]))
-        writer.add_frame("front", CameraImage.of(5 * MS, CAMERA_MODEL, image_array(1)))
-    assert FORMAT.open(target).cameras[0].images.timestamps_ns.tolist() == [5 * MS]
-
-
-def video_camera(mp4, count=5, indices=None, **fields):
+def video_camera(content, count=5, indices=None, **fields):
     camera_images = [CameraImage(k * 100 * MS, CAMERA_MODEL, lambda: image_array(0)) for k in range(count)]
-    return camera(camera_images, video=VideoContent(lambda: io.BytesIO(mp4), "h264", indices), **fields)
+    return camera(camera_images, video=VideoContent(lambda: io.BytesIO(content), "h264", indices), **fields)
 
 
 def test_an_mp4_is_copied_byte_for_byte(target, decode_sfs, mp4):
@@ -161,16 +173,13 @@ def test_an_mp4_is_copied_byte_for_byte(target, decode_sfs, mp4):
     assert len(report) == 0
 
 
-def test_another_container_is_remuxed_without_decoding(target, mp4):
-    from sceneloom.formats.video.writer import copy_to_matroska
-
-    matroska = io.BytesIO()
-    copy_to_matroska(mp4, matroska)
-    report = write_scene(Scene((video_camera(matroska.getvalue()),)), target)
-    front = FORMAT.open(target).cameras[0]
+def test_another_container_is_remuxed_without_decoding_unless_images_lack(target, mp4, matroska):
+    report = write_scene(Scene((video_camera(matroska),)), target)
     with open_video(mp4) as reader:
-        np.testing.assert_array_equal(front.images[3].rgb, reader.rgb(3))
+        np.testing.assert_array_equal(FORMAT.open(target).cameras[0].images[3].rgb, reader.rgb(3))
     assert len(report) == 0
+    with pytest.raises(DataError, match="front"):
+        write_scene(Scene((video_camera(matroska, count=9),)), target, overwrite=True)
 
 
 def test_a_part_of_a_video_is_encoded_anew_and_stated_to_be(target, mp4):
@@ -183,25 +192,10 @@ def test_a_part_of_a_video_is_encoded_anew_and_stated_to_be(target, mp4):
     assert [loss.field for loss in report] == ["sensors[front].video.content"]
 
 
-def test_a_video_with_too_few_images_is_refused(target, mp4):
-    from sceneloom.formats.video.writer import copy_to_matroska
-
-    matroska = io.BytesIO()
-    copy_to_matroska(mp4, matroska)
-    with pytest.raises(DataError, match="front"):
-        write_scene(Scene((video_camera(matroska.getvalue(), count=9, indices=None),)), target)
-
-
 def test_the_file_has_the_start_of_exposure_and_the_model_its_middle(target, decode_sfs):
     camera_images = [
-        CameraImage(10 * MS, CAMERA_MODEL, lambda: image_array(0), encoded=lambda: jpeg(0)),
-        CameraImage(
-            20 * MS,
-            CAMERA_MODEL,
-            lambda: image_array(0),
-            encoded=lambda: jpeg(0),
-            extras={"exposureTimeSeconds": 0.008},
-        ),
+        CameraImage(timestamp, CAMERA_MODEL, lambda: image_array(0), encoded=lambda: jpeg(0), extras=extras)
+        for timestamp, extras in ((10 * MS, {}), (20 * MS, {"exposureTimeSeconds": 0.008}))
     ]
     write_scene(Scene((camera(camera_images, extras={"exposureTimeSeconds": 0.002}),)), target)
     images = decode_sfs(target.read_bytes())["sensors"][0]["images"]
@@ -230,22 +224,16 @@ def test_camera_models_mountings_and_fields_of_single_images_come_back(target, m
     ("camera_model", "model", "off"),
     [
         (CAMERA_MODEL, None, None),
-        (Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1, 0.01)), "brown_conrady", None),
+        (brown(0.1, 0.01), "brown_conrady", None),
         (Camera("fisheye", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1,)), "fisheye", None),
         (Camera("kannala-brandt18", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1,) * 18), None, "unknown number"),
-        (
-            Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.1,) + (0.0,) * 9 + (0.01, 0, 0, 0, 0, 0)),
-            "brown_conrady",
-            "px",
-        ),
+        (brown(0.1, *[0.0] * 9, 0.01, 0, 0, 0, 0, 0), "brown_conrady", "px"),
     ],
 )
 def test_camera_models_that_the_format_lacks_are_kept_and_their_error_is_stated(
     target, decode_sfs, camera_model, model, off
 ):
-    report = write_scene(
-        Scene((camera([CameraImage.of(0, camera_model, image_array(0))], camera=camera_model),)), target
-    )
+    report = write_scene(Scene((camera([shot(0, 0, camera_model)], camera=camera_model),)), target)
     intrinsics = decode_sfs(target.read_bytes())["sensors"][0]["intrinsics"]
     assert intrinsics.get("distortion", {}).get("model") == model
     losses = [loss for loss in report if "distortion" in loss.field]
@@ -257,31 +245,23 @@ def test_camera_models_that_the_format_lacks_are_kept_and_their_error_is_stated(
     assert not any(read.coefficients[count:])
 
 
-def stated_distance_px(report):
-    return float(next(loss.what for loss in report if "distortion" in loss.field).split("up to ")[1].split()[0])
-
-
-def test_a_camera_model_that_the_format_lacks_is_fitted_and_the_error_that_is_left_is_stated(target, decode_sfs):
+def test_a_camera_model_that_the_format_lacks_is_fitted_and_its_note_counts_unless_it_is_changed(
+    target, encode_sfs, decode_sfs
+):
     # at the corner (16, 8) px from the centre x' = x + s1 r²: about 40 · 0.01 · (0.4² + 0.2²) = 0.08 px
-    camera_model = Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.0,) * 10 + (0.01, 0, 0, 0, 0, 0))
-    report = write_scene(Scene((camera([], camera=camera_model),)), target)
-    record = decode_sfs(target.read_bytes())["sensors"][0]["intrinsics"]
+    report = write_scene(Scene((camera([], camera=PRISM),)), target)
+    header = decode_sfs(target.read_bytes())
+    record = header["sensors"][0]["intrinsics"]
     numbers = [record[name] for name in ("width", "height", "fx", "fy", "cx", "cy")]
-    model, params = record["distortion"]["model"], record["distortion"]["params"]
-    written = Camera(model, *numbers, tuple(params))
+    written = Camera(record["distortion"]["model"], *numbers, tuple(record["distortion"]["params"]))
     u, v = np.meshgrid(np.linspace(-0.5, 31.5, 50), np.linspace(-0.5, 15.5, 40))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-    off = np.hypot(*(project_unbounded(written, unproject(camera_model, pixels)) - pixels).T)
-    assert off.max() == pytest.approx(stated_distance_px(report), rel=0.05)
+    off = np.hypot(*(project_unbounded(written, unproject(PRISM, pixels)) - pixels).T)
+    (stated,) = (loss.what.split("up to ")[1].split()[0] for loss in report if "distortion" in loss.field)
+    assert off.max() == pytest.approx(float(stated), rel=0.05)
     assert off.max() < 0.04
-    assert FORMAT.open(target).cameras[0].camera == camera_model
-
-
-def test_a_written_camera_model_that_was_changed_since_counts_and_not_the_note(target, encode_sfs, decode_sfs):
-    camera_model = Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, (0.0,) * 10 + (0.01, 0, 0, 0, 0, 0))
-    write_scene(Scene((camera([], camera=camera_model),)), target)
-    header = decode_sfs(target.read_bytes())
-    header["sensors"][0]["intrinsics"]["distortion"]["params"][0] = 0.25
+    assert FORMAT.open(target).cameras[0].camera == PRISM
+    record["distortion"]["params"][0] = 0.25
     target.write_bytes(encode_sfs(header))
     read = FORMAT.open(target).cameras[0].camera
     assert read.coefficients[0] == 0.25

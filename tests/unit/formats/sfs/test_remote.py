@@ -2,6 +2,7 @@
 
 import io
 import pickle
+import sys
 
 import fsspec
 import numpy as np
@@ -14,8 +15,7 @@ from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError, MissingExtraError
 from sceneloom.formats.base.files import is_url, path_or_url
 from sceneloom.formats.remote.stores import GAP, coalesced
-from sceneloom.formats.sfs import container as module
-from sceneloom.formats.sfs.container import Container, RemoteFile
+from sceneloom.formats.sfs.container import Container, RemoteContent, RemoteFile
 from sceneloom.formats.video.writer import encode_to_mp4
 
 
@@ -36,27 +36,26 @@ def big_scene(encode_sfs, *, frames=30, points=20_000):
     poses = {"timestamps": [0, 10**7], "values": [[0, 0, 0, 0, 0, 0, 1], [9, 0, 0, 0, 0, 0, 1]]}
     jpeg = np.frombuffer(simplejpeg.encode_jpeg(rng.integers(0, 256, (64, 96, 3), np.uint8), 95), np.uint8)
     images = [{"timestamp": 100_000 * k, "content": jpeg} for k in range(3)]
-    camera_model = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": 96, "height": 64}
     labels = [{"sensor_id": "top", "sensor_frame": 1, "point_ids": np.array([3, 7], np.uint32)}]
-    return encode_sfs(
-        {
-            "version": "1.0",
-            "sensors": [
-                {"id": "top", "type": "lidar", "poses": poses, "frames": clouds},
-                {"id": "cam", "type": "camera", "poses": poses, "intrinsics": camera_model, "images": images},
-                {"id": "map", "type": "points", "points": {"positions": np.ones((5, 3), np.float32)}},
-            ],
-            "annotations": [{"id": "l", "type": "labeled_points", "label": "car", "labeled_points": labels}],
-        }
-    )
+    sensors = [
+        {"id": "top", "type": "lidar", "poses": poses, "frames": clouds},
+        {"id": "cam", "type": "camera", "poses": poses, "intrinsics": camera_model(96, 64), "images": images},
+        {"id": "map", "type": "points", "points": {"positions": np.ones((5, 3), np.float32)}},
+    ]
+    annotations = [{"id": "l", "type": "labeled_points", "label": "car", "labeled_points": labels}]
+    return encode_sfs({"version": "1.0", "sensors": sensors, "annotations": annotations})
 
 
-def test_a_frame_costs_its_arrays_and_not_the_file(served, encode_sfs, tmp_path):
+def camera_model(width, height):
+    return {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": width, "height": height}
+
+
+def test_a_frame_costs_its_arrays_in_one_request_and_an_image_itself_and_not_the_file(served, encode_sfs, tmp_path):
     content = big_scene(encode_sfs)
     served.files["drive.sfs"] = content
     (tmp_path / "drive.sfs").write_bytes(content)
     with sceneloom.open(served.url("drive.sfs")) as scene, sceneloom.open(tmp_path / "drive.sfs") as local:
-        opened = served.bytes_sent
+        opened, requests = served.bytes_sent, len(served.asked)
         assert opened < 600_000
         assert scene.sensors[2].positions.tolist() == [[1, 1, 1]] * 5
         frame, expected = scene.lidars[0].frames[17], local.lidars[0].frames[17]
@@ -66,24 +65,11 @@ def test_a_frame_costs_its_arrays_and_not_the_file(served, encode_sfs, tmp_path)
         assert frame.points.positions.flags.writeable is False
         assert served.bytes_sent - opened < 17 * 20_000 + 100
         assert served.bytes_sent < len(content) / 8
-
-
-def test_the_arrays_of_a_frame_are_fetched_at_one_go(served, encode_sfs):
-    served.files["drive.sfs"] = big_scene(encode_sfs)
-    with sceneloom.open(served.url("drive.sfs")) as scene:
-        before = len(served.asked)
-        scene.lidars[0].frames[3].points.positions.sum()
-        assert len(served.asked) == before + 1
-
-
-def test_images_are_fetched_one_by_one(served, encode_sfs):
-    served.files["drive.sfs"] = big_scene(encode_sfs)
-    with sceneloom.open(served.url("drive.sfs")) as scene:
-        before = len(served.asked)
+        assert len(served.asked) == requests + 1
         image = scene.cameras[0].images[1]
         assert image.rgb.shape == (64, 96, 3)
         assert image.encoded()[:2] == b"\xff\xd8"
-        assert len(served.asked) == before + 1
+        assert len(served.asked) == requests + 2
 
 
 def test_long_headers_are_fetched_in_blocks_that_grow(served, encode_sfs):
@@ -112,11 +98,9 @@ def video_scene(encode_sfs, *, images=40, side=128):
     rng = np.random.default_rng(4)
     target = io.BytesIO()
     encode_to_mp4([rng.integers(0, 256, (side, side, 3), np.uint8) for _ in range(images)], target, fps=10.0)
-    timestamps = [100_000 * k for k in range(images)]
-    content = np.frombuffer(target.getvalue(), np.uint8)
-    camera_model = {"fx": 60.0, "fy": 60.0, "cx": 48.0, "cy": 32.0, "width": side, "height": side}
+    content, timestamps = np.frombuffer(target.getvalue(), np.uint8), [100_000 * k for k in range(images)]
     video = {"timestamps": timestamps, "content": content, "fps": 10}
-    camera = {"id": "cam", "type": "camera", "intrinsics": camera_model, "video": video}
+    camera = {"id": "cam", "type": "camera", "intrinsics": camera_model(side, side), "video": video}
     return encode_sfs({"version": "1.0", "sensors": [camera]})
 
 
@@ -142,25 +126,18 @@ def test_an_image_of_a_video_costs_what_it_leans_on_and_not_the_video(served, en
         np.testing.assert_array_equal(scene.cameras[0].images[65].rgb, expected)
 
 
-def test_a_scene_behind_a_url_goes_to_other_processes(served, encode_sfs):
+def test_a_scene_behind_a_url_goes_to_other_processes_and_fetches_nothing_once_closed(served, encode_sfs):
     served.files["drive.sfs"] = big_scene(encode_sfs)
     with sceneloom.open(served.url("drive.sfs")) as scene:
         again = pickle.loads(pickle.dumps(scene))
-        np.testing.assert_array_equal(
-            again.lidars[0].frames[5].points.positions, scene.lidars[0].frames[5].points.positions
-        )
+        found, expected = (s.lidars[0].frames[5].points.positions for s in (again, scene))
+        np.testing.assert_array_equal(found, expected)
         late = pickle.loads(pickle.dumps(scene))
+    with pytest.raises(DataError, match="is closed"):
+        scene.lidars[0].frames[0]
     served.files["drive.sfs"] += b"\0"
     with pytest.raises(DataError, match="was changed after it was opened"):
         late.lidars[0].frames[5]
-
-
-def test_a_closed_scene_fetches_nothing(served, encode_sfs):
-    served.files["drive.sfs"] = big_scene(encode_sfs)
-    scene = sceneloom.open(served.url("drive.sfs"))
-    scene.close()
-    with pytest.raises(DataError, match="is closed"):
-        scene.lidars[0].frames[0]
 
 
 def test_a_server_without_ranges_is_an_error_before_the_file_is_loaded(served, encode_sfs):
@@ -194,7 +171,7 @@ def test_other_formats_are_fetched_whole(served):
 
 
 def test_without_fsspec_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "fsspec.core", None)
+    monkeypatch.setitem(sys.modules, "fsspec.core", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'sceneloom\[cloud\]'"):
         sceneloom.open("http://127.0.0.1/drive.sfs")
 
@@ -207,19 +184,19 @@ def test_a_file_that_is_cut_while_it_is_read_is_an_error(served, encode_sfs):
             scene.lidars[0].frames[20]
 
 
-def test_info_takes_a_url(served, encode_sfs):
-    served.files["drive.sfs"] = big_scene(encode_sfs)
-    done = CliRunner().invoke(program, ["info", served.url("drive.sfs")])
-    assert done.exit_code == 0, done.output
-    assert "20000 points in the first frame" in done.output
-
-
-def test_convert_takes_a_url(served, encode_sfs, tmp_path):
-    served.files["drive.sfs"] = content = big_scene(encode_sfs, frames=2, points=10)
-    (tmp_path / "drive.sfs").write_bytes(content)
-    for source, name in ((served.url("drive.sfs"), "a.sfs"), (tmp_path / "drive.sfs", "b.sfs")):
-        done = CliRunner().invoke(program, ["convert", str(source), str(tmp_path / name)])
+def test_commands_take_urls(served, encode_sfs, tmp_path):
+    def run(*words):
+        done = CliRunner().invoke(program, list(map(str, words)))
         assert done.exit_code == 0, done.output
+        return done.output
+
+    served.files["drive.sfs"] = content = big_scene(encode_sfs, frames=2)
+    (tmp_path / "drive.sfs").write_bytes(content)
+    url = served.url("drive.sfs")
+    assert "20000 points in the first frame" in run("info", url)
+    assert "nothing found" in run("validate", url, "--profile", "scale", "--rule", "scale-points", "--quick")
+    run("convert", url, tmp_path / "a.sfs")
+    run("convert", tmp_path / "drive.sfs", tmp_path / "b.sfs")
     assert (tmp_path / "a.sfs").read_bytes() == (tmp_path / "b.sfs").read_bytes()
 
 
@@ -235,31 +212,27 @@ def test_values_that_were_not_fetched_cannot_be_looked_at(served, encode_sfs):
     container.close()
 
 
-def test_arrays_of_strangers_are_fetched_on_opening(served, encode_sfs):
+def test_arrays_of_strangers_and_without_a_dtype_are_fetched(served, encode_sfs):
     """Big-endian arrays, unknown sensors and the like."""
     frames = [{"timestamp": 1, "points": {"positions": np.ones((2, 3), ">f4")}}]
-    lidar = {"id": "l", "type": "lidar", "frames": frames}
-    content = encode_sfs({"version": "1.0", "sensors": [lidar, {"id": "x", "type": "sonar", "d": np.arange(3)}]})
+    lidar, unknown = {"id": "l", "type": "lidar", "frames": frames}, {"id": "x", "type": "sonar", "d": np.arange(3)}
+    content = encode_sfs({"version": "1.0", "sensors": [lidar, unknown]})
     served.files["drive.sfs"] = content.replace(b'"dtype": "float32"', b'"dtype": ">f4"    ')
     with sceneloom.open(served.url("drive.sfs")) as scene:
         assert scene.lidars[0].frames[0].points.positions.tolist() == [[1, 1, 1]] * 2
         assert scene.sensors[1].fields["d"].tolist() == [0, 1, 2]
-
-
-def test_items_without_a_dtype_are_fetched_with_their_frame(served, encode_sfs):
-    frames = [{"timestamp": 1, "points": {"positions": np.full((2, 3), 7, np.float32)}}]
-    header = {"version": "1.0", "sensors": [{"id": "l", "type": "lidar", "frames": frames}]}
-    served.files["drive.sfs"] = encode_sfs(header, dtype=None, shape=None)
-    with sceneloom.open(served.url("drive.sfs")) as scene:
+    frames[0]["points"]["positions"] = np.full((2, 3), 7, np.float32)
+    served.files["other.sfs"] = encode_sfs({"version": "1.0", "sensors": [lidar]}, dtype=None, shape=None)
+    with sceneloom.open(served.url("other.sfs")) as scene:
         assert scene.lidars[0].frames[0].points.positions.tolist() == [[7, 7, 7]] * 2
 
 
 def test_neighbouring_ranges_are_joined():
-    gap = GAP
+    near, far = (5 + GAP, 9 + GAP), (6 + GAP, 9 + GAP)
     assert coalesced([]) == []
     assert coalesced([(10, 20), (0, 5)]) == [(0, 20)]
-    assert coalesced([(0, 5), (5 + gap, 9 + gap)]) == [(0, 9 + gap)]
-    assert coalesced([(0, 5), (6 + gap, 9 + gap)]) == [(0, 5), (6 + gap, 9 + gap)]
+    assert coalesced([(0, 5), near]) == [(0, 9 + GAP)]
+    assert coalesced([(0, 5), far]) == [(0, 5), far]
     assert coalesced([(0, 50), (10, 20)]) == [(0, 50)]
 
 
@@ -267,7 +240,7 @@ def test_chunks_of_a_content_are_those_of_its_bytes(served):
     content = bytes(np.random.default_rng(2).integers(0, 256, 700_000, np.uint8))
     served.files["bytes"] = content
     file = RemoteFile.of(served.url("bytes"))
-    part = module.RemoteContent(file, 1000, 650_000)
+    part = RemoteContent(file, 1000, 650_000)
     expected = content[1000:650_000]
     assert len(part) == len(expected)
     for start, stop in ((0, 4), (300_000, 300_001), (262_140, 262_150), (649_990, 700_000), (-4, None), (5, 5)):
@@ -280,29 +253,7 @@ def test_chunks_of_a_content_are_those_of_its_bytes(served):
     file.close()
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("http://host/a.sfs", True),
-        ("s3://bucket/a.sfs", True),
-        ("simplecache::https://host/a.sfs", True),
-        ("C:/a.sfs", False),
-        ("a.sfs", False),
-        ("a//b.sfs", False),
-    ],
-)
-def test_urls_are_distinguished_from_paths(text, expected):
-    assert is_url(text) is expected
-
-
-def test_file_urls_are_paths(tmp_path):
+def test_urls_are_distinguished_from_paths_and_those_of_files_are_paths(tmp_path):
+    assert all(map(is_url, ("http://host/a.sfs", "s3://bucket/a.sfs", "simplecache::https://host/a.sfs")))
+    assert not any(map(is_url, ("C:/a.sfs", "a.sfs", "a//b.sfs")))
     assert path_or_url((tmp_path / "ä b.sfs").as_uri()) == tmp_path / "ä b.sfs"
-
-
-def test_the_profile_of_scales_library_is_checked_behind_a_url(served, encode_sfs):
-    served.files["drive.sfs"] = big_scene(encode_sfs, frames=2)
-    done = CliRunner().invoke(
-        program, ["validate", served.url("drive.sfs"), "--profile", "scale", "--rule", "scale-points", "--quick"]
-    )
-    assert done.exit_code == 0, done.output
-    assert "nothing found" in done.output

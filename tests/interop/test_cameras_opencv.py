@@ -11,13 +11,13 @@ MATRIX = np.array([[901.3, 0.0, 957.2], [0.0, 898.7, 541.9], [0.0, 0.0, 1.0]])
 NUMBERS = (1920, 1080, MATRIX[0, 0], MATRIX[1, 1], MATRIX[0, 2], MATRIX[1, 2])
 DIFFERENCE_PX = 1e-9  # both compute in float64
 
-CAMERA_MODELS = {
-    "five": (-0.3437, 0.1402, 0.00031, -0.00082, -0.0271),
-    "eight": (0.4461, -0.1213, 0.00017, -0.00025, 0.0035, 0.8021, -0.0771, 0.0110),
-    "prism": (0.4461, -0.1213, 0.00017, -0.00025, 0.0035, 0.8021, -0.0771, 0.0110, 1e-3, -2e-4, -1.5e-3, 3e-4),
-    "tilt": (-0.2, 0.05, 0.0003, -0.0008, 0.001, 0.02, 0.01, 0.002, 1e-3, -2e-4, -1.5e-3, 3e-4, 0.031, -0.047),
-}
-EACH_CAMERA_MODEL = pytest.mark.parametrize("coefficients", CAMERA_MODELS.values(), ids=CAMERA_MODELS)
+EIGHT = (0.4461, -0.1213, 0.00017, -0.00025, 0.0035, 0.8021, -0.0771, 0.0110)
+CAMERA_MODELS = [
+    (-0.3437, 0.1402, 0.00031, -0.00082, -0.0271),
+    EIGHT,
+    (*EIGHT, 1e-3, -2e-4, -1.5e-3, 3e-4),  # with a prism, and tilted
+    (-0.2, 0.05, 0.0003, -0.0008, 0.001, 0.02, 0.01, 0.002, 1e-3, -2e-4, -1.5e-3, 3e-4, 0.031, -0.047),
+]
 
 
 def brown_conrady(coefficients: tuple[float, ...]) -> Camera:
@@ -33,17 +33,12 @@ def points() -> np.ndarray:
     return np.hstack([np.random.default_rng(1).uniform(-1, 1, (2000, 2)) * (1.05, 0.6) * z, z])
 
 
-@EACH_CAMERA_MODEL
-def test_brown_conrady_projects_as_opencv_does(points, coefficients):
+@pytest.mark.parametrize("coefficients", CAMERA_MODELS)
+def test_brown_conrady_projects_and_unprojects_as_opencv_does(points, coefficients):
     expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, np.array(coefficients))
     found = project_unbounded(brown_conrady(coefficients), points)
     assert np.abs(found - expected[:, 0]).max() < DIFFERENCE_PX
-
-
-@EACH_CAMERA_MODEL
-def test_brown_conrady_finds_the_points_that_opencv_projected(points, coefficients):
-    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, np.array(coefficients))
-    rays = unproject(brown_conrady(coefficients), pixels[:, 0])
+    rays = unproject(brown_conrady(coefficients), expected[:, 0])
     assert np.abs(rays[:, :2] / rays[:, 2:] - points[:, :2] / points[:, 2:]).max() < 1e-9  # a millionth of a pixel
 
 
@@ -63,13 +58,6 @@ def test_fisheye_projects_and_unprojects_as_opencv_does(points, coefficients):
     assert np.abs(rays[:, :2] / rays[:, 2:] - plane).max() < 1e-7  # OpenCV stops its iterations at 1e-8
 
 
-OMNIDIR = {
-    "plain": (0.0, 0.0, 0.0, 1.1, 0.0, 0.0),
-    "bent": (-0.21, 0.043, 0.0, 0.87, 0.0011, -0.0023),
-    "skewed": (-0.21, 0.043, 1.73, 1.34, 0.0011, -0.0023),
-}
-
-
 @pytest.fixture(scope="module")
 def points_all_around() -> np.ndarray:
     """Points up to 100 degrees off the axis."""
@@ -79,13 +67,19 @@ def points_all_around() -> np.ndarray:
     return rays * random.uniform(1, 80, (2000, 1))
 
 
-@pytest.mark.parametrize("coefficients", OMNIDIR.values(), ids=OMNIDIR)
+@pytest.mark.parametrize(
+    "coefficients",
+    [
+        (0.0, 0.0, 0.0, 1.1, 0.0, 0.0),
+        (-0.21, 0.043, 0.0, 0.87, 0.0011, -0.0023),
+        (-0.21, 0.043, 1.73, 1.34, 0.0011, -0.0023),
+    ],
+)
 def test_omnidir_projects_as_opencv_does_behind_the_camera_too(points_all_around, coefficients):
     k1, k2, skew, xi, p1, p2 = coefficients
     matrix = np.add(MATRIX, [[0, skew, 0], [0, 0, 0], [0, 0, 0]])
-    expected, _ = cv2.omnidir.projectPoints(
-        points_all_around[None], np.zeros(3), np.zeros(3), matrix, xi, np.array([[k1, k2, p1, p2]])
-    )
+    none, points = np.zeros(3), points_all_around[None]
+    expected, _ = cv2.omnidir.projectPoints(points, none, none, matrix, xi, np.array([[k1, k2, p1, p2]]))
     camera = Camera("omnidir", *NUMBERS, coefficients)
     found = project_unbounded(camera, points_all_around)
     assert np.abs(found - expected[0]).max() < DIFFERENCE_PX

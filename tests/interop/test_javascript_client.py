@@ -28,14 +28,8 @@ def modules():
 
 
 def run(modules, *arguments):
-    return subprocess.run(
-        ["node", str(CLIENT), *arguments],
-        env={**os.environ, "NODE_PATH": modules},
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
+    command, environment = ["node", str(CLIENT), *arguments], {**os.environ, "NODE_PATH": modules}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False)
 
 
 def test_it_reads_both_fusion_types(modules):

@@ -1,8 +1,5 @@
 """Folders that we write, read by pykitti: the same points, images, times, locations and calibrations."""
 
-import json
-import subprocess
-
 import numpy as np
 import pytest
 from tests.peers import python_with
@@ -48,14 +45,6 @@ def drive():
     return simulate_street(5, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,)).scene
 
 
-def run(python, program, *arguments):
-    done = subprocess.run(
-        [python, "-c", program, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=120
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
 def check_common(found, back):
     lidar, camera = back.lidars[0], back.cameras[0]
     for reported, frame in zip(found["points"], lidar.frames, strict=True):
@@ -72,10 +61,10 @@ def pykitti_python():
     return python_with("pykitti", "SCENELOOM_PYKITTI_PYTHON")
 
 
-def test_raw_drives_are_read_there(pykitti_python, drive, tmp_path):
+def test_raw_drives_are_read_there(pykitti_python, ask, drive, tmp_path):
     write_scene(drive, tmp_path / "out", format="kitti-raw", kind="sync")
     back = open_scene(tmp_path / "out")
-    found = run(pykitti_python, RAW, tmp_path / "out", "1970_01_01", "0001")
+    found = ask(pykitti_python, RAW, tmp_path / "out", "1970_01_01", "0001")
     check_common(found, back)
     trajectory = back.trajectories["oxts"]
     times = np.array(found["times"], "datetime64[us]").astype(np.int64)
@@ -88,10 +77,10 @@ def test_raw_drives_are_read_there(pykitti_python, drive, tmp_path):
         np.testing.assert_allclose(np.array(reported)[:3, 3], position, atol=0.01 * (1 + np.linalg.norm(position)))
 
 
-def test_odometry_sequences_are_read_there(pykitti_python, drive, tmp_path):
+def test_odometry_sequences_are_read_there(pykitti_python, ask, drive, tmp_path):
     write_scene(drive, tmp_path / "out", format="kitti-odometry")
     back = open_scene(tmp_path / "out")
-    found = run(pykitti_python, ODOMETRY, tmp_path / "out", "00")
+    found = ask(pykitti_python, ODOMETRY, tmp_path / "out", "00")
     # of cameras 1 to 3 they take the horizontal shift only; of a single camera there is none
     check_common(found, back)
     np.testing.assert_allclose(found["times"], back.lidars[0].frames.timestamps_ns / 1e9, atol=1e-6)

@@ -148,20 +148,23 @@ def drive(**options):
     return log
 
 
-OPTIONS = {
-    "plain": {},
-    "lz4": {"compression": CompressionType.LZ4, "chunk_size": 4000},
-    "zstd": {"compression": CompressionType.ZSTD},
-    "no chunks": {"use_chunking": False},
-    "no summary": {
-        "index_types": IndexType.NONE, "repeat_channels": False, "repeat_schemas": False, "use_statistics": False,
-        "use_summary_offsets": False,
-    },
-    "no index of messages": {"index_types": IndexType.CHUNK, "compression": CompressionType.ZSTD},
+NO_SUMMARY = {
+    "index_types": IndexType.NONE, "repeat_channels": False, "repeat_schemas": False, "use_statistics": False,
+    "use_summary_offsets": False,
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"compression": CompressionType.LZ4, "chunk_size": 4000},
+        {"compression": CompressionType.ZSTD},
+        {"use_chunking": False},
+        NO_SUMMARY,
+        {"index_types": IndexType.CHUNK, "compression": CompressionType.ZSTD},
+    ],
+)
 def test_a_drive_that_another_program_wrote_is_read_whatever_its_chunks_and_index(options, tmp_path):
     with sceneloom.open(drive(**options).saved(tmp_path / "drive.mcap")) as scene:
         assert scene.format == "mcap"
@@ -194,9 +197,8 @@ def test_points_come_with_brightness_and_times_in_their_unit(scene):
 
 
 def test_fixed_transforms_are_mountings_and_moving_ones_the_ego_trajectory(scene):
-    np.testing.assert_allclose(
-        scene.sensor("top").mount.matrix, [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]], atol=1e-15
-    )
+    left = [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
+    np.testing.assert_allclose(scene.sensor("top").mount.matrix, left, atol=1e-15)
     # forward of the camera is x of the car
     np.testing.assert_allclose(scene.sensor("front").mount.rotate(np.array([0, 0, 1.0])), [1, 0, 0], atol=1e-15)
     trajectory = scene.trajectories["tf"]
@@ -209,13 +211,8 @@ def test_fixed_transforms_are_mountings_and_moving_ones_the_ego_trajectory(scene
 
 def test_a_calibration_beside_the_images_is_their_camera_model_and_a_camera_without_one_is_reported(scene):
     camera_model = scene.sensor("front").camera
-    assert (camera_model.model, camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy) == (
-        "brown_conrady",
-        100.0,
-        101.0,
-        5.5,
-        3.5,
-    )
+    numbers = (camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy)
+    assert (camera_model.model, *numbers) == ("brown_conrady", 100.0, 101.0, 5.5, 3.5)
     assert camera_model.coefficients == (0.1, -0.05, 0.001, 0.002, 0.01)
     assert scene.sensor("side").camera.model == "unknown"
     assert any(n.code == "camera-model-missing" and "/side/image" in n.location for n in scene.warnings)
@@ -243,14 +240,11 @@ def test_boxes_of_one_id_are_one_object_in_the_world(scene):
     np.testing.assert_array_equal(boxes[0].path.values, np.tile([10, 20, 5, 8], (5, 1)))
 
 
-def test_fixes_have_the_deviation_of_their_variance(scene):
+def test_fixes_have_the_deviation_of_their_variance_and_what_is_not_read_is_counted(scene):
     gnss = scene.sensor("gnss")
     np.testing.assert_array_equal(gnss.positions_lla[:, 0], 48.0 + np.arange(5))
     np.testing.assert_array_equal(gnss.accuracies, [2.0] * 5)
     np.testing.assert_array_equal(gnss.vertical_accuracies, [3.0] * 5)
-
-
-def test_what_is_not_read_is_counted(scene):
     reported = {warning.code: warning for warning in scene.warnings}
     assert reported["unknown-messages"].count == 5
     assert "foxglove.Log" in reported["unknown-messages"].message
@@ -297,21 +291,13 @@ def test_what_we_write_the_reference_library_reads(compression, tmp_path):
     sceneloom.write(source, path, compression=compression)
     found = list(decoded(path))
     assert not [1 for *_, message, _ in found if message.publish_time != message.log_time]
-    clouds = [
-        m for topic, name, _, m in found if name == "foxglove.PointCloud" and topic == f"/{source.lidars[0].id}/points"
-    ]
-    assert len(clouds) == len(source.lidars[0].frames)
+    topic = f"/{source.lidars[0].id}/points"
+    clouds = [m for where, name, _, m in found if (where, name) == (topic, "foxglove.PointCloud")]
+    dtypes = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
     for cloud, frame in zip(clouds, source.lidars[0].frames, strict=True):
-        dtypes = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
-        table = np.frombuffer(
-            cloud.data,
-            {
-                "names": [f.name for f in cloud.fields],
-                "formats": [dtypes[f.type] for f in cloud.fields],
-                "offsets": [f.offset for f in cloud.fields],
-                "itemsize": cloud.point_stride,
-            },
-        )
+        names, formats, offsets = zip(*((f.name, dtypes[f.type], f.offset) for f in cloud.fields), strict=True)
+        layout = {"names": names, "formats": formats, "offsets": offsets, "itemsize": cloud.point_stride}
+        table = np.frombuffer(cloud.data, layout)
         np.testing.assert_array_equal(np.stack([table[axis] for axis in "xyz"], axis=1), frame.points.positions)
         assert cloud.timestamp.ToNanoseconds() == frame.timestamp_ns
     schemas = {name for _, name, _, _ in found}

@@ -3,9 +3,6 @@
 It pins old packages, so it runs in an environment of its own: SCENELOOM_NUSCENES_PYTHON names its interpreter.
 """
 
-import json
-import subprocess
-
 import numpy as np
 import pytest
 from tests.peers import python_with
@@ -66,10 +63,9 @@ def nuscenes_python():
     return python_with("nuscenes-devkit", "SCENELOOM_NUSCENES_PYTHON")
 
 
-def reported_by_kit(python, root, version):
-    done = subprocess.run([python, "-c", PROGRAM, str(root), version], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+@pytest.fixture
+def reported_by_kit(ask):
+    return lambda root, version: ask(nuscenes_python, PROGRAM, root, version)
 
 
 @pytest.fixture
@@ -79,10 +75,11 @@ def rewritten(tmp_path):
     return scene, tmp_path / "b"
 
 
-def test_the_kit_loads_the_tables_and_finds_the_same_boxes_and_points(nuscenes_python, rewritten):
+def test_the_kit_loads_the_tables_and_finds_the_same_boxes_points_and_classes(reported_by_kit, rewritten):
     scene, root = rewritten
-    reported = reported_by_kit(nuscenes_python, root, "v1.0-mini")
+    reported = reported_by_kit(root, "v1.0-mini")
     assert reported["scenes"] == ["scene-0001"]
+    assert sorted(reported["classes"].values()) == [[40 + k, "noise", "vehicle.car"] for k in (0, 2, 4)]
     lidar, radar = scene.lidars[0], scene.sensor("RADAR_FRONT")
     (car,) = (a for a in scene.annotations if a.type == "cuboid")
     for k, frames in enumerate(reported["samples"]):
@@ -100,20 +97,14 @@ def test_the_kit_loads_the_tables_and_finds_the_same_boxes_and_points(nuscenes_p
         assert abs(np.dot([x, y, z, w], box.quaternions_xyzw[0])) == pytest.approx(1.0)
 
 
-def test_the_kit_finds_a_class_for_each_point(nuscenes_python, rewritten):
-    _, root = rewritten
-    reported = reported_by_kit(nuscenes_python, root, "v1.0-mini")
-    assert sorted(reported["classes"].values()) == [[40 + k, "noise", "vehicle.car"] for k in (0, 2, 4)]
-
-
 def pose(poses):
     return RigidTransform.from_quaternion(poses.positions[0], poses.quaternions_xyzw[0])
 
 
-def test_the_kit_puts_points_of_a_real_frame_onto_images_where_we_do(nuscenes_python, data_dir, tmp_path):
+def test_the_kit_puts_points_of_a_real_frame_onto_images_where_we_do(reported_by_kit, data_dir, tmp_path):
     scene = sceneloom.open(from_infos(data_dir / "real" / "nuscenes_one_sample", tmp_path / "a").write())
     sceneloom.write(scene, tmp_path / "b", format="nuscenes")
-    (frames,) = reported_by_kit(nuscenes_python, tmp_path / "b", "v1.0-mini")["samples"]
+    (frames,) = reported_by_kit(tmp_path / "b", "v1.0-mini")["samples"]
     again = sceneloom.open(tmp_path / "b")
     lidar = again.lidars[0]
     world = pose(lidar.poses).apply(lidar.frames[0].points.positions)
@@ -132,10 +123,10 @@ def test_the_kit_puts_points_of_a_real_frame_onto_images_where_we_do(nuscenes_py
         assert max(nearest) < 0.5
 
 
-def test_the_kit_reads_drives_that_have_nothing_of_nuscenes(nuscenes_python, data_dir, tmp_path):
+def test_the_kit_reads_drives_that_have_nothing_of_nuscenes(reported_by_kit, data_dir, tmp_path):
     pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     scene = sceneloom.open(data_dir / "real" / "argoverse2", one_lidar=True)
     sceneloom.write(scene, tmp_path / "b", format="nuscenes", version="v1.0-test")
-    (frames,) = reported_by_kit(nuscenes_python, tmp_path / "b", "v1.0-test")["samples"]
+    (frames,) = reported_by_kit(tmp_path / "b", "v1.0-test")["samples"]
     assert len(frames["LIDAR_TOP"]["points"]) == len(scene.lidars[0].frames[0].points)
     assert len(frames["LIDAR_TOP"]["world"]) == 81

@@ -45,9 +45,8 @@ LIMIT_S = 120
 def corners_of(scene, cuboid):
     values = cuboid.path.values
     quaternions = CuboidAngles.of(scene).quaternions(values[:, 6:])
-    return np.stack(
-        [box_corners(row[3:6], row[:3], rotation) for row, rotation in zip(values, quaternions, strict=True)]
-    )
+    pairs = zip(values, quaternions, strict=True)
+    return np.stack([box_corners(row[3:6], row[:3], rotation) for row, rotation in pairs])
 
 
 def same_corners(found, expected):
@@ -69,14 +68,8 @@ def test_boxes_of_vcd_stand_where_vcd_puts_them():
 def test_all_that_vcd_says_is_read():
     with open_scene(GOLDEN) as scene:
         by_id = {one.id: one for one in scene.annotations}
-        assert {type(one).__name__ for one in by_id.values()} == {
-            "ObjectAnnotation",
-            "CuboidAnnotation",
-            "Box2DAnnotation",
-            "ShapeAnnotation",
-            "EventAnnotation",
-            "LinkAnnotation",
-        }
+        kinds = {type(one).__name__.removesuffix("Annotation") for one in by_id.values()}
+        assert kinds == {"Object", "Cuboid", "Box2D", "Shape", "Event", "Link"}
         assert by_id["0:bbox:shape2d"].path.values[0].tolist() == [80, 65, 40, 30]
         assert by_id["0:bbox:shape2d"].sensor_id == "front"
         assert by_id["0:bbox:shape2d"].attributes[0].values == (False, True, False)
@@ -98,13 +91,8 @@ def peer():
     python = python_with("vcd and raillabel", "SCENELOOM_OPENLABEL_PYTHON")
 
     def run(program, *arguments):
-        done = subprocess.run(
-            [python, str(HERE / "programs" / program), *map(str, arguments)],
-            capture_output=True,
-            text=True,
-            timeout=LIMIT_S,
-            check=False,
-        )
+        command = [python, str(HERE / "programs" / program), *map(str, arguments)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout.strip().splitlines()[-1])
 
@@ -128,16 +116,13 @@ def drive():
     event = EventAnnotation("stop", int(timestamps[0]), 100_000_000, "Stop")
     link = LinkAnnotation("l", "car", "stop", "does")
     lidar = LidarSensor("top", LazyFrames.of(frames, timestamps), mount=mount)
+    flat_box = BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]]))
+    path = CuboidPath(timestamps[[0, 2]], values[[0, 2]])
+    seen = (Projection("top", timestamps[:1], np.array([[1.0, 2, 3, 4]]), (True,)),)
     van = (
         ObjectAnnotation("van", "Van"),
-        CuboidAnnotation(
-            "box of the van",
-            CuboidPath(timestamps[[0, 2]], values[[0, 2]]),
-            "Van",
-            parent_id="van",
-            projections=(Projection("top", timestamps[:1], np.array([[1.0, 2, 3, 4]]), (True,)),),
-        ),
-        Box2DAnnotation("flat", "top", BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]])), "Van", parent_id="van"),
+        CuboidAnnotation("box of the van", path, "Van", parent_id="van", projections=seen),
+        Box2DAnnotation("flat", "top", flat_box, "Van", parent_id="van"),
     )
     return Scene((lidar,), (box, flat, lane, event, link, *van), {"pose": trajectory}), mount
 

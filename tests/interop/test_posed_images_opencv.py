@@ -30,13 +30,18 @@ trimesh = pytest.importorskip("trimesh")
 RNG = np.random.default_rng(4)
 TIMES = np.array([10**18, 10**18 + 10**8, 10**18 + 2 * 10**8])
 SIZE = (320, 240)
+BENT = (0.2, 0.05, 0.001, -0.002, 0.01, 0.3, 0.02, 0.001)
+
+
+def brown(*coefficients):
+    return Camera("brown_conrady", *SIZE, 300.0, 310.0, 160.5, 118.0, coefficients)
+
+
 CAMERA_MODELS = {
     "plain": Camera("pinhole", *SIZE, 300.0, 310.0, 160.5, 118.0),
-    "five": Camera("brown_conrady", *SIZE, 300.0, 310.0, 160.5, 118.0, (-0.2, 0.05, 0.001, -0.002, 0.01)),
-    "four": Camera("brown_conrady", *SIZE, 300.0, 310.0, 160.5, 118.0, (-0.2, 0.05, 0.001, -0.002)),
-    "eight": Camera(
-        "brown_conrady", *SIZE, 300.0, 310.0, 160.5, 118.0, (0.2, 0.05, 0.001, -0.002, 0.01, 0.3, 0.02, 0.001)
-    ),
+    "five": brown(-0.2, 0.05, 0.001, -0.002, 0.01),
+    "four": brown(-0.2, 0.05, 0.001, -0.002),
+    "eight": brown(*BENT),
     "fish eye": Camera("fisheye", *SIZE, 120.0, 121.0, 159.0, 119.0, (0.05, -0.01, 0.002, 0.0)),
     "mei": Camera("omnidirectional", *SIZE, 300.0, 300.0, 160.0, 120.0, (-0.05, 0.01, 0, 0, 0, 0, 0.6)),
 }
@@ -49,31 +54,27 @@ def scene(names, *, origin=(0.0, 0.0, 0.0)):
     rotations = np.stack([np.zeros(3), np.zeros(3), np.sin(angles / 2), np.cos(angles / 2)], axis=1)
     trajectory = Trajectory("trajectory", TIMES, RNG.normal(size=(3, 3)) + origin, rotations)
     rgb = RNG.integers(0, 256, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
-    cameras = [
-        CameraSensor(
-            name,
-            CAMERA_MODELS[name],
-            LazyFrames.of([CameraImage.of(int(t), CAMERA_MODELS[name], rgb) for t in TIMES], TIMES),
-            mount=MOUNT,
-        )
-        for name in names
-    ]
+    cameras = []
+    for name in names:
+        model = CAMERA_MODELS[name]
+        images = LazyFrames.of([CameraImage.of(int(t), model, rgb) for t in TIMES], TIMES)
+        cameras.append(CameraSensor(name, model, images, mount=MOUNT))
     positions = RNG.uniform(-20, 20, (500, 3)).astype(np.float32)
     colors = RNG.integers(0, 256, (500, 3)).astype(np.uint8)
     frames = [LidarFrame(int(t), LidarPoints(positions, colors=colors)) for t in TIMES]
-    lidar = LidarSensor(
-        "top", LazyFrames.of(frames, TIMES), mount=RigidTransform.identity(), points_frame=PointsFrame.EGO
-    )
+    here = RigidTransform.identity()
+    lidar = LidarSensor("top", LazyFrames.of(frames, TIMES), mount=here, points_frame=PointsFrame.EGO)
     return Scene((lidar, *cameras), trajectories={"trajectory": trajectory})
+
+
+def ego_pose(one, k):
+    trajectory = one.trajectories["trajectory"]
+    return RigidTransform.from_quaternion(trajectory.positions[k], trajectory.quaternions_xyzw[k])
 
 
 def truth(one, camera_id, k):
     """Points in the world before the camera, and where our own camera model puts them."""
-    trajectory = one.trajectories["trajectory"]
-    world_from_camera = (
-        RigidTransform.from_quaternion(trajectory.positions[k], trajectory.quaternions_xyzw[k])
-        @ one.sensor(camera_id).mount
-    )
+    world_from_camera = ego_pose(one, k) @ one.sensor(camera_id).mount
     points_camera = RNG.uniform((-1.5, -1.0, 4.0), (1.5, 1.0, 9.0), (50, 3))
     return world_from_camera.apply(points_camera), project_unbounded(one.sensor(camera_id).camera, points_camera)
 
@@ -116,23 +117,23 @@ def rotation(w, x, y, z):
     )
 
 
-COLMAP_MODELS = {
-    "plain": ("PINHOLE", 4),
-    "four": ("OPENCV", 8),
-    "five": ("FULL_OPENCV", 12),
-    "eight": ("FULL_OPENCV", 12),
-    "fish eye": ("OPENCV_FISHEYE", 8),
-}
-
-
-@pytest.mark.parametrize("name", COLMAP_MODELS)
-def test_opencv_projects_a_colmap_model_to_where_the_scene_sees_it(tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("plain", ("PINHOLE", 4)),
+        ("four", ("OPENCV", 8)),
+        ("five", ("FULL_OPENCV", 12)),
+        ("eight", ("FULL_OPENCV", 12)),
+        ("fish eye", ("OPENCV_FISHEYE", 8)),
+    ],
+)
+def test_opencv_projects_a_colmap_model_to_where_the_scene_sees_it(tmp_path, name, expected):
     one = scene([name])
     write_scene(one, tmp_path / "o", format="colmap", images="none")
     cameras, images, _ = read_colmap(tmp_path / "o" / "sparse" / "0")
     assert len(cameras) == 1
     model, width, height, numbers = cameras[1]
-    assert (model, len(numbers)) == COLMAP_MODELS[name]
+    assert (model, len(numbers)) == expected
     assert (width, height) == SIZE
     assert len(images) == len(TIMES)
     for number, pose, camera in images.values():
@@ -215,15 +216,9 @@ def test_opencv_projects_transforms_json_to_where_the_scene_sees_it(tmp_path, na
         assert (opengl[:, 2] < 0).all()
         fisheye = model == "OPENCV_FISHEYE"
         order = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
-        found = opencv(
-            opengl * (1, -1, -1),
-            frame["fl_x"],
-            frame["fl_y"],
-            frame["cx"] - 0.5,
-            frame["cy"] - 0.5,
-            [frame[key] for key in order],
-            fisheye=fisheye,
-        )
+        fx, fy, cx, cy = (frame[key] for key in ("fl_x", "fl_y", "cx", "cy"))
+        distortion = [frame[key] for key in order]
+        found = opencv(opengl * (1, -1, -1), fx, fy, cx - 0.5, cy - 0.5, distortion, fisheye=fisheye)
         np.testing.assert_allclose(found, pixels, rtol=0, atol=1e-6)
 
 
@@ -232,14 +227,8 @@ def test_points_are_in_the_world_thinned_and_coloured(tmp_path):
     write_scene(one, tmp_path / "o", format="nerfstudio", voxel="0.5", images="none")
     content = json.loads((tmp_path / "o" / "transforms.json").read_text())
     cloud = trimesh.load(tmp_path / "o" / content["ply_file_path"])
-    trajectory = one.trajectories["trajectory"]
     frames = one.lidars[0].frames
-    everything = np.concatenate(
-        [
-            RigidTransform.from_quaternion(p, q).apply(frame.points.positions)
-            for p, q, frame in zip(trajectory.positions, trajectory.quaternions_xyzw, frames, strict=True)
-        ]
-    )
+    everything = np.concatenate([ego_pose(one, k).apply(frame.points.positions) for k, frame in enumerate(frames)])
     colors = np.concatenate([frame.points.colors for frame in frames])
     distances = np.linalg.norm(cloud.vertices[:, None] - everything[None], axis=2)
     nearest = distances.argmin(axis=1)
@@ -257,10 +246,7 @@ def test_far_locations_count_from_an_origin_that_is_reported(tmp_path):
     applied = np.array(content["applied_transform"])
     first = np.array(content["frames"][0]["transform_matrix"])[:3, 3]
     assert np.abs(first).max() < 10
-    trajectory = one.trajectories["trajectory"]
-    camera = (
-        RigidTransform.from_quaternion(trajectory.positions[0], trajectory.quaternions_xyzw[0]) @ MOUNT
-    ).translation
+    camera = (ego_pose(one, 0) @ MOUNT).translation
     np.testing.assert_allclose(applied[:, :3] @ camera + applied[:, 3], first, rtol=0, atol=1e-8)
     assert any("locations count from" in loss.what for loss in losses)
     assert "ply_file_path" not in content

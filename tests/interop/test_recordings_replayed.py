@@ -73,14 +73,9 @@ def replayed(folder, python):
 def a_drive(offsets_y):
     camera_model = Camera("pinhole", 320, 200, 200.0, 200.0, 159.5, 99.5)
     cameras = [CameraSpec(camera_model, camera_mount(position=(1.5, y, 1.5))) for y in offsets_y]
-    return simulate_street(
-        1,
-        frames=FRAMES,
-        lidar=LidarSpec(beams=4, steps=40),
-        cameras=cameras,
-        imu=ImuSpec(rate_hz=200.0),
-        path=PathSpec(stops=(Stop(0.0, 1.0),)),
-    )
+    stops = PathSpec(stops=(Stop(0.0, 1.0),))
+    lidar, imu = LidarSpec(beams=4, steps=40), ImuSpec(rate_hz=200.0)
+    return simulate_street(1, frames=FRAMES, lidar=lidar, cameras=cameras, imu=imu, path=stops)
 
 
 @pytest.mark.parametrize("images", ["copy", "ffv1", "png"])
@@ -106,9 +101,9 @@ class TexturedRoom:
     @staticmethod
     def _noise(seed, size=1024):
         generator = np.random.default_rng(seed)
+        sharp = generator.standard_normal((4, size, size))
         layers = [
-            gaussian_filter(generator.standard_normal((size, size)), sigma, mode="wrap")
-            for sigma in (1.5, 4.0, 12.0, 40.0)
+            gaussian_filter(noise, s, mode="wrap") for noise, s in zip(sharp, (1.5, 4.0, 12.0, 40.0), strict=True)
         ]
         return np.clip(128 + 35 * sum(layer / layer.std() for layer in layers), 0, 255).astype(np.float32)
 
@@ -157,9 +152,8 @@ def walk_through_a_room(baseline, frames=240, rate_hz=20):
             grey = room.grey(position + rotation @ mount.translation, rays @ (rotation @ mount.rotation).T)
             return CameraImage.of(int(timestamps[k]), camera_model, np.repeat(grey[..., None], 3, axis=2))
 
-        return CameraSensor(
-            f"camera{index}", camera_model, LazyFrames(timestamps, image), mount=mount, fps=float(rate_hz)
-        )
+        images = LazyFrames(timestamps, image)
+        return CameraSensor(f"camera{index}", camera_model, images, mount=mount, fps=float(rate_hz))
 
     samples = 901_300_000 + np.arange(200 * frames // rate_hz + 60, dtype=np.int64) * 5_000_000
     seconds, step = samples * 1e-9 - 1.0, 1e-3
@@ -169,13 +163,9 @@ def walk_through_a_room(baseline, frames=240, rate_hz=20):
     forces = delta_rotations.inv().apply((before - 2 * positions + after) / step**2 + [0.0, 0.0, 9.81])
     rates = (room_poses(seconds - step)[1].inv() * room_poses(seconds + step)[1]).as_rotvec() / (2 * step)
     noise = np.random.default_rng(5).standard_normal((2, *forces.shape))
-    imu = ImuSensor(
-        "imu",
-        {
-            "accelerometer": VectorSamples(samples, forces + 0.01 * noise[0]),
-            "gyroscope": VectorSamples(samples, rates + 0.001 * noise[1]),
-        },
-    )
+    accelerations, rates = forces + 0.01 * noise[0], rates + 0.001 * noise[1]
+    streams = {"accelerometer": VectorSamples(samples, accelerations), "gyroscope": VectorSamples(samples, rates)}
+    imu = ImuSensor("imu", streams)
     truth = Trajectory("groundTruth", samples, positions, delta_rotations.as_quat())
     return Scene((camera(0), camera(1), imu), trajectories={"groundTruth": truth})
 

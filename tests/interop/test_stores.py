@@ -66,19 +66,14 @@ def command(scheme):
 def environment(scheme, address):
     """Where the server is, and who asks."""
     account = f"{address}/devstoreaccount1"
+    # else the client of Google looks for credentials, to ask of what kind a bucket is
+    google = {"STORAGE_EMULATOR_HOST": address, "GCSFS_EXPERIMENTAL_ZB_HNS_SUPPORT": "false"}
+    amazon = {"ACCESS_KEY_ID": "whoever", "SECRET_ACCESS_KEY": "hidden", "DEFAULT_REGION": "us-east-1"}
+    azure = f"DefaultEndpointsProtocol=http;AccountName=devstoreaccount1;AccountKey={KEY};BlobEndpoint={account};"
     return {
-        "s3": {
-            "AWS_ACCESS_KEY_ID": "whoever",
-            "AWS_SECRET_ACCESS_KEY": "hidden",
-            "AWS_DEFAULT_REGION": "us-east-1",
-            "AWS_ENDPOINT_URL": address,
-        },
-        # else the client of Google looks for credentials, to ask of what kind a bucket is
-        "gs": {"STORAGE_EMULATOR_HOST": address, "GCSFS_EXPERIMENTAL_ZB_HNS_SUPPORT": "false"},
-        "az": {
-            "AZURE_STORAGE_CONNECTION_STRING": "DefaultEndpointsProtocol=http;AccountName=devstoreaccount1;"
-            f"AccountKey={KEY};BlobEndpoint={account};"
-        },
+        "s3": {f"AWS_{name}": value for name, value in {**amazon, "ENDPOINT_URL": address}.items()},
+        "gs": google,
+        "az": {"AZURE_STORAGE_CONNECTION_STRING": azure},
     }[scheme]
 
 
@@ -89,9 +84,8 @@ CLIENTS = {"s3": "s3fs", "gs": "gcsfs", "az": "adlfs"}
 def server(request):
     """A scheme, and the address of a server of its own, which ends with the tests."""
     pytest.importorskip(CLIENTS[request.param], reason=f"{CLIENTS[request.param]} of the extra `cloud` is not there")
-    with subprocess.Popen(
-        command(request.param), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as running:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command(request.param), text=True, **pipes) as running:
         address = next(found[1] for line in running.stdout if (found := re.search(r" (http://127\S+\d)", line)))
         yield request.param, address
         running.kill()
@@ -127,10 +121,8 @@ class Bucket:
 @pytest.fixture
 def drive(tmp_path, encode_sfs):
     rng = np.random.default_rng(7)
-    frames = [
-        {"timestamp": 100_000 * k, "points": {"positions": rng.normal(size=(50_000, 3)).astype(np.float32)}}
-        for k in range(30)
-    ]
+    clouds = rng.normal(size=(30, 50_000, 3)).astype(np.float32)
+    frames = [{"timestamp": 100_000 * k, "points": {"positions": cloud}} for k, cloud in enumerate(clouds)]
     path = tmp_path / "drive.sfs"
     path.write_bytes(encode_sfs({"version": "1.0", "sensors": [{"id": "top", "type": "lidar", "frames": frames}]}))
     return path
@@ -153,9 +145,6 @@ def test_a_scene_goes_there_in_parts_and_comes_back_by_ranges(bucket, drive, mon
     assert find_urls(bucket.url("*/*.sfs")) == [bucket.url("deep/copy.sfs")]
     with pytest.raises(OutputError, match="exists already"):
         sceneloom.convert(drive, bucket.url("deep/copy.sfs"))
-
-
-def test_mcap_files_come_by_ranges(bucket, drive):
     sceneloom.convert(drive, bucket.url("copy.mcap"))
     same_frames(bucket.url("copy.mcap"), drive, (3,))
 
@@ -188,16 +177,12 @@ def test_an_upload_that_fails_leaves_neither_object_nor_parts(bucket, drive, mon
         assert bucket.files.call_s3("list_multipart_uploads", Bucket=bucket.name).get("Uploads", []) == []
 
 
-def test_folders_are_written_with_their_marker_and_read_again(bucket, drive):
+def test_folders_are_written_with_their_marker_and_read_again_unless_a_file_changed_meanwhile(bucket, drive):
     sceneloom.convert(drive, bucket.url("clouds"), to="pcd")
     names = [name.removeprefix("clouds/") for name in bucket.names()]
     assert MARKER in names
     assert sum(name.endswith(".pcd") for name in names) == 30
     same_frames(bucket.url("clouds"), drive, (7, 8, 9))
-
-
-def test_a_file_of_a_folder_that_changed_meanwhile_is_an_error(bucket, drive):
-    sceneloom.convert(drive, bucket.url("clouds"), to="pcd")
     with sceneloom.open(bucket.url("clouds")) as scene:
         name = sorted(bucket.files.find(f"{bucket.name}/clouds"))[20]
         content = bucket.files.cat(name)

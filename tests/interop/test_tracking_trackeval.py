@@ -16,41 +16,19 @@ trackeval = pytest.importorskip("trackeval", reason="no trackeval: pip install t
 SEQUENCES = ("0000", "0012", "0013", "0014")
 """Cars and people, a short one, many people, and cars that are hard to see."""
 
+
+def _names(text: str) -> dict[str, str]:
+    return dict(pair.split("=") for pair in text.split())
+
+
 FAMILIES = {
-    "hota": (
-        "HOTA",
-        {
-            "hota": "HOTA",
-            "deta": "DetA",
-            "assa": "AssA",
-            "loca": "LocA",
-            "detre": "DetRe",
-            "detpr": "DetPr",
-            "assre": "AssRe",
-            "asspr": "AssPr",
-        },
-    ),
+    "hota": ("HOTA", _names("hota=HOTA deta=DetA assa=AssA loca=LocA detre=DetRe detpr=DetPr assre=AssRe asspr=AssPr")),
     "clear": (
         "CLEAR",
-        {
-            "mota": "MOTA",
-            "motp": "MOTP",
-            "recall": "CLR_Re",
-            "precision": "CLR_Pr",
-            "tp": "CLR_TP",
-            "fn": "CLR_FN",
-            "fp": "CLR_FP",
-            "idsw": "IDSW",
-            "frag": "Frag",
-            "mt": "MT",
-            "pt": "PT",
-            "ml": "ML",
-        },
+        _names("mota=MOTA motp=MOTP recall=CLR_Re precision=CLR_Pr tp=CLR_TP fn=CLR_FN fp=CLR_FP idsw=IDSW frag=Frag")
+        | _names("mt=MT pt=PT ml=ML"),
     ),
-    "identity": (
-        "Identity",
-        {"idf1": "IDF1", "idp": "IDP", "idr": "IDR", "idtp": "IDTP", "idfn": "IDFN", "idfp": "IDFP"},
-    ),
+    "identity": ("Identity", _names("idf1=IDF1 idp=IDP idr=IDR idtp=IDTP idfn=IDFN idfp=IDFP")),
 }
 """By family of figures: our names and TrackEval's."""
 

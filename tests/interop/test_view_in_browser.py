@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -29,17 +28,6 @@ CLOSE = 60
 
 ENOUGH = 500
 """Pixels of a colour that are something to see."""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """A Chromium and the folder of modules with playwright-core; tests are skipped without them."""
-    if shutil.which("node") is None:
-        pytest.skip("no node")
-    program, modules = os.environ.get("SCENELOOM_BROWSER", ""), os.environ.get("SCENELOOM_NODE_MODULES", "")
-    if not program or not modules:
-        pytest.skip("no browser: set SCENELOOM_BROWSER to a Chromium and SCENELOOM_NODE_MODULES, with playwright-core")
-    return program, modules
 
 
 def wall_and_camera() -> Scene:

@@ -16,8 +16,8 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import FileIdentity, open_file, read_bytes
-from sceneloom.formats.recording.json_faults import BYTE_ORDER_MARK, DECODER_FAULTS, json_fault, json_problem
-from sceneloom.formats.recording.lines import FrameColumns, Origin, Point, RecordingColumns, SensorIndex, note_mark
+from sceneloom.formats.recording.json_faults import BYTE_ORDER_MARK, DECODER_FAULTS, json_fault, json_problem, note_mark
+from sceneloom.formats.recording.lines import FrameColumns, Origin, Point, RecordingColumns, SensorIndex
 from sceneloom.geometry.rigid import GREATEST_ERROR, SILENT_ERROR, RigidTransform, nearest_rotation
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.warnings import WarningKind

@@ -1,9 +1,13 @@
 """What is wrong with a text that should be JSON, in plain words."""
 
 import re
+from pathlib import Path
 from typing import Any
 
 import msgspec
+
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.warnings import WarningKind
 
 FARTHEST_TIME = 9.2e9
 """Times within plus or minus this fit into int64 nanoseconds [s]."""
@@ -75,6 +79,13 @@ def json_fault(error: Exception, text: bytes, *, prefix: str = "") -> tuple[str,
     what, path = (match["what"], match["path"]) if match else (str(error), "")
     value = _value_at(path, text)
     return f"{prefix}{path}".lstrip("."), f"{value}: {_in_words(what, value)}"
+
+
+def note_mark(text: bytes, path: Path, ledger: Ledger) -> None:
+    """Note a byte order mark at the beginning of a file of JSON, which is read over it."""
+    if text.startswith(BYTE_ORDER_MARK):
+        message = "begins with a byte order mark, which JSON must not have; it was skipped"
+        ledger.note(WarningKind.REPAIRED, "byte-order-mark", str(path), message)
 
 
 def other_file(beginning: bytes) -> str | None:

@@ -21,6 +21,7 @@ from sceneloom.formats.recording.json_faults import (
     DECODER_FAULTS,
     FARTHEST_TIME,
     json_problem,
+    note_mark,
     other_file,
     quote,
 )
@@ -734,13 +735,6 @@ def _pass_faults(reader: _LineReader, pending: list[int], path: Path, ledger: Le
     reader.faults.clear()
     if pending and pending[-1] != reader.columns.count:
         report_blank_lines()
-
-
-def note_mark(text: bytes, path: Path, ledger: Ledger) -> None:
-    """Note a byte order mark at the beginning of a file of JSON, which is read over it."""
-    if text.startswith(BYTE_ORDER_MARK):
-        message = "begins with a byte order mark, which JSON must not have; it was skipped"
-        ledger.note(WarningKind.REPAIRED, "byte-order-mark", str(path), message)
 
 
 def _blocks_of_lines(file: BinaryIO, path: Path) -> Iterator[tuple[list[bytes], int]]:

@@ -8,23 +8,27 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float32Array, Int64Array, UInt8Array, UInt16Array, check_array
+from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError, SceneloomError
+from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.formats.base.poses import field_of
 from sceneloom.formats.base.text_tables import TimeWriter
+from sceneloom.formats.recording.calibration import CameraParameters, camera_model, read_mount, read_parameters
 from sceneloom.formats.recording.cameras import OWN_FIELDS, FrameNotes, choose_images, image_name
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS
 from sceneloom.formats.recording.lines import record_keys, with_frames
-from sceneloom.formats.recording.write_calibration import CAMERA_MODEL, MOUNT, ImageParameters
+from sceneloom.formats.recording.write_calibration import camera_model_entry, matrix_entry
 from sceneloom.formats.recording.write_lines import LineStream, make_line
 from sceneloom.formats.video.reader import VideoReader
 from sceneloom.formats.video.writer import VideoWriter, copy_to_matroska, is_lossless
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import (
     CameraImage,
     CameraSensor,
@@ -210,7 +214,7 @@ class _PngWriter:
         """Do nothing: every file is whole."""
 
 
-class ImageSink:
+class _ImageSink:
     """Takes the images of one camera, one per `frames` line; a line without one gets the image before.
 
     Attributes:
@@ -238,13 +242,8 @@ class ImageSink:
         if self._writer is not None:
             self._writer.close()
 
-    def abandon(self) -> None:
-        """Close what is not finished."""
-        with suppress(SceneloomError):
-            self.close()
 
-
-def open_sink(sensor: ShootingSensor, folder: Path, index: int, rows: Int64Array, *, images: str) -> ImageSink:
+def _open_sink(sensor: ShootingSensor, folder: Path, index: int, rows: Int64Array, *, images: str) -> _ImageSink:
     """Choose how a camera's images are kept, and start.
 
     Args:
@@ -261,20 +260,20 @@ def open_sink(sensor: ShootingSensor, folder: Path, index: int, rows: Int64Array
     if isinstance(sensor, DepthCameraSensor):
         depth = _DepthPixels(sensor)
         if _copied(sensor, path, rows, codecs=("ffv1",)) and all(frame.scale is not None for frame in sensor.frames):
-            return ImageSink(depth, None)
-        return ImageSink(depth, VideoWriter(path, depth.width, depth.height, _fps(sensor), codec="ffv1-gray16"))
+            return _ImageSink(depth, None)
+        return _ImageSink(depth, VideoWriter(path, depth.width, depth.height, _fps(sensor), codec="ffv1-gray16"))
     if images == "png":
-        sink = ImageSink(_ColorPixels(sensor, "png"), _PngWriter(folder / f"frames{index + 1}"))
+        sink = _ImageSink(_ColorPixels(sensor, "png"), _PngWriter(folder / f"frames{index + 1}"))
         if sensor.fps:
             sink.losses.append(Loss(field=f"sensors[{sensor.id}].fps", what="left out: files have no rate"))
         return sink
     if _copied(sensor, path, rows, codecs=None if images in _ENCODED_AS else (images,)):
-        return ImageSink(_ColorPixels(sensor, "copy"), None)
+        return _ImageSink(_ColorPixels(sensor, "copy"), None)
     codec = _ENCODED_AS.get(images, images)
     if images == "copy" and sensor.video is not None and is_lossless(sensor.video.codec):
         codec = "ffv1"
     pixels = _ColorPixels(sensor, codec)
-    sink = ImageSink(pixels, VideoWriter(path, pixels.width, pixels.height, _fps(sensor), codec=codec))
+    sink = _ImageSink(pixels, VideoWriter(path, pixels.width, pixels.height, _fps(sensor), codec=codec))
     if sensor.video is not None and images in {*_ENCODED_AS, sensor.video.codec}:
         what = f"encoded anew as {_SPELT[codec]}: the video could not be copied for these images alone"
         field = f"sensors[{sensor.id}].video"
@@ -352,7 +351,7 @@ _Key = tuple[int, float, int, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ImageRows:
+class _ImageRows:
     """Which image of each camera each line has.
 
     Attributes:
@@ -372,7 +371,7 @@ class ImageRows:
     losses: Sequence[Loss] = ()
 
 
-def image_rows(sensors: Sequence[ShootingSensor], notes: FrameNotes | None) -> ImageRows:
+def _image_rows(sensors: Sequence[ShootingSensor], notes: FrameNotes | None) -> _ImageRows:
     """Bring images together, as they were where that is known and their times are still the same.
 
     Args:
@@ -380,10 +379,10 @@ def image_rows(sensors: Sequence[ShootingSensor], notes: FrameNotes | None) -> I
         notes: what is known of the lines that the images were read from.
     """
     if not sensors:
-        return ImageRows(np.zeros((0, 0), np.int64))
+        return _ImageRows(np.zeros((0, 0), np.int64))
     rows = _as_read(sensors, notes) if notes is not None and notes.own else None
     if rows is None:
-        rows = ImageRows(group_images([shots_of(sensor).timestamps_ns for sensor in sensors]))
+        rows = _ImageRows(group_images([shots_of(sensor).timestamps_ns for sensor in sensors]))
     if notes is None:
         return rows
     losses, count, numbers, first = list[Loss](), len(rows.images), None, 0
@@ -400,7 +399,7 @@ def image_rows(sensors: Sequence[ShootingSensor], notes: FrameNotes | None) -> I
     return replace(rows, first=first, numbers=numbers, losses=losses)
 
 
-def _numbers_as_read(sensors: Sequence[ShootingSensor], rows: ImageRows) -> list[int] | None:
+def _numbers_as_read(sensors: Sequence[ShootingSensor], rows: _ImageRows) -> list[int] | None:
     """Numbers of lines that do not grow by one; None where one is not known, or they would mean other images.
 
     The video that is written has one image for each line.
@@ -442,7 +441,7 @@ def group_images(timestamps: Sequence[Int64Array]) -> Int64Array:
     return np.array(lines, np.int64).reshape(len(lines), len(timestamps))
 
 
-def grouping_losses(sensors: Sequence[ShootingSensor], rows: ImageRows) -> list[Loss]:
+def _grouping_losses(sensors: Sequence[ShootingSensor], rows: _ImageRows) -> list[Loss]:
     """Report where cameras are not in step, so that lines lack some of their images, unless that was read so."""
     fresh = [row for row in range(len(rows.images)) if row not in rows.lines]
     missing = (rows.images[fresh] < 0).sum(axis=0).tolist()
@@ -454,7 +453,7 @@ def grouping_losses(sensors: Sequence[ShootingSensor], rows: ImageRows) -> list[
     ]
 
 
-def _as_read(sensors: Sequence[ShootingSensor], notes: FrameNotes) -> ImageRows | None:
+def _as_read(sensors: Sequence[ShootingSensor], notes: FrameNotes) -> _ImageRows | None:
     """Bring images together that were in one line; None where one has another time, or none reports its line."""
     members: dict[_Key, list[int]] = {}
     for location, sensor in enumerate(sensors):
@@ -470,7 +469,7 @@ def _as_read(sensors: Sequence[ShootingSensor], notes: FrameNotes) -> ImageRows 
         # nothing was cut: lines without any image have their places
         members = {key: members.get(key) or [-1] * len(sensors) for key in [*members, *lines]}
     keys = sorted(members)
-    return ImageRows(
+    return _ImageRows(
         images=np.array([members[key] for key in keys], np.int64).reshape(len(keys), len(sensors)),
         seconds=[key[1] for key in keys],
         lines={row: lines[key] for row, key in enumerate(keys) if key in lines},
@@ -505,7 +504,12 @@ def _kept_lines(texts: Sequence[str]) -> dict[_Key, Mapping[str, Any]]:
     return lines
 
 
-_OWN_EXTRAS = OWN_FIELDS | {CAMERA_MODEL, MOUNT}
+_CAMERA_MODEL, _MOUNT = "cameraParameters", "imuToCamera"
+"""Fields of an entry, and extras of an image that has been read with them."""
+
+_NO_FILE = Path("data.jsonl")
+
+_OWN_EXTRAS = OWN_FIELDS | {_CAMERA_MODEL, _MOUNT}
 """Extras of an image that its line is made from anew."""
 
 _OWN_DEPTH_EXTRAS = frozenset({"colorFormat", "depthScale"})
@@ -518,35 +522,137 @@ _OWN_KEYS = {"frames", "number", "time"}
 _CAMERA = re.compile(r"camera(\d+)")
 
 
+class _ImageParameters:
+    """Writes the camera models and mountings that single images of a camera have.
+
+    Attributes:
+        losses: camera models that the format does not have.
+    """
+
+    def __init__(self, sensor: ShootingSensor, width: int, height: int) -> None:
+        """Begin; width and height are those of the images as they are written [px]."""
+        self.losses: list[Loss] = []
+        self._sensor, self._size = sensor, (width, height)
+        self._calibrated: CameraParameters | None = None
+        self._last: dict[str, tuple[bytes, Any]] = {}
+
+    def fields(self, shot: Shot, kept: Mapping[str, Any]) -> dict[str, Any]:
+        """Give what is an image's own: in the words that it was read with (`kept`), where they still mean it."""
+        sensor, fields = self._sensor, dict[str, Any]()
+        if _CAMERA_MODEL in kept and self._same_camera(kept[_CAMERA_MODEL], shot.camera):
+            fields[_CAMERA_MODEL] = kept[_CAMERA_MODEL]
+        elif _CAMERA_MODEL in kept or shot.camera != sensor.camera:
+            written, how_far = camera_model_entry(shot.camera, model_key="distortionModel")
+            fields[_CAMERA_MODEL] = {k: v for k, v in written.items() if not k.startswith("image")}
+            if how_far is not None:
+                field = f"{field_of(sensor)}[].camera"
+                self.losses.append(Loss(field=field, what=how_far, support=Support.APPROXIMATED))
+        if shot.mount is None:
+            return fields
+        if _MOUNT in kept and self._same_mount(kept[_MOUNT], shot.mount):
+            fields[_MOUNT] = kept[_MOUNT]
+        elif _MOUNT in kept or shot.mount is not sensor.mount:
+            fields[_MOUNT] = matrix_entry(shot.mount.inverse())
+        return fields
+
+    def _same_camera(self, words: Any, camera: Camera) -> bool:
+        read = self._read(_CAMERA_MODEL, words)
+        width, height = self._size
+        return read is not None and _without_zeros(read) == _without_zeros(replace(camera, width=width, height=height))
+
+    def _same_mount(self, words: Any, mount: RigidTransform) -> bool:
+        read = self._read(_MOUNT, words)
+        return read is not None and np.array_equal(read.matrix, mount.matrix)
+
+    def _read(self, key: str, words: Any) -> Any:
+        """What a reader of the written recording makes of the words; None where it would have to repair them."""
+        text = msgspec.json.encode(words)
+        if self._last.get(key, (b"", None))[0] != text:
+            self._last[key] = text, self._read_anew(key, text)
+        return self._last[key][1]
+
+    def _read_anew(self, key: str, text: bytes) -> Camera | RigidTransform | None:
+        ledger, (width, height) = Ledger(lenient=True), self._size
+        try:
+            if key == _MOUNT:
+                mount = read_mount(text, 0, path=_NO_FILE, ledger=ledger)
+                return None if ledger.warnings else mount
+            if self._calibrated is None:
+                entry, _ = camera_model_entry(replace(self._sensor.camera, width=width, height=height))
+                self._calibrated = msgspec.convert(entry, CameraParameters)
+            parameters = read_parameters(text, 0, path=_NO_FILE).over(self._calibrated)
+            return camera_model(parameters, self._size, "").resized(width, height)
+        except (SceneloomError, msgspec.ValidationError):
+            return None
+
+
+def _without_zeros(camera: Camera) -> Camera:
+    """A camera without the zeros that other formats add at the end of its coefficients."""
+    count = max((k + 1 for k, value in enumerate(camera.coefficients) if value), default=0)
+    return replace(camera, coefficients=camera.coefficients[:count])
+
+
 class FrameLines:
-    """Makes the `frames` lines, and hands each image to the sink of its camera on the way."""
+    """Writes the images of all cameras, and makes the `frames` lines, each after its images were written.
+
+    Attributes:
+        sizes: width and height of each camera's images as they are written [px]; empty where there are no images.
+    """
 
     def __init__(
         self,
         sensors: Sequence[ShootingSensor],
-        sinks: Sequence[ImageSink],
-        rows: ImageRows,
+        folder: Path,
+        notes: FrameNotes | None,
         times: TimeWriter,
         *,
+        images: str,
         keep_extras: bool,
     ) -> None:
         """Begin.
 
         Args:
             sensors: the cameras, in the order of `cameraInd`.
-            sinks: where the images of each go.
-            rows: which image of each camera each line has.
+            folder: the recording that is being written.
+            notes: what is known of the lines that the images were read from.
             times: writes the times.
+            images: how images are kept, one of `IMAGES`.
             keep_extras: whether unknown fields of images are a recording's own, to be written back.
         """
+        self._sensors, self._times, self._keep_extras = sensors, times, keep_extras
+        self._rows = rows = _image_rows(sensors, notes)
         self._losses: list[Loss] = list(rows.losses)
-        self._sensors, self._sinks, self._rows, self._times = sensors, sinks, rows, times
-        self._keep_extras = keep_extras
         matches = [_CAMERA.fullmatch(str(sensor.id)) for sensor in sensors]
         self._read_as = [index if match is None else int(match[1]) for index, match in enumerate(matches)]
-        pairs = zip(sensors, sinks, strict=False)
-        self._parameters = [ImageParameters(sensor, sink.width, sink.height) for sensor, sink in pairs]
         self._not_listed = 0
+        self._sinks: list[_ImageSink] = []
+        try:
+            for index, sensor in enumerate(sensors if len(rows.images) else ()):
+                self._sinks.append(_open_sink(sensor, folder, index, rows.images[:, index], images=images))
+        except BaseException:
+            self.__exit__()
+            raise
+        self.sizes = [(sink.width, sink.height) for sink in self._sinks]
+        self._parameters = [_ImageParameters(sensor, *size) for sensor, size in zip(sensors, self.sizes, strict=False)]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close what is not finished."""
+        for sink in self._sinks:
+            with suppress(SceneloomError):
+                sink.close()
+
+    def close(self) -> None:
+        """Finish the files of images."""
+        for sink in self._sinks:
+            sink.close()
+
+    @property
+    def image_losses(self) -> list[Loss]:
+        """What of the images could not be written, and where cameras are not in step."""
+        return [loss for sink in self._sinks for loss in sink.losses] + _grouping_losses(self._sensors, self._rows)
 
     @property
     def losses(self) -> list[Loss]:

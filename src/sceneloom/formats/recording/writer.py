@@ -3,7 +3,6 @@
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from itertools import count
 from math import radians
@@ -15,11 +14,12 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import CalibrationError, DataError, OptionError, OutputError, PoseError
+from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import Loss, LossReport, Support
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.poses import each_mounted, mounting
 from sceneloom.formats.base.text_tables import TimeWriter, nanoseconds
-from sceneloom.formats.recording.calibration import CALIBRATION_FILE
+from sceneloom.formats.recording.calibration import CALIBRATION_FILE, rigid_transform
 from sceneloom.formats.recording.cameras import FrameNotes
 from sceneloom.formats.recording.json_faults import DECODER_FAULTS, FARTHEST_TIME
 from sceneloom.formats.recording.lidars import XYZIRT
@@ -27,15 +27,8 @@ from sceneloom.formats.recording.lines import GPS_ORIGIN, LIDAR_MODELS, Origin
 from sceneloom.formats.recording.reader import RANKS
 from sceneloom.formats.recording.spec import DATA_FILE
 from sceneloom.formats.recording.vio_config import KNOWN_KEYS, read_vio_config
-from sceneloom.formats.recording.write_calibration import camera_entry, lidar_entry, matrix_entry
-from sceneloom.formats.recording.write_images import (
-    IMAGES,
-    FrameLines,
-    ImageSink,
-    grouping_losses,
-    image_rows,
-    open_sink,
-)
+from sceneloom.formats.recording.write_calibration import camera_model_entry, matrix_entry
+from sceneloom.formats.recording.write_images import IMAGES, FrameLines
 from sceneloom.formats.recording.write_lines import (
     LineStream,
     NumberLines,
@@ -341,16 +334,11 @@ def _not_replayed(plan: _WritingPlan) -> Iterator[Loss]:
 
 def _write(plan: _WritingPlan, folder: Path, images: str) -> list[Loss]:
     """Write all files into an empty folder; give what was lost."""
-    times, notes, cameras = TimeWriter(), plan.notes, plan.cameras
-    rows = image_rows(cameras, notes.frame_lines)
+    times, notes = TimeWriter(), plan.notes
     numbers = NumberLines(times, notes.further_keys, sensor_barometer=notes.sensor_barometer)
     sweeps = [_SweepWriter(plan, index, folder, times) for index in range(len(plan.lidars))]
-    with ExitStack() as stack:
-        sinks: list[ImageSink] = []
-        for index, camera in enumerate(cameras if len(rows.images) else ()):
-            sinks.append(open_sink(camera, folder, index, rows.images[:, index], images=images))
-            stack.callback(sinks[-1].abandon)
-        frames = FrameLines(cameras, sinks, rows, times, keep_extras=plan.of_recording)
+    keep_extras = plan.of_recording
+    with FrameLines(plan.cameras, folder, notes.frame_lines, times, images=images, keep_extras=keep_extras) as frames:
         # of one time, the small lines come first: a filter then knows all up to an image when it gets it
         streams = [numbers.trajectory(trajectory, origin) for trajectory, origin in plan.trajectories]
         streams += [] if plan.imu is None else numbers.imu(plan.imu)
@@ -363,15 +351,12 @@ def _write(plan: _WritingPlan, folder: Path, images: str) -> list[Loss]:
                 file.write("\n".join([*lines, ""]).encode())
         if not any(len(stream.timestamps_ns) for stream in streams):
             raise DataError(plan.scene.source, "", "holds nothing that a recording could hold")
-        for sink in sinks:
-            sink.close()
-    calibration_losses = _write_calibration(plan, sinks, folder)
+        frames.close()
+    calibration_losses = _write_calibration(plan, frames.sizes, folder)
     if notes.vio_config is not None:
         (folder / "vio_config.yaml").write_text(notes.vio_config, encoding="utf-8")
-    losses = [*plan.losses, *calibration_losses]
-    parts: list[FrameLines | NumberLines | _SweepWriter | ImageSink] = [frames, numbers, *sweeps, *sinks]
-    losses += [loss for part in parts for loss in part.losses]
-    losses += grouping_losses(cameras, rows)
+    losses = [*plan.losses, *calibration_losses, *frames.losses, *numbers.losses]
+    losses += [loss for sweep in sweeps for loss in sweep.losses] + frames.image_losses
     if times.inexact:
         what = f"times written exactly, but a 64-bit number of seconds holds them within {times.worst_ns} ns only"
         worst, converted = float(times.worst_ns), Support.CONVERTED
@@ -379,19 +364,22 @@ def _write(plan: _WritingPlan, folder: Path, images: str) -> list[Loss]:
     return losses
 
 
-def _write_calibration(plan: _WritingPlan, sinks: Sequence[ImageSink], folder: Path) -> list[Loss]:
+def _write_calibration(plan: _WritingPlan, sizes: Sequence[tuple[int, int]], folder: Path) -> list[Loss]:
+    """Write `calibration.json`; `sizes` are those of the images as they are written, where there are any [px]."""
     losses: list[Loss] = []
     cameras: list[dict[str, Any]] = []
     for index, sensor in enumerate(plan.cameras):
         camera = sensor.camera
-        if sinks:
+        if sizes:
             # of images whose last rows and columns are cut off, nothing else changes
-            camera = replace(camera, width=sinks[index].width, height=sinks[index].height)
-        entry, lost = camera_entry(sensor, camera, plan.mounts[index])
-        cameras.append(entry)
-        losses.extend(lost)
+            camera = replace(camera, width=sizes[index][0], height=sizes[index][1])
+        fields, how_far = camera_model_entry(camera)
+        if how_far is not None:
+            losses.append(Loss(field=f"sensors[{sensor.id}].camera", what=how_far, support=Support.APPROXIMATED))
+        unknown = {k: v for k, v in _entry_before(sensor).items() if k != "distortionModel"}
+        cameras.append(_with_mount({**unknown, **fields}, "imuToCamera", plan.mounts[index]))
     lidar_mounts = plan.mounts[len(cameras) :]
-    lidars = [lidar_entry(lidar, k, lidar_mounts[k], _LIDAR_MODEL) for k, lidar in enumerate(plan.lidars)]
+    lidars = [_lidar_entry(lidar, k, lidar_mounts[k]) for k, lidar in enumerate(plan.lidars)]
     further, main = dict(plan.notes.calibration), _main_receiver(plan.receivers)
     if main and main[0].mount is not None:
         further.setdefault("imuToGnss", matrix_entry(main[0].mount.inverse()))
@@ -400,6 +388,31 @@ def _write_calibration(plan: _WritingPlan, sinks: Sequence[ImageSink], folder: P
         text = msgspec.json.format(msgspec.json.encode(content), indent=2)
         (folder / CALIBRATION_FILE).write_bytes(text + b"\n")
     return losses
+
+
+def _entry_before(sensor: ShootingSensor | LidarSensor) -> dict[str, Any]:
+    entry = sensor.extras.get("calibration")
+    return dict(entry) if isinstance(entry, Mapping) else {}
+
+
+def _lidar_entry(sensor: LidarSensor, index: int, mount: RigidTransform) -> dict[str, Any]:
+    before = {**_entry_before(sensor), "model": _LIDAR_MODEL}
+    before = {k: v for k, v in before.items() if k != "lidarInd" or index} | ({"lidarInd": index} if index else {})
+    return _with_mount(before, "imuToLidar", mount)
+
+
+def _with_mount(entry: Mapping[str, Any], key: str, mount: RigidTransform) -> dict[str, Any]:
+    """Write a mounting, `ego_from_sensor`: with the numbers that it was read from, where they still mean it."""
+    matrix, unknown = matrix_entry(mount.inverse()), {k: v for k, v in entry.items() if k != f"{key}Matrix"}
+    for numbers in (entry[name] for name in (key, f"{key}Matrix") if name in entry):
+        try:
+            read = rigid_transform(numbers, "", Ledger(lenient=True)).inverse()
+            if np.shape(numbers) == (4, 4) and np.array_equal(read.matrix, mount.matrix):
+                matrix = [list(map(float, row)) for row in numbers]
+                break
+        except (CalibrationError, *DECODER_FAULTS, TypeError):
+            continue
+    return {**unknown, key: matrix}
 
 
 class _SweepWriter:

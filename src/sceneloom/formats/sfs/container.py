@@ -331,7 +331,7 @@ class StoredArray:
         return np.frombuffer(mapped, self.dtype, prod(self.shape), self.start).reshape(self.shape)
 
 
-class MappedContent:
+class _MappedContent:
     """The bytes of an array of a mapped file, whose pages are let go as they are read."""
 
     def __init__(self, file: MappedFile, content: memoryview) -> None:
@@ -400,9 +400,9 @@ class LocalFile:
         self.content.hand_out(_bytes_in(value))
         return value
 
-    def bytes_of(self, array: AnyArray) -> "MappedContent":
+    def bytes_of(self, array: AnyArray) -> "_MappedContent":
         """Give the bytes of an array without copying them."""
-        return MappedContent(self.content, array.data.cast("B"))
+        return _MappedContent(self.content, array.data.cast("B"))
 
     def close(self) -> None:
         """Do nothing: the map stays as long as an array of it is in use."""
@@ -537,9 +537,9 @@ class RemoteFile:
         """
         return replaced(value, self._filled(list(arrays_in(value))))
 
-    def bytes_of(self, array: AnyArray) -> "RemoteContent":
+    def bytes_of(self, array: AnyArray) -> "_RemoteContent":
         """Give the bytes of an array as what fetches the chunks that are read."""
-        return RemoteContent(self, *self._range(array))
+        return _RemoteContent(self, *self._range(array))
 
     def close(self) -> None:
         """Let go of the connection."""
@@ -573,7 +573,7 @@ class RemoteFile:
         return filled
 
 
-class RemoteContent:
+class _RemoteContent:
     """The bytes of an array of a file behind a URL, fetched piece by piece as they are read."""
 
     def __init__(self, file: RemoteFile, start: int, stop: int) -> None:
@@ -724,7 +724,12 @@ class Container:
         """
         return self._stored.fetch(value)
 
-    def bytes_of(self, array: AnyArray) -> MappedContent | RemoteContent:
+    @property
+    def is_remote(self) -> bool:
+        """Whether the file is behind a URL."""
+        return isinstance(self._stored, RemoteFile)
+
+    def bytes_of(self, array: AnyArray) -> _MappedContent | _RemoteContent:
         """Give the bytes of an array, to be read piece by piece where the file is behind a URL."""
         return self._stored.bytes_of(array)
 

@@ -14,7 +14,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, CalibrationError, DataError
 from sceneloom.formats.base.files import Bytes, check_pixels
 from sceneloom.formats.sfs.clock import TimeRangeError
-from sceneloom.formats.sfs.container import Container, MappedContent, RemoteContent, format_keys
+from sceneloom.formats.sfs.container import Container, format_keys
 from sceneloom.formats.sfs.images import UNKNOWN_CODEC, is_mp4
 from sceneloom.formats.sfs.metadata import Source, root_fault
 from sceneloom.formats.sfs.records import (
@@ -22,7 +22,6 @@ from sceneloom.formats.sfs.records import (
     FieldError,
     Location,
     extras_of_poses,
-    mount_rows,
     repaired_poses,
     rows_of,
     times_of,
@@ -628,7 +627,7 @@ class _Player:
         index: the list of its images, None until it is known.
     """
 
-    def __init__(self, container: Container, content: MappedContent | RemoteContent, location: str) -> None:
+    def __init__(self, container: Container, content: Bytes, location: str) -> None:
         self._container, self._content, self._location = container, content, location
         self._reader: VideoReader | None = None
         self.index: VideoIndex | None = None
@@ -661,7 +660,7 @@ class _Player:
         reader = self._reader
         if reader is None:
             name = f"{self._container.file}: {self._location}"
-            if self.index is None and isinstance(self._content, RemoteContent) and is_mp4(self._content):
+            if self.index is None and self._container.is_remote and is_mp4(self._content):
                 self.index = read_table_index(self._content, name)
             reader = self._reader = VideoReader(self._content, name=name, index=self.index)
         return reader
@@ -712,43 +711,6 @@ class _ImageNotes:
     def extras(self, index: int) -> Mapping[str, Any]:
         """Unknown fields of an image."""
         return self.fields[index] if self.fields else NO_FIELDS
-
-
-@dataclass(slots=True)
-class ImageNotesWriter:
-    """Collects what single images have of their own.
-
-    Attributes:
-        cameras: number of each camera model; 0 is that of the camera, and images that have it need no note.
-    """
-
-    cameras: dict[Camera, int]
-    _chosen: list[int] = field(default_factory=list)
-    _mounts: list[list[list[float]] | None] = field(default_factory=list)
-    _extras: list[Mapping[str, Any]] = field(default_factory=list)
-
-    def add(self, image: CameraImage, extras: Mapping[str, Any]) -> None:
-        """Note one image, with the fields that have no other location."""
-        self._chosen.append(self.cameras.setdefault(image.camera, len(self.cameras)))
-        self._mounts.append(None if image.mount is None else mount_rows(image.mount))
-        self._extras.append(extras)
-
-    @property
-    def own_cameras(self) -> int:
-        """How many images have a camera model of their own."""
-        return sum(k > 0 for k in self._chosen)
-
-    def record(self) -> _Fields | None:
-        """Make the note; None where no image has anything of its own."""
-        note: _Fields = {}
-        if any(self._chosen):
-            note["cameras"] = [camera_record(camera) for camera in self.cameras]
-            note["camera_of_image"] = self._chosen
-        if any(row is not None for row in self._mounts):
-            note["mounts"] = self._mounts
-        if any(self._extras):
-            note["extras"] = self._extras
-        return note or None
 
 
 _P1, _P2 = 2, 3
@@ -818,12 +780,6 @@ def _camera_of(record: Mapping[str, Any]) -> Camera:
 def _make_camera(record: Mapping[str, Any], model: str, coefficients: tuple[float, ...]) -> Camera:
     fx, fy, cx, cy = (float(record[name]) for name in ("fx", "fy", "cx", "cy"))
     return Camera(model, record["width"], record["height"], fx, fy, cx, cy, coefficients)
-
-
-def camera_record(camera: Camera) -> _Fields:
-    """Make the `camera` record of a camera model."""
-    names = ("model", "width", "height", "fx", "fy", "cx", "cy")
-    return {**{name: getattr(camera, name) for name in names}, "coefficients": list(camera.coefficients)}
 
 
 def extras_of_intrinsics(intrinsics: Mapping[str, Any]) -> _Fields:

@@ -46,15 +46,7 @@ from sceneloom.formats.sfs.profiles import Profile
 from sceneloom.formats.sfs.reader import DEFAULT_EULER
 from sceneloom.formats.sfs.records import Location, mount_rows, with_extras
 from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS, RECORDS, Field, Kind, annotation_record, sensor_record
-from sceneloom.formats.sfs.sensors import (
-    GNSS_ARRAYS,
-    LIDAR_ARRAYS,
-    RADAR_ARRAYS,
-    ImageNotesWriter,
-    camera_record,
-    exposure_ns,
-    intrinsics_record,
-)
+from sceneloom.formats.sfs.sensors import GNSS_ARRAYS, LIDAR_ARRAYS, RADAR_ARRAYS, exposure_ns, intrinsics_record
 from sceneloom.scene.annotations import (
     Annotation,
     Box2DAnnotation,
@@ -685,6 +677,49 @@ _LATEST_STATIONARY_NS = 100_000_000_000
 
 
 @dataclass(slots=True)
+class _ImageNotes:
+    """Collects what single images have of their own.
+
+    Attributes:
+        cameras: number of each camera model; 0 is that of the camera, and images that have it need no note.
+    """
+
+    cameras: dict[Camera, int]
+    _chosen: list[int] = field(default_factory=list)
+    _mounts: list[list[list[float]] | None] = field(default_factory=list)
+    _extras: list[Mapping[str, Any]] = field(default_factory=list)
+
+    def add(self, image: CameraImage, extras: Mapping[str, Any]) -> None:
+        """Note one image, with the fields that have no other location."""
+        self._chosen.append(self.cameras.setdefault(image.camera, len(self.cameras)))
+        self._mounts.append(None if image.mount is None else mount_rows(image.mount))
+        self._extras.append(extras)
+
+    @property
+    def own_cameras(self) -> int:
+        """How many images have a camera model of their own."""
+        return sum(k > 0 for k in self._chosen)
+
+    def record(self) -> dict[str, Any] | None:
+        """Make the note; None where no image has anything of its own."""
+        note: dict[str, Any] = {}
+        if any(self._chosen):
+            note["cameras"] = [_camera_record(camera) for camera in self.cameras]
+            note["camera_of_image"] = self._chosen
+        if any(row is not None for row in self._mounts):
+            note["mounts"] = self._mounts
+        if any(self._extras):
+            note["extras"] = self._extras
+        return note or None
+
+
+def _camera_record(camera: Camera) -> dict[str, Any]:
+    """Make the `camera` record of a camera model."""
+    names = ("model", "width", "height", "fx", "fy", "cx", "cy")
+    return {**{name: getattr(camera, name) for name in names}, "coefficients": list(camera.coefficients)}
+
+
+@dataclass(slots=True)
 class _SensorDraft:
     """One sensor while its frames come in.
 
@@ -715,7 +750,7 @@ class _SensorDraft:
     frames: list[dict[str, Any]] | None = None
     point_times: list[_Blob] = field(default_factory=list)
     lengths: list[Any] = field(default_factory=list)
-    images: ImageNotesWriter | None = None
+    images: _ImageNotes | None = None
     streamed: bool = True
 
     @property
@@ -820,10 +855,10 @@ def _draft_of(sensor: Sensor, losses: Losses, *, any_distortion: bool) -> _Senso
             what = f"points are in the {draft.points_frame} frame, which the format cannot state"
             losses.dropped(f"{draft.location}.points_frame", what, kept=f"{_NOTES}.points_frame")
     elif isinstance(sensor, CameraSensor):
-        draft.images = ImageNotesWriter({sensor.camera: 0})
+        draft.images = _ImageNotes({sensor.camera: 0})
         written, error = _written_camera_model(sensor.camera, any_model=any_distortion)
         if error is not None:
-            draft.note |= {"camera": camera_record(sensor.camera), "written_camera": camera_record(written)}
+            draft.note |= {"camera": _camera_record(sensor.camera), "written_camera": _camera_record(written)}
             losses.dropped(f"{draft.location}.intrinsics.distortion", error, kept=f"{_NOTES}.camera")
         draft.fields["intrinsics"] = intrinsics_record(written, parts.get("intrinsics"))
     elif isinstance(sensor, OdometrySensor):

@@ -1,5 +1,6 @@
 """Camera models and mountings are written in the spelling that the vendor's software reads."""
 
+import json
 from types import MappingProxyType
 
 import msgspec
@@ -14,9 +15,10 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import mounting
 from sceneloom.formats.recording.calibration import CameraParameters, camera_model, rigid_transform
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.formats.recording.write_calibration import camera_entry, camera_model_entry, matrix_entry, mount_entry
+from sceneloom.formats.recording.write_calibration import camera_model_entry
+from sceneloom.formats.recording.writer import write_recording
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraSensor, Coordinates, GnssSensor, LazyFrames, Poses, Scene
+from sceneloom.scene import CameraSensor, Coordinates, GnssSensor, ImuSensor, LazyFrames, Poses, Scene, VectorSamples
 
 
 def camera(model, *coefficients):
@@ -97,21 +99,34 @@ def test_a_camera_model_that_nothing_of_the_format_comes_near_is_refused():
 MOUNT = RigidTransform(Rotation.from_euler("zyx", [0.3, -0.2, 0.9]).as_matrix(), np.array([1.5, -0.2, 0.7]))
 
 
-def test_imu_to_camera_takes_points_of_the_ego_into_the_camera():
-    entry, losses = camera_entry(posed_camera(mount=MOUNT), camera("pinhole"), MOUNT)
-    assert losses == []
-    point_camera = np.array([0.3, 0.4, 5.0])
-    point_ego = MOUNT.rotation @ point_camera + MOUNT.translation
-    found = np.array(entry["imuToCamera"]) @ [*point_ego, 1.0]
-    np.testing.assert_allclose(found, [*point_camera, 1.0], atol=1e-12)
+def written_entry(folder, entry, mount=MOUNT):
+    """The entry of a camera that came with one from a recording, as it is written."""
+    still = ImuSensor("imu", {"gyroscope": VectorSamples(np.zeros(1, np.int64), np.zeros((1, 3)))})
+    sensor = posed_camera(camera("fisheye"), mount=mount, extras=MappingProxyType({"calibration": entry}))
+    write_recording(Scene((sensor, still)), folder, overwrite=True)
+    (written,) = json.loads((folder / "calibration.json").read_text())["cameras"]
+    return written
 
 
-def test_what_else_a_recording_stated_of_a_camera_is_written_back():
+def test_what_else_a_recording_stated_of_a_camera_is_written_back(tmp_path):
     before = {"shutterRollTimeSeconds": 0.02, "model": "pinhole", "imuToCameraMatrix": [[1]], "note": {"a": 1}}
-    sensor = posed_camera(extras=MappingProxyType({"calibration": before}))
-    entry, _ = camera_entry(sensor, camera("fisheye"), MOUNT)
+    entry = written_entry(tmp_path / "drive", before)
     assert (entry["model"], entry["shutterRollTimeSeconds"], entry["note"]) == ("kannala-brandt4", 0.02, {"a": 1})
     assert "imuToCameraMatrix" not in entry
+    assert entry["imuToCamera"] == MOUNT.inverse().matrix.tolist()
+
+
+def test_the_numbers_of_a_mounting_that_was_read_are_kept_while_they_mean_it(tmp_path):
+    rows = MOUNT.inverse().matrix.tolist()
+    rows[0][3] = np.nextafter(rows[0][3], 9.0)
+    read = rigid_transform(rows, "", Ledger(lenient=False)).inverse()
+    assert written_entry(tmp_path / "drive", {"imuToCameraMatrix": rows}, read)["imuToCamera"] == rows
+    moved = RigidTransform(read.rotation, read.translation + 1.0)
+    anew = written_entry(tmp_path / "drive", {"imuToCamera": rows}, moved)["imuToCamera"]
+    assert anew == moved.inverse().matrix.tolist()
+    for wrong in (None, "there", [1, 2], [[1.0] * 4] * 3, [["a"] * 4] * 4, [[float("nan")] * 4] * 4):
+        entry = written_entry(tmp_path / "drive", {"imuToCamera": wrong}, read)
+        assert entry["imuToCamera"] == read.inverse().matrix.tolist()
 
 
 def ego_path():
@@ -129,8 +144,8 @@ def sensor_path(mount, move=0.0):
     return Poses(path.timestamps_ns, positions, np.array([pose.quaternion_xyzw for pose in poses]))
 
 
-def posed_camera(**fields):
-    return CameraSensor("front", camera("pinhole"), LazyFrames.of([], []), **fields)
+def posed_camera(model=None, **fields):
+    return CameraSensor("camera0", model or camera("pinhole"), LazyFrames.of([], []), **fields)
 
 
 def turned(x):
@@ -165,17 +180,6 @@ def test_mountings_come_from_poses_that_agree_with_the_ego_s_and_others_are_repo
     for loss, (count, what) in zip(losses, lost, strict=True):
         assert what in loss.what
         assert loss.count == count
-
-
-def test_the_numbers_of_a_mounting_that_was_read_are_kept_while_they_mean_it():
-    rows = MOUNT.inverse().matrix.tolist()
-    rows[0][3] = np.nextafter(rows[0][3], 9.0)
-    read = rigid_transform(rows, "", Ledger(lenient=False)).inverse()
-    assert mount_entry(read, {"imuToCameraMatrix": rows}, "imuToCamera", "imuToCameraMatrix") == rows
-    moved = RigidTransform(read.rotation, read.translation + 1.0)
-    assert mount_entry(moved, {"imuToCamera": rows}, "imuToCamera") == matrix_entry(moved.inverse())
-    for wrong in (None, "there", [1, 2], [[1.0] * 4] * 3, [["a"] * 4] * 4, [[float("nan")] * 4] * 4):
-        assert mount_entry(read, {"imuToCamera": wrong}, "imuToCamera") == matrix_entry(read.inverse())
 
 
 def test_the_position_of_an_antenna_is_written_and_comes_back(tmp_path):

@@ -15,7 +15,7 @@ from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError, MissingExtraError
 from sceneloom.formats.base.files import is_url, path_or_url
 from sceneloom.formats.remote.stores import GAP, coalesced
-from sceneloom.formats.sfs.container import Container, RemoteContent, RemoteFile
+from sceneloom.formats.sfs.container import Container
 from sceneloom.formats.video.writer import encode_to_mp4
 
 
@@ -236,21 +236,20 @@ def test_neighbouring_ranges_are_joined():
     assert coalesced([(0, 50), (10, 20)]) == [(0, 50)]
 
 
-def test_chunks_of_a_content_are_those_of_its_bytes(served):
-    content = bytes(np.random.default_rng(2).integers(0, 256, 700_000, np.uint8))
-    served.files["bytes"] = content
-    file = RemoteFile.of(served.url("bytes"))
-    part = RemoteContent(file, 1000, 650_000)
-    expected = content[1000:650_000]
+def test_chunks_of_a_content_are_those_of_its_bytes(served, encode_sfs):
+    video = np.random.default_rng(2).integers(0, 256, 649_000, np.uint8)
+    served.files["drive.sfs"] = encode_sfs({"sensors": [{"type": "camera", "video": {"content": video}}]})
+    container, expected = Container(served.url("drive.sfs")), video.tobytes()
+    part = container.bytes_of(container.header["sensors"][0]["video"]["content"])
     assert len(part) == len(expected)
-    for start, stop in ((0, 4), (300_000, 300_001), (262_140, 262_150), (649_990, 700_000), (-4, None), (5, 5)):
+    for start, stop in ((0, 4), (300_000, 300_001), (262_140, 262_150), (648_990, 700_000), (-4, None), (5, 5)):
         assert part[start:stop] == expected[start:stop]
     with part() as opened:
         opened.seek(-10, 2)
         assert opened.read() == expected[-10:]
         opened.seek(3)
         assert opened.read(600_000) == expected[3:600_003]
-    file.close()
+    container.close()
 
 
 def test_urls_are_distinguished_from_paths_and_those_of_files_are_paths(tmp_path):

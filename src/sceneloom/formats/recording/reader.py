@@ -60,7 +60,7 @@ from sceneloom.formats.recording.lines import (
     with_frames,
 )
 from sceneloom.formats.recording.spec import DATA_FILE
-from sceneloom.formats.recording.zipped import is_zip, unpack
+from sceneloom.formats.recording.zipped import unpack
 from sceneloom.formats.video.reader import VideoReader, open_video, open_whole_or_left
 from sceneloom.geometry.rigid import RigidTransform, angle_between
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, VideoContent
@@ -661,8 +661,8 @@ class _Location:
     @classmethod
     def of(cls, path: Path) -> "_Location":
         """Find the folder of a recording that is named by its folder, its log or a zip archive of it."""
-        if not path.is_dir() and is_zip(path):
-            unpacked = unpack(path, DATA_FILE)
+        unpacked = None if path.is_dir() else unpack(path, DATA_FILE)
+        if unpacked is not None:
             return cls(unpacked.folder, str(path), unpacked.folder / DATA_FILE, remove=unpacked.remove)
         if path.is_file():
             alone = path.name != DATA_FILE

@@ -57,7 +57,7 @@ class UnpackedFolder:
             shutil.rmtree(self.top, ignore_errors=True)
 
 
-def is_zip(path: Path) -> bool:
+def _is_zip(path: Path) -> bool:
     """Whether a file begins as zip archives do."""
     try:
         with open_file(path) as file:
@@ -82,7 +82,7 @@ def holds_recording(path: Path, data_file: str) -> bool:
         path: any file.
         data_file: the file that a recording's folder has.
     """
-    if not is_zip(path):
+    if not _is_zip(path):
         return False
     try:
         with open_file(path) as file, ZipFile(file) as archive:
@@ -105,19 +105,24 @@ def root_of(names: Sequence[str], data_file: str) -> str | None:
     return f"{top}/" if len(tops) == 1 and f"{top}/{data_file}" in ours else None
 
 
-def unpack(path: Path, data_file: str) -> UnpackedFolder:
+def unpack(path: Path, data_file: str) -> UnpackedFolder | None:
     """Unpack a zipped recording into a folder of its own among the system's temporary files.
 
     It is removed by `remove`, and when the interpreter ends; where something is wrong, nothing is left.
 
     Args:
-        path: the archive.
+        path: any file or folder.
         data_file: the file that a recording's folder has.
 
+    Returns:
+        None where it is no zip archive.
+
     Raises:
-        DataError: it is no zip archive, is damaged, holds no recording, or more than the bounds allow; or one of its
+        DataError: it is damaged, holds no recording, or more than the bounds allow; or one of its
             names leads out of the folder.
     """
+    if not _is_zip(path):
+        return None
     try:
         with open_file(path) as file, ZipFile(file) as archive:
             return _unpack(archive, path, data_file)

@@ -64,7 +64,7 @@ def nuscenes_python():
 
 
 @pytest.fixture
-def reported_by_kit(ask):
+def reported_by_kit(nuscenes_python, ask):
     return lambda root, version: ask(nuscenes_python, PROGRAM, root, version)
 
 

@@ -1,5 +1,6 @@
 """Damaged scene files: what is whole comes back as a valid scene, what is not is reported."""
 
+import contextlib
 import json
 import pickle
 
@@ -281,29 +282,25 @@ def test_a_scene_cut_anywhere_is_salvaged_or_refused(encode_sfs, tmp_path):
             assert length < 20
             continue
         with sceneloom.open(target) as scene:
-            for sensor in scene.lidars:
-                for frame in sensor.frames:
-                    assert (frame.points.positions == frame.timestamp_ns // 100_000_000).all()
-            complete += not report.lost
-            assert bool(report.lost) == (length < items_of(content)[1] or length < len(content) - 4)
+            for frame in scene.lidars[0].frames if scene.lidars else ():
+                assert (frame.points.positions == frame.timestamp_ns // 100_000_000).all()
+        complete += not report.lost
+        assert bool(report.lost) == (length < items_of(content)[1] or length < len(content) - 4)
     assert complete
 
 
 def test_changed_bytes_anywhere_are_salvaged_or_refused(encode_sfs, tmp_path):
-    content = encode_sfs(drive(frames=2))
+    content, swaps = encode_sfs(drive(frames=2)), b'0-9"[]{},:.eE\0\xff '
     rng = np.random.default_rng(7)
-    swaps = b'0-9"[]{},:.eE\0\xff '
     source, target = tmp_path / "changed.sfs", tmp_path / "out.sfs"
     for location in range(0, len(content), 29):
         changed = bytearray(content)
         changed[location] = swaps[int(rng.integers(len(swaps)))]
         source.unlink(missing_ok=True)
         source.write_bytes(changed)
-        try:
+        with contextlib.suppress(SceneloomError):
             salvage(source, target, overwrite=True)
-        except SceneloomError:
-            continue
-        sceneloom.open(target).close()
+            sceneloom.open(target).close()
 
 
 def test_the_damaged_file_is_never_written_over(encode_sfs, tmp_path):

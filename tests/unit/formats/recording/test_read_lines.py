@@ -53,13 +53,6 @@ def test_every_kind_of_sample_lands_in_its_stream(recording):
         streams["gyroscope"].values[0, 0] = 1.0
 
 
-def test_times_become_nanoseconds_rounded_half_to_even(recording):
-    times = [-3.5, -1e-9, 0.0, 0.5e-9, 1.5e-9, 1.436207275390625, 1.44976953125, 1_700_000_000.123456789]
-    recording.lines([imu_line(time) for time in times])
-    timestamps = imu_of(recording.open()).streams["gyroscope"].timestamps_ns
-    assert timestamps.tolist() == [round(time * 1e9) for time in times]
-
-
 FIX = {"latitude": 60.1, "longitude": 24.9, "altitude": 14.2}
 
 

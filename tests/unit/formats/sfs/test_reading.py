@@ -161,19 +161,14 @@ def test_points_are_in_the_frame_that_coordinates_name_unless_stated(open_header
     assert ("points-frame" in codes(scene)) is (option is None)
 
 
-def test_poses_become_a_path(open_header, make):
-    rows = [[0, 0, 0, 0, 0, 0, 1], [1.5, 0, 0, 0, 0, 0.6, 0.8]]
-    for values in (rows, np.array(rows)):
-        lidar = make.lidar(poses={"timestamps": [0, 100], "values": values})
-        poses = open_header(make.scene(lidar, time_offset=1)).sensors[0].poses
-        assert poses.timestamps_ns.tolist() == [1000, 101_000]
-        assert poses.positions.tolist() == [[0, 0, 0], [1.5, 0, 0]]
-        assert poses.quaternions_xyzw.tolist()[1] == [0, 0, 0.6, 0.8]
-        assert not poses.static
-
-
 def test_a_single_pose_holds_for_ever_on_the_ego_and_for_sensors_with_several_frames(open_header, make):
     assert open_header(make.scene(make.lidar(coordinates="ego"))).sensors[0].poses.static
+    rows = np.array([[0, 0, 0, 0, 0, 0, 1], [1.5, 0, 0, 0, 0, 0.6, 0.8]])
+    for values in (rows, rows.tolist()):
+        lidar = make.lidar(poses={"timestamps": [0, 100], "values": values})
+        poses = open_header(make.scene(lidar, time_offset=1)).sensors[0].poses
+        assert (poses.timestamps_ns.tolist(), poses.static) == ([1000, 101_000], False)
+        np.testing.assert_array_equal(np.hstack([poses.positions, poses.quaternions_xyzw]), rows)
     assert not open_header(make.scene(make.lidar())).sensors[0].poses.static
     frames = [{"timestamp": timestamp, "points": {"positions": TWO}} for timestamp in (0, 9)]
     stationary = open_header(make.scene(make.lidar(frames=frames)))

@@ -325,19 +325,6 @@ def test_many_arrays_are_spooled_to_disk_and_come_back(target, decode_sfs, frame
     assert list(target.parent.iterdir()) == [target]
 
 
-def test_arrays_are_copied_where_the_kernel_cannot_do_it(target, monkeypatch):
-    def refuse(*_):
-        raise OSError(95, "not supported")
-
-    monkeypatch.setattr("os.copy_file_range", refuse)
-    cloud = np.random.default_rng(2).normal(size=(900_000, 3)).astype(np.float32)
-    notes = {str(k): "x" * 1000 for k in range(1500)}
-    with SceneWriter(target, metadata=notes) as writer:
-        writer.add_sensor(lidar(poses=path_at(0)))
-        writer.add_frame("top", LidarFrame(0, LidarPoints(cloud)))
-    np.testing.assert_array_equal(FORMAT.open(target).sensors[0].frames[0].points.positions, cloud)
-
-
 def test_sweeps_that_could_not_be_fused_stand_under_our_metadata(target, decode_sfs):
     with SceneWriter(target) as writer:
         writer.add_sensor(lidar(poses=path_at(0)))

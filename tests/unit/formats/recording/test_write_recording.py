@@ -571,9 +571,10 @@ def test_somebody_s_folder_is_never_replaced(tmp_path, names):
     with pytest.raises(OutputError, match="no recording that could be replaced"):
         write_recording(whole_scene(), folder, overwrite=True)
     assert sorted(path.name for path in folder.iterdir()) == sorted(names)
+    (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError, match="is a file"):
-        write_recording(a_scene(an_imu()), folder / names[0], overwrite=True)
-    assert (folder / names[0]).read_text() == "mine"
+        write_recording(a_scene(an_imu()), tmp_path / "file", overwrite=True)
+    assert (tmp_path / "file").read_text() == "mine"
 
 
 @pytest.mark.parametrize("images", ["copy", "h264", "png", "ffv1"])

@@ -57,7 +57,7 @@ from scale_sensor_fusion_io.models.annotations.cuboid import CuboidActivationPat
 from scale_sensor_fusion_io.models.annotations.polygon import PolygonPath
 from scale_sensor_fusion_io.models.annotations.polygon_topdown import TopdownPolygonPath
 from scale_sensor_fusion_io.models.annotations.polyline import PolylinePath
-poses = Poses([[1, 2, 3, 0, 0, 0.6, 0.8], [2, 3, 4, 0, 0, 0, 1]], index=[0, 100])
+poses = PosePath([[1, 2, 3, 0, 0, 0.6, 0.8], [2, 3, 4, 0, 0, 0, 1]], index=[0, 100])
 xyz = np.arange(12, dtype=np.float32).reshape(4, 3)
 lidar = LidarSensor(id="top", poses=poses, frames=[LidarSensorFrame(timestamp=10, points=LidarSensorPoints(
     positions=xyz, colors=xyz.astype(np.uint8), intensities=np.arange(4, dtype=np.uint8),

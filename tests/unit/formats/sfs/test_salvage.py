@@ -362,7 +362,8 @@ def test_with_a_value_of_our_metadata_goes_the_stream_that_cannot_be_without_it(
     imu = {"id": "i", "type": "imu", "streams": {"gyroscope": {"values": ""}}}
     header = {"version": "1.0", "metadata": {"own": {"a": ""}, "sceneloom": {"sensors": [imu]}}}
     gyroscope = "metadata.sceneloom.sensors[0].streams.gyroscope"
-    for lost, goes in (("metadata.own.a", "metadata.own.a"), (f"{gyroscope}.values", gyroscope)):
+    own = "metadata.own.a"
+    for lost, goes in ((own, own), (f"{own}[3]", own), (f"{gyroscope}.values", gyroscope)):
         assert what_goes(header, parse_path(lost)) == parse_path(goes)
     for absent in ("metadata.sceneloom.sensors[0].streams.absent", "sensors[9].frames[0]", "version", "nothing"):
         assert what_goes(header, parse_path(absent)) is None

@@ -4,7 +4,7 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
@@ -626,12 +626,11 @@ class FrameLines:
         self._read_as = [index if match is None else int(match[1]) for index, match in enumerate(matches)]
         self._not_listed = 0
         self._sinks: list[_ImageSink] = []
-        try:
+        with ExitStack() as unfinished:
+            unfinished.callback(self.__exit__)
             for index, sensor in enumerate(sensors if len(rows.images) else ()):
                 self._sinks.append(_open_sink(sensor, folder, index, rows.images[:, index], images=images))
-        except BaseException:
-            self.__exit__()
-            raise
+            unfinished.pop_all()
         self.sizes = [(sink.width, sink.height) for sink in self._sinks]
         self._parameters = [_ImageParameters(sensor, *size) for sensor, size in zip(sensors, self.sizes, strict=False)]
 

@@ -634,6 +634,10 @@ HEADER_LIMIT = 1 << 30
 """Longest header that is read [bytes]: beyond it the text alone would fill the memory of a large machine."""
 
 
+Content = _MappedContent | _RemoteContent
+"""The bytes of an array, by slices, and as a file when it is called."""
+
+
 class Container:
     """An open `.sfs` file, on disk or behind a URL.
 
@@ -729,7 +733,7 @@ class Container:
         """Whether the file is behind a URL."""
         return isinstance(self._stored, RemoteFile)
 
-    def bytes_of(self, array: AnyArray) -> _MappedContent | _RemoteContent:
+    def bytes_of(self, array: AnyArray) -> Content:
         """Give the bytes of an array, to be read piece by piece where the file is behind a URL."""
         return self._stored.bytes_of(array)
 

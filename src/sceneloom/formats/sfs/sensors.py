@@ -14,7 +14,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, CalibrationError, DataError
 from sceneloom.formats.base.files import Bytes, check_pixels
 from sceneloom.formats.sfs.clock import TimeRangeError
-from sceneloom.formats.sfs.container import Container, format_keys
+from sceneloom.formats.sfs.container import Container, Content, format_keys
 from sceneloom.formats.sfs.images import UNKNOWN_CODEC, is_mp4
 from sceneloom.formats.sfs.metadata import Source, root_fault
 from sceneloom.formats.sfs.records import (
@@ -627,7 +627,7 @@ class _Player:
         index: the list of its images, None until it is known.
     """
 
-    def __init__(self, container: Container, content: Bytes, location: str) -> None:
+    def __init__(self, container: Container, content: Content, location: str) -> None:
         self._container, self._content, self._location = container, content, location
         self._reader: VideoReader | None = None
         self.index: VideoIndex | None = None

@@ -503,6 +503,14 @@ def test_trajectories_go_under_their_name_but_where_the_format_means_something_e
         assert {key for line in lines_of(tmp_path / "with odometry") for key in line} == {name, "time"}
 
 
+def test_the_loss_of_64_bit_numbers_of_seconds_is_reported(tmp_path):
+    timestamps = np.array([1_700_000_000_123_456_789, 1_700_000_001_000_000_000], np.int64)
+    imu = an_imu(gyroscope=VectorSamples(timestamps, np.ones((2, 3))))
+    (loss,) = write_recording(a_scene(imu), tmp_path / "drive")
+    assert (loss.field, loss.count) == ("timestamps", 1)
+    assert '"time":1700000000.123456789' in (tmp_path / "drive" / "data.jsonl").read_text()
+
+
 def test_what_a_recording_stated_beside_is_written_back(tmp_path):
     timestamps = np.array([0, 10 * MS], np.int64)
     text = '{"sensor": {"type": "gyroscope", "values": [9], "bias": 1}, "time": 1, "note": "x"}'

@@ -147,23 +147,6 @@ def _camera_of(data: CalibrationData) -> Camera:
     return Camera(model, width, height, fx, fy, cx, cy, padded)
 
 
-def check_calibration(data: CalibrationData) -> None:
-    """Refuse what no axes could make a calibration: properties are set one by one, so axes may still change.
-
-    Raises:
-        CalibrationError: the numbers are no camera model, or no rotation with a translation in any layout.
-    """
-    _camera_of(data)
-    for matrix in _possible_matrices(data.extrinsic_matrix):
-        r = matrix[:3, :3]
-        largest = float(np.abs(r).max())
-        error = largest if largest > _MOST_ENTRY else float(np.abs(r @ r.T - np.eye(3)).max())
-        if error > _MOST_ROTATION_ERROR:
-            raise CalibrationError(
-                f"extrinsic_matrix whose rotation is off by {error:.2g}; expected an orthonormal one"
-            )
-
-
 def calibration_data(
     camera: Camera, camera_from_lidar: RigidTransform, camera_axes: DeclaredAxes, lidar_axes: DeclaredAxes
 ) -> CalibrationData:
@@ -265,11 +248,27 @@ def _off_forward_deg(rotation: Float64Array) -> float:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationEntry:
-    """A record of table 3, and the camera and the lidar (0 to 255) that it is of."""
+    """A record of table 3, and the camera and the lidar (0 to 255) that it is of.
+
+    Refused is what no axes could make a calibration: properties are set one by one, so axes may still change.
+
+    Raises:
+        CalibrationError: the numbers are no camera model, or no rotation with a translation in any layout.
+    """
 
     camera_id: int
     lidar_id: int
     data: CalibrationData
+
+    def __post_init__(self) -> None:
+        _camera_of(self.data)
+        for matrix in _possible_matrices(self.data.extrinsic_matrix):
+            r = matrix[:3, :3]
+            largest = float(np.abs(r).max())
+            error = largest if largest > _MOST_ENTRY else float(np.abs(r @ r.T - np.eye(3)).max())
+            if error > _MOST_ROTATION_ERROR:
+                problem = f"extrinsic_matrix whose rotation is off by {error:.2g}; expected an orthonormal one"
+                raise CalibrationError(problem)
 
 
 CalibrationTable = Mapping[tuple[int, int], CalibrationEntry]
@@ -335,7 +334,6 @@ def entry_of(item: Any, location: str) -> CalibrationEntry:
         data = CalibrationData(**{_FIELDS[name]: value for name, value in item.items() if name not in _IDS})
     except DataError as error:
         raise DataError(_OWNER, f"{location}.{error.location}", error.problem) from error
-    check_calibration(data)
     return CalibrationEntry(camera_id, lidar_id, data)
 
 

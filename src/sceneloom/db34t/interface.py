@@ -23,7 +23,6 @@ from sceneloom.db34t.calibration import (
     CalibrationTable,
     SensorKind,
     calibration_table,
-    check_calibration,
     parse_calibrations,
 )
 from sceneloom.db34t.events import (
@@ -657,14 +656,14 @@ class FusionInterface:
         if not all(isinstance(number, int) and 0 <= number <= 255 for number in (camera_id, lidar_id)):
             return refused(Cause.OUT_OF_RANGE, f"camera {camera_id}, lidar {lidar_id}; expected 0 to 255")
         try:
-            check_calibration(data)
+            entry = CalibrationEntry(camera_id, lidar_id, data)
         except CalibrationError as error:
             return refused(Cause.BAD_CALIBRATION, error)
         width, height = data.image_size
         if width * height > self._limits.most_pixels:
             return refused(Cause.TOO_MANY, self._limits.too_many_pixels(width * height))
         with self._lock:
-            table = calibration_table([CalibrationEntry(camera_id, lidar_id, data)], self._table)
+            table = calibration_table([entry], self._table)
             if len(table) > MOST_PAIRS:
                 return refused(Cause.TOO_MANY, f"{len(table)} calibrations; expected at most {MOST_PAIRS}")
             outcome = self.properties.set("calibration", format_calibrations(table.values()))

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.db34t.calibration import DeclaredAxes, SensorKind, calibrated_pair, calibration_data, check_calibration
+from sceneloom.db34t.calibration import CalibrationEntry, DeclaredAxes, SensorKind, calibrated_pair, calibration_data
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rigid import RigidTransform
 
@@ -130,7 +130,7 @@ def test_a_camera_that_looks_far_off_forward_is_remarked(rotation_deg):
 )
 def test_numbers_that_are_no_calibration_are_refused(changed, problem):
     with pytest.raises(CalibrationError, match=problem):
-        check_calibration(record(**changed))
+        CalibrationEntry(1, 0, record(**changed))
 
 
 def test_a_camera_model_without_distortion_is_a_pinhole_and_one_that_table_3_lacks_is_refused_by_name():

@@ -320,6 +320,7 @@ def render_page(report: DriveReport, figures: Figures) -> str:
         report=report,
         style=_resource("style.css"),
         sections=list(report.sections(figures)),
+        leads=[*figures.of("calibration")[:1], *figures.of("fusion")[-1:]],
         marks=_MARKS,
         advices=shown,
         more_advices=further,

@@ -157,9 +157,9 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
     def section(self) -> Section:
         """How even the streams are, what is missing in them, and how they lie to one another."""
         streams = [stream for stream in self.streams if stream.count]
-        intervals = [_intervals(stream) for stream in streams if stream.bins is not None and stream.count >= 4][
-            :_MOST_PLOTS
-        ]
+        # one bar states nothing that the table does not
+        uneven = [s for s in streams if s.bins is not None and s.count >= 4 and sum(map(bool, s.bins.counts)) > 1]
+        intervals = [_intervals(stream) for stream in uneven[:_MOST_PLOTS]]
         gaps = [(stream.name, gap) for stream in streams for gap in stream.gaps]
         unlisted = sum(max(stream.gap_count - len(stream.gaps), 0) for stream in streams)
         more = f"{unlisted:,} shorter gaps are not listed." if unlisted else ""
@@ -255,6 +255,7 @@ def _intervals(stream: StreamTiming) -> Drawing:
         if bins is not None:
             axes.stairs(bins.counts, bins.edges_ms, fill=True, color=COLOURS[0])
         axes.set(xlabel="interval [ms]", ylabel="count")
+        axes.locator_params(axis="x", nbins=4)
 
     text = f"Most intervals are about {period_ms:.2f} ms; the longest is {stream.longest_ms:.1f} ms"
     return Drawing(f"Intervals of {stream.name}", text, draw_svg(PLOT_INCHES, draw))

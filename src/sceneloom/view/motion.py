@@ -11,10 +11,11 @@ from sceneloom.motion.ego_trajectory import usable_fixes, usable_positions
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
-from sceneloom.view.points import WORLD, colour_of_name, one_packed
+from sceneloom.view.points import WORLD, one_packed
 from sceneloom.view.poses import Locations, transform_columns
 from sceneloom.view.stream import Stream, fits, sdk
 from sceneloom.visualization.canvas import Colour
+from sceneloom.visualization.figures import colour_of_name
 
 EGO, TRAJECTORIES, IMU, GNSS, MAP, EARTH = "ego", "trajectories", "imu", "gnss", "map", "earth"
 """Entities: the ego's frame, ways through the world, curves of both kinds of sensors, the plan, locations on earth."""

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 
@@ -21,7 +20,6 @@ from sceneloom.view.poses import Locations, pose_at, transform
 from sceneloom.view.settings import ColourBy
 from sceneloom.view.stream import Report, Stream, fits, sdk
 from sceneloom.visualization.colour_scales import colour_map
-from sceneloom.visualization.figures import PALETTE
 
 _Packed = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]
 """Colours 0xRRGGBBAA."""
@@ -42,11 +40,6 @@ def _packed(rgb: UInt8Array) -> _Packed:
 def one_packed(rgb: tuple[int, int, int], *, alpha: int = 255) -> int:
     """Pack one colour."""
     return (rgb[0] << 24) | (rgb[1] << 16) | (rgb[2] << 8) | alpha
-
-
-def colour_of_name(name: object) -> tuple[int, int, int]:
-    """The colour of a class or an object, the same in every drive."""
-    return PALETTE[crc32(str(name).encode()) % len(PALETTE)]
 
 
 @dataclass(slots=True)

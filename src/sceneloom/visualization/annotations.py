@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 
@@ -72,6 +71,7 @@ from sceneloom.visualization.figures import (
     PALETTE,
     Figure,
     Name,
+    colour_of_name,
     draw_figure,
     draw_marks,
     on_map,
@@ -84,8 +84,7 @@ from sceneloom.visualization.fused_frames import framed, image_canvas, save_imag
 
 def colour_of(annotation: Annotation) -> Colour:
     """Give annotations of one label one colour."""
-    label = getattr(annotation, "label", None) or annotation.type
-    return PALETTE[crc32(str(label).encode(errors="surrogatepass")) % len(PALETTE)]
+    return colour_of_name(getattr(annotation, "label", None) or annotation.type)
 
 
 def _name_of(annotation: Annotation, timestamp_ns: int) -> str:
@@ -387,7 +386,7 @@ def draw_annotations_above(
 
     Args:
         sample: has the sweep.
-        reach: from the map's middle to its upper edge [m]; by default it holds most of the points.
+        reach: from the map's middle to its upper edge [m]; by default it holds most annotations, or points.
         size_px: width and height of the image.
 
     Raises:
@@ -402,6 +401,8 @@ def draw_annotations_above(
         points_world = world_from_points.apply(points.positions.astype(np.float64))
     pose = sample.world_from_lidar or next((p for p in sample.world_from_camera.values() if p is not None), None)
     ego = None if pose is None else EgoPosition.facing(pose.translation, [pose.rotation[:, 0]])
+    if reach is None:
+        reach = _reach_of(scene, sample, ego, size_px[0] / size_px[1])
     events = _active_events(scene, sample.timestamp_ns)
     now = f" · now: {', '.join(events)}" if events else ""
     return draw_cloud_above(
@@ -423,7 +424,24 @@ def _draw_over(scene: Scene, sample: Sample, plot: Canvas, layout: MapLayout) ->
         names += draw_figure(plot, on_map(figure, layout), thickness=1)
     for _, figure in figures_in_world(scene, sample.timestamp_ns, sensor_id=sample.reference_id):
         names += draw_figure(plot, on_map(figure, layout), thickness=2)
-    write_names(plot, names)
+    write_names(plot, names, clear=True)
+
+
+_FRAMED_PERCENT, _LEAST_FRAMED, _MOST_FRAMED = 90, 15.0, 80.0
+"""A map from above shows so many percent of what is annotated by default, within these reaches [m]."""
+
+
+def _reach_of(scene: Scene, sample: Sample, ego: EgoPosition | None, aspect: float) -> float | None:
+    """From the ego to the upper edge of a map [m] on which most annotations are; None where there is none."""
+    figures = [figure for _, figure in figures_in_world(scene, sample.timestamp_ns, sensor_id=sample.reference_id)]
+    anchors = [
+        figure.anchor[:2] for figure in figures if figure.anchor is not None and np.isfinite(figure.anchor).all()
+    ]
+    if ego is None or not anchors:
+        return None
+    offsets = np.abs(np.array(anchors) - ego.position_world[:2]) / (aspect, 1.0)
+    most = 1.1 * float(np.percentile(offsets.max(axis=1), _FRAMED_PERCENT))
+    return round_up(min(max(most, _LEAST_FRAMED), _MOST_FRAMED))
 
 
 _WIDTH_PX = 1280

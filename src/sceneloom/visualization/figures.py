@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 
@@ -13,10 +14,32 @@ from sceneloom.visualization.canvas import Canvas, Colour
 from sceneloom.visualization.clouds import MapLayout, sample_polyline
 
 PALETTE: tuple[Colour, ...] = (
-    (255, 122, 69), (82, 196, 255), (138, 226, 52), (255, 206, 84), (214, 137, 255), (64, 224, 190),
-    (255, 110, 160), (168, 184, 255), (222, 222, 120), (255, 160, 122),
+    (255, 122, 69), (82, 196, 255), (138, 226, 52), (255, 214, 64), (190, 120, 255), (0, 205, 170),
+    (255, 92, 168), (110, 130, 255), (235, 235, 235), (205, 150, 100),
 )  # fmt: skip
 """Colours that stand out from images and from each other."""
+
+_FAMILIES: tuple[tuple[int, tuple[str, ...]], ...] = (
+    (6, ("ped", "person", "people", "human")),
+    (3, ("motor",)),
+    (2, ("cycl", "bike", "rider", "wheeled")),
+    (7, ("truck", "bus", "trailer", "van", "tram", "construction_vehicle", "heavy")),
+    (1, ("car", "vehicle", "automobile")),
+    (0, ("cone", "bollard", "barrier", "sign", "pole")),
+)
+"""The colours that classes have whose names hold such a word; the first that fits counts."""
+
+_OTHERS = (4, 5, 8, 9)
+"""The colours of all other names."""
+
+
+def colour_of_name(name: object) -> Colour:
+    """The colour of a class or an object, the same in every drive: that of its family, else another one."""
+    word = str(name).lower()
+    known = next((colour for colour, parts in _FAMILIES if any(part in word for part in parts)), None)
+    return PALETTE[_OTHERS[crc32(word.encode(errors="surrogatepass")) % len(_OTHERS)] if known is None else known]
+
+
 CORNER_FROM_CENTRE = 0.5
 """Boxes and vertices of files count from the image's corner, pixels that are drawn from the centre of the first."""
 
@@ -81,18 +104,37 @@ def draw_marks(canvas: Canvas, pixels: Float64Array, colour: Colour, radius: flo
     return len(shown)
 
 
-def write_names(canvas: Canvas, names: list[Name]) -> None:
-    """Write names, lower ones first; one that would cover another is left out."""
-    taken: list[tuple[float, float, float]] = []
+def write_names(canvas: Canvas, names: list[Name], *, clear: bool = False) -> None:
+    """Write names, lower ones first; one that would cover another, or with `clear` another's figure, is left out."""
+    taken: list[tuple[float, float, float, float]] = []
+    outlines = {id(figure): _outline(figure, anchor) for figure, anchor in names}
+    if clear:
+        taken += outlines.values()
     for figure, (column, row) in sorted(names, key=lambda item: -float(item[1][1])):
         text = canvas.fitted(figure.name, 0.4 * canvas.image.width, scale=_SMALL)
         half = canvas.text_width(text, scale=_SMALL) / 2 + 3
         line = 1.1 * canvas.text_px
-        location = float(np.clip(column, half, max(canvas.image.width - half, half)))
-        level = float(np.clip(row - 0.7 * line, line, canvas.image.height - line))
-        if all(abs(location - p) > half + h or abs(level - v) > line for p, v, h in taken):
-            canvas.label((location, level), text, colour=figure.colour, scale=_SMALL)
-            taken.append((location, level, half))
+        left, top, right, bottom = outlines[id(figure)]
+        beside = [(left + right) / 2, top - 0.6 * line], [(left + right) / 2, bottom + 0.6 * line]
+        further = [right + half + 2, (top + bottom) / 2], [left - half - 2, (top + bottom) / 2]
+        for x, y in (*beside, *further) if clear else ((column, row - 0.7 * line),):
+            location = float(np.clip(x, half, max(canvas.image.width - half, half)))
+            level = float(np.clip(y, line, canvas.image.height - line))
+            plate = location - half, level - line / 2, location + half, level + line / 2
+            if not any(_overlap(plate, other) for other in taken):
+                canvas.label((location, level), text, colour=figure.colour, scale=_SMALL)
+                taken.append(plate)
+                break
+
+
+def _outline(figure: Figure, anchor: Float64Array) -> tuple[float, float, float, float]:
+    """The rectangle around a figure in pixels: left, top, right, bottom."""
+    corners = np.concatenate([*figure.lines, anchor[None]])
+    return (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
+
+
+def _overlap(one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
 
 
 def _clamped(pixels: Float64Array, size: tuple[int, int]) -> Float64Array:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras import project
-from sceneloom.errors import CalibrationError, DataError, OptionError
+from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.recording.calibration import CAMERA_MODEL_READINGS
 from sceneloom.scene import Scene, WarningKind
 
@@ -305,11 +305,6 @@ def test_camera_shifts_move_the_images_only_where_asked_for(recording, pinhole, 
         assert ("imuToCameraShiftSeconds" in camera.extras["calibration"]) is not asked
         shifts = {"camera0": (expected_ns - 1_000_000_000) / 1e9}
         assert scene.metadata["recording"].get("camera_shifts") == (shifts if asked else None)
-
-
-def test_an_unknown_use_of_camera_shifts_names_the_known_ones(recording):
-    with pytest.raises(OptionError, match="camera_shift 'both'; expected one of: ignore, apply, subtract"):
-        recording.lines([FIX]).open(camera_shift="both")
 
 
 # two lines of "Example data.jsonl" in the description of the format, as they stand there

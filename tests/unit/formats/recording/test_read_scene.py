@@ -53,10 +53,14 @@ def test_a_folder_that_is_none_or_empty_is_an_error(recording, tmp_path):
 
 def test_unknown_options_and_values_are_refused(recording):
     recording.lines([IMU_LINE])
-    with pytest.raises(OptionError, match="option 'speed'; opening a recording takes lenient, altitude"):
-        recording.open(speed=2)
-    with pytest.raises(OptionError, match="altitude 'moon'; expected one of: wgs84, msl"):
-        recording.open(altitude="moon")
+    for options, problem in (
+        ({"speed": 2}, "option 'speed'; opening a recording takes lenient, altitude"),
+        ({"altitude": "moon"}, "altitude 'moon'; expected one of: wgs84, msl"),
+        ({"camera_shift": "both"}, "camera_shift 'both'; expected one of: ignore, apply, subtract"),
+        ({"image_index": "nearest"}, "image_index 'nearest'; expected one of: auto, number, first, line"),
+    ):
+        with pytest.raises(OptionError, match=problem):
+            recording.open(**options)
     with recording.open() as scene, pytest.raises(OptionError, match="option 'speed'; writing"):
         FORMAT.write(scene, recording.path.with_name("copy"), speed=2)
 

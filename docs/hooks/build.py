@@ -1,13 +1,13 @@
 """What MkDocs calls while it builds the site: pages out of the program, links out of `docs/`, and a last look."""
 
-import ast
-import json
 import posixpath
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from commands import command_pages
+from examples import example_page, listed_examples, notebook_images
+from front import readme_sections
 from layout import spaced
 from links import PROJECT, page_of, with_site_links
 from mkdocs.exceptions import PluginError
@@ -16,7 +16,7 @@ from outside import fetched_from_elsewhere
 from reference import reference_pages
 from rules import rules_page
 
-_FRONT_PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")
+_FRONT_PAGES = ("CHANGELOG.md", "CONTRIBUTING.md")
 _origins: dict[str, str] = {}
 """The file of the checkout that each generated page came from, by its location on the site."""
 
@@ -29,6 +29,8 @@ def on_files(files: Files, config: Any) -> Files:
     for file in _linked_files(files):
         copy = (PROJECT / file).read_bytes()
         files.append(File.generated(config, page_of(file), content=copy))
+    for location, image in notebook_images():
+        files.append(File.generated(config, location, content=image))
     return files
 
 
@@ -40,42 +42,13 @@ def _generated() -> dict[str, str]:
         pages[page_of(name)] = (PROJECT / name).read_text("utf-8")
         _origins[page_of(name)] = name
     for path in sorted((PROJECT / "examples").rglob("*")):
-        text = _example(path)
+        text = example_page(path)
         if text is not None:
             file = path.relative_to(PROJECT).as_posix()
             pages[page_of(file)] = text
             _origins[page_of(file)] = file
-    pages["examples/index.md"] = _listed_examples(pages)
+    pages["examples/index.md"] = listed_examples(pages)
     return pages
-
-
-def _example(path: Path) -> str | None:
-    """The page of an example; None of files that are none."""
-    if path.suffix == ".py" and path.parent == PROJECT / "examples":
-        source = path.read_text("utf-8")
-        return f"# {path.name}\n\n{ast.get_docstring(ast.parse(source)) or ''}\n\n```python\n{source}```\n"
-    if path.suffix == ".ipynb":
-        return "\n\n".join(_cells(path)) + "\n"
-    return path.read_text("utf-8") if path.suffix == ".md" else None
-
-
-def _cells(path: Path) -> Iterator[str]:
-    """The cells of a notebook as Markdown."""
-    for cell in json.loads(path.read_text("utf-8"))["cells"]:
-        text = "".join(cell["source"])
-        yield text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```"
-
-
-def _listed_examples(pages: dict[str, str]) -> str:
-    rows = []
-    for location, text in sorted(pages.items()):
-        if location.startswith("examples/") and location.count("/") <= 2:
-            title, _, rest = text.partition("\n\n")
-            name = title.removeprefix("# ").strip()
-            first = "" if rest.startswith("```") else rest.split("\n")[0]
-            rows.append(f"| [{name}]({location.removeprefix('examples/')}) | {first} |")
-    table = "\n".join(["| example | content |", "| --- | --- |", *rows])
-    return f"# Examples\n\nEach runs as it stands, on simulated data, and is run by the tests.\n\n{table}\n"
 
 
 def _linked_files(files: Files) -> list[str]:
@@ -94,7 +67,10 @@ def _origin(location: str) -> str:
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:  # noqa: ARG001 - MkDocs' names
     """Let links lead to pages, and blocks begin where readers see them begin."""
     location = page.file.src_uri
-    return spaced(with_site_links(markdown, _origin(location), location, lambda _: None))
+    text = with_site_links(markdown, _origin(location), location, lambda _: None)
+    if location == "index.md":
+        text += with_site_links(readme_sections(), "README.md", location, lambda _: None)
+    return spaced(text)
 
 
 def on_nav(nav: Any, config: Any, files: Files) -> Any:  # noqa: ARG001 - MkDocs' names
@@ -110,28 +86,36 @@ def on_config(config: Any) -> Any:
     """Complete the navigation: each part that ends with `…` gets the pages of its folder that it does not name."""
     docs = Path(config["docs_dir"])
     pages = sorted(path.relative_to(docs).as_posix() for path in docs.rglob("*.md"))
-    generated = sorted(_generated())
+    generated = sorted(_generated(), key=lambda location: "" if location.startswith("reference/") else location)
     config["nav"] = _completed(config["nav"], pages, generated)
     return config
 
 
 def _completed(nav: list[Any], pages: list[str], generated: list[str]) -> list[Any]:
     named = set(_locations(nav))
-    parts = []
-    for part in nav:
-        ((title, entries),) = part.items()
-        if isinstance(entries, list):
-            patterns = [entry for entry in entries if isinstance(entry, str) and "*" in entry]
-            entries = [entry for entry in entries if entry not in patterns]
-            for pattern in patterns:
-                found = [
-                    p for p in [*pages, *generated] if Path(p).match(pattern) and p.count("/") == pattern.count("/")
-                ]
-                entries += [
-                    {_title(p): p} if p.startswith(("commands/", "reference/")) else p for p in found if p not in named
-                ]
-        parts.append({title: entries})
-    return parts
+
+    def completed(entries: list[Any]) -> Iterator[Any]:
+        for entry in entries:
+            if isinstance(entry, dict):
+                yield {title: list(completed(e)) if isinstance(e, list) else e for title, e in entry.items()}
+            elif "*" in entry:
+                matching = (
+                    p for p in [*pages, *generated] if Path(p).match(entry) and p.count("/") == entry.count("/")
+                )
+                yield from (_entry(p, generated) for p in matching if p not in named)
+            else:
+                yield entry
+
+    return list(completed(nav))
+
+
+def _entry(location: str, generated: list[str]) -> Any:
+    """An entry of the navigation: a page, or a package with the pages of its classes."""
+    folder, name = posixpath.split(location)
+    if folder.startswith("reference/") and name == "index.md":
+        classes = [p for p in generated if posixpath.dirname(p) == folder and p != location]
+        return {posixpath.basename(folder): [location, *({_title(p): p} for p in classes)]}
+    return {_title(location): location} if location.startswith(("commands/", "reference/")) else location
 
 
 def _locations(nav: Any) -> Iterator[str]:

@@ -8,8 +8,8 @@ from pathlib import Path, PurePosixPath
 PROJECT = Path(__file__).parents[2]
 """The checkout."""
 
-FRONT = {"README.md": "index.md"}
-"""Files that are pages under another name."""
+FRONT = {"README.md": "index.md", "examples": "examples/index.md", "examples/notebooks": "examples/index.md"}
+"""Files and folders that are pages under another name."""
 
 _LINK = re.compile(r"(?P<start>!?\[[^\]]*\]\()(?P<target>[^)\s#]+)(?P<anchor>#[^)\s]*)?\)")
 _FENCE = re.compile(r"^(```|~~~)")
@@ -47,9 +47,9 @@ def with_site_links(markdown: str, origin: str, page: str, wanted: Callable[[str
         if re.match(r"[a-z]+:", target) or target.startswith("/"):
             return match[0]
         file = posixpath.normpath(posixpath.join(folder, target))
-        if not (PROJECT / file).is_file():
+        if not (PROJECT / file).is_file() and file not in FRONT:
             return match[0]
-        if not file.startswith("docs/"):
+        if not file.startswith("docs/") and file not in FRONT:
             wanted(file)
         goal = posixpath.relpath(page_of(file), posixpath.dirname(page) or ".")
         return f"{match['start']}{goal}{match['anchor'] or ''})"

@@ -1,6 +1,8 @@
-"""A page for every package that offers names, for the reference made from docstrings."""
+"""Pages for every package that offers names, and for every public class, for the reference made from docstrings."""
 
 import ast
+from functools import cache
+from inspect import cleandoc
 from pathlib import Path
 
 from links import PROJECT
@@ -32,25 +34,117 @@ _OFFERED = (
 )
 """In the order from what one meets first to what stands on top."""
 
+_OPTIONS = "    options: {show_root_heading: true, show_root_full_path: false, show_root_toc_entry: true}"
+_MOST_STEPS = 5
+"""How often a name may be imported from one module into the next."""
+
 
 def reference_pages() -> dict[str, str]:
     """The text of each page, by its location on the site: what mkdocstrings fills in."""
-    pages, rows = {}, []
-    for name in _OFFERED:
-        tree = _tree(name)
-        if tree is None:
+    pages: dict[str, str] = {}
+    homes = _homes()
+    rows = []
+    for package in _OFFERED:
+        if not _file(package):
             continue
-        location = f"reference/{name}.md"
-        pages[location] = f"# {name}\n\n::: {name}\n"
-        first = (ast.get_docstring(tree) or "").split("\n")[0]
-        rows.append(f"| [`{name}`]({name}.md) | {first} |")
-    listing = "\n".join(["| package | what is in it |", "| --- | --- |", *rows])
-    pages["reference/index.md"] = f"# Reference\n\nWhat each package offers, from its docstrings.\n\n{listing}\n"
+        classes, others = _offered(package)
+        pages[f"reference/{package}/index.md"] = _package_page(package, classes, others, homes)
+        for name, definition in classes.items():
+            if homes[definition] == package:
+                pages[f"reference/{package}/{name}.md"] = _class_page(package, name, definition)
+        rows.append(f"| [`{package}`]({package}/index.md) | {_first_line(_tree(package))} |")
+    listing = "\n".join(["| package | content |", "| --- | --- |", *rows])
+    start = "What each package offers, from its docstrings; a page for each class."
+    pages["reference/index.md"] = f"# Packages\n\n{start}\n\n{listing}\n"
     return pages
 
 
-def _tree(name: str) -> ast.Module | None:
-    """The syntax of a package's front, or of a module."""
+def _package_page(package: str, classes: dict[str, str], others: list[str], homes: dict[str, str]) -> str:
+    parts = [f"# {package}", cleandoc(ast.get_docstring(_tree(package)) or "")]
+    if classes:
+        rows = []
+        for name, definition in sorted(classes.items()):
+            home = homes[definition]
+            location = f"{name}.md" if home == package else f"../{home}/{name}.md"
+            rows.append(f"| [`{name}`]({location}) | {_first_line(_definition(definition))} |")
+        parts += ["## Classes", "\n".join(["| class | purpose |", "| --- | --- |", *rows])]
+    parts += [f"::: {name}\n{_OPTIONS}" for name in sorted(others)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _class_page(package: str, name: str, definition: str) -> str:
+    if name not in _public(_tree(package)):
+        package = definition.split(":", maxsplit=1)[0]
+    return f"# {name}\n\n```python\nfrom {package} import {name}\n```\n\n::: {package}.{name}\n"
+
+
+def _homes() -> dict[str, str]:
+    """The package under which each class has its page: the first that offers it, and `sceneloom` itself last."""
+    homes: dict[str, str] = {}
+    for package in (*_OFFERED[1:], _OFFERED[0]):
+        for definition in _offered(package)[0].values() if _file(package) else ():
+            homes.setdefault(definition, package)
+    return homes
+
+
+@cache
+def _offered(package: str) -> tuple[dict[str, str], list[str]]:
+    """The public classes of a package with where they are defined, and its other public names."""
+    classes, others = {}, []
+    public = [(package, name) for name in _public(_tree(package))]
+    folder = _SOURCES / Path(*package.split("."))
+    if not public and folder.is_dir():
+        modules = [f"{package}.{path.stem}" for path in sorted(folder.glob("[!_]*.py"))]
+        public = [(module, name) for module in modules for name in _public(_tree(module))]
+    for module, name in public:
+        definition = _defined(module, name)
+        if definition is not None and isinstance(_definition(definition), ast.ClassDef):
+            classes[name] = definition
+        elif not _file(f"{module}.{name}"):
+            others.append(f"{module}.{name}")
+    return classes, others
+
+
+def _public(tree: ast.Module) -> list[str]:
+    """The names of `__all__`, else those of the public classes and functions that the module defines."""
+    for statement in tree.body:
+        if isinstance(statement, ast.Assign) and getattr(statement.targets[0], "id", "") == "__all__":
+            return list(ast.literal_eval(statement.value))
+    defined = [s.name for s in tree.body if isinstance(s, ast.ClassDef | ast.FunctionDef)]
+    return [name for name in defined if not name.startswith("_")]
+
+
+def _defined(module: str, name: str) -> str | None:
+    """The module and name that a name leads to, joined by a colon; None of names that no statement defines."""
+    for _ in range(_MOST_STEPS):
+        if not _file(module):
+            return None
+        if any(getattr(statement, "name", None) == name for statement in _tree(module).body):
+            return f"{module}:{name}"
+        imports = [s for s in ast.walk(_tree(module)) if isinstance(s, ast.ImportFrom) and s.module]
+        found = [(s.module, a.name) for s in imports for a in s.names if (a.asname or a.name) == name]
+        if not found:
+            return None
+        module, name = found[0]
+    return None
+
+
+def _definition(location: str) -> ast.AST:
+    module, name = location.split(":")
+    return next(s for s in _tree(module).body if getattr(s, "name", None) == name)
+
+
+def _first_line(node: ast.AST) -> str:
+    return (ast.get_docstring(node) or "").split("\n")[0].replace("|", "\\|")
+
+
+def _file(name: str) -> Path | None:
+    """The file of a package's front, or of a module."""
     location = _SOURCES / Path(*name.split("."))
-    file = next((path for path in (location / "__init__.py", location.with_suffix(".py")) if path.is_file()), None)
-    return None if file is None else ast.parse(file.read_text("utf-8"))
+    return next((path for path in (location / "__init__.py", location.with_suffix(".py")) if path.is_file()), None)
+
+
+@cache
+def _tree(name: str) -> ast.Module:
+    file = _file(name)
+    return ast.parse(file.read_text("utf-8")) if file else ast.Module([], [])

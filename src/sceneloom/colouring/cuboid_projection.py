@@ -30,7 +30,7 @@ from sceneloom.scene.types import Identifier, Progress, key_of
 from sceneloom.warnings import DataWarning, WarningKind
 
 CENTRE_TO_CORNER = 0.5
-"""Source: "pixels", READING in docs/CONVENTIONS.md: corner = centre + 0.5."""
+"""Source: "Pixels" in docs/CONVENTIONS.md: corner = centre + 0.5."""
 
 _EDGES: Int64Array = read_only(EDGES, np.int64)
 

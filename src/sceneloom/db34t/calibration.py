@@ -58,7 +58,7 @@ class DeclaredAxes:
         Raises:
             CalibrationError: the magnitudes are no permutation of 0, 1, 2.
 
-        Source: table 2 of DB34/T 4101-2022, rows 2 to 4; READING of axis triples in docs/CONVENTIONS.md.
+        Source: table 2 of DB34/T 4101-2022, rows 2 to 4; READING of axis triples in docs/db34t-4101.md.
         """
         order = [abs(axis) for axis in triple]
         if sorted(order) != [0, 1, 2]:

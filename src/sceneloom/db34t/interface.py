@@ -410,7 +410,7 @@ class _ReceivedRecords:
     def _sender_of(self, box: Box3d | Box2d, setting: Setting) -> int:
         """Find the sensor of a box that names none: that of the frame with its number, or the only one there is.
 
-        Source: READING of missing ids in docs/CONVENTIONS.md.
+        Source: READING of missing ids in docs/db34t-4101.md.
         """
         kind = SensorKind.LIDAR if isinstance(box, Box3d) else SensorKind.CAMERA
         streams = ("points", "raw", "boxes_3d") if kind is SensorKind.LIDAR else ("image", "raw", "boxes_2d")
@@ -476,7 +476,7 @@ def _check_headings(directions: Float64Array, group: str, setting: Setting) -> N
     Args:
         directions: (N, 3), of any length but 0, in the declared lidar frame.
 
-    Source: READING of direction in docs/CONVENTIONS.md.
+    Source: READING of direction in docs/db34t-4101.md.
     """
     lifts = directions @ setting.standard_from_lidar[2]
     if not lifts.any():

@@ -240,7 +240,7 @@ def _frame_of(
 def result_fields(sent: LidarFrame) -> tuple[str, ...]:
     """The fields of the points of table 9, by the names of what was sent (table 6, or raw data) and by nothing else.
 
-    Source: READING of point_fields in docs/CONVENTIONS.md.
+    Source: READING of point_fields in docs/db34t-4101.md.
     """
     names = sent.extras.get("fields", ("x", "y", "z", *_RAW_FIELDS))
     others = (name for name in names if name not in ("x", "y", "z", *COLOR_NAMES))

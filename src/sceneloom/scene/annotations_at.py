@@ -43,7 +43,7 @@ class CuboidAngles:
         unit: what they are counted in.
         order: in which order the three rotations are multiplied.
 
-    Source: READING of "cuboid row" in docs/CONVENTIONS.md.
+    Source: READING of "cuboids" in docs/CONVENTIONS.md.
     """
 
     unit: str = AngleUnit.DEGREES

@@ -293,7 +293,7 @@ class Shutter:
         Args:
             lines: (N,) rows or columns [px], also between two.
 
-        Source: "One clock" in docs/CONVENTIONS.md: row r of H is taken at t + ((r + 0.5)/H - 0.5) · roll time.
+        Source: "Time" in docs/CONVENTIONS.md: row r of H is taken at t + ((r + 0.5)/H - 0.5) · roll time.
         """
         shares = (np.asarray(lines, np.float64) + 0.5) / self.line_count(camera) - 0.5
         delays: Float64Array = np.clip(shares, -0.5, 0.5) * self.seconds

@@ -112,7 +112,7 @@ _WHITE, _GREY = 255, 128
 def grey_where_unseen(colors: UInt8Array, camera_index: UInt8Array | None) -> UInt8Array:
     """Give (N, 3) colours as clouds are written: what no camera saw is 128, 128, 128 and not white, as in the model.
 
-    Source: DB34/T 4101-2022, table 9, as read in docs/CONVENTIONS.md.
+    Source: DB34/T 4101-2022, table 9, as read in docs/CONVENTIONS.md, "colour of unseen points".
     """
     return _recoloured(colors, camera_index, _WHITE, _GREY)
 

@@ -182,7 +182,7 @@ class CameraSpec:
     def line_offsets_ns(self) -> Int64Array:
         """When each line is taken, (L,) int64 [ns], after the image's time.
 
-        Source: "One clock": row r of H at t + ((r + 0.5)/H - 0.5)·roll time, docs/CONVENTIONS.md.
+        Source: "Time" in docs/CONVENTIONS.md: row r of H at t + ((r + 0.5)/H - 0.5)·roll time.
         """
         share = (np.arange(self.line_count) + 0.5) / self.line_count - 0.5
         offsets: Int64Array = np.rint(share * self.readout_ns).astype(np.int64)

@@ -295,7 +295,7 @@ def _sensors_of(truth: "Truth", ego: Poses) -> Iterator[LidarSensor | CameraSens
 def _shutter_fields(spec: CameraSpec) -> Mapping[str, Any]:
     """What `calibration.json` of a recording says of a rolling shutter, where its reader would keep it.
 
-    Source: "calibration extras" of the recording format, docs/CONVENTIONS.md.
+    Source: `shutterRollTimeSeconds` in docs/formats/recording.md.
     """
     if spec.readout_ns == 0:
         return NO_FIELDS

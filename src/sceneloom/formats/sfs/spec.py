@@ -16,9 +16,9 @@ from sceneloom.scene.types import PointsFrame
 
 OPENCV, BROWN = "opencv", "brown"
 TANGENTIALS = (OPENCV, BROWN)
-"""The two meanings that p1 and p2 have among those who write camera models. Source.
+"""The two meanings that p1 and p2 have among those who write camera models.
 
-"Distortion" in docs/CONVENTIONS.md.
+Source: "Distortion coefficients in a file" in docs/CONVENTIONS.md.
 """
 PAIRS, TRIPLES = "pairs", "triples"
 VERTICES = (PAIRS, TRIPLES)

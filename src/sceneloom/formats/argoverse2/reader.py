@@ -68,19 +68,12 @@ _CUBOID_ANGLES = MappingProxyType({"euler_unit": "degrees", "euler_order": "xyz"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Log:
-    """A log that is being read.
-
-    Attributes:
-        folder: of the log.
-        ledger: takes warnings, and what a lenient reading leaves out.
-        world_from_ego: trajectory in the city frame; None in a lenient reading of a log without poses.
-        ego_from_sensor: extrinsics by the sensor's name; none in a lenient reading without them.
-    """
+    """A log that is being read."""
 
     folder: Path
     ledger: Ledger
-    world_from_ego: Poses | None
-    ego_from_sensor: Mapping[str, RigidTransform]
+    world_from_ego: Poses | None  # in the city frame; None in a lenient reading of a log without poses
+    ego_from_sensor: Mapping[str, RigidTransform]  # by the sensor's name; none in a lenient reading without them
 
     def mount(self, sensor: str) -> RigidTransform | None:
         """Extrinsics of a sensor; None in a lenient reading without them."""
@@ -206,11 +199,7 @@ def _read_lidars(log: _Log, *, joined: bool) -> list[LidarSensor]:
 
 
 def _read_sweep(files: tuple[Path, ...], timestamps_ns: Int64Array, lasers: range, k: int) -> LidarFrame:
-    """Read the points of one lidar out of sweep `k`.
-
-    Points are motion-compensated to the sweep's timestamp, which therefore is the time of all of them; when each was
-    measured stands in `extras` as `offset_ns` from it.
-    """
+    """Points of one lidar in sweep `k`, motion-compensated to its timestamp; `offset_ns` from it stays in `extras`."""
     columns = read_columns(files[k], _COLUMNS[LIDAR])
     numbers = columns["laser_number"]
     chosen = (numbers >= lasers.start) & (numbers < lasers.stop)
@@ -230,13 +219,7 @@ def _read_sweep(files: tuple[Path, ...], timestamps_ns: Int64Array, lasers: rang
 
 
 def _read_cameras(log: _Log, *, distorted: bool) -> list[CameraSensor]:
-    """The cameras that have a camera model, with their images where there are any; no image is decoded.
-
-    Args:
-        log: the log.
-        distorted: use the coefficients of the camera models, which images of the data set, being undistorted, do not
-            show any more.
-    """
+    """Cameras that have a model; `distorted`: with its coefficients, though images of the data set are undistorted."""
     file, folder, ledger = log.folder / CAMERA_MODELS, log.folder / CAMERAS, log.ledger
     with_images = sorted(child.name for child in folder.glob("*") if child.is_dir())
     if not file.is_file():
@@ -397,11 +380,9 @@ def read_columns(path: Path, kinds: Mapping[str, type[Any]]) -> dict[str, AnyArr
 
 
 def _check_unpacked(path: Path) -> None:
-    """Refuse a file whose compressed columns declare to become far more than its bytes.
-
-    Source: Apache Arrow, columnar format, "Serialization and Interprocess Communication": messages follow eight bytes
-    at the beginning, and a compressed buffer begins with its own length, int64, -1 for what is not compressed.
-    """
+    """Refuse a file whose compressed columns declare to become far more than its bytes."""
+    # Source: Apache Arrow, columnar format, "Serialization and Interprocess Communication": messages follow eight bytes
+    # at the beginning; a compressed buffer begins with its own length, int64, -1 for what is not compressed.
     import pyarrow as pa
 
     size, declared = check_length(path), 0
@@ -424,11 +405,9 @@ _RECORD_BATCH, _DICTIONARY = 3, 2
 
 
 def _buffers(head: memoryview) -> Iterator[tuple[int, int]]:
-    """Where the compressed buffers of a message lie in its body: byte and length; nothing of other messages.
-
-    Source: Apache Arrow, Message.fbs; FlatBuffers internals: a table begins with the distance back to its vtable, which
-    holds its own size, the table's, and where each field is, 0 for one that is not there.
-    """
+    """Where the compressed buffers of a message lie in its body: byte and length; nothing of other messages."""
+    # Source: Apache Arrow, Message.fbs; FlatBuffers internals: a table begins with the distance back to its vtable: its
+    # own size, the table's, and where each field is, 0 for one that is not there.
 
     def pointed(at: int) -> int:
         return at + int(struct.unpack_from("<I", head, at)[0])

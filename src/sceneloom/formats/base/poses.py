@@ -245,15 +245,10 @@ def _each_mounted(sensor: Any, ego_path: Poses | None) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MountedShots:
-    """Reads images and gives them their mountings; what `LazyFrames` asks for.
-
-    Attributes:
-        shots: as they were.
-        ego_from_sensor: over time, its end poses held beyond its ends.
-    """
+    """Reads images and gives them their mountings; what `LazyFrames` asks for."""
 
     shots: LazyFrames[Any]
-    ego_from_sensor: Poses
+    ego_from_sensor: Poses  # over time, its end poses held beyond its ends
 
     def __call__(self, k: int) -> Any:
         shot = self.shots[k]

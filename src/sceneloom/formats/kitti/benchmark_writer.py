@@ -71,11 +71,7 @@ class _Row:
 
 
 class _LabelRows:
-    """Collects the rows of a scene's boxes.
-
-    Attributes:
-        losses: takes what the rows do not hold.
-    """
+    """Collects the rows of a scene's boxes."""
 
     def __init__(
         self,
@@ -212,10 +208,7 @@ class _LabelRows:
         return next((p for p in annotation.projections if key_of(p.sensor_id) == wanted), None)
 
     def _frames_of(self, annotation: CuboidAnnotation, seen: Projection | None) -> tuple[Int64Array, Float64Array]:
-        """The frames in which a box is reported, and where its image shows it (NaN where that is not reported).
-
-        These are the frames of its boxes in images, where it has some, else all in which it is there.
-        """
+        """Frames of its boxes in images, else all in which a box is there, and its image boxes (NaN: not reported)."""
         timestamps = annotation.path.timestamps_ns
         if seen is not None and seen.boxes is not None:
             there = np.isfinite(seen.boxes).all(axis=1)

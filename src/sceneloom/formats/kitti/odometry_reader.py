@@ -85,13 +85,7 @@ def _read_point_labels(path: Path, count: int) -> UInt32Array:
 
 
 def _point_annotations(labels: NumberedFiles, sweeps: NumberedFiles, ledger: Ledger) -> tuple[Annotation, ...]:
-    """Give the labels of all sweeps as one annotation for each class and each object; unlabelled points have none.
-
-    Args:
-        labels: files of labels.
-        sweeps: files of the sweeps, in the order of the sensor's frames.
-        ledger: takes warnings of labels without a sweep, and of numbers without a name.
-    """
+    """Labels of all sweeps as one annotation for each class and each object; unlabelled points have none."""
     parts: dict[int, list[LabeledPoints]] = defaultdict(list)
     frames = {number: frame for frame, number in enumerate(sweeps.numbers.tolist())}
     alone = [number for number in labels.numbers.tolist() if number not in frames]

@@ -33,12 +33,7 @@ _LARGEST = (1 << CLASS_BITS) - 1
 
 @dataclass(slots=True)
 class _PointLabels:
-    """The labels of a lidar's sweeps.
-
-    Attributes:
-        losses: takes those of annotations without a number, and of points with several labels.
-        parts: by number of the sweep, the numbers and the points that have them.
-    """
+    """The labels of a lidar's sweeps: by number of the sweep, the numbers and the points that have them."""
 
     losses: Losses
     parts: dict[int, list[tuple[int, UInt32Array]]] = field(default_factory=lambda: defaultdict(list))

@@ -48,10 +48,7 @@ def read_oxts(path: Path, timestamps_ns: Int64Array | None = None) -> Poses:
 
 
 def _trajectory_of(values: Float64Array, timestamps_ns: Int64Array) -> Poses:
-    """The trajectory of the unit, of lines (N, 30) in the order of `_FIELDS` and their times (N,) [ns].
-
-    As `read_oxts`.
-    """
+    """The trajectory of lines (N, 30) in the order of `_FIELDS` and their times (N,) [ns]; see `read_oxts`."""
     positions = enu_from_geodetic(values[:, :3], values[0, :3])
     return Poses(timestamps_ns, positions, _quaternions(values[:, 3:6]))
 

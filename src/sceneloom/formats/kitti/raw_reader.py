@@ -100,18 +100,12 @@ class _RawFile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RawCalibration:
-    """Calibration of a drive.
-
-    Attributes:
-        camera_models, camera_from_lidar: by number of the camera.
-        lidar_from_imu: None where the day has no such file.
-        texts: of the entries of the files, by file and name.
-    """
+    """Calibration of a drive; camera models and `camera_from_lidar` by number of the camera."""
 
     camera_models: Mapping[int, Camera]
     camera_from_lidar: Mapping[int, RigidTransform]
-    lidar_from_imu: RigidTransform | None
-    texts: dict[str, dict[str, str]]
+    lidar_from_imu: RigidTransform | None  # None where the day has no such file
+    texts: dict[str, dict[str, str]]  # entries of the files, by file and name
 
 
 def read_raw_calibration(folder: Path, cameras: tuple[int, ...], *, rectified: bool) -> _RawCalibration:
@@ -170,17 +164,11 @@ def _recorded_camera(file: _RawFile, ending: str) -> tuple[Camera, RigidTransfor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TimestampFile:
-    """The times of one stream.
-
-    Attributes:
-        path: the file.
-        values_ns: (N,) int64 [ns], by number of the frame.
-        reported: (N,) bool, false where the line is blank: the frame is not there.
-    """
+    """The times of one stream, by number of the frame."""
 
     path: Path
     values_ns: Int64Array
-    reported: BoolArray
+    reported: BoolArray  # false where the line is blank: the frame is not there
 
     @classmethod
     def read(cls, path: Path) -> "_TimestampFile":
@@ -332,16 +320,7 @@ def _tracklet_annotations(
     ego_from_lidar: RigidTransform,
     ledger: Ledger,
 ) -> tuple[Annotation, ...]:
-    """Give a cuboid for each tracklet, its location in the file as id.
-
-    Args:
-        tracklets: those of the file.
-        path: the file, for messages.
-        times_ns: of the frames, by number [ns].
-        trajectory: `world_from_ego`.
-        ego_from_lidar: the mounting.
-        ledger: takes warnings of frames that are not there, and of such beyond the trajectory.
-    """
+    """A cuboid for each tracklet, its location in the file as id; `times_ns` by number of the frame."""
     source = None if trajectory is None else PoseSource(trajectory, ego_from_lidar)
     last = max(times_ns, default=-1)
     found: list[Annotation] = []

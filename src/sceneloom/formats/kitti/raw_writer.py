@@ -55,14 +55,7 @@ from sceneloom.scene.types import Identifier
 
 
 def _write_raw_calibration(folder: Path, mounted: Mounted, kept: Mapping[str, Any] | None, *, rectified: bool) -> None:
-    """Write the files: as the scene was read with them where they still hold, else such that state the same.
-
-    Args:
-        folder: of the day.
-        mounted: how the sensors lie.
-        kept: what stood in the files that the scene was read with.
-        rectified: whether images are rectified.
-    """
+    """Write the files of a day: those that the scene was read with (`kept`) where these still hold, else new ones."""
     if kept and all(isinstance(texts, Mapping) for texts in kept.values()):
         for name, texts in kept.items():
             if name in (CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO):
@@ -106,11 +99,7 @@ def _built(mounted: Mounted, *, rectified: bool) -> dict[str, dict[str, str]]:
 def _camera_entries(
     number: int, camera_model: Camera, camera_from_first: RigidTransform, *, rectified: bool
 ) -> dict[str, str]:
-    """The entries of a camera, before and after rectification.
-
-    Of rectified images both are the same. Of others, rectification is the rotation back to the first camera's axes,
-    with the camera model's own matrix.
-    """
+    """Entries before and after rectification: the same if rectified, else a rotation to the first camera's axes."""
     rotation = np.eye(3) if rectified else camera_from_first.rotation.T
     shift = rotation @ camera_from_first.translation
     projection = np.column_stack([camera_model.matrix, camera_model.matrix @ shift])
@@ -145,12 +134,7 @@ _NAMES = ("timestamps_start.txt", "timestamps.txt", "timestamps_end.txt")
 
 @dataclass(slots=True)
 class _RotationWriter:
-    """Writes sweeps and remembers their times.
-
-    Attributes:
-        choice: what is written.
-        folder: `velodyne_points`.
-    """
+    """Writes sweeps into `velodyne_points` and remembers their times."""
 
     choice: Choice
     folder: Path
@@ -225,16 +209,7 @@ _LABELLED = 2.0
 
 
 def _tracklets_of(choice: Choice, timestamps_ns: Int64Array, starts_ns: Int64Array) -> list[Tracklet]:
-    """Give the boxes of a scene by frame.
-
-    Args:
-        choice: whose cuboids are taken; they are there by the activations for its lidar.
-        timestamps_ns: of the frames, (F,) int64 [ns].
-        starts_ns: when their sweeps began, (F,) int64 [ns].
-
-    Returns:
-        A tracklet for each run of frames that a box is in.
-    """
+    """A tracklet for each run of frames that a cuboid is in; `starts_ns`: when sweeps of the frames began."""
     angles, losses = CuboidAngles.of(choice.scene), choice.losses
     lidar_id = None if choice.lidar is None else choice.lidar.id
     found: list[Tracklet] = []
@@ -266,11 +241,7 @@ def _tracklets_of(choice: Choice, timestamps_ns: Int64Array, starts_ns: Int64Arr
 
 
 def _frames(annotation: CuboidAnnotation, timestamps_ns: Int64Array) -> tuple[Int64Array, Int64Array]:
-    """The frames that a box is in, and the times at which it is reported in them.
-
-    Where its timestamps are one for each of its frames they count, and frames between them are gaps, if not too many;
-    else it is in all frames from its first timestamp to its last, a stationary one in all there are.
-    """
+    """Frames with a box and its times: those of its timestamps, one per frame, else all from its first to its last."""
     timestamps = annotation.path.timestamps_ns
     if annotation.stationary and len(timestamps):
         return np.arange(len(timestamps_ns)), timestamps_ns

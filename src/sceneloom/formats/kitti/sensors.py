@@ -56,21 +56,13 @@ class RotationTimes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SweepFiles:
-    """Reads sweeps, each when it is asked for; all points stay in their order, so that labels fit.
-
-    Attributes:
-        files: of each sweep.
-        names: of the files, seen from the folder above theirs.
-        timestamps_ns: (N,) int64 [ns].
-        scale: of the reflectance.
-        rotations: by which points get times; None where the source does not report when sweeps began and ended.
-    """
+    """Reads sweeps, each when it is asked for; all points stay in their order, so that labels fit."""
 
     files: tuple[Path, ...]
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # seen from the folder above theirs
     timestamps_ns: Int64Array
-    scale: IntensityScale = _REFLECTANCE
-    rotations: RotationTimes | None = None
+    scale: IntensityScale = _REFLECTANCE  # of the reflectance
+    rotations: RotationTimes | None = None  # None where the source does not report when sweeps began and ended
 
     def __call__(self, k: int) -> LidarFrame:
         """Read sweep `k`."""
@@ -277,10 +269,8 @@ def label_annotations(labels: KittiLabels, locations: LabelLocations) -> tuple[A
 
 
 def _cuboid_rows(labels: KittiLabels, world_from_rectified: PoseSamples) -> Float64Array:
-    """The boxes as rows of cuboids, (N, 9) float64; rows without a box in space mean nothing.
-
-    Source: the readme of KITTI's development kit for objects: at 0 a box looks along the camera's x axis.
-    """
+    """Boxes as rows of cuboids, (N, 9) float64; rows without a box in space mean nothing."""
+    # Source: the readme of KITTI's development kit for objects: at 0 a box looks along the camera's x axis.
     centers = labels.bottoms - np.array([0.0, 0.5, 0.0]) * labels.sizes_hwl[:, :1]
     cosines, sines, zeros = np.cos(labels.rotations_y), np.sin(labels.rotations_y), np.zeros(len(labels))
     rectified_from_box = np.stack(

@@ -373,10 +373,7 @@ def _parse_protobuf(schema: str, content: memoryview) -> Sequence[AnyRecord]:
 
 
 def _parse_json(schema: str, content: memoryview) -> Sequence[AnyRecord]:
-    """Read a message that is JSON; its bytes are in base64, its times in `sec` and `nsec`.
-
-    Source: docs.foxglove.dev, "JSON" of the schemas.
-    """
+    """Read JSON: bytes in base64, times in `sec` and `nsec`. Source: docs.foxglove.dev, "JSON" of the schemas."""
     try:
         fields = msgspec.json.decode(content, type=dict[str, Any])
         if schema not in _READERS:
@@ -412,10 +409,7 @@ def _as_protobuf_writes(value: Any, name: str = "") -> Any:
 
 
 def _head_timestamp(head: bytes) -> int | None:
-    """The time of a message of one of the large kinds, from how it begins [ns]; None where it does not begin with it.
-
-    In all of them the timestamp is field 1, which writers put first.
-    """
+    """Timestamp [ns] at the head of a large message: field 1, which writers put first; None where another one is."""
     length = head[1] if len(head) > 1 and head[0] == 1 << 3 | LENGTH_TYPE else len(head)
     if length > len(head) - 2:
         return None

@@ -330,15 +330,7 @@ _WRITER_MESSAGE = struct.Struct("<BQHIQQ")
 
 
 class _Chunk:
-    """What will be written at once.
-
-    Attributes:
-        parts: its bytes, in chunks.
-        size: of all of them.
-        times_ns: first and last time of its messages [ns], None where it has none.
-        index: log times of the messages of each channel and their offsets, packed one after another.
-        described: channels that were described in this chunk, or one before that was written instead.
-    """
+    """What will be written at once: its bytes, and the first and last time of its messages [ns], None without any."""
 
     def __init__(self) -> None:
         self.described: set[int] = set()

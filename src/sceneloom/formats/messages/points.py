@@ -174,11 +174,8 @@ class _FoundTimes(NamedTuple):
 
 
 def _find_point_times(name: str, values: AnyArray, timestamp_ns: int, sweep_ns: int | None) -> _FoundTimes | None:
-    """Find the unit and the zero of a column of times, (N,); None where no unit fits.
-
-    They have to lie within one and a half seconds of the message's timestamp, over a millisecond or more. Of several
-    readings, the one whose sweep lasts most nearly as long as it takes from message to message (`sweep_ns`) counts.
-    """
+    """Unit and zero of times, (N,), within 1.5 s of their message over 1 ms or more; None where no unit fits."""
+    # Of several readings, the one whose sweep lasts most nearly as long as from message to message (`sweep_ns`) counts.
     if values.ndim != 1 or values.dtype.kind not in _ORDERS or len(values) < 2:
         return None
     exact = values.dtype.kind != "f"
@@ -220,25 +217,15 @@ _LOOKED_AT = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CloudReader:
-    """Reads messages of points.
-
-    Attributes:
-        log: that they are in.
-        topic: that they are of.
-        rows: (N,) int64, number of each message in its topic.
-        timestamps_ns: (N,) int64 [ns], as the messages state, in order.
-        starts_ns: (N,) int64 [ns], start of each sweep.
-        mapping: what the columns mean.
-        whole: whether points at the origin are points: in messages of ours they are.
-    """
+    """Reads the messages of points of one topic."""
 
     log: TopicLog
     topic: Topic
-    rows: Int64Array
-    timestamps_ns: Int64Array
-    starts_ns: Int64Array
+    rows: Int64Array  # number of each message in its topic
+    timestamps_ns: Int64Array  # as the messages state, in order
+    starts_ns: Int64Array  # start of each sweep
     mapping: PointMapping = field(default_factory=PointMapping)
-    whole: bool = False
+    whole: bool = False  # points at the origin are points: in messages of ours they are
 
     def record(self, k: int) -> CloudRecord:
         """Read message `k`."""
@@ -574,11 +561,7 @@ def _colours(colors: AnyArray) -> _Columns:
 
 
 def _offsets(timestamps_ns: AnyArray, timestamp_ns: int) -> _Columns:
-    """Times of points from their sweep's timestamp, in the names and units that other programs look for.
-
-    `t` in whole nanoseconds; `time` in seconds where some are earlier than the timestamp or later than 32 bits report,
-    exact to the nanosecond over 52 days.
-    """
+    """Times of points from their sweep's as other programs name them: `t` [ns], or `time` [s] beyond 32 bits."""
     count = len(timestamps_ns)
     if count and (timestamps_ns.min() < timestamp_ns or timestamps_ns.max() > timestamp_ns + _MOST_NS):
         return {("time",): (timestamps_ns - timestamp_ns).astype(np.float64) / 1e9}

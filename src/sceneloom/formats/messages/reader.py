@@ -150,16 +150,7 @@ def _strangers(all_times: Sequence[_TopicTimes], name: str, ledger: Ledger) -> f
 
 
 def _survey(log: TopicLog, ledger: Ledger, *, timestamps: str | None) -> Survey:
-    """Look at all topics.
-
-    Args:
-        log: the messages.
-        ledger: takes warnings and faults.
-        timestamps: which times count, "header" or "receive"; None: see `_settle_times`.
-
-    Raises:
-        DataError: a small message is wrong, or topics are on different clocks.
-    """
+    """Look at all topics; `timestamps`: which times count, "header" or "receive", None: see `_settle_times`."""
     found = Survey(log, ledger, _read_notes(log.notes, log.name))
     _note_unknown(log, ledger)
     times: list[_TopicTimes] = []
@@ -371,13 +362,7 @@ def _value(text: str) -> Any:
 
 
 def _read_annotations(survey: Survey, locations: Locations, cameras: Mapping[str, Any]) -> list[Annotation]:
-    """Make the annotations of all topics of boxes, those that notes speak of as these state.
-
-    Args:
-        survey: of all topics.
-        locations: of all frames.
-        cameras: ids by the topics of their images.
-    """
+    """Annotations of all topics of boxes, those in notes as these state; `cameras`: ids by topics of images."""
     found = [*_cuboids(survey, locations), *_boxes_2d(survey, cameras)]
     notes = {(str(note.get("topic")), str(note.get("key"))): note for note in survey.notes.annotations}
     order = {key: row for row, key in enumerate(notes)}
@@ -449,22 +434,14 @@ _VECTORS = frozenset({"accelerometer", "gyroscope", "magnetometer"})
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PoseRows:
-    """The poses of a topic, in order.
-
-    Attributes:
-        timestamps_ns: (N,) int64 [ns].
-        positions: (N, 3) float64 [m].
-        quaternions_xyzw: (N, 4) float64, or None where some are not stated.
-        covariances: (N, 6, 6) float64 as trajectories have them, or None.
-        frame_id, body: the frames that the first one names.
-    """
+    """The poses of a topic, in order."""
 
     timestamps_ns: Int64Array
     positions: Float64Array
-    quaternions_xyzw: Float64Array | None
-    covariances: Float64Array | None
+    quaternions_xyzw: Float64Array | None  # None where some are not stated
+    covariances: Float64Array | None  # (N, 6, 6), as trajectories have them
     frame_id: str
-    body: str
+    body: str  # as `frame_id`, named by the first one
 
 
 def _pose_rows(survey: Survey, name: str, records: Sequence[PoseRecord]) -> _PoseRows | None:
@@ -784,13 +761,7 @@ class _Closing:
 
 
 class _Log:
-    """A log while a scene is made of it.
-
-    Attributes:
-        survey: of all topics.
-        clouds, cameras: what topics of large messages hold, by their names.
-        locations: of all frames, once they are known.
-    """
+    """A log while a scene is made of it; `clouds` and `cameras` by the names of their topics."""
 
     def __init__(self, found: Survey, cameras: list[CameraDraft]) -> None:
         """Look at the first message of each topic of large ones; drafts of cameras are added to `cameras`, too."""
@@ -799,7 +770,7 @@ class _Log:
         self.clouds = {draft.reader.topic.name: draft for draft in clouds}
         self.cameras = {draft.topic.name: draft for draft in cameras}
         self.drafts: list[CloudDraft | CameraDraft] = [*clouds, *cameras]
-        self.locations: Locations
+        self.locations: Locations  # of all frames, once they are known
 
     def at(self, topic: str) -> str:
         """Where a topic is, for warnings."""
@@ -1032,10 +1003,7 @@ def _sensor_names(topics: Sequence[str]) -> list[str]:
 
 
 def _nearest(topic: str, others: Iterable[str]) -> str | None:
-    """The topic that belongs to the same sensor as another one: /front/camera_info to /front/image_raw.
-
-    Without the last parts, which state what messages are, one of the two names has to begin with the other.
-    """
+    """The topic of the same sensor, as /front/camera_info and /front/image_raw: equal but for the last parts."""
     base = _parts_of(topic, without=_SAYING)
     found = []
     for other in others:

@@ -545,30 +545,17 @@ class SceneStreams:
 
 @dataclass(slots=True)
 class _ShotWriter:
-    """Makes the records of a camera.
-
-    Attributes:
-        topic: of its images.
-        camera_model_topic: of its camera model.
-        frame_id: of the camera.
-        field: what the model calls its images, for losses.
-        losses: takes what is lost.
-        dialect: the habits of the format.
-        images: one of `_IMAGES`.
-        each_camera_model: whether each image states its camera model, and not only those whose camera model is
-            another than before; as the format does by habit.
-        camera_model: that was stated last.
-    """
+    """Makes the records of a camera."""
 
     topic: str
     camera_model_topic: str
     frame_id: str
-    field: str
+    field: str  # what the model calls its images, for losses
     losses: Losses
     dialect: Dialect
-    images: str
-    each_camera_model: bool = False
-    camera_model: Camera | None = None
+    images: str  # one of `_IMAGES`
+    each_camera_model: bool = False  # with each image, and not only where it changes; as the format does by habit
+    camera_model: Camera | None = None  # that was stated last
 
     def image(self, sensor: CameraSensor, k: int) -> Iterator[Stated]:
         """Make the records of image `k`."""

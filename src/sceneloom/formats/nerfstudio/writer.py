@@ -92,10 +92,7 @@ def _frame(view: View, camera: Camera) -> dict[str, Any]:
 
 
 def _camera_model(scene: Scene) -> str:
-    """The one model that all images are reported in: the first that holds all camera models.
-
-    Else the one that is less off.
-    """
+    """The one model that all images are reported in: the first that holds all camera models, else the one less off."""
     cameras = [camera for camera in scene.cameras if len(camera.images)]
     costs: dict[str, float] = {}
     for name, models in _CAMERA_MODELS.items():

@@ -171,21 +171,13 @@ def _find_tables(path: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class _SensorData:
-    """All that one sensor took in a scene, in the order of time.
-
-    Attributes:
-        sensor: its row.
-        id: its name in the scene.
-        rows: of its images, sweeps or cycles.
-        poses: rows of the ego's pose at each of them.
-        calibrations: rows of the sensor's mounting and intrinsics at each of them; usually one for all.
-    """
+    """Rows of one sensor and what it took in a scene, in the order of time."""
 
     sensor: Any
-    id: str | int
-    rows: tuple[Any, ...]
-    poses: tuple[Any, ...]
-    calibrations: tuple[Any, ...]
+    id: str | int  # in the scene
+    rows: tuple[Any, ...]  # of its images, sweeps or cycles
+    poses: tuple[Any, ...]  # the ego's at each of them
+    calibrations: tuple[Any, ...]  # mounting and intrinsics at each of them; usually one for all
 
     @property
     def timestamps_ns(self) -> Int64Array:
@@ -202,15 +194,7 @@ class _Files:
 
 
 class _Reader:
-    """The rows of one scene, and what is made of them.
-
-    Attributes:
-        tables: the folder of the tables.
-        row: the scene's.
-        others: how many further scenes the tables have.
-        samples: rows by token, in the order of time.
-        sensors: their data, lidars first.
-    """
+    """The rows of one scene, samples by token in the order of time, and how many `others` the tables have."""
 
     def __init__(self, tables: Path, sequence: str | None, ledger: Ledger, *, keyframes: bool) -> None:
         self.tables, self.ledger = tables, ledger
@@ -600,10 +584,7 @@ def _read_sweep(files: _Files, k: int) -> LidarFrame:
 
 
 def _read_cycle(files: _Files, k: int) -> RadarFrame:
-    """Read a radar cycle; one without returns has a single row of NaN.
-
-    Source: class RadarPointCloud of the development kit.
-    """
+    """Read a radar cycle; without returns it has a row of NaN. Source: class RadarPointCloud of the development kit."""
     cloud = read_pcd(files.paths[k])
     first = [cloud.columns[axis][:1] for axis in "xyz" if axis in cloud.columns]
     if any(np.isnan(value).any() for value in first):
@@ -646,10 +627,8 @@ def _whole(cloud: Cloud, name: str, dtype: type[Any], extras: dict[str, AnyArray
 
 
 def _velocities(cloud: Cloud, positions: Float32Array) -> tuple[Float32Array | None, Float32Array | None]:
-    """Direction and length of `vx`, `vy`; the direction of what does not move is the line of sight.
-
-    Source: class RadarPointCloud of the development kit: vx and vy are measured, vx_comp and vy_comp compensated.
-    """
+    """Direction and length of `vx`, `vy`; the direction of what does not move is the line of sight."""
+    # Source: class RadarPointCloud of the development kit: vx and vy are measured, vx_comp and vy_comp compensated.
     if not {"vx", "vy"} <= cloud.columns.keys():
         return None, None
     velocities = np.zeros((cloud.count, 3))

@@ -190,19 +190,12 @@ def _microseconds(timestamps_ns: Int64Array) -> Int64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Channel:
-    """One sensor of a data set.
-
-    Attributes:
-        name: the channel.
-        folder: the name of its folders.
-        sensor: what is written.
-        mount: `ego_from_sensor`; identity where it is not known.
-    """
+    """One sensor of a data set."""
 
     name: str
     folder: str
     sensor: _Written
-    mount: RigidTransform
+    mount: RigidTransform  # `ego_from_sensor`; identity where it is not known
 
     @property
     def modality(self) -> str:
@@ -227,17 +220,11 @@ class _Channel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Samples:
-    """The samples of a scene.
-
-    Attributes:
-        tokens: of each.
-        timestamps_ns: (S,) int64 [ns], ascending.
-        limit_ns: how far from a sample its frames may be.
-    """
+    """The samples of a scene."""
 
     tokens: tuple[str, ...]
-    timestamps_ns: Int64Array
-    limit_ns: int
+    timestamps_ns: Int64Array  # ascending
+    limit_ns: int  # how far from a sample its frames may be
 
     def key_rows(self, channel: _Channel) -> BoolArray:
         """(N,) bool: which frames of a sensor are key frames: the nearest one of each sample, at most one each."""
@@ -264,26 +251,15 @@ class _Samples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WritingPlan:
-    """What is written.
+    """What is written."""
 
-    Attributes:
-        scene: all of it; camera models are pinholes already.
-        version: name of the folder of tables.
-        row: of scene.json.
-        log: row of log.json.
-        channels: the sensors.
-        samples: the samples.
-        ego_path: `world_from_ego`, or None where it is not known.
-        losses: what is known to be lost.
-    """
-
-    scene: Scene
-    version: str
-    row: Any
-    log: Any
+    scene: Scene  # all of it; camera models are pinholes already
+    version: str  # name of the folder of tables
+    row: Any  # of scene.json
+    log: Any  # row of log.json
     channels: tuple[_Channel, ...]
     samples: _Samples
-    ego_path: Poses | None
+    ego_path: Poses | None  # `world_from_ego`, or None where it is not known
     losses: Losses
 
     @classmethod
@@ -449,11 +425,8 @@ def _channels(scene: Scene, ego_path: Poses | None, losses: Losses, asked: Mappi
 def _usual_names(
     scene: Scene, sensors: Sequence[Any], mounts: Sequence[RigidTransform | None], asked: Mapping[str, str]
 ) -> dict[int, str]:
-    """Channels other than the ids, by the number of the sensor: those asked for, else those that nuScenes has.
-
-    A lidar becomes LIDAR_TOP, as all renderers of the development kit ask for it; a camera has the name of the
-    direction that it alone looks in. Names that a sensor has already are given to no other.
-    """
+    """Channels other than the ids, by number of the sensor: those asked for, else nuScenes' own that no sensor has."""
+    # A lidar becomes LIDAR_TOP, which renderers of the kit ask for; a camera the direction it alone looks in.
     axes, ids = ego_axes(scene), [str(one.id) for one in sensors]
     names = {k: asked[name] for k, name in enumerate(ids) if name in asked}
     taken = {*names.values(), *ids}
@@ -526,26 +499,16 @@ class _Frame:
 
 
 class _Writer:
-    """Writes one data set into an empty folder.
-
-    Attributes:
-        name: of the scene.
-        losses: what is lost, added up by field, description and kind.
-        calibrations: rows of calibrated_sensor.json, by token.
-        cuboids: with their boxes at the samples, and the points in them by "num_lidar_pts" or "num_radar_pts".
-        class_numbers: of classes of points, by name; empty where the scene labels no points.
-        classes: class and rows of points, by lidar and number of the frame.
-        lidarseg: rows of that table.
-    """
+    """Writes one data set into an empty folder."""
 
     def __init__(self, plan: _WritingPlan, root: Path, images: str) -> None:
         self.plan, self.root, self.images = plan, root, images
         self.name: str = plan.row.name
         self.tables = root / plan.version
-        self.losses: dict[tuple[str, str, Support], Loss] = {}
-        self.calibrations: dict[str, dict[str, Any]] = {}
-        self.class_numbers: dict[str, int] = {}
-        self.classes: dict[tuple[Key, int], list[tuple[int, UInt32Array]]] = {}
+        self.losses: dict[tuple[str, str, Support], Loss] = {}  # added up by field, description and kind
+        self.calibrations: dict[str, dict[str, Any]] = {}  # rows of calibrated_sensor.json, by token
+        self.class_numbers: dict[str, int] = {}  # of points; empty where none is labelled
+        self.classes: dict[tuple[Key, int], list[tuple[int, UInt32Array]]] = {}  # of points, with their rows
         self.lidarseg: list[dict[str, str]] = []
         times = plan.samples.timestamps_ns
         angles = CuboidAngles.of(plan.scene)

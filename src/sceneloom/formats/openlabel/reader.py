@@ -105,11 +105,7 @@ class _FrameTimes:
 
 
 def _read_frame_times(document: Part, ledger: Ledger, rate_hz: float | None) -> _FrameTimes:
-    """Read the times of all frames; those without one are timed by their number, or by their distance from others.
-
-    Raises:
-        DataError: a frame's key is no number, or its timestamp is none.
-    """
+    """Read the times of all frames; those without one are timed by their number, or by their distance from others."""
     known: dict[int, int] = {}
     missing: list[int] = []
     for key, frame in document.each("frames"):
@@ -179,11 +175,7 @@ def _of_matrix(part: Part) -> RigidTransform:
 
 
 def _unit_quaternions(parts: Sequence[Part], values: list[list[float]]) -> Float64Array:
-    """Quaternions x y z w, (N, 4), of length 1 within a hundredth; one part each, for messages.
-
-    Raises:
-        DataError: one has another length.
-    """
+    """Quaternions x y z w, (N, 4), of length 1 within a hundredth; one part each, for messages."""
     quaternions = np.array(values, np.float64)
     wrong = np.flatnonzero(lengths_of(quaternions)[1])
     if len(wrong):
@@ -192,11 +184,7 @@ def _unit_quaternions(parts: Sequence[Part], values: list[list[float]]) -> Float
 
 
 def _quaternion_from_euler(part: Part, angles: list[float], sequence: str = _DEFAULT_SEQUENCE) -> Float64Array:
-    """The product of three rotations about named axes, x y z w: of "ZYX" and (a, b, c) it is Rz(a) Ry(b) Rx(c).
-
-    Raises:
-        DataError: the sequence is none.
-    """
+    """The product of three rotations about named axes, x y z w: of "ZYX" and (a, b, c) it is Rz(a) Ry(b) Rx(c)."""
     if len(sequence) != 3 or not set(sequence.upper()) <= set("XYZ"):
         raise DataError(part.file, f"{part.location}.sequence", f"{sequence!r}; expected three of X, Y, Z")
     rotation = np.eye(3)
@@ -209,15 +197,9 @@ def _quaternion_from_euler(part: Part, angles: list[float], sequence: str = _DEF
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Systems:
-    """Coordinate systems, each with the one that it is placed in.
+    """Coordinate systems, each with the one that it is placed in."""
 
-    Attributes:
-        edges: by name: the name of the next one towards the root, and `next_from_this` over time.
-        names: of all systems.
-        sensors: those that are sensors'.
-    """
-
-    edges: dict[str, tuple[str, Poses]]
+    edges: dict[str, tuple[str, Poses]]  # by name: the next one towards the root, and `next_from_this` over time
     names: frozenset[str]
     sensors: frozenset[str] = frozenset()
 
@@ -260,11 +242,7 @@ class _Systems:
 
 
 def _read_systems(document: Part, times: _FrameTimes, ledger: Ledger) -> _Systems:
-    """Read the coordinate systems and the transforms of all frames.
-
-    Raises:
-        DataError: one is wrong.
-    """
+    """Read the coordinate systems and the transforms of all frames."""
     parents: dict[str, str] = {}
     edges: dict[str, tuple[str, Poses]] = {}
     for name, system in document.each("coordinate_systems"):
@@ -307,11 +285,7 @@ _KNOWN_TYPES = ("camera", "lidar", "radar", "gps_imu", "other")
 
 
 def _read_streams(document: Part, systems: _Systems, ledger: Ledger) -> dict[str, Sensor]:
-    """Read all streams by their names, placed by the coordinate systems of these names.
-
-    Raises:
-        DataError: one is wrong.
-    """
+    """Read all streams by their names, placed by the coordinate systems of these names."""
     found = {name: _sensor(name, stream, systems, ledger) for name, stream in document.each("streams")}
     if found:
         message = "OpenLABEL names sensors and holds what is stated for their frames, but not the frames"
@@ -455,23 +429,14 @@ _Data = dict[tuple[str, str], list[_Stated]]
 
 @dataclass(slots=True)
 class _Element:
-    """All that a file states about one object, action, event or context.
+    """All that a file states about one object, action, event or context."""
 
-    Attributes:
-        kind: "object", "action", "event" or "context".
-        uid: its key.
-        id: its key, with its kind where something else of the file has the same key.
-        head: its entry in the root.
-        data: what is stated for it.
-        frames: numbers of the frames that name it.
-    """
-
-    kind: str
+    kind: str  # "object", "action", "event" or "context"
     uid: str
-    id: str
-    head: Part
+    id: str  # `uid`, with its kind where something else of the file has the same key
+    head: Part  # its entry in the root
     data: _Data = field(default_factory=dict)
-    frames: list[int] = field(default_factory=list)
+    frames: list[int] = field(default_factory=list)  # numbers of the frames that name it
 
     @property
     def label(self) -> str | None:
@@ -676,14 +641,8 @@ class _Reader:
     def _shape(
         self, key: tuple[str, str], rows: list[_Stated], members: Mapping[str, Any], fields: dict[str, Any]
     ) -> Annotation:
-        """Make an annotation of the rows of one element of data.
-
-        Args:
-            key: type and name of the data.
-            rows: at least one.
-            members: our own fields of the annotation; they state whether we interpolated some of the rows.
-            fields: id, label, attributes and extra fields, to which those of the rows are added.
-        """
+        """Make an annotation of the rows of one type and name of data, and of `fields` found for all of them."""
+        # `members` are our own fields of the annotation; they state whether we interpolated some of the rows.
         kind, name = key
         further = {key: value for key, value in rows[0].part.members().items() if key not in _OF_ROWS}
         further |= {"name": name} if name != kind else {}
@@ -866,18 +825,11 @@ def _nested_attributes(rows: Iterable[_Stated], *, without: Sequence[str] = ()) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """The rows of one element of data, in the order of their times.
+    """The rows of one element of data, in the order of their times."""
 
-    Attributes:
-        parts: at least one; of a shape that holds always, the only one.
-        timestamps_ns: (N,) int64 [ns].
-        system: the coordinate system that they name, or None.
-        systems: all of them.
-    """
-
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...]  # at least one; of a shape that holds always, the only one
     timestamps_ns: Int64Array
-    system: str | None
+    system: str | None  # the one that they name
     systems: _Systems
 
     def numbers(self, *counts: int) -> list[list[float]]:

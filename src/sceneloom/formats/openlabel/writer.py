@@ -90,31 +90,22 @@ def write_openlabel(scene: Scene, path: Path, *, overwrite: bool = False) -> Los
 
 
 class _Writer:
-    """Turns a scene into a document.
-
-    Attributes:
-        times: (N,) int64 [ns] of the frames, ascending.
-        heads: entries of the root, by "object" or "event" and key.
-        frames: what is stated in each frame, by its number, then as `heads`: the data by type.
-        names: of the data of each object, by its key.
-        uids: keys of the elements, by the ids of the annotations that they hold.
-        parts: the annotations that are data of another's object.
-        ours: fields that the format has no keywords for, by the kind of element and key.
-    """
+    """Turns a scene into a document."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.streams = _Streams.of(scene)
         self.losses = Losses(field_losses(scene, SUPPORTS))
-        self.times = _frame_times(scene)
-        self.heads: dict[str, dict[str, dict[str, Any]]] = {"object": {}, "event": {}}
+        self.times = _frame_times(scene)  # of the frames, ascending
+        self.heads: dict[str, dict[str, dict[str, Any]]] = {"object": {}, "event": {}}  # by type and key
+        # by number, as `heads`: the data by type
         self.frames: dict[int, dict[str, dict[str, dict[str, list[dict[str, Any]]]]]] = {}
-        self.names: dict[str, set[str]] = {}
-        self.uids: dict[Key, str] = {}
+        self.names: dict[str, set[str]] = {}  # of the data of each object, by its key
+        self.uids: dict[Key, str] = {}  # of the elements, by annotation
         self.taken: set[str] = set()
-        self.parts: set[Key] = set()
+        self.parts: set[Key] = set()  # annotations that are data of another's object
         self.relations: dict[str, Any] = {}
-        self.ours: dict[str, dict[str, Any]] = {}
+        self.ours: dict[str, dict[str, Any]] = {}  # fields without a keyword, by kind and key
         self.system = WORLD if annotations_frame(scene) is Coordinates.WORLD else EGO
         self.angles = CuboidAngles.of(scene)
 
@@ -293,12 +284,7 @@ class _Writer:
         return self.streams.names.get(sensor_id, str(sensor_id))
 
     def _attributes(self, kind: str, uid: str, annotation: Any) -> dict[str, Any]:
-        """Write attributes as data.
-
-        Returns:
-            our own fields: "attributes" that the data cannot hold, and "own": type, name in the data and own name of
-            the attributes of a part.
-        """
+        """Write attributes as data; returns "attributes" that data cannot hold, and "own" names of a part's."""
         unsaid, renamed, seen = [], [], set()
         is_part = key_of(annotation.id) in self.parts
         if isinstance(annotation, LinkAnnotation):
@@ -454,11 +440,8 @@ def _frame_times(scene: Scene) -> Int64Array:
 
 
 def _things(annotations: Sequence[Annotation]) -> Iterator[tuple[Annotation, list[Annotation]]]:
-    """Each annotation that stands for a thing, in their order, with those that describe the same thing.
-
-    What has an object or a cuboid as its parent, by `parent_id`, and is of no other class describes the same thing. A
-    cuboid below a cuboid is a thing of its own.
-    """
+    """Each annotation that stands for a thing, with those of its `parent_id` and class that describe the same thing."""
+    # A cuboid below a cuboid is a thing of its own.
     by_id: dict[Key, Annotation] = {key_of(one.id): one for one in annotations}
     parts: dict[Key, list[Annotation]] = {}
     labels: dict[Key, str | None] = {key_of(one.id): _label(one) for one in annotations}
@@ -654,19 +637,12 @@ def _camera_properties(camera: Camera) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Streams:
-    """The sensors of a scene that a file names.
+    """The sensors of a scene that a file names."""
 
-    Attributes:
-        names: of the streams, by the ids of sensors.
-        sensors: by the names.
-        trajectory: `world_from_ego`, or None.
-        placed: by the names, the coordinate system that each is placed in, and its pose there, None where it moves.
-    """
-
-    names: Mapping[Identifier, str]
-    sensors: Mapping[str, Sensor]
+    names: Mapping[Identifier, str]  # of the streams, by the ids of sensors
+    sensors: Mapping[str, Sensor]  # by the names
     trajectory: Poses | None
-    placed: Mapping[str, tuple[str, RigidTransform | None]]
+    placed: Mapping[str, tuple[str, RigidTransform | None]]  # by the names: system and pose there, None if it moves
 
     @classmethod
     def of(cls, scene: Scene) -> "_Streams":

@@ -123,13 +123,7 @@ def open_pandaset(path: Path, *, sequence: str | None = None, lenient: bool = Fa
 
 
 class _Drive:
-    """A drive and the files with the points of both its lidars; no point is read.
-
-    Attributes:
-        sweeps: the file of each sweep.
-        timestamps_ns: of the sweeps, (N,) int64 [ns].
-        poses: world from main lidar, at each sweep.
-    """
+    """A drive and the files with the points of both its lidars; no point is read. `poses`: world from main lidar."""
 
     def __init__(self, folder: Path, ledger: Ledger) -> None:
         self.folder, self.ledger = folder, ledger
@@ -318,10 +312,7 @@ def _rows_of_lidar(frame: PickledFrame, number: int) -> BoolArray:
 
 
 class _LabelFiles:
-    """The classes of all points of a drive: a table for each sweep, in memory from the first use on.
-
-    Classes of one drive are a byte a point, while finding them takes seconds, and each class asks for all.
-    """
+    """Classes of all points, in memory from the first use on: a byte a point; each class asks for all, in seconds."""
 
     def __init__(self, files: Mapping[int, tuple[Path, Path]], classes: Mapping[int, str]) -> None:
         """Take the files of classes and of points by number of the sweep; nothing is read."""
@@ -429,12 +420,8 @@ def _add_boxes(tracks: dict[str, _Track], frame: PickledFrame, timestamp_ns: int
 
 
 def _values(frame: PickledFrame) -> Float64Array:
-    """Rows `dx dy dz px py pz roll pitch yaw`, degrees.
-
-    `dimensions.x` is the width, `dimensions.y` the length, and a box of yaw 0 looks along the world's y.
-
-    Source: class Cuboids of the development kit, and its function of a box's corners.
-    """
+    """Rows `dx dy dz px py pz roll pitch yaw` [deg]; dx is the width, dy the length, yaw 0 is along the world's y."""
+    # Source: class Cuboids of the development kit, and its function of a box's corners.
     width, length, height = (frame.numbers(f"dimensions.{axis}") for axis in "xyz")
     positions = [frame.numbers(f"position.{axis}") for axis in "xyz"]
     sizes = np.stack([length, width, height], axis=1)

@@ -142,11 +142,7 @@ def _colors_16(colors: AnyArray | None) -> dict[str, AnyArray]:
 
 
 class _LasWriter:
-    """An open LAS file of a cloud.
-
-    The numbers of labels become classifications, as far as these go, to 255; all stand in the further dimension
-    `label`. Times are the seconds of the scene's clock.
-    """
+    """An open LAS file: labels are classifications up to 255, and all in `label`; times are the scene's [s]."""
 
     def __init__(self, path: Path) -> None:
         """Begin a file, which must not be there."""
@@ -184,15 +180,9 @@ class _LasWriter:
 
 
 def _read_las(path: Path) -> Cloud:
-    """Read all points of a LAS or LAZ file, of any point format; positions in metres, times as `gps_time`.
-
-    What the header declares is held against the bytes of the file before anything is read: where the points begin, how
-    many they are and how long each is, and how many records stand before and behind them. Points that reach
-    elsewhere than the header's bounds state are read, and the head of the cloud says so.
-
-    Raises:
-        DataError: the file is damaged or of another kind, or its header and its content do not agree.
-    """
+    """Read all points of a LAS or LAZ file, of any point format; positions in metres, times as `gps_time`."""
+    # The header is held against the bytes of the file before anything is read: where points begin, their number and
+    # length, records before and behind them. Points beyond its bounds are read, and the head of the cloud says so.
     import laspy
 
     with file_faults(path), open_file(path) as stream:
@@ -221,36 +211,23 @@ def _read_las(path: Path) -> Cloud:
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What a header declares of the file's layout; starts are bytes of the file, lengths are bytes.
-
-    Source: section 2.4, "Public Header Block".
-
-    Attributes:
-        version: minor one.
-        records: records of variable length before the points.
-        compressed: whether the points are LAZ.
-        legacy_count: of the points, as versions before 1.4 state it.
-        scales, offsets: x, y, z [m].
-        bounds: largest and smallest x, y, z, each axis for itself [m].
-        waveforms_start: where packets of waveforms begin, 0 for none in this file.
-        extended_start, extended: where records of variable length behind the points begin, and how many these are.
-    """
+    """What a header declares, starts and lengths in bytes. Source: section 2.4, "Public Header Block"."""
 
     path: Path
-    version: int
+    version: int  # minor one
     length: int
     points_start: int
-    records: int
-    compressed: bool
+    records: int  # of variable length, before the points
+    compressed: bool  # LAZ
     point_format: int
     point_length: int
     count: int
-    legacy_count: int
-    scales: tuple[float, ...]
+    legacy_count: int  # as versions before 1.4 state it
+    scales: tuple[float, ...]  # x, y, z [m]
     offsets: tuple[float, ...]
-    bounds: tuple[float, ...]
-    waveforms_start: int = 0
-    extended_start: int = 0
+    bounds: tuple[float, ...]  # largest and smallest x, y, z, each axis for itself [m]
+    waveforms_start: int = 0  # of packets, 0 for none in this file
+    extended_start: int = 0  # of the records of variable length behind the points
     extended: int = 0
 
     @classmethod
@@ -366,13 +343,10 @@ def _bounds(columns: dict[str, AnyArray], header: _Header) -> dict[str, Any]:
 
 
 def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
-    """Refuse a table of chunks that declares more than a file can hold: what unpacks LAZ ends the process over it.
-
-    Source: "LASzip: lossless compression of LiDAR data", Isenburg 2013: point data begin with the position of the
-    table, -1 where that stands in the last bytes of the file; the table with its version and the number of chunks, each
-    of which begins with an uncompressed point. Chunks have as many points each, but for the last one, or state how many
-    they have.
-    """
+    """Refuse a table of chunks that declares more than a file holds: what unpacks LAZ ends the process over it."""
+    # Source: "LASzip: lossless compression of LiDAR data", Isenburg 2013: point data begin with the table's position,
+    # -1 where that stands in the last bytes of the file; the table with its version and the number of chunks, which
+    # begin with an uncompressed point. Chunks have as many points each, but for the last, or state how many they have.
     import lazrs
 
     size, before = path.stat().st_size, stream.tell()
@@ -501,16 +475,7 @@ def read_pcd(path: Path) -> Cloud:
 
 
 class _PcdFile:
-    """A PCD file in memory, its head parsed.
-
-    Attributes:
-        dtype: one point, packed, little-endian.
-        count: number of points.
-        data: "ascii", "binary" or "binary_compressed".
-        start: byte at which the points begin.
-        lines: lines of the head.
-        further: the viewpoint, and the width of rows where there are several, in the words of the head.
-    """
+    """A PCD file in memory, its head, of `lines`, parsed: `dtype` is one point, packed, little-endian."""
 
     def __init__(self, path: Path, content: bytes) -> None:
         self.path, self.content = path, content
@@ -533,7 +498,7 @@ class _PcdFile:
         self.data = " ".join(self._entries["DATA"]).lower()
         if self.data not in _PCD_READERS:
             raise DataError(path, "DATA", f"{self.data!r}; expected {', '.join(_PCD_READERS)}")
-        self.count, self.further = self._count(), self._further()
+        self.count, self.further = self._count(), self._further()  # viewpoint and width of rows, as in the head
 
     def _read_entries(self) -> None:
         """Cut the head into its lines, up to and with `DATA`."""
@@ -694,11 +659,7 @@ class _Element:
 
 
 def _read_ply(path: Path) -> Cloud:
-    """Read the vertices of a PLY file; lists and other elements are passed over.
-
-    Raises:
-        DataError: the head is wrong, or the file breaks off before its last vertex.
-    """
+    """Read the vertices of a PLY file; lists and other elements are passed over."""
     file = _PlyFile(path, read_bytes(path))
     rows = file.binary_rows() if file.order else file.text_rows()
     others = {one.name: one.count for one in file.elements if one.name != "vertex" and one.count}
@@ -707,14 +668,7 @@ def _read_ply(path: Path) -> Cloud:
 
 
 class _PlyFile:
-    """A PLY file in memory, its head parsed.
-
-    Attributes:
-        order: byte order; "" for text.
-        elements: in their order; `vertex` is one of them.
-        start: byte at which the rows begin.
-        lines: lines of the head.
-    """
+    """A PLY file in memory, its head parsed: byte order ("" for text), where rows begin [byte], lines of the head."""
 
     def __init__(self, path: Path, content: bytes) -> None:
         self.path, self.content = path, content
@@ -941,16 +895,11 @@ _FARTHEST_EXACT = 4000.0
 
 
 class _PcdLayout:
-    """PCD files of clouds.
-
-    Attributes:
-        origin_world: (3,) float64 [m], what positions count from: 0, unless the first points lie far from it; whole
-            metres. The head names it in a comment.
-    """
+    """PCD files of clouds; a comment in the head names the origin, whole metres, if the first points are far away."""
 
     def __init__(self) -> None:
         """Begin without an origin."""
-        self.origin_world: Float64Array | None = None
+        self.origin_world: Float64Array | None = None  # (3,) [m]
 
     def columns(self, points: WrittenPoints) -> dict[str, AnyArray]:
         """Positions and intensities as float32, packed colours, labels as uint32."""
@@ -1225,17 +1174,7 @@ def _packed_colors(colors: AnyArray | None) -> dict[str, AnyArray]:
 
 
 def _check_end(path: Path, left: bytes, location: int, reported: str) -> None:
-    """Refuse bytes behind the last point that a head declares: they may be points that it does not count.
-
-    Args:
-        path: for messages.
-        left: what stands behind the last point; zeros and blanks fill files up, and are no points.
-        location: where they begin [byte].
-        reported: the points that the head declares.
-
-    Raises:
-        DataError: there is anything else.
-    """
+    """Refuse bytes behind the last point that a head declares, but zeros and blanks: it may not have counted them."""
     if left.strip(b"\0\t\r\n "):
         problem = f"{len(left)} bytes behind the last of {reported}; expected none: is the count of the head wrong?"
         raise DataError(path, f"byte {location}", problem)

@@ -97,10 +97,7 @@ def _arrays(path: Path) -> dict[str, AnyArray]:
 
 
 def _check_size(path: Path, location: str, head: bytes, size: int) -> None:
-    """Refuse an array that is not as long as the bytes behind its head.
-
-    Source: "NPY format", numpy.lib.format: magic, version, length of the head, the head as a dictionary of Python.
-    """
+    """Refuse an array that is not as long as the bytes behind its head. Source: "NPY format", numpy.lib.format."""
     if not head.startswith(_MAGIC) or len(head) < 12:
         return
     start = 10 if head[6] == 1 else 12

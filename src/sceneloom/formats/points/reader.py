@@ -92,20 +92,14 @@ def open_clouds(path: Path, *, kind: CloudKind, options: CloudReading) -> Scene:
 
 @dataclass(frozen=True, slots=True)
 class _CloudFolder:
-    """The files of one lidar, in the order of their names.
-
-    Attributes:
-        location: the folder, or the only file.
-        files: at least one.
-        beside: files that state more about them, by name.
-    """
+    """The files of one lidar, in the order of their names."""
 
     kind: CloudKind
     options: CloudReading
     ledger: Ledger
-    location: Path
-    files: tuple[Path, ...]
-    beside: dict[str, Path]
+    location: Path  # the folder, or the only file
+    files: tuple[Path, ...]  # at least one
+    beside: dict[str, Path]  # files that state more about them, by name
     sensor_id: str = DEFAULT_ID
 
     def note(self, kind: WarningKind, code: str, message: str, *, of_first: bool = False, count: int = 1) -> None:
@@ -193,21 +187,13 @@ def _read_trajectory(folder: _CloudFolder, name: str) -> Trajectory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CloudFrames:
-    """Reads the frames of one lidar.
-
-    Attributes:
-        files: of each frame.
-        timestamps_ns: (N,) int64 [ns].
-        layout: columns of files that do not state them.
-        mapping: meaning of the columns.
-        origin: (3,) float64 [m], subtracted from the positions in the files; None for nothing.
-    """
+    """Reads the frames of one lidar."""
 
     files: tuple[Path, ...]
     timestamps_ns: Int64Array
-    layout: FieldLayout | None = None
-    mapping: PointMapping = _NOTHING_STATED
-    origin: Float64Array | None = None
+    layout: FieldLayout | None = None  # columns of files that do not state them
+    mapping: PointMapping = _NOTHING_STATED  # meaning of the columns
+    origin: Float64Array | None = None  # (3,) [m], subtracted from positions in the files
 
     def __call__(self, k: int) -> LidarFrame:
         """Read frame `k`."""

@@ -33,12 +33,7 @@ _SPACES = re.compile(r"\s+")
 
 
 def _frame_columns(frame: LidarFrame, intensity_max: float | None) -> FrameColumns:
-    """Lay out a frame; intensities as its source had them are preferred to those of 0 to 255.
-
-    Args:
-        frame: the frame.
-        intensity_max: the full intensity in the source, where it is known.
-    """
+    """Lay out a frame; intensities as its source had them, full at `intensity_max`, are preferred to 0 to 255."""
     points = frame.points
     extras = {name: values for name, values in points.extras.items() if _is_column(values, len(points))}
     intensities, brightest = points.intensities, 255.0
@@ -89,19 +84,12 @@ _WRITTEN = {"file", "dropped_points", "clipped_intensities"}
 
 @dataclass(frozen=True, slots=True)
 class _Saving:
-    """How clouds are to be written.
+    """How clouds are to be written."""
 
-    Attributes:
-        frame: "sensor", "ego" or "world", the frame of the points; None: the one that they are in.
-        encoding: of PCD files: "binary", "ascii" or "binary_compressed".
-        lidar: id of the only lidar to be written, as text; None for all.
-        trajectory: name of the ego's, as of `ego_in_world`, where another frame of the points needs it.
-    """
-
-    frame: str | None = None
-    encoding: str = ENCODINGS[0]
-    lidar: str | None = None
-    trajectory: str | None = None
+    frame: str | None = None  # "sensor", "ego" or "world"; None: the one that the points are in
+    encoding: str = ENCODINGS[0]  # of PCD files
+    lidar: str | None = None  # id of the only one to be written, as text; None for all
+    trajectory: str | None = None  # the ego's, as of `ego_in_world`, where `frame` needs it
 
     def __post_init__(self) -> None:
         if self.frame is not None and self.frame not in tuple(PointsFrame):

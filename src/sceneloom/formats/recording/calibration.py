@@ -268,19 +268,12 @@ class LidarCalibration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RigCalibration:
-    """The fields at the root of a `calibration.json`; None for what is not stated.
+    """The fields at the root of a `calibration.json`; None for what is not stated."""
 
-    Attributes:
-        output_from_imu: `imuToOutput`, to the frame whose poses the vendor's software puts out.
-        gnss_from_imu: `imuToGnss`, to the antenna of the satellite receiver.
-        magnetometer_from_imu: `imuToMagnetometer`.
-        forward_imu: `imuForward`, (3,) float64, unit: the driving direction of the vehicle, in the IMU's frame.
-    """
-
-    output_from_imu: RigidTransform | None = None
-    gnss_from_imu: RigidTransform | None = None
-    magnetometer_from_imu: RigidTransform | None = None
-    forward_imu: Float64Array | None = None
+    output_from_imu: RigidTransform | None = None  # `imuToOutput`, to the frame of the vendor's poses
+    gnss_from_imu: RigidTransform | None = None  # `imuToGnss`, to the receiver's antenna
+    magnetometer_from_imu: RigidTransform | None = None  # `imuToMagnetometer`
+    forward_imu: Float64Array | None = None  # `imuForward`, (3,), unit: the driving direction in the IMU's frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -127,12 +127,7 @@ def _image_times(frames: FrameColumns) -> Float64Array:
 
 
 def _would_be_grouped(times: Float64Array, seconds: Float64Array) -> bool:
-    """Whether it is sure that images of these times come into these lines, with these times, by themselves.
-
-    Args:
-        times: (L, C) float64 [s], of the images, none missing.
-        seconds: (L,) float64 [s], of the lines, ascending.
-    """
+    """Whether images at `times` (L, C) [s], none missing, surely group by themselves into lines at `seconds` (L,)."""
     if not np.array_equal(times.min(axis=1), seconds):
         return False
     if times.shape[1] == 1:
@@ -175,41 +170,23 @@ _OWN = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ImageTable:
-    """The images of one camera, in time order.
+    """The images of one camera, in time order."""
 
-    Attributes:
-        camera_index: `cameraInd`.
-        camera: the camera model of images that have none of their own.
-        timestamps_ns: (N,) int64 [ns].
-        seconds: (N,) float64 [s], as the file has them.
-        line_seconds: (N,) float64 [s], `time` of the line that each image is in.
-        numbers: (N,) int64, `number` of that line.
-        offsets: (N,) int64, byte at which that line begins if it says more, else -1.
-        indices: (N,) int64, index among the encoded images.
-        camera_model_texts: (N,) int64, key in `camera_models`, -1 for none.
-        mount_texts: (N,) int64, key in `mounts`, -1 for none.
-        camera_models: camera models of single images.
-        mounts: mountings of single images, `ego_from_camera`.
-        texts: every different text of a camera model or mounting of single images.
-        data_file: `data.jsonl`, as it was when its lines were read.
-        files: the encoded images; None where there are none.
-    """
-
-    camera_index: int
-    camera: Camera
+    camera_index: int  # `cameraInd`
+    camera: Camera  # of images that have no camera model of their own
     timestamps_ns: Int64Array
-    seconds: Float64Array
-    line_seconds: Float64Array
-    numbers: Int64Array
-    offsets: Int64Array
-    indices: Int64Array
-    camera_model_texts: Int64Array
-    mount_texts: Int64Array
-    camera_models: Mapping[int, Camera]
-    mounts: Mapping[int, RigidTransform]
-    texts: Sequence[bytes]
-    data_file: FileIdentity
-    files: ImageFiles | None
+    seconds: Float64Array  # [s], as the file has them
+    line_seconds: Float64Array  # [s], `time` of the line that each image is in
+    numbers: Int64Array  # `number` of that line
+    offsets: Int64Array  # byte at which that line begins if it says more, else -1
+    indices: Int64Array  # among the encoded images
+    camera_model_texts: Int64Array  # (N,), key in `camera_models`, -1 for none
+    mount_texts: Int64Array  # (N,), key in `mounts`, -1 for none
+    camera_models: Mapping[int, Camera]  # of single images
+    mounts: Mapping[int, RigidTransform]  # of single images, `ego_from_camera`
+    texts: Sequence[bytes]  # every different text of a camera model or mounting of single images
+    data_file: FileIdentity  # `data.jsonl`, as it was when its lines were read
+    files: ImageFiles | None  # the encoded images
 
     def image(self, k: int) -> CameraImage:
         """Make image `k`."""
@@ -261,15 +238,8 @@ class _ImageTable:
 
 
 def _further_fields(data_file: FileIdentity, offset: int, camera_index: int) -> dict[str, Any]:
-    """Read again what a line says beyond the columns: lists of features can be long, so they are not kept.
-
-    Args:
-        offset: byte at which the line begins, -1 for one that says nothing more.
-
-    Returns:
-        Further fields of the entry, and under "line" those beside `frames`; under "entry" fields of the entry whose
-        names are taken.
-    """
+    """Read again what the line at byte `offset` (-1: none) says beyond the columns: lists of features can be long."""
+    # Fields of the entry; under "line" those beside `frames`, under "entry" fields of the entry whose names are taken.
     if offset < 0:
         return {}
     data_file.check()
@@ -320,12 +290,7 @@ _SAME_M, _SAME_DEG = 1e-6, 1e-4
 
 
 def _build_cameras(contents: RecordingContents, opened: list[ImageFiles]) -> list[CameraSensor | DepthCameraSensor]:
-    """Build every camera that the calibration or a line names; the files that are opened are added to `opened`.
-
-    Raises:
-        DataError: images are missing, unreadable, or not as many as the lines state; or there is no calibration.
-        CalibrationError: a camera model or a mounting is unusable.
-    """
+    """Build every camera that the calibration or a line names; the files that are opened are added to `opened`."""
     cameras: list[CameraSensor | DepthCameraSensor] = []
     folder, ledger, calibrated = contents.folder, contents.ledger, contents.calibration.cameras
     indices = {*calibrated, *contents.columns.frames.cameras}
@@ -642,21 +607,13 @@ _OPTIONS = {"altitude": ("wgs84", "msl"), "camera_shift": tuple(CAMERA_SHIFTS), 
 
 @dataclass(frozen=True, slots=True)
 class _Location:
-    """Where a recording is.
-
-    Attributes:
-        folder: where its files are.
-        source: what messages call it.
-        data_path: its lines.
-        alone: whether these are a log by itself, as programs put out, and what lies beside it is somebody else's.
-        remove: removes what was unpacked for it.
-    """
+    """Where a recording is."""
 
     folder: Path
-    source: str
-    data_path: Path
-    alone: bool = False
-    remove: Callable[[], None] | None = None
+    source: str  # what messages call it
+    data_path: Path  # its lines
+    alone: bool = False  # a log by itself, as programs put out: what lies beside it is somebody else's
+    remove: Callable[[], None] | None = None  # removes what was unpacked for it
 
     @classmethod
     def of(cls, path: Path) -> "_Location":
@@ -930,24 +887,7 @@ def _repeated(samples: SortedColumns, usable: BoolArray) -> Int64Array:
 
 
 def _further_contents(contents: RecordingContents) -> dict[str, Any]:
-    """Collect what the scene has no field for; what there is none of is left out.
-
-    Returns:
-        calibration: all of `calibration.json`.
-        vio_config: the text of `vio_config.yaml`.
-        parameters: the text of `parameters.txt`, which old recordings have.
-        other_lines: the text of unknown lines, in the order of the file; and poses that repeat the time of another one
-            of their trajectory, or lack the orientation that others have.
-        other_seconds: by index in `other_lines`, the time of the line before [s], for lines without a time.
-        further_keys: the text of lines that state more than the scene holds, by stream ("imu.accelerometer", "gnss",
-            "gnss.rtkgps", "trajectories.output", "lidars.0") and by time [ns] as text; `TIME#1` is the second line of
-            that time.
-        trajectory_origins: by name of a trajectory, the root key of its lines ("" for poses at the root itself) and the
-            name there, where these are not both the trajectory's name.
-        receiver_origins: the same of all satellite receivers but that of `gps` lines.
-        sensor_barometer: whether the air pressure comes in `sensor` lines, and not in `barometer` lines.
-        frame_lines: what images do not report of their lines; `FrameNotes` describes it.
-    """
+    """What the scene has no field for, without what there is none of; `writer._Notes` describes it."""
     columns, folder = contents.columns, contents.folder
     texts, anchors = _other_lines(contents)
     further = {name: _further_by_time(stream) for name, stream in _named_streams(contents).items() if stream.further}
@@ -1035,10 +975,7 @@ def _poses_as_text(contents: RecordingContents) -> list[tuple[int, str]]:
 
 
 def _further_by_time(stream: Columns) -> dict[str, str]:
-    """Give the texts of lines that state more than a stream holds, by the time [ns] of their row as text.
-
-    Of several records of one time, the second is `TIME#1`.
-    """
+    """Texts of lines that state more than a stream holds, by time [ns] as text; the second of one time is `TIME#1`."""
     if not stream.further:
         return {}
     rows = by_time(stream)

@@ -94,18 +94,12 @@ def to_steps(depth: Float32Array, scale: float) -> _SteppedDepth:
 
 
 class _Pixels(Protocol):
-    """Makes the images of one camera as they are encoded.
+    """Makes the images of one camera as they are encoded."""
 
-    Attributes:
-        width, height: as they are encoded [px].
-        blank: what a line before the first image gets.
-        losses: what cannot be held, added to as images are made.
-    """
-
-    width: int
+    width: int  # as they are encoded [px]
     height: int
-    blank: UInt8Array | UInt16Array
-    losses: list[Loss]
+    blank: UInt8Array | UInt16Array  # what a line before the first image gets
+    losses: list[Loss]  # added to as images are made
 
     def fields(self, shot: Shot) -> dict[str, Any]:
         """What the entry of an image has to report so that it can be read."""
@@ -215,12 +209,7 @@ class _PngWriter:
 
 
 class _ImageSink:
-    """Takes the images of one camera, one per `frames` line; a line without one gets the image before.
-
-    Attributes:
-        width, height: of the images as they are written [px].
-        losses: what could not be written.
-    """
+    """Takes the images of one camera, one per `frames` line; a line without one gets the image before."""
 
     def __init__(self, pixels: _Pixels, writer: VideoWriter | _PngWriter | None) -> None:
         """Begin; there is no writer for a video that is copied, which is there already."""
@@ -244,18 +233,10 @@ class _ImageSink:
 
 
 def _open_sink(sensor: ShootingSensor, folder: Path, index: int, rows: Int64Array, *, images: str) -> _ImageSink:
-    """Choose how a camera's images are kept, and start.
-
-    Args:
-        sensor: the camera.
-        folder: the recording that is being written.
-        index: `cameraInd`.
-        rows: (N,) int64, which of its images each line has, -1 for none.
-        images: "copy": the camera's own video where it can be copied, else H.264, or FFV1 where that video has lost
-            nothing; "lossless": the same, else FFV1;
-            "h264" and "ffv1": the own video only if it is that already; "png": PNG images. Depth is kept as its own
-            video, or as FFV1, in any case.
-    """
+    """Choose how a camera's images are kept, and start; `rows` (N,): which of its images each line has, -1 for none."""
+    # `images`: "copy" is the camera's own video where it can be copied, else H.264, or FFV1 where that video has lost
+    # nothing; "lossless" the same, else FFV1; "h264" and "ffv1" the own video only if it is that already. Depth is
+    # always kept as its own video, or as FFV1.
     path = folder / f"data{index + 1 if index else ''}.mkv"
     if isinstance(sensor, DepthCameraSensor):
         depth = _DepthPixels(sensor)
@@ -310,16 +291,9 @@ def _copied(sensor: ShootingSensor, path: Path, rows: Int64Array, *, codecs: tup
 
 
 def _images_of_lines(indices: Int64Array, rows: Int64Array) -> Int64Array | None:
-    """Choose an image of the video for each line.
-
-    Args:
-        indices: (N,) the image in the video of each of the camera's images.
-        rows: (L,) which of the camera's images each line has, -1 for none; such a line takes one of those between
-            its neighbours', which nobody looks at, since there has to be one for each line.
-
-    Returns:
-        (L,) int64, ascending; None where the video has none for a line.
-    """
+    """Image of the video for each line, (L,) ascending; None where the video has none for a line."""
+    # `indices`: image in the video of each of the camera's; `rows` (L,): which of these each line has. A line with -1
+    # takes one between its neighbours', which nobody looks at.
     known = np.flatnonzero(rows >= 0)
     if len(known) == 0:
         return None
@@ -352,32 +326,18 @@ _Key = tuple[int, float, int, int]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ImageRows:
-    """Which image of each camera each line has.
+    """Which image of each camera each line has; lines in the order of time."""
 
-    Attributes:
-        images: (L, C) int64, index of the image, -1 for none; lines in the order of time.
-        seconds: (L,) float64 [s], times of the lines; None: those of their first images.
-        lines: by row, what a line stated that lacks images.
-        first: `number` of the first line, from which numbers grow by one.
-        numbers: `number` of each line, where they are kept as they were read; None: counted from `first` on.
-        losses: what of the lines as they were read is not written.
-    """
-
-    images: Int64Array
-    seconds: Sequence[float] | None = None
-    lines: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
-    first: int = 0
-    numbers: Sequence[int] | None = None
-    losses: Sequence[Loss] = ()
+    images: Int64Array  # (L, C), -1 for none
+    seconds: Sequence[float] | None = None  # times of the lines [s]; None: of their first images
+    lines: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)  # by row, what a line stated that lacks images
+    first: int = 0  # `number` of the first line
+    numbers: Sequence[int] | None = None  # as they were read; None: counted from `first` on
+    losses: Sequence[Loss] = ()  # what of the lines as they were read is not written
 
 
 def _image_rows(sensors: Sequence[ShootingSensor], notes: FrameNotes | None) -> _ImageRows:
-    """Bring images together, as they were where that is known and their times are still the same.
-
-    Args:
-        sensors: the cameras, in the order of `cameraInd`.
-        notes: what is known of the lines that the images were read from.
-    """
+    """Group images of cameras, by `cameraInd`, into lines: as in `notes` where times are still the same."""
     if not sensors:
         return _ImageRows(np.zeros((0, 0), np.int64))
     rows = _as_read(sensors, notes) if notes is not None and notes.own else None
@@ -400,10 +360,7 @@ def _image_rows(sensors: Sequence[ShootingSensor], notes: FrameNotes | None) -> 
 
 
 def _numbers_as_read(sensors: Sequence[ShootingSensor], rows: _ImageRows) -> list[int] | None:
-    """Numbers of lines that do not grow by one; None where one is not known, or they would mean other images.
-
-    The video that is written has one image for each line.
-    """
+    """Numbers of lines that do not grow by one; None if one is unknown, or the video's image of a line is another."""
     numbers = []
     for row, images in enumerate(rows.images.tolist()):
         shots = [shots_of(sensor)[k] for sensor, k in zip(sensors, images, strict=True) if k >= 0]
@@ -523,11 +480,7 @@ _CAMERA = re.compile(r"camera(\d+)")
 
 
 class _ImageParameters:
-    """Writes the camera models and mountings that single images of a camera have.
-
-    Attributes:
-        losses: camera models that the format does not have.
-    """
+    """Writes camera models and mountings of single images; `losses`: camera models that the format does not have."""
 
     def __init__(self, sensor: ShootingSensor, width: int, height: int) -> None:
         """Begin; width and height are those of the images as they are written [px]."""

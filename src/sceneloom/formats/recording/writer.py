@@ -119,61 +119,33 @@ def check_outside_recordings(path: Path) -> None:
 
 
 class _Notes(msgspec.Struct):
-    """What a scene that was read from a recording keeps of it under `metadata["recording"]`.
+    """What a scene that was read from a recording keeps of it under `metadata["recording"]`."""
 
-    Attributes:
-        calibration: all of `calibration.json`.
-        vio_config: the text of `vio_config.yaml`.
-        other_lines: lines that a scene has no field for.
-        other_seconds: by index in `other_lines`, the time of the line before [s], for lines without one.
-        further_keys: by stream and key of a row, the text of a line that says more than its sample.
-        trajectory_origins: root key and name of trajectories that were renamed.
-        receiver_origins: root key and name of satellite receivers that were renamed.
-        sensor_barometer: whether the air pressure came in `sensor` lines.
-        frame_lines: of lines of images that are not what would be written else.
-    """
-
-    calibration: dict[str, Any] = {}
-    vio_config: str | None = None
-    other_lines: list[str] = []
-    other_seconds: dict[str, float] = {}
-    further_keys: dict[str, dict[str, str]] = {}
-    trajectory_origins: dict[str, tuple[str, str]] = {}
-    receiver_origins: dict[str, tuple[str, str]] = {}
-    sensor_barometer: bool = False
-    frame_lines: FrameNotes | None = None
+    calibration: dict[str, Any] = {}  # all of `calibration.json`
+    vio_config: str | None = None  # the text of `vio_config.yaml`
+    other_lines: list[str] = []  # unknown lines; poses at a time that is taken, or without others' orientation
+    other_seconds: dict[str, float] = {}  # by index in `other_lines`, the time of the line before [s], if it has none
+    further_keys: dict[str, dict[str, str]] = {}  # lines that say more, by stream ("gnss.rtkgps", "lidars.0") and key
+    trajectory_origins: dict[str, tuple[str, str]] = {}  # root key ("": the root itself) and name, where renamed
+    receiver_origins: dict[str, tuple[str, str]] = {}  # the same of satellite receivers but that of `gps` lines
+    sensor_barometer: bool = False  # air pressure came in `sensor` lines
+    frame_lines: FrameNotes | None = None  # of lines of images that are not what would be written else
 
 
 class _WritingPlan:
-    """What of a scene is written, and what is known beforehand to be lost.
-
-    Attributes:
-        scene: what is written.
-        of_recording: whether it was read from a recording, be it through a scene file.
-        cameras: in the order of `cameraInd`.
-        lidars: in the order of `lidarInd`.
-        receivers: the satellite receivers.
-        mounts: `ego_from_sensor` of the cameras, then of the lidars.
-        trajectories: each with the root key and name that it was read under, or None.
-        imu: the inertial unit that is written, or None.
-        ego_path: `world_from_ego`, or None.
-        losses: what will be lost.
-
-    Raises:
-        CalibrationError: nothing says how a camera is mounted.
-    """
+    """What of a scene is written, and what is known beforehand to be lost; `mounts`: of cameras, then lidars."""
 
     def __init__(self, scene: Scene) -> None:
         try:
             self.notes = msgspec.convert(scene.metadata.get("recording", {}), _Notes)
         except msgspec.ValidationError:
             self.notes = _Notes()
-        self.of_recording = scene.format == "recording" or "recording" in scene.metadata
+        self.of_recording = scene.format == "recording" or "recording" in scene.metadata  # be it through a scene file
         self.losses: list[Loss] = []
-        self.trajectories = self._find_trajectories(scene)
+        self.trajectories = self._find_trajectories(scene)  # each with the root key and name it was read under
         oriented = (known.poses for known in scene.trajectories.values() if known.quaternions_xyzw is not None)
         odometry = (sensor.poses for sensor in scene.sensors if isinstance(sensor, OdometrySensor))
-        self.ego_path: Poses | None = next(oriented, None) or next(odometry, None)
+        self.ego_path: Poses | None = next(oriented, None) or next(odometry, None)  # `world_from_ego`
         check_one_ego(scene, self.ego_path)
         self.scene = scene = each_mounted(scene, self.ego_path)
         self.lidars: Sequence[LidarSensor] = scene.lidars
@@ -416,14 +388,7 @@ def _with_mount(entry: Mapping[str, Any], key: str, mount: RigidTransform) -> di
 
 
 class _SweepWriter:
-    """Writes the sweeps of one lidar.
-
-    Attributes:
-        losses: what could not be written.
-
-    Raises:
-        PoseError: the points are in the world, and it is not known where the lidar was.
-    """
+    """Writes the sweeps of one lidar."""
 
     def __init__(self, plan: _WritingPlan, index: int, folder: Path, times: TimeWriter) -> None:
         self._sensor = sensor = plan.lidars[index]
@@ -542,10 +507,7 @@ def _point_times(frame: LidarFrame) -> Int64Array:
 
 
 def _world_poses(sensor: LidarSensor, mount: RigidTransform, ego_path: Poses | None) -> PoseSource:
-    """Where the lidar was: by its own poses in the world, else by the ego's and the mounting.
-
-    Own poses may be few. Where the ego's with the mounting state the same, these report more of the time between.
-    """
+    """Poses of the lidar: its own, but the ego's with the mounting, of more times, where these state the same."""
     timestamps = sensor.frames.timestamps_ns
     reach_ns = int(np.median(np.diff(timestamps))) if len(timestamps) > 1 else 0
     along_ego = None if ego_path is None else PoseSource(ego_path, mount, reach_ns)
@@ -574,10 +536,7 @@ def _agree(along_ego: PoseSource, poses: Poses) -> bool:
 
 
 def _kept_lines(texts: Sequence[str], anchors: Mapping[str, float]) -> LineStream:
-    """Unknown lines as they were, in the order of time.
-
-    `anchors` are the times of the lines before [s], for lines without one; those that have neither come first.
-    """
+    """Unknown lines in time order; `anchors` are times [s] of lines before those without one, which else come first."""
     seconds = [_seconds_of(text, anchors.get(str(k))) for k, text in enumerate(texts)]
     timestamps = np.array([-(2**63) if s is None else round(s * 1e9) for s in seconds], np.int64)
     order = np.argsort(timestamps, kind="stable")

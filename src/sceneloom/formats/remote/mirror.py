@@ -70,17 +70,11 @@ _STAY = 4 * SIDE_BY_SIDE
 
 
 class _ListedFile(msgspec.Struct, frozen=True, array_like=True):
-    """A file as it was when its folder was listed.
+    """A file as it was when its folder was listed."""
 
-    Attributes:
-        name: below the folder, with `/`.
-        size: its length [bytes].
-        version: what the store says that changes with the content; None where it says nothing.
-    """
-
-    name: str
-    size: int
-    version: str | None
+    name: str  # below the folder, with `/`
+    size: int  # [bytes]
+    version: str | None  # what the store says that changes with the content
 
     @property
     def folder(self) -> str:
@@ -89,31 +83,18 @@ class _ListedFile(msgspec.Struct, frozen=True, array_like=True):
 
 
 class _Listing(msgspec.Struct, frozen=True, kw_only=True):
-    """A folder behind a URL as it was when it was opened, and where its files go.
-
-    Attributes:
-        url: its address.
-        root: its path in the store.
-        top: its path on disk; the folder above it is ours, too.
-        largest: how much of it is on disk at most [bytes].
-        listed_ns: when it was listed, which stands for the time of change of all its files [ns].
-        files: all of them, by folders, and in each in the order in which people number them.
-    """
+    """A folder behind a URL as it was when it was opened, and where its files go."""
 
     url: str
-    root: str
-    top: str
-    largest: int
-    listed_ns: int
-    files: tuple[_ListedFile, ...]
+    root: str  # its path in the store
+    top: str  # its path on disk; the folder above it is ours, too
+    largest: int  # how much of it is on disk at most [bytes]
+    listed_ns: int  # stands for the time of change of all its files
+    files: tuple[_ListedFile, ...]  # all, by folders, and in each in the order in which people number them
 
 
 class _Mirror:
-    """What one process fetches of a folder behind a URL; other processes may fetch to the same tree.
-
-    Attributes:
-        listing: the folder.
-    """
+    """What one process fetches of a folder behind a URL; other processes may fetch to the same tree."""
 
     def __init__(self, listing: _Listing) -> None:
         """Nothing is fetched yet."""
@@ -482,10 +463,7 @@ class _LateFile(ByteStream):
 
 
 def _make_tree(listing: _Listing) -> _Mirror:
-    """Make the tree of a folder behind a URL: all files are there, and empty.
-
-    Who opens one without having it fetched finds too little in it, never other data.
-    """
+    """Make the tree of a folder behind a URL: all files are empty, so one that is not fetched is never other data."""
     top = Path(listing.top)
     for name in (_MARKS, _DRAFTS):
         top.with_name(name).mkdir()

@@ -43,26 +43,17 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class _Field:
-    """One field of a record.
-
-    Attributes:
-        about: what it means, for people.
-        required: whether a manifest without it is at fault.
-        record: the record of a RECORD or RECORDS.
-        choices: the words of a CHOICE.
-        shapes: the lengths of a VECTOR, as (3,), or the sizes of a MATRIX, as (4, 4).
-        positive: whether a number has to be above zero.
-    """
+    """One field of a record."""
 
     name: str
     kind: Kind
-    about: str
-    required: bool = False
+    about: str  # what it means, for people
+    required: bool = False  # a manifest without it is at fault
     unit: str = ""
-    record: str = ""
-    choices: tuple[str, ...] = ()
-    shapes: tuple[tuple[int, ...], ...] = ()
-    positive: bool = False
+    record: str = ""  # of a RECORD or RECORDS
+    choices: tuple[str, ...] = ()  # the words of a CHOICE
+    shapes: tuple[tuple[int, ...], ...] = ()  # lengths of a VECTOR, as (3,), or sizes of a MATRIX, as (4, 4)
+    positive: bool = False  # the number has to be above zero
 
 
 _SENSOR_TYPES = ("lidar", "camera", "imu", "gnss")

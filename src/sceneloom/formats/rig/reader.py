@@ -180,18 +180,13 @@ def _trajectories(drive: "_Drive", faults: Faults) -> dict[str, Trajectory]:
 
 @dataclass(slots=True, eq=False)
 class _Drive:
-    """A manifest while its scene is made.
-
-    Attributes:
-        ego_path: `world_from_ego` of the default trajectory, once that is read.
-        videos: those that were opened; the scene closes them.
-    """
+    """A manifest while its scene is made."""
 
     manifest: Manifest
     tree: "FrameTree"
     ledger: Ledger
-    ego_path: Poses | None = None
-    videos: list[VideoFile] = field(default_factory=list)
+    ego_path: Poses | None = None  # `world_from_ego` of the default trajectory, once that is read
+    videos: list[VideoFile] = field(default_factory=list)  # that were opened; the scene closes them
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,11 +357,7 @@ _Chosen = tuple[Int64Array, Int64Array]
 def _timed_files(
     part: _Part, files: Sequence[Path], read: Callable[[Path], object]
 ) -> tuple[tuple[Path, ...], tuple[str, ...], Int64Array]:
-    """The files of a sensor that have a time, their names, and the timestamps [ns], strictly increasing.
-
-    In a lenient reading the first ones are left out as long as `read` cannot read them: what a sensor is like is seen
-    in its first file.
-    """
+    """Timed files of a sensor, their names and timestamps [ns]; leniently, from the first that `read` can read."""
     names = [part.root.relative(path) for path in files]
     source = _time_source(part, _FILE_TIMES)
     chosen, timestamps_ns = _in_time_order(part, *_FILE_TIMES[source](part, names), names)
@@ -1220,10 +1211,7 @@ def _guess_times(part: _Part, columns: Mapping[str, AnyArray], name: str | None)
 
 
 def _with_clocks(part: _Part, reader: SweepReader) -> SweepReader:
-    """Bring timestamps that mean the middle or end of a sweep to its start.
-
-    Points without times belong to one moment: the middle of the sweep, where it is known, else the timestamp.
-    """
+    """Bring timestamps of a sweep's middle or end to its start; points without times are at the middle, if known."""
     meant = part.record.get("timestamp", "start")
     sweep_ns: int = part.record.get("sweep_s", 0)
     timestamps_ns = reader.timestamps_ns
@@ -1425,11 +1413,7 @@ def _note_doubts(drive: _Drive, sensors: Sequence[Sensor], trajectories: Mapping
 
 
 def _shifted(timestamps_ns: Int64Array, offset_ns: int, file: object, location: str) -> Int64Array:
-    """Add an offset to timestamps.
-
-    Raises:
-        DataError: a sum is beyond the year 2261.
-    """
+    """Add an offset to timestamps; a sum beyond the year 2261 is a DataError."""
     ends = (int(timestamps_ns.min()), int(timestamps_ns.max())) if len(timestamps_ns) else (0,)
     if max(abs(end + offset_ns) for end in ends) > FARTHEST_NS:
         raise DataError(file, location, f"times with {offset_ns / 1e9:g} s added are beyond the year 2261")

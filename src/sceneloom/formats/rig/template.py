@@ -181,24 +181,15 @@ def _is_control(sign: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _FoundSensor:
-    """What may be a sensor.
+    """What may be a sensor."""
 
-    Attributes:
-        id: from its folder or name.
-        files: how the manifest names its files.
-        about: how many there are and of which kind, for people.
-        times: the `times` of the manifest; empty where the file holds them.
-        size: width and height of images [px], None for other sensors.
-        further: more lines of the manifest.
-    """
-
-    id: str
+    id: str  # from its folder or name
     type: str
-    files: Mapping[str, str]
-    about: str
-    times: Mapping[str, str | float | bool] = field(default_factory=dict)
-    size: tuple[int, int] | None = None
-    further: Sequence[str] = ()
+    files: Mapping[str, str]  # how the manifest names its files
+    about: str  # how many there are and of which kind, for people
+    times: Mapping[str, str | float | bool] = field(default_factory=dict)  # empty where the file holds them
+    size: tuple[int, int] | None = None  # width and height of images [px]
+    further: Sequence[str] = ()  # more lines of the manifest
 
     def text(self, ego: str) -> str:
         """Its table in the manifest."""

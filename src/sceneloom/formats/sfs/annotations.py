@@ -67,23 +67,14 @@ _Fields = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """A record of the file that is being read: an annotation, or a part of one.
-
-    Attributes:
-        source: the file.
-        fields: its fields, checked by the table of fields, times in nanoseconds.
-        root: where the annotation is in the file.
-        location: where the record is in the annotation.
-        faults: collects what is wrong, with locations in the annotation.
-        type: of the annotation.
-    """
+    """A record of the file that is being read: an annotation, or a part of one."""
 
     source: Source
-    fields: _Fields
-    root: Location
-    location: Location
-    faults: Faults
-    type: str = ""
+    fields: _Fields  # checked by the table of fields, times in nanoseconds
+    root: Location  # where the annotation is in the file
+    location: Location  # where the record is in the annotation
+    faults: Faults  # with locations in the annotation
+    type: str = ""  # of the annotation
 
     def part(self, fields: _Fields, *below: str | int) -> "_Record":
         """A record inside this one."""
@@ -116,19 +107,12 @@ class _Record:
 
 @dataclass(frozen=True, slots=True)
 class _Column:
-    """A field of a record, and the attribute of the model that holds it.
+    """A field of a record and the attribute of the model that holds it; it passes as it is where a function is None."""
 
-    Attributes:
-        attribute: its name in the model, if it is another one.
-        read: makes the attribute of record, name and value; None: it passes as it is.
-        write: makes the field of location, attribute and unknown fields of it; None: it passes as it is.
-        extras: gives the unknown fields of a value that the model has no object for.
-    """
-
-    attribute: str = ""
-    read: Callable[[_Record, str, Any], Any] | None = None
-    write: Callable[[str, Any, Any], Any] | None = None
-    extras: Callable[[Any], _Fields] | None = None
+    attribute: str = ""  # its name in the model, if it is another one
+    read: Callable[[_Record, str, Any], Any] | None = None  # of record, name and value
+    write: Callable[[str, Any, Any], Any] | None = None  # of location, attribute and its unknown fields
+    extras: Callable[[Any], _Fields] | None = None  # unknown fields of a value that the model has no object for
 
 
 class _NotFiniteError(ValueError):
@@ -483,10 +467,7 @@ def _record(model: Callable[..., Any], columns: Mapping[str, _Column]) -> _Colum
 def _records(
     model: Callable[..., Any], columns: Mapping[str, _Column], *, depth: int = 1, required: bool = False
 ) -> _Column:
-    """A field that holds a list of records, or a list of lists of them; one in place of a list is taken, too.
-
-    An empty list is left out where the field is not required.
-    """
+    """A list of records, or of lists of them (one in place of a list is taken); empty is left out if not required."""
 
     def read_level(record: _Record, location: Location, raw: Any, level: int) -> Any:
         if level and not isinstance(raw, dict):

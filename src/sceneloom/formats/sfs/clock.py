@@ -145,12 +145,7 @@ class FileClock:
         return np.array([self.timestamp(time_ns) for time_ns in times_ns], dtype), inexact
 
     def _timestamps_of_sweep(self, timestamps_ns: Int64Array, lowest: int) -> tuple[AnyArray, int]:
-        """Divide in 32 bits, which takes half the time, what lies within 4 s.
-
-        Args:
-            timestamps_ns: (N,) int64 [ns].
-            lowest: the earliest, from the offset [ns].
-        """
+        """Divide in 32 bits, in half the time, what lies within 4 s of `lowest`, the earliest, from the offset [ns]."""
         tick = np.uint32(self.tick_ns)
         first = lowest // (2 * self.tick_ns) * 2  # an even timestamp, so that it does not change what is even
         start_ns = self.offset_ns + first * self.tick_ns

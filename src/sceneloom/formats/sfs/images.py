@@ -156,12 +156,7 @@ class _CutBytes:
 
 
 def _rescue_video(there: memoryview, length: int) -> tuple[bytes, list[int], int]:
-    """Keep the packets that are whole, up to the first one that is not.
-
-    Returns:
-        A video of these packets, which images of the original it holds, in the order of their times, and how many
-        the original had.
-    """
+    """A video of the packets before the first damaged one; which images of the original it has, of how many."""
     from sceneloom.formats.video.reader import (
         BY_TABLES,
         OpenVideo,

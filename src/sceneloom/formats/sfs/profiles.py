@@ -38,13 +38,9 @@ _LOADED_ANNOTATIONS = (
 
 @dataclass(frozen=True, slots=True)
 class _Need:
-    """What one field has to be.
+    """What one field has to be."""
 
-    Attributes:
-        what: a name out of `_CHECKS`, or of a record: `@poses` one, `[@attribute]` a list of them.
-    """
-
-    what: str
+    what: str  # out of `_CHECKS`, or a record's: `@poses` one, `[@attribute]` a list
     required: bool = False
     nullable: bool = True
 
@@ -96,10 +92,8 @@ _OTHER_NEEDS: Mapping[tuple[str, str], _Need | None] = {
 
 
 def _needs_of(record: str) -> Mapping[str, _Need]:
-    """What the library needs of the fields of a record: those that the description requires or expects.
-
-    Source: scale-sensor-fusion-io 0.5.4, spec/sfs/types.py and validation/parser/sfs.py.
-    """
+    """What the library needs of the fields of a record: those that the description requires or expects."""
+    # Source: scale-sensor-fusion-io 0.5.4, spec/sfs/types.py and validation/parser/sfs.py.
     needs: dict[str, _Need] = {}
     for name, field in RECORDS[record].items():
         needed = field.required or field.expected

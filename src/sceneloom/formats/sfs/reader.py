@@ -46,19 +46,12 @@ _REPORTED = 4
 
 @dataclass(frozen=True, slots=True)
 class _Loss:
-    """A part of a file that is at fault and not in the scene.
+    """A part of a file that is at fault and not in the scene."""
 
-    Attributes:
-        keys: where it is in the file.
-        words: what it is, for people (`frame 12 of lidar 'top'`).
-        problem: what is wrong.
-        lost_bytes: how much of an array is not there, where it is known.
-    """
-
-    keys: Location
-    words: str
-    problem: str
-    lost_bytes: int | None = None
+    keys: Location  # where it is in the file
+    words: str  # what it is, for people (`frame 12 of lidar 'top'`)
+    problem: str  # what is wrong
+    lost_bytes: int | None = None  # how much of an array is not there, where it is known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,15 +196,10 @@ def read_container(
 
 @dataclass(frozen=True, slots=True)
 class _Removed:
-    """What was taken out of a header, so that another process can do the same.
+    """What was taken out of a header, so that another process can do the same."""
 
-    Attributes:
-        videos: whether videos that were cut got what is left of them.
-        rounds: the locations that were taken out together, one round after the other.
-    """
-
-    videos: bool = False
-    rounds: tuple[tuple[Location, ...], ...] = ()
+    videos: bool = False  # videos that were cut got what is left of them
+    rounds: tuple[tuple[Location, ...], ...] = ()  # locations that were taken out together, one round after the other
 
 
 _ROUNDS = 4
@@ -612,10 +600,7 @@ def _is_timed_row(record: Mapping[str, Any], keys: Location) -> bool:
 
 
 def _what_goes_with(header: Mapping[str, Any], locations: Iterable[Location]) -> dict[Location, Location]:
-    """Report of locations whose values are lost what has to be taken out; those that nothing can be taken out for lack.
-
-    Where all rows of a path are lost, what needs the path goes in their location.
-    """
+    """What goes for locations of lost values, if anything: for a path without rows, what needs it in its location."""
     goes = {keys: victim for keys in locations if (victim := what_goes(header, keys)) is not None}
     rows: dict[Location, set[Location]] = defaultdict(set)
     for victim in goes.values():

@@ -265,10 +265,7 @@ def _in_columns(array: AnyArray, columns: int) -> AnyArray:
 
 
 def _point_times(clock: FileClock, value: Any) -> AnyArray:
-    """Check the times of points, which become nanoseconds only when their frame is read.
-
-    Source of the width where no dtype states it: `timestamps` in "Lidar Sensor" of the description.
-    """
+    """Check times of points, which become nanoseconds when their frame is read. Source of the width: "Lidar Sensor"."""
     if isinstance(value, RawBytes):
         return _of_raw_bytes(value, point_times_dtype(clock))
     array = _of_list(value, np.dtype(np.int64)) if isinstance(value, list) else value

@@ -154,20 +154,13 @@ def _read_sensor(source: Source, raw: Any, location: Location, faults: Faults) -
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """The record of a sensor while it is read.
-
-    Attributes:
-        values: its fields, times in nanoseconds; readers take out what the model has attributes for.
-        location: where it is in the file.
-        faults: collects what is wrong, with locations in the record.
-        note: what our metadata says about the sensor.
-    """
+    """The record of a sensor while it is read."""
 
     source: Source
-    values: _Fields
+    values: _Fields  # times in nanoseconds; readers take out what the model has attributes for
     location: Location
-    faults: Faults
-    note: Mapping[str, Any]
+    faults: Faults  # with locations in the record
+    note: Mapping[str, Any]  # what our metadata says about the sensor
 
     def warning(self, kind: WarningKind, code: str, message: str, *below: str) -> None:
         """Note something about a part of the sensor."""
@@ -520,21 +513,14 @@ def _no_image(index: int, _: Camera) -> CameraImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ImageContent:
-    """Where a camera's images come from; by default, from nowhere.
+    """Where a camera's images come from; by default, from nowhere."""
 
-    Attributes:
-        starts_ns: (N,) int64 [ns], start of each image.
-        read: makes image `k`, taken by the given camera model, its time still that of its start.
-        extras: fields that have no other location in the model.
-        own_fields: unknown fields of each image; empty where no image has any.
-    """
-
-    starts_ns: Int64Array = field(default_factory=lambda: np.zeros(0, np.int64))
-    read: Callable[[int, Camera], CameraImage] = _no_image
+    starts_ns: Int64Array = field(default_factory=lambda: np.zeros(0, np.int64))  # of each image
+    read: Callable[[int, Camera], CameraImage] = _no_image  # image `k` by its camera model, timed by its start
     video: VideoContent | None = None
     fps: float | None = None
-    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
-    own_fields: Sequence[Mapping[str, Any]] = ()
+    extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)  # without another location in the model
+    own_fields: Sequence[Mapping[str, Any]] = ()  # unknown fields of each image; empty where none has any
 
 
 def _content(record: _Record, camera: Camera) -> _ImageContent:
@@ -619,13 +605,9 @@ def _with_size(camera: Camera, size: tuple[int, int]) -> Camera:
 
 
 class _Player:
-    """Opens a video at its first use and keeps it open.
+    """Opens a video at its first use and keeps it open; `index` is the list of its images."""
 
-    It has no lock, which a fork could leave locked for good: two threads may both open the video, and one wins.
-
-    Attributes:
-        index: the list of its images, None until it is known.
-    """
+    # It has no lock, which a fork could leave locked for good: two threads may both open the video, and one wins.
 
     def __init__(self, container: Container, content: Content, location: str) -> None:
         self._container, self._content, self._location = container, content, location
@@ -804,11 +786,7 @@ def intrinsics_record(camera: Camera, extras: Any) -> _Fields:
 
 
 def _mount_of(rows: Any) -> RigidTransform:
-    """Make a mounting of the three rows of R and t.
-
-    Raises:
-        FieldError: they are no rigid transform.
-    """
+    """Make a mounting of the three rows of R and t; a FieldError where they are no rigid transform."""
     matrix = rows_of(rows, 4)
     if len(matrix) != 3:
         raise FieldError(f"{len(matrix)} rows; expected three of R and t")

@@ -90,17 +90,11 @@ file without copying what follows (FALLOC_FL_INSERT_RANGE, which ext4 and XFS kn
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Blob:
-    """An array that stands in the spool, and in the header's tree until its item is written.
+    """An array that stands in the spool, and in the header's tree until its item is written."""
 
-    Attributes:
-        offset: of its first byte, from the end of the header.
-        length: in bytes.
-        dtype: NumPy's name.
-    """
-
-    offset: int
-    length: int
-    dtype: str
+    offset: int  # of its first byte, from the end of the header
+    length: int  # in bytes
+    dtype: str  # NumPy's name
     shape: tuple[int, ...]
 
 
@@ -678,13 +672,9 @@ _LATEST_STATIONARY_NS = 100_000_000_000
 
 @dataclass(slots=True)
 class _ImageNotes:
-    """Collects what single images have of their own.
+    """Collects what single images have of their own."""
 
-    Attributes:
-        cameras: number of each camera model; 0 is that of the camera, and images that have it need no note.
-    """
-
-    cameras: dict[Camera, int]
+    cameras: dict[Camera, int]  # numbers; 0 is the camera's own model, whose images need no note
     _chosen: list[int] = field(default_factory=list)
     _mounts: list[list[list[float]] | None] = field(default_factory=list)
     _extras: list[Mapping[str, Any]] = field(default_factory=list)
@@ -721,37 +711,22 @@ def _camera_record(camera: Camera) -> dict[str, Any]:
 
 @dataclass(slots=True)
 class _SensorDraft:
-    """One sensor while its frames come in.
-
-    Attributes:
-        fields: its record besides poses and frames.
-        note: what stands about it in our metadata.
-        points_frame: the frame of its points, where it has any.
-        poses: None: not known.
-        mount: `ego_from_sensor`, where it is known.
-        coordinates: the frame that `poses` lead into; None for sensors without.
-        further_poses: unknown fields of `poses`.
-        frames: records of its frames so far; None where it has none.
-        point_times: the spooled times of points.
-        lengths: of radar points, one entry per frame, where the profile has no field for them.
-        images: what single images of a camera have of their own.
-        streamed: whether frames may still come.
-    """
+    """One sensor while its frames come in."""
 
     id: Identifier
     type: str
-    fields: dict[str, Any]
-    note: dict[str, Any] = field(default_factory=dict)
-    points_frame: str | None = None
-    poses: Poses | None = None
-    mount: Any = None
-    coordinates: str | None = None
-    further_poses: Mapping[str, Any] = field(default_factory=dict)
-    frames: list[dict[str, Any]] | None = None
+    fields: dict[str, Any]  # its record besides poses and frames
+    note: dict[str, Any] = field(default_factory=dict)  # what stands about it in our metadata
+    points_frame: str | None = None  # where it has points
+    poses: Poses | None = None  # None: not known
+    mount: Any = None  # `ego_from_sensor`, where it is known
+    coordinates: str | None = None  # the frame that `poses` lead into
+    further_poses: Mapping[str, Any] = field(default_factory=dict)  # unknown fields of `poses`
+    frames: list[dict[str, Any]] | None = None  # records so far; None where it has none
     point_times: list[_Blob] = field(default_factory=list)
-    lengths: list[Any] = field(default_factory=list)
+    lengths: list[Any] = field(default_factory=list)  # of radar points by frame, where there is no field for them
     images: _ImageNotes | None = None
-    streamed: bool = True
+    streamed: bool = True  # frames may still come
 
     @property
     def location(self) -> str:
@@ -881,11 +856,7 @@ _STAND_INS = ("brown_conrady", "fisheye", "fisheye_rad_tan_prism", "omnidirectio
 
 
 def _written_camera_model(camera: Camera, *, any_model: bool) -> tuple[Camera, str | None]:
-    """The camera model that an `intrinsics` record can hold: the same, or the nearest one of a model of the format.
-
-    Returns:
-        The camera model, and in words how far it is off; None where it is the same.
-    """
+    """The model, or the nearest that an `intrinsics` record can hold, and in words how far off; None: the same."""
     count = COEFFICIENT_COUNTS.get(camera.model)
     if camera.model == "pinhole" or (any_model and count is None):
         return camera, None
@@ -903,20 +874,12 @@ def _written_camera_model(camera: Camera, *, any_model: bool) -> tuple[Camera, s
 
 @dataclass(slots=True)
 class _ClockKeeper:
-    """Chooses the offset.
+    """Chooses the offset."""
 
-    Attributes:
-        tick_ns: length of the file's unit [ns].
-        offset_ns: the offset; None until the first time is known.
-        fixed: whether the caller chose the offset, so that it cannot move.
-        spool: holds point times that have to follow when it moves.
-        drafts: the sensors so far.
-    """
-
-    tick_ns: int
-    offset_ns: int | None
-    fixed: bool
-    spool: Spool
+    tick_ns: int  # length of the file's unit [ns]
+    offset_ns: int | None  # None until the first time is known
+    fixed: bool  # the caller chose the offset, so that it cannot move
+    spool: Spool  # holds point times that have to follow when it moves
     drafts: Mapping[Any, _SensorDraft]
 
     def __post_init__(self) -> None:
@@ -982,22 +945,14 @@ _CHUNK = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class _OpenFile:
-    """A file that is being written: spools the arrays of points, images and videos.
+    """A file that is being written."""
 
-    Attributes:
-        folder: for files that are needed on the way.
-        keeper: gives the clock.
-        losses: collects what cannot be held.
-        verbatim: the contents come from a file of this format: timestamps, far positions and images of any kind pass
-            as they are.
-    """
-
-    spool: Spool
-    folder: Path
-    keeper: _ClockKeeper
+    spool: Spool  # arrays of points, images and videos
+    folder: Path  # for files that are needed on the way
+    keeper: _ClockKeeper  # gives the clock
     profile: Profile
     losses: Losses
-    verbatim: bool
+    verbatim: bool  # contents of a file of this format: times, far positions and images of any kind pass
 
     def add_points(self, draft: _SensorDraft, frame: LidarFrame | RadarFrame) -> None:
         """Spool one sweep or cycle."""
@@ -1190,19 +1145,12 @@ class _Arrays:
 
 
 class _RecordWriter:
-    """Writes records of a file whose clock is known.
-
-    Attributes:
-        items: the arrays so far, each with its location in the header, where it leaves an empty text.
-        lowest: the lowest timestamp so far, 0 at most.
-        rounded: how many times were not a whole number of the file's unit.
-        not_numbers: how many numbers were infinite or NaN, which JSON cannot state.
-    """
+    """Writes records of a file whose clock is known, and counts times that were `rounded` to its unit."""
 
     def __init__(self, clock: FileClock, arrays: _Arrays) -> None:
         self.clock, self._arrays = clock, arrays
-        self.items: list[tuple[Location, _Blob]] = []
-        self.lowest = self.rounded = self.not_numbers = 0
+        self.items: list[tuple[Location, _Blob]] = []  # with locations in the header, where each leaves an empty text
+        self.lowest = self.rounded = self.not_numbers = 0  # lowest time, 0 at most; numbers that JSON cannot state
         self._keys: list[str | int] = []
 
     @contextmanager
@@ -1389,23 +1337,15 @@ _EVERYWHERE = "sensors[], annotations[], attributes[]"
 
 @dataclass(slots=True)
 class _Contents:
-    """Everything that a writer was given, arrays of frames spooled already.
-
-    Attributes:
-        attributes: of the scene and its sensors.
-        metadata: free fields.
-        ours: fields of our entry of the metadata.
-        extras: unknown root fields.
-        time_unit: how the unit is spelt; None for the usual spelling.
-    """
+    """Everything that a writer was given, arrays of frames spooled already."""
 
     drafts: dict[tuple[type, Identifier], _SensorDraft] = field(default_factory=dict)
     annotations: list[dict[str, Any]] = field(default_factory=list)
-    attributes: list[Mapping[str, Any]] = field(default_factory=list)
-    metadata: dict[str, Any] = field(default_factory=dict)
-    ours: dict[str, Any] = field(default_factory=dict)
-    extras: dict[str, Any] = field(default_factory=dict)
-    time_unit: str | None = None
+    attributes: list[Mapping[str, Any]] = field(default_factory=list)  # of the scene and its sensors
+    metadata: dict[str, Any] = field(default_factory=dict)  # free fields
+    ours: dict[str, Any] = field(default_factory=dict)  # fields of our entry of the metadata
+    extras: dict[str, Any] = field(default_factory=dict)  # unknown root fields
+    time_unit: str | None = None  # its spelling; None for the usual one
 
 
 def _make_header(contents: _Contents, profile: Profile, keeper: _ClockKeeper, losses: Losses) -> bytes:

@@ -29,11 +29,7 @@ _BEGINNING = 65_536
 
 
 def _beginning(path: Path) -> str | None:
-    """The first lines of a file that is a text, else None; a line that is cut off is left out.
-
-    Raises:
-        DataError: it cannot be read.
-    """
+    """The first lines of a file that is a text, else None; a line that is cut off is left out."""
     with file_faults(path), open_file(path) as file:
         raw = file.read(_BEGINNING + 1)
     if b"\0" in raw:
@@ -52,13 +48,10 @@ _FIXES = "fixes"
 def _read_scene_trajectory(
     form: FormatSpec, location: Any, reading: Reading, options: Mapping[str, Any], progress: Progress | None = None
 ) -> TrajectoryFile:
-    """Open a scene and take a trajectory out of it.
-
-    The `name` of the reading is one out of `scene.trajectories`; "lidar" or "gnss" to estimate the trajectory from the
-    sweeps or from GNSS and IMU; "fixes" or "fixes:ID" for what a satellite receiver reported. None: the default one;
-    where there is none and no lidar, the fixes as received, since what is compared is what was reported, and not what
-    a smoother makes of it; else what `find_ego_motion` estimates.
-    """
+    """Open a scene and take a trajectory out of it."""
+    # `reading.name`: one of `scene.trajectories`; "lidar" or "gnss" to estimate it; "fixes" or "fixes:ID" for what a
+    # satellite receiver reported. None: the default one; without it and without a lidar, the fixes as received, since
+    # what is compared is what was reported; else what `find_ego_motion` estimates.
     further = dict(options)
     chosen = chosen_corrections(further.pop("corrections", Corrections.APPLY))
     with form.open(location, **further) as opened:

@@ -149,10 +149,7 @@ def _kitti_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
 
 
 def _quaternions(table: Table, matrices: Float64Array) -> Float64Array:
-    """The rotations nearest to (N, 3, 3) matrices, which are rounded, as (N, 4) quaternions.
-
-    Source: as `nearest_rotation`, all at once.
-    """
+    """The rotations nearest to (N, 3, 3) rounded matrices, as (N, 4) quaternions. Source: as `nearest_rotation`."""
     # elements beyond 2 would overflow in the products of the test
     small = np.abs(matrices).max(axis=(1, 2)) <= 2
     clipped = np.where(small[:, None, None], matrices, 0.0)
@@ -408,11 +405,7 @@ def _first_names(text: str) -> list[str] | None:
 
 
 def _oriented(content: TrajectoryFile, target: Path, form: str) -> tuple[Trajectory, Float64Array]:
-    """The trajectory with its orientations, for a form that cannot do without.
-
-    Raises:
-        OptionError: it has none.
-    """
+    """The trajectory with its orientations, for a form that cannot do without."""
     trajectory = content.trajectory
     if trajectory.quaternions_xyzw is None:
         raise OptionError(

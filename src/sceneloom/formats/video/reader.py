@@ -154,10 +154,7 @@ _SEGMENT, _LONGEST_HEAD = b"\x18\x53\x80\x67", 12
 
 
 def _matroska_stop(file: BinaryIO, size: int) -> int:
-    """Where a Matroska file ends by the sizes of its elements, as far as it can be followed. Source: RFC 8794, 4 to 6.
-
-    An element whose size is not known, as while it is being recorded, is entered like the segment.
-    """
+    """Where a Matroska file ends by its elements' sizes; unknown sizes are entered. Source: RFC 8794, 4 to 6."""
     location = 0
     while location < size:
         file.seek(location)
@@ -288,12 +285,9 @@ def read_index(
 
 
 def _walk(opened: OpenVideo, name: str, *, cut_off: bool) -> tuple[list[tuple[int | None, bool]], int]:
-    """When the image of each packet is shown [ticks] and whether it is a key frame; and how many images are hidden.
-
-    Of a container that breaks off, an image that is shown before one that is there may have been stored after it. No
-    packet after the last one is decoded earlier than that, nor shown before it is decoded: the images up to the last
-    decoding time are all there.
-    """
+    """When the image of each packet is shown [ticks] and whether it is a key frame; and how many images are hidden."""
+    # Of a container that breaks off, an image shown before one that is there may have been stored after it. No packet
+    # after the last is decoded earlier than that, nor shown before it is decoded: images up to that time are there.
     decoder, container = opened.stream.codec_context, opened.container
     reorders = codec_reorders(opened.stream)
     # times that such containers are given are guesses
@@ -324,11 +318,7 @@ def _walk(opened: OpenVideo, name: str, *, cut_off: bool) -> tuple[list[tuple[in
 
 
 def _entries(pts: Int64Array, keys: Sequence[bool], order: Int64Array) -> Int64Array:
-    """For each image, the last key frame that is both stored and shown no later than it.
-
-    An image stored after a key frame but shown before it may depend on what came before the key frame (open groups of
-    images), so decoding for it has to begin at the key frame before.
-    """
+    """For each image, the last key frame stored and shown no later; images shown before theirs may need one before."""
     ranks, entries = np.argsort(order), np.zeros(len(order), np.int64)
     key_positions = [0]
     for position, (tick, key) in enumerate(zip(pts.tolist(), keys, strict=True)):
@@ -385,10 +375,7 @@ class _Hollow(ByteStream):
 
 
 def _media(content: Bytes) -> Iterator[tuple[int, int]]:
-    """What is in the boxes that hold images: first byte, and the one after the last.
-
-    Source: ISO/IEC 14496-12, 4.2 (boxes) and 8.1.1 (media data).
-    """
+    """First byte, and the one after the last, of boxes that hold images. Source: ISO/IEC 14496-12, 4.2 and 8.1.1."""
     location = 0
     for _ in range(_MOST_BOXES):
         head = bytes(content[location : location + 16])
@@ -585,11 +572,8 @@ def _formulas() -> tuple[_Formula, ...]:
 
 
 def _formula_like_converter(frame: VideoFrame) -> _Formula | None:
-    """Find the formula that gives what the converter gives, within a level, for an image marked like this one.
-
-    The marks that say where samples of colour lie are shown to the converter only, so it is asked by an image that it
-    marks itself. None where no formula of ours agrees.
-    """
+    """A formula that gives what the converter gives, within a level, for an image marked like this one, else None."""
+    # Marks that say where samples of colour lie are shown to the converter only: it is asked by an image that it marks.
     probe = VideoReformatter().reformat(frame, width=_PROBE_WIDTH, height=_PROBE_HEIGHT)
     if probe is frame:
         return None

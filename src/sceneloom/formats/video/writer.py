@@ -101,21 +101,13 @@ _KEY_FRAME_DISTANCE = 30
 
 @dataclass(frozen=True, slots=True)
 class _Encoder:
-    """How one codec is set up.
+    """How one codec is set up."""
 
-    Attributes:
-        library: FFmpeg's name of the encoder.
-        pixel_format: what it is fed with.
-        options: its settings; `crf` and `threads` are added where it knows them.
-        halves: whether chroma has half the resolution, so that sizes must be even.
-        sixteen_bits: whether images are one plane of 16-bit numbers, not colours.
-    """
-
-    library: str
-    pixel_format: str
-    options: Mapping[str, str]
-    halves: bool = False
-    sixteen_bits: bool = False
+    library: str  # FFmpeg's name of the encoder
+    pixel_format: str  # what it is fed with
+    options: Mapping[str, str]  # `crf` and `threads` are added where it knows them
+    halves: bool = False  # chroma has half the resolution, so that sizes must be even
+    sixteen_bits: bool = False  # one plane of 16-bit numbers, not colours
 
 
 _X264 = "chromaloc=1:mbtree=0"
@@ -346,14 +338,9 @@ def abandon(output: OutputContainer) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PacketTimes:
-    """When the packets of a copy are shown and decoded.
+    """When the packets of a copy are shown and decoded, (N,) [ticks] in the order of storage."""
 
-    Attributes:
-        tick: length of one tick [s].
-        pts, dts, durations: (N,) int64 [ticks], one per packet in the order of storage.
-    """
-
-    tick: Fraction
+    tick: Fraction  # [s]
     pts: Int64Array
     dts: Int64Array
     durations: Int64Array
@@ -389,16 +376,7 @@ def _copy_packets(
     *,
     taken: BoolArray | None = None,
 ) -> None:
-    """Copy packets that hold images into a new container, one at a time.
-
-    Args:
-        source: the video.
-        target: where to.
-        container: of what kind.
-        times: of the packets that are copied.
-        name: what messages call the source.
-        taken: (N,) bool, which packets to copy, in the order of storage; None for all.
-    """
+    """Copy packets that hold images, those `taken` (N,) or all, one at a time into a container of kind `container`."""
     called = target_name(target)
     with closing(OpenVideo(source, name)) as opened:
         header = len(opened.stream.codec_context.extradata or b"")

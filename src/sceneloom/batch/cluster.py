@@ -200,10 +200,8 @@ def run_packed(version: str, packed: bytes) -> bytes:
 
 
 def _run_once(task: Task) -> Outcome:
-    """Do a task unless a worker that is gone has begun it.
-
-    What is sent to a store appears whole however many have begun it, and workers need share no folder for it.
-    """
+    """Do a task unless a worker that is gone has begun it."""
+    # what is sent to a store appears whole however many have begun it, and workers need share no folder for it
     if task.target:
         return run_task(task)
     folder = task.draft.parent
@@ -236,10 +234,8 @@ def _client(address: str, seconds: float = _CONNECTING_SECONDS) -> Client:
 
 
 def _held_by(threads: int) -> int:
-    """How many tasks a worker takes: one to do, and one to begin at once when that has ended.
-
-    One with more threads would begin the second beside the first, wait, and keep it from workers that are free.
-    """
+    """How many tasks a worker takes: one to do, and one to begin at once when that has ended."""
+    # one with more threads would begin the second beside the first, wait, and keep it from workers that are free
     return 2 if threads == 1 else 1
 
 

@@ -33,15 +33,10 @@ CLAIM = ".sceneloom-run"
 
 @dataclass(frozen=True, slots=True)
 class _Outputs:
-    """Where outputs are put: a folder on disk, or a location in a store.
+    """Where outputs are put: a folder on disk, or a location in a store."""
 
-    Attributes:
-        location: its path or address.
-        there: names of what was there when the run began; None for a folder on disk.
-    """
-
-    location: str = field(repr=False)
-    there: frozenset[str] | None = None
+    location: str = field(repr=False)  # its path or address
+    there: frozenset[str] | None = None  # what a store held when the run began; None for a folder on disk
 
     @property
     def name(self) -> str:
@@ -64,18 +59,11 @@ class _Outputs:
 
 
 class _Claim(msgspec.Struct, frozen=True, kw_only=True):
-    """What says in a store whose outputs lie there.
+    """What says in a store whose outputs lie there."""
 
-    Attributes:
-        run: name of the run, which its record knows, too.
-        record: where that is.
-        host: on which machine.
-        begun: when.
-    """
-
-    run: str
-    record: str
-    host: str
+    run: str  # its name, which its record knows, too
+    record: str  # where that is
+    host: str  # on which machine
     begun: str
 
 
@@ -181,13 +169,8 @@ _SIDE_BY_SIDE = 16
 
 
 def _open_outputs(store: str, record: Record, *, resume: bool) -> _Outputs:
-    """Give where outputs go; a record belongs to one location for good.
-
-    Args:
-        store: a location in a store; "" for the folder of the record.
-        record: of the run.
-        resume: whether it may have drives already.
-    """
+    """Give where outputs go ("": the folder of the record); a record belongs to one location for good."""
+    # `resume`: whether the record may have drives already
     known, drives = record.reported(), len(record.rows())
     before, now = known.get("store", ""), redacted(store)
     if before != now and drives:

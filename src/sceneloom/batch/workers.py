@@ -135,12 +135,7 @@ def _move_in_place(made: Path, location: Path) -> None:
 
 
 def _drafts_of(draft: Path, locations: Mapping[str, str]) -> dict[str, Path]:
-    """Where a verb writes its further outputs, by option.
-
-    Args:
-        draft: of its own output.
-        locations: where they belong, by option.
-    """
+    """Where a verb writes further outputs, by option, beside the draft of its own; `locations`: where they belong."""
     return {option: draft.parent / _FURTHER / option / name_of(location) for option, location in locations.items()}
 
 

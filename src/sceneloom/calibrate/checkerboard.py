@@ -112,19 +112,12 @@ class Board:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _BoardInCloud:
-    """A board as a lidar sees it.
+    """A board as a lidar sees it."""
 
-    Attributes:
-        points: (N, 3) [m], lidar frame.
-        center: (3,) [m], the middle of its extent.
-        normal: (3,) unit, towards the lidar.
-        noise: root mean square of the points' distances from the plane [m].
-    """
-
-    points: Float64Array
-    center: Float64Array
-    normal: Float64Array
-    noise: float
+    points: Float64Array  # (N, 3) [m], lidar frame
+    center: Float64Array  # (3,) [m], the middle of its extent
+    normal: Float64Array  # (3,) unit, towards the lidar
+    noise: float  # root mean square of the points' distances from the plane [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,10 +202,8 @@ def start_from_target(views: Sequence[BoardView], board: Board) -> MountingEstim
 
 
 def _errors(view: BoardView, camera_from_lidar: RigidTransform, board: Board) -> Float64Array:
-    """Distances from the board's plane, and how far the extent is from the border on both sides, by their sigmas.
-
-    Successive points of a plane are not independent: of many each counts less.
-    """
+    """Distances from the board's plane, and how far the extent is from the border on both sides, by their sigmas."""
+    # successive points of a plane are not independent: of many each counts less
     on_board = view.camera_from_board.inverse().apply(camera_from_lidar.apply(view.cloud.points))
     share = np.sqrt(min(1.0, 100.0 / len(on_board)))
     planes = on_board[:, 2] / max(view.cloud.noise, _PLANE_SIGMA) * share
@@ -319,10 +310,8 @@ def _spread(saddles: Float64Array, tree: cKDTree, seed: int, right: Float64Array
 
 
 def _whole_board(grid: _Grid, saddles: Float64Array, board: Board) -> Float64Array | None:
-    """The corners of a board in a grid that may be a little larger; None where the grid is not just that board.
-
-    The board is seen from its front: columns go to the right of rows, as in the image.
-    """
+    """The corners of a board in a grid that may be a little larger; None where the grid is not just that board."""
+    # the board is seen from its front: columns go to the right of rows, as in the image
     locations = np.array(list(grid))
     low, high = locations.min(axis=0), locations.max(axis=0)
     v, u = np.mgrid[: board.rows, : board.columns].reshape(2, -1)

@@ -452,10 +452,8 @@ def _is_plausible(
 
 
 def _find_up(frames: Sequence[CalibrationFrame]) -> Float64Array | None:
-    """Which axis of the points' frame is up, (3,); None where it is not clear.
-
-    A sweep spreads along the ground, so it is thinnest along the vertical, and its heights trail off upwards.
-    """
+    """Which axis of the points' frame is up, (3,); None where it is not clear."""
+    # a sweep spreads along the ground, so it is thinnest along the vertical, and its heights trail off upwards
     votes = np.zeros(6)
     for frame in frames:
         near = frame.points_lidar[np.linalg.norm(frame.points_lidar, axis=1) < _NEAR]

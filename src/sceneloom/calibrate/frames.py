@@ -393,11 +393,7 @@ class _Drive:
         return points, measured, camera.inverse() @ at_image, _twist(at_lidar, image.timestamp_ns), at_image
 
     def _by_extrinsics(self, sample: Sample, sweep: LidarFrame) -> _Placed:
-        """Relate lidar and camera as if nothing moved between the sweep and the image.
-
-        Raises:
-            PoseError: the extrinsics are not known.
-        """
+        """Relate lidar and camera as if nothing moved between the sweep and the image."""
         lidar, camera_from_points = self.lidar, sample.camera_from_points[sample.reference_id]
         if camera_from_points is None:
             why = "; ".join(dict.fromkeys(sample.unposed.values())) or "neither poses nor extrinsics are known"

@@ -138,22 +138,14 @@ _OFF = (Verdict.WRONG, Verdict.DRIFTING)
 
 @dataclass(frozen=True, slots=True)
 class _Limits:
-    """Limits of one part.
-
-    Attributes:
-        unit: of the part; `scale` leads to it from radians, metres, logarithms and seconds.
-        good, wrong: up to the first it is good, beyond the second it is wrong.
-        floor: the error that the measures have by themselves, on each axis.
-        vague: with a larger standard deviation on any axis nothing is stated.
-        what: agrees.
-    """
+    """Limits of one part."""
 
     unit: str
-    scale: float
-    good: float
-    wrong: float
-    floor: float
-    vague: float
+    scale: float  # leads to the unit from radians, metres, logarithms and seconds
+    good: float  # up to here
+    wrong: float  # beyond this
+    floor: float  # the error that the measures have by themselves, on each axis
+    vague: float  # with a larger standard deviation on any axis nothing is stated
     what: str = "images and sweeps agree"
 
 
@@ -397,23 +389,15 @@ def _time_item(frames: Sequence[CalibrationFrame], joint: dict[str, "_Top"]) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Top:
-    """The best location that was found, by some parameters of a change.
+    """The best location that was found, by some parameters of a change."""
 
-    Attributes:
-        parameters: which of the eight numbers were searched.
-        change: (8,) the location.
-        covariance: (P, P), of the parameters among bootstrap replicates.
-        height: deviations above chance; `distinctness` the same by chance's own deviation.
-        gain, gain_deviation: how much higher it is than where the search began, and its deviation among replicates.
-    """
-
-    parameters: tuple[Parameter, ...]
-    change: Float64Array
-    covariance: Float64Array
-    height: float
-    distinctness: float
-    gain: float
-    gain_deviation: float
+    parameters: tuple[Parameter, ...]  # those searched
+    change: Float64Array  # (8,) the location
+    covariance: Float64Array  # (P, P), among bootstrap replicates
+    height: float  # deviations above chance
+    distinctness: float  # height by chance's own deviation
+    gain: float  # how much higher it is than where the search began
+    gain_deviation: float  # among replicates
 
     @property
     def is_better(self) -> bool:
@@ -421,10 +405,7 @@ class _Top:
 
 
 class _Search:
-    """Finds where images and sweeps agree best: the sum of the measures, each in deviations above chance, is highest.
-
-    Locations are (8,) numbers of a change.
-    """
+    """Finds the change, (8,) numbers, where the sum of the measures, each in deviations above chance, is highest."""
 
     def __init__(self, agreement: Agreement) -> None:
         """Measure chance around the stated calibration, and draw cells with replacement for bootstrap replicates."""
@@ -552,11 +533,8 @@ class _Search:
         by_cells: bool = False,
         rough: bool = False,
     ) -> tuple[Float64Array, Callable[[Float64Array], Float64Array], list[Score]]:
-        """Score locations in a ball: more for more parameters, but not as many more as a quadratic has coefficients.
-
-        Returns:
-            (N, P) the locations; what finds the tops (B, P) of the quadratics through values (B, N); the scores.
-        """
+        """Score locations in a ball (N, P); what finds tops (B, P) of quadratics through values (B, N); the scores."""
+        # more locations for more parameters, but not as many more as a quadratic has coefficients
         dimensions = len(columns)
         looks_each = _LOOKS_PER_COEFFICIENT[dimensions > len(ROTATION)]
         ball = _in_ball(int(looks_each * ((dimensions + 1) * (dimensions + 2) // 2)), dimensions, self.generator)

@@ -88,20 +88,13 @@ class PairedMotions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HandEye:
-    """The extrinsics that motions determine.
+    """The extrinsics that motions determine."""
 
-    Attributes:
-        mounting: `body_from_sensor` with its covariance about the body's axes; what is not observed is the guess's.
-        motions: how many pairs of motions were compared.
-        inliers: share of them that fit within three times the noise.
-        rotation_noise, shift_noise: errors of the motions over half a second [rad], [m].
-    """
-
-    mounting: MountingEstimate
-    motions: int
-    inliers: float
-    rotation_noise: float
-    shift_noise: float
+    mounting: MountingEstimate  # `body_from_sensor`, covariance about the body's axes; the guess's where not observed
+    motions: int  # pairs that were compared
+    inliers: float  # share of them within three times the noise
+    rotation_noise: float  # of the motions over half a second [rad]
+    shift_noise: float  # likewise [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,10 +243,8 @@ def align_motions(motions: PairedMotions, *, guess: RigidTransform | None = None
 
 
 def _closed_rotation(motions: PairedMotions) -> Float64Array:
-    """The rotation that takes rotations of the sensor, and its translations where it hardly rotates, to the body's.
-
-    Source: Park and Martin 1994; the orthogonal factor by singular values, Arun, Huang and Blostein 1987.
-    """
+    """The rotation that takes rotations of the sensor, and its translations where it hardly rotates, to the body's."""
+    # Source: Park and Martin 1994; the orthogonal factor by singular values, Arun, Huang and Blostein 1987
     a = rotation_vector_from_quaternion(motions.body_rotations)
     b = rotation_vector_from_quaternion(motions.sensor_rotations)
     straight = (0.1 / (0.1 + np.linalg.norm(a, axis=1)))[:, None] ** 4
@@ -264,14 +255,10 @@ def _closed_rotation(motions: PairedMotions) -> Float64Array:
 
 
 class _Solution:
-    """Gauss-Newton with weights that are made anew from the residuals in each step.
+    """Gauss-Newton for `mounting` with weights made anew from the residuals in each step."""
 
-    Attributes:
-        mounting: the solution.
-        noise: (lags, 2) of rotations [rad] and translations [m] over each lag.
-        squares: (N, 2) of the residuals over their noise.
-        cost: logarithm of the noise, summed.
-    """
+    # `noise` (lags, 2) of rotations [rad] and translations [m] over each lag; `squares` (N, 2) of the residuals over
+    # it; `cost`: its logarithm, summed
 
     def __init__(self, motions: PairedMotions, start: RigidTransform, guess: RigidTransform) -> None:
         self.motions, self.mounting = motions, start
@@ -286,12 +273,9 @@ class _Solution:
         self.cost = float(np.log(self.noise[np.unique(motions.lags)]).sum())
 
     def _linearised(self) -> tuple[Float64Array, Float64Array]:
-        """The normal equations: (6, 6), with the prior, and the weighted pull of each pair, (N, 6).
-
-        Residuals (N, 6) of A X = X B are rotation, then translation. With R = exp(d) R0 the rotated vector R b changes
-        by -[R0 b]x d; the matrix [v]x takes a vector w to v x w. The noise is by the medians; the median of a
-        chi-squared variable with three degrees of freedom is 2.366.
-        """
+        """The normal equations: (6, 6), with the prior, and the weighted pull of each pair, (N, 6)."""
+        # residuals (N, 6) of A X = X B are rotation, then translation; with R = exp(d) R0, R b changes by -[R0 b]x d;
+        # noise is by the medians; the median of a chi-squared variable with three degrees of freedom is 2.366
         motions, mounting = self.motions, self.mounting
         rotated = mounting.rotate(rotation_vector_from_quaternion(motions.sensor_rotations))
         shifted, rotations = mounting.rotate(motions.sensor_shifts), matrix_from_quaternion(motions.body_rotations)

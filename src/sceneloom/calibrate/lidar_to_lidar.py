@@ -176,27 +176,18 @@ class _PreparedCloud:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CloudFit:
-    """The fit of a cloud onto another.
+    """The fit of a cloud onto another."""
 
-    Attributes:
-        matrix: (4, 4) `target_from_source`.
-        information: (6, 6) of a small rotation, then a small translation, in the source's own axes.
-        overlap: share of the source's points that found a partner; `misfit` the mean squared distance of these.
-    """
-
-    matrix: Float64Array
-    information: Float64Array
-    overlap: float
-    misfit: float
+    matrix: Float64Array  # (4, 4) `target_from_source`
+    information: Float64Array  # (6, 6) of a small rotation, then a small translation, in the source's own axes
+    overlap: float  # share of the source's points that found a partner
+    misfit: float  # mean squared distance of these
 
 
 def _fit_cloud(
     target: _PreparedCloud, source: _PreparedCloud, start: Float64Array, reaches: Sequence[float]
 ) -> _CloudFit:
-    """Fit a cloud onto another, from (4, 4) `target_from_source`.
-
-    Source: Segal, Haehnel and Thrun 2009, "Generalized-ICP"; Koide 2024, "small_gicp".
-    """
+    """Fit a cloud onto another from (4, 4) `target_from_source` (Segal et al. 2009, GICP; Koide 2024, "small_gicp")."""
     matrix = start
     for reach in reaches:
         found = small_gicp.align(
@@ -245,11 +236,7 @@ def _level_from_lidar(points: Float64Array) -> RigidTransform | None:
 
 
 def _joined(fits: list[_CloudFit], source: str) -> tuple[MountingEstimate, int]:
-    """One estimate from those of all frames, each by its information, with their scatter as covariance.
-
-    Raises:
-        PoseError: the frames do not agree.
-    """
+    """One estimate from those of all frames, each by its information, with their scatter as covariance."""
     poses = [RigidTransform.nearest(fit.matrix)[0] for fit in fits]
     locations = np.array([[*pose.translation, *(10.0 * pose.rotation.ravel())] for pose in poses])
     distances = np.linalg.norm(locations[:, None] - locations[None], axis=2)

@@ -150,10 +150,8 @@ class Change:
 
 
 def _screw_motion(screw: Float64Array) -> Float64Array:
-    """The (4, 4) transform of a constant angular velocity [rad] and velocity [m], (6,), over a unit of time.
-
-    Source: exponential map of SE(3), e.g. Barfoot 2017, State Estimation for Robotics, eq. 7.34 to 7.37.
-    """
+    """The (4, 4) transform of angular velocity [rad] and velocity [m], (6,), over a unit of time."""
+    # Source: exponential map of SE(3), e.g. Barfoot 2017, State Estimation for Robotics, eq. 7.34 to 7.37
     rotation, velocity = screw[:3], screw[3:]
     angle = float(np.linalg.norm(rotation))
     x = np.array([[0.0, -rotation[2], rotation[1]], [rotation[2], 0.0, -rotation[0]], [-rotation[1], rotation[0], 0.0]])
@@ -170,23 +168,14 @@ def _screw_motion(screw: Float64Array) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MeasuredImage:
-    """An image as the measures need it.
+    """An image as the measures need it."""
 
-    Attributes:
-        camera: the camera model of the reduced image; `camera_model` its numbers as the projection takes them.
-        grey: (H, W) float32, the reduced image, 0 to 255.
-        edges: by name of the width, "fine" and "coarse": (4, H, W) float32, strength of edges across each direction,
-            as multiples of what is usual around them.
-        levels: (H, W) float32, 0 to `_LEVELS` - 1, each level as frequent as any other.
-        plainness: share of the image that shows nothing, being of one brightness.
-    """
-
-    camera: Camera
-    camera_model: Float64Array
-    grey: Float32Array
-    edges: dict[str, Float32Array]
-    levels: Float32Array
-    plainness: float
+    camera: Camera  # of the reduced image
+    camera_model: Float64Array  # its numbers as the projection takes them
+    grey: Float32Array  # (H, W), the reduced image, 0 to 255
+    edges: dict[str, Float32Array]  # "fine", "coarse": (4, H, W), by direction, in multiples of the usual
+    levels: Float32Array  # (H, W), 0 to `_LEVELS` - 1, each level as frequent as any other
+    plainness: float  # share of the image that shows nothing, being of one brightness
 
 
 def blur(image: Float32Array, width: float) -> Float32Array:
@@ -281,13 +270,8 @@ def _least_jump(near: Float64Array) -> Float64Array:
 
 
 def _jumps_in_scan(scan: ScanOrder, chosen: Int64Array) -> tuple[Int64Array, Int64Array, Float64Array, Float64Array]:
-    """Jumps between neighbours on a line, and between lines; these count less, since lines lie farther apart.
-
-    Returns:
-        near, far: (N,) int64, the points.
-        shares: (N,) what each counts.
-        reaches: (N,) how far the edge is, as a multiple of the near point's range.
-    """
+    """Jumps on and between lines: near points, far points, shares (what each counts) and reaches, (N,)."""
+    # jumps between lines count less, since lines lie farther apart; a reach is a multiple of the near point's range
     part = scan.part(chosen)
     if len(part.order) < 2:
         return part.order[:0], part.order[:0], np.zeros(0), np.zeros(0)
@@ -317,11 +301,9 @@ def _reversed(ahead: Int64Array) -> Int64Array:
 def _jumps_along(
     onwards: Int64Array, back: Int64Array, ranges: Float64Array, apart: float
 ) -> tuple[Int64Array, Int64Array, Float64Array]:
-    """Jumps from each row to the next one: near rows, far rows, reaches.
-
-    Where the near surface is one point wide its slant counts as none; a point that itself lies behind an edge, or has
-    none beside it, is no end of a surface that is known.
-    """
+    """Jumps from each row to the next one: near rows, far rows, reaches."""
+    # where the near surface is one point wide its slant counts as none; a point that itself lies behind an edge, or has
+    # none beside it, is no end of a surface that is known
     near = np.flatnonzero(onwards >= 0)
     near = near[_is_jump(ranges[near], ranges[onwards[near]], apart)]
     far, before = onwards[near], back[near]

@@ -404,21 +404,13 @@ def _covariance_of(found: "_Around", views: Int64Array) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cues:
-    """The points of one frame, all channels one after the other.
-
-    Attributes:
-        features: of the frame.
-        points_lidar: (N, 3) float64 [m].
-        weights: (N,) float32; of a channel they have the mean square 1.
-        maps: (N,) int32, which of the image's maps counts for each.
-        channels: (N,) int32, by `_CHANNELS`.
-    """
+    """The points of one frame, all channels one after the other."""
 
     features: FrameFeatures
-    points_lidar: Float64Array
-    weights: Float32Array
-    maps: AnyArray
-    channels: AnyArray
+    points_lidar: Float64Array  # (N, 3) [m]
+    weights: Float32Array  # (N,); of a channel they have the mean square 1
+    maps: AnyArray  # (N,) int32, which of the image's maps counts for each
+    channels: AnyArray  # (N,) int32, by `_CHANNELS`
 
     @property
     def frame(self) -> CalibrationFrame:
@@ -449,11 +441,9 @@ def find_cues(frame: CalibrationFrame) -> _Cues:
 
 
 def _contrasts(features: FrameFeatures) -> tuple[Float64Array, Float32Array]:
-    """Points, and how much brighter each is than its neighbours on the same surface: (N, 3), (N,).
-
-    The sum over pairs of neighbours of the step in intensity times the step in brightness is the sum over points of
-    their contrast times their brightness, each exactly where the point is.
-    """
+    """Points, and how much brighter each is than its neighbours on the same surface: (N, 3), (N,)."""
+    # the sum over pairs of neighbours of the step in intensity times the step in brightness is the sum over points of
+    # their contrast times their brightness, each exactly where the point is
     frame, levels = features.frame, features.levels
     if frame.scan is None or frame.intensities is None or len(frame.scan.order) < 2:
         if len(levels):
@@ -494,13 +484,7 @@ _Pairs = tuple[Int64Array, Int64Array]
 
 
 def _neighbours(scan: ScanOrder, wanted: Int64Array) -> tuple[Int64Array, _Pairs, _Pairs]:
-    """Pairs of points beside one another on one surface.
-
-    Returns:
-        points: (M,) int64, those of the wanted points of the frame that are on scan lines.
-        along: rows of these, two times (K,), one after the other on a line.
-        across: rows of these, one above the other on two lines.
-    """
+    """The wanted points on lines (M,), and pairs of rows of these: successive on a line, and one above the other."""
     part = scan.part(wanted)
     first, step = part.along(_GAP_STEPS)
     upper = part.above(step)
@@ -583,25 +567,15 @@ def _band(image: Float32Array, width: float) -> Float32Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Level:
-    """All frames at one width.
-
-    Attributes:
-        cues: of each frame.
-        width: of the blur [px].
-        maps: (F K, H, W) float32: edges by direction, then brightness, of each frame.
-        rows: (N,) int32, the map of each point.
-        groups: (N,) int32, frame and channel of each point.
-        weights: (N,) float32.
-        chosen: (N,) int64, number of each point among those of all frames.
-    """
+    """All frames at one width."""
 
     cues: Sequence[_Cues]
-    width: float
-    maps: Float32Array
-    rows: AnyArray
-    groups: AnyArray
-    weights: Float32Array
-    chosen: AnyArray
+    width: float  # of the blur [px]
+    maps: Float32Array  # (F K, H, W): edges by direction, then brightness, of each frame
+    rows: AnyArray  # (N,) int32, the map of each point
+    groups: AnyArray  # (N,) int32, frame and channel of each point
+    weights: Float32Array  # (N,)
+    chosen: AnyArray  # (N,) int64, number of each point among those of all frames
 
     @classmethod
     def of(cls, cues: Sequence[_Cues], width: float) -> "_Level":
@@ -635,15 +609,10 @@ class _Level:
 
 
 class _Around:
-    """A level around a candidate: pixels move linearly with the numbers that are free.
+    """A level around a candidate: pixels move linearly with the numbers that are free."""
 
-    Steps are (P,), in units; those of a climb are in widths of the blur: `basis` takes them into units.
-
-    Attributes:
-        level, free, numbers: the level, (P,) int64 which numbers are free, (8,) the candidate.
-        pixels: (N, 2) float32 [px of the maps].
-        slopes: (N, 2, P) float32, by unit.
-    """
+    # `free` (P,) which of the eight `numbers`; steps are (P,), in units, those of a climb in widths of the blur:
+    # `basis` takes them into units; `pixels` (N, 2) [px of the maps]; `slopes` (N, 2, P) by unit
 
     def __init__(self, level: _Level, free: AnyArray, numbers: Float64Array) -> None:
         self.level, self.free, self.numbers = level, free, numbers
@@ -756,17 +725,9 @@ def _spread(free: AnyArray, step: Float64Array) -> Float64Array:
 
 
 def _search(levels: Sequence[_Level], frames: AnyArray, free: AnyArray, *, thinned: int = 1) -> _Around:
-    """Find the best candidate near the stated calibration.
-
-    Rotations are searched first, from many beginnings, for they move far points as well as near ones; then all numbers
-    together from there.
-
-    Args:
-        levels: from wide to narrow.
-        frames: (F,) bool, which of them count.
-        free: (P,) int64, which of the eight numbers are searched.
-        thinned: one point of so many counts.
-    """
+    """Find the best candidate near the stated one at levels from wide to narrow; one point of `thinned` counts."""
+    # rotations first, from many beginnings, for they move far points as well as near ones; then all numbers from there;
+    # `frames` (F,) bool, which count; `free` (P,) int64, which of the eight numbers are searched
     parts = [level.part(frames, most=most // thinned) for level, most in zip(levels, _MOST_ROTATED, strict=True)]
     stated = _Around(parts[0], _ROTATIONS, np.zeros(COUNT))
     drawn = np.random.default_rng(_SEED).normal(0.0, 0.5, (_STARTS, len(_ROTATIONS))) * _FARTHEST[_ROTATIONS]
@@ -795,11 +756,8 @@ def _climbed(level: _Level, free: AnyArray, numbers: Float64Array) -> Float64Arr
 
 
 def _descended(hill: _Around) -> Float64Array:
-    """Where a quasi-Newton descent of minus the objective ends; a library's would wake threads for eight numbers.
-
-    Source: the update of Broyden, Fletcher, Goldfarb and Shanno, with halved steps (Nocedal and Wright 2006,
-    algorithm 6.1).
-    """
+    """Where a quasi-Newton descent of minus the objective ends; a library's would wake threads for eight numbers."""
+    # Source: the BFGS update with halved steps (Nocedal and Wright 2006, algorithm 6.1)
     here = np.zeros(len(hill.free))
     value, slope = hill.downwards(here)
     inverse = np.eye(len(here)) * (_FIRST_STEP / max(float(np.sqrt((slope**2).sum())), 1e-12))

@@ -222,10 +222,8 @@ def _project_block(flat_points, pose, c, flat_pixels, x_camera, y_camera, z_came
 
 @njit(**PART)
 def _mark_inside(flat_pixels, width, height, inside):  # type: ignore[no-untyped-def]
-    """Mark the pixels that lie in the image and give their number; a NaN does not.
-
-    The test is made on the float32 pixels that are stored: rounding them to the nearest must stay in the image.
-    """
+    """Mark the pixels that lie in the image and give their number; a NaN does not."""
+    # the test is made on the float32 pixels that are stored: rounding them to the nearest must stay in the image
     right, bottom, count = float32(width - 0.5), float32(height - 0.5), 0
     for i in range(len(inside)):
         u, v = flat_pixels[2 * i], flat_pixels[2 * i + 1]
@@ -242,11 +240,9 @@ def _count_up(first, numbers):  # type: ignore[no-untyped-def]
 
 @njit(**PART)
 def _close_up(inside, first_id, point_ids, flat_pixels, xs, ys, zs):  # type: ignore[no-untyped-def]
-    """Move the points that are inside to the front.
-
-    Every one is moved and only those that count are left stationary: to guess which ones these are would take longer.
-    `count` is unsigned, which spares the test for indices from the end.
-    """
+    """Move the points that are inside to the front."""
+    # every one is moved and only those that count stay: to guess which ones these are would take longer; `count` is
+    # unsigned, which spares the test for indices from the end
     count = uint64(0)
     for i in range(len(inside)):
         point_ids[count], xs[count], ys[count], zs[count] = first_id + i, xs[i], ys[i], zs[i]
@@ -259,11 +255,9 @@ def _close_up(inside, first_id, point_ids, flat_pixels, xs, ys, zs):  # type: ig
 
 @njit(**PART)
 def _pick_points(points_world, camera_from_world, c, width, height, kept):  # type: ignore[no-untyped-def]
-    """Keep the points that fall into the image.
-
-    A block is projected to where it would stand if all of it were kept, which is so for most of a lidar's blocks, or
-    none. Directions and pixel numbers are made while it is in the nearest cache.
-    """
+    """Keep the points that fall into the image."""
+    # a block is projected to where it would stand if all of it were kept, which is so for most of a lidar's blocks, or
+    # none; directions and pixel numbers are made while it is in the nearest cache
     pose = _pose_numbers(camera_from_world)
     flat_points, flat_pixels = points_world.reshape(points_world.size), kept.pixels.reshape(kept.pixels.size)
     marks, count = np.empty(_BLOCK, np.bool_), 0
@@ -349,10 +343,8 @@ def _approach_location(x, y, c):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def _distort_beyond(a, b, c):  # type: ignore[no-untyped-def]
-    """`distort`, continued beyond the domain by its rim's image and the distance from the rim.
-
-    So a search may leave the domain and come back, and a location that only lies beyond is found, and refused.
-    """
+    """`distort`, continued beyond the domain by its rim's image and the distance from the rim."""
+    # so a search may leave the domain and come back, and a location that only lies beyond is found, and refused
     from_axis = math.sqrt(a * a + b * b)
     rim = _INSIDE * c.limit
     if from_axis <= rim:
@@ -399,15 +391,8 @@ def _halfway_to_rim(a, b, step_a, step_b, c):  # type: ignore[no-untyped-def]
 
 @njit(**PART)
 def _search(x, y, c, inside):  # type: ignore[no-untyped-def]
-    """Go by Newton's steps, halved until they come nearer, to where the distortion gives x, y.
-
-    Args:
-        inside: whether to stay in the domain; else the search sees the mapping continued beyond it.
-
-    Returns:
-        a, b: where it ends.
-        solved: whether the distortion, or its continuation, gives x, y there.
-    """
+    """Go by Newton's steps, halved until they come nearer, to where the distortion gives x, y; and whether it does."""
+    # unless it is to stay `inside` the domain, the search sees the mapping continued beyond it
     size = math.sqrt(x * x + y * y)
     a, b = _start(x, y, c)
     to_x, to_y, xx, xy, yx, yy = _distort_beyond(a, b, c)
@@ -439,11 +424,9 @@ def _search(x, y, c, inside):  # type: ignore[no-untyped-def]
 
 @njit(**PART)
 def _position_at(x, y, c):  # type: ignore[no-untyped-def]
-    """Solve distort(a, b) = x, y; NaN where no location of the domain does.
-
-    A search that may leave the domain slides along its rim, and reports soon where nothing is to be found; one that
-    stays inside is for poles on the rim, beyond which a continuation means nothing.
-    """
+    """Solve distort(a, b) = x, y; NaN where no location of the domain does."""
+    # a search that may leave the domain slides along its rim, and reports soon where nothing is to be found; one that
+    # stays inside is for poles on the rim, beyond which a continuation means nothing
     if not c.limit > 0.0 or not x * x + y * y < math.inf:
         return math.nan, math.nan
     a, b, solved = _search(x, y, c, _ANYWHERE)
@@ -456,12 +439,10 @@ def _position_at(x, y, c):  # type: ignore[no-untyped-def]
 
 @njit(**PART)
 def _rotations_nothing_back(radius, c):  # type: ignore[no-untyped-def]
-    """Report whether, on a circle of the chart, each small step is taken to one within 90 degrees of it.
-
-    Where that holds all over a disk, no two of its locations are taken to one: the step from one to the other would
-    have to be rotated back on its way. The slopes of camera models are symmetric or nearly so, and then it ends just
-    where the area factor vanishes, which is the fold.
-    """
+    """Report whether, on a circle of the chart, each small step is taken to one within 90 degrees of it."""
+    # where that holds all over a disk, no two of its locations are taken to one: the step between them would have to be
+    # rotated back on its way; slopes of camera models are symmetric or nearly so, and then it ends at the fold, where
+    # the area factor vanishes
     for k in range(_DIRECTIONS):
         about = 2.0 * math.pi * k / _DIRECTIONS
         _, _, xx, xy, yx, yy = distort(radius * math.cos(about), radius * math.sin(about), c)
@@ -472,12 +453,8 @@ def _rotations_nothing_back(radius, c):  # type: ignore[no-untyped-def]
 
 @njit(**PART)
 def _radius_without_fold(c):  # type: ignore[no-untyped-def]
-    """Give the radius of the disk of the chart, `the limit of the domain` at most.
-
-    On which no two locations are taken to one.
-
-    Decentring and prism terms, however small, fold a chart without a rim somewhere, so that such a disk always ends.
-    """
+    """The radius of the disk of the chart, at most the domain's limit, on which no two locations are taken to one."""
+    # decentring and prism terms, however small, fold a chart without a rim somewhere, so that such a disk always ends
     low, high = 0.0, min(_JUST_INSIDE * math.atan(c.limit), _WIDEST)
     for attempt in range(_ROUNDS):
         step, folded = (high - low) / (_STEPS - 1), -1

@@ -43,10 +43,8 @@ from sceneloom.cameras.formulas import (
 
 
 def _pixel_off_axis(x: Any, y: Any, z: Any, c: Any) -> Any:
-    """Give the pixel of a point: in its direction from the centre, as far as `distance_at` says.
-
-    Right ahead there is no direction: that point is seen only where the distance vanishes there.
-    """
+    """Give the pixel of a point: in its direction from the centre, as far as `distance_at` says."""
+    # right ahead there is no direction: that point is seen only where the distance vanishes there
     side = math.sqrt(x * x + y * y)
     angle = angle_off_axis(side, z)
     distance, _ = distance_at(angle, c)

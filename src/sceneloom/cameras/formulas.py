@@ -222,15 +222,9 @@ def stretch(a, b, g, g_s):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def _decentre(a, b, s, g, g_s, p1, p2):  # type: ignore[no-untyped-def]
-    """Stretch (a, b) by g(s) and add the terms of a decentred camera model, for any s: location and partial slopes.
-
-    x = a g + 2 p1 a b + p2 (s + 2 a²),  y = b g + p1 (s + 2 b²) + 2 p2 a b
-
-    Returns:
-        x, y; the slopes over a and b with s held: xa, xb, ya, yb; the slopes over s: xs, ys.
-
-    Source: OpenCV documentation, "Camera Calibration and 3D Reconstruction", detailed description.
-    """
+    """Stretch (a, b) by g(s), decentred, for any s: x, y; slopes xa, xb, ya, yb with s held; slopes xs, ys over s."""
+    # x = a g + 2 p1 a b + p2 (s + 2 a²),  y = b g + p1 (s + 2 b²) + 2 p2 a b: OpenCV documentation, "Camera Calibration
+    # and 3D Reconstruction", detailed description
     mixed = 2.0 * a * b
     return (
         a * g + p1 * mixed + p2 * (s + 2.0 * a * a),

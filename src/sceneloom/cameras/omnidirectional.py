@@ -29,10 +29,7 @@ from sceneloom.cameras.formulas import (
 
 
 def _pixel_by_sphere(x: Any, y: Any, z: Any, c: Any) -> Any:
-    """Give the pixel of a point by its location on the plane of the shifted sphere.
-
-    With ξ > 1 the farther part of the sphere hides behind the nearer one.
-    """
+    """The pixel by the plane of the shifted sphere; with ξ > 1 its farther part hides behind the nearer one."""
     distance = math.sqrt(x * x + y * y + z * z)
     depth = z + c.xi * distance
     a, b = x / depth, y / depth

@@ -140,11 +140,8 @@ def undistorted_camera(
 
 
 def _border_on_plane(camera: Camera) -> tuple[Float64Array, ...]:
-    """Where the image's left, upper, right and lower border are on the plane z = 1, each (M, 2).
-
-    A border pixel that looks nowhere or too far off the axis gives way to the last one towards the image's middle
-    that does not.
-    """
+    """Where the image's left, upper, right and lower border are on the plane z = 1, each (M, 2)."""
+    # a border pixel that looks nowhere or too far off the axis gives way to the last one inwards that does not
     middle = 0.5 * np.array([camera.width - 1.0, camera.height - 1.0])
     if not _sees(camera, middle[None])[0]:
         raise CalibrationError(
@@ -176,10 +173,8 @@ def _sees(camera: Camera, pixels: Float64Array) -> BoolArray:
 
 
 def _rectangles(border: tuple[Float64Array, ...]) -> tuple[Float64Array, Float64Array]:
-    """The rectangle inside all borders, and that around them: each (2, 2), least and greatest x and y.
-
-    Source: the inner and outer rectangle of OpenCV's getOptimalNewCameraMatrix.
-    """
+    """The rectangle inside all borders, and that around them: each (2, 2), least and greatest x and y."""
+    # Source: the inner and outer rectangle of OpenCV's getOptimalNewCameraMatrix
     left, upper, right, lower = border
     points = np.concatenate(border)
     inner = np.array([[left[:, 0].max(), upper[:, 1].max()], [right[:, 0].min(), lower[:, 1].min()]])

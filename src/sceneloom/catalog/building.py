@@ -100,13 +100,7 @@ def _unicode(value: Any) -> str | None:
 
 
 def _write_part(table: Any, scenes: Any, path: Path) -> None:
-    """Write a file.
-
-    Args:
-        table: rows, as a table of pyarrow.
-        scenes: what its footer lists, as values that JSON has.
-        path: of the file.
-    """
+    """Write rows, a table of pyarrow, to a file whose footer lists scenes, as values that JSON has."""
     _, parquet = pyarrow()
     reported = {SCENES_KEY: json.dumps(scenes).encode()}
     texts = [column.name for column in table.schema if str(column.type) == "string"]
@@ -301,10 +295,7 @@ def _kept_rows(location: Path, table: str, kept: Mapping[str, Entry], *, some: b
 
 
 def _replaced(location: Path, rows: list[Any], held: Mapping[str, Entry]) -> int:
-    """Write a file beside its location and then into it, or take it away where it holds nothing.
-
-    How many rows it has.
-    """
+    """Write a file beside its location and then into it, or remove it where it holds nothing; gives the rows it has."""
     pa, _ = pyarrow()
     draft = location.with_name(f".{location.name}.{os.getpid()}")
     try:
@@ -445,12 +436,7 @@ class Failure(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Run:
-    """One going through drives; only one goes on in a catalogue at a time (`Layout.held`).
-
-    Attributes:
-        read: the drives that were read and put into parts.
-        failed: those that could not be read.
-    """
+    """One going through drives; only one goes on in a catalogue at a time (`Layout.held`)."""
 
     def __init__(
         self, parts: Parts, drafts: Path, checks: Checks, *, workers: int | None = 1, progress: Progress | None = None

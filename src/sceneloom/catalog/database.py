@@ -297,10 +297,8 @@ def _timed(value: float | str, name: str, sign: str) -> _Part:
 
 
 def _near(latitude: float, longitude: float, metres: float) -> _Part:
-    """Within a distance on the ellipsoid, whose curves at the location itself count: good to 1 % up to 100 km.
-
-    Source: NIMA TR8350.2, radii of curvature in the meridian and the prime vertical.
-    """
+    """Within a distance on the ellipsoid, whose curves at the location itself count: good to 1 % up to 100 km."""
+    # Source: NIMA TR8350.2, radii of curvature in the meridian and the prime vertical
     from sceneloom.geometry.geodesy import FLATTENING, SEMI_MAJOR_AXIS
 
     eccentricity_2 = FLATTENING * (2 - FLATTENING)

@@ -80,23 +80,14 @@ def _worded(reading: CuboidAngles) -> str:
 
 @dataclass(slots=True, eq=False)
 class _Evidence:
-    """What the data show about the reading of angles.
+    """What the data show about the reading of angles."""
 
-    Attributes:
-        stated: the reading that the scene states, or is taken to state.
-        off_deg: median angle between heading (or back) and motion by reading [deg]; empty where too little moves.
-        steps: of how many steps.
-        points: points in boxes by reading.
-        boxes: in how many boxes points were counted.
-        counted: the frames that were counted.
-    """
-
-    stated: CuboidAngles
-    off_deg: dict[CuboidAngles, float]
-    steps: int
-    points: dict[CuboidAngles, int] = field(default_factory=dict)
-    boxes: int = 0
-    counted: set[str] = field(default_factory=set)
+    stated: CuboidAngles  # the reading that the scene states, or is taken to state
+    off_deg: dict[CuboidAngles, float]  # median angle of heading (or back) to motion; empty where too little moves
+    steps: int  # of how many steps that is
+    points: dict[CuboidAngles, int] = field(default_factory=dict)  # in boxes, by reading
+    boxes: int = 0  # in which points were counted
+    counted: set[str] = field(default_factory=set)  # frames
 
 
 def _evidence(subject: Subject) -> _Evidence:
@@ -113,10 +104,8 @@ def _motion_evidence(subject: Subject) -> _Evidence:
 
 
 def _moving(subject: Subject) -> tuple[Float64Array, Float64Array]:
-    """Some keyframes at which a cuboid moves, (K, 9), and the directions of motion there, (K, 3) unit vectors.
-
-    Labels of many keyframes a second move too little from one to the next: then those farther apart are compared.
-    """
+    """Some keyframes at which a cuboid moves, (K, 9), and the directions of motion there, (K, 3) unit vectors."""
+    # labels of many keyframes a second move too little from one to the next: then those farther apart are compared
     found = _moving_over(subject, _STRIDES[0])
     for stride in _STRIDES[1:]:
         if len(found[0]) >= _ENOUGH_STEPS:
@@ -320,10 +309,8 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
 
 
 def _off_the_trajectory(positions: Float64Array, seconds: Float64Array, forward: BoolArray) -> Float64Array:
-    """How far keyframes lie off the trajectory between their neighbours, (R,) float64 [m]; 0 where an object may.
-
-    One misplaced keyframe bends the trajectories of its neighbours, too: only the one that is farthest off is reported.
-    """
+    """How far keyframes lie off the trajectory between their neighbours, (R,) [m]; 0 where an object may."""
+    # one misplaced keyframe bends the trajectories of its neighbours, too: only the one farthest off is reported
     off = np.zeros(len(positions))
     if len(positions) < 3:
         return off

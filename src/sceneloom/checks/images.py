@@ -84,11 +84,7 @@ def _video_counts(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
 
 
 def _images_in(open_video: Callable[[], BinaryIO]) -> int:
-    """Count the images of a video by its packets, without decoding them.
-
-    Raises:
-        DataError: it is no video, or broken.
-    """
+    """Count the images of a video by its packets, without decoding them."""
     from sceneloom.formats.video.reader import VideoReader
 
     with VideoReader(open_video, name="video") as reader:
@@ -126,23 +122,14 @@ _PLAIN = 4
 
 @dataclass(slots=True)
 class _CameraFacts:
-    """The images of one camera so far.
+    """The images of one camera so far."""
 
-    Attributes:
-        path: of the camera.
-        count: of the images that could be decoded.
-        other_sizes: numbers and sizes of images that the camera model is not for.
-        digest: of the latest image.
-        repeated: numbers of images that are equal to the one before.
-        plain: numbers of images of one colour, with that colour.
-    """
-
-    path: str
-    count: int = 0
-    other_sizes: list[tuple[int, int, int]] = field(default_factory=list)
-    digest: int | None = None
-    repeated: list[int] = field(default_factory=list)
-    plain: list[tuple[int, str]] = field(default_factory=list)
+    path: str  # of the camera
+    count: int = 0  # of the images that could be decoded
+    other_sizes: list[tuple[int, int, int]] = field(default_factory=list)  # numbers, sizes the camera model is not for
+    digest: int | None = None  # of the latest image
+    repeated: list[int] = field(default_factory=list)  # numbers of images that are equal to the one before
+    plain: list[tuple[int, str]] = field(default_factory=list)  # numbers of images of one colour, with that colour
 
     def add(self, number: int, image: CameraImage | None, sensor: CameraSensor) -> None:
         """Take in one more image; None for one that could not be decoded."""

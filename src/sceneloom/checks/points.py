@@ -39,25 +39,16 @@ Key = tuple[type, Identifier]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CloudFacts:
-    """Statistics of the points of one frame.
-
-    Attributes:
-        count: how many.
-        not_finite, at_origin, far: how many have a position that is not finite, is the origin, is beyond `_FAR_M`.
-        farthest: the largest coordinate [m], 0 without points.
-        levels: (256,) int64, how many have each intensity; None without intensities.
-        colours: (3,) int64, how many have a colour, are white, are black.
-        digest: of the positions.
-    """
+    """Statistics of the points of one frame."""
 
     count: int
     not_finite: int
     at_origin: int
-    far: int
-    farthest: float
-    levels: Int64Array | None
-    colours: Int64Array
-    digest: int
+    far: int  # beyond `_FAR_M`
+    farthest: float  # the largest coordinate [m], 0 without points
+    levels: Int64Array | None  # (256,), how many have each intensity
+    colours: Int64Array  # (3,), how many have a colour, are white, are black
+    digest: int  # of the positions
 
     @classmethod
     def of(cls, points: LidarPoints | RadarPoints) -> "_CloudFacts":
@@ -88,22 +79,14 @@ def _count_of(colors: UInt8Array, level: int) -> int:
 
 @dataclass(slots=True, eq=False)
 class _SensorFacts:
-    """The frames of one sensor, one after the other.
+    """The frames of one sensor, one after the other."""
 
-    Attributes:
-        path: of the sensor.
-        counts: of the points of each frame that could be read, by its number.
-        levels, colours: sums of those of the frames.
-        digest: of the latest frame.
-        repeated: numbers of frames with the very points of the frame before.
-    """
-
-    path: str
-    counts: dict[int, int] = field(default_factory=dict)
-    levels: Int64Array | None = None
+    path: str  # of the sensor
+    counts: dict[int, int] = field(default_factory=dict)  # points of each frame that could be read, by its number
+    levels: Int64Array | None = None  # summed over frames
     colours: Int64Array = field(default_factory=lambda: np.zeros(3, np.int64))
-    digest: int | None = None
-    repeated: list[int] = field(default_factory=list)
+    digest: int | None = None  # of the latest frame
+    repeated: list[int] = field(default_factory=list)  # numbers of frames with the very points of the one before
 
     def add(self, number: int, facts: _CloudFacts) -> None:
         """Take in one more frame."""

@@ -42,21 +42,13 @@ _EMPTYING = frozenset({"missing-videos", "unreadable-videos", "unmatched-images"
 
 @dataclass(frozen=True, slots=True)
 class _SensorMention:
-    """A location that names a sensor.
+    """A location that names a sensor."""
 
-    Attributes:
-        number: of the annotation.
-        suffix: where in it (`.projections[1].sensor_id`).
-        sensor_id: the id that stands there.
-        annotation: the annotation itself.
-        part: what names the sensor: the annotation, or an activation, a projection, an attribute, labelled points.
-    """
-
-    number: int
-    suffix: str
+    number: int  # of the annotation
+    suffix: str  # where in it (`.projections[1].sensor_id`)
     sensor_id: Identifier
     annotation: Annotation
-    part: Any
+    part: Any  # what names it: the annotation, an activation, projection, attribute, or labelled points
 
 
 def _sensor_mentions(subject: Subject) -> list[_SensorMention]:
@@ -104,10 +96,8 @@ def _count(sensor: Sensor) -> int | None:
 
 
 def _empty(subject: Subject) -> Iterator[Hit]:
-    """Sensors without content; those that annotations name belong to a scene whose data are elsewhere.
-
-    Cameras of a recording are passed over where each of them has a fault of its video that says why it is empty.
-    """
+    """Sensors without content; those that annotations name belong to a scene whose data are elsewhere."""
+    # cameras of a recording are passed over where each of them has a fault of its video that says why it is empty
     named = {(type(mention.sensor_id), mention.sensor_id) for mention in _sensor_mentions(subject)}
     empty = [
         (path, sensor) for path, sensor in subject.sensors() if _count(sensor) == 0 and key_of(sensor.id) not in named

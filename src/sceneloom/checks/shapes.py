@@ -89,10 +89,7 @@ def _crossing(shape: ShapeAnnotation, vertices: Float64Array) -> str:
 
 
 def _crossing_edges(outline: Float64Array) -> tuple[int, int] | None:
-    """Find two edges that cross inside both; edges that only touch do not count.
-
-    Source: two segments cross if the ends of each lie on different sides of the other.
-    """
+    """Find two edges that cross inside both: the ends of each lie on different sides of the other; touching is none."""
     if np.array_equal(outline[0], outline[-1]):
         outline = outline[:-1]
     starts, stops = outline, np.roll(outline, -1, axis=0)

@@ -276,16 +276,8 @@ _MOST_ROUNDS = 8
 
 
 def _repaired(scene: Scene, rules: Sequence[Rule], hits: _Hits) -> tuple[Scene, frozenset[str]]:
-    """Apply fixes until nothing is found that one of them would change.
-
-    Args:
-        scene: what the hits were found in.
-        rules: those whose fixes may be applied.
-        hits: of the first search, in frames as well; later ones look at what is known without reading.
-
-    Returns:
-        The repaired scene, and the ids of the rules whose fixes were applied.
-    """
+    """Apply the rules' fixes until none would change what is found: the scene, and the ids of rules applied."""
+    # `hits`: of the first search, in frames as well; later ones look at what is known without reading
     fixable = [rule for rule in rules if rule.fix is not None]
     applied: set[str] = set()
     for _ in range(_MOST_ROUNDS):

@@ -119,11 +119,7 @@ def drafts(context: click.Context) -> dict[Path, str]:
 
 
 def _draft_of(url: str) -> Path:
-    """Give a path on disk for an output whose own is a URL; it is gone when the verb ends.
-
-    Raises:
-        click.BadParameter: nothing can be written there.
-    """
+    """Give a path on disk for an output whose own is a URL; it is gone when the verb ends."""
     from tempfile import TemporaryDirectory
 
     from sceneloom.errors import OutputError

@@ -67,11 +67,7 @@ def rewriting_verb(command: Command) -> Command:
 
 @contextmanager
 def _uploads(*, overwrite: bool) -> Iterator[None]:
-    """Refuse outputs that are there before much is done; put all of them into their stores after it.
-
-    Raises:
-        OutputError: something is there already, or a store cannot be written to.
-    """
+    """Refuse outputs that are there before much is done; put all of them into their stores after it."""
     drafts: dict[Path, str] = dict(options.drafts(click.get_current_context()))
     if not drafts:
         yield

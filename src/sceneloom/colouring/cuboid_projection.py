@@ -279,10 +279,7 @@ def sample_edges(
 
 @inlined
 def _extend(extents, b, u0, v0, u1, v1, width, height):  # type: ignore[no-untyped-def]
-    """Let the bounds of a box hold the part of a segment that lies in the image.
-
-    Source: Liang and Barsky 1984, "A New Concept and Method for Line Clipping".
-    """
+    """Let bounds hold the part of a segment that lies in the image (Liang and Barsky 1984)."""
     du, dv, enter, leave = u1 - u0, v1 - v0, 0.0, 1.0
     # a segment along a border is between that pair of borders for ever, or never
     if du == 0.0:
@@ -554,16 +551,13 @@ def observe_cuboids(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Near:
-    """Boxes in the camera's frame: centres (B, 3), sizes (B, 3) [m], quaternions (B, 4) and axes (B, 3, 3).
+    """Boxes in the camera's frame."""
 
-    `drifts` (B, 3) [m]: how far they move while the image is taken.
-    """
-
-    centers: Float64Array
-    sizes: Float64Array
-    quaternions: Float64Array
-    axes: Float64Array
-    drifts: Float64Array
+    centers: Float64Array  # (B, 3) [m]
+    sizes: Float64Array  # (B, 3) [m]
+    quaternions: Float64Array  # (B, 4)
+    axes: Float64Array  # (B, 3, 3)
+    drifts: Float64Array  # (B, 3) [m], how far they move while the image is taken
 
     def some(self, rows: Int64Array) -> "_Near":
         return _Near(self.centers[rows], self.sizes[rows], self.quaternions[rows], self.axes[rows], self.drifts[rows])
@@ -626,10 +620,7 @@ def _occlusions(
 
 
 def _eyes(camera: Camera, pixels: Float64Array, shutter: ShutterDirection) -> tuple[Float64Array, Float64Array]:
-    """Rotations (R, 3, 3) of the camera at the lines of pixels, and `lines` of `count_observations`, (R, 4).
-
-    Both are in the frame of the camera at the image's time.
-    """
+    """Rotations (R, 3, 3) at the lines of pixels, and `lines` (R, 4) of `count_observations`, camera frame."""
     lines = pixels[:, shutter.axis]
     poses = shutter.poses_at(lines, camera)
     rotations = np.ascontiguousarray(poses[:, :, :3].transpose(0, 2, 1))
@@ -721,10 +712,8 @@ def _face_grids(near: _Near, axis: int, sides: Float64Array) -> Float64Array:
 
 
 def _solid_angles(corners: Float64Array) -> Float64Array:
-    """Solid angles of the cells of faces, as seen from the origin, (B, C * C) [sr].
-
-    Source: Van Oosterom and Strackee 1983, "The Solid Angle of a Plane Triangle", of two triangles per cell.
-    """
+    """Solid angles of the cells of faces, as seen from the origin, (B, C * C) [sr]."""
+    # Source: Van Oosterom and Strackee 1983, "The Solid Angle of a Plane Triangle", of two triangles per cell
     a, b, c, d = corners[:, :-1, :-1], corners[:, 1:, :-1], corners[:, 1:, 1:], corners[:, :-1, 1:]
     return (_solid_angle(a, b, c) + _solid_angle(a, c, d)).reshape(len(corners), -1)
 

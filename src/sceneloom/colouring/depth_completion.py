@@ -146,11 +146,7 @@ _EVEN, _SUDDEN = 0.85, 1.3
 
 
 def _steepest_slope(slopes: AnyArray, weights: AnyArray, per_radian: float) -> float:
-    """The largest change of the inverse depth of one surface from pixel to pixel [1/m/px].
-
-    `slopes` (N,) [1/m/px], measured ones; `weights` (N,), how much of the image each of them is of; `per_radian`:
-    pixels per radian.
-    """
+    """The largest slope of the inverse depth of one surface [1/m/px], of slopes (N,) weighted by image area (N,)."""
     finite = np.isfinite(slopes)
     usual = _weighted_quantile(slopes[finite], weights[finite], _SURFACES)
     return float(np.clip(_STEEPER * usual * per_radian, _LEAST, _MOST)) / per_radian

@@ -281,10 +281,7 @@ def _vote_of(
     x: float, y: float, z: float, distance: float, row: int, column: int, others_world: Float32Array,
     fractions: Float32Array, ends_world: Float64Array, nearest: AnyArray, numbers: Float64Array,
 ) -> int:  # fmt: skip
-    """What the rays around a direction state of a point in it: 1 they pass through, 2 they meet something there.
-
-    Or 0.
-    """
+    """What rays around a direction state of a point: 1 they pass through, 2 they meet something there, 0 nothing."""
     rows, columns = nearest.shape
     inverse = 1.0 / distance
     margin = numbers[1] * inverse * inverse + numbers[2] * inverse

@@ -199,15 +199,12 @@ def pixels_by_lines(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """What the search for lines gives: pixels (N, 2) [px] and locations (N, 3) [m], NaN where no line sees a point.
+    """What the search for lines gives."""
 
-    `lines` (N,) are those that were looked at last, and `unsettled` the points for which the search was given up.
-    """
-
-    pixels: Float64Array
-    placed: Float64Array
-    lines: Float64Array
-    unsettled: Int64Array
+    pixels: Float64Array  # (N, 2) [px], NaN where no line sees a point
+    placed: Float64Array  # (N, 3) [m], likewise
+    lines: Float64Array  # (N,), looked at last
+    unsettled: Int64Array  # points for which the search was given up
 
 
 def _search(

@@ -477,10 +477,8 @@ def _sparse_lines(neighbours: _Neighbours, spacings: Float64Array, lines: ScanLi
 
 
 def _around(neighbours: _Neighbours) -> Float64Array:
-    """The spacing of the lines around each point [rad], in whatever direction; NaN where few neighbours are in reach.
-
-    Of eight sectors two look along the line, the others to the next lines: the upper quartile is across.
-    """
+    """The spacing of the lines around each point [rad], in any direction; NaN where few neighbours are in reach."""
+    # of eight sectors two look along the line, the others to the next lines: the upper quartile is across
     ordered = np.sort(neighbours.distances, axis=1)
     known = np.isfinite(ordered).sum(axis=1)
     quartiles = ordered[np.arange(len(known)), 3 * known // 4 - (known == 0)]
@@ -553,10 +551,8 @@ def _raise_by_locations(
     target: Float32Array, start: int, columns: int, nearest: Float32Array, right: Float32Array,
     down: Float32Array, reach_x: Any, reach_y: Any, slope: Any, room: Float32Array,
 ) -> None:  # fmt: skip
-    """Raise the bounds of a run of cells to what hides alone in the same cell or the eight around it.
-
-    What a surface gains on the way is counted along rows or columns alone, which is no more than all of it.
-    """
+    """Raise the bounds of a run of cells to what hides alone in the same cell or the eight around it."""
+    # what a surface gains on the way is counted along rows or columns alone, which is no more than all of it
     size = target.shape[0] + 2
     first = start - 1
     _raise_along(target, nearest[first : first + size], right[first : first + size], reach_x, slope)
@@ -607,10 +603,8 @@ def _raise_by_squares(
     levels: Float32Array, columns: int, size: int, slope: Any, start: int,
     from_any: Float32Array, from_opposite: Float32Array, largest: Float32Array,
 ) -> None:  # fmt: skip
-    """Bound a run of cells from `start` on by the squares around them, less what a surface gains on the way to them.
-
-    A single thing may be `size` cells away; what lies in the next cells is left out of `from_any`.
-    """
+    """Bound a run of cells by the squares around them, less what a surface gains on the way to them."""
+    # a single thing may be `size` cells away; what lies in the next cells is left out of `from_any`
     count = from_any.shape[0]
     largest[:], from_any[:] = _NOTHING, _NOTHING
     for k in range(1, levels.shape[0] + 1):
@@ -629,18 +623,11 @@ def _bound_cells(
     nearest: Float32Array, right: Float32Array, down: Float32Array, columns: int, border: int, slope: Any,
     reach_x: Any, reach_y: Any, from_any: Float32Array, from_opposite: Float32Array,
 ) -> None:  # fmt: skip
-    """Bound for each cell of some rows the inverse range of what can hide anything in it.
-
-    Args:
-        nearest, right, down: (cells,) float32, as of `direction_grid`, with `border` rows more above and below.
-        columns, border: of the grid.
-        slope: what a surface may gain [1/m/cell].
-        reach_x, reach_y: how far a single thing hides [cells].
-        from_any: (cells,) float32 [1/m], written: of what hides alone or with another; the first and the last
-            `border` are left.
-        from_opposite: (cells,) float32 [1/m], written likewise: of what hides with another: the smaller of two
-            opposite quadrants, the larger of the two pairs.
-    """
+    """Bound for each cell of some rows the inverse range of what can hide anything in it."""
+    # arrays (cells,) as of `direction_grid`, with `border` rows more above and below; `slope`: what a surface may gain
+    # [1/m/cell]; `reach_x`, `reach_y`: how far a single thing hides [cells]; written: `from_any` [1/m], of what hides
+    # alone or with another, and `from_opposite`, of what hides with another: the smaller of two opposite quadrants, the
+    # larger of the two pairs
     levels, largest = (_join_squares(nearest, columns, border), np.empty((4, _CHUNK), np.float32))
     room = np.empty(_CHUNK + 2, np.float32)
     margin, above, size = border * (columns + 1), border * columns, math.ceil(max(reach_x, reach_y))
@@ -658,12 +645,7 @@ _QUARTER, _BEHIND = np.float32(0.25), np.float32(1e-3)
 
 @part
 def _list_cells(size_x: int, size_y: int, columns: int) -> tuple[Int64Array, Float32Array, Float32Array]:
-    """List the cells of a window so many to each side of a middle one, the middle first, then ring by ring.
-
-    Returns:
-        offsets: (K,) int64, from the number of the middle cell.
-        right, down: (K,) float32, the same as columns and rows.
-    """
+    """List the cells of a window, ring by ring: offsets (K,) from the middle cell, and as columns and rows."""
     count, size = 0, (2 * size_x + 1) * (2 * size_y + 1)
     offsets, right, down = np.empty(size, np.int64), np.empty(size, np.float32), np.empty(size, np.float32)
     for ring in range(max(size_x, size_y) + 1):
@@ -679,10 +661,8 @@ def _list_cells(size_x: int, size_y: int, columns: int) -> tuple[Int64Array, Flo
 def _shift(
     rightward: Float32Array, downward: Float32Array, eye_fractions: Float32Array, eyes: Float64Array, per_cell: Any,
 ) -> None:  # fmt: skip
-    """Replace directions by the shifts [cells m] there, per inverse range, when the eye moves from lidar to camera.
-
-    Source: the derivative of Snyder 1987, eq. 24-1 and 24-2, along the eye's motion across the line of sight.
-    """
+    """Replace directions by the shifts [cells m] there, per inverse range, when the eye moves from lidar to camera."""
+    # Source: the derivative of Snyder 1987, eq. 24-1 and 24-2, along the eye's motion across the line of sight
     first_x, first_y, first_z = np.float32(eyes[0, 0]), np.float32(eyes[0, 1]), np.float32(eyes[0, 2])
     moved_x, moved_y = np.float32(eyes[1, 0] - eyes[0, 0]), np.float32(eyes[1, 1] - eyes[0, 1])
     moved_z = np.float32(eyes[1, 2] - eyes[0, 2])
@@ -897,21 +877,10 @@ def _search_hiding(
     held: Float32Array, bounds: Float32Array, size_x: int, size_y: int, border: int, limits: Float32Array,
     eyes: Float64Array, point_ids: Int64Array, fractions: Float32Array, visible: BoolArray, _: int, a: int, b: int,
 ) -> None:  # fmt: skip
-    """Write which of the points from a to b nothing hides; most of them only need the bounds of their cells.
-
-    Args:
-        directions, inverse_ranges, eyes, point_ids, fractions: of all points, as of `mark_unhidden`.
-        numbers: (M,) int32, the points' cells, 0 for none.
-        per_cell: cells in a radian.
-        columns: of the grid.
-        held: (3, cells) what the cells hold: inverse range, and how far right and down in the cell.
-        bounds: (2, cells), `from_any` and `from_opposite` of `_bound_cells`.
-        size_x, size_y: how many columns and rows away a single thing hides.
-        border: how many cells away anything hides.
-        limits: (8,) in cells: square of the window, square of the slope; margin and its share; p, q, r of the ellipse;
-            nearing.
-        visible: (M,), written.
-    """
+    """Write which of the points from a to b nothing hides; most of them only need the bounds of their cells."""
+    # `numbers` (M,) cells, 0 for none; `held` (3, cells) inverse range, and how far right and down; `bounds` (2, cells)
+    # of `_bound_cells`; `size_x`, `size_y`: how far single things hide [cells]; `limits` (8,) in cells: squares of
+    # window and slope; margin and its share; p, q, r of the ellipse; nearing; the others as of `mark_unhidden`
     pitch, share = np.float32(per_cell), limits[7]
     rightward, downward = directions[0], directions[1]
     nearest, right, down, from_any, from_opposite = held[0], held[1], held[2], bounds[0], bounds[1]
@@ -1115,12 +1084,8 @@ def measure_extent(
 
 @part
 def _fit_grid(extent: Float32Array, cell: float, border: int) -> tuple[Any, Any, Any, int, int]:
-    """Fit the smallest grid around some points that has `border` empty cells on each side.
-
-    `extent`: what `measure_extent` gives for them; `cell`: size of a cell [rad]; `border`: cells, at least 1. Returns
-    per_cell: 1 / cell. first_column, first_row: of the grid, counted from the edge of the map. columns, rows: of the
-    grid, border included.
-    """
+    """Fit the smallest grid with `border` empty cells around what `measure_extent` gives for some points."""
+    # gives 1 / cell [1/rad], the first column and row, counted from the edge of the map, and how many there are
     per_cell, some = np.float32(1.0 / cell), extent[0] <= extent[1]
     left, right = _step(extent[0], some, per_cell), _step(extent[1], some, per_cell)
     top, bottom = _step(extent[2], some, per_cell), _step(extent[3], some, per_cell)
@@ -1159,11 +1124,9 @@ def _rank(
     rightward: Float32Array, downward: Float32Array, inverse_ranges: Float32Array, counting: Float32Array,
     grid: tuple[Any, Any, Any, int, int], numbers: AnyArray, keys: AnyArray,
 ) -> None:  # fmt: skip
-    """Write each point's cell, as `_number_cells`, and its key: inverse range, then how far right and down in the cell.
-
-    The bits of positive floats are ordered as the floats are, so all fits one integer, whose maximum is that of the
-    nearest point. Of equally near ones it is the one farther right.
-    """
+    """Write each point's cell, and its key: inverse range, then how far right and down in the cell."""
+    # bits of positive floats are ordered as the floats, so the largest key is that of the nearest point, and of equally
+    # near ones that of the one farther right
     per_cell, bits = grid[0], counting.view(np.int32)
     for i in range(numbers.shape[0]):
         a, b = rightward[i], downward[i]
@@ -1223,11 +1186,8 @@ def _occupy(
     directions: Float32Array, inverse_ranges: Float32Array, extent: Float32Array, cell: float, border: int,
     sampled: AnyArray, holders: AnyArray, part: int, first: int, last: int,
 ) -> None:  # fmt: skip
-    """Put the numbers of the points from `first` to `last`, from 1 on, into their cells, a row of `holders` a part.
-
-    The last point in a cell holds it; cells without a point hold 0. The cells of evenly drawn points go to `sampled`;
-    0 for a point without a cell.
-    """
+    """Put the numbers of points, from 1, into their cells (0: none), one row of `holders` a part; the last holds."""
+    # the cells of evenly drawn points go to `sampled`; 0 for a point without a cell
     grid, numbers = _fit_grid(extent, cell, border), np.empty(_BLOCK, np.int32)
     count, own = inverse_ranges.shape[0], holders[part]
     own[:] = 0

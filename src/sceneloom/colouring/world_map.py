@@ -41,10 +41,8 @@ def _cells_of(points: AnyArray, cubes: Int64Array, *, agreement: float) -> AnyAr
 
 
 def _merged(parts: Iterable[AnyArray], *, agreement: float) -> AnyArray:
-    """Join cells of the same cubes, (C,) ascending by `cube`.
-
-    Mean colours hold only those parts whose mean is within `agreement` levels of the best colour of the cube.
-    """
+    """Join cells of the same cubes, (C,) ascending by `cube`."""
+    # mean colours hold only those parts whose mean is within `agreement` levels of the best colour of the cube
     cells = np.concatenate([*parts])
     if not len(cells):
         return cells

@@ -114,10 +114,8 @@ _MOST_ROTATION_ERROR = 0.02
 
 
 def _possible_matrices(numbers: Sequence[float]) -> list[Float64Array]:
-    """The (4, 4) transforms that 16 numbers can be: by rows, by columns, or both where the translation is zero.
-
-    Source: table 3 of DB34/T 4101-2022, whose example has its translation in the last row.
-    """
+    """The (4, 4) transforms that 16 numbers can be: by rows, by columns, or both where the translation is zero."""
+    # Source: table 3 of DB34/T 4101-2022, whose example has its translation in the last row
     given = np.asarray(numbers, np.float64).reshape(-1)
     if given.shape != (16,) or not np.isfinite(given).all():
         raise CalibrationError(f"extrinsic_matrix of {given.size} numbers; expected 16 finite ones")
@@ -132,10 +130,7 @@ def _possible_matrices(numbers: Sequence[float]) -> list[Float64Array]:
 
 
 def _camera_of(data: CalibrationData) -> Camera:
-    """The camera model of a record: a pinhole, or with coefficients (in the order of OpenCV) Brown and Conrady's.
-
-    Source: DB34/T 4101-2022, table 3.
-    """
+    """A record's camera model (table 3): a pinhole, or with coefficients (in OpenCV's order) Brown and Conrady's."""
     k = np.array(data.intrinsic_matrix).reshape(3, 3)
     others = np.abs([k[0, 1], k[1, 0], k[2, 0], k[2, 1], k[2, 2] - 1.0])
     if others.max() > 1e-6 * max(1.0, abs(k[0, 0])):

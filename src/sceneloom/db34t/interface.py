@@ -285,25 +285,18 @@ class _Arrivals:
 
 @dataclass(slots=True)
 class _Frame:
-    """The boxes of one sensor that came one by one, of the frame that is not whole yet.
-
-    Attributes:
-        latest_s: when the last one came, on the monotonic clock [s].
-    """
+    """The boxes of one sensor that came one by one, of the frame that is not whole yet."""
 
     sensor_id: int
     setting: Setting
     boxes: list[Box3d | Box2d] = field(default_factory=list)
-    latest_s: float = 0.0
+    latest_s: float = 0.0  # when the last one came, on the monotonic clock
 
 
 class _ReceivedRecords:
-    """Checks records; remembers numbers and times of each stream, and boxes until their frames are whole.
+    """Checks records; remembers numbers and times of each stream, and boxes until frames are whole (clause 5.6)."""
 
-    A frame is whole as soon as a box of another frame comes, or none came for a while. Not for several threads at once.
-
-    Source: DB34/T 4101-2022, clause 5.6.
-    """
+    # a frame is whole as soon as a box of another one comes, or none came for a while; not for several threads at once
 
     def __init__(self, hand_in: Callable[[Boxes3d | Boxes2d, Setting], None]) -> None:
         """Know nothing yet.
@@ -408,10 +401,8 @@ class _ReceivedRecords:
             self._hand_in(join_boxes([box.alone(frame.sensor_id) for box in boxes]), frame.setting)
 
     def _sender_of(self, box: Box3d | Box2d, setting: Setting) -> int:
-        """Find the sensor of a box that names none: that of the frame with its number, or the only one there is.
-
-        Source: READING of missing ids in docs/db34t-4101.md.
-        """
+        """Find the sensor of a box that names none: that of the frame with its number, or the only one there is."""
+        # Source: READING of missing ids in docs/db34t-4101.md
         kind = SensorKind.LIDAR if isinstance(box, Box3d) else SensorKind.CAMERA
         streams = ("points", "raw", "boxes_3d") if kind is SensorKind.LIDAR else ("image", "raw", "boxes_2d")
         seq, time_ns = _SEQ_OF[type(box)](box), box.timestamp.nanoseconds
@@ -471,13 +462,8 @@ def accepted_alone(record: FrameRecord, setting: Setting) -> Accepted:
 
 
 def _check_headings(directions: Float64Array, group: str, setting: Setting) -> None:
-    """Refuse boxes that head straight up or down: boxes are upright, so nothing would be known of how they lie.
-
-    Args:
-        directions: (N, 3), of any length but 0, in the declared lidar frame.
-
-    Source: READING of direction in docs/db34t-4101.md.
-    """
+    """Refuse directions (N, 3), lidar frame, straight up or down: how those boxes lie would not be known."""
+    # Source: READING of direction in docs/db34t-4101.md
     lifts = directions @ setting.standard_from_lidar[2]
     if not lifts.any():
         return

@@ -329,22 +329,13 @@ _FORMS: Mapping[tuple[int, bool], int] = {
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """How the words of a list of records lie.
+    """How the words of a list of records lie."""
 
-    Attributes:
-        heads: numbers of the fields of the list: sensor, seq, timestamp, and its records.
-        fields: (KNOWN, 4) int64 of `packed.read_list`.
-        written: (K, 5) int64 of `packed.write_list`, in the order of the field numbers.
-        width: words of a record.
-        columns: each with where it begins among the words of a record, how many it has, and the number of the field
-            without which it is not there: that of a vector, else None.
-    """
-
-    heads: tuple[int, int, int, int]
-    fields: Int64Array
-    written: Int64Array
-    width: int
-    columns: tuple[tuple[Column, int, int, int | None], ...]
+    heads: tuple[int, int, int, int]  # fields of the list: sensor, seq, timestamp, records
+    fields: Int64Array  # (KNOWN, 4) of `packed.read_list`
+    written: Int64Array  # (K, 5) of `packed.write_list`, in the order of the field numbers
+    width: int  # words of a record
+    columns: tuple[tuple[Column, int, int, int | None], ...]  # its first word, words, number of its vector
 
 
 @cache

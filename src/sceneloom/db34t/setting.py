@@ -187,12 +187,7 @@ def _declared_axes(properties: Snapshot, kind: SensorKind) -> DeclaredAxes:
 
 
 def _parse_camera_models(text: str) -> Mapping[int, Camera]:
-    """Read `{"1": {"model": "fisheye", "image_size": [w, h], "fx": …, "coefficients": […]}}`; an empty text: none.
-
-    Raises:
-        DataError: it is no JSON object of camera models.
-        CalibrationError: a camera model cannot be.
-    """
+    """Read `{"1": {"model": "fisheye", "image_size": [w, h], "fx": …, "coefficients": […]}}`; an empty text: none."""
     found = read_by_sensor(text, CAMERA_MODELS, '{"1": {"model": "fisheye", …}}')
     return {camera_id: _camera_model(entry, str(camera_id)) for camera_id, entry in found.items()}
 

@@ -683,10 +683,8 @@ def _range_image(frame: FusedFrame, view: FusedView) -> Float32Array:
 
 
 def _colors_of(frame: FusedFrame, view: FusedView, setting: Setting) -> UInt8Array:
-    """The colours that one image gives the points: those of the cloud, where it is the only one that gave them.
-
-    Algorithms of other packages may colour a cloud as they like. Points that the image does not show are grey.
-    """
+    """One image's colours of the points: the cloud's, if it alone gave them; grey where it does not show them."""
+    # algorithms of other packages may colour a cloud as they like
     own = setting.properties.algorithms[FusionType.SENSOR_DATA] in BUILT_IN[FusionType.SENSOR_DATA]
     colors, shown_by = frame.points.colors, frame.points.camera_index
     if not own or len(frame.views) != 1 or colors is None or shown_by is None:
@@ -719,13 +717,7 @@ def _fused_detections_record(
     camera_id: int,
     motion_compensated: bool,
 ) -> FusedDetections:
-    """The records of the objects of a sweep and an image.
-
-    Args:
-        camera: the camera model of the image, to whose size boxes are cut.
-
-    Source: DB34/T 4101-2022, table 10.
-    """
+    """The records of objects of a sweep and an image, to whose camera's size boxes are cut (table 10)."""
     fused = frame.fused
     columns, sound = declared_columns(fused, setting.declared_from_standard, camera)
     _tilt(columns, fused, boxes_3d, setting.standard_from_lidar)

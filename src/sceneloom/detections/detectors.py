@@ -41,17 +41,12 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 
 
 class _Kind(NamedTuple):
-    """One class of objects.
-
-    Attributes:
-        size_lwh: typical length, width and height [m].
-        size_sigmas: how much they differ from one object to the next, as standard deviations [m].
-    """
+    """One class of objects."""
 
     family: str
     words: tuple[str, ...]
-    size_lwh: tuple[float, float, float]
-    size_sigmas: tuple[float, float, float]
+    size_lwh: tuple[float, float, float]  # typical [m]
+    size_sigmas: tuple[float, float, float]  # standard deviations from one object to the next [m]
 
 
 _VEHICLES, _PEOPLE = "vehicles", "people"

@@ -588,11 +588,9 @@ _LEAST_PX, _LEAST_SHARE = 0.5, 0.01
 
 
 def _widened(columns: Columns, draft: Detectors) -> Detectors:
-    """Scale covariances so that their regions hold what they promise, in groups that were left out.
-
-    The squared radius is halfway, as a ratio, between those of a Student distribution and a Gaussian with the same
-    covariances, so that neither reading of them is off by much.
-    """
+    """Scale covariances so that their regions hold what they promise, in groups that were left out."""
+    # the squared radius is halfway, as a ratio, between those of a Student distribution and a Gaussian with the same
+    # covariances, so that neither reading of them is off by much
     promised = np.sqrt(
         radius_squared(_LEVEL, degrees_of_freedom=draft.degrees_of_freedom)
         * radius_squared(_LEVEL, degrees_of_freedom=float("inf"))

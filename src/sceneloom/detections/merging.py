@@ -145,19 +145,12 @@ def _scores_of_sweep(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Alone:
-    """Objects of images alone.
+    """Objects of images alone."""
 
-    Attributes:
-        rows: (C, M) int64, which object of each view they are.
-        best: (M,) int64, the view that knows their location best.
-        centers: (M, 3) float64 [m].
-        covariances: (M, 3, 3) float64 [m²].
-    """
-
-    rows: Int64Array
-    best: Int64Array
-    centers: Float64Array
-    covariances: Float64Array
+    rows: Int64Array  # (C, M), which object of each view they are
+    best: Int64Array  # (M,), the view that knows their location best
+    centers: Float64Array  # (M, 3) [m]
+    covariances: Float64Array  # (M, 3, 3) [m²]
     labels: tuple[str, ...]
 
 

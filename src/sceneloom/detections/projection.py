@@ -99,21 +99,14 @@ _RAYS: Float64Array = read_only(
 
 
 class _Placed(NamedTuple):
-    """Objects in space by one image: rows of boxes along which the camera model has rays, positions in the lidar frame.
+    """Objects in space by one image: rows of boxes along which the model has rays; positions in the lidar frame."""
 
-    Attributes:
-        rows: (P,) int64.
-        centers, center_covariances: (P, 3) [m] and (P, 3, 3) [m²].
-        sizes_lwh, size_covariances: (P, 3) [m], typical of the class, and (P, 3, 3) [m²].
-        ranges: (P,) [m], from the camera.
-    """
-
-    rows: Int64Array
-    centers: Float64Array
-    center_covariances: Float64Array
-    sizes_lwh: Float64Array
-    size_covariances: Float64Array
-    ranges: Float64Array
+    rows: Int64Array  # (P,)
+    centers: Float64Array  # (P, 3) [m]
+    center_covariances: Float64Array  # (P, 3, 3) [m²]
+    sizes_lwh: Float64Array  # (P, 3) [m], typical of the class
+    size_covariances: Float64Array  # (P, 3, 3) [m²]
+    ranges: Float64Array  # (P,) [m], from the camera
 
 
 def position_by_height(
@@ -188,11 +181,8 @@ def _position_by_points(
     boxes: Float64Array,
     placed: _Placed,
 ) -> tuple[_Placed, BoolArray]:
-    """Put objects that an image shows where the points (P, 3) [m] of the sweep are; and which of them that did, (L,).
-
-    `corners_xyxy` (M, 4) [px] and `kinds` (M,) are of boxes of the image, `boxes` (N, 7) of the sweep: centre, size [m]
-    and heading [rad].
-    """
+    """Put objects that an image shows where points of the sweep (P, 3) [m] are; and which of them that did, (L,)."""
+    # `corners_xyxy` (M, 4) [px] and `kinds` (M,) of the image; `boxes` (N, 7) of the sweep: centre, size, heading
     measured = np.zeros(len(placed.rows), np.bool_)
     if len(measured) == 0 or len(points_lidar) == 0:
         return placed, measured
@@ -254,14 +244,10 @@ def _in_boxes(points: Float64Array, boxes: Float64Array) -> BoolArray:
 
 
 class _Visibility(NamedTuple):
-    """How an image sees an object.
+    """How an image sees an object."""
 
-    Attributes:
-        upright, across: under which angles [rad].
-    """
-
-    upright: float
-    across: float
+    upright: float  # under which angle [rad]
+    across: float  # likewise [rad]
     edge_shares: tuple[float, float]
     is_cut_upright: bool
     is_cut_across: bool
@@ -330,11 +316,9 @@ def _most_at_once(depths: Float64Array, reach: float, expected: float, variance:
 
 
 def _behind(surface: float, size: Float64Array, visibility: _Visibility) -> tuple[float, float]:
-    """How far the middle of an object is behind what is seen of it [m], and the variance of that [m²].
-
-    A box of length l and width w that is rotated by β from the line of sight appears l sin β + w cos β wide; from its
-    middle to its surface on the line of sight it is the less of l / (2 cos β) and w / (2 sin β).
-    """
+    """How far the middle of an object is behind what is seen of it [m], and the variance of that [m²]."""
+    # a box of length l and width w that is rotated by β from the line of sight appears l sin β + w cos β wide; from its
+    # middle to its surface on the line of sight it is the less of l / (2 cos β) and w / (2 sin β)
     if size[1] < _SLIM:
         return _BODY * float(size[1]), float(_BODY * size[1] / 2.0) ** 2
     length, width = float(size[0]), float(size[1])
@@ -355,10 +339,8 @@ def _behind(surface: float, size: Float64Array, visibility: _Visibility) -> tupl
 
 
 def _off_ray(distance: float, size: Float64Array, visibility: _Visibility) -> float:
-    """Variance of where an object is across the ray through the middle of its box in the image [m²].
-
-    The middle of what is seen is not that of the object where it is near, cut off or hidden.
-    """
+    """Variance of where an object is across the ray through the middle of its box in the image [m²]."""
+    # the middle of what is seen is not that of the object where it is near, cut off or hidden
     length, height = float(size[0]), float(size[2])
     variance = min(length**2 / (_NEAR_SHIFT * distance), length / 4.0) ** 2
     variance += visibility.is_cut_across * (_CUT_SHARE * length) ** 2
@@ -670,24 +652,16 @@ _ANY_YAW = np.pi**2 / 3.0  # variance of a heading of which nothing is known [ra
 
 
 class _Seen(NamedTuple):
-    """The boxes of one detector that have a position.
+    """The boxes of one detector that have a position."""
 
-    Attributes:
-        numbers: (N, 7) float64 of `boxes_with_position`, or (N, 4) of `boxes_with_area`.
-        rows: (N,) int64, which of the detector's boxes these are.
-        classes, kinds: (N,) int64 of `detectors.numbers_of`, and rows of tables.
-        reported: (N,) float64, logarithms of the odds that each exists, as the detector names them; NaN for no numbers.
-        odds, likely: (N,) float64, the same as they come true of that detector, and the probabilities.
-    """
-
-    numbers: Float64Array
-    rows: Int64Array
+    numbers: Float64Array  # (N, 7) of `boxes_with_position`, or (N, 4) of `boxes_with_area`
+    rows: Int64Array  # (N,), which of the detector's boxes these are
     labels: Sequence[str]
-    classes: Int64Array
-    kinds: Int64Array
-    reported: Float64Array
-    odds: Float64Array
-    likely: Float64Array
+    classes: Int64Array  # (N,) of `detectors.numbers_of`
+    kinds: Int64Array  # (N,), rows of tables
+    reported: Float64Array  # (N,), logarithms of the odds that each exists; NaN for no numbers
+    odds: Float64Array  # (N,), the same as they come true of that detector
+    likely: Float64Array  # (N,), as probabilities
 
 
 def _seen(pair: DetectionPair, table: Float64Array) -> tuple[_Seen, _Seen]:
@@ -716,10 +690,7 @@ def _refined(
     partners: Int64Array,
     settings: ProjectionSettings,
 ) -> tuple[Float64Array, Float64Array]:
-    """Sharpen the boxes of a sweep by their partners; gives covariances (N, 6, 6) [m²] and variances of yaws [rad²].
-
-    How uncertain boxes are is as their detector reports, or usual.
-    """
+    """Sharpen a sweep's boxes by partners; covariances (N, 6, 6) [m²], yaw variances [rad²], as reported or usual."""
     table, stated, velocities = tables_of(settings).noise, pair.boxes_3d.covariances, pair.boxes_3d.velocities
     reported = np.zeros((0, 7, 7)) if stated is None else stated
     covariances, of_yaws, own = box_covariances(sweep.numbers, sweep.reported, reported, sweep.rows, sweep.kinds, table)

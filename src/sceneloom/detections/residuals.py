@@ -95,10 +95,8 @@ def _refined_rotation(couples: Float64Array, jacobian: Float64Array, rotation: F
 def _rotation_covariance(
     couples: Float64Array, jacobian: Float64Array, rotation: Float64Array, images: Int64Array
 ) -> Float64Array:
-    """How the rotation [rad] scatters when blocks of successive images are drawn anew, (3, 3) [rad²].
-
-    Couples (C, 5) have slopes (C, 2, 3) and are of `images` (C,).
-    """
+    """How the rotation scatters when blocks of successive images are drawn anew, (3, 3) [rad²]."""
+    # couples (C, 5) have slopes (C, 2, 3) and are of `images` (C,)
     near = np.hypot(*(couples[:, 2:4] - jacobian @ rotation).T) < 3.0 * couples[:, 4]
     _, order = np.unique(images, return_inverse=True)
     count = min(int(order.max()) + 1, _BLOCKS)

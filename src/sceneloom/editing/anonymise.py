@@ -188,17 +188,11 @@ def kind_of(name: str, value: Any) -> str | None:
 
 @dataclass(slots=True)
 class _RevealingFields:
-    """Removes revealing fields from a scene, and lists where they were.
+    """Removes revealing fields from a scene, and lists where they were."""
 
-    Attributes:
-        kinds: what must not be reported.
-        gone: warnings about what was removed.
-        left: warnings about what was found and stays.
-    """
-
-    kinds: frozenset[str]
-    gone: list[DataWarning] = field(default_factory=list)
-    left: list[DataWarning] = field(default_factory=list)
+    kinds: frozenset[str]  # what must not be reported
+    gone: list[DataWarning] = field(default_factory=list)  # about what was removed
+    left: list[DataWarning] = field(default_factory=list)  # about what was found and stays
 
     def removed(self, scene: Scene) -> Scene:
         """Give the scene without revealing fields; those of frames are removed when these are read."""

@@ -136,15 +136,10 @@ def _calibrated(scene: Scene, calibration: CameraCalibration) -> Scene:
 
 
 def _calibrated_camera(sensor: CameraSensor, calibration: CameraCalibration) -> CameraSensor:
-    """Give a camera with its calibration applied.
-
-    world_from_camera' = world_from_camera D(t); the camera model is replaced; images were taken `time_offset` later
-    than their timestamps state. Poses report where the camera was at a time, so they keep theirs; where the corrected
-    images go beyond them by no more than the offset, they are extrapolated.
-
-    Source: "Camera Calibration Annotation" of the SFS description; READING of "camera_calibration" in
-    docs/CONVENTIONS.md.
-    """
+    """A camera with its calibration applied: world_from_camera' = world_from_camera D(t), camera model, time offset."""
+    # images were taken `time_offset` later than stated; poses report where the camera was at a time, so they keep
+    # theirs; where the corrected images go beyond them by no more than the offset, they are extrapolated
+    # Source: "Camera Calibration Annotation" of SFS; READING of "camera_calibration" in docs/CONVENTIONS.md
     shift_ns = round(calibration.time_offset_ns or 0)
     timestamps_ns = sensor.images.timestamps_ns + shift_ns
     rotated = sensor if calibration.poses is None else _rotated(sensor, calibration.poses, timestamps_ns)

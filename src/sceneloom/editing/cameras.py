@@ -33,17 +33,8 @@ from sceneloom.warnings import DataWarning
 def _chosen_cameras(
     scene: Scene, cameras: Iterable[Identifier] | None, *, unless: str | None = None
 ) -> Iterator[tuple[int, CameraSensor]]:
-    """Give cameras with their locations among the sensors.
-
-    Args:
-        scene: whose cameras.
-        cameras: ids of those wanted; None for all whose camera model is not of the model `unless`.
-        unless: a model that needs no change.
-
-    Raises:
-        OptionError: the scene has no such camera, or none at all, or an annotation replaces its camera model.
-        CalibrationError: nothing confirms the formula of a camera model, and computing with it was not asked for.
-    """
+    """Give wanted cameras (None: all of another model than `unless`) with their locations among the sensors."""
+    # refuses cameras that the scene lacks, or whose model an annotation replaces or nothing confirms, and finding none
     if not scene.cameras:
         raise OptionError(f"{scene.source}: has no camera, and so no camera model to change")
     wanted = None if cameras is None else {key_of(scene.sensor(identifier).id) for identifier in cameras}
@@ -169,11 +160,9 @@ _SIDE = 9
 
 @dataclass(slots=True, eq=False)
 class _CameraModelChange:
-    """Moves what is drawn into images from one camera model to another; counts what was left out as `lost`.
+    """Moves what is drawn into images from one camera model to another; counts what was left out as `lost`."""
 
-    Positions are in the corner convention; what the new camera model does not see whole, or the new image not at all,
-    becomes NaN.
-    """
+    # positions are in the corner convention; NaN: what the new model does not see whole, or the new image not at all
 
     before: Camera
     after: Camera
@@ -223,10 +212,8 @@ class _CameraModelChange:
 
 
 def _redrawn(annotation: Annotation, changes: Mapping[Key, _CameraModelChange]) -> Annotation | None:
-    """Move what is drawn into images of the cameras whose camera model changes.
-
-    Rows of paths that become NaN are left out, and an annotation of which nothing stays; projections become null.
-    """
+    """Move what is drawn into images of cameras whose model changes; None where nothing stays."""
+    # rows of paths that become NaN are left out; projections become null
 
     def projected(entry: Any, name: str) -> Any:
         change, values = changes.get(key_of(entry.sensor_id)), getattr(entry, name)

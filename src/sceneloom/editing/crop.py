@@ -164,12 +164,7 @@ def _check_ego(scene: Scene, kept: list[Sensor], ids: NewIds) -> None:
 
 
 def _with_annotations(scene: Scene, found: Sequence[Annotation | None]) -> Scene:
-    """Give a scene whose annotations became these, None for one that is gone, with links to it and its role as parent.
-
-    Args:
-        scene: with all annotations.
-        found: one for each of them.
-    """
+    """Give a scene whose annotations became these; None: it is gone, with links to it and its role as parent."""
     gone = [old for old, new in zip(scene.annotations, found, strict=True) if new is None]
     kept = tuple(annotation for annotation in found if annotation is not None)
     if not gone:
@@ -233,17 +228,11 @@ def _ego_if_needed(
 
 @dataclass(frozen=True, slots=True)
 class _Region:
-    """A box along the axes of a frame, or a ball around its origin, or what is in both.
-
-    Attributes:
-        frame: whose axes and origin.
-        box: least x, y, z and greatest x, y, z [m], the faces included; None for all of space.
-        reach: greatest distance from the origin [m]; None for any.
-    """
+    """A box along the axes of a frame, or a ball around its origin, or what is in both."""
 
     frame: PointsFrame
-    box: tuple[float, ...] | None = None
-    reach: float | None = None
+    box: tuple[float, ...] | None = None  # least, then greatest x, y, z [m], faces included; None: all
+    reach: float | None = None  # greatest distance from the origin [m]; None for any
 
     def __post_init__(self) -> None:
         box = self.box
@@ -437,14 +426,8 @@ _OTHER, _ANCHORS, _FRAMES = "other_lines", "other_seconds", "frame_lines"
 
 
 def _cut_lines(scene: Scene, part: Interval | None) -> Mapping[str, Any]:
-    """Give a scene's metadata without lines of other times, and of sensors and trajectories that are gone.
-
-    Unknown lines stay where their time does, those without one where that of the line before does.
-
-    Args:
-        scene: the part that stays.
-        part: its times [ns]; None where it was not cut in time.
-    """
+    """Metadata of what stays, without lines of times outside `part` [ns], and of sensors and trajectories gone."""
+    # unknown lines stay where their time does, those without one where that of the line before does
     kept = scene.metadata.get(LINES)
     if not isinstance(kept, Mapping):
         return scene.metadata

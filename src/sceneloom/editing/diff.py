@@ -195,25 +195,14 @@ _KEYS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Comparison:
-    """Compares values and collects what differs; differences in the frames of one sensor become one.
+    """Compares values and collects what differs; differences in the frames of one sensor become one."""
 
-    Attributes:
-        tolerances: largest differences that count as none, by unit; frames so near in time are the same frame.
-        other_timestamps: whether a path may be sampled at other timestamps, if it is the same within the tolerances.
-        angles: unit and order of the angles of cuboids in the two scenes.
-        pixels: whether images whose bytes differ or are not there are decoded.
-        on_frame: called after each frame.
-        frame: number of the frame that is compared, or None.
-        found: the differences.
-        not_compared: what was not compared.
-    """
-
-    tolerances: Mapping[str, float]
-    other_timestamps: bool
-    angles: tuple[CuboidAngles, CuboidAngles]
-    pixels: bool
-    on_frame: Callable[[], None]
-    frame: int | None = None
+    tolerances: Mapping[str, float]  # that count as none, by unit; frames so near in time are one
+    other_timestamps: bool  # whether a path may be sampled at others, if the same within tolerances
+    angles: tuple[CuboidAngles, CuboidAngles]  # of the two scenes' cuboids
+    pixels: bool  # whether images whose bytes differ or are not there are decoded
+    on_frame: Callable[[], None]  # called after each frame
+    frame: int | None = None  # the one that is compared
     found: dict[tuple[str, Change], Difference] = field(default_factory=dict)
     not_compared: dict[str, None] = field(default_factory=dict)
 
@@ -513,10 +502,8 @@ def _sampled(path: Any, times_ns: Int64Array, angles: CuboidAngles) -> tuple[Flo
 
 
 def _paths_apart(a: Any, b: Any, angles: tuple[CuboidAngles, CuboidAngles]) -> tuple[float, float] | None:
-    """Give how far two paths of one class are apart [m] and [deg]; None if they begin or end at other times.
-
-    Both are straight between timestamps, so that positions are farthest apart at a timestamp of one of them.
-    """
+    """Give how far two paths of one class are apart [m] and [deg]; None if they begin or end at other times."""
+    # both are straight between timestamps, so that positions are farthest apart at a timestamp of one of them
     first, second = a.timestamps_ns, b.timestamps_ns
     if (first[0], first[-1]) != (second[0], second[-1]) or getattr(a, "static", 0) != getattr(b, "static", 0):
         return None

@@ -199,10 +199,8 @@ _Track = tuple[Int64Array, Float64Array] | None
 
 
 def _different_drives(first: Scene, second: Scene) -> tuple[list[str], bool]:
-    """Report why two scenes in one world are not of one drive, and whether they have more than times to compare.
-
-    Times of clocks that begin at 0 relate nothing.
-    """
+    """Why two scenes in one world are not of one drive, and whether they have more than times to compare."""
+    # times of clocks that begin at 0 relate nothing
     reasons = []
     here, there = _cities(first.metadata), _cities(second.metadata)
     if here and there and here.isdisjoint(there):
@@ -365,18 +363,12 @@ def _joined_poses(first: Poses, second: Poses) -> Poses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Joint:
-    """How the frames of a second part continue those of a first.
+    """How the frames of a second part continue those of a first."""
 
-    Attributes:
-        sources: (N, 2) int64, of each frame of the whole its part and its number there.
-        first, second: (M,) int64, new number of each frame of a part.
-        twice: how many frames are in both.
-    """
-
-    sources: Int64Array
-    first: Int64Array
-    second: Int64Array
-    twice: int
+    sources: Int64Array  # (N, 2), of each frame of the whole its part and its number there
+    first: Int64Array  # (M,), new number of each frame of the part
+    second: Int64Array  # likewise
+    twice: int  # how many frames are in both
 
     @classmethod
     def of(cls, first_ns: Int64Array, second_ns: Int64Array) -> "_Joint":

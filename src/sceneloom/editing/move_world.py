@@ -378,17 +378,11 @@ def with_odometry(scene: Scene, path: Poses, *, wanted: Identifier = EGO_ID) -> 
 
 @dataclass(slots=True)
 class _SensorMover:
-    """Moves the sensors of a scene, and collects what is to be reported.
-
-    Attributes:
-        scene: whose sensors.
-        ego: the ego trajectory, if it is needed.
-        anew: place mounted sensors along the ego trajectory even where their own poses are in the world.
-    """
+    """Moves the sensors of a scene, and collects what is to be reported."""
 
     scene: Scene
-    ego: EgoMotion | None = None
-    anew: bool = False
+    ego: EgoMotion | None = None  # if it is needed
+    anew: bool = False  # place mounted sensors along the ego trajectory even where their own poses are in the world
     _renumberings: dict[Key, Renumbering] = field(default_factory=dict)
     _warnings: list[DataWarning] = field(default_factory=list)
 
@@ -468,11 +462,7 @@ class _SensorMover:
         return replace(sensor, frames=frames)
 
     def _poses_in_world(self, sensor: Posed) -> Poses | None:
-        """Where a sensor was in the world, at the times of its own poses, else as its frames need it; None if unknown.
-
-        Raises:
-            PoseError: the sensor's pose on the ego is known, and that of the ego is not.
-        """
+        """Where a sensor was in the world, at the times of its own poses, else as frames need it; None if unknown."""
         own, reach_ns = sensor.poses, scene_period_ns(self.scene)
         if own is not None and sensor.coordinates is Coordinates.WORLD and not (self.anew and sensor.mount is not None):
             return own
@@ -503,10 +493,8 @@ class _SensorMover:
         return _world_from_ego(self.scene, self.ego).inverse().path(sensor.poses, times_ns=times_ns)
 
     def _parent(self, sensor: Posed, odometry_id: Identifier) -> Identifier | None:
-        """The parent of a sensor on the ego: the odometry, where there are several and it would not be clear.
-
-        Source: READING of "GPSSensor" in docs/CONVENTIONS.md.
-        """
+        """The parent of a sensor on the ego: the odometry, where there are several and it would not be clear."""
+        # Source: READING of "GPSSensor" in docs/CONVENTIONS.md
         odometries = [key_of(other.id) for other in self.scene.sensors if isinstance(other, OdometrySensor)]
         if sensor.coordinates is Coordinates.EGO or not set(odometries) - {key_of(odometry_id)}:
             return sensor.parent_id
@@ -600,15 +588,10 @@ _Sampler = Callable[[Int64Array], tuple[Float64Array, Float64Array | None]]
 
 @dataclass(frozen=True, slots=True)
 class _AddedKeyframes:
-    """The keyframes that a path got because it moves otherwise in the new frame.
-
-    Attributes:
-        timestamps_ns: of the added keyframes.
-        stationary: whether it was stationary in the old frame.
-    """
+    """The keyframes that a path got because it moves otherwise in the new frame."""
 
     timestamps_ns: tuple[int, ...]
-    stationary: bool
+    stationary: bool  # in the old frame
 
 
 def _annotations_moved(
@@ -617,14 +600,7 @@ def _annotations_moved(
     before: Mapping[_PathKey, _AddedKeyframes],
     entry: list[dict[str, Any]] | None = None,
 ) -> Scene:
-    """Move the annotations of a scene.
-
-    Args:
-        scene: whose annotations.
-        change: `new_from_old`.
-        before: the keyframes that an earlier change added, to be removed.
-        entry: the keyframes that are added are written here, as `_added_before` reads them.
-    """
+    """Move a scene's annotations by `new_from_old`, without keyframes of `before`; `entry` gets those it adds."""
     times = frames_ns(scene)
     times = times if len(times) else change.knots_ns
     mover = _AnnotationMover(change, CuboidAngles.of(scene), times[change.is_known(times)], before)
@@ -662,26 +638,15 @@ def _added_before(scene: Scene) -> Mapping[_PathKey, _AddedKeyframes]:
 
 @dataclass(slots=True, eq=False)
 class _AnnotationMover:
-    """Moves annotations into another frame, and chooses their keyframes.
+    """Moves annotations into another frame, and chooses their keyframes."""
 
-    Attributes:
-        change: `new_from_old`.
-        angles: the unit and order of the angles of cuboids.
-        frames_ns: (L,) int64 [ns], ascending, the times of the scene's frames, at which paths must be right, too.
-        added_before: keyframes that an earlier change added, to be removed again.
-        in_world: both frames are worlds: what is stationary in one is so in the other. Else it gets keyframes from the
-            first to the last frame.
-        added: keyframes that were added, by path; of every path where the change is not constant.
-        left_out: how many keyframes were left out, since the change is not known at their times.
-    """
-
-    change: FrameChange
+    change: FrameChange  # `new_from_old`
     angles: CuboidAngles
-    frames_ns: Int64Array
+    frames_ns: Int64Array  # (L,), ascending, the times of the scene's frames, at which paths must be right, too
     added_before: Mapping[_PathKey, _AddedKeyframes] = field(default_factory=lambda: MappingProxyType({}))
-    in_world: bool = False
-    added: dict[_PathKey, _AddedKeyframes] = field(default_factory=dict)
-    left_out: int = 0
+    in_world: bool = False  # both frames are: what is stationary stays so; else it gets keyframes, first to last frame
+    added: dict[_PathKey, _AddedKeyframes] = field(default_factory=dict)  # of every path if the change varies
+    left_out: int = 0  # keyframes at whose times the change is not known
 
     def moved(self, annotations: Iterable[Annotation]) -> tuple[Annotation, ...]:
         """Give the annotations in the new frame; those that are known at no time there are left out."""
@@ -700,11 +665,8 @@ class _AnnotationMover:
         return annotation
 
     def _adjustment(self, adjustment: LocalizationAdjustment) -> LocalizationAdjustment | None:
-        """Give the adjustment that leads from the new frame to where it led from the old one.
-
-        A'(t) = A(t) old_from_new(t), of worlds new_from_old(t) A(t) old_from_new(t); None where the two are known at
-        no common time.
-        """
+        """The adjustment that leads from the new frame to where it led from the old one; None without common times."""
+        # A'(t) = A(t) old_from_new(t), of worlds new_from_old(t) A(t) old_from_new(t)
         poses, times = adjustment.poses, self.change.knots_ns
         if not poses.static:
             inside = times[(times >= poses.start_ns) & (times <= poses.stop_ns)]
@@ -828,14 +790,7 @@ class _AnnotationMover:
         return not self.in_world and len(self.frames_ns) > 0 and not self.change.is_constant
 
     def _times(self, key: _PathKey, timestamps_ns: Int64Array, sample: _Sampler, *, stationary: bool) -> Int64Array:
-        """Give the times (K,) int64 [ns] of the keyframes in the new frame, ascending; none where it is not known.
-
-        Args:
-            key: which path.
-            timestamps_ns: (N,) its keyframes in the old frame.
-            sample: where it is in the old frame.
-            stationary: whether it is stationary in the old frame.
-        """
+        """Ascending times (K,) [ns] of a path's keyframes in the new frame, by `sample` in the old; none if unknown."""
         times, moving = np.unique(timestamps_ns), stationary and self._sets_moving
         if moving:
             first, last = self.frames_ns[[0, -1]]

@@ -63,17 +63,11 @@ class Hiding:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Track:
-    """An object in the images of one camera.
+    """An object in the images of one camera."""
 
-    Attributes:
-        times_ns: (N,) int64 [ns], ascending.
-        boxes: (N, 4) float64 [px] left, top, right, bottom.
-        always: whether it is there in all images.
-    """
-
-    times_ns: Int64Array
-    boxes: Float64Array
-    always: bool = False
+    times_ns: Int64Array  # (N,) [ns], ascending
+    boxes: Float64Array  # (N, 4) [px] left, top, right, bottom
+    always: bool = False  # whether it is there in all images
 
     def seen(self, times_ns: Int64Array, margin_ns: int) -> tuple[Int64Array, Float64Array]:
         """The images in which it is seen, (M,), and its boxes in them, (M, 4)."""

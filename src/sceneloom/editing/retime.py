@@ -207,13 +207,7 @@ _Right = Callable[[Int64Array], Int64Array]
 
 
 def _retimed_part(part: Any, sensors: Mapping[Key, _Right], otherwise: _Right | None) -> Any:
-    """Move the times of an annotation, or of a part of one.
-
-    Args:
-        part: any value in the annotations' model.
-        sensors: by sensor; a part that names one of them goes with it, with all that is in it.
-        otherwise: for what names no sensor; None: its times stay.
-    """
+    """Move times of a part of an annotation: by the sensor it or an outer part names, else `otherwise` (None: not)."""
     if isinstance(part, tuple) and any(is_dataclass(item) or isinstance(item, tuple) for item in part):
         return tuple(_retimed_part(item, sensors, otherwise) for item in part)
     if not is_dataclass(part) or isinstance(part, type) or (isinstance(part, Poses) and part.static):

@@ -99,19 +99,12 @@ def simplify_scene(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Thinner:
-    """Thins paths.
+    """Thins paths."""
 
-    Attributes:
-        tolerance: of positions and sizes [m].
-        rotation_tolerance: [rad].
-        angles: unit and order of the angles of cuboids.
-        counts: timestamps before and after, by kind of path.
-    """
-
-    tolerance: float
-    rotation_tolerance: float
+    tolerance: float  # of positions and sizes [m]
+    rotation_tolerance: float  # [rad]
     angles: CuboidAngles
-    counts: dict[str, list[int]] = field(default_factory=dict)
+    counts: dict[str, list[int]] = field(default_factory=dict)  # timestamps before and after, by kind of path
 
     def cuboids(self, path: Any) -> Any:
         quaternions = self.angles.quaternions(path.values[:, 6:]) if len(path.values) else np.zeros((0, 4))

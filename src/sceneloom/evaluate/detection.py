@@ -55,17 +55,11 @@ _PARTS = {"center": slice(0, 3), "size": slice(3, 6), "yaw": slice(6, 7)}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Difficulty:
-    """Which true objects must be found.
+    """Which true objects must be found."""
 
-    Attributes:
-        least_height_px: those not higher in the image need not be found, and lower detections do not count [px].
-        most_occlusion: those more hidden need not be found.
-        most_truncation: nor those of which more is outside the image.
-    """
-
-    least_height_px: float
-    most_occlusion: float
-    most_truncation: float
+    least_height_px: float  # lower ones need not be found, and lower detections do not count
+    most_occlusion: float  # those more hidden need not be found
+    most_truncation: float  # nor those of which more is outside the image
 
 
 DIFFICULTIES: Mapping[str, _Difficulty] = MappingProxyType(
@@ -128,21 +122,13 @@ class ReliabilityBin(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Calibration(msgspec.Struct, frozen=True, kw_only=True):
-    """Calibration of scores as probabilities.
+    """Calibration of scores as probabilities."""
 
-    Attributes:
-        count: detections that are either true or false.
-        error: expected calibration error: |mean score - share true| of the bins, weighted by their detections.
-        largest_error: of a bin with at least 1 % of the detections.
-        brier: mean square of score - (1 for true ones, 0 for false ones).
-        bins: of equal width.
-    """
-
-    count: int
-    error: float
-    largest_error: float
-    brier: float
-    bins: tuple[ReliabilityBin, ...]
+    count: int  # detections that are either true or false
+    error: float  # expected calibration error: |mean score - share true| of the bins, weighted by their detections
+    largest_error: float  # of a bin with at least 1 % of the detections
+    brier: float  # mean square of score - (1 for true ones, 0 for false ones)
+    bins: tuple[ReliabilityBin, ...]  # of equal width
 
 
 class Coverage(msgspec.Struct, frozen=True, kw_only=True):
@@ -456,19 +442,13 @@ def at_difficulty(detections: ScoredDetections, difficulty: _Difficulty) -> Scor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ScoreCurve:
-    """Right, wrong and missed detections of at least a score, for every score that there is.
+    """Right, wrong and missed detections of at least a score, for every score that there is."""
 
-    Attributes:
-        thresholds: (K,) float64, falling.
-        tp, fp, fn: (K,) int64.
-        true_count: objects that must be found.
-    """
-
-    thresholds: Float64Array
-    tp: Int64Array
-    fp: Int64Array
-    fn: Int64Array
-    true_count: int
+    thresholds: Float64Array  # (K,), falling
+    tp: Int64Array  # (K,)
+    fp: Int64Array  # (K,)
+    fn: Int64Array  # (K,)
+    true_count: int  # objects that must be found
 
 
 def score_curve(detections: ScoredDetections) -> _ScoreCurve:
@@ -528,10 +508,8 @@ def score_detections(detections: ScoredDetections) -> DetectionScores:
 
 
 def _samples(detections: ScoredDetections, matches: Int64Array, curve: _ScoreCurve) -> Int64Array:
-    """Which of the thresholds have recalls nearest to 0, 1/40, …, 1, (S,) int64, S <= `_SAMPLES`.
-
-    Source: the development kit of KITTI's object benchmark, `getThresholds`; Simonelli et al. 2019 for 40 recalls.
-    """
+    """Which of the thresholds have recalls nearest to 0, 1/40, …, 1, (S,) int64, S <= `_SAMPLES`."""
+    # Source: the development kit of KITTI's object benchmark, `getThresholds`; Simonelli et al. 2019 for 40 recalls
     right = (matches >= 0) & ~detections.found_ignored
     right[right] = ~detections.true_ignored[matches[right]]
     scores = np.sort(detections.scores[right])[::-1]

@@ -308,11 +308,7 @@ def _read_list(file: Path, ledger: Ledger) -> ObjectTable:
 
 
 def _read_fused(path: Path) -> ObjectTable:
-    """Read lines of table 10, as `sceneloom fuse --type detection` writes them; the number of a cloud is its frame.
-
-    Raises:
-        DataError: the file cannot be read, a line is no such record, or a cloud occurs twice.
-    """
+    """Read lines of table 10, as `sceneloom fuse --type detection` writes them; a cloud's number is its frame."""
     tables: dict[int, ObjectTable] = {}
     for number, line in read_lines(path):
         where = f"line {number}"

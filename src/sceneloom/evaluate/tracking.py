@@ -85,75 +85,44 @@ _KITTI_RULES = TrackingRules()
 
 
 class _HotaScores(msgspec.Struct, frozen=True, kw_only=True):
-    """HOTA and its parts, each the mean of its curve over `_ALPHAS`.
+    """HOTA and its parts (Luiten et al. 2021, "HOTA: …"), each the mean of its curve over `_ALPHAS`."""
 
-    Attributes:
-        hota: root of the product of `deta` and `assa`, at each similarity.
-        deta, detre, detpr: of detection: accuracy, recall, precision.
-        assa, assre, asspr: of association: accuracy, recall, precision.
-        loca: mean similarity of the pairs.
-        curves: by name of the metric, its value at each of `_ALPHAS`; and `tp`, `fn`, `fp`, numbers of boxes.
-
-    Source: Luiten et al. 2021, "HOTA: A Higher Order Metric for Evaluating Multi-Object Tracking".
-    """
-
-    hota: float
-    deta: float
-    assa: float
-    loca: float
-    detre: float
-    detpr: float
-    assre: float
-    asspr: float
-    curves: dict[str, tuple[float, ...]]
+    hota: float  # root of the product of `deta` and `assa`, at each similarity
+    deta: float  # detection: accuracy
+    assa: float  # association: accuracy
+    loca: float  # mean similarity of the pairs
+    detre: float  # recall
+    detpr: float  # precision
+    assre: float  # recall
+    asspr: float  # precision
+    curves: dict[str, tuple[float, ...]]  # by metric, value at each of `_ALPHAS`; `tp`, `fn`, `fp`: counts of boxes
 
 
 class _ClearScores(msgspec.Struct, frozen=True, kw_only=True):
-    """CLEAR MOT.
+    """CLEAR MOT: Bernardin and Stiefelhagen 2008; Li et al. 2009 for `mt`, `ml` and `frag`."""
 
-    Attributes:
-        mota: 1 - (fn + fp + idsw) per true box.
-        motp: mean similarity of the pairs.
-        recall, precision: of boxes.
-        tp, fn, fp: boxes paired, missed, false.
-        idsw: how often a true object changed the found one it is paired with.
-        frag: how often a true object was found again after it had been lost.
-        mt, pt, ml: true objects paired in more than 80 %, in 20 to 80 %, in less than 20 % of their frames.
-        similarity: the sum of similarities of the pairs.
-
-    Source: Bernardin and Stiefelhagen 2008; Li et al. 2009 for `mt`, `ml` and `frag`.
-    """
-
-    mota: float
-    motp: float
+    mota: float  # 1 - (fn + fp + idsw) per true box
+    motp: float  # mean similarity of the pairs
     recall: float
     precision: float
-    tp: int
-    fn: int
-    fp: int
-    idsw: int
-    frag: int
-    mt: int
-    pt: int
-    ml: int
-    similarity: float
+    tp: int  # boxes paired
+    fn: int  # missed
+    fp: int  # false
+    idsw: int  # how often a true object changed the found one it is paired with
+    frag: int  # how often a true object was found again after it had been lost
+    mt: int  # true objects paired in more than 80 % of their frames
+    pt: int  # in 20 to 80 %
+    ml: int  # in less than 20 %
+    similarity: float  # sum over the pairs
 
 
 class _IdentityScores(msgspec.Struct, frozen=True, kw_only=True):
-    """Identity metrics: how long the best found object of each true one is with it.
+    """Identity metrics: how long the best found object of each true one is with it (Ristani et al. 2016, MTMC)."""
 
-    Attributes:
-        idf1: 2 idtp / (2 idtp + idfn + idfp).
-        idp, idr: precision and recall.
-        idtp, idfn, idfp: boxes.
-
-    Source: Ristani et al. 2016, "Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking".
-    """
-
-    idf1: float
-    idp: float
-    idr: float
-    idtp: int
+    idf1: float  # 2 idtp / (2 idtp + idfn + idfp)
+    idp: float  # precision
+    idr: float  # recall
+    idtp: int  # boxes, as the next two
     idfn: int
     idfp: int
 
@@ -352,20 +321,13 @@ def _combined(parts: Sequence[TrackingScores]) -> TrackingScores:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sequence:
-    """The objects of one sequence and one class that count.
-
-    Attributes:
-        pairs: of the objects.
-        similarities: (P,) float64, of the pairs.
-        true_ids, found_ids: (T,) and (E,) int64, of the objects in order of frames, from 0 without gaps.
-        true_count, found_count: how many ids there are.
-    """
+    """The objects of one sequence and one class that count."""
 
     pairs: FramePairs
-    similarities: Float64Array
-    true_ids: Int64Array
-    found_ids: Int64Array
-    true_count: int
+    similarities: Float64Array  # (P,), of the pairs
+    true_ids: Int64Array  # (T,), in order of frames, from 0 without gaps
+    found_ids: Int64Array  # (E,), likewise
+    true_count: int  # how many ids there are
     found_count: int
 
     @property

@@ -340,11 +340,7 @@ def _contents(estimate: _Comparable, reference: _Comparable) -> tuple[Trajectory
 
 
 def _checked_trajectory(trajectory: Trajectory) -> Trajectory:
-    """A trajectory that can be computed with, its orientations of length 1.
-
-    Raises:
-        ArrayError: it is empty, its times do not rise, or a number is not finite or of no location.
-    """
+    """A trajectory that can be computed with, its orientations of length 1."""
     name, times = f"trajectory {trajectory.name!r}", trajectory.timestamps_ns
     if not len(times):
         raise ArrayError(f"{name}: empty; expected at least one pose")
@@ -532,19 +528,12 @@ def covered_share(estimate_ns: Int64Array, reference_ns: Int64Array) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Alignment:
-    """`reference_from_estimate`: p_reference = scale · rotation · p_estimate + translation.
+    """`reference_from_estimate`: p_reference = scale · rotation · p_estimate + translation."""
 
-    Attributes:
-        rotation: (3, 3) float64.
-        translation: (3,) float64 [m].
-        scale: of lengths.
-        doubts: what the poses leave open, for people.
-    """
-
-    rotation: Float64Array
-    translation: Float64Array
+    rotation: Float64Array  # (3, 3)
+    translation: Float64Array  # (3,) [m]
     scale: float = 1.0
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()  # what the poses leave open, for people
 
     def apply(self, poses: MatchedPoses) -> MatchedPoses:
         """The poses in the reference's world."""
@@ -615,11 +604,9 @@ def _origin(pairs: Pairs) -> _Alignment:
 
 
 def _yaw(pairs: Pairs) -> _Alignment:
-    """Translate, and rotate about the vertical: what cameras with an IMU leave open.
-
-    Source: Zhang and Scaramuzza 2018, "A Tutorial on Quantitative Trajectory Evaluation for Visual(-Inertial)
-    Odometry", section IV: the angle whose rotation about z has the largest trace with the covariance.
-    """
+    """Translate, and rotate about the vertical: what cameras with an IMU leave open."""
+    # Source: Zhang and Scaramuzza 2018, "A Tutorial on Quantitative Trajectory Evaluation for Visual(-Inertial)
+    # Odometry", section IV: the angle whose rotation about z has the largest trace with the covariance
     source, target = pairs.estimate.positions, pairs.reference.positions
     flat = _covariance(source, target)[:2, :2]
     if np.hypot(flat[0, 0] + flat[1, 1], flat[1, 0] - flat[0, 1]) <= _POINT:
@@ -717,11 +704,8 @@ def _by_time(pairs: Pairs, amount: float) -> _Steps:
 
 
 def _segments(distances: Float64Array, length: float, step: int) -> _Steps:
-    """Rows of first and last pose of the segments of a length.
-
-    Source: KITTI's development kit, evaluate_odometry: a segment ends at the first pose whose distance along the
-    trajectory exceeds that of its first by more than the length.
-    """
+    """Rows of first and last pose of the segments of a length."""
+    # Source: KITTI's evaluate_odometry: a segment ends at the first pose farther from its first than the length
     first = np.arange(0, len(distances), step)
     last = np.searchsorted(distances, distances[first] + length, side="right")
     inside = last < len(distances)
@@ -740,11 +724,7 @@ _UNITS: Mapping[str, Callable[[Pairs, float], _Steps]] = MappingProxyType(
 
 
 def _parse_delta(text: str) -> tuple[float, str]:
-    """Read a step: "1s", "0.5 s", "10m", "5f" (poses).
-
-    Raises:
-        OptionError: it is none.
-    """
+    """Read a step: "1s", "0.5 s", "10m", "5f" (poses)."""
     match = _DELTA.fullmatch(text.strip())
     amount = float(match["amount"]) if match else 0.0
     if match is None or match["unit"] not in _UNITS or not 0 < amount < _LARGEST_DELTA:
@@ -755,13 +735,9 @@ def _parse_delta(text: str) -> tuple[float, str]:
 
 
 def _step_errors(pairs: Pairs, aligned: MatchedPoses, steps: _Steps) -> tuple[Float64Array, Float64Array | None]:
-    """How far the motions of each step differ: lengths [m], and angles, None without orientations.
-
-    With orientations, the error is (Q_i⁻¹ Q_j)⁻¹ (P_i⁻¹ P_j), Q the reference and P the estimate; without, the
-    difference of the translations in the aligned world.
-
-    Source: Sturm et al. 2012, "A Benchmark for the Evaluation of RGB-D SLAM Systems", eq. 1.
-    """
+    """How far the motions of each step differ: lengths [m], and angles, None without orientations."""
+    # Source: Sturm et al. 2012, "A Benchmark for the Evaluation of RGB-D SLAM Systems", eq. 1: (Q_i⁻¹ Q_j)⁻¹ (P_i⁻¹
+    # P_j), Q the reference; without orientations the difference of the translations in the aligned world
     first, last = steps
     if aligned.quaternions_xyzw is None or pairs.reference.quaternions_xyzw is None:
         ours, theirs = aligned.positions, pairs.reference.positions
@@ -780,11 +756,7 @@ def _step_errors(pairs: Pairs, aligned: MatchedPoses, steps: _Steps) -> tuple[Fl
 
 
 def _relative_errors(pairs: Pairs, aligned: MatchedPoses, delta: str) -> RelativeErrors | None:
-    """Errors over all steps of one kind, from each pose on; None where no step fits.
-
-    Raises:
-        OptionError: the step is none.
-    """
+    """Errors over all steps of one kind, from each pose on; None where no step fits."""
     amount, unit = _parse_delta(delta)
     if len(pairs.timestamps_ns) < 2:
         return None
@@ -810,11 +782,8 @@ def _relative_errors(pairs: Pairs, aligned: MatchedPoses, delta: str) -> Relativ
 
 
 def _kitti_errors(pairs: Pairs, aligned: MatchedPoses) -> KittiErrors | None:
-    """Errors per length over segments of several lengths; None where there is none, or no orientations.
-
-    Source: Geiger, Lenz and Urtasun 2012, and evaluate_odometry of the development kit: each error is divided by the
-    length of its segment, then all are averaged.
-    """
+    """Errors per length over segments of several lengths; None where there is none, or no orientations."""
+    # Source: Geiger, Lenz and Urtasun 2012, and evaluate_odometry: errors by their segment's length, averaged
     distances = pairs.distances
     found: dict[float | None, list[Float64Array]] = {}
     for length in _KITTI_LENGTHS:
@@ -885,11 +854,7 @@ def _plot_errors(
     *,
     overwrite: bool,
 ) -> None:
-    """Draw the trajectories from above, coloured by the first of the errors, and curves of the errors.
-
-    Raises:
-        OutputError: the file exists, or cannot be written.
-    """
+    """Draw the trajectories from above, coloured by the first of the errors, and curves of the errors."""
     figure = check_plot(path, overwrite=overwrite)(figsize=_SIZE_INCHES)
     grid = figure.add_gridspec(len(curves), 2, width_ratios=(1.2, 1.0))
     axes = figure.add_subplot(grid[:, 0])

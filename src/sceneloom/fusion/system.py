@@ -184,11 +184,10 @@ class _Waiting(Generic[_Frame]):
 
 @dataclass(slots=True)
 class _Pairing(Generic[_Frame, _Partner]):
-    """Sweeps in the order in which they came, and the images that they may be paired with.
+    """Sweeps in the order in which they came, and the images that they may be paired with."""
 
-    A sweep is ready as soon as every camera has sent an image at or after its reference time, and where images may
-    come out of order one so near that no other is nearer; or when so much time has passed that none can come any more.
-    """
+    # a sweep is ready as soon as every camera has sent an image at or after its reference time, and where images may
+    # come out of order one so near that no other is nearer; or when so much time has passed that none can come any more
 
     lateness_ns: int = 0  # how much later than its time an image may arrive and still be waited for
     most_waiting: int | None = None  # sweeps that may wait; None for as many as come

@@ -304,10 +304,8 @@ class RigidTransform:
 
 
 def _measure(rotation: Float64Array) -> tuple[float, float]:
-    """Max abs of R Rᵀ - I, infinite if something is not finite, and the determinant.
-
-    By plain numbers: transforms are made for each image and sweep, and NumPy takes several times as long for nine.
-    """
+    """Max abs of R Rᵀ - I, infinite if something is not finite, and the determinant."""
+    # by plain numbers: transforms are made for each image and sweep, and NumPy takes several times as long for nine
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     off = (
         *(a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0),
@@ -447,11 +445,8 @@ def thin_poses(
 
 
 def _split(segments: Int64Array, misfits: Float64Array, *, at_worst: bool) -> tuple[Int64Array, BoolArray]:
-    """Choose one pose of every segment that does not fit, and report which poses have to be judged again.
-
-    Splitting at the worst pose gives few poses, but may take as many levels as there are poses; splitting in
-    the middle (not `at_worst`) bounds the levels.
-    """
+    """Choose one pose of every segment that does not fit, and report which poses have to be judged again."""
+    # at the worst pose few are needed, but maybe as many levels as there are poses; in the middle these are bounded
     starts = np.flatnonzero(np.diff(segments, prepend=segments[0] - 1))
     lengths = np.diff(starts, append=len(segments))
     worst = np.maximum.reduceat(misfits, starts)

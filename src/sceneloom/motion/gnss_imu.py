@@ -425,11 +425,7 @@ _LONGEST_STEP = 60.0  # longest median time between fixes without an IMU [s]
 
 
 def _check_times(location: str, fixes: GnssFixes, samples: InertialSamples | None) -> None:
-    """Refuse times that are too far apart, such as milliseconds taken for seconds.
-
-    Raises:
-        PoseError: samples or fixes are too far apart.
-    """
+    """Refuse times that are too far apart, such as milliseconds taken for seconds."""
     hint = "are the times in milliseconds, where seconds are expected?"
     if samples is not None and samples.period > _LONGEST_PERIOD:
         raise PoseError(
@@ -498,11 +494,8 @@ def knot_times(
 
 
 def _apart_ns(times_ns: Int64Array, samples: InertialSamples | None, settings: SmootherSettings) -> Int64Array:
-    """How far a fix at each time may be from the state before it, (F,) [ns]: the IMU's noise has to stay small.
-
-    Source: position by white noise of the acceleration, n² t³ / 3, and by that of the angular velocity under gravity,
-    (g n)² t⁵ / 20 (Farrell 2008, "Aided Navigation", 11.4).
-    """
+    """How far fixes at times may be from the state before, (F,) [ns]: the IMU's noise has to stay small."""
+    # Source: position by white noise of acceleration, n² t³ / 3, and angular velocity, (g n)² t⁵ / 20: Farrell 2008
     if samples is None:
         return np.full(len(times_ns), _CLOSEST_NS)
     rate, force = samples.noise_densities(times_ns, settings).T
@@ -847,17 +840,10 @@ def _squares(fixes: Fixes, here: _Equations) -> Float64Array:
 
 
 def _fit_rejecting(fit: _Fit, *, scaled: bool) -> _Fit:
-    """Fit with weights of 0 or 1: fixes that jump are rejected, worst first, and may be readmitted.
-
-    Each fix is compared with the prediction from the others, in standard deviations, so that one at an end or in a
-    gap, which bends the trajectory towards itself, is found as well. Until the noise is scaled, it is taken from the
-    median of these distances, which half of the fixes cannot spoil.
-
-    `fit`: to begin with; `scaled`: whether the fixes' noise is known from their residuals.
-
-    Source: Baarda 1968, "A Testing Procedure for Use in Geodetic Networks"; for the gate in two dimensions, the
-    distribution of Rayleigh.
-    """
+    """Fit with weights 0 or 1: fixes that jump are rejected, worst first, and may return; `scaled`: noise is known."""
+    # each fix is compared with the prediction from the others, so that one at an end or in a gap, which bends the
+    # trajectory to itself, is found too; until the noise is scaled it comes from the median of these distances
+    # Source: Baarda 1968, "A Testing Procedure for Use in Geodetic Networks"; in 2D, Rayleigh's distribution
     states, weights = fit.states, fit.weights
     changes = np.zeros(len(weights), np.int64)
     for number in range(_MOST_ROUNDS):
@@ -913,23 +899,16 @@ def _gate_ratios(fit: _Fit, *, scaled: bool) -> Float64Array:
 
 
 def _rarity(distances: Float64Array, free: float, axes: int, *, scaled: bool) -> Float64Array:
-    """How rare distances are, as minus the logarithm; for one axis as if it were two, which is nearly the same.
-
-    Where the noise comes from the residuals, one that jumps contributes to it: the fewer there are, the more.
-
-    Source: Pope 1976, "The Statistics of Residuals and the Detection of Outliers", for two axes in closed form.
-    """
+    """How rare distances are, as minus the logarithm; for one axis as if it were two, which is nearly the same."""
+    # Source: where the noise comes from the residuals, Pope 1976, "The Statistics of Residuals and the Detection of
+    # Outliers", for two axes in closed form: one that jumps contributes to it, the more, the fewer there are
     if scaled and free > axes + 1.0:
         return np.asarray(-0.5 * (free - axes) * np.log(np.maximum(1.0 - distances / free, 1e-12)), np.float64)
     return 0.5 * distances
 
 
 def _rescaled(fit: _Fit) -> _Fit:
-    """Scale the fixes' noise to their residuals.
-
-    Source: Förstner 1979, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten": the sum of squares over
-    the redundancy, which follows from the states' covariance.
-    """
+    """Scale the fixes' noise to their residuals: the sum of squares over the redundancy (Förstner 1979)."""
     chain, fixes = fit.chain, fit.chain.fixes
     residuals, spread = fit.fix_variances()
     share = (fit.weights[:, None] / fixes.sigmas**2) * spread
@@ -947,10 +926,8 @@ def _rescaled(fit: _Fit) -> _Fit:
 
 
 def _inertial_factors(fit: _Fit) -> Float64Array:
-    """(2,) factors, at least 1, by which the IMU's noise of angular velocity and force exceeds the assumed one.
-
-    Source: Förstner 1979, as in `_rescaled`; the rotation's share of velocity and position is taken out first.
-    """
+    """Factors (2,), at least 1, by which the IMU's noises exceed the assumed ones (Förstner 1979, as `_rescaled`)."""
+    # the rotation's share of velocity and position is taken out first
     rows = np.flatnonzero(fit.chain.measured)
     if len(rows) == 0:
         return np.ones(2)
@@ -1048,11 +1025,8 @@ def _best_of_headings(chain: Chain, states: States) -> _Fit:
 
 
 def _levelled(chain: Chain, states: States, rotations: Float64Array) -> Float64Array:
-    """The orientation at the first knot by which the IMU's gains of velocity match those of the fixes, and gravity.
-
-    Source: Wahba 1965, solved as by Markley 1988, "Attitude Determination using Vector Observations and the Singular
-    Value Decomposition".
-    """
+    """The first knot's orientation by which the IMU's gains of velocity match those of the fixes, and gravity."""
+    # Source: Wahba 1965, solved by singular values as in Markley 1988
     seconds, measured = chain.seconds, chain.measured
     of_imu = np.einsum("kij,kj->ki", rotations[:-1], chain.inertial.velocities)[measured]
     of_fixes = (np.diff(states.velocities, axis=0) + seconds[:, None] * [0.0, 0.0, chain.gravity])[measured]
@@ -1068,10 +1042,8 @@ def _about_up(angle: float) -> Float64Array:
 
 
 def _extended(chain: Chain, coasting: States, known: States, edges: tuple[int, int, int, int]) -> States:
-    """Continue orientations by the gyroscope beyond both ends of what is known; the rest comes from the fixes.
-
-    `edges`: the wanted states begin at the first and end at the last, the known ones begin and end between.
-    """
+    """Continue orientations by the gyroscope beyond both ends of what is known; the rest comes from the fixes."""
+    # `edges`: the wanted states begin at the first and end at the last, the known ones begin and end between
     earlier, first, last, later = edges
     before, after = _rows(coasting, slice(earlier, first)), _rows(coasting, slice(last, later))
     joined = States(*(np.concatenate([getattr(one, f.name) for one in (before, known, after)]) for f in fields(States)))
@@ -1106,16 +1078,9 @@ _WIDE = 1.5  # excess of the variance over that of white noise by chance, with f
 def _standstill(
     fit: _Fit, own: Float64Array, samples: InertialSamples
 ) -> tuple[tuple[BodySpeeds, ...], tuple[RelativePoses, ...]]:
-    """Measurements of the states at which the ego is stationary.
-
-    There the IMU is quiet, its samples are white noise without sway, and the fixes show no speed. A smooth even drive
-    passes the first test, hence the second.
-
-    `own` (K, 15, 15) covariances of the states.
-
-    Source: Skog, Händel, Nilsson and Rantakokko 2010, "Zero-Velocity Detection - An Algorithm Evaluation"; as in
-    `motion.imu`.
-    """
+    """Measurements of the states at which the ego is stationary; `own` (K, 15, 15) covariances of the states."""
+    # the IMU is quiet, its samples white noise without sway, and the fixes show no speed, as on a smooth even drive
+    # Source: Skog, Händel, Nilsson and Rantakokko 2010, "Zero-Velocity Detection - An Algorithm Evaluation"
     chain, states = fit.chain, fit.states
     still = _quiet(samples, chain.knots_ns, states.biases)
     still[:-1] &= chain.measured
@@ -1173,15 +1138,9 @@ _CONTRADICTED = 3.0  # mean square misfit of constraints, in standard deviations
 
 
 def _vehicle_speeds(fit: _Fit, own: Float64Array, samples: InertialSamples) -> tuple[BodySpeeds, ...]:
-    """No speed across the vehicle's axis as measurements, if the states show that it holds, or it is asked for.
-
-    It has to show in rotations, or at speed along the x axis: on a straight line every body moves along one axis.
-
-    `own` (K, 15, 15) covariances of the states.
-
-    Source: Dissanayake, Sukkarieh, Nebot and Durrant-Whyte 2001, "The Aiding of a Low-Cost Strapdown Inertial
-    Measurement Unit Using Vehicle Model Constraints for Land Vehicle Applications"; the test is ours.
-    """
+    """No speed across the vehicle's axis as measurements, if the states show that it holds, or it is asked for."""
+    # it has to show in rotations, or at speed along x: on a straight line every body moves along one axis
+    # Source: Dissanayake, Sukkarieh, Nebot and Durrant-Whyte 2001, "The Aiding of a Low-Cost Strapdown IMU …"
     chain, states, asked = fit.chain, fit.states, fit.chain.settings.vehicle
     if asked is False:
         return ()
@@ -1292,16 +1251,13 @@ _SMOOTHER_ROUNDS = 4  # how often the noise is estimated anew from the residuals
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Drive:
-    """The measurements of a drive: at least two fixes, samples of an IMU, the trajectory by lidar odometry.
+    """The measurements of a drive."""
 
-    Also gravity [m/s²] and the initial bias (3,) [rad/s] of the gyroscope.
-    """
-
-    fixes: GnssFixes
+    fixes: GnssFixes  # at least two
     samples: InertialSamples | None
-    lidar: Trajectory | None
-    gravity: float
-    gyroscope_bias: Float64Array | None
+    lidar: Trajectory | None  # by lidar odometry
+    gravity: float  # [m/s²]
+    gyroscope_bias: Float64Array | None  # (3,) [rad/s], the initial one
 
 
 def _smoothed(drive: _Drive, settings: SmootherSettings) -> _Fit:
@@ -1398,14 +1354,9 @@ class _Motion:
 
 
 def _motion_between(chain: Chain, states: States, samples: InertialSamples | None) -> _Motion:
-    """The motion from the first state to the last, at their times, those of the samples, and some without an IMU.
-
-    From each state the IMU leads on; the error that is left at the next one is spread over the time between: of the
-    rotation evenly, of position and velocity by the cubic that is likeliest for white errors of the acceleration.
-
-    Source: the cubic is the mean of the integrated Brownian bridge, Barfoot 2017, "State Estimation for Robotics",
-    11.1.4 (white noise on acceleration).
-    """
+    """The motion from the first state to the last, at their times, those of the samples, and some without an IMU."""
+    # from each state the IMU leads on; what is off at the next one is spread over the time between
+    # Source: the cubic is the mean of the integrated Brownian bridge, Barfoot 2017, 11.1.4; rotations evenly
     times = [chain.knots_ns]
     if samples is not None:
         inside = samples.timestamps_ns
@@ -1450,10 +1401,7 @@ def _led_on(
 
 
 def _pose_covariances(fit: _Fit, own: Float64Array, times_ns: Int64Array) -> Float64Array:
-    """The covariances of a small rotation [rad] and translation [m] along the world's axes, (N, 6, 6).
-
-    Between states, which are at most a second apart, they are interpolated linearly.
-    """
+    """Covariances (N, 6, 6) of rotation [rad] and translation [m], world axes; linear between states (at most 1 s)."""
     chain = fit.chain
     axes = np.zeros((len(own), 6, 6))
     axes[:, :3, :3], axes[:, 3:, 3:] = fit.states.rotations, np.eye(3)
@@ -1521,11 +1469,8 @@ class _SlowError:
 def _with_slow_errors(
     fit: _Fit, motion: _Motion, poses: Float64Array, offset: Float64Array
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Positions as the receiver would report them, its slow errors included; covariances and common offset with them.
-
-    Correlated errors count as fewer: with a correlation ρ of neighbours, the variance of a mean is larger by
-    (1 + ρ) / (1 - ρ). Position and orientation across grow by the factor across, the height by its own.
-    """
+    """Positions as the receiver would report them, slow errors included; covariances and common offset with them."""
+    # with a correlation ρ of neighbours, the variance of a mean is larger by (1 + ρ) / (1 - ρ)
     positions, offset, growth = motion.positions.copy(), offset.copy(), np.ones(6)
     fixes, rows = fit.chain.fixes, np.flatnonzero(fit.weights > 0)
     if len(rows) < _LEAST_FIXES or len(np.unique(fixes.receivers)) > 1:
@@ -1541,10 +1486,7 @@ def _with_slow_errors(
 
 
 def _common_offset(fixes: GnssFixes, sigmas: Float64Array) -> Float64Array:
-    """(3,) [m] standard deviation of an offset of all fixes: the reported accuracy beyond the noise that is seen.
-
-    Fixes wander slowly with satellites and atmosphere; that shows in the reported accuracy, not in how fixes agree.
-    """
+    """(3,) [m] standard deviation of an offset of all fixes: the reported accuracy beyond the noise that is seen."""
     if not fixes.reported.any():
         return np.zeros(3)
     reported, seen = (np.median(values[fixes.reported], axis=0) for values in (fixes.sigmas, sigmas))

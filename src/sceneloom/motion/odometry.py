@@ -84,19 +84,14 @@ _ROTATION, _SHIFT, _YAW_RATE, _VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9),
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MotionState:
-    """The ego's pose and motion at one time.
-
-    Attributes:
-        covariance: (12, 12) of a small rotation, a small translation, and changes of angular velocity and velocity,
-            all along the world's axes.
-    """
+    """The ego's pose and motion at one time."""
 
     timestamp_ns: int  # [ns]
     rotation: Float64Array  # (3, 3) `world_from_ego`
     position: Float64Array  # (3,) [m], world frame
     yaw_rate: Float64Array  # (3,) angular velocity [rad/s], world axes
     velocity: Float64Array  # (3,) [m/s], world axes
-    covariance: Float64Array
+    covariance: Float64Array  # (12, 12) of rotation, translation, changes of both velocities; world axes
 
     def at(self, timestamp_ns: int) -> tuple[Float64Array, Float64Array]:
         """Rotation and position at another time, at constant velocity and angular velocity in the ego frame."""
@@ -329,10 +324,7 @@ class _Fit:
 
 
 def _fit_sweep(sweep: _Sweep, prior: _MotionState, local_map: LocalMap) -> _Fit:
-    """Find the state that agrees best with the prior, which is at the sweep's time, and with the map.
-
-    Source: Bell and Cathey 1993: the iterated Kalman filter's update is this Gauss-Newton optimisation.
-    """
+    """Find the state that agrees best with prior and map: the iterated Kalman update (Bell and Cathey 1993)."""
     points_ego, seconds = sweep.chosen_points, sweep.seconds[sweep.chosen]
     prior_information = np.linalg.inv(prior.covariance)
     state = prior
@@ -367,13 +359,10 @@ metres."""
 def _match(
     earlier: _Sweep, later: _Sweep, seconds: float, speeds: Sequence[float]
 ) -> tuple[Float64Array, Float64Array] | None:
-    """Match two sweeps from several speeds: `earlier_from_later`, rotation (3, 3) and translation (3,) [m].
-
-    The best result has the least mean squared distance of the points that found a partner, larger where fewer did.
-    One thread, so that equal sweeps give equal results.
-
-    Source: Segal, Haehnel and Thrun 2009, "Generalized-ICP"; Koide 2024, "small_gicp".
-    """
+    """Match two sweeps from several speeds: `earlier_from_later`, rotation (3, 3) and translation (3,) [m]."""
+    # the best has the least mean squared distance of points with a partner, larger where fewer have one; one thread, so
+    # that equal sweeps give equal results
+    # Source: Segal, Haehnel and Thrun 2009, "Generalized-ICP"; Koide 2024, "small_gicp"
     target, tree = small_gicp.preprocess_points(earlier.chosen_points, _SPACING, _NEIGHBOURS, 1)
     source, _ = small_gicp.preprocess_points(later.chosen_points, _SPACING, _NEIGHBOURS, 1)
     least, best = np.inf, None
@@ -627,10 +616,7 @@ def _motion_covariance(yaw_rate: float, speed: float) -> Float64Array:
 
 
 def _moved_between(first: _MotionState, second: _MotionState) -> _MotionState:
-    """The first state with the constant motion that leads to the second one's pose.
-
-    The skew of the sweeps is ignored: two sweeps that are skewed alike fit well.
-    """
+    """The first state with the motion that leads to the second's pose; two sweeps skewed alike fit well, so no skew."""
     seconds = (second.timestamp_ns - first.timestamp_ns) * 1e-9
     yaw_rate = _rotation_vector(second.rotation @ first.rotation.T) / seconds
     chord = (second.position - first.position) / seconds
@@ -778,11 +764,7 @@ def _times(frame: LidarFrame) -> Int64Array:
 
 
 def _usable_sources(scene: Scene, warnings: list[DataWarning]) -> list[_Source]:
-    """The lidars whose points can be transformed into the ego frame.
-
-    Raises:
-        PoseError: there is none.
-    """
+    """The lidars whose points can be transformed into the ego frame, at least one."""
     lidars = [lidar for lidar in scene.lidars if len(lidar.frames)]
     if not lidars:
         raise PoseError(
@@ -853,13 +835,9 @@ class _Knot:
 
 
 def _trajectory_of(estimates: list[PoseEstimate]) -> Trajectory:
-    """A trajectory through the sweeps' poses, from the first point to the last, that begins with the identity.
-
-    There is a knot in the middle of every sweep, and one between two sweeps half-way in time, where both motions
-    meet. Where the sweeps are far apart in time, each motion ends with its own points.
-
-    `estimates`: at least one, in the order of their time.
-    """
+    """A trajectory through the poses of at least one sweep, in order of time, that begins with the identity."""
+    # knots: in the middle of every sweep, and half-way between two, where both motions meet; where the sweeps are far
+    # apart in time, each motion ends with its own points
     first, last = estimates[0], estimates[-1]
     knots = [first.knot(first.first_ns), first.knot(first.state.timestamp_ns)]
     for before, after in pairwise(estimates):
@@ -950,10 +928,8 @@ def lidar_odometry(
 
 
 def _append(estimates: list[PoseEstimate], estimate: PoseEstimate, settings: OdometryConfiguration) -> None:
-    """Add an estimate, and replace that of the sweep that the map began with, where this sweep determined it.
-
-    Sweeps before the very first map get the poses from which its motion comes.
-    """
+    """Add an estimate, and replace that of the sweep that the map began with, where this sweep determined it."""
+    # sweeps before the very first map get the poses from which its motion comes
     first = estimate.first_state
     if first is not None:
         begun_at = max(k for k, earlier in enumerate(estimates) if earlier.outcome in _BEGINNINGS)

@@ -219,11 +219,7 @@ def _within(drive: DetectedDrive, part: Scene, camera_id: Identifier) -> Detecte
 def _save_images(
     frames: Sequence[CalibrationFrame], best: Change, folder: Path, *, overwrite: bool = False
 ) -> list[Path]:
-    """Draw frames under the stated calibration and, where that is another one, under the best.
-
-    `points_<number>.png` and `edges_<number>.png`, by number of the image, and with `_best` before the suffix the same
-    where images and sweeps agree best; gives the paths.
-    """
+    """Draw frames as stated, `points_<number>.png` and `edges_<number>.png`, and `…_best.png` if another is best."""
     rows = np.unique(np.linspace(0, len(frames) - 1, min(_MOST_DRAWN, len(frames))).astype(int)).tolist()
     changes = {"": Change()}
     if any(best.numbers):
@@ -242,11 +238,7 @@ def _save_images(
 
 
 def _draw_points(frame: CalibrationFrame, points_lidar: Float64Array, change: Change, caption: str) -> PilImage:
-    """Draw points of a frame over its image under a candidate calibration, coloured by range.
-
-    Args:
-        points_lidar: (N, 3) [m], lidar frame at the image's time.
-    """
+    """Draw points (N, 3) [m], lidar frame at the image's time, by a candidate calibration, coloured by range."""
     matrix = change.camera_from_points(frame)
     points_camera = points_lidar @ matrix[:3, :3].T + matrix[:3, 3]
     camera, focal = frame.camera, float(np.exp(change.numbers[Parameter.FOCAL]))
@@ -335,10 +327,8 @@ def write_calibration(
 
 
 def _with_repair(scene: Scene, repair: Repair) -> Scene:
-    """The scene with a `camera_calibration` annotation that says what is to be changed.
-
-    Source: "Camera Calibration Annotation" of the SFS description: world_from_camera' = world_from_camera D.
-    """
+    """The scene with a `camera_calibration` annotation that says what is to be changed."""
+    # Source: "Camera Calibration Annotation" of the SFS description: world_from_camera' = world_from_camera D
     if repair.camera_id is None:  # no annotation holds the extrinsics of a lidar: the scene itself is changed
         sensors = (
             replace(sensor, mount=repair.repaired)

@@ -147,15 +147,10 @@ class ColourOutputs:
 
 
 class _ExposureReport(msgspec.Struct, frozen=True, kw_only=True):
-    """How differently the cameras were exposed.
+    """How differently the cameras were exposed."""
 
-    Attributes:
-        seam_before, seam_after: median difference [levels] of the colours of points that two cameras show at once;
-            None where no two cameras do.
-    """
-
-    seam_before: float | None
-    seam_after: float | None
+    seam_before: float | None  # median colour difference [levels] of points two cameras show at once
+    seam_after: float | None  # likewise
     seam_points: int
     alone: tuple[Identifier, ...]
     unlinked: tuple[Identifier, ...]
@@ -420,15 +415,11 @@ class _LabelProjection:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Columns:
-    """The columns of written clouds.
-
-    Attributes:
-        origin_world: (3,) float64 [m], what is added to positions.
-    """
+    """The columns of written clouds."""
 
     labels: bool
     provenance: bool
-    origin_world: Float64Array | float = 0.0
+    origin_world: Float64Array | float = 0.0  # (3,) [m], what is added to positions
 
     def written(self, points: AnyArray) -> WrittenPoints:
         """Rows of a map (N,) of dtype `POINT` as the columns of a file."""

@@ -128,18 +128,14 @@ _LOSSES = (Support.APPROXIMATED, Support.DROPPED)
 
 
 class _FieldSupport(msgspec.Struct, frozen=True, kw_only=True):
-    """One field of the source, and what became of it.
-
-    Attributes:
-        largest_error: how far the worst value is off, in the unit that `how` names; None where that means nothing.
-    """
+    """One field of the source, and what became of it."""
 
     field: str
     is_: str = msgspec.field(name="is")
     count: int
     support: Support
     how: tuple[str, ...] = ()
-    largest_error: float | None = None
+    largest_error: float | None = None  # of the worst value, in the unit that `how` names, where that means something
 
     @property
     def explained(self) -> str:

@@ -105,19 +105,13 @@ class _DeskewStatistics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _DeskewPlan:
-    """A scene, which of its lidars are deskewed, and by what.
-
-    Attributes:
-        ego: the trajectory they are deskewed by; None where they go by poses of their own.
-        gaps_ns: (G, 2) int64 [ns], between which times the trajectory is not known.
-        at: the moment of each sweep that its points are brought to.
-    """
+    """A scene, which of its lidars are deskewed, and by what."""
 
     scene: Scene
     lidars: tuple[LidarSensor, ...]
-    ego: EgoMotion | None
-    at: str
-    gaps_ns: Int64Array = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    ego: EgoMotion | None  # None where they go by poses of their own
+    at: str  # the moment of each sweep that its points are brought to
+    gaps_ns: Int64Array = field(default_factory=lambda: np.zeros((0, 2), np.int64))  # (G, 2), without trajectory
 
     @property
     def trajectory(self) -> str | None:

@@ -241,11 +241,9 @@ def _score_form(scores: Float64Array) -> ScoreForm:
 
 
 def _read_nuscenes(file: _List) -> Iterable[Boxes3D]:
-    """Read boxes in space, and bring them into the sensor's frame.
-
-    Source: "Detection: results format" of the nuScenes devkit: translation [m] x, y, z; size [m] width, length, height;
-    rotation w, x, y, z; velocity [m/s] x, y; all in the global frame.
-    """
+    """Read boxes in space, and bring them into the sensor's frame."""
+    # Source: "Detection: results format" of the nuScenes devkit: translation [m] x, y, z; size [m] width, length,
+    # height; rotation w, x, y, z; velocity [m/s] x, y; all in the global frame
     source = file.context.source
     if not file.in_space:
         raise file.fault("", "is of the form nuscenes, which has no boxes in images")
@@ -661,10 +659,7 @@ def _cameras(
 
 
 def _assigned(scene: Scene, files: DetectionFiles) -> list[tuple[Path, CameraSensor, int | None]]:
-    """Each file with the camera whose boxes it has, and the number by which its records name that camera.
-
-    Records number the sensors of a scene as `send` does: lidars first, then cameras, from 0.
-    """
+    """Each file with its camera and the number of that in records, by which `send` counts: lidars first, from 0."""
     named = [_camera(scene, camera_id) for camera_id in files.cameras]
     if len(named) == len(files.boxes_2d):
         return [(path, camera, None) for path, camera in zip(files.boxes_2d, named, strict=True)]

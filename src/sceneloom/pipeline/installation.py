@@ -99,19 +99,13 @@ def _versions() -> Iterator[_Row]:
 
 @dataclass(frozen=True, slots=True)
 class _Package:
-    """One package that is asked for.
-
-    Attributes:
-        extra: of which extra it is; None where nothing goes without it.
-        installed: its version, None where it is not there.
-        problem: why it cannot be used; None where it can, as far as that was looked at.
-    """
+    """One package that is asked for."""
 
     name: str
     least: str | None
-    extra: str | None
-    installed: str | None
-    problem: str | None
+    extra: str | None  # None where nothing goes without it
+    installed: str | None  # its version
+    problem: str | None  # why it cannot be used; None where it can, as far as that was looked at
 
 
 def find_packages(distribution: str = "sceneloom") -> tuple[_Package, ...]:

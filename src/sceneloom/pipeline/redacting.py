@@ -78,11 +78,7 @@ _DEFAULT_FPS = 25.0
 
 
 class _CameraBlur(msgspec.Struct, frozen=True, kw_only=True):
-    """What was hidden in the images of one camera.
-
-    Attributes:
-        encoded: images of its video, all of which are encoded again; None where it has no video.
-    """
+    """What was hidden in the images of one camera."""
 
     camera: Identifier
     boxes: int
@@ -92,7 +88,7 @@ class _CameraBlur(msgspec.Struct, frozen=True, kw_only=True):
     without_image: int
     outside: int
     cut: int
-    encoded: int | None = None
+    encoded: int | None = None  # images of its video, all of which are encoded again
 
 
 class BlurReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -355,17 +355,12 @@ def _following(scene: Scene, path: Poses) -> Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TrackableDrive:
-    """A drive with all that its files of results need.
-
-    Attributes:
-        rectified_from_lidar: into the frame of KITTI's boxes; None for that of the camera.
-        observations: what was fused before, of each sweep; None where it has to be fused.
-    """
+    """A drive with all that its files of results need."""
 
     drive: DetectedDrive
     scene: Scene
-    rectified_from_lidar: RigidTransform | None = None
-    observations: tuple[Observation, ...] | None = None
+    rectified_from_lidar: RigidTransform | None = None  # into the frame of KITTI's boxes; None: the camera's
+    observations: tuple[Observation, ...] | None = None  # fused before, of each sweep; None where it has to be
 
     @classmethod
     def of_fused(cls, path: Path) -> "_TrackableDrive":

@@ -23,17 +23,13 @@ _QUALITIES = (82, 74, 66, 56, 46)
 
 @dataclass(frozen=True, slots=True)
 class _Photo:
-    """One image of a report.
-
-    Attributes:
-        width, height: [px].
-    """
+    """One image of a report."""
 
     section: str
     title: str
     text: str
-    width: int
-    height: int
+    width: int  # [px]
+    height: int  # [px]
     jpeg: bytes = field(repr=False)
 
     @property

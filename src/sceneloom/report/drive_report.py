@@ -54,11 +54,7 @@ _MOST_ENTRY = 400
 
 
 class _Provenance(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a report comes from.
-
-    Attributes:
-        sha256: of what was read; None where it is in memory, or behind a URL.
-    """
+    """Where a report comes from."""
 
     made: str
     sceneloom: str
@@ -66,7 +62,7 @@ class _Provenance(msgspec.Struct, frozen=True, kw_only=True):
     system: str
     packages: dict[str, str]
     settings: dict[str, str]
-    sha256: str | None = None
+    sha256: str | None = None  # of what was read; None where it is in memory, or behind a URL
     hashed: str | None = None
     size_bytes: int | None = None
     reported: dict[str, str] = msgspec.field(default_factory=dict)

@@ -234,10 +234,7 @@ class _Collector:
         return validate(source, frames=frames, **(options if self.where is not None else {}))
 
     def _estimate_trajectory(self) -> frozenset[str]:
-        """Put the ego trajectory that is asked for, or that has to be found, first.
-
-        Gives the names of trajectories found.
-        """
+        """Put the ego trajectory that is asked for, or has to be found, first; gives the names of those found."""
         name = self.settings.trajectory
         try:
             if not needs_ego(self.scene) and name is None:
@@ -333,10 +330,7 @@ def _resource(name: str) -> str:
 
 
 def _plain(value: Any, *, whole: str, name: str) -> Any:
-    """Take characters out of a text that no page may hold, and where on its machine the drive lies.
-
-    Markup of our own stays as it is.
-    """
+    """Take out what no page may hold, and where on its machine the drive lies; markup of our own stays as it is."""
     if not isinstance(value, str) or hasattr(value, "__html__"):
         return value
     if whole:

@@ -452,10 +452,7 @@ def _three(values: Float64Array | Int64Array) -> tuple[float, float, float]:
 
 
 def _north(trajectory: Trajectory, receiver: GnssSensor, origin_lla: Float64Array) -> North | None:
-    """Lay the fixes onto the trajectory by a shift and a rotation about the upright axis.
-
-    None where that leaves north open.
-    """
+    """Lay fixes onto the trajectory by a shift and a rotation about the upright axis; None: that leaves north open."""
     rows, locations = usable_positions(receiver)
     enu = enu_from_geodetic(locations, origin_lla)
     times, first = np.unique(receiver.timestamps_ns[rows], return_index=True)

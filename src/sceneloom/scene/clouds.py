@@ -29,11 +29,7 @@ class Packed(Protocol):
 
 
 class _UnpackedWhenAsked:
-    """The base of a frozen dataclass whose objects may be made of packed records.
-
-    All fields are filled at once, when the first is asked for, and the records let go. Nobody can report such an object
-    from another one, but by the time that the first use takes.
-    """
+    """Base of frozen dataclasses that may be made of packed records, unpacked all at once when a field is asked for."""
 
     # of a base class, since a dataclass with slots has none beside its fields
     __slots__ = ("_packed",)
@@ -77,11 +73,7 @@ _Parcel = AnyArray | Callable[[], AnyArray] | None
 
 
 def _packed(array: AnyArray | None) -> _Parcel:
-    """Give what to pickle in an array's location.
-
-    That is what its memory says with a method `reference(array)`, a function that can be pickled and gives the
-    array again; else the array itself.
-    """
+    """What to pickle for an array: the `reference(array)` of its memory, which gives it again, else the array."""
     memory: Any = array
     while isinstance(memory, np.ndarray):
         memory = memory.base
@@ -95,11 +87,7 @@ def _packed(array: AnyArray | None) -> _Parcel:
 
 
 def _unpacked(parcel: _Parcel) -> AnyArray | None:
-    """Give the array back.
-
-    Raises:
-        DataError: its file was changed, replaced or removed.
-    """
+    """Give the array back; a `DataError` where its file was changed, replaced or removed."""
     return parcel() if callable(parcel) else parcel
 
 

@@ -347,10 +347,7 @@ def _fields_of(cls: Any, prefix: str) -> tuple[tuple[str, str, Any], ...]:
 
 
 def _held_values(holder: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-    """Give name and value of each field that an object of the model holds, and of those within it; frames left out.
-
-    What is absent, empty, or has the default value is not held. Names begin with the prefix.
-    """
+    """Names, which begin with the prefix, and values of fields that are not absent, empty or default; no frames."""
     for attribute, name, default in _fields_of(holder.__class__, prefix):
         value = getattr(holder, attribute)
         if value is not None and not isinstance(value, LazyFrames) and _says_something(value, default):

@@ -69,32 +69,20 @@ WORLD = PoseSource(Poses.identity(), RigidTransform.identity())
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Location:
-    """Where something is, as far as it is known.
+    """Where something is, as far as it is known."""
 
-    Attributes:
-        source: its pose in the world over time, or None.
-        problem: why there is none.
-        mount: `ego_from_sensor` where it is rigid and known, or None.
-    """
-
-    source: PoseSource | None
-    problem: str = ""
-    mount: RigidTransform | None = None
+    source: PoseSource | None  # its pose in the world over time
+    problem: str = ""  # why there is none
+    mount: RigidTransform | None = None  # `ego_from_sensor` where it is rigid and known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pose:
-    """A pose at a time, as far as it is known.
-
-    Attributes:
-        world_from_sensor: the pose, or None.
-        problem: why there is none.
-        extrapolated: whether the time lies beyond the trajectory's ends.
-    """
+    """A pose at a time, as far as it is known."""
 
     world_from_sensor: RigidTransform | None
-    problem: str = ""
-    extrapolated: bool = False
+    problem: str = ""  # why there is none
+    extrapolated: bool = False  # whether the time lies beyond the trajectory's ends
 
 
 def choose_ego(scene: Scene, trajectory: str | EgoMotion | None) -> EgoMotion | None:
@@ -393,11 +381,7 @@ _RADAR_ARRAYS = ("positions", "directions", "lengths", "timestamps_ns")
 
 
 def _arrays_of(sample: Sample) -> dict[str, np.ndarray[Any, Any]]:
-    """Give all arrays of a sample by name.
-
-    Raises:
-        DataError: an image or depth image cannot be decoded.
-    """
+    """Give all arrays of a sample by name."""
     arrays = {"index": np.array(sample.index), "timestamp_ns": np.array(sample.timestamp_ns)}
     for lidar_id, sweep in sample.sweeps.items():
         arrays.update(_cloud(lidar_id, sweep, _LIDAR_ARRAYS))
@@ -515,10 +499,7 @@ class _FramesByTimestamp(Generic[_Timestamped]):
 
 
 class _SweepsByReference:
-    """Sweeps of a lidar that are found by their reference times, which only the sweeps themselves report.
-
-    What was learnt of a sweep's time is kept, a number for each; the sweeps are not.
-    """
+    """Sweeps by their reference times, which only they themselves report; the times are kept, the sweeps are not."""
 
     def __init__(self, frames: LazyFrames[LidarFrame], period_ns: int) -> None:
         """Take the sweeps, in the order of their timestamps, and the usual time from one to the next."""
@@ -582,25 +563,16 @@ def _too_far(away_ns: int, tolerance_ns: int) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Selection:
-    """What was asked for.
-
-    Attributes:
-        scene: the scene.
-        reference: the sensor whose frames are counted.
-        lidars: whose sweeps are looked for, the one of `Sample.sweep` first.
-        cameras, depth_cameras, radars: whose images, depth images and frames are looked for.
-        trajectory: name of the ego trajectory, the trajectory itself, or None for the default.
-        tolerance_ns: how far from the moment a frame may be [ns].
-    """
+    """What was asked for."""
 
     scene: Scene
-    reference: LidarSensor | CameraSensor
-    lidars: tuple[LidarSensor, ...]
+    reference: LidarSensor | CameraSensor  # the sensor whose frames are counted
+    lidars: tuple[LidarSensor, ...]  # whose sweeps are looked for, the one of `Sample.sweep` first
     cameras: tuple[CameraSensor, ...]
     depth_cameras: tuple[DepthCameraSensor, ...]
     radars: tuple[RadarSensor, ...]
-    trajectory: str | EgoMotion | None
-    tolerance_ns: int
+    trajectory: str | EgoMotion | None  # the ego's, or its name; None for the default
+    tolerance_ns: int  # how far from the moment a frame may be
 
     @property
     def shooting(self) -> tuple[ShootingSensor, ...]:
@@ -642,13 +614,7 @@ class _Found:
 
 
 class _SampleMaker:
-    """Makes the samples of a selection; a pickled one begins anew with the same selection.
-
-    Attributes:
-        selection: what each sample holds.
-        count: how many samples there are.
-        trajectory: name of the ego trajectory that poses come from, or None.
-    """
+    """Makes the samples of a selection; a pickled one begins anew with the same selection."""
 
     def __init__(self, selection: _Selection) -> None:
         """Prepare what all samples share; no frame is read.

@@ -223,11 +223,9 @@ def chosen_interval(scene: Scene, *, start: float | None = None, stop: float | N
 
 
 def _taking_near(bound_ns: int, timestamps_ns: Int64Array) -> int:
-    """A bound, or the earliest frame that is as good as on it.
-
-    The first sweep of a fused drive begins with its earliest point, some microseconds after the timestamp of the
-    sensor: counted from there, whole seconds would pass over frames that come at whole seconds of the sensor's clock.
-    """
+    """A bound, or the earliest frame that is as good as on it."""
+    # the first sweep of a fused drive begins with its earliest point, some microseconds after the timestamp of the
+    # sensor: counted from there, whole seconds would pass over frames that come at whole seconds of the sensor's clock
     row = int(np.searchsorted(timestamps_ns, bound_ns - _SAME_TIME_NS))
     return min(bound_ns, int(timestamps_ns[row])) if row < len(timestamps_ns) else bound_ns
 
@@ -366,10 +364,8 @@ def _kept_frames(scene: Scene, part: Interval) -> dict[Key, Renumbering]:
 
 
 def _cut_annotation(annotation: Annotation, times: _Times) -> Annotation | None:
-    """Keep what an annotation says about a part; None for one that is not there in it.
-
-    What holds at all times stays, and so do labelled points: it is for the caller to count their frames anew.
-    """
+    """Keep what an annotation says about a part; None for one that is not there in it."""
+    # what holds at all times stays, and so do labelled points: it is for the caller to count their frames anew
     found = _cut_part(annotation, times)
     stated: tuple[AttributePath, ...] = getattr(found, "attributes", ())
     kept = _cut_attributes(stated, times.part)

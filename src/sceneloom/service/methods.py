@@ -171,19 +171,12 @@ METHODS: Mapping[str, _Method] = MappingProxyType(
 
 @dataclass(slots=True)
 class _OneLidar:
-    """What is followed of one lidar's sweeps.
-
-    Attributes:
-        tracker: follows.
-        origin: (3,) float64 [m], what the tracker's world counts from, in the world of the vehicle's trajectory.
-        waiting: results of the newest sweep, until all of its images are there.
-        sweep: index and time of that sweep.
-    """
+    """What is followed of one lidar's sweeps."""
 
     tracker: Tracker
-    origin: Float64Array | None = None
-    waiting: list[Result] = field(default_factory=list)
-    sweep: tuple[int, int] = (-1, -1)
+    origin: Float64Array | None = None  # (3,) [m], of the tracker's world in that of the vehicle's trajectory
+    waiting: list[Result] = field(default_factory=list)  # of the newest sweep, until all of its images are there
+    sweep: tuple[int, int] = (-1, -1)  # index and time of that sweep
 
 
 class TrackedResults:
@@ -243,10 +236,8 @@ def _tracked(result: Result, found: FoundObjects, objects: TrackedObjects, lidar
 
 
 def _boxes_of(objects: TrackedObjects, camera_id: Identifier, lidar_from_world: RigidTransform) -> FusedBoxes:
-    """Give tracked objects as objects of a sweep and an image, in the lidar's frame.
-
-    `rows_3d` and `rows_2d` report whether there is a box, with 0 for one: its number is not known.
-    """
+    """Give tracked objects as objects of a sweep and an image, in the lidar's frame."""
+    # `rows_3d` and `rows_2d` report whether there is a box, with 0 for one: its number is not known
     rotation, count = lidar_from_world.rotation, len(objects)
     headings = np.column_stack([np.cos(objects.yaws), np.sin(objects.yaws), np.zeros(count)]) @ rotation.T
     unseen = np.full((count, 4), np.nan)

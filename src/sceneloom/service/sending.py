@@ -239,13 +239,10 @@ class _Locations:
 
 @dataclass(slots=True)
 class _Maker:
-    """Makes records of frames, and numbers them; cuts the ego trajectory into parts.
-
-    Times before 0 are moved by whole seconds (`shift_ns`), for a timestamp cannot state them.
-    """
+    """Makes records of frames, and numbers them; cuts the ego trajectory into parts."""
 
     rig: _SentRig
-    shift_ns: int = field(init=False)
+    shift_ns: int = field(init=False)  # whole seconds that move times before 0, since timestamps cannot state these
     _sent_poses: int = 0
     _seqs: dict[Identifier, int] = field(default_factory=dict)
     _raw_times: dict[Identifier, RawTimes | None] = field(default_factory=dict)
@@ -358,17 +355,12 @@ class _Maker:
 
 @dataclass(frozen=True, slots=True)
 class _Track:
-    """One object in the images of a camera.
-
-    Attributes:
-        timestamps_ns: (N,) int64 [ns].
-        boxes: (N, 4) float64 [px], left, top, width, height; NaN where it is not seen.
-    """
+    """One object in the images of a camera."""
 
     row: int
     label: str
-    timestamps_ns: Int64Array
-    boxes: Float64Array
+    timestamps_ns: Int64Array  # (N,) [ns]
+    boxes: Float64Array  # (N, 4) [px], left, top, width, height; NaN where it is not seen
     always: bool = False
 
     def at(self, time_ns: int) -> list[float]:

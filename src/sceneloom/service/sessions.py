@@ -307,10 +307,7 @@ class SessionTable:
 
 
 class _Replies:
-    """Makes the answers of clause 5.7 of one session; for several threads.
-
-    The bytes of a configuration are kept, for most results have that of the one before.
-    """
+    """Makes one session's answers (clause 5.7), for several threads; keeps the bytes of the latest configuration."""
 
     def __init__(self) -> None:
         """Know no configuration yet."""

@@ -63,15 +63,10 @@ _LEAST_VARIANCE = 1e-6  # no variance counts as less than this [m²]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LabelPath:
-    """An object over time as it is to be labelled.
+    """An object over time as it is to be labelled, from the first to the last state that rests on a box."""
 
-    Attributes:
-        timestamps_ns: (K,) int64 [ns], of the track's states from the first to the last that rests on a box.
-        boxes: (K, 7) float64, centre and size [m] and heading [rad], which goes on beyond half rotations.
-    """
-
-    timestamps_ns: Int64Array
-    boxes: Float64Array
+    timestamps_ns: Int64Array  # (K,) [ns]
+    boxes: Float64Array  # (K, 7), centre and size [m] and heading [rad], which goes on beyond half rotations
     stands: bool
 
     def keyframes(self, settings: LabelSettings) -> Int64Array:
@@ -130,10 +125,8 @@ def label_path(track: Track, settings: LabelSettings) -> _LabelPath:
 
 
 def _stands(track: Track, settings: LabelSettings) -> bool:
-    """Report whether an object is stationary: never far from its usual location, and not getting on from there.
-
-    It may get on as fast as the settings state, or as its speed is uncertain by one deviation.
-    """
+    """Report whether an object is stationary: never far from its usual location, and not getting on from there."""
+    # it may get on as fast as the settings state, or as its speed is uncertain by one deviation
     rows = np.flatnonzero(np.isin(track.supports, _MEASURED))
     if len(rows) < 2:
         return False
@@ -234,15 +227,11 @@ _MIDDLING = 0.8  # jitter is what this share of the states do not exceed: a sing
 
 @dataclass(frozen=True, slots=True)
 class _Flag:
-    """One thing to look at.
-
-    Attributes:
-        timestamp_ns: where to look [ns]: where it is worst.
-    """
+    """One thing to look at."""
 
     track: int
     kind: FlagKind
-    timestamp_ns: int
+    timestamp_ns: int  # where it is worst
     value: float
 
     @property
@@ -408,10 +397,7 @@ def _ask_radars(scene: Scene, tracks: Sequence[Track], ego: EgoMotion | None) ->
 
 
 def _returns(frame: RadarFrame, location: PoseSource, own: PoseSource) -> Float64Array | None:
-    """Location (N, 3), line of sight (N, 3) and speed over ground (N,) of the returns in the world, side by side.
-
-    Speeds are NaN where the radar gives none; None where it is not known where it was.
-    """
+    """Locations (N, 3), lines of sight (N, 3) and speeds (N,) over ground of returns, world; None: nowhere known."""
     time_ns, points = frame.timestamp_ns, frame.points
     pose = location.at(np.array([time_ns], np.int64))
     around = own.at(np.array([time_ns - _STEP_NS, time_ns, time_ns + _STEP_NS], np.int64)).positions
@@ -549,10 +535,7 @@ def _together(person: Track, bike: Track) -> float | None:
 def _boxes_in_images(
     scene: Scene, track: Track, parent_id: Identifier, stem: str, *, longest_gap_ns: int
 ) -> Iterator[Box2DAnnotation]:
-    """The boxes that the detector found of an object in images, by camera, at the times of these images.
-
-    After more than `longest_gap_ns` [ns] without a box another annotation begins.
-    """
+    """The detector's boxes of an object, by camera, at its images' times; after longer gaps a new annotation begins."""
     cameras: dict[Key, CameraSensor] = {key_of(camera.id): camera for camera in scene.cameras}
     for camera_id, corners in track.corners_xyxy.items():
         rows = np.flatnonzero(np.isfinite(corners).all(axis=1) & (corners[:, 2:] > corners[:, :2]).all(axis=1))

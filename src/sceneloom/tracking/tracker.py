@@ -171,28 +171,17 @@ errs the same way every time."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Observations:
-    """The boxes of one moment.
+    """The boxes of one moment."""
 
-    Attributes:
-        measures: (M, 7) float64, middle [m], length, width, height [m] and heading [rad], world frame.
-        covariances: (M, 7, 7) float64 of these, with `UNKNOWN_VARIANCE` where it is not reported.
-        measured: (M,) bool, whether a box of the sweep is behind it.
-        log_odds: (M,) float64, of existence by this moment's boxes alone.
-        codes: (M, 2) int64, of the class and its family.
-        vehicles: (M,) bool.
-        corners_xyxy: by camera, (M, 4) float64 [px], NaN where no box of its image is behind it.
-        velocities: (M, 3) float64 [m/s], world frame, NaN where not reported.
-    """
-
-    measures: Float64Array
-    covariances: Float64Array
-    measured: BoolArray
-    log_odds: Float64Array
+    measures: Float64Array  # (M, 7), middle [m], length, width, height [m] and heading [rad], world frame
+    covariances: Float64Array  # (M, 7, 7) of these, with `UNKNOWN_VARIANCE` where it is not reported
+    measured: BoolArray  # (M,), whether a box of the sweep is behind it
+    log_odds: Float64Array  # (M,), of existence by this moment's boxes alone
     labels: tuple[str, ...]
-    codes: Int64Array
-    vehicles: BoolArray
-    corners_xyxy: dict[Identifier, Float64Array]
-    velocities: Float64Array
+    codes: Int64Array  # (M, 2), of the class and its family
+    vehicles: BoolArray  # (M,)
+    corners_xyxy: dict[Identifier, Float64Array]  # (M, 4) [px], NaN without a box of its image
+    velocities: Float64Array  # (M, 3) [m/s], world frame, NaN where not reported
 
     def __len__(self) -> int:
         return len(self.measures)
@@ -223,10 +212,8 @@ def _sound(fused: FusedBoxes) -> BoolArray:
 def _each_once(
     parts: list[tuple[Identifier, FusedBoxes, Int64Array]],
 ) -> list[tuple[Identifier, FusedBoxes, Int64Array]]:
-    """Of every box of the sweep the one camera's fusion that knows most: one with a partner, else the most doubtful.
-
-    A camera that should have seen an object and did not makes it doubtful; one that could not says nothing.
-    """
+    """Of every box of the sweep the one camera's fusion that knows most: one with a partner, else the most doubtful."""
+    # a camera that should have seen an object and did not makes it doubtful; one that could not says nothing
     if len(parts) <= 1:
         return parts
     best: dict[int, tuple[tuple[bool, float, int], int]] = {}
@@ -416,37 +403,22 @@ _ByCamera = dict[Identifier, Float64Array]
 
 @dataclass(slots=True, eq=False)
 class _Population:
-    """Objects, a row each. No array is written to once another moment begins.
+    """Objects, a row each. No array is written to once another moment begins."""
 
-    Attributes:
-        ids: (N,) int64.
-        means, covariances: (N, 11) and (N, 11, 11) of `motion`.
-        log_odds: (N,) float64, of existence.
-        hidden: (N,) float64, probability that something unknown hides them.
-        codes: (N, 2) int64, class and family.
-        vehicles: (N,) bool.
-        seen_ns: (N,) int64 [ns], when a box was last theirs.
-        heading_votes: (N,) float64, how much speaks for their heading and against its opposite.
-        votes: (N, K) float64, for each of K words.
-        supports: (N,) uint8 of `Support`.
-        differing, differing_variances: by camera, (N, 4) of `image_boxes`.
-        corners_xyxy: by camera, (N, 4) float64 [px], the detector's boxes of this moment, NaN where there are none.
-    """
-
-    ids: Int64Array
-    means: Float64Array
-    covariances: Float64Array
-    log_odds: Float64Array
-    hidden: Float64Array
-    codes: Int64Array
-    vehicles: BoolArray
-    seen_ns: Int64Array
-    heading_votes: Float64Array
-    votes: Float64Array
-    supports: UInt8Array
-    differing: _ByCamera = field(default_factory=dict)
-    differing_variances: _ByCamera = field(default_factory=dict)
-    corners_xyxy: _ByCamera = field(default_factory=dict)
+    ids: Int64Array  # (N,)
+    means: Float64Array  # (N, 11) of `motion`
+    covariances: Float64Array  # (N, 11, 11)
+    log_odds: Float64Array  # (N,), of existence
+    hidden: Float64Array  # (N,), probability that something unknown hides them
+    codes: Int64Array  # (N, 2), class and family
+    vehicles: BoolArray  # (N,)
+    seen_ns: Int64Array  # (N,) [ns], when a box was last theirs
+    heading_votes: Float64Array  # (N,), how much speaks for their heading and against its opposite
+    votes: Float64Array  # (N, K), for each of K words
+    supports: UInt8Array  # (N,) of `Support`
+    differing: _ByCamera = field(default_factory=dict)  # (N, 4) of `image_boxes`
+    differing_variances: _ByCamera = field(default_factory=dict)  # (N, 4)
+    corners_xyxy: _ByCamera = field(default_factory=dict)  # (N, 4) [px], detected at this moment, or NaN
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -543,10 +515,8 @@ def outlines(numbers: Float64Array, likely: Float64Array, world_from_lidar: Rigi
 
 
 def _in_view(boxes: Float64Array, view: View) -> BoolArray:
-    """Which boxes may be in the image: not those whose ball lies outside the cone that it shows.
-
-    To find where such a box leaves the camera model, which it never enters, is slow.
-    """
+    """Which boxes may be in the image: not those whose ball lies outside the cone that it shows."""
+    # to find where such a box leaves the camera model, which it never enters, is slow
     middles = boxes[:, :3] @ view.camera_from_lidar.rotation.T + view.camera_from_lidar.translation
     away = np.sqrt((middles**2).sum(axis=1))
     reach = np.sqrt((boxes[:, 3:6] ** 2).sum(axis=1)) / 2.0
@@ -559,13 +529,7 @@ def _in_view(boxes: Float64Array, view: View) -> BoolArray:
 def _filtered(
     differing: Float64Array, variances: Float64Array, corners: Float64Array, outlined: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """Read how boxes of an image differ from outlines.
-
-    Args:
-        differing, variances: (N, 4), what is known of it, NaN where nothing is.
-        corners: (N, 4) [px], boxes of the detector, NaN where there are none.
-        outlined: (N, 4) [px], zeros where there are none.
-    """
+    """Read how the detector's boxes of an image, NaN where none, differ from outlines, zeros where none; all (N, 4)."""
     fresh = np.isnan(differing)
     means, variances = np.where(fresh, 0.0, differing), np.where(fresh, UNKNOWN, variances)
     seen = np.flatnonzero(has_area(corners) & has_area(outlined))
@@ -623,11 +587,8 @@ _AGREEMENT = 0.5 * (_FREEDOM + 1.0) * float(np.log1p(((1.0 - _USUAL_OVERLAP) / _
 def _candidates(
     objects: _Population, foreseen: _ByCamera, seen: _Observations, settings: TrackerSettings
 ) -> tuple[Int64Array, Int64Array, Float64Array]:
-    """Which boxes may be of which objects, and how much likelier that is than that they are of anything else.
-
-    `foreseen` is by camera, (N, 4) [px], where they are expected in its image, NaN for nowhere. Gives (K,) rows of
-    objects, (K,) rows of boxes, and (K,) logarithms.
-    """
+    """Which boxes may be of which objects, and logarithms of how much likelier that is than anything else, (K,)."""
+    # `foreseen`: by camera, (N, 4) [px], where objects are expected in its image, NaN for nowhere
     density = np.where(objects.vehicles, settings.vehicle_density, settings.person_density)
     found: tuple[Int64Array, Int64Array, Float64Array] = gains_in_space(
         np.ascontiguousarray(objects.means[:, :3]),
@@ -660,11 +621,7 @@ _TRACKER_CLIMB, _ROTATION = 0.3, 0.2  # the same of climbing [m/s] and rotating 
 
 
 def _unclaimed(seen: _Observations, free: BoolArray, objects: _Population) -> Int64Array:
-    """Give the rows of free boxes that are no second box of an object of this moment, nor of one another.
-
-    Args:
-        free: (M,), which of them are no object's, and likely enough.
-    """
+    """Give rows of `free` boxes (M,), likely enough, that are no second box of an object, nor of one another."""
     rows = np.flatnonzero(free)
     rows = rows[np.argsort(-seen.log_odds[rows], kind="stable")]
     known = {name: objects.corners_xyxy.get(name, no_boxes(len(objects))) for name in seen.corners_xyxy}
@@ -716,12 +673,7 @@ _PARALLEL = 0.95  # least cosine between the axes of neighbours
 
 
 def _rotation_round(objects: _Population, rows: Int64Array, seen: _Observations, columns: Int64Array) -> None:
-    """Let boxes, motion and neighbours vote on headings, in place, and rotate those round that are outvoted.
-
-    Args:
-        rows: (K,), those of which a box was seen.
-        columns: (K,), the box of each.
-    """
+    """Let the boxes seen of `rows`, motion and neighbours vote on headings, in place, and rotate the outvoted round."""
     sure = seen.covariances[columns, 6, 6] < _SURE_HEADING
     rows, columns = rows[sure], columns[sure]
     objects.heading_votes[rows] += np.cos(seen.measures[columns, 6] - objects.means[rows, YAW])

@@ -114,14 +114,10 @@ def _chosen_by_moment(values: Sequence[Any], there: BoolArray) -> list[Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Drawn:
-    """What a layer logs for some moments.
-
-    Attributes:
-        counts: (M,) int64, how many objects each moment has.
-    """
+    """What a layer logs for some moments."""
 
     columns: Any
-    counts: Int64Array
+    counts: Int64Array  # (M,), how many objects each moment has
     there: BoolArray | None = None
 
     @classmethod
@@ -134,14 +130,10 @@ class _Drawn:
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """Annotations of one class and kind.
-
-    Attributes:
-        draw: draws them at times (M,) int64 [ns], ascending.
-    """
+    """Annotations of one class and kind."""
 
     group: _Group
-    draw: Callable[[_Group, Int64Array, str], _Drawn]
+    draw: Callable[[_Group, Int64Array, str], _Drawn]  # at times (M,) [ns], ascending
     kind: str
     counted: bool = True
 
@@ -503,11 +495,9 @@ _CLASSES = 65_535
 
 @dataclass(slots=True, eq=False)
 class _LabelledPoints:
-    """The labelled points of a scene, by the frames that they are of.
+    """The labelled points of a scene, by the frames that they are of."""
 
-    Attributes:
-        entries: for each sensor and number of a frame (None: the sensor as a whole), labels and rows of points.
-    """
+    # `entries`: labels and rows of points by sensor and number of a frame (None: the sensor as a whole)
 
     stream: Stream
     entries: Mapping[tuple[Key, int | None], Sequence[tuple[int, Int64Array]]]

@@ -295,10 +295,9 @@ def _written_depths(folder: Path) -> Iterator[_Entry]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FusedDepthView:
-    """Shows depth images of a folder over the images that they belong to.
+    """Shows depth images of a folder over the images that they belong to."""
 
-    They are in the camera's own, distorted grid; a straightened camera takes them straightened the same way.
-    """
+    # they are in the camera's own, distorted grid; a straightened camera takes them straightened the same way
 
     stream: Stream
     folder: Path

@@ -161,16 +161,12 @@ def ellipsoid(covariances: Float64Array, *, degrees_of_freedom: float = np.inf) 
 
 @dataclass(slots=True, eq=False)
 class _ObjectsView:
-    """Shows what was found at each moment.
-
-    Attributes:
-        origin: (3,) float64 [m], what is taken off locations.
-    """
+    """Shows what was found at each moment."""
 
     stream: Stream
     names: tuple[Identifier, ...]
     moments: tuple[TrackedObjects, ...]
-    origin: Float64Array
+    origin: Float64Array  # (3,) [m], what is taken off locations
     has_history: bool
     degrees_of_freedom: float = np.inf
     _trajectories: dict[int, list[tuple[int, Float64Array]]] = field(default_factory=dict)

@@ -464,12 +464,7 @@ class _Ahead:
 
 
 def _play(feeds: Sequence[Feed], on_fault: Callable[[Exception], bool]) -> Iterator[None]:
-    """Log the moments of all feeds in the order of time, yielding after each.
-
-    Args:
-        feeds: the feeds.
-        on_fault: is given what went wrong with a moment; whether to go on with the next.
-    """
+    """Log the moments of all feeds in the order of time; `on_fault` says whether to go on after what went wrong."""
     threads = min(_MOST_THREADS, os.cpu_count() or 1)
     with ThreadPoolExecutor(threads, thread_name_prefix="sceneloom-view") as pool:
         ahead = [_Ahead(feed, pool) for feed in feeds]

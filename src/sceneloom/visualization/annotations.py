@@ -696,10 +696,8 @@ def _related(scene: Scene, chosen: list[Annotation]) -> list[Annotation]:
 
 
 def _draw_type(scene: Scene, sample: Sample | None, type_name: str) -> PilImage:
-    """Draw annotations of one type as they show best: from above, over time, in a view of their own, else in an image.
-
-    The image is that of the camera that a shape in images names, else the first one.
-    """
+    """Draw annotations of one type as they show best: from above, over time, in a view of their own, else an image."""
+    # the image is that of the camera that a shape in images names, else the first one
     chosen: Any = next(annotation for annotation in scene.annotations if str(annotation.type) == type_name)
     if isinstance(chosen, LocalizationAdjustment):
         return draw_adjustment(scene, chosen)

@@ -238,10 +238,8 @@ def draw_crosses(image: UInt8Array, pixels: FloatArray, colour: tuple[int, int, 
 def _fine_discs(
     pixels: FloatArray, depths: FloatArray, radii_px: FloatArray | float
 ) -> tuple[Int64Array, Int64Array, Int64Array]:
-    """Give columns, rows and radii on the fine grid, the farthest disc first.
-
-    Columns and rows count the corners between fine cells: a disc then lies evenly around the centre of a pixel.
-    """
+    """Give columns, rows and radii on the fine grid, the farthest disc first."""
+    # columns and rows count the corners between fine cells: a disc then lies evenly around the centre of a pixel
     order = np.argsort(-depths, kind="stable")
     radii = np.broadcast_to(np.asarray(radii_px, np.float64), (len(order),))[order]
     # A disc of about one pixel, were it spread over two, would take half of each pixel's colour from below.

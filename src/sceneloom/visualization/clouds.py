@@ -118,27 +118,16 @@ _MOST_SAMPLES = 200_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _DrawnCloud:
-    """The finite points of a cloud with the colours that they are drawn in.
+    """The finite points of a cloud with the colours that they are drawn in."""
 
-    Attributes:
-        points_world: (N, 3) float64 [m].
-        colours: (N, 3) uint8.
-    """
-
-    points_world: Float64Array
-    colours: UInt8Array
+    points_world: Float64Array  # (N, 3) [m]
+    colours: UInt8Array  # (N, 3)
     seen: int
     left_out: int = 0
 
 
 def _drawn_cloud(points_world: FloatArray, colors: UInt8Array | None, camera_index: UInt8Array | None) -> _DrawnCloud:
-    """Give seen points their colours, and points that no camera saw a grey that grows lighter with height.
-
-    Args:
-        points_world: (N, 3) float [m]; rows that are not finite are left out.
-        colors: (N, 3) uint8, or None where no point has a colour.
-        camera_index: (N,) uint8, 255 for a point that no camera saw; None where all of `colors` hold.
-    """
+    """Colour finite points (N, 3) [m]; those that no camera (255) saw get a grey that grows lighter with height."""
     if points_world.ndim != 2 or points_world.shape[1] != 3:
         raise ArrayError(f"points_world: {points_world.shape}; expected (N, 3)")
     check_array("colors", colors, (len(points_world), 3), np.uint8, optional=True)
@@ -177,11 +166,7 @@ def _choose_reach(
     farthest: float,
     aspect: float = 1.0,
 ) -> float:
-    """Give the distance [m] that was asked for, or a round one from the ego that holds most points.
-
-    Args:
-        farthest: the largest distance that is chosen [m].
-    """
+    """The distance [m] that was asked for, or a round one from the ego that holds most points, at most `farthest`."""
     if asked is not None:
         if not 0.0 < asked < float("inf"):
             raise OptionError(f"reach {asked} m; expected a positive length")

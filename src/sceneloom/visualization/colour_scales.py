@@ -109,13 +109,9 @@ def srgb_from_oklab(oklab: Float64Array) -> UInt8Array:
 
 
 def _smooth_curve(anchors: Float64Array) -> Float64Array:
-    """Draw a smooth curve through (A, 3) anchors, (F, 3).
-
-    Each coordinate stays monotone between its anchors: cubic Hermite chunks with tangents limited to three times
-    the smaller neighbouring slope.
-
-    Source: Fritsch and Carlson, "Monotone piecewise cubic interpolation", 1980.
-    """
+    """Draw a smooth curve through (A, 3) anchors, (F, 3); each coordinate stays monotone between its anchors."""
+    # Source: Fritsch and Carlson, "Monotone piecewise cubic interpolation", 1980: cubic Hermite, tangents limited to
+    # three times the smaller neighbouring slope
     slopes = np.diff(anchors, axis=0)
     limits = 3.0 * np.minimum(np.abs(slopes[:-1]), np.abs(slopes[1:]))
     same_sense = np.sign(slopes[:-1]) == np.sign(slopes[1:])

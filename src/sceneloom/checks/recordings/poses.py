@@ -115,14 +115,10 @@ def _finite_rows(array: Float64Array) -> BoolArray:
 
 
 class _CleanSamples:
-    """Samples with finite values and strictly increasing times.
+    """Samples with finite values and strictly increasing times."""
 
-    Attributes:
-        seconds: (N,) float64 [s], counted from an origin.
-        values: (N, 3) float64.
-        sums: (N, 3) float64, integral of the values since the first sample.
-        gaps: (N,) int64, how many gaps lie before each sample.
-    """
+    # `seconds` (N,) [s], from an origin; `values` (N, 3); `sums` (N, 3), integral of the values since the first sample;
+    # `gaps` (N,), how many gaps lie before each sample
 
     def __init__(self, seconds: Float64Array, values: Float64Array) -> None:
         self.seconds, self.values = seconds, values
@@ -176,25 +172,18 @@ class _CleanSamples:
 
 
 def _noise_of(steps: Float64Array) -> float:
-    """Deviation of values whose steps are (N, 3), all axes together.
-
-    Second differences of independent errors have six times their variance; smooth motion has none.
-    """
+    """Deviation of values, all axes together, from their steps (N, 3)."""
+    # second differences of independent errors have six times their variance; smooth motion has none
     return float(np.linalg.norm(_FROM_MEDIAN * np.median(np.abs(np.diff(steps, axis=0)), axis=0) / np.sqrt(6.0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PoseIntervals:
-    """A trajectory as intervals between some of its poses.
+    """A trajectory as intervals between some of its poses."""
 
-    Attributes:
-        starts, stops: (M,) float64 [s], counted from the trajectory's first pose.
-        first, last: (M,) int64, the poses that bound each interval.
-    """
-
-    starts: Float64Array
-    stops: Float64Array
-    first: Int64Array
+    starts: Float64Array  # (M,) [s], counted from the trajectory's first pose
+    stops: Float64Array  # (M,) [s], likewise
+    first: Int64Array  # (M,), the poses that bound each interval
     last: Int64Array
 
     @classmethod
@@ -224,24 +213,15 @@ class _PoseIntervals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Comparison:
-    """A trajectory compared with the IMU over the same intervals.
+    """A trajectory compared with the IMU over the same intervals."""
 
-    Attributes:
-        name: of the trajectory.
-        up: (3,) mean of the accelerometer in the world, as part of its mean length; None where not known.
-        shifts: (S,) float64 [s], by which the gyroscope's times were taken to be later; empty where it hardly rotated.
-        correlations: (S,) of the angular velocities of all axes together.
-        tolerance: samples and poses are so far apart [s] that shorter offsets are not known.
-        measured, reported: root mean square of the angular velocities of gyroscope and orientations [rad/s].
-    """
-
-    name: str
-    up: Float64Array | None
-    shifts: Float64Array
-    correlations: Float64Array
-    tolerance: float = 0.0
-    measured: float = 0.0
-    reported: float = 0.0
+    name: str  # of the trajectory
+    up: Float64Array | None  # (3,) mean accelerometer in the world over its mean length
+    shifts: Float64Array  # (S,) [s] by which the gyroscope's times were taken to be later; empty: hardly rotated
+    correlations: Float64Array  # (S,) of the angular velocities of all axes together
+    tolerance: float = 0.0  # between samples and poses [s]; shorter offsets are not known
+    measured: float = 0.0  # root mean square of the gyroscope's angular velocities [rad/s]
+    reported: float = 0.0  # likewise of the orientations
 
     @property
     def correlation(self) -> float:

@@ -223,23 +223,15 @@ _Complex = np.ndarray[tuple[int], np.dtype[np.complex128]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Case:
-    """A trajectory and the fixes during it, positions on the ground as complex numbers, east + i north [m].
+    """A trajectory and the fixes during it, positions on the ground as complex numbers, east + i north [m]."""
 
-    Attributes:
-        name: of the trajectory.
-        fixes, trajectory: (M,) complex, positions of the fixes and of the trajectory at their times.
-        ups, heights: (M,) heights of both.
-        tolerance: so far apart they still agree.
-        vertical: accuracy of the heights.
-    """
-
-    name: str
-    fixes: _Complex
-    trajectory: _Complex
-    ups: Float64Array
-    heights: Float64Array
-    tolerance: float
-    vertical: float
+    name: str  # of the trajectory
+    fixes: _Complex  # (M,)
+    trajectory: _Complex  # (M,), at the fixes' times
+    ups: Float64Array  # (M,) heights of the fixes
+    heights: Float64Array  # (M,) of the trajectory
+    tolerance: float  # so far apart they still agree
+    vertical: float  # accuracy of the heights
 
 
 def _cases(subject: Subject) -> Iterator[_Case]:
@@ -271,10 +263,8 @@ def _usual(accuracies: Float64Array) -> float:
 
 
 def _fit(fixes: _Complex, positions: _Complex) -> float:
-    """Distance [m] of half of the fixes once the trajectory is aligned to them by a rotation and a translation.
-
-    It is aligned once more without the farthest ones.
-    """
+    """Distance [m] of half of the fixes once the trajectory is aligned by rotation and translation."""
+    # it is aligned once more without the farthest ones
     kept = np.ones(len(positions), np.bool_)
     for _ in range(2):
         wanted, given = fixes - fixes[kept].mean(), positions - positions[kept].mean()

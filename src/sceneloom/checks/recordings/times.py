@@ -341,10 +341,8 @@ def _of_one_time(subject: Subject) -> Iterator[Hit]:
 
 
 def _gap_threshold(stream: Stream, period: float) -> float:
-    """By how much an interval exceeds the usual one that is a gap [s].
-
-    Cameras that expose longer in the dark have many long intervals: such are uneven, and lack nothing.
-    """
+    """By how much an interval exceeds the usual one that is a gap [s]."""
+    # cameras that expose longer in the dark have many long intervals: such are uneven, and lack nothing
     if stream.kind in _FRAMES:
         single = FRAME_GAP_PERIODS * period
         if float((stream.intervals - period > single).mean()) <= JITTER_SHARE or len(stream) < _FEW_FRAMES:

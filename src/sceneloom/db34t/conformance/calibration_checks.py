@@ -58,10 +58,7 @@ def _distortion(bench: Bench) -> Iterator[Seen]:
 
 
 def _distorted(point: tuple[float, float], coefficients: tuple[float, ...]) -> tuple[float, float]:
-    """Where the pinhole model with distortion has a point [px].
-
-    Source: Brown 1971, "Close-range camera calibration", with p1 and p2 as OpenCV has them.
-    """
+    """Where the pinhole model with distortion has a point [px]: Brown 1971, with p1 and p2 as OpenCV has them."""
     (x, y), (k1, k2, p1, p2, k3) = point, coefficients
     r2 = x * x + y * y
     radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3

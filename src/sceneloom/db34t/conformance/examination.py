@@ -362,10 +362,7 @@ class GrpcTransport:
         return list(reply.file_descriptor_response.file_descriptor_proto)
 
     def _reflected(self, request: Message) -> Any:
-        """Ask the reflection service, of whichever of its two versions there is.
-
-        Source: github.com/grpc/grpc/blob/master/doc/server-reflection.md; both versions have the same messages.
-        """
+        """Ask the reflection service of either version (github.com/grpc/grpc/blob/master/doc/server-reflection.md)."""
         failed: CallFailedError | None = None
         for version in ("v1", "v1alpha"):
             call = self.channel.stream_stream(

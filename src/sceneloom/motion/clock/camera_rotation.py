@@ -88,13 +88,10 @@ def rotation_between(first: Float64Array, second: Float64Array) -> BearingRotati
 def _compare(
     rotated: Float64Array, second: Float64Array, ahead: Float64Array
 ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
-    """Compare bearings (N, 3) that were rotated with those that were seen.
-
-    Returns:
-        (N, 2) residuals along the great circle through `ahead`, and across it; (N, 4) columns of a plane of nearness:
-        what moves along is near; (N, 2, 9) slopes by the rotation, the direction of motion, and the nearness; (2, 3)
-        directions across `ahead`.
-    """
+    """Compare bearings (N, 3) that were rotated with those that were seen."""
+    # gives (N, 2) residuals along the great circle through `ahead`, and across it; (N, 4) columns of a plane of
+    # nearness: what moves along is near; (N, 2, 9) slopes by rotation, direction of motion and nearness; (2, 3)
+    # directions across `ahead`
     apart = second - rotated
     along = ahead - (rotated @ ahead)[:, None] * rotated
     reach = np.maximum(np.linalg.norm(along, axis=1), 1e-3)[:, None]
@@ -112,10 +109,7 @@ def _compare(
 
 
 def _rotation_alone(first: Float64Array, second: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """The rotation that brings most bearings together, and weights that fall with the distance.
-
-    Source: Wahba 1965, solved by the singular values as in Markley 1988.
-    """
+    """The rotation that brings most bearings together, and weights that fall with the distance (Markley 1988)."""
     weights = np.ones(len(first))
     rotation = np.eye(3)
     for _ in range(_ROUNDS):
@@ -128,10 +122,8 @@ def _rotation_alone(first: Float64Array, second: Float64Array) -> tuple[Float64A
 
 
 def _influences(rows: Float64Array, rotation: Float64Array) -> Float64Array:
-    """The share of each bearing in the rotation about the axis found, by the least squares' rows (2 N + 2, 9).
-
-    If a single bearing saw a larger rotation, the solution's rotation would grow by its share of that.
-    """
+    """The share of each bearing in the rotation about the axis found, by the least squares' rows (2 N + 2, 9)."""
+    # if a single bearing saw a larger rotation, the solution's rotation would grow by its share of that
     vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotation))
     axis = vector / max(float(np.linalg.norm(vector)), 1e-12)
     normal = rows.T @ rows

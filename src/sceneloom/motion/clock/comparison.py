@@ -399,10 +399,7 @@ def _colour(residuals: Float64Array, used: BoolArray, windows: Int64Array) -> Fl
 
 
 def _autoregression(moments: Float64Array, count: int) -> Float64Array:
-    """The autoregression of moments at lags 0 … L, of the order that the number of samples warrants.
-
-    Source: Levinson 1947 and Durbin 1960; the order is that of Schwarz 1978, "Estimating the Dimension of a Model".
-    """
+    """The autoregression of moments at lags 0 … L (Levinson 1947, Durbin 1960), of the order by Schwarz 1978."""
     factors = np.zeros(0)
     if moments[0] <= 0:
         return factors
@@ -423,10 +420,7 @@ def _scales(residuals: Float64Array, used: BoolArray) -> Float64Array:
 
 
 def _covariance(state: _Fit, precision: Float64Array) -> Float64Array:
-    """The covariance (P, P) of the parameters, robust against correlation of the scores from row to row.
-
-    Source: Newey and West 1987, eq. 5; the number of lags is that of their 1994 paper.
-    """
+    """The covariance (P, P), robust against correlation of scores; Newey and West 1987, eq. 5; lags as in 1994."""
     rows = state.rows
     scores = (state.jacobian * state.residuals[:, :, None]).sum(axis=1)
     meat = _inner(scores, scores)
@@ -461,12 +455,7 @@ _FINEST = 1e-6  # no timestamps are better than a microsecond [s]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidate:
-    """One offset that fits.
-
-    Attributes:
-        margin: how far that exceeds the correlation at other lags, in standard deviations of chance; None where
-            there is no correlation.
-    """
+    """One offset that fits."""
 
     fit: _Fit  # of offset [s], skew and more; the offset is the finer stream's timestamp minus the other's
     times: Float64Array  # (N,) [s], of the rows
@@ -631,18 +620,10 @@ class _Peak:
 def _correlation_peaks(
     first: Float64Array, second: Float64Array, reach: int, *, centre: int, expected: Float64Array, most: int = 4
 ) -> list[_Peak]:
-    """Find the lags at which second[k + lag] is most like first[k], up to one unknown rotation and constant vectors.
-
-    The sum of the singular values of the 3x3 correlation at a lag is the largest correlation that a rotation between
-    the streams can give, so axes need not be known; rotations of a car, all about one axis, keep their signs.
-
-    `first`, `second` (N, 3) and (M, 3), on grids of one step; NaN where unknown; `reach`, `centre`: lags up to `reach`
-    steps from `centre` are tried; `expected` (3, 3) rotation where the motion does not determine one; `most`: largest
-    number of peaks. Returns peaks, the best one first; none where nothing moves or overlaps.
-
-    Source: the correlation of masked signals is Padfield 2012, "Masked Object Registration in the Fourier Domain",
-    eq. 24; the best rotation is Wahba 1965, solved by the singular values as in Markley 1988.
-    """
+    """Find lags, within `reach` steps of `centre`, at which second[k + lag] is most like first[k], the best first."""
+    # the sum of the singular values of the 3x3 correlation at a lag is the largest correlation that a rotation between
+    # the streams can give, so axes need not be known; rotations of a car, about one axis, keep their signs
+    # Source: correlation of masked signals: Padfield 2012, eq. 24; best rotation: Wahba 1965, as in Markley 1988
     first, second = _clipped(first), _clipped(second)
     products, counts = _masked_correlation(first, second, centre + np.arange(-reach, reach + 1))
     usable = counts >= max(8.0, _LEAST_OVERLAP * counts.max(initial=0.0))
@@ -667,16 +648,8 @@ def _correlation_peaks(
 
 
 def _chance(first: Float64Array, second: Float64Array) -> tuple[float, int]:
-    """How large correlations of unrelated streams are, from each stream's autocorrelation.
-
-    Returns:
-        Standard deviation of the inverse hyperbolic tangent of a correlation; how many steps from a peak lags are
-        still alike.
-
-    Source: Bartlett 1946, "On the Theoretical Specification and Sampling Properties of Autocorrelated Time-Series":
-    the variance of a correlation is the sum of the products of both autocorrelations, by the number; the inverse
-    hyperbolic tangent is Fisher 1915.
-    """
+    """Standard deviation of the atanh of correlations of unrelated streams; within how many steps lags are alike."""
+    # Source: Bartlett 1946: the variance is the sum of products of both autocorrelations, by the number; Fisher 1915
     own = [_autocorrelation(values) for values in (first, second)]
     size = min(map(len, own)) // 2
     product = own[0][:size] * own[1][:size]
@@ -752,11 +725,8 @@ _STEEPEST = 1e-3  # no clock's skew is larger; steeper lines go through wrong la
 
 
 def _robust_line(times: Float64Array, offsets: Float64Array) -> tuple[float, float]:
-    """Offset at time 0 [s] and slope of a line through offsets (N,) [s], of which nearly half may be wrong.
-
-    Source: Siegel 1982, "Robust Regression Using Repeated Medians"; only slopes that clocks can have count. The
-    offset is the median of the half that lies closest together: Rousseeuw 1984, least median of squares.
-    """
+    """Offset at time 0 [s] and slope of a line through offsets (N,) [s], of which nearly half may be wrong."""
+    # Source: slope, of those that clocks can have: Siegel 1982, repeated medians; offset: Rousseeuw 1984, least median
     slopes = [
         (offsets[j] - offsets[i]) / (times[j] - times[i])
         for i, j in combinations(range(len(times)), 2)
@@ -1108,10 +1078,7 @@ def _lags(part: "_TrajectoryModel", reach: float) -> list[float]:
 def _refined(
     part: "_TrajectoryModel", near: _Fit, fixes: Fixes, location: Float64Array, priors: Float64Array
 ) -> tuple["_TrajectoryModel", _Fit] | None:
-    """Fit the trajectory over longer windows, where it has them and they fit as well as the short ones; then to all.
-
-    `part`: the windows of the search, by which the trajectory is chosen; `near`: the fit to it.
-    """
+    """Fit the trajectory, chosen by `part`, over longer windows if they fit as well as the short ones; then to all."""
     start = np.array([near.parameters[0], 0.0, *location])
     at, found, begin = part, near, None
     while (trajectory := at.trajectory.finer(at.drifts_of(found.amounts))) is not None:

@@ -489,10 +489,8 @@ def _short_errors(since: Float64Array, forces: Float64Array, bodies: Float64Arra
 
 
 def _long_errors(since: Float64Array, forces: Float64Array, bodies: Float64Array) -> AnyArray:
-    """Accelerations (N,), and the effects of three force biases, three rate biases subtracted, and two tilts.
-
-    A small rotation ψ subtracted from the orientation adds f x ψ to the force f.
-    """
+    """Accelerations (N,), and the effects of three force biases, three rate biases subtracted, and two tilts."""
+    # a small rotation ψ subtracted from the orientation adds f x ψ to the force f
     accelerations, up, axes = _ground(forces), forces[:, 2:], _axes_from_above(bodies)
     rotated, spun = _integral(since, axes), _integral(since, bodies[:, 2])
     rates = 1j * (up * rotated - spun * accelerations[:, None])

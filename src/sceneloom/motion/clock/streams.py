@@ -56,15 +56,11 @@ class Method(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Motion:
-    """The ego's motion as a stream measures it.
-
-    Attributes:
-        trajectory: makes the trajectory with times in seconds after its argument [ns], or None.
-    """
+    """The ego's motion as a stream measures it."""
 
     orientations: Orientations | None = None  # of the body, or None
     fixes: Fixes | None = None  # positions, or None
-    trajectory: Callable[[int], SmoothedTrajectory] | None = None
+    trajectory: Callable[[int], SmoothedTrajectory] | None = None  # with times in seconds after its argument [ns]
     ego_from_body: Float64Array | None = None  # (3, 3), as far as known
     location: Float64Array | None = None  # (3,) [m], where on the ego the fixes are measured, or None
     why_not: str = ""  # why there is no motion

@@ -67,6 +67,8 @@ def _origin(location: str) -> str:
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:  # noqa: ARG001 - MkDocs' names
     """Let links lead to pages, and blocks begin where readers see them begin."""
     location = page.file.src_uri
+    if location.startswith("reference/"):
+        page.meta.setdefault("search", {"boost": 0.5})  # tasks and topics are found first
     text = with_site_links(markdown, _origin(location), location, lambda _: None)
     if location == "index.md":
         text += with_site_links(readme_sections(), "README.md", location, lambda _: None)

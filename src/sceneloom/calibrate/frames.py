@@ -328,12 +328,7 @@ class _Drive:
             self.poses = at_camera, at_lidar or of_points, of_points
 
     def frame(self, sample: Sample, image: CameraImage, sweep: LidarFrame) -> CalibrationFrame:
-        """Make the frame of one image.
-
-        Raises:
-            DataError: the image has another size than its camera model.
-            PoseError: the pose of the camera relative to the lidar is not known.
-        """
+        """Make the frame of one image; refuses one of another size than its camera model, and unknown extrinsics."""
         rgb, lidar = image.rgb, self.lidar
         if rgb.shape[:2] != (image.camera.height, image.camera.width):
             raise DataError(

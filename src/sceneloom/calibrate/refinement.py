@@ -657,11 +657,9 @@ class _Around:
 
     @cached_property
     def weights(self) -> Float64Array:
-        """What each channel counts, (C,): m/v of its values, times the share of points that add information.
-
-        A channel whose points do not fit better than others would gets 0. Points in one cell of a few widths add
-        nothing to one another.
-        """
+        """What each channel counts, (C,): m/v of its values, times the share of points that add information."""
+        # a channel whose points do not fit better than others would gets 0; points in one cell of a few widths add
+        # nothing to one another
         level, channels = self.level, len(_CHANNELS)
         cell = _CELL_WIDTHS * level.width / _STRIDES[level.width]
         groups = level.groups[self._inside]
@@ -678,10 +676,7 @@ class _Around:
 
     @cached_property
     def basis(self) -> Float64Array:
-        """(P, P), steps of length 1, in units.
-
-        They move pixels by the width of the blur (root mean square), or the numbers as far as they usually go.
-        """
+        """Steps (P, P) in units that move pixels by the blur's width (root mean square), or as far as usual."""
         form = np.zeros((len(self.free),) * 2)
         if len(self._inside):
             scale = np.float64(_STRIDES[self.level.width] / self.level.width)
@@ -699,10 +694,8 @@ class _Around:
         return -value, self.basis.T @ slope
 
     def inverse_curvature(self) -> Float64Array:
-        """The inverse of minus the second derivatives, (P, P); where the objective rises it counts as flat.
-
-        Flat directions are bounded by how far the numbers usually go.
-        """
+        """The inverse of minus the second derivatives, (P, P); where the objective rises it counts as flat."""
+        # flat directions are bounded by how far the numbers usually go
         rows = []
         for axis in np.eye(len(self.free)) * _CURVATURE_STEP:
             (_, ahead), (_, behind) = self.downwards(axis), self.downwards(-axis)

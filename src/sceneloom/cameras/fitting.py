@@ -217,10 +217,8 @@ class _Search:
         return np.array([exact.fx, exact.fy, exact.cx, exact.cy, *coefficients])
 
     def unshifted(self) -> Float64Array | None:
-        """The start of a model with a shifted sphere without that shift, which is a perspective camera model.
-
-        None where the model has no shift to be found, or a perspective camera model does not see as far.
-        """
+        """The start of a model with a shifted sphere without that shift, which is a perspective camera model."""
+        # None where the model has no shift to be found, or a perspective camera model does not see as far
         perspective = (self.rays[:, 2] > _PERSPECTIVE_COSINE).all()
         if _SHIFT not in self.names or _SHIFT in self.fixed or not perspective:
             return None
@@ -230,10 +228,7 @@ class _Search:
         return plain
 
     def candidates(self) -> list[Camera]:
-        """The camera model after each group of numbers that was set free.
-
-        And the one from coefficients of equal names.
-        """
+        """The camera model after each group of numbers that was set free, and that from coefficients of equal names."""
         stages, found = self._stages(), list[Float64Array]()
         numbers, unshifted = self.start(), self.unshifted()
         for free in stages:

@@ -441,15 +441,7 @@ class _Run:
     def __init__(
         self, parts: Parts, drafts: Path, checks: Checks, *, workers: int | None = 1, progress: Progress | None = None
     ) -> None:
-        """Have nothing read yet.
-
-        Args:
-            parts: where scenes are put.
-            drafts: folder in which they are written before.
-            checks: how much is checked.
-            workers: processes; None for as many as are worth it.
-            progress: reported the number of drives done and of all.
-        """
+        """Have nothing read; scenes are put into `parts`, by way of `drafts`; `progress` gets drives done and all."""
         self._parts, self._drafts, self._checks = parts, drafts, checks
         self._workers, self._progress = workers, progress
         self._waiting: dict[str, tuple[Drive, Fresh]] = {}
@@ -458,13 +450,7 @@ class _Run:
         self.failed: list[Failure] = []
 
     def go(self, drives: Sequence[Drive], files: Mapping[str, str], *, done: int = 0) -> None:
-        """Read drives, and those whose rows were lost with damaged files of the same parts.
-
-        Args:
-            drives: each once.
-            files: of them, as `_looked_at` gives them.
-            done: how many more are done already.
-        """
+        """Read drives, and those whose rows were lost with damaged files of the same parts; `done`: before."""
         tried: set[str] = set()
         due = list(drives)
         while due:

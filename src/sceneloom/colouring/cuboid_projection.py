@@ -442,11 +442,7 @@ class _SweptPoints:
     _kept: tuple[int, FloatArray | None] = field(default=(-1, None))
 
     def at(self, time_ns: int) -> FloatArray | None:
-        """The points (N, 3) [m] of the sweep that is under way at a time [ns]; None where there is none.
-
-        Raises:
-            DataError: the sweep cannot be read.
-        """
+        """The points (N, 3) [m] of the sweep that is under way at a time [ns]; None where there is none."""
         timestamps = self.lidar.frames.timestamps_ns
         index = int(np.searchsorted(timestamps, time_ns, side="right")) - 1
         period_ns = sweep_period_ns(self.lidar)

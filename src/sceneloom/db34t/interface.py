@@ -299,21 +299,13 @@ class _ReceivedRecords:
     # a frame is whole as soon as a box of another one comes, or none came for a while; not for several threads at once
 
     def __init__(self, hand_in: Callable[[Boxes3d | Boxes2d, Setting], None]) -> None:
-        """Know nothing yet.
-
-        Args:
-            hand_in: takes a frame of boxes that is whole, by the configuration in force when its first box came.
-        """
+        """Know nothing; `hand_in` takes whole frames of boxes, with the configuration when their first box came."""
         self._hand_in = hand_in
         self._arrivals: dict[Stream, _Arrivals] = {}
         self._frames: dict[tuple[type, int], _Frame] = {}
 
     def accept(self, record: FrameRecord, setting: Setting) -> Accepted:
-        """Take a record, unless it came already or is too old.
-
-        Raises:
-            RefusedError: it is not taken; the answer says why.
-        """
+        """Take a record, unless it came already or is too old."""
         accepted = accepted_alone(record, setting)
         arrivals = self._arrivals.get(accepted.stream)
         if arrivals is None or arrivals.is_set_back(accepted.timestamp_ns):
@@ -331,11 +323,7 @@ class _ReceivedRecords:
         return accepted
 
     def note(self, accepted: Accepted) -> str:
-        """Remember a record that was taken.
-
-        Returns:
-            "set-back" or "set-forward" where its sensor's clock must have been, or it was silent for long; else "".
-        """
+        """Remember a record; "set-back" or "set-forward" where its clock was set, or it was silent for long."""
         arrivals, time_ns = self._arrivals.get(accepted.stream), accepted.timestamp_ns
         jump = ""
         if arrivals is not None and arrivals.is_set_back(time_ns):
@@ -356,14 +344,7 @@ class _ReceivedRecords:
         return sum(len(frame.boxes) for frame in self._frames.values())
 
     def add_box(self, box: Box3d | Box2d, setting: Setting) -> bool:
-        """Keep a box; where it begins a frame, the one before is whole.
-
-        Returns:
-            Whether it begins a frame.
-
-        Raises:
-            RefusedError: it is not taken; the answer says why.
-        """
+        """Keep a box, and give whether it begins a frame, which makes the one before whole."""
         if isinstance(box, Box3d):
             _check_headings(np.array([box.direction]), "", setting)
         sensor_id, seq = self._sender_of(box, setting), _SEQ_OF[type(box)](box)
@@ -389,10 +370,7 @@ class _ReceivedRecords:
                 self._close(frame)
 
     def oldest_frame_s(self) -> float | None:
-        """When the last box of the frame came that waits longest for another, by the monotonic clock [s].
-
-        For any thread. None where no boxes wait.
-        """
+        """For any thread: when the last box of the longest waiting frame came, monotonic [s]; None: no boxes wait."""
         return min((frame.latest_s for frame in tuple(self._frames.values()) if frame.boxes), default=None)
 
     def _close(self, frame: _Frame) -> None:

@@ -344,13 +344,9 @@ class _Sequence:
     def of(
         cls, found: ObjectTable, truth: ObjectTable, label: str, rules: TrackingRules, frame_count: int | None
     ) -> "_Sequence":
-        """Select the objects that count.
-
-        Found objects that are most like a true one which does not count (hidden, cut off, of a neighbouring class) do
-        not count either; nor do those without a true one that are small or in a region.
-
-        Source: Geiger et al. 2012; Luiten et al., TrackEval, `Kitti2DBox.get_preprocessed_seq_data`.
-        """
+        """Select the objects that count (Geiger et al. 2012; TrackEval, `Kitti2DBox.get_preprocessed_seq_data`)."""
+        # found objects most like a true one which does not count (hidden, cut off, of a neighbouring class) do not
+        # count either; nor do those without a true one that are small or in a region
         truth, found = truth.in_order(), found.in_order()
         last = [int(objects.frames[-1]) if len(objects) else -1 for objects in (truth, found)]
         for side, frame in zip(("truth", "results"), last, strict=True):

@@ -240,10 +240,8 @@ class _Pairing(Generic[_Frame, _Partner]):
         return self.queues[camera_id].add(partner)
 
     def ready(self, *, final: bool = False) -> Iterator[_Waiting[_Frame]]:
-        """Yield the sweeps whose images are known, oldest first; with `final` all that wait.
-
-        What no later sweep can ask for is forgotten once the one after is asked for.
-        """
+        """Yield the sweeps whose images are known, oldest first; with `final` all that wait."""
+        # what no later sweep can ask for is forgotten once the one after is asked for
         while self.waiting and (final or self._is_ready(self.waiting[0])):
             waiting = self.waiting.popleft()
             yield waiting
@@ -393,11 +391,9 @@ class _SweepFusion:
     _decoded: dict[Identifier, tuple[CameraImage, UInt8Array]] = field(default_factory=dict)
 
     def fuse(self, waiting: _Waiting[_TimedSweep], pairing: _SweepPairing) -> tuple[FusedFrame, ...]:
-        """Fuse a sweep; where the ego trajectory does not reach, the result says so.
-
-        Where it reaches the sweep and only some of the images, and those beyond it are to be fused as if the ego had
-        not moved, these are a second result: what a camera shows does not depend on how late another's image is.
-        """
+        """Fuse a sweep; where the ego trajectory does not reach, the result says so."""
+        # where it reaches the sweep and only some of the images, and those beyond are to be fused as if the ego had not
+        # moved, these are a second result: what a camera shows does not depend on how late another's image is
         settings = waiting.configuration
         if not settings.motion_compensation:
             return (self._fuse_stationary(waiting, pairing, self.cameras),)

@@ -791,11 +791,7 @@ class _Fit:
         return equations(self.chain, self.states, self.weights)
 
     def covariances(self) -> tuple[Float64Array, Float64Array]:
-        """The covariance of each state, (K, 15, 15), and with the next, (K - 1, 15, 15).
-
-        Raises:
-            PoseError: the equations have no solution.
-        """
+        """The covariance of each state, (K, 15, 15), and with the next, (K - 1, 15, 15)."""
         here = self.equations()
         damping = 0.0
         while not (solved := here.solve(damping))[0]:
@@ -1079,7 +1075,7 @@ def _standstill(
     fit: _Fit, own: Float64Array, samples: InertialSamples
 ) -> tuple[tuple[BodySpeeds, ...], tuple[RelativePoses, ...]]:
     """Measurements of the states at which the ego is stationary; `own` (K, 15, 15) covariances of the states."""
-    # the IMU is quiet, its samples white noise without sway, and the fixes show no speed, as on a smooth even drive
+    # IMU samples are white noise without sway, and fixes show no speed: a smooth even drive passes the first test alone
     # Source: Skog, Händel, Nilsson and Rantakokko 2010, "Zero-Velocity Detection - An Algorithm Evaluation"
     chain, states = fit.chain, fit.states
     still = _quiet(samples, chain.knots_ns, states.biases)
@@ -1356,7 +1352,7 @@ class _Motion:
 def _motion_between(chain: Chain, states: States, samples: InertialSamples | None) -> _Motion:
     """The motion from the first state to the last, at their times, those of the samples, and some without an IMU."""
     # from each state the IMU leads on; what is off at the next one is spread over the time between
-    # Source: the cubic is the mean of the integrated Brownian bridge, Barfoot 2017, 11.1.4; rotations evenly
+    # Source: the mean of the integrated Brownian bridge, Barfoot 2017, "State Estimation for Robotics", 11.1.4
     times = [chain.knots_ns]
     if samples is not None:
         inside = samples.timestamps_ns
@@ -1447,11 +1443,8 @@ class _SlowError:
         return cls(np.sqrt(variance), seconds, alike, times_ns, residuals)
 
     def at(self, times_ns: Int64Array) -> Float64Array:
-        """The mean at some times, between and beyond the fixes, (N, axes) [m].
-
-        Source: Rasmussen and Williams 2006, "Gaussian Processes for Machine Learning", 4.2.1, the exponential
-        covariance, whose process is that of Ornstein and Uhlenbeck 1930 and needs the two neighbours only.
-        """
+        """The mean at some times, between and beyond the fixes, (N, axes) [m]."""
+        # Source: Rasmussen and Williams 2006, 4.2.1: the exponential covariance's process needs the two neighbours only
         after = np.searchsorted(self.times_ns, times_ns)
         before, after = np.clip(after - 1, 0, None), np.clip(after, None, len(self.times_ns) - 1)
         one, other = (np.exp(-np.abs(times_ns - self.times_ns[k]) * 1e-9 / self.seconds) for k in (before, after))

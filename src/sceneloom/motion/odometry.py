@@ -100,10 +100,8 @@ class _MotionState:
         return _rotation_matrix(self.yaw_rate * dt) @ self.rotation, self.position + dt * self.velocity + bend
 
     def predicted(self, timestamp_ns: int, configuration: OdometryConfiguration) -> "_MotionState":
-        """The state at a later time; accelerations add to its uncertainty.
-
-        Source: Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, piecewise constant white acceleration.
-        """
+        """The state at a later time; accelerations add to its uncertainty."""
+        # Source: Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, piecewise constant white acceleration
         dt = (timestamp_ns - self.timestamp_ns) * 1e-9
         rotation, position = self.at(timestamp_ns)
         step = np.eye(12)
@@ -661,11 +659,7 @@ class _Source:
     _latest: FloatArray | None = None
 
     def read(self, index: int, *, lenient: bool) -> LidarFrame | None:
-        """Read a sweep, with point times as far as they are known; None where it cannot be read.
-
-        Raises:
-            DataError: it cannot be read, and this is not lenient.
-        """
+        """Read a sweep, with point times as far as they are known; None if `lenient` and it cannot be read."""
         try:
             frame = self.lidar.frames[index]
         except DataError:

@@ -258,10 +258,7 @@ class _Group:
 
     @property
     def short_rows(self) -> list[tuple[str, str, str]]:
-        """The same with one row for all fields of a kind to which the same happened, by what their names share.
-
-        Rows that name an option as a remedy come first: the others may not be shown.
-        """
+        """With one row for fields of a kind to which the same happened; those with an option as a remedy come first."""
         together: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
         for row in self.rows:
             together.setdefault((*row[0].split(".")[:2], row[2]), []).append(row)

@@ -473,11 +473,7 @@ class _FramesByTimestamp(Generic[_Timestamped]):
         return frame, frame.timestamp_ns
 
     def find(self, time_ns: int, tolerance_ns: int) -> tuple[_Timestamped, int] | str:
-        """Read the frame nearest in time, the earlier one of two; or state why there is none.
-
-        Raises:
-            DataError: it cannot be read.
-        """
+        """Read the frame nearest in time, the earlier one of two; or state why there is none."""
         row = self._nearest(time_ns)
         if row is None:
             return _NONE
@@ -511,24 +507,15 @@ class _SweepsByReference:
         return {**self.__dict__, "_known": {}}
 
     def read(self, index: int) -> tuple[LidarFrame, int]:
-        """Read a sweep, its point times brought onto the scene's clock, and report its reference time [ns].
-
-        Raises:
-            DataError: the sweep cannot be read.
-        """
+        """Read a sweep, its point times brought onto the scene's clock, and report its reference time [ns]."""
         frame = timed_frame(self.frames[index], self._period_ns).frame
         self._known[index] = frame.reference_ns
         return frame, frame.reference_ns
 
     def find(self, time_ns: int, tolerance_ns: int) -> tuple[LidarFrame, int] | str:
-        """Read the sweep whose reference time is nearest, the earlier one of two; or state why there is none.
-
-        Sweeps around that time whose reference times are not known yet are read for them. A reference time is taken to
-        be no earlier than its sweep's timestamp, and reference times to be in the order of the timestamps.
-
-        Raises:
-            DataError: a sweep cannot be read.
-        """
+        """Read the sweep whose reference time is nearest, the earlier one of two; or state why there is none."""
+        # sweeps around that time with unknown reference times are read for them; these are taken to be no earlier than
+        # the sweeps' timestamps, and in their order
         if len(self.frames) == 0:
             return _NONE
         held: dict[int, LidarFrame] = {}
@@ -617,12 +604,7 @@ class _SampleMaker:
     """Makes the samples of a selection; a pickled one begins anew with the same selection."""
 
     def __init__(self, selection: _Selection) -> None:
-        """Prepare what all samples share; no frame is read.
-
-        Raises:
-            OptionError: there is no such trajectory.
-            PoseError: it has no orientations.
-        """
+        """Prepare what all samples share; no frame is read."""
         self.selection = selection
         scene, reference = selection.scene, selection.reference
         frames = reference.frames if isinstance(reference, LidarSensor) else reference.images
@@ -643,11 +625,7 @@ class _SampleMaker:
         return _SampleMaker, (self.selection,)
 
     def make(self, index: int) -> Sample:
-        """Make the sample of the reference sensor's frame `index`.
-
-        Raises:
-            DataError: a frame cannot be read.
-        """
+        """Make the sample of the reference sensor's frame `index`."""
         reference_id = self.selection.reference.id
         found = _Found()
         found.add(reference_id, self._finders[reference_id].read(index))

@@ -200,10 +200,8 @@ class _Locations:
             return None
 
     def between(self, camera: CameraSensor, lidar: LidarSensor) -> tuple[RigidTransform, list[DataWarning]]:
-        """`camera_from_points`, by their extrinsics, else by where both were at the same times.
-
-        A record of table 3 holds one transform: where the camera moves against the lidar, this is a warning.
-        """
+        """`camera_from_points`, by their extrinsics, else by where both were at the same times."""
+        # a record of table 3 holds one transform: where the camera moves against the lidar, this is a warning
         ego_from_points = RigidTransform.identity() if lidar.points_frame is PointsFrame.EGO else lidar.mount
         if camera.mount is not None and ego_from_points is not None:
             return camera.mount.inverse() @ ego_from_points, []

@@ -367,10 +367,7 @@ class _Metrics:
         self._durations[method].add(duration_s)
 
     def text(self, sessions: SessionTable) -> str:
-        """Give all numbers.
-
-        Source: prometheus.io, "Exposition formats", text-based format, version 0.0.4.
-        """
+        """Give all numbers: prometheus.io, "Exposition formats", text-based format, version 0.0.4."""
         return "\n".join(self._lines(sessions)) + "\n"
 
     def _lines(self, sessions: SessionTable) -> Iterator[str]:

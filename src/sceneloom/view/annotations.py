@@ -70,11 +70,7 @@ class _Group:
     links: Mapping[Identifier, str]
 
     def details(self, there: BoolArray, times_ns: Int64Array) -> Iterable[Any]:
-        """What is stated for each object that is there, as columns; one row for each in each moment.
-
-        Args:
-            times_ns: (M,) int64 [ns].
-        """
+        """What is stated for each object that is there at times (M,) [ns], as columns; a row for each and moment."""
         if not there.any():
             return ()
         rows = np.argwhere(there.T)
@@ -524,12 +520,7 @@ class _LabelledPoints:
     def log(
         self, sensor_id: Identifier, frame: int | None, path: str, time_ns: int | None, positions: Float32Array
     ) -> None:
-        """Log those of a frame over its cloud.
-
-        Args:
-            time_ns: when it is shown [ns]; None for always.
-            positions: (N, 3) [m], of all points of the frame.
-        """
+        """Log those of a frame over its cloud, positions (N, 3) [m] of all its points; `time_ns` None: for always."""
         found = self.entries.get((key_of(sensor_id), frame))
         if not found:
             return

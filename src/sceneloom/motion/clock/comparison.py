@@ -479,12 +479,8 @@ class _Candidate:
 
     @property
     def scatter(self) -> float:
-        """By how much the offsets of parts of the drive scatter more than the noise explains, 1 at least.
-
-        Errors that are no noise, such as a bent trajectory between fixes, show there.
-
-        Source: Birge 1932, "The Calculation of Errors by the Method of Least Squares".
-        """
+        """By how much offsets of parts of the drive scatter more than the noise explains, 1 at least (Birge 1932)."""
+        # errors that are no noise, such as a bent trajectory between fixes, show there
         blocks = self.block_offsets(_BLOCKS)
         freedom = len(blocks) - 2
         if freedom < 2:
@@ -492,10 +488,8 @@ class _Candidate:
         return float(np.sqrt(max(1.0, sum((step / sigma) ** 2 for _, step, sigma in blocks) / freedom)))
 
     def block_offsets(self, count: int) -> list[tuple[float, float, float]]:
-        """For each of `count` parts of the drive the middle [s], its offset from the line, and its sigma [s].
-
-        It is one step of the fit from the line, with the part's rows alone and all else unchanged.
-        """
+        """For each of `count` parts of the drive the middle [s], its offset from the line, and its sigma [s]."""
+        # it is one step of the fit from the line, with the part's rows alone and all else unchanged
         first, length = float(self.times.min()), max(float(np.ptp(self.times)), 1e-9)
         numbers = np.clip(((self.times - first) / length * count).astype(np.int64), 0, count - 1)
         slopes, residuals = self.fit.jacobian[:, :, 0], self.fit.residuals
@@ -522,11 +516,9 @@ class _Clocks:
         return 1.0 if self.finer_is_stream else -1.0
 
     def choose(self, candidates: Sequence[_Candidate]) -> ClockEstimate:
-        """Choose the offset that fits best, and say how well it is known, or why it is not.
-
-        Evidence is the logarithm of the likelihood ratio, half the number of values times that of the misfits' ratio,
-        since the whitened residuals of different rows are independent.
-        """
+        """Choose the offset that fits best, and say how well it is known, or why it is not."""
+        # evidence is the logarithm of the likelihood ratio, half the number of values times that of the misfits' ratio,
+        # since the whitened residuals of different rows are independent
         ranked = sorted(candidates, key=lambda candidate: candidate.fit.level)
         if not ranked:
             return ClockEstimate.unknown("too few samples in common to fit an offset")
@@ -751,10 +743,8 @@ class _Steps:
 
     @classmethod
     def of(cls, orientations: Orientations, origin_ns: int, least: float) -> "_Steps":
-        """Take the rotations from each sample to the next one that is at least `least` seconds later.
-
-        As many as overlap are one group, so that noise of single orientations averages out.
-        """
+        """Rotations to the next sample at least `least` seconds later; those that overlap are a group."""
+        # so the noise of single orientations averages out
         stride = 1
         if least > 0 and orientations.step_ns > 0:
             stride = max(1, int(np.ceil(least * 1e9 / orientations.step_ns - 1e-3)))
@@ -958,10 +948,8 @@ class _RotationModel:
         return np.asarray(rotation @ self.coarse_from_fine, np.float64)
 
     def noise_share(self, found: _Fit) -> float:
-        """The share of the finer stream's noise in the differences of the rates.
-
-        The noise is no more than the residuals, and no more than what single samples of the stream vary by.
-        """
+        """The share of the finer stream's noise in the differences of the rates."""
+        # the noise is no more than the residuals, and no more than what single samples of the stream vary by
         if not found.used.any():
             return 0.0
         at = self(found.parameters, found.amounts)

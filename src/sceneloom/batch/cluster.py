@@ -29,8 +29,7 @@ except ImportError as missing:
 
 LOCAL = "local"
 
-_DATA = ["dask", "msgpack"]
-"""Ways in which dask sends data that need no pickling."""
+_DATA = ["dask", "msgpack"]  # ways in which dask sends data that need no pickling
 
 _ALLOCATION = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
@@ -44,8 +43,7 @@ _WATCHING = {
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
     "distributed.admin.system-monitor.gil.enabled": False,
-}
-"""Keep dask from looking a hundred times a second at what its workers do: it takes as long as scheduling."""
+}  # keep dask from looking a hundred times a second at what its workers do: it takes as long as scheduling
 
 _METHOD = "distributed.worker.multiprocessing-method"
 

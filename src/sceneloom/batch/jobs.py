@@ -179,8 +179,7 @@ _READING = "reading"
 READING = f"{_READING}."
 """Before the name of an option that a line says its drive is to be opened with."""
 
-_LONGEST = 1e10
-"""No drive lasts so long [s]: int64 nanoseconds end before."""
+_LONGEST = 1e10  # no drive lasts so long [s]: int64 nanoseconds end before
 
 _SHORT = 40
 _WILD = frozenset("*?[")

@@ -164,8 +164,7 @@ class _Locations:
 _DriveKey = tuple[str, tuple[tuple[str, Any], ...]]
 """What reports drives apart: where they are, and what counts for them alone."""
 
-_SIDE_BY_SIDE = 16
-"""How many drives are looked at together."""
+_SIDE_BY_SIDE = 16  # how many drives are looked at together
 
 
 def _open_outputs(store: str, record: Record, *, resume: bool) -> _Outputs:
@@ -294,8 +293,7 @@ _LOOK_SECONDS = 0.5
 _PATIENCE_SECONDS = (1.0, 5.0, 20.0)
 """How long a drive is left alone before its second try, its third, and all further ones."""
 
-_QUICK = frozenset({"Lost"})
-"""After these a drive is tried again at once."""
+_QUICK = frozenset({"Lost"})  # after these a drive is tried again at once
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):

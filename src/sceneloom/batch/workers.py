@@ -199,11 +199,9 @@ def peak_bytes() -> int:
 LOST = "Lost"
 """Kind of the error of a worker that is gone."""
 
-_STARTS = 5
-"""How often a worker is tried to be started: what forks them may be killed at any moment."""
+_STARTS = 5  # how often a worker is tried to be started: what forks them may be killed at any moment
 
-_LONGEST_FOLDER = 80
-"""Longest name of the temporary folder: that of a fork server's socket in it may have 107 bytes."""
+_LONGEST_FOLDER = 80  # longest name of the temporary folder: that of a fork server's socket in it may have 107 bytes
 
 
 class Executor(Protocol):

@@ -37,25 +37,20 @@ _TEXT = re.compile(r"(\d+)x(\d+):([\d.]+)(?::([\d.]+)x([\d.]+))?")
 _SMOOTHED_PX, _SHARE, _MOST_SADDLES, _SEEDS = 1.5, 0.08, 2000, 80
 """Saddles weaker than this share of the strong ones are left out."""
 
-_SURFACE = 4
-"""Half a side of the patch that a surface is fitted to [px]."""
+_SURFACE = 4  # half a side of the patch that a surface is fitted to [px]
 
-_TOLERANCE, _NEIGHBOURS = 0.3, 9
-"""A corner lies within this part of a step from where the grid goes on."""
+_TOLERANCE, _NEIGHBOURS = 0.3, 9  # a corner lies within this part of a step from where the grid goes on
 
 _CELL, _REACH, _LEAST_POINTS, _FLATNESS, _SIZE_SHARE, _GROUND_M = 0.12, 15.0, 40, 0.03, 0.3, 0.15
 _LEAST_VIEWS, _LEAST_ROTATION = 3, np.radians(10.0)
 _PLANE_SIGMA, _MIDDLE_SIGMA = 0.01, 0.02
 """Errors of a board's plane, and of its extent as scan lines show it [m]: about a third of the gap between two."""
 
-_FARTHEST_NS = 100_000_000
-"""A sweep farther from an image does not show the board where the image does."""
+_FARTHEST_NS = 100_000_000  # a sweep farther from an image does not show the board where the image does
 
-_WORST_PX = 1.5
-"""Corners that are farther off from a flat board under the camera model are not this board's [px]."""
+_WORST_PX = 1.5  # corners that are farther off from a flat board under the camera model are not this board's [px]
 
-_Grid = dict[tuple[int, int], int]
-"""Number of a saddle by (column, row)."""
+_Grid = dict[tuple[int, int], int]  # number of a saddle by (column, row)
 
 
 @dataclass(frozen=True, slots=True)

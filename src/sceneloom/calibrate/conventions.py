@@ -29,8 +29,7 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, Progress
 from sceneloom.warnings import DataWarning
 
-_MOST_FRAMES = 8
-"""Images that each extrinsic is judged by."""
+_MOST_FRAMES = 8  # images that each extrinsic is judged by
 
 CAMERA_AXES: Mapping[str, Float64Array] = MappingProxyType(
     {
@@ -69,11 +68,9 @@ _AS_READ = {
 }
 _SHAPES = {16: (4, 4), 12: (3, 4), 9: (3, 3)}
 _COUNTS = frozenset({6, 7, *_SHAPES})
-_TOLERANCE = 1e-2
-"""How far rounded numbers of a rotation or a quaternion may be from one."""
+_TOLERANCE = 1e-2  # how far rounded numbers of a rotation or a quaternion may be from one
 
-_SAME_ROTATION, _SAME_TRANSLATION = np.radians(0.2), 0.02
-"""Transforms within this [rad], [m] cannot be told apart."""
+_SAME_ROTATION, _SAME_TRANSLATION = np.radians(0.2), 0.02  # transforms within this [rad], [m] cannot be told apart
 
 _RATES_HZ = {
     "lidar": (1.0, 100.0),
@@ -82,10 +79,8 @@ _RATES_HZ = {
     "imu": (10.0, 8000.0),
     "gnss": (0.1, 100.0),
 }
-_YEARS_S = (315_532_800.0, 4_102_444_800.0)
-"""From 1980, when GPS time begins, to 2100, in seconds after 1970."""
-_LEAST_EPOCH_S = 1e8
-"""Larger numbers of seconds than this count from an epoch: no drive lasts three years."""
+_YEARS_S = (315_532_800.0, 4_102_444_800.0)  # from 1980, when GPS time begins, to 2100, in seconds after 1970
+_LEAST_EPOCH_S = 1e8  # larger numbers of seconds than this count from an epoch: no drive lasts three years
 
 _MOST_APART, _UPRIGHT_DEG, _LEAST_SHARE = 10.0, 50.0, 0.005
 """A camera is at most so far from the lidar [m] and from upright [deg], and sees at least this share of the points."""

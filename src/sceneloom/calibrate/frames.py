@@ -28,16 +28,13 @@ LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 """Weights of red, green and blue in brightness."""
 
 _LEAST_LINES, _MOST_LINES, _LEAST_POINTS, _MOST_PEAKS = 4, 512, 64, 160
-_ORDERED_SHARE = 0.95
-"""Of the steps in the order of a file that goes along its lines, so many rotate the same way."""
+_ORDERED_SHARE = 0.95  # of the steps in the order of a file that goes along its lines, so many rotate the same way
 
 _JITTER = np.radians(5.0)
 _BIN, _PEAKED_SHARE, _PEAKED_BINS, _FEW_SHARE = np.radians(0.02), 0.9, 0.35, 0.1
-_LEVEL_SHARE = 0.25
-"""A line's elevations deviate by less than this part of the angle to the next line."""
+_LEVEL_SHARE = 0.25  # a line's elevations deviate by less than this part of the angle to the next line
 
-_HALF_STEP_NS = 25_000_000
-"""Half the time over which a velocity is measured [ns]."""
+_HALF_STEP_NS = 25_000_000  # half the time over which a velocity is measured [ns]
 
 _Kind = TypeVar("_Kind", CameraSensor, LidarSensor)
 

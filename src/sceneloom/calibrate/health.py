@@ -72,12 +72,10 @@ _GROUPS: dict[str, tuple[Parameter, ...]] = {
     "translation": (*ROTATION, *TRANSLATION),
     "focal_length": (*ROTATION, Parameter.FOCAL),
     "time_offset": (*ROTATION, Parameter.LATER),
-}
-"""Parameters that are searched together with the rotation, by the part that the verdict is about."""
+}  # parameters that are searched together with the rotation, by the part that the verdict is about
 
 _FINE, _WIDE = (EDGES, INFORMATION), MEASURES
-_FAR_LOOKS, _FAR_DEG = 48, (2.5, 6.0)
-"""Rotations so far away that images and clouds agree by nothing but chance."""
+_FAR_LOOKS, _FAR_DEG = 48, (2.5, 6.0)  # rotations so far away that images and clouds agree by nothing but chance
 
 _REPLICATES, _SEED, _NO_DEVIATION = 100, 0, 1e-6
 _WIDE_RADII, _FINE_RADII = (20.0, 11.0, 6.0, 3.5), (2.4, 1.6)
@@ -96,8 +94,7 @@ _DISTINCT = 4.5
 
 _OWN_VIEW_M, _OWN_VIEW_DEG = 4.0, 15.0
 _LEAST_SEEN, _LEAST_EDGES = 200, 60
-_PLAIN = 0.9
-"""Images of which more shows nothing are dark, covered or fogged."""
+_PLAIN = 0.9  # images of which more shows nothing are dark, covered or fogged
 
 _BETTER, _BETTER_SIGMAS = 1.0, 3.0
 """A part counts as off only if changing it, too, makes images and sweeps agree better by this."""
@@ -106,11 +103,9 @@ _ALIKE = 0.8
 """A good calibration reaches this part of the height of the best one. On simulated drives true ones reach 0.9 and
 more, those half a degree or 15 cm off below 0.5."""
 
-_LEAST_SPEED, _LEAST_ROTATION = 1.0, 0.03
-"""Slower than this [m/s, rad/s] nothing shows when an image was taken."""
+_LEAST_SPEED, _LEAST_ROTATION = 1.0, 0.03  # slower than this [m/s, rad/s] nothing shows when an image was taken
 
-_SIGNIFICANT = 16.0
-"""Squared distance from nothing, in standard deviations, of what is more than chance."""
+_SIGNIFICANT = 16.0  # squared distance from nothing, in standard deviations, of what is more than chance
 
 _COLUMNS, _ROWS, _STEP = 41, 25, 1e-4
 """Pixels of the grid, and the rotation [rad], by which a rotated camera is compared with a moved principal point."""

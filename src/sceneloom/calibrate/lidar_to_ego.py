@@ -42,8 +42,7 @@ _LEAST_MOTIONS, _STEPS = 6, 30
 _LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Seconds from one pose to the other of a pair: long ones rotate far, short ones have not drifted."""
 
-_CAUCHY = 2.385
-"""The Cauchy weight that keeps 95 % of the efficiency on Gaussian errors (Holland and Welsch 1977)."""
+_CAUCHY = 2.385  # the Cauchy weight that keeps 95 % of the efficiency on Gaussian errors (Holland and Welsch 1977)
 
 _PRIOR = np.diag(np.array([*np.full(3, np.pi), *np.full(3, 3.0)]) ** -2.0)
 """Information of the guess: extrinsics are within about 180 degrees and 3 m; keeps what no motion determines."""
@@ -57,8 +56,7 @@ _SYSTEMATIC = np.array([*np.full(3, np.radians(0.01)), *np.full(3, 0.01)])
 _LEAST_ROTATION, _LEAST_LENGTH = np.radians(2.0), 1.0
 """A drive that rotates by less [rad] and goes less far [m] determines nothing above its noise."""
 
-_GREATEST_OFFSET_NS = 1_000_000_000
-"""Clocks of one drive are not farther apart than this [ns]."""
+_GREATEST_OFFSET_NS = 1_000_000_000  # clocks of one drive are not farther apart than this [ns]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

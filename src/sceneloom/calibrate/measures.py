@@ -69,8 +69,7 @@ _PIXELS_PER_RADIAN = 750.0
 """About the finest that is looked at: a pixel of 0.08 degrees is less than the step of nearly all lidars."""
 
 _SMOOTHED_PX, _GREY_PX = 1.0, 1.5
-_SURROUNDINGS_PX = 61
-"""Edges are compared with others this near."""
+_SURROUNDINGS_PX = 61  # edges are compared with others this near
 
 _NOISE, _STRONGEST = 2.0, 3.0
 """Grey levels per pixel that noise and compression make; edges as multiples of their surroundings, at most."""
@@ -82,8 +81,7 @@ _LEAST_JUMP, _JUMP_SHARE, _LARGEST_JUMP = 0.4, 0.04, 3.0
 """A jump is larger than this [m], and than this share of the range; one larger than that counts no more [m]."""
 
 _GAP_STEPS, _NEIGHBOURS, _ISOLATED = 4.0, 16, 3.0
-_SLANT_FACTOR = 2.0
-"""A surface that slants so many times as much as where it was last seen explains a jump."""
+_SLANT_FACTOR = 2.0  # a surface that slants so many times as much as where it was last seen explains a jump
 
 _SURFACE_DISTANCE = 0.6
 """Surfaces pass the lidar no nearer [m]: along them inverse range changes by less than one over it for each radian, so
@@ -93,15 +91,12 @@ _TILES_ACROSS, _TILES_DOWN = 6, 3
 _TILES = _TILES_ACROSS * _TILES_DOWN
 """Tiles of an image: how much these differ shows how much chance there is in a score."""
 
-_BESIDE = np.radians(6.0)
-"""Points so far outside the image may come into it [rad]."""
+_BESIDE = np.radians(6.0)  # points so far outside the image may come into it [rad]
 
-_MOST_POINTS = 6000
-"""Points of a frame whose intensity is compared, evenly drawn."""
+_MOST_POINTS = 6000  # points of a frame whose intensity is compared, evenly drawn
 
 _SMOOTHED_BINS = 0.7
-_THINNED = 3
-"""One feature of so many shows well enough where to look next."""
+_THINNED = 3  # one feature of so many shows well enough where to look next
 
 _LEAST_SHARE = 0.25
 """Of the features that fall into the images under the stated calibration, so many must do so under a candidate."""

@@ -62,8 +62,7 @@ _GROUPS: dict[str, tuple[Parameter, ...]] = {
     "translation": (Parameter.RIGHT, Parameter.DOWN, Parameter.AHEAD),
     "time": (Parameter.LATER,),
     "focal": (Parameter.FOCAL,),
-}
-"""What can be refined, by the words of the command line."""
+}  # what can be refined, by the words of the command line
 
 _LOOSEST = {
     "rotation": (np.radians(0.5), np.degrees(1.0), "deg"),
@@ -77,8 +76,7 @@ scale and unit for messages. The stated calibration is usually known as well."""
 _CHANNELS = ("depth edges", "intensity edges", "contrasts")
 """What is compared with an image; contrasts of intensity are compared with its brightness, edges with its edges."""
 
-_LEVEL_MAP = DIRECTIONS
-"""Number of the map of brightness; those of edges come before it."""
+_LEVEL_MAP = DIRECTIONS  # number of the map of brightness; those of edges come before it
 
 _MAPS = _LEVEL_MAP + 1
 _MOST_CONTRASTS, _MOST_EDGES = 3000, 1500
@@ -96,8 +94,7 @@ _SURROUNDINGS = 61
 _STEP_SHARE, _FOCAL_STEP = 1e-4, 1e-4
 """Derivatives of the camera model are taken over this part of a point's distance, and of the focal length."""
 
-_WIDTHS_PX = (6.0, 3.0, 1.0)
-"""How far images are blurred [px of the measured image], from the first look to the last."""
+_WIDTHS_PX = (6.0, 3.0, 1.0)  # how far images are blurred [px of the measured image], from the first look to the last
 
 _STRIDES = {6.0: 3, 3.0: 2, 1.0: 1}
 """So many pixels of an image are one of the map: a wide blur leaves nothing between them."""
@@ -106,18 +103,15 @@ _WIDER = 4.0
 _BRIGHTNESS_SHARE = 0.5
 """Contrasts are known where their points are, edges between two points: brightness is blurred less than edges."""
 
-_CELL_WIDTHS = 2.0
-"""Points of a channel within so many widths see the same of an image: they count as one."""
+_CELL_WIDTHS = 2.0  # points of a channel within so many widths see the same of an image: they count as one
 
 _FARTHEST = np.array([6.0, 6.0, 6.0, 3.0, 3.0, 3.0, 2.0, 2.5])
 """How far a calibration is usually off, in units: 1.5 degrees, 15 cm, 2 % of the focal length, 50 ms."""
 
-_CURVATURE_STEP = 0.4
-"""Curvature is taken over this part of the blur's width: over less, single pixels show."""
+_CURVATURE_STEP = 0.4  # curvature is taken over this part of the blur's width: over less, single pixels show
 
 _ROTATIONS, _STARTS, _SEED = np.arange(3), 200, 7
-_KEPT = (8, 3, 1)
-"""So many candidates are followed up after each look."""
+_KEPT = (8, 3, 1)  # so many candidates are followed up after each look
 
 _MOST_ROTATED, _MOST_MOVED = (12_000, 16_000, 24_000), (40_000, 160_000)
 """Points used at each stage, for the rotation alone and for all parameters: few suffice, since wide maps are smooth."""

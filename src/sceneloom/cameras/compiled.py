@@ -40,11 +40,9 @@ _KEPT = (int64[::1], float32[:, ::1], int32[::1], float32[::1], float32[::1], fl
 _IMAGE_SIGNATURE = int64(_ROWS, _ROWS, _NUMBERS, int64, int64, _named_tuple(_KEPT, PointsInImage))
 _ROWS_SIGNATURE = void(_ROWS, _NUMBERS, float64[:, ::1])
 _first_numbers: Any = to_fixed_tuple
-_BLOCK = 512
-"""Points that are projected at once, by vector instructions, before those in the image are picked out."""
+_BLOCK = 512  # points that are projected at once, by vector instructions, before those in the image are picked out
 
-_EDGE = float32(-0.5)
-"""Where the image begins, to the left and at the top [px]."""
+_EDGE = float32(-0.5)  # where the image begins, to the left and at the top [px]
 
 _NEAREST = 1e-250
 """Points whose squared distance [m²] is less, or no number, have no pixel: its root would mean nothing."""

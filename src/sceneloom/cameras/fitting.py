@@ -19,15 +19,13 @@ _PERSPECTIVE_COSINE = math.cos(PERSPECTIVE_REACH)
 _LOCATIONS = ("fx", "fy", "cx", "cy")
 _FITTED_GRID, _MEASURED_GRID = (33, 25), (97, 73)
 _NEAR_AXIS = 1e-4
-_ENOUGH = 1e-6
-"""The share of the sum of squares below which a step gains nothing."""
+_ENOUGH = 1e-6  # the share of the sum of squares below which a step gains nothing
 
 _PRICE = 200.0
 """A fit that gives up half a percent of the image, where a polynomial folds, must be twice as good in the rest."""
 
 _EQUALLY_GOOD_PX = 1e-9
-_STAGES = (0, 1, 2, 4, 5, 8, 10, 100)
-"""How many coefficients are free in each stage, in the model's order."""
+_STAGES = (0, 1, 2, 4, 5, 8, 10, 100)  # how many coefficients are free in each stage, in the model's order
 
 _FACTORS = tuple(f"{letter}{number}" for letter in "ij" for number in range(1, 5))
 _SHIFT = "xi"

@@ -29,8 +29,7 @@ from sceneloom.cameras.formulas import (
     use_formulas,
 )
 
-_NEAREST = 1e-6
-"""Directions nearer to straight up or down [rad] have no pixel: rounding would decide on its column."""
+_NEAREST = 1e-6  # directions nearer to straight up or down [rad] have no pixel: rounding would decide on its column
 
 _QUARTER_ROTATION = 0.5 * math.pi + 1e-3
 _SEAM = math.pi + 1e-12

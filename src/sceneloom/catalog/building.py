@@ -126,8 +126,7 @@ PART_ROWS = 131_072
 _PART_SCENES = 1024
 _ROWS_OF_GROUP = 131_072
 _IN_ORDER = (*(table for table in TABLES if table != "scenes"), "scenes")
-_TIMES = ("timestamp_ns", "seconds", "track")
-"""Numbers that many rows share, and all other numbers few."""
+_TIMES = ("timestamp_ns", "seconds", "track")  # numbers that many rows share, and all other numbers few
 
 
 class Entry(msgspec.Struct, frozen=True, array_like=True):
@@ -424,8 +423,7 @@ _PATIENCE_SECONDS = 20.0
 
 _TRIES = 3
 
-_DRIVES_OF_WORKER = 8
-"""So many short drives take as long as a process to start."""
+_DRIVES_OF_WORKER = 8  # so many short drives take as long as a process to start
 
 
 class Failure(msgspec.Struct, frozen=True, kw_only=True):

@@ -133,8 +133,7 @@ class Database:
 _ABOUT_A_FILE = ("reading the stream registered as", "arrow_scan: ")
 """What DuckDB's messages about data sets hold, and those about SQL do not."""
 
-_NEEDS_ZONES = "Required module 'pytz'"
-"""What DuckDB says where a time with a zone would become an object of Python's."""
+_NEEDS_ZONES = "Required module 'pytz'"  # what DuckDB says where a time with a zone would become an object of Python's
 
 _MOST_ROWS = 2**31 - 1
 _REMEDY = "delete the file, and `sceneloom catalog update CATALOGUE` makes it anew"
@@ -198,8 +197,7 @@ def _check_text(sql: str) -> None:
 
 _FIRST_NS, _LAST_NS = -(2**63), 2**63 - 1
 
-_Part = tuple[str, tuple[Any, ...]]
-"""A condition with the values for its `?`."""
+_Part = tuple[str, tuple[Any, ...]]  # a condition with the values for its `?`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,11 +24,9 @@ from sceneloom.scene.summary import SensorSummary, summarise
 from sceneloom.scene.types import Coordinates, key_of
 from sceneloom.warnings import Finding
 
-_WINDOW_NS = 500_000_000
-"""Speeds are those over so long, so that the noise of poses does not count as motion."""
+_WINDOW_NS = 500_000_000  # speeds are those over so long, so that the noise of poses does not count as motion
 
-_REACH_NS = 1_000_000_000
-"""So far beyond its first and last point a trajectory holds."""
+_REACH_NS = 1_000_000_000  # so far beyond its first and last point a trajectory holds
 
 
 @dataclass(frozen=True, slots=True, eq=False)

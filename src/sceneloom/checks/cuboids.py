@@ -28,14 +28,12 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.scene import Scene
 from sceneloom.warnings import WarningKind
 
-_LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0
-"""Steps that are shorter or slower show no direction [m], [m/s]."""
+_LEAST_STEP_M, _LEAST_SPEED = 0.5, 2.0  # steps that are shorter or slower show no direction [m], [m/s]
 
 _STRIDES, _ENOUGH_STEPS = (1, 4, 16), 50
 """Where so few keyframes show motion to the next one, those farther apart are compared."""
 
-_LONGEST_S = 2.0
-"""Over a longer time an object may rotate, so that its heading is not that of its whole step."""
+_LONGEST_S = 2.0  # over a longer time an object may rotate, so that its heading is not that of its whole step
 
 _MOST_STEPS, _LEAST_STEPS = 5_000, 5
 _OFF_DEG, _ALONG_DEG = 20.0, 10.0
@@ -46,8 +44,7 @@ _LEAST_POINTS, _MORE_POINTS, _OFF_GROUND_M = 50, 1.15, 0.2
 _SAME_DEG, _SAME_SHARE = 1.0, 0.98
 """Of readings that are so nearly alike, the one that differs least from what is stated is named."""
 
-_SMALLEST_M, _LARGEST_M = 0.01, 100.0
-"""Beyond it even trams and ferries end; a building that long deserves a look."""
+_SMALLEST_M, _LARGEST_M = 0.01, 100.0  # beyond it even trams and ferries end; a building that long deserves a look
 
 _SIZE_FACTOR, _SIZE_CHANGE_M = 2.0, 0.5
 """Labels grow while more of an object is seen; doubling by more than this is another object."""
@@ -55,12 +52,10 @@ _SIZE_FACTOR, _SIZE_CHANGE_M = 2.0, 0.5
 _SLACK_M, _ACCELERATION = 2.0, 20.0
 """Twice what tyres hold on a road [m/s²]; with the slack it bounds how far a keyframe lies off the trajectory."""
 
-_FASTEST = 100.0
-"""No vehicle on a road is faster [m/s]."""
+_FASTEST = 100.0  # no vehicle on a road is faster [m/s]
 
 _STATIONARY_M = 1.0
-_ROTATION_DEG, _ROTATION_WITHIN_NS = 100.0, 600_000_000
-"""Nothing on wheels rotates that far within this time."""
+_ROTATION_DEG, _ROTATION_WITHIN_NS = 100.0, 600_000_000  # nothing on wheels rotates that far within this time
 
 
 def _readings(stated: CuboidAngles) -> list[CuboidAngles]:

@@ -26,8 +26,7 @@ _REPORTED_BY_RULES_OF_RECORDINGS = frozenset(
         "repeated-poses",
         "rotation-normalised",
     }
-)
-"""Warnings of the recording's reader that rules over its lines report better."""
+)  # warnings of the recording's reader that rules over its lines report better
 
 _REPORTED_BY_RULES = frozenset(
     {
@@ -41,8 +40,7 @@ _REPORTED_BY_RULES = frozenset(
         "unknown-distortion",
         "video-and-images",
     }
-)
-"""Warnings of readers that other rules report better."""
+)  # warnings of readers that other rules report better
 
 
 def faults_of(code: str) -> Find:
@@ -143,8 +141,7 @@ READING_RULES: tuple[Rule, ...] = (
 )
 # fmt: on
 
-_ALIKE = 0.8
-"""How like a known name an unknown one has to be, to be taken for it."""
+_ALIKE = 0.8  # how like a known name an unknown one has to be, to be taken for it
 
 _TYPED = {"sensors": sensor_record, "annotations": annotation_record}
 
@@ -230,14 +227,11 @@ FIELD_RULES: tuple[Rule, ...] = (
 )
 # fmt: on
 
-_GREAT_PART = 0.25
-"""Where so many of all lines are at fault, that lies not in them but in what wrote them."""
+_GREAT_PART = 0.25  # where so many of all lines are at fault, that lies not in them but in what wrote them
 
-_FEWEST = 4
-"""Fewer lines with a fault of one kind are listed singly even then."""
+_FEWEST = 4  # fewer lines with a fault of one kind are listed singly even then
 
-_CODES = frozenset({"broken-lines", "unfit-lines"})
-"""The codes of what is wrong with single lines."""
+_CODES = frozenset({"broken-lines", "unfit-lines"})  # the codes of what is wrong with single lines
 
 _LOCATIONS = 3
 _LINE = re.compile(r"(?P<file>.*): line (?P<number>\d+)")

@@ -20,8 +20,7 @@ from sceneloom.scene.types import Identifier, key_of
 _SHORTEST, _LONGEST = 0.05, 30.0
 """Focal lengths outside these parts of the image's longer side [1] belong to no camera model: 30 sees two degrees."""
 
-_MOST_UNEQUAL = 1.5
-"""Pixels are square, or nearly so."""
+_MOST_UNEQUAL = 1.5  # pixels are square, or nearly so
 
 _OWN_FOCAL_MEANING = frozenset({"ftheta", "cylindrical", "equirectangular"})
 """Models whose two focal lengths need not be alike, or stand for something else."""
@@ -113,8 +112,7 @@ CAMERA_RULES: tuple[Rule, ...] = (
 )
 # fmt: on
 
-_STEP_PX = 8
-"""Every eighth row and column reports whether an image is of one colour."""
+_STEP_PX = 8  # every eighth row and column reports whether an image is of one colour
 
 _DARK = 10
 _PLAIN = 4
@@ -208,8 +206,7 @@ IMAGE_RULES: tuple[Rule, ...] = (
 )
 # fmt: on
 
-_SLACK_PX = 1.0
-"""A box may end this far outside the image: some count pixels from 1, or to the last one's centre."""
+_SLACK_PX = 1.0  # a box may end this far outside the image: some count pixels from 1, or to the last one's centre
 
 
 def _boxes(subject: Subject) -> Iterator[tuple[PartTable, Float64Array, str]]:

@@ -46,8 +46,7 @@ _SURROUNDINGS_LOOKED_AT, _SURROUNDINGS_POINTS, _LEAST_POINTS = 8, 60_000, 500
 """Frames of a lidar whose surroundings are judged; points of each, at most and at least."""
 
 _SHEET_M, _TALLEST_M, _LEVEL_M = 0.25, 8.0, 0.3
-_NEAR_M, _FAR_M = 3.0, 25.0
-"""Level points and cuboids are judged between these distances from the sensor."""
+_NEAR_M, _FAR_M = 3.0, 25.0  # level points and cuboids are judged between these distances from the sensor
 
 _SHEET_SHARE, _SHEET_TIMES = 0.2, 4.0
 """The ground is above a sensor if a sheet there has this share of the points, and so many times those of any below."""
@@ -59,8 +58,7 @@ _LEAST_BOXES, _LEAST_HOLDING = 20, 0.5
 """Of so many boxes in sight of a lidar this share has to contain a point; occluded ones do not."""
 
 _Ranging = LidarSensor | RadarSensor
-_Sweep = tuple[int, Float64Array]
-"""Time of a frame [ns], and some of its points as stored, (K, 3) float64 [m]."""
+_Sweep = tuple[int, Float64Array]  # time of a frame [ns], and some of its points as stored, (K, 3) float64 [m]
 
 
 @dataclass(frozen=True, slots=True)

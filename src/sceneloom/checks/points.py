@@ -23,16 +23,13 @@ from sceneloom.scene.clouds import (
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, key_of
 
-_FAR_M = 10_000.0
-"""Beyond it float32 is coarser than a millimetre."""
+_FAR_M = 10_000.0  # beyond it float32 is coarser than a millimetre
 
-_ENOUGH_POINTS = 100
-"""Of fewer points nothing is stated."""
+_ENOUGH_POINTS = 100  # of fewer points nothing is stated
 
 _ORIGIN_SHARE, _COLLAPSED_SHARE, _CLIPPED_SHARE, _FEW_LEVELS = 0.05, 0.1, 0.5, 4
 _NO_CAMERA, _NORM_TOLERANCE = 255, 0.01
-_FASTEST = 150.0
-"""Relative to the sensor: two vehicles that meet on a motorway [m/s]."""
+_FASTEST = 150.0  # relative to the sensor: two vehicles that meet on a motorway [m/s]
 
 Key = tuple[type, Identifier]
 
@@ -166,8 +163,7 @@ def _seen(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     return iter(())
 
 
-_Odd = tuple[str, str, int]
-"""Where in a sensor something is odd, the message, and in how many frames."""
+_Odd = tuple[str, str, int]  # where in a sensor something is odd, the message, and in how many frames
 
 
 def _of_sensors(judge: Callable[[_SensorFacts], Iterator[_Odd]]) -> Find:

@@ -38,8 +38,7 @@ FASTEST_ROTATION_DEG = 720.0
 
 STEP_FACTOR, STEP_MARGIN = 3.0, 1.0
 ROTATION_FACTOR, ROTATION_MARGIN_DEG = 3.0, 15.0
-_FEWEST_STEPS = 4
-"""Fewer steps do not report what is usual."""
+_FEWEST_STEPS = 4  # fewer steps do not report what is usual
 
 
 def _placed_sensors(subject: Subject) -> Iterator[tuple[str, Posed]]:

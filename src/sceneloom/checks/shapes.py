@@ -26,8 +26,7 @@ _SMOOTHER = 0.5
 _FLAT_SHARE, _FLAT_M = 0.01, 0.02
 """A polygon is flat if its vertices lie this near to a plane: by its size, and at least the noise of a lidar [m]."""
 
-_MOST_VERTICES = 1_000
-"""Longer outlines are not searched for crossings: the search grows with the square."""
+_MOST_VERTICES = 1_000  # longer outlines are not searched for crossings: the search grows with the square
 
 
 def _of_shapes(judge: Callable[[ShapeAnnotation, Float64Array], str]) -> Find:

@@ -215,15 +215,12 @@ TIME_RULES: tuple[Rule, ...] = (
 )
 # fmt: on
 
-_WRAP_NS = (UINT32_MAX + 1) * 1_000
-"""What microseconds in 32 bits run over at [ns]."""
+_WRAP_NS = (UINT32_MAX + 1) * 1_000  # what microseconds in 32 bits run over at [ns]
 
 _NEAR_NS = 1_000_000_000
-_ROUNDING_NS = 1_000
-"""Timestamps in microseconds may be so late [ns]."""
+_ROUNDING_NS = 1_000  # timestamps in microseconds may be so late [ns]
 
-_ON_ANOTHER_CLOCK = 100
-"""Times so many periods away are not late, but of another clock, which another rule reports."""
+_ON_ANOTHER_CLOCK = 100  # times so many periods away are not late, but of another clock, which another rule reports
 
 
 @dataclass(slots=True)
@@ -378,11 +375,9 @@ POINT_TIME_RULES: tuple[Rule, ...] = (
 _LEAST_TOLERANCE_NS = 1_000_000
 """Times are written in microseconds and images are moved by half an exposure: a millisecond is no difference."""
 
-_BESIDE_NS = 1_000_000_000
-"""What lies no farther than a second from the scene was cut off with it, or comes after it."""
+_BESIDE_NS = 1_000_000_000  # what lies no farther than a second from the scene was cut off with it, or comes after it
 
-_SAME_IMAGE = 4
-"""A time within this part of an image's interval means that image."""
+_SAME_IMAGE = 4  # a time within this part of an image's interval means that image
 
 
 def _timed_parts(subject: Subject) -> PartTable:

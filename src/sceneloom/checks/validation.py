@@ -223,8 +223,7 @@ def catalogue() -> tuple[RuleRow, ...]:
     )
 
 
-_Hits = dict[str, list[Hit]]
-"""What was found, by the id of the rule, in the order of the rules."""
+_Hits = dict[str, list[Hit]]  # what was found, by the id of the rule, in the order of the rules
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -271,8 +270,7 @@ def _frames_in_hand(subject: Subject) -> Iterator[FrameInHand]:
                 yield FrameInHand(sensor, path, number, None, str(error))
 
 
-_MOST_ROUNDS = 8
-"""A fix may bring to light what another repairs; none needs more rounds than there are such steps."""
+_MOST_ROUNDS = 8  # a fix may bring to light what another repairs; none needs more rounds than there are such steps
 
 
 def _repaired(scene: Scene, rules: Sequence[Rule], hits: _Hits) -> tuple[Scene, frozenset[str]]:

@@ -81,10 +81,8 @@ BATCHED: Mapping[str, Batched] = MappingProxyType(
 )
 
 
-_NAMED = "detectors"
-"""Of those that name files, the one that takes a name, too: verbs take it as text."""
-_LEFT_OUT = ("as_json", "quiet", "verbose", "overwrite")
-"""Options of the verbs that the run decides."""
+_NAMED = "detectors"  # of those that name files, the one that takes a name, too: verbs take it as text
+_LEFT_OUT = ("as_json", "quiet", "verbose", "overwrite")  # options of the verbs that the run decides
 
 
 class _Verbs(Verbs):

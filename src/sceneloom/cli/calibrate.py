@@ -20,10 +20,8 @@ if TYPE_CHECKING:
 
 _WORST_FIRST = {"wrong": 4, "drifting": 3, "cannot determine": 5, "good": 0}
 """What each verdict of a check means to the shell."""
-_REPAIRED = {"refined": 0, "kept": 3, "cannot determine": 5}
-"""What each outcome of a repair means to the shell."""
-_WRONG_CONVENTIONS = 4
-"""Exit code where something is not what the drive was read with."""
+_REPAIRED = {"refined": 0, "kept": 3, "cannot determine": 5}  # what each outcome of a repair means to the shell
+_WRONG_CONVENTIONS = 4  # exit code where something is not what the drive was read with
 _REPAIRS = ("refine", "hand_eye", "lidar_to_lidar", "target")
 _OF_REPAIRS = ("output", "parameters", "form", "onto")
 _BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences", "motion")

@@ -116,5 +116,4 @@ _COUNTED = {
     "sensors.radar.frames.timestamp_ns": "radar cycle",
     "annotations.cuboid.id": "cuboid",
     "trajectories.timestamps_ns": "trajectory",
-}
-"""The fields of which the last line says how many were written."""
+}  # the fields of which the last line says how many were written

@@ -30,8 +30,7 @@ _KITTI = (
     option("--det2d=NAME", "Which of several folders det2d_* to read."),
     option("--det3d=NAME", "Which of several folders det3d_* to read."),
     option("--sequence=NAME… sequences", "Only this sequence; may be repeated."),
-)
-"""Choices in a folder laid out like KITTI's tracking benchmark."""
+)  # choices in a folder laid out like KITTI's tracking benchmark
 _DETECTORS = option(
     "--detectors=NAME",
     "Error model of the detectors: a name, or a TOML file. [default: in KITTI's folders those of KITTI, else "

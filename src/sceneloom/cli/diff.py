@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from sceneloom.editing.diff import Difference, SceneDifferences
 
 _MARKS = {"added": "+", "removed": "-", "changed": "~"}
-_MOST = 10 * SHOWN
-"""Differences shown unless `--verbose` is stated."""
+_MOST = 10 * SHOWN  # differences shown unless `--verbose` is stated
 
 
 @click.command(

@@ -40,8 +40,7 @@ class _Edit:
     joins: bool = False
 
 
-_IDS = ("sensors", "without", "cameras", "lidars")
-"""Options whose values are ids of sensors."""
+_IDS = ("sensors", "without", "cameras", "lidars")  # options whose values are ids of sensors
 
 
 def _box(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, ...] | None:
@@ -252,8 +251,7 @@ _EDITS: Mapping[str, _Edit] = {
             ),
         ),
     ),
-}
-"""The verbs that are one function of the library each."""
+}  # the verbs that are one function of the library each
 
 
 def _command(name: str, row: _Edit) -> click.Command:

@@ -57,8 +57,7 @@ _objects = options.stacked(
         help="Compare scenes without their localization adjustments. [default: apply them]",
     ),
     options.lenient,
-)
-"""On both evaluations of objects."""
+)  # on both evaluations of objects
 
 
 # detections
@@ -193,8 +192,7 @@ _TRACKING = {
     "hota": ("HOTA", "DetA", "AssA", "LocA", "DetRe", "DetPr", "AssRe", "AssPr"),
     "clear": ("MOTA", "MOTP", "Recall", "Precision", "TP", "FN", "FP", "IDSW", "Frag", "MT", "PT", "ML"),
     "identity": ("IDF1", "IDP", "IDR", "IDTP", "IDFN", "IDFP"),
-}
-"""The families of metrics."""
+}  # the families of metrics
 
 
 def _print_tracking(report: "TrackingReport", printer: Printer) -> None:

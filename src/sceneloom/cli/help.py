@@ -71,8 +71,7 @@ def _drive(ctx: click.Context) -> "Scene | None":
     return None
 
 
-_SHOW_ALL = "show-all"
-"""Entry of a context's `meta`: rare options are shown, too."""
+_SHOW_ALL = "show-all"  # entry of a context's `meta`: rare options are shown, too
 
 
 def _show_all(ctx: click.Context, _: click.Parameter, asked: bool) -> None:

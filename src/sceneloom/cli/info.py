@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 
 _SECTORS = ("ahead", "ahead left", "left", "back left", "back", "back right", "right", "ahead right")
-_STEEP = np.cos(np.pi / 6)
-"""An axis nearer than 30 degrees to the vertical has no direction in the plane worth naming."""
+_STEEP = np.cos(np.pi / 6)  # an axis nearer than 30 degrees to the vertical has no direction in the plane worth naming
 _TILTED = np.cos(np.pi / 4)
 _STANDARD = EgoAxes(np.eye(3), known=True)
 

@@ -46,8 +46,7 @@ _INSTALLED = MappingProxyType(
         "zsh": 'eval "$(sceneloom completion zsh)"  # in ~/.zshrc',
         "fish": "sceneloom completion fish > ~/.config/fish/completions/sceneloom.fish",
     }
-)
-"""How each shell takes it in."""
+)  # how each shell takes it in
 
 
 @click.command(

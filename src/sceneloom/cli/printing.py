@@ -166,8 +166,7 @@ _COLOURS = {
         ("assumed", "skipped", "repaired", "approximated", "kept aside", "warning", "drifting", "next"), "yellow"
     ),
     **dict.fromkeys(("lost", "not passed", "wrong", "error", "sceneloom"), "red"),
-}
-"""What marks lines and verdicts on a terminal."""
+}  # what marks lines and verdicts on a terminal
 
 
 def marked(word: str) -> str:

@@ -125,10 +125,8 @@ def _flags_named() -> Iterator[None]:
         raise reported from error
 
 
-_NOT_BROKEN = ("no such file", "no lidar in it")
-"""What problems of drives state that no rule finds and nothing repairs."""
-_DRIVES = ("path", "source", "drive")
-"""What verbs call the argument that is a drive."""
+_NOT_BROKEN = ("no such file", "no lidar in it")  # what problems of drives state that no rule finds and nothing repairs
+_DRIVES = ("path", "source", "drive")  # what verbs call the argument that is a drive
 
 
 def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:

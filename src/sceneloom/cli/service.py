@@ -122,13 +122,11 @@ _access = options.stacked(
     option("--ca", "PEM file: who signed the service's certificate; for TLS.", _FILE),
     option("--client-cert", "PEM file: a certificate to show, where it is asked for.", _FILE),
     option("--client-key", "PEM file: its key.", _FILE),
-)
-"""On every verb that reaches a service."""
+)  # on every verb that reaches a service
 _calling = options.stacked(
     _access, option("--session=NAME", "The session. [default: the service's default one]", default="")
 )
-_CALLING = ("session", "token_file", "ca", "client_cert", "client_key")
-"""The parameters that `_connected` takes."""
+_CALLING = ("session", "token_file", "ca", "client_cert", "client_key")  # the parameters that `_connected` takes
 
 
 def _certificate(given: dict[str, Any]) -> tuple[Path, Path] | None:

@@ -314,8 +314,7 @@ _TABLES: Mapping[str, tuple[tuple[float, ...], ...]] = MappingProxyType(
             (0.553, 0.553, 0.428, 0.334, 0.334, 0.334, 0.334),
         ),
     }
-)
-"""Confidence by method, row by row of rising doubt, column by column of rising gaps."""
+)  # confidence by method, row by row of rising doubt, column by column of rising gaps
 
 
 def complete_depth(

@@ -249,8 +249,7 @@ _KINDS: dict[type, SensorKind] = {
     Boxes2d: SensorKind.CAMERA,
     PointCloudData: SensorKind.LIDAR,
     Boxes3d: SensorKind.LIDAR,
-}
-"""Who sends a record; raw data can be of either."""
+}  # who sends a record; raw data can be of either
 
 
 class RefusedError(SceneloomError):

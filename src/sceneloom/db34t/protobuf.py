@@ -48,8 +48,7 @@ _KIND_OF_MESSAGE: Mapping[str, RecordKind] = {kind.message_name: kind for kind i
 
 _SENT_KINDS: Mapping[int, RecordKind] = {
     field.number: RECORD_KINDS[field.name] for field in fusion_pb2.SendRequest.DESCRIPTOR.oneofs_by_name["data"].fields
-}
-"""The kinds of records by their field of a request."""
+}  # the kinds of records by their field of a request
 
 
 def to_protobuf(record: Record) -> Message:

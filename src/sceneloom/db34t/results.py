@@ -85,5 +85,4 @@ def declared_columns(
 _COLUMNS = (
     *("confidence", "centers", "center_covs", "sizes_lwh", "size_covs", "directions"),
     *("velocities", "velocity_vectors"),
-)
-"""What `single_precision` gives."""
+)  # what `single_precision` gives

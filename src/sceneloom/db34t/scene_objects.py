@@ -339,8 +339,7 @@ _PARTS: Mapping[
     "intensities": (_REFLECTIVITY_NAMES, _intensities, _numbers),
     "rings": (("ring",), _rings, _numbers),
     "timestamps_ns": (("time",), _times, _seconds),
-}
-"""By part of the points: the fields that become it, how, and how the field comes back out of it."""
+}  # by part of the points: the fields that become it, how, and how the field comes back out of it
 
 _RAW_NAMES = {1: "mono8", 3: "rgb8", 4: "rgba8"}
 """What pixels of the encoding raw are taken for, by their number of values."""

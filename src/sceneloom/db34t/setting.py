@@ -27,8 +27,7 @@ _SHORTEST_WAIT_S = 0.01
 _GEOMETRY = (
     *("chirality", "camera_coordinate", "lidar_coordinate", "camera_axes", "lidar_axes", "sensors"),
     CAMERA_MODELS,
-)
-"""The properties that pairs and sensors depend on."""
+)  # the properties that pairs and sensors depend on
 
 
 @dataclass(frozen=True, eq=False)

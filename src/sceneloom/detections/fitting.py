@@ -526,8 +526,7 @@ _UNKNOWN = BoxNoise(
     size_by_score=(0.0, 0.0, 0.0),
     size_by_range=(0.5, 0.5, 0.5),
     yaw=(-2.0, 0.0, 0.0),
-)
-"""Deviations of 20 to 40 cm at 20 m, where too few errors are known."""
+)  # deviations of 20 to 40 cm at 20 m, where too few errors are known
 
 _PARTS = (slice(0, 3), slice(3, 6), slice(6, 7))
 

@@ -94,8 +94,7 @@ _RAYS: Float64Array = read_only(
             [0.0, 0.5, 0.0, 0.0, 0.0, 1.0, 0.0, 0.5, 0.0, 0.5],
         ]
     )
-)
-"""From the edges of a box to five pixels: the middle, those of its top and bottom, those of its left and right."""
+)  # from the edges of a box to five pixels: the middle, those of its top and bottom, those of its left and right
 
 
 class _Placed(NamedTuple):

@@ -31,11 +31,9 @@ from sceneloom.warnings import DataWarning
 DATES = ("keep", "shift")
 """What can become of the time of day."""
 
-_FIXES = ("drop", "shift")
-"""What can become of satellite fixes."""
+_FIXES = ("drop", "shift")  # what can become of satellite fixes
 
-_SHIFTED_LLA = (0.0, 0.0, 0.0)
-"""Where fixes are moved: off the coast of Africa, where no drive was."""
+_SHIFTED_LLA = (0.0, 0.0, 0.0)  # where fixes are moved: off the coast of Africa, where no drive was
 
 
 def anonymised_scene(scene: Scene, *, fixes: str = "drop", dates: str = "keep") -> Scene:
@@ -101,8 +99,7 @@ def _with_positions_from_start(scene: Scene, fixes: str) -> Scene:
 
 _REVEALING_STREAMS = MappingProxyType(
     {"magnetometer": "reports where north was", "barometer": "reports the height above the sea and the weather"}
-)
-"""Streams that report something of a location."""
+)  # streams that report something of a location
 
 
 def _first_pose(scene: Scene) -> RigidTransform | None:
@@ -152,8 +149,7 @@ _NAMES: Mapping[str, Callable[[str], Any]] = MappingProxyType(
         ).fullmatch,
         "file": re.compile(r"path|paths|file|files|filename|folder|directory|uri|url|source|sources").fullmatch,
     }
-)
-"""Names of fields that report something, by what that is: the whole name or, but for files, one of its words."""
+)  # names of fields that report something, by what that is: the whole name or, but for files, one of its words
 
 _VALUES: Mapping[str, Callable[[str], Any]] = MappingProxyType(
     {
@@ -161,14 +157,12 @@ _VALUES: Mapping[str, Callable[[str], Any]] = MappingProxyType(
         "name": re.compile(r"[\w.+-]+@[\w-]+\.\w+").search,
         "file": re.compile(r"^(/|~/|[A-Za-z]:[\\/]|[a-z0-9]+://)\S").search,
     }
-)
-"""Texts that report something."""
+)  # texts that report something
 
 _RECORDING_LINES = frozenset(
     f"metadata.{LINES}.{name}"
     for name in ("other_lines", "other_seconds", "further_keys", "shared_lines", "frame_lines")
-)
-"""Where a recording's lines are kept as text, with their original locations and times."""
+)  # where a recording's lines are kept as text, with their original locations and times
 
 _OURS_REVEALING = frozenset({"enu_origin", "world_from_file", "cropped", "source", "sources"})
 """Entries of our own part of the metadata that report a location or a name; others are numbers that readers need."""

@@ -67,8 +67,7 @@ def _camera_model_record(camera: Camera) -> dict[str, Any]:
     return {**asdict(camera), "coefficients": list(camera.coefficients)}
 
 
-_LIMIT_PX = 1.0
-"""How far a point may move at most, where the caller says nothing [px]."""
+_LIMIT_PX = 1.0  # how far a point may move at most, where the caller says nothing [px]
 
 
 def convert_camera_models(
@@ -152,8 +151,7 @@ class _Fitter:
         return replace(image, camera=self.known[own])
 
 
-_CORNER = 0.5
-"""What is drawn counts from the image's corner, pixels from the centre of the first one."""
+_CORNER = 0.5  # what is drawn counts from the image's corner, pixels from the centre of the first one
 
 _SIDE = 9
 
@@ -244,8 +242,7 @@ def _redrawn(annotation: Annotation, changes: Mapping[Key, _CameraModelChange]) 
 
 _CAMERA_MODELS_KEPT = 4
 
-_OF_OLD_PIXELS = frozenset({"features"})
-"""Fields of single images that hold locations in them."""
+_OF_OLD_PIXELS = frozenset({"features"})  # fields of single images that hold locations in them
 
 
 def undistort_scene(

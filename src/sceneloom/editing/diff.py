@@ -172,8 +172,7 @@ _UNITS: Mapping[str, str] = MappingProxyType(
         "Activation.cuboids": _CUBOIDS,
         "VertexPath.vertices": _VERTICES,
     }
-)
-"""Class and field of everything that has a tolerance, besides timestamps (`_ns`)."""
+)  # class and field of everything that has a tolerance, besides timestamps (`_ns`)
 
 
 def _unit_of(owner: str, name: str) -> str:
@@ -189,8 +188,7 @@ _KEYS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "PointProjection": ("sensor_id",),
         "LabeledPoints": ("sensor_id", "sensor_frame"),
     }
-)
-"""By which fields the members of a list are distinguished, instead of their numbers."""
+)  # by which fields the members of a list are distinguished, instead of their numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -428,8 +426,7 @@ class _Comparison:
 
 _CHUNK = 1 << 20
 
-_SHOWN = 60
-"""Characters of a value that are reported."""
+_SHOWN = 60  # characters of a value that are reported
 
 
 def _is_record(value: Any) -> bool:

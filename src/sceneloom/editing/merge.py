@@ -185,17 +185,14 @@ def _with_angles_of(scene: Scene, first: Scene) -> Scene:
 _CITY_FIELDS = frozenset({"city", "city_name", "location", "map_name"})
 """Names of metadata that state where a drive was."""
 
-_LONGEST_GAP_S = 3600.0
-"""Parts of one drive are not further apart in time."""
+_LONGEST_GAP_S = 3600.0  # parts of one drive are not further apart in time
 
-_FASTEST = 100.0
-"""No vehicle is faster [m/s]."""
+_FASTEST = 100.0  # no vehicle is faster [m/s]
 
 _SAME_LOCATION = 100.0
 """How far apart fixes or poses of one ego may be at one time [m]: receivers and their antennas differ."""
 
-_Track = tuple[Int64Array, Float64Array] | None
-"""Times (N,) and positions (N, 3) [m]."""
+_Track = tuple[Int64Array, Float64Array] | None  # times (N,) and positions (N, 3) [m]
 
 
 def _different_drives(first: Scene, second: Scene) -> tuple[list[str], bool]:
@@ -302,8 +299,7 @@ _JOINED = frozenset(
         *("path", "paths", "activations", "projections", "labeled_points", "start_ns", "duration_ns"),
         "attributes",
     )
-)
-"""Fields of sensors and annotations that are joined from those of both parts, or that must be the same in both."""
+)  # fields of sensors and annotations that are joined from those of both parts, or that must be the same in both
 
 
 def _differing_fields(first: Any, second: Any) -> tuple[str, ...]:
@@ -584,8 +580,7 @@ _ANNOTATION_JOINS: Mapping[type, Callable[[Any, Any], dict[str, Any]]] = Mapping
         GroupAnnotation: lambda *_: {},
         LinkAnnotation: _link,
     }
-)
-"""What becomes of the fields of two parts of one annotation, besides their attributes."""
+)  # what becomes of the fields of two parts of one annotation, besides their attributes
 
 
 @dataclass(slots=True, eq=False)

@@ -576,8 +576,7 @@ def _not_moved(annotations: Iterable[Annotation]) -> DataWarning:
 _POSITION_TOLERANCE, _ROTATION_TOLERANCE = 1e-3, radians(0.01)
 """A keyframe is added at a frame's time where without it something would be further off then [m], [rad]."""
 
-_ROUNDED_NS = 500
-"""How far rounding to microseconds, the coarsest unit of files, moves a timestamp [ns]."""
+_ROUNDED_NS = 500  # how far rounding to microseconds, the coarsest unit of files, moves a timestamp [ns]
 
 _PathKey = tuple[type, Identifier, int]
 """A path of an annotation: type of its id, its id, number of the path among those of its points."""

@@ -226,11 +226,9 @@ def hidden_regions(hiding: Hiding, width: int, height: int, *, margin: float = 0
     return HiddenRegions(pixels, int((~there).sum()), int(cut.sum()))
 
 
-_CELLS = 4
-"""A hidden box keeps at most so many mean values along its longer side, each way of a colour."""
+_CELLS = 4  # a hidden box keeps at most so many mean values along its longer side, each way of a colour
 
-_LEAST_CELL = 4
-"""No mean is of fewer pixels along a side, but at the box's last row and column [px]."""
+_LEAST_CELL = 4  # no mean is of fewer pixels along a side, but at the box's last row and column [px]
 
 
 def filled(image: UInt8Array, boxes: Int64Array, *, fill: str = "blur") -> UInt8Array:
@@ -285,14 +283,12 @@ def _cell_means(region: UInt8Array) -> tuple[Float64Array, Int64Array, Int64Arra
 
 _FILLS: Mapping[str, Callable[[UInt8Array], UInt8Array]] = MappingProxyType(
     {"blur": _blurred, "pixelate": _pixelated, "black": np.zeros_like}
-)
-"""The ways to hide, by name."""
+)  # the ways to hide, by name
 
 _STARTS = (b"\xff\xd8\xff", b"\x89PNG\r\n", b"GIF8", b"II*\x00", b"MM\x00*", b"\x1a\x45\xdf\xa3")
 """How JPEG, PNG, GIF, TIFF and Matroska files begin."""
 
-_LEAST_BYTES = 64
-"""No image of anything is shorter."""
+_LEAST_BYTES = 64  # no image of anything is shorter
 
 _AS_TEXT = re.compile(r"^(data:(image|video)/|/9j/|iVBORw0KGgo|R0lGOD|UklGR)")
 """How such files begin in base64, or as a link that holds them."""

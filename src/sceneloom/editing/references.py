@@ -196,8 +196,7 @@ def _by_new_ids(value: Any, sensors: NewIds) -> Any:
     return changed
 
 
-_UNSEEN = 255
-"""The `camera_index` of a point that no camera coloured."""
+_UNSEEN = 255  # the `camera_index` of a point that no camera coloured
 
 
 def recounted(lidar: LidarSensor, numbers: Mapping[int, int]) -> LidarSensor:

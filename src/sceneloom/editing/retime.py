@@ -18,14 +18,11 @@ from sceneloom.scene.poses import Poses, PoseSource, Trajectory, same_direction
 from sceneloom.scene.scene import Scene, Sensor, scene_period_ns, time_span
 from sceneloom.scene.types import Key, key_of
 
-_CLOCKED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor, ImuSensor, GnssSensor)
-"""Sensors with a clock."""
+_CLOCKED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor, ImuSensor, GnssSensor)  # sensors with a clock
 
-_SAME_CLOCK_NS = 10_000_000_000
-"""Point times farther from their sweep's timestamp are not on its clock, and stay [ns]."""
+_SAME_CLOCK_NS = 10_000_000_000  # point times farther from their sweep's timestamp are not on its clock, and stay [ns]
 
-_MEASURED = "measured_timestamps_ns"
-"""The extra array of deskewed points that holds times."""
+_MEASURED = "measured_timestamps_ns"  # the extra array of deskewed points that holds times
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,8 +199,7 @@ def _placed(sensor: Sensor, trajectory: Trajectory | None, period_ns: int) -> Se
     return replace(sensor, poses=sensor_path(source, sensor.frames.timestamps_ns))
 
 
-_Right = Callable[[Int64Array], Int64Array]
-"""Gives the corrected times of timestamps (…,) int64 [ns]."""
+_Right = Callable[[Int64Array], Int64Array]  # gives the corrected times of timestamps (…,) int64 [ns]
 
 
 def _retimed_part(part: Any, sensors: Mapping[Key, _Right], otherwise: _Right | None) -> Any:

@@ -24,11 +24,9 @@ from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.time_range import select_rows
 
-_ROUNDING = 1e-9
-"""Tolerances are kept this share smaller, so that they hold for another order of the same sums."""
+_ROUNDING = 1e-9  # tolerances are kept this share smaller, so that they hold for another order of the same sums
 
-_NEAR_HALF_ROTATION = radians(179.0)
-"""Beyond this, rounding decides which way is the shorter one."""
+_NEAR_HALF_ROTATION = radians(179.0)  # beyond this, rounding decides which way is the shorter one
 
 
 @np.errstate(invalid="ignore", over="ignore")  # files contain non-finite numbers

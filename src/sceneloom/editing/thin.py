@@ -35,8 +35,7 @@ ChoosePoints = Callable[[LidarFrame | RadarFrame], Int64Array]
 _Points = TypeVar("_Points", LidarPoints, RadarPoints)
 
 _NEAREST, FIRST = "nearest", "first"
-_KEEPERS = (_NEAREST, FIRST)
-"""Which point of a cube stays: the one nearest to the mean of those in it, or the first."""
+_KEEPERS = (_NEAREST, FIRST)  # which point of a cube stays: the one nearest to the mean of those in it, or the first
 
 
 def chosen_points(points: _Points, rows: Int64Array) -> _Points:

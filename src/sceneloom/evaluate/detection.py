@@ -27,30 +27,25 @@ from sceneloom.evaluate.plot import check_plot, save_plot
 from sceneloom.kernels import scores as kernels
 from sceneloom.warnings import DataWarning
 
-_CLASSES = ("car", "pedestrian", "cyclist")
-"""The classes of KITTI's object benchmark."""
+_CLASSES = ("car", "pedestrian", "cyclist")  # the classes of KITTI's object benchmark
 
-_SIMILARITIES = (Similarity.IMAGE, Similarity.ABOVE, Similarity.SPACE)
-"""Those of KITTI's object benchmark."""
+_SIMILARITIES = (Similarity.IMAGE, Similarity.ABOVE, Similarity.SPACE)  # those of KITTI's object benchmark
 
 _LEAST_OVERLAPS: Mapping[str, float] = MappingProxyType({"car": 0.7, "pedestrian": 0.5, "cyclist": 0.5})
 """KITTI's overlaps, by class, from which a detection has found an object; other classes have `_OTHER_OVERLAP`."""
 
 _OTHER_OVERLAP = 0.5
-_SAMPLES = 41
-"""Thresholds at which KITTI looks at precision: one for recalls of 0, 1/40, …, 1."""
+_SAMPLES = 41  # thresholds at which KITTI looks at precision: one for recalls of 0, 1/40, …, 1
 
 _BINS = 15
 """Bins of equal width into which scores are sorted. Source: Guo et al. 2017, "On Calibration of Modern Networks"."""
 
-_LEVELS = (0.5, 0.9, 0.95, 0.99)
-"""The shares of errors that the regions promise to contain."""
+_LEVELS = (0.5, 0.9, 0.95, 0.99)  # the shares of errors that the regions promise to contain
 
 _OVERLAP_OF_ERRORS = 0.3
 """Overlap in space from which errors of a detection are reported: such boxes are of one object beyond doubt."""
 
-_PARTS = {"center": slice(0, 3), "size": slice(3, 6), "yaw": slice(6, 7)}
-"""Parts of a box whose covariances are judged."""
+_PARTS = {"center": slice(0, 3), "size": slice(3, 6), "yaw": slice(6, 7)}  # parts of a box whose covariances are judged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,17 +35,14 @@ from sceneloom.warnings import DataWarning, WarningKind
 _LABEL_FOLDERS = ("label_02", "label_2", "data")
 """Folders inside a given one in which KITTI and evaluations by its rules keep labels and results."""
 
-_OBJECTS = "objects"
-"""The name of the only sequence where each file is a frame, and of that of two scenes."""
+_OBJECTS = "objects"  # the name of the only sequence where each file is a frame, and of that of two scenes
 
 _SCORES = ("existence", "score", "confidence")
 """Attributes of cuboids that state how sure they are; the first one that a cuboid has counts."""
 
-_NO_LABEL = "object"
-"""The class of cuboids that name none."""
+_NO_LABEL = "object"  # the class of cuboids that name none
 
-_ObjectSequences = Mapping[str, ObjectTable]
-"""Tables by name of the sequence."""
+_ObjectSequences = Mapping[str, ObjectTable]  # tables by name of the sequence
 
 
 class _Kind(StrEnum):

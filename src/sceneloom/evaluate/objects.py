@@ -21,8 +21,7 @@ _FLOATS: dict[str, tuple[int, ...]] = {
     "occlusions": (),
     "scores": (),
     "covariances": (7, 7),
-}
-"""The columns that may be absent, and the shape of a row."""
+}  # the columns that may be absent, and the shape of a row
 
 
 KITTI_NEIGHBOURS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -170,8 +169,7 @@ def check_sequences(results: Mapping[str, ObjectTable], truth: Mapping[str, Obje
             raise OptionError(f"{side} without the sequences {', '.join(sorted(names))}")
 
 
-_ZERO_DISTANCE = 4.0
-"""Middles that are so far apart have nothing in common, half of it is a similarity of 0.5 [m]."""
+_ZERO_DISTANCE = 4.0  # middles that are so far apart have nothing in common, half of it is a similarity of 0.5 [m]
 
 
 class Similarity(StrEnum):

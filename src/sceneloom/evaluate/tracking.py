@@ -33,11 +33,9 @@ from sceneloom.warnings import DataWarning, WarningKind
 CLASSES = ("car", "pedestrian")
 """The classes of KITTI's tracking benchmark."""
 
-_EPSILON = float(np.finfo(np.float64).eps)
-"""What thresholds are wider by, as in TrackEval."""
+_EPSILON = float(np.finfo(np.float64).eps)  # what thresholds are wider by, as in TrackEval
 
-_ALPHAS = tuple(k / 100 for k in range(5, 100, 5))
-"""The similarities from which HOTA takes two boxes for one object."""
+_ALPHAS = tuple(k / 100 for k in range(5, 100, 5))  # the similarities from which HOTA takes two boxes for one object
 
 _LEAST = 1e-10
 
@@ -50,8 +48,7 @@ _CURVES = {
     "assre": ("AssRe", "tab:orange", "--", 1.0),
     "asspr": ("AssPr", "tab:orange", ":", 1.0),
     "loca": ("LocA", "tab:green", "-", 1.4),
-}
-"""By metric: its name, colour, dashes and width in plots."""
+}  # by metric: its name, colour, dashes and width in plots
 
 _MOST_SEQUENCES = 40
 
@@ -80,8 +77,7 @@ class TrackingRules:
     most_in_region: float = 0.5
 
 
-_KITTI_RULES = TrackingRules()
-"""Those of KITTI's 2D tracking benchmark, as TrackEval's `kitti_2d_box` applies them."""
+_KITTI_RULES = TrackingRules()  # those of KITTI's 2D tracking benchmark, as TrackEval's `kitti_2d_box` applies them
 
 
 class _HotaScores(msgspec.Struct, frozen=True, kw_only=True):

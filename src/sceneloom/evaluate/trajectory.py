@@ -42,11 +42,9 @@ _TOLERANCES_NS = {"interpolate": 100_000_000, "nearest": 10_000_000}
 """By kind of association, how far the nearest pose of the reference may be unless another tolerance is given [ns]."""
 
 _SHORTEST_GAP_NS, _GAP_SPACINGS = 1_000_000_000, 5.0
-_POINT = 1e-12
-"""Spread [m²] below which positions are one point, a micrometre wide."""
+_POINT = 1e-12  # spread [m²] below which positions are one point, a micrometre wide
 
-_LINE = 1e-9
-"""Ratio of the second spread to the first (squared lengths) below which positions lie on a line."""
+_LINE = 1e-9  # ratio of the second spread to the first (squared lengths) below which positions lie on a line
 
 _WEIGHT = 1e-6
 """Of orientations beside positions that leave a rotation open: they decide that rotation, and change nothing else."""
@@ -655,8 +653,7 @@ _ALIGNING: Mapping[str, tuple[int, Callable[[Pairs], _Alignment]]] = MappingProx
         "se3": (3, lambda pairs: _fitted(pairs, with_scale=False)),
         "sim3": (3, lambda pairs: _fitted(pairs, with_scale=True)),
     }
-)
-"""By kind of alignment, how many pairs it needs and what finds it."""
+)  # by kind of alignment, how many pairs it needs and what finds it
 
 ALIGNMENTS = tuple(_ALIGNING)
 """Kinds of alignment, from none to a similarity."""
@@ -688,8 +685,7 @@ def align_pairs(pairs: Pairs, kind: str, *, first: int | None = None) -> _Alignm
     return find(used)
 
 
-_Steps = tuple[Int64Array, Int64Array]
-"""Rows of the first and the last pair of each step."""
+_Steps = tuple[Int64Array, Int64Array]  # rows of the first and the last pair of each step
 
 
 def _by_time(pairs: Pairs, amount: float) -> _Steps:

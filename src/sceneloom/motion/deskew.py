@@ -161,8 +161,7 @@ _NOTES: Mapping[PointTimes, tuple[WarningKind, str, str]] = MappingProxyType(
             _UNTIMED.format("point times fit neither the sweep's own time nor its period"),
         ),
     }
-)
-"""Kind, code and message of the warning about each kind of times that is not taken as it is."""
+)  # kind, code and message of the warning about each kind of times that is not taken as it is
 
 
 @dataclass(slots=True)

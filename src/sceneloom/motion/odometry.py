@@ -956,8 +956,7 @@ _NOTES: Mapping[Outcome, tuple[str, str]] = MappingProxyType(
             "a gap in time or many misfits: a new map was begun at the predicted pose, with larger covariances",
         ),
     }
-)
-"""Code and message of the warning about each outcome that is not a fit."""
+)  # code and message of the warning about each outcome that is not a fit
 
 
 def _notes(counts: Counter[Outcome], late: int, location: str) -> Iterator[DataWarning]:

@@ -65,12 +65,9 @@ from sceneloom.visualization.canvas import PilImage, draw_discs, seconds_text
 from sceneloom.visualization.colour_scales import DepthScale
 from sceneloom.visualization.fused_frames import framed, image_canvas, save_image, subdued
 
-_MOST_DRAWN = 3
-"""Frames that are drawn, evenly spread."""
-_MOST_ROTATIONS = 100
-"""So many images rotation is estimated from at most."""
-_MOST_IMAGES = 200
-"""Boxes of more images add hardly anything."""
+_MOST_DRAWN = 3  # frames that are drawn, evenly spread
+_MOST_ROTATIONS = 100  # so many images rotation is estimated from at most
+_MOST_IMAGES = 200  # boxes of more images add hardly anything
 
 
 @dataclass(frozen=True, slots=True, eq=False)

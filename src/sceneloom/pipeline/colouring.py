@@ -225,8 +225,7 @@ class ColourReport(msgspec.Struct, frozen=True, kw_only=True):
     warnings: tuple[DataWarning, ...]
 
 
-_MOST_COMPARED = 300
-"""So many sweeps, spread over the drive, exposures are compared by at most."""
+_MOST_COMPARED = 300  # so many sweeps, spread over the drive, exposures are compared by at most
 _NO_IMAGE = -1
 
 
@@ -334,8 +333,7 @@ def _nearest(
     return colors, sources
 
 
-_CANVASES = 2
-"""Images of a camera that are drawn at once: sweeps of several lidars may meet them alternately."""
+_CANVASES = 2  # images of a camera that are drawn at once: sweeps of several lidars may meet them alternately
 
 
 def _numbered_labels(labelled: Sequence[LabeledPointsAnnotation], source: str) -> dict[str, int]:
@@ -582,8 +580,7 @@ class _MapScene:
         return column
 
 
-_Sinks = Mapping[str, Any]
-"""The open outputs of a colouring, by what they hold."""
+_Sinks = Mapping[str, Any]  # the open outputs of a colouring, by what they hold
 
 
 def _open_sinks(

@@ -50,14 +50,12 @@ _TOGETHER: Mapping[str, tuple[str, ...]] = {
     "timestamps": _TIMESTAMPS,
     "sensors[], annotations[], attributes[]": _TIMESTAMPS,
     "file_seconds": ("file_seconds",),
-}
-"""Words for the fields of one meaning in all sensors, trajectories and annotations, and their last parts."""
+}  # words for the fields of one meaning in all sensors, trajectories and annotations, and their last parts
 _WORDS = (
     (re.compile(r"\.images(\[\])?\.content$"), ".images.rgb"),
     (re.compile(r"\.timestamp(s?)$"), r".timestamp\1_ns"),
     (re.compile(r"^(sensors\[.*\])\.intrinsics"), r"\1.camera"),
-)
-"""Words of the Sensor Fusion Scene format for fields that have other names in the model."""
+)  # words of the Sensor Fusion Scene format for fields that have other names in the model
 _SEVERAL = re.compile(r"^(sensors|annotations)\[(.*?)\](?=\.|$)")
 _STREAM = re.compile(r"^(sensors\.imu\.streams)\.([^.]+)")
 _TRAJECTORY = re.compile(r"^trajectories(?:\[.*?\](?=\.|$)|\.([^.]+))")
@@ -303,8 +301,7 @@ def _write_report(report: ConversionReport, path: Path, *, overwrite: bool = Fal
 _WRITING = ("optical", "origin_lla")
 _OF_FILES = ("form", "name", "times", "rate_hz", "unit", "origin_lla", "optical", "corrections")
 """Reading options that are about trajectories, not about scenes."""
-_NAMED = 6
-"""How many fields a message names."""
+_NAMED = 6  # how many fields a message names
 
 
 @dataclass(slots=True, eq=False)

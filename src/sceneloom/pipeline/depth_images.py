@@ -27,8 +27,7 @@ from sceneloom.visualization.canvas import counting_left_out, leave_out
 from sceneloom.visualization.fused_frames import draw_dense_depth, save_image
 from sceneloom.warnings import DataWarning
 
-_SPARSE = "sparse"
-"""The method that keeps the measured points alone."""
+_SPARSE = "sparse"  # the method that keeps the measured points alone
 
 
 class DepthCameraReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -93,8 +93,7 @@ class _List:
 _JSON_RECORDS: Mapping[bool, tuple[Any, Any, Callable[..., Any]]] = {
     True: (Boxes3d, Box3d, boxes_3d_of),
     False: (Boxes2d, Box2d, boxes_2d_of),
-}
-"""Of boxes in space and in images: the record of a frame, that of one box, and what converts the former."""
+}  # of boxes in space and in images: the record of a frame, that of one box, and what converts the former
 
 
 def _read_json_lines(file: _List) -> Iterable[Any]:
@@ -388,8 +387,7 @@ _FORMS: tuple[_ListForm, ...] = (
         ),
         _read_kitti_results,
     ),
-)
-"""All forms; at most one of them recognises a file."""
+)  # all forms; at most one of them recognises a file
 _HEAD = 65536
 
 

@@ -53,8 +53,7 @@ from sceneloom.scene.types import Identifier, Progress
 from sceneloom.tracking.tracker import Observation, View
 from sceneloom.warnings import DataWarning
 
-_Classes = frozenset[str] | None
-"""Those that a detector looks for; None for all that there are."""
+_Classes = frozenset[str] | None  # those that a detector looks for; None for all that there are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -463,8 +462,7 @@ class _CameraModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _Time = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
-_Seven = tuple[float, float, float, float, float, float, float]
-"""x, y, z, then the quaternion x, y, z, w."""
+_Seven = tuple[float, float, float, float, float, float, float]  # x, y, z, then the quaternion x, y, z, w
 
 
 class _Placed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -21,13 +21,11 @@ from sceneloom.kernels.cache import find_kernel_cache
 from sceneloom.version import __version__
 
 _BROWSERS = ("chromium", "google-chrome", "firefox", "open")
-_LEAST_TEMPORARY_BYTES = 1_000_000_000
-"""Images and clouds are spooled; less room is soon filled."""
+_LEAST_TEMPORARY_BYTES = 1_000_000_000  # images and clouds are spooled; less room is soon filled
 _REQUIREMENT = re.compile(r"^(?P<name>[\w.-]+)(\[[^\]]*\])?\s*(?P<bounds>[^;]*)(;(?P<marker>.*))?$")
 _LEAST = re.compile(r">=\s*(?P<least>[\w.]+)")
 _EXTRA = re.compile(r"extra\s*==\s*['\"](?P<extra>[\w-]+)['\"]")
-_NOT_FOR_USERS = frozenset({"dev", "bench", "fuzz", "docs"})
-"""Extras for those who work on sceneloom itself."""
+_NOT_FOR_USERS = frozenset({"dev", "bench", "fuzz", "docs"})  # extras for those who work on sceneloom itself
 _MODULES = {"pillow": "PIL", "small-gicp": "small_gicp", "protobuf": "google.protobuf"}
 """What is imported of packages whose modules are called otherwise."""
 
@@ -87,8 +85,7 @@ def examine_installation() -> InstallationReport:
     )
 
 
-_Row = tuple[str, Status, str, str | None]
-"""Name, status, what was found and remedy of a finding."""
+_Row = tuple[str, Status, str, str | None]  # name, status, what was found and remedy of a finding
 
 
 def _versions() -> Iterator[_Row]:
@@ -216,8 +213,7 @@ _KERNEL_REMEDIES = {
     (True, False): "nothing new can be kept; set NUMBA_CACHE_DIR to a folder that can be written",
     (False, True): "the others are compiled when first used, which takes some seconds each",
     (False, False): "set NUMBA_CACHE_DIR to a folder that can be written, else each run compiles them anew",
-}
-"""What to do where all kernels are compiled or not, and the cache can be written or not."""
+}  # what to do where all kernels are compiled or not, and the cache can be written or not
 
 
 def _codecs() -> Iterator[_Row]:

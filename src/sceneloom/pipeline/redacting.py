@@ -30,8 +30,7 @@ from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, Key, Progress, key_of
 
-_PixelsByImage = Mapping[int, Int64Array]
-"""What is hidden in each image: (K, 4) left, top, right, bottom [px]."""
+_PixelsByImage = Mapping[int, Int64Array]  # what is hidden in each image: (K, 4) left, top, right, bottom [px]
 
 
 def _with_hidden_files(scene: Scene, hidden: Scene, pixels: Mapping[Key, _PixelsByImage]) -> Scene:
@@ -234,12 +233,10 @@ _ALIASES: Mapping[str, str] = MappingProxyType(
         }.items()
         for alias in aliases.split()
     }
-)
-"""Other words for the columns."""
+)  # other words for the columns
 _COLUMNS = "camera, number or time or timestamp_ns, x1, y1, x2, y2 (or left, top, width, height), track, label"
 _MOST_SECONDS = 9_000_000_000
-_MOST_DIGITS = 40
-"""What has more is no number or time of an image, and 1e99999999 would take hours to write out."""
+_MOST_DIGITS = 40  # what has more is no number or time of an image, and 1e99999999 would take hours to write out
 
 
 def read_image_boxes(path: str | Path) -> tuple[ImageBox, ...]:

@@ -154,8 +154,7 @@ class TrackReport(msgspec.Struct, frozen=True, kw_only=True):
 
 _COLUMNS = tuple(
     f.name for f in fields(TrackedObjects) if f.name not in ("timestamp_ns", "ids", "labels", "corners_xyxy")
-)
-"""The columns of states that tracks and objects of a moment share, without boxes in images."""
+)  # the columns of states that tracks and objects of a moment share, without boxes in images
 
 
 def _moments_of(tracks: Sequence[Track], timestamps_ns: Int64Array) -> tuple[TrackedObjects, ...]:
@@ -217,8 +216,7 @@ def _corners(states: Track | TrackedObjects, camera_id: Identifier, count: int) 
     return found[camera_id] if camera_id in found else np.full((count, 4), np.nan)
 
 
-_Moments = tuple[TrackedObjects, ...]
-"""The objects of a drive at each of its sweeps."""
+_Moments = tuple[TrackedObjects, ...]  # the objects of a drive at each of its sweeps
 
 
 def track(
@@ -417,16 +415,14 @@ def _write_scene(tracked: _Moments, source: _TrackableDrive, path: Path, outputs
 
 _FORMS: Mapping[str, tuple[str, _Write]] = MappingProxyType(
     {"kitti": (".txt", _write_kitti), "jsonl": (".jsonl", _write_lines), "sfs": (".sfs", _write_scene)}
-)
-"""The suffix of each form's files, and what writes one."""
+)  # the suffix of each form's files, and what writes one
 
 
 def _form_of_suffix(path: Path) -> str | None:
     return next((name for name, (suffix, _) in _FORMS.items() if suffix == path.suffix.lower()), None)
 
 
-_NEAR = 0.1
-"""Boxes all of whose corners are nearer than this in front of the camera have no outline [m]."""
+_NEAR = 0.1  # boxes all of whose corners are nearer than this in front of the camera have no outline [m]
 
 
 def _in_lidar(objects: TrackedObjects, world_from_lidar: RigidTransform) -> Boxes3D:
@@ -513,10 +509,8 @@ def _object(moment: TrackedObjects, k: int) -> dict[str, Any]:
     return reported
 
 
-_REACH = 40.0
-"""From the middle of the map to its upper edge [m]."""
-_TRAIL = 20
-"""So many sweeps back the trajectories of objects are drawn."""
+_REACH = 40.0  # from the middle of the map to its upper edge [m]
+_TRAIL = 20  # so many sweeps back the trajectories of objects are drawn
 
 
 def save_tracking_images(

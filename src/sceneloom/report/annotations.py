@@ -37,11 +37,9 @@ from sceneloom.scene.samples import Sample
 from sceneloom.scene.scene import Scene, time_span
 from sceneloom.visualization.annotations import draw_annotations_above, draw_annotations_in_image
 
-_MOMENTS = 12
-"""Moments at which boxes are looked at, at most."""
+_MOMENTS = 12  # moments at which boxes are looked at, at most
 _RANGE_EDGES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0)
-_POINT_EDGES = (0, 1, 5, 20, 100, 500, 2000)
-"""Borders of the numbers of points in a box."""
+_POINT_EDGES = (0, 1, 5, 20, 100, 500, 2000)  # borders of the numbers of points in a box
 NO_CLASS = "(no class)"
 _MOST_TIMES = 120
 
@@ -96,8 +94,7 @@ class ClassNumbers(msgspec.Struct, frozen=True, kw_only=True):
     in_images_share: float | None = None
 
 
-_MOST_CAMERAS = 4
-"""Cameras whose images are shown with annotations."""
+_MOST_CAMERAS = 4  # cameras whose images are shown with annotations
 
 
 class Labels(msgspec.Struct, frozen=True, kw_only=True):

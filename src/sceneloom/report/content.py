@@ -14,10 +14,8 @@ from sceneloom.arrays import Float64Array
 from sceneloom.visualization.canvas import PilImage
 from sceneloom.warnings import DataWarning
 
-_WIDTH_PX = 1100
-"""Wider images are made smaller."""
-_MOST_BYTES = 150_000
-"""Of one image; its quality is lowered until it fits."""
+_WIDTH_PX = 1100  # wider images are made smaller
+_MOST_BYTES = 150_000  # of one image; its quality is lowered until it fits
 _QUALITIES = (82, 74, 66, 56, 46)
 
 
@@ -246,8 +244,7 @@ _STYLE = {
 
 _NOT_IN_DOCUMENTS = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff\u202a-\u202e\u2066-\u2069]"
-)
-"""Characters that no document may hold, and those that change the writing direction."""
+)  # characters that no document may hold, and those that change the writing direction
 
 
 def plain(text: object) -> str:

@@ -51,8 +51,7 @@ def spread_rows(count: int, most: int) -> Int64Array:
 RANGE_EDGES = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0, 200.0)
 """Borders of the ranges that points are counted by [m]; farther ones are counted by themselves."""
 _MOST_RINGS = 256
-_SECTORS = 72
-"""Parts of the horizon that are looked at, 5 degrees each."""
+_SECTORS = 72  # parts of the horizon that are looked at, 5 degrees each
 _FINE = 360
 _STEP, _STEPS = 0.5, 600
 _FAR_SHARE = 0.95
@@ -198,11 +197,9 @@ def _quantile(counts: Float64Array, share: float) -> float:
     return float(k + (share * total - before) / max(counts[k], 1e-12))
 
 
-_SWEEPS = 12
-"""Sweeps of each lidar and radar that are looked at, at most."""
+_SWEEPS = 12  # sweeps of each lidar and radar that are looked at, at most
 _RAYS = 65
-_MOVES = 0.5
-"""Between two looks the ego has to move so far for its motion to state where ahead is [m]."""
+_MOVES = 0.5  # between two looks the ego has to move so far for its motion to state where ahead is [m]
 _AROUND_NS = 1_000_000_000
 """Where ahead is, is reported by the motion so long before and after the middle of the drive, at most [ns]."""
 _Surveying = LidarSensor | RadarSensor
@@ -366,8 +363,7 @@ _CAMERA_COLUMNS = (
     Column("Up [deg]", lambda row: fixed(row[0].pitch_deg, 1)),
     Column("Points in the image", lambda row: NOTHING if row[1] is None else f"{row[1].in_image_percent:.1f} %"),
     Column("Hidden of these", lambda row: NOTHING if row[1] is None else f"{row[1].hidden_percent:.1f} %"),
-)
-"""Of a camera, and of its part in the fusion if it has one."""
+)  # of a camera, and of its part in the fusion if it has one
 
 
 def _draw_around(clouds: Sequence[CloudCoverage], cameras: Sequence[CameraCoverage]) -> bytes:

@@ -176,12 +176,9 @@ def conversions_of(scene: Scene) -> tuple[_Conversion, ...]:
     return tuple(found)
 
 
-_MISSING_SHARE = 0.01
-"""Streams that lack more than this share of their timestamps are reported first."""
-_JITTER_SHARE = 0.15
-"""Of the usual interval; more is reported."""
-_OVERLAP_SHARE = 0.8
-"""All streams together should cover this share of the drive."""
+_MISSING_SHARE = 0.01  # streams that lack more than this share of their timestamps are reported first
+_JITTER_SHARE = 0.15  # of the usual interval; more is reported
+_OVERLAP_SHARE = 0.8  # all streams together should cover this share of the drive
 _LEAST_TIMESTAMPS = 10
 
 
@@ -244,8 +241,7 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
         return first, [advice for advice in advices if advice not in first]
 
 
-_MOST_ADVICES = 8
-"""Reported at the top of the page; the others are folded."""
+_MOST_ADVICES = 8  # reported at the top of the page; the others are folded
 
 
 def _contents_text(summary: SceneSummary, trajectories: Trajectories) -> str:
@@ -427,8 +423,7 @@ _RULES: tuple[Callable[["DriveReport"], Iterator[Advice]], ...] = (
     _from_coverage,
     _from_labels,
     _from_trajectories,
-)
-"""The rules that give advice."""
+)  # the rules that give advice
 
 
 class DriveReport(msgspec.Struct, frozen=True, kw_only=True):

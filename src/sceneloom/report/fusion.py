@@ -21,10 +21,8 @@ from sceneloom.scene.scene import Scene, Sensor, scene_period_ns, sweep_period_n
 from sceneloom.scene.types import Identifier
 from sceneloom.visualization.fused_frames import DriveCloud, iter_images
 
-_FRAMES = 6
-"""Images of each camera that are looked at; `sceneloom calibrate --check` takes more."""
-_MOST_CAMERAS = 6
-"""Cameras that are checked: each takes seconds."""
+_FRAMES = 6  # images of each camera that are looked at; `sceneloom calibrate --check` takes more
+_MOST_CAMERAS = 6  # cameras that are checked: each takes seconds
 
 
 class CalibrationCheck(msgspec.Struct, frozen=True, kw_only=True):
@@ -101,10 +99,8 @@ def _check(scene: Scene, camera_id: Identifier, lidar_id: Identifier, frames: in
     )
 
 
-_SWEEPS = 8
-"""Sweeps of each lidar that are fused, at most."""
-_MOST_VIEWS = 12
-"""Cameras of a sweep that are drawn, at most."""
+_SWEEPS = 8  # sweeps of each lidar that are fused, at most
+_MOST_VIEWS = 12  # cameras of a sweep that are drawn, at most
 
 
 class Fusion(msgspec.Struct, frozen=True, kw_only=True):

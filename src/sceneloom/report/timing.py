@@ -32,13 +32,10 @@ from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.summary import GAP_FACTOR, Gap, gaps_of
 from sceneloom.scene.types import Identifier
 
-_MOST_GAPS = 20
-"""Gaps of a stream that are reported one by one: the longest."""
-_MOST_STREAMS, _MOST_PLOTS = 40, 12
-"""So many streams and histograms of intervals are drawn."""
+_MOST_GAPS = 20  # gaps of a stream that are reported one by one: the longest
+_MOST_STREAMS, _MOST_PLOTS = 40, 12  # so many streams and histograms of intervals are drawn
 _MOST_BINS = 40
-_WIDEST_BIN = 3.0
-"""Intervals beyond so many usual ones fall into the last bin."""
+_WIDEST_BIN = 3.0  # intervals beyond so many usual ones fall into the last bin
 
 
 class IntervalBins(msgspec.Struct, frozen=True, kw_only=True):

@@ -40,12 +40,10 @@ from sceneloom.scene.types import Coordinates, Identifier
 
 MOST_CORNERS = 400
 """So many positions of a trajectory are reported, evenly in time, for plots."""
-_STANDS = 0.2
-"""Slower than this the ego is stationary [m/s]."""
+_STANDS = 0.2  # slower than this the ego is stationary [m/s]
 _HALF_WINDOW = 0.25
 """Speeds are taken over twice this [s], or over two poses where these are farther apart: noise is no speed."""
-_LEAST_LENGTH = 5.0
-"""From fixes that lie less far from the first one [m] north is not estimated."""
+_LEAST_LENGTH = 5.0  # from fixes that lie less far from the first one [m] north is not estimated
 
 
 class Corner(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
@@ -471,8 +469,7 @@ def _north(trajectory: Trajectory, receiver: GnssSensor, origin_lla: Float64Arra
     )
 
 
-_TRUTH = "groundTruth"
-"""The name of trajectories that are taken for the truth."""
+_TRUTH = "groundTruth"  # the name of trajectories that are taken for the truth
 
 
 class Metrics(msgspec.Struct, frozen=True, kw_only=True):

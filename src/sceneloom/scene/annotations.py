@@ -485,8 +485,7 @@ class LabeledPointsAnnotation:
             raise ArrayError(f"type {self.type!r}; expected one of {', '.join(_LABELED_POINTS_TYPES)}")
 
 
-_LABELED_POINTS_TYPES = ("labeled_points", "point_segmentation")
-"""The words that files have for such an annotation."""
+_LABELED_POINTS_TYPES = ("labeled_points", "point_segmentation")  # the words that files have for such an annotation
 
 _OBJECT_TYPES = ("object", "attributes")
 """The words that files have for an annotation that is nothing but its attributes; the second is Scale's library's."""

@@ -68,8 +68,7 @@ class _UnpackedWhenAsked:
             return object.__getattribute__(self, name)
 
 
-_Parcel = AnyArray | Callable[[], AnyArray] | None
-"""An array, or what gives it, or nothing."""
+_Parcel = AnyArray | Callable[[], AnyArray] | None  # an array, or what gives it, or nothing
 
 
 def _packed(array: AnyArray | None) -> _Parcel:
@@ -91,8 +90,7 @@ def _unpacked(parcel: _Parcel) -> AnyArray | None:
     return parcel() if callable(parcel) else parcel
 
 
-_UNSEEN = 255
-"""In `camera_index`: no camera saw the point."""
+_UNSEEN = 255  # in `camera_index`: no camera saw the point
 
 _WHITE, _GREY = 255, 128
 

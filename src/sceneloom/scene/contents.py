@@ -42,8 +42,7 @@ from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, Key, key_of
 
-_Words = dict[str, str]
-"""What fields are, for a person, by their names."""
+_Words = dict[str, str]  # what fields are, for a person, by their names
 
 KINDS: Mapping[type[Any], str] = MappingProxyType(
     {
@@ -319,8 +318,7 @@ def _read_and_report(frames: LazyFrames[Any], sensor_id: Identifier, reported: _
     return frame
 
 
-_WHOLE = (Camera, RigidTransform, Poses, VideoContent, AttributePath)
-"""Classes that are one field."""
+_WHOLE = (Camera, RigidTransform, Poses, VideoContent, AttributePath)  # classes that are one field
 
 _IMAGES = {"images.decode": "images.rgb", "frames.decode": "frames.depth"}
 """Functions that make an image are called by what they make."""

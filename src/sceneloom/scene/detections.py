@@ -249,8 +249,7 @@ _STATE = {
     "covariances": (np.float64, "N", 10, 10),
     "scores": (np.float64, "N"),
     "supports": (np.uint8, "N"),
-}
-"""The arrays of states: dtype and shape."""
+}  # the arrays of states: dtype and shape
 
 
 def _hold_states(states: "Track | TrackedObjects", path: str, first: dict[str, tuple[Any, ...]]) -> int:

@@ -27,8 +27,7 @@ from sceneloom.scene.time_range import Interval, cut_path
 from sceneloom.scene.types import Coordinates, Key, PointsFrame, key_of
 from sceneloom.warnings import DataWarning
 
-_FAR = 1e9
-"""No location on earth is known by such numbers."""
+_FAR = 1e9  # no location on earth is known by such numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,16 +102,13 @@ class EgoAxes:
     known: bool
 
 
-_LEAST_PATH = 0.5
-"""A path shorter than this says nothing of the forward axis [m]."""
+_LEAST_PATH = 0.5  # a path shorter than this says nothing of the forward axis [m]
 
-_STEADY = 0.8
-"""Least length of a mean of unit vectors that are one direction."""
+_STEADY = 0.8  # least length of a mean of unit vectors that are one direction
 
 _NEAR_AXIS = np.cos(np.pi / 4)
 
-_GRAVITY = (8.0, 11.5)
-"""Mean specific force of an IMU that may be taken as gravity [m/s²]."""
+_GRAVITY = (8.0, 11.5)  # mean specific force of an IMU that may be taken as gravity [m/s²]
 
 
 def ego_axes(scene: Scene) -> EgoAxes:
@@ -422,8 +418,7 @@ def check_one_ego(scene: Scene, trajectory: Poses | None) -> None:
             )
 
 
-_BETWEEN = 4
-"""Looks between two poses of the path: a mounted sensor moves on an arc there, not on a line."""
+_BETWEEN = 4  # looks between two poses of the path: a mounted sensor moves on an arc there, not on a line
 
 _FRAMES_AT_ONCE = 256
 """Poses between two frames depend on nothing beyond these, so long drives are looked at piece by piece."""

@@ -60,8 +60,7 @@ def _listed(sensors: Iterable[Posed]) -> str:
     return ", ".join(repr(sensor.id) for sensor in sensors) or "none, it has no such sensor"
 
 
-_IDENTITY = "identity"
-"""The trajectory of an ego that is stationary."""
+_IDENTITY = "identity"  # the trajectory of an ego that is stationary
 
 WORLD = PoseSource(Poses.identity(), RigidTransform.identity())
 """Where points are that are in the world already."""

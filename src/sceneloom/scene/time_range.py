@@ -156,11 +156,9 @@ Interval = tuple[int, int]
 _POSES_AROUND_NS = 1_000_000_000
 """Poses so long before and after a part stay in it: its last sweep ends later than it begins."""
 
-_SAME_TIME_NS = 100_000
-"""A frame that comes so long before a bound comes with it: two firings of a lidar."""
+_SAME_TIME_NS = 100_000  # a frame that comes so long before a bound comes with it: two firings of a lidar
 
-_LONGEST = 9.2e9
-"""What int64 nanoseconds hold, nearly [s]."""
+_LONGEST = 9.2e9  # what int64 nanoseconds hold, nearly [s]
 
 _FRAMED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 _CAMERAS = (CameraSensor, DepthCameraSensor)

@@ -203,13 +203,11 @@ def _attribute_text(values: Mapping[str, Any]) -> str:
     )
 
 
-_HISTORY_NS = 3_000_000_000
-"""So much of an object's trajectory trails behind it [ns]."""
+_HISTORY_NS = 3_000_000_000  # so much of an object's trajectory trails behind it [ns]
 _TRAIL_WIDTH, _LINK_WIDTH, _LINE_WIDTH = -1.5, -2.0, -1.0
 """Negative widths and radii are points of the screen, not metres."""
 _KEYPOINT, _LABELLED, _MARK = -4.0, -2.4, -3.0
-_MOVED = 0.5
-"""What moved less than that in all has no trail [m]."""
+_MOVED = 0.5  # what moved less than that in all has no trail [m]
 _POINTS_OF_TRAIL = 24
 
 
@@ -485,8 +483,7 @@ def _draw_shapes(group: _Group, times_ns: Int64Array, kind: str, *, origin: Floa
     return _Drawn(columns, np.asarray(counts, np.int64), there)
 
 
-_CLASSES = 65_535
-"""So many labelled points annotations the viewer can tell apart."""
+_CLASSES = 65_535  # so many labelled points annotations the viewer can tell apart
 
 
 @dataclass(slots=True, eq=False)
@@ -648,8 +645,7 @@ def _show_adjustment(stream: Stream, locations: Locations, annotation: Localizat
 
 
 _EGO, _ANNOTATIONS = "ego", "annotations"
-_AT_ONCE = 128
-"""Moments that are logged together."""
+_AT_ONCE = 128  # moments that are logged together
 
 
 @dataclass(slots=True, eq=False)

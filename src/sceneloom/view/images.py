@@ -32,8 +32,7 @@ IMAGE = "image"
 """The entity of a camera's images, below that of the camera; its own space of pixels."""
 _QUALITY = 88
 _JPEG_START = b"\xff\xd8"
-_CORNER = 0.5
-"""The viewer counts pixels from the image's corner, camera models from the centre of the first one."""
+_CORNER = 0.5  # the viewer counts pixels from the image's corner, camera models from the centre of the first one
 _FRUSTUM, _HALF_WIDTH = 2.5, 1.2
 """How far before the camera its image hangs at most, and half of how wide it is at most [m]."""
 _FINEST = 0.7
@@ -186,8 +185,7 @@ class _CameraView:
         stream.log(camera_image.timestamp_ns, path, image, kind="images", size=len(shown.content))
 
 
-_STEPS_PER_METRE = 256
-"""Shown depths are whole steps of 1/256 m, as in KITTI's depth images: 4 mm, up to 256 m."""
+_STEPS_PER_METRE = 256  # shown depths are whole steps of 1/256 m, as in KITTI's depth images: 4 mm, up to 256 m
 _LARGEST = 65535
 DEPTH = "depth"
 """The entity of fused depth images, below that of the images that they belong to."""

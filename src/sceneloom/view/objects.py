@@ -133,11 +133,9 @@ def _columns(rows: Any, width: int) -> Float64Array:
     return np.array(rows, np.float64).reshape(len(rows), width)
 
 
-_CERTAINTY = 0.95
-"""An ellipsoid holds the middle of its object with this probability."""
+_CERTAINTY = 0.95  # an ellipsoid holds the middle of its object with this probability
 _HISTORY_NS = 3_000_000_000
-_LARGEST = 10.0
-"""Ellipsoids with a longer half axis would hide the others, and are not drawn [m]."""
+_LARGEST = 10.0  # ellipsoids with a longer half axis would hide the others, and are not drawn [m]
 _THIN, _THICK = -1.0, -2.0
 
 

@@ -21,10 +21,8 @@ from sceneloom.view.settings import ColourBy
 from sceneloom.view.stream import Report, Stream, fits, sdk
 from sceneloom.visualization.colour_scales import colour_map
 
-_Packed = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]
-"""Colours 0xRRGGBBAA."""
-_UNSEEN = np.uint32(0x6E6E6EFF)
-"""Of points that no camera saw."""
+_Packed = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]  # colours 0xRRGGBBAA
+_UNSEEN = np.uint32(0x6E6E6EFF)  # of points that no camera saw
 _NO_CAMERA = 255
 _SPREAD = (1.0, 99.0)
 """Percentiles that the ends of a scale are put at: single bright or high points would leave the others alike."""
@@ -101,8 +99,7 @@ WORLD, SENSORS, _CLOUDS = "world", "sensors", "clouds"
 """Entities below which things are: all that has a location, frames of sensors, points that are not in such a frame."""
 _POINT_SIZE = 1.6
 _RADAR_SIZE, _ARROW_SIZE = 3.0, 1.0
-_LONGEST_SWEEP = 3
-"""Times of points spread over more sweep periods than that are not when they were measured."""
+_LONGEST_SWEEP = 3  # times of points spread over more sweep periods than that are not when they were measured
 _NEARING, _LEAVING = one_packed((255, 122, 69)), one_packed((82, 196, 255))
 _BEYOND = "is not shown: the ego trajectory does not reach its time, or lies beyond the viewer's float32"
 _AS_MEASURED = "is shown as measured: the ego trajectory does not reach all of its points' times"

@@ -104,10 +104,8 @@ def _log_notes(stream: Stream, time_ns: int, warnings: Sequence[DataWarning], fi
         stream.log(time_ns, stream.path(_NOTES), sdk().TextLog(text, level=level), kind="notes")
 
 
-_BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0
-"""Where the eye stands behind the ego, and where it looks [m]."""
-_MOVED = 2.0
-"""How far the ego must have moved before its trajectory tells where forward is [m]."""
+_BEHIND, _ABOVE, _AHEAD = 14.0, 7.0, 8.0  # where the eye stands behind the ego, and where it looks [m]
+_MOVED = 2.0  # how far the ego must have moved before its trajectory tells where forward is [m]
 _IN_IMAGES = ("annotations", "tracks/boxes", "tracks/history")
 """What has a location in the world and is shown through the camera models, too."""
 _BACKGROUND = (16, 18, 22)
@@ -507,8 +505,7 @@ _APPLICATION = "sceneloom"
 _SUFFIX = ".rrd"
 _SINCE_EPOCH_NS = 100_000_000_000_000_000
 """Timestamps from here on (March 1973) count from 1970; smaller ones from the beginning of the drive."""
-_MOST_DRIVES = 32
-"""More tabs would be hard to find."""
+_MOST_DRIVES = 32  # more tabs would be hard to find
 
 
 @contextmanager
@@ -616,8 +613,7 @@ def save_view(
     )
 
 
-_LOOPBACK = "127.0.0.1"
-"""Nobody but this machine is answered."""
+_LOOPBACK = "127.0.0.1"  # nobody but this machine is answered
 _TILES = "https://tile.openstreetmap.org https://*.tile.openstreetmap.org"
 _PASSED_ON = ("Content-Type", "rerun-final-length")
 _PIECE = 1 << 20
@@ -705,8 +701,7 @@ _FOLDERS = ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME", "XDG_STATE_HOM
 Source: XDG Base Directory Specification 0.8.
 """
 _PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
-_NOBODY = "http://127.0.0.1:1"
-"""A proxy that is not there: what would go through it goes nowhere."""
+_NOBODY = "http://127.0.0.1:1"  # a proxy that is not there: what would go through it goes nowhere
 _NEAR = "127.0.0.1,localhost"
 
 
@@ -756,8 +751,7 @@ def silent_environment(folder: Path, given: Mapping[str, str] | None = None, *, 
     return environment
 
 
-_SERVER_MEMORY = "2GiB"
-"""What the browser's server holds for it; beyond that the earliest frames go."""
+_SERVER_MEMORY = "2GiB"  # what the browser's server holds for it; beyond that the earliest frames go
 _PATIENCE = 30.0
 _POLL = 0.05
 

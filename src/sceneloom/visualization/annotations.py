@@ -238,8 +238,7 @@ _IN_IMAGE: Mapping[str, Callable[[Any, Identifier, int], Figure | None]] = Mappi
     }
 )
 
-_MARGIN = 0.6
-"""How far a frame around the members of a group keeps from them [m]."""
+_MARGIN = 0.6  # how far a frame around the members of a group keeps from them [m]
 
 
 def _labelled_locations(scene: Scene, sample: Sample) -> Iterator[tuple[Float64Array, Colour]]:
@@ -590,8 +589,7 @@ def _dimmed(colour: Colour) -> Colour:
 
 
 _GRID = (16, 9)
-_DISTANCE = 20.0
-"""How far away the things are whose pixels are compared [m]."""
+_DISTANCE = 20.0  # how far away the things are whose pixels are compared [m]
 _BEFORE, _AFTER = FAINT_INK, (255, 206, 84)
 
 
@@ -671,8 +669,7 @@ def _some_trajectory(scene: Scene) -> Poses | None:
 
 
 _Drawing = tuple[str, Callable[[], PilImage]]
-_RELATIONS_REACH = 20.0
-"""From the ego to the upper edge of a map that shows how annotations belong together [m]."""
+_RELATIONS_REACH = 20.0  # from the ego to the upper edge of a map that shows how annotations belong together [m]
 
 
 def _related(scene: Scene, chosen: list[Annotation]) -> list[Annotation]:

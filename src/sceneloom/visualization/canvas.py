@@ -26,8 +26,7 @@ INK: Colour = (232, 234, 237)
 FAINT_INK: Colour = (158, 164, 173)
 LINE: Colour = (92, 98, 108)
 ACCENT: Colour = (255, 122, 69)
-_FINE = 4
-"""Polygons are filled on a grid this much finer and averaged."""
+_FINE = 4  # polygons are filled on a grid this much finer and averaged
 
 
 @dataclass(slots=True)
@@ -199,8 +198,7 @@ def count_text(count: int, noun: str) -> str:
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
-_STAMPING_FINE = 2
-"""Each pixel is sampled at 2 x 2 locations, so that the edges of discs look smooth."""
+_STAMPING_FINE = 2  # each pixel is sampled at 2 x 2 locations, so that the edges of discs look smooth
 
 
 def draw_discs(

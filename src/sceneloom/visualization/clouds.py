@@ -112,8 +112,7 @@ _GREY_TINT = np.array([0.93, 0.98, 1.06])
 _HEIGHT_ENDS_PERCENT = (2.0, 96.0)
 _NEAREST_REACH = 2.0
 _LEAST_SIZE_PX = (320, 240)
-_MOST_SAMPLES = 200_000
-"""Bounds the work for an ego path of any length."""
+_MOST_SAMPLES = 200_000  # bounds the work for an ego path of any length
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,8 +184,7 @@ def _check_size(size_px: tuple[int, int]) -> None:
         raise OptionError(f"image of {size_px[0]}x{size_px[1]} px; expected at least {least}")
 
 
-_HUGE = 1e100
-"""Squares of larger numbers need not be finite."""
+_HUGE = 1e100  # squares of larger numbers need not be finite
 
 
 def sample_polyline(corners: FloatArray, step: float) -> Float64Array:
@@ -221,8 +219,7 @@ _SPACING_LETTERS = 6.0
 _BAR_LETTERS = 14.0
 _FAR_PX = 100_000.0
 _REACH_PERCENT, _FARTHEST_REACH = 94.0, 50.0
-_MOST_LINES = 1000
-"""More than this no grid has: its locations are so far off that there are no numbers for its lines."""
+_MOST_LINES = 1000  # more than this no grid has: its locations are so far off that there are no numbers for its lines
 
 
 @dataclass(frozen=True, slots=True)

@@ -205,8 +205,7 @@ def round_up(value: float, digits: tuple[float, ...] = ROUND_DIGITS) -> float:
     return round(float((*above, 10.0)[0] * decade), 9)
 
 
-_STRIP_LINES = 3.6
-"""Height of the strip in heights of its letters."""
+_STRIP_LINES = 3.6  # height of the strip in heights of its letters
 _SMALL = 0.86
 _BAR_SHARE = 0.46
 _BAR_MOST_LETTERS = 40

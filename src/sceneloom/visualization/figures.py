@@ -26,11 +26,9 @@ _FAMILIES: tuple[tuple[int, tuple[str, ...]], ...] = (
     (7, ("truck", "bus", "trailer", "van", "tram", "construction_vehicle", "heavy")),
     (1, ("car", "vehicle", "automobile")),
     (0, ("cone", "bollard", "barrier", "sign", "pole")),
-)
-"""The colours that classes have whose names hold such a word; the first that fits counts."""
+)  # the colours that classes have whose names hold such a word; the first that fits counts
 
-_OTHERS = (4, 5, 8, 9)
-"""The colours of all other names."""
+_OTHERS = (4, 5, 8, 9)  # the colours of all other names
 
 
 def colour_of_name(name: object) -> Colour:
@@ -69,8 +67,7 @@ class Figure:
         return all(bool(np.isfinite(part).all()) for part in parts)
 
 
-_CHUNKS = 48
-"""A straight line of the world is bent by a camera model: it is drawn in so many chunks."""
+_CHUNKS = 48  # a straight line of the world is bent by a camera model: it is drawn in so many chunks
 _JUMP_SHARE = 0.5
 """Neighbouring chunks farther apart than this share of the image are not joined: a camera model may see both sides."""
 _TINT = 0.28

@@ -31,14 +31,12 @@ from sceneloom.visualization.canvas import (
 from sceneloom.visualization.clouds import UNSEEN, draw_cloud_above, draw_cloud_perspective, find_ego
 from sceneloom.visualization.colour_scales import DepthScale, draw_caption, draw_depth_bar, draw_strip, strip_height
 
-_LEAST_WIDTH_PX = 520
-"""Narrower images get a canvas of this width, so that caption and scale fit below them."""
+_LEAST_WIDTH_PX = 520  # narrower images get a canvas of this width, so that caption and scale fit below them
 NO_DEPTH = (10, 11, 14)
 """Colour of the pixels of a depth image that hold no depth: darker than any colour of the maps."""
 _HIDDEN = (176, 178, 184)
 _LARGEST_RADIUS_PX = 4.0
-_MOST_COVER = 0.35
-"""Share of the image that the discs may cover together, so that the image can be seen between them."""
+_MOST_COVER = 0.35  # share of the image that the discs may cover together, so that the image can be seen between them
 _GREYNESS = 0.45
 _BRIGHTNESS = 0.62
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -147,8 +145,7 @@ def draw_dense_depth(view: FusedView, dense: DenseDepth, *, scale: DepthScale | 
     return framed(image_canvas(sheet), lines, scale=used)
 
 
-_COMPRESSION = 2
-"""Higher levels of PNG make these images 3 % smaller and take three times as long."""
+_COMPRESSION = 2  # higher levels of PNG make these images 3 % smaller and take three times as long
 
 
 def iter_images(
@@ -257,8 +254,7 @@ CUBE = 0.04
 """Of each sweep, one point per cube of this side is kept [m]: more shows in no image."""
 MOST_SWEEPS = 40
 """Sweeps of one lidar that are gathered, spread over the drive: enough for an image, bounded for any drive."""
-_MARGIN = 25.0
-"""Around the trajectory of the ego, so much of its surroundings is shown [m]."""
+_MARGIN = 25.0  # around the trajectory of the ego, so much of its surroundings is shown [m]
 
 
 @dataclass(slots=True)

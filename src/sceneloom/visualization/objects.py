@@ -48,8 +48,7 @@ Source: the square root of the 0.95 quantile of the chi-square distribution of t
 """
 _ARROW_SECONDS = 0.5
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 49)
-_LARGEST_SIGMA = 30.0
-"""Ellipses of objects of which less is known are not drawn [m]."""
+_LARGEST_SIGMA = 30.0  # ellipses of objects of which less is known are not drawn [m]
 
 
 def objects_of_fused(

@@ -40,11 +40,9 @@ _SECONDS = {
     "shutterRollTimeSeconds": (0.0, 0.1),
     "exposureTimeSeconds": (0.0, 1.0),
     "imuToCameraShiftSeconds": (-0.5, 0.5),
-}
-"""Times outside these [s] belong to no camera that moves."""
+}  # times outside these [s] belong to no camera that moves
 
-_PADDED = {"brown-conrady": (5, 8)}
-"""Lists of the first length are read, and other programs want the second."""
+_PADDED = {"brown-conrady": (5, 8)}  # lists of the first length are read, and other programs want the second
 
 SHORTEST, LONGEST = 0.2, 5.0
 """Focal lengths outside these parts of the image's width are rare: they see 136° and more, or 11° and less."""
@@ -59,8 +57,7 @@ _PARTS, _MILLIMETRES = 2.0, 50.0
 _HALVES, _NEAR = (2.0, 4.0, 0.5, 0.25), 0.05
 """A principal point at so many times the centre, within this share, comes from images that were resized."""
 
-_ALIKE_DEG = 15.0
-"""Cameras whose axes differ by no more are a pair [deg]."""
+_ALIKE_DEG = 15.0  # cameras whose axes differ by no more are a pair [deg]
 
 FARTHEST, _MOUNTINGS_MILLIMETRES = 5.0, 50.0
 """A sensor is no farther from the IMU [m]; numbers beyond the second are millimetres or centimetres."""
@@ -75,12 +72,10 @@ _UPRIGHT_DEG, _ROLLED_DEG, _STEEP_DEG = 20.0, 45.0, 65.0
 """A camera is upright below the first angle, on its way to its side beyond the second, and looks up or down beyond the
 third."""
 
-_SAMPLES = 20_000
-"""So many samples of the accelerometer, spread over all, show where up is."""
+_SAMPLES = 20_000  # so many samples of the accelerometer, spread over all, show where up is
 
 _MATRICES = ("imuToCamera", "imuToCameraMatrix", "imuToLidar", "imuToLidarMatrix")
-_WIDTH, _LOOKED_AT = 192, 4
-"""So many images are compared at this width [px], or at their own where that is less."""
+_WIDTH, _LOOKED_AT = 192, 4  # so many images are compared at this width [px], or at their own where that is less
 
 _WIDEST_SHIFT, _CLEAR_SHIFT, _PATCH = 16, 1.5, 12
 """Disparities are searched up to the first, and reported from the second on [px]."""

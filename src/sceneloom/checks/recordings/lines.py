@@ -100,8 +100,7 @@ def _with_notes(scene: Scene, change: Callable[[Mapping[str, Any]], dict[str, An
 IN_STEP = 0.002
 """Images of a stereo pair are taken within this time [s]."""
 
-_NO_STEP = 0.1
-"""Taken for the time from line to line [s] where the lines show none."""
+_NO_STEP = 0.1  # taken for the time from line to line [s] where the lines show none
 
 
 def _over_frames(judge: Callable[[FrameColumns], Iterator[Hit]]) -> Find:

@@ -39,11 +39,9 @@ _TORN_FACTOR, _TORN_LENGTH = 5.0, 20.0
 _ENOUGH_FOR_NOISE, _FROM_MEDIAN = 20_000, 1.4826
 """The deviation of a normal distribution is so many times the median of its absolute values."""
 
-_GAP_FACTOR = 5.5
-"""So many usual intervals without a sample are a gap: the motion during it is not known."""
+_GAP_FACTOR = 5.5  # so many usual intervals without a sample are a gap: the motion during it is not known
 
-_LEAST_CORRELATION = 0.8
-"""Angular velocities of orientations and gyroscope that correlate less do not agree."""
+_LEAST_CORRELATION = 0.8  # angular velocities of orientations and gyroscope that correlate less do not agree
 
 _GREATEST_TILT_DEG = 25.0
 """So far off up the mean of the accelerometer may be: a vehicle that brakes all the time leaves 20°."""
@@ -58,8 +56,7 @@ _LEAST_ROTATING, _ROTATING_PER_NOISE = 0.03, 2.0
 _GREATEST_SHIFT, _SHIFT_STEP, _SHIFTS_SHARE = 1.0, 0.02, 0.2
 """Clock offsets are tried up to so long, in such steps [s], and up to this part of the time in common."""
 
-_LEAST_SHIFT = 0.05
-"""Shorter offsets between poses and IMU [s] are for `sceneloom sync` to find."""
+_LEAST_SHIFT = 0.05  # shorter offsets between poses and IMU [s] are for `sceneloom sync` to find
 
 _SURE, _SCALES, _NEAR_DEGREES = 0.9, (0.6, 1.6), 0.2
 

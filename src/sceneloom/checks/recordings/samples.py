@@ -30,14 +30,11 @@ LONGEST_FAST_ROTATION, FAST_ROTATION_SHARE = 0.2, 0.001
 LOUDEST, _FEWEST_FOR_NOISE = 2.5, 20
 """The mean of the accelerations above a quarter of the rate [m/s²]."""
 
-_GAIN = 1.091
-"""Lets as much of white noise pass as the vendor's filter does: third-order Butterworth, there and back."""
+_GAIN = 1.091  # lets as much of white noise pass as the vendor's filter does: third-order Butterworth, there and back
 
-_WEAKEST_FIELD = 5.0
-"""The earth's field is 22 to 67 µT; a magnetometer far below it counts in another unit."""
+_WEAKEST_FIELD = 5.0  # the earth's field is 22 to 67 µT; a magnetometer far below it counts in another unit
 
-_Guesses = tuple[tuple[float, float, str], ...]
-"""What a usual value from the first to the second number suggests."""
+_Guesses = tuple[tuple[float, float, str], ...]  # what a usual value from the first to the second number suggests
 
 _UNITS_OF_PULL: _Guesses = (
     (0.0, 0.7, "is gravity taken off? The format wants it in"),
@@ -84,8 +81,7 @@ _RANGES: Mapping[Kind, _Range] = MappingProxyType(
 
 _REPEATING: Mapping[Kind, float] = MappingProxyType(
     {Kind.ACCELEROMETER: 0.01, Kind.GYROSCOPE: 0.01, Kind.MAGNETOMETER: 0.01, Kind.GNSS: 0.01, Kind.BAROMETER: 0.2}
-)
-"""Share of samples that may repeat the one before; a barometer's steps are coarse beside its changes."""
+)  # share of samples that may repeat the one before; a barometer's steps are coarse beside its changes
 
 _FEWEST_FOR_A_SHARE = 20
 _IMU = (Kind.ACCELEROMETER, Kind.GYROSCOPE)

@@ -22,11 +22,9 @@ from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.time_range import select_rows
 
-_FEWEST_FOR_A_RATE = 4
-"""Fewer samples do not show what is usual."""
+_FEWEST_FOR_A_RATE = 4  # fewer samples do not show what is usual
 
-_SAME_TIME = 0.5e-9
-"""Times closer than this [s] are one time: the scene counts nanoseconds."""
+_SAME_TIME = 0.5e-9  # times closer than this [s] are one time: the scene counts nanoseconds
 
 NORM_TOLERANCE = 1e-3
 """Lengths of quaternions that are off by no more [1] are rounding."""
@@ -37,8 +35,7 @@ GAP_SECONDS, GAP_PERIODS = 0.25, 10.0
 FRAME_GAP_PERIODS = 0.75
 """Of images and sweeps a single one that is missing is reported: an interval of 1.75 usual ones."""
 
-_FEW_FRAMES = 40
-"""Of fewer, one or two that are missing make more than `JITTER_SHARE`."""
+_FEW_FRAMES = 40  # of fewer, one or two that are missing make more than `JITTER_SHARE`
 
 JITTER_PERIODS, JITTER_SHARE = 0.2, 0.05
 """A stream is uneven if more intervals than this share differ by more than this part of the usual one."""

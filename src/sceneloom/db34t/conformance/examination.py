@@ -248,8 +248,7 @@ _FORMATS: Mapping[str, Callable[[Examination], str]] = {
     ".json": lambda examination: json.dumps(examination.as_builtins(), indent=2, ensure_ascii=False) + "\n",
     ".md": lambda examination: "\n".join(_markdown_lines(examination)) + "\n",
     ".html": _as_html,
-}
-"""By the suffix of the file."""
+}  # by the suffix of the file
 
 
 @dataclass(frozen=True, slots=True)

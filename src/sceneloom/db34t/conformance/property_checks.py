@@ -100,8 +100,7 @@ _TABLE_2: dict[str, tuple[str, Any, tuple[Any, ...], tuple[Any, ...]]] = {
     "camera_frequency": ("uint32", 10, (20, 2**32 - 1, 1), (-1, 2**32, 10.5, "10")),
     "lidar_frequency": ("uint32", 10, (20, 2**32 - 1, 1), (-1, 2**32, 10.5, "10")),
     "fusion_algorithm": ("string", None, (), (1, "", "there is no such algorithm")),
-}
-"""Type, value at the start (the example of the table; of the algorithm any), and values taken and refused."""
+}  # type, value at the start (the example of the table; of the algorithm any), and values taken and refused
 
 
 def _properties_look(name: str) -> Look:

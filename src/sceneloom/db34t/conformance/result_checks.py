@@ -37,8 +37,7 @@ _EXPECTED: dict[str, Any] = {
     "encoding": "rgb8",
     "image_channel": 3,
     "point_num": len(scene.SEEN) + len(scene.UNSEEN_CAMERA),
-}
-"""Fields that have one value."""
+}  # fields that have one value
 
 
 def _look(name: str) -> Look:
@@ -217,8 +216,7 @@ _ROWS_OF_BOXES: Mapping[str, tuple[str, Callable[[scene.SentBox], Sequence[float
         name: (f"{name} of the box in the image: of the 2D box, else of the projected 3D box", scene.outline, k, 1.0)
         for k, name in enumerate(("x1", "y1", "x2", "y2"))
     },
-}
-"""By row of table 10: its title, the numbers of a box that was sent, which of them it is, and the tolerance."""
+}  # by row of table 10: its title, the numbers of a box that was sent, which of them it is, and the tolerance
 
 
 def _look_at_number(name: str) -> Look:

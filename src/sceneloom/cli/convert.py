@@ -101,7 +101,7 @@ def _print_report(report: "ConversionReport", printer: Printer) -> None:
             rows = group.rows if printer.verbose else group.short_rows
             print_table(rows if printer.verbose else rows[:SHOWN], indent="    ", err=True)
             if len(rows) > SHOWN and not printer.verbose:
-                click.echo(f"    … and {len(rows) - SHOWN} more: state --verbose", err=True)
+                click.echo(f"    … and {len(rows) - SHOWN} more: `--verbose` lists them", err=True)
     if report.written:
         kept = {field.field: field.count for field in report.fields if field.support != "dropped"}
         dropped = sum(field.support == "dropped" for field in report.fields)

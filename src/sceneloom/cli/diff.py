@@ -50,7 +50,7 @@ def _print(found: "SceneDifferences", printer: Printer) -> None:
     for difference in shown:
         click.echo(_line(difference))
     if len(shown) < len(found.differences):
-        click.echo(f"… and {len(found.differences) - len(shown)} more: state --verbose")
+        click.echo(f"… and {len(found.differences) - len(shown)} more: `--verbose` lists them")
     click.echo(several(len(found.differences), "difference") if found.differences else "equal")
     if not printer.quiet:
         for what in found.not_compared:

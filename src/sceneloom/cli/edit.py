@@ -501,7 +501,7 @@ def blur(
         print_json({**structs.asdict(report.edit), **chosen, "cameras": report.cameras})
         return
     _print_edit(report.edit, printer)
-    rows = [("camera", "boxes", "locations hidden", "in images", "outside", "video")]
+    rows = [("camera", "boxes", "regions redacted", "in images", "outside", "video")]
     for one in report.cameras:
         video = "" if one.encoded is None else f"{one.encoded} encoded again"
         outside = str(one.outside + one.without_image)

@@ -93,7 +93,7 @@ class Printer:
             word, colon, rest = line.partition(":")
             click.echo(f"{marked(word)}{colon}{rest}", err=True)
         if len(lines) > len(shown):
-            click.echo(f"… and {len(lines) - len(shown)} more: state --verbose", err=True)
+            click.echo(f"… and {len(lines) - len(shown)} more: `--verbose` lists them", err=True)
 
 
 def _is_correction(warning: "DataWarning") -> bool:

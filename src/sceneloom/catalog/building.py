@@ -673,7 +673,7 @@ def _drives(drives: Iterable[str | Path | Drive], reading: Mapping[str, Any]) ->
         text = path if isinstance(path, str) else str(path.absolute())
         if is_url(text) and redacted(text) != text:
             raise OptionError(
-                f"{redacted(text)}: catalogues keep addresses, and this one holds a secret; state it in the environment"
+                f"{redacted(text)}: catalogues keep addresses, and this one holds a secret; give it in the environment"
             )
         drive = Drive(text, {**reading, **own.reading})
         found.setdefault(drive.name, drive)
@@ -702,7 +702,7 @@ def _updated(
     run = _Run(parts, layout.drafts, checks, workers=workers, progress=progress)
     run.go(due, files, done=len(drives) - len(due))
     lost = [
-        Failure(path=damage.file, error=f"{damage}; delete it, and state `update` with the paths of its drives")
+        Failure(path=damage.file, error=f"{damage}; delete it, and run `update` with the paths of its drives")
         for damage in parts.lost
     ]
     return CatalogReport(

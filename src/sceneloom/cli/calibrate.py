@@ -76,15 +76,14 @@ def calibrate(
 ) -> None:
     """Check the camera-lidar calibration by what both show: rotation, translation, focal length, time.
 
-    Exit 0 where the calibration is good, 3 where it is drifting, 4 where it is wrong, 5 where the drive cannot
-    determine.
+    Exit code 0: good; 3: drifting; 4: wrong; 5: this drive does not show enough to tell.
 
-    With --refine, --hand-eye, --lidar-to-lidar or --target repair it: exit 0 where it was, 3 where what is stated was
-    kept, 5 where the drive cannot determine.
+    --refine, --hand-eye, --lidar-to-lidar and --target repair it. Exit code 0: repaired; 3: the present calibration was
+    kept; 5: this drive does not show enough to tell.
     """
     repair = _asked_repair(given)
     if check + conventions + (repair is not None) > 1:
-        raise click.UsageError("--check, --conventions and a repair: state one of them")
+        raise click.UsageError("--check, --conventions and a repair: use one of them")
     if drive is not None and not conventions:
         raise click.UsageError("--drive DRIVE does nothing without --conventions")
     if conventions or repair is not None:
@@ -104,7 +103,7 @@ def _asked_repair(given: dict[str, Any]) -> str | None:
     """Which repair is asked for; None for none."""
     asked = [name for name in _REPAIRS if given[name]]
     if len(asked) > 1:
-        raise click.UsageError(f"{' and '.join('--' + name.replace('_', '-') for name in asked)}: state one of them")
+        raise click.UsageError(f"{' and '.join('--' + name.replace('_', '-') for name in asked)}: use one of them")
     if not asked:
         stated = [name for name in _OF_REPAIRS if given[name] is not None]
         if stated:

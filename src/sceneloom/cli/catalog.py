@@ -185,7 +185,7 @@ def query(catalogue: Path, sql: str | None, form: str | None, printer: Printer, 
     """
     shown = {name: filters.pop(name) for name in ("show", "gap", "margin", "limit")}
     if sql is not None and any(value not in {None, ()} for value in filters.values()):
-        raise click.UsageError("--sql replaces filters: state them in its WHERE")
+        raise click.UsageError("--sql replaces filters: put them into its WHERE clause")
     from sceneloom.catalog.database import query as query_catalogue
 
     wanted = sql if sql is not None else _selection(filters)

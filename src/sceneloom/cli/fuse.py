@@ -73,7 +73,7 @@ def fuse(
         _fuse_detections(path, output, form, printer, reading, given)
         return
     own = [name for name in detection_options.NAMES if name != "sequences"]
-    options.refuse({"form": form, **given}, ("form", *own), "state --type detection with it")
+    options.refuse({"form": form, **given}, ("form", *own), "it needs --type detection")
     sequence = options.one_sequence(given["sequences"])
     for name in detection_options.NAMES:
         del given[name]
@@ -88,7 +88,7 @@ def _fuse_sensor_data(
     path: Path | str, output: Path | None, printer: Printer, reading: dict[str, Any], given: dict[str, Any]
 ) -> None:
     if output is None and given["depth"] is None and given["images"] is None:
-        raise click.UsageError("nothing to write: state -o drive.sfs, --depth DIR or --visualize DIR")
+        raise click.UsageError("nothing to write: give -o drive.sfs, --depth DIR or --visualize DIR")
     options.needs("--depth-format", given["depth_format"], "--depth DIR", given["depth"])
     options.needs("--visualize-every", given["images_every"], "--visualize DIR", given["images"])
     from sceneloom.colouring.visibility import VisibilitySettings
@@ -165,7 +165,7 @@ def _fuse_detections(
     """Fuse the detections of a drive, or of a folder laid out like KITTI's tracking benchmark."""
     if output is None:
         raise click.UsageError(
-            "nothing to write: state -o objects.jsonl, or -o FOLDER for a folder of KITTI's sequences"
+            "nothing to write: give -o objects.jsonl, or -o FOLDER for a folder of KITTI's sequences"
         )
     from sceneloom.detections.settings import ProjectionSettings
     from sceneloom.fusion.configuration import FusionConfiguration

@@ -43,7 +43,7 @@ def info(
 ) -> None:
     """Report what is in a recording or a scene: sensors, rates, duration, poses, gaps, what was assumed."""
     if at is not None and images is None:
-        raise click.UsageError("--at says when to draw: state --visualize DIR, too")
+        raise click.UsageError("--at says when to draw: it needs --visualize DIR")
     from sceneloom.formats.base.files import size_on_disk
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.scene.summary import summarise

@@ -68,7 +68,7 @@ def completion(shell: str | None) -> None:
     chosen = shell or Path(os.environ.get("SHELL", "")).name
     maker = get_completion_class(chosen) if chosen in _INSTALLED else None
     if maker is None:
-        raise OptionError(f"$SHELL names {chosen!r}; expected one of {', '.join(_INSTALLED)}: state which")
+        raise OptionError(f"$SHELL names {chosen!r}; expected one of {', '.join(_INSTALLED)}: give one")
     script = maker(sceneloom, {}, "sceneloom", "_SCENELOOM_COMPLETE")
     # not by `source()`, which starts bash to ask for its version
     click.echo(script.source_template % script.source_vars())

@@ -108,7 +108,7 @@ def target(text: str) -> Path:
     if is_url(text):
         return _draft_of(text)
     if text == "-":
-        raise click.BadParameter("'-'; nothing is written to standard output: state the name of a file or folder")
+        raise click.BadParameter("'-'; nothing is written to standard output: give the name of a file or folder")
     return Path(text)
 
 
@@ -170,7 +170,7 @@ def not_negative(text: str | float) -> float:
 def one_sequence(given: Sequence[str]) -> str | None:
     """The sequence of a data set that is opened as one drive, where it was stated; several are wrong usage."""
     if len(given) > 1:
-        raise click.UsageError(f"--sequence {' --sequence '.join(given)}: one drive is opened at a time; state one")
+        raise click.UsageError(f"--sequence {' --sequence '.join(given)}: one drive is opened at a time; give one")
     return given[0] if given else None
 
 

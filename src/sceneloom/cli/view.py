@@ -64,7 +64,7 @@ def view(
     settings = options.take(ViewSettings, given, findings=not given["no_findings"], reading=reading)
     sources = [*paths, *_listed(lists, quiet=printer.quiet)]
     if save is not None and web:
-        raise click.UsageError("--save and --web: the one keeps the view, the other shows it; state one of them")
+        raise click.UsageError("--save and --web: the one keeps the view, the other shows it; use one of them")
     with printer.progress("showing" if save is None else "saving") as progress:
         if save is not None:
             report = save_view(sources, save, settings=settings, overwrite=overwrite, progress=progress)

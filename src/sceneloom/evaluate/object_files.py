@@ -337,7 +337,7 @@ def _read_scenes(
     results: Path | str, truth: Path | str, sequences: Sequence[str], ledger: Ledger, corrections: str
 ) -> tuple[_ObjectSequences, _ObjectSequences]:
     if len(sequences) > 1:
-        raise OptionError(f"sequences {', '.join(sequences)}: two scenes are compared; state one sequence")
+        raise OptionError(f"sequences {', '.join(sequences)}: two scenes are compared; give one sequence")
     chosen = {"sequence": sequences[0]} if sequences else {}
     with open_scenes((results, truth), {"lenient": ledger.lenient, "corrections": corrections, **chosen}) as opened:
         found, true = (scene.corrected() for scene in opened)

@@ -595,7 +595,7 @@ def _origin(pairs: Pairs) -> _Alignment:
     if between is None:
         raise PoseError(
             "alignment 'origin' aligns the first pose to the first pose and needs orientations on both sides; "
-            "state `--align yaw` or `--align se3`"
+            "use `--align yaw` or `--align se3`"
         )
     rotation = _nearest_rotation(between)
     return _Alignment(rotation, pairs.reference.positions[0] - rotation @ pairs.estimate.positions[0])
@@ -621,7 +621,7 @@ def _fitted(pairs: Pairs, *, with_scale: bool) -> _Alignment:
     """Translate and rotate, and scale; orientations decide the rotations that the positions leave open."""
     source, target = pairs.estimate.positions, pairs.reference.positions
     if with_scale and _spread(source) <= _POINT:
-        raise PoseError("the estimate is stationary, so that it has no scale; state `--align se3`")
+        raise PoseError("the estimate is stationary, so that it has no scale; use `--align se3`")
     direction, between = _covariance(source, target), _mean_rotation(pairs)
     sizes = np.linalg.svd(direction, compute_uv=False)
     if between is not None and sizes[0] <= _POINT:
@@ -679,7 +679,7 @@ def align_pairs(pairs: Pairs, kind: str, *, first: int | None = None) -> _Alignm
     if count < fewest:
         enough = [name for name, (least, _) in _ALIGNING.items() if least <= count]
         raise PoseError(
-            f"{count} pairs of poses; alignment {kind!r} needs {fewest}: state `--align {enough[-1]}`, or pair "
+            f"{count} pairs of poses; alignment {kind!r} needs {fewest}: use `--align {enough[-1]}`, or pair "
             "more (`--tolerance`, `--align-first`)"
         )
     return find(used)
@@ -821,7 +821,7 @@ def _doubts_of(alignment: _Alignment, pairs: Pairs, aligned: MatchedPoses) -> li
     if not found and rotated > _ROTATED_DEG and strays < _STEADY * rotated:
         message = (
             f"the device's axes differ by a constant rotation of {rotated:.1f}° (single poses deviate by "
-            f"{strays:.2g}°): if one side has the poses of a camera, state `--est-optical` or `--ref-optical`"
+            f"{strays:.2g}°): if one side has the poses of a camera, use `--est-optical` or `--ref-optical`"
         )
         found.append(_warning("other-axes", message))
     return found

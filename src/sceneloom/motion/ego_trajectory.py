@@ -93,9 +93,7 @@ def choose_trajectory(scene: Scene, *, name: str | None = None, heading: str | N
         raise PoseError(f"{scene.source}: no data for the trajectory {name!r}; choose one of: {_choices(scene)}")
     if name is None and not scene.trajectories:
         why = "so the ego's poses are unknown" if scene.lidars else "and no lidar to estimate one from"
-        raise PoseError(
-            f"{scene.source}: no trajectory in it, {why}; state `--trajectory identity` for a stationary ego"
-        )
+        raise PoseError(f"{scene.source}: no trajectory in it, {why}; use `--trajectory identity` for a stationary ego")
     chosen = next(iter(scene.trajectories)) if name is None else name
     if chosen not in scene.trajectories:
         raise OptionError(f"{scene.source}: no trajectory {chosen!r}; there are: {_choices(scene)}")

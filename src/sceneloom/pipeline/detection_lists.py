@@ -526,7 +526,7 @@ class DetectionInput:
         """Open a drive, or the chosen part of it, with its lists of boxes, which are of the whole."""
         if len(self.sequences) > 1:
             raise OptionError(
-                f"{path}: --sequence {' --sequence '.join(self.sequences)}: one drive is opened at a time; state one"
+                f"{path}: --sequence {' --sequence '.join(self.sequences)}: one drive is opened at a time; give one"
             )
         options = {**(reading or {}), **({"lenient": True} if lenient else {})}
         if self.sequences:

@@ -110,7 +110,7 @@ class TrackOutputs:
             raise OptionError(f"format {form!r}; expected one of {', '.join(_FORMS)}")
         if self.scene_options and form != "sfs":
             flags = " and ".join(f"--{name.replace('_', '-')}" for name in self.scene_options)
-            raise OptionError(f"{flags}: only of scenes, but {form!r} is written; state --format sfs with it")
+            raise OptionError(f"{flags}: only of scenes, but {form!r} is written; it needs --format sfs")
         return form
 
 

@@ -361,7 +361,7 @@ def check_camera_models(scene: Scene, cameras: Iterable[CameraSensor | DepthCame
         if model in MODELS and MODELS[model].on_request and model not in allowed:
             raise CalibrationError(
                 f"{scene.source}: sensors[{camera.id}].camera: {model!r} is named by the format, but nothing says "
-                "its formula; state `--assume-model` (assume_model=True on opening) to compute with the one that "
+                "its formula; use `--assume-model` (assume_model=True on opening) to compute with the one that "
                 "docs/CONVENTIONS.md gives"
             )
 

@@ -806,7 +806,7 @@ def show_view(
     sdk()
     if not web and not has_screen():
         raise OptionError(
-            "there is no screen to open a window on; state `--save FILE.rrd` to keep the view in a file, or `--web` to "
+            "there is no screen to open a window on; use `--save FILE.rrd` to keep the view in a file, or `--web` to "
             "look at it in a browser"
         )
     started = time.perf_counter()

@@ -102,7 +102,7 @@ def test_what_a_folder_of_lists_cannot_do_is_reported(refuses, folder, words, co
         (("--target", "7x5:0.12:1.1x0.86"), 1, "0 views of the board; expected 3 or more"),
         (("--target", "seven"), 2, "board 'seven'; expected COLUMNSxROWS:SQUARE"),
         (("--refine", "--parameters", "shear"), 2, "parameters shear; expected some of rotation"),
-        (("--refine", "--hand-eye"), 2, "--refine and --hand-eye: state one of them"),
+        (("--refine", "--hand-eye"), 2, "--refine and --hand-eye: use one of them"),
         (("-o", "x.json"), 2, "--output: needs --refine"),
         (("--hand-eye", "--visualize", "look"), 2, "--visualize: with --check and --refine only"),
     ],
@@ -149,7 +149,7 @@ def test_a_file_of_a_real_drive_is_known_by_it(succeeds, file, data_dir):
 
 @pytest.mark.parametrize(
     ("words", "stated"),
-    [(["--check", "--conventions"], "state one of them"), (["--drive", "."], "does nothing without --conventions")],
+    [(["--check", "--conventions"], "use one of them"), (["--drive", "."], "does nothing without --conventions")],
 )
 def test_options_that_state_nothing_together_are_refused(refuses, file, words, stated):
     refuses(2, stated, "calibrate", file, *words)

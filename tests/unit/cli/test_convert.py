@@ -225,7 +225,7 @@ def nuscenes(tmp_path):
 def test_one_scene_is_chosen_and_reported_about(refuses, reported, nuscenes):
     refuses(2, "choose one with `--sequence NAME`: scene-0001, scene-0002", "info", nuscenes)
     one, two = ("--sequence", "scene-0001"), ("--sequence", "scene-0002")
-    refuses(2, "one drive is opened at a time; state one", "info", nuscenes, *one, *two)
+    refuses(2, "one drive is opened at a time; give one", "info", nuscenes, *one, *two)
     report = reported("info", nuscenes, *two)
     assert (report["format"], report["source"]) == ("nuscenes", f"{nuscenes}/scene-0002")
     counts = {sensor["id"]: sensor["count"] for sensor in report["sensors"]}
@@ -242,7 +242,7 @@ def test_a_scene_is_converted_and_back_without_loss(succeeds, nuscenes, tmp_path
 
 def test_fusing_takes_one_scene_at_a_time(refuses, succeeds, nuscenes, tmp_path):
     words = ("fuse", nuscenes, "-o", tmp_path / "a.sfs", "--sequence", "scene-0001")
-    refuses(2, "one drive is opened at a time; state one", *words, "--sequence", "scene-0002")
+    refuses(2, "one drive is opened at a time; give one", *words, "--sequence", "scene-0002")
     assert "fused 5 of 5 sweeps" in succeeds(*words).out
 
 

@@ -367,7 +367,7 @@ def test_what_cannot_be_fused_is_reported(refuses, folder, tmp_path, words, code
 
 def test_options_that_do_not_go_together_are_refused(refuses, folder, tmp_path):
     words = ("fuse", folder / "recording", "-o", tmp_path / "out")
-    refuses(2, "state --type detection with it", *words, "--boxes3d", "x")
+    refuses(2, "it needs --type detection", *words, "--boxes3d", "x")
     refuses(2, "for folders laid out like KITTI's only", *words, "--type", "detection", "--format", "kitti")
 
 

@@ -202,5 +202,5 @@ def test_every_suffix_names_one_format_that_is_written_and_none_a_recording(tmp_
     assert format_for_output(tmp_path / "drive").name == "recording"
     twin = FormatSpec(name="twin", title="a twin", suffixes=(".sfs",), looks_like="its twin", writer="twins:write")
     monkeypatch.setattr(registry, "all_formats", lambda: [*SPECS.values(), twin])
-    with pytest.raises(OptionError, match=r"belongs to several formats; state `--to sfs` or `--to twin`"):
+    with pytest.raises(OptionError, match=r"belongs to several formats; use `--to sfs` or `--to twin`"):
         format_for_output(tmp_path / "drive.sfs")

@@ -142,7 +142,7 @@ def check_output(target: Path, *, overwrite: bool) -> None:
     except OSError as error:
         raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
     if there and not overwrite:
-        raise OutputError(f"{target}: exists already; choose another name or state `--overwrite`")
+        raise OutputError(f"{target}: exists already; choose another name, or use `--overwrite`")
     if there and not (target.is_file() or target.is_dir()):
         raise OutputError(f"{target}: is neither a file nor a folder and is left alone; choose another name")
     if target.is_file():
@@ -259,7 +259,7 @@ def _check_still_free(location: Path, *, overwrite: bool) -> None:
 
 
 def _taken(location: Path) -> OutputError:
-    return OutputError(f"{location}: was made by another program meanwhile; choose another name or state `--overwrite`")
+    return OutputError(f"{location}: was made by another program meanwhile; choose another name, or use `--overwrite`")
 
 
 def _rename_to_free(draft: Path, target: Path) -> None:

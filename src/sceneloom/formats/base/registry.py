@@ -220,7 +220,7 @@ def find_format(path: Path) -> FormatSpec:
     raise UnknownFormatError(
         path,
         "",
-        f"more than one reader claims this: {names}; state which it is (`--input-format {claims[0].name}`, "
+        f"more than one reader claims this: {names}; choose one (`--input-format {claims[0].name}`, "
         "format= in Python), or take them apart into folders of their own",
     )
 

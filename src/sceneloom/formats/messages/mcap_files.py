@@ -96,7 +96,7 @@ def read_index(file: FileBytes, ledger: Ledger) -> McapIndex:
         raise DataError(file.path, "byte 0", f"does not begin as an MCAP file does, with {MCAP_MAGIC!r}")
     summary = _summary_start(file)
     if summary is None:
-        problem = "the file was not finished: its end and index are missing; state `--lenient` to read what is whole"
+        problem = "the file was not finished: its end and index are missing; use `--lenient` to read what is whole"
         ledger.fault("mcap-unfinished", DataError(file.path, f"byte {file.size}", problem))
         return _scanned(file, ledger, until=file.size)
     try:

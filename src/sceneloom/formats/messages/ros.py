@@ -199,7 +199,7 @@ def _topic(number: int, connection: Connection, count: int, distro: str | None) 
     try:
         _store_of(connection, distro)
     except ValueError as error:
-        return Topic(number, *named, None, count, f"{error}; state which distribution of ROS with distro=")
+        return Topic(number, *named, None, count, f"{error}; name the ROS distribution with distro=")
     return Topic(number, *named, known[0], count)
 
 

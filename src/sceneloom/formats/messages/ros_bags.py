@@ -254,7 +254,7 @@ class _Ros1Scan:
     def _take(self, header: Header, start: int, size: int) -> None:
         op = header.get_uint8("op")
         if op == RecordType.BAGHEADER and header.get_uint64("index_pos") == 0:
-            problem = "the bag was not closed, its index is missing; state `--lenient` to read what is whole"
+            problem = "the bag was not closed, its index is missing; use `--lenient` to read what is whole"
             self._fault("bag-unfinished", start, problem)
         elif op == RecordType.CONNECTION:
             self._take_connection(header, self.file.read(start, size))

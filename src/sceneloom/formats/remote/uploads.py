@@ -63,7 +63,7 @@ def check_remote_output(url: str, *, overwrite: bool) -> None:
     with _reported(), faults(url, "", doing="written"):
         there = patiently(lambda: _is_there(open_store(url)))
     if there and not overwrite:
-        raise OutputError(f"{shown}: exists already; choose another name or state `--overwrite`")
+        raise OutputError(f"{shown}: exists already; choose another name, or use `--overwrite`")
 
 
 def upload(draft: Path, url: str) -> None:

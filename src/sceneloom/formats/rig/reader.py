@@ -768,7 +768,7 @@ class FrameTree:
             hint = f"it is connected with {with_frame}, the ego's with {with_ego}: one is missing between"
         else:
             known = ", ".join(map(repr, self.frames))
-            hint = f'no transform names it (known frames: {known}); give it an `extrinsic`, or state `ego = "{frame}"`'
+            hint = f'no transform names it (known frames: {known}); give it an `extrinsic`, or set `ego = "{frame}"`'
         raise CalibrationError(f"no transforms lead from frame {frame!r} to the ego's frame {self.ego!r}; {hint}")
 
     def _check(self, edge: Edge) -> None:
@@ -1172,7 +1172,7 @@ def _with_columns(part: _Part, reader: SweepReader) -> SweepReader:
     except DataError as error:
         if not error.location.startswith(f"{times.field}["):
             raise
-        hint = f"but {error.problem}; state `point_times` to use it"
+        hint = f"but {error.problem}; set `point_times` to use it"
         part.note(WarningKind.SKIPPED, "point-times-not-used", f"column {times.field!r} looks like point times, {hint}")
         return replace(settled, mapping=replace(settled.mapping, times=None))
     message = f"column {times.field!r} is taken for point times: {times.unit} relative to the {times.relative_to}"
@@ -1205,7 +1205,7 @@ def _guess_times(part: _Part, columns: Mapping[str, AnyArray], name: str | None)
     if known is not None:
         return replace(known, field=name)
     if name is not None:
-        message = f"column {name!r} looks like point times; state `point_times` to use it"
+        message = f"column {name!r} looks like point times; set `point_times` to use it"
         part.note(WarningKind.SKIPPED, "point-times-not-used", message)
     return None
 

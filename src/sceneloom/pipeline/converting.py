@@ -419,7 +419,7 @@ def _refuse_losses(report: ConversionReport) -> None:
     )
     more = f"; and {len(gone) - _NAMED} more" if len(gone) > _NAMED else ""
     problem = (
-        f"is not written, since {report.target_format} would not hold all: {named}{more}; state what to leave out "
+        f"is not written, since {report.target_format} would not hold all: {named}{more}; name what to leave out "
         "first (`sceneloom edit`), choose a format that holds it (`sceneloom formats NAME`), or convert without "
         "`--strict`"
     )

@@ -281,7 +281,7 @@ def _replace_folder(draft: Path, target: Path, workplace: Path) -> None:
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Exchange two names at once; state false, and do nothing, where the system cannot."""
+    """Exchange two names at once; false, and do nothing, where the system cannot."""
     return not _renameat2(one, other, _EXCHANGE)
 
 

@@ -465,7 +465,7 @@ def format_for_output(path: Path) -> FormatSpec:
         return found[0]
     if found:
         names = " or ".join(f"`--to {form.name}`" for form in found)
-        raise OptionError(f"{path}: suffix {path.suffix!r} belongs to several formats; state {names}")
+        raise OptionError(f"{path}: suffix {path.suffix!r} belongs to several formats; use {names}")
     known = ", ".join(
         f"{name} ({' '.join(s or 'folder' for s in format_named(name).suffixes)})" for name in written_formats()
     )

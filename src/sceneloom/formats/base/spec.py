@@ -111,7 +111,7 @@ class FormatSpec:
         return self._read(self.examiner, path, {name: value for name, value in options.items() if name != "lenient"})
 
     def write(self, scene: "Scene", path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
-        """Write beside the target, then rename; state what the format could not hold.
+        """Write beside the target, then rename; report what the format could not hold.
 
         Raises:
             UnknownOptionError: an option is unknown.

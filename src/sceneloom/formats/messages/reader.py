@@ -141,7 +141,7 @@ def _strangers(all_times: Sequence[_TopicTimes], name: str, ledger: Ledger) -> f
         usual = int(np.median([delays[number][1] for number in near]))
         problem = (
             f"mixed time bases: messages were received {usual / 1e9:+.3f} s after their timestamps, but of {reported}; "
-            'expected one clock: state timestamps="receive" to go by when they were received, timestamps="header" by '
+            'expected one clock: use timestamps="receive" to go by when they were received, timestamps="header" by '
             "the "
             "timestamps as they are, or `--lenient` to go by when those few were received"
         )
@@ -313,7 +313,7 @@ def _note(survey: Survey, good: Any, code: str, location: str, message: str) -> 
 def _to_world(
     centers: Float64Array, rotations: Float64Array, same: Any, times: Int64Array, frame: str, locations: Locations
 ) -> Any:
-    """Move the chosen boxes of one frame into the world, in place; state which of them could be."""
+    """Move the chosen boxes of one frame into the world, in place; report which of them could be."""
     path, fixed = locations.world_from(frame, times[same])
     if fixed is not None:
         if not np.array_equal(fixed.matrix, np.eye(4)):

@@ -1191,7 +1191,7 @@ def _detect_scale(part: _Part, reader: SweepReader, name: str) -> IntensityScale
     values = cloud.columns[name]
     scale = detect_scale(values)
     if scale is None:
-        problem = f"up to {values.max()}; state what becomes 255 with {part.location}.intensity_max"
+        problem = f"up to {values.max()}; set what becomes 255 by {part.location}.intensity_max"
         raise DataError(cloud.file, name, problem)
     if values.dtype != np.uint8:
         message = f"`intensity_max` not stated; {name} goes up to {values.max():g}"

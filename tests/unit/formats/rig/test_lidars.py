@@ -143,7 +143,7 @@ def test_what_was_taken_for_granted_is_stated(opened):
          [TIMED, (SCALE, 'point_times = { field = "t", unit = "seconds", relative_to = "clock" }')],
          r't\[1\]: 0\.03.*expected within 10 s|unit = "seconds"'),
         ([[4e5] * 4], [(SCALE, f'{SCALE}\npoints_in = "world"')], "400000 m from the world's origin"),
-        ([[1e6] * 4], [(SCALE, "")], r"state what becomes 255 with sensors\[0\]\.intensity_max"),
+        ([[1e6] * 4], [(SCALE, "")], r"set what becomes 255 by sensors\[0\]\.intensity_max"),
         (None, [("top/*.bin", "top/*")], r"'1.txt'; expected files that end with \.pcd"),
     ],
 )  # fmt: skip

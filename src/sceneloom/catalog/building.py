@@ -349,12 +349,6 @@ class Drive:
         return blake2b(reported.encode(), digest_size=16).hexdigest() if files else ""
 
 
-def _gone_of(drives: Iterable[Drive]) -> list[Drive]:
-    """Those that are not where they were: no such path, or no drive of this name in the data set there."""
-    names = cache(drives_of)
-    return [drive for drive in drives if not is_url(drive.path) and _is_gone(drive, names)]
-
-
 def _is_gone(drive: Drive, names: Callable[[Path], Sequence[Path | str]]) -> bool:
     path = Path(drive.path)
     if not path.exists():
@@ -543,14 +537,10 @@ def _finished(tasks: Iterable[Task], executor: Executor) -> Iterator[tuple[Task,
             running -= 1
             warming.end()
             if outcome.kind == LOST and task.attempt < _TRIES:
-                due.appendleft(_again(task))
+                shutil.rmtree(task.draft, ignore_errors=True)
+                due.appendleft(replace(task, attempt=task.attempt + 1))
             else:
                 yield task, outcome
-
-
-def _again(task: Task) -> Task:
-    shutil.rmtree(task.draft, ignore_errors=True)
-    return replace(task, attempt=task.attempt + 1)
 
 
 class CatalogReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -650,7 +640,8 @@ def update(
         if chosen:
             return _updated(layout, parts, chosen, how, workers=workers, progress=progress)
         stationary = [Drive(entry.path, entry.options) for entry in parts.entries.values()]
-        gone = _gone_of(stationary)
+        names = cache(drives_of)  # a drive is gone where no such path, or no drive of this name in the data set, is
+        gone = [drive for drive in stationary if not is_url(drive.path) and _is_gone(drive, names)]
         there = [drive for drive in stationary if drive not in gone]
         if prune:
             parts.remove({drive.name for drive in gone})

@@ -47,14 +47,11 @@ def faults_of(code: str) -> Find:
     """Report the faults of a code that the reader found."""
 
     def find(subject: Subject) -> Iterator[Hit]:
-        return (Hit(f.where, _with_cost(f), f.count) for f in subject.faults if f.code == code)
+        for f in subject.faults:
+            if f.code == code:
+                yield Hit(f.where, f"{f.problem}; left out: {f.costs}" if f.costs else f.problem, f.count)
 
     return find
-
-
-def _with_cost(fault: PlacedFault) -> str:
-    """What is wrong, and what cannot be read because of it."""
-    return f"{fault.problem}; left out: {fault.costs}" if fault.costs else fault.problem
 
 
 def _warnings_of(kind: WarningKind) -> Find:
@@ -194,14 +191,10 @@ def _missing(subject: Subject) -> Iterator[Hit]:
         if record.startswith("unknown"):
             continue
         for name in _EXPECTED[record]:
-            if fields.get(name) is None and not _may_be_absent(record, name, fields):
+            always = record == "attribute" and name == "timestamps" and fields.get("static") is True
+            if fields.get(name) is None and not always:
                 expected = RECORDS[record][name].kind.value
                 yield Hit(format_keys((*keys, name)), f"missing; expected {expected}")
-
-
-def _may_be_absent(record: str, name: str, fields: Mapping[str, Any]) -> bool:
-    """Whether a field says nothing here: a static attribute holds at all times."""
-    return record == "attribute" and name == "timestamps" and fields.get("static") is True
 
 
 def _misspelt(subject: Subject) -> Iterator[Hit]:

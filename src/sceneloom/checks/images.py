@@ -238,14 +238,10 @@ def _box_hits(subject: Subject, judge: Callable[[Float64Array], BoolArray], expe
         bad = judge(boxes)
 
         def state(row: int, boxes: Float64Array = boxes) -> str:
-            return f"{_reported(boxes[row])}; expected {expected}"
+            left, top, width, height = boxes[row].tolist()
+            return f"{width:g} x {height:g} px at ({left:g}, {top:g}); expected {expected}"
 
         yield from table.hits(subject, bad, state, within=name)
-
-
-def _reported(box: Float64Array) -> str:
-    left, top, width, height = box.tolist()
-    return f"{width:g} x {height:g} px at ({left:g}, {top:g})"
 
 
 def _null(boxes: Float64Array) -> BoolArray:

@@ -75,7 +75,7 @@ def _uncovered(subject: Subject) -> Iterator[Hit]:
         if sensor.poses is None or sensor.poses.static or not len(timestamps_ns):
             continue
         reach_ns = period_ns(timestamps_ns)
-        beyond_ns = _beyond(sensor.poses, timestamps_ns)
+        beyond_ns = np.maximum(sensor.poses.start_ns - timestamps_ns, timestamps_ns - sensor.poses.stop_ns)
         far = np.flatnonzero(beyond_ns > reach_ns)
         if len(far):
             problem = (
@@ -83,11 +83,6 @@ def _uncovered(subject: Subject) -> Iterator[Hit]:
                 f"{seconds(float(beyond_ns.max()))}; expected at most one period of {seconds(reach_ns)}"
             )
             yield Hit(f"{frames_path(path, sensor)}[{far[0]}]", problem, len(far))
-
-
-def _beyond(poses: Poses, timestamps_ns: Int64Array) -> Int64Array:
-    """How far each timestamp lies outside the poses, (N,) int64 [ns]; 0 inside."""
-    return np.maximum(np.maximum(poses.start_ns - timestamps_ns, timestamps_ns - poses.stop_ns), 0)
 
 
 def _paths(subject: Subject) -> Iterator[tuple[str, Int64Array, Float64Array, Float64Array | None]]:

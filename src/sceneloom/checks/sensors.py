@@ -227,15 +227,12 @@ def _known_ids(subject: Subject) -> Mapping[Key, int]:
 
 def _unknown(kind: str, identifier: Identifier, known: Mapping[Key, Any]) -> str:
     """Report that nothing has this id, and whether something has it as text instead of a number."""
-    twin: Identifier | None = str(identifier) if isinstance(identifier, int) else _as_integer(identifier)
+    twin: Identifier | None = str(identifier) if isinstance(identifier, int) else None
+    if isinstance(identifier, str) and identifier.isascii() and identifier.isdigit() and len(identifier) <= 18:
+        twin = int(identifier)  # ids with more digits than any counter has are not looked at
     if twin is not None and key_of(twin) in known:
         return f"{identifier!r} is no {kind}; there is one {twin!r}, which is another id"
     return f"{identifier!r} is no {kind} of the scene"
-
-
-def _as_integer(text: str) -> int | None:
-    """The integer that a text stands for; ids with more digits than any counter has are not looked at."""
-    return int(text) if text.isascii() and text.isdigit() and len(text) <= 18 else None
 
 
 def _unknown_annotation_types(subject: Subject) -> Iterator[Hit]:
@@ -358,12 +355,9 @@ def _unused(subject: Subject) -> Iterator[Hit]:
     for _, link in subject.annotations_of(LinkAnnotation):
         used |= {key_of(link.from_id), key_of(link.to_id)}
     for path, annotation in subject.annotations():
-        if _says_nothing(annotation) and key_of(annotation.id) not in used:
+        says_nothing = isinstance(annotation, ObjectAnnotation | GroupAnnotation) and not annotation.attributes
+        if says_nothing and key_of(annotation.id) not in used:
             yield Hit(path, f"the {annotation.type} {annotation.id!r} has no members, no links and no attributes")
-
-
-def _says_nothing(annotation: Annotation) -> bool:
-    return isinstance(annotation, ObjectAnnotation | GroupAnnotation) and not annotation.attributes
 
 
 def _unknown_points(subject: Subject) -> Iterator[Hit]:

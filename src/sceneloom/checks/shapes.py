@@ -177,11 +177,6 @@ class _Stated(NamedTuple):
     static: bool
 
 
-def _attributes(subject: Subject) -> list[_Stated]:
-    """All attributes of the scene and of its annotations."""
-    return subject.table("attributes", _all_attributes)
-
-
 def _all_attributes(subject: Subject) -> list[_Stated]:
     placed: list[tuple[str, AttributePath | Mapping[str, Any]]]
     placed = [(f"attributes[{k}]", attribute) for k, attribute in enumerate(subject.scene.attributes)]
@@ -206,7 +201,7 @@ def _of_attributes(judge: Callable[[_Stated], tuple[int | None, int, str] | None
     """Give a hit for each attribute with a problem: at which value, None for all of it, how many, and what."""
 
     def find(subject: Subject) -> Iterator[Hit]:
-        for stated in _attributes(subject):
+        for stated in subject.table("attributes", _all_attributes):
             found = judge(stated)
             if found is not None:
                 row, count, problem = found

@@ -14,7 +14,7 @@ from sceneloom.checks.faults import FAULT_CODES, FAULT_RULES, RECORDING_FAULT_RU
 from sceneloom.checks.rule import ALL_PROFILES, CheckProfile, FrameInHand, Hit, Rule, Subject, frames_of
 from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError, redacted
 from sceneloom.formats.base.diagnostics import PlacedFault
-from sceneloom.formats.base.losses import Loss, LossReport
+from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.registry import (
     check_scene_output,
     chosen_corrections,
@@ -465,24 +465,22 @@ def validate(
         report = terms.report(subject, hits)
         if fix is None:
             return report
-        if not _can_be_written(subject):
+        # a scene does not mean what its file means if its clock, say, had to be guessed
+        if any(fault.vital for fault in subject.faults) or (subject.faults and subject.holds_nothing):
             return msgspec.structs.replace(report, unwritten=_MEANS_NOTHING)
         scene, applied = _repaired(subject.scene, terms.rules, hits)
         reported = replace(scene, warnings=(*scene.warnings, *_notes(subject.faults)))
         try:
             with stage("writing"):
-                losses = _write(reported, Path(fix), profile, overwrite=overwrite)
+                own = {"recording": {"images": "lossless"}, "sfs": {} if profile is None else {"profile": profile}}
+                options = own.get(format_for_output(Path(fix)).name, {})
+                losses = write_scene(reported, Path(fix), overwrite=overwrite, **options)
         except _UNWRITABLE as error:
             return msgspec.structs.replace(report, unwritten=str(error))
     finally:
         if subject.scene is not source:
             subject.scene.close()
     return msgspec.structs.replace(_after_fixing(report, applied, Path(fix), terms), losses=losses.losses)
-
-
-def _can_be_written(subject: Subject) -> bool:
-    """Whether the scene means what its file means: not if its clock, state, had to be guessed."""
-    return not any(fault.vital for fault in subject.faults) and not (subject.faults and subject.holds_nothing)
 
 
 def _notes(faults: Sequence[PlacedFault]) -> tuple[DataWarning, ...]:
@@ -500,11 +498,6 @@ def _notes(faults: Sequence[PlacedFault]) -> tuple[DataWarning, ...]:
         )
         for (_, is_repaired), alike in kinds.items()
     )
-
-
-def _write(scene: Scene, path: Path, profile: str | None, *, overwrite: bool) -> LossReport:
-    options = {"recording": {"images": "lossless"}, "sfs": {} if profile is None else {"profile": profile}}
-    return write_scene(scene, path, overwrite=overwrite, **options.get(format_for_output(path).name, {}))
 
 
 def _after_fixing(before: ValidationReport, applied: frozenset[str], output: Path, terms: _Terms) -> ValidationReport:

@@ -539,7 +539,8 @@ def _fit_noise(columns: SweepColumns, reported: Reported, degrees_of_freedom: fl
     far = np.log(np.maximum(columns.distance[rows], NEAREST) / USUAL)
     held = np.clip(columns.reported[rows], reported.low, reported.high)
     features = np.column_stack([np.ones(len(held)), held, far])
-    weights = _even(columns.group[rows])
+    groups = columns.group[rows]
+    weights = 1.0 / np.sqrt(np.bincount(groups)[groups])  # long drives count more, but not in proportion
     parts = [
         fit_deviations(features, columns.errors[rows][:, part], weights=weights, degrees_of_freedom=degrees_of_freedom)
         for part in _PARTS
@@ -555,12 +556,6 @@ def _fit_noise(columns: SweepColumns, reported: Reported, degrees_of_freedom: fl
         size_by_range=numbers[1][2],
         yaw=(numbers[2][0][0], numbers[2][1][0], numbers[2][2][0]),
     )
-
-
-def _even(groups: Int64Array) -> Float64Array:
-    """Weights by which long drives count more than short ones, but not in proportion."""
-    weights: Float64Array = 1.0 / np.sqrt(np.bincount(groups)[groups])
-    return weights
 
 
 def _fit_image_noise(columns: SweepColumns) -> ImageNoise:

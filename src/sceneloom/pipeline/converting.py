@@ -271,12 +271,6 @@ class _Group:
 _REPORT_SUFFIXES = (".json", ".md", ".txt")
 
 
-def _check_report_name(path: Path) -> None:
-    """Refuse a name for a report that does not state how to write it."""
-    if path.suffix.lower() not in _REPORT_SUFFIXES:
-        raise OptionError(f"{path}: suffix {path.suffix!r}; a loss report is written as {', '.join(_REPORT_SUFFIXES)}")
-
-
 def _write_report(report: ConversionReport, path: Path, *, overwrite: bool = False) -> None:
     """Write what became of every field: as JSON, as Markdown or as text, as the suffix says."""
     if path.suffix.lower() == ".json":
@@ -475,7 +469,9 @@ def convert(
     listing = None if loss is None else Path(loss)
     if listing is not None:
         # a name that it cannot have is refused before anything is read
-        _check_report_name(listing)
+        if listing.suffix.lower() not in _REPORT_SUFFIXES:
+            expected = ", ".join(_REPORT_SUFFIXES)
+            raise OptionError(f"{listing}: suffix {listing.suffix!r}; a loss report is written as {expected}")
         check_output(listing, overwrite=overwrite)
     path = Path(target)
     conversion = _Conversion(source, path, to, trajectory, strict, overwrite, dict(reading or {}), writing, progress)

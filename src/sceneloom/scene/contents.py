@@ -362,18 +362,13 @@ def _values_in(value: Any, name: str) -> Iterator[tuple[str, Any]]:
     if name == "sensors.imu.streams":
         for stream, samples in value.items():
             yield from _held_values(samples, f"{name}.{stream if stream in IMU_STREAMS else 'other'}")
-    elif isinstance(value, tuple) and _has_parts(value):
-        for part in value:
+    elif isinstance(value, tuple) and (not value or isinstance(value[0], tuple) or _is_parted(value[0])):
+        for part in value:  # parts, or lists of parts, of which some may be empty: a point that no camera sees
             yield from _values_in(part, name)
     elif _is_parted(value):
         yield from _held_values(value, name)
     else:
         yield name, value
-
-
-def _has_parts(values: tuple[Any, ...]) -> bool:
-    """Whether its entries are parts, or lists of parts, of which some may be empty: a point that no camera sees."""
-    return not values or isinstance(values[0], tuple) or _is_parted(values[0])
 
 
 def _is_parted(value: Any) -> bool:

@@ -255,8 +255,9 @@ def needs_ego(scene: Scene) -> bool:
     rider_association = any(
         lidar.mount is not None and lidar.points_frame is not PointsFrame.WORLD for lidar in scene.lidars
     )
+    fused: list[LidarSensor | CameraSensor] = [*scene.cameras, *scene.lidars]
     return rider_association or any(
-        must_be_placed(sensor) and (sensor.poses is None or _rides_unnamed(scene, sensor)) for sensor in _fused(scene)
+        must_be_placed(sensor) and (sensor.poses is None or _rides_unnamed(scene, sensor)) for sensor in fused
     )
 
 
@@ -271,10 +272,6 @@ def must_be_placed(sensor: LidarSensor | CameraSensor) -> bool:
     if isinstance(sensor, CameraSensor):
         return len(sensor.images) > 0
     return sensor.points_frame is not PointsFrame.WORLD
-
-
-def _fused(scene: Scene) -> list[LidarSensor | CameraSensor]:
-    return [*scene.cameras, *scene.lidars]
 
 
 def sensor_source(scene: Scene, sensor: Posed, ego: EgoMotion | None, *, reach_ns: int) -> PoseSource:
@@ -457,16 +454,12 @@ def camera_path(source: PoseSource, images: LazyFrames[CameraImage] | LazyFrames
     mounts = [image.mount for image in images]
     timestamped = zip(images.timestamps_ns.tolist(), mounts, strict=True)
     paths = []
-    for _, run in groupby(timestamped, key=lambda entry: _key(entry[1])):
+    for _, run in groupby(timestamped, key=lambda entry: b"" if entry[1] is None else entry[1].matrix.tobytes()):
         times, same = zip(*run, strict=True)
         path = sensor_path(source.mounted(same[0]), np.array(times, np.int64))
         if path is not None:
             paths.append(path)
     return _joined(paths) if paths else None
-
-
-def _key(mount: RigidTransform | None) -> bytes:
-    return b"" if mount is None else mount.matrix.tobytes()
 
 
 def _joined(paths: list[Poses]) -> Poses:

@@ -50,14 +50,10 @@ def chosen_sensors(scene: Scene, kind: str, there: tuple[_Kind, ...], wanted: Ch
     for wanted_id in ids:
         found = [sensor for sensor in there if key_of(sensor.id) == key_of(wanted_id)]
         if not found:
-            known = ", ".join([repr(ALL), _listed(there)])
-            raise OptionError(f"{scene.source}: no {kind} {wanted_id!r}; expected some of: {known}")
+            known = ", ".join(repr(sensor.id) for sensor in there) or "none, it has no such sensor"
+            raise OptionError(f"{scene.source}: no {kind} {wanted_id!r}; expected some of: {ALL!r}, {known}")
         chosen[id(found[0])] = found[0]
     return tuple(chosen.values())
-
-
-def _listed(sensors: Iterable[Posed]) -> str:
-    return ", ".join(repr(sensor.id) for sensor in sensors) or "none, it has no such sensor"
 
 
 _IDENTITY = "identity"  # the trajectory of an ego that is stationary

@@ -37,7 +37,7 @@ from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, frame_times, time_span
-from sceneloom.scene.types import Identifier, Key, key_of
+from sceneloom.scene.types import Key, key_of
 from sceneloom.warnings import DataWarning, WarningKind
 
 _Rows = Callable[[int | None], Int64Array | None]
@@ -81,7 +81,7 @@ def renumbered(
         for k, entry in enumerate(annotation.labeled_points)
     ]
     # frame by frame, so that each is read once: many annotations have points in one frame
-    entries.sort(key=lambda found: (*_texts_of(found[2].sensor_id), _frame_number(found[2])))
+    entries.sort(key=lambda e: (type(e[2].sensor_id).__name__, str(e[2].sensor_id), _frame_number(e[2])))
     moved: dict[tuple[int, int], LabeledPoints | None] = {}
     asked: tuple[Renumbering, int | None] | None = None
     rows: Int64Array | None = None
@@ -112,10 +112,6 @@ def renumbered(
         ),
         ("labelled-annotations", "annotations without a labelled point left", lost["annotations"]),
     )
-
-
-def _texts_of(identifier: Identifier) -> tuple[str, str]:
-    return type(identifier).__name__, str(identifier)
 
 
 def _frame_number(entry: LabeledPoints) -> int:

@@ -75,23 +75,14 @@ class _LabelRows:
 
     def __init__(
         self,
-        choice: Choice,
+        choice: Choice,  # its reference is the camera in whose images boxes are
         timeline: Timeline,
-        reference_at: Callable[[int], RigidTransform],
-        camera_model_at: Callable[[int, CameraSensor], Camera],
+        reference_at: Callable[[int], RigidTransform],  # `world_from_rectified` of a frame
+        camera_model_at: Callable[[int, CameraSensor], Camera],  # of a frame's image
         *,
         with_tracks: bool,
     ) -> None:
-        """Begin.
-
-        Args:
-            choice: whose annotations are written; its reference is the camera in whose images boxes are. Without
-                one, every box is a row in each of its frames, and where an image shows it is not reported.
-            timeline: the frames.
-            reference_at: `world_from_rectified` of a frame.
-            camera_model_at: of a frame's image of the camera.
-            with_tracks: whether rows have tracks.
-        """
+        """Begin; without a reference, a box is in all its frames, and its image box is not reported."""
         self.losses = choice.losses
         scene = choice.scene
         self._scene, self._timeline = scene, timeline

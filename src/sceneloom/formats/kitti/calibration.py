@@ -25,8 +25,7 @@ _SPELLINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "velodyne_from_imu": ("Tr_imu_velo", "Tr_imu_to_velo"),
     }
 )
-"""What the entries are called in the tracking benchmark, in the object benchmark, and in that of odometry; with or
-without a colon behind."""
+"""Names of entries in the tracking, object and odometry benchmarks; with or without a colon behind."""
 
 _OPTICAL_FROM_BODY = RigidTransform(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.zeros(3))
 """Takes a frame that looks forward, left and up into the camera's: right, down, forward."""
@@ -34,10 +33,7 @@ _OPTICAL_FROM_BODY = RigidTransform(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]
 _IMAGE_SIZES: Mapping[float, tuple[int, int]] = MappingProxyType(
     {721.5377: (1242, 375), 707.0493: (1224, 370), 718.3351: (1238, 374), 718.856: (1241, 376), 707.0912: (1226, 370)}
 )
-"""Width and height of rectified images by focal length [px], one for each day of the recordings.
-
-Source: the sizes of the benchmarks' own images.
-"""
+"""Width and height of rectified images by focal length [px], a day each. Source: sizes of the benchmarks' images."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

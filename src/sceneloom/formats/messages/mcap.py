@@ -252,11 +252,7 @@ class _McapLog:
         return self.entries[topic.number].log_times_ns
 
     def timestamps(self, topic: Topic) -> tuple[Int64Array, bool]:
-        """The time that each message says itself.
-
-        In compressed chunks some messages are looked at. Where all of these state the time that the index has, so do
-        the others; else all are.
-        """
+        """Times that messages state; in compressed chunks, the index's where some messages all state the same."""
         entries = self.entries[topic.number]
         if len(entries) > _LOOKED_AT and self.index.messages.compressed(entries).any():
             rows = np.unique(np.linspace(0, len(entries) - 1, _LOOKED_AT).astype(np.int64))

@@ -206,10 +206,7 @@ _OLD_TIME_COLUMN = "offset_ns"
 
 _TIME_COLUMNS: Mapping[tuple[str, str], str] = MappingProxyType({("t", "u4"): "nanoseconds", ("time", "f8"): "seconds"})
 """Names and dtypes of the times of points from their sweep's timestamp, in messages of ours, and their units.
-
-Source: `t` as the drivers of Ouster write it, `time` as those of Velodyne do, but with 64 bits; programs that read
-clouds of others (KISS-ICP, LIO-SAM) know both by their names.
-"""
+Source: drivers of Ouster (`t`) and Velodyne (`time`, with 32 bits); KISS-ICP and LIO-SAM know both by name."""
 
 _OURS = PointMapping(scale=IntensityScale(255.0))
 _LOOKED_AT = 10

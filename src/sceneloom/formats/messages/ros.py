@@ -52,10 +52,7 @@ _NOTES_TOPIC = "/sceneloom/scene"
 """The topic of what no message has a field for."""
 
 _TIMESTAMPS = {"cdr": (4, "iI"), "ros1": (4, "II")}
-"""Where the time stands in messages that begin with a header, and in which form.
-
-In CDR four bytes state the byte order, in ROS 1 four bytes are a number that counts messages.
-"""
+"""Byte and form of the time in a header: behind the byte order in CDR, behind a counter of messages in ROS 1."""
 
 _FIXED = "tf_static"
 

@@ -272,14 +272,7 @@ class _WritingPlan:
         channel: str | Iterable[str] | None,
         trajectory: str | None,
     ) -> "_WritingPlan":
-        """Decide about a scene; the arguments are those of `write_nuscenes`.
-
-        Raises:
-            CalibrationError: a camera model cannot be computed with.
-            OptionError: there is no trajectory of that name, or a channel or the version is none.
-            PoseError: the trajectory cannot be taken.
-            DataError: no sensor has a frame.
-        """
+        """Decide about a scene; arguments and errors are those of `write_nuscenes`."""
         asked = _channels_asked_for(scene, channel)
         losses = Losses(loss for loss in field_losses(scene, SUPPORTS) if loss.support is Support.DROPPED)
         losses.extend(_all_unknown_fields(scene))

@@ -646,11 +646,7 @@ class _Streams:
 
     @classmethod
     def of(cls, scene: Scene) -> "_Streams":
-        """Name the sensors of a scene; those of types that streams do not have are left out.
-
-        Raises:
-            PoseError: sensors in ego coordinates refer to another trajectory than the one that is written.
-        """
+        """Name the sensors of a scene; those of types that streams do not have are left out."""
         trajectory = _trajectory_of(scene)
         check_one_ego(scene, trajectory)
         names: dict[Identifier, str] = {}
@@ -704,10 +700,7 @@ class _Streams:
         return {name: poses for name in moving if (poses := getattr(self.sensors[name], "poses", None)) is not None}
 
     def losses(self, times_ns: Int64Array) -> Iterator[Loss]:
-        """How far the poses that transforms at the times of the file's frames give are off, and which are left out.
-
-        Of a sensor at the times of its own frames, of the ego at those of its trajectory's poses.
-        """
+        """How far poses by transforms at the file's frames are off at the sensors' own, and which are left out."""
         ego = self.trajectory
         if ego is not None:
             yield from _sampled(ego, ego.timestamps_ns, times_ns, "trajectories.positions", "its poses")

@@ -150,10 +150,7 @@ ROW_ALIASES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """The roles that rows of three numbers can have."""
 
 _PACKED_COLORS = ("rgb", "rgba")
-"""Single columns that hold a colour in four bytes: blue, green, red, and one that is not used.
-
-Source: "PointXYZRGB" of the Point Cloud Library.
-"""
+"""Columns of a colour in four bytes: blue, green, red, unused. Source: "PointXYZRGB" of the Point Cloud Library."""
 
 
 def find_roles(columns: Mapping[str, AnyArray], named: Mapping[str, str]) -> dict[str, str]:

@@ -71,15 +71,7 @@ class _LasFile:
     def __init__(
         self, path: Path, positions: Float64Array, step: float, further: Mapping[str, AnyArray], *, colored: bool
     ) -> None:
-        """Begin a file.
-
-        Args:
-            path: of the file.
-            positions: (N, 3) float64 [m], the first points; positions count from their mean.
-            step: positions are whole multiples of it [m].
-            further: columns that LAS has no dimensions for.
-            colored: whether the points have colours.
-        """
+        """Begin a file: positions count from the mean of these first (N, 3) [m], in whole multiples of `step` [m]."""
         import laspy
 
         header = laspy.LasHeader(version="1.4", point_format=_COLORED if colored else _PLAIN)
@@ -90,11 +82,7 @@ class _LasFile:
         self._file = laspy.open(str(path), mode="w", header=header)
 
     def add(self, positions: Float64Array, dimensions: Mapping[str, AnyArray]) -> float:
-        """Write some more points; give how far a coordinate was moved at most [m].
-
-        Raises:
-            DataError: they lie too far from the first ones for the steps of such a file.
-        """
+        """Write more points, not too far for the file's steps; give how far a coordinate was moved at most [m]."""
         import laspy
 
         header = self._file.header
@@ -150,11 +138,7 @@ class _LasWriter:
         self._file: _LasFile | None = None
 
     def add(self, points: WrittenPoints) -> None:
-        """Write some more points; those that are not finite have no position in such a file and are left out.
-
-        Raises:
-            DataError: they lie too far from the first ones for the steps of such a file.
-        """
+        """Write some more points; those that are not finite have no position in such a file and are left out."""
         finite = np.isfinite(points.positions_world).all(axis=1)
         positions = points.positions_world[finite]
         measured = _measured_columns(points)

@@ -216,10 +216,7 @@ class _CloudFrames:
         return LidarFrame(timestamp_ns, points, MappingProxyType(reported))
 
     def cloud(self, k: int) -> Cloud:
-        """Read the columns of frame `k`, positions from the origin on.
-
-        Absolute times beside our own exact ones, and dimensions that state nothing, are left out.
-        """
+        """Columns of frame `k` without absolute times beside our exact ones and dimensions that state nothing."""
         cloud = read_cloud(self.files[k], layout=self.layout)
         columns = dict(cloud.columns)
         if _RELATIVE[0] in columns:

@@ -29,10 +29,8 @@ _MatrixNumbers = list[float | list[float]]
 """A matrix as JSON has it: rows of four (or three) numbers, or sixteen (or nine) numbers column by column."""
 
 _SIZES: Mapping[int, int] = {16: 4, 9: 3}
-"""By how many numbers a flat matrix has, its rows. Nine are a rotation alone.
-
-Source: `imuToCameraMatrix` in `codegen/parameter_definitions.c` of HybVIO, which takes both column by column.
-"""
+"""Rows of a flat matrix by how many numbers it has, column by column. Nine are a rotation alone.
+Source: `imuToCameraMatrix` in `codegen/parameter_definitions.c` of HybVIO."""
 
 _LAST_ROW_ERROR = 1e-6
 _LARGEST_ELEMENT = 2.0

@@ -586,8 +586,7 @@ _AXES: Mapping[str, tuple[str, str, str]] = {
     "flu": ("-y", "-z", "+x"),
     "frd": ("+y", "+z", "+x"),
 }
-"""Axes of a frame that point right, down and forward: of a camera's optical frame, and of bodies whose x y z are
-forward left up, or forward right down."""
+"""Axes that point right, down and forward: of an optical frame, and of bodies that are x forward, y left or right."""
 
 _DIRECTIONS = {sign + axis: value for axis in "xyz" for sign, value in (("+", 1.0), ("-", -1.0), ("", 1.0))}
 

@@ -347,12 +347,10 @@ class _PacketTimes:
 
     @classmethod
     def of(cls, index: VideoIndex, timestamps_seconds: Sequence[float] | Float64Array | None = None) -> Self:
-        """Spread times, given in the order of showing, over the packets in their order of storage.
-
-        An image must be decoded no later than it is shown. With the packets' times sorted, s, and d the most
-        locations that a packet is stored behind its rank in showing, dts[k] = s[k - d] fulfils that and increases;
-        before the first time it goes on backwards in steps of the first period.
-        """
+        """Spread times, given in the order of showing, over the packets in their order of storage."""
+        # An image must be decoded no later than it is shown. With the packets' times sorted, s, and d the most
+        # locations that a packet is stored behind its rank in showing, dts[k] = s[k - d] fulfils that and increases;
+        # before the first time it goes on backwards in steps of the first period.
         if timestamps_seconds is None:
             tick, shown = index.time_base, index.pts - index.pts[:1]
         else:

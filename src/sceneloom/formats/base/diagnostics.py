@@ -176,7 +176,9 @@ class FaultLedger(Ledger):
 def placed(error: SceneloomError, code: str, folder: str) -> PlacedFault:
     """An error as a fault, its file distinguished from the folder on."""
     if isinstance(error, DataError):
-        file = _from(folder, error.file)
+        # lidar files are known by where links lead
+        top = folder if error.file.startswith(folder) else f"{Path(folder).resolve()}/"
+        file = error.file.removeprefix(top).lstrip("/")
         return PlacedFault(": ".join(filter(None, (file, error.location))), error.problem, code)
     text = str(error)
     if not text.startswith(f"{folder}/"):
@@ -185,12 +187,6 @@ def placed(error: SceneloomError, code: str, folder: str) -> PlacedFault:
     if location is None:
         return PlacedFault("", text.removeprefix(f"{folder}/"), code)
     return PlacedFault(location[0].removesuffix(": "), text.removeprefix(f"{folder}/{location[0]}"), code)
-
-
-def _from(folder: str, file: str) -> str:
-    """A file distinguished from the folder on; lidar files are known by where links lead."""
-    links_resolved = f"{Path(folder).resolve()}/"
-    return file.removeprefix(folder if file.startswith(folder) else links_resolved).lstrip("/")
 
 
 _LOCATION = re.compile(r"(?:(?:line \d+|[^\s:]+): )+")

@@ -215,7 +215,11 @@ def replacing(target: Path, *, overwrite: bool, folder: FolderKind | None = None
             draft.replace(target)
         else:
             _check_folder(target, folder)
-            _replace_folder(draft, target, workplace)
+            if not os.path.lexists(target):
+                draft.rename(target)
+            elif not exchange(draft, target):
+                target.rename(workplace / _REPLACED)  # where a next run finds the old one
+                draft.rename(target)
 
 
 @contextmanager
@@ -268,15 +272,6 @@ def _rename_to_free(draft: Path, target: Path) -> None:
     if fault == errno.EEXIST:
         raise _taken(target)
     if fault:
-        draft.rename(target)
-
-
-def _replace_folder(draft: Path, target: Path, workplace: Path) -> None:
-    """Put a folder in the position of another; where that takes two renames, a next run finds the old one."""
-    if not os.path.lexists(target):
-        draft.rename(target)
-    elif not exchange(draft, target):
-        target.rename(workplace / _REPLACED)
         draft.rename(target)
 
 

@@ -17,13 +17,9 @@ def mav_folder(path: Path) -> Path | None:
     if not path.is_dir():
         return None
     for folder in (path / _MAV, path):
-        if folder.is_dir() and _holds_sensors(folder):
+        if any((folder / f"{kind}{number}" / TABLE).is_file() for kind in _SENSORS for number in (0, 1)):
             return folder
     return None
-
-
-def _holds_sensors(folder: Path) -> bool:
-    return any((folder / f"{kind}{number}" / TABLE).is_file() for kind in _SENSORS for number in (0, 1))
 
 
 def _near_miss(path: Path) -> str | None:
@@ -33,16 +29,12 @@ def _near_miss(path: Path) -> str | None:
     return f"it has a {_MAV}/, but neither {_MAV}/cam0/{TABLE} nor {_MAV}/imu0/{TABLE}"
 
 
-def _sniff(path: Path) -> bool:
-    return mav_folder(path) is not None
-
-
 FORMAT = FormatSpec(
     name="euroc-mav",
     title="a EuRoC folder",
     looks_like="a folder with mav0/cam0/data.csv or mav0/imu0/data.csv, as the EuRoC datasets have them",
     suffixes=(".mav0",),
-    sniff=_sniff,
+    sniff=lambda path: mav_folder(path) is not None,
     near_miss=_near_miss,
     reader="sceneloom.formats.euroc_mav.reader:read_euroc",
     read_options=("lenient",),

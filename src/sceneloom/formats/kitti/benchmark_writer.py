@@ -137,7 +137,8 @@ class _LabelRows:
         return ids
 
     def _add_cuboid(self, annotation: CuboidAnnotation) -> None:
-        seen = self._projection(annotation)
+        camera = None if self._camera is None else key_of(self._camera.id)
+        seen = next((one for one in annotation.projections if key_of(one.sensor_id) == camera), None)
         frames, reported_boxes = self._frames_of(annotation, seen)
         if not len(frames):
             what = "left out: in no frame's image"
@@ -154,7 +155,9 @@ class _LabelRows:
             lost = int((~active).sum())
             self.losses.dropped("annotations.cuboid.path.values", what, count=lost)
             frames, reported_boxes = frames[active], reported_boxes[active]
-        times = self._times_within(annotation, frames)
+        times, own = self._timeline.timestamps_ns[frames], annotation.path.timestamps_ns
+        if len(own) and not annotation.stationary:
+            times = np.clip(times, own[0], own[-1])
         by_path = cuboid_poses(annotation, times, angles=self._angles)
         poses = activated(annotation, seeing, times, by_path, angles=self._angles)
         attributes = {attribute.name: attribute for attribute in annotation.attributes}
@@ -192,12 +195,6 @@ class _LabelRows:
             what = "left out in frames whose images do not show the box"
             self.losses.dropped("annotations.cuboid.path.values", what, count=frames - rows)
 
-    def _projection(self, annotation: CuboidAnnotation) -> Projection | None:
-        if self._camera is None:
-            return None
-        wanted = key_of(self._camera.id)
-        return next((p for p in annotation.projections if key_of(p.sensor_id) == wanted), None)
-
     def _frames_of(self, annotation: CuboidAnnotation, seen: Projection | None) -> tuple[Int64Array, Float64Array]:
         """Frames of its boxes in images, else all in which a box is there, and its image boxes (NaN: not reported)."""
         timestamps = annotation.path.timestamps_ns
@@ -223,12 +220,6 @@ class _LabelRows:
     def _known(frames: Int64Array) -> Int64Array:
         known: Int64Array = frames[frames != NONE]
         return known
-
-    def _times_within(self, annotation: CuboidAnnotation, frames: Int64Array) -> Int64Array:
-        """The frames' times, brought within the box's own."""
-        timestamps = annotation.path.timestamps_ns
-        times = self._timeline.timestamps_ns[frames]
-        return times if annotation.stationary or not len(timestamps) else np.clip(times, timestamps[0], timestamps[-1])
 
     def _outline(
         self, frame: int, center: Float64Array, size_lwh: Float64Array, rotation: Float64Array
@@ -267,11 +258,13 @@ class _LabelRows:
             what = "left out: drawn into images of another camera"
             self.losses.dropped("annotations.box_2d", what)
             return
-        frames = np.unique(self._known(self._frame_numbers(annotation.path.timestamps_ns)))
         timestamps = annotation.path.timestamps_ns
-        if len(timestamps) > 1:
+        numbers = self._frame_numbers(timestamps)
+        frames = np.unique(self._known(numbers))
+        # gaps are meant in a box with a timestamp for each frame that it is in
+        if len(timestamps) > 1 and (numbers == NONE).any():
             inside = (self._timestamps_ns >= timestamps[0]) & (self._timestamps_ns <= timestamps[-1])
-            if len(timestamps) < int(inside.sum()) and not self._is_by_frame(annotation):
+            if len(timestamps) < int(inside.sum()):
                 frames = np.flatnonzero(inside)
         times = self._timestamps_ns[frames]
         if len(timestamps):
@@ -283,10 +276,6 @@ class _LabelRows:
                 left, top, width, height = values[k]
                 corners = np.array([left, top, left + width, top + height])
                 self._add_row(annotation, frame, corners, attributes, _NO_SPACE)
-
-    def _is_by_frame(self, annotation: Box2DAnnotation) -> bool:
-        """Whether a box has a timestamp for each frame that it is in, gaps between them being meant."""
-        return bool((self._frame_numbers(annotation.path.timestamps_ns) != NONE).all())
 
     def _add_row(
         self,

@@ -177,8 +177,11 @@ class Choice:
         """
         lidar = self.lidar
         starts = np.zeros(0, np.int64) if lidar is None else lidar.frames.timestamps_ns
-        offset = 0 if lidar is None or not len(lidar.frames) else _moment_offset(lidar)
-        moments = starts + offset
+        moments = starts
+        if lidar is not None and len(starts):
+            # a sweep's moment is as long after its start [ns] as the first sweep reports it
+            first, forward_ns = lidar.frames[0], lidar.frames[0].extras.get("forward_ns")
+            moments = starts + (forward_ns if isinstance(forward_ns, int) else first.reference_ns) - first.timestamp_ns
         cameras = {number: camera.images.timestamps_ns for number, camera in self.cameras.items()}
         period = _period(moments if len(moments) > 1 else max(cameras.values(), key=len, default=moments))
         frames = _with_lonely_images(moments, cameras, period)
@@ -473,13 +476,6 @@ def nearest_frames(frames_ns: Int64Array, timestamps_ns: Int64Array) -> Int64Arr
     near = np.abs(frames_ns[nearest] - timestamps_ns) <= _period(frames_ns) // 2
     found: Int64Array = np.where(near, nearest, NONE)
     return found
-
-
-def _moment_offset(lidar: LidarSensor) -> int:
-    """How long after its start a sweep's moment is [ns], as the first sweep reports it."""
-    first = lidar.frames[0]
-    forward_ns = first.extras.get("forward_ns")
-    return (forward_ns if isinstance(forward_ns, int) else first.reference_ns) - first.timestamp_ns
 
 
 def _period(timestamps_ns: Int64Array) -> int:

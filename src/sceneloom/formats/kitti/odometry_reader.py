@@ -13,7 +13,7 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import images_image_size
 from sceneloom.formats.base.text_tables import line_timestamps
-from sceneloom.formats.kitti.calibration import KittiCalibration, read_calibration, rotation_of
+from sceneloom.formats.kitti.calibration import read_calibration, rotation_of
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.sensors import LIDAR_ID, POINT_BYTES, camera_sensor, kitti_metadata, lidar_sensor
 from sceneloom.formats.kitti.spec import IMAGES, LABELS, ODOMETRY_CAMERAS, SWEEPS, OdometrySequence, odometry_sequences
@@ -172,7 +172,9 @@ def _open(location: OdometrySequence, ledger: Ledger, *, with_labels: bool) -> S
         message = "labels of points are left aside, as was asked for"
         ledger.note(WarningKind.SKIPPED, "labels-aside", str(labels.folder), message, count=len(labels))
         labels = labels.only([False] * len(labels))
-    calibration = _calibration(folder / "calib.txt", sweeps)
+    if not (folder / "calib.txt").is_file():
+        raise DataError(folder / "calib.txt", "", "is missing; expected P0 to P3, and Tr for the lidar")
+    calibration = read_calibration(folder / "calib.txt", needs_lidar=len(sweeps) > 0)
     times = _times(location, [files for files in (sweeps, *images.values()) if len(files)], ledger)
     reported_by = folder / "times.txt"
     sweeps = frames_within(sweeps, len(times), reported_by, ledger)
@@ -200,12 +202,6 @@ def _open(location: OdometrySequence, ledger: Ledger, *, with_labels: bool) -> S
         format="kitti-odometry",
         warnings=ledger.warnings,
     )
-
-
-def _calibration(path: Path, sweeps: NumberedFiles) -> KittiCalibration:
-    if not path.is_file():
-        raise DataError(path, "", "is missing; expected P0 to P3, and Tr for the lidar")
-    return read_calibration(path, needs_lidar=len(sweeps) > 0)
 
 
 def _times(location: OdometrySequence, found: list[NumberedFiles], ledger: Ledger) -> Int64Array:

@@ -166,7 +166,7 @@ def write_odometry(scene: Scene, path: Path, *, overwrite: bool = False, sequenc
             if labels:
                 values = labels.values(int(timeline.sweeps[k]), len(frame.points))
                 written = finite_rows(frame.points.positions)
-                _write_point_labels(values[written], folder / "labels" / f"{k:06d}.label")
+                (folder / "labels" / f"{k:06d}.label").write_bytes(values[written].astype("<u4").tobytes())
 
         if labels:
             (folder / "labels").mkdir()
@@ -214,8 +214,3 @@ def _poses(choice: Choice, timeline: Timeline, rectified_from_lidar: RigidTransf
     first_from_world = (egos[0] @ ego_from_camera).inverse()
     poses = (first_from_world @ ego @ ego_from_camera for ego in egos)
     return [" ".join(map(repr, pose.matrix[:3].reshape(-1).tolist())) for pose in poses]
-
-
-def _write_point_labels(values: UInt32Array, path: Path) -> None:
-    """Write SemanticKITTI's labels of a sweep, (N,) uint32."""
-    path.write_bytes(values.astype("<u4").tobytes())

@@ -190,10 +190,6 @@ def _tracking_near_miss(path: Path) -> str | None:
     return None
 
 
-def _tracking_drives(path: Path) -> tuple[str, ...]:
-    return next(map(tracking_sequences, tracking_folders(path)), ())
-
-
 # Odometry benchmark: `sequences/00`, with `poses/00.txt` beside the former.
 
 ODOMETRY_CAMERAS = {number: f"image_{number}" for number in range(4)}
@@ -257,10 +253,6 @@ def _odometry_near_miss(path: Path) -> str | None:
         "a folder `sequences` as of KITTI's odometry benchmark, but no sequence in it: expected sequences/00 with "
         "calib.txt, times.txt and velodyne or image_0 to image_3"
     )
-
-
-def _odometry_drives(path: Path) -> tuple[Path, ...]:
-    return tuple(odometry_sequences(path).values())
 
 
 # Supported fields: what all of them have in common, and what each has besides.
@@ -446,7 +438,7 @@ TRACKING = FormatSpec(
     looks_like="sequences of KITTI's tracking benchmark (velodyne/0000, image_02/0000, label_02, calib)",
     sniff=_is_tracking,
     near_miss=_tracking_near_miss,
-    drives=_tracking_drives,
+    drives=lambda path: next(map(tracking_sequences, tracking_folders(path)), ()),
     reader="sceneloom.formats.kitti.tracking_reader:open_tracking",
     read_options=("sequence", "lenient"),
     writer="sceneloom.formats.kitti.benchmark_writer:write_tracking",
@@ -460,7 +452,7 @@ ODOMETRY = FormatSpec(
     looks_like="sequences of KITTI's odometry benchmark (sequences/00, poses/00.txt), with SemanticKITTI's labels",
     sniff=_is_odometry,
     near_miss=_odometry_near_miss,
-    drives=_odometry_drives,
+    drives=lambda path: tuple(odometry_sequences(path).values()),
     reader="sceneloom.formats.kitti.odometry_reader:open_odometry",
     read_options=("sequence", "labels", "lenient"),
     writer="sceneloom.formats.kitti.odometry_writer:write_odometry",

@@ -114,14 +114,6 @@ def image_of(record: ImageRecord, owner: str, location: str) -> UInt8Array:
     return np.ascontiguousarray(values[:, :, list(encoding.order)])
 
 
-def _depth_of(record: ImageRecord, owner: str, location: str) -> Float32Array:
-    """Give depths, (height, width) float32 [m], 0 for none."""
-    values = _values_of(record, owner, location)[:, :, 0]
-    if values.dtype == np.uint16:
-        return (values * np.float64(MILLIMETRE)).astype(np.float32)
-    return cast("Float32Array", np.where(np.isfinite(values) & (values > 0), values, np.float32(0)))
-
-
 def _colours(mosaic: UInt8Array, pattern: str) -> UInt8Array:
     """Give each pixel the colours that it lacks as means of the nearest pixels that have them."""
     height, width = mosaic.shape
@@ -417,8 +409,11 @@ class _ImageReader:
         return bytes(self._message(k)[0].data)
 
     def depth(self, k: int) -> Float32Array:
-        """Decode depth image `k`."""
-        return _depth_of(*self._message(k))
+        """Decode depth image `k`, (height, width) float32 [m], 0 for none."""
+        values = _values_of(*self._message(k))[:, :, 0]
+        if values.dtype == np.uint16:
+            return (values * np.float64(MILLIMETRE)).astype(np.float32)
+        return cast("Float32Array", np.where(np.isfinite(values) & (values > 0), values, np.float32(0)))
 
     def rgb(self, k: int) -> UInt8Array:
         """Decode image `k`."""

@@ -156,13 +156,9 @@ class FrameTree:
         paths = [edge.path for edge in edges if edge.path is not None]
         if not paths:
             return None
-        return _composed(edges, _common_times(paths))
-
-
-def _common_times(paths: Sequence[Poses]) -> Int64Array:
-    times = np.unique(np.concatenate([path.timestamps_ns for path in paths]))
-    start, stop = max(path.start_ns for path in paths), min(path.stop_ns for path in paths)
-    return times[(times >= start) & (times <= stop)]
+        times = np.unique(np.concatenate([path.timestamps_ns for path in paths]))
+        start, stop = max(path.start_ns for path in paths), min(path.stop_ns for path in paths)
+        return _composed(edges, times[(times >= start) & (times <= stop)])
 
 
 def _composed(edges: Sequence[Edge], times: Int64Array) -> Poses | None:

@@ -140,7 +140,10 @@ class _FoxgloveWriter:
 
     def add(self, time_ns: int, topic: str, record: AnyRecord) -> None:
         """Write a record as a message."""
-        schema, parts = _encode(record)
+        write = _WRITERS.get(type(record))
+        if write is None:
+            raise OutputError(f"a {type(record).__name__}; there is no schema for it")
+        schema, parts = write(record)
         self._writer.add_message(self._channel(topic, schema), time_ns + self._shift_ns, parts)
 
     def _channel(self, topic: str, schema: str) -> int:
@@ -415,14 +418,6 @@ def _head_timestamp(head: bytes) -> int | None:
         return None
 
 
-def _encode(record: AnyRecord) -> tuple[str, _Parts]:
-    """Give the schema of a record's message, and the message."""
-    write = _WRITERS.get(type(record))
-    if write is None:
-        raise OutputError(f"a {type(record).__name__}; there is no schema for it")
-    return write(record)
-
-
 def _message(schema: str, data: memoryview | None = None, **fields: Any) -> tuple[str, _Parts]:
     message_type = _foxglove_type(schema)
     rest = serialised(message_type(**fields))
@@ -500,10 +495,6 @@ def _read_fields(record_type: type[Any], message: Any, data: memoryview) -> Iter
 def _write_fields(record: Any, schema: str, **further: Any) -> tuple[str, _Parts]:
     fields = {field.message: field.write(getattr(record, field.record)) for field in _FIELDS[type(record)]}
     return _message(schema, getattr(record, _DATA, None), **fields, **further)
-
-
-def _write_file(record: CompressedImageRecord) -> tuple[str, _Parts]:
-    return _write_fields(record, f"foxglove.Compressed{'Video' if record.form in _VIDEOS else 'Image'}")
 
 
 def _read_cloud(message: Any, data: memoryview) -> Iterable[CloudRecord]:
@@ -720,7 +711,9 @@ _WRITERS: Mapping[type[Any], Callable[[Any], tuple[str, _Parts]]] = MappingProxy
         TransformRecord: partial(_write_fields, schema="foxglove.FrameTransform"),
         CloudRecord: _write_cloud,
         ImageRecord: partial(_write_fields, schema="foxglove.RawImage"),
-        CompressedImageRecord: _write_file,
+        CompressedImageRecord: lambda record: _write_fields(
+            record, f"foxglove.Compressed{'Video' if record.form in _VIDEOS else 'Image'}"
+        ),
         CameraModelRecord: partial(
             _write_fields, schema="foxglove.CameraCalibration", R=np.eye(3).reshape(-1).tolist()
         ),

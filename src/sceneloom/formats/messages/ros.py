@@ -609,10 +609,6 @@ def _boxes_2d(message: Any) -> Sequence[Boxes2DRecord]:
     return [Boxes2DRecord(time_ns, frame, tuple(boxes), rotated)]
 
 
-def _notes(message: Any) -> Sequence[NotesRecord]:
-    return [NotesRecord(0, message.data)]
-
-
 _Reader = Callable[[Any], Iterable[AnyRecord]]
 
 _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
@@ -635,7 +631,7 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "sensor_msgs/msg/Temperature": (Kind.SAMPLE, _temperature),
         "vision_msgs/msg/Detection3DArray": (Kind.BOXES_3D, _boxes_3d),
         "vision_msgs/msg/Detection2DArray": (Kind.BOXES_2D, _boxes_2d),
-        "std_msgs/msg/String": (Kind.NOTES, _notes),
+        "std_msgs/msg/String": (Kind.NOTES, lambda message: [NotesRecord(0, message.data)]),
     }
 )
 """The types that are read, by name: what they state, and what reads them."""

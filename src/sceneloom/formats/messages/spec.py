@@ -27,11 +27,6 @@ _LOOKED_AT = 1 << 16
 # Recognising
 
 
-def _is_foxglove_mcap(path: Path) -> bool:
-    """Whether a file is an MCAP file that is no bag of ROS."""
-    return begins(path, MCAP_MAGIC) and not _is_ros_mcap(path)
-
-
 def _is_ros_mcap(path: Path) -> bool:
     """Whether an MCAP file is a bag of ROS: by its profile, else by the encoding of its messages."""
     content = first_bytes(path, 256)
@@ -207,7 +202,7 @@ MCAP = FormatSpec(
     title="an MCAP file",
     looks_like="an MCAP file with messages of the Foxglove schemas (.mcap)",
     suffixes=(".mcap",),
-    sniff=_is_foxglove_mcap,
+    sniff=lambda path: begins(path, MCAP_MAGIC) and not _is_ros_mcap(path),
     near_miss=_mcap_near_miss,
     reader="sceneloom.formats.messages.mcap:open_mcap",
     read_options=_READ_OPTIONS,

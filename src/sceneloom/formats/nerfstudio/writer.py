@@ -15,7 +15,6 @@ from sceneloom.formats.base.losses import LossReport, field_losses
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.points.files import FrameColumns, write_ply
 from sceneloom.formats.posed_images.posed_scene import (
-    MapPoints,
     Models,
     PosedScene,
     View,
@@ -70,7 +69,8 @@ def write_nerfstudio(scene: Scene, path: Path, *, options: PosedSettings, overwr
         points = map_points(posed)
         if len(points.positions):
             content["ply_file_path"] = _POINTS_FILE
-            _write_points(draft / _POINTS_FILE, points)
+            columns = FrameColumns(points.positions.astype(np.float32), points.colors, None, 255.0)
+            write_ply(draft / _POINTS_FILE, columns, "points", Losses())
         text = msgspec.json.format(msgspec.json.encode(content), indent=1)
         (draft / "transforms.json").write_bytes(text)
     return LossReport.of((*field_losses(scene, SUPPORTS), *posed.origin_losses, *posed.losses))
@@ -126,8 +126,3 @@ class _CameraModels:
             self._reported[exact], loss = stated_camera_model(exact, _CAMERA_MODELS[self.model], view.sensor_id)
             self._posed.losses += [] if loss is None else [loss]
         return self._reported[exact]
-
-
-def _write_points(path: Path, points: MapPoints) -> None:
-    columns = FrameColumns(points.positions.astype(np.float32), points.colors, None, 255.0)
-    write_ply(path, columns, "points", Losses())

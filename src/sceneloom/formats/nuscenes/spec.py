@@ -23,10 +23,6 @@ def _has_tables(folder: Path) -> bool:
     return any((folder / f"{name}.json").is_file() for name in _MARKS)
 
 
-def _sniff(path: Path) -> bool:
-    return bool(table_folders(path))
-
-
 def _near_miss(path: Path) -> str | None:
     if path.is_dir() and (path / "samples").is_dir() and not table_folders(path):
         return "it has samples/ as nuScenes has, but no folder of tables (v1.0-mini/sample_data.json …)"
@@ -100,7 +96,7 @@ FORMAT = FormatSpec(
     name="nuscenes",
     title="nuScenes",
     looks_like="a folder with v1.0-mini/sample_data.json and the other tables of the nuScenes schema",
-    sniff=_sniff,
+    sniff=lambda path: bool(table_folders(path)),
     near_miss=_near_miss,
     drives=_scene_names,
     reader="sceneloom.formats.nuscenes.reader:open_nuscenes",

@@ -287,8 +287,12 @@ class _WritingPlan:
         others = max(len(scene.trajectories) - 1, 0)
         losses.dropped("trajectories", "left out: the tables hold one ego trajectory", count=others)
         channels = _channels(scene, ego_path, losses, asked)
-        if any(ego_path and known.timestamps_ns is ego_path.timestamps_ns for known in scene.trajectories.values()):
-            _report_poses(ego_path, channels, losses)
+        if ego_path and any(known.timestamps_ns is ego_path.timestamps_ns for known in scene.trajectories.values()):
+            frames = np.concatenate([np.zeros(0, np.int64), *(channel.frames.timestamps_ns for channel in channels)])
+            lost = int((~np.isin(ego_path.timestamps_ns, frames)).sum())
+            losses.dropped("trajectories.positions", "poses between frames are left out", count=lost)
+            new = int((~np.isin(frames, ego_path.timestamps_ns)).sum())
+            losses.approximated("trajectories.positions", "poses at frames are interpolated", count=new)
         about = scene.metadata.get("nuscenes")
         about = about if isinstance(about, Mapping) else {}
         row, log = _rows(about, path)
@@ -333,15 +337,6 @@ def _all_unknown_fields(scene: Scene) -> Iterator[Loss]:
         elif isinstance(annotation, LabeledPointsAnnotation):
             yield from _unknown_fields(f"{kind}.extras", annotation.extras, frozenset({"index"}))
     yield from _unknown_fields("metadata", scene.metadata, _OF_SCENES)
-
-
-def _report_poses(ego_path: Any, channels: Sequence[_Channel], losses: Losses) -> None:
-    """Report that poses between frames are not in the tables, of a trajectory of the scene."""
-    frames = np.concatenate([np.zeros(0, np.int64), *(channel.frames.timestamps_ns for channel in channels)])
-    lost = int((~np.isin(ego_path.timestamps_ns, frames)).sum())
-    losses.dropped("trajectories.positions", "poses between frames are left out", count=lost)
-    new = int((~np.isin(frames, ego_path.timestamps_ns)).sum())
-    losses.approximated("trajectories.positions", "poses at frames are interpolated", count=new)
 
 
 def _with_pinholes(scene: Scene, losses: Losses) -> Scene:

@@ -12,11 +12,6 @@ _FIRST = re.compile(rb"(?:\xef\xbb\xbf)?\s*\{\s*\"openlabel\"\s*:")
 _OLD = re.compile(rb"\s*\{\s*\"vcd\"\s*:")
 
 
-def _sniff(path: Path) -> bool:
-    """Whether the only member of the JSON of a file is `openlabel`."""
-    return _FIRST.match(first_bytes(path, _BEGINNING)) is not None
-
-
 def _near_miss(path: Path) -> str | None:
     if _OLD.match(first_bytes(path, _BEGINNING)) is None:
         return None
@@ -81,7 +76,7 @@ FORMAT = FormatSpec(
     title="OpenLABEL",
     looks_like='a .json file that begins with {"openlabel": …',
     suffixes=(".json",),
-    sniff=_sniff,
+    sniff=lambda path: _FIRST.match(first_bytes(path, _BEGINNING)) is not None,
     near_miss=_near_miss,
     reader="sceneloom.formats.openlabel.reader:read_openlabel",
     read_options=("lenient", "rate_hz"),

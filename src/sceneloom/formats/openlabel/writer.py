@@ -647,7 +647,10 @@ class _Streams:
     @classmethod
     def of(cls, scene: Scene) -> "_Streams":
         """Name the sensors of a scene; those of types that streams do not have are left out."""
-        trajectory = _trajectory_of(scene)
+        # the first one with orientations, else that of an odometry sensor
+        known = [one.poses for one in scene.trajectories.values() if one.quaternions_xyzw is not None]
+        known += [sensor.poses for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
+        trajectory = next((poses for poses in known if not poses.static), None)
         check_one_ego(scene, trajectory)
         names: dict[Identifier, str] = {}
         sensors: dict[str, Sensor] = {}
@@ -759,13 +762,6 @@ def _sampled(path: Poses, own_ns: Int64Array, times_ns: Int64Array, field: str, 
 def _times(sensor: Sensor) -> Int64Array:
     has_frames = isinstance(sensor, LidarSensor | RadarSensor | CameraSensor)
     return frame_times(sensor) if has_frames else np.zeros(0, np.int64)
-
-
-def _trajectory_of(scene: Scene) -> Poses | None:
-    """The ego trajectory: the first one with orientations, else that of an odometry sensor."""
-    trajectories = [one.poses for one in scene.trajectories.values() if one.quaternions_xyzw is not None]
-    trajectories += [sensor.poses for sensor in scene.sensors if isinstance(sensor, OdometrySensor)]
-    return next((trajectory for trajectory in trajectories if not trajectory.static), None)
 
 
 def _system_and_pose(sensor: Any) -> tuple[str, RigidTransform | None] | None:

@@ -4,7 +4,7 @@ import gzip
 import pickle
 import pickletools
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -254,10 +254,6 @@ def _index(kind: Any, fields: Any) -> Any:
     return fields.get("data")
 
 
-def _scalar(dtype: Any, content: Any) -> Any:
-    return _array(content, dtype, (), "C").item()
-
-
 _NAMED: Mapping[str, Any] = MappingProxyType(
     {
         "DataFrame": _Frame,
@@ -268,7 +264,7 @@ _NAMED: Mapping[str, Any] = MappingProxyType(
         "StringDtype": _Call(lambda *_: None),
         "_reconstruct": _Call(_Array),
         "_frombuffer": _Call(_array),
-        "scalar": _Call(_scalar),
+        "scalar": _Call(lambda dtype, content: _array(content, dtype, (), "C").item()),
         "dtype": _Dtype,
         "slice": _Call(slice),
         "encode": _Call(lambda text, code: text.encode("latin-1") if code == "latin1" else b""),
@@ -315,16 +311,13 @@ def _frame(path: Path, found: object) -> PickledFrame:
     columns: dict[str, AnyArray] = {}
     for block in blocks:
         values = _values(block.values)
-        for row, location in enumerate(_locations(block.locations, len(names))):
+        where = block.locations
+        for row, location in enumerate(
+            range(len(names))[where] if isinstance(where, slice) else _values(where).tolist()
+        ):
             columns[names[location]] = values if values.ndim == 1 else values[row]
     counts = {len(column) for column in columns.values()}
     if len(columns) != len(names) or len(counts) > 1:
         raise _Wrong(f"{len(columns)} columns of {sorted(counts)} rows; expected {len(names)} of one length")
     ordered = {name: read_only(columns[name]) for name in names}
     return PickledFrame(path, counts.pop() if counts else 0, MappingProxyType(ordered))
-
-
-def _locations(locations: Any, count: int) -> Iterator[int]:
-    """Which columns a block holds."""
-    listed = range(count)[locations] if isinstance(locations, slice) else _values(locations).tolist()
-    return iter(listed)

@@ -116,14 +116,6 @@ def _las_offsets(positions: Float64Array) -> Float64Array:
     return np.floor(positions.mean(axis=0)) if len(positions) else np.zeros(3)
 
 
-def _las_dimensions(colors: AnyArray | None) -> frozenset[str]:
-    """Names of LAS's own dimensions, which further columns cannot have."""
-    import laspy
-
-    known = laspy.PointFormat(_PLAIN if colors is None else _COLORED).dimension_names
-    return frozenset({*known, "x", "y", "z"})
-
-
 def _colors_16(colors: AnyArray | None) -> dict[str, AnyArray]:
     """Colours of 16 bits by channel."""
     return {name: values.astype(np.uint16) * _FULL_SCALE for name, values in _color_columns(colors).items()}
@@ -1083,8 +1075,11 @@ def _write_las(path: Path, columns: FrameColumns, location: str, losses: Losses)
             what = f"intensities of 0 to {columns.brightest:g} rounded to 65536 steps"
             losses.approximated(f"{location}.intensities", what, error=error)
         dimensions["intensity"] = whole.astype(np.uint16)
+    import laspy
+
     # names that are short enough, and not those of LAS's own dimensions
-    taken, named = _las_dimensions(columns.colors), dict[str, AnyArray]()
+    own = laspy.PointFormat(_PLAIN if columns.colors is None else _COLORED).dimension_names
+    taken, named = {*own, "x", "y", "z"}, dict[str, AnyArray]()
     for name, values in _single_columns(columns.further).items():
         short = name.encode("ascii", "replace").decode()[:_LONGEST_LAS_NAME]
         if short in taken or short in named:

@@ -215,7 +215,9 @@ def _colors(columns: Mapping[str, AnyArray], roles: Mapping[str, str]) -> tuple[
     for dtype in (np.uint8, np.uint16):
         if len(channels) == len(names) and all(channel.dtype == dtype for channel in channels):
             stacked = np.stack(channels, axis=1)
-            return stacked if dtype is np.uint8 else _bytes_of(stacked), names
+            if dtype is np.uint16 and stacked.max(initial=0) > _LARGEST_BYTE:  # some writers put bytes into 16 bits
+                stacked = (stacked.astype(np.uint32) * 255 + 32767) // 65535
+            return stacked.astype(np.uint8, copy=False), names
     rows = columns.get(roles.get("colors", ""))
     if rows is not None and rows.dtype == np.uint8:
         return rows, ("colors",)
@@ -225,12 +227,6 @@ def _colors(columns: Mapping[str, AnyArray], roles: Mapping[str, str]) -> tuple[
         numbers = np.ascontiguousarray(packed).view(np.uint32)
         return np.stack([numbers >> 16, numbers >> 8, numbers], axis=1).astype(np.uint8), ("packed",)
     return None, ()
-
-
-def _bytes_of(colors: AnyArray) -> UInt8Array:
-    """Colours of 16 bits as bytes; files whose writers put bytes into 16 bits keep them."""
-    full = colors.max(initial=0) > _LARGEST_BYTE
-    return ((colors.astype(np.uint32) * 255 + 32767) // 65535 if full else colors).astype(np.uint8)
 
 
 def _times(

@@ -236,27 +236,17 @@ def _write_folder(scene: Scene, lidars: list[LidarSensor], path: Path, files: _F
         if lidar not in written:
             files.losses.dropped(f"sensors[{lidar.id}]", "left out: it has no frames")
     files.note_ids(written)
-    with replacing(path, overwrite=overwrite, folder=_folder_kind(files.kind)) as draft:
+    ending = files.kind.endings[0]
+    names = (rf"-?\d{{19}}{re.escape(ending)}", *map(re.escape, (EGO_POSES, SENSOR_POSES)))
+    kind = FolderKind(f"folder of {ending} files named by their times", (*names, *(rf".+/{name}" for name in names)))
+    with replacing(path, overwrite=overwrite, folder=kind) as draft:
         for lidar, stem in zip(written, file_stems(one.id for one in written), strict=True):
             folder = draft if len(written) == 1 else draft / stem
             folder.mkdir(exist_ok=True)
             times = _distinct_times(lidar, files.losses)
             for k, time_ns in enumerate(times.tolist()):
-                files.write(lidar, k, folder / f"{_name_of_time(time_ns)}{files.kind.endings[0]}")
+                files.write(lidar, k, folder / f"{time_ns:0{20 if time_ns < 0 else 19}d}{ending}")
             _write_poses(scene, lidar, times, folder, files.losses)
-
-
-def _name_of_time(timestamp_ns: int) -> str:
-    """The name of a file of a time [ns], which is read back as that time."""
-    return f"{timestamp_ns:020d}" if timestamp_ns < 0 else f"{timestamp_ns:019d}"
-
-
-def _folder_kind(kind: CloudKind) -> FolderKind:
-    """What a folder of such files holds that was written here: one for each time, and where their frame was."""
-    names = (rf"-?\d{{19}}{re.escape(kind.endings[0])}", *map(re.escape, (EGO_POSES, SENSOR_POSES)))
-    return FolderKind(
-        f"folder of {kind.endings[0]} files named by their times", (*names, *(rf".+/{name}" for name in names))
-    )
 
 
 def _distinct_times(lidar: LidarSensor, losses: Losses) -> Int64Array:

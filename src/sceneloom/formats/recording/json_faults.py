@@ -122,7 +122,8 @@ def _in_words(complaint: str, value: str) -> str:
     if match["number"] is not None and abs(float(match["number"])) == FARTHEST_TIME:
         return f"expected seconds, within ±{FARTHEST_TIME:g}{_unit_in_question(value)}"
     types = [_TYPES.get(name, name) for name in match["wanted"].split(" | ") if name != "null"]
-    return f"expected {' or '.join(types)}{_BOUNDS.get(match['bound'], '')}{match['number'] or ''}{_got(match['got'])}"
+    got = f", not {_TYPES.get(match['got'], match['got'])}" if match["got"] else ""
+    return f"expected {' or '.join(types)}{_BOUNDS.get(match['bound'], '')}{match['number'] or ''}{got}"
 
 
 def _unit_in_question(value: str) -> str:
@@ -131,10 +132,6 @@ def _unit_in_question(value: str) -> str:
     except ValueError:
         return ""
     return next((f"; this looks like {unit}" for least, unit in _UNITS if number > least), "")
-
-
-def _got(name: str | None) -> str:
-    return "" if name is None else f", not {_TYPES.get(name, name)}"
 
 
 def _value_at(path: str, text: bytes) -> str:

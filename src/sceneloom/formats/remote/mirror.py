@@ -671,12 +671,10 @@ def _listed(url: str, store: Store, found: list[Facts]) -> tuple[_ListedFile, ..
         files.append(_ListedFile(name, facts.size, facts.version))
     if not files:
         raise DataError(url, "", "is a folder without files")
-    return tuple(sorted(files, key=_in_order))
-
-
-def _in_order(file: _ListedFile) -> tuple[str, list[tuple[int, str]]]:
-    """By folders, and 2 before 10."""
-    return file.folder, [(int(part or -1), text) for text, part in _NUMBERS.findall(file.name)]
+    # by folders, and 2 before 10
+    return tuple(
+        sorted(files, key=lambda file: (file.folder, [(int(n or -1), text) for text, n in _NUMBERS.findall(file.name)]))
+    )
 
 
 def _remove(workplace: Path, process: int) -> None:

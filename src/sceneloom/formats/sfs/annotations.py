@@ -12,7 +12,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
+from sceneloom.arrays import AnyArray, Float64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, CalibrationError, OptionError
 from sceneloom.formats.sfs.clock import FileClock, StaticTime, TimeRangeError
@@ -215,16 +215,12 @@ def _read_annotation(source: Source, raw: Any, location: Location, faults: Fault
         columns = {name: column for name, column in columns.items() if name != "is_closed"}
     given = {"type": ShapeType(type_name) if model is ShapeAnnotation else type_name}
     annotation: Annotation | None = record.build(model, columns, **given if model in _TYPED else {})
-    if isinstance(annotation, PointsAnnotation):
-        _check_labels(annotation, faults)
+    if isinstance(annotation, PointsAnnotation) and annotation.labels is not None:
+        labels, paths = len(annotation.labels), annotation.paths
+        points = sum(path.values.shape[1] // 3 for path in paths)
+        if labels not in {len(paths), points}:
+            faults.add(("labels",), f"{labels} labels for {points} points; expected as many of both")
     return annotation
-
-
-def _check_labels(annotation: PointsAnnotation, faults: Faults) -> None:
-    labels = annotation.labels
-    points = sum(path.values.shape[1] // 3 for path in annotation.paths)
-    if labels is not None and len(labels) not in {len(annotation.paths), points}:
-        faults.add(("labels",), f"{len(labels)} labels for {points} points; expected as many of both")
 
 
 @contextmanager
@@ -236,10 +232,6 @@ def _noting(faults: Faults, location: Location) -> Iterator[None]:
         faults.add(location, str(error), code=error.code)
     except ArrayError as error:
         faults.add(location, str(error))
-
-
-def _read_times(_: _Record, __: str, raw: Any) -> Int64Array:
-    return read_only(times_of(raw))
 
 
 def _check_counts(record: _Record, values: Sized, name: str = "values") -> None:
@@ -448,10 +440,6 @@ def _read_attributes(record: _Record, name: str, raw: Any) -> tuple[AttributePat
     return tuple(attribute for attribute in built if attribute is not None)
 
 
-def _write_attributes(_: str, attributes: tuple[AttributePath, ...], __: Any) -> list[dict[str, Any]] | None:
-    return [attribute_record(attribute) for attribute in attributes] or None
-
-
 def _record(model: Callable[..., Any], columns: Mapping[str, _Column]) -> _Column:
     """A field that holds one record."""
 
@@ -491,7 +479,7 @@ def _records(
 
 
 _AS_IS = _Column()
-_TIMESTAMPS = _Column("timestamps_ns", _read_times)
+_TIMESTAMPS = _Column("timestamps_ns", lambda _, __, raw: read_only(times_of(raw)))
 
 
 def _nullable_rows(columns: int) -> _Column:
@@ -518,7 +506,9 @@ _CONFIRMED = _Column(read=_read_confirmed)
 _CUBOIDS = _nullable_rows(9)
 _POSES = _Column(read=_read_poses, write=_write_poses, extras=extras_of_poses)
 _ANY = {"id": _AS_IS, "parent_id": _AS_IS}
-_ATTRIBUTES = _Column(read=_read_attributes, write=_write_attributes)
+_ATTRIBUTES = _Column(
+    read=_read_attributes, write=lambda _, attributes, __: list(map(attribute_record, attributes)) or None
+)
 _LABELLED = {**_ANY, "label": _AS_IS, "attributes": _ATTRIBUTES}
 _OBJECT = {**_ANY, "label": _AS_IS, "stationary": _AS_IS, "attributes": _ATTRIBUTES}
 

@@ -234,7 +234,9 @@ def _whole_parts(
         of_videos = []
         locations = {fault: parse_path(fault.path) for fault in reported}
         goes = _what_goes_with(container.header, [keys for keys in locations.values() if keys not in cut])
-        victims = _outermost(goes.values())
+        wanted = dict.fromkeys(goes.values())
+        # those that are not inside another, in their order
+        victims = [keys for keys in wanted if not any(keys[:depth] in wanted for depth in range(1, len(keys)))]
         for fault, keys in locations.items():
             lost = next((victim for victim in victims if victim == goes.get(keys, ())[: len(victim)]), None)
             location = numbering.before(keys)
@@ -319,7 +321,10 @@ def _source(
     """Begin with a file: what its readers share, our metadata and the free ones."""
     parts = FileParts(container, partial(_parts_again, options, removed))
     source = Source(container, parts, FileClock(_DEFAULT_TICK_NS, 0), options)
-    _check_version(source)
+    version = container.header.get("version")
+    if not isinstance(version, str) or not version.startswith(_VERSIONS):
+        expected = " or ".join(f"{known}*" for known in _VERSIONS)
+        root_fault(source, ("version",), f"{version!r}; expected {expected}", code="version")
     metadata, raw = _part_metadata(source)
     source.clock = _read_clock(source, raw)
     return source, _read_ours(source, raw), metadata
@@ -430,14 +435,6 @@ _VERSIONS = ("1.0", "5.1")
 
 _DEFAULT_TICK_NS = READABLE_TICKS_NS["microseconds"]
 """Length of a tick where the file does not state its unit [ns]."""
-
-
-def _check_version(source: Source) -> None:
-    """Note a version that is none of those that we read."""
-    version = source.container.header.get("version")
-    if not isinstance(version, str) or not version.startswith(_VERSIONS):
-        expected = " or ".join(f"{known}*" for known in _VERSIONS)
-        root_fault(source, ("version",), f"{version!r}; expected {expected}", code="version")
 
 
 def _part_metadata(source: Source) -> tuple[dict[str, Any], Any]:
@@ -615,12 +612,6 @@ def _what_goes_with(header: Mapping[str, Any], locations: Iterable[Location]) ->
     return goes
 
 
-def _outermost(locations: Iterable[Location]) -> list[Location]:
-    """Those that are not inside another, in their order."""
-    wanted = dict.fromkeys(locations)
-    return [keys for keys in wanted if not any(keys[:depth] in wanted for depth in range(1, len(keys)))]
-
-
 def copied(node: Any) -> Any:
     """Copy the objects and lists of a header; arrays stay the same."""
     if isinstance(node, dict):
@@ -709,18 +700,13 @@ def take_out(header: dict[str, Any], victims: Iterable[Location]) -> Mapping[Loc
             times = holder["timestamps"]
             holder["timestamps"] = times[kept] if isinstance(times, np.ndarray) else [times[k] for k in kept]
         elif parent[-1] == "paths":
-            _keep_points_in_step(holder, kept, len(node))
+            _choose(holder, ("labels", "projections"), kept, len(node))
+            _renumber(holder, "attributes", "point_index", kept, {})
         holder_of_list: Any = holder
         holder_of_list[parent[-1]] = node[kept] if isinstance(node, np.ndarray) else [node[k] for k in kept]
     for sensor_id, name, kept, count in counted:
         _keep_in_step(header, sensor_id, name, kept, count)
     return stay
-
-
-def _keep_points_in_step(annotation: dict[str, Any], kept: list[int], count: int) -> None:
-    """Follow points that were taken out of a points annotation in its labels, projections and attributes."""
-    _choose(annotation, ("labels", "projections"), kept, count)
-    _renumber(annotation, "attributes", "point_index", kept, {})
 
 
 def _keep_in_step(header: dict[str, Any], sensor_id: Any, name: str, kept: Sequence[int], count: int) -> None:

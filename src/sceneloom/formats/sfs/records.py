@@ -276,10 +276,6 @@ def _point_times(clock: FileClock, value: Any) -> AnyArray:
     return _in_columns(array, 0)
 
 
-def _record_or_records(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
-    return (reader.read if isinstance(value, dict) else reader.records)(value, field.record, faults)
-
-
 def _record_lists(reader: RecordReader, value: Any, field: Field, faults: Faults) -> Any:
     if not isinstance(value, list):
         raise _wrong(value, field)
@@ -312,7 +308,9 @@ _READERS: Mapping[Kind, Callable[[RecordReader, Any, Field, Faults], Any]] = {
     Kind.POINT_TIMES: lambda reader, value, _, __: _point_times(reader.clock, value),
     Kind.RECORD: lambda reader, value, field, faults: reader.read(value, field.record, faults),
     Kind.RECORDS: lambda reader, value, field, faults: reader.records(value, field.record, faults),
-    Kind.RECORD_OR_RECORDS: _record_or_records,
+    Kind.RECORD_OR_RECORDS: lambda reader, value, field, faults: (
+        reader.read if isinstance(value, dict) else reader.records
+    )(value, field.record, faults),
     Kind.RECORD_LISTS: _record_lists,
     Kind.RECORD_MAP: _record_map,
 }

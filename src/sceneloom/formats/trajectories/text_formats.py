@@ -170,7 +170,8 @@ def _timestamps(path: Path, count: int, reading: Reading, ledger: Ledger) -> Int
         raise OptionError("times and a rate; expected one of both")
     if reading.rate_hz is not None:
         return _evenly(count, reading.rate_hz)
-    found = reading.times or _found_beside(path)
+    beside = (_times_beside(path), path.with_name(f"{path.stem}_times.txt"), path.with_name("times.txt"))
+    found = reading.times or next((one for one in beside if one.is_file() and one != path), None)
     if found is None:
         problem = (
             "a file of this form has no times; name a text file with one time per line (`--from-times FILE`, of "
@@ -184,11 +185,6 @@ def _timestamps(path: Path, count: int, reading: Reading, ledger: Ledger) -> Int
     if len(timestamps) != count:
         raise DataError(found, "", f"{len(timestamps)} times for the {count} poses of {path.name}; expected as many")
     return timestamps
-
-
-def _found_beside(path: Path) -> Path | None:
-    locations = (_times_beside(path), path.with_name(f"{path.stem}_times.txt"), path.with_name("times.txt"))
-    return next((location for location in locations if location.is_file() and location != path), None)
 
 
 def _evenly(count: int, rate_hz: float) -> Int64Array:

@@ -27,21 +27,14 @@ def _texts(*names: str) -> list[tuple[str, Any, Any]]:
 _POSE: list[Any] = [("translation", _Vector), ("rotation", Quaternion)]
 _COLUMNS: dict[str, list[Any]] = {
     "scene": [
-        ("name", str),
-        *_texts("description", "log_token"),
-        ("nbr_samples", int, 0),
+        ("name", str), *_texts("description", "log_token"), ("nbr_samples", int, 0),
         *_texts("first_sample_token", "last_sample_token"),
     ],
     "sample": [("timestamp", _Microseconds), ("scene_token", str), *_texts("next", "prev")],
     "sample_data": [
-        *((f"{name}_token", str) for name in ("sample", "ego_pose", "calibrated_sensor")),
-        ("filename", str),
-        ("timestamp", _Microseconds),
-        ("is_key_frame", bool),
-        *_texts("fileformat"),
-        ("width", int | None, None),
-        ("height", int | None, None),
-        *_texts("next", "prev"),
+        *((f"{name}_token", str) for name in ("sample", "ego_pose", "calibrated_sensor")), ("filename", str),
+        ("timestamp", _Microseconds), ("is_key_frame", bool), *_texts("fileformat"), ("width", int | None, None),
+        ("height", int | None, None), *_texts("next", "prev"),
     ],
     # world from ego
     "ego_pose": [*_POSE, ("timestamp", _Microseconds)],
@@ -55,8 +48,7 @@ _COLUMNS: dict[str, list[Any]] = {
     "attribute": [("name", str), *_texts("description")],
     "visibility": [("level", str), *_texts("description")],
     "instance": [
-        ("category_token", str),
-        ("nbr_annotations", int, 0),
+        ("category_token", str), ("nbr_annotations", int, 0),
         *_texts("first_annotation_token", "last_annotation_token"),
     ],
     # a box of an object at a sample, in the world
@@ -74,7 +66,7 @@ _COLUMNS: dict[str, list[Any]] = {
     ],
     # the file with the classes of the points of a sweep
     "lidarseg": [("sample_data_token", str), ("filename", str)],
-}
+}  # fmt: skip
 """Columns with their types and, of those that may be missing, defaults; each table has a `token` besides."""
 
 TABLES: Mapping[str, type[Any]] = MappingProxyType(

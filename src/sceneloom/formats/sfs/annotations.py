@@ -577,20 +577,12 @@ _COLUMNS: Mapping[type, Mapping[str, _Column]] = {
 """The fields of each type besides `type`, in the order in which they are written."""
 
 _MODELS: Mapping[str, type] = {
-    "cuboid": CuboidAnnotation,
-    "box_2d": Box2DAnnotation,
-    **dict.fromkeys(ShapeType, ShapeAnnotation),
-    "points": PointsAnnotation,
-    "event": EventAnnotation,
-    "labeled_points": LabeledPointsAnnotation,
-    "point_segmentation": LabeledPointsAnnotation,
-    "localization_adjustment": LocalizationAdjustment,
-    "camera_calibration": CameraCalibration,
-    "object": ObjectAnnotation,
-    "attributes": ObjectAnnotation,
-    "link": LinkAnnotation,
-    "group": GroupAnnotation,
-}
+    "cuboid": CuboidAnnotation, "box_2d": Box2DAnnotation, **dict.fromkeys(ShapeType, ShapeAnnotation),
+    "points": PointsAnnotation, "event": EventAnnotation, "labeled_points": LabeledPointsAnnotation,
+    "point_segmentation": LabeledPointsAnnotation, "localization_adjustment": LocalizationAdjustment,
+    "camera_calibration": CameraCalibration, "object": ObjectAnnotation, "attributes": ObjectAnnotation,
+    "link": LinkAnnotation, "group": GroupAnnotation,
+}  # fmt: skip
 """The model of each type of the file; annotations of other types stay plain."""
 
 _TYPED = frozenset({ShapeAnnotation, LabeledPointsAnnotation, ObjectAnnotation})

@@ -46,21 +46,10 @@ class _Need:
 
 
 _NEEDS_BY_KIND = {
-    Kind.IDENTIFIER: "id",
-    Kind.TEXT: "text",
-    Kind.FLAG: "flag",
-    Kind.INTEGER: "integer",
-    Kind.TIME: "integer",
-    Kind.DURATION: "integer",
-    Kind.NUMBER: "number",
-    Kind.TIMES: "integers",
-    Kind.DURATIONS: "numbers",
-    Kind.LIST: "rows",
-    Kind.ARRAY: "array",
-    Kind.POINT_TIMES: "array",
-    Kind.RECORD: "@{}",
-    Kind.RECORDS: "[@{}]",
-}
+    Kind.IDENTIFIER: "id", Kind.TEXT: "text", Kind.FLAG: "flag", Kind.INTEGER: "integer", Kind.TIME: "integer",
+    Kind.DURATION: "integer", Kind.NUMBER: "number", Kind.TIMES: "integers", Kind.DURATIONS: "numbers",
+    Kind.LIST: "rows", Kind.ARRAY: "array", Kind.POINT_TIMES: "array", Kind.RECORD: "@{}", Kind.RECORDS: "[@{}]",
+}  # fmt: skip
 
 _NEEDED_POSES = _Need("@poses", required=True, nullable=False)
 _COORDINATES = _Need("ego or world", nullable=False)

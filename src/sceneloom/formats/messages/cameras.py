@@ -48,25 +48,15 @@ class _Encoding(NamedTuple):
 
 _BAYER = ("rggb", "bggr", "gbrg", "grbg")
 
-_ENCODINGS: Mapping[str, _Encoding] = MappingProxyType(
-    {
-        "rgb8": _Encoding("u1", 3, (0, 1, 2)),
-        "bgr8": _Encoding("u1", 3, (2, 1, 0)),
-        "rgba8": _Encoding("u1", 4, (0, 1, 2)),
-        "bgra8": _Encoding("u1", 4, (2, 1, 0)),
-        "rgb16": _Encoding("u2", 3, (0, 1, 2)),
-        "bgr16": _Encoding("u2", 3, (2, 1, 0)),
-        "mono8": _Encoding("u1"),
-        "mono16": _Encoding("u2"),
-        "8UC1": _Encoding("u1"),
-        "8UC3": _Encoding("u1", 3, (2, 1, 0)),
-        "8UC4": _Encoding("u1", 4, (2, 1, 0)),
-        "16UC1": _Encoding("u2", order=()),
-        "32FC1": _Encoding("f4", order=()),
-        **{f"bayer_{pattern}8": _Encoding("u1", bayer=pattern) for pattern in _BAYER},
-        **{f"bayer_{pattern}16": _Encoding("u2", bayer=pattern) for pattern in _BAYER},
-    }
-)
+_ENCODINGS: Mapping[str, _Encoding] = MappingProxyType({
+    "rgb8": _Encoding("u1", 3, (0, 1, 2)), "bgr8": _Encoding("u1", 3, (2, 1, 0)),
+    "rgba8": _Encoding("u1", 4, (0, 1, 2)), "bgra8": _Encoding("u1", 4, (2, 1, 0)),
+    "rgb16": _Encoding("u2", 3, (0, 1, 2)), "bgr16": _Encoding("u2", 3, (2, 1, 0)), "mono8": _Encoding("u1"),
+    "mono16": _Encoding("u2"), "8UC1": _Encoding("u1"), "8UC3": _Encoding("u1", 3, (2, 1, 0)),
+    "8UC4": _Encoding("u1", 4, (2, 1, 0)), "16UC1": _Encoding("u2", order=()), "32FC1": _Encoding("f4", order=()),
+    **{f"bayer_{pattern}8": _Encoding("u1", bayer=pattern) for pattern in _BAYER},
+    **{f"bayer_{pattern}16": _Encoding("u2", bayer=pattern) for pattern in _BAYER},
+})  # fmt: skip
 """Source: sensor_msgs/image_encodings.hpp of ROS; the schema RawImage of Foxglove takes the same names."""
 
 

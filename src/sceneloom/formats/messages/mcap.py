@@ -72,23 +72,19 @@ _NOTES_KEY = "scene"
 _SAMPLE_SCHEMA = "sceneloom.Sample"
 """Name of the JSON schema of what an IMU measures, which Foxglove has none for."""
 
-_SAMPLE_JSON = MappingProxyType(
-    {
-        "title": _SAMPLE_SCHEMA,
-        "description": "One measurement of an inertial unit; streams in m/s², rad/s, µT and K.",
-        "type": "object",
-        "properties": {
-            "timestamp": {
-                "type": "object",
-                "title": "time",
-                "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-            },
-            "frame_id": {"type": "string"},
-            "values": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}},
+_SAMPLE_JSON = MappingProxyType({
+    "title": _SAMPLE_SCHEMA,
+    "description": "One measurement of an inertial unit; streams in m/s², rad/s, µT and K.",
+    "type": "object",
+    "properties": {
+        "timestamp": {
+            "type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
         },
-        "required": ["timestamp", "frame_id", "values"],
-    }
-)
+        "frame_id": {"type": "string"},
+        "values": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}},
+    },
+    "required": ["timestamp", "frame_id", "values"],
+})  # fmt: skip
 """Source: MCAP format registry, schema encoding "jsonschema"."""
 
 _LABEL_KEYS = ("label", "class", "class_name", "category", "type")
@@ -462,26 +458,18 @@ _SIZE = (_Field("width", "width"), _Field("height", "height"))
 
 _FIELDS: Mapping[type[Any], tuple[_Field, ...]] = {
     TransformRecord: (
-        _HEAD[0],
-        _Field("parent_frame_id", "parent"),
-        _Field("child_frame_id", "child"),
-        _Field("translation", "position", vector_of, _xyz),
-        _Field("rotation", "quaternion_xyzw", rotation_of, _xyzw),
+        _HEAD[0], _Field("parent_frame_id", "parent"), _Field("child_frame_id", "child"),
+        _Field("translation", "position", vector_of, _xyz), _Field("rotation", "quaternion_xyzw", rotation_of, _xyzw),
     ),
     ImageRecord: (*_HEAD, *_SIZE, _Field("encoding", "encoding"), _Field("step", "step")),
     CompressedImageRecord: (
-        *_HEAD,
-        _Field("format", "form", lambda form: form.lower().removeprefix("image/").replace("jpg", "jpeg")),
+        *_HEAD, _Field("format", "form", lambda form: form.lower().removeprefix("image/").replace("jpg", "jpeg")),
     ),
     CameraModelRecord: (
-        *_HEAD,
-        *_SIZE,
-        _Field("distortion_model", "model"),
-        _Field("D", "coefficients", tuple),
-        _Field("K", "k", tuple),
-        _Field("P", "p", tuple),
+        *_HEAD, *_SIZE, _Field("distortion_model", "model"), _Field("D", "coefficients", tuple),
+        _Field("K", "k", tuple), _Field("P", "p", tuple),
     ),
-}
+}  # fmt: skip
 """Records whose messages have the same fields, but for large ones."""
 
 

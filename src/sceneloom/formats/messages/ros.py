@@ -57,16 +57,8 @@ _TIMESTAMPS = {"cdr": (4, "iI"), "ros1": (4, "II")}
 _FIXED = "tf_static"
 
 _FAULTS = (
-    SerdeError,
-    AssertionError,
-    ValueError,
-    IndexError,
-    KeyError,
-    AttributeError,
-    OverflowError,
-    TypeError,
-    struct.error,
-    MemoryError,
+    *(SerdeError, AssertionError, ValueError, IndexError, KeyError),
+    *(AttributeError, OverflowError, TypeError, struct.error, MemoryError),
 )
 """What rosbags and the readers of messages raise for bytes that are no message of their type."""
 

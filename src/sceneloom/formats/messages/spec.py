@@ -134,6 +134,7 @@ def _seeing(kind: str, frames: str) -> dict[str, Holding]:
     }
 
 
+_STREAMS = ("accelerometer", "gyroscope", "magnetometer", "other")
 _SUPPORTS: Supports = MappingProxyType(
     {
         "": KEPT,
@@ -141,19 +142,13 @@ _SUPPORTS: Supports = MappingProxyType(
         **_swept("sensors.radar"),
         **_seeing("sensors.camera", "images"),
         **_seeing("sensors.depth_camera", "frames"),
-        "sensors.points.extras": _JSON,
-        "sensors.odometry.extras": _JSON,
-        "sensors.imu.extras": _JSON,
-        "sensors.gnss.extras": _JSON,
+        **{f"sensors.{kind}.extras": _JSON for kind in ("points", "odometry", "imu", "gnss")},
         "sensors.gnss.mount": _QUATERNION,
         "sensors.camera.images.encoded": converted("JPEG files are copied"),
         "sensors.camera.video": converted("H.264 and HEVC are copied packet by packet, others become JPEG files"),
         "sensors.depth_camera.video": dropped("depth images are written one by one"),
         "sensors.depth_camera.frames.scale": converted("millimetres are kept; other steps become floats of metres"),
-        "sensors.imu.streams.accelerometer.file_seconds": dropped(_SOURCE_TIMESTAMPS),
-        "sensors.imu.streams.gyroscope.file_seconds": dropped(_SOURCE_TIMESTAMPS),
-        "sensors.imu.streams.magnetometer.file_seconds": dropped(_SOURCE_TIMESTAMPS),
-        "sensors.imu.streams.other.file_seconds": dropped(_SOURCE_TIMESTAMPS),
+        **{f"sensors.imu.streams.{name}.file_seconds": dropped(_SOURCE_TIMESTAMPS) for name in _STREAMS},
         "sensors.gnss.accuracies": converted("variances are written, as large to the east as to the north"),
         "sensors.gnss.vertical_accuracies": converted("variances are written"),
         "sensors.gnss.file_seconds": dropped(_SOURCE_TIMESTAMPS),
@@ -166,19 +161,12 @@ _SUPPORTS: Supports = MappingProxyType(
         "annotations.cuboid.path.values": converted(
             "angles become unit quaternions, which do not report whole rotations"
         ),
-        "annotations.cuboid.path.extras": dropped(_NO_MESSAGE),
-        "annotations.cuboid.extras": _JSON,
-        "annotations.cuboid.attributes": _JSON,
-        "annotations.cuboid.activations": dropped(_NO_MESSAGE),
-        "annotations.cuboid.projections": dropped(_NO_MESSAGE),
+        **{f"annotations.cuboid.{name}": dropped(_NO_MESSAGE) for name in ("activations", "projections")},
         "annotations.box_2d": KEPT,
-        "annotations.box_2d.path.extras": dropped(_NO_MESSAGE),
         "annotations.box_2d.path.values": converted("corners are written, whose differences are the size"),
-        "annotations.box_2d.extras": _JSON,
-        "annotations.box_2d.attributes": _JSON,
-        "attributes": _JSON,
-        "metadata": _JSON,
-        "extras": _JSON,
+        **{f"annotations.{kind}.path.extras": dropped(_NO_MESSAGE) for kind in ("cuboid", "box_2d")},
+        **{f"annotations.{kind}.{name}": _JSON for kind in ("cuboid", "box_2d") for name in ("extras", "attributes")},
+        **dict.fromkeys(("attributes", "metadata", "extras"), _JSON),
     }
 )
 

@@ -43,6 +43,7 @@ _WORLD = converted("poses lead into the world")
 _OWN_FRAME = converted("points are in the sensor's own frame")
 _POSED = ("sensors.lidar", "sensors.radar", "sensors.camera")
 _SWEPT = ("sensors.lidar", "sensors.radar")
+_OF_POSES = ("timestamps_ns", "positions", "quaternions_xyzw")
 
 SUPPORTS: Supports = MappingProxyType(
     {
@@ -85,9 +86,7 @@ SUPPORTS: Supports = MappingProxyType(
         "annotations.labeled_points.parent_id": _NO_POSITION,
         "annotations.labeled_points.type": converted("`labeled_points`"),
         "trajectories.name": converted("it is `pose`"),
-        "trajectories.timestamps_ns": converted("a pose at each frame"),
-        "trajectories.positions": converted("a pose at each frame"),
-        "trajectories.quaternions_xyzw": converted("a pose at each frame"),
+        **{f"trajectories.{name}": converted("a pose at each frame") for name in _OF_POSES},
         "metadata": converted("what was read from such tables is written again"),
     }
 )

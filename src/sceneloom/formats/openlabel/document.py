@@ -235,49 +235,28 @@ def _records(kind: type) -> _Field:
 
 _SEEN: _Fields = {"sensor_id": _ID, "timestamps_ns": _TIMES, "extras": _EXTRAS}
 _CONFIRMED = _tuple_of(bool, NoneType)
-_RECORDS: Mapping[type[Any], _Fields] = MappingProxyType(
-    {
-        Activation: {**_SEEN, "durations_ns": _tuple_of(int, float), "cuboids": _rows(9)},
-        Projection: {**_SEEN, "boxes": _rows(4), "confirmed": _CONFIRMED, "cuboids": _rows(9)},
-        PointProjection: {**_SEEN, "points": _rows(2), "confirmed": _CONFIRMED, "positions": _rows(3)},
-        PointPath: {"timestamps_ns": _TIMES, "values": _rows(3), "id": _ID.or_null, "extras": _EXTRAS},
-        LabeledPoints: {"sensor_id": _ID, "point_ids": _POINT_IDS, "sensor_frame": _WHOLE, "extras": _EXTRAS},
-        AttributePath: {
-            "name": _TEXT,
-            "values": _tuple_of(object),
-            "timestamps_ns": _TIMES,
-            "sensor_id": _ID,
-            "static": _FLAG,
-            "point_index": _WHOLE,
-            "extras": _EXTRAS,
-        },
-    }
-)
+_RECORDS: Mapping[type[Any], _Fields] = MappingProxyType({
+    Activation: {**_SEEN, "durations_ns": _tuple_of(int, float), "cuboids": _rows(9)},
+    Projection: {**_SEEN, "boxes": _rows(4), "confirmed": _CONFIRMED, "cuboids": _rows(9)},
+    PointProjection: {**_SEEN, "points": _rows(2), "confirmed": _CONFIRMED, "positions": _rows(3)},
+    PointPath: {"timestamps_ns": _TIMES, "values": _rows(3), "id": _ID.or_null, "extras": _EXTRAS},
+    LabeledPoints: {"sensor_id": _ID, "point_ids": _POINT_IDS, "sensor_frame": _WHOLE, "extras": _EXTRAS},
+    AttributePath: {"name": _TEXT, "values": _tuple_of(object), "timestamps_ns": _TIMES, "sensor_id": _ID,
+        "static": _FLAG, "point_index": _WHOLE, "extras": _EXTRAS},
+})  # fmt: skip
 """Records of annotations that are written in full."""
 
-_CLASSES: Mapping[str, type[Any]] = MappingProxyType(
-    {
-        "labeled_points": LabeledPointsAnnotation,
-        "points": PointsAnnotation,
-        "group": GroupAnnotation,
-        "object": ObjectAnnotation,
-    }
-)
+_CLASSES: Mapping[str, type[Any]] = MappingProxyType({
+    "labeled_points": LabeledPointsAnnotation, "points": PointsAnnotation, "group": GroupAnnotation,
+    "object": ObjectAnnotation,
+})  # fmt: skip
 """Classes that the data of the format do not show."""
 
 _COMMON: _Fields = {
-    "id": _ID,
-    "parent_id": _ID,
-    "sensor_id": _ID,
-    "stationary": _FLAG,
-    "is_closed": _FLAG,
-    "is_instance": _FLAG,
-    "is_bidirectional": _FLAG,
-    "start_ns": _WHOLE,
-    "duration_ns": _Field((int, float, NoneType)),
-    "from_id": _ID,
+    "id": _ID, "parent_id": _ID, "sensor_id": _ID, "stationary": _FLAG, "is_closed": _FLAG, "is_instance": _FLAG,
+    "is_bidirectional": _FLAG, "start_ns": _WHOLE, "duration_ns": _Field((int, float, NoneType)), "from_id": _ID,
     "to_id": _ID,
-}
+}  # fmt: skip
 _OF_CLASS: Mapping[type[Any], _Fields] = MappingProxyType(
     {
         CuboidAnnotation: {"activations": _records(Activation)},

@@ -56,9 +56,7 @@ _COORDINATES = _Need("ego or world", nullable=False)
 _FLAG_BY_DEFAULT = _Need("flag", nullable=False)
 
 _OTHER_NEEDS: Mapping[tuple[str, str], _Need | None] = {
-    ("sensor lidar", "poses"): _NEEDED_POSES,
-    ("sensor radar", "poses"): _NEEDED_POSES,
-    ("sensor camera", "poses"): _NEEDED_POSES,
+    **{(f"sensor {kind}", "poses"): _NEEDED_POSES for kind in ("lidar", "radar", "camera")},
     ("sensor lidar", "coordinates"): _COORDINATES,
     ("sensor radar", "coordinates"): _COORDINATES,
     ("sensor camera", "coordinates"): None,

@@ -108,18 +108,9 @@ DEFAULT_EULER = {"euler_unit": "degrees", "euler_order": "xyz"}
 
 _Thing = TypeVar("_Thing", Sensor, Annotation)
 
-_ABSORBED = frozenset(
-    {
-        "layout",
-        "time_shift_ns",
-        "sensor_notes",
-        "sensors",
-        "annotations",
-        "trajectories",
-        "exact_attributes",
-        "warnings",
-    }
-)
+_ABSORBED = frozenset({
+    "layout", "time_shift_ns", "sensor_notes", "sensors", "annotations", "trajectories", "exact_attributes", "warnings",
+})  # fmt: skip
 
 _ROOT = frozenset({"version", "sensors", "annotations", "attributes", "time_offset", "metadata"})
 

@@ -50,22 +50,10 @@ from sceneloom.warnings import WarningKind
 if TYPE_CHECKING:
     from sceneloom.formats.video.reader import VideoIndex, VideoReader
 
-_CODECS: Mapping[bytes, str] = MappingProxyType(
-    {
-        b"avc1": "h264",
-        b"avc3": "h264",
-        b"hvc1": "hevc",
-        b"hev1": "hevc",
-        b"av01": "av1",
-        b"vp09": "vp9",
-        b"vp08": "vp8",
-        b"mp4v": "mpeg4",
-        b"jpeg": "mjpeg",
-        b"mjpa": "mjpeg",
-        b"FFV1": "ffv1",
-        b"png ": "png",
-    }
-)
+_CODECS: Mapping[bytes, str] = MappingProxyType({
+    b"avc1": "h264", b"avc3": "h264", b"hvc1": "hevc", b"hev1": "hevc", b"av01": "av1", b"vp09": "vp9", b"vp08": "vp8",
+    b"mp4v": "mpeg4", b"jpeg": "mjpeg", b"mjpa": "mjpeg", b"FFV1": "ffv1", b"png ": "png",
+})  # fmt: skip
 
 """Sample entry of the video track, and what FFmpeg calls its codec. Source: the registry at mp4ra.org."""
 

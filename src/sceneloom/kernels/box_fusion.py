@@ -473,7 +473,8 @@ def update_by_sides(
                     spread += slope[k] * covariances[n, k, i] * slope[i]
             # false for a NaN, too
             taken[number] = residuals[number] * residuals[number] <= farthest * farthest * spread
-        before[:] = states[n, :6]
+        for k in range(6):
+            before[k] = states[n, k]
         for number in range(3):
             if taken[number]:
                 residual = residuals[number]

@@ -152,9 +152,14 @@ def _weighed(covariance, noise, apart, root, spread, solved, freedom):  # type: 
         if not _factored(spread, root):
             return False
         if attempt == 0:
-            solved[:] = apart
+            # number by number: to assign a whole array takes the compiler three seconds, for its error's text
+            for i in range(MEASURED):
+                solved[i] = apart[i]
             _solve(root, solved)
-            wider = (freedom + (apart * solved).sum()) / (freedom + MEASURED)
+            off = 0.0
+            for i in range(MEASURED):
+                off += apart[i] * solved[i]
+            wider = (freedom + off) / (freedom + MEASURED)
             if wider <= 1.0:
                 break
     return True
@@ -251,7 +256,8 @@ def _trace(matrices, i):  # type: ignore[no-untyped-def]
 def _with_room(column, room):  # type: ignore[no-untyped-def]
     """The same numbers, and room for more behind them."""
     wider = np.empty(room, column.dtype)
-    wider[: len(column)] = column
+    for k in range(len(column)):
+        wider[k] = column[k]
     return wider
 
 

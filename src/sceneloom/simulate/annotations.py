@@ -42,11 +42,9 @@ _OUTLINE_DIRECTIONS = 24
 _LEAST_PIXELS = 200
 _LANE_AHEAD = 25.0
 
-_SLIGHT_ROTATION_XYZW = (0.0, 0.0, 0.0087265, 0.9999619)
-"""One degree about the upright axis."""
+_SLIGHT_ROTATION_XYZW = (0.0, 0.0, 0.0087265, 0.9999619)  # one degree about the upright axis
 
-_UNTIL_AFTER_NS = 1_000_000
-"""Activations last until just after the last frame: their ends no longer count."""
+_UNTIL_AFTER_NS = 1_000_000  # activations last until just after the last frame: their ends no longer count
 
 
 def annotate(drive: SimulatedDrive) -> SimulatedDrive:

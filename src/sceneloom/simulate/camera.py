@@ -17,8 +17,7 @@ from sceneloom.simulate.parameters import Stream, check_bounds, generator_for
 from sceneloom.simulate.street import Street
 from sceneloom.simulate.trajectory import EgoPath, sensor_mount
 
-_EXPOSURE_FIELD = "exposureTimeSeconds"
-"""The recording format's word for how long an image was exposed [s]."""
+_EXPOSURE_FIELD = "exposureTimeSeconds"  # the recording format's word for how long an image was exposed [s]
 
 _SECOND_WAVE = 0.382
 """The shorter of the two waves of the drift, as a share of `drift_period`: without a common measure with it."""

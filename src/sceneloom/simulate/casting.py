@@ -13,8 +13,7 @@ from sceneloom.simulate.street import Street
 SKY_INSTANCE, GROUND_INSTANCE = -1, 0
 """What instance images state where there is no object."""
 
-_WORKERS = 16
-"""Rows that count at the same time."""
+_WORKERS = 16  # rows that count at the same time
 
 _BLOCK, _SHARES = 64, 8
 """Bundles are dealt out in blocks (a row of tiles or so) to this many shares, so that threads finish together."""

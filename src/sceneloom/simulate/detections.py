@@ -24,8 +24,7 @@ from sceneloom.simulate.drive import SimulatedDrive
 from sceneloom.simulate.parameters import Stream, check_bounds, generator_for
 from sceneloom.simulate.street import Street, boxes_of
 
-_SMALLEST = 1e-9
-"""Scores keep this far from 0 and 1, so that their logits are finite."""
+_SMALLEST = 1e-9  # scores keep this far from 0 and 1, so that their logits are finite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,8 +106,7 @@ def draw_scores(
     return logits
 
 
-_MANY = 1e6
-"""No number of a detector is larger: squares and products of them stay finite."""
+_MANY = 1e6  # no number of a detector is larger: squares and products of them stay finite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -291,8 +289,7 @@ _Boxes = TypeVar("_Boxes", Boxes3D, Boxes2D)
 FALSE = -1
 """The instance of a box where there is no object."""
 
-_OBJECTS = 1 << 31
-"""Numbers from here on stand for objects where those below stand for frames."""
+_OBJECTS = 1 << 31  # numbers from here on stand for objects where those below stand for frames
 
 _FALSE_WITHIN = 60.0
 
@@ -662,8 +659,7 @@ def _overlaps(box: Float64Array, others: Float64Array) -> Float64Array:
     return overlaps
 
 
-_CLEAR = 2.5
-"""How far from the middle of any object of the classes they are begun [m], beside its half diagonal."""
+_CLEAR = 2.5  # how far from the middle of any object of the classes they are begun [m], beside its half diagonal
 
 _REACH_NS = 10**9
 
@@ -860,11 +856,9 @@ def _stated(drive: SimulatedDrive, look: _SweepLook, boxes: Boxes3D, lidar: Lida
     return own.moved(RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]), frame)
 
 
-_NEAREST_AHEAD = 0.05
-"""Of a box beside the camera, what lies farther ahead than this is projected [m]."""
+_NEAREST_AHEAD = 0.05  # of a box beside the camera, what lies farther ahead than this is projected [m]
 
-_ALONG_EDGES = 25
-"""Points on each edge of a projected box: camera models bend edges."""
+_ALONG_EDGES = 25  # points on each edge of a projected box: camera models bend edges
 
 
 @dataclass(frozen=True, slots=True, eq=False)

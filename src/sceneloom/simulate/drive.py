@@ -145,8 +145,7 @@ def gnss_sensor(spec: GnssSpec, path: EgoPath, timestamps_ns: Int64Array, *, see
     return GnssSensor("gnss", timestamps_ns, positions, horizontal, vertical)
 
 
-_MARGIN_NS = 200_000_000
-"""How far trajectory, IMU and GNSS reach beyond the first and the last measurement."""
+_MARGIN_NS = 200_000_000  # how far trajectory, IMU and GNSS reach beyond the first and the last measurement
 
 _LONGEST_PERIOD_NS = 1_000_000_000
 """Longest frame of a further lidar, which ends so much later than the drive at most: so far traffic goes on, too."""
@@ -305,8 +304,7 @@ def _shutter_fields(spec: CameraSpec) -> Mapping[str, Any]:
     return {"calibration": entry}
 
 
-_BEYOND = 1.0
-"""How far past a point its line of sight is followed [m]: enough to find the surface that it lies on."""
+_BEYOND = 1.0  # how far past a point its line of sight is followed [m]: enough to find the surface that it lies on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -484,14 +482,12 @@ class Truth:
         return self.cameras[camera_id]
 
 
-_TRAJECTORY = "groundTruth"
-"""Name of the trajectory that is exactly the ego trajectory."""
+_TRAJECTORY = "groundTruth"  # name of the trajectory that is exactly the ego trajectory
 
 _ANNOTATED = frozenset({"car", "bin", "tree", "pole"})
 """Classes of objects that get a box in the scene's annotations; `Truth.objects` knows all."""
 
-_IMU_SHIFT_NS = 1_300_000
-"""Keeps the IMU's timestamps from falling on those of other sensors, as two clocks would."""
+_IMU_SHIFT_NS = 1_300_000  # keeps the IMU's timestamps from falling on those of other sensors, as two clocks would
 
 
 @dataclass(frozen=True, slots=True, eq=False)

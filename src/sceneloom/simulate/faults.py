@@ -25,8 +25,7 @@ from sceneloom.scene.time_range import select_rows
 from sceneloom.scene.types import Identifier, SensorType
 from sceneloom.simulate.parameters import Stream, check_bounds, generator_for
 
-_Interval = tuple[int, int]
-"""`[start_ns, stop_ns)` on the true clock [ns]."""
+_Interval = tuple[int, int]  # `[start_ns, stop_ns)` on the true clock [ns]
 
 
 class PointTimes(StrEnum):

@@ -59,8 +59,7 @@ class Shots:
     rings: UInt16Array | None
 
 
-_PlannedShots = Callable[[int], Shots]
-"""Makes the shots of a frame that starts so many ns after the first."""
+_PlannedShots = Callable[[int], Shots]  # makes the shots of a frame that starts so many ns after the first
 
 
 def _same(shots: Shots, _: int) -> Shots:
@@ -429,8 +428,7 @@ FALSE_ALARM = SKY_INSTANCE
 _STEP_DEG = 0.3
 """Distance of the rays by which a radar looks for what is there: the narrow end of a car 50 m away meets 6 across."""
 
-_FASTEST = 40.0
-"""Greatest radial speed of a false alarm [m/s]."""
+_FASTEST = 40.0  # greatest radial speed of a false alarm [m/s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -254,8 +254,7 @@ def trace_rays(
         )  # fmt: skip
 
 
-_FAR = 1e7
-"""Where rays are taken to in the frame of something that is not there [m]: no ray reaches back."""
+_FAR = 1e7  # where rays are taken to in the frame of something that is not there [m]: no ray reaches back
 
 
 @njit(**INNER)

@@ -16,8 +16,7 @@ from sceneloom.simulate.parameters import check_bounds
 from sceneloom.simulate.raycast import put_parts
 from sceneloom.simulate.trajectory import DEGREE, EgoPath, rotation_from_angles, spline_derivatives, spline_grid
 
-_Color = tuple[float, float, float]
-"""Red, green, blue in 0..255, as light of full strength would show them."""
+_Color = tuple[float, float, float]  # red, green, blue in 0..255, as light of full strength would show them
 
 _Point = tuple[float, float, float]
 
@@ -341,8 +340,7 @@ def design_hedge(generator: np.random.Generator, *, length: float) -> Design:
     return Design("barrier", (shape,), (length, 0.5, height))
 
 
-_FASTEST = 40.0
-"""No mover is faster [m/s]."""
+_FASTEST = 40.0  # no mover is faster [m/s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -606,8 +604,7 @@ _HELMETS: tuple[_Color, ...] = ((236, 236, 232), (200, 40, 40), (40, 44, 52), (2
 _FRAMES: tuple[_Color, ...] = ((180, 36, 40), (36, 76, 150), (40, 44, 48), (60, 130, 90), (222, 222, 218))
 _SHOES: _Color = (42, 38, 36)
 
-_PACE = 0.3
-"""How far a walker's leg swings to either side [rad]."""
+_PACE = 0.3  # how far a walker's leg swings to either side [rad]
 
 
 def design_pedestrian(generator: np.random.Generator, *, walks: bool = True) -> MovingDesign:
@@ -1167,14 +1164,11 @@ class _Track:
         return float(self.widths[max(0, low - 1) : high + 1].min(initial=1.0))
 
 
-_HEADROOM = 2.0
-"""Shapes whose lowest point is higher [m] are passed under."""
+_HEADROOM = 2.0  # shapes whose lowest point is higher [m] are passed under
 
-_SPARE = np.array([0.4, 0.04])
-"""How much longer to either end and wider to either side ground plans are taken [m]."""
+_SPARE = np.array([0.4, 0.04])  # how much longer to either end and wider to either side ground plans are taken [m]
 
-_STRETCH = 32
-"""Times of a trajectory that are looked at together."""
+_STRETCH = 32  # times of a trajectory that are looked at together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1268,17 +1262,13 @@ class _Clearance:
 
 _KNOT_STEP = 0.25
 
-_MARGIN = 1.0
-"""How far curves reach beyond the drive [s]."""
+_MARGIN = 1.0  # how far curves reach beyond the drive [s]
 
-_LOOK = 0.05
-"""Movers are kept apart at times this close [s]."""
+_LOOK = 0.05  # movers are kept apart at times this close [s]
 
-_END = 3.0
-"""Nearer to the end of the street than this nobody is there [m]."""
+_END = 3.0  # nearer to the end of the street than this nobody is there [m]
 
-_EGO_LW = (4.6, 1.86)
-"""Ground that the ego takes [m]."""
+_EGO_LW = (4.6, 1.86)  # ground that the ego takes [m]
 
 _TRIES = 6
 _OWN_LANE, _ONCOMING_LANE = 0.0, 3.5
@@ -1286,8 +1276,7 @@ _OWN_LANE, _ONCOMING_LANE = 0.0, 3.5
 _EDGES = ((-1.5, 1.0), (5.05, -1.0))
 """Where cyclists ride: metres left of the trajectory, and whether with the ego or against it."""
 
-_PAVEMENTS = (-5.6, 9.1)
-"""Where pedestrians walk between posts, trees and bins: metres left of the trajectory."""
+_PAVEMENTS = (-5.6, 9.1)  # where pedestrians walk between posts, trees and bins: metres left of the trajectory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -159,20 +159,16 @@ class TimeWarp:
         return pace
 
 
-_LEAD = 16.0
-"""Seconds by which the curve goes on before and after the drive: the street is built along all of it."""
+_LEAD = 16.0  # seconds by which the curve goes on before and after the drive: the street is built along all of it
 
-_AHEAD = 6.0
-"""Seconds after the drive for which the street still rotates."""
+_AHEAD = 6.0  # seconds after the drive for which the street still rotates
 
 _KNOT_STEP = 1.0
 _WIDEST_HEADING = np.radians(55.0)
 
-_GENTLE_ROTATION = 0.21
-"""Up to this rate [rad/s] knots a second apart follow a rotation; faster ones need them closer."""
+_GENTLE_ROTATION = 0.21  # up to this rate [rad/s] knots a second apart follow a rotation; faster ones need them closer
 
-_TIGHTEST = 10.4
-"""No rotation is planned with a smaller radius [m]: where the pavement on the left ends."""
+_TIGHTEST = 10.4  # no rotation is planned with a smaller radius [m]: where the pavement on the left ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

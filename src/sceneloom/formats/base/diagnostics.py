@@ -189,5 +189,4 @@ def placed(error: SceneloomError, code: str, folder: str) -> PlacedFault:
     return PlacedFault(location[0].removesuffix(": "), text.removeprefix(f"{folder}/{location[0]}"), code)
 
 
-_LOCATION = re.compile(r"(?:(?:line \d+|[^\s:]+): )+")
-"""File, line and path with which a message begins."""
+_LOCATION = re.compile(r"(?:(?:line \d+|[^\s:]+): )+")  # file, line and path with which a message begins

@@ -24,8 +24,7 @@ _PNG_HEAD = struct.Struct(">8s4x4sIIBB")
 _JPEG_START, PNG_START = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 _SCAN_MARK = b"\xff\xda"
 
-_MOST_SCANS = 100
-"""Of a progressive image; encoders make some ten."""
+_MOST_SCANS = 100  # of a progressive image; encoders make some ten
 
 _FAULTS = (OSError, ValueError, SyntaxError, EOFError, MemoryError, RuntimeError, struct.error)
 """What Pillow and the decoder of JPEG raise for files that are damaged."""

@@ -59,8 +59,7 @@ def write_label_png(labels: UInt16Array, path: Path, *, overwrite: bool = False)
 NAMES_FILE = "labels.json"
 """Beside the images: what each number means, as `{"7": "road"}`."""
 
-_NEAR_NS = 1_000
-"""Times in names may be rounded to microseconds."""
+_NEAR_NS = 1_000  # times in names may be rounded to microseconds
 
 _WHOLE, _SECONDS = re.compile(r"\d{1,19}"), re.compile(r"\d{1,10}\.\d{1,9}")
 

@@ -388,8 +388,7 @@ def _go_on(workplace: Path) -> None:
 
 _FILES, _REPLACED, _READY, _LISTING, _LOCK = "files", "replaced", "ready", "listing", "lock"
 
-_MOST = 8
-"""How many processes write to one target at once at the most."""
+_MOST = 8  # how many processes write to one target at once at the most
 
 _ALL_OF_IT = {_FILES, _REPLACED, _READY, _LISTING, _LOCK}
 
@@ -520,11 +519,9 @@ def _clear(workplace: Path, target: Path) -> None:
     shutil.rmtree(workplace, ignore_errors=True)
 
 
-_LONGEST = 120
-"""Longer ids are cut: most file systems allow 255 bytes for a name."""
+_LONGEST = 120  # longer ids are cut: most file systems allow 255 bytes for a name
 
-_EMPTY = "%"
-"""What stands for an empty id: no other id is written so."""
+_EMPTY = "%"  # what stands for an empty id: no other id is written so
 
 
 def file_stem(identifier: Identifier) -> str:

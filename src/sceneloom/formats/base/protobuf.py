@@ -10,8 +10,7 @@ _VARINT_TYPE = 0
 _FIXED_SIZES = {1: 8, 5: 4}
 _LONGEST_VARINT = 10
 
-_MOST_FIELDS = 1000
-"""Of one message: more are very many."""
+_MOST_FIELDS = 1000  # of one message: more are very many
 
 
 @dataclass(frozen=True, slots=True)

@@ -256,8 +256,7 @@ def _inside(path: Path) -> list[str]:
     return ["inside are " + ", ".join(f"{entry} ({name})" for entry, name in found[:3]) + more]
 
 
-_LOOKED_AT = 20
-"""How many entries of an unknown folder are looked into."""
+_LOOKED_AT = 20  # how many entries of an unknown folder are looked into
 
 
 def _format_of_url(url: str) -> FormatSpec:
@@ -474,8 +473,7 @@ def format_for_output(path: Path) -> FormatSpec:
     )
 
 
-_OF_FOLDERS = "recording"
-"""What a folder that is to be written becomes where nothing else is stated."""
+_OF_FOLDERS = "recording"  # what a folder that is to be written becomes where nothing else is stated
 
 
 def check_scene_output(path: Path, *, overwrite: bool) -> None:

@@ -325,8 +325,7 @@ def pick_columns(
 
 _SECOND_NS = 1_000_000_000
 
-_EXACT_BELOW_NS = 2**53
-"""Below this, a 64-bit number holds every nanosecond, and dividing it rounds once."""
+_EXACT_BELOW_NS = 2**53  # below this, a 64-bit number holds every nanosecond, and dividing it rounds once
 
 _SHORT_FROM_NS, _SHORT_BELOW_NS = 10**6, 10**15
 """Between these, a time has 15 digits at most: the shortest text that means its number is the time itself, with no

@@ -185,8 +185,7 @@ _NAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """What each benchmark calls the rectification, and where the lidar and the OXTS unit are."""
 
-_PLAIN_NAMES = frozenset({"R_rect", "Tr_velo_cam", "Tr_imu_velo"})
-"""Entries that stand without a colon behind."""
+_PLAIN_NAMES = frozenset({"R_rect", "Tr_velo_cam", "Tr_imu_velo"})  # entries that stand without a colon behind
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -512,8 +512,7 @@ def _nearest(frames_ns: Int64Array, timestamps_ns: Int64Array, period_ns: int) -
     return found
 
 
-_COMPRESSION = 1
-"""PNG's quickest: images of drives hardly shrink further, and it takes a third of the time."""
+_COMPRESSION = 1  # PNG's quickest: images of drives hardly shrink further, and it takes a third of the time
 
 
 def write_image(camera: CameraSensor, image: CameraImage, path: Path, *, own_camera_model: bool = False) -> None:

@@ -303,8 +303,7 @@ TYPES: Mapping[int, str] = MappingProxyType({1: "Pedestrian", 2: "Car", 3: "Cycl
 _CLASSES = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc", "DontCare")
 """KITTI's own words. Source: the readme of its development kits."""
 
-_BEYOND = 0.01
-"""Scores beyond 0 to 1 by no more than this are rounding, and cut; others are no probabilities."""
+_BEYOND = 0.01  # scores beyond 0 to 1 by no more than this are rounding, and cut; others are no probabilities
 
 
 @dataclass(frozen=True, slots=True, eq=False)

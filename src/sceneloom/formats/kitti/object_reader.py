@@ -28,8 +28,7 @@ from sceneloom.warnings import WarningKind
 FRAME_NS = 1_000_000_000
 """From frame to frame: so long that no frame is taken for its neighbour."""
 
-_TRAJECTORY = "frames"
-"""The name of the trajectory of an ego that is stationary in each frame's own world."""
+_TRAJECTORY = "frames"  # the name of the trajectory of an ego that is stationary in each frame's own world
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -117,8 +117,7 @@ def _class_number(label: str | None) -> int | None:
     return number or None
 
 
-_SLOTS = (2, 3, 0, 1)
-"""Numbers of cameras, those of the coloured ones first."""
+_SLOTS = (2, 3, 0, 1)  # numbers of cameras, those of the coloured ones first
 
 _HELD = frozenset({LidarSensor, CameraSensor, OdometrySensor, LabeledPointsAnnotation})
 """Kinds of sensors and annotations that a sequence can hold."""

@@ -204,8 +204,7 @@ class _RotationWriter:
         losses.approximated("sensors.lidar.frames.timestamp_ns", what, count=sum(map(bool, away)), error=worst)
 
 
-_LABELLED = 2.0
-"""The state of a pose that was labelled. Source: the development kit's tracklets.h."""
+_LABELLED = 2.0  # the state of a pose that was labelled. Source: the development kit's tracklets.h
 
 
 def _tracklets_of(choice: Choice, timestamps_ns: Int64Array, starts_ns: Int64Array) -> list[Tracklet]:
@@ -292,8 +291,7 @@ def _states(annotation: CuboidAnnotation, times_ns: Int64Array) -> Float64Array:
     return states
 
 
-_SLOTS = (2, 3, 0, 1)
-"""Numbers of cameras, those of the coloured ones first."""
+_SLOTS = (2, 3, 0, 1)  # numbers of cameras, those of the coloured ones first
 
 _HELD = frozenset({LidarSensor, CameraSensor, ImuSensor, GnssSensor, OdometrySensor, CuboidAnnotation})
 """Kinds of sensors and annotations that a drive can hold."""

@@ -54,8 +54,7 @@ from sceneloom.warnings import DataWarning, WarningKind
 CAMERA_ID, LIDAR_ID = "camera2", "velodyne"
 """What the sensors of a sequence are called."""
 
-_CAMERA = 2
-"""The number of the camera in whose images detections and labels are."""
+_CAMERA = 2  # the number of the camera in whose images detections and labels are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -470,8 +469,7 @@ def _annotations(labels: KittiLabels, times: Int64Array, source: PoseSource, fil
     return label_annotations(labels, LabelLocations(timestamps, source.at(timestamps), camera_id(_CAMERA), file))
 
 
-_EGO_ID = "ego"
-"""What the sensor is called whose trajectory is that of the OXTS unit."""
+_EGO_ID = "ego"  # what the sensor is called whose trajectory is that of the OXTS unit
 
 
 def _no_image(number: int) -> CameraImage:

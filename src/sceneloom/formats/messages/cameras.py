@@ -131,11 +131,9 @@ def _around(values: AnyArray) -> AnyArray:
     return cast("AnyArray", rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:])
 
 
-_UNKNOWN = "unknown"
-"""Model of cameras without a calibration: images can be looked at, and nothing can be projected."""
+_UNKNOWN = "unknown"  # model of cameras without a calibration: images can be looked at, and nothing can be projected
 
-_OUR_PREFIX = "sceneloom:"
-"""Begins the names of models that only we know, in calibrations of ours."""
+_OUR_PREFIX = "sceneloom:"  # begins the names of models that only we know, in calibrations of ours
 
 _READ: Mapping[str, tuple[str, int]] = MappingProxyType(
     {

@@ -19,8 +19,7 @@ from sceneloom.scene.poses import Poses, poses_along
 from sceneloom.scene.types import PointsFrame
 from sceneloom.warnings import WarningKind
 
-_STANDS_M, _STANDS_ROTATION = 1e-9, 1e-12
-"""A frame whose transforms all agree within this does not move."""
+_STANDS_M, _STANDS_ROTATION = 1e-9, 1e-12  # a frame whose transforms all agree within this does not move
 
 
 @dataclass(slots=True)

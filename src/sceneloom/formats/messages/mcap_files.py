@@ -30,14 +30,11 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.messages.file_bytes import DIRECT, Chunk, ChunkedMessages, FileBytes
 from sceneloom.formats.messages.spec import MCAP_MAGIC
 
-_LARGEST_RECORD = 1 << 30
-"""Records of the index that claim to be larger are refused [bytes]."""
+_LARGEST_RECORD = 1 << 30  # records of the index that claim to be larger are refused [bytes]
 
-_HEAD = struct.Struct("<BQ")
-"""Opcode and length of a record, which its content follows."""
+_HEAD = struct.Struct("<BQ")  # opcode and length of a record, which its content follows
 
-_MESSAGE = struct.Struct("<HIQQ")
-"""What comes before the data of a message: channel, sequence, log time, publish time."""
+_MESSAGE = struct.Struct("<HIQQ")  # what comes before the data of a message: channel, sequence, log time, publish time
 
 _FOOTER = struct.Struct("<QQI")
 """Content of the last record: starts of the summary and of its offsets, and the summary's checksum."""
@@ -313,17 +310,14 @@ def _signed(time_ns: int) -> int:
     return time_ns if time_ns < 1 << 63 else time_ns - (1 << 64)
 
 
-_CHUNK_BYTES = 1 << 20
-"""A chunk ends as soon as it is as long as this; a longer message is one of its own."""
+_CHUNK_BYTES = 1 << 20  # a chunk ends as soon as it is as long as this; a longer message is one of its own
 
-_COMPRESSIONS = ("none", "lz4", "zstd")
-"""What chunks can be compressed with."""
+_COMPRESSIONS = ("none", "lz4", "zstd")  # what chunks can be compressed with
 
 _MOST_IDS = 65535
 _Part = bytes | memoryview
 
-_LARGE_MESSAGE = 16 << 10
-"""Messages from here on are in chunks of their own where that is wanted [bytes]."""
+_LARGE_MESSAGE = 16 << 10  # messages from here on are in chunks of their own where that is wanted [bytes]
 
 _WRITER_MESSAGE = struct.Struct("<BQHIQQ")
 """What comes before the data of a message: opcode, length, channel, sequence, log time, publish time."""

@@ -150,11 +150,9 @@ def kept_record(points: LidarPoints, timestamp_ns: int) -> CloudRecord | None:
     return packed.record
 
 
-_LONGEST_SWEEP_NS = 1_500_000_000
-"""No lidar rotates more slowly."""
+_LONGEST_SWEEP_NS = 1_500_000_000  # no lidar rotates more slowly
 
-_SHORTEST_SWEEP_NS = 1_000_000
-"""Times over less than this are not those of a sweep, but one time with noise."""
+_SHORTEST_SWEEP_NS = 1_000_000  # times over less than this are not those of a sweep, but one time with noise
 
 _USUAL_SWEEP_NS = 100_000_000
 
@@ -201,8 +199,7 @@ _SPEED_COLUMNS = ("velocity", "doppler", "radial_speed", "range_rate", "v_dopple
 _DIRECTION_COLUMNS = ("direction_x", "direction_y", "direction_z")
 """Names of the direction that a speed is measured along, in messages of ours."""
 
-_OLD_TIME_COLUMN = "offset_ns"
-"""Name of the times of points in messages that we wrote before `t`."""
+_OLD_TIME_COLUMN = "offset_ns"  # name of the times of points in messages that we wrote before `t`
 
 _TIME_COLUMNS: Mapping[tuple[str, str], str] = MappingProxyType({("t", "u4"): "nanoseconds", ("time", "f8"): "seconds"})
 """Names and dtypes of the times of points from their sweep's timestamp, in messages of ours, and their units.
@@ -386,8 +383,7 @@ def _with_times(reader: _CloudReader, cloud: Cloud, k: int, name: str, where: st
     return replace(reader, starts_ns=read_only(reader.timestamps_ns + found.first_ns))
 
 
-_EARLY_NS = 1_000_000
-"""Points may be this much earlier than the timestamp of their sweep: drivers round."""
+_EARLY_NS = 1_000_000  # points may be this much earlier than the timestamp of their sweep: drivers round
 
 
 @dataclass(frozen=True, slots=True, eq=False)

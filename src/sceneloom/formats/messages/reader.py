@@ -68,11 +68,9 @@ def _read_notes(text: str | None, name: str) -> Notes:
     return Notes(**lists, root=MappingProxyType(root))
 
 
-_TIMESTAMPS = ("header", "receive")
-"""Which times can be asked for."""
+_TIMESTAMPS = ("header", "receive")  # which times can be asked for
 
-_FAR_NS = 60_000_000_000
-"""No network delays messages by more than this: another clock timestamped them."""
+_FAR_NS = 60_000_000_000  # no network delays messages by more than this: another clock timestamped them
 
 _ZERO_NS = 1_000_000_000
 
@@ -224,8 +222,7 @@ def _note_unknown(log: TopicLog, ledger: Ledger) -> None:
         ledger.note(WarningKind.SKIPPED, "unknown-messages", log.name, message, count=count)
 
 
-_Key = tuple[str, str]
-"""Topic and id of an object."""
+_Key = tuple[str, str]  # topic and id of an object
 
 
 @dataclass(slots=True)
@@ -329,8 +326,7 @@ def _to_world(
     return known
 
 
-_REACH_NS = 100_000_000
-"""Boxes may be this much before or after all that is known of the ego trajectory."""
+_REACH_NS = 100_000_000  # boxes may be this much before or after all that is known of the ego trajectory
 
 
 def _box_2d(identifier: str | int, sensor_id: str | int, track: _Track) -> Box2DAnnotation:
@@ -742,8 +738,7 @@ def _noted_scene_fields(notes: Notes, metadata: Mapping[str, Any], form: str) ->
 
 _IMAGE_KINDS = (Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO)
 
-_FROM_FRAMES = "tf"
-"""Name of the ego trajectory that the transforms report."""
+_FROM_FRAMES = "tf"  # name of the ego trajectory that the transforms report
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -921,8 +916,7 @@ def _foreign_trajectories(found: Survey, locations: Locations) -> dict[str, Traj
     return trajectories
 
 
-_RESERVED_NAMES = frozenset({"gnss", "lidar", "identity"})
-"""Names of trajectories that are computed."""
+_RESERVED_NAMES = frozenset({"gnss", "lidar", "identity"})  # names of trajectories that are computed
 
 
 def _foreign_sensors(context: _Log, taken: set[Any], camera_ids: dict[str, Any]) -> list[Sensor]:

@@ -48,8 +48,7 @@ from sceneloom.formats.messages.writer import FIXED_FRAMES_TOPIC, SceneStreams, 
 from sceneloom.scene.scene import Scene, with_assumed_models
 from sceneloom.warnings import WarningKind
 
-_NOTES_TOPIC = "/sceneloom/scene"
-"""The topic of what no message has a field for."""
+_NOTES_TOPIC = "/sceneloom/scene"  # the topic of what no message has a field for
 
 _TIMESTAMPS = {"cdr": (4, "iI"), "ros1": (4, "II")}
 """Byte and form of the time in a header: behind the byte order in CDR, behind a counter of messages in ROS 1."""
@@ -203,8 +202,7 @@ def _note_not_read(log: _RosLog, ledger: Ledger) -> None:
             ledger.note(WarningKind.SKIPPED, "fields-not-read", location, message, count=topic.count)
 
 
-_STORAGES = ("sqlite3", "mcap")
-"""What files of ROS 2 bags can be."""
+_STORAGES = ("sqlite3", "mcap")  # what files of ROS 2 bags can be
 
 _SECOND_NS = 1_000_000_000
 
@@ -440,8 +438,7 @@ _NUMBERS = {dtype: number for number, dtype in _DATATYPES.items()}
 _MICROTESLA = 1e-6
 _ZERO_CELSIUS = 273.15
 
-_NO_FIX = -1
-"""Status of fixes without reception."""
+_NO_FIX = -1  # status of fixes without reception
 
 
 def _timestamp_ns(stamp: Any) -> int:
@@ -643,8 +640,7 @@ _NOT_READ: Mapping[str, str] = MappingProxyType(
 _DIAGONAL, _GPS = 2, 1
 _VIDEOS = frozenset({"h264", "h265", "vp9", "av1"})
 _LATEST_SECOND = 2**31 - 1
-_Message = tuple[str, Mapping[str, Any] | tuple[Any, ...]]
-"""The type of a message, and its fields by name or in order."""
+_Message = tuple[str, Mapping[str, Any] | tuple[Any, ...]]  # the type of a message, and its fields by name or in order
 
 
 class _Messages:

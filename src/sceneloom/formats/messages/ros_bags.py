@@ -31,8 +31,7 @@ from sceneloom.warnings import WarningKind
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _LONGEST_HEAD = 1 << 20
 
-_HEAD_ROOM = 512
-"""Heads of messages of ROS 1 are no longer [bytes]."""
+_HEAD_ROOM = 512  # heads of messages of ROS 1 are no longer [bytes]
 
 _TOO_DEEP = re.compile(r"(?:[\[{]\s*|- ){65}")
 """Collections in one another without anything between them; rosbag2 writes six, thousands take the parser seconds."""

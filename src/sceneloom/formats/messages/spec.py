@@ -16,8 +16,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 _SQLITE = b"SQLite format 3\x00"
 _ROS_PROFILES = frozenset({"ros1", "ros2"})
 
-_ROS_ENCODINGS = frozenset({"cdr", "ros1"})
-"""Encodings of messages that only ROS has. Source: MCAP format registry."""
+_ROS_ENCODINGS = frozenset({"cdr", "ros1"})  # encodings of messages that only ROS has. Source: MCAP format registry
 
 _HEADER = struct.Struct("<8sBQI")
 """How a file begins: magic, opcode and length of the header, length of the profile's name."""

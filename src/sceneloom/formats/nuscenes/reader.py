@@ -116,8 +116,7 @@ _LEFT_OUT = (
     ("map.json", "maps", "maps are left out"),
     ("panoptic.json", "panoptic", "panoptic labels of points are left out"),
 )
-_EMPTY_TABLE = 4
-"""A file of so many bytes holds no row."""
+_EMPTY_TABLE = 4  # a file of so many bytes holds no row
 
 _OF_FRAMES = {"file": "filename", "token": "token", "sample_token": "sample_token", "is_key_frame": "is_key_frame"}
 """Extra fields of frames, and the columns that they are in."""

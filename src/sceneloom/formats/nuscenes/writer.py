@@ -38,11 +38,9 @@ from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Key, PointsFrame, key_of
 
-_IMAGES = ("copy", "png")
-"""How images are written."""
+_IMAGES = ("copy", "png")  # how images are written
 
-_JPEG_QUALITY = 95
-"""Of images that come from a video or from memory."""
+_JPEG_QUALITY = 95  # of images that come from a video or from memory
 
 _KIND = FolderKind(
     "data set of nuScenes",
@@ -55,8 +53,7 @@ _KIND = FolderKind(
     r"v\d[\w.-]*/sample_data\.json",
 )
 
-_MAP = "maps/none.png"
-"""An empty mask: the development kit wants one for each log."""
+_MAP = "maps/none.png"  # an empty mask: the development kit wants one for each log
 
 _RADAR = (
     *((name, "F", 4) for name in ("x", "y", "z")),
@@ -75,11 +72,9 @@ _SHOWN_RETURN = {"is_quality_valid": 1, "ambig_state": 3}
 _VISIBILITIES = {"v0-40": "1", "v40-60": "2", "v60-80": "3", "v80-100": "4"}
 """Tokens of the levels, by name. Source: "visibility" of the schema."""
 
-_UNKNOWN = "unknown"
-"""The category of objects without a class."""
+_UNKNOWN = "unknown"  # the category of objects without a class
 
-_NOISE = "noise"
-"""The class with the number 0, which points without a class get."""
+_NOISE = "noise"  # the class with the number 0, which points without a class get
 
 _MOST_CLASSES = 255
 _COUNTS = {"lidar": "num_lidar_pts", "radar": "num_radar_pts"}
@@ -90,18 +85,14 @@ _Written = LidarSensor | RadarSensor | CameraSensor
 _MODALITIES: Mapping[type[Any], str] = {LidarSensor: "lidar", RadarSensor: "radar", CameraSensor: "camera"}
 _SECOND = 1_000_000_000
 
-_RATE_HZ = 2.0
-"""Samples a second in nuScenes."""
+_RATE_HZ = 2.0  # samples a second in nuScenes
 
 _OF_SENSORS = frozenset({"token", "calibrated_sensor_token", KEY_FRAMES})
-_OF_SCENES = frozenset({"nuscenes", "sceneloom"})
-"""Extra fields that the tables hold."""
+_OF_SCENES = frozenset({"nuscenes", "sceneloom"})  # extra fields that the tables hold
 
-_VERSION = "v1.0-sceneloom"
-"""The name of the folder of tables, where the scene was not read from one."""
+_VERSION = "v1.0-sceneloom"  # the name of the folder of tables, where the scene was not read from one
 
-_LIDAR_TOP = "LIDAR_TOP"
-"""The channel of the lidar that the renderers of the development kit ask for."""
+_LIDAR_TOP = "LIDAR_TOP"  # the channel of the lidar that the renderers of the development kit ask for
 
 _LOOKING: Mapping[float, str] = {
     0.0: "CAM_FRONT",
@@ -113,14 +104,11 @@ _LOOKING: Mapping[float, str] = {
 }
 """The cameras of nuScenes by their viewing direction, counter-clockwise from ahead [deg]."""
 
-_NEAR_DEG = 25.0
-"""How far a camera's direction may be from one of these for the camera to get its name."""
+_NEAR_DEG = 25.0  # how far a camera's direction may be from one of these for the camera to get its name
 
-_STEEP = np.sin(np.pi / 4)
-"""A camera pitched by more than 45 degrees has none of these directions."""
+_STEEP = np.sin(np.pi / 4)  # a camera pitched by more than 45 degrees has none of these directions
 
-_Add = Callable[[Mapping[str, Any]], None]
-"""Adds a row to a table."""
+_Add = Callable[[Mapping[str, Any]], None]  # adds a row to a table
 
 
 def write_nuscenes(

@@ -423,8 +423,7 @@ class _Stated:
     part: Part
 
 
-_Data = dict[tuple[str, str], list[_Stated]]
-"""What is stated, by the type and the name of the data."""
+_Data = dict[tuple[str, str], list[_Stated]]  # what is stated, by the type and the name of the data
 
 
 @dataclass(slots=True)
@@ -920,5 +919,4 @@ _SHAPES: Mapping[str, _Make] = MappingProxyType(
 )
 """Types of data that have a location, and what makes an annotation of the rows of each."""
 
-_IN_IMAGES = ("bbox", "rbbox", "poly2d", "point2d")
-"""Types of data that are drawn in the images of a camera."""
+_IN_IMAGES = ("bbox", "rbbox", "poly2d", "point2d")  # types of data that are drawn in the images of a camera

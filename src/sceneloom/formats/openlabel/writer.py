@@ -66,8 +66,7 @@ from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor, frame_times
 from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 
-_Datum = tuple[int | None, str, dict[str, Any]]
-"""Time [ns], or None for always; type of the data; the element."""
+_Datum = tuple[int | None, str, dict[str, Any]]  # time [ns], or None for always; type of the data; the element
 
 _CLOSED = (ShapeType.POLYGON, ShapeType.POLYGON_2D, ShapeType.POLYGON_TOPDOWN)
 _POINTS = (ShapeType.POINT, ShapeType.POINT_2D, ShapeType.POINT_TOPDOWN)
@@ -599,8 +598,7 @@ _STREAM_TYPES: Mapping[type[Any], str] = {
 
 _FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
 
-_EXACT_M, _EXACT_DEG = 1e-6, 1e-4
-"""Poses this near to the exact ones count as exact."""
+_EXACT_M, _EXACT_DEG = 1e-6, 1e-4  # poses this near to the exact ones count as exact
 
 _WITHIN = 0.5
 """A frame of a sensor belongs to the file's nearest frame within this share of the sensor's median interval."""

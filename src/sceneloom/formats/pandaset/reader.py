@@ -44,8 +44,7 @@ from sceneloom.warnings import WarningKind
 
 _NANOSECONDS = 1_000_000_000
 
-_LATEST_SECONDS = 9_000_000_000
-"""Times beyond this [s] are in another unit."""
+_LATEST_SECONDS = 9_000_000_000  # times beyond this [s] are in another unit
 
 _LIDARS = ("main_pandar64", "front_gt")
 """The lidars by their number in the column `d`; the names are those of the published static calibration."""
@@ -61,8 +60,7 @@ _LABEL = "label"
 _STATED = ("camera_used",)
 _STATED_PREFIXES = ("attributes.", "cuboids.")
 
-_NOTHING = ("None", "", "-", "nan", "-1")
-"""Values, as texts, by which the files state nothing."""
+_NOTHING = ("None", "", "-", "nan", "-1")  # values, as texts, by which the files state nothing
 
 
 class _Vector(msgspec.Struct):

@@ -32,8 +32,7 @@ from sceneloom.formats.points.npz import read_bin, read_npz
 MOST_STEPS = 2**31 - 1
 """Steps between a position and the offset at most."""
 
-_STEP = 0.001
-"""Positions are whole multiples of this [m] from an offset: finer than any lidar measures."""
+_STEP = 0.001  # positions are whole multiples of this [m] from an offset: finer than any lidar measures
 
 _PLAIN, _COLORED = 6, 7
 """Point formats: positions, intensity, classification and time; and with colours. Source: section 2.6."""
@@ -43,18 +42,15 @@ _FULL_SCALE = 257
 
 _LARGEST_CLASS = 255
 
-_FARTHEST_M = 1e10
-"""Limit of coordinates [m]; 70 times the distance to the sun."""
+_FARTHEST_M = 1e10  # limit of coordinates [m]; 70 times the distance to the sun
 
-_SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e6
-"""Steps of positions [m]."""
+_SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e6  # steps of positions [m]
 
 _LAYOUT = struct.Struct("<HIIBHI")
 
 _RECORD_HEAD, _EXTENDED_HEAD = 54, 60
 
-_HEADER_LENGTHS = (227, 227, 227, 235, 375)
-"""Shortest headers of the versions 1.0 to 1.4 [bytes]."""
+_HEADER_LENGTHS = (227, 227, 227, 235, 375)  # shortest headers of the versions 1.0 to 1.4 [bytes]
 
 _LONGEST_HEADER = 375
 
@@ -829,8 +825,7 @@ def _pack_records(columns: Mapping[str, AnyArray], count: int) -> AnyArray:
     return records
 
 
-_COUNT_DIGITS = 12
-"""Room for the number of points, which is known at the end."""
+_COUNT_DIGITS = 12  # room for the number of points, which is known at the end
 
 
 class _RecordWriter:

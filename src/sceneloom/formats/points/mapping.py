@@ -19,8 +19,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarPoints
 _FARTHEST_POINT_TIME_NS = 10_000_000_000
 """A point that is farther than this from its file's timestamp has another unit or another clock."""
 
-_INTENSITY_SCALES = (1.0, 255.0, 65535.0)
-"""The brightest value of the usual scales."""
+_INTENSITY_SCALES = (1.0, 255.0, 65535.0)  # the brightest value of the usual scales
 
 FARTHEST_WORLD = 100_000.0
 """float32 resolves 8 mm there: points in the world beyond it need a nearer origin [m]."""

@@ -46,8 +46,7 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import PointsFrame
 from sceneloom.warnings import WarningKind
 
-_LOOKED_AT = 10
-"""Files that are looked through for one that is bright enough to show the scale of intensity."""
+_LOOKED_AT = 10  # files that are looked through for one that is bright enough to show the scale of intensity
 
 _FARTHEST_EXACT = 4000.0
 """Farther from 0 than this [m], float32 is coarser than a quarter of a millimetre: points count from an origin."""
@@ -67,11 +66,9 @@ _MEANINGS: Mapping[str, tuple[PointTimes, ...]] = MappingProxyType(
 _NEAR_NS = 2e9
 _NOTHING_STATED = PointMapping()
 
-_FIRST_NS, _LAST_NS = 631_152_000e9, 4_102_444_800e9
-"""The beginnings of the years 1990 and 2100."""
+_FIRST_NS, _LAST_NS = 631_152_000e9, 4_102_444_800e9  # the beginnings of the years 1990 and 2100
 
-_DEFAULT_RATE_HZ = 10.0
-"""How fast most lidars rotate: taken for files whose names are plain numbers."""
+_DEFAULT_RATE_HZ = 10.0  # how fast most lidars rotate: taken for files whose names are plain numbers
 
 _EGO_TRAJECTORY = "pose"
 
@@ -419,8 +416,7 @@ _FIRST_S, _LAST_S = 631_152_000, 4_102_444_800
 
 _FARTHEST_NS = 9_200_000_000_000_000_000
 
-_SUFFIXES: Mapping[str, int] = MappingProxyType({".pcd.bin": 2})
-"""Endings of several parts, and how many they have."""
+_SUFFIXES: Mapping[str, int] = MappingProxyType({".pcd.bin": 2})  # endings of several parts, and how many they have
 
 
 def stem_of(name: str) -> str:

@@ -37,8 +37,7 @@ _FEW_POINTS = 64
 _FARTHEST_M = 1e4
 _BRIGHTEST = 65535.0
 
-_LOOKED_AT = 5
-"""Files of one ending that are looked into, where the first of them is torn."""
+_LOOKED_AT = 5  # files of one ending that are looked into, where the first of them is torn
 
 
 @dataclass(frozen=True, slots=True)

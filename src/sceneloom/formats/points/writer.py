@@ -25,8 +25,7 @@ from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.types import Coordinates, PointsFrame
 
-_OFFSET = "offset_ns"
-"""Times of points from the frame's time on [ns]: 32 bits hold two seconds either way."""
+_OFFSET = "offset_ns"  # times of points from the frame's time on [ns]: 32 bits hold two seconds either way
 
 
 _SPACES = re.compile(r"\s+")

@@ -135,8 +135,7 @@ class _Reading(NamedTuple):
     taken: tuple[int, ...] | None = None
 
 
-_RADIAL = _Reading("brown_conrady", (0, 1, -1, -1, 2))
-"""k1 k2 k3 become k1 k2 p1 p2 k3."""
+_RADIAL = _Reading("brown_conrady", (0, 1, -1, -1, 2))  # k1 k2 k3 become k1 k2 p1 p2 k3
 
 _PRISM_AND_TILT = _Reading("brown_conrady", (*range(8), -1, -1, *range(8, 14)))
 """After the eight of the rational model come lx ly of ours, which the format does not have."""
@@ -207,11 +206,9 @@ def camera_model(parameters: CameraParameters, image_size: tuple[int, int] | Non
 
 _SHORTEST = 1e-6
 
-_SAME_MATRIX = 1e-6
-"""Elements of two matrices that are closer are the same number, written with other digits."""
+_SAME_MATRIX = 1e-6  # elements of two matrices that are closer are the same number, written with other digits
 
-_Duration = Annotated[float, Meta(ge=0, le=10)]
-"""How long an image takes [s]."""
+_Duration = Annotated[float, Meta(ge=0, le=10)]  # how long an image takes [s]
 
 _Shift = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _Value = TypeVar("_Value")

@@ -23,11 +23,9 @@ _NUMBERED = re.compile(r"(\d{8})\.png")
 _EIGHT_BIT_MODES = frozenset({"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX"})
 """Pillow's modes whose values are, or stand for, 8-bit colours; a 16-bit RGB file comes as `RGB` too."""
 
-_STEPS = frozenset({"I", "I;16", "I;16B", "I;16L"})
-"""Its modes for 16-bit grey; PNG has no wider grey."""
+_STEPS = frozenset({"I", "I;16", "I;16B", "I;16L"})  # its modes for 16-bit grey; PNG has no wider grey
 
-_DAMAGE = (OSError, ValueError, SyntaxError)
-"""What Pillow raises for files that are damaged."""
+_DAMAGE = (OSError, ValueError, SyntaxError)  # what Pillow raises for files that are damaged
 
 
 def image_name(index: int) -> str:

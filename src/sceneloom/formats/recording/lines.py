@@ -369,8 +369,7 @@ _OUTPUT_TRAJECTORY = "output"
 _RECEIVER_KEYS = frozenset({"rtkgps", "groundTruth", "pose"})
 """Root keys beside `gps` under which the format has satellite fixes."""
 
-_BLANK = "blank-lines"
-"""The code of a line that is blank: a fault, but at the end of the file."""
+_BLANK = "blank-lines"  # the code of a line that is blank: a fault, but at the end of the file
 
 _BLANK_LINE = "blank; expected a JSON object"
 _NO_SUBJECT = {"time", "number"}

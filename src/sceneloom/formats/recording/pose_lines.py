@@ -29,15 +29,13 @@ from sceneloom.formats.trajectories.trajectory_file import (
 )
 from sceneloom.warnings import WarningKind
 
-_ROOT_NAME = "output"
-"""How poses right at the root are called."""
+_ROOT_NAME = "output"  # how poses right at the root are called
 
 _Line = dict[str, msgspec.Raw]
 _decode_line = msgspec.json.Decoder(_Line).decode
 _decode_pose = msgspec.json.Decoder(NamedPose).decode
 
-_OTHER_KEYS = ROOT_KEYS - {"groundTruth", "pose"}
-"""Keys of a recording's lines under which no pose stands."""
+_OTHER_KEYS = ROOT_KEYS - {"groundTruth", "pose"}  # keys of a recording's lines under which no pose stands
 
 
 class _UnfitLineError(Exception):

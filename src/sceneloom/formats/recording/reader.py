@@ -70,12 +70,10 @@ from sceneloom.scene.poses import Trajectory, poses_along
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.warnings import WarningKind
 
-_VIDEO_SUFFIXES = ("mkv", "mp4", "mov", "avi", "ts")
-"""Endings of `data`, `data2`, … that are looked for, in this order."""
+_VIDEO_SUFFIXES = ("mkv", "mp4", "mov", "avi", "ts")  # endings of `data`, `data2`, … that are looked for, in this order
 
 
-_ENDLESS = {".ts", ".avi"}
-"""Endings of videos that do not state where they end."""
+_ENDLESS = {".ts", ".avi"}  # endings of videos that do not state where they end
 
 
 _IMAGES = re.compile(rf"data(?P<video>|[2-9]|[1-9]\d+)\.(?:{'|'.join(_VIDEO_SUFFIXES)})|frames(?P<folder>[1-9]\d*)")
@@ -164,8 +162,7 @@ def _texts(frames: FrameColumns, rows: list[int], data_path: Path) -> list[str]:
 _HELD_KEYS = frozenset(FrameEntry.__struct_fields__)
 
 
-_OWN = -1
-"""Stands for the camera model or mounting of the calibration."""
+_OWN = -1  # stands for the camera model or mounting of the calibration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -274,19 +271,16 @@ def _applied_shifts(calibration: Calibration, camera_shift: str) -> dict[str, An
     return {"camera_shifts": shifts} if factor and shifts else {}
 
 
-_DEFAULT_SCALE = 0.001
-"""Metres a step where nothing says it: the usual unit of depth cameras. ASSUMED, with a warning."""
+_DEFAULT_SCALE = 0.001  # metres a step where nothing says it: the usual unit of depth cameras. ASSUMED, with a warning
 
 
-_DEPTH_FORMAT = "gray16"
-"""`colorFormat` of lines whose image holds depths."""
+_DEPTH_FORMAT = "gray16"  # `colorFormat` of lines whose image holds depths
 
 
 _LARGEST_SCALE = 100.0
 
 
-_SAME_M, _SAME_DEG = 1e-6, 1e-4
-"""Mountings no further apart than this state the same."""
+_SAME_M, _SAME_DEG = 1e-6, 1e-4  # mountings no further apart than this state the same
 
 
 def _build_cameras(contents: RecordingContents, opened: list[ImageFiles]) -> list[CameraSensor | DepthCameraSensor]:
@@ -598,8 +592,7 @@ RANKS: Mapping[str, int] = {"groundTruth": 0, "pose": 1, "externalPose": 1}
 
 VIO_CONFIG_FILE = "vio_config.yaml"
 
-_RESERVED_NAMES = {"gnss", "lidar", "identity"}
-"""Names that stand for trajectories that are computed."""
+_RESERVED_NAMES = {"gnss", "lidar", "identity"}  # names that stand for trajectories that are computed
 
 _OPTIONS = {"altitude": ("wgs84", "msl"), "camera_shift": tuple(CAMERA_SHIFTS), "image_index": tuple(ALIGNMENTS)}
 """Options of reading, with their values; the first is the default."""

@@ -43,16 +43,13 @@ from sceneloom.scene.cameras import (
 IMAGES = ("copy", "lossless", "h264", "ffv1", "png")
 """Ways to keep images."""
 
-_ENCODED_AS = {"copy": "h264", "lossless": "ffv1"}
-"""Codecs for videos that should have been copied and cannot be."""
+_ENCODED_AS = {"copy": "h264", "lossless": "ffv1"}  # codecs for videos that should have been copied and cannot be
 
 _SPELT = {"h264": "H.264", "ffv1": "FFV1, which loses nothing"}
 
-_PNG_EFFORT = 1
-"""Images of scenes shrink little more with more effort, at many times the time."""
+_PNG_EFFORT = 1  # images of scenes shrink little more with more effort, at many times the time
 
-_EBML = b"\x1a\x45\xdf\xa3"
-"""How a Matroska file begins. Source: RFC 8794, section 11.2.1."""
+_EBML = b"\x1a\x45\xdf\xa3"  # how a Matroska file begins. Source: RFC 8794, section 11.2.1
 
 _COPIED_AT_ONCE = 1 << 20
 _DEFAULT_FPS = 10.0
@@ -60,13 +57,11 @@ _DEFAULT_FPS = 10.0
 _DEPTH_STEPS = (0.001, 0.002, 0.005, 0.01)
 """Lengths of a step that are tried, the smallest first, where the source has no steps [m]."""
 
-_COLOR_FORMAT = "gray16"
-"""What the vendor's software calls images of 16-bit steps."""
+_COLOR_FORMAT = "gray16"  # what the vendor's software calls images of 16-bit steps
 
 _LARGEST = 65535
 
-_OFF_STEP = 0.01
-"""Share of a step that a depth may be off and still be one: float32 holds 65535 steps to 0.004 of one."""
+_OFF_STEP = 0.01  # share of a step that a depth may be off and still be one: float32 holds 65535 steps to 0.004 of one
 
 
 class _SteppedDepth(NamedTuple):
@@ -466,8 +461,7 @@ _CAMERA_MODEL, _MOUNT = "cameraParameters", "imuToCamera"
 
 _NO_FILE = Path("data.jsonl")
 
-_OWN_EXTRAS = OWN_FIELDS | {_CAMERA_MODEL, _MOUNT}
-"""Extras of an image that its line is made from anew."""
+_OWN_EXTRAS = OWN_FIELDS | {_CAMERA_MODEL, _MOUNT}  # extras of an image that its line is made from anew
 
 _OWN_DEPTH_EXTRAS = frozenset({"colorFormat", "depthScale"})
 """Those of a depth image that are reported by how it is written."""

@@ -14,8 +14,7 @@ from sceneloom.formats.recording.reader import BAROMETER, RECEIVER
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
 
-_BLOCK = 2048
-"""Lines that are in memory together."""
+_BLOCK = 2048  # lines that are in memory together
 
 _AXES: Mapping[str, int] = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3}
 """Sensors whose samples must have that many values, lest the vendor's software refuses them."""
@@ -90,8 +89,7 @@ def rows_of(texts: Mapping[str, str], timestamps_ns: Int64Array) -> dict[int, st
     return found
 
 
-_TIME, _ROW = -1, -2
-"""Slots of the time, and of all numbers of a row with commas between them."""
+_TIME, _ROW = -1, -2  # slots of the time, and of all numbers of a row with commas between them
 
 
 class _Slot(NamedTuple):

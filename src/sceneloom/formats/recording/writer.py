@@ -46,8 +46,7 @@ from sceneloom.scene.poses import Poses, PoseSource, Trajectory, same_direction
 from sceneloom.scene.scene import Scene, Sensor, check_camera_models
 from sceneloom.scene.types import Coordinates, PointsFrame
 
-_LIDAR_MODEL = LIDAR_MODELS[0]
-"""The one model that the format describes."""
+_LIDAR_MODEL = LIDAR_MODELS[0]  # the one model that the format describes
 
 _KIND = FolderKind(
     "recording",

@@ -24,8 +24,7 @@ LARGEST_TOTAL = 1 << 40
 LARGEST_RATIO = 300
 """Nor archives whose files are this many times as large as they are: the lines of a log shrink to a tenth."""
 
-_ALWAYS_FINE = 64 << 20
-"""Bytes that may come out of an archive of any size."""
+_ALWAYS_FINE = 64 << 20  # bytes that may come out of an archive of any size
 
 _SPARE_BYTES = 64 << 20
 _BLOCK = 1 << 20

@@ -41,8 +41,7 @@ if TYPE_CHECKING:
 else:
     _AnyPath = type(Path())
 
-_LEFT_FREE = 1 << 30
-"""What stays free on the disk [bytes]."""
+_LEFT_FREE = 1 << 30  # what stays free on the disk [bytes]
 
 _MARKS = "used"
 _DRAFTS = "drafts"
@@ -50,8 +49,7 @@ _DRAFTS = "drafts"
 _AHEAD = 8
 """How many files of a folder are fetched before they are asked for, where its files are read one after the other."""
 
-_AHEAD_BYTES = 256 << 20
-"""How much of them at most: larger files come when they are asked for [bytes]."""
+_AHEAD_BYTES = 256 << 20  # how much of them at most: larger files come when they are asked for [bytes]
 
 HEAD = 64 << 10
 """So much is fetched of a file of which only the first bytes are read [bytes]."""
@@ -59,8 +57,7 @@ HEAD = 64 << 10
 PIECE = 256 << 10
 """Length of the chunks that a file comes in where it is not fetched whole [bytes]."""
 
-_REMEMBERED = 32 << 20
-"""So much of chunks and beginnings is cached: all formats look at the same files [bytes]."""
+_REMEMBERED = 32 << 20  # so much of chunks and beginnings is cached: all formats look at the same files [bytes]
 
 _MUCH = 0.25
 """A file of which more than this share was read in chunks is fetched whole: further chunks would each be waited for."""
@@ -313,13 +310,11 @@ def _make_empty(path: str, time_ns: int) -> None:
     os.utime(path, ns=(time_ns, time_ns))
 
 
-_WORKPLACE = "sceneloom-"
-"""What the names of the folders begin with that trees are made in."""
+_WORKPLACE = "sceneloom-"  # what the names of the folders begin with that trees are made in
 
 _LISTING = "listing.json"
 
-_WORTHWHILE = 4 << 20
-"""Smaller files are fetched whole by those who could do with chunks [bytes]."""
+_WORTHWHILE = 4 << 20  # smaller files are fetched whole by those who could do with chunks [bytes]
 
 _open: dict[tuple[int, str], _Mirror] = {}
 """Mirrors by process, since a forked one must begin anew, and by the top of the tree."""
@@ -508,13 +503,11 @@ def _of_other_process(path: Path) -> _Mirror | None:
     return _open.setdefault((os.getpid(), listing.top), _Mirror(listing))
 
 
-_LARGEST = 64 << 30
-"""More of a drive is not on disk at one time [bytes]."""
+_LARGEST = 64 << 30  # more of a drive is not on disk at one time [bytes]
 
 _TABLES = (".json", ".jsonl", ".txt", ".csv", ".toml", ".yaml", ".yml", ".xml", ".md")
 
-_SMALL = 4 << 20
-"""Tables of this size are fetched at once, side by side: readers open them one after the other [bytes]."""
+_SMALL = 4 << 20  # tables of this size are fetched at once, side by side: readers open them one after the other [bytes]
 
 _NUMBERS = re.compile(r"(\D*)(\d*)", re.ASCII)
 

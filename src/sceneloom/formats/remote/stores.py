@@ -146,8 +146,7 @@ class Patience:
         return whole * random.uniform(0.5, 1.0)  # noqa: S311 - nothing secret hangs on it
 
 
-_PATIENCE = Patience()
-"""How long back ends are tried."""
+_PATIENCE = Patience()  # how long back ends are tried
 
 
 def patiently(action: Callable[[], _Result], patience: Patience | None = None) -> _Result:
@@ -166,8 +165,7 @@ def patiently(action: Callable[[], _Result], patience: Patience | None = None) -
     raise AssertionError("unreachable: the last try returns or raises")
 
 
-_PART = 16 << 20
-"""Length of the parts that a file is sent in; stores take 10,000 of them, which makes 160 GB [bytes]."""
+_PART = 16 << 20  # length of the parts that a file is sent in; stores take 10,000 of them, which makes 160 GB [bytes]
 
 _VERSIONS = (
     *("ETag", "etag", "Content-MD5", "Digest"),

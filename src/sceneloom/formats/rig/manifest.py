@@ -188,8 +188,7 @@ RECORDS: Mapping[str, tuple[_Field, ...]] = MappingProxyType({
 _NAMED = (("sensors", "id"), ("trajectories", "name"))
 """The lists whose tables have names of their own, and the field of the name."""
 
-_FILL_IN = "still to be filled in"
-"""How the problem begins where a template's `nan` still stands."""
+_FILL_IN = "still to be filled in"  # how the problem begins where a template's `nan` still stands
 
 _SHOWN_LINES = 20
 _FARTHEST_S = Decimal("9.2e9")

@@ -74,8 +74,7 @@ from sceneloom.scene.types import NO_FIELDS, PointsFrame
 from sceneloom.warnings import WarningKind
 
 _WORLD = "world"
-_RESERVED_NAMES = {"gnss", "lidar", "identity"}
-"""Names of trajectories that stand for computed ones."""
+_RESERVED_NAMES = {"gnss", "lidar", "identity"}  # names of trajectories that stand for computed ones
 
 
 def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False) -> Scene:
@@ -1070,11 +1069,9 @@ def _coefficients(model: str, given: list[float] | dict[str, float]) -> tuple[fl
     return tuple(given)
 
 
-_LONGEST_SWEEP_NS = 60_000_000_000
-"""A sweep that takes longer than this [ns] is none."""
+_LONGEST_SWEEP_NS = 60_000_000_000  # a sweep that takes longer than this [ns] is none
 
-_LOOKED_AT = 10
-"""Files that are looked through for one that is bright enough to show the scale of intensity."""
+_LOOKED_AT = 10  # files that are looked through for one that is bright enough to show the scale of intensity
 
 _ROLES = (*(role for role in ALIASES if role != "time"), *ROW_ALIASES)
 
@@ -1245,8 +1242,7 @@ def _points_frame(part: _Part, mount: RigidTransform) -> tuple[PointsFrame, Rigi
     return PointsFrame.SENSOR, mount.inverse() @ tree.ego_from(name)
 
 
-_FARTHEST_POINT = 10_000.0
-"""No lidar measures as far [m]: numbers of another type give such points."""
+_FARTHEST_POINT = 10_000.0  # no lidar measures as far [m]: numbers of another type give such points
 
 _NEAREST_POINT = 1e-6
 _ODD_SHARE = 0.01
@@ -1358,14 +1354,11 @@ _BUILDERS: Mapping[str, Callable[[_Part], Sensor]] = {
     "gnss": _build_gnss,
 }
 
-_FARTHEST_MOUNT = 30.0
-"""A sensor that is mounted farther than this from the ego [m] is reported: no vehicle is as long."""
+_FARTHEST_MOUNT = 30.0  # a sensor that is mounted farther than this from the ego [m] is reported: no vehicle is as long
 
-_WITHIN_NS = 1_000_000_000
-"""Streams that miss each other by less may well belong together."""
+_WITHIN_NS = 1_000_000_000  # streams that miss each other by less may well belong together
 
-_LEANING = 0.5
-"""Cosine of 60 degrees: an ego whose z axis leans more than that is on its side or upside down."""
+_LEANING = 0.5  # cosine of 60 degrees: an ego whose z axis leans more than that is on its side or upside down
 
 
 def _note_frames_and_roots(drive: _Drive) -> None:

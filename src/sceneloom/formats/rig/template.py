@@ -37,8 +37,7 @@ _DIGITS = re.compile(r"\d+")
 _UNITS_BY_DIGITS = {19: "{ns}", 16: "{us}", 13: "{ms}", 10: "{s}"}
 """Units of timestamps of our years by their number of digits."""
 
-_PARTS_BY_DIGITS = {9: "{ns}", 6: "{us}", 3: "{ms}"}
-"""Units of what stands behind whole seconds."""
+_PARTS_BY_DIGITS = {9: "{ns}", 6: "{us}", 3: "{ms}"}  # units of what stands behind whole seconds
 
 TEMPLATE = """\
 # rig.toml describes a folder of clouds and images, so that sceneloom opens it as one drive:
@@ -362,8 +361,7 @@ def _guess_layout(path: Path) -> FieldLayout | None:
 
 _LIKE_TIMES = re.compile(r"time|timestamp|offset|(^|_)dt($|_)|delta", re.IGNORECASE)
 
-_SPEAKABLE = re.compile(r"[\w.:/ -]+")
-"""Names that can stand in a text as they are; others are not worth a hint."""
+_SPEAKABLE = re.compile(r"[\w.:/ -]+")  # names that can stand in a text as they are; others are not worth a hint
 
 _UNITS_BY_ENDING = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds"}
 

@@ -35,14 +35,12 @@ _UNITS = ((18, 20, 1, "nanoseconds"), (15, 18, 1_000, "microseconds"), (12, 15, 
 
 _SECOND = 1_000_000_000
 
-_MOST_FRAMES = 10_000_000
-"""No drive has more frames than this."""
+_MOST_FRAMES = 10_000_000  # no drive has more frames than this
 
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 _RADAR_COLUMNS = 7
 
-_LARGEST = 1e9
-"""No position and no speed of a return is larger than this."""
+_LARGEST = 1e9  # no position and no speed of a return is larger than this
 
 
 def open_scale_toolkit(path: Path, *, rate_hz: float | str | None = None, lenient: bool = False) -> Scene:

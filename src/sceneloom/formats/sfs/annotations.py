@@ -499,8 +499,7 @@ _ATTRIBUTE: Mapping[str, _Column] = {
     "values": _Column(read=lambda _, __, raw: attribute_values(raw)),
 }
 
-_SEEN = {"sensor_id": _AS_IS, "timestamps": _TIMESTAMPS}
-"""What activations and projections begin with."""
+_SEEN = {"sensor_id": _AS_IS, "timestamps": _TIMESTAMPS}  # what activations and projections begin with
 
 _CONFIRMED = _Column(read=_read_confirmed)
 _CUBOIDS = _nullable_rows(9)

@@ -19,8 +19,7 @@ READABLE_TICKS_NS: Mapping[str, int] = MappingProxyType({**TICKS_NS, "microsecon
 INT64_MIN, INT64_MAX = -(2**63), 2**63 - 1
 UINT32_MAX, UINT64_MAX = 2**32 - 1, 2**64 - 1
 
-_SMALL_START_NS = 10_000_000_000
-"""A scene that starts within so many nanoseconds of its clock's zero needs no offset."""
+_SMALL_START_NS = 10_000_000_000  # a scene that starts within so many nanoseconds of its clock's zero needs no offset
 
 _SECOND_NS = 1_000_000_000
 _PIECE = 1 << 13

@@ -41,8 +41,7 @@ DTYPES: Mapping[str, np.dtype[Any]] = MappingProxyType(
 )
 """The dtypes that an item may name: NumPy's names, and its codes with a byte order."""
 
-_MOST_AXES = 64
-"""Source: NPY_MAXDIMS of NumPy 2."""
+_MOST_AXES = 64  # Source: NPY_MAXDIMS of NumPy 2
 
 
 class RawBytes(np.ndarray[Any, Any]):
@@ -266,8 +265,7 @@ def _is_free(location: _Slot) -> bool:
 
 _MAPPED_AT_MOST = 128 << 20
 
-_DONT_NEED: int | None = getattr(mmap, "MADV_DONTNEED", None)
-"""Not on every system."""
+_DONT_NEED: int | None = getattr(mmap, "MADV_DONTNEED", None)  # not on every system
 
 
 class MappedFile(mmap.mmap):
@@ -466,8 +464,7 @@ _FIRST_BLOCK, _LARGEST_BLOCK = 64 << 10, 16 << 20
 
 _PIECE = 256 << 10
 
-_NO_RESERVE = 0x4000
-"""Source: MAP_NORESERVE of Linux; the placeholder takes addresses, not memory."""
+_NO_RESERVE = 0x4000  # Source: MAP_NORESERVE of Linux; the placeholder takes addresses, not memory
 
 _OF_FRAMES = {"lidar": "frames", "radar": "frames"}
 

@@ -18,11 +18,9 @@ from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS, RECORDS, SENSOR_REC
 from sceneloom.scene.annotations import Annotation, AttributePath
 from sceneloom.scene.types import Identifier, key_of
 
-_LATEST_START = 100_000_000
-"""Latest first timestamp of a series [µs]."""
+_LATEST_START = 100_000_000  # latest first timestamp of a series [µs]
 
-_HIGHEST_RATE = 100.0
-"""Most frames or images a second."""
+_HIGHEST_RATE = 100.0  # most frames or images a second
 
 _TICKS_PER_SECOND = 1e6
 

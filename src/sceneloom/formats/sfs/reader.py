@@ -40,8 +40,7 @@ from sceneloom.warnings import DataWarning, WarningKind
 
 _OURS_AT = ("metadata", OURS)
 
-_REPORTED = 4
-"""So many locations of further faults stand in an error."""
+_REPORTED = 4  # so many locations of further faults stand in an error
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,8 +192,7 @@ class _Removed:
     rounds: tuple[tuple[Location, ...], ...] = ()  # locations that were taken out together, one round after the other
 
 
-_ROUNDS = 4
-"""What is taken out can bring to light what else is at fault, but not often."""
+_ROUNDS = 4  # what is taken out can bring to light what else is at fault, but not often
 
 
 def _whole_parts(
@@ -421,11 +419,9 @@ def _euler(source: Source, ours: Mapping[str, Any], annotations: tuple[Annotatio
     return {name: value or DEFAULT_EULER[name] for name, value in stated.items()}
 
 
-_VERSIONS = ("1.0", "5.1")
-"""Beginnings of the versions that we read."""
+_VERSIONS = ("1.0", "5.1")  # beginnings of the versions that we read
 
-_DEFAULT_TICK_NS = READABLE_TICKS_NS["microseconds"]
-"""Length of a tick where the file does not state its unit [ns]."""
+_DEFAULT_TICK_NS = READABLE_TICKS_NS["microseconds"]  # length of a tick where the file does not state its unit [ns]
 
 
 def _part_metadata(source: Source) -> tuple[dict[str, Any], Any]:

@@ -318,8 +318,7 @@ _READERS: Mapping[Kind, Callable[[RecordReader, Any, Field, Faults], Any]] = {
 _NORM_TOLERANCE = 0.01
 """How far from 1 the norm of a quaternion may be. Source: our reading of "Poses", in docs/CONVENTIONS.md."""
 
-_LEAST_NORM = 1e-3
-"""A quaternion shorter than this has no direction that could be trusted."""
+_LEAST_NORM = 1e-3  # a quaternion shorter than this has no direction that could be trusted
 
 
 def rows_of(values: Any, columns: int) -> Float64Array:

@@ -481,8 +481,7 @@ _READERS: Mapping[str, Callable[[_Record], Sensor | None]] = {
     "gnss": _read_gnss,
 }
 
-_EXPOSURE = "exposureTimeSeconds"
-"""The field of a camera or an image with the exposure time [s]."""
+_EXPOSURE = "exposureTimeSeconds"  # the field of a camera or an image with the exposure time [s]
 
 _LONGEST_EXPOSURE = 3600.0
 

@@ -575,8 +575,7 @@ def _warning_record(warning: DataWarning, source: str) -> dict[str, Any]:
     }
 
 
-_LATEST_START_NS = 90_000_000_000
-"""Scale's validator refuses series that start much later than this."""
+_LATEST_START_NS = 90_000_000_000  # Scale's validator refuses series that start much later than this
 
 
 def write_scene(
@@ -927,14 +926,11 @@ def _check_timestamps(lowest: int, highest: int, clock: FileClock, location: str
         )
 
 
-_FARTHEST = 10_000.0
-"""float32 resolves about 1 mm there: positions in the world beyond it need a nearer origin [m]."""
+_FARTHEST = 10_000.0  # float32 resolves about 1 mm there: positions in the world beyond it need a nearer origin [m]
 
-_ROUNDING = 0.5
-"""How far a time is off at most where it is rounded [µs]."""
+_ROUNDING = 0.5  # how far a time is off at most where it is rounded [µs]
 
-_FLOAT_TIMES = "file_seconds"
-"""Readers of float seconds keep the file's own number of each point beside its time."""
+_FLOAT_TIMES = "file_seconds"  # readers of float seconds keep the file's own number of each point beside its time
 
 _JPEG_START = b"\xff\xd8\xff"
 
@@ -1327,8 +1323,7 @@ _WRITERS: Mapping[Kind, Callable[[_RecordWriter, Any, Any], Any]] = {
 
 _VERSION = "1.0"
 
-_LAYOUT = 1
-"""Number of the layout of our metadata."""
+_LAYOUT = 1  # number of the layout of our metadata
 
 _UNIT_OF = {tick_ns: unit for unit, tick_ns in TICKS_NS.items()}
 

@@ -41,8 +41,7 @@ def _beginning(path: Path) -> str | None:
         return None
 
 
-_FIXES = "fixes"
-"""Name of the positions that the first satellite receiver of a scene reported; of others, `fixes:ID`."""
+_FIXES = "fixes"  # name of the positions that the first satellite receiver of a scene reported; of others, `fixes:ID`
 
 
 def _read_scene_trajectory(
@@ -171,8 +170,7 @@ TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = _Forms()
 
 _FORM_NAMES = tuple(TRAJECTORY_FORMS)
 
-_OWN_SUFFIXES = {".tum", ".kitti", ".jsonl"}
-"""Suffixes that nothing but one form has."""
+_OWN_SUFFIXES = {".tum", ".kitti", ".jsonl"}  # suffixes that nothing but one form has
 
 _READING = ("form", "name", "times", "rate_hz", "unit", "origin_lla", "optical", "lenient")
 

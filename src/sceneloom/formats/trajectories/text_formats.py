@@ -56,8 +56,7 @@ _EUROC_POSE = ("#timestamp", *(f"p_RS_R_{axis} [m]" for axis in "xyz"), *(f"q_RS
 
 _WIDTHS = tuple(8 + 3 * count for count in range(len(_EXTRA) + 1))
 
-_POSITIONS_ONLY = 4
-"""Numbers a line of the position tracker's files, which have the same header without orientations."""
+_POSITIONS_ONLY = 4  # numbers a line of the position tracker's files, which have the same header without orientations
 
 _EARLIEST_NS = 1e12
 """Less than this many nanoseconds, a quarter of an hour, is taken for seconds of another form when recognising."""

@@ -29,8 +29,7 @@ _TRAJECTORY: dict[str, Holding] = {
     "trajectories.file_seconds": dropped("only the exact times are written"),
 }
 
-_HOLDS: Supports = MappingProxyType(_TRAJECTORY)
-"""Of forms that hold poses with times, number for number."""
+_HOLDS: Supports = MappingProxyType(_TRAJECTORY)  # of forms that hold poses with times, number for number
 
 MATRICES: Supports = MappingProxyType(
     {**_TRAJECTORY, "trajectories.quaternions_xyzw": converted("as matrices of rotation, within 1e-14 rad")}

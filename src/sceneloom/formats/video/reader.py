@@ -49,8 +49,7 @@ _DEMUXERS = (
 )
 """Containers of one video each. Playlists are not among them: they could name any file or address."""
 
-_MOST_AHEAD = 4
-"""Images that are decoded at the same time at most: each is kept, and a jump waits for all of them."""
+_MOST_AHEAD = 4  # images that are decoded at the same time at most: each is kept, and a jump waits for all of them
 
 
 def source_name(source: VideoSource, name: str | None) -> str:
@@ -181,11 +180,9 @@ def _width(head: bytes, *, longest: int) -> int:
 _ASSUMED_RATE = Fraction(25)
 """Images a second where neither packets nor container name any time; only `timestamps` depend on it."""
 
-_UNTIMED = frozenset({"avi", "h264", "hevc"})
-"""Containers that state nothing of when an image is shown."""
+_UNTIMED = frozenset({"avi", "h264", "hevc"})  # containers that state nothing of when an image is shown
 
-_REORDERS = 1 << 3
-"""Source: AV_CODEC_PROP_REORDER of libavcodec/codec_desc.h."""
+_REORDERS = 1 << 3  # Source: AV_CODEC_PROP_REORDER of libavcodec/codec_desc.h
 
 _MOST_REORDERED = 16
 """So many images at most are stored before one that is shown before them. Source: H.264, `max_num_reorder_frames`."""
@@ -543,8 +540,7 @@ def _by_converter(frame: VideoFrame, reformatter: VideoReformatter) -> UInt8Arra
 _SHARES = ((0.299, 0.114), (0.2126, 0.0722))
 """Of red and of blue in brightness. Source: ITU-R BT.601-7 and BT.709-6, clause 3."""
 
-_PROBE_WIDTH, _PROBE_HEIGHT = 32, 16
-"""Room for a hundred samples of colour."""
+_PROBE_WIDTH, _PROBE_HEIGHT = 32, 16  # room for a hundred samples of colour
 
 _Formula = tuple[Int64Array, int]
 """(6,) factors as the kernel takes them; and how far right of the even column a sample of colour lies [px / 2]."""
@@ -588,8 +584,7 @@ def _formula_like_converter(frame: VideoFrame) -> _Formula | None:
 _TABLES = b"ftyp"
 """What mp4 and mov videos begin with after four bytes: their tables state where each image is. Matroska has none."""
 
-_STEPS = ("gray16le", "gray16be")
-"""FFmpeg's names of pixels that are one 16-bit number each."""
+_STEPS = ("gray16le", "gray16be")  # FFmpeg's names of pixels that are one 16-bit number each
 
 
 class VideoReader:

@@ -51,8 +51,7 @@ _WANTED: Mapping[str, tuple[str, Literal["r", "w"]]] = MappingProxyType(
 NEEDED_CODECS = ("H.264, read", "H.264, written", "FFV1, read", "FFV1, written")
 """Without these, recordings cannot be read or written."""
 
-_LOSSY, _LOSSLESS = 1 << 1, 1 << 2
-"""Source: AV_CODEC_PROP_LOSSY and AV_CODEC_PROP_LOSSLESS of libavcodec/codec_desc.h."""
+_LOSSY, _LOSSLESS = 1 << 1, 1 << 2  # Source: AV_CODEC_PROP_LOSSY and AV_CODEC_PROP_LOSSLESS of libavcodec/codec_desc.h
 
 
 def is_lossless(codec: str) -> bool:
@@ -95,8 +94,7 @@ _TABLE_START, _TABLE_ROW = 4096, 48
 Source: ISO/IEC 14496-12, 8.6 and 8.7.
 """
 
-_KEY_FRAME_DISTANCE = 30
-"""Images from key frame to key frame at most: what a jump to any image has to decode."""
+_KEY_FRAME_DISTANCE = 30  # images from key frame to key frame at most: what a jump to any image has to decode
 
 
 @dataclass(frozen=True, slots=True)
@@ -442,8 +440,7 @@ def _to_ticks(timestamps_seconds: Sequence[float] | Float64Array, count: int) ->
     return ticks
 
 
-_MP4_CODECS = frozenset({"h264", "hevc"})
-"""What is copied into mp4; others either do not belong there or play nowhere."""
+_MP4_CODECS = frozenset({"h264", "hevc"})  # what is copied into mp4; others either do not belong there or play nowhere
 
 _DEFAULT_FPS = 10.0
 

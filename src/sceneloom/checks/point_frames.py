@@ -12,7 +12,6 @@ from sceneloom.checks.rule import HINT, WARNING, FrameInHand, Hit, Rule, Subject
 from sceneloom.errors import SceneloomError
 from sceneloom.geometry.euler import rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import RigidTransform, rotate_vectors
-from sceneloom.kernels.boxes import find_points_in_boxes
 from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
 from sceneloom.scene.ego import EgoMotion, points_source, sensor_source
@@ -325,6 +324,8 @@ def _boxes_with_points(
     subject: Subject, sweep: LidarFrame, points: Float64Array, sensor: Float64Array
 ) -> tuple[int, int]:
     """How many cuboids with a keyframe at a sweep are in sight of the lidar, and how many of them contain a point."""
+    from sceneloom.kernels.boxes import find_points_in_boxes  # imports the compiler: only where there are cuboids
+
     rows = cuboids_at(subject, sweep)
     distances = np.hypot(*(rows[:, 3:5] - sensor[:2]).T)
     sized = ((rows[:, :3] > 0) & (rows[:, :3] < _LARGEST_BOX_M)).all(axis=1) & (rows[:, 2] > 2 * _FLOOR_M)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from hashlib import blake2b
 from importlib import import_module
 from pathlib import Path
@@ -75,6 +75,7 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
                 kept_as = getattr(dispatcher._cache, "_cache_file", None)  # noqa: SLF001
                 if kept_as is not None:
                     kept_as._source_stamp = source_digest(_source_of(function))  # noqa: SLF001
+                    dispatcher._cache.load_overload = partial(_load_kept, dispatcher._cache)  # noqa: SLF001
                 if _reports and not _open and not _is_kept(function):
                     _report(f"{function.__module__}:{function.__qualname__}", 1)
                 _open.append(function.__qualname__)
@@ -100,6 +101,32 @@ def kernel(signatures: Any, **options: Any) -> Callable[[_Function], _Function]:
         return cast("_Function", dispatcher)
 
     return declare
+
+
+def _load_kept(versions: Any, signature: Any, context: Any) -> Any:
+    """Load a version of a kernel; None where it is not kept.
+
+    Numba's own loading first brings in all that it can compile, which takes most of a second, and imports SciPy's
+    linear algebra. A kept kernel is machine code: it needs Numba's runtime, and what `reload_init` asks for. Where
+    nothing is kept, the compiler brings in the rest.
+
+    Args:
+        versions: `numba.core.caching.FunctionCache`, whose `load_overload` this is.
+        signature: of the version.
+        context: `numba.core.cpu.CPUContext`, which it is loaded into.
+    """
+    from numba.core.runtime import rtsys
+
+    rtsys.initialize(context)
+    with versions._guard_against_spurious_io_errors():  # noqa: SLF001
+        content = versions._cache_file.load(versions._index_key(signature, context.codegen()))  # noqa: SLF001
+        if content is None:
+            return None
+        (_, _, (machine_code, *_)), *_ = content
+        if b"_numba_hashsecret" in machine_code:
+            context.refresh()  # these symbols alone are defined where Numba's implementations are imported
+        return versions._impl.rebuild(context, content)  # noqa: SLF001
+    return None
 
 
 def declared_kernels(module: str = "") -> list[str]:

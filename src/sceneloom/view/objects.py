@@ -8,11 +8,9 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.detections.settings import radius_squared
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.files import file_faults, open_file
 from sceneloom.geometry.rigid import quaternion_from_matrix
-from sceneloom.pipeline.fusing_detections import fused_files, read_fused
 from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
@@ -52,6 +50,8 @@ def track_feed(stream: Stream, path: Path, scene: Scene, origin: Float64Array) -
 
 def _read_detections(path: Path) -> tuple[TrackedObjects, ...]:
     """Read what `fuse --type detection` wrote: the objects of each sweep and image, in the world."""
+    from sceneloom.pipeline.fusing_detections import fused_files, read_fused  # imports kernels and SciPy
+
     if not path.is_file():
         raise DataError(path, "", "no such file; expected the lines that `fuse --type detection` wrote")
     if not fused_files(path):
@@ -150,6 +150,8 @@ def ellipsoid(covariances: Float64Array, *, degrees_of_freedom: float = np.inf) 
         half_sizes: (N, 3) [m], along the axes, ascending.
         quaternions_xyzw: (N, 4), whose rotations have these axes as columns.
     """
+    from sceneloom.detections.settings import radius_squared  # imports kernels
+
     variances, axes = np.linalg.eigh(covariances)
     mirrored = np.linalg.det(axes) < 0
     axes[mirrored, :, 0] *= -1

@@ -25,7 +25,6 @@ from urllib.parse import quote
 import numpy as np
 
 from sceneloom.arrays import Int64Array
-from sceneloom.checks.validation import validate
 from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError, how_to_install
 from sceneloom.formats.base.output import check_output, replacing
 from sceneloom.formats.base.registry import SharedOptions, open_scene
@@ -85,6 +84,13 @@ class _Reported:
             )
             for (code, location), (message, count) in self.lines.items()
         )
+
+
+def _findings(scene: Scene) -> tuple[Finding, ...]:
+    """What the rules of `validate` that need no frames report."""
+    from sceneloom.checks.validation import validate
+
+    return validate(scene, frames=False).findings
 
 
 def _log_notes(stream: Stream, time_ns: int, warnings: Sequence[DataWarning], findings: Sequence[Finding]) -> None:
@@ -284,8 +290,7 @@ class DriveView:
         stream = Stream(recording, f"/{escaped(self.name)}", calendar, self.reference_ns)
         show_motion(stream, self.locations, scene)
         span_ns = time_span(scene) or (0, 0)
-        # the rules of `validate` that need no frames
-        findings = validate(self.measured, frames=False).findings if self.settings.findings else ()
+        findings = _findings(self.measured) if self.settings.findings else ()
         _log_notes(stream, span_ns[0], (*scene.warnings, *self.locations.warnings), findings)
         run = _Run(self, stream, AnnotationView.of(stream, self.locations, scene, reported))
         run.log_maps()

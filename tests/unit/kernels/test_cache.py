@@ -37,3 +37,18 @@ def test_a_name_of_no_kernel_is_passed_over(monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     cache.compile_ahead(["sceneloom.kernels.voxels:no_such", "sceneloom.no.module:at_all"])
+
+
+def test_kept_kernels_are_loaded_without_what_only_compiling_needs():
+    program = (
+        "import sys, numpy\n"
+        "from sceneloom.kernels.boxes import find_points_in_boxes\n"
+        "from sceneloom.kernels.cache import compile_kernels\n"
+        "compile_kernels(['sceneloom.kernels.boxes:find_points_in_boxes'])\n"
+        "print('numba.typed.typeddict' in sys.modules)\n"
+    )
+    printed = [
+        subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    ]
+    assert printed[1] == "False\n"

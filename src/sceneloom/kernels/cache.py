@@ -115,10 +115,10 @@ def _load_kept(versions: Any, signature: Any, context: Any) -> Any:
         signature: of the version.
         context: `numba.core.cpu.CPUContext`, which it is loaded into.
     """
-    from numba.core.runtime import rtsys
+    from numba.core.runtime.nrt import rtsys
 
     rtsys.initialize(context)
-    with versions._guard_against_spurious_io_errors():  # noqa: SLF001
+    with versions._guard_against_spurious_io_errors(), _linear_algebra_later():  # noqa: SLF001
         content = versions._cache_file.load(versions._index_key(signature, context.codegen()))  # noqa: SLF001
         if content is None:
             return None
@@ -127,6 +127,31 @@ def _load_kept(versions: Any, signature: Any, context: Any) -> Any:
             context.refresh()  # these symbols alone are defined where Numba's implementations are imported
         return versions._impl.rebuild(context, content)  # noqa: SLF001
     return None
+
+
+@contextmanager
+def _linear_algebra_later() -> Iterator[None]:
+    """Let Numba's module of sums and the like, which kept kernels may name, not import SciPy to see if it is there.
+
+    Compiled linear algebra asks for SciPy again, where it is called.
+    """
+    if "numba.np.arraymath" in sys.modules:
+        yield
+        return
+    from numba.np import linalg
+
+    asked = linalg.ensure_blas
+    linalg.ensure_blas = _nothing
+    try:
+        yield
+    finally:
+        linalg.ensure_blas = asked
+        if "numba.np.arraymath" in sys.modules:
+            sys.modules["numba.np.arraymath"].ensure_blas = asked  # type: ignore[attr-defined]
+
+
+def _nothing() -> None:
+    """Import nothing."""
 
 
 def declared_kernels(module: str = "") -> list[str]:

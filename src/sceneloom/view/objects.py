@@ -18,7 +18,6 @@ from sceneloom.view.images import image_path
 from sceneloom.view.points import WORLD, one_packed
 from sceneloom.view.stream import EDGES, Feed, Stream, sdk
 from sceneloom.visualization.figures import colour_of_name
-from sceneloom.visualization.objects import objects_of_fused
 
 
 def detection_feeds(stream: Stream, path: Path, origin: Float64Array) -> list[Feed]:
@@ -50,7 +49,9 @@ def track_feed(stream: Stream, path: Path, scene: Scene, origin: Float64Array) -
 
 def _read_detections(path: Path) -> tuple[TrackedObjects, ...]:
     """Read what `fuse --type detection` wrote: the objects of each sweep and image, in the world."""
-    from sceneloom.pipeline.fusing_detections import fused_files, read_fused  # imports kernels and SciPy
+    # imports kernels and SciPy
+    from sceneloom.pipeline.fusing_detections import fused_files, read_fused
+    from sceneloom.visualization.objects import objects_of_fused
 
     if not path.is_file():
         raise DataError(path, "", "no such file; expected the lines that `fuse --type detection` wrote")

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sceneloom.arrays import Float32Array, UInt8Array
-from sceneloom.colouring.depth_completion import DenseDepth
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.editing.thin import FIRST, one_per_cube
 from sceneloom.errors import OptionError, OutputError
@@ -30,6 +30,9 @@ from sceneloom.visualization.canvas import (
 )
 from sceneloom.visualization.clouds import UNSEEN, draw_cloud_above, draw_cloud_perspective, find_ego
 from sceneloom.visualization.colour_scales import DepthScale, draw_caption, draw_depth_bar, draw_strip, strip_height
+
+if TYPE_CHECKING:
+    from sceneloom.colouring.depth_completion import DenseDepth  # imports the compiler
 
 _LEAST_WIDTH_PX = 520  # narrower images get a canvas of this width, so that caption and scale fit below them
 NO_DEPTH = (10, 11, 14)
@@ -124,7 +127,7 @@ def image_canvas(pixels: UInt8Array) -> Canvas:
     return Canvas.of(pixels, text_px=text_height(max(width, _LEAST_WIDTH_PX), height))
 
 
-def draw_dense_depth(view: FusedView, dense: DenseDepth, *, scale: DepthScale | None = None) -> PilImage:
+def draw_dense_depth(view: FusedView, dense: "DenseDepth", *, scale: DepthScale | None = None) -> PilImage:
     """Draw a completed depth image below its image, and its confidence below it: black 0, white 1.
 
     Args:

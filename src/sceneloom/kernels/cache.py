@@ -115,17 +115,20 @@ def _load_kept(versions: Any, signature: Any, context: Any) -> Any:
         signature: of the version.
         context: `numba.core.cpu.CPUContext`, which it is loaded into.
     """
-    from numba.core.runtime.nrt import rtsys
+    try:
+        from numba.core.runtime.nrt import rtsys
 
-    rtsys.initialize(context)
-    with versions._guard_against_spurious_io_errors(), _linear_algebra_later():  # noqa: SLF001
-        content = versions._cache_file.load(versions._index_key(signature, context.codegen()))  # noqa: SLF001
-        if content is None:
-            return None
-        (_, _, (machine_code, *_)), *_ = content
-        if b"_numba_hashsecret" in machine_code:
-            context.refresh()  # these symbols alone are defined where Numba's implementations are imported
-        return versions._impl.rebuild(context, content)  # noqa: SLF001
+        rtsys.initialize(context)
+        with versions._guard_against_spurious_io_errors(), _linear_algebra_later():  # noqa: SLF001
+            content = versions._cache_file.load(versions._index_key(signature, context.codegen()))  # noqa: SLF001
+            if content is None:
+                return None
+            (_, _, (machine_code, *_)), *_ = content
+            if b"_numba_hashsecret" in machine_code:
+                context.refresh()  # these symbols alone are defined where Numba's implementations are imported
+            return versions._impl.rebuild(context, content)  # noqa: SLF001
+    except (AttributeError, ImportError, TypeError, ValueError):  # a version of Numba that is made otherwise
+        return type(versions).load_overload(versions, signature, context)
     return None
 
 

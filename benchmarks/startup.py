@@ -53,7 +53,8 @@ def command(*words: object) -> list[str]:
 
 def seconds_of(words: list[str], kernels: Path | None = None) -> float:
     """Run one command and give its wall time [s]; `kernels`: where compiled kernels are kept."""
-    environment = os.environ | ({} if kernels is None else {"NUMBA_CACHE_DIR": str(kernels)})
+    usual = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    environment = usual | ({} if kernels is None else {"NUMBA_CACHE_DIR": str(kernels)})
     started = time.perf_counter()
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
     return time.perf_counter() - started

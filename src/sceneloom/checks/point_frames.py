@@ -32,10 +32,6 @@ _LEAST_MOVE_M, _LARGEST_MOVE_M = 1.5, 30.0
 _ASKED_POINTS, _LEAST_ASKED, _MEETS_M = 3_000, 100, 0.3
 """Points of two sweeps that are compared, at most and at least; those no farther apart are of one object."""
 
-_CUBES_APART, _PAIRS_AT_ONCE = 1 << 21, 1_000_000
-_COLUMNS_AROUND = tuple((i * _CUBES_APART + j) * _CUBES_APART for i in (0, -1, 1) for j in (0, -1, 1))
-"""From the number of a cube to those of the cube beside it: in its own column first, where most points meet."""
-
 _OFF_GROUND_M, _CELL_M, _CELLS_APART = 0.5, 4.0, 1 << 24
 """A point this far above the lowest point of its cell is off the ground."""
 
@@ -177,10 +173,12 @@ class _Sweeps:
 
     def _meeting(self, one: _Sweep, other: _Sweep) -> Mapping[PointsFrame, float]:
         """The share of points off the ground that meet points of another sweep, by frame whose poses are known."""
+        from scipy.spatial import cKDTree
+
         shares: dict[PointsFrame, float] = {}
         if len(other[1]) < _LEAST_ASKED:
             return shares
-        others = _Cells.of(other[1])
+        others = cKDTree(other[1])
         for frame, source in self.locations.points.items():
             world_from_one, world_from_other = _transform_at(source, one[0]), _transform_at(source, other[0])
             if world_from_one is None or world_from_other is None:
@@ -189,51 +187,9 @@ class _Sweeps:
             asked = asked[_off_ground(asked)]
             asked = asked[:: len(asked) // _ASKED_POINTS + 1]
             if len(asked) >= _LEAST_ASKED:
-                shares[frame] = float(others.are_met(world_from_other.inverse().apply(asked)).mean())
+                away, _ = others.query(world_from_other.inverse().apply(asked), distance_upper_bound=_MEETS_M)
+                shares[frame] = float(np.isfinite(away).mean())
         return shares
-
-
-@dataclass(frozen=True, slots=True)
-class _Cells:
-    """Points sorted into cubes as wide as points that meet are apart: SciPy's trees take longer to import than to ask.
-
-    Attributes:
-        points: (N, 3) float64 [m], in the order of `keys`.
-        keys: (N,) int64, ascending: numbers of their cubes. Cubes far apart may have the same one.
-    """
-
-    points: Float64Array
-    keys: Int64Array
-
-    @classmethod
-    def of(cls, points: Float64Array) -> "_Cells":
-        keys = _cube_keys(points)
-        order = np.argsort(keys, kind="stable")
-        return cls(points[order], keys[order])
-
-    def are_met(self, asked: Float64Array) -> BoolArray:
-        """(M,) bool: whether there is a point nearer than `_MEETS_M` to each of these, (M, 3) [m]."""
-        met, keys = np.zeros(len(asked), bool), _cube_keys(asked)
-        for column in _COLUMNS_AROUND:
-            rows = np.flatnonzero(~met)
-            # the three cubes above one another follow one another
-            first = np.searchsorted(self.keys, keys[rows] + (column - 1))
-            counts = np.searchsorted(self.keys, keys[rows] + (column + 1), side="right") - first
-            counts = np.maximum(counts, 0)  # numbers of cubes may overflow
-            # in parts, as dense clouds have very many pairs
-            parts = np.flatnonzero(np.diff(np.cumsum(counts) // _PAIRS_AT_ONCE, prepend=0)) + 1
-            for part in np.split(np.arange(len(rows)), parts):
-                total = counts[part].cumsum()
-                which = np.repeat(rows[part], counts[part])
-                others = np.arange(len(which)) + np.repeat(first[part] - total + counts[part], counts[part])
-                apart = asked[which] - self.points[others]
-                met[which[(apart * apart).sum(axis=1) < _MEETS_M * _MEETS_M]] = True
-        return met
-
-
-def _cube_keys(points: Float64Array) -> Int64Array:
-    cubes: Int64Array = np.floor(points / _MEETS_M).astype(np.int64)
-    return (cubes[:, 0] * _CUBES_APART + cubes[:, 1]) * _CUBES_APART + cubes[:, 2]
 
 
 def _off_ground(points: Float64Array) -> BoolArray:
@@ -368,6 +324,8 @@ def _boxes_with_points(
     subject: Subject, sweep: LidarFrame, points: Float64Array, sensor: Float64Array
 ) -> tuple[int, int]:
     """How many cuboids with a keyframe at a sweep are in sight of the lidar, and how many of them contain a point."""
+    from sceneloom.kernels.boxes import find_points_in_boxes  # imports the compiler: only where there are cuboids
+
     rows = cuboids_at(subject, sweep)
     distances = np.hypot(*(rows[:, 3:5] - sensor[:2]).T)
     sized = ((rows[:, :3] > 0) & (rows[:, :3] < _LARGEST_BOX_M)).all(axis=1) & (rows[:, 2] > 2 * _FLOOR_M)
@@ -375,8 +333,6 @@ def _boxes_with_points(
     rows = rows[_in_sight(rows[:, 3:5] - sensor[:2], points[:, :2] - sensor[:2])]
     if len(rows) == 0:
         return 0, 0
-    from sceneloom.kernels.boxes import find_points_in_boxes  # imports the compiler: only where there are cuboids
-
     found, angles = np.zeros(len(rows), np.int64), CuboidAngles.of(subject.scene)
     rotations = rotation_from_cuboid_angles(rows[:, 6:], unit=angles.unit, order=angles.order)
     centers, halves = rows[:, 3:6].copy(), rows[:, :3] / 2 + _MARGIN_M

@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.checks import validate
-from sceneloom.checks.point_frames import _MEETS_M, _Cells
 from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion
 from sceneloom.scene import (
     CameraSensor,
@@ -229,12 +227,3 @@ def test_images_that_do_not_stand_upright_are_reported(found, sound_drive, broke
 
 def test_a_camera_that_looks_up_a_little_stands_upright(found):
     assert found(rotated("camera0", 45.0, 0.0, 0.0), UPRIGHT) == []
-
-
-@pytest.mark.parametrize("size", [0.05, 3.0, 30.0, 1e7])
-def test_points_that_meet_are_those_that_a_tree_finds(size):
-    rng = np.random.default_rng(1)
-    points = rng.normal(scale=size, size=(4000, 3))
-    asked = np.vstack([points[:500] + rng.normal(scale=0.2, size=(500, 3)), rng.normal(scale=size, size=(500, 3))])
-    away, _ = cKDTree(points).query(asked, distance_upper_bound=_MEETS_M)
-    assert np.array_equal(_Cells.of(points).are_met(asked), np.isfinite(away))

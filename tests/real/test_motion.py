@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 import sceneloom
 from sceneloom import evaluate_trajectory, read_trajectory, write_trajectory
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.motion.clock.comparison import ClockVerdict
-from sceneloom.motion.clock.streams import gyroscope_against_trajectory
+from sceneloom.motion.clock.comparison import ClockVerdict, compare_rotations
+from sceneloom.motion.clock.signals import Orientations
 from sceneloom.motion.gnss_imu import gnss_imu_motion
 from sceneloom.pipeline import sync
 from sceneloom.scene import GnssSensor, Scene, Trajectory
@@ -144,19 +144,25 @@ def test_the_trajectory_of_all_fixes_has_the_heading_of_the_navigation_unit(scen
     assert np.abs(found.path.positions - truth.positions).max() < 0.5
 
 
+def compared(gyroscope, trajectory):
+    """The trajectory's clock against the gyroscope's."""
+    rates = Orientations.of_rates(gyroscope.timestamps_ns, gyroscope.values[:, :3])
+    return compare_rotations(rates, Orientations.of_poses(trajectory.timestamps_ns, trajectory.quaternions_xyzw))
+
+
 def test_rates_of_the_oxts_unit_are_late_by_half_a_sample_and_injected_offsets_come_back_on_top_of_that(scene):
     """They are means over the sample before: the rotation from pose k to k + 1 is rate k + 1, not the mean of both."""
     gyroscope, trajectory = scene.sensor("imu").streams["gyroscope"], scene.trajectories["groundTruth"]
-    found = gyroscope_against_trajectory(gyroscope, trajectory)
+    found = compared(gyroscope, trajectory)
     assert found.offset_ns == pytest.approx(-5e7, abs=8e6)
     assert found.verdict is ClockVerdict.OFF
     for offset_ns in (-1_000_000_000, -30_000_000, 30_000_000, 300_000_000, 1_000_000_000):
         late = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + offset_ns, file_seconds=None)
         # the same samples, cut a little differently at the ends
-        added = gyroscope_against_trajectory(gyroscope, late).offset_ns - found.offset_ns
+        added = compared(gyroscope, late).offset_ns - found.offset_ns
         assert added == pytest.approx(offset_ns, abs=2e6)
     in_degrees = replace(gyroscope, values=np.degrees(gyroscope.values))
-    scaled = gyroscope_against_trajectory(in_degrees, trajectory)
+    scaled = compared(in_degrees, trajectory)
     assert scaled.verdict is ClockVerdict.NOT_OBSERVABLE or scaled.offset_ns == pytest.approx(-5e7, abs=2e7)
 
 

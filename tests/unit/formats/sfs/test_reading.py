@@ -347,7 +347,7 @@ def test_a_camera_model_whose_formula_nothing_confirms_opens_but_is_not_computed
     scene = open_header(make.scene(camera(model, FTHETA)))
     assert scene.cameras[0].camera.model == model
     assert assumed_models(scene) == ()
-    with pytest.raises(CalibrationError, match=rf"sensors\[c\].camera: '{model}' .* state `--assume-model`"):
+    with pytest.raises(CalibrationError, match=rf"sensors\[c\].camera: '{model}' .* use `--assume-model`"):
         check_camera_models(scene)
     check_camera_models(scene, [])
 

@@ -1,7 +1,7 @@
 """What `--help` shows: options in groups, examples at the end, and which verb may have been meant."""
 
 import difflib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ class Option(click.Option):
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """What a shell offers: names of formats, and of what the drive has that the command line names."""
-        found = _FORMATS.get(str(self.name)) or _OF_DRIVES.get(str(self.name))
+        found = _COMPLETED.get(str(self.name))
         if found is None:
             return super().shell_complete(ctx, incomplete)
         return [CompletionItem(name) for name in found(ctx) if name.startswith(incomplete)]
@@ -37,38 +37,32 @@ def _formats(*, written: bool) -> list[str]:
     return sorted(written_formats() if written else format_names())
 
 
-_FORMATS: dict[str, Callable[[click.Context], Iterable[str]]] = {
-    "format": lambda _: _formats(written=False),
-    "to": lambda _: _formats(written=True),
-}
-
-
 def _sensors(ctx: click.Context) -> list[str]:
-    scene = _drive(ctx)
-    return [] if scene is None else [str(sensor.id) for sensor in scene.sensors]
+    return _of_drive(ctx, lambda scene: [str(sensor.id) for sensor in scene.sensors])
 
 
 def _trajectories(ctx: click.Context) -> list[str]:
-    scene = _drive(ctx)
-    return [*([] if scene is None else scene.trajectories), "gnss", "lidar", "identity"]
+    return [*_of_drive(ctx, lambda scene: list(scene.trajectories)), "gnss", "lidar", "identity"]
 
 
-_OF_DRIVES: dict[str, Callable[[click.Context], Iterable[str]]] = {
-    **dict.fromkeys(("sensors", "without", "sensor", "lidar", "lidars", "camera", "cameras"), _sensors),
-    **dict.fromkeys(("trajectory", "est_name", "ref_name"), _trajectories),
-}
-
-
-def _drive(ctx: click.Context) -> "Scene | None":
-    """The drive that is typed already, opened; None where there is none, or it cannot be opened."""
+def _of_drive(ctx: click.Context, names: "Callable[[Scene], list[str]]") -> list[str]:
+    """Names out of the drive that is typed already; none where there is none, or it cannot be opened."""
     from sceneloom.errors import SceneloomError
     from sceneloom.formats.base.registry import open_scene
 
     for word in ctx.args:  # an option that has no value yet ends parsing, and leaves the arguments here
         if Path(word).exists():
-            with suppress(SceneloomError, OSError):
-                return open_scene(word)
-    return None
+            with suppress(SceneloomError, OSError), open_scene(word) as scene:
+                return names(scene)
+    return []
+
+
+_COMPLETED: dict[str, Callable[[click.Context], list[str]]] = {
+    "format": lambda _: _formats(written=False),
+    "to": lambda _: _formats(written=True),
+    **dict.fromkeys(("sensors", "without", "sensor", "lidar", "lidars", "camera", "cameras"), _sensors),
+    **dict.fromkeys(("trajectory", "est_name", "ref_name"), _trajectories),
+}  # by names of parameters
 
 
 _SHOW_ALL = "show-all"  # entry of a context's `meta`: rare options are shown, too

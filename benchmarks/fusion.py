@@ -248,12 +248,12 @@ class Stages:
     """Notes how long the stages of a fusion take, by replacing their functions with ones that look at the clock."""
 
     LOCATIONS = (
-        (view_module, "_project", "project"),
-        (visibility_module, "_measure", "scan lines"),
+        (view_module, "_see", "project"),
+        (visibility_module, "look_around", "scan lines"),
         (visibility_module, "mark_unhidden", "hiding"),
         (view_module, "draw_depths", "depth image"),
         (algorithms, "colour_points", "colours"),
-        (algorithms, "view_points", "a view"),
+        (algorithms, "_view", "a view"),
     )
 
     def __init__(self):

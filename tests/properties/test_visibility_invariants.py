@@ -12,6 +12,7 @@ from sceneloom.colouring import ViewRequest, VisibilitySettings, find_visible, f
 from sceneloom.colouring.algorithms import mark_nearest
 from sceneloom.colouring.blending import paint_points
 from sceneloom.colouring.visibility import (
+    Hiding,
     look_around,
     mark_unhidden,
     measure_extent,
@@ -86,7 +87,7 @@ def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg, know
     ids, fractions = np.arange(rows.shape[1]), np.ones(rows.shape[1], np.float32)
     extent = measure_extent(rows[:2], rows[2])
     mark_unhidden(
-        rows[:2], rows[2], rows[2], extent, cell, math.radians(window_deg), near, 0.0, near, 2.0, 0.15, 0.01,
+        rows[:2], rows[2], [Hiding(rows[2], cell, math.radians(window_deg), near, 0.0, near)], extent, 2.0, 0.15, 0.01,
         eyes, ids, fractions, 0.85, visible,
     )  # fmt: skip
     check()

@@ -25,6 +25,29 @@ from sceneloom.kernels.thread_pool import Phase, ThreadPool
 from sceneloom.scene.types import Identifier
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ViewRequest:
+    """An image that a cloud is to be fused with.
+
+    Attributes:
+        camera_id: the camera.
+        camera_index: its number, 0 to 254, which the points coloured from this image get.
+        camera: the camera model of the image.
+        timestamp_ns: the image's time [ns].
+        world_from_camera: pose of the camera at that time.
+        rgb: (H, W, 3) uint8, the image.
+        shutter: poses of the camera while the image's lines were taken; None where they were taken at once.
+    """
+
+    camera_id: Identifier
+    camera_index: int
+    camera: Camera
+    timestamp_ns: int
+    world_from_camera: RigidTransform
+    rgb: UInt8Array
+    shutter: ShutterDirection | None = None
+
+
 def view_points(
     points_world: Float64Array,
     camera: Camera,
@@ -55,10 +78,20 @@ def view_points(
         CalibrationError: the camera's model is unknown or has other coefficients.
     """
     check_array("points_world", points_world, (None, 3), np.float64)
-    settings = VisibilitySettings() if visibility is None else visibility
-    points = np.ascontiguousarray(points_world)
+    points, settings = np.ascontiguousarray(points_world), VisibilitySettings() if visibility is None else visibility
+    request = ViewRequest(
+        camera_id=camera_id, camera_index=0, camera=camera, timestamp_ns=timestamp_ns,
+        world_from_camera=world_from_camera, rgb=rgb, shutter=shutter,
+    )  # fmt: skip
+    return _view(points, settings, trajectory, request)
+
+
+def _view(
+    points: Float64Array, settings: VisibilitySettings, trajectory: LidarTrajectory | None, request: ViewRequest
+) -> FusedView:
+    camera = request.camera
     thread_pool = ThreadPool.of(settings.threads, len(points))
-    seen = _see(points, camera, world_from_camera, shutter, thread_pool)
+    seen = _see(points, camera, request.world_from_camera, request.shutter, thread_pool)
     point_ids, depths = seen.point_ids, seen.depths
     visible = np.ones(len(point_ids), np.bool_)
     if settings.enabled:
@@ -73,8 +106,8 @@ def view_points(
     if not settings.enabled:
         mark_nearest(seen.pixel_numbers, depths, depth_image, visible)
     return FusedView(
-        camera_id, camera, timestamp_ns, world_from_camera, rgb, point_ids, seen.pixels, seen.pixel_numbers, depths,
-        visible, depth_image, points, shutter is not None, seen.unsettled,
+        request.camera_id, camera, request.timestamp_ns, request.world_from_camera, request.rgb, point_ids, seen.pixels,
+        seen.pixel_numbers, depths, visible, depth_image, points, request.shutter is not None, seen.unsettled,
     )  # fmt: skip
 
 
@@ -132,29 +165,6 @@ def _see(
         # The view may live long, and must not hold the memory that all points would have needed.
         ids, pixels, numbers, depths = ids.copy(), pixels.copy(), numbers.copy(), depths.copy()
     return _Seen(ids, pixels, numbers, depths, points_world, ids, camera_from_world, looks)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ViewRequest:
-    """An image that a cloud is to be fused with.
-
-    Attributes:
-        camera_id: the camera.
-        camera_index: its number, 0 to 254, which the points coloured from this image get.
-        camera: the camera model of the image.
-        timestamp_ns: the image's time [ns].
-        world_from_camera: pose of the camera at that time.
-        rgb: (H, W, 3) uint8, the image.
-        shutter: poses of the camera while the image's lines were taken; None where they were taken at once.
-    """
-
-    camera_id: Identifier
-    camera_index: int
-    camera: Camera
-    timestamp_ns: int
-    world_from_camera: RigidTransform
-    rgb: UInt8Array
-    shutter: ShutterDirection | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,20 +255,8 @@ def _views(
     # Threads share the images where there are enough: they then wait for one another only once.
     many = len(requests) >= visibility.threads
     settings = replace(visibility, threads=1) if many and visibility.threads > 1 else visibility
-
-    def view(request: ViewRequest) -> FusedView:
-        return view_points(
-            points_world,
-            request.camera,
-            request.world_from_camera,
-            request.rgb,
-            camera_id=request.camera_id,
-            timestamp_ns=request.timestamp_ns,
-            visibility=settings,
-            trajectory=trajectory,
-            shutter=request.shutter,
-        )
-
+    check_array("points_world", points_world, (None, 3), np.float64)
+    view = partial(_view, np.ascontiguousarray(points_world), settings, trajectory)
     thread_pool = ThreadPool(visibility.threads if many else 1)
     return tuple(thread_pool.gather([partial(view, request) for request in requests]))
 

@@ -69,13 +69,15 @@ def colour_points(
     _check_indices(views, camera_indices)
     colors, camera_index = np.full((count, 3), 255, np.uint8), np.full(count, NO_CAMERA, np.uint8)
     eccentricities = np.full(count if len(views) > 1 else 0, np.inf)
+    phases = []
     for view, index in zip(views, camera_indices, strict=True):
         paint = partial(
             paint_points, view.point_ids, view.pixels, view.pixel_numbers, view.visible, np.ascontiguousarray(view.rgb),
             index, eccentricities, colors, camera_index,
         )  # fmt: skip
         # the points of one image are all different: threads write to different rows
-        ThreadPool.of(threads, len(view.point_ids)).share(Phase(len(view.point_ids), paint))
+        phases.append(Phase(len(view.point_ids), paint))
+    ThreadPool.of(threads, max((phase.length for phase in phases), default=0)).share(*phases)
     return colors, camera_index
 
 

@@ -46,10 +46,11 @@ hide pass. docs/fusion.md has the figures on simulated streets.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from math import cos, degrees, isfinite, isnan, log, pi, radians, sin
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import boolean, float32, float64, int32, int64, void
@@ -172,30 +173,26 @@ def find_visible(
     window, near, distance = settings.window_deg, settings.near_deg, settings.surface_distance
     if distance is None and trajectory is None:
         distance = _USUAL_SURFACE_DISTANCE
-    # each reach, with the inverse ranges of the points that hide so far, 0 for the others
-    passes = [(fit_reach(None).given(window, near), inverse_ranges)]
+    passes = [fit_reach(None).given(window, near).hiding(inverse_ranges)]
     if window is None or near is None or distance is None:
         neighbours = look_around(directions, inverse_ranges, extent=extent, thread_pool=thread_pool)
         if distance is None:
             margins = _STRAIGHTNESS * settings.margin, _STRAIGHTNESS * settings.margin_share
             distance = measure_surface_distance(neighbours, directions, inverse_ranges, *margins)
         lines = find_lines(measure_spacings(neighbours))
-        passes = [(fit_reach(lines).given(window, near), inverse_ranges)]
+        passes = [fit_reach(lines).given(window, near).hiding(inverse_ranges)]
         if lines is not None and (window is None or near is None) and are_uneven(neighbours):
             parts = split_by_spacing(seen_by_lidar(), inverse_ranges, lines)
             if len(parts) > 1:
                 passes = [
-                    (own.reach.given(window, near), np.where(members, inverse_ranges, np.float32(0.0)))
+                    own.reach.given(window, near).hiding(np.where(members, inverse_ranges, np.float32(0.0)))
                     for own, members in parts
                 ]
-    visible = np.ones(len(point_ids), np.bool_)
-    for reach, hiding in passes:
-        seen = np.empty(len(point_ids), np.bool_)
-        mark_unhidden(
-            directions, inverse_ranges, hiding, extent, reach.cell, reach.window, *reach.ellipse, 1.0 / distance,
-            settings.margin, settings.margin_share, eyes, point_ids, fractions, _NEARING, seen, thread_pool=thread_pool,
-        )  # fmt: skip
-        visible &= seen
+    visible = np.empty(len(point_ids), np.bool_)
+    mark_unhidden(
+        directions, inverse_ranges, passes, extent, 1.0 / distance, settings.margin, settings.margin_share, eyes,
+        point_ids, fractions, _NEARING, visible, thread_pool=thread_pool,
+    )  # fmt: skip
     return visible
 
 
@@ -235,16 +232,12 @@ class _Reach:
     along: float  # and along them [rad]
     angle: float = 0.0  # of the axis across the scan lines, from rightward to downward
 
-    @property
-    def ellipse(self) -> tuple[float, float, float]:
-        """p, q, r of p x² + q x y + r y² <= 1, the directions in which one point alone hides [1/rad²]."""
+    def hiding(self, inverse_ranges: Float32Array) -> "Hiding":
+        """What points with these inverse ranges hide, (M,) float32 [1/m], 0 for one that shall hide none."""
+        cell = max(max(self.window, self.across, self.along) / _CELLS_PER_REACH, radians(_CELL_DEG))
         c, s, p, r = cos(self.angle), sin(self.angle), self.across**-2, self.along**-2
-        return p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
-
-    @property
-    def cell(self) -> float:
-        """Size of the grid's cells [rad]."""
-        return max(max(self.window, self.across, self.along) / _CELLS_PER_REACH, radians(_CELL_DEG))
+        ellipse = p * c * c + r * s * s, 2 * (p - r) * c * s, p * s * s + r * c * c
+        return Hiding(inverse_ranges, cell, self.window, *ellipse)
 
     def given(self, window_deg: float | None, near_deg: float | None) -> "_Reach":
         """The same with what is given instead of what was measured."""
@@ -943,11 +936,29 @@ def _bound_hiding(
     )  # fmt: skip
 
 
+class Hiding(NamedTuple):
+    """Which points may hide others, and how far that reaches in the equal-area map.
+
+    Attributes:
+        inverse_ranges: (M,) float32 [1/m]; 0 for those that hide none.
+        cell: size of a cell in which only the nearest point hides [rad], at least 0.001, which bounds the memory.
+        window: within it two points on opposite sides of another hide it [rad].
+        near_xx, near_xy, near_yy: p, q, r of the ellipse p x² + q x y + r y² <= 1 in which a single point hides
+            [1/rad²].
+    """
+
+    inverse_ranges: Float32Array
+    cell: float
+    window: float
+    near_xx: float
+    near_xy: float
+    near_yy: float
+
+
 def mark_unhidden(
-    directions: Float32Array, inverse_ranges: Float32Array, hiding: Float32Array, extent: Float32Array, cell: float,
-    window: float, near_xx: float, near_xy: float, near_yy: float, slope: float, margin: float, margin_share: float,
-    eyes: Float64Array, point_ids: Int64Array, fractions: Float32Array, nearing: float, visible: BoolArray, *,
-    thread_pool: ThreadPool = ALONE,
+    directions: Float32Array, inverse_ranges: Float32Array, passes: Sequence[Hiding], extent: Float32Array,
+    slope: float, margin: float, margin_share: float, eyes: Float64Array, point_ids: Int64Array,
+    fractions: Float32Array, nearing: float, visible: BoolArray, *, thread_pool: ThreadPool = ALONE,
 ) -> None:  # fmt: skip
     """Write which points no nearer points hide.
 
@@ -956,12 +967,8 @@ def mark_unhidden(
     Args:
         directions: (2, M) in the equal-area map [rad].
         inverse_ranges: (M,) [1/m]; a point with 0 is ignored and not visible.
-        hiding: (M,) [1/m], the same for points that may hide others, 0 for those that shall not.
+        passes: a point is visible that none of them hides.
         extent: (4,) of the points, as of `measure_extent`.
-        cell: size of a cell [rad], at least 0.001, which bounds the memory.
-        window: within it two points on opposite sides of another hide it [rad].
-        near_xx, near_xy, near_yy: p, q, r of the ellipse p x² + q x y + r y² <= 1 in which a single point hides
-            [1/rad²].
         slope: largest gradient of the inverse range on a surface that does not hide itself [1/m/rad].
         margin: how much nearer than a point something must be to hide it [m] …
         margin_share: … plus this share of the point's range.
@@ -973,29 +980,41 @@ def mark_unhidden(
         visible: (M,), written.
         thread_pool: the threads that share the work; the result is the same.
     """
-    # From here on lengths are in cells.
-    xx, xy, yy = near_xx * cell * cell, near_xy * cell * cell, near_yy * cell * cell
-    area = xx * yy - 0.25 * xy * xy
-    reach_x, reach_y, radius = math.sqrt(yy / area), math.sqrt(xx / area), window / cell
-    size_x, size_y = math.ceil(reach_x), math.ceil(reach_y)
-    border = max(math.ceil(radius), size_x, size_y)
-    first_column, first_row, columns, rows = position_grid(extent, cell, border)
-    count, cells = len(inverse_ranges), columns * rows
-    numbers, keys = np.empty(count, np.int32), np.empty((thread_pool.size, cells), np.int64)
-    held, bounds = np.empty((3, cells), np.float32), np.empty((2, cells), np.float32)
-    limits = (radius * radius, (slope * cell) ** 2, margin, margin_share, xx, xy, yy, nearing)
-    keep = partial(
-        _keep_nearest, directions, inverse_ranges, hiding, cell, first_column, first_row, columns, rows, numbers, keys
-    )
-    bound = partial(_bound_hiding, held, columns, border, slope * cell, reach_x, reach_y, bounds)
-    search = partial(
-        _search_hiding, directions, inverse_ranges, numbers, 1.0 / cell, columns, held, bounds, size_x, size_y, border,
-        np.array(limits, np.float32), eyes, point_ids, fractions, visible,
-    )  # fmt: skip
-    thread_pool.share(
-        Phase(count, keep), Phase(cells, partial(_read_keys, keys, held)), Phase(rows - 2 * border, bound),
-        Phase(count, search, rounds=_ROUNDS),
-    )  # fmt: skip
+    count, shapes = len(inverse_ranges), []
+    for one in passes:
+        # From here on lengths are in cells.
+        xx, xy, yy = (near * one.cell * one.cell for near in (one.near_xx, one.near_xy, one.near_yy))
+        area, radius = xx * yy - 0.25 * xy * xy, one.window / one.cell
+        reach_x, reach_y = math.sqrt(yy / area), math.sqrt(xx / area)
+        border = max(math.ceil(radius), math.ceil(reach_x), math.ceil(reach_y))
+        limits = radius * radius, (slope * one.cell) ** 2, margin, margin_share, xx, xy, yy, nearing
+        shapes.append((reach_x, reach_y, border, np.array(limits, np.float32), position_grid(extent, one.cell, border)))
+    # one room for all passes, which come one after the other
+    most = max(columns * rows for *_, (_, _, columns, rows) in shapes)
+    keys_room, numbers = np.empty(thread_pool.size * most, np.int64), np.empty(count, np.int32)
+    held_room, bounds_room = np.empty(3 * most, np.float32), np.empty(2 * most, np.float32)
+    seen, phases = np.empty((len(passes), count), np.bool_), []
+    for one, (reach_x, reach_y, border, limits, (first_column, first_row, columns, rows)), found in zip(
+        passes, shapes, seen, strict=True
+    ):
+        cells = columns * rows
+        keys = keys_room[: thread_pool.size * cells].reshape(-1, cells)
+        held, bounds = held_room[: 3 * cells].reshape(3, cells), bounds_room[: 2 * cells].reshape(2, cells)
+        keep = partial(
+            _keep_nearest, directions, inverse_ranges, one.inverse_ranges, one.cell, first_column, first_row, columns,
+            rows, numbers, keys,
+        )  # fmt: skip
+        bound = partial(_bound_hiding, held, columns, border, slope * one.cell, reach_x, reach_y, bounds)
+        search = partial(
+            _search_hiding, directions, inverse_ranges, numbers, 1.0 / one.cell, columns, held, bounds,
+            math.ceil(reach_x), math.ceil(reach_y), border, limits, eyes, point_ids, fractions, found,
+        )  # fmt: skip
+        phases += [
+            Phase(count, keep), Phase(cells, partial(_read_keys, keys, held)), Phase(rows - 2 * border, bound),
+            Phase(count, search, rounds=_ROUNDS),
+        ]  # fmt: skip
+    thread_pool.share(*phases)
+    seen.all(axis=0, out=visible)
 
 
 _BLOCK = 512  # points whose cells are numbered at once, by SIMD

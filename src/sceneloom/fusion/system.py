@@ -75,6 +75,10 @@ class _Camera:
     source: PoseSource  # `world_from_camera`
     shutter: Shutter = GLOBAL  # when the lines of its images are taken
 
+    def direction(self, timestamp_ns: int, source: PoseSource) -> ShutterDirection | None:
+        """The camera's poses during one image; None where its lines are taken at once."""
+        return None if self.shutter.seconds == 0.0 else ShutterDirection.of(self.shutter, timestamp_ns, source)
+
 
 STILL = Poses.identity()
 
@@ -461,7 +465,7 @@ class _SweepFusion:
         if image is None:
             pairs.unpaired.append(camera.id)
             return
-        location = source.mounted(image.mount)
+        location = source if image.mount is None else source.mounted(image.mount)
         pose = location.at(np.array([image.timestamp_ns], np.int64))
         if pose.coverage[0] == 2:
             pairs.unposed.append(camera.id)
@@ -480,7 +484,7 @@ class _SweepFusion:
                 timestamp_ns=image.timestamp_ns,
                 world_from_camera=RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
                 rgb=rgb,
-                shutter=ShutterDirection.of(camera.shutter, image.timestamp_ns, location),
+                shutter=camera.direction(image.timestamp_ns, location),
             )
         )
 

@@ -337,6 +337,7 @@ def interpolate_poses(
     query_ns: Int64Array,
     *,
     reach_ns: int = 0,
+    mount: RigidTransform | None = None,
 ) -> tuple[Float64Array, Float64Array, UInt8Array]:
     """Give the pose at each time: position linear, rotation slerp between the neighbouring poses.
 
@@ -348,6 +349,7 @@ def interpolate_poses(
         quaternions_xyzw: (N, 4) float64, normalised here.
         query_ns: (M,) int64 [ns].
         reach_ns: how far beyond either end poses are given.
+        mount: gives the poses of what is mounted so on the body.
 
     Returns:
         positions: (M, 3) float64 [m]; NaN where out of reach.
@@ -373,6 +375,8 @@ def interpolate_poses(
     locations = start + fraction[:, None] * (stop - start)
     rotations = slerp(quaternions_xyzw[before], quaternions_xyzw[after], fraction)
     locations[coverage == OUT_OF_REACH], rotations[coverage == OUT_OF_REACH] = np.nan, np.nan
+    if mount is not None:
+        locations, rotations = mounted_poses(locations, rotations, mount)
     return locations, rotations, coverage
 
 

@@ -136,8 +136,9 @@ class FusionStatistics:
 
     def add(self, frame: FusedFrame) -> None:
         """Count one sweep."""
+        count = len(frame.points)
         self.frames += 1
-        self.points += len(frame.points)
+        self.points += count
         self.non_finite += int(np.count_nonzero(~finite_rows(frame.points.positions)))
         self.times.add(frame.times)
         self.timeless += frame.times.kind is PointTimes.ABSENT and frame.lidar_id in self.moving
@@ -149,7 +150,7 @@ class FusionStatistics:
         self.extrapolated += frame.extrapolated
         for view in frame.views:
             hidden = int(np.count_nonzero(~view.visible))
-            seen = {"paired": 1, "points": len(frame.points), "in_image": len(view.point_ids), "hidden": hidden}
+            seen = {"paired": 1, "points": count, "in_image": len(view.point_ids), "hidden": hidden}
             self.counts[view.camera_id].update(seen)
         for camera_id in frame.unpaired:
             self.counts[camera_id]["unpaired"] += 1

@@ -57,7 +57,8 @@ class CameraImage:
     encoded: Callable[[], bytes] | None = None
 
     def __post_init__(self) -> None:
-        hold_timestamp(self, "image.timestamp_ns")
+        if type(self.timestamp_ns) is not int or self.timestamp_ns.bit_length() > 63:
+            hold_timestamp(self, "image.timestamp_ns")
 
     @classmethod
     def of(cls, timestamp_ns: int, camera: Camera, rgb: UInt8Array) -> "CameraImage":

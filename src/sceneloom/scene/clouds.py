@@ -178,7 +178,8 @@ class LidarFrame:
     extras: Mapping[str, Any] = field(default_factory=lambda: NO_FIELDS)
 
     def __post_init__(self) -> None:
-        hold_timestamp(self, "frame.timestamp_ns")
+        if type(self.timestamp_ns) is not int or self.timestamp_ns.bit_length() > 63:
+            hold_timestamp(self, "frame.timestamp_ns")
 
     @property
     def reference_ns(self) -> int:

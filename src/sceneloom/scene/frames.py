@@ -32,12 +32,18 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
         timestamps_ns: (N,) int64 [ns], one per frame.
     """
 
-    def __init__(self, timestamps_ns: Int64Array, read: Callable[[int], Item_co]) -> None:
-        """Hold the timestamps and the function that makes frame `k` (0 <= k < N)."""
+    def __init__(
+        self, timestamps_ns: Int64Array, read: Callable[[int], Item_co], *, stage: str | None = "reading"
+    ) -> None:
+        """Hold the timestamps and the function that makes frame `k` (0 <= k < N).
+
+        The time of making one counts as the stage; None where next to nothing is read, as for images, which are decoded
+        later.
+        """
         timestamps_ns = as_array("frames.timestamps_ns", timestamps_ns, (None,), np.int64)
         check_array("frames.timestamps_ns", timestamps_ns, (None,), np.int64)
         self.timestamps_ns: Int64Array = read_only(timestamps_ns)
-        self._read = read
+        self._read, self._stage = read, stage
 
     @classmethod
     def of(cls, items: Sequence[Item_co], timestamps_ns: Sequence[int]) -> "LazyFrames[Item_co]":
@@ -49,7 +55,7 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
         return cls(times_ns, kept.__getitem__)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return LazyFrames, (self.timestamps_ns, self._read)
+        return partial(LazyFrames, stage=self._stage), (self.timestamps_ns, self._read)
 
     def __repr__(self) -> str:
         return f"<{len(self)} frames, read when asked for>"
@@ -63,17 +69,21 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
     def __getitem__(self, index: slice) -> "LazyFrames[Item_co]": ...
     def __getitem__(self, index: int | slice) -> "Item_co | LazyFrames[Item_co]":
         if isinstance(index, slice):
-            return LazyFrames(self.timestamps_ns[index], partial(_read_chosen, self._read, range(len(self))[index]))
-        return in_stage("reading", self._read, range(len(self))[index])
+            return self._of(self.timestamps_ns[index], range(len(self))[index])
+        number = range(len(self))[index]
+        return self._read(number) if self._stage is None else in_stage(self._stage, self._read, number)
 
     def __iter__(self) -> Iterator[Item_co]:
-        return (self[k] for k in range(len(self)))
+        return map(self.__getitem__, range(len(self)))
 
     def chosen(self, numbers: Int64Array) -> "LazyFrames[Item_co]":
         """Give the frames with these numbers, (M,) int64, in that order; itself where these are all of them."""
         if np.array_equal(numbers, np.arange(len(self))):
             return self
-        return LazyFrames(self.timestamps_ns[numbers], partial(_read_chosen, self._read, numbers))
+        return self._of(self.timestamps_ns[numbers], numbers)
+
+    def _of(self, timestamps_ns: Int64Array, numbers: "range | Int64Array") -> "LazyFrames[Item_co]":
+        return LazyFrames(timestamps_ns, partial(_read_chosen, self._read, numbers), stage=self._stage)
 
     def mapped(self, change: Callable[[Any], Any], *, timestamps_ns: Int64Array | None = None) -> "LazyFrames[Any]":
         """Give frames that are changed when they are read.
@@ -83,4 +93,4 @@ class LazyFrames(Sequence[Item_co], Generic[Item_co]):
             timestamps_ns: (N,) int64 [ns], where the change moves the frames in time.
         """
         times_ns = self.timestamps_ns if timestamps_ns is None else timestamps_ns
-        return LazyFrames(times_ns, partial(_read_mapped, self, change))
+        return LazyFrames(times_ns, partial(_read_mapped, self, change), stage=self._stage)

@@ -101,26 +101,24 @@ class Poses:
         """The same path seen from another origin of its parent frame, (3,) float64 [m]; the axes stay."""
         return replace(self, positions=self.positions - origin)
 
-    def interpolate(self, timestamps_ns: Int64Array, *, reach_ns: int = 0) -> PoseSamples:
+    def interpolate(
+        self, timestamps_ns: Int64Array, *, reach_ns: int = 0, mount: RigidTransform | None = None
+    ) -> PoseSamples:
         """Give the pose at each time: position linear, rotation slerp between the neighbouring poses.
 
         Args:
             timestamps_ns: (M,) int64 [ns].
             reach_ns: how far beyond either end the constant velocity of the end segment is continued.
+            mount: `body_from_sensor`, to give the poses of that sensor.
         """
-        if self.static:
-            count = len(timestamps_ns)
-            inside = np.zeros(count, np.uint8)
-            return PoseSamples(
-                np.repeat(self.positions, count, axis=0),
-                np.repeat(normalise_quaternion(self.quaternions_xyzw), count, axis=0),
-                inside,
-            )
-        return PoseSamples(
-            *interpolate_poses(
-                self.timestamps_ns, self.positions, self.quaternions_xyzw, timestamps_ns, reach_ns=reach_ns
-            )
-        )
+        if not self.static:
+            path = self.timestamps_ns, self.positions, self.quaternions_xyzw
+            return PoseSamples(*interpolate_poses(*path, timestamps_ns, reach_ns=reach_ns, mount=mount))
+        count, position, quaternion = len(timestamps_ns), self.positions, normalise_quaternion(self.quaternions_xyzw)
+        if mount is not None:
+            position, quaternion = mounted_poses(position, quaternion, mount)
+        inside = np.zeros(count, np.uint8)
+        return PoseSamples(np.repeat(position, count, axis=0), np.repeat(quaternion, count, axis=0), inside)
 
     def held(self, timestamps_ns: Int64Array) -> PoseSamples:
         """Give the pose at each time, (M,) int64 [ns]; beyond the path's ends the end poses hold."""
@@ -223,8 +221,7 @@ class PoseSource:
 
     def at(self, timestamps_ns: Int64Array) -> PoseSamples:
         """Give `world_from_sensor` at each time, (M,) int64 [ns]."""
-        body = self.path.interpolate(timestamps_ns, reach_ns=self.reach_ns)
-        return PoseSamples(*mounted_poses(body.positions, body.quaternions_xyzw, self.mount), body.coverage)
+        return self.path.interpolate(timestamps_ns, reach_ns=self.reach_ns, mount=self.mount)
 
 
 def placed_along(

@@ -263,7 +263,7 @@ def test_the_reach_follows_the_scan_lines(spacings_deg, window_deg, across_deg, 
     found = np.degrees([reach.window, reach.across, reach.along, reach.angle])
     assert found == pytest.approx([window_deg, across_deg, along_deg, angle_deg], abs=1e-3)
     # the ellipse has its axes across and along the lines
-    xx, xy, yy = reach.ellipse
+    xx, xy, yy = reach.hiding(np.zeros(0, np.float32))[3:]
     for length, angle in ((reach.across, reach.angle), (reach.along, reach.angle + math.pi / 2)):
         x, y = length * math.cos(angle), length * math.sin(angle)
         assert xx * x * x + xy * x * y + yy * y * y == pytest.approx(1)
@@ -392,9 +392,11 @@ def marked(directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, s
     count = len(inverse_ranges)
     visible = np.zeros(len(inverse_ranges), bool)
     locations, nearness = (np.ascontiguousarray(rows, np.float32) for rows in (directions, inverse_ranges))
+    hiding = vis.Hiding(
+        nearness if hiding is None else np.ascontiguousarray(hiding, np.float32), cell, window, *(near or ellipse())
+    )
     vis.mark_unhidden(
-        locations, nearness, nearness if hiding is None else np.ascontiguousarray(hiding, np.float32),
-        measure_extent(locations, nearness), cell, window, *(ellipse() if near is None else near), slope, MARGIN, SHARE,
+        locations, nearness, [hiding], measure_extent(locations, nearness), slope, MARGIN, SHARE,
         np.zeros((0, 3)) if eyes is None else eyes, np.arange(count), np.linspace(0, 1, count, dtype=np.float32),
         NEARING, visible,
     )  # fmt: skip

@@ -15,7 +15,7 @@ from sceneloom.editing.move_world import points_change
 from sceneloom.editing.thin import chosen_points
 from sceneloom.errors import CalibrationError, DataError, PoseError
 from sceneloom.formats.base.images import ImageFile
-from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import Losses
 from sceneloom.formats.base.poses import each_mounted, mounting, stationary_ego
 from sceneloom.formats.base.written_ego import ego_trajectory
 from sceneloom.formats.kitti.calibration import Mounted

@@ -9,8 +9,7 @@ import numpy as np
 
 from sceneloom.arrays import UInt32Array, finite_rows
 from sceneloom.errors import OptionError
-from sceneloom.formats.base.loss_list import Losses
-from sceneloom.formats.base.losses import LossReport
+from sceneloom.formats.base.losses import Losses, LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.kitti.calibration import write_calibration

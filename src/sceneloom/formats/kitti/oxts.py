@@ -9,8 +9,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.loss_list import Losses
-from sceneloom.formats.base.losses import Loss
+from sceneloom.formats.base.losses import Loss, Losses
 from sceneloom.formats.kitti.text import as_table, read_lines
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu

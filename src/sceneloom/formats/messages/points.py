@@ -11,7 +11,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import Losses
 from sceneloom.formats.base.text_tables import UNITS_NS
 from sceneloom.formats.messages.frames import Locations
 from sceneloom.formats.messages.records import CloudRecord, PackedField, Stated, Topic, TopicLog

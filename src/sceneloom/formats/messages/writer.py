@@ -13,7 +13,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import Losses
 from sceneloom.formats.messages.cameras import MILLIMETRE, camera_model_record, is_foreign
 from sceneloom.formats.messages.points import CloudWriter
 from sceneloom.formats.messages.records import (

@@ -10,8 +10,7 @@ import numpy as np
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.base.loss_list import Losses
-from sceneloom.formats.base.losses import LossReport, field_losses
+from sceneloom.formats.base.losses import Losses, LossReport, field_losses
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.points.files import FrameColumns, write_ply
 from sceneloom.formats.posed_images.posed_scene import (

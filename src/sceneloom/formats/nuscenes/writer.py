@@ -18,8 +18,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.editing.cameras import undistort_scene
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.images import ImageFile, encode_png
-from sceneloom.formats.base.loss_list import Losses
-from sceneloom.formats.base.losses import Loss, LossReport, Support, field_losses
+from sceneloom.formats.base.losses import Loss, Losses, LossReport, Support, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stem, file_stems, replacing
 from sceneloom.formats.base.poses import each_mounted, ego_in_world, mounting
 from sceneloom.formats.base.spec import as_positive

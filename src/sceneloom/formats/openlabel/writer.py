@@ -11,8 +11,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.cameras.camera import MODELS, Camera
-from sceneloom.formats.base.loss_list import Losses
-from sceneloom.formats.base.losses import Loss, LossReport, Support, field_losses
+from sceneloom.formats.base.losses import Loss, Losses, LossReport, Support, field_losses
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.openlabel.document import (

@@ -14,7 +14,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, finite_rows
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.files import check_length, check_unpacked, file_faults, open_file, read_bytes
-from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import Losses
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.points.cloud import (
     NO_LABEL,

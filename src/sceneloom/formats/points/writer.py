@@ -11,8 +11,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array
 from sceneloom.editing.move_world import points_change, to_ego, to_sensor, to_world
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.formats.base.loss_list import Losses
-from sceneloom.formats.base.losses import LossReport, field_losses
+from sceneloom.formats.base.losses import Losses, LossReport, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stems, replacing
 from sceneloom.formats.base.poses import ego_in_world
 from sceneloom.formats.points.files import FRAME_WRITERS, FrameColumns

@@ -95,13 +95,16 @@ class _Records:
         count = len(self.records)
         positions, intensities, rings = (np.empty((count, 3), "f4"), np.empty(count, "u1"), np.empty(count, "u2"))
         seconds, timestamps_ns = np.empty(count, np.float64), np.empty(count, np.int64)
-        unpack(read_only(self.records), positions, intensities, rings, seconds, timestamps_ns)
+        arrays = positions, intensities, rings, seconds, timestamps_ns
+        unpack(read_only(self.records), *arrays)
+        for array in arrays:
+            array.setflags(write=False)
         return LidarPoints(
-            positions=read_only(positions),
-            intensities=read_only(intensities),
-            timestamps_ns=read_only(timestamps_ns),
-            rings=read_only(rings),
-            extras=MappingProxyType({"file_seconds": read_only(seconds)}),
+            positions=positions,
+            intensities=intensities,
+            timestamps_ns=timestamps_ns,
+            rings=rings,
+            extras=MappingProxyType({"file_seconds": seconds}),
         )
 
 

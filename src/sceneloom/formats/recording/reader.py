@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, read_only
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, OptionError, SceneloomError
 from sceneloom.formats.base.diagnostics import FaultLedger, Ledger, PlacedFault, placed
@@ -187,7 +187,9 @@ class _ImageTable:
 
     def image(self, k: int) -> CameraImage:
         """Make image `k`."""
-        return CameraImage(decode=partial(self.rgb, int(self.indices[k])), **self._fields(k))
+        index = int(self.indices[k])
+        decode = self._opened if self.files is None else self.files.rgb
+        return CameraImage(decode=partial(decode, index), **self._fields(k))
 
     def depth_frame(self, k: int, *, usual: float) -> DepthFrame:
         """Make depth image `k`; `usual` is the length of a step where its line has none [m]."""
@@ -211,10 +213,6 @@ class _ImageTable:
                 extras | _further_fields(self.data_file, int(self.offsets[k]), self.camera_index)
             ),
         }
-
-    def rgb(self, index: int) -> UInt8Array:
-        """Decode an image."""
-        return self._opened(index).rgb(index)
 
     def metres(self, index: int, scale: float) -> Float32Array:
         """Decode a depth image, (H, W) float32 [m]."""
@@ -502,7 +500,7 @@ class _CameraBuilder:
         return CameraSensor(
             id=f"camera{self.index}",
             camera=camera,
-            images=LazyFrames(table.timestamps_ns, table.image),
+            images=LazyFrames(table.timestamps_ns, table.image, stage=None),
             poses=poses_along(self.contents.ego_path, mounts, table.mount_texts, table.timestamps_ns),
             mount=ego_from_camera,
             video=self._video(table.indices),

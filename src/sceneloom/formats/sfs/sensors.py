@@ -450,8 +450,7 @@ def _read_camera(record: _Record) -> CameraSensor | None:
     if unknown:
         extras["intrinsics"] = unknown
     own_fields = content.own_fields or [own.extras(k) for k in range(count)]
-    usual_ns = exposure_ns(extras, 0)
-    exposures_ns = np.array([exposure_ns(fields, usual_ns) for fields in own_fields], np.int64)
+    exposures_ns = np.array([exposure_ns(fields, extras) for fields in own_fields], np.int64)
     middles_ns = content.starts_ns + exposures_ns // 2
 
     def read(index: int) -> CameraImage:
@@ -486,12 +485,12 @@ _EXPOSURE = "exposureTimeSeconds"  # the field of a camera or an image with the 
 _LONGEST_EXPOSURE = 3600.0
 
 
-def exposure_ns(fields: Mapping[str, Any], otherwise_ns: int) -> int:
-    """The exposure time of an image [ns], as its fields state."""
-    seconds = fields.get(_EXPOSURE)
-    if isinstance(seconds, int | float) and 0 <= seconds < _LONGEST_EXPOSURE:
-        return round(seconds * 1e9)
-    return otherwise_ns
+def exposure_ns(*fields: Mapping[str, Any]) -> int:
+    """The exposure time of an image [ns], as the first fields state that state one; 0 where none do."""
+    for seconds in (given.get(_EXPOSURE) for given in fields):
+        if isinstance(seconds, int | float) and 0 <= seconds < _LONGEST_EXPOSURE:
+            return round(seconds * 1e9)
+    return 0
 
 
 def _no_image(index: int, _: Camera) -> CameraImage:

@@ -24,8 +24,7 @@ from sceneloom.cameras.fitting import nearest
 from sceneloom.errors import ArrayError, DataError, OptionError, without_folders
 from sceneloom.formats.base.files import open_file
 from sceneloom.formats.base.images import JPEG_QUALITY, encode_jpeg
-from sceneloom.formats.base.loss_list import Losses
-from sceneloom.formats.base.losses import LossReport
+from sceneloom.formats.base.losses import Losses, LossReport
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.base.registry import FORMATS
 from sceneloom.formats.sfs.annotations import attribute_record, encode_annotation
@@ -1105,7 +1104,7 @@ class _OpenFile:
 
 def _start_ns(draft: _SensorDraft, image: CameraImage) -> int:
     """The start of an image's exposure [ns]; the model has its middle."""
-    return image.timestamp_ns - exposure_ns(image.extras, exposure_ns(draft.fields, 0)) // 2
+    return image.timestamp_ns - exposure_ns(image.extras, draft.fields) // 2
 
 
 def _copy_mp4(video: VideoContent, target: Path) -> bool:

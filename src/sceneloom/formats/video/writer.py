@@ -414,14 +414,10 @@ def _same_stream(output: OutputContainer, original: VideoStream, tick: Fraction)
 
 def _image_packets(opened: OpenVideo, name: str) -> "Iterator[Packet[VideoStream]]":
     """Give the packets that hold an image which is shown, in the order of storage."""
-    packets = opened.container.demux(opened.stream)
-    while True:
-        with decoder_faults(name, ""):
-            packet = next(packets, None)
-        if packet is None:
-            return
-        if packet.size and not packet.is_discard:
-            yield packet
+    with decoder_faults(name, ""):
+        for packet in opened.container.demux(opened.stream):
+            if packet.size and not packet.is_discard:
+                yield packet
 
 
 def _check_count(timestamps: int, images: int) -> None:

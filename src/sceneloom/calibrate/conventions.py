@@ -16,7 +16,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.measures import Agreement, Change, measured_image
 from sceneloom.cameras.projection import project
-from sceneloom.checks.point_frames import possible_points_frames
+from sceneloom.checks.cuboids import possible_points_frames
 from sceneloom.checks.rule import Subject
 from sceneloom.errors import DataError, PoseError
 from sceneloom.formats.base.files import read_settings

@@ -11,7 +11,6 @@ from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from sceneloom.checks.rule import Hit, Subject
 from sceneloom.scene.annotations import Box2DAnnotation, CuboidAnnotation, PointsAnnotation, ShapeAnnotation
 from sceneloom.scene.cameras import CameraSensor
-from sceneloom.scene.clouds import LidarFrame
 from sceneloom.scene.types import key_of
 
 
@@ -92,23 +91,6 @@ class PartTable:
 def annotation_parts(subject: Subject, kind: str) -> PartTable:
     """All paths of "cuboids", "boxes", "shapes" or named "points", or all of another kind of `PART_KINDS`."""
     return subject.table("parts of annotations", _made_tables)[kind]
-
-
-def cuboid_rows(subject: Subject) -> Float64Array:
-    """The rows of all cuboids' paths, (R, 9) float64 as in `CuboidPath`."""
-    return subject.table(
-        "rows of cuboids", lambda inner: annotation_parts(inner, "cuboids").rows(lambda path: path.values, 9)
-    )
-
-
-_SAME_TIME_NS = 30_000_000
-
-
-def cuboids_at(subject: Subject, sweep: LidarFrame) -> Float64Array:
-    """The finite rows of cuboids that have a keyframe at the time of a sweep, (K, 9)."""
-    rows, times = cuboid_rows(subject), annotation_parts(subject, "cuboids").timestamps_ns
-    now = np.minimum(np.abs(times - sweep.timestamp_ns), np.abs(times - sweep.reference_ns)) < _SAME_TIME_NS
-    return np.asarray(rows[now & np.isfinite(rows).all(axis=1)])
 
 
 _Entries = list[tuple[int, str, Any]]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.checks.rule import (
     ERROR,
     HINT,
@@ -14,6 +14,7 @@ from sceneloom.checks.rule import (
     Hit,
     Rule,
     Subject,
+    beyond_neighbours,
     frames_path,
     period_ns,
     seconds,
@@ -38,7 +39,6 @@ FASTEST_ROTATION_DEG = 720.0
 
 STEP_FACTOR, STEP_MARGIN = 3.0, 1.0
 ROTATION_FACTOR, ROTATION_MARGIN_DEG = 3.0, 15.0
-_FEWEST_STEPS = 4  # fewer steps do not report what is usual
 
 
 def _placed_sensors(subject: Subject) -> Iterator[tuple[str, Posed]]:
@@ -118,30 +118,6 @@ def _rotations(subject: Subject) -> Iterator[Hit]:
         for k in np.flatnonzero(wrong).tolist():
             problem = f"rotated by {rotations[k]:.1f} degrees in {times[k]:.3f} s, unlike the steps beside it"
             yield Hit(f"{path}.values[{k + 1}]", problem)
-
-
-def beyond_neighbours(
-    steps: Float64Array, times: Float64Array, fastest: float, factor: float, margin: float
-) -> BoolArray:
-    """Steps faster than anything moves, or by far larger than the two before and the two after would let expect.
-
-    The largest of these four does not count: a single wrong pose makes two wrong steps.
-
-    Args:
-        steps: (N,) how far each goes.
-        times: (N,) [s], how long each takes, more than 0.
-        fastest: largest rate that there is.
-        factor: so many times the neighbours' rate is still believed.
-        margin: so much more than that, too.
-    """
-    wrong: BoolArray = ~(steps <= np.maximum(fastest * times, margin))
-    if len(steps) < _FEWEST_STEPS:
-        return wrong
-    padded = np.pad(steps / times, 2, mode="reflect")
-    neighbours = np.stack([padded[shift : shift + len(steps)] for shift in (0, 1, 3, 4)])
-    usual = np.sort(neighbours, axis=0)[-2]
-    wrong |= steps > factor * usual * times + margin
-    return wrong
 
 
 def _times_of_trajectories(subject: Subject) -> Iterator[Hit]:

@@ -3,12 +3,11 @@
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Int64Array
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.recording.calibration import RecordingContents
 from sceneloom.scene.annotations import Annotation
@@ -182,17 +181,10 @@ class Hit:
     count: int = 1
 
 
-class CheckProfile(StrEnum):
-    """What a scene is checked against."""
+ALL_PROFILES = ("sfs", "scale")
+"""What a scene is checked against: the description of the format; also what Scale's own library loads and validates."""
 
-    SFS = "sfs"
-    """The description of the format."""
-    SCALE = "scale"
-    """Also what Scale's own library loads and validates."""
-
-
-ALL_PROFILES = frozenset(CheckProfile)
-SCALE_ONLY = frozenset({CheckProfile.SCALE})
+SCALE_ONLY = ("scale",)
 Find = Callable[[Subject], Iterable[Hit]]
 _Look = Callable[[Subject, FrameInHand], Iterable[Hit]]
 _Fix = Callable[[Scene], Scene]
@@ -231,7 +223,7 @@ class Rule:
     look: _Look | None = None
     conclude: Find | None = None
     fix: _Fix | None = None
-    profiles: frozenset[CheckProfile] = ALL_PROFILES
+    profiles: tuple[str, ...] = ALL_PROFILES
 
 
 def frames_of(sensor: Sensor) -> Sequence[Any]:
@@ -274,3 +266,30 @@ def repaired_annotations(scene: Scene, repair: Callable[[Annotation], Annotation
     if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
         return scene
     return replace(scene, annotations=annotations)
+
+
+_FEWEST_STEPS = 4  # fewer steps do not report what is usual
+
+
+def beyond_neighbours(
+    steps: Float64Array, times: Float64Array, fastest: float, factor: float, margin: float
+) -> BoolArray:
+    """Steps faster than anything moves, or by far larger than the two before and the two after would let expect.
+
+    The largest of these four does not count: a single wrong pose makes two wrong steps.
+
+    Args:
+        steps: (N,) how far each goes.
+        times: (N,) [s], how long each takes, more than 0.
+        fastest: largest rate that there is.
+        factor: so many times the neighbours' rate is still believed.
+        margin: so much more than that, too.
+    """
+    wrong: BoolArray = ~(steps <= np.maximum(fastest * times, margin))
+    if len(steps) < _FEWEST_STEPS:
+        return wrong
+    padded = np.pad(steps / times, 2, mode="reflect")
+    neighbours = np.stack([padded[shift : shift + len(steps)] for shift in (0, 1, 3, 4)])
+    usual = np.sort(neighbours, axis=0)[-2]
+    wrong |= steps > factor * usual * times + margin
+    return wrong

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.checks.faults import FAULT_CODES, FAULT_RULES, RECORDING_FAULT_RULES, UNREADABLE
-from sceneloom.checks.rule import ALL_PROFILES, CheckProfile, FrameInHand, Hit, Rule, Subject, frames_of
+from sceneloom.checks.rule import ALL_PROFILES, FrameInHand, Hit, Rule, Subject, frames_of
 from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError, redacted
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.base.losses import Loss
@@ -127,15 +127,15 @@ RULE_TABLES: tuple[str, ...] = (
     "faults:READING_RULES",
     "faults:FIELD_RULES",
     "faults:RECORDING_FAULT_RULES",
-    "recordings.lines:PRESENCE_RULES",
+    "recordings.files:PRESENCE_RULES",
     "recordings.times:STREAM_RULES",
     "recordings.samples:SAMPLE_RULES",
     "recordings.satellite_fixes:FIX_RULES",
     "recordings.poses:POSE_STEP_RULES",
-    "recordings.lines:CONFIGURATION_RULES",
-    "recordings.lines:FRAME_LINE_RULES",
-    "recordings.calibration:CALIBRATION_RULES",
-    "recordings.lines:LIDAR_LINE_RULES",
+    "recordings.files:CONFIGURATION_RULES",
+    "recordings.files:FRAME_LINE_RULES",
+    "recordings.files:CALIBRATION_RULES",
+    "recordings.files:LIDAR_LINE_RULES",
     "times:TIME_RULES",
     "times:POINT_TIME_RULES",
     "poses:POSE_RULES",
@@ -145,7 +145,7 @@ RULE_TABLES: tuple[str, ...] = (
     "sensors:SENSOR_RULES",
     "images:CAMERA_RULES",
     "points:POINT_RULES",
-    "point_frames:POINT_FRAME_RULES",
+    "cuboids:POINT_FRAME_RULES",
     "images:IMAGE_RULES",
     "sensors:REFERENCE_RULES",
     "times:ANNOTATION_TIME_RULES",
@@ -166,25 +166,20 @@ def all_rules() -> tuple[Rule, ...]:
     return tuple(r for module, name in tables for r in getattr(import_module(f"{__package__}.{module}"), name))
 
 
-def chosen_rules(
-    profile: CheckProfile | str, *, only: Iterable[str] = (), ignored: Iterable[str] = ()
-) -> tuple[Rule, ...]:
+def chosen_rules(profile: str, *, only: Iterable[str] = (), ignored: Iterable[str] = ()) -> tuple[Rule, ...]:
     """The rules of a profile: only those that are named, but for those that are to be ignored.
 
     Raises:
         OptionError: there is no such profile, or no such rule.
     """
-    profiles = [known.value for known in CheckProfile]
-    if profile not in profiles:
-        raise OptionError(f"profile {profile!r}; expected one of {', '.join(profiles)}")
+    if profile not in ALL_PROFILES:
+        raise OptionError(f"profile {profile!r}; expected one of {', '.join(ALL_PROFILES)}")
     rules, only, ignored = all_rules(), frozenset(only), frozenset(ignored)
     known_ids = {rule.id for rule in rules}
     for identifier in sorted((only | ignored) - known_ids):
         raise OptionError(f"no rule {identifier!r}; `sceneloom validate --rules` lists them")
     return tuple(
-        rule
-        for rule in rules
-        if CheckProfile(profile) in rule.profiles and rule.id not in ignored and (not only or rule.id in only)
+        rule for rule in rules if profile in rule.profiles and rule.id not in ignored and (not only or rule.id in only)
     )
 
 
@@ -217,7 +212,7 @@ def catalogue() -> tuple[RuleRow, ...]:
             summary=rule.summary,
             remedy=rule.remedy,
             fixable=rule.fix is not None,
-            only_in=() if rule.profiles == ALL_PROFILES else tuple(sorted(p.value for p in rule.profiles)),
+            only_in=() if rule.profiles == ALL_PROFILES else rule.profiles,
         )
         for rule in all_rules()
     )

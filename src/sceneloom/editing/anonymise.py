@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from sceneloom.editing.move_world import FrameChange, moved_world
-from sceneloom.editing.references import assumed, skipped, with_ours, with_warnings, without, without_fields
-from sceneloom.editing.retime import LINES, clock_from_zero
+from sceneloom.editing.references import LINES, assumed, skipped, with_ours, with_warnings, without, without_fields
+from sceneloom.editing.retime import clock_from_zero
 from sceneloom.errors import OptionError
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rigid import RigidTransform

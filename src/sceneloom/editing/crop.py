@@ -11,7 +11,9 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array
 from sceneloom.editing.move_world import FrameChange, points_change
 from sceneloom.editing.references import (
+    LINES,
     OURS,
+    TEXTS,
     NewIds,
     assumed,
     entries_of,
@@ -19,13 +21,13 @@ from sceneloom.editing.references import (
     ours_of,
     recounted,
     skipped,
+    streams_of,
     with_annotation_ids,
     with_ours,
     with_sensor_ids,
     with_sensor_parent,
     with_warnings,
 )
-from sceneloom.editing.retime import LINES, TEXTS, streams_of
 from sceneloom.editing.thin import OnPoints, with_map_points, with_points
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform

@@ -12,7 +12,7 @@ from sceneloom.arrays import UInt8Array
 from sceneloom.errors import OptionError
 from sceneloom.scene.annotations import Annotation, LinkAnnotation, PlainAnnotation
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
-from sceneloom.scene.motion import PlainSensor
+from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, Key, key_of
 from sceneloom.warnings import DataWarning, WarningKind
@@ -216,3 +216,21 @@ def recounted(lidar: LidarSensor, numbers: Mapping[int, int]) -> LidarSensor:
 def _recounted_frame(table: UInt8Array, frame: LidarFrame) -> LidarFrame:
     index = frame.points.camera_index
     return frame if index is None else replace(frame, points=replace(frame.points, camera_index=table[index]))
+
+
+LINES, TEXTS = "recording", "further_keys"
+"""Our entry of the metadata with lines of recordings that say more than their samples.
+
+In it, such lines by stream and by time [ns] as text.
+"""
+
+
+def streams_of(sensor: Sensor) -> list[str]:
+    """The names under which a recording keeps lines of a sensor."""
+    if isinstance(sensor, ImuSensor):
+        return [f"imu.{name}" for name in sensor.streams]
+    if isinstance(sensor, GnssSensor):
+        return ["gnss" if sensor.id == "gnss" else f"gnss.{sensor.id}"]
+    if isinstance(sensor, LidarSensor):
+        return [f"lidars.{str(sensor.id).removeprefix('lidar') or 0}"]
+    return []

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import Int64Array, read_only
+from sceneloom.editing.references import LINES, TEXTS, streams_of
 from sceneloom.errors import OptionError
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, shots_of, with_shots
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
@@ -222,26 +223,6 @@ def _retimed_part(part: Any, sensors: Mapping[Key, _Right], otherwise: _Right | 
         if new is not value:
             changes[field.name] = new
     return replace(part, **changes) if changes else part
-
-
-# Lines of recordings that are kept as text.
-
-LINES, TEXTS = "recording", "further_keys"
-"""Our entry of the metadata with lines of recordings that say more than their samples.
-
-In it, such lines by stream and by time [ns] as text.
-"""
-
-
-def streams_of(sensor: Sensor) -> list[str]:
-    """The names under which a recording keeps lines of a sensor."""
-    if isinstance(sensor, ImuSensor):
-        return [f"imu.{name}" for name in sensor.streams]
-    if isinstance(sensor, GnssSensor):
-        return ["gnss" if sensor.id == "gnss" else f"gnss.{sensor.id}"]
-    if isinstance(sensor, LidarSensor):
-        return [f"lidars.{str(sensor.id).removeprefix('lidar') or 0}"]
-    return []
 
 
 def _retimed_lines(

@@ -8,12 +8,8 @@ if TYPE_CHECKING:
     from sceneloom.evaluate.trajectory import (
         ALIGNMENTS,
         RPE_DELTAS,
-        AbsoluteErrors,
-        AlignmentReport,
         ErrorStatistics,
-        KittiErrors,
         RelativeErrors,
-        SegmentErrors,
         TrajectoryReport,
         evaluate_trajectory,
     )
@@ -23,26 +19,11 @@ else:
         {
             "ALIGNMENTS": "sceneloom.evaluate.trajectory:ALIGNMENTS",
             "RPE_DELTAS": "sceneloom.evaluate.trajectory:RPE_DELTAS",
-            "AbsoluteErrors": "sceneloom.evaluate.trajectory:AbsoluteErrors",
-            "AlignmentReport": "sceneloom.evaluate.trajectory:AlignmentReport",
             "ErrorStatistics": "sceneloom.evaluate.trajectory:ErrorStatistics",
-            "KittiErrors": "sceneloom.evaluate.trajectory:KittiErrors",
             "RelativeErrors": "sceneloom.evaluate.trajectory:RelativeErrors",
-            "SegmentErrors": "sceneloom.evaluate.trajectory:SegmentErrors",
             "TrajectoryReport": "sceneloom.evaluate.trajectory:TrajectoryReport",
             "evaluate_trajectory": "sceneloom.evaluate.trajectory:evaluate_trajectory",
         },
     )
 
-__all__ = [
-    "ALIGNMENTS",
-    "RPE_DELTAS",
-    "AbsoluteErrors",
-    "AlignmentReport",
-    "ErrorStatistics",
-    "KittiErrors",
-    "RelativeErrors",
-    "SegmentErrors",
-    "TrajectoryReport",
-    "evaluate_trajectory",
-]
+__all__ = ["ALIGNMENTS", "RPE_DELTAS", "ErrorStatistics", "RelativeErrors", "TrajectoryReport", "evaluate_trajectory"]

@@ -7,8 +7,7 @@ import pytest
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.editing.redact import ImageBox
-from sceneloom.pipeline.redacting import blur_files
+from sceneloom.pipeline.redacting import ImageBox, blur_files
 from sceneloom.scene import CuboidAnnotation, LabeledPointsAnnotation, LocalizationAdjustment, Poses
 from sceneloom.scene.scene import time_span
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, annotate, simulate_street

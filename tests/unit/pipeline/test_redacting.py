@@ -1,12 +1,190 @@
-"""Lists of boxes in images: CSV and JSON, and what is wrong in them."""
+"""Regions of images that are hidden: which, and that nothing of them is left; and lists of boxes."""
 
 import json
 
+import numpy as np
 import pytest
 
-from sceneloom.editing.redact import ImageBox
-from sceneloom.errors import DataError
-from sceneloom.pipeline.redacting import read_image_boxes
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError, OptionError
+from sceneloom.pipeline.redacting import (
+    ImageBox,
+    filled,
+    find_hidings,
+    hidden_regions,
+    hide_in_images,
+    read_image_boxes,
+)
+from sceneloom.scene import (
+    Box2DAnnotation,
+    CameraImage,
+    CameraSensor,
+    LazyFrames,
+    LidarFrame,
+    LidarPoints,
+    LidarSensor,
+    Scene,
+    ShapeAnnotation,
+    VertexPath,
+)
+from sceneloom.scene.annotations import BoxPath, ShapeType
+
+CAMERA = Camera("pinhole", 64, 48, 50.0, 50.0, 31.5, 23.5)
+PERIOD_NS = 100_000_000
+EARLY = 1_700_000_000_000_000_000
+"""A time of today [ns]: float64 is 256 ns off there."""
+
+
+def scene_with(annotations=(), *, count=6, sensors=(), **fields):
+    rng = np.random.default_rng(3)
+    times = [EARLY + k * PERIOD_NS for k in range(count)]
+    images = [CameraImage.of(t, CAMERA, rng.integers(0, 256, (48, 64, 3), np.uint8)) for t in times]
+    camera = CameraSensor("front", CAMERA, LazyFrames.of(images, times))
+    return Scene((camera, *sensors), tuple(annotations), **fields)
+
+
+def hidings_of(scene, **how):
+    (hiding,) = find_hidings(scene, **how)
+    return {int(k): hiding.boxes[hiding.images == k].tolist() for k in np.unique(hiding.images)}, hiding
+
+
+def test_a_pixelated_box_has_sixteen_colours_at_most_and_each_is_the_mean_of_its_cell():
+    image = np.random.default_rng(0).integers(0, 256, (40, 40, 3), np.uint8)
+    hidden = filled(image, np.array([[4, 6, 36, 38]]), fill="pixelate")
+    inside = hidden[6:38, 4:36]
+    assert len(np.unique(inside.reshape(-1, 3), axis=0)) <= 16
+    np.testing.assert_allclose(inside[0, 0], image[6:14, 4:12].mean(axis=(0, 1)), atol=0.5)
+    outside = np.ones((40, 40), bool)
+    outside[6:38, 4:36] = False
+    assert np.array_equal(hidden[outside], image[outside])
+
+
+@pytest.mark.parametrize("fill", ["blur", "pixelate", "black"])
+def test_nothing_reports_two_images_with_equal_means_apart_once_they_are_hidden(fill):
+    image = np.random.default_rng(1).integers(0, 256, (32, 32, 3), np.uint8)
+    other = image.reshape(4, 8, 4, 8, 3)[:, ::-1, :, ::-1].reshape(32, 32, 3)
+    whole = np.array([[0, 0, 32, 32]])
+    assert not np.array_equal(image, other)
+    assert np.array_equal(filled(image, whole, fill=fill), filled(other, whole, fill=fill))
+
+
+def test_a_blurred_box_changes_smoothly_between_the_means_of_its_cells():
+    ramp = np.repeat(np.arange(0, 128, 4, dtype=np.uint8)[None], 32, axis=0)
+    hidden = filled(ramp, np.array([[0, 0, 32, 32]])).astype(int)
+    assert np.abs(np.diff(hidden[16])).max() <= 5
+    np.testing.assert_allclose(hidden[:, 3:29], ramp[:, 3:29], atol=3)  # a ramp's means lie on it
+
+
+def test_a_box_of_one_pixel_and_an_unknown_fill():
+    image = np.full((4, 4, 3), 9, np.uint8)
+    assert filled(image, np.array([[1, 1, 2, 2]]), fill="black")[1, 1].tolist() == [0, 0, 0]
+    with pytest.raises(OptionError, match="expected one of blur, pixelate, black"):
+        filled(image, np.array([[0, 0, 1, 1]]), fill="smear")
+
+
+def test_boxes_of_one_track_are_joined_by_straight_lines_in_time_and_others_are_not():
+    boxes = (
+        ImageBox((0, 0, 10, 10), number=1, track="a"),
+        ImageBox((30, 6, 40, 16), timestamp_ns=EARLY + 4 * PERIOD_NS, track="a"),
+        ImageBox((1, 2, 3, 4), number=5),
+    )
+    found, hiding = hidings_of(scene_with(), boxes=boxes)
+    rows = [[0, 0, 10, 10], [10, 2, 20, 12], [20, 4, 30, 14], [30, 6, 40, 16], [1, 2, 3, 4]]
+    assert found == {number: [row] for number, row in enumerate(rows, 1)}
+    assert (hiding.given, hiding.unmatched) == (3, 0)
+
+
+def test_a_track_that_is_held_is_hidden_before_and_after_and_both_boxes_where_it_is_in_an_image_twice():
+    boxes = (ImageBox((0, 0, 9, 9), number=2, track="a"), ImageBox((0, 0, 9, 9), number=3, track="a"))
+    assert sorted(hidings_of(scene_with(), boxes=boxes, hold=0.1)[0]) == [1, 2, 3, 4]
+    boxes = (ImageBox((0, 0, 9, 9), number=2, track="a"), ImageBox((20, 0, 29, 9), number=2, track="a"))
+    assert sorted(hidings_of(scene_with(), boxes=boxes)[0][2]) == [[0, 0, 9, 9], [20, 0, 29, 9]]
+
+
+def test_boxes_of_images_that_are_not_there_are_counted():
+    boxes = (
+        ImageBox((0, 0, 9, 9), number=6),
+        ImageBox((0, 0, 9, 9), timestamp_ns=EARLY + 560_000_000),
+        ImageBox((0, 0, 9, 9), timestamp_ns=EARLY + 249_000_000),
+    )
+    found, hiding = hidings_of(scene_with(), boxes=boxes)
+    assert (sorted(found), hiding.unmatched) == ([2], 2)
+    with pytest.raises(OptionError, match="camera 'rear'; its cameras are 'front'"):
+        find_hidings(scene_with(), boxes=(ImageBox((0, 0, 9, 9), camera="rear", number=0),))
+
+
+def test_annotations_are_hidden_by_their_labels_while_they_last():
+    path = BoxPath(
+        np.array([EARLY + PERIOD_NS - 3_000, EARLY + 3 * PERIOD_NS - 3_000]),
+        np.array([[0.0, 0.0, 8.0, 8.0], [20.0, 0.0, 8.0, 8.0]]),
+    )
+    outline = VertexPath(np.array([EARLY]), (np.array([[5.0, 6.0], [9.0, 2.0], [7.0, 9.0]]),))
+    annotations = (
+        Box2DAnnotation("f", "front", path, label="face"),
+        ShapeAnnotation("p", ShapeType.POLYGON_2D, outline, "front", label="plate"),
+        Box2DAnnotation("c", "front", path, label="car"),
+    )
+    found, hiding = hidings_of(scene_with(annotations), labels=("face", "plate"))
+    assert (sorted(found), hiding.given) == ([0, 1, 2, 3], 3)
+    assert found[0] == [[5.0, 2.0, 9.0, 9.0]]
+    np.testing.assert_allclose(found[2], [[10.0, 0.0, 18.0, 8.0]], atol=1e-3)  # 3 µs of 0.2 s
+    with pytest.raises(OptionError, match="no box or outline in an image with label 'nose'; there are car"):
+        find_hidings(scene_with(annotations), labels=("nose",))
+
+
+def test_boxes_whose_times_are_stored_in_any_order_are_hidden_all_the_while():
+    rows = [3, 0, 2, 1]
+    times = EARLY + np.array(rows) * PERIOD_NS
+    path = BoxPath(times, np.array([[2.0 * k, 1.0, 8.0, 8.0] for k in rows]))
+    found, _ = hidings_of(scene_with((Box2DAnnotation("f", "front", path, label="face"),)), labels=("face",))
+    assert {k: boxes[0][0] for k, boxes in found.items()} == {0: 0.0, 1: 2.0, 2: 4.0, 3: 6.0}
+    # what is stationary in an image is hidden in all of them
+    first = BoxPath(np.array([EARLY]), np.array([[1.0, 1.0, 8.0, 8.0]]))
+    bonnet = Box2DAnnotation("b", "front", first, label="bonnet", stationary=True)
+    assert sorted(hidings_of(scene_with((bonnet,)), labels=("bonnet",))[0]) == list(range(6))
+
+
+def test_regions_are_the_even_pixels_around_boxes_with_their_margin_within_the_image():
+    boxes = (
+        ImageBox((11.0, 11.0, 21.0, 31.0), number=0),
+        ImageBox((60.0, -4.0, 70.0, 4.0), number=0),
+        ImageBox((64.0, 0.0, 80.0, 9.0), number=1),
+        ImageBox((5.0, 5.0, 5.0, 9.0), number=2),
+    )
+    _, hiding = hidings_of(scene_with(), boxes=boxes)
+    regions = hidden_regions(hiding, 64, 48, margin=0.1)
+    assert {k: rows.tolist() for k, rows in regions.pixels.items()} == {0: [[10, 8, 22, 34], [58, 0, 64, 6]]}
+    assert (regions.outside, regions.cut) == (2, 1)
+
+
+def test_images_of_a_scene_are_hidden_when_they_are_decoded_and_the_others_stay():
+    scene = scene_with()
+    hidings = find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=2),))
+    hidden = hide_in_images(scene, hidings, fill="black", margin=0.0)
+    before, after = scene.cameras[0].images, hidden.cameras[0].images
+    assert not after[2].rgb[8:24, 8:24].any()
+    assert np.array_equal(after[2].rgb[:, 24:], before[2].rgb[:, 24:])
+    assert np.array_equal(after[1].rgb, before[1].rgb)
+    # boxes none of which is in an image hide nothing and are refused
+    with pytest.raises(OptionError, match="none of the 1 boxes lies in any image"):
+        hide_in_images(scene, find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=60),)))
+
+
+def test_copies_of_images_in_free_fields_go_and_colours_of_points_are_reported_or_dropped():
+    points = LidarPoints(np.zeros((2, 3), np.float32), colors=np.full((2, 3), 7, np.uint8))
+    lidar = LidarSensor("lidar", LazyFrames.of([LidarFrame(EARLY, points)], [EARLY]))
+    thumbnail = np.frombuffer(b"\xff\xd8\xff" + bytes(200), np.uint8)
+    metadata = {"a": {"thumbnail": thumbnail, "b": [1, "data:image/png;base64," + "A" * 60]}, "name": "drive"}
+    scene = scene_with(sensors=(lidar,), metadata=metadata)
+    hidings = find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=2),))
+    hidden = hide_in_images(scene, hidings)
+    assert dict(hidden.metadata) == {"a": {"b": [1]}, "name": "drive"}
+    locations = {n.location for n in hidden.warnings if n.code == "embedded-image"}
+    assert locations == {"metadata.a.thumbnail", "metadata.a.b[1]"}
+    (reported,) = (n for n in hidden.warnings if n.code == "colours-of-points")
+    assert "came from images before anything was hidden" in reported.message
+    assert hidden.lidars[0].frames[0].points.colors is not None
+    assert hide_in_images(scene, hidings, drop_colours=True).lidars[0].frames[0].points.colors is None
 
 
 def read(tmp_path, text, name="boxes.csv"):

@@ -13,10 +13,9 @@ from sceneloom.checks.poses import (
     ROTATION_MARGIN_DEG,
     STEP_FACTOR,
     STEP_MARGIN,
-    beyond_neighbours,
 )
 from sceneloom.checks.recordings.times import Kind, Stream, streams_of_kind
-from sceneloom.checks.rule import WARNING, Hit, Rule, Subject
+from sceneloom.checks.rule import WARNING, Hit, Rule, Subject, beyond_neighbours
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR
 from sceneloom.geometry.rigid import (
     angle_between,

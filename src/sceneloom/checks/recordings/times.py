@@ -156,14 +156,14 @@ class Stream:
         return Hit(self.whole if lines is None else f"{self.file}: line {lines[row]}", problem, count)
 
 
-def streams_of(subject: Subject) -> tuple[Stream, ...]:
+def _streams_of(subject: Subject) -> tuple[Stream, ...]:
     """All streams of the recording that have samples; none where the subject is no recording."""
     return subject.table("streams of the recording", _make_streams)
 
 
 def streams_of_kind(subject: Subject, *kinds: Kind) -> Iterator[Stream]:
     """Those of some kinds."""
-    return (stream for stream in streams_of(subject) if stream.kind in kinds)
+    return (stream for stream in _streams_of(subject) if stream.kind in kinds)
 
 
 def _make_streams(subject: Subject) -> tuple[Stream, ...]:
@@ -302,7 +302,7 @@ def with_unit_orientations(scene: Scene) -> Scene:
 def _out_of_order(subject: Subject) -> Iterator[Hit]:
     """Streams that go back in time; where each by itself is in order, lines that do."""
     is_reported = False
-    for stream in streams_of(subject):
+    for stream in _streams_of(subject):
         steps = np.diff(stream.file_seconds)
         back = np.flatnonzero(steps < 0)
         if len(back):
@@ -329,7 +329,7 @@ def _out_of_order(subject: Subject) -> Iterator[Hit]:
 
 
 def _of_one_time(subject: Subject) -> Iterator[Hit]:
-    for stream in streams_of(subject):
+    for stream in _streams_of(subject):
         same = np.flatnonzero(stream.intervals == 0)
         if len(same):
             row = int(same[0]) + 1
@@ -349,7 +349,7 @@ def _gap_threshold(stream: Stream, period: float) -> float:
 
 def _with_periods(subject: Subject, *, irregular: bool) -> Iterator[tuple[Stream, float, float]]:
     """The streams of kinds with a rate, or of those without, with their usual intervals and gap thresholds [s]."""
-    for stream in streams_of(subject):
+    for stream in _streams_of(subject):
         if stream.period is not None and (stream.kind in _IRREGULAR) is irregular:
             yield stream, stream.period, _gap_threshold(stream, stream.period)
 
@@ -430,7 +430,7 @@ def _unit_in_question(rates: list[tuple[float, float, float]]) -> str:
 
 def _apart(subject: Subject) -> Iterator[Hit]:
     """Streams that start or end away from where most do."""
-    streams = [stream for stream in streams_of(subject) if len(stream) > 1]
+    streams = [stream for stream in _streams_of(subject) if len(stream) > 1]
     for word, row in (("starts", 0), ("ends", -1)) if len(streams) > 1 else ():
         ends = [float(stream.seconds[row]) for stream in streams]
         usual = sorted(ends)[(len(ends) - 1) // 2]

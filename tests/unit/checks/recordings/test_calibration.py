@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from sceneloom.checks import validate
-from sceneloom.checks.recordings.calibration import CALIBRATION_RULES
-from sceneloom.checks.recordings.lines import FRAME_LINE_RULES, LIDAR_LINE_RULES
+from sceneloom.checks.recordings.files import CALIBRATION_RULES, FRAME_LINE_RULES, LIDAR_LINE_RULES
 
 TABLES = (FRAME_LINE_RULES, CALIBRATION_RULES, LIDAR_LINE_RULES)
 RULES = tuple(rule.id for table in TABLES for rule in table)

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from sceneloom.checks import validate
-from sceneloom.checks.recordings.lines import PRESENCE_RULES
+from sceneloom.checks.recordings.files import PRESENCE_RULES
 from sceneloom.checks.recordings.samples import SAMPLE_RULES
 from sceneloom.checks.recordings.satellite_fixes import FIX_RULES
 from sceneloom.checks.recordings.times import STREAM_RULES

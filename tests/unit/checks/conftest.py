@@ -1,5 +1,6 @@
 """A sound scene, changed by each test in one thing, and what rules state about it."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -7,24 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.checks import Rule, all_rules, validate
-from sceneloom.scene import (
-    CameraImage,
-    CameraSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    OdometrySensor,
-    PointsFrame,
-    Poses,
-    Scene,
-    Sensor,
-)
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 10
+PARTS = {"a": "annotations", "s": "sensors"}
 CAMERA_MODEL = Camera("pinhole", 32, 24, 30.0, 30.0, 15.5, 11.5)
 
 
@@ -34,14 +24,14 @@ class Sound:
     def times(self, count: int = 6) -> np.ndarray:
         return np.arange(count, dtype=np.int64) * PERIOD
 
-    def path(self, timestamps_ns: Any = None, **fields: Any) -> Poses:
+    def path(self, timestamps_ns: Any = None, **fields: Any) -> sc.Poses:
         """A straight trajectory at 5 m/s."""
         times = self.times() if timestamps_ns is None else np.asarray(timestamps_ns, np.int64)
         positions = np.column_stack([5.0 * times / SECOND, np.zeros(len(times)), np.zeros(len(times))])
         given = {"positions": positions, "quaternions_xyzw": np.tile([0.0, 0, 0, 1], (len(times), 1))}
-        return Poses(times, **{**given, **fields})
+        return sc.Poses(times, **{**given, **fields})
 
-    def sweep(self, timestamp_ns: int, **fields: Any) -> LidarFrame:
+    def sweep(self, timestamp_ns: int, **fields: Any) -> sc.LidarFrame:
         """100 points around the sensor, measured over the sweep."""
         angles = np.linspace(0, 6, 100)
         radius = 10 + np.sin(timestamp_ns / SECOND)
@@ -51,33 +41,35 @@ class Sound:
             "intensities": np.arange(100, dtype=np.uint8),
             "timestamps_ns": timestamp_ns + np.linspace(0, 0.9 * PERIOD, 100).astype(np.int64),
         }
-        return LidarFrame(timestamp_ns, LidarPoints(**{**given, **fields}))
+        return sc.LidarFrame(timestamp_ns, sc.LidarPoints(**{**given, **fields}))
 
-    def lidar(self, timestamps_ns: Any = None, *, sweep: Any = None, **fields: Any) -> LidarSensor:
+    def lidar(self, timestamps_ns: Any = None, *, sweep: Any = None, **fields: Any) -> sc.LidarSensor:
         """A lidar, its points in its own frame."""
         times = self.times() if timestamps_ns is None else np.asarray(timestamps_ns, np.int64)
-        frames = LazyFrames.of([(sweep or self.sweep)(int(t)) for t in times], times)
-        given = {"poses": self.path(), "points_frame": PointsFrame.SENSOR}
-        return LidarSensor(**{"id": "top", "frames": frames, **given, **fields})
+        frames = sc.LazyFrames.of([(sweep or self.sweep)(int(t)) for t in times], times)
+        given = {"poses": self.path(), "points_frame": sc.PointsFrame.SENSOR}
+        return sc.LidarSensor(**{"id": "top", "frames": frames, **given, **fields})
 
-    def camera(self, timestamps_ns: Any = None, *, camera_model: Camera = CAMERA_MODEL, **fields: Any) -> CameraSensor:
+    def camera(
+        self, timestamps_ns: Any = None, *, camera_model: Camera = CAMERA_MODEL, **fields: Any
+    ) -> sc.CameraSensor:
         times = self.times() if timestamps_ns is None else np.asarray(timestamps_ns, np.int64)
         rng = np.random.default_rng(0)
         noise = rng.integers(0, 255, (len(times), camera_model.height, camera_model.width, 3), np.uint8)
-        shots = [CameraImage.of(int(t), camera_model, rgb) for t, rgb in zip(times, noise, strict=True)]
-        images = LazyFrames.of(shots, times)
+        shots = [sc.CameraImage.of(int(t), camera_model, rgb) for t, rgb in zip(times, noise, strict=True)]
+        images = sc.LazyFrames.of(shots, times)
         # z forward, y down
         poses = self.path(quaternions_xyzw=np.tile([-0.5, 0.5, -0.5, 0.5], (len(self.times()), 1)))
-        return CameraSensor(**{"id": "front", "camera": camera_model, "images": images, "poses": poses, **fields})
+        return sc.CameraSensor(**{"id": "front", "camera": camera_model, "images": images, "poses": poses, **fields})
 
-    def odometry(self, **fields: Any) -> OdometrySensor:
-        return OdometrySensor(**{"id": "ego", "poses": self.path(), **fields})
+    def odometry(self, **fields: Any) -> sc.OdometrySensor:
+        return sc.OdometrySensor(**{"id": "ego", "poses": self.path(), **fields})
 
-    def scene(self, *parts: Any, **fields: Any) -> Scene:
+    def scene(self, *parts: Any, **fields: Any) -> sc.Scene:
         """A scene of these sensors, or of a lidar and a camera, and of these annotations."""
-        sensors = tuple(part for part in parts if isinstance(part, Sensor))
-        annotations = tuple(part for part in parts if not isinstance(part, Sensor))
-        return Scene(sensors or (self.lidar(), self.camera()), annotations, **fields)
+        sensors = tuple(part for part in parts if isinstance(part, sc.Sensor))
+        annotations = tuple(part for part in parts if not isinstance(part, sc.Sensor))
+        return sc.Scene(sensors or (self.lidar(), self.camera()), annotations, **fields)
 
 
 @pytest.fixture
@@ -102,12 +94,14 @@ def found() -> Found:
 def check(sound: Sound, found: Found) -> Callable[..., None]:
     """Compare what one rule finds in a scene, or in one of these sensors and annotations, with what is expected.
 
-    That is "" for nothing, or for each finding its location, or "location: part of the message".
+    That is "" for nothing, or for each finding its location, or "location: part of the message"; `s0.` stands for
+    `sensors[0].` and `a0.` for `annotations[0].`.
     """
 
     def run(rule: str, expected: str | list[str], *parts: Any) -> None:
-        scene = parts[0] if isinstance(parts[0], Scene) else sound.scene(*parts)
+        scene = parts[0] if isinstance(parts[0], sc.Scene) else sound.scene(*parts)
         lines = [expected] if isinstance(expected, str) and expected else list(expected)
+        lines = [re.sub(r"^([as])(\d+)\b", lambda m: f"{PARTS[m[1]]}[{m[2]}]", line) for line in lines]
         hits = found(scene, rule)
         assert [path for path, _ in hits] == [line.partition(": ")[0] for line in lines]
         for (_, message), line in zip(hits, lines, strict=True):
@@ -123,10 +117,10 @@ def keeps() -> Callable[[Any, tuple[Rule, ...]], bool]:
 
 
 @pytest.fixture
-def fixed() -> Callable[[Scene, str], Scene]:
+def fixed() -> Callable[[sc.Scene, str], sc.Scene]:
     """A scene repaired by one rule, whose fix changes nothing when it is applied again."""
 
-    def run(scene: Scene, rule: str) -> Scene:
+    def run(scene: sc.Scene, rule: str) -> sc.Scene:
         fix = next(r.fix for r in all_rules() if r.id == rule)
         assert fix is not None
         once = fix(scene)
@@ -136,6 +130,6 @@ def fixed() -> Callable[[Scene, str], Scene]:
     return run
 
 
-def _equal_sensors(a: Scene, b: Scene) -> bool:
+def _equal_sensors(a: sc.Scene, b: sc.Scene) -> bool:
     """Whether two scenes are alike but for being two objects."""
     return replace(a, on_close=b.on_close).time_offset_ns == b.time_offset_ns and a.sensors == b.sensors

@@ -104,11 +104,6 @@ def test_a_fault_of_a_file_is_known_by_its_rule_alone(hits, rule, content, locat
     assert [hit[:2] for hit in faults] == ([(rule, location)] if rule else [])
 
 
-def test_an_array_that_is_cut_off_is_reported(file, found):
-    cut = file(header(), cut=20)
-    assert [where for where, _ in found(cut, "arrays-whole")] == ["sensors[0].frames[0].points.positions ($items[0])"]
-
-
 class Broken:
     def __init__(self, first):
         self.first = first
@@ -119,34 +114,14 @@ class Broken:
         return self.first
 
 
-def test_a_frame_that_cannot_be_read_is_a_finding(sound, found):
+def test_what_cannot_be_read_is_a_finding_and_the_rest_is_checked_without(tmp_path, file, sound, found):
+    cut = file(header(), cut=20)
+    assert [where for where, _ in found(cut, "arrays-whole")] == ["sensors[0].frames[0].points.positions ($items[0])"]
     frames = LazyFrames(sound.times(3), Broken(sound.sweep(0)))
     scene = sound.scene(LidarSensor("top", frames, poses=sound.path()))
-    assert found(scene, "frame-readable") == [
-        (f"sensors[0].frames[{k}]", f"drive: frames[{k}]: is torn") for k in (1, 2)
-    ]
+    torn = [(f"sensors[0].frames[{k}]", f"drive: frames[{k}]: is torn") for k in (1, 2)]
+    assert found(scene, "frame-readable") == torn
     assert found(scene, "frame-readable", frames=False) == found(sound.scene(), "frame-readable") == []
-
-
-@pytest.mark.parametrize("kind", list(WarningKind))
-def test_notes_of_readers_are_hints(sound, found, kind):
-    note = DataWarning(kind=kind, code="lines-sorted", location="data.jsonl", message="so", count=3)
-    reported_elsewhere = DataWarning(kind=kind, code="no-poses", location="sensors[0]", message="none")
-    assert found(sound.scene(warnings=(note, reported_elsewhere)), f"reading-{kind}") == [("data.jsonl", "so")]
-    assert found(sound.scene(), f"reading-{kind}") == []
-
-
-def test_what_was_remarked_when_a_file_was_made_is_not_remarked_again(file, tmp_path, found):
-    made, written = file(header()), tmp_path / "written.sfs"
-    assert [where for where, _ in found(made, "reading-assumed")] == ["sensors[0]"]
-    with sceneloom.open(made) as scene:
-        sceneloom.write(scene, written)
-    with sceneloom.open(written) as scene:
-        assert scene.warnings
-    assert found(written, "reading-assumed") == []
-
-
-def test_a_broken_recording_is_checked_without_what_is_broken(tmp_path, sound, found):
     folder = tmp_path / "drive"
     sceneloom.write(sound.scene(sound.lidar(), sound.odometry()), folder)
     lines = (folder / "data.jsonl").read_text("utf-8").splitlines()
@@ -155,6 +130,21 @@ def test_a_broken_recording_is_checked_without_what_is_broken(tmp_path, sound, f
     assert location == "data.jsonl: line 2"
     assert "{torn" in message
     assert found(folder, "file-readable") == found(folder, "sensor-empty") == []
+
+
+def test_notes_of_readers_are_hints_and_those_of_when_a_file_was_made_are_not_repeated(sound, file, tmp_path, found):
+    for kind in WarningKind:
+        note = DataWarning(kind=kind, code="lines-sorted", location="data.jsonl", message="so", count=3)
+        elsewhere = DataWarning(kind=kind, code="no-poses", location="sensors[0]", message="none")
+        assert found(sound.scene(warnings=(note, elsewhere)), f"reading-{kind}") == [("data.jsonl", "so")]
+        assert found(sound.scene(), f"reading-{kind}") == []
+    made, written = file(header()), tmp_path / "written.sfs"
+    assert [where for where, _ in found(made, "reading-assumed")] == ["sensors[0]"]
+    with sceneloom.open(made) as scene:
+        sceneloom.write(scene, written)
+    with sceneloom.open(written) as scene:
+        assert scene.warnings
+    assert found(written, "reading-assumed") == []
 
 
 @cache
@@ -307,20 +297,20 @@ def test_times_of_another_width_than_the_unit_says_are_found_and_fixed(tmp_path,
         return
     with sceneloom.open(bare) as opened:
         times = opened.sensors[0].frames[0].points.timestamps_ns
-        assert times.tolist() == (np.arange(4) * (10**3 if unit == "nanoseconds" else 10**6)).tolist()
+        assert times.tolist() == [k * (10**3 if unit == NANO else 10**6) for k in range(4)]
 
 
-@pytest.mark.parametrize("unit", ["nanosecond", "microsecond", "nanoseconds", "microseconds"])
-def test_the_unit_of_time_is_written_back_as_it_was_read(tmp_path, file, decode_sfs, unit):
-    dtype = np.uint64 if unit.startswith("nano") else np.uint32
-    with sceneloom.open(file(header(timed_lidar(dtype), time_unit=unit))) as opened:
-        sceneloom.write(opened, tmp_path / "again.sfs")
-        sceneloom.write(opened, tmp_path / "asked.sfs", time_unit="nanoseconds")
-    assert decode_sfs((tmp_path / "again.sfs").read_bytes())["time_unit"] == unit
-    assert decode_sfs((tmp_path / "asked.sfs").read_bytes())["time_unit"] == "nanoseconds"
+def test_the_unit_of_time_is_written_back_as_it_was_read(tmp_path, file, decode_sfs):
+    for unit in ("nanosecond", "microsecond", NANO, MICRO):
+        dtype = np.uint64 if unit.startswith("nano") else np.uint32
+        again, asked = tmp_path / f"{unit}.sfs", tmp_path / f"asked {unit}.sfs"
+        with sceneloom.open(file(header(timed_lidar(dtype), time_unit=unit))) as opened:
+            sceneloom.write(opened, again)
+            sceneloom.write(opened, asked, time_unit=NANO)
+        assert [decode_sfs(path.read_bytes())["time_unit"] for path in (again, asked)] == [unit, NANO]
 
 
-def test_attributes_of_the_scene_name_sensors_of_it_and_have_rising_times(tmp_path, file, hits):
+def test_attributes_of_the_scene_and_parts_named_twice(tmp_path, file, hits):
     attributes = [
         {"name": "state", "sensor_id": "nowhere", "timestamps": [0], "values": ["dirty"]},
         {"name": "weather", "timestamps": [20, 10], "values": ["dry", "wet"]},
@@ -333,11 +323,8 @@ def test_attributes_of_the_scene_name_sensors_of_it_and_have_rising_times(tmp_pa
     }
     validate(file(content), fix=tmp_path / "fixed.sfs")
     with sceneloom.open(tmp_path / "fixed.sfs") as opened:
-        assert opened.attributes[1].timestamps_ns.tolist() == [10_000, 20_000]
-        assert opened.attributes[1].values == ("wet", "dry")
-
-
-def test_a_second_activation_or_projection_of_one_sensor_is_found(hits):
+        weather = opened.attributes[1]
+        assert (weather.timestamps_ns.tolist(), weather.values) == ([10_000, 20_000], ("wet", "dry"))
     twice = cuboid(activations=[ACTIVE] * 2, projections=[seen("top")] * 2)
     content = header(annotations=[twice, keypoints(["top"], ["top", "top"], paths=2)])
     assert [location for _, location, _ in hits(content, "part-of-sensor-once")] == [
@@ -352,23 +339,23 @@ def test_a_second_activation_or_projection_of_one_sensor_is_found(hits):
 ROAD = [[0.0, 10.0], [5.0, 12.0], [10.0, 14.0], [15.0, 16.0], [20.0, 18.0], [25.0, 20.0]]
 
 
-@pytest.mark.parametrize("kind", ["polyline", "polygon", "polygon_topdown"])
-def test_pairs_that_are_read_as_triples_are_found_and_read_as_pairs_on_request(file, hits, kind):
-    content = header(annotations=[shape(1, kind, *np.ravel(ROAD).tolist())])
-    ((_, location, message),) = hits(content, "shape-vertices-pairs")
-    assert location == "annotations[0].path.values"
-    assert "12 numbers, read as 4 x, y, z triples" in message
-    assert not hits(content, "shape-vertices-pairs", vertices="pairs")
-    with sceneloom.open(file(content), vertices="pairs") as opened:
-        assert opened.annotations[0].path.vertices[0].tolist() == [[x, y, 0.0] for x, y in ROAD]
-    with sceneloom.open(file(content)) as opened:
-        assert len(opened.annotations[0].path.vertices[0]) == 4
-    if kind != "polyline":
-        content = header(annotations=[shape("a", kind, 10, 10, 14, 10, 12, 13)])
+def test_pairs_that_are_read_as_triples_are_found_and_read_as_pairs_on_request(file, hits):
+    for kind in ("polyline", "polygon", "polygon_topdown"):
+        content = header(annotations=[shape(1, kind, *np.ravel(ROAD).tolist())])
         ((_, location, message),) = hits(content, "shape-vertices-pairs")
         assert location == "annotations[0].path.values"
-        read = "6 numbers, read as 2 x, y, z triples; they may be 3 x, y pairs"
-        assert message == f"{read}, as triples they are too few for a {kind}"
+        assert "12 numbers, read as 4 x, y, z triples" in message
+        assert not hits(content, "shape-vertices-pairs", vertices="pairs")
+        with sceneloom.open(file(content), vertices="pairs") as opened:
+            assert opened.annotations[0].path.vertices[0].tolist() == [[x, y, 0.0] for x, y in ROAD]
+        with sceneloom.open(file(content)) as opened:
+            assert len(opened.annotations[0].path.vertices[0]) == 4
+        if kind != "polyline":
+            content = header(annotations=[shape("a", kind, 10, 10, 14, 10, 12, 13)])
+            read = "6 numbers, read as 2 x, y, z triples; they may be 3 x, y pairs"
+            too_few = f"{read}, as triples they are too few for a {kind}"
+            expected = [("shape-vertices-pairs", "annotations[0].path.values", too_few)]
+            assert hits(content, "shape-vertices-pairs") == expected
 
 
 def test_triples_are_not_taken_for_pairs_and_rows_that_fit_both_are_questioned_beside_pairs(file, hits):

@@ -5,19 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sceneloom import scene as sc
 from sceneloom.checks import all_rules, validate
 from sceneloom.formats.sfs.writer import write_scene
-from sceneloom.scene import (
-    AttributePath,
-    CuboidAnnotation,
-    CuboidPath,
-    GroupAnnotation,
-    LazyFrames,
-    PointsSensor,
-    RadarFrame,
-    RadarPoints,
-    RadarSensor,
-)
 
 SECOND = 1_000_000_000
 RULES = [rule.id for rule in all_rules() if rule.id.startswith("scale-")]
@@ -31,23 +21,23 @@ def everything(sound):
     def moved(sensor):
         times = sensor.frames.timestamps_ns + late
         frames = [sound.sweep(int(t)) for t in times]
-        return replace(sensor, frames=LazyFrames.of(frames, times), poses=sound.path(times))
+        return replace(sensor, frames=sc.LazyFrames.of(frames, times), poses=sound.path(times))
 
-    radar = RadarFrame(late, RadarPoints(ONE, ONE, np.ones(1, np.float32)))
+    radar = sc.RadarFrame(late, sc.RadarPoints(ONE, ONE, np.ones(1, np.float32)))
     path = sound.path(sound.times() + late)
     attributes = (
-        AttributePath("speed", (1.5,), np.array([late])),
-        AttributePath("make", ("vw", "vw"), np.array([late, late + 1000]), static=True),
+        sc.AttributePath("speed", (1.5,), np.array([late])),
+        sc.AttributePath("make", ("vw", "vw"), np.array([late, late + 1000]), static=True),
     )
     row = np.array([[4.0, 2, 1.5, 1, 2, 0, 0, 0, 30]])
-    cuboid = CuboidAnnotation("car", CuboidPath(np.array([late]), row), label="car", attributes=attributes)
+    cuboid = sc.CuboidAnnotation("car", sc.CuboidPath(np.array([late]), row), label="car", attributes=attributes)
     return sound.scene(
         moved(sound.lidar()),
-        RadarSensor("radar", LazyFrames.of([radar], [late]), path),
+        sc.RadarSensor("radar", sc.LazyFrames.of([radar], [late]), path),
         replace(sound.odometry(), poses=path),
-        PointsSensor("map", ONE),
+        sc.PointsSensor("map", ONE),
         cuboid,
-        GroupAnnotation("all"),
+        sc.GroupAnnotation("all"),
     )
 
 

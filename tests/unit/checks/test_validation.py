@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.checks import Hit, Rule, all_rules, chosen_rules, validate
 from sceneloom.checks.rule import Subject
@@ -15,15 +16,6 @@ from sceneloom.checks.validation import catalogue, find_all, findings_of
 from sceneloom.errors import OptionError, OutputError, UnknownFormatError
 from sceneloom.formats import open_scene
 from sceneloom.formats.sfs.writer import write_scene
-from sceneloom.scene import (
-    AttributePath,
-    CuboidAnnotation,
-    CuboidPath,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LazyFrames,
-    Severity,
-)
 from sceneloom.simulate import CameraSpec, Faults, LidarSpec, SensorFaults, TrafficSpec, simulate_street
 
 PERIOD, SECOND = 100_000_000, 1_000_000_000
@@ -75,18 +67,15 @@ def test_a_sound_scene_passes_with_nothing_found_and_is_left_as_it_is_by_all_fix
             assert fixed.sensors == scene.sensors, rule.id
             assert fixed.annotations == scene.annotations, rule.id
             assert find_all(Subject(fixed), [rule]) == {rule.id: []}
-
-
-def test_warnings_count_only_where_the_caller_is_strict(sound):
+    # warnings count only where the caller is strict
     scene = sound.scene(sound.lidar(poses=None), sound.odometry())
-    assert validate(scene).counts["warning"] == 1
-    assert validate(scene).passed
-    assert not validate(scene, strict=True).passed
+    reported = [validate(scene, strict=strict) for strict in (False, True)]
+    assert [(report.counts["warning"], report.passed) for report in reported] == [(1, True), (1, False)]
 
 
-def test_the_worst_comes_first_and_chosen_and_ignored_rules_are_obeyed(faulty):
+def test_the_worst_comes_first_and_chosen_and_ignored_rules_are_obeyed(faulty, sound, tmp_path):
     report = validate(faulty)
-    order = [list(Severity).index(finding.severity) for finding in report.findings]
+    order = [list(sc.Severity).index(finding.severity) for finding in report.findings]
     assert order == sorted(order)
     assert not report.passed
     assert {
@@ -96,12 +85,9 @@ def test_the_worst_comes_first_and_chosen_and_ignored_rules_are_obeyed(faulty):
     } <= {(finding.rule, finding.path) for finding in report.findings}
     assert rules_of(validate(faulty, rules=["quaternion-norm"]).findings) == {"quaternion-norm"}
     assert "quaternion-norm" not in rules_of(validate(faulty, ignore=["quaternion-norm"]).findings)
-
-
-@pytest.mark.parametrize("options", [{"rules": ["no-such"]}, {"ignore": ["no-such"]}, {"profile": "bs5"}])
-def test_unknown_rules_profiles_and_paths_are_refused(sound, tmp_path, options):
-    with pytest.raises(OptionError):
-        validate(sound.scene(), **options)
+    for options in ({"rules": ["no-such"]}, {"ignore": ["no-such"]}, {"profile": "bs5"}):
+        with pytest.raises(OptionError):
+            validate(sound.scene(), **options)
     with pytest.raises(UnknownFormatError):
         validate(tmp_path / "nothing.sfs")
 
@@ -109,7 +95,7 @@ def test_unknown_rules_profiles_and_paths_are_refused(sound, tmp_path, options):
 def test_each_frame_is_read_once_for_all_rules_and_not_at_all_where_not_asked(sound):
     read, calls = [], []
     lidar = sound.lidar()
-    frames = LazyFrames(lidar.frames.timestamps_ns, lambda k: read.append(k) or lidar.frames[k])
+    frames = sc.LazyFrames(lidar.frames.timestamps_ns, lambda k: read.append(k) or lidar.frames[k])
     scene = sound.scene(replace(lidar, frames=frames))
     assert validate(scene).frames_read
     assert read == [0, 1, 2, 3, 4, 5]
@@ -129,7 +115,7 @@ def test_of_many_locations_the_first_are_reported_and_the_others_counted(sound):
     assert reported.counts["error"] == 59
     assert len(validate(scene, rules=["frame-times-unique"], locations=None).findings) == 59
     # one location more than the limit is reported and not counted
-    rule, hits = Rule("x", Severity.ERROR, "", ""), {"x": [Hit(f"a[{k}]", "m") for k in range(4)]}
+    rule, hits = Rule("x", sc.Severity.ERROR, "", ""), {"x": [Hit(f"a[{k}]", "m") for k in range(4)]}
     assert [f.path for f in findings_of(hits, [rule], locations=3)] == ["a[0]", "a[1]", "a[2]", "a[3]"]
     assert [f.count for f in findings_of(hits, [rule], locations=2)] == [1, 1, 2]
 
@@ -150,6 +136,14 @@ def test_fixing_writes_a_sound_scene_says_what_was_done_and_changes_no_byte_agai
     again = validate(target, fix=tmp_path / "again.sfs")
     assert again.fixed == again.left_out == ()
     assert (tmp_path / "again.sfs").read_bytes() == target.read_bytes()
+    # only the rules that are run repair; a target that exists is kept, and a file may be repaired in its own location
+    with pytest.raises(OutputError):
+        validate(faulty, fix=target)
+    report = validate(faulty, fix=target, ignore=["frame-times-increasing"], overwrite=True)
+    assert (rules_of(report.fixed), report.output) == ({"quaternion-norm"}, str(target))
+    with sceneloom.open(target) as scene:
+        assert scene.sensors[0].frames.timestamps_ns.tolist() == [PERIOD, 0]
+    assert validate(faulty, fix=faulty, overwrite=True).passed
 
 
 def test_what_a_fix_leaves_is_not_reported_as_fixed_though_its_location_moves(write, target):
@@ -159,38 +153,17 @@ def test_what_a_fix_leaves_is_not_reported_as_fixed_though_its_location_moves(wr
     assert [(f.rule, f.path) for f in report.findings] == [("frame-times-unique", "sensors[0].frames[1]")]
 
 
-def test_only_the_rules_that_are_run_repair(faulty, target):
-    report = validate(faulty, fix=target, ignore=["frame-times-increasing"])
-    assert rules_of(report.fixed) == {"quaternion-norm"}
-    with sceneloom.open(target) as scene:
-        assert scene.sensors[0].frames.timestamps_ns.tolist() == [PERIOD, 0]
+def test_what_had_to_be_guessed_or_cannot_be_read_at_all_is_not_written(write, target):
+    for fields in ({"version": "2.0"}, {"time_unit": "hours"}, {"time_offset": "yesterday"}):
+        report = validate(write(header(**fields)), fix=target)
+        assert (report.output, report.passed, target.exists()) == (None, False, False)
+    path = write({})
+    path.write_bytes(b'{"version": ')
+    report = validate(path, fix=target)
+    assert ([finding.rule for finding in report.findings], report.output) == (["file-readable"], None)
 
 
-def test_a_target_that_exists_is_kept_and_a_file_may_be_repaired_in_its_own_location(faulty, target):
-    target.write_bytes(b"mine")
-    with pytest.raises(OutputError):
-        validate(faulty, fix=target)
-    assert target.read_bytes() == b"mine"
-    assert validate(faulty, fix=target, overwrite=True).output == str(target)
-    assert validate(faulty, fix=faulty, overwrite=True).passed
-
-
-@pytest.mark.parametrize("fields", [{"version": "2.0"}, {"time_unit": "hours"}, {"time_offset": "yesterday"}])
-def test_a_file_whose_meaning_had_to_be_guessed_is_not_written(write, target, fields):
-    report = validate(write(header(**fields)), fix=target)
-    assert report.output is None
-    assert not report.passed
-    assert not target.exists()
-
-
-def test_a_file_that_cannot_be_read_at_all_gives_one_finding(tmp_path, target):
-    (tmp_path / "torn.sfs").write_bytes(b'{"version": ')
-    report = validate(tmp_path / "torn.sfs", fix=target)
-    assert [finding.rule for finding in report.findings] == ["file-readable"]
-    assert report.output is None
-
-
-def test_short_distortions_are_written_in_full(write, target):
+def test_short_distortions_epoch_timestamps_and_recordings_are_written_in_full(write, target, tmp_path, sound):
     size = {"fx": 9.0, "fy": 9.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
     camera_model = {**size, "distortion": {"model": "fisheye", "params": [0.1]}}
     poses = {"timestamps": [0], "values": [POSE]}
@@ -199,24 +172,18 @@ def test_short_distortions_are_written_in_full(write, target):
     assert "distortion-length" in rules_of(report.fixed)
     with sceneloom.open(target) as scene:
         assert scene.cameras[0].camera.coefficients == (0.1, 0.0, 0.0, 0.0)
-
-
-def test_epoch_timestamps_are_repaired_without_moving_anything(write, target):
+    # timestamps since 1970 get an offset, and nothing moves
     start_us = 1_700_000_000_000_000
     lidar = header((start_us + 100_000, start_us))["sensors"][1]
     path = write({"version": "1.0", "sensors": [lidar | {"poses": {"timestamps": [start_us], "values": [POSE]}}]})
-    report = validate(path, fix=target)
+    report = validate(path, fix=target, overwrite=True)
     assert "epoch-times" in rules_of(report.fixed)
     with sceneloom.open(path) as before, sceneloom.open(target) as after:
         assert after.time_offset_ns == start_us * 1000
         assert sorted(before.sensors[0].frames.timestamps_ns) == list(after.sensors[0].frames.timestamps_ns)
-
-
-def test_a_recording_can_be_checked_and_fixed(tmp_path, sound):
     sceneloom.write(sound.scene(sound.lidar(), sound.odometry()), tmp_path / "drive")
     report = validate(tmp_path / "drive", fix=tmp_path / "drive.sfs")
-    assert report.format == "recording"
-    assert report.output == str(tmp_path / "drive.sfs")
+    assert (report.format, report.output) == ("recording", str(tmp_path / "drive.sfs"))
     assert (tmp_path / "drive.sfs").exists()
 
 
@@ -225,10 +192,12 @@ REPAIRED = {"annotation-times-increasing", "cuboid-negative-size", "labelled-poi
 
 def test_a_file_with_everything_that_can_be_repaired_is_repaired(sound, tmp_path):
     rows = np.tile([-4.0, 2, 1.5, 1, 2, 0, 0, 0, 30], (3, 1))
-    repeated = AttributePath("make", ("vw", "vw"), np.array([0, PERIOD]), static=True)
+    repeated = sc.AttributePath("make", ("vw", "vw"), np.array([0, PERIOD]), static=True)
     annotations = (
-        CuboidAnnotation("car", CuboidPath(np.array([PERIOD, 0, PERIOD]), rows), label="car", attributes=(repeated,)),
-        LabeledPointsAnnotation("road", (LabeledPoints("top", np.array([7, 7, 3], np.uint32), 0),), label="road"),
+        sc.CuboidAnnotation(
+            "car", sc.CuboidPath(np.array([PERIOD, 0, PERIOD]), rows), label="car", attributes=(repeated,)
+        ),
+        sc.LabeledPointsAnnotation("road", (sc.LabeledPoints("top", np.array([7, 7, 3], np.uint32), 0),), label="road"),
     )
     write_scene(sound.scene(*annotations), tmp_path / "drive.sfs")
     before = validate(tmp_path / "drive.sfs")
@@ -253,21 +222,15 @@ def test_every_rule_has_an_id_of_its_own_and_says_what_to_do():
         assert rule.remedy.endswith(".")
         assert rule.find or rule.look
     assert [row.id for row in catalogue()] == [rule.id for rule in rules]
-
-
-@pytest.mark.parametrize(
-    ("section", "cells", "some"),
-    [
+    # those that the page names are there
+    for section, cells, some in (
         ("What Scale's validator checks", slice(2, 4), set()),
         ("Recordings", slice(3, 4), {"lines-in-order", "fixes-jump"}),
-    ],
-)
-def test_rules_that_the_page_names_are_there(section, cells, some):
-    text = PAGE.split(f"\n## {section}")[1].split("\n## ")[0]
-    rows = [line.split("|")[cells] for line in text.splitlines() if line.startswith("| ")][1:]
-    named = {name for row in rows for cell in row for name in re.findall(r"`([a-z0-9-]+)`", cell)}
-    assert named > some
-    assert named <= {rule.id for rule in catalogue()}
+    ):
+        text = PAGE.split(f"\n## {section}")[1].split("\n## ")[0]
+        rows = [line.split("|")[cells] for line in text.splitlines() if line.startswith("| ")][1:]
+        named = {name for row in rows for cell in row for name in re.findall(r"`([a-z0-9-]+)`", cell)}
+        assert some < named <= {rule.id for rule in rules}
 
 
 def drive(**faults):

@@ -5,26 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraImage,
-    CameraSensor,
-    CuboidAnnotation,
-    CuboidPath,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    OdometrySensor,
-    PointsFrame,
-    Poses,
-    RadarFrame,
-    RadarPoints,
-    RadarSensor,
-    Scene,
-    Trajectory,
-)
 
 RADIUS, RATE = 20.0, 0.5
 """The circle [m], and how fast the ego rotates on it [rad/s]."""
@@ -59,32 +42,32 @@ class CircleDrive:
         step = 1_000_000_000 // hz
         times = np.arange(-beyond_ns, int(self.timestamps_ns[-1]) + beyond_ns + 1, step, dtype=np.int64)
         poses = [self.world_from_ego(int(time_ns)) for time_ns in times]
-        return Poses(times, np.array([p.translation for p in poses]), np.array([p.quaternion_xyzw for p in poses]))
+        return sc.Poses(times, np.array([p.translation for p in poses]), np.array([p.quaternion_xyzw for p in poses]))
 
     def points_world(self, k):
         """What stands in the world, seen in frame `k`."""
         return np.random.default_rng(k).uniform(-30, 30, (40, 3))
 
-    def scene(self, points_frame=PointsFrame.SENSOR, annotations=()):
+    def scene(self, points_frame=sc.PointsFrame.SENSOR, annotations=()):
         """A lidar, a radar and a camera on the ego, an odometry sensor, and a trajectory of the same poses."""
-        lidar = LidarSensor("lidar", self._frames(LidarFrame, LidarPoints, points_frame), mount=MOUNT)
-        radar = RadarSensor("radar", self._frames(RadarFrame, RadarPoints, points_frame), mount=MOUNT)
+        lidar = sc.LidarSensor("lidar", self._frames(sc.LidarFrame, sc.LidarPoints, points_frame), mount=MOUNT)
+        radar = sc.RadarSensor("radar", self._frames(sc.RadarFrame, sc.RadarPoints, points_frame), mount=MOUNT)
         times = (self.timestamps_ns + 20_000_000).tolist()
-        images = [CameraImage.of(t, CAMERA_MODEL, np.zeros((6, 8, 3), np.uint8)) for t in times]
-        camera = CameraSensor("camera", CAMERA_MODEL, LazyFrames.of(images, times), mount=MOUNT)
+        images = [sc.CameraImage.of(t, CAMERA_MODEL, np.zeros((6, 8, 3), np.uint8)) for t in times]
+        camera = sc.CameraSensor("camera", CAMERA_MODEL, sc.LazyFrames.of(images, times), mount=MOUNT)
         path = self.path(beyond_ns=100_000_000)
-        trajectory = Trajectory("ego", path.timestamps_ns, path.positions, path.quaternions_xyzw)
+        trajectory = sc.Trajectory("ego", path.timestamps_ns, path.positions, path.quaternions_xyzw)
         clouds = (replace(sensor, points_frame=points_frame) for sensor in (lidar, radar))
-        sensors = (*clouds, camera, OdometrySensor("ego", path))
-        return Scene(sensors, tuple(annotations), trajectories={"ego": trajectory})
+        sensors = (*clouds, camera, sc.OdometrySensor("ego", path))
+        return sc.Scene(sensors, tuple(annotations), trajectories={"ego": trajectory})
 
     def frame_from_world(self, k, points_frame):
         """By formula, at the time of frame `k`."""
         ego_from_world = self.world_from_ego(int(self.timestamps_ns[k])).inverse()
         return {
-            PointsFrame.WORLD: RigidTransform.identity(),
-            PointsFrame.EGO: ego_from_world,
-            PointsFrame.SENSOR: MOUNT.inverse() @ ego_from_world,
+            sc.PointsFrame.WORLD: RigidTransform.identity(),
+            sc.PointsFrame.EGO: ego_from_world,
+            sc.PointsFrame.SENSOR: MOUNT.inverse() @ ego_from_world,
         }[points_frame]
 
     def _frames(self, frame_type, points_type, points_frame):
@@ -93,12 +76,12 @@ class CircleDrive:
             transform = self.frame_from_world(k, points_frame)
             positions = transform.apply(self.points_world(k)).astype(np.float32)
             further = {}
-            if points_type is RadarPoints:
+            if points_type is sc.RadarPoints:
                 directions = transform.rotate(self.points_world(k))
                 unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
                 further = {"directions": unit.astype(np.float32)}
             frames.append(frame_type(time_ns, points_type(positions, **further)))
-        return LazyFrames.of(frames, self.timestamps_ns.tolist())
+        return sc.LazyFrames.of(frames, self.timestamps_ns.tolist())
 
 
 @pytest.fixture
@@ -125,4 +108,4 @@ def _box(identifier, times_ns, centers, yaw_deg=0.0, **fields):
     rows[:, :3] = 4.0, 2.0, 1.5
     rows[:, 3:6] = centers
     rows[:, 8] = yaw_deg
-    return CuboidAnnotation(identifier, CuboidPath(np.asarray(times_ns, np.int64), rows), **fields)
+    return sc.CuboidAnnotation(identifier, sc.CuboidPath(np.asarray(times_ns, np.int64), rows), **fields)

@@ -8,24 +8,10 @@ import pymap3d
 import pytest
 
 import sceneloom
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.editing.anonymise import anonymised_scene, kind_of
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    AttributePath,
-    Box2DAnnotation,
-    CameraImage,
-    CameraSensor,
-    GnssSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    OdometrySensor,
-    PointsFrame,
-    Scene,
-    Trajectory,
-)
 from sceneloom.scene.annotations import BoxPath
 
 EARLY = 1_700_000_000_123_456_789
@@ -37,23 +23,27 @@ CAMERA = Camera("pinhole", 8, 6, 5.0, 5.0, 3.5, 2.5)
 
 
 def drive(**fields):
-    trajectory = Trajectory("gt", TIMES, LOCATIONS, np.tile(ROTATION, (3, 1)))
+    trajectory = sc.Trajectory("gt", TIMES, LOCATIONS, np.tile(ROTATION, (3, 1)))
     point = LOCATIONS[0] + [np.cos(0.8) * 10 - np.sin(0.8) * 2, np.sin(0.8) * 10 + np.cos(0.8) * 2, 1.0]
-    points = LidarPoints(point[None].astype(np.float32), timestamps_ns=TIMES[:1] + 5)
-    frame = LidarFrame(int(TIMES[0]), points, extras=MappingProxyType({"gps": [48.1, 11.5], "n": 1}))
-    lidar = LidarSensor(
-        "lidar", LazyFrames.of([frame], TIMES[:1].tolist()), poses=trajectory.poses, points_frame=PointsFrame.WORLD
+    points = sc.LidarPoints(point[None].astype(np.float32), timestamps_ns=TIMES[:1] + 5)
+    frame = sc.LidarFrame(int(TIMES[0]), points, extras=MappingProxyType({"gps": [48.1, 11.5], "n": 1}))
+    lidar = sc.LidarSensor(
+        "lidar",
+        sc.LazyFrames.of([frame], TIMES[:1].tolist()),
+        poses=trajectory.poses,
+        points_frame=sc.PointsFrame.WORLD,
     )
-    image = CameraImage.of(int(TIMES[1]), CAMERA, np.zeros((6, 8, 3), np.uint8))
-    camera = CameraSensor("camera", CAMERA, LazyFrames.of([image], [int(TIMES[1])]), poses=trajectory.poses)
+    image = sc.CameraImage.of(int(TIMES[1]), CAMERA, np.zeros((6, 8, 3), np.uint8))
+    camera = sc.CameraSensor("camera", CAMERA, sc.LazyFrames.of([image], [int(TIMES[1])]), poses=trajectory.poses)
     blank = np.full(3, np.nan)
-    gnss = GnssSensor("gnss", TIMES, LLA, blank, blank)
-    box = Box2DAnnotation("b", "camera", BoxPath(TIMES[1:2], np.ones((1, 4))))
-    sensors = (lidar, camera, gnss, OdometrySensor("ego", trajectory.poses))
-    return Scene(sensors, (box,), trajectories={"gt": trajectory}, **fields)
+    gnss = sc.GnssSensor("gnss", TIMES, LLA, blank, blank)
+    box = sc.Box2DAnnotation("b", "camera", BoxPath(TIMES[1:2], np.ones((1, 4))))
+    sensors = (lidar, camera, gnss, sc.OdometrySensor("ego", trajectory.poses))
+    return sc.Scene(sensors, (box,), trajectories={"gt": trajectory}, **fields)
 
 
-def test_the_ego_begins_at_the_origin_and_looks_along_x():
+def test_the_ego_begins_at_the_origin_and_fixes_go_or_keep_their_shape_elsewhere():
+    # it looks along x
     scene = anonymised_scene(drive())
     trajectory = scene.trajectories["gt"]
     np.testing.assert_allclose(trajectory.positions, [[0, 0, 0], [1, 0, 0], [2, 0, 0]], atol=1e-9)
@@ -62,11 +52,8 @@ def test_the_ego_begins_at_the_origin_and_looks_along_x():
     np.testing.assert_allclose(scene.cameras[0].poses.positions, trajectory.positions, atol=1e-9)
     # the file's float32 holds half a metre at five thousand kilometres
     np.testing.assert_allclose(scene.lidars[0].frames[0].points.positions, [[10, 2, 1]], atol=0.6)
-
-
-def test_satellite_fixes_go_with_a_warning_or_keep_their_shape_elsewhere():
     dropped = anonymised_scene(drive())
-    assert not [s for s in dropped.sensors if isinstance(s, GnssSensor)]
+    assert not [s for s in dropped.sensors if isinstance(s, sc.GnssSensor)]
     assert any(n.code == "fixes-left-out" and n.count == 3 for n in dropped.warnings)
     moved = anonymised_scene(drive(), fixes="shift").sensor("gnss").positions_lla
     expected = pymap3d.geodetic2enu(*LLA.T, *LLA[0])
@@ -112,7 +99,7 @@ def test_free_fields_that_report_a_location_a_name_or_a_file_go_and_others_stay(
         "sceneloom": {"world_from_file": np.eye(4).tolist(), "euler_unit": "degrees"},
         "recording": {"other_lines": ['{"gps":1}'], "calibration": {"cameras": []}},
     }
-    attributes = (AttributePath("city", ("Ulm",)), AttributePath("light", ("dusk",)))
+    attributes = (sc.AttributePath("city", ("Ulm",)), sc.AttributePath("light", ("dusk",)))
     scene = anonymised_scene(drive(metadata=metadata, attributes=attributes))
     reported = {k: v for k, v in scene.metadata.items() if k != "sceneloom"}
     assert reported == {
@@ -155,16 +142,14 @@ def test_fields_are_known_by_the_words_of_their_names_and_by_their_values(name, 
     assert kind_of(name, value) == kind
 
 
-def test_nothing_of_the_location_is_left_in_the_file_that_is_written(tmp_path):
+def test_nothing_of_the_location_is_left_in_the_file_that_is_written_and_choices_are_checked(tmp_path):
     scene = anonymised_scene(drive(metadata={"city": "Karlsruhe"}), dates="shift")
     sceneloom.write(scene, tmp_path / "o.sfs")
     content = (tmp_path / "o.sfs").read_bytes()
     for secret in (b"Karlsruhe", b"48.1", b"11.5", b"690000", b"5330000", b"1700000000"):
         assert secret not in content
-
-
-def test_a_scene_without_poses_is_reported_and_choices_are_checked():
-    alone = Scene((GnssSensor("gnss", TIMES, LLA, np.full(3, np.nan), np.full(3, np.nan)),))
+    # a scene without poses
+    alone = sc.Scene((sc.GnssSensor("gnss", TIMES, LLA, np.full(3, np.nan), np.full(3, np.nan)),))
     assert "no-poses" in {n.code for n in anonymised_scene(alone).warnings}
     with pytest.raises(OptionError, match="expected one of keep, shift"):
         anonymised_scene(alone, dates="drop")

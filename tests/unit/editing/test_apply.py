@@ -7,26 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.editing import apply_corrections, to_ego, to_world
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    Box2DAnnotation,
-    BoxPath,
-    CameraCalibration,
-    Coordinates,
-    LazyFrames,
-    LocalizationAdjustment,
-    OdometrySensor,
-    PointsFrame,
-    PointsSensor,
-    Poses,
-    Projection,
-    ShapeAnnotation,
-    ShapeType,
-    VertexPath,
-)
 
 YAW_RATE = 0.2
 """Of the adjustment that rotates about z and climbs [rad/s], [m/s]."""
@@ -42,20 +27,20 @@ def repaired(time_s):
 
 def adjustment(times_s=(0.0, 0.1, 0.2, 0.3, 0.4)):
     poses = [repaired(time_s) for time_s in times_s]
-    path = Poses(
+    path = sc.Poses(
         np.rint(np.array(times_s) * 1e9).astype(np.int64),
         np.array([pose.translation for pose in poses]),
         np.array([pose.quaternion_xyzw for pose in poses]),
     )
-    return LocalizationAdjustment("repair", path)
+    return sc.LocalizationAdjustment("repair", path)
 
 
 def test_points_in_the_world_are_moved_at_the_time_of_their_frame(drive):
-    applied = apply_corrections(drive.scene(PointsFrame.WORLD, [adjustment()]))
+    applied = apply_corrections(drive.scene(sc.PointsFrame.WORLD, [adjustment()]))
     for k, frame in enumerate(applied.sensor("lidar").frames):
         expected = repaired(k * 0.1).apply(drive.points_world(k))
         np.testing.assert_allclose(frame.points.positions, expected, atol=1e-5)  # float32 at 40 m
-    before, after = (s.sensor("radar").frames[4].points for s in (drive.scene(PointsFrame.WORLD), applied))
+    before, after = (s.sensor("radar").frames[4].points for s in (drive.scene(sc.PointsFrame.WORLD), applied))
     np.testing.assert_allclose(after.directions, repaired(0.4).rotate(before.directions), atol=1e-6)
     assert applied.annotations == ()
     assert applied.metadata["sceneloom"]["applied"] == [{"id": "repair", "type": "localization_adjustment"}]
@@ -81,7 +66,7 @@ def test_annotations_are_moved_at_their_keyframes(drive, box):
     corner = np.array([[1.0, 2.0, 3.0]])
     annotations = [
         box("a", drive.timestamps_ns, np.arange(15.0).reshape(5, 3), 40.0),
-        ShapeAnnotation("b", ShapeType.POINT, VertexPath(drive.timestamps_ns[2:3], (corner,))),
+        sc.ShapeAnnotation("b", sc.ShapeType.POINT, sc.VertexPath(drive.timestamps_ns[2:3], (corner,))),
         box("parked", [300_000_000], [[5.0, 5, 5]], stationary=True),
         adjustment(),
     ]
@@ -100,11 +85,11 @@ def test_annotations_are_moved_at_their_keyframes(drive, box):
 
 
 def test_an_adjustment_holds_beyond_its_ends_and_one_of_one_pose_moves_maps_too(drive):
-    applied = apply_corrections(drive.scene(PointsFrame.WORLD, [adjustment((0.1, 0.2))]))
+    applied = apply_corrections(drive.scene(sc.PointsFrame.WORLD, [adjustment((0.1, 0.2))]))
     expected = repaired(0.2).apply(drive.points_world(4))
     np.testing.assert_allclose(applied.sensor("lidar").frames[4].points.positions, expected, atol=1e-5)
-    scene = drive.scene(PointsFrame.WORLD, [adjustment((0.3,))])
-    chart = PointsSensor("map", np.array([[1.0, 2, 3]], np.float32))
+    scene = drive.scene(sc.PointsFrame.WORLD, [adjustment((0.3,))])
+    chart = sc.PointsSensor("map", np.array([[1.0, 2, 3]], np.float32))
     applied = apply_corrections(replace(scene, sensors=(*scene.sensors, chart)))
     expected = repaired(0.3).apply(np.array([[1.0, 2, 3]]))
     np.testing.assert_allclose(applied.sensor("map").positions, expected, atol=1e-6)
@@ -113,30 +98,30 @@ def test_an_adjustment_holds_beyond_its_ends_and_one_of_one_pose_moves_maps_too(
 def test_an_adjustment_of_an_ego_scene_leads_into_the_world(drive, box):
     seen = box("a", drive.timestamps_ns[1:2], [[7.0, 1.0, 0]], 10.0)
     scene = to_ego(drive.scene())
-    other = LocalizationAdjustment("lead", drive.path(beyond_ns=100_000_000).moved(np.array([0.0, 0, -5.0])))
+    other = sc.LocalizationAdjustment("lead", drive.path(beyond_ns=100_000_000).moved(np.array([0.0, 0, -5.0])))
     scene = replace(scene, annotations=(seen, other))
     applied = apply_corrections(scene)
     lift = np.array([0.0, 0, 5.0])
     for k, frame in enumerate(applied.sensor("lidar").frames):
         np.testing.assert_allclose(frame.points.positions, drive.points_world(k) + lift, atol=1e-4)
-    assert applied.sensor("lidar").coordinates is Coordinates.WORLD
+    assert applied.sensor("lidar").coordinates is sc.Coordinates.WORLD
     found = applied.annotations[0].path.values[0]
     expected = drive.world_from_ego(100_000_000).apply(np.array([7.0, 1, 0])) + lift
     np.testing.assert_allclose(found[3:6], expected, atol=1e-9)
     np.testing.assert_allclose(
         applied.trajectories["ego"].positions, drive.path(beyond_ns=100_000_000).positions + lift, atol=1e-9
     )
-    assert [s.id for s in applied.sensors if isinstance(s, OdometrySensor)] == ["ego"]
+    assert [s.id for s in applied.sensors if isinstance(s, sc.OdometrySensor)] == ["ego"]
     assert applied.metadata["sceneloom"]["annotations_frame"] == "world"
 
 
 def constant(pose):
-    return Poses(np.zeros(1, np.int64), pose.translation[None], pose.quaternion_xyzw[None])
+    return sc.Poses(np.zeros(1, np.int64), pose.translation[None], pose.quaternion_xyzw[None])
 
 
 def test_what_an_adjustment_undoes_comes_out_as_it_was(drive):
-    undo = LocalizationAdjustment("undo", constant(repaired(0.2).inverse()))
-    applied = apply_corrections(drive.scene(PointsFrame.WORLD, [adjustment((0.2,)), undo]))
+    undo = sc.LocalizationAdjustment("undo", constant(repaired(0.2).inverse()))
+    applied = apply_corrections(drive.scene(sc.PointsFrame.WORLD, [adjustment((0.2,)), undo]))
     np.testing.assert_allclose(applied.sensor("lidar").frames[2].points.positions, drive.points_world(2), atol=2e-5)
 
 
@@ -147,7 +132,7 @@ DIFFERENCE = RigidTransform.from_quaternion(
 
 
 def calibration(**fields):
-    return CameraCalibration("calibrate", "camera", **{"poses": constant(DIFFERENCE), **fields})
+    return sc.CameraCalibration("calibrate", "camera", **{"poses": constant(DIFFERENCE), **fields})
 
 
 def test_a_camera_is_rotated_behind_its_poses(drive, mount):
@@ -162,9 +147,9 @@ def test_a_camera_is_rotated_behind_its_poses(drive, mount):
 
 def test_a_correction_that_changes_with_time_rotates_a_mounting_into_poses_on_the_ego(drive, mount):
     times = np.array([0, 400_000_000], np.int64)
-    path = Poses(times, np.array([[0.0, 0, 0], [0.4, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
+    path = sc.Poses(times, np.array([[0.0, 0, 0], [0.4, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
     camera = apply_corrections(drive.scene(annotations=[calibration(poses=path)])).sensor("camera")
-    assert (camera.mount, camera.coordinates) == (None, Coordinates.EGO)
+    assert (camera.mount, camera.coordinates) == (None, sc.Coordinates.EGO)
     found = camera.poses.interpolate(np.array([100_000_000]))
     np.testing.assert_allclose(found.positions[0], mount.apply(np.array([0.1, 0, 0])), atol=1e-12)
 
@@ -172,9 +157,9 @@ def test_a_correction_that_changes_with_time_rotates_a_mounting_into_poses_on_th
 def test_camera_model_and_times_are_replaced(drive, box):
     seen = replace(
         box("seen", [0], [[0.0, 0, 0]]),
-        projections=(Projection("camera", drive.timestamps_ns), Projection("other", drive.timestamps_ns)),
+        projections=(sc.Projection("camera", drive.timestamps_ns), sc.Projection("other", drive.timestamps_ns)),
     )
-    drawn = Box2DAnnotation("drawn", "camera", BoxPath(drive.timestamps_ns[:1], np.ones((1, 4))))
+    drawn = sc.Box2DAnnotation("drawn", "camera", sc.BoxPath(drive.timestamps_ns[:1], np.ones((1, 4))))
     scene = drive.scene(annotations=[seen, drawn, calibration(intrinsics=NEW_CAMERA_MODEL, time_offset_ns=-3_000_000)])
     applied = apply_corrections(scene)
     camera = applied.sensor("camera")
@@ -203,7 +188,7 @@ def test_a_camera_model_is_scaled_to_images_of_another_size(drive):
     scene = drive.scene(annotations=[calibration(intrinsics=NEW_CAMERA_MODEL)])
     camera = scene.sensor("camera")
     half = replace(camera.images[0], camera=camera.camera.resized(4, 3))
-    sensors = (replace(camera, images=LazyFrames.of([half], [half.timestamp_ns])),)
+    sensors = (replace(camera, images=sc.LazyFrames.of([half], [half.timestamp_ns])),)
     image = apply_corrections(replace(scene, sensors=sensors)).sensor("camera").images[0]
     assert image.camera == NEW_CAMERA_MODEL.resized(4, 3)
 
@@ -211,7 +196,7 @@ def test_a_camera_model_is_scaled_to_images_of_another_size(drive):
 def test_only_the_named_corrections_are_applied_and_a_calibration_without_its_camera_stays(drive):
     scene = drive.scene(annotations=[calibration(), adjustment()])
     assert [a.id for a in apply_corrections(scene, corrections=["calibrate"]).annotations] == ["repair"]
-    lost = CameraCalibration("lost", "nose", time_offset_ns=5)
+    lost = sc.CameraCalibration("lost", "nose", time_offset_ns=5)
     applied = apply_corrections(drive.scene(annotations=[lost]))
     assert [annotation.id for annotation in applied.annotations] == ["lost"]
     assert [warning.code for warning in applied.warnings] == ["calibration-without-camera"]
@@ -223,6 +208,6 @@ def test_what_cannot_be_applied_is_refused(drive):
     with pytest.raises(OptionError, match="no correction 'x'; there are 'repair'"):
         apply_corrections(drive.scene(annotations=[adjustment()]), corrections=["x"])
     scene = to_world(drive.scene(annotations=[adjustment()]))
-    on_ego = replace(scene.sensor("camera"), coordinates=Coordinates.EGO)
+    on_ego = replace(scene.sensor("camera"), coordinates=sc.Coordinates.EGO)
     with pytest.raises(OptionError, match="not clear what an adjustment is of"):
         apply_corrections(replace(scene, sensors=(scene.sensors[0], on_ego)))

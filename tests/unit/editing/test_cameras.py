@@ -7,29 +7,11 @@ import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom import scene as sc
 from sceneloom.cameras import Camera, project_unbounded, unproject
 from sceneloom.cameras.undistortion import undistorted_camera
 from sceneloom.editing import convert_camera_models, undistort_scene
 from sceneloom.errors import CalibrationError, OptionError
-from sceneloom.scene import (
-    Box2DAnnotation,
-    BoxPath,
-    CameraCalibration,
-    CameraImage,
-    CameraSensor,
-    Corrections,
-    CuboidAnnotation,
-    CuboidPath,
-    LazyFrames,
-    PointPath,
-    PointProjection,
-    PointsAnnotation,
-    Projection,
-    Scene,
-    ShapeAnnotation,
-    ShapeType,
-    VertexPath,
-)
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 BARREL = Camera("brown_conrady", 320, 200, 210.0, 215.0, 161.0, 98.0, (-0.28, 0.08, 1e-3, -5e-4, -0.01))
@@ -50,22 +32,24 @@ def scene_of(cameras, *annotations, value=0):
     """A scene of one camera with an image of each of these camera models, or of one."""
     cameras = cameras if isinstance(cameras, list) else [cameras]
     rgb = np.full((cameras[0].height, cameras[0].width, 3), value, np.uint8)
-    images = [CameraImage.of(k, camera, rgb) for k, camera in enumerate(cameras)]
-    return Scene((CameraSensor("front", cameras[0], LazyFrames.of(images, list(range(len(images))))),), annotations)
+    images = [sc.CameraImage.of(k, camera, rgb) for k, camera in enumerate(cameras)]
+    return sc.Scene(
+        (sc.CameraSensor("front", cameras[0], sc.LazyFrames.of(images, list(range(len(images))))),), annotations
+    )
 
 
 def box(identifier, row, sensor="front"):
-    return Box2DAnnotation(identifier, sensor, BoxPath(TIME, np.array([row])))
+    return sc.Box2DAnnotation(identifier, sensor, sc.BoxPath(TIME, np.array([row])))
 
 
 def shape(identifier, kind, vertices):
-    path = VertexPath(TIME, (np.array(vertices, float),))
-    return ShapeAnnotation(identifier, kind, path, sensor_id="front" if kind.value.endswith("_2d") else None)
+    path = sc.VertexPath(TIME, (np.array(vertices, float),))
+    return sc.ShapeAnnotation(identifier, kind, path, sensor_id="front" if kind.value.endswith("_2d") else None)
 
 
 def cuboid(*boxes):
-    projection = Projection("front", np.arange(len(boxes)), boxes=np.array(boxes))
-    return CuboidAnnotation("c", CuboidPath(TIME, np.ones((1, 9))), projections=(projection,))
+    projection = sc.Projection("front", np.arange(len(boxes)), boxes=np.array(boxes))
+    return sc.CuboidAnnotation("c", sc.CuboidPath(TIME, np.ones((1, 9))), projections=(projection,))
 
 
 def moved(pixels, before=BARREL, after=PINHOLE):
@@ -79,7 +63,7 @@ def distorted():
     scene = street(BARREL)
     (camera,) = scene.cameras
     kept = [image.loaded() for image in camera.images]
-    seen = replace(camera, images=LazyFrames.of(kept, camera.images.timestamps_ns))
+    seen = replace(camera, images=sc.LazyFrames.of(kept, camera.images.timestamps_ns))
     return replace(scene, sensors=tuple(seen if sensor is camera else sensor for sensor in scene.sensors))
 
 
@@ -117,23 +101,21 @@ def test_undistorted_scenes_are_written_and_read(distorted, tmp_path, name):
         assert [image.rgb.shape for image in scene.cameras[0].images] == [(100, 160, 3)] * 2
 
 
-def test_images_with_camera_models_of_their_own_all_get_the_same_new_one():
+def test_images_with_camera_models_of_their_own_get_the_same_new_one_and_features_are_no_longer_true():
     other = Camera("brown_conrady", 320, 200, 215.0, 215.0, 160.0, 100.0, (-0.2,))
     found = undistort_scene(scene_of([BARREL, other], value=77)).cameras[0].images
     assert [image.camera for image in found] == [PINHOLE, PINHOLE]
     assert (found[1].rgb == 77).mean() > 0.9
-
-
-def test_encoded_images_and_locations_of_features_are_no_longer_true():
+    # encoded images and locations of features are no longer true
     decode = scene_of(BARREL).cameras[0].images[0].decode
-    image = CameraImage(0, BARREL, decode, extras={"features": [1], "number": 3}, encoded=lambda: b"jpeg")
-    scene = Scene((CameraSensor("front", BARREL, LazyFrames.of([image], [0])),))
+    image = sc.CameraImage(0, BARREL, decode, extras={"features": [1], "number": 3}, encoded=lambda: b"jpeg")
+    scene = sc.Scene((sc.CameraSensor("front", BARREL, sc.LazyFrames.of([image], [0])),))
     found = undistort_scene(scene).cameras[0].images[0]
     assert found.encoded is None
     assert dict(found.extras) == {"number": 3}
 
 
-def test_boxes_become_what_bounds_their_bent_outline():
+def test_boxes_shapes_points_and_projections_follow():
     row = [60.0, 50.0, 120.0, 80.0]
     other = box("o", row, "rear")
     found, untouched = undistort_scene(scene_of(BARREL, box("b", row), other)).annotations
@@ -145,10 +127,23 @@ def test_boxes_become_what_bounds_their_bent_outline():
     assert np.allclose([left, top], locations.min(axis=0), atol=0.1)  # nine locations stand for each side
     assert np.allclose([left + width, top + height], locations.max(axis=0), atol=0.1)
     assert untouched is other
+    vertices = np.array([[40.5, 30.0], [100.0, 150.0], [200.0, 60.0]])
+    space = shape("a", sc.ShapeType.POLYGON, np.zeros((3, 3)))
+    point = sc.PointProjection("front", TIME, points=np.array([[70.0, 80.0]]))
+    points = sc.PointsAnnotation("p", (sc.PointPath(TIME, np.zeros((1, 3))),), projections=((point,),))
+    seen = cuboid([90.0, 60.0, 4.0, 4.0], [np.nan] * 4)
+    scene = undistort_scene(scene_of(BARREL, shape("s", sc.ShapeType.POLYGON_2D, vertices), space, seen, points))
+    assert np.allclose(scene.annotations[0].path.vertices[0], moved(vertices))
+    assert scene.annotations[1] is space
+    boxes = scene.annotations[2].projections[0].boxes
+    assert np.allclose(boxes[0, :2] + boxes[0, 2:] / 2, moved([[92.0, 62.0]]), atol=0.05)
+    assert np.isnan(boxes[1]).all()
+    assert np.allclose(scene.annotations[3].projections[0][0].points, moved([[70.0, 80.0]]))
+    assert "drawn-beyond-image" not in [warning.code for warning in scene.warnings]
 
 
 def test_what_the_new_image_does_not_show_is_left_out_and_counted():
-    line = shape("s", ShapeType.POLYGON_2D, [[1.0, 1], [4, 1], [1, 4]])
+    line = shape("s", sc.ShapeType.POLYGON_2D, [[1.0, 1], [4, 1], [1, 4]])
     drawn = scene_of(BARREL, box("b", CORNER[0]), line, cuboid(*CORNER))
     scene = undistort_scene(drawn)
     assert [annotation.id for annotation in scene.annotations] == ["c"]
@@ -158,26 +153,10 @@ def test_what_the_new_image_does_not_show_is_left_out_and_counted():
     # what a pinhole cannot show: 144 degrees off the axis
     wide = Camera("fisheye", 640, 640, 180.0, 180.0, 319.5, 319.5)
     values = np.array([[300.0, 300.0, 9.0, 9.0], [0.0, 0.0, 9.0, 9.0]])
-    seen = Box2DAnnotation("box", "front", BoxPath(np.array([0, 5], np.int64), values))
-    scene = undistort_scene(scene_of(wide, shape("lone", ShapeType.POINT_2D, [[2.0, 2.0]]), seen))
+    seen = sc.Box2DAnnotation("box", "front", sc.BoxPath(np.array([0, 5], np.int64), values))
+    scene = undistort_scene(scene_of(wide, shape("lone", sc.ShapeType.POINT_2D, [[2.0, 2.0]]), seen))
     assert [(a.id, a.path.timestamps_ns.tolist()) for a in scene.annotations] == [("box", [0])]
     assert [(n.code, n.count) for n in scene.warnings] == [("drawn-beyond-image", 2)]
-
-
-def test_shapes_points_and_projections_follow():
-    vertices = np.array([[40.5, 30.0], [100.0, 150.0], [200.0, 60.0]])
-    space = shape("a", ShapeType.POLYGON, np.zeros((3, 3)))
-    point = PointProjection("front", TIME, points=np.array([[70.0, 80.0]]))
-    points = PointsAnnotation("p", (PointPath(TIME, np.zeros((1, 3))),), projections=((point,),))
-    seen = cuboid([90.0, 60.0, 4.0, 4.0], [np.nan] * 4)
-    scene = undistort_scene(scene_of(BARREL, shape("s", ShapeType.POLYGON_2D, vertices), space, seen, points))
-    assert np.allclose(scene.annotations[0].path.vertices[0], moved(vertices))
-    assert scene.annotations[1] is space
-    boxes = scene.annotations[2].projections[0].boxes
-    assert np.allclose(boxes[0, :2] + boxes[0, 2:] / 2, moved([[92.0, 62.0]]), atol=0.05)
-    assert np.isnan(boxes[1]).all()
-    assert np.allclose(scene.annotations[3].projections[0][0].points, moved([[70.0, 80.0]]))
-    assert "drawn-beyond-image" not in [warning.code for warning in scene.warnings]
 
 
 def test_camera_models_of_the_wanted_model_stay_as_they_are_with_a_warning():
@@ -190,27 +169,36 @@ def test_camera_models_of_the_wanted_model_stay_as_they_are_with_a_warning():
         assert [warning.code for warning in found.warnings] == [code]
 
 
-def test_only_cameras_can_be_undistorted(distorted):
+def test_what_is_no_camera_and_limits_and_models_that_are_none_are_refused(distorted):
     with pytest.raises(OptionError, match="no sensor 'periscope'"):
         undistort_scene(distorted, cameras=["periscope"])
     with pytest.raises(OptionError, match="is a lidar; expected a camera"):
         undistort_scene(distorted, cameras=[distorted.lidars[0].id])
     with pytest.raises(OptionError, match="has no camera"):
-        undistort_scene(Scene(()))
+        undistort_scene(sc.Scene(()))
+    for model, options, problem in (
+        ("brown_conrady", {"limit_px": -1}, "expected 0 px or more and a share of 0 to 1"),
+        ("brown_conrady", {"limit_px": float("nan")}, "expected 0 px or more and a share of 0 to 1"),
+        ("brown_conrady", {"share": 1.5}, "expected 0 px or more and a share of 0 to 1"),
+        ("periscope", {}, "camera model 'periscope'"),
+        ("pinhole", {"cameras": ["rear"]}, "no sensor 'rear'"),
+    ):
+        with pytest.raises(OptionError, match=problem):
+            convert_camera_models(scene_of(FISHEYE), model, **options)
 
 
 def test_a_camera_model_that_an_annotation_replaces_is_applied_first_and_not_left_off():
-    calibration = CameraCalibration("better", "front", intrinsics=BARREL)
+    calibration = sc.CameraCalibration("better", "front", intrinsics=BARREL)
     straight = undistort_scene(scene_of(PINHOLE, calibration))
     assert (straight.annotations, straight.cameras[0].camera.model) == ((), "pinhole")
     assert straight.metadata["sceneloom"]["undistorted"][0]["camera"]["model"] == BARREL.model
     with pytest.raises(
         OptionError, match=r"annotations\[better\] gives camera 'front' another camera model; apply it first"
     ):
-        undistort_scene(replace(scene_of(BARREL, calibration), corrections=Corrections.IGNORE))
-    of_another = CameraCalibration("better", "rear", intrinsics=PINHOLE)
-    moved_only = CameraCalibration("moved", "front", time_offset_ns=5)
-    left_off = replace(scene_of(BARREL, of_another, moved_only), corrections=Corrections.IGNORE)
+        undistort_scene(replace(scene_of(BARREL, calibration), corrections=sc.Corrections.IGNORE))
+    of_another = sc.CameraCalibration("better", "rear", intrinsics=PINHOLE)
+    moved_only = sc.CameraCalibration("moved", "front", time_offset_ns=5)
+    left_off = replace(scene_of(BARREL, of_another, moved_only), corrections=sc.Corrections.IGNORE)
     assert undistort_scene(left_off).annotations == (of_another, moved_only)
 
 
@@ -246,18 +234,3 @@ def test_a_camera_model_that_comes_no_nearer_or_holds_too_little_is_refused_with
         convert_camera_models(scene_of(ALL_AROUND), "brown_conrady")
     found = convert_camera_models(scene_of(ALL_AROUND), "brown_conrady", share=0.2)
     assert found.metadata["sceneloom"]["camera_models"][0]["share"] < 0.5
-
-
-@pytest.mark.parametrize(
-    ("model", "options", "problem"),
-    [
-        ("brown_conrady", {"limit_px": -1}, "expected 0 px or more and a share of 0 to 1"),
-        ("brown_conrady", {"limit_px": float("nan")}, "expected 0 px or more and a share of 0 to 1"),
-        ("brown_conrady", {"share": 1.5}, "expected 0 px or more and a share of 0 to 1"),
-        ("periscope", {}, "camera model 'periscope'"),
-        ("pinhole", {"cameras": ["rear"]}, "no sensor 'rear'"),
-    ],
-)
-def test_limits_models_and_cameras_that_are_none_are_refused(model, options, problem):
-    with pytest.raises(OptionError, match=problem):
-        convert_camera_models(scene_of(FISHEYE), model, **options)

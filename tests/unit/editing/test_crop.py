@@ -7,30 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sceneloom import scene as sc
 from sceneloom.editing import crop_scene, to_ego
 from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.scene import (
-    Activation,
-    AttributePath,
-    Box2DAnnotation,
-    BoxPath,
-    GroupAnnotation,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LazyFrames,
-    LinkAnnotation,
-    LocalizationAdjustment,
-    ObjectAnnotation,
-    PointPath,
-    PointsAnnotation,
-    PointsFrame,
-    PointsSensor,
-    Poses,
-    ShapeAnnotation,
-    ShapeType,
-    VertexPath,
-)
 from sceneloom.scene.scene import time_span
 from sceneloom.simulate import LidarSpec, simulate_street
 
@@ -42,8 +22,8 @@ def inside_box(points):
     return ((points >= BOX[:3]) & (points <= BOX[3:])).all(axis=1)
 
 
-@pytest.mark.parametrize("given", list(PointsFrame))
-@pytest.mark.parametrize("frame", list(PointsFrame))
+@pytest.mark.parametrize("given", list(sc.PointsFrame))
+@pytest.mark.parametrize("frame", list(sc.PointsFrame))
 def test_points_in_a_box_of_any_frame_stay(drive, given, frame):
     cropped = crop_scene(drive.scene(given), box=BOX, frame=frame)
     for sensor_id in ("lidar", "radar"):
@@ -55,19 +35,16 @@ def test_points_in_a_box_of_any_frame_stay(drive, given, frame):
     assert cropped.metadata["sceneloom"]["cropped"] == {"box": list(BOX), "frame": frame.value}
 
 
-@pytest.mark.parametrize("frame", [PointsFrame.SENSOR, PointsFrame.EGO])
-def test_points_within_range_stay(drive, frame):
-    cropped = crop_scene(drive.scene(PointsFrame.WORLD), reach=REACH, frame=frame)
-    for k, found in enumerate(cropped.sensor("lidar").frames):
-        away = np.linalg.norm(drive.frame_from_world(k, frame).apply(drive.points_world(k)), axis=1)
-        expected = drive.points_world(k)[away <= REACH].astype(np.float32)
-        np.testing.assert_array_equal(found.points.positions, expected)
-
-
-def test_a_map_stays_where_any_sensor_comes_by(drive):
+def test_points_within_range_stay_and_a_map_where_any_sensor_comes_by(drive):
+    for frame in (sc.PointsFrame.SENSOR, sc.PointsFrame.EGO):
+        cropped = crop_scene(drive.scene(sc.PointsFrame.WORLD), reach=REACH, frame=frame)
+        for k, found in enumerate(cropped.sensor("lidar").frames):
+            away = np.linalg.norm(drive.frame_from_world(k, frame).apply(drive.points_world(k)), axis=1)
+            expected = drive.points_world(k)[away <= REACH].astype(np.float32)
+            np.testing.assert_array_equal(found.points.positions, expected)
     locations = np.array([[20.0, 0, 0], [20, 5, 0], [-20, 0, 0], [np.nan, 0, 0]], np.float32)
-    scene = drive.scene(PointsFrame.WORLD)
-    scene = replace(scene, sensors=(*scene.sensors, PointsSensor("map", locations)))
+    scene = drive.scene(sc.PointsFrame.WORLD)
+    scene = replace(scene, sensors=(*scene.sensors, sc.PointsSensor("map", locations)))
     inside = crop_scene(scene, box=(0, -1, -1, 30, 9, 1)).sensor("map").positions
     np.testing.assert_array_equal(inside, locations[:2])
     # the ego goes from (20, 0) to (19.6, 4): the second location is 1.1 m from where it ends
@@ -75,20 +52,31 @@ def test_a_map_stays_where_any_sensor_comes_by(drive):
     np.testing.assert_array_equal(near, locations[:2])
 
 
-def test_labelled_points_are_counted_anew(drive):
+def test_labelled_points_are_counted_anew_also_in_a_part_in_time(drive):
     inside = np.flatnonzero(inside_box(drive.points_world(2)))
     ids = np.array([inside[3], inside[0], np.setdiff1d(np.arange(40), inside)[0]], np.uint32)
-    label = LabeledPointsAnnotation("a", (LabeledPoints("lidar", ids, 2),))
-    cropped = crop_scene(drive.scene(PointsFrame.WORLD, [label]), box=BOX)
+    label = sc.LabeledPointsAnnotation("a", (sc.LabeledPoints("lidar", ids, 2),))
+    cropped = crop_scene(drive.scene(sc.PointsFrame.WORLD, [label]), box=BOX)
     assert cropped.annotations[0].labeled_points[0].point_ids.tolist() == [3, 0]
     assert {warning.code for warning in cropped.warnings} == {"labelled-points"}
+    # frames are counted from the part's own start
+    label = sc.LabeledPointsAnnotation("a", (sc.LabeledPoints("lidar", np.arange(40, dtype=np.uint32), 3),))
+    cropped = crop_scene(drive.scene(sc.PointsFrame.WORLD, [label]), start=0.3, box=BOX)
+    entry = cropped.annotations[0].labeled_points[0]
+    assert entry.sensor_frame == 3 - (drive.frames - len(cropped.sensor("lidar").frames))
+    kept = cropped.sensor("lidar").frames[entry.sensor_frame].points.positions
+    assert len(entry.point_ids) == len(kept) == inside_box(drive.points_world(3)).sum()
+    # a cropped scene can go to another process
+    cropped = crop_scene(drive.scene(), box=BOX, frame="ego").sensor("radar")
+    again = pickle.loads(pickle.dumps(cropped))
+    np.testing.assert_array_equal(again.frames[1].points.positions, cropped.frames[1].points.positions)
 
 
 def test_cuboids_stay_while_their_centre_is_inside(drive, box):
     times = drive.timestamps_ns
     passing = box("passing", times, [[-25.0, 0, 0], [-12, 0, 0], [0, 0, 0], [30, 0, 0], [40, 0, 0]])
     passing = replace(
-        passing, activations=(Activation("lidar", times, durations_ns=(1, 2, 3, 4, 5)),), stationary=False
+        passing, activations=(sc.Activation("lidar", times, durations_ns=(1, 2, 3, 4, 5)),), stationary=False
     )
     seldom = box("between", [0, 400_000_000], [[-50.0, 0, 0], [50, 0, 0]])
     outside = box("outside", times[:2], [[0.0, 50, 0], [0, 50, 0]])
@@ -102,9 +90,7 @@ def test_cuboids_stay_while_their_centre_is_inside(drive, box):
     assert found["between"].path.timestamps_ns.tolist() == [0, 400_000_000]
     assert set(found) == {"passing", "between", "parked"}
     assert [(n.code, n.count) for n in cropped.warnings] == [("annotations-left-out", 1)]
-
-
-def test_cuboids_on_the_ego_are_cropped_in_the_world_and_the_other_way_round(drive, box):
+    # those on the ego are cropped in the world, and the other way round
     front = box("front", drive.timestamps_ns, np.tile([20.0, 0.5, 0], (5, 1)))
     for annotation, frame in ((front, "world"), (front, "ego")):
         on_ego = to_ego(drive.scene(annotations=[annotation]))
@@ -116,13 +102,13 @@ def test_cuboids_on_the_ego_are_cropped_in_the_world_and_the_other_way_round(dri
 
 def test_shapes_and_named_points_stay_whole_when_any_vertex_is_inside(drive):
     first, square = drive.timestamps_ns[:1], np.array([[24.0, 0, 0], [30, 0, 0], [30, 6, 0]])
-    near, far = PointPath(first, np.zeros((1, 3))), PointPath(first, np.array([[99.0, 0, 0]]))
+    near, far = sc.PointPath(first, np.zeros((1, 3))), sc.PointPath(first, np.array([[99.0, 0, 0]]))
     shapes = [
-        ShapeAnnotation("touching", ShapeType.POLYGON, VertexPath(first, (square,))),
-        ShapeAnnotation("away", ShapeType.POLYLINE, VertexPath(first, (square + 9.0,))),
-        ShapeAnnotation("drawn", ShapeType.POLYGON_2D, VertexPath(first, (square[:, :2] + 99.0,)), "camera"),
-        PointsAnnotation("body", (far, near)),
-        PointsAnnotation("far body", (far,)),
+        sc.ShapeAnnotation("touching", sc.ShapeType.POLYGON, sc.VertexPath(first, (square,))),
+        sc.ShapeAnnotation("away", sc.ShapeType.POLYLINE, sc.VertexPath(first, (square + 9.0,))),
+        sc.ShapeAnnotation("drawn", sc.ShapeType.POLYGON_2D, sc.VertexPath(first, (square[:, :2] + 99.0,)), "camera"),
+        sc.PointsAnnotation("body", (far, near)),
+        sc.PointsAnnotation("far body", (far,)),
     ]
     cropped = crop_scene(drive.scene(annotations=shapes), box=BOX)
     assert [annotation.id for annotation in cropped.annotations] == ["touching", "drawn", "body"]
@@ -130,15 +116,15 @@ def test_shapes_and_named_points_stay_whole_when_any_vertex_is_inside(drive):
     assert len(cropped.annotations[2].paths) == 2
 
 
-def test_sensors_go_with_all_that_is_stated_for_them(drive, box):
+def test_sensors_go_with_all_that_is_stated_for_them_and_labels_stay_with_parents_and_links(drive, box):
     seen = replace(
         box("seen", [0], [[0.0, 0, 0]]),
-        activations=(Activation("radar", drive.timestamps_ns), Activation("lidar", drive.timestamps_ns)),
-        attributes=(AttributePath("wet", ("yes",), sensor_id="camera"), AttributePath("new", ("yes",))),
+        activations=(sc.Activation("radar", drive.timestamps_ns), sc.Activation("lidar", drive.timestamps_ns)),
+        attributes=(sc.AttributePath("wet", ("yes",), sensor_id="camera"), sc.AttributePath("new", ("yes",))),
     )
-    drawn = Box2DAnnotation("drawn", "camera", BoxPath(drive.timestamps_ns[:1], np.ones((1, 4))))
-    owner = ObjectAnnotation("owner", parent_id="drawn")
-    link = LinkAnnotation("link", "seen", "drawn")
+    drawn = sc.Box2DAnnotation("drawn", "camera", sc.BoxPath(drive.timestamps_ns[:1], np.ones((1, 4))))
+    owner = sc.ObjectAnnotation("owner", parent_id="drawn")
+    link = sc.LinkAnnotation("link", "seen", "drawn")
     cropped = crop_scene(drive.scene(annotations=[seen, drawn, owner, link]), without=["camera", "radar"])
     assert [sensor.id for sensor in cropped.sensors] == ["lidar", "ego"]
     assert [(a.id, a.parent_id) for a in cropped.annotations] == [("seen", None), ("owner", None)]
@@ -147,14 +133,25 @@ def test_sensors_go_with_all_that_is_stated_for_them(drive, box):
     counts = {"annotations": 1, "links": 1, "parents": 1, "sensors": 2}
     expected = {"colours-kept": 1, **{f"{name}-left-out": count for name, count in counts.items()}}
     assert {warning.code: warning.count for warning in cropped.warnings} == expected
+    annotations = [
+        sc.GroupAnnotation("fleet"),
+        replace(box("car", [0], [[0.0, 0, 0]]), label="car", parent_id="fleet"),
+        replace(box("van", [0], [[0.0, 0, 0]]), label="van", parent_id="fleet"),
+        replace(box("cab", [0], [[0.0, 0, 0]]), label="car"),
+        sc.LinkAnnotation("same", "car", "cab"),
+        sc.LinkAnnotation("other", "car", "van"),
+        sc.LocalizationAdjustment("repair", sc.Poses.identity()),
+    ]
+    cropped = crop_scene(drive.scene(annotations=annotations), labels=["car"])
+    assert [annotation.id for annotation in cropped.annotations] == ["fleet", "car", "cab", "same", "repair"]
 
 
 def test_points_name_the_cameras_by_their_new_locations(drive):
-    scene = drive.scene(PointsFrame.WORLD)
+    scene = drive.scene(sc.PointsFrame.WORLD)
     camera, frame = scene.sensor("camera"), scene.sensor("lidar").frames[0]
     index = np.resize(np.array([0, 1, 2, 255], np.uint8), len(frame.points))
     coloured = replace(frame, points=replace(frame.points, camera_index=index))
-    lidar = replace(scene.sensor("lidar"), frames=LazyFrames.of([coloured], [0]))
+    lidar = replace(scene.sensor("lidar"), frames=sc.LazyFrames.of([coloured], [0]))
     cameras = ("camera", "left", "right")
     sensors = (lidar, *(replace(camera, id=name) for name in cameras))
     scene = replace(scene, sensors=sensors, metadata={"sceneloom": {"fusion": {"cameras": list(cameras)}}})
@@ -163,35 +160,6 @@ def test_points_name_the_cameras_by_their_new_locations(drive):
     assert cropped.metadata["sceneloom"]["fusion"]["cameras"] == ["camera", "right"]
     last = crop_scene(scene, without=["right"]).sensor("lidar").frames[0]
     assert last.points.camera_index[:4].tolist() == [0, 1, 255, 255]
-
-
-def test_labels_stay_with_their_parents_and_links(drive, box):
-    annotations = [
-        GroupAnnotation("fleet"),
-        replace(box("car", [0], [[0.0, 0, 0]]), label="car", parent_id="fleet"),
-        replace(box("van", [0], [[0.0, 0, 0]]), label="van", parent_id="fleet"),
-        replace(box("cab", [0], [[0.0, 0, 0]]), label="car"),
-        LinkAnnotation("same", "car", "cab"),
-        LinkAnnotation("other", "car", "van"),
-        LocalizationAdjustment("repair", Poses.identity()),
-    ]
-    cropped = crop_scene(drive.scene(annotations=annotations), labels=["car"])
-    assert [annotation.id for annotation in cropped.annotations] == ["fleet", "car", "cab", "same", "repair"]
-
-
-def test_a_crop_in_time_and_space_counts_frames_from_its_own_start(drive):
-    label = LabeledPointsAnnotation("a", (LabeledPoints("lidar", np.arange(40, dtype=np.uint32), 3),))
-    cropped = crop_scene(drive.scene(PointsFrame.WORLD, [label]), start=0.3, box=BOX)
-    entry = cropped.annotations[0].labeled_points[0]
-    assert entry.sensor_frame == 3 - (drive.frames - len(cropped.sensor("lidar").frames))
-    kept = cropped.sensor("lidar").frames[entry.sensor_frame].points.positions
-    assert len(entry.point_ids) == len(kept) == inside_box(drive.points_world(3)).sum()
-
-
-def test_a_cropped_scene_can_go_to_another_process(drive):
-    cropped = crop_scene(drive.scene(), box=BOX, frame="ego").sensor("radar")
-    again = pickle.loads(pickle.dumps(cropped))
-    np.testing.assert_array_equal(again.frames[1].points.positions, cropped.frames[1].points.positions)
 
 
 @pytest.mark.parametrize(

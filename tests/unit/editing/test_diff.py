@@ -6,39 +6,13 @@ import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.editing import simplify_scene
 from sceneloom.editing.diff import Change, apart, diff_scenes, pairs
 from sceneloom.errors import OptionError
 from sceneloom.geometry.euler import cuboid_angles_from_rotation
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    AttributePath,
-    CameraImage,
-    CameraSensor,
-    CuboidAnnotation,
-    CuboidPath,
-    DataWarning,
-    EventAnnotation,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    OdometrySensor,
-    PointPath,
-    PointsAnnotation,
-    PointsFrame,
-    Poses,
-    Projection,
-    Scene,
-    ShapeAnnotation,
-    ShapeType,
-    Trajectory,
-    VertexPath,
-    WarningKind,
-)
 from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.simulate import LidarSpec, TrafficSpec
 
@@ -50,7 +24,7 @@ NO_TIMES = np.zeros(0, np.int64)
 def a_path(timestamps=TIMESTAMPS, *, aside=0.0, sign=1):
     times = np.array(timestamps)
     positions = np.column_stack([0.01 * times, 0.0 * times + aside, 0.0 * times])
-    return Poses(times, positions, sign * np.tile([0.0, 0.0, 0.6, 0.8], (len(times), 1)))
+    return sc.Poses(times, positions, sign * np.tile([0.0, 0.0, 0.6, 0.8], (len(times), 1)))
 
 
 def sweeps(count=3, *, moved=None, extra=0, late_ns=0):
@@ -60,44 +34,44 @@ def sweeps(count=3, *, moved=None, extra=0, late_ns=0):
         if moved and k in moved:
             positions[4] += np.float32(moved[k])
             positions = np.concatenate([positions, positions[:extra]])
-        points = LidarPoints(positions, intensities=np.full(len(positions), 9, np.uint8))
-        frames.append(LidarFrame(int(TIMESTAMPS[k]) + late_ns, points))
-    return LazyFrames.of(frames, [frame.timestamp_ns for frame in frames])
+        points = sc.LidarPoints(positions, intensities=np.full(len(positions), 9, np.uint8))
+        frames.append(sc.LidarFrame(int(TIMESTAMPS[k]) + late_ns, points))
+    return sc.LazyFrames.of(frames, [frame.timestamp_ns for frame in frames])
 
 
 def a_camera(encoded=b"jpeg", values=(7, 7, 7), other=None):
     """A camera of three images, of which the bytes of the middle one may be others."""
     images = []
     for k, value in enumerate(values):
-        image = CameraImage.of(int(TIMESTAMPS[k]), CAMERA_MODEL, np.full((6, 8, 3), value, np.uint8))
+        image = sc.CameraImage.of(int(TIMESTAMPS[k]), CAMERA_MODEL, np.full((6, 8, 3), value, np.uint8))
         content = other if other and k == 1 else encoded
         images.append(replace(image, encoded=None if content is None else (lambda content=content: content)))
-    return CameraSensor("camera", CAMERA_MODEL, LazyFrames.of(images, TIMESTAMPS.tolist()), poses=a_path())
+    return sc.CameraSensor("camera", CAMERA_MODEL, sc.LazyFrames.of(images, TIMESTAMPS.tolist()), poses=a_path())
 
 
 def a_cuboid(identifier="car", *, yaw=30.0, x=5.0, **more):
     values = np.tile([4.0, 2.0, 1.5, x, 0.0, 0.0, 0.0, 0.0, yaw], (3, 1))
-    return CuboidAnnotation(identifier, CuboidPath(TIMESTAMPS, values), **more)
+    return sc.CuboidAnnotation(identifier, sc.CuboidPath(TIMESTAMPS, values), **more)
 
 
 def ego(*timestamps, **fields):
-    return OdometrySensor(7, a_path(timestamps or TIMESTAMPS, **fields))
+    return sc.OdometrySensor(7, a_path(timestamps or TIMESTAMPS, **fields))
 
 
-LIDAR = LidarSensor("lidar", sweeps(), mount=RigidTransform(np.eye(3), np.array([0.0, 0.0, 2.0])))
+LIDAR = sc.LidarSensor("lidar", sweeps(), mount=RigidTransform(np.eye(3), np.array([0.0, 0.0, 2.0])))
 ROTATED = RigidTransform(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([0.0, 3.0, 6.0]))
 CAMERA = a_camera()
-EVENT = EventAnnotation("event", 50, label="stop")
+EVENT = sc.EventAnnotation("event", 50, label="stop")
 METADATA = {"location": "here", "weather": {"rain": 0.5, "words": ["wet", "dark"]}}
 
 
 def a_scene(lidar=LIDAR, camera=CAMERA, odometry=None, annotations=None, **more):
     given = {
         "annotations": (a_cuboid(), EVENT) if annotations is None else annotations,
-        "trajectories": {"trajectory": Trajectory("trajectory", TIMESTAMPS, a_path().positions)},
+        "trajectories": {"trajectory": sc.Trajectory("trajectory", TIMESTAMPS, a_path().positions)},
         "metadata": METADATA,
     }
-    return Scene((lidar, camera, odometry or ego()), **{**given, **more})
+    return sc.Scene((lidar, camera, odometry or ego()), **{**given, **more})
 
 
 def with_frames(frames):
@@ -105,24 +79,24 @@ def with_frames(frames):
 
 
 def drawn(*vertices):
-    path = VertexPath(np.array([0]), (np.array(vertices, float),))
-    kind = ShapeType.POLYLINE_2D if len(vertices[0]) == 2 else ShapeType.POLYLINE
-    return Scene((), (ShapeAnnotation("s", kind, path, sensor_id="camera"),))
+    path = sc.VertexPath(np.array([0]), (np.array(vertices, float),))
+    kind = sc.ShapeType.POLYLINE_2D if len(vertices[0]) == 2 else sc.ShapeType.POLYLINE
+    return sc.Scene((), (sc.ShapeAnnotation("s", kind, path, sensor_id="camera"),))
 
 
 def annotated(**fields):
-    return Scene((), (a_cuboid(**fields),))
+    return sc.Scene((), (a_cuboid(**fields),))
 
 
 def boxed(*rows):
-    return annotated(projections=(Projection("camera", TIMESTAMPS[:2], np.array(rows)),))
+    return annotated(projections=(sc.Projection("camera", TIMESTAMPS[:2], np.array(rows)),))
 
 
-COLOUR = AttributePath("colour", ("red",))
+COLOUR = sc.AttributePath("colour", ("red",))
 
 
 def seen_points(count):
-    return AttributePath("points", (count,), TIMESTAMPS[:1], sensor_id="lidar")
+    return sc.AttributePath("points", (count,), TIMESTAMPS[:1], sensor_id="lidar")
 
 
 def with_words(value):
@@ -130,12 +104,12 @@ def with_words(value):
 
 
 def of_points(*paths):
-    labelled = LabeledPointsAnnotation("l", (LabeledPoints("top", np.zeros(0, np.uint32)),))
-    return Scene((), (PointsAnnotation("p", paths), labelled))
+    labelled = sc.LabeledPointsAnnotation("l", (sc.LabeledPoints("top", np.zeros(0, np.uint32)),))
+    return sc.Scene((), (sc.PointsAnnotation("p", paths), labelled))
 
 
 def empty_path():
-    return PointPath(NO_TIMES.copy(), np.zeros((0, 3)))
+    return sc.PointPath(NO_TIMES.copy(), np.zeros((0, 3)))
 
 
 BARE, OTHER_BARE = (a_scene(camera=a_camera(None, [value] * 3)) for value in (7, 8))
@@ -144,8 +118,8 @@ OTHER_TIMES = {"other_timestamps": True}
 MOVED = with_frames(sweeps(moved={1: (0, 0, 0.5)}))
 MORE_POINTS = with_frames(sweeps(moved={1: (0, 0, 0)}, extra=3))
 OTHER_BYTES = a_scene(camera=a_camera(other=b"other"))
-IN_WORLD = a_scene(replace(LIDAR, points_frame=PointsFrame.WORLD))
-NOTE = DataWarning(kind=WarningKind.ASSUMED, code="x", location="y", message="z")
+IN_WORLD = a_scene(replace(LIDAR, points_frame=sc.PointsFrame.WORLD))
+NOTE = sc.DataWarning(kind=sc.WarningKind.ASSUMED, code="x", location="y", message="z")
 
 
 @pytest.mark.parametrize(
@@ -166,7 +140,7 @@ NOTE = DataWarning(kind=WarningKind.ASSUMED, code="x", location="y", message="z"
         (of_points(empty_path()), of_points(empty_path()), {}),
         (of_points(empty_path()), of_points(empty_path()), {"tolerance_m": 1.0, **OTHER_TIMES}),
         # a unit of times that is not stated is the usual one
-        (Scene(()), Scene((), extras={"time_unit": "microseconds"}), {}),
+        (sc.Scene(()), sc.Scene((), extras={"time_unit": "microseconds"}), {}),
     ],
 )
 def test_what_is_the_same_is_equal(first, second, options):
@@ -177,9 +151,9 @@ def test_what_is_the_same_is_equal(first, second, options):
     ("first", "second", "options"),
     [
         (a_scene(), MOVED, {"tolerance_m": 0.49}),
-        (of_points(empty_path()), of_points(PointPath(TIMESTAMPS, np.zeros((3, 3)))), OTHER_TIMES),
+        (of_points(empty_path()), of_points(sc.PointPath(TIMESTAMPS, np.zeros((3, 3)))), OTHER_TIMES),
         (boxed(GONE, BOX), boxed(BOX, GONE), {"tolerance_px": 1e9}),
-        (Scene(()), Scene((), extras={"time_unit": "nanoseconds"}), {}),
+        (sc.Scene(()), sc.Scene((), extras={"time_unit": "nanoseconds"}), {}),
         # true is not one, and text no number
         *((with_words(one), with_words(other), {}) for one, other in ((True, 1), ("1", 1), (None, 0), ([], {}))),
     ],
@@ -227,7 +201,7 @@ def test_what_is_not_the_same_is_not_equal(first, second, options):
             a_scene(metadata={"location": "there", "weather": {"rain": 0.5, "words": ["wet"]}, "new": 1}),
             ["metadata['location']", "metadata['weather']['words']", "added metadata['new']"],
         ),
-        (a_scene(), a_scene(odometry=LidarSensor(7, sweeps())), ["sensors[7]: OdometrySensor; then LidarSensor"]),
+        (a_scene(), a_scene(odometry=sc.LidarSensor(7, sweeps())), ["sensors[7]: OdometrySensor; then LidarSensor"]),
         (a_scene(), IN_WORLD, ["sensors['lidar'].points_frame: 'sensor'; then 'world'"]),
         (a_scene(), replace(a_scene(), sensors=a_scene().sensors[::-1]), ["sensors: in another order"]),
     ],
@@ -246,39 +220,13 @@ def only(first, second, **tolerances):
     return difference
 
 
-def test_moved_points_are_reported_once_with_the_largest_distance():
+def test_moved_points_are_reported_once_and_pixels_compared_on_request():
     found = only(a_scene(), with_frames(sweeps(moved={0: (0, 0, 0.5), 2: (0.3, 0.4, 1.2)})))
     assert found.path == "sensors['lidar'].frames[].points.positions"
     assert (found.change, found.unit, found.count, found.frame) == (Change.CHANGED, "m", 2, 2)
     assert found.amount == pytest.approx(1.3, abs=1e-5)  # float32 coordinates
     assert "1 of 10 rows differ, row 4 most" in found.message
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "tolerance", "expected"),
-    [
-        ([0, 10], [0, 10], 0, [(0, 0), (1, 1)]),
-        ([0, 10, 20], [10, 30], 0, [(0, None), (1, 0), (2, None), (None, 1)]),
-        ([0, 10], [3, 12], 2, [(0, None), (None, 0), (1, 1)]),
-        ([0, 10], [3, 12], 3, [(0, 0), (1, 1)]),
-        ([], [5], 0, [(None, 0)]),
-    ],
-)
-def test_frames_are_paired_in_the_order_of_their_timestamps(first, second, tolerance, expected):
-    assert list(pairs(np.array(first, np.int64), np.array(second, np.int64), tolerance)) == expected
-
-
-def test_frames_are_the_same_by_their_timestamps():
-    fewer = with_frames(sweeps(2))
-    assert (only(a_scene(), fewer).change, only(a_scene(), fewer).frame) == (Change.REMOVED, 2)
-    assert only(fewer, a_scene()).change is Change.ADDED
-    changes = diff_scenes(a_scene(), with_frames(sweeps(late_ns=3)), tolerance_ns=2).differences
-    assert {(c.change, c.count) for c in changes} == {(Change.REMOVED, 3), (Change.ADDED, 3)}
-    today = np.array([1_700_000_000_000_000_001], np.int64)
-    assert apart(today, today + 1, "ns").tolist() == [1.0]
-
-
-def test_pixels_are_compared_on_request_and_images_without_bytes_reported_to_be_left_out():
+    # images without bytes are reported to be left out
     passed = diff_scenes(BARE, OTHER_BARE)
     assert passed.equal
     assert len(passed.not_compared) == 1
@@ -286,6 +234,24 @@ def test_pixels_are_compared_on_request_and_images_without_bytes_reported_to_be_
     assert only(a_scene(), OTHER_BYTES).frame == 1
     found = only(a_scene(), a_scene(camera=a_camera(values=(7, 9, 7), other=b"other")), pixels=True)
     assert (found.path, found.amount, found.unit) == ("sensors['camera'].images[].rgb", 2.0, "of 255")
+
+
+def test_frames_are_the_same_by_their_timestamps_and_paired_in_order():
+    for first, second, tolerance, expected in (
+        ([0, 10], [0, 10], 0, [(0, 0), (1, 1)]),
+        ([0, 10, 20], [10, 30], 0, [(0, None), (1, 0), (2, None), (None, 1)]),
+        ([0, 10], [3, 12], 2, [(0, None), (None, 0), (1, 1)]),
+        ([0, 10], [3, 12], 3, [(0, 0), (1, 1)]),
+        ([], [5], 0, [(None, 0)]),
+    ):
+        assert list(pairs(np.array(first, np.int64), np.array(second, np.int64), tolerance)) == expected
+    fewer = with_frames(sweeps(2))
+    assert (only(a_scene(), fewer).change, only(a_scene(), fewer).frame) == (Change.REMOVED, 2)
+    assert only(fewer, a_scene()).change is Change.ADDED
+    changes = diff_scenes(a_scene(), with_frames(sweeps(late_ns=3)), tolerance_ns=2).differences
+    assert {(c.change, c.count) for c in changes} == {(Change.REMOVED, 3), (Change.ADDED, 3)}
+    today = np.array([1_700_000_000_000_000_001], np.int64)
+    assert apart(today, today + 1, "ns").tolist() == [1.0]
 
 
 def test_paths_reported_at_other_timestamps_are_compared_as_ways():
@@ -299,16 +265,6 @@ def test_paths_reported_at_other_timestamps_are_compared_as_ways():
     assert "sensors[7].poses.timestamps_ns" in {f.path for f in shorter.differences}
 
 
-def test_a_simplified_scene_is_the_same_within_its_tolerances():
-    lidar = LidarSpec(beams=8, steps=90)
-    scene = sceneloom.simulate_street(1, frames=3, lidar=lidar, cameras=(), traffic=TrafficSpec()).scene
-    simple = simplify_scene(scene, tolerance_m=0.05, tolerance_deg=0.5)
-    assert not diff_scenes(scene, simple).equal
-    within = {"tolerance_m": 0.05, "tolerance_deg": 0.5, "other_timestamps": True}
-    assert diff_scenes(scene, simple, **within).differences == ()
-    assert not diff_scenes(scene, simple, **{**within, "tolerance_m": 0.01}).equal
-
-
 def test_cuboids_reported_in_radians_and_another_order_are_the_same_cuboids():
     values = a_cuboid().path.values.copy()
     values[:, 6:] = [20.0, -10.0, 200.0]
@@ -316,32 +272,38 @@ def test_cuboids_reported_in_radians_and_another_order_are_the_same_cuboids():
     rotations = CuboidAngles().quaternions(values[:, 6:])
     matrices = np.stack([RigidTransform.from_quaternion(np.zeros(3), q).rotation for q in rotations])
     radians[:, 6:] = cuboid_angles_from_rotation(matrices, unit="radians", order="zyx")
-    degrees, other = (replace(a_cuboid(), path=CuboidPath(TIMESTAMPS, rows)) for rows in (values, radians))
+    degrees, other = (replace(a_cuboid(), path=sc.CuboidPath(TIMESTAMPS, rows)) for rows in (values, radians))
     ours = {"euler_unit": "radians", "euler_order": "zyx"}
-    found = diff_scenes(Scene((), (degrees,)), Scene((), (other,), metadata={"sceneloom": ours}), tolerance_deg=1e-9)
+    found = diff_scenes(
+        sc.Scene((), (degrees,)), sc.Scene((), (other,), metadata={"sceneloom": ours}), tolerance_deg=1e-9
+    )
     assert [f.path for f in found.differences] == ["metadata['sceneloom']"]
 
 
-def test_frames_are_read_in_pairs_and_progress_is_reported():
+def test_frames_are_read_in_pairs_and_what_is_no_scene_or_tolerance_is_refused():
     read, reported = [], []
     frames = sweeps()
-    lazy = with_frames(LazyFrames(TIMESTAMPS, lambda k: read.append(k) or frames[k]))
+    lazy = with_frames(sc.LazyFrames(TIMESTAMPS, lambda k: read.append(k) or frames[k]))
     diff_scenes(lazy, lazy, progress=lambda done, total: reported.append((done, total)))
     assert read == [0, 0, 1, 1, 2, 2]
     assert reported[-1] == (6, 6)
+    with pytest.raises(OptionError, match=r"'a\.sfs'; expected a scene: `sceneloom\.open`"):
+        diff_scenes("a.sfs", sc.Scene(()))
+    with pytest.raises(OptionError, match="tolerance -1"):
+        diff_scenes(a_scene(), a_scene(), tolerance_m=-1.0)
 
 
-def test_a_written_scene_is_equal_to_what_was_written(tmp_path):
+def test_a_written_scene_is_equal_to_what_was_written_and_a_simplified_one_within_its_tolerances(tmp_path):
     drive = sceneloom.simulate_street(1, frames=2, cameras=()).scene
     sceneloom.write(drive, tmp_path / "a.sfs", time_unit="nanoseconds")
     with sceneloom.open(tmp_path / "a.sfs") as first:
         sceneloom.write(first, tmp_path / "b.sfs", time_unit="nanoseconds")
         with sceneloom.open(tmp_path / "b.sfs") as second:
             assert diff_scenes(first, second).differences == ()
-
-
-def test_what_is_no_scene_and_tolerances_that_are_none_are_refused():
-    with pytest.raises(OptionError, match=r"'a\.sfs'; expected a scene: `sceneloom\.open`"):
-        diff_scenes("a.sfs", Scene(()))
-    with pytest.raises(OptionError, match="tolerance -1"):
-        diff_scenes(a_scene(), a_scene(), tolerance_m=-1.0)
+    lidar = LidarSpec(beams=8, steps=90)
+    scene = sceneloom.simulate_street(1, frames=3, lidar=lidar, cameras=(), traffic=TrafficSpec()).scene
+    simple = simplify_scene(scene, tolerance_m=0.05, tolerance_deg=0.5)
+    assert not diff_scenes(scene, simple).equal
+    within = {"tolerance_m": 0.05, "tolerance_deg": 0.5, "other_timestamps": True}
+    assert diff_scenes(scene, simple, **within).differences == ()
+    assert not diff_scenes(scene, simple, **{**within, "tolerance_m": 0.01}).equal

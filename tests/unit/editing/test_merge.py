@@ -7,34 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sceneloom import scene as sc
 from sceneloom.editing import crop_scene, merge_scenes, to_ego, to_world
 from sceneloom.errors import DataError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    Activation,
-    AttributePath,
-    Box2DAnnotation,
-    BoxPath,
-    CameraCalibration,
-    EventAnnotation,
-    GnssSensor,
-    ImuSensor,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LazyFrames,
-    LinkAnnotation,
-    LocalizationAdjustment,
-    PointPath,
-    PointsAnnotation,
-    PointsFrame,
-    PointsSensor,
-    Poses,
-    Scene,
-    ShapeAnnotation,
-    ShapeType,
-    VectorSamples,
-    VertexPath,
-)
 
 
 def only(scene, *ids, **changes):
@@ -53,13 +29,13 @@ def test_ids_that_are_taken_are_refused_or_changed_with_all_references(drive, bo
     first = only(drive.scene(annotations=[box("a", [0], [[0.0, 0, 0]])]), "camera")
     second = replace(
         box("a", [0], [[1.0, 0, 0]]),
-        activations=(Activation("camera", drive.timestamps_ns),),
-        attributes=(AttributePath("wet", ("no",), sensor_id="camera"),),
+        activations=(sc.Activation("camera", drive.timestamps_ns),),
+        attributes=(sc.AttributePath("wet", ("no",), sensor_id="camera"),),
     )
     others = (
-        Box2DAnnotation("b", "camera", BoxPath(drive.timestamps_ns[:1], np.ones((1, 4))), parent_id="a"),
-        LinkAnnotation("c", "a", "b"),
-        CameraCalibration("d", "camera", time_offset_ns=1),
+        sc.Box2DAnnotation("b", "camera", sc.BoxPath(drive.timestamps_ns[:1], np.ones((1, 4))), parent_id="a"),
+        sc.LinkAnnotation("c", "a", "b"),
+        sc.CameraCalibration("d", "camera", time_offset_ns=1),
     )
     other = only(drive.scene(annotations=(second, *others)), "camera", "lidar")
     other = replace(other, sensors=(other.sensor("camera"), replace(other.sensor("lidar"), parent_id="camera")))
@@ -92,17 +68,17 @@ def seen_from(world_from_file, drive, box):
     file_from_world = world_from_file.inverse()
     corner = file_from_world.apply(np.array([[1.0, 2.0, 3.0]]))
     rotated = box("box", [0], corner, 30.0 - np.degrees(2 * np.arcsin(world_from_file.quaternion_xyzw[2])))
-    shape = ShapeAnnotation("shape", ShapeType.POINT, VertexPath(np.zeros(1, np.int64), (corner,)))
+    shape = sc.ShapeAnnotation("shape", sc.ShapeType.POINT, sc.VertexPath(np.zeros(1, np.int64), (corner,)))
     path = drive.path()
     poses = zip(path.positions, path.quaternions_xyzw, strict=True)
     poses = [file_from_world @ RigidTransform.from_quaternion(p, q) for p, q in poses]
     positions, quaternions = [p.translation for p in poses], [p.quaternion_xyzw for p in poses]
-    scene = drive.scene(PointsFrame.WORLD)
-    poses = Poses(path.timestamps_ns, np.array(positions), np.array(quaternions))
+    scene = drive.scene(sc.PointsFrame.WORLD)
+    poses = sc.Poses(path.timestamps_ns, np.array(positions), np.array(quaternions))
     camera = replace(scene.sensor("camera"), poses=poses, mount=None)
     return replace(
         scene,
-        sensors=(camera, PointsSensor("map", file_from_world.apply(drive.points_world(1)).astype(np.float32))),
+        sensors=(camera, sc.PointsSensor("map", file_from_world.apply(drive.points_world(1)).astype(np.float32))),
         annotations=(rotated, shape),
         metadata={"sceneloom": {"world_from_file": world_from_file.matrix.tolist()}},
         trajectories={},
@@ -140,10 +116,10 @@ def test_angles_are_stated_as_the_first_scene_says_them(drive, box):
 
 
 def with_cameras(drive, *ids):
-    scene = drive.scene(PointsFrame.WORLD)
+    scene = drive.scene(sc.PointsFrame.WORLD)
     frame = scene.sensor("lidar").frames[0]
     index = np.resize(np.array([0, 1, 255], np.uint8), len(frame.points))
-    frames = LazyFrames.of([replace(frame, points=replace(frame.points, camera_index=index))], [0])
+    frames = sc.LazyFrames.of([replace(frame, points=replace(frame.points, camera_index=index))], [0])
     lidar = replace(scene.sensor("lidar"), id="lidar of " + ids[0], frames=frames)
     cameras = tuple(replace(scene.sensor("camera"), id=identifier) for identifier in ids)
     return replace(scene, sensors=(lidar, *cameras), metadata={"sceneloom": {"fusion": {"cameras": list(ids)}}})
@@ -162,24 +138,24 @@ def test_points_name_the_cameras_by_their_locations_among_all(drive):
 def whole_drive(drive, box):
     """A drive with one thing of everything, whose parts are to be joined."""
     times, threes = drive.timestamps_ns, np.arange(15.0).reshape(5, 3)
-    attribute = AttributePath("speed", tuple(range(5)), times)
-    entries = tuple(LabeledPoints("lidar", np.arange(5, dtype=np.uint32), k) for k in range(5))
+    attribute = sc.AttributePath("speed", tuple(range(5)), times)
+    entries = tuple(sc.LabeledPoints("lidar", np.arange(5, dtype=np.uint32), k) for k in range(5))
     annotations = [
         replace(
             box("car", times, threes),
-            activations=(Activation("lidar", times, durations_ns=(1, 2, 3, 4, 5)),),
+            activations=(sc.Activation("lidar", times, durations_ns=(1, 2, 3, 4, 5)),),
             attributes=(attribute,),
         ),
-        LabeledPointsAnnotation("labels", entries),
-        PointsAnnotation("body", (PointPath(times, threes),)),
-        ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(times, (np.ones((2, 3)),) * 5)),
-        EventAnnotation("rotation", int(times[0]), int(times[4])),
-        Box2DAnnotation("drawn", "camera", BoxPath(times, np.arange(20.0).reshape(5, 4))),
-        LocalizationAdjustment("repair", drive.path(hz=10)),
+        sc.LabeledPointsAnnotation("labels", entries),
+        sc.PointsAnnotation("body", (sc.PointPath(times, threes),)),
+        sc.ShapeAnnotation("lane", sc.ShapeType.POLYLINE, sc.VertexPath(times, (np.ones((2, 3)),) * 5)),
+        sc.EventAnnotation("rotation", int(times[0]), int(times[4])),
+        sc.Box2DAnnotation("drawn", "camera", sc.BoxPath(times, np.arange(20.0).reshape(5, 4))),
+        sc.LocalizationAdjustment("repair", drive.path(hz=10)),
     ]
     scene = to_world(drive.scene(annotations=annotations))
-    imu = ImuSensor("imu", {"gyroscope": VectorSamples(times, threes)})
-    gnss = GnssSensor("gnss", times, threes * 1e-6, np.ones(5), np.ones(5))
+    imu = sc.ImuSensor("imu", {"gyroscope": sc.VectorSamples(times, threes)})
+    gnss = sc.GnssSensor("gnss", times, threes * 1e-6, np.ones(5), np.ones(5))
     return replace(scene, sensors=(*scene.sensors, imu, gnss), attributes=(attribute,))
 
 
@@ -217,28 +193,25 @@ def test_parts_of_a_drive_are_joined_to_what_they_were(drive, box, order):
 
 
 def test_frames_that_are_in_both_parts_are_taken_once_if_they_are_equal(drive):
-    scene = only(drive.scene(PointsFrame.WORLD), "lidar")
+    scene = only(drive.scene(sc.PointsFrame.WORLD), "lidar")
     lidar = scene.sensor("lidar")
     parts = [replace(scene, sensors=(replace(lidar, frames=lidar.frames[a:b]),)) for a, b in ((0, 3), (2, 5))]
     joined = merge_scenes(parts, join=True)
     assert joined.sensor("lidar").frames.timestamps_ns.tolist() == drive.timestamps_ns.tolist()
     assert {warning.code: warning.count for warning in joined.warnings} == {"frames-twice": 1}
     moved = replace(lidar.frames[2], points=replace(lidar.frames[2].points, positions=np.ones((1, 3), np.float32)))
-    other = replace(scene, sensors=(replace(lidar, frames=LazyFrames.of([moved], [200_000_000])),))
+    other = replace(scene, sensors=(replace(lidar, frames=sc.LazyFrames.of([moved], [200_000_000])),))
     with pytest.raises(OptionError, match="two frames at 200000000 ns whose points differ"):
         merge_scenes([parts[0], other], join=True)
 
 
-def test_what_is_stationary_in_both_parts_of_a_scene_keeps_its_one_keyframe(drive, box):
+def test_what_is_stationary_stays_so_and_what_the_second_part_says_otherwise_is_reported(drive, box):
     first = drive.timestamps_ns[:1]
-    lane = ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(first, (np.eye(3),)), stationary=True)
+    lane = sc.ShapeAnnotation("lane", sc.ShapeType.POLYLINE, sc.VertexPath(first, (np.eye(3),)), stationary=True)
     scene = drive.scene(annotations=(box("b", first, np.ones(3), stationary=True), lane))
     joined = merge_scenes([crop_scene(scene, stop=0.2), crop_scene(scene, start=0.2)], join=True)
     assert [a.path.timestamps_ns.tolist() for a in joined.annotations] == [[0], [0]]
-
-
-def test_what_the_second_part_says_otherwise_is_reported(drive, box):
-    weather = [AttributePath("weather", (stated,), static=True) for stated in ("rain", "sun")]
+    weather = [sc.AttributePath("weather", (stated,), static=True) for stated in ("rain", "sun")]
     scenes = []
     for label, still, attribute in (("car", False, weather[0]), ("truck", True, weather[1])):
         seen = box("b", drive.timestamps_ns, np.ones(3), label=label, stationary=still)
@@ -254,12 +227,12 @@ def test_what_the_second_part_says_otherwise_is_reported(drive, box):
     [
         (lambda s: replace(s, frames=s.frames[::2]), "lie between those of the first"),
         (lambda s: replace(s, mount=RigidTransform.identity(), frames=s.frames[4:]), "mounted otherwise"),
-        (lambda s: replace(s, points_frame=PointsFrame.EGO), "expected one frame"),
-        (lambda s: PointsSensor("lidar", np.zeros((1, 3), np.float32)), "expected one kind"),
+        (lambda s: replace(s, points_frame=sc.PointsFrame.EGO), "expected one frame"),
+        (lambda s: sc.PointsSensor("lidar", np.zeros((1, 3), np.float32)), "expected one kind"),
     ],
 )
 def test_parts_that_do_not_go_together_are_refused(drive, change, problem):
-    scene = only(drive.scene(PointsFrame.WORLD), "lidar")
+    scene = only(drive.scene(sc.PointsFrame.WORLD), "lidar")
     lidar = scene.sensor("lidar")
     first = replace(scene, sensors=(replace(lidar, frames=lidar.frames[1::2]),))
     with pytest.raises(OptionError, match=problem):
@@ -307,13 +280,13 @@ def test_metadata_of_both_are_kept_and_differences_reported(drive):
     ],
 )
 def test_an_event_lasts_until_its_last_part_ends_though_that_is_a_moment(parts, joined):
-    one, other = (Scene((), (EventAnnotation("rotation", start, lasts),)) for start, lasts in parts)
+    one, other = (sc.Scene((), (sc.EventAnnotation("rotation", start, lasts),)) for start, lasts in parts)
     (event,) = merge_scenes([one, other], join=True).annotations
     assert (event.start_ns, event.duration_ns) == joined
 
 
 def fixes(identifier, *lla):
-    return GnssSensor(identifier, np.array([0, 10**8]), np.array([lla] * 2), np.ones(2), np.ones(2))
+    return sc.GnssSensor(identifier, np.array([0, 10**8]), np.array([lla] * 2), np.ones(2), np.ones(2))
 
 
 def located(metadata, *sensors):
@@ -354,7 +327,9 @@ def later(scene, seconds):
     lidar = scene.sensor("lidar")
     times = lidar.frames.timestamps_ns + int(seconds * 1e9)
     frames = [replace(f, timestamp_ns=int(t)) for f, t in zip(lidar.frames, times, strict=True)]
-    return replace(scene, sensors=(replace(lidar, id="other", frames=LazyFrames.of(frames, times)),), trajectories={})
+    return replace(
+        scene, sensors=(replace(lidar, id="other", frames=sc.LazyFrames.of(frames, times)),), trajectories={}
+    )
 
 
 def test_egos_far_apart_and_parts_of_other_days_are_of_two_drives(drive):

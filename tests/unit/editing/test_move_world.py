@@ -8,40 +8,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sceneloom
+from sceneloom import scene as sc
 from sceneloom.editing import annotations_to_world, to_ego, to_sensor, to_world
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.scene import (
-    Activation,
-    Coordinates,
-    GroupAnnotation,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LazyFrames,
-    LocalizationAdjustment,
-    OdometrySensor,
-    PlainAnnotation,
-    PointPath,
-    PointProjection,
-    PointsAnnotation,
-    PointsFrame,
-    PointsSensor,
-    Poses,
-    Projection,
-    ShapeAnnotation,
-    ShapeType,
-    Trajectory,
-    VertexPath,
-)
 from sceneloom.scene.annotations_at import BoxTable, cuboid_at
 
-CHANGES = {PointsFrame.WORLD: to_world, PointsFrame.EGO: to_ego, PointsFrame.SENSOR: to_sensor}
+CHANGES = {sc.PointsFrame.WORLD: to_world, sc.PointsFrame.EGO: to_ego, sc.PointsFrame.SENSOR: to_sensor}
 
 FLOAT32_ULPS = 2e-5
 """[m] a few steps of float32 at the 60 m that points are away here."""
 
 
-@pytest.mark.parametrize("before", list(PointsFrame))
-@pytest.mark.parametrize("after", list(PointsFrame))
+@pytest.mark.parametrize("before", list(sc.PointsFrame))
+@pytest.mark.parametrize("after", list(sc.PointsFrame))
 def test_points_are_where_the_formulas_state(drive, before, after):
     changed = CHANGES[after](drive.scene(before))
     for sensor_id in ("lidar", "radar"):
@@ -60,23 +39,20 @@ def test_points_are_where_the_formulas_state(drive, before, after):
     np.testing.assert_array_equal(again.frames[1].points.positions, sensor.frames[1].points.positions)
 
 
-def test_poses_in_the_world_are_those_of_the_ego_and_the_mounting(drive, mount):
+def test_poses_in_the_world_are_those_of_ego_and_mounting_and_on_the_ego_the_mounting(drive, mount):
     changed = to_world(drive.scene())
     for sensor_id in ("lidar", "camera"):
         sensor = changed.sensor(sensor_id)
-        assert sensor.coordinates is Coordinates.WORLD
+        assert sensor.coordinates is sc.Coordinates.WORLD
         times = drive.timestamps_ns if sensor_id == "lidar" else drive.timestamps_ns + 20_000_000
         found = sensor.poses.interpolate(times)
         for k, time_ns in enumerate(times.tolist()):
             expected = drive.world_from_ego(time_ns) @ mount
             np.testing.assert_allclose(found.positions[k], expected.translation, atol=1e-9)
-
-
-def test_poses_on_the_ego_are_the_mounting(drive, mount):
     changed = to_ego(to_world(drive.scene()))
     poses = changed.sensor("camera").poses
     np.testing.assert_allclose(poses.positions - mount.translation, 0.0, atol=1e-9)
-    assert changed.sensor("camera").coordinates is Coordinates.EGO
+    assert changed.sensor("camera").coordinates is sc.Coordinates.EGO
     assert changed.metadata["sceneloom"]["annotations_frame"] == "ego"
 
 
@@ -112,21 +88,21 @@ def everything(drive, box):
     times = drive.timestamps_ns
     rows = np.tile([4.0, 2, 1, 10, 20, 1, 5, -3, 200], (2, 1))
     corners = np.array([[0.0, 0, 0], [5, 0, 0], [5, 5, 1]])
-    seen = Projection("camera", times[:3], cuboids=np.concatenate([rows, np.full((1, 9), np.nan)]))
-    dots = PointProjection("camera", times[:2], positions=np.array([[1.0, 2, 3], [np.nan] * 3]))
-    paths = PointPath(times[:3], np.arange(9.0).reshape(3, 3)), PointPath(times[1:3], np.ones((2, 3)))
+    seen = sc.Projection("camera", times[:3], cuboids=np.concatenate([rows, np.full((1, 9), np.nan)]))
+    dots = sc.PointProjection("camera", times[:2], positions=np.array([[1.0, 2, 3], [np.nan] * 3]))
+    paths = sc.PointPath(times[:3], np.arange(9.0).reshape(3, 3)), sc.PointPath(times[1:3], np.ones((2, 3)))
     return [
         replace(
             box("moving", times, np.arange(15.0).reshape(5, 3), 33.0),
-            activations=(Activation("lidar", times[1:3], cuboids=rows),),
+            activations=(sc.Activation("lidar", times[1:3], cuboids=rows),),
             projections=(seen,),
         ),
         box("parked", [5], [[10.0, 30, 1]], stationary=True),
-        ShapeAnnotation("area", ShapeType.POLYGON, VertexPath(times[:2], (corners, corners + 1.0))),
-        ShapeAnnotation("growing", ShapeType.POLYLINE, VertexPath(times[:2], (corners[:2], corners))),
-        ShapeAnnotation("lane", ShapeType.POLYGON_TOPDOWN, VertexPath(times[:1], (corners,)), stationary=True),
-        PointsAnnotation("body", paths, projections=((dots,), ())),
-        GroupAnnotation("group"),
+        sc.ShapeAnnotation("area", sc.ShapeType.POLYGON, sc.VertexPath(times[:2], (corners, corners + 1.0))),
+        sc.ShapeAnnotation("growing", sc.ShapeType.POLYLINE, sc.VertexPath(times[:2], (corners[:2], corners))),
+        sc.ShapeAnnotation("lane", sc.ShapeType.POLYGON_TOPDOWN, sc.VertexPath(times[:1], (corners,)), stationary=True),
+        sc.PointsAnnotation("body", paths, projections=((dots,), ())),
+        sc.GroupAnnotation("group"),
     ]
 
 
@@ -134,9 +110,9 @@ def numbers_of(annotation):
     if annotation.type == "cuboid":
         further = [e.cuboids for e in (*annotation.activations, *annotation.projections)]
         return np.concatenate([annotation.path.values, *further]).ravel()
-    if isinstance(annotation, ShapeAnnotation):
+    if isinstance(annotation, sc.ShapeAnnotation):
         return np.concatenate(annotation.path.vertices).ravel()
-    if isinstance(annotation, PointsAnnotation):
+    if isinstance(annotation, sc.PointsAnnotation):
         seen = [e.positions.ravel() for entries in annotation.projections for e in entries]
         return np.concatenate([*(path.values.ravel() for path in annotation.paths), *seen])
     return np.zeros(0)
@@ -158,18 +134,15 @@ def test_vertices_and_keypoints_are_moved_by_the_pose_of_their_own_time(drive, b
     assert len(changed["growing"].path.timestamps_ns) == 2
 
 
-def test_an_adjustment_of_a_scene_on_the_ego_leads_from_the_ego_to_the_repaired_world(drive):
-    lift = LocalizationAdjustment("lift", replace(Poses.identity(), positions=np.array([[0.0, 0, 2.0]])))
+def test_adjustments_lead_from_the_ego_and_what_has_no_location_on_it_is_reported(drive):
+    lift = sc.LocalizationAdjustment("lift", replace(sc.Poses.identity(), positions=np.array([[0.0, 0, 2.0]])))
     on_ego = to_ego(drive.scene(annotations=[lift])).annotations[0]
     found = on_ego.poses.interpolate(drive.timestamps_ns)
     for k, time_ns in enumerate(drive.timestamps_ns.tolist()):
         expected = drive.world_from_ego(time_ns).translation + np.array([0.0, 0.0, 2.0])
         np.testing.assert_allclose(found.positions[k], expected, atol=1e-9)
-
-
-def test_what_has_no_location_on_the_ego_is_reported(drive):
-    chart = PointsSensor("map", np.zeros((1, 3), np.float32))
-    strange = PlainAnnotation("x", "nebula", {})
+    chart = sc.PointsSensor("map", np.zeros((1, 3), np.float32))
+    strange = sc.PlainAnnotation("x", "nebula", {})
     scene = drive.scene(annotations=[strange])
     scene = replace(scene, sensors=(*scene.sensors, chart))
     codes = [warning.code for warning in to_ego(scene).warnings]
@@ -177,14 +150,14 @@ def test_what_has_no_location_on_the_ego_is_reported(drive):
 
 
 def labels(frame):
-    entry = LabeledPoints("lidar", np.array([1, 2], np.uint32), frame)
-    return LabeledPointsAnnotation(f"labels {frame}", (entry,))
+    entry = sc.LabeledPoints("lidar", np.array([1, 2], np.uint32), frame)
+    return sc.LabeledPointsAnnotation(f"labels {frame}", (entry,))
 
 
 def test_frames_that_the_trajectory_does_not_reach_are_left_out_with_their_labels(drive):
     path = drive.path()
-    short = Trajectory("short", path.timestamps_ns[:6], path.positions[:6], path.quaternions_xyzw[:6])
-    scene = replace(drive.scene(PointsFrame.WORLD, [labels(0), labels(3)]), trajectories={"short": short})
+    short = sc.Trajectory("short", path.timestamps_ns[:6], path.positions[:6], path.quaternions_xyzw[:6])
+    scene = replace(drive.scene(sc.PointsFrame.WORLD, [labels(0), labels(3)]), trajectories={"short": short})
     changed = to_ego(scene, trajectory="short")
     # poses up to 50 ms; one period beyond that reaches the frame at 100 ms
     assert changed.sensor("lidar").frames.timestamps_ns.tolist() == [0, 100_000_000]
@@ -203,42 +176,34 @@ def test_locations_that_cannot_be_known_are_an_error(drive):
         to_ego(alone)
     with pytest.raises(OptionError, match="annotations in 'sensor'"):
         to_world(scene, annotations_in="sensor")
-    parented = replace(scene.sensor("lidar"), parent_id="camera", frames=LazyFrames.of([], []))
-    several = (parented, scene.sensor("camera"), scene.sensor("ego"), OdometrySensor("other", drive.path()))
+    parented = replace(scene.sensor("lidar"), parent_id="camera", frames=sc.LazyFrames.of([], []))
+    several = (parented, scene.sensor("camera"), scene.sensor("ego"), sc.OdometrySensor("other", drive.path()))
     with pytest.raises(OptionError, match="several odometry sensors could be its ego"):
         to_ego(replace(scene, sensors=several))
 
 
-def test_annotations_are_where_they_are_stated_to_be(drive, box):
+def test_annotations_are_where_they_are_stated_to_be_and_not_taken_for_others(drive, box):
     seen = box("a", [100_000_000], [[10.0, 0, 0]])
     changed = to_world(drive.scene(annotations=[seen]), annotations_in="ego")
     expected = drive.world_from_ego(100_000_000).apply(np.array([10.0, 0, 0]))
     np.testing.assert_allclose(changed.annotations[0].path.values[0, 3:6], expected, atol=1e-9)
-
-
-def test_boxes_on_the_ego_are_not_taken_for_boxes_in_the_world(drive, box):
     on_ego = to_ego(drive.scene(annotations=[box("a", drive.timestamps_ns, np.ones((5, 3)))]))
     with pytest.raises(OptionError, match="sceneloom edit to-world"):
         BoxTable(on_ego).at(0)
     assert len(BoxTable(to_world(on_ego)).at(0)) == 1
     assert annotations_to_world(on_ego).annotations[0].path.values[0, 3:6].tolist() == pytest.approx([1, 1, 1])
-
-
-@pytest.mark.parametrize(
-    "entry",
-    [
+    # what metadata state in a form unknown takes nothing away
+    for entry in (
         3,
         {"annotation_id": ["b"], "path": 0, "added_ns": []},
         {"annotation_id": "b", "path": [0], "added_ns": []},
         {"annotation_id": "b", "path": 0, "added_ns": 5},
         {"annotation_id": "b", "path": 0, "added_ns": [[1], [2, 3]]},
-    ],
-)
-def test_what_metadata_state_in_a_form_unknown_takes_nothing_away(drive, box, entry):
-    scene = drive.scene(annotations=(box("b", drive.timestamps_ns, np.ones(3)),))
-    stated = {"sceneloom": {"annotations_frame": "ego", "to_ego": [entry]}}
-    moved = to_world(replace(scene, metadata=stated)).annotations[0]
-    assert set(drive.timestamps_ns.tolist()) <= set(moved.path.timestamps_ns.tolist())
+    ):
+        scene = drive.scene(annotations=(box("b", drive.timestamps_ns, np.ones(3)),))
+        stated = {"sceneloom": {"annotations_frame": "ego", "to_ego": [entry]}}
+        moved = to_world(replace(scene, metadata=stated)).annotations[0]
+        assert set(drive.timestamps_ns.tolist()) <= set(moved.path.timestamps_ns.tolist())
 
 
 def test_keyframes_that_a_file_rounded_to_microseconds_are_taken_away_again(drive, box, tmp_path):
@@ -248,7 +213,7 @@ def test_keyframes_that_a_file_rounded_to_microseconds_are_taken_away_again(driv
     scene = drive.scene(annotations=(moves, stands))
     lidar, path = scene.sensor("lidar"), scene.trajectories["ego"]
     frames = [replace(frame, timestamp_ns=frame.timestamp_ns + late_ns) for frame in lidar.frames]
-    lidar = replace(lidar, frames=LazyFrames.of(frames, (drive.timestamps_ns + late_ns).tolist()))
+    lidar = replace(lidar, frames=sc.LazyFrames.of(frames, (drive.timestamps_ns + late_ns).tolist()))
     trajectories = {"ego": replace(path, timestamps_ns=path.timestamps_ns + late_ns)}
     sceneloom.write(to_ego(replace(scene, sensors=(lidar,), trajectories=trajectories)), tmp_path / "ego.sfs")
     with sceneloom.open(tmp_path / "ego.sfs") as written:

@@ -84,7 +84,7 @@ def test_annotations_go_with_what_they_were_drawn_in(scene):
             assert pick(moved).tolist() == (by_hand(was) if name in moves else was).tolist(), (ids, name)
 
 
-def test_poses_of_a_mounted_sensor_are_the_trajectories_at_its_right_times(scene):
+def test_poses_of_mounted_sensors_are_the_trajectories_at_their_right_times(scene):
     moved = corrected(scene, "lidar")
     lidar, trajectory = moved.sensor("lidar"), scene.trajectories["groundTruth"].poses
     times = lidar.frames.timestamps_ns[1:3]
@@ -94,9 +94,7 @@ def test_poses_of_a_mounted_sensor_are_the_trajectories_at_its_right_times(scene
         expected = ego.positions[k] + rotation.apply(lidar.mount.translation.copy())
         # poses are thinned to a millimetre
         assert np.allclose(sensor.positions[k], expected, atol=2e-3)
-
-
-def test_a_trajectory_moves_and_takes_mounted_sensors_along(scene):
+    # a trajectory that moves takes them along
     moved = retimed_scene(scene, trajectories={"groundTruth": ClockCorrection(50_000_000.0)})
     before, after = scene.trajectories["groundTruth"], moved.trajectories["groundTruth"]
     assert np.array_equal(after.timestamps_ns, before.timestamps_ns - 50_000_000)
@@ -106,12 +104,16 @@ def test_a_trajectory_moves_and_takes_mounted_sensors_along(scene):
     assert np.allclose(moved.sensor("lidar").poses.interpolate(time).positions, was, atol=3e-3)
 
 
-def test_there_and_back_is_where_it_was():
+def test_there_and_back_is_where_it_was_and_unknown_streams_are_refused(scene):
     times = np.arange(0, 10**12, 10**9)
     there = ClockCorrection(-5e8, -120.0, 10**11).right(times)
     back = ClockCorrection(5e8, 120.0, 10**11).right(there)
     # (120 ppm)² of a thousand seconds is 15 µs, and offset times skew 60 µs
     assert np.abs(back - times).max() < 80_000
+    with pytest.raises(OptionError, match="nobody"):
+        corrected(scene, "nobody")
+    with pytest.raises(OptionError, match="nowhere"):
+        retimed_scene(scene, trajectories={"nowhere": LATE})
 
 
 @pytest.mark.parametrize("suffix", ["drive", "drive.sfs"])
@@ -125,13 +127,6 @@ def test_corrected_scenes_can_be_written_and_read_back(scene, tmp_path: Path, su
         ):
             # scene files count microseconds, and floor the timestamps of sweeps
             assert np.abs(old - new).max() <= 1_000
-
-
-def test_unknown_streams_are_refused(scene):
-    with pytest.raises(OptionError, match="nobody"):
-        corrected(scene, "nobody")
-    with pytest.raises(OptionError, match="nowhere"):
-        retimed_scene(scene, trajectories={"nowhere": LATE})
 
 
 def sample(seconds, **beside):
@@ -154,7 +149,7 @@ def retimed_lines(folder, lines, **corrections):
     return [json.loads(line) for line in (folder / "again" / "data.jsonl").read_text().splitlines()]
 
 
-def test_further_keys_move_with_their_samples(tmp_path):
+def test_further_keys_move_with_their_samples_and_a_line_of_two_records_becomes_two(tmp_path):
     lines = [
         *(sample(0.5, temperature=20.0), sample(0.5, temperature=21.0), pose(1.0, status="TRACKING")),
         *(fix(1.125, satellites=7), sample(1.5), sample(2.5, temperature=22.0)),
@@ -164,9 +159,7 @@ def test_further_keys_move_with_their_samples(tmp_path):
     shifts = {"sensor": -0.25, "groundTruth": 0.5, "gps": 0.0}
     expected = [{**line, "time": line["time"] + shifts[next(iter(line))]} for line in lines]
     assert found == sorted(expected, key=lambda line: line["time"])
-
-
-def test_a_line_of_two_records_is_two_lines_when_one_of_them_moves(tmp_path):
+    # a line of two records is two lines when one of them moves
     sensors = {key_of("imu"): ClockCorrection(250_000_000)}
     found = retimed_lines(tmp_path, [{**sample(0.5), **fix(0.5)}], sensors=sensors)
     assert found == [{**sample(0.5), "time": 0.25}, fix(0.5)]

@@ -5,28 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sceneloom import scene as sc
 from sceneloom.editing import simplify_scene
 from sceneloom.errors import OptionError
 from sceneloom.geometry.thinning import thin_greedily
-from sceneloom.scene import (
-    CuboidAnnotation,
-    CuboidPath,
-    GroupAnnotation,
-    LocalizationAdjustment,
-    OdometrySensor,
-    PointPath,
-    PointsAnnotation,
-    Poses,
-    Scene,
-    Trajectory,
-)
 
 ROTATION = np.array([[0.0, 0.0, 0.0, 1.0]])
 
 
 def a_cuboid(values, timestamps=None):
     timestamps = np.arange(len(values)) * 100 if timestamps is None else timestamps
-    return CuboidAnnotation("a", CuboidPath(np.asarray(timestamps, np.int64), np.asarray(values, np.float64)))
+    return sc.CuboidAnnotation("a", sc.CuboidPath(np.asarray(timestamps, np.int64), np.asarray(values, np.float64)))
 
 
 def rows(x, *, yaw=0.0):
@@ -35,52 +24,53 @@ def rows(x, *, yaw=0.0):
     return values
 
 
-@pytest.mark.parametrize(
-    ("values", "options", "kept"),
-    [
+def test_a_path_needs_its_ends_and_corners_only_and_bends_what_their_curvature_says():
+    for values, options, kept in (
         (rows(np.linspace(0, 50, 1001)), {"tolerance_m": 1e-9}, [0, 100_000]),
         (rows(np.concatenate([np.linspace(0, 10, 50), np.full(50, 10.0)])), {}, [0, 4900, 9900]),
         # less than half a rotation is known by its ends: 17 steps of 10 degrees
         (rows(np.zeros(37), yaw=np.arange(37) * 10.0), {"tolerance_deg": 0.01}, [0, 1700, 3400, 3600]),
         # values that are not finite stay
         (rows([0.0, 0.0, np.nan, 0.0, 0.0]), {}, [0, 100, 200, 300, 400]),
-    ],
-)
-def test_a_path_needs_its_ends_and_corners_only(values, options, kept):
-    (simple,) = simplify_scene(Scene((), (a_cuboid(values),)), **options).annotations
-    assert simple.path.timestamps_ns.tolist() == kept
-
-
-def test_a_smooth_bend_needs_about_as_many_timestamps_as_its_curvature_says():
+    ):
+        (simple,) = simplify_scene(sc.Scene((), (a_cuboid(values),)), **options).annotations
+        assert simple.path.timestamps_ns.tolist() == kept
     # a circle of 20 m: between timestamps an angle φ apart a line is r (1 - cos(φ/2)) off; 0.01 m: 3.6 degrees
     angles = np.radians(np.arange(0, 360, 0.1))
     values = rows(20 * np.cos(angles))
     values[:, 4] = 20 * np.sin(angles)
-    (simple,) = simplify_scene(Scene((), (a_cuboid(values),)), tolerance_deg=90).annotations
+    (simple,) = simplify_scene(sc.Scene((), (a_cuboid(values),)), tolerance_deg=90).annotations
     assert 100 <= len(simple.path.timestamps_ns) <= 102
+    # long straight curves are not looked at point by point
+    calls = []
 
+    def misfits(a, b):
+        calls.append(b - a)
+        return np.zeros(b - a - 1)
 
-def test_paths_of_equal_or_running_back_timestamps_and_short_ones_stay():
+    assert thin_greedily(100_000, misfits).tolist() == [0, 99_999]
+    assert len(calls) < 20
+    # of equal or running back timestamps, and short ones
     paths = [a_cuboid(rows(np.zeros(count))) for count in (0, 1, 2)]
     for cuboid in (a_cuboid(rows(np.zeros(4)), timestamps=[0, 5, 5, 9]), *paths):
-        assert simplify_scene(Scene((), (cuboid,))).annotations[0].path is cuboid.path
-    empty = PointsAnnotation("p", (PointPath(np.zeros(0, np.int64), np.zeros((0, 3))),))
-    assert simplify_scene(Scene((), (empty,)), tolerance_m=1.0).annotations[0].paths == empty.paths
+        assert simplify_scene(sc.Scene((), (cuboid,))).annotations[0].path is cuboid.path
+    empty = sc.PointsAnnotation("p", (sc.PointPath(np.zeros(0, np.int64), np.zeros((0, 3))),))
+    assert simplify_scene(sc.Scene((), (empty,)), tolerance_m=1.0).annotations[0].paths == empty.paths
 
 
 def a_scene():
     timestamps = np.arange(9) * 100
     locations = np.column_stack([np.arange(9.0), np.zeros(9), np.zeros(9)])
-    path = Poses(timestamps, locations, np.repeat(ROTATION, 9, axis=0))
+    path = sc.Poses(timestamps, locations, np.repeat(ROTATION, 9, axis=0))
     known = {"file_seconds": timestamps * 1e-9, "covariances": np.tile(np.eye(6), (9, 1, 1))}
-    trajectory = Trajectory("trajectory", timestamps, locations, None, **known)
+    trajectory = sc.Trajectory("trajectory", timestamps, locations, None, **known)
     annotations = (
         a_cuboid(rows(np.arange(9.0))),
-        PointsAnnotation("p", (PointPath(timestamps, locations, id="q"),), labels=("nose",)),
-        LocalizationAdjustment("l", path),
-        GroupAnnotation("g"),
+        sc.PointsAnnotation("p", (sc.PointPath(timestamps, locations, id="q"),), labels=("nose",)),
+        sc.LocalizationAdjustment("l", path),
+        sc.GroupAnnotation("g"),
     )
-    return Scene((OdometrySensor("ego", path),), annotations, trajectories={"trajectory": trajectory})
+    return sc.Scene((sc.OdometrySensor("ego", path),), annotations, trajectories={"trajectory": trajectory})
 
 
 def counts(scene):
@@ -94,33 +84,19 @@ def counts(scene):
     }
 
 
-def test_all_kinds_of_paths_are_simplified_and_reported():
+def test_all_kinds_of_paths_or_one_are_simplified_and_reported_and_a_pose_that_holds_for_ever_stays():
     simple = simplify_scene(a_scene())
     assert counts(simple) == dict.fromkeys(counts(simple), 2)
     assert {warning.location: warning.count for warning in simple.warnings} == dict.fromkeys(counts(simple), 7)
     trajectory = simple.trajectories["trajectory"]
     assert (trajectory.file_seconds.tolist(), trajectory.covariances.shape) == ([0.0, 800 * 1e-9], (2, 6, 6))
     assert simple.annotations[1].paths[0].id == "q"
-
-
-def test_one_kind_of_paths_can_be_chosen_and_a_pose_that_holds_for_ever_stays():
     for kind in ("cuboids", "keypoints"):
         others = dict.fromkeys(("cuboids", "keypoints", "poses"), False)
         found = counts(simplify_scene(a_scene(), **{**others, kind: True}))
         assert [name for name, count in found.items() if count == 2] == [kind]
-    scene = replace(a_scene(), sensors=(OdometrySensor("ego", Poses.identity()),))
+    scene = replace(a_scene(), sensors=(sc.OdometrySensor("ego", sc.Poses.identity()),))
     assert simplify_scene(scene).sensors[0].poses.static
     for wrong in ({"tolerance_m": -1.0}, {"tolerance_deg": float("nan")}):
         with pytest.raises(OptionError, match="expected a number from 0 on"):
-            simplify_scene(Scene(()), **wrong)
-
-
-def test_long_straight_curves_are_not_looked_at_point_by_point():
-    calls = []
-
-    def misfits(a, b):
-        calls.append(b - a)
-        return np.zeros(b - a - 1)
-
-    assert thin_greedily(100_000, misfits).tolist() == [0, 99_999]
-    assert len(calls) < 20
+            simplify_scene(sc.Scene(()), **wrong)

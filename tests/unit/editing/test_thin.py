@@ -5,22 +5,10 @@ import pickle
 import numpy as np
 import pytest
 
+from sceneloom import scene as sc
 from sceneloom.editing import thin_scene
 from sceneloom.editing.thin import evenly, one_per_cube
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    PointsSensor,
-    RadarFrame,
-    RadarPoints,
-    RadarSensor,
-    Scene,
-)
 
 
 def lidar_frame(k, count=100):
@@ -31,22 +19,23 @@ def lidar_frame(k, count=100):
     byte, times = numbers.astype(np.uint8), numbers.astype(np.int64) + k * 100
     extras = {"echo": numbers.astype(np.float64), "calibration": np.zeros(3)}
     colors = np.repeat(byte[:, None], 3, 1)
-    points = LidarPoints(positions, byte, colors, times, numbers.astype(np.uint16), byte, extras=extras)
-    return LidarFrame(k * 100, points)
+    points = sc.LidarPoints(positions, byte, colors, times, numbers.astype(np.uint16), byte, extras=extras)
+    return sc.LidarFrame(k * 100, points)
 
 
 def scene_of(frames=6, annotations=()):
     times = [k * 100 for k in range(frames)]
-    lidar = LidarSensor("top", LazyFrames.of([lidar_frame(k) for k in range(frames)], times))
+    lidar = sc.LidarSensor("top", sc.LazyFrames.of([lidar_frame(k) for k in range(frames)], times))
     cycles = [
-        RadarFrame(t, RadarPoints(np.zeros((4, 3), np.float32), lengths=np.arange(4, dtype=np.float32))) for t in times
+        sc.RadarFrame(t, sc.RadarPoints(np.zeros((4, 3), np.float32), lengths=np.arange(4, dtype=np.float32)))
+        for t in times
     ]
-    chart = PointsSensor("map", np.array([[-0.1, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], np.float32))
-    return Scene((lidar, RadarSensor("radar", LazyFrames.of(cycles, times)), chart), tuple(annotations))
+    chart = sc.PointsSensor("map", np.array([[-0.1, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], np.float32))
+    return sc.Scene((lidar, sc.RadarSensor("radar", sc.LazyFrames.of(cycles, times)), chart), tuple(annotations))
 
 
 def labels(frame, *ids, sensor="top"):
-    return LabeledPoints(sensor, np.array(ids, np.uint32), frame)
+    return sc.LabeledPoints(sensor, np.array(ids, np.uint32), frame)
 
 
 def test_one_point_of_each_cube_stays_with_all_that_is_known_of_it():
@@ -64,16 +53,14 @@ def test_one_point_of_each_cube_stays_with_all_that_is_known_of_it():
     np.testing.assert_array_equal(again.frames[2].points.positions, points.positions)
     first = thin_scene(scene_of(), voxel=1.0, keep="first").sensor("top").frames[0].points
     assert first.rings.tolist() == list(range(0, 100, 10))
-
-
-def test_a_cube_at_the_origin_is_as_large_as_others_and_points_that_are_nowhere_go():
+    # a cube at the origin is as large as others; points that are nowhere go
     positions = np.array([[-0.4, 0, 0], [0.4, 0, 0], [0.6, 0, 0]], np.float32)
     assert one_per_cube(positions, 1.0, keep="first").tolist() == [0, 1]
     positions = np.array([[0, 0, 0], [np.nan, 0, 0], [5, 0, 0]], np.float32)
     assert one_per_cube(positions, 1.0).tolist() == [0, 2]
 
 
-def test_shares_and_counts_are_spread_evenly():
+def test_shares_and_counts_are_spread_evenly_and_every_other_frame_stays():
     assert evenly(10, 10).tolist() == list(range(10))
     assert evenly(10, 5).tolist() == [1, 3, 5, 7, 9]
     assert evenly(3, 7).tolist() == [0, 1, 2]
@@ -82,9 +69,6 @@ def test_shares_and_counts_are_spread_evenly():
     assert {len(frame.points) for frame in thinned.sensor("top").frames} == {25}
     assert len(thin_scene(scene_of(), points=7).sensor("top").frames[0].points) == 7
     assert thin_scene(scene_of(), share=0.5).sensor("radar").frames[0].points.lengths.tolist() == [1.0, 3.0]
-
-
-def test_every_other_frame_of_the_named_sensors_stays():
     thinned = thin_scene(scene_of(), every=4, sensors=["radar"])
     assert thinned.sensor("radar").frames.timestamps_ns.tolist() == [0, 400]
     assert len(thinned.sensor("top").frames) == 6
@@ -93,7 +77,9 @@ def test_every_other_frame_of_the_named_sensors_stays():
 
 def test_labelled_points_follow_the_points_and_frames_that_stay():
     entries = (labels(0, 4, 5, 14, 15, 99), labels(1, 7), labels(2, 0, 90, 91), labels(None, 1, 2, sensor="map"))
-    scene = scene_of(annotations=[LabeledPointsAnnotation("a", entries), LabeledPointsAnnotation("b", entries[1:2])])
+    scene = scene_of(
+        annotations=[sc.LabeledPointsAnnotation("a", entries), sc.LabeledPointsAnnotation("b", entries[1:2])]
+    )
     thinned = thin_scene(scene, voxel=1.0, keep="first", every=2)
     assert [annotation.id for annotation in thinned.annotations] == ["a"]
     found = thinned.annotations[0].labeled_points

@@ -164,21 +164,27 @@ def test_the_best_f1_is_the_best_of_all_scores():
     assert cars_of(found, truth).difficulties["moderate"].max_f1 == pytest.approx(best, abs=1e-12)
 
 
-def test_frames_of_different_sequences_do_not_meet():
-    box, nothing = [[0, 0, 100, 60]], ObjectTable.empty()
-    there = table([0], ["Car"], box, occlusions=[0], truncations=[0])
-    sides = {"a": table([0], ["Car"], box, scores=[0.9]), "b": nothing}, {"a": nothing, "b": there}
-    scores = evaluate_detection(*sides, classes=("car",), rules=IN_IMAGE)["car"].difficulties["moderate"]
-    assert (scores.true_objects, scores.detections, scores.max_f1) == (1, 1, 0.0)
-
-
-def test_nothing_found_and_nothing_there_have_defined_figures():
+def test_what_is_missing_has_defined_figures_or_is_named():
     truth, found = street(5)
     empty = ObjectTable.empty()
     for results, true in ((empty, truth), (found, empty), (empty, empty)):
         scores = cars_of(results, true).difficulties["moderate"]
         assert (scores.ap40, scores.max_f1, scores.recall) == (0.0, 0.0, 0.0)
         assert (scores.threshold is None) == (results is empty)
+    # frames of different sequences do not meet
+    box, nothing = [[0, 0, 100, 60]], ObjectTable.empty()
+    there = table([0], ["Car"], box, occlusions=[0], truncations=[0])
+    sides = {"a": table([0], ["Car"], box, scores=[0.9]), "b": nothing}, {"a": nothing, "b": there}
+    scores = evaluate_detection(*sides, classes=("car",), rules=IN_IMAGE)["car"].difficulties["moderate"]
+    assert (scores.true_objects, scores.detections, scores.max_f1) == (1, 1, 0.0)
+    truth, found = street(6)
+    bare = table(found.frames, found.labels, found.corners_xyxy)
+    with pytest.raises(OptionError, match="no scores"):
+        evaluate_detection({"a": bare}, {"a": truth}, rules=IN_IMAGE)
+    with pytest.raises(OptionError, match="similarity '3d': the truth without boxes"):
+        evaluate_detection({"a": found}, {"a": truth})
+    with pytest.raises(OptionError, match="difficulty 'tough'; expected one of easy"):
+        evaluate_detection({"a": found}, {"a": truth}, rules=IN_IMAGE, difficulties=("tough",))
 
 
 def test_regions_excuse_boxes_in_space_only_where_that_is_asked():
@@ -191,18 +197,7 @@ def test_regions_excuse_boxes_in_space_only_where_that_is_asked():
         assert reported.difficulties["hard"].detections == wrong
 
 
-def test_scores_and_boxes_that_are_missing_are_named():
-    truth, found = street(6)
-    bare = table(found.frames, found.labels, found.corners_xyxy)
-    with pytest.raises(OptionError, match="no scores"):
-        evaluate_detection({"a": bare}, {"a": truth}, rules=IN_IMAGE)
-    with pytest.raises(OptionError, match="similarity '3d': the truth without boxes"):
-        evaluate_detection({"a": found}, {"a": truth})
-    with pytest.raises(OptionError, match="difficulty 'tough'; expected one of easy"):
-        evaluate_detection({"a": found}, {"a": truth}, rules=IN_IMAGE, difficulties=("tough",))
-
-
-def test_scores_that_are_true_probabilities_have_a_small_error_of_calibration():
+def test_calibration_of_scores():
     rng = np.random.default_rng(7)
     probabilities = rng.random(40_000)
     are_true = rng.random(40_000) < probabilities
@@ -210,9 +205,7 @@ def test_scores_that_are_true_probabilities_have_a_small_error_of_calibration():
     assert reported.error < 0.01  # 15 bins of 2700 draws, each off by 0.004 on the average
     assert reported.brier == pytest.approx(1 / 6, abs=0.005)  # the integral of p (1 - p); 3 deviations are 0.0028
     assert sum(part.count for part in reported.bins) == reported.count == 40_000
-
-
-def test_scores_that_state_too_much_have_their_excess_as_error():
+    # scores that state too much have their excess as error
     reported = judge_calibration(np.array([0.9] * 10 + [0.3] * 10), np.array([1] * 6 + [0] * 4 + [1] * 3 + [0] * 7) > 0)
     assert reported.error == pytest.approx(0.15)  # half of them by 0.3, the others by nothing
     assert reported.largest_error == pytest.approx(0.3)
@@ -221,9 +214,7 @@ def test_scores_that_state_too_much_have_their_excess_as_error():
         (pytest.approx(0.3), pytest.approx(0.3)),
         (pytest.approx(0.9), pytest.approx(0.6)),
     ]
-
-
-def test_a_score_of_one_is_in_the_last_bin_and_logits_have_no_error_of_calibration():
+    # a score of one is in the last bin; logits have no error of calibration
     reported = judge_calibration(np.array([1.0, 0.0]), np.array([True, False]))
     assert (reported.bins[0].count, reported.bins[-1].count, reported.error) == (1, 1, 0.0)
     truth, found = street(8)
@@ -249,16 +240,13 @@ def test_regions_hold_what_they_promise_of_errors_of_their_own_kind(degrees_of_f
         assert reported.nees_high == pytest.approx(3 + 1.96 * np.sqrt(6 / count), rel=1e-3)
 
 
-def test_a_student_with_many_degrees_of_freedom_is_a_gaussian():
+def test_a_student_with_many_degrees_of_freedom_is_a_gaussian_and_what_is_no_covariance_is_named():
     errors, covariances = np.random.default_rng(10).normal(0, 1, (500, 2)), np.tile(np.eye(2), (500, 1, 1))
     gaussian = judge_covariances(errors, covariances)
     student = judge_covariances(errors, covariances, degrees_of_freedom=1e7)
     assert student.coverages == gaussian.coverages
     assert gaussian.nees == pytest.approx(np.mean((errors**2).sum(axis=1)))
     assert gaussian.coverages[1].share == np.mean((errors**2).sum(axis=1) <= stats.chi2.ppf(0.9, 2))
-
-
-def test_what_is_no_covariance_is_named():
     with pytest.raises(ArrayError, match=r"covariances\[1\].*positive definite"):
         judge_covariances(np.zeros((2, 2)), np.array([np.eye(2), [[1.0, 2], [2, 1]]]))
     with pytest.raises(ArrayError, match=r"\(2, 3, 3\); expected \(2, 2, 2\)"):

@@ -26,7 +26,7 @@ def scene(*cuboids: CuboidAnnotation) -> Scene:
     return Scene((), annotations=cuboids)
 
 
-def test_cuboids_are_rows_at_every_time_that_is_asked_for():
+def test_cuboids_are_rows_at_every_time_and_scores_hold_until_the_next():
     rotated = cuboid("a", "car", 5, yaw_deg=90)
     table = scene_objects(scene(rotated, cuboid("b", None, 50)), np.arange(0, 30, 5) * SECOND)
     assert table.frames.tolist() == [0, 0, 1, 1, 2, 2]
@@ -34,9 +34,7 @@ def test_cuboids_are_rows_at_every_time_that_is_asked_for():
     np.testing.assert_allclose(table.boxes[2], [10, 0, 0, 4, 2, 1.5, np.pi / 2], atol=1e-12)
     assert table.scores is None
     assert labelled_times(scene(rotated)).tolist() == [0, 10 * SECOND]
-
-
-def test_scores_hold_until_the_next_and_are_one_where_nothing_is_stated():
+    # they are one where nothing is stated
     stated = AttributePath("existence", (0.2, 0.8), np.array([0, 5 * SECOND]))
     table = scene_objects(
         scene(cuboid("a", "car", 0, attributes=(stated,)), cuboid("b", "car", 30)), np.array([0, 4, 6]) * SECOND
@@ -134,26 +132,8 @@ def test_fused_detections_are_compared_in_the_lidars_frame_with_their_covariance
     assert reported.classes["car"][0].headings_reversed == 0.0
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "stated"),
-    [
-        ("calib", None, "calib"),
-        ("results", '{"detections": ]\n', "0000.jsonl: line 1"),
-        ("results", f"{fused_line(1, 9, 0.5)}\n" * 2, "line 2: cloud 1 comes twice"),
-    ],
-)
-def test_what_is_wrong_with_fused_detections_is_named(fused: tuple[Path, Path], name, text, stated):
+def test_what_is_wrong_with_detections_and_what_is_no_text_of_kitti_is_named(fused: tuple[Path, Path], tmp_path: Path):
     results, truth = fused
-    if name == "calib":
-        (truth / "calib" / "0000.txt").unlink()
-    else:
-        (results / "0000.jsonl").write_text(text)
-    with pytest.raises(DataError, match=stated):
-        compare_detections(*fused)
-
-
-def test_what_is_no_text_of_kitti_is_named(fused: tuple[Path, Path], tmp_path: Path):
-    truth = fused[1]
     for name, content in (("noise", b"\x8f\xff\x00 7\n"), ("numbers", b"49.01 8.4 112.8\n")):
         (tmp_path / name).mkdir()
         (tmp_path / name / "0000.txt").write_bytes(content)
@@ -163,4 +143,14 @@ def test_what_is_no_text_of_kitti_is_named(fused: tuple[Path, Path], tmp_path: P
     with pytest.raises(OptionError, match="is taken for a scene"):
         compare_detections(tmp_path / "empty", truth)
     with pytest.raises(OptionError, match="has no truth"):
-        compare_detections(truth, fused[0])
+        compare_detections(truth, results)
+    for text, stated in (
+        ('{"detections": ]\n', "0000.jsonl: line 1"),
+        (f"{fused_line(1, 9, 0.5)}\n" * 2, "line 2: cloud 1 comes twice"),
+        (f"{fused_line(1, 9, 0.5)}\n", "calib"),
+    ):
+        (results / "0000.jsonl").write_text(text)
+        if stated == "calib":
+            (truth / "calib" / "0000.txt").unlink()
+        with pytest.raises(DataError, match=stated):
+            compare_detections(*fused)

@@ -57,7 +57,7 @@ def test_boxes_of_kitti_overlap_as_their_corners_in_the_camera_do():
             assert space[i, j] == pytest.approx(room / both, abs=1e-9)
 
 
-def test_columns_of_other_shapes_are_refused():
+def test_columns_are_checked_kept_and_joined():
     frames, ids = np.zeros(2, np.int64), np.zeros(2, np.int64)
     with pytest.raises(ArrayError, match=r"objects.labels: 1; expected 2"):
         ObjectTable(frames, ids, ("car",))
@@ -65,16 +65,10 @@ def test_columns_of_other_shapes_are_refused():
         ObjectTable(frames, ids, ("car", "car"), boxes=np.zeros((2, 6)))
     with pytest.raises(ArrayError, match=r"objects.ids"):
         ObjectTable(frames, np.zeros(3, np.int64), ("car", "car"))
-
-
-def test_columns_cannot_be_changed_from_without():
     table = ObjectTable(np.zeros(1, np.int64), np.zeros(1, np.int64), ("car",), np.zeros((1, 4)))
     assert table.corners_xyxy is not None
     with pytest.raises(ValueError, match="read-only"):
         table.corners_xyxy[0, 0] = 1.0
-
-
-def test_joined_tables_keep_the_columns_that_all_have():
     one = ObjectTable(np.zeros(1, np.int64), np.zeros(1, np.int64), ("car",), np.zeros((1, 4)), scores=np.ones(1))
     other = ObjectTable(np.ones(1, np.int64), np.zeros(1, np.int64), ("bus",), np.zeros((1, 4)))
     joined = ObjectTable.joined([one, ObjectTable.empty(), other])

@@ -27,7 +27,7 @@ def clear_of(found: ObjectTable, truth: ObjectTable, label: str = "car", **how):
     return score_sequence(found, truth, label, **how).clear
 
 
-def test_two_tracks_of_one_object_are_one_switch_and_half_of_the_association():
+def test_tracks_of_one_object_gaps_and_the_order_of_rows():
     truth = table(track("Car", 0, 0))
     found = table(track("Car", 1, 0, range(5)) + track("Car", 2, 0, range(5, 10)))
     reported = score_sequence(found, truth, "car")
@@ -37,9 +37,7 @@ def test_two_tracks_of_one_object_are_one_switch_and_half_of_the_association():
     assert reported.hota.hota == pytest.approx(np.sqrt(0.5))
     assert (reported.hota.assre, reported.hota.asspr) == (0.5, 1.0)
     assert reported.identity.idf1 == 0.5
-
-
-def test_a_gap_is_a_fragment_and_no_switch():
+    # a gap is a fragment and no switch
     gap = track("Car", 7, 0, [0, 1, 2, 6, 7, 8, 9])
     truth = table(track("Car", 0, 0) + track("Car", 1, 500))
     reported = clear_of(table(gap + track("Car", 8, 500)), truth)
@@ -47,27 +45,32 @@ def test_a_gap_is_a_fragment_and_no_switch():
     assert (reported.mt, reported.pt, reported.ml) == (1, 1, 0)
     # frames in which nothing is found at all end no track, as in TrackEval, whose memory of the frame before stays
     assert clear_of(table(gap), table(track("Car", 0, 0))).frag == 0
+    # the order of rows says nothing
+    rng = np.random.default_rng(1)
+    truth = table(track("Car", 0, 0) + track("Car", 1, 60) + track("Car", 2, 130))
+    found = table(track("Car", 5, 10) + track("Car", 6, 75, range(6)) + track("Car", 7, 75, range(6, 10)))
+    shuffled = [side.select(rng.permutation(len(side))) for side in (found, truth)]
+    assert score_sequence(*shuffled, "car") == score_sequence(found, truth, "car")
 
 
-@pytest.mark.parametrize(
-    ("columns", "label"),
-    [({"occlusions": [3] * 10}, "Car"), ({"truncations": [1] * 10}, "Car"), ({}, "Van"), ({}, "van")],
-)
-def test_what_is_found_of_hidden_cut_and_similar_objects_neither_counts_nor_is_false(columns, label):
-    truth, found = table(track(label, 0, 0), **columns), table(track("Car", 1, 0))
-    reported = clear_of(found, truth)
-    assert (reported.tp, reported.fn, reported.fp) == (0, 0, 0)
-
-
-def test_small_boxes_and_boxes_in_regions_are_not_false_where_no_object_is():
+def test_what_neither_counts_nor_is_false():
+    # hidden, cut and similar objects
+    for columns, label in (
+        ({"occlusions": [3] * 10}, "Car"),
+        ({"truncations": [1] * 10}, "Car"),
+        ({}, "Van"),
+        ({}, "van"),
+    ):
+        truth, found = table(track(label, 0, 0), **columns), table(track("Car", 1, 0))
+        reported = clear_of(found, truth)
+        assert (reported.tp, reported.fn, reported.fp) == (0, 0, 0)
+    # small boxes, and boxes in regions, where no object is
     truth = table([(0, 0, "Car", 900), (0, -1, "DontCare", 0)])
     corners = np.array([[0, 0, 90, 80], [60, 0, 160, 80], [500, 0, 540, 25], [500, 100, 540, 126]], float)
     found = table([(0, k, "Car", 0) for k in range(4)], corners_xyxy=corners)
     # in the region with all of it; with 40 %; 25 pixels high; 26 pixels high
     assert clear_of(found, truth).fp == 2
-
-
-def test_other_classes_are_neither_found_nor_false_and_names_do_not_depend_on_capitals():
+    # other classes; names do not depend on capitals
     truth = table(track("Car", 0, 0) + track("Cyclist", 1, 300))
     found = table(track("Car", 5, 0) + track("Pedestrian", 6, 600))
     reported = clear_of(found, truth)
@@ -78,14 +81,6 @@ def test_other_classes_are_neither_found_nor_false_and_names_do_not_depend_on_ca
     assert clear_of(both, both).tp == 1
 
 
-def test_the_order_of_rows_says_nothing():
-    rng = np.random.default_rng(1)
-    truth = table(track("Car", 0, 0) + track("Car", 1, 60) + track("Car", 2, 130))
-    found = table(track("Car", 5, 10) + track("Car", 6, 75, range(6)) + track("Car", 7, 75, range(6, 10)))
-    shuffled = [side.select(rng.permutation(len(side))) for side in (found, truth)]
-    assert score_sequence(*shuffled, "car") == score_sequence(found, truth, "car")
-
-
 def in_space(rows) -> ObjectTable:
     """Rows of frame, id and x of boxes of 4 x 2 x 1.5 m."""
     frames, ids, locations = (np.array(column) for column in zip(*rows, strict=True))
@@ -94,16 +89,13 @@ def in_space(rows) -> ObjectTable:
     return ObjectTable(frames, ids, ("Car",) * len(rows), boxes=boxes)
 
 
-def test_tracks_in_space_need_no_images():
+def test_tracks_in_space_need_no_images_and_distances_fall_to_nothing_at_four_metres():
     truth = in_space([(f, 0, 10.0 + f) for f in range(10)])
     found = in_space([(f, 3, 11.0 + f) for f in range(10)])
     reported = score_sequence(found, truth, "car", rules=IN_SPACE)
     # a metre off: 3 m of 5 m in common
     assert reported.clear.motp == pytest.approx(0.6)
     assert reported.hota.curves["tp"][10:13] == (10, 10, 0)
-
-
-def test_distances_of_middles_fall_to_nothing_at_four_metres():
     truth = in_space([(0, 0, 0.0), (1, 0, 0.0), (2, 0, 0.0)])
     found = in_space([(0, 1, 1.0), (1, 1, 2.0), (2, 1, 2.1)])
     reported = score_sequence(found, truth, "car", rules=TrackingRules(similarity=Similarity.DISTANCE))
@@ -111,17 +103,14 @@ def test_distances_of_middles_fall_to_nothing_at_four_metres():
     assert reported.clear.motp == pytest.approx((0.75 + 0.5) / 2)
 
 
-@pytest.mark.parametrize("side", ["results", "truth"])
-def test_an_id_that_comes_twice_in_a_frame_is_named(side):
-    good, bad = table(track("Car", 0, 0)), table([(0, 0, "Car", 0), (4, 9, "Car", 0), (4, 9, "Car", 200)])
-    sides = (bad, good) if side == "results" else (good, bad)
-    with pytest.raises(ArrayError, match=f"{side}: frame 4: two boxes of Car with id 9"):
-        score_sequence(*sides, "car")
-    with pytest.raises(ArrayError, match=f"sequence 0007: {side}: frame 4"):
-        evaluate_tracking({"0007": sides[0]}, {"0007": sides[1]}, classes=("car",))
-
-
-def test_numbers_that_are_none_frames_beyond_the_sequence_and_boxes_that_are_not_there_are_named():
+def test_what_is_wrong_is_named():
+    for side in ("results", "truth"):
+        good, bad = table(track("Car", 0, 0)), table([(0, 0, "Car", 0), (4, 9, "Car", 0), (4, 9, "Car", 200)])
+        sides = (bad, good) if side == "results" else (good, bad)
+        with pytest.raises(ArrayError, match=f"{side}: frame 4: two boxes of Car with id 9"):
+            score_sequence(*sides, "car")
+        with pytest.raises(ArrayError, match=f"sequence 0007: {side}: frame 4"):
+            evaluate_tracking({"0007": sides[0]}, {"0007": sides[1]}, classes=("car",))
     truth, found = table(track("Car", 0, 0)), table([(12, 1, "Car", 0)])
     with pytest.raises(ArrayError, match=r"corners_xyxy\[1\] \(frame 3\).*nan.*expected finite"):
         table([(0, 1, "Car", 0.0), (3, 1, "Car", float("nan"))])
@@ -131,9 +120,6 @@ def test_numbers_that_are_none_frames_beyond_the_sequence_and_boxes_that_are_not
         table([(-1, 1, "Car", 0)])
     with pytest.raises(OptionError, match="similarity '3d': the truth without boxes"):
         score_sequence(truth, truth, "car", rules=IN_SPACE)
-
-
-def test_different_sequences_on_both_sides_are_named():
     one = table(track("Car", 0, 0))
     with pytest.raises(OptionError, match="results without the sequences 0001"):
         evaluate_tracking({"0000": one}, {"0000": one, "0001": one})
@@ -143,16 +129,14 @@ def test_different_sequences_on_both_sides_are_named():
         evaluate_tracking({}, {})
 
 
-@pytest.mark.parametrize("empty", ["results", "truth", "both"])
-def test_nothing_on_a_side_has_defined_figures(empty):
-    nothing, one = ObjectTable.empty(), table(track("Car", 0, 0))
-    found, truth = (nothing if empty in (side, "both") else one for side in ("results", "truth"))
-    reported = score_sequence(found, truth, "car")
-    assert (reported.hota.hota, reported.clear.mota, reported.identity.idf1, reported.hota.loca) == (0.0, 0.0, 0.0, 1.0)
-    assert (reported.clear.fn, reported.clear.fp) == (10 * (empty == "results"), 10 * (empty == "truth"))
-
-
-def test_several_sequences_are_weighted_by_their_boxes():
+def test_nothing_on_a_side_has_defined_figures_and_sequences_are_weighted_by_their_boxes():
+    for empty in ("results", "truth", "both"):
+        nothing, one = ObjectTable.empty(), table(track("Car", 0, 0))
+        found, truth = (nothing if empty in (side, "both") else one for side in ("results", "truth"))
+        reported = score_sequence(found, truth, "car")
+        figures = reported.hota.hota, reported.clear.mota, reported.identity.idf1, reported.hota.loca
+        assert figures == (0.0, 0.0, 0.0, 1.0)
+        assert (reported.clear.fn, reported.clear.fp) == (10 * (empty == "results"), 10 * (empty == "truth"))
     good, bad, nothing = table(track("Car", 0, 0)), table(track("Car", 0, 500, range(2))), ObjectTable.empty()
     reported = evaluate_tracking({"a": good, "b": bad}, {"a": good, "b": good}, classes=("car",))["car"].combined
     assert (reported.clear.tp, reported.clear.fn, reported.clear.fp) == (10, 10, 2)

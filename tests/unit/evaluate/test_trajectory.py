@@ -24,9 +24,8 @@ def along_x(milliseconds: Sequence[int], name: str = "trajectory") -> Trajectory
     return Trajectory(name, timestamps, np.outer(timestamps / 1e9, [1.0, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize(
-    ("estimate", "reference", "options", "pairs", "along"),
-    [
+def test_each_pose_has_at_most_one_partner_or_one_between_two() -> None:
+    for estimate, reference, options, pairs, along in (
         # 98, 100 and 103 all want 100, 301 wants 300; of three the nearest gets it
         ([98, 100, 103, 301, 500], [0, 100, 200, 300], {"how": "nearest"}, [100, 301], [0.1, 0.3]),
         ([-5, 30, 90, 400, 405], [0, 100, 400], {"how": "interpolate"}, [30, 90, 400], [0.03, 0.09, 0.4]),
@@ -38,15 +37,11 @@ def along_x(milliseconds: Sequence[int], name: str = "trajectory") -> Trajectory
             [0, 100, 200, 800, 900, 1000],
             [0.0, 0.1, 0.2, 0.8, 0.9, 1.0],
         ),
-    ],
-)
-def test_each_pose_has_at_most_one_partner_or_one_between_two(estimate, reference, options, pairs, along) -> None:
-    found = associate_poses(along_x(estimate), along_x(reference), **options)
-    assert (found.timestamps_ns // 1_000_000).tolist() == pairs
-    np.testing.assert_allclose(found.reference.positions[:, 0], along, rtol=1e-12)
-
-
-def test_rotates_between_poses_are_even() -> None:
+    ):
+        found = associate_poses(along_x(estimate), along_x(reference), **options)
+        assert (found.timestamps_ns // 1_000_000).tolist() == pairs
+        np.testing.assert_allclose(found.reference.positions[:, 0], along, rtol=1e-12)
+    # rotations between poses are even
     half = np.sqrt(0.5)
     reference = Trajectory(
         "true", np.array([0, 100_000_000], np.int64), np.zeros((2, 3)), np.array([[0, 0, 0, 1.0], [0, 0, half, half]])
@@ -58,7 +53,8 @@ def test_rotates_between_poses_are_even() -> None:
     np.testing.assert_allclose(pairs.reference.quaternions_xyzw, [[0, 0, np.sin(eighth), np.cos(eighth)]])
 
 
-def test_without_overlap_both_spans_and_an_offset_are_reported_which_is_added_to_the_nanosecond() -> None:
+def test_without_partners_spans_offset_and_nearest_distance_are_reported() -> None:
+    # the offset that is reported is added to the nanosecond
     late = Trajectory("late", np.array([1403636580838555648], np.int64), np.zeros((1, 3)))
     with pytest.raises(PoseError) as caught:
         evaluate_trajectory(along_x([500, 900], "mine"), late, align="none")
@@ -68,36 +64,27 @@ def test_without_overlap_both_spans_and_an_offset_are_reported_which_is_added_to
     assert "--offset 1403636580.338555648" in message
     report = evaluate_trajectory(along_x([500]), late, align="none", offset_ns=1403636580338555648, tolerance=0.0)
     assert (report.pairs, report.start_ns) == (1, 1403636580838555648)
-
-
-def test_too_small_a_tolerance_is_reported_with_the_nearest_distance() -> None:
     with pytest.raises(PoseError, match=r"within 0\.01 s; the nearest one is 0\.05 s away"):
         evaluate_trajectory(along_x([50, 150]), along_x([0, 100, 200]), align="none", associate="nearest")
 
 
-def test_a_part_counts_from_the_first_pose_of_the_reference() -> None:
-    trajectory, reference = along_x(list(range(1000, 3000, 100))), along_x(list(range(1000, 3000, 50)))
-    report = evaluate_trajectory(trajectory, reference, align="none", start=0.5, stop=1.0)
-    assert (report.start_ns, report.stop_ns) == (1_500_000_000, 1_900_000_000)
-    assert report.pairs == report.estimate_poses == 5
-    with pytest.raises(PoseError, match="no pose from 101 to"):
-        evaluate_trajectory(trajectory, reference, align="none", start=100)
-
-
-@pytest.mark.parametrize(
-    ("estimate", "share"),
-    [
+def test_the_time_covered_leaves_out_gaps_and_a_part_counts_from_the_references_first_pose() -> None:
+    for estimate, share in (
         ([0, 1000, 2000, 3000, 4000], 1.0),
         ([-500, 5000], 1.0),
         ([0, 900, 1800], 0.45),
         ([2000, 2900, 3800, 5000], 0.5),
         ([0, 100, 200, 300, 3700, 3800, 3900, 4000], 0.15),
         ([2000], 0.0),
-    ],
-)
-def test_the_time_covered_leaves_out_gaps(estimate: list[int], share: float) -> None:
-    timestamps = [np.array(times, np.int64) * 1_000_000 for times in (estimate, [0, 2000, 4000])]
-    assert covered_share(*timestamps) == pytest.approx(share, abs=1e-12)
+    ):
+        timestamps = [np.array(times, np.int64) * 1_000_000 for times in (estimate, [0, 2000, 4000])]
+        assert covered_share(*timestamps) == pytest.approx(share, abs=1e-12)
+    trajectory, reference = along_x(list(range(1000, 3000, 100))), along_x(list(range(1000, 3000, 50)))
+    report = evaluate_trajectory(trajectory, reference, align="none", start=0.5, stop=1.0)
+    assert (report.start_ns, report.stop_ns) == (1_500_000_000, 1_900_000_000)
+    assert report.pairs == report.estimate_poses == 5
+    with pytest.raises(PoseError, match="no pose from 101 to"):
+        evaluate_trajectory(trajectory, reference, align="none", start=100)
 
 
 HALF_KNOWN = [[0, 0, 0], [0, np.nan, 0.0]]
@@ -193,7 +180,7 @@ def test_the_rotation_of_se3_is_that_of_scipy_also_of_the_first_poses_alone(curv
     assert report.absolute.translation.rms > evaluate_trajectory(*curve).absolute.translation.rms
 
 
-def test_the_heading_of_yaw_is_the_best_of_all(curve: Curve) -> None:
+def test_the_heading_of_yaw_is_the_best_of_all_and_origin_lays_the_first_pose_onto_the_first(curve: Curve) -> None:
     pairs = pairs_of(curve)
     ours, theirs = centred(pairs)
 
@@ -204,9 +191,6 @@ def test_the_heading_of_yaw_is_the_best_of_all(curve: Curve) -> None:
     # a minimum is found to the root of the rounding of its value
     expected = Rotation.from_euler("z", best.x).as_matrix()
     np.testing.assert_allclose(align_pairs(pairs, "yaw").rotation, expected, atol=1e-6)
-
-
-def test_origin_lays_the_first_pose_onto_the_first(curve: Curve) -> None:
     pairs = pairs_of(curve)
     aligned = align_pairs(pairs, "origin").apply(pairs.estimate)
     np.testing.assert_allclose(aligned.positions[0], pairs.reference.positions[0], atol=1e-12)
@@ -239,31 +223,30 @@ def test_on_a_straight_line_the_orientations_report_the_roll(kind: str) -> None:
     assert [warning.code for warning in report.warnings if "straight" in warning.message] == ["doubtful-alignment"]
 
 
-@pytest.mark.parametrize("kind", ["se3", "yaw", "origin"])
-def test_of_what_stands_the_orientations_report_the_rotation(kind: str) -> None:
-    found, true = straight(20, 0.0)
-    if kind == "yaw":
-        rotation = Rotation.from_euler("z", 0.5)
-        rotations = (rotation * Rotation.from_quat(true.quaternions_xyzw)).as_quat()
-        found = Trajectory("found", true.timestamps_ns, true.positions + 1, rotations)
-    report = evaluate_trajectory(found, true, align=kind, rpe_deltas=("1s", "5m"))
-    assert report.absolute.translation.max < 1e-9
-    assert report.absolute.rotation_deg is not None
-    assert report.absolute.rotation_deg.max < 1e-5
-    assert report.relative[0].translation_percent is None
-    assert report.kitti is None
-
-
-@pytest.mark.parametrize(("count", "kind", "advice"), [(2, "se3", "yaw"), (2, "sim3", "yaw"), (1, "yaw", "origin")])
-def test_too_few_pairs_are_refused_with_an_alignment_that_serves(count: int, kind: str, advice: str) -> None:
-    names = ("timestamps_ns", "positions", "quaternions_xyzw")
-    cut = [Trajectory(one.name, *(getattr(one, name)[:count] for name in names)) for one in straight(3, 30.0)]
-    with pytest.raises(PoseError, match=f"{count} pairs of poses; alignment '{kind}' needs .*--align {advice}"):
-        evaluate_trajectory(*cut, align=kind)
-    assert evaluate_trajectory(*cut, align=advice).pairs == count
-    # what stands has no scale
-    with pytest.raises(PoseError, match="is stationary, so that it has no scale"):
-        evaluate_trajectory(*straight(20, 0.0), align="sim3")
+def test_standing_still_and_too_few_pairs() -> None:
+    # of what stands the orientations report the rotation
+    for kind in ("se3", "yaw", "origin"):
+        found, true = straight(20, 0.0)
+        if kind == "yaw":
+            rotation = Rotation.from_euler("z", 0.5)
+            rotations = (rotation * Rotation.from_quat(true.quaternions_xyzw)).as_quat()
+            found = Trajectory("found", true.timestamps_ns, true.positions + 1, rotations)
+        report = evaluate_trajectory(found, true, align=kind, rpe_deltas=("1s", "5m"))
+        assert report.absolute.translation.max < 1e-9
+        assert report.absolute.rotation_deg is not None
+        assert report.absolute.rotation_deg.max < 1e-5
+        assert report.relative[0].translation_percent is None
+        assert report.kitti is None
+    # too few pairs are refused with an alignment that serves
+    for count, kind, advice in ((2, "se3", "yaw"), (2, "sim3", "yaw"), (1, "yaw", "origin")):
+        names = ("timestamps_ns", "positions", "quaternions_xyzw")
+        cut = [Trajectory(one.name, *(getattr(one, name)[:count] for name in names)) for one in straight(3, 30.0)]
+        with pytest.raises(PoseError, match=f"{count} pairs of poses; alignment '{kind}' needs .*--align {advice}"):
+            evaluate_trajectory(*cut, align=kind)
+        assert evaluate_trajectory(*cut, align=advice).pairs == count
+        # what stands has no scale
+        with pytest.raises(PoseError, match="is stationary, so that it has no scale"):
+            evaluate_trajectory(*straight(20, 0.0), align="sim3")
 
 
 def matrices(trajectory: Trajectory) -> np.ndarray:
@@ -361,7 +344,7 @@ def test_a_gap_is_no_step_of_time() -> None:
     assert "1s, 1000m" in report.warnings[-1].message
 
 
-def test_positions_alone_are_compared_in_the_aligned_world(curve: Curve) -> None:
+def test_positions_alone_are_compared_in_the_aligned_world_and_axes_of_a_camera_noticed(curve: Curve) -> None:
     found, true = (Trajectory(trajectory.name, trajectory.timestamps_ns, trajectory.positions) for trajectory in curve)
     report = evaluate_trajectory(found, true, align="sim3", rpe_deltas=("10f",))
     full = evaluate_trajectory(*curve, align="sim3", rpe_deltas=("10f",))
@@ -374,9 +357,7 @@ def test_positions_alone_are_compared_in_the_aligned_world(curve: Curve) -> None
     differences = np.linalg.norm(rotated[10:] - rotated[:-10] - true.positions[10:] + true.positions[:-10], axis=1)
     assert report.relative[0].translation.mean == pytest.approx(differences.mean(), rel=1e-9)
     assert "no-orientations" in [warning.code for warning in report.warnings]
-
-
-def test_axes_of_a_camera_are_noticed(curve: Curve) -> None:
+    # axes of a camera
     found, true = curve
     optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     rotated = (Rotation.from_quat(found.quaternions_xyzw) * optical).as_quat()

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.pipeline.redacting import (
@@ -14,18 +15,6 @@ from sceneloom.pipeline.redacting import (
     hidden_regions,
     hide_in_images,
     read_image_boxes,
-)
-from sceneloom.scene import (
-    Box2DAnnotation,
-    CameraImage,
-    CameraSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    Scene,
-    ShapeAnnotation,
-    VertexPath,
 )
 from sceneloom.scene.annotations import BoxPath, ShapeType
 
@@ -38,9 +27,9 @@ EARLY = 1_700_000_000_000_000_000
 def scene_with(annotations=(), *, count=6, sensors=(), **fields):
     rng = np.random.default_rng(3)
     times = [EARLY + k * PERIOD_NS for k in range(count)]
-    images = [CameraImage.of(t, CAMERA, rng.integers(0, 256, (48, 64, 3), np.uint8)) for t in times]
-    camera = CameraSensor("front", CAMERA, LazyFrames.of(images, times))
-    return Scene((camera, *sensors), tuple(annotations), **fields)
+    images = [sc.CameraImage.of(t, CAMERA, rng.integers(0, 256, (48, 64, 3), np.uint8)) for t in times]
+    camera = sc.CameraSensor("front", CAMERA, sc.LazyFrames.of(images, times))
+    return sc.Scene((camera, *sensors), tuple(annotations), **fields)
 
 
 def hidings_of(scene, **how):
@@ -48,7 +37,8 @@ def hidings_of(scene, **how):
     return {int(k): hiding.boxes[hiding.images == k].tolist() for k in np.unique(hiding.images)}, hiding
 
 
-def test_a_pixelated_box_has_sixteen_colours_at_most_and_each_is_the_mean_of_its_cell():
+def test_what_is_left_of_hidden_boxes():
+    # pixelated: sixteen colours at most, each the mean of its cell
     image = np.random.default_rng(0).integers(0, 256, (40, 40, 3), np.uint8)
     hidden = filled(image, np.array([[4, 6, 36, 38]]), fill="pixelate")
     inside = hidden[6:38, 4:36]
@@ -57,32 +47,25 @@ def test_a_pixelated_box_has_sixteen_colours_at_most_and_each_is_the_mean_of_its
     outside = np.ones((40, 40), bool)
     outside[6:38, 4:36] = False
     assert np.array_equal(hidden[outside], image[outside])
-
-
-@pytest.mark.parametrize("fill", ["blur", "pixelate", "black"])
-def test_nothing_reports_two_images_with_equal_means_apart_once_they_are_hidden(fill):
-    image = np.random.default_rng(1).integers(0, 256, (32, 32, 3), np.uint8)
-    other = image.reshape(4, 8, 4, 8, 3)[:, ::-1, :, ::-1].reshape(32, 32, 3)
-    whole = np.array([[0, 0, 32, 32]])
-    assert not np.array_equal(image, other)
-    assert np.array_equal(filled(image, whole, fill=fill), filled(other, whole, fill=fill))
-
-
-def test_a_blurred_box_changes_smoothly_between_the_means_of_its_cells():
+    # two images with equal means are alike once they are hidden
+    for fill in ("blur", "pixelate", "black"):
+        image = np.random.default_rng(1).integers(0, 256, (32, 32, 3), np.uint8)
+        other = image.reshape(4, 8, 4, 8, 3)[:, ::-1, :, ::-1].reshape(32, 32, 3)
+        whole = np.array([[0, 0, 32, 32]])
+        assert not np.array_equal(image, other)
+        assert np.array_equal(filled(image, whole, fill=fill), filled(other, whole, fill=fill))
+    # blurred: smooth between the means of cells
     ramp = np.repeat(np.arange(0, 128, 4, dtype=np.uint8)[None], 32, axis=0)
     hidden = filled(ramp, np.array([[0, 0, 32, 32]])).astype(int)
     assert np.abs(np.diff(hidden[16])).max() <= 5
     np.testing.assert_allclose(hidden[:, 3:29], ramp[:, 3:29], atol=3)  # a ramp's means lie on it
-
-
-def test_a_box_of_one_pixel_and_an_unknown_fill():
     image = np.full((4, 4, 3), 9, np.uint8)
     assert filled(image, np.array([[1, 1, 2, 2]]), fill="black")[1, 1].tolist() == [0, 0, 0]
     with pytest.raises(OptionError, match="expected one of blur, pixelate, black"):
         filled(image, np.array([[0, 0, 1, 1]]), fill="smear")
 
 
-def test_boxes_of_one_track_are_joined_by_straight_lines_in_time_and_others_are_not():
+def test_tracks_are_joined_by_straight_lines_in_time_and_held_and_boxes_without_image_counted():
     boxes = (
         ImageBox((0, 0, 10, 10), number=1, track="a"),
         ImageBox((30, 6, 40, 16), timestamp_ns=EARLY + 4 * PERIOD_NS, track="a"),
@@ -92,16 +75,11 @@ def test_boxes_of_one_track_are_joined_by_straight_lines_in_time_and_others_are_
     rows = [[0, 0, 10, 10], [10, 2, 20, 12], [20, 4, 30, 14], [30, 6, 40, 16], [1, 2, 3, 4]]
     assert found == {number: [row] for number, row in enumerate(rows, 1)}
     assert (hiding.given, hiding.unmatched) == (3, 0)
-
-
-def test_a_track_that_is_held_is_hidden_before_and_after_and_both_boxes_where_it_is_in_an_image_twice():
+    # held before and after; in an image twice, both are hidden
     boxes = (ImageBox((0, 0, 9, 9), number=2, track="a"), ImageBox((0, 0, 9, 9), number=3, track="a"))
     assert sorted(hidings_of(scene_with(), boxes=boxes, hold=0.1)[0]) == [1, 2, 3, 4]
     boxes = (ImageBox((0, 0, 9, 9), number=2, track="a"), ImageBox((20, 0, 29, 9), number=2, track="a"))
     assert sorted(hidings_of(scene_with(), boxes=boxes)[0][2]) == [[0, 0, 9, 9], [20, 0, 29, 9]]
-
-
-def test_boxes_of_images_that_are_not_there_are_counted():
     boxes = (
         ImageBox((0, 0, 9, 9), number=6),
         ImageBox((0, 0, 9, 9), timestamp_ns=EARLY + 560_000_000),
@@ -113,16 +91,16 @@ def test_boxes_of_images_that_are_not_there_are_counted():
         find_hidings(scene_with(), boxes=(ImageBox((0, 0, 9, 9), camera="rear", number=0),))
 
 
-def test_annotations_are_hidden_by_their_labels_while_they_last():
+def test_annotations_are_hidden_by_their_labels_while_they_last_in_any_order_of_times():
     path = BoxPath(
         np.array([EARLY + PERIOD_NS - 3_000, EARLY + 3 * PERIOD_NS - 3_000]),
         np.array([[0.0, 0.0, 8.0, 8.0], [20.0, 0.0, 8.0, 8.0]]),
     )
-    outline = VertexPath(np.array([EARLY]), (np.array([[5.0, 6.0], [9.0, 2.0], [7.0, 9.0]]),))
+    outline = sc.VertexPath(np.array([EARLY]), (np.array([[5.0, 6.0], [9.0, 2.0], [7.0, 9.0]]),))
     annotations = (
-        Box2DAnnotation("f", "front", path, label="face"),
-        ShapeAnnotation("p", ShapeType.POLYGON_2D, outline, "front", label="plate"),
-        Box2DAnnotation("c", "front", path, label="car"),
+        sc.Box2DAnnotation("f", "front", path, label="face"),
+        sc.ShapeAnnotation("p", ShapeType.POLYGON_2D, outline, "front", label="plate"),
+        sc.Box2DAnnotation("c", "front", path, label="car"),
     )
     found, hiding = hidings_of(scene_with(annotations), labels=("face", "plate"))
     assert (sorted(found), hiding.given) == ([0, 1, 2, 3], 3)
@@ -130,17 +108,14 @@ def test_annotations_are_hidden_by_their_labels_while_they_last():
     np.testing.assert_allclose(found[2], [[10.0, 0.0, 18.0, 8.0]], atol=1e-3)  # 3 µs of 0.2 s
     with pytest.raises(OptionError, match="no box or outline in an image with label 'nose'; there are car"):
         find_hidings(scene_with(annotations), labels=("nose",))
-
-
-def test_boxes_whose_times_are_stored_in_any_order_are_hidden_all_the_while():
     rows = [3, 0, 2, 1]
     times = EARLY + np.array(rows) * PERIOD_NS
     path = BoxPath(times, np.array([[2.0 * k, 1.0, 8.0, 8.0] for k in rows]))
-    found, _ = hidings_of(scene_with((Box2DAnnotation("f", "front", path, label="face"),)), labels=("face",))
+    found, _ = hidings_of(scene_with((sc.Box2DAnnotation("f", "front", path, label="face"),)), labels=("face",))
     assert {k: boxes[0][0] for k, boxes in found.items()} == {0: 0.0, 1: 2.0, 2: 4.0, 3: 6.0}
     # what is stationary in an image is hidden in all of them
     first = BoxPath(np.array([EARLY]), np.array([[1.0, 1.0, 8.0, 8.0]]))
-    bonnet = Box2DAnnotation("b", "front", first, label="bonnet", stationary=True)
+    bonnet = sc.Box2DAnnotation("b", "front", first, label="bonnet", stationary=True)
     assert sorted(hidings_of(scene_with((bonnet,)), labels=("bonnet",))[0]) == list(range(6))
 
 
@@ -171,8 +146,8 @@ def test_images_of_a_scene_are_hidden_when_they_are_decoded_and_the_others_stay(
 
 
 def test_copies_of_images_in_free_fields_go_and_colours_of_points_are_reported_or_dropped():
-    points = LidarPoints(np.zeros((2, 3), np.float32), colors=np.full((2, 3), 7, np.uint8))
-    lidar = LidarSensor("lidar", LazyFrames.of([LidarFrame(EARLY, points)], [EARLY]))
+    points = sc.LidarPoints(np.zeros((2, 3), np.float32), colors=np.full((2, 3), 7, np.uint8))
+    lidar = sc.LidarSensor("lidar", sc.LazyFrames.of([sc.LidarFrame(EARLY, points)], [EARLY]))
     thumbnail = np.frombuffer(b"\xff\xd8\xff" + bytes(200), np.uint8)
     metadata = {"a": {"thumbnail": thumbnail, "b": [1, "data:image/png;base64," + "A" * 60]}, "name": "drive"}
     scene = scene_with(sensors=(lidar,), metadata=metadata)
@@ -193,19 +168,21 @@ def read(tmp_path, text, name="boxes.csv"):
     return read_image_boxes(path)
 
 
-def test_csv_rows_name_images_by_number_or_by_time(tmp_path):
+def test_csv_and_json_lists_of_boxes(tmp_path):
     text = "camera,frame,time,x1,y1,x2,y2,id,class\nfront,3,,1,2,30.5,40,a,face\n1,,1700000000.000000001,0,0,1,1,,\n"
     assert read(tmp_path, text) == (
         ImageBox((1.0, 2.0, 30.5, 40.0), "front", 3, None, "a", "face"),
         ImageBox((0.0, 0.0, 1.0, 1.0), "1", None, 1_700_000_000_000_000_001),
     )
-
-
-def test_csv_with_widths_and_json_lists_state_the_same(tmp_path):
     box = ImageBox((1.0, 2.0, 4.0, 6.0), None, None, 12)
     row = {"timestamp_ns": 12, "box": [1, 2, 4, 6]}
     assert read(tmp_path, "timestamp_ns,left,top,width,height\n12,1,2,3,4\n") == (box,)
     assert read(tmp_path, json.dumps([row])) == read(tmp_path, json.dumps({"boxes": [row]})) == (box,)
+    with pytest.raises(DataError, match="no such file"):
+        read_image_boxes(tmp_path / "none.csv")
+    (tmp_path / "x.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(DataError, match="is no UTF-8"):
+        read_image_boxes(tmp_path / "x.csv")
 
 
 @pytest.mark.parametrize(
@@ -233,11 +210,3 @@ def test_csv_with_widths_and_json_lists_state_the_same(tmp_path):
 def test_what_is_wrong_is_reported_with_its_line(tmp_path, text, problem):
     with pytest.raises(DataError, match=problem):
         read(tmp_path, text)
-
-
-def test_a_file_that_is_not_there_and_one_that_is_no_text(tmp_path):
-    with pytest.raises(DataError, match="no such file"):
-        read_image_boxes(tmp_path / "none.csv")
-    (tmp_path / "x.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DataError, match="is no UTF-8"):
-        read_image_boxes(tmp_path / "x.csv")

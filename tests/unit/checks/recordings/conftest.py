@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from sceneloom.checks import validate
+from sceneloom.warnings import Finding
 
 Line = dict[str, Any]
 SPAN = 12.0
-LAYOUT = "RoboSense M1 XYZIRT"
 
 
 class SoundLines:
@@ -64,21 +64,22 @@ class SoundLines:
             line["sensor"] = {**line["sensor"], "values": [v * factor for v in line["sensor"]["values"]]}
         return self
 
+    def copy(self) -> "SoundLines":
+        return pickle.loads(pickle.dumps(self))  # type: ignore[no-any-return]
+
     def lines(self) -> list[Line]:
         every = [line for stream in self.streams.values() for line in stream]
         return sorted(every, key=lambda line: line["time"])
 
 
 @pytest.fixture(scope="session")
-def sound_lines() -> bytes:
-    return pickle.dumps(SoundLines())
+def sound_lines() -> SoundLines:
+    return SoundLines()
 
 
 @pytest.fixture
-def drive(sound_lines: bytes) -> SoundLines:
-    made = pickle.loads(sound_lines)
-    assert isinstance(made, SoundLines)
-    return made
+def drive(sound_lines: SoundLines) -> SoundLines:
+    return sound_lines.copy()
 
 
 Write = Callable[..., Path]
@@ -98,24 +99,34 @@ def written(tmp_path: Path) -> Write:
     return write
 
 
-Reported = Callable[[SoundLines, str], list[tuple[str, str]]]
+class Check:
+    """Compare what rules find in a drive with what is expected; `findings` are of these rules alone."""
+
+    def __init__(self, written: Write) -> None:
+        self._written = written
+
+    def findings(self, drive: SoundLines | Iterable[Line | str], rules: str) -> tuple[Finding, ...]:
+        return validate(self._written(drive), rules=rules.split()).findings
+
+    def __call__(self, drive: SoundLines | Iterable[Line | str], rules: str, *expected: Any) -> tuple[Finding, ...]:
+        """`expected`: rule, line or stream (None: wherever), part of the message, and count where that is given."""
+        found = self.findings(drive, " ".join({*rules.split(), *(rule for rule, *_ in expected)}))
+        assert [finding.rule for finding in found] == [rule for rule, *_ in expected]
+        folder = self._written(drive)
+        for finding, (_, where, words, *count) in zip(found, expected, strict=True):
+            location = line_of(folder, where) if isinstance(where, dict) else f"data.jsonl: {where}"
+            assert where is None or finding.path == location
+            assert words in finding.message
+            assert count in ([], [finding.count])
+        return found
 
 
 @pytest.fixture
-def reported(written: Write) -> Reported:
-    def run(drive: SoundLines, rule: str) -> list[tuple[str, str]]:
-        report = validate(written(drive), rules=[rule])
-        return [(finding.path, finding.message) for finding in report.findings]
-
-    return run
+def check(written: Write) -> Check:
+    return Check(written)
 
 
-@pytest.fixture
-def line_of(written: Write) -> Callable[[Path, Line], str]:
+def line_of(folder: Path, line: Line) -> str:
     """The location of a line, by counting."""
-
-    def find(folder: Path, line: Line) -> str:
-        texts = (folder / "data.jsonl").read_text().splitlines()
-        return f"data.jsonl: line {texts.index(json.dumps(line)) + 1}"
-
-    return find
+    texts = (folder / "data.jsonl").read_text().splitlines()
+    return f"data.jsonl: line {texts.index(json.dumps(line)) + 1}"

@@ -14,16 +14,8 @@ from sceneloom.formats.base.diagnostics import MOST_LOCATIONS
 
 READER = Path(sceneloom.__file__).parent / "formats" / "recording"
 ROWS = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-CAMERA_MODEL = {
-    "model": "pinhole",
-    "focalLengthX": 9.0,
-    "focalLengthY": 9.0,
-    "principalPointX": 3.5,
-    "principalPointY": 3.5,
-    "imageWidth": 8,
-    "imageHeight": 8,
-    "imuToCamera": ROWS,
-}
+CAMERA_MODEL = {"model": "pinhole", "imuToCamera": ROWS, "imageWidth": 8, "imageHeight": 8}
+CAMERA_MODEL |= {"focalLengthX": 9.0, "focalLengthY": 9.0, "principalPointX": 3.5, "principalPointY": 3.5}
 POSE = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
 SOUND = [
     {"groundTruth": POSE, "time": 0.0},
@@ -123,7 +115,7 @@ def test_a_lidar_file_is_distinguished_from_the_folder_on_also_where_that_is_nam
     assert [finding.path for finding in report.findings] == ["torn.bin: byte 23"]
 
 
-def test_all_faults_are_reported_at_once(write):
+def test_all_faults_are_reported_at_once_and_very_many_counted(write, tmp_path):
     texts = ["{torn", *SOUND, "", BAD_POSE, FRAME]
     assert reported(write(texts, cameras(focalLengthX="wide"))) == [
         ("broken-lines", "data.jsonl: line 1"),
@@ -132,16 +124,10 @@ def test_all_faults_are_reported_at_once(write):
         ("unusable-calibrations", "calibration.json: cameras[0].focalLengthX"),
         ("missing-videos", ""),
     ]
-
-
-def test_very_many_faults_are_counted(write):
     texts = [*SOUND * (3 * MOST_LOCATIONS), *["{torn"] * (2 * MOST_LOCATIONS)]
-    report = validate(write(texts), rules=["broken-lines"], locations=None)
-    assert sum(finding.count for finding in report.findings) == 2 * MOST_LOCATIONS
-    assert len(report.findings) == MOST_LOCATIONS + 1
-
-
-def test_nothing_is_repaired_where_the_calibration_cannot_be_read(write, tmp_path):
+    findings = validate(write(texts), rules=["broken-lines"], locations=None).findings
+    assert (sum(finding.count for finding in findings), len(findings)) == (2 * MOST_LOCATIONS, MOST_LOCATIONS + 1)
+    # nothing is repaired where the calibration cannot be read
     assert validate(write(calibration="["), fix=tmp_path / "out.sfs").output is None
 
 

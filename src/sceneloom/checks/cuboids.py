@@ -450,7 +450,6 @@ _STRIDES, _ENOUGH_STEPS = (1, 4, 16), 50
 """Where so few keyframes show motion to the next one, those farther apart are compared."""
 
 _LONGEST_S = 2.0  # over a longer time an object may rotate, so that its heading is not that of its whole step
-
 _MOST_STEPS, _LEAST_STEPS = 5_000, 5
 _OFF_DEG, _ALONG_DEG = 20.0, 10.0
 """A reading whose headings are so far off the motion is wrong if under another one they are along it, in the median."""
@@ -469,7 +468,6 @@ _SLACK_M, _ACCELERATION = 2.0, 20.0
 """Twice what tyres hold on a road [m/s²]; with the slack it bounds how far a keyframe lies off the trajectory."""
 
 _FASTEST = 100.0  # no vehicle on a road is faster [m/s]
-
 _STATIONARY_M = 1.0
 _ROTATION_DEG, _ROTATION_WITHIN_NS = 100.0, 600_000_000  # nothing on wheels rotates that far within this time
 
@@ -781,8 +779,7 @@ CUBOID_RULES: tuple[Rule, ...] = (
     Rule("cuboid-rotation", WARNING,
          f"No cuboid rotates by more than {_ROTATION_DEG:g}° within {_ROTATION_WITHIN_NS / 1e9:g} s.",
          "Check whether front and back were mixed up in a keyframe.", find=_fast_rotations),
-    Rule("cuboid-stationary-moves", WARNING,
-         f"The keyframes of a stationary cuboid lie within {_STATIONARY_M:g} m.",
+    Rule("cuboid-stationary-moves", WARNING, f"The keyframes of a stationary cuboid lie within {_STATIONARY_M:g} m.",
          "Remove `stationary`, or leave one keyframe.", find=_stationary_moves),
     Rule("cuboid-heading-off-motion", WARNING,
          "Cuboids move along their headings under the unit and order of their angles that is stated.", _REMEDY,

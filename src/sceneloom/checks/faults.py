@@ -139,7 +139,6 @@ READING_RULES: tuple[Rule, ...] = (
 # fmt: on
 
 _ALIKE = 0.8  # how like a known name an unknown one has to be, to be taken for it
-
 _TYPED = {"sensors": sensor_record, "annotations": annotation_record}
 
 _EXPECTED = {
@@ -221,11 +220,8 @@ FIELD_RULES: tuple[Rule, ...] = (
 # fmt: on
 
 _GREAT_PART = 0.25  # where so many of all lines are at fault, that lies not in them but in what wrote them
-
 _FEWEST = 4  # fewer lines with a fault of one kind are listed singly even then
-
 _CODES = frozenset({"broken-lines", "unfit-lines"})  # the codes of what is wrong with single lines
-
 _LOCATIONS = 3
 _LINE = re.compile(r"(?P<file>.*): line (?P<number>\d+)")
 _BYTE = re.compile(r" \(byte \d+\)|in position \d+| 0x[0-9a-f]{2}")
@@ -314,21 +310,18 @@ RECORDING_FAULT_RULES: tuple[Rule, ...] = (
            "Export it again; until then it is not known where sensors are mounted."),
     _error("unusable-calibrations",
            "Every entry of `calibration.json` has a camera model and a rigid mounting with numbers of the right "
-           "kind.",
-           "Correct the entry; a matrix is 4x4 by rows, takes points of the IMU into the sensor, and does not "
+           "kind.", "Correct the entry; a matrix is 4x4 by rows, takes points of the IMU into the sensor, and does not "
            "mirror."),
     _error("repeated-lidars", "No two lidars of `calibration.json` have one `lidarInd`.",
            "Number them as the `lidar` lines do."),
-    _error("unusable-frame-parameters",
-           "Camera models and mountings that `frames` lines bring along can be used.",
+    _error("unusable-frame-parameters", "Camera models and mountings that `frames` lines bring along can be used.",
            "Correct `cameraParameters` or `imuToCamera`, or leave them out: those of the calibration hold then."),
     _error("unusable-cameras", "Every camera of a recording has a camera model and images that can be used.",
            "Correct what the message names; the camera is left out until then."),
     _error("contradicting-mounts",
            "An entry of `calibration.json` with `imuToCamera` and `imuToCameraMatrix` has the same numbers in both.",
            "Leave out the wrong one; other programs read `imuToCamera`, and so does `--lenient`."),
-    _error("mounts-missing",
-           "Every camera has an `imuToCamera`, in its entry of `calibration.json` or in its lines.",
+    _error("mounts-missing", "Every camera has an `imuToCamera`, in its entry of `calibration.json` or in its lines.",
            "Write it; until then nothing can be brought into the images. `--lenient` keeps the camera without it."),
     _error("cameras-without-calibration",
            "Every camera that `frames` lines name is in `calibration.json`, or has its camera model in its lines.",
@@ -343,11 +336,9 @@ RECORDING_FAULT_RULES: tuple[Rule, ...] = (
     _error("unmatched-images", "A video has as many images as its `frames` lines state.",
            "Find out which images were lost; `--image-index` says which one a line means, the message which way "
            "it took."),
-    _error("unusable-lidar-files",
-           "Every `lidar` line has its file, inside the folder, of whole records of 23 bytes.",
+    _error("unusable-lidar-files", "Every `lidar` line has its file, inside the folder, of whole records of 23 bytes.",
            "Copy the file again, or leave the line out."),
-    _error("unreadable-vio-config", "`vio_config.yaml` can be read as text.",
-           "Export it again, or leave it out."),
+    _error("unreadable-vio-config", "`vio_config.yaml` can be read as text.", "Export it again, or leave it out."),
 )
 # fmt: on
 """Each for one code of the reader's faults, which is its id, too."""

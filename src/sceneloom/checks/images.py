@@ -95,8 +95,7 @@ CAMERA_RULES: tuple[Rule, ...] = (
     Rule("video-or-images", WARNING, "A camera has a video or images, not both.",
          "Leave one of them out; the video is taken, the images are carried along.",
          find=warnings_of_code("video-and-images")),
-    Rule("camera-model-known", WARNING,
-         "The distortion model of a camera is a known one.",
+    Rule("camera-model-known", WARNING, "The distortion model of a camera is a known one.",
          "Use one of the known models; `sceneloom edit camera-model` fits one to another.", find=_unknown_models),
     Rule("distortion-length", HINT, "The distortion has as many numbers as its model.",
          "Write zeros for those that are missing, which is how they are read.",
@@ -113,7 +112,6 @@ CAMERA_RULES: tuple[Rule, ...] = (
 # fmt: on
 
 _STEP_PX = 8  # every eighth row and column reports whether an image is of one colour
-
 _DARK = 10
 _PLAIN = 4
 
@@ -331,13 +329,11 @@ BOX_RULES: tuple[Rule, ...] = (
     Rule("box-negative-size", ERROR, "Width and height of a box in an image are not negative.",
          "Look whether the numbers are left, top, width, height, or two corners.", find=_negative),
     Rule("box-without-area", WARNING, "Boxes in images have a width and a height.",
-         "Write null for a projection that is not there, and leave keyframes without a box out.",
-         find=_without_area),
+         "Write null for a projection that is not there, and leave keyframes without a box out.", find=_without_area),
     Rule("box-outside-image", WARNING, "What is drawn into an image overlaps it.",
          "Look whether it counts pixels of an image of another size, or belongs to another camera.",
          find=partial(_outside, wholly=True)),
-    Rule("box-beyond-image", HINT,
-         f"What is drawn into an image ends at its edges, give or take {_SLACK_PX:g} px.",
+    Rule("box-beyond-image", HINT, f"What is drawn into an image ends at its edges, give or take {_SLACK_PX:g} px.",
          "Clip it to the image if it means what is seen, and keep it if it means the whole object.",
          find=partial(_outside, wholly=False)),
     Rule("null-box-confirmed", WARNING, "A projection that a person confirmed is there.",

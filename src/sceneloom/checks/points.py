@@ -24,9 +24,7 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, key_of
 
 _FAR_M = 10_000.0  # beyond it float32 is coarser than a millimetre
-
 _ENOUGH_POINTS = 100  # of fewer points nothing is stated
-
 _ORIGIN_SHARE, _COLLAPSED_SHARE, _CLIPPED_SHARE, _FEW_LEVELS = 0.05, 0.1, 0.5, 4
 _NO_CAMERA, _NORM_TOLERANCE = 255, 0.01
 _FASTEST = 150.0  # relative to the sensor: two vehicles that meet on a motorway [m/s]
@@ -416,8 +414,7 @@ POINT_RULES: tuple[Rule, ...] = (
 
 LABELLED_POINT_RULES: tuple[Rule, ...] = (
     Rule("labelled-frame-unknown", ERROR, "The frame of labelled points is a frame of their sensor.",
-         "Count frames from 0; leave `sensor_frame` out where the whole sensor is meant.",
-         find=_frames_that_are_not),
+         "Count frames from 0; leave `sensor_frame` out where the whole sensor is meant.", find=_frames_that_are_not),
     Rule("labelled-point-unknown", ERROR, "Labelled points are points of their frame.",
          "Label the points again on the frame as it is: its points were thinned or cut since.",
          find=_beyond_map, look=_beyond_frame, conclude=_beyond_sensor),

@@ -252,8 +252,7 @@ SCALE_RULES: tuple[Rule, ...] = (
          "Give each timestamp its row.", find=_rows_that_do_not_convert, profiles=SCALE_ONLY),
     Rule("scale-points", ERROR,
          "The arrays of points have the types and lengths that Scale's validator wants, and no point is measured "
-         "before its frame.", "Write the scene again with `--profile scale`.", find=_point_faults,
-         profiles=SCALE_ONLY),
+         "before its frame.", "Write the scene again with `--profile scale`.", find=_point_faults, profiles=SCALE_ONLY),
     Rule("scale-radar-lengths", ERROR,
          "Radar points have no lengths: Scale's loader cuts them into rows of three, or drops them.",
          "Write the scene again with `--profile scale`: it keeps the lengths under the metadata.",
@@ -261,7 +260,6 @@ SCALE_RULES: tuple[Rule, ...] = (
     Rule("scale-static-attribute", WARNING, "Static attributes have one timestamp.", "Keep the first value.",
          find=_static_attributes, profiles=SCALE_ONLY),
     Rule("scale-dropped", HINT, "Sensors state nothing that Scale's library drops.",
-         "Keep a copy of the file: what that library writes no longer has it.", find=_dropped,
-         profiles=SCALE_ONLY),
+         "Keep a copy of the file: what that library writes no longer has it.", find=_dropped, profiles=SCALE_ONLY),
 )
 # fmt: on

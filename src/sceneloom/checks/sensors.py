@@ -386,8 +386,7 @@ def _spellings(subject: Subject) -> Iterator[Hit]:
 
 # fmt: off
 REFERENCE_RULES: tuple[Rule, ...] = (
-    Rule("annotation-parent-unknown", ERROR,
-         "The parent that an annotation names is an annotation of the scene.",
+    Rule("annotation-parent-unknown", ERROR, "The parent that an annotation names is an annotation of the scene.",
          'Name an annotation that exists, with the type of its id (1 is not "1"), or leave `parent_id` out.',
          find=_unknown_parents),
     Rule("annotation-parent-cycle", ERROR, "No annotation is its own parent, nor a parent of its parents.",

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Int64Array, read_only
+from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.checks.annotation_table import PART_KINDS, PartTable, annotation_parts, camera_rows
 from sceneloom.checks.faults import as_read
 from sceneloom.checks.rule import (
@@ -40,6 +40,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSen
 from sceneloom.scene.point_times import PointTimes, RawTimes, timed_frame
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, scene_period_ns, time_span
+from sceneloom.scene.time_range import TIMED_COLUMNS, select_rows
 
 HIGHEST_RATE_HZ = 100
 """More frames a second, on average, are no frames. Source: `MAX_FPS` of Scale's validator."""
@@ -189,8 +190,7 @@ TIME_RULES: tuple[Rule, ...] = (
     Rule("video-times-increasing", ERROR, "The timestamps of a video stand in the order of its images.",
          "Find out which images the timestamps belong to.", find=_out_of_order(in_videos=True)),
     Rule("frame-times-unique", ERROR, "No two frames or images of a sensor have one time.",
-         "Keep one of them, or give each the time at which it was measured.",
-         find=unless_recording(_of_one_time)),
+         "Keep one of them, or give each the time at which it was measured.", find=unless_recording(_of_one_time)),
     Rule("frame-rate", WARNING, "A sensor has at most 100 frames a second on average.",
          "See whether the timestamps are in the unit that `time_unit` says.",
          find=unless_recording(_too_many_a_second)),
@@ -203,8 +203,7 @@ TIME_RULES: tuple[Rule, ...] = (
     Rule("frame-jitter", HINT, "The intervals between frames are even.",
          "Timestamp frames when they are measured, not when they arrive.", find=unless_recording(_uneven)),
     Rule("video-fps", WARNING, "`fps` of a video agrees with the timestamps of its images, within 5 %.",
-         "Leave `fps` out, or write what the timestamps report: the timestamps are what counts.",
-         find=_fps_differs),
+         "Leave `fps` out, or write what the timestamps report: the timestamps are what counts.", find=_fps_differs),
     Rule("epoch-times", WARNING,
          "The timestamps of a scene file count from somewhere near its beginning, not from 1970.",
          "Take whole seconds off all timestamps and write them as `time_offset`; absolute times stay the same.",
@@ -216,10 +215,8 @@ TIME_RULES: tuple[Rule, ...] = (
 # fmt: on
 
 _WRAP_NS = (UINT32_MAX + 1) * 1_000  # what microseconds in 32 bits run over at [ns]
-
 _NEAR_NS = 1_000_000_000
 _ROUNDING_NS = 1_000  # timestamps in microseconds may be so late [ns]
-
 _ON_ANOTHER_CLOCK = 100  # times so many periods away are not late, but of another clock, which another rule reports
 
 
@@ -356,8 +353,7 @@ def _outside_the_sweep(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
 
 # fmt: off
 POINT_TIME_RULES: tuple[Rule, ...] = (
-    Rule("point-times-width", ERROR,
-         "Times of points are uint64 where the unit is the nanosecond, else uint32.",
+    Rule("point-times-width", ERROR, "Times of points are uint64 where the unit is the nanosecond, else uint32.",
          "Write the scene again: programs that follow the description read the bytes by the unit, not by the dtype.",
          find=_widths, fix=as_read),
     Rule("point-times-clock", WARNING, "Times of points are on the clock of their frames, in its unit.",
@@ -376,7 +372,6 @@ _LEAST_TOLERANCE_NS = 1_000_000
 """Times are written in microseconds and images are moved by half an exposure: a millisecond is no difference."""
 
 _BESIDE_NS = 1_000_000_000  # what lies no farther than a second from the scene was cut off with it, or comes after it
-
 _SAME_IMAGE = 4  # a time within this part of an image's interval means that image
 
 
@@ -447,28 +442,20 @@ def _ordered(part: Any) -> Any:
     times = getattr(part, "timestamps_ns", None)
     if times is None or len(times) < 2 or (times[1:] > times[:-1]).all():
         return part
-    columns = {name: getattr(part, name) for name in _COLUMNS if getattr(part, name, None) is not None}
-    if any(len(column) != len(times) for column in columns.values()):
+    columns = [getattr(part, name) for name in TIMED_COLUMNS[type(part)] if getattr(part, name) is not None]
+    if any(len(column) != len(times) for column in columns):
         return part
     rows = _rows_in_order(times, columns)
-    if rows is None:
-        return part
-    return replace(
-        part, timestamps_ns=read_only(times[rows]), **{name: _taken(column, rows) for name, column in columns.items()}
-    )
+    return part if rows is None else select_rows(part, np.array(rows))
 
 
-_COLUMNS = ("values", "vertices", "durations_ns", "cuboids", "boxes", "confirmed", "points", "positions")
-"""What parts of annotations hold for each timestamp."""
-
-
-def _rows_in_order(times: Int64Array, columns: dict[str, Any]) -> list[int] | None:
+def _rows_in_order(times: Int64Array, columns: Sequence[Any]) -> list[int] | None:
     """The rows by time, each time once; None where two rows of one time differ."""
     rows: list[int] = []
     for row in np.argsort(times, kind="stable").tolist():
         if not rows or times[row] != times[rows[-1]]:
             rows.append(row)
-        elif any(not _alike(column[row], column[rows[-1]]) for column in columns.values()):
+        elif any(not _alike(column[row], column[rows[-1]]) for column in columns):
             return None
     return rows
 
@@ -477,10 +464,6 @@ def _alike(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray):
         return np.array_equal(one, other, equal_nan=True)
     return bool(one == other)
-
-
-def _taken(column: Any, rows: Sequence[int]) -> Any:
-    return read_only(column[rows]) if isinstance(column, np.ndarray) else tuple(column[k] for k in rows)
 
 
 def _empty(subject: Subject) -> Iterator[Hit]:
@@ -619,12 +602,10 @@ ANNOTATION_TIME_RULES: tuple[Rule, ...] = (
          find=_not_increasing, fix=_sorted_times),
     Rule("annotation-path-empty", WARNING, "Every path has at least one keyframe.",
          "Give it keyframes, or take the annotation out.", find=_empty),
-    Rule("annotation-outside-scene", WARNING,
-         "No annotation lies outside the time of the scene by more than a second.",
+    Rule("annotation-outside-scene", WARNING, "No annotation lies outside the time of the scene by more than a second.",
          "Look whether the annotations count time in another unit or from another start than the sensors.",
          find=_outside),
-    Rule("annotation-beyond-scene", HINT,
-         "Annotations lie within the time of the scene, give or take one sweep.",
+    Rule("annotation-beyond-scene", HINT, "Annotations lie within the time of the scene, give or take one sweep.",
          "Cut the scene with its annotations (`sceneloom edit crop`) if the rest is of no use.", find=_beyond),
     Rule("annotation-duration", ERROR, "Events and activations end no sooner than they begin.",
          "Set the duration to how long it lasts.", find=_negative_durations),

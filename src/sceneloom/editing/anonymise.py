@@ -32,7 +32,6 @@ DATES = ("keep", "shift")
 """What can become of the time of day."""
 
 _FIXES = ("drop", "shift")  # what can become of satellite fixes
-
 _SHIFTED_LLA = (0.0, 0.0, 0.0)  # where fixes are moved: off the coast of Africa, where no drive was
 
 

@@ -152,7 +152,6 @@ class _Fitter:
 
 
 _CORNER = 0.5  # what is drawn counts from the image's corner, pixels from the centre of the first one
-
 _SIDE = 9
 
 

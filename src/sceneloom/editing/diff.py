@@ -114,7 +114,10 @@ def diff_scenes(
     for unit, value in tolerances.items():
         if not 0.0 <= value < math.inf:
             raise OptionError(f"tolerance {value} {unit}; expected a number from 0 on")
-    total, done = max(map(_frame_count, (first, second))), 0
+    counts = (
+        sum(len(frame_times(one)) for one in scene.sensors if isinstance(one, Posed)) for scene in (first, second)
+    )
+    total, done = max(counts), 0
 
     def on_frame() -> None:
         nonlocal done
@@ -136,10 +139,6 @@ def diff_scenes(
         if [key for key in here if key in there] != [key for key in there if key in here]:
             comparison.changed(name, "in another order")
     return SceneDifferences(differences=tuple(comparison.found.values()), not_compared=tuple(comparison.not_compared))
-
-
-def _frame_count(scene: Scene) -> int:
-    return sum(len(frame_times(sensor)) for sensor in scene.sensors if isinstance(sensor, Posed))
 
 
 def _named(member: Any) -> str:

@@ -186,7 +186,6 @@ _CITY_FIELDS = frozenset({"city", "city_name", "location", "map_name"})
 """Names of metadata that state where a drive was."""
 
 _LONGEST_GAP_S = 3600.0  # parts of one drive are not further apart in time
-
 _FASTEST = 100.0  # no vehicle is faster [m/s]
 
 _SAME_LOCATION = 100.0
@@ -547,10 +546,6 @@ def _event(first: EventAnnotation, second: EventAnnotation) -> dict[str, Any]:
     return {"start_ns": start_ns, "duration_ns": None if unknown else duration_ns}
 
 
-def _adjustment(first: LocalizationAdjustment, second: LocalizationAdjustment) -> dict[str, Any]:
-    return {"poses": _joined_poses(first.poses, second.poses)}
-
-
 def _calibration(first: CameraCalibration, second: CameraCalibration) -> dict[str, Any]:
     poses = first.poses if second.poses is None else second.poses
     if first.poses is not None and second.poses is not None:
@@ -574,7 +569,7 @@ _ANNOTATION_JOINS: Mapping[type, Callable[[Any, Any], dict[str, Any]]] = Mapping
         PointsAnnotation: _points,
         LabeledPointsAnnotation: _labelled,
         EventAnnotation: _event,
-        LocalizationAdjustment: _adjustment,
+        LocalizationAdjustment: lambda first, second: {"poses": _joined_poses(first.poses, second.poses)},
         CameraCalibration: _calibration,
         ObjectAnnotation: lambda *_: {},
         GroupAnnotation: lambda *_: {},

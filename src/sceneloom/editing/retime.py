@@ -20,9 +20,7 @@ from sceneloom.scene.scene import Scene, Sensor, scene_period_ns, time_span
 from sceneloom.scene.types import Key, key_of
 
 _CLOCKED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor, ImuSensor, GnssSensor)  # sensors with a clock
-
 _SAME_CLOCK_NS = 10_000_000_000  # point times farther from their sweep's timestamp are not on its clock, and stay [ns]
-
 _MEASURED = "measured_timestamps_ns"  # the extra array of deskewed points that holds times
 
 

@@ -25,7 +25,6 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.time_range import select_rows
 
 _ROUNDING = 1e-9  # tolerances are kept this share smaller, so that they hold for another order of the same sums
-
 _NEAR_HALF_ROTATION = radians(179.0)  # beyond this, rounding decides which way is the shorter one
 
 

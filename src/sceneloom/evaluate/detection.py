@@ -28,7 +28,6 @@ from sceneloom.kernels import scores as kernels
 from sceneloom.warnings import DataWarning
 
 _CLASSES = ("car", "pedestrian", "cyclist")  # the classes of KITTI's object benchmark
-
 _SIMILARITIES = (Similarity.IMAGE, Similarity.ABOVE, Similarity.SPACE)  # those of KITTI's object benchmark
 
 _LEAST_OVERLAPS: Mapping[str, float] = MappingProxyType({"car": 0.7, "pedestrian": 0.5, "cyclist": 0.5})

@@ -34,9 +34,7 @@ CLASSES = ("car", "pedestrian")
 """The classes of KITTI's tracking benchmark."""
 
 _EPSILON = float(np.finfo(np.float64).eps)  # what thresholds are wider by, as in TrackEval
-
 _ALPHAS = tuple(k / 100 for k in range(5, 100, 5))  # the similarities from which HOTA takes two boxes for one object
-
 _LEAST = 1e-10
 
 _CURVES = {

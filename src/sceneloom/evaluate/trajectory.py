@@ -29,6 +29,7 @@ from sceneloom.geometry.rigid import (
     rotate_vectors,
 )
 from sceneloom.scene.poses import Poses, Trajectory
+from sceneloom.scene.time_range import select_rows
 from sceneloom.warnings import DataWarning, WarningKind
 
 RPE_DELTAS = ("1s", "5m", "10m", "50m")
@@ -43,7 +44,6 @@ _TOLERANCES_NS = {"interpolate": 100_000_000, "nearest": 10_000_000}
 
 _SHORTEST_GAP_NS, _GAP_SPACINGS = 1_000_000_000, 5.0
 _POINT = 1e-12  # spread [m²] below which positions are one point, a micrometre wide
-
 _LINE = 1e-9  # ratio of the second spread to the first (squared lengths) below which positions lie on a line
 
 _WEIGHT = 1e-6
@@ -378,13 +378,7 @@ def _within(trajectory: Trajectory, zero_ns: int, start: float | None, stop: flo
         raise PoseError(
             f"{trajectory.name!r} ({a:.9g} to {b:.9g} s) has no pose from {start_ns / 1e9:.9g} to {stop_ns / 1e9:.9g} s"
         )
-    quaternions = trajectory.quaternions_xyzw
-    return Trajectory(
-        trajectory.name,
-        trajectory.timestamps_ns[inside],
-        trajectory.positions[inside],
-        None if quaternions is None else quaternions[inside],
-    )
+    return select_rows(trajectory, inside)
 
 
 def _nanoseconds(name: str, seconds: float) -> int:
@@ -854,7 +848,11 @@ def _plot_errors(
     figure = check_plot(path, overwrite=overwrite)(figsize=_SIZE_INCHES)
     grid = figure.add_gridspec(len(curves), 2, width_ratios=(1.2, 1.0))
     axes = figure.add_subplot(grid[:, 0])
-    track, (ours, theirs) = reference_positions[:, :2], map(_short, (report.estimate, report.reference))
+    ours, theirs = (
+        name if len(name) <= _MOST_LETTERS else f"{name[: _MOST_LETTERS - 1]}…"
+        for name in (report.estimate, report.reference)
+    )
+    track = reference_positions[:, :2]
     axes.plot(*track.T, color="0.6", linewidth=3, label=theirs, zorder=1)
     dots = axes.scatter(*aligned.positions[:, :2].T, c=curves[0][1], s=8, cmap="viridis", label=ours, zorder=2)
     axes.plot(*track[0], marker="s", color="black", linestyle="", label="start", zorder=3)
@@ -879,8 +877,3 @@ def _plot_errors(
         f"alignment {report.alignment.kind}{scale}"
     )
     save_plot(figure, title, path, overwrite=overwrite)
-
-
-def _short(name: str) -> str:
-    """A name that leaves room for the plot."""
-    return name if len(name) <= _MOST_LETTERS else f"{name[: _MOST_LETTERS - 1]}…"

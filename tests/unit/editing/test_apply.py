@@ -35,7 +35,8 @@ def adjustment(times_s=(0.0, 0.1, 0.2, 0.3, 0.4)):
     return sc.LocalizationAdjustment("repair", path)
 
 
-def test_points_in_the_world_are_moved_at_the_time_of_their_frame(drive):
+def test_an_adjustment_moves_points_poses_and_annotations(drive, mount, box):
+    # points at the time of their frame
     applied = apply_corrections(drive.scene(sc.PointsFrame.WORLD, [adjustment()]))
     for k, frame in enumerate(applied.sensor("lidar").frames):
         expected = repaired(k * 0.1).apply(drive.points_world(k))
@@ -44,25 +45,13 @@ def test_points_in_the_world_are_moved_at_the_time_of_their_frame(drive):
     np.testing.assert_allclose(after.directions, repaired(0.4).rotate(before.directions), atol=1e-6)
     assert applied.annotations == ()
     assert applied.metadata["sceneloom"]["applied"] == [{"id": "repair", "type": "localization_adjustment"}]
-
-
-def check_pose(path, time_ns, expected):
-    found = path.interpolate(np.array([time_ns]))
-    np.testing.assert_allclose(found.positions[0], expected.translation, atol=1e-9)
-    away = Rotation.from_quat(found.quaternions_xyzw[0]).inv() * Rotation.from_matrix(expected.rotation)
-    assert away.magnitude() < 1e-9
-
-
-def test_odometry_trajectories_and_poses_are_moved(drive, mount):
     applied = apply_corrections(to_world(drive.scene(annotations=[adjustment()])))
     for time_ns in (0, 200_000_000):
         body = drive.world_from_ego(time_ns)
         check_pose(applied.sensor("ego").poses, time_ns, repaired(time_ns * 1e-9) @ body)
         check_pose(applied.trajectories["ego"].poses, time_ns, repaired(time_ns * 1e-9) @ body)
         check_pose(applied.sensor("lidar").poses, time_ns, repaired(time_ns * 1e-9) @ body @ mount)
-
-
-def test_annotations_are_moved_at_their_keyframes(drive, box):
+    # annotations at their keyframes
     corner = np.array([[1.0, 2.0, 3.0]])
     annotations = [
         box("a", drive.timestamps_ns, np.arange(15.0).reshape(5, 3), 40.0),
@@ -84,7 +73,14 @@ def test_annotations_are_moved_at_their_keyframes(drive, box):
     )
 
 
-def test_an_adjustment_holds_beyond_its_ends_and_one_of_one_pose_moves_maps_too(drive):
+def check_pose(path, time_ns, expected):
+    found = path.interpolate(np.array([time_ns]))
+    np.testing.assert_allclose(found.positions[0], expected.translation, atol=1e-9)
+    away = Rotation.from_quat(found.quaternions_xyzw[0]).inv() * Rotation.from_matrix(expected.rotation)
+    assert away.magnitude() < 1e-9
+
+
+def test_an_adjustment_holds_beyond_its_ends_one_of_one_pose_moves_maps_too_and_can_be_undone(drive):
     applied = apply_corrections(drive.scene(sc.PointsFrame.WORLD, [adjustment((0.1, 0.2))]))
     expected = repaired(0.2).apply(drive.points_world(4))
     np.testing.assert_allclose(applied.sensor("lidar").frames[4].points.positions, expected, atol=1e-5)
@@ -93,6 +89,9 @@ def test_an_adjustment_holds_beyond_its_ends_and_one_of_one_pose_moves_maps_too(
     applied = apply_corrections(replace(scene, sensors=(*scene.sensors, chart)))
     expected = repaired(0.3).apply(np.array([[1.0, 2, 3]]))
     np.testing.assert_allclose(applied.sensor("map").positions, expected, atol=1e-6)
+    undo = sc.LocalizationAdjustment("undo", constant(repaired(0.2).inverse()))
+    applied = apply_corrections(drive.scene(sc.PointsFrame.WORLD, [adjustment((0.2,)), undo]))
+    np.testing.assert_allclose(applied.sensor("lidar").frames[2].points.positions, drive.points_world(2), atol=2e-5)
 
 
 def test_an_adjustment_of_an_ego_scene_leads_into_the_world(drive, box):
@@ -119,12 +118,6 @@ def constant(pose):
     return sc.Poses(np.zeros(1, np.int64), pose.translation[None], pose.quaternion_xyzw[None])
 
 
-def test_what_an_adjustment_undoes_comes_out_as_it_was(drive):
-    undo = sc.LocalizationAdjustment("undo", constant(repaired(0.2).inverse()))
-    applied = apply_corrections(drive.scene(sc.PointsFrame.WORLD, [adjustment((0.2,)), undo]))
-    np.testing.assert_allclose(applied.sensor("lidar").frames[2].points.positions, drive.points_world(2), atol=2e-5)
-
-
 NEW_CAMERA_MODEL = Camera("pinhole", 8, 6, 6.0, 6.5, 3.0, 2.0)
 DIFFERENCE = RigidTransform.from_quaternion(
     np.array([0.1, 0.0, -0.2]), np.array([0.0, np.sin(0.05), 0.0, np.cos(0.05)])
@@ -135,7 +128,7 @@ def calibration(**fields):
     return sc.CameraCalibration("calibrate", "camera", **{"poses": constant(DIFFERENCE), **fields})
 
 
-def test_a_camera_is_rotated_behind_its_poses(drive, mount):
+def test_a_camera_is_rotated_behind_its_poses_which_reach_as_far_as_its_images(drive, mount):
     on_ego = apply_corrections(drive.scene(annotations=[calibration()]))
     np.testing.assert_allclose(on_ego.sensor("camera").mount.matrix, (mount @ DIFFERENCE).matrix, atol=1e-12)
     scene = to_world(drive.scene(annotations=[calibration()]))
@@ -143,15 +136,22 @@ def test_a_camera_is_rotated_behind_its_poses(drive, mount):
     scene = replace(scene, sensors=(posed, *scene.sensors[:2], *scene.sensors[3:]))
     expected = drive.world_from_ego(120_000_000) @ mount @ DIFFERENCE
     check_pose(apply_corrections(scene).sensor("camera").poses, 120_000_000, expected)
-
-
-def test_a_correction_that_changes_with_time_rotates_a_mounting_into_poses_on_the_ego(drive, mount):
+    # a correction that changes with time rotates a mounting into poses on the ego
     times = np.array([0, 400_000_000], np.int64)
     path = sc.Poses(times, np.array([[0.0, 0, 0], [0.4, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
     camera = apply_corrections(drive.scene(annotations=[calibration(poses=path)])).sensor("camera")
     assert (camera.mount, camera.coordinates) == (None, sc.Coordinates.EGO)
     found = camera.poses.interpolate(np.array([100_000_000]))
     np.testing.assert_allclose(found.positions[0], mount.apply(np.array([0.1, 0, 0])), atol=1e-12)
+    # poses reach as far as the corrected images
+    scene = to_world(drive.scene(annotations=[calibration(poses=None, time_offset_ns=10_000_000)]))
+    posed = replace(scene.sensor("camera"), mount=None)
+    camera = apply_corrections(replace(scene, sensors=(posed,))).sensor("camera")
+    last_ns = int(drive.timestamps_ns[-1]) + 30_000_000
+    assert camera.poses.stop_ns == camera.images.timestamps_ns[-1] == last_ns
+    expected = (drive.world_from_ego(last_ns) @ mount).translation
+    # constant velocity over 10 ms on a circle of 20 m at 10 m/s: 0.25 mm, and the pose before is 80 ms old
+    np.testing.assert_allclose(camera.poses.positions[-1], expected, atol=5e-3)
 
 
 def test_camera_model_and_times_are_replaced(drive, box):
@@ -171,20 +171,7 @@ def test_camera_model_and_times_are_replaced(drive, box):
     assert other.timestamps_ns.tolist() == drive.timestamps_ns.tolist()
     assert [warning.code for warning in applied.warnings] == ["projections-kept"]
     assert pickle.loads(pickle.dumps(camera)).images[0].camera == NEW_CAMERA_MODEL
-
-
-def test_poses_reach_as_far_as_the_corrected_images(drive, mount):
-    scene = to_world(drive.scene(annotations=[calibration(poses=None, time_offset_ns=10_000_000)]))
-    posed = replace(scene.sensor("camera"), mount=None)
-    camera = apply_corrections(replace(scene, sensors=(posed,))).sensor("camera")
-    last_ns = int(drive.timestamps_ns[-1]) + 30_000_000
-    assert camera.poses.stop_ns == camera.images.timestamps_ns[-1] == last_ns
-    expected = (drive.world_from_ego(last_ns) @ mount).translation
-    # constant velocity over 10 ms on a circle of 20 m at 10 m/s: 0.25 mm, and the pose before is 80 ms old
-    np.testing.assert_allclose(camera.poses.positions[-1], expected, atol=5e-3)
-
-
-def test_a_camera_model_is_scaled_to_images_of_another_size(drive):
+    # for images of another size the model is scaled
     scene = drive.scene(annotations=[calibration(intrinsics=NEW_CAMERA_MODEL)])
     camera = scene.sensor("camera")
     half = replace(camera.images[0], camera=camera.camera.resized(4, 3))
@@ -193,16 +180,13 @@ def test_a_camera_model_is_scaled_to_images_of_another_size(drive):
     assert image.camera == NEW_CAMERA_MODEL.resized(4, 3)
 
 
-def test_only_the_named_corrections_are_applied_and_a_calibration_without_its_camera_stays(drive):
+def test_only_named_corrections_are_applied_and_what_cannot_be_applied_stays_or_is_refused(drive):
     scene = drive.scene(annotations=[calibration(), adjustment()])
     assert [a.id for a in apply_corrections(scene, corrections=["calibrate"]).annotations] == ["repair"]
     lost = sc.CameraCalibration("lost", "nose", time_offset_ns=5)
     applied = apply_corrections(drive.scene(annotations=[lost]))
     assert [annotation.id for annotation in applied.annotations] == ["lost"]
     assert [warning.code for warning in applied.warnings] == ["calibration-without-camera"]
-
-
-def test_what_cannot_be_applied_is_refused(drive):
     with pytest.raises(OptionError, match="nothing to apply"):
         apply_corrections(drive.scene())
     with pytest.raises(OptionError, match="no correction 'x'; there are 'repair'"):

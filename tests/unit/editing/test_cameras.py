@@ -159,7 +159,7 @@ def test_what_the_new_image_does_not_show_is_left_out_and_counted():
     assert [(n.code, n.count) for n in scene.warnings] == [("drawn-beyond-image", 2)]
 
 
-def test_camera_models_of_the_wanted_model_stay_as_they_are_with_a_warning():
+def test_models_that_fit_stay_with_a_warning_and_those_that_annotations_replace_are_applied_first():
     for scene, change, code in (
         (scene_of(PINHOLE), undistort_scene, "nothing-to-undistort"),
         (scene_of(FISHEYE), lambda scene: convert_camera_models(scene, "fisheye"), "nothing-to-convert"),
@@ -167,6 +167,19 @@ def test_camera_models_of_the_wanted_model_stay_as_they_are_with_a_warning():
         found = change(scene)
         assert found.sensors == scene.sensors
         assert [warning.code for warning in found.warnings] == [code]
+    # those that annotations replace are applied first, and not left off
+    calibration = sc.CameraCalibration("better", "front", intrinsics=BARREL)
+    straight = undistort_scene(scene_of(PINHOLE, calibration))
+    assert (straight.annotations, straight.cameras[0].camera.model) == ((), "pinhole")
+    assert straight.metadata["sceneloom"]["undistorted"][0]["camera"]["model"] == BARREL.model
+    with pytest.raises(
+        OptionError, match=r"annotations\[better\] gives camera 'front' another camera model; apply it first"
+    ):
+        undistort_scene(replace(scene_of(BARREL, calibration), corrections=sc.Corrections.IGNORE))
+    of_another = sc.CameraCalibration("better", "rear", intrinsics=PINHOLE)
+    moved_only = sc.CameraCalibration("moved", "front", time_offset_ns=5)
+    left_off = replace(scene_of(BARREL, of_another, moved_only), corrections=sc.Corrections.IGNORE)
+    assert undistort_scene(left_off).annotations == (of_another, moved_only)
 
 
 def test_what_is_no_camera_and_limits_and_models_that_are_none_are_refused(distorted):
@@ -187,27 +200,12 @@ def test_what_is_no_camera_and_limits_and_models_that_are_none_are_refused(disto
             convert_camera_models(scene_of(FISHEYE), model, **options)
 
 
-def test_a_camera_model_that_an_annotation_replaces_is_applied_first_and_not_left_off():
-    calibration = sc.CameraCalibration("better", "front", intrinsics=BARREL)
-    straight = undistort_scene(scene_of(PINHOLE, calibration))
-    assert (straight.annotations, straight.cameras[0].camera.model) == ((), "pinhole")
-    assert straight.metadata["sceneloom"]["undistorted"][0]["camera"]["model"] == BARREL.model
-    with pytest.raises(
-        OptionError, match=r"annotations\[better\] gives camera 'front' another camera model; apply it first"
-    ):
-        undistort_scene(replace(scene_of(BARREL, calibration), corrections=sc.Corrections.IGNORE))
-    of_another = sc.CameraCalibration("better", "rear", intrinsics=PINHOLE)
-    moved_only = sc.CameraCalibration("moved", "front", time_offset_ns=5)
-    left_off = replace(scene_of(BARREL, of_another, moved_only), corrections=sc.Corrections.IGNORE)
-    assert undistort_scene(left_off).annotations == (of_another, moved_only)
-
-
 def distances_px(exact, other):
     pixels = np.stack(np.meshgrid(np.arange(0, 640, 7.0), np.arange(0, 480, 7.0)), axis=-1).reshape(-1, 2)
     return np.hypot(*(project_unbounded(other, unproject(exact, pixels)) - pixels).T)
 
 
-def test_the_new_camera_model_shows_what_the_old_one_does_within_what_is_reported():
+def test_a_camera_model_shows_what_the_old_one_does_within_a_limit_or_is_refused_with_the_figure():
     scene = convert_camera_models(scene_of([FISHEYE, OTHER]), "brown_conrady")
     camera_model = scene.cameras[0].camera
     entry = scene.metadata["sceneloom"]["camera_models"][0]
@@ -222,9 +220,6 @@ def test_the_new_camera_model_shows_what_the_old_one_does_within_what_is_reporte
     first, second = scene.cameras[0].images
     assert (first.camera, second.camera.model) == (camera_model, "brown_conrady")
     assert np.nanmax(distances_px(OTHER, second.camera)) < 0.1  # corners may be given up, as the share reports
-
-
-def test_a_camera_model_that_comes_no_nearer_or_holds_too_little_is_refused_with_the_figure():
     with pytest.raises(
         CalibrationError, match=r"sensors\[front\].camera: fisheye camera model reported as pinhole, off by up to"
     ):

@@ -254,7 +254,8 @@ def test_frames_are_the_same_by_their_timestamps_and_paired_in_order():
     assert apart(today, today + 1, "ns").tolist() == [1.0]
 
 
-def test_paths_reported_at_other_timestamps_are_compared_as_ways():
+def test_paths_and_cuboids_stated_otherwise_are_the_same():
+    # paths at other timestamps
     found = only(a_scene(), a_scene(odometry=ego(0, 200)))
     assert (found.path, found.unit) == ("sensors[7].poses", "m")
     assert found.amount == pytest.approx(0.0, abs=1e-12)
@@ -263,9 +264,7 @@ def test_paths_reported_at_other_timestamps_are_compared_as_ways():
     assert only(a_scene(), bent, tolerance_m=0.2, other_timestamps=True).amount == pytest.approx(0.3)
     shorter = diff_scenes(a_scene(), a_scene(odometry=ego(0, 100)), tolerance_m=9.0, other_timestamps=True)
     assert "sensors[7].poses.timestamps_ns" in {f.path for f in shorter.differences}
-
-
-def test_cuboids_reported_in_radians_and_another_order_are_the_same_cuboids():
+    # cuboids in radians and another order
     values = a_cuboid().path.values.copy()
     values[:, 6:] = [20.0, -10.0, 200.0]
     radians = values.copy()

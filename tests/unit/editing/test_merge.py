@@ -17,12 +17,20 @@ def only(scene, *ids, **changes):
     return replace(scene, sensors=tuple(scene.sensor(identifier) for identifier in ids), **changes)
 
 
-def test_sensors_of_both_stand_in_the_merged_scene_and_the_same_odometry_once(drive):
+def test_sensors_of_both_stand_in_the_merged_scene_and_cameras_are_counted_among_all(drive):
     scene = drive.scene()
     merged = merge_scenes([only(scene, "lidar", "ego"), only(scene, "camera", "radar", "ego")])
     assert [sensor.id for sensor in merged.sensors] == ["lidar", "ego", "camera", "radar"]
     assert list(merged.trajectories) == ["ego"]
     assert [(warning.code, warning.location) for warning in merged.warnings] == [("same-sensor", "sensors[ego]")]
+    # points name the cameras by their locations among all
+    merged = merge_scenes([with_cameras(drive, "a", "b"), with_cameras(drive, "c", "d")])
+    assert [camera.id for camera in merged.cameras] == ["a", "b", "c", "d"]
+    seen = [merged.sensor(f"lidar of {name}").frames[0].points.camera_index[:3].tolist() for name in "ac"]
+    assert seen == [[0, 1, 255], [2, 3, 255]]
+    assert merged.metadata["sceneloom"]["fusion"]["cameras"] == ["a", "b", "c", "d"]
+    again = pickle.loads(pickle.dumps(merged.sensor("lidar of c")))
+    assert again.frames[0].points.camera_index[0] == 2
 
 
 def test_ids_that_are_taken_are_refused_or_changed_with_all_references(drive, box):
@@ -125,16 +133,6 @@ def with_cameras(drive, *ids):
     return replace(scene, sensors=(lidar, *cameras), metadata={"sceneloom": {"fusion": {"cameras": list(ids)}}})
 
 
-def test_points_name_the_cameras_by_their_locations_among_all(drive):
-    merged = merge_scenes([with_cameras(drive, "a", "b"), with_cameras(drive, "c", "d")])
-    assert [camera.id for camera in merged.cameras] == ["a", "b", "c", "d"]
-    seen = [merged.sensor(f"lidar of {name}").frames[0].points.camera_index[:3].tolist() for name in "ac"]
-    assert seen == [[0, 1, 255], [2, 3, 255]]
-    assert merged.metadata["sceneloom"]["fusion"]["cameras"] == ["a", "b", "c", "d"]
-    again = pickle.loads(pickle.dumps(merged.sensor("lidar of c")))
-    assert again.frames[0].points.camera_index[0] == 2
-
-
 def whole_drive(drive, box):
     """A drive with one thing of everything, whose parts are to be joined."""
     times, threes = drive.timestamps_ns, np.arange(15.0).reshape(5, 3)
@@ -222,24 +220,18 @@ def test_what_is_stationary_stays_so_and_what_the_second_part_says_otherwise_is_
     assert sorted(reported) == ["annotations[b].label", "annotations[b].stationary", "attributes[weather]", "owner"]
 
 
-@pytest.mark.parametrize(
-    ("change", "problem"),
-    [
+def test_what_does_not_go_together_is_refused(drive, box):
+    for change, problem in (
         (lambda s: replace(s, frames=s.frames[::2]), "lie between those of the first"),
         (lambda s: replace(s, mount=RigidTransform.identity(), frames=s.frames[4:]), "mounted otherwise"),
         (lambda s: replace(s, points_frame=sc.PointsFrame.EGO), "expected one frame"),
         (lambda s: sc.PointsSensor("lidar", np.zeros((1, 3), np.float32)), "expected one kind"),
-    ],
-)
-def test_parts_that_do_not_go_together_are_refused(drive, change, problem):
-    scene = only(drive.scene(sc.PointsFrame.WORLD), "lidar")
-    lidar = scene.sensor("lidar")
-    first = replace(scene, sensors=(replace(lidar, frames=lidar.frames[1::2]),))
-    with pytest.raises(OptionError, match=problem):
-        merge_scenes([first, replace(scene, sensors=(change(lidar),))], join=True)
-
-
-def test_what_cannot_be_merged_is_refused(drive, box):
+    ):
+        scene = only(drive.scene(sc.PointsFrame.WORLD), "lidar")
+        lidar = scene.sensor("lidar")
+        first = replace(scene, sensors=(replace(lidar, frames=lidar.frames[1::2]),))
+        with pytest.raises(OptionError, match=problem):
+            merge_scenes([first, replace(scene, sensors=(change(lidar),))], join=True)
     scene = drive.scene(annotations=[box("a", [0], [[0.0, 0, 0]])])
     with pytest.raises(OptionError, match="expected two or more"):
         merge_scenes([scene])
@@ -254,35 +246,27 @@ def test_what_cannot_be_merged_is_refused(drive, box):
         merge_scenes([only(scene, "ego", annotations=()), bent])
 
 
-def test_closing_the_merged_scene_closes_all(drive):
-    closed, scene = [], drive.scene()
-    names = ("lidar", "radar")
-    with merge_scenes([only(scene, name, on_close=lambda name=name: closed.append(name)) for name in names]):
-        assert closed == []
-    assert closed == ["lidar", "radar"]
-
-
-def test_metadata_of_both_are_kept_and_differences_reported(drive):
+def test_metadata_events_and_what_closes_are_those_of_both(drive):
     first = only(drive.scene(), "lidar", metadata={"weather": "A", "sceneloom": {"applied": [{"id": 1}], "x": 1}})
     second = only(drive.scene(), "radar", metadata={"weather": "B", "sceneloom": {"applied": [{"id": 2}], "y": 2}})
     merged = merge_scenes([first, second])
     assert merged.metadata == {"weather": "A", "sceneloom": {"applied": [{"id": 1}, {"id": 2}], "x": 1, "y": 2}}
     assert [(n.code, n.location) for n in merged.warnings] == [("metadata-differ", "metadata.weather")]
-
-
-@pytest.mark.parametrize(
-    ("parts", "joined"),
-    [
+    # an event lasts until its last part ends, though that is a moment
+    for parts, joined in (
         (((0, 5), (10, None)), (0, 10)),
         (((0, None), (10, None)), (0, 10)),
         (((10, 5), (0, 5)), (0, 15)),
         (((3, None), (3, None)), (3, None)),
-    ],
-)
-def test_an_event_lasts_until_its_last_part_ends_though_that_is_a_moment(parts, joined):
-    one, other = (sc.Scene((), (sc.EventAnnotation("rotation", start, lasts),)) for start, lasts in parts)
-    (event,) = merge_scenes([one, other], join=True).annotations
-    assert (event.start_ns, event.duration_ns) == joined
+    ):
+        one, other = (sc.Scene((), (sc.EventAnnotation("rotation", start, lasts),)) for start, lasts in parts)
+        (event,) = merge_scenes([one, other], join=True).annotations
+        assert (event.start_ns, event.duration_ns) == joined
+    closed, scene = [], drive.scene()
+    names = ("lidar", "radar")
+    with merge_scenes([only(scene, name, on_close=lambda name=name: closed.append(name)) for name in names]):
+        assert closed == []
+    assert closed == ["lidar", "radar"]
 
 
 def fixes(identifier, *lla):
@@ -332,7 +316,7 @@ def later(scene, seconds):
     )
 
 
-def test_egos_far_apart_and_parts_of_other_days_are_of_two_drives(drive):
+def test_egos_far_apart_and_parts_of_other_days_are_of_two_drives_and_unrelated_ones_warned_of(drive):
     scene = drive.scene()
     lidar, radar = only(scene, "lidar"), only(scene, "radar")
     away = [replace(radar, trajectories={"ego": moved_away(scene.trajectories["ego"], x)}) for x in (20, 5000)]
@@ -348,9 +332,7 @@ def test_egos_far_apart_and_parts_of_other_days_are_of_two_drives(drive):
     other = replace(sensor, id="other", poses=moved_away(sensor.poses, 5000.0))
     with pytest.raises(OptionError, match="their egos are 5,000 m apart at one time"):
         merge_scenes([alone, replace(alone, sensors=(other,))])
-
-
-def test_scenes_that_nothing_relates_are_merged_with_a_warning(drive):
+    # scenes that nothing relates are merged with a warning
     first, second = only(drive.scene(), "lidar"), only(drive.scene(), "radar")
     bare = replace(second, trajectories={}, sensors=tuple(replace(one, poses=None) for one in second.sensors))
     assert "drives-unrelated" not in {n.code for n in merge_scenes([first, second]).warnings}

@@ -73,7 +73,7 @@ def test_a_cuboid_is_seen_from_the_ego_at_every_frame(drive, box):
             assert away.magnitude() < np.radians(0.0101)
 
 
-def test_annotations_come_back_as_they_were(drive, box):
+def test_annotations_come_back_as_they_were_and_vertices_go_by_the_pose_of_their_own_time(drive, box):
     scene = drive.scene(annotations=everything(drive, box))
     again = to_world(to_ego(scene))
     for before, after in zip(scene.annotations, again.annotations, strict=True):
@@ -81,6 +81,19 @@ def test_annotations_come_back_as_they_were(drive, box):
         np.testing.assert_allclose(numbers_of(after), numbers_of(before), atol=1e-9)
         assert getattr(before, "stationary", None) == getattr(after, "stationary", None)
     assert again.metadata["sceneloom"] == {"annotations_frame": "world"}
+    changed = {a.id: a for a in to_ego(drive.scene(annotations=everything(drive, box))).annotations}
+    at_second = np.flatnonzero(changed["area"].path.timestamps_ns == 100_000_000)[0]
+    ego_from_world = drive.world_from_ego(100_000_000).inverse()
+    np.testing.assert_allclose(
+        changed["area"].path.vertices[at_second],
+        ego_from_world.apply(np.array([[1.0, 1, 1], [6, 1, 1], [6, 6, 2]])),
+        atol=1e-9,
+    )
+    path = changed["body"].paths[1]
+    first = ego_from_world.apply(np.ones((1, 3)))[0]
+    np.testing.assert_allclose(path.values[path.timestamps_ns == 100_000_000][0], first, atol=1e-9)
+    # vertices that come and go are at no location between keyframes, so nothing is added between them
+    assert len(changed["growing"].path.timestamps_ns) == 2
 
 
 def everything(drive, box):
@@ -118,22 +131,6 @@ def numbers_of(annotation):
     return np.zeros(0)
 
 
-def test_vertices_and_keypoints_are_moved_by_the_pose_of_their_own_time(drive, box):
-    changed = {a.id: a for a in to_ego(drive.scene(annotations=everything(drive, box))).annotations}
-    at_second = np.flatnonzero(changed["area"].path.timestamps_ns == 100_000_000)[0]
-    ego_from_world = drive.world_from_ego(100_000_000).inverse()
-    np.testing.assert_allclose(
-        changed["area"].path.vertices[at_second],
-        ego_from_world.apply(np.array([[1.0, 1, 1], [6, 1, 1], [6, 6, 2]])),
-        atol=1e-9,
-    )
-    path = changed["body"].paths[1]
-    first = ego_from_world.apply(np.ones((1, 3)))[0]
-    np.testing.assert_allclose(path.values[path.timestamps_ns == 100_000_000][0], first, atol=1e-9)
-    # vertices that come and go are at no location between keyframes, so nothing is added between them
-    assert len(changed["growing"].path.timestamps_ns) == 2
-
-
 def test_adjustments_lead_from_the_ego_and_what_has_no_location_on_it_is_reported(drive):
     lift = sc.LocalizationAdjustment("lift", replace(sc.Poses.identity(), positions=np.array([[0.0, 0, 2.0]])))
     on_ego = to_ego(drive.scene(annotations=[lift])).annotations[0]
@@ -154,7 +151,7 @@ def labels(frame):
     return sc.LabeledPointsAnnotation(f"labels {frame}", (entry,))
 
 
-def test_frames_that_the_trajectory_does_not_reach_are_left_out_with_their_labels(drive):
+def test_frames_beyond_the_trajectory_are_left_out_with_their_labels_and_unknown_locations_an_error(drive):
     path = drive.path()
     short = sc.Trajectory("short", path.timestamps_ns[:6], path.positions[:6], path.quaternions_xyzw[:6])
     scene = replace(drive.scene(sc.PointsFrame.WORLD, [labels(0), labels(3)]), trajectories={"short": short})
@@ -167,9 +164,6 @@ def test_frames_that_the_trajectory_does_not_reach_are_left_out_with_their_label
     assert reported.items() >= counts.items()
     assert {sensor.id for sensor in changed.sensors} == {"lidar", "radar", "camera", "ego", "ego2"}
     assert changed.sensor("lidar").parent_id == "ego2"
-
-
-def test_locations_that_cannot_be_known_are_an_error(drive):
     scene = drive.scene()
     alone = replace(scene, sensors=scene.sensors[2:3], trajectories={})
     with pytest.raises(PoseError, match="no trajectory"):

@@ -54,7 +54,7 @@ def test_sweeps_move_with_their_points_unless_those_are_of_another_clock(scene):
     assert np.array_equal(moved.points.timestamps_ns, points.timestamps_ns)
 
 
-def test_images_samples_and_fixes_move(scene):
+def test_images_samples_fixes_and_what_was_drawn_in_them_move(scene):
     moved = corrected(scene, "camera0", "imu", "gnss")
     for pick in (
         lambda s: s.sensor("camera0").images.timestamps_ns,
@@ -69,9 +69,7 @@ def test_images_samples_and_fixes_move(scene):
     image = moved.sensor("camera0").images[1]
     assert image.timestamp_ns == moved.sensor("camera0").images.timestamps_ns[1]
     assert np.array_equal(image.rgb, scene.sensor("camera0").images[1].rgb)
-
-
-def test_annotations_go_with_what_they_were_drawn_in(scene):
+    # annotations go with what they were drawn in
     cuboid = next(a for a in scene.annotations if a.type == "cuboid")
     for ids, moves in ((("lidar",), ["cuboid", "event"]), (("camera0",), ["box_2d"]), (("imu",), [])):
         moved = {a.id: a for a in corrected(scene, *ids).annotations}

@@ -75,7 +75,7 @@ def test_shares_and_counts_are_spread_evenly_and_every_other_frame_stays():
     assert thinned.metadata["sceneloom"]["thinned"] == {"every": 4}
 
 
-def test_labelled_points_follow_the_points_and_frames_that_stay():
+def test_labelled_points_follow_and_what_cannot_be_followed_is_refused():
     entries = (labels(0, 4, 5, 14, 15, 99), labels(1, 7), labels(2, 0, 90, 91), labels(None, 1, 2, sensor="map"))
     scene = scene_of(
         annotations=[sc.LabeledPointsAnnotation("a", entries), sc.LabeledPointsAnnotation("b", entries[1:2])]
@@ -89,11 +89,7 @@ def test_labelled_points_follow_the_points_and_frames_that_stay():
     ]
     reported = {warning.code: warning.count for warning in thinned.warnings}
     assert reported == {"labelled-points": 7, "labelled-frames": 2, "labelled-annotations": 1}
-
-
-@pytest.mark.parametrize(
-    ("stated", "problem"),
-    [
+    for stated, problem in (
         ({}, "nothing to thin by"),
         ({"voxel": 0.0}, "voxel 0.0"),
         ({"voxel": float("nan")}, "voxel nan"),
@@ -102,8 +98,6 @@ def test_labelled_points_follow_the_points_and_frames_that_stay():
         ({"every": 0}, "every 0"),
         ({"voxel": 1.0, "keep": "last"}, "keep 'last'"),
         ({"voxel": 1.0, "sensors": ["nose"]}, "no sensor 'nose'"),
-    ],
-)
-def test_what_cannot_be_followed_is_refused(stated, problem):
-    with pytest.raises(OptionError, match=problem):
-        thin_scene(scene_of(), **stated)
+    ):
+        with pytest.raises(OptionError, match=problem):
+            thin_scene(scene_of(), **stated)

@@ -39,7 +39,6 @@ def test_cuboids_are_rows_at_every_time_and_scores_hold_until_the_next():
     table = scene_objects(
         scene(cuboid("a", "car", 0, attributes=(stated,)), cuboid("b", "car", 30)), np.array([0, 4, 6]) * SECOND
     )
-    assert table.scores is not None
     assert table.scores[table.ids == 0].tolist() == [0.2, 0.2, 0.8]
     assert table.scores[table.ids == 1].tolist() == [1, 1, 1]
     with pytest.raises(OptionError, match="no cuboids"):
@@ -79,21 +78,10 @@ Tr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0
 
 def fused_line(cloud: int, x: float, confidence: float) -> str:
     """A car of 4 x 2 x 1.5 m that heads along the lidar's x axis, x known to 0.1 m, y to 0.2 m."""
-    names = ("length", "width", "height", "x1", "y1", "x2", "y2")
-    car = {
-        "id": 0,
-        "confidence": confidence,
-        "timestamp": f"{cloud / 10:.9f}",
-        "class": "Car",
-        "X": x,
-        "Y": 2.0,
-        "Z": 0.0,
-        "direction": [1.0, 0.0, 0.0],
-        "velocity": 0.0,
-        **dict(zip(names, (4.0, 2.0, 1.5, 100, 100, 200, 180), strict=True)),
-        "center_cov": [0.01, 0, 0, 0, 0.04, 0, 0, 0, 0.01],
-        "size_cov": [0.01, 0, 0, 0, 0.01, 0, 0, 0, 0.01],
-    }
+    car = {"id": 0, "confidence": confidence, "timestamp": f"{cloud / 10:.9f}", "class": "Car", "velocity": 0.0}
+    car |= {"X": x, "Y": 2.0, "Z": 0.0, "direction": [1.0, 0.0, 0.0], "length": 4.0, "width": 2.0, "height": 1.5}
+    car |= {"x1": 100, "y1": 100, "x2": 200, "y2": 180}
+    car |= {name: np.diag([0.01, y, 0.01]).ravel().tolist() for name, y in (("center_cov", 0.04), ("size_cov", 0.01))}
     head = {"image_seq": cloud, "points_seq": cloud, "camera_id": 1, "lidar_id": 0, "timestamp": car["timestamp"]}
     return json.dumps({"detections": {**head, "detections": [car]}})
 
@@ -122,10 +110,8 @@ def test_fused_detections_are_compared_in_the_lidars_frame_with_their_covariance
         scores = one.difficulties["easy"]
         assert (scores.max_f1, scores.true_objects) == (1.0, 3)
         # records have 32 bits
-        assert scores.calibration is not None
         assert scores.calibration.error == pytest.approx(0.1, abs=1e-6)
     judged = reported.classes["car"][0].covariances
-    assert judged is not None
     assert set(judged) == {"center", "size"}
     assert judged["center"].nees == pytest.approx((1 + 4 + 1) / 3, rel=1e-4)
     assert judged["size"].nees == pytest.approx(0, abs=1e-9)

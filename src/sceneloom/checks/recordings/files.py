@@ -80,7 +80,6 @@ _UPRIGHT_DEG, _ROLLED_DEG, _STEEP_DEG = 20.0, 45.0, 65.0
 third."""
 
 _SAMPLES = 20_000  # so many samples of the accelerometer, spread over all, show where up is
-
 _MATRICES = ("imuToCamera", "imuToCameraMatrix", "imuToLidar", "imuToLidarMatrix")
 _WIDTH, _LOOKED_AT = 192, 4  # so many images are compared at this width [px], or at their own where that is less
 
@@ -628,9 +627,7 @@ def _with_notes(scene: Scene, change: Callable[[Mapping[str, Any]], dict[str, An
     return replace(scene, metadata=MappingProxyType({**scene.metadata, "recording": recording}))
 
 
-_IN_STEP = 0.002
-"""Images of a stereo pair are taken within this time [s]."""
-
+_IN_STEP = 0.002  # images of a stereo pair are taken within this time [s]
 _NO_STEP = 0.1  # taken for the time from line to line [s] where the lines show none
 
 
@@ -753,16 +750,12 @@ FRAME_LINE_RULES: tuple[Rule, ...] = (
     Rule("frame-entry-times", WARNING, "`frames[].time` lies within half a period of its line's time.",
          "Write the time at which the image was taken, on the clock of the other lines.",
          find=_over_frames(_entry_times)),
-    Rule("stereo-in-step", WARNING,
-         f"Cameras that look the same way take their images within {_IN_STEP * 1e3:g} ms.",
-         "Trigger both together, or give them lines of their own: a pair is taken for one moment.",
-         find=_out_of_step),
+    Rule("stereo-in-step", WARNING, f"Cameras that look the same way take their images within {_IN_STEP * 1e3:g} ms.",
+         "Trigger both together, or give them lines of their own: a pair is taken for one moment.", find=_out_of_step),
 )
 # fmt: on
 
-_FAR_M, _NEAR_M = 400.0, 0.5
-"""Half of a sweep's points lie nearer than the first, and farther than the second [m]."""
-
+_FAR_M, _NEAR_M = 400.0, 0.5  # half of a sweep's points lie nearer than the first, and farther than the second [m]
 _RANGED_SWEEPS = 16
 _FEWEST_POINTS = 20
 
@@ -851,8 +844,7 @@ def _strange(subject: Subject) -> Iterator[Hit]:
 # fmt: off
 CONFIGURATION_RULES: tuple[Rule, ...] = (
     Rule("config-keys-known", WARNING, "Every setting of `vio_config.yaml` has a name that is publicly known.",
-         "See whether it is misspelt: the vendor's software stops at settings that it does not know.",
-         find=_unknown),
+         "See whether it is misspelt: the vendor's software stops at settings that it does not know.", find=_unknown),
     Rule("config-keys-unique", WARNING, "No setting of `vio_config.yaml` stands there twice.",
          "Leave one of them out.", find=_repeated),
     Rule("config-lines-settings", WARNING,

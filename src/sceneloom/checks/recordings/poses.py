@@ -39,7 +39,6 @@ _ENOUGH_FOR_NOISE, _FROM_MEDIAN = 20_000, 1.4826
 """The deviation of a normal distribution is so many times the median of its absolute values."""
 
 _GAP_FACTOR = 5.5  # so many usual intervals without a sample are a gap: the motion during it is not known
-
 _LEAST_CORRELATION = 0.8  # angular velocities of orientations and gyroscope that correlate less do not agree
 
 _GREATEST_TILT_DEG = 25.0
@@ -56,7 +55,6 @@ _GREATEST_SHIFT, _SHIFT_STEP, _SHIFTS_SHARE = 1.0, 0.02, 0.2
 """Clock offsets are tried up to so long, in such steps [s], and up to this part of the time in common."""
 
 _LEAST_SHIFT = 0.05  # shorter offsets between poses and IMU [s] are for `sceneloom sync` to find
-
 _SURE, _SCALES, _NEAR_DEGREES = 0.9, (0.6, 1.6), 0.2
 
 

@@ -31,7 +31,6 @@ LOUDEST, _FEWEST_FOR_NOISE = 2.5, 20
 """The mean of the accelerations above a quarter of the rate [m/s²]."""
 
 _GAIN = 1.091  # lets as much of white noise pass as the vendor's filter does: third-order Butterworth, there and back
-
 _WEAKEST_FIELD = 5.0  # the earth's field is 22 to 67 µT; a magnetometer far below it counts in another unit
 
 _Guesses = tuple[tuple[float, float, str], ...]  # what a usual value from the first to the second number suggests
@@ -296,8 +295,7 @@ SAMPLE_RULES: tuple[Rule, ...] = (
          find=_wrong_unit_of_pull),
     Rule("accelerometer-range", WARNING, "No acceleration is longer than 200 m/s².",
          "Check whether the sensor was hit, or its samples are damaged.", find=_hard_pulls),
-    Rule("accelerometer-noise", WARNING,
-         "Above a quarter of the rate, accelerations are 2.5 m/s² at most on average.",
+    Rule("accelerometer-noise", WARNING, "Above a quarter of the rate, accelerations are 2.5 m/s² at most on average.",
          "Mount the sensor where it shakes less, or filter before thinning out its samples.", find=_noise),
     Rule("gyroscope-unit", ERROR,
          "Angular velocities are in rad/s: above 20 for no longer than a shock takes, 0.2 s or 0.1 % of the time.",

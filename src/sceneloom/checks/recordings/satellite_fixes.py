@@ -312,13 +312,11 @@ def _upside_down(subject: Subject) -> Iterator[Hit]:
 FIX_RULES: tuple[Rule, ...] = (
     Rule("fixes-on-earth", ERROR, "Latitudes of fixes lie within 90 degrees, longitudes within 180.",
          "Check whether they are exchanged, or in another unit than degrees.", find=_off_the_earth),
-    Rule("fixes-somewhere", WARNING,
-         "No fix is at latitude 0, longitude 0, and not all are within what radians reach.",
+    Rule("fixes-somewhere", WARNING, "No fix is at latitude 0, longitude 0, and not all are within what radians reach.",
          "Leave fixes out that are none; write degrees.", find=_at_zero),
     Rule("fixes-altitude", WARNING, "Altitudes of fixes are -500 to 10000 m.",
          "Write metres above the ellipsoid.", find=_altitudes),
-    Rule("fixes-accuracy", WARNING,
-         "Accuracies of fixes are more than 0 and at most 1000 m, where they are given.",
+    Rule("fixes-accuracy", WARNING, "Accuracies of fixes are more than 0 and at most 1000 m, where they are given.",
          "Leave the accuracy out where it is not known: an accuracy of 0 gets infinite weight.", find=_accuracies),
     Rule("fixes-jump", WARNING,
          "No fix is farther off the trajectory between its neighbours than 8 of their accuracies, 10 m/s² and "

@@ -23,7 +23,6 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.time_range import select_rows
 
 _FEWEST_FOR_A_RATE = 4  # fewer samples do not show what is usual
-
 _SAME_TIME = 0.5e-9  # times closer than this [s] are one time: the scene counts nanoseconds
 
 NORM_TOLERANCE = 1e-3
@@ -455,18 +454,15 @@ STREAM_RULES: tuple[Rule, ...] = (
     Rule("stream-gaps", WARNING,
          "No interval of a recording's stream exceeds the usual one by more than 0.25 s and 10 intervals; of "
          "images and sweeps, by 0.75 intervals where at most 5 % do.",
-         "Check whether samples were lost: a full disk, a full buffer, a loose cable.",
-         find=_gaps(irregular=False)),
+         "Check whether samples were lost: a full disk, a full buffer, a loose cable.", find=_gaps(irregular=False)),
     Rule("samples-lost", HINT,
          "No interval of the IMU, of a magnetometer or of a barometer is longer than 1.75 usual ones.",
-         "Check whether single samples were lost; integrate them by their times.",
-         find=_single_losses),
+         "Check whether single samples were lost; integrate them by their times.", find=_single_losses),
     Rule("stream-outages", HINT,
          "No interval between fixes or poses exceeds the usual one by more than 0.25 s and 10 intervals.",
          "Take it into account where these are relied on: there was no reception, or tracking was lost.",
          find=_gaps(irregular=True)),
-    Rule("stream-jitter", WARNING,
-         "At most 5 % of a stream's intervals are off the usual one by more than a fifth.",
+    Rule("stream-jitter", WARNING, "At most 5 % of a stream's intervals are off the usual one by more than a fifth.",
          "Timestamp samples when they are measured, not when they arrive.", find=_uneven(irregular=False)),
     Rule("stream-uneven", HINT,
          "At most 5 % of the intervals between fixes or poses are off the usual one by more than a fifth.",

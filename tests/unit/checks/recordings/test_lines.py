@@ -73,7 +73,7 @@ def test_single_losses_slower_cameras_and_outages_of_satellites_are_no_gaps(chec
     del other.streams["gps"][20:35]
     outage = "gps at 4.800000 s: 3.200000 s to the next, 0.200000 s usually; 15 seem"
     outage = ("stream-outages", other.streams["gps"][19], outage)
-    check(other, "stream-gaps", outage, ("stream-jitter", "camera0", ""))
+    check(other, "stream-gaps", ("stream-jitter", "camera0", ""), outage)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_streams_that_do_not_go_together_are_reported(check, drive):
     [finding] = check.findings(same, "frames-at-imu-times")
     assert finding.message.startswith("100% of the images have the very time of a sample of the accelerometer")
     check(shifted.shifted("accelerometer", 0.01), "imu-clocks")
-    check(drive.shifted("accelerometer", 0.02), "", ("imu-clocks", "accelerometer", "30.0 ms after"))
+    check(drive.shifted("accelerometer", 0.02), "", ("imu-clocks", "accelerometer", "20.0 ms after"))
 
 
 def test_a_recording_without_imu_or_calibration_gets_warnings(written, check, drive):
@@ -264,15 +264,12 @@ def change(drive, rows, **fields):
 def test_fixes_that_are_off_the_earth_or_at_zero_are_reported(check, drive):
     change(drive, slice(0, 3), latitude=0.0, longitude=0.0)
     check(drive, FIXES, ("fixes-somewhere", drive.streams["gps"][0], "", 3))
-    for fields, words in (
-        ({"latitude": 116.39, "longitude": 39.9}, "116.39, 39.9"),
-        ({"latitude": 116.39, "longitude": 39.9}, "are latitude and longitude exchanged?"),
-        ({"latitude": 60.17 / 57.29578, "longitude": 0.4353}, "are these radians?"),
-    ):
-        change(drive, slice(None), **fields)
-        [finding, *_] = check.findings(drive, FIXES)
-        assert (finding.rule, finding.severity, finding.count) == ("fixes-on-earth", "error", 60)
-        assert words in finding.message
+    change(drive, slice(None), latitude=116.39, longitude=39.9)
+    [finding] = check(drive, FIXES, ("fixes-on-earth", None, "116.39, 39.9", 60))
+    assert finding.severity == "error"
+    assert "are latitude and longitude exchanged?" in finding.message
+    change(drive, slice(None), latitude=60.17 / 57.29578, longitude=0.4353)
+    assert "are these radians?" in check.findings(drive, FIXES)[0].message
 
 
 @pytest.mark.parametrize(

@@ -122,87 +122,70 @@ IN_WORLD = a_scene(replace(LIDAR, points_frame=sc.PointsFrame.WORLD))
 NOTE = sc.DataWarning(kind=sc.WarningKind.ASSUMED, code="x", location="y", message="z")
 
 
+OTHER_POSES = a_scene(replace(LIDAR, mount=ROTATED), replace(CAMERA, camera=replace(CAMERA_MODEL, fx=5.5)))
+TRUCK = a_scene(annotations=(a_cuboid("truck", label="truck"), EVENT))
+MOVED_CAR = a_scene(annotations=(a_cuboid(yaw=32.0, x=5.5), EVENT))
+OTHER_METADATA = a_scene(metadata={"location": "there", "weather": {"rain": 0.5, "words": ["wet"]}, "new": 1})
+THREE, FOUR = (annotated(attributes=given) for given in ((COLOUR, seen_points(3)), (seen_points(4), COLOUR)))
+
+
 @pytest.mark.parametrize(
-    ("first", "second", "options"),
+    ("equal", "first", "second", "options"),
     [
-        (a_scene(), a_scene(), {}),
+        (True, a_scene(), a_scene(), {}),
         # where a scene comes from does not count
-        (a_scene(), a_scene(source="elsewhere", format="sfs", warnings=(NOTE,)), {}),
-        (a_scene(), MOVED, {"tolerance_m": 0.51}),
-        (a_scene(), with_frames(sweeps(late_ns=3)), {"tolerance_ns": 3}),
-        (a_scene(), OTHER_BYTES, {"pixels": True}),
+        (True, a_scene(), a_scene(source="elsewhere", format="sfs", warnings=(NOTE,)), {}),
+        *((within > 0.5, a_scene(), MOVED, {"tolerance_m": within}) for within in (0.51, 0.49)),
+        (True, a_scene(), with_frames(sweeps(late_ns=3)), {"tolerance_ns": 3}),
+        (True, a_scene(), OTHER_BYTES, {"pixels": True}),
         # a quaternion and its negative are one rotation
-        (a_scene(), a_scene(odometry=ego(sign=-1)), {}),
-        (a_scene(), a_scene(odometry=ego(0, 200)), {"tolerance_m": 1e-9, "tolerance_deg": 1e-6, **OTHER_TIMES}),
-        (boxed(GONE, BOX), boxed(GONE, BOX), {}),
-        (with_words(float("nan")), with_words(float("nan")), {}),
+        (True, a_scene(), a_scene(odometry=ego(sign=-1)), {}),
+        (True, a_scene(), a_scene(odometry=ego(0, 200)), {"tolerance_m": 1e-9, "tolerance_deg": 1e-6, **OTHER_TIMES}),
+        (True, boxed(GONE, BOX), boxed(GONE, BOX), {}),
+        (False, boxed(GONE, BOX), boxed(BOX, GONE), {"tolerance_px": 1e9}),
+        # true is not one, text no number, and not a number itself
+        (True, with_words(float("nan")), with_words(float("nan")), {}),
+        *((False, with_words(one), with_words(other), {}) for one, other in ((True, 1), ("1", 1), (None, 0), ([], {}))),
         # paths and points without timestamps
-        (of_points(empty_path()), of_points(empty_path()), {}),
-        (of_points(empty_path()), of_points(empty_path()), {"tolerance_m": 1.0, **OTHER_TIMES}),
+        (True, of_points(empty_path()), of_points(empty_path()), {}),
+        (True, of_points(empty_path()), of_points(empty_path()), {"tolerance_m": 1.0, **OTHER_TIMES}),
+        (False, of_points(empty_path()), of_points(sc.PointPath(TIMESTAMPS, np.zeros((3, 3)))), OTHER_TIMES),
         # a unit of times that is not stated is the usual one
-        (sc.Scene(()), sc.Scene((), extras={"time_unit": "microseconds"}), {}),
+        (True, sc.Scene(()), sc.Scene((), extras={"time_unit": "microseconds"}), {}),
+        (False, sc.Scene(()), sc.Scene((), extras={"time_unit": "nanoseconds"}), {}),
     ],
 )
-def test_what_is_the_same_is_equal(first, second, options):
-    assert diff_scenes(first, second, **options).differences == ()
+def test_what_is_the_same_is_equal_and_nothing_else(equal, first, second, options):
+    assert (diff_scenes(first, second, **options).differences == ()) is equal
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "options"),
-    [
-        (a_scene(), MOVED, {"tolerance_m": 0.49}),
-        (of_points(empty_path()), of_points(sc.PointPath(TIMESTAMPS, np.zeros((3, 3)))), OTHER_TIMES),
-        (boxed(GONE, BOX), boxed(BOX, GONE), {"tolerance_px": 1e9}),
-        (sc.Scene(()), sc.Scene((), extras={"time_unit": "nanoseconds"}), {}),
-        # true is not one, and text no number
-        *((with_words(one), with_words(other), {}) for one, other in ((True, 1), ("1", 1), (None, 0), ([], {}))),
-    ],
-)
-def test_what_is_not_the_same_is_not_equal(first, second, options):
-    assert not diff_scenes(first, second, **options).equal
+CAR, SENSORS = "annotations['car']", "sensors['{}'].{}".format
 
 
 @pytest.mark.parametrize(
     ("first", "second", "expected"),
     [
-        (a_scene(), MORE_POINTS, ["sensors['lidar'].frames[].points 3 points: 10 points; then 13"]),
-        (a_scene(), OTHER_BYTES, ["sensors['camera'].images[].content: other bytes"]),
+        (a_scene(), MORE_POINTS, [SENSORS("lidar", "frames[].points 3 points: 10 points; then 13")]),
+        (a_scene(), OTHER_BYTES, [SENSORS("camera", "images[].content: other bytes")]),
         (
             a_scene(),
-            a_scene(replace(LIDAR, mount=ROTATED), replace(CAMERA, camera=replace(CAMERA_MODEL, fx=5.5))),
+            OTHER_POSES,
             [
-                "sensors['lidar'].mount.rotation 90 deg",
-                "sensors['lidar'].mount.translation 4 m",
-                "sensors['camera'].camera.fx 0.5",
+                *(SENSORS("lidar", f"mount.{away}") for away in ("rotation 90 deg", "translation 4 m")),
+                SENSORS("camera", "camera.fx 0.5"),
             ],
         ),
-        (
-            a_scene(),
-            a_scene(annotations=(a_cuboid("truck", label="truck"), EVENT)),
-            ["removed annotations['car']: cuboid", "added annotations['truck']: cuboid 'truck'"],
-        ),
+        (a_scene(), TRUCK, [f"removed {CAR}: cuboid", "added annotations['truck']: cuboid 'truck'"]),
         # an id that is a number is not its text
         (annotated(identifier=1), annotated(identifier="1"), ["removed annotations[1]", "added annotations['1']"]),
-        (
-            a_scene(),
-            a_scene(annotations=(a_cuboid(yaw=32.0, x=5.5), EVENT)),
-            ["annotations['car'].path.values.position 0.5 m", "annotations['car'].path.values.rotation 2 deg"],
-        ),
-        (boxed(GONE, BOX), boxed(BOX, GONE), ["annotations['car'].projections['camera'].boxes inf px"]),
-        (
-            annotated(attributes=(COLOUR, seen_points(3))),
-            annotated(attributes=(seen_points(4), COLOUR)),
-            ["annotations['car'].attributes['points', 'lidar'].values[0] 1: 3; then 4"],
-        ),
+        (a_scene(), MOVED_CAR, [f"{CAR}.path.values.position 0.5 m", f"{CAR}.path.values.rotation 2 deg"]),
+        (boxed(GONE, BOX), boxed(BOX, GONE), [f"{CAR}.projections['camera'].boxes inf px"]),
+        (THREE, FOUR, [f"{CAR}.attributes['points', 'lidar'].values[0] 1: 3; then 4"]),
         (drawn([0, 0], [3, 4]), drawn([0, 0], [3, 6]), ["annotations['s'].path.vertices[0] 2 px"]),
         (drawn([0, 0, 0]), drawn([3, 4, 0]), ["annotations['s'].path.vertices[0] 5 m"]),
-        (
-            a_scene(),
-            a_scene(metadata={"location": "there", "weather": {"rain": 0.5, "words": ["wet"]}, "new": 1}),
-            ["metadata['location']", "metadata['weather']['words']", "added metadata['new']"],
-        ),
+        (a_scene(), OTHER_METADATA, ["metadata['location']", "metadata['weather']['words']", "added metadata['new']"]),
         (a_scene(), a_scene(odometry=sc.LidarSensor(7, sweeps())), ["sensors[7]: OdometrySensor; then LidarSensor"]),
-        (a_scene(), IN_WORLD, ["sensors['lidar'].points_frame: 'sensor'; then 'world'"]),
+        (a_scene(), IN_WORLD, [SENSORS("lidar", "points_frame: 'sensor'; then 'world'")]),
         (a_scene(), replace(a_scene(), sensors=a_scene().sensors[::-1]), ["sensors: in another order"]),
     ],
 )

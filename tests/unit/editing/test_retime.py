@@ -140,10 +140,10 @@ def fix(seconds, **beside):
 
 
 def retimed_lines(folder, lines, **corrections):
-    (folder / "drive").mkdir()
+    (folder / "drive").mkdir(exist_ok=True)
     (folder / "drive" / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     with open_scene(folder / "drive") as scene:
-        write_scene(retimed_scene(scene, **corrections), folder / "again")
+        write_scene(retimed_scene(scene, **corrections), folder / "again", overwrite=True)
     return [json.loads(line) for line in (folder / "again" / "data.jsonl").read_text().splitlines()]
 
 
@@ -158,6 +158,5 @@ def test_further_keys_move_with_their_samples_and_a_line_of_two_records_becomes_
     expected = [{**line, "time": line["time"] + shifts[next(iter(line))]} for line in lines]
     assert found == sorted(expected, key=lambda line: line["time"])
     # a line of two records is two lines when one of them moves
-    sensors = {key_of("imu"): ClockCorrection(250_000_000)}
-    found = retimed_lines(tmp_path, [{**sample(0.5), **fix(0.5)}], sensors=sensors)
+    found = retimed_lines(tmp_path, [{**sample(0.5), **fix(0.5)}], sensors={key_of("imu"): late})
     assert found == [{**sample(0.5), "time": 0.25}, fix(0.5)]

@@ -75,13 +75,9 @@ def a_scene():
 
 def counts(scene):
     cuboid, points, adjustment, _ = scene.annotations
-    return {
-        "cuboids": len(cuboid.path.timestamps_ns),
-        "keypoints": len(points.paths[0].timestamps_ns),
-        "adjustments": len(adjustment.poses.timestamps_ns),
-        "sensors": len(scene.sensors[0].poses.timestamps_ns),
-        "trajectories": len(scene.trajectories["trajectory"].timestamps_ns),
-    }
+    paths = {"cuboids": cuboid.path, "keypoints": points.paths[0], "adjustments": adjustment.poses}
+    paths |= {"sensors": scene.sensors[0].poses, "trajectories": scene.trajectories["trajectory"]}
+    return {name: len(path.timestamps_ns) for name, path in paths.items()}
 
 
 def test_all_kinds_of_paths_or_one_are_simplified_and_reported_and_a_pose_that_holds_for_ever_stays():

@@ -30,7 +30,7 @@ from benchmarks.batch_workers import alone, kill_workers, processor_seconds
 from sceneloom.batch import Input, Job, RunSummary, run
 from sceneloom.batch.cluster import DaskCluster
 from sceneloom.batch.record import FOLDER, Record
-from sceneloom.batch.workers import ProcessPool, one_thread
+from sceneloom.batch.running import ProcessPool, one_thread
 from sceneloom.cli.batch import BATCHED, CALL
 from sceneloom.simulate import LidarSpec, simulate_street
 

@@ -53,7 +53,7 @@ def processor_seconds() -> float:
 def alone(work: str, locations: list[str], folder: str, pipe) -> None:
     """Work without anything of a batch, once the other side says so; report what it took by clock and processor [s]."""
     from benchmarks.batch import fuse_job
-    from sceneloom.batch.workers import run_task
+    from sceneloom.batch.running import run_task
 
     out = Path(folder)
     job = fuse_job([Path(location) for location in locations])

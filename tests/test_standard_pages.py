@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sceneloom.db34t.properties import PREDEFINED
+from sceneloom.db34t.setting import PREDEFINED
 from sceneloom.db34t.tables import TABLES
 from sceneloom.db34t.types import Cause
 

@@ -30,8 +30,7 @@ from tests.unit.service.test_security import Authority
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
-from sceneloom.service.methods import METHODS
-from sceneloom.service.sessions import CallError
+from sceneloom.service.server import METHODS, CallError
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 WIDTH, HEIGHT = 64, 48

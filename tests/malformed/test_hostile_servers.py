@@ -14,7 +14,7 @@ import sceneloom
 from sceneloom.cli import main
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.wire import fusion_pb2
-from sceneloom.service.methods import METHODS
+from sceneloom.service.server import METHODS
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 FEW, MANY = 12, 2000

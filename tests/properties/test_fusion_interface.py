@@ -12,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from sceneloom.db34t import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.db34t.properties import PREDEFINED
+from sceneloom.db34t.setting import PREDEFINED
 from sceneloom.errors import OptionError
 from sceneloom.fusion.algorithms import algorithm
 from sceneloom.scene.poses import Poses

@@ -16,7 +16,7 @@ from typing import Any, Self
 import msgspec
 
 from sceneloom.batch.jobs import Outcome, Task
-from sceneloom.batch.workers import LOST, NUMBA, OUTCOME, THREADS, run_task
+from sceneloom.batch.running import LOST, NUMBA, OUTCOME, THREADS, run_task
 from sceneloom.errors import MissingExtraError, OptionError, how_to_install
 from sceneloom.formats.base.files import is_url
 from sceneloom.version import __version__

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 
@@ -68,71 +68,70 @@ class RunFigures(msgspec.Struct, frozen=True, kw_only=True):
         """From the first begin to the last end [s]."""
         return ((self.ended_ns or 0) - (self.begun_ns or 0)) * 1e-9
 
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read the record in a folder, also while the run goes on.
 
-def read_figures(folder: Path) -> RunFigures:
-    """Read the record in a folder, also while the run goes on.
+        Raises:
+            DataError: there is no record of a run.
+        """
+        with Record.opened(folder) as record:
+            run, rows = record.reported(), record.rows()
+            reports = {row.number: record.report(row.number) for row in rows if row.state is State.DONE}
+        ended = [row for row in rows if row.finished_ns is not None]
+        seconds = {row.number: row.seconds or 0.0 for row in ended}
+        ends_ns = {row.number: row.finished_ns or 0 for row in ended}
+        slowest = sorted(((row.name, seconds[row.number]) for row in ended), key=lambda one: -one[1])
+        return cls(
+            folder=str(folder),
+            verb=str(run.get("verb", "")),
+            version=str(run.get("sceneloom", "")),
+            states={str(state): sum(row.state is state for row in rows) for state in State},
+            tries=sum(row.attempts for row in rows),
+            begun_ns=min((ends_ns[number] - round(taken * 1e9) for number, taken in seconds.items()), default=None),
+            ended_ns=max(ends_ns.values(), default=None),
+            slowest=tuple(slowest[:_MOST_SHOWN]),
+            causes=_causes(row for row in rows if row.state is State.FAILED),
+            stages=_stages(rows, reports),
+            workers=_workers(ended),
+            drive_seconds=tuple(sorted(seconds.values())),
+        )
 
-    Raises:
-        DataError: there is no record of a run.
-    """
-    with Record.opened(folder) as record:
-        run, rows = record.reported(), record.rows()
-        reports = {row.number: record.report(row.number) for row in rows if row.state is State.DONE}
-    ended = [row for row in rows if row.finished_ns is not None]
-    seconds = {row.number: row.seconds or 0.0 for row in ended}
-    ends_ns = {row.number: row.finished_ns or 0 for row in ended}
-    slowest = sorted(((row.name, seconds[row.number]) for row in ended), key=lambda one: -one[1])
-    return RunFigures(
-        folder=str(folder),
-        verb=str(run.get("verb", "")),
-        version=str(run.get("sceneloom", "")),
-        states={str(state): sum(row.state is state for row in rows) for state in State},
-        tries=sum(row.attempts for row in rows),
-        begun_ns=min((ends_ns[number] - round(taken * 1e9) for number, taken in seconds.items()), default=None),
-        ended_ns=max(ends_ns.values(), default=None),
-        slowest=tuple(slowest[:_MOST_SHOWN]),
-        causes=_causes(row for row in rows if row.state is State.FAILED),
-        stages=_stages(rows, reports),
-        workers=_workers(ended),
-        drive_seconds=tuple(sorted(seconds.values())),
-    )
+    def write_page(self, target: Path, *, overwrite: bool = False) -> None:
+        """Write a page of HTML that needs nothing from elsewhere.
 
-
-def write_page(figures: RunFigures, target: Path, *, overwrite: bool = False) -> None:
-    """Write a page of HTML that needs nothing from elsewhere.
-
-    Raises:
-        OutputError: it exists, or cannot be written.
-    """
-    counts = ", ".join(f"{count} {state}" for state, count in figures.states.items() if count)
-    facts = [f"{counts}; {figures.tries} tries", f"{figures.folder}, by sceneloom {figures.version}"]
-    if figures.begun_ns is not None and figures.seconds > 0:
-        begun, times = datetime.fromtimestamp(figures.begun_ns // 10**9, UTC), figures.drive_seconds
-        rate = 60.0 * len(times) / figures.seconds
-        facts.append(f"begun {begun:%Y-%m-%d %H:%M:%S} UTC; {figures.seconds:.0f} s; {rate:.1f} drives a minute")
-        facts.append(f"a drive: median {times[len(times) // 2]:.1f} s, at most {times[-1]:.1f} s")
-    stages = sorted(figures.stages.items(), key=lambda stage: -stage[1])
-    tables: Mapping[str, tuple[tuple[str, ...], Sequence[Sequence[object]]]] = {
-        "Why drives failed": (
-            ("drives", "cause", "first"),
-            [(len(drives), f"{kind}: {error}", drives[0]) for kind, error, drives in figures.causes],
-        ),
-        "Time by stage": (("stage", "seconds"), [(name, f"{taken:.1f}") for name, taken in stages]),
-        "Slowest drives": (("drive", "seconds"), [(name, f"{taken:.1f}") for name, taken in figures.slowest]),
-        "Workers": (
-            ("drives", "seconds", "of processor", "most memory [MB]", "worker"),
-            [(n, f"{a:.1f}", f"{b:.1f}", f"{most / 1e6:.0f}", name) for name, n, a, b, most in figures.workers],
-        ),
-    }
-    body = [f"<p>{escape(fact)}</p>" for fact in facts]
-    for heading, (heads, rows) in tables.items():
-        head = "".join(f'<th scope="col">{escape(one)}</th>' for one in heads)
-        cells = ("".join(f"<td>{escape(str(cell))}</td>" for cell in row) for row in rows)
-        lines = "".join(f"<tr>{one}</tr>\n" for one in cells)
-        body += [f"<h2>{escape(heading)}</h2>\n<table>\n<tr>{head}</tr>\n{lines}</table>"] if rows else []
-    title = escape(f"{figures.verb} over {sum(figures.states.values())} drives")
-    with replacing(target, overwrite=overwrite) as draft:
-        draft.write_text(_PAGE.format(title=title, body="\n".join(body)), encoding="utf-8")
+        Raises:
+            OutputError: it exists, or cannot be written.
+        """
+        counts = ", ".join(f"{count} {state}" for state, count in self.states.items() if count)
+        facts = [f"{counts}; {self.tries} tries", f"{self.folder}, by sceneloom {self.version}"]
+        if self.begun_ns is not None and self.seconds > 0:
+            begun, times = datetime.fromtimestamp(self.begun_ns // 10**9, UTC), self.drive_seconds
+            rate = 60.0 * len(times) / self.seconds
+            facts.append(f"begun {begun:%Y-%m-%d %H:%M:%S} UTC; {self.seconds:.0f} s; {rate:.1f} drives a minute")
+            facts.append(f"a drive: median {times[len(times) // 2]:.1f} s, at most {times[-1]:.1f} s")
+        stages = sorted(self.stages.items(), key=lambda stage: -stage[1])
+        tables: Mapping[str, tuple[tuple[str, ...], Sequence[Sequence[object]]]] = {
+            "Why drives failed": (
+                ("drives", "cause", "first"),
+                [(len(drives), f"{kind}: {error}", drives[0]) for kind, error, drives in self.causes],
+            ),
+            "Time by stage": (("stage", "seconds"), [(name, f"{taken:.1f}") for name, taken in stages]),
+            "Slowest drives": (("drive", "seconds"), [(name, f"{taken:.1f}") for name, taken in self.slowest]),
+            "Workers": (
+                ("drives", "seconds", "of processor", "most memory [MB]", "worker"),
+                [(n, f"{a:.1f}", f"{b:.1f}", f"{most / 1e6:.0f}", name) for name, n, a, b, most in self.workers],
+            ),
+        }
+        body = [f"<p>{escape(fact)}</p>" for fact in facts]
+        for heading, (heads, rows) in tables.items():
+            head = "".join(f'<th scope="col">{escape(one)}</th>' for one in heads)
+            cells = ("".join(f"<td>{escape(str(cell))}</td>" for cell in row) for row in rows)
+            lines = "".join(f"<tr>{one}</tr>\n" for one in cells)
+            body += [f"<h2>{escape(heading)}</h2>\n<table>\n<tr>{head}</tr>\n{lines}</table>"] if rows else []
+        title = escape(f"{self.verb} over {sum(self.states.values())} drives")
+        with replacing(target, overwrite=overwrite) as draft:
+            draft.write_text(_PAGE.format(title=title, body="\n".join(body)), encoding="utf-8")
 
 
 def format_metrics(

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from hashlib import blake2b
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Any
@@ -16,7 +15,7 @@ from urllib.parse import unquote, urlsplit
 import msgspec
 
 from sceneloom.errors import DataError, OptionError, redacted
-from sceneloom.formats.base.files import fingerprint, is_url, read_settings
+from sceneloom.formats.base.files import is_url, read_settings
 from sceneloom.formats.base.output import file_stems
 from sceneloom.formats.base.registry import PART, drives_of
 
@@ -53,6 +52,23 @@ class Input:
         """What the record calls it: its location without secrets, which stays the same when a URL is signed anew."""
         return redacted(self.location)
 
+    def drives(self, *, read_as: str | None = None) -> "tuple[Input, ...]":
+        """Name the drives of a data set, where a folder has several and none was chosen; else this alone.
+
+        Args:
+            read_as: name of its format, where its content shall not decide.
+        """
+        if is_url(self.location) or f"{READING}sequence" in self.options:
+            return (self,)
+        found = drives_of(Path(self.location), read_as=self.options.get(f"{READING}format", read_as))
+        drives = [
+            replace(self, location=str(one))
+            if isinstance(one, Path)
+            else replace(self, options={**self.options, f"{READING}sequence": one})
+            for one in found
+        ]
+        return tuple(drives) or (self,)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Further:
@@ -81,7 +97,7 @@ class Further:
         Args:
             drive: what its output is called, without a suffix.
         """
-        name = drive if self.is_folder else f"{drive}.{name_of(self.location).lstrip('.')}"
+        name = drive if self.is_folder else f"{drive}.{_name_of(self.location).lstrip('.')}"
         return f"{self.folder}/{name}" if is_url(self.location) else str(Path(self.folder, name))
 
 
@@ -113,6 +129,11 @@ class Job:
     modules: tuple[str, ...] = ()
     further: tuple[Further, ...] = ()
 
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The names of the outputs, in the order of the drives."""
+        return output_names(self.inputs, self.suffix)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
@@ -138,6 +159,11 @@ class Task:
     target: str = ""
     further: Mapping[str, str] = field(default_factory=dict)
     files: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def further_names(self) -> dict[str, str]:
+        """The last parts of the locations of further outputs, by option."""
+        return {option: _name_of(location) for option, location in self.further.items()}
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -169,7 +195,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     worker: str = ""
 
 
-def name_of(location: str) -> str:
+def _name_of(location: str) -> str:
     """The last part of a path or address."""
     return PurePosixPath(unquote(urlsplit(location).path)).name if is_url(location) else Path(location).name
 
@@ -230,25 +256,6 @@ def find_inputs(
         if once.setdefault((drive.location, *sorted(drive.options.items())), drive).files != drive.files:
             raise OptionError(f"{drive.name}: named twice, with different files beside it; do them apart")
     return tuple(once.values())
-
-
-def each_drive(given: Input, *, read_as: str | None = None) -> tuple[Input, ...]:
-    """Name the drives of a data set, where a folder has several and none was chosen; else what is given.
-
-    Args:
-        given: a drive or a data set.
-        read_as: name of its format, where its content shall not decide.
-    """
-    if is_url(given.location) or f"{READING}sequence" in given.options:
-        return (given,)
-    found = drives_of(Path(given.location), read_as=given.options.get(f"{READING}format", read_as))
-    drives = [
-        replace(given, location=str(one))
-        if isinstance(one, Path)
-        else replace(given, options={**given.options, f"{READING}sequence": one})
-        for one in found
-    ]
-    return tuple(drives) or (given,)
 
 
 def _locations(text: str) -> list[str]:
@@ -442,21 +449,7 @@ def give_files(
     return tuple(given), alike
 
 
-def with_files(drive: str, files: Mapping[str, Any]) -> str:
-    """Report a drive and the files beside it from what they were at another time, as `fingerprint` does.
-
-    Args:
-        drive: its fingerprint.
-        files: by option, as of `Job`.
-    """
-    seen = [drive]
-    seen += [fingerprint(str(path)) for _, value in sorted(files.items()) for path in _each(value)]
-    if len(seen) == 1 or not all(seen):
-        return seen[0] if all(seen) else ""
-    return blake2b("\n".join(seen).encode(), digest_size=16).hexdigest()
-
-
-def flag_of(option: str) -> str:
+def _flag_of(option: str) -> str:
     """An option, as the user says it."""
     return f"--{option.replace('_', '-')}"
 
@@ -495,10 +488,10 @@ def _refuse_missing(drives: Iterable[Input], options: Iterable[str]) -> None:
     if missing:
         path, option, drive = missing[0]
         more = f"; so it is with {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise DataError(path, "", f"no such file or folder, for {flag_of(option)} of {drive.name}{more}")
+        raise DataError(path, "", f"no such file or folder, for {_flag_of(option)} of {drive.name}{more}")
 
 
 def _missing(option: str, path: Path, about: FileOption) -> str:
     names = f"; expected a file, or one of {', '.join(sorted(about.names))}" if about.names else ""
     hint = f"; drives may differ by {', '.join(_PLACEHOLDERS)}" if "{" in str(path) else ""
-    return f"no such file or folder, for {flag_of(option)}{names}{hint}"
+    return f"no such file or folder, for {_flag_of(option)}{names}{hint}"

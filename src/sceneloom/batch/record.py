@@ -1,17 +1,19 @@
 """The record of a run, a small database beside its outputs with a row for each drive, and a lock on the folder."""
 
 import json
+import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Self
 
 import msgspec
 
 from sceneloom.batch.jobs import READING, Outcome, State
-from sceneloom.errors import DataError, OutputError
+from sceneloom.errors import DataError, OutputError, redacted
 
 
 @contextmanager
@@ -118,6 +120,19 @@ class Record:
     def __init__(self, folder: Path, connection: sqlite3.Connection) -> None:
         """Hold an open database; use `opened`, or `held` to write."""
         self.folder, self._connection = folder, connection
+
+    @staticmethod
+    def folder_for(url: str) -> Path:
+        """Where the record of a run is by default whose outputs lie in a store: in a folder of the user's own state.
+
+        Source: XDG Base Directory Specification 0.8, `XDG_STATE_HOME`.
+        """
+        state = os.environ.get("XDG_STATE_HOME", "")
+        base = Path(state) if Path(state).is_absolute() else Path.home() / ".local" / "state"
+        shown = redacted(url).rstrip("/")
+        name = shown.rpartition("/")[2]
+        reported = "".join(sign if sign.isalnum() or sign in "-_." else "_" for sign in name).lstrip(".")[:60]
+        return base / "sceneloom" / "runs" / f"{reported}-{blake2b(shown.encode(), digest_size=4).hexdigest()}"
 
     @classmethod
     @contextmanager

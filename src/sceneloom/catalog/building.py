@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.batch.jobs import Outcome, Task
-from sceneloom.batch.workers import LOST, Executor, ProcessPool, Warming, run_task
+from sceneloom.batch.running import LOST, Executor, ProcessPool, Warming, run_task
 from sceneloom.catalog.rows import scene_rows
 from sceneloom.catalog.storage import SCENES_KEY, VERSION, Layout, arrow_type, pyarrow, read_footer, read_part
 from sceneloom.catalog.tables import TABLES, Column, Kind, Repeated, Rows, Values

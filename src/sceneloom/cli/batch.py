@@ -24,8 +24,7 @@ from sceneloom.errors import OptionError
 if TYPE_CHECKING:
     from sceneloom.batch.jobs import Input, Outcome
     from sceneloom.batch.record import Row
-    from sceneloom.batch.running import Reported, RunSummary
-    from sceneloom.batch.workers import Executor
+    from sceneloom.batch.running import Executor, Reported, RunSummary
 
 CALL = "sceneloom.cli.batch:run_verb"
 """How workers find the function below."""
@@ -319,13 +318,13 @@ def find_listed(
         reading: the stated options of reading; each drive of a data set is then found for itself, unless they name one.
         stays: which data sets are not split so, since the verb does all their drives at once.
     """
-    from sceneloom.batch.jobs import each_drive, find_inputs, flag_of
+    from sceneloom.batch.jobs import find_inputs
 
     others = {option for batched in BATCHED.values() for option in batched.beside}
     found = find_inputs(locations, lists, files=files or {}, others=others)
     unread = sorted({option for drive in found for option in drive.unread})
     if unread and not quiet:
-        flags = ", ".join(map(flag_of, unread))
+        flags = ", ".join(f"--{option.replace('_', '-')}" for option in unread)
         click.echo(f"not read by {verb}: what the lists state for {flags}", err=True)
     if reading is None:
         return found
@@ -333,7 +332,7 @@ def find_listed(
         return found
     drives: list[Input] = []
     for one in found:
-        several = (one,) if stays(one) else each_drive(one, read_as=reading.get("format"))
+        several = (one,) if stays(one) else one.drives(read_as=reading.get("format"))
         if len(several) > 1 and not quiet:
             click.echo(f"{one.name}: {len(several)} drives; --sequence chooses one", err=True)
         drives += several
@@ -447,18 +446,17 @@ def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
 @option("-v --verbose", "Every drive, not only the failures.")
 def status(output: Path | str, record: Path | None, html: Path | None, overwrite: bool, **shown: bool) -> None:
     """Report the state of the run into OUTPUT, a folder or a URL, while it goes on, too."""
-    from sceneloom.batch.figures import read_figures, write_page
+    from sceneloom.batch.figures import RunFigures
     from sceneloom.batch.jobs import State
     from sceneloom.batch.record import Record
-    from sceneloom.batch.running import record_folder
     from sceneloom.errors import redacted
 
-    folder = record or (record_folder(output) if isinstance(output, str) else output)
+    folder = record or (Record.folder_for(output) if isinstance(output, str) else output)
     with Record.opened(folder) as opened:
         reported, rows = opened.reported(), opened.rows()
-    figures = read_figures(folder)
+    figures = RunFigures.read(folder)
     if html is not None:
-        write_page(figures, html, overwrite=overwrite)
+        figures.write_page(html, overwrite=overwrite)
     if shown["as_json"]:
         print_json({"run": reported, "stages": figures.stages, "drives": [asdict(row) for row in rows]})
         return

@@ -68,9 +68,9 @@ def serve(
     log_to_standard_error(quiet=quiet, verbose=verbose)
 
     with ExitStack() as stack:
-        from sceneloom.db34t.transport import read_token
+        from sceneloom.db34t.transport import Security, read_token
         from sceneloom.service.running import configured, serve_until_ended
-        from sceneloom.service.server import Security, ServerSettings
+        from sceneloom.service.server import ServerSettings
 
         stated = options.stated(most_sessions=given["max_sessions"], idle_minutes=given["idle_minutes"])
         limits, configure = configured(given["config"], **stated)
@@ -326,7 +326,7 @@ def conformance(
     Any server of the project's .proto can be checked, whoever wrote it. Each check works in a session of its own,
     which is ended after it.
     """
-    from sceneloom.db34t.conformance.examination import Access, GrpcTransport, check_report, chosen, examine
+    from sceneloom.db34t.conformance.examination import Examination, GrpcTransport, chosen, examine
     from sceneloom.formats.base.output import check_output
 
     checks = chosen(only)
@@ -335,11 +335,11 @@ def conformance(
         return
     if address is None:
         raise click.UsageError("Missing argument 'HOST:PORT'.", click.get_current_context())
-    access = Access(given["ca"], given["token_file"], _certificate(given))
+    access = {"ca": given["ca"], "token_file": given["token_file"], "certificate": _certificate(given)}
     if report is not None:
-        check_report(report)
+        Examination.check_name(report)
         check_output(report, overwrite=overwrite)
-    with GrpcTransport.connected(address, access) as transport, printer.progress("checking") as progress:
+    with GrpcTransport.connected(address, **access) as transport, printer.progress("checking") as progress:
         examination = examine(transport, address=address, only=only, progress=progress)
     if report is not None:
         examination.write(report, overwrite=overwrite)

@@ -1,12 +1,9 @@
-"""What happens in a session: records accepted, refused or dropped, motion, results; who counts it and looks on."""
+"""What happens in a session: records accepted, refused or dropped, motion, results."""
 
 import threading
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from sceneloom.db34t.calibration import SensorKind
-from sceneloom.db34t.properties import Snapshot
 from sceneloom.db34t.records import (
     Boxes2d,
     Boxes3d,
@@ -18,8 +15,8 @@ from sceneloom.db34t.records import (
     kind_of,
     size_of,
 )
-from sceneloom.db34t.results import FoundObjects
-from sceneloom.db34t.setting import Setting
+from sceneloom.db34t.scene_objects import FoundObjects
+from sceneloom.db34t.setting import SensorKind, Setting, Snapshot
 from sceneloom.db34t.types import Outcome
 from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame
@@ -55,67 +52,6 @@ class Ticket:
     holders: int = 1
     fused: bool = False
     outcome: str = ""
-
-
-@dataclass(slots=True)
-class Counters:
-    """Counts by name, and follows records until nobody keeps them any more; from any thread.
-
-    Names are words joined by dots, the first says what happened: `received.image`, `refused.bad-record`,
-    `dropped.queue-full`, `unpaired.camera`, `results.sensor`, … A record was `fused` if it took part in a result, else
-    `dropped`, or its part in the fusion `failed`, or it is `unpaired`: nothing came that it belongs to. For each kind
-
-        received + gathered = fused + unpaired + dropped + failed + waiting
-
-    Attributes:
-        waiting_bytes: of the records that have come and are not done with.
-    """
-
-    waiting_bytes: int = 0
-    _counts: Counter[str] = field(default_factory=Counter)
-    _waiting: Counter[Stream] = field(default_factory=Counter)
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def add(self, name: str, count: int = 1) -> None:
-        """Count something that happened, if it did."""
-        if count:
-            with self._lock:
-                self._counts[name] += count
-
-    def counts(self) -> dict[str, int]:
-        """All that was counted, by name in the order of the alphabet."""
-        with self._lock:
-            return dict(sorted(self._counts.items()))
-
-    def issue(self, ticket: Ticket) -> None:
-        """Note a record that comes in."""
-        with self._lock:
-            self._waiting[ticket.stream] += 1
-            self.waiting_bytes += ticket.size
-
-    def share(self, ticket: Ticket, holders: int) -> None:
-        """Note that so many fusion systems keep a record; none of them: it is done."""
-        with self._lock:
-            ticket.holders = holders + 1
-        self.settle(ticket)
-
-    def settle(self, ticket: Ticket, outcome: str = "") -> None:
-        """Note that one of them does not keep a record any more, and why if not because it was used or is too old."""
-        with self._lock:
-            ticket.holders -= 1
-            ticket.outcome = ticket.outcome or outcome
-            if ticket.holders != 0:
-                return
-            self._waiting[ticket.stream] -= 1
-            self.waiting_bytes -= ticket.size
-            if not self._waiting[ticket.stream]:
-                del self._waiting[ticket.stream]
-        self.add(f"{'fused' if ticket.fused else ticket.outcome or 'unpaired'}.{ticket.stream[0]}")
-
-    def waiting(self, stream: Stream | None = None) -> int:
-        """How many records of a stream, or of all, have come and are not done with."""
-        with self._lock:
-            return self._waiting.total() if stream is None else self._waiting[stream]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,28 +154,3 @@ Event = Task | Refused | Dropped | Result
 """What an observer is told, in the order in which it counts."""
 
 Observer = Callable[[Event], None]
-
-
-class Announcer:
-    """Tells an observer what happens, one call at a time, from any thread.
-
-    Attributes:
-        observed: whether somebody looks on.
-    """
-
-    def __init__(self, observer: Observer | None, counters: Counters) -> None:
-        """Tell an observer, or nobody; an observer that fails is counted."""
-        self.observed = observer is not None
-        self._observer = observer
-        self._counters = counters
-        self._lock = threading.Lock()
-
-    def notify(self, event: Event) -> None:
-        """Tell what happened."""
-        if self._observer is None:
-            return
-        with self._lock:
-            try:
-                self._observer(event)
-            except Exception as error:  # noqa: BLE001 - who only looks on must not end the session
-                self._counters.add(f"errors.observer.{type(error).__name__}")

@@ -7,29 +7,24 @@ against the configuration in force; boxes that come one by one are gathered to f
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from operator import attrgetter
 from types import MappingProxyType, TracebackType
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn, Protocol, Self, cast
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array
-from sceneloom.db34t.calibration import (
-    MOST_PAIRS,
-    CalibrationEntry,
-    CalibrationTable,
-    SensorKind,
-    calibration_table,
-    parse_calibrations,
-)
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, read_only
+from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.results import FusedFrame
 from sceneloom.db34t.events import (
     CLOCK_JUMP_NS,
     Accepted,
-    Announcer,
-    Counters,
+    Dropped,
+    Event,
     Flushed,
     FrameRecord,
     Moved,
@@ -38,205 +33,764 @@ from sceneloom.db34t.events import (
     Result,
     Stream,
     Task,
+    Ticket,
 )
-from sceneloom.db34t.properties import MOST_PROPERTIES, PREDEFINED, Property, Snapshot
 from sceneloom.db34t.records import (
     Box2d,
     Box3d,
     Boxes2d,
     Boxes3d,
     CalibrationData,
+    FusedDetections,
     ImageData,
     PointCloudData,
     RawData,
+    ResultRecord,
+    SensorFusionData,
     SentRecord,
     join_boxes,
     kind_of,
+    size_of,
 )
-from sceneloom.db34t.scene_objects import measurement_of
-from sceneloom.db34t.setting import Setting
+from sceneloom.db34t.scene_objects import (
+    FoundObjects,
+    boxes_2d_of,
+    boxes_3d_of,
+    declared_columns,
+    measurement_of,
+    sensor_fusion_record,
+)
+from sceneloom.db34t.setting import (
+    MOST_PAIRS,
+    CalibrationEntry,
+    CalibrationTable,
+    Property,
+    PropertyStore,
+    SensorKind,
+    Setting,
+    calibration_table,
+    parse_calibrations,
+)
 from sceneloom.db34t.tables import BOX_3D
-from sceneloom.db34t.types import DONE, BasicType, Cause, Outcome, ValueForm, ValueType, refused, shown
-from sceneloom.db34t.worker import ResultsQueue, Worker
-from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError
+from sceneloom.db34t.types import DONE, Cause, Outcome, Timestamp, refused
+from sceneloom.detections.results import NO_BOX, FusedBoxes
+from sceneloom.errors import CalibrationError, OptionError, PoseError, SceneloomError
 from sceneloom.formats.recording.lidars import XYZIRT
-from sceneloom.fusion.algorithms import FusionType, algorithm
+from sceneloom.fusion.algorithms import BUILT_IN, FusionType, algorithm
+from sceneloom.fusion.system import STILL, FusedDetectionFrame, FusionSystem, Leave, SeenBoxes
+from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform, multiply_quaternions, rotate_vectors
+from sceneloom.scene.cameras import GLOBAL, CameraImage
 from sceneloom.scene.clouds import LidarFrame
-from sceneloom.scene.poses import Poses
-
-_LONGEST_NAME = 256
-_LONGEST_DESCRIPTION = 65_536
-
-_LARGEST_VALUES = 1 << 25
-"""How large the values of all properties may be together: their characters, and 8 for each number."""
+from sceneloom.scene.poses import Poses, PoseSource
 
 
 @dataclass(slots=True)
-class PropertyStore:
-    """Holds the properties; each call is whole before the next one is, whoever calls.
+class Counters:
+    """Counts by name, and follows records until nobody keeps them any more; from any thread.
+
+    Names are words joined by dots, the first says what happened: `received.image`, `refused.bad-record`,
+    `dropped.queue-full`, `unpaired.camera`, `results.sensor`, … A record was `fused` if it took part in a result, else
+    `dropped`, or its part in the fusion `failed`, or it is `unpaired`: nothing came that it belongs to. For each kind
+
+        received + gathered = fused + unpaired + dropped + failed + waiting
 
     Attributes:
-        check_algorithm: called with a fusion type and a name before it is set; raises OptionError if there is no
-            such algorithm.
-
-    Source: DB34/T 4101-2022, clauses 5.2 to 5.5.
+        waiting_bytes: of the records that have come and are not done with.
     """
 
-    check_algorithm: Callable[[int, str], object] | None = None
-    _properties: dict[str, Property] = field(
-        default_factory=lambda: {
-            row.name: Property(
-                row.name, row.description, ValueType.parse(row.type), row.default, row.unit, predefined=True
-            )
-            for row in PREDEFINED.values()
-        }
-    )
-    _algorithms: list[str] = field(default_factory=lambda: [PREDEFINED["fusion_algorithm"].default] * 2)
-    _revision: int = 0
-    _size: int = 0
-    _snapshot: Snapshot | None = None
+    waiting_bytes: int = 0
+    _counts: Counter[str] = field(default_factory=Counter)
+    _waiting: Counter[Stream] = field(default_factory=Counter)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def add(self, name: str, description: str, type: str) -> Outcome:
-        """Add a property without a value.
+    def add(self, name: str, count: int = 1) -> None:
+        """Count something that happened, if it did."""
+        if count:
+            with self._lock:
+                self._counts[name] += count
 
-        Args:
-            name: up to 256 characters, none of them blank or a control character.
-            description: for people; of an `enum` it lists its `name=number` pairs.
-            type: of table 1, or a tuple or an array of such.
-
-        Returns:
-            0 where the name is taken or not usable, or the type is none.
-
-        Source: DB34/T 4101-2022, clause 5.3.
-        """
-        try:
-            _check_words(name, description)
-            kind = ValueType.parse(type)
-        except DataError as error:
-            return refused(Cause.ILL_TYPED, error)
-        added = Property(name, description, kind)
-        if BasicType.ENUM in kind.elements and not added.enumeration:
-            return refused(Cause.ILL_TYPED, "an enum without values; expected name=number pairs in its description")
+    def counts(self) -> dict[str, int]:
+        """All that was counted, by name in the order of the alphabet."""
         with self._lock:
-            if name in self._properties:
-                return refused(Cause.KNOWN_NAME, f"property {name!r} is there already")
-            if len(self._properties) >= MOST_PROPERTIES:
-                return refused(Cause.TOO_MANY, f"there are {MOST_PROPERTIES} properties, as many as there may be")
-            self._keep(added)
-        return DONE
+            return dict(sorted(self._counts.items()))
 
-    def set(self, name: str, value: Any) -> Outcome:
-        """Set a property; what is refused leaves it as it was.
-
-        Source: DB34/T 4101-2022, clause 5.4.
-        """
+    def issue(self, ticket: Ticket) -> None:
+        """Note a record that comes in."""
         with self._lock:
-            known = self._properties.get(name)
-            if known is None:
-                return refused(Cause.UNKNOWN_NAME, self._unknown(name))
+            self._waiting[ticket.stream] += 1
+            self.waiting_bytes += ticket.size
+
+    def share(self, ticket: Ticket, holders: int) -> None:
+        """Note that so many fusion systems keep a record; none of them: it is done."""
+        with self._lock:
+            ticket.holders = holders + 1
+        self.settle(ticket)
+
+    def settle(self, ticket: Ticket, outcome: str = "") -> None:
+        """Note that one of them does not keep a record any more, and why if not because it was used or is too old."""
+        with self._lock:
+            ticket.holders -= 1
+            ticket.outcome = ticket.outcome or outcome
+            if ticket.holders != 0:
+                return
+            self._waiting[ticket.stream] -= 1
+            self.waiting_bytes -= ticket.size
+            if not self._waiting[ticket.stream]:
+                del self._waiting[ticket.stream]
+        self.add(f"{'fused' if ticket.fused else ticket.outcome or 'unpaired'}.{ticket.stream[0]}")
+
+    def waiting(self, stream: Stream | None = None) -> int:
+        """How many records of a stream, or of all, have come and are not done with."""
+        with self._lock:
+            return self._waiting.total() if stream is None else self._waiting[stream]
+
+
+class _Announcer:
+    """Tells an observer what happens, one call at a time, from any thread.
+
+    Attributes:
+        observed: whether somebody looks on.
+    """
+
+    def __init__(self, observer: Observer | None, counters: Counters) -> None:
+        """Tell an observer, or nobody; an observer that fails is counted."""
+        self.observed = observer is not None
+        self._observer = observer
+        self._counters = counters
+        self._lock = threading.Lock()
+
+    def notify(self, event: Event) -> None:
+        """Tell what happened."""
+        if self._observer is None:
+            return
+        with self._lock:
             try:
-                checked = _checked(known, value)
-            except DataError as error:
-                return refused(Cause.ILL_TYPED, error)
-            try:
-                self._check_further(name, checked)
-            except OptionError as error:
-                return refused(Cause.UNKNOWN_ALGORITHM, error)
-            except (DataError, CalibrationError) as error:
-                return refused(Cause.OUT_OF_RANGE, f"{name}: {error}")
-            size = self._size - _size_of(known.value) + _size_of(checked)
-            if size > _LARGEST_VALUES:
-                problem = f"all values have {size} characters and numbers then; expected at most {_LARGEST_VALUES}"
-                return refused(Cause.TOO_MANY, f"{name}: {problem}")
-            self._size = size
-            if name == "fusion_algorithm":
-                self._algorithms[self._properties["fusion_type"].value] = checked
-            self._keep(replace(known, value=checked))
-            # fusion_algorithm states the algorithm of the fusion that fusion_type names
-            algorithm = self._properties["fusion_algorithm"]
-            current = self._algorithms[self._properties["fusion_type"].value]
-            if algorithm.value != current:
-                self._properties["fusion_algorithm"] = replace(algorithm, value=current)
-        return DONE
-
-    def get(self, name: str) -> Property:
-        """Give a property.
-
-        Raises:
-            OptionError: there is none of that name.
-
-        Source: DB34/T 4101-2022, clause 5.5.
-        """
-        with self._lock:
-            if name not in self._properties:
-                raise OptionError(self._unknown(name))
-            return self._properties[name]
-
-    def snapshot(self) -> Snapshot:
-        """Give all properties as they are now."""
-        with self._lock:
-            if self._snapshot is None:
-                kept = MappingProxyType(dict(self._properties))
-                self._snapshot = Snapshot(self._revision, kept, (self._algorithms[0], self._algorithms[1]))
-            return self._snapshot
-
-    def _keep(self, changed: Property) -> None:
-        self._properties[changed.name] = changed
-        self._revision += 1
-        self._snapshot = None
-
-    def _check_further(self, name: str, value: Any) -> None:
-        row = PREDEFINED.get(name)
-        if row is not None and row.check is not None:
-            row.check(value)
-        if name == "fusion_algorithm" and self.check_algorithm is not None:
-            self.check_algorithm(self._properties["fusion_type"].value, value)
-
-    def _unknown(self, name: str) -> str:
-        names = list(self._properties)
-        listed = f"{', '.join(names[:40])}{'' if len(names) <= 40 else ', …'}"
-        return f"property {shown(name)} is not there; there are {listed}"
+                self._observer(event)
+            except Exception as error:  # noqa: BLE001 - who only looks on must not end the session
+                self._counters.add(f"errors.observer.{type(error).__name__}")
 
 
-def _check_words(name: str, description: str) -> None:
-    """Check name and description of a property that is added."""
-    usable = isinstance(name, str) and 0 < len(name) <= _LONGEST_NAME and name.isprintable() and " " not in name
-    if not usable:
-        raise DataError("property", "name", f"{shown(name)}; expected 1 to {_LONGEST_NAME} visible characters")
-    if not isinstance(description, str):
-        raise DataError(f"property {name}", "description", f"{shown(description)}; expected a text")
-    if len(description) > _LONGEST_DESCRIPTION:
-        problem = f"{len(description)} characters; expected at most {_LONGEST_DESCRIPTION}"
-        raise DataError(f"property {name}", "description", problem)
+_Found = tuple[ResultRecord, Setting, FoundObjects | None]
+"""A result, the configuration in force when its sweep came, and of records of table 10 the objects that they report."""
 
 
-def _size_of(value: Any) -> int:
-    if isinstance(value, tuple):
-        return sum(map(_size_of, value))
-    return len(value) if isinstance(value, str) else 8
+def _rotated(vectors: Float32Array, matrix: Float64Array) -> Float32Array:
+    """Take (N, 3) vectors into other axes by a signed permutation, exactly; the same array where nothing rotates."""
+    if matrix[0, 0] == matrix[1, 1] == matrix[2, 2] == 1.0:
+        return vectors
+    columns = np.abs(matrix).argmax(axis=1)
+    signs = matrix[range(3), columns].astype(np.float32)
+    return read_only(np.ascontiguousarray(vectors[:, columns] * signs))
 
 
-def _checked(known: Property, value: Any) -> Any:
-    checked = known.type.check(value, owner=known.name)
-    if BasicType.ENUM not in known.type.elements:
-        return checked
-    if known.type.form is ValueForm.SCALAR:
-        return _enumerated(known, checked)
-    return tuple(
-        _enumerated(known, item) if kind is BasicType.ENUM else item
-        for kind, item in zip(known.type.elements_of(len(checked)), checked, strict=True)
+def _standard_boxes(boxes: Boxes3d, standard_from_declared: Float64Array) -> Boxes3d:
+    """Take boxes out of their declared frame."""
+    centers, vectors = _rotated(boxes.centers, standard_from_declared), boxes.velocity_vectors
+    if centers is boxes.centers:
+        return boxes
+    return replace(
+        boxes,
+        centers=centers,
+        directions=_rotated(boxes.directions, standard_from_declared),
+        velocity_vectors=None if vectors is None else _rotated(vectors, standard_from_declared),
     )
 
 
-def _enumerated(known: Property, value: str | int) -> int:
-    pairs = known.enumeration
-    if isinstance(value, str) and value in pairs:
-        return pairs[value]
-    if value in pairs.values():
-        return int(value)
-    expected = ", ".join(f"{name}={number}" for name, number in pairs.items())
-    raise DataError(known.name, "", f"{shown(value)}; expected one of {expected}")
+_REACH_NS = 200_000_000
+"""How far beyond the last pose the ego trajectory is continued: poses come later than what they are for."""
+
+
+@dataclass(slots=True)
+class Rig:
+    """What a session's worker feeds: not for several threads at once.
+
+    Each lidar has a fusion system of its own, whose ego frame is the lidar's: calibrations are of pairs, and those of
+    two lidars need not agree on where a camera is. An image goes to all that its camera is calibrated with.
+
+    Attributes:
+        counters: told what became of each record, and what went wrong.
+    """
+
+    counters: Counters
+    _setting: Setting | None = None
+    _systems: dict[int, FusionSystem] = field(default_factory=dict)
+    _cameras: set[tuple[int, int]] = field(default_factory=set)
+    _path: Poses | None = None
+    _origin: Float64Array = field(default_factory=lambda: np.zeros(3))
+    _trajectories: dict[int, Poses] = field(default_factory=dict)
+    _newest_ns: dict[Stream, int] = field(default_factory=dict)
+    _left: list[tuple[Accepted, Leave]] = field(default_factory=list)
+
+    def feed(self, accepted: Accepted) -> Iterator[_Found]:
+        """Take what a sensor sent, and give what could be fused with it."""
+        setting, of_lidar = accepted.setting, accepted.kind is SensorKind.LIDAR
+        yield from self._adopt(setting)
+        yield from self._follow_clock(accepted.stream, accepted.timestamp_ns)
+        pairs = setting.pairs_of(accepted.kind, accepted.sensor_id)
+        lidar_ids = (accepted.sensor_id,) if of_lidar and pairs else tuple(sorted(lidar for _, lidar in pairs))
+        self.counters.share(accepted.ticket, len(lidar_ids))
+        for lidar_id in lidar_ids:
+            system = self._systems[lidar_id]
+            try:
+                self._send(system, lidar_id, accepted)
+            except Exception as error:  # noqa: BLE001 - one record must not end the session
+                self._failed({"sent": accepted}, error)
+                self.counters.settle(accepted.ticket, "failed")
+            yield from self._fetch(lidar_id, system)
+
+    def flush(self) -> Iterator[_Found]:
+        """Fuse all that waits with what has come."""
+        for lidar_id, system in self._systems.items():
+            system.flush()
+            yield from self._fetch(lidar_id, system)
+
+    def end(self) -> Iterator[_Found]:
+        """Fuse all that waits, and keep nothing."""
+        for lidar_id, system in self._systems.items():
+            system.end()
+            yield from self._fetch(lidar_id, system)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a sweep or its boxes wait for an image."""
+        return any(system.waits for system in self._systems.values())
+
+    def move(self, path: Poses, *, origin: Float64Array) -> None:
+        """Let the vehicle move along a trajectory from now on, whose positions count from `origin`, (3,) [m]."""
+        self._path, self._origin = path, origin
+        for lidar_id in self._systems:
+            self._move(lidar_id)
+
+    def _move(self, lidar_id: int) -> None:
+        """Derive the trajectory of a lidar from that of the vehicle, by the extrinsics in force."""
+        if self._path is None or self._setting is None:
+            return
+        path, declared = self._path, self._setting.sensors.get(lidar_id)
+        if declared is not None and declared.body_from_lidar is not None:
+            path = Poses(
+                path.timestamps_ns,
+                path.positions + rotate_vectors(path.quaternions_xyzw, declared.body_from_lidar.translation),
+                multiply_quaternions(path.quaternions_xyzw, declared.body_from_lidar.quaternion_xyzw),
+                static=path.static,
+            )
+        self._trajectories[lidar_id] = path
+        self._systems[lidar_id].move(path, reach_ns=_REACH_NS)
+
+    def _follow_clock(self, stream: Stream, time_ns: int) -> Iterator[_Found]:
+        """Where a sensor's clock was set back, fuse all that waits, and begin anew."""
+        newest_ns = self._newest_ns.get(stream, time_ns)
+        self._newest_ns[stream] = max(newest_ns, time_ns)
+        if time_ns >= newest_ns - CLOCK_JUMP_NS:
+            return
+        self._newest_ns = {stream: time_ns}
+        for lidar_id, system in self._systems.items():
+            system.restart(time_ns)
+            yield from self._fetch(lidar_id, system)
+
+    def _send(self, system: FusionSystem, lidar_id: int, accepted: Accepted) -> None:
+        axes, extras = accepted.setting.standard_from_lidar, MappingProxyType({"sent": accepted})
+        name = f"{accepted.kind}{accepted.sensor_id}"
+        match accepted.measurement:
+            case LidarFrame() as frame:
+                points, positions = frame.points, _rotated(frame.points.positions, axes)
+                points = points if positions is points.positions else replace(points, positions=positions)
+                system.send(name, replace(frame, points=points, extras=extras))
+            case Boxes3d() as boxes:
+                system.send(name, boxes_3d_of(_standard_boxes(boxes, axes), sensor_id=name), extras=extras)
+            case CameraImage() as image:
+                pair = accepted.setting.pairs[accepted.sensor_id, lidar_id]
+                mount = pair.lidar_from_camera
+                system.send(name, replace(image, camera=pair.camera, mount=mount, extras=extras))
+            case Boxes2d() as boxes:
+                pair = accepted.setting.pairs[accepted.sensor_id, lidar_id]
+                seen = boxes_2d_of(boxes, sensor_id=name)
+                system.send(name, SeenBoxes(seen, pair.camera, pair.lidar_from_camera, extras))
+
+    def _fetch(self, lidar_id: int, system: FusionSystem) -> Iterator[_Found]:
+        """Give what a system has fused, and settle what it does not keep any more."""
+        for fused in iter(system.get, None):
+            yield from self._sensor_data(lidar_id, fused)
+        for found in iter(system.get_detections, None):
+            yield from self._detections(lidar_id, found)
+        left, self._left = self._left, []
+        for accepted, leave in left:
+            self.counters.settle(accepted.ticket, leave.value)
+
+    def _sensor_data(self, lidar_id: int, fused: FusedFrame) -> Iterator[_Found]:
+        sweep: Accepted = fused.extras["sent"]
+        compensated = self._is_compensated(sweep.setting, stationary=fused.stationary)
+        world_from_lidar = self._world_from_lidar(lidar_id, fused.reference_ns) if compensated else _HERE
+        for view in fused.views:
+            image: Accepted = fused.image_extras[view.camera_id]["sent"]
+            try:
+                record = sensor_fusion_record(
+                    fused,
+                    view,
+                    world_from_lidar,
+                    sweep.setting,
+                    sent=cast("LidarFrame", sweep.measurement),
+                    image=cast("ImageData", image.image),
+                    numbers={
+                        "camera_id": int(str(view.camera_id).removeprefix("camera")),
+                        "lidar_id": lidar_id,
+                        "image_seq": image.record.seq,
+                        "points_seq": sweep.record.seq,
+                    },
+                    motion_compensated=compensated,
+                )
+            except Exception as error:  # noqa: BLE001 - an algorithm may be anyone's, and give anything
+                self._failed(fused.extras, error)
+                continue
+            sweep.ticket.fused = image.ticket.fused = True
+            yield record, sweep.setting, None
+
+    def _detections(self, lidar_id: int, found: FusedDetectionFrame) -> Iterator[_Found]:
+        sweep: Accepted = found.sweep_extras["sent"]
+        image: Accepted = found.image_extras["sent"]
+        boxes_3d, boxes_2d = cast("Boxes3d", sweep.measurement), cast("Boxes2d", image.measurement)
+        camera_id = int(str(found.camera_id).removeprefix("camera"))
+        compensated = self._is_compensated(sweep.setting, stationary=found.stationary)
+        try:
+            record = _fused_detections_record(
+                found,
+                boxes_3d,
+                boxes_2d,
+                sweep.setting,
+                camera=image.setting.pairs[camera_id, lidar_id].camera,
+                lidar_id=lidar_id,
+                camera_id=camera_id,
+                motion_compensated=compensated,
+            )
+        except Exception as error:  # noqa: BLE001 - an algorithm may be anyone's, and give anything
+            self._failed(found.sweep_extras, error)
+            return
+        sweep.ticket.fused = image.ticket.fused = True
+        used = (("boxes_3d", boxes_3d, record.box_3d_ids), ("boxes_2d", boxes_2d, record.box_2d_ids))
+        for kind, boxes, ids in used:
+            # several objects may be made of one box, and a box may have the id of another
+            self.counters.add(f"left-out.{kind}", max(len(boxes) - len(ids) + ids.count(None), 0))
+        world_from_lidar = self._world_from_lidar(lidar_id, found.timestamp_ns) if compensated else _HERE
+        origin = self._origin if compensated else _HERE.translation
+        yield record, sweep.setting, FoundObjects(found, world_from_lidar, origin, sweep.setting)
+
+    def _is_compensated(self, setting: Setting, *, stationary: bool) -> bool:
+        """Whether the ego trajectory counts for a result; counts where it should and is not known."""
+        if self._path is not None and stationary and setting.configuration.motion_compensation:
+            self.counters.add("motion.beyond-reach")
+        return self._path is not None and not stationary
+
+    def _adopt(self, setting: Setting) -> Iterator[_Found]:
+        """Go by another configuration from this record on; gives what waited only for cameras that are gone."""
+        if setting is self._setting:
+            return
+        self._setting = setting
+        for camera_id, lidar_id in setting.pairs:
+            if lidar_id not in self._systems:
+                system = self._systems[lidar_id] = FusionSystem(
+                    setting.configuration,
+                    on_unreadable=lambda _: self.counters.add("errors.unreadable-image"),
+                    on_failed=self._failed,
+                    on_left=lambda extras, leave: self._left.append((extras["sent"], leave)),
+                )
+                period_ns = setting.sweep_period_ns
+                system.add_lidar(f"lidar{lidar_id}", _AT_LIDAR, period_ns=period_ns, location=_AT_LIDAR)
+            if (camera_id, lidar_id) not in self._cameras:
+                self._systems[lidar_id].add_camera(f"camera{camera_id}", _AT_LIDAR, index=camera_id % 255)
+                self._cameras.add((camera_id, lidar_id))
+            declared = setting.sensors.get(camera_id)
+            shutter = GLOBAL if declared is None else declared.shutter
+            self._systems[lidar_id].roll(f"camera{camera_id}", shutter)
+        for lidar_id, system in self._systems.items():
+            system.configure(setting.configuration, period_ns=setting.sweep_period_ns)
+            self._move(lidar_id)
+            system.expect([f"camera{camera}" for camera, lidar in setting.pairs if lidar == lidar_id])
+            yield from self._fetch(lidar_id, system)
+
+    def _failed(self, extras: Mapping[str, Any], error: Exception) -> None:
+        self.counters.add(f"errors.{type(error).__name__}")
+        sent: Accepted = extras["sent"]
+        sent.ticket.outcome = sent.ticket.outcome or "failed"
+
+    def _world_from_lidar(self, lidar_id: int, time_ns: int) -> RigidTransform:
+        if lidar_id not in self._trajectories:
+            return _HERE
+        pose = PoseSource(self._trajectories[lidar_id], _HERE, _REACH_NS).at(np.array([time_ns], np.int64))
+        if pose.coverage[0] == OUT_OF_REACH:  # which only a sweep without points can be, if it was compensated
+            return _HERE
+        return RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
+
+
+_HERE = RigidTransform.identity()
+_AT_LIDAR = PoseSource(STILL, _HERE)
+
+
+def _fused_detections_record(
+    frame: FusedDetectionFrame,
+    boxes_3d: Boxes3d,
+    boxes_2d: Boxes2d,
+    setting: Setting,
+    *,
+    camera: Camera,
+    lidar_id: int,
+    camera_id: int,
+    motion_compensated: bool,
+) -> FusedDetections:
+    """The records of objects of a sweep and an image, to whose camera's size boxes are cut (table 10)."""
+    fused = frame.fused
+    columns, sound = declared_columns(fused, setting.declared_from_standard, camera)
+    _tilt(columns, fused, boxes_3d, setting.standard_from_lidar)
+    fields: dict[str, Any] = {
+        "timestamp": boxes_3d.timestamp,
+        "image_seq": boxes_2d.seq,
+        "points_seq": boxes_3d.seq,
+        "camera_id": camera_id,
+        "lidar_id": lidar_id,
+        "id": fused.ids.astype(np.int32),
+        "class_names": fused.labels,
+        "box_3d_ids": _box_ids(fused.rows_3d, boxes_3d),
+        "box_2d_ids": _box_ids(fused.rows_2d, boxes_2d),
+        "motion_compensated": int(motion_compensated),
+        "image_timestamp": Timestamp.of(frame.image_timestamp_ns),
+    }
+    return FusedDetections.of_sound_numbers(**fields, **columns) if sound else FusedDetections(**fields, **columns)
+
+
+def _tilt(columns: dict[str, Any], fused: FusedBoxes, boxes_3d: Boxes3d, standard_from_declared: Float64Array) -> None:
+    """Let directions rise and fall as those that were sent do: objects of the fusion system are upright."""
+    rows = np.flatnonzero(fused.rows_3d != NO_BOX)
+    up = standard_from_declared[2]
+    sent = boxes_3d.directions[fused.rows_3d[rows]].astype(np.float64)
+    lifts = sent @ up
+    tilted = np.flatnonzero(lifts)
+    if not len(tilted):
+        return
+    rows, sent, lifts = rows[tilted], sent[tilted], lifts[tilted]
+    level = np.sqrt((sent * sent).sum(axis=1) - lifts * lifts)
+    headings = columns["directions"][rows].astype(np.float64)
+    # an object may have been found to head the other way, and then goes down where the box went up
+    along = np.sign((headings * sent).sum(axis=1))
+    tilts = np.where(along == 0, 0.0, along) * np.arctan2(lifts, level)
+    directions = headings * np.cos(tilts)[:, None] + np.sin(tilts)[:, None] * up
+    columns["directions"][rows] = directions
+    if columns["velocity_vectors"] is not None:
+        columns["velocities"][rows] = (columns["velocity_vectors"][rows] * directions).sum(axis=1)
+
+
+def _box_ids(rows: Int64Array, boxes: Boxes3d | Boxes2d) -> tuple[int | None, ...]:
+    ids = boxes.id.tolist()
+    return tuple(None if row == NO_BOX else ids[row] for row in rows.tolist())
+
+
+_FUSION_TYPES = {SensorFusionData: FusionType.SENSOR_DATA, FusedDetections: FusionType.DETECTIONS}
+
+
+class _ResultsQueue:
+    """The results of both fusion types: given by one thread at a time, fetched by several."""
+
+    def __init__(
+        self, counters: Counters, announcer: _Announcer, *, on_result: Callable[[], None] | None, most_bytes: int
+    ) -> None:
+        """Hold nothing yet.
+
+        Args:
+            announcer: notified of each result.
+            on_result: called as soon as a result can be fetched.
+            most_bytes: how large the results of one type that wait may be together.
+        """
+        self._counters = counters
+        self._announcer = announcer
+        self._on_result = on_result
+        self._most_bytes = most_bytes
+        self._given = dict.fromkeys(FusionType, 0)
+        self._bytes = dict.fromkeys(FusionType, 0)
+        self._waiting: dict[FusionType, deque[Result]] = {kind: deque() for kind in FusionType}
+        self._changed = threading.Condition()
+        self._closed = False
+
+    def __len__(self) -> int:
+        """How many results wait to be fetched."""
+        return sum(len(waiting) for waiting in self._waiting.values())
+
+    def give(self, found: _Found) -> None:
+        """Let a result be fetched; the oldest ones beyond the limits are dropped and counted."""
+        record, setting, objects = found
+        kind, properties = _FUSION_TYPES[type(record)], setting.properties
+        result = Result(self._given[kind], record, properties, objects)
+        self._given[kind] += 1
+        self._counters.add(f"results.{kind.name.lower()}")
+        self._announcer.notify(result)
+        waiting, most, dropped = self._waiting[kind], properties["result_queue_length"], 0
+        with self._changed:
+            self._keep(kind, len(waiting), result)
+            while len(waiting) > 1 and (len(waiting) > most or self._bytes[kind] > self._most_bytes):
+                self._take(kind)
+                dropped += 1
+        self._counters.add("dropped.results", dropped)
+        if self._on_result is not None:
+            self._on_result()
+
+    def get(self, kind: FusionType, timeout_s: float) -> Result | None:
+        """Fetch the oldest result, waiting for one up to `timeout_s`; None where none came or the queue is closed."""
+        waiting = self._waiting[kind]
+        with self._changed:
+            if not waiting and timeout_s > 0.0:
+                self._changed.wait_for(lambda: waiting or self._closed, timeout_s)
+            return self._take(kind) if waiting else None
+
+    def put_back(self, result: Result) -> None:
+        """Take back a result that could not be delivered, in front of all that came after it."""
+        kind = _FUSION_TYPES[type(result.record)]
+        waiting = self._waiting[kind]
+        with self._changed:
+            later = (k for k, other in enumerate(waiting) if result.number < other.number)
+            self._keep(kind, next(later, len(waiting)), result)
+        if self._on_result is not None:
+            self._on_result()
+
+    def close(self) -> None:
+        """Let all who wait go; what is there can still be fetched."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def _keep(self, kind: FusionType, k: int, result: Result) -> None:
+        self._waiting[kind].insert(k, result)
+        self._bytes[kind] += size_of(result.record)
+        self._changed.notify_all()
+
+    def _take(self, kind: FusionType) -> Result:
+        result = self._waiting[kind].popleft()
+        self._bytes[kind] -= size_of(result.record)
+        return result
+
+
+@dataclass(slots=True)
+class _TaskQueue:
+    """Tasks in the order in which they came; of each sensor's records only so many wait."""
+
+    _tasks: deque[Task] = field(default_factory=deque)
+    _waiting: Counter[Stream] = field(default_factory=Counter)
+    _changed: threading.Condition = field(default_factory=threading.Condition)
+    closed: bool = False
+    busy: bool = False
+    moves: int = 0
+    _woken: bool = False
+
+    def __len__(self) -> int:
+        return len(self._tasks)
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is being done or to be done."""
+        return not self._tasks and not self.busy
+
+    def put(self, task: Task, *, most: int) -> list[Accepted]:
+        """Append a task; gives the older records of the same stream that were dropped to make room."""
+        dropped: list[Accepted] = []
+        with self._changed:
+            if isinstance(task, Accepted):
+                while self._waiting[task.stream] >= most:
+                    dropped.append(self._drop_oldest(task.stream))
+                self._waiting[task.stream] += 1
+            self.moves += isinstance(task, Moved)
+            self._tasks.append(task)
+            self._changed.notify()
+        return dropped
+
+    def get(self, timeout_s: float) -> Task | None:
+        """Take the oldest task, waiting for one; None where none came, it was woken, or it is closed and empty."""
+        with self._changed:
+            if not self._tasks:
+                self._changed.wait_for(lambda: self._tasks or self.closed or self._woken, timeout_s)
+            self._woken = False
+            if not self._tasks:
+                return None
+            self.busy = True  # before the queue is empty: whoever looks at both never finds it idle
+            task = self._tasks.popleft()
+            if isinstance(task, Accepted):
+                self._waiting[task.stream] -= 1
+            self.moves -= isinstance(task, Moved)
+            return task
+
+    def wake(self) -> None:
+        """Let the worker look at the time: something other than a task waits now."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Let the worker end once it has done what is there."""
+        with self._changed:
+            self.closed = True
+            self._changed.notify_all()
+
+    def _drop_oldest(self, stream: Stream) -> Accepted:
+        k, oldest = next(
+            (k, task) for k, task in enumerate(self._tasks) if isinstance(task, Accepted) and task.stream == stream
+        )
+        del self._tasks[k]
+        self._waiting[stream] -= 1
+        return oldest
+
+
+_LONGEST_IDLE_S = 3600.0
+_MANY_LATER = 1000
+"""After a longer list, a sweep or an image so many lists go to the thread, for they may be fused together."""
+
+
+class _Overdue(Protocol):
+    """What else there is to do by the clock."""
+
+    def __call__(self, now_s: float) -> float | None:
+        """Do what is due now, and state when the next is, both by the monotonic clock [s]; None for never."""
+        ...
+
+
+class _Worker:
+    """Does tasks one at a time, and gives the results.
+
+    They are done by a thread of its own, or with `inline` by those that hand them in. Small lists of boxes are always
+    fused by who hands them in, if the thread has nothing to do.
+    """
+
+    def __init__(
+        self,
+        counters: Counters,
+        announcer: _Announcer,
+        give: Callable[[_Found], None],
+        *,
+        inline: bool,
+        overdue: _Overdue,
+    ) -> None:
+        """Begin.
+
+        Args:
+            announcer: notified of each task before it is done, and of what was dropped.
+            give: takes each result.
+            inline: whether there is no thread.
+        """
+        self._counters = counters
+        self._announcer = announcer
+        self._give = give
+        self._overdue = overdue
+        self._rig = Rig(counters)
+        self._tasks = _TaskQueue()
+        self._fusing = threading.Lock()
+        self._latest_s = time.monotonic()
+        self._idle_s = _LONGEST_IDLE_S
+        self._wakes_s = 0.0
+        self._later = 0
+        self._thread = None if inline else threading.Thread(target=self._work, name="fusion", daemon=True)
+        if self._thread is not None:
+            self._thread.start()
+
+    @property
+    def inline(self) -> bool:
+        """Whether there is no thread."""
+        return self._thread is None
+
+    @property
+    def waiting_moves(self) -> int:
+        """How many chunks of the vehicle's trajectory wait."""
+        return self._tasks.moves
+
+    def wake(self) -> None:
+        """Let the thread look at what is overdue."""
+        self._tasks.wake()
+
+    def do(self, task: Task, *, most: int = 0) -> None:
+        """Do a task, or let the thread do it; for one caller at a time.
+
+        Args:
+            most: how many records of one stream may wait; the oldest ones make room.
+        """
+        if self._thread is None:
+            self._perform(task)
+        elif not self._done_at_once(task):
+            for accepted in self._tasks.put(task, most=most):
+                self._announcer.notify(Dropped(accepted))
+                self._counters.settle(accepted.ticket, "dropped.queue-full")
+
+    def close(self) -> None:
+        """Do what is there, fuse what waits, and take nothing more; the thread goes on until that is done."""
+        self._tasks.close()
+        if self._thread is None:
+            self._perform(Flushed(final=True))
+
+    def join(self) -> None:
+        """Wait until the thread has ended."""
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join()
+
+    def _done_at_once(self, task: Task) -> bool:
+        """Fuse a small list of boxes here, if nothing is before it."""
+        if not isinstance(task, Accepted):
+            return False
+        record, algorithms = task.record, task.setting.properties.algorithms
+        # lists of so few boxes are fused in less time than it takes to hand them to another thread and back
+        few = isinstance(record, Boxes3d | Boxes2d) and len(record) <= 100
+        if not few or algorithms[FusionType.DETECTIONS] not in BUILT_IN[FusionType.DETECTIONS]:
+            self._later = _MANY_LATER
+            return False
+        if self._later > 0:
+            self._later -= 1
+            return False
+        if self._announcer.observed or not self._fusing.acquire(blocking=False):
+            return False
+        try:
+            if not self._tasks.idle:
+                return False
+            self._perform(task)
+            if self._rig.waits and self._wakes_s > self._latest_s + self._idle_s:
+                self._tasks.wake()
+        finally:
+            self._fusing.release()
+        return True
+
+    def _work(self) -> None:
+        while True:
+            task = self._tasks.get(self._patience_s())
+            ended = task is None and self._tasks.closed and len(self._tasks) == 0
+            if task is not None or ended:
+                with self._fusing:
+                    self._perform(task or Flushed(final=True))
+                    self._tasks.busy = False
+            if ended:
+                return
+
+    def _patience_s(self) -> float:
+        """Do what is overdue, and give for how long nothing will be [s]."""
+        again_s = self._overdue(time.monotonic())
+        with self._fusing:
+            now_s = time.monotonic()
+            if self._rig.waits and self._tasks.idle:
+                flush_s = self._latest_s + self._idle_s
+                if now_s >= flush_s:
+                    self._perform(Flushed())
+                elif again_s is None or flush_s < again_s:
+                    again_s = flush_s
+            self._wakes_s = now_s + _LONGEST_IDLE_S if again_s is None else again_s
+            return max(self._wakes_s - now_s, 0.0)
+
+    def _perform(self, task: Task) -> None:
+        self._announcer.notify(task)
+        try:
+            if isinstance(task, Accepted):
+                self._idle_s = task.setting.idle_s
+                results = self._rig.feed(task)
+            elif isinstance(task, Moved):
+                self._rig.move(task.path, origin=task.sent.positions[-1])
+                results = iter(())
+            else:
+                results = self._rig.end() if task.final else self._rig.flush()
+            for result in results:
+                self._give(result)
+        except Exception as error:  # noqa: BLE001 - one record must not end the session
+            self._counters.add(f"errors.{type(error).__name__}")
+        finally:
+            if isinstance(task, Flushed):
+                task.done.set()
+        self._latest_s = time.monotonic()
 
 
 _MOST_BOXES = 100_000  # boxes of one frame: a sender that never begins another is stopped
@@ -252,7 +806,7 @@ _KINDS: dict[type, SensorKind] = {
 }  # who sends a record; raw data can be of either
 
 
-class RefusedError(SceneloomError):
+class _RefusedError(SceneloomError):
     """A record is not taken; carries the answer."""
 
     def __init__(self, outcome: Outcome) -> None:
@@ -261,7 +815,7 @@ class RefusedError(SceneloomError):
 
 
 def _refuse(cause: Cause, reason: object) -> NoReturn:
-    raise RefusedError(refused(cause, reason))
+    raise _RefusedError(refused(cause, reason))
 
 
 @dataclass(slots=True)
@@ -305,7 +859,7 @@ class _ReceivedRecords:
 
     def accept(self, record: FrameRecord, setting: Setting) -> Accepted:
         """Take a record, unless it came already or is too old."""
-        accepted = accepted_alone(record, setting)
+        accepted = _accepted_alone(record, setting)
         arrivals = self._arrivals.get(accepted.stream)
         if arrivals is None or arrivals.is_set_back(accepted.timestamp_ns):
             return accepted
@@ -405,7 +959,7 @@ _SEQ_OF = {Box3d: attrgetter("points_seq"), Box2d: attrgetter("image_seq")}
 """The number of the frame that a box belongs to."""
 
 
-def accepted_alone(record: FrameRecord, setting: Setting) -> Accepted:
+def _accepted_alone(record: FrameRecord, setting: Setting) -> Accepted:
     """Take a record by what it says itself, whatever came before it.
 
     Raises:
@@ -430,11 +984,11 @@ def accepted_alone(record: FrameRecord, setting: Setting) -> Accepted:
         if isinstance(record, Boxes3d):
             _check_headings(record.directions.astype(np.float64), "boxes", setting)
         measurement, image = measurement_of(record, setting)
-    except RefusedError:
+    except _RefusedError:
         raise
     except SceneloomError as error:
         cause = Cause.BAD_CALIBRATION if isinstance(error, CalibrationError) else Cause.BAD_RECORD
-        raise RefusedError(refused(cause, error)) from error
+        raise _RefusedError(refused(cause, error)) from error
     return Accepted(sensor_id, kind, record, measurement, setting, image)
 
 
@@ -459,7 +1013,7 @@ _MOST_POSES = 100_000  # of one minute: a sender that reports more than 1600 pos
 
 
 @dataclass(slots=True)
-class RecentTrajectory:
+class _RecentTrajectory:
     """Joins poses that arrive in chunks."""
 
     _path: Poses | None = None
@@ -495,31 +1049,7 @@ class RecentTrajectory:
 
 _MOST_MOVES = 100  # chunks of the vehicle's trajectory that may wait for the thread that fuses
 _PIXEL_BYTES = 7  # what a pixel takes while its image is fused: red, green, blue, and a depth of 32 bits
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class QueueLimits:
-    """What waits in one system at most, whatever its properties state.
-
-    Attributes:
-        most_length: what the properties queue_length and result_queue_length can be set to.
-        most_bytes: of records that are not fused yet; and of results of each type that wait to be fetched.
-    """
-
-    most_length: int = 2**32 - 1
-    most_bytes: int = 2**63
-
-    @property
-    def most_pixels(self) -> int:
-        """How many pixels all cameras may have together: a sweep is fused with an image of each at once."""
-        return self.most_bytes // _PIXEL_BYTES
-
-    def too_many_pixels(self, count: int) -> str:
-        """Why cameras with so many pixels are refused."""
-        return f"the cameras have {count} pixels together; expected at most {self.most_pixels} here"
-
-
-_QUEUE_PROPERTIES = ("queue_length", "result_queue_length")  # those that `QueueLimits.most_length` bounds
+_QUEUE_PROPERTIES = ("queue_length", "result_queue_length")  # those that `most_length` bounds
 
 
 class FusionInterface:
@@ -542,7 +1072,8 @@ class FusionInterface:
         inline: bool = False,
         observer: Observer | None = None,
         on_result: Callable[[], None] | None = None,
-        limits: QueueLimits | None = None,
+        most_length: int = 2**32 - 1,
+        most_bytes: int = 2**63,
     ) -> None:
         """Make a system with the predefined properties and no calibration.
 
@@ -550,24 +1081,23 @@ class FusionInterface:
             inline: whether the threads that send also fuse.
             observer: called with all that is accepted, refused and given, one call at a time.
             on_result: called as soon as a result can be fetched.
-            limits: of what waits, whatever the properties state; None for none.
+            most_length: what the properties queue_length and result_queue_length can be set to.
+            most_bytes: of records that are not fused yet; and of results of each type that wait to be fetched.
         """
         self.properties = PropertyStore(check_algorithm=lambda kind, name: algorithm(FusionType(kind), name))
         self.counters = Counters()
         self._lock = threading.RLock()
         self._table: CalibrationTable = {}
         self._setting: Setting | None = None
-        self._trajectory = RecentTrajectory()
-        self._limits = limits or QueueLimits()
+        self._trajectory = _RecentTrajectory()
+        self._most_length, self._most_bytes = most_length, most_bytes
         self._making_room: Flushed | None = None
         self._remarked: set[tuple[tuple[int, int], str]] = set()
         self._closed = False
-        self._announcer = Announcer(observer, self.counters)
+        self._announcer = _Announcer(observer, self.counters)
         self._received = _ReceivedRecords(self._hand_in)
-        self._results_queue = ResultsQueue(
-            self.counters, self._announcer, on_result=on_result, most_bytes=self._limits.most_bytes
-        )
-        self._worker = Worker(
+        self._results_queue = _ResultsQueue(self.counters, self._announcer, on_result=on_result, most_bytes=most_bytes)
+        self._worker = _Worker(
             self.counters, self._announcer, self._results_queue.give, inline=inline, overdue=self._close_overdue
         )
 
@@ -588,9 +1118,8 @@ class FusionInterface:
 
         `calibration` replaces all calibrations.
         """
-        most = self._limits.most_length
-        if name in _QUEUE_PROPERTIES and isinstance(value, int) and value > most:
-            return refused(Cause.OUT_OF_RANGE, f"{name}: {value}; expected at most {most} here")
+        if name in _QUEUE_PROPERTIES and isinstance(value, int) and value > self._most_length:
+            return refused(Cause.OUT_OF_RANGE, f"{name}: {value}; expected at most {self._most_length} here")
         with self._lock:
             outcome = self.properties.set(name, value)
             if outcome and name == "calibration":
@@ -623,8 +1152,8 @@ class FusionInterface:
         except CalibrationError as error:
             return refused(Cause.BAD_CALIBRATION, error)
         width, height = data.image_size
-        if width * height > self._limits.most_pixels:
-            return refused(Cause.TOO_MANY, self._limits.too_many_pixels(width * height))
+        if too_many := self._too_many_pixels(width * height):
+            return refused(Cause.TOO_MANY, too_many)
         with self._lock:
             table = calibration_table([entry], self._table)
             if len(table) > MOST_PAIRS:
@@ -671,7 +1200,7 @@ class FusionInterface:
                     if isinstance(record, Box3d | Box2d)
                     else self._admit(record, setting, "received")
                 )
-            except RefusedError as error:
+            except _RefusedError as error:
                 return self._refuse(record, error.outcome)
         return outcome
 
@@ -686,7 +1215,7 @@ class FusionInterface:
             OptionError: there is no such type, or the time is no number.
         """
         chosen = self.properties.get("fusion_type").value if fusion_type is None else fusion_type
-        if chosen not in _FUSION_TYPES:
+        if chosen not in _FUSION_TYPES.values():
             raise OptionError(f"fusion type {chosen!r}; expected 0 (sensor data) or 1 (detections)")
         if math.isnan(timeout_s):
             raise OptionError(f"timeout_s {timeout_s}; expected a time in seconds")
@@ -710,8 +1239,8 @@ class FusionInterface:
             self._worker.do(flushed)
         flushed.done.wait()
 
-    def repeat(self, task: Task) -> None:
-        """Do what an observer was reported that a session did; what that one accepted is not judged again.
+    def repeat(self, record: FrameRecord, setting: Setting) -> None:
+        """Fuse a record that another session accepted, as it was configured, whatever came here before.
 
         Raises:
             OptionError: the interface has a thread of its own, which could drop it.
@@ -719,9 +1248,9 @@ class FusionInterface:
         if not self._worker.inline:
             raise OptionError("a session with a thread of its own; expected one that was made with `inline`")
         with self._lock:
-            if isinstance(task, Accepted):
-                self.counters.issue(task.ticket)
-            self._worker.do(task)
+            accepted = _accepted_alone(record, setting)
+            self.counters.issue(accepted.ticket)
+            self._worker.do(accepted)
 
     def close(self) -> None:
         """End: fuse what waits, let all who wait for results go."""
@@ -763,10 +1292,15 @@ class FusionInterface:
             try:
                 found = self._setting = Setting.of(snapshot, self._table, before=found)
             except SceneloomError as error:
-                raise RefusedError(refused(Cause.BAD_CALIBRATION, error)) from error
-        if found.pixels > self._limits.most_pixels:
-            _refuse(Cause.TOO_MANY, self._limits.too_many_pixels(found.pixels))
+                raise _RefusedError(refused(Cause.BAD_CALIBRATION, error)) from error
+        if too_many := self._too_many_pixels(found.pixels):
+            _refuse(Cause.TOO_MANY, too_many)
         return found
+
+    def _too_many_pixels(self, count: int) -> str:
+        """Why cameras with so many pixels together are refused: a sweep is fused with an image of each at once."""
+        most = self._most_bytes // _PIXEL_BYTES
+        return "" if count <= most else f"the cameras have {count} pixels together; expected at most {most} here"
 
     def _admit(self, record: FrameRecord, setting: Setting, verb: str) -> Outcome:
         """Take a record of a whole frame, and count it as one that was received or gathered."""
@@ -775,7 +1309,7 @@ class FusionInterface:
         if policy == "refuse" and self.counters.waiting(accepted.stream) >= most:
             reason = f"{most} records of {accepted.kind} {accepted.sensor_id} wait already (queue_length)"
             _refuse(Cause.QUEUE_FULL, reason)
-        size, waiting, limit = accepted.ticket.size, self.counters.waiting_bytes, self._limits.most_bytes
+        size, waiting, limit = accepted.ticket.size, self.counters.waiting_bytes, self._most_bytes
         if waiting + size > limit:
             # let go of what waits for partners, so that there will be room
             if self._making_room is None or self._making_room.done.is_set():
@@ -823,7 +1357,7 @@ class FusionInterface:
         """Take the boxes that came alone for a whole frame; those who sent them were answered already."""
         try:
             self._admit(whole, setting, "gathered")
-        except RefusedError as error:
+        except _RefusedError as error:
             self.counters.add(f"gathered-refused.{error.outcome.cause}")
             self._announcer.notify(Refused(whole, error.outcome))
 
@@ -837,9 +1371,6 @@ class FusionInterface:
                 self._received.close_frames(older_than_s=now_s - setting.timeout_s)
             oldest_s = self._received.oldest_frame_s()
         return None if oldest_s is None else oldest_s + setting.timeout_s
-
-
-_FUSION_TYPES = tuple(FusionType)
 
 
 def format_calibrations(entries: Iterable[CalibrationEntry]) -> str:

@@ -16,8 +16,8 @@ from typing import Any, cast
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array, read_only
-from sceneloom.db34t.properties import Property, Snapshot
 from sceneloom.db34t.records import RECORD_KINDS, Column, ListLayout, Record, RecordKind, SentRecord, kind_of
+from sceneloom.db34t.setting import Property, Snapshot
 from sceneloom.db34t.tables import ARRAY_DTYPES, STREAM, TIME, Row
 from sceneloom.db34t.types import NANOSECONDS, Timestamp, ValueForm, ValueType, array_of, bytes_of, shown
 from sceneloom.errors import DataError, MissingExtraError, how_to_install
@@ -82,10 +82,10 @@ def from_protobuf(message: Message) -> Any:
 
 def encode(record: Record) -> bytes:
     """The bytes of a record's message; equal records have equal bytes, and arrays are copied once."""
-    return b"".join(encoded_parts(record))
+    return b"".join(_encoded_parts(record))
 
 
-def encoded_parts(record: Record) -> list[bytes | memoryview]:
+def _encoded_parts(record: Record) -> list[bytes | memoryview]:
     """The bytes of a record's message in parts: those of large arrays are the arrays themselves."""
     kind = kind_of(record)
     message_type = getattr(fusion_pb2, kind.message_name)
@@ -109,11 +109,11 @@ def encoded_parts(record: Record) -> list[bytes | memoryview]:
     return [*parts, message.SerializeToString(deterministic=True)]
 
 
-def encode_in(container: Message, record: Record) -> bytes:
-    """The bytes of a request or reply with a record in the field of its kind, before its other fields."""
+def encode_in(container: Message, record: Record, *, more: bytes = b"") -> bytes:
+    """The bytes of a request or reply with a record in the field of its kind, then its other fields, then `more`."""
     field = container.DESCRIPTOR.fields_by_name[kind_of(record).name]
     rest = container.SerializeToString(deterministic=True)
-    return b"".join([*enclosed(field.number, encoded_parts(record)), rest])
+    return b"".join([*enclosed(field.number, _encoded_parts(record)), rest, more])
 
 
 def decode(name: str, content: bytes) -> Any:

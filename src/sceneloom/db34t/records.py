@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -384,6 +384,22 @@ class Encoding:
     channels: frozenset[int]
     is_file: bool = False
     order: tuple[int, int, int] | None = None
+
+    def rgb(self, pixels: UInt8Array) -> UInt8Array:
+        """Red, green and blue of pixels (H, W, C), which are of no file.
+
+        Those of `raw` are grey, red green blue, or red green blue and transparency by their number of values.
+
+        Returns:
+            (H, W, 3) uint8, read-only; a view where they are in this order already.
+        """
+        order = self.order or ((0, 0, 0) if pixels.shape[2] == 1 else (0, 1, 2))
+        if order == (0, 1, 2) and pixels.shape[2] == 3:
+            return cast("UInt8Array", read_only(pixels))
+        rgb = np.empty((*pixels.shape[:2], 3), np.uint8)
+        for k, channel in enumerate(order):  # a seventh of the time of numbers of channels as an index
+            rgb[:, :, k] = pixels[:, :, channel]
+        return cast("UInt8Array", read_only(rgb))
 
 
 ENCODINGS: Mapping[str, Encoding] = MappingProxyType(

@@ -1,6 +1,7 @@
-"""Records as objects of the scene model (boxes, lidar frames, images), and back."""
+"""Records as objects of the scene model (boxes, lidar frames, images), and back; results of fusion as records."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
@@ -9,14 +10,21 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.db34t.calibration import SensorKind
+from sceneloom.colouring.blending import NO_CAMERA, colour_points
+from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.db34t.records import ENCODINGS, Boxes2d, Boxes3d, ImageData, PointCloudData, RawData, SensorFusionData
-from sceneloom.db34t.setting import Setting
+from sceneloom.db34t.setting import SensorKind, Setting
 from sceneloom.db34t.tables import IMAGE, POINT_CLOUD, RAW
 from sceneloom.db34t.types import INTEGER_RANGES, NANOSECONDS, BasicType, Timestamp, bytes_of
+from sceneloom.detections.results import FusedBoxes
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.images import EncodedImage
 from sceneloom.formats.recording.lidars import XYZIRT
+from sceneloom.fusion.algorithms import BUILT_IN, FusionType
+from sceneloom.fusion.system import FusedDetectionFrame
+from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels.box_fusion import single_precision
+from sceneloom.kernels.projection import draw_depths
 from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.clouds import LidarFrame, LidarPoints
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
@@ -100,7 +108,7 @@ def boxes_2d_record(boxes: Boxes2D, *, sensor_id: int, seq: int, size_wh: tuple[
     Raises:
         DataError: a number cannot stand in the record.
     """
-    corners = whole_corners(boxes.corners_xyxy, size_wh)
+    corners = _whole_corners(boxes.corners_xyxy, size_wh)
     sides = corners[:, 2:] > corners[:, :2]
     kept = np.logical_and(sides[:, 0], sides[:, 1])
     return Boxes2d(
@@ -114,7 +122,7 @@ def boxes_2d_record(boxes: Boxes2D, *, sensor_id: int, seq: int, size_wh: tuple[
     )
 
 
-def whole_corners(corners_xyxy: Float64Array, size_wh: tuple[int, int] | None = None) -> UInt32Array:
+def _whole_corners(corners_xyxy: Float64Array, size_wh: tuple[int, int] | None = None) -> UInt32Array:
     """The whole pixels that boxes (N, 4) [px] touch, (N, 4) uint32: lower edges rounded down, upper ones up.
 
     They are cut to an image of `size_wh` [px]; the edges of a box that is not finite all become 0.
@@ -147,7 +155,7 @@ def _confidence(boxes: Boxes3D | Boxes2D) -> Float32Array:
     return scores.astype(np.float32)
 
 
-COLOR_NAMES = ("r", "g", "b")
+_COLOR_NAMES = ("r", "g", "b")
 """Fields of a coloured point, 0 to 255."""
 
 _REFLECTIVITY_NAMES = ("reflectivity", "intensity")
@@ -195,7 +203,7 @@ def point_cloud_of(
     """
     extras = frame.extras
     names = tuple(fields if fields is not None else extras.get("fields") or _fields_of(frame.points))
-    data = point_table(frame.points, names, frame.timestamp_ns)
+    data = _point_table(frame.points, names, frame.timestamp_ns)
     return PointCloudData(
         sensor_id=sensor_id,
         timestamp=Timestamp.of(frame.timestamp_ns),
@@ -225,39 +233,39 @@ def _frame_of(
             parts[part] = read_only(found)
             if np.array_equal(field_of(found, timestamp_ns), columns[name]):
                 exact.add(name)
-    if all(name in columns for name in COLOR_NAMES):
-        colors = _together([columns[name] for name in COLOR_NAMES])
+    if all(name in columns for name in _COLOR_NAMES):
+        colors = _together([columns[name] for name in _COLOR_NAMES])
         bounded = not colors.size or (colors.min() >= 0 and colors.max() <= 255)
         if bounded and np.array_equal(np.rint(colors), colors):
             parts["colors"] = read_only(colors.astype(np.uint8))
-            exact.update(COLOR_NAMES)
+            exact.update(_COLOR_NAMES)
     positions = values if tuple(fields) == ("x", "y", "z") else _together([columns[axis] for axis in "xyz"])
     others = {name: read_only(column) for name, column in columns.items() if name not in exact}
     points = LidarPoints(cast("Float32Array", read_only(positions)), extras=MappingProxyType(others), **parts)
     return LidarFrame(timestamp_ns, points, extras=MappingProxyType(dict(extras)))
 
 
-def result_fields(sent: LidarFrame) -> tuple[str, ...]:
+def _result_fields(sent: LidarFrame) -> tuple[str, ...]:
     """The fields of the points of table 9, by the names of what was sent (table 6, or raw data) and by nothing else.
 
     Source: READING of point_fields in docs/db34t-4101.md.
     """
     names = sent.extras.get("fields", ("x", "y", "z", *_RAW_FIELDS))
-    others = (name for name in names if name not in ("x", "y", "z", *COLOR_NAMES))
-    return ("x", "y", "z", *others, *COLOR_NAMES)
+    others = (name for name in names if name not in ("x", "y", "z", *_COLOR_NAMES))
+    return ("x", "y", "z", *others, *_COLOR_NAMES)
 
 
 def _fields_of(points: LidarPoints) -> tuple[str, ...]:
     """The names of all fields that points have; of further arrays those of 32-bit numbers."""
     names = [*"xyz", *(names[0] for part, (names, _, _) in _PARTS.items() if getattr(points, part) is not None)]
-    names += COLOR_NAMES if points.colors is not None else ()
+    names += _COLOR_NAMES if points.colors is not None else ()
     further = [name for name, array in points.extras.items() if array.ndim == 1 and array.dtype == np.float32]
     if any(name in further for name in _REFLECTIVITY_NAMES) and "reflectivity" in names:
         names.remove("reflectivity")
     return tuple(dict.fromkeys((*names, *further)))
 
 
-def point_table(points: LidarPoints, fields: Sequence[str], timestamp_ns: int) -> Float32Array:
+def _point_table(points: LidarPoints, fields: Sequence[str], timestamp_ns: int) -> Float32Array:
     """The table of F fields of points, without those that have no finite position, (M, F) float32.
 
     Fields of `points.extras` are given as they are there, times counted from `timestamp_ns` [ns].
@@ -281,8 +289,8 @@ def _column(points: LidarPoints, name: str, timestamp_ns: int) -> AnyArray:
         return points.positions[:, "xyz".index(name)]
     if name in points.extras:
         return points.extras[name]
-    if name in COLOR_NAMES and points.colors is not None:
-        return points.colors[:, COLOR_NAMES.index(name)]
+    if name in _COLOR_NAMES and points.colors is not None:
+        return points.colors[:, _COLOR_NAMES.index(name)]
     for part, (names, _, field_of) in _PARTS.items():
         found = getattr(points, part)
         if name in names and found is not None:
@@ -341,9 +349,6 @@ _PARTS: Mapping[
     "timestamps_ns": (("time",), _times, _seconds),
 }  # by part of the points: the fields that become it, how, and how the field comes back out of it
 
-_RAW_NAMES = {1: "mono8", 3: "rgb8", 4: "rgba8"}
-"""What pixels of the encoding raw are taken for, by their number of values."""
-
 
 def image_of(record: ImageData, camera: Camera) -> CameraImage:
     """The image of an image record; a file is decoded when the image is asked for.
@@ -361,9 +366,9 @@ def image_of(record: ImageData, camera: Camera) -> CameraImage:
     extras = MappingProxyType({"sensor_id": record.sensor_id, "seq": record.seq, "encoding": record.encoding})
     timestamp_ns = record.timestamp.nanoseconds
     if record.pixels is not None:
-        if record.encoding == "raw" and record.channel not in _RAW_NAMES:
+        if record.encoding == "raw" and record.channel not in (1, 3, 4):
             raise IMAGE.fault("channel", f"{record.channel} of raw; expected 1, 3 or 4, to be shown")
-        decode = partial(rgb_of_pixels, record.pixels, record.encoding)
+        decode = partial(ENCODINGS[record.encoding].rgb, record.pixels)
         return CameraImage(timestamp_ns, camera, decode, extras=extras)
     file = EncodedImage(bytes_of(record.data), record.encoding, record.width, record.height, IMAGE.owner, "data")
     encoded = file.encoded if record.encoding == "jpeg" else None
@@ -396,22 +401,6 @@ def image_data_of(image: CameraImage, *, sensor_id: int, seq: int, encoding: str
         channel=channel,
         data=data,
     )
-
-
-def rgb_of_pixels(pixels: UInt8Array, encoding: str) -> UInt8Array:
-    """Red, green and blue of (H, W, C) uint8 pixels in an encoding that is no file.
-
-    Returns:
-        (H, W, 3) uint8, read-only; a view where they are in this order already.
-    """
-    name = _RAW_NAMES[pixels.shape[2]] if encoding == "raw" else encoding
-    order = ENCODINGS[name].order
-    if name == "rgb8" or order is None:
-        return cast("UInt8Array", read_only(pixels))
-    rgb = np.empty((*pixels.shape[:2], 3), np.uint8)
-    for k, channel in enumerate(order):  # a seventh of the time of numbers of channels as an index
-        rgb[:, :, k] = pixels[:, :, channel]
-    return cast("UInt8Array", read_only(rgb))
 
 
 def _pixels_of_rgb(rgb: UInt8Array, encoding: str) -> UInt8Array:
@@ -509,7 +498,7 @@ def measurement_of(
     match record:
         case PointCloudData():
             frame = lidar_frame_of(record)
-            if len(result_fields(frame)) > _MOST_FIELDS:
+            if len(_result_fields(frame)) > _MOST_FIELDS:
                 expected = f"expected so many that {_MOST_FIELDS} are left with r, g, b"
                 raise POINT_CLOUD.fault("fields", f"{len(record.fields)} names; {expected}")
             return frame, None
@@ -523,3 +512,148 @@ def measurement_of(
             image = image_record_of_raw(record, camera, str(declared.raw))
             return image_of(image, camera), image
     return record, None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundObjects:
+    """The objects of a sweep and an image, and where the lidar was.
+
+    Attributes:
+        frame: the objects, in the lidar's frame of the standard axes.
+        world_from_lidar: at the time of the sweep; the identity where the ego trajectory did not count.
+        origin: (3,) float64 [m], where that world's origin is in the world of the vehicle's trajectory.
+        setting: the configuration in force when the sweep came.
+    """
+
+    frame: FusedDetectionFrame
+    world_from_lidar: RigidTransform
+    origin: Float64Array
+    setting: Setting
+
+
+def declared_columns(
+    fused: FusedBoxes, declared_from_standard: Float64Array, camera: Camera
+) -> tuple[dict[str, Any], bool]:
+    """The columns of numbers of objects as records of table 10 have them, and whether all of them make sense.
+
+    Scores are cut to 0 to 1, covariances made symmetric, and boxes rounded outwards to whole pixels within the camera's
+    image. Objects make sense where all numbers are finite, no size or variance is below 0, no box is inside out, and
+    what a lidar saw has a size.
+
+    Args:
+        declared_from_standard: (3, 3) float64, a signed permutation: from the standard axes of the lidar to those of
+            the record.
+    """
+    velocities = np.zeros((len(fused), 3)) if fused.velocities is None else fused.velocities
+    *numbers, sound = single_precision(
+        fused.scores,
+        fused.centers,
+        fused.center_covariances,
+        fused.sizes_lwh,
+        fused.size_covariances,
+        fused.yaws,
+        velocities,
+        fused.rows_3d,
+        np.ascontiguousarray(declared_from_standard),
+    )
+    columns: dict[str, Any] = dict(zip(_COLUMNS, numbers, strict=True))
+    corners = _whole_corners(fused.corners_xyxy, (camera.width, camera.height))
+    sound = sound and bool((corners[:, :2] <= corners[:, 2:]).all())
+    # what is cut off at the image's edge is beside the view, and has no outline
+    corners[~(corners[:, 2:] > corners[:, :2]).all(axis=1)] = 0
+    columns["corners_xyxy"] = corners
+    if fused.velocities is None:
+        columns["velocity_vectors"] = None
+    return columns, sound
+
+
+_COLUMNS = (
+    *("confidence", "centers", "center_covs", "sizes_lwh", "size_covs", "directions"),
+    *("velocities", "velocity_vectors"),
+)  # what `single_precision` gives
+
+
+def sensor_fusion_record(
+    frame: FusedFrame,
+    view: FusedView,
+    world_from_lidar: RigidTransform,
+    setting: Setting,
+    *,
+    sent: LidarFrame,
+    image: ImageData,
+    numbers: Mapping[str, Any],
+    motion_compensated: bool,
+) -> SensorFusionData:
+    """The record of a sweep and one of its images.
+
+    The points have x, y, z, then what else was sent of them in its order, then r, g, b, whatever the values are.
+
+    Args:
+        world_from_lidar: the lidar at the sweep's reference time; where the ego stood, the identity.
+        numbers: camera_id, lidar_id, image_seq and points_seq.
+
+    Source: DB34/T 4101-2022, table 9; READINGS of table 9 in docs/CONVENTIONS.md.
+    """
+    of_lidar = setting.properties["reference_frame"] == 1
+    world_from_frame = world_from_lidar if of_lidar else view.world_from_camera
+    kind = SensorKind.LIDAR if of_lidar else SensorKind.CAMERA
+    points = replace(
+        sent.points,
+        positions=_moved(frame.points, world_from_frame, setting.axes[kind].standard_from_declared(kind).T),
+        colors=_colors_of(frame, view, setting),
+        camera_index=None,
+        extras={name: values for name, values in sent.points.extras.items() if name not in _COLOR_NAMES},
+    )
+    fields, depth_kind = _result_fields(sent), setting.properties["depth_kind"]
+    data = _point_table(points, fields, frame.timestamp_ns)
+    return SensorFusionData(
+        **numbers,
+        timestamp=Timestamp.of(frame.timestamp_ns),
+        height=view.camera.height,
+        width=view.camera.width,
+        encoding=image.encoding,
+        image_channel=image.channel,
+        image_data=image.data,
+        image_depth=view.depth_image if depth_kind == "z" else _range_image(frame, view),
+        point_num=len(data),
+        point_fields=fields,
+        fields_number=len(fields),
+        point_data=data,
+        depth_kind=depth_kind,
+        point_frame=kind.value,
+        motion_compensated=motion_compensated,
+        image_timestamp=Timestamp.of(view.timestamp_ns),
+    )
+
+
+def _range_image(frame: FusedFrame, view: FusedView) -> Float32Array:
+    """Distances [m] of the nearest visible points from the camera's centre, (H, W) float32, 0 for none."""
+    positions_world = frame.points.positions[view.point_ids].astype(np.float64)
+    ranges = np.linalg.norm(positions_world - view.world_from_camera.translation, axis=1)
+    image = np.zeros((view.camera.height, view.camera.width), np.float32)
+    draw_depths(view.pixel_numbers, ranges.astype(np.float32), view.visible, image)
+    return image
+
+
+def _colors_of(frame: FusedFrame, view: FusedView, setting: Setting) -> UInt8Array:
+    """One image's colours of the points: the cloud's, if it alone gave them; grey where it does not show them."""
+    # algorithms of other packages may colour a cloud as they like
+    own = setting.properties.algorithms[FusionType.SENSOR_DATA] in BUILT_IN[FusionType.SENSOR_DATA]
+    colors, shown_by = frame.points.colors, frame.points.camera_index
+    if not own or len(frame.views) != 1 or colors is None or shown_by is None:
+        colors, shown_by = colour_points(len(frame.points), [view], [0])
+    unseen = shown_by == NO_CAMERA
+    if unseen.any():
+        colors = colors.copy()
+        colors[unseen] = 128  # red, green and blue alike: grey
+    return colors
+
+
+def _moved(points: LidarPoints, world_from_frame: RigidTransform, declared_from_standard: Float64Array) -> Float32Array:
+    """Give points of the world in a frame of declared axes, (N, 3) float32 [m]."""
+    frame_from_world = world_from_frame.inverse()
+    rotation = declared_from_standard @ frame_from_world.rotation
+    translation = declared_from_standard @ frame_from_world.translation
+    if np.array_equal(rotation, np.eye(3)) and not translation.any():
+        return points.positions
+    return (points.positions @ rotation.T + translation).astype(np.float32)

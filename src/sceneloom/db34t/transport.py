@@ -3,6 +3,7 @@
 import ipaddress
 import ssl
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,56 @@ def read_pair(certificate: Path, key: Path) -> tuple[bytes, bytes]:
         wanted = f"the unencrypted key (PEM) of the certificate in {certificate}"
         raise DataError(key, "", f"not that key; expected {wanted}") from error
     return certificates, private
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Security:
+    """What a caller has to prove, and how the server proves who it is.
+
+    Attributes:
+        tls_certificate, tls_key: PEM files of the server, or None for no encryption.
+        tls_client_authority: PEM file of those who sign the certificates of clients; None where they need none.
+        token: what callers show as `authorization: Bearer …`; None where they need none.
+    """
+
+    tls_certificate: Path | None = None
+    tls_key: Path | None = None
+    tls_client_authority: Path | None = None
+    token: str | None = None
+
+    def check_host(self, host: str) -> None:
+        """Check that the service may be reached at an address.
+
+        Raises:
+            OptionError: others than this machine could reach it without TLS or without a token.
+        """
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            raise OptionError("a TLS certificate or a key alone; expected both")
+        if self.tls_client_authority is not None and self.tls_certificate is None:
+            raise OptionError("an authority of clients' certificates without the server's; expected it, too")
+        if is_local(host):
+            return
+        needed = {"a TLS certificate and key": self.tls_certificate, "a token": self.token}
+        lacking = [name for name, there in needed.items() if there is None]
+        if lacking:
+            raise OptionError(
+                f"host {host!r} is open to other machines, which needs {' and '.join(lacking)}; or use 127.0.0.1"
+            )
+
+    def credentials(self) -> grpc.ServerCredentials | None:
+        """Give what the server encrypts with; None for nothing.
+
+        Raises:
+            DataError: a file holds no certificate, or no key of it.
+            OSError: a file cannot be read.
+        """
+        if self.tls_certificate is None or self.tls_key is None:
+            return None
+        certificate, key = read_pair(self.tls_certificate, self.tls_key)
+        authority = None if self.tls_client_authority is None else read_certificates(self.tls_client_authority)
+        return grpc.ssl_server_credentials(
+            [(key, certificate)], root_certificates=authority, require_client_auth=authority is not None
+        )
 
 
 def read_token(path: Path) -> str:

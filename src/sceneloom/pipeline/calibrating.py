@@ -33,8 +33,8 @@ from sceneloom.calibrate.measures import Change, Parameter, extract
 from sceneloom.calibrate.refinement import DEFAULT, RefinementVerdict, refine
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project
-from sceneloom.db34t.calibration import DeclaredAxes, calibration_data
 from sceneloom.db34t.json import format_json
+from sceneloom.db34t.setting import DeclaredAxes, calibration_data
 from sceneloom.detections.residuals import BoxResiduals, BoxRotation
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.files import read_bytes

@@ -18,7 +18,7 @@ from sceneloom.arrays import BoolArray, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.db34t.json import format_json, parse_json
 from sceneloom.db34t.records import FusedDetections
-from sceneloom.db34t.results import declared_columns
+from sceneloom.db34t.scene_objects import declared_columns
 from sceneloom.db34t.types import Timestamp
 from sceneloom.detections.detectors import DEFAULT
 from sceneloom.detections.projection import fuse_by_projection

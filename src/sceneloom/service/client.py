@@ -11,7 +11,6 @@ from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
 from sceneloom.db34t.events import Result
-from sceneloom.db34t.properties import Property
 from sceneloom.db34t.protobuf import (
     encode_in,
     fill_message,
@@ -22,6 +21,7 @@ from sceneloom.db34t.protobuf import (
     value_to_protobuf,
 )
 from sceneloom.db34t.records import CalibrationData, SentRecord
+from sceneloom.db34t.setting import Property
 from sceneloom.db34t.transport import SERVICE, calls_of, details_of, open_channel
 from sceneloom.db34t.types import DONE, Cause, Outcome, refused
 from sceneloom.db34t.wire import fusion_pb2

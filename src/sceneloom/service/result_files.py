@@ -13,8 +13,8 @@ import numpy as np
 
 from sceneloom.db34t.events import Result
 from sceneloom.db34t.json import to_json
-from sceneloom.db34t.records import FusedDetections, SensorFusionData
-from sceneloom.db34t.scene_objects import lidar_frame_of_result, rgb_of_pixels
+from sceneloom.db34t.records import ENCODINGS, FusedDetections, SensorFusionData
+from sceneloom.db34t.scene_objects import lidar_frame_of_result
 from sceneloom.db34t.types import bytes_of
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.images import encode_jpeg, write_depth_png
@@ -127,7 +127,7 @@ class ResultFolder:
         if pixels is None:
             paths["image"].write_bytes(bytes_of(record.image_data))
         else:
-            paths["image"].write_bytes(encode_jpeg(rgb_of_pixels(pixels, record.encoding)))
+            paths["image"].write_bytes(encode_jpeg(ENCODINGS[record.encoding].rgb(pixels)))
         line = described(result) | {
             "depth": files["depth"],
             "depth_beyond_range": beyond,

@@ -22,10 +22,9 @@ import msgspec
 import numpy as np
 
 from sceneloom.cameras.camera import MODELS
-from sceneloom.db34t.calibration import CalibrationEntry, entry_of
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.db34t.properties import parse_sensors
 from sceneloom.db34t.records import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData
+from sceneloom.db34t.setting import CalibrationEntry, entry_of, parse_sensors
 from sceneloom.db34t.types import Outcome, Timestamp
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.base.files import read_settings

@@ -19,11 +19,10 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.fitting import fit
-from sceneloom.db34t.calibration import CAMERA_MODELS, CalibrationEntry, DeclaredAxes, calibration_data
-from sceneloom.db34t.properties import Property
 from sceneloom.db34t.protobuf import from_protobuf, path_of, property_of, value_from_protobuf
 from sceneloom.db34t.records import CalibrationData, SentRecord, kind_of
 from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record, image_data_of, point_cloud_of
+from sceneloom.db34t.setting import CAMERA_MODELS, CalibrationEntry, DeclaredAxes, Property, calibration_data
 from sceneloom.db34t.types import Cause, Outcome
 from sceneloom.editing.move_world import to_sensor
 from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError

@@ -20,9 +20,8 @@ from typing import Any, BinaryIO, NamedTuple, Self
 
 from google.protobuf.message import Message
 
-from sceneloom.db34t.calibration import CalibrationEntry, CalibrationTable, calibration_table
 from sceneloom.db34t.events import Accepted, Dropped, Event, Flushed, Moved, Refused, Result
-from sceneloom.db34t.interface import FusionInterface, RecentTrajectory, accepted_alone
+from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import (
     encode,
     encode_in,
@@ -37,7 +36,7 @@ from sceneloom.db34t.protobuf import (
     value_to_protobuf,
 )
 from sceneloom.db34t.records import ResultRecord, SentRecord, kind_of, size_of
-from sceneloom.db34t.setting import Setting
+from sceneloom.db34t.setting import CalibrationEntry, CalibrationTable, Setting, calibration_table
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError, OutputError, SceneloomError
 from sceneloom.formats.base.files import open_file
@@ -558,7 +557,6 @@ class _Replayed:
     _properties: Any = None
     _table: CalibrationTable = field(default_factory=dict)
     _setting: Setting | None = None
-    _trajectory: RecentTrajectory = field(default_factory=RecentTrajectory)
 
     def __post_init__(self) -> None:
         self._fusion = FusionInterface(inline=True, observer=self._note)
@@ -585,12 +583,13 @@ class _Replayed:
                 entries = {pair: known for pair, known in self._table.items() if pair in kept}
                 self._table, self._setting = MappingProxyType(entries), None
             case "record":
-                self._fusion.repeat(accepted_alone(from_protobuf(message), self._current()))
+                self._fusion.repeat(from_protobuf(message), self._current())
             case "motion":
-                path = path_of(message)
-                self._fusion.repeat(Moved(self._trajectory.extended(path), path))
+                outcome = self._fusion.send_motion(path_of(message))
+                if not outcome:
+                    raise DataError(self.path, "motion", outcome.reason)
             case "flush":
-                self._fusion.repeat(Flushed())
+                self._fusion.flush()
         results, self._results = self._results, []
         return results
 

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from sceneloom.batch import Input, Job, run
-from sceneloom.batch.workers import run_task
+from sceneloom.batch.running import run_task
 
 VERBS = '''
 import os, signal

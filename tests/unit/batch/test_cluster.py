@@ -11,7 +11,7 @@ from distributed import LocalCluster
 
 from sceneloom.batch import Task, run
 from sceneloom.batch.cluster import DaskCluster, run_packed
-from sceneloom.batch.workers import OUTCOME
+from sceneloom.batch.running import OUTCOME
 from sceneloom.errors import OptionError
 from sceneloom.version import __version__
 

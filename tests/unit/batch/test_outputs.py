@@ -10,8 +10,7 @@ from sceneloom.batch import run
 from sceneloom.batch.cluster import DaskCluster
 from sceneloom.batch.jobs import Further
 from sceneloom.batch.record import FOLDER, Record
-from sceneloom.batch.running import CLAIM, record_folder
-from sceneloom.batch.workers import ProcessPool
+from sceneloom.batch.running import CLAIM, ProcessPool
 from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.remote import stores
 
@@ -131,12 +130,12 @@ def test_a_killed_worker_harms_one_try_and_leaves_nothing_in_the_store_and_no_dr
 
 def test_records_have_a_folder_of_their_own_for_each_location(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    found = record_folder("s3://fused/run1/")
+    found = Record.folder_for("s3://fused/run1/")
     assert found.parent == tmp_path / "sceneloom" / "runs"
     assert found.name.startswith("run1-")
-    assert found == record_folder("s3://fused/run1") != record_folder("s3://other/run1")
+    assert found == Record.folder_for("s3://fused/run1") != Record.folder_for("s3://other/run1")
     monkeypatch.setenv("XDG_STATE_HOME", "relative")
-    assert record_folder("s3://fused/run1").is_relative_to(Path.home() / ".local" / "state")
+    assert Record.folder_for("s3://fused/run1").is_relative_to(Path.home() / ".local" / "state")
 
 
 @pytest.fixture

@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from sceneloom.batch import Outcome, RunSummary, State
-from sceneloom.batch.figures import MetricsFile, format_metrics, read_figures, write_page
+from sceneloom.batch.figures import MetricsFile, RunFigures, format_metrics
 from sceneloom.batch.record import FOLDER, Record
-from sceneloom.batch.running import record_folder
 from sceneloom.errors import DataError, OptionError, OutputError
 
 
@@ -174,7 +173,7 @@ def folder(tmp_path):
 
 
 def test_figures_are_those_of_the_record(folder):
-    figures = read_figures(folder)
+    figures = RunFigures.read(folder)
     assert figures.states == {"waiting": 1, "running": 0, "done": 7, "failed": 2}
     assert (figures.begun_ns, figures.ended_ns, figures.seconds) == (99 * SECOND, 109 * SECOND, 10.0)
     assert figures.tries == 10
@@ -209,11 +208,11 @@ class Reader(HTMLParser):
 def test_the_page_shows_them_and_asks_for_nothing(folder, tmp_path):
     with Record.held(tmp_path / "begun") as record:
         record.add([("a.sfs", {}, "a.sfs")])
-    begun = read_figures(tmp_path / "begun")
+    begun = RunFigures.read(tmp_path / "begun")
     assert (begun.seconds, begun.workers) == (0.0, ())
-    write_page(begun, tmp_path / "begun.html")
+    begun.write_page(tmp_path / "begun.html")
     assert "1 waiting" in (tmp_path / "begun.html").read_text("utf-8")
-    write_page(read_figures(folder), tmp_path / "run.html")
+    RunFigures.read(folder).write_page(tmp_path / "run.html")
     reader = Reader()
     text = (tmp_path / "run.html").read_text("utf-8")
     reader.feed(text)
@@ -225,7 +224,7 @@ def test_the_page_shows_them_and_asks_for_nothing(folder, tmp_path):
         assert reported in shown
     assert "<td>in/5.sfs</td><td>3.0</td>" in text
     with pytest.raises(OutputError, match="exists already"):
-        write_page(read_figures(folder), tmp_path / "run.html")
+        RunFigures.read(folder).write_page(tmp_path / "run.html")
 
 
 def test_text_for_prometheus_has_a_type_for_each_figure_and_escaped_labels():
@@ -281,7 +280,7 @@ def test_no_secret_is_kept_or_reported_anywhere(tmp_path, job, go, web):
     summary = go(job("fetch", locations, options={"truth": locations[0]}, retries=0), reported=notify)
     assert (summary.done, summary.failed) == (1, 3)
     assert (tmp_path / "out" / "a.txt").read_text() == "one"
-    write_page(read_figures(tmp_path / "out"), tmp_path / "run.html")
+    RunFigures.read(tmp_path / "out").write_page(tmp_path / "run.html")
     with Record.opened(tmp_path / "out") as record:
         reported += [repr((row, record.report(row.number))) for row in record.rows()]
         assert "X-Amz-Signature=***" in record.rows()[0].input
@@ -292,8 +291,10 @@ def test_no_secret_is_kept_or_reported_anywhere(tmp_path, job, go, web):
     with pytest.raises(OptionError, match="differ in secrets only") as caught:
         go(job("fetch", signed("one", "a.sfs") + signed("two", "a.sfs")), "other")
     assert "one" not in str(caught.value).replace("done", "")
-    assert record_folder("s3://me:hush@bucket/x?token=hush") == record_folder("s3://me:other@bucket/x?token=new")
-    assert "hush" not in str(record_folder("s3://bucket/x?token=hush"))
+    assert Record.folder_for("s3://me:hush@bucket/x?token=hush") == Record.folder_for(
+        "s3://me:other@bucket/x?token=new"
+    )
+    assert "hush" not in str(Record.folder_for("s3://bucket/x?token=hush"))
 
 
 def test_drives_are_known_again_when_they_are_signed_anew_and_looked_at_without_reading(tmp_path, job, go, web):

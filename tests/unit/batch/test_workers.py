@@ -19,7 +19,7 @@ import sceneloom
 from sceneloom.batch import Input, Job, run
 from sceneloom.batch.cluster import DaskCluster
 from sceneloom.batch.record import FOLDER
-from sceneloom.batch.workers import ProcessPool, Warming
+from sceneloom.batch.running import ProcessPool, Warming
 from sceneloom.cli.batch import CALL, verb_named
 from sceneloom.kernels.cache import KernelCache
 from sceneloom.simulate import LidarSpec, simulate_street
@@ -57,15 +57,15 @@ def refuse_task(task):
 
 
 def test_a_fault_of_a_worker_that_is_no_outcome_is_one_of_its_task(tmp_path, drives, job, monkeypatch):
-    monkeypatch.setattr("sceneloom.batch.workers.run_task", refuse_task)
+    monkeypatch.setattr("sceneloom.batch.running.run_task", refuse_task)
     assert run(job("copy", drives("a.sfs")), tmp_path / "out", workers=1).failed == 1
 
 
 def test_others_wait_only_as_long_as_more_and_more_is_compiled(monkeypatch):
     found = {"compiled": 0, "writable": True, "clock": 0.0}
-    looked = "sceneloom.batch.workers.find_kernel_cache"
+    looked = "sceneloom.batch.running.find_kernel_cache"
     monkeypatch.setattr(looked, lambda: KernelCache(Path(), found["writable"], 9, found["compiled"]))
-    monkeypatch.setattr("sceneloom.batch.workers.time.monotonic", lambda: found["clock"])
+    monkeypatch.setattr("sceneloom.batch.running.time.monotonic", lambda: found["clock"])
     ended, warming = Warming(grown=0.0), Warming(grown=0.0)
     ended.end()
     assert not ended.goes_on()

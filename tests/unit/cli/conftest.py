@@ -8,7 +8,7 @@ import click
 import pytest
 
 import sceneloom
-from sceneloom.batch.workers import run_task
+from sceneloom.batch.running import run_task
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli import main
 from sceneloom.db34t.json import format_json

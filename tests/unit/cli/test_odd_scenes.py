@@ -674,7 +674,7 @@ def test_no_verb_breaks_on_what_is_no_finite_number(call, spelled, tmp_path, ver
 def test_only_programs_and_not_imports_change_how_numpy_warns():
     script = (
         "import warnings, numpy as np; before = list(warnings.filters), np.geterr(); "
-        "import sceneloom, sceneloom.cli.main, sceneloom.batch.workers, sceneloom.view; "
+        "import sceneloom, sceneloom.cli.main, sceneloom.batch.running, sceneloom.view; "
         "reported = [f for f in warnings.filters if f not in before[0] and 'encountered' in str(f[1])]; "
         "assert reported == [], reported; assert np.geterr() == before[1]"
     )

@@ -14,9 +14,10 @@ from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.conformance import examination
 from sceneloom.db34t.conformance.examination import CHECKS
+from sceneloom.db34t.transport import Security
 from sceneloom.service.client import FusionClient
 from sceneloom.service.running import running_server
-from sceneloom.service.server import Security, ServerSettings
+from sceneloom.service.server import ServerSettings
 from sceneloom.service.session_log import SessionLog, compare
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.db34t.calibration import CalibrationEntry, DeclaredAxes, SensorKind, calibrated_pair, calibration_data
+from sceneloom.db34t.setting import CalibrationEntry, DeclaredAxes, SensorKind, calibrated_pair, calibration_data
 from sceneloom.errors import CalibrationError
 from sceneloom.geometry.rigid import RigidTransform
 

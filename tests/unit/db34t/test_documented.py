@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from sceneloom.db34t.interface import FusionInterface
-from sceneloom.db34t.properties import PREDEFINED
+from sceneloom.db34t.setting import PREDEFINED
 
 from .sending import boxes_2d, boxes_3d, calibration, cloud, image
 

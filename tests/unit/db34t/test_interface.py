@@ -10,8 +10,8 @@ from PIL import Image
 
 from sceneloom.colouring.algorithms import fuse_by_projection
 from sceneloom.db34t import Boxes2d, Boxes3d
-from sceneloom.db34t.calibration import MOST_PAIRS, CalibrationEntry, calibration_table
-from sceneloom.db34t.interface import FusionInterface, QueueLimits, format_calibrations
+from sceneloom.db34t.interface import FusionInterface, format_calibrations
+from sceneloom.db34t.setting import MOST_PAIRS, CalibrationEntry, calibration_table
 from sceneloom.db34t.types import Cause
 from sceneloom.errors import OptionError
 
@@ -610,7 +610,7 @@ def test_a_cloud_leaves_room_for_colours_in_the_result(fusion):
 
 
 def test_cameras_may_have_so_many_pixels_together():
-    with FusionInterface(inline=True, limits=QueueLimits(most_bytes=7 * 2 * 64 * 48)) as fusion:
+    with FusionInterface(inline=True, most_bytes=7 * 2 * 64 * 48) as fusion:
         too_large = calibration(image_size=(64, 97))
         assert fusion.set_calibration(too_large, camera_id=0).cause is Cause.TOO_MANY
         for camera_id, status in ((0, 1), (1, 1), (2, 0)):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sceneloom.db34t.interface import PropertyStore
-from sceneloom.db34t.properties import MOST_PROPERTIES, PREDEFINED
+from sceneloom.db34t.setting import MOST_PROPERTIES, PREDEFINED
 from sceneloom.db34t.types import Cause
 from sceneloom.errors import OptionError
 

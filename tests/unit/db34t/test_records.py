@@ -9,13 +9,13 @@ from sceneloom.db34t import (
     Boxes2d,
     Boxes3d,
     CalibrationData,
-    FusedDetection,
     FusedDetections,
     RawData,
     SensorFusionData,
     Timestamp,
     kind_of,
 )
+from sceneloom.db34t.records import FusedDetection
 from sceneloom.errors import DataError, OptionError
 
 from .sending import box_2d, box_3d, cloud, image

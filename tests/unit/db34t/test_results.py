@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.db34t.results import declared_columns
+from sceneloom.db34t.scene_objects import declared_columns
 from sceneloom.detections.results import FusedBoxes
 from sceneloom.scene import Poses
-from sceneloom.service.methods import TrackedResults
+from sceneloom.service.server import TrackedResults
 
 from .sending import START_NS, boxes_3d, interface, no_boxes_2d, no_boxes_3d, send_all
 

@@ -10,7 +10,7 @@ from PIL import Image
 from sceneloom.cameras import Camera
 from sceneloom.colouring import FusedFrame, view_points
 from sceneloom.db34t import ImageData, RawData, Timestamp
-from sceneloom.db34t.interface import PropertyStore
+from sceneloom.db34t.interface import PropertyStore, sensor_fusion_record
 from sceneloom.db34t.scene_objects import (
     boxes_2d_of,
     boxes_2d_record,
@@ -25,7 +25,6 @@ from sceneloom.db34t.scene_objects import (
     point_cloud_of,
 )
 from sceneloom.db34t.setting import Setting
-from sceneloom.db34t.worker import sensor_fusion_record
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.recording.lidars import XYZIRT
 from sceneloom.geometry.rigid import RigidTransform

@@ -15,8 +15,8 @@ from tests.unit.db34t.sending import HEIGHT, WIDTH, boxes_2d, boxes_3d, calibrat
 from sceneloom.cameras.camera import MODELS
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.scene.poses import Poses
-from sceneloom.service.methods import TrackedResults
 from sceneloom.service.running import running_server, warm_up
+from sceneloom.service.server import TrackedResults
 
 PIXELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}
 SHUTTER = json.dumps({"0": {"kind": "lidar"}, "1": {"kind": "camera", "shutter_roll_s": 0.03}})
@@ -91,9 +91,9 @@ def sessions():
 
 
 def conformance():
-    from sceneloom.db34t.conformance.examination import Access, GrpcTransport, examine
+    from sceneloom.db34t.conformance.examination import GrpcTransport, examine
 
-    with running_server() as server, GrpcTransport.connected(server.address, Access()) as transport:
+    with running_server() as server, GrpcTransport.connected(server.address) as transport:
         assert examine(transport, address=server.address).failed_ids == ()
 
 

@@ -12,6 +12,7 @@ from tests.unit.db34t import sending
 
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import encode
+from sceneloom.db34t.transport import Security
 from sceneloom.db34t.types import Cause, Outcome
 from sceneloom.errors import OptionError
 from sceneloom.scene.poses import Poses
@@ -24,7 +25,7 @@ from sceneloom.service.client import (
     UnreachableError,
 )
 from sceneloom.service.running import running_server
-from sceneloom.service.server import Security, ServerSettings
+from sceneloom.service.server import ServerSettings
 from sceneloom.service.startup import ServiceLimits
 
 WIDTH, HEIGHT = 32, 24

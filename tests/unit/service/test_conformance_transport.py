@@ -9,10 +9,9 @@ from grpc_reflection.v1alpha import reflection_pb2
 from grpc_reflection.v1alpha.reflection import ReflectionServicer
 
 from sceneloom.db34t.conformance.catalogue import CallFailedError
-from sceneloom.db34t.conformance.examination import Access, GrpcTransport, NobodyAnswersError, examine
-from sceneloom.db34t.transport import SERVICE, open_channel
+from sceneloom.db34t.conformance.examination import GrpcTransport, NobodyAnswersError, examine
+from sceneloom.db34t.transport import SERVICE, Security, open_channel
 from sceneloom.errors import OptionError
-from sceneloom.service.server import Security
 
 from .test_security import Authority
 
@@ -27,12 +26,11 @@ def test_a_server_with_tls_client_certificates_and_a_token_is_checked_like_any(s
     )
     token = tmp_path / "token"
     token.write_text(TOKEN + "\n")
-    access = Access(authority.path, token, authority.issue("kit"))
-    with GrpcTransport.connected(f"localhost:{server.port}", access) as transport:
+    address, access = f"localhost:{server.port}", {"ca": authority.path, "certificate": authority.issue("kit")}
+    with GrpcTransport.connected(address, token_file=token, **access) as transport:
         assert examine(transport, only=["5.3", "X-6", "X-7"]).failed_ids == ()
-    without = Access(authority.path, None, authority.issue("kit"))
     with pytest.raises(NobodyAnswersError, match=r"UNAUTHENTICATED.*--token-file"):
-        GrpcTransport.connected(f"localhost:{server.port}", without)
+        GrpcTransport.connected(address, **access)
 
 
 def test_a_token_is_not_sent_over_an_open_connection_to_another_machine(tmp_path):
@@ -40,7 +38,7 @@ def test_a_token_is_not_sent_over_an_open_connection_to_another_machine(tmp_path
     token.write_text(TOKEN)
     for address in ("192.0.2.7:1", "fusion.example:1", "[2001:db8::1]:1"):
         with pytest.raises(OptionError, match="without TLS"):
-            GrpcTransport.connected(address, Access(token_file=token))
+            GrpcTransport.connected(address, token_file=token)
     for address in ("127.0.0.1:1", "localhost:1", "[::1]:1"):
         open_channel(address, ca=None, certificate=None, token=TOKEN).close()
 
@@ -48,7 +46,7 @@ def test_a_token_is_not_sent_over_an_open_connection_to_another_machine(tmp_path
 def test_a_call_that_ends_with_an_error_is_reported_with_its_code(serve):
     from sceneloom.db34t.wire import fusion_pb2
 
-    with GrpcTransport.connected(serve().address, Access()) as transport:
+    with GrpcTransport.connected(serve().address) as transport:
         with pytest.raises(CallFailedError) as failed:
             transport.call("GetProperty", fusion_pb2.GetPropertyRequest(name="nothing"))
         assert failed.value.code == "NOT_FOUND"
@@ -67,7 +65,7 @@ def connected(*handlers):
     port = server.add_insecure_port("127.0.0.1:0")
     server.start()
     try:
-        with GrpcTransport.connected(f"127.0.0.1:{port}", Access()) as transport:
+        with GrpcTransport.connected(f"127.0.0.1:{port}") as transport:
             yield transport
     finally:
         server.stop(None).wait()

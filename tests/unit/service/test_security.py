@@ -13,10 +13,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from sceneloom.db34t.transport import is_local, read_pair, read_token
+from sceneloom.db34t.transport import Security, is_local, read_pair, read_token
 from sceneloom.errors import DataError, OptionError
 from sceneloom.service.client import FusionClient
-from sceneloom.service.server import FusionServer, Security, ServerSettings
+from sceneloom.service.server import FusionServer, ServerSettings
 from sceneloom.service.startup import check_port
 
 TOKEN = "0123456789abcdefghij"

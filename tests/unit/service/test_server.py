@@ -17,9 +17,7 @@ from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
 from sceneloom.service.client import FusionClient
-from sceneloom.service.methods import CALLS, METHODS, SERVICE
-from sceneloom.service.server import BOUNDS_S, Histogram
-from sceneloom.service.sessions import CallError, SessionTable
+from sceneloom.service.server import BOUNDS_S, CALLS, METHODS, SERVICE, CallError, Histogram, SessionTable
 from sceneloom.service.startup import ServiceLimits
 
 

@@ -17,13 +17,12 @@ from mcap.stream_reader import StreamReader
 from tests.unit.db34t import sending
 from tests.unit.db34t.sending import HEIGHT, WIDTH, calibration, interface, timestamp
 
-from sceneloom.db34t.calibration import CalibrationEntry
 from sceneloom.db34t.events import Result
-from sceneloom.db34t.interface import FusionInterface, format_calibrations
+from sceneloom.db34t.interface import FusionInterface, Rig, format_calibrations
 from sceneloom.db34t.protobuf import encode
 from sceneloom.db34t.records import join_boxes
+from sceneloom.db34t.setting import CalibrationEntry
 from sceneloom.db34t.wire import fusion_pb2
-from sceneloom.db34t.worker import Rig
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.messages.mcap_files import McapWriter
 from sceneloom.scene.poses import Poses
@@ -370,4 +369,4 @@ def test_chunks_and_times_stand_in_order_whatever_the_clock_does(path):
 
 def test_a_session_with_a_thread_of_its_own_cannot_be_repeated():
     with FusionInterface() as fusion, pytest.raises(OptionError, match="inline"):
-        fusion.repeat(None)
+        fusion.repeat(None, None)

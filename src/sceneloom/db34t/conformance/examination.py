@@ -108,6 +108,16 @@ class Examination:
         ]
         return {"address": self.address, "passed": self.passed, "counts": self.counts, "checks": checks}
 
+    @staticmethod
+    def check_name(path: Path) -> None:
+        """Check that a report can be written into a file of that name.
+
+        Raises:
+            OptionError: its suffix is none of .json, .md and .html.
+        """
+        if path.suffix.lower() not in _FORMATS:
+            raise OptionError(f"report {path}; expected a name that ends with one of {', '.join(_FORMATS)}")
+
     def write(self, path: Path, *, overwrite: bool = False) -> None:
         """Write a report in the format that the file's suffix says.
 
@@ -115,20 +125,10 @@ class Examination:
             OptionError: the suffix is none of .json, .md and .html.
             OutputError: the file exists already, or cannot be written.
         """
-        check_report(path)
+        self.check_name(path)
         text = _FORMATS[path.suffix.lower()](self)
         with replacing(path, overwrite=overwrite) as draft:
             draft.write_text(text, "utf-8")
-
-
-def check_report(path: Path) -> None:
-    """Check that a report can be written into a file of that name.
-
-    Raises:
-        OptionError: its suffix is none of .json, .md and .html.
-    """
-    if path.suffix.lower() not in _FORMATS:
-        raise OptionError(f"report {path}; expected a name that ends with one of {', '.join(_FORMATS)}")
 
 
 def chosen(ids: Iterable[str]) -> tuple[Check, ...]:
@@ -251,21 +251,6 @@ _FORMATS: Mapping[str, Callable[[Examination], str]] = {
 }  # by the suffix of the file
 
 
-@dataclass(frozen=True, slots=True)
-class Access:
-    """Access to a server.
-
-    Attributes:
-        ca: file of the certificate (PEM) that the server's is signed with; None for a connection that is not encrypted.
-        token_file: file of the bearer token; None for none.
-        certificate: files (PEM) of the certificate and the key that the kit shows to servers that ask; None for none.
-    """
-
-    ca: Path | None = None
-    token_file: Path | None = None
-    certificate: tuple[Path, Path] | None = None
-
-
 class GrpcTransport:
     """Calls over a gRPC channel, with stubs made from the service's descriptor. Use it in `with`, or close it.
 
@@ -280,8 +265,20 @@ class GrpcTransport:
         self._calls = calls_of(channel)
 
     @classmethod
-    def connected(cls, address: str, access: Access) -> "GrpcTransport":
+    def connected(
+        cls,
+        address: str,
+        *,
+        ca: Path | None = None,
+        token_file: Path | None = None,
+        certificate: tuple[Path, Path] | None = None,
+    ) -> "GrpcTransport":
         """Connect to a server.
+
+        Args:
+            ca: file of the certificate (PEM) that the server's is signed with; None for no encryption.
+            token_file: file of the bearer token; None for none.
+            certificate: files (PEM) of the certificate and the key that the kit shows to servers that ask.
 
         Raises:
             NobodyAnswersError: no server answers there, or it does not let the kit in.
@@ -289,8 +286,8 @@ class GrpcTransport:
             DataError: a file holds no token, or no certificate.
             OSError: a file cannot be read.
         """
-        token = None if access.token_file is None else read_token(access.token_file)
-        channel = open_channel(address, ca=access.ca, certificate=access.certificate, token=token)
+        token = None if token_file is None else read_token(token_file)
+        channel = open_channel(address, ca=ca, certificate=certificate, token=token)
         try:
             grpc.channel_ready_future(channel).result(timeout=PATIENCE_S / 3)
         except grpc.FutureTimeoutError:

@@ -9,8 +9,7 @@ from sceneloom.db34t.records import kind_of
 from sceneloom.db34t.transport import SERVICE
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import OptionError
-from sceneloom.service.methods import METHODS
-from sceneloom.service.sessions import CallError
+from sceneloom.service.server import METHODS, CallError
 
 
 def summary_of(statuses):

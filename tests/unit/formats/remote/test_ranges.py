@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import sceneloom
-from sceneloom.batch.workers import may_pass
+from sceneloom.batch.running import may_pass
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError
 from sceneloom.formats.remote import stores

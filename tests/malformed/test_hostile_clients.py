@@ -8,36 +8,28 @@ import contextlib
 import io
 import json
 import random
-import signal
 import socket
 import struct
-import subprocess
-import sys
 import time
 import zlib
-from pathlib import Path
 
 import grpc
-import numpy as np
 import pytest
 from google.protobuf.message import DecodeError
-from google.protobuf.message_factory import GetMessageClass
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
-from tests.unit.service.test_security import Authority
+from tests.unit.db34t import sending
+from tests.unit.db34t.sending import HEIGHT, WIDTH
+from tests.unit.service.conftest import DEADLINE_S, SERVICE, Caller, Served
+from tests.unit.service.test_security import TOKEN, Authority
 
 from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.protobuf import to_protobuf
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
+from sceneloom.formats.base.protobuf import enclosed
 from sceneloom.service.server import METHODS, CallError
-
-SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
-WIDTH, HEIGHT = 64, 48
-FORWARD = (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
-TOKEN = "0123456789abcdefghij"
-DEADLINE_S = 60
-"""Of calls that end at once: far more than they take on a busy machine."""
 
 ANSWERS = {"INVALID_ARGUMENT", "NOT_FOUND", "RESOURCE_EXHAUSTED"}
 """Errors that are answers; others are failures of the service."""
@@ -47,80 +39,29 @@ SMALL, LARGE = 40, 2000
 
 MEBIBYTE = 1 << 20
 
-SERVER = """
-import sys
-from sceneloom.cli.main import main
-main(["serve", "-q", "--json", *sys.argv[1:]])
-"""
 
-
-class Server:
-    """A server in a process of its own."""
-
-    def __init__(self, *arguments):
-        command = [sys.executable, "-c", SERVER, *map(str, arguments)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        line = ""
-        while not line.rstrip().endswith("}"):
-            more = self.process.stdout.readline()
-            assert more, self.process.stderr.read()
-            line += more
-        self.address = json.loads(line)["address"]
-
-    def peak(self):
-        """The most memory that it had [byte]."""
-        lines = Path(f"/proc/{self.process.pid}/status").read_text().splitlines()
-        return next(int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM"))
-
-    def end(self):
-        """End it, and give what it complained about."""
-        self.process.send_signal(signal.SIGTERM)
-        _, reported = self.process.communicate(timeout=DEADLINE_S)
-        assert self.process.returncode == 0
-        return reported
-
-
-class Rig:
+class Rig(Caller):
     """A caller of one session, with one camera calibrated, whose records go on in time."""
 
     def __init__(self, address, session, *, credentials=None, token=None):
-        options = [("grpc.max_receive_message_length", -1), ("grpc.use_local_subchannel_pool", 1)]
-        secure = credentials is not None
-        arguments = (address, credentials, options) if secure else (address, options)
-        self.channel = (grpc.secure_channel if secure else grpc.insecure_channel)(*arguments)
-        self.session, self.seq = session, 0
-        self.metadata = () if token is None else (("authorization", f"Bearer {token}"),)
+        metadata = () if token is None else (("authorization", f"Bearer {token}"),)
+        super().__init__(address, session=session, credentials=credentials, metadata=metadata)
+        self.seq = 0
 
     def begin(self):
         self("CloseSession")
         self.seq = 0
-        assert self("SetCalibration", calibration=calibration(), camera_id=1).status == 1
+        assert self.calibrate().status == 1
         return self
-
-    def method(self, name):
-        found = SERVICE.methods_by_name[name]
-        kind = f"{'stream' if found.client_streaming else 'unary'}_{'stream' if found.server_streaming else 'unary'}"
-        return getattr(self.channel, kind)(
-            f"/{SERVICE.full_name}/{name}",
-            request_serializer=lambda content: content,
-            response_deserializer=GetMessageClass(found.output_type).FromString,
-        )
-
-    def request(self, name, /, **fields):
-        return GetMessageClass(SERVICE.methods_by_name[name].input_type)(session=self.session, **fields)
-
-    def __call__(self, name, /, **fields):
-        content = self.request(name, **fields).SerializeToString()
-        return self.method(name)(content, timeout=DEADLINE_S, metadata=self.metadata)
 
     def records(self):
         """A sweep, an image and their boxes, of the next time."""
         self.seq += 1
-        now = timestamp(100 * self.seq)
-        yield "image", image(self.seq, now)
-        yield "points", cloud(self.seq, now)
-        yield "boxes_3d", boxes_3d(self.seq, now)
-        yield "boxes_2d", boxes_2d(self.seq, now)
+        now = 100 * self.seq
+        yield "image", image(now, self.seq)
+        yield "points", cloud(now, self.seq)
+        yield "boxes_3d", to_protobuf(sending.boxes_3d(now, self.seq))
+        yield "boxes_2d", to_protobuf(sending.boxes_2d(now, self.seq))
 
     def works(self):
         """Whether a pair that is sent now comes back fused."""
@@ -134,55 +75,33 @@ class Rig:
             assert found.image_seq == self.seq
         return True
 
+    def set(self, name, **value):
+        return self("SetProperty", name=name, value=fusion_pb2.Value(**value))
+
     def counts(self):
         return dict(self("GetCounters").counts)
 
 
-def timestamp(milliseconds):
-    s, ns = divmod(1_595_682_678_000_000_000 + milliseconds * 1_000_000, 10**9)
-    return fusion_pb2.Timestamp(s=s, ns=ns)
+def image(milliseconds, seq, **changed):
+    message = to_protobuf(sending.image(milliseconds, seq))
+    message.MergeFrom(fusion_pb2.ImageData(**changed))
+    return message
 
 
-def calibration(**changed):
-    intrinsic = (50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1)
-    fields = {"image_size": (WIDTH, HEIGHT), "intrinsic_matrix": intrinsic, "extrinsic_matrix": FORWARD}
-    return fusion_pb2.Calibration(**fields | changed)
-
-
-def image(seq, now, **changed):
-    fields = {"sensor_id": 1, "timestamp": now, "seq": seq, "height": HEIGHT, "width": WIDTH, "encoding": "rgb8"}
-    fields |= {"channel": 3, "data": bytes(range(256)) * (HEIGHT * WIDTH * 3 // 256)}
-    return fusion_pb2.ImageData(**fields | changed)
-
-
-def cloud(seq, now):
-    data = np.array([[10, 0, 0], [12, 1, 0.5], [-10, 0, 0]], "<f4").tobytes()
-    return fusion_pb2.PointCloudData(timestamp=now, seq=seq, number=3, fields="xyz", fields_number=3, data=data)
-
-
-def boxes_3d(seq, now):
-    fields = {"id": 4, "class": "Car", "points_seq": seq, "confidence": 0.8, "timestamp": now, "X": 20.0, "velocity": 5}
-    box = fusion_pb2.Box3d(**fields, length=4.0, width=2.0, height=1.5, direction=(1, 0, 0))
-    return fusion_pb2.Boxes3d(seq=seq, timestamp=now, boxes=[box])
-
-
-def boxes_2d(seq, now):
-    fields = {"id": 6, "class": "Car", "image_seq": seq, "confidence": 0.9, "timestamp": now}
-    box = fusion_pb2.Box2d(**fields, x1=28, y1=21, x2=35, y2=26)
-    return fusion_pb2.Boxes2d(sensor_id=1, seq=seq, timestamp=now, boxes=[box])
+def cloud(milliseconds, seq):
+    return to_protobuf(sending.cloud(milliseconds, seq, [[10, 0, 0], [12, 1, 0.5], [-10, 0, 0]]))
 
 
 def seeds(rig):
     """Sound requests of each method, whose records are of the next time; nothing is sent."""
     value, made = fusion_pb2.Value, rig.request
     listed = fusion_pb2.ValueList(values=[value(integer_value=k) for k in (0, -1, 2)])
-    pose = fusion_pb2.Pose(timestamp=timestamp(100 * rig.seq), position=[1, 2, 3], quaternion_xyzw=[0, 0, 0, 1])
     camera_model = {"model": "fisheye", "image_size": [WIDTH, HEIGHT], "fx": 50, "fy": 50, "cx": 31, "cy": 23}
     sent = [made("Send", **{name: record}) for name, record in rig.records()]
-    later = timestamp(100 * rig.seq)
-    sent.append(made("Send", box_3d=boxes_3d(rig.seq + 1, later).boxes[0]))
-    sent.append(made("Send", box_2d=boxes_2d(rig.seq + 1, later).boxes[0]))
-    sent.append(made("Send", raw=fusion_pb2.RawData(sensor_id=1, timestamp=later, seq=rig.seq, length=3, data=b"abc")))
+    pose = fusion_pb2.Pose(timestamp=sent[0].image.timestamp, position=[1, 2, 3], quaternion_xyzw=[0, 0, 0, 1])
+    now, alone = 100 * rig.seq, {"raw": sending.raw(100 * rig.seq, rig.seq, b"abc", sensor_id=1)}
+    alone |= {"box_3d": sending.box_3d(now, rig.seq + 1), "box_2d": sending.box_2d(now, rig.seq + 1)}
+    sent += [made("Send", **{name: to_protobuf(record)}) for name, record in alone.items()]
     requests = {
         "AddProperty": [
             {"name": f"mode{rig.seq}", "description": "a=1, b=2", "type": "(enum, float)"},
@@ -196,7 +115,7 @@ def seeds(rig):
             {"name": "pairing_tolerance_ms", "value": value(number_value=5.0)},
         ],
         "GetProperty": [{"name": "chirality"}],
-        "SetCalibration": [{"calibration": calibration(), "camera_id": 1}],
+        "SetCalibration": [{"calibration": to_protobuf(sending.calibration()), "camera_id": 1}],
         "SendMotion": [{"poses": [pose]}],
         "Get": [{"fusion_type": 0}, {"fusion_type": 1}],
         "Subscribe": [{"fusion_type": 1, "most": 1, "track": True}, {"most": 1}],
@@ -335,9 +254,9 @@ def is_a_fault(counter):
 
 @pytest.fixture(scope="module")
 def server():
-    running = Server()
-    yield running
-    assert "Traceback" not in running.end()
+    with Served("-q") as running:
+        yield running
+        assert "Traceback" not in running.end()
 
 
 @pytest.fixture
@@ -365,21 +284,21 @@ def test_thousands_of_mutants_of_a_request_are_answered_or_refused(rigs, name):
 def test_images_that_declare_more_pixels_than_a_session_may_have_are_refused(server, rigs):
     rig, other = rigs
     before = server.peak()
-    huge = calibration(image_size=(100_000, 10_000))
-    status = rig("SetCalibration", calibration=huge, camera_id=1)
+    status = rig.calibrate(image_size=(100_000, 10_000))
     assert (status.status, status.cause) == (0, "too-many")
     for changed in ({"height": 31_250, "width": 32_000}, {"height": 2**31}, {"encoding": "png", "width": 10**9}):
-        assert rig("Send", image=image(1, timestamp(0), **changed)).cause == "bad-record"
+        assert rig("Send", image=image(0, 1, **changed)).cause == "bad-record"
     assert rig("AddProperty", name="camera_models", type="string").status == 1
     camera_model = {"model": "pinhole", "image_size": [31_250, 32_000], "fx": 50, "fy": 50, "cx": 31, "cy": 23}
     for size in ([31_250, 32_000], [10**400, 1], [1e400, 2], [True, 2]):
         text = json.dumps({"1": camera_model | {"image_size": size}, "2": camera_model | {"fx": 10**400}})
-        rig("SetProperty", name="camera_models", value=fusion_pb2.Value(string_value=text))
-        rig("Send", image=image(1, timestamp(0)))
-    rig("SetProperty", name="camera_models", value=fusion_pb2.Value(string_value=""))
+        rig.set("camera_models", string_value=text)
+        rig("Send", image=image(0, 1))
+    rig.set("camera_models", string_value="")
+    large = to_protobuf(sending.calibration(image_size=(4000, 3000)))
     for camera_id in range(2, 42):  # each may be, all together not
-        rig("SetCalibration", calibration=calibration(image_size=(4000, 3000)), camera_id=camera_id)
-    assert rig("Send", points=cloud(1, timestamp(0))).cause == "too-many"
+        rig("SetCalibration", calibration=large, camera_id=camera_id)
+    assert rig("Send", points=cloud(0, 1)).cause == "too-many"
     assert other.works()
     assert server.peak() - before < 64 * MEBIBYTE
 
@@ -419,10 +338,8 @@ def test_files_of_images_that_hold_far_more_than_they_should_cost_their_image_al
         ("jpeg", progressive(0).replace(struct.pack(">HH", HEIGHT, WIDTH), b"\xff\xff\xff\xff")),
     ]
     for k, (encoding, content) in enumerate(bombs):
-        now = timestamp(100 * k)
-        data = {"encoding": encoding, "channel": 3, "data": content}
-        assert rig("Send", image=image(k, now, **data)).status == 1
-        assert rig("Send", points=cloud(k, now)).status == 1
+        assert rig("Send", image=image(100 * k, k, encoding=encoding, data=content)).status == 1
+        assert rig("Send", points=cloud(100 * k, k)).status == 1
     rig("Flush")
     counts = rig.counts()
     assert counts["received.image"] == len(bombs)
@@ -437,11 +354,11 @@ def test_files_of_images_that_hold_far_more_than_they_should_cost_their_image_al
 )
 def test_a_flood_of_images_without_sweeps_is_bounded_and_counted(server, rigs, count, size):
     rig, other = rigs
-    rig("SetProperty", name="queue_length", value=fusion_pb2.Value(integer_value=16))
-    rig("SetCalibration", calibration=calibration(image_size=size), camera_id=1)
+    rig.set("queue_length", integer_value=16)
+    rig.calibrate(image_size=size)
     changed = {"width": size[0], "height": size[1], "data": bytes(size[0] * size[1] * 3)}
     before = server.peak()
-    images = (rig.request("Send", image=image(k, timestamp(k), **changed)).SerializeToString() for k in range(count))
+    images = (rig.request("Send", image=image(k, k, **changed)).SerializeToString() for k in range(count))
     summary = rig.method("SendStream")(images, timeout=600, metadata=rig.metadata)
     assert other.works()
     rig("Flush")
@@ -456,17 +373,16 @@ def test_a_flood_of_images_without_sweeps_is_bounded_and_counted(server, rigs, c
 
 def test_a_subscriber_that_never_reads_costs_its_own_results_alone(server, rigs):
     rig, other = rigs
-    rig("SetProperty", name="result_queue_length", value=fusion_pb2.Value(integer_value=4))
+    rig.set("result_queue_length", integer_value=4)
     size = (640, 480)
-    assert rig("SetCalibration", calibration=calibration(image_size=size), camera_id=1).status == 1
+    assert rig.calibrate(image_size=size).status == 1
     before = server.peak()
     request = rig.request("Subscribe", fusion_type=0).SerializeToString()
     calls = [rig.method("Subscribe")(request, timeout=DEADLINE_S) for _ in range(3)]
     pixels = bytes(size[0] * size[1] * 3)
     for seq in range(60):
-        now = timestamp(100 * seq)
-        assert rig("Send", image=image(seq, now, width=size[0], height=size[1], data=pixels)).status == 1
-        assert rig("Send", points=cloud(seq, now)).status == 1
+        assert rig("Send", image=image(100 * seq, seq, width=size[0], height=size[1], data=pixels)).status == 1
+        assert rig("Send", points=cloud(100 * seq, seq)).status == 1
         if seq % 20 == 0:
             assert other.works()
     rig("Flush")
@@ -504,12 +420,6 @@ def test_streams_that_never_end_and_callers_that_go_disturb_nobody(server, rigs)
     assert rig.begin().works()
 
 
-def enclosed(number, content):
-    n = len(content)
-    length = bytes([n & 0x7F | 0x80, n >> 7 & 0x7F | 0x80, n >> 14 & 0x7F | 0x80, n >> 21])
-    return bytes([number << 3 | 2]) + length + content
-
-
 @pytest.mark.parametrize("kind", ["values", "boxes", "poses", "fields", "session", "too large"])
 @pytest.mark.few(2)
 def test_messages_of_very_many_parts_are_refused_before_they_are_taken_apart(server, rigs, kind):
@@ -517,18 +427,18 @@ def test_messages_of_very_many_parts_are_refused_before_they_are_taken_apart(ser
     rig, other = rigs
     before = server.peak()
     count = 18_000_000 if kind == "too large" else 6_000_000
-    values, sensors = (enclosed(2, enclosed(6, b"\x0a\x00" * count)), rig.request("SetProperty", name="sensors"))
+    sensors, values = rig.request("SetProperty", name="sensors"), enclosed(2, enclosed(6, [b"\x0a\x00" * count]))
     requests = {
         "values": ("SetProperty", sensors, values),
-        "boxes": ("Send", rig.request("Send"), enclosed(4, b"\x22\x00" * count)),
-        "poses": ("SendMotion", rig.request("SendMotion"), b"\x0a\x00" * count),
-        "fields": ("Send", rig.request("Send"), enclosed(3, b"\x2a\x00" * count)),
-        "session": ("Flush", fusion_pb2.FlushRequest(), b"\x38\x00" * count),
+        "boxes": ("Send", rig.request("Send"), enclosed(4, [b"\x22\x00" * count])),
+        "poses": ("SendMotion", rig.request("SendMotion"), [b"\x0a\x00" * count]),
+        "fields": ("Send", rig.request("Send"), enclosed(3, [b"\x2a\x00" * count])),
+        "session": ("Flush", fusion_pb2.FlushRequest(), [b"\x38\x00" * count]),
         "too large": ("SetProperty", sensors, values),
     }
     name, message, rest = requests[kind]
     with contextlib.suppress(grpc.RpcError):
-        answer = rig.method(name)(message.SerializeToString() + rest, timeout=DEADLINE_S)
+        answer = rig.method(name)(b"".join([message.SerializeToString(), *rest]), timeout=DEADLINE_S)
         assert answer.status == 0 or kind == "session"
     assert other.works()
     assert server.peak() - before < 900 * MEBIBYTE
@@ -536,16 +446,15 @@ def test_messages_of_very_many_parts_are_refused_before_they_are_taken_apart(ser
 
 def test_properties_may_hold_so_much_together(server, rigs):
     rig, other = rigs
-    before, text, statuses = server.peak(), fusion_pb2.Value(string_value="x" * 8_000_000), []
+    before, text, statuses = server.peak(), "x" * 8_000_000, []
     for k in range(12):
         assert rig("AddProperty", name=f"text{k}", type="string").status == 1
-        statuses.append(rig("SetProperty", name=f"text{k}", value=text))
+        statuses.append(rig.set(f"text{k}", string_value=text))
     assert [status.status for status in statuses].count(1) == 4
     assert {status.cause for status in statuses if not status.status} == {"too-many"}
-    assert rig("SetProperty", name="text0", value=fusion_pb2.Value(string_value="")).status == 1
-    assert rig("SetProperty", name="text9", value=text).status == 1
+    assert [rig.set("text0", string_value="").status, rig.set("text9", string_value=text).status] == [1, 1]
     many = json.dumps([{"camera_id": k % 256, "lidar_id": k // 256} for k in range(60_000)])
-    assert rig("SetProperty", name="calibration", value=fusion_pb2.Value(string_value=many)).status == 0
+    assert rig.set("calibration", string_value=many).status == 0
     assert other.works()
     assert server.peak() - before < 256 * MEBIBYTE
 
@@ -557,9 +466,9 @@ def guarded(tmp_path_factory):
     authority, stranger = (Authority(folder, name) for name in ("authority", "stranger"))
     certificate, key = authority.issue("server")
     (folder / "token").write_text(TOKEN)
-    running = Server("--tls-cert", certificate, "--tls-key", key, "--token-file", folder / "token")
-    yield running, authority.path.read_bytes(), stranger.path.read_bytes()
-    assert "Traceback" not in running.end()
+    with Served("-q", "--tls-cert", certificate, "--tls-key", key, "--token-file", folder / "token") as running:
+        yield running, authority.path.read_bytes(), stranger.path.read_bytes()
+        assert "Traceback" not in running.end()
 
 
 def tokens(rng, count):
@@ -598,9 +507,10 @@ def test_wrong_tokens_get_nowhere_with_any_method(guarded, count):
         rig.channel.close()
 
 
-def test_wrong_certificates_and_bytes_that_are_no_tls_find_nobody_and_disturb_nobody(guarded):
+def test_over_tls_wrong_certificates_and_bytes_find_nobody_and_mutants_are_answered_or_refused(guarded):
     server, authority, stranger = guarded
-    good = Rig(server.address, "good", credentials=grpc.ssl_channel_credentials(authority), token=TOKEN).begin()
+    secure = {"credentials": grpc.ssl_channel_credentials(authority), "token": TOKEN}
+    good, other = (Rig(server.address, name, **secure).begin() for name in ("good", "other"))
     for credentials in (grpc.ssl_channel_credentials(stranger), None):
         rig = Rig(server.address, "x", credentials=credentials, token=TOKEN)
         with pytest.raises(grpc.RpcError) as refused:
@@ -613,13 +523,6 @@ def test_wrong_certificates_and_bytes_that_are_no_tls_find_nobody_and_disturb_no
         with contextlib.suppress(OSError), socket.create_connection((host, int(port))) as raw:
             raw.sendall(b"\x16\x03\x01" + rng.randbytes(rng.randrange(2000)))
     assert good.works()
-    good.channel.close()
-
-
-def test_mutants_over_tls_are_answered_or_refused(guarded):
-    server, authority, _ = guarded
-    credentials = grpc.ssl_channel_credentials(authority)
-    both = [Rig(server.address, name, credentials=credentials, token=TOKEN).begin() for name in ("attacker", "other")]
-    assert attack(*both, "Send", SMALL, seed="tls") == []
-    for rig in both:
+    assert attack(good, other, "Send", SMALL, seed="tls") == []
+    for rig in (good, other):
         rig.channel.close()

@@ -77,14 +77,6 @@ def opens(folder, *, lenient=False, **options):
     return True
 
 
-def test_the_recording_itself_is_read(folder):
-    with FORMAT.open(folder) as scene:
-        assert [sensor.id for sensor in scene.sensors] == ["lidar", "camera0", "imu", "gnss"]
-        assert list(scene.trajectories) == ["groundTruth", "arcore"]
-        assert len(scene.cameras[0].images) == 1
-    assert opens(folder)
-
-
 @pytest.mark.parametrize("name", ["data.jsonl", "calibration.json", "0.bin"])
 @pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.few(1)
@@ -102,19 +94,23 @@ def test_any_cut_or_changed_byte_gives_a_scene_or_one_of_our_errors(folder, name
     assert sum(lenient) > 0.5 * len(lenient) or name == "calibration.json"
 
 
-def test_any_line_may_be_missing(folder):
+def test_the_recording_itself_is_read_and_any_line_or_file_may_be_missing_or_be_a_folder(folder):
+    with FORMAT.open(folder) as scene:
+        assert [sensor.id for sensor in scene.sensors] == ["lidar", "camera0", "imu", "gnss"]
+        assert list(scene.trajectories) == ["groundTruth", "arcore"]
+        assert len(scene.cameras[0].images) == 1
+    assert opens(folder)
+    for name in ("calibration.json", "0.bin", "frames1", "data.jsonl"):
+        (folder / name).rename(folder / "elsewhere")
+        for make in (lambda: None, (folder / name).mkdir):
+            make()
+            opens(folder)
+            opens(folder, lenient=True)
+        (folder / name).rmdir()
+        (folder / "elsewhere").rename(folder / name)
     for line in range(len(LINES)):
         (folder / "data.jsonl").write_text("".join(as_text(o) + "\n" for k, o in enumerate(LINES) if k != line))
         opens(folder)
-
-
-@pytest.mark.parametrize("name", ["data.jsonl", "calibration.json", "0.bin", "frames1"])
-def test_any_file_may_be_missing_or_be_a_folder(folder, name):
-    (folder / name).rename(folder / "elsewhere")
-    for make in (lambda: None, (folder / name).mkdir):
-        make()
-        opens(folder)
-        opens(folder, lenient=True)
 
 
 VALUES = [
@@ -280,9 +276,7 @@ def test_any_file_may_be_missing_or_hold_anything_and_is_reported(tmp_path, name
         path.write_bytes(content)
     # without the log it is no recording, but may be named as one
     assert validate(folder / "data.jsonl" if name == "data.jsonl" and content else folder, format="recording").findings
-
-
-def test_a_clock_that_runs_for_centuries_and_an_image_without_width_give_a_report(tmp_path):
+    # a clock that runs for centuries, and an image without width
     late = as_text({"groundTruth": POSE, "time": 9.2e9})
     assert report_of(tmp_path, [*TEXTS, late], replaced(SIZED, ("cameras", 0, "imageWidth"), 0)).findings
 
@@ -334,10 +328,12 @@ def depth_drive(tmp_path_factory):
 
 
 @QUICK
-@given(*(st.dictionaries(st.sampled_from(keys), JSON | MATRICES, max_size=3) for keys in (FIELDS, CAMERA_FIELDS)))
-def test_any_calibration(depth_drive, fields, camera):
+@given(*(st.dictionaries(st.sampled_from(keys), JSON | MATRICES, max_size=3) for keys in (FIELDS, CAMERA_FIELDS)), JSON)
+def test_any_calibration_and_depth_scale(depth_drive, fields, camera, scale):
     content = {"cameras": [{**PINHOLE, "imuToCamera": ROWS, **camera}], **fields}
     depth_drive(**{"calibration.json": json.dumps(content, allow_nan=True)})
+    line = {"frames": [{"cameraInd": 0, "depthScale": scale}], "number": 0, "time": 0.0}
+    depth_drive(**{"data.jsonl": json.dumps(line)})
 
 
 @QUICK
@@ -346,13 +342,6 @@ def test_any_parameters(depth_drive, parameters, noise):
     text = "".join(f"{name} {value};\n" for name, value in parameters).encode()
     for content in (text, text + noise):
         depth_drive(**{"calibration.json": None, "parameters.txt": content})
-
-
-@QUICK
-@given(JSON)
-def test_any_depth_scale(depth_drive, scale):
-    line = {"frames": [{"cameraInd": 0, "depthScale": scale}], "number": 0, "time": 0.0}
-    depth_drive(**{"data.jsonl": json.dumps(line)})
 
 
 @QUICK

@@ -30,11 +30,11 @@ GOLDEN = {
         "metadata": {"sceneloom": damage.OURS},
     },
 }
-EACH = pytest.mark.parametrize("golden", GOLDEN.values(), ids=GOLDEN)
+SLOW = pytest.mark.slow
 DRAWN = header(annotations=damage.ANNOTATIONS)
 """Annotations of all types: changed in their values, not in their bytes, which would take too long."""
+EACH = pytest.mark.parametrize("golden", GOLDEN.values(), ids=GOLDEN)
 EACH_AND_DRAWN = pytest.mark.parametrize("golden", [*GOLDEN.values(), DRAWN], ids=[*GOLDEN, "drawn"])
-SLOW = pytest.mark.slow
 THINNED = pytest.mark.parametrize("step", [4, pytest.param(1, marks=SLOW)])
 """Every how many locations are changed: a few of each kind, or every one."""
 
@@ -67,18 +67,11 @@ def test_the_undamaged_files_open_and_can_be_written(golden, encode_sfs, tmp_pat
 
 @THINNED
 @EACH
-def test_a_file_cut_anywhere_gives_a_scene_or_an_error_of_ours(golden, step, encode_sfs, survives):
-    content = encode_sfs(golden)
-    for length in range(0, len(content), step):
-        survives(content[:length])
-
-
-@THINNED
-@EACH
-@pytest.mark.few(1)
-def test_a_changed_byte_anywhere_gives_a_scene_or_an_error_of_ours(golden, step, encode_sfs, survives):
+@pytest.mark.few(2)
+def test_a_file_cut_or_with_another_byte_anywhere_gives_a_scene_or_an_error_of_ours(golden, step, encode_sfs, survives):
     content, rng, swaps = encode_sfs(golden), np.random.default_rng(7), b'0-9"[]{},:.eE\0\xff '
     for location in range(0, len(content), step):
+        survives(content[:location])
         survives(content[:location] + swaps[(k := int(rng.integers(len(swaps)))) : k + 1] + content[location + 1 :])
 
 
@@ -170,12 +163,9 @@ ODD = [
 ]
 
 
-def test_odd_files_give_a_scene_or_an_error_of_ours(survives):
+def test_odd_files_folders_and_missing_files_give_a_scene_or_an_error_of_ours(survives, tmp_path):
     for content in ODD:
         survives(content)
-
-
-def test_folders_and_missing_files_give_an_error_of_ours(tmp_path):
     for path in (tmp_path, tmp_path / "absent.sfs"):
         with pytest.raises(SceneloomError):
             FORMAT.open(path)

@@ -397,7 +397,7 @@ class _Call:
     reads_bytes: bool = False
 
 
-CALLS: Mapping[str, _Call] = MappingProxyType(
+_CALLS: Mapping[str, _Call] = MappingProxyType(
     {
         "AddProperty": _Call(lambda fusion, r: fusion.add_property(r.name, r.description, r.type), quick=True),
         "SetProperty": _Call(lambda fusion, r: fusion.set_property(r.name, value_from_protobuf(r.value))),
@@ -473,7 +473,7 @@ class _Method:
 METHODS: Mapping[str, _Method] = MappingProxyType(
     {
         method.name: _Method(
-            method.name, GetMessageClass(method.input_type), GetMessageClass(method.output_type), CALLS[method.name]
+            method.name, GetMessageClass(method.input_type), GetMessageClass(method.output_type), _CALLS[method.name]
         )
         for method in SERVICE.methods
     }

@@ -29,38 +29,6 @@ def test_patterns_and_lists_give_each_drive_once(tmp_path):
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("line", "reported"),
-    [
-        ('{"path": 3}', "line 1: path 3; expected"),
-        ('{"start": 3}', "line 1: path None"),
-        ('{"path": "a", "start": "x"}', "start 'x'; expected seconds"),
-        ('{"path": "a", "start": NaN}', "line 1: start nan; expected seconds"),
-        ('{"path": "a", "stop": 1e999}', "stop inf; expected seconds"),
-        ('{"path": "a", "start": -0.5}', "start -0.5; expected seconds from the beginning of the drive on"),
-        ('{"path": "a", "reading": {"sequence": 3}}', "reading {'sequence': 3}; expected options by their names"),
-        ('{"path": "a", "stat": 3}', "line 1: 'stat'; expected path, start, stop and reading only"),
-        ('{"path": ', "expected a path or an object"),
-        pytest.param('{"path": ' + "[" * 100_000, "expected a path or an object", id="deep"),
-    ],
-)
-def test_faulty_lines_of_a_list_are_named(tmp_path, line, reported):
-    (tmp_path / "list.jsonl").write_text(line)
-    with pytest.raises(DataError) as caught:
-        find_inputs([], [tmp_path / "list.jsonl"])
-    assert reported in str(caught.value)
-
-
-def test_nothing_to_do_is_refused(tmp_path):
-    with pytest.raises(OptionError, match="fits this pattern"):
-        find_inputs([str(tmp_path / "*.sfs")])
-    with pytest.raises(OptionError, match="no drives"):
-        find_inputs([])
-    (tmp_path / "list").write_bytes(b"\xff\xfe")
-    with pytest.raises(DataError, match="UTF-8"):
-        find_inputs([], [tmp_path / "list"])
-
-
 def test_names_state_which_drive_it_was():
     drives = [
         Input(location="monday/cut.sfs"), Input(location="tuesday/cut.sfs"), Input(location="drive_1/"),
@@ -81,7 +49,7 @@ def test_outputs_never_share_a_name(parts):
     assert all("/" not in name and name.endswith(".sfs") for name in names)
 
 
-def test_fingerprints_change_with_any_file(tmp_path):
+def test_fingerprints_change_with_any_file_unless_it_takes_long_to_look_at_them(tmp_path, monkeypatch):
     folder = tmp_path / "drive"
     (folder / "inner").mkdir(parents=True)
     seen = []
@@ -93,25 +61,16 @@ def test_fingerprints_change_with_any_file(tmp_path):
     ):
         change()
         seen.append(fingerprint(str(folder)))
+        assert late_fingerprint(str(folder)) == seen[-1] == fingerprint(str(folder))
     assert len(set(seen)) == 4
-    assert fingerprint(str(folder)) == seen[-1]
     assert fingerprint(str(tmp_path / "gone")) == ""
-
-
-def test_only_what_takes_long_to_look_at_is_not_looked_at_anew(tmp_path, monkeypatch):
-    (tmp_path / "a").write_text("1")
-    first = late_fingerprint(str(tmp_path))
-    assert first == fingerprint(str(tmp_path))
-    (tmp_path / "b").write_text("2")
-    second = late_fingerprint(str(tmp_path))
-    assert second == fingerprint(str(tmp_path)) != first
     monkeypatch.setattr(files, "_LONG_SECONDS", 0.0)
     monkeypatch.setattr(files, "_LASTING", 1e9)
-    assert late_fingerprint(str(tmp_path)) == second
-    (tmp_path / "b").unlink()
-    assert late_fingerprint(str(tmp_path)) == second
+    assert late_fingerprint(str(folder)) == seen[-1]
+    (folder / "b").unlink()
+    assert late_fingerprint(str(folder)) == seen[-1]
     monkeypatch.setattr(files, "_LATE", {})
-    assert late_fingerprint(str(tmp_path)) == first
+    assert late_fingerprint(str(folder)) == fingerprint(str(folder)) != seen[-1]
 
 
 OPTIONS = {
@@ -190,25 +149,45 @@ def test_lines_of_a_list_name_files_beside_it(made):
         find_inputs(["lists/a.sfs"], [Path("lists/all.jsonl")], files=OPTIONS)
 
 
-@pytest.mark.parametrize(
-    ("stated", "reported"),
-    [
-        ('"boxes": 3', "line 1: boxes: 3; expected the path of a file, or a list of such"),
-        ('"boxes": []', "boxes: []; expected the path"),
-        ('"boxes": ["b.txt", ""]', "boxes: ['b.txt', '']; expected"),
-        ('"from_times": ["b.txt"]', "from_times: ['b.txt']; expected the path of a file"),
-        ('"boxes": "s3://bucket/b.txt"', "boxes: 's3://bucket/b.txt' is a URL; expected the path of a file"),
-        ('"boxes": "gone.txt"', "line 1: boxes: lists/gone.txt: no such file or folder"),
-        ('"detectors": "mine"', "lists/mine: no such file or folder; expected a file, or one of simulated"),
-        ('"boxe": "b.txt"', "'boxe'; expected path, start, stop, boxes, from_times, detectors and reading"),
-    ],
-)
-def test_faulty_files_of_a_line_are_named(made, stated, reported):
+FAULTY_LINES = [
+    ('{"path": 3}', "line 1: path 3; expected"),
+    ('{"start": 3}', "line 1: path None"),
+    ('{"path": "a", "start": "x"}', "start 'x'; expected seconds"),
+    ('{"path": "a", "start": NaN}', "line 1: start nan; expected seconds"),
+    ('{"path": "a", "stop": 1e999}', "stop inf; expected seconds"),
+    ('{"path": "a", "start": -0.5}', "start -0.5; expected seconds from the beginning of the drive on"),
+    ('{"path": "a", "reading": {"sequence": 3}}', "reading {'sequence': 3}; expected options by their names"),
+    ('{"path": ', "expected a path or an object"),
+    pytest.param('{"path": ' + "[" * 100_000, "expected a path or an object", id="deep"),
+    ('{"path": "a", "boxe": "b"}', "'boxe'; expected path, start, stop, boxes, from_times, detectors and reading only"),
+    ('{"path": "a", "boxes": 3}', "line 1: boxes: 3; expected the path of a file, or a list of such"),
+    ('{"path": "a", "boxes": []}', "boxes: []; expected the path"),
+    ('{"path": "a", "boxes": ["b.txt", ""]}', "boxes: ['b.txt', '']; expected"),
+    ('{"path": "a", "from_times": ["b.txt"]}', "from_times: ['b.txt']; expected the path of a file"),
+    ('{"path": "a", "boxes": "s3://c/b.txt"}', "boxes: 's3://c/b.txt' is a URL; expected the path of a file"),
+    ('{"path": "a", "boxes": "gone.txt"}', "line 1: boxes: lists/gone.txt: no such file or folder"),
+    ('{"path": "a", "detectors": "mine"}', "lists/mine: no such file or folder; expected a file, or one of simulated"),
+]
+
+
+@pytest.mark.parametrize(("line", "reported"), FAULTY_LINES)
+def test_faulty_lines_of_a_list_are_named(made, line, reported):
     made("lists/b.txt")
-    Path("lists/all.jsonl").write_text(f'{{"path": "a.sfs", {stated}}}')
+    Path("lists/all.jsonl").write_text(line)
     with pytest.raises(DataError) as caught:
         find_inputs([], [Path("lists/all.jsonl")], files=OPTIONS)
     assert reported in str(caught.value)
+
+
+def test_nothing_to_do_is_refused(tmp_path):
+    (tmp_path / "list").write_bytes(b"\xff\xfe")
+    for found, error, reported in (
+        (([str(tmp_path / "*.sfs")],), OptionError, "fits this pattern"),
+        (([],), OptionError, "no drives"),
+        (([], [tmp_path / "list"]), DataError, "UTF-8"),
+    ):
+        with pytest.raises(error, match=reported):
+            find_inputs(*found)
 
 
 def test_a_changed_file_lets_its_drives_be_done_anew(made, tmp_path, drives, job, go):

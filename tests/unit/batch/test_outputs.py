@@ -61,12 +61,22 @@ def test_outputs_are_sent_once_and_the_record_stays_on_disk(tmp_path, drives, jo
     assert puts[3:] == ["a.txt"]
 
 
-def test_what_a_verb_writes_beside_its_output_is_sent_before_it(tmp_path, drives, job, go, store, puts):
+def test_what_a_verb_writes_beside_its_output_or_further_is_sent_before_it(tmp_path, drives, job, go, store, puts):
     go(job("pair", drives("a.sfs")), store, record=tmp_path / "record")
     assert puts == ["a.loss", "a.txt"]
-    Path(store.removeprefix("local://"), "more").mkdir()
+    for name in ("store/run1/more", "out", "depth/a"):
+        (tmp_path / name).mkdir(parents=True)
     go(job("folder", drives("b.sfs"), suffix=""), f"{store}more", record=tmp_path / "two")
     assert puts[2:] == ["a.txt", "_SUCCESS"]
+    further = (Further(option="depth", location=f"local://{tmp_path}/depth/", is_folder=True),)
+    work, out = job("more", drives("a.sfs"), further=further), f"local://{tmp_path}/out"
+    with pytest.raises(OutputError, match="depth/a: exists already"):
+        go(work, out, record=tmp_path / "none")
+    for name in ("depth/a", "depth"):
+        (tmp_path / name).rmdir()
+    (tmp_path / "out" / CLAIM).unlink()
+    assert go(work, out, record=tmp_path / "three").done == 1
+    assert contents(tmp_path / "depth") == {"a/0.png": "a.sfs", "a/_SUCCESS": ""}
 
 
 def test_what_others_have_written_is_left_alone(tmp_path, drives, job, go, store):
@@ -177,20 +187,6 @@ def test_a_try_that_fails_leaves_none_and_what_is_gone_is_made_again(tmp_path, d
     again = go(job("more", locations[:1], further=wanted), resume=True)
     assert (again.skipped, again.done) == (0, 1)
     assert [*contents(tmp_path / "depth"), *contents(tmp_path / "losses")] == ["a/0.png", "a.loss.json"]
-
-
-def test_they_go_into_a_store_with_the_outputs(tmp_path, drives, job, go, puts):
-    for name in ("out", "depth/a"):
-        (tmp_path / "store" / name).mkdir(parents=True)
-    store = f"local://{tmp_path}/store"
-    work = job("more", drives("a.sfs"), further=(Further(option="depth", location=f"{store}/depth/", is_folder=True),))
-    with pytest.raises(OutputError, match="depth/a: exists already"):
-        go(work, f"{store}/out", record=tmp_path / "none")
-    for name in ("depth/a", "depth"):
-        (tmp_path / "store" / name).rmdir()
-    (tmp_path / "store" / "out" / CLAIM).unlink()
-    assert go(work, f"{store}/out", record=tmp_path / "record").done == 1
-    assert contents(tmp_path / "store" / "depth") == {"a/0.png": "a.sfs", "a/_SUCCESS": ""}
 
 
 def test_locations_that_cannot_be_are_refused_before_anything_is_done(tmp_path, drives, job, go, wanted):

@@ -37,10 +37,13 @@ def test_a_triple_says_what_its_words_state(triple, left_handed, words):
 
 
 def test_a_left_handed_frame_is_mirrored_on_the_way_in_and_those_of_the_examples_are_used_inside():
-    np.testing.assert_array_equal(CAMERA_AXES.standard_from_declared(SensorKind.CAMERA), np.eye(3))
-    np.testing.assert_array_equal(LIDAR_AXES.standard_from_declared(SensorKind.LIDAR), np.eye(3))
-    mirrored = DeclaredAxes.of_words("+x,+y,+z").standard_from_declared(SensorKind.LIDAR)
-    np.testing.assert_array_equal(mirrored, np.diag([1.0, -1.0, 1.0]))
+    mirrored, inside = DeclaredAxes.of_words("+x,+y,+z"), np.eye(3)
+    for axes, kind, expected in (
+        (CAMERA_AXES, "CAMERA", inside),
+        (LIDAR_AXES, "LIDAR", inside),
+        (mirrored, "LIDAR", np.diag([1, -1, 1])),
+    ):
+        np.testing.assert_array_equal(axes.standard_from_declared(SensorKind[kind]), expected)
 
 
 @pytest.mark.parametrize(
@@ -55,19 +58,15 @@ FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 PINHOLE = Camera("pinhole", 640, 480, 500.0, 500.0, 319.5, 239.5)
 
 
-def record(**changed):
-    return replace(CALIBRATION, **changed)
-
-
 def declared_record(rotation, translation, *, by_rows=False, reference_frame=0):
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, translation
     numbers = (matrix if by_rows else matrix.T).reshape(-1).tolist()
-    return record(extrinsic_matrix=numbers, reference_frame=reference_frame)
+    return replace(CALIBRATION, extrinsic_matrix=numbers, reference_frame=reference_frame)
 
 
 def test_the_example_of_the_standard_looks_forward_from_beside_the_lidar():
-    pair = calibrated_pair(record(), CAMERA_AXES, LIDAR_AXES)
+    pair = calibrated_pair(CALIBRATION, CAMERA_AXES, LIDAR_AXES)
     np.testing.assert_allclose(pair.camera_from_lidar.rotation, FORWARD, atol=0.008)  # it is rotated by 0.4°
     np.testing.assert_allclose(pair.camera_from_lidar.translation, (-0.0062, 0.0756, 0.0337))
     assert pair.notes == ()
@@ -80,14 +79,10 @@ def test_the_layout_is_known_by_the_translation_or_else_by_which_looks_forward(b
     pair = calibrated_pair(declared_record(FORWARD, translation, by_rows=by_rows), CAMERA_AXES, LIDAR_AXES)
     np.testing.assert_allclose(pair.camera_from_lidar.rotation, FORWARD, atol=1e-12)
     np.testing.assert_array_equal(pair.camera_from_lidar.translation, translation)
-
-
-def test_reference_frame_1_maps_into_the_lidar():
-    rotation = Rotation.from_euler("zyx", [0.3, -0.1, 0.2]).as_matrix() @ FORWARD
-    into_camera = calibrated_pair(declared_record(rotation, (1, 2, 3)), CAMERA_AXES, LIDAR_AXES)
-    back = (-rotation.T @ (1, 2, 3)).tolist()
-    into_lidar = calibrated_pair(declared_record(rotation.T, back, reference_frame=1), CAMERA_AXES, LIDAR_AXES)
-    np.testing.assert_allclose(into_lidar.camera_from_lidar.matrix, into_camera.camera_from_lidar.matrix, atol=1e-12)
+    back = (-FORWARD.T @ translation).tolist()
+    data = declared_record(FORWARD.T, back, by_rows=by_rows, reference_frame=1)  # which maps into the lidar
+    into_lidar = calibrated_pair(data, CAMERA_AXES, LIDAR_AXES)
+    np.testing.assert_allclose(into_lidar.camera_from_lidar.matrix, pair.camera_from_lidar.matrix, atol=1e-12)
 
 
 @pytest.mark.parametrize("left_handed", [False, True])
@@ -130,11 +125,14 @@ def test_a_camera_that_looks_far_off_forward_is_remarked(rotation_deg):
 )
 def test_numbers_that_are_no_calibration_are_refused(changed, problem):
     with pytest.raises(CalibrationError, match=problem):
-        CalibrationEntry(1, 0, record(**changed))
+        CalibrationEntry(1, 0, replace(CALIBRATION, **changed))
 
 
 def test_a_camera_model_without_distortion_is_a_pinhole_and_one_that_table_3_lacks_is_refused_by_name():
-    assert calibrated_pair(record(distortion_coeffs=(0,) * 5), CAMERA_AXES, LIDAR_AXES).camera.model == "pinhole"
+    assert (
+        calibrated_pair(replace(CALIBRATION, distortion_coeffs=(0,) * 5), CAMERA_AXES, LIDAR_AXES).camera.model
+        == "pinhole"
+    )
     fisheye = Camera("fisheye", 640, 480, 300.0, 300.0, 319.5, 239.5, (0.1, 0.0, 0.0, 0.0))
     with pytest.raises(CalibrationError, match="fisheye"):
         calibration_data(fisheye, RigidTransform.identity(), CAMERA_AXES, LIDAR_AXES)

@@ -194,6 +194,20 @@ def test_without_a_trajectory_that_reaches_all_is_fused_as_if_stationary_and_say
     assert ("motion.beyond-reach" in counts) is counted
 
 
+def test_a_trajectory_that_ends_shortly_before_is_continued_and_a_setting_counts_for_later_sweeps():
+    record, _ = fused_with_motion((), [path(-500, 0)])
+    assert record.motion_compensated == 1
+    # constant speed and rotating off a circle: half of a * t² = 0.5 * 16 m/s² * (0.08 s)² is the most
+    np.testing.assert_allclose(record.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=0.06)
+    with interface() as fusion:
+        assert fusion.send_motion(path(-50, 400))
+        assert fusion.send(moving_sweep())
+        assert fusion.set_property("motion_compensation", 0)
+        first, second = fused(fusion, 0, image(90, 1), cloud(200, 2, [from_lidar(0.2)]), image(200, 2))
+    assert (first.motion_compensated, second.motion_compensated) == (1, 0)
+    np.testing.assert_allclose(first.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=2e-4)
+
+
 ROLL_S = 0.1
 """From the first line of an image to its last: the vehicle goes 2 m meanwhile, and rotates by 5 degrees."""
 
@@ -242,10 +256,10 @@ CAMERA, AN_OBJECT = {"kind": "camera"}, "expected an object with position"
 @pytest.mark.parametrize(
     ("entry", "location", "problem"),
     [
-        (CAMERA | {"shutter_roll_s": 33}, "shutter_roll_s", "expected seconds, 0 to 1"),
-        (CAMERA | {"shutter_roll_s": -0.01}, "shutter_roll_s", "expected seconds, 0 to 1"),
-        (CAMERA | {"shutter_roll_s": True}, "shutter_roll_s", "expected seconds, 0 to 1"),
-        (CAMERA | {"shutter_roll_s": "0.03"}, "shutter_roll_s", "expected seconds, 0 to 1"),
+        *(
+            (CAMERA | {"shutter_roll_s": value}, "shutter_roll_s", "expected seconds, 0 to 1")
+            for value in (33, -0.01, True, "0.03")
+        ),
         (CAMERA | {"shutter_left_to_right": 1}, "shutter_left_to_right", "expected true or false"),
         ({"kind": "lidar", "shutter_roll_s": 0.03}, "shutter_roll_s", "of a lidar; expected of cameras"),
         (CAMERA | {"shutter": 0.03}, "shutter", "expected kind and perhaps raw, shutter_roll_s"),
@@ -253,11 +267,7 @@ CAMERA, AN_OBJECT = {"kind": "camera"}, "expected an object with position"
         ({"quaternion_xyzw": [0, 0, 0, 1]}, "body_from_lidar", AN_OBJECT),
         ({"position": [1, 2]}, "body_from_lidar", "expected 3 finite numbers"),
         ({"position": [1, 2, True]}, "body_from_lidar", "expected 3 finite numbers"),
-        (
-            {"position": [1, 2, 3], "quaternion_xyzw": [0, 0, 0, 2]},
-            "body_from_lidar",
-            "norm 2.0000; expected a unit quaternion",
-        ),
+        ({"position": [1, 2, 3], "quaternion_xyzw": [0, 0, 0, 2]}, "body_from_lidar", "norm 2.0000; expected a unit"),
         ({"position": [1, 2, 3], "yaw": 1}, "body_from_lidar", AN_OBJECT),
         (CAMERA | {"body_from_lidar": {"position": [0, 0, 0]}}, "body_from_lidar", "expected of lidars"),
         (CAMERA | {"body_from_lidar": [1, 2, 3]}, "body_from_lidar", ""),
@@ -326,23 +336,6 @@ def test_an_image_beyond_the_trajectory_leaves_those_of_other_cameras_as_they_ar
     np.testing.assert_array_equal(both[2].points[:, :3], moving_sweep().points[:, :3])
 
 
-def test_a_trajectory_that_ends_shortly_before_is_continued():
-    record, _ = fused_with_motion((), [path(-500, 0)])
-    assert record.motion_compensated == 1
-    # constant speed and rotating off a circle: half of a * t² = 0.5 * 16 m/s² * (0.08 s)² is the most
-    np.testing.assert_allclose(record.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=0.06)
-
-
-def test_a_setting_counts_for_the_sweeps_that_come_after_it():
-    with interface() as fusion:
-        assert fusion.send_motion(path(-50, 400))
-        assert fusion.send(moving_sweep())
-        assert fusion.set_property("motion_compensation", 0)
-        first, second = fused(fusion, 0, image(90, 1), cloud(200, 2, [from_lidar(0.2)]), image(200, 2))
-    assert (first.motion_compensated, second.motion_compensated) == (1, 0)
-    np.testing.assert_allclose(first.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=2e-4)
-
-
 def test_boxes_are_put_where_they_are_at_the_time_of_the_image():
     """A car that stands, seen 90 ms later: by then the vehicle is 1.8 m nearer and rotated by 4°."""
     center = dict(zip("XYZ", from_lidar(0.0), strict=True))
@@ -361,8 +354,8 @@ def test_boxes_are_put_where_they_are_at_the_time_of_the_image():
 def test_motion_that_is_none_or_older_is_refused():
     with interface() as fusion:
         assert fusion.send_motion(path(0, 10))
-        again = fusion.send_motion(path(5, 20))
-        assert (again.cause, "expected newer ones" in again.reason) == ("bad-motion", True)
-        assert fusion.send_motion(Poses.identity()).cause == "bad-motion"
-        assert fusion.send_motion(path(11, 20))
-        assert fusion.send_motion(path(-100_000, -99_990))  # a clock was set back
+        for motion, reason in ((path(5, 20), "expected newer ones"), (Poses.identity(), "no poses with times")):
+            outcome = fusion.send_motion(motion)
+            assert (outcome.cause, reason in outcome.reason) == ("bad-motion", True)
+        for motion in (path(11, 20), path(-100_000, -99_990)):  # the latter after a clock was set back
+            assert fusion.send_motion(motion)

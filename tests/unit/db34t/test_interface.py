@@ -2,6 +2,7 @@
 
 import io
 import threading
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,6 @@ from sceneloom.db34t import Boxes2d, Boxes3d
 from sceneloom.db34t.interface import FusionInterface, format_calibrations
 from sceneloom.db34t.setting import MOST_PAIRS, CalibrationEntry, calibration_table
 from sceneloom.db34t.types import Cause
-from sceneloom.errors import OptionError
 
 from .sending import (
     FORWARD,
@@ -84,44 +84,36 @@ def test_a_calibration_that_is_replaced_counts_for_what_comes_after(both):
     assert columns == [42, 42, 52, 52]  # 31.5 + f * 2 / 10, to the pixel that it falls into
 
 
-@pytest.mark.parametrize(
-    ("record", "cause"),
-    [
-        (image(0, 1, sensor_id=3), Cause.NO_CALIBRATION),
-        (cloud(0, 1, sensor_id=3), Cause.NO_CALIBRATION),
-        (calibration(), Cause.BAD_RECORD),
-        ("text", Cause.BAD_RECORD),
-    ],
-)
-def test_what_cannot_be_taken_gets_0_and_the_reason(both, record, cause):
-    outcome = both.send(record)
-    assert (outcome.status, outcome.cause) == (0, cause)
-    assert outcome.reason
-    assert both.counters.counts() == {f"refused.{cause}": 1}
+def test_what_cannot_be_taken_gets_0_and_the_reason_and_is_counted(both):
+    send_all(both, cloud(0, 0), image(500, 5))
+    cases = (
+        (image(0, 1, sensor_id=3), Cause.NO_CALIBRATION, "no calibration of camera 3"),
+        (cloud(0, 1, sensor_id=3), Cause.NO_CALIBRATION, "no calibration of lidar 3"),
+        (calibration(), Cause.BAD_RECORD, "a CalibrationData; expected a record of tables 4 to 8"),
+        ("text", Cause.BAD_RECORD, "a str; expected"),
+        (cloud(0, 0), Cause.DUPLICATE, "seq 0 of points 0 came already"),
+        (cloud(100, 0), Cause.DUPLICATE, "came already"),
+        (image(399, 4), Cause.TIME_BACKWARDS, "101.000 ms older"),
+        (image(500, 6, width=32), Cause.BAD_RECORD, "expected 64"),
+        (raw(0, 1, b"", sensor_id=0), Cause.UNKNOWN_SENSOR, "whose kind and raw the property sensors says"),
+    )
+    for record, cause, reason in cases:
+        outcome = both.send(record)
+        assert (outcome.status, outcome.cause, reason in outcome.reason) == (0, cause, True), outcome.reason
+    counts = {name: count for name, count in both.counters.counts().items() if name.startswith("refused.")}
+    assert counts == Counter(f"refused.{cause}" for _, cause, _ in cases)
+    send_all(both, image(401, 4), cloud(5000, 0))  # the lidar was started again
+    assert both.set_property("sensors", '{"1": {"kind": "camera", "raw": "jpeg"}}')
+    for sensor_id in (0, 1):
+        assert both.send(cloud(5000, 1, sensor_id=sensor_id)).cause is Cause.UNKNOWN_SENSOR
 
 
-def test_a_number_again_is_refused_and_taken_after_a_sensor_was_started_again(both):
-    assert both.send(cloud(0, 0))
-    for milliseconds in (0, 100):
-        assert both.send(cloud(milliseconds, 0)).cause is Cause.DUPLICATE
-    assert both.send(cloud(5000, 0))
-
-
-def test_an_unknown_fusion_type_is_an_error(both):
-    with pytest.raises(OptionError, match="fusion type 2"):
-        both.get(2)
-
-
-@pytest.mark.parametrize("cameras", [(1,), (1, 2)])
-def test_points_have_the_colours_of_the_image_in_the_result_however_many_images_there_are(cameras):
-    with interface(inline=True, cameras=cameras) as fusion:
-        sent = [image(0, 5, level=20 * camera, sensor_id=camera) for camera in cameras]
+def test_points_have_the_colours_of_the_image_in_the_result_where_there_are_several_images():
+    with interface(inline=True, cameras=(1, 2)) as fusion:
+        sent = [image(0, 5, level=20 * camera, sensor_id=camera) for camera in (1, 2)]
         records = fused(fusion, 0, *sent, cloud(0, 5, ((10.0, 0.0, 0.0), (10.0, 1.0, 0.5), (-10.0, 0.0, 0.0))))
-    assert {record.camera_id for record in records} == set(cameras)
-    for record in records:
-        colors = [record.point_fields.index(name) for name in "rgb"]
-        seen = [20.0 * record.camera_id] * 3
-        assert record.points[:, colors].tolist() == [seen, seen, [128.0] * 3]
+    colors = {record.camera_id: record.points[:, -3:].tolist() for record in records}
+    assert colors == {camera: [[20.0 * camera] * 3] * 2 + [[128.0] * 3] for camera in (1, 2)}
 
 
 @pytest.mark.parametrize(
@@ -201,13 +193,17 @@ def many_boxes_2d(milliseconds, seq, count):
     return list_2d(milliseconds, seq, np.full(count, 0.5), np.tile([5, 5, 15, 15], (count, 1)))
 
 
-def test_boxes_that_wait_are_fused_after_a_while_though_nothing_more_comes():
+def test_boxes_that_wait_in_lists_or_alone_are_fused_after_a_while_though_nothing_more_comes():
     with interface() as fusion:
         for seq in range(3):
             # an image shortly before the sweep: one after it could be nearer
             send_all(fusion, no_boxes_2d(1000 * seq, seq), no_boxes_3d(1000 * seq + 10, seq))
             result = fusion.get(1, timeout_s=30.0)
             assert (result.number, result.record.image_seq, result.record.points_seq) == (seq, seq, seq)
+        assert fusion.set_property("pairing_timeout_ms", 5)
+        send_all(fusion, box_3d(5000, 3), box_2d(5000, 4))
+        result = fusion.get(1, timeout_s=30)
+    assert (result.record.points_seq, result.record.image_seq) == (3, 4)
 
 
 def test_results_keep_the_order_of_what_came_whoever_fuses_it():
@@ -249,23 +245,18 @@ def test_without_a_calibration_nothing_is_taken(bare):
             assert bare.set_property("calibration", "")
 
 
-def test_a_calibration_against_the_axes_is_reported_at_the_first_send_and_stops_no_other_sensor(fusion):
+def test_a_calibration_that_looks_wrong_is_reported_at_the_first_send_and_stops_no_other_sensor(fusion):
     mirrored = calibration(extrinsic_matrix=(0, 0, 1, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0.5, 1))
+    backward = calibration(extrinsic_matrix=(0, 0, -1, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 1))
     assert fusion.set_calibration(mirrored, camera_id=2, lidar_id=3)
     outcome = fusion.send(cloud(0, 1, sensor_id=3))
-    assert (outcome.status, outcome.cause) == (0, Cause.BAD_CALIBRATION)
-    assert "mirrors" in outcome.reason
+    assert (outcome.status, outcome.cause, "mirrors" in outcome.reason) == (0, Cause.BAD_CALIBRATION, True)
     send_all(fusion, cloud(0, 1), image(0, 1))
     assert pairs(fusion) == [(1, 1)]
-
-
-def test_a_camera_that_looks_backward_is_taken_with_a_note_that_is_reported_once(fusion):
-    backward = (0, 0, -1, 0, 1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 1)
-    assert fusion.set_calibration(calibration(extrinsic_matrix=backward), camera_id=1, lidar_id=0)
-    first, second = fusion.send(cloud(0, 1)), fusion.send(image(0, 1))
-    assert first.status == second.status == 1
-    assert "mirrored or transposed?" in first.reason
-    assert second.reason == ""
+    assert fusion.set_calibration(backward, camera_id=1, lidar_id=0)
+    first, second = fusion.send(cloud(100, 2)), fusion.send(image(100, 2))
+    assert (first.status, "mirrored or transposed?" in first.reason) == (1, True)
+    assert (second.status, second.reason) == (1, "")
     assert fusion.counters.counts()["notes.calibration"] == 1
 
 
@@ -280,30 +271,27 @@ def test_clouds_without_points_and_images_of_one_pixel_are_fused(bare):
     assert full.depths.tolist() == [[5.0]]
 
 
-def test_points_that_are_not_finite_are_left_out_and_counted(fusion):
-    gone = (np.nan, np.nan, np.nan)
-    for seq, points in enumerate(([gone, (10, 0, 0), (0, np.inf, 0), (10, 1, 0)], [gone, gone], [gone])):
-        send_all(fusion, image(100 * seq, seq), cloud(100 * seq, seq, points))
-    assert [record.points[:, :3].tolist() for record in fused(fusion)] == [[[10, 0, 0], [10, 1, 0]], [], []]
-    assert fusion.counters.counts()["left-out.points"] == 5
-
-
-def records_of_a_recording(seq, *points, seconds):
+def records_of_a_recording(milliseconds, seq, *points, seconds):
     """A record of table 4 with points of reflectivity 30 and ring 5, `seconds` after the start."""
     rows = np.zeros(len(points), [("xyz", "<f4", 3), ("i", "u1"), ("r", "<u2"), ("t", "<f8")])
     rows["xyz"], rows["i"], rows["r"], rows["t"] = points, 30, 5, timestamp(0).nanoseconds / 1e9 + np.array(seconds)
     assert rows.itemsize == 23
-    return raw(0, seq, rows.tobytes(), sensor_id=0)
+    return raw(milliseconds, seq, rows.tobytes(), sensor_id=0)
 
 
-def test_raw_points_that_are_not_finite_are_left_out_and_counted(fusion):
+def test_points_that_are_not_finite_are_left_out_and_counted(fusion):
     assert fusion.set_property("sensors", '{"0": {"kind": "lidar", "raw": "records"}, "1": {"kind": "camera"}}')
-    sent = records_of_a_recording(1, (np.nan, 0, 0), (10, 0, 0), (10, 1, 0), seconds=(0, 0, np.nan))
-    (record,) = fused(fusion, 0, image(0, 1), sent)
-    assert record.points[:, :3].tolist() == [[10, 0, 0]]
+    gone = (np.nan, np.nan, np.nan)
+    for seq, points in enumerate(([gone, (10, 0, 0), (0, np.inf, 0), (10, 1, 0)], [gone, gone], [gone])):
+        send_all(fusion, image(100 * seq, seq), cloud(100 * seq, seq, points))
+    seconds = (0.3, 0.3, np.nan)
+    raw_points = records_of_a_recording(300, 3, (np.nan, 0, 0), (10, 0, 0), (10, 1, 0), seconds=seconds)
+    *_, record = records = fused(fusion, 0, image(300, 3), raw_points)
+    found = [record.points[:, :3].tolist() for record in records]
+    assert found == [[[10, 0, 0], [10, 1, 0]], [], [], [[10, 0, 0]]]
     assert record.point_fields == ("x", "y", "z", "reflectivity", "ring", "time", "r", "g", "b")
-    assert fusion.counters.counts()["left-out.points"] == 2
-    assert fusion.send(raw(0, 2, b"x" * 24, sensor_id=0)).cause is Cause.BAD_RECORD
+    assert fusion.counters.counts()["left-out.points"] == 7
+    assert fusion.send(raw(300, 4, b"x" * 24, sensor_id=0)).cause is Cause.BAD_RECORD
 
 
 FORWARD_OPTICAL = (1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
@@ -361,18 +349,11 @@ def test_raw_data_of_each_declared_form_are_fused(fusion, form):
     sensors = '{"0": {"kind": "lidar", "raw": "records"}, "1": {"kind": "camera", "raw": "%s"}}'
     assert fusion.set_property("sensors", sensors % form)
     data = bytes([9]) * (WIDTH * HEIGHT * 3) if form == "rgb8" else encoded(form)
-    sweep = records_of_a_recording(9, (10, 0, 0), (-10, 0, 0), seconds=(0, 0))
+    sweep = records_of_a_recording(0, 9, (10, 0, 0), (-10, 0, 0), seconds=(0, 0))
     (record,) = fused(fusion, 0, raw(0, 8, data, sensor_id=1), sweep)
     assert (record.points_seq, record.image_seq) == (9, 8)
     columns = {name: column.tolist() for name, column in zip(record.point_fields, record.points.T, strict=True)}
     assert (columns["reflectivity"], columns["ring"], columns["r"]) == ([30, 30], [5, 5], [9, 128])
-
-
-def test_raw_data_of_a_sensor_that_nobody_declared_are_refused(fusion):
-    assert fusion.send(raw(0, 1, b"", sensor_id=0)).cause is Cause.UNKNOWN_SENSOR
-    assert fusion.set_property("sensors", '{"1": {"kind": "camera", "raw": "jpeg"}}')
-    for sensor_id in (0, 1):
-        assert fusion.send(cloud(0, 1, sensor_id=sensor_id)).cause is Cause.UNKNOWN_SENSOR
 
 
 def test_an_image_that_cannot_be_decoded_is_counted_and_ends_nothing(fusion):
@@ -381,14 +362,6 @@ def test_an_image_that_cannot_be_decoded_is_counted_and_ends_nothing(fusion):
     send_all(fusion, raw(100, 2, encoded("jpeg"), sensor_id=1), cloud(100, 2))
     assert pairs(fusion) == [(2, 2)]
     assert fusion.counters.counts()["errors.unreadable-image"] == 1
-
-
-def test_what_is_older_than_lateness_allows_and_an_image_of_another_size_are_refused(fusion):
-    assert fusion.send(image(500, 5))
-    late, other = fusion.send(image(399, 4)), fusion.send(image(500, 6, width=32))
-    assert (late.cause, "101.000 ms older" in late.reason) == (Cause.TIME_BACKWARDS, True)
-    assert (other.cause, "expected 64" in other.reason) == (Cause.BAD_RECORD, True)
-    assert fusion.send(image(401, 4))
 
 
 @pytest.mark.parametrize(
@@ -449,14 +422,20 @@ def test_who_only_looks_on_ends_nothing():
         assert fusion.counters.counts()["errors.observer.RuntimeError"] >= 3
 
 
-def test_one_that_never_fetches_keeps_only_the_newest_results(fusion):
+def test_queues_are_as_long_as_the_properties_say(fusion):
     assert fusion.set_property("result_queue_length", 3)
     for seq in range(10):
         send_all(fusion, image(100 * seq, seq), cloud(100 * seq, seq))
     fusion.flush()
-    assert fusion.waiting_results == 3
-    assert fusion.counters.counts()["dropped.results"] == 7
+    assert (fusion.waiting_results, fusion.counters.counts()["dropped.results"]) == (3, 7)
     assert [result.number for result in fusion.results(0)] == [7, 8, 9]
+    assert fusion.set_property("queue_policy", "refuse")
+    assert fusion.set_property("queue_length", 2)
+    outcomes = [fusion.send(cloud(1000 + 100 * seq, 10 + seq)) for seq in range(4)]
+    assert [outcome.cause for outcome in outcomes] == ["", "", Cause.QUEUE_FULL, Cause.QUEUE_FULL]
+    send_all(fusion, image(1000, 10), image(1100, 11))
+    assert fusion.send(cloud(1200, 12))  # the same number again is no duplicate: it was not taken before
+    assert pairs(fusion) == [(10, 10), (11, 11), (12, 11)]
 
 
 def test_only_so_many_sweeps_and_images_wait_for_one_another(fusion):
@@ -465,16 +444,6 @@ def test_only_so_many_sweeps_and_images_wait_for_one_another(fusion):
     send_all(fusion, *(cloud(10_000_000 + seq, seq) for seq in range(20)))
     assert fusion.waiting_records <= 8
     assert fusion.counters.counts()["dropped.waiting.image"] == 16
-
-
-def test_a_full_queue_refuses_where_it_is_reported_to(fusion):
-    assert fusion.set_property("queue_policy", "refuse")
-    assert fusion.set_property("queue_length", 2)
-    outcomes = [fusion.send(cloud(100 * seq, seq)) for seq in range(4)]
-    assert [outcome.cause for outcome in outcomes] == ["", "", Cause.QUEUE_FULL, Cause.QUEUE_FULL]
-    send_all(fusion, image(0, 0), image(100, 1))
-    assert fusion.send(cloud(200, 2))  # the same number again is no duplicate: it was not taken before
-    assert pairs(fusion) == [(0, 0), (1, 1), (2, 1)]
 
 
 def test_boxes_alone_are_closed_by_the_next_number_and_by_flush(fusion):
@@ -488,14 +457,6 @@ def test_boxes_alone_are_closed_by_the_next_number_and_by_flush(fusion):
     fusion.close()
     counts = fusion.counters.counts()
     assert (counts["received.box_2d"], counts["gathered.boxes_2d"], counts["fused.boxes_2d"]) == (6, 2, 2)
-
-
-def test_boxes_alone_are_closed_when_nothing_comes_for_a_while():
-    with interface() as fusion:
-        assert fusion.set_property("pairing_timeout_ms", 5)
-        send_all(fusion, box_3d(0, 3), box_2d(0, 4))
-        result = fusion.get(1, timeout_s=30)
-    assert (result.record.points_seq, result.record.image_seq) == (3, 4)
 
 
 def test_a_box_alone_belongs_to_the_sensor_that_sent_its_frame():

@@ -55,7 +55,7 @@ def owner(data):
     return data
 
 
-def test_pixels_are_a_read_only_view_of_the_bytes_of_the_message_or_request():
+def test_pixels_and_points_are_read_only_views_of_the_bytes_of_the_message_or_request():
     record = from_protobuf(image())
     assert type(owner(record.data)) is bytes
     assert not record.data.flags.writeable
@@ -64,17 +64,14 @@ def test_pixels_are_a_read_only_view_of_the_bytes_of_the_message_or_request():
     sent = decode_send_request(content)
     assert owner(sent.data) is content
     assert record.data.tolist() == sent.data.tolist() == [1, 2, 3]
-
-
-def test_a_part_of_an_array_gives_the_bytes_of_this_part():
-    whole = np.frombuffer(b"\1\2\3\4", np.uint8)
+    whole = np.frombuffer(b"\1\2\3\4", np.uint8)  # a part of an array gives the bytes of this part
     assert (bytes_of(whole[:2]), bytes_of(whole[::-1])) == (b"\1\2", b"\4\3\2\1")
-
-
-def test_points_are_little_endian_numbers_of_32_bits():
-    message = to_protobuf(cloud(0, 1, [(1, -2, 0.5)]))
-    assert message.data == bytes.fromhex("0000803f000000c00000003f")
-    assert not message.HasField("beam")
+    fields = {"timestamp": TIMESTAMP, "fields": ["x", "y", "z"], "fields_number": 3, "number": 1}
+    points = fusion_pb2.PointCloudData(**fields, data=np.float32([1, 2, 3]).tobytes())
+    content = fusion_pb2.SendRequest(points=points).SerializeToString()
+    for before in range(4):  # points are aligned wherever they stand
+        sent = decode_send_request(b"\xa2\x06" + bytes([before]) + b"a" * before + content)
+        assert (sent.data.flags.aligned, sent.data.tolist()) == (True, [1, 2, 3])
 
 
 def test_fields_stand_under_their_row_numbers_on_the_wire():
@@ -82,14 +79,14 @@ def test_fields_stand_under_their_row_numbers_on_the_wire():
     content = encode(ImageData(sensor_id=7, timestamp=Timestamp(1, 2), seq=3, **form))
     # tag = number * 8 + type, written out by hand from the protobuf encoding
     assert content == bytes.fromhex("0807 1204 0801 1002 1803 2001 2801 3205") + b"mono8" + bytes.fromhex("3801 420109")
-
-
-def test_boxes_are_read_into_columns():
-    record = from_protobuf(boxes(box(), box(id=-2, X=9)))
-    assert record.id.tolist() == [1, -2]
-    assert record.centers.tolist() == [[1, 2, 3], [9, 2, 3]]
-    assert record.velocities.tolist() == [-1, -1]
-    assert record.velocity_vectors is None
+    message = to_protobuf(cloud(0, 1, [(1, -2, 0.5)]))
+    assert message.data == bytes.fromhex("0000803f000000c00000003f")  # little-endian numbers of 32 bits
+    assert not message.HasField("beam")
+    reply = fusion_pb2.GetReply()
+    numbers = {"image_seq": 0, "points_seq": 0, "camera_id": 0, "lidar_id": 0}
+    fill_message(reply.detections, FusedDetections.empty(Timestamp(0), **numbers))
+    assert reply.WhichOneof("result") == "detections"  # though there are none
+    assert from_protobuf(fusion_pb2.GetReply.FromString(reply.SerializeToString()).detections).timestamp == Timestamp(0)
 
 
 FAULTS = [
@@ -119,28 +116,17 @@ def test_a_fault_in_a_message_is_named(message, location, problem):
 
 def test_what_is_no_record_no_message_of_one_or_cut_is_refused():
     points = fusion_pb2.PointCloudData(timestamp=TIMESTAMP, fields=["x", "y", "z"], fields_number=3, data=b"12345")
-    with pytest.raises(DataError, match="data: 5 bytes; expected a multiple of 4"):
-        from_protobuf(points)
-    with pytest.raises(DataError, match="3 bytes; expected a message ImageData"):
-        decode("image", b"\xff\xff\xff")
-    with pytest.raises(DataError, match="expected a message SendRequest"):
-        parse_message(fusion_pb2.SendRequest, b"\x0a\x7f")
-    with pytest.raises(DataError, match="missing; expected a record of one of tables 4 to 8"):
-        from_send_request(fusion_pb2.SendRequest(session="a"))
-    with pytest.raises(OptionError):
-        to_protobuf("image")
-    with pytest.raises(OptionError):
-        from_protobuf(fusion_pb2.Status(status=1))
-
-
-@pytest.mark.parametrize("before", range(4))
-def test_points_of_a_request_are_aligned_wherever_they_stand(before):
-    fields = {"timestamp": TIMESTAMP, "fields": ["x", "y", "z"], "fields_number": 3, "number": 1}
-    points = fusion_pb2.PointCloudData(**fields, data=np.float32([1, 2, 3]).tobytes())
-    content = b"\xa2\x06" + bytes([before]) + b"a" * before + fusion_pb2.SendRequest(points=points).SerializeToString()
-    record = decode_send_request(content)
-    assert record.data.flags.aligned
-    assert record.data.tolist() == [1, 2, 3]
+    nothing = fusion_pb2.SendRequest(session="a")
+    for read, given, error, words in (
+        (from_protobuf, (points,), DataError, "data: 5 bytes; expected a multiple of 4"),
+        (decode, ("image", b"\xff\xff\xff"), DataError, "3 bytes; expected a message ImageData"),
+        (parse_message, (fusion_pb2.SendRequest, b"\x0a\x7f"), DataError, "expected a message SendRequest"),
+        (from_send_request, (nothing,), DataError, "missing; expected a record of one of tables 4 to 8"),
+        (to_protobuf, ("image",), OptionError, "a str; expected"),
+        (from_protobuf, (fusion_pb2.Status(status=1),), OptionError, "a Status; expected"),
+    ):
+        with pytest.raises(error, match=words):
+            read(*given)
 
 
 def test_a_record_that_stands_twice_is_read_as_protobuf_reads_it():
@@ -148,15 +134,6 @@ def test_a_record_that_stands_twice_is_read_as_protobuf_reads_it():
     assert decode_send_request(first + second).data.tobytes() == b"456"
     other = fusion_pb2.SendRequest(raw=fusion_pb2.RawData(timestamp=TIMESTAMP)).SerializeToString()
     assert type(decode_send_request(first + other)).__name__ == "RawData"
-
-
-def test_a_list_without_boxes_marks_its_location_in_a_reply():
-    reply = fusion_pb2.GetReply()
-    numbers = {"image_seq": 0, "points_seq": 0, "camera_id": 0, "lidar_id": 0}
-    fill_message(reply.detections, FusedDetections.empty(Timestamp(0), **numbers))
-    assert reply.WhichOneof("result") == "detections"
-    sent = fusion_pb2.GetReply.FromString(reply.SerializeToString())
-    assert from_protobuf(sent.detections).timestamp == Timestamp(0)
 
 
 def test_records_and_json_need_no_protobuf_and_without_it_the_extra_is_named():

@@ -68,11 +68,15 @@ DETECTIONS = FusedDetections(
 )
 
 
-def test_numbers_of_32_bits_are_kept_as_such():
-    assert BOX_3D.confidence == float(np.float32(0.8))
-    assert BOX_3D.velocity == 1.0
-    assert BOXES_3D.confidence[0] == np.float32(0.8)
+def test_numbers_of_32_bits_are_kept_as_such_and_what_is_no_record_has_no_kind():
+    assert (BOX_3D.confidence, BOX_3D.velocity, BOXES_3D.confidence[0]) == (
+        float(np.float32(0.8)),
+        1.0,
+        np.float32(0.8),
+    )
     assert (BOXES_3D[0], BOXES_2D[0]) == (BOX_3D, BOX_2D)
+    with pytest.raises(OptionError, match="a str; expected one of RawData"):
+        kind_of("record")
 
 
 def test_arrays_are_flat_read_only_views_with_shaped_views_beside_them():
@@ -172,8 +176,3 @@ def test_a_fault_names_table_field_value_and_what_was_expected(record, changes, 
     assert fault.value.file.endswith(f"(table {kind_of(record).table.number})")
     assert fault.value.location == location
     assert problem in fault.value.problem
-
-
-def test_what_is_no_record_has_no_kind():
-    with pytest.raises(OptionError, match="a str; expected one of RawData"):
-        kind_of("record")

@@ -65,6 +65,11 @@ def test_objects_are_rotated_and_rounded_as_numpy_does_it():
     np.testing.assert_array_equal(pixels, cut)
     for covariances in (columns[2], columns[4]):
         np.testing.assert_array_equal(covariances, covariances.transpose(0, 2, 1))
+    found["corners_xyxy"][2:4] = (np.nan, 10, 20, 30), (0, 10, np.inf, 30)  # outlines that are not finite
+    *_, pixels, sound = declared(found)
+    assert (sound, pixels[2:4].tolist()) == (True, [[0] * 4] * 2)
+    *columns, sound = declared(objects(0))
+    assert (sound, {len(column) for column in columns}) == (True, {0})
 
 
 @pytest.mark.parametrize("name", [name for name in objects() if name not in ("corners_xyxy", "rows_3d")])
@@ -74,17 +79,6 @@ def test_a_number_that_is_not_finite_is_not_sound(name, value):
     found[name].reshape(7, -1)[3, -1] = value
     cut = name == "scores" and np.isinf(value)
     assert declared(found)[-1] == cut
-
-
-def test_an_outline_that_is_not_finite_has_no_pixels_and_no_objects_are_sound():
-    found = objects()
-    found["corners_xyxy"][2:4] = (np.nan, 10, 20, 30), (0, 10, np.inf, 30)
-    *_, pixels, sound = declared(found)
-    assert sound
-    assert pixels[2:4].tolist() == [[0] * 4] * 2
-    *columns, sound = declared(objects(0))
-    assert sound
-    assert {len(column) for column in columns} == {0}
 
 
 @pytest.mark.parametrize(
@@ -126,8 +120,8 @@ def results_of(positions, *, cameras=(1,), path=None):
     return found
 
 
-def tracked(results, **options):
-    tracker = TrackedResults(**options)
+def tracked(results):
+    tracker = TrackedResults()
     return [reported for result in results for reported in tracker.take(result)]
 
 
@@ -142,12 +136,17 @@ def test_a_box_of_every_sweep_is_one_track_whose_velocity_is_found():
     assert last.centers[0, 0] == pytest.approx(12.0 + SPEED * PERIOD_MS / 1e3 * (COUNT - 1), abs=0.3)
     assert last.points_seq == COUNT - 1
     assert last.center_covs[0, 0, 0] < results[-1].record.center_covs[0, 0, 0]
+    reported = tracked(results_of([*[15.0] * 6, None, 15.0]))  # a missed box does not end it
+    assert reported[7].record.id.tolist() == reported[5].record.id.tolist() == [1]
 
 
 def test_every_image_of_a_sweep_gets_the_tracks_of_all_of_them():
-    reported = tracked(results_of(np.full(COUNT, 15.0), cameras=(1, 2)))
-    assert [result.record.camera_id for result in reported] == [1, 2] * COUNT
-    assert [result.record.id.tolist() for result in reported] == [[1]] * (2 * COUNT)
+    results = results_of(np.full(COUNT, 15.0), cameras=(1, 2))
+    reported = [(result.record.camera_id, result.record.id.tolist()) for result in tracked(results)]
+    assert reported == [(1, [1]), (2, [1])] * COUNT
+    # a sweep whose last result was dropped is reported with the next one
+    numbers = [result.number for result in tracked([result for result in results if result.number != 3])]
+    assert numbers == [number for number in range(2 * COUNT) if number != 3]
 
 
 def test_what_is_stationary_is_stationary_in_a_world_that_the_vehicle_drives_through():
@@ -163,14 +162,3 @@ def test_what_is_stationary_is_stationary_in_a_world_that_the_vehicle_drives_thr
     assert all(result.record.motion_compensated == 1 for result in reported)
     np.testing.assert_allclose(reported[-1].record.velocity_vectors[0], 0.0, atol=0.5)
     assert {number for result in reported for number in result.record.id.tolist()} == {1}
-
-
-def test_a_sweep_whose_last_result_was_dropped_is_reported_with_the_next_one():
-    results = results_of(np.full(4, 15.0), cameras=(1, 2))
-    reported = tracked([result for result in results if result.number != 3])
-    assert [result.number for result in reported] == [0, 1, 2, 4, 5, 6, 7]
-
-
-def test_a_missed_box_does_not_end_a_track():
-    reported = tracked(results_of([*[15.0] * 6, None, 15.0]))
-    assert reported[7].record.id.tolist() == reported[5].record.id.tolist() == [1]

@@ -61,7 +61,7 @@ def sent_back(record):
     return point_cloud_of(lidar_frame_of(record), sensor_id=3, seq=9).data
 
 
-def test_fields_of_a_cloud_become_parts_of_the_points():
+def test_fields_of_a_cloud_become_parts_of_the_points_or_stay_as_they_are():
     record = cloud(
         ("z", "y", "x", "reflectivity", "ring", "time"),
         *([3, 6], [2, 5], [1, 4], [0, 255], [0, 127], [0, 0.0625]),
@@ -78,6 +78,13 @@ def test_fields_of_a_cloud_become_parts_of_the_points():
     back = point_cloud_of(frame, sensor_id=3, seq=9)
     assert (back.fields, back.beam) == (record.fields, 128)
     np.testing.assert_array_equal(back.data, record.data)
+    # fields of no known meaning and odd values stay as they are
+    record = cloud(("x", "y", "z", "ring", "time", "range"), *np.zeros((3, 2)), [0.5, 1], [1e9, 0], [7, 8])
+    points = lidar_frame_of(record).points
+    assert (points.rings, points.timestamps_ns, sorted(points.extras)) == (None, None, ["range", "ring", "time"])
+    np.testing.assert_array_equal(sent_back(record), record.data)
+    empty = cloud(("x", "y", "z", "reflectivity", "r", "g", "b"), *np.zeros((7, 0)))
+    assert (len(lidar_frame_of(empty).points), sent_back(empty).shape) == (0, (0,))
 
 
 @pytest.mark.parametrize(
@@ -96,21 +103,6 @@ def test_brightness_of_every_scale_is_kept_exactly(values, intensities):
     points = lidar_frame_of(record).points
     assert (None if points.intensities is None else points.intensities.tolist()) == intensities
     np.testing.assert_array_equal(sent_back(record), record.data)
-
-
-def test_fields_of_no_known_meaning_and_odd_values_stay_as_they_are():
-    record = cloud(("x", "y", "z", "ring", "time", "range"), *np.zeros((3, 2)), [0.5, 1], [1e9, 0], [7, 8])
-    points = lidar_frame_of(record).points
-    assert points.rings is None
-    assert points.timestamps_ns is None
-    assert sorted(points.extras) == ["range", "ring", "time"]
-    np.testing.assert_array_equal(sent_back(record), record.data)
-
-
-def test_a_cloud_without_points_is_a_sweep_without_points():
-    record = cloud(("x", "y", "z", "reflectivity", "r", "g", "b"), *np.zeros((7, 0)))
-    assert len(lidar_frame_of(record).points) == 0
-    assert sent_back(record).shape == (0,)
 
 
 def test_a_sweep_of_the_model_gives_all_that_its_points_have():
@@ -176,23 +168,18 @@ def test_a_jpeg_is_passed_on_as_it_is():
 
 
 @pytest.mark.parametrize(
-    ("form", "data"),
+    ("form", "data", "problem"),
     [
-        *((form, np.zeros(50, np.uint8)) for form in ("jpeg", "png")),  # another file
-        *((form, file_of(RGB[:2], form)) for form in ("jpeg", "png")),  # of another size
-        ("jpeg", file_of(RGB, "jpeg")[:20]),
-        ("png", file_of(RGB, "png")[:40]),
+        *((form, np.zeros(50, np.uint8), "data") for form in ("jpeg", "png")),  # another file
+        *((form, file_of(RGB[:2], form), "data") for form in ("jpeg", "png")),  # of another size
+        ("jpeg", file_of(RGB, "jpeg")[:20], "data"),
+        ("png", file_of(RGB, "png")[:40], "data"),
+        ("png", file_of(np.zeros((3, 4), np.uint16), "PNG"), ".*16 bits a value; expected 8 or less"),
     ],
 )
-def test_a_damaged_file_is_a_fault_when_it_is_decoded(form, data):
+def test_an_image_that_cannot_be_shown_is_a_fault_when_it_is_decoded_or_before(form, data, problem):
     camera_image = image_of(image(data, form), CAMERA)
-    with pytest.raises(DataError, match=r"image data \(table 5\): data"):
-        _ = camera_image.rgb
-
-
-def test_images_of_16_bits_of_another_size_or_of_two_channels_are_refused():
-    camera_image = image_of(image(file_of(np.zeros((3, 4), np.uint16), "PNG"), "png"), CAMERA)
-    with pytest.raises(DataError, match="16 bits a value; expected 8 or less"):
+    with pytest.raises(DataError, match=rf"image data \(table 5\): {problem}"):
         _ = camera_image.rgb
     with pytest.raises(DataError, match="width: 4; expected 8 as in the calibration"):
         image_of(image(RGB, "rgb8"), Camera("pinhole", 8, 3, 5.0, 5.0, 1.5, 1.0))
@@ -227,26 +214,19 @@ def test_the_speed_along_a_direction_of_any_length_becomes_a_velocity():
     np.testing.assert_array_equal(back.centers, record.centers)
     np.testing.assert_array_equal(back.sizes_lwh, record.sizes_lwh)
     assert (back.id.tolist(), back.class_names) == ([5], ("Car",))
-
-
-def test_a_velocity_of_its_own_wins_over_the_speed():
-    assert boxes_3d_of(box_list((1, 0, 0), 1, velocity_vector=(1, 2, 3))).velocities.tolist() == [[1, 2, 3]]
+    own = boxes_3d_of(box_list((1, 0, 0), 1, velocity_vector=(1, 2, 3)))  # a velocity of its own wins
+    assert own.velocities.tolist() == [[1, 2, 3]]
+    with pytest.raises(OptionError, match="boxes in the ego frame"):
+        boxes_3d_record(Boxes3D.empty(0, frame=PointsFrame.EGO), sensor_id=0, seq=0)
 
 
 def test_boxes_without_ids_and_velocities_are_numbered_and_are_stationary():
     scores, labels = np.array([0.0, 2.0]), ("Car", "车")
     boxes = Boxes3D(7, np.zeros((2, 3)), np.ones((2, 3)), np.zeros(2), scores, labels, score_form=ScoreForm.LOGIT)
     record = boxes_3d_record(boxes, sensor_id=1, seq=3)
-    assert record.id.tolist() == [0, 1]
-    assert record.velocities.tolist() == [0, 0]
-    assert record.velocity_vectors is None
+    assert (record.id.tolist(), record.velocities.tolist(), record.velocity_vectors) == ([0, 1], [0, 0], None)
     # 1 / (1 + e^-2), to 32 bits
     np.testing.assert_allclose(record.confidence, [0.5, 0.880797078], rtol=1e-7)
-
-
-def test_boxes_in_another_frame_than_the_lidars_are_refused():
-    with pytest.raises(OptionError, match="boxes in the ego frame"):
-        boxes_3d_record(Boxes3D.empty(0, frame=PointsFrame.EGO), sensor_id=0, seq=0)
 
 
 def test_edges_of_boxes_are_the_whole_pixels_that_they_touch():

@@ -1,9 +1,16 @@
-"""The rows of tables 3 to 10 against the standard's text and against the `.proto`."""
+"""The rows of tables 3 to 10 against the standard's text and the `.proto`, pages against the interface."""
+
+import re
+from pathlib import Path
 
 import pytest
 
 from sceneloom.db34t import RECORD_KINDS, TABLES
+from sceneloom.db34t.interface import FusionInterface
+from sceneloom.db34t.setting import PREDEFINED
 from sceneloom.db34t.wire import fusion_pb2
+
+from .sending import boxes_2d, boxes_3d, calibration, cloud, image
 
 NAMES = {
     3: "image_size distortion_coeffs intrinsic_matrix reference_frame extrinsic_matrix",
@@ -29,27 +36,18 @@ TYPES = {
     10: "int32 float time enum float float float float[9] float float float float[9] float[3] float" + " uint32" * 4,
 }
 
-MESSAGES = "Calibration RawData ImageData PointCloudData Box3d Box2d SensorFusionData FusedDetection"
-"""Of tables 3 to 10."""
-
-
-def standard_rows(number):
-    return [row for row in TABLES[number].rows if not row.is_extension]
-
 
 @pytest.mark.parametrize("number", NAMES)
-def test_rows_have_the_names_and_types_of_the_standard_in_its_order(number):
-    rows = standard_rows(number)
-    assert [row.name for row in rows] == NAMES[number].split()
+def test_rows_have_the_names_types_and_sound_examples_of_the_standard_in_its_order(number):
+    table = TABLES[number]
+    rows = [row for row in table.rows if not row.is_extension]
     types = [row.type.replace("uint32. uint32", "time") for row in rows]
-    assert types == TYPES[number].split()
+    assert ([row.name for row in rows], types) == (NAMES[number].split(), TYPES[number].split())
     assert [row.number for row in rows] == list(range(1, len(rows) + 1))
-
-
-@pytest.mark.parametrize(("number", "name"), list(enumerate(MESSAGES.split(), 3)))
-def test_field_numbers_of_the_messages_are_the_numbers_of_the_rows(number, name):
-    fields = getattr(fusion_pb2, name).DESCRIPTOR.fields
-    assert {field.name: field.number for field in fields} == {row.name: row.number for row in TABLES[number].rows}
+    examples = [row for row in rows if row.example is not None]
+    assert len(examples) >= 2
+    for row in examples:
+        row.check(row.example, table.owner)
 
 
 @pytest.mark.parametrize("kind", RECORD_KINDS.values(), ids=lambda kind: kind.name)
@@ -67,15 +65,7 @@ def test_kinds_have_the_names_of_what_requests_and_replies_carry():
     got = fusion_pb2.GetReply.DESCRIPTOR.oneofs_by_name["result"].fields
     carried = {field.name: field.message_type.name for field in (*sent, *got) if field.name != "no_data"}
     assert {name: RECORD_KINDS[name].message_name for name in carried} == carried
-
-
-@pytest.mark.parametrize("number", NAMES)
-def test_examples_of_the_standard_pass_their_checks(number):
-    table = TABLES[number]
-    examples = [row for row in standard_rows(number) if row.example is not None]
-    assert len(examples) >= 2
-    for row in examples:
-        row.check(row.example, table.owner)
+    assert {kind.table.number for kind in RECORD_KINDS.values()} >= set(NAMES)
 
 
 def test_a_row_says_its_range_in_words():
@@ -84,3 +74,37 @@ def test_a_row_says_its_range_in_words():
     assert {key: TABLES[key[0]].row(key[1]).range for key in expected} == expected
     with pytest.raises(KeyError):
         TABLES[7].row("pitch")
+
+
+DOCS = Path(__file__).parents[3] / "docs"
+PAGES = {name: (DOCS / f"{name}.md").read_text("utf-8") for name in ("db34t-4101", "db34t-4101.zh")}
+
+
+def rows(page):
+    """Cells of all rows of tables, by their first cell without backticks."""
+    found = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in page.splitlines() if line[:1] == "|"]
+    return {cells[0].replace("`", "").strip(): cells for cells in found}
+
+
+def test_the_english_page_says_of_properties_what_the_interface_itself_says():
+    cells = rows(PAGES["db34t-4101"])
+    assert [name for name, row in PREDEFINED.items() if not cells[name][3].startswith(row.description)] == []
+
+
+@pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
+def test_every_counter_stands_there(page):
+    with FusionInterface(inline=True) as fusion:
+        fusion.send(cloud(0, 0))
+        assert fusion.set_calibration(calibration(), camera_id=1, lidar_id=0)
+        for seq in range(3):
+            for send in (image, cloud, boxes_2d, boxes_3d):
+                fusion.send(send(-20_000 * seq, seq))
+        fusion.close()
+        names = set(fusion.counters.counts())
+    documented = [
+        re.compile(re.escape(name).replace("KIND", "[a-z_0-9]+").replace("CAUSE", "[a-z-]+").replace("NAME", r"\S+"))
+        for row in rows(page).values()
+        for name in re.findall(r"`([^`]+)`", row[0])
+    ]
+    assert len(names) >= 9
+    assert not [name for name in names if not any(pattern.fullmatch(name) for pattern in documented)]

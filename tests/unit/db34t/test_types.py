@@ -9,11 +9,6 @@ from sceneloom.db34t import BasicType, Timestamp, ValueForm, ValueType
 from sceneloom.errors import DataError
 
 
-def test_table_1_has_these_types():
-    names = "bool int8 uint8 int32 uint32 float double string enum"
-    assert [str(kind) for kind in BasicType] == names.split()
-
-
 @pytest.mark.parametrize(
     ("text", "form", "elements", "length"),
     [
@@ -31,6 +26,17 @@ def test_a_type_is_read_as_the_standard_writes_it(text, form, elements, length):
     assert (value_type.form, value_type.length) == (form, length)
     assert [str(kind) for kind in value_type.elements] == elements
     assert ValueType.parse(str(value_type)) == value_type
+    assert [str(kind) for kind in BasicType] == [
+        "bool",
+        "int8",
+        "uint8",
+        "int32",
+        "uint32",
+        "float",
+        "double",
+        "string",
+        "enum",
+    ]
 
 
 @pytest.mark.parametrize("text", ["", "int16", "uint32[0]", "uint32[-1]", "()", "(int8", "int8,int8", "(int8[2])", 3])
@@ -45,8 +51,7 @@ def test_what_is_no_type_is_refused(text):
 )
 def test_whole_numbers_do_not_wrap(kind, low, high):
     value_type = ValueType.parse(kind)
-    assert value_type.check(low) == low
-    assert value_type.check(high) == high
+    assert [value_type.check(low), value_type.check(high)] == [low, high]
     for beyond in (low - 1, high + 1, 2**64, -(2**200)):
         with pytest.raises(DataError, match=f"{low} to {high}"):
             value_type.check(beyond)
@@ -97,29 +102,23 @@ def test_a_value_is_kept_as_plain_python(kind, value, kept):
 
 def test_timestamps_keep_every_nanosecond_and_are_ordered():
     example = Timestamp(1595682678, 715705367)
-    assert example.nanoseconds == 1595682678715705367
-    assert str(example) == "1595682678.715705367"
-    assert Timestamp.of(1595682678715705367) == Timestamp.parse("1595682678.715705367") == example
+    assert (example.nanoseconds, str(example)) == (1595682678715705367, "1595682678.715705367")
     assert str(Timestamp(7, 5)) == "7.000000005"
     assert Timestamp.of(2**32 * 10**9 - 1) == Timestamp(2**32 - 1, 10**9 - 1)
     assert Timestamp(1, 999999999) < Timestamp(2, 0) < Timestamp(2, 1)
 
 
-@pytest.mark.parametrize(("s", "ns"), [(0, 10**9), (-1, 0), (2**32, 0), (0, -1), (1.5, 0), (0, "5"), (True, 0)])
-def test_numbers_out_of_range_are_refused(s, ns):
-    with pytest.raises(DataError, match="expected"):
-        Timestamp(s, ns)
-
-
 @pytest.mark.parametrize(
     ("make", "value", "expected"),
     [
-        (Timestamp.of, -1, "expected 0 to"),
-        (Timestamp.of, 2**32 * 10**9, "expected 0 to"),
-        (Timestamp.of, 1.5, "expected 0 to"),
+        *((Timestamp.of, value, "expected 0 to") for value in (-1, 2**32 * 10**9, 1.5)),
         (Timestamp.parse, "4294967296.000000000", "expected a uint32"),
         *((Timestamp.parse, text, "expected") for text in ("1.5", "1595682678", "1.0000000001", " 1.000000000")),
         *((Timestamp.parse, text, "expected") for text in ("-1.000000000", "٣.000000000", 1595682678.7, None)),
+        *(
+            (lambda pair: Timestamp(*pair), pair, "expected")
+            for pair in ((0, 10**9), (-1, 0), (2**32, 0), (0, -1), (1.5, 0), (0, "5"), (True, 0))
+        ),
     ],
 )
 def test_what_no_timestamp_can_state_or_what_could_be_read_two_ways_is_refused(make, value, expected):

@@ -103,7 +103,7 @@ def test_every_call_answers_as_the_interface_itself(client):
     assert client.counters() == {**counts, **delivered}
 
 
-def test_results_come_as_a_stream_in_their_order_and_what_is_refused_with_its_number(client):
+def test_streams_give_results_in_order_and_what_is_refused_by_its_number_and_can_be_left(client):
     assert client.set_calibration(calibration(), camera_id=1, lidar_id=0)
     found = []
     fetching = threading.Thread(target=lambda: found.extend(client.subscribe(0, most=5)))
@@ -114,30 +114,24 @@ def test_results_come_as_a_stream_in_their_order_and_what_is_refused_with_its_nu
     assert (sent.accepted, sent.refused) == (10, 2)
     assert {number: outcome.cause for number, outcome in sent.refusals} == dict.fromkeys((2, 3), Cause.DUPLICATE)
     assert [(result.number, result.record.points_seq) for result in found] == [(k, k) for k in range(5)]
-
-
-def test_a_stream_that_is_left_lets_the_service_go(client):
-    assert client.set_calibration(calibration(), camera_id=1, lidar_id=0)
-    for seq in range(2):
+    for seq in (5, 6):
         client.send_stream([image(100 * seq, seq), cloud(100 * seq, seq)])
         client.flush()
-        if seq == 0:
+        if seq == 5:
             results = client.subscribe(0)
-            assert next(results).number == 0
-            results.close()
-    assert client.get(0, timeout_s=60).number == 1
+            assert next(results).number == 5
+            results.close()  # a stream that is left lets the service go
+    assert client.get(0, timeout_s=60).number == 6
 
-
-def test_an_error_of_the_records_own_reaches_the_caller(client):
     def records():
-        yield image(0, 1)
+        yield image(700, 7)
         raise ZeroDivisionError("of the caller")
 
     with pytest.raises(ZeroDivisionError, match="of the caller"):
         client.send_stream(records())
 
 
-def test_values_that_cannot_be_followed_are_errors_of_the_caller(client):
+def test_values_that_cannot_be_followed_are_errors_of_the_caller_and_others_keep_their_words(client):
     with pytest.raises(OptionError, match="nothing"):
         client.get_property("nothing")
     for wrong in (2, True, "0"):
@@ -147,6 +141,8 @@ def test_values_that_cannot_be_followed_are_errors_of_the_caller(client):
         FusionClient("rig.example:7000", token=TOKEN)
     with pytest.raises(OptionError, match="without `ca`"):
         FusionClient("localhost:7000", certificate=("a.pem", "b.pem"))
+    failure = client._failure(SimpleNamespace(code=lambda: grpc.StatusCode.INTERNAL, details=lambda: "it broke"))
+    assert (type(failure), str(failure)) == (ServiceError, f"{client.address}: internal: it broke")
 
 
 @pytest.mark.parametrize(
@@ -179,10 +175,3 @@ def test_a_record_beyond_the_limit_of_the_service_is_reported_as_too_large():
         with pytest.raises(TooLargeError, match="larger than max"):
             client.send(cloud(0, 1, count=10_000))
         assert client.send(cloud(0, 1, count=100))
-
-
-def test_other_failures_keep_their_status_and_words(client):
-    failing = SimpleNamespace(code=lambda: grpc.StatusCode.INTERNAL, details=lambda: "it broke")
-    failure = client._failure(failing)
-    assert type(failure) is ServiceError
-    assert str(failure) == f"{client.address}: internal: it broke"

@@ -10,8 +10,7 @@ from grpc_reflection.v1alpha.reflection import ReflectionServicer
 
 from sceneloom.db34t.conformance.catalogue import CallFailedError
 from sceneloom.db34t.conformance.examination import GrpcTransport, NobodyAnswersError, examine
-from sceneloom.db34t.transport import SERVICE, Security, open_channel
-from sceneloom.errors import OptionError
+from sceneloom.db34t.transport import SERVICE, Security
 
 from .test_security import Authority
 
@@ -31,27 +30,6 @@ def test_a_server_with_tls_client_certificates_and_a_token_is_checked_like_any(s
         assert examine(transport, only=["5.3", "X-6", "X-7"]).failed_ids == ()
     with pytest.raises(NobodyAnswersError, match=r"UNAUTHENTICATED.*--token-file"):
         GrpcTransport.connected(address, **access)
-
-
-def test_a_token_is_not_sent_over_an_open_connection_to_another_machine(tmp_path):
-    token = tmp_path / "token"
-    token.write_text(TOKEN)
-    for address in ("192.0.2.7:1", "fusion.example:1", "[2001:db8::1]:1"):
-        with pytest.raises(OptionError, match="without TLS"):
-            GrpcTransport.connected(address, token_file=token)
-    for address in ("127.0.0.1:1", "localhost:1", "[::1]:1"):
-        open_channel(address, ca=None, certificate=None, token=TOKEN).close()
-
-
-def test_a_call_that_ends_with_an_error_is_reported_with_its_code(serve):
-    from sceneloom.db34t.wire import fusion_pb2
-
-    with GrpcTransport.connected(serve().address) as transport:
-        with pytest.raises(CallFailedError) as failed:
-            transport.call("GetProperty", fusion_pb2.GetPropertyRequest(name="nothing"))
-        assert failed.value.code == "NOT_FOUND"
-        with pytest.raises(CallFailedError, match="INVALID_ARGUMENT"):
-            list(transport.subscribe(fusion_pb2.SubscribeRequest(fusion_type=3, most=1)))
 
 
 SURROUNDINGS = ["X-21", "X-22", "X-23"]

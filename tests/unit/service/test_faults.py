@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
 
 import grpc
 import pytest
@@ -19,6 +18,8 @@ from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
 from sceneloom.service.session_log import compare, is_complete, read_log, unfinished_path
 from sceneloom.service.startup import ServiceLimits
+
+from .conftest import Served
 
 PATIENCE_S = 60
 """For other processes on a busy machine."""
@@ -60,16 +61,6 @@ COUNT = 12
 """Results of 2 MB: more than are on their trajectory at once."""
 
 
-def test_what_a_subscriber_had_not_got_when_it_left_goes_to_others_in_order(call):
-    subscription = call("Subscribe", timeout=PATIENCE_S)
-    send_large_pairs(call, COUNT)
-    assert next(subscription).number == 0
-    subscription.cancel()
-    left = left_of(call, COUNT)
-    assert left == list(range(left[0], COUNT))
-    assert 1 <= left[0] < COUNT - 1
-
-
 DYING = """
 import sys, grpc
 from sceneloom.db34t.wire import fusion_pb2 as pb
@@ -109,17 +100,23 @@ def dying():
         process.communicate()
 
 
-@pytest.mark.few(1)
-def test_what_a_subscriber_had_not_got_when_it_was_killed_goes_to_others_in_order(serve, connect, dying):
+@pytest.mark.parametrize("killed", [False, True])
+def test_what_a_subscriber_had_not_got_when_it_left_or_was_killed_goes_to_others_in_order(
+    serve, connect, dying, killed
+):
     server = serve()
     call = connect(server)
-    process = dying(server, "Subscribe")
+    subscription = dying(server, "Subscribe") if killed else call("Subscribe", timeout=PATIENCE_S)
     send_large_pairs(call, COUNT)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    if killed:
+        subscription.send_signal(signal.SIGKILL)
+        subscription.wait()
+    else:
+        assert next(subscription).number == 0
+        subscription.cancel()
     left = left_of(call, COUNT)
     assert left == list(range(left[0], COUNT))
-    assert left[0] < COUNT - 1
+    assert not killed <= left[0] < COUNT - 1
 
 
 def test_a_sender_that_is_killed_in_a_stream_leaves_a_session_that_goes_on(serve, connect, dying):
@@ -167,7 +164,7 @@ def test_a_session_whose_fusion_hangs_blocks_no_other(serve, connect):
     assert [call.result(PATIENCE_S).status for call in refused] == [0] * 5
 
 
-def test_sessions_beyond_the_limit_get_0_or_an_error_until_one_is_closed(serve, connect):
+def test_sessions_beyond_the_limit_or_without_a_sound_name_get_0_or_an_error(serve, connect):
     server = serve(limits=ServiceLimits(most_sessions=2))
     for name in ("a", "b"):
         connect(server, session=name)("ListProperties")
@@ -177,10 +174,6 @@ def test_sessions_beyond_the_limit_get_0_or_an_error_until_one_is_closed(serve, 
     assert call.fails("ListProperties")[0] == "RESOURCE_EXHAUSTED"
     assert connect(server, session="a")("CloseSession").status == 1
     assert call("AddProperty", name="x", description="", type="bool").status == 1
-
-
-def test_a_name_that_cannot_be_a_session_is_refused(serve, connect):
-    server = serve()
     for name in ("a b", "a/b", "../x", "é", "x" * 65, "-x", "a\n"):
         call = connect(server, session=name)
         assert call("Flush").cause == "out-of-range", name
@@ -207,46 +200,21 @@ def test_requests_beyond_the_limit_are_refused_while_the_others_wait(serve, conn
         one.cancel()
 
 
-@contextmanager
-def served(*options, **environment):
-    """A server in a process of its own, and its address."""
-    command = [sys.executable, "-m", "sceneloom", "serve", "--json", *map(str, options)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **environment)
-    try:
-        yield process, json.loads("".join(iter(process.stdout.readline, "}\n")) + "}")["address"]
-    finally:
-        process.kill()
-        process.communicate()
-
-
 def test_a_server_that_is_reported_to_end_delivers_what_waits_and_says_goodbye(connect):
-    with served() as (process, address):
-        call = connect(address)
+    with Served() as server:
+        call = connect(server)
         results = call("Subscribe", timeout=PATIENCE_S)
         call.calibrate()
         for seq in range(4):
             call.send_pair(seq)
-        process.send_signal(signal.SIGTERM)
+        server.process.send_signal(signal.SIGTERM)
         assert [reply.number for reply in results] == [0, 1, 2, 3]
-        _, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0
+        err = server.end(asked=True)
     lines = [line for line in map(json.loads, err.splitlines()) if not line["event"].startswith("compiling")]
     loading, *events = [line["event"] for line in lines]
     assert "the port is closed until then" in loading
     assert events == ["listening", "session begins", "draining", "ended"]
     assert lines[2]["session"] == "default"
-
-
-def test_what_was_handed_to_callers_is_counted_so_that_a_caller_can_report_what_it_lost(call):
-    for seq in range(4):
-        call.send_pair(seq)
-    call("Flush")
-    assert [call("Get").number for _ in range(2)] == [0, 1]
-    assert [reply.number for reply in call("Subscribe", most=1)] == [2]
-    counts = call("GetCounters").counts
-    assert counts["delivered.sensor_data"] == 3
-    assert counts["results.sensor_data"] == 4  # one waits
-    assert "delivered.detections" not in counts
 
 
 def logged(path):
@@ -260,8 +228,8 @@ def logged(path):
 @pytest.mark.slow
 def test_a_server_that_is_killed_ends_calls_with_unavailable_and_leaves_a_log_to_be_read(connect, tmp_path):
     log = tmp_path / "log.mcap"
-    with served("--quiet", "--log", log) as (process, address):
-        call = connect(address)
+    with Served("--quiet", "--log", log) as server:
+        call = connect(server)
         call.calibrate()
         results = call("Subscribe", timeout=PATIENCE_S)
         for seq in range(3):
@@ -272,9 +240,9 @@ def test_a_server_that_is_killed_ends_calls_with_unavailable_and_leaves_a_log_to
         streaming = call.method("SendStream").future(requests, timeout=PATIENCE_S)
         until_s = time.monotonic() + PATIENCE_S
         while logged(unfinished_path(log)).count("record") < 6 and time.monotonic() < until_s:
-            assert process.poll() is None  # what was taken is on the disk after a second
-        process.kill()
-        process.wait()
+            assert server.process.poll() is None  # what was taken is on the disk after a second
+        server.process.kill()
+        server.process.wait()
         with pytest.raises(grpc.RpcError) as caught:
             list(results)
         assert caught.value.code().name == "UNAVAILABLE"
@@ -307,37 +275,29 @@ def install(folder):
 def test_a_server_with_an_algorithm_that_hangs_ends_by_itself_and_says_so(connect, tmp_path):
     config, log = tmp_path / "rig.toml", tmp_path / "log.mcap"
     config.write_text('[properties]\nfusion_algorithm = "hang"\n[service]\ndrain_seconds = 0.2\n')
-    with served("--config", config, "--log", log, env=install(tmp_path)) as (process, address):
-        call = connect(address, session="stuck")
+    with Served("--config", config, "--log", log, env=install(tmp_path)) as server:
+        call = connect(server, session="stuck")
         call.calibrate()
         call.send_pair(0)
         call.send_pair(1)
-        assert process.stdout.readline() == "hangs\n"
-        process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 1
-    *lines, last = err.splitlines()
+        assert server.process.stdout.readline() == "hangs\n"
+        *lines, last = server.end(1).splitlines()
     (reported,) = [line for line in map(json.loads, lines) if line["level"] == "error"]
     assert (reported["event"], reported["sessions"]) == ("sessions do not end: an algorithm hangs", ["stuck"])
     assert "fusion of stuck hanging" in last
     assert is_complete(log)  # the session log was closed all the same
 
 
-def test_records_that_wait_may_be_so_large_together(serve, connect):
-    call = connect(serve(limits=ServiceLimits(most_bytes_waiting=30_000)))
-    call.calibrate()
-    statuses = [call.send(image(100 * seq, seq)) for seq in range(4)]  # 9216 bytes each, and no sweep
-    assert [(status.status, status.cause) for status in statuses] == [(1, "")] * 3 + [(0, "too-many")]
-    assert "27648 bytes wait and 9216 come; expected at most 30000" in statuses[3].reason
-    assert call("Flush").status == 1  # what waited for a sweep was let go
-    assert call.send(image(500, 5)).status == 1
-    assert call("GetCounters").counts["unpaired.image"] == 3
-
-
-def test_results_that_nobody_fetches_may_be_so_large_together(serve, connect):
+def test_records_that_wait_and_results_that_nobody_fetches_may_be_so_large_together(serve, connect):
     call = connect(serve(limits=ServiceLimits(most_bytes_waiting=50_000)))
     call.calibrate()
-    for seq in range(5):  # results of 64 x 48 pixels of 3 + 4 bytes and two points: 21.5 kB
+    statuses = [call.send(image(100 * seq, seq)) for seq in range(6)]  # 9216 bytes each, and no sweep
+    assert [(status.status, status.cause) for status in statuses] == [(1, "")] * 5 + [(0, "too-many")]
+    assert "46080 bytes wait and 9216 come; expected at most 50000" in statuses[5].reason
+    assert call("Flush").status == 1  # what waited for a sweep was let go
+    assert call.send(image(700, 7)).status == 1
+    assert call("GetCounters").counts["unpaired.image"] == 5
+    for seq in range(10, 15):  # results of 64 x 48 pixels of 3 + 4 bytes and two points: 21.5 kB
         call.send_pair(seq)
         call("Flush")
     assert [call("Get").number for _ in range(2)] == [3, 4]

@@ -138,7 +138,7 @@ def read(tmp_path):
     return read_text
 
 
-def test_a_system_starts_as_the_file_says(read):
+def test_a_system_starts_as_the_file_says_and_an_empty_one_changes_nothing(read):
     found = read(WHOLE, further=("service",))
     assert found.further == {"service": {"most_sessions": 3}}
     with FusionInterface(inline=True) as fusion:
@@ -149,13 +149,9 @@ def test_a_system_starts_as_the_file_says(read):
         assert fusion.send(image(0, 1, width=4, height=2))
         assert fusion.send(cloud(0, 1))
         assert fusion.send(cloud(0, 1, sensor_id=1)).cause == "unknown-sensor"
-
-
-def test_an_empty_file_changes_nothing(read):
-    found = read("")
     with FusionInterface(inline=True) as fusion:
         before = fusion.list_properties()
-        found.apply(fusion)
+        read("").apply(fusion)
         assert fusion.list_properties() == before
 
 

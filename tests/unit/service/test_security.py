@@ -2,8 +2,6 @@
 
 import datetime as dt
 import ipaddress
-from dataclasses import replace
-from pathlib import Path
 
 import grpc
 import pytest
@@ -56,32 +54,6 @@ class Authority:
         return self._write(f"{name}.crt", public), self._write(f"{name}.key", private)
 
 
-@pytest.fixture
-def authority(tmp_path):
-    return Authority(tmp_path, "authority")
-
-
-@pytest.fixture
-def security(authority):
-    certificate, key = authority.issue("server")
-    return Security(tls_certificate=certificate, tls_key=key, token=TOKEN)
-
-
-def credentials(authority, client=None):
-    certificate, key = map(Path.read_bytes, client) if client else (None, None)
-    return grpc.ssl_channel_credentials(authority.path.read_bytes(), key, certificate)
-
-
-def bearer(token):
-    return (("authorization", f"Bearer {token}"),)
-
-
-def test_with_the_certificate_and_the_token_calls_are_answered(serve, connect, security, authority):
-    server = serve(security=security)
-    call = connect(server, credentials=credentials(authority), metadata=bearer(TOKEN))
-    assert call("GetProperty", name="chirality").name == "chirality"
-
-
 def test_the_token_is_asked_for_by_reflection_and_not_by_health(serve, connect):
     call = connect(serve(security=Security(token=TOKEN)))
     answer = health_pb2_grpc.HealthStub(call.channel).Check(health_pb2.HealthCheckRequest(), timeout=30)
@@ -91,17 +63,27 @@ def test_the_token_is_asked_for_by_reflection_and_not_by_health(serve, connect):
         list(reflected(iter([b""]), timeout=30))
 
 
-def test_where_clients_need_certificates_those_of_others_are_refused(serve, connect, security, authority, tmp_path):
-    server = serve(security=replace(security, tls_client_authority=authority.path))
-    stranger = Authority(tmp_path, "stranger").issue("client of another")
-    for client in (None, stranger):
-        call = connect(server, credentials=credentials(authority, client), metadata=bearer(TOKEN))
-        assert call.fails("GetProperty", name="chirality")[0] == "UNAVAILABLE"
-    ours = connect(server, credentials=credentials(authority, authority.issue("client")), metadata=bearer(TOKEN))
-    assert ours("GetProperty", name="chirality").name == "chirality"
+def test_with_the_certificates_and_the_token_calls_are_answered_and_strangers_are_refused(serve, connect, tmp_path):
+    authority, stranger = (Authority(tmp_path, name) for name in ("authority", "stranger"))
+    certificate, key = authority.issue("server")
+    server = serve(
+        security=Security(tls_certificate=certificate, tls_key=key, tls_client_authority=authority.path, token=TOKEN)
+    )
+
+    def caller(*files):
+        client = [path.read_bytes() for path in reversed(files)] or [None, None]
+        credentials = grpc.ssl_channel_credentials(authority.path.read_bytes(), *client)
+        return connect(server, credentials=credentials, metadata=(("authorization", f"Bearer {TOKEN}"),))
+
+    for client in ((), stranger.issue("client of another")):
+        assert caller(*client).fails("GetProperty", name="chirality")[0] == "UNAVAILABLE"
+    assert caller(*authority.issue("client"))("GetProperty", name="chirality").name == "chirality"
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1", "example.org", ""])
+HOSTS = ["0.0.0.0", "::", "192.0.2.1", "10.0.0.1", "example.org", "localhost.example.org", "127.0.0.1.example.org", ""]
+
+
+@pytest.mark.parametrize("host", HOSTS)
 def test_other_machines_are_let_in_only_over_tls_with_a_token(host, tmp_path):
     pem = tmp_path / "some.pem"
     for security, lacking in (
@@ -116,12 +98,7 @@ def test_other_machines_are_let_in_only_over_tls_with_a_token(host, tmp_path):
         Security(tls_certificate=pem).check_host("localhost")
     with pytest.raises(OptionError, match="without the server's"):
         Security(tls_client_authority=pem).check_host("localhost")
-
-
-def test_this_machine_is_distinguished_from_others():
     assert all(map(is_local, ("127.0.0.1", "127.9.9.9", "::1", "[::1]", "localhost")))
-    others = ("0.0.0.0", "::", "10.0.0.1", "localhost.example.org", "127.0.0.1.example.org")
-    assert not any(map(is_local, others))
 
 
 def test_a_token_is_read_from_a_file_that_holds_nothing_else(tmp_path):
@@ -146,7 +123,8 @@ def test_a_port_that_is_taken_and_an_address_that_is_not_of_this_machine_are_rep
             check_port(host, 0)
 
 
-def test_the_file_that_is_no_certificate_or_not_its_key_is_named(serve, authority, tmp_path):
+def test_the_file_that_is_no_certificate_or_not_its_key_is_named(serve, tmp_path):
+    authority = Authority(tmp_path, "authority")
     certificate, key = authority.issue("server")
     _, another = authority.issue("another")
     none = tmp_path / "none.pem"

@@ -1,6 +1,8 @@
 """Sending a drive: a session that gets its records fuses what the drive's own fusion fuses."""
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -74,6 +76,15 @@ def test_a_session_that_gets_the_records_of_a_drive_fuses_as_the_drive_is_fused(
         assert both.sum() > 0.97 * max((ours > 0).sum(), (theirs > 0).sum())
         # points of 32 bits seen from the world's origin and from the lidar
         assert np.quantile(np.abs(ours[both] - theirs[both]), 0.95) < 2e-3
+    times = [record.timestamp.nanoseconds for record in receiver.records]
+    assert times == sorted(times)
+    for kind, sensor_id in ((PointCloudData, 0), (ImageData, 1)):
+        found = [(record.sensor_id, record.seq) for record in receiver.records if isinstance(record, kind)]
+        assert found == [(sensor_id, seq) for seq in range(4)]
+    last = next(iter(scene.trajectories.values())).timestamps_ns[-1]
+    for k, time_ns in enumerate(times):  # poses are there before
+        assert max(stop for before, stop in receiver.paths if before <= k) >= min(time_ns + 100_000_000, last)
+    assert receiver.get_property("pairing_timeout_ms") == PATIENCE_MS
 
 
 def test_a_rolling_shutter_is_sent_along_and_every_row_goes_by_its_own_time(receiver):
@@ -91,20 +102,6 @@ def test_a_rolling_shutter_is_sent_along_and_every_row_goes_by_its_own_time(rece
     # As where all lines are taken at once, above; a vehicle that goes 0.5 m while rows are taken makes it centimetres.
     assert np.quantile(off[0], 0.95) < 2e-3
     assert np.quantile(off[1], 0.95) > 0.02
-
-
-def test_records_come_in_the_order_of_time_each_sensor_counts_its_own_and_poses_are_there_before(receiver):
-    scene = street()
-    send_scene(scene, receiver, rate=0)
-    times = [record.timestamp.nanoseconds for record in receiver.records]
-    assert times == sorted(times)
-    for kind, sensor_id in ((PointCloudData, 0), (ImageData, 1)):
-        found = [record for record in receiver.records if isinstance(record, kind)]
-        assert {record.sensor_id for record in found} == {sensor_id}
-        assert [record.seq for record in found] == list(range(len(found)))
-    last = next(iter(scene.trajectories.values())).timestamps_ns[-1]
-    for k, time_ns in enumerate(times):
-        assert max(stop for before, stop in receiver.paths if before <= k) >= min(time_ns + 100_000_000, last)
 
 
 def test_boxes_of_a_scene_are_sent_as_a_detector_would_see_them(receiver):
@@ -159,20 +156,14 @@ def moved_in_time(scene, offset_ns):
     return retimed_scene(drive, sensors=dict.fromkeys(sensors, clock), trajectories=dict.fromkeys(trajectories, clock))
 
 
-def test_times_before_zero_are_moved_by_whole_seconds(receiver):
+def test_times_before_zero_are_moved_by_whole_seconds_and_a_longer_wait_stays(receiver):
     scene = street()
+    assert receiver.set_property("pairing_timeout_ms", 60_000)
     send_scene(moved_in_time(scene, -1_500_000_000), receiver, rate=0)
     first = receiver.records[0].timestamp.nanoseconds
     original = min(scene.lidars[0].frames[0].timestamp_ns, scene.cameras[0].images[0].timestamp_ns)
     assert first >= 0
     assert (first - (original - 1_500_000_000)) % 1_000_000_000 == 0
-
-
-def test_a_session_waits_as_long_as_reading_a_drive_may_pause(receiver):
-    send_scene(street(frames=2), receiver, rate=0)
-    assert receiver.get_property("pairing_timeout_ms") == PATIENCE_MS
-    assert receiver.set_property("pairing_timeout_ms", 60_000)
-    send_scene(moved_in_time(street(frames=2), 10**10), receiver, rate=0)
     assert receiver.get_property("pairing_timeout_ms") == 60_000
 
 
@@ -189,7 +180,7 @@ def test_records_are_held_back_until_they_are_due(receiver):
     assert all(seconds > 0 for seconds in waits)
 
 
-def test_as_fast_as_possible_loses_nothing_and_leaves_the_policy_as_it_was():
+def test_as_fast_as_possible_loses_nothing_and_waits_longer_and_longer_where_there_is_no_room():
     events = []
     with FusionInterface(observer=events.append) as fusion:
         fusion.set_property("result_queue_length", 1000)
@@ -198,28 +189,14 @@ def test_as_fast_as_possible_loses_nothing_and_leaves_the_policy_as_it_was():
         assert len(list(fusion.results(0))) == 8
     assert report.refused == {}
     assert not any(isinstance(event, Dropped) for event in events)
-
-
-@pytest.mark.parametrize(("full", "flushes", "refused_count"), [(3, 0, 0), (8, 0, 0), (9, 1, 0), (99, 1, 1)])
-def test_where_there_is_no_room_a_sender_waits_longer_and_longer_and_then_lets_what_waits_be_fused(
-    full, flushes, refused_count
-):
-    waits, answers, flushed = [], iter([refused(Cause.QUEUE_FULL, "full")] * full + [DONE] * 9), []
-
-    class Full:
-        def send(self, record):
-            return next(answers)
-
-        def flush(self):
-            flushed.append(True)
-
-    statistics = Statistics(Full(), Pace(0.0, wait=waits.append))
-    statistics.send(Boxes2d.empty(0, 1, Timestamp(1)))
-    assert waits == sorted(waits)
-    assert len(waits) == min(full, 8)
-    assert len(flushed) == flushes
-    assert statistics.sent["boxes_2d"] == 1
-    assert statistics.refused[Cause.QUEUE_FULL] == refused_count
+    for full, flushes, refused_count in ((3, 0, 0), (8, 0, 0), (9, 1, 0), (99, 1, 1)):
+        waits, flushed, answers = [], [], iter([refused(Cause.QUEUE_FULL, "full")] * full + [DONE] * 9)
+        receiver = SimpleNamespace(send=lambda _, found=answers: next(found), flush=partial(flushed.append, 1))
+        statistics = Statistics(receiver, Pace(0.0, wait=waits.append))
+        statistics.send(Boxes2d.empty(0, 1, Timestamp(1)))
+        assert waits == sorted(waits)
+        assert (len(waits), len(flushed)) == (min(full, 8), flushes)
+        assert (statistics.sent["boxes_2d"], statistics.refused[Cause.QUEUE_FULL]) == (1, refused_count)
 
 
 def test_what_is_refused_is_counted_by_cause_and_without_calibration_or_camera_nothing_is_sent(receiver):

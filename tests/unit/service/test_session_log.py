@@ -122,32 +122,28 @@ def messages_of(path):
             yield schema.name, channel, pools[schema.id].FromString(message.data)
 
 
-def test_any_reader_gives_back_all_that_came_in_and_went_out(logged):
+def test_any_reader_gives_back_all_that_came_in_and_went_out_and_played_again_it_gives_the_same_bytes(logged):
     path, results = logged
     found = list(messages_of(path))
     counts = Counter((c.metadata["what"], name.removeprefix("sceneloom.db34t4101.v1.")) for name, c, _ in found)
-    assert {counts[key] for key in counts if key[0] == "record"} == {4}
-    kinds = {name for what, name in counts if what == "record"}
-    assert kinds == {"ImageData", "PointCloudData", "Boxes3d", "Boxes2d"}
-    assert counts["result", "GetReply"] == len(results) == 8
-    assert counts["refused", "Status"] == 5
-    assert (counts["refused-record", "ImageData"], counts["refused-record", "PointCloudData"]) == (4, 1)
-    assert counts["motion", "SendMotionRequest"] == 4
-    assert counts["properties", "Properties"] == counts["calibration", "SetCalibrationRequest"] == 2
+    records = {name: count for (what, name), count in counts.items() if what == "record"}
+    assert records == dict.fromkeys(("ImageData", "PointCloudData", "Boxes3d", "Boxes2d"), 4)
+    expected = {("result", "GetReply"): 8, ("refused", "Status"): 5, ("motion", "SendMotionRequest"): 4}
+    expected |= {("refused-record", "ImageData"): 4, ("refused-record", "PointCloudData"): 1}
+    expected |= {("properties", "Properties"): 2, ("calibration", "SetCalibrationRequest"): 2}
+    assert {key: counts[key] for key in expected} == expected
     first = next(message for name, _, message in found if name.endswith("Properties"))
     assert {prop.name: prop.value.string_value for prop in first.properties}["site"] == "A1"
     sent = [message for name, _, message in found if name.endswith("SendMotionRequest")]
     assert sent[3].poses[0].position == [500_003.0, 0, 0]  # as it came, not from an origin of our own
-
-
-def test_a_log_played_again_gives_the_same_bytes(logged):
-    path, results = logged
     again = [result for _, result in replay(path)]
     for said in (lambda r: encode(r.record), lambda r: r.number, lambda r: r.configuration.revision):
         assert list(map(said, again)) == list(map(said, results))
     assert again[-1].configuration["site"] == "A1"
     report = compare(path)
     assert (report.equal, report.complete, bool(report)) == ({"rig": 8}, True, True)
+    with FusionInterface() as threaded, pytest.raises(OptionError, match="inline"):
+        threaded.repeat(None, None)
 
 
 def test_a_result_that_differs_is_named(logged, tmp_path):
@@ -265,28 +261,21 @@ def test_what_was_written_before_a_kill_can_be_read_and_played(path):
 
 def test_a_file_that_was_cut_anywhere_ends_where_it_was_cut(logged, tmp_path):
     path, _ = logged
-    content = path.read_bytes()
-    whole = len(list(read_log(path)))
-    cut = tmp_path / "cut.mcap"
-    counts = []
+    content, cut, counts = path.read_bytes(), tmp_path / "cut.mcap", []
     for length in range(len(content) // 20, len(content), len(content) // 20):
         cut.write_bytes(content[:length])
         with suppress(DataError):
             counts.append(len(list(read_log(cut))))
     assert len(counts) > 5
     assert counts == sorted(counts)
-    assert counts[-1] <= whole
+    assert counts[-1] <= len(list(read_log(path)))
 
 
-@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"no log at all", bytes(range(256))])
-def test_a_file_that_is_no_log_is_refused(path, content):
-    path.write_bytes(content)
-    with pytest.raises(DataError):
-        list(read_log(path))
-
-
-def test_a_log_never_replaces_another_unless_it_may(path):
-    path.write_bytes(b"mine")
+def test_what_is_no_log_is_refused_and_a_log_never_replaces_another_unless_it_may(path):
+    for content in (b"", b"\x89MCAP0\r\n", b"no log at all", bytes(range(256))):
+        path.write_bytes(content)
+        with pytest.raises(DataError):
+            list(read_log(path))
     with pytest.raises(OutputError, match="exists already"):
         SessionLog(path)
     with SessionLog(path, overwrite=True) as log, begun(log) as fusion:
@@ -365,8 +354,3 @@ def test_chunks_and_times_stand_in_order_whatever_the_clock_does(path):
     with path.open("rb") as file:
         times = [record.log_time for record in StreamReader(file).records if type(record).__name__ == "Message"]
     assert times == sorted(times)
-
-
-def test_a_session_with_a_thread_of_its_own_cannot_be_repeated():
-    with FusionInterface() as fusion, pytest.raises(OptionError, match="inline"):
-        fusion.repeat(None, None)

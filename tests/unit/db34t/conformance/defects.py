@@ -1,8 +1,8 @@
 """Servers with one thing wrong each: what comes in or goes out of a sound one is changed on its way."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import wraps
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,16 +22,18 @@ class Broken:
     Attributes:
         incoming: gets this object, the method and the request, and gives the request.
         outgoing: gets this object, the method, the request and the answer, and gives the answer.
+        instead: methods of health and reflection that are called with the sound server instead of its own.
         notes: what it remembers.
     """
 
     inner: Any
     incoming: Callable[..., Any] | None = None
     outgoing: Callable[..., Any] | None = None
+    instead: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
     notes: dict[Any, Any] = field(default_factory=dict)
 
     def __getattr__(self, name):
-        return getattr(self.inner, name)  # health and reflection
+        return partial(self.instead[name], self.inner) if name in self.instead else getattr(self.inner, name)
 
     def call(self, method, request):
         # the kit keeps its requests; what is broken here must not reach it
@@ -67,37 +69,41 @@ def broken(ids, where=None):
     return declared
 
 
-def incoming(ids, *kinds, method="Send"):
+def incoming(ids, *kinds, method="Send", name=""):
     """Declare a change of requests: of Send with records of some kinds it gets the record, else the request.
 
     A record for which it gives "refuse" is taken out, so that the request is refused.
     """
 
     def declared(change):
-        @broken(ids, "incoming")
-        @wraps(change)
         def changed(_, called, request):
             if called != method or (kinds and request.WhichOneof("data") not in kinds):
                 return request
             found = change(getattr(request, request.WhichOneof("data"))) if kinds else change(request)
             return fusion_pb2.SendRequest(session=request.session) if found == "refuse" else request
 
+        changed.__name__ = name or change.__name__
+        broken(ids, "incoming")(changed)
+
     return declared
 
 
-def outgoing(ids, held="sensor_data"):
+def outgoing(ids, name, change, held="sensor_data"):
     """Declare a change of results: it gets the record of table 9, or each one of table 10."""
 
-    def declared(change):
-        @broken(ids, "outgoing")
-        @wraps(change)
-        def changed(_, method, request, reply):
-            if method == "Get" and reply.HasField(held):
-                for record in [reply.sensor_data] if held == "sensor_data" else reply.detections.detections:
-                    change(record)
-            return reply
+    def changed(_, method, request, reply):
+        if method == "Get" and reply.HasField(held):
+            for record in [reply.sensor_data] if held == "sensor_data" else reply.detections.detections:
+                change(record)
+        return reply
 
-    return declared
+    changed.__name__ = name
+    broken(ids, "outgoing")(changed)
+
+
+def fill(numbers, values):
+    """Give a repeated field other values."""
+    numbers[:] = values
 
 
 def records(reply):
@@ -130,12 +136,6 @@ def matrix_by_rows(request):
         request.calibration.extrinsic_matrix[12:] = [0.0, 0.0, 0.0, 1.0]
 
 
-@incoming("T3-4", method="SetCalibration")
-def reference_frame_ignored(request):
-    if request.calibration.reference_frame == 1:
-        request.calibration.reference_frame = 0
-
-
 @incoming("T9-11 4.1-3 6.7-1", "image")
 def colours_swapped(image):
     pixels = np.frombuffer(image.data, np.uint8)
@@ -143,28 +143,26 @@ def colours_swapped(image):
         image.data = pixels.reshape(-1, 3)[:, ::-1].tobytes()
 
 
-@incoming("6.3-1 6.7-2", "image")
-def blue_taken_for_red(image):
-    """Images are taken to have red first, whatever they state."""
-    image.encoding = image.encoding.replace("bgr8", "rgb8")
-
-
-@incoming("5.6-8 T4-3 T5-3 T6-3", "raw", "image", "points", "boxes_3d", "boxes_2d")
-def negative_seq(record):
-    """Numbers are kept as if they had a sign: those from 2^31 on are refused."""
-    return "refuse" if record.seq >= 2**31 else None
-
-
-@incoming("T2-2 5.2-1", method="SetProperty")
-def chirality_ignored(request):
-    if request.name == "chirality" and request.value.integer_value == 1:
-        request.value.integer_value = 0
-
-
-@incoming("T3-2", method="SetCalibration")
-def distortion_ignored(request):
-    if len(request.calibration.distortion_coeffs) == 5:
-        request.calibration.distortion_coeffs[:] = [0.0] * 5
+_CALIBRATION, _PROPERTY = {"method": "SetCalibration"}, {"method": "SetProperty"}
+_KINDS = ("raw", "image", "points", "boxes_3d", "boxes_2d")
+incoming("T3-4", name="reference_frame_ignored", **_CALIBRATION)(
+    lambda request: request.calibration.reference_frame == 1 and setattr(request.calibration, "reference_frame", 0)
+)
+incoming("T3-2", name="distortion_ignored", **_CALIBRATION)(
+    lambda request: fill(request.calibration.distortion_coeffs, [0.0] * len(request.calibration.distortion_coeffs))
+)
+incoming("T2-2 5.2-1", name="chirality_ignored", **_PROPERTY)(
+    lambda request: (
+        (request.name, request.value.integer_value) == ("chirality", 1) and setattr(request.value, "integer_value", 0)
+    )
+)
+incoming("6.3-1 6.7-2", "image", name="blue_taken_for_red")(  # images are taken to have red first, whatever they state
+    lambda image: setattr(image, "encoding", image.encoding.replace("bgr8", "rgb8"))
+)
+incoming("5.6-8 T4-3 T5-3 T6-3", *_KINDS, name="negative_seq")(  # numbers are kept as if they had a sign
+    lambda record: "refuse" if record.seq >= 2**31 else None
+)
+incoming("5.6-6", "box_3d", "box_2d", name="bare_boxes_refused")(lambda _: "refuse")
 
 
 @incoming("T3-2", method="SetCalibration")
@@ -208,11 +206,6 @@ def late_refused(server, method, request):
     return request
 
 
-@incoming("5.6-6", "box_3d", "box_2d")
-def bare_boxes_refused(_):
-    return "refuse"
-
-
 @incoming("T10-9", "boxes_3d")
 def lengths_halved(boxes):
     for box in boxes.boxes:
@@ -239,12 +232,6 @@ def vertical_taken_for_forward(boxes):
             box.direction[:] = [1.0, 0.0, 0.0]
 
 
-@outgoing("6.7-2")
-def always_rgb8(record):
-    record.encoding = "rgb8"
-
-
-@outgoing("6.7-1")
 def layout_by_values(record):
     """Colours come before what else was sent of a point where that is whole numbers."""
     names, rows = list(record.point_fields), rows_of(record)
@@ -254,63 +241,46 @@ def layout_by_values(record):
         record.point_data = np.ascontiguousarray(rows[:, order]).tobytes()
 
 
-@outgoing("6.7-3")
 def unseen_white(record):
     rows = rows_of(record).copy()
     rows[(rows[:, -3:] == 128).all(axis=1), -3:] = 255
     record.point_data = rows.tobytes()
 
 
-@outgoing("T9-12 T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 5.2-1 5.2-2 5.2-3 X-10 X-15 X-20")
 def depth_by_columns(record):
     image = np.frombuffer(record.image_depth, "<f4").reshape(record.height, record.width)
     record.image_depth = image.T.tobytes()
 
 
-@outgoing("5.6-8 5.6-9 5.6-10 5.6-12 T9-3")
-def missing_field(record):
-    record.ClearField("image_seq")
-
-
-@outgoing("5.2-1 5.2-2 5.2-3 6.3-1 6.4-2 6.7-1 6.7-3 T9-16 4.1-3 X-11")
-def points_reversed(record):
-    """The numbers of each point come in the opposite order of their names."""
-    record.point_data = rows_of(record)[:, ::-1].tobytes()
-
-
-@outgoing("T9-1")
-def time_of_the_image(record):
-    record.timestamp.CopyFrom(record.image_timestamp)
-
-
-@outgoing("6.8-1", "detections")
-def outlines_at_the_border(found):
-    """Outlines of what is not in the image are somewhere at its border."""
-    if found.x2 == 0:
-        found.x1 = found.x2 = 64
-
-
-@outgoing("T10-4", "detections")
-def class_lost(found):
-    setattr(found, "class", "")
-
-
-@outgoing("T10-8", "detections")
-def covariance_by_halves(found):
-    """Of covariances only the upper half is filled."""
-    found.center_cov[:] = np.triu(np.reshape(found.center_cov, (3, 3)) + 0.01).reshape(-1).tolist()
-
-
-@outgoing("T10-14", "detections")
-def speed_without_sign(found):
-    found.velocity = abs(found.velocity)
-
-
-@outgoing("5.2-1 5.2-2 5.2-3 T10-13", "detections")
-def directions_rotated(found):
-    """Directions come in the frame of the camera."""
-    x, y, z = found.direction
-    found.direction[:] = [-y, -z, x]
+SENSOR_DATA = (
+    ("6.7-1", "layout_by_values", layout_by_values),
+    ("6.7-2", "always_rgb8", lambda record: setattr(record, "encoding", "rgb8")),
+    ("6.7-3", "unseen_white", unseen_white),
+    ("T9-12 T3-2 T3-3 T3-4 T3-5 4.1-1 4.1-2 5.2-1 5.2-2 5.2-3 X-10 X-15 X-20", "depth_by_columns", depth_by_columns),
+    ("5.6-8 5.6-9 5.6-10 5.6-12 T9-3", "missing_field", lambda record: record.ClearField("image_seq")),
+    (
+        *("5.2-1 5.2-2 5.2-3 6.3-1 6.4-2 6.7-1 6.7-3 T9-16 4.1-3 X-11", "points_reversed"),
+        lambda record: setattr(record, "point_data", rows_of(record)[:, ::-1].tobytes()),
+    ),
+    ("T9-1", "time_of_the_image", lambda record: record.timestamp.CopyFrom(record.image_timestamp)),
+)
+DETECTIONS = (
+    ("6.8-1", "outlines_at_the_border", lambda found: found.x2 or [setattr(found, name, 64) for name in ("x1", "x2")]),
+    ("T10-4", "class_lost", lambda found: setattr(found, "class", "")),
+    (
+        *("T10-8", "covariance_by_halves"),
+        lambda found: fill(found.center_cov, np.triu(np.reshape(found.center_cov, (3, 3)) + 0.01).reshape(-1).tolist()),
+    ),
+    ("T10-14", "speed_without_sign", lambda found: setattr(found, "velocity", abs(found.velocity))),
+    (
+        *("5.2-1 5.2-2 5.2-3 T10-13", "directions_of_the_camera"),
+        lambda found: fill(found.direction, [-found.direction[1], -found.direction[2], found.direction[0]]),
+    ),
+)
+for row in SENSOR_DATA:
+    outgoing(*row)
+for row in DETECTIONS:
+    outgoing(*row, held="detections")
 
 
 @broken("5.3-3 5.4-3 5.6-3", "outgoing")
@@ -416,57 +386,25 @@ class RangesForDepths(Broken):
         return reply
 
 
-@broken("X-21")
-class NeverWell(Broken):
-    """The service is there, and its health says that it is not."""
-
-    def health(self, service):
-        return "NOT_SERVING" if self.inner.health(service) and service else "SERVING"
+def missing(*_):
+    raise CallFailedError("UNIMPLEMENTED", "reflection")
 
 
-@broken("X-21")
-class WellWithoutName(Broken):
-    """Health is known of all together and of no service."""
-
-    def health(self, service):
-        if service:
-            raise CallFailedError("NOT_FOUND", service)
-        return self.inner.health(service)
-
-
-@broken("X-21")
-class AnythingIsWell(Broken):
-    """Health is SERVING of services that there are not."""
-
-    def health(self, service):
-        return "SERVING"
-
-
-@broken("X-22")
-class Unlisted(Broken):
-    """Reflection lists others than the service."""
-
-    def services(self):
-        return self.inner.services() - {SERVICE.full_name}
-
-
-@broken("X-22 X-23")
-class NoReflection(Broken):
-    """Nobody answers questions of reflection."""
-
-    def services(self):
-        raise CallFailedError("UNIMPLEMENTED", "reflection")
-
-    def files_with(self, symbol):
-        raise CallFailedError("UNIMPLEMENTED", "reflection")
-
-
-@broken("X-23")
-class AnotherProto(Broken):
+def another_proto(inner, symbol):
     """Reflection describes a service whose fields have other numbers."""
+    (content,) = inner.files_with(symbol)
+    file = FileDescriptorProto.FromString(content)
+    next(m for m in file.message_type if m.name == "ImageData").field[3].number = 99
+    return [file.SerializeToString()]
 
-    def files_with(self, symbol):
-        (content,) = self.inner.files_with(symbol)
-        file = FileDescriptorProto.FromString(content)
-        next(m for m in file.message_type if m.name == "ImageData").field[3].number = 99
-        return [file.SerializeToString()]
+
+SURROUNDINGS = {
+    "never_well": ("X-21", {"health": lambda inner, service: "NOT_SERVING" if service else "SERVING"}),
+    "well_without_name": ("X-21", {"health": lambda inner, service: missing() if service else "SERVING"}),
+    "anything_is_well": ("X-21", {"health": lambda inner, service: "SERVING"}),
+    "unlisted": ("X-22", {"services": lambda inner: inner.services() - {SERVICE.full_name}}),
+    "no_reflection": ("X-22 X-23", {"services": missing, "files_with": missing}),
+    "another_proto": ("X-23", {"files_with": another_proto}),
+}
+for name, (ids, instead) in SURROUNDINGS.items():
+    SERVERS.append((name, partial(Broken, instead=instead), ids.split()))

@@ -45,8 +45,8 @@ def test_what_cannot_be_done_gets_0_with_cause_and_reason_or_is_an_error(serve, 
             if entry.answers_status:
                 status = call(method, garbage)
                 assert (status.status, bool(status.cause)) == (0, True), method
-            elif method != "SendStream":
-                assert call.fails(method, garbage)[0] == "INVALID_ARGUMENT", method
+        if not entry.answers_status and method != "SendStream":
+            assert call.fails(method, b"\xff\xff\xff")[0] == "INVALID_ARGUMENT", method
     code, details = call.fails("GetProperty", name="colour")
     assert (code, "'colour'" in details, "chirality" in details) == ("NOT_FOUND", True, True)
     words = "fusion type 2; expected 0 (sensor data) or 1 (detections)"

@@ -12,7 +12,7 @@ from tests.malformed.damage import flipped
 
 from sceneloom.errors import DataError
 from sceneloom.formats import open_scene
-from sceneloom.formats.points.cloud import parse_layout
+from sceneloom.formats.points.cloud import FieldLayout
 from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.mapping import PointMapping, PointTimes, SweepClock, points_of
 
@@ -51,7 +51,7 @@ FILES = {
     "plain.bin": POINTS.tobytes(),
     "arrays.npz": npz(),
 }
-LAYOUT = parse_layout(["x", "y", "z", "intensity:uint8", "t:uint32"])
+LAYOUT = FieldLayout.parse(["x", "y", "z", "intensity:uint8", "t:uint32"])
 MAPPING = PointMapping(times=PointTimes("nanoseconds"))
 
 

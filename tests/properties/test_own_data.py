@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as arrays
 from scipy.spatial.transform import Rotation
 
 from sceneloom.formats.base.text_tables import parse_timestamp
-from sceneloom.formats.points.cloud import TYPES, parse_layout
+from sceneloom.formats.points.cloud import TYPES, FieldLayout
 from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.rig.reader import Edge, FrameTree, NamePattern
 from sceneloom.geometry.rigid import RigidTransform
@@ -33,7 +33,7 @@ def location(tmp_path_factory):
 
 
 def check(path, written):
-    layout = parse_layout([f"{name}:{written.dtype[name].name}" for name in written.dtype.names])
+    layout = FieldLayout.parse([f"{name}:{written.dtype[name].name}" for name in written.dtype.names])
     columns = read_cloud(path, **({"layout": layout} if path.suffix == ".bin" else {})).columns
     assert [*columns] == list(written.dtype.names)
     for name, column in columns.items():

@@ -1,8 +1,5 @@
 """Detection fusion on drives of KITTI: real detectors of images and sweeps, against people's labels."""
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -20,14 +17,6 @@ LEAST_HEIGHT = 25.0
 """What is lower in the image is not counted, as in KITTI's moderate level [px]."""
 SEQUENCES = ("0003", "0006", "0012", "0014", "0016")
 THRESHOLD = 0.7
-
-
-@dataclass(frozen=True)
-class Drive:
-    """One sequence: detections by frame, and labels: boxes in the image, locations in the lidar's frame, classes."""
-
-    pairs: list[DetectionPair]
-    truth: list[tuple[np.ndarray, np.ndarray, list[str]]]
 
 
 def read_calibration(path):
@@ -50,7 +39,8 @@ def boxes_in_lidar(rows, scores, labels, rectified_from_lidar):
     return Boxes3D(0, centers, rows[:, [2, 1, 0]], yaws, scores, tuple(labels), score_form=ScoreForm.LOGIT)
 
 
-def read_drive(folder: Path, sequence: str) -> Drive:
+def read_drive(folder, sequence):
+    """Pairs of detections by frame, and labels: boxes in images, locations in the lidar's frame, classes."""
     camera, camera_from_lidar, rectified = read_calibration(folder / "calib" / f"{sequence}.txt")
 
     def of_frame(name, columns):
@@ -76,7 +66,7 @@ def read_drive(folder: Path, sequence: str) -> Drive:
         centers = np.vstack([centers, np.full((len(own) - len(known), 3), np.nan)])
         boxes = np.array([row[6:10] for row in own], np.float64).reshape(-1, 4)
         truth.append((boxes, centers, [row[2] for row in own]))
-    return Drive(pairs, truth)
+    return list(zip(pairs, truth, strict=True))
 
 
 def overlaps(one, others):
@@ -118,7 +108,7 @@ def recall_and_precision(drives, wanted):
     """Of the detector of images, of that of sweeps, and of both fused."""
     sums = np.zeros((3, 3))
     for drive in drives:
-        for pair, truth in zip(drive.pairs, drive.truth, strict=True):
+        for pair, truth in drive:
             two, three = pair.boxes_2d, pair.boxes_3d
             boxes = np.column_stack([three.centers, three.sizes_lwh, three.yaws])
             outlines = project_outlines(pair.camera, pair.camera_from_lidar, boxes).corners_xyxy
@@ -142,7 +132,7 @@ def test_what_is_fused_is_found_more_often_and_truer_than_by_the_detectors(drive
 def test_far_cars_are_nearer_to_the_truth_across_the_line_of_sight_after_fusion(drives):
     errors, squares = [], []
     for drive in drives:
-        for pair, (_, centers, classes) in zip(drive.pairs, drive.truth, strict=True):
+        for pair, (_, centers, classes) in drive:
             fused = fuse_by_projection(pair)
             cars = centers[[c in ("Car", "Van") for c in classes]]
             for k in np.flatnonzero((fused.rows_3d != NO_BOX) & (fused.rows_2d != NO_BOX)):

@@ -77,9 +77,10 @@ def test_three_kitti_sweeps_are_counted_and_paired_one_by_one(drive, tmp_path):
     path = drive("real/kitti_raw_sfnd") / "calib_2011_09_26.txt"
     kitti(tmp_path, path, ("Tr_velo_cam", "R_rect"), "velodyne/*.bin", "image_02/*.png")
     frames = sceneloom.open(tmp_path).lidars[0].frames
-    assert frames.timestamps_ns.tolist() == [0, 100_000_000, 200_000_000]
     counts = [file.stat().st_size // 16 for file in sorted((path.parent / "velodyne").iterdir())]
-    assert [len(frame.points) for frame in frames] == counts
+    assert [(frame.timestamp_ns, len(frame.points)) for frame in frames] == [
+        (100_000_000 * k, count) for k, count in enumerate(counts)
+    ]
 
 
 def test_a_nuscenes_frame_opens_with_its_own_times_and_mountings(drive, tmp_path):
@@ -162,39 +163,3 @@ camera_model = {{ fx = {model["fx"]}, fy = {model["fy"]}, cx = {model["cx"]}, cy
 def test_a_look_into_real_folders_finds_their_sensors(drive, folder, cameras):
     types = [sensor.type for sensor in survey(drive(f"real/{folder}")).sensors]
     assert (types.count("lidar"), types.count("camera")) == (1, cameras)
-
-
-def test_a_recording_described_by_hand_is_the_recording(drive, tmp_path):
-    data = drive("recordings/kitti_drive")
-    numbers = json.loads((data / "calibration.json").read_text())
-    model, lidar = numbers["cameras"][0], numbers["lidars"][0]
-    (tmp_path / "rig.toml").write_text(f"""
-ego = "imu"
-root = "{data}"
-[[sensors]]
-id = "lidar"
-type = "lidar"
-files = "lidar/*.bin"
-times = {{ pattern = "{{index}}", rate_hz = 10 }}
-fields = ["x", "y", "z", "intensity:uint8", "ring:uint16", "timestamp:float64"]
-extrinsic = {{ from = "imu", matrix = {lidar["imuToLidar"]} }}
-[[sensors]]
-id = "camera0"
-type = "camera"
-video = "data.mkv"
-times = {{ rate_hz = 10, start_s = 0.05 }}
-extrinsic = {{ from = "imu", matrix = {model["imuToCamera"]} }}
-camera_model = {{ fx = {model["focalLengthX"]}, cx = {model["principalPointX"]}, cy = {model["principalPointY"]} }}
-""")
-    own, known = sceneloom.open(tmp_path), sceneloom.open(data)
-    assert "point-times-assumed" in [warning.code for warning in own.warnings], "seconds of the clock"
-    for found, expected in zip(own.lidars[0].frames, known.lidars[0].frames, strict=True):
-        assert found.timestamp_ns == expected.timestamp_ns
-        for name in ("positions", "intensities", "rings", "timestamps_ns"):
-            np.testing.assert_array_equal(getattr(found.points, name), getattr(expected.points, name))
-    for found, expected in zip(own.cameras[0].images, known.cameras[0].images, strict=True):
-        assert found.timestamp_ns == expected.timestamp_ns
-        np.testing.assert_array_equal(found.rgb, expected.rgb)
-    assert own.cameras[0].camera == known.cameras[0].camera
-    for found, expected in zip(own.sensors, (known.lidars[0], known.cameras[0]), strict=True):
-        np.testing.assert_allclose(found.mount.matrix, expected.mount.matrix, atol=1e-12)

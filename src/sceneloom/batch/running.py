@@ -33,7 +33,7 @@ import msgspec
 from sceneloom.batch.jobs import Further, Input, Job, Outcome, State, Task
 from sceneloom.batch.record import Record, Row
 from sceneloom.errors import OptionError, OutputError, SceneloomError, ignore_warnings_of_extreme_numbers, redacted
-from sceneloom.formats.base.files import fingerprint, is_url, late_fingerprint
+from sceneloom.formats.base.files import fingerprint, is_url
 from sceneloom.formats.base.output import exchange
 from sceneloom.kernels.cache import find_kernel_cache
 from sceneloom.stages import stage, timed
@@ -84,7 +84,7 @@ def run_task(task: Task) -> Outcome:
 
 def _done(task: Task) -> dict[str, Any]:
     """Do the verb, and send what it wrote to where it belongs if that is a store; gives what is reported of it."""
-    seen = _with_files(late_fingerprint(task.location), task.files)
+    seen = _with_files(_late_fingerprint(task.location), task.files)
     draft = _draft_of(task)
     draft.parent.mkdir(parents=True, exist_ok=True)
     further = _drafts_of(task)
@@ -877,3 +877,27 @@ class _Run:
     def _count(self, **more: int) -> None:
         changed = {name: getattr(self.summary, name) + count for name, count in more.items()}
         self.summary = msgspec.structs.replace(self.summary, **changed)
+
+
+_LONG_SECONDS, _LASTING = 0.2, 20
+_LATE: dict[str, tuple[str, float]] = {}
+_FINGERPRINTS_LOCK = threading.Lock()
+
+
+def _late_fingerprint(location: str) -> str:
+    """Do as `fingerprint`, but give for a while what was found before of files that take long to look at.
+
+    For twenty times as long as it took, so that the drives of a data set, each read for itself, wait little; a print
+    that is older than the reading of a drive lets the drive count as changed at worst.
+    """
+    with _FINGERPRINTS_LOCK:
+        found, until = _LATE.get(location, ("", 0.0))
+        begun = time.monotonic()
+        if begun < until:
+            return found
+        found = fingerprint(location)
+        spent = time.monotonic() - begun
+        _LATE.clear()
+        if spent > _LONG_SECONDS:
+            _LATE[location] = found, begun + _LASTING * spent
+        return found

@@ -4,7 +4,7 @@ import msgspec
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import Holding, Supports, holding_of
-from sceneloom.formats.base.registry import all_formats, format_named, format_names
+from sceneloom.formats.base.registry import format_named, format_names
 from sceneloom.formats.base.spec import FormatSpec
 from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS
 from sceneloom.formats.trajectories.trajectory_file import TrajectoryForm
@@ -32,7 +32,7 @@ class FormatListing(msgspec.Struct, frozen=True, kw_only=True):
 
 def list_formats() -> tuple[FormatListing, ...]:
     """Give all formats of scenes, then all forms of trajectories."""
-    return (*map(_of_format, all_formats()), *(_of_form(form) for form in TRAJECTORY_FORMS.values()))
+    return (*map(_of_format, map(format_named, format_names())), *map(_of_form, TRAJECTORY_FORMS.values()))
 
 
 def list_supported_fields(name: str) -> dict[str, Holding]:

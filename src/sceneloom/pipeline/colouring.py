@@ -4,6 +4,7 @@ Labels go from label images to points and back. In this order: settings, outputs
 labels of an image; the files that are written; the job.
 """
 
+import re
 import tempfile
 import time
 from collections import Counter
@@ -17,7 +18,7 @@ from typing import Any, BinaryIO
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, UInt8Array, UInt16Array, finite_rows
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array, UInt16Array, finite_rows
 from sceneloom.colouring.blending import BlendSettings, PointSources, blend_colours, estimate_normals, view_weights
 from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
 from sceneloom.colouring.labels import LabelCanvas, paint_labels
@@ -28,8 +29,10 @@ from sceneloom.colouring.world_map import WorldMap, empty_points
 from sceneloom.editing.references import assumed
 from sceneloom.editing.thin import chosen_points
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.base.label_images import NAMES_FILE, LabelFolder, write_label_png
-from sceneloom.formats.base.output import check_output, filling
+from sceneloom.formats.base.files import check_regular, read_bytes
+from sceneloom.formats.base.images import PNG_START, open_image, write_grey_png
+from sceneloom.formats.base.output import check_output, file_stems, filling
+from sceneloom.formats.base.spec import first_bytes
 from sceneloom.formats.points.cloud import NO_LABEL, CloudWriter, WrittenPoints
 from sceneloom.formats.points.files import WRITTEN_SUFFIXES, check_cloud_suffix, open_cloud_writer
 from sceneloom.formats.sfs.writer import SceneWriter
@@ -225,6 +228,134 @@ class ColourReport(msgspec.Struct, frozen=True, kw_only=True):
     warnings: tuple[DataWarning, ...]
 
 
+_NUMBERS = {"1", "L", "P", "I", "I;16", "I;16B", "I;16L"}
+_LARGEST, _LARGEST_BYTE = 65535, 255
+
+
+def _read_label_png(path: Path) -> UInt16Array:
+    """Read the numbers of the classes, (H, W); of a palette its indices, whatever their colours are."""
+    try:
+        check_regular(path)
+        if first_bytes(path, len(PNG_START)) != PNG_START:
+            raise DataError(path, "", "is no PNG file; expected a label image")
+        with open_image(path, ("PNG",)) as image:
+            mode = image.mode
+            values = np.asarray(image) if mode in _NUMBERS else None
+    except (OSError, ValueError, SyntaxError) as error:
+        raise DataError(path, "", f"cannot be read: {error}; expected a label image") from error
+    if values is None or values.ndim != 2:
+        problem = f"pixels are colours ({mode}); expected one number each: grey of 8 or 16 bits, or a palette"
+        raise DataError(path, "", problem)
+    if values.size and not (int(values.min()) >= 0 and int(values.max()) <= _LARGEST):
+        raise DataError(path, "", f"numbers from {values.min()} to {values.max()}; expected 0 to {_LARGEST}")
+    return values.astype(np.uint16)
+
+
+NAMES_FILE = "labels.json"
+"""Beside the images: what each number means, as `{"7": "road"}`."""
+
+_NEAR_NS = 1_000  # times in names may be rounded to microseconds
+_WHOLE, _SECONDS = re.compile(r"\d{1,19}"), re.compile(r"\d{1,10}\.\d{1,9}")
+
+
+@dataclass(slots=True)
+class _LabelFolder:
+    """Label images of a scene's cameras."""
+
+    folder: Path
+    names: Mapping[int, str]
+    used: int = 0
+    missing: int = 0
+    _files: dict[tuple[Identifier, int], Path] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, folder: Path, cameras: Sequence[CameraSensor]) -> "_LabelFolder":
+        """Find the images: in a folder for each camera, by its id; of a single camera also in the folder itself.
+
+        Raises:
+            DataError: there is no image for any image, or a name is neither the number nor the time of an image.
+        """
+        if not folder.is_dir():
+            raise DataError(folder, "", "no such folder; expected one of label images")
+        found = cls(folder, _names(folder / NAMES_FILE))
+        stems = file_stems([camera.id for camera in cameras])
+        for camera, stem in zip(cameras, stems, strict=True):
+            location = folder / stem
+            if not location.is_dir() and len(cameras) == 1:
+                location = folder
+            images = sorted(location.glob("*.png")) if location.is_dir() else []
+            found._files.update(_matched(images, camera))
+        if not found._files:
+            expected = ", ".join(f"{stem}/<number or time>.png" for stem in stems)
+            raise DataError(folder, "", f"no label image in it; expected {expected or 'a scene with cameras'}")
+        return found
+
+    def image(self, camera: CameraSensor, number: int, size_px: tuple[int, int]) -> UInt16Array | None:
+        """Read the image of an image, (H, W) uint16; None where there is none, which is counted.
+
+        Args:
+            camera: of the image.
+            number: of the image.
+            size_px: width and height that it must have.
+
+        Raises:
+            DataError: it cannot be read, or has another size.
+        """
+        path = self._files.get((camera.id, number))
+        if path is None:
+            self.missing += 1
+            return None
+        labels = _read_label_png(path)
+        if labels.shape != (size_px[1], size_px[0]):
+            problem = f"{labels.shape[1]}x{labels.shape[0]} pixels; expected {size_px[0]}x{size_px[1]}, the image's"
+            raise DataError(path, "", problem)
+        self.used += 1
+        return labels
+
+
+def _names(path: Path) -> dict[int, str]:
+    if not path.is_file():
+        return {}
+    try:
+        return msgspec.json.decode(read_bytes(path), type=dict[int, str])
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, OSError) as error:
+        raise DataError(path, "", f'{error}; expected numbers and names, {{"7": "road"}}') from error
+
+
+def _matched(images: Sequence[Path], camera: CameraSensor) -> dict[tuple[Identifier, int], Path]:
+    """The images of a camera by the numbers of its images; all names are numbers, or all are times."""
+    timestamps_ns = camera.images.timestamps_ns
+    whole = {path for path in images if _WHOLE.fullmatch(path.stem)}
+    numbered = all(int(path.stem) < len(timestamps_ns) for path in whole)
+    found: dict[tuple[Identifier, int], Path] = {}
+    for path in images:
+        number = int(path.stem) if numbered and path in whole else _by_time(path, timestamps_ns)
+        if (camera.id, number) in found:
+            other = found[camera.id, number].name
+            raise DataError(path, "", f"is for image {number}, as {other} is; expected one image for each")
+        found[camera.id, number] = path
+    return found
+
+
+def _by_time(path: Path, timestamps_ns: Int64Array) -> int:
+    """The number of the image whose time a name says: nanoseconds or microseconds, or seconds with a point."""
+    if _SECONDS.fullmatch(path.stem):
+        whole, _, part = path.stem.partition(".")
+        reported = [int(whole) * 1_000_000_000 + int(part.ljust(9, "0"))]
+    elif _WHOLE.fullmatch(path.stem):
+        reported = [int(path.stem), int(path.stem) * 1_000]
+    else:
+        reported = []
+    for time_ns in reported:
+        if len(timestamps_ns) and time_ns < 2**62:
+            number = int(np.argmin(np.abs(timestamps_ns - time_ns)))
+            if abs(int(timestamps_ns[number]) - time_ns) <= _NEAR_NS:
+                return number
+    span = f"{timestamps_ns.min()} to {timestamps_ns.max()} ns" if len(timestamps_ns) else "none"
+    problem = f"named for no image; expected a number from 0 to {len(timestamps_ns) - 1}, or a time of one ({span})"
+    raise DataError(path, "", problem)
+
+
 _MOST_COMPARED = 300  # so many sweeps, spread over the drive, exposures are compared by at most
 _NO_IMAGE = -1
 
@@ -251,7 +382,7 @@ class _SweepColouring:
     scene: Scene
     blend: str
     gains: ExposureGains | None = None
-    labels: LabelFolder | None = None
+    labels: _LabelFolder | None = None
     _cameras: dict[Identifier, tuple[int, CameraSensor]] = field(default_factory=dict)
     _numbers: dict[Identifier, Mapping[int, int]] = field(default_factory=dict)
     _images: dict[Identifier, tuple[int, UInt16Array | None]] = field(default_factory=dict)
@@ -302,7 +433,7 @@ class _SweepColouring:
         coloured = replace(frame.points, colors=colors, camera_index=sources.camera_index)
         return _ColouredSweep(replace(frame, points=coloured, views=()), points)
 
-    def _label_image(self, view: FusedView, labels: LabelFolder) -> UInt16Array | None:
+    def _label_image(self, view: FusedView, labels: _LabelFolder) -> UInt16Array | None:
         """The label image of an image, read once where several sweeps are paired with it."""
         number = self.number(view)
         kept = self._images.get(view.camera_id)
@@ -399,7 +530,8 @@ class _LabelProjection:
         canvas = self._open[camera_id].pop(number)
         folder = self.folder / self._names[camera_id]
         folder.mkdir(parents=True, exist_ok=True)
-        write_label_png(canvas.labels, folder / f"{number:06d}.png", overwrite=True)
+        labels = canvas.labels.astype(np.uint8) if canvas.labels.max(initial=0) <= _LARGEST_BYTE else canvas.labels
+        write_grey_png(labels, folder / f"{number:06d}.png", overwrite=True)
         self.written += 1
 
     def finish(self) -> None:
@@ -809,7 +941,7 @@ def colour(
     aligned = align(scene, trajectory=trajectory, heading=heading, start=start, stop=stop, lenient=lenient)
     job = _Job(aligned, scene, chosen, Skips(lenient), progress)
     with telling(job.skips), counting_left_out() as left, ExitStack() as stack:
-        labels = None if chosen.labels is None else LabelFolder.of(chosen.labels, scene.cameras)
+        labels = None if chosen.labels is None else _LabelFolder.of(chosen.labels, scene.cameras)
         gains = job.compare_exposures() if chosen.exposure and len(scene.cameras) else None
         colouring = _SweepColouring(scene, chosen.blend, gains, labels)
         sinks = _open_sinks(aligned, wanted, chosen, colouring, stack)

@@ -14,7 +14,7 @@ from sceneloom.arrays import finite_rows
 from sceneloom.colouring.depth_completion import METHODS, DenseDepth, complete_depth
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.base.images import write_confidence_png
+from sceneloom.formats.base.images import write_grey_png
 from sceneloom.formats.base.output import check_output, filling
 from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pipeline.alignment import align
@@ -84,7 +84,8 @@ class _Writer:
         if self.confidence and self.depth.form == "png":
             beside = self.depth.folder / place.parent / "confidence"
             beside.mkdir(parents=True, exist_ok=True)
-            write_confidence_png(dense.confidence, beside / place.name)
+            levels = np.rint(dense.confidence * 255).astype(np.uint8)  # 255 for 1
+            write_grey_png(levels, beside / place.name)
         if self.images is not None:
             (self.images / place.parent).mkdir(parents=True, exist_ok=True)
             save_image(draw_dense_depth(view, dense), self.images / place)

@@ -14,7 +14,7 @@ import numpy as np
 from sceneloom.arrays import Float32Array
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import DataError
-from sceneloom.formats.base.images import write_depth_npz, write_depth_png
+from sceneloom.formats.base.images import write_depth_image
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import file_stems, filling
 from sceneloom.formats.sfs.clock import TICKS_NS
@@ -77,10 +77,7 @@ class DepthFolder:
         file = self.place(frame, view).with_suffix(f".{self.form}")
         target = self.folder / file
         target.parent.mkdir(parents=True, exist_ok=True)
-        if self.form == "npz":
-            write_depth_npz(depths, target, confidence=confidence)
-        else:
-            self.beyond_range += write_depth_png(depths, target)
+        self.beyond_range += write_depth_image(depths, target, confidence=confidence)
         record = {
             "file": file.as_posix(),
             "lidar": frame.lidar_id,

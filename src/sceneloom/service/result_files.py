@@ -17,7 +17,7 @@ from sceneloom.db34t.records import ENCODINGS, FusedDetections, SensorFusionData
 from sceneloom.db34t.scene_objects import lidar_frame_of_result
 from sceneloom.db34t.types import bytes_of
 from sceneloom.errors import OptionError
-from sceneloom.formats.base.images import encode_jpeg, write_depth_png
+from sceneloom.formats.base.images import encode_jpeg, write_depth_image
 from sceneloom.formats.base.output import filling, replacing
 from sceneloom.formats.sfs.writer import SceneWriter
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
@@ -121,7 +121,7 @@ class ResultFolder:
         paths = {part: self.folder / file for part, file in files.items()}
         for path in paths.values():
             path.parent.mkdir(exist_ok=True)
-        beyond = write_depth_png(record.depths, paths["depth"])
+        beyond = write_depth_image(record.depths, paths["depth"])
         _write_columns(paths["points"], record)
         pixels = record.pixels
         if pixels is None:

@@ -16,7 +16,7 @@ from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
 from sceneloom.editing.cameras import undistort_scene
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.base.files import check_regular, file_faults, open_file
-from sceneloom.formats.base.images import encode_jpeg, read_depth_png
+from sceneloom.formats.base.images import encode_jpeg, open_image
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import CameraCalibration
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
@@ -185,7 +185,7 @@ class _CameraView:
         stream.log(camera_image.timestamp_ns, path, image, kind="images", size=len(shown.content))
 
 
-_STEPS_PER_METRE = 256  # shown depths are whole steps of 1/256 m, as in KITTI's depth images: 4 mm, up to 256 m
+STEPS_PER_METRE = 256  # shown depths are whole steps of 1/256 m, as in KITTI's depth images: 4 mm, up to 256 m
 _LARGEST = 65535
 DEPTH = "depth"
 """The entity of fused depth images, below that of the images that they belong to."""
@@ -193,11 +193,11 @@ DEPTH = "depth"
 
 def _depth_image(depths: Float32Array) -> Any:
     """An image of depths (H, W) [m], 0 for none, as the viewer takes it."""
-    steps: UInt16Array = np.clip(np.rint(np.nan_to_num(depths) * _STEPS_PER_METRE), 0, _LARGEST).astype(np.uint16)
+    steps: UInt16Array = np.clip(np.rint(np.nan_to_num(depths) * STEPS_PER_METRE), 0, _LARGEST).astype(np.uint16)
     rr = sdk()
     near = steps[steps > 0]
     farthest = float(np.percentile(near, 98)) if len(near) else _LARGEST
-    return rr.DepthImage(steps, meter=_STEPS_PER_METRE, depth_range=[0, farthest], colormap="turbo")
+    return rr.DepthImage(steps, meter=STEPS_PER_METRE, depth_range=[0, farthest], colormap="turbo")
 
 
 @dataclass(slots=True, eq=False)
@@ -343,8 +343,11 @@ def _read(path: Path) -> Float32Array:
                 check_regular(path)
                 with np.load(path) as arrays:
                     return np.asarray(arrays["depth"], np.float32)
-            return read_depth_png(path)
-        except (ValueError, KeyError, EOFError, SyntaxError, zipfile.BadZipFile, zlib.error) as error:
+            with open_image(path, ("PNG",)) as image:
+                if not image.mode.startswith("I"):
+                    raise DataError(path, "", f"an image of mode {image.mode}; expected depths of 16 bits a pixel")
+                return np.asarray(image, np.float32) / np.float32(STEPS_PER_METRE)
+        except (OSError, ValueError, KeyError, EOFError, SyntaxError, zipfile.BadZipFile, zlib.error) as error:
             raise DataError(path, "", f"cannot be read as a depth image: {error}") from error
 
 

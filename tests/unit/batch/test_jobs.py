@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sceneloom.batch import running
 from sceneloom.batch.jobs import FileOption, Input, find_inputs, give_files, output_names
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.base import files
-from sceneloom.formats.base.files import fingerprint, late_fingerprint
+from sceneloom.formats.base.files import fingerprint
 
 
 def test_patterns_and_lists_give_each_drive_once(tmp_path):
@@ -61,16 +61,16 @@ def test_fingerprints_change_with_any_file_unless_it_takes_long_to_look_at_them(
     ):
         change()
         seen.append(fingerprint(str(folder)))
-        assert late_fingerprint(str(folder)) == seen[-1] == fingerprint(str(folder))
+        assert running._late_fingerprint(str(folder)) == seen[-1] == fingerprint(str(folder))
     assert len(set(seen)) == 4
     assert fingerprint(str(tmp_path / "gone")) == ""
-    monkeypatch.setattr(files, "_LONG_SECONDS", 0.0)
-    monkeypatch.setattr(files, "_LASTING", 1e9)
-    assert late_fingerprint(str(folder)) == seen[-1]
+    monkeypatch.setattr(running, "_LONG_SECONDS", 0.0)
+    monkeypatch.setattr(running, "_LASTING", 1e9)
+    assert running._late_fingerprint(str(folder)) == seen[-1]
     (folder / "b").unlink()
-    assert late_fingerprint(str(folder)) == seen[-1]
-    monkeypatch.setattr(files, "_LATE", {})
-    assert late_fingerprint(str(folder)) == fingerprint(str(folder)) != seen[-1]
+    assert running._late_fingerprint(str(folder)) == seen[-1]
+    monkeypatch.setattr(running, "_LATE", {})
+    assert running._late_fingerprint(str(folder)) == fingerprint(str(folder)) != seen[-1]
 
 
 OPTIONS = {

@@ -34,12 +34,14 @@ def test_dense_images_keep_the_pixels_of_sparse_ones_nearly(succeeds, recording,
     assert np.median(differences) < 0.03  # points lie beside the centres of pixels, which are large here
 
 
-def test_confidence_and_images_go_where_they_were_asked_for(reported, recording, tmp_path):
+def test_confidence_and_images_go_where_they_were_asked_for(reported, succeeds, recording, tmp_path):
     how = ("--confidence", "--visualize", tmp_path / "look")
     (camera,) = reported("depth", recording, "-o", tmp_path / "out", *how)["cameras"]
     assert (camera["images"], 0 < camera["confidence"] <= 1) == (3, True)
     grey = np.array(Image.open(tmp_path / "out" / "camera0" / "confidence" / "000000.png"))
-    assert (grey.dtype, grey.shape) == (np.uint8, (64, 96))
+    succeeds("depth", recording, "-o", tmp_path / "exact", "--form", "npz")
+    with np.load(tmp_path / "exact" / "camera0" / "000000.npz") as arrays:
+        assert (grey.dtype, grey.tolist()) == (np.uint8, np.rint(arrays["confidence"] * 255).tolist())
     assert len(list((tmp_path / "look" / "camera0").iterdir())) == 3
 
 

@@ -1,11 +1,16 @@
 """Files behind HTTP on this machine, waits that take no time, and one number for all that is in a scene."""
 
 import hashlib
+import json
 import re
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+import fsspec
+import numpy as np
 import pytest
+
+from sceneloom.geometry.rigid import RigidTransform
 
 
 class Served:
@@ -104,12 +109,21 @@ def waits(monkeypatch):
 @pytest.fixture
 def served(waits):
     """An HTTP server that counts what it sends; sessions of the client end before it."""
-    import fsspec
-
     found = Served()
     yield found
     fsspec.filesystem("http").clear_instance_cache()
     found.close()
+
+
+@pytest.fixture
+def memory():
+    """A store in memory, empty at first."""
+    files = fsspec.filesystem("memory")
+    files.store.clear()
+    files.pseudo_dirs[:] = [""]
+    yield files
+    files.store.clear()
+    files.pseudo_dirs[:] = [""]
 
 
 def digest(scene):
@@ -133,3 +147,16 @@ def digest(scene):
     for name, trajectory in sorted(scene.trajectories.items()):
         stated.update(name.encode() + trajectory.positions.tobytes())
     return f"{stated.hexdigest()} {len(scene.annotations)}"
+
+
+def cameras_in_world(folder):
+    """`world_from_camera` of each image by its name, (N, 4, 4), as a folder of COLMAP or nerfstudio has it."""
+    if (folder / "transforms.json").exists():
+        frames = json.loads((folder / "transforms.json").read_text())["frames"]
+        frames.sort(key=lambda frame: frame["file_path"])
+        # its camera axes are x right, y up, z back
+        return np.array([frame["transform_matrix"] for frame in frames]) @ np.diag([1, -1, -1, 1])
+    rows = [line.split() for line in (folder / "sparse/0/images.txt").read_text().splitlines() if ".jpg" in line]
+    poses = [np.array(row[1:8], float) for row in sorted(rows, key=lambda row: row[9])]
+    cameras = [RigidTransform.from_quaternion(pose[4:], np.roll(pose[:4], -1)) for pose in poses]
+    return np.array([camera.inverse().matrix for camera in cameras])

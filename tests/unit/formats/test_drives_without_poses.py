@@ -1,17 +1,17 @@
 """A drive whose trajectory is not known: targets that location things in the world report the same of it."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.unit.formats.conftest import cameras_in_world
 
 from sceneloom import convert, fuse
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.base.losses import Support
-from sceneloom.formats.base.poses import stationary_ego
+from sceneloom.formats.base.poses import STATIONARY_EGO
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import (
     CameraImage,
@@ -64,15 +64,8 @@ def last_ego(name, folder):
     """Where the last frame was along x, as the target has it."""
     if name == "nuscenes":
         return open_scene(folder).trajectories["pose"].positions[-1, 0]
-    if name == "colmap":
-        lines = (folder / "sparse/0/images.txt").read_text().splitlines()
-        last = next(line for line in lines if line.endswith("000005_500000000.jpg")).split()
-        w, x, y, z = map(float, last[1:5])
-        rotation = RigidTransform.from_quaternion(np.zeros(3), np.array([x, y, z, w]))
-        return -rotation.inverse().apply(np.array([list(map(float, last[5:8]))]))[0, 0]
-    if name == "nerfstudio":
-        frames = json.loads((folder / "transforms.json").read_text())["frames"]
-        return max(frame["transform_matrix"][0][3] for frame in frames)
+    if name in ("colmap", "nerfstudio"):
+        return cameras_in_world(folder)[-1, 0, 3]
     first, *_, last = (frame.points.positions[:, 0].min() for frame in open_scene(folder).lidars[0].frames)
     return 1.0 + last - first
 
@@ -87,14 +80,14 @@ def test_targets_in_the_world_follow_the_sweeps_where_they_can_and_stand_as_aske
         assert (loss.support, loss.what) == (Support.APPROXIMATED, "not known: computed by lidar odometry")
         assert last_ego(name, target) == pytest.approx(1.0, abs=0.03)
     losses = write_scene(moving(), tmp_path / "stands", format=name, trajectory="identity", **options)
-    assert reported(losses) == [stationary_ego()]
+    assert reported(losses) == [STATIONARY_EGO]
     # no trajectory can be computed
     (loss,) = reported(write_scene(drive(), tmp_path / "out", format=name, **options))
     assert loss.support is Support.APPROXIMATED
-    assert loss.what.startswith(f"{stationary_ego().what}; none of 2 lidar sweeps has enough returns")
+    assert loss.what.startswith(f"{STATIONARY_EGO.what}; none of 2 lidar sweeps has enough returns")
     if name != "pcd":
         losses = write_scene(replace(drive(), sensors=drive().cameras), tmp_path / "no lidar", format=name)
-        assert reported(losses) == [stationary_ego()]
+        assert reported(losses) == [STATIONARY_EGO]
 
 
 @pytest.mark.parametrize(("name", "options"), IN_WORLD)
@@ -138,7 +131,7 @@ def test_targets_that_hold_data_where_the_sensors_are_need_no_poses(name, tmp_pa
 def test_cuboids_in_the_world_are_seen_from_a_stationary_ego_which_is_reported(name, tmp_path):
     path = CuboidPath(TIMES[:1], np.array([[4.0, 2.0, 1.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))
     scene = replace(drive(), annotations=(CuboidAnnotation("box", path, "car"),))
-    assert reported(write_scene(scene, tmp_path / "out", format=name)) == [stationary_ego()]
+    assert reported(write_scene(scene, tmp_path / "out", format=name)) == [STATIONARY_EGO]
 
 
 def drifted(*, recorded):

@@ -10,95 +10,60 @@ import pytest
 from PIL import Image, PngImagePlugin
 
 from sceneloom.errors import ArrayError, DataError, OutputError
-from sceneloom.formats.base.images import (
-    EncodedImage,
-    without_metadata,
-    write_confidence_png,
-    write_depth_npz,
-    write_depth_png,
-)
+from sceneloom.formats.base.images import EncodedImage, write_depth_image
+from sceneloom.pipeline.redacting import _stripped
 
 DEPTHS = np.random.default_rng(4).uniform(0.5, 120.0, (37, 51)).astype(np.float32)
 DEPTHS[::3] = 0.0
 
 
-def as_opencv_reads(path):
-    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-
-
-def test_opencv_reads_the_png_as_metres_times_256(tmp_path):
-    assert write_depth_png(DEPTHS, tmp_path / "d.png") == 0
-    read = as_opencv_reads(tmp_path / "d.png")
-    assert (read.dtype, read.shape) == (np.uint16, DEPTHS.shape)
+def test_opencv_reads_the_png_as_metres_times_256_and_depths_beyond_16_bits_become_nothing_and_are_counted(tmp_path):
+    beyond = np.array([[255.99, 255.9961, 256.0, 1000.0, np.inf, 0.0, 0.001]], np.float32)
+    counts = [write_depth_image(depths, tmp_path / f"{k}.png") for k, depths in enumerate((DEPTHS, beyond))]
+    read, extremes = (cv2.imread(str(tmp_path / f"{k}.png"), cv2.IMREAD_UNCHANGED) for k in range(2))
+    assert (counts, read.dtype, read.shape) == ([0, 3], np.uint16, DEPTHS.shape)
     # Half a step of 1/256 m: the values are rounded.
     assert np.abs(read / 256.0 - DEPTHS).max() <= 0.5 / 256
     assert np.array_equal(read == 0, DEPTHS == 0)
-
-
-def test_depths_beyond_16_bits_become_nothing_and_are_counted_and_those_below_the_first_step_do_not(tmp_path):
-    depths = np.array([[255.99, 255.9961, 256.0, 1000.0, np.inf, 0.0, 0.001]], np.float32)
-    assert write_depth_png(depths, tmp_path / "d.png") == 3
-    assert as_opencv_reads(tmp_path / "d.png").tolist() == [[65533, 65535, 0, 0, 0, 0, 1]]
+    assert extremes.tolist() == [[65533, 65535, 0, 0, 0, 0, 1]]
 
 
 def test_npz_holds_the_depths_bit_by_bit_and_a_confidence_of_the_same_size_only(tmp_path):
     depths, confidence = DEPTHS.copy(), (DEPTHS > 0).astype(np.float32)
     depths[1, 1] = np.inf
-    write_depth_npz(depths, tmp_path / "d.npz")
-    write_depth_npz(depths, tmp_path / "e.npz", confidence=confidence)
+    write_depth_image(depths, tmp_path / "d.npz")
+    write_depth_image(depths, tmp_path / "e.npz", confidence=confidence)
     with np.load(tmp_path / "d.npz") as file, np.load(tmp_path / "e.npz") as both:
-        assert file.files == ["depth"]
-        assert file["depth"].dtype == np.float32
-        assert file["depth"].tobytes() == depths.tobytes()
+        assert (file.files, file["depth"].dtype, file["depth"].tobytes()) == (["depth"], np.float32, depths.tobytes())
         np.testing.assert_array_equal(both["confidence"], confidence)
     with pytest.raises(ArrayError, match="confidence"):
-        write_depth_npz(depths, tmp_path / "f.npz", confidence=confidence[1:])
+        write_depth_image(depths, tmp_path / "f.npz", confidence=confidence[1:])
 
 
-@pytest.mark.parametrize("write", [write_depth_png, write_depth_npz])
-@pytest.mark.parametrize(
-    ("depths", "message"),
-    [
+@pytest.mark.parametrize("name", ["d.png", "d.npz"])
+def test_what_is_no_depth_image_is_refused_and_files_are_replaced_only_on_request(tmp_path, name):
+    for depths, message in (
         (np.array([[1.0, np.nan]], np.float32), r"depth_image\[0, 1\]: nan"),
         (np.array([[1.0], [-2.0]], np.float32), r"depth_image\[1, 0\]: -2.0"),
         (np.zeros((0, 5), np.float32), "at least one pixel"),
         (np.zeros((4, 5)), "float32"),
-    ],
-)
-def test_what_is_no_depth_image_is_refused(tmp_path, write, depths, message):
-    with pytest.raises(ArrayError, match=message):
-        write(depths, tmp_path / "file")
+    ):
+        with pytest.raises(ArrayError, match=message):
+            write_depth_image(depths, tmp_path / name)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("write", [write_depth_png, write_depth_npz])
-def test_existing_files_are_replaced_only_on_request_and_a_missing_folder_is_named(tmp_path, write):
-    target = tmp_path / "file"
-    target.write_bytes(b"kept")
+    (tmp_path / name).write_bytes(b"kept")
     with pytest.raises(OutputError, match="exists already"):
-        write(DEPTHS, target)
-    assert target.read_bytes() == b"kept"
-    write(DEPTHS, target, overwrite=True)
-    assert target.read_bytes() != b"kept"
+        write_depth_image(DEPTHS, tmp_path / name)
+    assert (tmp_path / name).read_bytes() == b"kept"
+    write_depth_image(DEPTHS, tmp_path / name, overwrite=True)
+    assert (tmp_path / name).read_bytes() != b"kept"
     with pytest.raises(OutputError, match="missing"):
-        write(DEPTHS, tmp_path / "missing" / "d")
+        write_depth_image(DEPTHS, tmp_path / "missing" / name)
 
 
-def test_opencv_reads_confidences_as_255_for_one_and_others_are_refused(tmp_path):
-    confidence = np.array([[0.0, 0.5, 1.0], [0.25, 0.999, 0.001]], np.float32)
-    for wrong in (np.nan, -0.1, 1.1):
-        with pytest.raises(ArrayError, match="from 0 to 1"):
-            write_confidence_png(np.full((2, 2), wrong, np.float32), tmp_path / "c.png")
-    assert not list(tmp_path.iterdir())
-    write_confidence_png(confidence, tmp_path / "c.png")
-    read = as_opencv_reads(tmp_path / "c.png")
-    assert read.dtype == np.uint8
-    np.testing.assert_array_equal(read, [[0, 128, 255], [64, 255, 0]])
-
-
-def encoded(form, size=(64, 48), **options):
+def encoded(form, rgb=None, **options):
     file = io.BytesIO()
-    Image.new("RGB", size, (9, 9, 9)).save(file, form, **options)
+    (Image.new("RGB", (64, 48), (9, 9, 9)) if rgb is None else Image.fromarray(rgb)).save(file, form, **options)
     return file.getvalue()
 
 
@@ -129,10 +94,9 @@ SECRET = b"49.011 N, taken by Ann"
 
 
 def jpeg(**options):
-    content, exif = io.BytesIO(), Image.Exif()
+    exif = Image.Exif()
     exif[0x010E] = SECRET.decode()
-    Image.fromarray(PIXELS).save(content, "JPEG", exif=exif, comment=SECRET, **options)
-    return content.getvalue()
+    return encoded("JPEG", PIXELS, exif=exif, comment=SECRET, **options)
 
 
 def pixels(content):
@@ -145,7 +109,7 @@ def pixels(content):
 def test_a_jpeg_loses_its_locations_and_comments_and_neither_pixel_nor_profile_of_colours(options):
     profile = b"a profile" * 20
     content = jpeg(icc_profile=profile, **options) + jpeg()
-    bare, left_out = without_metadata(content)
+    bare, left_out = _stripped(content)
     assert SECRET in content
     assert SECRET not in bare
     assert {"APP1", "COM", "after the end"} <= set(left_out)
@@ -154,22 +118,15 @@ def test_a_jpeg_loses_its_locations_and_comments_and_neither_pixel_nor_profile_o
     assert (after[1], after[2]["icc_profile"]) == ({}, profile)
 
 
-def test_a_png_loses_its_texts_and_no_pixel():
+def test_a_png_loses_its_texts_and_no_pixel_and_other_files_are_refused_or_cut():
     text = PngImagePlugin.PngInfo()
     text.add_text("location", SECRET.decode())
-    file = io.BytesIO()
-    Image.fromarray(PIXELS).save(file, "PNG", pnginfo=text)
-    content = file.getvalue() + SECRET
-    bare, left_out = without_metadata(content)
+    bare, left_out = _stripped(encoded("PNG", PIXELS, pnginfo=text) + SECRET)
     assert SECRET not in bare
     assert set(left_out) == {"tEXt", "after the end"}
     assert np.array_equal(pixels(bare)[0], PIXELS)
-
-
-def test_files_of_another_kind_and_files_that_break_off_are_refused_or_cut():
-    with pytest.raises(DataError, match="neither JPEG nor PNG"):
-        without_metadata(b"GIF89a")
-    with pytest.raises(DataError, match="ends within a segment"):
-        without_metadata(jpeg()[:10])
+    for content, problem in ((b"GIF89a", "neither JPEG nor PNG"), (jpeg()[:10], "ends within a segment")):
+        with pytest.raises(DataError, match=problem):
+            _stripped(content)
     broken = jpeg()[:-30]
-    assert without_metadata(broken)[0].endswith(broken[-20:])
+    assert _stripped(broken)[0].endswith(broken[-20:])

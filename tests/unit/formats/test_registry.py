@@ -50,12 +50,9 @@ def test_help_of_open_names_each_format_that_is_read():
     assert {form.name for form in list_formats() if form.reads and not form.trajectory} <= words
 
 
-@pytest.mark.parametrize("name", [name for name, form in SPECS.items() if form.writes])
-def test_a_format_that_is_written_says_something_of_every_field(name):
-    assert list(list_supported_fields(name)) == list(MODEL_FIELDS)
-
-
-def test_a_format_that_is_only_read_holds_nothing_and_an_unknown_one_is_refused():
+def test_a_format_that_is_written_says_something_of_every_field_and_one_that_is_only_read_nothing():
+    for name in (name for name, form in SPECS.items() if form.writes):
+        assert list(list_supported_fields(name)) == list(MODEL_FIELDS), name
     assert list_supported_fields("rig") == {}
     assert list_supported_fields("tum")["sensors.lidar.id"].support == Support.DROPPED
     with pytest.raises(OptionError, match="no format or form 'nope'"):
@@ -81,18 +78,11 @@ THEIRS = FormatSpec(
 )
 
 
-@pytest.fixture
-def theirs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another package's format is installed."""
-
+def test_a_format_of_another_package_is_asked_of_every_path_and_an_extra_that_is_missing_named(tmp_path, monkeypatch):
     monkeypatch.setattr(EntryPoint, "load", lambda self: THEIRS)
     point = EntryPoint("theirs", "theirs:FORMAT", "sceneloom.formats")
     monkeypatch.setattr(registry, "_entry_points", lambda: (point,))
     monkeypatch.setattr("sceneloom.formats.base.spec.imported", lambda name: globals()[name.partition(":")[2]])
-
-
-@pytest.mark.usefixtures("theirs")
-def test_a_format_of_another_package_is_asked_of_every_path(tmp_path):
     (tmp_path / "a.bin").write_bytes(b"THEIRS")
     assert find_format(tmp_path / "a.bin") is THEIRS
     with open_scene(tmp_path / "a.bin", loud=True) as scene:
@@ -103,9 +93,7 @@ def test_a_format_of_another_package_is_asked_of_every_path(tmp_path):
         THEIRS.open("a", quiet=True)
     with pytest.raises(OptionError, match="theirs is only read"):
         THEIRS.write(Scene(()), tmp_path / "b")
-
-
-def test_an_extra_that_is_missing_is_named_before_anything_is_imported():
+    # before anything is imported
     about = {"name": "x", "title": "x", "looks_like": "x", "reader": "none:none", "extra": "mcap"}
     with pytest.raises(MissingExtraError, match=r"sceneloom\[mcap\]"):
         FormatSpec(**about, needs=("not_there_at_all",)).open("a")
@@ -147,32 +135,28 @@ def test_a_file_is_asked_of_those_formats_only_that_begin_so(tmp_path):
     assert not any(FORMATS[name].file or FORMATS[name].folder for name in ("colmap", "nerfstudio"))
 
 
-def log_line(folder: Path) -> None:
-    (folder / "data.jsonl").write_text('{"time":1.0,"groundTruth":{"position":{"x":0,"y":0,"z":0}}}\n')
-
-
-def test_two_formats_in_one_folder_are_both_named_and_one_can_be_chosen(tmp_path):
-    log_line(tmp_path)
-    (tmp_path / "rig.toml").write_text("[sensors.top]\n")
-    problem = r"more than one reader claims this: recording, .*; rig, .*--input-format"
-    with pytest.raises(UnknownFormatError, match=problem):
-        find_format(tmp_path)
-    with open_scene(tmp_path, format="recording") as scene:
-        assert scene.format == "recording"
-
-
-def test_a_folder_of_drives_names_what_is_inside(tmp_path):
-    (tmp_path / "monday").mkdir()
-    log_line(tmp_path / "monday")
+def test_two_formats_in_one_folder_are_both_named_and_one_can_be_chosen_and_a_folder_of_drives_names_them(tmp_path):
+    monday = tmp_path / "monday"
+    monday.mkdir()
+    (monday / "data.jsonl").write_text('{"time":1.0,"groundTruth":{"position":{"x":0,"y":0,"z":0}}}\n')
     with pytest.raises(UnknownFormatError, match=r"no reader knows this; inside are .*monday \(recording\)"):
         find_format(tmp_path)
+    (monday / "rig.toml").write_text("[sensors.top]\n")
+    problem = r"more than one reader claims this: recording, .*; rig, .*--input-format"
+    with pytest.raises(UnknownFormatError, match=problem):
+        find_format(monday)
+    with open_scene(monday, format="recording") as scene:
+        assert scene.format == "recording"
 
 
 def test_a_path_that_nothing_knows_lists_all_formats_that_are_read_and_what_is_empty_is_reported_to_be(tmp_path):
     (tmp_path / "notes.doc").write_text("hello")
+    (tmp_path / "noise").write_bytes(bytes(range(256)) * 9)
     (tmp_path / "nothing.sfs").write_bytes(b"")
     (tmp_path / "folder").mkdir()
     named = ", ".join(name for name, form in SPECS.items() if form.reads)
+    claims = [(n, path.name) for n, form in SPECS.items() for path in tmp_path.iterdir() if form.sniff(path)]
+    assert claims == []
     for name, problem in (
         ("notes.doc", f"expected one of: {named}$"),
         ("nothing.sfs", r"no reader knows this; it is empty; expected one of"),
@@ -182,25 +166,12 @@ def test_a_path_that_nothing_knows_lists_all_formats_that_are_read_and_what_is_e
             find_format(tmp_path / name)
 
 
-def test_no_format_claims_an_empty_folder_or_a_file_of_noise(tmp_path):
-    (tmp_path / "noise").write_bytes(bytes(range(256)) * 9)
-    (tmp_path / "empty").write_bytes(b"")
-    (tmp_path / "folder").mkdir()
-    found = [
-        (name, path.name)
-        for name, form in SPECS.items()
-        for path in tmp_path.iterdir()
-        if form.reads and form.sniff(path)
-    ]
-    assert found == []
-
-
 def test_every_suffix_names_one_format_that_is_written_and_none_a_recording(tmp_path, monkeypatch):
     for name, form in SPECS.items():
         for suffix in filter(None, form.suffixes if form.writes else ()):
             assert format_for_output(tmp_path / f"drive{suffix}").name == name, suffix
     assert format_for_output(tmp_path / "drive").name == "recording"
     twin = FormatSpec(name="twin", title="a twin", suffixes=(".sfs",), looks_like="its twin", writer="twins:write")
-    monkeypatch.setattr(registry, "all_formats", lambda: [*SPECS.values(), twin])
+    monkeypatch.setattr(registry, "_all_formats", lambda: [*SPECS.values(), twin])
     with pytest.raises(OptionError, match=r"belongs to several formats; use `--to sfs` or `--to twin`"):
         format_for_output(tmp_path / "drive.sfs")

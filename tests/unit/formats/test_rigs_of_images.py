@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 from PIL import Image
+from tests.unit.formats.conftest import cameras_in_world
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError
@@ -98,8 +99,6 @@ def world_from_images(scene):
 @pytest.mark.parametrize("different", [False, True], ids=["equal", "different"])
 @pytest.mark.parametrize("name", ["drive.mcap", "drive.bag", "drive.ros2", "drive.sfs", "copy"])
 def test_a_target_has_camera_model_and_mounting_of_each_image(recording, tmp_path, name, different):
-    if name in ("drive.bag", "drive.ros2"):
-        pytest.importorskip("rosbags")
     with open_scene(recording(different=different)) as scene:
         report = write_scene(scene, tmp_path / name)
     assert not [loss for loss in report.losses if loss.field.endswith("mount") and loss.support is Support.DROPPED]
@@ -109,6 +108,14 @@ def test_a_target_has_camera_model_and_mounting_of_each_image(recording, tmp_pat
     for (mount, camera_model), (ego_from_camera, focal_length) in zip(found, expected(different), strict=True):
         np.testing.assert_allclose(mount.matrix, ego_from_camera.matrix, atol=1e-9)
         assert camera_model.fx == pytest.approx(focal_length)
+    if name == "drive.bag":
+        # other programs find one fixed transform, or one at the time of each image
+        rows = [row for row in transforms_of(tmp_path / name) if row[1] == "camera0"]
+        moments = [("/tf", time) for time in (0.25, 0.45, 0.65)] if different else [("/tf_static", None)]
+        assert [(topic, round(time, 6) if different else None) for topic, _, time, _ in rows] == moments
+        for (_, _, _, rotation), (ego_from_camera, _) in zip(rows, expected(different), strict=False):
+            found = [rotation.x, rotation.y, rotation.z, rotation.w]
+            assert abs(np.dot(found, ego_from_camera.quaternion_xyzw)) == pytest.approx(1.0, abs=1e-12)
 
 
 def transforms_of(path):
@@ -120,21 +127,6 @@ def transforms_of(path):
                 for one in bag.deserialize(raw, connection.msgtype).transforms:
                     time = one.header.stamp.sec + one.header.stamp.nanosec * 1e-9
                     yield connection.topic, one.child_frame_id, time, one.transform.rotation
-
-
-@pytest.mark.parametrize(
-    ("different", "expected_rows"), [(False, [("/tf_static", None)]), (True, [("/tf", t) for t in (0.25, 0.45, 0.65)])]
-)
-def test_other_programs_find_one_fixed_transform_or_one_at_the_time_of_each_image(
-    recording, tmp_path, different, expected_rows
-):
-    with open_scene(recording(different=different)) as scene:
-        write_scene(scene, tmp_path / "drive.bag")
-    rows = [row for row in transforms_of(tmp_path / "drive.bag") if row[1] == "camera0"]
-    assert [(topic, round(time, 6) if different else None) for topic, _, time, _ in rows] == expected_rows
-    for (_, _, _, rotation), (ego_from_camera, _) in zip(rows, expected(different), strict=False):
-        found = [rotation.x, rotation.y, rotation.z, rotation.w]
-        assert abs(np.dot(found, ego_from_camera.quaternion_xyzw)) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_openlabel_says_where_the_camera_was_at_each_image(recording, tmp_path):
@@ -155,20 +147,20 @@ def test_openlabel_says_where_the_camera_was_at_each_image(recording, tmp_path):
             assert fx == pytest.approx(image.camera.fx)
 
 
-@pytest.mark.parametrize("name", ["kitti-raw", "kitti-tracking", "kitti-odometry"])
-def test_a_target_with_one_mounting_for_all_images_refuses_different_ones(recording, tmp_path, name):
+def test_one_mounting_for_all_refuses_different_ones_and_a_calibration_that_no_image_uses_is_reported(
+    recording, tmp_path
+):
     problem = "images have mountings of their own"
-    with open_scene(recording(different=True)) as scene, pytest.raises(CalibrationError, match=problem):
-        write_scene(scene, tmp_path / "out", format=name)
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_calibration_that_no_image_uses_is_reported_and_parameters_without_a_size_are_those_of_the_images(recording):
-    with open_scene(recording(different=False)) as scene:
+    with open_scene(recording(different=True)) as scene:
+        for name in ("kitti-raw", "kitti-tracking", "kitti-odometry"):
+            with pytest.raises(CalibrationError, match=problem):
+                write_scene(scene, tmp_path / "out", format=name)
+            assert not (tmp_path / "out").exists()
         messages = [warning.message for warning in scene.warnings if warning.code == "calibration-not-used"]
         camera = scene.cameras[0].camera
     assert len(messages) == 2
     assert "179 degrees" in messages[1]
+    # parameters without a size are those of the images
     assert (camera.width, camera.height) == SIZE
     assert (camera.fx, camera.cx) == (CAMERA_MODEL["focalLengthX"], CAMERA_MODEL["principalPointX"])
 
@@ -297,22 +289,9 @@ def test_images_of_a_camera_that_moves_on_the_vehicle_stand_where_each_was(name,
     injected = corrected_over_time(kind)
     report = write_scene(injected, tmp_path / "out", format=name)
     assert not of_poses(report, Support.APPROXIMATED)
-    if name == "colmap":
-        lines = (tmp_path / "out/sparse/0/images.txt").read_text().splitlines()
-        rows = [line.split() for line in lines if line.endswith(".jpg")]
-        numbers = [list(map(float, row[1:8])) for row in sorted(rows, key=lambda row: row[9])]
-        found = [
-            RigidTransform.from_quaternion(np.array(row[4:]), np.array([*row[1:4], row[0]])).inverse().matrix
-            for row in numbers
-        ]
-    else:
-        reported = json.loads((tmp_path / "out/transforms.json").read_text())["frames"]
-        frames = sorted(reported, key=lambda frame: frame["file_path"])
-        # its camera axes are x right, y up, z back
-        found = [np.array(frame["transform_matrix"]) @ np.diag([1, -1, -1, 1]) for frame in frames]
     times = injected.cameras[0].images.timestamps_ns
     held = next(iter(injected.trajectories.values())).poses.held(times)
     pairs = zip(held.positions, held.quaternions_xyzw, strict=True)
     egos = [RigidTransform.from_quaternion(*pair).matrix for pair in pairs]
-    mounts = np.linalg.inv(egos) @ np.array(found)
+    mounts = np.linalg.inv(egos) @ cameras_in_world(tmp_path / "out")
     np.testing.assert_allclose(np.linalg.inv(mounts[0]) @ mounts, expected_mountings(), atol=1e-5)

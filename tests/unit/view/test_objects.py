@@ -12,7 +12,7 @@ from tests.properties.injected import SHOTS, TIMES
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.results import FusedBoxes
 from sceneloom.errors import DataError
-from sceneloom.formats.base.images import write_depth_png
+from sceneloom.formats.base.images import write_depth_image
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.tracking import track_lines
 from sceneloom.scene import Support, TrackedObjects
@@ -132,7 +132,7 @@ def test_fused_depths_lie_over_their_images(save, injected, tmp_path):
     depths = (np.arange(48 * 64, dtype=np.float32).reshape(48, 64) % 700) / 16
     folder = tmp_path / "depth"
     folder.mkdir()
-    write_depth_png(depths, folder / "000001.png")
+    write_depth_image(depths, folder / "000001.png")
     line = {"file": "000001.png", "lidar": "top", "sweep_ns": int(TIMES[1]), "camera": "left"}
     (folder / "index.jsonl").write_text(json.dumps({**line, "image_ns": int(SHOTS[1])}) + "\n")
     saved = save(replace(injected, sensors=(camera,), annotations=()), depth=folder)

@@ -3,12 +3,9 @@
 And faults with their locations.
 """
 
-import re
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.warnings import DataWarning, WarningKind
@@ -90,9 +87,6 @@ class Ledger:
 MALFORMED = "malformed"
 """The code of a fault that has no code of its own."""
 
-MOST_LOCATIONS = 1000
-"""So many faults of one code a ledger keeps with their locations; further ones are counted."""
-
 
 @dataclass(frozen=True, slots=True)
 class PlacedFault:
@@ -122,71 +116,3 @@ class PlacedFault:
     def where(self) -> str:
         """The path, with the item's number where there is one."""
         return self.path if self.item is None else f"{self.path} ($items[{self.item}])"
-
-
-@dataclass(slots=True)
-class _Further:
-    """Faults of one code that are only counted, and the last of them."""
-
-    count: int
-    last: SceneloomError
-
-
-class FaultLedger(Ledger):
-    """A ledger that passes over faults and keeps each with its location; of very many, it counts those beyond."""
-
-    def __init__(self, folder: object) -> None:
-        """Begin with none.
-
-        Args:
-            folder: what is read; locations are distinguished from there on.
-        """
-        super().__init__(lenient=True)
-        self._kept: list[PlacedFault] = []
-        self._counts: Counter[str] = Counter()
-        self._further: dict[str, _Further] = {}
-        self._folder = str(folder)
-
-    def fault(self, code: str, error: SceneloomError, *, count: int = 1) -> None:
-        """Keep a fault."""
-        del count
-        self._counts[code] += 1
-        if self._counts[code] <= MOST_LOCATIONS:
-            self._kept.append(placed(error, code, self._folder))
-            return
-        further = self._further.setdefault(code, _Further(0, error))
-        further.count += 1
-        further.last = error
-
-    def refuse(self, code: str, error: SceneloomError) -> None:
-        """Keep a fault that decides what the rest means."""
-        self._kept.append(replace(placed(error, code, self._folder), vital=True))
-
-    @property
-    def faults(self) -> tuple[PlacedFault, ...]:
-        """In the order in which they came up; after them, those that were only counted, one for each code."""
-        return (*self._kept, *(self._counted(code, further) for code, further in self._further.items()))
-
-    def _counted(self, code: str, further: _Further) -> PlacedFault:
-        last = placed(further.last, code, self._folder)
-        problem = f"the last of {further.count} more: {last.problem}"
-        return replace(last, problem=problem, count=further.count)
-
-
-def placed(error: SceneloomError, code: str, folder: str) -> PlacedFault:
-    """An error as a fault, its file distinguished from the folder on."""
-    if isinstance(error, DataError):
-        # lidar files are known by where links lead
-        top = folder if error.file.startswith(folder) else f"{Path(folder).resolve()}/"
-        file = error.file.removeprefix(top).lstrip("/")
-        return PlacedFault(": ".join(filter(None, (file, error.location))), error.problem, code)
-    text = str(error)
-    if not text.startswith(f"{folder}/"):
-        return PlacedFault("", text, code)
-    location = _LOCATION.match(text.removeprefix(f"{folder}/"))
-    if location is None:
-        return PlacedFault("", text.removeprefix(f"{folder}/"), code)
-    return PlacedFault(location[0].removesuffix(": "), text.removeprefix(f"{folder}/{location[0]}"), code)
-
-
-_LOCATION = re.compile(r"(?:(?:line \d+|[^\s:]+): )+")  # file, line and path with which a message begins

@@ -8,7 +8,6 @@ import io
 import os
 import re
 import stat
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -327,11 +326,6 @@ class FileIdentity:
             raise DataError(self.name, "", problem)
 
 
-_LONG_SECONDS, _LASTING = 0.2, 20
-_LATE: dict[str, tuple[str, float]] = {}
-_FINGERPRINTS_LOCK = Lock()
-
-
 def fingerprint(location: str) -> str:
     """Report a file or folder from what it was at another time.
 
@@ -353,25 +347,6 @@ def fingerprint(location: str) -> str:
     except OSError:
         return ""
     return reported.hexdigest()
-
-
-def late_fingerprint(location: str) -> str:
-    """Do as `fingerprint`, but of a data set whose files take long to look at, give for a while what was found before.
-
-    One that is older than the reading of a drive lets the drive count as changed at worst. It is given twenty times as
-    long as it took, so that the drives of a data set, each read for itself, wait little for it.
-    """
-    with _FINGERPRINTS_LOCK:
-        found, until = _LATE.get(location, ("", 0.0))
-        begun = time.monotonic()
-        if begun < until:
-            return found
-        found = fingerprint(location)
-        spent = time.monotonic() - begun
-        _LATE.clear()
-        if spent > _LONG_SECONDS:
-            _LATE[location] = found, begun + _LASTING * spent
-        return found
 
 
 _REMOTE_CONTENTS = "sceneloom.formats.remote.mirror:remote_contents"

@@ -2,7 +2,6 @@
 
 import io
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Int64Array, UInt8Array, check_array
+from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.files import check_pixels, check_regular, read_bytes
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 _PNG_HEAD = struct.Struct(">8s4x4sIIBB")
-_JPEG_START, PNG_START = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
+PNG_START = b"\x89PNG\r\n\x1a\n"
 _SCAN_MARK = b"\xff\xda"
 
 _MOST_SCANS = 100  # of a progressive image; encoders make some ten
@@ -58,7 +57,7 @@ class EncodedImage:
         Raises:
             DataError: it is no such file, damaged, of another size, or of more than 8 bits.
         """
-        width, height = image_size(self.content, self.form, owner=self.owner, location=self.location)
+        width, height = self.stated_size()
         if (width, height) != (self.width, self.height):
             problem = f"an image of {width}x{height}; expected {self.width}x{self.height}"
             raise DataError(self.owner, self.location, problem)
@@ -67,6 +66,19 @@ class EncodedImage:
         except _FAULTS as error:
             problem = f"cannot be decoded as {self.form}: {error}"
             raise DataError(self.owner, self.location, problem) from error
+
+    def stated_size(self) -> tuple[int, int]:
+        """Width and height that its head has [px].
+
+        Raises:
+            DataError: it is no such file, of more than 8 bits, or has more pixels than `check_pixels` lets pass.
+        """
+        try:
+            width, height = _size_of(self.content, self.form)
+        except _FAULTS as error:
+            raise DataError(self.owner, self.location, f"is no {self.form} file: {error}") from error
+        check_pixels(self.owner, self.location, width, height)
+        return width, height
 
     def encoded(self) -> bytes:
         """The file."""
@@ -98,25 +110,6 @@ def open_image(path: Path, formats: tuple[str, ...]) -> "Image.Image":
         image.close()
         raise
     return image
-
-
-def image_size(content: bytes, form: str, *, owner: str = "image", location: str = "") -> tuple[int, int]:
-    """Width and height of a file in memory [px], from its head.
-
-    Args:
-        form: "jpeg" or "png".
-        owner: what it belongs to, for messages.
-        location: the field that holds it, for messages.
-
-    Raises:
-        DataError: it is no such file, of more than 8 bits, or has more pixels than `check_pixels` lets pass.
-    """
-    try:
-        width, height = _size_of(content, form)
-    except _FAULTS as error:
-        raise DataError(owner, location, f"is no {form} file: {error}") from error
-    check_pixels(owner, location, width, height)
-    return width, height
 
 
 def encode_png(rgb: UInt8Array) -> bytes:
@@ -281,209 +274,54 @@ class ImageReader:
         return CameraImage(int(self.timestamps_ns[k]), self.camera, file, extras=extras, encoded=encoded)
 
 
-_KEPT_CHUNKS = frozenset(
-    {b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"sBIT", b"bKGD", b"cICP"}
-)
-"""What a PNG file needs to show its image in its colours. Source: PNG, 3rd edition, 11.2 and 11.3."""
-
-_APPLICATIONS, _COMMENT = range(0xE0, 0xF0), 0xFE
-_SCAN, _STOP, _RESTARTS = 0xDA, 0xD9, range(0xD0, 0xD8)
-_ADOBE, _PROFILE = 0xEE, 0xE2
-
-
-def without_metadata(content: bytes, *, name: str = "image") -> tuple[bytes, tuple[str, ...]]:
-    """Give an image's file without anything that its pixels do not need; they stay bit by bit.
-
-    Args:
-        content: a JPEG or PNG file.
-        name: what messages call it.
-
-    Returns:
-        The file, and what was left out of it: "APP1", "COM", "eXIf", "after the end", …
-
-    Raises:
-        DataError: it is neither, or its parts do not follow one another as they must.
-
-    Source: ITU-T T.81, annex B; PNG, 3rd edition, 5.3.
-    """
-    if content.startswith(PNG_START):
-        parts = _png_parts(content, name)
-    elif content.startswith(_JPEG_START):
-        parts = _jpeg_parts(content, name)
-    else:
-        raise DataError(name, "", "is neither JPEG nor PNG, so what it says of itself cannot be left out")
-    kept, left_out = [], []
-    for part, called in parts:
-        if called:
-            left_out.append(called)
-        else:
-            kept.append(part)
-    return b"".join(kept), tuple(left_out)
-
-
-def _png_parts(content: bytes, name: str) -> Iterator[tuple[bytes, str]]:
-    """The parts of a file, each with its name if it is to be left out."""
-    yield PNG_START, ""
-    position = len(PNG_START)
-    while position < len(content):
-        length = int.from_bytes(content[position : position + 4])
-        kind = content[position + 4 : position + 8]
-        stop = position + 12 + length
-        if stop > len(content) or len(kind) < 4:
-            raise DataError(name, f"byte {position}", "the file ends within a part of it")
-        yield content[position:stop], "" if kind in _KEPT_CHUNKS else kind.decode("latin-1")
-        position = stop
-        if kind == b"IEND":
-            break
-    else:
-        raise DataError(name, "", "the file has no end")
-    if position < len(content):
-        yield content[position:], "after the end"
-
-
-def _jpeg_parts(content: bytes, name: str) -> Iterator[tuple[bytes, str]]:
-    """The segments of a file, each with its name if it is to be left out."""
-    yield content[:2], ""
-    position = 2
-    while True:
-        while content[position : position + 2] == b"\xff\xff":
-            position += 1
-        if position + 2 > len(content):
-            # broken off after the image's data: decoders show it
-            return
-        if content[position] != 0xFF:
-            raise DataError(name, f"byte {position}", f"{content[position]:#04x}; expected a marker")
-        marker = content[position + 1]
-        if marker == _STOP:
-            yield content[position : position + 2], ""
-            break
-        stop = position + 2 + int.from_bytes(content[position + 2 : position + 4])
-        if stop > len(content) or stop < position + 4:
-            raise DataError(name, f"byte {position}", "the file ends within a segment")
-        yield content[position:stop], _segment_name(marker, content[position + 4 : stop])
-        position = stop
-        if marker == _SCAN:
-            stop = _scan_end(content, position)
-            yield content[position:stop], ""
-            position = stop
-    if position + 2 < len(content):
-        yield content[position + 2 :], "after the end"
-
-
-def _segment_name(marker: int, payload: bytes) -> str:
-    """What a segment is called that an image's colours do not need; nothing for one that they do."""
-    if marker == _COMMENT:
-        return "COM"
-    if marker not in _APPLICATIONS:
-        return ""
-    needed = (marker == _ADOBE and payload.startswith(b"Adobe")) or (
-        marker == _PROFILE and payload.startswith(b"ICC_PROFILE")
-    )
-    # the plain head says the shape of pixels; with a small image in it, it is left out
-    plain = marker == _APPLICATIONS[0] and payload.startswith(b"JFIF") and len(payload) == 14
-    return "" if needed or plain else f"APP{marker - _APPLICATIONS[0]}"
-
-
-def _scan_end(content: bytes, position: int) -> int:
-    """Where the data of a scan end: at the next marker that is none of its own."""
-    while True:
-        position = content.find(b"\xff", position)
-        if position < 0 or position + 1 >= len(content):
-            return len(content)
-        marker = content[position + 1]
-        if marker != 0 and marker not in _RESTARTS and marker != 0xFF:
-            return position
-        position += 1 if marker == 0xFF else 2
-
-
 _STEPS_PER_METRE = 256
 _LARGEST = 65535
 _COMPRESSION = 3
 
 
-def write_depth_png(depth_image: Float32Array, path: Path, *, overwrite: bool = False) -> int:
-    """Write a depth image as PNG with 16 bits a pixel, rounded to 1/256 m.
+def write_depth_image(
+    depth_image: Float32Array, path: Path, *, confidence: Float32Array | None = None, overwrite: bool = False
+) -> int:
+    """Write a depth image: losslessly as `.npz`, else as PNG with 16 bits a pixel, rounded to 1/256 m.
 
     Args:
-        depth_image: (H, W) float32 [m], 0 for none. A depth too small for the first step is written as one step.
+        depth_image: (H, W) float32 [m], 0 for none: the array `depth` of an NPZ file, which is compressed. In a PNG a
+            depth too small for the first step is written as one step.
+        confidence: (H, W) float32, 0 to 1: the array `confidence` of an NPZ file.
         overwrite: replace a file that is there.
 
     Returns:
         How many depths lie beyond what 16 bits hold (255.99 m); they are written as 0.
 
     Raises:
-        ArrayError: the image is empty, or holds NaN or a negative depth.
-        OutputError: the file exists or cannot be written.
-    """
-    from PIL import Image
-
-    _check(depth_image)
-    steps = np.rint(depth_image.astype(np.float64) * _STEPS_PER_METRE)
-    beyond = steps > _LARGEST
-    steps[(depth_image > 0) & (steps == 0)] = 1
-    steps[beyond] = 0
-    with replacing(path, overwrite=overwrite) as draft:
-        Image.fromarray(steps.astype(np.uint16)).save(draft, "PNG", compress_level=_COMPRESSION)
-    return int(beyond.sum())
-
-
-def read_depth_png(path: Path) -> Float32Array:
-    """Read a depth image with 16 bits a pixel, in steps of 1/256 m.
-
-    Returns:
-        (H, W) float32 [m], 0 for none.
-
-    Raises:
-        DataError: it is no such image.
-    """
-    try:
-        with open_image(path, ("PNG",)) as image:
-            if not image.mode.startswith("I"):
-                raise DataError(path, "", f"an image of mode {image.mode}; expected depths of 16 bits a pixel")
-            return np.asarray(image, np.float32) / np.float32(_STEPS_PER_METRE)
-    except (OSError, SyntaxError, ValueError) as error:
-        raise DataError(path, "", f"cannot be read as a depth image: {error}") from error
-
-
-def write_depth_npz(
-    depth_image: Float32Array, path: Path, *, confidence: Float32Array | None = None, overwrite: bool = False
-) -> None:
-    """Write a depth image losslessly, as array `depth` of a compressed NPZ file.
-
-    Args:
-        depth_image: (H, W) float32 [m], 0 for none.
-        confidence: (H, W) float32, 0 to 1: goes into the array `confidence` of the file.
-        overwrite: replace a file that is there.
-
-    Raises:
         ArrayError: the image is empty, or holds NaN or a negative depth, or the confidence is of another size.
         OutputError: the file exists or cannot be written.
     """
     _check(depth_image)
-    check_array("confidence", confidence, depth_image.shape, np.float32, optional=True)
-    arrays = {"depth": depth_image} | ({} if confidence is None else {"confidence": confidence})
-    with replacing(path, overwrite=overwrite) as draft, draft.open("wb") as file:
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # its flags are keywords, too
+    if path.suffix == ".npz":
+        check_array("confidence", confidence, depth_image.shape, np.float32, optional=True)
+        arrays = {"depth": depth_image} | ({} if confidence is None else {"confidence": confidence})
+        with replacing(path, overwrite=overwrite) as draft, draft.open("wb") as file:
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # its flags are keywords, too
+        return 0
+    steps = np.rint(depth_image.astype(np.float64) * _STEPS_PER_METRE)
+    beyond = steps > _LARGEST
+    steps[(depth_image > 0) & (steps == 0)] = 1
+    steps[beyond] = 0
+    write_grey_png(steps.astype(np.uint16), path, overwrite=overwrite)
+    return int(beyond.sum())
 
 
-def write_confidence_png(confidence: Float32Array, path: Path, *, overwrite: bool = False) -> None:
-    """Write confidences as PNG with 8 bits a pixel: 255 for 1.
-
-    Args:
-        confidence: (H, W) float32, 0 to 1.
-        overwrite: replace a file that is there.
+def write_grey_png(values: AnyArray, path: Path, *, overwrite: bool = False) -> None:
+    """Write (H, W) uint8 or uint16 as PNG, one number a pixel.
 
     Raises:
-        ArrayError: the image is empty, or holds a number outside 0 to 1.
         OutputError: the file exists or cannot be written.
     """
     from PIL import Image
 
-    check_array("confidence", confidence, (None, None), np.float32)
-    if confidence.size == 0 or not (confidence >= 0).all() or not (confidence <= 1).all():
-        raise ArrayError(f"confidence: {confidence.shape}; expected at least one pixel, and numbers from 0 to 1")
     with replacing(path, overwrite=overwrite) as draft:
-        Image.fromarray(np.rint(confidence * 255).astype(np.uint8)).save(draft, "PNG", compress_level=_COMPRESSION)
+        Image.fromarray(values).save(draft, "PNG", compress_level=_COMPRESSION)
 
 
 def _check(depth_image: Float32Array) -> None:

@@ -121,7 +121,7 @@ def ego_in_world(scene: Scene, *, name: str | None = None) -> tuple[EgoMotion, l
     if name is not None:
         ego = find_ego_motion(scene, name=name)
         if ego.name == IDENTITY and name not in scene.trajectories:
-            return ego, [stationary_ego()]
+            return ego, [STATIONARY_EGO]
         return ego, [_computed(computed_name(scene, name) or name)] if is_computed(scene, name) else []
     for trajectory in scene.trajectories.values():
         if trajectory.quaternions_xyzw is not None:
@@ -139,26 +139,21 @@ def ego_in_world(scene: Scene, *, name: str | None = None) -> tuple[EgoMotion, l
             faults.append("no two sweeps could be compared")
             continue
         return ego, [_computed(computed)]
-    return find_ego_motion(scene, name=IDENTITY), [stationary_ego(*faults)]
+    return find_ego_motion(scene, name=IDENTITY), [_stationary_ego(*faults)]
 
 
 def _computed(name: str) -> Loss:
     return Loss(field="trajectories.positions", what=_COMPUTED[name], support=Support.APPROXIMATED)
 
 
-def stationary_ego(*faults: str) -> Loss:
-    """What every target that locations things in the world reports of a drive whose trajectory is not known.
-
-    Args:
-        faults: why it could not be computed.
-    """
+def _stationary_ego(*faults: str) -> Loss:
+    """That nothing is known of the trajectory, and why it could not be computed."""
     what = "; ".join(("not known: the ego is taken to stand at the world's origin", *faults))
     return Loss(field="trajectories.positions", what=what, support=Support.APPROXIMATED)
 
 
-def field_of(sensor: ShootingSensor) -> str:
-    """The path of a camera's images or depth images, for loss reports."""
-    return f"sensors[{sensor.id}].{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
+STATIONARY_EGO = _stationary_ego()
+"""What every target that locations things in the world reports of a drive whose trajectory is not known."""
 
 
 _RIGID_WITHIN_M, _RIGID_WITHIN_DEG = 0.001, 0.05
@@ -275,8 +270,10 @@ def _one_for_all(sensor: Any, mount: RigidTransform, own: Sequence[RigidTransfor
             "nuscenes, kitti-object), or leave the camera out"
         )
     what = f"one mounting stands for those of the images, which are up to {found} apart"
-    field = f"{field_of(sensor)}[].mount"
-    return [Loss(field=field, what=what, count=len(own), support=Support.APPROXIMATED)]
+    frames = "images" if isinstance(sensor, CameraSensor) else "frames"
+    return [
+        Loss(field=f"sensors[{sensor.id}].{frames}[].mount", what=what, count=len(own), support=Support.APPROXIMATED)
+    ]
 
 
 def _ego_from_sensor(sensor: ShootingSensor | LidarSensor, ego_path: Poses | None) -> tuple[Poses | None, int]:

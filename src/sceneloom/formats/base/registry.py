@@ -146,8 +146,8 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
             "sceneloom.formats.euroc_mav.spec:FORMAT", folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv")
         ),
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
-        "colmap": FormatRow("sceneloom.formats.colmap.spec:FORMAT"),
-        "nerfstudio": FormatRow("sceneloom.formats.nerfstudio.spec:FORMAT"),
+        "colmap": FormatRow("sceneloom.formats.posed_images.spec:COLMAP"),
+        "nerfstudio": FormatRow("sceneloom.formats.posed_images.spec:NERFSTUDIO"),
     }
 )
 """The formats by name. Their rows are looked at before a spec is imported; they only rule out, and a spec decides."""
@@ -180,14 +180,14 @@ def format_named(name: str) -> FormatSpec:
     raise OptionError(f"no format {name!r}; there are {', '.join(format_names())}")
 
 
-def all_formats() -> list[FormatSpec]:
+def _all_formats() -> list[FormatSpec]:
     """Import the specs of all formats."""
     return list(map(format_named, format_names()))
 
 
 def written_formats() -> list[str]:
     """Names of the formats that are written."""
-    return [form.name for form in all_formats() if form.writes]
+    return [form.name for form in _all_formats() if form.writes]
 
 
 def formats_that_may_be(path: Path) -> list[FormatSpec]:
@@ -214,7 +214,7 @@ def find_format(path: Path) -> FormatSpec:
     if len(claims) == 1:
         return claims[0]
     if not claims:
-        expected = f"expected one of: {', '.join(form.name for form in all_formats() if form.reads)}"
+        expected = f"expected one of: {', '.join(form.name for form in _all_formats() if form.reads)}"
         raise UnknownFormatError(path, "", "; ".join(["no reader knows this", *_guesses(path), expected]))
     names = "; ".join(f"{form.name}, {form.looks_like}" for form in claims)
     raise UnknownFormatError(
@@ -262,7 +262,7 @@ _LOOKED_AT = 20  # how many entries of an unknown folder are looked into
 def _format_of_url(url: str) -> FormatSpec:
     """Find the format that reads files behind URLs; those of another suffix have to be fetched first."""
     suffix = Path(urlsplit(url).path).suffix.lower()
-    forms = [form for form in all_formats() if form.reads_urls]
+    forms = [form for form in _all_formats() if form.reads_urls]
     for form in forms:
         if suffix in form.suffixes:
             return form
@@ -394,7 +394,7 @@ def _read_by_ranges(url: str, format: str | None) -> bool:
     if format is not None:
         return format_named(format).reads_urls
     suffix = Path(urlsplit(url).path).suffix.lower()
-    return any(form.reads_urls and suffix in form.suffixes for form in all_formats())
+    return any(form.reads_urls and suffix in form.suffixes for form in _all_formats())
 
 
 _FETCH = "sceneloom.formats.remote.mirror:fetch"
@@ -453,7 +453,7 @@ def format_for_output(path: Path) -> FormatSpec:
         return format_named(_OF_FOLDERS)
     endings = [
         (suffix, form)
-        for form in all_formats()
+        for form in _all_formats()
         if form.writes
         for suffix in form.suffixes
         if suffix and path.name.lower().endswith(suffix)

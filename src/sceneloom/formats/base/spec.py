@@ -195,13 +195,8 @@ def drives_in(path: Path, is_drive: Callable[[Path], bool]) -> list[Path]:
     if not path.is_dir():
         return []
     if is_drive(path):
-        return [named_folder(path)]
+        return [path if path.name else path.resolve()]  # `.` has no name
     return [child for child in sorted(path.iterdir()) if is_drive(child)]
-
-
-def named_folder(path: Path) -> Path:
-    """Give a folder by a path that ends in its name, which `.` does not."""
-    return path if path.name else path.resolve()
 
 
 def choose_drive(path: Path, drives: Sequence[Path], sequence: str | None, *, called: str, expected: str) -> Path:

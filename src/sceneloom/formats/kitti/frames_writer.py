@@ -16,7 +16,7 @@ from sceneloom.editing.thin import chosen_points
 from sceneloom.errors import CalibrationError, DataError, PoseError
 from sceneloom.formats.base.images import ImageFile
 from sceneloom.formats.base.losses import Losses
-from sceneloom.formats.base.poses import each_mounted, mounting, stationary_ego
+from sceneloom.formats.base.poses import STATIONARY_EGO, each_mounted, mounting
 from sceneloom.formats.base.written_ego import ego_trajectory
 from sceneloom.formats.kitti.calibration import Mounted
 from sceneloom.formats.kitti.sensors import LIDAR_ID, camera_id
@@ -402,7 +402,7 @@ def _dropped_parts(scene: Scene, held: frozenset[type]) -> Losses:
         losses.dropped(KINDS[type(part)], what, count=type(part) not in held)
     boxes = CuboidAnnotation in held and any(isinstance(one, CuboidAnnotation) for one in scene.annotations)
     if boxes and annotations_frame(scene) is Coordinates.WORLD and ego_trajectory(scene) is None:
-        losses.extend([stationary_ego()])
+        losses.extend([STATIONARY_EGO])
     others = max(len(scene.trajectories) - 1, 0)
     losses.dropped("trajectories", "left out: the folder holds the trajectory that is the default one", count=others)
     losses.dropped("attributes", what, count=len(scene.attributes))

@@ -15,7 +15,6 @@ from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import images_image_size
-from sceneloom.formats.base.spec import named_folder
 from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
 from sceneloom.formats.kitti.calibration import rectified_camera, rotation_of
 from sceneloom.formats.kitti.oxts import oxts_sensors, read_fields
@@ -401,7 +400,7 @@ class RawDrive:
 
 def _find_drive(path: Path, wanted: str | None = None) -> RawDrive:
     """Find the only drive of a folder, or the wanted one: the drive's own folder, that of its day, or the one above."""
-    found = [named_folder(path)] if is_raw_drive(path) else raw_drives_below(path)
+    found = [path if path.name else path.resolve()] if is_raw_drive(path) else raw_drives_below(path)
     if wanted is not None:
         chosen = [drive for drive in found if wanted in _names(drive)]
         if len(chosen) != 1:

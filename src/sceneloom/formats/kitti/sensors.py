@@ -18,8 +18,8 @@ from sceneloom.formats.base.images import ImageReader
 from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, NO_TRACK, KittiLabels
 from sceneloom.formats.kitti.text import NumberedFiles
 from sceneloom.formats.points.cloud import KITTI, parse_rows
+from sceneloom.formats.points.files import read_bin
 from sceneloom.formats.points.mapping import IntensityScale, detect_scale
-from sceneloom.formats.points.npz import read_bin
 from sceneloom.geometry.euler import cuboid_angles_from_rotation
 from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion
 from sceneloom.scene.annotations import (

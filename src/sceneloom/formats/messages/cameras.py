@@ -16,7 +16,7 @@ from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.errors import CalibrationError, DataError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import FileView
-from sceneloom.formats.base.images import EncodedImage, image_size
+from sceneloom.formats.base.images import EncodedImage
 from sceneloom.formats.messages.records import (
     CameraModelRecord,
     CompressedImageRecord,
@@ -132,7 +132,6 @@ def _around(values: AnyArray) -> AnyArray:
 
 
 _UNKNOWN = "unknown"  # model of cameras without a calibration: images can be looked at, and nothing can be projected
-
 _OUR_PREFIX = "sceneloom:"  # begins the names of models that only we know, in calibrations of ours
 
 _READ: Mapping[str, tuple[str, int]] = MappingProxyType(
@@ -472,7 +471,7 @@ def draft_camera(survey: Survey, topic: Topic, camera_model_topic: Topic | None)
         is_depth, size = not _encoding_of(first, owner, where).order, (first.width, first.height)
     else:
         form = _image_form(first, owner, where)
-        is_depth, size = False, image_size(bytes(first.data), form, owner=owner, location=where)
+        is_depth, size = False, EncodedImage(bytes(first.data), form, 0, 0, owner, where).stated_size()
     camera_models = _camera_models(survey, camera_model_topic, size, location)
     scale = MILLIMETRE if is_depth and first.encoding == "16UC1" else None
     reader = _ImageReader(survey.log, topic, rows, timestamps[rows], camera_models, scale)
@@ -483,15 +482,13 @@ def draft_camera(survey: Survey, topic: Topic, camera_model_topic: Topic | None)
 def _draft_video(
     survey: Survey, topic: Topic, camera_model_topic: Topic | None, timestamps: Int64Array, location: str
 ) -> CameraDraft:
-    from sceneloom.formats.video.writer import starts_video
-
     skipped, first = 0, None
     for skipped in range(len(timestamps)):
         record: Any = survey.log.read(topic, skipped)[0]
         if record.form not in _CODECS:
             problem = f"format {record.form!r}; expected one of {', '.join(_CODECS)}"
             raise UnknownFormatError(survey.log.name, f"{topic.name}[{skipped}].format", problem)
-        if starts_video(record.data, _CODECS[record.form]):
+        if _starts_video(record.data, _CODECS[record.form]):
             first = record
             break
     if first is None:
@@ -549,3 +546,18 @@ def _camera_models(survey: Survey, topic: Topic | None, size: tuple[int, int], l
         return _CameraModels(np.zeros(1, np.int64), (_no_camera_model(*size),))
     since = sorted(found)
     return _CameraModels(np.array(since, np.int64), tuple(found[time_ns] for time_ns in since))
+
+
+_START_CODE = b"\x00\x00\x01"
+_PARAMETERS = {"h264": lambda byte: byte & 0x1F == 7, "hevc": lambda byte: (byte >> 1) & 0x3F == 33}
+"""Whether a unit with this first byte holds the parameters of a sequence, without which nothing is decoded."""
+
+
+def _starts_video(packet: bytes | memoryview, codec: str) -> bool:
+    """Whether decoding can begin with a packet in Annex B form: whether it holds the sequence's parameters."""
+    content, location = bytes(packet), 0
+    while (location := content.find(_START_CODE, location)) >= 0 and location + 3 < len(content):
+        if _PARAMETERS[codec](content[location + 3]):
+            return True
+        location += 3
+    return False

@@ -22,8 +22,7 @@ from sceneloom.formats.base.spec import as_flag
 from sceneloom.formats.nuscenes.spec import table_folders
 from sceneloom.formats.nuscenes.tables import KEY_FRAMES, MICROSECOND, NEEDED, TABLES, Quaternion
 from sceneloom.formats.points.cloud import NUSCENES, Cloud
-from sceneloom.formats.points.files import read_pcd
-from sceneloom.formats.points.npz import read_bin
+from sceneloom.formats.points.files import read_bin, read_pcd
 from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,

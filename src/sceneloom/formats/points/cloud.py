@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -34,16 +34,6 @@ class Cloud:
     head: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
 
-def columns_of(records: AnyArray) -> dict[str, AnyArray]:
-    """Take a structured array apart into columns of native byte order; fields named `_` are padding."""
-    names = records.dtype.names or ()
-    return {
-        name: np.ascontiguousarray(column, column.dtype.newbyteorder("="))
-        for name in names
-        if not name.startswith("_") and (column := records[name]).dtype.names is None
-    }
-
-
 def unique_names(names: list[str]) -> list[str]:
     """Give repeated names a number, since a structured array has no two fields of one name; `_` stays padding."""
     seen: dict[str, int] = {}
@@ -52,16 +42,6 @@ def unique_names(names: list[str]) -> list[str]:
         seen[name] = seen.get(name, 0) + 1
         unique.append(name if seen[name] == 1 else f"{name}~{seen[name]}")
     return unique
-
-
-def check_count(path: Path, location: str, count: int) -> None:
-    """Refuse a number of points that no sweep has.
-
-    Raises:
-        DataError: it is negative or larger than `MOST_POINTS`.
-    """
-    if not 0 <= count <= MOST_POINTS:
-        raise DataError(path, location, f"{count} points; expected 0 to {MOST_POINTS}")
 
 
 TYPES = (
@@ -89,39 +69,39 @@ class FieldLayout:
         """One point, packed, little-endian."""
         return np.dtype([(n, np.dtype(t).newbyteorder("<")) for n, t in zip(self.names, self.types, strict=True)])
 
+    @classmethod
+    def parse(cls, fields: Sequence[str], *, default: str = "float32") -> Self:
+        """Parse columns that are written as `x` or `ring:uint16`; `_` names one that is left out.
+
+        Args:
+            default: the type of columns that name none.
+
+        Raises:
+            OptionError: a column is no such text, its type is unknown, or there is none.
+        """
+        names, types = [], []
+        for field in fields:
+            match = _FIELD.fullmatch(field)
+            kind = (match["type"] or default) if match else ""
+            if match is None or kind not in TYPES:
+                raise OptionError(f"{field!r}; expected a name, or name:type with one of the types {', '.join(TYPES)}")
+            names.append(match["name"])
+            types.append(kind)
+        if not names:
+            raise OptionError("no fields; expected at least x, y, z")
+        repeated = {name for name in names if names.count(name) > 1 and not name.startswith("_")}
+        if repeated:
+            raise OptionError(f"{', '.join(sorted(repeated))} twice; expected each field once")
+        return cls(tuple(unique_names(names)), tuple(types))
+
     def __str__(self) -> str:
         return " ".join(f"{n}:{t}" for n, t in zip(self.names, self.types, strict=True))
 
 
-def parse_layout(fields: Sequence[str], *, default: str = "float32") -> FieldLayout:
-    """Parse columns that are written as `x` or `ring:uint16`; `_` names one that is left out.
-
-    Args:
-        default: the type of columns that name none.
-
-    Raises:
-        OptionError: a column is no such text, its type is unknown, or there is none.
-    """
-    names, types = [], []
-    for field in fields:
-        match = _FIELD.fullmatch(field)
-        kind = (match["type"] or default) if match else ""
-        if match is None or kind not in TYPES:
-            raise OptionError(f"{field!r}; expected a name, or name:type with one of the types {', '.join(TYPES)}")
-        names.append(match["name"])
-        types.append(kind)
-    if not names:
-        raise OptionError("no fields; expected at least x, y, z")
-    repeated = {name for name in names if names.count(name) > 1 and not name.startswith("_")}
-    if repeated:
-        raise OptionError(f"{', '.join(sorted(repeated))} twice; expected each field once")
-    return FieldLayout(tuple(unique_names(names)), tuple(types))
-
-
-KITTI = parse_layout(["x", "y", "z", "intensity"])
+KITTI = FieldLayout.parse(["x", "y", "z", "intensity"])
 """Four float32. Source: the development kit of KITTI's raw data, "Velodyne 3D laser scan data"."""
 
-NUSCENES = parse_layout(["x", "y", "z", "intensity", "ring"])
+NUSCENES = FieldLayout.parse(["x", "y", "z", "intensity", "ring"])
 """Five float32. Source: the development kit of nuScenes, class LidarPointCloud: x, y, z, intensity, ring index."""
 
 ALIASES: Mapping[str, tuple[str, ...]] = MappingProxyType(

@@ -1,6 +1,11 @@
 """Files of points, PCD and PLY and others by their suffixes: read, and written in chunks or from a lidar frame."""
 
+import ast
+import math
 import struct
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -17,23 +22,151 @@ from sceneloom.formats.base.files import check_length, check_unpacked, file_faul
 from sceneloom.formats.base.losses import Losses
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.points.cloud import (
+    ALIASES,
+    KITTI,
+    MOST_POINTS,
     NO_LABEL,
+    NUSCENES,
+    ROW_ALIASES,
     Cloud,
     CloudWriter,
     FieldLayout,
     WrittenPoints,
-    check_count,
-    columns_of,
     parse_rows,
     unique_names,
 )
-from sceneloom.formats.points.npz import read_bin, read_npz
+from sceneloom.formats.points.spec import POSITION_NAMES
 
-MOST_STEPS = 2**31 - 1
+_MAGIC = b"\x93NUMPY"
+_LONGEST_HEAD = 20_000
+
+_FAULTS = (
+    ValueError, KeyError, EOFError, TypeError, SyntaxError, RuntimeError, NotImplementedError, OverflowError,
+    IndexError, RecursionError, zipfile.BadZipFile, zlib.error, tokenize.TokenError, UserWarning,
+)  # fmt: skip
+"""What NumPy and the modules below it raise for files that are damaged, encrypted, or hold objects."""
+
+_PLAIN_COLUMNS = ("x", "y", "z", "intensity")
+_NAMES_OF_COLUMNS = {name for names in (*ALIASES.values(), *ROW_ALIASES.values()) for name in names}
+
+
+def _read_npz(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
+    """Read arrays by name; rows of several numbers are cut into columns by `layout`, by default x y z intensity."""
+    arrays = _arrays(path)
+    columns: dict[str, AnyArray] = {}
+    for name, array in arrays.items():
+        found = _columns(path, name, array, layout)
+        twice = [column for column in found if column in columns]
+        if twice:
+            # whichever came last would be taken in silence
+            problem = f"gives {' '.join(twice)}, which another array gives, too; expected each column once"
+            hint = "leave out one of rows by `_` in `fields`, or one of the arrays"
+            raise DataError(path, name, f"{problem}: {hint}")
+        columns.update(found)
+    if not columns:
+        held = ", ".join(f"{name} {getattr(array, 'shape', '')}".strip() for name, array in arrays.items()) or "nothing"
+        expected = "arrays of numbers with a row per point, of 1 or 2 dimensions"
+        raise DataError(path, "", f"holds {held}; expected {expected}")
+    lengths = {name: len(column) for name, column in columns.items()}
+    main = (lengths[name] for name in (*_PLAIN_COLUMNS, *POSITION_NAMES) if name in lengths)
+    count = next(main, max(lengths.values()))
+    _check_count(path, "", count)
+    for name, length in lengths.items():
+        # a column that is one of the points by its name; single numbers are none
+        if length not in {1, count} and name.lower() in _NAMES_OF_COLUMNS:
+            raise DataError(path, name, f"{length} numbers for {count} points; expected one per point")
+    # other arrays of other lengths state something of the file, not of its points
+    return Cloud(path, count, {name: column for name, column in columns.items() if len(column) == count})
+
+
+def _arrays(path: Path) -> dict[str, AnyArray]:
+    with file_faults(path), open_file(path) as file:
+        size = check_length(path)
+        if not size:
+            raise DataError(path, "", "is empty; expected arrays of NumPy")
+        try:
+            head = file.read(_LONGEST_HEAD)
+            file.seek(0)
+            if head.startswith(_MAGIC):
+                _check_size(path, "", head, size)
+            loaded: Any = np.load(file, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                return {"points" if loaded.dtype.names is None else "": loaded}
+            # what the entries declare is compared with the bytes of the file before any of them is unpacked
+            check_unpacked(path, "", size, sum(entry.file_size for entry in loaded.zip.infolist()))
+            for entry in loaded.zip.infolist():
+                with loaded.zip.open(entry) as inner:
+                    _check_size(path, entry.filename, inner.read(_LONGEST_HEAD), entry.file_size)
+            return {name: loaded[name] for name in loaded.files}
+        except _FAULTS as error:
+            objects = "allow_pickle" in str(error) or "pickle" in str(error).lower()
+            problem = "holds Python objects, which are never loaded" if objects else f"cannot be read: {error}"
+            raise DataError(path, "", f"{problem}; expected arrays of numbers") from error
+
+
+def _check_size(path: Path, location: str, head: bytes, size: int) -> None:
+    """Refuse an array that is not as long as the bytes behind its head. Source: "NPY format", numpy.lib.format."""
+    if not head.startswith(_MAGIC) or len(head) < 12:
+        return
+    start = 10 if head[6] == 1 else 12
+    stop = start + int.from_bytes(head[8:start], "little")
+    reported = ast.literal_eval(head[start:stop].decode("latin-1").strip())
+    kind = np.lib.format.descr_to_dtype(reported["descr"])
+    if kind.hasobject:
+        return
+    expected = math.prod(reported["shape"]) * kind.itemsize
+    if min(reported["shape"], default=0) < 0 or expected != size - stop:
+        problem = f"{size - stop} bytes; expected {expected} of shape {reported['shape']} and type {kind}"
+        raise DataError(path, location, problem)
+
+
+def _columns(path: Path, name: str, array: AnyArray, layout: FieldLayout | None) -> dict[str, AnyArray]:
+    """Cut one array into columns; what is no array of numbers with a row per point is passed over."""
+    if not isinstance(array, np.ndarray):
+        raise DataError(path, name, "is no array; expected arrays of numbers")
+    if array.dtype.names is not None and array.ndim == 1:
+        return _columns_of(array)
+    if array.dtype.kind not in "iufb" or array.ndim not in {1, 2}:
+        return {}
+    plain = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
+    if plain.ndim == 1 or name not in POSITION_NAMES:
+        return {name: plain[:, 0] if plain.ndim == 2 and plain.shape[1] == 1 else plain}
+    names = _PLAIN_COLUMNS[: plain.shape[1]] if layout is None else layout.names
+    if plain.shape[1] != len(names) or plain.shape[1] < 3:
+        expected = "3 or 4 (x y z intensity)" if layout is None else f"{len(names)}: {' '.join(names)}"
+        problem = f"rows of {plain.shape[1]} numbers; expected {expected}; name them with `fields`"
+        raise DataError(path, name, problem)
+    return {column: np.ascontiguousarray(plain[:, k]) for k, column in enumerate(names) if column[0] != "_"}
+
+
+def default_layout(path: Path) -> FieldLayout:
+    """The layout of a file whose manifest names none: nuScenes' for `.pcd.bin`, else KITTI's."""
+    return NUSCENES if path.name.lower().endswith(".pcd.bin") else KITTI
+
+
+def read_bin(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
+    """Read a file of packed little-endian points.
+
+    Raises:
+        DataError: the file is no whole number of points.
+    """
+    chosen = layout or default_layout(path)
+    content, record = read_bytes(path), chosen.dtype
+    count, rest = divmod(len(content), record.itemsize)
+    if rest:
+        problem = (
+            f"{len(content)} bytes are {count} points of {record.itemsize} bytes ({chosen}) and {rest} bytes more; "
+            "expected whole points: is the file cut off, or has it other fields?"
+        )
+        raise DataError(path, f"byte {count * record.itemsize}", problem)
+    _check_count(path, "", count)
+    return Cloud(path, count, _columns_of(np.frombuffer(content, record, count)))
+
+
+_MOST_STEPS = 2**31 - 1
 """Steps between a position and the offset at most."""
 
 _STEP = 0.001  # positions are whole multiples of this [m] from an offset: finer than any lidar measures
-
 _PLAIN, _COLORED = 6, 7
 """Point formats: positions, intensity, classification and time; and with colours. Source: section 2.6."""
 
@@ -41,19 +174,12 @@ _FULL_SCALE = 257
 """From 8 to 16 bits: 255 becomes 65535. Source: "Red, Green, Blue" and "Intensity", to be normalised to 16 bits."""
 
 _LARGEST_CLASS = 255
-
 _FARTHEST_M = 1e10  # limit of coordinates [m]; 70 times the distance to the sun
-
 _SMALLEST_SCALE, _LARGEST_SCALE = 1e-12, 1e6  # steps of positions [m]
-
 _LAYOUT = struct.Struct("<HIIBHI")
-
 _RECORD_HEAD, _EXTENDED_HEAD = 54, 60
-
 _HEADER_LENGTHS = (227, 227, 227, 235, 375)  # shortest headers of the versions 1.0 to 1.4 [bytes]
-
 _LONGEST_HEADER = 375
-
 _POINT_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Shortest points of the point formats 0 to 10 [bytes]. Source: section 2.6."""
 
@@ -84,7 +210,7 @@ class _LasFile:
         header = self._file.header
         steps = (positions - header.offsets) / header.scales
         most = float(np.abs(steps).max(initial=0.0))
-        if most >= MOST_STEPS:
+        if most >= _MOST_STEPS:
             problem = f"points {most * header.scales[0] / 1000:.0f} km apart; expected 2147"
             raise DataError(self._path, "", problem)
         record = laspy.ScaleAwarePointRecord.zeros(len(positions), header=header)
@@ -170,7 +296,7 @@ def _read_las(path: Path) -> Cloud:
                 if file.header.are_points_compressed:
                     _check_chunks(path, stream, file.header)
                 points = file.read()
-                columns, head = _columns(points), _head(file.header)
+                columns, head = _files_columns(points), _head(file.header)
         except (DataError, OSError, MemoryError):
             raise
         except Exception as error:
@@ -251,7 +377,7 @@ class _Header:
         if self.extended and (self.extended_start < start or too_many):
             problem = f"{self.extended} extended records from byte {self.extended_start} on"
             raise DataError(path, "byte 243", f"{problem}; the file has {size} bytes")
-        check_count(path, "header", self.count)
+        _check_count(path, "header", self.count)
         if self.version >= 4 and self.legacy_count not in {0, self.count}:
             problem = f"{self.count} points, and {self.legacy_count} by the count of older versions"
             raise DataError(path, "byte 247", f"{problem}; expected the same, or 0")
@@ -373,7 +499,7 @@ def _head(header: Any) -> dict[str, Any]:
     return head
 
 
-def _columns(points: Any) -> dict[str, AnyArray]:
+def _files_columns(points: Any) -> dict[str, AnyArray]:
     """Every dimension by its name, positions in metres; bits of one byte are columns of their own."""
     columns = {name: np.asarray(getattr(points, name), np.float64) for name in "xyz"}
     for name in points.point_format.dimension_names:
@@ -389,8 +515,8 @@ _READERS: Mapping[str, Callable[[Path, FieldLayout | None], Cloud]] = MappingPro
         ".las": lambda path, _: _read_las(path),
         ".laz": lambda path, _: _read_las(path),
         ".bin": lambda path, layout: read_bin(path, layout=layout),
-        ".npz": lambda path, layout: read_npz(path, layout=layout),
-        ".npy": lambda path, layout: read_npz(path, layout=layout),
+        ".npz": lambda path, layout: _read_npz(path, layout=layout),
+        ".npy": lambda path, layout: _read_npz(path, layout=layout),
     }
 )
 
@@ -420,15 +546,10 @@ def read_cloud(path: Path, *, layout: FieldLayout | None = None) -> Cloud:
 
 
 _LONGEST_PCD_HEAD = 1 << 16
-
 _LETTERS = {"F": "f", "I": "i", "U": "u"}
-
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
-
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
-
 _MOST_VALUES = 1 << 16
-
 _NO_VIEWPOINT = ["0", "0", "0", "1", "0", "0", "0"]
 
 
@@ -442,7 +563,7 @@ def read_pcd(path: Path) -> Cloud:
     if file.count == 0 or file.dtype.itemsize == 0:
         # a compressed file of no points still says that it is 0 bytes
         _check_end(path, file.content[file.start :], file.start, f"{file.count} points")
-        return Cloud(path, file.count, columns_of(np.zeros(file.count, file.dtype)), file.further)
+        return Cloud(path, file.count, _columns_of(np.zeros(file.count, file.dtype)), file.further)
     return Cloud(path, file.count, _PCD_READERS[file.data](file), file.further)
 
 
@@ -513,7 +634,7 @@ class _PcdFile:
             raise DataError(self.path, "POINTS", "missing in the head, as is WIDTH")
         if area is not None and area != count:
             raise DataError(self.path, "POINTS", f"{count}; WIDTH times HEIGHT is {area}")
-        check_count(self.path, "POINTS", count)
+        _check_count(self.path, "POINTS", count)
         return count
 
     def _further(self) -> Mapping[str, Any]:
@@ -540,7 +661,7 @@ class _PcdFile:
         if len(lines) != self.count:
             raise DataError(self.path, "", f"{len(lines)} lines of points; the head says {self.count}")
         # latin-1 knows spaces that are none in ASCII; what is left of them does not parse
-        return columns_of(parse_rows(self.path, [line for _, line in lines], self.dtype, lines[0][0]))
+        return _columns_of(parse_rows(self.path, [line for _, line in lines], self.dtype, lines[0][0]))
 
     def read_binary(self) -> dict[str, AnyArray]:
         """Read packed points."""
@@ -551,7 +672,7 @@ class _PcdFile:
             raise DataError(self.path, f"byte {self.start}", problem)
         stop = self.start + expected
         _check_end(self.path, self.content[stop:], stop, points)
-        return columns_of(np.frombuffer(self.content, self.dtype, self.count, self.start))
+        return _columns_of(np.frombuffer(self.content, self.dtype, self.count, self.start))
 
     def read_compressed(self) -> dict[str, AnyArray]:
         """Unfold the columns, which stand one after another where they are compressed."""
@@ -597,7 +718,6 @@ _PLY_TYPES: Mapping[str, str] = {
 }  # fmt: skip
 
 _PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-
 _LONGEST_PLY_HEAD = 1 << 20
 
 
@@ -636,7 +756,7 @@ def _read_ply(path: Path) -> Cloud:
     rows = file.binary_rows() if file.order else file.text_rows()
     others = {one.name: one.count for one in file.elements if one.name != "vertex" and one.count}
     head: dict[str, Any] = {"comments": file.comments, "elements_left_out": others}
-    return Cloud(path, len(rows), columns_of(rows), MappingProxyType({k: v for k, v in head.items() if v}))
+    return Cloud(path, len(rows), _columns_of(rows), MappingProxyType({k: v for k, v in head.items() if v}))
 
 
 class _PlyFile:
@@ -673,7 +793,7 @@ class _PlyFile:
         if names.count("vertex") != 1:
             raise DataError(path, "", f"elements: {', '.join(names) or 'none'}; expected one that is called vertex")
         for element in self.elements:
-            check_count(path, f"element {element.name}", element.count)
+            _check_count(path, f"element {element.name}", element.count)
         self.order, self.start, self.lines = order, end + 1, len(lines)
         self._number = names.index("vertex")
         self._vertex = self.elements[self._number]
@@ -995,7 +1115,6 @@ def _single_columns(columns: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
 
 
 _WHOLE = frozenset({"u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"})
-
 _WIDER: Mapping[str, str] = {"b1": "u1", "f2": "f4", "i8": "f8", "u8": "f8"}
 
 
@@ -1058,7 +1177,7 @@ def _write_las(path: Path, columns: FrameColumns, location: str, losses: Losses)
     finite = _finite(columns, location, losses)
     positions = columns.positions[finite].astype(np.float64)
     distance = np.abs(positions - _las_offsets(positions)).max(initial=0.0)
-    step = next((step for step in _STEPS_M if distance / step < MOST_STEPS), None)
+    step = next((step for step in _STEPS_M if distance / step < _MOST_STEPS), None)
     if step is None:
         raise OptionError(f"{path.name}: points {distance / 1000:.0f} km apart; LAS holds 2147 km in steps of 1 mm")
     dimensions: dict[str, AnyArray] = {}
@@ -1164,3 +1283,19 @@ def _measured_columns(points: WrittenPoints) -> dict[str, AnyArray]:
     times = None if points.timestamps_ns is None else points.timestamps_ns.astype(np.float64) * 1e-9
     found = {"intensity": points.intensities, "time": times, "label": points.labels}
     return {name: values for name, values in found.items() if values is not None} | dict(points.extras)
+
+
+def _columns_of(records: AnyArray) -> dict[str, AnyArray]:
+    """Take a structured array apart into columns of native byte order; fields named `_` are padding."""
+    names = records.dtype.names or ()
+    return {
+        name: np.ascontiguousarray(column, column.dtype.newbyteorder("="))
+        for name in names
+        if not name.startswith("_") and (column := records[name]).dtype.names is None
+    }
+
+
+def _check_count(path: Path, location: str, count: int) -> None:
+    """Refuse a number of points that no sweep has."""
+    if not 0 <= count <= MOST_POINTS:
+        raise DataError(path, location, f"{count} points; expected 0 to {MOST_POINTS}")

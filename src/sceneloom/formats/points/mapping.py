@@ -139,8 +139,8 @@ def points_of(cloud: Cloud, mapping: PointMapping, clock: SweepClock, *, keep_al
     for role, name in roles.items():
         if name not in cloud.columns:
             raise DataError(cloud.file, name, f"no such column for {role}; the file has {_names(cloud)}")
-    positions = positions_of(cloud, roles)
-    kept = np.ones(cloud.count, np.bool_) if keep_all else returns_of(positions)
+    positions = _positions(cloud, roles)
+    kept = np.ones(cloud.count, np.bool_) if keep_all else _returns(positions)
     chosen: Any = slice(None) if kept.all() else kept
     columns = {name: column[chosen] for name, column in cloud.columns.items()}
     intensities, clipped = None, 0
@@ -162,7 +162,7 @@ def points_of(cloud: Cloud, mapping: PointMapping, clock: SweepClock, *, keep_al
     return ReadPoints(points, int(len(kept) - kept.sum()), clipped)
 
 
-def returns_of(positions: Float32Array) -> BoolArray:
+def _returns(positions: Float32Array) -> BoolArray:
     """Which points are finite and not exactly at the origin; column by column, which is much quicker than by rows."""
     x, y, z = positions.T
     returns: BoolArray = np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0) | (y != 0) | (z != 0))
@@ -177,12 +177,8 @@ def _names(cloud: Cloud) -> str:
     return " ".join(cloud.columns) or "none"
 
 
-def positions_of(cloud: Cloud, roles: Mapping[str, str]) -> Float32Array:
-    """The positions, (N, 3) float32 [m], out of rows or three columns.
-
-    Raises:
-        DataError: a column is missing.
-    """
+def _positions(cloud: Cloud, roles: Mapping[str, str]) -> Float32Array:
+    """The positions, (N, 3) float32 [m], out of rows or three columns."""
     axes = [roles.get(axis) for axis in "xyz"]
     if "positions" in roles and None in axes:
         with np.errstate(over="ignore"):

@@ -16,7 +16,7 @@ from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.text_tables import UNITS_NS, line_timestamps
 from sceneloom.formats.points.cloud import Cloud, FieldLayout, find_roles
-from sceneloom.formats.points.files import read_cloud
+from sceneloom.formats.points.files import default_layout, read_cloud
 from sceneloom.formats.points.mapping import (
     IntensityScale,
     PointMapping,
@@ -24,10 +24,7 @@ from sceneloom.formats.points.mapping import (
     SweepClock,
     detect_scale,
     points_of,
-    positions_of,
-    returns_of,
 )
-from sceneloom.formats.points.npz import default_layout
 from sceneloom.formats.points.spec import (
     BESIDE,
     DEFAULT_ID,
@@ -244,7 +241,7 @@ def _kept_intensities(cloud: Cloud, mapping: PointMapping, dropped: int) -> dict
         return {}
     values = cloud.columns[name]
     if dropped:
-        values = values[returns_of(positions_of(cloud, roles))]
+        values = points_of(cloud, PointMapping(mapping.named), SweepClock(0, 0, 0)).points.extras[name]
     bytes_, clipped = mapping.scale.apply(values)
     back = bytes_ * (mapping.scale.maximum / 255.0)
     back = np.rint(back) if values.dtype.kind in "iu" else back

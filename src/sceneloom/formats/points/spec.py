@@ -250,9 +250,10 @@ _OF_KIND: Mapping[str, Supports] = {
 }
 
 
-def supports_of(kind: str) -> Supports:
-    """What becomes of each field in files of a kind."""
-    return MappingProxyType({"": _POINTS_ONLY, **_LIDAR, **_OF_KIND.get(kind, {})})
+SUPPORTS: Mapping[str, Supports] = MappingProxyType(
+    {kind: MappingProxyType({"": _POINTS_ONLY, **_LIDAR, **_OF_KIND.get(kind, {})}) for kind in KINDS}
+)
+"""What becomes of each field in files of a kind."""
 
 
 def _spec_of(kind: CloudKind) -> FormatSpec:
@@ -267,7 +268,7 @@ def _spec_of(kind: CloudKind) -> FormatSpec:
         read_options=CloudReading,
         writer="sceneloom.formats.points.writer:write_clouds",
         write_options=("frame", *(("encoding",) if kind.name == "pcd" else ()), "lidar", "trajectory"),
-        supports=supports_of(kind.name),
+        supports=SUPPORTS[kind.name],
         along_trajectory=True,
         given={"kind": kind},
     )

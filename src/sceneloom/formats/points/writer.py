@@ -15,7 +15,7 @@ from sceneloom.formats.base.losses import Losses, LossReport, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stems, replacing
 from sceneloom.formats.base.poses import ego_in_world
 from sceneloom.formats.points.files import FRAME_WRITERS, FrameColumns
-from sceneloom.formats.points.spec import DEFAULT_ID, EGO_POSES, ENCODINGS, SENSOR_POSES, CloudKind, supports_of
+from sceneloom.formats.points.spec import DEFAULT_ID, EGO_POSES, ENCODINGS, SENSOR_POSES, SUPPORTS, CloudKind
 from sceneloom.motion.ego_trajectory import IDENTITY, is_computed, with_trajectory_estimated
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, grey_where_unseen
 from sceneloom.scene.ego import EgoMotion, is_on_ego, named_odometry, sensor_source
@@ -162,7 +162,7 @@ def _needs_trajectory(scene: Scene, lidar: LidarSensor, frame: PointsFrame) -> b
 
 def _note_fields(scene: Scene, kind: CloudKind, losses: Losses) -> None:
     """Report what becomes of the scene, but for what depends on the frames, and for what this scene does not have."""
-    table = dict(supports_of(kind.name))
+    table = dict(SUPPORTS[kind.name])
     for name in ("id", "coordinates", "points_frame", "poses", "mount", "extras"):
         table.pop(f"sensors.lidar.{name}", None)
     losses.extend(field_losses(scene, table))

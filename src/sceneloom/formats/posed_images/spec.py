@@ -1,16 +1,15 @@
-"""What the formats of posed images share: options and supported fields."""
+"""COLMAP models and nerfstudio folders: images with their poses, and points. Only written."""
 
 from dataclasses import dataclass
 from types import MappingProxyType
 
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import KEPT, Supports, approximated, converted, dropped
-from sceneloom.formats.base.spec import as_positive, option
+from sceneloom.formats.base.spec import FormatSpec, as_positive, option
 
 _IMAGES = ("jpg", "png", "none")
 
-ONLY_WRITTEN = "{} is only written; its poses hold no times that a drive could be read from"
-"""Of a format, why it is not read."""
+_ONLY_WRITTEN = "{} is only written; its poses hold no times that a drive could be read from"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,4 +68,27 @@ SUPPORTS: Supports = MappingProxyType(
         "sensors.points.positions": _THINNED,
         "sensors.points.colors": _THINNED,
     }
+)
+
+COLMAP = FormatSpec(
+    name="colmap",
+    title="COLMAP",
+    looks_like="a folder with images/ and sparse/0/cameras.txt, images.txt, points3D.txt",
+    suffixes=(".colmap",),
+    writer="sceneloom.formats.posed_images.writer:write_colmap",
+    write_options=("images", "voxel", "points", "trajectory", "model"),
+    supports=SUPPORTS,
+    along_trajectory=True,
+    instead=_ONLY_WRITTEN.format("a COLMAP model"),
+)
+NERFSTUDIO = FormatSpec(
+    name="nerfstudio",
+    title="nerfstudio",
+    looks_like="a folder with transforms.json and images/",
+    suffixes=(".nerfstudio",),
+    writer="sceneloom.formats.posed_images.writer:write_nerfstudio",
+    write_options=PosedSettings,
+    supports=SUPPORTS,
+    along_trajectory=True,
+    instead=_ONLY_WRITTEN.format("a folder of nerfstudio"),
 )

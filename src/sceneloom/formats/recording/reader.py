@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,7 +16,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, OptionError, SceneloomError
-from sceneloom.formats.base.diagnostics import FaultLedger, Ledger, PlacedFault, placed
+from sceneloom.formats.base.diagnostics import Ledger, PlacedFault
 from sceneloom.formats.base.files import FileIdentity, open_file, read_bytes
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR, default_poses
 from sceneloom.formats.base.text_tables import nanoseconds
@@ -693,12 +694,12 @@ def examine_recording(
     try:
         location = _Location.of(path)
     except SceneloomError as error:
-        return RecordingExamination(None, (placed(error, "unreadable", str(path)),))
-    ledger = FaultLedger(location.folder)
+        return RecordingExamination(None, (_fault_of(error, "unreadable", str(path)),))
+    ledger = _FaultLedger(location.folder)
     try:
         scene, contents = _read_recording(location, ledger, **options)
     except SceneloomError as error:
-        return RecordingExamination(None, (*ledger.faults, placed(error, "unreadable", str(location.folder))))
+        return RecordingExamination(None, (*ledger.faults, _fault_of(error, "unreadable", str(location.folder))))
     return RecordingExamination(scene, ledger.faults, contents)
 
 
@@ -979,3 +980,75 @@ def _further_by_time(stream: Columns) -> dict[str, str]:
         count = location - int(np.searchsorted(rows.timestamps_ns, timestamp))
         texts[f"{timestamp}#{count}" if count else str(timestamp)] = stream.further[row]
     return texts
+
+
+_MOST_LOCATIONS = 1000
+"""So many faults of one code a ledger keeps with their locations; further ones are counted."""
+
+
+@dataclass(slots=True)
+class _Further:
+    """Faults of one code that are only counted, and the last of them."""
+
+    count: int
+    last: SceneloomError
+
+
+class _FaultLedger(Ledger):
+    """A ledger that passes over faults and keeps each with its location; of very many, it counts those beyond."""
+
+    def __init__(self, folder: object) -> None:
+        """Begin with none.
+
+        Args:
+            folder: what is read; locations are distinguished from there on.
+        """
+        super().__init__(lenient=True)
+        self._kept: list[PlacedFault] = []
+        self._counts: Counter[str] = Counter()
+        self._further: dict[str, _Further] = {}
+        self._folder = str(folder)
+
+    def fault(self, code: str, error: SceneloomError, *, count: int = 1) -> None:
+        """Keep a fault."""
+        del count
+        self._counts[code] += 1
+        if self._counts[code] <= _MOST_LOCATIONS:
+            self._kept.append(_fault_of(error, code, self._folder))
+            return
+        further = self._further.setdefault(code, _Further(0, error))
+        further.count += 1
+        further.last = error
+
+    def refuse(self, code: str, error: SceneloomError) -> None:
+        """Keep a fault that decides what the rest means."""
+        self._kept.append(replace(_fault_of(error, code, self._folder), vital=True))
+
+    @property
+    def faults(self) -> tuple[PlacedFault, ...]:
+        """In the order in which they came up; after them, those that were only counted, one for each code."""
+        return (*self._kept, *(self._counted(code, further) for code, further in self._further.items()))
+
+    def _counted(self, code: str, further: _Further) -> PlacedFault:
+        last = _fault_of(further.last, code, self._folder)
+        problem = f"the last of {further.count} more: {last.problem}"
+        return replace(last, problem=problem, count=further.count)
+
+
+def _fault_of(error: SceneloomError, code: str, folder: str) -> PlacedFault:
+    """An error as a fault, its file distinguished from the folder on."""
+    if isinstance(error, DataError):
+        # lidar files are known by where links lead
+        top = folder if error.file.startswith(folder) else f"{Path(folder).resolve()}/"
+        file = error.file.removeprefix(top).lstrip("/")
+        return PlacedFault(": ".join(filter(None, (file, error.location))), error.problem, code)
+    text = str(error)
+    if not text.startswith(f"{folder}/"):
+        return PlacedFault("", text, code)
+    location = _LOCATION.match(text.removeprefix(f"{folder}/"))
+    if location is None:
+        return PlacedFault("", text.removeprefix(f"{folder}/"), code)
+    return PlacedFault(location[0].removesuffix(": "), text.removeprefix(f"{folder}/{location[0]}"), code)
+
+
+_LOCATION = re.compile(r"(?:(?:line \d+|[^\s:]+): )+")  # file, line and path with which a message begins

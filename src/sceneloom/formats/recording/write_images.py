@@ -18,7 +18,6 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import Loss, Support
-from sceneloom.formats.base.poses import field_of
 from sceneloom.formats.base.text_tables import TimeWriter
 from sceneloom.formats.recording.calibration import CameraParameters, camera_model, read_mount, read_parameters
 from sceneloom.formats.recording.cameras import OWN_FIELDS, FrameNotes, choose_images, image_name
@@ -399,7 +398,7 @@ def _grouping_losses(sensors: Sequence[ShootingSensor], rows: _ImageRows) -> lis
     missing = (rows.images[fresh] < 0).sum(axis=0).tolist()
     what = "is not in step with the other cameras: its video repeats an image where a line has none of its own"
     return [
-        Loss(field=field_of(sensor), what=what, count=count, support=Support.CONVERTED)
+        Loss(field=_field_of(sensor), what=what, count=count, support=Support.CONVERTED)
         for sensor, count in zip(sensors, missing, strict=True)
         if count
     ]
@@ -492,7 +491,7 @@ class _ImageParameters:
             written, how_far = camera_model_entry(shot.camera, model_key="distortionModel")
             fields[_CAMERA_MODEL] = {k: v for k, v in written.items() if not k.startswith("image")}
             if how_far is not None:
-                field = f"{field_of(sensor)}[].camera"
+                field = f"{_field_of(sensor)}[].camera"
                 self.losses.append(Loss(field=field, what=how_far, support=Support.APPROXIMATED))
         if shot.mount is None:
             return fields
@@ -671,7 +670,7 @@ class FrameLines:
             hidden = shot.extras.get("entry", {})
             return {**further, **hidden} if isinstance(hidden, Mapping) else further
         for name in [name for name in further if name not in _FORMATS_WORDS]:
-            field = f"{field_of(self._sensors[index])}[].{name}"
+            field = f"{_field_of(self._sensors[index])}[].{name}"
             self._losses.append(Loss(field=field, what="left out: the format has none"))
         return {name: value for name, value in further.items() if name in _FORMATS_WORDS}
 
@@ -679,3 +678,8 @@ class FrameLines:
 def _time(shot: Shot) -> tuple[int, float]:
     seconds = shot.extras.get("file_seconds")
     return shot.timestamp_ns, shot.timestamp_ns / 1e9 if seconds is None else seconds
+
+
+def _field_of(sensor: ShootingSensor) -> str:
+    """The path of a camera's images or depth images, for loss reports."""
+    return f"sensors[{sensor.id}].{'images' if isinstance(sensor, CameraSensor) else 'frames'}"

@@ -24,13 +24,11 @@ from sceneloom.errors import DataError, redacted
 from sceneloom.formats.base.files import ByteStream
 from sceneloom.formats.remote.stores import (
     SIDE_BY_SIDE,
-    CutShortError,
     Facts,
     RangedFile,
     RemoteIdentity,
     Store,
     faults,
-    may_pass,
     open_store,
     patiently,
 )
@@ -229,7 +227,7 @@ class _Mirror:
             os.close(descriptor)
             draft = Path(name)
             try:
-                patiently(lambda: _fetch_whole(there, file.size, draft))
+                patiently(lambda: there.fetch(draft, file.size))
                 if not fresh:
                     self._check(file, there)
                 os.utime(draft, ns=(self.listing.listed_ns, self.listing.listed_ns))
@@ -294,14 +292,6 @@ class _Mirror:
 
     def _beside(self, name: str) -> Path:
         return Path(self.listing.top).with_name(name)
-
-
-def _fetch_whole(location: Store, size: int | None, target: Path) -> None:
-    """Fetch a file once."""
-    location.get(target)
-    found = target.stat().st_size
-    if size is not None and found != size:
-        raise CutShortError(f"the server gave {found} of {size} bytes")
 
 
 def _make_empty(path: str, time_ns: int) -> None:
@@ -573,19 +563,8 @@ def remote_contents(url: str) -> list[tuple[str, int, str]] | None:
         DataError: the store cannot be read.
         MissingExtraError: what reads such addresses is not installed.
     """
-
-    def look() -> list[Facts]:
-        store = open_store(url)
-        try:
-            top = store.facts()
-        except FileNotFoundError as error:
-            if may_pass(error):
-                raise
-            return []
-        return list(store.walk()) if top.is_folder else [top]
-
     with faults(url, ""):
-        found = patiently(look)
+        found = patiently(lambda: open_store(url).contents())
     known = [
         (redacted(facts.path), facts.size, facts.version)
         for facts in found
@@ -628,7 +607,7 @@ def fetch(url: str, *, largest: int = _LARGEST) -> Fetched:
         root = workplace / (Path(unquote(urlsplit(url).path)).name or "drive")
         if not top.is_folder:
             with faults(url, ""):
-                patiently(lambda: _fetch_whole(store.at(top.path), top.size, root))
+                patiently(lambda: store.at(top.path).fetch(root, top.size))
             return Fetched(root, 1, top.size or 0, remove)
         listing = _Listing(
             url=url,

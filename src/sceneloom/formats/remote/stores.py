@@ -36,7 +36,7 @@ _PASSING_NAMES = frozenset(
 """Classes of libraries that are not imported for their errors alone."""
 
 
-class CutShortError(ConnectionError):
+class _CutShortError(ConnectionError):
     """A server gave fewer bytes than it was asked for."""
 
 
@@ -44,7 +44,7 @@ class _NoRangesError(ValueError):
     """A server gives all of a file for a part of it."""
 
 
-def may_pass(error: BaseException | None) -> bool:
+def _may_pass(error: BaseException | None) -> bool:
     """Whether what a back end raised can be gone at the next try: a busy or slow server, a connection that was cut."""
     while error is not None:
         if isinstance(error, SceneloomError):
@@ -106,7 +106,7 @@ def _ours(error: Exception, url: str, location: str, doing: str) -> SceneloomErr
     found = DataError(url, location, _problem(error, doing))
     if isinstance(error, _NoRangesError):
         found = DataError(url, "", "its server answers no ranges (`Range`); download the file first")
-    found.passing = may_pass(error)
+    found.passing = _may_pass(error)
     return found
 
 
@@ -114,7 +114,7 @@ def _problem(error: Exception, doing: str) -> str:
     if isinstance(error, FileNotFoundError):
         # back ends report it, too, where no server answers
         return f"cannot be found{f': {redacted(error.__cause__)}' if error.__cause__ else ''}"
-    if isinstance(error, CutShortError):
+    if isinstance(error, _CutShortError):
         return redacted(error)
     return f"cannot be {'read' if doing == 'read' else doing}: {redacted(error) or type(error).__name__}"
 
@@ -159,7 +159,7 @@ def patiently(action: Callable[[], _Result], patience: Patience | None = None) -
         except Exception as error:
             pause = rule.pause(number)
             late = time.monotonic() - begun + pause > rule.deadline
-            if number + 1 == rule.tries or late or not may_pass(error):
+            if number + 1 == rule.tries or late or not _may_pass(error):
                 raise
         time.sleep(pause)
     raise AssertionError("unreachable: the last try returns or raises")
@@ -222,6 +222,16 @@ class Store:
         known = {"size": size} if "http" in ((protocol,) if isinstance(protocol, str) else protocol) else {}
         return Handle(self, self.files.open(self.path, "rb", cache_type="none", **known))
 
+    def contents(self) -> list[Facts]:
+        """What is reported of the file, or of all files of the folder; nothing where it is not there."""
+        try:
+            top = self.facts()
+        except FileNotFoundError as error:
+            if _may_pass(error):
+                raise
+            return []
+        return list(self.walk()) if top.is_folder else [top]
+
     def walk(self) -> Iterator[Facts]:
         """All files below the location, by their names."""
         found = self.files.find(self.path, detail=True)
@@ -254,6 +264,13 @@ class Store:
     def get(self, target: Path) -> None:
         """Fetch the whole file."""
         self.files.get_file(self.path, str(target))
+
+    def fetch(self, target: Path, size: int | None) -> None:
+        """Fetch the whole file, of so many bytes where that is known, once."""
+        self.get(target)
+        found = target.stat().st_size
+        if size is not None and found != size:
+            raise _CutShortError(f"the server gave {found} of {size} bytes")
 
     def put(self, source: Path | None) -> None:
         """Put a file there, piece by piece; it appears whole once the last piece is there.
@@ -299,13 +316,13 @@ class Handle:
         """Ask for a range once.
 
         Raises:
-            CutShortError: fewer bytes came.
+            _CutShortError: fewer bytes came.
             NoRangesError: the server gives the whole file only.
             Exception: whatever the back end raises.
         """
         content = self._content(start, stop, seconds)
         if len(content) != stop - start:
-            raise CutShortError(f"the server gave {len(content)} of {stop - start} bytes")
+            raise _CutShortError(f"the server gave {len(content)} of {stop - start} bytes")
         return content
 
     def _content(self, start: int, stop: int, seconds: float) -> bytes:

@@ -2,26 +2,29 @@
 
 import os
 import re
+import tomllib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from decimal import Decimal
+from decimal import Decimal, InvalidOperation
 from difflib import get_close_matches
-from functools import cached_property
+from enum import StrEnum
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from threading import Lock
 from types import MappingProxyType
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, read_only
 from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.projection import check_camera
 from sceneloom.errors import CalibrationError, DataError, OptionError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.files import why_no_file
+from sceneloom.formats.base.files import open_file, read_bytes, why_no_file
 from sceneloom.formats.base.images import IMAGE_SUFFIXES, ImageReader, images_image_size
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR, PoseRows, default_poses
 from sceneloom.formats.base.text_tables import (
@@ -31,6 +34,7 @@ from sceneloom.formats.base.text_tables import (
     PLACEHOLDERS,
     POSE_COLUMNS,
     TIME_COLUMNS,
+    UNITS_NS,
     Table,
     TimestampError,
     line_timestamps,
@@ -38,8 +42,8 @@ from sceneloom.formats.base.text_tables import (
     pick_columns,
     read_table,
 )
-from sceneloom.formats.points.cloud import ALIASES, ROW_ALIASES, FieldLayout, find_roles, parse_layout
-from sceneloom.formats.points.files import CLOUD_SUFFIXES, cloud_suffix, read_cloud
+from sceneloom.formats.points.cloud import ALIASES, ROW_ALIASES, FieldLayout, find_roles
+from sceneloom.formats.points.files import CLOUD_SUFFIXES, cloud_suffix, default_layout, read_cloud
 from sceneloom.formats.points.mapping import (
     FARTHEST_WORLD,
     IntensityScale,
@@ -48,11 +52,9 @@ from sceneloom.formats.points.mapping import (
     SweepReader,
     detect_scale,
 )
-from sceneloom.formats.points.npz import default_layout
-from sceneloom.formats.rig.manifest import Faults, Manifest, Record, read_manifest
 from sceneloom.formats.rig.spec import MANIFEST, natural_key
-from sceneloom.formats.video.reader import VideoFile, VideoImages
-from sceneloom.geometry.euler import rotation_from_cuboid_angles
+from sceneloom.formats.video.reader import VideoReader, open_video, open_whole_or_left
+from sceneloom.geometry.euler import ORDERS, rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import (
     GREATEST_ERROR,
     SILENT_ERROR,
@@ -64,7 +66,7 @@ from sceneloom.geometry.rigid import (
     quaternion_from_matrix,
     rotate_vectors,
 )
-from sceneloom.scene.cameras import LONGEST_ROLL_S, CameraSensor
+from sceneloom.scene.cameras import LONGEST_ROLL_S, CameraImage, CameraSensor, VideoContent
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
@@ -72,6 +74,467 @@ from sceneloom.scene.poses import Poses, Trajectory, poses_along
 from sceneloom.scene.scene import Scene, Sensor, frame_times, with_assumed_models
 from sceneloom.scene.types import NO_FIELDS, PointsFrame
 from sceneloom.warnings import WarningKind
+
+_Record = dict[str, Any]
+"""A record as read: values by name, absent ones left out."""
+
+
+class Kind(StrEnum):
+    """What a field holds, in words for messages."""
+
+    TEXT = "text in quotes"
+    TEXTS = "text in quotes, or a list of such texts"
+    CHOICE = "one of a few words"
+    FLAG = "true or false"
+    INTEGER = "a whole number"
+    NUMBER = "a number"
+    SECONDS = "seconds as a number"
+    VECTOR = "a list of numbers"
+    MATRIX = "a list of rows of numbers"
+    NUMBERS = "a list of numbers, or a table of numbers by name"
+    NAMES = "a table of texts"
+    AXES = "a word, three axes in one text, or a table of right, down, forward"
+    RECORD = "a table"
+    RECORDS = "a list of tables"
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """One field of a record."""
+
+    name: str
+    kind: Kind
+    about: str  # what it means, for people
+    required: bool = False  # a manifest without it is at fault
+    unit: str = ""
+    record: str = ""  # of a RECORD or RECORDS
+    choices: tuple[str, ...] = ()  # the words of a CHOICE
+    shapes: tuple[tuple[int, ...], ...] = ()  # lengths of a VECTOR, as (3,), or sizes of a MATRIX, as (4, 4)
+    positive: bool = False  # the number has to be above zero
+
+
+_SENSOR_TYPES = ("lidar", "camera", "imu", "gnss")
+_TYPE = _Field("type", Kind.CHOICE, "kind of the sensor", required=True, choices=_SENSOR_TYPES)
+_ROOT = _Field("root", Kind.TEXT, "folder of the files, relative to the manifest; left out: the manifest's `root`")
+_OFFSET = _Field("time_offset_s", Kind.SECONDS, "added to every timestamp of the sensor", unit="s")
+_UNIT = _Field("unit", Kind.CHOICE, "unit of the numbers", choices=tuple(UNITS_NS))
+_TIMES = _Field("times", Kind.RECORD, "where the timestamps come from", required=True, record="times")
+_FILES = _Field("files", Kind.TEXTS, "pattern of the files below `root`: `lidar/*.pcd`, or a list of patterns")
+_CSV_FILE = _Field("file", Kind.TEXT, "the CSV file below `root`", required=True)
+_COLUMNS = _Field("columns", Kind.NAMES, "column of the file by what it is, where it has another name")
+
+_MOUNTED = (
+    _Field("id", Kind.TEXT, "name of the sensor in the scene, which is unique", required=True),
+    _TYPE,
+    _Field("frame", Kind.TEXT, "name of the sensor's own frame; left out: its id"),
+    _Field("extrinsic", Kind.RECORD, "pose of the sensor, in place of `[[transforms]]`", record="extrinsic"),
+    _ROOT,
+    _OFFSET,
+)
+
+_ROTATIONS = (
+    _Field("translation", Kind.VECTOR, "origin of `from` seen in `to`", unit="m", shapes=((3,),)),
+    _Field("quaternion_xyzw", Kind.VECTOR, "rotation, scalar last", shapes=((4,),)),
+    _Field("quaternion_wxyz", Kind.VECTOR, "rotation, scalar first", shapes=((4,),)),
+    _Field("rotation_matrix", Kind.MATRIX, "rotation, row by row", shapes=((3, 3),)),
+    _Field("euler_deg", Kind.VECTOR, "angles about x, y and z, whatever the order", unit="°", shapes=((3,),)),
+    _Field("euler_order", Kind.CHOICE, "order of the product: zyx is Rz·Ry·Rx", choices=ORDERS),
+    _Field("matrix", Kind.MATRIX, "all in one: [R t; 0 0 0 1], row by row", unit="m", shapes=((4, 4), (3, 4))),
+)
+
+RECORDS: Mapping[str, tuple[_Field, ...]] = MappingProxyType({
+    "rig": (
+        _Field("ego", Kind.TEXT, "the frame that the trajectory moves through the world; left out: base"),
+        _Field("root", Kind.TEXT, "folder of all files, absolute or relative to the manifest; left out: its own"),
+        _Field("name", Kind.TEXT, "title of the drive"),
+        _Field("transforms", Kind.RECORDS, "transforms between the frames", record="transform"),
+        _Field("sensors", Kind.RECORDS, "the sensors", required=True, record="sensor"),
+        _Field("trajectories", Kind.RECORDS, "trajectories, the default first", record="trajectory"),
+    ),
+    "transform": (
+        _Field("from", Kind.TEXT, "frame whose points go in", required=True),
+        _Field("to", Kind.TEXT, "frame that they come out in: p_to = R·p_from + translation", required=True),
+        *_ROTATIONS,
+    ),
+    "extrinsic": (
+        _Field("to", Kind.TEXT, "takes points of the sensor's frame into this frame: p_to = R·p + translation"),
+        _Field("from", Kind.TEXT, "in place of `to`: takes points of this frame into the sensor's frame"),
+        *_ROTATIONS,
+    ),
+    "sensor lidar": (
+        *_MOUNTED,
+        replace(_FILES, required=True),
+        _TIMES,
+        _Field("timestamp", Kind.CHOICE, "moment of the sweep that the timestamp means; left out: start",
+            choices=("start", "middle", "end")),
+        _Field("sweep_s", Kind.SECONDS, "duration of a sweep; left out: the median interval", unit="s", positive=True),
+        _Field("deskewed", Kind.FLAG, "true: all points are as at the timestamp, their times are not used"),
+        _Field("points_in", Kind.TEXT, "frame of the points, or `world`; left out: the sensor's own"),
+        _Field("point_times", Kind.RECORD, "meaning of the times of single points", record="point_times"),
+        _Field("fields", Kind.TEXTS, "columns of `.bin`, or of rows in `.npz`: `x`, `ring:uint16`, `_:uint8`"),
+        _Field("dtype", Kind.TEXT, "type of the `fields` that name none; left out: float32"),
+        _Field("use", Kind.NAMES, "column by what it is: x y z intensity ring red green blue"),
+        _Field("intensity_max", Kind.NUMBER, "intensity that becomes 255; left out: taken from the first file",
+            positive=True),
+        _Field("model", Kind.TEXT, "name of the device"),
+    ),
+    "sensor camera": (
+        *_MOUNTED,
+        _FILES,
+        _Field("video", Kind.TEXT, "a video below `root`, in place of `files`"),
+        _TIMES,
+        _Field("axes", Kind.AXES, "directions of the axes of the camera's frame; left out: optical"),
+        _Field("shutter_roll_s", Kind.SECONDS, unit="s", positive=True,
+            about="time of a rolling shutter from the first row to the last; left out: a global shutter"),
+        _Field("shutter_left_to_right", Kind.FLAG, "true: it takes columns from the left, not rows"),
+        _Field("camera_model", Kind.RECORD, "the intrinsics", required=True, record="camera_model"),
+    ),
+    "sensor imu": (
+        *_MOUNTED,
+        _CSV_FILE,
+        _COLUMNS,
+        _UNIT,
+        _Field("gyroscope_unit", Kind.CHOICE, "left out: rad/s", choices=("rad/s", "deg/s")),
+        _Field("accelerometer_unit", Kind.CHOICE, "left out: m/s2", choices=("m/s2", "g")),
+    ),
+    "sensor gnss": (*_MOUNTED, _CSV_FILE, _COLUMNS, _UNIT),
+    "times": (
+        _Field("pattern", Kind.TEXT, "timestamps in the file names: `{ns}`, `{s}_{ns}`, `{index}` with a rate"),
+        _Field("csv", Kind.TEXT, "timestamps in a CSV file below `root`"),
+        _Field("column", Kind.TEXT, "column of the timestamps in the CSV; left out: timestamp, time, t, …"),
+        _Field("file_column", Kind.TEXT, "column of the file names in the CSV; left out: file, filename, … if any"),
+        _Field("lines", Kind.TEXT, "text file below `root` with one timestamp per line: numbers or dates"),
+        _Field("rate_hz", Kind.NUMBER, "files per second, at even intervals", unit="1/s", positive=True),
+        _Field("start_s", Kind.SECONDS, "timestamp of index 0, or of a video's first image; left out: 0", unit="s"),
+        _Field("container", Kind.FLAG, "true: the times that the video itself has"),
+        _UNIT,
+    ),
+    "point_times": (
+        _Field("field", Kind.TEXT, "column of the times; left out: time, t, timestamp, …"),
+        replace(_UNIT, about="unit of the column", required=True),
+        _Field("relative_to", Kind.CHOICE, choices=("timestamp", "start", "clock"),
+            about="zero of the times: the file's timestamp (if left out), the sweep's start, or that of the clock"),
+    ),
+    "camera_model": (
+        _Field("model", Kind.TEXT, "projection model; left out: pinhole, or brown_conrady with coefficients"),
+        _Field("width", Kind.INTEGER, "image size of the calibration; left out: that of the images", unit="px",
+            positive=True),
+        _Field("height", Kind.INTEGER, "the same", unit="px", positive=True),
+        _Field("fx", Kind.NUMBER, "focal length", unit="px", positive=True),
+        _Field("fy", Kind.NUMBER, "focal length; left out: fx", unit="px", positive=True),
+        _Field("cx", Kind.NUMBER, "principal point; (0, 0) is the centre of the first pixel", unit="px"),
+        _Field("cy", Kind.NUMBER, "the same", unit="px"),
+        _Field("K", Kind.MATRIX, "in place of fx fy cx cy", unit="px", shapes=((3, 3),)),
+        _Field("P", Kind.MATRIX, "in place of them: K·[I t], as KITTI and ROS have it", unit="px", shapes=((3, 4),)),
+        _Field("coefficients", Kind.NUMBERS, "distortion: a list in OpenCV's order, or by name"),
+        _Field("undistorted", Kind.FLAG, "true: the images are rectified, so the coefficients are not used"),
+    ),
+    "trajectory": (
+        _Field("name", Kind.TEXT, "name of the trajectory; left out: pose"),
+        _Field("file", Kind.TEXT, "the file below `root`", required=True),
+        _Field("form", Kind.CHOICE, "format of the file", required=True, choices=("tum", "kitti", "csv")),
+        _Field("frame", Kind.TEXT, "the frame whose trajectory it is; left out: the ego's"),
+        _Field("world_axes", Kind.CHOICE, "axes of its world; left out: z_up", choices=("z_up", "optical")),
+        _Field("times", Kind.TEXT, "timestamps of a kitti file: a text file, one line per pose"),
+        _COLUMNS,
+        _UNIT,
+        _ROOT,
+        _OFFSET,
+    ),
+})  # fmt: skip
+"""Every record by name, its fields in the order of the documentation."""
+
+_NAMED = (("sensors", "id"), ("trajectories", "name"))
+"""The lists whose tables have names of their own, and the field of the name."""
+
+_FILL_IN = "still to be filled in"  # how the problem begins where a template's `nan` still stands
+_SHOWN_LINES = 20
+_FARTHEST_S = Decimal("9.2e9")
+_LARGEST = 1e15
+_LARGEST_MANIFEST = 16_000_000
+_LARGEST_EXPONENT = 40
+
+
+class Faults:
+    """The faults found so far, each with its location in the manifest.
+
+    Attributes:
+        file: the manifest, for messages.
+        labels: ids and names of the parts, by location ("sensors[1]").
+    """
+
+    def __init__(self, file: object) -> None:
+        """Begin without faults."""
+        self.file = file
+        self.labels: dict[str, str] = {}
+        self._errors: list[DataError] = []
+
+    def add(self, location: str, problem: str) -> None:
+        """Note a fault of the manifest."""
+        self._errors.append(DataError(self.file, location, problem))
+
+    @contextmanager
+    def catching(self, location: str) -> Iterator[None]:
+        """Note what goes wrong in the block instead of raising it; errors of other files keep their location."""
+        try:
+            yield
+        except DataError as error:
+            self._errors.append(error)
+        except SceneloomError as error:
+            self.add(location, str(error))
+
+    def raise_all(self) -> None:
+        """Raise one error that reports all faults, if there is one.
+
+        Raises:
+            DataError: the only fault, or the first with all others below it.
+        """
+        errors = [DataError(e.file, self._labelled(e), e.problem) for e in self._errors]
+        if len(errors) == 1:
+            raise errors[0]
+        lines, open_fields = [], dict[str, list[str]]()
+        for error in errors:
+            if error.problem.startswith(_FILL_IN):
+                part, _, name = error.location.partition(".")
+                open_fields.setdefault(part, []).append(name)
+            elif error.file == str(self.file):
+                lines.append(": ".join(filter(None, (error.location, error.problem))))
+            else:
+                lines.append(str(error))
+        lines += [f"{part}: {_FILL_IN}: {', '.join(names)}" for part, names in open_fields.items()]
+        if len(lines) > _SHOWN_LINES:
+            lines[_SHOWN_LINES:] = [f"… and {len(lines) - _SHOWN_LINES} more lines"]
+        if errors:
+            raise DataError(self.file, "", "\n  ".join([f"{len(errors)} faults", *lines]))
+
+    def _labelled(self, error: DataError) -> str:
+        part, dot, rest = error.location.partition(".")
+        known = part in self.labels and error.file == str(self.file)
+        return f"{part} ({self.labels[part]}){dot}{rest}" if known else error.location
+
+
+@dataclass(frozen=True, slots=True)
+class _Manifest:
+    """A manifest without faults in its fields: the file, and its record."""
+
+    path: Path
+    record: _Record
+
+    @property
+    def ego(self) -> str:
+        """The frame that moves through the world."""
+        return str(self.record.get("ego", "base"))
+
+    def faults(self) -> Faults:
+        """A collection of faults that knows the names of the parts."""
+        faults = Faults(self.path)
+        for name, key in _NAMED:
+            faults.labels.update({location: record[key] for location, record in self.records(name) if key in record})
+        return faults
+
+    def records(self, name: str) -> list[tuple[str, _Record]]:
+        """The tables of a list, each with its location."""
+        return [(f"{name}[{k}]", record) for k, record in enumerate(self.record.get(name, []))]
+
+
+def _read_manifest(path: Path) -> _Manifest:
+    """Read a manifest."""
+    raw = _parse(path)
+    faults = Faults(path)
+    manifest = _Manifest(path, read_record(raw, "rig", "", faults))
+    for name, key in _NAMED:
+        seen: dict[str, str] = {}
+        for location, record in manifest.records(name):
+            if record.get(key) in seen:
+                faults.add(f"{location}.{key}", f"{record[key]!r} is also that of {seen[record[key]]}")
+            elif key in record:
+                seen[record[key]] = location
+    if manifest.record.get("sensors") == []:
+        faults.add("sensors", "an empty list; expected at least one `[[sensors]]`")
+    faults.raise_all()
+    return manifest
+
+
+def _parse(path: Path) -> _Record:
+    try:
+        size = path.stat().st_size
+        if size > _LARGEST_MANIFEST:
+            raise DataError(path, "", f"{size} bytes; expected a manifest of at most {_LARGEST_MANIFEST}")
+        text = read_bytes(path).decode("utf-8-sig")
+        return tomllib.loads(text.replace("\r\n", "\n"), parse_float=_decimal)
+    except OSError as error:
+        raise DataError(path, "", f"cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise DataError(path, f"byte {error.start}", "is no UTF-8 text; expected TOML") from error
+    except (ValueError, RecursionError) as error:
+        broken = "key part" in str(error) or "inline table" in str(error)
+        hint = "; a table in { } has to stand in one line" if broken else ""
+        raise DataError(path, "", f"is no TOML: {error}{hint}") from error
+
+
+def _decimal(text: str) -> Decimal:
+    """Keep all digits of a number, so that no time is rounded; extreme numbers become infinite or zero."""
+    try:
+        number = Decimal(text)
+    except InvalidOperation:
+        return Decimal("Infinity")
+    if not number.is_finite() or number == 0 or abs(number.adjusted()) <= _LARGEST_EXPONENT:
+        return number
+    return Decimal("Infinity") if number.adjusted() > 0 else Decimal(0)
+
+
+class _FieldError(ValueError):
+    """A value is not what its field holds."""
+
+
+def read_record(raw: Mapping[str, Any], record: str, location: str, faults: Faults) -> _Record:
+    """Read one record; fields that are at fault are noted and left out.
+
+    Args:
+        raw: as `tomllib` reads it, numbers with a point as Decimal.
+        record: its name in the table.
+        location: where it stands, for messages.
+        faults: takes all that is wrong.
+    """
+    if record == "sensor":
+        kind = raw.get("type")
+        if kind not in _SENSOR_TYPES:
+            _report_type(raw, location, faults)
+            return {}
+        record = f"sensor {kind}"
+    fields = {field.name: field for field in RECORDS[record]}
+    before = f"{location}." if location else ""
+    values: _Record = {}
+    for name, value in raw.items():
+        if name not in fields:
+            faults.add(before + name, f"unknown; {_nearest(name, fields)}")
+            continue
+        try:
+            values[name] = _read(value, fields[name], before + name, faults)
+        except _FieldError as error:
+            faults.add(before + name, str(error))
+    for field in fields.values():
+        if field.required and field.name not in raw:
+            faults.add(before + field.name, f"missing; expected {_expected(field)}")
+    return values
+
+
+def _report_type(raw: Mapping[str, Any], location: str, faults: Faults) -> None:
+    """Report the type of a sensor that is missing or unknown; its other fields are not checked."""
+    if "type" in raw:
+        problem = str(_wrong(raw["type"], _TYPE))
+    else:
+        close = get_close_matches("type", raw, 1, 0.6)
+        problem = f"missing; expected {_expected(_TYPE)}" + (
+            f"; {close[0]!r} is unknown: is it meant?" if close else ""
+        )
+    faults.add(f"{location}.type", problem)
+
+
+def _nearest(name: str, fields: Mapping[str, _Field]) -> str:
+    """Name the known field that is most like an unknown one, here or one table further in."""
+    close = get_close_matches(name, fields, 1, 0.6)
+    if close:
+        return f"did you mean {close[0]!r}?"
+    for field in fields.values():
+        if name in (inner.name for inner in RECORDS.get(field.record, ())):
+            return f"did you mean {field.name}.{name}?"
+    return f"expected one of {', '.join(fields)}"
+
+
+def _expected(field: _Field) -> str:
+    if field.choices:
+        return f"one of {', '.join(field.choices)}"
+    if field.shapes:
+        shapes = (
+            f"{shape[0]} rows of {shape[1]}" if len(shape) == 2 else f"a list of {shape[0]}" for shape in field.shapes
+        )
+        return " or ".join(f"{shape} numbers" for shape in shapes)
+    unit = f" ({field.unit})" if field.unit else ""
+    return f"{field.kind.value}{unit}{', above 0' if field.positive else ''}: {field.about}"
+
+
+def _found(value: Any) -> str:
+    if isinstance(value, list | dict):
+        return f"a {'list' if isinstance(value, list) else 'table'} of {len(value)}"
+    text = str(value) if isinstance(value, Decimal) else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _wrong(value: Any, field: _Field) -> _FieldError:
+    close = get_close_matches(value, field.choices, 1, 0.5) if isinstance(value, str) else []
+    hint = f"; did you mean {close[0]!r}?" if close else ""
+    return _FieldError(f"{_found(value)}; expected {_expected(field)}{hint}")
+
+
+def _read(value: Any, field: _Field, location: str, faults: Faults) -> Any:  # noqa: PLR0911, PLR0912 - one a kind
+    """Read the value of a field; raise `_FieldError` unless it is as its kind, but note the faults of inner records."""
+    match field.kind:
+        case Kind.TEXT:
+            return _text(value, field)
+        case Kind.TEXTS if value and isinstance(value, str | list):
+            return [_text(text, field) for text in ([value] if isinstance(value, str) else value)]
+        case Kind.CHOICE if isinstance(value, str) and value in field.choices:
+            return value
+        case Kind.FLAG if isinstance(value, bool):
+            return value
+        case Kind.INTEGER if not isinstance(value, Decimal) or value.is_nan():
+            return int(_number(value, field))
+        case Kind.NUMBER:
+            return float(_number(value, field))
+        case Kind.SECONDS:  # as nanoseconds, exactly
+            return int((Decimal(_number(value, field)) * 10**9).to_integral_value())
+        case Kind.VECTOR if isinstance(value, list) and (len(value),) in field.shapes:
+            return _array(value, field)
+        case Kind.MATRIX if isinstance(value, list) and all(isinstance(row, list) for row in value):
+            widths = {len(row) for row in value}
+            if len(widths) == 1 and (len(value), *widths) in field.shapes:
+                return np.array([_array(row, field) for row in value])
+        case Kind.NUMBERS if isinstance(value, list):
+            return [float(_number(item, field)) for item in value]
+        case Kind.NUMBERS if isinstance(value, dict):
+            return {name: float(_number(item, field)) for name, item in value.items()}
+        case Kind.NAMES if isinstance(value, dict):
+            return {name: _text(item, field) for name, item in value.items()}
+        case Kind.AXES if isinstance(value, str):
+            return tuple(word.strip().lower() for word in value.split(","))
+        case Kind.AXES if isinstance(value, dict) and set(value) == {"right", "down", "forward"}:
+            return tuple(str(value[direction]).strip().lower() for direction in ("right", "down", "forward"))
+        case Kind.RECORD if isinstance(value, dict):
+            return read_record(value, field.record, location, faults)
+        case Kind.RECORDS if isinstance(value, list) and all(isinstance(item, dict) for item in value):
+            return _read_list(value, field, location, faults)
+        case Kind.RECORDS:
+            raise _FieldError(f"{_found(value)}; expected {field.kind.value}: one `[[{field.name}]]` each")
+    raise _wrong(value, field)
+
+
+def _text(value: Any, field: _Field) -> str:
+    if isinstance(value, str) and value.strip() and "\0" not in value:
+        return value
+    raise _wrong(value, field)
+
+
+def _number(value: Any, field: _Field) -> int | float | Decimal:
+    if isinstance(value, Decimal | float) and value != value:  # noqa: PLR0124 - a Decimal has no cheaper test
+        raise _FieldError(f"{_FILL_IN}: {field.about}" + (f" [{field.unit}]" if field.unit else ""))
+    limit = _FARTHEST_S if field.kind is Kind.SECONDS else _LARGEST
+    if type(value) not in {int, float, Decimal} or not abs(value) <= limit or (field.positive and not value > 0):
+        raise _wrong(value, field)
+    return value  # type: ignore[no-any-return]
+
+
+def _array(values: list[Any], field: _Field) -> Any:
+    return np.array([float(_number(item, field)) for item in values])
+
+
+def _read_list(items: list[_Record], field: _Field, location: str, faults: Faults) -> list[_Record]:
+    for k, item in enumerate(items):
+        label = item.get("id", item.get("name"))
+        if isinstance(label, str):
+            faults.labels[f"{location}[{k}]"] = label
+    return [read_record(item, field.record, f"{location}[{k}]", faults) for k, item in enumerate(items)]
+
 
 _WORLD = "world"
 _RESERVED_NAMES = {"gnss", "lidar", "identity"}  # names of trajectories that stand for computed ones
@@ -88,7 +551,7 @@ def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False) -
     Raises:
         DataError: the manifest, or what it names, is at fault; all faults are reported at once.
     """
-    manifest = read_manifest(path / MANIFEST if path.is_dir() else path)
+    manifest = _read_manifest(path / MANIFEST if path.is_dir() else path)
     ledger = Ledger(lenient=lenient)
     try:
         with ledger.telling():
@@ -98,7 +561,7 @@ def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False) -
     return with_assumed_models(scene) if assume_model else scene
 
 
-def _open(manifest: Manifest, ledger: Ledger) -> Scene:
+def _open(manifest: _Manifest, ledger: Ledger) -> Scene:
     faults = manifest.faults()
     tree = _frame_tree(manifest, faults, ledger)
     drive = _Drive(manifest, tree, ledger)
@@ -136,11 +599,105 @@ def _open(manifest: Manifest, ledger: Ledger) -> Scene:
     )
 
 
+class _VideoFile:
+    """A video by its path. In another process it opens again, if it is still the file that was opened here."""
+
+    def __init__(self, path: Path) -> None:
+        """Open nothing yet."""
+        self.path = path
+        self.cut_off = False  # whether only what is left of a damaged video is read
+        self._closed = False
+        self._reader: VideoReader | None = None
+        self._lock = Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "cut_off": self.cut_off, "_closed": self._closed, "_reader": self._reader}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = Lock()
+
+    def reader(self) -> VideoReader:
+        """The open video.
+
+        Raises:
+            DataError: it cannot be read as one, or was closed.
+        """
+        with self._lock:
+            if self._closed:
+                raise DataError(self.path, "", "is closed")
+            if self._reader is None:
+                self._reader = open_video(self.path, cut_off=self.cut_off)
+            return self._reader
+
+    def whole_or_left(self, ledger: Ledger) -> VideoReader:
+        """The open video with its list of images; a lenient reading takes what is left of one that breaks off.
+
+        Raises:
+            DataError: it cannot be read, or no image of it is left.
+        """
+        with self._lock:
+            if self._reader is None and not self._closed:
+                self._reader = open_whole_or_left(self.path, ledger)
+                self.cut_off = self._reader.is_remainder
+        return self.reader()
+
+    def rgb(self, index: int) -> UInt8Array:
+        """Decode one image."""
+        return self.reader().rgb(index)
+
+    def container_ns(self) -> Int64Array:
+        """The times that the video has itself, (N,) int64 [ns], rounded from its ticks once each.
+
+        Raises:
+            DataError: it has none.
+        """
+        index = self.reader().index
+        if not index.timed:
+            raise DataError(self.path, "", "has no times of its own; give them with csv, lines or rate_hz")
+        ticks, base = index.pts.tolist(), index.time_base * 10**9
+        return np.array([round(tick * base) for tick in ticks], np.int64)
+
+    def open_binary(self) -> BinaryIO:
+        """Open the video's bytes."""
+        return open_file(self.path)
+
+    def content(self, chosen: Int64Array) -> VideoContent | None:
+        """The video for those who copy it, with the images that are used of it; None for what is left of one."""
+        if self.cut_off:
+            return None
+        reader = self.reader()
+        whole = np.array_equal(chosen, np.arange(reader.count))
+        return VideoContent(self.open_binary, reader.codec, None if whole else tuple(chosen.tolist()))
+
+    def close(self) -> None:
+        """Release the file; no image can be read afterwards."""
+        with self._lock:
+            self._closed = True
+            if self._reader is not None:
+                self._reader.close()
+            self._reader = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _VideoImages:
+    """Makes the images of one camera from a video."""
+
+    video: _VideoFile
+    chosen: Int64Array  # (N,) number of each image in the video
+    timestamps_ns: Int64Array
+    camera: Camera
+
+    def __call__(self, k: int) -> CameraImage:
+        """Make image `k` without decoding it."""
+        return CameraImage(int(self.timestamps_ns[k]), self.camera, partial(self.video.rgb, int(self.chosen[k])))
+
+
 @dataclass(frozen=True, slots=True)
 class _CloseVideos:
     """Closes the videos of a scene."""
 
-    videos: list[VideoFile]
+    videos: list[_VideoFile]
 
     def __call__(self) -> None:
         for video in self.videos:
@@ -181,11 +738,11 @@ def _trajectories(drive: "_Drive", faults: Faults) -> dict[str, Trajectory]:
 class _Drive:
     """A manifest while its scene is made."""
 
-    manifest: Manifest
+    manifest: _Manifest
     tree: "FrameTree"
     ledger: Ledger
     ego_path: Poses | None = None  # `world_from_ego` of the default trajectory, once that is read
-    videos: list[VideoFile] = field(default_factory=list)  # that were opened; the scene closes them
+    videos: list[_VideoFile] = field(default_factory=list)  # that were opened; the scene closes them
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +750,7 @@ class _Part:
     """A sensor or trajectory of the manifest while it is built: its record, and where that stands."""
 
     drive: _Drive
-    record: Record
+    record: _Record
     location: str
 
     @property
@@ -246,7 +803,7 @@ class _Part:
         return poses_along(self.drive.ego_path, {0: mount}, np.zeros(len(timestamps_ns), np.int64), timestamps_ns)
 
 
-def _own_frame(record: Record) -> str:
+def _own_frame(record: _Record) -> str:
     return str(record.get("frame", record["id"]))
 
 
@@ -570,10 +1127,9 @@ class NamePattern:
         return timestamp_ns
 
 
-_ROTATIONS = ("quaternion_xyzw", "quaternion_wxyz", "rotation_matrix", "euler_deg")
+_READER_ROTATIONS = ("quaternion_xyzw", "quaternion_wxyz", "rotation_matrix", "euler_deg")
 _NORM_ERROR = 0.01
 _FARTHEST = 1e6
-
 _QUARTER_ERROR = 0.003
 """Angles rounded to 1.57 and 3.14 are quarter rotations in radians within this share; 1.5 and 3 degrees are not."""
 
@@ -590,13 +1146,13 @@ _AXES: Mapping[str, tuple[str, str, str]] = {
 _DIRECTIONS = {sign + axis: value for axis in "xyz" for sign, value in (("+", 1.0), ("-", -1.0), ("", 1.0))}
 
 
-def read_transform(record: Record, location: str, ledger: Ledger) -> RigidTransform:
+def read_transform(record: _Record, location: str, ledger: Ledger) -> RigidTransform:
     """Build a transform from `matrix`, or from `translation` and one form of rotation.
 
     Raises:
         CalibrationError: too many or too few fields, or the rotation is invalid.
     """
-    forms = [form for form in _ROTATIONS if form in record]
+    forms = [form for form in _READER_ROTATIONS if form in record]
     if "matrix" in record:
         if forms or "translation" in record:
             raise CalibrationError(f"matrix beside {(forms or ['translation'])[0]}; expected one of them")
@@ -604,7 +1160,9 @@ def read_transform(record: Record, location: str, ledger: Ledger) -> RigidTransf
     if len(forms) > 1:
         raise CalibrationError(f"{' and '.join(forms)}; expected one of them")
     if not forms and "translation" not in record:
-        raise CalibrationError(f"no transform; expected matrix, or translation and one of {', '.join(_ROTATIONS)}")
+        raise CalibrationError(
+            f"no transform; expected matrix, or translation and one of {', '.join(_READER_ROTATIONS)}"
+        )
     matrix = np.eye(4)
     matrix[:3, 3] = record.get("translation", (0.0, 0.0, 0.0))
     if forms:
@@ -619,7 +1177,7 @@ def read_transform(record: Record, location: str, ledger: Ledger) -> RigidTransf
     return _checked_transform(matrix, location, ledger)
 
 
-def _rotation(record: Record, form: str) -> Float64Array:
+def _rotation(record: _Record, form: str) -> Float64Array:
     value: Float64Array = record[form]
     if (form == "euler_deg") != ("euler_order" in record):
         raise CalibrationError("euler_deg and euler_order; expected both or neither")
@@ -674,7 +1232,7 @@ def frame_from_optical(axes: tuple[str, ...]) -> RigidTransform:
     return RigidTransform(rotation, np.zeros(3))
 
 
-def _frame_tree(manifest: Manifest, faults: Faults, ledger: Ledger) -> "FrameTree":
+def _frame_tree(manifest: _Manifest, faults: Faults, ledger: Ledger) -> "FrameTree":
     """Read all transforms; nothing else can be checked without a sound tree."""
     tables = [(location, record, record["from"], record["to"]) for location, record in manifest.records("transforms")]
     for location, sensor in manifest.records("sensors"):
@@ -931,18 +1489,18 @@ def _build_camera(part: _Part) -> CameraSensor:
     if ("files" in record) == ("video" in record):
         found = "files and video" if "files" in record else "neither files nor video"
         raise part.fault("", f"{found}; expected one of them")
-    images: ImageReader | VideoImages
+    images: ImageReader | _VideoImages
     if "files" in record:
         files, names, timestamps_ns = _timed_files(part, part.files(IMAGE_SUFFIXES), images_image_size)
         camera = _fitted_camera(part, images_image_size(files[0]))
         images, content = ImageReader(files, names, timestamps_ns, camera), None
     else:
-        video = VideoFile(part.file("video"))
+        video = _VideoFile(part.file("video"))
         part.drive.videos.append(video)
         reader = video.whole_or_left(part.ledger)
         camera = _fitted_camera(part, (reader.width, reader.height))
         chosen, timestamps_ns = _timed_images(part, reader.count, video.container_ns, Path(record["video"]).name)
-        images, content = VideoImages(video, chosen, timestamps_ns, camera), video.content(chosen)
+        images, content = _VideoImages(video, chosen, timestamps_ns, camera), video.content(chosen)
         fps = 1e9 / float(np.median(np.diff(timestamps_ns))) if len(timestamps_ns) > 1 else reader.fps
         fps = record["times"].get("rate_hz", fps)
     mount = (
@@ -988,7 +1546,7 @@ def _fitted_camera(part: _Part, size: tuple[int, int]) -> Camera:
     return calibrated.resized(*size)
 
 
-def read_camera_model(record: Record, image_size: tuple[int, int]) -> Camera:
+def read_camera_model(record: _Record, image_size: tuple[int, int]) -> Camera:
     """Build the camera model, for the image size of its calibration.
 
     Args:
@@ -1011,14 +1569,14 @@ def read_camera_model(record: Record, image_size: tuple[int, int]) -> Camera:
     return camera
 
 
-def frame_from_camera(record: Record) -> RigidTransform:
+def frame_from_camera(record: _Record) -> RigidTransform:
     """The translation that a projection matrix P = K·[I t] has in it: p_camera = p_frame + t."""
     if "P" not in record:
         return RigidTransform.identity()
     return RigidTransform(np.eye(3), -np.linalg.solve(record["P"][:, :3], record["P"][:, 3]))
 
 
-def _intrinsics(record: Record) -> tuple[float, float, float, float]:
+def _intrinsics(record: _Record) -> tuple[float, float, float, float]:
     """The values of fx, fy, cx, cy, from them or from one of the matrices."""
     forms = [form for form in ("fx", "K", "P") if form in record]
     if len(forms) != 1:
@@ -1070,9 +1628,7 @@ def _coefficients(model: str, given: list[float] | dict[str, float]) -> tuple[fl
 
 
 _LONGEST_SWEEP_NS = 60_000_000_000  # a sweep that takes longer than this [ns] is none
-
 _LOOKED_AT = 10  # files that are looked through for one that is bright enough to show the scale of intensity
-
 _ROLES = (*(role for role in ALIASES if role != "time"), *ROW_ALIASES)
 
 _KNOWN_TIMES: dict[tuple[str, str], PointTimes] = {
@@ -1131,7 +1687,7 @@ def _choose_layout(part: _Part, first: Path) -> FieldLayout | None:
     """The columns that the manifest states, or the usual ones of files without a header."""
     if "fields" in part.record:
         try:
-            return parse_layout(part.record["fields"], default=part.record.get("dtype", "float32"))
+            return FieldLayout.parse(part.record["fields"], default=part.record.get("dtype", "float32"))
         except OptionError as error:
             raise part.fault("fields", str(error)) from None
     if "dtype" in part.record:
@@ -1243,7 +1799,6 @@ def _points_frame(part: _Part, mount: RigidTransform) -> tuple[PointsFrame, Rigi
 
 
 _FARTHEST_POINT = 10_000.0  # no lidar measures as far [m]: numbers of another type give such points
-
 _NEAREST_POINT = 1e-6
 _ODD_SHARE = 0.01
 
@@ -1355,9 +1910,7 @@ _BUILDERS: Mapping[str, Callable[[_Part], Sensor]] = {
 }
 
 _FARTHEST_MOUNT = 30.0  # a sensor that is mounted farther than this from the ego [m] is reported: no vehicle is as long
-
 _WITHIN_NS = 1_000_000_000  # streams that miss each other by less may well belong together
-
 _LEANING = 0.5  # cosine of 60 degrees: an ego whose z axis leans more than that is on its side or upside down
 
 

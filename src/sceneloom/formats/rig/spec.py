@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+from sceneloom.errors import DataError
+from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.spec import FormatSpec
 
 MANIFEST = "rig.toml"
@@ -24,9 +26,13 @@ def _looks_like_manifest(path: Path) -> bool:
         return False
     if manifest.name == MANIFEST:
         return True
-    from sceneloom.formats.rig.manifest import has_sensors
+    import tomllib
 
-    return has_sensors(manifest)
+    try:
+        text = read_bytes(manifest).decode("utf-8-sig")
+        return "sensors" in tomllib.loads(text.replace("\r\n", "\n"), parse_float=str)
+    except (DataError, OSError, ValueError, RecursionError):
+        return False
 
 
 FORMAT = FormatSpec(

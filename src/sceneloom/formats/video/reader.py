@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import chain, product
 from pathlib import Path
 from threading import Lock
@@ -25,7 +25,6 @@ from av.video.reformatter import Interpolation, VideoReformatter
 from av.video.stream import VideoStream
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, UInt16Array
-from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import (
@@ -39,7 +38,6 @@ from sceneloom.formats.base.files import (
     processors,
     why_no_file,
 )
-from sceneloom.scene.cameras import CameraImage, VideoContent
 
 VideoSource = Path | str | bytes | bytearray | memoryview | Callable[[], BinaryIO]
 """A file, its bytes, or a function that opens them anew each time."""
@@ -52,7 +50,7 @@ _DEMUXERS = (
 _MOST_AHEAD = 4  # images that are decoded at the same time at most: each is kept, and a jump waits for all of them
 
 
-def source_name(source: VideoSource, name: str | None) -> str:
+def _source_name(source: VideoSource, name: str | None) -> str:
     """What messages call the video: the given name, else its path, else `video`."""
     return name or (str(source) if isinstance(source, Path | str) else "video")
 
@@ -620,7 +618,7 @@ class VideoReader:
         Raises:
             DataError: there is no such file, it is no video, or it holds no video stream.
         """
-        self.name = source_name(source, name)
+        self.name = _source_name(source, name)
         self._source = source
         self._ahead, self._closed = True, False
         self._identity: FileIdentity | None = None
@@ -835,7 +833,7 @@ def open_video(source: VideoSource, *, name: str | None = None, cut_off: bool = 
     in_chunks = getattr(source, "in_chunks", None)  # of a file that is not on disk yet
     content = in_chunks() if in_chunks is not None and not cut_off else None
     if content is not None and bytes(content[4:8]) == _TABLES:
-        shown = source_name(source, name)
+        shown = _source_name(source, name)
         with suppress(DataError):  # what is wrong with it, all of it reports
             return VideoReader(content, name=shown, index=read_table_index(content, shown))
     return VideoReader(source, name=name, cut_off=cut_off)
@@ -865,109 +863,3 @@ def open_whole_or_left(path: Path, ledger: Ledger) -> VideoReader:
         problem = f"{error.problem}; its first {count} images are read"
         ledger.fault("unreadable-videos", DataError(error.file, error.location, problem))
     return reader
-
-
-class VideoFile:
-    """A video by its path. In another process it opens again, if it is still the file that was opened here.
-
-    Attributes:
-        path: the file.
-        cut_off: whether only what is left of a damaged video is read.
-    """
-
-    def __init__(self, path: Path) -> None:
-        """Open nothing yet."""
-        self.path = path
-        self.cut_off = False
-        self._closed = False
-        self._reader: VideoReader | None = None
-        self._lock = Lock()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "cut_off": self.cut_off, "_closed": self._closed, "_reader": self._reader}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._lock = Lock()
-
-    def reader(self) -> VideoReader:
-        """The open video.
-
-        Raises:
-            DataError: it cannot be read as one, or was closed.
-        """
-        with self._lock:
-            if self._closed:
-                raise DataError(self.path, "", "is closed")
-            if self._reader is None:
-                self._reader = open_video(self.path, cut_off=self.cut_off)
-            return self._reader
-
-    def whole_or_left(self, ledger: Ledger) -> VideoReader:
-        """The open video with its list of images; a lenient reading takes what is left of one that breaks off.
-
-        Raises:
-            DataError: it cannot be read, or no image of it is left.
-        """
-        with self._lock:
-            if self._reader is None and not self._closed:
-                self._reader = open_whole_or_left(self.path, ledger)
-                self.cut_off = self._reader.is_remainder
-        return self.reader()
-
-    def rgb(self, index: int) -> UInt8Array:
-        """Decode one image."""
-        return self.reader().rgb(index)
-
-    def container_ns(self) -> Int64Array:
-        """The times that the video has itself, (N,) int64 [ns], rounded from its ticks once each.
-
-        Raises:
-            DataError: it has none.
-        """
-        index = self.reader().index
-        if not index.timed:
-            raise DataError(self.path, "", "has no times of its own; give them with csv, lines or rate_hz")
-        ticks, base = index.pts.tolist(), index.time_base * 10**9
-        return np.array([round(tick * base) for tick in ticks], np.int64)
-
-    def open_binary(self) -> BinaryIO:
-        """Open the video's bytes."""
-        return open_file(self.path)
-
-    def content(self, chosen: Int64Array) -> VideoContent | None:
-        """The video for those who copy it, with the images that are used of it; None for what is left of one."""
-        if self.cut_off:
-            return None
-        reader = self.reader()
-        whole = np.array_equal(chosen, np.arange(reader.count))
-        return VideoContent(self.open_binary, reader.codec, None if whole else tuple(chosen.tolist()))
-
-    def close(self) -> None:
-        """Release the file; no image can be read afterwards."""
-        with self._lock:
-            self._closed = True
-            if self._reader is not None:
-                self._reader.close()
-            self._reader = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class VideoImages:
-    """Makes the images of one camera from a video.
-
-    Attributes:
-        video: the file.
-        chosen: (N,) int64, number of each image in the video.
-        timestamps_ns: (N,) int64 [ns].
-        camera: the camera model of all.
-    """
-
-    video: VideoFile
-    chosen: Int64Array
-    timestamps_ns: Int64Array
-    camera: Camera
-
-    def __call__(self, k: int) -> CameraImage:
-        """Make image `k` without decoding it."""
-        return CameraImage(int(self.timestamps_ns[k]), self.camera, partial(self.video.rgb, int(self.chosen[k])))

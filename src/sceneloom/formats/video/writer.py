@@ -24,15 +24,7 @@ from av.video.stream import VideoStream
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array
 from sceneloom.errors import ArrayError, DataError, OptionError, OutputError
 from sceneloom.formats.base.files import FileView
-from sceneloom.formats.video.reader import (
-    OpenVideo,
-    VideoIndex,
-    VideoReader,
-    VideoSource,
-    decoder_faults,
-    read_index,
-    source_name,
-)
+from sceneloom.formats.video.reader import OpenVideo, VideoIndex, VideoReader, VideoSource, decoder_faults, read_index
 from sceneloom.scene.cameras import VideoContent
 
 _WANTED: Mapping[str, tuple[str, Literal["r", "w"]]] = MappingProxyType(
@@ -481,8 +473,7 @@ def remux_to_mp4(
         OptionError: the images must be encoded, and have an odd size.
         OutputError: the target cannot be written.
     """
-    called = source_name(source, name)
-    with VideoReader(source, name=called) as reader:
+    with VideoReader(source, name=name) as reader:
         chosen = range(reader.count) if frame_indices is None else frame_indices
         reason = _obstacle(reader, chosen, _MP4_CODECS)
         if reason is not None:
@@ -493,7 +484,7 @@ def remux_to_mp4(
             fps = reader.fps or _DEFAULT_FPS
             result = encode_to_mp4(images, target, fps=fps, timestamps_seconds=timestamps, count=len(chosen))
             return RemuxResult(result.images, result.codec, copied=False, reason=reason)
-        codec, index = reader.codec, reader.index
+        codec, index, called = reader.codec, reader.index, reader.name
     _copy_packets(source, target, "mp4", _PacketTimes.of(index, timestamps_seconds), called)
     return RemuxResult(len(index), codec, copied=True)
 
@@ -524,12 +515,11 @@ def copy_to_matroska(
         DataError: the source is damaged.
         OutputError: the target cannot be written.
     """
-    called = source_name(source, name)
-    with VideoReader(source, name=called) as reader:
+    with VideoReader(source, name=name) as reader:
         wanted = range(reader.count if images is None else images)
         if _obstacle(reader, wanted, frozenset({reader.codec})) is not None:
             return None
-        codec, index = reader.codec, reader.index
+        codec, index, called = reader.codec, reader.index, reader.name
     taken = np.arange(len(index)) if frame_indices is None else np.asarray(frame_indices, np.int64)
     if not _can_be_cut(index, taken) or codec not in _matroska_codecs():
         return None
@@ -613,21 +603,6 @@ def _obstacle(reader: VideoReader, chosen: Sequence[int], codecs: frozenset[str]
 
 _FILTERS = {"h264": "h264_mp4toannexb", "hevc": "hevc_mp4toannexb"}
 """FFmpeg's filters that put packets into Annex B form, with the parameters before each key image."""
-
-_START_CODE = b"\x00\x00\x01"
-
-_PARAMETERS = {"h264": lambda byte: byte & 0x1F == 7, "hevc": lambda byte: (byte >> 1) & 0x3F == 33}
-"""Whether a unit with this first byte holds the parameters of a sequence, without which nothing is decoded."""
-
-
-def starts_video(packet: bytes | memoryview, codec: str) -> bool:
-    """Whether decoding can begin with a packet in Annex B form: whether it holds the sequence's parameters."""
-    content, location = bytes(packet), 0
-    while (location := content.find(_START_CODE, location)) >= 0 and location + 3 < len(content):
-        if _PARAMETERS[codec](content[location + 3]):
-            return True
-        location += 3
-    return False
 
 
 def annex_b_to_mp4(raw: BinaryIO, target: BinaryIO, timestamps_ns: Int64Array, name: str) -> None:

@@ -79,7 +79,7 @@ def drive(tmp_path):
     return write_drive(tmp_path)
 
 
-def test_a_drive_is_read_whole(drive):
+def test_a_drive_is_read_whole_images_and_inertial_values_in_the_axes_of_the_body(drive):
     with open_scene(drive) as scene:
         assert scene.format == "euroc-mav"
         found = [(type(one), one.id) for one in scene.sensors]
@@ -87,16 +87,13 @@ def test_a_drive_is_read_whole(drive):
         assert list(scene.trajectories) == ["groundTruth", "leica0"]
         assert scene.trajectories["leica0"].quaternions_xyzw is None
         assert {warning.code for warning in scene.warnings} == {"states-not-read"}
-
-
-def test_images_and_inertial_values_are_reported_in_the_axes_of_the_body(drive):
-    scene = open_scene(drive)
-    camera, imu = scene.sensor("cam0"), scene.sensor("imu0")
-    assert camera.images.timestamps_ns.tolist() == [T0, T0 + STEP, T0 + 2 * STEP]
-    assert camera.images[2].rgb.tolist() == np.full((6, 8, 3), 20).tolist()
-    assert camera.camera.model == "brown_conrady"
+        camera, imu = scene.sensor("cam0"), scene.sensor("imu0")
+        assert camera.images.timestamps_ns.tolist() == [T0, T0 + STEP, T0 + 2 * STEP]
+        assert camera.images[2].rgb.tolist() == np.full((6, 8, 3), 20).tolist()
+    assert (camera.camera.model, camera.camera.fx, camera.camera.cy, camera.fps) == (
+        "brown_conrady", 458.654, 248.375, 20.0,
+    )  # fmt: skip
     assert camera.camera.coefficients == (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05)
-    assert (camera.camera.fx, camera.camera.cy, camera.fps) == (458.654, 248.375, 20.0)
     # T_BS takes the sensor's x axis to the body's y axis
     np.testing.assert_allclose(camera.mount.apply(np.array([1.0, 0.0, 0.0])), [-0.02, 0.94, 0.01])
     np.testing.assert_allclose(camera.poses.positions, [[-0.02, 1.94, 0.51], [0.98, 1.94, 0.51], [1.98, 1.94, 0.51]])
@@ -106,25 +103,20 @@ def test_images_and_inertial_values_are_reported_in_the_axes_of_the_body(drive):
     assert imu.extras["noises"] == {"gyroscope_noise_density": 1.6968e-04}
 
 
-def test_a_trajectory_that_was_measured_elsewhere_on_the_body_is_brought_to_the_body(drive):
+def test_the_folder_of_the_sensors_is_the_drive_too_models_of_tum_are_fisheyes_and_trajectories_of_the_body(drive):
+    text = CAMERA.replace("radial-tangential", "equidistant").replace("[8, 6]", "[16, 12]")
+    (drive / "mav0" / "cam0" / "sensor.yaml").write_text(text)
     folder = drive / "mav0" / "vicon0"
     folder.mkdir()
     # a quarter rotation to the left; the marker is 1 m ahead of the body
     half = np.sqrt(0.5)
     (folder / "data.csv").write_text(TRAJECTORY[: TRAJECTORY.index(", v_RS")] + f"\n{T0},5,5,1,{half},0,0,{half}\n")
     (folder / "sensor.yaml").write_text("T_BS:\n  data: [1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n")
-    trajectory = open_scene(drive).trajectories["vicon0"]
-    np.testing.assert_allclose(trajectory.positions, [[5.0, 4.0, 1.0]], atol=1e-12)
-
-
-def test_the_folder_of_the_sensors_is_the_drive_too_and_camera_models_of_tum_are_fisheyes(drive):
-    text = CAMERA.replace("radial-tangential", "equidistant").replace("[8, 6]", "[16, 12]")
-    (drive / "mav0" / "cam0" / "sensor.yaml").write_text(text)
     with open_scene(drive / "mav0") as scene:
         camera = scene.sensor("cam0").camera
-        assert camera.model == "fisheye"
         # calibrated for images of twice the size
-        assert (camera.width, camera.fx) == (8, 458.654 / 2)
+        assert (camera.model, camera.width, camera.fx) == ("fisheye", 8, 458.654 / 2)
+        np.testing.assert_allclose(scene.trajectories["vicon0"].positions, [[5.0, 4.0, 1.0]], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -145,9 +137,8 @@ def test_what_is_wrong_is_reported_with_its_location(drive, file, change, proble
     before = path.read_text()
     assert change[0] in before
     path.write_text(before.replace(*change, 1))
-    with pytest.raises(DataError) as caught:
+    with pytest.raises(DataError, match=problem):
         open_scene(drive)
-    assert problem in str(caught.value)
 
 
 def test_half_folders_and_writing_are_refused(tmp_path, drive):
@@ -166,14 +157,8 @@ def test_half_folders_and_writing_are_refused(tmp_path, drive):
 
 @pytest.mark.parametrize("left", [0, 1])
 def test_a_lenient_reading_leaves_out_images_that_are_not_there(drive, left):
-    with open_scene(drive) as scene:
-        folders = [drive / "mav0" / str(camera.id) / "data" for camera in scene.cameras]
-        count = len(scene.cameras[0].images)
-    for folder in folders:
-        for file in sorted(folder.iterdir())[left:]:
-            file.unlink()
+    for file in sorted((drive / "mav0" / "cam0" / "data").iterdir())[left:]:
+        file.unlink()
     with open_scene(drive, lenient=True) as scene:
-        assert [len(camera.images) for camera in scene.cameras] == [left] * len(folders)
-        assert all(image.rgb.shape[2] == 3 for camera in scene.cameras for image in camera.images)
-        (warning,) = (one for one in scene.warnings if one.code == "files-missing")
-        assert warning.count == (count - left) * len(folders)
+        assert [image.rgb.shape[2] for image in scene.cameras[0].images] == [3] * left
+        assert [one.count for one in scene.warnings if one.code == "files-missing"] == [3 - left]

@@ -1,6 +1,6 @@
-"""Clouds in files: read, and written in chunks and read by other programs."""
+"""Clouds in files: made here by hand after the formats' descriptions; written in chunks and read by other programs."""
 
-from pathlib import Path
+import struct
 
 import laspy
 import numpy as np
@@ -9,7 +9,7 @@ import trimesh
 from pypcd4 import PointCloud
 
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.points.cloud import NO_LABEL, WrittenPoints, parse_layout
+from sceneloom.formats.points.cloud import NO_LABEL, FieldLayout, WrittenPoints
 from sceneloom.formats.points.files import open_cloud_writer, read_cloud
 
 ROWS = np.array([[1.0, 2.0, 3.0, 0.5], [-4.0, 5.0, 6.0, 0.25]], np.float32)
@@ -32,43 +32,120 @@ def read(tmp_path):
     return read
 
 
-def test_plain_bin_files_are_read_as_kittis_or_nuscenes(read):
-    columns = read("0.bin", ROWS.tobytes())
-    assert np.stack([*columns.values()], axis=1).tolist() == ROWS.tolist()
-    assert [*columns] == ["x", "y", "z", "intensity"]
+def values(columns):
+    return {name: column.tolist() for name, column in columns.items()}
+
+
+def types(columns):
+    return [column.dtype.name for column in columns.values()]
+
+
+def test_bin_files_are_read_as_kittis_or_nuscenes_or_as_a_layout_says(read):
+    x, y, z, intensity = ROWS.T.tolist()
+    assert values(read("0.bin", ROWS.tobytes())) == {"x": x, "y": y, "z": z, "intensity": intensity}
     assert read("0.pcd.bin", np.arange(10, dtype="<f4").tobytes())["ring"].tolist() == [4, 9]
-
-
-def test_a_layout_names_types_and_padding(read):
-    layout = parse_layout(["x", "y", "z", "_:uint8", "ring:uint16", "t:uint64"], default="float64")
+    layout = FieldLayout.parse(["x", "y", "z", "_:uint8", "ring:uint16", "t:uint64"], default="float64")
     record = np.dtype([("p", "<f8", 3), ("pad", "u1"), ("ring", "<u2"), ("t", "<u8")])
-    columns = read("0.bin", np.array([((1, 2, 3), 255, 40, 2**63 + 1)], record).tobytes(), layout)
-    found = {name: column.tolist() for name, column in columns.items()}
-    assert found == {"x": [1.0], "y": [2.0], "z": [3.0], "ring": [40], "t": [2**63 + 1]}
+    columns = read("1.bin", np.array([((1, 2, 3), 255, 40, 2**63 + 1)], record).tobytes(), layout)
+    assert values(columns) == {"x": [1.0], "y": [2.0], "z": [3.0], "ring": [40], "t": [2**63 + 1]}
     for fields in (["x:floot32"], ["x", "x"], ["x y"], []):
         with pytest.raises(OptionError):
-            parse_layout(fields)
+            FieldLayout.parse(fields)
 
 
-@pytest.mark.parametrize("name", ["points", "positions", "xyz"])
-def test_rows_of_an_npz_file_are_cut_into_columns(read, name):
-    columns = read("0.npz", ring=np.array([1, 2]), session=np.arange(7), **{name: ROWS})
-    assert columns["intensity"].tolist() == [0.5, 0.25]
-    assert columns["ring"].tolist() == [1, 2]
-    assert "session" not in columns, "an array of another length says nothing of the points"
-
-
-def test_columns_of_npz_and_npy_files_are_taken_by_name(read):
+def test_columns_of_npz_and_npy_files_are_taken_by_name_and_rows_cut_into_columns(read):
+    for name in ("points", "positions", "xyz"):
+        columns = read(f"{name}.npz", ring=np.array([1, 2]), session=np.arange(7), **{name: ROWS})
+        # an array of another length says nothing of the points
+        assert set(columns) == {"x", "y", "z", "intensity", "ring"}
+        assert (columns["intensity"].tolist(), columns["ring"].tolist()) == ([0.5, 0.25], [1, 2])
     assert read("0.npz", x=ROWS[:, 0], y=ROWS[:, 1], z=ROWS[:, 2])["z"].tolist() == [3.0, 6.0]
     assert read("0.npy", np.asfortranarray(ROWS.astype(">f8")))["x"].tolist() == [1.0, -4.0]
     named = np.array([(1, 2, 3, 9)], [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "u1")])
     assert read("1.npy", named)["ring"].tolist() == [9]
     # rows whose brightness is left out go with an array of it
-    columns = read("2.npz", layout=parse_layout(["x", "y", "z", "_"]), points=ROWS, intensity=ROWS[:, 0])
+    columns = read("2.npz", layout=FieldLayout.parse(["x", "y", "z", "_"]), points=ROWS, intensity=ROWS[:, 0])
     assert columns["intensity"].tolist() == [1.0, -4.0]
 
 
+PCD_HEAD = """# .PCD v0.7 - Point Cloud Data file format
+VERSION 0.7
+FIELDS x y z intensity ring t
+SIZE 4 4 4 4 2 8
+TYPE F F F F U U
+COUNT 1 1 1 1 1 1
+WIDTH {count}
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS {count}
+DATA {data}
+"""
+PCD_POINTS = [(1.5, -2.0, 0.25, 7.0, 3, 1532402927647951000), (4.0, 5.0, -6.0, 0.5, 31, 1532402927647951001)]
+
+
+def pcd(data):
+    head = PCD_HEAD.format(count=len(PCD_POINTS), data=data).encode()
+    if data == "ascii":
+        return head + "\n".join(" ".join(map(str, point)) for point in PCD_POINTS).encode() + b"\n"
+    return head + b"".join(struct.pack("<ffffHQ", *point) for point in PCD_POINTS)
+
+
+def test_pcd_fields_of_several_values_padding_and_repeated_names_and_empty_and_organised_clouds_are_read(read):
+    """Others are read in the tests against pypcd4 and with records of any kind."""
+    for data in ("ascii", "binary", "binary_compressed"):
+        names = ("x", "y", "z", "intensity", "ring", "t")
+        assert values(read("0.pcd", PCD_HEAD.format(count=0, data=data).encode())) == {name: [] for name in names}
+    head = "FIELDS x _ y z n n\nSIZE 4 1 4 4 4 1\nTYPE F U F F F I\nCOUNT 1 3 1 1 2 1\nWIDTH 1\nHEIGHT 1\nDATA binary\n"
+    columns = read("a.pcd", head.encode() + struct.pack("<f3B4fb", 1, 9, 9, 9, 2, 3, 4, 5, -1))
+    assert values(columns) == {"x": [1.0], "y": [2.0], "z": [3.0], "n": [[4.0, 5.0]], "n~2": [-1]}
+    head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 3\nHEIGHT 2\nDATA binary\n"
+    columns = read("b.pcd", head.encode() + np.arange(18, dtype="<f4").tobytes())
+    assert columns["z"].tolist() == [2, 5, 8, 11, 14, 17]
+
+
+ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+PLY_POINTS = [(1.5, -2.0, 0.25, 200, 123456789), (4.0, 5.0, -6.0, 0, -7)]
+VERTEX = (
+    "element vertex 2\nproperty float x\nproperty float32 y\nproperty double z\nproperty uchar intensity\n"
+    "property int t\n"
+)
+FACES = "element face 2\nproperty list uchar int vertex_indices\nproperty uchar flag\n"
+
+
+def ply(form, *parts):
+    """A file of elements with their rows: their types in struct's words after `<` or `>`, and the numbers of each."""
+    head = f"ply\nformat {form} 1.0\ncomment by hand\n{''.join(element for element, _ in parts)}end_header\n".encode()
+    if form == "ascii":
+        lines = (" ".join(map(str, row[1:])) + "\n" for _, rows in parts for row in rows)
+        return head + "".join(lines).encode()
+    return head + b"".join(struct.pack(ORDERS[form] + row[0], *row[1:]) for _, rows in parts for row in rows)
+
+
+VERTICES = VERTEX, [("ffdBi", *point) for point in PLY_POINTS]
+TRIANGLES = FACES, [("B3iB", 3, 0, 1, 0, 9), ("B4iB", 4, 0, 1, 1, 0, 8)]
+LISTED = (
+    "element vertex 2\nproperty float x\nproperty list uchar short seen\nproperty float y\n",
+    [("fB2hf", 1.5, 2, 7, 8, -2.0), ("fBf", 4.0, 0, 5.0)],
+)
+
+
+@pytest.mark.parametrize("form", ["ascii", *ORDERS])
+def test_vertices_of_ply_files_come_exactly_and_lists_and_other_elements_are_passed_over(read, form):
+    expected = {"x": [1.5, 4.0], "y": [-2.0, 5.0], "z": [0.25, -6.0], "intensity": [200, 0], "t": [123456789, -7]}
+    for parts in ([VERTICES], [("comment end_header comes later\n", []), VERTICES], [TRIANGLES, VERTICES]):
+        assert values(read("a.ply", ply(form, *parts))) == expected
+    columns = read("a.ply", ply(form, VERTICES, TRIANGLES))
+    assert (values(columns), types(columns)) == (expected, ["float32", "float32", "float64", "uint8", "int32"])
+    assert values(read("a.ply", ply(form, LISTED))) == {"x": [1.5, 4.0], "y": [-2.0, 5.0]}
+
+
 TWICE = "which another array gives, too; expected each column once"
+PCD, PLY = pcd("ascii"), ply("ascii", VERTICES)
+
+
+def packed(count, content, unfolded):
+    head = PCD_HEAD.format(count=count, data="binary_compressed").encode()
+    return head + struct.pack("<II", len(content), unfolded) + content
 
 
 @pytest.mark.parametrize(
@@ -84,9 +161,30 @@ TWICE = "which another array gives, too; expected each column once"
          r"holds range_image \(4, 5, 3\); expected arrays of numbers with a row per point"),
         ("a.npz", {"points": ROWS, "xyz": 2 * ROWS[:, :3]}, TWICE),
         ("a.npz", {"points": ROWS, "intensity": ROWS[:, 0]}, TWICE),
+        ("a.pcd", PCD.replace(b"FIELDS", b"FELDS"), "line 3: 'FELDS'; expected one of"),
+        ("a.pcd", PCD.replace(b"SIZE 4 4", b"SIZE 4"), "SIZE: 5 entries; expected 6"),
+        ("a.pcd", PCD.replace(b"SIZE 4", b"SIZE 3"), "F3 for 'x'"),
+        ("a.pcd", PCD.replace(b"POINTS 2", b"POINTS 3"), "POINTS: 3; WIDTH times HEIGHT is 2"),
+        ("a.pcd", PCD.replace(b"POINTS 2", b"POINTS -2"), "POINTS: '-2'; expected a whole number"),
+        ("a.pcd", PCD.replace(b"POINTS 2", b"POINTS 999999999999"), "WIDTH times HEIGHT is 2"),
+        ("a.pcd", PCD.replace(b"DATA ascii", b"DATA asci"), "'asci'; expected ascii, binary, binary_compressed"),
+        ("a.pcd", PCD.replace(b"-2.0", b"two"), "line 12: .*two"),
+        ("a.pcd", PCD.replace(b" 31 ", b" "), "line 13: 5 values; expected 6: x y z intensity ring t"),
+        ("a.pcd", pcd("binary")[:-5], r"47 bytes of points; expected 52: 2 points of 26 bytes"),
+        ("a.pcd", packed(1_000_000, bytes(10), 26_000_000), "10 bytes that unfold to 26000000"),
+        ("a.pcd", packed(2, b"\xe0" + bytes(53), 52), "damaged"),
+        ("a.ply", PLY.replace(b"ply\n", b"plx\n"), "does not begin with `ply`"),
+        ("a.ply", PLY.replace(b"format ascii", b"format asci"), "line 2"),
+        ("a.ply", PLY.replace(b"property float x", b"property floot x"), "line 5: 'property floot x'"),
+        ("a.ply", PLY.replace(b"element vertex", b"element corner"), "elements: corner; expected one .* called vertex"),
+        ("a.ply", PLY.replace(b"vertex 2", b"vertex 3"), "2 lines of vertex; expected 3"),
+        ("a.ply", PLY.replace(b"vertex 2", b"vertex 99999999999"), "99999999999 points"),
+        ("a.ply", PLY.replace(b"end_header", b"end_hedder"), "without `end_header`"),
+        ("a.ply", PLY.replace(b"4.0 ", b""), "line 12: 4 values; expected 5"),
+        ("a.ply", ply("binary_big_endian", VERTICES)[:-1], r"41 bytes of vertex; expected 42: 2 of 21 bytes"),
     ],
 )  # fmt: skip
-def test_what_is_no_cloud_is_refused(read, name, content, problem):
+def test_what_is_no_cloud_is_refused_with_its_location(read, name, content, problem):
     with pytest.raises(DataError, match=problem):
         read(name, **content) if isinstance(content, dict) else read(name, content)
 
@@ -94,7 +192,7 @@ def test_what_is_no_cloud_is_refused(read, name, content, problem):
 START_NS = 1_700_000_000_123_456_789
 
 
-def some_points(count: int = 500, *, at=(0.0, 0.0, 0.0)) -> WrittenPoints:
+def some_points(count=500, *, at=(0.0, 0.0, 0.0)):
     random = np.random.default_rng(4)
     return WrittenPoints(
         random.uniform(-50, 50, (count, 3)) + at,
@@ -106,7 +204,10 @@ def some_points(count: int = 500, *, at=(0.0, 0.0, 0.0)) -> WrittenPoints:
     )
 
 
-def written(path: Path, points: WrittenPoints) -> Path:
+NEAR, FAR = some_points(), some_points(at=(450_000.0, 5_400_000.0, 300.0))
+
+
+def written(path, points):
     columns = (points.positions_world, points.colors, points.intensities, points.timestamps_ns, points.labels)
     with open_cloud_writer(path) as writer:
         for chosen in (slice(0, 123), slice(123, None)):
@@ -117,61 +218,50 @@ def written(path: Path, points: WrittenPoints) -> Path:
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_las_is_read_by_laspy_as_it_was_written(tmp_path, suffix):
-    points = some_points(at=(450_000.0, 5_400_000.0, 300.0))
-    with laspy.open(written(tmp_path / f"map{suffix}", points)) as file:
+    with laspy.open(written(tmp_path / f"map{suffix}", FAR)) as file:
         header, read = file.header, file.read()
-    assert (header.version, header.point_format.id, header.point_count) == ("1.4", 7, len(points))
-    np.testing.assert_allclose(np.asarray(read.xyz), points.positions_world, atol=0.00051)
-    np.testing.assert_allclose(header.mins, points.positions_world.min(axis=0), atol=0.00051)
-    np.testing.assert_allclose(header.maxs, points.positions_world.max(axis=0), atol=0.00051)
-    colors = np.stack([read.red, read.green, read.blue], axis=1)
-    assert (colors == points.colors.astype(np.uint16) * 257).all()
-    assert (read.intensity == points.intensities.astype(np.uint16) * 257).all()
-    np.testing.assert_allclose(read.gps_time, points.timestamps_ns * 1e-9, rtol=0, atol=3e-7)
-    assert (read.label == points.labels).all()
-    known = np.where(points.labels <= 255, points.labels, 0)
-    assert (np.asarray(read.classification) == known).all()
-    assert (read.camera == points.extras["camera"]).all()
+    assert (header.version, header.point_format.id, header.point_count) == ("1.4", 7, len(FAR))
+    np.testing.assert_allclose(np.asarray(read.xyz), FAR.positions_world, atol=0.00051)
+    ends = [FAR.positions_world.min(axis=0), FAR.positions_world.max(axis=0)]
+    np.testing.assert_allclose([header.mins, header.maxs], ends, atol=0.00051)
+    wide = np.column_stack([FAR.colors, FAR.intensities]).astype(np.uint16) * 257
+    assert (np.stack([read.red, read.green, read.blue, read.intensity], axis=1) == wide).all()
+    np.testing.assert_allclose(read.gps_time, FAR.timestamps_ns * 1e-9, rtol=0, atol=3e-7)
+    known = np.where(FAR.labels <= 255, FAR.labels, 0)
+    found = np.stack([read.label, read.classification, read.camera])
+    assert (found == [FAR.labels, known, FAR.extras["camera"]]).all()
 
 
 def test_ply_is_read_by_trimesh_as_it_was_written(tmp_path):
-    points = some_points(at=(450_000.0, 5_400_000.0, 300.0))
-    read = trimesh.load(written(tmp_path / "map.ply", points), process=False)
-    assert (np.asarray(read.vertices) == points.positions_world).all()
-    assert (read.colors[:, :3] == points.colors).all()
+    read = trimesh.load(written(tmp_path / "map.ply", FAR), process=False)
+    assert (np.asarray(read.vertices) == FAR.positions_world).all()
+    assert (read.colors[:, :3] == FAR.colors).all()
     data = read.metadata["_ply_raw"]["vertex"]["data"]
-    assert (data["label"] == points.labels).all()
-    assert (data["camera"] == points.extras["camera"]).all()
-    np.testing.assert_allclose(data["time"], points.timestamps_ns * 1e-9, rtol=0, atol=3e-7)
+    assert (data["label"] == FAR.labels).all()
+    assert (data["camera"] == FAR.extras["camera"]).all()
+    np.testing.assert_allclose(data["time"], FAR.timestamps_ns * 1e-9, rtol=0, atol=3e-7)
 
 
-def test_pcd_is_read_by_pypcd4_as_it_was_written(tmp_path):
-    points = some_points()
-    read = PointCloud.from_path(written(tmp_path / "map.pcd", points))
-    np.testing.assert_allclose(read.numpy(("x", "y", "z")), points.positions_world, atol=1e-5)
-    assert (PointCloud.decode_rgb(read.pc_data["rgb"]) == points.colors).all()
-    assert (read.pc_data["label"] == points.labels).all()
-    assert (read.pc_data["intensity"] == points.intensities).all()
-
-
-def test_pcd_far_from_zero_counts_from_whole_metres_that_its_head_names(tmp_path):
-    points = some_points(at=(450_000.0, 5_400_000.0, 300.0))
-    path = written(tmp_path / "map.pcd", points)
-    line = path.read_bytes().split(b"\n")[1].decode()
-    origin = np.array(line.split(" from ")[1].split(",")[0].split(), float)
+def test_pcd_is_read_by_pypcd4_as_it_was_written_and_far_from_zero_counts_from_whole_metres_in_its_head(tmp_path):
+    read = PointCloud.from_path(written(tmp_path / "near.pcd", NEAR))
+    np.testing.assert_allclose(read.numpy(("x", "y", "z")), NEAR.positions_world, atol=1e-5)
+    assert (PointCloud.decode_rgb(read.pc_data["rgb"]) == NEAR.colors).all()
+    assert (read.pc_data["label"] == NEAR.labels).all()
+    assert (read.pc_data["intensity"] == NEAR.intensities).all()
+    path = written(tmp_path / "far.pcd", FAR)
+    origin = path.read_bytes().split(b"\n")[1].decode().split(" from ")[1].split(",")[0].split()
     read = PointCloud.from_path(path).numpy(("x", "y", "z"))
-    np.testing.assert_allclose(read + origin, points.positions_world, atol=1e-4)
+    np.testing.assert_allclose(read + np.array(origin, float), FAR.positions_world, atol=1e-4)
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".ply", ".pcd"])
 def test_our_readers_read_what_we_write_also_of_no_points_and_of_one(tmp_path, suffix):
-    points = some_points()
-    cloud = read_cloud(written(tmp_path / f"map{suffix}", points))
-    assert cloud.count == len(points)
+    cloud = read_cloud(written(tmp_path / f"map{suffix}", NEAR))
+    assert cloud.count == len(NEAR)
     positions = np.stack([cloud.columns[axis] for axis in "xyz"], axis=1)
-    np.testing.assert_allclose(positions, points.positions_world, atol=0.00051)
-    np.testing.assert_allclose(cloud.columns["time"], points.timestamps_ns * 1e-9, rtol=0, atol=3e-7)
-    assert (cloud.columns["label"] == points.labels).all()
+    np.testing.assert_allclose(positions, NEAR.positions_world, atol=0.00051)
+    np.testing.assert_allclose(cloud.columns["time"], NEAR.timestamps_ns * 1e-9, rtol=0, atol=3e-7)
+    assert (cloud.columns["label"] == NEAR.labels).all()
     with open_cloud_writer(tmp_path / f"none{suffix}"):
         pass
     assert read_cloud(tmp_path / f"none{suffix}").count == 0
@@ -181,16 +271,15 @@ def test_our_readers_read_what_we_write_also_of_no_points_and_of_one(tmp_path, s
     assert [one.columns[axis].tolist() for axis in "xyz"] == [[1.0], [2.0], [3.0]]
 
 
-def test_an_unknown_suffix_and_an_output_that_exists_are_refused(tmp_path):
-    with pytest.raises(OptionError, match=r"'\.xyz'; expected one of \.las \.laz \.ply \.pcd"):
-        open_cloud_writer(tmp_path / "map.xyz").__enter__()
-    (tmp_path / "map.ply").touch()
-    with pytest.raises(OutputError, match="exists already"):
-        open_cloud_writer(tmp_path / "map.ply").__enter__()
-
-
-def test_a_broken_write_leaves_nothing(tmp_path):
+def test_an_unknown_suffix_and_an_output_that_exists_are_refused_and_a_broken_write_leaves_nothing(tmp_path):
     with pytest.raises(DataError), open_cloud_writer(tmp_path / "map.las") as writer:
         writer.add(some_points(3))
         raise DataError("drive", "", "a sweep cannot be read")
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "map.ply").touch()
+    for name, error, problem in (
+        ("map.xyz", OptionError, r"'\.xyz'; expected one of \.las \.laz \.ply \.pcd"),
+        ("map.ply", OutputError, "exists already"),
+    ):
+        with pytest.raises(error, match=problem):
+            open_cloud_writer(tmp_path / name).__enter__()

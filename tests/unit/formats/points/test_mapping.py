@@ -22,25 +22,24 @@ XYZ = {axis: np.array([1.0, 2.0, 3.0], np.float32) for axis in "xyz"}
 CLOCK = SweepClock(timestamp_ns=1_532_402_927_647_951_001, start_ns=1_532_402_927_597_951_001, zero_ns=7)
 
 
-def read(columns, mapping=None, clock=CLOCK):
+def read(columns, mapping=None):
     count = len(next(iter(columns.values())))
-    return points_of(Cloud(Path("a.pcd"), count, columns), mapping or PointMapping(), clock)
+    return points_of(Cloud(Path("a.pcd"), count, columns), mapping or PointMapping(), CLOCK)
 
 
-def test_positions_come_as_float32_from_any_type_and_names_are_found_whatever_their_case():
+def test_names_are_found_whatever_their_case_points_without_a_return_dropped_and_arrays_read_only():
     columns = {axis: np.array([1, -2, 3], np.int16) for axis in "XYZ"}
     columns["Reflectivity"] = np.array([9, 8, 7], np.uint8)
-    points = read(columns, PointMapping(scale=IntensityScale(255.0))).points
-    assert points.positions.dtype == np.float32
-    assert points.positions[1].tolist() == [-2, -2, -2]
+    # which goes to other processes
+    points = read(columns, pickle.loads(pickle.dumps(PointMapping(scale=IntensityScale(255.0))))).points
+    assert (points.positions.dtype, points.positions[1].tolist()) == (np.float32, [-2, -2, -2])
     assert points.intensities.tolist() == [9, 8, 7]
-
-
-def test_points_without_a_return_are_dropped_and_counted():
     x = np.array([1.0, np.nan, 0.0, np.inf, 2.0], np.float32)
-    read_points = read({"x": x, "y": x, "z": x, "ring": np.arange(5, dtype=np.uint8)})
-    assert read_points.dropped == 3
-    assert read_points.points.rings.tolist() == [0, 4]
+    found = read({"x": x, "y": x, "z": x, "ring": np.arange(5, dtype=np.uint8), "other": np.arange(5)})
+    assert (found.dropped, found.points.rings.tolist()) == (3, [0, 4])
+    for array in (found.points.positions, found.points.rings, found.points.extras["other"]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
 
 
 @pytest.mark.parametrize(
@@ -54,31 +53,21 @@ def test_points_without_a_return_are_dropped_and_counted():
 )
 def test_brightness_is_scaled_rounded_and_clipped(values, maximum, expected, clipped):
     found = read({**XYZ, "intensity": values}, PointMapping(scale=IntensityScale(maximum)))
-    assert found.points.intensities.tolist() == expected
-    assert found.clipped == clipped
+    assert (found.points.intensities.tolist(), found.clipped) == (expected, clipped)
 
 
-@pytest.mark.parametrize(
-    ("values", "maximum"),
-    [
-        (np.array([0.0, 0.99], np.float32), 1.0),
-        (np.array([0.0, 255.0], np.float32), 255.0),
-        (np.array([3.0, np.nan, 4000.0]), 65535.0),
-        (np.array([1], np.uint16), 255.0),
-        (np.array([1000], np.uint16), 65535.0),
-        (np.array([1], np.uint8), 255.0),
-        (np.array([1e6]), None),
-    ],
-)
-def test_the_scale_of_brightness_is_distinguished_from_the_values(values, maximum):
-    assert detect_scale(values) == (maximum and IntensityScale(maximum))
+def test_the_scale_of_brightness_is_distinguished_from_the_values():
+    found = [
+        detect_scale(np.array(values, dtype))
+        for values, dtype in (
+            ([0.0, 0.99], "f4"), ([0.0, 255.0], "f4"), ([3.0, np.nan, 4000.0], "f8"), ([1], "u2"), ([1000], "u2"),
+            ([1], "u1"), ([1e6], "f8"),
+        )
+    ]  # fmt: skip
+    assert found == [*map(IntensityScale, (1.0, 255.0, 65535.0, 255.0, 65535.0, 255.0)), None]
 
 
-def test_absolute_times_lose_no_nanosecond():
-    timestamps = np.array([CLOCK.timestamp_ns, CLOCK.timestamp_ns + 1, CLOCK.timestamp_ns + 99_999_999], np.uint64)
-    times = PointTimes("nanoseconds", "clock", "t")
-    points = read({**XYZ, "t": timestamps}, PointMapping(times=times)).points
-    assert points.timestamps_ns.tolist() == [int(timestamp) + 7 for timestamp in timestamps]
+ABSOLUTE = np.array([CLOCK.timestamp_ns, CLOCK.timestamp_ns + 1, CLOCK.timestamp_ns + 99_999_999], np.uint64)
 
 
 @pytest.mark.parametrize(
@@ -87,23 +76,25 @@ def test_absolute_times_lose_no_nanosecond():
         ("seconds", np.array([0.0, 0.05, 0.1]), [0, 50_000_000, 100_000_000]),
         ("microseconds", np.array([-3, 0, 50_000], np.int32), [-3_000, 0, 50_000_000]),
         ("milliseconds", np.array([0.0, 0.25, 100.0], np.float32), [0, 250_000, 100_000_000]),
+        ("nanoseconds", ABSOLUTE, ABSOLUTE.tolist()),
     ],
 )
-@pytest.mark.parametrize(("relative_to", "base_ns"), [("timestamp", CLOCK.timestamp_ns), ("start", CLOCK.start_ns)])
-def test_relative_times_count_from_what_they_are_relative_to(unit, values, offsets_ns, relative_to, base_ns):
-    mapping = PointMapping(times=PointTimes(unit, relative_to, "t"))
-    points = read({**XYZ, "t": values}, mapping).points
-    assert points.timestamps_ns.tolist() == [base_ns + offset for offset in offsets_ns]
+def test_times_count_from_what_they_are_relative_to_and_lose_no_nanosecond(unit, values, offsets_ns):
+    bases = {"clock": 7} if values is ABSOLUTE else {"timestamp": CLOCK.timestamp_ns, "start": CLOCK.start_ns}
+    for relative_to, base_ns in bases.items():
+        mapping = PointMapping(times=PointTimes(unit, relative_to, "t"))
+        found = read({**XYZ, "t": values}, mapping).points.timestamps_ns.tolist()
+        assert found == [base_ns + offset for offset in offsets_ns]
 
 
 COUNTS = np.array([0, 257, 65535], np.uint16)
+PACKED = np.array([0x00112233, 0xFF0000FF, 0], np.uint32)
 
 
 @pytest.mark.parametrize(
     ("columns", "colors"),
     [
-        *(({"rgb": packed.view(dtype)}, [[0x11, 0x22, 0x33], [0, 0, 0xFF], [0, 0, 0]])
-          for packed in [np.array([0x00112233, 0xFF0000FF, 0], np.uint32)] for dtype in (np.uint32, np.float32)),
+        *(({"rgb": PACKED.view(dtype)}, [[0x11, 0x22, 0x33], [0, 0, 0xFF], [0, 0, 0]]) for dtype in ("<u4", "<f4")),
         ({name: np.array([k, 0, 255], np.uint8) for k, name in enumerate(COLOURS)},
          [[0, 1, 2], [0, 0, 0], [255, 255, 255]]),
         # of 16 bits, also where their writer put bytes into them
@@ -116,13 +107,12 @@ def test_colours_of_one_or_two_bytes_each_or_packed_are_taken(columns, colors):
 
 
 def test_what_means_nothing_or_is_of_another_kind_is_kept():
-    colours = dict.fromkeys(COLOURS, np.array([0.0, 0.5, 1.0]))
-    near_ir, ring = np.array([5, 6, 7], np.uint16), np.array([0.0, 1.5, 2.0])
-    points = read({**XYZ, **colours, "near_ir": near_ir, "ring": ring}).points
+    further = dict.fromkeys(COLOURS, np.array([0.0, 0.5, 1.0])) | {"ring": np.array([0.0, 1.5, 2.0])}
+    further["near_ir"] = np.array([5, 6, 7], np.uint16)
+    points = read({**XYZ, **further}).points
     assert (points.colors, points.rings) == (None, None)
-    assert {name: column.tolist() for name, column in points.extras.items()} == {
-        "near_ir": [5, 6, 7], "ring": [0.0, 1.5, 2.0], **{name: [0.0, 0.5, 1.0] for name in COLOURS},
-    }  # fmt: skip
+    found = {name: column.tolist() for name, column in points.extras.items()}
+    assert found == {name: column.tolist() for name, column in further.items()}
 
 
 SECONDS = PointMapping(times=PointTimes("seconds", "timestamp", "t"))
@@ -142,15 +132,3 @@ SECONDS = PointMapping(times=PointTimes("seconds", "timestamp", "t"))
 def test_what_cannot_be_points_is_refused(columns, mapping, problem):
     with pytest.raises(DataError, match=problem):
         read(columns, mapping)
-
-
-def test_nothing_can_be_written_into_the_arrays():
-    points = read({**XYZ, "ring": np.arange(3, dtype=np.uint8), "other": np.arange(3)}).points
-    for array in (points.positions, points.rings, points.extras["other"]):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1
-
-
-def test_a_mapping_goes_to_other_processes():
-    mapping = PointMapping(scale=IntensityScale(1.0), times=PointTimes("seconds"))
-    assert pickle.loads(pickle.dumps(mapping)).scale == mapping.scale

@@ -5,7 +5,6 @@ import pickle
 import subprocess
 import sys
 import traceback
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,8 +18,7 @@ from sceneloom.formats.remote import stores
 from sceneloom.formats.remote.mirror import find_urls
 from sceneloom.formats.remote.stores import Patience, RemoteIdentity, patiently
 from sceneloom.formats.remote.uploads import upload
-from sceneloom.formats.sfs.writer import SceneWriter
-from sceneloom.scene import LidarFrame, LidarPoints, LidarSensor
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
 
 CONTENT = bytes(np.random.default_rng(3).integers(0, 256, 900_000, np.uint8))
 
@@ -63,33 +61,23 @@ def test_a_server_that_is_busy_at_first_is_opened(served, waits, encode_sfs):
     assert waits
 
 
-def test_what_is_missing_or_refused_is_not_tried_again(served, waits):
+def test_what_is_missing_or_refused_is_not_tried_again_and_waits_grow_and_end_at_the_deadline(served, waits):
+    def failing(error, *rule):
+        def fail():
+            raise error
+
+        with pytest.raises(type(error)):
+            patiently(fail, *rule)
+
     with pytest.raises(DataError, match="cannot be found") as reported:
         RemoteIdentity.of(served.url("absent.sfs")).open()
     assert not reported.value.passing
-
-    def fails():
-        raise PermissionError(13, "no")
-
-    with pytest.raises(PermissionError):
-        patiently(fails)
+    failing(PermissionError(13, "no"))
+    failing(ConnectionResetError("cut"), Patience(deadline=0.0))
     assert waits == []
-
-
-def test_waits_grow_and_end_at_the_deadline(waits):
-    rule = Patience(tries=9, wait=1.0, longest_wait=4.0, deadline=1000.0)
-
-    def fails():
-        raise ConnectionResetError("cut")
-
-    with pytest.raises(ConnectionResetError):
-        patiently(fails, rule)
+    failing(ConnectionResetError("cut"), Patience(tries=9, wait=1.0, longest_wait=4.0, deadline=1000.0))
     bounds = [1, 2, 4, 4, 4, 4, 4, 4]
     assert all(top / 2 <= wait <= top for wait, top in zip(waits, bounds, strict=True))
-    waits.clear()
-    with pytest.raises(ConnectionResetError):
-        patiently(fails, Patience(deadline=0.0))
-    assert waits == []
 
 
 def test_what_is_asked_for_ahead_is_not_asked_for_again_and_reading_near_takes_what_follows(served, file):
@@ -106,39 +94,23 @@ def test_what_is_asked_for_ahead_is_not_asked_for_again_and_reading_near_takes_w
     assert file.read_near(899_990, 900_000, 50_000) == CONTENT[-10:]
 
 
-def test_one_frame_of_a_file_of_a_gigabyte_costs_a_few_megabytes(tmp_path, monkeypatch):
-    """The file is sparse; the server of the benchmark counts."""
-    monkeypatch.syspath_prepend(Path(__file__).parents[4])
-    from benchmarks.bucket import Bucket
-    from benchmarks.remote import POINTS, write_sparse_scene
-
-    write_sparse_scene(tmp_path / "drive.sfs", 600)
-    assert (tmp_path / "drive.sfs").stat().st_size > 1e9
-    with Bucket(tmp_path) as bucket, sceneloom.open(f"{bucket.address}/b/drive.sfs") as scene:
-        opened = bucket.sent
-        assert len(scene.lidars[0].frames[300].points.positions) == POINTS
-        assert bucket.sent < 20e6
-        assert bucket.sent - opened > POINTS * 13 * 0.99, "the points did come"
-
-
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory):
+@pytest.fixture
+def drive(tmp_path):
     """40 sweeps of 8,000 points, in chunks that are not compressed, as bytes of an MCAP file."""
-    folder = tmp_path_factory.mktemp("mcap")
     rng = np.random.default_rng(5)
-    with SceneWriter(folder / "drive.sfs") as writer:
-        writer.add_sensor(LidarSensor("top", ()))
-        for k in range(40):
-            points = LidarPoints(rng.normal(size=(8_000, 3)).astype(np.float32))
-            writer.add_frame("top", LidarFrame(k * 100_000_000, points))
-    with sceneloom.open(folder / "drive.sfs") as scene:
-        sceneloom.write(scene, folder / "drive.mcap", compression="none")
-    return folder / "drive.mcap"
+    frames = [
+        LidarFrame(k * 100_000_000, LidarPoints(rng.normal(size=(8_000, 3)).astype(np.float32))) for k in range(40)
+    ]
+    lidar = LidarSensor("top", LazyFrames.of(frames, [frame.timestamp_ns for frame in frames]))
+    sceneloom.write(Scene((lidar,)), tmp_path / "drive.mcap", compression="none")
+    return tmp_path / "drive.mcap"
 
 
-def test_a_sweep_costs_its_message_and_not_the_file_and_faults_that_pass_do_not_show(served, drive, waits):
+def test_a_sweep_costs_its_message_faults_that_pass_do_not_show_and_other_processes_refuse_a_changed_drive(
+    served, drive, waits
+):
     served.files["drive.mcap"] = drive.read_bytes()
-    with sceneloom.open(served.url("drive.mcap")) as scene, sceneloom.open(drive) as local:
+    with sceneloom.open(served.url("drive.mcap") + "?sig=hidden") as scene, sceneloom.open(drive) as local:
         assert served.bytes_sent < len(served.files["drive.mcap"]) / 4
         opened = served.bytes_sent
         found, expected = scene.lidars[0].frames[17], local.lidars[0].frames[17]
@@ -148,14 +120,8 @@ def test_a_sweep_costs_its_message_and_not_the_file_and_faults_that_pass_do_not_
         served.faults[:] = ["503", "cut", "503"]
         assert len(scene.lidars[0].frames[3].points.positions) == 8_000
         assert waits
-
-
-def test_a_drive_goes_to_other_processes_and_is_distinguished_from_another_one(served, drive):
-    served.files["drive.mcap"] = drive.read_bytes()
-    with sceneloom.open(served.url("drive.mcap") + "?sig=hidden") as scene:
-        again = pickle.loads(pickle.dumps(scene))
+        again, late = (pickle.loads(pickle.dumps(scene)) for _ in range(2))
         assert len(again.lidars[0].frames[3].points.positions) == 8_000
-        late = pickle.loads(pickle.dumps(scene))
     served.files["drive.mcap"] += b"\0"
     with pytest.raises(DataError, match="was changed after it was opened") as reported:
         _ = late.lidars[0].frames[5].points.positions
@@ -200,7 +166,7 @@ def test_an_error_brings_nothing_of_what_the_back_end_raised(served, encode_sfs,
         assert "sig=hidden" in served.queries[0], "the server has to get what the user stated"
 
 
-def test_a_scene_reports_its_source_without_secrets(served, encode_sfs):
+def test_a_scene_reports_its_source_without_secrets_and_the_other_doors_bring_none_either(served, encode_sfs, tmp_path):
     served.files["drive.sfs"] = encode_sfs({"version": "1.0", "sensors": []})
     url = served.url("drive.sfs").replace("http://", "http://me:hidden@") + SIGNED
     for arguments in (["info", url], ["info", "--json", url], ["validate", url]):
@@ -209,14 +175,10 @@ def test_a_scene_reports_its_source_without_secrets(served, encode_sfs):
         assert "hidden" not in done.output, arguments
     with sceneloom.open(url) as scene:
         assert "hidden" not in repr(scene)
-
-
-def test_the_other_doors_bring_nothing_either(tmp_path):
     (tmp_path / "file").write_bytes(b"x")
-    url = "nosuch://me:hidden@host/a.sfs" + SIGNED
     for door in (find_urls, lambda location: upload(tmp_path / "file", location)):
         with pytest.raises(sceneloom.SceneloomError) as reported:
-            door(url)
+            door("nosuch://me:hidden@host/a.sfs" + SIGNED)
         assert "hidden" not in all_that_hangs_on(reported.value)[1]
 
 

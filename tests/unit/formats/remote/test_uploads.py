@@ -60,19 +60,15 @@ def test_a_scene_is_written_to_a_store_as_to_disk_and_replaces_nothing_unless_it
     assert "/bucket/other.sfs" in memory.store
 
 
-def test_a_verb_that_fails_leaves_nothing(memory):
+def test_a_verb_that_fails_leaves_nothing_and_an_upload_that_is_cut_is_begun_anew(memory, folder, waits, puts):
     with pytest.raises(RuntimeError), uploading("memory://bucket/a.bin", overwrite=False) as draft:
         draft.write_bytes(b"half")
         raise RuntimeError
     assert memory.store == {}
     assert not draft.parent.exists()
-
-
-def test_an_upload_that_is_cut_is_begun_anew(memory, folder, waits, puts):
     puts[1]["data.jsonl"] = [ConnectionResetError("cut"), TimeoutError("slow")]
     upload(folder / "data.jsonl", "memory://bucket/data.jsonl")
-    assert len(waits) == 2
-    assert memory.cat_file("/bucket/data.jsonl") == b"data.jsonl"
+    assert (len(waits), memory.cat_file("/bucket/data.jsonl")) == (2, b"data.jsonl")
 
 
 def test_chunks_that_were_sent_are_given_up_where_one_fails(memory, tmp_path, waits, monkeypatch):
@@ -99,7 +95,13 @@ def test_chunks_that_were_sent_are_given_up_where_one_fails(memory, tmp_path, wa
     assert waits == []
 
 
-def test_a_folder_replaces_all_of_the_old_one_and_its_marker_comes_last(memory, folder, puts):
+def test_a_folder_replaces_all_of_the_old_one_its_marker_comes_last_and_one_that_fails_midway_is_taken_back(
+    memory, folder, puts
+):
+    puts[1]["1.png"] = [PermissionError(13, "no")]
+    with pytest.raises(OutputError, match="cannot be written"):
+        upload(folder, "memory://bucket/drive")
+    assert memory.store == {}
     for name in (MARKER, "old.bin", "data.jsonl"):
         memory.pipe(f"/bucket/drive/{name}", b"old")
     with pytest.raises(OutputError, match="exists already"):
@@ -108,13 +110,6 @@ def test_a_folder_replaces_all_of_the_old_one_and_its_marker_comes_last(memory, 
     assert puts[0][-1] == f"/bucket/drive/{MARKER}"
     assert sorted(memory.find("/bucket/drive")) == [f"/bucket/drive/{name}" for name in (MARKER, *NAMES)]
     assert [memory.cat_file(f"/bucket/drive/{name}").decode() for name in NAMES] == NAMES
-
-
-def test_a_folder_that_fails_midway_is_taken_back(memory, folder, puts):
-    puts[1]["1.png"] = [PermissionError(13, "no")]
-    with pytest.raises(OutputError, match="cannot be written"):
-        upload(folder, "memory://bucket/drive")
-    assert memory.store == {}
 
 
 @pytest.mark.parametrize(

@@ -49,16 +49,13 @@ def test_every_model_of_the_table_is_read_with_its_own_coefficients(model):
             read_camera_model({"K": K, "model": model, "coefficients": [0.0] * (len(names) + 1)}, SIZE)
 
 
-def test_coefficients_have_names_or_opencvs_order_and_are_not_used_for_rectified_images():
+def test_coefficients_have_names_or_opencvs_order_images_may_be_rectified_and_a_projection_moves_the_camera():
     named = read_camera_model({"fx": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": {"k3": 0.1, "k1": -0.2}}, SIZE)
     listed = read_camera_model({"fx": 5.0, "fy": 5.0, "cx": 1.0, "cy": 1.0, "coefficients": [-0.2, 0, 0, 0, 0.1]}, SIZE)
     probe = np.array([[0.1, 0.2, 1.0]])
     np.testing.assert_array_equal(project(named, probe)[0], project(listed, probe)[0])
     rectified = read_camera_model({"K": K, "coefficients": [-0.2, 0.1, 0, 0], "undistorted": True}, SIZE)
     assert (rectified.model, rectified.coefficients) == ("pinhole", ())
-
-
-def test_a_projection_matrix_moves_the_camera_within_its_frame():
     P = np.column_stack([K, [45.0, -0.3, 0.005]])
     camera_model, shift = read_camera_model({"P": P}, SIZE), frame_from_camera({"P": P})
     homogeneous = np.column_stack([POINTS, np.ones(50)]) @ P.T
@@ -87,14 +84,11 @@ def test_what_is_no_camera_model_is_refused(record, problem):
         read_camera_model(record, SIZE)
 
 
-def test_a_camera_model_for_another_size_is_scaled_with_a_warning(opened):
+def test_a_camera_model_for_another_size_is_scaled_and_rolling_shutters_kept_as_recordings_state_them(opened):
     scene = opened((CAMERA_MODEL, "cy = 2.5, width = 4, height = 3 }"))
     camera_model = scene.cameras[0].camera
     assert (camera_model.width, camera_model.fx, camera_model.cx) == (8, 12.0, (3.5 + 0.5) * 2 - 0.5)
     assert codes(scene) == ["camera-model-scaled"]
-
-
-def test_rolling_shutters_are_kept_as_recordings_state_them(opened):
     rolling = (CAMERA_MODEL, CAMERA_MODEL + "\nshutter_roll_s = 0.033\nshutter_left_to_right = true")
     assert Shutter.of(opened(rolling).cameras[0]) == Shutter(0.033, over_columns=True)
     assert Shutter.of(opened().cameras[0]) == Shutter()
@@ -112,39 +106,35 @@ def test_jpeg_images_are_decoded_and_their_bytes_are_at_hand(opened, folder):
     assert images[0].encoded() == (folder / "front" / "0.jpg").read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("image", "problem"),
-    [
+def test_images_of_8_bits_become_red_green_blue_and_those_of_16_or_another_size_are_refused(opened, folder):
+    path = folder / "front" / "1.png"
+    for image, problem in (
         *((Image.new(mode, (8, 6), 1), None) for mode in ("L", "P", "1")),
         (Image.new("RGBA", (8, 6), (1, 2, 3, 4)), None),
         (Image.new("I;16", (8, 6), 70), "'I;16'; expected 8-bit grey or colour"),
         *((np.full((6, 8, n), 300, np.uint16), "'RGBA?;16'; expected 8-bit grey or colour") for n in (3, 4)),
-    ],
-)
-def test_images_of_8_bits_become_red_green_blue_and_those_of_16_are_refused(opened, folder, image, problem):
-    path = folder / "front" / "0.png"
-    if isinstance(image, Image.Image):
-        image.save(path)
-    else:
-        cv2.imwrite(str(path), image)
-    read = opened().cameras[0].images[0]
-    if problem is None:
-        assert read.rgb.shape == (6, 8, 3)
-    else:
-        with pytest.raises(DataError, match=problem):
-            _ = read.rgb
+        (Image.new("RGB", (6, 8)), r"1\.png: is 6x8; expected 8x6"),
+    ):
+        if isinstance(image, Image.Image):
+            image.save(path)
+        else:
+            cv2.imwrite(str(path), image)
+        read = opened().cameras[0].images[1]
+        if problem is None:
+            assert read.rgb.shape == (6, 8, 3)
+        else:
+            with pytest.raises(DataError, match=problem):
+                _ = read.rgb
 
 
-def test_an_image_of_another_size_is_reported(opened, folder):
-    Image.new("RGB", (6, 8)).save(folder / "front" / "1.png")
-    images = opened().cameras[0].images
-    with pytest.raises(DataError, match=r"1\.png: is 6x8; expected 8x6"):
-        _ = images[1].rgb
-
-
-def test_pipes_and_files_of_another_kind_among_the_images_are_refused(refused, folder):
+def test_pipes_and_files_of_another_kind_among_the_images_are_refused_and_torn_ones_left_out(refused, opened, folder):
     (folder / "front" / "t.txt").write_text("1")
     refused(r"'t.txt'; expected files that end with .png .jpg .jpeg", ("front/*.png", "front/*"))
+    # a lenient reading takes the size of the first image that can be read
+    (folder / "front" / "0.png").write_bytes(b"torn")
+    scene = opened(lenient=True)
+    assert (len(scene.cameras[0].images), codes(scene)) == (2, ["unreadable-files"])
+    refused(r"0\.png: is no PNG and no JPEG image")
     os.mkfifo(folder / "front" / "9.png")
     refused(r"'front/9\.png': is a named pipe; expected a regular file")
 
@@ -171,29 +161,27 @@ def video(folder):
     return path
 
 
-@pytest.mark.parametrize(
-    ("times", "expected_ms"),
-    [
+def test_videos_are_images_with_times(opened, video):
+    for times, expected_ms in (
         ("times = { rate_hz = 10, start_s = 1.5 }", [1500, 1600, 1700, 1800, 1900]),
         ("times = { container = true, start_s = 2 }", [2000, 2050, 2100, 2150, 2200]),
         ('times = { csv = "t.csv" }', [5, 7, 11, 13, 17]),
         (BY_LINES, [5, 7, 11, 13, 17]),
-    ],
-)
-def test_videos_are_images_with_times(opened, video, times, expected_ms):
-    with opened(AS_VIDEO, (BY_RATE, times)) as scene:
-        camera = scene.cameras[0]
-        assert camera.images.timestamps_ns.tolist() == [ms * 1_000_000 for ms in expected_ms]
-        assert [int(image.rgb[0, 0, 0]) for image in camera.images] == REDS
-        assert (camera.video.codec, camera.video.frame_indices) == ("ffv1", None)
-        assert pickle.loads(pickle.dumps(scene)).cameras[0].images[3].rgb[0, 0, 0] == 120
-        with camera.video.open() as file:
-            assert isinstance(file, io.IOBase)
-    with pytest.raises(DataError, match="is closed"):
-        _ = camera.images[0].rgb
+    ):
+        with opened(AS_VIDEO, (BY_RATE, times)) as scene:
+            camera = scene.cameras[0]
+            assert camera.images.timestamps_ns.tolist() == [ms * 1_000_000 for ms in expected_ms]
+            assert [int(image.rgb[0, 0, 0]) for image in camera.images] == REDS
+            assert (camera.video.codec, camera.video.frame_indices) == ("ffv1", None)
+            assert pickle.loads(pickle.dumps(scene)).cameras[0].images[3].rgb[0, 0, 0] == 120
+            with camera.video.open() as file:
+                assert isinstance(file, io.IOBase)
+        with pytest.raises(DataError, match="is closed"):
+            _ = camera.images[0].rgb
 
 
 def test_of_a_video_that_breaks_off_a_lenient_reading_keeps_the_images_before_the_cut(refused, opened, video):
+    refused("2 times for 5 files or images", AS_VIDEO, (BY_RATE, 'times = { lines = "two.txt" }'))
     content = video.read_bytes()
     video.write_bytes(content[: len(content) * 3 // 5])
     changes = (AS_VIDEO, (BY_RATE, BY_LINES))
@@ -207,16 +195,5 @@ def test_of_a_video_that_breaks_off_a_lenient_reading_keeps_the_images_before_th
         assert camera.video is None
         counts = {warning.code: warning.count for warning in scene.warnings}
         assert (counts["unreadable-videos"], counts["counts-disagree"]) == (1, 5 - count)
-
-
-def test_a_video_that_is_none_or_has_another_number_of_times_is_reported(refused, video):
-    refused("2 times for 5 files or images", AS_VIDEO, (BY_RATE, 'times = { lines = "two.txt" }'))
     video.write_bytes(b"no video")
     refused("cannot be read as video", AS_VIDEO)
-
-
-def test_a_lenient_reading_takes_the_size_of_the_first_image_that_can_be_read(refused, opened, folder):
-    (folder / "front" / "0.png").write_bytes(b"torn")
-    scene = opened(lenient=True)
-    assert (len(scene.cameras[0].images), codes(scene)) == (2, ["unreadable-files"])
-    refused(r"0\.png: is no PNG and no JPEG image")

@@ -10,7 +10,7 @@ from PIL import Image
 
 import sceneloom
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.formats.rig.manifest import RECORDS, Faults, Kind, read_record
+from sceneloom.formats.rig.reader import RECORDS, Faults, Kind, read_record
 from sceneloom.formats.rig.spec import FORMAT
 from sceneloom.formats.rig.template import TEMPLATE, quoted, survey, template_text, write_template
 
@@ -104,33 +104,22 @@ def test_a_file_that_is_no_manifest_is_reported(folder, content, problem):
         FORMAT.open(folder)
 
 
-@pytest.mark.parametrize("record", RECORDS)
-def test_every_field_stands_in_the_documentation(record):
+def test_the_table_of_fields_is_sound_each_stands_in_the_documentation_and_manifests_there_are_right():
     page = PAGE.read_text("utf-8")
-    missing = [field.name for field in RECORDS[record] if f"`{field.name}`" not in page]
-    missing += [word for field in RECORDS[record] for word in field.choices[:6] if f"`{word}`" not in page]
-    assert not missing
-
-
-def test_manifests_in_the_documentation_are_right():
-    blocks = re.findall(r"^```toml\n(.*?)^```", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
-    assert len(blocks) >= 3
-    for block in blocks:
-        faults = Faults(PAGE)
-        raw = tomllib.loads(block)
-        read_record({"sensors": [], **raw}, "rig", "", faults)
-        faults.raise_all()
-
-
-def test_the_table_of_fields_is_sound():
     for name, fields in RECORDS.items():
-        names = [field.name for field in fields]
-        assert len(set(names)) == len(names), name
+        assert len({field.name for field in fields}) == len(fields), name
         for field in fields:
+            assert [word for word in (field.name, *field.choices[:6]) if f"`{word}`" not in page] == [], name
             assert field.about
             assert (field.kind is Kind.CHOICE) == bool(field.choices)
             assert (field.kind in {Kind.VECTOR, Kind.MATRIX}) == bool(field.shapes)
             assert (field.kind in {Kind.RECORD, Kind.RECORDS}) == bool(field.record)
+    blocks = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    assert len(blocks) >= 3
+    for block in blocks:
+        faults = Faults(PAGE)
+        read_record({"sensors": [], **tomllib.loads(block)}, "rig", "", faults)
+        faults.raise_all()
 
 
 PCD = b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nDATA binary\n" + np.ones(3, "<f4").tobytes()
@@ -143,12 +132,6 @@ def filled(text: str) -> str:
     text = re.sub(r"(?m)^    \[nan, nan, nan, nan\]", lambda _: f"    {next(rows)}", text)
     text = re.sub(r"(fx|fy) = nan", r"\1 = 60.0", text)
     return text.replace("rate_hz = nan", "rate_hz = 10").replace("nan", "0.0")
-
-
-def opened_timestamps(folder):
-    """Open a folder with the manifest that a look into it gives."""
-    (folder / "rig.toml").write_text(filled(template_text(folder=folder)))
-    return FORMAT.open(folder).lidars[0].frames.timestamps_ns.tolist()
 
 
 @pytest.fixture
@@ -205,65 +188,51 @@ def test_a_look_into_a_folder_gives_a_manifest_that_opens_once_it_is_filled_in(
     assert ("root" in tomllib.loads(path.read_text())) == (location != "inside")
 
 
-def test_a_template_is_a_toml_file_and_replaces_none_unless_reported_to(tmp_path):
+def test_a_template_is_a_toml_file_replaces_none_unless_reported_to_and_needs_clouds_or_images(tmp_path):
     write_template(tmp_path / "rig.toml")
-    with pytest.raises(OutputError, match="exists already"):
-        write_template(tmp_path / "rig.toml")
     write_template(tmp_path / "rig.toml", overwrite=True)
-    with pytest.raises(OptionError, match=r"expected a name that ends with \.toml"):
-        write_template(tmp_path / "rig.json")
-
-
-def test_a_folder_without_clouds_and_images_is_refused(tmp_path):
-    with pytest.raises(DataError, match="no clouds, images or videos"):
-        template_text(folder=tmp_path)
-    with pytest.raises(DataError, match="no such folder"):
-        template_text(folder=tmp_path / "none")
-
-
-@pytest.mark.parametrize(
-    ("name", "pattern"),
-    [
-        ("1532402927647951000", "{ns}"),
-        ("1532402927647951", "{us}"),
-        ("1532402927647", "{ms}"),
-        ("1532402927", "{s}"),
-        ("1532402927_647951000", "{s}_{ns}"),
-        ("1532402927-647951", "{s}-{us}"),
-        ("1532402927.647951", "{s}"),
-        ("top_1532402927.6479510_raw", "*{s}_raw"),
-        ("top_1532402927647951000_raw", "*{ns}_raw"),
-    ],
-)
-def test_times_are_distinguished_from_names_and_those_patterns_read_them(tmp_path, name, pattern):
-    (tmp_path / f"{name}.pcd").write_bytes(PCD)
-    (found,) = survey(tmp_path).sensors
-    assert found.times == {"pattern": pattern}
-    assert abs(opened_timestamps(tmp_path)[0] - START_NS) < 1_000_000_000
+    for failing, error, problem in (
+        (lambda: write_template(tmp_path / "rig.toml"), OutputError, "exists already"),
+        (lambda: write_template(tmp_path / "rig.json"), OptionError, r"expected a name that ends with \.toml"),
+        (lambda: template_text(folder=tmp_path), DataError, "no clouds, images or videos"),
+        (lambda: template_text(folder=tmp_path / "none"), DataError, "no such folder"),
+    ):
+        with pytest.raises(error, match=problem):
+            failing()
 
 
 @pytest.mark.parametrize(
-    ("names", "expected_ns"),
+    ("names", "pattern", "expected_ns"),
     [
-        (["0000000001050000000", "0000000001150000000"], [1_050_000_000, 1_150_000_000]),
-        (["1532402927.647951", "1532402928.5"], [1_532_402_927_647_951_000, 1_532_402_928_500_000_000]),
-        (["1532402927647951000_000001", "1532402927747951000_000002"],
+        ("1532402927647951000", "{ns}", [1_532_402_927_647_951_000]),
+        ("1532402927647951", "{us}", [1_532_402_927_647_951_000]),
+        ("1532402927647", "{ms}", [1_532_402_927_647_000_000]),
+        ("1532402927", "{s}", [1_532_402_927_000_000_000]),
+        ("1532402927_647951000", "{s}_{ns}", [1_532_402_927_647_951_000]),
+        ("1532402927-647951", "{s}-{us}", [1_532_402_927_647_951_000]),
+        ("top_1532402927.6479510_raw", "*{s}_raw", [1_532_402_927_647_951_000]),
+        ("top_1532402927647951000_raw", "*{ns}_raw", [1_532_402_927_647_951_000]),
+        # the pattern that the first name reports reads the others
+        ("1532402927.647951 1532402928.5", "{s}", [1_532_402_927_647_951_000, 1_532_402_928_500_000_000]),
+        ("0000000001050000000 0000000001150000000", None, [1_050_000_000, 1_150_000_000]),
+        ("1532402927647951000_000001 1532402927747951000_000002", None,
          [1_532_402_927_647_951_000, 1_532_402_927_747_951_000]),
+        # numbered names ask for a rate
+        ("000000 000001", "{index}", None), ("0000000000 0000000001", "{index}", None),
+        ("scan_1 scan_2", "*{index}", None),
     ],
 )  # fmt: skip
-def test_the_pattern_that_the_first_name_reports_reads_the_others(tmp_path, names, expected_ns):
-    for name in names:
-        (tmp_path / f"{name}.pcd").write_bytes(PCD)
-    assert opened_timestamps(tmp_path) == expected_ns
-
-
-@pytest.mark.parametrize("names", [["000000", "000001"], ["0000000000", "0000000001"], ["scan_1", "scan_2"]])
-def test_numbered_names_ask_for_a_rate(tmp_path, names):
-    for name in names:
+def test_times_are_distinguished_from_names_and_those_patterns_read_them(tmp_path, names, pattern, expected_ns):
+    for name in names.split():
         (tmp_path / f"{name}.pcd").write_bytes(PCD)
     (found,) = survey(tmp_path).sensors
-    assert found.times["pattern"] in {"{index}", "*{index}"}
-    assert np.isnan(found.times["rate_hz"])
+    assert pattern in (None, found.times["pattern"])
+    if expected_ns is None:
+        assert np.isnan(found.times["rate_hz"])
+    else:
+        assert set(found.times) == {"pattern"}
+        (tmp_path / "rig.toml").write_text(filled(template_text(folder=tmp_path)))
+        assert FORMAT.open(tmp_path).lidars[0].frames.timestamps_ns.tolist() == expected_ns
 
 
 def test_lists_of_times_beside_the_files_are_found(clouds_and_images):
@@ -326,14 +295,9 @@ def test_trajectories_and_motion_sensors_are_found(clouds_and_images, name, text
     assert trajectories + sensors == [(name, form)]
 
 
-@pytest.mark.parametrize(
-    "text", ["plain", 'with "quotes"', "back\\slash", "it's", "new\nline", "ümlaut", "both ' and \"", "del\x7f"]
-)
-def test_strange_names_are_written_as_toml_reads_them(text):
-    assert tomllib.loads(f"x = {quoted(text)}")["x"] == text
-
-
-def test_columns_with_strange_names_leave_the_template_readable(clouds_and_images):
+def test_strange_names_are_written_as_toml_reads_them_and_leave_the_template_readable(clouds_and_images):
+    for text in ("plain", 'with "quotes"', "back\\slash", "it's", "new\nline", "ümlaut", "both ' and \"", "del\x7f"):
+        assert tomllib.loads(f"x = {quoted(text)}")["x"] == text
     strange = PCD.replace(b"x y z", b"x y z\x00\x7f")
     (clouds_and_images / "lidar_top" / f"{START_NS}.pcd").write_bytes(strange)
     text = template_text(folder=clouds_and_images)
@@ -341,7 +305,7 @@ def test_columns_with_strange_names_leave_the_template_readable(clouds_and_image
     assert [sensor["id"] for sensor in tomllib.loads(text)["sensors"]] == ["lidar_top", "cam_front"]
 
 
-def test_columns_that_are_not_known_by_name_are_offered_as_comments_that_work(tmp_path):
+def test_columns_that_are_not_known_by_name_are_offered_as_comments_that_work_or_asked_for(tmp_path):
     for k in range(2):
         times = np.array([0.0, 50.0, 99.0], "f4")
         np.savez(tmp_path / f"{k}.npz", pts=np.ones((3, 3), "f4"), refl=np.ones(3, "f4"), dt_ms=times)
@@ -353,8 +317,6 @@ def test_columns_that_are_not_known_by_name_are_offered_as_comments_that_work(tm
     points = sceneloom.open(tmp_path).lidars[0].frames[1].points
     assert points.intensities.tolist() == [255] * 3
     np.testing.assert_allclose(points.timestamps_ns, [100e6, 150e6, 199e6], atol=10)
-
-
-def test_columns_of_locations_that_are_not_known_by_name_are_asked_for(tmp_path):
+    (tmp_path / "1.npz").unlink()
     np.savez(tmp_path / "0.npz", East=np.ones(3), North=np.ones(3), Up=np.ones(3))
     assert '# use = { x = "?", y = "?", z = "?" }   # needed: which of East North Up' in template_text(folder=tmp_path)

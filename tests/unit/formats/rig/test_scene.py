@@ -37,7 +37,12 @@ def test_a_scene_has_the_sensors_of_the_manifest_with_what_their_files_hold_moun
     np.testing.assert_allclose(lidar.poses.positions, [[2.0, 0, 2], [3.0, 0, 2], [4.0, 0, 2]], atol=1e-9)
 
 
-def test_folder_and_manifest_of_any_name_are_recognised_and_open_alike(folder):
+def test_folder_and_manifest_of_any_name_are_recognised_and_open_alike_and_a_rig_is_only_read(folder, opened, tmp_path):
+    with pytest.raises(OptionError, match="a rig is only read; write a scene file"):
+        sceneloom.write(opened(), tmp_path / "new.toml", format="rig")
+    assert not (tmp_path / "new.toml").exists()
+    with pytest.raises(OptionError, match="altitude"):
+        FORMAT.open(folder, altitude="msl")
     for path in (folder, folder / "rig.toml"):
         with sceneloom.open(path) as scene:
             assert (scene.format, scene.source, len(scene.sensors)) == ("rig", str(folder), 2)
@@ -46,14 +51,6 @@ def test_folder_and_manifest_of_any_name_are_recognised_and_open_alike(folder):
     (folder / "broken.toml").write_text("sensors = [")
     recognised = {path.name for path in (folder, *folder.glob("*.toml")) if FORMAT.sniff(path)}
     assert recognised == {"day.toml"}
-
-
-def test_a_rig_is_not_written_and_unknown_options_are_refused(opened, folder, tmp_path):
-    with pytest.raises(OptionError, match="a rig is only read; write a scene file"):
-        sceneloom.write(opened(), tmp_path / "new.toml", format="rig")
-    assert not (tmp_path / "new.toml").exists()
-    with pytest.raises(OptionError, match="altitude"):
-        FORMAT.open(folder, altitude="msl")
 
 
 def test_nothing_but_the_manifest_and_first_heads_is_needed_to_open(folder, opened):
@@ -94,11 +91,7 @@ def test_each_part_that_a_lenient_reading_leaves_out_is_known_by_its_location_an
 
 CAMERA_MODEL = Camera("brown_conrady", 96, 64, 60.0, 61.0, 47.5, 31.5, (-0.2, 0.05, 0.001, -0.001, 0.01))
 CLOUD = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("i", "u1"), ("ring", "<u2"), ("t", "<i8")])
-PCD = "FIELDS x y z i ring t\nSIZE 4 4 4 1 2 8\nTYPE F F F U U I\nWIDTH {}\nHEIGHT 1\nDATA {}\n"
-PLY = "".join(
-    f"property {kind} {name}\n"
-    for kind, name in zip(["float", "float", "float", "uchar", "ushort", "double"], CLOUD.names, strict=True)
-)
+PCD = "FIELDS x y z i ring t\nSIZE 4 4 4 1 2 8\nTYPE F F F U U I\nWIDTH {}\nHEIGHT 1\nDATA binary\n"
 
 
 @pytest.fixture(scope="module")
@@ -107,35 +100,16 @@ def drive():
     return simulate_street(4, frames=3, lidar=LidarSpec(beams=16, steps=300), cameras=(CameraSpec(CAMERA_MODEL),)).scene
 
 
-def write_cloud(path: Path, points, kind: str) -> None:
-    records = np.zeros(len(points), CLOUD)
-    for axis, name in enumerate("xyz"):
-        records[name] = points.positions[:, axis]
-    records["i"], records["ring"], records["t"] = points.intensities, points.rings, points.timestamps_ns
-    if kind == "npz":
-        np.savez_compressed(path, **{name: records[name] for name in CLOUD.names})
-        return
-    if kind == "ascii":
-        lines = "".join(" ".join(repr(value.item()) for value in row) + "\n" for row in records)
-        path.write_text(PCD.format(len(records), "ascii") + lines)
-        return
-    heads = {
-        "pcd": PCD.format(len(records), "binary"),
-        "ply": f"ply\nformat binary_little_endian 1.0\nelement vertex {len(records)}\n{PLY}end_header\n",
-        "bin": "",
-    }
-    if kind == "ply":
-        records = records.astype([*CLOUD.descr[:-1], ("t", "<f8")])
-    path.write_bytes(heads[kind].encode() + records.tobytes())
-
-
 def write_folder(folder: Path, scene: sceneloom.Scene, kind: str) -> None:
     lidar, camera = scene.lidars[0], scene.cameras[0]
-    suffix = "pcd" if kind == "ascii" else kind
     for name in ("lidar", "images"):
         (folder / name).mkdir()
     for frame in lidar.frames:
-        write_cloud(folder / "lidar" / f"{frame.timestamp_ns}.{suffix}", frame.points, kind)
+        points = frame.points
+        columns = (*points.positions.T, points.intensities, points.rings, points.timestamps_ns)
+        head = PCD.format(len(points)).encode() if kind == "pcd" else b""
+        path = folder / "lidar" / f"{frame.timestamp_ns}.{kind}"
+        path.write_bytes(head + np.rec.fromarrays(columns, CLOUD).tobytes())
     for image in camera.images:
         Image.fromarray(image.rgb).save(folder / "images" / f"{image.timestamp_ns}.png")
     trajectory = scene.trajectories["groundTruth"]
@@ -152,7 +126,7 @@ unit = "nanoseconds"
 [[sensors]]
 id = "lidar"
 type = "lidar"
-files = "lidar/*.{suffix}"
+files = "lidar/*.{kind}"
 times = {{ pattern = "{{ns}}" }}
 point_times = {{ unit = "nanoseconds", relative_to = "clock" }}
 {fields}
@@ -167,8 +141,8 @@ camera_model = {{ fx = 60, fy = 61, cx = 47.5, cy = 31.5, coefficients = {list(C
 """)
 
 
-@pytest.mark.parametrize("kind", ["pcd", "ascii", "ply", "npz", "bin"])
-def test_every_kind_of_cloud_brings_the_drive_back_exactly(tmp_path, drive, kind):
+@pytest.mark.parametrize("kind", ["pcd", "bin"])
+def test_files_that_state_their_columns_or_do_not_bring_the_drive_back_exactly(tmp_path, drive, kind):
     write_folder(tmp_path, drive, kind)
     scene = sceneloom.open(tmp_path)
     for found, known in zip(scene.lidars[0].frames, drive.lidars[0].frames, strict=True):

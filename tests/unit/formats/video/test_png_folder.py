@@ -19,13 +19,18 @@ def folder(tmp_path, videos):
     return tmp_path
 
 
-def test_images_are_those_that_were_put_in(folder, videos):
+def test_images_are_those_that_were_put_in_also_after_closing_and_those_beyond_the_last_refused(folder, videos):
     (folder / "notes.txt").write_text("not an image")
     (folder / "3.png").write_bytes(b"a name of another kind")
     images = PngFolder(folder)
     assert (images.count, images.width, images.height, images.codec) == (3, 31, 17, "png")
     for number in (2, 0, 1):
         np.testing.assert_array_equal(images.rgb(number), videos.image(number, 31, 17))
+    for index in (-1, 3):
+        with pytest.raises(DataError, match=f"image {index}: does not exist: the folder holds 3"):
+            images.rgb(index)
+    images.close()
+    assert images.rgb(0).shape == (17, 31, 3)
 
 
 def test_grey_is_repeated_transparency_dropped_and_sixteen_bits_keep_their_upper_eight(tmp_path):
@@ -74,12 +79,3 @@ def test_an_image_that_is_damaged_or_of_another_kind_is_refused(folder, image, p
         path.write_bytes(image or path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(DataError, match=problem):
         PngFolder(folder).rgb(1)
-
-
-def test_an_image_beyond_the_last_is_refused_and_closing_keeps_nothing_from_being_read_again(folder):
-    images = PngFolder(folder)
-    for index in (-1, 3):
-        with pytest.raises(DataError, match=f"image {index}: does not exist: the folder holds 3"):
-            images.rgb(index)
-    images.close()
-    assert images.rgb(0).shape == (17, 31, 3)

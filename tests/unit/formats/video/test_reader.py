@@ -60,32 +60,26 @@ def test_images_and_their_order_are_those_that_opencv_reads(data_dir, tmp_path):
             assert not capture.read()[0]
 
 
-def test_counting_decodes_nothing_and_reading_forwards_decodes_each_packet_once(mkv_bytes, decoded_packets):
+def test_counting_decodes_nothing_reading_on_each_packet_once_and_a_jump_from_the_key_frame(mkv_bytes, decoded_packets):
     with open_video(mkv_bytes) as reader:
         assert (reader.count, len(reader.timestamps), decoded_packets) == (40, 40, [])
         for index in range(40):
             reader.rgb(index)
     assert len(decoded_packets) == 40
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "most"),
-    [
+    for before, after, most in (
         # inside a group: from its key frame each time there would be 27 and more; who works ahead has 3 packets more
         ((), (0, 4, 8), 15),
         # 37 is the second of its group; a decoder of 3 B-frames, and one that works ahead, take a few packets more
         ((2,), (37,), 11),
         ((30,), (30,), 0),
-    ],
-)
-def test_a_jump_decodes_on_or_from_the_key_frame_before(mkv_bytes, decoded_packets, before, after, most):
-    with open_video(mkv_bytes) as reader:
-        for index in before:
-            reader.rgb(index)
-        decoded_packets.clear()
-        for index in after:
-            reader.rgb(index)
-    assert len(decoded_packets) <= most
+    ):
+        with open_video(mkv_bytes) as reader:
+            for index in before:
+                reader.rgb(index)
+            decoded_packets.clear()
+            for index in after:
+                reader.rgb(index)
+        assert len(decoded_packets) <= most
 
 
 @pytest.mark.parametrize(
@@ -193,16 +187,6 @@ def test_no_thread_of_a_decoder_is_left_when_reading_stops_halfway(mkv_bytes, mo
     assert set(tasks.iterdir()) <= before
 
 
-def test_a_closed_reader_and_an_image_beyond_the_last_are_refused(mkv_bytes):
-    with open_video(mkv_bytes, name="front.mkv") as reader:
-        for index in (-1, 40):
-            with pytest.raises(DataError, match=f"front.mkv: image {index}: .*holds 40"):
-                reader.rgb(index)
-    reader.close()
-    with pytest.raises(DataError, match="is closed"):
-        reader.rgb(0)
-
-
 def sound_only() -> bytes:
     file = io.BytesIO()
     with av.open(file, "w", format="matroska") as output:
@@ -217,7 +201,7 @@ def sound_only() -> bytes:
 PLAYLISTS = ["ffconcat version 1.0\nfile 'data.mkv'\n", "#EXTM3U\n#EXTINF:1,\ndata.mkv\n#EXT-X-ENDLIST\n"]
 
 
-def test_what_is_no_video_is_refused(mkv_bytes, tmp_path):
+def test_what_is_no_video_a_closed_reader_and_an_image_beyond_the_last_are_refused(mkv_bytes, tmp_path):
     for content, problem in (
         (b"", "cannot be read as video"),
         (b"no video" * 99, "cannot be read as video"),
@@ -232,6 +216,13 @@ def test_what_is_no_video_is_refused(mkv_bytes, tmp_path):
         (tmp_path / "data2.mkv").write_text(playlist)
         with pytest.raises(DataError):
             open_video(tmp_path / "data2.mkv")
+    with open_video(mkv_bytes, name="front.mkv") as reader:
+        for index in (-1, 40):
+            with pytest.raises(DataError, match=f"front.mkv: image {index}: .*holds 40"):
+                reader.rgb(index)
+    reader.close()
+    with pytest.raises(DataError, match="is closed"):
+        reader.rgb(0)
 
 
 def test_an_image_of_another_size_than_the_first_is_refused_by_its_number(videos):
@@ -283,6 +274,19 @@ def smooth_plane(rng: np.random.Generator, height: int, width: int) -> np.ndarra
     return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2), None, 30, 225, cv2.NORM_MINMAX)
 
 
+def of_one_image(frame, codec, options, **colours):
+    """A video of one image, whose pixels are given as they are stored."""
+    file = io.BytesIO()
+    with av.open(file, "w", format="matroska") as output:
+        stream = output.add_stream(codec, rate=10, options=options)
+        stream.width, stream.height, stream.pix_fmt = frame.width, frame.height, "yuv420p"
+        for name, value in colours.items():
+            setattr(stream.codec_context, name, value)
+        output.mux(stream.encode(frame))
+        output.mux(stream.encode(None))
+    return file.getvalue()
+
+
 @pytest.mark.parametrize("codec", SITES)
 @pytest.mark.parametrize("full", [False, True], ids=["limited", "full"])
 @pytest.mark.parametrize("matrix", MATRICES)
@@ -290,16 +294,12 @@ def test_colours_follow_the_matrix_range_and_chroma_site_of_the_stream(matrix, f
     kr, kb, number = MATRICES[matrix]
     rng = np.random.default_rng(5)
     planes = [smooth_plane(rng, *shape) for shape in [(64, 96), (32, 48), (32, 48)]]
-    file = io.BytesIO()
-    with av.open(file, "w", format="matroska") as output:
-        stream = output.add_stream(codec, rate=10, options={"qp": "0"} if codec == "libx264" else {})
-        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
-        stream.codec_context.colorspace, stream.codec_context.color_range = number, 2 if full else 1
-        together = np.concatenate([plane.ravel() for plane in planes]).reshape(96, 96)
-        output.mux(stream.encode(av.VideoFrame.from_ndarray(together, format="yuv420p")))
-        output.mux(stream.encode(None))
+    together = np.concatenate([plane.ravel() for plane in planes]).reshape(96, 96)
+    frame = av.VideoFrame.from_ndarray(together, format="yuv420p")
+    options = {"qp": "0"} if codec == "libx264" else {}
+    content = of_one_image(frame, codec, options, colorspace=number, color_range=2 if full else 1)
     expected = rgb_by_formula(planes, kr, kb, site=SITES[codec], full=full)
-    with open_video(file.getvalue()) as reader:
+    with open_video(content) as reader:
         # half a level of rounding, and the converter's fixed-point numbers
         assert np.abs(reader.rgb(0) - expected).max() < 0.6
 
@@ -335,17 +335,11 @@ LOCATIONS = {
 def test_halved_colours_are_those_of_ffmpegs_exact_converter_within_a_level(location):
     codec, options, height, width = LOCATIONS[location]
     rng = np.random.default_rng(4)
-    file = io.BytesIO()
-    with av.open(file, "w", format="matroska") as output:
-        stream = output.add_stream(codec, rate=10, options=options)
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        frame = av.VideoFrame(width, height, "yuv420p")
-        for plane in frame.planes:
-            # at the brightest blues FFmpeg's converter overflows, and gives black
-            plane.update(rng.integers(20, 236, plane.buffer_size, dtype=np.uint8).tobytes())
-        output.mux(stream.encode(frame))
-        output.mux(stream.encode(None))
-    difference_from_ffmpeg(file.getvalue())
+    frame = av.VideoFrame(width, height, "yuv420p")
+    for plane in frame.planes:
+        # at the brightest blues FFmpeg's converter overflows, and gives black
+        plane.update(rng.integers(20, 236, plane.buffer_size, dtype=np.uint8).tobytes())
+    difference_from_ffmpeg(of_one_image(frame, codec, options))
 
 
 def test_images_of_real_drives_are_those_of_ffmpegs_exact_converter_within_a_level(data_dir):
@@ -402,21 +396,16 @@ def make_mp4(videos, **recipe):
 def test_tables_report_what_a_walk_through_all_packets_reports(videos, recipe):
     content = make_mp4(videos, **recipe)
     assert (content[4:12] == b"ftypqt  ") == (recipe.get("container") == "mov")
-    expected = read_index(content, "video")
-    found = read_table_index(content, "video")
-    assert found.time_base == expected.time_base
+    expected, found = read_index(content, "video"), read_table_index(content, "video")
+    assert (found.time_base, found.timed, found.hidden) == (expected.time_base, expected.timed, expected.hidden)
     for name in ("pts", "positions", "entries"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-    assert (found.timed, found.hidden) == (expected.timed, expected.hidden)
 
 
-def test_images_are_not_read(videos):
+def test_images_are_not_read_for_their_tables_and_a_video_that_was_cut_is_an_error(videos):
     counted = Counted(make_mp4(videos, options={"g": "12", "qp": "2"}, size=(640, 480), count=60))
     assert len(read_table_index(counted, "video")) == 60
     assert counted.looked_at < len(counted) / 2
-
-
-def test_a_video_that_was_cut_is_an_error(videos):
     content = make_mp4(videos, options={"g": "10", "qp": "5"})
     for part in (0.0, 0.001, 0.01, 0.5, 0.95):
         with pytest.raises(DataError):

@@ -1,1 +1,0 @@
-"""COLMAP: cameras, posed images and points, as programs of photogrammetry and Gaussian splatting take them."""

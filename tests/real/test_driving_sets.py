@@ -1,7 +1,11 @@
-"""Folders of public driving data against the numbers that come with them, and depths completed from their sweeps."""
+"""Public driving data, in their own formats, as rigs and as recordings, against the numbers that come with them."""
 
 import json
+import statistics
+import struct
 from collections import defaultdict
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,9 +23,11 @@ from sceneloom.colouring.cuboid_points import count_points
 from sceneloom.colouring.cuboid_projection import box_extents, observe_cuboids
 from sceneloom.colouring.depth_completion import METHODS, complete_depth
 from sceneloom.formats import open_scene, write_scene
+from sceneloom.formats.rig.template import survey
 from sceneloom.geometry.boxes import box_corners, points_in_box
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Boxes, CuboidAnnotation
+from sceneloom.motion.ego_trajectory import find_ego_motion
+from sceneloom.scene import Boxes, CuboidAnnotation, GnssSensor, ImuSensor
 from sceneloom.scene.annotations_at import cuboid_poses
 from sceneloom.scene.ego import ego_axes
 from sceneloom.scene.poses import PoseSource
@@ -187,10 +193,15 @@ def overlaps(first, second):
     return shared / (areas[0] + areas[1] - shared)
 
 
+def kitti_numbers(path):
+    """The matrices of a calibration file by name."""
+    lines = [line.split() for line in path.read_text().splitlines() if line.strip()]
+    return {words[0].rstrip(":"): np.array(words[1:], float).reshape(3, -1) for words in lines}
+
+
 def observed_labels(labels, calib, size):
     """What the left colour camera sees of labels in KITTI's words, and these labels as numbers."""
-    (numbers,) = (line.split()[1:] for line in calib.read_text().splitlines() if line.startswith("P2"))
-    matrix = np.array(numbers, float).reshape(3, 4)
+    matrix = kitti_numbers(calib)["P2"]
     camera_model = Camera("pinhole", *size, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
     rows = np.array([words[1:15] for words in labels], float)
     height, width, length, x, y, z, rotation = rows[:, 7:14].T
@@ -308,12 +319,11 @@ def test_kittis_tracks_come_back_and_stand_where_images_show_them(drive, name, t
 def halved(request, data_dir):
     """A view of every other ring, and the visible points of the others: pixels and depths."""
     folder, name = data_dir / "real" / "kitti_object", request.param
-    lines = (folder / "calib" / f"{name}.txt").read_text().splitlines()
-    numbers = {line.split(":")[0]: np.array(line.split(":")[1].split(), float) for line in lines if line}
+    numbers = kitti_numbers(folder / "calib" / f"{name}.txt")
     rgb = np.array(Image.open(folder / "image_2" / f"{name}.png").convert("RGB"))
     points = np.fromfile(folder / "velodyne" / f"{name}.bin", np.float32).reshape(-1, 4)[:, :3].astype(float)
-    projection, mounting, upright = numbers["P2"].reshape(3, 4), np.eye(4), np.eye(4)
-    mounting[:3], upright[:3, :3] = numbers["Tr_velo_to_cam"].reshape(3, 4), numbers["R0_rect"].reshape(3, 3)
+    projection, mounting, upright = numbers["P2"], np.eye(4), np.eye(4)
+    mounting[:3], upright[:3, :3] = numbers["Tr_velo_to_cam"], numbers["R0_rect"]
     camera_from_lidar = upright @ mounting
     camera_from_lidar[:3, 3] += np.linalg.solve(projection[:, :3], projection[:, 3])
     left, _, right = np.linalg.svd(camera_from_lidar[:3, :3])
@@ -359,3 +369,296 @@ def test_quality_is_better_than_triangles_alone(halved):
     both = (depths > 0) & np.isfinite(peers)
     ours, theirs = (depths - truth)[both], (peers - truth)[both]
     assert np.sqrt((ours**2).mean()) < np.sqrt((theirs**2).mean())
+
+
+def kitti(folder: Path, path: Path, names: tuple[str, str], lidar: str, camera: str) -> dict[str, np.ndarray]:
+    """Describe KITTI data that lies in another folder; gives the matrices of its calibration file."""
+    numbers = kitti_numbers(path)
+    (folder / "rig.toml").write_text(f"""
+ego = "velodyne"
+root = "{path.parent if "raw" in str(path) else path.parent.parent}"
+transforms = [
+    {{ from = "velodyne", to = "camera_0", matrix = {numbers[names[0]].tolist()} }},
+    {{ from = "camera_0", to = "rectified", rotation_matrix = {numbers[names[1]].tolist()} }},
+]
+[[sensors]]
+id = "velodyne"
+type = "lidar"
+files = "{lidar}"
+times = {{ rate_hz = 10 }}
+[[sensors]]
+id = "cam2"
+type = "camera"
+frame = "rectified"
+files = "{camera}"
+times = {{ rate_hz = 10 }}
+camera_model = {{ P = {numbers["P2"].tolist()} }}
+""")
+    return numbers
+
+
+def shares(folder: Path, **options: str) -> dict[str, float]:
+    """Which share of all points falls into the images of each camera [%]."""
+    with sceneloom.open(folder) as scene:
+        report = sceneloom.fuse(scene, **options)
+    return {str(camera.camera): camera.in_image_percent for camera in report.cameras}
+
+
+@pytest.mark.parametrize("frame", ["000000", "000001", "000002", "000114"])
+def test_kitti_frames_project_as_a_plain_matrix_product_does(drive, tmp_path, frame):
+    data, names = drive("real/kitti_object"), ("Tr_velo_to_cam", "R0_rect")
+    path = data / "calib" / f"{frame}.txt"
+    numbers = kitti(tmp_path, path, names, f"velodyne/{frame}.bin", f"image_2/{frame}.png")
+    scene = sceneloom.open(tmp_path)
+    lidar, camera = scene.lidars[0], scene.cameras[0]
+    points = lidar.frames[0].points
+    raw = np.fromfile(data / "velodyne" / f"{frame}.bin", "<f4").reshape(-1, 4)
+    np.testing.assert_array_equal(points.positions, raw[:, :3])
+    np.testing.assert_array_equal(points.intensities, np.rint(raw[:, 3].astype(float) * 255.0))
+
+    rigid, rectify = np.vstack([numbers["Tr_velo_to_cam"], [0, 0, 0, 1]]), np.eye(4)
+    rectify[:3, :3] = numbers["R0_rect"]
+    homogeneous = np.column_stack([raw[:, :3].astype(float), np.ones(len(raw))])
+    plane = homogeneous @ (numbers["P2"] @ rectify @ rigid).T
+    front = plane[:, 2] > 0.5
+    expected = plane[:, :2] / plane[:, 2:]
+
+    pixels, visible = project(camera.camera, camera.mount.inverse().apply(points.positions))
+    # the file's rotations have 12 digits; made orthonormal, pixels move by less than 1e-3
+    np.testing.assert_allclose(pixels[visible & front], expected[visible & front], atol=1e-3)
+    height, width = camera.images[0].rgb.shape[:2]
+    inside = front & (expected >= -0.5).all(axis=1) & (expected < [width - 0.5, height - 0.5]).all(axis=1)
+    assert 0.15 < visible.mean() < 0.18
+    assert abs(int(visible.sum()) - int(inside.sum())) <= 2, "points on the very edge"
+
+
+def test_three_kitti_sweeps_are_counted_and_paired_one_by_one(drive, tmp_path):
+    path = drive("real/kitti_raw_sfnd") / "calib_2011_09_26.txt"
+    kitti(tmp_path, path, ("Tr_velo_cam", "R_rect"), "velodyne/*.bin", "image_02/*.png")
+    frames = sceneloom.open(tmp_path).lidars[0].frames
+    counts = [file.stat().st_size // 16 for file in sorted((path.parent / "velodyne").iterdir())]
+    assert [(frame.timestamp_ns, len(frame.points)) for frame in frames] == [
+        (100_000_000 * k, count) for k, count in enumerate(counts)
+    ]
+
+
+def test_a_nuscenes_frame_opens_with_its_own_times_and_mountings(drive, tmp_path):
+    data = drive("real/nuscenes_one_sample")
+    (known,) = json.loads((data / "infos.json").read_text())["data_list"]
+    sensors = [
+        f"""[[sensors]]
+id = "LIDAR_TOP"
+type = "lidar"
+files = "*LIDAR_TOP*.pcd.bin"
+times = {{ pattern = "*__{{us}}" }}
+timestamp = "end"
+sweep_s = 0.05
+extrinsic = {{ to = "base", matrix = {known["lidar_points"]["lidar2ego"]} }}"""
+    ]
+    for name, camera in known["images"].items():
+        sensors.append(f"""[[sensors]]
+id = "{name}"
+type = "camera"
+files = "*__{name}__*.jpg"
+times = {{ pattern = "*__{{us}}" }}
+extrinsic = {{ from = "base", matrix = {np.linalg.inv(camera["cam2ego"]).tolist()} }}
+camera_model = {{ K = {camera["cam2img"]} }}""")
+    (tmp_path / "rig.toml").write_text(f'root = "{data}"\n' + "\n".join(sensors))
+    scene = sceneloom.open(tmp_path)
+    frame = scene.lidars[0].frames[0]
+    assert frame.timestamp_ns == 1_532_402_927_647_951_000 - 25_000_000
+    assert set(np.unique(frame.points.rings)) == set(range(32))
+    for camera in scene.cameras:
+        timestamp = known["images"][camera.id]["timestamp"]
+        assert camera.images.timestamps_ns[0] == round(timestamp * 1e6) * 1000
+        # the calibration is rounded to float32
+        np.testing.assert_allclose(camera.mount.matrix, known["images"][camera.id]["cam2ego"], atol=2e-6)
+    # the data's own share is 9 to 14 %; here the ego is stationary between lidar and images
+    assert all(8.0 < share < 15.0 for share in shares(tmp_path, trajectory="identity").values())
+
+
+def test_pandaset_clouds_and_poses_fall_into_the_images_as_they_should(drive, tmp_path):
+    data = drive("real/pandaset_scale_sample")
+    text = f"""root = "{data}"
+[[trajectories]]
+root = "."
+file = "poses.csv"
+form = "csv"
+[[sensors]]
+id = "lidar"
+type = "lidar"
+frame = "base"
+files = "pointcloud/*.ply"
+deskewed = true
+times = {{ pattern = "{{index}}", rate_hz = 10 }}
+"""
+    for name in ("front_camera", "front_left_camera", "back_camera"):
+        location = json.loads((data / "cameras" / name / "extrinsics.json").read_text())
+        model = json.loads((data / "cameras" / name / "intrinsics.json").read_text())
+        text += f"""[[sensors]]
+id = "{name}"
+type = "camera"
+files = "cameras/{name}/*.jpg"
+times = {{ pattern = "{{index}}", rate_hz = 10 }}
+extrinsic = {{ to = "base", translation = {location["position"]}, quaternion_wxyz = {location["heading"]} }}
+camera_model = {{ fx = {model["fx"]}, fy = {model["fy"]}, cx = {model["cx"]}, cy = {model["cy"]} }}
+"""
+    (tmp_path / "rig.toml").write_text(text)
+    lines = ["timestamp,x,y,z,qw,qx,qy,qz"]
+    for frame in (1, 2):
+        pose = json.loads((data / "poses" / f"{frame}.json").read_text())
+        lines.append(",".join(map(str, [frame / 10, *pose["position"], *pose["heading"]])))
+    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
+    found = shares(tmp_path)
+    # measured over five frames of the same drive
+    for name, share in (("front_camera", 40.0), ("front_left_camera", 21.8), ("back_camera", 14.5)):
+        assert found[name] == pytest.approx(share, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("folder", "cameras"),
+    [("kitti_object", 1), ("kitti_raw_sfnd", 1), ("nuscenes_one_sample", 6), ("pandaset_scale_sample", 3)],
+)
+def test_a_look_into_real_folders_finds_their_sensors(drive, folder, cameras):
+    types = [sensor.type for sensor in survey(drive(f"real/{folder}")).sensors]
+    assert (types.count("lidar"), types.count("camera")) == (1, cameras)
+
+
+KITTI, PANDASET, OXTS = "kitti_drive", "pandaset", "kitti_oxts_0000"
+
+
+@pytest.fixture
+def scene(drive, request):
+    """The recording whose name the test has as its parameter."""
+    with sceneloom.open(drive(f"recordings/{request.param}")) as scene:
+        yield scene
+
+
+def of(name):
+    return pytest.mark.parametrize("scene", [name], indirect=True)
+
+
+@of(KITTI)
+def test_kitti_drive_has_images_half_a_sweep_apart_its_calibration_the_points_of_its_files_and_a_trajectory(
+    scene, drive
+):
+    assert (scene.warnings, scene.trajectories) == ((), {})
+    lidar, camera = scene.lidars[0], scene.cameras[0]
+    assert lidar.frames.timestamps_ns.tolist() == [100_000_000 * k for k in range(12)]
+    assert camera.images.timestamps_ns.tolist() == [100_000_000 * k + 50_000_000 for k in range(12)]
+    assert (lidar.poses, camera.poses) == (None, None)
+    assert (camera.camera.width, camera.camera.height, camera.camera.model) == (1242, 374, "pinhole")
+    assert (camera.camera.fx, camera.camera.cx, camera.camera.cy) == (721.5377, 609.5593, 172.854)
+    assert [image.rgb.shape for image in camera.images] == [(374, 1242, 3)] * 12
+    known = json.loads((drive(f"recordings/{KITTI}") / "calibration.json").read_text())
+    camera_from_imu, lidar_from_imu = known["cameras"][0]["imuToCamera"], known["lidars"][0]["imuToLidar"]
+    for sensor, sensor_from_imu in ((camera, camera_from_imu), (lidar, lidar_from_imu)):
+        # the source gives seven digits, so its rotations are orthonormal to about 1e-7
+        np.testing.assert_allclose(sensor.mount.matrix, np.linalg.inv(sensor_from_imu), atol=1e-6)
+    camera_from_lidar = np.array(camera_from_imu) @ np.linalg.inv(lidar_from_imu)
+    for k, sample in enumerate(scene.samples()):
+        assert (sample.index, sample.sweep.timestamp_ns, sample.missing) == (k, k * 100_000_000, {})
+        assert sample.images["camera0"].timestamp_ns == k * 100_000_000 + 50_000_000
+        # the middle of the rotation, but for the points that never came back
+        assert abs(sample.time_differences_ns["camera0"]) < 10_000_000
+        assert sample.world_from_lidar is None
+        # the file's matrices are rounded, ours are made orthonormal
+        np.testing.assert_allclose(sample.camera_from_points["camera0"].matrix, camera_from_lidar, atol=1e-5)
+    assert k == 11
+    for k, frame in enumerate(lidar.frames):
+        content = (drive(f"recordings/{KITTI}") / "lidar" / f"{k:06d}.bin").read_bytes()
+        records = list(struct.iter_unpack("<fffBHd", content))
+        assert len(frame.points) == len(records)
+        x, y, z, intensity, ring, time = records[1000]
+        assert frame.points.positions[1000].tolist() == [x, y, z]
+        assert (frame.points.intensities[1000], frame.points.rings[1000]) == (intensity, ring)
+        assert frame.points.timestamps_ns[1000] == round(time * 1e9)
+        assert frame.reference_ns == round(statistics.median_high(record[5] for record in records) * 1e9)
+        timestamps = frame.points.timestamps_ns - frame.timestamp_ns
+        # the times were derived from azimuths in single precision, which is worth 100 ns of a sweep
+        assert -100 < timestamps.min() < timestamps.max() < 100_000_000 + 100
+    samples = scene.samples(trajectory=find_ego_motion(scene))
+    assert samples.trajectory == "lidar"
+    steps = [sample.world_from_lidar.inverse() @ later.world_from_lidar for sample, later in pairwise(samples)]
+    # it crawls ahead, about as fast all the time
+    forward = [step.translation[0] for step in steps]
+    assert 0.1 < min(forward) <= max(forward) < 0.3
+    assert max(abs(step.translation[1]) for step in steps) < 0.03
+
+
+@of(PANDASET)
+def test_pandaset_sensors_follow_the_ego_and_see_as_many_points_as_were_counted(scene):
+    assert scene.warnings == ()
+    truth, lidar = scene.trajectories["groundTruth"], scene.lidars[0]
+    assert truth.timestamps_ns.tolist() == [100_000_000 * k for k in range(5)]
+    # this lidar is given in the ego frame, and the points share their sweep's time, so that it is the reference
+    np.testing.assert_allclose(lidar.poses.positions, truth.positions, atol=1e-12)
+    assert [frame.reference_ns for frame in lidar.frames] == [100_000_000 * k for k in range(5)]
+    assert [len(frame.points) for frame in lidar.frames] == [168814, 168751, 169439, 167351, 167316]
+    assert [camera.id for camera in scene.cameras] == ["camera0", "camera1", "camera2"]
+    for camera in scene.cameras:
+        assert (len(camera.images), len(camera.poses.timestamps_ns)) == (5, 5)
+        assert camera.images[4].rgb.shape == (1080, 1920, 3)
+    samples = list(scene.samples())
+    shares = [
+        [
+            project(sample.cameras[camera_id], transform.apply(sample.sweep.points.positions))[1].mean()
+            for camera_id, transform in sample.camera_from_points.items()
+        ]
+        for sample in samples
+    ]
+    # the figures are of frames of the same drive, to a tenth of a per cent, of all frames together
+    np.testing.assert_allclose(np.mean(shares, axis=0), [0.400, 0.218, 0.145], atol=0.003)
+    arrays = [sample.arrays() for sample in samples]
+    for name in arrays[0]:  # they can be stacked but for their points
+        assert len({array[name].shape for array in arrays}) == 1 or name.startswith("lidar."), name
+        assert len({array[name].dtype for array in arrays}) == 1, name
+
+
+@of(OXTS)
+def test_kitti_oxts_is_a_scene_of_motion_only(scene, drive):
+    assert scene.warnings == ()
+    imu, gnss = scene.sensors
+    assert isinstance(imu, ImuSensor)
+    assert isinstance(gnss, GnssSensor)
+    assert {name: len(stream) for name, stream in imu.streams.items()} == {"accelerometer": 154, "gyroscope": 154}
+    assert gnss.timestamps_ns.tolist() == [round(0.1 * k * 1e9) for k in range(154)]
+    assert len(scene.trajectories["groundTruth"].positions) == 154
+    fixes = [line["gps"] for line in lines_of(drive(f"recordings/{OXTS}")) if "gps" in line]
+    expected = [[fix["latitude"], fix["longitude"], fix["altitude"]] for fix in fixes]
+    np.testing.assert_array_equal(gnss.positions_lla, expected)
+
+
+def lines_of(folder):
+    lines = [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
+    return sorted(lines, key=lambda line: (line["time"], json.dumps(line, sort_keys=True)))
+
+
+def files_of(folder, *, videos):
+    """The content of the files that are a recording's own, but for its lines; a README says where it is from."""
+    found = {}
+    for path in folder.rglob("*.*"):
+        if path.name not in ("README.txt", "data.jsonl") and (videos or path.suffix in (".json", ".bin")):
+            content = path.read_bytes()
+            found[path.relative_to(folder)] = json.loads(content) if path.suffix == ".json" else content
+    return found
+
+
+@pytest.mark.parametrize("name", [KITTI, PANDASET, OXTS])
+def test_a_real_recording_written_again_at_once_or_through_a_scene_file_is_the_same(drive, tmp_path, name):
+    source = drive(f"recordings/{name}")
+    report = sceneloom.convert(source, tmp_path / "again")
+    assert {loss.field for loss in report.losses} <= {"replay"}
+    assert lines_of(tmp_path / "again") == lines_of(source)
+    assert files_of(tmp_path / "again", videos=True) == files_of(source, videos=True)
+    sceneloom.convert(source, tmp_path / "scene.sfs")
+    sceneloom.convert(tmp_path / "scene.sfs", tmp_path / "through")
+    if name != KITTI:
+        assert lines_of(tmp_path / "through") == lines_of(source)
+        kept, through = files_of(source, videos=False), files_of(tmp_path / "through", videos=False)
+        assert {file: through[file] for file in kept} == kept
+        return
+    for line, again in zip(lines_of(source), lines_of(tmp_path / "through"), strict=True):
+        # sweeps begin with their earliest point, rounded down to a microsecond
+        assert abs(line.pop("time") - again.pop("time")) <= 2.5e-6
+        assert line == again

@@ -15,19 +15,7 @@ from sceneloom.formats.base.registry import find_format, open_scene, write_scene
 from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.reader import numbers_of_names, stem_of, times_of_names
 from sceneloom.pipeline.converting import convert
-from sceneloom.scene import (
-    CuboidAnnotation,
-    CuboidPath,
-    GnssSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    PointsFrame,
-    Poses,
-    Scene,
-    Trajectory,
-)
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Poses, Scene, Trajectory
 from sceneloom.scene.clouds import grey_where_unseen, white_where_unseen
 
 RNG = np.random.default_rng(11)
@@ -131,16 +119,6 @@ def test_a_scene_of_one_frame_is_written_to_a_file(tmp_path, kind):
     found = open_scene(target).lidars[0].frames[0]
     assert found.timestamp_ns == 0
     np.testing.assert_allclose(found.points.positions, one.lidars[0].frames[0].points.positions, atol=1.3e-5)
-
-
-def test_what_files_of_points_have_no_field_for_is_reported(tmp_path, scene):
-    box = CuboidAnnotation("a", CuboidPath(np.zeros(1, np.int64), np.ones((1, 9))))
-    fix = GnssSensor("gps", np.zeros(1, np.int64), np.zeros((1, 3)), np.ones(1), np.ones(1))
-    lidar = replace(scene.lidars[0], model="M1", id="top")
-    losses = write_scene(Scene((lidar, fix), annotations=(box,), metadata={"city": "x"}), tmp_path / "o", format="ply")
-    reported = {loss.field: loss for loss in losses}
-    assert {"sensors[gps]", "sensors[top].model", "annotations.cuboid", "metadata", "sensors[top].id"} == set(reported)
-    assert reported["sensors[top].id"].support is Support.CONVERTED
 
 
 def test_points_are_written_in_the_frame_that_is_asked_for_or_with_the_trajectory_of_the_ego_that_they_are_on(tmp_path):

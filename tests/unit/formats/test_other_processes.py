@@ -189,9 +189,12 @@ def test_scenes_of_every_kind_read_or_not_give_the_same_bits_in_another_process(
     assert len(set(expected.values())) == len(expected)
     assert scenes["jpeg.sfs"].cameras[0].images[0].encoded is not None
     fresh = {name: sceneloom.open(locations / name) for name in ("video", "raw.sfs")}
+    fresh["png"] = sceneloom.open(f"local://{locations / 'png'}")  # which is fetched as it is read
     parcels = pickled(scenes | {f"fresh {name}": scene for name, scene in fresh.items()}, tmp_path)
     expected |= {f"fresh {name}": expected[name] for name in fresh}
     assert json.loads(run(parcels, "-c", IN_ANOTHER)) == expected
+    # what others closed is still there for this one
+    assert digest(fresh["png"]) == expected["png"]
     for scene in fresh.values():
         scene.close()
 

@@ -296,7 +296,7 @@ def _read_las(path: Path) -> Cloud:
                 if file.header.are_points_compressed:
                     _check_chunks(path, stream, file.header)
                 points = file.read()
-                columns, head = _files_columns(points), _head(file.header)
+                columns, head = _las_columns(points), _head(file.header)
         except (DataError, OSError, MemoryError):
             raise
         except Exception as error:
@@ -499,7 +499,7 @@ def _head(header: Any) -> dict[str, Any]:
     return head
 
 
-def _files_columns(points: Any) -> dict[str, AnyArray]:
+def _las_columns(points: Any) -> dict[str, AnyArray]:
     """Every dimension by its name, positions in metres; bits of one byte are columns of their own."""
     columns = {name: np.asarray(getattr(points, name), np.float64) for name in "xyz"}
     for name in points.point_format.dimension_names:

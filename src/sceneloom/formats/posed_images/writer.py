@@ -16,8 +16,7 @@ from sceneloom.cameras.fitting import nearest
 from sceneloom.editing.thin import FIRST, evenly, one_per_cube
 from sceneloom.errors import CalibrationError, OptionError, PoseError
 from sceneloom.formats.base.images import encode_jpeg
-from sceneloom.formats.base.losses import Losses
-from sceneloom.formats.base.losses import Loss, LossReport, Support, field_losses
+from sceneloom.formats.base.losses import Loss, Losses, LossReport, Support, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stems, replacing
 from sceneloom.formats.base.poses import ego_in_world
 from sceneloom.formats.points.files import FrameColumns, write_ply
@@ -33,6 +32,10 @@ _FARTHEST_M = 4000.0
 """Farther from 0 than this, the single precision of most readers is coarser than a quarter of a millimetre."""
 
 _QUALITY = 95
+
+
+_Models = Mapping[str, Collection[str]]
+"""Names of models, each with the coefficients of it that the target does not have."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +57,7 @@ class _PosedScene:
     ego: EgoMotion | None = None
     origin_world: RigidTransform = field(default_factory=RigidTransform.identity)  # what locations are counted from
     losses: list[Loss] = field(default_factory=list)
+    _stated: dict[Camera, Camera] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scene: Scene, settings: PosedSettings) -> "_PosedScene":
@@ -123,6 +127,14 @@ class _PosedScene:
             what = f"encoded as JPEG of quality {_QUALITY}; `images=png` loses nothing"
             self.losses.append(Loss(field=field_name, what=what, support=Support.APPROXIMATED))
 
+    def stated(self, view: _View, models: _Models) -> Camera:
+        """The camera model of an image in one of the target's; what that costs is counted once."""
+        exact = view.image.camera
+        if exact not in self._stated:
+            self._stated[exact], loss = _stated_camera_model(exact, models, view.sensor_id)
+            self.losses += [] if loss is None else [loss]
+        return self._stated[exact]
+
     @property
     def origin_losses(self) -> list[Loss]:
         """What is to be reported of the origin."""
@@ -132,10 +144,6 @@ class _PosedScene:
         x, y, z = origin.tolist()
         what = f"locations count from {x:.0f} {y:.0f} {z:.0f} of the scene's world [m]"
         return [Loss(field="sensors.camera.poses", what=what, support=Support.CONVERTED)]
-
-
-_Models = Mapping[str, Collection[str]]
-"""Names of models, each with the coefficients of it that the target does not have."""
 
 
 def _coefficients(camera: Camera) -> dict[str, float]:
@@ -251,7 +259,7 @@ _PARAMETERS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """What follows fx, fy, cx, cy."""
 
-_CAMERA_MODEL_MODELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+_COLMAP_MODELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"pinhole": (), "brown_conrady": ("lx", "ly", "s1", "s2", "s3", "s4", "tx", "ty"), "fisheye": ()}
 )
 """Our models that COLMAP has, and the coefficients of each that it does not have."""
@@ -281,7 +289,7 @@ class _ColmapImage:
 
 
 def _colmap_camera(number: int, camera: Camera) -> _ColmapCamera:
-    """Report a camera model of one of `_CAMERA_MODEL_MODELS`: in the model with the fewest parameters that holds it."""
+    """Report a camera model of one of `_COLMAP_MODELS`: in the model with the fewest parameters that holds it."""
     named = {} if camera.model == "pinhole" else _coefficients(camera)
     if camera.model == "fisheye":
         model = "OPENCV_FISHEYE"
@@ -352,13 +360,13 @@ def _points_bytes(points: _MapPoints) -> bytes:
     return struct.pack("<Q", count) + bytes(records.tobytes())
 
 
-_KIND = FolderKind(
+_COLMAP_KIND = FolderKind(
     "folder of COLMAP",
     (r"sparse/0/(cameras|images|points3D)\.(txt|bin)", r"images/.+/\d{6,}_-?\d+\.\w+"),
     r"sparse/0/cameras\.(txt|bin)",
 )
 
-_MODELS = ("txt", "bin", "both")
+_FORMS = ("txt", "bin", "both")
 
 
 def write_colmap(
@@ -380,48 +388,32 @@ def write_colmap(
         CalibrationError: COLMAP has no model for a camera model.
         OutputError: the folder exists, or cannot be written.
     """
-    if model not in _MODELS:
-        raise OptionError(f"model {model!r}; expected one of {', '.join(_MODELS)}")
+    if model not in _FORMS:
+        raise OptionError(f"model {model!r}; expected one of {', '.join(_FORMS)}")
     posed = _PosedScene.of(scene, PosedSettings(**options))
-    camera_models = _CameraModels(posed)
-    with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
+    cameras: dict[Camera, _ColmapCamera] = {}
+    with replacing(path, overwrite=overwrite, folder=_COLMAP_KIND) as draft:
         folder = draft / "sparse" / "0"
         folder.mkdir(parents=True)
         images = []
         for number, view in enumerate(posed.views(), 1):
             posed.save_image(view, draft / "images")
+            exact = view.image.camera
+            if exact not in cameras:
+                cameras[exact] = _colmap_camera(len(cameras) + 1, posed.stated(view, _COLMAP_MODELS))
             pose = view.world_from_camera.inverse()
-            images.append(_ColmapImage(number, camera_models.number(view), view.name, pose))
+            images.append(_ColmapImage(number, cameras[exact].number, view.name, pose))
         points = _map_points(posed)
         if model in {"txt", "both"}:
-            _write_text(folder, camera_models.cameras, images, points)
+            _write_text(folder, cameras.values(), images, points)
         if model in {"bin", "both"}:
-            _write_binary(folder, camera_models.cameras, images, points)
+            _write_binary(folder, [*cameras.values()], images, points)
     return LossReport.of((*field_losses(scene, SUPPORTS), *posed.origin_losses, *posed.losses))
-
-
-class _CameraModels:
-    """The camera models of the images seen so far, each once."""
-
-    def __init__(self, posed: _PosedScene) -> None:
-        self._posed = posed
-        self._numbers: dict[Camera, int] = {}
-        self.cameras: list[_ColmapCamera] = []
-
-    def number(self, view: _View) -> int:
-        """The number of the camera model of an image."""
-        camera = view.image.camera
-        if camera not in self._numbers:
-            stated, loss = _stated_camera_model(camera, _CAMERA_MODEL_MODELS, view.sensor_id)
-            self._posed.losses += [] if loss is None else [loss]
-            self.cameras.append(_colmap_camera(len(self.cameras) + 1, stated))
-            self._numbers[camera] = len(self.cameras)
-        return self._numbers[camera]
 
 
 _MISSING = ("k4", "k5", "k6", "lx", "ly", "s1", "s2", "s3", "s4", "tx", "ty")
 
-_CAMERA_MODELS: Mapping[str, _Models] = MappingProxyType(
+_NERFSTUDIO_MODELS: Mapping[str, _Models] = MappingProxyType(
     {"OPENCV": {"pinhole": (), "brown_conrady": _MISSING}, "OPENCV_FISHEYE": {"fisheye": ()}}
 )
 """Our models, and the coefficients of each that nerfstudio does not have, by its name for them."""
@@ -447,14 +439,14 @@ def write_nerfstudio(scene: Scene, path: Path, *, options: PosedSettings, overwr
         OutputError: the folder exists, or cannot be written.
     """
     posed = _PosedScene.of(scene, options)
-    camera_models = _NerfstudioModels(_camera_model(scene), posed)
+    model = _camera_model(scene)
     with replacing(path, overwrite=overwrite, folder=_NERFSTUDIO_KIND) as draft:
         frames = []
         for view in posed.views():
             posed.save_image(view, draft / "images")
-            frames.append(_frame(view, camera_models.camera(view)))
+            frames.append(_frame(view, posed.stated(view, _NERFSTUDIO_MODELS[model])))
         content: dict[str, Any] = {
-            "camera_model": camera_models.model,
+            "camera_model": model,
             "applied_transform": posed.origin_world.inverse().matrix[:3].tolist(),
             "frames": frames,
         }
@@ -487,7 +479,7 @@ def _camera_model(scene: Scene) -> str:
     """The one model that all images are reported in: the first that holds all camera models, else the one less off."""
     cameras = [camera for camera in scene.cameras if len(camera.images)]
     costs: dict[str, float] = {}
-    for name, models in _CAMERA_MODELS.items():
+    for name, models in _NERFSTUDIO_MODELS.items():
         costs[name] = sum(_cost(one.camera, models, one.id) for one in cameras)
         if not costs[name]:
             break
@@ -501,20 +493,3 @@ def _cost(camera: Camera, models: _Models, sensor_id: Identifier) -> float:
     except CalibrationError:
         return np.inf
     return 0.0 if loss is None else 1.0 + float(loss.largest_error or 0.0)
-
-
-class _NerfstudioModels:
-    """The camera models of the images seen so far."""
-
-    def __init__(self, model: str, posed: _PosedScene) -> None:
-        self.model = model
-        self._posed = posed
-        self._reported: dict[Camera, Camera] = {}
-
-    def camera(self, view: _View) -> Camera:
-        """The camera model of an image in the model of all."""
-        exact = view.image.camera
-        if exact not in self._reported:
-            self._reported[exact], loss = _stated_camera_model(exact, _CAMERA_MODELS[self.model], view.sensor_id)
-            self._posed.losses += [] if loss is None else [loss]
-        return self._reported[exact]

@@ -1127,7 +1127,7 @@ class NamePattern:
         return timestamp_ns
 
 
-_READER_ROTATIONS = ("quaternion_xyzw", "quaternion_wxyz", "rotation_matrix", "euler_deg")
+_WAYS_TO_ROTATE = ("quaternion_xyzw", "quaternion_wxyz", "rotation_matrix", "euler_deg")
 _NORM_ERROR = 0.01
 _FARTHEST = 1e6
 _QUARTER_ERROR = 0.003
@@ -1152,7 +1152,7 @@ def read_transform(record: _Record, location: str, ledger: Ledger) -> RigidTrans
     Raises:
         CalibrationError: too many or too few fields, or the rotation is invalid.
     """
-    forms = [form for form in _READER_ROTATIONS if form in record]
+    forms = [form for form in _WAYS_TO_ROTATE if form in record]
     if "matrix" in record:
         if forms or "translation" in record:
             raise CalibrationError(f"matrix beside {(forms or ['translation'])[0]}; expected one of them")
@@ -1160,9 +1160,7 @@ def read_transform(record: _Record, location: str, ledger: Ledger) -> RigidTrans
     if len(forms) > 1:
         raise CalibrationError(f"{' and '.join(forms)}; expected one of them")
     if not forms and "translation" not in record:
-        raise CalibrationError(
-            f"no transform; expected matrix, or translation and one of {', '.join(_READER_ROTATIONS)}"
-        )
+        raise CalibrationError(f"no transform; expected matrix, or translation and one of {', '.join(_WAYS_TO_ROTATE)}")
     matrix = np.eye(4)
     matrix[:3, 3] = record.get("translation", (0.0, 0.0, 0.0))
     if forms:

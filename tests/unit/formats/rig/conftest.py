@@ -1,15 +1,11 @@
 """A small folder of own data, and how a test changes it."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
 
 from sceneloom.errors import DataError
 from sceneloom.formats.rig.spec import FORMAT
-from sceneloom.scene import Scene
 
 START_NS = 1_532_402_927_600_000_000
 MANIFEST = """\
@@ -57,7 +53,7 @@ POSES = """\
 """
 
 
-def write_folder(tmp_path: Path) -> Path:
+def write_folder(tmp_path):
     """Write three sweeps of four points, three images of 8x6, a trajectory, and the manifest."""
     (tmp_path / "top").mkdir()
     (tmp_path / "front").mkdir()
@@ -72,15 +68,15 @@ def write_folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     return write_folder(tmp_path)
 
 
 @pytest.fixture
-def opened(folder: Path) -> Callable[..., Scene]:
+def opened(folder):
     """Open the folder with parts of its manifest replaced: pairs of old and new text."""
 
-    def open_changed(*pairs: tuple[str, str], **options: bool) -> Scene:
+    def open_changed(*pairs, **options):
         text = MANIFEST
         for old, new in pairs:
             assert old in text, old
@@ -92,15 +88,15 @@ def opened(folder: Path) -> Callable[..., Scene]:
 
 
 @pytest.fixture
-def refused(opened: Callable[..., Scene]) -> Callable[..., None]:
+def refused(opened):
     """Check that the folder with parts of its manifest replaced is refused, with a problem."""
 
-    def check(problem: str, *pairs: tuple[str, str]) -> None:
+    def check(problem, *pairs):
         with pytest.raises(DataError, match=problem):
             opened(*pairs)
 
     return check
 
 
-def codes(scene: Scene) -> list[str]:
+def codes(scene):
     return [warning.code for warning in scene.warnings]

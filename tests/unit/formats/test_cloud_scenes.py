@@ -16,7 +16,6 @@ from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.reader import numbers_of_names, stem_of, times_of_names
 from sceneloom.pipeline.converting import convert
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Poses, Scene, Trajectory
-from sceneloom.scene.clouds import grey_where_unseen, white_where_unseen
 
 RNG = np.random.default_rng(11)
 COUNT = 400
@@ -355,9 +354,3 @@ def test_points_that_no_camera_saw_are_grey_in_files_with_a_column_that_says_so_
         with path.open("rb") as file:
             messages = [(schema.name, one.data) for schema, _, one in reader.make_reader(file).iter_messages()]
         assert bytes([128, 128, 128]) in b"".join(data for name, data in messages if name == "foxglove.PointCloud")
-
-
-def test_only_what_no_camera_saw_changes():
-    assert grey_where_unseen(COLORS, SEEN_BY).tolist() == GREY
-    assert white_where_unseen(np.array(GREY, np.uint8), SEEN_BY).tolist() == COLORS.tolist()
-    assert grey_where_unseen(COLORS, None) is COLORS

@@ -244,24 +244,33 @@ def test_impossible_sources_times_counts_and_targets_are_refused(videos, mkv_byt
         encode_to_mp4(images, io.BytesIO(), fps=10.0, count=2)
 
 
+class Watched(io.BytesIO):
+    """A file that notes how much is read from it and written to it at a time [bytes]."""
+
+    def __init__(self, log, content=b""):
+        super().__init__(content)
+        self.log = log
+
+    def read(self, size=-1):
+        self.log.append(("read", size))
+        return super().read(size)
+
+    def write(self, data):
+        self.log.append(("write", len(data)))
+        return super().write(data)
+
+
 def test_images_are_encoded_one_at_a_time_also_where_no_one_says_how_many(videos):
-    asked: list[int] = []
-
-    class Target(io.BytesIO):
-        first_write_after = None
-
-        def write(self, data):
-            self.first_write_after = self.first_write_after or len(asked)
-            return super().write(data)
+    log = []
 
     def images():
         for number in range(100):
-            asked.append(number)
+            log.append(("image", number))
             yield videos.image(number)
 
-    target = Target()
+    target = Watched(log)
     assert encode_to_mp4(images(), target, fps=10.0).images == 100
-    assert target.first_write_after < 70
+    assert [what for what, _ in log].index("write") < 70
     assert boxes_of(target.getvalue())[-1] == b"moov"
     with av.open(io.BytesIO(target.getvalue())) as container:
         numbers = [videos.number(frame.to_ndarray(format="rgb24")) for frame in container.decode(video=0)]
@@ -269,22 +278,11 @@ def test_images_are_encoded_one_at_a_time_also_where_no_one_says_how_many(videos
 
 
 def test_copying_holds_no_more_of_the_video_than_a_piece(videos):
-    content = videos.make(options={"g": "12", "qp": "2"}, size=(640, 480))
-    log: list[tuple[str, int]] = []
-
-    class File(io.BytesIO):
-        def read(self, size=-1):
-            log.append(("read", size))
-            return super().read(size)
-
-        def write(self, data):
-            log.append(("write", len(data)))
-            return super().write(data)
-
-    remux_to_mp4(lambda: File(content), File())
-    assert max(size for kind, size in log if kind == "read") <= 1 << 20
-    last_read = max(k for k, (kind, _) in enumerate(log) if kind == "read")
-    assert sum(size for kind, size in log[:last_read] if kind == "write") > len(content) // 2
+    content, log = videos.make(options={"g": "12", "qp": "2"}, size=(640, 480)), []
+    remux_to_mp4(lambda: Watched(log, content), Watched(log))
+    assert max(size for what, size in log if what == "read") <= 1 << 20
+    last_read = max(k for k, (what, _) in enumerate(log) if what == "read")
+    assert sum(size for what, size in log[:last_read] if what == "write") > len(content) // 2
 
 
 def boxes_of(content):

@@ -452,9 +452,10 @@ def test_a_scene_reports_its_source_without_secrets_and_the_other_doors_bring_no
     with sceneloom.open(url) as scene:
         assert "hidden" not in repr(scene)
     (tmp_path / "file").write_bytes(b"x")
+    unknown = "nosuch://me:hidden@host/a.sfs" + SIGNED
     for door in (find_urls, lambda location: upload(tmp_path / "file", location)):
         with pytest.raises(sceneloom.SceneloomError) as reported:
-            door("nosuch://me:hidden@host/a.sfs" + SIGNED)
+            door(unknown)
         assert "hidden" not in all_that_hangs_on(reported.value)[1]
 
 

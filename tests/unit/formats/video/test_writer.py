@@ -108,7 +108,7 @@ def test_impossible_requests_are_refused(tmp_path, change, problem):
 
 
 def test_images_of_another_shape_type_or_earlier_time_and_those_of_a_closed_writer_are_refused(tmp_path, videos):
-    with pytest.raises(KeyError), VideoWriter(tmp_path / "data.mkv", 96, 64, 10.0) as writer:
+    with VideoWriter(tmp_path / "data.mkv", 96, 64, 10.0) as writer:
         writer.add(videos.image(0), 1.0)
         for wrong in (videos.image(1)[:62], videos.image(1).astype(float), videos.image(1)[:, :, :1]):
             with pytest.raises(ArrayError, match=r"image 1: .*expected \(64, 96, 3\) uint8"):
@@ -117,11 +117,13 @@ def test_images_of_another_shape_type_or_earlier_time_and_those_of_a_closed_writ
             with pytest.raises(ArrayError, match=r"image 1: its time .* is before 1\.0 s"):
                 writer.add(videos.image(1), second)
         writer.add(videos.image(1), 2.0)
+    assert len(videos.opencv(tmp_path / "data.mkv")) == 2
+    with pytest.raises(KeyError), VideoWriter(tmp_path / "data.mkv", 96, 64, 10.0) as writer:
+        writer.add(videos.image(0))
         raise KeyError
     writer.close()
     with pytest.raises(OutputError, match="the video is closed"):
         writer.add(videos.image(1))
-    assert len(videos.opencv(tmp_path / "data.mkv")) == 2
 
 
 def test_what_cannot_be_written_is_an_output_error(tmp_path, videos, full_disk):

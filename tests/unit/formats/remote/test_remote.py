@@ -12,11 +12,11 @@ import av
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from sceneloom.batch.running import may_pass
 from tests.unit.formats.conftest import digest
 
 import sceneloom
 from sceneloom.batch.jobs import find_inputs
+from sceneloom.batch.running import may_pass
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli.main import sceneloom as program
 from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError, UnknownFormatError

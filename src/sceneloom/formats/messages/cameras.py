@@ -131,8 +131,10 @@ def _around(values: AnyArray) -> AnyArray:
     return cast("AnyArray", rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:])
 
 
-_UNKNOWN = "unknown"  # model of cameras without a calibration: images can be looked at, and nothing can be projected
-_OUR_PREFIX = "sceneloom:"  # begins the names of models that only we know, in calibrations of ours
+UNKNOWN_MODEL = "unknown"
+"""Model of cameras without a calibration: images can be looked at, and nothing can be projected."""
+
+OUR_PREFIX = "sceneloom:"  # begins the names of models that only we know, in calibrations of ours
 
 _READ: Mapping[str, tuple[str, int]] = MappingProxyType(
     {
@@ -153,7 +155,7 @@ _TOLERANCE = 1e-9
 
 def _no_camera_model(width: int, height: int) -> Camera:
     """The camera model of a camera without a calibration."""
-    return Camera(_UNKNOWN, width, height, 1.0, 1.0, (width - 1) / 2, (height - 1) / 2)
+    return Camera(UNKNOWN_MODEL, width, height, 1.0, 1.0, (width - 1) / 2, (height - 1) / 2)
 
 
 def read_camera_model(record: CameraModelRecord, owner: str, location: str, ledger: Ledger) -> Camera | None:
@@ -180,8 +182,8 @@ def read_camera_model(record: CameraModelRecord, owner: str, location: str, ledg
 
 def _model(record: CameraModelRecord, owner: str, location: str) -> tuple[str, tuple[float, ...]]:
     named = record.model.strip()
-    own = named.removeprefix(_OUR_PREFIX)
-    if named.startswith(_OUR_PREFIX) and own in MODELS:
+    own = named.removeprefix(OUR_PREFIX)
+    if named.startswith(OUR_PREFIX) and own in MODELS:
         return own, record.coefficients
     if named.lower() not in _READ:
         known = ", ".join(filter(None, _READ))
@@ -204,47 +206,13 @@ def _model(record: CameraModelRecord, owner: str, location: str) -> tuple[str, t
     return model, numbers
 
 
-def camera_model_record(camera: Camera, timestamp_ns: int, frame_id: str, fisheye: str) -> CameraModelRecord:
-    """Put a camera model into the words of calibrations.
-
-    Args:
-        camera: the camera model; a model that the words do not know is named as only we understand.
-        timestamp_ns: since when [ns].
-        frame_id: of the camera.
-        fisheye: what the format calls an OpenCV fisheye camera model.
-    """
-    model, numbers = _written_model(camera, fisheye)
-    k = tuple(float(value) for value in camera.matrix.reshape(-1))
-    if camera.model == _UNKNOWN:
-        k = (0.0,) * 9
-    p = (*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0)
-    return CameraModelRecord(timestamp_ns, frame_id, camera.width, camera.height, model, numbers, k, p)
-
-
-def _written_model(camera: Camera, fisheye: str) -> tuple[str, tuple[float, ...]]:
-    numbers = camera.coefficients
-    padded = (*numbers, *(0.0,) * 16)
-    if camera.model in {"pinhole", _UNKNOWN}:
-        return "plumb_bob", (0.0,) * 5
-    if camera.model == "fisheye":
-        return fisheye, padded[:4]
-    if camera.model == "brown_conrady" and not any(padded[8:]):
-        return ("rational_polynomial", padded[:8]) if len(numbers) > 5 else ("plumb_bob", padded[:5])
-    return f"{_OUR_PREFIX}{camera.model}", numbers
-
-
-def is_foreign(camera: Camera) -> bool:
-    """Whether other programs do not know the camera model."""
-    return _written_model(camera, "")[0].startswith(_OUR_PREFIX)
-
-
 def _fitted(camera: Camera, size: tuple[int, int], location: str, ledger: Ledger) -> Camera:
     """Fit a camera model to the size of the images, with a warning where it is for another one."""
     if (camera.width, camera.height) == size:
         return camera
     sizes = f"the calibration is for {camera.width}x{camera.height}, the images are {size[0]}x{size[1]}"
     ledger.note(WarningKind.REPAIRED, "camera-model-scaled", location, f"{sizes}; the camera model was scaled")
-    return _no_camera_model(*size) if camera.model == _UNKNOWN else camera.resized(*size)
+    return _no_camera_model(*size) if camera.model == UNKNOWN_MODEL else camera.resized(*size)
 
 
 _CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}

@@ -1,6 +1,6 @@
 """Messages of points as sweeps of a lidar or cycles of a radar, and back: packed fields, times of points."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -11,10 +11,8 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.losses import Losses
 from sceneloom.formats.base.text_tables import UNITS_NS
-from sceneloom.formats.messages.frames import Locations
-from sceneloom.formats.messages.records import CloudRecord, PackedField, Stated, Topic, TopicLog
+from sceneloom.formats.messages.records import CloudRecord, PackedField, Topic, TopicLog
 from sceneloom.formats.messages.survey import Survey, in_order
 from sceneloom.formats.points.cloud import MOST_POINTS, Cloud, find_roles, unique_names
 from sceneloom.formats.points.mapping import (
@@ -34,7 +32,6 @@ from sceneloom.scene.clouds import (
     RadarFrame,
     RadarPoints,
     RadarSensor,
-    grey_where_unseen,
     white_where_unseen,
 )
 from sceneloom.scene.frames import LazyFrames
@@ -93,28 +90,6 @@ def _column(rows: AnyArray, field: PackedField) -> AnyArray:
     return native
 
 
-_Columns = dict[tuple[str, ...], AnyArray]
-"""Columns of a message to be written, (N,), or several that lie side by side already, (N, k), by their k names."""
-
-
-def _packed(columns: _Columns, count: int, timestamp_ns: int, frame_id: str) -> CloudRecord:
-    """Lay columns side by side, little-endian, without gaps, in their order."""
-    stride = sum(len(names) * column.itemsize for names, column in columns.items())
-    table = np.empty((count, stride), np.uint8)
-    fields: list[PackedField] = []
-    offset = 0
-    for names, column in columns.items():
-        dtype = column.dtype.newbyteorder("<")
-        fields += [PackedField(name, offset + k * dtype.itemsize, dtype) for k, name in enumerate(names)]
-        items = column.astype(dtype, copy=False)
-        if items.ndim > 1:  # several numbers as bytes are copied in a third of the time
-            items = np.ascontiguousarray(items).view(f"V{items.shape[1] * items.itemsize}").reshape(-1)
-        if count:  # no view may begin within an empty table
-            np.ndarray((count,), items.dtype, table, offset, (stride,))[:] = items
-        offset += items.itemsize
-    return CloudRecord(timestamp_ns, frame_id, tuple(fields), stride, table.reshape(-1).data, count)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _KeptPoints:
     """The points of a message of ours, which can be copied into another as they are."""
@@ -140,14 +115,6 @@ def _can_be_kept(record: CloudRecord) -> bool:
         and record.row_bytes is None
         and (intensity is None or intensity.dtype.str[1:] in ("u1", "f4"))
     )
-
-
-def kept_record(points: LidarPoints, timestamp_ns: int) -> CloudRecord | None:
-    """The message that points of a sweep of that time stand in, where it can be copied as it is."""
-    packed = points.packed_records()
-    if not isinstance(packed, _KeptPoints) or packed.record.timestamp_ns != timestamp_ns:
-        return None
-    return packed.record
 
 
 _LONGEST_SWEEP_NS = 1_500_000_000  # no lidar rotates more slowly
@@ -193,15 +160,15 @@ def _find_point_times(name: str, values: AnyArray, timestamp_ns: int, sweep_ns: 
     return min(found, key=lambda row: row[:2])[2] if found else None
 
 
-_SPEED_COLUMNS = ("velocity", "doppler", "radial_speed", "range_rate", "v_doppler_mps", "speed_radial")
+SPEED_COLUMNS = ("velocity", "doppler", "radial_speed", "range_rate", "v_doppler_mps", "speed_radial")
 """Names of the speed along the line of sight."""
 
-_DIRECTION_COLUMNS = ("direction_x", "direction_y", "direction_z")
+DIRECTION_COLUMNS = ("direction_x", "direction_y", "direction_z")
 """Names of the direction that a speed is measured along, in messages of ours."""
 
-_OLD_TIME_COLUMN = "offset_ns"  # name of the times of points in messages that we wrote before `t`
+OLD_TIME_COLUMN = "offset_ns"  # name of the times of points in messages that we wrote before `t`
 
-_TIME_COLUMNS: Mapping[tuple[str, str], str] = MappingProxyType({("t", "u4"): "nanoseconds", ("time", "f8"): "seconds"})
+TIME_COLUMNS: Mapping[tuple[str, str], str] = MappingProxyType({("t", "u4"): "nanoseconds", ("time", "f8"): "seconds"})
 """Names and dtypes of the times of points from their sweep's timestamp, in messages of ours, and their units.
 Source: drivers of Ouster (`t`) and Velodyne (`time`, with 32 bits); KISS-ICP and LIO-SAM know both by name."""
 
@@ -293,9 +260,9 @@ class _CloudReader:
 
 def _ours(cloud: Cloud) -> PointMapping:
     """What the columns of a message of ours mean."""
-    if _OLD_TIME_COLUMN in cloud.columns:
-        return replace(_OURS, times=PointTimes("nanoseconds", "timestamp", _OLD_TIME_COLUMN))
-    for (name, dtype), unit in _TIME_COLUMNS.items():
+    if OLD_TIME_COLUMN in cloud.columns:
+        return replace(_OURS, times=PointTimes("nanoseconds", "timestamp", OLD_TIME_COLUMN))
+    for (name, dtype), unit in TIME_COLUMNS.items():
         if name in cloud.columns and cloud.columns[name].dtype.str[1:] == dtype:
             return replace(_OURS, times=PointTimes(unit, "timestamp", name))
     return _OURS
@@ -310,12 +277,12 @@ def _placed(points: LidarPoints, frame_from_points: RigidTransform | None) -> Li
 def _speed_column(columns: Mapping[str, AnyArray]) -> str | None:
     """The column of speeds along the line of sight, or None."""
     lower = {name.lower(): name for name in columns}
-    return next((lower[name] for name in _SPEED_COLUMNS if name in lower), None)
+    return next((lower[name] for name in SPEED_COLUMNS if name in lower), None)
 
 
 def _directions(columns: dict[str, AnyArray], positions: AnyArray) -> AnyArray:
-    if all(name in columns for name in _DIRECTION_COLUMNS):
-        reported = [columns.pop(name) for name in _DIRECTION_COLUMNS]
+    if all(name in columns for name in DIRECTION_COLUMNS):
+        reported = [columns.pop(name) for name in DIRECTION_COLUMNS]
         return read_only(np.stack(reported, axis=1), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         distances = np.linalg.norm(positions, axis=1, keepdims=True)
@@ -400,13 +367,6 @@ class CloudDraft:
     frame_id: str
     is_radar: bool
 
-    def placed(self, sensor_id: str | int, locations: Locations) -> LidarSensor | RadarSensor:
-        """The sensor as the frames location it."""
-        mount = locations.mount(self.frame_id)
-        frame = locations.points_frame(self.frame_id)
-        poses = locations.poses(self.frame_id, mount, self.reader.starts_ns)
-        return self.sensor(sensor_id, mount=mount, poses=poses, points_frame=frame)
-
     def sensor(self, sensor_id: str | int, *, radar: bool | None = None, **fields: Any) -> LidarSensor | RadarSensor:
         """The sensor, with further fields."""
         times = self.reader.starts_ns
@@ -441,123 +401,5 @@ def draft_cloud(survey: Survey, topic: Topic) -> CloudDraft:
 
 def _is_radar(name: str, columns: dict[str, AnyArray]) -> bool:
     """Whether points are a radar's: they have speeds, and the topic or our own fields report it."""
-    reported = "radar" in name.lower() or all(column in columns for column in _DIRECTION_COLUMNS)
+    reported = "radar" in name.lower() or all(column in columns for column in DIRECTION_COLUMNS)
     return reported and _speed_column(columns) is not None
-
-
-_HELD = frozenset(["u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"])
-_MOST_NS = 2**32 - 1
-
-
-@dataclass(slots=True)
-class CloudWriter:
-    """Makes the records of a sensor of points; counts what has no field in them.
-
-    Attributes:
-        topic: of the messages.
-        frame_id: of the points.
-        field: what the model calls the sensor's frames, for losses.
-        losses: takes what is lost.
-        intensity: dtype of intensities.
-    """
-
-    topic: str
-    frame_id: str
-    field: str
-    losses: Losses
-    intensity: str = "u1"
-
-    def lidar(self, sensor: LidarSensor, k: int) -> Iterator[Stated]:
-        """Make the record of sweep `k`."""
-        frame = sensor.frames[k]
-        points = frame.points
-        kept = kept_record(points, frame.timestamp_ns)
-        if kept is not None and self._is_as_written(kept):
-            self._note_frame(frame.extras)
-            yield self.topic, replace(kept, frame_id=self.frame_id)
-            return
-        columns: _Columns = {("x", "y", "z"): points.positions}
-        if points.intensities is not None:
-            columns["intensity",] = points.intensities.astype(self.intensity, copy=False)
-        if points.rings is not None:
-            columns["ring",] = points.rings
-        if points.timestamps_ns is not None:
-            columns |= _offsets(points.timestamps_ns, frame.timestamp_ns)
-        if points.colors is not None:
-            columns |= _colours(grey_where_unseen(points.colors, points.camera_index))
-        if points.camera_index is not None:
-            columns["camera_index",] = points.camera_index
-        self._add_extras(columns, points.extras)
-        self._note_frame(frame.extras)
-        yield self.topic, _packed(columns, len(points), frame.timestamp_ns, self.frame_id)
-
-    def radar(self, sensor: RadarSensor, k: int) -> Iterator[Stated]:
-        """Make the record of cycle `k`."""
-        frame = sensor.frames[k]
-        points = frame.points
-        columns: _Columns = {("x", "y", "z"): points.positions}
-        if points.directions is not None:
-            columns[_DIRECTION_COLUMNS] = points.directions
-        if points.lengths is not None:
-            columns[_SPEED_COLUMNS[0],] = points.lengths
-        if points.timestamps_ns is not None:
-            columns |= _offsets(points.timestamps_ns, frame.timestamp_ns)
-        self._add_extras(columns, points.extras)
-        self._note_frame(frame.extras)
-        yield self.topic, _packed(columns, len(points), frame.timestamp_ns, self.frame_id)
-
-    def map(self, sensor: PointsSensor, timestamp_ns: int) -> Iterator[Stated]:
-        """Make the only record of a map."""
-        columns: _Columns = {("x", "y", "z"): sensor.positions}
-        if sensor.colors is not None:
-            columns |= _colours(sensor.colors)
-        yield self.topic, _packed(columns, len(sensor.positions), timestamp_ns, self.frame_id)
-
-    def _is_as_written(self, record: CloudRecord) -> bool:
-        """Whether a message of ours has the types that this one would have."""
-        dtypes = {field.name: field.dtype.str[1:] for field in record.fields}
-        return dtypes.get("intensity", self.intensity) == self.intensity and _OLD_TIME_COLUMN not in dtypes
-
-    def _add_extras(self, columns: _Columns, extras: Mapping[str, AnyArray]) -> None:
-        taken = {name for names in columns for name in names}
-        for name, column in extras.items():
-            location, lower = f"{self.field}.points.extras.{name}", name.lower()
-            is_taken = name in taken or lower in _TAKEN or (lower, column.dtype.str[1:]) in _TIME_COLUMNS
-            if column.ndim != 1 or is_taken or name.startswith("_"):
-                self.losses.dropped(location, "not one number for each point, or of a name that means something else")
-            elif column.dtype.str[1:] in _HELD:
-                columns[name,] = column
-            elif column.dtype.kind in "iufb":
-                self._add_converted(columns, name, column, location)
-            else:
-                self.losses.dropped(location, f"values of type {column.dtype}")
-
-    def _add_converted(self, columns: _Columns, name: str, column: AnyArray, location: str) -> None:
-        numbers = column.astype(np.uint8 if column.dtype.kind == "b" else np.float64)
-        error = float(np.abs(column.astype(np.longdouble) - numbers.astype(np.longdouble)).max(initial=0))
-        what = f"values of type {column.dtype} written as {numbers.dtype}"
-        (self.losses.approximated if error else self.losses.converted)(location, what, error=error)
-        columns[name,] = numbers
-
-    def _note_frame(self, extras: Mapping[str, object]) -> None:
-        self.losses.dropped(f"{self.field}.extras", "unknown fields of a sweep", count=bool(extras))
-
-
-_TAKEN = frozenset(
-    {"x", "y", "z", "positions", "intensity", "ring", "red", "green", "blue", "rgb", "colors", _OLD_TIME_COLUMN}
-)
-
-
-def _colours(colors: AnyArray) -> _Columns:
-    """Colours as viewers know them, which ask for an alpha value beside the three."""
-    return {("red", "green", "blue"): colors, ("alpha",): np.full(len(colors), 255, np.uint8)}
-
-
-def _offsets(timestamps_ns: AnyArray, timestamp_ns: int) -> _Columns:
-    """Times of points from their sweep's as other programs name them: `t` [ns], or `time` [s] beyond 32 bits."""
-    count = len(timestamps_ns)
-    if count and (timestamps_ns.min() < timestamp_ns or timestamps_ns.max() > timestamp_ns + _MOST_NS):
-        return {("time",): (timestamps_ns - timestamp_ns).astype(np.float64) / 1e9}
-    offsets = np.empty(count, np.uint32)
-    np.subtract(timestamps_ns, timestamp_ns, out=offsets, casting="unsafe")
-    return {("t",): offsets}

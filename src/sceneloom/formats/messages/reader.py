@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
-import msgspec
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
@@ -16,7 +15,6 @@ from sceneloom.errors import DataError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.messages.cameras import CameraDraft, draft_camera
-from sceneloom.formats.messages.frames import FrameTree, Locations, choose_roles
 from sceneloom.formats.messages.points import CloudDraft, draft_cloud
 from sceneloom.formats.messages.records import (
     LARGE,
@@ -32,7 +30,7 @@ from sceneloom.formats.messages.records import (
     TransformRecord,
     numbered,
 )
-from sceneloom.formats.messages.survey import ATTRIBUTE_PARTS, Notes, Survey, in_order
+from sceneloom.formats.messages.survey import ATTRIBUTE_PARTS, Survey, in_order
 from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
@@ -47,26 +45,10 @@ from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
-from sceneloom.scene.poses import Poses, Trajectory, placed_along
+from sceneloom.scene.poses import Poses, Trajectory, placed_along, poses_along
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import NO_FIELDS, Coordinates, PointsFrame
 from sceneloom.warnings import WarningKind
-
-
-def _read_notes(text: str | None, name: str) -> Notes:
-    """Read what our writer left."""
-    if text is None:
-        return Notes()
-    try:
-        root = msgspec.json.decode(text, type=dict[str, Any])
-        lists = {
-            key: msgspec.convert(root.get(key, ()), tuple[dict[str, Any], ...])
-            for key in ("sensors", "trajectories", "annotations")
-        }
-    except (msgspec.MsgspecError, RecursionError) as error:
-        raise DataError(name, "sceneloom.scene", f"notes that cannot be read: {error}") from error
-    return Notes(**lists, root=MappingProxyType(root))
-
 
 _TIMESTAMPS = ("header", "receive")  # which times can be asked for
 
@@ -149,7 +131,7 @@ def _strangers(all_times: Sequence[_TopicTimes], name: str, ledger: Ledger) -> f
 
 def _survey(log: TopicLog, ledger: Ledger, *, timestamps: str | None) -> Survey:
     """Look at all topics; `timestamps`: which times count, "header" or "receive", None: see `_settle_times`."""
-    found = Survey(log, ledger, _read_notes(log.notes, log.name))
+    found = Survey.begun(log, ledger)
     _note_unknown(log, ledger)
     times: list[_TopicTimes] = []
     rows: dict[int, list[tuple[int, list[AnyRecord]]]] = {}
@@ -222,6 +204,309 @@ def _note_unknown(log: TopicLog, ledger: Ledger) -> None:
         ledger.note(WarningKind.SKIPPED, "unknown-messages", log.name, message, count=count)
 
 
+_STANDS_M, _STANDS_ROTATION = 1e-9, 1e-12  # a frame whose transforms all agree within this does not move
+
+
+@dataclass(slots=True)
+class _TransformRows:
+    """The transforms of one frame as they come."""
+
+    parent: str
+    times_ns: list[int] = field(default_factory=list)
+    positions: list[Float64Array] = field(default_factory=list)
+    quaternions: list[Float64Array] = field(default_factory=list)
+    fixed: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Edge:
+    """How a frame is, or moves, in its parent.
+
+    Attributes:
+        parent: the frame above.
+        fixed: `parent_from_child` where it never changes, else None.
+        path: the same over time where it moves, else None.
+    """
+
+    parent: str
+    fixed: RigidTransform | None = None
+    path: Poses | None = None
+
+
+class _FrameTree:
+    """Frames by their ids.
+
+    Attributes:
+        edges: of each frame that has a parent.
+        repeated: how many transforms stated the same time once more.
+        other_parents: how many transforms named another parent than those before.
+    """
+
+    def __init__(self, records: Iterable[TransformRecord], name: str) -> None:
+        """Build the tree.
+
+        Args:
+            records: in any order; the first of several with one time counts, and the first parent.
+            name: what messages call their log.
+
+        Raises:
+            DataError: a transform is none, or frames are their own parents.
+        """
+        self.edges: dict[str, _Edge] = {}
+        self.repeated = self.other_parents = 0
+        rows: dict[str, _TransformRows] = {}
+        for record in records:
+            _check_transform(record, name)
+            found = rows.setdefault(record.child, _TransformRows(record.parent))
+            if found.parent != record.parent:
+                self.other_parents += 1
+                continue
+            found.times_ns.append(record.timestamp_ns)
+            found.positions.append(record.position)
+            found.quaternions.append(record.quaternion_xyzw)
+            found.fixed &= record.fixed
+        for child, found in rows.items():
+            self.edges[child] = self._edge(found)
+        for child in self.edges:
+            self._check_chain(child, name)
+
+    def _edge(self, rows: _TransformRows) -> _Edge:
+        positions = np.array(rows.positions).reshape(-1, 3)
+        quaternions = normalise_quaternion(np.array(rows.quaternions).reshape(-1, 4))
+        signs = np.where((quaternions * quaternions[0]).sum(axis=1) < 0, -1.0, 1.0)
+        rotations = np.abs(quaternions * signs[:, None] - quaternions[0]).max()
+        if rows.fixed or (np.abs(positions - positions[0]).max() <= _STANDS_M and rotations <= _STANDS_ROTATION):
+            # of a frame that is stated to be fixed, the latest word counts
+            return _Edge(rows.parent, fixed=RigidTransform.from_quaternion(positions[-1], quaternions[-1]))
+        times, first = np.unique(np.array(rows.times_ns, np.int64), return_index=True)
+        self.repeated += len(rows.times_ns) - len(times)
+        return _Edge(rows.parent, path=Poses(times, positions[first], quaternions[first]))
+
+    def _check_chain(self, frame: str, name: str) -> None:
+        seen = {frame}
+        while frame in self.edges:
+            frame = self.edges[frame].parent
+            if frame in seen:
+                raise DataError(name, f"frame {frame!r}", "is its own ancestor; expected a tree of frames")
+            seen.add(frame)
+
+    @property
+    def frames(self) -> list[str]:
+        """All frames, each once."""
+        return [*dict.fromkeys([*self.edges, *(edge.parent for edge in self.edges.values())])]
+
+    def ancestors(self, frame: str) -> list[str]:
+        """The frame, its parent, and so on up to the root."""
+        found = [frame]
+        while found[-1] in self.edges:
+            found.append(self.edges[found[-1]].parent)
+        return found
+
+    def moves(self, frame: str) -> bool:
+        """Whether a frame moves in its parent."""
+        return frame in self.edges and self.edges[frame].path is not None
+
+    def mount(self, ancestor: str, frame: str) -> RigidTransform | None:
+        """`ancestor_from_frame` where nothing moves between them; None where something does, or there is no way.
+
+        The ancestor may be any frame that shares fixed ancestors with the other.
+        """
+        above, below = self._fixed_above(ancestor), self._fixed_above(frame)
+        for common in below:
+            if common in above:
+                return above[common].inverse() @ below[common]
+        return None
+
+    def _fixed_above(self, frame: str) -> dict[str, RigidTransform]:
+        """`ancestor_from_frame` of all ancestors up to the first that moves."""
+        found, transform = {frame: RigidTransform.identity()}, RigidTransform.identity()
+        while frame in self.edges:
+            edge = self.edges[frame]
+            if edge.fixed is None:
+                break
+            frame, transform = edge.parent, edge.fixed @ transform
+            found[frame] = transform
+        return found
+
+    def path(self, ancestor: str, frame: str) -> Poses | None:
+        """`ancestor_from_frame` over time, at the times of all that moves between them.
+
+        None where the ancestor is none, nothing moves, or what moves shares no time.
+        """
+        chain = self.ancestors(frame)
+        if ancestor not in chain:
+            return None
+        edges = [self.edges[name] for name in chain[: chain.index(ancestor)]]
+        paths = [edge.path for edge in edges if edge.path is not None]
+        if not paths:
+            return None
+        times = np.unique(np.concatenate([path.timestamps_ns for path in paths]))
+        start, stop = max(path.start_ns for path in paths), min(path.stop_ns for path in paths)
+        return _composed(edges, times[(times >= start) & (times <= stop)])
+
+
+def _composed(edges: Sequence[_Edge], times: Int64Array) -> Poses | None:
+    """Compose edges, the lowest first."""
+    if len(times) == 0:
+        return None
+    positions, quaternions = np.zeros((len(times), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
+    for edge in edges:
+        if edge.path is not None:
+            known = np.array_equal(edge.path.timestamps_ns, times)
+            poses = edge.path if known else edge.path.interpolate(times)
+            shift, rotation = poses.positions, poses.quaternions_xyzw
+        elif edge.fixed is not None:
+            shift = np.tile(edge.fixed.translation, (len(times), 1))
+            rotation = np.tile(edge.fixed.quaternion_xyzw, (len(times), 1))
+        positions = rotate_vectors(rotation, positions) + shift
+        quaternions = multiply_quaternions(rotation, quaternions)
+    return Poses(times, positions, quaternions)
+
+
+def _check_transform(record: TransformRecord, name: str) -> None:
+    norms, wrong = lengths_of(record.quaternion_xyzw[None])
+    if wrong[0] or not np.isfinite(record.position).all():
+        problem = (
+            f"position {record.position.tolist()}, orientation {record.quaternion_xyzw.tolist()} "
+            f"of length {norms[0]:.4g}; expected finite numbers and a unit quaternion x y z w"
+        )
+        raise DataError(name, f"transform {record.parent!r} to {record.child!r}", problem)
+    if record.parent == record.child:
+        raise DataError(name, f"transform {record.parent!r} to {record.child!r}", "is from a frame to itself")
+
+
+_EGO_NAMES = ("base_link", "ego", "ego_vehicle", "base_footprint", "vehicle", "base", "body")
+"""What the frame of a vehicle is called, the likeliest first. Source: REP 105 for the first."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Roles:
+    """The frames of a scene: ego, None where no sensor has a frame; world, None where nothing moves."""
+
+    ego: str | None
+    world: str | None
+
+
+def _choose_roles(
+    tree: _FrameTree, sensor_frames: Iterable[str], *, ego: str | None, world: str | None, location: str, ledger: Ledger
+) -> _Roles:
+    """Choose the frames.
+
+    The ego is a frame of one of the usual names, below the lowest frame that moves and above most sensors; without
+    such a name that frame itself. The world is the highest frame above it.
+
+    Args:
+        tree: the frames.
+        sensor_frames: of all sensors.
+        ego, world: frames that somebody chose, or None.
+        location: for warnings.
+        ledger: takes what was chosen.
+
+    Raises:
+        OptionError: a frame that was chosen is not there.
+    """
+    frames = tree.frames
+    for role, frame in (("ego", ego), ("world", world)):
+        if frame is not None and frame not in frames:
+            raise OptionError(f"{role} {frame!r}; the frames are {', '.join(sorted(frames)) or 'none'}")
+    own = [frame for frame in sensor_frames if frame in frames]
+    chosen = ego or _ego(tree, own)
+    if chosen is None:
+        return _Roles(None, world)
+    above = tree.ancestors(chosen)[1:]
+    moving = [frame for frame in (chosen, *above) if tree.moves(frame)]
+    if world is None and moving:
+        world = above[-1]
+        others = above[above.index(tree.edges[moving[0]].parent) : -1]
+        choice = f"; {', '.join(others)} could be it, too" if others else ""
+        message = f"frame {chosen!r} is the ego, {world!r} the world{choice}"
+        ledger.note(WarningKind.ASSUMED, "frames-chosen", location, message)
+    return _Roles(chosen, world)
+
+
+def _ego(tree: _FrameTree, sensor_frames: list[str]) -> str | None:
+    """The frame that carries most sensors."""
+    movers = Counter(
+        next((frame for frame in tree.ancestors(frame) if tree.moves(frame)), None) for frame in sensor_frames
+    )
+    movers.pop(None, None)
+    if not movers:
+        moving = [frame for frame in tree.frames if tree.moves(frame)]
+        body = moving[0] if moving and not sensor_frames else None
+    else:
+        body = movers.most_common(1)[0][0]
+    candidates = [name for name in _EGO_NAMES if name in tree.frames]
+    if body is not None:
+        above = tree.ancestors(body)[1:]
+        near = [name for name in candidates if name in above or tree.mount(body, name) is not None]
+        return near[0] if near else body
+    if candidates:
+        return candidates[0]
+    roots = Counter(tree.ancestors(frame)[-1] for frame in sensor_frames)
+    return roots.most_common(1)[0][0] if roots else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Locations:
+    """The frames, and the ego trajectory.
+
+    Attributes:
+        tree: of the frames.
+        roles: which of them is the ego, and which the world.
+        trajectory: `world_from_ego`, the default one; None where none is known.
+    """
+
+    tree: _FrameTree
+    roles: _Roles
+    trajectory: Poses | None
+
+    def points_frame(self, frame_id: str) -> PointsFrame:
+        """Whose frame it is: the world's, the ego's, or a sensor's own."""
+        if frame_id == self.roles.world:
+            return PointsFrame.WORLD
+        return PointsFrame.EGO if frame_id == self.roles.ego else PointsFrame.SENSOR
+
+    def mount(self, frame_id: str) -> RigidTransform | None:
+        """`ego_from_sensor`, or None."""
+        ego = self.roles.ego
+        return None if ego is None else self.tree.mount(ego, frame_id)
+
+    def mounts_at(self, frame_id: str, times_ns: Int64Array) -> list[RigidTransform | None]:
+        """`ego_from_sensor` at each of some times, for a sensor that moves on the ego; None beyond what is known."""
+        ego = self.roles.ego
+        path = None if ego is None else self.tree.path(ego, frame_id)
+        if path is None:
+            return [self.mount(frame_id)] * len(times_ns)
+        samples = path.interpolate(times_ns)
+        return [
+            RigidTransform.from_quaternion(position, quaternion) if np.isfinite(position).all() else None
+            for position, quaternion in zip(samples.positions, samples.quaternions_xyzw, strict=True)
+        ]
+
+    def poses(self, frame_id: str, mount: RigidTransform | None, times_ns: Int64Array) -> Poses | None:
+        """`world_from_sensor` at some times: along the ego trajectory, else by the sensor's own frames."""
+        if len(times_ns) == 0:
+            return None
+        if mount is not None:
+            return poses_along(self.trajectory, {0: mount}, np.zeros(len(times_ns), np.int64), times_ns)
+        world = self.roles.world
+        return None if world is None or frame_id == world else self.tree.path(world, frame_id)
+
+    def world_from(self, frame_id: str, times_ns: Int64Array) -> tuple[Poses | None, RigidTransform | None]:
+        """What takes points of a frame into the world: a path, or one transform; neither where it is not known."""
+        world = self.roles.world
+        if world is None or frame_id == world:
+            return None, RigidTransform.identity()
+        path = self.tree.path(world, frame_id)
+        if path is not None:
+            return path, None
+        fixed = self.tree.mount(world, frame_id)
+        if fixed is not None:
+            return None, fixed
+        mount = self.mount(frame_id)
+        return (None if mount is None else self.poses(frame_id, mount, times_ns)), None
+
+
 _Key = tuple[str, str]  # topic and id of an object
 
 
@@ -274,7 +559,7 @@ def _annotation_ids(keys: Sequence[_Key]) -> list[str]:
 
 
 def _cuboid_of_boxes(
-    identifier: str | int, track: _Track, locations: Locations, survey: Survey, location: str
+    identifier: str | int, track: _Track, locations: _Locations, survey: Survey, location: str
 ) -> CuboidAnnotation | None:
     """Make the cuboid of an object; None where none of its boxes can be placed in the world."""
     times, boxes = track.drawn()
@@ -308,7 +593,7 @@ def _note(survey: Survey, good: Any, code: str, location: str, message: str) -> 
 
 
 def _to_world(
-    centers: Float64Array, rotations: Float64Array, same: Any, times: Int64Array, frame: str, locations: Locations
+    centers: Float64Array, rotations: Float64Array, same: Any, times: Int64Array, frame: str, locations: _Locations
 ) -> Any:
     """Move the chosen boxes of one frame into the world, in place; report which of them could be."""
     path, fixed = locations.world_from(frame, times[same])
@@ -357,7 +642,7 @@ def _value(text: str) -> Any:
     return int(number) if number.is_integer() and abs(number) < 2**53 else number
 
 
-def _read_annotations(survey: Survey, locations: Locations, cameras: Mapping[str, Any]) -> list[Annotation]:
+def _read_annotations(survey: Survey, locations: _Locations, cameras: Mapping[str, Any]) -> list[Annotation]:
     """Annotations of all topics of boxes, those in notes as these state; `cameras`: ids by topics of images."""
     found = [*_cuboids(survey, locations), *_boxes_2d(survey, cameras)]
     notes = {(str(note.get("topic")), str(note.get("key"))): note for note in survey.notes.annotations}
@@ -374,7 +659,7 @@ def _read_annotations(survey: Survey, locations: Locations, cameras: Mapping[str
     return annotations
 
 
-def _cuboids(survey: Survey, locations: Locations) -> list[tuple[_Key, Annotation]]:
+def _cuboids(survey: Survey, locations: _Locations) -> list[tuple[_Key, Annotation]]:
     tracks: dict[_Key, _Track] = {}
     for topic in survey.topics(Kind.BOXES_3D):
         tracks |= _gather(topic.name, survey.of(topic, Boxes3DRecord), survey)
@@ -482,7 +767,7 @@ def _pose_fault(record: PoseRecord) -> str | None:
     return None
 
 
-def _trajectory(name: str, rows: _PoseRows, locations: Locations, survey: Survey) -> Trajectory:
+def _trajectory(name: str, rows: _PoseRows, locations: _Locations, survey: Survey) -> Trajectory:
     """The ego trajectory that a topic reports, if need be through the frame of the body that it is of."""
     location = f"{survey.log.name}: {name}"
     ego = locations.roles.ego
@@ -723,8 +1008,9 @@ def _noted_trajectories(survey: Survey) -> dict[str, Trajectory]:
     return found
 
 
-def _noted_scene_fields(notes: Notes, metadata: Mapping[str, Any], form: str) -> dict[str, Any]:
+def _noted_scene_fields(survey: Survey, metadata: Mapping[str, Any], form: str) -> dict[str, Any]:
     """Fields of the scene itself."""
+    notes = survey.notes
     if not notes.ours:
         euler = {"euler_unit": "degrees", "euler_order": "xyz"}
         return {"metadata": MappingProxyType({"sceneloom": euler, form: dict(metadata)})}
@@ -765,7 +1051,7 @@ class _Log:
         self.clouds = {draft.reader.topic.name: draft for draft in clouds}
         self.cameras = {draft.topic.name: draft for draft in cameras}
         self.drafts: list[CloudDraft | CameraDraft] = [*clouds, *cameras]
-        self.locations: Locations  # of all frames, once they are known
+        self.locations: _Locations  # of all frames, once they are known
 
     def at(self, topic: str) -> str:
         """Where a topic is, for warnings."""
@@ -818,7 +1104,7 @@ def scene_from_topics(
         }
         sensors += _foreign_sensors(context, {sensor.id for sensor in sensors}, cameras)
         annotations = _read_annotations(found, context.locations, cameras)
-        fields = _noted_scene_fields(found.notes, metadata, form)
+        fields = _noted_scene_fields(found, metadata, form)
     except BaseException:
         closing()
         raise
@@ -859,7 +1145,7 @@ def _locate(context: _Log, *, ego: str | None, world: str | None) -> dict[str, T
     """Find the frames of the log, and the trajectories of the ego."""
     found = context.survey
     log, ledger, noted = found.log, found.ledger, found.notes.root.get("frames", {})
-    tree = FrameTree(found.all_of(Kind.TRANSFORM, TransformRecord), log.name)
+    tree = _FrameTree(found.all_of(Kind.TRANSFORM, TransformRecord), log.name)
     for code, count, message in (
         (
             "repeated-transforms",
@@ -879,8 +1165,8 @@ def _locate(context: _Log, *, ego: str | None, world: str | None) -> dict[str, T
     large = [draft.frame_id for draft in context.drafts]
     small = dict.fromkeys(record.frame_id for record in found.all_of(Kind.FIX, FixRecord))
     small |= dict.fromkeys(record.frame_id for record in found.all_of(Kind.SAMPLE, SampleRecord))
-    roles = choose_roles(tree, [*large, *small], **chosen, location=log.name, ledger=quiet)
-    context.locations = Locations(tree, roles, None)
+    roles = _choose_roles(tree, [*large, *small], **chosen, location=log.name, ledger=quiet)
+    context.locations = _Locations(tree, roles, None)
     trajectories = _noted_trajectories(found)
     if not found.notes.ours:
         trajectories = _foreign_trajectories(found, context.locations)
@@ -893,11 +1179,11 @@ def _locate(context: _Log, *, ego: str | None, world: str | None) -> dict[str, T
         message = f"trajectory {trajectory.name!r} holds positions without orientations, so the sensors have no poses"
         ledger.note(WarningKind.SKIPPED, "orientations-missing", log.name, message)
     elif trajectory is not None:
-        context.locations = Locations(tree, roles, trajectory.poses)
+        context.locations = _Locations(tree, roles, trajectory.poses)
     return trajectories
 
 
-def _foreign_trajectories(found: Survey, locations: Locations) -> dict[str, Trajectory]:
+def _foreign_trajectories(found: Survey, locations: _Locations) -> dict[str, Trajectory]:
     """The trajectory that the transforms report, then those of topics of poses."""
     trajectories = {}
     ego, world = locations.roles.ego, locations.roles.world
@@ -934,7 +1220,9 @@ def _foreign_sensors(context: _Log, taken: set[Any], camera_ids: dict[str, Any])
     for topic, name in zip(topics, _sensor_names([topic.name for topic in topics]), strict=True):
         identifier, draft = f"{name}~" if name in taken else name, drafts.get(topic.number)
         if isinstance(draft, CloudDraft):
-            sensors.append(draft.placed(identifier, locations))
+            mount, points_frame = locations.mount(draft.frame_id), locations.points_frame(draft.frame_id)
+            poses = locations.poses(draft.frame_id, mount, draft.reader.starts_ns)
+            sensors.append(draft.sensor(identifier, mount=mount, poses=poses, points_frame=points_frame))
         elif draft is not None:
             mount = locations.mount(draft.frame_id)
             poses = locations.poses(draft.frame_id, mount, draft.frames.timestamps_ns)

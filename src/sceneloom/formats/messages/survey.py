@@ -2,11 +2,14 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 
 from sceneloom.arrays import Int64Array
+from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.messages.records import AnyRecord, Kind, Topic, TopicLog
 from sceneloom.scene.types import NO_FIELDS
@@ -18,7 +21,7 @@ ATTRIBUTE_PARTS = ("sensor_id", "static", "point_index")
 
 
 @dataclass(frozen=True, slots=True)
-class Notes:
+class _Notes:
     """What our writer left beside the messages; empty for files of others.
 
     Attributes:
@@ -67,9 +70,28 @@ class Survey:
 
     log: TopicLog
     ledger: Ledger
-    notes: Notes
+    notes: _Notes
     times_ns: dict[int, Int64Array] = field(default_factory=dict)
     records: dict[int, list[AnyRecord]] = field(default_factory=dict)
+
+    @classmethod
+    def begun(cls, log: TopicLog, ledger: Ledger) -> "Survey":
+        """A survey that knows the notes only.
+
+        Raises:
+            DataError: they cannot be read.
+        """
+        if log.notes is None:
+            return cls(log, ledger, _Notes())
+        try:
+            root = msgspec.json.decode(log.notes, type=dict[str, Any])
+            lists = {
+                key: msgspec.convert(root.get(key, ()), tuple[dict[str, Any], ...])
+                for key in ("sensors", "trajectories", "annotations")
+            }
+        except (msgspec.MsgspecError, RecursionError) as error:
+            raise DataError(log.name, "sceneloom.scene", f"notes that cannot be read: {error}") from error
+        return cls(log, ledger, _Notes(**lists, root=MappingProxyType(root)))
 
     def topics(self, *kinds: Kind) -> list[Topic]:
         """The topics of some kinds that have messages."""

@@ -4,28 +4,31 @@ import io
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array, UInt8Array
+from sceneloom.arrays import AnyArray, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.formats.base.losses import Losses
-from sceneloom.formats.messages.cameras import MILLIMETRE, camera_model_record, is_foreign
-from sceneloom.formats.messages.points import CloudWriter
+from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.messages.cameras import MILLIMETRE, OUR_PREFIX, UNKNOWN_MODEL
+from sceneloom.formats.messages.points import DIRECTION_COLUMNS, OLD_TIME_COLUMN, SPEED_COLUMNS, TIME_COLUMNS
 from sceneloom.formats.messages.records import (
     AnyRecord,
     Box2D,
     Box3D,
     Boxes2DRecord,
     Boxes3DRecord,
+    CameraModelRecord,
+    CloudRecord,
     CompressedImageRecord,
     Dialect,
     FixRecord,
     ImageRecord,
+    PackedField,
     PoseRecord,
     SampleRecord,
     Stated,
@@ -38,7 +41,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import AttributePath, Box2DAnnotation, CuboidAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, ShootingSensor, Shot, mounts_of_shots
-from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.clouds import LidarPoints, LidarSensor, PointsSensor, RadarSensor, grey_where_unseen
 from sceneloom.scene.contents import KINDS
 from sceneloom.scene.ego import check_one_ego
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
@@ -151,6 +154,154 @@ def _stream(times_ns: Int64Array, topic: str, make: Callable[[int], AnyRecord]) 
         yield topic, make(k)
 
     return Stream(times_ns, stated)
+
+
+_Columns = dict[tuple[str, ...], AnyArray]
+"""Columns of a message to be written, (N,), or several that lie side by side already, (N, k), by their k names."""
+
+
+def _packed(columns: _Columns, count: int, timestamp_ns: int, frame_id: str) -> CloudRecord:
+    """Lay columns side by side, little-endian, without gaps, in their order."""
+    stride = sum(len(names) * column.itemsize for names, column in columns.items())
+    table = np.empty((count, stride), np.uint8)
+    fields: list[PackedField] = []
+    offset = 0
+    for names, column in columns.items():
+        dtype = column.dtype.newbyteorder("<")
+        fields += [PackedField(name, offset + k * dtype.itemsize, dtype) for k, name in enumerate(names)]
+        items = column.astype(dtype, copy=False)
+        if items.ndim > 1:  # several numbers as bytes are copied in a third of the time
+            items = np.ascontiguousarray(items).view(f"V{items.shape[1] * items.itemsize}").reshape(-1)
+        if count:  # no view may begin within an empty table
+            np.ndarray((count,), items.dtype, table, offset, (stride,))[:] = items
+        offset += items.itemsize
+    return CloudRecord(timestamp_ns, frame_id, tuple(fields), stride, table.reshape(-1).data, count)
+
+
+_HELD = frozenset(["u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8"])
+
+
+_MOST_NS = 2**32 - 1
+
+
+def kept_record(points: LidarPoints, timestamp_ns: int) -> CloudRecord | None:
+    """The message that points of a sweep of that time stand in, where it can be copied as it is."""
+    record = getattr(points.packed_records(), "record", None)
+    return record if isinstance(record, CloudRecord) and record.timestamp_ns == timestamp_ns else None
+
+
+@dataclass(slots=True)
+class _CloudWriter:
+    """Makes the records of a sensor of points; counts what has no field in them.
+
+    Attributes:
+        topic: of the messages.
+        frame_id: of the points.
+        field: what the model calls the sensor's frames, for losses.
+        losses: takes what is lost.
+        intensity: dtype of intensities.
+    """
+
+    topic: str
+    frame_id: str
+    field: str
+    losses: Losses
+    intensity: str = "u1"
+
+    def lidar(self, sensor: LidarSensor, k: int) -> Iterator[Stated]:
+        """Make the record of sweep `k`."""
+        frame = sensor.frames[k]
+        points = frame.points
+        kept = kept_record(points, frame.timestamp_ns)
+        if kept is not None and self._is_as_written(kept):
+            self._note_frame(frame.extras)
+            yield self.topic, replace(kept, frame_id=self.frame_id)
+            return
+        columns: _Columns = {("x", "y", "z"): points.positions}
+        if points.intensities is not None:
+            columns["intensity",] = points.intensities.astype(self.intensity, copy=False)
+        if points.rings is not None:
+            columns["ring",] = points.rings
+        if points.timestamps_ns is not None:
+            columns |= _offsets(points.timestamps_ns, frame.timestamp_ns)
+        if points.colors is not None:
+            columns |= _colours(grey_where_unseen(points.colors, points.camera_index))
+        if points.camera_index is not None:
+            columns["camera_index",] = points.camera_index
+        self._add_extras(columns, points.extras)
+        self._note_frame(frame.extras)
+        yield self.topic, _packed(columns, len(points), frame.timestamp_ns, self.frame_id)
+
+    def radar(self, sensor: RadarSensor, k: int) -> Iterator[Stated]:
+        """Make the record of cycle `k`."""
+        frame = sensor.frames[k]
+        points = frame.points
+        columns: _Columns = {("x", "y", "z"): points.positions}
+        if points.directions is not None:
+            columns[DIRECTION_COLUMNS] = points.directions
+        if points.lengths is not None:
+            columns[SPEED_COLUMNS[0],] = points.lengths
+        if points.timestamps_ns is not None:
+            columns |= _offsets(points.timestamps_ns, frame.timestamp_ns)
+        self._add_extras(columns, points.extras)
+        self._note_frame(frame.extras)
+        yield self.topic, _packed(columns, len(points), frame.timestamp_ns, self.frame_id)
+
+    def map(self, sensor: PointsSensor, timestamp_ns: int) -> Iterator[Stated]:
+        """Make the only record of a map."""
+        columns: _Columns = {("x", "y", "z"): sensor.positions}
+        if sensor.colors is not None:
+            columns |= _colours(sensor.colors)
+        yield self.topic, _packed(columns, len(sensor.positions), timestamp_ns, self.frame_id)
+
+    def _is_as_written(self, record: CloudRecord) -> bool:
+        """Whether a message of ours has the types that this one would have."""
+        dtypes = {field.name: field.dtype.str[1:] for field in record.fields}
+        return dtypes.get("intensity", self.intensity) == self.intensity and OLD_TIME_COLUMN not in dtypes
+
+    def _add_extras(self, columns: _Columns, extras: Mapping[str, AnyArray]) -> None:
+        taken = {name for names in columns for name in names}
+        for name, column in extras.items():
+            location, lower = f"{self.field}.points.extras.{name}", name.lower()
+            is_taken = name in taken or lower in _TAKEN or (lower, column.dtype.str[1:]) in TIME_COLUMNS
+            if column.ndim != 1 or is_taken or name.startswith("_"):
+                self.losses.dropped(location, "not one number for each point, or of a name that means something else")
+            elif column.dtype.str[1:] in _HELD:
+                columns[name,] = column
+            elif column.dtype.kind in "iufb":
+                self._add_converted(columns, name, column, location)
+            else:
+                self.losses.dropped(location, f"values of type {column.dtype}")
+
+    def _add_converted(self, columns: _Columns, name: str, column: AnyArray, location: str) -> None:
+        numbers = column.astype(np.uint8 if column.dtype.kind == "b" else np.float64)
+        error = float(np.abs(column.astype(np.longdouble) - numbers.astype(np.longdouble)).max(initial=0))
+        what = f"values of type {column.dtype} written as {numbers.dtype}"
+        (self.losses.approximated if error else self.losses.converted)(location, what, error=error)
+        columns[name,] = numbers
+
+    def _note_frame(self, extras: Mapping[str, object]) -> None:
+        self.losses.dropped(f"{self.field}.extras", "unknown fields of a sweep", count=bool(extras))
+
+
+_TAKEN = frozenset(
+    {"x", "y", "z", "positions", "intensity", "ring", "red", "green", "blue", "rgb", "colors", OLD_TIME_COLUMN}
+)
+
+
+def _colours(colors: AnyArray) -> _Columns:
+    """Colours as viewers know them, which ask for an alpha value beside the three."""
+    return {("red", "green", "blue"): colors, ("alpha",): np.full(len(colors), 255, np.uint8)}
+
+
+def _offsets(timestamps_ns: AnyArray, timestamp_ns: int) -> _Columns:
+    """Times of points from their sweep's as other programs name them: `t` [ns], or `time` [s] beyond 32 bits."""
+    count = len(timestamps_ns)
+    if count and (timestamps_ns.min() < timestamp_ns or timestamps_ns.max() > timestamp_ns + _MOST_NS):
+        return {("time",): (timestamps_ns - timestamp_ns).astype(np.float64) / 1e9}
+    offsets = np.empty(count, np.uint32)
+    np.subtract(timestamps_ns, timestamp_ns, out=offsets, casting="unsafe")
+    return {("t",): offsets}
 
 
 class SceneStreams:
@@ -346,7 +497,7 @@ class SceneStreams:
         rotated = 1 - np.abs((along.quaternions_xyzw * poses.quaternions_xyzw).sum(axis=1))
         return bool(np.abs(along.positions - poses.positions).max() <= _SAME_M and rotated.max() <= _SAME_ROTATION)
 
-    def _cloud_writer(self, note: _Note, frames: str, sensor: LidarSensor | RadarSensor | None) -> CloudWriter:
+    def _cloud_writer(self, note: _Note, frames: str, sensor: LidarSensor | RadarSensor | None) -> _CloudWriter:
         """What writes the points of a sensor, or of a map, on its topic."""
         note["topic"] = f"/{note['part']}/points"
         frame_id = self._dialect.world
@@ -355,7 +506,7 @@ class SceneStreams:
             ids = {PointsFrame.WORLD: self._dialect.world, PointsFrame.EGO: self._dialect.ego}
             frame_id = ids.get(sensor.points_frame) or str(note["frame"])
         intensity = self._dialect.intensity if isinstance(sensor, LidarSensor) else "u1"
-        return CloudWriter(note["topic"], frame_id, frames, self.losses, intensity)
+        return _CloudWriter(note["topic"], frame_id, frames, self.losses, intensity)
 
     def _lidar(self, sensor: LidarSensor, note: _Note) -> None:
         self._posed(sensor, note)
@@ -381,7 +532,7 @@ class SceneStreams:
         note["camera_model_topic"] = f"/{note['part']}/{self._dialect.camera_model_topic}"
         note["camera_model"] = _camera_model_text(sensor.camera)
         location = f"sensors.{sensor.type}"
-        if is_foreign(sensor.camera):
+        if _is_foreign(sensor.camera):
             what = f"model {sensor.camera.model}, which other programs do not know"
             self.losses.converted(f"{location}.camera", what)
         frames = f"{location}.{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
@@ -660,3 +811,37 @@ def _camera_model_text(camera: Camera) -> str:
     """A camera model as JSON, for notes of ours."""
     numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
     return json.dumps([camera.model, camera.width, camera.height, numbers, list(camera.coefficients)])
+
+
+def camera_model_record(camera: Camera, timestamp_ns: int, frame_id: str, fisheye: str) -> CameraModelRecord:
+    """Put a camera model into the words of calibrations.
+
+    Args:
+        camera: the camera model; a model that the words do not know is named as only we understand.
+        timestamp_ns: since when [ns].
+        frame_id: of the camera.
+        fisheye: what the format calls an OpenCV fisheye camera model.
+    """
+    model, numbers = _written_model(camera, fisheye)
+    k = tuple(float(value) for value in camera.matrix.reshape(-1))
+    if camera.model == UNKNOWN_MODEL:
+        k = (0.0,) * 9
+    p = (*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0)
+    return CameraModelRecord(timestamp_ns, frame_id, camera.width, camera.height, model, numbers, k, p)
+
+
+def _written_model(camera: Camera, fisheye: str) -> tuple[str, tuple[float, ...]]:
+    numbers = camera.coefficients
+    padded = (*numbers, *(0.0,) * 16)
+    if camera.model in {"pinhole", UNKNOWN_MODEL}:
+        return "plumb_bob", (0.0,) * 5
+    if camera.model == "fisheye":
+        return fisheye, padded[:4]
+    if camera.model == "brown_conrady" and not any(padded[8:]):
+        return ("rational_polynomial", padded[:8]) if len(numbers) > 5 else ("plumb_bob", padded[:5])
+    return f"{OUR_PREFIX}{camera.model}", numbers
+
+
+def _is_foreign(camera: Camera) -> bool:
+    """Whether other programs do not know the camera model."""
+    return _written_model(camera, "")[0].startswith(OUR_PREFIX)

@@ -7,8 +7,9 @@ import pytest
 from sceneloom.cameras import project
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.messages.cameras import camera_model_record, image_of, read_camera_model
+from sceneloom.formats.messages.cameras import image_of, read_camera_model
 from sceneloom.formats.messages.records import CameraModelRecord, ImageRecord
+from sceneloom.formats.messages.writer import camera_model_record
 
 K = (500.0, 0.0, 320.0, 0.0, 510.0, 240.0, 0.0, 0.0, 1.0)
 D = (0.1, -0.05, 0.001, 0.002, 0.01, 0.02, 0.003, 0.001, 0.001, 0.002, 0.003, 0.004, 0.01, 0.02)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.formats.messages import points as messages_points
-from sceneloom.formats.messages.points import kept_record
+from sceneloom.formats.messages import writer as messages_writer
+from sceneloom.formats.messages.writer import kept_record
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
 
 pytest.importorskip("mcap")
@@ -76,7 +76,7 @@ def test_logs_that_state_times_in_their_older_column_are_read(tmp_path, monkeypa
     def old(times, timestamp):
         return {("offset_ns",): (times - timestamp).astype(np.int32)}
 
-    monkeypatch.setattr(messages_points, "_offsets", old)
+    monkeypatch.setattr(messages_writer, "_offsets", old)
     write(tmp_path / "old.mcap", points(0))
     monkeypatch.undo()
     with open_scene(tmp_path / "old.mcap") as read:

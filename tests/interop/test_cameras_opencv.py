@@ -33,26 +33,23 @@ def points() -> np.ndarray:
     return np.hstack([np.random.default_rng(1).uniform(-1, 1, (2000, 2)) * (1.05, 0.6) * z, z])
 
 
-@pytest.mark.parametrize("coefficients", CAMERA_MODELS)
-def test_brown_conrady_projects_and_unprojects_as_opencv_does(points, coefficients):
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, np.array(coefficients))
-    found = project_unbounded(brown_conrady(coefficients), points)
-    assert np.abs(found - expected[:, 0]).max() < DIFFERENCE_PX
-    rays = unproject(brown_conrady(coefficients), expected[:, 0])
+@pytest.mark.parametrize("coefficients", [None, *CAMERA_MODELS])
+def test_pinhole_and_brown_conrady_project_and_unproject_as_opencv_does(points, coefficients):
+    camera = Camera("pinhole", *NUMBERS) if coefficients is None else brown_conrady(coefficients)
+    distortion = None if coefficients is None else np.array(coefficients)
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, distortion)
+    assert np.abs(project_unbounded(camera, points) - expected[:, 0]).max() < DIFFERENCE_PX
+    rays = unproject(camera, expected[:, 0])
     assert np.abs(rays[:, :2] / rays[:, 2:] - points[:, :2] / points[:, 2:]).max() < 1e-9  # a millionth of a pixel
 
 
-def test_pinhole_projects_as_opencv_does_without_distortion(points):
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, None)
-    assert np.abs(project_unbounded(Camera("pinhole", *NUMBERS), points) - expected[:, 0]).max() < DIFFERENCE_PX
-
-
 @pytest.mark.parametrize("coefficients", [(), (0.0345, -0.0121, 0.0053, -0.0018), (-0.05, 0.01)])
-def test_fisheye_projects_and_unprojects_as_opencv_does(points, coefficients):
+def test_fisheye_projects_to_its_edge_and_unprojects_as_opencv_does(points, points_all_around, coefficients):
     four = np.array([*coefficients, *(0.0,) * (4 - len(coefficients))])
     camera = Camera("fisheye", *NUMBERS, coefficients)
-    expected, _ = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), MATRIX, four)
-    assert np.abs(project_unbounded(camera, points) - expected[:, 0]).max() < DIFFERENCE_PX
+    for ahead in (points_all_around[points_all_around[:, 2] > 0], points):
+        expected, _ = cv2.fisheye.projectPoints(ahead[:, None], np.zeros(3), np.zeros(3), MATRIX, four)
+        assert np.abs(project_unbounded(camera, ahead) - expected[:, 0]).max() < DIFFERENCE_PX
     plane = cv2.fisheye.undistortPoints(expected, MATRIX, four)[:, 0]
     rays = unproject(camera, expected[:, 0])
     assert np.abs(rays[:, :2] / rays[:, 2:] - plane).max() < 1e-7  # OpenCV stops its iterations at 1e-8
@@ -86,11 +83,3 @@ def test_omnidir_projects_as_opencv_does_behind_the_camera_too(points_all_around
     if skew == 0:  # the same camera model in the words of the Sensor Fusion Scene format
         same = Camera("omnidirectional", *NUMBERS, (k1, k2, 0, 0, p1, p2, xi))
         assert np.abs(project_unbounded(same, points_all_around) - expected[0]).max() < DIFFERENCE_PX
-
-
-def test_fisheye_projects_as_opencv_does_to_its_edge(points_all_around):
-    ahead = points_all_around[points_all_around[:, 2] > 0]
-    four = np.array([0.0345, -0.0121, 0.0053, -0.0018])
-    expected, _ = cv2.fisheye.projectPoints(ahead[:, None], np.zeros(3), np.zeros(3), MATRIX, four)
-    found = project_unbounded(Camera("fisheye", *NUMBERS, tuple(four)), ahead)
-    assert np.abs(found - expected[:, 0]).max() < DIFFERENCE_PX

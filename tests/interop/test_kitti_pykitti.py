@@ -8,34 +8,27 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, simulate_street
 
-RAW = """
+PROGRAM = """
 import json, sys, types
 for name in ("cv2", "pandas"):  # its reader of tracking wants them, which is not asked here
     sys.modules[name] = types.ModuleType(name)
+import numpy as np
 import pykitti
-drive = pykitti.raw(sys.argv[1], sys.argv[2], sys.argv[3])
-print(json.dumps({
-    "times": [t.strftime("%Y-%m-%d %H:%M:%S.%f") for t in drive.timestamps],
+drive = getattr(pykitti, sys.argv[1])(*sys.argv[2:])
+found = {
     "points": [drive.get_velo(k).tolist() for k in range(len(drive.velo_files))],
-    "image": __import__("numpy").asarray(drive.get_cam2(1)).tolist(),
-    "trajectory": [o.T_w_imu.tolist() for o in drive.oxts],
+    "image": np.asarray(drive.get_cam2(1)).tolist(),
     "K": drive.calib.K_cam2.tolist(), "cam2_velo": drive.calib.T_cam2_velo.tolist(),
-    "velo_imu": drive.calib.T_velo_imu.tolist(), "accelerations": [o.packet.az for o in drive.oxts],
-}))
-"""
-ODOMETRY = """
-import json, sys, types
-for name in ("cv2", "pandas"):
-    sys.modules[name] = types.ModuleType(name)
-import pykitti
-drive = pykitti.odometry(sys.argv[1], sys.argv[2])
-print(json.dumps({
-    "times": [t.total_seconds() for t in drive.timestamps],
-    "points": [drive.get_velo(k).tolist() for k in range(len(drive.velo_files))],
-    "image": __import__("numpy").asarray(drive.get_cam2(1)).tolist(),
-    "poses": [p.tolist() for p in drive.poses],
-    "K": drive.calib.K_cam2.tolist(), "cam2_velo": drive.calib.T_cam2_velo.tolist(),
-}))
+}
+if sys.argv[1] == "raw":
+    found["times"] = [t.strftime("%Y-%m-%d %H:%M:%S.%f") for t in drive.timestamps]
+    found["trajectory"] = [o.T_w_imu.tolist() for o in drive.oxts]
+    found["velo_imu"] = drive.calib.T_velo_imu.tolist()
+    found["accelerations"] = [o.packet.az for o in drive.oxts]
+else:
+    found["times"] = [t.total_seconds() for t in drive.timestamps]
+    found["poses"] = [p.tolist() for p in drive.poses]
+print(json.dumps(found))
 """
 
 
@@ -64,7 +57,7 @@ def pykitti_python():
 def test_raw_drives_are_read_there(pykitti_python, ask, drive, tmp_path):
     write_scene(drive, tmp_path / "out", format="kitti-raw", kind="sync")
     back = open_scene(tmp_path / "out")
-    found = ask(pykitti_python, RAW, tmp_path / "out", "1970_01_01", "0001")
+    found = ask(pykitti_python, PROGRAM, "raw", tmp_path / "out", "1970_01_01", "0001")
     check_common(found, back)
     trajectory = back.trajectories["oxts"]
     times = np.array(found["times"], "datetime64[us]").astype(np.int64)
@@ -80,7 +73,7 @@ def test_raw_drives_are_read_there(pykitti_python, ask, drive, tmp_path):
 def test_odometry_sequences_are_read_there(pykitti_python, ask, drive, tmp_path):
     write_scene(drive, tmp_path / "out", format="kitti-odometry")
     back = open_scene(tmp_path / "out")
-    found = ask(pykitti_python, ODOMETRY, tmp_path / "out", "00")
+    found = ask(pykitti_python, PROGRAM, "odometry", tmp_path / "out", "00")
     # of cameras 1 to 3 they take the horizontal shift only; of a single camera there is none
     check_common(found, back)
     np.testing.assert_allclose(found["times"], back.lidars[0].frames.timestamps_ns / 1e9, atol=1e-6)

@@ -14,17 +14,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 from tests.properties.injected import injected_scene
 
 import sceneloom
+from sceneloom import scene as sc
 from sceneloom.errors import DataError
 from sceneloom.formats.messages.mcap import schema_bytes
-from sceneloom.scene import (
-    Box2DAnnotation,
-    CameraSensor,
-    CuboidAnnotation,
-    DepthCameraSensor,
-    GnssSensor,
-    LidarSensor,
-    PointsFrame,
-)
 
 EPOCH_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
@@ -154,9 +146,9 @@ NO_SUMMARY = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
+@pytest.fixture(
+    scope="module",
+    params=[
         {},
         {"compression": CompressionType.LZ4, "chunk_size": 4000},
         {"compression": CompressionType.ZSTD},
@@ -165,40 +157,52 @@ NO_SUMMARY = {
         {"index_types": IndexType.CHUNK, "compression": CompressionType.ZSTD},
     ],
 )
-def test_a_drive_that_another_program_wrote_is_read_whatever_its_chunks_and_index(options, tmp_path):
-    with sceneloom.open(drive(**options).saved(tmp_path / "drive.mcap")) as scene:
-        assert scene.format == "mcap"
-        kinds = {sensor.id: type(sensor) for sensor in scene.sensors}
-        assert kinds == {
-            "top": LidarSensor, "front": CameraSensor, "side": CameraSensor, "depth": DepthCameraSensor,
-            "gnss": GnssSensor,
-        }  # fmt: skip
-        for name in ("top", "front", "side", "depth"):
-            sensor = scene.sensor(name)
-            frames = sensor.images if isinstance(sensor, CameraSensor) else sensor.frames
-            np.testing.assert_array_equal(frames.timestamps_ns, EPOCH_NS + PERIOD_NS * np.arange(5))
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    with sceneloom.open(drive().saved(tmp_path_factory.mktemp("foxglove") / "drive.mcap")) as opened:
+def scene(request, tmp_path_factory):
+    """A drive that another program wrote, whatever its chunks and index."""
+    path = drive(**request.param).saved(tmp_path_factory.mktemp("foxglove") / "drive.mcap")
+    with sceneloom.open(path) as opened:
         yield opened
 
 
-def test_points_come_with_brightness_and_times_in_their_unit(scene):
-    lidar = scene.sensor("top")
-    points = lidar.frames[3].points
+def test_topics_become_sensors_with_all_that_they_measured(scene):
+    assert scene.format == "mcap"
+    kinds = {sensor.id: sensor.type for sensor in scene.sensors}
+    assert kinds == {"top": "lidar", "front": "camera", "side": "camera", "depth": "depth_camera", "gnss": "gnss"}
+    for name in ("top", "front", "side", "depth"):
+        sensor = scene.sensor(name)
+        frames = sensor.images if sensor.type == "camera" else sensor.frames
+        np.testing.assert_array_equal(frames.timestamps_ns, EPOCH_NS + PERIOD_NS * np.arange(5))
+    points = scene.sensor("top").frames[3].points
     np.testing.assert_array_equal(points.positions, POINTS)
     np.testing.assert_array_equal(points.intensities, np.arange(500) % 256)
     expected = EPOCH_NS + 3 * PERIOD_NS + np.linspace(0, 0.99 * PERIOD_NS, 500).astype(np.int64)
     np.testing.assert_array_equal(points.timestamps_ns, expected)
-    assert lidar.points_frame is PointsFrame.SENSOR
     assert any(n.code == "point-times-assumed" and "nanoseconds" in n.message for n in scene.warnings)
+    camera_model = scene.sensor("front").camera
+    numbers = (camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy)
+    assert (camera_model.model, *numbers) == ("brown_conrady", 100.0, 101.0, 5.5, 3.5)
+    assert camera_model.coefficients == (0.1, -0.05, 0.001, 0.002, 0.01)
+    image = scene.sensor("front").images[2]
+    assert image.encoded() == simplejpeg.encode_jpeg(RGB, 95, "RGB", "444")
+    np.testing.assert_array_equal(image.rgb, simplejpeg.decode_jpeg(image.encoded(), "RGB"))
+    assert scene.sensor("side").camera.model == "unknown"
+    assert any(n.code == "camera-model-missing" and "/side/image" in n.location for n in scene.warnings)
+    np.testing.assert_array_equal(scene.sensor("side").images[4].rgb, RGB)
+    # 16UC1 counts millimetres
+    depth = scene.sensor("depth").frames[0].depth
+    np.testing.assert_allclose(depth, np.arange(96).reshape(8, 12) * 0.1, rtol=1e-6)
+    gnss = scene.sensor("gnss")
+    np.testing.assert_array_equal(gnss.positions_lla[:, 0], 48.0 + np.arange(5))
+    np.testing.assert_array_equal([gnss.accuracies, gnss.vertical_accuracies], [[2.0] * 5, [3.0] * 5])
+    reported = {warning.code: warning for warning in scene.warnings}
+    assert (reported["unknown-messages"].count, reported["plots-not-read"].count) == (5, 5)
+    assert "foxglove.Log" in reported["unknown-messages"].message
 
 
-def test_fixed_transforms_are_mountings_and_moving_ones_the_ego_trajectory(scene):
+def test_transforms_locate_sensors_boxes_and_the_ego(scene):
     left = [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
     np.testing.assert_allclose(scene.sensor("top").mount.matrix, left, atol=1e-15)
+    assert scene.sensor("top").points_frame is sc.PointsFrame.SENSOR
     # forward of the camera is x of the car
     np.testing.assert_allclose(scene.sensor("front").mount.rotate(np.array([0, 0, 1.0])), [1, 0, 0], atol=1e-15)
     trajectory = scene.trajectories["tf"]
@@ -207,48 +211,13 @@ def test_fixed_transforms_are_mountings_and_moving_ones_the_ego_trajectory(scene
     np.testing.assert_allclose(poses.positions[:, 0], 1.5 + SPEED * 0.1 * np.arange(5), atol=1e-12)
     assert scene.sensor("side").mount is None
     assert any(n.code == "frames-missing" and "'side'" in n.message for n in scene.warnings)
-
-
-def test_a_calibration_beside_the_images_is_their_camera_model_and_a_camera_without_one_is_reported(scene):
-    camera_model = scene.sensor("front").camera
-    numbers = (camera_model.fx, camera_model.fy, camera_model.cx, camera_model.cy)
-    assert (camera_model.model, *numbers) == ("brown_conrady", 100.0, 101.0, 5.5, 3.5)
-    assert camera_model.coefficients == (0.1, -0.05, 0.001, 0.002, 0.01)
-    assert scene.sensor("side").camera.model == "unknown"
-    assert any(n.code == "camera-model-missing" and "/side/image" in n.location for n in scene.warnings)
-
-
-def test_images_are_those_that_were_written(scene):
-    image = scene.sensor("front").images[2]
-    assert image.encoded() == simplejpeg.encode_jpeg(RGB, 95, "RGB", "444")
-    np.testing.assert_array_equal(image.rgb, simplejpeg.decode_jpeg(image.encoded(), "RGB"))
-    np.testing.assert_array_equal(scene.sensor("side").images[4].rgb, RGB)
-    # 16UC1 counts millimetres
-    depth = scene.sensor("depth").frames[0].depth
-    np.testing.assert_allclose(depth, np.arange(96).reshape(8, 12) * 0.1, rtol=1e-6)
-
-
-def test_boxes_of_one_id_are_one_object_in_the_world(scene):
-    cuboids = [a for a in scene.annotations if isinstance(a, CuboidAnnotation)]
-    assert [(a.id, a.label) for a in cuboids] == [("car 7", "car")]
-    rows = cuboids[0].path.values
-    np.testing.assert_allclose(rows[:, :6], np.tile([4, 2, 1.5, 50, 3, 1], (5, 1)), atol=1e-12)
-    np.testing.assert_allclose(rows[:, 6:], np.tile([0, 0, np.rad2deg(0.3)], (5, 1)), atol=1e-12)
-    assert [(a.name, a.values) for a in cuboids[0].attributes] == [("score", (0.75,))]
-    boxes = [a for a in scene.annotations if isinstance(a, Box2DAnnotation)]
-    assert [(a.id, a.label, a.sensor_id) for a in boxes] == [("box 1", "person", "front")]
-    np.testing.assert_array_equal(boxes[0].path.values, np.tile([10, 20, 5, 8], (5, 1)))
-
-
-def test_fixes_have_the_deviation_of_their_variance_and_what_is_not_read_is_counted(scene):
-    gnss = scene.sensor("gnss")
-    np.testing.assert_array_equal(gnss.positions_lla[:, 0], 48.0 + np.arange(5))
-    np.testing.assert_array_equal(gnss.accuracies, [2.0] * 5)
-    np.testing.assert_array_equal(gnss.vertical_accuracies, [3.0] * 5)
-    reported = {warning.code: warning for warning in scene.warnings}
-    assert reported["unknown-messages"].count == 5
-    assert "foxglove.Log" in reported["unknown-messages"].message
-    assert reported["plots-not-read"].count == 5
+    cuboid, box = scene.annotations
+    assert (cuboid.type, cuboid.id, cuboid.label) == ("cuboid", "car 7", "car")
+    expected = np.tile([4, 2, 1.5, 50, 3, 1, 0, 0, np.rad2deg(0.3)], (5, 1))
+    np.testing.assert_allclose(cuboid.path.values, expected, atol=1e-12)
+    assert [(a.name, a.values) for a in cuboid.attributes] == [("score", (0.75,))]
+    assert (box.type, box.id, box.label, box.sensor_id) == ("box_2d", "box 1", "person", "front")
+    np.testing.assert_array_equal(box.path.values, np.tile([10, 20, 5, 8], (5, 1)))
 
 
 def test_messages_in_json_state_the_same(tmp_path):

@@ -12,29 +12,10 @@ import numpy as np
 import pytest
 from tests.peers import python_with
 
+from sceneloom import scene as sc
 from sceneloom.formats.base.registry import open_scene, write_scene
 from sceneloom.geometry.boxes import box_corners
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    AttributePath,
-    Box2DAnnotation,
-    BoxPath,
-    CuboidAnnotation,
-    CuboidPath,
-    EventAnnotation,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    LinkAnnotation,
-    ObjectAnnotation,
-    Projection,
-    Scene,
-    ShapeAnnotation,
-    ShapeType,
-    Trajectory,
-    VertexPath,
-)
 from sceneloom.scene.annotations_at import CuboidAngles, cuboid_poses
 
 HERE = Path(__file__).parent
@@ -101,30 +82,33 @@ def peer():
 
 def drive():
     timestamps = np.arange(3) * 100_000_000 + 1_700_000_000_000_000_000
-    frames = [LidarFrame(int(t), LidarPoints(np.ones((1, 3), np.float32))) for t in timestamps]
+    frames = [sc.LidarFrame(int(t), sc.LidarPoints(np.ones((1, 3), np.float32))) for t in timestamps]
     mount = RigidTransform.from_quaternion(np.array([1.0, 0.2, 1.9]), np.array([0.1, -0.2, 0.3, 0.9]))
     rng = np.random.default_rng(1)
     rotations = rng.normal(size=(3, 4))
     rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
-    trajectory = Trajectory("pose", timestamps, rng.normal(scale=10, size=(3, 3)), rotations)
+    trajectory = sc.Trajectory("pose", timestamps, rng.normal(scale=10, size=(3, 3)), rotations)
     values = np.concatenate([rng.uniform(1, 5, (3, 3)), rng.normal(size=(3, 3)), rng.uniform(-80, 80, (3, 3))], axis=1)
-    box = CuboidAnnotation(
-        "car", CuboidPath(timestamps, values), "Car", attributes=(AttributePath("speed", (1.0, 2.0, 3.0), timestamps),)
+    box = sc.CuboidAnnotation(
+        "car",
+        sc.CuboidPath(timestamps, values),
+        "Car",
+        attributes=(sc.AttributePath("speed", (1.0, 2.0, 3.0), timestamps),),
     )
-    flat = Box2DAnnotation("car 2", "top", BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]])), "Car")
-    lane = ShapeAnnotation("lane", ShapeType.POLYLINE, VertexPath(timestamps[:1], (rng.normal(size=(4, 3)),)))
-    event = EventAnnotation("stop", int(timestamps[0]), 100_000_000, "Stop")
-    link = LinkAnnotation("l", "car", "stop", "does")
-    lidar = LidarSensor("top", LazyFrames.of(frames, timestamps), mount=mount)
-    flat_box = BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]]))
-    path = CuboidPath(timestamps[[0, 2]], values[[0, 2]])
-    seen = (Projection("top", timestamps[:1], np.array([[1.0, 2, 3, 4]]), (True,)),)
+    flat = sc.Box2DAnnotation("car 2", "top", sc.BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]])), "Car")
+    lane = sc.ShapeAnnotation("lane", sc.ShapeType.POLYLINE, sc.VertexPath(timestamps[:1], (rng.normal(size=(4, 3)),)))
+    event = sc.EventAnnotation("stop", int(timestamps[0]), 100_000_000, "Stop")
+    link = sc.LinkAnnotation("l", "car", "stop", "does")
+    lidar = sc.LidarSensor("top", sc.LazyFrames.of(frames, timestamps), mount=mount)
+    flat_box = sc.BoxPath(timestamps[:1], np.array([[1.0, 2, 3, 4]]))
+    path = sc.CuboidPath(timestamps[[0, 2]], values[[0, 2]])
+    seen = (sc.Projection("top", timestamps[:1], np.array([[1.0, 2, 3, 4]]), (True,)),)
     van = (
-        ObjectAnnotation("van", "Van"),
-        CuboidAnnotation("box of the van", path, "Van", parent_id="van", projections=seen),
-        Box2DAnnotation("flat", "top", flat_box, "Van", parent_id="van"),
+        sc.ObjectAnnotation("van", "Van"),
+        sc.CuboidAnnotation("box of the van", path, "Van", parent_id="van", projections=seen),
+        sc.Box2DAnnotation("flat", "top", flat_box, "Van", parent_id="van"),
     )
-    return Scene((lidar,), (box, flat, lane, event, link, *van), {"pose": trajectory}), mount
+    return sc.Scene((lidar,), (box, flat, lane, event, link, *van), {"pose": trajectory}), mount
 
 
 def test_our_files_pass_the_schema_and_vcd_puts_boxes_and_sensors_where_we_do(tmp_path, peer):

@@ -6,23 +6,13 @@ import struct
 import numpy as np
 import pytest
 
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded
 from sceneloom.errors import OptionError, UnknownOptionError
 from sceneloom.formats.base.losses import Support
 from sceneloom.formats.base.registry import format_named, write_scene, written_formats
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraImage,
-    CameraSensor,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    PointsFrame,
-    Scene,
-    Trajectory,
-)
 
 cv2 = pytest.importorskip("cv2")
 trimesh = pytest.importorskip("trimesh")
@@ -52,19 +42,19 @@ MOUNT = RigidTransform.from_quaternion(np.array([1.5, 0.2, 1.1]), np.array([-0.5
 def scene(names, *, origin=(0.0, 0.0, 0.0)):
     angles = np.array([0.0, 0.3, -0.2])
     rotations = np.stack([np.zeros(3), np.zeros(3), np.sin(angles / 2), np.cos(angles / 2)], axis=1)
-    trajectory = Trajectory("trajectory", TIMES, RNG.normal(size=(3, 3)) + origin, rotations)
+    trajectory = sc.Trajectory("trajectory", TIMES, RNG.normal(size=(3, 3)) + origin, rotations)
     rgb = RNG.integers(0, 256, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
     cameras = []
     for name in names:
         model = CAMERA_MODELS[name]
-        images = LazyFrames.of([CameraImage.of(int(t), model, rgb) for t in TIMES], TIMES)
-        cameras.append(CameraSensor(name, model, images, mount=MOUNT))
+        images = sc.LazyFrames.of([sc.CameraImage.of(int(t), model, rgb) for t in TIMES], TIMES)
+        cameras.append(sc.CameraSensor(name, model, images, mount=MOUNT))
     positions = RNG.uniform(-20, 20, (500, 3)).astype(np.float32)
     colors = RNG.integers(0, 256, (500, 3)).astype(np.uint8)
-    frames = [LidarFrame(int(t), LidarPoints(positions, colors=colors)) for t in TIMES]
+    frames = [sc.LidarFrame(int(t), sc.LidarPoints(positions, colors=colors)) for t in TIMES]
     here = RigidTransform.identity()
-    lidar = LidarSensor("top", LazyFrames.of(frames, TIMES), mount=here, points_frame=PointsFrame.EGO)
-    return Scene((lidar, *cameras), trajectories={"trajectory": trajectory})
+    lidar = sc.LidarSensor("top", sc.LazyFrames.of(frames, TIMES), mount=here, points_frame=sc.PointsFrame.EGO)
+    return sc.Scene((lidar, *cameras), trajectories={"trajectory": trajectory})
 
 
 def ego_pose(one, k):
@@ -272,7 +262,7 @@ def test_these_formats_are_written_only_and_state_what_they_need(tmp_path, name)
     with pytest.raises(OptionError, match="only written"):
         form.open(tmp_path)
     with pytest.raises(OptionError, match="no camera with images"):
-        write_scene(Scene(scene([]).sensors), tmp_path / "o", format=name)
+        write_scene(sc.Scene(scene([]).sensors), tmp_path / "o", format=name)
     with pytest.raises(UnknownOptionError):
         write_scene(scene(["plain"]), tmp_path / "o", format=name, profile="scale")
     for options in ({"images": "gif"}, {"voxel": "-1"}, {"points": "x"}):

@@ -14,19 +14,9 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 from tests.peers import python_with
 
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.formats.recording.writer import write_recording
-from sceneloom.scene import (
-    CameraImage,
-    CameraSensor,
-    DepthCameraSensor,
-    DepthFrame,
-    ImuSensor,
-    LazyFrames,
-    Scene,
-    Trajectory,
-    VectorSamples,
-)
 from sceneloom.simulate import CameraSpec, ImuSpec, LidarSpec, PathSpec, Stop, camera_mount, simulate_street
 
 FRAMES = 30
@@ -150,10 +140,10 @@ def walk_through_a_room(baseline, frames=240, rate_hz=20):
             position, delta_rotation = room_poses(timestamps[k] * 1e-9 - 1.0)
             rotation = delta_rotation.as_matrix()
             grey = room.grey(position + rotation @ mount.translation, rays @ (rotation @ mount.rotation).T)
-            return CameraImage.of(int(timestamps[k]), camera_model, np.repeat(grey[..., None], 3, axis=2))
+            return sc.CameraImage.of(int(timestamps[k]), camera_model, np.repeat(grey[..., None], 3, axis=2))
 
-        images = LazyFrames(timestamps, image)
-        return CameraSensor(f"camera{index}", camera_model, images, mount=mount, fps=float(rate_hz))
+        images = sc.LazyFrames(timestamps, image)
+        return sc.CameraSensor(f"camera{index}", camera_model, images, mount=mount, fps=float(rate_hz))
 
     samples = 901_300_000 + np.arange(200 * frames // rate_hz + 60, dtype=np.int64) * 5_000_000
     seconds, step = samples * 1e-9 - 1.0, 1e-3
@@ -164,10 +154,10 @@ def walk_through_a_room(baseline, frames=240, rate_hz=20):
     rates = (room_poses(seconds - step)[1].inv() * room_poses(seconds + step)[1]).as_rotvec() / (2 * step)
     noise = np.random.default_rng(5).standard_normal((2, *forces.shape))
     accelerations, rates = forces + 0.01 * noise[0], rates + 0.001 * noise[1]
-    streams = {"accelerometer": VectorSamples(samples, accelerations), "gyroscope": VectorSamples(samples, rates)}
-    imu = ImuSensor("imu", streams)
-    truth = Trajectory("groundTruth", samples, positions, delta_rotations.as_quat())
-    return Scene((camera(0), camera(1), imu), trajectories={"groundTruth": truth})
+    streams = {"accelerometer": sc.VectorSamples(samples, accelerations), "gyroscope": sc.VectorSamples(samples, rates)}
+    imu = sc.ImuSensor("imu", streams)
+    truth = sc.Trajectory("groundTruth", samples, positions, delta_rotations.as_quat())
+    return sc.Scene((camera(0), camera(1), imu), trajectories={"groundTruth": truth})
 
 
 def test_a_slow_stereo_drive_in_a_textured_room_comes_back_in_its_true_size(vendor_python, tmp_path):
@@ -199,8 +189,8 @@ def test_depth_images_are_understood_in_metres(vendor_python, tmp_path):
         depths = truth.truth(k).depths
         return np.where(depths > 60.0, np.float32(0.0), depths)
 
-    frames = LazyFrames(timestamps, lambda k: DepthFrame(int(timestamps[k]), camera.camera, lambda: image(k)))
-    depth = DepthCameraSensor("depth", camera.camera, frames, mount=camera.mount)
+    frames = sc.LazyFrames(timestamps, lambda k: sc.DepthFrame(int(timestamps[k]), camera.camera, lambda: image(k)))
+    depth = sc.DepthCameraSensor("depth", camera.camera, frames, mount=camera.mount)
     report = write_recording(replace(drive.scene, sensors=(*drive.scene.sensors, depth)), tmp_path / "drive")
     # 60 m fit into 65535 steps of 1 mm
     assert "rounded to steps of 0.001 m" in [loss.what for loss in report]

@@ -113,28 +113,21 @@ def ours(sides):
     return evaluate_tracking(*tables)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("label", ["car", "pedestrian"])
-def test_figures_are_those_of_trackeval(ours, theirs, label, family):
-    name, figures = FAMILIES[family]
+def test_figures_and_curves_over_similarities_are_those_of_trackeval(ours, theirs, label):
+    evaluated = ours[label]
     for sequence in (*SEQUENCES, "COMBINED_SEQ"):
-        evaluated = ours[label]
         reported = evaluated.combined if sequence == "COMBINED_SEQ" else evaluated.sequences[sequence]
-        scores, expected = getattr(reported, family), theirs[sequence][label][name]
-        for figure, their_name in figures.items():
-            # both add the same numbers in another order
-            assert getattr(scores, figure) == pytest.approx(np.mean(expected[their_name]), abs=1e-9), (sequence, figure)
-
-
-@pytest.mark.parametrize("label", ["car", "pedestrian"])
-def test_curves_over_similarities_are_those_of_trackeval(ours, theirs, label):
-    curves, expected = ours[label].combined.hota.curves, theirs["COMBINED_SEQ"][label]["HOTA"]
+        for family, (name, figures) in FAMILIES.items():
+            scores, expected = getattr(reported, family), theirs[sequence][label][name]
+            for figure, their_name in figures.items():
+                # both add the same numbers in another order
+                assert getattr(scores, figure) == pytest.approx(np.mean(expected[their_name]), abs=1e-9), figure
+    curves, expected = evaluated.combined.hota.curves, theirs["COMBINED_SEQ"][label]["HOTA"]
     for figure, their_name in FAMILIES["hota"][1].items():
         np.testing.assert_allclose(curves[figure], expected[their_name], rtol=0, atol=1e-9)
     assert curves["tp"] == tuple(expected["HOTA_TP"])
-
-
-def test_the_results_make_every_kind_of_mistake(ours):
-    reported = [ours[label].combined.clear for label in ("car", "pedestrian")]
+    # the results make every kind of mistake
+    reported = [one.combined.clear for one in ours.values()]
     for mistake in ("fn", "fp", "idsw", "frag", "mt", "pt", "ml"):
         assert sum(getattr(clear, mistake) for clear in reported) > 0, mistake

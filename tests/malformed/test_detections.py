@@ -10,7 +10,7 @@ from sceneloom.errors import SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.kitti.calibration import read_calibration
 from sceneloom.formats.kitti.labels import read_labels
-from sceneloom.formats.kitti.oxts import read_oxts
+from sceneloom.formats.kitti.oxts import read_fields
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detection_lists import ListContext, read_boxes_2d, read_boxes_3d
 from sceneloom.pipeline.fusing_detections import read_fused
@@ -63,7 +63,7 @@ GOOD = {
         read_calibration,
         "P2: 7 0 6 1 0 7 2 1 0 0 1 0\nR_rect 1 0 0 0 1 0 0 0 1\nTr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\n",
     ),
-    "oxts": (read_oxts, "49.5 8.25 110" + " 0.5" * 27 + "\n"),
+    "oxts": (read_fields, "49.5 8.25 110" + " 0.5" * 27 + "\n"),
     "list 3d": (boxes_3d, "1,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2\n"),
     "list 2d": (boxes_2d, "0,10,20,30,40,0.5\n"),
     "json lines": (boxes_3d, json.dumps(RECORD)),

@@ -14,7 +14,7 @@ from msgspec import structs
 from sceneloom.arrays import Float64Array, FloatArray, Int64Array
 from sceneloom.errors import ArrayError, OptionError, PoseError
 from sceneloom.evaluate.plot import check_plot, save_plot
-from sceneloom.formats.trajectories.table import content_of, read_trajectory_file
+from sceneloom.formats.trajectories.table import read_trajectory_file
 from sceneloom.formats.trajectories.text_formats import of_fixes
 from sceneloom.formats.trajectories.trajectory_file import FARTHEST, TrajectoryFile
 from sceneloom.geometry.rigid import (
@@ -324,7 +324,8 @@ def evaluate_trajectory(
 def _contents(estimate: _Comparable, reference: _Comparable) -> tuple[TrajectoryFile, TrajectoryFile]:
     """The two trajectories; fixes are seen from the other's origin, where that is known."""
     ours, theirs = (
-        read_trajectory_file(one) if isinstance(one, str | Path) else content_of(one) for one in (estimate, reference)
+        read_trajectory_file(one) if isinstance(one, str | Path) else TrajectoryFile.of(one)
+        for one in (estimate, reference)
     )
 
     def seen_from(content: TrajectoryFile, other: TrajectoryFile) -> TrajectoryFile:

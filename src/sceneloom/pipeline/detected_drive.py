@@ -18,7 +18,7 @@ from sceneloom.detections.results import DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.editing.references import assumed
 from sceneloom.errors import PoseError
-from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, KittiLabels, observation_angles, rectified_boxes
+from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, KittiLabels, observation_angles
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.tracking_reader import CAMERA_ID, LIDAR_ID, KittiSequence
 from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform
@@ -344,7 +344,7 @@ def kitti_labels(found: Iterable[KittiObjects], rectified_from_lidar: RigidTrans
         shown = np.flatnonzero((corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
         pixels = np.clip(corners[shown] - CENTRE_TO_CORNER, 0.0, size - 1.0)
         centers, sizes, yaws = (values[shown] for values in one.boxes)
-        placed = rectified_boxes(centers, sizes, yaws, rectified_from_lidar)
+        placed = _rectified_boxes(centers, sizes, yaws, rectified_from_lidar)
         rows.append(np.column_stack([pixels, *placed, one.scores[shown]]))
         frames.append(np.full(len(shown), one.frame))
         ids.append(one.ids[shown])
@@ -363,3 +363,19 @@ def kitti_labels(found: Iterable[KittiObjects], rectified_from_lidar: RigidTrans
         rotations_y=values[:, 10].copy(),
         scores=values[:, 11].copy(),
     )
+
+
+def _rectified_boxes(
+    centers: Float64Array, sizes_lwh: Float64Array, yaws: Float64Array, rectified_from_lidar: RigidTransform
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Give boxes of the lidar's frame as KITTI has them: the inverse of `lidar_boxes`.
+
+    Returns:
+        sizes_hwl: (N, 3) float64 [m].
+        bottoms: (N, 3) float64 [m], rectified camera frame.
+        rotations_y: (N,) float64 [rad], -π to π.
+    """
+    bottoms = rectified_from_lidar.apply(centers) + np.array([0.0, 0.5, 0.0]) * sizes_lwh[:, 2:]
+    headings = np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(len(yaws))])
+    rotated = rectified_from_lidar.rotate(headings)
+    return sizes_lwh[:, ::-1].copy(), bottoms, np.arctan2(-rotated[:, 2], rotated[:, 0])

@@ -28,7 +28,8 @@ from sceneloom.errors import DataError, OptionError, SceneloomError
 from sceneloom.formats.base.files import file_faults, open_file
 from sceneloom.formats.base.output import filling, replacing_together
 from sceneloom.formats.base.text_tables import read_lines
-from sceneloom.formats.kitti.labels import NO_TRACK, write_labels
+from sceneloom.formats.kitti.benchmark_writer import write_labels
+from sceneloom.formats.kitti.labels import NO_TRACK
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.tracking_reader import KittiTracking
 from sceneloom.fusion.algorithms import FusionType, algorithm, chosen_algorithm

@@ -26,8 +26,8 @@ from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import check_output, file_stem, filling, replacing
 from sceneloom.formats.base.registry import write_scene
-from sceneloom.formats.kitti.labels import write_labels
-from sceneloom.formats.kitti.tracking_reader import KittiSequence, sequence_scene
+from sceneloom.formats.kitti.benchmark_writer import write_labels
+from sceneloom.formats.kitti.tracking_reader import KittiSequence
 from sceneloom.fusion.algorithms import AlgorithmChoice, FusionType, algorithm, chosen_algorithm
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline.detected_drive import (
@@ -369,7 +369,7 @@ class _TrackableDrive:
     @classmethod
     def of_sequence(cls, sequence: KittiSequence, source: str) -> "_TrackableDrive":
         """A sequence of KITTI's tracking benchmark; its scene has the ego trajectory and the camera, without images."""
-        scene = sequence_scene(sequence, source=f"{source}/{sequence.name}")
+        scene = sequence.scene(source=f"{source}/{sequence.name}")
         return cls(kitti_drive(sequence), scene, sequence.rectified_from_lidar)
 
 

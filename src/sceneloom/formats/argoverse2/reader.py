@@ -15,12 +15,12 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.errors import CalibrationError, DataError, MissingExtraError, how_to_install
-from sceneloom.formats.argoverse2.spec import ANNOTATIONS, CAMERA_MODELS, CAMERAS, LIDAR, MOUNTS, POSES, is_log
+from sceneloom.formats.argoverse2.spec import ANNOTATIONS, CAMERA_MODELS, CAMERAS, LIDAR, LOGS_IN, MOUNTS, POSES
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import check_length, check_unpacked, file_faults, open_file
 from sceneloom.formats.base.images import ImageReader
 from sceneloom.formats.base.poses import lengths_of
-from sceneloom.formats.base.spec import as_flag, choose_drive, drives_in
+from sceneloom.formats.base.spec import as_flag, choose_drive
 from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import AttributePath, CuboidAnnotation, CuboidPath
 from sceneloom.scene.annotations_at import CuboidAngles
@@ -112,9 +112,7 @@ def open_argoverse2(
         MissingExtraError: pyarrow is not installed.
     """
     joined, with_distortion = as_flag("one_lidar", one_lidar), as_flag("distorted", distorted)
-    folder = choose_drive(
-        path, drives_in(path, is_log), sequence, called="log", expected=f"{POSES}, calibration/ and sensors/"
-    )
+    folder = choose_drive(path, LOGS_IN(path), sequence, called="log", expected=f"{POSES}, calibration/ and sensors/")
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         log = _Log(folder, ledger, _read_poses(folder, ledger), _read_mounts(folder, ledger))

@@ -25,9 +25,13 @@ LIDAR = "sensors/lidar"
 CAMERAS = "sensors/cameras"
 
 
-def is_log(path: Path) -> bool:
+def _is_log(path: Path) -> bool:
     """Whether a folder is a log, complete or not: no other format has files of these names."""
     return path.is_dir() and ((path / POSES).is_file() or (path / MOUNTS).is_file())
+
+
+LOGS_IN = partial(drives_in, is_drive=_is_log)
+"""The logs of a folder."""
 
 
 def _near_miss(path: Path) -> str | None:
@@ -41,9 +45,9 @@ FORMAT = FormatSpec(
     title="Argoverse 2",
     looks_like=f"a folder with {POSES}, calibration/ and sensors/lidar/*.feather",
     suffixes=(".argoverse2",),
-    sniff=partial(any_drive, is_drive=is_log),
+    sniff=partial(any_drive, is_drive=_is_log),
     near_miss=_near_miss,
-    drives=partial(drives_in, is_drive=is_log),
+    drives=LOGS_IN,
     reader="sceneloom.formats.argoverse2.reader:open_argoverse2",
     read_options=("lenient", "sequence", "one_lidar", "distorted"),
     instead="Argoverse 2 is only read; write a scene file (drive.sfs) or a recording (a folder) instead",

@@ -1,6 +1,6 @@
 """Write the object and tracking benchmarks: frames, calibration, and annotations as rows of label files."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import OptionError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, filling, replacing
 from sceneloom.formats.base.text_tables import seconds_text
@@ -29,7 +29,6 @@ from sceneloom.formats.kitti.labels import (
     NO_TRACK,
     NUMBERS,
     KittiLabels,
-    format_labels,
     observation_angles,
 )
 from sceneloom.formats.kitti.object_reader import FRAME_NS
@@ -538,7 +537,7 @@ def write_tracking(scene: Scene, path: Path, *, overwrite: bool = False, sequenc
             lambda _, camera: camera.camera,
             with_tracks=True,
         )
-        write_lines(folder / "label_02" / f"{name}.txt", format_labels(rows.labels(), path))
+        write_lines(folder / "label_02" / f"{name}.txt", _format_labels(rows.labels(), path))
     return LossReport.of(choice.losses)
 
 
@@ -558,10 +557,47 @@ def write_object_labels(
         DataError: a number is not finite, or a class has a blank.
     """
     texts = dict.fromkeys(labels.frames.tolist() if frames is None else frames, "")
-    lines = format_labels(labels, folder, tracked=False)
+    lines = _format_labels(labels, folder, tracked=False)
     for frame, line in zip(labels.frames.tolist(), lines, strict=True):
         if frame in texts:
             texts[frame] += f"{line}\n"
     with filling(Path(folder), overwrite=overwrite) as draft:
         for frame, text in texts.items():
             (draft / f"{frame:06d}.txt").write_text(text, "utf-8", newline="\n")
+
+
+def write_labels(labels: KittiLabels, path: Path | str, *, overwrite: bool = False) -> None:
+    """Write labels or results as the tracking benchmark has them, a line each in their order.
+
+    Numbers have six decimals.
+
+    Raises:
+        OutputError: the file exists, or cannot be written.
+        DataError: a number is not finite, or a class has a blank.
+    """
+    path = Path(path)
+    with replacing(path, overwrite=overwrite) as draft:
+        draft.write_text("".join(f"{line}\n" for line in _format_labels(labels, path)), "utf-8", newline="\n")
+
+
+def _format_labels(labels: KittiLabels, path: Path | str = "", *, tracked: bool = True) -> Iterator[str]:
+    """The lines of labels or results, without their ends.
+
+    Args:
+        path: what is written, for messages.
+        tracked: whether frame and track stand first, as in the tracking benchmark.
+
+    Raises:
+        DataError: a number is not finite, or a class has a blank.
+    """
+    values = labels.values
+    wrong = ~np.isfinite(values[:, 2:]).all(axis=1)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise DataError(path, f"object {k}", f"{values[k, 2:].tolist()}; expected finite numbers")
+    heads = zip(labels.frames.tolist(), labels.track_ids.tolist(), labels.types, values.tolist(), strict=True)
+    for frame, track, word, (truncation, occlusion, *row) in heads:
+        if not word or any(letter.isspace() for letter in word):
+            raise DataError(path, "", f"class {word!r}; expected a word without blanks")
+        first = f"{frame} {track} " if tracked else ""
+        yield f"{first}{word} {truncation:g} {int(occlusion)} {' '.join(f'{value:.6f}' for value in row)}"

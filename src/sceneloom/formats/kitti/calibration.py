@@ -212,6 +212,26 @@ class Mounted:
             return _OPTICAL_FROM_BODY
         return self.camera_from_lidar[self.reference]
 
+    def files_lidar_from_lidar(
+        self, camera_from_lidar: Mapping[int, RigidTransform], lidar_from_imu: RigidTransform | None
+    ) -> RigidTransform | None:
+        """Compare with the extrinsics in files.
+
+        Returns:
+            What takes this lidar frame into that of the files, which differ only where there is no lidar; None where
+            sensors lie elsewhere.
+        """
+        same = RigidTransform.identity()
+        between = same
+        if not self.has_lidar:
+            between = (lidar_from_imu or same) @ (self.lidar_from_imu or same).inverse()
+        elif self.lidar_from_imu is not None and (
+            lidar_from_imu is None or not _same(lidar_from_imu, self.lidar_from_imu)
+        ):
+            return None
+        pairs = [(camera_from_lidar[number] @ between, self.camera_from_lidar[number]) for number in self.camera_models]
+        return between if all(_same(a, b) for a, b in pairs) else None
+
 
 def write_calibration(path: Path, benchmark: str, mounted: Mounted, kept: Mapping[str, Any] | None) -> RigidTransform:
     """Write a calibration file.
@@ -247,31 +267,8 @@ def _rectified_if_same(path: Path, mounted: Mounted) -> RigidTransform | None:
         return None
     if not all(b.model == "pinhole" and np.abs(a.matrix - b.matrix).max() <= _SAME for a, b in pairs):
         return None
-    between = files_lidar_from_lidar(mounts, read.lidar_from_imu, mounted)
+    between = mounted.files_lidar_from_lidar(mounts, read.lidar_from_imu)
     return None if between is None else read.rectified_from_lidar @ between
-
-
-def files_lidar_from_lidar(
-    camera_from_lidar: Mapping[int, RigidTransform], lidar_from_imu: RigidTransform | None, mounted: Mounted
-) -> RigidTransform | None:
-    """Compare the extrinsics in files with those of a scene.
-
-    Returns:
-        What takes the scene's lidar frame into that of the files, which differ only where the scene has no lidar; None
-        where sensors lie elsewhere.
-    """
-    same = RigidTransform.identity()
-    between = same
-    if not mounted.has_lidar:
-        between = (lidar_from_imu or same) @ (mounted.lidar_from_imu or same).inverse()
-    elif mounted.lidar_from_imu is not None and (
-        lidar_from_imu is None or not _same(lidar_from_imu, mounted.lidar_from_imu)
-    ):
-        return None
-    pairs = [
-        (camera_from_lidar[number] @ between, mounted.camera_from_lidar[number]) for number in mounted.camera_models
-    ]
-    return between if all(_same(a, b) for a, b in pairs) else None
 
 
 def _same(a: RigidTransform, b: RigidTransform) -> bool:

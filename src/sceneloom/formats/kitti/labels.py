@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, check_array, read_only
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.output import replacing
 from sceneloom.formats.kitti.text import Line, as_table, read_lines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.warnings import WarningKind
@@ -203,43 +202,6 @@ def joined_labels(parts: Sequence[KittiLabels]) -> KittiLabels:
     )
 
 
-def write_labels(labels: KittiLabels, path: Path | str, *, overwrite: bool = False) -> None:
-    """Write labels or results as the tracking benchmark has them, a line each in their order.
-
-    Numbers have six decimals.
-
-    Raises:
-        OutputError: the file exists, or cannot be written.
-        DataError: a number is not finite, or a class has a blank.
-    """
-    path = Path(path)
-    with replacing(path, overwrite=overwrite) as draft:
-        draft.write_text("".join(f"{line}\n" for line in format_labels(labels, path)), "utf-8", newline="\n")
-
-
-def format_labels(labels: KittiLabels, path: Path | str = "", *, tracked: bool = True) -> Iterator[str]:
-    """The lines of labels or results, without their ends.
-
-    Args:
-        path: what is written, for messages.
-        tracked: whether frame and track stand first, as in the tracking benchmark.
-
-    Raises:
-        DataError: a number is not finite, or a class has a blank.
-    """
-    values = labels.values
-    wrong = ~np.isfinite(values[:, 2:]).all(axis=1)
-    if wrong.any():
-        k = int(np.argmax(wrong))
-        raise DataError(path, f"object {k}", f"{values[k, 2:].tolist()}; expected finite numbers")
-    heads = zip(labels.frames.tolist(), labels.track_ids.tolist(), labels.types, values.tolist(), strict=True)
-    for frame, track, word, (truncation, occlusion, *row) in heads:
-        if not word or any(letter.isspace() for letter in word):
-            raise DataError(path, "", f"class {word!r}; expected a word without blanks")
-        first = f"{frame} {track} " if tracked else ""
-        yield f"{first}{word} {truncation:g} {int(occlusion)} {' '.join(f'{value:.6f}' for value in row)}"
-
-
 CENTRE_TO_CORNER = 0.5
 """KITTI counts pixels from the centre of the first one, boxes here from the image's own corner [px]."""
 
@@ -267,22 +229,6 @@ def lidar_boxes(
     lidar_from_rectified = rectified_from_lidar.inverse()
     rotated = lidar_from_rectified.rotate(headings)
     return (lidar_from_rectified.apply(centers), sizes_hwl[:, ::-1].copy(), np.arctan2(rotated[:, 1], rotated[:, 0]))
-
-
-def rectified_boxes(
-    centers: Float64Array, sizes_lwh: Float64Array, yaws: Float64Array, rectified_from_lidar: RigidTransform
-) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Give boxes of the lidar's frame as KITTI has them: the inverse of `lidar_boxes`.
-
-    Returns:
-        sizes_hwl: (N, 3) float64 [m].
-        bottoms: (N, 3) float64 [m], rectified camera frame.
-        rotations_y: (N,) float64 [rad], -π to π.
-    """
-    bottoms = rectified_from_lidar.apply(centers) + np.array([0.0, 0.5, 0.0]) * sizes_lwh[:, 2:]
-    headings = np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(len(yaws))])
-    rotated = rectified_from_lidar.rotate(headings)
-    return sizes_lwh[:, ::-1].copy(), bottoms, np.arctan2(-rotated[:, 2], rotated[:, 0])
 
 
 def observation_angles(bottoms: Float64Array, rotations_y: Float64Array) -> Float64Array:

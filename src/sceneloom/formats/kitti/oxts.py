@@ -29,29 +29,6 @@ _FIELDS = (
 """The numbers of a line. Source: `dataformat.txt` of KITTI's raw data."""
 
 
-def read_oxts(path: Path, timestamps_ns: Int64Array | None = None) -> Poses:
-    """Read the trajectory of the unit: metres east, north and up of its first fix, and x forward, y left, z up.
-
-    Args:
-        timestamps_ns: of the lines [ns], at least as many; None for ten a second from 0 on.
-
-    Raises:
-        DataError: a line has not 30 numbers, a position is not on earth, or there is no line.
-
-    Source: `dataformat.txt` of KITTI's raw data: yaw is 0 to the east and counter-clockwise; the rotation is
-    Rz(yaw) Ry(pitch) Rx(roll).
-    """
-    values = read_fields(path)
-    times = np.arange(len(values), dtype=np.int64) * PERIOD_NS if timestamps_ns is None else timestamps_ns
-    return _trajectory_of(values, times[: len(values)].copy())
-
-
-def _trajectory_of(values: Float64Array, timestamps_ns: Int64Array) -> Poses:
-    """The trajectory of lines (N, 30) in the order of `_FIELDS` and their times (N,) [ns]; see `read_oxts`."""
-    positions = enu_from_geodetic(values[:, :3], values[0, :3])
-    return Poses(timestamps_ns, positions, _quaternions(values[:, 3:6]))
-
-
 PERIOD_NS = 100_000_000
 """From frame to frame of KITTI's synchronised drives: ten a second."""
 
@@ -60,7 +37,7 @@ def read_fields(path: Path) -> Float64Array:
     """The numbers of each line, (N, 30) float64, in the order of `_FIELDS`.
 
     Raises:
-        DataError: as `read_oxts`.
+        DataError: a line has not 30 numbers, a position is not on earth, or there is no line.
     """
     rows = []
     for line in read_lines(path):
@@ -116,6 +93,9 @@ def oxts_sensors(
         timestamps_ns: (N,) int64 [ns], strictly rising.
         location: for messages.
         ledger: takes warnings of columns that state nothing.
+
+    Source: `dataformat.txt` of KITTI's raw data: yaw is 0 to the east and counter-clockwise; the rotation is
+    Rz(yaw) Ry(pitch) Rx(roll).
     """
     timestamps = read_only(timestamps_ns)
     accuracies = np.ascontiguousarray(values[:, _FIELDS.index("pos_accuracy")])
@@ -135,8 +115,8 @@ def oxts_sensors(
             ledger.note(WarningKind.ASSUMED, "oxts-zeros", location, message)
             continue
         streams[stream] = VectorSamples(timestamps, read_only(found))
-    path = _trajectory_of(values, timestamps)
-    trajectory = Trajectory(_TRAJECTORY, path.timestamps_ns, path.positions, path.quaternions_xyzw)
+    positions = enu_from_geodetic(values[:, :3], values[0, :3])
+    trajectory = Trajectory(_TRAJECTORY, timestamps, positions, _quaternions(values[:, 3:6]))
     return (gnss, ImuSensor(IMU_ID, MappingProxyType(streams))), trajectory
 
 

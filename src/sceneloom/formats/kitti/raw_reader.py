@@ -18,24 +18,8 @@ from sceneloom.formats.base.images import images_image_size
 from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
 from sceneloom.formats.kitti.calibration import rectified_camera, rotation_of
 from sceneloom.formats.kitti.oxts import oxts_sensors, read_fields
-from sceneloom.formats.kitti.sensors import (
-    LIDAR_ID,
-    RotationTimes,
-    camera_sensor,
-    kitti_metadata,
-    lidar_sensor,
-    stationary,
-)
-from sceneloom.formats.kitti.spec import (
-    CALIBRATION_FILES,
-    DRIVE_NAME,
-    IMAGES,
-    RAW_CAMERAS,
-    SWEEPS,
-    TEXTS,
-    is_raw_drive,
-    raw_drives_below,
-)
+from sceneloom.formats.kitti.sensors import LIDAR_ID, camera_sensor, kitti_metadata, lidar_sensor, stationary
+from sceneloom.formats.kitti.spec import CALIBRATION_FILES, DRIVE_NAME, IMAGES, RAW_CAMERAS, SWEEPS, TEXTS, raw_drives
 from sceneloom.formats.kitti.text import (
     LARGEST,
     NumberedFiles,
@@ -400,7 +384,7 @@ class RawDrive:
 
 def _find_drive(path: Path, wanted: str | None = None) -> RawDrive:
     """Find the only drive of a folder, or the wanted one: the drive's own folder, that of its day, or the one above."""
-    found = [path if path.name else path.resolve()] if is_raw_drive(path) else raw_drives_below(path)
+    found = raw_drives(path)
     if wanted is not None:
         chosen = [drive for drive in found if wanted in _names(drive)]
         if len(chosen) != 1:
@@ -543,7 +527,9 @@ def _is_rectified(drive: RawDrive, cameras: Mapping[int, _Stream], ledger: Ledge
     return found
 
 
-def _rotations(folder: Path, sweeps: _Stream, ledger: Ledger) -> tuple[Int64Array, RotationTimes | None]:
+def _rotations(
+    folder: Path, sweeps: _Stream, ledger: Ledger
+) -> tuple[Int64Array, tuple[Int64Array, Int64Array, Int64Array] | None]:
     """When sweeps began, and their rotations: by the files of starts and ends, where there are both."""
     locations = [folder / f"timestamps_{name}.txt" for name in ("start", "end")]
     if not all(location.is_file() for location in locations):
@@ -579,7 +565,7 @@ def _rotations(folder: Path, sweeps: _Stream, ledger: Ledger) -> tuple[Int64Arra
         raise DataError(
             locations[0], f"line {number + 1}", "is not later than the frame's before; expected rising times"
         )
-    return starts, RotationTimes(starts, sweeps.timestamps_ns, ends)
+    return starts, (starts, sweeps.timestamps_ns, ends)
 
 
 def _oxts(

@@ -16,7 +16,7 @@ from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.poses import mounting
 from sceneloom.formats.base.written_ego import ego_trajectory
-from sceneloom.formats.kitti.calibration import CAMERAS, SPARE_CAMERA, Mounted, files_lidar_from_lidar
+from sceneloom.formats.kitti.calibration import CAMERAS, SPARE_CAMERA, Mounted
 from sceneloom.formats.kitti.frames_writer import (
     NONE,
     PARALLEL_WITHIN,
@@ -76,7 +76,7 @@ def _says(folder: Path, mounted: Mounted, *, rectified: bool) -> bool:
         return False
     if any(read.camera_models[number] != camera_model for number, camera_model in mounted.camera_models.items()):
         return False
-    return files_lidar_from_lidar(read.camera_from_lidar, read.lidar_from_imu, mounted) is not None
+    return mounted.files_lidar_from_lidar(read.camera_from_lidar, read.lidar_from_imu) is not None
 
 
 def _built(mounted: Mounted, *, rectified: bool) -> dict[str, dict[str, str]]:

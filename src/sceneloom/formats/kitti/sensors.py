@@ -45,13 +45,8 @@ POINT_BYTES = KITTI.dtype.itemsize
 """How long a point is in a file of sweeps [bytes]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RotationTimes:
-    """When the scanner began each rotation, looked ahead and ended it, (N,) int64 [ns] each."""
-
-    starts_ns: Int64Array
-    middles_ns: Int64Array
-    ends_ns: Int64Array
+_Rotations = tuple[Int64Array, Int64Array, Int64Array]
+"""When the scanner began each rotation, looked ahead and ended it, (N,) int64 [ns] each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +57,7 @@ class _SweepFiles:
     names: tuple[str, ...]  # seen from the folder above theirs
     timestamps_ns: Int64Array
     scale: IntensityScale = _REFLECTANCE  # of the reflectance
-    rotations: RotationTimes | None = None  # None where the source does not report when sweeps began and ended
+    rotations: _Rotations | None = None  # None where the source does not report them
 
     def __call__(self, k: int) -> LidarFrame:
         """Read sweep `k`."""
@@ -74,10 +69,7 @@ class _SweepFiles:
             extras["clipped_intensities"] = clipped
         times = None
         if self.rotations is not None:
-            start_ns, middle_ns, end_ns = (
-                int(timestamps[k])
-                for timestamps in (self.rotations.starts_ns, self.rotations.middles_ns, self.rotations.ends_ns)
-            )
+            start_ns, middle_ns, end_ns = (int(timestamps[k]) for timestamps in self.rotations)
             times = read_only(times_in_rotation(positions, start_ns, middle_ns, end_ns))
             extras |= {"forward_ns": middle_ns, "end_ns": end_ns}
         points = LidarPoints(read_only(positions), read_only(intensities), timestamps_ns=times)
@@ -144,7 +136,7 @@ def lidar_sensor(
     path: Poses | None,
     ledger: Ledger,
     *,
-    rotations: RotationTimes | None = None,
+    rotations: _Rotations | None = None,
 ) -> LidarSensor:
     """The lidar.
 
@@ -154,7 +146,7 @@ def lidar_sensor(
         mount: `ego_from_lidar`.
         path: `world_from_ego`, or None.
         ledger: takes a warning if the reflectance has another scale.
-        rotations: when sweeps began and ended.
+        rotations: when the scanner began each, looked ahead and ended it, (N,) int64 [ns] each.
 
     Raises:
         DataError: the first sweep is wrong.

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from sceneloom.formats.base.losses import KEPT, Supports, approximated, converted, dropped
-from sceneloom.formats.base.spec import FormatSpec
+from sceneloom.formats.base.spec import FormatSpec, named_folder
 
 IMAGES = (".png", ".jpg", ".jpeg")
 SWEEPS = (".bin",)
@@ -18,12 +18,8 @@ TEXTS = (".txt",)
 LABELS = (".label",)
 """Endings of the files of each kind."""
 
-_MOST_DIGITS = 10
-
-
-def is_number(name: str) -> bool:
-    """Whether a name is nothing but digits."""
-    return name.isascii() and name.isdigit() and len(name) <= _MOST_DIGITS
+NUMBER = re.compile(r"[0-9]{1,10}")
+"""What the names of frames' files are."""
 
 
 def _has_numbered(folder: Path, suffixes: tuple[str, ...]) -> bool:
@@ -31,7 +27,7 @@ def _has_numbered(folder: Path, suffixes: tuple[str, ...]) -> bool:
     if not folder.is_dir():
         return False
     try:
-        return any(path.suffix.lower() in suffixes and is_number(path.stem) for path in folder.iterdir())
+        return any(path.suffix.lower() in suffixes and NUMBER.fullmatch(path.stem) for path in folder.iterdir())
     except OSError:
         return False
 
@@ -48,14 +44,16 @@ DRIVE_NAME = re.compile(r"(?P<date>\d{4}_\d\d_\d\d)_drive_(?P<number>\d{4})_(?P<
 _DATE = re.compile(r"\d{4}_\d\d_\d\d")
 
 
-def is_raw_drive(path: Path) -> bool:
+def _is_raw_drive(path: Path) -> bool:
     """Whether a folder has a sensor's folder as drives of the raw data have them."""
     return any((path / name / "data").is_dir() for name in (*RAW_CAMERAS, "velodyne_points", "oxts"))
 
 
-def raw_drives_below(path: Path) -> list[Path]:
-    """The drives of a day's folder, or of a folder of days, by name."""
-    return [child for child in _children(path) if DRIVE_NAME.fullmatch(child.name) and is_raw_drive(child)]
+def raw_drives(path: Path) -> list[Path]:
+    """The drive that a folder is, or the drives of a day's folder, or of a folder of days, by name."""
+    if _is_raw_drive(path):
+        return [named_folder(path)]
+    return [child for child in _children(path) if DRIVE_NAME.fullmatch(child.name) and _is_raw_drive(child)]
 
 
 def _children(path: Path) -> list[Path]:
@@ -69,7 +67,7 @@ def _children(path: Path) -> list[Path]:
 
 
 def _is_raw(path: Path) -> bool:
-    return path.is_dir() and (is_raw_drive(path) or bool(raw_drives_below(path)))
+    return path.is_dir() and bool(raw_drives(path))
 
 
 def _raw_near_miss(path: Path) -> str | None:
@@ -146,19 +144,13 @@ def _object_near_miss(path: Path) -> str | None:
     return None
 
 
-def tracking_folders(path: Path) -> list[Path]:
-    """The folders with sequences of the tracking benchmark of which more than a calibration is there."""
-    return [
-        folder
+def tracking_sequences(path: Path) -> dict[Path, tuple[str, ...]]:
+    """By the folder, names of the sequences of the tracking benchmark of which more than a calibration is there."""
+    found = {
+        folder: {name for kind in (*_OF_FOLDERS, *_OF_TEXTS) for name in _tracking_names(folder / kind)}
         for folder in _locations(path)
-        if any(_tracking_names(folder / kind) for kind in (*_OF_FOLDERS, *_OF_TEXTS))
-    ]
-
-
-def tracking_sequences(folder: Path) -> tuple[str, ...]:
-    """Names of the sequences of which anything is there but a calibration; of those alone, where there is no more."""
-    found = {name for kind in (*_OF_FOLDERS, *_OF_TEXTS) for name in _tracking_names(folder / kind)}
-    return tuple(sorted(found or _tracking_names(folder / "calib")))
+    }
+    return {folder: tuple(sorted(names)) for folder, names in found.items() if names}
 
 
 def _tracking_names(folder: Path) -> set[str]:
@@ -176,13 +168,13 @@ def _tracking_names(folder: Path) -> set[str]:
 
 
 def _is_tracking(path: Path) -> bool:
-    return path.is_dir() and any(_tracking_names(folder / "calib") for folder in tracking_folders(path))
+    return path.is_dir() and any(_tracking_names(folder / "calib") for folder in tracking_sequences(path))
 
 
 def _tracking_near_miss(path: Path) -> str | None:
     if not path.is_dir() or _is_tracking(path):
         return None
-    for folder in tracking_folders(path):
+    for folder in tracking_sequences(path):
         return (
             "sequences of KITTI's tracking benchmark without calibration: expected "
             f"{folder.name}/calib/0000.txt for each"
@@ -412,7 +404,7 @@ RAW = FormatSpec(
     looks_like="a drive of KITTI's raw data (2011_09_26_drive_0001_sync), or the folder of its day",
     sniff=_is_raw,
     near_miss=_raw_near_miss,
-    drives=raw_drives_below,
+    drives=raw_drives,
     reader="sceneloom.formats.kitti.raw_reader:open_raw",
     read_options=("sequence", "lenient"),
     writer="sceneloom.formats.kitti.raw_writer:write_raw",
@@ -438,7 +430,7 @@ TRACKING = FormatSpec(
     looks_like="sequences of KITTI's tracking benchmark (velodyne/0000, image_02/0000, label_02, calib)",
     sniff=_is_tracking,
     near_miss=_tracking_near_miss,
-    drives=lambda path: next(map(tracking_sequences, tracking_folders(path)), ()),
+    drives=lambda path: next(iter(tracking_sequences(path).values()), ()),
     reader="sceneloom.formats.kitti.tracking_reader:open_tracking",
     read_options=("sequence", "lenient"),
     writer="sceneloom.formats.kitti.benchmark_writer:write_tracking",

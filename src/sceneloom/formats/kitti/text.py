@@ -11,7 +11,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import file_faults, read_bytes
-from sceneloom.formats.kitti.spec import is_number
+from sceneloom.formats.kitti.spec import NUMBER
 from sceneloom.warnings import WarningKind
 
 LARGEST = 1e9
@@ -142,7 +142,7 @@ def numbered_files(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> N
     with file_faults(folder):
         candidates = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
     for path in candidates:
-        if not is_number(path.stem):
+        if not NUMBER.fullmatch(path.stem):
             message = "files that are not named by a number"
             ledger.note(WarningKind.SKIPPED, "names-without-number", str(path), message)
             continue

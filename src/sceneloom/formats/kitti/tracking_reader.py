@@ -28,7 +28,7 @@ from sceneloom.formats.kitti.labels import (
     read_boxes_3d_list,
     read_labels,
 )
-from sceneloom.formats.kitti.oxts import PERIOD_NS, oxts_sensors, read_fields, read_oxts
+from sceneloom.formats.kitti.oxts import PERIOD_NS, oxts_sensors, read_fields
 from sceneloom.formats.kitti.sensors import (
     LabelLocations,
     camera_id,
@@ -38,11 +38,11 @@ from sceneloom.formats.kitti.sensors import (
     lidar_sensor,
     stationary,
 )
-from sceneloom.formats.kitti.spec import IMAGES, PARTS, SWEEPS, TRACKING_CAMERAS, tracking_folders, tracking_sequences
+from sceneloom.formats.kitti.spec import IMAGES, PARTS, SWEEPS, TRACKING_CAMERAS, tracking_sequences
 from sceneloom.formats.kitti.text import choose_sequence, frames_within, note_other_part, note_unread, numbered_files
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import Annotation
-from sceneloom.scene.cameras import CameraImage, CameraSensor
+from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import ImuSensor, OdometrySensor
@@ -53,6 +53,8 @@ from sceneloom.warnings import DataWarning, WarningKind
 
 CAMERA_ID, LIDAR_ID = "camera2", "velodyne"
 """What the sensors of a sequence are called."""
+
+_EGO_ID = "ego"  # what the sensor is called whose trajectory is that of the OXTS unit
 
 _CAMERA = 2  # the number of the camera in whose images detections and labels are
 
@@ -117,6 +119,29 @@ class KittiSequence:
         placed = lidar_boxes(values[:, 7:10], values[:, 10:13], values[:, 13], self.rectified_from_lidar)
         scores = values[:, 6].copy()
         return Boxes3D(time_ns, *placed, scores, labels, score_form=ScoreForm.LOGIT, sensor_id=LIDAR_ID)
+
+    def scene(self, *, source: str = "kitti") -> Scene:
+        """The ego trajectory, and the camera model and mounting of the camera; there are no images beside detections.
+
+        Where trajectory or extrinsics of the OXTS unit are not known, the ego is the lidar, stationary at the origin.
+
+        Args:
+            source: where it comes from, for messages.
+        """
+        ego_from_lidar, path = RigidTransform.identity(), Poses.identity()
+        if self.world_from_ego is not None and self.lidar_from_imu is not None:
+            ego_from_lidar, path = self.lidar_from_imu.inverse(), self.world_from_ego
+        mount = ego_from_lidar @ self.camera_from_lidar.inverse()
+        camera = CameraSensor(
+            CAMERA_ID,
+            self.camera,
+            LazyFrames.of([], []),
+            poses=Poses(np.zeros(1, np.int64), mount.translation[None], mount.quaternion_xyzw[None]),
+            mount=mount,
+            coordinates=Coordinates.EGO,
+            parent_id=_EGO_ID,
+        )
+        return Scene((OdometrySensor(_EGO_ID, path), camera), source=source, format="kitti")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,8 +211,9 @@ class KittiTracking:
             files.note_short_oxts(poses, max(frames))
         times = files.times(max(poses, *frames))
         trajectory = None
-        if poses and calibration.lidar_from_imu is not None:
-            trajectory = read_oxts(files.text("oxts"), times)
+        if fields is not None and calibration.lidar_from_imu is not None:
+            quiet = Ledger(lenient=True)  # of the IMU, which is not asked for here
+            trajectory = oxts_sensors(fields, times[:poses].copy(), "", quiet)[1].poses
         elif poses:
             files.note_no_mounting("the trajectory")
         return KittiSequence(
@@ -362,13 +388,13 @@ def open_tracking(path: Path, *, sequence: str | None = None, lenient: bool = Fa
     """
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        found = tracking_folders(path)
+        found = tracking_sequences(path)
         if not found:
             expected = "velodyne/0000, image_02/0000, label_02/0000.txt or oxts/0000.txt"
             raise DataError(path, "", f"holds no sequences; expected {expected}")
-        note_other_part(path, found, ledger)
-        name = choose_sequence(path, tracking_sequences(found[0]), sequence)
-        return _open(_Files(found[0], name, ledger))
+        note_other_part(path, [*found], ledger)
+        folder, names = next(iter(found.items()))
+        return _open(_Files(folder, choose_sequence(path, names, sequence), ledger))
 
 
 def _open(files: _Files) -> Scene:
@@ -467,35 +493,3 @@ def _annotations(labels: KittiLabels, times: Int64Array, source: PoseSource, fil
         labels = labels.select(known)
     timestamps = times[labels.frames]
     return label_annotations(labels, LabelLocations(timestamps, source.at(timestamps), camera_id(_CAMERA), file))
-
-
-_EGO_ID = "ego"  # what the sensor is called whose trajectory is that of the OXTS unit
-
-
-def _no_image(number: int) -> CameraImage:
-    raise OptionError(f"image {number}: the sequence has none")
-
-
-def sequence_scene(sequence: KittiSequence, *, source: str = "kitti") -> Scene:
-    """Give the ego trajectory and the camera model and mounting of the camera; lists of detections come without images.
-
-    Where trajectory or extrinsics of the OXTS unit are not known, the ego is the lidar, stationary at the origin.
-
-    Args:
-        sequence: what is known of it.
-        source: where it comes from, for messages.
-    """
-    ego_from_lidar, path = RigidTransform.identity(), Poses.identity()
-    if sequence.world_from_ego is not None and sequence.lidar_from_imu is not None:
-        ego_from_lidar, path = sequence.lidar_from_imu.inverse(), sequence.world_from_ego
-    mount = ego_from_lidar @ sequence.camera_from_lidar.inverse()
-    camera = CameraSensor(
-        CAMERA_ID,
-        sequence.camera,
-        LazyFrames(np.zeros(0, np.int64), _no_image),
-        poses=Poses(np.zeros(1, np.int64), mount.translation[None], mount.quaternion_xyzw[None]),
-        mount=mount,
-        coordinates=Coordinates.EGO,
-        parent_id=_EGO_ID,
-    )
-    return Scene((OdometrySensor(_EGO_ID, path), camera), source=source, format="kitti")

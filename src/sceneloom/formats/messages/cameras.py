@@ -413,38 +413,38 @@ class CameraDraft:
     is_depth: bool
     video: _MessageVideo | None = None
 
+    @classmethod
+    def of(cls, survey: Survey, topic: Topic, camera_model_topic: Topic | None) -> "CameraDraft":
+        """Find out what a topic of images shows; its first message is read.
+
+        Raises:
+            DataError: the first message is damaged, or the camera model is.
+            UnknownFormatError: the images are of a form that is not read.
+        """
+        timestamps = survey.times_ns[topic.number]
+        location = f"{survey.log.name}: {topic.name}"
+        if topic.kind is Kind.VIDEO:
+            return _draft_video(survey, topic, camera_model_topic, timestamps, location)
+        rows = in_order(timestamps, location, survey.ledger)
+        first: Any = survey.log.read(topic, int(rows[0]))[0]
+        owner, where = survey.log.name, f"{topic.name}[{int(rows[0])}]"
+        if isinstance(first, ImageRecord):
+            is_depth, size = not _encoding_of(first, owner, where).order, (first.width, first.height)
+        else:
+            form = _image_form(first, owner, where)
+            is_depth, size = False, image_size(bytes(first.data), form, owner=owner, location=where)
+        camera_models = _camera_models(survey, camera_model_topic, size, location)
+        scale = MILLIMETRE if is_depth and first.encoding == "16UC1" else None
+        reader = _ImageReader(survey.log, topic, rows, timestamps[rows], camera_models, scale)
+        frames: LazyFrames[Any] = LazyFrames(timestamps[rows], reader.depth_frame if is_depth else reader.image)
+        return cls(topic, first.frame_id, camera_models.cameras[0], frames, is_depth)
+
     def sensor(self, sensor_id: str | int, **fields: Any) -> CameraSensor | DepthCameraSensor:
         """The sensor, with further fields."""
         if self.is_depth:
             return DepthCameraSensor(sensor_id, self.camera_model, self.frames, **fields)
         content: VideoContent | None = None if self.video is None else self.video.content()
         return CameraSensor(sensor_id, self.camera_model, self.frames, video=content, **fields)
-
-
-def draft_camera(survey: Survey, topic: Topic, camera_model_topic: Topic | None) -> CameraDraft:
-    """Find out what a topic of images shows; its first message is read.
-
-    Raises:
-        DataError: the first message is damaged, or the camera model is.
-        UnknownFormatError: the images are of a form that is not read.
-    """
-    timestamps = survey.times_ns[topic.number]
-    location = f"{survey.log.name}: {topic.name}"
-    if topic.kind is Kind.VIDEO:
-        return _draft_video(survey, topic, camera_model_topic, timestamps, location)
-    rows = in_order(timestamps, location, survey.ledger)
-    first: Any = survey.log.read(topic, int(rows[0]))[0]
-    owner, where = survey.log.name, f"{topic.name}[{int(rows[0])}]"
-    if isinstance(first, ImageRecord):
-        is_depth, size = not _encoding_of(first, owner, where).order, (first.width, first.height)
-    else:
-        form = _image_form(first, owner, where)
-        is_depth, size = False, EncodedImage(bytes(first.data), form, 0, 0, owner, where).stated_size()
-    camera_models = _camera_models(survey, camera_model_topic, size, location)
-    scale = MILLIMETRE if is_depth and first.encoding == "16UC1" else None
-    reader = _ImageReader(survey.log, topic, rows, timestamps[rows], camera_models, scale)
-    frames: LazyFrames[Any] = LazyFrames(timestamps[rows], reader.depth_frame if is_depth else reader.image)
-    return CameraDraft(topic, first.frame_id, camera_models.cameras[0], frames, is_depth)
 
 
 def _draft_video(

@@ -1,6 +1,6 @@
 """Messages of points as sweeps of a lidar or cycles of a radar, and back: packed fields, times of points."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -274,7 +274,7 @@ def _placed(points: LidarPoints, frame_from_points: RigidTransform | None) -> Li
     return replace(points, positions=read_only(frame_from_points.apply(points.positions), np.float32))
 
 
-def _speed_column(columns: Mapping[str, AnyArray]) -> str | None:
+def _speed_column(columns: Iterable[str]) -> str | None:
     """The column of speeds along the line of sight, or None."""
     lower = {name.lower(): name for name in columns}
     return next((lower[name] for name in SPEED_COLUMNS if name in lower), None)
@@ -367,6 +367,23 @@ class CloudDraft:
     frame_id: str
     is_radar: bool
 
+    @classmethod
+    def of(cls, survey: Survey, topic: Topic) -> "CloudDraft":
+        """Find out what a topic of points holds; its first messages are read.
+
+        Raises:
+            DataError: the first message is damaged.
+        """
+        timestamps = survey.times_ns[topic.number]
+        rows = in_order(timestamps, f"{survey.log.name}: {topic.name}", survey.ledger)
+        first = survey.log.read(topic, int(rows[0]))[0]
+        if not isinstance(first, CloudRecord):
+            raise DataError(survey.log.name, f"{topic.name}[{int(rows[0])}]", "no points; expected a cloud")
+        ours = survey.notes.ours and any(note.get("topic") == topic.name for note in survey.notes.sensors)
+        reader = _CloudReader(survey.log, topic, rows, timestamps[rows], timestamps[rows], whole=ours)
+        names = {field.name for field in first.fields}
+        return cls(_understood(reader, survey.ledger), first.frame_id, _is_radar(topic.name, names))
+
     def sensor(self, sensor_id: str | int, *, radar: bool | None = None, **fields: Any) -> LidarSensor | RadarSensor:
         """The sensor, with further fields."""
         times = self.reader.starts_ns
@@ -381,25 +398,7 @@ class CloudDraft:
         return PointsSensor(sensor_id, points.positions, points.colors, **fields)
 
 
-def draft_cloud(survey: Survey, topic: Topic) -> CloudDraft:
-    """Find out what a topic of points holds; its first messages are read.
-
-    Raises:
-        DataError: the first message is damaged.
-    """
-    timestamps = survey.times_ns[topic.number]
-    location = f"{survey.log.name}: {topic.name}"
-    rows = in_order(timestamps, location, survey.ledger)
-    first = survey.log.read(topic, int(rows[0]))[0]
-    if not isinstance(first, CloudRecord):
-        raise DataError(survey.log.name, f"{topic.name}[{int(rows[0])}]", "no points; expected a cloud")
-    ours = survey.notes.ours and any(note.get("topic") == topic.name for note in survey.notes.sensors)
-    reader = _CloudReader(survey.log, topic, rows, timestamps[rows], timestamps[rows], whole=ours)
-    names = {field.name: np.zeros(0) for field in first.fields}
-    return CloudDraft(_understood(reader, survey.ledger), first.frame_id, _is_radar(topic.name, names))
-
-
-def _is_radar(name: str, columns: dict[str, AnyArray]) -> bool:
+def _is_radar(name: str, columns: Iterable[str]) -> bool:
     """Whether points are a radar's: they have speeds, and the topic or our own fields report it."""
     reported = "radar" in name.lower() or all(column in columns for column in DIRECTION_COLUMNS)
     return reported and _speed_column(columns) is not None

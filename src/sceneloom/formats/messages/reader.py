@@ -14,8 +14,8 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import lengths_of
-from sceneloom.formats.messages.cameras import CameraDraft, draft_camera
-from sceneloom.formats.messages.points import CloudDraft, draft_cloud
+from sceneloom.formats.messages.cameras import CameraDraft
+from sceneloom.formats.messages.points import CloudDraft
 from sceneloom.formats.messages.records import (
     LARGE,
     AnyRecord,
@@ -1128,10 +1128,10 @@ def _draft_all(found: Survey, cameras: list[CameraDraft]) -> list[CloudDraft]:
     for topic in found.topics(Kind.CLOUD, *_IMAGE_KINDS):
         try:
             if topic.kind is Kind.CLOUD:
-                clouds.append(draft_cloud(found, topic))
+                clouds.append(CloudDraft.of(found, topic))
                 continue
             name = noted[topic.name] if topic.name in noted else _nearest(topic.name, camera_models)
-            cameras.append(draft_camera(found, topic, camera_models.get(name or "")))
+            cameras.append(CameraDraft.of(found, topic, camera_models.get(name or "")))
         except UnknownFormatError as error:
             location = f"{found.log.name}: {topic.name}"
             message = f"images that are not read: {error.problem}"

@@ -1,17 +1,14 @@
 """The JSON of an OpenLABEL file: parts with their locations, keywords, and the fields that it has no keywords for."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from types import MappingProxyType, NoneType
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from sceneloom.errors import DataError, SceneloomError
-from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.scene.annotations import (
     Activation,
     Annotation,
@@ -29,8 +26,6 @@ from sceneloom.scene.annotations import (
     ShapeAnnotation,
     ShapeType,
 )
-from sceneloom.scene.types import NO_FIELDS
-from sceneloom.warnings import WarningKind
 
 SCHEMA_VERSION = "1.0.0"
 
@@ -72,9 +67,6 @@ OURS_CAMERA = ("model", "width", "height", "fx", "fy", "cx", "cy")
 FISHEYE = {"center_x": "cx", "center_y": "cy", "focal_length_x": "fx", "focal_length_y": "fy"}
 """Fields of a fisheye's intrinsics, and ours."""
 
-_SHOWN = 60
-_LARGEST = 1e150
-
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
@@ -99,90 +91,6 @@ def is_json(value: Any) -> bool:
         return bool(msgspec.json.decode(msgspec.json.encode(value)) == value)
     except (TypeError, ValueError, OverflowError, msgspec.MsgspecError, RecursionError):
         return False
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """A part of a document.
-
-    Attributes:
-        file: the document's.
-        location: where the part is in it ("openlabel.frames.3").
-        value: as in the file.
-    """
-
-    file: Path
-    location: str
-    value: Any
-
-    def fault(self, expected: str) -> DataError:
-        """The error of a part that is not what was expected."""
-        text = repr(self.value)
-        shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
-        return DataError(self.file, self.location, f"{shown}; expected {expected}")
-
-    def note(self, ledger: Ledger, kind: WarningKind, code: str, message: str, *, count: int = 1) -> None:
-        """Add a warning about the part."""
-        ledger.note(kind, code, f"{self.file}: {self.location}", message, count=count)
-
-    def members(self) -> dict[str, Any]:
-        """The members of a JSON object; DataError if it is none."""
-        if not isinstance(self.value, dict):
-            raise self.fault("a JSON object")
-        return self.value
-
-    def get(self, name: str) -> "Part | None":
-        """An optional member; null counts as missing."""
-        value = self.members().get(name)
-        return None if value is None else Part(self.file, f"{self.location}.{name}", value)
-
-    def need(self, name: str) -> "Part":
-        """A required member; DataError if it is missing."""
-        found = self.get(name)
-        if found is None:
-            raise DataError(self.file, f"{self.location}.{name}", "missing")
-        return found
-
-    def below(self, name: str) -> "Part":
-        """A member; an empty object if it is missing."""
-        return self.get(name) or Part(self.file, f"{self.location}.{name}", {})
-
-    def each(self, name: str) -> Iterator[tuple[str, "Part"]]:
-        """The members of an optional member, by name."""
-        found = self.below(name)
-        for key, value in found.members().items():
-            yield key, Part(self.file, f"{found.location}.{key}", value)
-
-    def items(self, name: str) -> Iterator["Part"]:
-        """The elements of an optional list."""
-        found = self.get(name)
-        if found is not None:
-            if not isinstance(found.value, list):
-                raise found.fault("a list")
-            for k, value in enumerate(found.value):
-                yield Part(self.file, f"{found.location}[{k}]", value)
-
-    def text(self) -> str:
-        """A text; DataError if it is none."""
-        if not isinstance(self.value, str):
-            raise self.fault("a text")
-        return self.value
-
-    def numbers(self, *counts: int) -> list[float]:
-        """A list of finite numbers; DataError if it is none, or not of one of the lengths, if there are any."""
-        values = self.value
-        sound = (
-            isinstance(values, list)
-            and {*map(type, values)} <= {int, float}
-            and all(-_LARGEST < end < _LARGEST for end in (min(values, default=0), max(values, default=0)))
-        )
-        if not sound or (counts and len(values) not in counts):
-            raise self.fault(f"a list of {' or '.join(map(str, counts))}{' ' * bool(counts)}numbers")
-        return [*map(float, values)]
-
-    def number(self) -> float:
-        """A finite number; DataError if it is none."""
-        return Part(self.file, self.location, [self.value]).numbers(1)[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +138,7 @@ def _list_of(read: Callable[[Any], Any], write: Callable[[Any], Any]) -> _Field:
 
 
 def _records(kind: type) -> _Field:
-    return _list_of(lambda stated: _record(kind, stated), lambda one: record_fields(one))  # noqa: PLW0108 - defined below
+    return _list_of(lambda stated: _record(kind, stated), lambda one: own_fields(one))  # noqa: PLW0108 - defined below
 
 
 _SEEN: _Fields = {"sensor_id": _ID, "timestamps_ns": _TIMES, "extras": _EXTRAS}
@@ -264,7 +172,7 @@ _OF_CLASS: Mapping[type[Any], _Fields] = MappingProxyType(
         PointsAnnotation: {
             "labels": _tuple_of(str),
             "paths": _records(PointPath).or_null,
-            "projections": _list_of(_records(PointProjection).read, lambda row: [*map(record_fields, row)]),
+            "projections": _list_of(_records(PointProjection).read, lambda row: [*map(own_fields, row)]),
         },
         ObjectAnnotation: {"type": _TEXT},
     }
@@ -272,16 +180,14 @@ _OF_CLASS: Mapping[type[Any], _Fields] = MappingProxyType(
 """Fields of annotations that the data of the format do not hold: of every class that has them, and of one only."""
 
 
-def record_fields(record: Any) -> dict[str, Any]:
-    """Write a record in full, but for extra fields that JSON cannot hold."""
-    return _written(record, _RECORDS[type(record)])
+def own_fields(annotation: Any) -> dict[str, Any]:
+    """Write what the data of the format do not hold of an annotation; a record of it in full.
 
-
-def annotation_fields(annotation: Any) -> dict[str, Any]:
-    """Write what the data of the format do not hold of an annotation.
-
-    Attributes, extra fields and projections of cuboids depend on what is written as data, and are left to the writer.
+    Extra fields that JSON cannot hold are left out. Attributes, extra fields and projections of cuboids depend on what
+    is written as data, and are left to the writer.
     """
+    if type(annotation) in _RECORDS:
+        return _written(annotation, _RECORDS[type(annotation)])
     fields = _written(annotation, _COMMON)
     if isinstance(annotation, EventAnnotation):
         fields["duration_ns"] = annotation.duration_ns
@@ -330,29 +236,13 @@ def _record(kind: type[Any], stated: Mapping[str, Any]) -> Any:
 SeenBoxes = Mapping[int, tuple[tuple[float, ...], bool | None]]
 """Boxes `x y width height` [px], and whether a person confirmed them, by their times [ns]."""
 
-_FAULTS = (SceneloomError, TypeError, ValueError, KeyError, OverflowError, AttributeError)
 
-
-def restored(own: Part | None, annotation: Annotation, boxes: Mapping[str, SeenBoxes] = NO_FIELDS) -> Annotation:
-    """The annotation with the fields that we wrote of it.
+def restored(annotation: Any, fields: Mapping[str, Any], boxes: Mapping[str, SeenBoxes]) -> Annotation:
+    """The annotation as the data of the format state it, with the fields that we wrote of it.
 
     Args:
-        own: the fields, or None.
-        annotation: as the data of the format state it.
         boxes: in images, by the names of the data that are projections of it.
-
-    Raises:
-        DataError: they do not fit.
     """
-    if own is None:
-        return annotation
-    try:
-        return _restored(annotation, own.members(), boxes)
-    except _FAULTS as error:
-        raise own.fault(f"the fields of an annotation: {error}") from error
-
-
-def _restored(annotation: Any, fields: Mapping[str, Any], boxes: Mapping[str, SeenBoxes]) -> Annotation:
     kind: Any = type(annotation)
     if kind is ObjectAnnotation:
         kind = _CLASSES.get(fields.get("class"), kind)  # type: ignore[arg-type]

@@ -34,7 +34,6 @@ from sceneloom.formats.openlabel.document import (
     RELATIVE,
     SCHEMA_VERSION,
     TYPE,
-    Part,
     SeenBoxes,
     restored,
 )
@@ -70,6 +69,107 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import NO_FIELDS, Identifier
 from sceneloom.warnings import WarningKind
 
+_SHOWN = 60
+_LARGEST = 1e150
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A part of a document.
+
+    Attributes:
+        file: the document's.
+        location: where the part is in it ("openlabel.frames.3").
+        value: as in the file.
+    """
+
+    file: Path
+    location: str
+    value: Any
+
+    def fault(self, expected: str) -> DataError:
+        """The error of a part that is not what was expected."""
+        text = repr(self.value)
+        shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
+        return DataError(self.file, self.location, f"{shown}; expected {expected}")
+
+    def note(self, ledger: Ledger, kind: WarningKind, code: str, message: str, *, count: int = 1) -> None:
+        """Add a warning about the part."""
+        ledger.note(kind, code, f"{self.file}: {self.location}", message, count=count)
+
+    def members(self) -> dict[str, Any]:
+        """The members of a JSON object; DataError if it is none."""
+        if not isinstance(self.value, dict):
+            raise self.fault("a JSON object")
+        return self.value
+
+    def get(self, name: str) -> "_Part | None":
+        """An optional member; null counts as missing."""
+        value = self.members().get(name)
+        return None if value is None else _Part(self.file, f"{self.location}.{name}", value)
+
+    def need(self, name: str) -> "_Part":
+        """A required member; DataError if it is missing."""
+        found = self.get(name)
+        if found is None:
+            raise DataError(self.file, f"{self.location}.{name}", "missing")
+        return found
+
+    def below(self, name: str) -> "_Part":
+        """A member; an empty object if it is missing."""
+        return self.get(name) or _Part(self.file, f"{self.location}.{name}", {})
+
+    def each(self, name: str) -> Iterator[tuple[str, "_Part"]]:
+        """The members of an optional member, by name."""
+        found = self.below(name)
+        for key, value in found.members().items():
+            yield key, _Part(self.file, f"{found.location}.{key}", value)
+
+    def items(self, name: str) -> Iterator["_Part"]:
+        """The elements of an optional list."""
+        found = self.get(name)
+        if found is not None:
+            if not isinstance(found.value, list):
+                raise found.fault("a list")
+            for k, value in enumerate(found.value):
+                yield _Part(self.file, f"{found.location}[{k}]", value)
+
+    def text(self) -> str:
+        """A text; DataError if it is none."""
+        if not isinstance(self.value, str):
+            raise self.fault("a text")
+        return self.value
+
+    def numbers(self, *counts: int) -> list[float]:
+        """A list of finite numbers; DataError if it is none, or not of one of the lengths, if there are any."""
+        values = self.value
+        sound = (
+            isinstance(values, list)
+            and {*map(type, values)} <= {int, float}
+            and all(-_LARGEST < end < _LARGEST for end in (min(values, default=0), max(values, default=0)))
+        )
+        if not sound or (counts and len(values) not in counts):
+            raise self.fault(f"a list of {' or '.join(map(str, counts))}{' ' * bool(counts)}numbers")
+        return [*map(float, values)]
+
+    def number(self) -> float:
+        """A finite number; DataError if it is none."""
+        return _Part(self.file, self.location, [self.value]).numbers(1)[0]
+
+
+_FAULTS = (SceneloomError, TypeError, ValueError, KeyError, OverflowError, AttributeError)
+
+
+def _restored(own: _Part | None, annotation: Annotation, boxes: Mapping[str, SeenBoxes] = NO_FIELDS) -> Annotation:
+    """The annotation with the fields that we wrote of it, if there are any; DataError if they do not fit."""
+    if own is None:
+        return annotation
+    try:
+        return restored(annotation, own.members(), boxes)
+    except _FAULTS as error:
+        raise own.fault(f"the fields of an annotation: {error}") from error
+
+
 _DEFAULT_RATE_HZ = 10.0
 
 
@@ -104,7 +204,7 @@ class _FrameTimes:
         return self.by_number[nearest] + round((number - nearest) * 1e9 / _DEFAULT_RATE_HZ)
 
 
-def _read_frame_times(document: Part, ledger: Ledger, rate_hz: float | None) -> _FrameTimes:
+def _read_frame_times(document: _Part, ledger: Ledger, rate_hz: float | None) -> _FrameTimes:
     """Read the times of all frames; those without one are timed by their number, or by their distance from others."""
     known: dict[int, int] = {}
     missing: list[int] = []
@@ -125,7 +225,7 @@ def _read_frame_times(document: Part, ledger: Ledger, rate_hz: float | None) -> 
     return _FrameTimes(known)
 
 
-def _timestamp_ns(timestamp: Part) -> int:
+def _timestamp_ns(timestamp: _Part) -> int:
     """Read a time [ns]: a number or its text, in seconds or another unit that makes it a time of our day; or a date."""
     value = timestamp.value
     if isinstance(value, int | float) and not isinstance(value, bool):
@@ -144,7 +244,7 @@ def _timestamp_ns(timestamp: Part) -> int:
     raise timestamp.fault("a time in seconds, or a date as 2011-09-26T13:02:25.594Z")
 
 
-def _read_transform(part: Part) -> RigidTransform:
+def _read_transform(part: _Part) -> RigidTransform:
     """Read a matrix of 4 times 4 by rows, or a translation with a quaternion x y z w or Euler angles."""
     matrix = part.get("matrix4x4")
     if matrix is not None:
@@ -161,7 +261,7 @@ def _read_transform(part: Part) -> RigidTransform:
     return RigidTransform.from_quaternion(translation, rotation)
 
 
-def _of_matrix(part: Part) -> RigidTransform:
+def _of_matrix(part: _Part) -> RigidTransform:
     matrix = np.array(part.numbers(16)).reshape(4, 4)
     if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-9):
         raise part.fault("a matrix by rows, whose last row is 0 0 0 1")
@@ -174,7 +274,7 @@ def _of_matrix(part: Part) -> RigidTransform:
     return nearest
 
 
-def _unit_quaternions(parts: Sequence[Part], values: list[list[float]]) -> Float64Array:
+def _unit_quaternions(parts: Sequence[_Part], values: list[list[float]]) -> Float64Array:
     """Quaternions x y z w, (N, 4), of length 1 within a hundredth; one part each, for messages."""
     quaternions = np.array(values, np.float64)
     wrong = np.flatnonzero(lengths_of(quaternions)[1])
@@ -183,7 +283,7 @@ def _unit_quaternions(parts: Sequence[Part], values: list[list[float]]) -> Float
     return normalise_quaternion(quaternions)
 
 
-def _quaternion_from_euler(part: Part, angles: list[float], sequence: str = _DEFAULT_SEQUENCE) -> Float64Array:
+def _quaternion_from_euler(part: _Part, angles: list[float], sequence: str = _DEFAULT_SEQUENCE) -> Float64Array:
     """The product of three rotations about named axes, x y z w: of "ZYX" and (a, b, c) it is Rz(a) Ry(b) Rx(c)."""
     if len(sequence) != 3 or not set(sequence.upper()) <= set("XYZ"):
         raise DataError(part.file, f"{part.location}.sequence", f"{sequence!r}; expected three of X, Y, Z")
@@ -241,7 +341,7 @@ class _Systems:
         return positions, quaternions
 
 
-def _read_systems(document: Part, times: _FrameTimes, ledger: Ledger) -> _Systems:
+def _read_systems(document: _Part, times: _FrameTimes, ledger: Ledger) -> _Systems:
     """Read the coordinate systems and the transforms of all frames."""
     parents: dict[str, str] = {}
     edges: dict[str, tuple[str, Poses]] = {}
@@ -284,7 +384,7 @@ def _poses(by_time: dict[int, RigidTransform], *, static: bool = False) -> Poses
 _KNOWN_TYPES = ("camera", "lidar", "radar", "gps_imu", "other")
 
 
-def _read_streams(document: Part, systems: _Systems, ledger: Ledger) -> dict[str, Sensor]:
+def _read_streams(document: _Part, systems: _Systems, ledger: Ledger) -> dict[str, Sensor]:
     """Read all streams by their names, placed by the coordinate systems of these names."""
     found = {name: _sensor(name, stream, systems, ledger) for name, stream in document.each("streams")}
     if found:
@@ -293,7 +393,7 @@ def _read_streams(document: Part, systems: _Systems, ledger: Ledger) -> dict[str
     return found
 
 
-def _sensor(name: str, stream: Part, systems: _Systems, ledger: Ledger) -> Sensor:
+def _sensor(name: str, stream: _Part, systems: _Systems, ledger: Ledger) -> Sensor:
     kind = "other" if stream.get("type") is None else stream.need("type").text()
     if kind not in _KNOWN_TYPES:
         raise stream.need("type").fault(f"one of {', '.join(_KNOWN_TYPES)}")
@@ -347,7 +447,7 @@ def _placed(name: str, systems: _Systems) -> dict[str, Any]:
     return found
 
 
-def _read_camera(properties: Part) -> Camera | None:
+def _read_camera(properties: _Part) -> Camera | None:
     """The camera model of a stream: ours, else that of the format; None where it is missing or unknown."""
     ours = properties.get(OURS)
     camera = None if ours is None else ours.get("camera_model")
@@ -364,7 +464,7 @@ def _read_camera(properties: Part) -> Camera | None:
     return None if fisheye is None else _fisheye(fisheye)
 
 
-def _pinhole(part: Part) -> Camera:
+def _pinhole(part: _Part) -> Camera:
     matrix = part.get("camera_matrix_3x4") or part.get("camera_matrix")
     if matrix is None:
         raise DataError(part.file, f"{part.location}.camera_matrix_3x4", "missing")
@@ -382,7 +482,7 @@ def _pinhole(part: Part) -> Camera:
     return _built(part, "brown_conrady", *values, tuple(ordered[:count].tolist()))
 
 
-def _fisheye(part: Part) -> Camera | None:
+def _fisheye(part: _Part) -> Camera | None:
     numbers = {field: found for name, field in FISHEYE.items() if (found := part.get(name)) is not None}
     listed = part.get("camera_model_coeffs_1xN") or part.get("camera_model_coeffs_1x4")
     model = part.get("model")
@@ -393,14 +493,14 @@ def _fisheye(part: Part) -> Camera | None:
     return _built(part, "fisheye", *size, *values, tuple(listed.numbers(4)))
 
 
-def _pixels(part: Part, name: str) -> int:
+def _pixels(part: _Part, name: str) -> int:
     found = part.need(name)
     if not isinstance(found.value, int) or not 0 < found.value < 1 << 20:
         raise found.fault("a number of pixels")
     return found.value
 
 
-def _built(part: Part, *values: Any) -> Camera:
+def _built(part: _Part, *values: Any) -> Camera:
     try:
         return Camera(*values)
     except (SceneloomError, TypeError) as error:
@@ -420,7 +520,7 @@ class _Stated:
     """One element of data at the time of its frame [ns]; None where it holds for the whole object."""
 
     time_ns: int | None
-    part: Part
+    part: _Part
 
 
 _Data = dict[tuple[str, str], list[_Stated]]  # what is stated, by the type and the name of the data
@@ -433,7 +533,7 @@ class _Element:
     kind: str  # "object", "action", "event" or "context"
     uid: str
     id: str  # `uid`, with its kind where something else of the file has the same key
-    head: Part  # its entry in the root
+    head: _Part  # its entry in the root
     data: _Data = field(default_factory=dict)
     frames: list[int] = field(default_factory=list)  # numbers of the frames that name it
 
@@ -452,12 +552,12 @@ class _Element:
             found.append((start, stop))
         return found
 
-    def take(self, data: Part, time_ns: int | None) -> None:
+    def take(self, data: _Part, time_ns: int | None) -> None:
         """Add the data of a frame, or of the head; of data of equal names the second is called `name#2`."""
         for kind, values in data.members().items():
             if kind not in (*_SHAPES, *PLAIN, *KEPT_WHOLE):
                 known = ", ".join((*_SHAPES, *PLAIN, *KEPT_WHOLE))
-                wrong = Part(data.file, f"{data.location}.{kind}", values)
+                wrong = _Part(data.file, f"{data.location}.{kind}", values)
                 raise wrong.fault(f"a type of data out of {known}")
             seen: dict[str, int] = {}
             for part in data.items(kind):
@@ -489,13 +589,13 @@ def read_openlabel(path: Path, *, lenient: bool = False, rate_hz: float | str | 
         raise DataError(path, "", "has no object `openlabel`; expected a file of ASAM OpenLABEL")
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        return _Reader(Part(path, "openlabel", value["openlabel"]), ledger, rate).scene()
+        return _Reader(_Part(path, "openlabel", value["openlabel"]), ledger, rate).scene()
 
 
 class _Reader:
     """A document with what its elements refer to: frames, coordinate systems, sensors, and our own fields."""
 
-    def __init__(self, document: Part, ledger: Ledger, rate_hz: float | None) -> None:
+    def __init__(self, document: _Part, ledger: Ledger, rate_hz: float | None) -> None:
         self.document, self.ledger = document, ledger
         metadata = document.below("metadata")
         version = metadata.get("schema_version")
@@ -503,7 +603,7 @@ class _Reader:
             message = f"schema version {None if version is None else version.value!r}; read as {SCHEMA_VERSION}"
             metadata.note(ledger, WarningKind.ASSUMED, "schema-version", message)
         ours = metadata.below(OURS)
-        self.ours = ours if isinstance(ours.value, dict) else Part(ours.file, ours.location, {})
+        self.ours = ours if isinstance(ours.value, dict) else _Part(ours.file, ours.location, {})
         self.times: _FrameTimes = _read_frame_times(document, ledger, rate_hz)
         self.systems: _Systems = _read_systems(document, self.times, ledger)
         self.sensors: dict[str, Sensor] = _read_streams(document, self.systems, ledger)
@@ -568,7 +668,7 @@ class _Reader:
                         found[kind, uid].take(entry.below(f"{kind}_data"), self.times.at(int(key)))
         return list(found.values())
 
-    def _own(self, kind: str, uid: str) -> Part | None:
+    def _own(self, kind: str, uid: str) -> _Part | None:
         """The fields that we wrote of an element besides, or None."""
         by_uid = self.ours.get(kind)
         part = by_uid.get(uid) if by_uid is not None and isinstance(by_uid.value, dict) else None
@@ -589,9 +689,9 @@ class _Reader:
         if len(shapes) == 1 and members.get("is_whole") is not True:
             ((key, rows),) = shapes.items()
             fields = {"id": element.id, "label": label, "attributes": plain, "extras": extras}
-            whole = restored(own, self._shape(key, rows, members, fields), drawn)
+            whole = _restored(own, self._shape(key, rows, members, fields), drawn)
             return [whole, *(one for one in parts if one is not None)]
-        whole = restored(own, ObjectAnnotation(element.id, label, attributes=plain, extras=extras))
+        whole = _restored(own, ObjectAnnotation(element.id, label, attributes=plain, extras=extras))
         fields = {"label": label, "attributes": (), "extras": NO_FIELDS, "parent_id": whole.id}
         made = [
             self._shape(key, rows, members, {"id": f"{element.id}:{key[0]}:{key[1]}", **fields})
@@ -599,7 +699,7 @@ class _Reader:
         ]
         return [whole, *(one for one in parts if one is not None), *made]
 
-    def _part(self, element: _Element, own: Part, stated: _Data) -> Annotation | None:
+    def _part(self, element: _Element, own: _Part, stated: _Data) -> Annotation | None:
         """An annotation that we wrote as data of another's object, taken out of what is stated; None if it is gone."""
         members, drawn = own.members(), _drawn(own, stated)
         names = [name.text() for name in own.items("data")]
@@ -621,9 +721,9 @@ class _Reader:
             "extras": NO_FIELDS,
         }
         if "class" in members or not shapes:
-            return restored(own, ObjectAnnotation(**fields))
+            return _restored(own, ObjectAnnotation(**fields))
         key, rows = next(iter(shapes.items()))
-        return restored(own, self._shape(key, rows, members, fields), drawn)
+        return _restored(own, self._shape(key, rows, members, fields), drawn)
 
     def _is_read(self, key: tuple[str, str], rows: list[_Stated]) -> bool:
         """Whether a shape is of a form that we know; cuboids without a value state that there is none."""
@@ -673,7 +773,7 @@ class _Reader:
         parts = tuple(row.part for row in rows)
         return _SHAPES[kind](_Rows(parts, np.array(times, np.int64), system, self.systems), fields)
 
-    def _camera(self, system: str | None, part: Part) -> Identifier:
+    def _camera(self, system: str | None, part: _Part) -> Identifier:
         """The camera of what is drawn in images: that of the coordinate system, else the only or first one."""
         if system in self.sensors:
             return self.sensors[str(system)].id
@@ -701,7 +801,7 @@ class _Reader:
             attributes=tuple(_attribute(*key, rows) for key, rows in element.data.items()),
             extras=MappingProxyType(extras),
         )
-        return restored(self._own(element.kind, element.uid), event)
+        return _restored(self._own(element.kind, element.uid), event)
 
     def _links(self, elements: list[_Element], known: set[Identifier]) -> Iterator[Annotation]:
         """A link for each pair of subject and object of a relation."""
@@ -715,12 +815,12 @@ class _Reader:
         for uid, relation in self.document.each("relations"):
             try:
                 for link in _pairs(uid if uid not in taken else f"relation:{uid}", relation, ids):
-                    yield restored(self._own("relation", uid), link)
+                    yield _restored(self._own("relation", uid), link)
             except DataError as error:
                 self.ledger.fault("relations", error)
 
 
-def _pairs(relation_id: str, relation: Part, ids: Mapping[tuple[str, str], Identifier]) -> list[LinkAnnotation]:
+def _pairs(relation_id: str, relation: _Part, ids: Mapping[tuple[str, str], Identifier]) -> list[LinkAnnotation]:
     ends: list[list[Identifier]] = []
     for name in ("rdf_subjects", "rdf_objects"):
         keys = [(part, part.need("type").text(), part.need("uid").text()) for part in relation.items(name)]
@@ -749,7 +849,7 @@ def _extras(element: _Element) -> Mapping[str, Any]:
     return MappingProxyType({KIND: further} if further else {})
 
 
-def _drawn(own: Part, stated: _Data) -> dict[str, SeenBoxes]:
+def _drawn(own: _Part, stated: _Data) -> dict[str, SeenBoxes]:
     """Take the boxes that are projections of an annotation out of what is stated, by their names."""
     found: dict[str, SeenBoxes] = {}
     for listed in own.items("projections") if own.members().get("class") is None else ():
@@ -788,7 +888,7 @@ def _attribute(kind: str, name: str, rows: Sequence[_Stated]) -> AttributePath:
     )
 
 
-def _value(kind: str, part: Part) -> Any:
+def _value(kind: str, part: _Part) -> Any:
     if kind not in PLAIN:
         return {key: value for key, value in part.members().items() if key != "name"}
     value = part.need("val").value
@@ -826,7 +926,7 @@ def _nested_attributes(rows: Iterable[_Stated], *, without: Sequence[str] = ()) 
 class _Rows:
     """The rows of one element of data, in the order of their times."""
 
-    parts: tuple[Part, ...]  # at least one; of a shape that holds always, the only one
+    parts: tuple[_Part, ...]  # at least one; of a shape that holds always, the only one
     timestamps_ns: Int64Array
     system: str | None  # the one that they name
     systems: _Systems

@@ -32,9 +32,8 @@ from sceneloom.formats.openlabel.document import (
     TYPE,
     UID,
     WORLD,
-    annotation_fields,
     is_json,
-    record_fields,
+    own_fields,
 )
 from sceneloom.formats.openlabel.spec import SUPPORTS
 from sceneloom.geometry.rigid import RigidTransform, angle_between
@@ -202,7 +201,7 @@ class _Writer:
 
     def _state(self, kind: str, uid: str, annotation: Any, label: str | None) -> dict[str, Any]:
         """Write an annotation as data of an object; return the fields that the format has no keywords for."""
-        fields = annotation_fields(annotation)
+        fields = own_fields(annotation)
         self._report_extras(annotation)
         if label is not None and getattr(annotation, "label", label) is None:
             fields["unlabelled"] = True
@@ -250,7 +249,7 @@ class _Writer:
         """Write the boxes of projections as data; return the rest as our own fields."""
         rows = []
         for projection in cuboid.projections:
-            fields = record_fields(projection)
+            fields = own_fields(projection)
             system = self._camera(projection.sensor_id)
             data = list(_projection_data(projection, f"projection:{system}", system))
             if len({time_ns for time_ns, _, _ in data}) == len(data) and data:
@@ -286,7 +285,7 @@ class _Writer:
         unsaid, renamed, seen = [], [], set()
         is_part = key_of(annotation.id) in self.parts
         if isinstance(annotation, LinkAnnotation):
-            return {"attributes": [record_fields(one) for one in annotation.attributes]}
+            return {"attributes": [own_fields(one) for one in annotation.attributes]}
         # an attribute of all points must not be taken for one of a single point
         collide = isinstance(annotation, PointsAnnotation)
         of_points = {one.name for one in annotation.attributes if collide and one.point_index is not None}
@@ -307,7 +306,7 @@ class _Writer:
                 if attribute.timestamps_ns is None and not attribute.static:
                     self.losses.converted(field, "an attribute without times is read back as one that holds always")
             elif self._holds(f"{field}.{attribute.name}", [*attribute.values, dict(attribute.extras)]):
-                unsaid.append(record_fields(attribute))
+                unsaid.append(own_fields(attribute))
         return {**({"attributes": unsaid} if unsaid else {}), **({"own": renamed} if renamed else {})}
 
     def _renamed(self, uid: str, data: Iterable[_Datum], identifier: Identifier) -> list[_Datum]:
@@ -371,7 +370,7 @@ class _Writer:
             "rdf_objects": [other],
             **{name: further[name] for name in ("ontology_uid", "resource_uid") if name in further},
         }
-        fields = annotation_fields(link) | self._attributes("relation", uid, link)
+        fields = own_fields(link) | self._attributes("relation", uid, link)
         for name in ("from_id", "to_id"):
             if key_of(fields[name]) not in self.parts:
                 del fields[name]

@@ -19,9 +19,9 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.images import ImageReader, images_image_size
 from sceneloom.formats.base.json_files import read_json
 from sceneloom.formats.base.poses import lengths_of
-from sceneloom.formats.base.spec import choose_drive, drives_in
+from sceneloom.formats.base.spec import choose_drive
 from sceneloom.formats.pandaset.pickles import PickledFrame, read_pickled_frame
-from sceneloom.formats.pandaset.spec import is_drive
+from sceneloom.formats.pandaset.spec import DRIVES_IN
 from sceneloom.formats.points.mapping import FARTHEST_WORLD
 from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion
 from sceneloom.scene.annotations import (
@@ -114,7 +114,7 @@ def open_pandaset(path: Path, *, sequence: str | None = None, lenient: bool = Fa
         OptionError: there is no such drive, or none was chosen of several.
     """
     expected = "lidar/00.pkl.gz, lidar/poses.json, camera/"
-    drive = choose_drive(path, drives_in(path, is_drive), sequence, called="drive", expected=expected)
+    drive = choose_drive(path, DRIVES_IN(path), sequence, called="drive", expected=expected)
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         return _Drive(drive, ledger).scene()

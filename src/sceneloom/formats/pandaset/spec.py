@@ -11,7 +11,7 @@ _FRAME = re.compile(r"\d+\.pkl(\.gz)?")
 _MOST_LOOKED_AT = 50
 
 
-def is_drive(path: Path) -> bool:
+def _is_drive(path: Path) -> bool:
     """Whether a folder holds a drive, be it half a one: pickled sweeps, or pickled cuboids."""
     return any(
         _FRAME.fullmatch(file.name)
@@ -19,6 +19,10 @@ def is_drive(path: Path) -> bool:
         if folder.is_dir()
         for file in islice(folder.iterdir(), _MOST_LOOKED_AT)
     )
+
+
+DRIVES_IN = partial(drives_in, is_drive=_is_drive)
+"""The drives of a folder."""
 
 
 def _near_miss(path: Path) -> str | None:
@@ -33,9 +37,9 @@ FORMAT = FormatSpec(
     title="PandaSet",
     looks_like="a folder with lidar/00.pkl.gz, lidar/poses.json and camera/",
     suffixes=(".pandaset",),
-    sniff=partial(any_drive, is_drive=is_drive),
+    sniff=partial(any_drive, is_drive=_is_drive),
     near_miss=_near_miss,
-    drives=partial(drives_in, is_drive=is_drive),
+    drives=DRIVES_IN,
     reader="sceneloom.formats.pandaset.reader:open_pandaset",
     read_options=("lenient", "sequence"),
     instead="PandaSet is only read; write a scene file (drive.sfs) or a recording (a folder) instead",

@@ -312,30 +312,13 @@ def write_trajectory(
     chosen = form_for_output(target) if form is None else _form_named(form)
     if chosen is None:
         raise OptionError(f"form {form!r} is one of scenes; expected one of: {', '.join(_FORM_NAMES)}")
-    content = content_of(trajectory)
+    content = TrajectoryFile.of(trajectory)
     if origin_lla is not None:
         content = replace(content, origin_lla=_origin(origin_lla))
     content = _rotated(content, _VEHICLE_FROM_OPTICAL.T) if optical else content
     targets = [target] if chosen.beside is None else [target, chosen.beside(target)]
     with replacing_together(targets, overwrite=overwrite) as (draft, *_):
         return LossReport.of(chosen.write(content, draft, target))
-
-
-def content_of(trajectory: Trajectory | Poses | TrajectoryFile) -> TrajectoryFile:
-    """A trajectory or a path of poses with nothing besides; what a file stated as it is.
-
-    Raises:
-        PoseError: a path is one pose for all times.
-    """
-    if isinstance(trajectory, TrajectoryFile):
-        return trajectory
-    if isinstance(trajectory, Trajectory):
-        return TrajectoryFile(trajectory)
-    if trajectory.static:
-        raise PoseError("a pose that holds at all times is no trajectory; expected poses with a time each")
-    return TrajectoryFile(
-        Trajectory("poses", trajectory.timestamps_ns, trajectory.positions, trajectory.quaternions_xyzw)
-    )
 
 
 def find_form(path: str | Path) -> TrajectoryForm | None:

@@ -8,13 +8,13 @@ from types import MappingProxyType
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, read_only
-from sceneloom.errors import DataError
+from sceneloom.errors import DataError, PoseError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import KEPT, Holding, Loss, Support, Supports, converted, dropped
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR, PoseRows
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.scene.motion import GnssSensor
-from sceneloom.scene.poses import Trajectory
+from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.types import NO_FIELDS
 from sceneloom.warnings import DataWarning, WarningKind
 
@@ -89,6 +89,21 @@ class TrajectoryFile:
     origin_lla: Float64Array | None = None
     columns: Mapping[str, Float64Array] = field(default_factory=lambda: NO_FIELDS)
     warnings: tuple[DataWarning, ...] = ()
+
+    @classmethod
+    def of(cls, trajectory: "Trajectory | Poses | TrajectoryFile") -> "TrajectoryFile":
+        """A trajectory or a path of poses with nothing besides; what a file stated as it is.
+
+        Raises:
+            PoseError: a path is one pose for all times.
+        """
+        if isinstance(trajectory, TrajectoryFile):
+            return trajectory
+        if isinstance(trajectory, Trajectory):
+            return cls(trajectory)
+        if trajectory.static:
+            raise PoseError("a pose that holds at all times is no trajectory; expected poses with a time each")
+        return cls(Trajectory("poses", trajectory.timestamps_ns, trajectory.positions, trajectory.quaternions_xyzw))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

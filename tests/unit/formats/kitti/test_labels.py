@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import DataError, OutputError
-from sceneloom.formats.kitti.benchmark_writer import write_object_labels
-from sceneloom.formats.kitti.labels import read_labels, write_labels
+from sceneloom.formats.kitti.benchmark_writer import write_labels, write_object_labels
+from sceneloom.formats.kitti.labels import read_labels
 
 CAR = "Car 0 1 -1.50 10.0 20.0 30.0 40.0 1.5 1.6 4.0 2.0 1.5 10.0 0.25"
 NOWHERE = "DontCare -1 -1 -10 5 6 7 8 -1 -1 -1 -1000 -1000 -1000 -10"
@@ -18,28 +18,15 @@ def written(tmp_path, text, name="0001.txt"):
     return path
 
 
-def test_labels_of_tracking_have_frames_and_tracks(tmp_path):
+def test_labels_of_tracking_are_read_as_they_stand_and_written_again(tmp_path):
     labels = read_labels(written(tmp_path, TRACKING))
-    assert labels.frames.tolist() == [0, 0, 4]
-    assert labels.track_ids.tolist() == [3, -1, 3]
-    assert labels.types == ("Car", "DontCare", "Car")
-    assert labels.corners_xyxy[0].tolist() == [10, 20, 30, 40]  # as in the file, not shifted
-    assert (labels.sizes_hwl[0].tolist(), labels.bottoms[0].tolist()) == ([1.5, 1.6, 4.0], [2.0, 1.5, 10.0])
-    assert (labels.alphas[0], labels.rotations_y[0], labels.occlusions[0]) == (-1.5, 0.25, 1)
-    assert labels.have_position.tolist() == [True, False, True]
+    assert (labels.frames.tolist(), labels.track_ids.tolist()) == ([0, 0, 4], [3, -1, 3])
+    assert (labels.types, labels.have_position.tolist()) == (("Car", "DontCare", "Car"), [True, False, True])
+    # -1.50 is alpha; corners are as in the file, not shifted; height, width, length; the bottom's middle; about y
+    assert labels.values[0].tolist() == [0, 1, -1.5, 10, 20, 30, 40, 1.5, 1.6, 4.0, 2.0, 1.5, 10.0, 0.25]
     assert labels.scores is None
-
-
-def test_labels_of_objects_take_the_frame_from_the_files_name(tmp_path):
-    labels = read_labels(written(tmp_path, f"{CAR} 0.5\n{CAR} -2.5\n", "000114.txt"))
-    assert (labels.frames.tolist(), labels.track_ids.tolist()) == ([114, 114], [-1, -1])
-    assert labels.scores.tolist() == [0.5, -2.5]
-    assert len(read_labels(written(tmp_path, "\n"))) == 0
-
-
-def test_what_is_written_is_read_back(tmp_path):
-    labels = read_labels(written(tmp_path, TRACKING.replace("\n", " 0.125\n")))
-    write_labels(labels.select(labels.have_position), tmp_path / "out.txt")
+    scored = read_labels(written(tmp_path, TRACKING.replace("\n", " 0.125\n")))
+    write_labels(scored.select(scored.have_position), tmp_path / "out.txt")
     back = read_labels(tmp_path / "out.txt")
     np.testing.assert_array_equal(back.bottoms, labels.bottoms[[0, 2]])
     assert back.scores.tolist() == [0.125, 0.125]
@@ -48,7 +35,11 @@ def test_what_is_written_is_read_back(tmp_path):
         write_labels(labels, tmp_path / "0001.txt")
 
 
-def test_labels_of_objects_have_a_file_for_each_frame(tmp_path):
+def test_labels_of_objects_have_a_file_for_each_frame_whose_name_is_its_number(tmp_path):
+    labels = read_labels(written(tmp_path, f"{CAR} 0.5\n{CAR} -2.5\n", "000114.txt"))
+    assert (labels.frames.tolist(), labels.track_ids.tolist()) == ([114, 114], [-1, -1])
+    assert labels.scores.tolist() == [0.5, -2.5]
+    assert len(read_labels(written(tmp_path, "\n"))) == 0
     labels = read_labels(written(tmp_path, TRACKING))
     write_object_labels(labels, tmp_path / "out", frames=range(5))
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == [f"{k:06d}.txt" for k in range(5)]

@@ -44,15 +44,10 @@ def root(tmp_path):
 
 
 @pytest.mark.parametrize("location", ["", "sequences", "sequences/04"])
-def test_a_sequence_is_found_from_every_folder(root, location):
+def test_a_sequence_is_found_from_every_folder_and_its_points_where_poses_of_the_camera_put_them(root, location):
     scene = open_scene(root / location)
-    assert scene.format == "kitti-odometry"
-    assert list(scene.trajectories) == ["groundTruth"]
+    assert (scene.format, list(scene.trajectories)) == ("kitti-odometry", ["groundTruth"])
     assert scene.sensor("camera2").images.timestamps_ns.tolist() == [0, 103_736_000]
-
-
-def test_points_lie_in_the_world_where_poses_of_the_camera_put_them(root):
-    scene = open_scene(root)
     lidar, point = scene.sensor("velodyne"), np.array([7.0, 1.0, -1.5, 1.0])
     source = PoseSource(scene.trajectories["groundTruth"].poses, lidar.mount)
     at = source.at(lidar.frames.timestamps_ns)
@@ -62,7 +57,8 @@ def test_points_lie_in_the_world_where_poses_of_the_camera_put_them(root):
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_labels_are_points_of_classes_and_objects(root):
+def test_labels_are_points_of_classes_and_objects_unless_they_are_left_aside(root):
+    (root / "sequences/04/voxels").mkdir()
     scene = open_scene(root)
     found = {a.id: a for a in scene.annotations}
     assert set(found) == {"road", "car 5", "777"}
@@ -72,17 +68,12 @@ def test_labels_are_points_of_classes_and_objects(root):
     assert car.labeled_points[0].point_ids.tolist() == [1, 2]
     assert found["777"].label == "777"
     assert "unknown-classes" in [n.code for n in scene.warnings]
-
-
-def test_labels_can_be_left_aside_and_what_is_not_read_is_reported(root):
-    (root / "sequences/04/voxels").mkdir()
     scene = open_scene(root, labels="skip")
     assert scene.annotations == ()
     reported = {n.code: n for n in scene.warnings}
-    assert reported["labels-aside"].count == 2
+    assert (reported["labels-aside"].count, reported["not-read"].message) == (2, "voxels not read")
     with pytest.raises(OptionError, match=r"labels 'no'; expected one of read, skip"):
         open_scene(root, labels="no")
-    assert reported["not-read"].message == "voxels not read"
 
 
 def test_without_a_lidar_the_ego_is_camera_0_rotated_to_look_ahead(root):

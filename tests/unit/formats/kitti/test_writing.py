@@ -55,8 +55,8 @@ def rotated_pixels(scene):
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_points_images_calibration_and_the_trajectory_but_for_its_world_come_back(drive, name, tmp_path):
-    write_scene(drive, tmp_path / "out", format=name)
+def test_points_images_calibration_boxes_and_the_trajectory_but_for_its_world_come_back(drive, name, tmp_path):
+    losses = write_scene(drive, tmp_path / "out", format=name)
     back = open_scene(tmp_path / "out")
     assert back.format == name
     for before, after in zip(drive.lidars[0].frames, back.lidars[0].frames, strict=True):
@@ -71,12 +71,8 @@ def test_points_images_calibration_and_the_trajectory_but_for_its_world_come_bac
         before, after = (start.inverse() @ stop for start, stop in ends)
         # text has all digits, but east and north at the first location are rotated by 1e-6 against those at the origin
         np.testing.assert_allclose(after.matrix, before.matrix, atol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["kitti-raw", "kitti-object", "kitti-tracking"])
-def test_boxes_come_back_where_the_lidar_sees_them(drive, name, tmp_path):
-    write_scene(drive, tmp_path / "out", format=name)
-    back = open_scene(tmp_path / "out")
+    if name == "kitti-odometry":
+        return
     first = drive.lidars[0].frames[0]
     raw_times = drive.lidars[0].frames.timestamps_ns + first.reference_ns - first.timestamp_ns
     centers = []
@@ -89,15 +85,10 @@ def test_boxes_come_back_where_the_lidar_sees_them(drive, name, tmp_path):
     assert len(after) == len(before) if name == "kitti-raw" else 0 < len(after) < len(before)
     nearest = np.linalg.norm(after[:, None] - before[None], axis=2).min(axis=1)
     assert nearest.max() < 2e-6  # labels have six decimals
-
-
-def test_boxes_that_no_image_shows_are_reported(drive, tmp_path):
-    losses = write_scene(drive, tmp_path / "out", format="kitti-tracking")
-    back = open_scene(tmp_path / "out")
-    boxes = [a for a in drive.annotations if isinstance(a, CuboidAnnotation)]
-    (lost,) = [loss for loss in losses if loss.field == "annotations.cuboid"]
-    assert lost.support == Support.DROPPED
-    assert lost.count == len(boxes) - len(back.annotations)
+    if name == "kitti-tracking":  # boxes that no image shows are reported
+        boxes = [a for a in drive.annotations if isinstance(a, CuboidAnnotation)]
+        (lost,) = [loss for loss in losses if loss.field == "annotations.cuboid"]
+        assert (lost.support, lost.count) == (Support.DROPPED, len(boxes) - len(back.annotations))
 
 
 def test_a_distorted_camera_model_stays_in_an_extract_and_is_resampled_for_a_sync(tmp_path):
@@ -155,27 +146,21 @@ def test_labelled_points_get_semantic_kittis_numbers(drive, tmp_path):
     assert {a.id for a in open_scene(tmp_path / "out").annotations} == {"road", "car 1"}
 
 
-@pytest.mark.slow
-def test_a_scene_without_a_trajectory_or_lidar_is_written_as_far_as_it_goes(drive, tmp_path):
-    images = Scene(drive.cameras)
-    for name in FORMATS:
-        write_scene(images, tmp_path / name, format=name)
-        assert len(open_scene(tmp_path / name).cameras[0].images) == 3
-
-
 @pytest.mark.parametrize("name", FORMATS)
-def test_a_scene_with_nothing_in_it_is_refused_and_other_peoples_folders_are_left_alone(drive, name, tmp_path):
+def test_images_alone_are_written_nothing_is_refused_and_other_peoples_folders_are_left_alone(drive, name, tmp_path):
+    images = Scene(drive.cameras)
+    for _ in range(2):
+        write_scene(images, tmp_path / "own", format=name, overwrite=True)
+    assert len(open_scene(tmp_path / "own").cameras[0].images) == 3
+    with pytest.raises(OutputError, match=r"exists already"):
+        write_scene(images, tmp_path / "own", format=name)
     with pytest.raises(DataError, match=r"holds (nothing that a folder of KITTI's could hold|neither sweeps nor)"):
         write_scene(Scene(()), tmp_path / "out", format=name)
     assert not (tmp_path / "out").exists()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/letter.txt").write_text("dear")
     with pytest.raises(OutputError, match=r"holds 'letter.txt', so it is no folder of KITTI's"):
-        write_scene(drive, tmp_path / "mine", format=name, overwrite=True)
-    for _ in range(2):
-        write_scene(drive, tmp_path / "own", format=name, overwrite=True)
-    with pytest.raises(OutputError, match=r"exists already"):
-        write_scene(drive, tmp_path / "own", format=name)
+        write_scene(images, tmp_path / "mine", format=name, overwrite=True)
 
 
 def test_times_before_1970_come_back(drive, tmp_path):

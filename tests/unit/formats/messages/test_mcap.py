@@ -3,6 +3,7 @@
 import io
 import subprocess
 import sys
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -49,11 +50,10 @@ def foreign(**options):
     return stream.getvalue()
 
 
-def read(path, *, lenient=False):
+def read(path):
     """All messages by topic, in the order of the file."""
-    file = FileBytes(path)
-    try:
-        index = read_index(file, Ledger(lenient=lenient))
+    with closing(FileBytes(path)) as file:
+        index = read_index(file, Ledger(lenient=False))
         messages = index.messages
         found = {}
         for number, channel in index.channels.items():
@@ -63,8 +63,6 @@ def read(path, *, lenient=False):
             assert heads == [content[:16] for content in contents]
             found[channel.topic] = list(zip(entries.log_times_ns.tolist(), contents, strict=True))
         return found, index
-    finally:
-        file.close()
 
 
 EXPECTED = {
@@ -100,23 +98,18 @@ def test_large_messages_stand_apart_where_chunks_are_compressed_and_each_chunk_s
         writer.add_message(large, 10 * k + 5, [bytes([k]) * 20_000])
     writer.finish()
     (tmp_path / "log.mcap").write_bytes(stream.getvalue())
-    file = FileBytes(tmp_path / "log.mcap")
-    index = read_index(file, Ledger(lenient=False))
-    file.close()
+    with closing(FileBytes(tmp_path / "log.mcap")) as file:
+        index = read_index(file, Ledger(lenient=False))
     chunks = [set(index.messages.entries(number).chunks.tolist()) for number in (large, small)]
     if compression != "none":
-        assert not chunks[0] & chunks[1]
-        assert len(chunks[1]) == 1, "all small ones in one chunk, which comes last"
+        assert (chunks[0] & chunks[1], len(chunks[1])) == (set(), 1)  # all small ones in one chunk, which comes last
     # who reads from the beginning to the end knows each channel before its first message
     stream.seek(0)
-    known, seen = set(), 0
-    for one in StreamReader(stream).records:
-        if isinstance(one, Channel):
-            known.add(one.id)
-        elif isinstance(one, Message):
-            assert one.channel_id in known
-            seen += 1
-    assert seen == 400
+    records = [one for one in StreamReader(stream).records if isinstance(one, Channel | Message)]
+    known = {one.id: k for k, one in reversed([*enumerate(records)]) if isinstance(one, Channel)}
+    messages = [(k, one.channel_id) for k, one in enumerate(records) if isinstance(one, Message)]
+    assert len(messages) == 400
+    assert all(k > known[channel] for k, channel in messages)
 
 
 NO_INDEX = {"index_types": IndexType.NONE, "use_statistics": False, "use_summary_offsets": False}
@@ -140,39 +133,33 @@ def test_we_read_what_the_reference_library_writes(options, tmp_path):
     assert {schema.name for schema in index.schemas.values()} == {"a.Type"}
 
 
-@pytest.fixture
-def refused(tmp_path):
-
-    def check(problem, content):
+def test_damaged_chunks_and_what_is_no_mcap_file_are_refused_with_what_was_expected(tmp_path):
+    damaged = bytearray(written("lz4"))
+    damaged[damaged.index(MESSAGES[2][2][100:120])] ^= 1  # noise is not compressed, so it stands there as it is
+    huge = written("zstd")
+    size = 17 + int.from_bytes(huge[9:17], "little") + 9 + 16  # after the magic, the header and the chunk's times
+    huge = huge[:size] + (1 << 30).to_bytes(8, "little") + huge[size + 8 :]
+    refused = {bytes(damaged): r"chunk \d: ", huge: r"chunk 0: \d+ bytes that unpack to 1073741824; expected"}
+    refused |= dict.fromkeys((b"", b"\x89MCAP0", b"not one"), "does not begin as an MCAP file does")
+    for content, problem in {**refused, b"\x89MCAP0\r\n" * 2: "not finished"}.items():
         (tmp_path / "log.mcap").write_bytes(content)
         with pytest.raises(DataError, match=problem):
             read(tmp_path / "log.mcap")
 
-    return check
 
-
-def test_a_compressed_chunk_that_is_changed_or_declares_to_become_far_more_is_refused(refused):
-    content = bytearray(written("lz4"))
-    content[content.index(MESSAGES[2][2][100:120])] ^= 1  # noise is not compressed, so it stands there as it is
-    refused(r"chunk \d: ", content)
-    content = written("zstd")
-    size = 17 + int.from_bytes(content[9:17], "little") + 9 + 16  # after the magic, the header and the chunk's times
-    content = content[:size] + (1 << 30).to_bytes(8, "little") + content[size + 8 :]
-    refused(r"chunk 0: \d+ bytes that unpack to 1073741824; expected", content)
-
-
-@pytest.mark.parametrize("content", [b"", b"\x89MCAP0", b"not one", b"\x89MCAP0\r\n" * 2], ids=repr)
-def test_what_is_no_mcap_file_is_refused_with_what_was_expected(refused, content):
-    refused(r"does not begin as an MCAP file does|not finished", content)
-
-
-def test_times_and_compressions_that_the_format_lacks_are_refused():
+def test_times_compressions_options_and_names_that_the_format_lacks_are_refused(tmp_path):
     with pytest.raises(OptionError, match="none, lz4, zstd"):
         McapWriter(io.BytesIO(), library="", compression="brotli")
     writer = McapWriter(io.BytesIO(), library="")
     channel = writer.add_channel("/a", "json", 0)
     with pytest.raises(OutputError, match="-5 ns"):
         writer.add_message(channel, -5, [b""])
+    path = tmp_path / "drive.mcap"
+    path.write_bytes(b"no log")
+    with pytest.raises(UnknownFormatError, match="called like an MCAP file"):
+        find_format(path)
+    with pytest.raises(UnknownOptionError, match="timestamps, ego, world"):
+        MCAP.open(path, stamp="header")
 
 
 WITHOUT = """
@@ -196,12 +183,3 @@ for target, extra in (("a.mcap", "mcap"), ("a.bag", "ros"), ("a.ros2", "ros")):
 def test_without_the_extras_a_person_is_reported_which_to_install(tmp_path):
     done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-
-
-def test_a_file_that_is_only_called_so_is_reported_and_unknown_options_are_refused(tmp_path):
-    path = tmp_path / "drive.mcap"
-    path.write_bytes(b"no log")
-    with pytest.raises(UnknownFormatError, match="called like an MCAP file"):
-        find_format(path)
-    with pytest.raises(UnknownOptionError, match="timestamps, ego, world"):
-        MCAP.open(path, stamp="header")

@@ -54,12 +54,17 @@ def check_tables(folder):
     return tables
 
 
-def test_what_was_read_from_nuscenes_is_written_again_without_a_loss(tmp_path):
+def test_what_was_read_from_nuscenes_is_written_again_without_a_loss_and_each_time_the_same(tmp_path):
     source = with_classes(street(tmp_path / "a"), dict.fromkeys((0, 2, 4), slice(3, 9))).write()
     scene = sceneloom.open(source)
-    losses = sceneloom.write(scene, tmp_path / "b", format="nuscenes")
-    assert len(losses) == 0
-    before, after = tables_of(source), check_tables(tmp_path / "b")
+    contents = []
+    for root in (tmp_path / "b" / "drive", tmp_path / "c" / "drive"):
+        root.parent.mkdir()
+        assert len(sceneloom.write(scene, root, format="nuscenes")) == 0
+        files = (path for path in sorted(root.rglob("*")) if path.is_file())
+        contents.append({path.relative_to(root): path.read_bytes() for path in files})
+    assert contents[0] == contents[1]
+    before, after = tables_of(source), check_tables(root)
     same = {
         "sample": ("token", "timestamp", "next", "prev"),
         "sample_data": ("timestamp", "is_key_frame", "sample_token", "width", "height"),
@@ -77,23 +82,11 @@ def test_what_was_read_from_nuscenes_is_written_again_without_a_loss(tmp_path):
     found = [[attributes[token] for token in row["attribute_tokens"]] for row in after["sample_annotation"]]
     assert found == [["vehicle.parked"], ["vehicle.moving"], ["vehicle.moving"]]
     for folder in source.glob("s*s/*"):
-        again = tmp_path / "b" / folder.relative_to(source)
+        again = root / folder.relative_to(source)
         before, written = (sorted(path.read_bytes() for path in each.iterdir()) for each in (folder, again))
         assert before == written, folder
-    labels = sorted((tmp_path / "b" / "lidarseg" / "v1.0-mini").iterdir())
-    assert len(labels) == 3
+    assert len([*(root / "lidarseg" / "v1.0-mini").iterdir()]) == 3
     assert {row["name"]: row["index"] for row in after["category"]} == {"vehicle.car": 17, "noise": 0}
-
-
-def test_writing_is_the_same_again(tmp_path):
-    scene = sceneloom.open(street(tmp_path / "a").write())
-    contents = []
-    for name in ("b", "c"):
-        (tmp_path / name).mkdir()
-        sceneloom.write(scene, tmp_path / name / "drive", format="nuscenes")
-        files = (path for path in sorted((tmp_path / name).rglob("*")) if path.is_file())
-        contents.append({path.relative_to(tmp_path / name): path.read_bytes() for path in files})
-    assert contents[0] == contents[1]
 
 
 SECOND = 1_000_000_000
@@ -204,19 +197,16 @@ def test_points_in_boxes_are_counted_where_nobody_reported_their_number(tmp_path
     assert {row["num_lidar_pts"] for row in tables_of(tmp_path / "b")["sample_annotation"]} == {77}
 
 
-def test_images_of_other_camera_models_are_resampled_and_that_is_reported(tmp_path):
+def test_images_of_other_camera_models_are_resampled_and_others_lose_nothing_as_png(tmp_path):
     bent = Camera("brown_conrady", 64, 48, 40.0, 40.0, 31.5, 23.5, (-0.2, *(0.0,) * 15))
     losses = sceneloom.write(drive(camera_model=bent, sweeps=2), tmp_path / "a", format="nuscenes")
     approximated = {loss.field for loss in losses if loss.support == Support.APPROXIMATED}
     assert approximated >= {"sensors.camera.camera", "sensors.camera.images.rgb"}
     camera = sceneloom.open(tmp_path / "a").cameras[0]
     assert (camera.camera.model, camera.images[0].rgb.shape) == ("pinhole", (48, 64, 3))
-
-
-def test_images_as_png_lose_nothing(tmp_path):
     scene = drive(sweeps=2)
-    losses = {loss.field: loss for loss in sceneloom.write(scene, tmp_path / "a", format="nuscenes", images="png")}
-    again = sceneloom.open(tmp_path / "a").cameras[0]
+    losses = {loss.field: loss for loss in sceneloom.write(scene, tmp_path / "b", format="nuscenes", images="png")}
+    again = sceneloom.open(tmp_path / "b").cameras[0]
     assert np.array_equal(again.images[1].rgb, scene.cameras[0].images[1].rgb)
     assert "sensors.camera.images.rgb" not in losses
     rounded = losses["sensors.camera.images.timestamp_ns"]
@@ -319,43 +309,34 @@ def channels(scene, folder, **options):
     return found
 
 
-def test_the_lidar_and_cameras_all_round_get_the_channels_of_nuscenes_and_keep_their_ids(scene, tmp_path):
-    cameras = [looking(scene.cameras[0], f"camera{degrees}", degrees) for degrees in ROUND]
-    found = channels(with_sensors(scene, cameras=cameras), tmp_path / "out")
-    named = {f"camera{degrees}": f"CAM_{name}" for degrees, name in ROUND.items()}
-    assert found == {"lidar": "LIDAR_TOP", **named}
+def test_sensors_get_the_channels_of_nuscenes_where_that_is_clear_and_keep_their_ids(scene, tmp_path):
+    def named(number, directions, *, lidars=("lidar",), unplaced=(), **options):
+        cameras = [looking(scene.cameras[0], name, *direction) for name, direction in directions.items()]
+        cameras = [replace(camera, mount=None) if camera.id in unplaced else camera for camera in cameras]
+        return channels(with_sensors(scene, lidars=lidars, cameras=cameras), tmp_path / f"out{number}", **options)
 
-
-def test_cameras_whose_direction_is_not_theirs_alone_or_not_known_keep_their_ids(scene, tmp_path):
+    found = named(0, {f"camera{degrees}": (degrees,) for degrees in ROUND})
+    assert found == {"lidar": "LIDAR_TOP", **{f"camera{degrees}": f"CAM_{name}" for degrees, name in ROUND.items()}}
+    # directions that are not of one camera alone, or not known
     directions = {"left": (0,), "right": (3,), "roof": (180, -80), 7: (82,), "somewhere": (0,)}
-    cameras = [looking(scene.cameras[0], name, *direction) for name, direction in directions.items()]
-    cameras[-1] = replace(cameras[-1], mount=None)
-    found = channels(with_sensors(scene, lidars=("front", "Top_lidar"), cameras=cameras), tmp_path / "out")
+    found = named(1, directions, lidars=("front", "Top_lidar"), unplaced=("somewhere",))
     same = {name: name for name in ("front", "left", "right", "roof", "somewhere")}
     assert found == {**same, "Top_lidar": "LIDAR_TOP", 7: "7"}
-
-
-def test_a_name_that_a_sensor_has_is_given_to_no_other(scene, tmp_path):
-    directions = {"CAM_FRONT": 180, "ahead": 0, "behind": 180}
-    cameras = [looking(scene.cameras[0], name, degrees) for name, degrees in directions.items()]
-    drive = with_sensors(scene, lidars=("first", "LIDAR_TOP"), cameras=cameras)
-    found = channels(drive, tmp_path / "out", channel=["ahead=CAM_BACK"])
+    # a name that a sensor has is given to no other
+    directions = {"CAM_FRONT": (180,), "ahead": (0,), "behind": (180,)}
+    found = named(2, directions, lidars=("first", "LIDAR_TOP"), channel=["ahead=CAM_BACK"])
     assert found == {**{name: name for name in ("first", "LIDAR_TOP", "CAM_FRONT", "behind")}, "ahead": "CAM_BACK"}
 
 
-def test_ids_of_sensors_that_are_not_unique_give_way_to_the_channels(scene, tmp_path):
-    write_scene(scene, tmp_path / "out", format="nuscenes")
-    (table,) = (tmp_path / "out").glob("*/sensor.json")
-    rows = [{**row, "sensor_id": "one"} for row in json.loads(table.read_text())]
-    table.write_text(json.dumps(rows))
-    with sceneloom.open(tmp_path / "out") as again:
-        assert {sensor.id for sensor in again.sensors} == {row["channel"] for row in rows}
-
-
-def test_a_sensor_gets_the_channel_that_is_named_and_a_channel_of_no_sensor_is_refused(scene, tmp_path):
+def test_a_sensor_gets_the_channel_that_is_named_and_its_id_only_if_that_is_unique(scene, tmp_path):
     lidar, camera = scene.lidars[0].id, scene.cameras[0].id
     found = channels(scene, tmp_path / "out", channel=f"{lidar}=LIDAR_TEST, {camera}=CAM_TEST")
     assert (found[lidar], found[camera]) == ("LIDAR_TEST", "CAM_TEST")
     for stated in ("nosuch=LIDAR_TOP", "LIDAR_TOP", "=LIDAR_TOP", ["nosuch=LIDAR_TOP"]):
         with pytest.raises(OptionError, match="expected SENSOR=CHANNEL"):
             write_scene(scene, tmp_path / "none", format="nuscenes", channel=stated)
+    (table,) = (tmp_path / "out").glob("*/sensor.json")
+    rows = [{**row, "sensor_id": "one"} for row in json.loads(table.read_text())]
+    table.write_text(json.dumps(rows))
+    with sceneloom.open(tmp_path / "out") as again:
+        assert {sensor.id for sensor in again.sensors} == {row["channel"] for row in rows}

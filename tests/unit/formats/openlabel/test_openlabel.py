@@ -1,6 +1,7 @@
 """OpenLABEL files read and written: what comes back, what is reported, and what is refused."""
 
 import json
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -95,13 +96,18 @@ def annotations_of_every_kind():
 
 
 def test_every_kind_of_annotation_comes_back(tmp_path, assert_same):
-    expected = list(annotations_of_every_kind())
+    # that it is stationary keeps the cuboid from quaternions
+    stationary = sc.CuboidAnnotation("a", sc.CuboidPath(TIMES[1:2], ROWS[:1]), "Car", stationary=True)
+    expected = [stationary, *annotations_of_every_kind()]
     found, losses = there_and_back(tmp_path, scene(*expected))
     assert not [loss for loss in losses if loss.field.startswith("annotations")]
     by_id = {(type(one.id), one.id): one for one in found.annotations}
     assert len(by_id) == len(expected)
     for one in expected:
         assert_same(by_id[type(one.id), one.id], one)
+    written = json.loads((tmp_path / "a.json").read_text())["openlabel"]
+    (uid,) = (uid for uid, one in written["objects"].items() if one["name"] == "a")
+    assert all(uid in frame["objects"] for frame in written["frames"].values())
 
 
 def one_thing():
@@ -141,8 +147,8 @@ def thing(tmp_path_factory):
     return found, losses, json.loads((folder / "a.json").read_text())["openlabel"]
 
 
-def test_what_concerns_one_thing_is_one_object_with_data_of_several_types_in_each_frame(thing):
-    _, _, written = thing
+def test_what_concerns_one_thing_is_one_object_with_data_of_several_types_and_comes_back(thing, assert_same):
+    found, losses, written = thing
     assert [one["name"] for one in written["objects"].values()] == ["thing", "trailer"]
     uid = next(iter(written["objects"]))
     data = written["frames"]["0"]["objects"][uid]["object_data"]
@@ -158,10 +164,6 @@ def test_what_concerns_one_thing_is_one_object_with_data_of_several_types_in_eac
     np.testing.assert_allclose(rows[1]["val"], expected, rtol=0, atol=1e-12)
     flags = [row["attributes"]["boolean"] for row in rows]
     assert [one["val"] for (one,) in flags] == [False, True, False]
-
-
-def test_each_annotation_of_a_thing_comes_back_as_it_was(thing, assert_same):
-    found, losses, _ = thing
     assert not [loss for loss in losses if loss.field.startswith("annotations")]
     assert sorted(str(one.id) for one in found.annotations) == sorted(ONE_THING)
     for one in found.annotations:
@@ -172,16 +174,8 @@ def test_each_annotation_of_a_thing_comes_back_as_it_was(thing, assert_same):
         assert_same(back, ONE_THING[str(one.id)])
 
 
-def test_a_stationary_cuboid_is_in_every_frame(tmp_path, assert_same):
-    box = sc.CuboidAnnotation("a", sc.CuboidPath(TIMES[1:2], ROWS[:1]), "Car", stationary=True)
-    found, _ = there_and_back(tmp_path, scene(box))
-    written = json.loads((tmp_path / "a.json").read_text())["openlabel"]
-    assert all(frame["objects"] for frame in written["frames"].values())
-    assert_same(found.annotations[0], box)
-
-
-def test_what_others_change_of_a_thing_is_read(thing, tmp_path):
-    written = json.loads(json.dumps(thing[2]))
+def test_what_others_change_of_a_thing_is_read_and_what_is_wrong_of_ours_refused_with_its_location(thing, tmp_path):
+    written = deepcopy(thing[2])
     uid = next(iter(written["objects"]))
     data = [written["frames"][str(k)]["objects"][uid]["object_data"] for k in range(3)]
     data[1]["cuboid"][0]["val"][0] = 100
@@ -196,11 +190,8 @@ def test_what_others_change_of_a_thing_is_read(thing, tmp_path):
     assert "mask" not in found
     (added,) = [one for one in found.values() if one.id not in ONE_THING and one.id != 3]
     assert (added.type, added.parent_id) == ("cuboid", "thing")
-
-
-def test_what_we_state_of_parts_and_is_wrong_is_refused_with_its_location(thing, tmp_path):
     for name, value in (("data", 5), ("own", [[1]]), ("projections", [{}]), ("activations", [{"sensor_id": 1}])):
-        written = json.loads(json.dumps(thing[2]))
+        written = deepcopy(thing[2])
         fields = next(iter(written["metadata"]["sceneloom"]["object"].values()))
         fields["parts"][0][name] = value
         with pytest.raises(DataError) as caught:
@@ -308,40 +299,32 @@ def test_times_are_read_in_the_unit_that_makes_them_times(tmp_path, timestamp, t
     assert ("frame-times-assumed" in {warning.code for warning in found.warnings}) is (timestamp is None)
 
 
-def test_rotated_boxes_are_polygons_and_go_back_as_rotated_boxes(tmp_path):
-    frames = {"0": frame(1, {"rbbox": [{"name": "r", "val": [100, 50, 40, 20, np.pi / 2]}]})}
-    found = read(tmp_path, document(objects=OBJECT, frames=frames))
-    corners = found.annotations[0].path.vertices[0]
-    # a quarter rotation exchanges width and height
-    np.testing.assert_allclose(np.ptp(corners, axis=0), [20, 40])
-    np.testing.assert_allclose(corners.mean(axis=0), [100, 50])
-    write_scene(found, tmp_path / "again.json")
-    data = json.loads((tmp_path / "again.json").read_text())["openlabel"]["frames"]["0"]["objects"]["1"]["object_data"]
-    assert data["rbbox"][0]["val"] == [100, 50, 40, 20, np.pi / 2]
-
-
-def test_relative_polygons_are_summed_up_and_chain_codes_left_out(tmp_path):
+def test_rotated_boxes_matrices_and_whole_objects_come_back_and_relative_polygons_are_summed_up(tmp_path):
+    matrix = {"name": "m", "val": [1, 2], "width": 2, "height": 1, "channels": 1, "data_type": "float"}
+    static = {"text": [{"name": "plate", "val": "HB"}], "mat": [matrix], **cuboid(1, 2, 3, 0, 0, 0, 1, 1, 1, 1)}
     relative = {"name": "p", "val": [5, 5, 1, 0, 0, 2], "mode": "MODE_POLY2D_RELATIVE", "closed": False}
     coded = {"name": "q", "val": ["0", "0", "1"], "mode": "MODE_POLY2D_SRF6DCC", "closed": True}
-    found = read(tmp_path, document(objects=OBJECT, frames={"0": frame(1, {"poly2d": [relative, coded]})}))
-    np.testing.assert_array_equal(found.annotations[0].path.vertices[0], [[5, 5], [6, 5], [6, 7]])
-    assert found.annotations[0].type == "polyline_2d"
-    assert "poly2d-mode" in {warning.code for warning in found.warnings}
-
-
-def test_matrices_and_whole_objects_are_attributes_and_come_back(tmp_path):
-    matrix = {"name": "m", "val": [1, 2], "width": 2, "height": 1, "channels": 1, "data_type": "float"}
-    static = {"text": [{"name": "plate", "val": "HB"}], "mat": [matrix]}
-    objects = {"1": {"name": "one", "type": "Car", "object_data": {**static, **cuboid(1, 2, 3, 0, 0, 0, 1, 1, 1, 1)}}}
+    turned = {"name": "r", "val": [100, 50, 40, 20, np.pi / 2]}
+    objects = {name: {"name": name, "type": "Car"} for name in "123"} | {"4": {"name": "four", "type": "Car"}}
+    objects["4"]["object_data"] = static
+    frames = {"0": frame(1, {"rbbox": [turned]})}
+    frames["0"]["objects"]["2"] = {"object_data": {"poly2d": [relative, coded]}}
     kept = {"ontologies": {"0": "https://example.org"}, "tags": {"0": {"type": "x", "ontology_uid": "0"}}}
-    found = read(tmp_path, document(objects=objects, **kept))
-    (box,) = found.annotations
+    found = read(tmp_path, document(objects=objects, frames=frames, **kept))
+    shapes = [one for one in found.annotations if isinstance(one, sc.ShapeAnnotation)]
+    corners = shapes[0].path.vertices[0]
+    # a quarter rotation exchanges width and height
+    np.testing.assert_allclose([np.ptp(corners, axis=0), corners.mean(axis=0)], [[20, 40], [100, 50]])
+    np.testing.assert_array_equal(shapes[1].path.vertices[0], [[5, 5], [6, 5], [6, 7]])
+    assert shapes[1].type == "polyline_2d"
+    assert "poly2d-mode" in {warning.code for warning in found.warnings}
+    (box,) = (one for one in found.annotations if one.type == "cuboid")
     assert box.stationary
     assert {one.name: one.values[0] for one in box.attributes}["plate"] == "HB"
     write_scene(found, tmp_path / "again.json")
     again = json.loads((tmp_path / "again.json").read_text())["openlabel"]
-    assert again["objects"]["1"]["object_data"]["mat"] == [matrix]
-    assert again["objects"]["1"]["name"] == "one"
+    assert again["frames"]["0"]["objects"]["1"]["object_data"]["rbbox"][0]["val"] == turned["val"]
+    assert (again["objects"]["4"]["object_data"]["mat"], again["objects"]["4"]["name"]) == ([matrix], "four")
     assert {name: again[name] for name in kept} == kept
 
 
@@ -373,22 +356,16 @@ def test_what_is_wrong_is_reported_with_its_location(tmp_path, members, location
     assert problem in caught.value.problem
 
 
-def test_a_lenient_reading_leaves_out_what_is_wrong_and_counts_it(tmp_path):
+def test_a_lenient_reading_counts_what_is_wrong_and_torn_files_options_and_targets_are_refused(tmp_path):
     objects = {"1": {"name": "one", "type": "Car"}, "2": {"name": "two", "type": "Car"}}
     frames = {"0": frame(1, cuboid(1, 2))}
     frames["0"]["objects"]["2"] = {"object_data": cuboid(0, 0, 0, 0, 0, 0, 1, 1, 1, 1)}
     found = read(tmp_path, document(objects=objects, frames=frames), lenient=True)
     assert [one.id for one in found.annotations] == ["2"]
     assert [warning.count for warning in found.warnings if warning.code == "elements"] == [1]
-
-
-def test_torn_and_other_files_are_refused(tmp_path):
     for content in ('{"openlabel": ', '{"openlabel": 3}', '{"openlabel": {"objects": []}}'):
         with pytest.raises(DataError):
             read(tmp_path, content)
-
-
-def test_options_and_targets_are_checked(tmp_path):
     write_scene(scene(), tmp_path / "a.json")
     with pytest.raises(OutputError):
         write_scene(scene(), tmp_path / "a.json")

@@ -77,7 +77,7 @@ def scene(drive):
     return sceneloom.open(drive)
 
 
-def test_points_in_the_world_go_to_the_lidar_that_measured_them(scene):
+def test_points_in_the_world_go_to_the_lidar_that_measured_them_and_sensors_are_where_their_poses_state(scene):
     row = np.arange(13)
     for sensor_id, chosen in (("main_pandar64", row < 8), ("front_gt", row >= 8)):
         lidar = scene.sensor(sensor_id)
@@ -88,29 +88,19 @@ def test_points_in_the_world_go_to_the_lidar_that_measured_them(scene):
         assert points.intensities.tolist() == (row * 20 % 256)[chosen].tolist()
         away = points.timestamps_ns - (FIRST_NS + 100_000_000 + row * 1_000_000)[chosen]
         assert np.abs(away).max() < 300  # seconds since 1970 in float64 are steps of 238 ns
-
-
-def test_the_main_lidar_is_where_its_poses_state_and_the_ego_looks_along_its_y(scene):
-    lidar, trajectory = scene.sensor("main_pandar64"), scene.trajectories["pose"]
+    lidar, camera, trajectory = scene.sensor("main_pandar64"), scene.cameras[0], scene.trajectories["pose"]
     for k in range(2):
-        location, rotation = lidar_pose(k)
-        assert np.allclose(lidar.poses.positions[k], location)
-        assert (Rotation.from_quat(lidar.poses.quaternions_xyzw[k]).inv() * rotation).magnitude() < NEAR
-        ego = Rotation.from_quat(trajectory.quaternions_xyzw[k])
-        assert np.allclose(ego.apply([1, 0, 0]), rotation.apply([0, 1, 0]))
+        for sensor, pose in ((lidar, lidar_pose(k)), (camera, camera_pose(k))):
+            assert np.allclose(sensor.poses.positions[k], pose[0])
+            assert (Rotation.from_quat(sensor.poses.quaternions_xyzw[k]).inv() * pose[1]).magnitude() < NEAR
+        ego = Rotation.from_quat(trajectory.quaternions_xyzw[k])  # it looks along the lidar's y
+        assert np.allclose(ego.apply([1, 0, 0]), lidar_pose(k)[1].apply([0, 1, 0]))
         mounted = RigidTransform.from_quaternion(trajectory.positions[k], trajectory.quaternions_xyzw[k]) @ lidar.mount
         own = RigidTransform.from_quaternion(lidar.poses.positions[k], lidar.poses.quaternions_xyzw[k])
         assert np.allclose(mounted.matrix, own.matrix, atol=NEAR)
-
-
-def test_cameras_have_their_own_times_poses_and_camera_models_and_fixes_their_velocities(scene):
-    camera = scene.cameras[0]
     assert camera.id == "front_camera"
     assert camera.images.timestamps_ns.tolist() == [FIRST_NS + 50_000_000, FIRST_NS + 150_000_000]
     assert (camera.camera.model, camera.camera.width, camera.camera.fy) == ("pinhole", 64, 61.0)
-    location, rotation = camera_pose(1)
-    assert np.allclose(camera.poses.positions[1], location)
-    assert (Rotation.from_quat(camera.poses.quaternions_xyzw[1]).inv() * rotation).magnitude() < NEAR
     assert camera.images[1].rgb.shape == (48, 64, 3)
     for frames in (scene.lidars[1].frames, camera.images):
         assert pickle.loads(pickle.dumps(frames))[1].timestamp_ns == frames[1].timestamp_ns
@@ -143,7 +133,7 @@ def test_boxes_keep_their_corners_and_what_is_stated_about_them(tmp_path, versio
     assert first.path.timestamps_ns.tolist() == [FIRST_NS, FIRST_NS + 100_000_000]
 
 
-def test_classes_count_the_points_of_each_lidar(scene):
+def test_classes_count_the_points_of_each_lidar_also_in_a_scene_file(scene, tmp_path):
     vegetation, ground, road = (a for a in scene.annotations if a.type == "labeled_points")
     assert (vegetation.label, ground.label, road.is_instance) == ("Vegetation", "Ground", False)
     found = [(part.sensor_id, part.sensor_frame) for part in ground.labeled_points]
@@ -151,11 +141,7 @@ def test_classes_count_the_points_of_each_lidar(scene):
     classes = np.arange(13) % 3 + 5
     assert ground.labeled_points[2].point_ids.tolist() == np.flatnonzero(classes[:8] == 6).tolist()
     assert ground.labeled_points[3].point_ids.tolist() == np.flatnonzero(classes[8:] == 6).tolist()
-    again = pickle.loads(pickle.dumps(road))
-    assert len(again.labeled_points) == len(road.labeled_points)
-
-
-def test_a_drive_survives_a_scene_file(scene, tmp_path):
+    assert len(pickle.loads(pickle.dumps(road)).labeled_points) == len(road.labeled_points)
     sceneloom.write(scene, tmp_path / "a.sfs", time_unit="nanoseconds")
     with sceneloom.open(tmp_path / "a.sfs") as again:
         assert np.array_equal(again.lidars[1].frames[0].points.positions, scene.lidars[1].frames[0].points.positions)
@@ -217,22 +203,20 @@ def test_a_camera_without_images_and_half_a_drive_are_reported(drive):
         sceneloom.open(drive)
 
 
-@pytest.mark.parametrize("kind", ["lidar", "annotations/semseg"])
-def test_sweeps_and_classes_are_read_and_faults_reported_when_somebody_asks(drive, kind):
-    shutil.copy(drive / "annotations/cuboids/00.pkl.gz", drive / kind / "00.pkl.gz")
-    scene = sceneloom.open(drive)
-    with pytest.raises(DataError, match=r"00.pkl.gz: no column '(x|class)'"):
-        _ = scene.lidars[0].frames[0] if kind == "lidar" else list(scene.annotations[-1].labeled_points)
-
-
-def test_labels_of_another_number_than_the_points_are_reported(drive):
-    shutil.copy(drive / "annotations/semseg/01.pkl.gz", drive / "annotations/semseg/00.pkl.gz")
-    with pytest.raises(DataError, match=r"13 rows; expected 12, one for each point of 00.pkl.gz"):
-        list(sceneloom.open(drive).annotations[-1].labeled_points)
-
-
-def test_files_of_boxes_at_fault_are_left_out_and_counted_by_a_lenient_reading(drive):
+@pytest.mark.parametrize(
+    ("kind", "source", "problem"),
+    [
+        ("lidar", "cuboids/00", "00.pkl.gz: no column 'x'"),
+        ("annotations/semseg", "cuboids/00", "00.pkl.gz: no column 'class'"),
+        ("annotations/semseg", "semseg/01", "13 rows; expected 12, one for each point of 00.pkl.gz"),
+    ],
+)
+def test_sweeps_and_classes_are_read_and_faults_reported_when_somebody_asks(drive, kind, source, problem):
+    shutil.copy(drive / f"annotations/{source}.pkl.gz", drive / kind / "00.pkl.gz")
     (drive / "annotations/cuboids/00.pkl.gz").write_bytes(b"no pickle")
     scene = sceneloom.open(drive, lenient=True)
+    with pytest.raises(DataError, match=problem):
+        _ = scene.lidars[0].frames[0] if kind == "lidar" else list(scene.annotations[-1].labeled_points)
+    # files of boxes at fault are left out, and counted
     assert len(scene.annotations[0].path.values) == 1
     assert {warning.code: warning.count for warning in scene.warnings}["cuboids"] == 1

@@ -77,31 +77,25 @@ def test_long_names_are_times(tmp_path, digits):
     assert "names-are-times" in {warning.code for warning in scene.warnings}
 
 
-def test_points_are_in_the_frame_of_the_ego_and_poses_lead_into_the_world(folder):
+def test_points_are_in_the_frame_of_the_ego_cameras_along_its_poses_and_radar_points_have_speeds(folder):
     scene = sceneloom.open(folder)
-    lidar = scene.lidars[0]
+    lidar, camera, radar = scene.lidars[0], scene.cameras[0], scene.sensor("radar").frames[1].points
     assert lidar.points_frame == "ego"
-    assert np.array_equal(lidar.frames[2].points.positions, cloud(2)[:, :3])
-    assert lidar.frames[2].points.intensities.tolist() == cloud(2)[:, 3].tolist()
-    camera = scene.cameras[0]
+    points = lidar.frames[2].points
+    assert np.array_equal(np.column_stack([points.positions, points.intensities]), cloud(2))
     for k in range(3):
         location, rotation = trajectory(k)
         assert np.allclose(scene.trajectories["pose"].positions[k], location)
         assert np.allclose(camera.poses.positions[k], np.array(location) + rotation.apply(CAMERA[0]), atol=NEAR)
         found = Rotation.from_quat(camera.poses.quaternions_xyzw[k])
         assert (found.inv() * rotation * CAMERA[1]).magnitude() < NEAR
-
-
-def test_camera_models_keep_what_is_not_used_and_radar_points_have_direction_and_speed(folder):
-    scene = sceneloom.open(folder)
-    camera, points = scene.cameras[0], scene.sensor("radar").frames[1].points
     assert (camera.camera.model, camera.camera.fx, camera.camera.width) == ("pinhole", 60.0, 64)
-    assert camera.extras["k1"] == 0.1
+    assert camera.extras["k1"] == 0.1  # kept, and not used
     assert "camera-model-entries" in {warning.code for warning in scene.warnings}
     assert camera.images[1].rgb.shape == (48, 64, 3)
-    assert points.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
-    assert np.allclose(points.directions, [[0, 0.6, 0.8], [1, 0, 0]])
-    assert points.lengths.tolist() == [3.0, 0.0]
+    assert radar.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert np.allclose(radar.directions, [[0, 0.6, 0.8], [1, 0, 0]])
+    assert radar.lengths.tolist() == [3.0, 0.0]
 
 
 POSE, INTRINSICS = "poses/2.json", "cameras/front/intrinsics.json"

@@ -47,7 +47,6 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, key_of
 
 _NEAR = 0.1  # what has no corner further in front of the camera than this has no outline in its images [m]
-
 _UPRIGHT_WITHIN = 1e-6
 _REPORTED = ("truncated", "occluded", "alpha", "score", "type")
 

@@ -55,7 +55,6 @@ CAMERA_ID, LIDAR_ID = "camera2", "velodyne"
 """What the sensors of a sequence are called."""
 
 _EGO_ID = "ego"  # what the sensor is called whose trajectory is that of the OXTS unit
-
 _CAMERA = 2  # the number of the camera in whose images detections and labels are
 
 

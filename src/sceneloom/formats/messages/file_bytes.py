@@ -130,7 +130,6 @@ DIRECT = -1
 """Instead of a chunk's number: the offset is a position in the file."""
 
 _LARGEST_CHUNK = 1 << 31  # chunks that claim to be larger are refused: a damaged head can claim any number [bytes]
-
 _KEPT_CHUNKS = 2  # messages that are read one after another mostly are in one chunk
 
 

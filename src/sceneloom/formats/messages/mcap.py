@@ -65,9 +65,7 @@ except ImportError as missing:
     raise MissingExtraError(f"{missing}; install the extra: {how_to_install('mcap')}") from missing
 
 _NOTES = "sceneloom"  # name of the metadata record that holds what no message has a field for
-
 _NOTES_KEY = "scene"
-
 _SAMPLE_SCHEMA = "sceneloom.Sample"  # name of the JSON schema of what an IMU measures, which Foxglove has none for
 
 _SAMPLE_JSON = MappingProxyType({
@@ -89,7 +87,6 @@ _LABEL_KEYS = ("label", "class", "class_name", "category", "type")
 """Metadata of plots that name the class of an object, the likeliest first."""
 
 _ID_KEYS = ("id", "track_id", "instance_id", "object_id")  # metadata of plots that name an object, the likeliest first
-
 _DTYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
 _TYPES = {name: number for number, name in _DTYPES.items()}
 _DATA = "data"
@@ -183,9 +180,7 @@ def write_mcap(
 
 
 _HEAD_BYTES = 512
-
 _LOOKED_AT = 8  # messages of a topic in compressed chunks whose own times are compared with those of the index
-
 _ENCODINGS = ("protobuf", "json")  # encodings of messages that are read
 
 

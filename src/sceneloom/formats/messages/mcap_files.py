@@ -31,9 +31,7 @@ from sceneloom.formats.messages.file_bytes import DIRECT, Chunk, ChunkedMessages
 from sceneloom.formats.messages.spec import MCAP_MAGIC
 
 _LARGEST_RECORD = 1 << 30  # records of the index that claim to be larger are refused [bytes]
-
 _HEAD = struct.Struct("<BQ")  # opcode and length of a record, which its content follows
-
 _MESSAGE = struct.Struct("<HIQQ")  # what comes before the data of a message: channel, sequence, log time, publish time
 
 _FOOTER = struct.Struct("<QQI")
@@ -311,9 +309,7 @@ def _signed(time_ns: int) -> int:
 
 
 _CHUNK_BYTES = 1 << 20  # a chunk ends as soon as it is as long as this; a longer message is one of its own
-
 _COMPRESSIONS = ("none", "lz4", "zstd")  # what chunks can be compressed with
-
 _MOST_IDS = 65535
 _Part = bytes | memoryview
 

@@ -118,9 +118,7 @@ def _can_be_kept(record: CloudRecord) -> bool:
 
 
 _LONGEST_SWEEP_NS = 1_500_000_000  # no lidar rotates more slowly
-
 _SHORTEST_SWEEP_NS = 1_000_000  # times over less than this are not those of a sweep, but one time with noise
-
 _USUAL_SWEEP_NS = 100_000_000
 
 _ORDERS = {

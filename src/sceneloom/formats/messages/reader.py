@@ -51,9 +51,7 @@ from sceneloom.scene.types import NO_FIELDS, Coordinates, PointsFrame
 from sceneloom.warnings import WarningKind
 
 _TIMESTAMPS = ("header", "receive")  # which times can be asked for
-
 _FAR_NS = 60_000_000_000  # no network delays messages by more than this: another clock timestamped them
-
 _ZERO_NS = 1_000_000_000
 
 
@@ -709,7 +707,6 @@ _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 """Messages have covariances of position, then rotation; trajectories of rotation, then position."""
 
 _R = TypeVar("_R")
-
 _VECTORS = frozenset({"accelerometer", "gyroscope", "magnetometer"})
 
 
@@ -1023,7 +1020,6 @@ def _noted_scene_fields(survey: Survey, metadata: Mapping[str, Any], form: str) 
 
 
 _IMAGE_KINDS = (Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO)
-
 _FROM_FRAMES = "tf"  # name of the ego trajectory that the transforms report
 
 

@@ -117,7 +117,6 @@ open_ros1, open_ros2 = partial(_open_bag, form="ros1"), partial(_open_bag, form=
 
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _LONGEST_HEAD = 1 << 20
-
 _HEAD_ROOM = 512  # heads of messages of ROS 1 are no longer [bytes]
 
 _TOO_DEEP = re.compile(r"(?:[\[{]\s*|- ){65}")
@@ -667,7 +666,6 @@ def _note_not_read(log: _RosLog, ledger: Ledger) -> None:
 
 
 _STORAGES = ("sqlite3", "mcap")  # what files of ROS 2 bags can be
-
 _SECOND_NS = 1_000_000_000
 
 
@@ -901,7 +899,6 @@ _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: 
 _NUMBERS = {dtype: number for number, dtype in _DATATYPES.items()}
 _MICROTESLA = 1e-6
 _ZERO_CELSIUS = 273.15
-
 _NO_FIX = -1  # status of fixes without reception
 
 

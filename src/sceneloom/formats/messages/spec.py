@@ -15,7 +15,6 @@ ROOT_KEY = "rosbag2_bagfile_information"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _SQLITE = b"SQLite format 3\x00"
 _ROS_PROFILES = frozenset({"ros1", "ros2"})
-
 _ROS_ENCODINGS = frozenset({"cdr", "ros1"})  # encodings of messages that only ROS has. Source: MCAP format registry
 
 _HEADER = struct.Struct("<8sBQI")
@@ -103,9 +102,7 @@ def _is_sqlite_bag(path: Path) -> bool:
 _NO_MESSAGE = "there are no messages for it"
 _SOURCE_TIMESTAMPS = "timestamps of the source are not written beside our own"
 _JSON = converted("written as JSON; values that JSON cannot state are dropped, which is reported")
-
 _ALONG = converted("reported by the mounting and the ego trajectory where these state the same, within their rounding")
-
 _QUATERNION = converted("rotations become unit quaternions")
 
 

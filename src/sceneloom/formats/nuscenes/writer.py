@@ -38,7 +38,6 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Key, PointsFrame, key_of
 
 _IMAGES = ("copy", "png")  # how images are written
-
 _JPEG_QUALITY = 95  # of images that come from a video or from memory
 
 _KIND = FolderKind(
@@ -72,9 +71,7 @@ _VISIBILITIES = {"v0-40": "1", "v40-60": "2", "v60-80": "3", "v80-100": "4"}
 """Tokens of the levels, by name. Source: "visibility" of the schema."""
 
 _UNKNOWN = "unknown"  # the category of objects without a class
-
 _NOISE = "noise"  # the class with the number 0, which points without a class get
-
 _MOST_CLASSES = 255
 _COUNTS = {"lidar": "num_lidar_pts", "radar": "num_radar_pts"}
 _OF_FRAMES = frozenset({"file", "token", "sample_token", "is_key_frame"})
@@ -83,14 +80,10 @@ _CUBOID, _POINTS = "annotations.cuboid", "annotations.labeled_points"
 _Written = LidarSensor | RadarSensor | CameraSensor
 _MODALITIES: Mapping[type[Any], str] = {LidarSensor: "lidar", RadarSensor: "radar", CameraSensor: "camera"}
 _SECOND = 1_000_000_000
-
 _RATE_HZ = 2.0  # samples a second in nuScenes
-
 _OF_SENSORS = frozenset({"token", "calibrated_sensor_token", KEY_FRAMES})
 _OF_SCENES = frozenset({"nuscenes", "sceneloom"})  # extra fields that the tables hold
-
 _VERSION = "v1.0-sceneloom"  # the name of the folder of tables, where the scene was not read from one
-
 _LIDAR_TOP = "LIDAR_TOP"  # the channel of the lidar that the renderers of the development kit ask for
 
 _LOOKING: Mapping[float, str] = {
@@ -104,7 +97,6 @@ _LOOKING: Mapping[float, str] = {
 """The cameras of nuScenes by their viewing direction, counter-clockwise from ahead [deg]."""
 
 _NEAR_DEG = 25.0  # how far a camera's direction may be from one of these for the camera to get its name
-
 _STEEP = np.sin(np.pi / 4)  # a camera pitched by more than 45 degrees has none of these directions
 
 _Add = Callable[[Mapping[str, Any]], None]  # adds a row to a table

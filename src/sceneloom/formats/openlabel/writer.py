@@ -595,7 +595,6 @@ _STREAM_TYPES: Mapping[type[Any], str] = {
 }
 
 _FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
-
 _EXACT_M, _EXACT_DEG = 1e-6, 1e-4  # poses this near to the exact ones count as exact
 
 _WITHIN = 0.5

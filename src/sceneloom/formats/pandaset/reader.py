@@ -43,7 +43,6 @@ from sceneloom.scene.types import PointsFrame
 from sceneloom.warnings import WarningKind
 
 _NANOSECONDS = 1_000_000_000
-
 _LATEST_SECONDS = 9_000_000_000  # times beyond this [s] are in another unit
 
 _LIDARS = ("main_pandar64", "front_gt")
@@ -55,11 +54,9 @@ _LIDAR_FROM_EGO = RigidTransform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0
 """PandaSet's own frame has x right and y forward; an ego here has x forward and y left."""
 
 _FRAME, _IMAGE = r"\d+\.pkl(\.gz)?", r"\d+\.jpg"
-
 _LABEL = "label"
 _STATED = ("camera_used",)
 _STATED_PREFIXES = ("attributes.", "cuboids.")
-
 _NOTHING = ("None", "", "-", "nan", "-1")  # values, as texts, by which the files state nothing
 
 

@@ -34,12 +34,9 @@ _UNITS = ((18, 20, 1, "nanoseconds"), (15, 18, 1_000, "microseconds"), (12, 15, 
 """From so many digits up to so many a name is a time since 1970 in a unit of so many nanoseconds."""
 
 _SECOND = 1_000_000_000
-
 _MOST_FRAMES = 10_000_000  # no drive has more frames than this
-
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 _RADAR_COLUMNS = 7
-
 _LARGEST = 1e9  # no position and no speed of a return is larger than this
 
 

@@ -169,9 +169,7 @@ TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = _Forms()
 """The forms of files by name; of two that recognise a file the first counts."""
 
 _FORM_NAMES = tuple(TRAJECTORY_FORMS)
-
 _OWN_SUFFIXES = {".tum", ".kitti", ".jsonl"}  # suffixes that nothing but one form has
-
 _READING = ("form", "name", "times", "rate_hz", "unit", "origin_lla", "optical", "lenient")
 
 

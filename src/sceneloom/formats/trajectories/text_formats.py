@@ -53,9 +53,7 @@ _EXTRA: Mapping[str, str] = {
 """What may follow a pose of EuRoC, three numbers each, in this order, and the names of the columns."""
 
 _EUROC_POSE = ("#timestamp", *(f"p_RS_R_{axis} [m]" for axis in "xyz"), *(f"q_RS_{axis} []" for axis in "wxyz"))
-
 _WIDTHS = tuple(8 + 3 * count for count in range(len(_EXTRA) + 1))
-
 _POSITIONS_ONLY = 4  # numbers a line of the position tracker's files, which have the same header without orientations
 
 _EARLIEST_NS = 1e12

@@ -580,15 +580,7 @@ def write_labels(labels: KittiLabels, path: Path | str, *, overwrite: bool = Fal
 
 
 def _format_labels(labels: KittiLabels, path: Path | str = "", *, tracked: bool = True) -> Iterator[str]:
-    """The lines of labels or results, without their ends.
-
-    Args:
-        path: what is written, for messages.
-        tracked: whether frame and track stand first, as in the tracking benchmark.
-
-    Raises:
-        DataError: a number is not finite, or a class has a blank.
-    """
+    """The lines of labels or results, without their ends; `tracked`: frame and track stand first."""
     values = labels.values
     wrong = ~np.isfinite(values[:, 2:]).all(axis=1)
     if wrong.any():

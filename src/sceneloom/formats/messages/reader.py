@@ -218,13 +218,7 @@ class _TransformRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Edge:
-    """How a frame is, or moves, in its parent.
-
-    Attributes:
-        parent: the frame above.
-        fixed: `parent_from_child` where it never changes, else None.
-        path: the same over time where it moves, else None.
-    """
+    """How a frame is, or moves, in its parent: `parent_from_child` where it never changes, else over time."""
 
     parent: str
     fixed: RigidTransform | None = None
@@ -232,26 +226,12 @@ class _Edge:
 
 
 class _FrameTree:
-    """Frames by their ids.
-
-    Attributes:
-        edges: of each frame that has a parent.
-        repeated: how many transforms stated the same time once more.
-        other_parents: how many transforms named another parent than those before.
-    """
+    """Frames by their ids."""
 
     def __init__(self, records: Iterable[TransformRecord], name: str) -> None:
-        """Build the tree.
-
-        Args:
-            records: in any order; the first of several with one time counts, and the first parent.
-            name: what messages call their log.
-
-        Raises:
-            DataError: a transform is none, or frames are their own parents.
-        """
-        self.edges: dict[str, _Edge] = {}
-        self.repeated = self.other_parents = 0
+        """Build the tree: the first of several transforms with one time counts, and the first parent."""
+        self.edges: dict[str, _Edge] = {}  # of each frame that has a parent
+        self.repeated = self.other_parents = 0  # transforms of the same time, or of another parent than before
         rows: dict[str, _TransformRows] = {}
         for record in records:
             _check_transform(record, name)
@@ -388,20 +368,10 @@ class _Roles:
 def _choose_roles(
     tree: _FrameTree, sensor_frames: Iterable[str], *, ego: str | None, world: str | None, location: str, ledger: Ledger
 ) -> _Roles:
-    """Choose the frames.
+    """Choose the frames, unless somebody chose `ego` and `world`.
 
     The ego is a frame of one of the usual names, below the lowest frame that moves and above most sensors; without
     such a name that frame itself. The world is the highest frame above it.
-
-    Args:
-        tree: the frames.
-        sensor_frames: of all sensors.
-        ego, world: frames that somebody chose, or None.
-        location: for warnings.
-        ledger: takes what was chosen.
-
-    Raises:
-        OptionError: a frame that was chosen is not there.
     """
     frames = tree.frames
     for role, frame in (("ego", ego), ("world", world)):
@@ -446,17 +416,11 @@ def _ego(tree: _FrameTree, sensor_frames: list[str]) -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Locations:
-    """The frames, and the ego trajectory.
-
-    Attributes:
-        tree: of the frames.
-        roles: which of them is the ego, and which the world.
-        trajectory: `world_from_ego`, the default one; None where none is known.
-    """
+    """The frames, and the ego trajectory."""
 
     tree: _FrameTree
     roles: _Roles
-    trajectory: Poses | None
+    trajectory: Poses | None  # `world_from_ego`, the default one; None where none is known
 
     def points_frame(self, frame_id: str) -> PointsFrame:
         """Whose frame it is: the world's, the ego's, or a sensor's own."""

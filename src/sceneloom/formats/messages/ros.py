@@ -125,30 +125,20 @@ _TOO_DEEP = re.compile(r"(?:[\[{]\s*|- ){65}")
 
 @dataclass(frozen=True, slots=True)
 class _Connection:
-    """A stream of messages of one type.
-
-    Attributes:
-        topic: that they are on.
-        type: of the messages, "package/msg/Name".
-        definition: text that defines the type; "" where the bag has none.
-        form: of the text: "ros1msg", "ros2msg" or "ros2idl".
-        encoding: of the messages: "cdr" or "ros1".
-    """
+    """A stream of messages of one type."""
 
     topic: str
-    type: str
-    definition: str
-    form: str
-    encoding: str
+    type: str  # "package/msg/Name"
+    definition: str  # text that defines the type; "" where the bag has none
+    form: str  # of the text: "ros1msg", "ros2msg" or "ros2idl"
+    encoding: str  # of the messages: "cdr" or "ros1"
 
 
 class _Bag(Protocol):
     """One file of a bag; it can be pickled."""
 
     @property
-    def connections(self) -> Sequence[_Connection]:
-        """All streams."""
-        ...
+    def connections(self) -> Sequence[_Connection]: ...
 
     def received(self, number: int) -> Int64Array:
         """When the messages of a connection were recorded, (N,) int64 [ns], in the order of the file."""
@@ -168,11 +158,7 @@ class _Bag(Protocol):
 
 
 def _open_bags(path: Path, ledger: Ledger) -> list[_Bag]:
-    """Open all files of a bag.
-
-    Raises:
-        DataError: a file is missing, damaged, or packed as a whole.
-    """
+    """Open all files of a bag; DataError if one is missing, damaged, or packed as a whole."""
     reported = _metadata(path, ledger) if path.is_dir() else {}
     files = _files(path, reported, ledger) if path.is_dir() else [path]
     packed = str(reported.get("compression_mode") or "").lower() == "message"

@@ -22,12 +22,7 @@ ATTRIBUTE_PARTS = ("sensor_id", "static", "point_index")
 
 @dataclass(frozen=True, slots=True)
 class _Notes:
-    """What our writer left beside the messages; empty for files of others.
-
-    Attributes:
-        sensors, trajectories, annotations: one mapping for each.
-        root: everything else by name.
-    """
+    """What our writer left beside the messages: a mapping for each of some things; empty for files of others."""
 
     sensors: tuple[Mapping[str, Any], ...] = ()
     trajectories: tuple[Mapping[str, Any], ...] = ()
@@ -76,11 +71,7 @@ class Survey:
 
     @classmethod
     def begun(cls, log: TopicLog, ledger: Ledger) -> "Survey":
-        """A survey that knows the notes only.
-
-        Raises:
-            DataError: they cannot be read.
-        """
+        """A survey that knows the notes only; DataError if they cannot be read."""
         if log.notes is None:
             return cls(log, ledger, _Notes())
         try:

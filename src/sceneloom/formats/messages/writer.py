@@ -192,21 +192,13 @@ def kept_record(points: LidarPoints, timestamp_ns: int) -> CloudRecord | None:
 
 @dataclass(slots=True)
 class _CloudWriter:
-    """Makes the records of a sensor of points; counts what has no field in them.
-
-    Attributes:
-        topic: of the messages.
-        frame_id: of the points.
-        field: what the model calls the sensor's frames, for losses.
-        losses: takes what is lost.
-        intensity: dtype of intensities.
-    """
+    """Makes the records of a sensor of points; counts what has no field in them."""
 
     topic: str
     frame_id: str
-    field: str
+    field: str  # what the model calls the sensor's frames, for losses
     losses: Losses
-    intensity: str = "u1"
+    intensity: str = "u1"  # dtype
 
     def lidar(self, sensor: LidarSensor, k: int) -> Iterator[Stated]:
         """Make the record of sweep `k`."""
@@ -814,12 +806,9 @@ def _camera_model_text(camera: Camera) -> str:
 
 
 def camera_model_record(camera: Camera, timestamp_ns: int, frame_id: str, fisheye: str) -> CameraModelRecord:
-    """Put a camera model into the words of calibrations.
+    """Put a camera model into the words of calibrations; one that they do not know is named as only we understand.
 
     Args:
-        camera: the camera model; a model that the words do not know is named as only we understand.
-        timestamp_ns: since when [ns].
-        frame_id: of the camera.
         fisheye: what the format calls an OpenCV fisheye camera model.
     """
     model, numbers = _written_model(camera, fisheye)

@@ -75,16 +75,10 @@ _LARGEST = 1e150
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A part of a document.
-
-    Attributes:
-        file: the document's.
-        location: where the part is in it ("openlabel.frames.3").
-        value: as in the file.
-    """
+    """A part of a document."""
 
     file: Path
-    location: str
+    location: str  # "openlabel.frames.3"
     value: Any
 
     def fault(self, expected: str) -> DataError:

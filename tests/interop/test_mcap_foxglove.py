@@ -154,6 +154,7 @@ NO_SUMMARY = {
         {"compression": CompressionType.ZSTD},
         {"use_chunking": False},
         NO_SUMMARY,
+        {"index_types": IndexType.NONE, "use_statistics": False, "use_summary_offsets": False, "chunk_size": 2000},
         {"index_types": IndexType.CHUNK, "compression": CompressionType.ZSTD},
     ],
 )

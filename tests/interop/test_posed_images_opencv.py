@@ -115,43 +115,31 @@ def rotation(w, x, y, z):
         ("five", ("FULL_OPENCV", 12)),
         ("eight", ("FULL_OPENCV", 12)),
         ("fish eye", ("OPENCV_FISHEYE", 8)),
+        ("mei", None),  # COLMAP does not have it: the nearest is written, with its error
     ],
 )
 def test_opencv_projects_a_colmap_model_to_where_the_scene_sees_it(tmp_path, name, expected):
     one = scene([name])
-    write_scene(one, tmp_path / "o", format="colmap", images="none")
+    losses = write_scene(one, tmp_path / "o", format="colmap", images="none")
+    found = [loss for loss in losses if loss.field == f"sensors[{name}].camera" and loss.largest_error is not None]
+    assert [loss.support for loss in found] == [Support.APPROXIMATED] * (expected is None)
+    # the error is measured on a grid of the image: between its nodes it may be a little larger
+    error = max((1.2 * loss.largest_error for loss in found), default=0.0) + 1e-6
+    assert error < 1.2
     cameras, images, _ = read_colmap(tmp_path / "o" / "sparse" / "0")
     assert len(cameras) == 1
-    model, width, height, numbers = cameras[1]
-    assert (model, len(numbers)) == expected
-    assert (width, height) == SIZE
-    assert len(images) == len(TIMES)
+    model, width, height, (fx, fy, cx, cy, *distortion) = cameras[1]
+    assert expected in (None, (model, 4 + len(distortion)))
+    assert ((width, height), len(images)) == (SIZE, len(TIMES))
     for number, pose, camera in images.values():
         points_world, pixels = truth(one, name, number - 1)
         points_camera = points_world @ rotation(*pose[:4]).T + pose[4:]
-        fx, fy, cx, cy, *distortion = numbers
         # COLMAP counts from the corner of the first pixel, OpenCV from its centre
-        found = opencv(points_camera, fx, fy, cx - 0.5, cy - 0.5, distortion or [0.0] * 4, fisheye="FISHEYE" in model)
-        np.testing.assert_allclose(found, pixels, rtol=0, atol=1e-6)
+        seen = opencv(points_camera, fx, fy, cx - 0.5, cy - 0.5, distortion or [0.0] * 4, fisheye="FISHEYE" in model)
+        inside = ((pixels > 0) & (pixels < SIZE)).all(axis=1) | (expected is not None)
+        assert inside.sum() > 10
+        assert np.linalg.norm(seen - pixels, axis=1)[inside].max() < error
         assert camera == 1
-
-
-def test_a_camera_model_that_colmap_does_not_have_is_known_by_the_nearest_with_its_error(tmp_path):
-    one = scene(["mei"])
-    losses = write_scene(one, tmp_path / "o", format="colmap", images="none")
-    (loss,) = [loss for loss in losses if loss.field == "sensors[mei].camera" and loss.largest_error is not None]
-    assert loss.support is Support.APPROXIMATED
-    cameras, images, _ = read_colmap(tmp_path / "o" / "sparse" / "0")
-    model, _, _, (fx, fy, cx, cy, *distortion) = cameras[1]
-    _, pose, _ = next(iter(images.values()))
-    points_world, pixels = truth(one, "mei", 0)
-    points_camera = points_world @ rotation(*pose[:4]).T + pose[4:]
-    found = opencv(points_camera, fx, fy, cx - 0.5, cy - 0.5, distortion, fisheye="FISHEYE" in model)
-    inside = ((pixels > 0) & (pixels < SIZE)).all(axis=1)
-    assert inside.sum() > 10
-    # the error is measured on a grid of the image: between its nodes it may be a little larger
-    assert np.linalg.norm(found - pixels, axis=1)[inside].max() < 1.2 * loss.largest_error + 1e-6
-    assert loss.largest_error < 1.0
 
 
 def test_the_binary_files_hold_what_the_texts_hold(tmp_path):
@@ -228,9 +216,8 @@ def test_points_are_in_the_world_thinned_and_coloured(tmp_path):
     assert len(cubes) > 0.99 * len(cloud.vertices)  # rounding may move a point over an edge of its cube
 
 
-def test_far_locations_count_from_an_origin_that_is_reported(tmp_path):
-    far = (500_000.0, 5_400_000.0, 30.0)
-    one = scene(["plain"], origin=far)
+def test_far_locations_count_from_an_origin_that_is_reported_as_is_what_jpeg_costs(tmp_path):
+    one = scene(["plain"], origin=(500_000.0, 5_400_000.0, 30.0))
     losses = write_scene(one, tmp_path / "o", format="nerfstudio", images="none", points="0")
     content = json.loads((tmp_path / "o" / "transforms.json").read_text())
     applied = np.array(content["applied_transform"])
@@ -240,18 +227,13 @@ def test_far_locations_count_from_an_origin_that_is_reported(tmp_path):
     np.testing.assert_allclose(applied[:, :3] @ camera + applied[:, 3], first, rtol=0, atol=1e-8)
     assert any("locations count from" in loss.what for loss in losses)
     assert "ply_file_path" not in content
-
-
-def test_what_jpeg_costs_is_reported_and_png_costs_nothing(tmp_path):
-    one = scene(["plain"])
-    exact = one.sensor("plain").images[0].rgb
     lossy = write_scene(one, tmp_path / "a", format="colmap", points="0")
     (loss,) = [loss for loss in lossy if loss.field.endswith("images.rgb")]
     assert (loss.support, loss.count) == (Support.APPROXIMATED, 3)
     reported = write_scene(one, tmp_path / "b", format="colmap", points="0", images="png")
     assert not [loss for loss in reported if loss.field.endswith("images.rgb")]
     image = cv2.imread(str(next((tmp_path / "b" / "images" / "plain").iterdir())))
-    np.testing.assert_array_equal(image[:, :, ::-1], exact)
+    np.testing.assert_array_equal(image[:, :, ::-1], one.sensor("plain").images[0].rgb)
 
 
 @pytest.mark.parametrize("name", ["colmap", "nerfstudio"])

@@ -62,6 +62,18 @@ class Tables:
         location = {"translation": translation, "rotation": wxyz(rotation), "camera_intrinsic": matrix}
         self.add("calibrated_sensor", f"c-{channel}", sensor_token=f"s-{channel}", **location)
 
+    def add_data(self, token, channel, modality, timestamp_us, filename, *, size=(0, 0), key=True, **fields) -> None:
+        """Add the row of a file; `fields` are its sample, its pose and the links."""
+        form, (width, height) = ("jpg", size) if modality == "camera" else ("pcd", (0, 0))
+        fields |= {"calibrated_sensor_token": f"c-{channel}", "timestamp": timestamp_us, "fileformat": form}
+        fields |= {"is_key_frame": key, "width": width, "height": height, "filename": filename}
+        self.add("sample_data", token, **fields)
+
+    def add_box(self, token, translation, size_wlh, rotation, points, **fields) -> None:
+        """Add a box in the world with its numbers of points of lidars and radars."""
+        fields |= {"translation": translation, "size": size_wlh, "rotation": wxyz(rotation)}
+        self.add("sample_annotation", token, num_lidar_pts=points[0], num_radar_pts=points[1], **fields)
+
     def row(self, table: str, token: str) -> dict:
         return next(row for row in self.rows[table] if row["token"] == token)
 
@@ -157,46 +169,20 @@ def _scene(tables: Tables, name: str, first_us: int, samples: int) -> None:
     tables.add("instance", f"{name}-car", category_token="cat-car", nbr_annotations=samples, **ends)
     for k, token in enumerate(boxes):
         translation, rotation = car_pose(k)
-        tables.add(
-            "sample_annotation",
-            token,
-            sample_token=tokens[k],
-            instance_token=f"{name}-car",
-            visibility_token="4" if k else "",
-            attribute_tokens=["att-moving"] if k else ["att-parked"],
-            translation=translation,
-            size=CAR_SIZE_WLH,
-            rotation=wxyz(rotation),
-            num_lidar_pts=k + 3,
-            num_radar_pts=k,
-            **links(boxes, k),
-        )
+        fields = {"sample_token": tokens[k], "instance_token": f"{name}-car", "visibility_token": "4" if k else ""}
+        fields |= {"attribute_tokens": ["att-moving"] if k else ["att-parked"], **links(boxes, k)}
+        tables.add_box(token, translation, CAR_SIZE_WLH, rotation, (k + 3, k), **fields)
 
 
 def _frames(tables: Tables, name: str, channel: str, modality: str, first_us: int, samples: list[str]) -> None:
     tokens = [f"{name}-{channel}-{k}" for k in range(2 * len(samples) - 1)]
-    lag, suffix, form, size = {
-        "lidar": (0, ".pcd.bin", "pcd", (0, 0)),
-        "radar": (-20_003, ".pcd", "pcd", (0, 0)),
-        "camera": (12_341, ".jpg", "jpg", (64, 48)),
-    }[modality]
+    lag, suffix = {"lidar": (0, ".pcd.bin"), "radar": (-20_003, ".pcd"), "camera": (12_341, ".jpg")}[modality]
     for k, token in enumerate(tokens):
         timestamp, folder = first_us + k * 250_000 + lag, "samples" if k % 2 == 0 else "sweeps"
         tables.add_pose(token, timestamp, *ego_pose(timestamp))
-        tables.add(
-            "sample_data",
-            token,
-            sample_token=samples[(k + 1) // 2],
-            ego_pose_token=token,
-            calibrated_sensor_token=f"c-{channel}",
-            timestamp=timestamp,
-            fileformat=form,
-            is_key_frame=k % 2 == 0,
-            width=size[0],
-            height=size[1],
-            filename=tables.file(f"{folder}/{channel}/{token}{suffix}", content_of(modality, k)),
-            **links(tokens, k),
-        )
+        filename = tables.file(f"{folder}/{channel}/{token}{suffix}", content_of(modality, k))
+        fields = {"sample_token": samples[(k + 1) // 2], "ego_pose_token": token, **links(tokens, k)}
+        tables.add_data(token, channel, modality, timestamp, filename, size=(64, 48), key=k % 2 == 0, **fields)
 
 
 def with_classes(tables: Tables, frames: dict[int, slice]) -> Tables:
@@ -227,21 +213,9 @@ def from_infos(infos: Path, root: Path) -> Tables:
         target = tables.root / "samples" / channel / path.name
         target.parent.mkdir(parents=True, exist_ok=True)
         target.symlink_to(path)
-        form, size = ("jpg", (1600, 900)) if modality == "camera" else ("pcd", (0, 0))
-        tables.add(
-            "sample_data",
-            f"d-{channel}",
-            sample_token=token,
-            ego_pose_token=f"p-{channel}",
-            calibrated_sensor_token=f"c-{channel}",
-            timestamp=timestamp,
-            fileformat=form,
-            is_key_frame=True,
-            width=size[0],
-            height=size[1],
-            filename=f"samples/{channel}/{path.name}",
-            **links(["only"], 0),
-        )
+        fields = {"sample_token": token, "ego_pose_token": f"p-{channel}", **links(["only"], 0)}
+        filename = f"samples/{channel}/{path.name}"
+        tables.add_data(f"d-{channel}", channel, modality, timestamp, filename, size=(1600, 900), **fields)
 
     world_from_ego, ego_from_lidar = np.array(frame["ego2global"]), np.array(frame["lidar_points"]["lidar2ego"])
     world_from_lidar = world_from_ego @ ego_from_lidar
@@ -264,15 +238,7 @@ def from_infos(infos: Path, root: Path) -> Tables:
         x, y, z, length, width, height, yaw = box["bbox_3d"]
         heading = Rotation.from_matrix(world_from_lidar[:3, :3]) * Rotation.from_euler("z", yaw)
         tables.add("instance", f"i{k}", category_token=names.get(box["bbox_label_3d"], "other"), nbr_annotations=1)
-        tables.add(
-            "sample_annotation",
-            f"a{k}",
-            sample_token=token,
-            instance_token=f"i{k}",
-            translation=(world_from_lidar @ [x, y, z, 1])[:3].tolist(),
-            size=[width, length, height],
-            rotation=wxyz(heading),
-            num_lidar_pts=box["num_lidar_pts"],
-            num_radar_pts=box["num_radar_pts"],
-        )
+        center, points = (world_from_lidar @ [x, y, z, 1])[:3].tolist(), (box["num_lidar_pts"], box["num_radar_pts"])
+        fields = {"sample_token": token, "instance_token": f"i{k}"}
+        tables.add_box(f"a{k}", center, [width, length, height], heading, points, **fields)
     return tables

@@ -24,7 +24,6 @@ from sceneloom.formats.kitti.labels import (
     read_boxes_3d_list,
     read_labels,
 )
-from sceneloom.formats.kitti.text import sequences_called
 from sceneloom.geometry.rigid import rotate_vectors
 from sceneloom.scene.annotations import AttributePath, CuboidAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame, cuboid_poses, not_in_world
@@ -139,8 +138,8 @@ def read_both(
         sides, sequences = _read_scenes(results, truth, sequences, ledger, corrections), ()
     else:
         # leading zeros need not be stated
-        names = [file.stem for file in _files_of(Path(truth))]
-        sequences = tuple(dict.fromkeys((sequences_called(names, name) or [name])[-1] for name in sequences))
+        names = {file.stem.lstrip("0"): file.stem for file in _files_of(Path(truth))}
+        sequences = tuple(dict.fromkeys(names.get(name.lstrip("0"), name) if name else name for name in sequences))
         sides = _read_texts(Path(results), Path(truth), kinds, frozenset(sequences), ledger)
     _check_names(*sides, sequences, (results, truth))
     found, true = ({name: side[name] for name in sequences or sorted(sides[1])} for side in sides)

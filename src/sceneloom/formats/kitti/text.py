@@ -192,11 +192,6 @@ def note_other_part(path: Path, found: Sequence[Path], ledger: Ledger) -> None:
         ledger.note(WarningKind.SKIPPED, "other-part", str(path), message)
 
 
-def sequences_called(sequences: Iterable[str], wanted: str) -> list[str]:
-    """The sequences that a name matches; its leading zeros are optional."""
-    return [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]
-
-
 def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) -> str:
     """The only sequence, or the wanted one; leading zeros are optional.
 
@@ -205,7 +200,7 @@ def choose_sequence(path: Path, sequences: tuple[str, ...], wanted: str | None) 
     """
     names = ", ".join(sequences) or "none"
     if wanted is not None:
-        chosen = sequences_called(sequences, wanted)
+        chosen = [name for name in sequences if wanted and wanted.lstrip("0") == name.lstrip("0")]
         if len(chosen) != 1:
             raise OptionError(f"sequence {wanted!r}: {path} has {names}")
         return chosen[0]

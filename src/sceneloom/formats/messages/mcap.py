@@ -50,7 +50,6 @@ from sceneloom.formats.messages.records import (
     SampleRecord,
     Topic,
     TransformRecord,
-    merged,
     rotation_of,
     vector_of,
 )
@@ -172,7 +171,7 @@ def write_mcap(
         writer = McapWriter(stream, library=f"sceneloom {__version__}", compression=compression, large_apart=True)
         plan = SceneStreams(scene, _DIALECT, images=images)
         records = _FoxgloveWriter(writer, max(0, -plan.start_ns))
-        for time_ns, topic, record in merged(plan.streams):
+        for time_ns, topic, record in plan.records():
             records.add(time_ns, topic, record)
         writer.add_metadata(_NOTES, {_NOTES_KEY: json.dumps(plan.notes)})
         writer.finish()

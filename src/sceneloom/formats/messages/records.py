@@ -1,8 +1,7 @@
 """Messages whatever their format: records, topics that are read, streams that are written, supported fields."""
 
-import heapq
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Protocol
@@ -295,30 +294,6 @@ class TopicLog(Protocol):
 
 Stated = tuple[str, AnyRecord]
 """A topic, and what is stated on it."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stream:
-    """Records whose times are known before they are made.
-
-    Attributes:
-        times_ns: (N,) int64 [ns], ascending.
-        make: makes what is stated at row `k`; called once for each row, in their order.
-    """
-
-    times_ns: Int64Array
-    make: Callable[[int], Iterable[Stated]]
-
-
-def merged(streams: Sequence[Stream]) -> Iterator[tuple[int, str, AnyRecord]]:
-    """Give time, topic and record of all streams in the order of time; one is made at a time."""
-
-    def rows(number: int) -> Iterator[tuple[int, int, int]]:
-        return ((int(time_ns), number, k) for k, time_ns in enumerate(streams[number].times_ns))
-
-    for time_ns, number, k in heapq.merge(*map(rows, range(len(streams)))):
-        for topic, record in streams[number].make(k):
-            yield time_ns, topic, record
 
 
 def vector_of(vector: Any) -> Float64Array:

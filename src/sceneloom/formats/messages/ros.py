@@ -51,7 +51,6 @@ from sceneloom.formats.messages.records import (
     SampleRecord,
     Topic,
     TransformRecord,
-    merged,
     rotation_of,
     vector_of,
 )
@@ -749,7 +748,7 @@ def _write(scene: Scene, bag: Any, distro: str, images: str, *, ros1: bool) -> L
         plan.losses.converted("time_offset_ns", what)
     records = _Records(bag, store, _Messages(store, ros1=ros1, shift_ns=shift_ns), shift_ns, ros1=ros1)
     records.add(plan.start_ns, _NOTES_TOPIC, NotesRecord(0, json.dumps(plan.notes)))
-    for time_ns, topic, record in merged(plan.streams):
+    for time_ns, topic, record in plan.records():
         records.add(time_ns, topic, record)
     return LossReport.of(plan.losses.all)
 

@@ -1,5 +1,6 @@
 """A scene as streams of records: sensors, trajectories, annotations, and notes of what messages cannot hold."""
 
+import heapq
 import io
 import json
 import math
@@ -32,7 +33,6 @@ from sceneloom.formats.messages.records import (
     PoseRecord,
     SampleRecord,
     Stated,
-    Stream,
     TransformRecord,
     numbered,
 )
@@ -48,6 +48,15 @@ from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainS
 from sceneloom.scene.poses import Poses, Trajectory, placed_along
 from sceneloom.scene.scene import Scene, Sensor, frame_times
 from sceneloom.scene.types import Coordinates, PointsFrame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stream:
+    """Records whose times are known before they are made; `make` is called once for each row, in their order."""
+
+    times_ns: Int64Array  # ascending
+    make: Callable[[int], Iterable[Stated]]
+
 
 _Drawn = CuboidAnnotation | Box2DAnnotation
 
@@ -78,7 +87,7 @@ class _Rows:
 
 def _cuboid_stream(
     annotations: Sequence[CuboidAnnotation], keys: Sequence[str], topic: str, frame_id: str, angles: CuboidAngles
-) -> Stream:
+) -> _Stream:
     """Draw cuboids at each of their times, and take them away at the first one after their last."""
     rows = _Rows.of(annotations)
     last = {int(owner): int(annotations[owner].path.timestamps_ns[-1]) for owner in range(len(annotations))}
@@ -94,7 +103,7 @@ def _cuboid_stream(
         boxes = tuple(_cuboid(annotations[owner], keys[owner], row, frame_id, angles) for owner, row in rows.at(k))
         yield topic, Boxes3DRecord(time_ns, boxes, tuple(gone))
 
-    return Stream(rows.times_ns, make)
+    return _Stream(rows.times_ns, make)
 
 
 def _cuboid(annotation: CuboidAnnotation, key: str, row: int, frame_id: str, angles: CuboidAngles) -> Box3D:
@@ -103,7 +112,7 @@ def _cuboid(annotation: CuboidAnnotation, key: str, row: int, frame_id: str, ang
     return Box3D(key, frame_id, values[3:6], rotation, values[:3], annotation.label)
 
 
-def _box_2d_stream(annotations: Sequence[Box2DAnnotation], keys: Sequence[str], topic: str, frame_id: str) -> Stream:
+def _box_2d_stream(annotations: Sequence[Box2DAnnotation], keys: Sequence[str], topic: str, frame_id: str) -> _Stream:
     """Draw boxes into the images of a camera at each of their times."""
     rows = _Rows.of(annotations)
 
@@ -114,7 +123,7 @@ def _box_2d_stream(annotations: Sequence[Box2DAnnotation], keys: Sequence[str], 
             boxes.append(Box2D(keys[owner], (left, top, width, height), annotations[owner].label))
         yield topic, Boxes2DRecord(int(rows.times_ns[k]), frame_id, tuple(boxes))
 
-    return Stream(rows.times_ns, make)
+    return _Stream(rows.times_ns, make)
 
 
 _POSITION_FIRST = np.array([3, 4, 5, 0, 1, 2])
@@ -147,13 +156,13 @@ def check_images(images: str) -> None:
         raise OptionError(f"images {images!r}; expected one of {', '.join(_IMAGES)}")
 
 
-def _stream(times_ns: Int64Array, topic: str, make: Callable[[int], AnyRecord]) -> Stream:
+def _stream(times_ns: Int64Array, topic: str, make: Callable[[int], AnyRecord]) -> _Stream:
     """A stream of one record on one topic at each time."""
 
     def stated(k: int) -> Iterator[Stated]:
         yield topic, make(k)
 
-    return Stream(times_ns, stated)
+    return _Stream(times_ns, stated)
 
 
 _Columns = dict[tuple[str, ...], AnyArray]
@@ -300,7 +309,6 @@ class SceneStreams:
     """What a scene becomes in a log.
 
     Attributes:
-        streams: of all records but the notes.
         notes: what no message has a field for, as JSON will have it.
         losses: what is lost; it grows while the streams are followed.
         start_ns, stop_ns: first and last time of all streams [ns].
@@ -315,7 +323,7 @@ class SceneStreams:
             images: one of "copy", "jpeg", "png", "raw".
         """
         self.losses = Losses()
-        self.streams: list[Stream] = []
+        self._streams: list[_Stream] = []
         self._scene, self._dialect, self._images = scene, dialect, images
         self._trajectory = _trajectory_of(scene)
         check_one_ego(scene, self._trajectory)
@@ -341,12 +349,22 @@ class SceneStreams:
             **self._free_fields(),
         }
         moving = [_transforms(child, *where) for child, where in self._paths.items()]
-        streams = [self._fixed_frames(), *moving, *self.streams]
-        self.streams = [stream for stream in streams if len(stream.times_ns)]
-        self.start_ns = min((int(stream.times_ns[0]) for stream in self.streams), default=0)
-        self.stop_ns = max((int(stream.times_ns[-1]) for stream in self.streams), default=0)
+        streams = [self._fixed_frames(), *moving, *self._streams]
+        self._streams = [stream for stream in streams if len(stream.times_ns)]
+        self.start_ns = min((int(stream.times_ns[0]) for stream in self._streams), default=0)
+        self.stop_ns = max((int(stream.times_ns[-1]) for stream in self._streams), default=0)
 
-    def _fixed_frames(self) -> Stream:
+    def records(self) -> Iterator[tuple[int, str, AnyRecord]]:
+        """Time, topic and record of all streams in the order of time; one is made at a time."""
+
+        def rows(number: int) -> Iterator[tuple[int, int, int]]:
+            return ((int(time_ns), number, k) for k, time_ns in enumerate(self._streams[number].times_ns))
+
+        for time_ns, number, k in heapq.merge(*map(rows, range(len(self._streams)))):
+            for topic, record in self._streams[number].make(k):
+                yield time_ns, topic, record
+
+    def _fixed_frames(self) -> _Stream:
         """Where frames are in others for good, stated once, at the beginning."""
 
         def make(_: int) -> Iterator[Stated]:
@@ -354,7 +372,7 @@ class SceneStreams:
                 place = moved.translation, moved.quaternion_xyzw
                 yield FIXED_FRAMES_TOPIC, TransformRecord(self._first_ns, parent, child, *place, fixed=True)
 
-        return Stream(np.full(1 if self._mounts else 0, self._first_ns, np.int64), make)
+        return _Stream(np.full(1 if self._mounts else 0, self._first_ns, np.int64), make)
 
     def _trajectories(self) -> list[_Note]:
         """Report each trajectory on a topic of its own."""
@@ -383,7 +401,7 @@ class SceneStreams:
             rotation = None if rotations is None else rotations[k]
             return PoseRecord(int(path.timestamps_ns[k]), parent, path.positions[k], rotation, body, spread)
 
-        self.streams.append(_stream(path.timestamps_ns, topic, make))
+        self._streams.append(_stream(path.timestamps_ns, topic, make))
 
     def _sensor(self, sensor: Sensor, part: str) -> _Note:
         """Make the streams of a sensor, and give its note."""
@@ -505,16 +523,16 @@ class SceneStreams:
         if sensor.model is not None:
             note["model"] = sensor.model
         writer = self._cloud_writer(note, "sensors.lidar.frames", sensor)
-        self.streams.append(Stream(sensor.frames.timestamps_ns, lambda k: writer.lidar(sensor, k)))
+        self._streams.append(_Stream(sensor.frames.timestamps_ns, lambda k: writer.lidar(sensor, k)))
 
     def _radar(self, sensor: RadarSensor, note: _Note) -> None:
         self._posed(sensor, note)
         writer = self._cloud_writer(note, "sensors.radar.frames", sensor)
-        self.streams.append(Stream(sensor.frames.timestamps_ns, lambda k: writer.radar(sensor, k)))
+        self._streams.append(_Stream(sensor.frames.timestamps_ns, lambda k: writer.radar(sensor, k)))
 
     def _map(self, sensor: PointsSensor, note: _Note) -> None:
         writer, time_ns = self._cloud_writer(note, "sensors.points", None), self._first_ns
-        self.streams.append(Stream(np.full(1, time_ns, np.int64), lambda _: writer.map(sensor, time_ns)))
+        self._streams.append(_Stream(np.full(1, time_ns, np.int64), lambda _: writer.map(sensor, time_ns)))
 
     def _shots(self, sensor: ShootingSensor, note: _Note, tail: str) -> "_ShotWriter":
         self._posed(sensor, note)
@@ -540,11 +558,11 @@ class SceneStreams:
             # packets come in another order than they are shown in, so that no camera model holds until the next one
             each = packets.reordered and any(image.camera != sensor.camera for image in sensor.images)
             writer.each_camera_model |= each
-            self.streams.append(Stream(times, lambda k: writer.packet(sensor, int(order[k]), form, contents)))
+            self._streams.append(_Stream(times, lambda k: writer.packet(sensor, int(order[k]), form, contents)))
             return
         writer = self._shots(sensor, note, "image" if self._images == "raw" else "image/compressed")
         self.losses.dropped("sensors.camera.video", "written as single images", count=sensor.video is not None)
-        self.streams.append(Stream(times, lambda k: writer.image(sensor, k)))
+        self._streams.append(_Stream(times, lambda k: writer.image(sensor, k)))
 
     def _packets(self, sensor: CameraSensor, note: _Note) -> Any:
         """The packets of a camera's video, if they are to be, and can be, handed on."""
@@ -568,7 +586,7 @@ class SceneStreams:
     def _depth_camera(self, sensor: DepthCameraSensor, note: _Note) -> None:
         writer = self._shots(sensor, note, "depth")
         self.losses.dropped("sensors.depth_camera.video", "written as single images", count=sensor.video is not None)
-        self.streams.append(Stream(sensor.frames.timestamps_ns, lambda k: writer.depth(sensor, k)))
+        self._streams.append(_Stream(sensor.frames.timestamps_ns, lambda k: writer.depth(sensor, k)))
 
     def _odometry(self, sensor: OdometrySensor, note: _Note) -> None:
         note |= {"topic": f"/{note['part']}/pose", "static": sensor.poses.static}
@@ -587,7 +605,7 @@ class SceneStreams:
             latitude, longitude, altitude = sensor.positions_lla[k].tolist()
             return FixRecord(int(sensor.timestamps_ns[k]), frame, (latitude, longitude, altitude), variances)
 
-        self.streams.append(_stream(sensor.timestamps_ns, note["topic"], make))
+        self._streams.append(_stream(sensor.timestamps_ns, note["topic"], make))
 
     def _imu(self, sensor: ImuSensor, note: _Note) -> None:
         """Write the streams of an IMU, those with the same times together."""
@@ -602,9 +620,9 @@ class SceneStreams:
             self._drop_seconds(f"{location}.file_seconds", samples.file_seconds)
         note["topics"] = [f"/{note['part']}/{tail}" for tail in numbered([tail for tail, _ in groups], "_")]
         for topic, names in zip(note["topics"], groups.values(), strict=True):
-            self.streams.append(self._samples(sensor, names, topic))
+            self._streams.append(self._samples(sensor, names, topic))
 
-    def _samples(self, sensor: ImuSensor, names: Sequence[str], topic: str) -> Stream:
+    def _samples(self, sensor: ImuSensor, names: Sequence[str], topic: str) -> _Stream:
         times = sensor.streams[names[0]].timestamps_ns
 
         def make(k: int) -> SampleRecord:
@@ -621,7 +639,7 @@ class SceneStreams:
         cuboids = [a for a in annotations if isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns)]
         if cuboids:
             named, angles = [keys[id(annotation)] for annotation in cuboids], CuboidAngles.of(self._scene)
-            self.streams.append(_cuboid_stream(cuboids, named, _CUBOIDS_TOPIC, self._dialect.world, angles))
+            self._streams.append(_cuboid_stream(cuboids, named, _CUBOIDS_TOPIC, self._dialect.world, angles))
             topics |= dict.fromkeys(map(id, cuboids), _CUBOIDS_TOPIC)
             what = "angles become unit quaternions, which do not report whole rotations"
             self.losses.converted("annotations.cuboid.path.values", what, count=len(cuboids))
@@ -635,7 +653,7 @@ class SceneStreams:
             if note is not None:
                 topic = note["boxes_topic"] = f"/{note['part']}/annotations"
                 named = [keys[id(annotation)] for annotation in boxes]
-                self.streams.append(_box_2d_stream(boxes, named, topic, note["frame"]))
+                self._streams.append(_box_2d_stream(boxes, named, topic, note["frame"]))
                 topics |= dict.fromkeys(map(id, boxes), topic)
         notes = []
         for annotation in annotations:
@@ -792,7 +810,7 @@ def _trajectory_of(scene: Scene) -> Poses | None:
     return default.poses
 
 
-def _transforms(child: str, parent: str, path: Poses) -> Stream:
+def _transforms(child: str, parent: str, path: Poses) -> _Stream:
     def make(k: int) -> TransformRecord:
         return TransformRecord(int(path.timestamps_ns[k]), parent, child, path.positions[k], path.quaternions_xyzw[k])
 

@@ -56,6 +56,22 @@ class PickledFrame:
     count: int
     columns: Mapping[str, AnyArray]
 
+    @classmethod
+    def read(cls, path: Path) -> "PickledFrame":
+        """Read a pandas frame of numbers and texts from `.pkl` or `.pkl.gz`.
+
+        Raises:
+            DataError: the file cannot be read, is cut off, or holds anything else.
+        """
+        content = _unpacked(path)
+        try:
+            _check_operations(content)
+            return _frame(path, _Reader(BytesIO(content)).load())
+        except _Wrong as error:
+            raise DataError(path, "", str(error)) from error
+        except (pickle.UnpicklingError, EOFError, MemoryError, *_LOOKUPS) as error:
+            raise DataError(path, "", f"is no whole pickle of a pandas frame: {error}") from error
+
     def column(self, name: str) -> AnyArray:
         """A column by its name.
 
@@ -79,22 +95,6 @@ class PickledFrame:
         if not np.isfinite(values).all():
             raise DataError(self.file, name, f"row {int(np.argmin(np.isfinite(values)))} is not finite")
         return values
-
-
-def read_pickled_frame(path: Path) -> PickledFrame:
-    """Read a pandas frame of numbers and texts from `.pkl` or `.pkl.gz`.
-
-    Raises:
-        DataError: the file cannot be read, is cut off, or holds anything else.
-    """
-    content = _unpacked(path)
-    try:
-        _check_operations(content)
-        return _frame(path, _Reader(BytesIO(content)).load())
-    except _Wrong as error:
-        raise DataError(path, "", str(error)) from error
-    except (pickle.UnpicklingError, EOFError, MemoryError, *_LOOKUPS) as error:
-        raise DataError(path, "", f"is no whole pickle of a pandas frame: {error}") from error
 
 
 _LOOKUPS = (AttributeError, TypeError, ValueError, IndexError, KeyError, OverflowError, RecursionError)

@@ -20,7 +20,7 @@ from sceneloom.formats.base.images import ImageReader, images_image_size
 from sceneloom.formats.base.json_files import read_json
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import choose_drive
-from sceneloom.formats.pandaset.pickles import PickledFrame, read_pickled_frame
+from sceneloom.formats.pandaset.pickles import PickledFrame
 from sceneloom.formats.pandaset.spec import DRIVES_IN
 from sceneloom.formats.points.mapping import FARTHEST_WORLD
 from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion
@@ -183,7 +183,7 @@ class _Drive:
         tracks: dict[str, _Track] = {}
         for file, k in self._annotated("cuboids").items():
             try:
-                _add_boxes(tracks, read_pickled_frame(file), int(self.timestamps_ns[k]))
+                _add_boxes(tracks, PickledFrame.read(file), int(self.timestamps_ns[k]))
             except DataError as error:
                 self.ledger.fault("cuboids", error)
         return [track.cuboid(name) for name, track in tracks.items()]
@@ -275,7 +275,7 @@ def _camera(folder: Path) -> CameraSensor:
 
 def _read_sweep(files: tuple[Path, ...], timestamps_ns: Int64Array, number: int, k: int) -> LidarFrame:
     """Read sweep `k` of one lidar, by its number in the column `d`, out of a file that holds those of both."""
-    frame = read_pickled_frame(files[k])
+    frame = PickledFrame.read(files[k])
     chosen = _rows_of_lidar(frame, number)
     positions = np.stack([frame.numbers(axis)[chosen] for axis in "xyz"], axis=1)
     if len(positions) and np.abs(positions).max() > FARTHEST_WORLD:
@@ -326,7 +326,7 @@ class _LabelFiles:
     def _read(self) -> dict[int, list[LabeledPoints]]:
         found: dict[int, list[LabeledPoints]] = {}
         for k, (labels, points) in self.files.items():
-            table, cloud = read_pickled_frame(labels), read_pickled_frame(points)
+            table, cloud = PickledFrame.read(labels), PickledFrame.read(points)
             numbers = self._numbers(table, cloud)
             for lidar, name in enumerate(_LIDARS):
                 own = numbers[_rows_of_lidar(cloud, lidar)]

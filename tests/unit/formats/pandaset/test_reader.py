@@ -17,7 +17,7 @@ import sceneloom
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.registry import drives_of
 from sceneloom.formats.pandaset import pickles
-from sceneloom.formats.pandaset.pickles import read_pickled_frame
+from sceneloom.formats.pandaset.pickles import PickledFrame
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations_at import CuboidAngles
 
@@ -230,18 +230,18 @@ def test_sweeps_and_classes_are_read_and_faults_reported_when_somebody_asks(driv
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_frames_of_every_pandas_give_the_columns_that_were_written(tmp_path, version):
-    lidar = read_pickled_frame(FRAMES.parent / version / "lidar_1.pkl.gz")
+    lidar = PickledFrame.read(FRAMES.parent / version / "lidar_1.pkl.gz")
     row = np.arange(13)
     assert list(lidar.columns) == list("xyzitd")
     assert lidar.columns["x"].tolist() == (101.0 + row * 1.25).tolist()
     assert lidar.columns["d"].tolist() == [0] * 8 + [1] * 5
     assert not lidar.columns["x"].flags.writeable
-    cuboids = read_pickled_frame(FRAMES.parent / version / "cuboids_0.pkl.gz")
+    cuboids = PickledFrame.read(FRAMES.parent / version / "cuboids_0.pkl.gz")
     assert cuboids.columns["label"].tolist() == ["Car", "Car", "Pedestrian"]
     assert cuboids.columns["stationary"].tolist() == [False, False, True]
     assert cuboids.columns["dimensions.y"].tolist() == [4.6, 4.6, 0.7]
     plain = gzip.decompress((FRAMES.parent / version / "lidar_0.pkl.gz").read_bytes())  # a file that is not packed
-    assert read_pickled_frame(written(tmp_path / "00.pkl", plain)).count == 12
+    assert PickledFrame.read(written(tmp_path / "00.pkl", plain)).count == 12
 
 
 class Calls:
@@ -272,7 +272,7 @@ def test_what_a_pickle_asks_to_be_called_is_not_called(tmp_path, protocol):
     mark = tmp_path / "called"
     path = written(tmp_path / "a.pkl", [Calls(Path.touch, mark)], protocol=protocol)
     with pytest.raises(DataError, match=r"asks for .*, which no frame of numbers and texts needs; it was not"):
-        read_pickled_frame(path)
+        PickledFrame.read(path)
     assert not mark.exists()
 
 
@@ -289,14 +289,14 @@ def test_what_a_pickle_asks_to_be_called_is_not_called(tmp_path, protocol):
 )
 def test_names_operations_and_things_that_no_frame_needs_are_refused(tmp_path, content, problem):
     with pytest.raises(DataError, match=problem):
-        read_pickled_frame(written(tmp_path / "a.pkl", content))
+        PickledFrame.read(written(tmp_path / "a.pkl", content))
     assert pickles._NAMED["slice"](1, 2) == slice(1, 2)
 
 
 def test_too_much_content_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(pickles, "LARGEST", 1000)
     with pytest.raises(DataError, match="more than 1000 bytes"):
-        read_pickled_frame(written(tmp_path / "a.pkl.gz", gzip.compress(bytes(5000))))
+        PickledFrame.read(written(tmp_path / "a.pkl.gz", gzip.compress(bytes(5000))))
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -304,12 +304,12 @@ def test_a_frame_that_is_cut_off_or_has_a_flipped_byte_is_a_data_error_or_read(t
     whole, rng = gzip.decompress((FRAMES.parent / version / "cuboids_1.pkl.gz").read_bytes()), np.random.default_rng(3)
     for stop in range(0, len(whole) - 1, 83):
         with pytest.raises(DataError):
-            read_pickled_frame(written(tmp_path / "a.pkl", whole[:stop]))
+            PickledFrame.read(written(tmp_path / "a.pkl", whole[:stop]))
     for location in rng.integers(0, len(whole), 50).tolist():
         changed = bytearray(whole)
         changed[location] ^= 1 << int(rng.integers(8))
         with suppress(DataError):
-            read_pickled_frame(written(tmp_path / "a.pkl", bytes(changed)))
+            PickledFrame.read(written(tmp_path / "a.pkl", bytes(changed)))
 
 
 def test_the_golden_frames_hold_only_what_the_reader_allows():

@@ -151,7 +151,9 @@ def write_odometry(scene: Scene, path: Path, *, overwrite: bool = False, sequenc
         OutputError: the path exists, or cannot be written.
         DataError: what the scene is read from is damaged.
     """
-    location = _location(path, sequence or _kept_name(scene))
+    kept = kept_of(scene)
+    name = str(kept["sequence"]) if kept.get("benchmark") == "odometry" and "sequence" in kept else "00"
+    location = _location(path, sequence or name)
     choice = Choice.of(scene, _SLOTS, _HELD)
     choice.check_files(labels=False)
     timeline = choice.timeline()
@@ -178,11 +180,6 @@ def write_odometry(scene: Scene, path: Path, *, overwrite: bool = False, sequenc
             poses = _poses(choice, timeline, rectified_from_lidar)
             write_lines(draft / "poses" / f"{location.name}.txt", poses)
     return LossReport.of(choice.losses)
-
-
-def _kept_name(scene: Scene) -> str:
-    kept = kept_of(scene)
-    return str(kept["sequence"]) if kept.get("benchmark") == "odometry" and "sequence" in kept else "00"
 
 
 def _location(path: Path, name: str) -> OdometrySequence:

@@ -332,11 +332,12 @@ def _tracklet_annotations(
 
 def _reported(poses: Float64Array, timestamps_ns: Int64Array) -> tuple[AttributePath, ...]:
     """What poses state beside locations; -1 says nothing."""
-    columns = {name: poses[:, 6 + column] for column, name in enumerate(STATES)}
+    columns = {name: poses[:, 6 + column].tolist() for column, name in enumerate(STATES)}
+    columns = {name: tuple(int(v) if v == int(v) else v for v in values) for name, values in columns.items()}
     return tuple(
-        AttributePath(name, tuple(_plain(values)), timestamps_ns, LIDAR_ID)
+        AttributePath(name, values, timestamps_ns, LIDAR_ID)
         for name, values in columns.items()
-        if (values != -1).any()
+        if any(value != -1 for value in values)
     )
 
 
@@ -347,10 +348,6 @@ def _matrix_from_known(quaternions_xyzw: Float64Array) -> Float64Array:
     if known.any():
         matrices[known] = matrix_from_quaternion(quaternions_xyzw[known])
     return matrices
-
-
-def _plain(values: Float64Array) -> list[int | float]:
-    return [int(value) if value == int(value) else value for value in values.tolist()]
 
 
 def _rows(
@@ -367,14 +364,11 @@ def _rows(
 
 
 @dataclass(frozen=True, slots=True)
-class RawDrive:
-    """A drive's folder.
+class _RawDrive:
+    """A drive's folder, and that of its calibration files.
 
-    Attributes:
-        folder: of its sensors.
-        calibration: the folder of its calibration files.
-        kind: "sync" (rectified images, one of each sensor in each frame), "extract" (as recorded), or None where the
-            folder's name does not state it.
+    Its kind is "sync" (rectified images, one of each sensor in each frame), "extract" (as recorded), or None where the
+    folder's name does not state it.
     """
 
     folder: Path
@@ -382,7 +376,7 @@ class RawDrive:
     kind: str | None
 
 
-def _find_drive(path: Path, wanted: str | None = None) -> RawDrive:
+def _find_drive(path: Path, wanted: str | None = None) -> _RawDrive:
     """Find the only drive of a folder, or the wanted one: the drive's own folder, that of its day, or the one above."""
     found = raw_drives(path)
     if wanted is not None:
@@ -407,14 +401,14 @@ def _names(drive: Path) -> set[str]:
     return {drive.name, number, f"{number}_{match['kind']}", f"{match['date']}_drive_{number}"}
 
 
-def _drive(folder: Path) -> RawDrive:
+def _drive(folder: Path) -> _RawDrive:
     match = DRIVE_NAME.fullmatch(folder.resolve().name)
     locations = (folder, folder / "calib", folder.resolve().parent)
     calibration = next(
         (location for location in locations if any((location / name).is_file() for name in CALIBRATION_FILES)),
         locations[-1],
     )
-    return RawDrive(folder, calibration, None if match is None else match["kind"])
+    return _RawDrive(folder, calibration, None if match is None else match["kind"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -444,7 +438,7 @@ def open_raw(path: Path, *, sequence: str | None = None, lenient: bool = False) 
         return _open(drive, ledger)
 
 
-def _open(drive: RawDrive, ledger: Ledger) -> Scene:
+def _open(drive: _RawDrive, ledger: Ledger) -> Scene:
     note_unread(drive.folder, (*RAW_CAMERAS, "velodyne_points", "oxts", FILE, *CALIBRATION_FILES), ledger)
     cameras = {
         number: stream
@@ -513,7 +507,7 @@ def _stream(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> _Stream 
     return _Stream(files, timestamps.values_ns[files.numbers], timestamps)
 
 
-def _is_rectified(drive: RawDrive, cameras: Mapping[int, _Stream], ledger: Ledger) -> bool:
+def _is_rectified(drive: _RawDrive, cameras: Mapping[int, _Stream], ledger: Ledger) -> bool:
     """Whether images are rectified: the folder's name says it, else the images' size."""
     if drive.kind is not None or not cameras:
         return drive.kind != "extract"
@@ -569,7 +563,7 @@ def _rotations(
 
 
 def _oxts(
-    drive: RawDrive, lines: _Stream | None, calibration: _RawCalibration, ledger: Ledger, *, others: bool
+    drive: _RawDrive, lines: _Stream | None, calibration: _RawCalibration, ledger: Ledger, *, others: bool
 ) -> tuple[tuple[Sensor, ...], Trajectory | None]:
     """The sensors and the trajectory of the OXTS unit; without its mounting, only the receiver."""
     if lines is None:

@@ -380,7 +380,10 @@ class CloudDraft:
         ours = survey.notes.ours and any(note.get("topic") == topic.name for note in survey.notes.sensors)
         reader = _CloudReader(survey.log, topic, rows, timestamps[rows], timestamps[rows], whole=ours)
         names = {field.name for field in first.fields}
-        return cls(_understood(reader, survey.ledger), first.frame_id, _is_radar(topic.name, names))
+        # a radar's points have speeds, and the topic or our own fields report it
+        is_radar = "radar" in topic.name.lower() or names.issuperset(DIRECTION_COLUMNS)
+        is_radar = is_radar and _speed_column(names) is not None
+        return cls(_understood(reader, survey.ledger), first.frame_id, is_radar)
 
     def sensor(self, sensor_id: str | int, *, radar: bool | None = None, **fields: Any) -> LidarSensor | RadarSensor:
         """The sensor, with further fields."""
@@ -394,9 +397,3 @@ class CloudDraft:
         """The map that the only message holds."""
         points = self.reader.points(0)[0]
         return PointsSensor(sensor_id, points.positions, points.colors, **fields)
-
-
-def _is_radar(name: str, columns: Iterable[str]) -> bool:
-    """Whether points are a radar's: they have speeds, and the topic or our own fields report it."""
-    reported = "radar" in name.lower() or all(column in columns for column in DIRECTION_COLUMNS)
-    return reported and _speed_column(columns) is not None

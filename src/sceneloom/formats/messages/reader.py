@@ -1168,7 +1168,7 @@ _RESERVED_NAMES = frozenset({"gnss", "lidar", "identity"})  # names of trajector
 def _foreign_sensors(context: _Log, taken: set[Any], camera_ids: dict[str, Any]) -> list[Sensor]:
     """The sensors that no note of ours speaks of; the ids of cameras are noted down by their topics."""
     found, locations = context.survey, context.locations
-    noted = {name for note in found.notes.sensors for name in _topics_of(note)}
+    noted = {name for note in found.notes.sensors for name in (note.get("topic"), *note.get("topics", ()))}
     topics = [
         topic for topic in found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.SAMPLE, Kind.FIX) if topic.name not in noted
     ]
@@ -1198,10 +1198,6 @@ def _foreign_sensors(context: _Log, taken: set[Any], camera_ids: dict[str, Any])
             rotation = locations.mount(samples[0].frame_id) if samples else None
             sensors.append(_imu_sensor(context, identifier, samples, context.at(topic.name), rotation))
     return sensors
-
-
-def _topics_of(note: _Note) -> list[str]:
-    return [note["topic"]] if "topic" in note else list(note.get("topics", ()))
 
 
 def _camera_model_from_text(text: str) -> Camera:

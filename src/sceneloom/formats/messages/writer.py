@@ -542,7 +542,7 @@ class SceneStreams:
         note["camera_model_topic"] = f"/{note['part']}/{self._dialect.camera_model_topic}"
         note["camera_model"] = _camera_model_text(sensor.camera)
         location = f"sensors.{sensor.type}"
-        if _is_foreign(sensor.camera):
+        if _written_model(sensor.camera, "")[0].startswith(OUR_PREFIX):
             what = f"model {sensor.camera.model}, which other programs do not know"
             self.losses.converted(f"{location}.camera", what)
         frames = f"{location}.{'images' if isinstance(sensor, CameraSensor) else 'frames'}"
@@ -847,8 +847,3 @@ def _written_model(camera: Camera, fisheye: str) -> tuple[str, tuple[float, ...]
     if camera.model == "brown_conrady" and not any(padded[8:]):
         return ("rational_polynomial", padded[:8]) if len(numbers) > 5 else ("plumb_bob", padded[:5])
     return f"{OUR_PREFIX}{camera.model}", numbers
-
-
-def _is_foreign(camera: Camera) -> bool:
-    """Whether other programs do not know the camera model."""
-    return _written_model(camera, "")[0].startswith(OUR_PREFIX)

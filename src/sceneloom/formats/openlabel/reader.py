@@ -4,14 +4,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import MODELS, Camera
-from sceneloom.errors import DataError, OptionError, SceneloomError
+from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.poses import lengths_of
@@ -400,7 +400,7 @@ def _sensor(name: str, stream: _Part, systems: _Systems, ledger: Ledger) -> Sens
     if kind != "camera" and rest:
         extras["stream_properties"] = rest
     further, placed = MappingProxyType(extras), _placed(name, systems)
-    frames = LazyFrames[Any](np.zeros(0, np.int64), _no_frame)
+    frames = LazyFrames[Any].of([], [])
     stated = ours.get("type")
     if kind == "camera":
         camera = _read_camera(properties)
@@ -420,10 +420,6 @@ def _sensor(name: str, stream: _Part, systems: _Systems, ledger: Ledger) -> Sens
                 no_times, none, mount = np.zeros(0, np.int64), np.zeros(0), placed.get("mount")
                 return GnssSensor(sensor_id, no_times, np.zeros((0, 3)), none, none, mount=mount, extras=further)
     return PlainSensor(sensor_id, f"openlabel_{kind}", MappingProxyType(dict(stream.members())))
-
-
-def _no_frame(number: int) -> NoReturn:
-    raise OptionError(f"frame {number}: an OpenLABEL file holds no frames of sensors")
 
 
 def _placed(name: str, systems: _Systems) -> dict[str, Any]:

@@ -508,37 +508,34 @@ def test_the_type_reports_the_class_where_the_folder_has_another_name_and_faulty
     assert [(n.code, n.count) for n in found.warnings if n.code != "one-detector"] == [("faulty-detections", 1)]
 
 
-def test_sequences_are_chosen_without_their_zeros_and_each_once_or_reported_with_those_that_are(tracking_folder):
+def test_sequences_are_chosen_without_their_zeros_and_times_and_sizes_taken_where_there_are(tracking_folder):
     folder = open_tracking_folder(tracking_folder())
     assert folder.chosen(["7", "0007"]) == folder.chosen([]) == ("0007",)
     with pytest.raises(DataError, match="sequence 0001: is not there; expected one of 0007"):
         folder.sequence("0001")
     with pytest.raises(OptionError, match="sequence '1'"):
         folder.chosen(["7", "1"])
+    timed = sequence(tracking_folder(times__0007="5.0\n5.1\n5.25\n5.3\n"))
+    assert timed.timestamps_ns.tolist() == [5_000_000_000, 5_100_000_000, 5_250_000_000, 5_300_000_000]
+    for text, problem in (
+        ("5.0\n5.1\n5.25\n", "3 times for 4 frames"),
+        ("5.0\n5.0\n5.25\n5.3\n", "line 2: is not later"),
+    ):
+        with pytest.raises(DataError, match=problem):
+            sequence(tracking_folder(times__0007=text))
 
 
 def test_images_report_their_size_else_the_focal_length_else_the_camera_model(tracking_folder):
-    def size(folder):
-        camera_model = sequence(folder).camera
-        return camera_model.width, camera_model.height
-
-    assert size(tracking_folder()) == (1224, 370)
-    other = tracking_folder(calib__0007=TRACKING.replace("7.070493e+02", "7.0e+02"))
-    assert size(other) == (1201, 361)
-    assert [warning.code for warning in sequence(other).warnings] == ["image-size"]
-    (other / "image_02" / "0007").mkdir(parents=True)
-    head = b"\x89PNG\r\n\x1a\n" + (13).to_bytes(4, "big") + b"IHDR"
-    (other / "image_02/0007/000000.png").write_bytes(head + (640).to_bytes(4, "big") + (480).to_bytes(4, "big"))
-    assert size(other) == (640, 480)
-
-
-def test_times_of_frames_are_taken_where_there_are(tracking_folder):
-    folder = tracking_folder(times__0007="5.0\n5.1\n5.25\n5.3\n")
-    assert sequence(folder).timestamps_ns.tolist() == [5_000_000_000, 5_100_000_000, 5_250_000_000, 5_300_000_000]
-    with pytest.raises(DataError, match="3 times for 4 frames"):
-        sequence(tracking_folder(times__0007="5.0\n5.1\n5.25\n"))
-    with pytest.raises(DataError, match="line 2: is not later"):
-        sequence(tracking_folder(times__0007="5.0\n5.0\n5.25\n5.3\n"))
+    camera_model = sequence(tracking_folder()).camera
+    assert (camera_model.width, camera_model.height) == (1224, 370)
+    folder = tracking_folder(calib__0007=TRACKING.replace("7.070493e+02", "7.0e+02"))
+    other = sequence(folder)
+    assert (other.camera.width, other.camera.height) == (1201, 361)
+    assert [warning.code for warning in other.warnings] == ["image-size"]
+    (folder / "image_02" / "0007").mkdir(parents=True)
+    Image.new("RGB", (640, 480)).save(folder / "image_02/0007/000000.png")
+    camera_model = sequence(folder).camera
+    assert (camera_model.width, camera_model.height) == (640, 480)
 
 
 def test_the_camera_is_where_the_calibration_and_the_trajectory_put_it(tracking_folder, tmp_path):

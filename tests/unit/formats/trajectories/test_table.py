@@ -37,15 +37,12 @@ def put(folder, name, text):
     return path
 
 
-def test_a_tum_file_is_read_with_exact_times(tmp_path):
+def test_a_tum_file_is_read_with_exact_times_and_one_of_euroc_with_w_first_velocities_and_biases(tmp_path):
     trajectory = read_trajectory(put(tmp_path, "gt.txt", TUM))
     assert trajectory.name == "gt"
     assert trajectory.timestamps_ns.tolist() == [1305031098665900000, 1305031098675900123]
     assert trajectory.positions[1].tolist() == [1.3543, 0.6306, 1.6360]
     assert trajectory.quaternions_xyzw[0].tolist() == [0.6132, 0.5962, -0.3311, -0.3986]
-
-
-def test_a_euroc_file_is_read_with_w_first_velocities_and_biases_and_written_again(tmp_path):
     content = read_trajectory_file(put(tmp_path, "data.csv", EUROC))
     trajectory = content.trajectory
     assert content.form == "euroc"
@@ -158,22 +155,28 @@ JSONL = """{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":1403636580.838
 """
 
 
-@pytest.mark.parametrize(
-    ("name", "x", "timestamp_ns"),
-    [
+def test_lines_of_json_hold_trajectories_under_any_key_and_so_does_a_recording(tmp_path):
+    path = put(tmp_path, "lines.jsonl", JSONL)
+    for name, x, timestamp_ns in (
         (None, 1.0, 1403636580838555648),
         ("vio", 9.0, 1403636580838555648),
         ("ARKit", 4.0, 1403636580900000000),
         ("output", 7.0, 1403636581000000000),
-    ],
-)
-def test_lines_of_json_hold_trajectories_under_any_key(tmp_path, name, x, timestamp_ns):
-    path = put(tmp_path, "lines.jsonl", JSONL)
-    for trajectory in (read_trajectory(path, name=name), read_trajectory(f"{path}:{name}" if name else path)):
-        assert trajectory.positions[0, 0] == x
-        assert trajectory.timestamps_ns.tolist() == [timestamp_ns]
+    ):
+        for trajectory in (read_trajectory(path, name=name), read_trajectory(f"{path}:{name}" if name else path)):
+            assert (trajectory.positions[0, 0], trajectory.timestamps_ns.tolist()) == (x, [timestamp_ns])
     with pytest.raises(OptionError, match="vio, groundTruth, ARKit, output"):
         read_trajectory(path, name="slam")
+    folder, fix = tmp_path / "drive", '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n'
+    folder.mkdir()
+    put(folder, "data.jsonl", JSONL + fix)
+    assert read_trajectory(folder).name == "groundTruth"
+    for source in (folder, put(tmp_path, "log.jsonl", JSONL + fix)):  # a log that lies by itself, too
+        assert read_trajectory(f"{source}:vio").positions[0, 0] == 9.0
+        fixes = read_trajectory(f"{source}:fixes")
+        assert (fixes.timestamps_ns.tolist(), fixes.quaternions_xyzw) == ([1403636581 * 10**9], None)
+    with pytest.raises(OptionError, match=r"there are: groundTruth, .*gnss, fixes$"):
+        read_trajectory(folder, name="slam")
 
 
 def pose(time, x=1, w=1):
@@ -249,20 +252,6 @@ def test_files_are_not_replaced_unasked_and_what_no_form_holds_is_refused(tmp_pa
         write_trajectory(TrajectoryFile(trajectory), tmp_path / "a.poses")
     write_trajectory(trajectory, tmp_path / "a.kitti", overwrite=True)
     assert read_trajectory(tmp_path / "a.kitti").timestamps_ns.tolist() == trajectory.timestamps_ns.tolist()
-
-
-def test_a_trajectory_is_taken_out_of_a_scene_by_name(tmp_path):
-    folder, fix = tmp_path / "drive", '{"gps":{"latitude":49,"longitude":8,"altitude":1},"time":1403636581}\n'
-    folder.mkdir()
-    put(folder, "data.jsonl", JSONL + fix)
-    assert read_trajectory(folder).name == "groundTruth"
-    assert read_trajectory(f"{folder}:vio").positions[0, 0] == 9.0
-    assert read_trajectory(f"{folder}:fixes").quaternions_xyzw is None
-    with pytest.raises(OptionError, match=r"there are: groundTruth, .*gnss, fixes$"):
-        read_trajectory(folder, name="slam")
-    path = put(tmp_path, "log.jsonl", JSONL + fix)  # a log that lies by itself
-    assert read_trajectory(f"{path}:fixes").timestamps_ns.tolist() == [1403636581 * 10**9]
-    assert read_trajectory(f"{path}:vio").positions[0, 0] == 9.0
 
 
 def test_fixes_before_reception_are_no_origin(tmp_path):

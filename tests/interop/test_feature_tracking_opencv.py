@@ -20,7 +20,7 @@ def images():
     return [np.repeat(x.astype(np.uint8)[:, :, None], 3, axis=2) for x in (first, second)], move
 
 
-def test_strengths_of_corners_are_opencvs(images):
+def test_corners_are_as_strong_as_opencvs_and_followed_as_well(images):
     grey = images[0][0][:, :, 0].astype(np.float32)
     ours = np.empty_like(grey)
     corner_strengths(grey, 2, ours)
@@ -28,9 +28,6 @@ def test_strengths_of_corners_are_opencvs(images):
     # OpenCV takes Scharr's gradients, which look at three rows; ours look at one
     inside = (slice(10, -10), slice(10, -10))
     assert np.corrcoef(ours[inside].ravel(), theirs[inside].ravel())[0, 1] > 0.97
-
-
-def test_corners_are_followed_as_well_as_opencv_follows_them(images):
     (first, second), move = images
     pyramids = Pyramid.of(first), Pyramid.of(second)
     corners = find_corners(pyramids[0])

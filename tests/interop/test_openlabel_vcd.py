@@ -38,15 +38,7 @@ def same_corners(found, expected):
     assert distances.min(axis=0).max() < 1e-8
 
 
-def test_boxes_of_vcd_stand_where_vcd_puts_them():
-    expected = json.loads((HERE / "golden" / "openlabel_vcd_corners.json").read_text())["corners_odom"]
-    with open_scene(GOLDEN) as scene:
-        car = next(one for one in scene.annotations if one.type == "cuboid" and one.label == "Car")
-        for found, there in zip(corners_of(scene, car), expected, strict=True):
-            same_corners(found, there)
-
-
-def test_all_that_vcd_says_is_read():
+def test_all_that_vcd_says_is_read_and_its_boxes_stand_where_vcd_puts_them():
     with open_scene(GOLDEN) as scene:
         by_id = {one.id: one for one in scene.annotations}
         kinds = {type(one).__name__.removesuffix("Annotation") for one in by_id.values()}
@@ -62,6 +54,11 @@ def test_all_that_vcd_says_is_read():
         # the camera looks along the vehicle's x axis
         np.testing.assert_allclose(front.mount.rotate(np.array([0.0, 0.0, 1.0])), [1, 0, 0], atol=1e-12)
         assert np.diff(scene.trajectories["vehicle-iso8855"].timestamps_ns).tolist() == [10**9, 10**9]
+    expected = json.loads((HERE / "golden" / "openlabel_vcd_corners.json").read_text())["corners_odom"]
+    with open_scene(GOLDEN) as scene:
+        car = next(one for one in scene.annotations if one.type == "cuboid" and one.label == "Car")
+        for found, there in zip(corners_of(scene, car), expected, strict=True):
+            same_corners(found, there)
 
 
 # with VCD and RailLabel themselves
@@ -132,15 +129,12 @@ def test_our_files_pass_the_schema_and_vcd_puts_boxes_and_sensors_where_we_do(tm
         np.testing.assert_allclose(found, (ego @ mount).matrix, rtol=0, atol=1e-9)
 
 
-def test_a_file_written_by_vcd_now_is_read_as_the_golden_one(tmp_path, peer):
+def test_files_written_by_vcd_and_raillabel_now_are_read(tmp_path, peer):
     reported = peer("openlabel_vcd_write.py", tmp_path / "theirs.json")
     with open_scene(tmp_path / "theirs.json") as scene:
         car = next(one for one in scene.annotations if one.type == "cuboid" and one.label == "Car")
         for found, there in zip(corners_of(scene, car), reported["corners_odom"], strict=True):
             same_corners(found, there)
-
-
-def test_a_file_of_raillabel_is_read(tmp_path, peer):
     reported = peer("openlabel_raillabel_write.py", tmp_path / "rail.json")
     with open_scene(tmp_path / "rail.json") as scene:
         cuboid = next(one for one in scene.annotations if one.type == "cuboid")

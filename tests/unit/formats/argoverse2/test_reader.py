@@ -149,7 +149,7 @@ def test_sensors_and_boxes_are_where_the_ego_and_their_mountings_state(log):
         assert (found.inv() * rotation * BOX).magnitude() < NEAR
 
 
-def test_images_are_undistorted_unless_somebody_says_otherwise(log):
+def test_images_are_undistorted_unless_somebody_says_otherwise_and_faults_of_frames_reported_when_they_are_read(log):
     camera = sceneloom.open(log).cameras[0]
     assert (camera.camera.model, camera.camera.coefficients) == ("pinhole", ())
     assert camera.extras["k1"] == -0.24
@@ -157,6 +157,15 @@ def test_images_are_undistorted_unless_somebody_says_otherwise(log):
     camera_model = sceneloom.open(log, distorted=True).cameras[0].camera
     assert camera_model.model == "brown_conrady"
     assert camera_model.coefficients[:6] == (-0.24, -0.2, 0.0, 0.0, 0.3, 0.0)
+    cut(f"sensors/lidar/{FIRST_NS}.feather")(log)
+    content = BytesIO()
+    Image.new("RGB", (32, 48)).save(content, "JPEG")
+    (log / "sensors/cameras/ring_front_center" / f"{FIRST_NS}.jpg").write_bytes(content.getvalue())
+    scene = sceneloom.open(log)
+    with pytest.raises(DataError, match=f"{FIRST_NS}.feather: is no whole feather file"):
+        scene.lidars[0].frames[0]
+    with pytest.raises(DataError, match="is 32x48; expected 64x48"):
+        _ = scene.cameras[0].images[0].rgb
 
 
 def test_one_of_several_logs_has_to_be_chosen(tmp_path):
@@ -230,18 +239,6 @@ def test_what_is_wrong_with_a_log_is_reported_with_its_location(log, change, mes
     change(log)
     with pytest.raises(DataError, match=message):
         sceneloom.open(log)
-
-
-def test_a_sweep_that_is_cut_off_and_an_image_of_another_size_are_reported_when_they_are_read(log):
-    cut(f"sensors/lidar/{FIRST_NS}.feather")(log)
-    content = BytesIO()
-    Image.new("RGB", (32, 48)).save(content, "JPEG")
-    (log / "sensors/cameras/ring_front_center" / f"{FIRST_NS}.jpg").write_bytes(content.getvalue())
-    scene = sceneloom.open(log)
-    with pytest.raises(DataError, match=f"{FIRST_NS}.feather: is no whole feather file"):
-        scene.lidars[0].frames[0]
-    with pytest.raises(DataError, match="is 32x48; expected 64x48"):
-        _ = scene.cameras[0].images[0].rgb
 
 
 def test_boxes_of_other_times_can_be_left_out_and_without_pyarrow_the_extra_is_named(log, monkeypatch):

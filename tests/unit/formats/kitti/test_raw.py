@@ -124,8 +124,9 @@ def pixels_of(scene, points_lidar):
     return project(camera.camera, (camera.mount.inverse() @ lidar.mount).apply(points_lidar))[0]
 
 
-def test_times_keep_their_nanoseconds_and_points_get_those_of_a_rotation_from_behind_by_the_right(raw_folder):
-    scene = open_scene(raw_folder())
+def test_times_keep_their_nanoseconds_and_points_get_those_of_a_rotation_whose_ends_are_known(raw_folder):
+    root = raw_folder()
+    scene = open_scene(root)
     assert scene.format == "kitti-raw"
     assert scene.sensor("camera2").images.timestamps_ns.tolist() == [FIRST_NS, FIRST_NS + 103_853_725]
     assert scene.sensor("gnss").timestamps_ns[0] == FIRST_NS
@@ -136,18 +137,27 @@ def test_times_keep_their_nanoseconds_and_points_get_those_of_a_rotation_from_be
     quarters = (frame.points.timestamps_ns - frame.timestamp_ns) / 25_000_000
     np.testing.assert_allclose(quarters, [0, 1, 2, 3, 4], atol=2e-4)  # the points behind are 0.001 m aside
     assert [n.code for n in scene.warnings] == ["point-times"]
+    # without the mounting of the OXTS unit, the ego stands
+    for name in (
+        "calib_imu_to_velo.txt",
+        *(f"{DRIVE}/velodyne_points/timestamps_{end}.txt" for end in ("start", "end")),
+    ):
+        (root / DAY / name).unlink()
+    scene = open_scene(root)
+    frame = scene.sensor("velodyne").frames[0]
+    assert (frame.points.timestamps_ns, frame.timestamp_ns) == (None, FIRST_NS)
+    assert {n.code for n in scene.warnings} >= {"sweep-start", "no-imu-mounting", "ego-stands"}
+    assert list(scene.trajectories) == ["stationary"]
+    np.testing.assert_allclose(scene.annotations[0].path.values[0, 3:6], [10, 2, -0.95])
 
 
-def test_rectified_images_show_points_where_the_kits_formula_puts_them(raw_folder):
+def test_images_show_points_where_the_kits_formula_puts_them_and_as_recorded_distorted_as_opencv_does_it(raw_folder):
     delta_rotation = matrix("0.99995 0.01 0 -0.01 0.99995 0 0 0 1")
     delta_rotation[:3, :3] = nearest_rotation(delta_rotation[:3, :3])
     projection = np.array([[48, 0, 17, 2.88], [0, 48, 13, 0.5], [0, 0, 1, 0.003]])
     homogeneous = projection @ delta_rotation @ VELO @ np.column_stack([POINTS, np.ones(3)]).T
     found = pixels_of(open_scene(raw_folder()), POINTS)
     np.testing.assert_allclose(found, (homogeneous[:2] / homogeneous[2]).T, atol=1e-9)
-
-
-def test_images_as_recorded_are_distorted_as_opencv_does_it(raw_folder):
     scene = open_scene(raw_folder(drive="2011_09_26_drive_0001_extract", size=(40, 30)))
     camera_from_camera0 = matrix("0.9998 -0.02 0 0.02 0.9998 0 0 0 1", "0.06 0.01 -0.002")
     camera_from_camera0[:3, :3] = nearest_rotation(camera_from_camera0[:3, :3])
@@ -158,16 +168,6 @@ def test_images_as_recorded_are_distorted_as_opencv_does_it(raw_folder):
     expected, _ = cv2.projectPoints(POINTS, delta_rotation, camera_from_velo[:3, 3], k, distortion)
     assert scene.sensor("camera2").camera.model == "brown_conrady"
     np.testing.assert_allclose(pixels_of(scene, POINTS), expected[:, 0], atol=1e-9)
-
-
-def test_without_starts_and_ends_points_have_no_times_and_without_the_oxts_units_mounting_the_ego_stands(raw_folder):
-    gone = {f"DRIVE/velodyne_points/timestamps_{name}.txt": None for name in ("start", "end")}
-    scene = open_scene(raw_folder(gone | {"calib_imu_to_velo.txt": None}))
-    frame = scene.sensor("velodyne").frames[0]
-    assert (frame.points.timestamps_ns, frame.timestamp_ns) == (None, FIRST_NS)
-    assert {n.code for n in scene.warnings} >= {"sweep-start", "no-imu-mounting", "ego-stands"}
-    assert list(scene.trajectories) == ["stationary"]
-    np.testing.assert_allclose(scene.annotations[0].path.values[0, 3:6], [10, 2, -0.95])
 
 
 def test_oxts_lines_are_fixes_inertial_values_and_a_trajectory(raw_folder):

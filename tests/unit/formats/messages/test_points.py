@@ -53,9 +53,6 @@ def test_sweeps_of_a_log_stay_packed_until_a_field_is_asked_for_and_are_the_same
             for name in ("positions", "intensities", "colors", "timestamps_ns", "rings", "camera_index"):
                 np.testing.assert_array_equal(getattr(frame.points, name), getattr(expected, name), name)
             np.testing.assert_array_equal(frame.points.extras["range"], expected.extras["range"])
-
-
-def test_a_sweep_whose_time_was_moved_is_packed_anew(log):
     with open_scene(log) as scene:
         frame = scene.lidars[0].frames[0]
         assert kept_record(frame.points, frame.timestamp_ns) is not None

@@ -28,14 +28,7 @@ from sceneloom.formats.base.registry import (
 )
 from sceneloom.formats.base.spec import FormatSpec
 from sceneloom.formats.remote.uploads import uploading
-from sceneloom.formats.trajectories.table import (
-    TRAJECTORY_FORMS,
-    find_form,
-    form_for_output,
-    read_trajectory_file,
-    split_name,
-    write_trajectory,
-)
+from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS, read_trajectory_file, split_name, write_trajectory
 from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
 from sceneloom.scene.cameras import CameraSensor, DepthFrame
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
@@ -359,7 +352,7 @@ class _Conversion:
             reading.setdefault("form", reading.pop("format"))
         check_option_names("writing a trajectory", self.writing, _WRITING)
         content = read_trajectory_file(self.source, name=self.trajectory, progress=self.progress, **reading)
-        form = form_for_output(self.target) if self.to is None else TRAJECTORY_FORMS[self.to]
+        form = TRAJECTORY_FORMS.for_output(self.target) if self.to is None else TRAJECTORY_FORMS[self.to]
         kinds: Mapping[str, str] = {}
         losses: tuple[Loss, ...] = ()
         if content.form in TRAJECTORY_FORMS:
@@ -495,7 +488,7 @@ def _holds_trajectory_only(path: str | Path) -> bool:
     if is_url(path) or not Path(path).is_file():
         return False
     try:
-        form = find_form(path)
+        form = TRAJECTORY_FORMS.of_file(path)
     except UnknownFormatError:
         return False
     return form is not None and not claims_of(Path(path))

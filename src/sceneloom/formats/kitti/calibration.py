@@ -52,6 +52,11 @@ class KittiCalibration:
     lidar_from_imu: RigidTransform | None
     entries: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
 
+    @classmethod
+    def of_projection(cls, line: Line) -> "KittiCalibration":
+        """Of camera 0 alone, seen from the rectified frame; DataError if the line is no projection."""
+        return cls(MappingProxyType({0: _projection(line)}), RigidTransform.identity(), None)
+
     def camera(self, number: int, size_wh: tuple[int, int]) -> Camera:
         """The camera model of a rectified camera whose images have a size [px]."""
         return _pinhole(self.projections[number], size_wh)
@@ -95,16 +100,6 @@ def read_calibration(path: Path, *, needs_lidar: bool = True) -> KittiCalibratio
         _rigid(_entry(path, entries, "velodyne_from_imu")) if has_imu else None,
         MappingProxyType(finite),
     )
-
-
-def rectified_camera(line: Line, size_wh: tuple[int, int]) -> tuple[Camera, RigidTransform]:
-    """The camera model of a line of a projection, for images of a size [px], and `camera_from_rectified`.
-
-    Raises:
-        DataError: it is no projection.
-    """
-    projection = _projection(line)
-    return _pinhole(projection, size_wh), _camera_from_rectified(projection)
 
 
 def _rectified_from_lidar(path: Path, entries: Mapping[str, Line], *, needs_lidar: bool) -> RigidTransform:

@@ -16,7 +16,7 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import images_image_size
 from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
-from sceneloom.formats.kitti.calibration import rectified_camera, rotation_of
+from sceneloom.formats.kitti.calibration import KittiCalibration, rotation_of
 from sceneloom.formats.kitti.oxts import oxts_sensors, read_fields
 from sceneloom.formats.kitti.sensors import LIDAR_ID, camera_sensor, kitti_metadata, lidar_sensor, stationary
 from sceneloom.formats.kitti.spec import CALIBRATION_FILES, DRIVE_NAME, IMAGES, RAW_CAMERAS, SWEEPS, TEXTS, raw_drives
@@ -124,9 +124,10 @@ def read_raw_calibration(folder: Path, cameras: tuple[int, ...], *, rectified: b
 def _rectified_camera(file: _RawFile, ending: str) -> tuple[Camera, RigidTransform]:
     """The camera model of a rectified camera, and what takes the frame of camera 0, as recorded, into its own."""
     file.numbers(f"P_rect{ending}")
-    camera, camera_from_rectified = rectified_camera(file.lines[f"P_rect{ending}"], file.size(f"S_rect{ending}"))
+    rectified = KittiCalibration.of_projection(file.lines[f"P_rect{ending}"])
     rotation = rotation_of(file.lines["R_rect_00"], file.numbers("R_rect_00").reshape(3, 3))
-    return camera, camera_from_rectified @ RigidTransform(rotation, np.zeros(3))
+    camera_from_first = rectified.camera_from_lidar(0) @ RigidTransform(rotation, np.zeros(3))
+    return rectified.camera(0, file.size(f"S_rect{ending}")), camera_from_first
 
 
 def _recorded_camera(file: _RawFile, ending: str) -> tuple[Camera, RigidTransform]:

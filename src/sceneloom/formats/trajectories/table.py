@@ -164,8 +164,51 @@ class _Forms(Mapping[str, TrajectoryForm]):
     def __len__(self) -> int:
         return len(_FORM_LOCATIONS)
 
+    def of_file(self, path: str | Path) -> TrajectoryForm | None:
+        """The form whose look the beginning of a file has; None for what a format of scenes opens.
 
-TRAJECTORY_FORMS: Mapping[str, TrajectoryForm] = _Forms()
+        Raises:
+            UnknownFormatError: the path is missing, or neither a form nor a format knows it.
+        """
+        if is_url(path) or Path(path).is_dir():
+            return None
+        where = Path(path)
+        if not where.exists():
+            raise UnknownFormatError(path, "", "no such file or folder")
+        claims = {form.name for form in claims_of(where)}
+        if claims - {"recording"}:
+            return None
+        text = None if where.name == "data.jsonl" else _beginning(where)
+        if text is not None:
+            forms = self.values()
+            found = next((form for form in forms if form.recognises(text)), None)
+            # a suffix of its own reports the form of a file that is torn, whose fault can then be named
+            found = found or next(
+                (form for form in forms if where.suffix.lower() in _OWN_SUFFIXES & {*form.suffixes}), None
+            )
+            if found is not None:
+                return found
+        if claims:
+            return None
+        known = "; ".join(f"{form.name}, {form.looks_like}" for form in self.values())
+        raise UnknownFormatError(path, "", f"no trajectory is recognised in it; expected a scene, or one of: {known}")
+
+    def for_output(self, path: Path) -> TrajectoryForm:
+        """The form that a path to be written asks for by its suffix.
+
+        Raises:
+            OptionError: no form has that suffix.
+        """
+        for form in self.values():
+            if path.suffix.lower() in form.suffixes:
+                return form
+        known = ", ".join(f"{form.name} ({' '.join(form.suffixes) or 'by name'})" for form in self.values())
+        raise OptionError(
+            f"{path}: suffix {path.suffix!r} belongs to no form of trajectories; expected one of: {known}"
+        )
+
+
+TRAJECTORY_FORMS = _Forms()
 """The forms of files by name; of two that recognise a file the first counts."""
 
 _FORM_NAMES = tuple(TRAJECTORY_FORMS)
@@ -215,7 +258,7 @@ def read_trajectory_file(
         unit=unit,
         origin_lla=None if origin_lla is None else _origin(origin_lla),
     )
-    chosen = _form_named(form) if form is not None else find_form(where)
+    chosen = _form_named(form) if form is not None else TRAJECTORY_FORMS.of_file(where)
     computed = reading.name in RESERVED or (reading.name or "").partition(":")[0] == _FIXES
     if form is None and chosen is not None and chosen.name == "jsonl" and computed:
         chosen = None
@@ -307,7 +350,7 @@ def write_trajectory(
         OutputError: the file exists, or cannot be written.
     """
     target = Path(path)
-    chosen = form_for_output(target) if form is None else _form_named(form)
+    chosen = TRAJECTORY_FORMS.for_output(target) if form is None else _form_named(form)
     if chosen is None:
         raise OptionError(f"form {form!r} is one of scenes; expected one of: {', '.join(_FORM_NAMES)}")
     content = TrajectoryFile.of(trajectory)
@@ -317,49 +360,6 @@ def write_trajectory(
     targets = [target] if chosen.beside is None else [target, chosen.beside(target)]
     with replacing_together(targets, overwrite=overwrite) as (draft, *_):
         return LossReport.of(chosen.write(content, draft, target))
-
-
-def find_form(path: str | Path) -> TrajectoryForm | None:
-    """The form whose look the beginning of a file has; None for what a format of scenes opens.
-
-    Raises:
-        UnknownFormatError: the path is missing, or neither a form nor a format knows it.
-    """
-    if is_url(path) or Path(path).is_dir():
-        return None
-    where = Path(path)
-    if not where.exists():
-        raise UnknownFormatError(path, "", "no such file or folder")
-    claims = {form.name for form in claims_of(where)}
-    if claims - {"recording"}:
-        return None
-    text = None if where.name == "data.jsonl" else _beginning(where)
-    if text is not None:
-        forms = TRAJECTORY_FORMS.values()
-        found = next((form for form in forms if form.recognises(text)), None)
-        # a suffix of its own reports the form of a file that is torn, whose fault can then be named
-        found = found or next(
-            (form for form in forms if where.suffix.lower() in _OWN_SUFFIXES & {*form.suffixes}), None
-        )
-        if found is not None:
-            return found
-    if claims:
-        return None
-    known = "; ".join(f"{form.name}, {form.looks_like}" for form in TRAJECTORY_FORMS.values())
-    raise UnknownFormatError(path, "", f"no trajectory is recognised in it; expected a scene, or one of: {known}")
-
-
-def form_for_output(path: Path) -> TrajectoryForm:
-    """The form that a path to be written asks for by its suffix.
-
-    Raises:
-        OptionError: no form has that suffix.
-    """
-    for form in TRAJECTORY_FORMS.values():
-        if path.suffix.lower() in form.suffixes:
-            return form
-    known = ", ".join(f"{form.name} ({' '.join(form.suffixes) or 'by name'})" for form in TRAJECTORY_FORMS.values())
-    raise OptionError(f"{path}: suffix {path.suffix!r} belongs to no form of trajectories; expected one of: {known}")
 
 
 def _form_named(name: str) -> TrajectoryForm | None:

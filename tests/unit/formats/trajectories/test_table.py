@@ -7,7 +7,7 @@ import pytest
 
 from sceneloom import read_trajectory, write_trajectory
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError, UnknownFormatError
-from sceneloom.formats.trajectories.table import find_form, read_trajectory_file
+from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS, read_trajectory_file
 from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
 from sceneloom.scene import Poses, Trajectory
 
@@ -128,7 +128,7 @@ def test_fixes_are_metres_from_the_first_or_a_named_origin_with_which_a_trajecto
     ],
 )
 def test_the_form_is_known_by_the_content(tmp_path, name, text, form):
-    assert find_form(put(tmp_path, name, text)).name == form
+    assert TRAJECTORY_FORMS.of_file(put(tmp_path, name, text)).name == form
 
 
 def test_a_suffix_decides_where_the_first_line_is_bad_and_what_is_none_or_would_be_ignored_is_refused(tmp_path):

@@ -141,9 +141,8 @@ def write_nuscenes(
     rate_hz = None if keyframe_rate_hz is None else as_positive("keyframe_rate_hz", keyframe_rate_hz)
     plan = _WritingPlan.of(scene, path, version, rate_hz, channel, trajectory)
     with replacing(path, overwrite=overwrite, folder=_KIND) as draft:
-        writer = _Writer(plan, draft, images)
-        writer.write()
-    return LossReport.of([*plan.losses, *writer.losses.values()])
+        _Writer(plan, draft, images).write()
+    return LossReport.of(plan.losses.all)
 
 
 # what is decided before anything is written
@@ -472,7 +471,7 @@ class _Writer:
         self.plan, self.root, self.images = plan, root, images
         self.name: str = plan.row.name
         self.tables = root / plan.version
-        self.losses: dict[tuple[str, str, Support], Loss] = {}  # added up by field, description and kind
+        self.losses = plan.losses
         self.calibrations: dict[str, dict[str, Any]] = {}  # rows of calibrated_sensor.json, by token
         self.class_numbers: dict[str, int] = {}  # of points; empty where none is labelled
         self.classes: dict[tuple[Key, int], list[tuple[int, UInt32Array]]] = {}  # of points, with their rows
@@ -498,7 +497,7 @@ class _Writer:
         with self._table("sample_data") as rows, self._table("ego_pose") as poses:
             for channel in self.plan.channels:
                 self._write_channel(channel, rows, poses)
-        self._lose(_POINTS, "classes of sweeps between samples are left out", len(self.classes))
+        self.losses.dropped(_POINTS, "classes of sweeps between samples are left out", count=len(self.classes))
         categories = {one.label or _UNKNOWN: _token_of("category", one.label or _UNKNOWN) for one, _, _ in self.cuboids}
         self._write_boxes(categories)
         self._write_table("category", self._category_rows(categories))
@@ -514,15 +513,6 @@ class _Writer:
         self._write_table("calibrated_sensor", rows_of_mounts)
         self._write_samples()
         self._write_map()
-
-    def _lose(
-        self, field: str, what: str, count: int, support: Support = Support.DROPPED, *, error: float | None = None
-    ) -> None:
-        """Count a loss; a count of 0 is none."""
-        if count:
-            loss = Loss(field=field, what=what, count=count, support=support, largest_error=error)
-            known = self.losses.get((field, what, support))
-            self.losses[field, what, support] = loss if known is None else known.joined(loss)
 
     @contextmanager
     def _table(self, name: str) -> Iterator[_Add]:
@@ -578,13 +568,12 @@ class _Writer:
             )
         off_ns = np.abs(timestamps - timestamps_us * MICROSECOND)
         what, error = "rounded to microseconds [ns]", float(off_ns.max(initial=0))
-        self._lose(f"{channel.field}.timestamp_ns", what, int((off_ns > 0).sum()), Support.CONVERTED, error=error)
+        self.losses.converted(f"{channel.field}.timestamp_ns", what, count=int((off_ns > 0).sum()), error=error)
         what = "frames beyond the ego trajectory have its end poses"
-        self._lose("trajectories.positions", what, plan.beyond(timestamps), Support.APPROXIMATED)
+        self.losses.approximated("trajectories.positions", what, count=plan.beyond(timestamps))
 
     def _write_frame(self, channel: _Channel, frame: Any, stem: Path, ego: RigidTransform) -> _Frame:
-        for loss in _unknown_fields(f"{channel.field}.extras", frame.extras, _OF_FRAMES):
-            self._lose(loss.field, loss.what, 1)
+        self.losses.extend(_unknown_fields(f"{channel.field}.extras", frame.extras, _OF_FRAMES))
         if isinstance(frame, CameraImage):
             return _Frame(self._write_image(stem, frame), frame.mount or channel.mount, frame.camera)
         points_frame = channel.sensor.points_frame  # type: ignore[union-attr]
@@ -614,11 +603,11 @@ class _Writer:
                 rows[name] = column
         field = "sensors.lidar.frames.points"
         if points.timestamps_ns is not None:
-            self._lose(f"{field}.timestamps_ns", "points have no times", len(points))
+            self.losses.dropped(f"{field}.timestamps_ns", "points have no times", count=len(points))
         for name in ("colors", "camera_index", "extras"):
             value = getattr(points, name)
             if value is not None and (name != "extras" or value):
-                self._lose(f"{field}.{name}", "points have x, y, z, intensity and ring", len(points))
+                self.losses.dropped(f"{field}.{name}", "points have x, y, z, intensity and ring", count=len(points))
         path.write_bytes(rows.tobytes())
         return path
 
@@ -638,9 +627,9 @@ class _Writer:
                 rows["id"] = np.arange(len(rows)) % (1 << 15)
             self._fill_velocities(rows, frame)
         if set(points.extras) - set(_RADAR_ROW.names or ()):
-            self._lose(f"{field}.extras", "returns have the columns of nuScenes' radars", count)
+            self.losses.dropped(f"{field}.extras", "returns have the columns of nuScenes' radars", count=count)
         if points.timestamps_ns is not None:
-            self._lose(f"{field}.timestamps_ns", "points have no times", count)
+            self.losses.dropped(f"{field}.timestamps_ns", "points have no times", count=count)
         # the development kit wants a byte after the last row, as nuScenes' own files have one
         path.write_bytes(_pcd_head(len(rows)) + rows.tobytes() + b"\n")
         return path
@@ -655,7 +644,7 @@ class _Writer:
             upright = np.abs(velocities[:, 2])
             what, error = "the velocity along the sensor's z is left out [m/s]", float(upright.max(initial=0.0))
             field = "sensors.radar.frames.points.directions"
-            self._lose(field, what, int((upright > 0).sum()), Support.APPROXIMATED, error=error)
+            self.losses.approximated(field, what, count=int((upright > 0).sum()), error=error)
         if "vx_comp" not in points.extras:
             rows["vx_comp"], rows["vy_comp"] = rows["vx"], rows["vy"]
 
@@ -676,7 +665,7 @@ class _Writer:
         rgb = np.ascontiguousarray(image.rgb)
         path.write_bytes(encode_jpeg(rgb, _JPEG_QUALITY, "RGB", colorsubsampling="444"))
         what = f"encoded as JPEG of quality {_JPEG_QUALITY}"
-        self._lose("sensors.camera.images.rgb", what, 1, Support.APPROXIMATED)
+        self.losses.approximated("sensors.camera.images.rgb", what)
         return path
 
     # boxes
@@ -695,7 +684,7 @@ class _Writer:
             for cuboid, poses, counts in self.cuboids:
                 finite = finite_rows(np.hstack([poses.centers_world, poses.sizes_lwh, poses.quaternions_xyzw]))
                 what = "boxes that are no finite numbers are left out"
-                self._lose(f"{_CUBOID}.path", what, int((poses.there & ~finite).sum()))
+                self.losses.dropped(f"{_CUBOID}.path", what, count=int((poses.there & ~finite).sum()))
                 there = np.flatnonzero(poses.there & finite).tolist()
                 self._report_losses(cuboid, there)
                 if not there:
@@ -743,23 +732,23 @@ class _Writer:
 
     def _report_losses(self, cuboid: CuboidAnnotation, there: Sequence[int]) -> None:
         what = "when each sensor sees a cuboid is left out"
-        self._lose(f"{_CUBOID}.activations", what, len(cuboid.activations))
+        self.losses.dropped(f"{_CUBOID}.activations", what, count=len(cuboid.activations))
         if not there:
-            self._lose(_CUBOID, "cuboids that are at no sample are left out", 1)
+            self.losses.dropped(_CUBOID, "cuboids that are at no sample are left out")
             return
         own = _microseconds(cuboid.path.timestamps_ns)
         at_samples = _microseconds(self.plan.samples.timestamps_ns[list(there)])
         lost = int((~np.isin(own, at_samples)).sum())
-        self._lose(f"{_CUBOID}.path.values", "boxes between samples are left out", lost)
+        self.losses.dropped(f"{_CUBOID}.path.values", "boxes between samples are left out", count=lost)
         between = int((~np.isin(at_samples, own)).sum())
         what = "boxes at samples are interpolated"
-        self._lose(f"{_CUBOID}.path.values", what, between, Support.APPROXIMATED)
+        self.losses.approximated(f"{_CUBOID}.path.values", what, count=between)
         others = sum(path.name not in {"attributes", "visibility", *_COUNTS.values()} for path in cuboid.attributes)
-        self._lose(f"{_CUBOID}.attributes", "attributes of other names are left out", others)
+        self.losses.dropped(f"{_CUBOID}.attributes", "attributes of other names are left out", count=others)
         levels = [v for path in cuboid.attributes if path.name == "visibility" for v in path.values]
         unknown = sum(bool(level) and str(level) not in _VISIBILITIES for level in levels)
         what = f"levels of visibility other than {', '.join(_VISIBILITIES)} are left out"
-        self._lose(f"{_CUBOID}.attributes", what, unknown)
+        self.losses.dropped(f"{_CUBOID}.attributes", what, count=unknown)
 
     # classes of points
 
@@ -768,15 +757,17 @@ class _Writer:
         found = [one for one in self.plan.scene.annotations if isinstance(one, LabeledPointsAnnotation)]
         classes = [one for one in found if one.label is not None and one.is_instance is not True]
         what = "points of single objects, or without a class, are left out"
-        self._lose(_POINTS, what, len(found) - len(classes))
+        self.losses.dropped(_POINTS, what, count=len(found) - len(classes))
         self.class_numbers = _numbers(classes)
         left = {one.label for one in classes} - set(self.class_numbers)
-        self._lose(_POINTS, f"a byte has {_MOST_CLASSES} classes; further ones are left out", len(left))
+        self.losses.dropped(_POINTS, f"a byte has {_MOST_CLASSES} classes; further ones are left out", count=len(left))
         for one in classes:
             number = self.class_numbers.get(str(one.label))
             for entry in one.labeled_points if number is not None else ():
                 if entry.sensor_frame is None:
-                    self._lose(_POINTS, "points of a sensor without frames are left out", len(entry.point_ids))
+                    self.losses.dropped(
+                        _POINTS, "points of a sensor without frames are left out", count=len(entry.point_ids)
+                    )
                 else:
                     key = (key_of(entry.sensor_id), entry.sensor_frame)
                     self.classes.setdefault(key, []).append((number or 0, entry.point_ids))
@@ -797,8 +788,8 @@ class _Writer:
         self.lidarseg.append({"token": token, "sample_data_token": token, "filename": name})
         field = f"{_POINTS}.labeled_points.point_ids"
         without, several = int((times_labelled == 0).sum()), int((times_labelled > 1).sum())
-        self._lose(field, "points without a class are written as `noise`", without, Support.APPROXIMATED)
-        self._lose(field, "points of several classes have the last one", several, Support.APPROXIMATED)
+        self.losses.approximated(field, "points without a class are written as `noise`", count=without)
+        self.losses.approximated(field, "points of several classes have the last one", count=several)
 
     def _category_rows(self, categories: Mapping[str, str]) -> Iterator[dict[str, str | int]]:
         """Rows of categories: those of boxes and those of points; where points are labelled, each has a number."""

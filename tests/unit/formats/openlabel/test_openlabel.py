@@ -51,9 +51,9 @@ def annotations_of_odd_kinds():
     """What tests/properties/test_conversion_loss.py writes none of."""
     square, ring = np.array([[0.0, 0.0], [10.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
     attributes = (
-        sc.AttributePath("odd", (1, "x", None), TIMES),
         sc.AttributePath("colour", ("red",), static=True),
         sc.AttributePath("lights", (("left", "brake"), ()), TIMES[:2], sensor_id="front"),
+        sc.AttributePath("odd", (1, "x", None), TIMES),
     )
     yield sc.CuboidAnnotation("a", sc.CuboidPath(TIMES[1:2], ROWS[:1]), "Car", stationary=True, attributes=attributes)
     yield sc.Box2DAnnotation(3, "front", sc.BoxPath(TIMES, BOXES), "Car")

@@ -137,7 +137,7 @@ def test_a_suffix_decides_where_the_first_line_is_bad_and_what_is_none_or_would_
         ("a.jsonl", "{torn\n", {}, DataError, "line 1"),
         ("a.txt", "hello world\n", {}, UnknownFormatError, "tum, lines of 8 numbers"),
         ("absent.txt", None, {}, UnknownFormatError, "no such file"),
-        ("b.bin", "\0\1\2", {}, UnknownFormatError, ""),
+        ("b.bin", "\0\1\2", {}, UnknownFormatError, "b.bin"),
         ("tum.tum", TUM, {"rate_hz": 10.0}, OptionError, "has its own times; the rate 10 Hz would not be used"),
         ("tum.tum", TUM, {"origin_lla": (48.0, 9.0, 300.0)}, OptionError, "the origin would not be used"),
         ("a.kitti", KITTI, {"rate_hz": 10.0, "unit": "seconds"}, OptionError, "unit 'seconds' would not be used"),

@@ -495,13 +495,10 @@ def _tracklet_lines(tracklet: Tracklet, *, is_first: bool) -> list[str]:
     if is_first:
         head, list_head = (f' class_id="{n}" tracking_level="0" version="{v}"' for n, v in ((1, 1), (2, 0)))
         pose_head = ' class_id="3" tracking_level="0" version="1"'
-    height, width, length = tracklet.size_hwl
     lines = [
         f"\t<item{head}>",
         f"\t\t<objectType>{escape(tracklet.label)}</objectType>",
-        f"\t\t<h>{height!r}</h>",
-        f"\t\t<w>{width!r}</w>",
-        f"\t\t<l>{length!r}</l>",
+        *(f"\t\t<{name}>{size!r}</{name}>" for name, size in zip("hwl", tracklet.size_hwl, strict=True)),
         f"\t\t<first_frame>{tracklet.first_frame}</first_frame>",
         f"\t\t<poses{list_head}>",
         f"\t\t\t<count>{len(tracklet.poses)}</count>",

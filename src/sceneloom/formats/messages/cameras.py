@@ -137,16 +137,9 @@ UNKNOWN_MODEL = "unknown"
 OUR_PREFIX = "sceneloom:"  # begins the names of models that only we know, in calibrations of ours
 
 _READ: Mapping[str, tuple[str, int]] = MappingProxyType(
-    {
-        "": ("brown_conrady", 5),
-        "none": ("brown_conrady", 5),
-        "pinhole": ("brown_conrady", 5),
-        "plumb_bob": ("brown_conrady", 5),
-        "rational_polynomial": ("brown_conrady", 14),
-        "equidistant": ("fisheye", 4),
-        "fisheye": ("fisheye", 4),
-        "kannala_brandt": ("fisheye", 4),
-    }
+    dict.fromkeys(("", "none", "pinhole", "plumb_bob"), ("brown_conrady", 5))
+    | {"rational_polynomial": ("brown_conrady", 14)}
+    | dict.fromkeys(("equidistant", "fisheye", "kannala_brandt"), ("fisheye", 4))
 )
 """Our model of each name, and how many coefficients it may have."""
 

@@ -918,18 +918,10 @@ def _noted_odometry(log: "_Log", note: _Note) -> Sensor:
     return OdometrySensor(note["id"], _path_of(rows, static=bool(note.get("static"))), **_common(note))
 
 
-_NOTED: Mapping[str, Callable[["_Log", _Note], Sensor]] = MappingProxyType(
-    {
-        "lidar": _noted_cloud,
-        "radar": _noted_cloud,
-        "points": _noted_map,
-        "camera": _noted_camera,
-        "depth_camera": _noted_camera,
-        "gnss": _noted_gnss,
-        "imu": _noted_imu,
-        "odometry": _noted_odometry,
-    }
-)
+_NOTED: Mapping[str, Callable[["_Log", _Note], Sensor]] = MappingProxyType({
+    "lidar": _noted_cloud, "radar": _noted_cloud, "points": _noted_map, "camera": _noted_camera,
+    "depth_camera": _noted_camera, "gnss": _noted_gnss, "imu": _noted_imu, "odometry": _noted_odometry,
+})  # fmt: skip
 """What makes the sensors of notes, by their types."""
 
 

@@ -1250,18 +1250,8 @@ class _Messages:
     def _notes(self, record: NotesRecord) -> _Message:
         return "std_msgs/msg/String", (record.text,)
 
-    _makers: ClassVar[Mapping[type[Any], Callable[["_Messages", Any], _Message]]] = MappingProxyType(
-        {
-            TransformRecord: _transform,
-            CloudRecord: _cloud,
-            ImageRecord: _image,
-            CompressedImageRecord: _file,
-            CameraModelRecord: _camera_model,
-            PoseRecord: _posed,
-            FixRecord: _fix,
-            SampleRecord: _sample,
-            Boxes3DRecord: _boxes_3d,
-            Boxes2DRecord: _boxes_2d,
-            NotesRecord: _notes,
-        }
-    )
+    _makers: ClassVar[Mapping[type[Any], Callable[["_Messages", Any], _Message]]] = MappingProxyType({
+        TransformRecord: _transform, CloudRecord: _cloud, ImageRecord: _image, CompressedImageRecord: _file,
+        CameraModelRecord: _camera_model, PoseRecord: _posed, FixRecord: _fix, SampleRecord: _sample,
+        Boxes3DRecord: _boxes_3d, Boxes2DRecord: _boxes_2d, NotesRecord: _notes,
+    })  # fmt: skip

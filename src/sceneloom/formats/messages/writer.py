@@ -690,18 +690,10 @@ class SceneStreams:
         fields = {"metadata": metadata, "extras": extras, "attributes": attributes}
         return {**fields, "time_offset_ns": scene.time_offset_ns}
 
-    _makers: ClassVar[Mapping[type[Any], Callable[["SceneStreams", Any, _Note], None]]] = MappingProxyType(
-        {
-            LidarSensor: _lidar,
-            RadarSensor: _radar,
-            PointsSensor: _map,
-            CameraSensor: _camera,
-            DepthCameraSensor: _depth_camera,
-            OdometrySensor: _odometry,
-            GnssSensor: _gnss,
-            ImuSensor: _imu,
-        }
-    )
+    _makers: ClassVar[Mapping[type[Any], Callable[["SceneStreams", Any, _Note], None]]] = MappingProxyType({
+        LidarSensor: _lidar, RadarSensor: _radar, PointsSensor: _map, CameraSensor: _camera,
+        DepthCameraSensor: _depth_camera, OdometrySensor: _odometry, GnssSensor: _gnss, ImuSensor: _imu,
+    })  # fmt: skip
 
 
 @dataclass(slots=True)

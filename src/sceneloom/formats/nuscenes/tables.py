@@ -53,16 +53,10 @@ _COLUMNS: dict[str, list[Any]] = {
     ],
     # a box of an object at a sample, in the world
     "sample_annotation": [
-        ("sample_token", str),
-        ("instance_token", str),
-        ("translation", _Vector),
+        ("sample_token", str), ("instance_token", str), ("translation", _Vector),
         ("size", _Vector),  # width, length, height
-        ("rotation", Quaternion),
-        ("attribute_tokens", list[str], []),
-        *_texts("visibility_token"),
-        ("num_lidar_pts", int, 0),
-        ("num_radar_pts", int, 0),
-        *_texts("next", "prev"),
+        ("rotation", Quaternion), ("attribute_tokens", list[str], []), *_texts("visibility_token"),
+        ("num_lidar_pts", int, 0), ("num_radar_pts", int, 0), *_texts("next", "prev"),
     ],
     # the file with the classes of the points of a sweep
     "lidarseg": [("sample_data_token", str), ("filename", str)],

@@ -449,34 +449,27 @@ def test_classes_of_points_get_numbers_and_points_without_one_are_noise(tmp_path
     assert reported["points of single objects, or without a class, are left out"] == 1
 
 
-def test_nobody_elses_folder_is_replaced(tmp_path):
-    target = tmp_path / "a"
-    target.mkdir()
-    (target / "thesis.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"holds 'thesis.txt', so it is no data set of nuScenes"):
-        sceneloom.write(drive(), target, format="nuscenes", overwrite=True)
-    sceneloom.write(drive(), tmp_path / "b", format="nuscenes")
-    with pytest.raises(OutputError, match="exists already"):
-        sceneloom.write(drive(), tmp_path / "b", format="nuscenes")
-    sceneloom.write(drive(sweeps=2), tmp_path / "b", format="nuscenes", overwrite=True)
-    assert len(tables_of(tmp_path / "b")["sample"]) == 1
+def test_nobody_elses_folder_is_replaced_and_options_that_mean_nothing_are_refused(tmp_path):
+    def refused(error, message, folder="none", scene=None, **options):
+        with pytest.raises(error, match=message):
+            sceneloom.write(scene or drive(), tmp_path / folder, format="nuscenes", **options)
 
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+    for options, message in (
         ({"keyframe_rate_hz": 0}, "keyframe_rate_hz 0"),
         ({"version": "../up"}, r"version '../up'; expected a name such as v1.0-mini"),
         ({"images": "h264"}, "images 'h264'; nuScenes takes copy, png"),
         ({"speed": 1}, "speed"),
-    ],
-)
-def test_options_that_mean_nothing_are_refused(tmp_path, options, message):
-    with pytest.raises(OptionError, match=message):
-        sceneloom.write(drive(), tmp_path / "a", format="nuscenes", **options)
-    with pytest.raises(DataError, match="holds no sweep, radar cycle or image"):
-        sceneloom.write(sc.Scene(()), tmp_path / "a", format="nuscenes")
+    ):
+        refused(OptionError, message, **options)
+    refused(DataError, "holds no sweep, radar cycle or image", scene=sc.Scene(()))
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "thesis.txt").write_text("mine")
+    refused(OutputError, "holds 'thesis.txt', so it is no data set of nuScenes", "a", overwrite=True)
+    sceneloom.write(drive(), tmp_path / "b", format="nuscenes")
+    refused(OutputError, "exists already", "b")
+    sceneloom.write(drive(sweeps=2), tmp_path / "b", format="nuscenes", overwrite=True)
+    assert len(tables_of(tmp_path / "b")["sample"]) == 1
 
 
 AHEAD = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])

@@ -1,22 +1,31 @@
-"""MCAP files: what we write the reference library reads, what it writes we read, and no damage goes unnoticed."""
+"""MCAP files against the reference library, sweeps that stay packed, camera models and mosaics against OpenCV."""
 
 import io
 import subprocess
 import sys
 from contextlib import closing
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
+from sceneloom.cameras import project
 from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError, UnknownOptionError
+from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.registry import find_format
+from sceneloom.formats.messages import writer as messages_writer
+from sceneloom.formats.messages.cameras import image_of, read_camera_model
 from sceneloom.formats.messages.file_bytes import FileBytes
 from sceneloom.formats.messages.mcap_files import McapWriter, read_index
+from sceneloom.formats.messages.records import CameraModelRecord, ImageRecord
 from sceneloom.formats.messages.spec import MCAP
+from sceneloom.formats.messages.writer import camera_model_record, kept_record
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, Scene
 
 SIZES = (0, 10, 3000, 1_500_000, 40)
 MESSAGES = [(k % 2, 1000 + 7 * k, np.random.default_rng(k).bytes(SIZES[k % len(SIZES)])) for k in range(12)]
@@ -143,3 +152,124 @@ for target, extra in (("a.mcap", "mcap"), ("a.bag", "ros"), ("a.ros2", "ros")):
 def test_without_the_extras_a_person_is_reported_which_to_install(tmp_path):
     done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+COUNT = 50
+TIMESTAMPS = np.array([1_000_000_000, 1_100_000_000])
+
+
+def points(k):
+    rows = np.random.default_rng(k)
+    return LidarPoints(
+        rows.normal(size=(COUNT, 3)).astype(np.float32),
+        intensities=np.arange(COUNT, dtype=np.uint8),
+        colors=rows.integers(0, 256, (COUNT, 3), np.uint8),
+        timestamps_ns=TIMESTAMPS[k] + np.arange(COUNT) * 1_000,
+        rings=np.arange(COUNT, dtype=np.uint16),
+        camera_index=np.full(COUNT, k, np.uint8),
+        extras={"range": rows.random(COUNT, np.float32)},
+    )
+
+
+def write(path, *sweeps):
+    frames = [LidarFrame(int(time), one) for time, one in zip(TIMESTAMPS, sweeps, strict=False)]
+    write_scene(Scene((LidarSensor("top", LazyFrames.of(frames, TIMESTAMPS[: len(frames)].tolist())),)), path)
+    return path
+
+
+@pytest.fixture
+def log(tmp_path):
+    return write(tmp_path / "log.mcap", points(0), points(1))
+
+
+def test_sweeps_of_a_log_stay_packed_until_a_field_is_asked_for_and_are_the_same_in_a_copy(log, tmp_path):
+    with open_scene(log) as scene:
+        frame = scene.lidars[0].frames[1]
+        assert (frame.points.packed_count(), len(frame.points)) == (COUNT, COUNT)
+        np.testing.assert_array_equal(frame.points.positions, points(1).positions)
+        assert frame.points.packed_count() is None
+        write_scene(scene, tmp_path / "copy.mcap")
+    with open_scene(tmp_path / "copy.mcap") as copy:
+        for k, frame in enumerate(copy.lidars[0].frames):
+            expected = points(k)
+            for name in ("positions", "intensities", "colors", "timestamps_ns", "rings", "camera_index"):
+                np.testing.assert_array_equal(getattr(frame.points, name), getattr(expected, name), name)
+            np.testing.assert_array_equal(frame.points.extras["range"], expected.extras["range"])
+    with open_scene(log) as scene:
+        frame = scene.lidars[0].frames[0]
+        assert kept_record(frame.points, frame.timestamp_ns) is not None
+        moved = replace(frame, timestamp_ns=frame.timestamp_ns + 1)
+        assert kept_record(moved.points, moved.timestamp_ns) is None
+        assert kept_record(points(0), frame.timestamp_ns) is None
+
+
+def test_a_sweep_without_points_is_written_with_all_its_fields(tmp_path):
+    empty = LidarPoints(np.zeros((0, 3), np.float32), intensities=np.zeros(0, np.uint8), rings=np.zeros(0, np.uint16))
+    with open_scene(write(tmp_path / "log.mcap", empty, points(1))) as scene:
+        first, second = (frame.points for frame in scene.lidars[0].frames)
+        assert (len(first), first.rings.shape, first.intensities.shape) == (0, (0,), (0,))
+        np.testing.assert_array_equal(second.positions, points(1).positions)
+
+
+def test_logs_that_state_times_in_their_older_column_are_read(tmp_path, monkeypatch):
+    def old(times, timestamp):
+        return {("offset_ns",): (times - timestamp).astype(np.int32)}
+
+    monkeypatch.setattr(messages_writer, "_offsets", old)
+    write(tmp_path / "old.mcap", points(0))
+    monkeypatch.undo()
+    with open_scene(tmp_path / "old.mcap") as read:
+        np.testing.assert_array_equal(read.lidars[0].frames[0].points.timestamps_ns, points(0).timestamps_ns)
+        write_scene(read, tmp_path / "new.mcap")
+    with open_scene(tmp_path / "new.mcap") as read:
+        found = read.lidars[0].frames[0].points
+        np.testing.assert_array_equal(found.timestamps_ns, points(0).timestamps_ns)
+        assert "offset_ns" not in found.extras
+
+
+K = (500.0, 0.0, 320.0, 0.0, 510.0, 240.0, 0.0, 0.0, 1.0)
+D = (0.1, -0.05, 0.001, 0.002, 0.01, 0.02, 0.003, 0.001, 0.001, 0.002, 0.003, 0.004, 0.01, 0.02)
+POINTS = np.random.default_rng(0).uniform(-1, 1, (50, 3)) * [1, 0.7, 0] + [0, 0, 3]
+
+
+def camera_model(model, coefficients, k=K):
+    return read_camera_model(
+        CameraModelRecord(0, "c", 640, 480, model, coefficients, k), "file", "camera_model", Ledger(lenient=False)
+    )
+
+
+@pytest.mark.parametrize(
+    ("model", "count"), [("plumb_bob", 5), ("rational_polynomial", 8), ("rational_polynomial", 14), ("equidistant", 4)]
+)
+def test_camera_models_project_as_opencv_does(model, count):
+    camera = camera_model(model, D[:count])
+    nothing, matrix = np.zeros(3), np.reshape(K, (3, 3))
+    of = cv2.fisheye if model == "equidistant" else cv2
+    expected = of.projectPoints(POINTS[:, None], nothing, nothing, matrix, np.array(D[:count]))[0][:, 0]
+    pixels, visible = project(camera, POINTS)
+    assert visible.all()
+    np.testing.assert_allclose(pixels, expected, atol=1e-9)  # float64, some hundred pixels
+    written = camera_model_record(camera, 0, "c", "equidistant")
+    if count < 14:
+        assert (written.model, written.coefficients) == (model, D[:count])
+    assert read_camera_model(written, "file", "camera_model", Ledger(lenient=False)) == camera
+
+
+def test_a_calibration_of_zeros_is_none_and_unknown_models_are_refused():
+    assert camera_model("plumb_bob", (), (0.0,) * 9) is None
+    with pytest.raises(DataError, match=r"'fisheye62'; expected one of .*plumb_bob"):
+        camera_model("fisheye62", D[:7])
+    with pytest.raises(DataError, match="8 coefficients of plumb_bob; expected at most 5"):
+        camera_model("plumb_bob", D[:8])
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_mosaics_are_filled_as_opencv_does(pattern):
+    mosaic = np.random.default_rng(1).integers(0, 256, (20, 30), np.uint8)
+    record = ImageRecord(0, "c", f"bayer_{pattern}8", 30, 20, 30, memoryview(mosaic.reshape(-1)))
+    inner = slice(1, -1), slice(1, -1)  # OpenCV repeats its borders
+    expected = cv2.cvtColor(mosaic, getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB"))
+    difference = image_of(record, "file", "image").astype(int) - expected
+        mosaic, getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB")
+    )
+    assert np.abs(difference[inner]).max() <= 1  # the two round halves differently

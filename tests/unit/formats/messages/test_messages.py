@@ -270,6 +270,4 @@ def test_mosaics_are_filled_as_opencv_does(pattern):
     inner = slice(1, -1), slice(1, -1)  # OpenCV repeats its borders
     expected = cv2.cvtColor(mosaic, getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB"))
     difference = image_of(record, "file", "image").astype(int) - expected
-        mosaic, getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB")
-    )
     assert np.abs(difference[inner]).max() <= 1  # the two round halves differently

@@ -35,9 +35,9 @@ def test_labels_of_tracking_are_read_as_they_stand_and_written_again(tmp_path):
     labels = read_labels(written(tmp_path, TRACKED))
     assert (labels.frames.tolist(), labels.track_ids.tolist()) == ([0, 0, 4], [3, -1, 3])
     assert (labels.types, labels.have_position.tolist()) == (("Car", "DontCare", "Car"), [True, False, True])
-    # -1.50 is alpha; corners are as in the file, not shifted; height, width, length; the bottom's middle; about y
-    assert labels.values[0].tolist() == [0, 1, -1.5, 10, 20, 30, 40, 1.5, 1.6, 4.0, 2.0, 1.5, 10.0, 0.25]
-    assert labels.scores is None
+    solid = (labels.corners_xyxy[0].tolist(), labels.sizes_hwl[0].tolist(), labels.bottoms[0].tolist())
+    assert solid == ([10, 20, 30, 40], [1.5, 1.6, 4.0], [2.0, 1.5, 10.0])  # as in the file, not shifted
+    assert (labels.alphas[0], labels.rotations_y[0], labels.occlusions[0], labels.scores) == (-1.5, 0.25, 1, None)
     scored = read_labels(written(tmp_path, TRACKED.replace("\n", " 0.125\n")))
     write_labels(scored.select(scored.have_position), tmp_path / "out.txt")
     back = read_labels(tmp_path / "out.txt")

@@ -12,6 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
+from mcap.writer import IndexType, Writer
 
 from sceneloom.cameras import project
 from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError, UnknownOptionError
@@ -66,6 +67,17 @@ def test_the_reference_library_reads_what_we_write_and_so_do_we(compression, tmp
     assert (reader.get_header().profile, reader.get_header().library) == ("test", "ours")
     found = [(channel.topic, m.log_time, m.data) for _, channel, m in reader.iter_messages(log_time_order=True)]
     assert found == [(f"/{'ab'[topic]}", time_ns, content) for topic, time_ns, content in MESSAGES]
+    assert read(tmp_path / "log.mcap") == (found, [("notes", {"é": "ü"})])
+    # written again by that library, without any index
+    with (tmp_path / "log.mcap").open("wb") as stream:
+        writer = Writer(stream, index_types=IndexType.NONE, use_statistics=False, use_summary_offsets=False)
+        writer.start("", "theirs")
+        schema = writer.register_schema("a.Type", "protobuf", b"schema")
+        channels = {f"/{name}": writer.register_channel(f"/{name}", "protobuf", schema) for name in "ab"}
+        for topic, time_ns, content in found:
+            writer.add_message(channels[topic], time_ns, content, time_ns)
+        writer.add_metadata("notes", {"é": "ü"})
+        writer.finish()
     assert read(tmp_path / "log.mcap") == (found, [("notes", {"é": "ü"})])
     statistics = reader.get_summary().statistics
     assert (statistics.message_count, statistics.schema_count, statistics.channel_count) == (12, 1, 2)

@@ -162,7 +162,8 @@ def test_images_show_points_where_the_kits_formula_puts_them_and_as_recorded_dis
     homogeneous = projection @ delta_rotation @ VELO @ np.column_stack([POINTS, np.ones(3)]).T
     found = pixels_of(open_scene(raw_folder()))
     np.testing.assert_allclose(found, (homogeneous[:2] / homogeneous[2]).T, atol=1e-9)
-    scene = open_scene(raw_folder(drive="2011_09_26_drive_0001_extract", size=(40, 30)))
+    root = raw_folder(drive="2011_09_26_drive_0001_extract", size=(40, 30))
+    scene = open_scene(root, sequence="0001_extract")
     camera_from_camera0 = matrix("0.9998 -0.02 0 0.02 0.9998 0 0 0 1", "0.06 0.01 -0.002")
     camera_from_camera0[:3, :3] = nearest_rotation(camera_from_camera0[:3, :3])
     camera_from_velo = camera_from_camera0 @ VELO

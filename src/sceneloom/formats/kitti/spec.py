@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from sceneloom.formats.base.losses import KEPT, Supports, approximated, converted, dropped
-from sceneloom.formats.base.spec import FormatSpec, named_folder
+from sceneloom.formats.base.spec import FormatSpec
 
 IMAGES = (".png", ".jpg", ".jpeg")
 SWEEPS = (".bin",)
@@ -52,7 +52,7 @@ def _is_raw_drive(path: Path) -> bool:
 def raw_drives(path: Path) -> list[Path]:
     """The drive that a folder is, or the drives of a day's folder, or of a folder of days, by name."""
     if _is_raw_drive(path):
-        return [named_folder(path)]
+        return [path if path.name else path.resolve()]  # by a path that ends in its name
     return [child for child in _children(path) if DRIVE_NAME.fullmatch(child.name) and _is_raw_drive(child)]
 
 

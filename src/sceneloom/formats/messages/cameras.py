@@ -425,7 +425,7 @@ class CameraDraft:
             is_depth, size = not _encoding_of(first, owner, where).order, (first.width, first.height)
         else:
             form = _image_form(first, owner, where)
-            is_depth, size = False, image_size(bytes(first.data), form, owner=owner, location=where)
+            is_depth, size = False, EncodedImage(bytes(first.data), form, 0, 0, owner, where).stated_size()
         camera_models = _camera_models(survey, camera_model_topic, size, location)
         scale = MILLIMETRE if is_depth and first.encoding == "16UC1" else None
         reader = _ImageReader(survey.log, topic, rows, timestamps[rows], camera_models, scale)

@@ -14,7 +14,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
-from sceneloom.formats.base.loss_list import Losses
+from sceneloom.formats.base.losses import Losses
 from sceneloom.formats.messages.cameras import MILLIMETRE, OUR_PREFIX, UNKNOWN_MODEL
 from sceneloom.formats.messages.points import DIRECTION_COLUMNS, OLD_TIME_COLUMN, SPEED_COLUMNS, TIME_COLUMNS
 from sceneloom.formats.messages.records import (

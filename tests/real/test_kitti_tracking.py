@@ -13,7 +13,8 @@ from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.evaluate.detection import compare_detections
 from sceneloom.evaluate.tracking import compare_tracks
 from sceneloom.formats.base.text_tables import read_table
-from sceneloom.formats.kitti.labels import lidar_boxes, read_labels, write_labels
+from sceneloom.formats.kitti.benchmark_writer import write_labels
+from sceneloom.formats.kitti.labels import lidar_boxes, read_labels
 from sceneloom.formats.kitti.tracking_reader import open_tracking_folder
 from sceneloom.fusion import FusionConfiguration
 from sceneloom.geometry.rigid import RigidTransform

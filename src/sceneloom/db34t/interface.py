@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from operator import attrgetter
 from types import MappingProxyType, TracebackType
-from typing import Any, NoReturn, Protocol, Self, cast
+from typing import Any, NoReturn, Self, cast
 
 import msgspec
 import numpy as np
@@ -69,7 +69,6 @@ from sceneloom.db34t.setting import (
     SensorKind,
     Setting,
     calibration_table,
-    parse_calibrations,
 )
 from sceneloom.db34t.tables import BOX_3D
 from sceneloom.db34t.types import DONE, Cause, Outcome, Timestamp, refused
@@ -490,19 +489,10 @@ class _ResultsQueue:
     def __init__(
         self, counters: Counters, announcer: _Announcer, *, on_result: Callable[[], None] | None, most_bytes: int
     ) -> None:
-        """Hold nothing yet.
-
-        Args:
-            announcer: notified of each result.
-            on_result: called as soon as a result can be fetched.
-            most_bytes: how large the results of one type that wait may be together.
-        """
-        self._counters = counters
-        self._announcer = announcer
-        self._on_result = on_result
+        """Hold nothing yet; `most_bytes` is how large the results of one type that wait may be together."""
+        self._counters, self._announcer, self._on_result = counters, announcer, on_result
         self._most_bytes = most_bytes
-        self._given = dict.fromkeys(FusionType, 0)
-        self._bytes = dict.fromkeys(FusionType, 0)
+        self._given, self._bytes = dict.fromkeys(FusionType, 0), dict.fromkeys(FusionType, 0)
         self._waiting: dict[FusionType, deque[Result]] = {kind: deque() for kind in FusionType}
         self._changed = threading.Condition()
         self._closed = False
@@ -638,12 +628,8 @@ _MANY_LATER = 1000
 """After a longer list, a sweep or an image so many lists go to the thread, for they may be fused together."""
 
 
-class _Overdue(Protocol):
-    """What else there is to do by the clock."""
-
-    def __call__(self, now_s: float) -> float | None:
-        """Do what is due now, and state when the next is, both by the monotonic clock [s]; None for never."""
-        ...
+_Overdue = Callable[[float], float | None]
+"""Does by the monotonic clock [s] what is due now, and states when the next is; None for never."""
 
 
 class _Worker:
@@ -662,17 +648,9 @@ class _Worker:
         inline: bool,
         overdue: _Overdue,
     ) -> None:
-        """Begin.
-
-        Args:
-            announcer: notified of each task before it is done, and of what was dropped.
-            give: takes each result.
-            inline: whether there is no thread.
-        """
-        self._counters = counters
-        self._announcer = announcer
-        self._give = give
-        self._overdue = overdue
+        """Begin; the announcer is notified of each task before it is done, and of what was dropped."""
+        self._counters, self._announcer = counters, announcer
+        self._give, self._overdue = give, overdue
         self._rig = Rig(counters)
         self._tasks = _TaskQueue()
         self._fusing = threading.Lock()
@@ -683,11 +661,6 @@ class _Worker:
         self._thread = None if inline else threading.Thread(target=self._work, name="fusion", daemon=True)
         if self._thread is not None:
             self._thread.start()
-
-    @property
-    def inline(self) -> bool:
-        """Whether there is no thread."""
-        return self._thread is None
 
     @property
     def waiting_moves(self) -> int:
@@ -1093,7 +1066,7 @@ class FusionInterface:
         self._most_length, self._most_bytes = most_length, most_bytes
         self._making_room: Flushed | None = None
         self._remarked: set[tuple[tuple[int, int], str]] = set()
-        self._closed = False
+        self._closed, self._inline = False, inline
         self._announcer = _Announcer(observer, self.counters)
         self._received = _ReceivedRecords(self._hand_in)
         self._results_queue = _ResultsQueue(self.counters, self._announcer, on_result=on_result, most_bytes=most_bytes)
@@ -1123,7 +1096,7 @@ class FusionInterface:
         with self._lock:
             outcome = self.properties.set(name, value)
             if outcome and name == "calibration":
-                self._table = calibration_table(parse_calibrations(self.properties.get(name).value))
+                self._table = self.properties.snapshot().calibrations
         return outcome
 
     def get_property(self, name: str) -> Any:
@@ -1245,7 +1218,7 @@ class FusionInterface:
         Raises:
             OptionError: the interface has a thread of its own, which could drop it.
         """
-        if not self._worker.inline:
+        if not self._inline:
             raise OptionError("a session with a thread of its own; expected one that was made with `inline`")
         with self._lock:
             accepted = _accepted_alone(record, setting)

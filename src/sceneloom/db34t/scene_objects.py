@@ -123,10 +123,7 @@ def boxes_2d_record(boxes: Boxes2D, *, sensor_id: int, seq: int, size_wh: tuple[
 
 
 def _whole_corners(corners_xyxy: Float64Array, size_wh: tuple[int, int] | None = None) -> UInt32Array:
-    """The whole pixels that boxes (N, 4) [px] touch, (N, 4) uint32: lower edges rounded down, upper ones up.
-
-    They are cut to an image of `size_wh` [px]; the edges of a box that is not finite all become 0.
-    """
+    """The whole pixels that boxes (N, 4) [px] touch, (N, 4) uint32, cut to an image; of one that is not finite 0."""
     largest = 2**32 - 1
     width, height = (largest, largest) if size_wh is None else size_wh
     finite = np.isfinite(corners_xyxy).all(axis=1, keepdims=True)
@@ -246,10 +243,8 @@ def _frame_of(
 
 
 def _result_fields(sent: LidarFrame) -> tuple[str, ...]:
-    """The fields of the points of table 9, by the names of what was sent (table 6, or raw data) and by nothing else.
-
-    Source: READING of point_fields in docs/db34t-4101.md.
-    """
+    """The fields of the points of table 9, by the names of what was sent (table 6, or raw data) and by nothing else."""
+    # Source: READING of point_fields in docs/db34t-4101.md
     names = sent.extras.get("fields", ("x", "y", "z", *_RAW_FIELDS))
     others = (name for name in names if name not in ("x", "y", "z", *_COLOR_NAMES))
     return ("x", "y", "z", *others, *_COLOR_NAMES)
@@ -266,13 +261,7 @@ def _fields_of(points: LidarPoints) -> tuple[str, ...]:
 
 
 def _point_table(points: LidarPoints, fields: Sequence[str], timestamp_ns: int) -> Float32Array:
-    """The table of F fields of points, without those that have no finite position, (M, F) float32.
-
-    Fields of `points.extras` are given as they are there, times counted from `timestamp_ns` [ns].
-
-    Raises:
-        OptionError: the points have no such field.
-    """
+    """The table of F fields of points with a finite position, (M, F) float32, times counted from `timestamp_ns`."""
     values = np.empty((len(points), len(fields)), np.float32)
     for k, name in enumerate(fields):
         values[:, k] = _column(points, name, timestamp_ns)

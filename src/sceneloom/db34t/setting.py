@@ -179,17 +179,11 @@ def calibration_data(
 
 @dataclass(frozen=True, eq=False)
 class _CalibratedPair:
-    """A camera and a lidar in the frames used inside.
-
-    Attributes:
-        camera: the camera model.
-        camera_from_lidar: takes points of the lidar (x forward, y left, z up) into the optical frame.
-        notes: what looks wrong, for people.
-    """
+    """A camera and a lidar in the frames used inside: x forward, y left, z up, and the optical frame."""
 
     camera: Camera
     camera_from_lidar: RigidTransform
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what looks wrong, for people
 
     @cached_property
     def lidar_from_camera(self) -> RigidTransform:
@@ -343,11 +337,7 @@ CAMERA_MODELS = "camera_models"
 
 
 def _read_by_sensor(text: str, owner: str, example: str) -> dict[int, Any]:
-    """Read a property that describes sensors: a JSON object by sensor number, as `example`; {} for an empty text.
-
-    Raises:
-        DataError: it is none, or a name is no number from 0 to 255.
-    """
+    """Read a property that describes sensors: a JSON object by sensor number, as `example`; {} for an empty text."""
     found = _read_json(text, owner)
     if found is None:
         return {}
@@ -398,20 +388,12 @@ _RAW_FORMS = {SensorKind.LIDAR: (_RawForm.RECORDS,), SensorKind.CAMERA: (_RawFor
 
 @dataclass(frozen=True, slots=True)
 class _DeclaredSensor:
-    """A sensor as the property `sensors` declares it.
-
-    Attributes:
-        sensor_id: 0 to 255.
-        kind: camera or lidar.
-        raw: what its raw data hold, or None where it sends none.
-        body_from_lidar: of a lidar, its extrinsics on the body whose trajectory is sent; None: its own.
-        shutter: of a camera, when the lines of its images are taken.
-    """
+    """A sensor as the property `sensors` declares it."""
 
     sensor_id: int
     kind: SensorKind
-    raw: _RawForm | None = None
-    body_from_lidar: RigidTransform | None = None
+    raw: _RawForm | None = None  # what its raw data hold; None where it sends none
+    body_from_lidar: RigidTransform | None = None  # on the body whose trajectory is sent; None: its own
     shutter: Shutter = GLOBAL
 
 
@@ -486,15 +468,7 @@ _Check = Callable[[Any], object]
 
 @dataclass(frozen=True, slots=True)
 class _PredefinedProperty:
-    """A property that is there from the start.
-
-    Attributes:
-        name, description, unit: of the property; `unit` "" for none.
-        type: as in table 1, or a tuple of such.
-        default: its value at the start.
-        check: what else the value has to fulfil, or None.
-        source: the row of table 2, or "extension".
-    """
+    """A property that is there from the start; `source` is the row of table 2, or "extension"."""
 
     name: str
     description: str
@@ -603,6 +577,11 @@ class Snapshot:
 
     def __getitem__(self, name: str) -> Any:
         return self.properties[name].value
+
+    @property
+    def calibrations(self) -> CalibrationTable:
+        """The table of calibrations that the property `calibration` states."""
+        return calibration_table(parse_calibrations(self["calibration"]))
 
 
 _LONGEST_NAME = 256

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
 from types import MappingProxyType, TracebackType
-from typing import Any, ParamSpec, Protocol, Self, TypeAlias, TypeVar
+from typing import Any, ParamSpec, Self, TypeAlias, TypeVar
 
 import grpc
 import grpc.aio
@@ -133,12 +133,8 @@ _THREADS_OF_SESSION = 2  # threads that one session may keep busy, so that none 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,63}")
 
 
-class _MakeInterface(Protocol):
-    """Makes the interface of a new session."""
-
-    def __call__(self, name: str, on_result: Callable[[], None]) -> FusionInterface:
-        """Make it as the server is configured."""
-        ...
+_MakeInterface = Callable[[str, Callable[[], None]], FusionInterface]
+"""Makes the interface of a new session: given its name, and what to call on each result."""
 
 
 class _Session:

@@ -11,28 +11,28 @@ What may become of a mutant is a scene, or a `SceneloomError`. Any other excepti
 memory than `MEMORY`, or longer than `SECONDS`, is a failure.
 """
 
-import json
 import os
 import re
 import resource
-import select
 import shutil
 import socket
 import struct
-import subprocess
 import sys
 import tempfile
 import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
+from multiprocessing import Pipe, get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from tests.malformed.damage import look_at_everything
@@ -275,76 +275,64 @@ def try_mutants(name: str, numbers: range | None, *, seconds: float = float("inf
 
 def _work_off(name: str, folder: Path, waiting: list[int], tried: Tried, stop: float) -> None:
     """Give mutants to one worker until it dies or none is left."""
-    with _worker(name, folder) as worker:
-        reported = _answer(worker, 300.0)
-        if reported is None or reported["outcome"] != "scene":
-            raise AssertionError(f"the sound drive {name!r} cannot be read: {reported}")
+    ours, theirs = Pipe()
+    worker = get_context("spawn").Process(target=_work, args=(name, folder, theirs))
+    with patch.dict(os.environ, dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")):
+        worker.start()
+    theirs.close()
+    try:
+        outcome = _answer(ours, 300.0)
+        if outcome is None or outcome[0] != "scene":
+            raise AssertionError(f"the sound drive {name!r} cannot be read: {outcome}")
         while waiting and time.monotonic() < stop:
             number = waiting.pop()
-            worker.stdin.write(f"{number}\n".encode())
-            worker.stdin.flush()
+            ours.send(number)
             # a video is looked through for ten seconds each time that it is opened
-            reported = _answer(worker, SECONDS if number >= 0 else 3 * SECONDS)
-            if reported is None:
+            outcome = _answer(ours, SECONDS if number >= 0 else 3 * SECONDS)
+            if outcome is None:
                 worker.kill()
-                code = worker.wait()
-                end = "was killed: it took too long" if code == -9 else f"died: exit code {code}"
-                reported = {"outcome": "failed", "reported": f"the process {end}"}
-            tried.outcomes[reported["outcome"]] += 1
-            if reported["outcome"] == "failed":
-                tried.failures[number] = reported["reported"]
-            if worker.poll() is not None:
+                worker.join()
+                end = "was killed: it took too long" if worker.exitcode == -9 else f"died: exit code {worker.exitcode}"
+                outcome = "failed", f"the process {end}"
+            tried.outcomes[outcome[0]] += 1
+            if outcome[0] == "failed":
+                tried.failures[number] = outcome[1]
+            if not worker.is_alive():
                 return
-
-
-@contextmanager
-def _worker(name: str, folder: Path) -> Iterator[Any]:
-    command = [sys.executable, "-m", "tests.malformed.mutants", "--worker", name, str(folder)]
-    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    worker = subprocess.Popen(command, cwd=_ROOT, env={**os.environ, **threads}, **pipes)
-    try:
-        yield worker
     finally:
         worker.kill()
-        worker.wait()
-        for stream in (worker.stdin, worker.stdout):
-            with suppress(OSError):
-                stream.close()
+        worker.join()
+        ours.close()
 
 
-def _answer(worker: Any, seconds: float) -> dict[str, Any] | None:
-    """The next line of a worker, or None if it dies or takes too long."""
-    found, stop = b"", time.monotonic() + seconds
-    while not found.endswith(b"\n"):
-        ready, _, _ = select.select([worker.stdout], [], [], max(stop - time.monotonic(), 0.0))
-        piece = os.read(worker.stdout.fileno(), 1 << 20) if ready else b""
-        if not piece:
-            return None
-        found += piece
-    answer: dict[str, Any] = json.loads(found)
-    return answer
+def _answer(ours: Connection, seconds: float) -> tuple[str, str] | None:
+    """What a worker says next, or None if it dies or takes too long."""
+    with suppress(EOFError, ConnectionResetError):
+        if ours.poll(seconds):
+            answer: tuple[str, str] = ours.recv()
+            return answer
+    return None
 
 
-def _work(name: str, folder: Path) -> None:
-    """Be a worker: read numbers from the standard input, answer with a line each."""
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)
+def _work(name: str, folder: Path, theirs: Connection) -> None:
+    """Be a worker: take numbers, answer each with an outcome."""
+    for stream in (1, 2):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
     sound = next((folder / "sound").iterdir())
     with tempfile.TemporaryDirectory(dir=folder) as own:
         drive = Path(own, sound.name)
         (shutil.copytree if sound.is_dir() else shutil.copy)(sound, drive)
-        outcome = [_use(drive, name, step) for step in range(len(_STEPS))]
-        answers.write(json.dumps({"outcome": outcome[0][0] if len(set(outcome)) == 1 else str(outcome)}) + "\n")
+        outcomes = {_use(drive, name, step) for step in range(len(_STEPS))}
+        theirs.send(outcomes.pop() if len(outcomes) == 1 else ("failed", str(outcomes)))
         pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
         limit = pages * resource.getpagesize() + MEMORY
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-        for line in sys.stdin:
-            number = int(line)
+        while True:
+            number = theirs.recv()
             file, content = change(drive, name, number)
-            outcome, reported = _use(drive, name, number)
+            outcome = _use(drive, name, number)
             _restore(file, content)
-            answers.write(json.dumps({"outcome": outcome, "reported": reported}) + "\n")
+            theirs.send(outcome)
 
 
 def change(drive: Path, name: str, number: int) -> tuple[Path, bytes]:
@@ -469,9 +457,7 @@ _STEPS: tuple[Callable[[Path, str], None], ...] = (
 
 def _main() -> None:
     arguments = sys.argv[1:]
-    if arguments[0] == "--worker":
-        _work(arguments[1], Path(arguments[2]))
-    elif arguments[1] in {"--count", "--impostors"}:
+    if arguments[1] in {"--count", "--impostors"}:
         begun = time.monotonic()
         numbers = range(int(arguments[2])) if arguments[1] == "--count" else None
         seconds = float(arguments[3]) if len(arguments) > 3 else float("inf")

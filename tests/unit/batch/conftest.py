@@ -11,11 +11,9 @@ VERBS = '''
 import os, signal
 from pathlib import Path
 
-
 def copy(location, output, options):
     Path(output).write_text(Path(location).read_text() + options.get("more", ""))
     return {"size": len(Path(location).read_text())}
-
 
 def refuse(location, output, options):
     from sceneloom.errors import DataError
@@ -23,7 +21,6 @@ def refuse(location, output, options):
     if "bad" in location:
         raise DataError(location, "line 1", "7; expected 8")
     return copy(location, output, options)
-
 
 def shake(location, output, options):
     """Fails as a network does until it has been tried often enough."""
@@ -34,7 +31,6 @@ def shake(location, output, options):
         raise ConnectionResetError("cut")
     return copy(location, output, options)
 
-
 def die(location, output, options):
     """Half an output, then the worker is killed; the second time it lives."""
     Path(output).write_text("half")
@@ -43,24 +39,19 @@ def die(location, output, options):
         os.kill(os.getpid(), signal.SIGKILL)
     return copy(location, output, options)
 
-
 def crash(location, output, options):
     return 1 / 0
 
-
 def forget(location, output, options):
     return None
-
 
 def read(location, output, options):
     """What is in the files beside the drive."""
     Path(output).write_text("".join(path.read_text() for path in (*options["boxes"], options["rig"])))
 
-
 def folder(location, output, options):
     Path(output).mkdir()
     (Path(output) / "a.txt").write_text(Path(location).read_text())
-
 
 def fetch(location, output, options):
     """What is behind a URL; reports its address with all secrets, and complains with them where it is asked to."""
@@ -73,12 +64,10 @@ def fetch(location, output, options):
     Path(output).write_bytes(urlopen(location).read())
     return {"source": location, "inner": [{"reported": f"read {location}"}]}
 
-
 def pair(location, output, options):
     """An output with another one beside it."""
     Path(output).with_suffix(".loss").write_text("none")
     return copy(location, output, options)
-
 
 def more(location, output, options):
     """A folder and a file beside the output; then it may fail."""
@@ -88,7 +77,6 @@ def more(location, output, options):
             made.parent.mkdir(exist_ok=True)
             made.write_text(Path(location).read_text())
     return refuse(location, output, {})
-
 
 def environment(location, output, options):
     Path(output).write_text(os.environ.get("OMP_NUM_THREADS", "") + os.environ.get("NUMBA_NUM_THREADS", ""))

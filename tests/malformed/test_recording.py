@@ -250,17 +250,14 @@ def scaled_streams(draw):
     ]
 
 
-@settings(IN_ONE_FOLDER, max_examples=40)
-@given(texts=mutated_lines() | scaled_streams())
-def test_changed_lines_and_streams_of_absurd_numbers_give_a_report(tmp_path, texts):
-    report_of(tmp_path, texts)
-
-
-@IN_ONE_FOLDER
-@given(data=st.data())
-def test_a_changed_calibration_gives_a_report(tmp_path, data):
-    text = json.dumps(with_odd_value(data.draw, SIZED))
-    report_of(tmp_path, calibration=text[: data.draw(st.integers(0, len(text)))] if data.draw(st.booleans()) else text)
+@settings(IN_ONE_FOLDER, max_examples=80)
+@given(texts=st.just(TEXTS) | mutated_lines() | scaled_streams(), data=st.data())
+def test_changed_lines_calibrations_and_streams_of_absurd_numbers_give_a_report(tmp_path, texts, data):
+    calibration = SIZED
+    if texts is TEXTS:
+        text = json.dumps(with_odd_value(data.draw, SIZED))
+        calibration = text[: data.draw(st.integers(0, len(text)))] if data.draw(st.booleans()) else text
+    report_of(tmp_path, texts, calibration)
 
 
 @pytest.mark.parametrize("name", ["data.jsonl", "calibration.json", "0.bin", "frames1", "frames1/00000000.png"])

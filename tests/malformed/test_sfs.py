@@ -75,14 +75,6 @@ def test_a_file_cut_or_with_another_byte_anywhere_gives_a_scene_or_an_error_of_o
         survives(content[:location] + swaps[(k := int(rng.integers(len(swaps)))) : k + 1] + content[location + 1 :])
 
 
-@SLOW
-@EACH
-def test_many_changed_bytes_give_a_scene_or_an_error_of_ours(golden, encode_sfs, survives):
-    content, rng = encode_sfs(golden), np.random.default_rng(9)
-    for _ in range(20_000):
-        survives(damage.scattered(content, rng, int(rng.integers(1, 6))))
-
-
 @pytest.mark.parametrize("step", [3, pytest.param(1, marks=SLOW)])
 @pytest.mark.parametrize("golden", [*GOLDEN.values(), pytest.param(DRAWN, marks=SLOW)], ids=[*GOLDEN, "drawn"])
 @pytest.mark.few(1)

@@ -92,17 +92,12 @@ def test_fields_stand_under_their_row_numbers_on_the_wire():
 FAULTS = [
     (image(timestamp=None), "timestamp", "missing; expected uint32. uint32"),
     (image(timestamp=fusion_pb2.Timestamp(s=1, ns=10**9)), "timestamp.ns", "1000000000; expected 0 to 999999999"),
-    (image(sensor_id=256), "sensor_id", "256; expected 0 to 255"),
-    (image(data=b"\1\2"), "data", "2 values; expected 3"),
-    (image(encoding=""), "encoding", "''; expected one of rgb8"),
     (boxes(box(), box(points_seq=6)), "boxes[1].points_seq", "6; expected 5 as all of them"),
     (boxes(box(timestamp=fusion_pb2.Timestamp(s=1))), "boxes[0].timestamp", "1.000000000; expected 1595682678"),
     (boxes(box(timestamp=None)), "boxes[0].timestamp", "0.000000000; expected 1595682678"),
     (boxes(box(direction=(1, 0))), "boxes[0].direction", "(1.0, 0.0); expected float[3]"),
-    (boxes(box(length=0)), "boxes[0].length", "0.0; expected more than 0"),
     (boxes(box(), box(velocity_vector=(1, 2, 3))), "boxes[0].velocity_vector", "(); expected float[3]"),
     (boxes(box(), timestamp=None), "timestamp", "missing"),
-    (boxes(box(X=float("nan"))), "boxes[0].X", "nan; expected a finite number"),
 ]
 
 

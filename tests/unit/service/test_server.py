@@ -80,19 +80,6 @@ def test_a_session_that_is_closed_ends_its_subscriptions_and_is_forgotten(call):
     assert dict(call("GetCounters").counts) == {}
 
 
-def test_sessions_know_nothing_of_each_other(serve, connect):
-    server = serve()
-    one, other = connect(server, session="one"), connect(server, session="other")
-    assert one.calibrate().status == 1
-    one("SetProperty", name="lidar_frequency", value=fusion_pb2.Value(integer_value=20))
-    assert other("GetProperty", name="lidar_frequency").value.integer_value == 10
-    one.send_pair(0)
-    one("Flush")
-    assert other("Get").WhichOneof("result") == "no_data"
-    assert dict(other("GetCounters").counts) == {}
-    assert one("Get").WhichOneof("result") == "sensor_data"
-
-
 class Clock:
     """Seconds that go on when they are reported to."""
 

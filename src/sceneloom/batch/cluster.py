@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Self
@@ -57,28 +57,13 @@ _CLOSING_SECONDS = 5.0
 _ONE_AT_A_TIME = threading.Lock()
 
 
-@dataclass(slots=True)
-class _Ended:
-    """Futures that have ended, as dask's threads report."""
-
-    queue: SimpleQueue[Future[bytes]]
-
-    def wait(self, seconds: float) -> list[Future[bytes]]:
-        found: list[Future[bytes]] = []
-        with suppress(Empty):
-            found.append(self.queue.get(timeout=seconds))
-            while True:
-                found.append(self.queue.get_nowait())
-        return found
-
-
 class DaskCluster:
     """Runs tasks on workers of dask, one at a time on each, which has the next one at hand."""
 
     def __init__(self, client: "Client", cluster: LocalCluster | None = None, ending: ExitStack | None = None) -> None:
         """Use a client, and the workers of this machine if there are any; see `local` and `at`."""
         self._client, self._cluster, self._ending = client, cluster, ending or ExitStack()
-        self._ended = _Ended(SimpleQueue())
+        self._ended: SimpleQueue[Future[bytes]] = SimpleQueue()  # futures, as dask's threads report
         self._tasks: dict[Any, tuple[Task, Future[bytes]]] = {}
         self._room, self._counted = 0, -_COUNTING_SECONDS
 
@@ -131,7 +116,8 @@ class DaskCluster:
             raise OptionError("dask's scheduler is gone; `--resume` goes on where the run was")
         if time.monotonic() - self._counted >= _COUNTING_SECONDS:
             threads = self._client.nthreads().values()
-            self._room, self._counted = sum(map(_held_by, threads)), time.monotonic()
+            # a worker of one thread has the next task at hand; one of more would begin that beside the first
+            self._room, self._counted = sum(2 if count == 1 else 1 for count in threads), time.monotonic()
         return max(self._room - len(self._tasks), 0)
 
     def submit(self, task: Task) -> None:
@@ -143,12 +129,16 @@ class DaskCluster:
             run_packed, __version__, pickle.dumps(sent), key=f"sceneloom-{task.draft.parent.name}", retries=0
         )
         self._tasks[future.key] = (task, future)
-        future.add_done_callback(self._ended.queue.put)
+        future.add_done_callback(self._ended.put)
 
     def finished(self, seconds: float) -> Sequence[tuple[Task, Outcome]]:
         """Wait, at most so long, for tasks that have ended, well or with their worker."""
-        found = []
-        for future in self._ended.wait(seconds):
+        ended, found = [], []
+        with suppress(Empty):
+            ended.append(self._ended.get(timeout=seconds))
+            while True:
+                ended.append(self._ended.get_nowait())
+        for future in ended:
             task, _ = self._tasks.pop(future.key)
             found.append((task, _outcome(task, future)))
         return found
@@ -229,12 +219,6 @@ def _client(address: str, seconds: float = _CONNECTING_SECONDS) -> Client:
         address, timeout=seconds, set_as_default=False, serializers=_DATA, deserializers=_DATA,
         name="sceneloom-batch",
     )  # fmt: skip
-
-
-def _held_by(threads: int) -> int:
-    """How many tasks a worker takes: one to do, and one to begin at once when that has ended."""
-    # one with more threads would begin the second beside the first, wait, and keep it from workers that are free
-    return 2 if threads == 1 else 1
 
 
 def _anywhere(task: Task) -> Task:

@@ -985,41 +985,6 @@ _KEPT_NS = 60_000_000_000  # so much of the trajectory is kept
 _MOST_POSES = 100_000  # of one minute: a sender that reports more than 1600 poses a second is stopped
 
 
-@dataclass(slots=True)
-class _RecentTrajectory:
-    """Joins poses that arrive in chunks."""
-
-    _path: Poses | None = None
-
-    def extended(self, path: Poses) -> Poses:
-        """Add newer poses, and give the trajectory of the last minute.
-
-        Poses that are very much older begin another trajectory: a clock was set back. Positions are relative to the
-        newest one, so that points far from a map's origin keep their digits.
-
-        Raises:
-            PoseError: they are not newer than those that came before, or too many.
-        """
-        if path.static or len(path.timestamps_ns) == 0:
-            raise PoseError("no poses with times; expected one or more")
-        before = self._path
-        if before is not None and path.start_ns < before.stop_ns - CLOCK_JUMP_NS:
-            before = None
-        if before is not None and path.start_ns <= before.stop_ns:
-            raise PoseError(f"a pose at {path.start_ns} ns after one at {before.stop_ns} ns; expected newer ones")
-        parts = [path] if before is None else [before, path]
-        times = np.concatenate([part.timestamps_ns for part in parts])
-        kept = slice(int(np.searchsorted(times, times[-1] - _KEPT_NS)), None)
-        if len(times[kept]) > _MOST_POSES:
-            raise PoseError(f"{len(times[kept])} poses in a minute; expected at most {_MOST_POSES}")
-        self._path = Poses(
-            times[kept],
-            np.concatenate([part.positions for part in parts])[kept],
-            np.concatenate([part.quaternions_xyzw for part in parts])[kept],
-        )
-        return self._path.moved(self._path.positions[-1])
-
-
 _MOST_MOVES = 100  # chunks of the vehicle's trajectory that may wait for the thread that fuses
 _PIXEL_BYTES = 7  # what a pixel takes while its image is fused: red, green, blue, and a depth of 32 bits
 _QUEUE_PROPERTIES = ("queue_length", "result_queue_length")  # those that `most_length` bounds
@@ -1062,7 +1027,7 @@ class FusionInterface:
         self._lock = threading.RLock()
         self._table: CalibrationTable = {}
         self._setting: Setting | None = None
-        self._trajectory = _RecentTrajectory()
+        self._trajectory: Poses | None = None
         self._most_length, self._most_bytes = most_length, most_bytes
         self._making_room: Flushed | None = None
         self._remarked: set[tuple[tuple[int, int], str]] = set()
@@ -1147,12 +1112,34 @@ class FusionInterface:
             if self._worker.waiting_moves >= _MOST_MOVES:
                 return refused(Cause.QUEUE_FULL, f"{_MOST_MOVES} chunks of the trajectory wait already")
             try:
-                recent = self._trajectory.extended(path)
+                recent = self._extended(path)
             except SceneloomError as error:
                 return refused(Cause.BAD_MOTION, error)
             self.counters.add("received.motion", len(path.timestamps_ns))
             self._worker.do(Moved(recent, path))
         return DONE
+
+    def _extended(self, path: Poses) -> Poses:
+        """Add newer poses, and give the trajectory of the last minute, whose positions count from the newest one."""
+        # poses that are very much older begin another trajectory: a clock was set back
+        if path.static or len(path.timestamps_ns) == 0:
+            raise PoseError("no poses with times; expected one or more")
+        before = self._trajectory
+        if before is not None and path.start_ns < before.stop_ns - CLOCK_JUMP_NS:
+            before = None
+        if before is not None and path.start_ns <= before.stop_ns:
+            raise PoseError(f"a pose at {path.start_ns} ns after one at {before.stop_ns} ns; expected newer ones")
+        parts = [path] if before is None else [before, path]
+        times = np.concatenate([part.timestamps_ns for part in parts])
+        kept = slice(int(np.searchsorted(times, times[-1] - _KEPT_NS)), None)
+        if len(times[kept]) > _MOST_POSES:
+            raise PoseError(f"{len(times[kept])} poses in a minute; expected at most {_MOST_POSES}")
+        self._trajectory = Poses(
+            times[kept],
+            np.concatenate([part.positions for part in parts])[kept],
+            np.concatenate([part.quaternions_xyzw for part in parts])[kept],
+        )
+        return self._trajectory.moved(self._trajectory.positions[-1])
 
     def send(self, record: SentRecord) -> Outcome:
         """Hand in a record of tables 4 to 8, clause 5.6.

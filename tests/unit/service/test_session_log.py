@@ -6,7 +6,6 @@ import sys
 import threading
 from collections import Counter
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +13,11 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
-from tests.unit.db34t import sending
-from tests.unit.db34t.sending import HEIGHT, WIDTH, calibration, interface, timestamp
+from tests.unit.db34t.sending import boxes_2d, boxes_3d, calibration, cloud, image, interface, timestamp
 
 from sceneloom.db34t.events import Result
 from sceneloom.db34t.interface import FusionInterface, Rig, format_calibrations
 from sceneloom.db34t.protobuf import encode
-from sceneloom.db34t.records import join_boxes
 from sceneloom.db34t.setting import CalibrationEntry
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError, OptionError, OutputError
@@ -28,34 +25,7 @@ from sceneloom.formats.messages.mcap_files import McapWriter
 from sceneloom.scene.poses import Poses
 from sceneloom.service.session_log import SessionLog, compare, is_complete, read_log, replay, unfinished_path
 
-
-def image(milliseconds, seq, sensor_id=1):
-    pixels = np.random.default_rng(seq).integers(0, 256, HEIGHT * WIDTH * 3, np.uint8)
-    return replace(sending.image(milliseconds, seq, sensor_id=sensor_id), data=pixels)
-
-
-def cloud(milliseconds, seq, sensor_id=0):
-    points = np.random.default_rng(seq).uniform((2, -3, -2), (30, 3, 2), (200, 3))
-    return sending.cloud(milliseconds, seq, points, sensor_id=sensor_id)
-
-
-def boxes_3d(milliseconds, seq):
-    one = sending.box_3d(milliseconds, seq, id=0, X=10.0, confidence=0.9)
-    person = {"class_name": "pedestrian", "length": 0.6, "width": 0.6, "height": 1.8, "direction": (0.0, 1.0, 0.0)}
-    others = (
-        sending.box_3d(milliseconds, seq, id=1, X=12.0, Y=2.0, confidence=0.5, velocity=1.0, **person),
-        sending.box_3d(milliseconds, seq, id=2, Y=-3.0, confidence=0.25, direction=(1.0, 1.0, 0.0), velocity=0.0),
-    )
-    return join_boxes([box.alone(0) for box in (one, *others)])
-
-
-def boxes_2d(milliseconds, seq):
-    person = {"class_name": "pedestrian", "x1": 20, "y1": 16, "x2": 24, "y2": 30}
-    boxes = (
-        sending.box_2d(milliseconds, seq, id=4, class_name="car", x1=24, y1=18, x2=40, y2=30),
-        sending.box_2d(milliseconds, seq, id=5, confidence=0.7, **person),
-    )
-    return join_boxes([box.alone(1) for box in boxes])
+POINTS = np.random.default_rng(0).uniform((2, -3, -2), (30, 3, 2), (200, 3))
 
 
 def drive(fusion, frames=4, *, start=0):
@@ -69,7 +39,7 @@ def drive(fusion, frames=4, *, start=0):
         times = np.array([timestamp(at).nanoseconds, timestamp(at + 50).nanoseconds])
         locations = np.array([[500_000.0 + seq, 0, 0], [500_000.5 + seq, 0, 0]])
         fusion.send_motion(Poses(times, locations, np.array([[0, 0, 0, 1.0]] * 2)))
-        for record in (image(at, seq), cloud(at + 5, seq), boxes_2d(at, seq), boxes_3d(at + 5, seq)):
+        for record in (image(at, seq, seq), cloud(at + 5, seq, POINTS), boxes_2d(at, seq), boxes_3d(at + 5, seq)):
             fusion.send(record)
         fusion.send(image(at, seq))  # its number came already
     fusion.send(cloud(100 * (start + frames), 99, sensor_id=7))

@@ -177,24 +177,6 @@ def test_figures_are_those_of_the_record(folder):
     )
 
 
-class Reader(HTMLParser):
-    """What a page shows, and what it would ask for."""
-
-    def __init__(self):
-        super().__init__()
-        self.texts, self.asked, self.open = [], [], []
-
-    def handle_starttag(self, tag, attrs):
-        self.open += [tag] if tag != "meta" else []
-        self.asked += [value for name, value in attrs if name in {"src", "href", "srcset", "data"}]
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.texts.append(data)
-
-
 def test_the_page_shows_them_and_asks_for_nothing(folder, tmp_path):
     with Record.held(tmp_path / "begun") as record:
         record.add([("a.sfs", {}, "a.sfs")])
@@ -203,12 +185,21 @@ def test_the_page_shows_them_and_asks_for_nothing(folder, tmp_path):
     begun.write_page(tmp_path / "begun.html")
     assert "1 waiting" in (tmp_path / "begun.html").read_text("utf-8")
     RunFigures.read(folder).write_page(tmp_path / "run.html")
-    reader = Reader()
     text = (tmp_path / "run.html").read_text("utf-8")
+    asked, open_tags, texts, reader = [], [], [], HTMLParser()
+
+    def end(tag):
+        assert open_tags.pop() == tag
+
+    def begin(tag, attributes):
+        open_tags.extend([tag] if tag != "meta" else [])
+        asked.extend(value for name, value in attributes if name in {"src", "href", "srcset", "data"})
+
+    reader.handle_starttag, reader.handle_endtag, reader.handle_data = begin, end, texts.append
     reader.feed(text)
-    assert (reader.open, reader.asked) == ([], [])
+    assert (open_tags, asked) == ([], [])
     assert not re.search(r"url\(|@import|<script", text)
-    shown = " ".join(reader.texts)
+    shown = " ".join(texts)
     for reported in ("fuse over 10 drives", "7 done, 2 failed", "10 tries", "54.0 drives a minute",
                  "DataError: in/4.sfs: line 4: <7>; expected 8", "host:1"):  # fmt: skip
         assert reported in shown

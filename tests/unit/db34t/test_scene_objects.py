@@ -121,17 +121,6 @@ def test_a_sweep_of_the_model_gives_all_that_its_points_have():
         point_cloud_of(LidarFrame(0, points), sensor_id=0, seq=1, fields=("x", "y", "z", "ring"))
 
 
-def test_raw_bytes_of_a_lidar_are_the_records_of_the_recording_format():
-    rows = np.zeros(2, XYZIRT)
-    rows["x"], rows["intensity"], rows["ring"], rows["timestamp"] = [1, 2], [7, 255], [0, 300], [10.5, 1e-9]
-    points = lidar_frame_of_raw(raw(rows.tobytes())).points
-    found = points.positions[:, 0].tolist(), points.intensities.tolist(), points.rings.tolist()
-    assert (*found, points.timestamps_ns.tolist()) == ([1, 2], [7, 255], [0, 300], [10_500_000_000, 1])
-    for content, problem in ((b"1" * 47, "a remainder of 1 bytes"), (b"~" * 46, "times up to")):
-        with pytest.raises(DataError, match=problem):
-            lidar_frame_of_raw(raw(content))
-
-
 GREY = np.repeat(RGB[:, :, :1], 3, axis=2)
 
 
@@ -187,22 +176,30 @@ def test_an_image_that_cannot_be_shown_is_a_fault_when_it_is_decoded_or_before(f
         image_of(image(RGB[:, :, :2], "raw"), CAMERA)
 
 
-def test_raw_bytes_of_a_camera_are_what_the_encoding_says():
-    content = raw(RGB.tobytes())
-    np.testing.assert_array_equal(image_of(image_record_of_raw(content, CAMERA, "bgr8"), CAMERA).rgb, RGB[:, :, ::-1])
-    with pytest.raises(DataError, match="length: 36; expected 12, as 4x3 pixels of mono8 have"):
-        image_record_of_raw(content, CAMERA, "mono8")
-    with pytest.raises(OptionError, match="expected one of rgb8"):
-        image_record_of_raw(content, CAMERA, "raw")
-    png = raw(file_of(RGB, "PNG").tobytes())
-    np.testing.assert_array_equal(image_of(image_record_of_raw(png, CAMERA, "png"), CAMERA).rgb, RGB)
+def test_raw_bytes_are_the_records_of_the_recording_format_or_what_the_encoding_says():
+    rows = np.zeros(2, XYZIRT)
+    rows["x"], rows["intensity"], rows["ring"], rows["timestamp"] = [1, 2], [7, 255], [0, 300], [10.5, 1e-9]
+    points = lidar_frame_of_raw(raw(rows.tobytes())).points
+    found = points.positions[:, 0].tolist(), points.intensities.tolist(), points.rings.tolist()
+    assert (*found, points.timestamps_ns.tolist()) == ([1, 2], [7, 255], [0, 300], [10_500_000_000, 1])
+    content, png = raw(RGB.tobytes()), raw(file_of(RGB, "PNG").tobytes())
+    for record, encoding, expected in ((content, "bgr8", RGB[:, :, ::-1]), (png, "png", RGB)):
+        np.testing.assert_array_equal(image_of(image_record_of_raw(record, CAMERA, encoding), CAMERA).rgb, expected)
+    for make, error, problem in (
+        (lambda: lidar_frame_of_raw(raw(b"1" * 47)), DataError, "a remainder of 1 bytes"),
+        (lambda: lidar_frame_of_raw(raw(b"~" * 46)), DataError, "times up to"),
+        (lambda: image_record_of_raw(content, CAMERA, "mono8"), DataError, "length: 36; expected 12, as 4x3 pixels of"),
+        (lambda: image_record_of_raw(content, CAMERA, "raw"), OptionError, "expected one of rgb8"),
+    ):
+        with pytest.raises(error, match=problem):
+            make()
 
 
 def box_list(direction, velocity, **changes):
     return sending.box_3d(0, 2, X=1.0, Y=2.0, Z=3.0, id=5, direction=direction, velocity=velocity, **changes).alone(0)
 
 
-def test_the_speed_along_a_direction_of_any_length_becomes_a_velocity():
+def test_the_speed_along_a_direction_of_any_length_becomes_a_velocity_and_what_is_missing_is_made_up():
     record = box_list((0, -3, 0), -2)
     boxes = boxes_3d_of(record, sensor_id="roof")
     np.testing.assert_allclose(boxes.yaws, [-np.pi / 2], atol=1e-12)
@@ -216,17 +213,12 @@ def test_the_speed_along_a_direction_of_any_length_becomes_a_velocity():
     assert (back.id.tolist(), back.class_names) == ([5], ("Car",))
     own = boxes_3d_of(box_list((1, 0, 0), 1, velocity_vector=(1, 2, 3)))  # a velocity of its own wins
     assert own.velocities.tolist() == [[1, 2, 3]]
+    scores = {"scores": np.array([0.0, 2.0]), "labels": ("Car", "车"), "score_form": ScoreForm.LOGIT}
+    bare = boxes_3d_record(Boxes3D(7, np.zeros((2, 3)), np.ones((2, 3)), np.zeros(2), **scores), sensor_id=1, seq=3)
+    assert (bare.id.tolist(), bare.velocities.tolist(), bare.velocity_vectors) == ([0, 1], [0, 0], None)
+    np.testing.assert_allclose(bare.confidence, [0.5, 0.880797078], rtol=1e-7)  # 1 / (1 + e^-2), to 32 bits
     with pytest.raises(OptionError, match="boxes in the ego frame"):
         boxes_3d_record(Boxes3D.empty(0, frame=PointsFrame.EGO), sensor_id=0, seq=0)
-
-
-def test_boxes_without_ids_and_velocities_are_numbered_and_are_stationary():
-    scores, labels = np.array([0.0, 2.0]), ("Car", "车")
-    boxes = Boxes3D(7, np.zeros((2, 3)), np.ones((2, 3)), np.zeros(2), scores, labels, score_form=ScoreForm.LOGIT)
-    record = boxes_3d_record(boxes, sensor_id=1, seq=3)
-    assert (record.id.tolist(), record.velocities.tolist(), record.velocity_vectors) == ([0, 1], [0, 0], None)
-    # 1 / (1 + e^-2), to 32 bits
-    np.testing.assert_allclose(record.confidence, [0.5, 0.880797078], rtol=1e-7)
 
 
 def test_edges_of_boxes_are_the_whole_pixels_that_they_touch():

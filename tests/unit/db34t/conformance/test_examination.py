@@ -86,15 +86,16 @@ def test_one_check_or_those_of_a_clause_or_table_can_be_chosen():
         chosen(["5.4-99"])
 
 
-@pytest.fixture(scope="module")
-def examination():
+def test_json_and_markdown_hold_every_check_with_what_it_saw(tmp_path):
     only = ["5.3", "T10-5"]
-    return examine(Broken(HereTransport(), outgoing=status_two), address="127.0.0.1:1", only=only)
-
-
-def test_json_and_markdown_hold_every_check_with_what_it_saw(examination, tmp_path):
+    examination = examine(Broken(HereTransport(), outgoing=status_two), address="127.0.0.1:1", only=only)
+    with pytest.raises(OptionError, match=r"\.json, \.md, \.html"):
+        examination.write(tmp_path / "r.pdf")
+    (tmp_path / "r.md").write_text("mine")
+    with pytest.raises(OutputError, match="exists already"):
+        examination.write(tmp_path / "r.md")
     for suffix in (".json", ".md"):
-        examination.write(tmp_path / f"r{suffix}")
+        examination.write(tmp_path / f"r{suffix}", overwrite=True)
     found = json.loads((tmp_path / "r.json").read_text("utf-8"))
     assert (found["address"], found["passed"], found["counts"]) == ("127.0.0.1:1", False, {"passed": 4, "failed": 1})
     failed = next(check for check in found["checks"] if check["verdict"] == "failed")
@@ -127,13 +128,3 @@ def test_html_shows_each_check_and_runs_nothing_that_a_server_wrote(tmp_path):
     assert not {"script", "b"} & set(tags)
     table = (tmp_path / "r.md").read_text("utf-8").split("| sent |")[1]
     assert all(line.count(" | ") == 2 for line in table.splitlines()[2:] if line)
-
-
-def test_other_suffixes_and_files_that_are_there_are_refused(examination, tmp_path):
-    with pytest.raises(OptionError, match=r"\.json, \.md, \.html"):
-        examination.write(tmp_path / "r.pdf")
-    (tmp_path / "r.md").write_text("mine")
-    with pytest.raises(OutputError, match="exists already"):
-        examination.write(tmp_path / "r.md")
-    examination.write(tmp_path / "r.md", overwrite=True)
-    assert "mine" not in (tmp_path / "r.md").read_text("utf-8")

@@ -12,8 +12,7 @@ from sceneloom.db34t.conformance.examination import CHECKS, chosen, examine
 from sceneloom.db34t.tables import TABLES
 from sceneloom.errors import OptionError, OutputError
 
-from .defects import SERVERS, Broken, status_two
-from .peers import HereTransport
+from .servers import SERVERS, Broken, HereTransport, status_two
 
 EACH_SERVER = pytest.mark.parametrize(("make", "ids"), [row[1:] for row in SERVERS], ids=[row[0] for row in SERVERS])
 

@@ -21,7 +21,7 @@ from sceneloom.geometry.rigid import conjugate_quaternion, multiply_quaternions,
 from sceneloom.motion.gnss_imu import GnssImuRun, SmootherSettings, gnss_imu_motion
 from sceneloom.scene import GnssSensor, ImuSensor, Scene, VectorSamples
 from sceneloom.simulate.drive import GRAVITY, GnssSpec, ImuSpec, ImuTruth, gnss_sensor, imu_sensor, imu_truth
-from sceneloom.simulate.trajectory import EgoPath, PathSpec, plan_path
+from sceneloom.simulate.trajectory import EgoPath, PathSpec
 
 SECOND = 1_000_000_000
 OUTAGE_S = 10.0
@@ -128,7 +128,7 @@ DRIVES: dict[str, tuple[ImuSpec, GnssSpec, PathSpec]] = {
 
 def made_up(seed: int, seconds: float, imu: ImuSpec, gnss: GnssSpec, path: PathSpec) -> tuple[EgoPath, ImuTruth, Scene]:
     """A drive with IMU and fixes only, and the truth behind it."""
-    trajectory = plan_path(np.random.default_rng(seed), start_ns=0, duration=seconds, spec=path)
+    trajectory = path.plan(np.random.default_rng(seed), start_ns=0, duration=seconds)
     times = [np.arange(round(seconds * rate)) * round(SECOND / rate) for rate in (imu.rate_hz, gnss.rate_hz)]
     truth = imu_truth(imu, trajectory, times[0] + 1_300_000, seed=seed)
     sensors = imu_sensor(imu, truth, seed=seed), gnss_sensor(gnss, trajectory, times[1], seed=seed)

@@ -13,8 +13,8 @@ import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.pipeline import FusionOutputs, fuse
 from sceneloom.scene import CameraSensor, LidarSensor, Scene
-from sceneloom.simulate import CameraSpec, CleanPoints, ImageTruth, SimulatedDrive, camera_mount, simulate_street
-from sceneloom.simulate.drive import edge_mask
+from sceneloom.simulate import CameraSpec, ImageTruth, SimulatedDrive, camera_mount, simulate_street
+from sceneloom.simulate.drive import CleanPoints, edge_mask
 
 PINHOLE = Camera("pinhole", 960, 360, 700.0, 700.0, 479.5, 179.5)
 FISHEYE = Camera("fisheye", 640, 400, 250.0, 250.0, 319.5, 190.0, (0.03, -0.008, 0.002, -0.0004))

@@ -6,7 +6,7 @@ from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
     from sceneloom.cameras.camera import MODELS, Camera, Chart, Model
-    from sceneloom.cameras.fitting import Fit, fit, measured_fit, nearest
+    from sceneloom.cameras.fitting import Fit, fit, nearest
     from sceneloom.cameras.projection import (
         PointsInImage,
         check_camera,
@@ -33,7 +33,6 @@ else:
             "domain_angle": "sceneloom.cameras.projection:domain_angle",
             "fit": "sceneloom.cameras.fitting:fit",
             "intrinsics_vector": "sceneloom.cameras.projection:intrinsics_vector",
-            "measured_fit": "sceneloom.cameras.fitting:measured_fit",
             "nearest": "sceneloom.cameras.fitting:nearest",
             "project": "sceneloom.cameras.projection:project",
             "project_unbounded": "sceneloom.cameras.projection:project_unbounded",
@@ -56,7 +55,6 @@ __all__ = [
     "domain_angle",
     "fit",
     "intrinsics_vector",
-    "measured_fit",
     "nearest",
     "project",
     "project_unbounded",

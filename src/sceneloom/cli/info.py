@@ -16,7 +16,7 @@ from sceneloom.cli.printing import Printer, amount, print_json, print_table, sec
 from sceneloom.cli.running import reading_verb
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
-from sceneloom.scene.ego import EgoAxes, ego_axes
+from sceneloom.scene.ego import ego_axes
 from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.scene.types import SensorType
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _SECTORS = ("ahead", "ahead left", "left", "back left", "back", "back right", "right", "ahead right")
 _STEEP = np.cos(np.pi / 6)  # an axis nearer than 30 degrees to the vertical has no direction in the plane worth naming
 _TILTED = np.cos(np.pi / 4)
-_STANDARD = EgoAxes(np.eye(3), known=True)
+_STANDARD: tuple[Float64Array, bool] = (np.eye(3), True)
 
 
 @click.command(
@@ -127,11 +127,11 @@ def _sensor_row(sensor: SensorSummary, mounting: str | None) -> list[str]:
     return [str(sensor.id), sensor.type, str(sensor.count), rate, span, ", ".join(filter(None, details))]
 
 
-def mounting_text(sensor: "Sensor", axes: EgoAxes = _STANDARD) -> str | None:
+def mounting_text(sensor: "Sensor", axes: tuple[Float64Array, bool] = _STANDARD) -> str | None:
     """Report where a sensor is in the ego's frame and which way it looks: what wrong extrinsics show by.
 
     Args:
-        axes: where the vehicle's forward and upward directions are in the ego's frame.
+        axes: where the vehicle's forward and upward directions are in the ego's frame, as `ego_axes` gives it.
 
     Returns:
         None where the mounting is not known.
@@ -139,13 +139,14 @@ def mounting_text(sensor: "Sensor", axes: EgoAxes = _STANDARD) -> str | None:
     mount: RigidTransform | None = getattr(sensor, "mount", None)
     if mount is None:
         return None
-    rotation = axes.body_from_ego @ mount.matrix[:3, :3]
+    body_from_ego, known = axes
+    rotation = body_from_ego @ mount.matrix[:3, :3]
     x, y, z = mount.translation + 0.0
     facing = (
         _camera_rotation(rotation) if isinstance(sensor, CameraSensor | DepthCameraSensor) else _body_rotation(rotation)
     )
     location = "" if not np.abs(mount.translation).max() else f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
-    if facing and not axes.known:
+    if facing and not known:
         facing += " if the ego's x axis is ahead"
     return ", ".join(filter(None, [f"mounted on the ego{location}", facing]))
 

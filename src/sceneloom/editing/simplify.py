@@ -1,5 +1,6 @@
 """Paths with fewer keyframes, within a tolerance of interpolation."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import radians
 from typing import Any
@@ -10,7 +11,6 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.editing.references import skipped, with_warnings
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import angle_between, slerp
-from sceneloom.geometry.thinning import thin_greedily
 from sceneloom.scene.annotations import (
     CuboidAnnotation,
     LocalizationAdjustment,
@@ -118,7 +118,7 @@ class _Thinner:
         times_ns, count = path.timestamps_ns, len(path.timestamps_ns)
         rows = np.arange(count)
         if count <= 2 or (np.diff(times_ns) > 0).all():
-            rows = thin_greedily(count, lambda a, b: self._misfits(times_ns, straight, quaternions, a, b))
+            rows = _thin_greedily(count, lambda a, b: self._misfits(times_ns, straight, quaternions, a, b))
         counts = self.counts.setdefault(kind, [0, 0])
         counts[0] += count
         counts[1] += len(rows)
@@ -142,3 +142,32 @@ class _Thinner:
 
 def _in_tolerances(away: Float64Array, tolerance: float) -> Float64Array:
     return away / tolerance if tolerance > 0.0 else np.where(away == 0.0, 0.0, np.inf)
+
+
+def _thin_greedily(count: int, misfits: Callable[[int, int], Float64Array]) -> Int64Array:
+    """Choose the points of a curve that stay, (K,) rising: from each the farthest with all between well enough given.
+
+    `misfits(start, stop)` gives what would be lost by leaving out all between two, up to 1.0 is allowed, NaN is not.
+    The reach is doubled while it fits and then halved down to the last point that does, so that a long curve that needs
+    few points is not looked at point by point. What fits is tested, never inferred.
+    """
+    kept, start = [0] if count else [], 0
+
+    def fits(stop: int) -> bool:
+        return stop - start < 2 or bool((misfits(start, stop) <= 1.0).all())
+
+    while start < count - 1:
+        reach = 16
+        good, bad = start + 1, count
+        while good < count - 1:
+            further = min(start + reach, count - 1)
+            if not fits(further):
+                bad = further
+                break
+            good, reach = further, 2 * reach
+        while bad - good > 1 and good < count - 1:
+            middle = (good + bad) // 2
+            good, bad = (middle, bad) if fits(middle) else (good, middle)
+        kept.append(good)
+        start = good
+    return np.array(kept, np.int64)

@@ -20,7 +20,6 @@ _SEMI_MINOR_AXIS = SEMI_MAJOR_AXIS * (1.0 - FLATTENING)
 _ECCENTRICITY_2 = FLATTENING * (2.0 - FLATTENING)
 _SECOND_ECCENTRICITY_2 = _ECCENTRICITY_2 / (1.0 - _ECCENTRICITY_2)
 _ITERATIONS = 4
-_EQUATOR_GRAVITY, _GRAVITY_FORMULA, _GRAVITY_RATIO = 9.7803253359, 0.00193185265241, 0.00344978650684
 
 
 def ecef_from_geodetic(positions_lla: ArrayLike) -> Float64Array:
@@ -85,18 +84,6 @@ def ned_from_enu(positions_enu: ArrayLike) -> Float64Array:
     """Give north, east and down of what is east, north and up; the same exchange leads back."""
     east, north, up = np.moveaxis(np.asarray(positions_enu, np.float64), -1, 0)
     return np.stack([north, east, -up], axis=-1)
-
-
-def normal_gravity(latitude_deg: float, height: float) -> float:
-    """Give the pull of the earth [m/s²], its rotating included, at a height above the ellipsoid [m].
-
-    Source: NIMA TR8350.2, eq. 4-1 (Somigliana) and 4-3, with the constants of its tables 3.1 and 3.4.
-    """
-    sine2 = math.sin(math.radians(latitude_deg)) ** 2
-    on_ellipsoid = _EQUATOR_GRAVITY * (1.0 + _GRAVITY_FORMULA * sine2) / math.sqrt(1.0 - _ECCENTRICITY_2 * sine2)
-    flattened = 1.0 + FLATTENING + _GRAVITY_RATIO - 2.0 * FLATTENING * sine2
-    above = height / SEMI_MAJOR_AXIS
-    return on_ellipsoid * (1.0 - 2.0 * flattened * above + 3.0 * above * above)
 
 
 def _enu_from_ecef(origin_lla: ArrayLike) -> Float64Array:

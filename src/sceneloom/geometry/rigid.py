@@ -288,6 +288,11 @@ class RigidTransform:
         """`b_from_a`."""
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
 
+    def carried(self, positions: Float64Array, quaternions_xyzw: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Give the poses, (N, 3) [m] and (N, 4), of what is mounted so on a body that has the given ones."""
+        moved = rotate_vectors(quaternions_xyzw, self.translation) + positions
+        return moved, multiply_quaternions(quaternions_xyzw, self.quaternion_xyzw)
+
     @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
     def apply(self, points: FloatArray) -> Float64Array:
         """Take (..., 3) points [m] of frame b into frame a."""
@@ -313,14 +318,6 @@ def _measure(rotation: Float64Array) -> tuple[float, float]:
     )
     error = max(map(abs, off)) if all(map(isfinite, off)) else inf
     return error, a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-
-
-def mounted_poses(
-    positions: Float64Array, quaternions_xyzw: Float64Array, mount: RigidTransform
-) -> tuple[Float64Array, Float64Array]:
-    """Give the poses, (N, 3) [m] and (N, 4), of what is mounted on a body that has the given ones."""
-    moved = rotate_vectors(quaternions_xyzw, mount.translation) + positions
-    return moved, multiply_quaternions(quaternions_xyzw, mount.quaternion_xyzw)
 
 
 _EARLIEST_NS, _LATEST_NS = np.iinfo(np.int64).min, np.iinfo(np.int64).max
@@ -376,7 +373,7 @@ def interpolate_poses(
     rotations = slerp(quaternions_xyzw[before], quaternions_xyzw[after], fraction)
     locations[coverage == OUT_OF_REACH], rotations[coverage == OUT_OF_REACH] = np.nan, np.nan
     if mount is not None:
-        locations, rotations = mounted_poses(locations, rotations, mount)
+        locations, rotations = mount.carried(locations, rotations)
     return locations, rotations, coverage
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.geometry.geodesy import ecef_from_geodetic, enu_from_geodetic, normal_gravity
+from sceneloom.geometry.geodesy import FLATTENING, SEMI_MAJOR_AXIS, ecef_from_geodetic, enu_from_geodetic
 from sceneloom.geometry.rigid import (
     matrix_from_quaternion,
     quaternion_from_matrix,
@@ -422,6 +422,22 @@ class Fixes:
 
 _LONGEST_PERIOD = 1.0  # longest median time between IMU samples that determine the motion between them [s]
 _LONGEST_STEP = 60.0  # longest median time between fixes without an IMU [s]
+
+
+_EQUATOR_GRAVITY, _GRAVITY_FORMULA, _GRAVITY_RATIO = 9.7803253359, 0.00193185265241, 0.00344978650684
+
+
+def _normal_gravity(latitude_deg: float, height: float) -> float:
+    """Give the pull of the earth [m/s²], its rotating included, at a height above the ellipsoid [m].
+
+    Source: NIMA TR8350.2, eq. 4-1 (Somigliana) and 4-3, with the constants of its tables 3.1 and 3.4.
+    """
+    sine2 = math.sin(math.radians(latitude_deg)) ** 2
+    root = math.sqrt(1.0 - FLATTENING * (2.0 - FLATTENING) * sine2)
+    on_ellipsoid = _EQUATOR_GRAVITY * (1.0 + _GRAVITY_FORMULA * sine2) / root
+    flattened = 1.0 + FLATTENING + _GRAVITY_RATIO - 2.0 * FLATTENING * sine2
+    above = height / SEMI_MAJOR_AXIS
+    return on_ellipsoid * (1.0 - 2.0 * flattened * above + 3.0 * above * above)
 
 
 def _check_times(location: str, fixes: GnssFixes, samples: InertialSamples | None) -> None:
@@ -1537,7 +1553,7 @@ def gnss_imu_motion(
     if len(fixes) < 2:
         raise PoseError(f"{scene.source}: {len(fixes)} usable GNSS fix; expected two or more")
     samples = InertialSamples.of_scene(scene)
-    gravity = settings.gravity or normal_gravity(float(fixes.origin_lla[0]), float(fixes.origin_lla[2]))
+    gravity = settings.gravity or _normal_gravity(float(fixes.origin_lla[0]), float(fixes.origin_lla[2]))
     _check_times(scene.source, fixes, samples)
     bias = None
     if samples is not None:

@@ -32,7 +32,7 @@ from sceneloom.formats.trajectories.table import TRAJECTORY_FORMS, read_trajecto
 from sceneloom.formats.trajectories.trajectory_file import TrajectoryFile
 from sceneloom.scene.cameras import CameraSensor, DepthFrame
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
-from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS, AnyFrame, Counting, contents_of, watched
+from sceneloom.scene.contents import IMU_STREAMS, KINDS, MODEL_FIELDS, AnyFrame, Counting, watched
 from sceneloom.scene.scene import Scene, frame_times
 from sceneloom.scene.types import Identifier, Progress
 from sceneloom.stages import stage
@@ -356,12 +356,12 @@ class _Conversion:
         kinds: Mapping[str, str] = {}
         losses: tuple[Loss, ...] = ()
         if content.form in TRAJECTORY_FORMS:
-            contents = contents_of(_drive(content, str(self.source), None))
+            contents = Counting(_drive(content, str(self.source), None)).counts()
         else:
             spec, location = format_and_location(split_name(self.source)[0], format=content.form)
             options = {key: value for key, value in reading.items() if key not in _OF_FILES}
             with spec.open(location, **options) as scene:
-                contents, kinds = contents_of(scene), kinds_by_id(scene)
+                contents, kinds = Counting(scene).counts(), kinds_by_id(scene)
                 what = f"not written: the file holds {content.trajectory.name!r}"
                 others = (other for other in scene.trajectories if other != content.trajectory.name)
                 losses = tuple(Loss(field=f"trajectories[{other}]", what=what) for other in others)

@@ -41,11 +41,7 @@ _COLOUR = (
     *_of("kernels.projection", "sample_between_pixels"),
     *_of("kernels.voxels", "number_cubes"),
 )
-_DEMO = (
-    *_of("simulate.painting", "paint_rays"),
-    *_of("simulate.raycast", "trace_rays"),
-    *_of("kernels.voxels", "number_cubes first_of_cubes"),
-)
+_DEMO = (*_of("simulate.casting", "_paint_rays _trace_rays"), *_of("kernels.voxels", "number_cubes first_of_cubes"))
 _CALIBRATION = (
     *_of("kernels.projection", "_map_all"),
     *_of("kernels.image_agreement", "sum_edges fill_histogram sum_by_table"),

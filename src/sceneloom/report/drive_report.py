@@ -40,7 +40,7 @@ from sceneloom.report.coverage import Coverage
 from sceneloom.report.fusion import CalibrationCheck, Fusion
 from sceneloom.report.timing import Timing
 from sceneloom.report.trajectory import Metrics, Trajectories
-from sceneloom.scene.contents import contents_of
+from sceneloom.scene.contents import Counting
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.summary import SceneSummary, SensorSummary
 from sceneloom.version import __version__
@@ -164,7 +164,7 @@ class _Conversion(msgspec.Struct, frozen=True):
 
 def conversions_of(scene: Scene) -> tuple[_Conversion, ...]:
     """Look up what becomes of the fields that a scene holds; only the first frame of each sensor is read."""
-    fields, found = list(contents_of(scene)), []
+    fields, found = list(Counting(scene).counts()), []
     for form in list_formats():
         if form.writes and not form.trajectory:
             held = list_supported_fields(form.name)

@@ -29,7 +29,7 @@ from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.motion import ImuSensor
 from sceneloom.scene.scene import Scene, frame_times
-from sceneloom.scene.summary import GAP_FACTOR, Gap, gaps_of
+from sceneloom.scene.summary import GAP_FACTOR, Gap
 from sceneloom.scene.types import Identifier
 
 _MOST_GAPS = 20  # gaps of a stream that are reported one by one: the longest
@@ -279,7 +279,7 @@ def stream_timing(
     usual = float(np.median(rising))
     even = rising[rising <= GAP_FACTOR * usual]
     missing = int((np.rint(rising[rising > GAP_FACTOR * usual] / usual) - 1).sum())
-    gaps = gaps_of(np.unique(times_ns), start_ns)
+    gaps = Gap.in_stream(np.unique(times_ns), start_ns)
     longest = sorted(gaps, key=lambda gap: gap.start - gap.stop)[:_MOST_GAPS]
     return msgspec.structs.replace(
         known,

@@ -3,10 +3,9 @@
 Relations and corrections.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from itertools import accumulate
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -83,34 +82,6 @@ class CuboidPath:
 
     def __post_init__(self) -> None:
         hold_arrays(self, "cuboid.path", {"timestamps_ns": (np.int64, "N"), "values": (np.float64, "N", 9)})
-
-
-def cut_cuboid_paths(timestamps_ns: Int64Array, values: Float64Array, counts: Sequence[int]) -> list[CuboidPath]:
-    """Cut the paths of many cuboids out of the arrays of all of them, which are checked once.
-
-    Args:
-        timestamps_ns: (N,) int64 [ns].
-        values: (N, 9) float64.
-        counts: how many rows each path has, N in all.
-
-    Raises:
-        ArrayError: the arrays are not such.
-    """
-    count = check_array("timestamps_ns", timestamps_ns, (None,), np.int64)
-    check_array("values", values, (count, 9), np.float64)
-    if sum(counts) != count:
-        raise ArrayError(f"counts: {sum(counts)} rows in all; expected {count}")
-    stops = list(accumulate(counts))
-    # What holds for the whole holds for its parts: their constructors need not look at them again.
-    set_times, set_values, set_extras = (CuboidPath.__dict__[name].__set__ for name in CuboidPath.__slots__)
-    paths = []
-    for start, stop in zip([0, *stops], stops, strict=False):
-        path = object.__new__(CuboidPath)
-        set_times(path, timestamps_ns[start:stop])
-        set_values(path, values[start:stop])
-        set_extras(path, NO_FIELDS)
-        paths.append(path)
-    return paths
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -486,7 +457,6 @@ class LabeledPointsAnnotation:
 
 
 _LABELED_POINTS_TYPES = ("labeled_points", "point_segmentation")  # the words that files have for such an annotation
-
 _OBJECT_TYPES = ("object", "attributes")
 """The words that files have for an annotation that is nothing but its attributes; the second is Scale's library's."""
 

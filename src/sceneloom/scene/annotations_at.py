@@ -113,7 +113,7 @@ STANDARD_ANGLES = CuboidAngles()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bracket:
+class _Bracket:
     """Between which rows of a path times lie.
 
     Attributes:
@@ -128,7 +128,7 @@ class Bracket:
     there: BoolArray
 
     @classmethod
-    def of(cls, timestamps_ns: Int64Array, times_ns: ArrayLike, *, stationary: bool = False) -> "Bracket":
+    def of(cls, timestamps_ns: Int64Array, times_ns: ArrayLike, *, stationary: bool = False) -> "_Bracket":
         """Find times (M,) [ns] among the timestamps (N,) of a path, in order; of equal timestamps the last one counts.
 
         Args:
@@ -313,7 +313,7 @@ def activated(
 @np.errstate(invalid="ignore", over="ignore")  # files hold numbers that are none
 def _path_poses(annotation: CuboidAnnotation, times_ns: ArrayLike, angles: CuboidAngles) -> CuboidPoses:
     path = annotation.path
-    found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
+    found = _Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
     if len(path.timestamps_ns) == 0:
         nowhere = np.full((len(found.share), 4), np.nan)
         return CuboidPoses(nowhere[:, :3], nowhere[:, :3], nowhere, found.there)
@@ -350,7 +350,7 @@ def cuboid_at(
         OptionError: unit or order of the angles is none of those known.
     """
     path = annotation.path
-    found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
+    found = _Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
     rows = np.full((len(found.share), 9), np.nan)
     if len(path.timestamps_ns) == 0:
         return rows, found.there
@@ -408,7 +408,7 @@ def shape_at(annotation: ShapeAnnotation, times_ns: ArrayLike) -> list[Float64Ar
     Source: READING of "paths" in docs/CONVENTIONS.md.
     """
     path = annotation.path
-    found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
+    found = _Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
     return [
         _between(path.vertices, int(found.before[k]), int(found.after[k]), float(found.share[k]))
         if found.there[k]
@@ -436,7 +436,7 @@ def attribute_at(attribute: AttributePath, times_ns: ArrayLike) -> list[Any]:
 def _straight(
     timestamps_ns: Int64Array, values: Float64Array, times_ns: ArrayLike, *, stationary: bool
 ) -> tuple[Float64Array, BoolArray]:
-    found = Bracket.of(timestamps_ns, times_ns, stationary=stationary)
+    found = _Bracket.of(timestamps_ns, times_ns, stationary=stationary)
     if len(timestamps_ns) == 0:
         return np.full((len(found.share), values.shape[1]), np.nan), found.there
     rows = found.blend(values)

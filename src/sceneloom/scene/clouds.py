@@ -91,7 +91,6 @@ def _unpacked(parcel: _Parcel) -> AnyArray | None:
 
 
 _UNSEEN = 255  # in `camera_index`: no camera saw the point
-
 _WHITE, _GREY = 255, 128
 
 

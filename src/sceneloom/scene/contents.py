@@ -467,8 +467,3 @@ class Counting:
         """How many objects or frames hold each field, by names of `MODEL_FIELDS`, in its order; none is left out."""
         found = sum((frames.total() for frames in self._frames.values()), self._stationary)
         return {field: found[field] for field in MODEL_FIELDS if found[field]}
-
-
-def contents_of(scene: Scene) -> dict[str, int]:
-    """Report how many objects or frames of a scene hold each field, by its names; only first frames are looked at."""
-    return Counting(scene).counts()

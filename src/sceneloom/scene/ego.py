@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -89,8 +89,7 @@ class EgoMotion:
         return replace(self, path=path, covariances=self.covariances[kept])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EgoAxes:
+class EgoAxes(NamedTuple):
     """How the ego's frame lies on the vehicle.
 
     Attributes:
@@ -103,11 +102,8 @@ class EgoAxes:
 
 
 _LEAST_PATH = 0.5  # a path shorter than this says nothing of the forward axis [m]
-
 _STEADY = 0.8  # least length of a mean of unit vectors that are one direction
-
 _NEAR_AXIS = np.cos(np.pi / 4)
-
 _GRAVITY = (8.0, 11.5)  # mean specific force of an IMU that may be taken as gravity [m/s²]
 
 
@@ -242,7 +238,6 @@ _NOT_PLACED = (
     "it has neither poses nor a mounting on the ego; give it one (in calibration.json `imuToCamera` or `imuToLidar`) "
     "or leave the sensor out"
 )
-
 _NO_TRAJECTORY = (
     "it is mounted on the ego, whose trajectory is not known; find it from the sweeps with `--trajectory lidar` or "
     "leave the "
@@ -416,7 +411,6 @@ def check_one_ego(scene: Scene, trajectory: Poses | None) -> None:
 
 
 _BETWEEN = 4  # looks between two poses of the path: a mounted sensor moves on an arc there, not on a line
-
 _FRAMES_AT_ONCE = 256
 """Poses between two frames depend on nothing beyond these, so long drives are looked at piece by piece."""
 

@@ -35,9 +35,7 @@ LEAST_SHARE = 100
 """Times from zero that last less than this part of a period are no times of a sweep."""
 
 _STRAY_SHARE = 20  # the first and the last of so many parts of the points do not decide what the times of a sweep are
-
 _SAMPLE = 4096  # about so many points report where most of the times lie
-
 _FACTORS = tuple(Fraction(1000) ** power for power in (-1, 1, -2, 2, 3))
 """How many times too large times can be that were read in another unit out of s, ms, µs and ns. Seconds read as
 nanoseconds are not among them: within a sweep all are equal."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, hold_arrays
 from sceneloom.errors import ArrayError, PoseError
-from sceneloom.geometry.rigid import RigidTransform, interpolate_poses, mounted_poses, normalise_quaternion
+from sceneloom.geometry.rigid import RigidTransform, interpolate_poses, normalise_quaternion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +116,7 @@ class Poses:
             return PoseSamples(*interpolate_poses(*path, timestamps_ns, reach_ns=reach_ns, mount=mount))
         count, position, quaternion = len(timestamps_ns), self.positions, normalise_quaternion(self.quaternions_xyzw)
         if mount is not None:
-            position, quaternion = mounted_poses(position, quaternion, mount)
+            position, quaternion = mount.carried(position, quaternion)
         inside = np.zeros(count, np.uint8)
         return PoseSamples(np.repeat(position, count, axis=0), np.repeat(quaternion, count, axis=0), inside)
 

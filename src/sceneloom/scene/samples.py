@@ -30,7 +30,6 @@ from sceneloom.scene.scene import Scene, frame_times, scene_period_ns, sweep_per
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, key_of
 
 ALL = "all"
-
 Choice = Identifier | Iterable[Identifier]
 """Sensors of one kind: "all", one id, or several."""
 
@@ -57,7 +56,6 @@ def chosen_sensors(scene: Scene, kind: str, there: tuple[_Kind, ...], wanted: Ch
 
 
 _IDENTITY = "identity"  # the trajectory of an ego that is stationary
-
 WORLD = PoseSource(Poses.identity(), RigidTransform.identity())
 """Where points are that are in the world already."""
 
@@ -204,7 +202,6 @@ class SamplePoses:
 
 
 _Value = TypeVar("_Value")
-
 _Image = TypeVar("_Image", CameraImage, DepthFrame)
 
 
@@ -369,9 +366,7 @@ def _with_pixels(image: _Image | None) -> _Image | None:
 
 
 _Named = tuple[str, np.ndarray[Any, Any]]
-
 _LIDAR_ARRAYS = ("positions", "intensities", "colors", "timestamps_ns", "rings", "camera_index")
-
 _RADAR_ARRAYS = ("positions", "directions", "lengths", "timestamps_ns")
 
 
@@ -446,7 +441,6 @@ def _texts(texts: list[str]) -> np.ndarray[Any, Any]:
 
 
 _Timestamped = TypeVar("_Timestamped", CameraImage, DepthFrame, RadarFrame)
-
 _NONE = "it has no frames"
 
 
@@ -576,7 +570,6 @@ def _reference(scene: Scene, wanted: Identifier) -> LidarSensor | CameraSensor:
 
 
 _Finder = _SweepsByReference | _FramesByTimestamp[Any]
-
 _NO_POINTS = _Location(None, "there is no sweep")
 
 
@@ -702,6 +695,49 @@ class Samples(Sequence[Sample]):
         """Take what makes the samples, and which of them these are."""
         self._maker, self._rows = maker, rows
 
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        *,
+        reference: Identifier = "lidar",
+        cameras: Choice = ALL,
+        depth_cameras: Choice = ALL,
+        lidars: Choice | None = None,
+        radars: Choice = (),
+        trajectory: str | EgoMotion | None = None,
+        tolerance_ns: int | None = None,
+    ) -> "Samples":
+        """Give the synchronised sets of a scene; `Scene.samples` describes the arguments."""
+        counted = _reference(scene, reference)
+        if tolerance_ns is not None and tolerance_ns < 0:
+            raise OptionError(f"tolerance {tolerance_ns} ns; expected 0 or more")
+        if lidars is None:
+            lidars = () if isinstance(counted, LidarSensor) else [lidar.id for lidar in scene.lidars[:1]]
+        chosen_lidars = chosen_sensors(scene, "lidar", scene.lidars, lidars)
+        chosen_cameras = chosen_sensors(scene, "camera", scene.cameras, cameras)
+        if isinstance(counted, LidarSensor):
+            chosen_lidars = (counted, *(lidar for lidar in chosen_lidars if lidar is not counted))
+        elif not any(camera is counted for camera in chosen_cameras):
+            chosen_cameras = (counted, *chosen_cameras)
+        depths_there = tuple(sensor for sensor in scene.sensors if isinstance(sensor, DepthCameraSensor))
+        radars_there = tuple(sensor for sensor in scene.sensors if isinstance(sensor, RadarSensor))
+        if tolerance_ns is None:
+            # one sweep period, or the time from image to image where there is no lidar
+            tolerance_ns = sweep_period_ns(chosen_lidars[0]) if chosen_lidars else usual_period_ns(frame_times(counted))
+        selection = _Selection(
+            scene,
+            counted,
+            chosen_lidars,
+            chosen_cameras,
+            chosen_sensors(scene, "depth camera", depths_there, depth_cameras),
+            chosen_sensors(scene, "radar", radars_there, radars),
+            trajectory,
+            tolerance_ns,
+        )
+        maker = _SampleMaker(selection)
+        return cls(maker, range(maker.count))
+
     @property
     def scene(self) -> Scene:
         """The scene."""
@@ -767,45 +803,3 @@ class MappedSamples(Sequence[_Item], Generic[_Item]):
 
     def __iter__(self) -> Iterator[_Item]:
         return map(self._function, self.samples)
-
-
-def samples_of(
-    scene: Scene,
-    *,
-    reference: Identifier = "lidar",
-    cameras: Choice = ALL,
-    depth_cameras: Choice = ALL,
-    lidars: Choice | None = None,
-    radars: Choice = (),
-    trajectory: str | EgoMotion | None = None,
-    tolerance_ns: int | None = None,
-) -> Samples:
-    """Give the synchronised sets of a scene; `Scene.samples` describes the arguments."""
-    counted = _reference(scene, reference)
-    if tolerance_ns is not None and tolerance_ns < 0:
-        raise OptionError(f"tolerance {tolerance_ns} ns; expected 0 or more")
-    if lidars is None:
-        lidars = () if isinstance(counted, LidarSensor) else [lidar.id for lidar in scene.lidars[:1]]
-    chosen_lidars = chosen_sensors(scene, "lidar", scene.lidars, lidars)
-    chosen_cameras = chosen_sensors(scene, "camera", scene.cameras, cameras)
-    if isinstance(counted, LidarSensor):
-        chosen_lidars = (counted, *(lidar for lidar in chosen_lidars if lidar is not counted))
-    elif not any(camera is counted for camera in chosen_cameras):
-        chosen_cameras = (counted, *chosen_cameras)
-    depths_there = tuple(sensor for sensor in scene.sensors if isinstance(sensor, DepthCameraSensor))
-    radars_there = tuple(sensor for sensor in scene.sensors if isinstance(sensor, RadarSensor))
-    if tolerance_ns is None:
-        # one sweep period, or the time from image to image where there is no lidar
-        tolerance_ns = sweep_period_ns(chosen_lidars[0]) if chosen_lidars else usual_period_ns(frame_times(counted))
-    selection = _Selection(
-        scene,
-        counted,
-        chosen_lidars,
-        chosen_cameras,
-        chosen_sensors(scene, "depth camera", depths_there, depth_cameras),
-        chosen_sensors(scene, "radar", radars_there, radars),
-        trajectory,
-        tolerance_ns,
-    )
-    maker = _SampleMaker(selection)
-    return Samples(maker, range(maker.count))

@@ -159,9 +159,9 @@ class Scene:
             OptionError: there is no such sensor or trajectory, or the tolerance is negative.
             PoseError: the named trajectory has no orientations.
         """
-        from sceneloom.scene.samples import samples_of
+        from sceneloom.scene.samples import Samples
 
-        return samples_of(
+        return Samples.of(
             self.corrected(),
             reference=reference,
             cameras=cameras,

@@ -27,6 +27,18 @@ class Gap(msgspec.Struct, frozen=True, kw_only=True):
     start: float
     stop: float
 
+    @classmethod
+    def in_stream(cls, times: Int64Array, start_ns: int) -> list["Gap"]:
+        """The holes in a stream with timestamps (N,) [ns], in seconds after `start_ns`."""
+        intervals = np.diff(times)
+        if len(intervals) < 2:
+            return []
+        locations = np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals))
+        return [
+            cls(start=(int(times[k]) - start_ns) / 1e9, stop=(int(times[k + 1]) - start_ns) / 1e9)
+            for k in locations.tolist()
+        ]
+
 
 class Intrinsics(msgspec.Struct, frozen=True, kw_only=True):
     """The camera models of a camera's images, which can have one each: how many different ones, and from what to what.
@@ -174,7 +186,7 @@ def _summarise_sensor(sensor: Sensor, start_ns: int, *, each_camera_model: bool)
         # timestamps of several streams together have no rate
         streams = [stream.timestamps_ns for stream in sensor.streams.values()]
         paced = max(streams, key=len, default=np.zeros(0, np.int64))
-    gaps = gaps_of(paced, start_ns)
+    gaps = Gap.in_stream(paced, start_ns)
     median_ns = float(np.median(np.diff(paced))) if len(paced) > 1 else 0.0
     poses: Poses | None = getattr(sensor, "poses", None)
     further: dict[str, Any] = {}
@@ -204,18 +216,6 @@ def _summarise_sensor(sensor: Sensor, start_ns: int, *, each_camera_model: bool)
         mounted=getattr(sensor, "mount", None) is not None,
         **further,
     )
-
-
-def gaps_of(times: Int64Array, start_ns: int) -> list[Gap]:
-    """The holes in a stream with timestamps (N,) [ns], in seconds after `start_ns`."""
-    intervals = np.diff(times)
-    if len(intervals) < 2:
-        return []
-    locations = np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals))
-    return [
-        Gap(start=(int(times[k]) - start_ns) / 1e9, stop=(int(times[k + 1]) - start_ns) / 1e9)
-        for k in locations.tolist()
-    ]
 
 
 def _intrinsics(sensor: ShootingSensor, *, each_camera_model: bool) -> Intrinsics:

@@ -153,12 +153,9 @@ _POSES_AROUND_NS = 1_000_000_000
 """Poses so long before and after a part stay in it: its last sweep ends later than it begins."""
 
 _SAME_TIME_NS = 100_000  # a frame that comes so long before a bound comes with it: two firings of a lidar
-
 _LONGEST = 9.2e9  # what int64 nanoseconds hold, nearly [s]
-
 _FRAMED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 _CAMERAS = (CameraSensor, DepthCameraSensor)
-
 TIMED_COLUMNS: Mapping[type, tuple[str, ...]] = MappingProxyType(
     {
         Poses: ("positions", "quaternions_xyzw"),

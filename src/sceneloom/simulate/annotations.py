@@ -41,9 +41,7 @@ _CORNER_FROM_CENTRE = 0.5
 _OUTLINE_DIRECTIONS = 24
 _LEAST_PIXELS = 200
 _LANE_AHEAD = 25.0
-
 _SLIGHT_ROTATION_XYZW = (0.0, 0.0, 0.0087265, 0.9999619)  # one degree about the upright axis
-
 _UNTIL_AFTER_NS = 1_000_000  # activations last until just after the last frame: their ends no longer count
 
 

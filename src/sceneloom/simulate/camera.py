@@ -18,7 +18,6 @@ from sceneloom.simulate.street import Street
 from sceneloom.simulate.trajectory import EgoPath, sensor_mount
 
 _EXPOSURE_FIELD = "exposureTimeSeconds"  # the recording format's word for how long an image was exposed [s]
-
 _SECOND_WAVE = 0.382
 """The shorter of the two waves of the drift, as a share of `drift_period`: without a common measure with it."""
 
@@ -113,7 +112,6 @@ class Exposure:
 _TILE = 16
 _REACH = 900.0
 _LONGEST_READOUT_NS = 100_000_000
-
 LINE_ROUNDS = 4
 """How often the line that sees a point is looked for: each guess is off by what the image moves while the lines that
 the guess before was off by are read, so the second is within a line in traffic."""

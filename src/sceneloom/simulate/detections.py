@@ -285,14 +285,11 @@ class Detector2dSpec:
 
 
 _Boxes = TypeVar("_Boxes", Boxes3D, Boxes2D)
-
 FALSE = -1
 """The instance of a box where there is no object."""
 
 _OBJECTS = 1 << 31  # numbers from here on stand for objects where those below stand for frames
-
 _FALSE_WITHIN = 60.0
-
 _FALSE_HEIGHTS = (0.2, 1.8)
 """False boxes are about things that are no farther from the sensor, and so high above the ground [m]."""
 
@@ -660,7 +657,6 @@ def _overlaps(box: Float64Array, others: Float64Array) -> Float64Array:
 
 
 _CLEAR = 2.5  # how far from the middle of any object of the classes they are begun [m], beside its half diagonal
-
 _REACH_NS = 10**9
 
 
@@ -857,7 +853,6 @@ def _stated(drive: SimulatedDrive, look: _SweepLook, boxes: Boxes3D, lidar: Lida
 
 
 _NEAREST_AHEAD = 0.05  # of a box beside the camera, what lies farther ahead than this is projected [m]
-
 _ALONG_EDGES = 25  # points on each edge of a projected box: camera models bend edges
 
 

@@ -1,48 +1,57 @@
 """The simulated street: ground and lanes, objects and traffic by seed, and their true boxes."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numba import njit, prange
+from numpy.polynomial import polynomial
 
-from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array
+from sceneloom.geometry.euler import rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene.annotations import CuboidAnnotation, CuboidPath
-from sceneloom.simulate import painting
-from sceneloom.simulate import raycast as simulate_raycast
+from sceneloom.kernels.cache import kernel
 from sceneloom.simulate.parameters import check_bounds
-from sceneloom.simulate.raycast import put_parts
-from sceneloom.simulate.trajectory import DEGREE, EgoPath, rotation_from_angles, spline_derivatives, spline_grid
+from sceneloom.simulate.trajectory import BASIS, DEGREE, EgoPath, spline_derivatives
 
 _Color = tuple[float, float, float]  # red, green, blue in 0..255, as light of full strength would show them
-
 _Point = tuple[float, float, float]
+INNER: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "arcp", "nsz"},
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+"""Options of functions that only compiled functions call; without wrappers they compile faster."""
 
 
 class ShapeKind(IntEnum):
     """The unit bodies that the ray caster knows."""
 
-    BOX = simulate_raycast.BOX
-    CYLINDER = simulate_raycast.CYLINDER
-    ELLIPSOID = simulate_raycast.ELLIPSOID
-    GABLE = simulate_raycast.GABLE
+    BOX = 0
+    CYLINDER = 1
+    ELLIPSOID = 2
+    GABLE = 3
 
 
 class Pattern(IntEnum):
     """How a surface mixes the colours of its palette."""
 
-    PLAIN = painting.PLAIN
-    FACADE = painting.FACADE
-    BRICK = painting.BRICK
-    TILES = painting.TILES
-    FOLIAGE = painting.FOLIAGE
-    BARK = painting.BARK
-    CAR_BODY = painting.CAR_BODY
-    CAR_CABIN = painting.CAR_CABIN
-    TYRE = painting.TYRE
-    BANDS = painting.BANDS
+    PLAIN = 0
+    FACADE = 1
+    BRICK = 2
+    TILES = 3
+    FOLIAGE = 4
+    BARK = 5
+    CAR_BODY = 6
+    CAR_CABIN = 7
+    TYRE = 8
+    BANDS = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,14 +214,14 @@ class Design:
 
     def placed(self, x: float, y: float, yaw: float) -> tuple[Shape, ...]:
         """Its shapes in the world, stationary at (x, y) [m] and rotated by `yaw` [rad]."""
-        rotation = rotation_from_angles(np.zeros(()), np.zeros(()), np.asarray(yaw))
+        rotation = rotation_from_cuboid_angles((0.0, 0.0, yaw), unit="radians")
         world_from_object = RigidTransform(rotation, np.array([x, y, 0.0]))
         return tuple(shape.moved(world_from_object) for shape in self.shapes)
 
 
 def _wheel(x: float, y: float, radius: float, half_width: float, material: Material) -> Shape:
     """A cylinder that stands on the ground with its axis along y."""
-    quarter = rotation_from_angles(np.array(np.pi / 2), np.zeros(()), np.zeros(()))
+    quarter = rotation_from_cuboid_angles((np.pi / 2, 0.0, 0.0), unit="radians")
     pose = RigidTransform(quarter, np.array([x, y, radius]))
     return Shape(ShapeKind.CYLINDER, pose, (radius, radius, half_width), material)
 
@@ -494,10 +503,10 @@ class Movers:
         columns[which] = np.arange(len(which), dtype=np.int32)
         parts = np.flatnonzero(columns[self.mover_of_part] >= 0)
         mover_of_part = columns[self.mover_of_part[parts]]
-        states = spline_grid(self.control_points[which], self._along(times_ns)) + self.anchors[which]
+        states = _spline_grid(self.control_points[which], self._along(times_ns)) + self.anchors[which]
         there = self.present(which[None, :], times_ns[:, None])
         frames = np.empty((len(times_ns), len(parts), 3, 4))
-        put_parts(states, there, mover_of_part, self.hinges[parts], self.swings[parts], self.leads[parts], frames)
+        _put_parts(states, there, mover_of_part, self.hinges[parts], self.swings[parts], self.leads[parts], frames)
         part_columns = np.full(len(self.mover_of_part), -1, np.int32)
         part_columns[parts] = np.arange(len(parts), dtype=np.int32)
         part_of_shape = part_columns[self.part_of_shape]
@@ -590,6 +599,70 @@ def pack_movers(
     )
 
 
+def _spline_grid(control_points: Float64Array, along: Float64Array) -> Float64Array:
+    """Give all of K splines (K, N, C) at all of M knot numbers (M,), (M, K, C) float64, as `spline_derivatives`."""
+    splines, count, channels = control_points.shape
+    piece = np.clip(np.floor(along).astype(np.int64), 0, count - DEGREE - 1)
+    weights = polynomial.polyval(along - piece, BASIS.T).T
+    values = np.empty((len(along), splines, channels))
+    for first in np.unique(piece):
+        rows = piece == first
+        control = np.moveaxis(control_points[:, first : first + DEGREE + 1], 1, 0).reshape(DEGREE + 1, -1)
+        values[rows] = (weights[rows] @ control).reshape(-1, splines, channels)
+    return values
+
+
+_AWAY = 1e7  # where rays are taken to in the frame of something that is not there [m]: no ray reaches back
+
+
+@njit(**INNER)
+def _swing_back(frame: Float64Array, angle: float, x: float, z: float) -> None:
+    """Rotate a frame (3, 4) backwards about an axis along y through (x, z), as a part has swung forwards."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    for i in range(4):
+        forward, upward = frame[0, i], frame[2, i]
+        if i == 3:
+            forward, upward = forward - x, upward - z
+        frame[0, i] = cosine * forward + sine * upward
+        frame[2, i] = cosine * upward - sine * forward
+    frame[0, 3] += x
+    frame[2, 3] += z
+
+
+@kernel(
+    "void(float64[:,:,::1], boolean[:,::1], int32[::1], float64[:,::1], float64[::1], float64[::1], "
+    "float64[:,:,:,::1])",
+    parallel=True,
+)
+def _put_parts(
+    states: Float64Array, there: BoolArray, mover_of_part: Int32Array, hinges: Float64Array, swings: Float64Array,
+    leads: Float64Array, frames: Float64Array,
+) -> None:  # fmt: skip
+    """Write `part_from_world` of every part at every time.
+
+    Args:
+        states: (M, K, 4) float64, x, y [m], yaw and gait [rad] of K movers at M times.
+        there: (M, K) bool; the frames of what is not there lie out of reach of any ray.
+        mover_of_part: (F,) int32, column of `states`.
+        hinges: (F, 3) float64 [m]; swings, leads: (F,) float64 [rad]: a part swings forwards by its swing times the
+            sine of gait and lead, about an axis along y through its hinge.
+        frames: (M, F, 3, 4) float64, written.
+    """
+    for time in prange(len(states)):
+        for part in range(len(mover_of_part)):
+            mover, frame = mover_of_part[part], frames[time, part]
+            x, y, yaw = states[time, mover, 0], states[time, mover, 1], states[time, mover, 2]
+            cosine, sine = math.cos(yaw), math.sin(yaw)
+            if not there[time, mover]:
+                x, y, cosine, sine = -_AWAY, -_AWAY, 1.0, 0.0
+            frame[0, 0], frame[0, 1], frame[0, 2], frame[0, 3] = cosine, sine, 0.0, -(cosine * x + sine * y)
+            frame[1, 0], frame[1, 1], frame[1, 2], frame[1, 3] = -sine, cosine, 0.0, sine * x - cosine * y
+            frame[2, 0], frame[2, 1], frame[2, 2], frame[2, 3] = 0.0, 0.0, 1.0, 0.0
+            if swings[part] != 0.0 and there[time, mover]:
+                angle = swings[part] * math.sin(states[time, mover, 3] + leads[part])
+                _swing_back(frame, angle, hinges[part, 0], hinges[part, 2])
+
+
 NO_MOVERS = pack_movers((), (), np.zeros((0, 6, 4)), start_ns=0, first_knot=0.0, knot_step=1.0)
 """A street where nothing moves."""
 
@@ -603,7 +676,6 @@ _HAIR: tuple[_Color, ...] = ((48, 36, 28), (28, 26, 26), (150, 116, 70), (120, 6
 _HELMETS: tuple[_Color, ...] = ((236, 236, 232), (200, 40, 40), (40, 44, 52), (240, 190, 40))
 _FRAMES: tuple[_Color, ...] = ((180, 36, 40), (36, 76, 150), (40, 44, 48), (60, 130, 90), (222, 222, 218))
 _SHOES: _Color = (42, 38, 36)
-
 _PACE = 0.3  # how far a walker's leg swings to either side [rad]
 
 
@@ -695,7 +767,7 @@ def _designed(label: str, parts: tuple[Part, ...]) -> MovingDesign:
         rotations = np.array([shape.pose.rotation for shape in part.shapes])
         centers = np.array([shape.pose.translation for shape in part.shapes]) - part.hinge
         for angle in np.linspace(-part.swing, part.swing, 9 if part.swing else 1):
-            delta_rotation = rotation_from_angles(np.zeros(()), np.array(-angle), np.zeros(()))
+            delta_rotation = rotation_from_cuboid_angles((0.0, -angle, 0.0), unit="radians")
             locations = np.abs(centers @ delta_rotation.T + part.hinge)
             for shape, rotation, location in zip(part.shapes, delta_rotation @ rotations, locations, strict=True):
                 reach = np.maximum(reach, location + _half_extents(shape, rotation))
@@ -860,6 +932,22 @@ class Street:
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", self.shapes.joined(self.movers.shapes))
 
+    @classmethod
+    def of(cls, path: EgoPath, generator: np.random.Generator) -> "Street":
+        """Build houses first, then everything between them and the road, along the whole of the ego's curve."""
+        lane = Lane.of(path)
+        plots = _Plots(lane)
+        _close_ends(generator, plots)
+        for side in (-1.0, 1.0):
+            _build_houses(generator, plots, side)
+            _build_back_row(generator, plots, side)
+        for row in _ROWS:
+            for along in _locations(generator, lane, row.every):
+                if generator.uniform() < row.share:
+                    left, rotation = generator.uniform(*row.left), generator.uniform(*row.rotation)
+                    plots.try_location(row.design(generator), along, left, rotation, row.keep)
+        return _street_of(plots, GroundMap.of(lane))
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -887,7 +975,6 @@ def _hedge(generator: np.random.Generator) -> Design:
 
 
 _ROTATED = (np.pi - 0.03, np.pi + 0.03)
-
 _ROWS: tuple[Row, ...] = (
     Row((-3.05, -2.85), (5.6, 9.0), 0.62, design_car),
     Row((6.5, 6.6), (5.6, 9.0), 0.62, design_car, _ROTATED),
@@ -958,22 +1045,6 @@ def _overlap(a: Float64Array, b: Float64Array) -> bool:
     return True
 
 
-def build_street(generator: np.random.Generator, path: EgoPath) -> Street:
-    """Build houses first, then everything between them and the road, along the whole of the ego's curve."""
-    lane = Lane.of(path)
-    plots = _Plots(lane)
-    _close_ends(generator, plots)
-    for side in (-1.0, 1.0):
-        _build_houses(generator, plots, side)
-        _build_back_row(generator, plots, side)
-    for row in _ROWS:
-        for along in _locations(generator, lane, row.every):
-            if generator.uniform() < row.share:
-                left, rotation = generator.uniform(*row.left), generator.uniform(*row.rotation)
-                plots.try_location(row.design(generator), along, left, rotation, row.keep)
-    return _street_of(plots, GroundMap.of(lane))
-
-
 def _locations(generator: np.random.Generator, lane: Lane, every: tuple[float, float]) -> Iterator[float]:
     along = float(lane.along[0]) + generator.uniform(*every)
     while along < lane.along[-1]:
@@ -1023,14 +1094,6 @@ def _street_of(plots: _Plots, ground: GroundMap) -> Street:
         instances += [number] * len(parts)
         objects.append(StreetObject(number, design.label, design.center(x, y, yaw), design.size_lwh, yaw))
     return Street(tuple(objects), PackedShapes.of(shapes, instances), ground)
-
-
-_EVERY_NS = 50_000_000
-"""Distance of the samples of a moving box [ns].
-
-Between them lines miss an acceleration a by a dt² / 8: 3 mm at 10 m/s², a car in the tightest bend, and 0.04 degrees
-at 2 rad/s².
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1084,42 +1147,6 @@ def boxes_of(street: Street, timestamps_ns: Int64Array) -> BoxTruth:
     )
 
 
-def annotations_of(street: Street, labels: Collection[str], *, start_ns: int) -> tuple[CuboidAnnotation, ...]:
-    """Give a box for each object of some classes; angles in degrees.
-
-    What moves has a path while it is in the street, sampled every 50 ms: between samples a line stays within 1 cm, up
-    to an acceleration of 30 m/s², and the shortest arc within 0.1 degrees of the truth. Samples lie on `start_ns` and
-    all multiples of their distance.
-    """
-    annotations = []
-    for thing in street.objects:
-        if thing.label in labels:
-            row = [(*thing.center_world, thing.yaw)]
-            annotations.append(_annotation(thing, np.array([start_ns], np.int64), row, stands=True))
-    for k, mover in enumerate(street.movers.things):
-        timestamps = np.array([start_ns], np.int64)
-        if not mover.stands:
-            first, last = -(-(mover.first_ns - start_ns) // _EVERY_NS), (mover.last_ns - start_ns) // _EVERY_NS
-            inner = start_ns + _EVERY_NS * np.arange(first, last + 1, dtype=np.int64)
-            timestamps = np.union1d([mover.first_ns, mover.last_ns], inner).astype(np.int64)
-        states = street.movers.states(np.full(len(timestamps), k), timestamps)
-        heights = np.full(len(timestamps), 0.5 * mover.size_lwh[2])
-        rows = np.column_stack([states.positions[:, :2], heights, states.yaws])
-        annotations.append(_annotation(mover, timestamps, rows, stands=mover.stands))
-    return tuple(annotations)
-
-
-def _annotation(
-    thing: StreetObject | Mover, timestamps: Int64Array, x_y_z_yaw: ArrayLike, *, stands: bool
-) -> CuboidAnnotation:
-    """A box at (T,) times from x, y, z and yaw (T, 4)."""
-    rows = np.asarray(x_y_z_yaw, np.float64)
-    values = np.zeros((len(timestamps), 9))
-    values[:, :3], values[:, 3:6], values[:, 8] = thing.size_lwh, rows[:, :3], np.degrees(rows[:, 3])
-    path = CuboidPath(timestamps, values)
-    return CuboidAnnotation(f"{thing.label}-{thing.instance}", path, label=thing.label, stationary=stands)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Track:
     """A line at a constant distance beside the trajectory, straight on beyond its ends."""
@@ -1165,9 +1192,7 @@ class _Track:
 
 
 _HEADROOM = 2.0  # shapes whose lowest point is higher [m] are passed under
-
 _SPARE = np.array([0.4, 0.04])  # how much longer to either end and wider to either side ground plans are taken [m]
-
 _STRETCH = 32  # times of a trajectory that are looked at together
 
 
@@ -1261,18 +1286,12 @@ class _Clearance:
 
 
 _KNOT_STEP = 0.25
-
 _MARGIN = 1.0  # how far curves reach beyond the drive [s]
-
 _LOOK = 0.05  # movers are kept apart at times this close [s]
-
 _END = 3.0  # nearer to the end of the street than this nobody is there [m]
-
 _EGO_LW = (4.6, 1.86)  # ground that the ego takes [m]
-
 _TRIES = 6
 _OWN_LANE, _ONCOMING_LANE = 0.0, 3.5
-
 _EDGES = ((-1.5, 1.0), (5.05, -1.0))
 """Where cyclists ride: metres left of the trajectory, and whether with the ego or against it."""
 
@@ -1303,6 +1322,27 @@ class TrafficSpec:
     def __post_init__(self) -> None:
         check_bounds("traffic", self, cars=(0.0, 6.0), cyclists=(0.0, 10.0), pedestrians=(0.0, 20.0))
         check_bounds("traffic", self, stationary=(0.0, 1.0), crossing=(0.0, 1.0 - self.stationary))
+
+    def plan(
+        self, generator: np.random.Generator, path: EgoPath, street: "Street", *, span_ns: tuple[int, int]
+    ) -> Movers:
+        """Put movers into a street for a drive; where there is no room for one it is left out.
+
+        Args:
+            street: what stands in it; movers are numbered after it.
+            span_ns: first and last time that any sensor needs [ns].
+        """
+        first, last = ((timestamp - path.start_ns) * 1e-9 for timestamp in span_ns)
+        count = int(np.ceil((last - first + 2 * _MARGIN) / _KNOT_STEP)) + DEGREE + 1
+        knots: Float64Array = first - _MARGIN + _KNOT_STEP * (np.arange(count, dtype=np.float64) - 2.0)
+        looks: Float64Array = np.arange(first, last + _LOOK, _LOOK)
+        plan = _Plan(path, Lane.of(path), knots, looks, _Clearance(_plans_of(street.shapes), [_ego_plans(path, looks)]))
+        for add in (_add_cars, _add_cyclists, _add_pedestrians):
+            add(generator, self, plan)
+        things = [_mover(len(street.objects) + 1 + k, plan, k, span_ns=span_ns) for k in range(len(plan.designs))]
+        curves = np.array(plan.curves).reshape(-1, count, 4)
+        first_knot, start_ns = plan.first_knot, path.start_ns
+        return pack_movers(things, plan.designs, curves, start_ns=start_ns, first_knot=first_knot, knot_step=_KNOT_STEP)
 
 
 @dataclass(slots=True)
@@ -1341,28 +1381,6 @@ class _Plan:
         self.curves.append(curve)
         self.there.append(there)
         return True
-
-
-def plan_traffic(
-    generator: np.random.Generator, spec: TrafficSpec, path: EgoPath, street: Street, *, span_ns: tuple[int, int]
-) -> Movers:
-    """Put movers into a street for a drive; where there is no room for one it is left out.
-
-    Args:
-        street: what stands in it; movers are numbered after it.
-        span_ns: first and last time that any sensor needs [ns].
-    """
-    first, last = ((timestamp - path.start_ns) * 1e-9 for timestamp in span_ns)
-    count = int(np.ceil((last - first + 2 * _MARGIN) / _KNOT_STEP)) + DEGREE + 1
-    knots: Float64Array = first - _MARGIN + _KNOT_STEP * (np.arange(count, dtype=np.float64) - 2.0)
-    looks: Float64Array = np.arange(first, last + _LOOK, _LOOK)
-    plan = _Plan(path, Lane.of(path), knots, looks, _Clearance(_plans_of(street.shapes), [_ego_plans(path, looks)]))
-    for add in (_add_cars, _add_cyclists, _add_pedestrians):
-        add(generator, spec, plan)
-    things = [_mover(len(street.objects) + 1 + k, plan, k, span_ns=span_ns) for k in range(len(plan.designs))]
-    curves = np.array(plan.curves).reshape(-1, count, 4)
-    first_knot, start_ns = plan.first_knot, path.start_ns
-    return pack_movers(things, plan.designs, curves, start_ns=start_ns, first_knot=first_knot, knot_step=_KNOT_STEP)
 
 
 def _ego_plans(path: EgoPath, looks: Float64Array) -> _Plans:

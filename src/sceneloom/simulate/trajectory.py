@@ -29,7 +29,7 @@ def _basis_rows() -> Float64Array:
     return rows
 
 
-_BASIS = _basis_rows()
+BASIS = _basis_rows()
 
 
 def spline_derivatives(
@@ -51,23 +51,10 @@ def spline_derivatives(
     gathered = control_points[which[..., None], piece[..., None] + np.arange(DEGREE + 1)]
     answers = []
     for order in range(orders):
-        coefficients = polynomial.polyder(_BASIS, order, axis=1)
+        coefficients = polynomial.polyder(BASIS, order, axis=1)
         weights = np.moveaxis(polynomial.polyval(along - piece, coefficients.T), 0, -1)
         answers.append(np.einsum("...j,...jc->...c", weights, gathered))
     return tuple(answers)
-
-
-def spline_grid(control_points: Float64Array, along: Float64Array) -> Float64Array:
-    """Give all of K splines (K, N, C) at all of M knot numbers (M,), (M, K, C) float64, as `spline_derivatives`."""
-    splines, count, channels = control_points.shape
-    piece = np.clip(np.floor(along).astype(np.int64), 0, count - DEGREE - 1)
-    weights = polynomial.polyval(along - piece, _BASIS.T).T
-    values = np.empty((len(along), splines, channels))
-    for first in np.unique(piece):
-        rows = piece == first
-        control = np.moveaxis(control_points[:, first : first + DEGREE + 1], 1, 0).reshape(DEGREE + 1, -1)
-        values[rows] = (weights[rows] @ control).reshape(-1, splines, channels)
-    return values
 
 
 _RISE = np.array([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
@@ -160,14 +147,10 @@ class TimeWarp:
 
 
 _LEAD = 16.0  # seconds by which the curve goes on before and after the drive: the street is built along all of it
-
 _AHEAD = 6.0  # seconds after the drive for which the street still rotates
-
 _KNOT_STEP = 1.0
 _WIDEST_HEADING = np.radians(55.0)
-
 _GENTLE_ROTATION = 0.21  # up to this rate [rad/s] knots a second apart follow a rotation; faster ones need them closer
-
 _TIGHTEST = 10.4  # no rotation is planned with a smaller radius [m]: where the pavement on the left ends
 
 
@@ -197,6 +180,22 @@ class PathSpec:
             raise OptionError(f"path.speeds: {self.speeds}; expected 0.5 to 60 m/s, the slowest first")
         check_bounds("path", self, yaw_rate=(0.01, 1.5), ramp=(0.5, 60.0))
         TimeWarp.of(self.stops, ramp=self.ramp)
+
+    def plan(self, generator: np.random.Generator, *, start_ns: int, duration: float) -> "EgoPath":
+        """Lay out a drive of some seconds: straights and bends, faster and slower, never across itself.
+
+        Stops change nothing of the curve: the ego only comes less far along it.
+        """
+        step = _KNOT_STEP * min(1.0, _GENTLE_ROTATION / self.yaw_rate)
+        knots = np.arange(-_LEAD, duration + _LEAD + step, step)
+        headings = _plan_headings(generator, knots, duration, self.yaw_rate)
+        speeds = _plan_speeds(generator, knots, headings, self)
+        steps = step * speeds[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
+        points = np.cumsum(steps, axis=0)
+        path = EgoPath(start_ns, float(knots[0]), points, _plan_waves(generator), step)
+        origin = path.at_seconds(np.zeros(1)).positions[0, :2]
+        warp = TimeWarp.of(self.stops, ramp=self.ramp)
+        return EgoPath(start_ns, float(knots[0]), points - origin, path.waves, step, warp)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,7 +283,7 @@ class EgoPath:
         yaw, yaw_rate = np.arctan2(vy, vx), (vx * ay - vy * ax) / (vx * vx + vy * vy)
         return EgoStates(
             np.column_stack([plane[0], height]),
-            rotation_from_angles(roll, pitch, yaw),
+            _rotation_from_angles(roll, pitch, yaw),
             np.column_stack([plane[1], climb]),
             np.column_stack([plane[2], heave]),
             # Source: Diebel 2006, "Representing Attitude", section 8, Euler angles (1, 2, 3)
@@ -311,7 +310,7 @@ class EgoPath:
         """The horizontal position or one of its derivatives, (M, 2)."""
         along = (np.asarray(seconds, np.float64) - self.first_knot) / self.knot_step
         piece = np.clip(np.floor(along).astype(np.int64), 0, len(self.control_points) - DEGREE - 1)
-        coefficients = polynomial.polyder(_BASIS, order, axis=1) / self.knot_step**order
+        coefficients = polynomial.polyder(BASIS, order, axis=1) / self.knot_step**order
         weights = polynomial.polyval(along - piece, coefficients.T)
         control = self.control_points[piece[:, None] + np.arange(DEGREE + 1)]
         plane: Float64Array = np.einsum("jm,mji->mi", weights, control)
@@ -325,7 +324,7 @@ class EgoPath:
         return wave
 
 
-def rotation_from_angles(roll: Float64Array, pitch: Float64Array, yaw: Float64Array) -> Float64Array:
+def _rotation_from_angles(roll: Float64Array, pitch: Float64Array, yaw: Float64Array) -> Float64Array:
     """Give Rz(yaw) Ry(pitch) Rx(roll) as (..., 3, 3), angles in radians."""
     (sr, cr), (sp, cp), (sy, cy) = ((np.sin(angle), np.cos(angle)) for angle in (roll, pitch, yaw))
     rows = (
@@ -334,26 +333,6 @@ def rotation_from_angles(roll: Float64Array, pitch: Float64Array, yaw: Float64Ar
         (-sp, cp * sr, cp * cr),
     )
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def plan_path(
-    generator: np.random.Generator, *, start_ns: int, duration: float, spec: PathSpec | None = None
-) -> EgoPath:
-    """Lay out a drive of some seconds: straights and bends, faster and slower, never across itself.
-
-    Stops change nothing of the curve: the ego only comes less far along it.
-    """
-    spec = spec or PathSpec()
-    step = _KNOT_STEP * min(1.0, _GENTLE_ROTATION / spec.yaw_rate)
-    knots = np.arange(-_LEAD, duration + _LEAD + step, step)
-    headings = _plan_headings(generator, knots, duration, spec.yaw_rate)
-    speeds = _plan_speeds(generator, knots, headings, spec)
-    steps = step * speeds[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
-    points = np.cumsum(steps, axis=0)
-    path = EgoPath(start_ns, float(knots[0]), points, _plan_waves(generator), step)
-    origin = path.at_seconds(np.zeros(1)).positions[0, :2]
-    warp = TimeWarp.of(spec.stops, ramp=spec.ramp)
-    return EgoPath(start_ns, float(knots[0]), points - origin, path.waves, step, warp)
 
 
 def _plan_speeds(
@@ -407,4 +386,4 @@ def sensor_mount(
         yaw_deg, pitch_deg, roll_deg: rotations about the z, y and x axis, roll first; a positive pitch looks down.
     """
     roll, pitch, yaw = np.radians([roll_deg, pitch_deg, yaw_deg])
-    return RigidTransform(rotation_from_angles(roll, pitch, yaw), np.array(position, np.float64))
+    return RigidTransform(_rotation_from_angles(roll, pitch, yaw), np.array(position, np.float64))

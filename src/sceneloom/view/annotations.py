@@ -36,7 +36,6 @@ from sceneloom.scene.annotations import (
     locations_of,
 )
 from sceneloom.scene.annotations_at import (
-    Bracket,
     CuboidAngles,
     CuboidPoses,
     active_at,
@@ -44,6 +43,7 @@ from sceneloom.scene.annotations_at import (
     attribute_at,
     box_2d_at,
     cuboid_poses,
+    point_at,
     points_at,
     shape_at,
 )
@@ -308,11 +308,11 @@ def _draw_keypoints(group: _Group, times_ns: Int64Array, kind: str, *, origin: F
         for k, path in enumerate(annotation.paths):
             if len(path.timestamps_ns) == 0:
                 continue
-            found = Bracket.of(path.timestamps_ns, times_ns, stationary=bool(annotation.stationary))
-            rows = found.blend(locations_of(path.values))
+            values, there = point_at(path, times_ns, stationary=bool(annotation.stationary))
+            rows = locations_of(values)
             held = fits(rows - origin).all(axis=1)
-            group.stream.leave_out(kind, np.count_nonzero(found.there & ~held))
-            for m in np.flatnonzero(found.there & held).tolist():
+            group.stream.leave_out(kind, np.count_nonzero(there & ~held))
+            for m in np.flatnonzero(there & held).tolist():
                 positions[m].append(rows[m])
                 names[m] += [_point_name(annotation, k)] * len(rows[m])
     counts = np.array([len(one) for one in names], np.int64)

@@ -7,8 +7,8 @@ import pytest
 
 from sceneloom import scene as sc
 from sceneloom.editing import simplify_scene
+from sceneloom.editing.simplify import _thin_greedily
 from sceneloom.errors import OptionError
-from sceneloom.geometry.thinning import thin_greedily
 
 ROTATION = np.array([[0.0, 0.0, 0.0, 1.0]])
 
@@ -48,7 +48,7 @@ def test_a_path_needs_its_ends_and_corners_only_and_bends_what_their_curvature_s
         calls.append(b - a)
         return np.zeros(b - a - 1)
 
-    assert thin_greedily(100_000, misfits).tolist() == [0, 99_999]
+    assert _thin_greedily(100_000, misfits).tolist() == [0, 99_999]
     assert len(calls) < 20
     # of equal or running back timestamps, and short ones
     paths = [a_cuboid(rows(np.zeros(count))) for count in (0, 1, 2)]

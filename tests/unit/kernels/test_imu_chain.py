@@ -10,9 +10,9 @@ from sceneloom.geometry.rigid import quaternion_from_matrix, rotation_vector_fro
 from sceneloom.kernels.imu_chain import chain_covariances, solve_chain
 from sceneloom.motion.gnss_imu import InertialSamples, Preintegrated
 from sceneloom.simulate.drive import GRAVITY, ImuSpec, imu_truth
-from sceneloom.simulate.trajectory import EgoPath, PathSpec, plan_path
+from sceneloom.simulate.trajectory import EgoPath, PathSpec
 
-PATH = plan_path(np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0)))
+PATH = PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0)).plan(np.random.default_rng(0), start_ns=0, duration=10.0)
 KNOTS = np.arange(9) * 1_000_000_000 + 333_333_333  # between samples of every rate below
 
 

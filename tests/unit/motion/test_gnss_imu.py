@@ -36,7 +36,7 @@ from sceneloom.motion.gnss_imu import (
 )
 from sceneloom.scene import GnssSensor, ImuSensor, PlainAnnotation, Scene, Trajectory, VectorSamples, WarningKind
 from sceneloom.simulate.drive import GRAVITY, GnssSpec, ImuSpec, ImuTruth, gnss_sensor, imu_sensor, imu_truth
-from sceneloom.simulate.trajectory import EgoPath, PathSpec, Stop, plan_path
+from sceneloom.simulate.trajectory import EgoPath, PathSpec, Stop
 
 COUNT = 5
 WEIGHTS = np.array([1.0, 0.5, 1.0])
@@ -135,7 +135,7 @@ def test_a_part_of_a_chain_holds_what_was_measured_in_it():
     assert len(chain.inertial.rotations) == 2
 
 
-PATH = plan_path(np.random.default_rng(0), start_ns=0, duration=10.0, spec=PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0)))
+PATH = PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0)).plan(np.random.default_rng(0), start_ns=0, duration=10.0)
 KNOTS = np.array([500, 1400, 2300, 3200]) * 1_000_000
 TIMES = np.array([490, 500, 800, 1399, 1500, 2000, 2309, 3200, 3210]) * 1_000_000
 LEVER = np.array([0.4, -0.3, 1.2])
@@ -251,7 +251,7 @@ def drive(
     seed: int, *, seconds: float = 40.0, rate: float = 2.0, imu: ImuSpec | None = None, path: PathSpec | None = None
 ) -> Drive:
     imu, gnss = imu or ImuSpec(rate_hz=100.0), GnssSpec(rate_hz=rate)
-    trajectory = plan_path(np.random.default_rng(seed), start_ns=0, duration=seconds, spec=path)
+    trajectory = (path or PathSpec()).plan(np.random.default_rng(seed), start_ns=0, duration=seconds)
     samples = np.arange(int(seconds * imu.rate_hz)) * round(SECOND / imu.rate_hz) + 1_300_000
     fixes = np.arange(int(seconds * rate)) * round(SECOND / rate)
     truth = imu_truth(imu, trajectory, samples, seed=seed)

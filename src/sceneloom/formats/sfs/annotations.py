@@ -5,14 +5,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from itertools import chain
+from itertools import accumulate, chain
 from types import MappingProxyType
 from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float64Array, read_only
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, CalibrationError, OptionError
 from sceneloom.formats.sfs.clock import FileClock, StaticTime, TimeRangeError
@@ -56,10 +56,9 @@ from sceneloom.scene.annotations import (
     ShapeAnnotation,
     ShapeType,
     VertexPath,
-    cut_cuboid_paths,
 )
 from sceneloom.scene.poses import Poses
-from sceneloom.scene.types import Identifier
+from sceneloom.scene.types import NO_FIELDS, Identifier
 from sceneloom.warnings import WarningKind
 
 _Fields = Mapping[str, Any]
@@ -616,6 +615,20 @@ class _Cuboid(msgspec.Struct, forbid_unknown_fields=True, gc=False):
 _UNUSUAL = (msgspec.ValidationError, struct.error, TypeError, OverflowError)
 
 
+def _cut_cuboid_paths(timestamps_ns: Int64Array, values: Float64Array, counts: Sequence[int]) -> list[CuboidPath]:
+    """Cut the paths of many cuboids, of as many rows each, out of the arrays (N,) and (N, 9) of all of them."""
+    # What holds for the whole holds for its parts: their constructors need not look at them again.
+    set_times, set_values, set_extras = (CuboidPath.__dict__[name].__set__ for name in CuboidPath.__slots__)
+    paths, stops = [], list(accumulate(counts))
+    for start, stop in zip([0, *stops], stops, strict=False):
+        path = object.__new__(CuboidPath)
+        set_times(path, timestamps_ns[start:stop])
+        set_values(path, values[start:stop])
+        set_extras(path, NO_FIELDS)
+        paths.append(path)
+    return paths
+
+
 def _read_usual_cuboids(annotations: list[Any], clock: FileClock) -> dict[int, CuboidAnnotation]:
     """Make the cuboids that have nothing unusual, many at once; by their number in the file's list."""
     found: dict[int, _Cuboid] = {}
@@ -644,7 +657,7 @@ def _read_usual_cuboids(annotations: list[Any], clock: FileClock) -> dict[int, C
     except TimeRangeError:
         return {}
     all_rows = np.frombuffer(b"".join(rows), np.float64).reshape(-1, _CUBOID_COLUMNS)
-    paths = cut_cuboid_paths(times_ns, all_rows, [len(cuboid.path.timestamps) for cuboid in found.values()])
+    paths = _cut_cuboid_paths(times_ns, all_rows, [len(cuboid.path.timestamps) for cuboid in found.values()])
     position, cuboids = 0, dict[int, CuboidAnnotation]()
     for (index, cuboid), path in zip(found.items(), paths, strict=True):
         made = []

@@ -28,7 +28,6 @@ CALIBRATION = CalibrationData(
 TYPES = {"bool": (0, 1, 2), "uint32": (7, 2**32, -1), "string": ("a", 3), "(int8, int8)": ((1, -2), (1,), (1, 300))}
 """Types, and values of which the first ones fit."""
 FITTING = {"bool": 2, "uint32": 1, "string": 1, "(int8, int8)": 1}
-
 KINDS = ("image", "points", "boxes_2d", "boxes_3d")
 ENDS = ("fused", "unpaired", "failed", "dropped.queue-full", "dropped.waiting")
 PARTNERS = {"points": ("image", 0), "boxes_3d": ("boxes_2d", 1)}
@@ -228,7 +227,6 @@ Clause5.TestCase.settings = settings(
     max_examples=40, stateful_step_count=40, suppress_health_check=[HealthCheck.too_slow]
 )
 TestClause5 = Clause5.TestCase
-
 SENDS = st.tuples(
     st.sampled_from(KINDS), st.integers(-120, 250), st.integers(0, 12), st.sampled_from([0, 0, 0, 0, 10**8, -(10**8)])
 )

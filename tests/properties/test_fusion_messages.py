@@ -9,37 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sceneloom.db34t import (
-    ENCODINGS,
-    RECORD_KINDS,
-    Boxes2d,
-    Boxes3d,
-    CalibrationData,
-    FusedDetections,
-    ImageData,
-    PointCloudData,
-    RawData,
-    SensorFusionData,
-    Timestamp,
-    kind_of,
-)
+from sceneloom.db34t import ENCODINGS, RECORD_KINDS, RawData, SensorFusionData, Timestamp, kind_of
+from sceneloom.db34t import protobuf as pb
 from sceneloom.db34t.json import format_json, from_json, parse_json, to_json
-from sceneloom.db34t.protobuf import (
-    decode,
-    decode_send_request,
-    encode,
-    encode_in,
-    from_protobuf,
-    from_send_request,
-    parse_message,
-    to_protobuf,
-    to_send_request,
-)
+from sceneloom.db34t.records import Boxes2d, Boxes3d, CalibrationData, FusedDetections, ImageData, PointCloudData
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
 
 SENDABLE = ("raw", "image", "points", "boxes_3d", "boxes_2d", "box_3d", "box_2d")
-
 SEEDS = st.integers(0, 2**32 - 1)
 """Arrays are drawn by NumPy out of a seed: number by number takes a hundred times as long."""
 
@@ -224,14 +201,17 @@ KINDS = pytest.mark.parametrize("kind", RECORD_KINDS)
 
 @KINDS
 @settings(max_examples=15)
-@given(seed=SEEDS)
-def test_a_record_comes_back_from_protobuf_as_it_was_and_its_bytes_are_those_that_protobuf_writes(
-    kind, seed, assert_same
-):
+@given(seed=SEEDS, lists=st.booleans())
+def test_a_record_comes_back_from_protobuf_and_json_as_it_was(kind, seed, lists, assert_same):
     record = RECORDS[kind](Draws(seed))
-    assert_same(from_protobuf(to_protobuf(record)), record)
-    assert_same(decode(kind, encode(record)), record)
-    assert encode(record) == to_protobuf(record).SerializeToString(deterministic=True)
+    assert_same(pb.from_protobuf(pb.to_protobuf(record)), record)
+    assert_same(pb.decode(kind, pb.encode(record)), record)
+    # its bytes are those that protobuf writes
+    assert pb.encode(record) == pb.to_protobuf(record).SerializeToString(deterministic=True)
+    text = format_json(record, lists=lists)
+    assert_same(parse_json(text), record)
+    # another author's parser reads the same
+    assert_same(from_json(kind, json.loads(text)[kind]), record)
 
 
 @pytest.mark.parametrize("kind", SENDABLE)
@@ -239,23 +219,12 @@ def test_a_record_comes_back_from_protobuf_as_it_was_and_its_bytes_are_those_tha
 @given(seed=SEEDS)
 def test_a_record_comes_back_from_a_request_as_it_was(kind, seed, assert_same):
     record = RECORDS[kind](Draws(seed))
-    request = to_send_request(record, session="rig")
+    request = pb.to_send_request(record, session="rig")
     assert (request.WhichOneof("data"), request.session) == (kind, "rig")
     sent = fusion_pb2.SendRequest.FromString(request.SerializeToString())
-    assert_same(from_send_request(sent), record)
-    assert encode_in(fusion_pb2.SendRequest(session="rig"), record) == request.SerializeToString()
-    assert_same(decode_send_request(request.SerializeToString()), record)
-
-
-@KINDS
-@settings(max_examples=15)
-@given(seed=SEEDS, lists=st.booleans())
-def test_a_record_comes_back_from_json_as_it_was(kind, seed, lists, assert_same):
-    record = RECORDS[kind](Draws(seed))
-    text = format_json(record, lists=lists)
-    assert_same(parse_json(text), record)
-    # another author's parser reads the same
-    assert_same(from_json(kind, json.loads(text)[kind]), record)
+    assert_same(pb.from_send_request(sent), record)
+    assert pb.encode_in(fusion_pb2.SendRequest(session="rig"), record) == request.SerializeToString()
+    assert_same(pb.decode_send_request(request.SerializeToString()), record)
 
 
 @KINDS
@@ -330,31 +299,31 @@ def test_any_text_is_a_record_or_a_fault(text):
 @settings(max_examples=30)
 @given(seed=SEEDS, data=st.data())
 def test_protobuf_with_other_bytes_somewhere_is_a_record_or_a_fault(kind, seed, data):
-    content = bytearray(encode(RECORDS[kind](Draws(seed))))
+    content = bytearray(pb.encode(RECORDS[kind](Draws(seed))))
     for _ in range(data.draw(st.integers(1, 3))):
         k = data.draw(st.integers(0, len(content)))
         content[k : k + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=3))
-    found = record_or_fault(decode, kind, bytes(content))
+    found = record_or_fault(pb.decode, kind, bytes(content))
     if isinstance(found, DataError):
         assert found.problem
     else:
         assert kind_of(found).name == kind
-        encode(found)
+        pb.encode(found)
 
 
 @pytest.mark.parametrize("kind", SENDABLE)
 @settings(max_examples=60)
 @given(seed=SEEDS, data=st.data())
 def test_a_request_with_other_bytes_somewhere_is_a_record_or_a_fault(kind, seed, data):
-    content = bytearray(to_send_request(RECORDS[kind](Draws(seed))).SerializeToString())
+    content = bytearray(pb.to_send_request(RECORDS[kind](Draws(seed))).SerializeToString())
     k = data.draw(st.integers(0, len(content)))
     content[k : k + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=3))
-    found = record_or_fault(lambda: from_send_request(parse_message(fusion_pb2.SendRequest, bytes(content))))
-    quickly = record_or_fault(decode_send_request, bytes(content))
+    found = record_or_fault(lambda: pb.from_send_request(pb.parse_message(fusion_pb2.SendRequest, bytes(content))))
+    quickly = record_or_fault(pb.decode_send_request, bytes(content))
     assert isinstance(quickly, DataError) == isinstance(found, DataError), (found, quickly)
     if not isinstance(found, DataError):
         assert kind_of(found).name in SENDABLE
-        assert encode(quickly) == encode(found)
+        assert pb.encode(quickly) == pb.encode(found)
 
 
 @settings(max_examples=200)

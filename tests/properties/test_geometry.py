@@ -5,25 +5,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sceneloom.geometry.boxes import box_corners, points_in_box
-from sceneloom.geometry.euler import ORDERS, cuboid_angles_from_rotation, rotation_from_cuboid_angles
-from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.geometry.rigid import (
-    RigidTransform,
-    angle_between,
-    conjugate_quaternion,
-    interpolate_poses,
-    matrix_from_quaternion,
-    multiply_quaternions,
-    nearest_rotation,
-    normalise_quaternion,
-    quaternion_from_matrix,
-    quaternion_from_rotation_vector,
-    rotate_vectors,
-    rotation_vector_from_quaternion,
-    slerp,
-    thin_poses,
-)
+from sceneloom.geometry import rigid
 
 ROUNDING = 1e-14
 components = st.floats(-1, 1, allow_subnormal=False)
@@ -34,62 +16,49 @@ def quaternions(draw):
     """Unit quaternions, also with components of very different sizes."""
     raw = draw(arrays(np.float64, 4, elements=components))
     assume(np.abs(raw).max() > 1e-100)
-    return normalise_quaternion(raw)
+    return rigid.normalise_quaternion(raw)
 
 
 @st.composite
 def transforms(draw):
     position = draw(arrays(np.float64, 3, elements=st.floats(-1000, 1000)))
-    return RigidTransform.from_quaternion(position, draw(quaternions()))
+    return rigid.RigidTransform.from_quaternion(position, draw(quaternions()))
 
 
 vectors = arrays(np.float64, (4, 3), elements=st.floats(-1000, 1000))
 
 
-@given(quaternions(), quaternions(), vectors)
-def test_a_product_rotates_like_its_factors_one_after_the_other(a, b, points):
-    both = rotate_vectors(multiply_quaternions(a, b), points)
-    assert np.allclose(both, rotate_vectors(a, rotate_vectors(b, points)), atol=1000 * ROUNDING)
-
-
-@given(quaternions(), quaternions(), quaternions())
-def test_products_are_associative(a, b, c):
-    left = multiply_quaternions(multiply_quaternions(a, b), c)
-    assert np.allclose(left, multiply_quaternions(a, multiply_quaternions(b, c)), atol=ROUNDING)
-
-
-@given(quaternions())
-def test_a_rotation_and_its_conjugate_cancel(a):
-    assert np.allclose(multiply_quaternions(a, conjugate_quaternion(a)), [0, 0, 0, 1], atol=ROUNDING)
+@given(quaternions(), quaternions(), quaternions(), vectors)
+def test_products_rotate_like_their_factors_are_associative_and_cancel_with_the_conjugate(a, b, c, points):
+    both = rigid.multiply_quaternions(a, b)
+    rotated = rigid.rotate_vectors(a, rigid.rotate_vectors(b, points))
+    assert np.allclose(rigid.rotate_vectors(both, points), rotated, atol=1000 * ROUNDING)
+    right = rigid.multiply_quaternions(a, rigid.multiply_quaternions(b, c))
+    assert np.allclose(rigid.multiply_quaternions(both, c), right, atol=ROUNDING)
+    assert np.allclose(rigid.multiply_quaternions(a, rigid.conjugate_quaternion(a)), [0, 0, 0, 1], atol=ROUNDING)
 
 
 @given(quaternions(), vectors)
-def test_rotations_keep_lengths_and_agree_with_their_matrices(a, points):
-    rotated = rotate_vectors(a, points)
+def test_rotations_keep_lengths_and_come_back_from_matrices_and_rotation_vectors(a, points):
+    rotated, matrix = rigid.rotate_vectors(a, points), rigid.matrix_from_quaternion(a)
     assert np.allclose(np.linalg.norm(rotated, axis=1), np.linalg.norm(points, axis=1), atol=1000 * ROUNDING)
-    assert np.allclose(rotated, points @ matrix_from_quaternion(a).T, atol=1000 * ROUNDING)
-
-
-@given(quaternions())
-def test_matrices_and_rotation_vectors_give_the_rotation_back(a):
-    assert angle_between(quaternion_from_matrix(matrix_from_quaternion(a)), a) < 10 * ROUNDING
-    assert angle_between(quaternion_from_rotation_vector(rotation_vector_from_quaternion(a)), a) < 10 * ROUNDING
-
-
-@given(quaternions())
-def test_a_rotation_is_its_own_nearest_rotation(a):
-    matrix = matrix_from_quaternion(a)
-    found, error = nearest_rotation(matrix)
+    assert np.allclose(rotated, points @ matrix.T, atol=1000 * ROUNDING)
+    for again in (
+        rigid.quaternion_from_matrix(matrix),
+        rigid.quaternion_from_rotation_vector(rigid.rotation_vector_from_quaternion(a)),
+    ):
+        assert rigid.angle_between(again, a) < 10 * ROUNDING
+    found, error = rigid.nearest_rotation(matrix)
     assert np.abs(found - matrix).max() < ROUNDING
     assert error < ROUNDING
 
 
 @given(quaternions(), quaternions(), st.floats(0, 1))
 def test_slerp_shares_the_angle_in_the_given_proportion(a, b, fraction):
-    whole, part = angle_between(a, b), slerp(a, b, fraction)
+    whole, part = rigid.angle_between(a, b), rigid.slerp(a, b, fraction)
     assume(whole < np.pi - 1e-6)  # at half a rotation there are two shortest ways
-    assert abs(angle_between(a, part) - fraction * whole) < 10 * ROUNDING
-    assert abs(angle_between(part, b) - (1 - fraction) * whole) < 10 * ROUNDING
+    assert abs(rigid.angle_between(a, part) - fraction * whole) < 10 * ROUNDING
+    assert abs(rigid.angle_between(part, b) - (1 - fraction) * whole) < 10 * ROUNDING
 
 
 @given(transforms(), transforms(), vectors)
@@ -98,33 +67,7 @@ def test_rigid_transforms_form_a_group(a, b, points):
     assert np.allclose((a @ b).apply(points), a.apply(b.apply(points)), atol=size)
     assert np.allclose((a @ b).inverse().apply(points), (b.inverse() @ a.inverse()).apply(points), atol=size)
     assert np.allclose(a.inverse().apply(a.apply(points)), points, atol=size)
-    assert np.allclose((a @ RigidTransform.identity()).matrix, a.matrix, atol=size)
-
-
-@given(quaternions(), st.sampled_from(ORDERS), st.sampled_from(["degrees", "radians"]))
-def test_cuboid_angles_give_the_rotation_back(a, order, unit):
-    matrix = matrix_from_quaternion(a)
-    angles = cuboid_angles_from_rotation(matrix, unit=unit, order=order)
-    assert np.allclose(rotation_from_cuboid_angles(angles, unit=unit, order=order), matrix, atol=ROUNDING)
-
-
-@given(transforms(), arrays(np.float64, 3, elements=st.floats(0.1, 30)))
-def test_boxes_hold_points_towards_their_corners_and_none_beyond_them(pose, size):
-    corners = box_corners(pose.translation, size, pose.quaternion_xyzw)
-    inside, outside = (pose.translation + s * (corners - pose.translation) for s in (0.999, 1.001))
-    assert points_in_box(inside, pose.translation, size, pose.quaternion_xyzw).all()
-    assert not points_in_box(outside, pose.translation, size, pose.quaternion_xyzw).any()
-
-
-@settings(max_examples=50)
-@given(
-    arrays(np.float64, 3, elements=st.floats(-5e4, 5e4)),
-    st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-400, 9000)),
-)
-def test_offsets_east_north_and_up_give_their_location_back(enu, origin):
-    # Degrees of 1e-14 relative rounding are 1e-8 m on the ground; longitudes lose nothing near the poles, since
-    # there a wrong longitude is a small distance.
-    assert np.abs(enu_from_geodetic(geodetic_from_enu(enu, origin), origin) - enu).max() < 3e-8
+    assert np.allclose((a @ rigid.RigidTransform.identity()).matrix, a.matrix, atol=size)
 
 
 @st.composite
@@ -137,15 +80,21 @@ def paths(draw, *, rotation=1.5):
     size = draw(st.sampled_from([0.0, 0.001, 50.0]))
     positions = rng.uniform(-size, size, (len(times), 3))
     vectors = np.cumsum(rng.uniform(-rotation, rotation, (len(times), 3)) / np.sqrt(3), axis=0)
-    return times, positions, quaternion_from_rotation_vector(vectors)
+    return times, positions, rigid.quaternion_from_rotation_vector(vectors)
 
 
-@given(paths())
-def test_paths_pass_through_their_poses(path):
-    positions, quaternions, coverage = interpolate_poses(*path, path[0])
-    assert np.allclose(positions, path[1], atol=1e-13)
-    assert angle_between(quaternions, path[2]).max() < 1e-14
+@given(paths(), st.integers(1, 10**9))
+def test_paths_pass_through_their_poses_and_beyond_an_end_the_velocity_of_its_segment_goes_on(path, ahead_ns):
+    times, positions, _ = path
+    found, quaternions, coverage = rigid.interpolate_poses(*path, times)
+    assert np.allclose(found, positions, atol=1e-13)
+    assert rigid.angle_between(quaternions, path[2]).max() < 1e-14
     assert (coverage == 0).all()
+    found, _, _ = rigid.interpolate_poses(*path, np.array([times[-1], times[-1] + ahead_ns]), reach_ns=10**9)
+    expected = np.zeros(3)
+    if len(times) > 1:
+        expected = (positions[-1] - positions[-2]) / int(times[-1] - times[-2]) * ahead_ns
+    assert np.allclose(found[1] - found[0], expected, rtol=1e-9, atol=1e-9 * (1 + np.abs(expected).max()))
 
 
 @given(paths(), st.integers(-1000, 1000), st.floats(0, 1))
@@ -154,32 +103,20 @@ def test_between_two_poses_the_path_stays_on_the_straight_and_shortest_trajector
     k = location % len(times)
     last = min(k + 1, len(times) - 1)
     query = times[k] + round(along * int(times[last] - times[k]))
-    between, rotated, _ = interpolate_poses(*path, np.array([query]))
+    between, rotated, _ = rigid.interpolate_poses(*path, np.array([query]))
     ends, rotations = positions[[k, last]], quaternions[[k, last]]
     detour = np.linalg.norm(between[0] - ends, axis=1).sum() - np.linalg.norm(ends[1] - ends[0])
     assert abs(detour) < 1e-12  # 1e-16 of 50 m, some operations
-    assert abs(angle_between(rotated[0], rotations).sum() - angle_between(*rotations)) < 1e-13
+    assert abs(rigid.angle_between(rotated[0], rotations).sum() - rigid.angle_between(*rotations)) < 1e-13
 
 
 @given(paths(), st.integers(0, 10**9), st.integers(-(2**62), 2**62))
 def test_coverage_says_where_a_time_lies(path, reach_ns, query):
     times = path[0]
-    positions, quaternions, coverage = interpolate_poses(*path, np.array([query]), reach_ns=reach_ns)
+    positions, quaternions, coverage = rigid.interpolate_poses(*path, np.array([query]), reach_ns=reach_ns)
     outside = max(int(times[0]) - query, query - int(times[-1]), 0)
     assert coverage[0] == (0 if outside == 0 else 1 if outside <= reach_ns else 2)
     assert np.isnan(positions).all() == np.isnan(quaternions).all() == (coverage[0] == 2)
-
-
-@given(paths(), st.integers(1, 10**9))
-def test_beyond_an_end_the_velocity_of_its_segment_goes_on(path, ahead_ns):
-    times, positions, _ = path
-    query = np.array([times[-1], times[-1] + ahead_ns])
-    found, _, _ = interpolate_poses(*path, query, reach_ns=10**9)
-    if len(times) == 1:
-        expected = np.zeros(3)
-    else:
-        expected = (positions[-1] - positions[-2]) / int(times[-1] - times[-2]) * ahead_ns
-    assert np.allclose(found[1] - found[0], expected, rtol=1e-9, atol=1e-9 * (1 + np.abs(expected).max()))
 
 
 @settings(max_examples=60)
@@ -187,10 +124,10 @@ def test_beyond_an_end_the_velocity_of_its_segment_goes_on(path, ahead_ns):
 def test_thinned_paths_stay_within_the_tolerances_at_every_pose(path, ahead_ns):
     times, positions, quaternions = path
     required = times[0] + np.array(ahead_ns, np.int64)
-    extra = thin_poses(*path, required)
+    extra = rigid.thin_poses(*path, required)
     knots_ns = np.union1d(required if len(required) else times[[0, -1]], times[extra])
-    knots = interpolate_poses(*path, knots_ns, reach_ns=2**62)[:2]
+    knots = rigid.interpolate_poses(*path, knots_ns, reach_ns=2**62)[:2]
     judged = (times >= knots_ns[0]) & (times <= knots_ns[-1])
-    found, rotated, _ = interpolate_poses(knots_ns, *knots, times[judged])
+    found, rotated, _ = rigid.interpolate_poses(knots_ns, *knots, times[judged])
     assert (np.linalg.norm(found - positions[judged], axis=1) <= 1e-3 + 1e-9).all()
-    assert (angle_between(rotated, quaternions[judged]) <= np.radians(0.01) + 1e-9).all()
+    assert (rigid.angle_between(rotated, quaternions[judged]) <= np.radians(0.01) + 1e-9).all()

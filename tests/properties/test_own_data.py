@@ -32,41 +32,27 @@ def location(tmp_path_factory):
     return tmp_path_factory.mktemp("clouds")
 
 
-def check(path, written):
-    layout = FieldLayout.parse([f"{name}:{written.dtype[name].name}" for name in written.dtype.names])
-    columns = read_cloud(path, **({"layout": layout} if path.suffix == ".bin" else {})).columns
-    assert [*columns] == list(written.dtype.names)
-    for name, column in columns.items():
-        np.testing.assert_array_equal(column, written[name])
-        assert column.dtype == written.dtype[name]
-
-
-@given(written=records())
-def test_bin_and_npy_files_come_back_bit_by_bit(location, written):
+@given(written=records(tuple(PLY_TYPES)), text=st.booleans(), order=st.sampled_from(["little", "big"]))
+def test_clouds_in_bin_npy_pcd_and_ply_files_come_back_bit_by_bit(location, written, text, order):
+    names, kinds = written.dtype.names, [written.dtype[name] for name in written.dtype.names]
     (location / "a.bin").write_bytes(written.tobytes())
     np.save(location / "a.npy", written)
-    for name in ("a.bin", "a.npy"):
-        check(location / name, written)
-
-
-@given(written=records(), text=st.booleans())
-def test_pcd_files_come_back_bit_by_bit(location, written, text):
-    kinds = [written.dtype[name] for name in written.dtype.names]
     sizes, types = " ".join(str(kind.itemsize) for kind in kinds), " ".join(PCD_TYPES[kind.kind] for kind in kinds)
-    head = f"FIELDS {' '.join(written.dtype.names)}\nSIZE {sizes}\nTYPE {types}\n"
+    head = f"FIELDS {' '.join(names)}\nSIZE {sizes}\nTYPE {types}\n"
     head += f"WIDTH {len(written)}\nHEIGHT 1\nDATA {'ascii' if text else 'binary'}\n"
     lines = "".join(" ".join(repr(value.item()) for value in row) + "\n" for row in written)
     (location / "a.pcd").write_bytes(head.encode() + (lines.encode() if text else written.tobytes()))
-    check(location / "a.pcd", written)
-
-
-@given(written=records(tuple(PLY_TYPES)), order=st.sampled_from(["little", "big"]))
-def test_ply_files_come_back_bit_by_bit(location, written, order):
-    properties = "".join(f"property {PLY_TYPES[written.dtype[n].name]} {n}\n" for n in written.dtype.names)
+    properties = "".join(f"property {PLY_TYPES[kind.name]} {name}\n" for name, kind in zip(names, kinds, strict=True))
     head = f"ply\nformat binary_{order}_endian 1.0\nelement vertex {len(written)}\n{properties}end_header\n"
     rotated = written.astype(written.dtype.newbyteorder(">" if order == "big" else "<"))
     (location / "a.ply").write_bytes(head.encode() + rotated.tobytes())
-    check(location / "a.ply", written)
+    layout = FieldLayout.parse([f"{name}:{kind.name}" for name, kind in zip(names, kinds, strict=True)])
+    for name in ("a.bin", "a.npy", "a.pcd", "a.ply"):
+        columns = read_cloud(location / name, **({"layout": layout} if name == "a.bin" else {})).columns
+        assert [*columns] == list(names)
+        for column, kind in zip(columns, kinds, strict=True):
+            np.testing.assert_array_equal(columns[column], written[column])
+            assert columns[column].dtype == kind
 
 
 @given(st.integers(-9 * 10**18, 9 * 10**18))

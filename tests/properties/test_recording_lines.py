@@ -1,4 +1,4 @@
-"""Any lines of a recording, opened and written, state the same again: sorted by time, and else as they were."""
+"""What is written as a recording is read back: lines as they were, but for their order, and arrays, times, images."""
 
 import copy
 import json
@@ -8,12 +8,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from PIL import Image
 from scipy.spatial.transform import Rotation
+from tests.properties.strategies import floats, timestamps
 
+from sceneloom import scene as sc
+from sceneloom.cameras import MODELS, intrinsics_vector
+from sceneloom.cameras.camera import Camera
 from sceneloom.formats import open_scene, write_scene
+from sceneloom.geometry.rigid import RigidTransform
 
 ROWS = [[1.0, 0.0, 0.0, 0.25], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.75], [0.0, 0.0, 0.0, 1.0]]
 PINHOLE = {"model": "pinhole", "focalLengthX": 9.0, "focalLengthY": 9.0, "principalPointX": 3.5, "principalPointY": 3.5}
@@ -34,7 +41,7 @@ def write_drive(folder, drive, *, cameras=None):
     """A recording with these lines, a sweep, and an image for each `frames` line of so many cameras."""
     count = sum("frames" in line for line in drive)
     cameras = bool(count) if cameras is None else cameras
-    folder.mkdir()
+    folder.mkdir(parents=True)
     (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in drive), "utf-8")
     calibration = {"cameras": [PINHOLE | {"imuToCamera": ROWS}] * cameras, "lidars": [{"imuToLidar": ROWS}]}
     (folder / "calibration.json").write_text(json.dumps(calibration))
@@ -46,10 +53,6 @@ def write_drive(folder, drive, *, cameras=None):
             Image.new("RGB", (8, 8), (10 * number, 0, 100 * index)).save(images / f"{number:08d}.png")
 
 
-def read_lines(folder):
-    return [json.loads(line) for line in (folder / "data.jsonl").read_text("utf-8").split("\n")[:-1]]
-
-
 def written_again(folder, change=lambda scene: scene, *, scene_file=True):
     """The lines as they are written, as they are through a scene file, and the loss report of the former."""
     with open_scene(folder) as scene:
@@ -59,7 +62,8 @@ def written_again(folder, change=lambda scene: scene, *, scene_file=True):
     if scene_file:
         with open_scene(folder.with_name("scene.sfs")) as scene:
             write_scene(scene, folder.with_name("from_scene"), images="png")
-    found = [read_lines(folder.with_name(name)) for name in ("again", "from_scene")[: 1 + scene_file]]
+    texts = [folder.with_name(name) / "data.jsonl" for name in ("again", "from_scene")[: 1 + scene_file]]
+    found = [list(map(json.loads, text.read_text("utf-8").split("\n")[:-1])) for text in texts]
     return *found, report
 
 
@@ -150,10 +154,6 @@ def as_floats(value):
     return float(value) if type(value) is int else value
 
 
-def without_names(line):
-    return {**line, "lidar": {**line["lidar"], "dataFile": ""}} if "lidar" in line else line
-
-
 TWICE = {"gnssEnu": {"mean": [0.0, 0.0, 0.0]}, "time": 7}
 
 
@@ -166,7 +166,9 @@ def test_lines_are_written_as_they_were(drive):
             found, _ = written_again(Path(temporary, "drive"), scene_file=False)
         timestamps = [round(line["time"] * 1e9) for line in found if "time" in line]
         assert timestamps == sorted(timestamps)
-        expected, written = (in_order([without_names(line) for line in each]) for each in (drive, found))
+        for line in (line for line in (*drive, *found) if "lidar" in line):
+            line["lidar"]["dataFile"] = ""
+        expected, written = in_order(drive), in_order(found)
         assert written == expected
 
 
@@ -188,24 +190,22 @@ EVERY_KIND = [
 ]
 
 
-def test_lines_of_every_kind_come_back_key_by_key_and_through_a_scene_file(tmp_path):
+def test_lines_of_every_kind_come_back_key_by_key_and_what_was_changed_is_written(tmp_path):
     write_drive(tmp_path / "drive", EVERY_KIND)
     for found in written_again(tmp_path / "drive")[:2]:
         assert in_order(found) == in_order(EVERY_KIND)
 
-
-def test_what_was_changed_is_written_and_the_rest_of_its_line_stays(tmp_path):
     def rotated(scene):
         imu = scene.sensor("imu")
         gyroscope = imu.streams["gyroscope"]
         changed = replace(imu, streams={**imu.streams, "gyroscope": replace(gyroscope, values=gyroscope.values + 1)})
         return replace(scene, sensors=tuple(changed if sensor is imu else sensor for sensor in scene.sensors))
 
-    write_drive(tmp_path / "drive", EVERY_KIND)
+    write_drive(tmp_path / "changed" / "drive", EVERY_KIND)
     expected = copy.deepcopy(EVERY_KIND)
     for sensor in (line["sensor"] for line in expected if "sensor" in line):
         sensor["values"] = [value + (sensor["type"] == "gyroscope") for value in sensor["values"]]
-    found, _ = written_again(tmp_path / "drive", rotated, scene_file=False)
+    found, _ = written_again(tmp_path / "changed" / "drive", rotated, scene_file=False)
     assert in_order(found) == in_order(expected)
 
 
@@ -226,13 +226,13 @@ beside_entry = st.dictionaries(
     max_size=2,
 ).map(lambda found: found if isinstance(found.get("exposureTimeSeconds", 0.5), float) else {})
 beside_line = st.dictionaries(st.sampled_from(["status", "note"]), st.one_of(st.none(), numbers), max_size=1)
-MODELS = [("KANNALA_BRANDT4", 4), ("kannala-brandt4", 0), ("brown-conrady", 5), ("PINHOLE", 3), ("pinhole", 0)]
+SPELLINGS = [("KANNALA_BRANDT4", 4), ("kannala-brandt4", 0), ("brown-conrady", 5), ("PINHOLE", 3), ("pinhole", 0)]
 
 
 @st.composite
 def camera_models(draw):
     """Parameters in any spelling, some or all of them."""
-    name, count = draw(st.sampled_from(MODELS))
+    name, count = draw(st.sampled_from(SPELLINGS))
     whole = {
         "focalLengthX": draw(st.sampled_from([9, 9.0, 284.929992675781])),
         "focalLengthY": draw(st.floats(5, 300)),
@@ -362,7 +362,7 @@ def with_images(camera, images):
     return replace(camera, images=type(camera.images).of(images, [image.timestamp_ns for image in images]))
 
 
-def test_a_mounting_that_was_normalised_is_written_as_it_was_taken(tmp_path):
+def test_a_mounting_that_was_normalised_and_a_camera_model_that_was_changed_are_written_as_they_are_now(tmp_path):
     drive = copy.deepcopy(RECORDED[1:2])
     off = drive[0]["frames"][0]["imuToCamera"]
     off[0] = [1.003 * number for number in off[0]]
@@ -373,14 +373,12 @@ def test_a_mounting_that_was_normalised_is_written_as_it_was_taken(tmp_path):
     np.testing.assert_allclose(taken, np.array(off), atol=0.0035)
     assert kept.tolist() == drive[0]["frames"][1]["imuToCamera"]
 
-
-def test_a_camera_model_that_was_changed_is_written_as_it_is_now(tmp_path):
     def wider(scene):
         camera = scene.sensor("camera0")
         changed = with_images(camera, [replace(shot, camera=replace(shot.camera, fx=200.0)) for shot in camera.images])
         return replace(scene, sensors=tuple(changed if sensor is camera else sensor for sensor in scene.sensors))
 
-    found, _ = frames_written(RECORDED, tmp_path, wider, cameras=2)
+    found, _ = frames_written(RECORDED, tmp_path / "changed", wider, cameras=2)
     changed, kept = (entry["cameraParameters"] for entry in found[0]["frames"])
     before, other = (entry["cameraParameters"] for entry in RECORDED[1]["frames"])
     assert (changed["focalLengthX"], changed["focalLengthY"]) == (200.0, before["focalLengthY"])
@@ -399,9 +397,7 @@ def test_numbers_stay_with_their_gaps_and_images_that_were_left_out_are_not_coun
         return replace(scene, sensors=(with_images(camera, [camera.images[k] for k in (1, 2)]),))
 
     for numbers in ([0, 1, 2], [28, 29, 30], [28, 30, 31]):
-        folder = tmp_path / str(numbers)
-        folder.mkdir()
-        found, reported = frames_written(numbered(*numbers), folder)
+        found, reported = frames_written(numbered(*numbers), tmp_path / str(numbers))
         assert [line["number"] for line in found] == numbers
         assert "frames[].number" not in {loss.field for loss in reported}
     found, _ = frames_written(numbered(28, 29, 30), tmp_path, shorter)
@@ -428,3 +424,169 @@ def test_cameras_that_a_line_does_not_list_are_not_listed_and_that_is_reported(t
     assert found == drive
     assert [loss.count for loss in reported if "do not list every camera" in loss.what] == [1]
     assert not [loss for loss in reported if "not in step" in loss.what]
+
+
+EXACT_NS = 2**51
+"""Up to 26 days, a 64-bit number of seconds holds every nanosecond."""
+EPOCH_NS = 1_700_000_000_000_000_000
+rigids = st.builds(
+    lambda rotation, translation: RigidTransform(Rotation.from_rotvec(rotation).as_matrix(), translation),
+    floats(3, within=3),
+    floats(3, within=50),
+)
+
+
+def round_trip(scene: sc.Scene, **options):
+    """Write a scene and read it; gives what was read, and the losses that were reported."""
+    with TemporaryDirectory() as folder:
+        report = write_scene(scene, Path(folder, "drive"), **options)
+        with open_scene(Path(folder, "drive")) as found:
+            yield found, [loss for loss in report if loss.field != "replay"]
+
+
+def gyroscope(timestamps, values=None, seconds=None):
+    values = np.ones((len(timestamps), 3)) if values is None else values
+    return sc.Scene((sc.ImuSensor("imu", {"gyroscope": sc.VectorSamples(timestamps, values, seconds)}),))
+
+
+@given(timestamps(-EXACT_NS, EXACT_NS, unique=False), st.data())
+def test_samples_keep_their_times_to_the_nanosecond_and_their_values_to_the_bit(timestamps, data):
+    values = data.draw(floats(len(timestamps), 3, within=1e6))
+    for found, report in round_trip(gyroscope(timestamps, values)):
+        assert not report
+        stream = found.sensor("imu").streams["gyroscope"]
+        np.testing.assert_array_equal(stream.timestamps_ns, timestamps)
+        np.testing.assert_array_equal(stream.values, values)
+
+
+@given(st.lists(st.floats(-9e9, 9e9), min_size=1, max_size=12))
+def test_the_seconds_that_a_file_had_are_in_the_next_file(seconds):
+    numbers = np.array(sorted(seconds))
+    timestamps = np.rint(numbers * 1e9).astype(np.int64)
+    for found, report in round_trip(gyroscope(timestamps, None, numbers)):
+        assert not report
+        stream = found.sensor("imu").streams["gyroscope"]
+        np.testing.assert_array_equal(stream.file_seconds, numbers)  # equal as numbers: -0.0 is 0.0
+        np.testing.assert_array_equal(stream.timestamps_ns, timestamps)
+
+
+@given(timestamps(EPOCH_NS, EPOCH_NS + 10**13, unique=False))
+def test_times_since_1970_are_off_by_no_more_than_is_reported(timestamps):
+    for found, report in round_trip(gyroscope(timestamps)):
+        off = np.abs(found.sensor("imu").streams["gyroscope"].timestamps_ns - timestamps)
+        # half of the step of such seconds, 2^-22 s, and half of the step of the same time in nanoseconds, 2^8 ns
+        assert off.max() <= 119 + 128
+        assert sum(loss.count for loss in report) == int((off > 0).sum())
+
+
+@given(timestamps(-EXACT_NS, EXACT_NS), st.booleans(), st.data())
+def test_trajectories_come_back_under_their_names(timestamps, oriented, data):
+    count = len(timestamps)
+    positions = data.draw(floats(count, 3, within=1e6))
+    rotations = data.draw(floats(count, 3, within=3))
+    quaternions = Rotation.from_rotvec(rotations).as_quat() if oriented else None
+    known = ["groundTruth", "pose", "arkit", "my method", "output"]
+    names = data.draw(st.lists(st.sampled_from(known), min_size=1, unique=True))
+    scene = sc.Scene((), trajectories={name: sc.Trajectory(name, timestamps, positions, quaternions) for name in names})
+    for found, _ in round_trip(scene):
+        assert set(found.trajectories) == set(names)
+        for trajectory in found.trajectories.values():
+            np.testing.assert_array_equal(trajectory.timestamps_ns, timestamps)
+            np.testing.assert_array_equal(trajectory.positions, positions)
+            assert (trajectory.quaternions_xyzw is None) == (not oriented)
+            if oriented:
+                np.testing.assert_array_equal(trajectory.quaternions_xyzw, quaternions)
+
+
+@given(timestamps(-EXACT_NS, EXACT_NS, unique=False), st.data())
+def test_fixes_come_back_with_the_accuracies_that_they_have(timestamps, data):
+    count = len(timestamps)
+    lla = data.draw(floats(count, 3, within=90))
+    known = st.one_of(st.just(np.nan), st.floats(0, 100))
+    accuracies = [data.draw(hnp.arrays(np.float64, count, elements=known)) for _ in range(2)]
+    scene = sc.Scene((sc.GnssSensor("gnss", timestamps, lla, *accuracies),))
+    for found, _ in round_trip(scene):
+        gnss = found.sensor("gnss")
+        np.testing.assert_array_equal(gnss.timestamps_ns, timestamps)
+        np.testing.assert_array_equal(gnss.positions_lla, lla)
+        np.testing.assert_array_equal(gnss.accuracies, accuracies[0])
+        np.testing.assert_array_equal(gnss.vertical_accuracies, accuracies[1])
+
+
+def points_at(data: st.DataObject, start_ns: int) -> sc.LidarPoints:
+    count = data.draw(st.integers(0, 6))
+    floats = st.floats(allow_nan=True, allow_infinity=True, width=32)
+    offsets = data.draw(hnp.arrays(np.int64, count, elements=st.integers(0, 10**8)))
+    return sc.LidarPoints(
+        positions=data.draw(hnp.arrays(np.float32, (count, 3), elements=floats)),
+        intensities=data.draw(hnp.arrays(np.uint8, count)),
+        timestamps_ns=start_ns + offsets,
+        rings=data.draw(hnp.arrays(np.uint16, count)),
+    )
+
+
+@given(timestamps(-EXACT_NS, EXACT_NS), rigids, st.data())
+def test_sweeps_come_back_point_by_point(timestamps, mount, data):
+    frames = [sc.LidarFrame(int(timestamp), points_at(data, int(timestamp))) for timestamp in timestamps]
+    lidars = tuple(
+        sc.LidarSensor(f"lidar{index}", sc.LazyFrames.of(frames, timestamps), mount=mount) for index in range(2)
+    )
+    for found, report in round_trip(sc.Scene(lidars)):
+        assert not report
+        for lidar in found.lidars:
+            # the mounting is inverted on the way there and back
+            np.testing.assert_allclose(lidar.mount.matrix, mount.matrix, atol=1e-12)
+            np.testing.assert_array_equal(lidar.frames.timestamps_ns, timestamps)
+            for before, after in zip(frames, lidar.frames, strict=True):
+                for name in ("positions", "intensities", "timestamps_ns", "rings"):
+                    np.testing.assert_array_equal(getattr(after.points, name), getattr(before.points, name))
+
+
+HELD = ("brown_conrady", "fisheye", "kannala_brandt18", "omnidir", "pinhole")
+"""The models that the format has; others come back as the nearest of these."""
+
+
+@st.composite
+def exact_camera_models(draw: st.DrawFn) -> Camera:
+    name = draw(st.sampled_from(HELD))
+    names = MODELS[name].coefficient_names
+    count = draw(st.sampled_from(sorted({0, min(5, len(names)), len(names)})))
+    # the format has no decentring
+    values = [0.0 if names[k] in {"lx", "ly"} else draw(st.floats(-0.01, 0.01)) for k in range(count)]
+    numbers = [draw(st.floats(10, 50)) for _ in range(4)]
+    return Camera(name, 32, 16, *numbers, tuple(values))
+
+
+@given(exact_camera_models(), rigids, timestamps(-EXACT_NS, EXACT_NS), st.integers(1, 2))
+def test_cameras_come_back_with_camera_model_mounting_times_and_pixels(camera_model, mount, timestamps, count):
+    rng = np.random.default_rng(len(timestamps))
+    shots = [rng.integers(0, 256, (16, 32, 3), dtype=np.uint8) for _ in timestamps]
+    images = [sc.CameraImage.of(int(time), camera_model, rgb) for time, rgb in zip(timestamps, shots, strict=True)]
+    frames = sc.LazyFrames.of(images, timestamps)
+    cameras = tuple(sc.CameraSensor(f"camera{index}", camera_model, frames, mount=mount) for index in range(count))
+    for found, report in round_trip(sc.Scene(cameras), images="png"):
+        assert not report
+        assert len(found.cameras) == count
+        for camera in found.cameras:
+            np.testing.assert_array_equal(intrinsics_vector(camera.camera), intrinsics_vector(camera_model))
+            np.testing.assert_allclose(camera.mount.matrix, mount.matrix, atol=1e-12)
+            np.testing.assert_array_equal(camera.images.timestamps_ns, timestamps)
+            for rgb, image in zip(shots, camera.images, strict=True):
+                np.testing.assert_array_equal(image.rgb, rgb)
+
+
+@pytest.mark.parametrize("start_ns", [0, -5_000_000_000, EPOCH_NS])
+def test_a_drive_with_h264_has_as_many_images_at_the_same_times(start_ns, tmp_path):
+    camera_model = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
+    timestamps = start_ns + np.cumsum([0, 100, 100, 33, 170, 97, 100]).astype(np.int64) * 1_000_000
+    shots = [np.full((48, 64, 3), 30 * k + 20, np.uint8) for k in range(len(timestamps))]
+    images = [sc.CameraImage.of(int(time), camera_model, rgb) for time, rgb in zip(timestamps, shots, strict=True)]
+    frames = sc.LazyFrames.of(images, timestamps)
+    camera = sc.CameraSensor("camera0", camera_model, frames, mount=RigidTransform.identity())
+    write_scene(sc.Scene((camera,)), tmp_path / "drive")
+    with open_scene(tmp_path / "drive") as found:
+        after = found.cameras[0]
+        # whole milliseconds since 1970 come back within what a 64-bit number of seconds holds
+        assert np.abs(after.images.timestamps_ns - timestamps).max() <= (0 if start_ns < 10**12 else 128)
+        for rgb, image in zip(shots, after.images, strict=True):
+            assert np.abs(image.rgb.astype(int) - rgb).max() <= 3  # flat grey through crf 18

@@ -17,7 +17,6 @@ from sceneloom.geometry.rigid import angle_between, normalise_quaternion
 from sceneloom.scene import GnssSensor, Trajectory
 
 TIMESTAMPS = timestamps(-(9 * 10**18), 9 * 10**18, most=6)
-EXACT_FORMS = ["tum", "euroc", "csv", "jsonl"]
 
 
 @st.composite
@@ -29,27 +28,21 @@ def trajectories(draw):
     return Trajectory("trajectory", times, draw(floats(len(times), 3)), normalise_quaternion(raw * signs))
 
 
-@pytest.mark.parametrize("form", EXACT_FORMS)
+@pytest.mark.parametrize("form", ["tum", "euroc", "csv", "jsonl", "kitti"])
 @given(trajectory=trajectories(), optical=st.booleans())
 def test_times_and_poses_come_back_number_for_number(form, trajectory, optical):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "trajectory.txt")
-        assert len(write_trajectory(trajectory, path, form=form, optical=optical)) == 0
+        assert form == "kitti" or len(write_trajectory(trajectory, path, form=form, optical=optical)) == 0
+        if form == "kitti":
+            write_trajectory(trajectory, path, form=form)
+            optical = False
         back = read_trajectory(path, form=form, optical=optical)
     assert np.array_equal(back.timestamps_ns, trajectory.timestamps_ns)
     assert np.array_equal(back.positions, trajectory.positions)
-    assert np.array_equal(back.quaternions_xyzw, trajectory.quaternions_xyzw)
-
-
-@given(trajectory=trajectories())
-def test_rotations_of_kitti_come_back_within_rounding(trajectory):
-    with tempfile.TemporaryDirectory() as folder:
-        write_trajectory(trajectory, Path(folder, "trajectory.kitti"))
-        back = read_trajectory(Path(folder, "trajectory.kitti"))
-    assert np.array_equal(back.timestamps_ns, trajectory.timestamps_ns)
-    assert np.array_equal(back.positions, trajectory.positions)
     # a matrix of float64 and back: a few units in the last location of numbers up to 1
-    assert angle_between(back.quaternions_xyzw, trajectory.quaternions_xyzw).max() < 1e-14
+    off = angle_between(back.quaternions_xyzw, trajectory.quaternions_xyzw).max()
+    assert off < 1e-14 if form == "kitti" else np.array_equal(back.quaternions_xyzw, trajectory.quaternions_xyzw)
 
 
 @given(times=TIMESTAMPS, data=st.data(), given_accuracy=st.booleans())

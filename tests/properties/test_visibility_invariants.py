@@ -9,23 +9,15 @@ from hypothesis.extra import numpy as hnp
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import ViewRequest, VisibilitySettings, find_visible, fuse_by_projection
+from sceneloom.colouring import visibility as vis
 from sceneloom.colouring.algorithms import mark_nearest
 from sceneloom.colouring.blending import paint_points
-from sceneloom.colouring.visibility import (
-    Hiding,
-    look_around,
-    mark_unhidden,
-    measure_extent,
-    measure_spacings,
-    measure_surface_distance,
-)
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.projection import draw_depths, map_directions, pixel_numbers
 
 GUARD = 64
 STILL = np.eye(4)
 FIXED = VisibilitySettings(window_deg=0.5, near_deg=0.3, surface_distance=0.5)
-
 any_float32 = st.floats(width=32)
 any_float = st.one_of(st.floats(), st.floats(-50, 50), st.sampled_from([0.0, -0.5, 0.5, 6.5, 1e-7, 1e308]))
 coordinates = st.floats(-40, 40, width=32)
@@ -85,9 +77,10 @@ def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg, know
     cell = math.radians(0.16)
     eyes = np.array([[0.1, -0.5, 0.3], [0.2, -0.4, math.inf]])[: 2 if known_trajectory else 0]
     ids, fractions = np.arange(rows.shape[1]), np.ones(rows.shape[1], np.float32)
-    extent = measure_extent(rows[:2], rows[2])
-    mark_unhidden(
-        rows[:2], rows[2], [Hiding(rows[2], cell, math.radians(window_deg), near, 0.0, near)], extent, 2.0, 0.15, 0.01,
+    extent = vis.measure_extent(rows[:2], rows[2])
+    hiding = vis.Hiding(rows[2], cell, math.radians(window_deg), near, 0.0, near)
+    vis.mark_unhidden(
+        rows[:2], rows[2], [hiding], extent, 2.0, 0.15, 0.01,
         eyes, ids, fractions, 0.85, visible,
     )  # fmt: skip
     check()
@@ -106,9 +99,9 @@ def test_visibility_of_any_directions_stays_in_its_output(rows, window_deg, know
     )
 )
 def test_what_is_measured_in_any_directions_is_within_bounds_or_unknown(rows):
-    neighbours = look_around(rows[:2], rows[2])
-    assert 0.1 <= measure_surface_distance(neighbours, rows[:2], rows[2], 0.1, 0.1) <= 1.5
-    spacings = measure_spacings(neighbours)
+    neighbours = vis.look_around(rows[:2], rows[2])
+    assert 0.1 <= vis.measure_surface_distance(neighbours, rows[:2], rows[2], 0.1, 0.1) <= 1.5
+    spacings = vis.measure_spacings(neighbours)
     assert (np.isnan(spacings) | ((spacings > 0) & (spacings <= math.radians(2.6)))).all()
 
 
@@ -160,36 +153,18 @@ def test_any_cloud_can_be_fused(points, size, enabled):
     assert view.visible.any() or not sane.any()
 
 
-@given(points=tame_clouds(least=1))
-def test_the_nearest_point_is_always_visible(points):
-    visible = find_visible(points, np.arange(len(points)), STILL, FIXED)
-    assert visible[np.argmin(np.linalg.norm(points, axis=1))]
-
-
-@given(points=tame_clouds(), seed=st.integers(0, 99))
-def test_the_order_of_the_points_does_not_matter(points, seed):
+@given(points=tame_clouds(least=1), seed=st.integers(0, 99))
+def test_neither_order_nor_unit_nor_a_point_behind_all_others_matter_and_the_nearest_point_is_visible(points, seed):
     # Equally near points of a cell are distinguished by their order only.
     points = points * (1 + 1e-3 * np.arange(len(points)))[:, None]
-    order = np.random.default_rng(seed).permutation(len(points))
-    ids = np.arange(len(points))
+    order, ids = np.random.default_rng(seed).permutation(len(points)), np.arange(len(points))
     visible = find_visible(points, ids, STILL, FIXED)
+    assert visible[np.argmin(np.linalg.norm(points, axis=1))]
     np.testing.assert_array_equal(find_visible(points[order].copy(), ids, STILL, FIXED), visible[order])
-
-
-@given(points=tame_clouds())
-def test_a_point_behind_all_others_hides_none_of_them(points):
-    visible = find_visible(points, np.arange(len(points)), STILL, FIXED)
     more = np.concatenate([points, [[0.01, 0.02, 90.0]]])
     np.testing.assert_array_equal(find_visible(more, np.arange(len(more)), STILL, FIXED)[:-1], visible)
-
-
-@given(points=tame_clouds())
-def test_the_unit_of_length_does_not_matter(points):
-    ids = np.arange(len(points))
     in_quarters = VisibilitySettings(
         window_deg=0.5, near_deg=0.3, surface_distance=4 * FIXED.surface_distance, margin=4 * FIXED.margin
     )
     # Powers of two change no digit of any sum.
-    np.testing.assert_array_equal(
-        find_visible(4 * points, ids, STILL, in_quarters), find_visible(points, ids, STILL, FIXED)
-    )
+    np.testing.assert_array_equal(find_visible(4 * points, ids, STILL, in_quarters), visible)

@@ -26,23 +26,38 @@ def largest_distance_px(exact, other, *, columns=200, rows=150):
     return np.nanmax(np.hypot(*(project_unbounded(other, unproject(exact, pixels)) - pixels).T))
 
 
-@pytest.mark.parametrize("camera", [BARREL, FISHEYE, PLAIN], ids=["barrel", "fisheye", "pinhole"])
-def test_a_camera_model_is_found_again_by_its_own_model_and_a_pinhole_by_any_perspective_one(camera):
-    found = fit(camera, camera.model)
-    assert found.largest_px < 1e-6
-    assert found.share == 1
-    assert largest_distance_px(camera, found.camera) < 1e-6
-    if camera is PLAIN:
-        other = fit(PLAIN, "brown_conrady").camera
-        assert [other.fx, other.fy, other.cx, other.cy] == pytest.approx([500.0, 510.0, 318.0, 242.0])
-        assert largest_distance_px(PLAIN, other) < 1e-6
+def test_a_camera_model_is_found_again_by_its_own_model_and_a_pinhole_by_any_perspective_one():
+    for camera in (BARREL, FISHEYE, PLAIN):
+        found = fit(camera, camera.model)
+        assert (found.largest_px, largest_distance_px(camera, found.camera)) == pytest.approx((0, 0), abs=1e-6)
+        assert found.share == 1
+    for model in MODELS:
+        camera = Camera(model, 64, 48, 40.0, 40.0, 31.0, 24.0, (0.0, 40.0) if model == "ftheta" else ())
+        assert fit(camera, model).largest_px < 1e-6
+    other = fit(PLAIN, "brown_conrady").camera
+    assert [other.fx, other.fy, other.cx, other.cy] == pytest.approx([500.0, 510.0, 318.0, 242.0])
+    assert largest_distance_px(PLAIN, other) < 1e-6
+    # distances are measured where both see
+    measured = measured_fit(PLAIN, Camera("pinhole", 640, 480, 500.0, 510.0, 321.0, 246.0))
+    assert (measured.largest_px, measured.rms_px) == pytest.approx((5.0, 5.0))
+    assert (measured.share, len(measured.unheld_pixels)) == (1, 0)
+    # a panorama has no distortion that could be fitted: it stands for nothing but a panorama
+    for model in ("cylindrical", "equirectangular"):
+        assert fit(HALF_ROUND, model).largest_px > 20
+        assert fit(Camera(model, 640, 480, 200.0, 210.0, 310.0, 250.0), model).largest_px < 1e-6
 
 
-def test_a_fisheye_below_eighty_degrees_is_held_by_the_rational_model():
+def test_a_fisheye_below_eighty_degrees_is_held_by_the_rational_model_and_real_cameras_by_a_sphere_without_shift():
     found = fit(FISHEYE, "brown_conrady")
     assert found.largest_px < 0.2
     assert found.share == 1
     assert largest_distance_px(FISHEYE, found.camera) == pytest.approx(found.largest_px, rel=0.2)
+    for focal, numbers in (
+        (1970.0, (-0.5894, 0.66, 0.0011, -0.001, -1.0088)),
+        (930.0, (-0.165, 0.0099, -7.5e-4, 5.4e-5, 0.01)),
+    ):
+        camera_model = Camera("brown_conrady", 1920, 1080, focal, focal, 970.0, 500.0, numbers)
+        assert fit(camera_model, "omnidirectional").largest_px < 0.1
 
 
 def test_the_best_pinhole_for_a_barrel_magnifies_less_than_its_axis():
@@ -56,16 +71,14 @@ def test_the_best_pinhole_for_a_barrel_magnifies_less_than_its_axis():
         assert measured_fit(BARREL, worse).rms_px > found.rms_px
 
 
-def test_numbers_that_are_fixed_stay():
+def test_numbers_that_are_fixed_stay_and_what_they_would_hold_is_taken_over_by_others():
     found = fit(BARREL, "fisheye", fixed=LOCATIONS)
     assert [getattr(found.camera, name) for name in LOCATIONS] == [1200.0, 1205.0, 959.0, 541.0]
     assert found.largest_px > fit(BARREL, "fisheye").largest_px
     without = fit(FISHEYE, "brown_conrady", fixed=("k4", "k5", "k6", *PRISM_AND_TILT)).camera
     assert without.coefficients[5:8] == (0, 0, 0)
     assert without.coefficients[10:] == (0,) * 6
-
-
-def test_prism_terms_that_have_no_location_are_taken_over_by_others():
+    # prism terms that may not be are taken over by others
     prism = Camera("brown_conrady", 1920, 1080, *(1800.0, 1800.0, 959.5, 539.5), (*(0.0,) * 10, 5e-4, 0, -3e-4))
     cut = Camera("brown_conrady", 1920, 1080, 1800.0, 1800.0, 959.5, 539.5)
     found = fit(prism, "brown_conrady", fixed=PRISM_AND_TILT)
@@ -85,62 +98,34 @@ def test_what_looks_behind_the_camera_cannot_be_held_by_a_perspective_model_and_
     assert message.endswith(" % of the image cannot be held")
 
 
-def test_distances_are_measured_where_both_camera_models_see():
-    measured = measured_fit(PLAIN, Camera("pinhole", 640, 480, 500.0, 510.0, 321.0, 246.0))
-    assert (measured.largest_px, measured.rms_px) == pytest.approx((5.0, 5.0))
-    assert (measured.share, len(measured.unheld_pixels)) == (1, 0)
-
-
-@pytest.mark.parametrize(
-    ("camera", "model", "fixed", "error", "message"),
-    [
-        (BARREL, "fisheye", ("xi",), OptionError, "fixed 'xi'; fisheye has fx, fy, cx, cy, k1, k2, k3, k4"),
-        (BARREL, "periscope", (), CalibrationError, "camera model 'periscope'; expected one of pinhole"),
-        (BACKWARDS, "pinhole", (), CalibrationError, "pinhole holds nothing of what the fisheye camera model sees"),
-    ],
-)
-def test_what_cannot_be_fitted_is_refused(camera, model, fixed, error, message):
-    with pytest.raises(error, match=message):
-        fit(camera, model, fixed=fixed)
-
-
 HALF_ROUND = Camera("fisheye", 640, 480, 230.0, 230.0, 319.5, 239.5, (0.02, -0.004))  # 97 degrees at its corners
 
 
-@pytest.mark.parametrize("model", [name for name in MODELS if MODELS[name].chart in (Chart.ANGLE, Chart.SPHERE)])
-def test_models_over_the_angle_or_a_sphere_come_near_to_any_fisheye_and_see_what_lies_behind_the_camera(model):
-    found, over_angle = fit(HALF_ROUND, model), MODELS[model].chart is Chart.ANGLE
-    assert found.share == 1 if over_angle else found.share > 0.99
-    assert found.largest_px < (1.5 if over_angle else 5)  # those of four coefficients for a polynomial of other powers
-    if over_angle:
-        assert largest_distance_px(HALF_ROUND, found.camera) <= 1.01 * found.largest_px + 1e-9
-
-
-@pytest.mark.parametrize("model", ["cylindrical", "equirectangular"])
-def test_a_panorama_stands_for_nothing_but_a_panorama(model):  # it has no distortion that could be fitted
-    assert fit(HALF_ROUND, model).largest_px > 20
-    assert fit(Camera(model, 640, 480, 200.0, 210.0, 310.0, 250.0), model).largest_px < 1e-6
-
-
-def test_asymmetric_terms_are_found_though_they_are_factors_of_one_another():
+def test_models_over_the_angle_or_a_sphere_come_near_to_any_fisheye_and_asymmetric_terms_are_found():
+    for model in [name for name in MODELS if MODELS[name].chart in (Chart.ANGLE, Chart.SPHERE)]:
+        found, over_angle = fit(HALF_ROUND, model), MODELS[model].chart is Chart.ANGLE
+        assert found.share == 1 if over_angle else found.share > 0.99
+        # those of four coefficients for a polynomial of other powers
+        assert found.largest_px < (1.5 if over_angle else 5)
+        if over_angle:
+            assert largest_distance_px(HALF_ROUND, found.camera) <= 1.01 * found.largest_px + 1e-9
+    # asymmetric terms are found, though they are factors of one another
     sides = (0.01, 0.002, 0.0, 0.5, 0.3, -0.2, 0.1, 0.004, 0.0, 0.0, 0.2, 0.3, -0.2, 0.1)
     camera_model = Camera("kannala_brandt18", 640, 480, 270.0, 270.0, 319.5, 239.5, (0.05, -0.02, 0.01, -0.003, *sides))
     assert fit(camera_model, "fisheye").largest_px > 1
     assert fit(camera_model, "kannala_brandt18").largest_px < 1e-3
 
 
-@pytest.mark.parametrize(
-    ("focal", "numbers"),
-    [(1970.0, (-0.5894, 0.66, 0.0011, -0.001, -1.0088)), (930.0, (-0.165, 0.0099, -7.5e-4, 5.4e-5, 0.01))],
-)
-def test_perspective_camera_models_of_real_cameras_are_held_by_a_sphere_without_shift(focal, numbers):
-    camera_model = Camera("brown_conrady", 1920, 1080, focal, focal, 970.0, 500.0, numbers)
-    assert fit(camera_model, "omnidirectional").largest_px < 0.1
-
-
-def test_of_several_models_the_nearest_one_is_taken_and_of_equals_the_first():
+def test_of_several_models_the_nearest_is_taken_of_equals_the_first_and_what_cannot_be_fitted_is_refused():
     assert nearest(FISHEYE, {"pinhole": (), "fisheye": (), "kannala_brandt18": ()}).camera.model == "fisheye"
     assert nearest(BARREL, {"fisheye": (), "brown_conrady": ()}).camera.model == "brown_conrady"
     assert nearest(ALL_AROUND, {"pinhole": (), "mod_kannala": ()}).camera.model == "mod_kannala"
     with pytest.raises(CalibrationError, match="pinhole holds nothing"):
         nearest(BACKWARDS, {"pinhole": ()})
+    for camera, model, fixed, error, message in [
+        (BARREL, "fisheye", ("xi",), OptionError, "fixed 'xi'; fisheye has fx, fy, cx, cy, k1, k2, k3, k4"),
+        (BARREL, "periscope", (), CalibrationError, "camera model 'periscope'; expected one of pinhole"),
+        (BACKWARDS, "pinhole", (), CalibrationError, "pinhole holds nothing of what the fisheye camera model sees"),
+    ]:
+        with pytest.raises(error, match=message):
+            fit(camera, model, fixed=fixed)

@@ -34,7 +34,11 @@ def test_rotations_are_those_of_scipy_for_quaternions_of_any_length(quaternions)
     rotations, vectors = Rotation.from_quat(quaternions), np.random.default_rng(2).normal(size=(len(quaternions), 3))
     matrices, units, products = rotations.as_matrix(), rotations.as_quat(), rotations * rotations[::-1]
     assert np.abs(rigid.matrix_from_quaternion(quaternions) - matrices).max() < ROUNDING
-    assert np.abs(rigid.rotate_vectors(quaternions, vectors) - rotations.apply(vectors)).max() < ROUNDING
+    rotated = rigid.rotate_vectors(quaternions, vectors)
+    assert np.abs(rotated - rotations.apply(vectors)).max() < ROUNDING
+    # one rotates many, and many rotate one
+    assert np.allclose(rigid.rotate_vectors(quaternions[3], vectors)[3], rotated[3])
+    assert np.allclose(rigid.rotate_vectors(quaternions, vectors[3])[3], rotated[3])
     found = rigid.quaternion_from_matrix(matrices)
     assert (found[:, 3] >= 0).all()
     for one, expected in (
@@ -43,13 +47,6 @@ def test_rotations_are_those_of_scipy_for_quaternions_of_any_length(quaternions)
         (rigid.conjugate_quaternion(units), rotations.inv().as_quat()),
     ):
         assert same_rotation(one, expected).max() < ROUNDING
-
-
-def test_one_quaternion_rotates_many_vectors_and_many_rotate_one():
-    vectors, rotations = np.random.default_rng(3).normal(size=(5, 3)), np.random.default_rng(4).normal(size=(5, 4))
-    rotate = rigid.rotate_vectors
-    assert np.allclose(rotate(QUARTER_LEFT, vectors)[3], rotate(QUARTER_LEFT, vectors[3]))
-    assert np.allclose(rotate(rotations, vectors[0])[4], rotate(rotations[4], vectors[0]))
 
 
 def test_rotation_vectors_are_those_of_scipy_and_keep_all_their_digits(quaternions):
@@ -63,7 +60,7 @@ def test_rotation_vectors_are_those_of_scipy_and_keep_all_their_digits(quaternio
     assert np.allclose(back, tiny, rtol=1e-14)
 
 
-def test_slerp_is_that_of_scipy_inside_and_beyond_both_ends(quaternions):
+def test_slerp_is_that_of_scipy_inside_and_beyond_both_ends_and_keeps_the_digits_of_angles(quaternions):
     a, b = quaternions[:150], quaternions[150:300]
     for fraction in (0.0, 1e-9, 0.3, 0.999, 1.0):
         expected = [Slerp([0, 1], Rotation.from_quat([p, q]))(fraction).as_quat() for p, q in zip(a, b, strict=True)]
@@ -71,57 +68,38 @@ def test_slerp_is_that_of_scipy_inside_and_beyond_both_ends(quaternions):
         assert angle_between(slerp(a, b, fraction), np.array(expected)).max() < 1e-12
     expected = Rotation.from_euler("z", [[-90], [180]], degrees=True).as_quat()
     assert same_rotation(slerp([0, 0, 0, 1], QUARTER_LEFT, [-1.0, 2.0]), expected).max() < ROUNDING
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-100, 1e-12, np.pi - 1e-12, np.pi])
-def test_slerp_rotates_at_constant_speed_near_no_rotation_and_near_half_a_rotation(angle):
-    start, stop = rigid.quaternion_from_rotation_vector([[0.0, 0, 0], [0, angle, 0]])
-    rotated = angle_between(start, slerp(start, stop, np.linspace(0, 1, 11)))
-    assert np.allclose(rotated, np.linspace(0, angle, 11), rtol=1e-12, atol=ROUNDING * angle)
-
-
-def test_angles_between_rotations_keep_their_digits_where_the_arc_cosine_does_not():
+    # at constant speed near no rotation and near half a rotation
+    for angle in (0.0, 1e-100, 1e-12, np.pi - 1e-12, np.pi):
+        start, stop = rigid.quaternion_from_rotation_vector([[0.0, 0, 0], [0, angle, 0]])
+        rotated = angle_between(start, slerp(start, stop, np.linspace(0, 1, 11)))
+        assert np.allclose(rotated, np.linspace(0, angle, 11), rtol=1e-12, atol=ROUNDING * angle)
     start, stop = rigid.quaternion_from_rotation_vector([[0.0, 0, 0], [1e-12, 0, 0]])
     assert angle_between(start, stop) == pytest.approx(1e-12, rel=1e-3)  # the quaternion's own rounding
     assert angle_between(start, -start) == 0.0
 
 
-def test_a_rounded_rotation_is_brought_back_and_its_error_reported():
+def test_a_rounded_rotation_is_brought_back_to_the_nearest_and_its_error_reported():
     rotation = Rotation.from_euler("xyz", [0.1, -0.4, 2.0]).as_matrix()
     rounded = np.round(rotation, 3)
     found, error = rigid.nearest_rotation(rounded)
     assert np.abs(found @ found.T - np.eye(3)).max() < ROUNDING
-    assert np.linalg.det(found) == pytest.approx(1.0)
     assert error == pytest.approx(np.abs(rounded @ rounded.T - np.eye(3)).max())
     assert np.abs(found - rotation).max() < 1e-3  # no farther from the truth than the rounding took it
     # a mirror is no rotation however orthonormal it is
-    found, error = rigid.nearest_rotation(np.diag([1.0, 1.0, -1.0]))
+    mirrored, error = rigid.nearest_rotation(np.diag([1.0, 1.0, -1.0]))
     assert error == np.inf
-    assert np.linalg.det(found) == pytest.approx(1.0)
-
-
-def test_the_nearest_rotation_is_nearer_than_its_neighbours():
+    assert np.linalg.det([found, mirrored]) == pytest.approx(1.0)
     matrix = Rotation.from_rotvec([0.3, 0.2, -1]).as_matrix() + 0.05 * np.random.default_rng(5).normal(size=(3, 3))
     found, _ = rigid.nearest_rotation(matrix)
     for step in np.vstack([np.eye(3), -np.eye(3)]) * 1e-4:
         neighbour = found @ Rotation.from_rotvec(step).as_matrix()
         assert np.linalg.norm(matrix - found) < np.linalg.norm(matrix - neighbour)
-
-
-@pytest.mark.parametrize(
-    ("function", "value", "error", "message"),
-    [
-        (rigid.nearest_rotation, np.full((3, 3), np.nan), CalibrationError, "expected 3x3 finite numbers"),
-        (rigid.nearest_rotation, np.eye(4), CalibrationError, "expected 3x3 finite numbers"),
-        (rigid.nearest_rotation, [[1, 2], [3, 4]], CalibrationError, "expected 3x3 finite numbers"),
-        (rigid.matrix_from_quaternion, [[0, 0, 0, 1], [0, 0, 0, 0]], ArrayError, "expected a rotation"),
-        (rigid.rotation_vector_from_quaternion, [0, 0, 0, 0], ArrayError, "expected a rotation"),
-        (rigid.matrix_from_quaternion, [0, 0, 1], ArrayError, r"expected \(\.\.\., 4\)"),
-    ],
-)
-def test_what_is_no_rotation_is_refused(function, value, error, message):
-    with pytest.raises(error, match=message):
-        function(value)
+    rounded = np.round(WORLD_FROM_EGO.matrix, 4)
+    transform, error = RigidTransform.nearest(rounded)
+    assert 1e-6 < error < 1e-3
+    assert np.abs(transform.matrix - WORLD_FROM_EGO.matrix).max() < 1e-4  # half a unit of the fourth decimal, some
+    assert np.array_equal(transform.translation, rounded[:3, 3])
+    assert RigidTransform.nearest(np.diag([1.0, -1, 1, 1]))[1] == np.inf
 
 
 def test_missing_rotations_stay_missing_without_a_warning_and_extreme_lengths_are_normalised():
@@ -142,21 +120,14 @@ EGO_FROM_LIDAR = RigidTransform.from_quaternion(np.array([0.0, 0, 2]), np.array(
 POINTS = np.random.default_rng(0).normal(size=(7, 3))
 
 
-def test_points_are_rotated_then_moved_and_directions_rotated_only():
+def test_a_transform_moves_points_rotates_directions_and_comes_back_from_its_parts_and_other_processes():
     assert np.allclose(WORLD_FROM_EGO.apply(POINTS), np.add(ROTATION.apply(POINTS), [10, 20, 0.5]), atol=1e-14)
     assert np.allclose(WORLD_FROM_EGO.rotate(POINTS), ROTATION.apply(POINTS), atol=1e-14)
     assert np.array_equal(RigidTransform.identity().apply(POINTS), POINTS)
-
-
-def test_frames_chain_as_their_names_state_and_the_inverse_undoes():
     world_from_lidar = WORLD_FROM_EGO @ EGO_FROM_LIDAR
     assert np.allclose(world_from_lidar.apply(POINTS), WORLD_FROM_EGO.apply(EGO_FROM_LIDAR.apply(POINTS)))
     assert np.allclose(world_from_lidar.matrix, WORLD_FROM_EGO.matrix @ EGO_FROM_LIDAR.matrix)
-    assert np.allclose((WORLD_FROM_EGO.inverse() @ WORLD_FROM_EGO).matrix, np.eye(4), atol=1e-14)
     np.testing.assert_array_equal(WORLD_FROM_EGO.inverse_matrix, WORLD_FROM_EGO.inverse().matrix)
-
-
-def test_a_transform_comes_back_from_position_and_quaternion_from_three_rows_and_from_another_process():
     again = RigidTransform.from_quaternion(WORLD_FROM_EGO.translation, WORLD_FROM_EGO.quaternion_xyzw)
     found, error = RigidTransform.nearest(WORLD_FROM_EGO.matrix[:3])
     assert error < 1e-14
@@ -167,29 +138,32 @@ def test_a_transform_comes_back_from_position_and_quaternion_from_three_rows_and
         WORLD_FROM_EGO.translation[0] = 1.0
 
 
-def test_a_rounded_matrix_becomes_rigid_and_its_error_is_reported():
-    rounded = np.round(WORLD_FROM_EGO.matrix, 4)
-    found, error = RigidTransform.nearest(rounded)
-    assert 1e-6 < error < 1e-3
-    assert np.abs(found.matrix - WORLD_FROM_EGO.matrix).max() < 1e-4  # half a unit of the fourth decimal, some
-    assert np.array_equal(found.translation, rounded[:3, 3])
-    assert RigidTransform.nearest(np.diag([1.0, -1, 1, 1]))[1] == np.inf
-
-
 @pytest.mark.parametrize(
-    ("make", "values", "message"),
+    ("make", "values", "error", "message"),
     [
-        (RigidTransform.nearest, (np.eye(3),), "4x4 or 3x4"),
-        (RigidTransform.nearest, (np.full((4, 4), np.inf),), "finite"),
-        (RigidTransform.nearest, (WORLD_FROM_EGO.matrix.T,), "last row"),
-        (RigidTransform, (1.00001 * np.eye(3), np.zeros(3)), "orthonormal right-handed"),
-        (RigidTransform, (np.diag([1.0, 1, -1]), np.zeros(3)), "orthonormal right-handed"),
-        (RigidTransform, (np.full((3, 3), np.nan), np.zeros(3)), "orthonormal right-handed"),
-        (RigidTransform, (np.eye(3), np.array([0, np.nan, 0])), "orthonormal right-handed"),
+        *(
+            (rigid.nearest_rotation, (wrong,), CalibrationError, "expected 3x3 finite numbers")
+            for wrong in (np.full((3, 3), np.nan), np.eye(4), [[1, 2], [3, 4]])
+        ),
+        (rigid.matrix_from_quaternion, ([[0, 0, 0, 1], [0, 0, 0, 0]],), ArrayError, "expected a rotation"),
+        (rigid.rotation_vector_from_quaternion, ([0, 0, 0, 0],), ArrayError, "expected a rotation"),
+        (rigid.matrix_from_quaternion, ([0, 0, 1],), ArrayError, r"expected \(\.\.\., 4\)"),
+        (RigidTransform.nearest, (np.eye(3),), CalibrationError, "4x4 or 3x4"),
+        (RigidTransform.nearest, (np.full((4, 4), np.inf),), CalibrationError, "finite"),
+        (RigidTransform.nearest, (WORLD_FROM_EGO.matrix.T,), CalibrationError, "last row"),
+        *(
+            (RigidTransform, (rotation, np.array(translation)), CalibrationError, "orthonormal right-handed")
+            for rotation, translation in (
+                (1.00001 * np.eye(3), [0.0, 0.0, 0.0]),
+                (np.diag([1.0, 1, -1]), [0.0, 0.0, 0.0]),
+                (np.full((3, 3), np.nan), [0.0, 0.0, 0.0]),
+                (np.eye(3), [0.0, np.nan, 0.0]),
+            )
+        ),
     ],
 )
-def test_what_is_not_rigid_is_refused(make, values, message):
-    with pytest.raises(CalibrationError, match=message):
+def test_what_is_no_rotation_or_not_rigid_is_refused(make, values, error, message):
+    with pytest.raises(error, match=message):
         make(*values)
 
 
@@ -214,23 +188,17 @@ def slow_pose(times, positions, quaternions, query):
     return position, Slerp([0, 1], Rotation.from_quat(quaternions[k : k + 2]))(fraction).as_quat()
 
 
-def test_poses_between_are_those_of_a_slow_oracle_and_at_its_own_times_the_paths(path):
+def test_poses_between_are_those_of_a_slow_oracle(path):
     queries = np.random.default_rng(1).integers(path[0][0], path[0][-1], 300)
     positions, quaternions, coverage = interpolate_poses(*path, queries)
     expected = [slow_pose(*path, query) for query in queries]
     assert np.allclose(positions, [p for p, _ in expected], atol=1e-12)  # 1e-16 of 100 m, some operations
     assert angle_between(quaternions, np.array([q for _, q in expected])).max() < 1e-12
     assert (coverage == 0).all()
-    positions, quaternions, coverage = interpolate_poses(*path, path[0])
-    assert np.allclose(positions, path[1], rtol=1e-15)
-    assert angle_between(quaternions, path[2]).max() < 1e-15
-    assert (coverage == 0).all()
-
-
-def test_a_nanosecond_counts_at_todays_epoch():
+    # a nanosecond counts at today's epoch: float64 seconds would resolve 238 ns
     times, positions = EPOCH_NS + np.array([0, 1000]), np.array([[0.0, 0, 0], [1000.0, 0, 0]])
     found, _, _ = interpolate_poses(times, positions, np.tile([0.0, 0, 0, 1], (2, 1)), times[:1] + 1)
-    assert found[0, 0] == 1.0  # float64 seconds would resolve 238 ns
+    assert found[0, 0] == 1.0
 
 
 def test_beyond_the_ends_velocity_and_rotating_go_on_as_far_as_the_reach(path):
@@ -248,28 +216,22 @@ def test_beyond_the_ends_velocity_and_rotating_go_on_as_far_as_the_reach(path):
     # without reach nothing beyond the ends is given
     positions, quaternions, coverage = interpolate_poses(*path, np.array([path[0][0] - 1, path[0][-1] + 1]))
     assert coverage.tolist() == [2, 2]
-    assert np.isnan(positions).all()
-    assert np.isnan(quaternions).all()
-
-
-def test_a_path_of_one_pose_is_stationary_within_its_reach():
+    assert np.isnan(np.hstack([positions, quaternions])).all()
+    # a path of one pose is stationary within its reach
     position, quaternion, queries = [1.0, 2, 3], [0.0, 0, 0, 1], np.array([30, 49, 50, 60, 61])
     positions, quaternions, coverage = interpolate_poses(
         np.array([50]), np.array([position]), np.array([quaternion]), queries, reach_ns=10
     )
     assert coverage.tolist() == [2, 1, 0, 1, 2]
-    assert np.array_equal(positions[1:4], [position] * 3)
-    assert np.array_equal(quaternions[1:4], [quaternion] * 3)
-
-
-def test_times_at_the_edge_of_64_bits_are_out_of_reach_and_do_not_wrap(path):
+    assert np.array_equal(np.hstack([positions, quaternions])[1:4], [position + quaternion] * 3)
+    # times at the edge of 64 bits are out of reach and do not wrap
     edges = np.array([np.iinfo(np.int64).min, np.iinfo(np.int64).max])
     coverages = [interpolate_poses(*path, edges, reach_ns=reach)[2].tolist() for reach in (0, SECOND_NS, edges[1])]
     assert coverages[:2] == [[2, 2], [2, 2]]
     assert coverages[2][0] == 2
 
 
-def test_quaternions_that_are_not_quite_unit_come_out_unit_and_the_inputs_are_left_alone(path):
+def test_quaternions_come_out_unit_inputs_are_left_alone_and_an_empty_path_is_refused(path):
     before = [array.copy() for array in path]
     queries = path[0] + 5
     for array in (*path, queries):
@@ -278,9 +240,6 @@ def test_quaternions_that_are_not_quite_unit_come_out_unit_and_the_inputs_are_le
     assert all(np.array_equal(a, b) for a, b in zip(before, path, strict=True))
     _, quaternions, _ = interpolate_poses(path[0], path[1], 1.005 * path[2], path[0][:1] + 7)
     assert np.linalg.norm(quaternions[0]) == pytest.approx(1.0, abs=1e-15)
-
-
-def test_no_question_gets_no_answer_and_an_empty_path_is_refused(path):
     found = interpolate_poses(*path, np.zeros(0, np.int64))
     assert [array.shape for array in found] == [(0, 3), (0, 4), (0,)]
     with pytest.raises(ArrayError, match="at least one"):
@@ -293,7 +252,6 @@ NEARLY = 1 + 1e-6  # two slerps of nearly one axis do not differ quite linearly 
 
 
 def dense_path(positions, rotation_vectors=None):
-    """A path with a pose every 5 ms."""
     vectors = np.zeros((len(positions), 3)) if rotation_vectors is None else rotation_vectors
     return np.arange(len(positions)) * STEP_NS, positions, rigid.quaternion_from_rotation_vector(vectors)
 
@@ -333,67 +291,44 @@ def test_the_thinned_path_stays_within_the_tolerances(make, every):
     assert angle <= ROTATION_TOLERANCE * NEARLY
 
 
-def corner():
+def test_a_straight_drive_needs_no_further_poses_and_a_corner_or_a_turn_on_the_spot_one():
     along, across = np.minimum(np.arange(1001), 500.0), np.maximum(np.arange(1001) - 500.0, 0.0)
-    return dense_path(np.column_stack([along, across, 0 * along]) * 0.1)
+    corner = dense_path(np.column_stack([along, across, 0 * along]) * 0.1)
+    turn = dense_path(np.zeros((401, 3)), np.outer(np.abs(np.arange(401) - 200) * 0.001, [0, 0, 1]))
+    for dense, kept in ((straight_path(5000), []), (corner, [500]), (turn, [200])):
+        assert thin_poses(*dense, dense[0][[0, -1]]).tolist() == kept
+    for count, kept in ((1, 0), (2, 1)):
+        dense = trembling_path(count)
+        assert len(thin_poses(*dense, np.array([-7, 3, 10**10]))) == kept
+        assert len(thin_poses(*dense, dense[0])) == 0
 
 
-def switch():
-    return dense_path(np.zeros((401, 3)), np.outer(np.abs(np.arange(401) - 200) * 0.001, [0, 0, 1]))
-
-
-@pytest.mark.parametrize(
-    ("dense", "kept"), [(straight_path(5000), []), (corner(), [500]), (switch(), [200])], ids=["line", "corner", "turn"]
-)
-def test_a_straight_drive_needs_no_further_poses_and_a_corner_or_a_turn_on_the_spot_one(dense, kept):
-    assert thin_poses(*dense, dense[0][[0, -1]]).tolist() == kept
-
-
-def test_a_smooth_curve_needs_about_as_few_poses_as_the_theory_says():
+def test_thinned_paths_stay_within_tolerances_with_few_poses_on_smooth_curves_and_staircases():
     radius, speed = 50.0, 10.0
     angle = np.arange(4001) * 0.005 * speed / radius
     dense = dense_path(radius * np.column_stack([np.sin(angle), 1 - np.cos(angle), 0 * angle]))
     fewest = angle[-1] / (2 * np.sqrt(2 * POSITION_TOLERANCE / radius))  # chords whose arcs bulge by the tolerance
     extra = thin_poses(*dense, dense[0][[0, -1]])
     assert fewest * 0.9 < len(extra) < fewest * 2.1  # halving lands at most one halving below the best length
+    # a staircase of ever larger steps is split in few levels
+    positions = np.zeros((20_000, 3))
+    positions[:, 0] = np.exp(np.linspace(0, 12, 20_000)) * (np.arange(20_000) % 2)  # the worst is always the last
+    dense = dense_path(positions)
+    distance, _ = deviation(dense, dense[0][[0, -1]], thin_poses(*dense, dense[0][[0, -1]]))
+    assert distance <= POSITION_TOLERANCE * NEARLY
 
 
-def test_poses_at_required_times_and_outside_them_are_not_repeated():
+def test_poses_at_required_times_in_any_order_are_not_repeated_and_wider_tolerances_need_fewer():
     dense = trembling_path(100)
     required = dense[0][20:80:10]
     extra = thin_poses(*dense, required)
     assert 20 < extra.min() < extra.max() < 70
     assert not np.isin(dense[0][extra], required).any()
     assert (np.diff(extra) > 0).all()
-
-
-def test_wider_tolerances_need_fewer_poses():
     dense = winding_path(2000)
-    fine, coarse = (
-        thin_poses(*dense, dense[0][[0, -1]], **tolerances)
-        for tolerances in ({}, {"position_tolerance": 0.05, "rotation_tolerance": np.radians(1)})
-    )
-    assert 0 < len(coarse) < len(fine) < 2000
-
-
-def test_required_times_come_in_any_order_more_than_once_or_are_the_ends():
-    dense = winding_path(500)
-    required = dense[0][::50]
+    ends, required = dense[0][[0, -1]], dense[0][::200]
     shuffled = np.random.default_rng(0).permutation(np.repeat(required, 2))
-    for given, meant in ((shuffled, required), (required[:0], dense[0][[0, -1]])):
+    for given, meant in ((shuffled, required), (required[:0], ends)):
         assert np.array_equal(thin_poses(*dense, given), thin_poses(*dense, meant))
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_paths_of_one_and_two_poses_need_nothing_more(count):
-    dense = trembling_path(count)
-    assert len(thin_poses(*dense, np.array([-7, 3, 10**10]))) == (1 if count == 2 else 0)
-    assert len(thin_poses(*dense, dense[0])) == 0
-
-
-def test_a_staircase_of_ever_larger_steps_is_split_in_few_levels():
-    positions = np.zeros((20_000, 3))
-    positions[:, 0] = np.exp(np.linspace(0, 12, 20_000)) * (np.arange(20_000) % 2)  # the worst is always the last
-    dense = dense_path(positions)
-    distance, _ = deviation(dense, dense[0][[0, -1]], thin_poses(*dense, dense[0][[0, -1]]))
-    assert distance <= POSITION_TOLERANCE * NEARLY
+    coarse = thin_poses(*dense, ends, position_tolerance=0.05, rotation_tolerance=np.radians(1))
+    assert 0 < len(coarse) < len(thin_poses(*dense, ends)) < 2000

@@ -105,40 +105,38 @@ def test_times_from_zero_in_a_wrong_unit_are_brought_to_the_timestamp(clock: int
     np.testing.assert_allclose(repaired, relative, rtol=0, atol=coarse / 2)
 
 
-def test_microseconds_of_today_read_as_nanoseconds_are_exact_again() -> None:
-    micros = EPOCH // 1000 + times_of_sweep() // 1000
-    timed = judged(EPOCH, micros)
-    assert (timed.verdict, timed.found.factor) == (PointTimes.WRONG_UNIT, Fraction(1, 1000))
-    np.testing.assert_array_equal(timed.frame.points.timestamps_ns, micros * 1000)
-
-
-def test_another_clock_is_set_by_the_first_point() -> None:
+def test_another_clock_is_set_by_the_first_point_and_times_that_fit_nothing_are_left_out() -> None:
     since_boot = 123_456_000_000_000 + times_of_sweep()
     timed = judged(EPOCH, since_boot)
     assert timed.verdict is PointTimes.OTHER_CLOCK
     np.testing.assert_array_equal(timed.frame.points.timestamps_ns, EPOCH + times_of_sweep())
+    for span in [PERIOD // 300, 17 * PERIOD, 40_000 * PERIOD]:
+        timed = judged(EPOCH, 123_456_000_000_000 + times_of_sweep(span=span))
+        assert (timed.verdict, timed.found.untimed) == (PointTimes.UNKNOWN, True)
+        assert timed.frame.points.timestamps_ns is None
+    micros = EPOCH // 1000 + times_of_sweep() // 1000
+    timed = judged(EPOCH, micros)
+    assert (timed.verdict, timed.found.factor) == (PointTimes.WRONG_UNIT, Fraction(1, 1000))
+    np.testing.assert_array_equal(timed.frame.points.timestamps_ns, micros * 1000)
+    # long scans, unknown periods and extreme times
+    assert judged(EPOCH, EPOCH + times_of_sweep(span=1000 * PERIOD)).verdict is PointTimes.ABSOLUTE
+    # an unknown period is taken to be a tenth of a second
+    assert timed_frame(sweep(EPOCH, times_of_sweep()), 0).verdict is PointTimes.RELATIVE
+    extremes = np.array([-(2**63), 2**63 - 1] * 50, np.int64)
+    assert judged(EPOCH, extremes).verdict is PointTimes.UNKNOWN
+    assert judged(-EPOCH, np.full(3, 2**63 - 1)).verdict is PointTimes.EQUAL
 
 
-@pytest.mark.parametrize("span", [PERIOD // 300, 17 * PERIOD, 40_000 * PERIOD])
-def test_times_that_fit_nothing_are_left_out(span: int) -> None:
-    timed = judged(EPOCH, 123_456_000_000_000 + times_of_sweep(span=span))
-    assert (timed.verdict, timed.found.untimed) == (PointTimes.UNKNOWN, True)
-    assert timed.frame.points.timestamps_ns is None
-
-
-@pytest.mark.parametrize("stray", [0, EPOCH - 50 * PERIOD, 2**62])
-def test_a_few_points_of_some_other_time_get_that_of_their_sweep(stray: int) -> None:
-    true = EPOCH + times_of_sweep()
-    times = true.copy()
-    times[[3, 500, 999]] = stray
-    timed = judged(EPOCH, times)
-    assert timed.found == TimesFound(strays=3)
-    repaired = timed.frame.points.timestamps_ns
-    np.testing.assert_array_equal(np.delete(repaired, [3, 500, 999]), np.delete(true, [3, 500, 999]))
-    assert np.abs(repaired[[3, 500, 999]] - (EPOCH + PERIOD // 2)).max() < PERIOD // 100
-
-
-def test_strays_do_not_hide_a_wrong_unit_nor_times_from_zero() -> None:
+def test_strays_get_the_time_of_their_sweep_and_hide_neither_a_wrong_unit_nor_times_from_zero() -> None:
+    for stray in [0, EPOCH - 50 * PERIOD, 2**62]:
+        true = EPOCH + times_of_sweep()
+        times = true.copy()
+        times[[3, 500, 999]] = stray
+        timed = judged(EPOCH, times)
+        assert timed.found == TimesFound(strays=3)
+        repaired = timed.frame.points.timestamps_ns
+        np.testing.assert_array_equal(np.delete(repaired, [3, 500, 999]), np.delete(true, [3, 500, 999]))
+        assert np.abs(repaired[[3, 500, 999]] - (EPOCH + PERIOD // 2)).max() < PERIOD // 100
     relative = times_of_sweep()
     for factor, kind in ((1, PointTimes.RELATIVE), (1000, PointTimes.WRONG_UNIT)):
         times = relative * factor
@@ -149,36 +147,24 @@ def test_strays_do_not_hide_a_wrong_unit_nor_times_from_zero() -> None:
         np.testing.assert_array_equal(kept, np.delete(relative, [3, 500]) + EPOCH)
 
 
-@pytest.mark.parametrize("factor", [1, Fraction(1, 1000), 1000])
-def test_a_drive_from_zero_on_is_read_alike_throughout(factor: Fraction) -> None:
-    """Sweep 1 alone could be absolute, timestamped at its end; the sweep before reports that the times do not go on."""
-    relative, previous = times_of_sweep(), None
-    for k in range(20):
-        timed = judged(k * PERIOD, in_unit(relative, Fraction(factor)), previous)
-        previous = timed.raw
-        if k > 0:  # nothing comes before the first, where counting from the timestamp is counting from zero
-            atol = 500 if factor < 1 else 0
-            np.testing.assert_allclose(timed.frame.points.timestamps_ns, relative + k * PERIOD, rtol=0, atol=atol)
-
-
-@pytest.mark.parametrize("late", [0, PERIOD, 5 * PERIOD])
-def test_a_drive_from_zero_on_that_is_timestamped_late_is_believed(late: int) -> None:
-    previous = None
-    for k in range(20):
-        frame = sweep(k * PERIOD + late, k * PERIOD + times_of_sweep())
-        timed = timed_frame(frame, PERIOD, previous=previous)
-        previous = timed.raw
-        if k > 0 or late < 2 * PERIOD:
-            assert timed.frame is frame
-
-
-def test_long_scans_unknown_periods_and_extreme_times_are_judged() -> None:
-    assert judged(EPOCH, EPOCH + times_of_sweep(span=1000 * PERIOD)).verdict is PointTimes.ABSOLUTE
-    # an unknown period is taken to be a tenth of a second
-    assert timed_frame(sweep(EPOCH, times_of_sweep()), 0).verdict is PointTimes.RELATIVE
-    extremes = np.array([-(2**63), 2**63 - 1] * 50, np.int64)
-    assert judged(EPOCH, extremes).verdict is PointTimes.UNKNOWN
-    assert judged(-EPOCH, np.full(3, 2**63 - 1)).verdict is PointTimes.EQUAL
+def test_a_drive_from_zero_on_is_read_alike_throughout_and_one_that_is_timestamped_late_believed() -> None:
+    for factor in [1, Fraction(1, 1000), 1000]:
+        # Sweep 1 alone could be absolute, timestamped at its end; the sweep before says that the times do not go on.
+        relative, previous = times_of_sweep(), None
+        for k in range(20):
+            timed = judged(k * PERIOD, in_unit(relative, Fraction(factor)), previous)
+            previous = timed.raw
+            if k > 0:  # nothing comes before the first, where counting from the timestamp is counting from zero
+                atol = 500 if factor < 1 else 0
+                np.testing.assert_allclose(timed.frame.points.timestamps_ns, relative + k * PERIOD, rtol=0, atol=atol)
+    for late in [0, PERIOD, 5 * PERIOD]:
+        previous = None
+        for k in range(20):
+            frame = sweep(k * PERIOD + late, k * PERIOD + times_of_sweep())
+            timed = timed_frame(frame, PERIOD, previous=previous)
+            previous = timed.raw
+            if k > 0 or late < 2 * PERIOD:
+                assert timed.frame is frame
 
 
 def test_everything_but_sound_and_absent_times_is_reported_once() -> None:

@@ -7,7 +7,6 @@ from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 @pytest.fixture(scope="session")
 def drive():
-    """A drive of eight sweeps with a coarse lidar and the default camera."""
     return simulate_street(3, frames=8, lidar=LidarSpec(beams=32, steps=600))
 
 

@@ -61,16 +61,16 @@ def moving(designs, curves, *, start_ns=0, first_knot=-4.0, spans=None):
     return pack_movers(things, designs, np.array(curves), start_ns=start_ns, first_knot=first_knot, knot_step=0.5)
 
 
-def in_unit_body(kind, points):
-    """Which of (..., 3) points lie strictly inside a unit body, written from its description."""
+def excess(kind, points):
+    """How far outside a unit body (..., 3) points are, as a factor of its size: 1 on the surface."""
     x, y, z = np.moveaxis(np.abs(points), -1, 0)
     height = points[..., 2]
     return {
-        ShapeKind.BOX: (x < 1) & (y < 1) & (z < 1),
-        ShapeKind.CYLINDER: (x**2 + y**2 < 1) & (z < 1),
-        ShapeKind.ELLIPSOID: x**2 + y**2 + z**2 < 1,
+        ShapeKind.BOX: np.maximum.reduce([x, y, z]),
+        ShapeKind.CYLINDER: np.maximum(np.hypot(x, y), z),
+        ShapeKind.ELLIPSOID: np.linalg.norm(points, axis=-1),
         # The walls of a roof lean from the full width at its foot (z = -1) to nothing at its ridge (z = 1).
-        ShapeKind.GABLE: (x < 1) & (z < 1) & (y < (1 - height) / 2),
+        ShapeKind.GABLE: np.maximum.reduce([x, y + 0.5 * height + 0.5, -height]),
     }[ShapeKind(kind)]
 
 
@@ -80,7 +80,7 @@ def instances_inside(packed, points):
     for k in range(len(packed)):
         near = np.flatnonzero(np.linalg.norm(points - packed.spheres[k, :3], axis=1) < packed.spheres[k, 3])
         local = points[near] @ packed.maps[k, :, :3].T + packed.maps[k, :, 3]
-        found[near[in_unit_body(packed.kinds[k], local)]] = packed.instances[k]
+        found[near[excess(packed.kinds[k], local) < 1]] = packed.instances[k]
     return found
 
 
@@ -104,7 +104,7 @@ def _range_to(shape, origin, direction, reach, *, steps=8000):
     """Walk along a ray until it is inside a shape, then halve the last step 50 times; infinity where it never is."""
 
     def inside(points):
-        return in_unit_body(shape.kind, shape.pose.inverse().apply(points) / np.array(shape.half))
+        return excess(shape.kind, shape.pose.inverse().apply(points) / np.array(shape.half)) < 1
 
     middle = float((shape.pose.translation - origin) @ direction)
     radius = float(np.linalg.norm(shape.half)) * 1.01

@@ -1,5 +1,6 @@
 """Whole drives: their sensors and clocks, their truth, files of them, and the numbers that a seed has always given."""
 
+import math
 import pickle
 import re
 from pathlib import Path
@@ -20,27 +21,22 @@ from sceneloom.scene import CameraSensor, GnssSensor, ImuSensor, LidarSensor, Po
 from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import simulate_street
 from sceneloom.simulate.drive import gnss_sensor, imu_sensor, imu_truth
-from sceneloom.simulate.trajectory import plan_path
 
 SMALL = sim.LidarSpec(beams=8, steps=200)
-
 TINY = Camera("pinhole", 40, 30, 30.0, 30.0, 19.5, 14.5)
 
 
-def test_a_drive_has_the_sensors_of_a_recording(drive):
+def test_a_drive_has_the_sensors_of_a_recording_which_follow_each_other_ten_times_a_second(drive):
     scene = drive.scene
     assert scene.format == "simulated"
     assert [(sensor.id, type(sensor)) for sensor in scene.sensors] == [
         ("lidar", LidarSensor), ("camera0", CameraSensor), ("imu", ImuSensor), ("gnss", GnssSensor)
     ]  # fmt: skip
-    assert scene.lidars[0].points_frame is PointsFrame.SENSOR
+    (lidar,), (camera,) = scene.lidars, scene.cameras
+    assert lidar.points_frame is PointsFrame.SENSOR
     assert list(scene.trajectories) == ["groundTruth"]
     assert scene.sensor("imu").type is SensorType.IMU
     assert set(scene.sensor("imu").streams) == {"accelerometer", "gyroscope"}
-
-
-def test_sweeps_and_images_follow_each_other_ten_times_a_second(drive):
-    lidar, camera = drive.scene.lidars[0], drive.scene.cameras[0]
     np.testing.assert_array_equal(lidar.frames.timestamps_ns, 1_000_000_000 + 100_000_000 * np.arange(8))
     np.testing.assert_array_equal(camera.images.timestamps_ns - lidar.frames.timestamps_ns, 50_000_000)
     assert [frame.timestamp_ns for frame in lidar.frames] == lidar.frames.timestamps_ns.tolist()
@@ -51,44 +47,34 @@ def test_sweeps_and_images_follow_each_other_ten_times_a_second(drive):
     ahead = points.positions[:, 0] > 5 * np.abs(points.positions[:, 1])
     assert np.abs(points.timestamps_ns[ahead] - image_ns).max() < 4_000_000
     # The IMU keeps a clock of its own.
-    imu_ns = drive.scene.sensor("imu").streams["gyroscope"].timestamps_ns
+    imu_ns = scene.sensor("imu").streams["gyroscope"].timestamps_ns
     assert not np.isin(imu_ns, camera.images.timestamps_ns).any()
 
 
-@pytest.mark.parametrize("name", ["drive", "rich"])
-def test_trajectory_imu_and_gnss_reach_beyond_every_sweep_and_image(name, request):
-    scene = request.getfixturevalue(name).scene
-    first = scene.lidars[0].frames[0].timestamp_ns
-    last = max(int(lidar.frames[-1].points.timestamps_ns[-1]) for lidar in scene.lidars)
-    for times in (
-        scene.trajectories["groundTruth"].timestamps_ns,
-        scene.sensor("gnss").timestamps_ns,
-        *(stream.timestamps_ns for stream in scene.sensor("imu").streams.values()),
-    ):
-        assert times[0] < first < last < times[-1]
-        assert (np.diff(times) > 0).all()
+def test_trajectory_imu_and_gnss_reach_beyond_every_sweep_and_image(drive, rich):
+    for scene in (drive.scene, rich.scene):
+        first = scene.lidars[0].frames[0].timestamp_ns
+        last = max(int(lidar.frames[-1].points.timestamps_ns[-1]) for lidar in scene.lidars)
+        for times in (
+            scene.trajectories["groundTruth"].timestamps_ns,
+            scene.sensor("gnss").timestamps_ns,
+            *(stream.timestamps_ns for stream in scene.sensor("imu").streams.values()),
+        ):
+            assert times[0] < first < last < times[-1]
+            assert (np.diff(times) > 0).all()
 
 
-def test_the_points_of_a_car_lie_in_its_box(exact_drive):
-    clean, seen = exact_drive.truth.clean_points_world(0), 0
-    boxes = {annotation.id: annotation for annotation in exact_drive.scene.annotations}
-    assert len(exact_drive.scene.annotations) == len(boxes) > 20
-    ours = exact_drive.scene.metadata["sceneloom"]
+def test_annotations_are_the_boxes_of_things_and_cars_point_along_the_street(drive):
+    boxes = {annotation.id: annotation for annotation in drive.scene.annotations}
+    things = [thing for thing in drive.truth.objects if thing.label in {"car", "bin", "tree", "pole"}]
+    assert list(boxes) == [f"{thing.label}-{thing.instance}" for thing in things]
+    assert all(annotation.stationary for annotation in boxes.values())
+    found = np.array([annotation.path.values[0] for annotation in boxes.values()])
+    expected = [[*thing.size_lwh, *thing.center_world, 0, 0, np.degrees(thing.yaw)] for thing in things]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    ours = drive.scene.metadata["sceneloom"]
     assert (ours["euler_unit"], ours["euler_order"]) == ("degrees", "xyz")
-    for thing in exact_drive.truth.objects:
-        annotation = boxes.get(f"{thing.label}-{thing.instance}")
-        assert (annotation is not None) == (thing.label in {"car", "bin", "tree", "pole"})
-        if annotation is not None:
-            assert annotation.stationary
-            row = annotation.path.values[0]
-            own = clean.positions_world[clean.instances == thing.instance]
-            assert (np.abs(in_box_axes(own, row[3:6], np.radians(row[8]))) <= row[:3] / 2 + 1e-9).all()
-            seen += len(own)
-    assert seen > 300
-
-
-def test_cars_point_along_the_street(drive):
-    yaws = [np.radians(a.path.values[0, 8]) for a in drive.scene.annotations if a.label == "car"]
+    yaws = [thing.yaw for thing in things if thing.label == "car"]
     headings = drive.truth.path.at_seconds(np.linspace(-10, 10, 50))
     yaw = np.arctan2(headings.rotations[:, 1, 0], headings.rotations[:, 0, 0])
     nearest = [np.abs((np.subtract.outer(yaw, angle) + np.pi / 2) % np.pi - np.pi / 2).min() for angle in yaws]
@@ -109,7 +95,7 @@ def in_image(drive, k):
     return clean, kept, row[kept], column[kept], in_camera[kept, 2], visible
 
 
-def test_visible_points_fall_on_pixels_of_their_own_depth_and_object(exact_drive):
+def test_visible_points_fall_on_pixels_of_their_own_depth_and_object_and_near_ones_have_its_colour(exact_drive):
     for k in (0, 6):
         clean, kept, row, column, z, visible = in_image(exact_drive, k)
         image = exact_drive.truth.image("camera0", k)
@@ -120,9 +106,7 @@ def test_visible_points_fall_on_pixels_of_their_own_depth_and_object(exact_drive
         assert (image.instances[row, column] == clean.instances[kept])[visible].all()
         assert (~visible).sum() > 5
         assert (depth[~visible] < z[~visible]).all()
-
-
-def test_near_points_have_the_colour_that_the_image_shows(exact_drive):
+    # near points have the colour that the image shows
     clean, kept, row, column, _, visible = in_image(exact_drive, 3)
     near = visible & (clean.ranges[kept] < 15)
     shown = exact_drive.scene.cameras[0].images[3].rgb[row, column].astype(int)
@@ -133,18 +117,7 @@ def test_near_points_have_the_colour_that_the_image_shows(exact_drive):
     assert np.percentile(difference, 90) <= 20
 
 
-def test_points_behind_a_wall_are_not_visible_and_those_before_it_are(drive):
-    truth = drive.truth
-    camera = truth.world_from_camera("camera0", 0)
-    house = next(thing for thing in truth.objects if thing.label == "building" and thing.center_world[0] > 15)
-    middle = np.array(house.center_world)
-    beyond = camera.translation + 2.0 * (middle - camera.translation)
-    ahead = camera.apply(np.array([[0.0, 0.5, 3.0], [0.0, 0.0, 2.0]]))
-    assert truth.visible("camera0", 0, [middle, beyond, *ahead]).tolist() == [False, False, True, True]
-    assert truth.visible("camera0", 0, np.zeros((0, 3))).shape == (0,)
-
-
-def test_several_cameras_have_ids_in_their_order():
+def test_several_cameras_have_ids_in_their_order_and_a_drive_can_be_a_single_sweep_without_any():
     offsets = (0, 20_000_000, 80_000_000)
     cameras = [
         sim.CameraSpec(TINY, sim.camera_mount(yaw_deg=yaw), offset_ns=offset)
@@ -154,9 +127,6 @@ def test_several_cameras_have_ids_in_their_order():
     assert [camera.id for camera in found] == ["camera0", "camera1", "camera2"]
     assert tuple(camera.images.timestamps_ns[0] - 1_000_000_000 for camera in found) == offsets
     assert not np.array_equal(found[0].images[1].rgb, found[1].images[1].rgb)
-
-
-def test_a_drive_can_be_a_single_sweep_without_cameras():
     scene = simulate_street(1, frames=1, lidar=SMALL, cameras=(), start_ns=-5_000_000_000).scene
     assert scene.cameras == ()
     frame = scene.lidars[0].frames[0]
@@ -165,17 +135,15 @@ def test_a_drive_can_be_a_single_sweep_without_cameras():
     assert frame.points.timestamps_ns.max() < -4_900_000_000
 
 
-def test_seeds_are_streets_of_their_own_and_repeat_exactly():
-    first, again, other = (simulate_street(seed, frames=2, lidar=SMALL, cameras=()) for seed in (4, 4, 5))
-    for of in (
-        lambda drive: drive.truth.street.shapes.maps,
-        lambda drive: drive.scene.sensor("imu").streams["accelerometer"].values,
-        lambda drive: drive.scene.sensor("imu").streams["gyroscope"].values,
-        lambda drive: drive.scene.sensor("gnss").positions_lla,
-        lambda drive: drive.scene.lidars[0].frames[1].points.positions,
-    ):
-        np.testing.assert_array_equal(of(first), of(again))
-        assert not np.array_equal(of(first), of(other))
+def test_lidars_of_the_same_kind_have_noise_of_their_own():
+    drive = simulate_street(4, frames=1, lidars=(SMALL, SMALL), cameras=())
+    sweeps = [drive.truth.sweep(0, lidar_id) for lidar_id in ("lidar0", "lidar1")]
+    errors = [np.linalg.norm(sweep.frame.points.positions, axis=1) - sweep.ranges for sweep in sweeps]
+    common = min(map(len, errors))
+    # A thousand independent pairs correlate by 0.03 at random; five times that.
+    assert common > 700
+    assert abs(np.corrcoef(errors[0][:common], errors[1][:common])[0, 1]) < 0.18
+    np.testing.assert_allclose(*(sweep.points_world.mean(axis=0) for sweep in sweeps), atol=0.5)
 
 
 def test_the_demo_drive_has_two_camera_models_with_smooth_outlines():
@@ -205,7 +173,7 @@ def test_arguments_out_of_bounds_are_refused(wrong, message):
         simulate_street(**{"lidar": SMALL, "cameras": (), **wrong})
 
 
-def test_several_lidars_and_radars_have_ids_in_their_order_and_are_named_to_who_asks_for_others(rich):
+def test_several_lidars_and_radars_have_ids_in_their_order_and_a_single_one_no_number(rich):
     ids = [sensor.id for sensor in rich.scene.sensors]
     assert ids == ["lidar0", "lidar1", "lidar2", "camera0", "radar0", "radar1", "imu", "gnss"]
     assert (list(rich.truth.lidars), list(rich.truth.radars)) == (ids[:3], ids[4:6])
@@ -215,9 +183,16 @@ def test_several_lidars_and_radars_have_ids_in_their_order_and_are_named_to_who_
         rich.truth.depth("camera7", 0)
     with pytest.raises(OptionError, match="'lidar'; expected one of 'lidar0', 'lidar1', 'lidar2'"):
         rich.truth.sweep(0, "lidar")
+    one, listed = (
+        simulate_street(4, frames=2, cameras=(), **given) for given in ({"lidar": RASTER}, {"lidars": (RASTER,)})
+    )
+    assert [lidar.id for lidar in (*one.scene.lidars, *listed.scene.lidars)] == ["lidar", "lidar"]
+    a, b = (drive.scene.lidars[0].frames[1] for drive in (one, listed))
+    assert a.timestamp_ns == 1_000_000_000 + 7_000_000 + 50_000_000
+    np.testing.assert_array_equal(a.points.positions, b.points.positions)
 
 
-def test_the_parts_of_the_truth_agree_with_the_whole(drive):
+def test_the_parts_of_the_truth_agree_and_points_behind_a_wall_are_not_visible(drive):
     image = drive.truth.image("camera0", 1)
     np.testing.assert_array_equal(drive.truth.depth("camera0", 1), image.depths)
     np.testing.assert_array_equal(drive.truth.instances("camera0", 1), image.instances)
@@ -226,34 +201,30 @@ def test_the_parts_of_the_truth_agree_with_the_whole(drive):
     exact = drive.truth.path.at(poses.timestamps_ns)
     np.testing.assert_array_equal(poses.positions, exact.positions)
     np.testing.assert_array_equal(poses.quaternions_xyzw, exact.quaternions_xyzw)
+    # points behind a wall are not visible and those before it are
+    truth = drive.truth
+    camera = truth.world_from_camera("camera0", 0)
+    house = next(thing for thing in truth.objects if thing.label == "building" and thing.center_world[0] > 15)
+    middle = np.array(house.center_world)
+    beyond = camera.translation + 2.0 * (middle - camera.translation)
+    ahead = camera.apply(np.array([[0.0, 0.5, 3.0], [0.0, 0.0, 2.0]]))
+    assert truth.visible("camera0", 0, [middle, beyond, *ahead]).tolist() == [False, False, True, True]
+    assert truth.visible("camera0", 0, np.zeros((0, 3))).shape == (0,)
 
 
 RASTER = sim.SolidStateSpec(
     sim.Raster(rows=20, columns=30, channels=3), period_ns=50_000_000, offset_ns=7_000_000, range_sigma=0.0,
     mount=sim.sensor_mount(position=(1.0, -0.6, 1.2), yaw_deg=-40.0, pitch_deg=3.0),
 )  # fmt: skip
-
+BUSY = sim.TrafficSpec(cars=4.0, cyclists=2.0, pedestrians=8.0)
 ROSETTE = sim.SolidStateSpec(sim.Rosette(shots_per_second=20_000.0), period_ns=300_000_000, offset_ns=40_000_000)
-
 RADAR = sim.RadarSpec(period_ns=70_000_000, offset_ns=10_000_000)
-
 LIDARS = (SMALL, RASTER, ROSETTE)
 
 
 @pytest.fixture(scope="module")
 def rich():
-    """A drive with three lidars, two radars and a camera."""
     return simulate_street(4, frames=5, lidars=LIDARS, cameras=(sim.CameraSpec(TINY),), radars=(RADAR, sim.RadarSpec()))
-
-
-def test_a_single_lidar_has_no_number_however_it_is_given():
-    one, listed = (
-        simulate_street(4, frames=2, cameras=(), **given) for given in ({"lidar": RASTER}, {"lidars": (RASTER,)})
-    )
-    assert [lidar.id for lidar in (*one.scene.lidars, *listed.scene.lidars)] == ["lidar", "lidar"]
-    a, b = (drive.scene.lidars[0].frames[1] for drive in (one, listed))
-    assert a.timestamp_ns == 1_000_000_000 + 7_000_000 + 50_000_000
-    np.testing.assert_array_equal(a.points.positions, b.points.positions)
 
 
 def test_each_sensor_measures_on_its_own_clock_while_the_drive_lasts(rich):
@@ -296,17 +267,6 @@ def test_further_sensors_change_nothing_of_the_others_the_street_and_the_traffic
     np.testing.assert_array_equal(ours.present, theirs.present)
 
 
-def test_lidars_of_the_same_kind_have_noise_of_their_own():
-    drive = simulate_street(4, frames=1, lidars=(SMALL, SMALL), cameras=())
-    sweeps = [drive.truth.sweep(0, lidar_id) for lidar_id in ("lidar0", "lidar1")]
-    errors = [np.linalg.norm(sweep.frame.points.positions, axis=1) - sweep.ranges for sweep in sweeps]
-    common = min(map(len, errors))
-    # A thousand independent pairs correlate by 0.03 at random; five times that.
-    assert common > 700
-    assert abs(np.corrcoef(errors[0][:common], errors[1][:common])[0, 1]) < 0.18
-    np.testing.assert_allclose(*(sweep.points_world.mean(axis=0) for sweep in sweeps), atol=0.5)
-
-
 @pytest.mark.parametrize("lidar_id", ["lidar1", "lidar2"])
 def test_deskewing_a_solid_state_lidar_by_the_trajectory_gives_the_clean_points(rich, lidar_id):
     lidar = rich.scene.sensor(lidar_id)
@@ -337,16 +297,39 @@ def test_poses_of_every_sensor_are_trajectory_and_mounting_and_two_lidars_see_th
         assert (np.abs(away) <= np.array(thing.size_lwh) / 2 + 1e-6).all()
 
 
-def test_the_scene_goes_to_another_process_and_is_the_same_there():
-    camera = sim.CameraSpec(TINY, readout_ns=20_000_000, exposure=sim.ExposureSpec())
-    here = simulate_street(4, frames=2, lidars=LIDARS, cameras=(camera,), radars=(RADAR,)).scene
+def arrays_of(drive, order):
+    """What sensors of a drive measure in its first frames, asked for in an order, and what it goes through."""
+    scene, found = drive.scene, {("street", 0, "maps"): drive.truth.street.shapes.maps}
+    for sensor, k in ((sensor, k) for k in order for sensor in scene.sensors):
+        if isinstance(sensor, CameraSensor):
+            found[sensor.id, k, "rgb"] = sensor.images[k].rgb
+        elif isinstance(sensor, ImuSensor):
+            found |= {(sensor.id, 0, name): stream.values for name, stream in sensor.streams.items()}
+        elif isinstance(sensor, GnssSensor):
+            found[sensor.id, 0, "fixes"] = sensor.positions_lla
+        else:
+            points = sensor.frames[k].points
+            fields = {name: getattr(points, name, None) for name in ("positions", "lengths", "timestamps_ns", "rings")}
+            found |= {(sensor.id, k, name): array for name, array in fields.items() if array is not None}
+    return found
+
+
+def test_frames_are_the_same_in_whatever_order_and_process_they_are_asked_for_and_others_by_seed():
+    cameras = sim.CameraSpec(TINY, readout_ns=20_000_000, exposure=sim.ExposureSpec()), sim.CameraSpec(TINY)
+    options = {"frames": 10, "lidars": LIDARS, "cameras": cameras, "radars": (RADAR, RADAR), "traffic": BUSY}
+    here, again, other = (simulate_street(seed, **options) for seed in (4, 4, 5))
     there = pickle.loads(pickle.dumps(here))
-    for of in (
-        *(lambda scene, k=k: scene.lidars[k].frames[0].points.positions for k in range(3)),
-        lambda scene: scene.sensor("radar0").frames[1].points.lengths,
-        lambda scene: scene.cameras[0].images[1].rgb,
-    ):
-        np.testing.assert_array_equal(of(there), of(here))
+    first, by_other_seed = (arrays_of(drive, (0, 1, 2)) for drive in (here, other))
+    for found in (arrays_of(here, (2, 0, 1)), arrays_of(again, (1, 2, 0)), arrays_of(there, (2, 1, 0))):
+        assert found.keys() == first.keys()
+        for key, array in found.items():
+            np.testing.assert_array_equal(array, first[key])
+    for (sensor, k, name), array in first.items():
+        if name not in ("timestamps_ns", "rings"):
+            assert not np.array_equal(array, by_other_seed[sensor, k, name])
+            assert k == 0 or not np.array_equal(array, first[sensor, 0, name])
+        assert name not in ("positions", "lengths", "timestamps_ns", "rings") or not array.flags.writeable
+    assert not np.array_equal(first["radar0", 1, "lengths"], first["radar1", 1, "lengths"])
 
 
 def test_files_keep_lidars_on_their_own_clocks_and_a_scene_file_radars_too(rich, tmp_path):
@@ -371,7 +354,7 @@ GRAVITY = np.array([0.0, 0.0, -9.80665])
 
 @pytest.fixture(scope="module")
 def path():
-    return plan_path(np.random.default_rng(8), start_ns=0, duration=10.0)
+    return sim.PathSpec().plan(np.random.default_rng(8), start_ns=0, duration=10.0)
 
 
 def timestamps(seconds, rate_hz):
@@ -413,13 +396,7 @@ def test_the_signals_without_their_bias_integrate_to_the_path(path, seconds, rat
     assert (rotation.inv() * Rotation.from_matrix(last.rotations[0])).magnitude() < radians
 
 
-def test_an_imu_that_all_but_stands_feels_gravity_upwards():
-    truth = imu_truth(sim.ImuSpec(), STILL, timestamps(1.0, 100), seed=0)
-    np.testing.assert_allclose(truth.specific_forces, np.tile(-GRAVITY, (100, 1)), atol=1e-6)
-    np.testing.assert_allclose(truth.angular_rates, 0.0, atol=1e-6)
-
-
-def test_the_noise_has_the_density_and_the_bias_that_were_asked_for(path):
+def test_the_noise_has_the_density_and_the_bias_asked_for_by_seed_and_axis(path):
     times = timestamps(10.0, 400)
     spec = sim.ImuSpec(rate_hz=400, accelerometer_noise=0.01, gyroscope_noise=0.002)
     truth = imu_truth(spec, path, times, seed=4)
@@ -433,18 +410,20 @@ def test_the_noise_has_the_density_and_the_bias_that_were_asked_for(path):
         assert error.std(axis=0) == pytest.approx(density * np.sqrt(400), rel=0.06)
         np.testing.assert_allclose(error.mean(axis=0), bias, atol=0.08 * density * np.sqrt(400))
         np.testing.assert_array_equal(streams[name].timestamps_ns, times)
-
-
-def test_biases_differ_between_seeds_and_axes_and_are_not_drawn_from_the_numbers_of_the_noise(path):
+    # biases differ between seeds and axes and are not drawn from the numbers of the noise
     times, spec = timestamps(0.1, 100), sim.ImuSpec(rate_hz=100, accelerometer_noise=0.1, accelerometer_bias_sigma=1.0)
     truths = [imu_truth(spec, path, times, seed=seed) for seed in range(3)]
     assert len(np.unique([truth.accelerometer_bias for truth in truths])) == 9
     noise = imu_sensor(spec, truths[0], seed=0).streams["accelerometer"].values[0] - truths[0].specific_forces[0]
     bias = truths[0].accelerometer_bias
     assert not np.allclose(noise - bias, bias, rtol=0.01)
+    # one that all but stands feels gravity upwards
+    truth = imu_truth(sim.ImuSpec(), STILL, timestamps(1.0, 100), seed=0)
+    np.testing.assert_allclose(truth.specific_forces, np.tile(-GRAVITY, (100, 1)), atol=1e-6)
+    np.testing.assert_allclose(truth.angular_rates, 0.0, atol=1e-6)
 
 
-def test_gnss_fixes_scatter_around_the_path_as_much_as_stated(path):
+def test_gnss_fixes_scatter_as_much_as_stated_north_in_latitude_and_east_in_longitude(path):
     spec, times = sim.GnssSpec(rate_hz=200, horizontal_sigma=0.5, vertical_sigma=2.0), timestamps(10.0, 200)
     fixes = gnss_sensor(spec, path, times, seed=1)
     error = enu_from_geodetic(fixes.positions_lla, np.array(spec.origin_lla)) - path.at(times).positions
@@ -453,9 +432,6 @@ def test_gnss_fixes_scatter_around_the_path_as_much_as_stated(path):
     np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=0.25)
     assert set(fixes.accuracies) == {0.5}
     assert set(fixes.vertical_accuracies) == {2.0}
-
-
-def test_gnss_counts_north_in_latitude_and_east_in_longitude(path):
     spec = sim.GnssSpec(horizontal_sigma=0.0, vertical_sigma=0.0, origin_lla=(60.0, 25.0, 100.0))
     fix = gnss_sensor(spec, STILL, timestamps(0.1, 10), seed=0).positions_lla[0]
     np.testing.assert_allclose(fix, [60.0, 25.0, 100.0], atol=1e-6)
@@ -466,21 +442,62 @@ def test_gnss_counts_north_in_latitude_and_east_in_longitude(path):
     np.testing.assert_allclose((exact[:, 1] - 25.0) * 55_800, east, atol=0.01)
 
 
-@pytest.mark.parametrize(
-    ("spec", "wrong", "message"),
-    [
-        *(
-            (spec, {"rate_hz": rate}, "rate_hz")
-            for spec in (sim.ImuSpec, sim.GnssSpec)
-            for rate in (0.0, -5.0, np.nan, 1e6)
-        ),
-        *((sim.ImuSpec, {"gyroscope_noise": s}, r"imu.gyroscope_noise: .*expected 0.0 to") for s in (-1.0, np.nan)),
-        *((sim.GnssSpec, {"vertical_sigma": s}, r"gnss.vertical_sigma: .*expected 0.0 to") for s in (-1.0, np.nan)),
-        (sim.GnssSpec, {"origin_lla": (500.0, 0.0, 0.0)}, r"origin_lla\[0\]"),
-    ],
-)
-def test_devices_that_cannot_be_are_refused_by_name(spec, wrong, message):
-    with pytest.raises(OptionError, match=message):
+NAN, PERIOD_NS = float("nan"), 100_000_000
+REFUSED = {
+    sim.ImuSpec: (
+        *({"rate_hz": rate} for rate in (0.0, -5.0, NAN, 1e6)), {"gyroscope_noise": -1.0}, {"gyroscope_noise": NAN},
+    ),
+    sim.GnssSpec: (
+        *({"rate_hz": rate} for rate in (0.0, -5.0, NAN, 1e6)), {"vertical_sigma": -1.0}, {"vertical_sigma": NAN},
+        {"origin_lla": (500.0, 0.0, 0.0)},
+    ),
+    sim.ExposureSpec: (
+        {"drift_stops": -1.0}, {"drift_period": 0.0}, {"recovery": 0.0}, {"vignetting": 1.5}, {"exposure_ns": -1},
+        {"steps": ((1.0, 20.0),)}, {"steps": ((NAN, 1.0),)},
+    ),
+    sim.CameraSpec: ({"supersampling": 0}, {"readout_ns": -1}, {"readout_ns": 200_000_000}),
+    sim.LidarSpec: (
+        {"beams": 0}, {"beams": 70000}, {"steps": 0}, {"period_ns": 0}, {"drop_rate": 1.5}, {"range_sigma": NAN},
+        {"min_range": 50.0, "max_range": 10.0}, {"elevations_deg": (2.0, -24.8)}, {"elevations_deg": (NAN, 2.0)},
+        {"start_azimuth_deg": NAN}, {"beams": 5, "elevations_deg": (-3.0, -2.0, -1.0)},
+        {"beams": 3, "elevations_deg": (-3.0, -1.0, -2.0)},
+    ),
+    sim.Raster: ({"rows": 0}, {"interleave": 0}, {"azimuth_deg": (10.0, -10.0)}, {"elevation_deg": (0.0, 91.0)}),
+    sim.Rosette: ({"fov_deg": 0.0}, {"shots_per_second": NAN}, {"share": 1.5}),
+    sim.SolidStateSpec: ({"offset_ns": PERIOD_NS}, {"drop_rate": -0.1}, {"min_range": 200.0}),
+    sim.RadarSpec: (
+        {"period_ns": 0}, {"offset_ns": 50_000_000}, {"azimuth_deg": (5.0, 5.0)}, {"elevation_deg": (-95.0, 0.0)},
+        {"speed_sigma": NAN}, {"false_alarms": -1.0}, {"min_range": 500.0},
+    ),
+    sim.Detector2dSpec: ({"repeated": 2.0}, {"corner_sigma_px": -1.0}),
+    sim.Detector3dSpec: (
+        {"flip_share": 1.2}, {"center_sigmas": (0.1, -0.1, 0.1)}, {"range_scale": 0.0}, {"seed": -1},
+        {"lasting_share": -0.1}, {"yaw_sigma_deg": NAN}, {"velocity_sigma": math.inf},
+    ),
+    sim.TrafficSpec: ({"cars": 7.0}, {"cyclists": -1.0}, {"pedestrians": NAN}, {"stationary": 1.5}, {"crossing": 0.9}),
+    sim.Stop: ({"at_s": NAN, "for_s": 1.0}, {"at_s": 0.0, "for_s": -1.0}),
+    sim.PathSpec: (
+        {"stops": (sim.Stop(0.0, 5.0), sim.Stop(12.0, 1.0)), "ramp": 4.0}, {"speeds": (9.0, 5.0)},
+        {"speeds": (0.0, 5.0)}, {"yaw_rate": 2.0}, {"yaw_rate": NAN}, {"ramp": 0.0},
+    ),
+}  # fmt: skip
+"""What nobody can build or drive."""
+WORDS = {
+    "gyroscope_noise": r"imu.gyroscope_noise: .*expected 0.0 to",
+    "vertical_sigma": r"gnss.vertical_sigma: .*expected 0.0 to",
+    "origin_lla": r"origin_lla\[0\]",
+    "center_sigmas": r"^detector.center_sigmas\[1\]",
+    5: "3 angles; expected 2, or 5",
+    3: r"elevations_deg\[2\]",
+    **{name: f"traffic.{name}" for name in ("cars", "cyclists", "pedestrians", "stationary", "crossing")},
+}
+
+
+@pytest.mark.parametrize(("spec", "wrong"), [(spec, wrong) for spec, wrongs in REFUSED.items() for wrong in wrongs])
+def test_what_cannot_be_is_refused_by_name(spec, wrong):
+    name, value = next(iter(wrong.items()))
+    usual = "expected" if spec in (sim.Stop, sim.PathSpec) else "|".join(wrong)
+    with pytest.raises(OptionError, match=WORDS.get(value if name == "beams" else name, usual)):
         spec(**wrong)
 
 

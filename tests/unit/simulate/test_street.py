@@ -20,31 +20,17 @@ from tests.unit.simulate.scenery import (
 )  # fmt: skip
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, Stop, TrafficSpec, camera_mount, simulate_street
+from sceneloom.simulate import street as streets
 from sceneloom.simulate.camera import RenderedCamera
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, instances_of, paint
-from sceneloom.simulate.street import (
-    NO_MOVERS,
-    GroundMap,
-    Lane,
-    MovingDesign,
-    Part,
-    ShapeKind,
-    Street,
-    build_street,
-    design_cyclist,
-    design_moving_car,
-    design_pedestrian,
-)  # fmt: skip
-from sceneloom.simulate.trajectory import plan_path
 
 
 @pytest.fixture(scope="module", params=[0, 1, 2])
 def built(request):
-    path = plan_path(np.random.default_rng(request.param), start_ns=0, duration=15.0)
-    return path, build_street(np.random.default_rng(100 + request.param), path)
+    path = PathSpec().plan(np.random.default_rng(request.param), start_ns=0, duration=15.0)
+    return path, streets.Street.of(path, np.random.default_rng(100 + request.param))
 
 
 @pytest.mark.few(1)
@@ -59,7 +45,23 @@ def test_nothing_stands_in_the_ego_trajectory(built):
     assert not instances_inside(street.shapes, np.concatenate(swept)).any()
 
 
-def test_houses_cars_and_bins_do_not_stand_in_one_another(built):
+def test_boxes_and_balls_hold_the_shapes_of_their_objects(built):
+    packed, objects = built[1].shapes, built[1].objects
+    samples = surface_points(np.random.default_rng(0), 400)
+    for k in range(len(packed)):
+        thing = objects[packed.instances[k] - 1]
+        world_from_unit = np.linalg.inv(np.vstack([packed.maps[k], [0, 0, 0, 1]]))
+        world = samples[streets.ShapeKind(packed.kinds[k])] @ world_from_unit[:3, :3].T + world_from_unit[:3, 3]
+        local = in_box_axes(world, thing.center_world, thing.yaw)
+        assert (np.abs(local) <= np.array(thing.size_lwh) / 2 + 1e-9).all(), thing.label
+        assert np.linalg.norm(world - packed.spheres[k, :3], axis=1).max() <= packed.spheres[k, 3] + 1e-9
+
+
+def test_a_street_has_something_of_everything_of_which_nothing_stands_in_one_another(built):
+    objects = built[1].objects
+    assert {thing.label for thing in objects} == {"building", "car", "tree", "pole", "bin", "barrier"}
+    assert np.unique(built[1].shapes.kinds).tolist() == [0, 1, 2, 3]
+    assert [thing.instance for thing in objects] == list(range(1, len(objects) + 1))
     solid = [thing for thing in built[1].objects if thing.label in {"building", "car", "bin", "barrier"}]
     grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9), 0), -1).reshape(-1, 3)
     for a, b in combinations(solid, 2):
@@ -70,35 +72,16 @@ def test_houses_cars_and_bins_do_not_stand_in_one_another(built):
             assert not (np.abs(local) < np.array(b.size_lwh[:2]) / 2).all(axis=1).any()
 
 
-def test_boxes_and_balls_hold_the_shapes_of_their_objects(built):
-    packed, objects = built[1].shapes, built[1].objects
-    samples = surface_points(np.random.default_rng(0), 400)
-    for k in range(len(packed)):
-        thing = objects[packed.instances[k] - 1]
-        world_from_unit = np.linalg.inv(np.vstack([packed.maps[k], [0, 0, 0, 1]]))
-        world = samples[ShapeKind(packed.kinds[k])] @ world_from_unit[:3, :3].T + world_from_unit[:3, 3]
-        local = in_box_axes(world, thing.center_world, thing.yaw)
-        assert (np.abs(local) <= np.array(thing.size_lwh) / 2 + 1e-9).all(), thing.label
-        assert np.linalg.norm(world - packed.spheres[k, :3], axis=1).max() <= packed.spheres[k, 3] + 1e-9
-
-
-def test_a_street_has_something_of_everything_numbered_from_one(built):
-    objects = built[1].objects
-    assert {thing.label for thing in objects} == {"building", "car", "tree", "pole", "bin", "barrier"}
-    assert np.unique(built[1].shapes.kinds).tolist() == [0, 1, 2, 3]
-    assert [thing.instance for thing in objects] == list(range(1, len(objects) + 1))
-
-
 def test_the_same_seed_builds_the_same_street_and_another_one_another():
-    path = plan_path(np.random.default_rng(0), start_ns=0, duration=3.0)
-    first, again, other = (build_street(np.random.default_rng(seed), path) for seed in (7, 7, 8))
+    path = PathSpec().plan(np.random.default_rng(0), start_ns=0, duration=3.0)
+    first, again, other = (streets.Street.of(path, np.random.default_rng(seed)) for seed in (7, 7, 8))
     assert first.objects == again.objects != other.objects
     np.testing.assert_array_equal(first.shapes.maps, again.shapes.maps)
 
 
 def test_the_map_of_the_ground_knows_how_far_along_and_left_of_the_trajectory_its_nodes_lie():
-    lane = Lane.of(plan_path(np.random.default_rng(3), start_ns=0, duration=10.0))
-    ground = GroundMap.of(lane)
+    lane = streets.Lane.of(PathSpec().plan(np.random.default_rng(3), start_ns=0, duration=10.0))
+    ground = streets.GroundMap.of(lane)
     along, left = ground.nodes[..., 0], ground.nodes[..., 1]
     drawn = np.argwhere((np.abs(left) < 10.0) & (along > lane.along[0] + 1) & (along < lane.along[-1] - 1))
     for i, j in drawn[np.random.default_rng(0).choice(len(drawn), 500, replace=False)]:
@@ -129,12 +112,15 @@ def movers_of(designs, curves, *, spans=None):
 
 
 def block(half, center):
-    """A design of one box."""
-    return MovingDesign("car", (Part((box(center, half),)),), tuple(2.0 * np.array(half)))
+    return streets.MovingDesign("car", (streets.Part((box(center, half),)),), tuple(2.0 * np.array(half)))
 
 
 def three_designs(generator):
-    return [design_pedestrian(generator), design_cyclist(generator), design_moving_car(generator)]
+    return [
+        streets.design_pedestrian(generator),
+        streets.design_cyclist(generator),
+        streets.design_moving_car(generator),
+    ]
 
 
 def at(seconds):
@@ -197,7 +183,6 @@ def slow_frames(movers, seconds):
 
 
 def placed_shapes(movers, designs, seconds):
-    """Each shape and the frame of its part at one time."""
     parts = (part for design in designs for part in design.parts)
     return [
         (frame, shape) for frame, part in zip(slow_frames(movers, seconds), parts, strict=True) for shape in part.shapes
@@ -230,22 +215,19 @@ def test_people_and_cars_are_met_where_the_slow_walk_enters_them():
     assert len(met) > 25
 
 
-def test_states_are_derivatives_of_each_other():
+def test_states_are_derivatives_of_each_other_and_points_of_legs_move_as_the_frames_of_the_legs_do():
     generator = np.random.default_rng(1)
     curves = np.cumsum(generator.normal(0, 0.4, (3, COUNT, 4)), axis=1)
-    movers = movers_of([design_cyclist(generator) for _ in range(3)], curves)
+    movers = movers_of([streets.design_cyclist(generator) for _ in range(3)], curves)
     which, seconds, step = generator.integers(0, 3, 100), generator.uniform(1, 11, 100), 1e-3
     before, states, after = (movers.states(which, at(seconds + shift)) for shift in (-step, 0.0, step))
     for name, rate in (("positions", "velocities"), ("yaws", "yaw_rates"), ("gaits", "gait_rates")):
         slope = (getattr(after, name) - getattr(before, name)) / (2 * step)
         # h²/6 times a third derivative below 20, and two rounded nanoseconds of 1e-3 s at 2 m/s.
         np.testing.assert_allclose(slope, getattr(states, rate), atol=1e-5)
-
-
-def test_points_of_a_walkers_legs_move_as_the_frames_of_the_legs_do():
     generator, step = np.random.default_rng(2), 1e-4
     curve = straight_curve((4.0, 1.0), (1.2, -0.3), -0.25, 0.2, gait_rate=5.0)
-    movers = movers_of([design_pedestrian(generator)], [curve])
+    movers = movers_of([streets.design_pedestrian(generator)], [curve])
     for shape in range(len(movers.shapes)):
         part = movers.part_of_shape[shape]
         for seconds in generator.uniform(1, 8, 5):
@@ -259,7 +241,7 @@ def test_points_of_a_walkers_legs_move_as_the_frames_of_the_legs_do():
             np.testing.assert_allclose(velocity, (after - before) / (2 * step), atol=5e-5)
 
 
-def test_what_moves_is_met_while_it_is_there_hides_what_stands_and_is_hidden_by_it():
+def test_what_moves_is_met_while_it_is_there_hides_what_stands_and_is_hidden_by_it_in_the_same_light():
     still, driving = (straight_curve((x, 0.0), (v, 0.0), 0.0, 0.0) for x, v in ((10.0, 0.0), (5.0, 10.0)))
     span = (START_NS + 2_000_000_000, START_NS + 2_050_000_000)
     movers = movers_of([block((2.0, 1.0, 1.0), (0, 0, 1.0))], [still], spans=[span])
@@ -272,19 +254,23 @@ def test_what_moves_is_met_while_it_is_there_hides_what_stands_and_is_hidden_by_
     found, _ = cast_one_by_one(street, [0.0, 0, 1.0], np.tile([1.0, 0, 0], (2, 1)), [0.5, 2.5])
     np.testing.assert_allclose(found.ranges, [9.5, 19.0], atol=EXACT)
     assert instances_of(street, found).tolist() == [1, 99]
-
-
-def test_the_light_does_not_move_with_what_moves():
-    design = design_moving_car(np.random.default_rng(3))
+    # the light does not move with what moves
+    design = streets.design_moving_car(np.random.default_rng(3))
     sides = []
     for yaw in (0.4, 0.4 + np.pi):
         street = street_of(movers=movers_of([design], [straight_curve((8.0, 3.0), (0.0, 0.0), yaw, 0.0)]))
         sides.append(cast_one_by_one(street, [8.0, 3.0, 10.0], np.array([[0.0, 0, -1.0]]), 0.0)[1].colors[0])
     # The roof is as light whichever way the car looks.
     np.testing.assert_allclose(*(side.astype(int) for side in sides), atol=8)
+    # only those who could be near are looked at
+    generator = np.random.default_rng(7)
+    curves = [straight_curve((x, 0.0), (-10.0, 0.0), np.pi, 0.0) for x in (10.0, 60.0, 400.0)]
+    movers = movers_of([streets.design_moving_car(generator) for _ in curves], curves)
+    for times, within, near in (([0.0, 0.1], 80.0, [0, 1]), ([11.9, 12.0], 300.0, [0, 1, 2]), ([100.0], 1e4, [])):
+        assert movers.near(np.zeros(3), at(times), within=within).tolist() == near
 
 
-@pytest.mark.parametrize("design", [design_pedestrian, design_cyclist, design_moving_car])
+@pytest.mark.parametrize("design", [streets.design_pedestrian, streets.design_cyclist, streets.design_moving_car])
 def test_the_box_of_what_moves_holds_it_through_all_its_gait_and_is_no_larger(design):
     generator = np.random.default_rng(5)
     made = design(generator)
@@ -322,17 +308,9 @@ def test_the_balls_that_rays_are_culled_by_hold_their_bodies_at_all_times():
     assert (near < movers.shapes.spheres[:, 3] + 1.5).all()
 
 
-def test_only_those_who_could_be_near_are_looked_at():
-    generator = np.random.default_rng(7)
-    curves = [straight_curve((x, 0.0), (-10.0, 0.0), np.pi, 0.0) for x in (10.0, 60.0, 400.0)]
-    movers = movers_of([design_moving_car(generator) for _ in curves], curves)
-    for times, within, near in (([0.0, 0.1], 80.0, [0, 1]), ([11.9, 12.0], 300.0, [0, 1, 2]), ([100.0], 1e4, [])):
-        assert movers.near(np.zeros(3), at(times), within=within).tolist() == near
-
-
 def test_what_moves_looks_like_the_same_thing_stationary_there():
     generator = np.random.default_rng(8)
-    design, seconds = design_moving_car(generator), 1.3
+    design, seconds = streets.design_moving_car(generator), 1.3
     movers = movers_of([design], [straight_curve((9.0, 2.0), (-3.0, 1.0), 2.2, 0.3)])
     (frame,) = slow_frames(movers, seconds)
     bodies = [shape.moved(frame) for shape in design.parts[0].shapes]
@@ -382,7 +360,7 @@ def outside_boxes(points, centers, yaws, sizes):
     return (np.abs(in_box_axes(points, centers, yaws[:, None])) - sizes / 2).max(axis=1)
 
 
-def test_there_is_something_of_everything_that_moves_and_what_stands_is_there_at_all_times(busy):
+def test_there_is_something_of_everything_that_moves_and_traffic_changes_nothing_of_what_stands(busy, empty):
     movers, count = busy.truth.movers, len(busy.truth.objects)
     assert {thing.label for thing in movers} == {"car", "cyclist", "pedestrian"}
     assert {thing.label for thing in movers if thing.stands} == {"pedestrian"}
@@ -392,9 +370,6 @@ def test_there_is_something_of_everything_that_moves_and_what_stands_is_there_at
     assert boxes.present[:, :count].all()
     assert not boxes.velocities[:, :count].any()
     np.testing.assert_array_equal(boxes.centers_world[1, :count], [t.center_world for t in busy.truth.objects])
-
-
-def test_traffic_changes_neither_the_trajectory_nor_what_stands(busy, empty):
     assert busy.truth.objects == empty.truth.objects
     np.testing.assert_array_equal(busy.truth.path.control_points, empty.truth.path.control_points)
     np.testing.assert_array_equal(busy.truth.street.shapes.maps, empty.truth.street.shapes.maps)
@@ -411,17 +386,14 @@ def test_traffic_changes_neither_the_trajectory_nor_what_stands(busy, empty):
     assert all(annotation.stationary for annotation in empty.scene.annotations)
 
 
-@pytest.mark.parametrize("k", [0, 7])
-def test_points_on_movers_lie_in_their_boxes_at_the_points_own_times(busy, k):
-    clean = busy.truth.clean_points_world(k)
-    own = np.flatnonzero(clean.instances > len(busy.truth.objects))
-    times = busy.scene.lidars[0].frames[k].points.timestamps_ns[own]
-    states, centers, sizes = states_of(busy.truth, clean.instances[own], times)
-    assert len(own) > 200
-    assert (outside_boxes(clean.positions_world[own], centers, states.yaws, sizes) < 1e-9).all()
-
-
-def test_points_move_with_what_they_are_on_and_stand_on_what_stands(busy):
+def test_points_on_movers_lie_in_their_boxes_at_their_own_times_move_with_them_and_stand_on_what_stands(busy):
+    for k in [0, 7]:
+        clean = busy.truth.clean_points_world(k)
+        own = np.flatnonzero(clean.instances > len(busy.truth.objects))
+        times = busy.scene.lidars[0].frames[k].points.timestamps_ns[own]
+        states, centers, sizes = states_of(busy.truth, clean.instances[own], times)
+        assert len(own) > 200
+        assert (outside_boxes(clean.positions_world[own], centers, states.yaws, sizes) < 1e-9).all()
     truth, k, step = busy.truth, 4, 1_000_000
     clean, times = truth.clean_points_world(k), busy.scene.lidars[0].frames[k].points.timestamps_ns
     assert (clean.velocities[clean.instances <= len(truth.objects)] == 0).all()
@@ -481,7 +453,7 @@ def test_nobody_runs_into_anybody_or_anything(options):
         assert not touch(b, a, there), (a, b)
 
 
-def test_everyone_goes_at_the_speed_of_their_kind_and_looks_where_they_go(busy):
+def test_everyone_goes_at_the_speed_of_their_kind_and_nobody_where_nobody_is_wanted(busy):
     boxes = busy.truth.boxes(np.arange(1_000_000_000, 2_200_000_000, 10_000_000))
     speeds = np.linalg.norm(boxes.velocities, axis=2)
     headings = np.arctan2(boxes.velocities[..., 1], boxes.velocities[..., 0])
@@ -492,9 +464,11 @@ def test_everyone_goes_at_the_speed_of_their_kind_and_looks_where_they_go(busy):
         goes = there & (speeds[:, k] > 0.3)
         off = np.angle(np.exp(1j * (headings[goes, k] - boxes.yaws[goes, k])))
         assert np.abs(off).max(initial=0.0) < 0.01
-
-
-def test_in_the_egos_lane_cars_stop_and_go_with_it():
+    # nobody moves where nobody is wanted
+    for cars, labels in ((0.0, set()), (3.0, {"car"})):
+        drive = drive_through(TrafficSpec(cars=cars, cyclists=0.0, pedestrians=0.0), cameras=())
+        assert {thing.label for thing in drive.truth.movers} == labels
+    # in the ego's lane cars stop and go with it
     drive = drive_through(BUSY, cameras=(), path=PathSpec(stops=(Stop(0.0, 4.0),)))
     boxes = drive.truth.boxes(np.array([1_900_000_000, 2_100_000_000], np.int64))
     cars = [k for k in range(len(drive.truth.objects), len(boxes.labels)) if boxes.labels[k] == "car"]
@@ -519,14 +493,13 @@ def test_annotations_state_within_a_centimetre_and_a_tenth_of_a_degree_where_mov
 
 
 def alone(street, instance):
-    """The street with one object in it."""
     shapes, movers = street.shapes, street.movers
     own = np.flatnonzero(shapes.instances == instance)
     kept = type(shapes)(*(getattr(shapes, name)[own] for name in shapes.__slots__))
     if len(own):
-        return Street((), kept, street.ground, NO_MOVERS)
+        return streets.Street((), kept, street.ground, streets.NO_MOVERS)
     things = (t if t.instance == instance else replace(t, first_ns=0, last_ns=-1) for t in movers.things)
-    return Street((), kept, street.ground, replace(movers, things=tuple(things)))
+    return streets.Street((), kept, street.ground, replace(movers, things=tuple(things)))
 
 
 @pytest.mark.parametrize("camera_id", ["camera0", "camera1"])
@@ -564,26 +537,3 @@ def test_what_an_image_shows_of_movers_is_visible_at_its_time(busy, camera_id):
     assert truth.visible(camera_id, k, points).mean() > 0.99
     states, centers, sizes = states_of(truth, image.instances[rows, columns], camera.line_times_ns(k)[line])
     assert (outside_boxes(points, centers, states.yaws, sizes) < 1e-4).all()
-
-
-def test_the_same_traffic_comes_whatever_is_asked_for_first(busy):
-    again, other = drive_through(BUSY), drive_through(BUSY, seed=8)
-    np.testing.assert_array_equal(again.truth.instances("camera1", 8), busy.truth.instances("camera1", 8))
-    for k in (9, 1, 4):
-        first, second = (d.scene.lidars[0].frames[k].points for d in (again, busy))
-        np.testing.assert_array_equal(first.positions, second.positions)
-    assert not np.array_equal(other.truth.street.movers.anchors, busy.truth.street.movers.anchors)
-
-
-def test_nobody_moves_where_nobody_is_wanted():
-    for cars, labels in ((0.0, set()), (3.0, {"car"})):
-        drive = drive_through(TrafficSpec(cars=cars, cyclists=0.0, pedestrians=0.0), cameras=())
-        assert {thing.label for thing in drive.truth.movers} == labels
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"cars": 7.0}, {"cyclists": -1.0}, {"pedestrians": float("nan")}, {"stationary": 1.5}, {"crossing": 0.9}]
-)
-def test_traffic_that_cannot_be_is_refused_by_name(wrong):
-    with pytest.raises(OptionError, match=f"traffic.{next(iter(wrong))}"):
-        TrafficSpec(**wrong)

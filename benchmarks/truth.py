@@ -28,9 +28,8 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.pipeline import iter_fused
-from sceneloom.simulate import CameraSpec, LidarSpec, SimulatedDrive, camera_mount, simulate_street
+from sceneloom.simulate import CameraSpec, LidarSpec, SimulatedDrive, camera_mount, sensor_mount, simulate_street
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast
-from sceneloom.simulate.trajectory import rotation_from_angles
 
 AIM_PERCENT, AIM_DEPTH = 3.0, 0.02 + 3 * 0.02
 MOST_SEEDS = 60
@@ -57,7 +56,7 @@ UNEVEN = LidarSpec(beams=len(FINE_IN_THE_MIDDLE), elevations_deg=FINE_IN_THE_MID
 
 def mount(x: float, y: float, z: float) -> RigidTransform:
     """A lidar's location on the ego, a little off square."""
-    return RigidTransform(rotation_from_angles(*np.radians([0.3, -0.5, 0.8])), np.array([x, y, z]))
+    return sensor_mount(position=(x, y, z), roll_deg=0.3, pitch_deg=-0.5, yaw_deg=0.8)
 
 
 ROOF, ABOVE, BESIDE = mount(0.25, 0.02, 1.78), mount(0.5, 0.02, 2.9), mount(0.55, 1.2, 1.7)

@@ -987,8 +987,10 @@ def mark_unhidden(
         area, radius = xx * yy - 0.25 * xy * xy, one.window / one.cell
         reach_x, reach_y = math.sqrt(yy / area), math.sqrt(xx / area)
         border = max(math.ceil(radius), math.ceil(reach_x), math.ceil(reach_y))
-        limits = radius * radius, (slope * one.cell) ** 2, margin, margin_share, xx, xy, yy, nearing
-        shapes.append((reach_x, reach_y, border, np.array(limits, np.float32), position_grid(extent, one.cell, border)))
+        limits = np.array(
+            [radius * radius, (slope * one.cell) ** 2, margin, margin_share, xx, xy, yy, nearing], np.float32
+        )
+        shapes.append((reach_x, reach_y, border, limits, position_grid(extent, one.cell, border)))
     # one room for all passes, which come one after the other
     most = max(columns * rows for *_, (_, _, columns, rows) in shapes)
     keys_room, numbers = np.empty(thread_pool.size * most, np.int64), np.empty(count, np.int32)

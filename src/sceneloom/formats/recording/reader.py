@@ -189,7 +189,7 @@ class _ImageTable:
     def image(self, k: int) -> CameraImage:
         """Make image `k`."""
         index = int(self.indices[k])
-        decode = self._opened if self.files is None else self.files.rgb
+        decode: Callable[[int], Any] = self._opened if self.files is None else self.files.rgb
         return CameraImage(decode=partial(decode, index), **self._fields(k))
 
     def depth_frame(self, k: int, *, usual: float) -> DepthFrame:

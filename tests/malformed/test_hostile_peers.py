@@ -18,13 +18,14 @@ import zlib
 from concurrent.futures import ThreadPoolExecutor
 
 import grpc
+import numpy as np
 import pytest
 from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
-from tests.malformed.mutants import sound_scene
+from tests.malformed.mutants import mutant_of, sound_scene
 from tests.unit.db34t import sending
 from tests.unit.db34t.sending import HEIGHT, WIDTH
 from tests.unit.service.conftest import DEADLINE_S, SERVICE, Caller, Served
@@ -138,25 +139,6 @@ BROKEN = (0.0, -0.0, 1e-45, 1e38, -1e38, 3.5e38, 1e308, float("inf"), float("-in
 TEXTS = ("", "x", "\0", "é" * 300, "rgb8", "raw", "jpeg", "png", "[[[[", "{}", "1" * 400, "-", "nan", "../x")
 
 
-def other_bytes(rng, request):
-    """The bytes of a request with some of them changed, cut out, put in, doubled or rotated."""
-    content = bytearray(request.SerializeToString())
-    for _ in range(rng.randint(1, 4)):
-        k, n = rng.randrange(len(content) + 1), rng.choice((1, 1, 2, 4, 30))
-        match rng.randrange(5):
-            case 0:
-                content[k : k + n] = rng.randbytes(n)
-            case 1:
-                del content[k : k + n]
-            case 2:
-                content[k:k] = rng.randbytes(n)
-            case 3:
-                content[k:k] = content[k : k + 200]
-            case _ if content:
-                content[k % len(content)] ^= 1 << rng.randrange(8)
-    return bytes(content)
-
-
 def other_values(rng, request):
     """The bytes of a request in which fields have values that a parser takes, and nobody expects."""
     message = type(request).FromString(request.SerializeToString())
@@ -224,7 +206,7 @@ def test_any_bytes_name_a_session_or_are_refused(name, content):
 
 def attack(rig, other, name, count, *, seed=0):
     """Send mutants of a method, and give the failures: errors that are no answers, by the mutant's number."""
-    rng, failures = random.Random(f"{name}{seed}"), []
+    rng, chance, failures = random.Random(f"{name}{seed}"), np.random.default_rng([*f"{name}{seed}".encode()]), []
     method, streams = rig.method(name), SERVICE.methods_by_name[name].client_streaming
     waits = name in ("Get", "Subscribe")
     for number in range(count):
@@ -234,7 +216,8 @@ def attack(rig, other, name, count, *, seed=0):
                 assert rig.works()
             assert other.works()
         request = rng.choice(seeds(rig)[name])
-        content = (other_values if rng.random() < 0.5 else other_bytes)(rng, request)
+        changed_bytes = rng.random() < 0.5
+        content = mutant_of(request.SerializeToString(), chance) if changed_bytes else other_values(rng, request)
         try:
             timeout = 0.25 if waits else DEADLINE_S  # a mutant may ask to wait for ever
             call = method(iter([content, content]) if streams else content, timeout=timeout, metadata=rig.metadata)
@@ -493,13 +476,14 @@ def tokens(rng, count):
 @pytest.mark.parametrize("count", [4, pytest.param(200, marks=pytest.mark.slow)])
 def test_wrong_tokens_get_nowhere_with_any_method(guarded, count):
     server, authority, _ = guarded
-    rng, credentials = random.Random(1), grpc.ssl_channel_credentials(authority)
+    rng, chance = random.Random(1), np.random.default_rng(1)
+    credentials = grpc.ssl_channel_credentials(authority)
     good = Rig(server.address, "good", credentials=credentials, token=TOKEN).begin()
     bad = Rig(server.address, "good", credentials=credentials)
     for name in SERVICE.methods_by_name:
         for token in tokens(rng, count):
-            request = rng.choice(seeds(bad)[name])
-            content = other_bytes(rng, request) if rng.random() < 0.5 else request.SerializeToString()
+            content = rng.choice(seeds(bad)[name]).SerializeToString()
+            content = mutant_of(content, chance) if rng.random() < 0.5 else content
             sent = iter([content]) if SERVICE.methods_by_name[name].client_streaming else content
             metadata = (("authorization", f"Bearer {token}"),)
             with pytest.raises(grpc.RpcError) as refused:

@@ -39,7 +39,7 @@ from sceneloom.scene.point_times import RawTimes, timed_frame
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns, time_span, usual_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
-from sceneloom.service.session_log import LogEntry, read_log
+from sceneloom.service.session_log import read_log
 from sceneloom.warnings import DataWarning, WarningKind
 
 _CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
@@ -649,7 +649,7 @@ def send_log(
         if entry.session not in sessions:
             sessions[entry.session] = _ResentSession(Statistics(open_session(entry.session), kept))
         kept.until(entry.log_time_ns)
-        sessions[entry.session].take(entry)
+        sessions[entry.session].take(entry.what, entry.message)
     for session in sessions.values():
         session.end()
     return SendReport.of(str(path), begun, [session.statistics for session in sessions.values()])
@@ -663,10 +663,10 @@ class _ResentSession:
     _known: dict[str, Property] = field(default_factory=dict)
     _policy: str | None = None
 
-    def take(self, entry: LogEntry) -> None:
+    def take(self, what: str, message: Any) -> None:
         """Do what an entry says."""
-        message, receiver = entry.message, self.statistics.receiver
-        match entry.what:
+        receiver = self.statistics.receiver
+        match what:
             case "properties":
                 for found in map(property_of, message.properties):
                     self._set(found)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sceneloom.db34t import (
+    RECORD_KINDS,
     Boxes2d,
     Boxes3d,
     CalibrationData,
@@ -171,15 +172,6 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("record", "changes", "location", "problem"), FAULTS, ids=lambda value: str(value)[:40])
-def test_a_fault_names_table_field_value_and_what_was_expected(record, changes, location, problem):
-    with pytest.raises(DataError) as fault:
-        replace(record, **changes)
-    assert fault.value.file.endswith(f"(table {kind_of(record).table.number})")
-    assert fault.value.location == location
-    assert problem in fault.value.problem
-
-
 TIME_TEXT = "1595682678.715705367"
 BOX = {
     "id": 1,
@@ -269,15 +261,18 @@ JSON_FAULTS = [
         "missing; expected",
     ),
 ]
-EXAMPLES = {"image": IMAGE_JSON, "boxes_3d": BOXES}
+EXAMPLES = {"image": IMAGE_JSON, "boxes_3d": BOXES}  # by which the names above are known
 
 
-@pytest.mark.parametrize(("name", "changes", "location", "problem"), JSON_FAULTS)
-def test_a_fault_in_json_is_named(name, changes, location, problem):
+@pytest.mark.parametrize(
+    ("record", "changes", "location", "problem"), [*FAULTS, *JSON_FAULTS], ids=lambda value: str(value)[:40]
+)
+def test_a_fault_names_table_field_value_and_what_was_expected(record, changes, location, problem):
     with pytest.raises(DataError) as fault:
-        from_json(name, {**EXAMPLES[name], **changes})
-    assert fault.value.location == location
-    assert problem in fault.value.problem
+        from_json(record, EXAMPLES[record] | changes) if isinstance(record, str) else replace(record, **changes)
+    kind = RECORD_KINDS[record] if isinstance(record, str) else kind_of(record)
+    assert fault.value.file.endswith(f"(table {kind.table.number})")
+    assert (fault.value.location, problem in fault.value.problem) == (location, True), fault.value.problem
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def run_task(task: Task) -> Outcome:
             reported["report"]["stages"] = {name: round(seconds, 6) for name, seconds in stages.items()}
     except (SceneloomError, OSError, MemoryError) as error:
         kind, text = type(error).__name__, error.with_sources() if isinstance(error, SceneloomError) else str(error)
-        reported = {"error": redacted(text) or kind, "kind": kind, "passing": _may_pass(error)}
+        reported = {"error": redacted(text) or kind, "kind": kind, "passing": may_pass(error)}
     except Exception as error:  # noqa: BLE001 - a fault in one drive must not end the others
         reported = {"error": redacted("".join(traceback.format_exception(error))), "kind": type(error).__name__}
     return Outcome(
@@ -183,7 +183,7 @@ def _without_secrets(reported: Any) -> Any:
     return [_without_secrets(value) for value in reported] if isinstance(reported, list | tuple) else reported
 
 
-def _may_pass(error: BaseException | None) -> bool:
+def may_pass(error: BaseException | None) -> bool:
     """Whether the cause of an error may be gone another time: of a network, not of data."""
     while error is not None:
         if isinstance(error, _PASSING) or getattr(error, "passing", False):
@@ -260,7 +260,7 @@ class ProcessPool:
         """
         error: Exception | None = None
         for _ in range(_STARTS):
-            with _one_thread(), _without_main():
+            with one_thread(), _without_main():
                 worker = self._idle.pop() if self._idle else self._started()
                 try:
                     future = worker.submit(run_task, task)
@@ -345,7 +345,7 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """Let processes that are started now have one thread in each library, unless the user set other numbers."""
     # Numba, which may be at work here, looks at its own again and again: workers set it themselves
     wanted = {name: "1" for name in THREADS if name not in os.environ and name != NUMBA}
@@ -445,7 +445,7 @@ class _Claim(msgspec.Struct, frozen=True, kw_only=True):
     begun: str
 
 
-def _claimed(url: str, *, run: str, record: Path) -> _Outputs:
+def claimed(url: str, *, run: str, record: Path) -> _Outputs:
     """Claim a location in a store for the run of one record, unless the outputs of another run lie there."""
     # two runs that begin within the same moment are distinguished where the store refuses to put an object twice, as
     # S3, Cloud Storage and Azure do; else the later one may take the claim while the other one goes on
@@ -539,7 +539,7 @@ def _open_outputs(store: str, record: Record, *, resume: bool) -> _Outputs:
         return _Outputs(str(record.folder))
     name = known.get("run") or secrets.token_hex(8)
     record.keep("run", name)
-    return _claimed(store, run=name, record=record.folder)
+    return claimed(store, run=name, record=record.folder)
 
 
 def _prepare(job: Job, record: Record, outputs: _Outputs) -> None:

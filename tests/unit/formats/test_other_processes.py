@@ -103,17 +103,6 @@ def run(question, *words):
     return done.stdout
 
 
-RIG = """
-[[sensors]]
-id = "front"
-type = "camera"
-video = "data.mkv"
-times = { rate_hz = 10 }
-camera_model = { fx = 60, fy = 60, cx = 47.5, cy = 31.5 }
-extrinsic = { to = "base", matrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]] }
-"""
-
-
 @pytest.fixture(scope="module")
 def locations(tmp_path_factory):
     """A drive as recordings with videos and with PNG files, as scene files raw and fused, and with JPEG images."""
@@ -124,9 +113,6 @@ def locations(tmp_path_factory):
     sceneloom.write(drive, folder / "png", images="png")
     sceneloom.write(drive, folder / "raw.sfs")
     sceneloom.fuse(drive, folder / "fused.sfs")
-    (folder / "rig").mkdir()
-    shutil.copy(folder / "video" / "data.mkv", folder / "rig")
-    (folder / "rig" / "rig.toml").write_text(RIG)
     sceneloom.write(Scene((jpeg_camera(drive.cameras[0]),)), folder / "jpeg.sfs")
     return folder
 
@@ -137,27 +123,21 @@ def jpeg_camera(camera):
     return replace(camera, images=LazyFrames.of(images, camera.images.timestamps_ns))
 
 
-def living_street():
-    """A simulated drive of all that moves and measures, with something wrong in it."""
+@pytest.fixture(scope="module")
+def scenes(locations):
+    # a drive of all that moves and measures, with something wrong in it
     wrong = Faults({"lidar0": SensorFaults(clock_skew_ppm=50.0), "camera0": SensorFaults(lost_frames=(1,))})
-    return simulate_street(
+    simulated = simulate_street(
         2, frames=2, lidars=(LidarSpec(beams=4, steps=40), SolidStateSpec()), cameras=(CameraSpec(CAMERA_MODELS[0]),),
         radars=(RadarSpec(),), traffic=TrafficSpec(), faults=wrong,
     ).scene  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def scenes(locations):
-    small = LidarSpec(beams=4, steps=40)
-    simulated = simulate_street(2, frames=2, lidar=small, cameras=(CameraSpec(CAMERA_MODELS[0]),)).scene
-    names = ("video", "png", "raw.sfs", "fused.sfs", "jpeg.sfs", "rig")
+    names = ("video", "png", "raw.sfs", "fused.sfs", "jpeg.sfs")
     opened = {name: sceneloom.open(locations / name) for name in names}
     images = opened["png"].cameras[0].images
     in_memory = [CameraImage.of(image.timestamp_ns, image.camera, image.rgb) for image in images]
     yield {
         **opened,
         "simulated": simulated,
-        "living street": living_street(),
         "deskewed": deskewed_scene(opened["video"]),
         "memory": Scene(
             (

@@ -272,7 +272,7 @@ def test_a_folder_of_no_format_too_large_or_with_names_that_lead_out_leaves_noth
     assert list(tmp_path.iterdir()) == []
 
 
-def test_files_that_come_short_are_fetched_again(bucket, monkeypatch, waits):
+def test_files_that_come_short_are_fetched_again_and_patterns_find_drives_for_batches(bucket, monkeypatch, waits):
     get, faults = stores.Store.get, [b"", b"half"]
 
     def short(self, target):
@@ -286,9 +286,6 @@ def test_files_that_come_short_are_fetched_again(bucket, monkeypatch, waits):
     assert all((fetched.path / f"{k}.pcd").read_text() == CLOUD.format(k + 1) for k in range(5))
     assert len(waits) == 2
     fetched.remove()
-
-
-def test_patterns_find_drives_in_stores_for_batches(bucket):
     found = find_inputs(["memory://bucket/clouds/[13].pcd", "memory://bucket/*/0.pcd", "https://host/a*b.sfs?x=*"])
     clouds = [f"memory://bucket/clouds/{k}.pcd" for k in (1, 3, 0)]
     assert [drive.location for drive in found] == [*clouds, "https://host/a*b.sfs?x=*"]
@@ -329,15 +326,9 @@ def test_a_fault_that_stays_says_that_it_may_pass(served, file, waits, fault):
     assert all(first > 0 for first in waits)
 
 
-def test_a_server_that_is_busy_at_first_is_opened(served, waits, encode_sfs):
-    served.files["drive.sfs"] = encode_sfs({"version": "1.0", "sensors": []})
-    served.faults[:] = ["503", "503", "503"]  # of HEAD, and of GET, which is asked for where HEAD is refused
-    with sceneloom.open(served.url("drive.sfs")) as scene:
-        assert scene.sensors == ()
-    assert waits
-
-
-def test_what_is_missing_or_refused_is_not_tried_again_and_waits_grow_and_end_at_the_deadline(served, waits):
+def test_what_is_busy_is_tried_again_what_is_missing_or_refused_is_not_and_waits_grow_up_to_the_deadline(
+    served, waits, encode_sfs
+):
     def failing(error, *rule):
         def fail():
             raise error
@@ -351,6 +342,12 @@ def test_what_is_missing_or_refused_is_not_tried_again_and_waits_grow_and_end_at
     failing(PermissionError(13, "no"))
     failing(ConnectionResetError("cut"), Patience(deadline=0.0))
     assert waits == []
+    served.faults[:] = ["503", "503", "503"]  # of HEAD, and of GET, which is asked for where HEAD is refused
+    served.files["drive.sfs"] = encode_sfs({"version": "1.0", "sensors": []})
+    with sceneloom.open(served.url("drive.sfs")) as scene:
+        assert scene.sensors == ()
+    assert waits
+    waits.clear()
     failing(ConnectionResetError("cut"), Patience(tries=9, wait=1.0, longest_wait=4.0, deadline=1000.0))
     bounds = [1, 2, 4, 4, 4, 4, 4, 4]
     assert all(top / 2 <= wait <= top for wait, top in zip(waits, bounds, strict=True))

@@ -1,16 +1,23 @@
-"""Image files: depth images judged by OpenCV, what is no image of its size, and files without metadata."""
+"""What formats share: image files, bytes in files and messages as others read them, and the ledger of all faults."""
 
 import io
+import os
 import struct
 import warnings
 
 import cv2
 import numpy as np
 import pytest
+from google.protobuf.internal.encoder import _VarintBytes
 from PIL import Image, PngImagePlugin
 
-from sceneloom.errors import ArrayError, DataError, OutputError
+from sceneloom.db34t.wire import fusion_pb2
+from sceneloom.errors import ArrayError, CalibrationError, DataError, OutputError
+from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.base.files import ByteStream
 from sceneloom.formats.base.images import EncodedImage, write_depth_image
+from sceneloom.formats.base.protobuf import enclosed, field_head, varint, wire_fields
+from sceneloom.formats.recording.reader import _MOST_LOCATIONS, _FaultLedger
 from sceneloom.pipeline.redacting import _stripped
 
 DEPTHS = np.random.default_rng(4).uniform(0.5, 120.0, (37, 51)).astype(np.float32)
@@ -130,3 +137,75 @@ def test_a_png_loses_its_texts_and_no_pixel_and_other_files_are_refused_or_cut()
             _stripped(content)
     broken = jpeg()[:-30]
     assert _stripped(broken)[0].endswith(broken[-20:])
+
+
+CONTENT = bytes(range(50))
+
+
+@pytest.mark.parametrize("content", [CONTENT, memoryview(CONTENT)])
+def test_bytes_are_read_and_sought_as_in_a_file(content):
+    ours, theirs = io.BufferedReader(ByteStream(content), 8), io.BytesIO(CONTENT)
+    for step in (
+        lambda file: file.read(5),
+        lambda file: file.seek(20),
+        lambda file: file.read(11),
+        lambda file: file.seek(-4, os.SEEK_CUR),
+        lambda file: file.tell(),
+        lambda file: file.seek(-3, os.SEEK_END),
+        lambda file: file.read(),
+        lambda file: file.seek(90),
+        lambda file: file.read(1),
+    ):
+        assert step(ours) == step(theirs)
+
+
+def test_numbers_fields_and_parts_of_messages_are_written_as_protobuf_does_and_fields_found_without_being_read():
+    for number in (0, 1, 127, 128, 300, 16383, 16384, 2**31, 2**35 + 5):
+        assert varint(number) == _VarintBytes(number)
+    content = b"x" * 200
+    assert fusion_pb2.ImageData.FromString(field_head(8, len(content)) + content).data == content
+    inner = [b"\x18\x05", memoryview(field_head(8, 3)), b"abc"]
+    request = fusion_pb2.SendRequest.FromString(b"".join(enclosed(2, inner)))
+    assert (request.image.seq, request.image.data) == (5, b"abc")
+    image = fusion_pb2.ImageData(seq=300, encoding="rgb8", data=b"abc", timestamp=fusion_pb2.Timestamp(s=5))
+    content = b"??" + image.SerializeToString() + b"?"
+    fields = wire_fields(content, 2, len(content) - 1)
+    assert [field.number for field in fields] == [2, 3, 6, 8]
+    assert content[fields[3].start : fields[3].stop] == b"abc"
+    assert content[fields[1].head : fields[1].stop] == b"\x18\xac\x02"
+    # what is unusual or very long is left to protobuf
+    odd = b"\x0b", b"\x0a\x05ab", b"\x08", b"\x08\xff", b"\x0d123", b"\x08" + b"\xff" * 11, b"\x08\x01" * 1001
+    assert [wire_fields(content, 0, len(content)) for content in odd] == [None] * 7
+
+
+def line(number):
+    return DataError("/drive/data.jsonl", f"line {number}", f"{number} is odd")
+
+
+def test_of_very_many_faults_those_beyond_are_counted_with_the_position_of_the_last():
+    ledger = _FaultLedger("/drive")
+    for number in range(_MOST_LOCATIONS + 500):
+        ledger.fault("broken", line(number))
+    ledger.fault("other", line(7))
+    assert len(ledger.faults) == _MOST_LOCATIONS + 2
+    assert sum(fault.count for fault in ledger.faults if fault.code == "broken") == _MOST_LOCATIONS + 500
+    last = ledger.faults[-1]
+    assert (last.path, last.count) == (f"data.jsonl: line {_MOST_LOCATIONS + 499}", 500)
+
+
+def test_locations_are_distinguished_from_the_folder_on_and_vital_faults_refused_even_by_a_lenient_reading():
+    with pytest.raises(DataError):
+        Ledger(lenient=True).refuse("unreadable", line(1))
+    ledger = _FaultLedger("/drive")
+    ledger.refuse("unreadable", line(1))
+    ledger.fault("camera_model", CalibrationError("/drive/data.jsonl: line 3: frames[].imuToCamera: is skewed: 0.5"))
+    ledger.fault("camera_model", CalibrationError("no camera model at all"))
+    ledger.fault("camera_model", CalibrationError("/drive/a file: is odd"))
+    ledger.fault("broken", line(3))
+    assert [(fault.path, fault.problem, fault.code, fault.vital) for fault in ledger.faults] == [
+        ("data.jsonl: line 1", "1 is odd", "unreadable", True),
+        ("data.jsonl: line 3: frames[].imuToCamera", "is skewed: 0.5", "camera_model", False),
+        ("", "no camera model at all", "camera_model", False),
+        ("", "a file: is odd", "camera_model", False),
+        ("data.jsonl: line 3", "3 is odd", "broken", False),
+    ]

@@ -7,7 +7,7 @@ from sceneloom.lazy import names_on_first_use
 if TYPE_CHECKING:
     from sceneloom.formats.base.files import size_on_disk
     from sceneloom.formats.base.losses import Loss, LossReport
-    from sceneloom.formats.base.registry import FORMATS, find_format, open_scene, write_scene
+    from sceneloom.formats.base.registry import FORMATS, open_scene, write_scene
     from sceneloom.formats.base.spec import FormatSpec
 else:
     __getattr__, __dir__ = names_on_first_use(
@@ -17,11 +17,10 @@ else:
             "FormatSpec": "sceneloom.formats.base.spec:FormatSpec",
             "Loss": "sceneloom.formats.base.losses:Loss",
             "LossReport": "sceneloom.formats.base.losses:LossReport",
-            "find_format": "sceneloom.formats.base.registry:find_format",
             "open_scene": "sceneloom.formats.base.registry:open_scene",
             "size_on_disk": "sceneloom.formats.base.files:size_on_disk",
             "write_scene": "sceneloom.formats.base.registry:write_scene",
         },
     )
 
-__all__ = ["FORMATS", "FormatSpec", "Loss", "LossReport", "find_format", "open_scene", "size_on_disk", "write_scene"]
+__all__ = ["FORMATS", "FormatSpec", "Loss", "LossReport", "open_scene", "size_on_disk", "write_scene"]

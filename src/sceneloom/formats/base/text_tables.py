@@ -374,10 +374,10 @@ def seconds_texts(timestamps_ns: Int64Array, file_seconds: Float64Array | None) 
     short = (size >= _SHORT_FROM_NS) & (size < _SHORT_BELOW_NS)
     short |= _holds_time(timestamps_ns, file_seconds)
     if short.all():
-        return number_texts(written_seconds(timestamps_ns, file_seconds))
+        return _number_texts(written_seconds(timestamps_ns, file_seconds))
     texts = _decimal_texts(timestamps_ns)
     if short.any():
-        numbers = number_texts(written_seconds(timestamps_ns, file_seconds)[short])
+        numbers = _number_texts(written_seconds(timestamps_ns, file_seconds)[short])
         for k, text in zip(np.flatnonzero(short).tolist(), numbers, strict=True):
             texts[k] = text
     return texts
@@ -400,7 +400,7 @@ def _decimal_text(timestamp_ns: int) -> str:
     return f"{sign}{whole}.{rest:09d}".rstrip("0") if rest else f"{sign}{whole}.0"
 
 
-def number_texts(numbers: Float64Array) -> list[str]:
+def _number_texts(numbers: Float64Array) -> list[str]:
     """Write finite numbers, (N,) float64, each as the shortest text that is read as it."""
     return _encode(numbers.tolist()).decode()[1:-1].split(",") if len(numbers) else []
 

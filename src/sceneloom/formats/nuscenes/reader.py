@@ -22,7 +22,7 @@ from sceneloom.formats.base.spec import as_flag
 from sceneloom.formats.nuscenes.spec import table_folders
 from sceneloom.formats.nuscenes.tables import KEY_FRAMES, MICROSECOND, NEEDED, TABLES, Quaternion
 from sceneloom.formats.points.cloud import NUSCENES, Cloud
-from sceneloom.formats.points.files import read_bin, read_pcd
+from sceneloom.formats.points.files import read_bin, read_cloud
 from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
@@ -570,7 +570,7 @@ def _chosen(tables: Path, scenes: list[Any], sequence: str | None) -> Any:
 def _read_sweep(files: _Files, k: int) -> LidarFrame:
     """Read a lidar sweep; every row of a file stays a point, since labels count the rows."""
     file = files.paths[k]
-    cloud = read_pcd(file) if file.suffix.lower() == ".pcd" else read_bin(file, layout=NUSCENES)
+    cloud = read_cloud(file) if file.suffix.lower() == ".pcd" else read_bin(file, layout=NUSCENES)
     extras: dict[str, AnyArray] = {}
     points = LidarPoints(
         positions=_positions(cloud),
@@ -583,7 +583,7 @@ def _read_sweep(files: _Files, k: int) -> LidarFrame:
 
 def _read_cycle(files: _Files, k: int) -> RadarFrame:
     """Read a radar cycle; without returns it has a row of NaN. Source: class RadarPointCloud of the development kit."""
-    cloud = read_pcd(files.paths[k])
+    cloud = read_cloud(files.paths[k])
     first = [cloud.columns[axis][:1] for axis in "xyz" if axis in cloud.columns]
     if any(np.isnan(value).any() for value in first):
         cloud = Cloud(cloud.file, 0, {name: column[:0] for name, column in cloud.columns.items()})

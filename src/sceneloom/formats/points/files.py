@@ -510,7 +510,7 @@ def _las_columns(points: Any) -> dict[str, AnyArray]:
 
 _READERS: Mapping[str, Callable[[Path, FieldLayout | None], Cloud]] = MappingProxyType(
     {
-        ".pcd": lambda path, _: read_pcd(path),
+        ".pcd": lambda path, _: _read_pcd(path),
         ".ply": lambda path, _: _read_ply(path),
         ".las": lambda path, _: _read_las(path),
         ".laz": lambda path, _: _read_las(path),
@@ -553,7 +553,7 @@ _MOST_VALUES = 1 << 16
 _NO_VIEWPOINT = ["0", "0", "0", "1", "0", "0", "0"]
 
 
-def read_pcd(path: Path) -> Cloud:
+def _read_pcd(path: Path) -> Cloud:
     """Read a PCD file; points that are not finite stay in it, `VIEWPOINT` is not applied.
 
     Raises:
@@ -1157,7 +1157,7 @@ def _write_pcd(path: Path, columns: FrameColumns, location: str, losses: Losses,
         file.write(_pcd_body(records, encoding))
 
 
-def write_ply(path: Path, columns: FrameColumns, location: str, losses: Losses) -> None:
+def _write_ply(path: Path, columns: FrameColumns, location: str, losses: Losses) -> None:
     """Write a binary PLY file."""
     further = _fitted(_single_columns(columns.named), _WHOLE, location, losses)
     records = _pack_records(
@@ -1242,7 +1242,7 @@ def _write_bin(
 FRAME_WRITERS: Mapping[str, Callable[..., None]] = MappingProxyType(
     {
         "pcd": _write_pcd,
-        "ply": write_ply,
+        "ply": _write_ply,
         "las": _write_las,
         "laz": _write_las,
         "kitti-bin": partial(_write_bin, brightest=1.0, further=()),

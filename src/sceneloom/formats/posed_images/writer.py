@@ -19,7 +19,7 @@ from sceneloom.formats.base.images import encode_jpeg
 from sceneloom.formats.base.losses import Loss, Losses, LossReport, Support, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stems, replacing
 from sceneloom.formats.base.poses import ego_in_world
-from sceneloom.formats.points.files import FrameColumns, write_ply
+from sceneloom.formats.points.files import FRAME_WRITERS, FrameColumns
 from sceneloom.formats.posed_images.spec import SUPPORTS, PosedSettings
 from sceneloom.geometry.rigid import RigidTransform, rotate_vectors
 from sceneloom.scene.cameras import CameraImage
@@ -454,7 +454,7 @@ def write_nerfstudio(scene: Scene, path: Path, *, options: PosedSettings, overwr
         if len(points.positions):
             content["ply_file_path"] = _POINTS_FILE
             columns = FrameColumns(points.positions.astype(np.float32), points.colors, None, 255.0)
-            write_ply(draft / _POINTS_FILE, columns, "points", Losses())
+            FRAME_WRITERS["ply"](draft / _POINTS_FILE, columns, "points", Losses())
         text = msgspec.json.format(msgspec.json.encode(content), indent=1)
         (draft / "transforms.json").write_bytes(text)
     return LossReport.of((*field_losses(scene, SUPPORTS), *posed.origin_losses, *posed.losses))

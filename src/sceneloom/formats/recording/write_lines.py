@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, finite_rows
 from sceneloom.formats.base.losses import Loss
-from sceneloom.formats.base.text_tables import TimeWriter, number_texts
+from sceneloom.formats.base.text_tables import TimeWriter
 from sceneloom.formats.recording.lines import GPS_ORIGIN, ROOT_KEYS, Origin
 from sceneloom.formats.recording.reader import BAROMETER, RECEIVER
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
@@ -212,7 +212,7 @@ class NumberLines:
                 if _ROW in slots:
                     columns[_ROW] = row_texts(values[span])
                 else:
-                    width, numbers = values.shape[1], number_texts(values[span].ravel())
+                    width, numbers = values.shape[1], row_texts(values[span].reshape(-1, 1))
                     columns |= {k: numbers[k::width] for k in range(width)}
                 numbered = enumerate(zip(*(columns[slot] for slot in slots), strict=True), start)
                 for row, numbers_of_row in numbered:

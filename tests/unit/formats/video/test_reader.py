@@ -456,33 +456,28 @@ def test_grey_is_repeated_transparency_dropped_and_sixteen_bits_keep_their_upper
     np.testing.assert_array_equal(images.rgb(4), deep >> 8)
 
 
-def test_what_is_no_folder_of_images_is_refused(folder, tmp_path):
+def test_what_is_no_folder_of_images_is_refused_and_so_are_damaged_ones_and_those_of_another_kind(folder, tmp_path):
+    path = folder / "00000001.png"
+    content = path.read_bytes()
+    for image, problem in (
+        (np.zeros((17, 30, 3), np.uint8), r"00000001\.png: is 30x17; expected 31x17"),
+        # grey of 16 bits may be depth
+        (np.full((17, 31), 4000, np.uint16), r"00000001.png: has pixels of type .*expected 8-bit"),
+        (content[: len(content) // 2], r"00000001\.png"),
+        (b"GIF89a, not a PNG", r"00000001\.png"),
+    ):
+        if isinstance(image, np.ndarray):
+            cv2.imwrite(str(path), image)
+        else:
+            path.write_bytes(image)
+        with pytest.raises(DataError, match=problem):
+            PngFolder(folder).rgb(1)
     with pytest.raises(DataError, match=re.escape(f"{tmp_path / 'frames1'}: no such folder")):
         PngFolder(tmp_path / "frames1")
-    (folder / "00000001.png").unlink()
+    path.unlink()
     with pytest.raises(DataError, match=r"00000001.png: is missing; the next image is 00000002.png"):
         PngFolder(folder)
     for number in (0, 2):
         (folder / f"{number:08d}.png").unlink()
     with pytest.raises(DataError, match=r"holds no images; expected 00000000\.png"):
         PngFolder(folder)
-
-
-@pytest.mark.parametrize(
-    ("image", "problem"),
-    [
-        (np.zeros((17, 30, 3), np.uint8), r"00000001\.png: is 30x17; expected 31x17"),
-        # grey of 16 bits may be depth
-        (np.full((17, 31), 4000, np.uint16), r"00000001.png: has pixels of type .*expected 8-bit"),
-        (None, r"00000001\.png"),
-        (b"GIF89a, not a PNG", r"00000001\.png"),
-    ],
-)
-def test_an_image_that_is_damaged_or_of_another_kind_is_refused(folder, image, problem):
-    path = folder / "00000001.png"
-    if isinstance(image, np.ndarray):
-        cv2.imwrite(str(path), image)
-    else:
-        path.write_bytes(image or path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(DataError, match=problem):
-        PngFolder(folder).rgb(1)

@@ -212,7 +212,8 @@ class NumberLines:
                 if _ROW in slots:
                     columns[_ROW] = row_texts(values[span])
                 else:
-                    width, numbers = values.shape[1], row_texts(values[span].reshape(-1, 1))
+                    width = values.shape[1]
+                    numbers = msgspec.json.encode(values[span].ravel().tolist()).decode()[1:-1].split(",")
                     columns |= {k: numbers[k::width] for k in range(width)}
                 numbered = enumerate(zip(*(columns[slot] for slot in slots), strict=True), start)
                 for row, numbers_of_row in numbered:

@@ -659,8 +659,7 @@ def _not_finite(subject: Subject) -> Iterator[Hit]:
             # a cuboid that is not reported is null as a whole
             partly = ~np.isfinite(seen).all(axis=1) & ~np.isnan(seen).all(axis=1)
             for row in np.flatnonzero(partly).tolist():
-                where = f"{path}.activations[{k}].cuboids[{row}]"
-                yield Hit(where, f"{_numbers(seen[row])}; expected finite numbers")
+                yield Hit(f"{path}.activations[{k}].cuboids[{row}]", f"{_numbers(seen[row])}; expected finite numbers")
 
 
 def _size(is_bad: Callable[[Float64Array], BoolArray], expected: str) -> Find:

@@ -16,30 +16,17 @@ from sceneloom.scene.scene import Scene
 from sceneloom.warnings import Severity, WarningKind
 
 _REPORTED_BY_RULES_OF_RECORDINGS = frozenset(
-    {
-        "blank-lines-at-end",
-        "byte-order-mark",
-        "camera-model-scaled",
-        "lines-sorted",
-        "missing-bitmaps",
-        "poses-without-orientation",
-        "repeated-poses",
-        "rotation-normalised",
-    }
+    (
+        *("blank-lines-at-end", "byte-order-mark", "camera-model-scaled", "lines-sorted", "missing-bitmaps"),
+        *("poses-without-orientation", "repeated-poses", "rotation-normalised"),
+    )
 )  # warnings of the recording's reader that rules over its lines report better
 
 _REPORTED_BY_RULES = frozenset(
-    {
-        "at-fault",
-        "item-at-fault",
-        "repaired",
-        "no-images",
-        "no-poses",
-        "relative-point-times",
-        "short-distortion",
-        "unknown-distortion",
-        "video-and-images",
-    }
+    (
+        *("at-fault", "item-at-fault", "repaired", "no-images", "no-poses", "relative-point-times"),
+        *("short-distortion", "unknown-distortion", "video-and-images"),
+    )
 )  # warnings of readers that other rules report better
 
 

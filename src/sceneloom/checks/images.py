@@ -44,8 +44,7 @@ def _centre_outside(subject: Subject) -> Iterator[Hit]:
         camera = sensor.camera
         for name, centre, length in (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height)):
             if not -0.5 <= centre <= length - 0.5:
-                problem = f"{centre:g}; expected a pixel of the image, which has {length}"
-                yield Hit(f"{path}.intrinsics.{name}", problem)
+                yield Hit(f"{path}.intrinsics.{name}", f"{centre:g}; expected a pixel of the image, which has {length}")
 
 
 def _odd_focal_lengths(subject: Subject) -> Iterator[Hit]:
@@ -78,8 +77,7 @@ def _video_counts(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
     expected = len(timestamps_of(sensor))
     fits = count == expected if named is None else max(named, default=-1) < count
     if not fits:
-        problem = f"{expected} timestamps; the video has {count} images"
-        yield Hit(f"{frame.sensor_path}.video.timestamps", problem)
+        yield Hit(f"{frame.sensor_path}.video.timestamps", f"{expected} timestamps; the video has {count} images")
 
 
 def _images_in(open_video: Callable[[], BinaryIO]) -> int:

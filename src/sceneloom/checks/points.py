@@ -151,8 +151,7 @@ def _map_far(subject: Subject) -> Iterator[Hit]:
         positions = sensor.positions
         far = positions[np.isfinite(positions) & (np.abs(positions) > _FAR_M)]
         if len(far):
-            message = f"coordinates up to {np.abs(far).max():.0f} m, too far for float32"
-            yield Hit(f"{path}.points.positions", message)
+            yield Hit(f"{path}.points.positions", f"coordinates up to {np.abs(far).max():.0f} m, too far for float32")
 
 
 def _seen(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:

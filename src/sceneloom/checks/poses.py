@@ -65,8 +65,7 @@ def _without_trajectory(subject: Subject) -> Iterator[Hit]:
         if sensor.poses is None and sensor.mount is not None and len(timestamps_of(sensor))
     ]
     if mounted:
-        problem = f"none, and {', '.join(mounted)} are known by their mountings on the ego only"
-        yield Hit("trajectories", problem)
+        yield Hit("trajectories", f"none, and {', '.join(mounted)} are known by their mountings on the ego only")
 
 
 def _uncovered(subject: Subject) -> Iterator[Hit]:
@@ -104,8 +103,7 @@ def _jumps(subject: Subject) -> Iterator[Hit]:
         times = np.diff(timestamps_ns) / 1e9
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         for k in np.flatnonzero(beyond_neighbours(steps, times, FASTEST, STEP_FACTOR, STEP_MARGIN)).tolist():
-            problem = f"{steps[k]:.2f} m in {times[k]:.3f} s, unlike the steps beside it"
-            yield Hit(f"{path}.values[{k + 1}]", problem)
+            yield Hit(f"{path}.values[{k + 1}]", f"{steps[k]:.2f} m in {times[k]:.3f} s, unlike the steps beside it")
 
 
 def _rotations(subject: Subject) -> Iterator[Hit]:
@@ -137,8 +135,7 @@ def _ego_unknown(subject: Subject) -> Iterator[Hit]:
         return
     for path, sensor in subject.sensors():
         if _has_ego_poses(sensor):
-            problem = "'ego', and no odometry sensor reports where the ego was"
-            yield Hit(f"{path}.coordinates", problem)
+            yield Hit(f"{path}.coordinates", "'ego', and no odometry sensor reports where the ego was")
 
 
 def _ego_points_unknown(subject: Subject) -> Iterator[Hit]:

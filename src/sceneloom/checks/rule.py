@@ -184,7 +184,6 @@ class Hit:
 ALL_PROFILES = ("sfs", "scale")
 """What a scene is checked against: the description of the format; also what Scale's own library loads and validates."""
 
-SCALE_ONLY = ("scale",)
 Find = Callable[[Subject], Iterable[Hit]]
 _Look = Callable[[Subject, FrameInHand], Iterable[Hit]]
 _Fix = Callable[[Scene], Scene]

@@ -1,12 +1,13 @@
 """Rules of the profile `scale`: whatever Scale's own library refuses to load or to validate."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sceneloom.arrays import AnyArray
-from sceneloom.checks.rule import ERROR, HINT, SCALE_ONLY, WARNING, Hit, Rule, Subject
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Hit, Rule, Subject
 from sceneloom.formats.sfs.container import format_keys
 from sceneloom.formats.sfs.profiles import ANNOTATIONS, PARTS, SENSORS, VALIDATED_SENSORS, record_faults, time_fault
 from sceneloom.formats.sfs.records import Location
@@ -231,35 +232,35 @@ def _dropped(subject: Subject) -> Iterator[Hit]:
 
 
 # fmt: off
-SCALE_RULES: tuple[Rule, ...] = (
+_RULES: tuple[Rule, ...] = (
     Rule("scale-scene", ERROR, "Version, unit and offset of the scene are those that Scale's library takes.",
-         "Write the scene again with `--profile scale`.", find=_scene_faults, profiles=SCALE_ONLY),
+         "Write the scene again with `--profile scale`.", find=_scene_faults),
     Rule("scale-sensor-type", ERROR, "All sensors are of types that Scale's validator knows.",
          "Write the scene again with `--profile scale`: it keeps other sensors under the metadata.",
-         find=_unknown_sensors, profiles=SCALE_ONLY),
-    Rule("scale-sensor-ids", ERROR, "Sensors have ids of their own.", "Rename all but one.", find=_repeated_ids,
-         profiles=SCALE_ONLY),
+         find=_unknown_sensors),
+    Rule("scale-sensor-ids", ERROR, "Sensors have ids of their own.", "Rename all but one.", find=_repeated_ids),
     Rule("scale-annotation-type", ERROR, "All annotations are of types that Scale's loader reads and converts.",
          "Write the scene again with `--profile scale`: it keeps other annotations under the metadata.",
-         find=_unknown_annotations, profiles=SCALE_ONLY),
+         find=_unknown_annotations),
     Rule("scale-field", ERROR, "Every field that Scale's library reads is there and of its type.",
-         "Write the scene again with `--profile scale`.", find=_field_faults, profiles=SCALE_ONLY),
+         "Write the scene again with `--profile scale`.", find=_field_faults),
     Rule("scale-times", ERROR,
          "The times of frames, images and poses are not negative, increase, begin within 100 s and come at most "
          "100 a second.", "Put the start into `time_offset`; leave frames out, or give them their own times.",
-         find=_time_faults, profiles=SCALE_ONLY),
+         find=_time_faults),
     Rule("scale-rows", ERROR, "Paths of poses and cuboids have a row of 7 or 9 numbers for each timestamp.",
-         "Give each timestamp its row.", find=_rows_that_do_not_convert, profiles=SCALE_ONLY),
+         "Give each timestamp its row.", find=_rows_that_do_not_convert),
     Rule("scale-points", ERROR,
          "The arrays of points have the types and lengths that Scale's validator wants, and no point is measured "
-         "before its frame.", "Write the scene again with `--profile scale`.", find=_point_faults, profiles=SCALE_ONLY),
+         "before its frame.", "Write the scene again with `--profile scale`.", find=_point_faults),
     Rule("scale-radar-lengths", ERROR,
          "Radar points have no lengths: Scale's loader cuts them into rows of three, or drops them.",
-         "Write the scene again with `--profile scale`: it keeps the lengths under the metadata.",
-         find=_radar_lengths, profiles=SCALE_ONLY),
+         "Write the scene again with `--profile scale`: it keeps the lengths under the metadata.", find=_radar_lengths),
     Rule("scale-static-attribute", WARNING, "Static attributes have one timestamp.", "Keep the first value.",
-         find=_static_attributes, profiles=SCALE_ONLY),
+         find=_static_attributes),
     Rule("scale-dropped", HINT, "Sensors state nothing that Scale's library drops.",
-         "Keep a copy of the file: what that library writes no longer has it.", find=_dropped, profiles=SCALE_ONLY),
+         "Keep a copy of the file: what that library writes no longer has it.", find=_dropped),
 )
 # fmt: on
+
+SCALE_RULES = tuple(replace(rule, profiles=("scale",)) for rule in _RULES)

@@ -67,8 +67,7 @@ def _mentions(subject: Subject) -> Iterator[_SensorMention]:
         for name in _NAMING_PARTS:
             for k, part in enumerate(getattr(annotation, name, ())):
                 for inside, named in _naming(part):
-                    suffix = f".{name}[{k}]{inside}.sensor_id"
-                    yield _SensorMention(number, suffix, named.sensor_id, annotation, named)
+                    yield _SensorMention(number, f".{name}[{k}]{inside}.sensor_id", named.sensor_id, annotation, named)
 
 
 def _naming(part: Any) -> Iterator[tuple[str, Any]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Int64Array
 from sceneloom.checks.annotation_table import PART_KINDS, PartTable, annotation_parts, camera_rows
-from sceneloom.checks.faults import as_read
+from sceneloom.checks.faults import as_read, warnings_of_code
 from sceneloom.checks.rule import (
     ERROR,
     HINT,
@@ -105,8 +105,7 @@ def _too_many_a_second(subject: Subject) -> Iterator[Hit]:
             mean_ns = float(np.mean(np.diff(timestamps_ns)))
             if 0 <= mean_ns < 1e9 / HIGHEST_RATE_HZ:
                 rate = f"{1e9 / mean_ns:.1f}" if mean_ns else "endlessly many"
-                problem = f"{rate} frames a second; expected at most {HIGHEST_RATE_HZ}"
-                yield Hit(frames_path(path, sensor), problem)
+                yield Hit(frames_path(path, sensor), f"{rate} frames a second; expected at most {HIGHEST_RATE_HZ}")
 
 
 def _intervals(subject: Subject) -> Iterator[tuple[str, Int64Array, float]]:
@@ -128,8 +127,7 @@ def _gaps(subject: Subject) -> Iterator[Hit]:
 def _doubled(subject: Subject) -> Iterator[Hit]:
     for path, intervals, usual in _intervals(subject):
         for k in np.flatnonzero((intervals > 0) & (intervals < _DOUBLED * usual)).tolist():
-            problem = f"{seconds(intervals[k])} after the frame before, {seconds(usual)} usually"
-            yield Hit(f"{path}[{k + 1}]", problem)
+            yield Hit(f"{path}[{k + 1}]", f"{seconds(intervals[k])} after the frame before, {seconds(usual)} usually")
 
 
 def _uneven(subject: Subject) -> Iterator[Hit]:
@@ -139,8 +137,7 @@ def _uneven(subject: Subject) -> Iterator[Hit]:
             continue
         spread_ns = float(np.std(plain))
         if spread_ns > _JITTER * usual:
-            problem = f"intervals of {seconds(usual)} vary by {seconds(spread_ns)} (one standard deviation)"
-            yield Hit(path, problem)
+            yield Hit(path, f"intervals of {seconds(usual)} vary by {seconds(spread_ns)} (one standard deviation)")
 
 
 def _fps_differs(subject: Subject) -> Iterator[Hit]:
@@ -151,8 +148,7 @@ def _fps_differs(subject: Subject) -> Iterator[Hit]:
             continue
         rate = 1e9 / period_ns(timestamps_of(sensor))
         if abs(sensor.fps - rate) > _FPS_TOLERANCE * rate:
-            problem = f"{sensor.fps:g}; the timestamps report {rate:.4g} images a second"
-            yield Hit(f"{path}.video.fps", problem)
+            yield Hit(f"{path}.video.fps", f"{sensor.fps:g}; the timestamps report {rate:.4g} images a second")
 
 
 def _timestamps_are_dates(subject: Subject) -> Iterator[Hit]:
@@ -255,13 +251,6 @@ _WHAT: dict[PointTimes, str] = {
 }
 
 
-def _relative_in_file(subject: Subject) -> Iterator[Hit]:
-    """What the reader of scene files has put right already."""
-    for warning in subject.notes:
-        if warning.code == "relative-point-times":
-            yield Hit(warning.location, warning.message, warning.count)
-
-
 def _not_on_the_clock(subject: Subject, frame: FrameInHand) -> Iterable[Hit]:
     if not isinstance(frame.sensor, LidarSensor) or not isinstance(frame.frame, LidarFrame):
         return ()
@@ -358,7 +347,8 @@ POINT_TIME_RULES: tuple[Rule, ...] = (
          find=_widths, fix=as_read),
     Rule("point-times-clock", WARNING, "Times of points are on the clock of their frames, in its unit.",
          "Write absolute times; in microseconds of 32 bits choose a time_offset, or write nanoseconds.",
-         find=_relative_in_file, look=_not_on_the_clock, conclude=_observations_of("point-times-clock")),
+         find=warnings_of_code("relative-point-times"), look=_not_on_the_clock,
+         conclude=_observations_of("point-times-clock")),
     Rule("point-times-frame", HINT, "No point lies before its frame, nor after the next one.",
          "Timestamp frames at their earliest point: writing the scene does.", look=_outside_the_sweep,
          conclude=_observations_of("point-times-frame")),

@@ -344,8 +344,7 @@ def _of_rule(rule: Rule, hits: Sequence[Hit], locations: int | None) -> list[Fin
     further = hits[len(shown) :]
     if further:
         count = sum(hit.count for hit in further)
-        message = f"and more of the same, up to {further[-1].path}"
-        findings.append(_finding(rule, Hit(further[0].path, message, count)))
+        findings.append(_finding(rule, Hit(further[0].path, f"and more of the same, up to {further[-1].path}", count)))
     return findings
 
 

@@ -398,8 +398,7 @@ class _Comparison:
 
     def _pixels(self, path: str, first: AnyArray, second: AnyArray) -> None:
         if first.shape != second.shape:
-            sizes = f"{first.shape[1]}x{first.shape[0]} pixels; then {second.shape[1]}x{second.shape[0]}"
-            self.changed(path, sizes)
+            self.changed(path, f"{first.shape[1]}x{first.shape[0]} pixels; then {second.shape[1]}x{second.shape[0]}")
             return
         colours = first.dtype == np.uint8
         away = np.abs(first.astype(np.int16 if colours else np.float64) - second)

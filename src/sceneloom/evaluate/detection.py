@@ -687,8 +687,7 @@ def _draw_reliability(axes: Any, label: str, reported: ClassDetection) -> None:
         filled = [part for part in difficulty.calibration.bins if part.count]
         most = max(part.count for part in filled)
         scores, shares = [part.mean_score for part in filled], [part.share_true for part in filled]
-        shown = f"{name}: ECE {difficulty.calibration.error:.3f}"
-        (line,) = axes.plot(scores, shares, linewidth=1.2, label=shown)
+        (line,) = axes.plot(scores, shares, linewidth=1.2, label=f"{name}: ECE {difficulty.calibration.error:.3f}")
         sizes = [12 + 100 * part.count / most for part in filled]
         axes.scatter(scores, shares, s=sizes, color=line.get_color(), alpha=0.6)
     axes.set_title(f"{label}, reliability of scores, {reported.similarity}", fontsize=10)
@@ -699,7 +698,6 @@ def _draw_coverage(axes: Any, label: str, reported: ClassDetection) -> None:
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1)
     for name, part in (reported.covariances or {}).items():
         levels, shares = zip(*((one.level, one.share) for one in part.coverages), strict=True)
-        shown = f"{name}: NEES {part.nees:.2f} of {part.dimensions}"
-        axes.plot(levels, shares, marker="o", linewidth=1.2, label=shown)
+        axes.plot(levels, shares, marker="o", linewidth=1.2, label=f"{name}: NEES {part.nees:.2f} of {part.dimensions}")
     axes.set_title(f"{label}, regions of covariances", fontsize=10)
     axes.set(xlabel="promised share", ylabel="share within", xlim=(0.4, 1.02), ylim=(0.4, 1.02))

@@ -148,8 +148,7 @@ def read_both(
         beyond = np.unique(found[name].frames[found[name].frames > last])
         if len(beyond):
             problem = "results in frames after the last one of the truth count as false"
-            where = f"sequence {name}"
-            ledger.note(WarningKind.ASSUMED, "results-beyond-truth", where, problem, count=len(beyond))
+            ledger.note(WarningKind.ASSUMED, "results-beyond-truth", f"sequence {name}", problem, count=len(beyond))
     if _are_same(results, truth):
         ledger.note(WarningKind.ASSUMED, "truth-against-itself", str(results), "results and truth are the same files")
     return BothSides(found, true, _comparable(found, true), _Kind.SCENE in kinds, ledger.warnings)

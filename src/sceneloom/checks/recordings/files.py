@@ -661,8 +661,7 @@ def _begin(frames: FrameColumns) -> Iterator[Hit]:
 def _order(frames: FrameColumns) -> Iterator[Hit]:
     numbers, lines = _by_time(frames)
     for row in np.flatnonzero(np.diff(numbers) <= 0).tolist():
-        reported = f"number: {numbers[row + 1]} after {numbers[row]}; expected {numbers[row] + 1}"
-        yield Hit(_at(lines[row + 1]), reported)
+        yield Hit(_at(lines[row + 1]), f"number: {numbers[row + 1]} after {numbers[row]}; expected {numbers[row] + 1}")
 
 
 def _gaps(frames: FrameColumns) -> Iterator[Hit]:

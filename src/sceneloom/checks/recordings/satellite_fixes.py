@@ -76,8 +76,7 @@ def _column_hits(stream: Stream, wrong: BoolArray, column: str, values: Float64A
     rows = np.flatnonzero(wrong)
     if len(rows):
         row = int(rows[0])
-        problem = f"{stream.at(row)}: {column} {_shown(values[row])}; expected {expected}"
-        yield stream.hit(row, problem, len(rows))
+        yield stream.hit(row, f"{stream.at(row)}: {column} {_shown(values[row])}; expected {expected}", len(rows))
 
 
 def _shown(value: Float64Array) -> str:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
-from sceneloom.checks.annotation_table import annotation_parts
 from sceneloom.checks.rule import (
     ERROR,
     HINT,
@@ -18,6 +17,7 @@ from sceneloom.checks.rule import (
     Hit,
     Rule,
     Subject,
+    annotation_parts,
     frames_spread,
     repaired_annotations,
 )

@@ -10,9 +10,20 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, UInt8Array
 from sceneloom.cameras.camera import MODELS
-from sceneloom.checks.annotation_table import PartTable, annotation_parts, camera_rows
 from sceneloom.checks.faults import as_read, warnings_of_code
-from sceneloom.checks.rule import ERROR, HINT, WARNING, FrameInHand, Hit, Rule, Subject, timestamps_of
+from sceneloom.checks.rule import (
+    ERROR,
+    HINT,
+    WARNING,
+    FrameInHand,
+    Hit,
+    PartTable,
+    Rule,
+    Subject,
+    annotation_parts,
+    camera_rows,
+    timestamps_of,
+)
 from sceneloom.errors import DataError
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
 from sceneloom.scene.types import Identifier, key_of

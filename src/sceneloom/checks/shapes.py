@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sceneloom.arrays import Float64Array, read_only
-from sceneloom.checks.annotation_table import annotation_parts
-from sceneloom.checks.rule import ERROR, HINT, WARNING, Find, Hit, Rule, Subject, repaired_annotations
+from sceneloom.checks.rule import ERROR, HINT, WARNING, Find, Hit, Rule, Subject, annotation_parts, repaired_annotations
 from sceneloom.scene.annotations import AttributePath, PointsAnnotation, ShapeAnnotation, ShapeType
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import key_of

@@ -7,17 +7,20 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Int64Array
-from sceneloom.checks.annotation_table import PART_KINDS, PartTable, annotation_parts, camera_rows
 from sceneloom.checks.faults import as_read, warnings_of_code
 from sceneloom.checks.rule import (
     ERROR,
     HINT,
+    PART_KINDS,
     WARNING,
     Find,
     FrameInHand,
     Hit,
+    PartTable,
     Rule,
     Subject,
+    annotation_parts,
+    camera_rows,
     frames_path,
     period_ns,
     repaired_annotations,

@@ -1,4 +1,4 @@
-"""Rules about the samples of the IMU and other sensors: units, gravity, noise, stuck values, clocks."""
+"""Rules about the samples of the IMU and other sensors, and about satellite fixes: units, noise, clocks, jumps."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -6,9 +6,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array
+from sceneloom.checks.poses import FASTEST
 from sceneloom.checks.recordings.times import APART_SECONDS, Kind, Stream, streams_of_kind
 from sceneloom.checks.rule import ERROR, HINT, WARNING, Find, Hit, Rule, Subject
+from sceneloom.geometry.geodesy import enu_from_geodetic
+from sceneloom.motion.ego_trajectory import usable_fixes
+from sceneloom.scene.motion import GnssSensor
 
 FAR_SECONDS, FAR_PERIODS = 0.1, 4.0
 """An image that is farther than both from the nearest sample of the IMU is far."""
@@ -313,5 +317,332 @@ SAMPLE_RULES: tuple[Rule, ...] = (
          "barometer's, 20 %.",
          "Check whether the sensor hung, or samples were filled in to reach a rate that it does not have.",
          find=_repeated),
+)
+# fmt: on
+
+
+LOWEST, HIGHEST = -500.0, 10_000.0
+"""Altitudes [m] between the Dead Sea's shore and the highest roads, with room for aeroplanes."""
+
+WORST_ACCURACY, UNKNOWN_ACCURACY = 1000.0, 5.0
+"""A fix that is less accurate [m] is of a mobile network, or in another unit; assumed where a fix has none [m]."""
+
+JUMP_SIGMAS, HARDEST_ACCELERATION, JUMP_MARGIN = 8.0, 10.0, 0.5
+"""A fix jumps that is farther off the trajectory between its neighbours than 8 of their accuracies, what a vehicle can
+swerve meanwhile [m/s²], and half a metre."""
+
+LONGEST_STEP = 3.0
+"""Between fixes farther apart [s] the trajectory is not known well enough."""
+
+_RADIANS = (np.pi / 2, np.pi)
+LEAST_CORRELATION = -0.8
+"""Rotations that correlate worse have the other sign."""
+
+_FEWEST_ROTATIONS, _LEAST_ROTATION, _SHARPEST_ROTATION = 6, 0.1, 1.0
+"""Root mean square of the rotations from leg to leg [rad] that show a side; between legs that differ by more than the
+last the trajectory is not known: it may have rotated to either side."""
+
+_SHORTEST_LEG, _LEG_SIGMAS, _MOST_FIXES = 5.0, 10.0, 4_000
+"""Legs are longer than this [m], and than so many accuracies of the fixes that bound them."""
+
+NEAREST_REPORTED, _ACCURACIES, _DRIFT = 5.0, 4.0, 0.01
+"""Fixes agree with a trajectory within this distance [m], since antennas sit elsewhere, within so many times their
+stated accuracy, and within this part of the trajectory, since odometry drifts."""
+
+_FEWEST_FIXES, _LEAST_SPREAD = 10, 5.0
+_CLEARLY, _MIRRORED_REPORTED = 0.3, 2.0
+"""A mirrored trajectory fits better if it leaves less than this part of the distance; less bent ones [m] have no left
+and right."""
+
+_HEIGHTS_REPORT, _ROTATED_HEIGHTS = 3.0, -0.7
+
+
+def _on_earth(stream: Stream) -> BoolArray:
+    """Which fixes are on the earth, (N,) bool."""
+    return np.asarray((np.abs(stream.values[:, 0]) <= 90) & (np.abs(stream.values[:, 1]) <= 180))
+
+
+def _at_origin(stream: Stream) -> BoolArray:
+    """Which fixes are exactly at 0, 0, (N,) bool."""
+    return np.asarray((stream.values[:, :2] == 0).all(axis=1))
+
+
+def _fixes_in_order(stream: Stream) -> Int64Array:
+    """Rows of the fixes that are positions, the first of each time, (M,) int64."""
+    rows = np.flatnonzero(_on_earth(stream) & ~_at_origin(stream))
+    first: Int64Array = rows[np.diff(stream.seconds[rows], prepend=-np.inf) > 0]
+    return first
+
+
+def _positions(fixes: Float64Array) -> Float64Array:
+    """East and north of latitudes and longitudes (N, 2 or more) from the first, (N, 2) [m]."""
+    flat = np.column_stack([fixes[:, :2], np.zeros(len(fixes))])
+    return enu_from_geodetic(flat, flat[0])[:, :2]
+
+
+def _column_hits(stream: Stream, wrong: BoolArray, column: str, values: Float64Array, expected: str) -> Iterator[Hit]:
+    rows = np.flatnonzero(wrong)
+    if len(rows):
+        row = int(rows[0])
+        yield stream.hit(row, f"{stream.at(row)}: {column} {_shown(values[row])}; expected {expected}", len(rows))
+
+
+def _shown(value: Float64Array) -> str:
+    return ", ".join(f"{number:.9g}" for number in np.atleast_1d(value).tolist())
+
+
+def _off_the_earth(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.GNSS):
+        wrong, locations = ~_on_earth(stream), stream.values[:, :2]
+        expected = "degrees within 90 and 180"
+        if (wrong & (np.abs(locations[:, 0]) <= 180) & (np.abs(locations[:, 1]) <= 90)).any():
+            expected += ": are latitude and longitude exchanged?"
+        yield from _column_hits(stream, wrong, "latitude, longitude", locations, expected)
+
+
+def _at_zero(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.GNSS):
+        locations, nowhere = stream.values[:, :2], _at_origin(stream)
+        expected = "a location: receivers write 0, 0 before they know one"
+        yield from _column_hits(stream, nowhere, "latitude, longitude", locations, expected)
+        others = locations[~nowhere]
+        if len(others) and (np.abs(others) <= _RADIANS).all():
+            problem = f"all latitudes and longitudes are {_shown(others[0])} or near it: are these radians?"
+            yield Hit(stream.whole, f"{problem} The format wants degrees")
+
+
+def _altitudes(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.GNSS):
+        altitudes = stream.values[:, 2]
+        wrong = ~((altitudes >= LOWEST) & (altitudes <= HIGHEST))
+        expected = f"{LOWEST:g} to {HIGHEST:g} m"
+        if len(altitudes) and HIGHEST < abs(float(np.median(altitudes))) <= 1000 * HIGHEST:
+            expected += ": is it in millimetres?"
+        yield from _column_hits(stream, wrong, "altitude", altitudes, expected)
+
+
+def _accuracies(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.GNSS):
+        for column, name in ((3, "accuracy"), (4, "verticalAccuracy")):
+            stated = stream.values[:, column]
+            wrong = ~np.isnan(stated) & ~((stated > 0) & (stated <= WORST_ACCURACY))
+            expected = f"more than 0 and at most {WORST_ACCURACY:g} m, or none where it is not known"
+            yield from _column_hits(stream, wrong, name, stated, expected)
+
+
+def _jumps(subject: Subject) -> Iterator[Hit]:
+    for stream in streams_of_kind(subject, Kind.GNSS):
+        rows = _fixes_in_order(stream)
+        if len(rows) < 2:
+            continue
+        seconds, positions, stated = stream.seconds[rows], _positions(stream.values[rows]), stream.values[rows, 3]
+        sigmas = np.where((stated > 0) & (stated <= WORST_ACCURACY), stated, UNKNOWN_ACCURACY)
+        off, allowed = _off_the_trajectory(seconds, positions, sigmas)
+        # a wrong fix puts its neighbours off by half
+        padded = np.concatenate([[0.0], off, [0.0]])
+        peaks = (off > allowed) & (off > padded[:-2]) & (off >= padded[2:])
+        # nothing on the ground reaches a fix that far from the one before, nor leaves it for the next but one
+        steps = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
+        reach = FASTEST * np.diff(seconds) + JUMP_SIGMAS * np.hypot(sigmas[1:], sigmas[:-1])
+        too_far = np.concatenate([[False], ~(steps[1:] <= reach)])
+        too_far[1:] &= ~too_far[:-1]
+        too_far[1:] &= ~peaks[:-1]
+        for k in np.flatnonzero(peaks | too_far).tolist():
+            speed = steps[k] / (seconds[k] - seconds[k - 1]) if k else 0.0
+            lies = f"lies {off[k]:.1f} m off the trajectory between its neighbours, " if off[k] > 0 else "lies "
+            problem = (
+                f"{stream.at(int(rows[k]))} {lies}{steps[k]:.1f} m from the one before, {speed:.0f} m/s; its accuracy "
+                f"is {sigmas[k]:.2g} m"
+            )
+            yield stream.hit(int(rows[k]), problem)
+
+
+def _off_the_trajectory(
+    seconds: Float64Array, positions: Float64Array, sigmas: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """How far each fix is off the straight line between its neighbours, and how far it may be, (N,) [m] each."""
+    off, allowed = np.zeros(len(seconds)), np.full(len(seconds), np.inf)
+    if len(seconds) < 3:
+        return off, allowed
+    before, after = seconds[1:-1] - seconds[:-2], seconds[2:] - seconds[1:-1]
+    share = (before / (before + after))[:, None]
+    off[1:-1] = np.linalg.norm(positions[1:-1] - positions[:-2] * (1 - share) - positions[2:] * share, axis=1)
+    worst = np.maximum(sigmas[1:-1], np.maximum(sigmas[:-2], sigmas[2:]))
+    swerve = 0.5 * HARDEST_ACCELERATION * before * after
+    known = (before <= LONGEST_STEP) & (after <= LONGEST_STEP)
+    allowed[1:-1] = np.where(known, JUMP_SIGMAS * worst + swerve + JUMP_MARGIN, np.inf)
+    return off, allowed
+
+
+def _mirrored(subject: Subject) -> Iterator[Hit]:
+    streams = {stream.kind: stream for stream in streams_of_kind(subject, Kind.GYROSCOPE, Kind.ACCELEROMETER)}
+    if len(streams) < 2:
+        return
+    gyroscope, up = streams[Kind.GYROSCOPE], streams[Kind.ACCELEROMETER].values.mean(axis=0)
+    length = float(np.linalg.norm(up))
+    if not 0 < length < np.inf or len(gyroscope) < 2:
+        return
+    # how far the device had rotated to the left about its up at each sample [rad]
+    seconds, rates = gyroscope.seconds, gyroscope.values @ (up / length)
+    rotated = np.concatenate([[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds))])
+    for fixes in streams_of_kind(subject, Kind.GNSS):
+        found = _rotations_of(fixes)
+        if found is None:
+            continue
+        times, rotations = found
+        measured = np.diff(np.interp(times, seconds, rotated))
+        known = (np.abs(rotations) < _SHARPEST_ROTATION) & (times[:-1] >= seconds[0]) & (times[1:] <= seconds[-1])
+        rotations, measured = rotations[known], measured[known]
+        if len(rotations) < _FEWEST_ROTATIONS or np.sqrt((measured * measured).mean()) < _LEAST_ROTATION:
+            continue
+        size = float(np.sqrt((rotations * rotations).sum() * (measured * measured).sum()))
+        correlation = float((rotations * measured).sum()) / size if size > 0 else 0.0
+        if correlation < LEAST_CORRELATION:
+            problem = (
+                f"{len(rotations)} rotations of the trajectory correlate by {correlation:.2f} with those that the "
+                "gyroscope measured about the accelerometer's up: are latitude and longitude exchanged, or do "
+                "accelerations point down at rest?"
+            )
+            yield Hit(fixes.whole, problem)
+
+
+def _rotations_of(fixes: Stream) -> tuple[Float64Array, Float64Array] | None:
+    """The times in the middle of each leg, (L,) [s], and the rotations between them to the left, (L - 1,) [rad]."""
+    usable = _fixes_in_order(fixes)
+    usable = usable[:: len(usable) // _MOST_FIXES + 1]
+    if len(usable) <= _FEWEST_ROTATIONS:
+        return None
+    positions, seconds, accuracies = _positions(fixes.values[usable]), fixes.seconds[usable], fixes.values[usable, 3]
+    stated = accuracies[accuracies > 0]
+    shortest = max(_SHORTEST_LEG, _LEG_SIGMAS * float(np.median(stated)) if len(stated) else 0.0)
+    ends, (east, north) = [0], positions[0].tolist()
+    for row, (x, y) in enumerate(positions.tolist()):
+        if (x - east) ** 2 + (y - north) ** 2 >= shortest * shortest:
+            ends.append(row)
+            east, north = x, y
+    legs = np.diff(positions[ends], axis=0)
+    courses = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
+    return 0.5 * (seconds[ends[1:]] + seconds[ends[:-1]]), np.diff(courses)
+
+
+_Complex = np.ndarray[tuple[int], np.dtype[np.complex128]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Case:
+    """A trajectory and the fixes during it, positions on the ground as complex numbers, east + i north [m]."""
+
+    name: str  # of the trajectory
+    fixes: _Complex  # (M,)
+    trajectory: _Complex  # (M,), at the fixes' times
+    ups: Float64Array  # (M,) heights of the fixes
+    heights: Float64Array  # (M,) of the trajectory
+    tolerance: float  # so far apart they still agree
+    vertical: float  # accuracy of the heights
+
+
+def _cases(subject: Subject) -> Iterator[_Case]:
+    receiver = next((s for s in subject.scene.sensors if isinstance(s, GnssSensor)), None)
+    if receiver is None or not len(receiver.timestamps_ns):
+        return
+    # a fix at 0, 0 before reception would else be the position from which all are seen
+    usable = usable_fixes(receiver) & np.isfinite(receiver.positions_lla).all(axis=1)
+    for trajectory in subject.scene.trajectories.values():
+        times_ns = trajectory.timestamps_ns
+        during = usable & (receiver.timestamps_ns >= times_ns[0]) & (receiver.timestamps_ns <= times_ns[-1])
+        rows = np.flatnonzero(during)
+        if len(rows) < _FEWEST_FIXES:
+            continue
+        enu = enu_from_geodetic(receiver.positions_lla[rows], receiver.positions_lla[rows[0]])
+        fixes = np.asarray(enu[:, 0] + 1j * enu[:, 1])
+        own, at = (times_ns - times_ns[0]) / 1e9, (receiver.timestamps_ns[rows] - times_ns[0]) / 1e9
+        x, y, z = (np.interp(at, own, axis) for axis in trajectory.positions.T)
+        length = float(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum())
+        near = max(NEAREST_REPORTED, _ACCURACIES * _usual(receiver.accuracies[rows]))
+        tolerance = near + _DRIFT * min(length, float(np.abs(np.diff(fixes)).sum()))
+        vertical = _usual(receiver.vertical_accuracies[rows])
+        yield _Case(trajectory.name, fixes, np.asarray(x + 1j * y), enu[:, 2], z, tolerance, vertical)
+
+
+def _usual(accuracies: Float64Array) -> float:
+    known = accuracies[np.isfinite(accuracies)]
+    return float(np.median(known)) if len(known) else UNKNOWN_ACCURACY
+
+
+def _fit(fixes: _Complex, positions: _Complex) -> float:
+    """Distance [m] of half of the fixes once the trajectory is aligned by rotation and translation."""
+    # it is aligned once more without the farthest ones
+    kept = np.ones(len(positions), np.bool_)
+    for _ in range(2):
+        wanted, given = fixes - fixes[kept].mean(), positions - positions[kept].mean()
+        product = np.vdot(given[kept], wanted[kept])
+        rotation = product / np.abs(product) if product else 1.0
+        away = np.abs(wanted - rotation * given)
+        kept = away <= 3.0 * np.median(away) + 1e-9
+    return float(np.median(away))
+
+
+def _far_apart(subject: Subject) -> Iterator[Hit]:
+    for case in _cases(subject):
+        spread = float(min(np.abs(case.fixes - case.fixes.mean()).max(), np.inf))
+        moved = float(np.abs(case.trajectory - case.trajectory.mean()).max())
+        if max(spread, moved) < max(_LEAST_SPREAD, 2.0 * case.tolerance):
+            continue
+        away, mirrored = (_fit(case.fixes, positions) for positions in (case.trajectory, np.conj(case.trajectory)))
+        # so much better that no drift explains it, though both may be near
+        is_mirrored = mirrored < _CLEARLY * away and away > _MIRRORED_REPORTED
+        if away <= case.tolerance and not is_mirrored:
+            continue
+        problem = (
+            f"rotated and shifted as well as can be, half of the fixes lie more than {away:.1f} m off; "
+            f"expected {case.tolerance:.1f} m at most"
+        )
+        if is_mirrored:
+            problem += f", and it is {mirrored:.1f} m if x and y are exchanged, or one is negated (mirrored)"
+        yield Hit(f"trajectories[{case.name}]", problem)
+
+
+def _upside_down(subject: Subject) -> Iterator[Hit]:
+    for case in _cases(subject):
+        ups, heights = case.ups - case.ups.mean(), case.heights - case.heights.mean()
+        if ups.std() < max(_HEIGHTS_REPORT * case.vertical, _LEAST_SPREAD) or heights.std() == 0:
+            continue
+        correlation = float((ups * heights).mean() / (ups.std() * heights.std()))
+        if correlation < _ROTATED_HEIGHTS:
+            problem = (
+                f"z falls where the fixes climb (correlation {correlation:.2f}): probably z of the world points down"
+            )
+            yield Hit(f"trajectories[{case.name}]", problem)
+
+
+# fmt: off
+FIX_RULES: tuple[Rule, ...] = (
+    Rule("fixes-on-earth", ERROR, "Latitudes of fixes lie within 90 degrees, longitudes within 180.",
+         "Check whether they are exchanged, or in another unit than degrees.", find=_off_the_earth),
+    Rule("fixes-somewhere", WARNING, "No fix is at latitude 0, longitude 0, and not all are within what radians reach.",
+         "Leave fixes out that are none; write degrees.", find=_at_zero),
+    Rule("fixes-altitude", WARNING, "Altitudes of fixes are -500 to 10000 m.",
+         "Write metres above the ellipsoid.", find=_altitudes),
+    Rule("fixes-accuracy", WARNING, "Accuracies of fixes are more than 0 and at most 1000 m, where they are given.",
+         "Leave the accuracy out where it is not known: an accuracy of 0 gets infinite weight.", find=_accuracies),
+    Rule("fixes-jump", WARNING,
+         "No fix is farther off the trajectory between its neighbours than 8 of their accuracies, 10 m/s² and "
+         "0.5 m explain, nor is reached at more than 150 m/s.",
+         "Leave the fix out, or give it the accuracy that it has.", find=_jumps),
+    Rule("fixes-mirrored", WARNING,
+         "The trajectory of the fixes rotates to the side to which the gyroscope rotates: they do not correlate "
+         "by less than -0.8.",
+         "Check whether latitude and longitude are exchanged, and whether the accelerometer points up at rest.",
+         find=_mirrored),
+)
+
+POSES_AND_GNSS_RULES: tuple[Rule, ...] = (
+    Rule("poses-against-gnss", WARNING,
+         f"Trajectories follow the satellite fixes, within {NEAREST_REPORTED:g} m or {_ACCURACIES:g} times their "
+         f"accuracy, and {_DRIFT:.0%} of the trajectory.",
+         "Write positions in metres, in a right-handed world whose z points up, on the clock of the fixes.",
+         find=_far_apart),
+    Rule("heights-against-gnss", WARNING, "Trajectories climb where the altitudes of the fixes do.",
+         "Write positions in a world whose z points up.", find=_upside_down),
 )
 # fmt: on

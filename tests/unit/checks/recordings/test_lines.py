@@ -10,8 +10,7 @@ import pytest
 import sceneloom
 from sceneloom.checks import validate
 from sceneloom.checks.recordings.files import PRESENCE_RULES
-from sceneloom.checks.recordings.samples import SAMPLE_RULES, mean_noise
-from sceneloom.checks.recordings.satellite_fixes import FIX_RULES
+from sceneloom.checks.recordings.samples import FIX_RULES, SAMPLE_RULES, mean_noise
 from sceneloom.checks.recordings.times import STREAM_RULES
 from sceneloom.scene import GnssSensor, ImuSensor
 from sceneloom.simulate import (

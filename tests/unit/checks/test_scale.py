@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from sceneloom import scene as sc
 from sceneloom.checks import all_rules, validate
@@ -46,7 +45,7 @@ def found_in(path):
     return sorted({finding.rule for finding in findings})
 
 
-def test_what_the_text_alone_allows_is_found_where_the_profile_asks_for_it(sound, tmp_path):
+def test_what_the_text_alone_allows_is_found_where_the_profile_asks_for_it(sound, tmp_path, encode_sfs):
     scene, ours, text = everything(sound), tmp_path / "scale.sfs", tmp_path / "text.sfs"
     write_scene(scene, ours, profile="scale")
     write_scene(scene, text, time_unit="nanoseconds")
@@ -55,13 +54,11 @@ def test_what_the_text_alone_allows_is_found_where_the_profile_asks_for_it(sound
     assert not set(validate(text).rules) & set(RULES)
     # nor is a scene that is no file of the format refused anything
     assert found_in(ours) == found_in(scene) == []
-
-
-@pytest.mark.parametrize(("field", "value"), [("coordinates", "ego"), ("parent_id", "rack")])
-def test_what_the_library_drops_in_silence_is_reported(tmp_path, encode_sfs, field, value):
+    # what the library drops in silence is reported
     poses = {"timestamps": [0], "values": [[0.0, 0, 0, 0, 0, 0, 1]]}
     frames = [{"timestamp": 0, "points": {"positions": ONE}}]
-    lidar = {"id": "top", "type": "lidar", "poses": poses, "frames": frames, field: value}
-    (tmp_path / "a.sfs").write_bytes(encode_sfs({"version": "1.0", "sensors": [lidar]}))
-    report = validate(tmp_path / "a.sfs", profile="scale", rules=RULES)
-    assert [(finding.rule, finding.path) for finding in report.findings] == [("scale-dropped", f"sensors[0].{field}")]
+    lidar = {"id": "top", "type": "lidar", "poses": poses, "frames": frames, "coordinates": "ego", "parent_id": "rack"}
+    text.write_bytes(encode_sfs({"version": "1.0", "sensors": [lidar]}))
+    findings = validate(text, profile="scale", rules=RULES).findings
+    dropped = {("scale-dropped", f"sensors[0].{field}") for field in ("coordinates", "parent_id")}
+    assert {(finding.rule, finding.path) for finding in findings} == dropped

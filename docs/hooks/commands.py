@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import click
 
-from sceneloom.cli.help import GROUPS
+from sceneloom.cli.help import GROUPS, Verb
 
 Pages = dict[str, str]
 """The text of each page, by its location on the site."""
@@ -57,7 +57,7 @@ def _page(command: click.Command, called: str) -> str:
         if own:
             rows = "\n".join(f"| {_names(option)} | {_cell(_stated(option))} |" for option in own)
             tables += f"\n## {title}\n\n| option | meaning |\n| --- | --- |\n{rows}\n"
-    examples = "\n".join(getattr(command, "examples", ()))
+    examples = "\n".join(command.lines_of(called)) if isinstance(command, Verb) else ""
     shown = f"\n## Examples\n\n```sh\n{examples}\n```\n" if examples else ""
     return f"# {called}\n\n{_text(command)}\n\n```sh\n{usage}\n```\n{shown}{tables}"
 

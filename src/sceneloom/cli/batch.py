@@ -432,7 +432,7 @@ def _read_as_listed(given: dict[str, Any], command: click.Command) -> None:
 # how a run stands
 
 
-@batch.command(examples=("sceneloom batch status fused/", "sceneloom batch status fused/ --json"))
+@batch.command(examples=("fused/", "fused/ --json"))
 @click.argument("output", type=options.location)
 @option(
     "--record=DIR",

@@ -27,9 +27,7 @@ _OF_REPAIRS = ("output", "parameters", "form", "onto")
 _BOXES = ("boxes3d", "boxes2d", "det2d", "det3d", "sequences", "motion")
 
 
-@click.command(
-    cls=Verb, examples=("sceneloom calibrate drive/", "sceneloom calibrate drive/ --refine -o corrected.sfs")
-)
+@click.command(cls=Verb, examples=("drive/", "drive/ --refine -o corrected.sfs"))
 @click.argument("path", type=options.location)
 @option("--check", "Report whether the calibration is right. The default.")
 @option(

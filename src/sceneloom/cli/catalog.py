@@ -35,12 +35,7 @@ _building = options.stacked(
 _lists = options.lists('a path, or {"path": …, "reading": {"sequence": …}}')
 
 
-@catalog.command(
-    examples=(
-        "sceneloom catalog build 'drives/*.sfs' -o catalogue",
-        "sceneloom catalog build --list drives.txt -o catalogue",
-    )
-)
+@catalog.command(examples=("'drives/*.sfs' -o catalogue", "--list drives.txt -o catalogue"))
 @click.argument("drives", nargs=-1, metavar="DRIVES...")
 @option("-o --output=OUT", "Folder of the catalogue.", options.target, required=True, group="output")
 @_lists
@@ -64,12 +59,7 @@ def build(
     return int(bool(report.failed))
 
 
-@catalog.command(
-    examples=(
-        "sceneloom catalog update catalogue 'drives/*.sfs'",
-        "sceneloom catalog update catalogue --list drives.txt",
-    )
-)
+@catalog.command(examples=("catalogue 'drives/*.sfs'", "catalogue --list drives.txt"))
 @click.argument("catalogue", type=click.Path(path_type=Path))
 @click.argument("drives", nargs=-1, metavar="[DRIVES...]")
 @_lists
@@ -128,12 +118,7 @@ def _print_report(report: "CatalogReport", printer: Printer) -> None:
     always.notes([f"not there any more: {path}; `--prune` takes it out" for path in report.gone])
 
 
-@catalog.command(
-    examples=(
-        "sceneloom catalog query catalogue --label pedestrian --distance 0 20",
-        "sceneloom catalog query catalogue --sql 'SELECT path FROM scenes'",
-    )
-)
+@catalog.command(examples=("catalogue --label pedestrian --distance 0 20", "catalogue --sql 'SELECT path FROM scenes'"))
 @click.argument("catalogue", type=click.Path(path_type=Path))
 @option("--sql=TEXT", "One statement that reads, instead of filters.")
 @option("--label=NAME… labels", "Boxes of this class, `*` allowed; may be repeated.")

@@ -15,9 +15,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
     from sceneloom.pipeline.colouring import ColourOutputs, ColourReport
 
 
-@click.command(
-    cls=Verb, examples=("sceneloom colour drive.sfs --voxel 0.05 -o map.laz", "sceneloom colour drive/ -o coloured.sfs")
-)
+@click.command(cls=Verb, examples=("drive.sfs --voxel 0.05 -o map.laz", "drive/ -o coloured.sfs"))
 @click.argument("path", type=options.location)
 @options.output("The map: .las, .laz, .ply, .pcd or .sfs.", required=False)
 @option("--voxel=M", "Keep one point per cube of M metres. [default: all]", options.positive)

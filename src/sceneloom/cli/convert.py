@@ -15,10 +15,7 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.converting import ConversionReport
 
 
-@click.command(
-    cls=Verb,
-    examples=("sceneloom convert drive/ drive.mcap", "sceneloom convert drive.sfs nuscenes/ --to nuscenes --strict"),
-)
+@click.command(cls=Verb, examples=("drive/ drive.mcap", "drive.sfs nuscenes/ --to nuscenes --strict"))
 @click.argument("source", type=options.location)
 @click.argument("target", type=options.target)
 @options.writing_scenes

@@ -15,10 +15,7 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.depth_images import DepthReport
 
 
-@click.command(
-    cls=Verb,
-    examples=("sceneloom depth drive/ -o depth/", "sceneloom depth drive/ --method sparse --form npz -o depth/"),
-)
+@click.command(cls=Verb, examples=("drive/ -o depth/", "drive/ --method sparse --form npz -o depth/"))
 @click.argument("path", type=options.location)
 @options.output("Folder for the depth images.")
 @option(

@@ -18,10 +18,7 @@ _MARKS = {"added": "+", "removed": "-", "changed": "~"}
 _MOST = 10 * SHOWN  # differences shown unless `--verbose` is stated
 
 
-@click.command(
-    cls=Verb,
-    examples=("sceneloom diff before.sfs after.sfs", "sceneloom diff drive/ drive.sfs --tolerance-m 0.001 --json"),
-)
+@click.command(cls=Verb, examples=("before.sfs after.sfs", "drive/ drive.sfs --tolerance-m 0.001 --json"))
 @click.argument("first", type=options.location)
 @click.argument("second", type=options.location)
 @option("--tolerance-m=M", "Ignore distances up to this.", options.not_negative, default=0.0)

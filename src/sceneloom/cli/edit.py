@@ -298,30 +298,24 @@ def _command(name: str, row: _Edit) -> click.Command:
 _OUTPUT = options.output("The file or folder to write; its suffix chooses the format.")
 
 _EXAMPLES = {
-    name: tuple(f"sceneloom edit {name} {words}" for words in both)
-    for name, both in {
-        "anonymise": ("drive.sfs -o shared.sfs", "drive.sfs --fixes shift --dates shift -o shared.sfs"),
-        "apply": ("drive.sfs -o corrected.sfs", "drive.sfs --only calibration-1 -o corrected.sfs"),
-        "blur": (
-            "drive.sfs --boxes faces.csv -o shared.sfs",
-            "drive.sfs --label Pedestrian --fill black -o shared.sfs",
-        ),
-        "camera-model": (
-            "drive.sfs --model pinhole -o pinhole.sfs",
-            "drive.sfs --model brown_conrady --limit 0.5 -o brown.sfs",
-        ),
-        "count": ("labels.sfs -o counted.sfs", "labels.sfs --lidar top --labeled-points -o counted.sfs"),
-        "crop": ("drive.sfs --start 10 --stop 20 -o part.sfs", "drive.sfs --range 50 --sensor lidar -o near.sfs"),
-        "deskew": ("drive/ -o deskewed.sfs", "drive/ --trajectory gnss --at end -o deskewed.sfs"),
-        "merge": ("lidar.sfs cameras.sfs -o drive.sfs", "part1.sfs part2.sfs --join -o drive.sfs"),
-        "project": ("labels.sfs -o projected.sfs", "labels.sfs --camera front --min-pixels 10 -o projected.sfs"),
-        "simplify": ("labels.sfs -o simpler.sfs", "labels.sfs --tolerance-m 0.02 --only cuboids -o simpler.sfs"),
-        "thin": ("drive.sfs --voxel 0.1 -o thin.sfs", "drive.sfs --every 5 -o thin.sfs"),
-        "to-ego": ("drive.sfs -o ego.sfs", "drive.sfs --trajectory gnss -o ego.sfs"),
-        "to-sensor": ("drive.sfs -o sensor.sfs", "drive.sfs --trajectory gnss -o sensor.sfs"),
-        "to-world": ("drive.sfs -o world.sfs", "drive.sfs --trajectory lidar -o world.sfs"),
-        "undistort": ("drive.sfs -o undistorted.sfs", "drive.sfs --camera front --size 1280x720 -o undistorted.sfs"),
-    }.items()
+    "anonymise": ("drive.sfs -o shared.sfs", "drive.sfs --fixes shift --dates shift -o shared.sfs"),
+    "apply": ("drive.sfs -o corrected.sfs", "drive.sfs --only calibration-1 -o corrected.sfs"),
+    "blur": ("drive.sfs --boxes faces.csv -o shared.sfs", "drive.sfs --label Pedestrian --fill black -o shared.sfs"),
+    "camera-model": (
+        "drive.sfs --model pinhole -o pinhole.sfs",
+        "drive.sfs --model brown_conrady --limit 0.5 -o brown.sfs",
+    ),
+    "count": ("labels.sfs -o counted.sfs", "labels.sfs --lidar top --labeled-points -o counted.sfs"),
+    "crop": ("drive.sfs --start 10 --stop 20 -o part.sfs", "drive.sfs --range 50 --sensor lidar -o near.sfs"),
+    "deskew": ("drive/ -o deskewed.sfs", "drive/ --trajectory gnss --at end -o deskewed.sfs"),
+    "merge": ("lidar.sfs cameras.sfs -o drive.sfs", "part1.sfs part2.sfs --join -o drive.sfs"),
+    "project": ("labels.sfs -o projected.sfs", "labels.sfs --camera front --min-pixels 10 -o projected.sfs"),
+    "simplify": ("labels.sfs -o simpler.sfs", "labels.sfs --tolerance-m 0.02 --only cuboids -o simpler.sfs"),
+    "thin": ("drive.sfs --voxel 0.1 -o thin.sfs", "drive.sfs --every 5 -o thin.sfs"),
+    "to-ego": ("drive.sfs -o ego.sfs", "drive.sfs --trajectory gnss -o ego.sfs"),
+    "to-sensor": ("drive.sfs -o sensor.sfs", "drive.sfs --trajectory gnss -o sensor.sfs"),
+    "to-world": ("drive.sfs -o world.sfs", "drive.sfs --trajectory lidar -o world.sfs"),
+    "undistort": ("drive.sfs -o undistorted.sfs", "drive.sfs --camera front --size 1280x720 -o undistorted.sfs"),
 }
 
 

@@ -63,12 +63,7 @@ _objects = options.stacked(
 # detections
 
 
-@evaluate.command(
-    examples=(
-        "sceneloom eval detection fused.jsonl labels.sfs",
-        "sceneloom eval detection results/ kitti_object/ --json",
-    )
-)
+@evaluate.command(examples=("fused.jsonl labels.sfs", "results/ kitti_object/ --json"))
 @_objects
 @option(
     "--similarity=2d|bev|3d… similarities",
@@ -167,9 +162,7 @@ def _detection_cells(scores: "DetectionScores") -> list[str]:
 # tracks
 
 
-@evaluate.command(
-    examples=("sceneloom eval tracking tracks/ kitti_tracking/", "sceneloom eval tracking tracks.sfs labels.sfs --json")
-)
+@evaluate.command(examples=("tracks/ kitti_tracking/", "tracks.sfs labels.sfs --json"))
 @_objects
 @option(
     "--similarity=2d|bev|3d|distance",
@@ -222,12 +215,7 @@ def _print_tracking(report: "TrackingReport", printer: Printer) -> None:
 # trajectories
 
 
-@evaluate.command(
-    examples=(
-        "sceneloom eval trajectory estimate.tum truth.tum",
-        "sceneloom eval trajectory fused.sfs truth.csv --json",
-    )
-)
+@evaluate.command(examples=("estimate.tum truth.tum", "fused.sfs truth.csv --json"))
 @click.argument("estimate", type=options.location, metavar="EST")
 @click.argument("reference", type=options.location, metavar="REF")
 @option(

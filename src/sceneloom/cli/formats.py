@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from sceneloom.formats.listing import FormatListing
 
 
-@click.command(
-    cls=Verb, examples=("sceneloom formats", "sceneloom formats --template my_drive/rig.toml --from my_drive")
-)
+@click.command(cls=Verb, examples=("", "--template my_drive/rig.toml --from my_drive"))
 @click.argument("name", required=False)
 @option(
     "--template=rig.toml",

@@ -20,10 +20,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 
 @click.command(
     cls=Verb,
-    examples=(
-        "sceneloom fuse drive/ -o drive.sfs",
-        "sceneloom fuse drive/ --trajectory lidar --depth depth/ --visualize look/ -o drive.sfs",
-    ),
+    examples=("drive/ -o drive.sfs", "drive/ --trajectory lidar --depth depth/ --visualize look/ -o drive.sfs"),
 )
 @click.argument("path", type=options.location)
 @options.output("The .sfs file to write; for detections, the .jsonl file.", required=False)
@@ -206,7 +203,7 @@ def _print_detections(report: "DetectionFusionReport", printer: Printer) -> None
     printer.warnings(report.warnings)
 
 
-@click.command(cls=Verb, examples=("sceneloom demo", "sceneloom demo --keep street --frames 50"))
+@click.command(cls=Verb, examples=("", "--keep street --frames 50"))
 @option("--keep=DIR", "Folder for the drive, the scene and the images.", options.target, default=Path("sceneloom-demo"))
 @option("--seed", "Random seed of the street.", int, default=0)
 @option("--frames", "Lidar sweeps at 10 Hz.", click.IntRange(min=2), default=30)

@@ -76,7 +76,7 @@ def _show_all(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
 
 
 class Verb(click.Command):
-    """A verb whose help has its options in groups, and ends with examples."""
+    """A verb whose help has its options in groups, and ends with examples: words that follow it, or whole lines."""
 
     def __init__(self, *arguments: Any, examples: Sequence[str] = (), **more: Any) -> None:
         super().__init__(*arguments, **more)
@@ -117,8 +117,12 @@ class Verb(click.Command):
         super().format_epilog(ctx, formatter)
         if self.examples:
             with formatter.section("Examples"):
-                for example in self.examples:
+                for example in self.lines_of(ctx.command_path):
                     formatter.write(f"{'':{formatter.current_indent}}{example}\n")
+
+    def lines_of(self, called: str) -> list[str]:
+        """The examples as lines in which the verb is called so."""
+        return [words if "sceneloom" in words else f"{called} {words}".rstrip() for words in self.examples]
 
 
 class Verbs(click.Group):

@@ -30,9 +30,7 @@ _TILTED = np.cos(np.pi / 4)
 _STANDARD: tuple[Float64Array, bool] = (np.eye(3), True)
 
 
-@click.command(
-    cls=Verb, examples=("sceneloom info 2011_09_26/2011_09_26_drive_0001_sync", "sceneloom info drive.sfs --json")
-)
+@click.command(cls=Verb, examples=("2011_09_26/2011_09_26_drive_0001_sync", "drive.sfs --json"))
 @click.argument("path", type=options.location)
 @options.visualize("Draw the annotations into DIR: in the images, from above, over time, and each type by itself.")
 @option("--at=S", "When to draw them. [default: the middle of the scene]", float)

@@ -16,7 +16,7 @@ from sceneloom.errors import OptionError
 _MARKS = {"good": "ok", "missing": "--", "broken": "BROKEN"}
 
 
-@click.command(cls=Verb, examples=("sceneloom doctor", "sceneloom doctor --json"))
+@click.command(cls=Verb, examples=("", "--json"))
 @verb
 def doctor(printer: Printer) -> int:
     """Report what this installation can do and what it lacks; exit 1 if something needed is broken."""

@@ -5,6 +5,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from io import TextIOWrapper
 from types import FrameType, MappingProxyType
 from typing import Any, NoReturn
@@ -14,54 +15,38 @@ import click
 from sceneloom.cli.help import Verbs
 from sceneloom.errors import OptionError, SceneloomError, ignore_warnings_of_extreme_numbers
 from sceneloom.kernels.cache import reporting_compiling
-from sceneloom.lazy import imported
 from sceneloom.version import __version__
 
 VERBS = MappingProxyType(
     {
-        "demo": ("sceneloom.cli.fuse:demo", "Simulate a small drive, fuse it, and show the result."),
-        "info": ("sceneloom.cli.info:info", "Report what is in a recording or a scene."),
-        "fuse": ("sceneloom.cli.fuse:fuse", "Fuse lidar and cameras of a drive into one scene."),
-        "track": ("sceneloom.cli.track:track", "Track objects through a drive by detections."),
-        "colour": (
-            "sceneloom.cli.colour:colour",
-            "Colour the points of a drive from all its cameras: one map, or sweep by sweep.",
-        ),
-        "depth": ("sceneloom.cli.depth:depth", "Write depth images, sparse or dense, with a confidence."),
-        "view": ("sceneloom.cli.view:view", "Look at a drive in Rerun's viewer, or save the view to a file."),
-        "convert": ("sceneloom.cli.convert:convert", "Write a recording or a scene in another format."),
-        "validate": (
-            "sceneloom.cli.validate:validate",
-            "Check a drive or a scene by rules, and repair what can be repaired safely.",
-        ),
-        "salvage": ("sceneloom.cli.validate:salvage", "Extract what is whole from a damaged scene file."),
-        "report": ("sceneloom.cli.report:report", "Write a page about a drive that can be sent."),
-        "batch": ("sceneloom.cli.batch:batch", "Run one verb over many drives: in parallel, with a record, resumable."),
-        "catalog": (
-            "sceneloom.cli.catalog:catalog",
-            "Put many drives into tables, and find drives and moments in them.",
-        ),
-        "diff": ("sceneloom.cli.diff:diff", "Report what differs between two drives."),
-        "edit": ("sceneloom.cli.edit:edit", "Change one thing of a drive: crop, merge, deskew, …"),
-        "eval": ("sceneloom.cli.evaluate:evaluate", "Evaluate a trajectory, tracks or detections against a reference."),
-        "sync": (
-            "sceneloom.cli.sync:sync",
-            "Check whether the clocks of a drive's streams are synchronised, and correct them.",
-        ),
-        "calibrate": ("sceneloom.cli.calibrate:calibrate", "Check the camera-lidar calibration, and refine it."),
-        "serve": ("sceneloom.cli.service:serve", "Serve the fusion interface of DB34/T 4101-2022 over gRPC."),
-        "send": ("sceneloom.cli.service:send", "Send a drive, or a session log, to a fusion service."),
-        "get": ("sceneloom.cli.service:get", "Fetch results from a fusion service."),
-        "conformance": ("sceneloom.cli.service:conformance", "Check a fusion service against DB34/T 4101-2022."),
-        "formats": ("sceneloom.cli.formats:formats", "List the formats that can be read and written."),
-        "doctor": ("sceneloom.cli.installation:doctor", "Report what this installation can do and what it lacks."),
-        "completion": (
-            "sceneloom.cli.installation:completion",
-            "Print what a shell needs to complete verbs and options.",
-        ),
+        "demo": ("fuse", "Simulate a small drive, fuse it, and show the result."),
+        "info": ("info", "Report what is in a recording or a scene."),
+        "fuse": ("fuse", "Fuse lidar and cameras of a drive into one scene."),
+        "track": ("track", "Track objects through a drive by detections."),
+        "colour": ("colour", "Colour the points of a drive from all its cameras: one map, or sweep by sweep."),
+        "depth": ("depth", "Write depth images, sparse or dense, with a confidence."),
+        "view": ("view", "Look at a drive in Rerun's viewer, or save the view to a file."),
+        "convert": ("convert", "Write a recording or a scene in another format."),
+        "validate": ("validate", "Check a drive or a scene by rules, and repair what can be repaired safely."),
+        "salvage": ("validate", "Extract what is whole from a damaged scene file."),
+        "report": ("report", "Write a page about a drive that can be sent."),
+        "batch": ("batch", "Run one verb over many drives: in parallel, with a record, resumable."),
+        "catalog": ("catalog", "Put many drives into tables, and find drives and moments in them."),
+        "diff": ("diff", "Report what differs between two drives."),
+        "edit": ("edit", "Change one thing of a drive: crop, merge, deskew, …"),
+        "eval": ("evaluate", "Evaluate a trajectory, tracks or detections against a reference."),
+        "sync": ("sync", "Check whether the clocks of a drive's streams are synchronised, and correct them."),
+        "calibrate": ("calibrate", "Check the camera-lidar calibration, and refine it."),
+        "serve": ("service", "Serve the fusion interface of DB34/T 4101-2022 over gRPC."),
+        "send": ("service", "Send a drive, or a session log, to a fusion service."),
+        "get": ("service", "Fetch results from a fusion service."),
+        "conformance": ("service", "Check a fusion service against DB34/T 4101-2022."),
+        "formats": ("formats", "List the formats that can be read and written."),
+        "doctor": ("installation", "Report what this installation can do and what it lacks."),
+        "completion": ("installation", "Print what a shell needs to complete verbs and options."),
     }
 )
-"""Where each verb is, and a line on it for `--help`."""
+"""The module of each verb, and a line on it for `--help`."""
 
 
 class _Program(Verbs):
@@ -71,7 +56,10 @@ class _Program(Verbs):
         return list(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        return imported(VERBS[cmd_name][0]) if cmd_name in VERBS else None
+        if cmd_name not in VERBS:
+            return None
+        found = vars(import_module(f"sceneloom.cli.{VERBS[cmd_name][0]}")).values()
+        return next(verb for verb in found if isinstance(verb, click.Command) and verb.name == cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         with formatter.section("Commands"):

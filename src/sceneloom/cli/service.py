@@ -35,7 +35,7 @@ _PORT = click.IntRange(0, 65535)
 # serve
 
 
-@click.command(cls=Verb, examples=("sceneloom serve --port 50051", "sceneloom serve --config service.toml"))
+@click.command(cls=Verb, examples=("--port 50051", "--config service.toml"))
 @option("--config", "TOML file: properties, sensors and calibrations of new sessions, limits.", _FILE)
 @option("--host=ADDRESS", "Address; others need TLS and a token.", default="127.0.0.1")
 @option("--port", "Port; 0 for a free one.", _PORT, default=0)
@@ -164,9 +164,7 @@ def _connected(
 # send
 
 
-@click.command(
-    cls=Verb, examples=("sceneloom send drive/ 127.0.0.1:50051", "sceneloom send drive/ 127.0.0.1:50051 --rate 0")
-)
+@click.command(cls=Verb, examples=("drive/ 127.0.0.1:50051", "drive/ 127.0.0.1:50051 --rate 0"))
 @click.argument("path", type=options.location)
 @click.argument("address", type=_host_and_port, metavar="HOST:PORT")
 @option(
@@ -227,10 +225,7 @@ _TYPES = {"sensor": 0, "detection": 1}
 
 @click.command(
     cls=Verb,
-    examples=(
-        "sceneloom get 127.0.0.1:50051 --type sensor --follow -o fused/",
-        "sceneloom get 127.0.0.1:50051 --type detection --count 10",
-    ),
+    examples=("127.0.0.1:50051 --type sensor --follow -o fused/", "127.0.0.1:50051 --type detection --count 10"),
 )
 @click.argument("address", type=_host_and_port, metavar="HOST:PORT")
 @option("--type kind", "Which fusion.", list(_TYPES), required=True)
@@ -298,13 +293,7 @@ def get(
 # conformance
 
 
-@click.command(
-    cls=Verb,
-    examples=(
-        "sceneloom conformance 127.0.0.1:50051",
-        "sceneloom conformance 127.0.0.1:50051 --only T9 --report report.html",
-    ),
-)
+@click.command(cls=Verb, examples=("127.0.0.1:50051", "127.0.0.1:50051 --only T9 --report report.html"))
 @click.argument("address", type=_host_and_port, metavar="HOST:PORT", required=False)
 @option("--report=FILE", "Write all that was sent, expected and found to a .json, .md or .html file.", options.target)
 @options.overwrite

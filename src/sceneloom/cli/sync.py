@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sceneloom.pipeline.syncing import SyncReport
 
 
-@click.command(cls=Verb, examples=("sceneloom sync drive/", "sceneloom sync drive/ --reference imu --json"))
+@click.command(cls=Verb, examples=("drive/", "drive/ --reference imu --json"))
 @click.argument("path", type=options.location)
 @option("--reference=STREAM", "The stream of reference. [default: the IMU, else …]")
 @option("--streams=NAMES", "The only streams to compare, with commas. [default: all]")

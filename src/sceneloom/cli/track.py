@@ -18,8 +18,8 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.command(
     cls=Verb,
     examples=(
-        "sceneloom track kitti_tracking/ --sequence 0000 -o tracks/",
-        "sceneloom track drive.sfs --boxes3d lidar.jsonl --boxes2d camera.jsonl -o labels.sfs",
+        "kitti_tracking/ --sequence 0000 -o tracks/",
+        "drive.sfs --boxes3d lidar.jsonl --boxes2d camera.jsonl -o labels.sfs",
     ),
 )
 @click.argument("path", type=options.location)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sceneloom.warnings import Finding
 
 
-@click.command(cls=Verb, examples=("sceneloom validate drive.sfs", "sceneloom validate drive/ --fix repaired/"))
+@click.command(cls=Verb, examples=("drive.sfs", "drive/ --fix repaired/"))
 @click.argument("path", type=options.location, required=False)
 @option(
     "--profile=sfs|scale",
@@ -123,10 +123,7 @@ def _line(finding: "Finding") -> str:
     return ": ".join(filter(None, (finding.path, finding.message))) + times(finding.count)
 
 
-@click.command(
-    cls=Verb,
-    examples=("sceneloom salvage cut-off.sfs -o whole.sfs", "sceneloom salvage cut-off.sfs -o whole.sfs --json"),
-)
+@click.command(cls=Verb, examples=("cut-off.sfs -o whole.sfs", "cut-off.sfs -o whole.sfs --json"))
 @click.argument("path", type=options.location)
 @options.output("The .sfs file to write.")
 @options.overwrite

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # the viewer takes long to import, and `--help` needs none of
 _FILE = options.source(exists=True, dir_okay=False)
 
 
-@click.command(cls=Verb, examples=("sceneloom view drive.sfs", "sceneloom view drive.sfs --save drive.rrd"))
+@click.command(cls=Verb, examples=("drive.sfs", "drive.sfs --save drive.rrd"))
 @click.argument("paths", nargs=-1, metavar="PATH...", type=options.location)
 @options.lists('a path, or {"path": …, "start": …, "stop": …}, as `sceneloom catalog query --as list` writes')
 @option("--save=F.rrd", "Save the view to a file that `rerun F.rrd` opens.", options.target)

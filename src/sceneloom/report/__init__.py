@@ -9,16 +9,15 @@ from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
     from sceneloom.report.drive_report import DriveReport
-    from sceneloom.report.page import ReportSettings, numbers_as_json, write_report
+    from sceneloom.report.page import ReportSettings, write_report
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
             "DriveReport": "sceneloom.report.drive_report:DriveReport",
             "ReportSettings": "sceneloom.report.page:ReportSettings",
-            "numbers_as_json": "sceneloom.report.page:numbers_as_json",
             "write_report": "sceneloom.report.page:write_report",
         },
     )
 
-__all__ = ["DriveReport", "ReportSettings", "numbers_as_json", "write_report"]
+__all__ = ["DriveReport", "ReportSettings", "write_report"]

@@ -12,7 +12,6 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.visualization.canvas import PilImage
-from sceneloom.warnings import DataWarning
 
 _WIDTH_PX = 1100  # wider images are made smaller
 _MOST_BYTES = 150_000  # of one image; its quality is lowered until it fits
@@ -103,11 +102,6 @@ def percent(share: float | None, digits: int = 1) -> str:
 def counted(count: int, *parts: str | None) -> str:
     """The parts that are not empty, separated by colons, and how often, if more than once."""
     return ": ".join(part for part in parts if part) + (f" ({count:,} times)" if count > 1 else "")
-
-
-def warning_text(warning: DataWarning) -> str:
-    """A warning in one line."""
-    return counted(warning.count, str(warning.kind), warning.location, warning.message)
 
 
 @dataclass(frozen=True, slots=True)

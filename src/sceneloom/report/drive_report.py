@@ -34,7 +34,6 @@ from sceneloom.report.content import (
     pair_columns,
     several,
     text_column,
-    warning_text,
 )
 from sceneloom.report.coverage import Coverage
 from sceneloom.report.fusion import CalibrationCheck, Fusion
@@ -68,15 +67,9 @@ class _Provenance(msgspec.Struct, frozen=True, kw_only=True):
     reported: dict[str, str] = msgspec.field(default_factory=dict)
 
 
-def provenance_of(
-    scene: Scene, path: Path | None, settings: Mapping[str, Any], *, made: datetime | None = None
+def _provenance_of(
+    scene: Scene, path: Path | None, settings: Mapping[str, Any], *, made: datetime | None
 ) -> _Provenance:
-    """Collect what a report says of itself and of its source.
-
-    Args:
-        path: the file or folder that was read; None for others.
-        made: when; None for now.
-    """
     digest, hashed, size = (None, None, None) if path is None else hash_of(path)
     packages = {}
     for name in _PACKAGES:
@@ -160,20 +153,6 @@ class _Conversion(msgspec.Struct, frozen=True):
     supports: dict[str, int]
     dropped: tuple[str, ...] = ()
     approximated: tuple[str, ...] = ()
-
-
-def conversions_of(scene: Scene) -> tuple[_Conversion, ...]:
-    """Look up what becomes of the fields that a scene holds; only the first frame of each sensor is read."""
-    fields, found = list(Counting(scene).counts()), []
-    for form in list_formats():
-        if form.writes and not form.trajectory:
-            held = list_supported_fields(form.name)
-            supports = {field: held[field].support if field in held else Support.DROPPED for field in fields}
-            of = {support: tuple(f for f, one in supports.items() if one is support) for support in Support}
-            counts = {str(support): len(names) for support, names in of.items()}
-            dropped, approximated = of[Support.DROPPED], of[Support.APPROXIMATED]
-            found.append(_Conversion(form.name, counts, dropped, approximated))
-    return tuple(found)
 
 
 _MISSING_SHARE = 0.01  # streams that lack more than this share of their timestamps are reported first
@@ -459,6 +438,36 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     sampling: tuple[str, ...] = ()
     left_out: dict[str, str] = msgspec.field(default_factory=dict)
 
+    @classmethod
+    def of(
+        cls, scene: Scene, path: Path | None, settings: Mapping[str, Any], *, made: datetime | None, **parts: Any
+    ) -> "DriveReport":
+        """Put together what was collected of a scene, with where it comes from and the verdict on it.
+
+        Args:
+            path: the file or folder that was read; None for others.
+            settings: how it was looked at, by the names of the options.
+            made: when; None for now.
+            parts: all other fields.
+        """
+        provenance = _provenance_of(scene, path, settings, made=made)
+        report = cls(warnings=scene.warnings, provenance=provenance, **parts)
+        return msgspec.structs.replace(report, verdict=Verdict.of(report))
+
+    @staticmethod
+    def conversions_of(scene: Scene) -> tuple[_Conversion, ...]:
+        """Look up what becomes of the fields that a scene holds; only the first frame of each sensor is read."""
+        fields, found = list(Counting(scene).counts()), []
+        for form in list_formats():
+            if form.writes and not form.trajectory:
+                held = list_supported_fields(form.name)
+                supports = {field: held[field].support if field in held else Support.DROPPED for field in fields}
+                of = {support: tuple(f for f, one in supports.items() if one is support) for support in Support}
+                counts = {str(support): len(names) for support, names in of.items()}
+                dropped, approximated = of[Support.DROPPED], of[Support.APPROXIMATED]
+                found.append(_Conversion(form.name, counts, dropped, approximated))
+        return tuple(found)
+
     def sections(self, figures: Figures) -> Iterator[Section]:
         """The sections of the page in their order."""
         left_out = self.left_out.get
@@ -529,9 +538,9 @@ class DriveReport(msgspec.Struct, frozen=True, kw_only=True):
     def _warnings_section(self) -> Section:
         """What was assumed, repaired, left out and lost."""
         blocks = [
-            _kind_block(kind, [warning_text(warning) for warning in self.warnings if warning.kind is kind])
+            _kind_block(kind, lines)
             for kind in WarningKind
-            if any(warning.kind is kind for warning in self.warnings)
+            if (lines := [counted(w.count, w.kind, w.location, w.message) for w in self.warnings if w.kind is kind])
         ]
         if self.losses:
             table = Table("What the drive lost when it was written", _LOSS_COLUMNS, self.losses)

@@ -22,7 +22,7 @@ from sceneloom.motion.ego_trajectory import find_ego_motion, is_computed, with_t
 from sceneloom.report.annotations import Labels
 from sceneloom.report.content import Figures, plain
 from sceneloom.report.coverage import Coverage
-from sceneloom.report.drive_report import DriveReport, Verdict, conversions_of, provenance_of
+from sceneloom.report.drive_report import DriveReport
 from sceneloom.report.fusion import CalibrationCheck, Fusion
 from sceneloom.report.timing import Timing
 from sceneloom.report.trajectory import Metrics, Trajectories
@@ -175,7 +175,7 @@ class _Collector:
         start_ns = summary.start_ns or 0
         figures = Figures(self.settings.images)
         coverage = self.part("coverage", lambda: Coverage.of(self.scene), Coverage())
-        none: tuple[CalibrationCheck, ...] = ()
+        none: tuple[Any, ...] = ()
         if self.settings.quick:
             self.left_out["calibration"] = "not checked: a quick report was asked for"
         check = (lambda: none) if self.settings.quick else partial(CalibrationCheck.of, self.scene)
@@ -184,7 +184,11 @@ class _Collector:
             fusion = self.part("fusion", lambda: self._fusion(figures), None)
             labels = self.part("annotations", lambda: self._labels(start_ns, figures), None)
         self.sampling += left.lines
-        report = DriveReport(
+        report = DriveReport.of(
+            scene,
+            path,
+            {**self.settings.stated, **self.reading},
+            made=self.made,
             name=self.settings.title or Path(str(self.scene.source)).name or str(self.scene.source),
             summary=summary,
             timing=Timing.of(self.scene, start_ns=start_ns),
@@ -199,14 +203,12 @@ class _Collector:
             labels=labels,
             metrics=self.part("truth", self._metrics, Metrics(), required=self.settings.truth is not None),
             validation=validation,
-            conversions=self.part("conversions", lambda: conversions_of(self.scene), ()),
+            conversions=self.part("conversions", lambda: DriveReport.conversions_of(scene), none),
             losses=losses,
-            warnings=self.scene.warnings,
-            provenance=provenance_of(self.scene, path, {**self.settings.stated, **self.reading}, made=self.made),
             sampling=tuple(self.sampling),
             left_out=self.left_out,
         )
-        return Collected(msgspec.structs.replace(report, verdict=Verdict.of(report)), figures)
+        return Collected(report, figures)
 
     def part(self, name: str, work: Callable[[], _Part], otherwise: _Part, *, required: bool = False) -> _Part:
         """Do a part of the work; note why where it cannot be done, unless it is `required`."""
@@ -383,7 +385,7 @@ def write_report(
     contents: dict[str, Callable[[], bytes]] = {
         # ids may hold halves of characters, which no file of Unicode can
         ".html": lambda: render_page(found.report, found.figures).encode("utf-8", "replace"),
-        ".json": lambda: numbers_as_json(found.report),
+        ".json": lambda: _numbers_as_json(found.report),
     }
     for target, suffix in wanted:
         with stage("drawing the page"):
@@ -393,7 +395,7 @@ def write_report(
     return found.report
 
 
-def numbers_as_json(report: DriveReport) -> bytes:
+def _numbers_as_json(report: DriveReport) -> bytes:
     """The numbers of a report as JSON, for people to read, too; without the folders above the drive."""
     source = report.summary.source
     try:

@@ -23,6 +23,7 @@ from sceneloom.report.content import (
     Table,
     colour_at,
     count,
+    counted,
     draw_svg,
     drawable,
     fixed,
@@ -30,7 +31,6 @@ from sceneloom.report.content import (
     percent,
     short,
     text_column,
-    warning_text,
 )
 from sceneloom.scene.ego import stated_origin
 from sceneloom.scene.motion import GnssSensor
@@ -524,7 +524,8 @@ class Metrics(msgspec.Struct, frozen=True, kw_only=True):
             _ERROR_COLUMNS,
             self.trajectories,
         )
-        notes = [warning_text(warning) for report in self.trajectories for warning in report.warnings]
+        warnings = [warning for report in self.trajectories for warning in report.warnings]
+        notes = [counted(w.count, w.kind, w.location, w.message) for w in warnings]
         return Section(
             key="truth",
             name="Against the truth",

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 import sceneloom
-from sceneloom.catalog import Selection, opened, sql_of, update
+from sceneloom.catalog import Selection, opened, update
 from sceneloom.catalog import database as catalog_database
-from sceneloom.catalog.building import PART_ROWS, Entry, Fresh, Parts, scene_name, write_draft
-from sceneloom.catalog.rows import scene_rows
+from sceneloom.catalog.building import PART_ROWS, Entry, Fresh, Parts, scene_name, scene_rows, write_draft
+from sceneloom.catalog.database import sql_of
 from sceneloom.catalog.storage import MARKER, Layout
 from sceneloom.geometry.geodesy import geodetic_from_enu
 from sceneloom.scene import AttributePath, CuboidAnnotation, CuboidPath, GnssSensor, OdometrySensor, Poses, Scene

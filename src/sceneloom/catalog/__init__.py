@@ -8,33 +8,17 @@ from typing import TYPE_CHECKING
 from sceneloom.lazy import names_on_first_use
 
 if TYPE_CHECKING:
-    from sceneloom.catalog.building import CatalogReport, Checks, Drive, Failure, build, update
-    from sceneloom.catalog.database import (
-        SHOWN,
-        Database,
-        Result,
-        Selection,
-        format_csv,
-        iter_list,
-        opened,
-        query,
-        records,
-        sql_of,
-    )
-    from sceneloom.catalog.tables import TABLES, Column, Kind
+    from sceneloom.catalog.building import CatalogReport, Drive, build, update
+    from sceneloom.catalog.database import SHOWN, Result, Selection, format_csv, iter_list, opened, query, records
+    from sceneloom.catalog.storage import TABLES
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
             "SHOWN": "sceneloom.catalog.database:SHOWN",
-            "TABLES": "sceneloom.catalog.tables:TABLES",
+            "TABLES": "sceneloom.catalog.storage:TABLES",
             "CatalogReport": "sceneloom.catalog.building:CatalogReport",
-            "Checks": "sceneloom.catalog.building:Checks",
-            "Column": "sceneloom.catalog.tables:Column",
-            "Database": "sceneloom.catalog.database:Database",
             "Drive": "sceneloom.catalog.building:Drive",
-            "Failure": "sceneloom.catalog.building:Failure",
-            "Kind": "sceneloom.catalog.tables:Kind",
             "Result": "sceneloom.catalog.database:Result",
             "Selection": "sceneloom.catalog.database:Selection",
             "build": "sceneloom.catalog.building:build",
@@ -43,7 +27,6 @@ else:
             "opened": "sceneloom.catalog.database:opened",
             "query": "sceneloom.catalog.database:query",
             "records": "sceneloom.catalog.database:records",
-            "sql_of": "sceneloom.catalog.database:sql_of",
             "update": "sceneloom.catalog.building:update",
         },
     )
@@ -52,12 +35,7 @@ __all__ = [
     "SHOWN",
     "TABLES",
     "CatalogReport",
-    "Checks",
-    "Column",
-    "Database",
     "Drive",
-    "Failure",
-    "Kind",
     "Result",
     "Selection",
     "build",
@@ -66,6 +44,5 @@ __all__ = [
     "opened",
     "query",
     "records",
-    "sql_of",
     "update",
 ]

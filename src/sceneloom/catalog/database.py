@@ -14,8 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from sceneloom.catalog.storage import Layout, arrow_type, pyarrow, read_footer, read_part
-from sceneloom.catalog.tables import TABLES
+from sceneloom.catalog.storage import TABLES, Layout, arrow_type, pyarrow, read_footer, read_part
 from sceneloom.errors import DataError, MissingExtraError, OptionError, how_to_install
 
 _AT_THE_START: dict[str, Any] = {

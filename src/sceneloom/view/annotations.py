@@ -50,9 +50,8 @@ from sceneloom.scene.annotations_at import (
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 from sceneloom.view.images import image_path, show_calibration
-from sceneloom.view.points import WORLD, one_packed
 from sceneloom.view.poses import Locations
-from sceneloom.view.stream import EDGES, Report, Stream, escaped, fits, sdk
+from sceneloom.view.stream import EDGES, WORLD, Report, Stream, escaped, fits, one_packed, sdk
 from sceneloom.visualization.figures import colour_of_name
 
 _SHORT = 12

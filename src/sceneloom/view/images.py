@@ -24,9 +24,8 @@ from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier, Key, key_of
-from sceneloom.view.points import SENSORS, WORLD
 from sceneloom.view.poses import Locations, pose_at, poses_within_reach, transform, transform_columns
-from sceneloom.view.stream import Feed, Report, Stream, fits, sdk
+from sceneloom.view.stream import SENSORS, WORLD, Feed, Report, Stream, fits, sdk
 
 IMAGE = "image"
 """The entity of a camera's images, below that of the camera; its own space of pixels."""

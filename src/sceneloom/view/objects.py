@@ -15,8 +15,7 @@ from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Identifier
 from sceneloom.view.images import image_path
-from sceneloom.view.points import WORLD, one_packed
-from sceneloom.view.stream import EDGES, Feed, Stream, sdk
+from sceneloom.view.stream import EDGES, WORLD, Feed, Stream, one_packed, sdk
 from sceneloom.visualization.figures import colour_of_name
 
 

@@ -34,6 +34,8 @@ _FRAME = "frame"
 """The timeline of frame numbers: which sweep of the first lidar (or image of the first camera) was the last one."""
 _PENDING_BYTES = 48_000_000
 """So much may wait to be written; then the writer is waited for, which bounds the memory of a long drive."""
+WORLD, SENSORS = "world", "sensors"
+"""Entities: everything that has a location; the sensors in it."""
 EDGES = "majorwireframe"
 """Boxes are drawn as their edges: what is in them stays in view."""
 
@@ -149,6 +151,11 @@ def escaped(name: Identifier) -> str:
     """A name as one part of an entity's path."""
     escape = sdk().escape_entity_path_part
     return str(escape(str(name) or "-"))
+
+
+def one_packed(rgb: tuple[int, int, int], *, alpha: int = 255) -> int:
+    """Pack one colour as 0xRRGGBBAA."""
+    return (rgb[0] << 24) | (rgb[1] << 16) | (rgb[2] << 8) | alpha
 
 
 Report = Callable[[str, str, str], None]

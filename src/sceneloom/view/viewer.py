@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -24,27 +24,486 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sceneloom.arrays import Int64Array
-from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError, how_to_install
+from sceneloom.arrays import Float32Array, Float64Array, FloatArray, Int64Array, UInt8Array
+from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError, PoseError, how_to_install
 from sceneloom.formats.base.output import check_output, replacing
 from sceneloom.formats.base.registry import SharedOptions, open_scene
-from sceneloom.geometry.rigid import conjugate_quaternion, rotate_vectors
+from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from sceneloom.geometry.rigid import RigidTransform, conjugate_quaternion, rotate_vectors
+from sceneloom.motion.deskew import points_at
+from sceneloom.motion.ego_trajectory import usable_fixes, usable_positions
 from sceneloom.scene.annotations import EventAnnotation, PlainAnnotation
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
-from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
-from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor
-from sceneloom.scene.scene import Scene, time_span
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.ego import ego_path
+from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor, VectorSamples
+from sceneloom.scene.poses import Poses, PoseSource
+from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns, time_span
 from sceneloom.scene.time_range import cut_scene
-from sceneloom.scene.types import Identifier, Key, Progress, key_of
+from sceneloom.scene.types import Identifier, Key, PointsFrame, Progress, key_of
 from sceneloom.view.annotations import ATTRIBUTES, EVENTS, LIST, RELATIONS, AnnotationView
 from sceneloom.view.images import DEPTH, IMAGE, camera_feed, fused_depth_feed, with_straight_camera_models
-from sceneloom.view.motion import EARTH, EGO, GNSS, IMU, MAP, show_motion
 from sceneloom.view.objects import detection_feeds, track_feed
-from sceneloom.view.points import SENSORS, WORLD, LidarView, RadarView, show_map
-from sceneloom.view.poses import Locations
-from sceneloom.view.settings import DrivePart, DriveShown, Source, ViewReport, ViewSettings
-from sceneloom.view.stream import TIME, Feed, Stream, escaped, sdk
+from sceneloom.view.poses import Locations, pose_at, transform, transform_columns
+from sceneloom.view.settings import ColourBy, DrivePart, DriveShown, Source, ViewReport, ViewSettings
+from sceneloom.view.stream import SENSORS, TIME, WORLD, Feed, Report, Stream, escaped, fits, one_packed, sdk
+from sceneloom.visualization.canvas import Colour
+from sceneloom.visualization.colour_scales import colour_map
+from sceneloom.visualization.figures import colour_of_name
 from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
+
+_Packed = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]  # colours 0xRRGGBBAA
+_UNSEEN = np.uint32(0x6E6E6EFF)  # of points that no camera saw
+_NO_CAMERA = 255
+_SPREAD = (1.0, 99.0)
+"""Percentiles that the ends of a scale are put at: single bright or high points would leave the others alike."""
+
+
+def _packed(rgb: UInt8Array) -> _Packed:
+    """Pack (N, 3) uint8 red, green, blue."""
+    wide = rgb.astype(np.uint32)
+    shifted = (wide[:, 0] << 24) | (wide[:, 1] << 16) | (wide[:, 2] << 8) | np.uint32(255)
+    return np.asarray(shifted, np.uint32)
+
+
+@dataclass(slots=True)
+class _CloudPainter:
+    """Gives the points of one sensor their colours; the ends of its scale are those of the first sweep."""
+
+    wanted: ColourBy | None
+    used: ColourBy | None = None
+    _ends: tuple[float, float] | None = None
+    _table: _Packed = field(  # from low (dark) to high (bright), for the dark ground of the viewer
+        default_factory=lambda: np.ascontiguousarray(_packed(colour_map("lagoon").table)[::-1])
+    )
+
+    def paint(self, points: LidarPoints, heights: Callable[[], FloatArray]) -> _Packed:
+        """Give (N,) colours; `heights` gives (N,) heights [m] when they are asked for."""
+        if self.used is None:
+            wanted = (self.wanted or ColourBy.COLOUR, ColourBy.INTENSITY)
+            there = (by for by in wanted if by is ColourBy.HEIGHT or getattr(points, _FIELDS[by]) is not None)
+            self.used = next(there, ColourBy.HEIGHT)
+        if self.used is ColourBy.COLOUR:
+            return _own_colours(points)
+        values = heights() if self.used is ColourBy.HEIGHT else getattr(points, _FIELDS[self.used])
+        if values is None or not len(values):
+            values = np.zeros(len(points))
+        elif self.used is ColourBy.TIME:
+            values = values - values.min()
+        return self._table[self._steps(np.asarray(values, np.float64))]
+
+    def _steps(self, values: Float64Array) -> UInt8Array:
+        finite = values[np.isfinite(values)]
+        if self._ends is None and len(finite):
+            low, high = np.percentile(finite, _SPREAD)
+            self._ends = float(low), float(max(high, low + 1e-9))
+        low, high = self._ends or (0.0, 1.0)
+        shares = np.nan_to_num((values - low) / (high - low))
+        return np.asarray(np.clip(shares, 0.0, 1.0) * 255, np.uint8)
+
+
+_FIELDS: Mapping[ColourBy, str] = MappingProxyType(
+    {
+        ColourBy.COLOUR: "colors",
+        ColourBy.INTENSITY: "intensities",
+        ColourBy.RING: "rings",
+        ColourBy.TIME: "timestamps_ns",
+    }
+)
+
+
+def _own_colours(points: LidarPoints) -> _Packed:
+    if points.colors is None:
+        return np.full(len(points), _UNSEEN, np.uint32)
+    colours = _packed(points.colors)
+    if points.camera_index is not None:
+        colours[points.camera_index == _NO_CAMERA] = _UNSEEN
+    return colours
+
+
+_CLOUDS = "clouds"  # the entity of points that are in no sensor's frame
+_POINT_SIZE = 1.6
+_RADAR_SIZE, _ARROW_SIZE = 3.0, 1.0
+_LONGEST_SWEEP = 3  # times of points spread over more sweep periods than that are not when they were measured
+_NEARING, _LEAVING = one_packed((255, 122, 69)), one_packed((82, 196, 255))
+_BEYOND = "is not shown: the ego trajectory does not reach its time, or lies beyond the viewer's float32"
+_AS_MEASURED = "is shown as measured: the ego trajectory does not reach all of its points' times"
+
+
+def _ui_points(size: float) -> Any:
+    """A radius in points of the screen, the same at any distance."""
+    return sdk().Radius.ui_points(size)
+
+
+@dataclass(slots=True, eq=False)
+class _LidarView:
+    """Shows the sweeps of one lidar.
+
+    Attributes:
+        colour_by: what gives the points their colours; None: the best that there is.
+        as_measured: leave the motion during a sweep in.
+        notify: of what could not be shown.
+    """
+
+    stream: Stream
+    locations: Locations
+    lidar: LidarSensor
+    colour_by: ColourBy | None
+    as_measured: bool
+    notify: Report
+    painter: _CloudPainter = field(init=False)
+    _sensor_source: PoseSource = field(init=False)
+    _source: PoseSource = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.painter = _CloudPainter(self.colour_by)
+        self._sensor_source, problem = self.locations.source(self.lidar)
+        self._source = self._points_source()
+        if problem is not None and self.lidar.points_frame is PointsFrame.SENSOR:
+            self.notify("not-placed", f"sensors[{self.lidar.id!r}]", problem)
+
+    @property
+    def path(self) -> str:
+        """The entity of its points."""
+        if self.lidar.points_frame is PointsFrame.SENSOR:
+            return self.stream.path(WORLD, SENSORS, self.lidar.id, "points")
+        return self.stream.path(WORLD, _CLOUDS, self.lidar.id)
+
+    def log(self, k: int) -> tuple[int, Float32Array | None]:
+        """Log sweep `k`; give the time that it is shown at, and its points in the frame of `path` if they are shown."""
+        frame = self.lidar.frames[k]
+        time_ns, rr = frame.reference_ns, sdk()
+        shown_from_sensor = pose_at(self._sensor_source, time_ns)
+        if shown_from_sensor is not None:
+            self.stream.log(time_ns, self.stream.path(WORLD, SENSORS, self.lidar.id), transform(shown_from_sensor))
+        in_sensor = self.lidar.points_frame is PointsFrame.SENSOR
+        shown_from_points = shown_from_sensor if in_sensor else pose_at(self._source, time_ns)
+        if shown_from_points is None:
+            self.notify("beyond-the-trajectory", f"sensors[{self.lidar.id!r}].frames", _BEYOND)
+            return time_ns, None
+        positions = self._at_one_moment(frame, time_ns)
+        above = self._heights(positions, shown_from_points, shown_from_sensor)
+        colours, held = self.painter.paint(frame.points, above), fits(positions)
+        self.stream.leave_out("lidar points", np.count_nonzero(~held))
+        cloud = rr.Points3D(positions[held], colors=colours[held], radii=_ui_points(_POINT_SIZE))
+        placed = () if in_sensor else (transform(shown_from_points),)
+        self.stream.log(time_ns, self.path, *placed, cloud, kind="sweeps", size=16 * len(positions))
+        return time_ns, positions
+
+    def _points_source(self) -> PoseSource:
+        """What takes the points as stored to where they are shown."""
+        if self.lidar.points_frame is PointsFrame.SENSOR:
+            return self._sensor_source
+        reach_ns, path = scene_period_ns(self.locations.scene), Poses.identity()
+        if self.lidar.points_frame is PointsFrame.EGO:
+            try:
+                path = ego_path(self.locations.scene, self.lidar, self.locations.ego)
+            except PoseError as error:
+                self.notify("not-placed", f"sensors[{self.lidar.id!r}]", str(error))
+                return PoseSource(path, RigidTransform.identity())
+        return self.locations.shown(PoseSource(path, RigidTransform.identity(), reach_ns))
+
+    def _at_one_moment(self, frame: LidarFrame, time_ns: int) -> Float32Array:
+        source, times = self._source, frame.points.timestamps_ns
+        still = self.as_measured or source.path.static or times is None or len(times) == 0
+        longest_ns = _LONGEST_SWEEP * sweep_period_ns(self.lidar)
+        if still or times is None or np.ptp(times) == 0 or np.ptp(times) > longest_ns:
+            return frame.points.positions
+        try:
+            moved, _ = points_at(frame, source, time_ns)
+        except PoseError:
+            self.notify("as-measured", f"sensors[{self.lidar.id!r}].frames", _AS_MEASURED)
+            return frame.points.positions
+        # `points_at` gives them in the frame of the sensor at that moment, which is that of `source` with its mounting
+        return moved.astype(np.float32)
+
+    def _heights(
+        self, positions: Float32Array, shown_from_points: RigidTransform, shown_from_sensor: RigidTransform | None
+    ) -> "_Heights":
+        base = shown_from_points if shown_from_sensor is None else shown_from_sensor
+        return _Heights(positions, shown_from_points, float(base.translation[2]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Heights:
+    """How far points are above a height of the world; computed when it is asked for."""
+
+    positions: Float32Array
+    shown_from_points: RigidTransform
+    base: float
+
+    def __call__(self) -> Float64Array:
+        upwards = self.shown_from_points.rotation[2]
+        heights: Float64Array = self.positions @ upwards + (self.shown_from_points.translation[2] - self.base)
+        return heights
+
+
+@dataclass(slots=True, eq=False)
+class _RadarView:
+    """Shows the cycles of one radar: points, and an arrow for the trajectory that each makes in a second."""
+
+    stream: Stream
+    locations: Locations
+    radar: RadarSensor
+    notify: Report
+    _source: PoseSource = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._source, problem = self.locations.source(self.radar)
+        if problem is not None:
+            self.notify("not-placed", f"sensors[{self.radar.id!r}]", problem)
+
+    def log(self, k: int, _: None) -> None:
+        """Log cycle `k`."""
+        rr, frame = sdk(), self.radar.frames[k]
+        time_ns, points = frame.timestamp_ns, frame.points
+        pose = pose_at(self._source, time_ns)
+        if pose is None:
+            self.notify("beyond-the-trajectory", f"sensors[{self.radar.id!r}].frames", _BEYOND)
+            return
+        entity = self.stream.path(WORLD, SENSORS, self.radar.id)
+        self.stream.log(time_ns, entity, transform(pose))
+        inside = self._into_sensor(pose, time_ns)
+        vectors = _velocities(points.directions, points.lengths, len(points))
+        rotated = vectors if inside is None else inside.rotate(vectors)
+        positions = points.positions if inside is None else inside.apply(points.positions)
+        held = fits(positions) & fits(rotated)
+        self.stream.leave_out("radar points", np.count_nonzero(~held))
+        positions, rotated = positions[held], rotated[held]
+        colours = np.where((rotated * positions).sum(axis=1) < 0, _NEARING, _LEAVING).astype(np.uint32)
+        shown = rr.Points3D(positions, colors=colours, radii=_ui_points(_RADAR_SIZE))
+        self.stream.log(time_ns, f"{entity}/points", shown, kind="radar cycles", size=16 * len(points))
+        arrows = rr.Arrows3D(vectors=rotated, origins=positions, colors=colours, radii=_ui_points(_ARROW_SIZE))
+        self.stream.log(time_ns, f"{entity}/velocities", arrows)
+
+    def _into_sensor(self, shown_from_sensor: RigidTransform, time_ns: int) -> RigidTransform | None:
+        """What takes points as stored into the sensor's frame; None where they are in it."""
+        if self.radar.points_frame is PointsFrame.SENSOR:
+            return None
+        if self.radar.points_frame is PointsFrame.WORLD:
+            shown_from_points = RigidTransform(np.eye(3), -self.locations.origin_world)
+        else:
+            path = ego_path(self.locations.scene, self.radar, self.locations.ego)
+            on_ego = self.locations.shown(PoseSource(path, RigidTransform.identity()))
+            shown_from_points = pose_at(on_ego, time_ns) or RigidTransform.identity()
+        return shown_from_sensor.inverse() @ shown_from_points
+
+
+def _velocities(directions: Float32Array | None, lengths: Float32Array | None, count: int) -> Float64Array:
+    """(N, 3) [m/s]; zeros where the radar gives none."""
+    if directions is None or lengths is None:
+        return np.zeros((count, 3))
+    vectors: Float64Array = directions.astype(np.float64) * lengths[:, None]
+    return vectors
+
+
+def _show_map(stream: Stream, locations: Locations, sensor: PointsSensor) -> None:
+    """Show a cloud without time."""
+    colours = None if sensor.colors is None else _packed(sensor.colors)
+    positions = sensor.positions - locations.origin_world
+    held = fits(positions)
+    stream.leave_out("points of maps", np.count_nonzero(~held))
+    cloud = sdk().Points3D(
+        positions[held].astype(np.float32),
+        colors=None if colours is None else colours[held],
+        radii=_ui_points(_POINT_SIZE),
+    )
+    stream.static(stream.path(WORLD, _CLOUDS, sensor.id), cloud)
+    stream.counts["maps"] = stream.counts.get("maps", 0) + 1
+
+
+_EGO, _TRAJECTORIES, _IMU, _GNSS, _MAP, _EARTH = "ego", "trajectories", "imu", "gnss", "map", "earth"
+"""Entities: the ego's frame, ways through the world, curves of both kinds of sensors, the plan, locations on earth."""
+_AXES = ("x", "y", "z")
+_UNITS: Mapping[str, str] = MappingProxyType(
+    {"accelerometer": "m/s²", "gyroscope": "rad/s", "magnetometer": "µT", "imuTemperature": "K", "barometer": "hPa"}
+)
+_AXIS_COLOURS = ((239, 83, 80), (102, 187, 106), (66, 165, 245))
+_TRAJECTORY, _FIXES = (255, 206, 84), (82, 196, 255)
+_MOST_POSES = 20_000
+_ROWS_AT_ONCE = 8_192
+_MOST_SAMPLES = 200_000
+
+
+def _show_motion(stream: Stream, locations: Locations, scene: Scene) -> None:
+    """Show the ego trajectory, _IMU and _GNSS; all of it at once, since it is small."""
+    stream.static(stream.path(WORLD), sdk().ViewCoordinates.RIGHT_HAND_Z_UP)
+    _show_ego(stream, locations)
+    imus = [sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor)]
+    receivers = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
+    receivers = [sensor for sensor in receivers if len(sensor.timestamps_ns)]
+    for imu in imus:
+        _show_imu(stream, imu)
+    for receiver in receivers:
+        _show_fixes(stream, receiver)
+    origin_lla = _map_origin(locations, receivers)
+    _show_plan(stream, locations, receivers, origin_lla)
+
+
+def _show_ego(stream: Stream, locations: Locations) -> None:
+    rr, path = sdk(), locations.path
+    for name, trajectory in locations.scene.trajectories.items():
+        if locations.ego is not None and name == locations.ego.name and path is not None:
+            continue  # it is the ego trajectory, drawn below
+        shifted = trajectory.positions - locations.origin_world
+        line = _line(shifted)
+        stream.leave_out("poses", np.count_nonzero(~fits(shifted)))
+        stream.static(stream.path(WORLD, _TRAJECTORIES, name), _strips(line, colour_of_name(name), name))
+    if path is None:
+        return
+    rows = _spread_rows(len(path.timestamps_ns), _MOST_POSES)
+    samples = path.moved(locations.origin_world).held(path.timestamps_ns[rows])
+    held = fits(samples.positions)
+    stream.leave_out("ego poses", np.count_nonzero(~held))
+    entity, shown = stream.path(WORLD, _EGO), np.flatnonzero(held)
+    stream.columns(path.timestamps_ns[rows][shown], entity, transform_columns(samples, shown), kind="ego poses")
+    stream.static(entity, rr.TransformAxes3D(1.5))
+    stream.static(
+        stream.path(WORLD, _TRAJECTORIES, _trajectory_name(locations)),
+        _strips(samples.positions[shown], _TRAJECTORY, _trajectory_name(locations)),
+    )
+
+
+def _trajectory_name(locations: Locations) -> str:
+    return "ego" if locations.ego is None else locations.ego.name
+
+
+def _strips(line: Float64Array, colour: Colour, name: str) -> object:
+    return sdk().LineStrips3D(
+        [line],
+        colors=np.array([one_packed(colour)], np.uint32),
+        radii=np.array([-1.5], np.float32),
+        labels=[name],
+        show_labels=False,
+    )
+
+
+def _line(positions: Float64Array) -> Float64Array:
+    finite = positions[fits(positions)]
+    return np.asarray(finite[_spread_rows(len(finite), _MOST_POSES)], np.float64)
+
+
+def _spread_rows(count: int, most: int) -> np.ndarray:
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+
+
+def _show_imu(stream: Stream, sensor: ImuSensor) -> None:
+    for name, samples in sensor.streams.items():
+        width = samples.values.shape[1]
+        axes = [_AXES[k] if width == 3 else (name if width == 1 else str(k)) for k in range(width)]
+        _curves(stream, stream.path(_IMU, sensor.id, name), samples, axes, _UNITS.get(name, ""))
+
+
+def _curves(
+    stream: Stream,
+    path: str,
+    samples: VectorSamples,
+    names: Iterable[str],
+    unit: str,
+    *,
+    colours: Sequence[Colour] = _AXIS_COLOURS,
+) -> None:
+    """Log a vector over time; of very long streams every Nth sample."""
+    rr = sdk()
+    titles = [f"{name} [{unit}]" if unit else name for name in names]
+    chosen = [colours[k % len(colours)] for k in range(len(titles))]
+    stream.static(path, rr.SeriesLines(names=titles, colors=chosen))
+    step = -(-len(samples) // _MOST_SAMPLES) or 1
+    times_ns, values = samples.timestamps_ns[::step], samples.values[::step]
+    for start in range(0, len(times_ns), _ROWS_AT_ONCE):
+        part = slice(start, start + _ROWS_AT_ONCE)
+        rows = values[part]
+        columns = rr.Scalars.columns(scalars=rows.reshape(-1)).partition(np.full(len(rows), rows.shape[1]))
+        stream.columns(times_ns[part], path, columns, kind="samples")
+
+
+def _show_fixes(stream: Stream, sensor: GnssSensor) -> None:
+    """Log fixes as locations on earth, and their heights and accuracies as curves."""
+    rr = sdk()
+    usable = usable_fixes(sensor)
+    times_ns, lla = sensor.timestamps_ns[usable], sensor.positions_lla[usable]
+    colour = one_packed(_FIXES)
+    points = rr.GeoPoints.columns(
+        positions=lla[:, :2], radii=np.full(len(lla), -6.0, np.float32), colors=np.full(len(lla), colour, np.uint32)
+    )
+    stream.columns(times_ns, stream.path(_EARTH, sensor.id, "fix"), points, kind="fixes")
+    trajectory = rr.GeoLineStrings(
+        lat_lon=[lla[:, :2]], colors=np.array([colour], np.uint32), radii=np.array([-1.5], np.float32)
+    )
+    stream.static(stream.path(_EARTH, sensor.id, "trajectory"), trajectory)
+    curves = (
+        ("height", lla[:, 2], _AXIS_COLOURS[2]),
+        ("accuracy", sensor.accuracies[usable], _AXIS_COLOURS[0]),
+        ("vertical accuracy", sensor.vertical_accuracies[usable], _AXIS_COLOURS[1]),
+    )
+    for name, values, curve in curves:
+        known = np.isfinite(values)
+        if known.any():
+            samples = VectorSamples(times_ns[known], np.ascontiguousarray(values[known, None]))
+            _curves(stream, stream.path(_GNSS, sensor.id, name), samples, [name], "m", colours=(curve,))
+
+
+def _map_origin(locations: Locations, receivers: list[GnssSensor]) -> Float64Array | None:
+    """The location on earth that the plan counts from: the world's origin where it is known, else the first fix."""
+    if locations.ego is not None and locations.ego.enu_origin_lla is not None:
+        return np.array(locations.ego.enu_origin_lla)
+    if not receivers:
+        return None
+    _, fixes = usable_positions(receivers[0])
+    return fixes[0] if len(fixes) else None
+
+
+def _show_plan(
+    stream: Stream, locations: Locations, receivers: list[GnssSensor], origin_lla: Float64Array | None
+) -> None:
+    """Log a plan in metres, north (or the world's y) up: fixes, and the ego trajectory where both share their axes."""
+    if origin_lla is not None:
+        for sensor in receivers:
+            rows, fixes = usable_positions(sensor)
+            enu = enu_from_geodetic(fixes, origin_lla)
+            _plan_line(stream, (_GNSS, sensor.id), enu, _FIXES)
+            _plan_marks(stream, (_GNSS, sensor.id), sensor.timestamps_ns[rows], enu, _FIXES)
+    is_enu = locations.ego is not None and locations.ego.enu_origin_lla is not None
+    if locations.path is not None and (is_enu or origin_lla is None):
+        positions = locations.path.positions if is_enu else locations.path.positions - locations.origin_world
+        _plan_line(stream, (_EGO,), positions, _TRAJECTORY)
+        _plan_marks(stream, (_EGO,), locations.path.timestamps_ns, positions, _TRAJECTORY)
+        if is_enu and origin_lla is not None:
+            _show_trajectory_on_earth(stream, locations.path, origin_lla)
+
+
+def _plan_line(stream: Stream, names: tuple[str | int, ...], enu: Float64Array, colour: Colour) -> None:
+    strip = _on_plan(_line(enu))
+    line = sdk().LineStrips2D(
+        [strip], colors=np.array([one_packed(colour)], np.uint32), radii=np.array([-1.0], np.float32)
+    )
+    stream.static(stream.path(_MAP, *names, "trajectory"), line)
+
+
+def _plan_marks(
+    stream: Stream, names: tuple[str | int, ...], times_ns: np.ndarray, enu: Float64Array, colour: Colour
+) -> None:
+    rows = _spread_rows(len(enu), _MOST_POSES)
+    marks = sdk().Points2D.columns(
+        positions=_on_plan(enu[rows]),
+        colors=np.full(len(rows), one_packed(colour), np.uint32),
+        radii=np.full(len(rows), -5.0, np.float32),
+    )
+    stream.columns(times_ns[rows], stream.path(_MAP, *names, "location"), marks)
+
+
+def _on_plan(enu: Float64Array) -> Float64Array:
+    """East and north as pixels, which count downwards."""
+    return enu[:, :2] * (1.0, -1.0)
+
+
+def _show_trajectory_on_earth(stream: Stream, path: Poses, origin_lla: Float64Array) -> None:
+    lla = geodetic_from_enu(_line(path.positions), origin_lla)
+    trajectory = sdk().GeoLineStrings(
+        lat_lon=[lla[:, :2]], colors=np.array([one_packed(_TRAJECTORY)], np.uint32), radii=np.array([-1.5], np.float32)
+    )
+    stream.static(stream.path(_EARTH, _EGO), trajectory)
+
 
 _NOTES = "notes"
 
@@ -154,7 +613,7 @@ def _layout_of(view: "DriveView") -> Any:
         """The world with the eye behind the ego; of a drive that moves also whole, the eye where the viewer puts it."""
         controls = {"position": eye, "look_target": target} if following or not follows else {}
         return rrb.Spatial3DView(
-            origin=f"{world_path}/{EGO}" if following else world_path,
+            origin=f"{world_path}/{_EGO}" if following else world_path,
             contents=f"+ {world_path}/**",
             name=name,
             background=_BACKGROUND,
@@ -191,16 +650,16 @@ def _tabs(view: "DriveView", root: str) -> list[Any]:
     gnss = any(isinstance(sensor, GnssSensor) and len(sensor.timestamps_ns) for sensor in scene.sensors)
     views = [rrb.TextLogView(origin=root, contents=[f"+ {root}/{_NOTES}", f"+ {root}/{EVENTS}/**"], name="log")]
     if gnss:
-        views.append(rrb.TimeSeriesView(origin=f"{root}/{GNSS}", name="satellite fixes"))
+        views.append(rrb.TimeSeriesView(origin=f"{root}/{_GNSS}", name="satellite fixes"))
     for sensor in scene.sensors:
         if isinstance(sensor, ImuSensor) and sensor.streams:
-            base = f"{root}/{IMU}/{escaped(sensor.id)}"
+            base = f"{root}/{_IMU}/{escaped(sensor.id)}"
             plots = [rrb.TimeSeriesView(origin=f"{base}/{escaped(name)}", name=name) for name in sensor.streams]
             views.append(rrb.Horizontal(*plots, name=str(sensor.id)))
     if gnss or view.locations.path is not None:
-        views.append(rrb.Spatial2DView(origin=f"{root}/{MAP}", name="map [m]", background=_BACKGROUND))
+        views.append(rrb.Spatial2DView(origin=f"{root}/{_MAP}", name="map [m]", background=_BACKGROUND))
     if gnss and view.settings.map_tiles:
-        views.append(rrb.MapView(origin=f"{root}/{EARTH}", name="map", background=rrb.MapProvider.OpenStreetMap))
+        views.append(rrb.MapView(origin=f"{root}/{_EARTH}", name="map", background=rrb.MapProvider.OpenStreetMap))
     if any(isinstance(one, EventAnnotation) for one in annotations):
         views.append(rrb.StateTimelineView(origin=f"{root}/{EVENTS}", name="events"))
     if any(one.is_timed and one.values for one in scene.attributes):
@@ -288,7 +747,7 @@ class DriveView:
         """
         scene, reported = self.scene, self.reported
         stream = Stream(recording, f"/{escaped(self.name)}", calendar, self.reference_ns)
-        show_motion(stream, self.locations, scene)
+        _show_motion(stream, self.locations, scene)
         span_ns = time_span(scene) or (0, 0)
         findings = _findings(self.measured) if self.settings.findings else ()
         _log_notes(stream, span_ns[0], (*scene.warnings, *self.locations.warnings), findings)
@@ -331,7 +790,7 @@ class _Run:
     view: DriveView
     stream: Stream
     annotations: AnnotationView
-    lidars: list[LidarView] = field(default_factory=list)
+    lidars: list[_LidarView] = field(default_factory=list)
 
     def feeds(self) -> list[Feed]:
         """All that has a time, sensor by sensor."""
@@ -339,7 +798,7 @@ class _Run:
         feeds = [self._sweeps(lidar, first=lidar is scene.lidars[0]) for lidar in scene.lidars]
         for sensor in scene.sensors:
             if isinstance(sensor, RadarSensor):
-                shown = RadarView(self.stream, self.view.locations, sensor, self.view.reported)
+                shown = _RadarView(self.stream, self.view.locations, sensor, self.view.reported)
                 feeds.append(_thinned(Feed(sensor.frames.timestamps_ns, shown.log), every))
             elif isinstance(sensor, CameraSensor | DepthCameraSensor):
                 feeds += self._camera(sensor)
@@ -347,7 +806,7 @@ class _Run:
 
     def _sweeps(self, lidar: LidarSensor, *, first: bool) -> Feed:
         settings = self.view.settings
-        shown = LidarView(
+        shown = _LidarView(
             self.stream, self.view.locations, lidar, settings.colour_by, settings.as_measured, self.view.reported
         )
         self.lidars.append(shown)
@@ -407,7 +866,7 @@ class _Run:
         view, stream, scene = self.view, self.stream, self.view.scene
         for sensor in scene.sensors:
             if isinstance(sensor, PointsSensor):
-                show_map(stream, view.locations, sensor)
+                _show_map(stream, view.locations, sensor)
                 path = stream.path("world", "clouds", sensor.id)
                 with np.errstate(over="ignore"):  # what overflows is left out
                     positions = (sensor.positions - view.locations.origin_world).astype(np.float32)

@@ -62,8 +62,8 @@ from sceneloom.scene.scene import Scene, scene_period_ns
 from sceneloom.scene.time_range import cut_scene
 from sceneloom.scene.types import Identifier, Progress
 from sceneloom.visualization.canvas import PilImage, draw_discs, seconds_text
-from sceneloom.visualization.colour_scales import DepthScale
-from sceneloom.visualization.fused_frames import framed, image_canvas, save_image, subdued
+from sceneloom.visualization.colour_scales import DepthScale, framed, image_canvas
+from sceneloom.visualization.fused_frames import save_image, subdued
 
 _MOST_DRAWN = 3  # frames that are drawn, evenly spread
 _MOST_ROTATIONS = 100  # so many images rotation is estimated from at most

@@ -65,7 +65,15 @@ from sceneloom.visualization.canvas import (
     text_height,
 )
 from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
-from sceneloom.visualization.colour_scales import COARSE_DIGITS, draw_caption, draw_strip, round_up, strip_height
+from sceneloom.visualization.colour_scales import (
+    COARSE_DIGITS,
+    draw_caption,
+    draw_strip,
+    framed,
+    image_canvas,
+    round_up,
+    strip_height,
+)
 from sceneloom.visualization.figures import (
     CORNER_FROM_CENTRE,
     PALETTE,
@@ -73,13 +81,11 @@ from sceneloom.visualization.figures import (
     Name,
     colour_of_name,
     draw_figure,
-    draw_marks,
     on_map,
-    pixels_of,
     through_camera_model,
     write_names,
 )
-from sceneloom.visualization.fused_frames import framed, image_canvas, save_image, subdued
+from sceneloom.visualization.fused_frames import save_image, subdued
 
 
 def colour_of(annotation: Annotation) -> Colour:
@@ -353,7 +359,8 @@ def draw_annotations_in_image(scene: Scene, sample: Sample, camera_id: Identifie
     if world_from_camera is not None:
         camera_from_world = world_from_camera.inverse()
         for positions, colour in _labelled_locations(scene, sample):
-            labelled += draw_marks(canvas, pixels_of(camera, camera_from_world, positions), colour, 1.5) > 0
+            pixels = project_unbounded(camera, camera_from_world.apply(positions))
+            labelled += canvas.marks(pixels, colour, 1.5) > 0
         for _, figure in figures_in_world(scene, timestamp_ns, sensor_id=camera_id):
             names += draw_figure(canvas, through_camera_model(figure, camera, camera_from_world), thickness=2)
     for _, figure in figures_in_image(scene, camera_id, timestamp_ns):
@@ -418,7 +425,7 @@ def draw_annotations_above(
 def _draw_over(scene: Scene, sample: Sample, plot: Canvas, layout: MapLayout) -> None:
     names: list[Name] = []
     for positions, colour in _labelled_locations(scene, sample):
-        draw_marks(plot, layout.pixels(positions), colour, _MARK_PX)
+        plot.marks(layout.pixels(positions), colour, _MARK_PX)
     for figure in _relations_in_world(scene, sample.timestamp_ns):
         names += draw_figure(plot, on_map(figure, layout), thickness=1)
     for _, figure in figures_in_world(scene, sample.timestamp_ns, sensor_id=sample.reference_id):
@@ -617,7 +624,7 @@ def draw_calibration(sample: Sample, calibration: CameraCalibration) -> PilImage
     for start, stop in zip(before, after, strict=True):
         if np.isfinite(stop).all():
             plot.line([(start[0], start[1]), (stop[0], stop[1])], _AFTER, width=2)
-    draw_marks(plot, before, _BEFORE, 1.5)
+    plot.marks(before, _BEFORE, 1.5)
     largest = float(np.nanmax(shifts)) if np.isfinite(shifts).any() else float("nan")
     stated = f"things {_DISTANCE:g} m away move by {largest:.1f} px at most"
     if calibration.time_offset_ns is not None:

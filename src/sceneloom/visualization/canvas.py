@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from sceneloom.arrays import BoolArray, Float32Array, FloatArray, Int64Array, UInt8Array
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, UInt8Array
 from sceneloom.warnings import DataWarning, WarningKind
 
 PilImage = Image.Image
@@ -149,6 +149,13 @@ class Canvas:
         column, row = center
         box = (column - radius, row - radius, column + radius, row + radius)
         ImageDraw.Draw(self.image).ellipse(box, fill=colour)
+
+    def marks(self, pixels: Float64Array, colour: Colour, radius: float) -> int:
+        """Draw a disc of a radius [px] at each of (N, 2) pixels that are on the canvas; gives how many those are."""
+        shown = pixels[((pixels >= 0) & (pixels < self.image.size)).all(axis=1)].tolist()
+        for column, row in shown:
+            self.disc((column, row), radius, colour)
+        return len(shown)
 
     def label(self, location: tuple[float, float], text: str, *, colour: Colour = INK, scale: float = 1.0) -> None:
         """Write one line around a location, on a dark plate that sets it off from an image."""

@@ -1,6 +1,6 @@
 """From values to colours: colour maps interpolated in OKLab, a logarithmic depth scale.
 
-And the scale bars under an image.
+And the strip under an image, with its caption and scale bar.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, FloatArray, UInt8Array, read_only
 from sceneloom.errors import OptionError
-from sceneloom.visualization.canvas import FAINT_INK, STRIP, Canvas
+from sceneloom.visualization.canvas import FAINT_INK, STRIP, Canvas, PilImage, text_height
 
 _LMS_FROM_LINEAR_RGB = np.array(
     [
@@ -205,10 +205,28 @@ def round_up(value: float, digits: tuple[float, ...] = ROUND_DIGITS) -> float:
     return round(float((*above, 10.0)[0] * decade), 9)
 
 
+_LEAST_WIDTH_PX = 520  # narrower images get a canvas of this width, so that caption and scale fit below them
 _STRIP_LINES = 3.6  # height of the strip in heights of its letters
 _SMALL = 0.86
 _BAR_SHARE = 0.46
 _BAR_MOST_LETTERS = 40
+
+
+def framed(plot: Canvas, lines: Sequence[str], *, scale: DepthScale | None = None) -> PilImage:
+    """Add a strip below an image, with the caption, and with the bar of its depths where it shows any."""
+    width, height = plot.image.size
+    canvas = Canvas.blank(max(width, _LEAST_WIDTH_PX), height + strip_height(plot.text_px), text_px=plot.text_px)
+    canvas.paste(plot, 0, 0)
+    draw_strip(canvas, height)
+    room = canvas.image.width if scale is None else _draw_depth_bar(canvas, height, scale)
+    draw_caption(canvas, height, room, lines)
+    return canvas.image
+
+
+def image_canvas(pixels: UInt8Array) -> Canvas:
+    """Begin to draw on (H, W, 3) uint8 pixels, with letters that fit the image and the strip below it."""
+    height, width = pixels.shape[:2]
+    return Canvas.of(pixels, text_px=text_height(max(width, _LEAST_WIDTH_PX), height))
 
 
 def strip_height(text_px: int) -> int:
@@ -239,7 +257,7 @@ def _bar_span(canvas: Canvas) -> tuple[int, int]:
     return last - length, last
 
 
-def draw_depth_bar(canvas: Canvas, top: int, scale: DepthScale) -> float:
+def _draw_depth_bar(canvas: Canvas, top: int, scale: DepthScale) -> float:
     """Draw the colour map with its depths at the right of the strip; gives the width left for the caption [px]."""
     size = canvas.text_px
     first, last = _bar_span(canvas)

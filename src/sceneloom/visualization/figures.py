@@ -87,18 +87,9 @@ def draw_figure(canvas: Canvas, seen: Figure, *, thickness: int) -> list[Name]:
     for line in seen.lines:
         canvas.line(_tuples(_clamped(line, size)), seen.colour, width=thickness)
     if seen.marks is not None:
-        draw_marks(canvas, seen.marks, seen.colour, 1.2 + 1.6 * thickness)
+        canvas.marks(seen.marks, seen.colour, 1.2 + 1.6 * thickness)
     anchor = seen.anchor
     return [] if anchor is None or not np.isfinite(anchor).all() else [(seen, anchor)]
-
-
-def draw_marks(canvas: Canvas, pixels: Float64Array, colour: Colour, radius: float) -> int:
-    """Draw a disc of a radius [px] at each of (N, 2) pixels that are on the canvas; gives how many those are."""
-    finite = pixels[np.isfinite(pixels).all(axis=1)]
-    shown = finite[((finite >= 0) & (finite < canvas.image.size)).all(axis=1)]
-    for location in _tuples(shown):
-        canvas.disc(location, radius, colour)
-    return len(shown)
 
 
 def write_names(canvas: Canvas, names: list[Name], *, clear: bool = False) -> None:
@@ -147,9 +138,9 @@ def _tuples(pixels: Float64Array) -> list[tuple[float, float]]:
 def through_camera_model(figure: Figure, camera: Camera, camera_from_world: RigidTransform) -> Figure:
     """The same figure as pixels; lines end where the camera model sees no further."""
     lines = tuple(part for line in figure.lines for part in _projected_line(line, camera, camera_from_world))
-    areas = tuple(pixels_of(camera, camera_from_world, _bent(area)) for area in figure.areas)
-    marks = None if figure.marks is None else pixels_of(camera, camera_from_world, figure.marks)
-    anchor = None if figure.anchor is None else pixels_of(camera, camera_from_world, figure.anchor[None])[0]
+    areas = tuple(_pixels_of(camera, camera_from_world, _bent(area)) for area in figure.areas)
+    marks = None if figure.marks is None else _pixels_of(camera, camera_from_world, figure.marks)
+    anchor = None if figure.anchor is None else _pixels_of(camera, camera_from_world, figure.anchor[None])[0]
     whole = tuple(area for area in areas if np.isfinite(area).all())
     return Figure(figure.name, figure.colour, lines, whole, marks, anchor)
 
@@ -160,14 +151,14 @@ def _bent(vertices: Float64Array) -> Float64Array:
     return sample_polyline(closed, max(length / _CHUNKS, 1e-6))
 
 
-def pixels_of(camera: Camera, camera_from_world: RigidTransform, positions: Float64Array) -> Float64Array:
+def _pixels_of(camera: Camera, camera_from_world: RigidTransform, positions: Float64Array) -> Float64Array:
     """Pixels (N, 2) [px] of world points (N, 3) [m], NaN where the camera model sees none."""
     return project_unbounded(camera, camera_from_world.apply(positions))
 
 
 def _projected_line(line: Float64Array, camera: Camera, camera_from_world: RigidTransform) -> Iterator[Float64Array]:
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-    pixels = pixels_of(camera, camera_from_world, sample_polyline(line, max(length / _CHUNKS, 1e-6)))
+    pixels = _pixels_of(camera, camera_from_world, sample_polyline(line, max(length / _CHUNKS, 1e-6)))
     reach = _JUMP_SHARE * max(camera.width, camera.height)
     jumps = np.abs(np.diff(pixels, axis=0)).max(axis=1, initial=0.0)
     broken = np.flatnonzero(~(jumps <= reach)) + 1  # a NaN breaks the line, too

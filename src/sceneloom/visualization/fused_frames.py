@@ -26,15 +26,13 @@ from sceneloom.visualization.canvas import (
     draw_discs,
     leave_out,
     seconds_text,
-    text_height,
 )
 from sceneloom.visualization.clouds import UNSEEN, draw_cloud_above, draw_cloud_perspective, find_ego
-from sceneloom.visualization.colour_scales import DepthScale, draw_caption, draw_depth_bar, draw_strip, strip_height
+from sceneloom.visualization.colour_scales import DepthScale, framed, image_canvas
 
 if TYPE_CHECKING:
     from sceneloom.colouring.depth_completion import DenseDepth  # imports the compiler
 
-_LEAST_WIDTH_PX = 520  # narrower images get a canvas of this width, so that caption and scale fit below them
 NO_DEPTH = (10, 11, 14)
 """Colour of the pixels of a depth image that hold no depth: darker than any colour of the maps."""
 _HIDDEN = (176, 178, 184)
@@ -108,23 +106,6 @@ def subdued(rgb: UInt8Array) -> UInt8Array:
     """Take colour and brightness off an image, so that what is drawn over it stands out."""
     grey = (rgb @ _LUMA)[..., None]
     return np.asarray(_BRIGHTNESS * (_GREYNESS * grey + (1.0 - _GREYNESS) * rgb.astype(np.float32)), np.uint8)
-
-
-def framed(plot: Canvas, lines: Sequence[str], *, scale: DepthScale | None = None) -> PilImage:
-    """Add a strip below an image, with the caption, and with the bar of its depths where it shows any."""
-    width, height = plot.image.size
-    canvas = Canvas.blank(max(width, _LEAST_WIDTH_PX), height + strip_height(plot.text_px), text_px=plot.text_px)
-    canvas.paste(plot, 0, 0)
-    draw_strip(canvas, height)
-    room = canvas.image.width if scale is None else draw_depth_bar(canvas, height, scale)
-    draw_caption(canvas, height, room, lines)
-    return canvas.image
-
-
-def image_canvas(pixels: UInt8Array) -> Canvas:
-    """Begin to draw on (H, W, 3) uint8 pixels, with letters that fit the image and the strip below it."""
-    height, width = pixels.shape[:2]
-    return Canvas.of(pixels, text_px=text_height(max(width, _LEAST_WIDTH_PX), height))
 
 
 def draw_dense_depth(view: FusedView, dense: "DenseDepth", *, scale: DepthScale | None = None) -> PilImage:

@@ -19,6 +19,7 @@ from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.types import Identifier
 from sceneloom.visualization.canvas import Canvas, Colour, PilImage, count_text, seconds_text
 from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
+from sceneloom.visualization.colour_scales import framed, image_canvas
 from sceneloom.visualization.figures import (
     CORNER_FROM_CENTRE,
     PALETTE,
@@ -29,7 +30,7 @@ from sceneloom.visualization.figures import (
     through_camera_model,
     write_names,
 )
-from sceneloom.visualization.fused_frames import framed, image_canvas, subdued
+from sceneloom.visualization.fused_frames import subdued
 
 _WORDS = {
     Support.BOTH: "",

@@ -36,28 +36,19 @@ def rows_of(text):
     return [[cell.strip() for cell in line.strip("| \n").split(" | ")] for line in text.splitlines() if line[:1] == "|"]
 
 
-def test_every_row_of_tables_3_to_10_stands_there_in_order(page):
+def test_rows_properties_causes_and_calls_stand_there_and_the_checks_are_counted(page):
     found = [tuple(row[:3]) for row in rows_of(page.read_text("utf-8"))]
     expected = [(str(row.number), f"`{row.name}`", row.type) for table in TABLES.values() for row in table.rows]
     assert [row for row in found if row in expected] == expected
-
-
-def test_every_property_stands_there_with_its_type_and_default(page):
     found = {row[0].strip("`"): row[1:3] for row in rows_of(page.read_text("utf-8"))}
     for name, entry in PREDEFINED.items():
         kind, default = found[name]
         assert kind == entry.type + (f" [{entry.unit}]" if entry.unit else ""), name
         assert default in (repr(entry.default), "empty", "空"), name
         assert (default in ("empty", "空")) == (entry.default == ""), name
-
-
-def test_every_cause_and_every_call_stands_there(page):
     text = page.read_text("utf-8")
     assert [cause for cause in Cause if cause and f"| `{cause}` |" not in text] == []
     assert [method.name for method in SERVICE.methods if f"`{method.name}`" not in text] == []
-
-
-def test_the_checks_are_counted_as_they_are(page):
     text = page.read_text("utf-8")
     assert re.search(rf"\b{len(CHECKS)}\b", text)
     parts = [row for row in rows_of(text) if len(row) == 3 and row[-1].isdigit()]
@@ -66,19 +57,13 @@ def test_the_checks_are_counted_as_they_are(page):
     assert [check for ids in listed for check in ids] == [check.id for check in CHECKS]
 
 
-def test_the_program_on_the_page_runs(page, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("alone", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_program_on_the_page_runs_and_imports_what_it_needs(page, tmp_path, monkeypatch, capfd, alone):
     program = tmp_path / "program.py"
     program.write_text(re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)[1], "utf-8")
     monkeypatch.chdir(tmp_path)
-    runpy.run_path(str(program), run_name="__main__")
-    assert capsys.readouterr().out.startswith("10.0 ('x', 'y', 'z'")
-
-
-@pytest.mark.slow
-def test_the_program_on_the_page_imports_what_it_needs(page, tmp_path):
-    program = re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)[1]
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("10.0 ('x', 'y', 'z'")
+    if alone:
+        subprocess.run([sys.executable, "-W", "error", program], check=True)
+    else:
+        runpy.run_path(str(program), run_name="__main__")
+    assert capfd.readouterr().out.startswith("10.0 ('x', 'y', 'z'")

@@ -13,20 +13,12 @@ import pytest
 
 PROJECT = Path(__file__).parents[2]
 SOURCES = PROJECT / "src"
-PACKAGE = SOURCES / "sceneloom"
 UNTRACKED_FOLDERS = {".git", ".hypothesis", ".venv", "__pycache__", "build", "dist", "sceneloom-demo"}
 
 
 @dataclass(frozen=True)
 class SourceModule:
-    """One module of the package.
-
-    Attributes:
-        name: dotted, a package's `__init__` under the package's name.
-        path: its file.
-        is_package: whether it is an `__init__`.
-        tree: its syntax tree.
-    """
+    """One module of the package with its dotted name, that of the package for an `__init__`, and its syntax tree."""
 
     name: str
     path: Path
@@ -46,15 +38,10 @@ class SourceModule:
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            base = self._absolute(node)
+            here = self.name.split(".")
+            parents = here[: len(here) - node.level + self.is_package] if node.level else []
+            base = ".".join([*parents, *([node.module] if node.module else [])])
             yield from ((self._imported(base, alias.name), node.lineno) for alias in node.names)
-
-    def _absolute(self, node: ast.ImportFrom) -> str:
-        if node.level == 0:
-            return str(node.module)
-        here = self.name.split(".")
-        parents = here[: len(here) - node.level + self.is_package]
-        return ".".join([*parents, *([node.module] if node.module else [])])
 
     @staticmethod
     @cache
@@ -68,25 +55,12 @@ class SourceModule:
 def source_modules() -> tuple[SourceModule, ...]:
     """All modules of the package, read from the checkout and not from where it is installed."""
     modules = []
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in sorted((SOURCES / "sceneloom").rglob("*.py")):
         parts = path.relative_to(SOURCES).with_suffix("").parts
         is_package = parts[-1] == "__init__"
         name = ".".join(parts[:-1] if is_package else parts)
         modules.append(SourceModule(name, path, is_package, ast.parse(path.read_text("utf-8"))))
     return tuple(modules)
-
-
-def tracked_files() -> list[Path]:
-    """The files under version control; in a copy without it, every file but litter."""
-    git = shutil.which("git")
-    if git is not None and (PROJECT / ".git").exists():
-        listed = subprocess.run([git, "ls-files", "-z"], cwd=PROJECT, capture_output=True, check=True, text=True)
-        return [PROJECT / name for name in listed.stdout.split("\0") if name and (PROJECT / name).is_file()]
-    files = []
-    for folder, folders, names in os.walk(PROJECT):
-        folders[:] = [name for name in folders if name not in UNTRACKED_FOLDERS and not name.endswith("cache__")]
-        files += [Path(folder, name) for name in names]
-    return files
 
 
 @pytest.fixture(scope="session")
@@ -101,7 +75,16 @@ def packages() -> list[SourceModule]:
 
 @pytest.fixture(scope="session")
 def project_files() -> list[Path]:
-    return tracked_files()
+    """The files under version control; in a copy without it, every file but litter."""
+    git = shutil.which("git")
+    if git is not None and (PROJECT / ".git").exists():
+        listed = subprocess.run([git, "ls-files", "-z"], cwd=PROJECT, capture_output=True, check=True, text=True)
+        return [PROJECT / name for name in listed.stdout.split("\0") if name and (PROJECT / name).is_file()]
+    files = []
+    for folder, folders, names in os.walk(PROJECT):
+        folders[:] = [name for name in folders if name not in UNTRACKED_FOLDERS and not name.endswith("cache__")]
+        files += [Path(folder, name) for name in names]
+    return files
 
 
 @pytest.fixture(scope="session")

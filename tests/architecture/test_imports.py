@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 from dataclasses import fields, is_dataclass
+from graphlib import CycleError, TopologicalSorter
 from importlib import import_module
 from inspect import signature
 from itertools import chain
@@ -98,12 +99,9 @@ def may_import(room: str, other: str) -> bool:
     return ROW_OF[other] > ROW_OF[room] or (room, other) in NEIGHBOURS
 
 
-def test_every_room_has_its_row(modules):
+def test_a_module_imports_only_from_rows_below_its_own(modules):
     unknown = {room for m in modules if (room := room_of(m.name)) and room not in ROW_OF}
     assert not unknown, f"rooms without a row: {unknown}; add them to ROWS and to docs/ARCHITECTURE.md"
-
-
-def test_a_module_imports_only_from_rows_below_its_own(modules):
     wrong = [
         f"{module.name}, line {line}: {name}"
         for module in modules
@@ -111,6 +109,11 @@ def test_a_module_imports_only_from_rows_below_its_own(modules):
         if name.split(".")[0] == "sceneloom" and not may_import(room_of(module.name), room_of(name))
     ]
     assert not wrong
+    # the rule reports right from wrong
+    right = {("formats", "scene"), ("simulate", "formats"), ("arrays", "errors"), ("", "cli")}
+    wrong = {("scene", "formats"), ("simulate", "pipeline"), ("service", "view"), ("geometry", "kernels")}
+    wrong |= {("errors", "arrays"), ("scene", "")}
+    assert {pair for pair in right | wrong if may_import(*pair)} == right
 
 
 FORMAT_ROWS = (
@@ -146,37 +149,21 @@ def test_no_modules_import_one_another_in_a_circle(modules):
     for module in modules:
         top = {node.lineno for node in module.tree.body if isinstance(node, ast.ImportFrom)}
         graph[module.name] = {name for name, line in module.imports if line in top and name in known}
-    circles = [name for name in graph if name in _reached(graph, name)]
-    assert not circles
+    with pytest.raises(CycleError):
+        TopologicalSorter({"a": {"b"}, "b": {"a"}}).prepare()
+    TopologicalSorter(graph).prepare()
 
 
-def _reached(graph, start):
-    """All modules that one imports, directly or through others."""
-    seen, todo = set(), list(graph[start])
-    while todo:
-        name = todo.pop()
-        if name not in seen:
-            seen.add(name)
-            todo += graph[name]
-    return seen
-
-
-def foreign_imports(modules):
+def test_a_third_party_is_declared_and_imported_only_in_the_rooms_that_wrap_it(modules, project):
     own = {*sys.stdlib_module_names, "sceneloom"}
     found = [(module, name.split(".")[0], line) for module in modules for name, line in module.imports]
-    return [row for row in found if row[1] not in own]
-
-
-def test_a_third_party_is_imported_only_in_the_rooms_that_wrap_it(modules):
+    foreign = [row for row in found if row[1] not in own]
     wrong = [
         f"{module.name}, line {line}: {name}"
-        for module, name, line in foreign_imports(modules)
+        for module, name, line in foreign
         if room_of(module.name) not in WRAPPERS.get(name, set())
     ]
     assert not wrong, "WRAPPERS says who wraps what"
-
-
-def test_every_third_party_that_is_imported_is_declared(modules, project):
     declared = tomllib.loads((project / "pyproject.toml").read_text("utf-8"))["project"]
     requirements = [*declared["dependencies"], *chain(*declared["optional-dependencies"].values())]
     names = {requirement.split(">")[0].split("=")[0].split("[")[0] for requirement in requirements}
@@ -185,7 +172,7 @@ def test_every_third_party_that_is_imported_is_declared(modules, project):
         "google": "protobuf", "rerun": "rerun-sdk", "ruamel": "ruamel.yaml", "grpc": "grpcio",
         "grpc_health": "grpcio-health-checking", "grpc_reflection": "grpcio-reflection", "small_gicp": "small-gicp",
     }  # fmt: skip
-    assert {distributions.get(name, name) for _, name, _ in foreign_imports(modules)} <= names
+    assert {distributions.get(name, name) for _, name, _ in foreign} <= names
 
 
 def test_benchmarks_and_examples_import_what_is_there(project, modules):
@@ -194,25 +181,6 @@ def test_benchmarks_and_examples_import_what_is_there(project, modules):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "sceneloom":
                 assert node.module in names, f"{path.name}:{node.lineno}"
-
-
-@pytest.mark.parametrize(
-    ("importer", "imported", "allowed"),
-    [
-        ("formats", "scene", True),
-        ("scene", "formats", False),
-        ("simulate", "formats", True),
-        ("simulate", "pipeline", False),
-        ("service", "view", False),
-        ("geometry", "kernels", False),
-        ("arrays", "errors", True),
-        ("errors", "arrays", False),
-        ("scene", "", False),
-        ("", "cli", True),
-    ],
-)
-def test_the_rule_of_rows_reports_right_from_wrong(importer, imported, allowed):
-    assert may_import(importer, imported) is allowed
 
 
 OPENED = """
@@ -228,12 +196,25 @@ print(*(name for name in opened if not name.endswith(code) and ".pyc." not in na
 """
 
 
-COUNT = """
-import sys
-{}
-modules = [name for name in sys.modules if name.partition(".")[0] == "sceneloom"]
-print(len(modules), *sorted({{name.partition(".")[0] for name in sys.modules}} - set(sys.stdlib_module_names)))
-"""
+def imported_by(statement: str) -> tuple[int, set[str]]:
+    """How many of our modules a statement imports in a fresh interpreter, and the third parties."""
+    names = run_python(f"import sys; {statement}; print(*sys.modules)")
+    foreign = {name.partition(".")[0] for name in names} - set(sys.stdlib_module_names) - {"sceneloom"}
+    return sum(name.partition(".")[0] == "sceneloom" for name in names), foreign
+
+
+def test_the_package_its_model_and_specs_load_only_numpy_and_msgspec():
+    assert run_python(OPENED) == [], "no file but modules"
+    _, light = imported_by("import numpy, msgspec")
+    for statement in (
+        "import sceneloom",
+        "from sceneloom import Poses, Scene, SceneloomError, open, write",
+        "import sceneloom.scene, sceneloom.formats, sceneloom.cameras, sceneloom.geometry",
+        "from sceneloom.formats.base.registry import format_named, format_names; [*map(format_named, format_names())]",
+    ):
+        count, others = imported_by(statement)
+        assert others <= light, statement
+    assert count <= 90
 
 
 def run_python(program: str) -> list[str]:
@@ -243,56 +224,13 @@ def run_python(program: str) -> list[str]:
     return done.stdout.split()
 
 
-def imported_by(statement: str) -> tuple[int, set[str]]:
-    """How many of our modules a statement imports in a fresh interpreter, and the third parties."""
-    count, *names = run_python(COUNT.format(statement))
-    return int(count), set(names) - {"sceneloom"}
-
-
-@pytest.fixture(scope="module")
-def light() -> set[str]:
-    """What may be imported with the package."""
-    return imported_by("import numpy, msgspec")[1]
-
-
-@pytest.mark.parametrize(
-    "statement",
-    [
-        "import sceneloom",
-        "from sceneloom import Poses, Scene, SceneloomError, open, write",
-        "import sceneloom.scene, sceneloom.formats, sceneloom.cameras, sceneloom.geometry",
-    ],
-)
-def test_the_package_and_its_model_load_only_numpy_and_msgspec(statement, light):
-    assert imported_by(statement)[1] <= light
-
-
-def test_importing_the_package_opens_no_file_but_modules():
-    assert run_python(OPENED) == []
-
-
-@pytest.fixture(scope="module")
-def drives(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("drives")
+def test_opening_a_drive_imports_nothing_of_other_formats(tmp_path):
     camera = CameraSpec(Camera("pinhole", 32, 24, 20.0, 20.0, 15.5, 11.5))
     scene = simulate_street(1, frames=2, lidar=LidarSpec(beams=4, steps=40), cameras=(camera,)).scene
-    for name in ("drive.sfs", "drive"):
-        sceneloom.write(scene, folder / name)
-    return folder
-
-
-@pytest.mark.parametrize(("name", "most"), [("drive.sfs", 110), ("drive", 130)])
-def test_opening_a_drive_imports_nothing_of_other_formats(name, most, drives):
-    count, _ = imported_by(f"import sceneloom; sceneloom.open({str(drives / name)!r})")
-    assert count <= most
-
-
-def test_specs_are_light(light):
-    count, others = imported_by(
-        "from sceneloom.formats.base.registry import format_named, format_names; [*map(format_named, format_names())]"
-    )
-    assert count <= 90
-    assert others <= light
+    for name, most in (("drive.sfs", 110), ("drive", 130)):
+        sceneloom.write(scene, tmp_path / name)
+        count, _ = imported_by(f"import sceneloom; sceneloom.open({str(tmp_path / name)!r})")
+        assert count <= most
 
 
 def test_what_is_named_to_be_imported_on_first_use_is_there(modules):

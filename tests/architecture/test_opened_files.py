@@ -83,20 +83,16 @@ def opens_for_reading(node: ast.Call) -> str | None:
 
 
 def test_files_are_opened_by_the_one_function_that_refuses_pipes_and_devices(modules):
-    found, used = [], set()
-    for module in modules:
-        for node in ast.walk(module.tree):
-            name = opens_for_reading(node) if isinstance(node, ast.Call) else None
-            if name is None:
-                continue
-            used.add((module.name, name))
-            if (module.name, name) not in ALLOWED:
-                found.append(f"{module.name}, line {node.lineno}: {name}")
-    assert not found, f"use open_file or read_bytes of sceneloom.formats.base.files: {found}"
-    assert set(ALLOWED) <= used, f"no longer needed: {set(ALLOWED) - used}"
-
-
-def test_what_opens_files_is_distinguished_from_what_does_not():
+    found = {
+        (module.name, name): f"line {node.lineno}"
+        for module in modules
+        for node in module.nodes
+        if isinstance(node, ast.Call) and (name := opens_for_reading(node)) is not None
+    }
+    wrong = {key: line for key, line in found.items() if key not in ALLOWED}
+    assert not wrong, f"use open_file or read_bytes of sceneloom.formats.base.files: {wrong}"
+    assert set(ALLOWED) <= set(found), f"no longer needed: {set(ALLOWED) - set(found)}"
+    # what opens files is distinguished from what does not
     reading = ["p.open('rb')", "p.open(encoding='utf-8')", "open(p)", "open(p, 'rb')", "a.b.read_bytes()", "np.load(p)"]
     other = ["p.open('wb')", "video.open()", "open(p, 'xb')", "read_bytes(p)", "open_file(p)", "form.open(path)"]
     assert all(opens_for_reading(ast.parse(text).body[0].value) for text in reading)

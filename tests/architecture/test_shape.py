@@ -20,24 +20,18 @@ def test_a_module_is_named_after_what_it_is_about_and_stands_in_a_package(module
         assert (module.path.parent / "__init__.py").is_file(), module.name
 
 
-def test_no_file_is_large(project_files, project):
-    large = {str(p.relative_to(project)): p.stat().st_size for p in project_files if p.stat().st_size > LARGEST_FILE}
-    assert not large
-
-
-def test_no_file_holds_a_path_of_one_machine_or_the_host_of_a_registry(project_files, project):
+def test_no_file_is_large_or_holds_a_path_of_one_machine_or_the_host_of_a_registry(project_files, project):
     found = []
     for path in project_files:
-        name = path.relative_to(project).as_posix()
-        text = path.read_bytes().decode("utf-8", "replace")
+        name, content = path.relative_to(project).as_posix(), path.read_bytes()
+        assert len(content) <= LARGEST_FILE, name
+        text = content.decode("utf-8", "replace")
         if name == QUOTES_THE_HOSTS or "\0" in text:
             continue
         found += [f"{name}: {match.group()}" for match in MACHINE_PATHS.finditer(text)]
         found += [f"{name}: {host}" for host in HOSTS if host in text]
     assert not found
-
-
-def test_paths_of_one_machine_are_distinguished_from_relative_ones():
+    # relative paths are distinguished from those of a machine
     assert all(map(MACHINE_PATHS.search, ["see /root/x", "'/work/main/a'", "at /home/someone", "file:///Users/a"]))
     relative = ["a/work/b", "$HOME/work/x", "../shared/data/x", "/tmp/x", "rows/data"]
     assert not any(map(MACHINE_PATHS.search, relative))
@@ -73,11 +67,22 @@ def public_bindings(tree: ast.Module) -> set[str]:
     return {name for name in names if not name.startswith("_")} | set(names_on_first_use(tree)[0])
 
 
-def offered_names(tree: ast.Module) -> list[str] | None:
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
-            return list(ast.literal_eval(node.value))
-    return None
+def test_a_package_has_only_a_docstring_imports_and_its_names_in_order_and_all_of_it_is_there(packages):
+    for package in packages:
+        seen, stated = names_on_first_use(package.tree)
+        assert seen == stated, f"{package.name}: not the same for type checkers and at run time"
+        taken = [name for name in stated if find_spec(f"{package.name}.{name}")]
+        assert not taken, f"{package.name}: modules have these names, and would take their locations: {taken}"
+        allowed = (ast.Import, ast.ImportFrom, ast.Assign, ast.Expr, *((ast.If,) if seen else ()))
+        strange = [f"line {node.lineno}" for node in package.tree.body if not isinstance(node, allowed)]
+        assert not strange, f"{package.name} defines things in its __init__: {strange}"
+        loaded = import_module(package.name)
+        offered = list(getattr(loaded, "__all__", ()))
+        assert {name for name in offered if not name.startswith("__")} == public_bindings(package.tree), package.name
+        assert len(offered) == len(set(offered)), package.name
+        assert offered == sorted(offered, key=by_kind_and_name), package.name
+        absent = [name for name in offered if not hasattr(loaded, name)]
+        assert not absent, f"{package.name}.__all__ names {absent}, which are not there"
 
 
 def by_kind_and_name(name: str) -> tuple[int, list[tuple[bool, int, str]]]:
@@ -87,45 +92,15 @@ def by_kind_and_name(name: str) -> tuple[int, list[tuple[bool, int, str]]]:
     return kind, [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in digits]
 
 
-def test_a_package_offers_exactly_what_it_binds_in_order_and_all_of_it_is_there(packages):
-    for package in packages:
-        offered = offered_names(package.tree) or []
-        assert {name for name in offered if not name.startswith("__")} == public_bindings(package.tree), package.name
-        assert len(offered) == len(set(offered)), package.name
-        assert offered == sorted(offered, key=by_kind_and_name), package.name
-        loaded = import_module(package.name)
-        absent = [name for name in offered if not hasattr(loaded, name)]
-        assert not absent, f"{package.name}.__all__ names {absent}, which are not there"
-
-
-def test_names_on_first_use_are_the_same_for_type_checkers_and_at_run_time(packages):
-    for package in packages:
-        seen, stated = names_on_first_use(package.tree)
-        assert seen == stated, package.name
-        taken = [name for name in stated if find_spec(f"{package.name}.{name}")]
-        assert not taken, f"{package.name}: modules have these names, and would take their locations: {taken}"
-
-
-def test_a_package_has_only_a_docstring_imports_and_its_names(packages):
-    for package in packages:
-        lazy = (ast.If,) if names_on_first_use(package.tree)[0] else ()
-        allowed = (ast.Import, ast.ImportFrom, ast.Assign, ast.Expr, *lazy)
-        strange = [f"line {node.lineno}" for node in package.tree.body if not isinstance(node, allowed)]
-        assert not strange, f"{package.name} defines things in its __init__: {strange}"
-
-
-def public_classes(tree: ast.Module) -> list[ast.ClassDef]:
-    """The classes of a module whose methods are there for others."""
-    return [node for node in tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
-
-
 def test_public_things_are_explained(modules):
     for module in modules:
-        explained = ast.get_docstring(module.tree)
-        assert explained, f"{module.name} has no docstring"
+        assert ast.get_docstring(module.tree), f"{module.name} has no docstring"
+        classes = [
+            node for node in module.tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+        ]
         silent = [
             f"{node.name} (line {node.lineno})"
-            for scope in (module.tree, *public_classes(module.tree))
+            for scope in (module.tree, *classes)
             for node in scope.body
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
             and not node.name.startswith("_")

@@ -1,5 +1,6 @@
 """Building, bringing up to date, and what stands in the tables."""
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +10,18 @@ import pytest
 
 import sceneloom
 from sceneloom.catalog import TABLES, Selection, build, query, update
-from sceneloom.catalog.building import Entry, Fresh, Parts, scene_name, write_draft
-from sceneloom.catalog.rows import Ego, box_rows, distances, scene_rows, track_rows
+from sceneloom.catalog.building import (
+    Ego,
+    Entry,
+    Fresh,
+    Parts,
+    box_rows,
+    distances,
+    scene_name,
+    scene_rows,
+    track_rows,
+    write_draft,
+)
 from sceneloom.catalog.storage import Layout
 from sceneloom.errors import OptionError, OutputError
 from sceneloom.scene import AttributePath, EventAnnotation, Poses, Scene
@@ -32,7 +43,7 @@ def all_rows(folder, where=""):
     return {table: repr(query(folder, f"SELECT * FROM {table} {where} ORDER BY ALL").rows) for table in TABLES}
 
 
-def test_an_update_reads_only_what_changed(copies, tmp_path):
+def test_an_update_reads_and_writes_only_what_changed(copies, tmp_path, monkeypatch):
     folder = tmp_path / "catalogue"
     build(copies, folder)
     elsewhere = f"WHERE scene != '{scene_name(str(copies[2]), {})}'"
@@ -45,21 +56,18 @@ def test_an_update_reads_only_what_changed(copies, tmp_path):
     assert all_rows(folder, elsewhere) == others
     assert query(folder, "SELECT count(*) FROM scenes WHERE duration > 3.8 AND duration < 4").rows == [(1,)]
     assert not [*folder.rglob(".part*"), *folder.rglob(".drafts")]
-
-
-def test_scenes_share_parts_up_to_a_number_of_rows(copies, tmp_path, monkeypatch):
-    monkeypatch.setattr("sceneloom.catalog.building.PART_ROWS", 250)
-    folder = tmp_path / "catalogue"
-    build(copies, folder)  # of 200, 200 and 40 frames
+    # scenes share parts up to a number of rows
+    monkeypatch.setattr("sceneloom.catalog.building.PART_ROWS", 290)
+    build(copies, folder, overwrite=True)  # of 200, 200 and 80 frames
     counts = "SELECT path, count(*) FROM frames JOIN scenes USING (scene) GROUP BY path ORDER BY path"
-    assert [count for _, count in query(folder, counts).rows] == [200, 200, 40]
+    assert [count for _, count in query(folder, counts).rows] == [200, 200, 80]
     assert [file.name for file in sorted(folder.glob("frames/*"))] == ["part-00000.parquet", "part-00001.parquet"]
     before = timestamps(folder)
-    sceneloom.write(street(seconds=4), copies[1], overwrite=True)
+    sceneloom.write(street(seconds=5), copies[1], overwrite=True)
     update(folder)
     after = timestamps(folder)
     assert {file.name for file in before if after[file] != before[file]} == {"part-00001.parquet"}
-    assert [count for _, count in query(folder, counts).rows] == [200, 80, 40]
+    assert [count for _, count in query(folder, counts).rows] == [200, 100, 80]
 
 
 @pytest.mark.parametrize("stopped_after", range(7))
@@ -106,15 +114,23 @@ def test_workers_make_the_same_catalogue(copies, tmp_path):
     assert all_rows(tmp_path / "1") == all_rows(tmp_path / "2")
 
 
-def test_one_process_at_a_time_writes(copies, tmp_path):
+def test_drives_come_and_go_and_one_process_at_a_time_writes(copies, tmp_path):
     folder = tmp_path / "catalogue"
-    build(copies[:1], folder)
+    build(copies[:2], folder, checks="none")
     with Layout.found(folder).held():
         for write in (lambda: update(folder), lambda: build(copies, folder, overwrite=True)):
             with pytest.raises(OutputError, match="another run"):
                 write()
-        assert query(folder, "SELECT count(*) FROM scenes").rows == [(1,)]
-    assert update(folder).unchanged == 1
+        assert query(folder, "SELECT count(*) FROM scenes").rows == [(2,)]
+    report = update(folder, copies)
+    assert (report.added, report.changed, report.unchanged) == ((str(copies[2]),), tuple(map(str, copies[:2])), 0)
+    copies[0].unlink()
+    assert update(folder).gone == (str(copies[0]),)
+    assert update(folder).scenes == 3
+    report = update(folder, prune=True)
+    assert (report.removed, report.scenes) == ((str(copies[0]),), 2)
+    with pytest.raises(OptionError):
+        update(folder, copies, prune=True)
 
 
 def test_a_run_that_is_stopped_leaves_what_was_read(copies, tmp_path):
@@ -130,40 +146,22 @@ def test_a_run_that_is_stopped_leaves_what_was_read(copies, tmp_path):
     assert (report.added, report.unchanged) == ((str(copies[2]),), 2)
 
 
-def test_drives_come_and_go(copies, tmp_path):
-    folder = tmp_path / "catalogue"
-    build(copies[:2], folder, checks="none")
-    report = update(folder, copies)
-    assert (report.added, report.changed, report.unchanged) == ((str(copies[2]),), tuple(map(str, copies[:2])), 0)
-    copies[0].unlink()
-    assert update(folder).gone == (str(copies[0]),)
-    assert update(folder).scenes == 3
-    report = update(folder, prune=True)
-    assert (report.removed, report.scenes) == ((str(copies[0]),), 2)
-    with pytest.raises(OptionError):
-        update(folder, copies, prune=True)
-
-
-def test_a_drive_that_cannot_be_read_is_reported_and_the_others_go_on(copies, tmp_path):
-    folder = tmp_path / "catalogue"
-    torn = tmp_path / "torn.sfs"
+def test_a_drive_that_cannot_be_read_is_reported_and_scenes_of_a_damaged_file_are_read_again(copies, tmp_path):
+    folder, torn, missing = tmp_path / "catalogue", tmp_path / "torn.sfs", tmp_path / "missing"
     torn.write_bytes(copies[0].read_bytes()[:200])
-    report = build([torn, copies[0], tmp_path / "missing"], folder)
-    assert [failure.path for failure in report.failed] == [str(torn), str(tmp_path / "missing")]
-    assert (report.added, report.scenes) == ((str(copies[0]),), 1)
-    copies[0].write_bytes(b"{")
-    report = update(folder)
-    assert [failure.path for failure in report.failed] == [str(copies[0])]
-    assert query(folder, "SELECT count(*) > 0 FROM annotations").rows == [(True,)]  # what stood of it before
-
-
-def test_scenes_of_a_damaged_file_are_read_again(copies, tmp_path):
-    folder = tmp_path / "catalogue"
-    build(copies, folder)
+    report = build([torn, *copies, missing], folder)
+    assert [failure.path for failure in report.failed] == [str(torn), str(missing)]
+    assert (report.added, report.scenes) == (tuple(map(str, copies)), 3)
     (file,) = folder.glob("scenes/*.parquet")
     file.write_bytes(b"PAR1")
     assert len(update(folder, copies[:1]).changed) == 3  # those beside it in the file as well
     assert query(folder, "SELECT count(*) FROM scenes").rows == [(3,)]
+    whole, annotated = copies[0].read_bytes(), "SELECT count(*) FROM annotations"
+    before = query(folder, annotated).rows
+    copies[0].write_bytes(b"{")
+    assert [failure.path for failure in update(folder).failed] == [str(copies[0])]
+    assert query(folder, annotated).rows == before != [(0,)]  # what stood of it before
+    copies[0].write_bytes(whole)
     for file in folder.rglob("*.parquet"):
         file.write_bytes(b"PAR1")
     report = update(folder)
@@ -171,7 +169,7 @@ def test_scenes_of_a_damaged_file_are_read_again(copies, tmp_path):
     assert "delete it" in report.failed[0].error
 
 
-def test_nothing_else_is_replaced(copies, tmp_path):
+def test_nothing_else_is_replaced_and_addresses_with_secrets_are_not_kept(copies, tmp_path):
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "precious.txt").touch()
     with pytest.raises(OutputError, match="something else"):
@@ -183,22 +181,18 @@ def test_nothing_else_is_replaced(copies, tmp_path):
     assert [file.name for file in (tmp_path / "own").iterdir()] == ["precious.txt"]
     with pytest.raises(OptionError):
         build([], tmp_path / "none")
-
-
-@pytest.mark.parametrize("path", ["/a/b c.sfs", "/a/2024-01-01", "/", "s3://b/ü.sfs", "/x/'; DROP--", "/a/b\udcff"])
-def test_names_of_scenes_mean_the_same_everywhere(path):
-    name = scene_name(path, {})
-    assert set(name) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-")
-    assert name.count("-") == 1
-    assert name != scene_name(path, {"sequence": "2"})
-
-
-def test_addresses_with_secrets_are_not_kept(tmp_path):
     for address in ("https://me:hush@host/a.sfs", "https://host/a.sfs?X-Amz-Signature=hush"):
         with pytest.raises(OptionError, match="holds a secret") as refused:
-            build([address], tmp_path / "catalogue")
+            build([address], tmp_path / "none")
         assert "hush" not in str(refused.value)
-    assert not (tmp_path / "catalogue").exists()
+    assert not (tmp_path / "none").exists()
+
+
+def test_names_of_scenes_mean_the_same_everywhere():
+    for path in ("/a/b c.sfs", "/a/2024-01-01", "/", "s3://b/ü.sfs", "/x/'; DROP--", "/a/b\udcff"):
+        name = scene_name(path, {})
+        assert re.fullmatch("[A-Za-z0-9_]*-[A-Za-z0-9]+", name)
+        assert name != scene_name(path, {"sequence": "2"})
 
 
 def test_odd_scenes_are_catalogued_too(tmp_path):
@@ -229,46 +223,33 @@ def test_odd_scenes_are_catalogued_too(tmp_path):
     assert query(layout.folder, Selection(types=("cuboid",))).rows[0][3:] == (12, 1)
 
 
-@pytest.fixture
-def rows(catalogue, drives):
-    """Rows of the first drive's boxes of a label: seconds, and some columns."""
+def test_rows_report_where_boxes_and_the_ego_were_at_every_moment(catalogue, drives):
+    def rows(what):
+        return query(catalogue, what.format(where=f"JOIN scenes s USING (scene) WHERE s.path = '{drives[0]}'")).rows
 
-    def read(columns, label):
-        return query(
-            catalogue,
-            f"SELECT seconds, {columns} FROM annotations a JOIN scenes USING (scene) "
-            f"WHERE path = '{drives[0]}' AND label LIKE '{label}' ORDER BY seconds",
-        ).rows
-
-    return read
-
-
-def test_a_box_stands_at_every_moment_between_its_timestamps(rows):
-    seconds, y, speed, names = zip(*rows("y, speed, a.annotation", "ped%"), strict=True)
+    walker = rows("SELECT seconds, y, speed, a.annotation FROM annotations a {where} AND label LIKE 'ped%' ORDER BY 1")
+    seconds, y, speed, names = zip(*walker, strict=True)
     assert seconds == pytest.approx(np.arange(2.0, 3.05, 0.1))
     assert y == pytest.approx(5 + 2 * np.arange(0, 1.05, 0.1))
-    assert speed == pytest.approx([2.0] * 11)
-    assert set(names) == {"7"}
-
-
-def test_distances_are_those_from_the_ego_at_that_moment(rows):
-    t, distance, ego_speed = np.array(rows("distance, ego_speed", "Car")).T
+    assert (speed, set(names)) == (pytest.approx([2.0] * 11), {"7"})
+    car = rows("SELECT seconds, distance, ego_speed FROM annotations {where} AND label = 'Car' ORDER BY 1")
+    t, distance, ego_speed = np.array(car).T
     east = np.where(t < 5, 5 * t, 25 + 15 * (t - 5))
     assert len(t) == 100
     assert distance == pytest.approx(np.hypot(50 - east, 10))
     steady = np.abs(t - 5) > 0.3  # a speed is that over half a second
     assert ego_speed[steady] == pytest.approx(np.where(t < 5, 5, 15)[steady])
-
-
-def test_a_track_reports_its_span_trajectory_and_least_distance(catalogue):
-    sql = "SELECT start, stop, metres, nearest, boxes FROM tracks WHERE annotation = '7' LIMIT 1"
-    ((start, stop, metres, nearest, boxes),) = query(catalogue, sql).rows
-    assert (start, stop, metres, boxes) == pytest.approx((2.0, 3.0, 2.0, 11))
     t = np.arange(2.0, 3.05, 0.1)
-    assert nearest == pytest.approx(np.hypot(20 - 5 * t, 5 + 2 * (t - 2)).min())
+    nearest = np.hypot(20 - 5 * t, 5 + 2 * (t - 2)).min()
+    (track,) = rows("SELECT t.start, t.stop, t.metres, nearest, t.boxes FROM tracks t {where} AND annotation = '7'")
+    assert track == pytest.approx((2.0, 3.0, 2.0, nearest, 11))
+    found = rows("SELECT f.latitude, f.longitude FROM frames f {where} AND reference ORDER BY frame")
+    assert np.array(found) == pytest.approx(street().sensors[0].positions_lla[:, :2], abs=1e-9)
+    (row,) = rows("SELECT s.duration, s.period, s.metres, s.tracks, s.boxes, s.frames FROM scenes {where}")
+    assert row == pytest.approx((9.9, 0.1, 25 + 15 * 4.9, 2, 111, 200))
 
 
-def test_the_least_distance_is_that_of_the_moments_at_which_the_ego_is_known():
+def test_the_ego_is_where_its_trajectory_fixes_and_the_stated_origin_put_it():
     scene = street()
     ego = scene.sensor("ego")
     rows = slice(0, 30)
@@ -277,18 +258,6 @@ def test_the_least_distance_is_that_of_the_moments_at_which_the_ego_is_known():
     boxes = box_rows(part, times_ns(100))
     nearest = track_rows(part, boxes, distances(part, Ego.of(part), boxes), 0)["nearest"]
     assert nearest == pytest.approx([np.hypot(50 - 5 * 2.9, 10), np.hypot(20 - 5 * 2.9, 7 - 0.2)], abs=0.5)
-
-
-def test_frames_report_where_on_earth_the_ego_was(catalogue, drives):
-    sql = (
-        "SELECT f.latitude, f.longitude FROM frames f JOIN scenes s USING (scene) WHERE reference AND "
-        f"path = '{drives[0]}' ORDER BY frame"
-    )
-    found = np.array(query(catalogue, sql).rows)
-    assert found == pytest.approx(street().sensors[0].positions_lla[:, :2], abs=1e-9)
-
-
-def test_fixes_without_reception_or_height_are_reported_as_far_as_they_are_locations():
     whole = street()
     lla = whole.sensor("gnss").positions_lla.copy()
     lla[:, 2] = np.nan
@@ -297,25 +266,14 @@ def test_fixes_without_reception_or_height_are_reported_as_far_as_they_are_locat
     found = ego.positions_lla(times_ns(100))
     assert found[:, :2] == pytest.approx(whole.sensor("gnss").positions_lla[:, :2], abs=1e-5)
     assert ego.speeds(times_ns(100)).max() < 20.0
-
-
-@pytest.mark.parametrize(
-    ("ours", "known"),
-    [
+    origin = {"latitude": 48.0, "longitude": 11.0, "altitude": 500.0}
+    for ours, known in (
         ({}, True),
         ({"world_from_file": np.eye(4).tolist()}, False),
-        ({"enu_origin": {"latitude": 10**400, "longitude": 11.0, "altitude": 0.0}}, False),
-    ],
-)
-def test_a_location_of_the_world_counts_where_it_is_one_and_the_world_was_not_moved(ours, known):
-    origin = dict(zip(("latitude", "longitude", "altitude"), (48.0, 11.0, 500.0), strict=True))
-    scene = replace(street(), sensors=street().sensors[1:], metadata={"sceneloom": {"enu_origin": origin, **ours}})
-    assert np.isfinite(Ego.of(scene).positions_lla(times_ns(3))).all() == known
-
-
-def test_the_scene_row_counts_what_is_there(catalogue, drives):
-    sql = f"SELECT duration, period, metres, tracks, boxes, frames FROM scenes WHERE path = '{drives[0]}'"
-    assert query(catalogue, sql).rows[0] == pytest.approx((9.9, 0.1, 25 + 15 * 4.9, 2, 111, 200))
+        ({"enu_origin": {**origin, "latitude": 10**400}}, False),
+    ):
+        scene = replace(street(), sensors=street().sensors[1:], metadata={"sceneloom": {"enu_origin": origin, **ours}})
+        assert np.isfinite(Ego.of(scene).positions_lla(times_ns(3))).all() == known
 
 
 def test_every_table_has_its_columns_and_the_scene_and_the_page_about_catalogues_names_them(catalogue, request):

@@ -15,20 +15,8 @@ from pymap3d import enu2geodetic
 from pymap3d.vincenty import vdist
 
 from sceneloom.batch.jobs import find_inputs
-from sceneloom.catalog import (
-    SHOWN,
-    TABLES,
-    Result,
-    Selection,
-    format_csv,
-    iter_list,
-    opened,
-    query,
-    records,
-    sql_of,
-    update,
-)
-from sceneloom.catalog.database import Database
+from sceneloom.catalog import SHOWN, TABLES, Result, Selection, format_csv, iter_list, opened, query, records, update
+from sceneloom.catalog.database import Database, sql_of
 from sceneloom.catalog.storage import read_part
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base import files as base_files
@@ -142,13 +130,13 @@ def test_a_file_that_declares_far_more_rows_than_its_bytes_is_refused(copied, mo
         read_part(next(copied.glob("annotations/*.parquet")))
 
 
-@pytest.mark.parametrize("content", [None, "", "{", "[]", '{"version": 99}'])
-def test_a_folder_that_is_no_catalogue_is_refused(tmp_path, content):
-    if content is not None:
-        (tmp_path / "catalog.json").write_text(content)
-    for use in (lambda: query(tmp_path, "SELECT 1"), lambda: update(tmp_path)):
-        with pytest.raises(DataError):
-            use()
+def test_a_folder_that_is_no_catalogue_is_refused(tmp_path):
+    for content in (None, "", "{", "[]", '{"version": 99}'):
+        if content is not None:
+            (tmp_path / "catalog.json").write_text(content)
+        for use in (lambda: query(tmp_path, "SELECT 1"), lambda: update(tmp_path)):
+            with pytest.raises(DataError):
+                use()
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -226,32 +214,31 @@ def test_spans_are_those_in_which_all_holds(catalogue, drives, wanted, expected)
 
 
 def test_locations_are_found_by_metres_on_the_ellipsoid_also_across_the_date_line(catalogue, drives):
+    t = np.arange(100) / 10
+    east = np.where(t < 5, 5 * t, 25 + 15 * (t - 5))
     for drive, origin in ((drives[0], (48.0, 11.0)), (drives[1], (-33.9, 179.9999))):
-        found = spans(catalogue, drive, near=(*origin, 40.0))
-        t = np.arange(100) / 10
-        east = np.where(t < 5, 5 * t, 25 + 15 * (t - 5))
         latitude, longitude, _ = enu2geodetic(east, 0 * t, 0 * t, *origin, 0)
         away = np.array([vdist(*origin, *p)[0] for p in zip(latitude, longitude, strict=True)])
+        found = spans(catalogue, drive, near=(*origin, 40.0))
         assert found == [(0.0, pytest.approx(t[away <= 40.0][-1] + 0.1))]
 
 
-def test_findings_choose_drives(catalogue, drives):
+def test_findings_choose_drives_rows_are_the_boxes_and_decimals_are_exact_in_csv(catalogue, drives):
     rules = query(catalogue, "SELECT DISTINCT rule, path FROM findings JOIN scenes USING (scene)").rows
     assert rules, "the drives state less than the rules want"
     rule = rules[0][0]
     chosen = query(catalogue, Selection(findings=(rule,)), show="drives")
     assert [row[0] for row in chosen.rows] == sorted(path for name, path in rules if name == rule)
-
-
-def test_rows_are_the_boxes_themselves(catalogue, drives):
     result = query(catalogue, Selection(labels=("ped*",)), show="rows")
     mine = [row for row in records(result) if row["path"] == str(drives[0])]
-    assert len(mine) == 11
-    assert mine[0]["left_px"] is None
+    assert (len(mine), mine[0]["left_px"]) == (11, None)
     assert format_csv(result).count("\n") == len(result.rows) + 1
+    found = query(catalogue, "SELECT path, 0.5 AS start, 12345678901234567.25 AS stop FROM scenes LIMIT 1")
+    assert (records(found)[0]["start"], json.loads(next(iter_list(found)))["start"]) == (0.5, 0.5)
+    assert format_csv(found).endswith(",0.5,12345678901234567.25\n")
 
 
-def test_a_gap_joins_spans_and_a_margin_widens_them_both_also_without_bound(catalogue, drives):
+def test_a_gap_joins_spans_a_margin_widens_them_and_lists_are_what_a_batch_takes(catalogue, drives, tmp_path):
     rows = query(catalogue, Selection(labels=("car",)), gap=float("inf"), margin=float("inf"))
     assert [row[1] for row in rows.rows] == [0.0, 0.0]
     assert [json.loads(line).keys() for line in iter_list(rows)] == [{"path", "start"}] * 2
@@ -260,9 +247,6 @@ def test_a_gap_joins_spans_and_a_margin_widens_them_both_also_without_bound(cata
     assert len(both) == 2
     one = [row[1:3] for row in query(catalogue, wanted, gap=2.0, margin=0.5).rows if row[0] == str(drives[0])]
     assert one == [pytest.approx((both[0][0] - 0.5, both[1][1] + 0.5))]
-
-
-def test_lists_are_what_a_batch_takes(catalogue, drives, tmp_path):
     lines = list(iter_list(query(catalogue, Selection(labels=("ped*",)))))
     (tmp_path / "found.jsonl").write_text("\n".join(lines))
     inputs = find_inputs((), (tmp_path / "found.jsonl",))
@@ -272,26 +256,21 @@ def test_lists_are_what_a_batch_takes(catalogue, drives, tmp_path):
         list(iter_list(query(catalogue, "SELECT 1 AS start")))
 
 
-NAN = float("nan")
-
-
-@pytest.mark.parametrize(
-    "wanted",
-    [
+def test_bounds_and_times_that_nothing_can_fit_are_refused(catalogue):
+    nan = float("nan")
+    for wanted in (
         {"speed": (5.0, 1.0)},
         {"near": (91.0, 0.0, 1.0)},
-        {"near": (0.0, 0.0, NAN)},
+        {"near": (0.0, 0.0, nan)},
         {"near": (0.0, 0.0, -1.0)},
-        {"distance": (NAN, 1.0)},
+        {"distance": (nan, 1.0)},
         {"start": "noon"},
         {"start": "nan"},
-        {"stop": NAN},
+        {"stop": nan},
         {"count": 0},
-    ],
-)
-def test_bounds_and_times_that_nothing_can_fit_are_refused(catalogue, wanted):
-    with pytest.raises(OptionError, match="'noon'" if wanted.get("start") == "noon" else None):
-        query(catalogue, Selection(**wanted))
+    ):
+        with pytest.raises(OptionError, match="'noon'" if wanted.get("start") == "noon" else None):
+            query(catalogue, Selection(**wanted))
     with pytest.raises(OptionError, match="rows"):
         query(catalogue, Selection(), show="all")
 
@@ -394,9 +373,3 @@ def test_any_filters_give_rows_or_are_refused(database, wanted, show, gap, margi
         return
     assert limit is None or len(result.rows) <= limit
     check(result)
-
-
-def test_decimals_are_numbers_in_lists_and_json_and_exact_in_csv(catalogue):
-    found = query(catalogue, "SELECT path, 0.5 AS start, 12345678901234567.25 AS stop FROM scenes LIMIT 1")
-    assert (records(found)[0]["start"], json.loads(next(iter_list(found)))["start"]) == (0.5, 0.5)
-    assert format_csv(found).endswith(",0.5,12345678901234567.25\n")

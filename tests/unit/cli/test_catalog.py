@@ -20,10 +20,14 @@ def test_a_catalogue_is_built_updated_and_asked(call, recording, tmp_path):
     assert lines == "one,two\n1,\n"
 
 
-def test_filters_beside_sql_and_what_is_no_catalogue_are_refused(refuses, tmp_path):
+def test_filters_beside_sql_what_is_no_catalogue_and_outputs_in_lists_are_refused(refuses, recording, tmp_path):
     refuses(2, "--sql", "catalog query", tmp_path, "--sql", "SELECT 1", "--label", "car")
     refuses(1, "holds no catalogue", "catalog query", tmp_path, "--label", "car")
     refuses(2, "NAME=VALUE", "catalog query", tmp_path, "--attribute", "rain")
+    line = {"path": str(recording), "reading": {"output": str(tmp_path / "elsewhere.sfs")}}
+    (tmp_path / "list.jsonl").write_text(json.dumps(line))
+    refuses(1, "'output'", "batch convert --list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
+    assert not (tmp_path / "elsewhere.sfs").exists()
 
 
 def test_a_list_says_how_its_drives_are_opened(call, succeeds, recording, tmp_path):
@@ -49,10 +53,3 @@ def test_a_list_says_how_its_drives_are_opened(call, succeeds, recording, tmp_pa
     saved = call("view --list", tmp_path / "list.jsonl", "--save", tmp_path / "both.rrd", "--json")
     roots = [drive["root"] for drive in json.loads(saved.out)["drives"]]
     assert (saved.code, roots) == (0, [r"/kitti\ 0001", r"/kitti\ 0002"])
-
-
-def test_a_list_says_nothing_but_how_a_drive_is_read(refuses, recording, tmp_path):
-    line = {"path": str(recording), "reading": {"output": str(tmp_path / "elsewhere.sfs")}}
-    (tmp_path / "list.jsonl").write_text(json.dumps(line))
-    refuses(1, "'output'", "batch convert --list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
-    assert not (tmp_path / "elsewhere.sfs").exists()

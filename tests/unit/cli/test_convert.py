@@ -12,13 +12,12 @@ from tests.unit.formats.pandaset.test_reader import write_drive
 
 import sceneloom
 from sceneloom import convert
-from sceneloom import open as open_drive
 from sceneloom.formats.base.registry import format_named, written_formats
 
 FILES_OF_ONE_DRIVE = ("sfs", "mcap", "ros1", "openlabel")
 
 
-def test_a_short_table_says_what_is_not_simply_kept(call, reported, recording, tmp_path):
+def test_a_short_table_says_what_is_not_simply_kept_and_strict_refuses_it(call, reported, recording, tmp_path):
     outcome = call("convert", recording, tmp_path / "drive.sfs")
     headline, ending = outcome.out.splitlines()
     assert headline == f"{recording} (recording) → {tmp_path / 'drive.sfs'} (sfs)"
@@ -30,51 +29,43 @@ def test_a_short_table_says_what_is_not_simply_kept(call, reported, recording, t
     assert "sensors.lidar.frames.points.positions" in every
     assert len(every.splitlines()) > len(outcome.err.splitlines())
     assert call("convert", recording, tmp_path / "quiet.sfs", "--quiet").err == ""
-    report = reported("convert", recording, tmp_path / "json.sfs")
+    report = reported("convert", recording, tmp_path / "json.sfs", "--time-unit", "nanoseconds")
+    assert b'"time_unit":"nanoseconds"' in (tmp_path / "json.sfs").read_bytes()
     supports = {row["field"]: row["support"] for row in report["fields"]}
     assert (supports["sensors.lidar.frames.points.positions"], report["written"]) == ("kept", True)
-
-
-def test_strict_refuses_with_the_fields_and_the_next_step(call, recording, tmp_path):
-    loss = tmp_path / "loss.md"
-    outcome = call("convert", recording, tmp_path / "drive.tum", "--strict", "--loss", loss)
+    folder = tmp_path / "strict"
+    folder.mkdir()
+    outcome = call("convert", recording, folder / "drive.tum", "--strict", "--loss", folder / "loss.md")
     assert (outcome.code, outcome.out) == (1, "")
     assert "is not written, since tum would not hold all: " in outcome.err
     assert "(`sceneloom formats NAME`)" in outcome.err
-    assert [path.name for path in tmp_path.iterdir()] == ["loss.md"]
-    assert "## Dropped" in loss.read_text()
+    assert [path.name for path in folder.iterdir()] == ["loss.md"]
+    assert "## Dropped" in (folder / "loss.md").read_text()
 
 
-def test_a_drive_is_read_as_the_format_that_is_named(call, refuses, succeeds, recording, tmp_path):
+def test_formats_and_their_options_are_named_on_the_command_line(refuses, call, succeeds, recording, tmp_path):
     assert call("info", recording, "--input-format", "kitti-raw").code != 0
     succeeds("convert", recording, tmp_path / "drive.sfs", "--input-format", "recording")
     refuses(2, "no format 'nope'", "info", recording, "--input-format", "nope")
-
-
-def test_an_option_of_another_kind_of_clouds_is_refused(refuses, succeeds, recording, tmp_path):
-    how = ("--output-option", "encoding=ascii")
-    stated = "option 'encoding'; writing ply takes frame, lidar"
-    refuses(2, stated, "convert", recording, tmp_path / "ply", "--to", "ply", *how)
+    ply, pcd, model = (("convert", recording, tmp_path / name, "--to", name) for name in ("ply", "pcd", "colmap"))
+    encoding = ("--output-option", "encoding=ascii")
+    refuses(2, "option 'encoding'; writing ply takes frame, lidar", *ply, *encoding)
     assert not (tmp_path / "ply").exists()
-    succeeds("convert", recording, tmp_path / "pcd", "--to", "pcd", *how)
-
-
-def test_images_are_placed_along_the_trajectory_that_is_named(call, recording, tmp_path):
-    done = call("convert", recording, tmp_path / "model", "--to", "colmap", "--trajectory", "groundTruth")
-    assert (done.code, (tmp_path / "model" / "sparse").is_dir()) == (0, True), done.err
-    stands = call("convert", recording, tmp_path / "tables", "--to", "nuscenes", "--trajectory", "identity", "--json")
-    assert "the ego is taken to stand" in stands.out, stands.err
-    unknown = call("convert", recording, tmp_path / "none", "--to", "colmap", "--trajectory", "nix")
-    assert (unknown.code == 0, "nix" in unknown.err) == (False, True)
-
-
-def test_what_the_verb_itself_takes_is_no_option_of_a_format(refuses, recording, tmp_path):
-    words = ("convert", recording, tmp_path / "model", "--to", "colmap", "--output-option")
+    succeeds(*pcd, *encoding)
     for name in ("trajectory", "overwrite", "progress"):
-        refuses(2, f"--output-option {name} does not count here", *words, f"{name}=x")
+        refuses(2, f"--output-option {name} does not count here", *model, "--output-option", f"{name}=x")
     for name in ("start", "path", "format"):
         stated = f"--input-option {name}: no format has this option"
         refuses(2, stated, "info", recording, "--input-option", f"{name}=1")
+    assert "nix" in call(*model, "--trajectory", "nix").err
+    succeeds(*model, "--trajectory", "groundTruth")
+    assert (tmp_path / "colmap" / "sparse").is_dir()
+    tables = ("convert", recording, tmp_path / "tables", "--to", "nuscenes")
+    assert "the ego is taken to stand" in succeeds(*tables, "--trajectory", "identity", "--json").out
+    succeeds(*tables, "--channel", "lidar=LIDAR_ROOF", "--overwrite")
+    (table,) = (tmp_path / "tables").rglob("sensor.json")
+    assert "LIDAR_ROOF" in {row["channel"] for row in json.loads(table.read_text())}
+    refuses(2, "nix", *tables, "--channel", "nix=LIDAR_TOP", "--overwrite")
 
 
 def _tree(folder):
@@ -136,70 +127,46 @@ def test_a_folder_with_a_file_of_another_drive_is_not_replaced(refuses, succeeds
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("edit", "crop", "{0}", "--start", "0.1", "-o", "{0}"),
-        ("fuse", "{0}", "-o", "{0}"),
-        ("convert", "{0}", "{0}"),
-        ("convert", "{0}", "{1}", "--loss", "{0}"),
-        ("report", "{0}", "-o", "{1}", "--numbers", "{0}"),
-        ("salvage", "{0}", "-o", "{0}"),
-        ("validate", "{0}", "--fix", "{0}"),
-        ("edit", "merge", "{0}", "{0}", "-o", "{0}"),
+        ("edit", "crop", "{file}", "--start", "0.1", "-o", "{file}"),
+        ("fuse", "{file}", "-o", "{file}"),
+        ("convert", "{file}", "{file}"),
+        ("convert", "{file}", "{out}", "--loss", "{file}"),
+        ("report", "{file}", "-o", "{out}", "--numbers", "{file}"),
+        ("salvage", "{file}", "-o", "{file}"),
+        ("validate", "{file}", "--fix", "{file}"),
+        ("edit", "merge", "{file}", "{file}", "-o", "{file}"),
+        ("convert", "{folder}", "{folder}/data.jsonl", "--to", "jsonl"),
+        ("convert", "{folder}", "{folder}/calibration.json", "--to", "sfs"),
+        ("fuse", "{folder}", "-o", "{folder}/old.sfs"),
+        ("report", "{folder}", "-o", "{folder}/page.html"),
+        ("report", "{folder}", "--numbers", "{folder}/calibration.json"),
+        ("edit", "crop", "{folder}", "--start", "0.1", "-o", "{folder}/lidar/000001.bin"),
     ],
-    ids=lambda arguments: " ".join(arguments[:2]),
+    ids=" ".join,
 )
-def test_no_verb_replaces_the_file_that_it_reads(refuses, recording, tmp_path, arguments):
-    drive = tmp_path / ("drive.json" if {"--numbers", "--loss"} & {*arguments} else "drive.sfs")
-    convert(recording, tmp_path / "first.sfs")
-    (tmp_path / "first.sfs").rename(drive)
-    before = drive.read_bytes()
-    words = (text.format(drive, tmp_path / "out.html") for text in arguments)
-    refuses(1, "is read by this very run", *words, "--overwrite")
-    assert drive.read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("convert", "{0}", "{0}/data.jsonl", "--to", "jsonl"),
-        ("convert", "{0}", "{0}/calibration.json", "--to", "sfs"),
-        ("fuse", "{0}", "-o", "{0}/old.sfs"),
-        ("report", "{0}", "-o", "{0}/page.html"),
-        ("report", "{0}", "--numbers", "{0}/calibration.json"),
-        ("edit", "crop", "{0}", "--start", "0.1", "-o", "{0}/lidar/000001.bin"),
-    ],
-    ids=lambda arguments: arguments[-1],
-)
-def test_no_verb_replaces_a_file_of_the_folder_that_it_reads(refuses, recording, tmp_path, arguments):
+def test_no_verb_replaces_the_file_or_a_file_of_the_folder_that_it_reads(refuses, recording, tmp_path, arguments):
+    folder = shutil.copytree(recording, tmp_path / "drive")
     for name in ("old.sfs", "page.html"):
-        (recording / name).write_text("mine")
-    before = _tree(recording)
-    refuses(1, "which is read by this very run", *(text.format(recording) for text in arguments), "--overwrite")
-    assert _tree(recording) == before
+        (folder / name).write_text("mine")
+    convert(recording, tmp_path / "first.sfs")
+    names = {"file": tmp_path / ("own.json" if {"--numbers", "--loss"} & {*arguments} else "own.sfs")}
+    names |= {"folder": folder, "out": tmp_path / "out.html"}
+    (tmp_path / "first.sfs").rename(names["file"])
+    before = _tree(tmp_path)
+    refuses(1, "is read by this very run", *(text.format(**names) for text in arguments), "--overwrite")
+    assert _tree(tmp_path) == before
 
 
-def test_channels_of_nuscenes_are_named_on_the_command_line(refuses, succeeds, recording, tmp_path):
-    with open_drive(recording) as scene:
-        lidar = scene.lidars[0].id
-    words = ("convert", recording, tmp_path / "out", "--to", "nuscenes", "--channel")
-    succeeds(*words, f"{lidar}=LIDAR_ROOF")
-    (table,) = (tmp_path / "out").rglob("sensor.json")
-    assert "LIDAR_ROOF" in {row["channel"] for row in json.loads(table.read_text())}
-    refuses(2, "nix", *words, "nix=LIDAR_TOP", "--overwrite")
-
-
-def test_b_frames_in_mcap_are_reported_with_a_remedy_that_works(recording, call, succeeds, tmp_path):
-    drive = tmp_path / "drive"
+def test_b_frames_in_mcap_are_reported_with_a_remedy_that_works(recording, succeeds, tmp_path):
     with sceneloom.open(recording) as scene:
-        sceneloom.write(scene, drive, images="h264")
-    found = succeeds("convert", drive, tmp_path / "copied.mcap")
+        sceneloom.write(scene, tmp_path / "drive", images="h264")
+    found = succeeds("convert", tmp_path / "drive", tmp_path / "copied.mcap")
     assert "B frames" in found.err
     remedy = re.search("`(--output-option images=.*?)`", found.err)[1].split()
-    again = call("convert", drive, tmp_path / "anew.mcap", *remedy)
-    assert (again.code, "B frames" in again.err) == (0, False)
+    assert "B frames" not in succeeds("convert", tmp_path / "drive", tmp_path / "anew.mcap", *remedy).err
     with sceneloom.open(tmp_path / "anew.mcap") as scene:
         (camera,) = scene.cameras
-        assert camera.video is None
-        assert all(image.encoded is not None for image in camera.images)
+        assert (camera.video, all(image.encoded is not None for image in camera.images)) == (None, True)
 
 
 def test_info_shows_the_intrinsics_of_single_images(recording, succeeds, reported, tmp_path):
@@ -222,28 +189,21 @@ def nuscenes(tmp_path):
     return street(tmp_path / "nu", scenes=("scene-0001", "scene-0002")).write()
 
 
-def test_one_scene_is_chosen_and_reported_about(refuses, reported, nuscenes):
+def test_one_scene_is_chosen_fused_and_converted_without_loss(refuses, reported, succeeds, nuscenes, tmp_path):
+    one, two, to = ("--sequence", "scene-0001"), ("--sequence", "scene-0002"), ("--to", "nuscenes")
     refuses(2, "choose one with `--sequence NAME`: scene-0001, scene-0002", "info", nuscenes)
-    one, two = ("--sequence", "scene-0001"), ("--sequence", "scene-0002")
-    refuses(2, "one drive is opened at a time; give one", "info", nuscenes, *one, *two)
     report = reported("info", nuscenes, *two)
     assert (report["format"], report["source"]) == ("nuscenes", f"{nuscenes}/scene-0002")
     counts = {sensor["id"]: sensor["count"] for sensor in report["sensors"]}
     assert counts == {"LIDAR_TOP": 5, "RADAR_FRONT": 5, "CAM_FRONT": 5}
     assert [sensor["count"] for sensor in reported("info", nuscenes, *two, "--keyframes")["sensors"]] == [3, 3, 3]
-
-
-def test_a_scene_is_converted_and_back_without_loss(succeeds, nuscenes, tmp_path):
-    to = ("--to", "nuscenes")
-    succeeds("convert", nuscenes, tmp_path / "out", *to, "--sequence", "scene-0001", "--strict")
+    fuse = ("fuse", nuscenes, "-o", tmp_path / "a.sfs", *one)
+    for words in (("info", nuscenes, *one), fuse):
+        refuses(2, "one drive is opened at a time; give one", *words, *two)
+    assert "fused 5 of 5 sweeps" in succeeds(*fuse).out
+    succeeds("convert", nuscenes, tmp_path / "out", *to, *one, "--strict")
     succeeds("convert", tmp_path / "out", tmp_path / "fast", *to, "--output-option", "keyframe_rate_hz=4")
     assert len(json.loads((tmp_path / "fast" / "v1.0-mini" / "sample.json").read_text("utf-8"))) == 5
-
-
-def test_fusing_takes_one_scene_at_a_time(refuses, succeeds, nuscenes, tmp_path):
-    words = ("fuse", nuscenes, "-o", tmp_path / "a.sfs", "--sequence", "scene-0001")
-    refuses(2, "one drive is opened at a time; give one", *words, "--sequence", "scene-0002")
-    assert "fused 5 of 5 sweeps" in succeeds(*words).out
 
 
 def test_of_two_drives_those_take_a_sequence_that_have_several(call, refuses, succeeds, nuscenes, tmp_path):
@@ -261,31 +221,24 @@ def test_of_two_drives_those_take_a_sequence_that_have_several(call, refuses, su
         refuses(2, "--sequence does not count here", *words, *chosen)
 
 
-def test_what_to_do_next_is_stated_for_the_same_drive(call, tmp_path):
-    broken = write_drive(tmp_path / "my set" / "002")
-    write_drive(tmp_path / "my set" / "003")
-    (broken / "lidar" / "poses.json").write_text("[")
-    reported = call("info", tmp_path / "my set", "--sequence", "002")
-    assert f"`sceneloom validate '{tmp_path / 'my set'}' --sequence 002`" in reported.err
-
-
-def test_the_folder_of_a_drive_has_its_name_from_inside(reported, tmp_path, monkeypatch):
-    monkeypatch.chdir(write_drive(tmp_path / "set" / "002"))
+def test_a_data_set_that_is_only_read_passes_and_where_it_is_broken_the_next_step_is_for_the_same_drive(
+    call, reported, succeeds, tmp_path, monkeypatch
+):
+    folder, drive = tmp_path / "my set", write_drive(tmp_path / "my set" / "002")
+    monkeypatch.chdir(drive)
     report = reported("info . --sequence 002")
     monkeypatch.chdir(tmp_path)
-    assert report["source"] == reported("info", tmp_path / "set")["source"]
+    assert report["source"] == reported("info", folder)["source"]
+    done = call("convert", drive, tmp_path / "out", "--to", "pandaset")
+    assert (done.code, "pandaset" in done.err.lower()) == (2, True)
+    succeeds("convert", drive, tmp_path / "out.sfs")
+    succeeds("validate", drive)
+    write_drive(folder / "003")
+    (drive / "lidar" / "poses.json").write_text("[")
+    assert f"`sceneloom validate '{folder}' --sequence 002`" in call("info", folder, "--sequence", "002").err
 
 
-def test_a_drive_that_its_data_set_lacks_now_is_taken_out_of_a_catalogue(call, succeeds, nuscenes, tmp_path):
-    fleet, table = tmp_path / "fleet", nuscenes / "v1.0-mini" / "scene.json"
-    succeeds("catalog build", nuscenes, "-o", fleet, "--workers", 1)
-    table.write_text(json.dumps(json.loads(table.read_text("utf-8"))[:1]), "utf-8")
-    reported = call("catalog update", fleet, "--workers", 1)
-    assert f"not there any more: {nuscenes} (sequence scene-0002); `--prune`" in reported.out + reported.err
-    assert "1 scene: 1 unchanged, 1 taken out" in call("catalog update", fleet, "--prune").out
-
-
-def test_errors_of_a_data_set_behind_a_url_name_the_url(call, nuscenes):
+def test_a_catalogue_and_errors_behind_a_url_name_the_drive_of_the_data_set(call, succeeds, nuscenes, tmp_path):
     fsspec = pytest.importorskip("fsspec", reason="fsspec is not installed")
     store = fsspec.filesystem("memory")
     store.put(f"{nuscenes}/", "/two_scenes/", recursive=True)
@@ -295,6 +248,12 @@ def test_errors_of_a_data_set_behind_a_url_name_the_url(call, nuscenes):
     broken = call("info memory://two_scenes --sequence scene-0001")
     store.rm("/two_scenes", recursive=True)
     assert "memory://two_scenes/v1.0-mini/scene.json" in broken.err, broken.err
+    fleet, table = tmp_path / "fleet", nuscenes / "v1.0-mini" / "scene.json"
+    succeeds("catalog build", nuscenes, "-o", fleet, "--workers", 1)
+    table.write_text(json.dumps(json.loads(table.read_text("utf-8"))[:1]), "utf-8")
+    reported = call("catalog update", fleet, "--workers", 1)
+    assert f"not there any more: {nuscenes} (sequence scene-0002); `--prune`" in reported.out + reported.err
+    assert "1 scene: 1 unchanged, 1 taken out" in call("catalog update", fleet, "--prune").out
 
 
 @pytest.mark.usefixtures("inline")
@@ -314,34 +273,17 @@ def test_options_of_one_format_go_by_read_with(reported, tmp_path):
     assert [sensor["id"] for sensor in report["sensors"]] == ["lidar", "ring_front_center"]
 
 
-@pytest.mark.parametrize("kind", ["openlabel", "npz"])
-def test_a_rate_stated_by_read_with_is_a_number(call, refuses, tmp_path, kind):
-    if kind == "openlabel":
-        frames = {str(number): {} for number in range(3)}
-        drive = tmp_path / "labels.json"
-        drive.write_text(json.dumps({"openlabel": {"metadata": {"schema_version": "1.0.0"}, "frames": frames}}))
-    else:
-        (drive := tmp_path / "clouds").mkdir()
-        for number in range(3):
-            np.savez(drive / f"{number}.npz", points=np.ones((4, 3), np.float32))
-    done = call("info", drive, "--input-option", "rate_hz=4", "--json")
-    assert (done.code, done.err) == (0, "")
-    assert kind == "openlabel" or json.loads(done.out)["duration"] == 0.5
-    refuses(2, "rate_hz often; expected a number above 0", "info", drive, "--input-option", "rate_hz=often")
-
-
-def test_a_flag_stated_by_read_with_is_true_or_false(call, succeeds, tmp_path):
-    (drive := tmp_path / "clouds").mkdir()
-    (drive / "1.npz").write_bytes(b"no such thing")
-    np.savez(drive / "2.npz", points=np.ones((4, 3), np.float32))
-    succeeds("info", drive, "--input-option", "lenient=true")
-    assert call("info", drive, "--input-option", "lenient=false").code == 1
-
-
-def test_data_sets_that_are_only_read_pass_the_checks_and_state_what_can_be_written(call, succeeds, tmp_path):
-    drive = write_drive(tmp_path / "002")
-    done = call("convert", drive, tmp_path / "out", "--to", "pandaset")
-    assert (done.code, "pandaset" in done.err.lower()) == (2, True)
-    succeeds("convert", drive, tmp_path / "out.sfs")
-    succeeds("validate", drive)
-    succeeds("info", drive)
+def test_a_rate_stated_by_read_with_is_a_number_and_a_flag_true_or_false(call, refuses, reported, succeeds, tmp_path):
+    labels, clouds = tmp_path / "labels.json", tmp_path / "clouds"
+    frames = {str(number): {} for number in range(3)}
+    labels.write_text(json.dumps({"openlabel": {"metadata": {"schema_version": "1.0.0"}, "frames": frames}}))
+    clouds.mkdir()
+    for number in range(3):
+        np.savez(clouds / f"{number}.npz", points=np.ones((4, 3), np.float32))
+    for drive in (labels, clouds):
+        assert succeeds("info", drive, "--input-option", "rate_hz=4", "--json").err == ""
+        refuses(2, "rate_hz often; expected a number above 0", "info", drive, "--input-option", "rate_hz=often")
+    assert reported("info", clouds, "--input-option", "rate_hz=4")["duration"] == 0.5
+    (clouds / "1.npz").write_bytes(b"no such thing")
+    succeeds("info", clouds, "--input-option", "lenient=true")
+    assert call("info", clouds, "--input-option", "lenient=false").code == 1

@@ -3,6 +3,8 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -97,8 +99,7 @@ def figures_of_scene(path):
 
 def colours_of(path):
     with sceneloom.open(path) as scene:
-        frames = [frame.points for frame in scene.lidars[0].frames]
-        return np.array([float(points.colors.mean()) for points in frames])
+        return np.array([float(frame.points.colors.mean()) for frame in scene.lidars[0].frames])
 
 
 Figures = Callable[[Callable[..., Any], Path, Path, tuple[str, ...]], Any]
@@ -113,80 +114,68 @@ def ran(call, *words, codes=(0,)):
     return outcome
 
 
+def words_on(drive, out, words):
+    lists = {name.upper(): drive.parent / f"{name}.jsonl" for name in ("boxes3d", "boxes2d")}
+    known = {"DRIVE": drive, "OUT": out, "TRUTH": drive.parent / "right.tum", **lists}
+    return [known.get(word, word) for word in words]
+
+
+LISTS = ("--boxes3d", "BOXES3D", "--boxes2d", "BOXES2D")
+
+
+def written(*words, to="out.sfs", reads=figures_of_scene):
+    """Runs a verb of DRIVE that writes to OUT, and reads what it wrote."""
+
+    def run(call, drive, out, further):
+        ran(call, *words_on(drive, out / to, words), *further)
+        return reads(out / to)
+
+    return run
+
+
+def reported(*words, key, codes=(0,)):
+    """Runs a verb of DRIVE, and gives the numbers of what it reports to machines."""
+
+    def run(call, drive, out, further):
+        found = json.loads(ran(call, *words_on(drive, out / "out", words), "--json", *further, codes=codes).out)
+        return list(numbers_of(key(found)))
+
+    return run
+
+
+def uncorrected(path, reads=figures_of_scene):
+    """What is in a scene without the annotations of corrections, as it lies."""
+    with sceneloom.open(path) as scene:
+        left = tuple(a for a in scene.annotations if a.id not in {"mounted", "placed"})
+        sceneloom.write(replace(scene, annotations=left), path.with_name("bare.sfs"))
+    return reads(path.with_name("bare.sfs"))
+
+
 def scene_verb(*words, reads=figures_of_scene):
     def run(call, drive, out, further):
-        ran(call, *words, drive, "-o", out / "out.sfs", *further)
+        found = written(*words, "DRIVE", "-o", "OUT", reads=partial(uncorrected, reads=reads))
+        figures = found(call, drive, out, further)
         with sceneloom.open(out / "out.sfs") as scene:
             kept = {annotation.id for annotation in scene.annotations} & {"mounted", "placed"}
         assert kept == ({"mounted", "placed"} if further else set())
-        return reads(without_corrections(out / "out.sfs", out))
+        return figures
 
     return run
 
 
-def without_corrections(path, folder):
-    """The scene with the annotations of corrections taken out, as it lies."""
+def numbers_in_text(path):
+    if path.suffix == ".json":
+        return list(numbers_of(json.loads(path.read_text())))
+    rows = (line.split() for line in path.read_text().splitlines() if line and not line.startswith("#"))
+    return [float(word) for row in rows for word in row if word.replace(".", "").lstrip("-").isdigit()]
+
+
+def depths(folder):
+    return [float(sum(np.nansum(a) for a in np.load(file).values())) for file in sorted(folder.rglob("*.npz"))]
+
+
+def map_colours(path):
     with sceneloom.open(path) as scene:
-        left = tuple(a for a in scene.annotations if a.id not in {"mounted", "placed"})
-        sceneloom.write(replace(scene, annotations=left), folder / "bare.sfs", overwrite=True)
-    return folder / "bare.sfs"
-
-
-def converted(target, *words):
-    def run(call, drive, out, further):
-        ran(call, "convert", drive, out / target, *words, *further)
-        return figures_of_scene(out / target)
-
-    return run
-
-
-def converted_text(target, *words):
-    def run(call, drive, out, further):
-        ran(call, "convert", drive, out / "out", *words, *further)
-        content = (out / target).read_text()
-        if target.endswith(".json"):
-            return list(numbers_of(json.loads(content)))
-        rows = (line.split() for line in content.splitlines() if line and not line.startswith("#"))
-        return [float(word) for row in rows for word in row if word.replace(".", "").lstrip("-").isdigit()]
-
-    return run
-
-
-def reported_json(*words, key, codes=(0,)):
-    def run(call, drive, out, further):
-        return list(numbers_of(json.loads(ran(call, *words, drive, "--json", *further, codes=codes).out)[key]))
-
-    return run
-
-
-def lists_beside(drive):
-    return ("--boxes3d", drive.parent / "boxes3d.jsonl", "--boxes2d", drive.parent / "boxes2d.jsonl")
-
-
-def fused_detections(call, drive, out, further):
-    words = ("fuse", drive, "--type", "detection", *lists_beside(drive), "-o", out / "o.jsonl", "--json")
-    return [json.loads(ran(call, *words, *further).out)["drives"][0]["both"]]
-
-
-def tracked(call, drive, out, further):
-    ran(call, "track", drive, *lists_beside(drive), "--format", "sfs", "-o", out / "out.sfs", *further)
-    return figures_of_scene(without_corrections(out / "out.sfs", out))
-
-
-def synced(call, drive, out, further):
-    ran(call, "sync", drive, "--streams", "groundTruth", "--apply", out / "out.sfs", *further)
-    return figures_of_scene(without_corrections(out / "out.sfs", out))
-
-
-def depths(call, drive, out, further):
-    ran(call, "depth", drive, "-o", out / "depth", "--form", "npz", "--method", "sparse", *further)
-    files = sorted((out / "depth").rglob("*.npz"))
-    return [float(sum(np.nansum(array) for array in np.load(file).values())) for file in files]
-
-
-def map_colours(call, drive, out, further):
-    ran(call, "colour", drive, "-o", out / "map.sfs", "--only-coloured", *further)
-    with sceneloom.open(out / "map.sfs") as scene:
         (points,) = (sensor for sensor in scene.sensors if sensor.type == "points")
         return [len(points.positions) / 100, *points.colors.mean(axis=0).tolist()]
 
@@ -200,16 +189,6 @@ def catalogued(call, drive, out, further):
     reading = {"corrections": "ignore"} if further else {}
     read_drive(str(drive), out, {"scene": "x", "timestamp": "", "checks": "none", "reading": reading})
     return list(numbers_of(read_draft(out, "annotations").to_pydict()))
-
-
-def trajectory(call, drive, out, further):
-    ran(call, "convert", drive, out / "trajectory.tum", *further)
-    return read_trajectory(out / "trajectory.tum").positions
-
-
-def compared_trajectory(call, drive, out, further):
-    words = ("eval", "trajectory", drive, drive.parent / "right.tum", "--align", "none", "--json", *further)
-    return [json.loads(ran(call, *words).out)["absolute"]["translation"]["rms"]]
 
 
 def of_opened(figures):
@@ -239,31 +218,42 @@ def viewed(scene, drive):
 COMPUTING: dict[str, Figures] = {
     "fuse": scene_verb("fuse"),
     "fuse, colours": scene_verb("fuse", reads=colours_of),
-    "fuse, detections": fused_detections,
-    "colour": map_colours,
-    "depth": depths,
-    "track": tracked,
-    "sync": synced,
+    "fuse, detections": reported(
+        *("fuse", "DRIVE", "--type", "detection", *LISTS, "-o", "OUT"), key=lambda found: found["drives"][0]["both"]
+    ),
+    "colour": written("colour", "DRIVE", "-o", "OUT", "--only-coloured", reads=map_colours),
+    "depth": written("depth", "DRIVE", "-o", "OUT", *["--form", "npz", "--method", "sparse"], to="depth", reads=depths),
+    "track": written("track", "DRIVE", *LISTS, "--format", "sfs", "-o", "OUT", reads=uncorrected),
+    "sync": written("sync", "DRIVE", "--streams", "groundTruth", "--apply", "OUT", reads=uncorrected),
     "edit count": scene_verb("edit", "count"),
     "edit project": scene_verb("edit", "project"),
     "edit deskew": scene_verb("edit", "deskew"),
     "calibrate --check": of_opened(checked),
-    "calibrate --refine": reported_json("calibrate", "--refine", key="transform", codes=(0, 3, 5)),
-    "report": reported_json("report", "--quick", "--images", "0", key="fusion"),
+    "calibrate --refine": reported("calibrate", "--refine", "DRIVE", key=itemgetter("transform"), codes=(0, 3, 5)),
+    "report": reported("report", "--quick", "--images", "0", "DRIVE", key=itemgetter("fusion")),
     "info --visualize": drawn,
-    "eval trajectory": compared_trajectory,
+    "eval trajectory": reported(
+        *("eval", "trajectory", "DRIVE", "TRUTH", "--align", "none"),
+        key=lambda found: found["absolute"]["translation"]["rms"],
+    ),
     "send": of_opened(sent),
     "view": of_opened(viewed),
     "catalog build": catalogued,
-    "convert to a trajectory": trajectory,
-    "convert to recording": converted("out"),
-    "convert to mcap": converted("out.mcap"),
-    "convert to ros2": converted("out", "--to", "ros2"),
-    "convert to nuscenes": converted("out", "--to", "nuscenes"),
-    "convert to openlabel": converted_text("out", "--to", "openlabel"),
-    "convert to kitti-tracking": converted("out", "--to", "kitti-tracking"),
-    "convert to colmap": converted_text("out/sparse/0/images.txt", "--to", "colmap"),
-    "convert to nerfstudio": converted_text("out/transforms.json", "--to", "nerfstudio"),
+    "convert to a trajectory": written(
+        "convert", "DRIVE", "OUT", to="way.tum", reads=lambda path: read_trajectory(path).positions
+    ),
+    "convert to recording": written("convert", "DRIVE", "OUT", to="out"),
+    "convert to mcap": written("convert", "DRIVE", "OUT", to="out.mcap"),
+    **{
+        f"convert to {name}": written("convert", "DRIVE", "OUT", "--to", name, to="out")
+        for name in ("ros2", "nuscenes", "kitti-tracking")
+    },
+    **{
+        f"convert to {name}": written(
+            "convert", "DRIVE", "OUT", "--to", name, to="out", reads=lambda out, file=file: numbers_in_text(out / file)
+        )
+        for name, file in (("openlabel", ""), ("colmap", "sparse/0/images.txt"), ("nerfstudio", "transforms.json"))
+    },
 }
 """What everything that computes makes of a drive, in figures that depend on its corrections."""
 
@@ -321,25 +311,32 @@ def test_an_edit_that_does_not_compute_with_cameras_keeps_corrections_and_their_
         np.testing.assert_allclose(figures_of_scene(scene.corrected())[:40], figures_of_scene(right)[:40], atol=0.02)
 
 
-def test_what_was_corrected_is_not_corrected_again(call, succeeds, files, tmp_path):
+def test_what_was_corrected_is_not_corrected_again_and_a_new_camera_model_stands_for_the_corrected_one(
+    call, succeeds, files, tmp_path
+):
     first, second = tmp_path / "first.sfs", tmp_path / "second.sfs"
     succeeds("fuse", files / "repaired.sfs", "-o", first)
-    outcome = call("fuse", first, "-o", second)
-    assert (outcome.code, "correction" in outcome.err) == (0, False)
+    assert "correction" not in succeeds("fuse", first, "-o", second).err
     np.testing.assert_allclose(figures_of_scene(second), figures_of_scene(first), atol=1e-5)
     with sceneloom.open(second) as scene:
         assert [entry["id"] for entry in scene.metadata["sceneloom"]["applied"]] == ["mounted", "placed"]
+    for words in (("camera-model", "--model", "fisheye", "--limit", "9"), ("undistort",)):
+        found = []
+        for name in ("right", "repaired"):
+            succeeds("edit", *words, files / f"{name}.sfs", "-o", tmp_path / f"{name}.sfs", "--overwrite")
+            with sceneloom.open(tmp_path / f"{name}.sfs") as scene:
+                assert not scene.pending_corrections
+                found.append(scene.cameras[0].camera)
+        assert found[0] == found[1]
 
 
-@pytest.mark.parametrize("words", [("camera-model", "--model", "fisheye", "--limit", "9"), ("undistort",)])
-def test_a_new_camera_model_stands_for_the_corrected_one(words, succeeds, files, tmp_path):
-    found = []
-    for name in ("right", "repaired"):
-        succeeds("edit", *words, files / f"{name}.sfs", "-o", tmp_path / f"{name}.sfs")
-        with sceneloom.open(tmp_path / f"{name}.sfs") as scene:
-            assert not scene.pending_corrections
-            found.append(scene.cameras[0].camera)
-    assert found[0] == found[1]
+def test_validate_and_info_list_corrections_and_change_nothing(call, reported, files):
+    report = reported("info", files / "repaired.sfs")
+    assert [entry["id"] for entry in report["corrections"]] == ["mounted", "placed"]
+    assert "camera 'camera0'" in call("info", files / "repaired.sfs").out
+    findings = json.loads(call("validate", files / "repaired.sfs", "--json").out)["findings"]
+    listed = [finding["severity"] for finding in findings if finding["rule"] == "corrections-not-applied"]
+    assert listed == ["hint", "hint"]
 
 
 @pytest.mark.parametrize("to", ["recording", "mcap", "kitti-tracking", "nuscenes", "colmap", "openlabel"])
@@ -368,15 +365,6 @@ def test_the_library_applies_corrections_or_leaves_them_off(files):
     assert np.abs(figures("right.sfs")[:19] - figures("wrong.sfs")[:19]).max() > 1.0
     with pytest.raises(sceneloom.SceneloomError, match="apply, ignore"):
         sceneloom.open(files / "repaired.sfs", corrections="twice")
-
-
-def test_validate_and_info_list_corrections_and_change_nothing(call, reported, files):
-    report = reported("info", files / "repaired.sfs")
-    assert [entry["id"] for entry in report["corrections"]] == ["mounted", "placed"]
-    assert "camera 'camera0'" in call("info", files / "repaired.sfs").out
-    findings = json.loads(call("validate", files / "repaired.sfs", "--json").out)["findings"]
-    listed = [finding["severity"] for finding in findings if finding["rule"] == "corrections-not-applied"]
-    assert listed == ["hint", "hint"]
 
 
 @pytest.mark.parametrize("verb", ["tracking", "detection"])

@@ -31,31 +31,17 @@ def drives(tmp_path_factory):
     return folder / "a.sfs", folder / "b.sfs"
 
 
-def test_equal_drives_exit_with_zero(call, drives):
-    outcome = call("diff", drives[0], drives[0])
-    assert (outcome.code, outcome.out) == (0, "equal\n")
-
-
-def test_drives_that_differ_exit_with_one_and_state_where(call, drives):
+def test_equal_drives_exit_with_zero_and_drives_that_differ_with_one_and_state_where(call, refuses, succeeds, drives):
+    assert succeeds("diff", drives[0], drives[0]).out == "equal\n"
+    assert succeeds("diff", *drives, "--tolerance-m", "0.3")
     outcome = call("diff", *drives)
-    assert outcome.code == 1
-    lines = outcome.out.splitlines()
-    assert lines[0].startswith("~ sensors['lidar'].frames[].points.positions: changed by 0.25 m in 1 frame, most in")
-    assert lines[-1] == "1 difference"
-
-
-def test_machines_get_all_of_it(call, drives):
+    first, *_, last = outcome.out.splitlines()
+    assert first.startswith("~ sensors['lidar'].frames[].points.positions: changed by 0.25 m in 1 frame, most in")
+    assert (outcome.code, last) == (1, "1 difference")
     outcome = call("diff", *drives, "--json")
     report = json.loads(outcome.out)
     assert (outcome.code, report["equal"], len(report["differences"])) == (1, False, 1)
     assert report["differences"][0]["amount"] == pytest.approx(0.25, abs=1e-5)
-
-
-def test_tolerances_let_pass(succeeds, drives):
-    succeeds("diff", *drives, "--tolerance-m", "0.3")
-
-
-def test_wrong_usage_and_missing_drives_are_distinguished(call, drives):
-    assert call("diff", *drives, "--tolerance-m", "-1").code == 2
-    assert call("diff", drives[0]).code == 2
-    assert call("diff", drives[0], drives[0].with_name("none.sfs")).code == 1
+    refuses(2, "", "diff", *drives, "--tolerance-m", "-1")
+    refuses(2, "", "diff", drives[0])
+    refuses(1, "", "diff", drives[0], drives[0].with_name("none.sfs"))

@@ -1,5 +1,6 @@
 """`sceneloom eval`: trajectories, tracks and detections."""
 
+import re
 import subprocess
 import sys
 from itertools import pairwise
@@ -25,7 +26,7 @@ def trajectories(tmp_path):
     return tmp_path / "found.csv", tmp_path / "true.tum"
 
 
-def test_the_figures_are_printed_as_tables_and_given_to_machines(succeeds, reported, trajectories):
+def test_the_figures_are_printed_as_tables_given_to_machines_and_remarked_on(succeeds, reported, trajectories, call):
     lines = succeeds("eval trajectory", *trajectories, "--offset", "-2", "--align", "none").out.splitlines()
     assert lines[0] == "found against true"
     assert lines[1].startswith("200 pairs of 200 and 200 poses, 19.900 s from 1400000000.123456789 s, 125.6")
@@ -38,14 +39,6 @@ def test_the_figures_are_printed_as_tables_and_given_to_machines(succeeds, repor
     assert report["alignment"]["kind"] == "yaw"
     assert report["absolute"]["translation"]["max"] == pytest.approx(0.0, abs=1e-9)
     assert [step["delta"] for step in report["relative"]] == ["2s"]
-
-
-def test_ways_without_a_common_time_exit_with_one_and_an_offset(refuses, trajectories):
-    outcome = refuses(1, "they do not overlap in time", "eval trajectory", *trajectories, "--offset", "100")
-    assert "add -102.0 s" in outcome.err
-
-
-def test_a_trajectory_against_itself_or_a_copy_is_remarked(call, trajectories):
     found, true = trajectories
     copy = true.with_name("copy" + true.suffix)
     copy.write_bytes(true.read_bytes())
@@ -55,17 +48,20 @@ def test_a_trajectory_against_itself_or_a_copy_is_remarked(call, trajectories):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "problem"),
+    ("arguments", "code", "problem"),
     [
-        (("--offset", "soon"), "expected a number"),
-        (("--align", "affine"), "affine"),
-        (("--rpe-delta", "fast"), "'fast'; expected seconds, metres or poses"),
-        (("--est-form", "xls"), "no form of trajectories 'xls'"),
-        (("--plot", "out.bmp"), "expected one of .png"),
+        (("--offset", "100"), 1, "they do not overlap in time.*add -102.0 s"),
+        (("--offset", "soon"), 2, "expected a number"),
+        (("--align", "affine"), 2, "affine"),
+        (("--rpe-delta", "fast"), 2, "'fast'; expected seconds, metres or poses"),
+        (("--est-form", "xls"), 2, "no form of trajectories 'xls'"),
+        (("--plot", "out.bmp"), 2, "expected one of .png"),
     ],
 )
-def test_wrong_options_exit_with_two(refuses, trajectories, arguments, problem):
-    refuses(2, problem, "eval trajectory", *trajectories, "--offset", "-2", *arguments)
+def test_wrong_options_exit_with_two_and_trajectories_without_a_common_time_with_one(
+    refuses, trajectories, arguments, code, problem
+):
+    assert re.search(problem, refuses(code, "", "eval trajectory", *trajectories, "--offset", "-2", *arguments).err)
 
 
 def test_a_plot_is_an_image_not_replaced_unasked_and_without_matplotlib_the_extra_is_named(
@@ -109,36 +105,16 @@ def test_a_drive_is_compared_with_a_file_by_name(refuses, succeeds, reported, re
     assert report["absolute"]["translation"]["max"] < 10
 
 
-def test_a_trajectory_goes_through_all_forms_and_a_drive(succeeds, trajectories, tmp_path):
+def test_a_trajectory_goes_through_all_forms_and_a_drive(refuses, succeeds, reported, trajectories, tmp_path):
     names = ("b.csv", "c.jsonl", "d.txt", "drive", "e.sfs", "f.tum")
     locations = [trajectories[1], *(tmp_path / name for name in names)]
     for source, target in pairwise(locations):
         succeeds("convert", source, target)
-    first, last = (read_trajectory(path) for path in (locations[0], locations[3]))
+    first, last, end = (read_trajectory(locations[k]) for k in (0, 3, -1))
     assert np.array_equal(first.timestamps_ns, last.timestamps_ns)
-    end = read_trajectory(locations[-1])
     assert np.array_equal(first.positions, end.positions)
     # a recording's times are numbers of 64 bits, which resolve 0.24 µs today: rounded once, and once times 1e9
     assert np.abs(first.timestamps_ns - end.timestamps_ns).max() <= 240
-
-
-def test_a_kitti_file_is_converted_with_its_rate_and_axes(succeeds, tmp_path):
-    (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 2\n", "ascii")
-    succeeds("convert", tmp_path / "poses.txt", tmp_path / "a.tum", "--from-rate", "10", "--from-optical")
-    trajectory = read_trajectory(tmp_path / "a.tum")
-    assert trajectory.positions.tolist() == [[0, 0, 0], [2, 0, 0]]
-    assert trajectory.timestamps_ns.tolist() == [0, 100_000_000]
-    succeeds("convert", tmp_path / "a.tum", tmp_path / "b.kitti", "--to-optical")
-    assert (tmp_path / "b.kitti").read_text("ascii").splitlines()[1].split()[11] == "2.0"
-    assert (tmp_path / "b.times.txt").read_text("ascii") == "0.0\n0.1\n"
-
-
-def test_options_of_scenes_are_refused_for_files_of_trajectories(refuses, trajectories, tmp_path):
-    stated = "--profile does not count here: writing a trajectory takes --to-optical, --origin"
-    refuses(2, stated, "convert", trajectories[1], tmp_path / "a.csv", "--profile", "scale")
-
-
-def test_a_trajectory_is_written_as_fixes_around_an_origin(refuses, succeeds, reported, trajectories, tmp_path):
     words = ("convert", trajectories[1], tmp_path / "fixes.csv", "--to", "gnss")
     refuses(2, "--origin", *words)
     outcome = succeeds(*words, "--origin", "60.1", "24.9", "12.5")
@@ -148,29 +124,30 @@ def test_a_trajectory_is_written_as_fixes_around_an_origin(refuses, succeeds, re
     assert report["absolute"]["translation"]["max"] < 1e-7
 
 
-def test_a_log_of_more_than_poses_becomes_a_drive_with_all_of_it(succeeds, tmp_path):
+def test_kittis_text_and_logs_are_converted_and_the_rest_refused(succeeds, tmp_path, refuses, recording):
+    (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 2\n", "ascii")
+    succeeds("convert", tmp_path / "poses.txt", tmp_path / "a.tum", "--from-rate", "10", "--from-optical")
+    trajectory = read_trajectory(tmp_path / "a.tum")
+    assert trajectory.positions.tolist() == [[0, 0, 0], [2, 0, 0]]
+    assert trajectory.timestamps_ns.tolist() == [0, 100_000_000]
+    succeeds("convert", tmp_path / "a.tum", tmp_path / "b.kitti", "--to-optical")
+    assert (tmp_path / "b.kitti").read_text("ascii").splitlines()[1].split()[11] == "2.0"
+    assert (tmp_path / "b.times.txt").read_text("ascii") == "0.0\n0.1\n"
     lines = (
         '{"sensor":{"type":"gyroscope","values":[0,0,0.1]},"time":1.0}',
         '{"groundTruth":{"position":{"x":1,"y":2,"z":3},"orientation":{"x":0,"y":0,"z":0,"w":1}},"time":1.0}',
     )
     (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n", "utf-8")
-    succeeds("convert", tmp_path / "log.jsonl", tmp_path / "drive")
-    assert "gyroscope" in (tmp_path / "drive" / "data.jsonl").read_text("utf-8")
-
-
-def test_what_cannot_be_converted_is_refused_with_what_can(refuses, recording, tmp_path):
+    succeeds("convert", tmp_path / "log.jsonl", tmp_path / "log")
+    assert "gyroscope" in (tmp_path / "log" / "data.jsonl").read_text("utf-8")
+    (tmp_path / "trajectory.tum").write_text("1.0 0 0 0 0 0 0 1\n3.5 1 0 0 0 0 0 1\n")
+    succeeds("convert", tmp_path / "trajectory.tum", tmp_path / "drive")
+    out = succeeds("info", tmp_path / "drive").out
+    assert ("recording, 2.500 s" in out, "\nno sensors\n" in out) == (True, True)
     outcome = refuses(2, "'tun'; there are sfs, recording, ", "convert", recording, tmp_path / "a.tum", "--to", "tun")
     assert ", tum, kitti, euroc, gnss, csv, jsonl" in outcome.err
     refuses(2, "trajectory 'gnss'", "convert", recording, tmp_path / "drive.sfs", "--trajectory", "gnss")
     assert not (tmp_path / "drive.sfs").exists()
-
-
-def test_a_drive_that_is_a_trajectory_alone_is_as_long_as_that(succeeds, tmp_path):
-    (tmp_path / "trajectory.tum").write_text("1.0 0 0 0 0 0 0 1\n3.5 1 0 0 0 0 0 1\n")
-    succeeds("convert", tmp_path / "trajectory.tum", tmp_path / "drive")
-    out = succeeds("info", tmp_path / "drive").out
-    assert "recording, 2.500 s" in out
-    assert "\nno sensors\n" in out
 
 
 def line(frame, track, label, left, *, score=None):
@@ -194,7 +171,8 @@ def sides(tmp_path):
     return results, truth
 
 
-def test_figures_of_tracks_are_printed_as_tables_and_given_to_machines(succeeds, reported, sides):
+def test_figures_of_tracks_are_printed_as_tables_and_given_to_machines(refuses, succeeds, reported, sides):
+    results, truth = sides
     lines = succeeds("eval tracking", *sides).out.splitlines()
     assert lines[1] == "2 sequences, similarity 2d, 0.5 for CLEAR and identities"
     assert any(row.startswith("  all") for row in lines)
@@ -209,6 +187,15 @@ def test_figures_of_tracks_are_printed_as_tables_and_given_to_machines(succeeds,
     assert found["clear"]["mota"] == pytest.approx(1 - 11 / 20)
     assert (found["identity"]["idtp"], found["identity"]["idf1"]) == (5, pytest.approx(10 / 30))
     assert len(found["hota"]["curves"]["hota"]) == 19
+    # chosen sequences need no others, nor two files the same name
+    (results / "0001.txt").unlink()
+    for name in ("0000", "0"):
+        assert reported("eval tracking", *sides, "--sequence", name)["sequences"] == ["0000"]
+    for name, called in (("0099", "0099"), ("", "''")):
+        refuses(2, f"no sequence {called}, which `--sequence` asks for", "eval tracking", *sides, "--sequence", name)
+    one = (results / "0000.txt").rename(results.parent / "mine.txt")
+    report = reported("eval tracking", one, truth / "label_02" / "0000.txt")
+    assert report["classes"]["car"]["combined"]["clear"]["tp"] == 10
 
 
 @pytest.mark.parametrize("similarity", ["2d", "bev", "3d", "distance"])
@@ -219,7 +206,7 @@ def test_every_similarity_calls_equal_tracks_equal(reported, sides, similarity):
         assert combined["clear"]["mota"] == combined["identity"]["idf1"] == 1
 
 
-def test_figures_of_detections_are_printed_as_tables_and_given_to_machines(succeeds, reported, sides):
+def test_figures_of_detections_are_printed_and_reported(succeeds, reported, sides, tmp_path):
     outcome = succeeds("eval detection", *sides, "--difficulty", "moderate")
     rows = {tuple(row.split()[:3]): row.split()[4:] for row in outcome.out.splitlines() if " > " in row}
     assert set(rows) == {(kind, ">", least) for kind in ("2d", "bev", "3d") for least in ("0.7", "0.5")}
@@ -231,6 +218,15 @@ def test_figures_of_detections_are_printed_as_tables_and_given_to_machines(succe
     scores = one["difficulties"]["hard"]
     assert (scores["precision"], scores["recall"], scores["true_objects"]) == (1.0, 0.5, 20)
     assert scores["calibration"]["error"] == pytest.approx(1 - 0.855)
+    frames = [tmp_path / "frames" / name for name in ("results", "label_2")]  # of the object benchmark
+    for folder, score in zip(frames, (" 0.9", ""), strict=True):
+        folder.mkdir(parents=True)
+        for frame in range(3):
+            text = "Car 0.00 0 -1.5 100 100 200 180 1.5 1.7 4.2 1.0 1.6 20.0 0.3" + score
+            (folder / f"{frame:06d}.txt").write_text(text + "\n")
+    for one in reported("eval detection", *frames)["classes"]["car"]:
+        assert one["difficulties"]["easy"]["true_objects"] == 3
+        assert one["difficulties"]["easy"]["max_f1"] == 1
 
 
 @pytest.mark.parametrize("verb", ["tracking", "detection"])
@@ -261,32 +257,15 @@ def test_what_cannot_be_compared_exits_with_one_and_says_why(refuses, sides, tmp
     refuses(1, stated, "eval tracking", *sides)
 
 
-def test_chosen_sequences_need_no_others_nor_two_files_the_same_name(refuses, reported, sides):
+def test_what_is_odd_about_results_is_remarked_and_what_one_side_lacks_named(call, refuses, succeeds, sides):
     results, truth = sides
-    (results / "0001.txt").unlink()
-    for name in ("0000", "0"):
-        assert reported("eval tracking", results, truth, "--sequence", name)["sequences"] == ["0000"]
-    for name, called in (("0099", "0099"), ("", "''")):
-        stated = f"no sequence {called}, which `--sequence` asks for"
-        refuses(2, stated, "eval tracking", results, truth, "--sequence", name)
-    one = (results / "0000.txt").rename(results.parent / "mine.txt")
-    report = reported("eval tracking", one, truth / "label_02" / "0000.txt")
-    assert report["classes"]["car"]["combined"]["clear"]["tp"] == 10
-
-
-def test_what_is_odd_about_results_is_remarked(call, succeeds, sides):
-    truth = sides[1]
     assert "the same files" in call("eval tracking", truth / "label_02", truth).err
     assert "the same files" not in call("eval tracking", *sides).err
-    with (sides[0] / "0000.txt").open("a") as stream:
+    with (results / "0000.txt").open("a") as stream:
         stream.write(line(10, 8, "Car", 120, score=0.5) + "\n" + line(3, -1, "Car", 700, score=0.5) + "\n")
     remarked = succeeds("eval tracking", *sides).err
-    assert "after the last one of the truth" in remarked
-    assert "id is below 0" in remarked
-
-
-def test_what_one_side_lacks_is_named(call, refuses, sides):
-    for path in sides[0].iterdir():
+    assert ("after the last one of the truth" in remarked, "id is below 0" in remarked) == (True, True)
+    for path in results.iterdir():
         path.write_text(path.read_text().replace("1.5 1.7 4.2", "-1 -1 -1"))
     assert "nothing: " not in call("eval tracking", *sides).err
     stated = "similarity '3d': one side has no such boxes; comparable: 2d"
@@ -294,17 +273,6 @@ def test_what_one_side_lacks_is_named(call, refuses, sides):
     stated = "class 'cat' occurs neither in the results nor in the truth, which have car, pedestrian"
     for verb in ("tracking", "detection"):
         refuses(2, stated, "eval", verb, *sides, "--class", "cat")
-    for path in sides[0].iterdir():
+    for path in results.iterdir():
         path.write_text(line(3, -1, "Car", 700, score=0.5) + "\n")
     refuses(2, "no object has an id", "eval tracking", *sides)
-
-
-def test_files_of_frames_are_the_object_benchmark(reported, tmp_path):
-    for name, score in (("results", " 0.9"), ("label_2", "")):
-        (tmp_path / name).mkdir()
-        for frame in range(3):
-            text = "Car 0.00 0 -1.5 100 100 200 180 1.5 1.7 4.2 1.0 1.6 20.0 0.3" + score
-            (tmp_path / name / f"{frame:06d}.txt").write_text(text + "\n")
-    for one in reported("eval detection", tmp_path / "results", tmp_path / "label_2")["classes"]["car"]:
-        assert one["difficulties"]["easy"]["true_objects"] == 3
-        assert one["difficulties"]["easy"]["max_f1"] == 1

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 import shutil
 from dataclasses import fields, replace
 
@@ -18,30 +19,10 @@ from sceneloom.detections.detectors import FOLDER
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.formats.kitti.labels import read_labels
 from sceneloom.fusion import FusionConfiguration
-from sceneloom.fusion.algorithms import FusionType, algorithm, chosen_algorithm
+from sceneloom.fusion.algorithms import FusionType, chosen_algorithm
 from sceneloom.pipeline.tracking import TrackingSettings
 from sceneloom.scene.scene import time_span
 from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, detect_2d, detect_3d, simulate_street
-
-
-def test_the_algorithm_that_is_named_fuses(call, recording, tmp_path, monkeypatch):
-    called = []
-
-    def algorithm(*arguments, **named):
-        called.append(len(arguments[0]))
-        return fuse_by_projection(*arguments, **named)
-
-    monkeypatch.setattr("sceneloom.fusion.system.algorithm", lambda kind, name: {"theirs": algorithm}[name])
-    done = call("fuse", recording, "-o", tmp_path / "out.sfs", "--algorithm", "theirs", "--json", "--quiet")
-    assert (done.code, done.err) == (0, "")
-    assert len(called) == json.loads(done.out)["fused"] == 3
-
-
-def test_one_that_is_not_installed_is_bad_usage(refuses, recording, tmp_path):
-    words = ("fuse", recording, "-o", tmp_path / "out.sfs", "--algorithm", "MV3d")
-    assert "trained network" in refuses(2, "there are projection", *words).err
-    assert not (tmp_path / "out.sfs").exists()
-
 
 FILE = """
 from dataclasses import replace
@@ -113,6 +94,7 @@ def test_a_function_or_one_of_a_file_fuses(call, drive, recording, tmp_path, fil
 @pytest.mark.parametrize(
     ("chosen", "message"),
     [
+        ("MV3d", "there are projection.*trained network"),
         ("{file}:nothing", r"no function 'nothing' in the file; it has boxes, red, short"),
         ("{file}:number", "number is a int; expected a function"),
         ("{file}:short", r"expected a function \(points_world, requests, visibility, \*, trajectory=None\)"),
@@ -129,9 +111,8 @@ def test_what_cannot_be_an_algorithm_is_named_as_bad_usage(refuses, recording, t
     leaving.write_text("raise SystemExit(3)\n", "utf-8")
     stated = chosen.format(file=file, broken=broken, leaving=leaving)
     done = refuses(2, "", "fuse", recording, "-o", tmp_path / "a.sfs", "--algorithm", stated)
-    assert "Traceback" not in done.err
-    with pytest.raises(OptionError, match=message):
-        algorithm(FusionType.SENSOR_DATA, chosen_algorithm(FusionType.SENSOR_DATA, stated))
+    assert re.search(message, done.err), done.err
+    assert ("Traceback" in done.err, (tmp_path / "a.sfs").exists()) == (False, False)
 
 
 def raising(points_world, requests, visibility, *, trajectory=None):
@@ -196,11 +177,18 @@ def files(folder):
 
 
 @pytest.fixture
-def kitti(tmp_path, tracking_texts):
-    """A folder laid out like KITTI's tracking benchmark."""
-    for name, text in tracking_texts.items():
-        (tmp_path / "kitti" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "kitti" / name).write_text(text)
+def kitti(tmp_path):
+    """A folder laid out like KITTI's tracking benchmark: two frames, people in sweeps and cars in images."""
+    texts = {
+        "calib": "P2: 700 0 600 0 0 700 180 0 0 0 1 0\nR_rect 1 0 0 0 1 0 0 0 1\n"
+        "Tr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\nTr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0\n",
+        "oxts": ("0 0" + " 0" * 28 + "\n") * 2,
+        "det2d_a/Car": "1,10,20,110,220,0.75\n",
+        "det3d_b/Pedestrian": "0,1,0,0,9,9,2.0,1.8,0.6,0.8,-1.0,1.5,8.0,0.0,0.2\n",
+    }
+    for name, text in texts.items():
+        (folder := tmp_path / "kitti" / name).mkdir(parents=True)
+        (folder / "0001.txt").write_text(text)
     return tmp_path / "kitti"
 
 
@@ -309,37 +297,28 @@ def test_records_name_their_camera_or_the_command_does(call, tmp_path):
     assert sum(found) == sum(len(r.boxes) for reports_of_one in reports.values() for r in reports_of_one)
 
 
-def test_a_folder_of_kittis_sequences_gives_two_files_each(succeeds, tmp_path, kitti):
-    succeeds("fuse", kitti, "--type", "detection", "-o", tmp_path / "out")
-    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["0001.frames.jsonl", "0001.jsonl"]
-    (record, *_) = (parse_json(line) for line in (tmp_path / "out" / "0001.jsonl").read_text().splitlines())
+@pytest.mark.usefixtures("inline")
+def test_kittis_sequences_are_fused_into_two_files_each_or_kittis_text_and_tracked(refuses, succeeds, tmp_path, kitti):
+    out, text = tmp_path / "out", tmp_path / "text"
+    succeeds("fuse", kitti, "--type", "detection", "-o", out)
+    assert sorted(file.name for file in out.iterdir()) == ["0001.frames.jsonl", "0001.jsonl"]
+    (record, *_) = (parse_json(line) for line in (out / "0001.jsonl").read_text().splitlines())
     # the box of the sweep that no image's detector looked for keeps its probability: 1 / (1 + exp(-2))
     assert record.class_names == ("Pedestrian",)
-    succeeds("track", tmp_path / "out", "-o", tmp_path / "tracked")
-
-
-def test_fused_objects_are_kittis_text_on_request(succeeds, tmp_path, kitti):
-    succeeds("fuse", kitti, "--type", "detection", "--format", "kitti", "-o", tmp_path / "out")
-    assert [file.name for file in (tmp_path / "out").iterdir()] == ["0001.txt"]
-    found = read_labels(tmp_path / "out" / "0001.txt")
+    succeeds("track", out, "-o", tmp_path / "tracked")
+    succeeds("fuse", kitti, "--type", "detection", "--format", "kitti", "-o", text)
+    assert [file.name for file in text.iterdir()] == ["0001.txt"]
+    found = read_labels(text / "0001.txt")
     assert (found.frames.tolist(), found.types, found.track_ids.tolist()) == ([0, 1], ("Pedestrian", "Car"), [-1, -1])
     # what one detector alone found stays as it reported it
-    np.testing.assert_allclose(found.sizes_hwl[0], [1.8, 0.6, 0.8], atol=1e-6)
-    np.testing.assert_allclose(found.bottoms[0], [-1.0, 1.5, 8.0], atol=1e-6)
-    assert found.rotations_y[0] == pytest.approx(0.0, abs=1e-6)
-    np.testing.assert_allclose(found.corners_xyxy[1], [10, 20, 110, 220], atol=1e-6)
-
-
-@pytest.fixture
-def tracking_texts():
-    """Two frames, people in sweeps and cars in images."""
-    return {
-        "calib/0001.txt": "P2: 700 0 600 0 0 700 180 0 0 0 1 0\nR_rect 1 0 0 0 1 0 0 0 1\n"
-        "Tr_velo_cam 0 -1 0 0 0 0 -1 0 1 0 0 0\nTr_imu_velo 1 0 0 0 0 1 0 0 0 0 1 0\n",
-        "oxts/0001.txt": ("0 0" + " 0" * 28 + "\n") * 2,
-        "det2d_a/Car/0001.txt": "1,10,20,110,220,0.75\n",
-        "det3d_b/Pedestrian/0001.txt": "0,1,0,0,9,9,2.0,1.8,0.6,0.8,-1.0,1.5,8.0,0.0,0.2\n",
-    }
+    one = (*found.sizes_hwl[0], *found.bottoms[0], found.rotations_y[0], *found.corners_xyxy[1])
+    np.testing.assert_allclose(one, [1.8, 0.6, 0.8, -1.0, 1.5, 8.0, 0.0, 10, 20, 110, 220], atol=1e-6)
+    stated = "--camera does not count here: it is a folder of KITTI's"
+    refuses(2, stated, "track", kitti, "-o", tmp_path / "none", "--camera", "front")
+    for path in list(kitti.rglob("0001.txt")):
+        shutil.copy(path, path.with_name("0002.txt"))
+    succeeds("batch track", kitti, "-o", tmp_path / "batch", "--workers", 1)
+    assert [file.name for file in sorted((tmp_path / "batch" / "kitti").iterdir())] == ["0001.txt", "0002.txt"]
 
 
 LISTED = "--det2d x does not count here: the boxes come from the lists of --boxes3d and --boxes2d"
@@ -357,33 +336,14 @@ LISTED = "--det2d x does not count here: the boxes come from the lists of --boxe
         (("--det3d", "x"), 2, "--det3d x does not count here: it is no folder of KITTI's sequences"),
         (("--boxes3d", "{boxes3d}", "--sequence", "1", "--sequence", "2"), 2, "one drive is opened at a time"),
         (("--boxes3d", "{boxes3d}", "--depth", "x"), 2, "--depth does not count here"),
+        (("--format", "kitti"), 2, "for folders laid out like KITTI's only"),
+        (("--boxes3d", "x", "--type", "sensor"), 2, "it needs --type detection"),
     ],
 )
 def test_what_cannot_be_fused_is_reported(refuses, folder, tmp_path, words, code, reported):
     given = [word.format(boxes2d=folder / "boxes2d.jsonl", boxes3d=folder / "boxes3d.jsonl") for word in words]
     refuses(code, reported, "fuse", folder / "recording", "--type", "detection", "-o", tmp_path / "out.jsonl", *given)
     assert not list(tmp_path.glob("out*"))
-
-
-def test_options_that_do_not_go_together_are_refused(refuses, folder, tmp_path):
-    words = ("fuse", folder / "recording", "-o", tmp_path / "out")
-    refuses(2, "it needs --type detection", *words, "--boxes3d", "x")
-    refuses(2, "for folders laid out like KITTI's only", *words, "--type", "detection", "--format", "kitti")
-
-
-def test_sensors_of_kittis_sequences_are_not_chosen(refuses, tmp_path, kitti):
-    stated = "--camera does not count here: it is a folder of KITTI's"
-    refuses(2, stated, "track", kitti, "-o", tmp_path / "out", "--camera", "front")
-
-
-@pytest.mark.usefixtures("inline")
-def test_a_batch_follows_the_objects_of_kittis_sequences_into_one_folder(succeeds, tmp_path, tracking_texts):
-    for name, text in tracking_texts.items():
-        for path in (tmp_path / "kitti" / name, tmp_path / "kitti" / name.replace("0001", "0002")):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text)
-    succeeds("batch track", tmp_path / "kitti", "-o", tmp_path / "out", "--workers", 1)
-    assert [file.name for file in sorted((tmp_path / "out" / "kitti").iterdir())] == ["0001.txt", "0002.txt"]
 
 
 def test_lists_of_boxes_are_of_one_drive_of_a_data_set(refuses, succeeds, folder, tmp_path):

@@ -18,8 +18,6 @@ OPTIONS = [
     for name in option.opts
 ]
 
-WITHOUT_A_RESULT = {"completion"}
-"""Verbs that print a text for a program, and nothing about it."""
 
 FLAG, TEXT, NUMBER, WHOLE, CHOICE, LOCATION = "flag", "text", "number", "whole number", "choice", "location"
 
@@ -95,22 +93,14 @@ def test_an_option_means_the_same_on_every_verb_that_has_it(name):
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_every_option_has_help_that_is_a_sentence(verb):
-    for _, option, name in (row for row in OPTIONS if row[0] == verb):
-        text = option.help or ""
-        assert text, f"{verb} {name}"
+def test_options_of_every_verb_have_help_in_sentences_and_usual_short_names(verb):
+    options = {name: option for on, option, name in OPTIONS if on == verb}
+    if verb != "completion":  # which prints a text for a program, and nothing about it
+        assert {"--json", "--quiet", "-q", "--verbose", "-v"} <= options.keys()
+    for name, option in options.items():
+        text = option.help or " "
         assert text[0].isupper() or text[0] in "`1", f"{verb} {name}: {text}"
         assert text.rstrip().endswith((".", "]")), f"{verb} {name}: {text}"
-
-
-@pytest.mark.parametrize("verb", sorted(set(VERBS) - WITHOUT_A_RESULT))
-def test_every_verb_prints_for_machines_and_can_be_quiet_or_state_more(verb):
-    names = {name for on, _, name in OPTIONS if on == verb}
-    assert {"--json", "--quiet", "-q", "--verbose", "-v"} <= names
-
-
-def test_short_names_stand_for_one_long_name_each():
-    for verb, option, name in OPTIONS:
         if name in SHORT and not (name == "-o" and verb.startswith("eval ")):  # which writes nothing but an image
             assert SHORT[name] in option.opts, f"{verb} {name}"
 

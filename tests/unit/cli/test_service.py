@@ -4,12 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from PIL import Image
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
-from sceneloom.cli.main import sceneloom as program
 from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.conformance import examination
@@ -33,13 +31,6 @@ def drive(tmp_path_factory):
     return path
 
 
-def run(*arguments, code=0, reported=""):
-    done = CliRunner().invoke(program, [str(argument) for argument in arguments])
-    assert done.exit_code == code, (done.output, done.exception)
-    assert reported in done.stderr
-    return done.stdout
-
-
 @pytest.fixture(scope="module")
 def address():
     with running_server() as server:
@@ -47,37 +38,33 @@ def address():
 
 
 @pytest.fixture
-def sent(drive, address, request):
+def sent(drive, address, request, reported):
     """The name of a session that was sent the drive."""
     name = f"s{abs(hash(request.node.name))}"
-    report = json.loads(run("send", drive, address, "--rate", 0, "--session", name, "--json", "-q"))
+    report = reported("send", drive, address, "--rate", 0, "--session", name, "-q")
     assert report["refused"] == {}
     assert report["sent"]["points"] == report["sent"]["image"] == report["sent"]["boxes_3d"] == 3
     return name
 
 
-def test_what_was_sent_is_reported(drive, address):
-    shown = run("send", drive, address, "--rate", 0, "--session", "reported", "-q")
+def test_what_was_sent_is_reported_and_results_without_an_output_are_lines_of_json(drive, address, succeeds):
+    session = ("--session", "reported")
+    shown = succeeds("send", drive, address, "--rate", 0, *session, "-q").out
     assert all(text in shown for text in ("3 image", "refused: none", "lidar"))
-
-
-def test_results_without_an_output_are_lines_of_json(address, sent):
-    get = ("get", address, "--type", "sensor", "--session", sent)
-    followed = run(*get, "--follow", "--count", 2)
+    get = ("get", address, "--type", "sensor", *session)
+    followed = succeeds(*get, "--follow", "--count", 2).out
     assert [json.loads(line)["number"] for line in followed.splitlines()] == [0, 1], "it ends after so many"
-    lines = [json.loads(line) for line in run(*get).splitlines()]
-    assert [line["number"] for line in lines] == [2]
-    assert {line["width"] for line in lines} == {96}
-    assert "image_data" not in lines[0]
-    assert run(*get) == "", "all were fetched, which is no error"
+    (line,) = (json.loads(line) for line in succeeds(*get).out.splitlines())
+    assert (line["number"], line["width"], "image_data" in line) == (2, 96, False)
+    assert succeeds(*get).out == "", "all were fetched, which is no error"
 
 
-def test_sensor_data_become_a_folder_with_depths_images_and_points(address, sent, tmp_path):
+def test_sensor_data_become_a_folder_with_depths_images_and_points(address, sent, refuses, reported, tmp_path):
     out = tmp_path / "out"
     with FusionClient(address, session=sent) as client:
         client.set_property("result_queue_length", 10)
-    reported = json.loads(run("get", address, "--type", "sensor", "-o", out, "--session", sent, "--count", 2, "--json"))
-    assert reported["results"] == 2
+    words = ("get", address, "--type", "sensor", "-o", out, "--session", sent)
+    assert reported(*words, "--count", 2)["results"] == 2
     lines = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
     with Image.open(out / lines[0]["depth"]) as image:
         depth = np.array(image)
@@ -87,68 +74,60 @@ def test_sensor_data_become_a_folder_with_depths_images_and_points(address, sent
     with np.load(out / lines[0]["points"]) as points:
         assert set(points) >= {"x", "y", "z", "r", "g", "b"}
         assert len(points["x"]) == lines[0]["point_num"]
-    run("get", address, "--type", "sensor", "-o", out, "--session", sent, code=1)
+    refuses(1, "", *words)
 
 
-def test_sensor_data_become_a_scene_file(address, sent, tmp_path):
-    out = tmp_path / "out.sfs"
-    run("get", address, "--type", "sensor", "-o", out, "--session", sent)
-    with sceneloom.open(out) as scene:
+def test_sensor_data_become_a_scene_file_and_detections_lines_as_table_10(address, sent, succeeds, tmp_path):
+    scene_file, lines = tmp_path / "out.sfs", tmp_path / "out.jsonl"
+    succeeds("get", address, "--type", "sensor", "-o", scene_file, "--session", sent)
+    with sceneloom.open(scene_file) as scene:
         assert [len(lidar.frames) for lidar in scene.lidars] == [3]
         assert scene.lidars[0].frames[0].points.colors is not None
-
-
-def test_detections_become_lines_with_the_names_of_table_10(address, sent, tmp_path):
-    out = tmp_path / "out.jsonl"
-    run("get", address, "--type", "detection", "-o", out, "--session", sent, "--wait", 0)
-    lines = [json.loads(line) for line in out.read_text().splitlines()]
-    assert lines
-    found = lines[0]["detections"][0]
+    succeeds("get", address, "--type", "detection", "-o", lines, "--session", sent, "--wait", 0)
+    found = json.loads(lines.read_text().splitlines()[0])["detections"][0]
     assert set(found) >= {"id", "class", "confidence", "X", "Y", "Z", "center_cov", "direction", "x1"}
 
 
-def test_a_log_is_sent_once_more(drive, tmp_path):
+def test_a_log_is_sent_once_more(drive, refuses, reported, succeeds, tmp_path):
     log = tmp_path / "first.mcap"
     with SessionLog(log) as kept, running_server(ServerSettings(observe=kept.session)) as server:
-        run("send", drive, server.address, "--rate", 0, "--session", "rig", "-q")
-        first = run("get", server.address, "--type", "detection", "--session", "rig")
+        succeeds("send", drive, server.address, "--rate", 0, "--session", "rig", "-q")
+        first = succeeds("get", server.address, "--type", "detection", "--session", "rig").out
     assert compare(log)
     with running_server(ServerSettings()) as server:
-        reported = json.loads(run("send", log, server.address, "--rate", 0, "--json", "-q"))
-        assert reported["sent"]["points"] == 3
-        assert reported["refused"] == {}
-        assert run("get", server.address, "--type", "detection", "--session", "rig") == first
-        run("send", log, server.address, "--start", 1, code=2)
+        found = reported("send", log, server.address, "--rate", 0, "-q")
+        assert (found["sent"]["points"], found["refused"]) == (3, {})
+        assert succeeds("get", server.address, "--type", "detection", "--session", "rig").out == first
+        refuses(2, "", "send", log, server.address, "--start", 1)
 
 
-def test_a_token_is_read_from_a_file(drive, tmp_path):
-    token = tmp_path / "token"
-    token.write_text(TOKEN)
+def test_wrong_addresses_certificates_tokens_and_sessions_are_refused(
+    drive, address, refuses, tmp_path, monkeypatch, succeeds
+):
+    monkeypatch.setattr(examination, "PATIENCE_S", 1.0)
+    refuses(1, "", "get", "127.0.0.1:9", "--type", "sensor")
+    refuses(2, "", "get", "127.0.0.1:9", "--type", "sensor", "--client-cert", drive)
+    nobody = "sceneloom: 127.0.0.1:1: no server answers there; is it running"
+    refuses(1, nobody, "conformance", "127.0.0.1:1", "--quiet")
+    for words in ((address, "--only", "9.9"), (address, "--report", tmp_path / "r.pdf"), ()):
+        refuses(2, "", "conformance", *words)
+    (token := tmp_path / "token").write_text(f"{TOKEN}\n")
     with running_server(ServerSettings(security=Security(token=TOKEN))) as server:
-        run("send", drive, server.address, "--rate", 0, code=1)
-        run("send", drive, server.address, "--rate", 0, "--token-file", token, "-q")
-
-
-def test_nobody_there_and_a_half_certificate_end_with_their_codes(drive, tmp_path):
-    run("get", "127.0.0.1:9", "--type", "sensor", code=1)
-    run("get", "127.0.0.1:9", "--type", "sensor", "--client-cert", drive, code=2)
-
-
-@pytest.mark.parametrize("address", ["nonsense", "host:", ":50051", "host:port", "a b:1"])
-@pytest.mark.parametrize("verb", [("get", "--type", "sensor"), ("send", "drive"), ("conformance",)])
-def test_an_address_without_a_port_is_reported_at_once(verb, address):
-    run(*verb, address, code=2, reported="expected HOST:PORT")
-
-
-@pytest.mark.parametrize("form", [[], ["--json"], ["-o", "x.jsonl"]])
-def test_a_session_that_received_nothing_is_an_error_and_is_named(refuses, address, tmp_path, monkeypatch, form):
+        for words in (("send", drive, server.address, "--rate", 0), ("conformance", server.address, "--only", "5.3-3")):
+            refuses(1, "", *words, "-q")
+            succeeds(*words, "-q", "--token-file", token)
+    refuses(2, "without TLS", "conformance", "192.0.2.1:1", "--token-file", token, "--quiet")
+    for wrong in ("nonsense", "host:", ":50051", "host:port", "a b:1"):
+        for verb in (("get", "--type", "sensor"), ("send", "drive"), ("conformance",)):
+            refuses(2, "expected HOST:PORT", *verb, wrong)
     monkeypatch.chdir(tmp_path)
-    stated = "session 'nosuch' has received no records"
-    assert refuses(2, stated, "get", address, "--type", "detection", "--session", "nosuch", *form).out == ""
-    assert not list(tmp_path.iterdir())
+    for form in ((), ("--json",), ("-o", "x.jsonl")):
+        words = ("get", address, "--type", "detection", "--session", "nosuch", *form)
+        assert refuses(2, "session 'nosuch' has received no records", *words).out == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["token"]
 
 
-def test_points_with_fields_of_any_name_become_a_folder(address, tmp_path):
+def test_points_with_fields_of_any_name_become_a_folder(address, succeeds, tmp_path):
     fields = ("x", "y", "z", "file", "allow_pickle", "../up", "echo 1")
     with FusionClient(address, session="names") as client:
         intrinsics, extrinsics = (8, 0, 3.5, 0, 8, 3.5, 0, 0, 1), (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
@@ -166,14 +145,14 @@ def test_points_with_fields_of_any_name_become_a_folder(address, tmp_path):
         assert client.send(cloud)
         client.flush()
     out = tmp_path / "out"
-    run("get", address, "--type", "sensor", "--session", "names", "-o", out)
+    succeeds("get", address, "--type", "sensor", "--session", "names", "-o", out)
     with np.load(next((out / "points").iterdir())) as points:
         assert set(points) == {*fields, *"rgb"} - {"../up"} | {"..%2Fup"}
         np.testing.assert_array_equal(points["file"], rows[:, 3])
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_our_server_passes_every_check_and_the_report_says_so(succeeds, address, tmp_path):
+def test_our_server_passes_every_check_and_the_report_says_so(call, reported, succeeds, address, tmp_path):
     outcome = succeeds("conformance", address, "--report", tmp_path / "r.json", "--quiet")
     assert outcome.err == ""
     assert outcome.out.splitlines()[0] == f"{address}: {len(CHECKS)} checks: {len(CHECKS)} passed, 0 failed"
@@ -181,9 +160,6 @@ def test_our_server_passes_every_check_and_the_report_says_so(succeeds, address,
     assert (report["passed"], len(report["checks"])) == (True, len(CHECKS))
     listed = succeeds("conformance --checks")
     assert [line.split()[0] for line in listed.out.splitlines()] == [check.id for check in CHECKS]
-
-
-def test_some_checks_can_be_run_and_printed_for_machines(call, reported, address):
     found = reported("conformance", address, "--only", "5.4", "--only", "T10-8", "--quiet")
     assert [check["id"] for check in found["checks"]] == ["5.4-1", "5.4-2", "5.4-3", "T10-8"]
     shown = call("conformance", address, "--only", "5.4-3", "--verbose", "--quiet").out
@@ -205,26 +181,3 @@ def test_a_failed_check_is_reported_with_both_languages_and_exit_code_1(call, ad
     assert "5.3-3   failed" in outcome.out
     assert "0—添加失败" in outcome.out
     assert "sent AddProperty speed: expected 1, found 2" in outcome.out
-
-
-def test_nobody_at_the_address_unknown_checks_and_reports_are_reported(call, address, tmp_path, monkeypatch):
-    monkeypatch.setattr(examination, "PATIENCE_S", 1.0)
-    nobody = call("conformance 127.0.0.1:1 --quiet")
-    assert nobody.code == 1
-    assert nobody.err.startswith("sceneloom: 127.0.0.1:1: no server answers there; is it running")
-    assert call("conformance", address, "--only", "9.9").code == 2
-    assert call("conformance", address, "--report", tmp_path / "r.pdf").code == 2
-    assert call("conformance").code == 2
-
-
-def test_a_token_is_shown_to_this_machine_and_never_to_another_without_encryption(call, succeeds, tmp_path):
-    token = tmp_path / "token"
-    token.write_text("a-token-that-is-long-enough-for-a-server\n")
-    settings = ServerSettings(security=Security(token=token.read_text().strip()))
-    with running_server(settings) as server:
-        arguments = ("conformance", server.address, "--only", "5.3-3", "--quiet")
-        assert call(*arguments).code == 1
-        succeeds(*arguments, "--token-file", token)
-    far = call("conformance 192.0.2.1:1 --token-file", token, "--quiet")
-    assert far.code == 2
-    assert "without TLS" in far.err

@@ -21,24 +21,17 @@ def late(tmp_path_factory):
     return folder
 
 
-def test_sync_prints_a_table_and_reports_machines(succeeds, reported, late):
+def test_sync_reports_and_writes_a_drive_in_step(succeeds, reported, late, tmp_path, call, refuses):
     outcome = succeeds("sync", late)
     assert "1 stream off, against imu" in outcome.out
-    row = next(line for line in outcome.out.splitlines() if "groundTruth" in line)
-    assert row.split()[1:3] == ["imu", "rotation"]
-    assert row.endswith("off")
+    row = next(line for line in outcome.out.splitlines() if "groundTruth" in line).split()
+    assert (*row[1:3], row[-1]) == ("imu", "rotation", "off")
     report = reported("sync", late, "--reference", "groundTruth")
     estimate = report["comparisons"][0]["estimate"]
     assert (report["off"], estimate["verdict"]) == (["imu"], "off")
     assert abs(estimate["offset_ns"] + 3e7) < 2e6
-
-
-def test_sync_apply_writes_a_drive_in_step(succeeds, reported, late, tmp_path):
     assert "corrected: groundTruth: -" in succeeds("sync", late, "--apply", tmp_path / "right").out
     assert reported("sync", tmp_path / "right")["off"] == []
-
-
-def test_sync_never_replaces_unasked_and_knows_its_streams(call, refuses, late, tmp_path):
     (tmp_path / "there").mkdir()
     refuses(1, "", "sync", late, "--apply", tmp_path / "there")
     assert "groundTruth" in refuses(2, "sonar", "sync", late, "--streams", "imu,sonar").err

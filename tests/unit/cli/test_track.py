@@ -76,11 +76,9 @@ def test_what_stands_has_one_track_whose_boxes_are_where_it_is(succeeds, folder,
             np.testing.assert_allclose(found.bottoms[row], truth, atol=0.3)
             np.testing.assert_allclose(found.corners_xyxy[row], outline(truth, size), atol=4.0)
     assert len({found.track_ids[own[0]] for own in rows.values()}) == 2
-
-
-def test_projected_boxes_are_the_outlines_of_those_in_space(succeeds, folder, tmp_path):
-    succeeds("track", folder, "-o", tmp_path / "out", "--box2d", "projected")
-    found, _ = results(tmp_path / "out")
+    # projected boxes are the outlines of those in space
+    succeeds("track", folder, "-o", tmp_path / "projected", "--box2d", "projected")
+    found, _ = results(tmp_path / "projected")
     for k in range(len(found)):
         h, w, length = found.sizes_hwl[k]
         rotation, (x, y, z) = found.rotations_y[k], found.bottoms[k]
@@ -111,11 +109,33 @@ def test_what_is_missing_is_reported_and_the_rest_is_tracked(succeeds, folder, t
     assert set(rows) == expected
 
 
-def test_empty_lists_give_an_empty_file(succeeds, folder, tmp_path):
+def test_a_sequence_is_chosen_drawn_and_overwritten_on_request_only(refuses, succeeds, folder, tmp_path):
+    words, look = ("track", folder, "-o", tmp_path / "out"), tmp_path / "look"
+    (folder / "calib" / "0009.txt").write_text(CALIB)
+    refuses(2, "done whole", *words, "--stop", 0.3)
+    refuses(2, "sequence '0001'", *words, "--sequence", "0001")
+    succeeds(*words, "--sequence", "3", "--visualize", look)
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["0003.txt"]
+    drawn = sorted(path.relative_to(look).as_posix() for path in look.rglob("*.png"))
+    assert (drawn[0], len(drawn)) == ("0003/000000_above.png", FRAMES)
+    (folder / "calib" / "0009.txt").unlink()
+    refuses(1, "exists already", *words)
     for file in folder.glob("det*/*/*.txt"):
         file.write_text("")
-    succeeds("track", folder, "-o", tmp_path / "out")
+    succeeds(*words, "--overwrite")
     assert (tmp_path / "out" / "0003.txt").read_text() == ""
+
+
+def test_faulty_lists_are_reported_with_their_lines_and_several_detectors_are_a_question(
+    refuses, succeeds, folder, tmp_path
+):
+    words = ("track", folder, "-o", tmp_path / "out")
+    (folder / "det2d_x/Car/0003.txt").write_text("0,1,1,9,9,0.5\n0,1,car\n")
+    refuses(1, "det2d_x/Car/0003.txt: line 2: 3 values; expected 6", *words)
+    (folder / "det2d_z" / "Car").mkdir(parents=True)
+    refuses(2, "choose one with `--det2d NAME`", *words, "--lenient")
+    assert not (tmp_path / "out").exists()
+    succeeds(*words, "--lenient", "--det2d", "x")
 
 
 @pytest.mark.parametrize("offline", [(), ("--offline",)])
@@ -130,25 +150,15 @@ def test_lines_of_json_report_the_world(succeeds, folder, tmp_path, offline):
     assert np.hypot(*car["velocity"][:2]) < 1.0
 
 
-def test_labels_of_a_scene_are_cuboids(reported, folder, tmp_path):
-    report = reported("track", folder, "-o", tmp_path / "out", "--format", "sfs")
+def test_labels_of_a_scene_are_cuboids(reported, succeeds, folder, tmp_path):
+    words = ("track", folder, "-o", tmp_path / "out", "--format", "sfs")
+    report = reported(*words)
     assert (report["form"], report["drives"][0]["frames"]) == ("sfs", FRAMES)
     assert report["drives"][0]["tracks"] == {"Car": 1, "Pedestrian": 1}
     with sceneloom.open(tmp_path / "out" / "0003.sfs") as scene:
         assert [one.type for one in scene.annotations].count("cuboid") == 2
-
-
-def test_a_sequence_can_be_chosen_and_must_be_there(refuses, succeeds, folder, tmp_path):
-    (folder / "calib" / "0009.txt").write_text(CALIB)
-    succeeds("track", folder, "-o", tmp_path / "out", "--sequence", "3")
-    assert [file.name for file in (tmp_path / "out").iterdir()] == ["0003.txt"]
-    refuses(2, "sequence '0001'", "track", folder, "-o", tmp_path / "other", "--sequence", "0001")
-
-
-def test_scenes_are_written_for_scales_library_on_request(succeeds, folder, tmp_path):
-    out = tmp_path / "labels"
-    outcome = succeeds("track", folder, "-o", out, "--format", "sfs", "--profile", "scale")
     # Scale's validator knows no such sensor, so a scene of this profile keeps it aside
+    outcome = succeeds(*words, "--profile", "scale", "--overwrite")
     assert "sensors[ego]: Scale's validator knows no such sensor" in outcome.err
 
 
@@ -164,34 +174,3 @@ def test_what_does_not_go_with_the_form_is_refused(refuses, folder, tmp_path, mo
     monkeypatch.chdir(tmp_path)
     refuses(2, reported, "track", folder, *words)
     assert [path.name for path in tmp_path.iterdir()] == [folder.name]
-
-
-def test_an_output_is_not_overwritten_unasked(refuses, succeeds, folder, tmp_path):
-    succeeds("track", folder, "-o", tmp_path / "out")
-    refuses(1, "exists already", "track", folder, "-o", tmp_path / "out")
-    succeeds("track", folder, "-o", tmp_path / "out", "--overwrite")
-
-
-def test_a_faulty_list_is_reported_with_its_line_and_nothing_is_written(refuses, succeeds, folder, tmp_path):
-    (folder / "det2d_x/Car/0003.txt").write_text("0,1,1,9,9,0.5\n0,1,car\n")
-    stated = "det2d_x/Car/0003.txt: line 2: 3 values; expected 6"
-    refuses(1, stated, "track", folder, "-o", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-    succeeds("track", folder, "-o", tmp_path / "out", "--lenient")
-
-
-def test_several_detectors_are_a_question(refuses, succeeds, folder, tmp_path):
-    (folder / "det2d_z" / "Car").mkdir(parents=True)
-    refuses(2, "choose one with `--det2d NAME`", "track", folder, "-o", tmp_path / "out")
-    succeeds("track", folder, "-o", tmp_path / "out", "--det2d", "x")
-
-
-def test_images_of_each_sequence_are_drawn_on_request(succeeds, folder, tmp_path):
-    succeeds("track", folder, "-o", tmp_path / "out", "--visualize", tmp_path / "look")
-    drawn = sorted(path.relative_to(tmp_path / "look").as_posix() for path in (tmp_path / "look").rglob("*.png"))
-    assert drawn[0] == "0003/000000_above.png"
-    assert len(drawn) == FRAMES
-
-
-def test_a_part_of_sequences_whose_frames_are_numbered_is_refused(refuses, folder, tmp_path):
-    refuses(2, "done whole", "track", folder, "-o", tmp_path / "out", "--stop", 0.3)

@@ -19,7 +19,7 @@ def faulty(tmp_path, encode_sfs):
     return path
 
 
-def test_findings_stand_under_their_rule_with_the_remedy_once(call, faulty):
+def test_findings_stand_under_their_rule_with_the_remedy_once_or_as_json(call, succeeds, faulty):
     done = call("validate", faulty)
     assert done.code == 1
     lines = done.out.splitlines()
@@ -28,17 +28,19 @@ def test_findings_stand_under_their_rule_with_the_remedy_once(call, faulty):
     assert lines[start + 1] == "  quaternion-norm: 1 time, --fix repairs it"
     assert lines[start + 2].startswith("    sensors[0].poses.values[1]: a quaternion of norm 2; expected 1")
     assert lines[start + 3].startswith("    → Normalise")
-
-
-def test_the_result_as_json_has_every_finding(call, faulty):
     done = call("validate", faulty, "--json", "--rule", "quaternion-norm")
     report = json.loads(done.out)
     assert (done.code, report["counts"]) == (1, {"error": 1, "warning": 0, "hint": 0})
-    assert report["findings"][0]["path"] == "sensors[0].poses.values[1]"
-    assert report["findings"][0]["fixable"] is True
+    finding = report["findings"][0]
+    assert (finding["path"], finding["fixable"]) == ("sensors[0].poses.values[1]", True)
+    hints = ("validate", faulty, "--rule", "reading-assumed")
+    assert ["reading-assumed" in call(*hints, *words).out for words in ((), ("--quiet",))] == [True, False]
+    assert "quaternion-norm (error, fix)\n" in succeeds("validate --rules").out
+    rows = json.loads(call("validate --rules --json").out)
+    assert {"id", "severity", "summary", "remedy", "fixable", "only_in"} == set(rows[0])
 
 
-def test_fixing_writes_and_passes(call, succeeds, faulty, tmp_path):
+def test_fixing_writes_and_passes_or_says_why_nothing_was_written(call, refuses, succeeds, faulty, tmp_path):
     target = tmp_path / "repaired.sfs"
     done = succeeds("validate", faulty, "--fix", target)
     assert "fixed\n  quaternion-norm: sensors[0].poses.values[1]" in done.out
@@ -46,40 +48,20 @@ def test_fixing_writes_and_passes(call, succeeds, faulty, tmp_path):
     succeeds("validate", target)
     assert call("validate", faulty, "--fix", target).code == 1
     succeeds("validate", faulty, "--fix", target, "--overwrite")
-
-
-def test_what_cannot_be_written_is_stated_and_what_is_found_is_reported(refuses, tmp_path):
-    path, target = tmp_path / "torn.sfs", tmp_path / "repaired"
-    path.write_bytes(b'{"version": ')
-    refuses(1, "nothing was written", "validate", path, "--fix", tmp_path / "repaired.sfs")
+    (tmp_path / "torn.sfs").write_bytes(b'{"version": ')
+    refuses(1, "nothing was written", "validate", tmp_path / "torn.sfs", "--fix", tmp_path / "again.sfs")
     (drive := tmp_path / "drive").mkdir()
     (drive / "data.jsonl").write_text('[{"groundTruth":{"position":{"x":0,"y":0,"z":0}},"time":0}\n')
-    done = refuses(1, "nothing was written: ", "validate", drive, "--fix", target)
+    done = refuses(1, "nothing was written: ", "validate", drive, "--fix", tmp_path / "again")
     assert "broken-lines: 1 time\n    data.jsonl: line 1: " in done.out
-    assert not target.exists()
+    assert not (tmp_path / "again").exists()
 
 
-def test_strict_lets_warnings_fail(call, succeeds, recording):
+def test_strict_lets_warnings_fail_and_bad_usage_is_refused(call, succeeds, recording, refuses, faulty, tmp_path):
     succeeds("validate", recording, "--quick")
     without_trajectory = call("validate", recording, "--strict", "--ignore", "image-plain")
     assert without_trajectory.code in (0, 1)
     assert without_trajectory.code == ("warning" in without_trajectory.out.splitlines()[0])
-
-
-def test_hints_are_left_out_where_quiet_is_stated(call, faulty):
-    only = ("--rule", "reading-assumed")
-    assert "reading-assumed" in call("validate", faulty, *only).out
-    assert "reading-assumed" not in call("validate", faulty, *only, "--quiet").out
-
-
-def test_the_rules_are_listed(call, succeeds):
-    done = succeeds("validate --rules")
-    assert "quaternion-norm (error, fix)\n" in done.out
-    rows = json.loads(call("validate --rules --json").out)
-    assert {"id", "severity", "summary", "remedy", "fixable", "only_in"} == set(rows[0])
-
-
-def test_bad_usage_is_refused(refuses, faulty, recording, tmp_path):
     refuses(2, "", "validate")
     refuses(2, "", "validate", "x.sfs", "--profile", "bs5")
     refuses(2, "--rules", "validate", faulty, "--rule", "no-such")

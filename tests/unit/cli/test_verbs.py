@@ -10,13 +10,14 @@ from pathlib import Path
 
 import pytest
 
-import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli.printing import seconds
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 
-def test_info_names_every_sensor_and_counts_what_is_there(succeeds, reported, recording):
+def test_info_names_every_sensor_counts_what_is_there_and_states_the_first_time_to_the_nanosecond(
+    call, refuses, succeeds, reported, recording, tmp_path
+):
     outcome = succeeds("info", recording)
     for word in ("lidar", "camera0", "imu", "gnss", "groundTruth", "10 Hz", "pinhole 96x64"):
         assert word in outcome.out
@@ -25,53 +26,46 @@ def test_info_names_every_sensor_and_counts_what_is_there(succeeds, reported, re
     assert (counts["lidar"], counts["camera0"], summary["format"]) == (3, 3, "recording")
     size = sum(p.stat().st_size for p in recording.rglob("*") if p.is_file())
     assert summary["size_bytes"] == reported("info", recording / "data.jsonl")["size_bytes"] == size
+    folder = shutil.copytree(recording, tmp_path / "drive")
+    fix = {"latitude": 60.0, "longitude": 25.0, "altitude": 1.0, "accuracy": 1.0}
+    lines = [json.dumps({"time": -0.25, "gps": fix}), (folder / "data.jsonl").read_text()]
+    (folder / "data.jsonl").write_text("\n".join(lines))
+    assert "clock starts at -0.250000000 s" in call("info", folder).out
+    # seconds as float64 are off by 50 ns at such a time
+    assert seconds(1_700_000_000_800_000_000) == "1700000000.800000000 s"
+    refuses(2, "--visualize", "info", recording, "--at", "1")
+    drawn = reported("info", folder, "--visualize", tmp_path / "look")["images"]
+    assert sorted(map(Path, drawn)) == sorted((tmp_path / "look").iterdir())
+    assert call("info", folder, "--visualize", tmp_path / "look").code == 1  # they are there already
 
 
-def test_info_as_json_names_the_images_that_it_drew(call, tmp_path):
-    drive = simulate_street(3, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=())
-    sceneloom.write(drive.scene, tmp_path / "street.sfs")
-    words = ("info", tmp_path / "street.sfs", "--visualize", tmp_path / "look", "--json")
-    assert sorted(map(Path, json.loads(call(*words).out)["images"])) == sorted((tmp_path / "look").iterdir())
-    assert call(*words).code == 1  # they are there already
-
-
-def test_fuse_writes_and_reports(call, reported, recording, tmp_path):
+def test_fuse_writes_and_reports(call, refuses, reported, recording, tmp_path):
+    stated = "d.txt: fusing writes scene files; expected a name that ends in .sfs"
+    refuses(2, stated, "fuse", recording, "-o", tmp_path / "d.txt")
+    refuses(2, "nothing to write", "fuse", recording)
+    for option, value, needed in (("--depth-format", "npz", "--depth"), ("--visualize-every", "2", "--visualize")):
+        refuses(2, f"without {needed} DIR", "fuse", recording, "-o", tmp_path / "d.sfs", option, value)
+    assert list(tmp_path.iterdir()) == []
     report = reported("fuse", recording, "-o", tmp_path / "d.sfs", "--depth", tmp_path / "depth")
     assert (report["fused"], report["trajectory"], report["files"]) == (3, "groundTruth", {"depth images": 3})
     assert report["losses"]["losses"]
     assert (tmp_path / "d.sfs").is_file()
-    outcome = call("fuse", recording, "-o", tmp_path / "e.sfs")
+    outcome = call("fuse", recording, "-o", tmp_path / "e.sfs", "--verbose")
     assert "fused 3 of 3 sweeps by trajectory groundTruth" in outcome.out
     assert f"wrote {tmp_path / 'e.sfs'}, " in outcome.out
-    assert "kept aside: " in outcome.err
+    assert {note.split(":")[0] for note in outcome.err.splitlines() if "sensors[imu]" in note} == {"kept aside"}
     assert call("fuse", recording, "-o", tmp_path / "f.sfs", "--quiet").err == ""
     assert "fused 1 of 1 sweep by" in call("fuse", recording, "-o", tmp_path / "g.sfs", "--stop", "0.25").out
-
-
-def test_what_is_kept_aside_is_not_called_lost(call, recording, tmp_path):
-    notes = call("fuse", recording, "-o", tmp_path / "d.sfs", "--verbose").err.splitlines()
-    assert any(note.startswith("kept aside: sensors[imu]") for note in notes)
-    assert not any(note.startswith("lost: sensors[imu]") for note in notes)
-
-
-def test_fuse_without_an_output_or_with_another_suffix_is_bad_usage(refuses, recording, tmp_path):
-    stated = "d.txt: fusing writes scene files; expected a name that ends in .sfs"
-    refuses(2, stated, "fuse", recording, "-o", tmp_path / "d.txt")
-    assert list(tmp_path.iterdir()) == []
-    refuses(2, "nothing to write", "fuse", recording)
-
-
-def test_convert_reads_and_writes_and_reads_again(succeeds, reported, recording, tmp_path):
-    succeeds("convert", recording, tmp_path / "a.sfs")
-    succeeds("convert", tmp_path / "a.sfs", tmp_path / "b.sfs", "--time-unit", "nanoseconds")
-    first, second = (reported("info", tmp_path / name)["sensors"] for name in ("a.sfs", "b.sfs"))
-    assert [(one["id"], one["count"]) for one in first] == [(one["id"], one["count"]) for one in second]
 
 
 def test_demo_keeps_a_recording_a_scene_and_images(refuses, succeeds, tmp_path, monkeypatch):
     camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
     street = partial(simulate_street, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
     monkeypatch.setattr("sceneloom.simulate.drive.demo_drive", street)
+    (tmp_path / "other" / "images").mkdir(parents=True)
+    (tmp_path / "other" / "images" / "mine.png").write_text("mine")
+    refuses(1, "--overwrite", "demo --keep", tmp_path / "other", "--frames", "2")
+    assert [path.name for path in (tmp_path / "other").iterdir()] == ["images"]
     outcome = succeeds("demo --keep", tmp_path / "kept", "--frames", "2")
     kept = {path.name for path in (tmp_path / "kept").iterdir()}
     assert kept == {"drive", "drive.sfs", "depth", "images"}
@@ -80,13 +74,6 @@ def test_demo_keeps_a_recording_a_scene_and_images(refuses, succeeds, tmp_path, 
     assert Path(shown).is_file()
     assert "notes on what these files cannot hold of the drive" in outcome.err
     refuses(1, "--overwrite", "demo --keep", tmp_path / "kept", "--frames", "2")
-
-
-def test_demo_looks_at_all_its_outputs_before_it_makes_one(refuses, tmp_path):
-    (tmp_path / "images").mkdir()
-    (tmp_path / "images" / "mine.png").write_text("mine")
-    refuses(1, "--overwrite", "demo --keep", tmp_path, "--frames", "2")
-    assert [path.name for path in tmp_path.iterdir()] == ["images"]
 
 
 OPENING = "opening a recording takes --lenient, --altitude, --camera-shift, --image-index"
@@ -107,24 +94,6 @@ def test_an_option_that_the_format_does_not_take_is_named_as_it_was_stated(
     outcome = call("convert", recording, tmp_path / target, *option)
     assert (outcome.code, outcome.err) == (2, f"sceneloom: {option[0]} does not count here: {takes}\n")
     assert not (tmp_path / target).exists()
-
-
-@pytest.mark.parametrize(
-    ("option", "value", "needed"), [("--depth-format", "npz", "--depth"), ("--visualize-every", "2", "--visualize")]
-)
-def test_an_option_that_would_do_nothing_is_bad_usage(refuses, recording, tmp_path, option, value, needed):
-    refuses(2, f"without {needed} DIR", "fuse", recording, "-o", tmp_path / "d.sfs", option, value)
-
-
-def test_info_reports_the_first_time_to_the_nanosecond(call, recording, tmp_path):
-    folder = shutil.copytree(recording, tmp_path / "drive")
-    lines = [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
-    fix = {"latitude": 60.0, "longitude": 25.0, "altitude": 1.0, "accuracy": 1.0}
-    lines = [{"time": -0.25, "gps": fix}, *lines]
-    (folder / "data.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    assert "clock starts at -0.250000000 s" in call("info", folder).out
-    # seconds as float64 are off by 50 ns at such a time
-    assert seconds(1_700_000_000_800_000_000) == "1700000000.800000000 s"
 
 
 def test_only_the_first_skipped_frames_are_listed(call, succeeds, recording, tmp_path):
@@ -149,56 +118,35 @@ def test_a_terminal_that_knows_few_characters_gets_them_escaped(recording, tmp_p
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only there names of files may be any bytes")
-def test_a_folder_whose_name_is_no_unicode_is_read_and_fused(call, succeeds, recording, tmp_path):
-    folder = tmp_path / os.fsdecode(b"dr\xffive")
-    shutil.copytree(recording, folder)
+def test_a_folder_whose_name_is_no_unicode_is_fused_and_may_hold_what_shows_it(reported, succeeds, recording, tmp_path):
+    folder = shutil.copytree(recording, tmp_path / os.fsdecode(b"dr\xffive"))
+    assert reported("info", folder)["source"] == str(folder)
+    succeeds("fuse", folder, "--visualize", folder / "look", "-o", folder / "fused.sfs")
     succeeds("info", folder)
-    assert json.loads(call("info", folder, "--json").out)["source"] == str(folder)
-    succeeds("fuse", folder, "-o", tmp_path / "d.sfs")
-
-
-def test_info_refuses_a_time_to_draw_where_nothing_is_drawn(refuses, recording):
-    refuses(2, "--visualize", "info", recording, "--at", "1")
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("code", "problem", "arguments"),
     [
-        ("convert", "DRIVE", "DRIVE/again"),
-        ("validate", "DRIVE", "--quick", "--fix", "DRIVE/repaired"),
-        ("sync", "DRIVE", "--apply", "DRIVE/in-step"),
-        ("edit", "crop", "DRIVE", "-o", "DRIVE/cropped", "--start", "0"),
-        ("edit", "deskew", "DRIVE", "-o", "DRIVE/deskewed"),
+        (1, "inside the recording", ("convert", "DRIVE", "DRIVE/again")),
+        (1, "inside the recording", ("validate", "DRIVE", "--quick", "--fix", "DRIVE/repaired")),
+        (1, "inside the recording", ("sync", "DRIVE", "--apply", "DRIVE/in-step")),
+        (1, "inside the recording", ("edit", "crop", "DRIVE", "-o", "DRIVE/cropped", "--start", "0")),
+        (1, "inside the recording", ("edit", "deskew", "DRIVE", "-o", "DRIVE/deskewed")),
+        (2, "standard output", ("convert", "DRIVE", "-")),
+        (2, "standard output", ("fuse", "DRIVE", "-o", "-")),
+        (2, "standard output", ("info", "DRIVE", "--visualize", "-")),
+        (2, "standard output", ("validate", "DRIVE", "--fix", "-")),
+        (2, "standard output", ("edit", "crop", "DRIVE", "-o", "-", "--start", "0")),
     ],
-    ids=" ".join,
 )
-def test_no_recording_is_made_inside_the_one_that_is_read(refuses, recording, arguments):
-    before = sorted(recording.rglob("*"))
-    refuses(1, "inside the recording", *(word.replace("DRIVE", str(recording)) for word in arguments))
-    assert sorted(recording.rglob("*")) == before
-
-
-def test_images_may_lie_in_the_recording_that_they_show(succeeds, recording, tmp_path):
-    drive = shutil.copytree(recording, tmp_path / "drive")
-    succeeds("fuse", drive, "--visualize", drive / "look", "-o", drive / "fused.sfs")
-    succeeds("info", drive)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("convert", "DRIVE", "-"),
-        ("fuse", "DRIVE", "-o", "-"),
-        ("info", "DRIVE", "--visualize", "-"),
-        ("validate", "DRIVE", "--fix", "-"),
-        ("edit", "crop", "DRIVE", "-o", "-", "--start", "0"),
-    ],
-    ids=" ".join,
-)
-def test_a_dash_is_no_name_of_an_output(refuses, recording, tmp_path, monkeypatch, arguments):
+def test_an_output_is_no_dash_and_not_inside_the_recording(
+    refuses, recording, tmp_path, monkeypatch, code, problem, arguments
+):
     monkeypatch.chdir(tmp_path)
-    refuses(2, "standard output", *(word.replace("DRIVE", str(recording)) for word in arguments))
-    assert list(tmp_path.iterdir()) == []
+    before = sorted(recording.rglob("*"))
+    refuses(code, problem, *(word.replace("DRIVE", str(recording)) for word in arguments))
+    assert (sorted(recording.rglob("*")), list(tmp_path.iterdir())) == (before, [])
 
 
 @pytest.mark.parametrize(

@@ -61,16 +61,13 @@ def labels(scene):
     return Labels.measured(scene, start_ns=0)
 
 
-def test_types_classes_sizes_and_times_are_those_of_the_boxes(labels):
+def test_classes_sizes_times_ranges_and_points_are_those_of_the_boxes(labels):
     cars, things = labels.classes
     assert (labels.types, labels.attributes) == ({"cuboid": 3, "event": 1}, {"speed": 1})
     assert [(c.label, c.objects) for c in labels.classes] == [("car", 2), (NO_CLASS, 1)]
     assert (cars.length.median, cars.height.low, cars.seconds.median) == (4.0, pytest.approx(1.525), 1.0)
     assert (things.stationary, things.seconds, cars.key_frames) == (1, None, 4)
     assert (labels.over_time[0], labels.over_time[-1]) == ((0.0, 3), (1.0, 3))
-
-
-def test_ranges_points_and_what_hides_boxes_are_those_that_sensors_see(labels):
     cars, things = labels.classes
     assert things.ranges.median == pytest.approx(20.0)
     assert (cars.ranges.count, cars.ranges.median) == (4, pytest.approx(20.0))  # 10 and 30 m at two moments
@@ -82,14 +79,11 @@ def test_ranges_points_and_what_hides_boxes_are_those_that_sensors_see(labels):
     assert (cars.hidden.low, cars.hidden.high) == (pytest.approx(0.0, abs=1e-9), pytest.approx(1.0, abs=0.01))
 
 
-def test_without_annotations_there_are_no_labels_and_without_sensors_they_are_counted_all_the_same():
+def test_annotations_are_counted_without_sensors_and_in_days_of_today():
     assert Labels.measured(Scene(()), start_ns=0) is None
     found = Labels.measured(Scene((), annotations=(cuboid("a", (1, 1, 1), (0, 0, 0)),), metadata=OURS), start_ns=0)
     assert (found.classes[0].objects, found.moments) == (1, 0)
     assert (Spread.of([np.nan, 1.0, 3.0]).median, Spread.of([np.nan])) == (2.0, None)
-
-
-def test_boxes_count_from_the_first_timestamp_to_the_last_in_days_of_today():
     times = (1_700_000_000_000_000_001, 1_700_000_020_000_000_003)
     path = Poses(np.array(times), np.zeros((2, 3)), STILL.quaternions_xyzw)
     frames = LazyFrames.of([LidarFrame(t, LidarPoints(np.ones((1, 3), np.float32))) for t in times], list(times))

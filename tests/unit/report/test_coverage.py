@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
+from sceneloom.errors import DataError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.report.coverage import RANGE_EDGES, CloudStatistics, Coverage
 from sceneloom.scene import CameraSensor, LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Scene
@@ -24,12 +25,16 @@ def lidar(points, *, rings=None, **more):
     return LidarSensor("lidar", LazyFrames.of([frame, frame], [0, 100_000_000]), **more)
 
 
-def test_points_are_counted_by_range_and_sector():
-    ahead_left = on_circle(np.arange(1.0, 44.0), 12.0)
-    behind = on_circle(np.full(7, 181.0), 60.0)
+def counted(points):
     statistics = CloudStatistics()
-    statistics.add(np.concatenate([ahead_left, behind, np.full((3, 3), np.nan, np.float32)]))
-    found = statistics.coverage("lidar", "lidar", of=1)
+    statistics.add(points)
+    assert statistics.non_finite == np.isnan(points).any(axis=1).sum()
+    return statistics.coverage("lidar", "lidar", of=1)
+
+
+def test_points_are_counted_by_range_sector_and_ring():
+    ahead_left, behind = on_circle(np.arange(1.0, 44.0), 12.0), on_circle(np.full(7, 181.0), 60.0)
+    found = counted(np.concatenate([ahead_left, behind, np.full((3, 3), np.nan, np.float32)]))
     by_range = dict(zip(RANGE_EDGES, found.range_counts, strict=True))
     assert (by_range[10.0], by_range[50.0], sum(found.range_counts)) == (43, 7, 50)
     # 1 to 43 degrees are nine sectors of five degrees, 181 degrees one more
@@ -37,22 +42,19 @@ def test_points_are_counted_by_range_and_sector():
     assert [k for k, count in enumerate(found.sectors) if count] == [*range(9), 36]
     assert found.reaches[0] == pytest.approx(12.0, abs=0.5)
     assert found.non_finite_share == pytest.approx(3 / 53)
-
-
-def test_points_are_counted_by_ring_over_all_sweeps():
+    flat, raised = on_circle(np.arange(360.0), 10.0), on_circle(np.arange(360.0), 10.0, height=10.0)
+    found = counted(np.concatenate([flat, raised]))
+    assert (found.lowest_deg, found.highest_deg) == pytest.approx((0.0, 45.0), abs=0.2)
     statistics = CloudStatistics()
-    points = on_circle(np.arange(10.0), 5.0)
     for rings in ([0, 0, 0, 2, 2, 2, 2, 2, 2, 2], [0, 2, 2, 2, 2, 2, 2, 2, 2, 2]):
+        points = on_circle(np.arange(10.0), 5.0)
         statistics.add(points, LidarPoints(points, rings=np.array(rings, np.uint16)))
     assert statistics.coverage("lidar", "lidar", of=2).rings == (2.0, 0.0, 8.0)
-
-
-def test_elevations_are_those_of_the_points():
-    flat, raised = on_circle(np.arange(360.0), 10.0), on_circle(np.arange(360.0), 10.0, height=10.0)
-    statistics = CloudStatistics()
-    statistics.add(np.concatenate([flat, raised]))
-    found = statistics.coverage("lidar", "lidar", of=1)
-    assert (found.lowest_deg, found.highest_deg) == pytest.approx((0.0, 45.0), abs=0.2)
+    for far in (1e9, 1e15, 1e19, 1e30, np.finfo(np.float32).max, np.finfo(np.float32).min):
+        found = counted(np.array([[1, 0, 0], [0, 2, 0], [far, far, 0]], np.float32))
+        assert (sum(found.range_counts), found.range_counts[-1]) == (3, 1)
+        assert found.range_max == pytest.approx(np.hypot(float(far), float(far)), rel=1e-6)
+        assert np.isfinite(found.range_95)
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 62.0, -120.0])
@@ -69,7 +71,7 @@ def test_a_camera_sees_what_its_camera_model_and_mounting_state(yaw_deg):
     assert found.left_deg - found.right_deg == pytest.approx(2 * half, abs=0.2)
 
 
-def test_shares_of_the_horizon_join_what_sensors_see():
+def test_shares_of_the_horizon_join_what_sensors_see_also_rotated_ones():
     camera_model = Camera("pinhole", 800, 400, 400.0, 400.0, 399.5, 199.5)
     front = CameraSensor("front", camera_model, LazyFrames.of([], []), mount=camera_mount())
     half = lidar(on_circle(np.arange(0.5, 180.0), 10.0), mount=RigidTransform.identity())
@@ -77,15 +79,6 @@ def test_shares_of_the_horizon_join_what_sensors_see():
     assert found.lidar_share == pytest.approx(0.5)
     assert found.camera_share == pytest.approx(0.25, abs=0.01)
     assert found.both_share == pytest.approx(0.125, abs=0.01)
-
-
-def test_points_in_the_world_without_a_location_of_the_lidar_are_reported_not_counted():
-    found = Coverage.of(Scene((lidar(on_circle(np.arange(9.0), 4.0), points_frame=PointsFrame.WORLD),)))
-    assert found.clouds[0].sweeps == 0
-    assert "not known" in found.skipped[0]
-
-
-def test_a_rotated_lidar_is_levelled_by_its_mounting():
     # mounted upside down and looking back: a rotation of half a circle about its y axis
     rotated = RigidTransform(np.diag([-1.0, 1.0, -1.0]), np.array([1.0, 0.0, 2.0]))
     ahead_in_ego = on_circle(np.array([2.0, 3.0]), 10.0, height=1.0)
@@ -95,14 +88,13 @@ def test_a_rotated_lidar_is_levelled_by_its_mounting():
     assert found.lowest_deg == pytest.approx(math.degrees(math.atan2(1.0, 10.0)), abs=0.2)
 
 
-def test_a_sweep_that_cannot_be_read_is_reported_and_passed_over(short):
-    from sceneloom.errors import DataError
-
+def test_sweeps_without_a_location_and_those_that_cannot_be_read_are_reported_not_counted(short):
     def broken(k):
         raise DataError("file", f"frames[{k}]", "cut off")
 
+    found = Coverage.of(Scene((lidar(on_circle(np.arange(9.0), 4.0), points_frame=PointsFrame.WORLD),)))
+    assert (found.clouds[0].sweeps, "not known" in found.skipped[0]) == (0, True)
     first = short.lidars[0]
     torn = replace(first, frames=LazyFrames(first.frames.timestamps_ns[:2], broken))
     found = Coverage.of(replace(short, sensors=(torn,)))
-    assert found.clouds[0].sweeps == 0
-    assert len(found.skipped) == 2
+    assert (found.clouds[0].sweeps, len(found.skipped)) == (0, 2)

@@ -5,6 +5,7 @@ import re
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib.resources import files
 from itertools import pairwise
 
 import msgspec
@@ -115,15 +116,12 @@ def check_sealed(text, page):
     assert "default-src 'none'" in text
 
 
-def test_the_page_of_a_drive_is_sound_sealed_and_small(page):
+def test_the_page_of_a_drive_is_sound_sealed_and_small_with_a_verdict_first_and_every_section(page):
     parsed = Page(page)
     check_sound(parsed)
     check_sealed(page, parsed)
     assert len(page.encode()) < 1_500_000
     assert len(parsed.all("img")) >= 4
-
-
-def test_it_has_a_verdict_first_and_every_section(page):
     names = re.findall(r'<h2 id="([a-z]+)-h">', page)
     assert names == [
         "verdict", "drive", "timing", "trajectory", "calibration", "coverage", "fusion", "annotations", "findings",
@@ -131,7 +129,7 @@ def test_it_has_a_verdict_first_and_every_section(page):
     ]  # fmt: skip
 
 
-def test_counts_of_the_drive_are_those_that_were_put_into_it(collected):
+def test_counts_of_the_drive_are_those_that_were_put_into_it_and_go_to_json_and_back(short, collected):
     report = collected.report
     assert {c.label: c.objects for c in report.labels.classes} == {"car": 1, "bin": 1}
     (cloud,) = report.coverage.clouds
@@ -139,21 +137,14 @@ def test_counts_of_the_drive_are_those_that_were_put_into_it(collected):
     assert report.fusion.points == 4 * 1560
     assert report.summary.duration == pytest.approx(0.3)
     assert report.trajectories.trajectories[0].metres == pytest.approx(1.5)
-
-
-def test_the_share_of_points_in_an_image_is_that_of_projecting_them_by_hand(short, collected):
-    """The camera sits where the lidar does and looks ahead: x right is -y, y down is -z, z forward is x."""
+    # the camera sits where the lidar does and looks ahead: x right is -y, y down is -z, z forward is x
     x, y, z = short.lidars[0].frames[0].points.positions.astype(np.float64).T
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = 60.0 * -y / x + 59.5, 60.0 * -z / x + 39.5
     inside = (x > 0) & (u >= -0.5) & (u < 119.5) & (v >= -0.5) & (v < 79.5)
-    (camera,) = collected.report.fusion.cameras
-    assert camera.paired == 4
-    assert camera.in_image_percent == pytest.approx(100.0 * inside.mean(), abs=0.2)
-
-
-def test_numbers_go_to_json_and_back(collected):
-    reported = msgspec.json.decode(msgspec.json.encode(collected.report))
+    (camera,) = report.fusion.cameras
+    assert (camera.paired, camera.in_image_percent) == (4, pytest.approx(100.0 * inside.mean(), abs=0.2))
+    reported = msgspec.json.decode(msgspec.json.encode(report))
     assert reported["timing"]["streams"][0]["sensor"] == "lidar"
     assert reported["provenance"]["made"] == "2024-05-06 07:08:09 UTC"
     assert reported["verdict"]["state"] in {"sound", "look"}
@@ -212,25 +203,24 @@ def test_a_drive_without_some_of_its_parts_has_a_page(short, case):
     assert {"nothing": "no sensors", "no poses and annotations": "Not reported:"}.get(case, "") in page.text
 
 
-def test_a_scene_of_fixes_alone_has_a_map_with_north():
-    times = np.arange(0, 10 * 10**9, 10**9)
-    lla = np.column_stack([52.5 + 1e-4 * np.arange(10), np.full(10, 13.4), np.full(10, 40.0)])
-    none = np.full(10, np.nan)
-    _, page = page_of(Scene((GnssSensor("gnss", times, lla, none, none),)))
+def fixes(times_ns, degrees):
+    """A scene of fixes alone, which go north by so much from one to the next."""
+    count = len(times_ns)
+    lla = np.column_stack([52.5 + degrees * np.arange(count), np.full(count, 13.4), np.full(count, 40.0)])
+    return Scene((GnssSensor("gnss", times_ns, lla, *np.full((2, count), np.nan)),))
+
+
+def test_a_scene_of_fixes_alone_has_a_map_with_north_and_huge_counts_make_no_huge_page():
+    _, page = page_of(fixes(np.arange(0, 10 * 10**9, 10**9), 1e-4))
     check_sound(page)
     assert "North is up." in page.text
     assert "52.50045° N, 13.40000° E" in page.text
-
-
-def test_huge_counts_make_no_huge_page():
     times = np.arange(60_000, dtype=np.int64) * 10_000_000
     times[30_000:] += 10**9
-    lla = np.column_stack([52.5 + 1e-7 * np.arange(len(times)), np.full(len(times), 13.4), np.zeros(len(times))])
-    none = np.full(len(times), np.nan)
     warnings = tuple(
         DataWarning(kind=WarningKind.SKIPPED, code="x", location=f"line {k}", message="left out") for k in range(5000)
     )
-    text, page = page_of(Scene((GnssSensor("gnss", times, lla, none, none),), warnings=warnings))
+    text, page = page_of(replace(fixes(times, 1e-7), warnings=warnings))
     check_sound(page)
     assert len(text) < 300_000
     assert "and 4,700 more" in page.text
@@ -238,7 +228,16 @@ def test_huge_counts_make_no_huge_page():
 
 def test_colours_of_texts_have_contrast():
     """Source of the formula: WCAG 2.2, relative luminance and contrast ratio."""
-    from importlib.resources import files
+
+    def luminance(colour):
+        digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
+        parts = [int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)]
+        linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    def contrast(*colours):
+        dark, light = sorted(map(luminance, colours))
+        return (light + 0.05) / (dark + 0.05)
 
     style = files("sceneloom.report").joinpath("style.css").read_text("utf-8")
     blocks = {
@@ -258,46 +257,22 @@ def test_colours_of_texts_have_contrast():
         assert contrast(colour, "#ffffff") >= 3.0, colour
 
 
-def contrast(first, second):
-    light, dark = sorted((luminance(first), luminance(second)), reverse=True)
-    return (light + 0.05) / (dark + 0.05)
-
-
-def luminance(colour):
-    digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
-    parts = [int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)]
-    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
-def test_page_and_numbers_are_written_beside_one_another(tmp_path):
+def test_page_and_numbers_are_written_beside_one_another_and_refused_before_anything_is_read(tmp_path, monkeypatch):
     page, numbers = tmp_path / "r.html", tmp_path / "r.json"
     found = write_report(Scene((), source="empty"), page, numbers=numbers)
     assert page.read_text("utf-8").startswith("<!DOCTYPE html>")
     assert msgspec.json.decode(numbers.read_bytes())["name"] == found.name == "empty"
-
-
-def test_outputs_are_refused_before_anything_is_read(tmp_path):
     with pytest.raises(OptionError, match=r"ends in \.html"):
         write_report("missing", tmp_path / "r.pdf")
-    (tmp_path / "r.html").touch()
     with pytest.raises(OutputError, match="overwrite"):
-        write_report("missing", tmp_path / "r.html")
-
-
-def test_without_jinja2_the_extra_is_named(tmp_path, monkeypatch):
+        write_report("missing", page)
+    for settings, reported in (({"images": -1}, "images -1"), ({"compare": ("sun",)}, "compare 'sun'")):
+        with pytest.raises(OptionError, match=reported):
+            ReportSettings(**settings)
     monkeypatch.setitem(sys.modules, "jinja2", None)
     with pytest.raises(MissingExtraError, match=r"sceneloom\[report\]"):
-        write_report(Scene(()), tmp_path / "r.html")
-    assert write_report(Scene(()), numbers=tmp_path / "r.json").verdict.state  # numbers need no template
-
-
-@pytest.mark.parametrize(
-    ("settings", "reported"), [({"images": -1}, "images -1"), ({"compare": ("sun",)}, "compare 'sun'")]
-)
-def test_settings_that_cannot_be_followed_are_refused(settings, reported):
-    with pytest.raises(OptionError, match=reported):
-        ReportSettings(**settings)
+        write_report(Scene(()), page, overwrite=True)
+    assert write_report(Scene(()), numbers=numbers, overwrite=True).verdict.state  # numbers need no template
 
 
 def test_the_hash_is_of_a_file_of_the_names_and_contents_of_a_folder_or_of_the_ends_of_what_is_large(
@@ -321,16 +296,12 @@ def test_the_hash_is_of_a_file_of_the_names_and_contents_of_a_folder_or_of_the_e
 def test_losses_are_read_as_a_conversion_reports_them(tmp_path):
     losses = (Loss(field="sensors[x]", what="rounded", count=3, support=Support.CONVERTED, largest_error=0.5),)
     file = tmp_path / "loss.json"
+    for content in (b"", b"{}", b"[1]", b'{"losses": 3}', b"\xff"):
+        file.write_bytes(content)
+        with pytest.raises(DataError, match="loss"):
+            read_losses(file)
     for reported in (losses, LossReport(losses), {"output": "x", "losses": LossReport(losses)}):
         file.write_bytes(msgspec.json.encode(reported))
         assert read_losses(file) == losses
     write_report(Scene(()), tmp_path / "r.html", settings=ReportSettings(losses=file))
     assert "sensors[x]" in (tmp_path / "r.html").read_text("utf-8")
-
-
-@pytest.mark.parametrize("content", [b"", b"{}", b"[1]", b'{"losses": 3}', b"\xff"])
-def test_what_is_no_loss_report_is_refused(tmp_path, content):
-    file = tmp_path / "loss.json"
-    file.write_bytes(content)
-    with pytest.raises(DataError, match="loss"):
-        read_losses(file)

@@ -35,7 +35,7 @@ def fixes(trajectory, north_deg):
     return GnssSensor("gnss", trajectory.timestamps_ns, lla, accuracies, accuracies)
 
 
-def test_length_speed_rotate_and_climb_are_those_of_the_formula():
+def test_length_speed_rotation_and_climb_are_those_of_the_formula_or_of_what_stands():
     (found,) = Trajectories.of(Scene((), trajectories={"trajectory": circle()}), start_ns=0).trajectories
     # the trajectory rises by 0.1 m/s beside 8 m/s; chords of 0.05 s are 1e-6 shorter than arcs
     length = np.hypot(SPEED, 0.1) * SECONDS
@@ -47,9 +47,6 @@ def test_length_speed_rotate_and_climb_are_those_of_the_formula():
     assert (found.climb, found.descent) == (pytest.approx(2.0, abs=0.06), 0.0)  # steps below 5 cm are noise
     assert found.farthest == pytest.approx(2 * RADIUS, rel=1e-3)
     assert found.stationary_share == 0.0
-
-
-def test_an_ego_that_stands_is_stated_to_stand_and_a_long_way_known_by_few_corners():
     trajectory = replace(circle(), positions=np.tile([5.0, 6.0, 7.0], (401, 1)))
     (found,) = Trajectories.of(Scene((), trajectories={"trajectory": trajectory}), start_ns=0).trajectories
     assert (found.stationary_share, found.metres, found.mean_speed) == (1.0, 0.0, 0.0)
@@ -70,58 +67,39 @@ def test_north_is_found_from_the_fixes(north_deg):
     assert found.fixes[0].accuracy_m == 0.5
 
 
-def test_fixes_of_an_ego_that_stands_do_not_report_north():
+def test_north_is_taken_as_the_scene_states_it_and_not_known_of_an_ego_that_stands():
     trajectory = circle()
+    stated = {"sceneloom": {"enu_origin": {"latitude": 52.5, "longitude": 13.4, "altitude": 40.0}}}
+    known = fixes(trajectory, 90.0)
+    scene = Scene((known,), trajectories={"trajectory": trajectory}, metadata=stated)
+    found = Trajectories.of(scene, start_ns=0).north
+    assert (found.direction_deg, found.rms) == (90.0, None)
+    assert found.shift == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     still = replace(trajectory, positions=np.zeros_like(trajectory.positions))
     assert Trajectories.of(Scene((fixes(still, 90.0),), trajectories={"trajectory": still}), start_ns=0).north is None
-
-
-def test_fixes_without_reception_are_no_locations():
-    trajectory = circle()
-    known = fixes(trajectory, 90.0)
+    # fixes without reception are no locations
     lla = known.positions_lla.copy()
     lla[:100, :2] = 0.0
     found = Trajectories.of(Scene((replace(known, positions_lla=lla),)), start_ns=0)
     assert (found.fixes[0].usable, found.fixes[0].count) == (301, 401)
 
 
-def test_north_is_taken_as_the_scene_states_it():
-    trajectory = circle()
-    stated = {"sceneloom": {"enu_origin": {"latitude": 52.5, "longitude": 13.4, "altitude": 40.0}}}
-    scene = Scene((fixes(trajectory, 90.0),), trajectories={"trajectory": trajectory}, metadata=stated)
-    found = Trajectories.of(scene, start_ns=0).north
-    assert (found.direction_deg, found.rms) == (90.0, None)
-    assert found.shift == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
-
-
-def trajectories(scene):
-    """The drive's true trajectory, and one whose heights wave by 20 cm."""
-    angles = np.linspace(0.0, 3.0, 60)
+def test_a_drive_is_held_against_its_true_trajectory_and_a_truth_beside_it(short, tmp_path):
+    angles, still = np.linspace(0.0, 3.0, 60), np.tile([0.0, 0.0, 0.0, 1.0], (60, 1))
     locations = np.column_stack([20 * np.sin(angles), 20 * np.cos(angles), np.zeros(60)])
-    still = np.tile([0.0, 0.0, 0.0, 1.0], (60, 1))
     truth = Trajectory("groundTruth", np.arange(60) * 100_000_000, locations, still)
-    waves = truth.positions.copy()
-    waves[:, 2] += 0.2 * np.where(np.arange(len(waves)) % 2, 1.0, -1.0)
-    odd = Trajectory("odd", truth.timestamps_ns, waves, truth.quaternions_xyzw)
-    return replace(scene, trajectories={"odd": odd, "groundTruth": truth})
-
-
-def test_every_way_is_held_against_the_true_one(short):
-    (found,) = Metrics.of(trajectories(short), source=None, truth=None).trajectories
+    waves = locations + np.outer(np.where(np.arange(60) % 2, 0.2, -0.2), [0, 0, 1])
+    odd = replace(truth, name="odd", positions=waves)
+    scene = replace(short, trajectories={"odd": odd, "groundTruth": truth})
+    (found,) = Metrics.of(scene, source=None, truth=None).trajectories
     assert (found.estimate, found.reference) == ("odd", "groundTruth")
     assert found.absolute.vertical.rms == pytest.approx(0.2, rel=0.01)  # the alignment takes next to nothing off
-
-
-def test_a_truth_beside_the_drive_gives_tracks_and_ways(short, tmp_path):
-    few = replace(short, sensors=())
-    sceneloom.write(few, tmp_path / "found.sfs")
-    sceneloom.write(few, tmp_path / "true.sfs")
-    found = Metrics.of(few, source=tmp_path / "found.sfs", truth=tmp_path / "true.sfs")
+    few, paths = replace(short, sensors=()), [tmp_path / "found.sfs", tmp_path / "true.sfs"]
+    for path in paths:
+        sceneloom.write(few, path)
+    found = Metrics.of(few, source=paths[0], truth=paths[1])
     assert all(scores.combined.hota.hota == pytest.approx(1.0) for scores in found.tracks.classes.values())
-
-
-@pytest.mark.parametrize(("trajectory", "problem"), [("lidar", "has no trajectory"), ("gnss", "gnss")])
-def test_what_is_to_be_compared_and_cannot_be_is_an_error(short, trajectory, problem):
-    scene = replace(short, trajectories={}) if trajectory == "lidar" else trajectories(short)
-    with pytest.raises(DataError, match=rf"{problem}.*leave `--compare {trajectory}` out"):
-        Metrics.of(scene, source=None, truth=None, compare=(trajectory,))
+    bare = replace(short, trajectories={})
+    for compared, way, problem in ((bare, "lidar", "has no trajectory"), (scene, "gnss", "gnss")):
+        with pytest.raises(DataError, match=rf"{problem}.*leave `--compare {way}` out"):
+            Metrics.of(compared, source=None, truth=None, compare=(way,))

@@ -42,25 +42,6 @@ def objects(k, ids=(4, 9)):
     )
 
 
-@pytest.fixture
-def tracks(tmp_path):
-    """What `track` writes of three sweeps."""
-    file = tmp_path / "tracks.jsonl"
-    file.write_bytes(b"\n".join(track_lines([objects(k) for k in range(3)])) + b"\n")
-    return file
-
-
-def test_an_ellipsoid_has_the_axes_of_its_covariance():
-    random = np.random.default_rng(3)
-    matrices = random.normal(size=(20, 3, 3))
-    covariances = matrices @ np.swapaxes(matrices, 1, 2)
-    half_sizes, rotations = ellipsoid(covariances)
-    axes = Rotation.from_quat(rotations).as_matrix()
-    inside = stats.chi2.ppf(0.95, 3)
-    made = axes @ (half_sizes[:, :, None] ** 2 / inside * np.swapaxes(axes, 1, 2))
-    assert np.allclose(made, covariances)
-
-
 def covariance_of(saved, path):
     """What the first ellipsoid of an entity says."""
     reported = saved.timed(path, "Ellipsoids3D:half_sizes")[0]
@@ -69,8 +50,10 @@ def covariance_of(saved, path):
     return rotation @ np.diag(squares) @ rotation.T
 
 
-def test_tracks_are_boxes_with_ellipsoids_in_the_world_and_in_images(save, injected, tracks):
-    saved = save(injected, tracks=tracks)
+def test_tracks_are_boxes_with_ellipsoids_in_the_world_and_in_images(save, injected, tmp_path):
+    file = tmp_path / "tracks.jsonl"  # as `track` writes it of three sweeps
+    file.write_bytes(b"\n".join(track_lines([objects(k) for k in range(3)])) + b"\n")
+    saved = save(injected, tracks=file)
     rows = saved.timed("/injected/world/tracks/boxes", "Boxes3D:centers")
     assert [row.time_ns for row in rows] == TIMES.tolist()
     assert np.allclose(rows[1].array("Boxes3D:centers"), [[11.0, 2.0, 0.5], [5.0, -3.0, 0.9]])
@@ -85,45 +68,51 @@ def test_tracks_are_boxes_with_ellipsoids_in_the_world_and_in_images(save, injec
     assert np.allclose(history[0], [[10.0, 2.0, 0.5], [11.0, 2.0, 0.5], [12.0, 2.0, 0.5]])
 
 
-FUSED = FusedBoxes(
-    timestamp_ns=int(TIMES[1]),
-    centers=np.array([[8.0, 0.0, 0.0]]),
-    center_covariances=COVARIANCE[None],
-    sizes_lwh=np.array([[4.0, 2.0, 1.5]]),
-    size_covariances=np.eye(3)[None],
-    yaws=np.array([0.0]),
-    velocities=None,
-    scores=np.array([0.8]),
-    labels=("car",),
-    corners_xyxy=np.array([[1.0, 2.0, 3.0, 4.0]]),
-    **{name: np.array([0]) for name in ("ids", "rows_3d", "rows_2d")},
-)
+def test_an_ellipsoid_has_the_axes_of_its_covariance():
+    random = np.random.default_rng(3)
+    matrices = random.normal(size=(20, 3, 3))
+    covariances = matrices @ np.swapaxes(matrices, 1, 2)
+    half_sizes, rotations = ellipsoid(covariances)
+    axes = Rotation.from_quat(rotations).as_matrix()
+    inside = stats.chi2.ppf(0.95, 3)
+    made = axes @ (half_sizes[:, :, None] ** 2 / inside * np.swapaxes(axes, 1, 2))
+    assert np.allclose(made, covariances)
 
 
 def test_fused_detections_are_shown_where_the_lidar_was(save, injected, tmp_path, monkeypatch):
+    fused = FusedBoxes(
+        timestamp_ns=int(TIMES[1]),
+        centers=np.array([[8.0, 0.0, 0.0]]),
+        center_covariances=COVARIANCE[None],
+        sizes_lwh=np.array([[4.0, 2.0, 1.5]]),
+        size_covariances=np.eye(3)[None],
+        yaws=np.array([0.0]),
+        velocities=None,
+        scores=np.array([0.8]),
+        labels=("car",),
+        corners_xyxy=np.array([[1.0, 2.0, 3.0, 4.0]]),
+        **{name: np.array([0]) for name in ("ids", "rows_3d", "rows_2d")},
+    )
     lidar = RigidTransform(Rotation.from_euler("z", 0.5).as_matrix(), np.array([3.0, 1.0, 0.0]))
-    shown = objects_of_fused(FUSED, "left", world_from_lidar=lidar)
+    shown = objects_of_fused(fused, "left", world_from_lidar=lidar)
     monkeypatch.setattr("sceneloom.view.objects._read_detections", lambda path: (shown,))
     saved = save(injected, detections=tmp_path / "any")
     row = saved.timed("/injected/world/detections/left/boxes", "Boxes3D:centers")[0]
-    assert np.allclose(row.array("Boxes3D:centers")[0], lidar.apply(np.array([[8.0, 0.0, 0.0]]))[0], atol=1e-6)
+    assert np.allclose(row.array("Boxes3D:centers")[0], lidar.apply(fused.centers)[0], atol=1e-6)
     expected = lidar.rotation @ COVARIANCE @ lidar.rotation.T
     assert np.allclose(covariance_of(saved, "/injected/world/detections/left/certainty"), expected, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("option", "text", "reported"),
-    [
+def test_a_file_of_another_kind_is_reported(save, injected, tmp_path):
+    file = tmp_path / "other.jsonl"
+    for option, text, reported in (
         ("tracks", b'{"timestamp_ns": 1, "objects": [{}]}\n', "line 1"),
         ("tracks", b"\xff\xfe\n", "line 1"),
         ("detections", b'{"something": "else"}\n', "fuse --type detection"),
-    ],
-)
-def test_a_file_of_another_kind_is_reported(save, injected, tmp_path, option, text, reported):
-    file = tmp_path / "other.jsonl"
-    file.write_bytes(text)
-    with pytest.raises(DataError, match=reported):
-        save(injected, **{option: file})
+    ):
+        file.write_bytes(text)
+        with pytest.raises(DataError, match=reported):
+            save(injected, **{option: file})
 
 
 def test_fused_depths_lie_over_their_images(save, injected, tmp_path):

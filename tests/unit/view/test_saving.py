@@ -22,7 +22,7 @@ from tests.properties.injected import (
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError
-from sceneloom.scene import CameraImage, CameraSensor, LazyFrames, Poses, Trajectory
+from sceneloom.scene import CameraImage, CameraSensor, LazyFrames
 from sceneloom.view import ColourBy, ViewSettings, save_view
 
 SENSORS = "/injected/world/sensors"
@@ -45,7 +45,7 @@ def pinhole_of(saved):
     return row.array("Pinhole:image_from_camera").reshape(3, 3).T  # column by column in the file
 
 
-def test_everything_that_the_drive_holds_has_its_entity(injected_saved):
+def test_everything_that_the_drive_holds_has_its_entity_at_capture_times_and_frame_numbers(injected_saved):
     expected = {
         f"{SENSORS}/top/points", f"{SENSORS}/top/points/labelled", f"{SENSORS}/left/image",
         f"{SENSORS}/right/image", f"{SENSORS}/depth/image", f"{SENSORS}/radar_front/points",
@@ -62,9 +62,6 @@ def test_everything_that_the_drive_holds_has_its_entity(injected_saved):
         r"/injected/attributes/weather\ \(left\)",
     }  # fmt: skip
     assert expected <= set(injected_saved.rows)
-
-
-def test_the_only_times_are_capture_times_and_frame_numbers(injected_saved):
     assert injected_saved.timelines == {"time", "frame"}
     sweeps = injected_saved.timed(f"{SENSORS}/top/points", "Points3D:positions")
     assert [(row.time_ns, row.frame) for row in sweeps] == [(reference_ns(k), k) for k in range(3)]
@@ -94,12 +91,9 @@ def test_a_lidar_is_where_the_ego_carried_it_and_its_points_where_it_met_them(in
     assert [names[one] for one in labelled.values["Points3D:class_ids"]] == ["tree-1"] * 3
 
 
-def test_points_as_measured_are_those_of_the_file(save, injected):
+def test_points_as_measured_are_those_of_the_file_and_points_in_the_world_are_the_same_locations(save, injected):
     shown = save(injected, as_measured=True).arrays(f"{SENSORS}/top/points", "Points3D:positions")[2]
     assert np.array_equal(shown.astype(np.float32), RANDOM_POINTS[2])
-
-
-def test_points_that_ride_on_the_ego_or_lie_in_the_world_are_the_same_locations(save):
     saved = save(replace(injected_scene(odd=True), corrections="ignore"))
     shown = saved.timed("/injected/world/clouds/top", "Points3D:positions")[1]
     world = rotated(shown).apply(shown.array("Points3D:positions")) + shown.array("Transform3D:translation")[0]
@@ -107,20 +101,35 @@ def test_points_that_ride_on_the_ego_or_lie_in_the_world_are_the_same_locations(
     assert np.allclose(world, locations + rotations.apply(RANDOM_POINTS[1]), atol=1e-4)
 
 
-@pytest.mark.parametrize("trajectory", list(ColourBy))
-def test_every_way_of_colouring_reports_points_apart(save, injected, trajectory):
-    saved = save(injected, colour_by=trajectory, sensors=("top",))
-    assert saved.report.drives[0].colours == {"top": trajectory.value}
+@pytest.mark.parametrize("by", list(ColourBy))
+def test_every_way_of_colouring_reports_points_apart(save, injected, by):
+    saved = save(injected, colour_by=by, sensors=("top",))
+    assert saved.report.drives[0].colours == {"top": by.value}
     colours = saved.timed(f"{SENSORS}/top/points", "Points3D:colors")[0].array("Points3D:colors")
     assert len(np.unique(colours)) >= 4
 
 
-def test_a_radar_return_has_an_arrow_as_long_as_its_way_in_a_second(injected_saved):
+def test_radar_returns_depths_fixes_and_corrected_trajectories_are_shown_as_they_are(injected_saved):
     arrows = injected_saved.timed(f"{SENSORS}/radar_front/velocities", "Arrows3D:vectors")[0]
     points = RANDOM_POINTS[0][:5].astype(np.float64)
-    directions = points / np.linalg.norm(points, axis=1, keepdims=True)
+    directions = points / np.linalg.norm(points, axis=1, keepdims=True)  # as long as its way in a second
     assert np.allclose(arrows.array("Arrows3D:vectors"), directions * np.linspace(-2, 2, 5)[:, None], atol=SINGLE)
     assert np.allclose(arrows.array("Arrows3D:origins"), points, atol=SINGLE)
+    row = injected_saved.timed(f"{SENSORS}/depth/image", "DepthImage:buffer")[1]
+    steps = np.unique(np.frombuffer(bytes(row.values["DepthImage:buffer"][0]), np.uint16))
+    assert row.values["DepthImage:meter"] == [256.0]
+    measured = np.rint((np.arange(48 * 64) % 500 + 1) * 0.001 * 256)
+    assert (set(steps) <= {0.0, *measured}, len(steps) > 50) == (True, True), "none is made up"
+    path = r"/injected/world/corrected\ trajectories/adjust-1"
+    strip = np.array(injected_saved.lasting(path, "LineStrips3D:strips")[0])
+    locations, rotations = ego_at(TRAJECTORY_TIMES)
+    assert np.allclose(strip, rotations.apply(locations) + locations + 0.01, atol=SINGLE)
+    fixes = injected_saved.arrays("/injected/earth/antenna/fix", "GeoPoints:positions")
+    assert fixes[2].tolist() == [[48.1001, 11.5001]]
+    heights = injected_saved.arrays("/injected/gnss/antenna/height", "Scalars:scalars")
+    assert np.array_equal(heights, [[520.5]] * 3)
+    inertial = injected_saved.arrays("/injected/imu/imu_box/accelerometer", "Scalars:scalars")
+    assert np.allclose(inertial, np.linspace(9, 10, 9).reshape(3, 3))
 
 
 def with_camera(scene, camera_model, images):
@@ -131,7 +140,7 @@ def with_camera(scene, camera_model, images):
     return replace(scene, sensors=(alone,), annotations=())
 
 
-def test_images_of_a_pinhole_are_its_own_files(save, injected):
+def test_images_of_a_pinhole_are_its_own_files_and_those_of_a_bent_camera_model_straight(save, injected):
     camera_model = Camera("pinhole", 64, 48, 50.0, 51.0, 31.0, 24.0)
     images = [replace(image, camera=camera_model) for image in injected.cameras[0].images]
     saved = save(with_camera(injected, camera_model, images))
@@ -139,9 +148,6 @@ def test_images_of_a_pinhole_are_its_own_files(save, injected):
     assert [bytes(row.values["EncodedImage:blob"][0]) for row in shown] == [jpeg(k) for k in range(3)]
     matrix = pinhole_of(saved)
     assert np.allclose(matrix, [[50.0, 0.0, 31.5], [0.0, 51.0, 24.5], [0.0, 0.0, 1.0]])  # counted from the corner
-
-
-def test_what_a_bent_camera_model_shows_is_where_the_shown_pinhole_has_it(save, injected):
     camera_model = Camera("brown_conrady", 400, 300, 250.0, 250.0, 199.5, 149.5, (-0.3, 0.1, 0.002, -0.001, 0.0))
     marks = np.array([[-0.5, -0.35, 1.0], [0.45, -0.3, 1.0], [0.1, 0.2, 1.0], [-0.4, 0.3, 1.0]])
     none, coefficients = np.zeros(3), np.array(camera_model.coefficients)
@@ -170,15 +176,6 @@ def test_what_is_drawn_into_a_bent_image_follows_it(injected_saved):
     assert np.allclose(points.array("Points2D:positions"), expected, atol=2e-3)  # OpenCV iterates to 1e-3 of a pixel
 
 
-def test_depths_are_steps_of_a_256th_of_a_metre_and_none_is_made_up(injected_saved):
-    row = injected_saved.timed(f"{SENSORS}/depth/image", "DepthImage:buffer")[1]
-    steps = np.frombuffer(bytes(row.values["DepthImage:buffer"][0]), np.uint16)
-    assert row.values["DepthImage:meter"] == [256.0]
-    measured = np.rint((np.arange(48 * 64) % 500 + 1) * 0.001 * 256)
-    assert set(np.unique(steps)) <= {0.0, *measured}
-    assert len(np.unique(steps)) > 50
-
-
 def test_a_cuboid_is_at_each_moment_where_its_path_leads_with_its_trail_and_links(injected_saved):
     rows = injected_saved.timed("/injected/world/annotations/cuboids/car", "Boxes3D:centers")
     moments = {row.time_ns: row for row in rows if row.values["Boxes3D:centers"]}
@@ -204,13 +201,6 @@ def test_a_cuboid_is_at_each_moment_where_its_path_leads_with_its_trail_and_link
     assert all(row.values["Boxes3D:centers"] == [] for row in late)
 
 
-def test_an_adjustment_leads_from_the_given_way_to_the_corrected_one(injected_saved):
-    path = r"/injected/world/corrected\ trajectories/adjust-1"
-    strip = np.array(injected_saved.lasting(path, "LineStrips3D:strips")[0])
-    locations, rotations = ego_at(TRAJECTORY_TIMES)
-    assert np.allclose(strip, rotations.apply(locations) + locations + 0.01, atol=SINGLE)
-
-
 def test_events_and_findings_are_in_the_log_relations_a_graph_and_all_annotations_listed(injected_saved):
     rows = injected_saved.timed("/injected/events/event-1", "StateChange:state")
     reported = [(row.time_ns, row.values["StateChange:state"]) for row in rows]
@@ -229,15 +219,6 @@ def test_events_and_findings_are_in_the_log_relations_a_graph_and_all_annotation
         assert word in texts
 
 
-def test_fixes_are_degrees_on_earth_and_curves(injected_saved):
-    fixes = injected_saved.arrays("/injected/earth/antenna/fix", "GeoPoints:positions")
-    assert fixes[2].tolist() == [[48.1001, 11.5001]]
-    heights = injected_saved.arrays("/injected/gnss/antenna/height", "Scalars:scalars")
-    assert np.array_equal(heights, [[520.5]] * 3)
-    inertial = injected_saved.arrays("/injected/imu/imu_box/accelerometer", "Scalars:scalars")
-    assert np.allclose(inertial, np.linspace(9, 10, 9).reshape(3, 3))
-
-
 def test_every_camera_has_a_view_and_no_map_is_fetched_unless_it_is_asked_for(save, injected, injected_saved):
     def kinds(saved):
         return {v[0] for name, v in saved.layout if name == "ViewBlueprint:class_identifier" and v}
@@ -249,36 +230,30 @@ def test_every_camera_has_a_view_and_no_map_is_fetched_unless_it_is_asked_for(sa
     assert ("ViewportBlueprint:auto_views", [False]) in injected_saved.layout
 
 
-def test_a_drive_is_cut_in_time_in_number_and_by_sensor(save, injected):
+def test_a_drive_is_cut_in_time_in_number_and_by_sensor_and_several_have_roots_of_their_own(save, injected):
     thin = save(injected, every=2).report.drives[0].logged
     assert (thin["sweeps"], thin["images"]) == (2, 4)
-    late = save(injected, start=0.09)
-    sweeps = late.timed(f"{SENSORS}/top/points", "Points3D:positions")
+    sweeps = save(injected, start=0.09).timed(f"{SENSORS}/top/points", "Points3D:positions")
     assert [(row.time_ns, row.frame) for row in sweeps] == [(reference_ns(k), k) for k in (1, 2)]
-    alone = save(injected, sensors=("left",))
-    assert alone.report.drives[0].logged["images"] == 3
-    assert "sweeps" not in alone.report.drives[0].logged
+    alone = save(injected, sensors=("left",)).report.drives[0].logged
+    assert (alone["images"], "sweeps" in alone) == (3, False)
     with pytest.raises(OptionError, match="nobody"):
         save(injected, sensors=("nobody",))
-
-
-def test_several_drives_have_roots_of_their_own(save, injected):
     saved = save(injected, injected)
     assert [drive.root for drive in saved.report.drives] == ["/injected", r"/injected\ \(2\)"]
     assert {f"{root}/world/ego" for root in ("/injected", r"/injected\ \(2\)")} <= set(saved.rows)
+    ViewSettings(detections="f.jsonl")  # the settings alone are fine
     with pytest.raises(OptionError, match="one drive"):
-        ViewSettings(detections="f.jsonl")  # the settings alone are fine
         save(injected, injected, tracks="t.jsonl")
 
 
-def test_a_world_far_away_is_shown_from_a_location_near_the_drive(save, injected):
+def test_a_world_far_away_is_shown_from_near_the_drive_and_one_without_a_trajectory_from_the_ego(save, injected):
     far = np.array([691_234.5, 5_334_567.25, 500.0])
-    trajectory = injected.trajectories["vio"]
-    moved = Trajectory("vio", trajectory.timestamps_ns, trajectory.positions + far, trajectory.quaternions_xyzw)
-    lidar = injected.lidars[0]
-    own = Poses(lidar.poses.timestamps_ns, lidar.poses.positions + far, lidar.poses.quaternions_xyzw)
-    scene = replace(injected, sensors=(replace(lidar, poses=own),), annotations=(), trajectories={"vio": moved})
-    saved = save(scene)
+    trajectory, lidar = injected.trajectories["vio"], injected.lidars[0]
+    moved = replace(trajectory, positions=trajectory.positions + far)
+    own = replace(lidar.poses, positions=lidar.poses.positions + far)
+    bare = replace(injected, annotations=())
+    saved = save(replace(bare, sensors=(replace(lidar, poses=own),), trajectories={"vio": moved}))
     origin = np.array(saved.report.drives[0].origin)
     assert np.abs(far - origin).max() <= 51.0
     assert (origin % 100 == 0).all()
@@ -286,28 +261,21 @@ def test_a_world_far_away_is_shown_from_a_location_near_the_drive(save, injected
     locations, rotations = ego_at(np.array([reference_ns(0)]))
     where = locations[0] + rotations[0].apply([1.0, 0.0, 1.8]) + far - origin
     assert np.allclose(row.array("Transform3D:translation")[0], where, atol=1e-4)
-
-
-def test_a_drive_without_a_trajectory_is_shown_from_the_ego_and_says_so(save, injected):
-    lidar = replace(injected.lidars[0], poses=None, parent_id=None)
-    saved = save(replace(injected, sensors=(lidar,), annotations=(), trajectories={}))
+    saved = save(replace(bare, sensors=(replace(lidar, poses=None, parent_id=None),), trajectories={}))
     row = saved.timed(f"{SENSORS}/top", "Transform3D:translation")[0]
     assert np.allclose(row.array("Transform3D:translation"), [[1.0, 0.0, 1.8]])
     assert "ego-stands-still" in {warning.code for warning in saved.report.drives[0].warnings}
 
 
-def test_an_interrupted_save_leaves_nothing(injected, tmp_path):
+def test_an_interrupted_save_leaves_nothing_and_a_file_that_is_there_stays(injected, tmp_path):
     def stop(done, total):
         if done == 4:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        save_view([injected], tmp_path / "drive.rrd", progress=stop)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_that_is_there_stays_and_another_suffix_is_refused(injected, tmp_path):
     target = tmp_path / "drive.rrd"
+    with pytest.raises(KeyboardInterrupt):
+        save_view([injected], target, progress=stop)
+    assert list(tmp_path.iterdir()) == []
     target.write_bytes(b"mine")
     with pytest.raises(OutputError, match="--overwrite"):
         save_view([injected], target)

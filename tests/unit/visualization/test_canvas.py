@@ -16,8 +16,10 @@ def test_times_are_written_exactly_and_rounded_down(timestamp_ns):
     assert seconds_text(timestamp_ns) == f"{seconds:.3f} s".replace("-0.000", "0.000")
 
 
-def test_counts_agree_with_their_nouns():
+def test_counts_agree_with_their_nouns_and_letters_grow_with_the_image():
     assert [count_text(n, "point") for n in (0, 1, 12345)] == ["0 points", "1 point", "12,345 points"]
+    for size, least, most in (((640, 384), 12, 13), ((1242, 375), 14, 20), ((1920, 1080), 22, 32)):
+        assert least <= text_height(*size) <= most
 
 
 @given(st.text(max_size=60), st.floats(20, 300))
@@ -36,13 +38,6 @@ def test_a_polygon_covers_its_area_around_its_middle():
     rows, columns = np.indices(red.shape)
     assert (columns * red).sum() / red.sum() == pytest.approx(25.5, abs=0.13)
     assert (rows * red).sum() / red.sum() == pytest.approx(20.0, abs=0.13)
-
-
-@pytest.mark.parametrize(
-    ("size", "least", "most"), [((640, 384), 12, 13), ((1242, 375), 14, 20), ((1920, 1080), 22, 32)]
-)
-def test_letters_grow_with_the_image(size, least, most):
-    assert least <= text_height(*size) <= most
 
 
 RED, BLUE, GROUND = (255, 0, 0), (0, 0, 255), (40, 40, 40)
@@ -101,27 +96,21 @@ def test_discs_are_those_of_a_painter_who_starts_with_the_farthest(points, radii
     assert np.array_equal(_timestamp(points, radius=radii), _slow_timestamp(points, radii, _ground()))
 
 
-def test_a_disc_lies_evenly_around_its_pixel():
+def test_discs_lie_evenly_around_their_pixels_and_crosses_mark_their_diagonals_in_a_new_image():
     drawn = _timestamp([(10.0, 7.0, 5.0, RED)], radius=2.0)
     assert np.array_equal(drawn, drawn[:, ::-1])
     assert np.array_equal(drawn, drawn[::-1])
     assert tuple(drawn[7, 10]) == RED
     rows, columns = np.nonzero((drawn != GROUND).any(axis=2))
     assert (columns.min(), columns.max(), rows.min(), rows.max()) == (8, 12, 5, 9)
-
-
-def test_the_given_image_stays_as_it_is_and_comes_back_without_points():
     ground = _ground()
     ground.flags.writeable = False
     drawn = _timestamp([(10.3, 6.6, 5.0, RED)], radius=0.5, ground=ground)
     assert (ground == GROUND).all()
     assert np.argwhere((drawn != ground).any(axis=2)).tolist() == [[7, 10]], "the smallest disc fills one pixel"
-    assert np.array_equal(_timestamp([]), _ground())
-    assert np.array_equal(draw_crosses(_ground(), np.zeros((0, 2), np.float32), RED), _ground())
-
-
-def test_crosses_mark_their_diagonals_and_are_cut_at_the_edges():
-    drawn = draw_crosses(_ground(), np.array([[5.0, 5.0], [0.0, 14.0]], np.float32), RED, arm_px=2)
+    assert np.array_equal(_timestamp([]), ground)
+    assert np.array_equal(draw_crosses(ground, np.zeros((0, 2), np.float32), RED), ground)
+    drawn = draw_crosses(ground, np.array([[5.0, 5.0], [0.0, 14.0]], np.float32), RED, arm_px=2)
     marked = {(int(row), int(column)) for row, column in np.argwhere((drawn == RED).all(axis=2))}
     first = {(5 + step, 5 + sign * step) for step in range(-2, 3) for sign in (1, -1)}
-    assert marked == first | {(14, 0), (13, 1), (12, 2)}
+    assert marked == first | {(14, 0), (13, 1), (12, 2)}, "cut at the edges"

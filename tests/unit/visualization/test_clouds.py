@@ -4,10 +4,19 @@ import cv2
 import numpy as np
 import pytest
 
+from sceneloom.arrays import finite_rows
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.visualization import EgoPosition, draw_cloud_above, draw_cloud_perspective
-from sceneloom.visualization.clouds import Viewpoint, background, find_ego, layout_map, middle_of, viewpoint_behind
+from sceneloom.visualization.clouds import (
+    Viewpoint,
+    background,
+    find_ego,
+    layout_map,
+    middle_of,
+    sample_polyline,
+    viewpoint_behind,
+)
 
 SIZE = (900, 640)
 EGO = EgoPosition(np.array([100.0, 50.0, 0.0]), np.array([1.0, 0.0, 0.0]))
@@ -45,13 +54,24 @@ def _bar_length(drawn):
     return longest - 1
 
 
-def test_points_lie_at_their_metric_locations():
+def test_points_lie_at_their_metric_locations_the_higher_over_the_lower():
     # Reach 20 m: the scale bar of this size is 10 m long.
     drawn = _draw([[112.0, 50.0, 0.0], [92.0, 57.0, 0.0]], [RED, GREEN])
     step = _middle(drawn, 1) - _middle(drawn, 0)
     px_per_m = _bar_length(drawn) / 10.0
     # 2 px: both ends of the bar and the middles of the discs are rounded to pixels.
     assert step == pytest.approx([-20.0 * px_per_m, -7.0 * px_per_m], abs=2.0)
+    for points, colors in (([[105, 55, 3], [105, 55, 0]], [RED, GREEN]), ([[105, 55, 0], [105, 55, 3]], [GREEN, RED])):
+        red, green, _ = _pixel(LAYOUT, _draw(points, colors), 105.0, 55.0)
+        assert (red > 200, green < 70) == (True, True)
+    points = [[105, 55, 0], [np.nan, 0, 0], [0, np.inf, 0], [1e30, -1e30, 0]]
+    top = slice(0, SIZE[1] - 100)
+    assert np.array_equal(_draw(points[:1], [RED])[top], _draw(points, [RED] * 4)[top]), "others are passed over"
+    points = np.random.default_rng(3).uniform(-14.0, 14.0, (500, 3)) + np.array([100, 50, 0])
+    drawn = _draw(points, [RED] * 500, reach=None)
+    # From the middle 14 m to each side: the next round reach is 15 m, the points fill most of the height.
+    rows, _ = np.nonzero((drawn[..., 0] > 200) & (drawn[..., 1] < 70))
+    assert np.ptp(rows) > 0.85 * layout_map((100.0, 50.0), 15.0, SIZE).height
 
 
 def test_the_map_reaches_as_far_as_asked_and_its_grid_stands_at_multiples_of_its_spacing():
@@ -70,13 +90,7 @@ def test_the_map_reaches_as_far_as_asked_and_its_grid_stands_at_multiples_of_its
     assert zeros == ["0"], "without a sign"
 
 
-def test_the_higher_point_is_drawn_over_the_lower():
-    for points, colors in (([[105, 55, 3], [105, 55, 0]], [RED, GREEN]), ([[105, 55, 0], [105, 55, 3]], [GREEN, RED])):
-        red, green, _ = _pixel(LAYOUT, _draw(points, colors), 105.0, 55.0)
-        assert (red > 200, green < 70) == (True, True)
-
-
-def test_points_that_no_camera_saw_are_grey_and_lighter_the_higher():
+def test_points_that_no_camera_saw_are_grey_and_the_ego_is_marked_in_the_middle():
     points = [[104.0 + 4 * k, 50.0, float(k)] for k in range(4)]
     index = np.array([255, 255, 255, 0], np.uint8)
     drawn = _draw(points, [RED] * 4, camera_index=index)
@@ -84,9 +98,6 @@ def test_points_that_no_camera_saw_are_grey_and_lighter_the_higher():
     assert np.ptp(colours[:3], axis=1).max() < 30
     assert (np.diff(colours[:3].mean(axis=1)) > 5).all()
     assert colours[3].tolist()[0] > 200
-
-
-def test_the_ego_is_marked_in_the_middle_and_its_path_drawn():
     path = np.column_stack([np.linspace(80, 120, 9), np.full(9, 60.0), np.zeros(9)])
     marked = _draw([], [], ego_path=path)
     r, g, b = _pixel(LAYOUT, marked, 100.0, 50.0)
@@ -95,22 +106,6 @@ def test_the_ego_is_marked_in_the_middle_and_its_path_drawn():
     assert r > g > b > 60
     grey = _draw([], [], ego=None)[LAYOUT.top :, LAYOUT.left :][: LAYOUT.height, : LAYOUT.width]
     assert np.ptp(grey, axis=2).max() < 30
-
-
-def test_points_that_are_not_finite_or_very_far_are_passed_over():
-    points = [[105, 55, 0], [np.nan, 0, 0], [0, np.inf, 0], [1e30, -1e30, 0]]
-    top = slice(0, SIZE[1] - 100)
-    assert np.array_equal(_draw(points[:1], [RED])[top], _draw(points, [RED] * 4)[top])
-
-
-def test_the_chosen_reach_holds_most_points():
-    rng = np.random.default_rng(3)
-    points = rng.uniform(-14.0, 14.0, (500, 3)) + np.array([100, 50, 0])
-    drawn = _draw(points, [RED] * 500, reach=None)
-    # From the middle 14 m to each side: the next round reach is 15 m, the points fill most of the height.
-    rows, _ = np.nonzero((drawn[..., 0] > 200) & (drawn[..., 1] < 70))
-    layout = layout_map((100.0, 50.0), 15.0, SIZE)
-    assert np.ptp(rows) > 0.85 * layout.height
 
 
 @pytest.mark.parametrize(
@@ -163,7 +158,7 @@ def test_points_are_projected_as_opencv_projects_them():
     assert depths == pytest.approx((points - viewpoint.eye_world) @ forward)
 
 
-def test_the_eye_stands_behind_and_above_the_ego_and_sees_it():
+def test_the_eye_stands_behind_and_above_the_ego_and_sees_it_and_its_path():
     viewpoint = viewpoint_behind(DRIVER, 20.0, *SIZE)
     offset = viewpoint.eye_world - DRIVER.position_world
     assert offset @ DRIVER.forward_world < 0
@@ -175,37 +170,6 @@ def test_the_eye_stands_behind_and_above_the_ego_and_sees_it():
     assert pixels[0] == pytest.approx([(SIZE[0] - 1) / 2, pixels[0, 1]])
     assert SIZE[1] / 2 < pixels[0, 1] < SIZE[1]
     assert 0 < pixels[1, 1] < SIZE[1] / 2
-
-
-def test_left_is_left_and_up_is_up():
-    # The ego faces along y of the world, so that its left is towards smaller x.
-    drawn = _perspective([[95, 60, 0], [105, 60, 0]], [RED, GREEN])
-    assert _area(drawn, 0)[1].max() < _area(drawn, 1)[1].min()
-    drawn = _perspective([[95, 60, 5], [105, 60, 0]], [RED, GREEN])
-    assert _area(drawn, 0)[0].max() < _area(drawn, 1)[0].min()
-
-
-@pytest.mark.parametrize("order", [1, -1])
-def test_near_points_cover_far_ones_on_the_same_ray(order):
-    eye = viewpoint_behind(DRIVER, 20.0, *SIZE).eye_world
-    near = np.array([101.0, 62.0, 0.5])
-    points, colors = [near, eye + 2.0 * (near - eye)], [RED, GREEN]
-    drawn = _perspective(points[::order], colors[::order])
-    assert len(_area(drawn, 0)[0]) > 0
-    assert len(_area(drawn, 1)[0]) == 0
-
-
-def test_near_points_are_larger_than_far_ones_and_those_behind_the_eye_are_not_drawn():
-    drawn = _perspective([[100, 54, 0], [100, 90, 0]], [RED, GREEN])
-    assert len(_area(drawn, 0)[0]) > 2 * len(_area(drawn, 1)[0])
-    behind = viewpoint_behind(DRIVER, 20.0, *SIZE).eye_world - 5.0 * DRIVER.forward_world
-    one, both = _perspective([[100, 60, 0]], [RED]), _perspective([[100, 60, 0], behind], [RED, GREEN])
-    assert np.array_equal(one[: SIZE[1] - 100], both[: SIZE[1] - 100])
-    drawn = _perspective([[95, 60, 0], [105, 60, 0]], [RED, GREEN], camera_index=np.array([0, 255], np.uint8))
-    assert (len(_area(drawn, 0)[0]) > 0, len(_area(drawn, 1)[0])) == (True, 0), "what no camera saw is grey"
-
-
-def test_the_ego_and_its_path_are_marked():
     path = np.column_stack([np.full(20, 100.0), np.linspace(40, 90, 20), np.full(20, 1.0)])
     drawn = _perspective([], [], ego_path=path)
     # rows above the strip, whose left column has one colour to the end
@@ -219,10 +183,32 @@ def test_the_ego_and_its_path_are_marked():
         assert r - b > 50
 
 
-@pytest.mark.parametrize("ego", [None, DRIVER])
+def test_left_is_left_up_is_up_and_near_points_are_larger_and_cover_far_ones():
+    # The ego faces along y of the world, so that its left is towards smaller x.
+    for axis, height in ((1, 0), (0, 5)):
+        drawn = _perspective([[95, 60, height], [105, 60, 0]], [RED, GREEN])
+        assert _area(drawn, 0)[axis].max() < _area(drawn, 1)[axis].min()
+    eye = viewpoint_behind(DRIVER, 20.0, *SIZE).eye_world
+    near = np.array([101.0, 62.0, 0.5])
+    points, colors = [near, eye + 2.0 * (near - eye)], [RED, GREEN]
+    for order in (1, -1):
+        drawn = _perspective(points[::order], colors[::order])
+        assert (len(_area(drawn, 0)[0]) > 0, len(_area(drawn, 1)[0])) == (True, 0)
+    drawn = _perspective([[100, 54, 0], [100, 90, 0]], [RED, GREEN])
+    assert len(_area(drawn, 0)[0]) > 2 * len(_area(drawn, 1)[0])
+    behind = eye - 5.0 * DRIVER.forward_world
+    one, both = _perspective([[100, 60, 0]], [RED]), _perspective([[100, 60, 0], behind], [RED, GREEN])
+    assert np.array_equal(one[: SIZE[1] - 100], both[: SIZE[1] - 100]), "what is behind the eye is not drawn"
+    drawn = _perspective([[95, 60, 0], [105, 60, 0]], [RED, GREEN], camera_index=np.array([0, 255], np.uint8))
+    assert (len(_area(drawn, 0)[0]) > 0, len(_area(drawn, 1)[0])) == (True, 0), "what no camera saw is grey"
+
+
 @pytest.mark.parametrize(("draw", "size"), [(draw_cloud_above, (1280, 900)), (draw_cloud_perspective, (1280, 780))])
-def test_a_cloud_without_points_is_an_empty_stage(draw, size, ego):
-    assert draw(np.zeros((0, 3), np.float32), None, ego=ego).size == size
+def test_a_cloud_without_points_is_an_empty_stage_and_drawing_twice_gives_the_same_image(draw, size):
+    for ego in (None, DRIVER):
+        assert draw(np.zeros((0, 3), np.float32), None, ego=ego).size == size
+    points = np.random.default_rng(1).normal(0, 10, (3000, 3)) + np.array([100, 60, 0])
+    assert np.array_equal(*(_draw(points, [RED] * 3000, draw=draw) for _ in range(2)))
 
 
 def test_the_background_is_lightest_at_the_horizon():
@@ -233,17 +219,11 @@ def test_the_background_is_lightest_at_the_horizon():
     assert (np.diff(column[lightest + 1 :]) <= 0).all()
 
 
-@pytest.mark.parametrize("draw", [draw_cloud_above, draw_cloud_perspective])
-def test_drawing_twice_gives_the_same_image(draw):
-    points = np.random.default_rng(1).normal(0, 10, (3000, 3)) + np.array([100, 60, 0])
-    assert np.array_equal(*(_draw(points, [RED] * 3000, draw=draw) for _ in range(2)))
-
-
 # An IMU whose x points to the left of the car, as z stays up.
 ROTATED = RigidTransform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([5.0, 0.0, 1.0]))
 
 
-def test_forward_is_where_the_path_leads_not_where_the_imu_points():
+def test_forward_is_where_the_path_leads_or_the_first_camera_looks(make_view):
     path = np.column_stack([np.linspace(0, 10, 11), np.zeros(11), np.linspace(0, 2, 11)])
     ego = find_ego(ROTATED, path, ())
     assert ego.position_world.tolist() == [5.0, 0.0, 1.0]
@@ -253,9 +233,6 @@ def test_forward_is_where_the_path_leads_not_where_the_imu_points():
     ego = find_ego(RigidTransform(np.eye(3), path[90].copy()), path, ())
     # The path is known every 0.5 m of a circle of 30 m: half a step is 0.0087 rad.
     assert ego.forward_world == pytest.approx([-1.0, 0.0, 0.0], abs=0.01)
-
-
-def test_an_ego_that_is_stationary_faces_where_its_first_camera_looks_which_stands_in_for_an_unknown_one(make_view):
     view = make_view([])
     for path in (None, np.zeros((5, 3)), np.zeros((0, 3)), np.full((3, 3), np.nan)):
         assert find_ego(ROTATED, path, [view]).forward_world == pytest.approx([1.0, 0.0, 0.0])
@@ -264,9 +241,6 @@ def test_an_ego_that_is_stationary_faces_where_its_first_camera_looks_which_stan
     assert find_ego(None, None, ()) is None
     upright = RigidTransform(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), np.zeros(3))
     assert find_ego(upright, None, ()).forward_world == pytest.approx([1.0, 0.0, 0.0]), "somewhere level"
-
-
-def test_the_arrow_points_forward_and_the_middle_of_no_points_is_the_origin():
     corners = EgoPosition(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0])).arrow(2.0)
     assert np.ptp(corners, axis=0)[1] == pytest.approx(2.0)
     assert corners[0] == pytest.approx([1.0, 2.0 + 1.2, 3.0])
@@ -274,3 +248,12 @@ def test_the_arrow_points_forward_and_the_middle_of_no_points_is_the_origin():
     assert middle_of(np.zeros((0, 3))).position_world.tolist() == [0.0, 0.0, 0.0]
     points = np.array([[1.0, 5.0, 0.0], [2.0, 4.0, 9.0], [90.0, 3.0, 1.0]])
     assert middle_of(points).position_world.tolist() == [2, 4, 1]
+
+
+def test_lines_and_maps_of_locations_that_are_far_off_have_finite_points_and_grids():
+    for far in (1e9, 1e155, 1e300, 1.7e308, -1.7e308):
+        points = sample_polyline(np.array([[0.0, 0.0, 0.0], [far, 0.0, 0.0], [0.0, far, 0.0]]), 0.5)
+        assert len(points) > 2
+        assert finite_rows(points).all()
+    for far in (1e17, 1e300, 1.7e308):
+        assert len(layout_map((far, -far), 50.0, (640, 480)).grid(0, 10.0)) < 1000

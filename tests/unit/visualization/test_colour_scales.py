@@ -22,23 +22,17 @@ from sceneloom.visualization.colour_scales import (
 )
 
 
-@pytest.mark.parametrize(
-    ("rgb", "oklab"),
-    [
-        # The values that CSS Color Module Level 4 prints for its named colours.
-        ((255, 255, 255), (1.0, 0.0, 0.0)),
-        ((0, 0, 0), (0.0, 0.0, 0.0)),
-        ((255, 0, 0), (0.62796, 0.22486, 0.12585)),
-        ((0, 255, 0), (0.86644, -0.23389, 0.17950)),
-        ((0, 0, 255), (0.45201, -0.03246, -0.31153)),
-    ],
-)
-def test_oklab_of_named_colours_is_what_css_prints(rgb, oklab):
+def test_oklab_of_named_colours_is_what_css_prints_and_every_colour_comes_back():
+    # The values that CSS Color Module Level 4 prints for its named colours.
+    named = {
+        (255, 255, 255): (1.0, 0.0, 0.0),
+        (0, 0, 0): (0.0, 0.0, 0.0),
+        (255, 0, 0): (0.62796, 0.22486, 0.12585),
+        (0, 255, 0): (0.86644, -0.23389, 0.17950),
+        (0, 0, 255): (0.45201, -0.03246, -0.31153),
+    }
     # 1e-4: the published matrices of OKLab exist in two roundings.
-    assert oklab_from_srgb(np.array(rgb, np.uint8)) == pytest.approx(oklab, abs=1e-4)
-
-
-def test_every_colour_comes_back_from_oklab():
+    assert oklab_from_srgb(np.array([*named], np.uint8)) == pytest.approx(np.array([*named.values()]), abs=1e-4)
     levels = np.arange(0, 256, 5, dtype=np.uint8)
     rgb = np.stack(np.meshgrid(levels, levels, levels), axis=-1).reshape(-1, 3)
     assert np.array_equal(srgb_from_oklab(oklab_from_srgb(rgb)), rgb)
@@ -63,12 +57,21 @@ def test_lightness_falls_in_equal_steps_along_the_whole_map_and_no_colour_had_to
     assert nearest.max() < 0.02
 
 
-def test_values_beyond_the_ends_take_the_colours_of_the_ends_and_unknown_maps_are_refused():
+def test_values_beyond_the_ends_take_the_colours_of_the_ends_and_equal_ratios_of_depth_are_equal_lengths():
     beacon = colour_map("beacon")
     colours = beacon.colours(np.array([-3.0, 0.0, 1.0, 7.0, np.inf]))
     assert np.array_equal(colours, beacon.table[[0, 0, 255, 255, 255]])
     with pytest.raises(OptionError, match=r"'rainbow'.*beacon"):
         colour_map("rainbow")
+    scale = DepthScale(2.0, 32.0)
+    assert scale.fractions(np.array([2.0, 4.0, 8.0, 16.0, 32.0])) == pytest.approx([0, 0.25, 0.5, 0.75, 1])
+    assert np.array_equal(scale.colours(np.array([0.0, np.inf])), scale.map.table[[0, 255]])
+    for depths in ([], [0.0, -1.0], [np.nan, np.inf]):
+        scale = DepthScale.of(np.array(depths, np.float32))
+        assert 0 < scale.near < scale.far
+    for near, far in ((0.0, 10.0), (5.0, 5.0), (8.0, 2.0), (1.0, math.inf), (math.nan, 3.0)):
+        with pytest.raises(OptionError, match="0 < near < far"):
+            DepthScale(near, far)
 
 
 DEPTHS = st.floats(0.01, 5000.0)
@@ -96,18 +99,6 @@ def test_the_chosen_scale_holds_all_but_the_outermost_depths(depths):
     assert scale.far >= high * (1 - 1e-6)
 
 
-def test_a_scale_is_chosen_where_no_depth_is_known():
-    for depths in ([], [0.0, -1.0], [np.nan, np.inf]):
-        scale = DepthScale.of(np.array(depths, np.float32))
-        assert 0 < scale.near < scale.far
-
-
-def test_equal_ratios_of_depth_are_equal_lengths_on_the_scale():
-    scale = DepthScale(2.0, 32.0)
-    assert scale.fractions(np.array([2.0, 4.0, 8.0, 16.0, 32.0])) == pytest.approx([0, 0.25, 0.5, 0.75, 1])
-    assert np.array_equal(scale.colours(np.array([0.0, np.inf])), scale.map.table[[0, 255]])
-
-
 @given(near=DEPTHS, ratio=st.floats(1.01, 1000.0))
 def test_ticks_start_with_the_ends_and_lie_between_them(near, ratio):
     scale = DepthScale(near, near * ratio)
@@ -117,9 +108,3 @@ def test_ticks_start_with_the_ends_and_lie_between_them(near, ratio):
     assert len(set(inner)) == len(inner)
     decades = range(math.ceil(math.log10(near * 1.01)), math.floor(math.log10(near * ratio / 1.01)) + 1)
     assert all(any(math.isclose(tick, 10.0**power) for tick in inner) for power in decades)
-
-
-@pytest.mark.parametrize(("near", "far"), [(0.0, 10.0), (5.0, 5.0), (8.0, 2.0), (1.0, math.inf), (math.nan, 3.0)])
-def test_a_scale_without_extent_is_refused(near, far):
-    with pytest.raises(OptionError, match="0 < near < far"):
-        DepthScale(near, far)

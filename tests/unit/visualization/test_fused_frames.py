@@ -32,36 +32,31 @@ def _pixels(image):
     return np.asarray(image)
 
 
-def _bar(image, view):
-    """The row of colours in the strip that is as bright and colourful as only the scale bar is."""
-    strip = _pixels(image)[view.camera.height :].astype(int)
-    colourful = (strip.max(axis=2) - strip.min(axis=2)) > 60
-    row = int(np.argmax(colourful.sum(axis=1)))
-    columns = np.flatnonzero(colourful[row])
-    return strip[row, columns[0] : columns[-1] + 1]
-
-
 @pytest.mark.parametrize("draw", [draw_overlay, draw_depth_image])
 def test_a_point_is_a_disc_in_the_colour_of_its_depth_at_its_pixel(make_view, draw):
-    view = make_view([(60, 40, 10.0, True), (150, 90, 30.0, True)])
+    view = make_view([(60, 40, 2.0, True), (150, 90, 50.0, True), (100, 100, 10.0, True)])
     drawn = _pixels(draw(view, scale=SCALE))
-    for u, v, depth in ((60, 40, 10.0), (150, 90, 30.0)):
+    for u, v, depth in ((60, 40, 2.0), (150, 90, 50.0), (100, 100, 10.0)):
         share = np.log(depth / 2.0) / np.log(50.0 / 2.0)
         assert np.array_equal(drawn[v, u], colour_map("beacon").table[round(share * 255)])
+    # the row of the strip that is as bright and colourful as only the scale bar is
+    strip = drawn[view.camera.height :].astype(int)
+    colourful = (strip.max(axis=2) - strip.min(axis=2)) > 60
+    row = int(np.argmax(colourful.sum(axis=1)))
+    bar = strip[row, np.flatnonzero(colourful[row])]
+    # its outermost columns may be less colourful than what is looked for: 3 levels of 255
+    assert np.abs(bar[[0, -1]] - drawn[[40, 90], [60, 150]]).max() <= 3
     drawn = _pixels(draw_overlay(make_view([(60, 40, depth, True) for depth in (40.0, 4.0, 20.0)]), scale=SCALE))
     assert np.array_equal(drawn[40, 60], SCALE.colours(np.array([4.0]))[0]), "near points cover far ones"
 
 
-def test_hidden_points_are_drawn_only_on_request_and_then_as_crosses(make_view):
+def test_hidden_points_are_crosses_on_request_and_what_is_below_is_darker(make_view):
     view = make_view([(60, 40, 10.0, True), (150, 90, 30.0, False)])
     without, crossed = _pixels(draw_overlay(view)), _pixels(draw_overlay(view, show_hidden=True))
     assert np.array_equal(without[90, 150], without[10, 10])
     changed = np.argwhere((without[: view.camera.height] != crossed[: view.camera.height]).any(axis=2))
     assert {(90, 150), (89, 149), (91, 151), (89, 151), (91, 149)} == {tuple(location) for location in changed.tolist()}
     assert np.ptp(crossed[90, 150].astype(int)) < 20
-
-
-def test_the_image_below_is_darker_and_greyer(make_view):
     view = make_view([])
     rgb = view.rgb.copy()
     rgb[:, :] = (200, 100, 40)
@@ -69,32 +64,14 @@ def test_the_image_below_is_darker_and_greyer(make_view):
     assert below.max() < 200
     assert np.ptp(below) < 160 * below.mean() / (340 / 3)
     assert below[0] > below[1] > below[2]
-
-
-def test_pixels_without_depth_are_darker_than_any_depth(make_view):
-    drawn = _pixels(draw_depth_image(make_view([(60, 40, 10.0, True)])))
-    assert tuple(drawn[100, 20]) == NO_DEPTH
+    view = make_view([(60, 40, 3.1, True), (100, 60, 44.0, True), (150, 90, 400.0, False)])
+    overlay, depths = (_pixels(draw(view)) for draw in (draw_overlay, draw_depth_image))
+    assert tuple(depths[100, 20]) == NO_DEPTH
     darkest = min(colour_map(name).table.max(axis=1).min() for name in ("beacon", "lagoon"))
     assert max(NO_DEPTH) < darkest / 4
-
-
-@pytest.mark.parametrize("draw", [draw_overlay, draw_depth_image])
-def test_the_ends_of_the_scale_bar_have_the_colours_of_the_ends_of_the_range(make_view, draw):
-    view = make_view([(60, 40, 2.0, True), (150, 90, 50.0, True)])
-    image = draw(view, scale=SCALE)
-    bar = _bar(image, view)
-    drawn = _pixels(image)
-    # The outermost columns of the bar may be less colourful than what `_bar` looks for: 3 levels of 255.
-    assert np.abs(bar[0] - drawn[40, 60]).max() <= 3
-    assert np.abs(bar[-1] - drawn[90, 150]).max() <= 3
-
-
-def test_overlay_and_depth_image_share_the_scale_of_the_visible_points(make_view):
-    points = [(60, 40, 3.1, True), (100, 60, 44.0, True), (150, 90, 400.0, False)]
-    view = make_view(points)
+    # both share the scale of the visible points
     scale = view_scale(view)
     assert (scale.near, scale.far) == (3.0, 50.0)
-    overlay, depths = (_pixels(draw(view)) for draw in (draw_overlay, draw_depth_image))
     assert np.array_equal(overlay[60, 100], depths[60, 100])
 
 
@@ -174,66 +151,51 @@ def test_the_cloud_is_drawn_around_the_ego_at_the_time_of_its_sweep(tmp_path):
         assert np.array_equal(np.asarray(drawn)[:800], np.asarray(around)[:800])
 
 
-@pytest.mark.parametrize(
-    ("identifiers", "stems"),
-    [
-        (("../../etc/x", "a/b"), ("%2E.%2F..%2Fetc%2Fx", "a%2Fb")),
-        ((1, "1", 1), ("1", "1~2", "1~3")),
-        (("a~2", "a", "a"), ("a%7E2", "a", "a~2")),
-    ],
-)
-def test_no_id_leaves_the_folder_or_overwrites_another(make_view, tmp_path, identifiers, stems):
-    views = [make_view([], camera_id=identifier) for identifier in identifiers]
-    paths = save_images(_frame(views, lidar_id="../up"), tmp_path / "out", 0)
-    assert len(set(paths)) == 2 * len(views) + 2
-    assert {path.parent for path in paths} == {tmp_path / "out"}
-    assert [path.name for path in paths[:-2:2]] == [f"{stem}_000000_overlay.png" for stem in stems]
-    assert len(list((tmp_path / "out").iterdir())) == len(paths)
-
-
 def test_existing_images_are_replaced_only_on_request(make_view, tmp_path):
     frame = _frame([make_view([])])
-    first = save_images(frame, tmp_path, 0)[0]
+    first = save_images(frame, tmp_path / "own", 0)[0]
     first.write_bytes(b"kept")
     with pytest.raises(OutputError, match="exists already"):
-        save_images(frame, tmp_path, 0)
+        save_images(frame, tmp_path / "own", 0)
     assert first.read_bytes() == b"kept"
-    save_images(frame, tmp_path, 0, overwrite=True)
+    save_images(frame, tmp_path / "own", 0, overwrite=True)
     assert first.read_bytes().startswith(b"\x89PNG")
     bare = FusedFrame("lidar", 0, 0, 0, LidarPoints(np.zeros((0, 3), np.float32)), unfused="no pose")
     assert len(save_images(bare, tmp_path / "bare", 0)) == 2, "its cloud alone"
-
-
-@pytest.mark.parametrize("name", ["file/folder", "file"])
-def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path, name):
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="file"):
-        save_images(_frame([]), tmp_path / name, 0)
+    for name in ("file/folder", "file"):
+        with pytest.raises(OutputError, match="file"):
+            save_images(_frame([]), tmp_path / name, 0)
 
 
-def test_ids_too_long_for_a_file_name_are_cut_but_stay_apart(make_view, tmp_path):
-    views = [make_view([], camera_id="街" * 100 + end) for end in "ab"]
-    paths = save_images(_frame(views), tmp_path, 0)
-    assert len({path.name for path in paths}) == 6
-    assert max(len(path.name) for path in paths) < 200
+def test_no_id_leaves_the_folder_overwrites_another_or_is_too_long(make_view, tmp_path):
+    long = ["街" * 100 + end for end in "ab"]
+    cases = {
+        ("../../etc/x", "a/b"): ("%2E.%2F..%2Fetc%2Fx", "a%2Fb"),
+        (1, "1", 1): ("1", "1~2", "1~3"),
+        ("a~2", "a", "a"): ("a%7E2", "a", "a~2"),
+        tuple(long): None,
+    }
+    for number, (identifiers, stems) in enumerate(cases.items()):
+        folder = tmp_path / "out" / str(number)
+        paths = save_images(_frame([make_view([], camera_id=one) for one in identifiers], lidar_id="../up"), folder, 0)
+        assert len(set(paths)) == len(list(folder.iterdir())) == 2 * len(identifiers) + 2
+        assert {path.parent for path in paths} == {folder}
+        assert max(len(path.name) for path in paths) < 200
+        if stems is not None:
+            assert [path.name for path in paths[:-2:2]] == [f"{stem}_000000_overlay.png" for stem in stems]
 
 
 def test_a_contact_sheet_shows_every_image_in_its_column():
-    colours = [(200, 0, 0), (0, 200, 0), (0, 0, 200)]
-    sizes = [(40, 20), (80, 80), (10, 5)]
-    images = [Image.new("RGB", size, colour) for size, colour in zip(sizes, colours, strict=True)]
+    sizes = {(200, 0, 0): (40, 20), (0, 200, 0): (80, 80), (0, 0, 200): (10, 5)}
+    images = [Image.new("RGB", size, colour) for colour, size in sizes.items()]
     sheet = np.asarray(contact_sheet(images, columns=2, width_px=340))
     # Gaps of 2 px: two columns of 167 px; the first row is as high as the square image.
     assert sheet.shape == (2 + 167 + 2 + round(167 / 2) + 2, 340, 3)
-    assert tuple(sheet[40, 80]) == colours[0]
-    assert tuple(sheet[120, 250]) == colours[1]
-    assert tuple(sheet[200, 80]) == colours[2]
-
-
-@pytest.mark.parametrize(("count", "options"), [(0, {}), (1, {"columns": 0}), (1, {"columns": 9, "width_px": 20})])
-def test_a_sheet_without_room_is_refused(count, options):
-    with pytest.raises(OptionError, match="room"):
-        contact_sheet([Image.new("RGB", (5, 5))] * count, **options)
+    assert [tuple(sheet[place]) for place in ((40, 80), (120, 250), (200, 80))] == list(sizes)
+    for count, options in ((0, {}), (1, {"columns": 0}), (1, {"columns": 9, "width_px": 20})):
+        with pytest.raises(OptionError, match="room"):
+            contact_sheet(images[:count], **options)
 
 
 RED, BLUE = (250, 10, 10), (10, 10, 250)
@@ -251,50 +213,34 @@ def wall(x):
     return np.column_stack([np.full(len(y), x), y, z])
 
 
-def trajectory():
-    timestamps = np.arange(3) * 100_000_000
-    return Poses(timestamps, np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.tile([0.0, 0, 0, 1], (3, 1)))
+def test_the_cloud_of_a_drive_has_all_sweeps_that_are_chosen_and_fused(tmp_path):
+    positions = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    trajectory = Poses(np.arange(3) * 100_000_000, positions, np.tile([0.0, 0, 0, 1], (3, 1)))
 
+    def drawn(*sweeps, poses=trajectory):
+        cloud = DriveCloud(frozenset(range(3)))
+        for one in sweeps:
+            cloud.add(one)
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
+        paths = cloud.save(folder, poses)
+        assert [path.name for path in paths] == ["cloud_drive_above.png", "cloud_drive_perspective.png"][: len(paths)]
+        if not paths:
+            return None
+        # whether some pixels show each hue clearly
+        red, green, blue = np.moveaxis(np.asarray(Image.open(paths[1]).convert("RGB")).astype(int), 2, 0)
+        return [bool((a > np.maximum(b, green) + 100).sum() > 50) for a, b in ((red, blue), (blue, red))]
 
-def has(image, color):
-    """Whether some pixels show that hue clearly."""
-    pixels = np.asarray(Image.open(image).convert("RGB")).astype(int)
-    strongest = int(np.argmax(color))
-    others = np.delete(pixels, strongest, axis=2).max(axis=2)
-    return bool((pixels[..., strongest] > others + 100).sum() > 50)
-
-
-def cloud_of(*sweeps):
-    cloud = DriveCloud(frozenset(range(3)))
-    for one in sweeps:
-        cloud.add(one)
-    return cloud
-
-
-def test_sweeps_are_drawn_together(tmp_path):
-    cloud = cloud_of(sweep(0, wall(6.0), RED), sweep(1, wall(3.0) + np.array([0, 5, 0]), BLUE))
-    paths = cloud.save(tmp_path, trajectory())
-    assert [path.name for path in paths] == ["cloud_drive_above.png", "cloud_drive_perspective.png"]
-    assert has(paths[1], RED)
-    assert has(paths[1], BLUE)
-
-
-def test_sweeps_that_are_not_chosen_or_not_fused_stay_out_and_one_alone_is_no_drive(tmp_path):
-    assert cloud_of(sweep(0, wall(6.0), RED)).save(tmp_path, trajectory()) == []
-    assert list(tmp_path.iterdir()) == []
+    first = sweep(0, wall(6.0), RED)
+    assert drawn(first) is None, "one alone is no drive"
+    assert drawn(first, sweep(1, wall(3.0) + np.array([0, 5, 0]), BLUE)) == [True, True]
     unfused = replace(sweep(2, wall(4.0), BLUE), unfused="beyond the trajectory")
-    cloud = cloud_of(sweep(0, wall(6.0), RED), sweep(1, wall(6.0), RED), sweep(5, wall(4.0), BLUE), unfused)
-    assert not has(cloud.save(tmp_path, trajectory())[1], BLUE)
-
-
-def test_of_points_in_one_cube_the_one_that_a_camera_saw_is_kept(tmp_path):
+    assert drawn(first, sweep(1, wall(6.0), RED), sweep(5, wall(4.0), BLUE), unfused) == [True, False]
+    # of points in one cube, the one that a camera saw is kept
     locations = wall(6.0) // CUBE * CUBE
     pair = [sweep(0, locations + share * CUBE, RED, seen=share > 0.1).points for share in (0.1, 0.2)]
     columns = {n: np.concatenate([getattr(one, n) for one in pair]) for n in ("positions", "colors", "camera_index")}
-    cloud = cloud_of(FusedFrame("lidar", 0, 0, 0, LidarPoints(**columns)), sweep(1, wall(60.0), BLUE, seen=False))
-    assert has(cloud.save(tmp_path, trajectory())[1], RED)
-
-
-def test_without_a_trajectory_the_cloud_is_drawn_from_its_middle(tmp_path):
-    cloud = cloud_of(sweep(0, wall(6.0), RED), sweep(1, np.full((3, 3), np.nan), RED))
-    assert len(cloud.save(tmp_path, None)) == 2
+    both = FusedFrame("lidar", 0, 0, 0, LidarPoints(**columns))
+    assert drawn(both, sweep(1, wall(60.0), BLUE, seen=False))[0]
+    # without a trajectory, the cloud is drawn from its middle
+    assert drawn(first, sweep(1, np.full((3, 3), np.nan), RED), poses=None) is not None

@@ -43,52 +43,38 @@ def coloured(image, colour=PALETTE[3]):
     return np.argwhere((np.asarray(image)[:, :, :3] == colour).all(axis=2))[:, ::-1]
 
 
-def test_a_box_in_space_is_drawn_where_the_camera_model_puts_its_corners():
+def test_a_box_is_drawn_where_the_camera_model_puts_its_corners_or_the_image_shows_it():
     pixels = coloured(draw_objects_in_image(BLACK, objects(), WORLD_FROM_CAMERA, "camera"))
     # the face nearest to the camera is 9 m away and 2 m wide and high
     half = 300.0 / 9.0
-    assert pixels[:, 0].min() == pytest.approx(319.5 - half, abs=2)
-    assert pixels[:, 0].max() == pytest.approx(319.5 + half, abs=2)
-    assert pixels[:, 1].max() == pytest.approx(199.5 + half, abs=2)
-
-
-def test_what_an_image_alone_shows_has_its_box_in_the_image_alone():
+    seen = (pixels[:, 0].min(), pixels[:, 0].max(), pixels[:, 1].max())
+    assert seen == pytest.approx((319.5 - half, 319.5 + half, 199.5 + half), abs=2)
     corners = {"camera": np.array([[100.0, 50.0, 200.0, 120.0]])}
     only = objects(Support.IMAGE, corners_xyxy=corners)
     pixels = coloured(draw_objects_in_image(BLACK, only, WORLD_FROM_CAMERA, "camera"))
     outline = pixels[pixels[:, 1] > 60]
     assert (outline[:, 0].min(), outline[:, 0].max(), outline[:, 1].max()) == pytest.approx((99, 199, 119), abs=1)
     assert len(coloured(draw_objects_in_image(BLACK, only, WORLD_FROM_CAMERA, "other"))) == 0
-
-
-def test_what_rests_on_no_box_is_darker():
     drawn = draw_objects_in_image(BLACK, objects(Support.PREDICTED), WORLD_FROM_CAMERA, "camera")
-    assert len(coloured(drawn)) == 0
+    assert len(coloured(drawn)) == 0, "what rests on no box is darker"
     assert len(coloured(drawn, tuple(round(0.55 * part) for part in PALETTE[3]))) > 50
 
 
-def test_an_ellipse_of_95_per_cent_and_half_a_second_ahead_are_on_the_map():
-    ego = EgoPosition(np.array([10.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
-    wide = objects(sigma=1.5)
-    image = draw_objects_above(np.zeros((0, 3)), wide, ego=ego, reach=20.0)
+def test_an_ellipse_of_95_per_cent_half_a_second_ahead_and_the_past_are_on_the_map():
     layout = layout_map((10.0, 0.0), 20.0, SIZE_PX)
-    pixels = coloured(image) - [layout.left, layout.top]
+
+    def drawn(sigma, **options):
+        ego = EgoPosition(np.array([10.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+        image = draw_objects_above(np.zeros((0, 3)), objects(sigma=sigma), ego=ego, reach=20.0, **options)
+        return coloured(image) - [layout.left, layout.top]
+
     # 2.45 deviations of 3 m to both sides along y, up on the map; 1.5 m along x
-    top, left = layout.pixels(np.array([[10.0, 2.4477 * 3.0], [10.0 - 2.4477 * 1.5, 0.0]]))
-    assert pixels[:, 1].min() == pytest.approx(top[1], abs=2)
-    assert pixels[:, 0].min() == pytest.approx(left[0], abs=2)
-    narrow = coloured(draw_objects_above(np.zeros((0, 3)), objects(sigma=0.01), ego=ego, reach=20.0))
-    ahead = layout.pixels(np.array([[10.0, 6.0]]))[0]
-    assert (narrow - [layout.left, layout.top])[:, 1].min() == pytest.approx(ahead[1], abs=2)
-
-
-def test_ways_of_objects_are_drawn():
-    ego = EgoPosition(np.array([10.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+    along, across = [10.0, 2.4477 * 3.0], [10.0 - 2.4477 * 1.5, 0.0]
+    (_, top), (left, _), (_, ahead), (_, past) = layout.pixels(np.array([along, across, [10.0, 6.0], [10.0, -15.0]]))
+    assert drawn(1.5).min(axis=0) == pytest.approx((left, top), abs=2)
+    assert drawn(0.01)[:, 1].min() == pytest.approx(ahead, abs=2)
     trail = {3: np.array([[10.0, -15.0, 0.0], [10.0, 0.0, 0.0]])}
-    image = draw_objects_above(np.zeros((0, 3)), objects(), ego=ego, reach=20.0, trails=trail)
-    layout = layout_map((10.0, 0.0), 20.0, SIZE_PX)
-    lowest = layout.pixels(np.array([[10.0, -15.0]]))[0]
-    assert (coloured(image) - [layout.left, layout.top])[:, 1].max() == pytest.approx(lowest[1], abs=2)
+    assert drawn(0.5, trails=trail)[:, 1].max() == pytest.approx(past, abs=2)
 
 
 def test_fused_boxes_are_objects_that_state_what_they_rest_on():

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sceneloom.report.drive_report import DriveReport
 
 
-@click.command(cls=Verb, examples=("sceneloom report drive.sfs -o drive.html", "sceneloom report drive/ --json"))
+@click.command(cls=Verb, examples=("drive.sfs -o drive.html", "drive/ --json"))
 @click.argument("path", type=options.location)
 @option(
     "-o --output=FILE",

@@ -284,6 +284,6 @@ def test_a_rate_stated_by_read_with_is_a_number_and_a_flag_true_or_false(call, r
         assert succeeds("info", drive, "--input-option", "rate_hz=4", "--json").err == ""
         refuses(2, "rate_hz often; expected a number above 0", "info", drive, "--input-option", "rate_hz=often")
     assert reported("info", clouds, "--input-option", "rate_hz=4")["duration"] == 0.5
-    (clouds / "1.npz").write_bytes(b"no such thing")
+    (clouds / "0.npz").write_bytes(b"no such thing")
     succeeds("info", clouds, "--input-option", "lenient=true")
     assert call("info", clouds, "--input-option", "lenient=false").code == 1

@@ -33,7 +33,9 @@ def test_a_template_is_written_once_and_names_what_is_in_a_folder(call, refuses,
     succeeds("formats --template", path)
     assert tomllib.loads(path.read_text())["sensors"]
     refuses(1, "exists already", "formats --template", path)
-    succeeds("formats --template", path, "--overwrite", "--from", folder)
+    succeeds("formats --template", path, "--overwrite")
+    path.unlink()
+    succeeds("formats --template", path, "--from", folder)
     (sensor,) = tomllib.loads(path.read_text())["sensors"]
     assert (sensor["id"], sensor["files"], sensor["camera_model"]["width"]) == ("front", "front/*.png", 8)
     refuses(1, "still to be filled in", "info", folder)

@@ -610,17 +610,21 @@ def numbers_in(node, location=()):
         yield location
 
 
+def with_token(node, location):
+    """A copy with the token at a location."""
+    if not location:
+        return TOKEN
+    changed = node.copy()
+    changed[location[0]] = with_token(node[location[0]], location[1:])
+    return changed
+
+
 @pytest.fixture
 def spelled(encode_sfs):
     """The content of a file where another spelling stands for a number of its header."""
 
     def content(header, location, spelling):
-        holder, (*way, last) = header, location
-        for key in way:
-            holder = holder[key]
-        number, holder[last] = holder[last], TOKEN
-        encoded, quoted = encode_sfs(header), f'"{TOKEN}"'.encode()
-        holder[last] = number
+        encoded, quoted = encode_sfs(with_token(header, location)), f'"{TOKEN}"'.encode()
         assert encoded.count(quoted) == 1
         return encoded.replace(quoted, spelling.encode().ljust(len(quoted)))
 

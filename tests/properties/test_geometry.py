@@ -53,21 +53,18 @@ def test_rotations_keep_lengths_and_come_back_from_matrices_and_rotation_vectors
     assert error < ROUNDING
 
 
-@given(quaternions(), quaternions(), st.floats(0, 1))
-def test_slerp_shares_the_angle_in_the_given_proportion(a, b, fraction):
-    whole, part = rigid.angle_between(a, b), rigid.slerp(a, b, fraction)
-    assume(whole < np.pi - 1e-6)  # at half a rotation there are two shortest ways
-    assert abs(rigid.angle_between(a, part) - fraction * whole) < 10 * ROUNDING
-    assert abs(rigid.angle_between(part, b) - (1 - fraction) * whole) < 10 * ROUNDING
-
-
-@given(transforms(), transforms(), vectors)
-def test_rigid_transforms_form_a_group(a, b, points):
+@given(transforms(), transforms(), vectors, st.floats(0, 1))
+def test_rigid_transforms_form_a_group_and_slerp_shares_their_angle_in_the_given_proportion(a, b, points, fraction):
     size = 1e4 * ROUNDING  # coordinates of some thousand metres
     assert np.allclose((a @ b).apply(points), a.apply(b.apply(points)), atol=size)
     assert np.allclose((a @ b).inverse().apply(points), (b.inverse() @ a.inverse()).apply(points), atol=size)
     assert np.allclose(a.inverse().apply(a.apply(points)), points, atol=size)
     assert np.allclose((a @ rigid.RigidTransform.identity()).matrix, a.matrix, atol=size)
+    start, stop = a.quaternion_xyzw, b.quaternion_xyzw
+    whole, part = rigid.angle_between(start, stop), rigid.slerp(start, stop, fraction)
+    assume(whole < np.pi - 1e-6)  # at half a rotation there are two shortest ways
+    assert abs(rigid.angle_between(start, part) - fraction * whole) < 10 * ROUNDING
+    assert abs(rigid.angle_between(part, stop) - (1 - fraction) * whole) < 10 * ROUNDING
 
 
 @st.composite

@@ -49,7 +49,7 @@ def test_rotations_are_those_of_scipy_for_quaternions_of_any_length(quaternions)
         assert same_rotation(one, expected).max() < ROUNDING
 
 
-def test_rotation_vectors_are_those_of_scipy_and_keep_all_their_digits(quaternions):
+def test_rotation_vectors_are_those_of_scipy_and_missing_rotations_stay_missing(quaternions):
     rotations = Rotation.from_quat(quaternions)
     expected, found = rotations.as_rotvec(), rigid.rotation_vector_from_quaternion(quaternions)
     half_rotations = np.abs(np.linalg.norm(expected, axis=1) - np.pi) < 1e-7  # there v and -v are one rotation
@@ -58,6 +58,16 @@ def test_rotation_vectors_are_those_of_scipy_and_keep_all_their_digits(quaternio
     tiny = np.array([3e-200, -4e-200, 0.0])
     back = rigid.rotation_vector_from_quaternion(rigid.quaternion_from_rotation_vector(tiny))
     assert np.allclose(back, tiny, rtol=1e-14)
+    # missing rotations stay missing without a warning, and extreme lengths are normalised
+    missing = np.full((2, 4), np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isnan(rigid.rotate_vectors(missing, [1.0, 2, 3])).all()
+        assert np.isnan(rigid.multiply_quaternions(missing, QUARTER_LEFT)).all()
+        assert np.isnan(slerp(missing, QUARTER_LEFT, 0.5)).all()
+    expected = rigid.matrix_from_quaternion(QUARTER_LEFT)
+    for scale in (1e-200, 1e200):
+        assert np.allclose(rigid.matrix_from_quaternion(scale * np.array(QUARTER_LEFT)), expected, atol=ROUNDING)
 
 
 def test_slerp_is_that_of_scipy_inside_and_beyond_both_ends_and_keeps_the_digits_of_angles(quaternions):
@@ -100,18 +110,6 @@ def test_a_rounded_rotation_is_brought_back_to_the_nearest_and_its_error_reporte
     assert np.abs(transform.matrix - WORLD_FROM_EGO.matrix).max() < 1e-4  # half a unit of the fourth decimal, some
     assert np.array_equal(transform.translation, rounded[:3, 3])
     assert RigidTransform.nearest(np.diag([1.0, -1, 1, 1]))[1] == np.inf
-
-
-def test_missing_rotations_stay_missing_without_a_warning_and_extreme_lengths_are_normalised():
-    missing = np.full((2, 4), np.nan)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert np.isnan(rigid.rotate_vectors(missing, [1.0, 2, 3])).all()
-        assert np.isnan(rigid.multiply_quaternions(missing, QUARTER_LEFT)).all()
-        assert np.isnan(slerp(missing, QUARTER_LEFT, 0.5)).all()
-    expected = rigid.matrix_from_quaternion(QUARTER_LEFT)
-    for scale in (1e-200, 1e200):
-        assert np.allclose(rigid.matrix_from_quaternion(scale * np.array(QUARTER_LEFT)), expected, atol=ROUNDING)
 
 
 ROTATION = Rotation.from_rotvec([0.3, -0.2, 1.0])
@@ -291,7 +289,7 @@ def test_the_thinned_path_stays_within_the_tolerances(make, every):
     assert angle <= ROTATION_TOLERANCE * NEARLY
 
 
-def test_a_straight_drive_needs_no_further_poses_and_a_corner_or_a_turn_on_the_spot_one():
+def test_thinned_paths_have_no_poses_on_lines_few_on_curves_and_staircases_and_one_at_a_corner():
     along, across = np.minimum(np.arange(1001), 500.0), np.maximum(np.arange(1001) - 500.0, 0.0)
     corner = dense_path(np.column_stack([along, across, 0 * along]) * 0.1)
     turn = dense_path(np.zeros((401, 3)), np.outer(np.abs(np.arange(401) - 200) * 0.001, [0, 0, 1]))
@@ -301,9 +299,6 @@ def test_a_straight_drive_needs_no_further_poses_and_a_corner_or_a_turn_on_the_s
         dense = trembling_path(count)
         assert len(thin_poses(*dense, np.array([-7, 3, 10**10]))) == kept
         assert len(thin_poses(*dense, dense[0])) == 0
-
-
-def test_thinned_paths_stay_within_tolerances_with_few_poses_on_smooth_curves_and_staircases():
     radius, speed = 50.0, 10.0
     angle = np.arange(4001) * 0.005 * speed / radius
     dense = dense_path(radius * np.column_stack([np.sin(angle), 1 - np.cos(angle), 0 * angle]))

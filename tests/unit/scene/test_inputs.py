@@ -111,7 +111,7 @@ def path_with(times, quaternion=(0.0, 0.0, 0.0, 1.0), *, location=0.0):
     return sc.Poses(np.array(times, np.int64), np.full((count, 3), location), np.tile([quaternion], (count, 1)))
 
 
-def test_a_path_that_holds_always_does_so_at_unit_length_and_a_moved_one_keeps_the_rest():
+def test_a_path_that_holds_always_does_so_at_unit_length_and_paths_are_the_same_only_number_for_number():
     samples = sc.Poses.identity().interpolate(np.array([-(2**60), 0, 2**60], np.int64))
     for found, expected in (
         (samples.positions, np.zeros((3, 3))),
@@ -128,9 +128,6 @@ def test_a_path_that_holds_always_does_so_at_unit_length_and_a_moved_one_keeps_t
         path.positions[0, 0] = 1.0
     with pytest.raises(PoseError, match="--orientation-from motion"):
         _ = sc.Trajectory("gnssEnu", np.zeros(1, np.int64), np.zeros((1, 3))).poses
-
-
-def test_ways_are_the_same_only_number_for_number():
     timestamps, rotations = np.array([0, 10]), np.array([[0.0, 0, 0, 1]] * 2)
     far_away = np.array([[500_000.0, 4_500_000.0, 0.0]] * 2)
     trajectory = sc.Trajectory("trajectory", timestamps, far_away, rotations)
@@ -159,7 +156,7 @@ def boxes_with(**changed):
     return sc.Boxes3D(7, **{**columns, **changed})
 
 
-def test_boxes_have_corners_and_speeds_along_their_heading_in_any_frame():
+def test_boxes_have_corners_and_speeds_in_any_frame_and_selected_and_pickled_ones_keep_all_that_is_theirs():
     boxes, rotation = boxes_with(), Rotation.from_euler("z", 2.1)
     for k in range(len(boxes)):
         own = Rotation.from_euler("z", boxes.yaws[k]).inv().apply(boxes.corners[k] - boxes.centers[k])
@@ -182,9 +179,6 @@ def test_boxes_have_corners_and_speeds_along_their_heading_in_any_frame():
     two = sc.Boxes3D(0, np.zeros((2, 3)), np.ones((2, 3)), yaws, np.ones(2), ("car", "car"), velocities=velocities)
     np.testing.assert_allclose(two.directions, [[0, 1, 0], [1, 0, 0]], atol=1e-15)
     np.testing.assert_allclose(two.speeds, [3.0, -2.0])
-
-
-def test_selected_and_pickled_boxes_keep_all_that_belongs_to_them():
     boxes = boxes_with()
     with pytest.raises(ValueError, match="read-only"):
         boxes.centers[0, 0] = 1.0

@@ -1,6 +1,7 @@
 """What the times of a sweep's points can be, and what is made of them."""
 
 from fractions import Fraction
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -62,16 +63,6 @@ def test_one_time_for_all_points_is_believed_near_the_timestamp_and_states_nothi
     assert judged(0, np.zeros(10, np.int64)).verdict is PointTimes.ABSOLUTE
 
 
-@CLOCKS
-@pytest.mark.parametrize("first", [0, -PERIOD, -PERIOD // 2])
-@pytest.mark.parametrize("span", [PERIOD, PERIOD // 10])
-def test_times_from_zero_count_from_the_timestamp(clock: int, first: int, span: int) -> None:
-    relative = first + times_of_sweep(span=span)
-    timed = judged(clock, relative)
-    assert timed.verdict is PointTimes.RELATIVE
-    np.testing.assert_array_equal(timed.frame.points.timestamps_ns, relative + clock)
-
-
 UNITS = pytest.mark.parametrize("factor", [Fraction(1000), Fraction(10**6), Fraction(1, 1000), Fraction(1, 10**6)])
 
 
@@ -93,16 +84,16 @@ def test_times_in_a_wrong_unit_are_brought_into_the_right_one(factor: Fraction, 
 
 
 @CLOCKS
-@pytest.mark.parametrize(
-    "factor", [Fraction(1000), Fraction(10**6), Fraction(10**9), Fraction(1, 1000), Fraction(1, 10**6)]
-)
-def test_times_from_zero_in_a_wrong_unit_are_brought_to_the_timestamp(clock: int, factor: Fraction) -> None:
-    relative = times_of_sweep()
-    timed = judged(clock, in_unit(relative, factor))
-    assert (timed.verdict, timed.found.factor, timed.found.relative) == (PointTimes.WRONG_UNIT, factor, True)
-    coarse = max(float(1 / factor), 1.0)
-    repaired = timed.frame.points.timestamps_ns - clock
-    np.testing.assert_allclose(repaired, relative, rtol=0, atol=coarse / 2)
+@pytest.mark.parametrize("factor", [Fraction(10) ** power for power in (0, 3, 6, 9, -3, -6)])
+def test_times_from_zero_count_from_the_timestamp_in_whatever_unit(clock: int, factor: Fraction) -> None:
+    verdict = PointTimes.RELATIVE if factor == 1 else PointTimes.WRONG_UNIT
+    usual = product((0, -PERIOD, -PERIOD // 2), (PERIOD, PERIOD // 10))
+    for first, span in usual if factor == 1 else [(0, PERIOD)]:
+        relative = first + times_of_sweep(span=span)
+        timed = judged(clock, in_unit(relative, factor))
+        assert timed.found == TimesFound(verdict, factor, relative=factor != 1)
+        repaired, coarse = timed.frame.points.timestamps_ns - clock, max(float(1 / factor), 1.0)
+        np.testing.assert_allclose(repaired, relative, rtol=0, atol=coarse / 2 if factor != 1 else 0)
 
 
 def test_another_clock_is_set_by_the_first_point_and_times_that_fit_nothing_are_left_out() -> None:

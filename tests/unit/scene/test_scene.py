@@ -73,12 +73,6 @@ def test_a_summary_counts_rates_gaps_and_camera_models():
     assert (summary.trajectories[0].metres, summary.trajectories[0].oriented) == (5.0, False)
 
 
-def test_the_reference_time_of_a_sweep_is_the_median_of_its_points_and_its_start_where_they_share_one():
-    for start, times, expected in ((0, [9, 1, 5, 7, 3], 5), (3, None, 3), (20, [70, 70, 70], 20)):
-        points = np.zeros((5 if times is None else len(times), 3), np.float32)
-        assert sc.LidarFrame(start, sc.LidarPoints(points, timestamps_ns=times)).reference_ns == expected
-
-
 def test_a_scene_is_shown_in_five_lines_and_as_a_table_without_reading_it():
     lidar = sc.LidarSensor(
         "<top>", sc.LazyFrames(np.array([0, SECOND // 10], np.int64), lambda _: pytest.fail("a frame was read"))
@@ -98,12 +92,15 @@ def test_a_scene_is_shown_in_five_lines_and_as_a_table_without_reading_it():
     assert len(repr(lidar)) < 400
 
 
-def test_a_cuboid_is_made_of_centres_size_and_yaws():
+def test_a_cuboid_is_made_of_centres_size_and_yaws_and_a_sweeps_reference_time_is_the_median_of_its_points():
     box = sc.CuboidAnnotation.of("a", [0, SECOND], [[1, 2, 3], [2, 2, 3]], (4, 2, 1), [0.0, np.pi / 2], label="Car")
     assert box.path.values.tolist() == [[4, 2, 1, 1, 2, 3, 0, 0, 0], [4, 2, 1, 2, 2, 3, 0, 0, 90]]
     assert BoxTable(sc.Scene((lidar_at([0]),), (box,))).at(SECOND).yaws_world == pytest.approx(np.pi / 2)
     with pytest.raises(ArrayError, match=r"centers: \(3, 3\); expected \(3,\) or \(2, 3\)"):
         sc.CuboidAnnotation.of("a", [0, 1], np.zeros((3, 3)), (4, 2, 1), 0.0)
+    for start, times, expected in ((0, [9, 1, 5, 7, 3], 5), (3, None, 3), (20, [70, 70, 70], 20)):
+        points = np.zeros((5 if times is None else len(times), 3), np.float32)
+        assert sc.LidarFrame(start, sc.LidarPoints(points, timestamps_ns=times)).reference_ns == expected
 
 
 TIMES = np.array([0, 100, 200], np.int64)
@@ -147,15 +144,12 @@ def test_a_mounting_rides_on_the_chosen_trajectory_and_ego_poses_on_an_odometry_
     np.testing.assert_allclose(own.mounted(higher).at(TIMES).positions, EGO.positions)
 
 
-def test_world_points_need_no_source_and_ego_points_take_the_egos_own():
+def test_a_lidar_has_its_location_whatever_frame_its_points_come_in_which_in_the_world_need_none():
     world = sc.LidarSensor("lidar", NO_FRAMES, points_frame=sc.PointsFrame.WORLD)
     ego = sc.LidarSensor("lidar", NO_FRAMES, points_frame=sc.PointsFrame.EGO, mount=MOUNT)
     assert points_source(sc.Scene((world,)), world, None, reach_ns=0) is None
     source = points_source(sc.Scene((ego,)), ego, EgoMotion("groundTruth", EGO), reach_ns=0)
     np.testing.assert_allclose(source.at(TIMES).positions, EGO.positions)
-
-
-def test_a_lidar_has_its_location_whatever_frame_its_points_come_in_unless_it_has_neither_poses_nor_mounting():
     ego = EgoMotion("groundTruth", EGO)
     expected = source_of(sc.LidarSensor("lidar", NO_FRAMES, mount=MOUNT), ego=ego).at(TIMES).positions
     for points_frame in sc.PointsFrame:

@@ -116,21 +116,18 @@ def test_points_have_the_time_ring_and_elevation_of_the_laser_that_looked_their_
         np.testing.assert_allclose(angles(points.positions)[1], elevations[points.rings], atol=1e-4)
 
 
-@pytest.mark.parametrize("k", [0, 7])
-def test_clean_points_lie_on_the_surfaces_that_they_name(exact_drive, k):
-    clean, packed = exact_drive.truth.clean_points_world(k), exact_drive.truth.street.shapes
-    ground = clean.instances == 0
-    np.testing.assert_allclose(clean.positions_world[ground, 2], 0.0, atol=1e-9)
-    rays = unit(clean.positions_world - exact_drive.truth.sweep(k).origins_world)
-    # 0.1 mm before the point nothing is, 0.1 mm behind it the object; a ray that grazes a corner need not enter.
-    before, behind = (
-        instances_inside(packed, clean.positions_world[~ground] + step * rays[~ground]) for step in (-1e-4, 1e-4)
-    )
-    assert (before == 0).all()
-    assert (behind == clean.instances[~ground]).mean() > 0.999
-
-
-def test_points_taken_to_the_world_at_their_own_times_are_the_clean_ones_and_skewed_without(exact_drive):
+def test_clean_points_lie_on_the_surfaces_that_they_name_and_are_the_points_taken_to_the_world(exact_drive):
+    for k in [0, 7]:
+        clean, packed = exact_drive.truth.clean_points_world(k), exact_drive.truth.street.shapes
+        ground = clean.instances == 0
+        np.testing.assert_allclose(clean.positions_world[ground, 2], 0.0, atol=1e-9)
+        rays = unit(clean.positions_world - exact_drive.truth.sweep(k).origins_world)
+        # 0.1 mm before the point nothing is, 0.1 mm behind it the object; a ray that grazes a corner need not enter.
+        before, behind = (
+            instances_inside(packed, clean.positions_world[~ground] + step * rays[~ground]) for step in (-1e-4, 1e-4)
+        )
+        assert (before == 0).all()
+        assert (behind == clean.instances[~ground]).mean() > 0.999
     lidar = exact_drive.scene.lidars[0]
     frame, clean = lidar.frames[5], exact_drive.truth.clean_points_world(5)
     states = exact_drive.truth.path.at(frame.points.timestamps_ns)
@@ -248,7 +245,7 @@ def radar_drive():
     return simulate_street(7, frames=20, lidar=LidarSpec(beams=1, steps=1), cameras=(), radars=radars)
 
 
-def test_a_wall_ahead_comes_nearer_at_the_speed_of_the_drive(radar_of):
+def test_a_wall_ahead_comes_nearer_at_the_speed_of_the_drive_by_as_many_returns_as_asked_for(radar_of):
     radar = radar_of(replace(RADAR_EXACT, mount=sensor_mount(position=(0, 0, 1.0)), detections_per_object=300.0))
     points, truth = radar.frame(2).points, radar.frame_truth(2)
     on_wall, ground = truth.instances == 1, truth.instances == 0
@@ -260,6 +257,23 @@ def test_a_wall_ahead_comes_nearer_at_the_speed_of_the_drive(radar_of):
     np.testing.assert_allclose(truth.ground_speeds, 0.0, atol=1e-12)
     assert ground.any()
     np.testing.assert_allclose(points.positions[ground, 2], -1.0, atol=1e-5)
+    spec = replace(RADAR_EXACT, detections_per_object=0.0, ground_clutter=0.0, false_alarms=25.0, max_range=80.0)
+    radar = radar_of(spec)
+    frames = [radar.frame(k).points for k in range(20)]
+    # Twenty Poisson numbers of mean 25 add up to 500 with a deviation of 22; five times that.
+    assert sum(map(len, frames)) == pytest.approx(500, abs=112)
+    assert max(ranges_of(points).max() for points in frames) <= 80.0 + 1e-4
+    azimuths, elevations = angles(np.concatenate([points.positions for points in frames]))
+    assert np.abs(azimuths).max() <= 60.0 + 1e-4
+    assert np.abs(elevations).max() <= 10.0 + 1e-4
+    assert (radar.frame_truth(0).instances == FALSE_ALARM).all()
+    assert not radar.frame_truth(0).real.any()
+    # each thing gives as many returns as asked for
+    radar = radar_of(replace(RADAR_EXACT, detections_per_object=40.0, ground_clutter=10.0))
+    instances = np.concatenate([radar.frame_truth(k).instances for k in range(20)])
+    # Poisson totals 800 and 200: deviations 28 and 14; five times those.
+    assert (instances == 1).sum() == pytest.approx(800, abs=142)
+    assert (instances == 0).sum() == pytest.approx(200, abs=71)
 
 
 def test_speeds_are_the_change_of_the_ranges_in_rotations_too_with_the_lever_arm(radar_drive):
@@ -378,26 +392,6 @@ def test_noise_has_the_deviations_that_were_asked_for(radar_drive):
     np.testing.assert_allclose(errors.std(axis=0), [0.12, 0.4, 1.0, 0.08], rtol=0.08)
     assert (np.abs(errors.mean(axis=0)) < 0.11 * errors.std(axis=0)).all()
     assert np.abs(np.corrcoef(errors.T) - np.eye(4)).max() < 0.11
-
-
-def test_as_many_returns_of_each_thing_and_false_ones_as_asked_for_on_average_in_the_field_of_view(radar_of):
-    spec = replace(RADAR_EXACT, detections_per_object=0.0, ground_clutter=0.0, false_alarms=25.0, max_range=80.0)
-    radar = radar_of(spec)
-    frames = [radar.frame(k).points for k in range(20)]
-    # Twenty Poisson numbers of mean 25 add up to 500 with a deviation of 22; five times that.
-    assert sum(map(len, frames)) == pytest.approx(500, abs=112)
-    assert max(ranges_of(points).max() for points in frames) <= 80.0 + 1e-4
-    azimuths, elevations = angles(np.concatenate([points.positions for points in frames]))
-    assert np.abs(azimuths).max() <= 60.0 + 1e-4
-    assert np.abs(elevations).max() <= 10.0 + 1e-4
-    assert (radar.frame_truth(0).instances == FALSE_ALARM).all()
-    assert not radar.frame_truth(0).real.any()
-    # each thing gives as many returns as asked for
-    radar = radar_of(replace(RADAR_EXACT, detections_per_object=40.0, ground_clutter=10.0))
-    instances = np.concatenate([radar.frame_truth(k).instances for k in range(20)])
-    # Poisson totals 800 and 200: deviations 28 and 14; five times those.
-    assert (instances == 1).sum() == pytest.approx(800, abs=142)
-    assert (instances == 0).sum() == pytest.approx(200, abs=71)
 
 
 def test_noise_has_the_deviations_asked_for_and_false_returns_no_other_truth_than_what_is_reported(radar_of):

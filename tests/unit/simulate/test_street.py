@@ -45,7 +45,7 @@ def test_nothing_stands_in_the_ego_trajectory(built):
     assert not instances_inside(street.shapes, np.concatenate(swept)).any()
 
 
-def test_boxes_and_balls_hold_the_shapes_of_their_objects(built):
+def test_shapes_lie_in_the_boxes_and_balls_of_their_objects_and_solid_ones_not_in_one_another(built):
     packed, objects = built[1].shapes, built[1].objects
     samples = surface_points(np.random.default_rng(0), 400)
     for k in range(len(packed)):
@@ -55,9 +55,6 @@ def test_boxes_and_balls_hold_the_shapes_of_their_objects(built):
         local = in_box_axes(world, thing.center_world, thing.yaw)
         assert (np.abs(local) <= np.array(thing.size_lwh) / 2 + 1e-9).all(), thing.label
         assert np.linalg.norm(world - packed.spheres[k, :3], axis=1).max() <= packed.spheres[k, 3] + 1e-9
-
-
-def test_a_street_has_something_of_everything_of_which_nothing_stands_in_one_another(built):
     objects = built[1].objects
     assert {thing.label for thing in objects} == {"building", "car", "tree", "pole", "bin", "barrier"}
     assert np.unique(built[1].shapes.kinds).tolist() == [0, 1, 2, 3]
@@ -72,14 +69,7 @@ def test_a_street_has_something_of_everything_of_which_nothing_stands_in_one_ano
             assert not (np.abs(local) < np.array(b.size_lwh[:2]) / 2).all(axis=1).any()
 
 
-def test_the_same_seed_builds_the_same_street_and_another_one_another():
-    path = PathSpec().plan(np.random.default_rng(0), start_ns=0, duration=3.0)
-    first, again, other = (streets.Street.of(path, np.random.default_rng(seed)) for seed in (7, 7, 8))
-    assert first.objects == again.objects != other.objects
-    np.testing.assert_array_equal(first.shapes.maps, again.shapes.maps)
-
-
-def test_the_map_of_the_ground_knows_how_far_along_and_left_of_the_trajectory_its_nodes_lie():
+def test_the_map_of_the_ground_knows_how_far_along_and_left_its_nodes_lie_and_streets_are_those_of_their_seed():
     lane = streets.Lane.of(PathSpec().plan(np.random.default_rng(3), start_ns=0, duration=10.0))
     ground = streets.GroundMap.of(lane)
     along, left = ground.nodes[..., 0], ground.nodes[..., 1]
@@ -92,6 +82,10 @@ def test_the_map_of_the_ground_knows_how_far_along_and_left_of_the_trajectory_it
     # Far from the trajectory there is only grass.
     nodes = ground.corner + ground.cell * np.argwhere(left >= 14.0)
     assert min(np.linalg.norm(lane.points - node, axis=1).min() for node in nodes[::37]) >= 13.9
+    path = PathSpec().plan(np.random.default_rng(0), start_ns=0, duration=3.0)
+    first, again, other = (streets.Street.of(path, np.random.default_rng(seed)) for seed in (7, 7, 8))
+    assert first.objects == again.objects != other.objects
+    np.testing.assert_array_equal(first.shapes.maps, again.shapes.maps)
 
 
 STEP, COUNT, START_NS = 0.5, 30, 3_000_000
@@ -503,7 +497,7 @@ def alone(street, instance):
 
 
 @pytest.mark.parametrize("camera_id", ["camera0", "camera1"])
-def test_what_hides_an_object_is_what_an_image_of_it_alone_shows_more_of_it(busy, camera_id):
+def test_what_an_image_shows_of_movers_is_visible_and_one_of_a_single_thing_shows_what_is_hidden(busy, camera_id):
     truth, k = busy.truth, 2
     camera = truth.cameras[camera_id]
     occlusion, shown = truth.occlusion(camera_id, k), truth.instances(camera_id, k)
@@ -519,11 +513,7 @@ def test_what_hides_an_object_is_what_an_image_of_it_alone_shows_more_of_it(busy
     assert set(np.unique(shown[shown > 0])) <= set(occlusion.instances.tolist())
     assert ((occlusion.hidden >= 0) & (occlusion.hidden <= 1)).all()
     assert occlusion.hidden.max() > 0.5
-
-
-@pytest.mark.parametrize("camera_id", ["camera0", "camera1"])
-def test_what_an_image_shows_of_movers_is_visible_at_its_time(busy, camera_id):
-    truth, k = busy.truth, 5
+    k = 5
     camera, image = truth.cameras[camera_id], truth.image(camera_id, k)
     rows, columns = np.nonzero(image.instances > len(truth.objects))
     assert len(rows) > 100

@@ -172,12 +172,8 @@ def slow_pace(second):
     return pace
 
 
-@pytest.fixture(scope="module")
-def warp():
-    return tr.TimeWarp.of(STOPS, ramp=RAMP)
-
-
-def test_the_warped_time_is_the_integral_of_the_pace_and_that_and_its_slope_are_its_derivatives(warp):
+def test_the_warped_time_is_the_integral_of_the_pace_and_stands_to_the_last_bit_during_a_stop():
+    warp = tr.TimeWarp.of(STOPS, ramp=RAMP)
     corners = sorted({t for s in STOPS for t in (s.at_s - RAMP, s.at_s, s.at_s + s.for_s, s.at_s + s.for_s + RAMP)})
     for second in (-3.0, 0.0, 2.0, 3.9, 5.0, 7.3, 12.0, 18.5, 22.0, 26.0, 40.0):
         points = [t for t in corners if min(0, second) < t < max(0, second)] or None
@@ -191,9 +187,7 @@ def test_the_warped_time_is_the_integral_of_the_pace_and_that_and_its_slope_are_
     # h²/6 times a third derivative below 10 is 2e-10, rounding of 40 s over 2e-5 s 4e-10.
     np.testing.assert_allclose((after[0] - before[0]) / (2 * step), middle[1], atol=2e-9)
     np.testing.assert_allclose((after[1] - before[1]) / (2 * step), middle[2], atol=2e-9)
-
-
-def test_during_a_stop_the_warped_time_is_the_same_to_the_last_bit_and_without_stops_nothing_is_warped(warp):
+    # during a stop it stands to the last bit
     for stop in STOPS:
         time, pace, slope = warp.at(np.linspace(stop.at_s, stop.at_s + stop.for_s, 999))
         assert np.unique(time).size == 1

@@ -66,8 +66,10 @@ def test_what_cannot_be_done_gets_0_with_cause_and_reason_or_is_an_error(serve, 
     assert (code, "expected 1, detections" in details) == ("INVALID_ARGUMENT", True)
 
 
-def test_a_get_that_waits_and_a_subscriber_have_what_comes_meanwhile_in_order(call):
-    waiting = call.method("Get").future(call.request("Get", wait_ms=30_000), timeout=60)
+def test_who_waits_or_subscribes_has_what_comes_in_order_and_who_gives_up_takes_nothing_along(call):
+    gone, waiting = (call.method("Get").future(call.request("Get", wait_ms=60_000), timeout=60) for _ in range(2))
+    assert gone.cancel()
+    assert call.fails("Get", timeout=0.05, wait_ms=60_000)[0] == "DEADLINE_EXCEEDED"
     call.send_pair(0)
     call("Flush")
     assert waiting.result().sensor_data.points_seq == 0
@@ -81,13 +83,10 @@ def test_a_get_that_waits_and_a_subscriber_have_what_comes_meanwhile_in_order(ca
     counts = call("GetCounters").counts
     assert (counts["delivered.sensor_data"], counts["results.sensor_data"]) == (4, 5)
     assert "delivered.detections" not in counts
-
-
-def test_a_session_that_is_closed_ends_its_subscriptions_and_is_forgotten(call):
     results = call("Subscribe", timeout=30)
-    call.send_pair(0)
-    assert call("CloseSession").status == 1
-    assert [reply.number for reply in results] == [0]
+    assert next(results).number == 4
+    assert call("CloseSession").status == 1  # which ends subscriptions
+    assert list(results) == []
     assert dict(call("GetCounters").counts) == {}
 
 
@@ -305,15 +304,6 @@ def send_large_pairs(call, count):
     assert call("Flush").status == 1
 
 
-def test_a_caller_that_gives_up_or_waits_too_long_takes_no_result_along(call):
-    waiting, again = (call.method("Get").future(call.request("Get", wait_ms=60_000)) for _ in range(2))
-    assert waiting.cancel()
-    assert call.fails("Get", timeout=0.05, wait_ms=60_000)[0] == "DEADLINE_EXCEEDED"
-    call.send_pair(0)
-    call("Flush")
-    assert again.result(timeout=PATIENCE_S).number == 0
-
-
 def left_of(call, count):
     """The numbers of the results that are left, up to the last one."""
     numbers = []
@@ -384,16 +374,11 @@ def test_what_a_subscriber_had_not_got_when_it_left_or_was_killed_goes_to_others
     left = left_of(call, COUNT)
     assert left == list(range(left[0], COUNT))
     assert (0 if killed else 1) <= left[0] < COUNT - 1
-
-
-def test_a_sender_that_is_killed_in_a_stream_leaves_a_session_that_goes_on(serve, connect, dying):
-    server = serve()
-    call = connect(server)
-    call.calibrate()
-    process = dying(server, "SendStream")
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    call.send_pair(0)
+    sender = dying(server, "SendStream")  # of a session that goes on
+    sender.send_signal(signal.SIGKILL)
+    sender.wait()
+    assert call.send(image(100 * COUNT, COUNT, width=LARGE[0], height=LARGE[1])).status == 1
+    assert call.send(cloud(100 * COUNT, COUNT)).status == 1
     assert call("Flush").status == 1
     assert call("Get").WhichOneof("result") == "sensor_data"
 

@@ -69,8 +69,7 @@ def sound_scene() -> Any:
     return simulate_street(5, frames=2, lidar=lidar, cameras=(camera,), imu=imu).scene
 
 
-Write = Callable[[Path], Path]
-"""Writes a sound drive into an empty folder, and gives its path, of a file or a folder."""
+Write = Callable[[Path], Path]  # writes a sound drive into an empty folder, and gives its path, of a file or a folder
 
 
 def _written(name: str, location: str, folder: Path, **options: Any) -> Path:
@@ -390,8 +389,7 @@ def _nest(name: str, content: bytes) -> None:
     Path(name).write_bytes(content)
 
 
-_LARGE = "9999999999999999999"
-"""A number that 64 bits with a sign do not hold."""
+_LARGE = "9999999999999999999"  # a number that 64 bits with a sign do not hold
 
 SPARSE = 200_000_000_000 // 55_200 * 55_200
 """Length of files without content [bytes]: a whole number of points of every kind."""

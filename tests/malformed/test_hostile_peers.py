@@ -43,8 +43,7 @@ from sceneloom.service.server import METHODS, CallError
 ANSWERS = {"INVALID_ARGUMENT", "NOT_FOUND", "RESOURCE_EXHAUSTED"}
 """Errors that are answers; others are failures of the service."""
 
-SMALL, LARGE = 40, 2000
-"""Mutants of each method, always and in the slow variant."""
+SMALL, LARGE = 40, 2000  # mutants of each method, always and in the slow variant
 
 MEBIBYTE = 1 << 20
 
@@ -515,8 +514,7 @@ def test_over_tls_wrong_certificates_and_bytes_find_nobody_and_mutants_are_answe
         rig.channel.close()
 
 
-SECONDS = 110
-"""Of the long run."""
+SECONDS = 110  # of the long run
 
 
 class Liar:

@@ -26,8 +26,7 @@ from sceneloom.service.running import read_configuration_file
 on_linux = pytest.mark.skipif(sys.platform != "linux", reason="memory of processes is bounded on Linux only")
 
 FEW, MANY = 8, 2000
-GUARDED = "mcap lz4"
-"""A drive of packed chunks with checksums, which few changes get by."""
+GUARDED = "mcap lz4"  # a drive of packed chunks with checksums, which few changes get by
 ALWAYS = {"openlabel", "recording", "mcap"}
 """Drives whose files are replaced in the usual run; the others follow in the long one."""
 

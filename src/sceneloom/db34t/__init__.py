@@ -18,11 +18,10 @@ if TYPE_CHECKING:
         PointCloudData,
         RawData,
         SensorFusionData,
-        SentRecord,
         kind_of,
     )
     from sceneloom.db34t.tables import TABLES
-    from sceneloom.db34t.types import BasicType, Timestamp, ValueForm, ValueType
+    from sceneloom.db34t.types import Timestamp
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
@@ -30,7 +29,6 @@ else:
             "ENCODINGS": "sceneloom.db34t.records:ENCODINGS",
             "RECORD_KINDS": "sceneloom.db34t.records:RECORD_KINDS",
             "TABLES": "sceneloom.db34t.tables:TABLES",
-            "BasicType": "sceneloom.db34t.types:BasicType",
             "Box2d": "sceneloom.db34t.records:Box2d",
             "Box3d": "sceneloom.db34t.records:Box3d",
             "Boxes2d": "sceneloom.db34t.records:Boxes2d",
@@ -41,10 +39,7 @@ else:
             "PointCloudData": "sceneloom.db34t.records:PointCloudData",
             "RawData": "sceneloom.db34t.records:RawData",
             "SensorFusionData": "sceneloom.db34t.records:SensorFusionData",
-            "SentRecord": "sceneloom.db34t.records:SentRecord",
             "Timestamp": "sceneloom.db34t.types:Timestamp",
-            "ValueForm": "sceneloom.db34t.types:ValueForm",
-            "ValueType": "sceneloom.db34t.types:ValueType",
             "kind_of": "sceneloom.db34t.records:kind_of",
         },
     )
@@ -53,7 +48,6 @@ __all__ = [
     "ENCODINGS",
     "RECORD_KINDS",
     "TABLES",
-    "BasicType",
     "Box2d",
     "Box3d",
     "Boxes2d",
@@ -64,9 +58,6 @@ __all__ = [
     "PointCloudData",
     "RawData",
     "SensorFusionData",
-    "SentRecord",
     "Timestamp",
-    "ValueForm",
-    "ValueType",
     "kind_of",
 ]

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 from urllib.parse import quote
 from zipfile import ZIP_DEFLATED, ZipFile
 
@@ -24,14 +24,6 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.frames import LazyFrames
 
 
-class ResultSink(Protocol):
-    """Takes results, one after another."""
-
-    def add(self, result: Result) -> None:
-        """Take one result."""
-        ...
-
-
 def described(result: Result) -> dict[str, Any]:
     """A result as a JSON object with the standard's names; arrays of sensor data are left out."""
     if isinstance(result.record, FusedDetections):
@@ -43,7 +35,9 @@ def described(result: Result) -> dict[str, Any]:
 
 
 @contextmanager
-def open_sink(path: Path, *, detections: bool, overwrite: bool = False) -> Iterator[ResultSink]:
+def open_sink(
+    path: Path, *, detections: bool, overwrite: bool = False
+) -> "Iterator[JsonLines | SceneFile | ResultFolder]":
     """Give what writes results to a path; it is there, whole, when the block ends without an error.
 
     Args:

@@ -138,17 +138,7 @@ _MakeInterface = Callable[[str, Callable[[], None]], FusionInterface]
 
 
 class _Session:
-    """One rig. All methods are for the event loop's thread.
-
-    Attributes:
-        name: of the session.
-        fusion: its interface.
-        replies: makes its answers.
-        open_requests, fetching: requests that are being answered, and those of them that fetch results.
-        last_used_s, last_fetched_s: when the last request began or ended, and when the last result was delivered.
-        ended: whether its results were the last ones.
-        observed: whether events have an observer, which takes time.
-    """
+    """One rig; all methods are for the event loop's thread. `observed` where events have an observer, which takes time."""
 
     def __init__(
         self, name: str, make_interface: _MakeInterface, limits: ServiceLimits, pool: ThreadPoolExecutor, now_s: float
@@ -158,12 +148,9 @@ class _Session:
         self.bell = _Bell(asyncio.get_running_loop())
         self.fusion = make_interface(name, self.bell.ring)
         self.replies = _Replies()
-        self.open_requests = 0
-        self.fetching = 0
-        self.last_used_s = now_s
-        self.last_fetched_s = -1e9
-        self.ended = False
-        self.observed = False
+        self.open_requests = self.fetching = 0  # those that are being answered, and those of them that fetch results
+        self.last_used_s, self.last_fetched_s = now_s, -1e9
+        self.ended = self.observed = False
         self._limits = limits
         self._pool = pool
         self._threads = asyncio.Semaphore(_THREADS_OF_SESSION)
@@ -378,19 +365,12 @@ def _flush(fusion: FusionInterface, _: fusion_pb2.FlushRequest) -> Outcome:
 
 @dataclass(frozen=True, slots=True)
 class _Call:
-    """What a method does.
-
-    Attributes:
-        perform: given the interface and the request; None where it takes more than one step of the event loop.
-        cause: why a message that is none is refused.
-        quick: it never waits for records that are being received.
-        reads_bytes: it is given the bytes of the request.
-    """
+    """What a method does, by `perform`; None where it takes more than one step of the event loop."""
 
     perform: Callable[[FusionInterface, Any], Outcome | Message] | None
-    cause: Cause = Cause.ILL_TYPED
-    quick: bool = False
-    reads_bytes: bool = False
+    cause: Cause = Cause.ILL_TYPED  # why a message that is none is refused
+    quick: bool = False  # it never waits for records that are being received
+    reads_bytes: bool = False  # it is given the bytes of the request
 
 
 _CALLS: Mapping[str, _Call] = MappingProxyType(

@@ -24,8 +24,7 @@ CAMERA_WORDS = ["+z,+x,-y", "+x,-y,+z", "+z,-x,-y"]
 FORWARD_RIGHT_UP = np.array([[12.0, 0.5, -0.25], [30.0, -4.0, 1.5], [8.0, 3.0, 2.0], [-9.0, 1.0, 0.0]])
 """Points around the vehicle [m]."""
 
-CAMERA_AT = np.array([0.5, 0.25, -0.5])
-"""Where the camera is, forward, right and up of the lidar [m]; it looks forward."""
+CAMERA_AT = np.array([0.5, 0.25, -0.5])  # where the camera is, forward, right and up of the lidar [m]; it looks forward
 
 
 def axes_matrix(words):
@@ -116,8 +115,7 @@ def test_boxes_come_back_in_the_frame_that_was_declared(lidar_words, camera_word
     np.testing.assert_array_equal(record.corners_xyxy, known.corners_xyxy)
 
 
-SPEED, ROTATION = 20.0, 0.8
-"""Of the vehicle along its trajectory: forward [m/s], to the left [rad/s]."""
+SPEED, ROTATION = 20.0, 0.8  # of the vehicle along its trajectory: forward [m/s], to the left [rad/s]
 
 WORLD_POINT = np.array([1_000_000.0 + 15.0, 2_000_000.0 - 1.0, 0.5])
 """Something that stands, x, y, z in a world far from its origin [m]."""
@@ -214,8 +212,7 @@ def test_a_trajectory_that_ends_shortly_before_is_continued_and_a_setting_counts
     np.testing.assert_allclose(first.points[:, :3], np.tile(from_lidar(0.04), (5, 1)), atol=2e-4)
 
 
-ROLL_S = 0.1
-"""From the first line of an image to its last: the vehicle goes 2 m meanwhile, and rotates by 5 degrees."""
+ROLL_S = 0.1  # from the first line of an image to its last: the vehicle goes 2 m meanwhile, and rotates by 5 degrees
 
 
 def seen_by_line(image_s, *, over_columns):

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sceneloom.db34t import RECORD_KINDS, TABLES, BasicType, Timestamp, ValueForm, ValueType
+from sceneloom.db34t import RECORD_KINDS, TABLES, Timestamp
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.setting import PREDEFINED
+from sceneloom.db34t.types import BasicType, ValueForm, ValueType
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
 

@@ -19,8 +19,7 @@ from sceneloom.service.server import ServerSettings
 
 SERVICE = fusion_pb2.DESCRIPTOR.services_by_name["DataFusion"]
 
-DEADLINE_S = 60
-"""For calls that end at once: far more than they take on a busy machine."""
+DEADLINE_S = 60  # for calls that end at once: far more than they take on a busy machine
 
 
 class Caller:

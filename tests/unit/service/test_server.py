@@ -287,11 +287,9 @@ def test_results_after_a_tracking_subscriber_has_left_are_as_they_were_sent(call
     assert all(reply.detections.detections[0].id == 0 for reply in left)
 
 
-PATIENCE_S = 60
-"""For other processes on a busy machine."""
+PATIENCE_S = 60  # for other processes on a busy machine
 
-LARGE = (640, 480)
-"""An image whose result does not fit into what a connection takes without being read."""
+LARGE = (640, 480)  # an image whose result does not fit into what a connection takes without being read
 
 
 def send_large_pairs(call, count):
@@ -314,8 +312,7 @@ def left_of(call, count):
     return numbers
 
 
-COUNT = 12
-"""Results of 2 MB: more than are on their trajectory at once."""
+COUNT = 12  # results of 2 MB: more than are on their trajectory at once
 
 
 DYING = """

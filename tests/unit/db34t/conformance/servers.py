@@ -128,8 +128,7 @@ class Broken:
             yield self.call("Get", get)
 
 
-SERVERS = []
-"""Every broken server's name, how it is made of a sound one, and the checks that find it."""
+SERVERS = []  # every broken server's name, how it is made of a sound one, and the checks that find it
 
 
 def broken(ids, where=None):

@@ -145,14 +145,9 @@ class Counters:
 
 
 class _Announcer:
-    """Tells an observer what happens, one call at a time, from any thread.
-
-    Attributes:
-        observed: whether somebody looks on.
-    """
+    """Tells an observer what happens, one call at a time, from any thread; one that fails is counted."""
 
     def __init__(self, observer: Observer | None, counters: Counters) -> None:
-        """Tell an observer, or nobody; an observer that fails is counted."""
         self.observed = observer is not None
         self._observer = observer
         self._counters = counters

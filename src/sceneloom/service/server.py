@@ -138,12 +138,11 @@ _MakeInterface = Callable[[str, Callable[[], None]], FusionInterface]
 
 
 class _Session:
-    """One rig; all methods are for the event loop's thread. `observed` where events have an observer, which takes time."""
+    """One rig; all methods are for the event loop's thread."""
 
     def __init__(
         self, name: str, make_interface: _MakeInterface, limits: ServiceLimits, pool: ThreadPoolExecutor, now_s: float
     ) -> None:
-        """Start; `sessions` makes them."""
         self.name = name
         self.bell = _Bell(asyncio.get_running_loop())
         self.fusion = make_interface(name, self.bell.ring)
@@ -328,7 +327,6 @@ class _Replies:
     """Makes one session's answers (clause 5.7), for several threads; keeps the bytes of the latest configuration."""
 
     def __init__(self) -> None:
-        """Know no configuration yet."""
         self._latest: tuple[Snapshot, bytes] | None = None
 
     def reply(self, result: Result) -> bytes:
@@ -1020,7 +1018,6 @@ class _Metrics:
     """What the service counts. For the event loop's thread."""
 
     def __init__(self) -> None:
-        """Begin at 0."""
         self._calls: Counter[tuple[str, str]] = Counter()
         self._durations: defaultdict[str, Histogram] = defaultdict(Histogram)
 

@@ -59,15 +59,13 @@ def test_a_worker_that_cannot_be_started_is_started_once_more(tmp_path, drives, 
         monkeypatch.setattr(process, "start", killed_once)
     summary = run(job("copy", drives("a.sfs")), tmp_path / "out", workers=1)
     assert (summary.done, summary.retried, len(starts)) == (1, 0, 2)
+    # a fault of a worker that is no outcome is one of its task
+    monkeypatch.setattr("sceneloom.batch.running.run_task", refuse_task)
+    assert run(job("copy", drives("a.sfs")), tmp_path / "two", workers=1).failed == 1
 
 
 def refuse_task(task):
     raise RuntimeError(task.location)
-
-
-def test_a_fault_of_a_worker_that_is_no_outcome_is_one_of_its_task(tmp_path, drives, job, monkeypatch):
-    monkeypatch.setattr("sceneloom.batch.running.run_task", refuse_task)
-    assert run(job("copy", drives("a.sfs")), tmp_path / "out", workers=1).failed == 1
 
 
 def test_others_wait_only_as_long_as_more_and_more_is_compiled(monkeypatch):

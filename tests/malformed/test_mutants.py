@@ -42,21 +42,14 @@ def test_a_mutant_of_a_drive_gives_a_scene_or_an_error_of_ours(name):
 
 @on_linux
 @pytest.mark.slow
-@pytest.mark.parametrize("name", DRIVES)
-def test_many_mutants_of_a_drive_give_a_scene_or_an_error_of_ours(name):
+@pytest.mark.parametrize("name", DRIVES | STRANGERS)
+def test_many_mutants_of_a_drive_or_of_files_of_others_give_a_scene_or_an_error_of_ours(name, request):
+    if name in STRANGERS and not (request.getfixturevalue("data_dir") / "real" / "strangers").is_dir():
+        pytest.skip("no files of others beside the real data")
     tried = try_mutants(name, range(FEW, FEW + MANY), seconds=110)
     assert not tried.failures, str(tried)
-    assert set(tried.outcomes) == {"scene", "refused"} - ({"scene"} if name == GUARDED else set())
-
-
-@on_linux
-@pytest.mark.slow
-@pytest.mark.parametrize("name", STRANGERS)
-def test_many_mutants_of_files_of_others_give_a_scene_or_an_error_of_ours(name, data_dir):
-    if not (data_dir / "real" / "strangers").is_dir():
-        pytest.skip("no files of others beside the real data")
-    tried = try_mutants(name, range(MANY), seconds=110)
-    assert not tried.failures, str(tried)
+    if name in DRIVES:
+        assert set(tried.outcomes) == {"scene", "refused"} - ({"scene"} if name == GUARDED else set())
 
 
 @on_linux

@@ -241,7 +241,7 @@ def test_a_calibration_that_looks_wrong_is_reported_at_the_first_send_and_stops_
     assert fusion.counters.counts()["notes.calibration"] == 1
 
 
-def test_clouds_without_points_and_images_of_one_pixel_are_fused(bare):
+def test_clouds_without_points_or_with_very_many_fields_and_images_of_one_pixel_are_fused(bare):
     one = calibration(image_size=(1, 1), intrinsic_matrix=(1, 0, 0, 0, 1, 0, 0, 0, 1))
     assert bare.set_calibration(one, camera_id=1, lidar_id=0)
     for seq, points in enumerate([(), ((5.0, 0.0, 0.0),)]):
@@ -250,6 +250,11 @@ def test_clouds_without_points_and_images_of_one_pixel_are_fused(bare):
     assert (empty.point_num, empty.depths.tolist()) == (0, [[0.0]])
     np.testing.assert_array_equal(full.points, [[5, 0, 0, 7, 7, 7]])
     assert full.depths.tolist() == [[5.0]]
+    for count, status in ((252, 1), (253, 0)):  # there has to be room for colours in the result
+        fields = ("x", "y", "z", *(f"f{k}" for k in range(count - 3)))
+        assert bare.send(cloud(1000 + count, count, np.ones(count), fields=fields)).status == status
+    (record,) = fused(bare, 0, image(1252, 252, width=1, height=1))
+    assert record.fields_number == 255
 
 
 def records_of_a_recording(milliseconds, seq, *points, seconds):
@@ -302,13 +307,6 @@ def test_every_box_that_was_taken_is_in_a_result_or_counted(fusion):
             fusion.counters.add(f"left-out.{kind}", -left_out)
 
 
-def test_a_box_that_goes_uphill_heads_there_in_the_result(fusion):
-    (record,) = fused(fusion, 1, boxes_2d(0, 1), boxes_3d(0, 1, direction=(3.0, 0.0, 4.0), velocity=-2.0))
-    (found,) = record
-    assert found.direction == pytest.approx((0.6, 0.0, 0.8)) or found.direction == pytest.approx((-0.6, 0.0, -0.8))
-    assert found.velocity == pytest.approx(-2.0 if found.direction[0] > 0 else 2.0)
-
-
 def test_objects_that_the_image_does_not_show_have_an_empty_outline_and_frames_without_boxes_are_fused_to_none(fusion):
     for seq, center in enumerate(({"X": -20.0}, {"X": 5.0, "Y": 60.0}, {"X": 20.0})):
         send_all(fusion, no_boxes_2d(100 * seq, seq), boxes_3d(100 * seq, seq, **center))
@@ -318,6 +316,10 @@ def test_objects_that_the_image_does_not_show_have_an_empty_outline_and_frames_w
         assert record.in_image.tolist() == [False]
     assert ahead.in_image.tolist() == [True]
     assert (len(none), none.points_seq, none.image_seq) == (0, 3, 4)
+    (record,) = fused(fusion, 1, boxes_2d(400, 5), boxes_3d(400, 5, direction=(3.0, 0.0, 4.0), velocity=-2.0))
+    (found,) = record  # goes uphill
+    assert found.direction == pytest.approx((0.6, 0.0, 0.8)) or found.direction == pytest.approx((-0.6, 0.0, -0.8))
+    assert found.velocity == pytest.approx(-2.0 if found.direction[0] > 0 else 2.0)
 
 
 @pytest.mark.parametrize("form", ["jpeg", "png", "rgb8"])
@@ -398,10 +400,7 @@ def test_boxes_alone_are_closed_by_the_next_number_and_by_flush(fusion):
     fusion.close()
     counts = fusion.counters.counts()
     assert (counts["received.box_2d"], counts["gathered.boxes_2d"], counts["fused.boxes_2d"]) == (6, 2, 2)
-
-
-def test_a_box_alone_belongs_to_the_sensor_that_sent_its_frame():
-    with interface(inline=True, lidars=(0, 2)) as fusion:
+    with interface(inline=True, lidars=(0, 2)) as fusion:  # one belongs to the sensor that sent its frame
         assert fusion.send(box_3d(0, 7)).cause is Cause.UNKNOWN_SENSOR
         sent = cloud(0, 6, sensor_id=0), cloud(0, 7, sensor_id=2), box_3d(0, 7), box_2d(0, 1)
         record = fused(fusion, 1, *sent)[0]
@@ -486,14 +485,6 @@ def test_a_camera_that_comes_back_is_waited_for_again(fusion):
         send_all(fusion, *(image(100 * seq, seq, sensor_id=sensor_id) for seq in range(3)))
     found = {(r.record.points_seq, r.record.camera_id) for r in fusion.results(0)}
     assert {(2, 1), (2, 2)} <= found
-
-
-def test_a_cloud_leaves_room_for_colours_in_the_result(fusion):
-    for count, status in ((252, 1), (253, 0)):
-        fields = ("x", "y", "z", *(f"f{k}" for k in range(count - 3)))
-        assert fusion.send(cloud(count, count, np.ones(count), fields=fields)).status == status
-    (record,) = fused(fusion, 0, image(252, 1))
-    assert record.fields_number == 255
 
 
 def test_so_many_calibrations_may_be_there_and_cameras_may_have_so_many_pixels_together(bare):

@@ -214,10 +214,7 @@ BOX = field(2, b"car") + tagged(3, 0, b"\x07") + field(5, b"\x08\x05")
 def test_unusual_bytes_have_the_outcome_that_the_library_gives_them(members):
     content = field(5, tagged(1, 0, b"\x02") + tagged(2, 0, b"\x07") + members)
     assert outcome(decode_send_request, content) == outcome(by_the_library, content)
-
-
-def test_vectors_in_single_numbers_are_read():
-    box = field(2, b"car") + field(5, b"")
+    box = field(2, b"car") + field(5, b"")  # vectors in single numbers are read
     for number, value in zip((9, 10, 11, 12, 12, 12), (2, 2, 2, 1.0, 0.0, 0.5), strict=True):
         box += tagged(number, 5, np.float32(value).tobytes())
     record = decode_send_request(field(4, field(3, b"") + field(4, box)))

@@ -82,7 +82,7 @@ def test_numbers_of_32_bits_are_kept_as_such_and_what_is_no_record_has_no_kind()
         kind_of("record")
 
 
-def test_arrays_are_flat_read_only_views_with_shaped_views_beside_them():
+def test_arrays_are_flat_read_only_views_with_shaped_views_beside_them_and_may_be_empty_or_not_finite():
     assert (IMAGE.data.shape, IMAGE.pixels.shape) == ((480 * 360 * 3,), (480, 360, 3))
     assert (FUSION.depths.shape, FUSION.pixels.shape) == ((480, 360), (480, 360, 3))
     assert (CLOUD.points.shape, FUSION.points.shape) == ((1000, 4), (10000, 3))
@@ -90,9 +90,6 @@ def test_arrays_are_flat_read_only_views_with_shaped_views_beside_them():
         IMAGE.pixels[0, 0, 0] = 1
     # a file of an image has no pixels before it is decoded
     assert replace(IMAGE, encoding="jpeg", data=np.zeros(7, np.uint8)).pixels is None
-
-
-def test_what_may_be_missing_empty_or_not_finite():
     assert replace(CALIBRATION, distortion_coeffs=None).distortion_coeffs == (0.0,) * 5
     assert len(Boxes3d.empty(0, 1, TIME)) == len(Boxes2d.empty(0, 1, TIME)) == 0
     empty = FusedDetections.empty(TIME, image_seq=1, points_seq=2, camera_id=3, lidar_id=4)

@@ -159,19 +159,15 @@ def test_nobody_at_the_address_and_no_answer_in_time_are_reported_as_such(listen
             client.flush()
 
 
-def test_a_missing_or_wrong_token_is_reported_as_such():
-    with running_server(ServerSettings(security=Security(token=TOKEN))) as running:
+def test_a_missing_or_wrong_token_and_a_record_beyond_the_limit_are_reported_as_such():
+    limits = ServiceLimits(largest_message=10_000)
+    with running_server(ServerSettings(security=Security(token=TOKEN), limits=limits)) as running:
         for token in (None, "another" * 4):
             with FusionClient(running.address, token=token) as client, pytest.raises(UnauthenticatedError):
                 client.counters()
         with FusionClient(running.address, token=TOKEN) as client:
             assert client.counters() == {}
-
-
-def test_a_record_beyond_the_limit_of_the_service_is_reported_as_too_large():
-    settings = ServerSettings(limits=ServiceLimits(largest_message=10_000))
-    with running_server(settings) as running, FusionClient(running.address) as client:
-        assert client.set_calibration(calibration(), camera_id=1, lidar_id=0)
-        with pytest.raises(TooLargeError, match="larger than max"):
-            client.send(cloud(0, 1, count=10_000))
-        assert client.send(cloud(0, 1, count=100))
+            assert client.set_calibration(calibration(), camera_id=1, lidar_id=0)
+            with pytest.raises(TooLargeError, match="larger than max"):
+                client.send(cloud(0, 1, count=10_000))
+            assert client.send(cloud(0, 1, count=100))

@@ -2,10 +2,12 @@
 
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -19,8 +21,8 @@ if TYPE_CHECKING:  # a verb that reads no drive starts quickly without them
 
 SHOWN = 5
 """Warnings and losses shown unless `--verbose` is stated."""
-_LOSSES = {"kept": "note", "converted": "converted", "approximated": "approximated", "dropped": "lost"}
-"""What a line about a loss begins with."""
+_LOSSES = {"dropped": "lost", "approximated": "approximated", "converted": "converted", "kept": "note"}
+"""What a line about a loss begins with; what matters most comes first, and what is kept aside before converted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,7 @@ class Printer:
                 f"{'kept aside' if loss.kept else _LOSSES[loss.support]}: {loss.field}: {loss.what}"
                 + times(loss.count)
                 + (f"; it is in {loss.kept}" if loss.kept else "")
-                for loss in losses
+                for loss in sorted(losses, key=_rank)
             ]
         )
 
@@ -85,15 +87,34 @@ class Printer:
         self.losses(getattr(report, "losses", ()))
 
     def notes(self, lines: Sequence[str]) -> None:
-        """Print lines on standard error, only the first ones unless `--verbose` is stated."""
+        """Print lines on standard error; unless `--verbose` is stated, like ones as one, and only the first ones."""
         if self.quiet:
             return
+        lines = lines if self.verbose else _folded(lines)
         shown = lines if self.verbose else lines[:SHOWN]
         for line in shown:
             word, colon, rest = line.partition(":")
             click.echo(f"{marked(word)}{colon}{rest}", err=True)
         if len(lines) > len(shown):
             click.echo(f"… and {len(lines) - len(shown)} more: `--verbose` lists them", err=True)
+
+
+def _rank(loss: "Loss") -> float:
+    return 1.5 if loss.kept else list(_LOSSES).index(loss.support)
+
+
+def _folded(lines: Sequence[str]) -> list[str]:
+    """Lines in a row that differ in numbers only, as one: "000013.png is missing (and 82 like it, to 000095)"."""
+    folded = []
+    for _, group in groupby(lines, key=lambda line: re.sub(r"\d+", "0", line)):
+        first, *others = group
+        if len(others) < 2:
+            folded += [first, *others]
+            continue
+        numbers = zip(re.findall(r"\d+", first), re.findall(r"\d+", others[-1]), strict=True)
+        last = [end for start, end in numbers if start != end][-1:]
+        folded.append(f"{first} (and {len(others)} like it{''.join(f', to {end}' for end in last)})")
+    return folded
 
 
 def _is_correction(warning: "DataWarning") -> bool:

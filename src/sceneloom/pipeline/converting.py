@@ -252,7 +252,8 @@ class _Group:
         """With one row for fields of a kind to which the same happened; those with an option as a remedy come first."""
         together: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
         for row in self.rows:
-            together.setdefault((*row[0].split(".")[:2], row[2]), []).append(row)
+            owner = row[0].split(".")[:-1][:2]
+            together.setdefault((*owner, row[2]), []).append(row)
         rows = []
         for same in together.values():
             parts = zip(*(name.split(".") for name, _, _ in same), strict=False)

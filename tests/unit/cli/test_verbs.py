@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.cli.printing import seconds
+from sceneloom.cli.printing import Printer, seconds
+from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 
@@ -103,7 +104,7 @@ def test_only_the_first_skipped_frames_are_listed(call, succeeds, recording, tmp
     arguments = ("fuse", folder, "-o", tmp_path / "d.sfs", "--lenient", "--overwrite")
     outcome = succeeds(*arguments)
     assert "3 sweeps or images skipped" in outcome.out
-    assert outcome.err.count("skipped: ") == 3
+    assert "00000000.png" in outcome.err and "(and 2 like it, to 00000002)" in outcome.err
     assert "skipped: " not in call(*arguments, "--quiet").err
 
 
@@ -162,3 +163,17 @@ def test_json_reports_where_the_time_went(reported, recording, tmp_path, verb, w
     stages = reported(verb, recording, *(word.replace("OUT", str(tmp_path / "out")) for word in words))["stages"]
     assert {"opening", stage} <= stages.keys()
     assert all(seconds >= 0.0 for seconds in stages.values())
+
+
+def test_notes_that_differ_in_numbers_are_one_and_what_is_lost_comes_first(capsys):
+    lines = [f"skipped: image_02/{k:06}.png: is missing" for k in range(13, 96)]
+    Printer().notes([*lines, "assumed: 2 units", "assumed: 3 units"])
+    folded = "skipped: image_02/000013.png: is missing (and 82 like it, to 000095)\n"
+    assert capsys.readouterr().err == f"{folded}assumed: 2 units\nassumed: 3 units\n"
+    Printer(verbose=True).notes(lines)
+    assert capsys.readouterr().err.splitlines() == lines
+    supports = {"kept": Support.KEPT, "converted": Support.CONVERTED, "approximated": Support.APPROXIMATED}
+    losses = [Loss(field=name, what="so", support=support) for name, support in supports.items()]
+    Printer().losses([*losses, Loss(field="aside", what="so", kept="metadata"), Loss(field="gone", what="so")])
+    words = [line.partition(":")[0] for line in capsys.readouterr().err.splitlines()]
+    assert words == ["lost", "approximated", "kept aside", "converted", "note"]

@@ -32,7 +32,8 @@ import numpy as np
 
 from benchmarks.recording_lines import measure_lines, measure_writing
 from benchmarks.sides import measure, show
-from sceneloom.formats.recording.lidars import XYZIRT, read_points
+from sceneloom.formats.recording.contents import XYZIRT
+from sceneloom.formats.recording.reader import read_points
 from sceneloom.formats.video.reader import open_video
 
 LIDAR_FILES, LIDAR_POINTS = 36, 120_000

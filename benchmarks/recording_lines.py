@@ -15,7 +15,7 @@ import orjson
 import sceneloom
 from benchmarks.sides import measure, show
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.recording.lines import RecordingColumns, read_lines
+from sceneloom.formats.recording.contents import RecordingColumns, read_lines
 from sceneloom.scene import GnssSensor, ImuSensor
 
 Arrays = dict[str, tuple[Any, ...]]

@@ -17,7 +17,7 @@ import numpy as np
 
 from sceneloom import validate
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.recording.lines import read_lines
+from sceneloom.formats.recording.contents import read_lines
 
 Line = dict[str, object]
 IMU_HZ = 100

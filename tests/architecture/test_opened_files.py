@@ -35,7 +35,7 @@ ALLOWED = {
     ("sceneloom.formats.pandaset.pickles", "gzip.GzipFile"): "of an open file",
     ("sceneloom.formats.video.reader", "av.open"): "after a look whether it is a file",
     ("sceneloom.formats.video.writer", "av.open"): "for writing",
-    ("sceneloom.formats.sfs.images", "av.open"): "for writing",
+    ("sceneloom.formats.sfs.reader", "av.open"): "for writing",
     ("sceneloom.batch.cluster", "read_bytes"): "what a worker of ours left",
     ("sceneloom.batch.record", "sqlite3.connect"): "the lock and the record in a folder of our own",
     ("sceneloom.catalog.building", "pa.OSFile"): "what was drafted before, in a folder of our own",

@@ -10,7 +10,7 @@ from PIL import Image
 from tests.malformed.damage import flipped, scattered
 
 from sceneloom.errors import DataError, OptionError, OutputError, SceneloomError
-from sceneloom.formats.recording.cameras import PngFolder
+from sceneloom.formats.recording.reader import PngFolder
 from sceneloom.formats.video.reader import open_video
 from sceneloom.formats.video.writer import VideoWriter, remux_to_mp4
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from sceneloom.formats.base.diagnostics import PlacedFault
-from sceneloom.formats.recording.calibration import RecordingContents
+from sceneloom.formats.recording.contents import RecordingContents
 from sceneloom.scene.annotations import Annotation, Box2DAnnotation, CuboidAnnotation, PointsAnnotation, ShapeAnnotation
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
 from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor

@@ -74,7 +74,7 @@ from sceneloom.db34t.tables import BOX_3D
 from sceneloom.db34t.types import DONE, Cause, Outcome, Timestamp, refused
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.errors import CalibrationError, OptionError, PoseError, SceneloomError
-from sceneloom.formats.recording.lidars import XYZIRT
+from sceneloom.formats.recording.contents import XYZIRT
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType, algorithm
 from sceneloom.fusion.system import STILL, FusedDetectionFrame, FusionSystem, Leave, SeenBoxes
 from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform, multiply_quaternions, rotate_vectors

@@ -19,7 +19,7 @@ from sceneloom.db34t.types import INTEGER_RANGES, NANOSECONDS, BasicType, Timest
 from sceneloom.detections.results import FusedBoxes
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.images import EncodedImage
-from sceneloom.formats.recording.lidars import XYZIRT
+from sceneloom.formats.recording.contents import XYZIRT
 from sceneloom.fusion.algorithms import BUILT_IN, FusionType
 from sceneloom.fusion.system import FusedDetectionFrame
 from sceneloom.geometry.rigid import RigidTransform

@@ -28,7 +28,7 @@ from sceneloom.db34t.scene_objects import (
 from sceneloom.db34t.setting import Setting
 from sceneloom.detections.results import FusedBoxes
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.recording.lidars import XYZIRT
+from sceneloom.formats.recording.contents import XYZIRT
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes2D, Boxes3D, LidarFrame, LidarPoints, PointsFrame, Poses, ScoreForm
 from sceneloom.service.server import TrackedResults

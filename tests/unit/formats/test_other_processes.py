@@ -18,7 +18,7 @@ import simplejpeg
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.cameras import PngFolder
+from sceneloom.formats.recording.reader import PngFolder
 from sceneloom.formats.video.reader import VideoReader, open_video
 from sceneloom.pipeline.alignment import moved_scene
 from sceneloom.pipeline.deskewing import deskewed_scene

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sceneloom.formats.recording.lidars import XYZIRT
+from sceneloom.formats.recording.contents import XYZIRT
 from sceneloom.kernels.packed import LARGEST_RATIO, unfold, unpack
 
 

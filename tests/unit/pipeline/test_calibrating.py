@@ -62,16 +62,15 @@ def lists(scene, folder, rotation_deg):
 @pytest.mark.parametrize(
     ("rotation_deg", "verdict"), [((0.0, 0.0, 0.0), Verdict.GOOD), ((2.0, -1.0, 0.0), Verdict.WRONG)]
 )
-def test_boxes_report_what_images_cannot(drive, tmp_path, rotation_deg, verdict):
-    health = check_drive(drive.scene, most=2, **lists(drive.scene, tmp_path, rotation_deg)).health
+def test_boxes_report_what_images_cannot_and_those_of_a_part_are_judged_by_themselves(
+    drive, tmp_path, rotation_deg, verdict
+):
+    found = lists(drive.scene, tmp_path, rotation_deg)
+    health = check_drive(drive.scene, most=2, **found).health
     assert health.item("rotation").verdict is Verdict.UNDETERMINED
     assert health.verdict is verdict
     # boxes of whole pixels, at 6 pixels a degree; a sigma is 0.12
     np.testing.assert_allclose(health.item("boxes").values, rotation_deg[:2], atol=0.2)
-
-
-def test_a_part_of_the_drive_is_judged_by_its_own_boxes_of_both_kinds(drive, tmp_path):
-    found = lists(drive.scene, tmp_path, (2.0, -1.0, 0.0))
     health = check_drive(drive.scene, most=2, stop=0.5, **found).health
     assert health.item("boxes").verdict is Verdict.UNDETERMINED, "five images are too few"
     with pytest.raises(OptionError, match="boxes of images alone"):
@@ -112,65 +111,52 @@ def repair_of(scene):
     return Repair(frame.camera_id, frame.lidar_id, frame.camera_from_lidar, repaired, camera_model, 0.02)
 
 
-def test_a_recording_with_the_new_calibration_has_the_repaired_mounting_and_camera_model(recording, tmp_path):
+def test_a_recording_has_the_repaired_mounting_and_camera_model_and_a_scene_file_the_difference(recording, tmp_path):
     repaired = tmp_path / "repaired"
     shutil.copytree(recording, repaired)
     with sceneloom.open(recording) as scene:
         repair = repair_of(scene)
         write_calibration(scene, repair, repaired / "calibration.json", overwrite=True)
+        write_calibration(scene, repair, tmp_path / "out.sfs")
     with sceneloom.open(repaired) as scene:
         frame = calibration_frames(scene, most=1)[0]
     np.testing.assert_allclose(step_between(frame.camera_from_lidar, repair.repaired), 0.0, atol=1e-9)
     assert frame.camera == repair.camera
     entry = json.loads((repaired / "calibration.json").read_text())["cameras"][0]
     assert entry["imuToCameraShiftSeconds"] == pytest.approx(0.02)
-
-
-def test_a_scene_file_carries_the_difference_as_an_annotation(recording, tmp_path):
-    with sceneloom.open(recording) as scene:
-        repair = repair_of(scene)
-        write_calibration(scene, repair, tmp_path / "out.sfs")
     with sceneloom.open(tmp_path / "out.sfs") as scene:
         annotation = scene.annotations[-1]
-        assert annotation.type == "camera_calibration"
-        assert annotation.time_offset_ns == 20_000_000
+        assert (annotation.type, annotation.time_offset_ns) == ("camera_calibration", 20_000_000)
         assert annotation.intrinsics.fx == pytest.approx(repair.camera.fx)
         # world_from_camera' = world_from_camera D, so camera'_from_lidar = D⁻¹ camera_from_lidar
         pose = np.concatenate([annotation.poses.positions[0], annotation.poses.quaternions_xyzw[0]])
     difference = repair.stated @ repair.repaired.inverse()
-    np.testing.assert_allclose(pose[:3], difference.translation, atol=1e-9)
-    np.testing.assert_allclose(pose[3:], difference.quaternion_xyzw, atol=1e-9)
+    np.testing.assert_allclose(pose, [*difference.translation, *difference.quaternion_xyzw], atol=1e-9)
 
 
-def test_table_3_holds_the_repaired_transform_by_columns(recording, tmp_path):
+def test_table_3_holds_the_repaired_transform_by_columns_and_a_lidar_alone_is_mounted_anew_in_the_calibration(
+    recording, tmp_path
+):
+    calibration, pair = tmp_path / "calibration.json", tmp_path / "pair.json"
     with sceneloom.open(recording) as scene:
         repair = repair_of(scene)
-        write_calibration(scene, repair, tmp_path / "pair.json")
-    record = parse_json((tmp_path / "pair.json").read_bytes())
-    matrix = np.reshape(record.extrinsic_matrix, (4, 4)).T
-    np.testing.assert_allclose(matrix, repair.repaired.matrix, atol=1e-12)
-    assert record.intrinsic_matrix[0] == pytest.approx(repair.camera.fx)
-
-
-def test_a_lidar_alone_is_mounted_anew_in_the_calibration(recording, tmp_path):
-    with sceneloom.open(recording) as scene:
+        write_calibration(scene, repair, pair)
+        text = pair.read_bytes()
+        with pytest.raises(OutputError, match="exists already"):
+            write_calibration(scene, repair, pair)
+        assert pair.read_bytes() == text
+        with pytest.raises(DataError, match=r"calibration\.json"):
+            write_calibration(replace(scene, source="nowhere"), repair, calibration)
+        with pytest.raises(OptionError, match=r"expected NAME\.sfs"):
+            form_for(tmp_path / "calibration.yaml", None)
+        record = parse_json(text)
+        matrix = np.reshape(record.extrinsic_matrix, (4, 4)).T
+        np.testing.assert_allclose(matrix, repair.repaired.matrix, atol=1e-12)
+        assert record.intrinsic_matrix[0] == pytest.approx(repair.camera.fx)
         mount = scene.lidars[0].mount
         repair = Repair(None, scene.lidars[0].id, mount, moved_by(mount, STEP))
-        write_calibration(scene, repair, tmp_path / "calibration.json")
+        write_calibration(scene, repair, calibration)
         with pytest.raises(OptionError, match="camera and a lidar"):
-            write_calibration(scene, repair, tmp_path / "pair.json")
-    entry = json.loads((tmp_path / "calibration.json").read_text())["lidars"][0]
+            write_calibration(scene, repair, tmp_path / "other.json")
+    entry = json.loads(calibration.read_text())["lidars"][0]
     np.testing.assert_allclose(np.linalg.inv(entry["imuToLidar"]), repair.repaired.matrix, atol=1e-9)
-
-
-def test_what_cannot_be_written_is_refused(recording, tmp_path):
-    with pytest.raises(OptionError, match=r"expected NAME\.sfs"):
-        form_for(tmp_path / "calibration.yaml", None)
-    with sceneloom.open(recording) as scene:
-        repair = repair_of(scene)
-        (tmp_path / "pair.json").write_text("kept")
-        with pytest.raises(OutputError, match="exists already"):
-            write_calibration(scene, repair, tmp_path / "pair.json")
-        assert (tmp_path / "pair.json").read_text() == "kept"
-        with pytest.raises(DataError, match=r"calibration\.json"):
-            write_calibration(replace(scene, source="nowhere"), repair, tmp_path / "calibration.json")

@@ -72,31 +72,27 @@ def test_evening_out_exposures_takes_a_third_of_the_error_and_blending_adds_noth
     assert best <= 1.05 * nearest  # images of few pixels: what lies between them is blurred
 
 
-def test_a_map_holds_every_point_of_every_sweep_with_its_time_and_provenance(exposed, tmp_path):
+def test_a_map_holds_every_point_of_every_sweep_with_its_time_and_provenance_or_the_coloured_only(exposed, tmp_path):
     report = colour(exposed.scene, tmp_path / "map.las", settings=ColourSettings(provenance=True))
     read = laspy.read(tmp_path / "map.las")
     clouds = [frame.points for frame in iter_fused(exposed.scene)]
     assert report.written == len(read) == sum(map(len, clouds))
     times = np.concatenate([points.timestamps_ns for points in clouds]) * 1e-9
     np.testing.assert_allclose(np.asarray(read.gps_time), times, atol=1e-6)
-    seen = np.asarray(read.camera) != 255
+    seen, images = np.asarray(read.camera) != 255, np.asarray(read.image)
     assert report.coloured_percent == pytest.approx(100 * seen.mean())
-    assert (np.asarray(read.image)[seen] >= 0).all()
-    assert (np.asarray(read.image)[~seen] == -1).all()
+    assert (images[seen] >= 0).all()
+    assert (images[~seen] == -1).all()
     assert (np.asarray(read.weight)[seen] > 0).all()
     # the pixel that is named has the colour, but for the gain and what lies between pixels
-    row = np.flatnonzero(seen)[::97]
-    for k in row.tolist():
+    for k in np.flatnonzero(seen)[::97].tolist():
         camera = exposed.scene.cameras[int(read.camera[k])]
         assert 0 <= read.u[k] + 0.5 <= camera.images[int(read.image[k])].camera.width
-
-
-def test_positions_of_a_map_are_those_of_the_source_s_world(exposed, tmp_path):
-    colour(exposed.scene, tmp_path / "map.ply", settings=ColourSettings(exposure=False))
-    cloud = read_cloud(tmp_path / "map.ply").columns
     first = exposed.truth.clean_points_world(0).positions_world
-    found = np.stack([cloud[axis] for axis in "xyz"], axis=1)[: len(first)]
-    assert np.median(np.linalg.norm(found - first, axis=1)) < 0.05  # noise of the lidar
+    assert np.median(np.linalg.norm(read.xyz[: len(first)] - first, axis=1)) < 0.05  # noise of the lidar
+    report = colour(exposed.scene, tmp_path / "coloured.las", settings=ColourSettings(only_coloured=True))
+    assert (np.asarray(laspy.read(tmp_path / "coloured.las").camera) != 255).all()
+    assert report.written == round(report.points * report.coloured_percent / 100)
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz", ".ply", ".pcd", ".sfs"])
@@ -109,8 +105,8 @@ def test_a_map_of_cubes_has_one_point_for_each(exposed, tmp_path, suffix):
             positions, colors = sensor.positions.copy(), sensor.colors.copy()
         assert len(colors) == len(positions)
     else:
-        cloud = read_cloud(tmp_path / f"map{suffix}")
-        positions = np.stack([cloud.columns[axis] for axis in "xyz"], axis=1)
+        cloud = read_cloud(tmp_path / f"map{suffix}").columns
+        positions = np.stack([cloud[axis] for axis in "xyz"], axis=1)
     assert len(positions) == report.written < 0.5 * report.points
     # means of points lie in their own cubes; the origin of the cubes is the ego's first position
     origin = 0.0 if suffix == ".sfs" else exposed.scene.trajectories["groundTruth"].positions[0]
@@ -180,12 +176,6 @@ def test_a_drive_without_cameras_is_a_map_without_colours(tmp_path):
     assert (np.asarray(laspy.read(tmp_path / "map.las").red) == 128 * 257).all()
     with pytest.raises(DataError, match="expected a scene with cameras"):
         colour(drive.scene, tmp_path / "b.las", settings=ColourSettings(labels=tmp_path))
-
-
-def test_only_coloured_points_are_kept_on_request(exposed, tmp_path):
-    report = colour(exposed.scene, tmp_path / "map.las", settings=ColourSettings(only_coloured=True))
-    assert (np.asarray(laspy.read(tmp_path / "map.las").camera) != 255).all()
-    assert report.written == round(report.points * report.coloured_percent / 100)
 
 
 def test_label_images_that_do_not_fit_are_refused_with_their_names(exposed, tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import LossError, OptionError, OutputError, without_folders
 from sceneloom.formats import open_scene, write_scene
@@ -24,50 +25,23 @@ from sceneloom.formats.base.losses import (
 from sceneloom.formats.base.registry import written_formats
 from sceneloom.pipeline import convert
 from sceneloom.pipeline.converting import field_supports, fields_meant, lost
-from sceneloom.scene import (
-    AttributePath,
-    Box2DAnnotation,
-    BoxPath,
-    CameraCalibration,
-    CuboidAnnotation,
-    DataWarning,
-    EventAnnotation,
-    GroupAnnotation,
-    LabeledPoints,
-    LabeledPointsAnnotation,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    LinkAnnotation,
-    LocalizationAdjustment,
-    ObjectAnnotation,
-    PointPath,
-    PointsAnnotation,
-    PointsFrame,
-    Poses,
-    Scene,
-    ShapeAnnotation,
-    ShapeType,
-    Trajectory,
-    VertexPath,
-    WarningKind,
-)
 from sceneloom.scene.contents import MODEL_FIELDS
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 TIMESTAMPS = np.array([1_000_000_000, 1_100_000_000])
-TRAJECTORY = Poses(TIMESTAMPS, np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
+TRAJECTORY = sc.Poses(TIMESTAMPS, np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
 
 
 def drive(*, events=(), points_ns=0):
     frames = [
-        LidarFrame(int(t), LidarPoints(np.ones((4, 3), np.float32), timestamps_ns=np.full(4, t + points_ns)))
+        sc.LidarFrame(int(t), sc.LidarPoints(np.ones((4, 3), np.float32), timestamps_ns=np.full(4, t + points_ns)))
         for t in TIMESTAMPS
     ]
-    lidar = LidarSensor("top", LazyFrames.of(frames, TIMESTAMPS.tolist()), TRAJECTORY, points_frame=PointsFrame.WORLD)
-    trajectory = Trajectory("trajectory", TIMESTAMPS, TRAJECTORY.positions, TRAJECTORY.quaternions_xyzw)
-    return Scene((lidar,), annotations=events, trajectories={"trajectory": trajectory})
+    lidar = sc.LidarSensor(
+        "top", sc.LazyFrames.of(frames, TIMESTAMPS.tolist()), TRAJECTORY, points_frame=sc.PointsFrame.WORLD
+    )
+    trajectory = sc.Trajectory("trajectory", TIMESTAMPS, TRAJECTORY.positions, TRAJECTORY.quaternions_xyzw)
+    return sc.Scene((lidar,), annotations=events, trajectories={"trajectory": trajectory})
 
 
 @pytest.fixture
@@ -76,24 +50,8 @@ def scene_file(tmp_path):
     return tmp_path / "drive.sfs"
 
 
-@pytest.fixture
-def with_event(tmp_path):
-    write_scene(drive(events=(EventAnnotation("e", int(TIMESTAMPS[0])),)), tmp_path / "event.sfs")
-    return tmp_path / "event.sfs"
-
-
 def names(folder):
     return sorted(path.name for path in folder.iterdir())
-
-
-def test_what_is_known_beforehand_is_refused_before_anything_is_written(with_event, tmp_path, monkeypatch):
-    monkeypatch.setattr("sceneloom.formats.recording.writer.write_recording", None)
-    with pytest.raises(LossError, match=r"recording would not hold all: .*annotations.event.id") as caught:
-        convert(with_event, tmp_path / "drive", strict=True, loss=tmp_path / "loss.json")
-    assert names(tmp_path) == ["event.sfs", "loss.json"]
-    reported = json.loads((tmp_path / "loss.json").read_text())
-    assert reported["written"] is caught.value.report.written is False
-    assert ("annotations.event.id", "dropped") in {(row["field"], row["support"]) for row in reported["fields"]}
 
 
 def test_what_shows_only_while_writing_leaves_nothing_behind_and_rounding_to_other_units_is_no_loss(tmp_path):
@@ -108,18 +66,6 @@ def test_what_shows_only_while_writing_leaves_nothing_behind_and_rounding_to_oth
     assert rounded["sensors.lidar.frames.points.timestamps_ns"].largest_error == 0.5
 
 
-def test_strict_output_replaces_only_where_it_may(scene_file, tmp_path):
-    (copy := tmp_path / "copy.sfs").write_bytes(b"mine")
-    with pytest.raises(OutputError, match="exists already"):
-        convert(scene_file, copy, strict=True)
-    assert copy.read_bytes() == b"mine"
-    report = convert(scene_file, copy, strict=True, overwrite=True)
-    assert (report.written, report.lost) == (True, ())
-    with open_scene(copy) as scene:
-        assert (len(scene.lidars[0].frames), scene.lidars[0].id) == (2, "top")
-    assert names(tmp_path) == ["copy.sfs", "drive.sfs"]
-
-
 def test_a_trajectory_out_of_a_drive_says_what_stays_behind(scene_file, tmp_path):
     report = convert(scene_file, tmp_path / "trajectory.jsonl")
     supports = {field.field: field.support for field in report.fields}
@@ -132,27 +78,46 @@ def test_a_trajectory_out_of_a_drive_says_what_stays_behind(scene_file, tmp_path
     assert [field.field for field in report.lost] == ["trajectories.name"]
 
 
-@pytest.mark.parametrize("suffix", [".md", ".txt"])
-def test_a_report_for_people_names_every_field(with_event, tmp_path, suffix):
-    report = convert(with_event, tmp_path / "drive", loss=tmp_path / f"loss{suffix}")
-    text = (tmp_path / f"loss{suffix}").read_text()
-    assert report.fields
-    assert all(field.field in text for field in report.fields)
-    assert f"{with_event.name} (sfs) → drive (recording)" in text
+def test_what_is_known_beforehand_is_refused_before_anything_is_written_and_reports_name_every_field(
+    tmp_path, monkeypatch
+):
+    source = tmp_path / "event.sfs"
+    write_scene(drive(events=(sc.EventAnnotation("e", int(TIMESTAMPS[0])),)), source)
+    for suffix in (".md", ".txt"):
+        report = convert(source, tmp_path / "drive", loss=tmp_path / f"loss{suffix}", overwrite=True)
+        text = (tmp_path / f"loss{suffix}").read_text()
+        assert report.fields
+        assert all(field.field in text for field in report.fields)
+        assert f"{source.name} (sfs) → drive (recording)" in text
+    monkeypatch.setattr("sceneloom.formats.recording.writer.write_recording", None)
+    with pytest.raises(LossError, match=r"recording would not hold all: .*annotations.event.id") as caught:
+        convert(source, tmp_path / "strict", strict=True, loss=tmp_path / "loss.json")
+    assert names(tmp_path) == ["drive", "event.sfs", "loss.json", "loss.md", "loss.txt"]
+    reported = json.loads((tmp_path / "loss.json").read_text())
+    assert reported["written"] is caught.value.report.written is False
+    assert ("annotations.event.id", "dropped") in {(row["field"], row["support"]) for row in reported["fields"]}
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_what_cannot_be_written_is_refused_before_anything_is_done_and_replaced_only_where_it_may(
+    scene_file, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for options, message in (
         ({"loss": "loss.pdf"}, r"suffix '.pdf'; a loss report is written as .json, .md, .txt"),
         ({"to": "rig"}, "the format rig is only read; written are sfs, recording"),
-    ],
-)
-def test_what_cannot_be_written_is_refused_before_anything_is_done(scene_file, tmp_path, monkeypatch, options, message):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(OptionError, match=message):
-        convert(scene_file, tmp_path / "drive", **options)
+    ):
+        with pytest.raises(OptionError, match=message):
+            convert(scene_file, tmp_path / "drive", **options)
     assert names(tmp_path) == ["drive.sfs"]
+    (copy := tmp_path / "copy.sfs").write_bytes(b"mine")
+    with pytest.raises(OutputError, match="exists already"):
+        convert(scene_file, copy, strict=True)
+    assert copy.read_bytes() == b"mine"
+    report = convert(scene_file, copy, strict=True, overwrite=True)
+    assert (report.written, report.lost) == (True, ())
+    with open_scene(copy) as scene:
+        assert (len(scene.lidars[0].frames), scene.lidars[0].id) == (2, "top")
+    assert names(tmp_path) == ["copy.sfs", "drive.sfs"]
 
 
 HOLDS = {
@@ -165,55 +130,43 @@ HOLDS = {
 KINDS = {"sensors[top]": "sensors.lidar", "sensors[a.b]": "sensors.camera", "annotations[7]": "annotations.cuboid"}
 
 
-@pytest.mark.parametrize(
-    ("field", "support"),
-    [
-        ("sensors.lidar.frames.points.colors", Support.APPROXIMATED),
-        ("sensors.lidar.frames.points.rings", Support.CONVERTED),
-        ("sensors.lidar.id", Support.KEPT),
-        ("sensors.lidarish.id", Support.DROPPED),
-        ("metadata", Support.KEPT),
-    ],
-)
-def test_the_longest_beginning_that_ends_at_a_dot_counts(field, support):
-    assert holding_of(HOLDS, field).support == support
-
-
-def test_a_table_that_says_nothing_of_a_field_gives_none_and_slips_of_the_pen_are_found():
+def test_the_longest_beginning_that_ends_at_a_dot_counts_and_slips_of_the_pen_are_found():
+    supports = {
+        "sensors.lidar.frames.points.colors": Support.APPROXIMATED,
+        "sensors.lidar.frames.points.rings": Support.CONVERTED,
+        "sensors.lidar.id": Support.KEPT,
+        "sensors.lidarish.id": Support.DROPPED,
+        "metadata": Support.KEPT,
+    }
+    assert {field: holding_of(HOLDS, field).support for field in supports} == supports
     assert holding_of({"sensors": KEPT}, "metadata") is None
     assert unknown_names({**HOLDS, "sensors.lidar.frame": KEPT, "meta": KEPT}) == ["sensors.lidar.frame", "meta"]
 
 
-@pytest.mark.parametrize(
-    ("location", "fields"),
-    [
-        ("sensors[top].frames[].points.intensities", ["sensors.lidar.frames.points.intensities"]),
-        ("sensors[top].frames[].points.timestamps", ["sensors.lidar.frames.points.timestamps_ns"]),
-        ("sensors[top].frames[3].points.reflectivity", ["sensors.lidar.frames.points.extras"]),
-        ("sensors[top].serial", ["sensors.lidar.extras"]),
-        ("sensors[a.b].intrinsics.distortion", ["sensors.camera.camera"]),
-        ("sensors[a.b].images[].content", ["sensors.camera.images.rgb"]),
-        ("annotations[7].attributes[].extras", ["annotations.cuboid.attributes"]),
-        ("trajectories[vio].covariances", ["trajectories.covariances"]),
-        ("trajectories.vio.covariances", ["trajectories.covariances"]),
-        ("trajectories.covariances", ["trajectories.covariances"]),
-        ("sensors.imu.streams.barometer.values", ["sensors.imu.streams.other.values"]),
-        ("metadata.weather", ["metadata"]),
-        ("sensors", ["sensors.order"]),
-        ("replay", []),
-    ],
-)
-def test_a_line_is_about_the_field_that_it_names(location, fields):
-    assert list(fields_meant(location, KINDS)) == fields
-
-
-def test_a_line_about_a_sensor_is_about_all_of_its_fields():
+def test_a_line_is_about_the_field_that_it_names_or_all_fields_of_its_sensor():
+    fields = {
+        "sensors[top].frames[].points.intensities": ["sensors.lidar.frames.points.intensities"],
+        "sensors[top].frames[].points.timestamps": ["sensors.lidar.frames.points.timestamps_ns"],
+        "sensors[top].frames[3].points.reflectivity": ["sensors.lidar.frames.points.extras"],
+        "sensors[top].serial": ["sensors.lidar.extras"],
+        "sensors[a.b].intrinsics.distortion": ["sensors.camera.camera"],
+        "sensors[a.b].images[].content": ["sensors.camera.images.rgb"],
+        "annotations[7].attributes[].extras": ["annotations.cuboid.attributes"],
+        "trajectories[vio].covariances": ["trajectories.covariances"],
+        "trajectories.vio.covariances": ["trajectories.covariances"],
+        "trajectories.covariances": ["trajectories.covariances"],
+        "sensors.imu.streams.barometer.values": ["sensors.imu.streams.other.values"],
+        "metadata.weather": ["metadata"],
+        "sensors": ["sensors.order"],
+        "replay": [],
+    }
+    assert {location: list(fields_meant(location, KINDS)) for location in fields} == fields
     assert set(fields_meant("sensors[top]", KINDS)) == {f for f in MODEL_FIELDS if f.startswith("sensors.lidar.")}
     everywhere = fields_meant("sensors[].poses", KINDS)
     assert set(everywhere) == {f for f in MODEL_FIELDS if f.startswith("sensors.") and f.endswith(".poses")}
 
 
-def test_the_worst_that_happened_counts_and_the_largest_error():
+def test_the_worst_that_happened_counts_and_the_largest_error_and_fields_that_are_not_held_stand_by_themselves():
     contents = {"sensors.lidar.frames.points.timestamps_ns": 9, "sensors.lidar.id": 1, "metadata": 1}
     times = "sensors[top].frames[].points.timestamps"
     reported = [
@@ -221,6 +174,7 @@ def test_the_worst_that_happened_counts_and_the_largest_error():
         Loss(field=times, what="ms", support=Support.APPROXIMATED, largest_error=0.2),
         Loss(field="sensors[top].id", what="read back as 'lidar'", kept="the header"),
         Loss(field="replay", what="a note", count=3, support=Support.KEPT),
+        Loss(field="sensors[a.b].mount", what="taken to be where the IMU is"),
     ]
     found = {support.field: support for support in field_supports(contents, HOLDS, reported, KINDS)}
     times = found["sensors.lidar.frames.points.timestamps_ns"]
@@ -230,14 +184,8 @@ def test_the_worst_that_happened_counts_and_the_largest_error():
     assert "it is in the header" in found["sensors.lidar.id"].how[0]
     assert (found["metadata"].support, found["metadata"].how) == (Support.KEPT, ())
     assert (found["replay"].count, found["replay"].how) == (3, ("a note (3 times)",))
-    assert [support.field for support in lost(found.values())] == ["sensors.lidar.frames.points.timestamps_ns"]
-
-
-def test_what_is_reported_fields_that_the_scene_does_not_hold_stands_by_itself():
-    reported = [Loss(field="sensors[top].mount", what="taken to be where the IMU is")]
-    found = field_supports({"metadata": 1}, {"": KEPT}, reported, KINDS)
-    supports = [(support.field, support.support) for support in found]
-    assert supports == [("metadata", Support.KEPT), ("sensors[top].mount", Support.DROPPED)]
+    missing = ["sensors.lidar.frames.points.timestamps_ns", "sensors[a.b].mount"]
+    assert [support.field for support in lost(found.values())] == missing
 
 
 SMALL = LidarSpec(beams=8, steps=90)
@@ -245,8 +193,8 @@ SMALL = LidarSpec(beams=8, steps=90)
 
 def shape(identifier, kind, times, vertices):
     where = {"sensor_id": "camera0"} if kind.endswith("_2d") else {}
-    return ShapeAnnotation(
-        identifier, ShapeType(kind), VertexPath(times, (np.array(vertices, float),) * len(times)), **where
+    return sc.ShapeAnnotation(
+        identifier, sc.ShapeType(kind), sc.VertexPath(times, (np.array(vertices, float),) * len(times)), **where
     )
 
 
@@ -255,30 +203,30 @@ def annotated(with_camera):
     drive = sceneloom.simulate_street(3, frames=3, lidar=SMALL, **({} if with_camera else {"cameras": ()})).scene
     times = drive.lidars[0].frames.timestamps_ns
     here = next(iter(drive.trajectories.values())).positions[20]
-    cuboids = [a for a in drive.annotations if isinstance(a, CuboidAnnotation)][:6]
-    still = Poses(times[:1], np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))
-    state = AttributePath("review_state", ("approved",), times[:1])
+    cuboids = [a for a in drive.annotations if isinstance(a, sc.CuboidAnnotation)][:6]
+    still = sc.Poses(times[:1], np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]))
+    state = sc.AttributePath("review_state", ("approved",), times[:1])
     ahead = [here + np.array([x, y, 1]) for x, y in ((10, 0), (10, 3), (15, 3))]
     found = [
         replace(cuboids[0], attributes=(*cuboids[0].attributes, state), parent_id="thing"),
         *cuboids[1:],
         shape("line", "polyline", times, ahead),
         shape("area", "polygon", times, ahead),
-        PointsAnnotation("points", (PointPath(times, np.repeat([ahead[0]], 3, axis=0)),), labels=("a",)),
-        EventAnnotation("event", int(times[0]), 10**8, label="start"),
-        LabeledPointsAnnotation("labelled", (LabeledPoints("lidar", np.arange(5, dtype=np.uint32), 0),), "road"),
-        ObjectAnnotation("thing", "car"),
-        LinkAnnotation("link", cuboids[0].id, cuboids[1].id, "follows", is_bidirectional=False),
-        GroupAnnotation("group", "convoy"),
-        LocalizationAdjustment("adjustment", still),
+        sc.PointsAnnotation("points", (sc.PointPath(times, np.repeat([ahead[0]], 3, axis=0)),), labels=("a",)),
+        sc.EventAnnotation("event", int(times[0]), 10**8, label="start"),
+        sc.LabeledPointsAnnotation("labelled", (sc.LabeledPoints("lidar", np.arange(5, dtype=np.uint32), 0),), "road"),
+        sc.ObjectAnnotation("thing", "car"),
+        sc.LinkAnnotation("link", cuboids[0].id, cuboids[1].id, "follows", is_bidirectional=False),
+        sc.GroupAnnotation("group", "convoy"),
+        sc.LocalizationAdjustment("adjustment", still),
     ]
     if with_camera:
         seen = drive.cameras[0].images.timestamps_ns
         found += [
-            Box2DAnnotation("box", "camera0", BoxPath(seen, np.tile([50.0, 60, 70, 80], (3, 1))), "car"),
+            sc.Box2DAnnotation("box", "camera0", sc.BoxPath(seen, np.tile([50.0, 60, 70, 80], (3, 1))), "car"),
             shape("line in images", "polyline_2d", seen, [[1, 2], [30, 40]]),
             shape("area in images", "polygon_2d", seen, [[1, 2], [30, 40], [5, 60]]),
-            CameraCalibration("calibration", "camera0", still),
+            sc.CameraCalibration("calibration", "camera0", still),
         ]
     return replace(drive, annotations=tuple(found))
 
@@ -311,15 +259,14 @@ def test_each_annotation_is_read_back_or_listed_with_its_count(source, target, t
     for loss in report.losses.losses:
         if loss.support is Support.DROPPED and loss.field in _WHOLE:
             listed[loss.field.removeprefix("annotations.")] += loss.count
-    applied = [n for n in report.warnings if n.code == "correction-applied"]
-    kept = Counter(n.message.split(" ")[0] for n in applied)
+    kept = Counter(n.message.split(" ")[0] for n in report.warnings if n.code == "correction-applied")
     missing = kinds_of(scene.annotations) - kinds_of(found) - kept
     unlisted = missing - listed
     assert unlisted.total() <= listed["annotations"], f"{dict(unlisted)} of {dict(missing)}; {dict(listed)} listed"
 
 
 def kinds_of(annotations):
-    return Counter("shape" if isinstance(a, ShapeAnnotation) else str(a.type) for a in annotations)
+    return Counter("shape" if isinstance(a, sc.ShapeAnnotation) else str(a.type) for a in annotations)
 
 
 _WHOLE = {"annotations", *(f"annotations.{kind}" for kind in kinds_of(annotated(True).annotations))}
@@ -375,7 +322,7 @@ def test_no_target_holds_the_folder_of_its_source(source_paths, target, tmp_path
 
 def test_an_assumption_names_the_drive_alone_and_what_was_repaired_is_not_reported_again(source_paths, tmp_path):
     location = f"{source_paths}/oxts.txt"
-    repaired = DataWarning(kind=WarningKind.REPAIRED, code="poses-sorted", location=location, message="sorted")
+    repaired = sc.DataWarning(kind=sc.WarningKind.REPAIRED, code="poses-sorted", location=location, message="sorted")
     with sceneloom.open(source_paths) as scene:
         reported = replace(scene, warnings=(*scene.warnings, repaired))
         sceneloom.write(reported, tmp_path / "b.sfs")
@@ -386,16 +333,13 @@ def test_an_assumption_names_the_drive_alone_and_what_was_repaired_is_not_report
         assert "poses-sorted" not in {n.code for n in again.warnings}
 
 
-@pytest.mark.parametrize(
-    ("text", "source_paths", "expected"),
-    [
+def test_folders_above_the_source_are_left_out_and_nothing_else():
+    for text, source, expected in (
         ("/x/me/drives/a/calib.txt: odd", "/x/me/drives/a", "a/calib.txt: odd"),
         ("drives/a: odd", "drives/a", "a: odd"),
         ("topic /lidar/points", "/x/me/a.mcap", "topic /lidar/points"),
         ("/x/a and /y/b", "/x/a + /y/b", "a and b"),
         ("s3://bucket/a.sfs", "s3://bucket/a.sfs", "s3://bucket/a.sfs"),
         ("a.sfs", "a.sfs", "a.sfs"),
-    ],
-)
-def test_folders_above_the_source_are_left_out_and_nothing_else(text, source_paths, expected):
-    assert without_folders(text, source_paths) == expected
+    ):
+        assert without_folders(text, source) == expected

@@ -41,16 +41,8 @@ def file(tmp_path, text, name="boxes.txt"):
 
 NAMED = {"id": 3, "class": "Car", "confidence": 0.5, "timestamp": "0.100000000"}
 SIZE = {"length": 4.0, "width": 2.0, "height": 1.5}
-BOX_3D = {
-    **NAMED,
-    **SIZE,
-    "points_seq": 1,
-    "X": 10.0,
-    "Y": 1.0,
-    "Z": -0.5,
-    "direction": [0.0, 2.0, 0.0],
-    "velocity": -3.0,
-}
+PLACED = {"points_seq": 1, "X": 10.0, "Y": 1.0, "Z": -0.5, "direction": [0.0, 2.0, 0.0], "velocity": -3.0}
+BOX_3D = {**NAMED, **SIZE, **PLACED}
 BOX_2D = {**NAMED, "image_seq": 1, "x1": 10, "y1": 20, "x2": 30, "y2": 40}
 
 
@@ -79,20 +71,16 @@ def test_lists_of_frames_are_read_as_they_were_written(tmp_path, context):
     assert image.corners_xyxy.tolist() == [[1.0, 2.0, 3.0, 4.0]]
 
 
-def test_frames_between_bare_records_are_frames_in_which_nothing_was_found(tmp_path, context):
-    later = {**BOX_2D, "image_seq": 2, "timestamp": "0.200000000"}
-    first = {**BOX_2D, "image_seq": 0, "timestamp": "0.000000000"}
-    lists = read_boxes_2d(file(tmp_path, f"{json.dumps(first)}\n{json.dumps(later)}"), context, strict())
-    assert [len(boxes) for boxes in lists] == [1, 0, 1]
-
-
-def test_lists_of_other_sensors_are_left_out_and_counted(tmp_path, context):
+def test_lists_of_other_sensors_and_leniently_faulty_records_are_left_out_and_counted(tmp_path, context):
     boxes = Boxes2D(0, np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([0.5]), ("Car",))
     lines = [format_json(boxes_2d_record(boxes, sensor_id=number, seq=0)) for number in (1, 2, 7)]
-    ledger = strict()
+    ledger, lenient = strict(), Ledger(lenient=True)
     own = ListContext("camera", TIMES, number=2, others=frozenset({1, 2}))
     assert len(read_boxes_2d(file(tmp_path, "\n".join(lines)), own, ledger)) == 1
     assert [(warning.code, warning.count) for warning in ledger.warnings] == [("other-sensors", 1)]
+    path = file(tmp_path, f"{json.dumps(BOX_3D)}\n{{}}\n")
+    assert [len(boxes) for boxes in read_boxes_3d(path, context, lenient)] == [1]
+    assert [(warning.code, warning.count) for warning in lenient.warnings] == [("faulty-detections", 1)]
 
 
 TOKEN = "ca9a282c9e77460f8360f564131a8af5"
@@ -153,23 +141,17 @@ def test_a_faulty_box_of_nuscenes_is_reported_with_its_location(tmp_path, contex
         read_boxes_3d(path, context, strict())
 
 
-def test_kittis_lists_are_in_the_cameras_frame(tmp_path, context):
+def test_kittis_lists_are_in_the_cameras_frame_and_take_the_class_of_their_folder(tmp_path, context):
     path = file(tmp_path, "1,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2\n", "Car/0000.txt")
     assert form_of(path).name == "kitti-lists"
-    lists = read_boxes_3d(path, context, strict())
-    assert [len(boxes) for boxes in lists] == [0, 1, 0]
-    boxes = lists[1]
+    before, boxes, after = read_boxes_3d(path, context, strict())
+    assert (len(before), len(after)) == (0, 0)
     # by hand: 10.3 ahead, 2 to the right; the middle is 0.75 above the bottom, which is 1.5 below the camera
     np.testing.assert_allclose(boxes.centers, [[10.3, -2.0, -0.85]], atol=1e-12)
     np.testing.assert_allclose(boxes.yaws, [-np.pi / 2], atol=1e-12)
     assert (boxes.score_form, boxes.timestamp_ns) == (ScoreForm.LOGIT, 100_000_000)
-
-
-def test_kittis_lists_of_images_take_the_class_of_their_folder(tmp_path, context):
-    path = file(tmp_path, "0,10,20,30,40,0.5\n", "pedestrian/0000.txt")
-    boxes = read_boxes_2d(path, context, strict())[0]
-    assert boxes.labels == ("Pedestrian",)
-    assert boxes.corners_xyxy.tolist() == [[10.5, 20.5, 30.5, 40.5]]
+    boxes = read_boxes_2d(file(tmp_path, "0,10,20,30,40,0.5\n", "pedestrian/0000.txt"), context, strict())[0]
+    assert (boxes.labels, boxes.corners_xyxy.tolist()) == (("Pedestrian",), [[10.5, 20.5, 30.5, 40.5]])
 
 
 RESULT = "1 7 Car 0 0 0.5 10 20 30 40 1.5 1.6 4.0 2.0 1.5 10.0 0.0 {score}\n"
@@ -186,24 +168,25 @@ def test_kittis_results_report_by_their_range_what_scores_are(tmp_path, context,
     assert read_boxes_2d(path, context, strict())[1].corners_xyxy.tolist() == [[10.5, 20.5, 30.5, 40.5]]
 
 
-def test_an_empty_file_says_that_nothing_was_found(tmp_path, context):
+def test_an_empty_file_or_frames_between_records_say_that_nothing_was_found(tmp_path, context):
+    later = {**BOX_2D, "image_seq": 2, "timestamp": "0.200000000"}
+    first = {**BOX_2D, "image_seq": 0, "timestamp": "0.000000000"}
+    lists = read_boxes_2d(file(tmp_path, f"{json.dumps(first)}\n{json.dumps(later)}"), context, strict())
+    assert [len(boxes) for boxes in lists] == [1, 0, 1]
     path = file(tmp_path, "\n")
     assert form_of(path) is None
     assert [len(boxes) for boxes in read_boxes_3d(path, context, strict())] == [0, 0, 0]
     assert [boxes.timestamp_ns for boxes in read_boxes_2d(path, context, strict())] == TIMES.tolist()
 
 
-@pytest.mark.parametrize(
-    ("text", "reported"),
-    [
+def test_what_is_no_list_is_reported_with_the_forms_that_there_are(tmp_path, context):
+    for text, reported in (
         ("hello\n", "'hello'; expected a list of boxes: json-lines"),
         ("\x00\x01\x02", "expected a list of boxes"),
         ("1,2,3\n", "'1,2,3'; expected a list of boxes"),
-    ],
-)
-def test_what_is_no_list_is_reported_with_the_forms_that_there_are(tmp_path, context, text, reported):
-    with pytest.raises(UnknownFormatError, match=reported):
-        read_boxes_3d(file(tmp_path, text), context, strict())
+    ):
+        with pytest.raises(UnknownFormatError, match=reported):
+            read_boxes_3d(file(tmp_path, text), context, strict())
 
 
 @pytest.mark.parametrize(
@@ -223,10 +206,3 @@ def test_what_is_no_list_is_reported_with_the_forms_that_there_are(tmp_path, con
 def test_a_faulty_list_is_reported_with_its_line(tmp_path, context, text, reported):
     with pytest.raises(DataError, match=reported):
         read_boxes_3d(file(tmp_path, text, "Car/list.txt"), context, strict())
-
-
-def test_a_lenient_reading_leaves_faulty_records_out(tmp_path, context):
-    path = file(tmp_path, f"{json.dumps(BOX_3D)}\n{{}}\n")
-    ledger = Ledger(lenient=True)
-    assert [len(boxes) for boxes in read_boxes_3d(path, context, ledger)] == [1]
-    assert [(warning.code, warning.count) for warning in ledger.warnings] == [("faulty-detections", 1)]

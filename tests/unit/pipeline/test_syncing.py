@@ -86,21 +86,17 @@ def test_another_reference_rotates_the_signs(wrong):
     assert report.comparison("imu").estimate.offset_ns == pytest.approx(-3e7, abs=2e6)
 
 
-def test_streams_that_are_not_there_are_named(wrong):
+def test_streams_that_are_not_there_and_an_output_that_exists_are_refused_and_a_drive_without_streams_not(
+    wrong, tmp_path
+):
     for more in ({"reference": "radar"}, {"streams": ("imu", "radar")}):
         with pytest.raises(OptionError, match=r"radar.*groundTruth"):
             sync(wrong, **more)
     with pytest.raises(OptionError, match="no stream 'x'"):
         corrected_scene(wrong, [AppliedCorrection(stream="x", offset_ns=0.0, skew_ppm=0.0, at_ns=0)])
-
-
-def test_an_output_that_exists_is_refused_before_anything_is_looked_at(wrong, tmp_path):
     (tmp_path / "there.sfs").touch()
     with pytest.raises(OutputError, match="exists"):
         sync(wrong, tmp_path / "there.sfs", streams=CHEAP)
-
-
-def test_a_drive_without_streams_is_no_error():
     report = sync(Scene(()))
     assert (report.reference, report.comparisons) == (None, ())
 

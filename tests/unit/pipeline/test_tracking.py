@@ -36,11 +36,11 @@ def drive_along(scene, path):
 
 def test_a_trajectory_that_tracking_found_goes_into_the_file_and_labels_lie_in_its_world(simulated, tmp_path):
     scene = replace(simulated.scene, annotations=(), trajectories={})
-    trajectory = next(iter(simulated.scene.trajectories.values())).poses
-    drive = drive_along(scene, trajectory)
+    ((name, known),) = simulated.scene.trajectories.items()
+    drive = drive_along(scene, known.poses)
     times = simulated.truth.lidar.timestamps_ns + 50_000_000
     # a car 10 m to the left of the ego trajectory, as whoever followed the sweeps along that way has it
-    locations = trajectory.interpolate(times).positions + np.array([0.0, 10.0, 0.8])
+    locations = known.poses.interpolate(times).positions + np.array([0.0, 10.0, 0.8])
     labelled = label_drive(scene, drive, Tracks((a_car(times, locations),)))
     assert list(labelled.scene.trajectories) == [FOLLOWED]
     sceneloom.write(labelled.scene, tmp_path / "labels.sfs")
@@ -50,15 +50,10 @@ def test_a_trajectory_that_tracking_found_goes_into_the_file_and_labels_lie_in_i
         row = np.abs(cuboid.path.timestamps_ns - sample.timestamp_ns).argmin()
         lidar = sample.world_from_lidar.translation
         assert abs(cuboid.path.values[row, 4] - lidar[1] - 10.0) < 2.0  # the mounting, and half a sweep of driving
-
-
-def test_a_trajectory_that_the_scene_has_becomes_its_default_one(simulated):
-    (name,) = simulated.scene.trajectories
-    trajectory = simulated.scene.trajectories[name]
-    wrong = replace(trajectory, name="other", positions=trajectory.positions + 5.0)
-    scene = replace(simulated.scene, annotations=(), trajectories={"other": wrong, name: trajectory})
-    labelled = label_drive(scene, drive_along(scene, trajectory.poses), Tracks(()))
-    assert list(labelled.scene.trajectories) == [name, "other"]
+    # one that the scene has becomes its default
+    wrong = replace(known, name="other", positions=known.positions + 5.0)
+    scene = replace(scene, trajectories={"other": wrong, name: known})
+    assert list(label_drive(scene, drive, Tracks(())).scene.trajectories) == [name, "other"]
 
 
 @pytest.fixture(scope="module")
@@ -102,23 +97,17 @@ def test_pairs_have_the_points_of_their_sweep_where_images_show_something(scene_
         assert next(iter(moment.pairs_with_points().values())).points_lidar is None
 
 
-def test_points_of_the_world_are_taken_to_the_lidar(scene_and_drive):
+def test_points_of_the_world_are_taken_to_the_lidar_and_those_of_other_times_or_on_the_ego_are_none(scene_and_drive):
     scene, drive = scene_and_drive
     lidar, time_ns = scene.lidars[0], drive.boxes[1].timestamp_ns
     frame, pose = lidar.frames[1], drive.source.at(np.array([time_ns], np.int64))
     assert isinstance(drive.boxes[1], Boxes3D)
-    in_world = replace(lidar, points_frame=PointsFrame.WORLD)
-    found = SweepPoints(in_world, drive.source, 10**8).at(time_ns)
+    found = SweepPoints(replace(lidar, points_frame=PointsFrame.WORLD), drive.source, 10**8).at(time_ns)
     # a point of the world at the lidar's own location is its origin
     moved = frame.points.positions - pose.positions[0]
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), np.linalg.norm(moved, axis=1), rtol=1e-4)
-
-
-def test_sweeps_of_other_times_and_points_on_the_ego_are_none(scene_and_drive):
-    scene, drive = scene_and_drive
-    points = drive.points
-    assert points.at(0) is None
-    assert points.at(drive.boxes[-1].timestamp_ns + 10**9) is None
-    on_ego = replace(scene.lidars[0], points_frame=PointsFrame.EGO)
+    assert drive.points.at(0) is None
+    assert drive.points.at(drive.boxes[-1].timestamp_ns + 10**9) is None
+    on_ego = replace(lidar, points_frame=PointsFrame.EGO)
     assert SweepPoints.of(replace(scene, sensors=(on_ego,)), on_ego.id, drive.source) is None
     assert SweepPoints.of(scene, "other", drive.source) is None

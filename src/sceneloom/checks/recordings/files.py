@@ -19,10 +19,9 @@ from sceneloom.checks.faults import as_read, warnings_of_code
 from sceneloom.checks.recordings.times import Kind, streams_of_kind
 from sceneloom.checks.rule import HINT, WARNING, Find, FrameInHand, Hit, Rule, Subject, frames_spread
 from sceneloom.errors import CalibrationError
-from sceneloom.formats.recording.calibration import CALIBRATION_FILE, CAMERA_MODEL_READINGS
-from sceneloom.formats.recording.lines import FrameColumns, time_order, view
+from sceneloom.formats.recording.contents import CALIBRATION_FILE, CAMERA_MODEL_READINGS, FrameColumns, time_order, view
 from sceneloom.formats.recording.reader import VIO_CONFIG_FILE
-from sceneloom.formats.recording.vio_config import KNOWN_KEYS, VioConfig, read_vio_config, repeated_keys, similar_key
+from sceneloom.formats.recording.vio_config import KNOWN_KEYS, read_vio_config
 from sceneloom.geometry.rigid import SILENT_ERROR, RigidTransform, nearest_rotation
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarFrame, LidarSensor
@@ -817,26 +816,27 @@ def _config_text(subject: Subject) -> str:
     return text if isinstance(text, str) else ""
 
 
-def _config(subject: Subject) -> VioConfig:
-    return read_vio_config(_config_text(subject))
-
-
 def _unknown(subject: Subject) -> Iterator[Hit]:
-    for setting in _config(subject).settings:
+    known = {key.lower(): key for key in KNOWN_KEYS}
+    for setting in read_vio_config(_config_text(subject)).settings:
         if setting.key not in KNOWN_KEYS:
-            near = similar_key(setting.key)
-            meant = "" if near is None else f"; is {near!r} meant?"
+            near = get_close_matches(setting.key.lower(), known, n=1, cutoff=0.8)
+            meant = f"; is {known[near[0]]!r} meant?" if near else ""
             yield Hit(f"{VIO_CONFIG_FILE}: line {setting.line}", f"{setting.key!r} is not publicly known{meant}")
 
 
 def _repeated(subject: Subject) -> Iterator[Hit]:
-    for key in repeated_keys(_config_text(subject)):
-        lines = [str(s.line) for s in _config(subject).settings if s.key == key]
-        yield Hit(f"{VIO_CONFIG_FILE}: line {lines[1]}", f"{key!r} stands in lines {', '.join(lines)}; expected once")
+    lines: dict[str, list[str]] = {}
+    for setting in read_vio_config(_config_text(subject)).settings:
+        lines.setdefault(setting.key, []).append(str(setting.line))
+    for key, numbers in sorted(lines.items()):
+        if len(numbers) > 1:
+            where, reported = f"{VIO_CONFIG_FILE}: line {numbers[1]}", f"{key!r} stands in lines {', '.join(numbers)}"
+            yield Hit(where, f"{reported}; expected once")
 
 
 def _strange(subject: Subject) -> Iterator[Hit]:
-    for number, line in _config(subject).strange.items():
+    for number, line in read_vio_config(_config_text(subject)).strange.items():
         yield Hit(f"{VIO_CONFIG_FILE}: line {number}", f"{line[:60]!r}; expected a setting, `key: value`")
 
 

@@ -13,8 +13,7 @@ import numpy as np
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.checks.faults import as_read
 from sceneloom.checks.rule import HINT, WARNING, Find, Hit, Rule, Subject
-from sceneloom.formats.recording.lines import Columns, is_sorted, line_seconds, time_order
-from sceneloom.formats.recording.reader import RECEIVER, imu_streams, receivers
+from sceneloom.formats.recording.contents import RECEIVER, Columns, line_seconds, time_order
 from sceneloom.geometry.rigid import normalise_quaternion
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor
@@ -112,14 +111,14 @@ class Stream:
     @cached_property
     def seconds(self) -> Float64Array:
         """(N,) float64 [s], ascending."""
-        return self.file_seconds if is_sorted(self.file_seconds) else self.file_seconds[self.order]
+        return self.file_seconds[self.order]
 
     @property
     def values(self) -> Float64Array:
         """(N, K) float64, in the order of `seconds`; (N, 0) for images and sweeps."""
         if self.file_values is None:
             return np.zeros((len(self), 0))
-        return self.file_values if is_sorted(self.file_seconds) else self.file_values[self.order]
+        return self.file_values[self.order]
 
     @cached_property
     def intervals(self) -> Float64Array:
@@ -183,9 +182,9 @@ def _make_streams(subject: Subject) -> tuple[Stream, ...]:
     for index, lidar in sorted(columns.lidars.items()):
         name, lines = f"lidar{index}" if len(columns.lidars) > 1 else "lidar", np.asarray(lidar.lines, np.int64)
         found.append(Stream(name, Kind.LIDAR, np.asarray(lidar.seconds), None, lines, file))
-    for name, stream in imu_streams(columns).items():
+    for name, stream in columns.imu_streams().items():
         add(name, Kind(name) if name in _SENSORS else Kind.OTHER, stream)
-    for name, (_, stream) in receivers(columns).items():
+    for name, (_, stream) in columns.satellite_receivers().items():
         add("gps" if name == RECEIVER else name, Kind.GNSS, stream)
     for (root, name), poses in columns.poses.items():
         add(name if name == root or not root else f"{root} {name}", Kind.POSES, poses)

@@ -15,10 +15,9 @@ from sceneloom.formats.base.files import file_faults, open_file
 from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.poses import PoseRows
 from sceneloom.formats.base.text_tables import TimestampError, TimeWriter, parse_timestamp
-from sceneloom.formats.recording.json_faults import DECODER_FAULTS, json_problem, quote
-from sceneloom.formats.recording.lines import ROOT_KEYS, NamedPose
+from sceneloom.formats.recording.contents import DECODER_FAULTS, ROOT_KEYS, NamedPose, json_problem, quote
 from sceneloom.formats.recording.reader import RANKS
-from sceneloom.formats.recording.write_lines import NumberLines, merged_lines
+from sceneloom.formats.recording.writer import NumberLines, merged_lines
 from sceneloom.formats.trajectories.trajectory_file import (
     NAMED,
     Reading,
@@ -30,11 +29,9 @@ from sceneloom.formats.trajectories.trajectory_file import (
 from sceneloom.warnings import WarningKind
 
 _ROOT_NAME = "output"  # how poses right at the root are called
-
 _Line = dict[str, msgspec.Raw]
 _decode_line = msgspec.json.Decoder(_Line).decode
 _decode_pose = msgspec.json.Decoder(NamedPose).decode
-
 _OTHER_KEYS = ROOT_KEYS - {"groundTruth", "pose"}  # keys of a recording's lines under which no pose stands
 
 

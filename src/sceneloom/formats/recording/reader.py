@@ -1,60 +1,59 @@
 """A recording as a scene: IMU, GNSS and barometer, trajectories, unknown fields, and all faults of its files."""
 
 import math
+import mmap
 import re
+import sys
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, read_only
+from sceneloom.arrays import (
+    AnyArray,
+    BoolArray,
+    Float32Array,
+    Float64Array,
+    Int64Array,
+    UInt8Array,
+    UInt16Array,
+    read_only,
+)
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, OptionError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger, PlacedFault
-from sceneloom.formats.base.files import FileIdentity, open_file, read_bytes
+from sceneloom.formats.base.files import FileIdentity, open_file, read_bytes, why_no_file
+from sceneloom.formats.base.images import open_image
 from sceneloom.formats.base.poses import GREATEST_NORM_ERROR, default_poses
 from sceneloom.formats.base.text_tables import nanoseconds
-from sceneloom.formats.recording.calibration import (
-    CALIBRATION_FILE,
+from sceneloom.formats.recording.contents import (
+    BAROMETER,
+    DECODER_FAULTS,
+    ENTRY_KEYS,
+    FARTHEST_TIME,
+    GPS_ORIGIN,
+    LIDAR_MODELS,
     PARAMETERS_FILE,
-    Calibration,
+    RECEIVER,
+    XYZIRT,
     CameraCalibration,
     CameraParameters,
-    RecordingContents,
-    camera_model,
-    read_calibration,
-    read_mount,
-    read_parameters,
-    read_texts,
-)
-from sceneloom.formats.recording.cameras import (
-    ALIGNMENTS,
-    CAMERA_SHIFTS,
-    OWN_FIELDS,
-    ImageFiles,
-    PngFolder,
-    choose_images,
-)
-from sceneloom.formats.recording.json_faults import DECODER_FAULTS
-from sceneloom.formats.recording.lidars import build_lidars
-from sceneloom.formats.recording.lines import (
-    GPS_ORIGIN,
-    CameraColumns,
     Columns,
     FrameColumns,
-    FrameEntry,
     Origin,
-    RecordingColumns,
-    SortedColumns,
-    by_time,
+    RecordingContents,
+    camera_model,
     line_seconds,
+    read_calibration,
     read_lines,
+    read_mount,
+    read_parameters,
     record_keys,
     time_order,
     view,
@@ -65,18 +64,419 @@ from sceneloom.formats.recording.zipped import unpack
 from sceneloom.formats.video.reader import VideoReader, open_video, open_whole_or_left
 from sceneloom.geometry.rigid import RigidTransform, angle_between
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, VideoContent
+from sceneloom.scene.clouds import LidarFrame, LidarPoints, LidarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory, poses_along
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.warnings import WarningKind
 
+if TYPE_CHECKING:
+    from PIL import Image
+
+_NUMBERED = re.compile(r"(\d{8})\.png")
+
+_EIGHT_BIT_MODES = frozenset({"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX"})
+"""Pillow's modes whose values are, or stand for, 8-bit colours; a 16-bit RGB file comes as `RGB` too."""
+
+_STEPS = frozenset({"I", "I;16", "I;16B", "I;16L"})  # its modes for 16-bit grey; PNG has no wider grey
+_DAMAGE = (OSError, ValueError, SyntaxError)  # what Pillow raises for files that are damaged
+
+
+def _image_name(index: int) -> str:
+    """File name of the image with this number."""
+    return f"{index:08d}.png"
+
+
+class PngFolder:
+    """The images `00000000.png`, `00000001.png`, … of a folder; decoded when asked for, none kept.
+
+    Attributes:
+        name: what messages call the folder.
+        codec: "png".
+        count: number of images.
+        width, height: size of the first image, and so of all [px].
+        fps: None: the files have no times.
+        has_steps: whether the first image, and so all, are 16-bit grey, as depths are kept.
+
+    Raises:
+        DataError: the folder is missing or empty, a number is missing, or the first image cannot be read.
+    """
+
+    codec = "png"
+    fps: float | None = None
+
+    def __init__(self, folder: Path) -> None:
+        """List the folder and read the head of its first image."""
+        self.name, self._folder = str(folder), folder
+        if not folder.is_dir():
+            raise DataError(folder, "", "no such folder")
+        matches = (_NUMBERED.fullmatch(entry.name) for entry in folder.iterdir())
+        numbers = sorted(int(match[1]) for match in matches if match)
+        if not numbers:
+            raise DataError(folder, "", "holds no images; expected 00000000.png and so on")
+        for expected, number in enumerate(numbers):
+            if number != expected:
+                raise DataError(folder, _image_name(expected), f"is missing; the next image is {_image_name(number)}")
+        self.count = len(numbers)
+        with self._open(0) as first:
+            self.width, self.height = first.size
+            self.has_steps = first.mode in _STEPS
+
+    def rgb(self, index: int) -> UInt8Array:
+        """Decode one image.
+
+        Returns:
+            (height, width, 3) uint8, red green blue; grey is repeated, transparency dropped.
+
+        Raises:
+            DataError: there is no such image, or it is damaged, of another size, or of 16-bit grey.
+        """
+        return self._decoded(index, "RGB", _EIGHT_BIT_MODES, "8-bit grey or colour").astype(np.uint8, copy=False)
+
+    def steps(self, index: int) -> UInt16Array:
+        """Decode one image of 16-bit grey.
+
+        Returns:
+            (height, width) uint16, as they are stored.
+
+        Raises:
+            DataError: there is no such image, or it is damaged, of another size, or not of 16-bit grey.
+        """
+        return self._decoded(index, "I", _STEPS, "16-bit grey").astype(np.uint16)
+
+    def close(self) -> None:
+        """Do nothing: no file stays open."""
+
+    def _decoded(self, index: int, mode: str, modes: Collection[str], expected: str) -> AnyArray:
+        if not 0 <= index < self.count:
+            raise DataError(self.name, f"image {index}", f"does not exist: the folder holds {self.count}")
+        with self._open(index) as image:
+            if image.size != (self.width, self.height):
+                size = "x".join(map(str, image.size))
+                problem = f"is {size}; expected {self.width}x{self.height} as the first one"
+            elif image.mode not in modes:
+                problem = f"has pixels of type {image.mode!r}; expected {expected}"
+            else:
+                try:
+                    return np.array(image.convert(mode))
+                except _DAMAGE as error:
+                    raise DataError(self.name, _image_name(index), f"cannot be decoded: {error}") from error
+        raise DataError(self.name, _image_name(index), problem)
+
+    def _open(self, index: int) -> "Image.Image":
+        from PIL import UnidentifiedImageError
+
+        location = _image_name(index)
+        try:
+            return open_image(self._folder / location, ("PNG",))
+        except UnidentifiedImageError as error:
+            raise DataError(self.name, location, "is no PNG image") from error
+        except _DAMAGE as error:
+            raise DataError(self.name, location, f"cannot be read: {error}") from error
+
+
+ImageFiles = VideoReader | PngFolder
+
+ALIGNMENTS: Mapping[str, str] = MappingProxyType(
+    {
+        "auto": "as many images as numbers or as lines decide",
+        "number": "`number` is the image's index, from 0",
+        "first": "the image's index is `number` less the first `number`",
+        "line": "each frames line means the next image",
+    }
+)
+"""Ways to report which image of a video a `frames` line means."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ImageChoice:
+    """Which image each `frames` line means, -1 for none; and whether lines were counted although numbers have gaps."""
+
+    indices: Int64Array
+    problem: str | None = None
+    by_line: bool = False
+
+
+def choose_images(
+    numbers: Int64Array, image_count: int, *, alignment: str = "auto", cut_off: bool = False
+) -> _ImageChoice:
+    """Match `frames` lines with images.
+
+    A line's image is `number` minus the first number where the images are as many as the numbers span; else
+    images and lines are counted in parallel, if they are equally many. A number that stands in several lines means
+    one image, unless images and lines are equally many. Lines that do not fit still get the images that their
+    numbers mean, as far as there are any.
+
+    Args:
+        numbers: (N,) int64, `number` of all frames lines, in the order of the file.
+        image_count: how many images there are.
+        alignment: a key of `ALIGNMENTS`; any but "auto" decides, whatever the counts state.
+        cut_off: whether images are missing because the video is cut off, which the problem then names.
+    """
+    count = len(numbers)
+    if count == 0:
+        problem = f"{image_count} images, but data.jsonl has no frames line" if image_count else None
+        return _ImageChoice(numbers, problem)
+    if alignment != "auto":
+        return _aligned(numbers, image_count, alignment)
+    first, last = int(numbers.min()), int(numbers.max())
+    span, distinct = last - first + 1, len(np.unique(numbers)) == count
+    if image_count == span and (distinct or image_count != count):
+        return _ImageChoice(numbers - first)
+    if image_count == count:
+        ranks = np.argsort(np.argsort(numbers, kind="stable"))
+        return _ImageChoice(ranks if distinct else np.arange(count), by_line=True)
+    used = "first" if distinct else "line"
+    indices = numbers - first if distinct else np.arange(count)
+    others = " or ".join(
+        f"--image-index {name} ({meaning})"
+        for name, meaning in ALIGNMENTS.items()
+        if name not in {"auto", used} and not (name == "number" and first == 0 and distinct)
+    )
+    problem = (
+        f"{image_count} images, but data.jsonl has {count} frames lines with numbers from {first} to {last}; "
+        f"expected {count} images" + (f" or {span}" if span != count else "")
+    )
+    problem += (
+        f". The video is cut off: lines beyond its end have no image (--image-index {used}: {ALIGNMENTS[used]})"
+        if cut_off
+        else f". Which image a line means is open: a lenient reading takes --image-index {used} "
+        f"({ALIGNMENTS[used]}); there is {others}"
+    )
+    return _ImageChoice(np.where(indices < image_count, indices, -1), problem)
+
+
+def _aligned(numbers: Int64Array, image_count: int, alignment: str) -> _ImageChoice:
+    """The images that lines mean by a given rule; lines that mean none are a problem."""
+    by_rule = {"number": numbers, "first": numbers - numbers.min(), "line": np.arange(len(numbers), dtype=np.int64)}
+    indices = by_rule[alignment]
+    outside = (indices < 0) | (indices >= image_count)
+    problem = None
+    if outside.any():
+        worst = int(indices[outside][0])
+        problem = (
+            f"{int(outside.sum())} of {len(numbers)} frames lines mean images that are not there, by --image-index "
+            f"{alignment} ({ALIGNMENTS[alignment]}): the first image {worst}, while there are {image_count}"
+        )
+    return _ImageChoice(np.where(outside, -1, indices), problem)
+
+
+OWN_FIELDS = frozenset({"file_seconds", "number", "line_seconds", "line", "entry"})
+"""Extras of an image that are no fields of its entry; fields of these names are under "entry"."""
+
+CAMERA_SHIFTS: Mapping[str, int] = {"ignore": 0, "apply": 1, "subtract": -1}
+"""What becomes of `imuToCameraShiftSeconds`: by how many times it is added to the times of images.
+
+The description of the format has no such field. "apply": t_imu = t_camera + shift (ASSUMED). "subtract": the sense in
+which the open part of the vendor's software takes it.
+
+Source: `imuToCameraShiftSeconds` in `codegen/parameter_definitions.c` and `src/odometry/sample_sync.cpp` of HybVIO.
+"""
+
+_CERTAIN = 0x42
+"""Times whose highest byte is below this are in order: from 0 to 2^33 s, by the sign and the exponent in it."""
+
+
+def read_points(path: Path) -> LidarPoints:
+    """Read one sweep; points whose position is not a number stay in it.
+
+    The file is mapped and the time of every record checked; the records are taken apart in one pass when the first
+    of their fields is asked for, and the file is let go. Until then it must stay as long as it is.
+
+    Returns:
+        The points in the lidar's frame, read-only; `extras["file_seconds"]` holds the times as the file has them,
+        float64 [s].
+
+    Raises:
+        DataError: the file cannot be read, is no whole number of records, or holds a time that is no time.
+    """
+    try:
+        count = _record_count(path)
+        records = _mapped(path, count)
+    except (OSError, ValueError) as error:
+        raise DataError(path, "", f"cannot be read: {error}") from error
+    _check_times(records, path)
+    return LidarPoints.of_packed(_Records(records))
+
+
+def _record_count(path: Path) -> int:
+    count, remainder = divmod(path.stat().st_size, XYZIRT.itemsize)
+    if remainder:
+        size = f"{path.stat().st_size} bytes are {count} records of {XYZIRT.itemsize} bytes"
+        problem = f"{size} and a remainder of {remainder}; expected whole records"
+        raise DataError(path, f"byte {count * XYZIRT.itemsize}", problem)
+    return count
+
+
+def _mapped(path: Path, count: int) -> AnyArray:
+    # an empty file cannot be mapped
+    if count == 0:
+        return np.empty(0, XYZIRT)
+    size = count * XYZIRT.itemsize
+    with open_file(path, buffering=0) as file:
+        if sys.platform == "linux":
+            # all pages at once: one by one takes twice as long
+            flags = mmap.MAP_SHARED | mmap.MAP_POPULATE
+            content = mmap.mmap(file.fileno(), size, flags=flags, prot=mmap.PROT_READ)
+        else:
+            content = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+    return np.frombuffer(content, XYZIRT)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Records:
+    """The records of a sweep, as a file has them."""
+
+    records: AnyArray
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def unpacked(self) -> LidarPoints:
+        """Take them apart."""
+        # the compiler is loaded only where points are used
+        from sceneloom.kernels.packed import unpack
+
+        count = len(self.records)
+        positions, intensities, rings = (np.empty((count, 3), "f4"), np.empty(count, "u1"), np.empty(count, "u2"))
+        seconds, timestamps_ns = np.empty(count, np.float64), np.empty(count, np.int64)
+        arrays = positions, intensities, rings, seconds, timestamps_ns
+        unpack(read_only(self.records), *arrays)
+        for array in arrays:
+            array.setflags(write=False)
+        return LidarPoints(
+            positions=positions,
+            intensities=intensities,
+            timestamps_ns=timestamps_ns,
+            rings=rings,
+            extras=MappingProxyType({"file_seconds": seconds}),
+        )
+
+
+def _check_times(records: AnyArray, path: Path) -> None:
+    highest_bytes = records.view(np.uint8).reshape(-1, XYZIRT.itemsize)[:, -1]
+    if len(records) == 0 or highest_bytes.max() < _CERTAIN:
+        return
+    seconds = np.array(records["timestamp"])
+    if max(-float(seconds.min()), float(seconds.max())) <= FARTHEST_TIME:
+        return
+    wrong = int(np.flatnonzero(~(np.abs(seconds) <= FARTHEST_TIME))[0])
+    raise DataError(
+        path,
+        f"record {wrong} (byte {wrong * XYZIRT.itemsize})",
+        f"timestamp {seconds[wrong]}; expected seconds on the recording's clock, within ±{FARTHEST_TIME:g}",
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SortedColumns:
+    """A stream in the order of its times, read-only."""
+
+    timestamps_ns: Int64Array  # (N,) [ns]
+    seconds: Float64Array  # (N,) [s], as the file has them
+    values: Float64Array  # (N, K)
+    lines: Int64Array  # (N,), number of the line that each was read from
+    order: Int64Array  # (N,), row of the file's order that each row was
+
+
+def _by_time(stream: Columns) -> _SortedColumns:
+    """Give a stream sorted by time, records of one time in the order of the file."""
+    seconds = view(stream.seconds)
+    values = view(stream.values).reshape(len(seconds), stream.width)
+    lines, order = np.asarray(stream.lines, np.int64), time_order(seconds)
+    if (seconds[1:] < seconds[:-1]).any():
+        seconds, values, lines = seconds[order], values[order], lines[order]
+    arrays = (nanoseconds(seconds), seconds, values, lines, order)
+    return _SortedColumns(*map(read_only, arrays))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SweepTable:
+    """The sweeps of one lidar in time order: (N,) times [ns] and [s], `dataFile` and number of each line."""
+
+    folder: Path
+    data_path: Path
+    timestamps_ns: Int64Array
+    seconds: Float64Array
+    files: list[str]
+    lines: Int64Array
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def file(self, k: int) -> Path:
+        """Find the file of sweep `k`."""
+        name, location = self.files[k], f"line {self.lines[k]}"
+        try:
+            path = (self.folder / name).resolve()
+            inside, there = path.is_relative_to(self.folder.resolve()), path.is_file()
+        except (OSError, RuntimeError, ValueError) as error:
+            problem = f"lidar.dataFile: {name!r} cannot be read: {error}"
+            raise DataError(self.data_path, location, problem) from error
+        if not inside:
+            problem = f"lidar.dataFile: {name!r} leads out of the recording's folder by a link"
+        elif not there:
+            problem = f"lidar.dataFile: {name!r}: {why_no_file(path)}"
+        else:
+            return path
+        raise DataError(self.data_path, location, problem)
+
+    def frame(self, k: int) -> LidarFrame:
+        """Read sweep `k`."""
+        extras = {"file_seconds": float(self.seconds[k]), "dataFile": self.files[k]}
+        return LidarFrame(int(self.timestamps_ns[k]), read_points(self.file(k)), MappingProxyType(extras))
+
+
+def build_lidars(contents: RecordingContents) -> list[LidarSensor]:
+    """Build every lidar that a line names; a lenient reading looks for all their files at once."""
+    sensors = []
+    for index, columns in sorted(contents.columns.lidars.items()):
+        table = _sweeps(contents, columns)
+        name = f"lidar{index}" if len(contents.columns.lidars) > 1 else "lidar"
+        entry = contents.calibration.lidars.get(index)
+        if entry is not None and entry.lidar_from_imu is not None:
+            mount = entry.lidar_from_imu.inverse()
+        else:
+            location = str(contents.calibration.path) if entry is None else entry.location
+            message = f"no imuToLidar for {name!r}; it is taken to be where the IMU is, with the same axes"
+            contents.ledger.note(WarningKind.ASSUMED, "lidar-mount-identity", location, message)
+            mount = RigidTransform.identity()
+        extras = {"lidarInd": index} if entry is None else {"lidarInd": index, "calibration": entry.entry}
+        sensors.append(
+            LidarSensor(
+                id=name,
+                frames=LazyFrames(table.timestamps_ns, table.frame),
+                poses=poses_along(contents.ego_path, {0: mount}, np.zeros(len(table), np.int64), table.timestamps_ns),
+                mount=mount,
+                model=LIDAR_MODELS[0],
+                extras=MappingProxyType(extras),
+            )
+        )
+    return sensors
+
+
+def _sweeps(contents: RecordingContents, columns: Columns) -> _SweepTable:
+    """Sweeps in time order; a lenient reading leaves out those whose file is missing or not whole."""
+    sweeps = _by_time(columns)
+    files = [columns.texts[row] for row in sweeps.order]
+    table = _SweepTable(contents.folder, contents.data_path, sweeps.timestamps_ns, sweeps.seconds, files, sweeps.lines)
+    if not contents.ledger.lenient:
+        return table
+    rows = []
+    for k in range(len(table)):
+        try:
+            _record_count(table.file(k))
+            rows.append(k)
+        except DataError as error:
+            contents.ledger.fault("unusable-lidar-files", error)
+    arrays = (table.timestamps_ns[rows], table.seconds[rows], [files[row] for row in rows], table.lines[rows])
+    return _SweepTable(contents.folder, contents.data_path, *arrays)
+
+
+_T = TypeVar("_T")
 _VIDEO_SUFFIXES = ("mkv", "mp4", "mov", "avi", "ts")  # endings of `data`, `data2`, … that are looked for, in this order
-
-
 _ENDLESS = {".ts", ".avi"}  # endings of videos that do not state where they end
-
-
 _IMAGES = re.compile(rf"data(?P<video>|[2-9]|[1-9]\d+)\.(?:{'|'.join(_VIDEO_SUFFIXES)})|frames(?P<folder>[1-9]\d*)")
 
 
@@ -96,7 +496,7 @@ def _find_images(folder: Path, camera_index: int, ledger: Ledger) -> Path | None
 
 
 def _frame_notes(frames: FrameColumns, data_path: Path) -> dict[str, Any] | None:
-    """The fields of `FrameNotes` for the lines of a file; None where they are what would be written anyway."""
+    """What the writer is to know of the lines of a file; None where they are what would be written anyway."""
     if not frames.numbers or not frames.cameras:
         return None
     seconds = view(frames.seconds)
@@ -158,9 +558,6 @@ def _texts(frames: FrameColumns, rows: list[int], data_path: Path) -> list[str]:
                 text = file.readline()
             texts.append(text.decode().strip())
     return texts
-
-
-_HELD_KEYS = frozenset(FrameEntry.__struct_fields__)
 
 
 _OWN = -1  # stands for the camera model or mounting of the calibration
@@ -246,7 +643,7 @@ def _further_fields(data_file: FileIdentity, offset: int, camera_index: int) -> 
         entry = next(entry for entry in line["frames"] if entry["cameraInd"] == camera_index)
     except (OSError, *DECODER_FAULTS, AttributeError, KeyError, TypeError, StopIteration) as error:
         raise DataError(data_file.name, f"byte {offset}", "was changed after it was opened") from error
-    further = {key: value for key, value in entry.items() if key not in _HELD_KEYS | OWN_FIELDS}
+    further = {key: value for key, value in entry.items() if key not in ENTRY_KEYS | OWN_FIELDS}
     hidden = {key: value for key, value in entry.items() if key in OWN_FIELDS}
     known = record_keys(line) | {"number", "time"}
     beside = {key: value for key, value in line.items() if key not in known}
@@ -255,7 +652,6 @@ def _further_fields(data_file: FileIdentity, offset: int, camera_index: int) -> 
 
 _SHIFT_KEY = "imuToCameraShiftSeconds"
 
-
 _SHIFT_MESSAGES = {
     0: ("camera-shift-not-applied", "is not applied: frame times are taken to be on the recording's clock"),
     1: ("camera-shift-applied", "was added to the times of the camera's images"),
@@ -263,22 +659,16 @@ _SHIFT_MESSAGES = {
 }
 
 
-def _applied_shifts(calibration: Calibration, camera_shift: str) -> dict[str, Any]:
+def _applied_shifts(contents: RecordingContents) -> dict[str, Any]:
     """Record which cameras' times were shifted, and by how much [s]; nothing where none was."""
-    factor = CAMERA_SHIFTS[camera_shift]
-    shifts = {f"camera{index}": factor * camera.shift for index, camera in calibration.cameras.items() if camera.shift}
+    factor, cameras = CAMERA_SHIFTS[contents.camera_shift], contents.calibration.cameras
+    shifts = {f"camera{index}": factor * camera.shift for index, camera in cameras.items() if camera.shift}
     return {"camera_shifts": shifts} if factor and shifts else {}
 
 
 _DEFAULT_SCALE = 0.001  # metres a step where nothing says it: the usual unit of depth cameras. ASSUMED, with a warning
-
-
 _DEPTH_FORMAT = "gray16"  # `colorFormat` of lines whose image holds depths
-
-
 _LARGEST_SCALE = 100.0
-
-
 _SAME_M, _SAME_DEG = 1e-6, 1e-4  # mountings no further apart than this state the same
 
 
@@ -309,13 +699,27 @@ def _build_cameras(contents: RecordingContents, opened: list[ImageFiles]) -> lis
     return cameras
 
 
+def _read_texts(
+    frames: FrameColumns, rows: Sequence[int], chosen: Sequence[int], read: Callable[[bytes, int], _T], ledger: Ledger
+) -> dict[int, _T]:
+    """Read every text that entries have, in line `rows[k]`: text `chosen[k]`, -1 for none; unusable ones are faults."""
+    texts, numbers, values = list(frames.texts), np.asarray(chosen, np.int64), dict[int, _T]()
+    for index, row in zip(*(a.tolist() for a in np.unique(numbers, return_index=True)), strict=True):
+        if index >= 0:
+            try:
+                values[index] = read(texts[index], frames.lines[rows[row]])
+            except SceneloomError as error:
+                ledger.fault("unusable-frame-parameters", error, count=int((numbers == index).sum()))
+    return values
+
+
 class _CameraBuilder:
     """Builds one camera of a recording from its calibration, its entries in `frames` lines and its images."""
 
     def __init__(self, contents: RecordingContents, index: int, opened: list[ImageFiles]) -> None:
         self.contents, self.index, self.opened = contents, index, opened
         self.frames, self.ledger = contents.columns.frames, contents.ledger
-        self.columns = self.frames.cameras.get(index, CameraColumns())
+        self.columns = self.frames.of_camera(index)
         self.files: ImageFiles | None = None
 
     def build(self) -> list[CameraSensor | DepthCameraSensor]:
@@ -339,9 +743,9 @@ class _CameraBuilder:
             size = (camera.width, camera.height)
             return camera_model(parameters, size, location).resized(*size)
 
-        camera_models = read_texts(frames, columns.rows, columns.parameters, own_camera_model, ledger)
+        camera_models = _read_texts(frames, columns.rows, columns.parameters, own_camera_model, ledger)
         own_mount = partial(read_mount, path=path, ledger=ledger)
-        mounts = read_texts(frames, columns.rows, columns.mounts, own_mount, ledger)
+        mounts = _read_texts(frames, columns.rows, columns.mounts, own_mount, ledger)
         shift = self._shift(calibration)
         table = self._table(camera, indices, camera_models, mounts, shift)
         sensor = self._sensor(table, calibration)
@@ -580,17 +984,10 @@ class _CameraBuilder:
         )
 
 
-BAROMETER = "barometer"
-"""Name of the stream of `barometer` lines [hPa]."""
-
-RECEIVER = "gnss"
-"""Id of the receiver of `gps` lines."""
-
 RANKS: Mapping[str, int] = {"groundTruth": 0, "pose": 1, "externalPose": 1}
 """Which root keys are taken for the default trajectory before others."""
 
 VIO_CONFIG_FILE = "vio_config.yaml"
-
 _RESERVED_NAMES = {"gnss", "lidar", "identity"}  # names that stand for trajectories that are computed
 
 _OPTIONS = {"altitude": ("wgs84", "msl"), "camera_shift": tuple(CAMERA_SHIFTS), "image_index": tuple(ALIGNMENTS)}
@@ -717,14 +1114,12 @@ def _read_recording(
     try:
         with ledger.telling():
             contents = _read_contents(location, ledger, camera_shift, image_index)
-            columns, calibration = contents.columns, contents.calibration
             sensors: tuple[Sensor, ...] = (
                 *build_lidars(contents),
                 *([] if contents.alone else _build_cameras(contents, closing.images)),
-                *_build_number_sensors(columns, calibration),
+                *_build_number_sensors(contents),
             )
-            shifts = _applied_shifts(calibration, camera_shift)
-            metadata = {"altitude": altitude, **shifts, **_further_contents(contents)}
+            metadata = {"altitude": altitude, **_applied_shifts(contents), **_further_contents(contents)}
             scene = Scene(
                 sensors=sensors,
                 trajectories=MappingProxyType({t.name: t for t in contents.trajectories.values()}),
@@ -752,9 +1147,7 @@ def _read_contents(location: _Location, ledger: Ledger, camera_shift: str, image
     data_file = FileIdentity.of(data_path)
     columns = read_lines(data_path, ledger)
     alone = location.alone and not (columns.frames.cameras or columns.lidars)
-    calibration = Calibration(folder / CALIBRATION_FILE)
-    if not alone:
-        calibration = read_calibration(folder, ledger, data_path=data_path, other_lines=columns.other.texts)
+    calibration = read_calibration(folder, ledger, data_path, None if alone else columns.other.texts)
     trajectories = _build_trajectories(columns.poses, data_path, ledger)
     return RecordingContents(
         folder=folder,
@@ -771,39 +1164,18 @@ def _read_contents(location: _Location, ledger: Ledger, camera_shift: str, image
     )
 
 
-def imu_streams(columns: RecordingColumns) -> dict[str, Columns]:
-    """Give the streams of the IMU by their names in the scene."""
-    streams = dict(columns.sensors)
-    if len(columns.barometer):
-        if BAROMETER in streams:
-            streams[f"sensor:{BAROMETER}"] = streams.pop(BAROMETER)
-        streams[BAROMETER] = columns.barometer
-    return streams
-
-
-def receivers(columns: RecordingColumns) -> dict[str, tuple[Origin, Columns]]:
-    """Give the satellite receivers by their ids, each with the root key and name of its lines."""
-    found: dict[str, tuple[Origin, Columns]] = {}
-    if len(columns.gnss):
-        found[RECEIVER] = (GPS_ORIGIN, columns.gnss)
-    for (root, name), stream in columns.receivers.items():
-        taken = name in found or name in {RECEIVER, "imu"} or name.startswith(("camera", "lidar"))
-        found[f"{root}:{name}" if taken else name] = ((root, name), stream)
-    return found
-
-
-def _build_number_sensors(columns: RecordingColumns, calibration: Calibration) -> list[Sensor]:
+def _build_number_sensors(contents: RecordingContents) -> list[Sensor]:
     """Build the IMU and the receivers; the mounting of the antenna is that of the `gps` lines' receiver."""
     sensors: list[Sensor] = []
-    if streams := imu_streams(columns):
+    if streams := contents.columns.imu_streams():
         samples = {}
         for name, stream in streams.items():
-            rows = by_time(stream)
+            rows = _by_time(stream)
             samples[name] = VectorSamples(rows.timestamps_ns, rows.values, rows.seconds)
         sensors.append(ImuSensor("imu", MappingProxyType(samples)))
-    gnss_from_imu = calibration.rig.gnss_from_imu
-    for name, (_, stream) in receivers(columns).items():
-        fixes = by_time(stream)
+    gnss_from_imu = contents.calibration.rig.gnss_from_imu
+    for name, (_, stream) in contents.columns.satellite_receivers().items():
+        fixes = _by_time(stream)
         sensors.append(
             GnssSensor(
                 id=name,
@@ -825,7 +1197,7 @@ def _build_trajectories(poses: Mapping[Origin, Columns], path: Path, ledger: Led
     for origin in sorted(poses, key=lambda origin: RANKS.get(origin[0], 2)):
         root, name = origin
         free = name if name not in names else f"{root or 'root'}:{name}"
-        samples = by_time(poses[origin])
+        samples = _by_time(poses[origin])
         usable, oriented = _usable_poses(free, samples, path, ledger)
         if usable.any():
             names.add(free)
@@ -839,7 +1211,7 @@ def _build_trajectories(poses: Mapping[Origin, Columns], path: Path, ledger: Led
     return trajectories
 
 
-def _usable_poses(name: str, samples: SortedColumns, path: Path, ledger: Ledger) -> tuple[BoolArray, bool]:
+def _usable_poses(name: str, samples: _SortedColumns, path: Path, ledger: Ledger) -> tuple[BoolArray, bool]:
     """Which poses a trajectory gets, (N,) bool, and whether it has orientations."""
     quaternions, count = samples.values[:, 3:], len(samples.lines)
     missing = np.isnan(quaternions[:, 0])
@@ -871,7 +1243,7 @@ def _usable_poses(name: str, samples: SortedColumns, path: Path, ledger: Ledger)
     return usable, oriented
 
 
-def _repeated(samples: SortedColumns, usable: BoolArray) -> Int64Array:
+def _repeated(samples: _SortedColumns, usable: BoolArray) -> Int64Array:
     """Rows with the time of the one before: a body is in one place at a time."""
     rows = np.flatnonzero(usable)
     repeated: Int64Array = rows[1:][np.diff(samples.timestamps_ns[rows]) == 0]
@@ -900,7 +1272,7 @@ def _further_contents(contents: RecordingContents) -> dict[str, Any]:
             if origin != (trajectory.name, trajectory.name)
         },
         "receiver_origins": {
-            name: list(origin) for name, (origin, _) in receivers(columns).items() if origin != GPS_ORIGIN
+            name: list(origin) for name, (origin, _) in columns.satellite_receivers().items() if origin != GPS_ORIGIN
         },
         "sensor_barometer": BAROMETER in columns.sensors and not len(columns.barometer),
         "frame_lines": _frame_notes(columns.frames, contents.data_path),
@@ -922,9 +1294,9 @@ def _text(contents: RecordingContents, name: str) -> str | None:
 def _named_streams(contents: RecordingContents) -> dict[str, Columns]:
     """Give the streams of numbers by the names under which more is kept of them."""
     columns = contents.columns
-    fixes = receivers(columns).items()
+    fixes = columns.satellite_receivers().items()
     return {
-        **{f"imu.{name}": stream for name, stream in imu_streams(columns).items()},
+        **{f"imu.{name}": stream for name, stream in columns.imu_streams().items()},
         **{name if name == RECEIVER else f"{RECEIVER}.{name}": stream for name, (_, stream) in fixes},
         **{f"trajectories.{t.name}": columns.poses[origin] for origin, t in contents.trajectories.items()},
         **{f"lidars.{index}": sweeps for index, sweeps in columns.lidars.items()},
@@ -951,7 +1323,7 @@ def _poses_as_text(contents: RecordingContents) -> list[tuple[int, str]]:
     found = []
     for (root, name), trajectory in contents.trajectories.items():
         columns = contents.columns.poses[root, name]
-        samples = by_time(columns)
+        samples = _by_time(columns)
         lacks_rotation = np.isnan(samples.values[:, 3]) & (trajectory.quaternions_xyzw is not None)
         for row in [*np.flatnonzero(lacks_rotation).tolist(), *_repeated(samples, ~lacks_rotation).tolist()]:
             values, text = samples.values[row].tolist(), columns.further.get(int(samples.order[row]))
@@ -970,7 +1342,7 @@ def _further_by_time(stream: Columns) -> dict[str, str]:
     """Texts of lines that state more than a stream holds, by time [ns] as text; the second of one time is `TIME#1`."""
     if not stream.further:
         return {}
-    rows = by_time(stream)
+    rows = _by_time(stream)
     locations = np.empty(len(rows.order), np.int64)
     locations[rows.order] = np.arange(len(rows.order))
     texts = {}

@@ -51,7 +51,7 @@ def _object(text: bytes) -> dict[str, Any] | None:
 def _is_known(line: dict[str, Any]) -> bool:
     if "time" not in line:
         return False
-    from sceneloom.formats.recording.lines import RECORD_KEYS
+    from sceneloom.formats.recording.contents import RECORD_KEYS
 
     values = (line, *line.values())
     is_pose = any(isinstance(value, dict) and isinstance(value.get("position"), dict) for value in values)

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 _HYBVIO = """
 visualUpdateEnabled visualUpdateForEveryNFrame maxVisualUpdates maxSuccessfulVisualUpdates batchVisualUpdate
@@ -77,18 +76,12 @@ _MARKS = ("---", "...", "%YAML")
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
-    """One setting.
-
-    Attributes:
-        key: its name.
-        value: the text behind the colon, without a comment; "" where the value stands in the lines below.
-        line: where it stands, counted from 1.
-    """
+class _Setting:
+    """One setting."""
 
     key: str
-    value: str
-    line: int
+    value: str  # the text behind the colon, without a comment; "" where the value stands in the lines below
+    line: int  # where it stands, counted from 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,18 +93,23 @@ class VioConfig:
         strange: the lines that are no setting, by number; the vendor's software stops at them.
     """
 
-    settings: tuple[Setting, ...]
+    settings: tuple[_Setting, ...]
     strange: Mapping[int, str]
+
+    @property
+    def unknown_keys(self) -> list[str]:
+        """The names of settings that are not publicly known, in the order of the lines; the SDK stops at others."""
+        return [setting.key for setting in self.settings if setting.key not in KNOWN_KEYS]
 
 
 def read_vio_config(text: str) -> VioConfig:
     """Read the settings at the root of a text; lines that are indented, or items of a list, belong to one above."""
-    settings: list[Setting] = []
+    settings: list[_Setting] = []
     strange: dict[int, str] = {}
     for number, line in _content(text):
         match = _SETTING.fullmatch(line)
         if match is not None:
-            settings.append(Setting(match["key"], match["value"] or "", number))
+            settings.append(_Setting(match["key"], match["value"] or "", number))
         elif not (settings and line.startswith(_BEGINS_LIST)):
             strange[number] = line
     return VioConfig(tuple(settings), strange)
@@ -136,16 +134,3 @@ def _without_comment(line: str) -> str:
         elif letter == "#" and (location == 0 or line[location - 1].isspace()):
             return line[:location]
     return line
-
-
-def repeated_keys(text: str) -> list[str]:
-    """The names of settings that stand there more than once; which value counts is not stated."""
-    keys = [setting.key for setting in read_vio_config(text).settings]
-    return sorted({key for key in keys if keys.count(key) > 1})
-
-
-def similar_key(key: str) -> str | None:
-    """The known name that a name comes closest to, None where none is near."""
-    by_letters = {known.lower(): known for known in KNOWN_KEYS}
-    near = get_close_matches(key.lower(), by_letters, n=1, cutoff=0.8)
-    return by_letters[near[0]] if near else None

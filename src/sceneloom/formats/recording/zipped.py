@@ -25,7 +25,6 @@ LARGEST_RATIO = 300
 """Nor archives whose files are this many times as large as they are: the lines of a log shrink to a tenth."""
 
 _ALWAYS_FINE = 64 << 20  # bytes that may come out of an archive of any size
-
 _SPARE_BYTES = 64 << 20
 _BLOCK = 1 << 20
 _LONGEST_NAME = 1000

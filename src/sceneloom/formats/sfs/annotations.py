@@ -16,20 +16,22 @@ from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, CalibrationError, OptionError
 from sceneloom.formats.sfs.clock import FileClock, StaticTime, TimeRangeError
-from sceneloom.formats.sfs.metadata import Source
 from sceneloom.formats.sfs.records import (
     Faults,
     FieldError,
     Location,
+    Source,
     described,
+    extras_of_intrinsics,
     extras_of_poses,
+    read_camera_model,
     repaired_poses,
     rows_of,
     times_of,
     with_extras,
 )
 from sceneloom.formats.sfs.schema import ANNOTATION_RECORDS, annotation_record
-from sceneloom.formats.sfs.sensors import extras_of_intrinsics, intrinsics_record, read_camera_model
+from sceneloom.formats.sfs.sensors import intrinsics_record
 from sceneloom.formats.sfs.spec import PAIRS
 from sceneloom.scene.annotations import (
     DIMENSIONS,
@@ -499,7 +501,6 @@ _ATTRIBUTE: Mapping[str, _Column] = {
 }
 
 _SEEN = {"sensor_id": _AS_IS, "timestamps": _TIMESTAMPS}  # what activations and projections begin with
-
 _CONFIRMED = _Column(read=_read_confirmed)
 _CUBOIDS = _nullable_rows(9)
 _POSES = _Column(read=_read_poses, write=_write_poses, extras=extras_of_poses)

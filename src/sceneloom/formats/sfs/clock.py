@@ -18,9 +18,7 @@ READABLE_TICKS_NS: Mapping[str, int] = MappingProxyType({**TICKS_NS, "microsecon
 
 INT64_MIN, INT64_MAX = -(2**63), 2**63 - 1
 UINT32_MAX, UINT64_MAX = 2**32 - 1, 2**64 - 1
-
 _SMALL_START_NS = 10_000_000_000  # a scene that starts within so many nanoseconds of its clock's zero needs no offset
-
 _SECOND_NS = 1_000_000_000
 _PIECE = 1 << 13
 
@@ -48,13 +46,13 @@ class FileClock:
     tick_ns: int
     offset_ns: int
 
-    def absolute_ns(self, timestamp: int) -> int:
+    def absolute_ns(self, timestamp: float) -> int:
         """Give the absolute time of a timestamp.
 
         Raises:
-            TimeRangeError: it does not fit 64 bits.
+            TimeRangeError: it is not finite, or does not fit 64 bits.
         """
-        return checked_ns(timestamp * self.tick_ns + self.offset_ns)
+        return _checked_ns(scaled(timestamp, self.tick_ns) + self.offset_ns)
 
     def absolute_array(self, timestamps: AnyArray) -> Int64Array:
         """Give the absolute times of an integer array of timestamps, (N,) int64 [ns].
@@ -99,7 +97,7 @@ class FileClock:
             TimeRangeError: the span from the offset to one of them does not fit 64 bits.
         """
         for timestamp_ns in (first_ns, last_ns):
-            checked_ns(timestamp_ns - self.offset_ns)
+            _checked_ns(timestamp_ns - self.offset_ns)
         return self.timestamp(first_ns), self.timestamp(last_ns)
 
     def timestamp_array(
@@ -122,7 +120,7 @@ class FileClock:
         if timestamps_ns.size == 0:
             return np.zeros(0, dtype), 0
         first_ns, last_ns = span_ns or (int(timestamps_ns.min()), int(timestamps_ns.max()))
-        lowest, highest = checked_ns(first_ns - self.offset_ns), checked_ns(last_ns - self.offset_ns)
+        lowest, highest = _checked_ns(first_ns - self.offset_ns), _checked_ns(last_ns - self.offset_ns)
         if not self._offset_fits:
             return self._timestamps_exactly(timestamps_ns, dtype)
         if dtype is np.uint32 and lowest >= 0 and highest - lowest < UINT32_MAX - 4 * self.tick_ns:
@@ -177,7 +175,7 @@ class FileClock:
 
     def duration_ns(self, duration: float) -> int | float:
         """Give a duration of the file in nanoseconds: an integer, if that is the same number when it is written."""
-        whole_ns = checked_ns(scaled(duration, self.tick_ns))
+        whole_ns = _checked_ns(scaled(duration, self.tick_ns))
         return whole_ns if self.duration(whole_ns) == duration else duration * self.tick_ns
 
     def duration(self, duration_ns: float) -> int | float:
@@ -195,12 +193,8 @@ def point_times_dtype(clock: FileClock) -> np.dtype[Any]:
     return np.dtype(np.uint64 if clock.tick_ns == 1 else np.uint32)
 
 
-def checked_ns(timestamp_ns: int) -> int:
-    """Pass a time on if it fits 64 bits.
-
-    Raises:
-        TimeRangeError: it does not.
-    """
+def _checked_ns(timestamp_ns: int) -> int:
+    """Pass a time on if it fits 64 bits; else a TimeRangeError."""
     if not INT64_MIN <= timestamp_ns <= INT64_MAX:
         raise TimeRangeError(f"{timestamp_ns} ns does not fit 64 bits")
     return timestamp_ns

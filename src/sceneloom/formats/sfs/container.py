@@ -47,6 +47,10 @@ _MOST_AXES = 64  # Source: NPY_MAXDIMS of NumPy 2
 class RawBytes(np.ndarray[Any, Any]):
     """The bytes of an item that names no dtype; the field that they belong to decides what they are."""
 
+    def plain(self) -> AnyArray:
+        """The same bytes as an array that is none of these."""
+        return self.view(np.ndarray)
+
 
 @dataclass(frozen=True, slots=True)
 class ItemFault:
@@ -264,7 +268,6 @@ def _is_free(location: _Slot) -> bool:
 
 
 _MAPPED_AT_MOST = 128 << 20
-
 _DONT_NEED: int | None = getattr(mmap, "MADV_DONTNEED", None)  # not on every system
 
 
@@ -434,6 +437,10 @@ class Unfetched(np.ndarray[Any, Any]):
 class UnfetchedBytes(RawBytes, Unfetched):
     """The same for an item that names no dtype."""
 
+    def plain(self) -> AnyArray:
+        """The same bytes as an array that is not fetched either."""
+        return self.view(Unfetched)
+
 
 def unfetched(array: AnyArray) -> Unfetched:
     """Keep others from looking at the values of an array that has none yet."""
@@ -461,13 +468,9 @@ def replaced(value: Any, filled: dict[int, AnyArray]) -> Any:
 
 
 _FIRST_BLOCK, _LARGEST_BLOCK = 64 << 10, 16 << 20
-
 _PIECE = 256 << 10
-
 _NO_RESERVE = 0x4000  # Source: MAP_NORESERVE of Linux; the placeholder takes addresses, not memory
-
 _OF_FRAMES = {"lidar": "frames", "radar": "frames"}
-
 _PLAYED = {"images", "video"}
 
 
@@ -629,7 +632,6 @@ __all__ = ["DTYPES", "ITEMS", "Container", "ItemFault", "RawBytes", "format_keys
 
 HEADER_LIMIT = 1 << 30
 """Longest header that is read [bytes]: beyond it the text alone would fill the memory of a large machine."""
-
 
 Content = _MappedContent | _RemoteContent
 """The bytes of an array, by slices, and as a file when it is called."""

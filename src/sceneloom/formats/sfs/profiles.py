@@ -13,15 +13,13 @@ from sceneloom.errors import OptionError
 from sceneloom.formats.sfs.annotations import attribute_values
 from sceneloom.formats.sfs.clock import TICKS_NS, FileClock
 from sceneloom.formats.sfs.container import RawBytes
-from sceneloom.formats.sfs.records import Location, times_of
+from sceneloom.formats.sfs.records import Location, described, times_of
 from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS, RECORDS, SENSOR_RECORDS, Kind
 from sceneloom.scene.annotations import Annotation, AttributePath
 from sceneloom.scene.types import Identifier, key_of
 
 _LATEST_START = 100_000_000  # latest first timestamp of a series [µs]
-
 _HIGHEST_RATE = 100.0  # most frames or images a second
-
 _TICKS_PER_SECOND = 1e6
 
 VALIDATED_SENSORS = ("lidar", "radar", "camera")
@@ -203,8 +201,7 @@ def _expected(what: str) -> str:
 def _reported(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype.name} {value.shape}"
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return described(value)
 
 
 def time_fault(timestamps: Sequence[int], *, paced: bool) -> str | None:

@@ -1,12 +1,13 @@
 """Reading a file into a scene, with all faults of the file."""
 
+import io
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -24,12 +25,10 @@ from sceneloom.formats.sfs.clock import (
     scaled,
 )
 from sceneloom.formats.sfs.container import Container, ItemFault, collector_paused, format_keys
-from sceneloom.formats.sfs.images import DamagedVideo, damaged_videos, rescue_videos
-from sceneloom.formats.sfs.metadata import OURS, FileParts, Source, root_fault
 from sceneloom.formats.sfs.profiles import restore_exact_attributes
-from sceneloom.formats.sfs.records import Faults, Location, RecordReader
+from sceneloom.formats.sfs.records import OURS, Faults, FileParts, Location, Source, root_fault
 from sceneloom.formats.sfs.schema import RECORDS, Field, Kind, annotation_record, sensor_record
-from sceneloom.formats.sfs.sensors import read_sensors
+from sceneloom.formats.sfs.sensors import declared_length, is_mp4, read_sensors
 from sceneloom.formats.sfs.spec import BROWN, OPENCV, TANGENTIALS, ReadingOptions
 from sceneloom.scene.annotations import Annotation, AttributePath, CuboidAnnotation
 from sceneloom.scene.motion import OdometrySensor
@@ -38,8 +37,12 @@ from sceneloom.scene.scene import Scene, Sensor, with_assumed_models
 from sceneloom.scene.types import Identifier, key_of
 from sceneloom.warnings import DataWarning, WarningKind
 
-_OURS_AT = ("metadata", OURS)
+if TYPE_CHECKING:
+    from av.video.stream import VideoStream
 
+    from sceneloom.formats.video.reader import OpenVideo
+
+_OURS_AT = ("metadata", OURS)
 _REPORTED = 4  # so many locations of further faults stand in an error
 
 
@@ -200,7 +203,7 @@ def _whole_parts(
 ) -> Examination:
     """Take what is at fault out of the header, the least that has to go, and read the rest."""
     is_local = not is_url(container.file)
-    if not (any(not fault.repaired for fault in first.faults) or (is_local and damaged_videos(container))):
+    if not (any(not fault.repaired for fault in first.faults) or (is_local and _damaged_videos(container))):
         return first
     original, numbering = container.header, _Numbering()
     container.header = copied(original)
@@ -280,9 +283,162 @@ def _loss_warnings(losses: Iterable[_Loss], faults: Iterable[PlacedFault]) -> tu
     )
 
 
-def _rescue_videos(container: Container, items: list[ItemFault]) -> Mapping[Location, DamagedVideo]:
+@dataclass(frozen=True, slots=True)
+class _DamagedVideo:
+    """A video that was cut, or cannot be read."""
+
+    problem: str  # what is wrong, and how many images are whole
+    lost_bytes: int  # how many bytes are not there; 0 where that is not known
+    kept: Sequence[int] = ()  # which of its images are whole and are in the header in its location
+    count: int = 0  # how many images it had
+
+
+def _damaged_videos(container: Container) -> dict[Location, tuple[Any, int, str]]:
+    """Content, declared length and problem of each video that is cut or no video, by the position of its content."""
+    found: dict[Location, tuple[Any, int, str]] = {}
+    sensors = container.header.get("sensors")
+    for number, sensor in enumerate(sensors if isinstance(sensors, list) else []):
+        video = sensor.get("video") if isinstance(sensor, dict) else None
+        content = video.get("content") if isinstance(video, dict) else None
+        if isinstance(content, np.ndarray) and content.dtype == np.uint8 and content.size:
+            there = np.ascontiguousarray(content).reshape(-1).data.cast("B")
+            length = declared_length(there) if is_mp4(there) else len(there)
+            if (problem := _video_problem(there, length)) is not None:
+                found["sensors", number, "video", "content"] = there, length, problem
+    return found
+
+
+def _video_problem(there: memoryview, length: int) -> str | None:
+    from sceneloom.formats.video.reader import read_index, read_table_index
+
+    if length > len(there):
+        return f"{len(there)} bytes of a video of {length}: it was cut"
+    try:
+        index = read_table_index(there, "video") if is_mp4(there) else read_index(there, "video")
+    except DataError as error:
+        return error.problem
+    return None if len(index) else "a video without images"
+
+
+def _videos_rescued(container: Container, items: Sequence[ItemFault]) -> dict[Location, _DamagedVideo]:
+    """Put what is left of cut videos into the header; give all damaged ones, by the position of their content."""
+    damaged = _damaged_videos(container)
+    for fault in items:
+        keys = container.item_keys(fault.number) or ()
+        if keys[-2:] == ("video", "content"):
+            item = container.item(fault.number)
+            offset, length = item.get("offset"), item.get("length")
+            if type(offset) is int and type(length) is int and offset >= 0:
+                there = container.bytes_between(offset, offset + length)
+                if 0 < len(there) < length:
+                    damaged[keys] = there, length, _video_problem(there, length) or ""
+    return {keys: _rescued(container.header, keys, *content) for keys, content in damaged.items()}
+
+
+def _rescued(header: dict[str, Any], keys: Location, there: memoryview, length: int, why: str) -> _DamagedVideo:
+    sensor: Any = header
+    for key in keys[:-2]:
+        sensor = sensor[key]
+    video = sensor["video"]
+    timestamps = video.get("timestamps")
+    missing = length - len(there)
+    lost = _DamagedVideo(why, missing)
+    if not isinstance(timestamps, list) or not missing:
+        return lost
+    try:
+        content, kept, count = _rescue_video(there, length)
+    except DataError:
+        return lost
+    if count != len(timestamps):
+        return lost
+    video["content"] = np.frombuffer(content, np.uint8)
+    video["timestamps"] = [timestamps[k] for k in kept]
+    problem = f"the video was cut: {len(kept)} of its {count} images are whole"
+    return _DamagedVideo(problem, missing, kept, count)
+
+
+class _CutBytes:
+    """Bytes of which only the first ones are there; the others are NULs."""
+
+    def __init__(self, there: memoryview, length: int) -> None:
+        self._there, self._length = there, length
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, stop, _ = part.indices(self._length)
+        piece = bytes(self._there[start:stop])
+        return piece + bytes(max(0, stop - start) - len(piece))
+
+
+def _rescue_video(there: memoryview, length: int) -> tuple[bytes, list[int], int]:
+    """A video of the packets before the first damaged one; which images of the original it has, of how many."""
+    from sceneloom.formats.video.reader import (
+        BY_TABLES,
+        OpenVideo,
+        decoder_faults,
+        open_hollow,
+        read_index,
+        read_table_index,
+    )
+
+    name = "video"
+    whole = _CutBytes(there, length)
+    index = read_table_index(whole, name)
+    if not index.timed:
+        raise DataError(name, "", "does not state when its images are shown")
+    opened = OpenVideo(lambda: open_hollow(whole), name, options=BY_TABLES)
+    try:
+        with decoder_faults(name, ""):
+            shown = _whole_packets(opened, len(there))
+    finally:
+        opened.close()
+    kept = sorted(k for k in (index.find(pts) for pts in shown) if k is not None)
+    if not kept or len(kept) != len(shown):
+        raise DataError(name, "", "no image of it is whole")
+    with decoder_faults(name, ""):
+        content = _copied_packets(there, len(shown))
+    if len(read_index(content, name)) != len(kept):
+        raise DataError(name, "", "its whole images cannot be distinguished from the others")
+    return content, kept, len(index)
+
+
+def _whole_packets(opened: "OpenVideo", available: int) -> list[int | None]:
+    """When the images of the first packets are shown, up to the first packet that is not whole [ticks]."""
+    shown: list[int | None] = []
+    for packet in opened.container.demux(opened.stream):
+        if packet.size and not packet.is_discard:
+            if packet.pos is None or packet.pos < 0 or packet.pos + packet.size > available:
+                break
+            shown.append(packet.pts)
+    return shown
+
+
+def _copied_packets(there: memoryview, count: int) -> bytes:
+    """Copy the first packets of a video into one of its own."""
+    import av
+
+    from sceneloom.formats.video.reader import BY_TABLES, OpenVideo
+
+    target = io.BytesIO()
+    opened = OpenVideo(there, "video", options=BY_TABLES)
+    try:
+        with av.open(target, "w", format="mp4") as output:
+            stream: VideoStream = output.add_stream_from_template(opened.stream)
+            stream.time_base = opened.stream.time_base
+            packets: Any = (p for p in opened.container.demux(opened.stream) if p.size)
+            for _, packet in zip(range(count), packets, strict=False):
+                packet.stream = stream
+                output.mux(packet)
+    finally:
+        opened.close()
+    return target.getvalue()
+
+
+def _rescue_videos(container: Container, items: list[ItemFault]) -> Mapping[Location, _DamagedVideo]:
     """Put what is left of videos that were cut into the header, and bring what counts their images into step."""
-    videos = rescue_videos(container, items)
+    videos = _videos_rescued(container, items)
     for keys, video in videos.items():
         if video.kept:
             sensor = _at(container.header, keys[:-2])
@@ -420,7 +576,6 @@ def _euler(source: Source, ours: Mapping[str, Any], annotations: tuple[Annotatio
 
 
 _VERSIONS = ("1.0", "5.1")  # beginnings of the versions that we read
-
 _DEFAULT_TICK_NS = READABLE_TICKS_NS["microseconds"]  # length of a tick where the file does not state its unit [ns]
 
 
@@ -466,7 +621,7 @@ def _read_clock(source: Source, ours: Any) -> FileClock:
 def _read_ours(source: Source, raw: Any) -> dict[str, Any]:
     """Read our metadata; a fault in it is a fault of the file."""
     faults = Faults()
-    ours = RecordReader(source.clock).read(raw, OURS, faults)
+    ours = source.reader().read(raw, OURS, faults)
     source.collect(faults, _OURS_AT)
     wrong = {fault.location[:2] for fault in faults}
     for name, value in ours.items():
@@ -488,7 +643,6 @@ def _read_ours(source: Source, raw: Any) -> dict[str, Any]:
 
 
 _RECORD_KINDS = {Kind.RECORD, Kind.RECORDS, Kind.RECORD_OR_RECORDS, Kind.RECORD_LISTS, Kind.RECORD_MAP}
-
 _TYPED_LISTS = {"sensors": sensor_record, "annotations": annotation_record}
 _OF_FRAMES = {"frames": ("lengths",), "images": ("camera_of_image", "mounts", "extras")}
 _ANY, _MAP = "any of ", "map of "

@@ -3,28 +3,24 @@
 Poses and mountings of records.
 """
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
-from sceneloom.errors import ArrayError
-from sceneloom.formats.base.diagnostics import MALFORMED
-from sceneloom.formats.sfs.clock import (
-    INT64_MAX,
-    INT64_MIN,
-    FileClock,
-    TimeRangeError,
-    checked_ns,
-    point_times_dtype,
-    scaled,
-)
-from sceneloom.formats.sfs.container import RawBytes, Unfetched
-from sceneloom.formats.sfs.schema import RECORDS, Field, Kind
-from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.cameras.camera import Camera
+from sceneloom.errors import ArrayError, DataError
+from sceneloom.formats.base.diagnostics import MALFORMED, PlacedFault
+from sceneloom.formats.sfs.clock import INT64_MAX, INT64_MIN, FileClock, TimeRangeError, point_times_dtype
+from sceneloom.formats.sfs.container import ITEMS, Container, ItemFault, RawBytes, format_keys
+from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS, RECORDS, Field, Kind
+from sceneloom.formats.sfs.spec import BROWN, ReadingOptions
 from sceneloom.scene.poses import Poses
+from sceneloom.scene.types import Identifier
+from sceneloom.warnings import DataWarning, WarningKind
 
 Location = tuple[str | int, ...]
 """Where something stands inside the header, as keys."""
@@ -168,10 +164,8 @@ def _integer(value: Any, field: Field) -> int:
 
 
 def _time(clock: FileClock, value: Any, field: Field) -> int:
-    if type(value) is int:
+    if type(value) is int or type(value) is float:
         return clock.absolute_ns(value)
-    if type(value) is float:
-        return checked_ns(scaled(value, clock.tick_ns) + clock.offset_ns)
     raise _wrong(value, field)
 
 
@@ -232,8 +226,8 @@ def _array(value: Any, field: Field) -> AnyArray:
     return _in_columns(array.astype(dtype, copy=False), field.columns)
 
 
-def _of_raw_bytes(value: AnyArray, dtype: np.dtype[Any]) -> AnyArray:
-    raw = value.view(Unfetched if isinstance(value, Unfetched) else np.ndarray)
+def _of_raw_bytes(value: RawBytes, dtype: np.dtype[Any]) -> AnyArray:
+    raw = value.plain()
     if raw.size % dtype.itemsize:
         raise FieldError(f"{raw.size} bytes are no whole number of {dtype.name}")
     return raw.view(dtype)
@@ -424,12 +418,282 @@ def extras_of_poses(record: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if name not in {"timestamps", "values"}}
 
 
+def read_camera_model(
+    source: "Source", intrinsics: Mapping[str, Any], note: Mapping[str, Any], location: Location
+) -> Camera:
+    """Make a camera model of an `intrinsics` record, or of our note where the record stands in for that.
+
+    A record that was changed since it was written counts, not the note. Old files have no camera model as written in
+    the note: there the focal lengths and the centre show whether it was.
+
+    Raises:
+        FieldError: the distortion is not what its model has.
+        CalibrationError: the numbers are those of no camera model.
+    """
+    distortion = intrinsics.get("distortion") or {}
+    model = distortion.get("model") or "pinhole"
+    written = _make_camera(intrinsics, model, _coefficients(source, model, distortion.get("params"), location))
+    if note.get("camera") is not None:
+        exact = camera_of(note["camera"])
+        if note.get("written_camera") is not None:
+            same = camera_of(note["written_camera"]) == written
+        else:
+            same = (exact.fx, exact.fy, exact.cx, exact.cy) == (written.fx, written.fy, written.cx, written.cy)
+        if same:
+            return exact
+    if written.model != "brown_conrady" or (source.tangential or source.options.tangential) != BROWN:
+        return written
+    # the file has p1 and p2 the other way round
+    k1, k2, p2, p1, *others = (*written.coefficients, *[0.0] * (4 - len(written.coefficients)))
+    return replace(written, coefficients=(k1, k2, p1, p2, *others))
+
+
+def _coefficients(source: "Source", model: str, params: Any, location: Location) -> tuple[float, ...]:
+    coefficients = _numbers_of([] if params is None else params)
+    if model == "pinhole":
+        if any(coefficients):
+            raise FieldError(f"distortion.params: {list(coefficients)} without a model")
+        return ()
+    expected, where = COEFFICIENT_COUNTS.get(model), (*location, "distortion")
+    if expected is None:
+        message = f"distortion model {model!r} is none of the format's; it is kept, but cannot be computed with"
+        source.warning(WarningKind.SKIPPED, "unknown-distortion", where, message)
+    elif len(coefficients) > expected:
+        raise FieldError(f"distortion.params: {len(coefficients)} numbers; {model} has {expected}")
+    elif len(coefficients) < expected:
+        message = f"{len(coefficients)} of the {expected} numbers of {model}; the others are taken as 0"
+        source.warning(WarningKind.REPAIRED, "short-distortion", where, message)
+    return coefficients
+
+
+def _numbers_of(values: Any) -> tuple[float, ...]:
+    numbers = values.tolist() if isinstance(values, np.ndarray) else values
+    if not isinstance(numbers, list) or any(type(number) not in (int, float) for number in numbers):
+        raise FieldError(f"{str(numbers)[:60]}; expected a list of numbers")
+    try:
+        return tuple(float(number) for number in numbers)
+    except OverflowError:
+        raise FieldError("a number is beyond what a float can hold") from None
+
+
+def camera_of(record: Mapping[str, Any]) -> Camera:
+    """Make the camera model of a `camera` record of ours."""
+    return _make_camera(record, record["model"], _numbers_of(record["coefficients"]))
+
+
+def _make_camera(record: Mapping[str, Any], model: str, coefficients: tuple[float, ...]) -> Camera:
+    fx, fy, cx, cy = (float(record[name]) for name in ("fx", "fy", "cx", "cy"))
+    return Camera(model, record["width"], record["height"], fx, fy, cx, cy, coefficients)
+
+
+def extras_of_intrinsics(intrinsics: Mapping[str, Any]) -> dict[str, Any]:
+    """Give the unknown fields of an `intrinsics` record and of its `distortion`."""
+    unknown = {name: value for name, value in intrinsics.items() if name not in RECORDS["intrinsics"]}
+    distortion = intrinsics.get("distortion") or {}
+    of_distortion = {name: value for name, value in distortion.items() if name not in RECORDS["distortion"]}
+    return {**unknown, **({"distortion": of_distortion} if of_distortion else {})}
+
+
 def with_extras(record: dict[str, Any], extras: Mapping[str, Any]) -> dict[str, Any]:
     """Add unknown fields that the model carries along to a record, whose own fields win."""
     return {**record, **{name: value for name, value in extras.items() if record.get(name) is None}}
 
 
-def mount_rows(mount: RigidTransform) -> list[list[float]]:
-    """Write a mounting as the three rows of R and t, digit for digit."""
-    rows: list[list[float]] = mount.matrix[:3].tolist()
-    return rows
+class _Indexed(Protocol):
+    """A video of the file, whose list of images is worth taking along."""
+
+    index: Any
+
+
+class FileParts:
+    """The functions of an open file by name.
+
+    Where it was pickled, it opens the file again when the first of them is called, makes the same functions from it,
+    and takes the lists of images of the videos along, for which they would have to be read from end to end.
+    Closing it closes nothing in other processes; what is pickled after closing stays closed.
+
+    Attributes:
+        videos: the videos of the file by the position of their bytes.
+    """
+
+    def __init__(self, container: Container, reopen: "Callable[[Path | str], FileParts]") -> None:
+        """Hold an open file.
+
+        Args:
+            container: the file.
+            reopen: opens it again in another process and keeps the same parts; a function that can be pickled.
+        """
+        self._container: Container | None = container
+        self._identity = container.identity
+        self._reopen = reopen
+        self._functions: dict[str, Callable[..., Any]] = {}
+        self._indices: dict[str, Any] = {}
+        self._closed = False
+        self._again: FileParts | None = None
+        self.videos: dict[str, _Indexed] = {}
+
+    def keep(self, name: str, function: Callable[..., Any]) -> "FilePart":
+        """Keep a function of the file under a name, and give what stands for it in a scene."""
+        self._functions[name] = function
+        return FilePart(self, name)
+
+    def function(self, name: str) -> Callable[..., Any]:
+        """Find a function by its name; opens the file if this process has not done so.
+
+        Raises:
+            DataError: the file cannot be opened again, is another one now, or the scene was closed.
+        """
+        if self._container is None:
+            return self._opened_again(name).function(name)
+        return self._functions[name]
+
+    def close(self) -> None:
+        """Close the file in this process."""
+        self._closed = True
+        if self._container is not None:
+            self._container.close()
+        if self._again is not None:
+            self._again.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        known = {location: video.index for location, video in self.videos.items() if video.index is not None}
+        return {
+            "_identity": self._identity,
+            "_reopen": self._reopen,
+            "_indices": {**self._indices, **known},
+            "_closed": self._closed,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._container, self._again, self._functions, self.videos = None, None, {}, {}
+
+    def _opened_again(self, name: str) -> "FileParts":
+        if self._closed:
+            raise DataError(self._identity.name, name, "the scene is closed; read its frames before that")
+        if self._again is None:
+            self._identity.check()
+            again = self._reopen(self._identity.path)
+            for location, index in self._indices.items():
+                again.videos[location].index = index
+            self.videos, self._again = again.videos, again
+        return self._again
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilePart:
+    """A function of a file, that finds the file again wherever it is called."""
+
+    parts: FileParts
+    name: str
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call it."""
+        return self.parts.function(self.name)(*arguments)
+
+
+@dataclass(slots=True)
+class Source:
+    """A file that is being read.
+
+    Attributes:
+        container: the open file.
+        parts: what the scene keeps of it.
+        clock: of the file.
+        options: of the caller.
+        warnings: collected on the way, and those that the file had kept.
+        noticed_now: those of this reading, in their order.
+        notes: what our metadata says about sensors, by id.
+        faults: collected on the way.
+        left_out: the locations of sensors and annotations that are at fault.
+        tangential: what p1 and p2 of `brown_conrady` mean as our metadata state, None where they state nothing.
+    """
+
+    container: Container
+    parts: FileParts
+    clock: FileClock
+    options: ReadingOptions
+    warnings: list[DataWarning] = field(default_factory=list)
+    noticed_now: dict[DataWarning, None] = field(default_factory=dict)
+    notes: dict[tuple[type, Identifier], Mapping[str, Any]] = field(default_factory=dict)
+    faults: list[PlacedFault] = field(default_factory=list)
+    left_out: set[Location] = field(default_factory=set)
+    _noticed: set[DataWarning] = field(default_factory=set)
+    tangential: str | None = None
+
+    @property
+    def file(self) -> str:
+        """Name of the file."""
+        return self.container.file
+
+    def reader(self, *, forgiving: bool = False) -> RecordReader:
+        """Give a reader of records."""
+        return RecordReader(self.clock, forgiving)
+
+    def note(self, sensor_id: Identifier) -> Mapping[str, Any]:
+        """What our metadata says about a sensor."""
+        return self.notes.get((type(sensor_id), sensor_id), {})
+
+    def warning(self, kind: WarningKind, code: str, location: Location, message: str, *, count: int = 1) -> None:
+        """Note something, unless the file's own warnings state it already."""
+        warning = DataWarning(kind=kind, code=code, location=format_keys(location), message=message, count=count)
+        self.noticed_now[warning] = None
+        if warning not in self._noticed:
+            self.remember(warning)
+
+    def remember(self, warning: DataWarning) -> None:
+        """Take a warning as it is."""
+        self.warnings.append(warning)
+        self._noticed.add(warning)
+
+    def collect(self, faults: Faults, location: Location) -> None:
+        """Note faults of what no scene can do without; whoever is lenient is refused for them, too."""
+        self.faults.extend(self._placed(fault, location, vital=True) for fault in faults)
+
+    def collect_items(self, items: Sequence[ItemFault]) -> None:
+        """Note faults of arrays; nothing stands in their locations."""
+        for item in items:
+            fault = PlacedFault(item.path or f"{ITEMS}[{item.number}]", item.problem, "item", item=item.number)
+            self.faults.append(fault)
+            if self.options.lenient:
+                message = f"left out: {fault.where}: {item.problem}"
+                self.warning(WarningKind.SKIPPED, "item-at-fault", item.keys or (ITEMS, item.number), message)
+
+    def found_faults(self) -> tuple[PlacedFault, ...]:
+        """All faults, but not that a value is missing whose array is at fault."""
+        arrays = {fault.path for fault in self.faults if fault.code == "item"}
+        return tuple(f for f in self.faults if f.code == "item" or f.path not in arrays)
+
+    def settle(self, faults: Faults, location: Location) -> bool:
+        """Note the faults of a part, and report whether the scene can have it: it is sound.
+
+        Or was brought into order.
+        """
+        self.faults.extend(self._placed(fault, location, vital=False) for fault in faults)
+        if not faults:
+            return True
+        kept = not faults.unrepaired
+        if not kept:
+            self.left_out.add(location)
+        if self.options.lenient:
+            kind = WarningKind.REPAIRED if kept else WarningKind.SKIPPED
+            first = self.faults[-len(faults)]
+            message = f"{'repaired' if kept else 'left out'}: {first.where}: {first.problem}"
+            self.warning(kind, "repaired" if kept else "at-fault", location, message, count=len(faults))
+        return kept
+
+    def _placed(self, fault: Fault, location: Location, *, vital: bool) -> PlacedFault:
+        path = format_keys((*location, *fault.location))
+        number = self.container.item_number(path)
+        return PlacedFault(path, fault.problem, fault.code, repaired=fault.repaired, vital=vital, item=number)
+
+
+OURS = "sceneloom"
+"""Our entry of the scene's metadata."""
+
+
+def root_fault(source: Source, location: Location, problem: str, *, code: str = MALFORMED) -> None:
+    """Note what is wrong at the root, without which no scene means anything."""
+    faults = Faults()
+    faults.add(location, problem, code=code)
+    source.collect(faults, ())

@@ -16,9 +16,9 @@ from sceneloom.formats.base.files import is_url
 from sceneloom.formats.base.output import check_output
 from sceneloom.formats.sfs.annotations import encode_annotation
 from sceneloom.formats.sfs.container import ITEMS, Container, ItemFault, format_keys
-from sceneloom.formats.sfs.images import UNKNOWN_CODEC
 from sceneloom.formats.sfs.reader import read_container
 from sceneloom.formats.sfs.records import Location
+from sceneloom.formats.sfs.sensors import UNKNOWN_CODEC
 from sceneloom.formats.sfs.spec import ReadingOptions
 from sceneloom.formats.sfs.writer import write_scene
 from sceneloom.scene.cameras import CameraSensor

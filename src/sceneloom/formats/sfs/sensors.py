@@ -15,20 +15,22 @@ from sceneloom.errors import ArrayError, CalibrationError, DataError
 from sceneloom.formats.base.files import Bytes, check_pixels
 from sceneloom.formats.sfs.clock import TimeRangeError
 from sceneloom.formats.sfs.container import Container, Content, format_keys
-from sceneloom.formats.sfs.images import UNKNOWN_CODEC, is_mp4
-from sceneloom.formats.sfs.metadata import Source, root_fault
 from sceneloom.formats.sfs.records import (
     Faults,
     FieldError,
     Location,
+    Source,
+    camera_of,
+    extras_of_intrinsics,
     extras_of_poses,
+    read_camera_model,
     repaired_poses,
+    root_fault,
     rows_of,
     times_of,
     with_extras,
 )
-from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS, RECORDS, SENSOR_ALIASES, SENSOR_RECORDS, sensor_record
-from sceneloom.formats.sfs.spec import BROWN
+from sceneloom.formats.sfs.schema import RECORDS, SENSOR_ALIASES, SENSOR_RECORDS, sensor_record
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraImage, CameraSensor, VideoContent
 from sceneloom.scene.clouds import (
@@ -54,14 +56,35 @@ _CODECS: Mapping[bytes, str] = MappingProxyType({
     b"avc1": "h264", b"avc3": "h264", b"hvc1": "hevc", b"hev1": "hevc", b"av01": "av1", b"vp09": "vp9", b"vp08": "vp8",
     b"mp4v": "mpeg4", b"jpeg": "mjpeg", b"mjpa": "mjpeg", b"FFV1": "ffv1", b"png ": "png",
 })  # fmt: skip
-
 """Sample entry of the video track, and what FFmpeg calls its codec. Source: the registry at mp4ra.org."""
 
-
 _LONG_SIZE, _TO_THE_END = 1, 0
-
-
 _MOST_BOXES = 10_000
+UNKNOWN_CODEC = "unknown"
+
+
+def is_mp4(content: Bytes) -> bool:
+    """Whether the bytes begin as an mp4 file does; QuickTime's own brand is another format."""
+    return bytes(content[4:8]) == b"ftyp" and bytes(content[8:12]) != b"qt  "
+
+
+def declared_length(content: Any) -> int:
+    """How long an mp4 video has to be by the sizes of its boxes [bytes].
+
+    Args:
+        content: its bytes, by slices.
+
+    Source: ISO/IEC 14496-12, 4.2.
+    """
+    location, available = 0, len(content)
+    while location + 8 <= available:
+        head = bytes(content[location : location + 16])
+        size = int.from_bytes(head[:4], "big")
+        size = int.from_bytes(head[8:16], "big") if size == 1 else size
+        if size < 8:  # up to the end, or no box
+            return available
+        location += size
+    return max(location, available)
 
 
 def video_codec(content: Bytes) -> str:
@@ -481,7 +504,6 @@ _READERS: Mapping[str, Callable[[_Record], Sensor | None]] = {
 }
 
 _EXPOSURE = "exposureTimeSeconds"  # the field of a camera or an image with the exposure time [s]
-
 _LONGEST_EXPOSURE = 3600.0
 
 
@@ -659,7 +681,7 @@ class _ImageNotes:
                 raise FieldError(f"{name}: expected a list of one entry per image")
             return found
 
-        cameras = [_camera_of(record) for record in note.get("cameras") or []]
+        cameras = [camera_of(record) for record in note.get("cameras") or []]
         chosen, fields = listed("camera_of_image"), listed("extras")
         if any(type(k) is not int or not 0 <= k < len(cameras) for k in chosen):
             raise FieldError(f"camera_of_image: expected numbers below {len(cameras)}")
@@ -679,83 +701,6 @@ class _ImageNotes:
     def extras(self, index: int) -> Mapping[str, Any]:
         """Unknown fields of an image."""
         return self.fields[index] if self.fields else NO_FIELDS
-
-
-_P1, _P2 = 2, 3
-
-
-def read_camera_model(source: Source, intrinsics: _Fields, note: Mapping[str, Any], location: Location) -> Camera:
-    """Make a camera model of an `intrinsics` record, or of our note where the record stands in for that.
-
-    A record that was changed since it was written counts, not the note. Old files have no camera model as written in
-    the note: there the focal lengths and the centre show whether it was.
-
-    Raises:
-        FieldError: the distortion is not what its model has.
-        CalibrationError: the numbers are those of no camera model.
-    """
-    distortion = intrinsics.get("distortion") or {}
-    model = distortion.get("model") or "pinhole"
-    written = _make_camera(intrinsics, model, _coefficients(source, model, distortion.get("params"), location))
-    if note.get("camera") is not None:
-        exact = _camera_of(note["camera"])
-        if note.get("written_camera") is not None:
-            same = _camera_of(note["written_camera"]) == written
-        else:
-            same = (exact.fx, exact.fy, exact.cx, exact.cy) == (written.fx, written.fy, written.cx, written.cy)
-        if same:
-            return exact
-    if written.model != "brown_conrady" or (source.tangential or source.options.tangential) != BROWN:
-        return written
-    # the file has p1 and p2 the other way round
-    padded = (*written.coefficients, 0.0, 0.0, 0.0, 0.0)[: max(len(written.coefficients), _P2 + 1)]
-    return replace(written, coefficients=(*padded[:_P1], padded[_P2], padded[_P1], *padded[_P2 + 1 :]))
-
-
-def _coefficients(source: Source, model: str, params: Any, location: Location) -> tuple[float, ...]:
-    coefficients = _numbers_of([] if params is None else params)
-    if model == "pinhole":
-        if any(coefficients):
-            raise FieldError(f"distortion.params: {list(coefficients)} without a model")
-        return ()
-    expected, where = COEFFICIENT_COUNTS.get(model), (*location, "distortion")
-    if expected is None:
-        message = f"distortion model {model!r} is none of the format's; it is kept, but cannot be computed with"
-        source.warning(WarningKind.SKIPPED, "unknown-distortion", where, message)
-    elif len(coefficients) > expected:
-        raise FieldError(f"distortion.params: {len(coefficients)} numbers; {model} has {expected}")
-    elif len(coefficients) < expected:
-        message = f"{len(coefficients)} of the {expected} numbers of {model}; the others are taken as 0"
-        source.warning(WarningKind.REPAIRED, "short-distortion", where, message)
-    return coefficients
-
-
-def _numbers_of(values: Any) -> tuple[float, ...]:
-    numbers = values.tolist() if isinstance(values, np.ndarray) else values
-    if not isinstance(numbers, list) or any(type(number) not in (int, float) for number in numbers):
-        raise FieldError(f"{str(numbers)[:60]}; expected a list of numbers")
-    try:
-        return tuple(float(number) for number in numbers)
-    except OverflowError:
-        raise FieldError("a number is beyond what a float can hold") from None
-
-
-def _camera_of(record: Mapping[str, Any]) -> Camera:
-    """Make a camera model of a `camera` record."""
-    return _make_camera(record, record["model"], _numbers_of(record["coefficients"]))
-
-
-def _make_camera(record: Mapping[str, Any], model: str, coefficients: tuple[float, ...]) -> Camera:
-    fx, fy, cx, cy = (float(record[name]) for name in ("fx", "fy", "cx", "cy"))
-    return Camera(model, record["width"], record["height"], fx, fy, cx, cy, coefficients)
-
-
-def extras_of_intrinsics(intrinsics: Mapping[str, Any]) -> _Fields:
-    """Give the unknown fields of an `intrinsics` record and of its `distortion`."""
-    unknown = {name: value for name, value in intrinsics.items() if name not in RECORDS["intrinsics"]}
-    distortion = intrinsics.get("distortion") or {}
-    of_distortion = {name: value for name, value in distortion.items() if name not in RECORDS["distortion"]}
-    return {**unknown, **({"distortion": of_distortion} if of_distortion else {})}
 
 
 def intrinsics_record(camera: Camera, extras: Any) -> _Fields:

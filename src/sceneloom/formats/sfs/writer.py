@@ -39,13 +39,20 @@ from sceneloom.formats.sfs.clock import (
     point_times_dtype,
 )
 from sceneloom.formats.sfs.container import DTYPES, ITEMS, collector_paused, format_keys
-from sceneloom.formats.sfs.images import declared_length, is_mp4
-from sceneloom.formats.sfs.metadata import OURS
 from sceneloom.formats.sfs.profiles import Profile
 from sceneloom.formats.sfs.reader import DEFAULT_EULER
-from sceneloom.formats.sfs.records import Location, mount_rows, with_extras
+from sceneloom.formats.sfs.records import OURS, Location, with_extras
 from sceneloom.formats.sfs.schema import COEFFICIENT_COUNTS, RECORDS, Field, Kind, annotation_record, sensor_record
-from sceneloom.formats.sfs.sensors import GNSS_ARRAYS, LIDAR_ARRAYS, RADAR_ARRAYS, exposure_ns, intrinsics_record
+from sceneloom.formats.sfs.sensors import (
+    GNSS_ARRAYS,
+    LIDAR_ARRAYS,
+    RADAR_ARRAYS,
+    declared_length,
+    exposure_ns,
+    intrinsics_record,
+    is_mp4,
+)
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import (
     Annotation,
     Box2DAnnotation,
@@ -68,15 +75,10 @@ ALIGNMENT = 64
 """A cache line, and enough for every dtype and vector instruction."""
 
 _NULS = bytes(2 * ALIGNMENT)
-
 _GAP = 4
-
 _IN_MEMORY = 8 << 20
-
 _GATHERED = 1 << 20
-
 _SMALL = 1 << 16
-
 _ALLOCATED = 64 << 20
 
 _BLOCK = 4096
@@ -273,11 +275,8 @@ _RESERVED = frozenset(
 )
 
 _ROOT = frozenset({"version", "time_unit", "time_offset"})
-
 _PER_FRAME, _PER_POSE, _PER_ANNOTATION = 2048, 180, 2048
-
 _LEAST_HEADER, _UNKNOWN_HEADER = 1 << 17, 1 << 20
-
 _NOTES = "metadata.sceneloom.sensor_notes[]"
 
 
@@ -680,7 +679,7 @@ class _ImageNotes:
     def add(self, image: CameraImage, extras: Mapping[str, Any]) -> None:
         """Note one image, with the fields that have no other location."""
         self._chosen.append(self.cameras.setdefault(image.camera, len(self.cameras)))
-        self._mounts.append(None if image.mount is None else mount_rows(image.mount))
+        self._mounts.append(None if image.mount is None else _mount_rows(image.mount))
         self._extras.append(extras)
 
     @property
@@ -772,7 +771,7 @@ class _SensorDraft:
     def _placed(self, clock: FileClock, losses: Losses) -> dict[str, Any]:
         """Write `coordinates` and `poses`; a sensor of which only the mounting is known is placed on the ego."""
         if self.mount is not None:
-            self.note["mount"] = mount_rows(self.mount)
+            self.note["mount"] = _mount_rows(self.mount)
         if self.poses is not None:
             return {"coordinates": self.coordinates, "poses": self._poses(self.poses, clock, losses)}
         if self.mount is None:
@@ -845,7 +844,7 @@ def _draft_of(sensor: Sensor, losses: Losses, *, any_distortion: bool) -> _Senso
         draft.fields["streams"] = streams
     elif isinstance(sensor, GnssSensor):
         draft.fields |= {name: getattr(sensor, name) for name in GNSS_ARRAYS}
-        draft.fields |= {} if sensor.mount is None else {"mount": mount_rows(sensor.mount)}
+        draft.fields |= {} if sensor.mount is None else {"mount": _mount_rows(sensor.mount)}
     return draft
 
 
@@ -926,15 +925,10 @@ def _check_timestamps(lowest: int, highest: int, clock: FileClock, location: str
 
 
 _FARTHEST = 10_000.0  # float32 resolves about 1 mm there: positions in the world beyond it need a nearer origin [m]
-
 _ROUNDING = 0.5  # how far a time is off at most where it is rounded [µs]
-
 _FLOAT_TIMES = "file_seconds"  # readers of float seconds keep the file's own number of each point beside its time
-
 _JPEG_START = b"\xff\xd8\xff"
-
 _USUAL_FPS = 10.0
-
 _CHUNK = 1 << 20
 
 
@@ -1321,11 +1315,8 @@ _WRITERS: Mapping[Kind, Callable[[_RecordWriter, Any, Any], Any]] = {
 """How the values of each kind are written; those of other kinds are plain."""
 
 _VERSION = "1.0"
-
 _LAYOUT = 1  # number of the layout of our metadata
-
 _UNIT_OF = {tick_ns: unit for unit, tick_ns in TICKS_NS.items()}
-
 _EVERYWHERE = "sensors[], annotations[], attributes[]"
 
 
@@ -1473,3 +1464,9 @@ class _Header:
     def _note_exact(self, exact: Sequence[Mapping[str, Any]], where: str) -> None:
         what = "made integers (fractions in thousandths), static ones with one time stamp"
         self.losses.dropped(where, what, count=len(exact), kept="metadata.sceneloom.exact_attributes")
+
+
+def _mount_rows(mount: RigidTransform) -> list[list[float]]:
+    """Write a mounting as the three rows of R and t, digit for digit."""
+    rows: list[list[float]] = mount.matrix[:3].tolist()
+    return rows

@@ -4,7 +4,7 @@ import json
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import av
 import numpy as np
@@ -17,6 +17,10 @@ from sceneloom.scene import Scene
 IDENTITY_ROWS = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 
 
+def greys(images: int | Sequence[np.ndarray], size: tuple[int, int]) -> Sequence[np.ndarray]:
+    return [np.full((*size[::-1], 3), 10 * k, np.uint8) for k in range(images)] if isinstance(images, int) else images
+
+
 class RecordingFolder:
     """A folder that is filled file by file."""
 
@@ -24,54 +28,37 @@ class RecordingFolder:
         self.path = path
         path.mkdir()
 
-    def lines(self, lines: Iterable[Mapping[str, Any] | str]) -> "RecordingFolder":
+    def lines(self, lines: Iterable[Mapping[str, Any] | str]) -> Self:
         """Write `data.jsonl`; text goes in as it is."""
         texts = [line if isinstance(line, str) else json.dumps(line) for line in lines]
         (self.path / "data.jsonl").write_text("".join(text + "\n" for text in texts))
         return self
 
-    def calibration(self, cameras: Sequence[Mapping[str, Any]] = (), **further: Any) -> "RecordingFolder":
+    def calibration(self, cameras: Sequence[Mapping[str, Any]] = (), **further: Any) -> Self:
         """Write `calibration.json`."""
         (self.path / "calibration.json").write_text(json.dumps({"cameras": list(cameras), **further}))
         return self
 
-    def video(self, name: str, count: int, *, width: int = 32, height: int = 16) -> "RecordingFolder":
-        """Write a lossless video whose image k is grey 10 k."""
+    def video(self, name: str, images: int | Sequence[np.ndarray], *, size: tuple[int, int] = (32, 16)) -> Self:
+        """Write a lossless video: so many images, of which image k is grey 10 k, or these, (H, W) uint16 steps."""
+        kinds = ("rgb24", "bgr0") if isinstance(images, int) else ("gray16le", "gray16le")
         with av.open(str(self.path / name), "w") as container:
             stream = container.add_stream("ffv1", rate=10, options={"threads": "1"})
-            stream.width, stream.height, stream.pix_fmt = width, height, "bgr0"
-            for k in range(count):
-                pixels = np.full((height, width, 3), 10 * k, np.uint8)
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24").reformat(format="bgr0")))
+            stream.width, stream.height, stream.pix_fmt = *size, kinds[1]
+            for image in greys(images, size):
+                frame = av.VideoFrame.from_ndarray(image, format=kinds[0]).reformat(format=kinds[1])
+                container.mux(stream.encode(frame))
             container.mux(stream.encode())
         return self
 
-    def pngs(self, name: str, count: int, *, width: int = 32, height: int = 16) -> "RecordingFolder":
-        """Write a folder of PNG images whose image k is grey 10 k."""
+    def pngs(self, name: str, images: int | Sequence[np.ndarray]) -> Self:
+        """Write a folder of such images as PNG images."""
         (self.path / name).mkdir()
-        for k in range(count):
-            Image.new("RGB", (width, height), (10 * k,) * 3).save(self.path / name / f"{k:08d}.png")
-        return self
-
-    def depth_video(self, name: str, images: Sequence[np.ndarray]) -> "RecordingFolder":
-        """Write images of 16-bit steps, (H, W) uint16, as FFV1."""
-        with av.open(str(self.path / name), "w") as container:
-            stream = container.add_stream("ffv1", rate=10, options={"threads": "1"})
-            stream.height, stream.width = images[0].shape
-            stream.pix_fmt = "gray16le"
-            for image in images:
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="gray16le")))
-            container.mux(stream.encode())
-        return self
-
-    def depth_pngs(self, name: str, images: Sequence[np.ndarray]) -> "RecordingFolder":
-        """Write images of 16-bit steps as PNG images."""
-        (self.path / name).mkdir()
-        for k, image in enumerate(images):
+        for k, image in enumerate(greys(images, (32, 16))):
             Image.fromarray(image).save(self.path / name / f"{k:08d}.png")
         return self
 
-    def points(self, name: str, points: Iterable[tuple[float, ...]], *, extra: bytes = b"") -> "RecordingFolder":
+    def points(self, name: str, points: Iterable[tuple[float, ...]], *, extra: bytes = b"") -> Self:
         """Write a lidar file of (x, y, z, intensity, ring, timestamp) records."""
         file = self.path / name
         file.parent.mkdir(exist_ok=True)

@@ -8,22 +8,20 @@ import cv2
 import numpy as np
 import pytest
 
-from sceneloom.cameras import project
+from sceneloom.cameras import Camera, project
 from sceneloom.errors import CalibrationError, DataError
-from sceneloom.formats.recording.calibration import CAMERA_MODEL_READINGS
+from sceneloom.formats.recording.contents import CAMERA_MODEL_READINGS
 from sceneloom.scene import Scene, WarningKind
 
 CAMERA_MATRIX = np.array([[420.0, 0.0, 310.0], [0.0, 415.0, 245.0], [0.0, 0.0, 1.0]])
 POINTS_CAMERA = np.random.default_rng(3).uniform([-1.5, -1.0, 4.0], [1.5, 1.0, 12.0], (50, 3))
 ORIGIN = np.zeros(3)
-ROTATED = np.array(
-    [
-        [0.000998747205656553, -0.9999903820710413, 0.004259378487635177, -0.25422760500525077],
-        [0.00841690182755742, -0.004250821136069464, -0.9999555696753273, 0.7190941084821951],
-        [0.9999640486966582, 0.001034553284226362, 0.008412575208732587, -1.0863370561924168],
-        [0.0, 0.0, 0.0, 1.0],
-    ]
-)
+ROTATED = np.array([
+    [0.000998747205656553, -0.9999903820710413, 0.004259378487635177, -0.25422760500525077],
+    [0.00841690182755742, -0.004250821136069464, -0.9999555696753273, 0.7190941084821951],
+    [0.9999640486966582, 0.001034553284226362, 0.008412575208732587, -1.0863370561924168],
+    [0.0, 0.0, 0.0, 1.0],
+])  # fmt: skip
 IMU_LINE = '{"sensor":{"type":"gyroscope","values":[0,0,0]},"time":0}'
 FRAMES_LINE = '{"frames":[{"cameraInd":0}],"number":0,"time":0}'
 
@@ -55,9 +53,9 @@ def perspective(coefficients):
     return cv2.projectPoints(POINTS_CAMERA, ORIGIN, ORIGIN, CAMERA_MATRIX, np.array(coefficients))[0]
 
 
-def fisheye(coefficients):
+def fisheye(coefficients, matrix=CAMERA_MATRIX):
     numbers = np.array(coefficients or (0.0,) * 4)
-    return cv2.fisheye.projectPoints(POINTS_CAMERA[:, None], ORIGIN, ORIGIN, CAMERA_MATRIX, numbers)[0]
+    return cv2.fisheye.projectPoints(POINTS_CAMERA[:, None], ORIGIN, ORIGIN, matrix, numbers)[0]
 
 
 def omnidirectional(coefficients):
@@ -69,7 +67,7 @@ def omnidirectional(coefficients):
 
 
 BROWN = (-0.2, 0.05, 1e-3, -2e-3, 0.01, 0.1, 0.02, -0.01, 1e-3, 2e-3, -1e-3, 3e-3, 0.01, -0.02)
-BENT = (-0.028, 0.0021, -0.0052, 0.0004)
+K4 = (-0.028, 0.0021, -0.0052, 0.0004)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +81,7 @@ BENT = (-0.028, 0.0021, -0.0052, 0.0004)
         *[
             (name, row, fisheye)
             for name in ("kannala-brandt4", "KANNALA_BRANDT4", "KannalaBrandt4")
-            for row in ((), BENT)
+            for row in ((), K4)
         ],
         ("OMNIDIR", (-0.21, 0.034, 1.7, 1.23, 5e-4, -8e-4), omnidirectional),
     ],
@@ -167,41 +165,32 @@ def test_unusable_cameras_are_named_with_file_and_path(recording, change, words)
         assert word in str(caught.value)
 
 
-def test_a_lenient_reading_leaves_unusable_cameras_out(recording):
+def test_a_calibration_for_another_image_size_is_scaled_and_without_one_it_is_that_of_the_images(recording, pinhole):
+    doubled = pinhole | {"imageWidth": 64, "imageHeight": 64, "principalPointX": 31.5, "principalPointY": 20.0}
+    recording.video("data.mkv", 1, size=(32, 16)).lines([FRAMES_LINE]).calibration([doubled])
+    with recording.open() as scene:
+        (warning,) = scene.warnings
+        # the edge of an image is half a pixel before the centre of its first one
+        assert scene.cameras[0].camera == Camera("pinhole", 32, 16, 10.0, 5.25, 15.5, 20.5 / 4 - 0.5)
+    assert (warning.code, warning.kind) == ("camera-model-scaled", WarningKind.REPAIRED)
+    assert "64x64" in warning.message
+    sizeless = {name: value for name, value in pinhole.items() if not name.startswith("image")}
+    with recording.calibration([sizeless]).open() as scene:
+        assert (scene.cameras[0].camera.width, scene.cameras[0].camera.height) == (32, 16)
+        assert scene.warnings == ()
+    (recording.path / "data.mkv").unlink()
+    scene = recording.lines([IMU_LINE]).open()
+    assert (scene.cameras, codes(scene)) == ((), ["cameras-without-size"])
+
+
+def test_a_lenient_reading_leaves_unusable_cameras_out_and_keeps_one_without_a_mounting(recording):
     scene = open_with(recording, entry("omnidir9", []), entry("pinhole", []), lenient=True)
     assert [camera.id for camera in scene.cameras] == ["camera1"]
     assert [(warning.code, warning.kind) for warning in scene.warnings] == [("unusable-cameras", WarningKind.SKIPPED)]
-
-
-def test_a_calibration_for_another_image_size_is_scaled_with_a_warning(recording, pinhole):
-    doubled = pinhole | {"imageWidth": 64, "imageHeight": 64, "principalPointX": 31.5, "principalPointY": 20.0}
-    recording.video("data.mkv", 1, width=32, height=16).lines([FRAMES_LINE]).calibration([doubled])
-    with recording.open() as scene:
-        camera, (warning,) = scene.cameras[0].camera, scene.warnings
-    # the edge of an image is half a pixel before the centre of its first one
-    expected = (32, 16, 10.0, 5.25, 15.5, 20.5 / 4 - 0.5)
-    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == expected
-    assert (warning.code, warning.kind) == ("camera-model-scaled", WarningKind.REPAIRED)
-    assert "64x64" in warning.message
-
-
-def test_a_missing_image_size_is_that_of_the_images_or_leaves_the_camera_out(recording, pinhole):
-    scene = open_with(recording, entry("pinhole", [], imageWidth=None))
-    assert scene.cameras == ()
-    assert codes(scene) == ["cameras-without-size"]
-    del pinhole["imageWidth"], pinhole["imageHeight"]
-    recording.video("data.mkv", 1, width=48, height=32).lines([FRAMES_LINE]).calibration([pinhole])
-    with recording.open() as scene:
-        assert (scene.cameras[0].camera.width, scene.cameras[0].camera.height) == (48, 32)
-        assert scene.warnings == ()
-
-
-def test_a_camera_without_mounting_is_an_error_and_leniently_one_without_a_location(recording):
     with pytest.raises(DataError, match=r"cameras\[0\]: imuToCamera is missing"):
         open_with(recording, entry("pinhole", [], imuToCamera=None))
     scene = recording.open(lenient=True)
-    assert scene.cameras[0].mount is None
-    assert codes(scene) == ["mounts-missing"]
+    assert (scene.cameras[0].mount, codes(scene)) == (None, ["mounts-missing"])
 
 
 @pytest.mark.parametrize(("key", "listed"), [("imuToCamera", "cameras"), ("imuToLidar", "lidars")])
@@ -221,7 +210,7 @@ def test_two_matrices_that_differ_are_an_error_and_leniently_the_first_counts(re
     assert open_with(recording, camera, **further).warnings == ()
 
 
-def test_a_byte_order_mark_is_skipped_with_a_warning_and_entries_are_kept_as_they_are(recording):
+def test_entries_are_kept_as_they_are_a_byte_order_mark_is_skipped_and_what_is_no_calibration_a_fault(recording):
     shutter = {"shutterRollTimeSeconds": 0.03, "rollingShutterLeftToRight": True, "exposureTimeSeconds": 0.008}
     camera = entry("pinhole", [], **shutter, maker="ours")
     open_with(recording, camera, imuForward=[1, 0, 0])
@@ -231,13 +220,17 @@ def test_a_byte_order_mark_is_skipped_with_a_warning_and_entries_are_kept_as_the
         assert codes(scene) == ["byte-order-mark"]
         assert scene.cameras[0].extras["calibration"] == json.loads(json.dumps(camera))
         assert scene.metadata["recording"]["calibration"]["imuForward"] == [1, 0, 0]
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"cameras": {}}', '{"cameras": [3]}', '{"lidars": "none"}'])
-def test_a_calibration_that_is_no_calibration_is_a_fault_of_its_file(recording, text):
-    (recording.lines([IMU_LINE]).path / "calibration.json").write_text(text)
-    with pytest.raises(DataError, match=r"calibration\.json"):
-        recording.open()
+    for text, problem in (
+        ("", "empty; expected a JSON object"),
+        ("{", "not a JSON object"),
+        ("[]", "a JSON list; expected an object with `cameras`"),
+        ('{"cameras": {}}', "cameras: dict; expected a list of objects"),
+        ('{"cameras": [3]}', r"cameras\[0\]: 3: expected an object, not a whole number"),
+        ('{"lidars": "none"}', "lidars: str; expected a list of objects"),
+    ):
+        path.write_text(text)
+        with pytest.raises(DataError, match=rf"calibration\.json: .*{problem}"):
+            recording.open()
 
 
 FIX = '{"gps":{"latitude":60.1,"longitude":24.9,"altitude":14.0},"time":1.0}'
@@ -283,28 +276,23 @@ def test_unusable_fields_of_the_device_are_named_and_left_out_when_lenient(recor
     scene = open_with(recording, lenient=True, **further)
     assert "unusable-calibrations" in codes(scene)
     assert scene.metadata["recording"]["calibration"].keys() == {"cameras", *further}
-
-
-def test_another_frame_of_the_output_is_reported_not_applied(recording):
+    # another frame of the output is reported, not applied
     assert codes(open_with(recording, imuToOutput=LEVER)) == ["poses-of-imu"]
     assert not open_with(recording, imuToOutput=np.eye(4).tolist()).warnings
 
 
-@pytest.mark.parametrize(
-    ("camera_shift", "expected_ns"), [("ignore", 1_000_000_000), ("apply", 1_015_000_000), ("subtract", 985_000_000)]
-)
-def test_camera_shifts_move_the_images_only_where_asked_for(recording, pinhole, camera_shift, expected_ns):
+@pytest.mark.parametrize(("camera_shift", "shift_ms"), [("ignore", 0), ("apply", 15), ("subtract", -15)])
+def test_camera_shifts_move_the_images_only_where_asked_for(recording, pinhole, camera_shift, shift_ms):
     recording.lines([{"frames": [{"cameraInd": 0}], "number": 0, "time": 1.0}]).video("data.mkv", 1)
     recording.calibration([{**pinhole, "imuToCameraShiftSeconds": 0.015}])
     with recording.open(camera_shift=camera_shift) as scene:
         camera, asked = scene.cameras[0], camera_shift != "ignore"
-        assert camera.images.timestamps_ns.tolist() == [expected_ns]
+        assert camera.images.timestamps_ns.tolist() == [1_000_000_000 + shift_ms * 1_000_000]
         assert camera.images[0].extras["file_seconds"] == 1.0
         assert codes(scene) == ["camera-shift-applied" if asked else "camera-shift-not-applied"]
         # a shift that was applied must not be applied again by those who read what is written
         assert ("imuToCameraShiftSeconds" in camera.extras["calibration"]) is not asked
-        shifts = {"camera0": (expected_ns - 1_000_000_000) / 1e9}
-        assert scene.metadata["recording"].get("camera_shifts") == (shifts if asked else None)
+        assert scene.metadata["recording"].get("camera_shifts") == ({"camera0": shift_ms / 1000} if asked else None)
 
 
 # two lines of "Example data.jsonl" in the description of the format, as they stand there
@@ -323,7 +311,7 @@ EXAMPLE = [FIRST, FIRST.replace('"number":28', '"number":29').replace("1.4362072
 
 
 def test_the_example_of_the_formats_owner_is_read(recording):
-    size = {"width": 848, "height": 800}
+    size = {"size": (848, 800)}
     recording.lines(EXAMPLE).video("data.mkv", 2, **size).video("data2.mkv", 2, **size)
     with recording.open() as scene:
         assert scene.warnings == ()
@@ -334,9 +322,7 @@ def test_the_example_of_the_formats_owner_is_read(recording):
             numbers = stated["cameraParameters"]
             fx, fy, cx, cy = (numbers[f"{name}{axis}"] for name in ("focalLength", "principalPoint") for axis in "XY")
             matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-            coefficients = np.array(numbers["distortionCoefficients"])
-            points = POINTS_CAMERA[:, None]
-            expected, _ = cv2.fisheye.projectPoints(points, np.zeros(3), np.zeros(3), matrix, coefficients)
+            expected = fisheye(numbers["distortionCoefficients"], matrix)
             for image in camera.images:
                 pixels, visible = project(image.camera, POINTS_CAMERA)
                 assert visible.sum() > 40
@@ -365,10 +351,6 @@ SECOND_FROM_IMU = np.array([[0.0, -1.0, 0.0, -0.1], [0.0, 0.0, -1.0, 0.2], [1.0,
 FISHEYE = [-0.005, 0.04, -0.037, 0.006]
 
 
-def by_columns(matrix):
-    return matrix.T.ravel().tolist()
-
-
 FULL = f"""\
 focalLengthX 20.5; focalLengthY 21.5;
 principalPointX 15.25; principalPointY 7.75;
@@ -376,8 +358,8 @@ distortionCoeffs {",".join(map(str, FISHEYE))};
 secondFocalLength 22; secondPrincipalPointX 16; secondPrincipalPointY 8;
 secondDistortionCoeffs 0;
 fisheyeCamera true; rot 0;
-imuToCameraMatrix {",".join(map(str, by_columns(CAMERA_FROM_IMU)))};
-secondImuToCameraMatrix {",".join(map(str, by_columns(SECOND_FROM_IMU)))};
+imuToCameraMatrix {",".join(map(str, CAMERA_FROM_IMU.T.ravel()))};
+secondImuToCameraMatrix {",".join(map(str, SECOND_FROM_IMU.T.ravel()))};
 imuToCameraShiftSeconds 0.01;
 """
 
@@ -392,31 +374,33 @@ def test_parameters_stand_in_for_a_calibration(recording):
     stereo(recording).path.joinpath("parameters.txt").write_text(FULL)
     with recording.open() as scene:
         first, second = (camera.camera for camera in scene.cameras)
-        assert (first.model, first.coefficients) == ("fisheye", tuple(FISHEYE))
-        numbers = (first.fx, first.fy, first.cx, first.cy, first.width, first.height)
-        assert numbers == (20.5, 21.5, 15.25, 7.75, 32, 16)
-        assert (second.fx, second.fy, second.coefficients) == (22.0, 22.0, ())
-        for camera, matrix in zip(scene.cameras, (CAMERA_FROM_IMU, SECOND_FROM_IMU), strict=True):
-            np.testing.assert_allclose(camera.mount.matrix, np.linalg.inv(matrix), atol=1e-15)
+        assert first == Camera("fisheye", 32, 16, 20.5, 21.5, 15.25, 7.75, tuple(FISHEYE))
+        assert second == Camera("fisheye", 32, 16, 22.0, 22.0, 16.0, 8.0)
+        mounts = [np.linalg.inv(matrix) for matrix in (CAMERA_FROM_IMU, SECOND_FROM_IMU)]
+        np.testing.assert_allclose([camera.mount.matrix for camera in scene.cameras], mounts, atol=1e-15)
         assert scene.metadata["recording"]["parameters"] == FULL
         assert set(codes(scene)) == {"old-calibration", "camera-shift-not-applied"}
+    stereo(recording).path.joinpath("parameters.txt").write_text(FULL + "videoRotation CW90;\n")
+    with pytest.raises(DataError, match="imuToCamera is missing"):
+        recording.open()
+    with recording.open(lenient=True) as scene:
+        assert [camera.mount for camera in scene.cameras] == [None, None]
+        assert any("videoRotation" in warning.message for warning in scene.warnings)
 
 
 @pytest.mark.parametrize("nested", [True, False])
 def test_lines_at_the_head_report_mountings_and_fisheye_camera_models(recording, nested):
     header = []
     for index, matrix in enumerate((CAMERA_FROM_IMU, SECOND_FROM_IMU)):
-        numbers = matrix.tolist() if nested else by_columns(matrix)
         header += [
-            {"cameraInd": index, "imuToCamera": numbers},
+            {"cameraInd": index, "imuToCamera": (matrix if nested else matrix.T.ravel()).tolist()},
             {"cameraInd": index, "model": "KANNALA_BRANDT4", "coeffs": [*FISHEYE, 0]},
         ]
     fields = {"cameraParameters": {"focalLength": 20.0, "principalPointX": 15.0, "principalPointY": 7.0}}
     stereo(recording, *header, fields=fields)
     with recording.open() as scene:
         for camera, matrix in zip(scene.cameras, (CAMERA_FROM_IMU, SECOND_FROM_IMU), strict=True):
-            assert (camera.camera.model, camera.camera.coefficients) == ("fisheye", tuple(FISHEYE))
-            assert (camera.camera.fx, camera.camera.fy) == (20.0, 20.0)
+            assert camera.camera == Camera("fisheye", 32, 16, 20.0, 20.0, 15.0, 7.0, tuple(FISHEYE))
             assert camera.images[0].camera == camera.camera
             np.testing.assert_allclose(camera.mount.matrix, np.linalg.inv(matrix), atol=1e-15)
         # the lines themselves stay
@@ -424,35 +408,21 @@ def test_lines_at_the_head_report_mountings_and_fisheye_camera_models(recording,
 
 
 def test_parameters_count_before_lines_and_a_calibration_before_both(recording, pinhole):
-    header = {"cameraInd": 0, "imuToCamera": by_columns(SECOND_FROM_IMU)}
+    header = {"cameraInd": 0, "imuToCamera": SECOND_FROM_IMU.T.ravel().tolist()}
     recording.lines([header, FRAMES_LINE]).video("data.mkv", 1)
     (recording.path / "parameters.txt").write_text(FULL)
     with recording.open() as scene:
         np.testing.assert_allclose(scene.cameras[0].mount.matrix, np.linalg.inv(CAMERA_FROM_IMU), atol=1e-15)
+    text = "focalLength 20; principalPointX 15; principalPointY 7; imuToCameraMatrix 1,0,0,0,-1,0,0,0,-1;\n"
+    (recording.path / "parameters.txt").write_text(text)
+    with recording.open() as scene:
+        assert scene.cameras[0].camera.model == "pinhole"
+        np.testing.assert_array_equal(scene.cameras[0].mount.matrix, np.diag([1.0, -1.0, -1.0, 1.0]))
+        assert "camera 0 is taken for a pinhole: no model is stated" in [n.message for n in scene.warnings]
     recording.calibration([pinhole])
     with recording.open() as scene:
         np.testing.assert_array_equal(scene.cameras[0].mount.matrix, np.eye(4))
         assert "old-calibration" not in codes(scene)
-
-
-def test_a_camera_of_no_model_is_taken_for_a_pinhole(recording):
-    recording.lines([FRAMES_LINE]).video("data.mkv", 1)
-    text = "focalLength 20; principalPointX 15; principalPointY 7; imuToCameraMatrix 1,0,0,0,-1,0,0,0,-1;\n"
-    (recording.path / "parameters.txt").write_text(text)
-    with recording.open() as scene:
-        camera = scene.cameras[0]
-        assert camera.camera.model == "pinhole"
-        np.testing.assert_array_equal(camera.mount.matrix, np.diag([1.0, -1.0, -1.0, 1.0]))
-        assert scene.warnings[1].message == "camera 0 is taken for a pinhole: no model is stated"
-
-
-def test_a_rotated_video_leaves_the_mounting_open(recording):
-    stereo(recording).path.joinpath("parameters.txt").write_text(FULL + "videoRotation CW90;\n")
-    with pytest.raises(DataError, match="imuToCamera is missing"):
-        recording.open()
-    with recording.open(lenient=True) as scene:
-        assert [camera.mount for camera in scene.cameras] == [None, None]
-        assert any("videoRotation" in warning.message for warning in scene.warnings)
 
 
 @pytest.mark.parametrize(
@@ -471,20 +441,16 @@ def test_parameters_that_are_none_are_refused(recording, text, problem):
         recording.open()
 
 
-def test_lines_that_only_look_like_old_ones_state_nothing(recording):
+def test_a_line_may_report_the_one_camera_under_frame_and_those_that_only_look_like_old_ones_state_nothing(
+    recording, pinhole
+):
     header = ['{"cameraInd":7,"imuToCamera":[]}', '{"cameraInd":"x","imuToCamera":[]}', '{"cameraInd":0,"speed":1}']
-    recording.lines([*header, IMU_LINE])
-    with recording.open() as scene:
+    with recording.lines([*header, IMU_LINE]).open() as scene:
         assert "calibration" not in scene.metadata["recording"]
-
-
-def test_a_line_may_report_the_one_camera_under_frame(recording, pinhole):
     own = {"focalLength": 25.0}
     frames = [{"time": 0.1 * k, "cameraParameters": own, "shown": k} for k in range(3)]
     lines = [{"frame": frame, "number": k, "time": 0.1 * k} for k, frame in enumerate(frames)]
     recording.lines(lines).calibration([pinhole]).video("data.mkv", 3)
     with recording.open() as scene:
-        images = scene.cameras[0].images
-        assert [image.rgb[0, 0, 0] for image in images] == [0, 10, 20]
-        assert [(image.camera.fx, image.camera.fy) for image in images] == [(25.0, 25.0)] * 3
-        assert [image.extras["shown"] for image in images] == [0, 1, 2]
+        found = [(im.rgb[0, 0, 0], im.camera.fx, im.camera.fy, im.extras["shown"]) for im in scene.cameras[0].images]
+        assert found == [(10 * k, 25.0, 25.0, k) for k in range(3)]

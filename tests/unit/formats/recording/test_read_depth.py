@@ -49,7 +49,7 @@ def two_cameras(recording, pinhole, fields):
 @pytest.fixture
 def depth_recording(recording, pinhole, images):
     fields = {"colorFormat": "gray16", "depthScale": 0.002, "aligned": True}
-    return two_cameras(recording, pinhole, lambda _: fields).depth_video("data2.mkv", images)
+    return two_cameras(recording, pinhole, lambda _: fields).video("data2.mkv", images)
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_videos_of_either_container_and_images_of_16_bits_hold_depths_with_a_sca
     recording, pinhole, images, name
 ):
     drive = two_cameras(recording, pinhole, lambda k: {"depthScale": 0.001 * (k + 1)})
-    (drive.depth_pngs if name == "frames2" else drive.depth_video)(name, images)
+    (drive.pngs if name == "frames2" else drive.video)(name, images)
     with recording.open() as scene:
         camera = scene.sensor("camera1")
         assert (camera.video is None) == (camera.fps is None) == (name == "frames2")
@@ -91,37 +91,25 @@ def test_videos_of_either_container_and_images_of_16_bits_hold_depths_with_a_sca
             np.testing.assert_allclose(frame.depth, images[k] * (0.001 * (k + 1)), rtol=1e-6)  # float32
 
 
-def test_a_scale_that_is_not_stated_is_a_millimetre_with_a_warning(recording, pinhole, images):
-    with two_cameras(recording, pinhole, lambda _: {}).depth_video("data2.mkv", images).open() as scene:
-        assert codes(scene) == {"depth-scale-assumed"}
-        assert scene.sensor("camera1").frames[0].depth[0, 1] == np.float32(65.535)
-
-
-@pytest.mark.parametrize("scale", [0, -0.001, "0.001", True, 1e9])
-def test_a_scale_that_is_no_length_is_refused(recording, pinhole, images, scale):
-    two_cameras(recording, pinhole, lambda _: {"depthScale": scale}).depth_video("data2.mkv", images)
-    with pytest.raises(DataError, match=re.escape(f"depthScale: {scale!r} of camera 1; expected metres")):
-        recording.open()
-    with recording.open(lenient=True) as scene:
-        assert [sensor.id for sensor in scene.sensors] == ["camera0"]
-
-
-def test_aligned_images_without_a_calibration_take_that_of_the_first_camera(recording, pinhole, images):
-    two_cameras(recording, pinhole, lambda _: {"depthScale": 0.001}).depth_video("data2.mkv", images)
+def test_a_scale_that_is_not_stated_is_a_millimetre_a_calibration_that_of_the_first_camera_and_others_are_refused(
+    recording, pinhole, images
+):
+    two_cameras(recording, pinhole, lambda _: {}).video("data2.mkv", images)
     recording.calibration([{**pinhole, "imuToCamera": LOOKS_AHEAD}])
     with recording.open() as scene:
         colour, depth = scene.sensor("camera0"), scene.sensor("camera1")
-        assert (depth.camera, codes(scene)) == (colour.camera, {"depth-aligned"})
+        assert depth.frames[0].depth[0, 1] == np.float32(65.535)
+        assert (depth.camera, codes(scene)) == (colour.camera, {"depth-aligned", "depth-scale-assumed"})
         np.testing.assert_array_equal(depth.mount.matrix, colour.mount.matrix)
+    for scale in (0, -0.001, "0.001", True, 1e9):
+        two_cameras(recording, pinhole, lambda _, scale=scale: {"depthScale": scale})
+        with pytest.raises(DataError, match=re.escape(f"depthScale: {scale!r} of camera 1; expected metres")):
+            recording.open()
+        with recording.open(lenient=True) as scene:
+            assert [sensor.id for sensor in scene.sensors] == ["camera0"]
 
 
-def test_depths_in_a_video_of_colours_are_refused(recording, pinhole):
-    two_cameras(recording, pinhole, lambda _: {"colorFormat": "gray16"}).video("data2.mkv", COUNT)
-    with pytest.raises(DataError, match="pixels are no 16-bit grey, while lines state colorFormat 'gray16'"):
-        recording.open()
-
-
-def test_a_video_of_colours_has_no_steps_and_one_of_steps_has_colours(depth_recording):
+def test_depths_in_a_video_of_colours_are_refused_and_one_of_steps_has_colours(depth_recording, tmp_path, pinhole):
     with open_video(depth_recording.path / "data.mkv") as video:
         assert not video.has_steps
         with pytest.raises(DataError, match="has pixels of type bgr0; expected one of gray16le"):
@@ -129,6 +117,10 @@ def test_a_video_of_colours_has_no_steps_and_one_of_steps_has_colours(depth_reco
     with open_video(depth_recording.path / "data2.mkv") as video:
         assert video.has_steps
         assert video.rgb(0).shape == (16, 32, 3)
+    other = type(depth_recording)(tmp_path / "other")
+    two_cameras(other, pinhole, lambda _: {"colorFormat": "gray16"}).video("data2.mkv", COUNT)
+    with pytest.raises(DataError, match="pixels are no 16-bit grey, while lines state colorFormat 'gray16'"):
+        other.open()
 
 
 def test_validation_reads_depth_images_and_names_one_that_cannot_be_decoded(depth_recording, tmp_path, pinhole, images):
@@ -136,7 +128,7 @@ def test_validation_reads_depth_images_and_names_one_that_cannot_be_decoded(dept
     assert [f for f in report.findings if f.severity == "error"] == []
     assert report.passed
     other = type(depth_recording)(tmp_path / "other")
-    two_cameras(other, pinhole, lambda _: {"depthScale": 0.001}).depth_pngs("frames2", images)
+    two_cameras(other, pinhole, lambda _: {"depthScale": 0.001}).pngs("frames2", images)
     broken = other.path / "frames2" / "00000002.png"
     broken.write_bytes(broken.read_bytes()[:-60])
     report = validate(other.path, locations=None)
@@ -185,23 +177,20 @@ def test_depth_cameras_are_placed_as_cameras_are(scene):
     np.testing.assert_allclose(moved.poses.positions, depth.poses.positions - [1, 2, 3], atol=1e-12)
 
 
-def test_differences_of_depths_are_reported(depth_recording, pinhole, images, tmp_path):
+def test_differences_of_depths_are_reported_and_undistorting_leaves_them_and_says_so(
+    depth_recording, pinhole, images, tmp_path
+):
     images[1][5, 7] ^= 512
     fields = {"colorFormat": "gray16", "depthScale": 0.002, "aligned": True}
     other = two_cameras(type(depth_recording)(tmp_path / "other"), pinhole, lambda _: fields)
-    with depth_recording.open() as first, other.depth_video("data2.mkv", images).open() as second:
+    other.video("data2.mkv", images)
+    with depth_recording.open() as first, other.open() as second:
         assert not diff(first, first, pixels=True).differences
         reported = {d.path: d.amount for d in diff(first, second, pixels=True).differences if "camera1" in d.path}
-    # 512 steps of 2 mm in one of 512 pixels
-    assert [path.partition(".frames")[2] for path in reported] == ["[].depth"]
-    assert reported["sensors['camera1'].frames[].depth"] == pytest.approx(512 * 0.002 / 512, rel=1e-5)  # float32
-
-
-def test_undistorting_leaves_depth_images_and_says_so(recording, pinhole, images):
-    two_cameras(recording, pinhole, lambda _: {"depthScale": 0.001}).depth_video("data2.mkv", images)
+    # 512 steps of 2 mm in one of 512 pixels; float32
+    assert reported == {"sensors['camera1'].frames[].depth": pytest.approx(512 * 0.002 / 512, rel=1e-5)}
     bent = {**pinhole, "distortionCoefficients": [-0.1, 0.01, 0.0]}
-    recording.calibration([bent, bent])
-    with recording.open() as scene:
+    with other.calibration([bent, bent]).open() as scene:
         plain = undistort_scene(scene)
         assert plain.sensor("camera0").camera.model == "pinhole"
         assert plain.sensor("camera1").camera == scene.sensor("camera1").camera

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sceneloom.formats.base.text_tables import TimeWriter, exact_seconds, means, seconds_text, seconds_texts
-from sceneloom.formats.recording.write_lines import LineStream, merged_lines, row_texts
+from sceneloom.formats.recording.writer import LineStream, group_images, merged_lines, row_texts
 
 SPANS = {
     "around zero": (-(10**7), 10**7),
@@ -29,19 +29,13 @@ def some_times(span):
 
 
 @pytest.mark.parametrize("span", SPANS)
-def test_times_are_written_exactly_and_without_zeros_at_the_end(span):
+def test_times_are_written_exactly_without_zeros_at_the_end_and_the_nearest_numbers_are_those_that_reading_gives(span):
     timestamps = some_times(span)
-    for timestamp, text in zip(timestamps.tolist(), seconds_texts(timestamps, None), strict=True):
-        assert Decimal(text) == Decimal(timestamp).scaleb(-9)
-        assert "e" not in text
-        assert text.endswith(".0") or not text.endswith("0")
-
-
-@pytest.mark.parametrize("span", SPANS)
-def test_the_nearest_numbers_are_those_that_reading_gives(span):
-    timestamps = some_times(span)
-    expected = [float(Decimal(timestamp).scaleb(-9)) for timestamp in timestamps.tolist()]
-    assert exact_seconds(timestamps).tolist() == expected
+    exact = [Decimal(timestamp).scaleb(-9) for timestamp in timestamps.tolist()]
+    texts = seconds_texts(timestamps, None)
+    assert list(map(Decimal, texts)) == exact
+    assert all("e" not in text and (text.endswith(".0") or not text.endswith("0")) for text in texts)
+    assert exact_seconds(timestamps).tolist() == list(map(float, exact))
 
 
 def test_a_file_s_own_numbers_are_written_where_they_still_mean_the_times():
@@ -50,16 +44,6 @@ def test_a_file_s_own_numbers_are_written_where_they_still_mean_the_times():
     texts = seconds_texts(timestamps, seconds)
     assert [float(texts[k]) for k in (0, 1, 5)] == [seconds[k] for k in (0, 1, 5)]
     assert [texts[k] for k in (2, 3, 4, 6)] == ["0.000000007", "0.000000008", "0.000000009", "-2.4"]
-
-
-def test_times_that_numbers_cannot_hold_are_counted_in_blocks_as_one_by_one():
-    timestamps = some_times("today")
-    block, single = TimeWriter(), TimeWriter()
-    block.texts(timestamps, None)
-    for timestamp in timestamps.tolist():
-        single.text(timestamp)
-    assert (block.inexact, block.worst_ns) == (single.inexact, single.worst_ns)
-    assert block.inexact > 0
 
 
 def test_numbers_are_read_as_they_were():
@@ -81,7 +65,7 @@ def test_a_time_is_written_with_as_many_digits_as_it_has_or_as_the_number_that_i
         assert seconds_text(2_000_000_000, no_longer) == "2.0"
 
 
-def test_times_that_a_64_bit_number_cannot_hold_are_counted():
+def test_times_that_a_64_bit_number_cannot_hold_are_counted_in_blocks_as_one_by_one():
     times = TimeWriter()
     assert times.text(123_456_789) == "0.123456789"
     assert times.inexact == 0
@@ -89,26 +73,56 @@ def test_times_that_a_64_bit_number_cannot_hold_are_counted():
     assert times.inexact == 1
     # neighbouring numbers near 1.7e9 are 2^-22 s apart
     assert 0 < times.worst_ns <= 2**-22 / 2 * 1e9 + 128
+    timestamps = some_times("today")
+    block, single = TimeWriter(), TimeWriter()
+    assert block.texts(timestamps, None) == [single.text(timestamp) for timestamp in timestamps.tolist()]
+    assert (block.inexact, block.worst_ns) == (single.inexact, single.worst_ns)
+    assert block.inexact > 0
 
 
-def a_stream(name, timestamps, asked):
-    """Lines that state their stream and their time."""
+def test_lines_come_by_time_then_by_stream_each_asked_for_when_its_turn_comes():
+    asked: list[str] = []
 
-    def make():
+    def lines(name, timestamps):
         for timestamp in timestamps:
             asked.append(name)
             yield f"{name} {timestamp}"
 
-    return LineStream(np.array(timestamps, np.int64), make())
-
-
-def test_lines_come_by_time_then_by_stream_each_asked_for_when_its_turn_comes():
     rng = np.random.default_rng(3)
-    asked: list[str] = []
     times = {name: sorted(rng.integers(0, 500, count).tolist()) for name, count in (("a", 7000), ("b", 300), ("c", 0))}
-    streams = [a_stream(name, found, asked) for name, found in times.items()]
-    lines = [line.split() for block in merged_lines(streams) for line in block]
-    assert len(lines) == 7300
-    keys = [(int(timestamp), name) for name, timestamp in lines]
+    streams = [LineStream(np.array(found, np.int64), lines(name, found)) for name, found in times.items()]
+    merged = [line.split() for block in merged_lines(streams) for line in block]
+    keys = [(int(timestamp), name) for name, timestamp in merged]
     assert keys == sorted(keys)
-    assert asked == [name for name, _ in lines]
+    assert (len(keys), asked) == (7300, [name for name, _ in merged])
+
+
+@pytest.mark.parametrize(
+    ("cameras", "rows"),
+    [
+        (((0, 100, 200), (3, 99, 210), (-20, 90, 240)), [[0, 0, 0], [1, 1, 1], [2, 2, 2]]),
+        # half a period apart is no longer together
+        (((0, 100, 200), (50, 150, 250)), [[0, -1], [-1, 0], [1, -1], [-1, 1], [2, -1], [-1, 2]]),
+        # a missing image leaves its location empty, and a faster camera gets lines of its own
+        (((0, 100, 200, 300), (0, 200, 300)), [[0, 0], [1, -1], [2, 1], [3, 2]]),
+        (((0, 100), (0, 50, 100)), [[0, 0], [-1, 1], [1, 2]]),
+        # two images of one camera never share a line
+        (((0, 0, 0, 100), (0, 100)), [[0, -1], [1, -1], [2, 0], [3, 1]]),
+        # few images need no period
+        (((), ()), []),
+        (((7,), (7,)), [[0, 0]]),
+    ],
+)
+def test_images_of_cameras_in_step_share_lines(cameras, rows):
+    assert group_images([np.array(times_ms, np.int64) * 1_000_000 for times_ms in cameras]).tolist() == rows
+
+
+def test_every_image_is_in_one_line_and_lines_ascend():
+    rng = np.random.default_rng(0)
+    cameras = [np.sort(rng.integers(0, 10_000, size)).astype(np.int64) for size in (40, 55, 13)]
+    rows = group_images(cameras)
+    for camera, times in enumerate(cameras):
+        column = rows[:, camera]
+        assert column[column >= 0].tolist() == list(range(len(times)))
+    earliest = [min(cameras[c][k] for c, k in enumerate(row) if k >= 0) for row in rows.tolist()]
+    assert earliest == sorted(earliest)

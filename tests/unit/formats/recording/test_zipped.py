@@ -148,8 +148,10 @@ def test_archives_beyond_the_bounds_are_refused_before_anything_is_written(
     assert_refused(path, scratch, problem)
 
 
-def test_damaged_and_encrypted_archives_are_refused(drive, scratch, tmp_path):
-    whole = zip_of(drive, tmp_path / "drive.zip").read_bytes()
+def test_damaged_encrypted_and_other_archives_and_those_cut_anywhere_raise_errors_of_ours_only(
+    drive, scratch, tmp_path
+):
+    whole, path = zip_of(drive, tmp_path / "drive.zip").read_bytes(), tmp_path / "bad.zip"
     # a wrong byte inside the first file's compressed bytes breaks its checksum
     flipped = bytearray(whole)
     flipped[120] ^= 0xFF
@@ -160,25 +162,15 @@ def test_damaged_and_encrypted_archives_are_refused(drive, scratch, tmp_path):
         (flipped, "cannot be unpacked"),
         (encrypted, "is encrypted"),
         (whole[: len(whole) // 2], "cannot be unpacked: File is not a zip file"),
+        *[(whole[: len(whole) * cut // 400], r"bad\.zip: ") for cut in range(0, 400, 7)],
     ):
-        (tmp_path / "bad.zip").write_bytes(content)
-        assert_refused(tmp_path / "bad.zip", scratch, problem)
-
-
-def test_other_archives_are_no_recordings(tmp_path, scratch):
-    path = tmp_path / "two.zip"
+        path.write_bytes(content)
+        assert_refused(path, scratch, problem)
+    path.write_bytes(whole[:-300])
+    with pytest.raises(DataError, match="a zip archive that is damaged or cut off"):
+        find_format(path)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("a/data.jsonl", "{}")
         archive.writestr("b/data.jsonl", "{}")
     assert not FORMAT.sniff(path)
     assert_refused(path, scratch, r"holds no data\.jsonl, neither at its root nor in a single top folder")
-
-
-def test_an_archive_cut_anywhere_raises_errors_of_ours_only(drive, scratch, tmp_path):
-    whole = zip_of(drive, tmp_path / "drive.zip").read_bytes()
-    for cut in range(0, 400, 7):
-        (tmp_path / "cut.zip").write_bytes(whole[: len(whole) * cut // 400])
-        assert_refused(tmp_path / "cut.zip", scratch, r"cut\.zip: ")
-    (tmp_path / "cut.zip").write_bytes(whole[:-300])
-    with pytest.raises(DataError, match="a zip archive that is damaged or cut off"):
-        find_format(tmp_path / "cut.zip")

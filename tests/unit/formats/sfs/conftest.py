@@ -1,6 +1,7 @@
 """Scenes and files that the tests of this format share."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,15 +27,7 @@ def scene_header(*sensors, **fields):
     return {"version": "1.0", "sensors": list(sensors), **fields}
 
 
-@pytest.fixture
-def make():
-    """Parts of headers, as `make.lidar(...)` and `make.scene(...)`."""
-
-    class Make:
-        lidar = staticmethod(lidar_header)
-        scene = staticmethod(scene_header)
-
-    return Make
+make = SimpleNamespace(lidar=lidar_header, scene=scene_header)
 
 
 @pytest.fixture

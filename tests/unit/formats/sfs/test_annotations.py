@@ -2,33 +2,13 @@
 
 import numpy as np
 import pytest
+from tests.unit.formats.sfs.conftest import make
 
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import SceneWriter, write_scene
-from sceneloom.scene import (
-    AttributePath,
-    Box2DAnnotation,
-    BoxPath,
-    CameraCalibration,
-    CuboidAnnotation,
-    CuboidPath,
-    EventAnnotation,
-    GroupAnnotation,
-    LabeledPointsAnnotation,
-    LinkAnnotation,
-    LocalizationAdjustment,
-    ObjectAnnotation,
-    PointPath,
-    PointsAnnotation,
-    Poses,
-    Projection,
-    Scene,
-    ShapeAnnotation,
-    ShapeType,
-    VertexPath,
-)
 
 ROW = [4.0, 2.0, 1.5, 1.0, 2.0, 3.0, 0.0, 0.0, 270.0]
 POSE = [1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]
@@ -37,7 +17,7 @@ ATTRIBUTE = {"name": "speed", "timestamps": [1, 2], "values": [1.5, "fast"]}
 
 
 @pytest.fixture
-def read(open_header, make):
+def read(open_header):
     """Read annotations whose file counts microseconds from 1 µs."""
     return lambda *annotations, **options: open_header(
         make.scene(annotations=list(annotations), time_offset=1), **options
@@ -53,170 +33,90 @@ def path_of(*values, **fields):
     return {"timestamps": list(range(1, len(values) + 1)), "values": list(values), **fields}
 
 
-def test_boxes_in_images_and_events(read_one):
-    box = read_one("box_2d", sensor_id=7, path=path_of([1, 2, 3, 4.5], smooth=1), stationary=True, label="car")
-    assert isinstance(box, Box2DAnnotation)
-    assert (box.sensor_id, box.label, box.stationary) == (7, "car", True)
-    assert box.path.timestamps_ns.tolist() == [2000]
-    assert box.path.values.tolist() == [[1, 2, 3, 4.5]]
-    assert box.path.extras == {"smooth": 1}
-    assert not box.path.values.flags.writeable
-    event = read_one("event", start=5, duration=1.5, sensor_id="top")
-    assert isinstance(event, EventAnnotation)
-    assert (event.start_ns, event.duration_ns, event.sensor_id) == (6000, 1500, "top")
-    assert read_one("event", start=5, duration=0.0001).duration_ns == pytest.approx(0.1, rel=1e-12)
-
-
-@pytest.mark.parametrize("kind", ["polyline_2d", "polygon_2d", "point_2d"])
-def test_shapes_in_images_have_pairs(read_one, kind):
-    shape = read_one(kind, sensor_id="front", path=path_of([1, 2, 3, 4, 5, 6], []))
-    assert isinstance(shape, ShapeAnnotation)
-    assert (shape.type, shape.sensor_id) == (ShapeType(kind), "front")
-    assert [vertices.tolist() for vertices in shape.path.vertices] == [[[1, 2], [3, 4], [5, 6]], []]
-
-
-@pytest.mark.parametrize("kind", ["polygon", "polygon_topdown", "polyline", "point", "point_topdown"])
-def test_shapes_in_space_have_triples_and_lines_may_be_closed(read_one, kind):
-    shape = read_one(kind, path=path_of([1, 2, 3, 4, 5, 6], [7, 8, 9]), is_closed=True)
-    assert (shape.type, shape.sensor_id) == (ShapeType(kind), None)
-    assert [vertices.tolist() for vertices in shape.path.vertices] == [[[1, 2, 3], [4, 5, 6]], [[7, 8, 9]]]
-    assert (shape.is_closed, shape.extras) == ((True, {}) if kind == "polyline" else (None, {"is_closed": True}))
-
-
-@pytest.mark.parametrize(
-    ("rows", "expected"),
-    [
-        ([[1, 2, 3, 4]], [[[1, 2, 0], [3, 4, 0]]]),
-        ([[1, 2, 3, 4, 5, 6], [1, 2]], [[[1, 2, 0], [3, 4, 0], [5, 6, 0]], [[1, 2, 0]]]),
-    ],
-)
-def test_pairs_in_space_lie_at_height_zero_with_a_warning(read, rows, expected):
-    scene = read({"id": 1, "type": "polygon", "path": path_of(*rows)})
-    assert [vertices.tolist() for vertices in scene.annotations[0].path.vertices] == expected
-    assert [(n.code, n.location) for n in scene.warnings] == [("no-height", "annotations[0].path.values")]
+@pytest.mark.parametrize("kind", sc.ShapeType)
+def test_shapes_have_pairs_in_images_and_triples_in_space_and_lines_may_be_closed(read_one, kind):
+    width = 2 if kind.endswith("_2d") else 3
+    shape = read_one(kind, sensor_id="front", path=path_of([1, 2, 3, 4, 5, 6], []), is_closed=True)
+    assert isinstance(shape, sc.ShapeAnnotation)
+    assert (shape.type, shape.sensor_id) == (kind, "front")
+    rows = np.arange(1, 7).reshape(-1, width)
+    assert [vertices.tolist() for vertices in shape.path.vertices] == [rows.tolist(), []]
+    closed = kind is sc.ShapeType.POLYLINE
+    assert (shape.is_closed, shape.extras) == ((True, {}) if closed else (None, {"is_closed": True}))
 
 
 def test_keypoints_have_paths_labels_and_projections_each(read_one):
     paths = [{"id": "nose", **path_of([1, 2, 3], why="seen")}, path_of([4, 5, 6])]
-    projection = {
-        "sensor_id": "front",
-        "timestamps": [1, 2],
-        "points": [[1, 2], None],
-        "confirmed": [True, None],
-        "positions": [None, [1, 2, 3]],
-        "score": 1,
-    }
+    projection = {"sensor_id": "front", "timestamps": [1, 2], "points": [[1, 2], None], "score": 1}
+    projection |= {"confirmed": [True, None], "positions": [None, [1, 2, 3]]}
     attributes = [{**ATTRIBUTE, "point_index": 1}]
     points = read_one("points", paths=paths, labels=["a", "b"], projections=[[projection], []], attributes=attributes)
-    assert isinstance(points, PointsAnnotation)
-    assert [path.id for path in points.paths] == ["nose", None]
-    assert points.paths[0].extras == {"why": "seen"}
-    assert [path.values.tolist() for path in points.paths] == [[[1, 2, 3]], [[4, 5, 6]]]
-    assert points.labels == ("a", "b")
-    assert points.attributes[0].point_index == 1
+    assert isinstance(points, sc.PointsAnnotation)
+    found = [(path.id, path.extras, path.values.tolist()) for path in points.paths]
+    assert found == [("nose", {"why": "seen"}, [[1, 2, 3]]), (None, {}, [[4, 5, 6]])]
+    assert (points.labels, points.attributes[0].point_index) == (("a", "b"), 1)
     ((seen,), unseen) = points.projections
     assert unseen == ()
     np.testing.assert_array_equal(seen.points, [[1, 2], [np.nan, np.nan]])
     np.testing.assert_array_equal(seen.positions, [[np.nan] * 3, [1, 2, 3]])
-    assert seen.confirmed == (True, None)
-    assert seen.extras == {"score": 1}
+    assert (seen.confirmed, seen.extras) == ((True, None), {"score": 1})
 
 
-def test_keypoints_may_stand_in_one_path_without_a_list_and_in_pairs_at_height_zero(read):
-    together = {"id": 1, "type": "points", "paths": path_of([1, 2, 3, 4, 5, 6]), "labels": ["a", "b"]}
-    scene = read(together, {"id": 2, "type": "points", "paths": [path_of([1, 2], [3, 4])]})
-    (path,) = scene.annotations[0].paths
-    assert path.values.tolist() == [[1, 2, 3, 4, 5, 6]]
-    assert scene.annotations[0].labels == ("a", "b")
-    assert scene.annotations[1].paths[0].values.tolist() == [[1, 2, 0], [3, 4, 0]]
-    assert [(n.code, n.location) for n in scene.warnings] == [("no-height", "annotations[1].paths[0].values")]
+def test_pairs_in_space_lie_at_height_zero_with_a_warning_and_keypoints_may_stand_in_one_path(read):
+    rows, mixed = [[1, 2, 3, 4]], [[1, 2, 3, 4, 5, 6], [1, 2]]
+    scene = read(
+        {"id": 1, "type": "polygon", "path": path_of(*rows)},
+        {"id": 2, "type": "polygon", "path": path_of(*mixed)},
+        {"id": 3, "type": "points", "paths": path_of([1, 2, 3, 4, 5, 6]), "labels": ["a", "b"]},
+        {"id": 4, "type": "points", "paths": [path_of([1, 2], [3, 4])]},
+    )
+    first, second, together, keypoints = scene.annotations
+    for polygon, wide in ((first, rows), (second, mixed)):
+        flat = [[[x, y, 0] for x, y in zip(row[::2], row[1::2], strict=True)] for row in wide]
+        assert [vertices.tolist() for vertices in polygon.path.vertices] == flat
+    (path,) = together.paths
+    assert (path.values.tolist(), together.labels) == ([[1, 2, 3, 4, 5, 6]], ("a", "b"))
+    assert keypoints.paths[0].values.tolist() == [[1, 2, 0], [3, 4, 0]]
+    locations = [f"annotations[{where}.values" for where in ("0].path", "1].path", "3].paths[0]")]
+    assert [(n.code, n.location) for n in scene.warnings] == [("no-height", location) for location in locations]
 
 
-@pytest.mark.parametrize("kind", ["labeled_points", "point_segmentation"])
-def test_labelled_points(read_one, kind):
-    ids = np.array([4, 5], np.uint32)
-    parts = [{"sensor_id": 1, "sensor_frame": 2, "point_ids": ids, "q": 1}, {"sensor_id": "map", "point_ids": [7]}]
-    found = read_one(kind, labeled_points=parts, label="road", is_instance=False)
-    assert isinstance(found, LabeledPointsAnnotation)
-    assert (found.type, found.label, found.is_instance) == (kind, "road", False)
-    first, second = found.labeled_points
-    assert (first.sensor_id, first.sensor_frame, first.point_ids.tolist()) == (1, 2, [4, 5])
-    assert (second.sensor_id, second.sensor_frame, second.point_ids.tolist()) == ("map", None, [7])
-    assert first.extras == {"q": 1}
-    assert second.point_ids.dtype == np.uint32
-
-
-def test_adjustments_and_calibrations(read_one):
-    adjustment = read_one("localization_adjustment", poses=path_of(POSE, POSE, by="hand"))
-    assert isinstance(adjustment, LocalizationAdjustment)
-    assert adjustment.poses.timestamps_ns.tolist() == [2000, 3000]
-    assert adjustment.poses.positions[0].tolist() == POSE[:3]
-    assert adjustment.extras == {"poses": {"by": "hand"}}
+def test_calibrations_keep_what_the_model_has_no_field_for(read_one):
     distortion = {"model": "fisheye", "params": [0.1, 0.2, 0.3, 0.4], "fit": 1}
     intrinsics = {**CAMERA_MODEL, "distortion": distortion, "skew": 0}
     poses = path_of(POSE, POSE, x=1)
     calibration = read_one("camera_calibration", sensor_id="c", poses=poses, intrinsics=intrinsics, time_offset=-4)
-    assert isinstance(calibration, CameraCalibration)
-    camera = calibration.intrinsics
-    assert (camera.model, camera.coefficients) == ("fisheye", (0.1, 0.2, 0.3, 0.4))
-    assert (camera.fx, camera.width) == (10.0, 8)
-    assert calibration.time_offset_ns == -4000
+    assert isinstance(calibration, sc.CameraCalibration)
+    assert calibration.intrinsics == Camera("fisheye", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.2, 0.3, 0.4))
+    assert (calibration.time_offset_ns, calibration.poses.positions[0].tolist()) == (-4000, POSE[:3])
     assert calibration.extras == {"poses": {"x": 1}, "intrinsics": {"skew": 0, "distortion": {"fit": 1}}}
     bare = read_one("camera_calibration", sensor_id="front")
     assert (bare.poses, bare.intrinsics, bare.time_offset_ns) == (None, None, None)
 
 
-def test_a_single_pose_of_a_correction_holds_at_all_times_and_does_not_move_the_clock(read_one, target):
-    assert read_one("localization_adjustment", poses=path_of(POSE)).poses.static
-    assert read_one("camera_calibration", sensor_id="c", poses=path_of(POSE)).poses.static
+def test_a_single_pose_of_a_correction_holds_at_all_times_and_does_not_move_the_clock(target):
     late = 1_700_000_000 * 10**9
-    write_scene(Scene((), (LocalizationAdjustment("a", Poses.identity()), EventAnnotation("e", late))), target)
+    write_scene(
+        sc.Scene((), (sc.LocalizationAdjustment("a", sc.Poses.identity()), sc.EventAnnotation("e", late))), target
+    )
     scene = FORMAT.open(target)
-    assert scene.time_offset_ns == late
-    assert scene.annotations[0].poses.static
+    assert (scene.time_offset_ns, scene.annotations[0].poses.static) == (late, True)
 
 
 def test_the_camera_model_of_a_calibration_is_written_with_all_numbers_or_as_the_nearest_one(target):
     camera_model = Camera("brown_conrady", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.2, 0.3, 0.4, 0.5))
-    losses = write_scene(Scene((), (CameraCalibration("c", "front", intrinsics=camera_model),)), target)
+    losses = write_scene(sc.Scene((), (sc.CameraCalibration("c", "front", intrinsics=camera_model),)), target)
     scene = FORMAT.open(target)
     assert scene.annotations[0].intrinsics.coefficients == (0.1, 0.2, 0.3, 0.4, 0.5, 0, 0, 0, 0, 0)
     assert (losses.losses, scene.warnings) == ((), ())
     prism = (0.01, 0.002, 0, 0, 0, 0, 0, 0, 0, 0, 0.001, 0, 0, 0)
     camera_model = Camera("brown_conrady", 640, 480, 400.0, 400.0, 319.5, 239.5, prism)
-    calibration = CameraCalibration("c", "front", intrinsics=camera_model)
-    (loss,) = write_scene(Scene((), (calibration,)), target, overwrite=True).losses
+    calibration = sc.CameraCalibration("c", "front", intrinsics=camera_model)
+    (loss,) = write_scene(sc.Scene((), (calibration,)), target, overwrite=True).losses
     assert loss.field == "annotations[c].intrinsics.distortion"
     assert "px" in loss.what
     nearest = FORMAT.open(target).annotations[0].intrinsics
     assert (nearest.width, nearest.height) == (640, 480)
-
-
-def test_objects_groups_and_links(read):
-    thing, stated, group, link = read(
-        {"id": "o", "type": "object", "label": "x", "start_of": 1},
-        {"id": 1, "type": "attributes", "attributes": [ATTRIBUTE], "parent_id": "o"},
-        {"id": 2, "type": "group", "label": "g"},
-        {"id": 3, "type": "link", "from_id": 1, "to_id": "1", "is_bidirectional": True, "sensor_id": 5},
-    ).annotations
-    assert isinstance(thing, ObjectAnnotation)
-    assert (thing.type, thing.label, thing.extras) == ("object", "x", {"start_of": 1})
-    assert (stated.type, stated.parent_id, stated.attributes[0].name) == ("attributes", "o", "speed")
-    assert isinstance(group, GroupAnnotation)
-    assert isinstance(link, LinkAnnotation)
-    assert (link.from_id, link.to_id, link.is_bidirectional, link.sensor_id) == (1, "1", True, 5)
-
-
-def test_attributes_hold_text_numbers_and_lists_of_text(open_header, make):
-    values = ["a", 1, 2.5, ["x", "y"], [], True, None, ["x", 1], {"odd": 1}]
-    raw = {"name": "n", "sensor_id": 7, "static": False, "timestamps": list(range(9)), "values": values, "by": "hand"}
-    one_time = {"name": "n", "static": True, "timestamps": [0], "values": ["a", "b"]}
-    attribute, for_all = open_header(make.scene(attributes=[raw, one_time])).attributes
-    assert isinstance(attribute, AttributePath)
-    assert attribute.values == ("a", 1, 2.5, ("x", "y"), (), True, None, ["x", 1], {"odd": 1})
-    assert attribute.timestamps_ns.tolist() == [k * 1000 for k in range(9)]
-    assert (attribute.sensor_id, attribute.static, attribute.extras) == (7, False, {"by": "hand"})
-    assert for_all.values == ("a", "b")
 
 
 @pytest.mark.parametrize("unknown", [{}, {"unit": "m/s"}])
@@ -250,7 +150,7 @@ def test_a_cuboid_is_the_same_whichever_trajectory_it_is_read(read, unusual):
     first, cuboid = read({**USUAL, "id": "first"}, {**USUAL, **unusual}).annotations
     timestamps = [2500, 3000] if unusual.get("path", {}).get("timestamps", [1])[0] == 1.5 else [2000, 3000]
     for found, expected in ((first, [2000, 3000]), (cuboid, timestamps)):
-        assert isinstance(found, CuboidAnnotation)
+        assert isinstance(found, sc.CuboidAnnotation)
         assert found.path.timestamps_ns.tolist() == expected
         assert found.path.timestamps_ns.dtype == np.int64
         np.testing.assert_array_equal(found.path.values, [ROW, ROW])
@@ -264,8 +164,8 @@ def test_cuboids_of_different_lengths_share_their_arrays_and_keep_their_own_rows
     rows = [[float(k)] * 9 for k in range(6)]
     parts = (rows[:1], rows[1:3], rows[3:])
     scene = read(*({"id": k, "type": "cuboid", "path": path_of(*part)} for k, part in enumerate(parts)))
-    assert [c.path.values[:, 0].tolist() for c in scene.annotations] == [[0], [1, 2], [3, 4, 5]]
-    assert [c.path.timestamps_ns.tolist() for c in scene.annotations] == [[2000], [2000, 3000], [2000, 3000, 4000]]
+    found = [(c.path.values[:, 0].tolist(), c.path.timestamps_ns.tolist()) for c in scene.annotations]
+    assert found == [([0], [2000]), ([1, 2], [2000, 3000]), ([3, 4, 5], [2000, 3000, 4000])]
 
 
 CUBOID = {"type": "cuboid", "path": path_of(ROW)}
@@ -336,27 +236,24 @@ def test_a_fault_is_named_with_its_location(read, annotation, location, problem)
     assert problem in caught.value.problem
 
 
-def test_lenient_reading_leaves_out_only_the_annotation_at_fault(read):
-    bad = {**USUAL, "id": "bad", "path": path_of(ROW[:8], ROW[:8])}
-    scene = read({**USUAL, "id": 1}, bad, {**USUAL, "id": 2}, lenient=True)
-    assert [annotation.id for annotation in scene.annotations] == [1, 2]
-
-
 T0 = np.zeros(1, np.int64)
-SEEN_NOWHERE = (Projection("c", T0, boxes=np.array([[1, np.nan, 2, 3]])),)
+SEEN_NOWHERE = (sc.Projection("c", T0, boxes=np.array([[1, np.nan, 2, 3]])),)
 
 
 @pytest.mark.parametrize(
     ("annotation", "location"),
     [
-        (Box2DAnnotation("a", "c", BoxPath(T0, np.full((1, 4), np.inf))), "path.values[0]"),
-        (CuboidAnnotation("a", CuboidPath(T0, np.full((1, 9), np.nan))), "path.values[0]"),
+        (sc.Box2DAnnotation("a", "c", sc.BoxPath(T0, np.full((1, 4), np.inf))), "path.values[0]"),
+        (sc.CuboidAnnotation("a", sc.CuboidPath(T0, np.full((1, 9), np.nan))), "path.values[0]"),
         (
-            ShapeAnnotation("a", ShapeType.POINT, VertexPath(T0, (np.full((1, 3), np.nan),))),
+            sc.ShapeAnnotation("a", sc.ShapeType.POINT, sc.VertexPath(T0, (np.full((1, 3), np.nan),))),
             "path.values[0], vertices[0]",
         ),
-        (PointsAnnotation("a", (PointPath(T0, np.full((1, 3), np.nan)),)), "paths[0].values[0]"),
-        (CuboidAnnotation("a", CuboidPath(T0, np.ones((1, 9))), projections=SEEN_NOWHERE), "projections[0].boxes[0]"),
+        (sc.PointsAnnotation("a", (sc.PointPath(T0, np.full((1, 3), np.nan)),)), "paths[0].values[0]"),
+        (
+            sc.CuboidAnnotation("a", sc.CuboidPath(T0, np.ones((1, 9))), projections=SEEN_NOWHERE),
+            "projections[0].boxes[0]",
+        ),
     ],
 )
 def test_numbers_that_json_cannot_state_are_refused_with_their_location(target, annotation, location):

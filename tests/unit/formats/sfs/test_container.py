@@ -38,40 +38,30 @@ def refused(opened, header, **item_fields):
     return caught.value
 
 
-def test_arrays_stand_where_their_keys_lead(opened, of_bytes):
+def test_arrays_of_every_dtype_are_read_only_views_of_the_file_where_their_keys_lead(opened, of_bytes, encode_sfs):
     header = opened({"a": [{"b": ARRAY}, {"b": ARRAY + 1}], "c": "text"}).header
     assert header["c"] == "text"
-    np.testing.assert_array_equal(header["a"][1]["b"], ARRAY + 1)
+    array = header["a"][1]["b"]
+    np.testing.assert_array_equal(array, ARRAY + 1)
+    assert not array.flags.writeable
+    assert not array.flags.owndata
     # numeric text counts as the index of a list, and integers lead into objects, too
     np.testing.assert_array_equal(opened({"a": [{"b": ARRAY}]}, index_type=str).header["a"][0]["b"], ARRAY)
     text = b'{"a":{"7":""},"$items":[{"keys":["a",7],"offset":4,"length":1,"dtype":"uint8","shape":[1]}]}'
     np.testing.assert_array_equal(of_bytes(text + bytes(4) + b"\x05").header["a"]["7"], [5])
-
-
-def test_arrays_are_read_only_views_of_the_file_even_at_odd_offsets_and_raw_without_a_dtype(opened, of_bytes):
-    array = opened({"a": ARRAY}).header["a"]
-    assert not array.flags.writeable
-    assert not array.flags.owndata
+    # at an odd offset
     text = b'{"a":"","$items":[{"keys":["a"],"offset":5,"length":8,"dtype":"float64","shape":[1]}]}'
     assert of_bytes(text + bytes(5) + np.array([0.1]).tobytes()).header["a"].tolist() == [0.1]
     raw = opened({"a": ARRAY}, dtype=None, shape=None).header["a"]
     assert isinstance(raw, RawBytes)
     assert raw.tobytes() == ARRAY.tobytes()
-
-
-@pytest.mark.parametrize("name", [n for n in DTYPES if n[0] not in "<>|"])
-def test_every_dtype_by_numpys_name_comes_back(opened, name):
-    array = np.array([0, 1, 1], np.dtype(name))
-    np.testing.assert_array_equal(opened({"a": array}).header["a"], array)
-
-
-def test_big_endian_and_empty_arrays_and_numbers_come_back(opened):
+    for name in (n for n in DTYPES if n[0] not in "<>|"):
+        array = np.array([0, 1, 1], np.dtype(name))
+        np.testing.assert_array_equal(opened({"a": array}).header["a"], array)
     assert opened({"a": np.array([1, 258], ">i4")}, dtype=">i4").header["a"].tolist() == [1, 258]
     assert opened({"a": np.zeros((0, 3), np.float32)}).header["a"].shape == (0, 3)
     assert opened({"a": np.array(2.5)}).header["a"].shape == ()
-
-
-def test_headers_may_lack_a_nul_have_blanks_before_it_and_hold_nan(of_bytes, encode_sfs, opened):
+    # headers may lack a NUL, have blanks before it, and hold NaN
     assert of_bytes(b' {"version": "1.0"}  ').header == {"version": "1.0"}
     content = encode_sfs({"a": ARRAY})
     stop = content.index(b"\0")
@@ -117,23 +107,18 @@ def test_a_faulty_item_is_refused_with_its_number(opened, fields, problem):
     assert problem in error.problem
 
 
-def test_faulty_items_name_their_paths(opened):
+def test_faulty_items_name_their_paths_and_leave_nothing_in_their_locations(opened, of_bytes, encode_sfs):
     assert refused(opened, {"a": [{"b": ARRAY}]}, dtype="complex").location == "$items[0] (a[0].b)"
     overlapping = refused(opened, {"a": ARRAY, "b": ARRAY}, offset=4)
-    assert overlapping.location == "$items[1] (b)"
-    assert "inside item 0" in overlapping.problem
+    assert (overlapping.location, "inside item 0" in overlapping.problem) == ("$items[1] (b)", True)
     assert "taken already" in refused(opened, {"a": ARRAY, "b": ARRAY}, keys=["a"]).problem
     assert "1000000 axes" in refused(opened, {"a": ARRAY}, shape=[2**62] * 1_000_000).problem
-
-
-def test_all_faulty_items_are_collected_and_leave_nothing_in_their_locations(of_bytes, encode_sfs):
     content = encode_sfs({"a": [{"b": ARRAY}], "c": ARRAY, "d": ARRAY, "e": ARRAY})
     content = content.replace(b'"offset": 60', b'"offset": 40').replace(b'"shape": [2, 3]}]', b'"shape": [7]}]   ')
     faults = []
     header = of_bytes(content, faults=faults).header
-    assert [(fault.number, fault.path) for fault in faults] == [(2, "d"), (3, "e")]
+    assert [(fault.number, fault.location) for fault in faults] == [(2, "$items[2] (d)"), (3, "$items[3] (e)")]
     assert faults[0].problem.startswith("starts at byte 40, inside item 1, which ends at 56")
-    assert faults[1].location == "$items[3] (e)"
     assert (header["d"], header["e"]) == (None, None)
     np.testing.assert_array_equal(header["a"][0]["b"], ARRAY)
 
@@ -172,11 +157,6 @@ def test_a_header_beyond_the_limit_is_refused(opened, monkeypatch):
         assert f"no NUL ends it within {limit} bytes" in refused(opened, {"a": ARRAY, "text": "x" * 300}).problem
 
 
-def test_items_are_found_by_the_location_that_they_fill(opened):
-    found = opened({"a": [{"b": ARRAY}, {"b": ARRAY}], "c": ARRAY})
-    assert [found.item_number(path) for path in ("a[1].b", "c", "d")] == [1, 2, None]
-
-
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
@@ -198,12 +178,6 @@ def test_what_is_no_header_is_refused(of_bytes, content, problem):
         of_bytes(content)
 
 
-def test_folders_and_missing_files_are_refused(tmp_path):
-    for path, problem in ((tmp_path, "not a file"), (tmp_path / "absent.sfs", "No such file")):
-        with pytest.raises(DataError, match=problem):
-            Container(path)
-
-
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
@@ -222,9 +196,16 @@ def test_content_decides_what_is_recognised(tmp_path, encode_sfs, name, content,
     assert not has_scene_header(tmp_path)
 
 
-def test_paths_are_written_as_in_messages():
+def test_paths_are_written_as_in_messages_and_lead_to_their_items_and_folders_and_missing_files_are_refused(
+    opened, tmp_path
+):
     assert format_keys(["sensors", 3, "frames", 12, "points"]) == "sensors[3].frames[12].points"
     assert format_keys(["sensors", "3", "id"], {"sensors": []}) == "sensors[3].id"
+    found = opened({"a": [{"b": ARRAY}, {"b": ARRAY}], "c": ARRAY})
+    assert [found.item_number(path) for path in ("a[1].b", "c", "d")] == [1, 2, None]
+    for path, problem in ((tmp_path, "not a file"), (tmp_path / "absent.sfs", "No such file")):
+        with pytest.raises(DataError, match=problem):
+            Container(path)
 
 
 @pytest.mark.skipif(not hasattr(mmap, "MADV_DONTNEED"), reason="this system cannot let go of single pages")

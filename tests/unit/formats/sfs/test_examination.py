@@ -4,10 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from tests.unit.formats.sfs.conftest import make
 
 from sceneloom.errors import DataError
 from sceneloom.formats.sfs.reader import examine
-from sceneloom.formats.sfs.spec import FORMAT, ReadingOptions
+from sceneloom.formats.sfs.spec import ReadingOptions
 
 POSE = [0, 0, 0, 0, 0, 0, 1]
 PATH = {"timestamps": [0], "values": [[1, 1, 1, 0, 0, 0, 0, 0, 0]]}
@@ -33,11 +34,10 @@ def frame(**points):
     return {"timestamp": 0, "points": {"positions": np.ones((2, 3), np.float32), **points}}
 
 
-def test_what_is_kept_knows_its_location_in_the_file(examined, make):
+def test_what_is_kept_knows_its_location_in_the_file(examined):
     sound = examined(make.scene(make.lidar(), annotations=[{"id": 1, "type": "object"}]))
-    assert sound.faults == ()
+    assert (sound.faults, sound.header["version"]) == ((), "1.0")
     assert (sound.sensor_paths, sound.annotation_paths) == (("sensors[0]",), ("annotations[0]",))
-    assert sound.header["version"] == "1.0"
     annotations = [{"id": 1}, {"id": 2, "type": "group"}]
     ours = {"annotations": [{"id": 3, "type": "group"}]}
     found = examined(make.scene({"id": "x"}, make.lidar(), annotations=annotations, metadata={"sceneloom": ours}))
@@ -45,7 +45,7 @@ def test_what_is_kept_knows_its_location_in_the_file(examined, make):
     assert found.annotation_paths == ("annotations[1]", "metadata.sceneloom.annotations[0]")
 
 
-def test_faults_of_every_part_are_found_at_once(examined, make):
+def test_faults_of_every_part_are_found_at_once(examined):
     shorter = {"colors": np.zeros((3, 3), np.uint8), "intensities": np.zeros(2, np.float32)}
     bad_frames = [frame(), frame(**shorter), {"timestamp": 5}]
     longer = {"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}
@@ -75,16 +75,7 @@ def test_faults_of_every_part_are_found_at_once(examined, make):
     assert [fault.costs for fault in examination.faults[2:]] == costs
 
 
-def test_counts_of_all_frames_are_compared(examined, make):
-    frames = [frame(), frame(colors=np.zeros((3, 3), np.uint8)), frame(intensities=np.zeros(1, np.uint8))]
-    examination = examined(make.scene(make.lidar(frames=frames)))
-    assert [fault.path for fault in examination.faults] == [
-        "sensors[0].frames[1].points.colors",
-        "sensors[0].frames[2].points.intensities",
-    ]
-
-
-def test_of_two_with_one_id_the_first_is_kept(examined, make):
+def test_of_two_with_one_id_the_first_is_kept(examined):
     sensors = (make.lidar(), make.lidar(frames=[]), make.lidar(id=1), make.lidar(id="1"))
     annotations = [{"id": 1, "type": "group"}, {"id": 1, "type": "object"}]
     examination = examined(make.scene(*sensors, annotations=annotations))
@@ -94,7 +85,7 @@ def test_of_two_with_one_id_the_first_is_kept(examined, make):
     assert examination.sensor_paths == ("sensors[0]", "sensors[2]", "sensors[3]")
 
 
-def test_quaternions_are_normalised_and_each_is_reported(examined, make):
+def test_quaternions_are_normalised_and_each_is_reported_unless_they_report_no_direction(examined):
     rows = [POSE, [1, 0, 0, 0, 0, 1.5, 2], [2, 0, 0, 0, 0, 0, 1.009]]
     examination = examined(make.scene(make.lidar(poses={"timestamps": [0, 1, 2], "values": rows})))
     assert placed(examination) == [("sensors[0].poses.values[1]", "quaternion-norm")]
@@ -102,17 +93,14 @@ def test_quaternions_are_normalised_and_each_is_reported(examined, make):
     poses = examination.scene.sensors[0].poses
     assert poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1], [0, 0, 0.6, 0.8], [0, 0, 0, 1.009]]
     assert poses.positions[1].tolist() == [1, 0, 0]
+    for quaternion in ([0, 0, 0, 0], [0, 0, 1e-5, 0], [1e200, 1e200, 1e200, 1e200]):
+        poses = {"timestamps": [0], "values": [[0, 0, 0, *quaternion]]}
+        examination = examined(make.scene(make.lidar(poses=poses)))
+        assert placed(examination) == [("sensors[0].poses.values[0]", "malformed")]
+        assert [(sensor.id, sensor.poses) for sensor in examination.scene.sensors] == [("top", None)]
 
 
-@pytest.mark.parametrize("quaternion", [[0, 0, 0, 0], [0, 0, 1e-5, 0], [1e200, 1e200, 1e200, 1e200]])
-def test_quaternions_that_report_no_direction_are_not_repaired(examined, make, quaternion):
-    poses = {"timestamps": [0], "values": [[0, 0, 0, *quaternion]]}
-    examination = examined(make.scene(make.lidar(poses=poses)))
-    assert placed(examination) == [("sensors[0].poses.values[0]", "malformed")]
-    assert [(sensor.id, sensor.poses) for sensor in examination.scene.sensors] == [("top", None)]
-
-
-def test_poses_are_sorted_and_taken_once_unless_two_of_one_time_differ(examined, make):
+def test_poses_are_sorted_and_taken_once_unless_two_of_one_time_differ(examined):
     rows = [[k, *POSE[1:]] for k in (0, 2, 1, 1)]
     examination = examined(make.scene(make.lidar(poses={"timestamps": [0, 20, 10, 10], "values": rows})))
     assert placed(examination) == [
@@ -131,37 +119,26 @@ def test_poses_are_sorted_and_taken_once_unless_two_of_one_time_differ(examined,
     assert left.scene.sensors[0].poses.timestamps_ns.tolist() == [0, 9_000]
 
 
-def test_poses_that_are_no_numbers_are_reported_one_by_one(tmp_path, make):
-    poses = {"timestamps": [0, 1, 2], "values": [POSE, [float("nan"), *POSE[1:]], [*POSE[:6], float("inf")]]}
+def test_arrays_and_poses_at_fault_are_all_reported_and_once_and_a_file_without_a_header_is_one_fault(
+    tmp_path, encode_sfs
+):
     path = tmp_path / "scene.sfs"
-    path.write_bytes(json.dumps(make.scene({"id": "ego", "type": "odometry", "poses": poses})).encode())
-    assert [fault.where for fault in examine(path).faults if fault.code == "not-finite"] == [
-        "sensors[0].poses.values[1]",
-        "sensors[0].poses.values[2]",
-    ]
-
-
-def test_arrays_at_fault_are_all_reported_and_once(tmp_path, encode_sfs, make):
-    content = encode_sfs(make.scene(make.lidar(), make.lidar(id="b"), make.lidar(id="c")))
-    path = tmp_path / "cut.sfs"
-    path.write_bytes(content[:-35])
+    path.write_bytes(encode_sfs(make.scene(make.lidar(), make.lidar(id="b"), make.lidar(id="c")))[:-35])
     examination = examine(path)
-    assert [(fault.where, fault.code) for fault in examination.faults] == [
+    assert placed(examination) == [
         ("sensors[1].frames[0].points.positions ($items[1])", "item"),
         ("sensors[2].frames[0].points.positions ($items[2])", "item"),
     ]
     assert [(sensor.id, len(sensor.frames)) for sensor in examination.scene.sensors] == [("top", 1), ("b", 0), ("c", 0)]
-
-
-def test_a_file_without_a_header_is_one_fault(tmp_path):
-    path = tmp_path / "torn.sfs"
+    poses = {"timestamps": [0, 1, 2], "values": [POSE, [float("nan"), *POSE[1:]], [*POSE[:6], float("inf")]]}
+    path.write_bytes(json.dumps(make.scene({"id": "ego", "type": "odometry", "poses": poses})).encode())
+    assert placed(examine(path)) == [(f"sensors[0].poses.values[{k}]", "not-finite") for k in (1, 2)]
     path.write_bytes(b'{"version": "1.0", "sensors": [')
     examination = examine(path)
-    assert examination.scene is None
-    assert placed(examination) == [("header", "unreadable")]
+    assert (examination.scene, placed(examination)) == (None, [("header", "unreadable")])
 
 
-def test_faults_of_our_metadata_leave_the_rest_of_it(examined, make):
+def test_faults_of_our_metadata_leave_the_rest_of_it(examined):
     ours = {"sensor_notes": [{"model": "x"}, {"id": "top", "model": "VLP-16"}], "warnings": [{}], "sensors": 5}
     examination = examined(make.scene(make.lidar(), metadata={"sceneloom": ours, "mine": 1}))
     assert ("metadata.sceneloom.sensor_notes[0].id", "malformed") in placed(examination)
@@ -169,12 +146,10 @@ def test_faults_of_our_metadata_leave_the_rest_of_it(examined, make):
     assert examination.scene.metadata["mine"] == 1
 
 
-def test_lenient_reading_keeps_what_was_brought_into_order_with_a_warning(tmp_path, encode_sfs, make):
-    path = tmp_path / "scene.sfs"
-    poses = {"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}
-    path.write_bytes(encode_sfs(make.scene(make.lidar(poses=poses))))
+def test_lenient_reading_keeps_what_was_brought_into_order_with_a_warning(open_header):
+    header = make.scene(make.lidar(poses={"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}))
     with pytest.raises(DataError, match="norm 2; expected 1"):
-        FORMAT.open(path)
-    with FORMAT.open(path, lenient=True) as scene:
+        open_header(header)
+    with open_header(header, lenient=True) as scene:
         assert scene.sensors[0].poses.quaternions_xyzw.tolist() == [[0, 0, 0, 1]]
         assert [warning.code for warning in scene.warnings if warning.kind == "repaired"] == ["repaired"]

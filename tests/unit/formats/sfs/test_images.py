@@ -73,30 +73,39 @@ def jpeg_header(content, **fields):
     return camera_header(images=[{"timestamp": 5, "content": np.frombuffer(content, np.uint8), **fields}])
 
 
-def test_jpeg_images_are_decoded_as_pillow_does(open_header):
+def test_jpeg_images_are_decoded_as_pillow_does_with_a_camera_model_of_their_size(open_header):
     camera_image = open_header(jpeg_header(jpeg(3), note="dusk")).cameras[0].images[0]
     expected = np.asarray(Image.open(io.BytesIO(jpeg(3))).convert("RGB"))
     # both decode with libjpeg-turbo; builds may differ by a level in the inverse transform
     assert np.abs(camera_image.rgb.astype(int) - expected).max() <= 1
-    assert camera_image.timestamp_ns == 5000
-    assert camera_image.extras == {"note": "dusk"}
+    assert (camera_image.timestamp_ns, camera_image.extras) == (5000, {"note": "dusk"})
     assert camera_image.encoded() == jpeg(3)
-
-
-def test_an_image_of_another_size_has_a_camera_model_of_its_size(open_header):
     big = simplejpeg.encode_jpeg(np.zeros((32, 64, 3), np.uint8), 90, "RGB", "444")
     camera_model = open_header(jpeg_header(big)).cameras[0].images[0].camera
-    assert (camera_model.width, camera_model.height, camera_model.fx, camera_model.cx) == (64, 32, 80.0, 31.5)
+    assert camera_model == Camera("pinhole", 64, 32, 80.0, 80.0, 31.5, 15.5)
+    for content in (b"", b"not a jpeg", b"\xff\xd8\xff\xe0", jpeg(1)[:40]):
+        camera_images = open_header(jpeg_header(content)).cameras[0].images
+        with pytest.raises(DataError, match=r"sensors\[0\].images\[0\].content: cannot be decoded"):
+            camera_images[0].rgb  # noqa: B018
 
 
-@pytest.mark.parametrize("content", [b"", b"not a jpeg", b"\xff\xd8\xff\xe0", jpeg(1)[:40]])
-def test_what_is_no_jpeg_is_refused_when_it_is_asked_for(open_header, content):
-    camera_images = open_header(jpeg_header(content)).cameras[0].images
-    with pytest.raises(DataError, match=r"sensors\[0\].images\[0\].content: cannot be decoded"):
-        camera_images[0].rgb  # noqa: B018
+def test_a_camera_without_images_or_with_a_broken_video_opens(open_header):
+    scene = open_header(camera_header())
+    assert len(scene.cameras[0].images) == 0
+    assert "no-images" in [warning.code for warning in scene.warnings]
+    video = {"timestamps": [0], "content": np.zeros(100, np.uint8), "fps": 10}
+    front = open_header(camera_header(video=video)).cameras[0]
+    assert front.video.codec == "unknown"
+    with pytest.raises(DataError, match=r"sensors\[0\].video.content"):
+        front.images[0].rgb  # noqa: B018
+    for content in (b"", b"\0" * 8, b"\0\0\0\1moov", b"\xff" * 64, b"\0\0\0\x10moovxxxxstsd"):
+        assert video_codec(memoryview(content)) == "unknown"
 
 
-def test_video_images_are_decoded_when_asked_for(open_header, mp4):
+def test_video_images_are_decoded_when_asked_for_and_with_images_beside_them_nothing_is_lost(
+    open_header, target, decode_sfs, mp4
+):
+    images = [{"timestamp": 5, "content": np.frombuffer(jpeg(3), np.uint8)}]
     video = {"timestamps": [0, 100, 200, 300, 400], "content": np.frombuffer(mp4, np.uint8), "fps": 10}
     front = open_header(camera_header(video=video)).cameras[0]
     assert (len(front.images), front.fps, front.video.codec) == (5, 10.0, "h264")
@@ -105,32 +114,7 @@ def test_video_images_are_decoded_when_asked_for(open_header, mp4):
             np.testing.assert_array_equal(front.images[k].rgb, reader.rgb(k))
     with front.video.open() as file:
         assert file.read() == mp4
-
-
-def test_a_broken_video_opens_and_fails_with_its_location(open_header):
-    video = {"timestamps": [0], "content": np.zeros(100, np.uint8), "fps": 10}
-    front = open_header(camera_header(video=video)).cameras[0]
-    assert front.video.codec == "unknown"
-    with pytest.raises(DataError, match=r"sensors\[0\].video.content"):
-        front.images[0].rgb  # noqa: B018
-
-
-def test_any_bytes_have_a_codec_or_none():
-    for content in (b"", b"\0" * 8, b"\0\0\0\1moov", b"\xff" * 64, b"\0\0\0\x10moovxxxxstsd"):
-        assert video_codec(memoryview(content)) == "unknown"
-
-
-def test_a_camera_without_images_opens(open_header):
-    scene = open_header(camera_header())
-    assert len(scene.cameras[0].images) == 0
-    assert "no-images" in [warning.code for warning in scene.warnings]
-
-
-def test_video_and_images_together_lose_nothing(open_header, target, decode_sfs, mp4):
-    images = [{"timestamp": 5, "content": np.frombuffer(jpeg(3), np.uint8)}]
-    video = {"timestamps": [0, 1, 2, 3, 4], "content": np.frombuffer(mp4, np.uint8), "fps": 10}
-    scene = open_header(camera_header(images=images, video=video))
-    write_scene(scene, target)
+    write_scene(open_header(camera_header(images=images, video=video)), target)
     record = decode_sfs(target.read_bytes())["sensors"][0]
     assert record["images"][0]["timestamp"] == 5
     assert record["images"][0]["content"].tobytes() == jpeg(3)
@@ -150,57 +134,48 @@ def test_images_are_written_as_jpeg_and_stated_to_be_and_can_be_streamed(target)
     assert FORMAT.open(target).cameras[0].images.timestamps_ns.tolist() == [5 * MS]
 
 
-def test_jpeg_files_are_copied_byte_for_byte(target, decode_sfs):
-    encoded = [CameraImage(k * MS, CAMERA_MODEL, lambda: image_array(0), encoded=lambda k=k: jpeg(k)) for k in range(2)]
-    report = write_scene(Scene((camera(encoded),)), target)
-    images = decode_sfs(target.read_bytes())["sensors"][0]["images"]
-    assert [image["content"].tobytes() for image in images] == [jpeg(0), jpeg(1)]
-    assert len(report) == 0
-
-
 def video_camera(content, count=5, indices=None, **fields):
     camera_images = [CameraImage(k * 100 * MS, CAMERA_MODEL, lambda: image_array(0)) for k in range(count)]
     return camera(camera_images, video=VideoContent(lambda: io.BytesIO(content), "h264", indices), **fields)
 
 
-def test_an_mp4_is_copied_byte_for_byte(target, decode_sfs, mp4):
-    report = write_scene(Scene((video_camera(mp4, extras={"video": {"maker": "x"}}),)), target)
+def test_an_mp4_is_copied_byte_for_byte_another_container_remuxed_and_a_part_encoded_anew(
+    target, decode_sfs, mp4, matroska
+):
+    def written(*arguments, **fields):
+        report = write_scene(Scene((video_camera(*arguments, **fields),)), target, overwrite=True)
+        return [loss.field for loss in report], FORMAT.open(target).cameras[0]
+
+    assert written(mp4, extras={"video": {"maker": "x"}})[0] == []
     video = decode_sfs(target.read_bytes())["sensors"][0]["video"]
-    assert video["content"].tobytes() == mp4
-    assert video["timestamps"] == [0, 100_000, 200_000, 300_000, 400_000]
-    assert video["fps"] == pytest.approx(10.0)
-    assert video["maker"] == "x"
-    assert len(report) == 0
-
-
-def test_another_container_is_remuxed_without_decoding_unless_images_lack(target, mp4, matroska):
-    report = write_scene(Scene((video_camera(matroska),)), target)
+    assert video.pop("content").tobytes() == mp4
+    timestamps = [0, 100_000, 200_000, 300_000, 400_000]
+    assert video == {"timestamps": timestamps, "fps": pytest.approx(10.0), "maker": "x"}
     with open_video(mp4) as reader:
-        np.testing.assert_array_equal(FORMAT.open(target).cameras[0].images[3].rgb, reader.rgb(3))
-    assert len(report) == 0
+        lost, front = written(matroska)
+        np.testing.assert_array_equal(front.images[3].rgb, reader.rgb(3))
+        assert lost == []
+        lost, front = written(mp4, count=2, indices=(1, 3))
+        # encoded twice: within a few levels on a smooth image
+        assert np.abs(front.images[1].rgb.astype(int) - reader.rgb(3)).mean() < 6
+        assert lost == ["sensors[front].video.content"]
     with pytest.raises(DataError, match="front"):
-        write_scene(Scene((video_camera(matroska, count=9),)), target, overwrite=True)
+        written(matroska, count=9)
 
 
-def test_a_part_of_a_video_is_encoded_anew_and_stated_to_be(target, mp4):
-    report = write_scene(Scene((video_camera(mp4, count=2, indices=(1, 3)),)), target)
-    front = FORMAT.open(target).cameras[0]
-    with open_video(mp4) as reader:
-        difference = front.images[1].rgb.astype(int) - reader.rgb(3)
-    # encoded twice: within a few levels on a smooth image
-    assert np.abs(difference).mean() < 6
-    assert [loss.field for loss in report] == ["sensors[front].video.content"]
-
-
-def test_the_file_has_the_start_of_exposure_and_the_model_its_middle(target, decode_sfs):
+def test_jpeg_files_are_copied_byte_for_byte_with_the_start_of_exposure_where_the_model_has_its_middle(
+    target, decode_sfs
+):
     camera_images = [
-        CameraImage(timestamp, CAMERA_MODEL, lambda: image_array(0), encoded=lambda: jpeg(0), extras=extras)
-        for timestamp, extras in ((10 * MS, {}), (20 * MS, {"exposureTimeSeconds": 0.008}))
+        CameraImage(10 * (k + 1) * MS, CAMERA_MODEL, lambda: image_array(0), encoded=lambda k=k: jpeg(k), extras=extras)
+        for k, extras in enumerate(({}, {"exposureTimeSeconds": 0.008}))
     ]
-    write_scene(Scene((camera(camera_images, extras={"exposureTimeSeconds": 0.002}),)), target)
+    report = write_scene(Scene((camera(camera_images, extras={"exposureTimeSeconds": 0.002}),)), target)
     images = decode_sfs(target.read_bytes())["sensors"][0]["images"]
+    assert [image["content"].tobytes() for image in images] == [jpeg(0), jpeg(1)]
     assert [image["timestamp"] for image in images] == [9_000, 16_000]
     assert FORMAT.open(target).cameras[0].images.timestamps_ns.tolist() == [10 * MS, 20 * MS]
+    assert len(report) == 0
 
 
 def test_camera_models_mountings_and_fields_of_single_images_come_back(target, mp4):

@@ -56,9 +56,10 @@ def salvaged(tmp_path):
     """Salvage a content; give the report and the scene, opened without leniency."""
 
     def run(content):
-        (tmp_path / "damaged.sfs").write_bytes(content)
-        report = salvage(tmp_path / "damaged.sfs", tmp_path / "whole.sfs", overwrite=True)
-        return report, sceneloom.open(tmp_path / "whole.sfs")
+        number = len(list(tmp_path.iterdir()))
+        damaged, whole = tmp_path / f"damaged{number}.sfs", tmp_path / f"whole{number}.sfs"
+        damaged.write_bytes(content)
+        return salvage(damaged, whole), sceneloom.open(whole)
 
     return run
 
@@ -79,20 +80,12 @@ def cut_before(content, path):
     return content[: stop + item["offset"] + item["length"] // 2]
 
 
-def test_a_whole_file_loses_nothing(salvaged, encode_sfs):
-    report, scene = salvaged(encode_sfs(drive()))
-    assert report.lost == ()
-    assert [(s.id, s.kept, s.count) for s in report.sensors] == [("top", 5, 5), ("cam", 3, 3)]
-    assert "salvaged" not in [warning.code for warning in scene.warnings]
-
-
 def test_frames_behind_the_cut_are_left_out_and_reported(salvaged, encode_sfs):
     content = encode_sfs({name: v for name, v in drive().items() if name != "annotations"})
     report, scene = salvaged(cut_before(content, ["sensors", 0, "frames", 3, "points", "positions"]))
     assert [frame.points.positions[0, 0] for frame in scene.lidars[0].frames] == [0, 1, 2]
-    locations = [part.location for part in report.lost]
-    assert locations[:2] == ["sensors[0].frames[3]", "sensors[0].frames[4]"]
-    assert locations[2:] == [f"sensors[1].images[{k}]" for k in range(3)]
+    images = [f"sensors[1].images[{k}]" for k in range(3)]
+    assert [part.location for part in report.lost] == ["sensors[0].frames[3]", "sensors[0].frames[4]", *images]
     assert report.lost[0].bytes == 10 * (12 + 1 + 4)
     assert "the file has" in report.lost[0].problem
     assert [(s.id, s.kept, s.count) for s in report.sensors] == [("top", 3, 5), ("cam", 0, 3)]
@@ -131,43 +124,39 @@ def test_labelled_points_follow_the_frames_and_arrays_that_stay(salvaged, encode
     assert [part.location for part in report.lost] == [f"annotations[1].labeled_points[{k}]" for k in (3, 4)]
 
 
-def test_an_annotation_with_a_number_that_is_none_is_left_out_and_reported(salvaged, encode_sfs):
+def test_a_whole_file_loses_nothing_a_changed_number_one_frame_and_one_that_is_none_its_annotation(
+    salvaged, encode_sfs
+):
     content = drive()
+    report, scene = salvaged(encode_sfs(content))
+    assert report.lost == ()
+    assert [(s.id, s.kept, s.count) for s in report.sensors] == [("top", 5, 5), ("cam", 3, 3)]
+    assert "salvaged" not in [warning.code for warning in scene.warnings]
     bad = {"timestamps": [0], "values": np.array([[1.0, 1, 1, np.nan, 0, 0, 0, 0, 0]])}
     content["annotations"].insert(0, {"id": "nowhere", "type": "cuboid", "path": bad})
     report, scene = salvaged(encode_sfs(content))
     assert [part.location for part in report.lost] == ["annotations[nowhere].path.values[0]"]
     assert "expected finite numbers" in report.lost[0].problem
     assert [annotation.id for annotation in scene.annotations] == ["box", "labels"]
+    content = encode_sfs({**drive(), "annotations": []})
+    report, scene = salvaged(content.replace(b'"timestamp": 200000', b'"timestamp": "0000"', 1))
+    assert [part.location for part in report.lost] == ["sensors[0].frames[2]"]
+    assert len(scene.lidars[0].frames) == 4
 
 
-def test_a_header_that_was_cut_keeps_what_is_complete(salvaged, encode_sfs):
+def test_a_header_that_was_cut_keeps_what_is_complete_and_arrays_are_found_behind_a_damaged_part(salvaged, encode_sfs):
     text = json.dumps({**drive(), "$items": []}, default=lambda _: "").encode()
-    cut = text[: text.index(b'"frames"') + 100]
-    report, scene = salvaged(cut)
-    assert [a.id for a in scene.annotations] == ["box", "labels"]
-    assert scene.sensors == ()
+    report, scene = salvaged(text[: text.index(b'"frames"') + 100])
+    assert ([a.id for a in scene.annotations], scene.sensors) == (["box", "labels"], ())
     assert report.lost[0].location == "sensors[0]"
     assert "cut off or damaged here" in report.lost[0].problem
     assert report.annotations == 2
-
-
-def test_arrays_are_found_behind_a_damaged_part_of_the_header(salvaged, encode_sfs):
-    content = encode_sfs(drive())
-    damaged = content.replace(b'"intrinsics": {"fx"', b'"intrinsics": {#fx"')
-    report, scene = salvaged(damaged)
+    report, scene = salvaged(encode_sfs(drive()).replace(b'"intrinsics": {"fx"', b'"intrinsics": {#fx"'))
     assert [sensor.id for sensor in scene.sensors] == ["top"]
     assert [frame.points.positions[0, 0] for frame in scene.lidars[0].frames] == [0, 1, 2, 3, 4]
     assert report.lost[0].location == "sensors[1]"
     assert "cut off or damaged here" in report.lost[0].problem
     assert sum("lead nowhere" in part.problem for part in report.lost) == 3
-
-
-def test_a_changed_number_costs_one_frame(salvaged, encode_sfs):
-    content = encode_sfs({**drive(), "annotations": []})
-    report, scene = salvaged(content.replace(b'"timestamp": 200000', b'"timestamp": "0000"', 1))
-    assert [part.location for part in report.lost] == ["sensors[0].frames[2]"]
-    assert len(scene.lidars[0].frames) == 4
 
 
 @pytest.mark.parametrize("reserve", [640, 1 << 17])
@@ -269,15 +258,18 @@ def test_a_video_whose_tables_are_lost_or_that_is_none_is_left_out_and_its_camer
     assert flags is not None or "cannot be read as video" in lost.problem
 
 
-def test_a_scene_cut_anywhere_is_salvaged_or_refused(encode_sfs, tmp_path):
-    content = encode_sfs(drive(frames=3))
-    source, target = tmp_path / "cut.sfs", tmp_path / "out.sfs"
-    complete = 0
+def test_a_scene_cut_or_changed_anywhere_is_salvaged_or_refused(encode_sfs, tmp_path):
+    source, target = tmp_path / "damaged.sfs", tmp_path / "out.sfs"
+
+    def salvaged(content):
+        source.unlink(missing_ok=True)  # a new file is far quicker than an old one made shorter
+        source.write_bytes(content)
+        return salvage(source, target, overwrite=True)
+
+    content, complete = encode_sfs(drive(frames=3)), 0
     for length in [*range(0, len(content), 61), len(content)]:
-        source.unlink(missing_ok=True)
-        source.write_bytes(content[:length])
         try:
-            report = salvage(source, target, overwrite=True)
+            report = salvaged(content[:length])
         except SceneloomError:
             assert length < 20
             continue
@@ -287,72 +279,49 @@ def test_a_scene_cut_anywhere_is_salvaged_or_refused(encode_sfs, tmp_path):
         complete += not report.lost
         assert bool(report.lost) == (length < items_of(content)[1] or length < len(content) - 4)
     assert complete
-
-
-def test_changed_bytes_anywhere_are_salvaged_or_refused(encode_sfs, tmp_path):
     content, swaps = encode_sfs(drive(frames=2)), b'0-9"[]{},:.eE\0\xff '
     rng = np.random.default_rng(7)
-    source, target = tmp_path / "changed.sfs", tmp_path / "out.sfs"
     for location in range(0, len(content), 29):
         changed = bytearray(content)
         changed[location] = swaps[int(rng.integers(len(swaps)))]
-        source.unlink(missing_ok=True)
-        source.write_bytes(changed)
         with contextlib.suppress(SceneloomError):
-            salvage(source, target, overwrite=True)
+            salvaged(changed)
             sceneloom.open(target).close()
 
 
-def test_the_damaged_file_is_never_written_over(encode_sfs, tmp_path):
-    path = tmp_path / "drive.sfs"
-    path.write_bytes(encode_sfs(drive()))
+def test_the_command_reports_what_is_kept_and_lost_and_the_damaged_file_is_never_written_over(encode_sfs, tmp_path):
+    path, target = tmp_path / "drive.sfs", tmp_path / "out.sfs"
+    path.write_bytes(cut_before(encode_sfs(drive()), ["sensors", 0, "frames", 3, "points", "positions"]))
     with pytest.raises(DataError, match="choose another name"):
         salvage(path, path, overwrite=True)
-    with pytest.raises(OutputError, match="exists already"):
-        salvage(path, path)
     with pytest.raises(DataError, match="No such file"):
-        salvage(tmp_path / "absent.sfs", tmp_path / "out.sfs")
-
-
-def test_the_command_reports_what_is_kept_and_lost(encode_sfs, tmp_path):
-    path, target = tmp_path / "drive.sfs", tmp_path / "out.sfs"
-    content = encode_sfs(drive())
-    path.write_bytes(cut_before(content, ["sensors", 0, "frames", 3, "points", "positions"]))
+        salvage(tmp_path / "absent.sfs", target)
     done = CliRunner().invoke(program, ["salvage", str(path), "-o", str(target)])
     assert done.exit_code == 0, done.output
-    assert "top" in done.output
-    assert "3 of 5" in done.output
-    assert "sensors[0].frames[3]" in done.output
+    assert all(words in done.output for words in ("top", "3 of 5", "sensors[0].frames[3]"))
+    with pytest.raises(OutputError, match="exists already"):
+        salvage(path, target)
     done = CliRunner().invoke(program, ["salvage", str(path), "-o", str(target), "--json", "--overwrite"])
     assert json.loads(done.stdout)["sensors"][0] == {"id": "top", "type": "lidar", "kept": 3, "count": 5}
 
 
-@pytest.mark.parametrize(
-    ("text", "header", "lost"),
-    [
+def test_a_header_is_recovered_up_to_the_damage_and_what_is_none_is_refused():
+    deep = '{"version": ' + "[" * 5000 + '1, "$items": [7]}'
+    ours = '{"metadata": {"sceneloom": {"layout": 1, "sensors": [{"id": "imu"}, 5'
+    for text, header, *lost in (
+        ('{"a": [1]}', {"a": [1]}),
         ('{"version": "1.0", "sensors": [{"a": 1}, {"a"', {"version": "1.0", "sensors": [{"a": 1}]}, "sensors[1]"),
         ('{"version": "1.0", "time_offset": 12', {"version": "1.0"}, "…"),
         ('{"version": "1.0"', {"version": "1.0"}, "header"),
         ('{"version": "1.0", "metadata": {"a": 1, "b": [1', {"version": "1.0", "metadata": {"a": 1}}, "metadata.…"),
-        (
-            '{"metadata": {"sceneloom": {"layout": 1, "sensors": [{"id": "imu"}, 5',
-            {"metadata": {"sceneloom": {"layout": 1, "sensors": [{"id": "imu"}]}}},
-            "metadata.sceneloom.sensors[1]",
-        ),
+        (ours, {"metadata": {"sceneloom": {"layout": 1, "sensors": [{"id": "imu"}]}}}, "metadata.sceneloom.sensors[1]"),
         ('{"version": "1.0", "sensors": [{"a": 1}]', {"version": "1.0", "sensors": [{"a": 1}]}, "header"),
         ('{"version": "1.0",, "x": 1, "$items": [7]}', {"version": "1.0", "$items": [7]}, "…"),
         ('{"a": [1, 2], "sensors": [{"b": "ä\udcff', {"a": [1, 2], "sensors": []}, "sensors[0]"),
-        ('{"version": ' + "[" * 5000 + '1, "$items": [7]}', {"$items": [7]}, "…"),
-    ],
-)
-def test_a_header_is_recovered_up_to_the_damage(text, header, lost):
-    found, reported = recover_header(memoryview(text.encode("utf-8", "surrogateescape")), "file")
-    assert found == header
-    assert [location for location, _, _ in reported] == [lost]
-
-
-def test_a_whole_header_is_not_touched_and_what_is_none_is_refused():
-    assert recover_header(memoryview(b'{"a": [1]}'), "file") == ({"a": [1]}, [])
+        (deep, {"$items": [7]}, "…"),
+    ):
+        found, reported = recover_header(memoryview(text.encode("utf-8", "surrogateescape")), "file")
+        assert (found, [location for location, _, _ in reported]) == (header, lost)
     for text in (b"hello", b"[1, 2", b"\xff\xfe"):
         with pytest.raises(DataError, match="does not begin as the header"):
             recover_header(memoryview(text), "file")

@@ -206,12 +206,9 @@ def test_fixing_keeps_what_is_whole_and_lists_every_loss(tmp_path, encode_sfs):
 
 
 def test_faults_that_a_removal_brings_to_light_are_reported_at_their_location_in_the_file(tmp_path):
-    content = header()
-    content["sensors"] = [{**content["sensors"][4], "poses": poses()}]
-    content["annotations"], content["attributes"] = [], []
-    content["sensors"][0]["poses"]["values"][0] = [float("inf"), *POSE[1:]]
-    content["sensors"][0]["poses"]["values"][2] = [0] * 7
-    file = tmp_path / "scene.sfs"
-    file.write_bytes(json.dumps(content).encode())
-    found = [fault.path for fault in examine(file).faults]
+    content = {**header(), "sensors": header()["sensors"][4:], "annotations": [], "attributes": []}
+    rows = content["sensors"][0]["poses"]["values"]
+    rows[0], rows[2] = [float("inf"), *POSE[1:]], [0] * 7
+    (tmp_path / "scene.sfs").write_bytes(json.dumps(content).encode())
+    found = [fault.path for fault in examine(tmp_path / "scene.sfs").faults]
     assert found == ["sensors[0].poses.values[0]", "sensors[0].poses.values[2]"]

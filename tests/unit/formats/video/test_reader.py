@@ -16,7 +16,7 @@ from av.video.reformatter import Interpolation, VideoReformatter
 from PIL import Image
 
 from sceneloom.errors import DataError
-from sceneloom.formats.recording.cameras import PngFolder
+from sceneloom.formats.recording.reader import PngFolder
 from sceneloom.formats.video.reader import open_video, read_index, read_table_index
 
 X264 = {"g": "12", "bf": "3", "preset": "veryfast"}

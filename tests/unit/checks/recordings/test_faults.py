@@ -10,7 +10,6 @@ import pytest
 import sceneloom
 from sceneloom.checks import validate
 from sceneloom.checks.faults import FAULT_CODES, RECORDING_FAULT_RULES
-from sceneloom.formats.base.diagnostics import MOST_LOCATIONS
 
 READER = Path(sceneloom.__file__).parent / "formats" / "recording"
 ROWS = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -22,6 +21,7 @@ SOUND = [
     {"lidar": {"model": "RoboSense M1 XYZIRT", "dataFile": "0.bin"}, "time": 0.5},
     {"groundTruth": POSE, "time": 1.0},
 ]
+MOST = 1000  # faults of one code that are reported with their locations
 FRAME = {"frames": [{"cameraInd": 0}], "number": 0, "time": 0.2}
 
 
@@ -124,9 +124,9 @@ def test_all_faults_are_reported_at_once_and_very_many_counted(write, tmp_path):
         ("unusable-calibrations", "calibration.json: cameras[0].focalLengthX"),
         ("missing-videos", ""),
     ]
-    texts = [*SOUND * (3 * MOST_LOCATIONS), *["{torn"] * (2 * MOST_LOCATIONS)]
+    texts = [*SOUND * (3 * MOST), *["{torn"] * (2 * MOST)]
     findings = validate(write(texts), rules=["broken-lines"], locations=None).findings
-    assert (sum(finding.count for finding in findings), len(findings)) == (2 * MOST_LOCATIONS, MOST_LOCATIONS + 1)
+    assert (sum(finding.count for finding in findings), len(findings)) == (2 * MOST, MOST + 1)
     # nothing is repaired where the calibration cannot be read
     assert validate(write(calibration="["), fix=tmp_path / "out.sfs").output is None
 
@@ -181,9 +181,9 @@ def test_logs_of_another_layout_are_few_findings_and_torn_lines_are_listed_singl
     found = reported_of_lines(tmp_path, content)
     assert len(found) <= 5
     assert sum(count for *_, count in found) == content.count(b"\n") + 1
-    [(_, location, _, count)] = reported_of_lines(tmp_path, b"time,x,y\n" * (3 * MOST_LOCATIONS))
-    assert count == 3 * MOST_LOCATIONS
-    assert location.endswith(f" {3 * MOST_LOCATIONS}")
+    [(_, location, _, count)] = reported_of_lines(tmp_path, b"time,x,y\n" * (3 * MOST))
+    assert count == 3 * MOST
+    assert location.endswith(f" {3 * MOST}")
     texts = [text[:-1] if k % 9 == 4 else text for k, text in enumerate(TEXTS)]
     found = reported_of_lines(tmp_path, ("\n".join(texts) + "\n").encode())
     assert [location for _, location, _, _ in found] == [f"data.jsonl: line {k + 1}" for k in range(4, COUNT, 9)]

@@ -1,13 +1,16 @@
 """Pages for every package that offers names, and for every public class, for the reference made from docstrings."""
 
 import ast
+import re
+import textwrap
+from collections.abc import Iterator
 from functools import cache
 from inspect import cleandoc
 from pathlib import Path
 
-from links import PROJECT
+from links import PROJECT, page_of
 
-_SOURCES = PROJECT / "src"
+_SOURCES, _DOCS = PROJECT / "src", PROJECT / "docs"
 _OFFERED = (
     "sceneloom",
     "sceneloom.scene",
@@ -75,7 +78,55 @@ def _package_page(package: str, classes: dict[str, str], others: list[str], home
 def _class_page(package: str, name: str, definition: str) -> str:
     if name not in _public(_tree(package)):
         package = definition.split(":", maxsplit=1)[0]
-    return f"# {name}\n\n```python\nfrom {package} import {name}\n```\n\n::: {package}.{name}\n"
+    found = _example(name)
+    code, page = found or (f"from {package} import {name}", None)
+    source = f"\n\nFrom [{_titles().get(page, page)}](../../{page_of(page)})." if page else ""
+    return f"# {name}\n\n```python\n{code}\n```{source}\n\n::: {package}.{name}\n"
+
+
+def _example(name: str) -> tuple[str, str] | None:
+    """The shortest code of a page that uses a class, and the page; else how an example uses it."""
+    uses = re.compile(rf"\b{name}\b(?!,? import)")
+    fitting = [(code, page) for code, page in _blocks() if uses.search(code)]
+    return min(fitting or _statements(name), key=lambda found: len(found[0]), default=None)
+
+
+def _statements(name: str) -> Iterator[tuple[str, str]]:
+    """Of each example that imports a class, the import and the first statement that uses it."""
+    for path in sorted((PROJECT / "examples").glob("*.py")):
+        text = path.read_text("utf-8")
+        tree = ast.parse(text)
+        imports = [s for s in tree.body if isinstance(s, ast.ImportFrom) and name in [a.name for a in s.names]]
+        uses = (s for s in ast.walk(tree) if isinstance(s, ast.stmt) and not hasattr(s, "body") and _names(s, name))
+        first = next(uses, None)
+        if imports and first is not None:
+            used = textwrap.dedent(" " * first.col_offset + (ast.get_source_segment(text, first) or ""))
+            yield f"from {imports[0].module} import {name}\n\n{used}", f"examples/{path.name}"
+
+
+def _names(statement: ast.stmt, name: str) -> bool:
+    return any(isinstance(part, ast.Name) and part.id == name for part in ast.walk(statement))
+
+
+@cache
+def _blocks() -> tuple[tuple[str, str], ...]:
+    """The Python of all pages, with the page."""
+    return tuple(
+        (block.strip("\n"), page)
+        for page in _titles()
+        for block in re.findall(r"^```py(?:thon)?\n(.*?)^```", _page(page), re.MULTILINE | re.DOTALL)
+    )
+
+
+@cache
+def _titles() -> dict[str, str]:
+    """The heading of each page in `docs/`."""
+    pages = [path.relative_to(_DOCS).as_posix() for path in sorted(_DOCS.rglob("*.md"))]
+    return {page: _page(page).removeprefix("# ").split("\n", maxsplit=1)[0] for page in pages}
+
+
+def _page(page: str) -> str:
+    return (_DOCS / page).read_text("utf-8")
 
 
 def _homes() -> dict[str, str]:

@@ -24,7 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import FusedView, LidarTrajectory, view_points
+from sceneloom.colouring import FusedView, LidarTrajectory
+from sceneloom.colouring.algorithms import view_points
 from sceneloom.colouring.depth_completion import (
     DOUBT_STEPS,
     GAP_STEPS,

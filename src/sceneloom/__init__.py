@@ -19,8 +19,7 @@ from sceneloom.version import __version__
 if TYPE_CHECKING:
     from sceneloom.cameras.projection import project
     from sceneloom.checks.validation import validate
-    from sceneloom.colouring.cuboid_points import count_points
-    from sceneloom.colouring.cuboid_projection import project_cuboids
+    from sceneloom.colouring.cuboid_projection import count_points, project_cuboids
     from sceneloom.editing.apply import apply_corrections
     from sceneloom.editing.crop import crop_scene
     from sceneloom.editing.diff import diff_scenes as diff
@@ -63,7 +62,7 @@ else:
             "compare_detections": "sceneloom.evaluate.detection:compare_detections",
             "compare_tracks": "sceneloom.evaluate.tracking:compare_tracks",
             "convert": "sceneloom.pipeline.converting:convert",
-            "count_points": "sceneloom.colouring.cuboid_points:count_points",
+            "count_points": "sceneloom.colouring.cuboid_projection:count_points",
             "crop_scene": "sceneloom.editing.crop:crop_scene",
             "deskew": "sceneloom.pipeline.deskewing:deskew",
             "diff": "sceneloom.editing.diff:diff_scenes",

@@ -18,9 +18,9 @@ import sceneloom
 from sceneloom.cameras import project
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli.info import mounting_text
-from sceneloom.colouring import LidarTrajectory, view_points
-from sceneloom.colouring.cuboid_points import count_points
-from sceneloom.colouring.cuboid_projection import box_extents, observe_cuboids
+from sceneloom.colouring import LidarTrajectory
+from sceneloom.colouring.algorithms import view_points
+from sceneloom.colouring.cuboid_projection import box_extents, count_points, observe_cuboids
 from sceneloom.colouring.depth_completion import METHODS, complete_depth
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.rig.template import survey

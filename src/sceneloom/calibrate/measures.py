@@ -17,6 +17,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numba import float64, int16, types, void
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -32,7 +33,8 @@ from sceneloom.cameras.projection import (
     unproject,
 )
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
-from sceneloom.kernels.image_agreement import fill_histogram, sum_by_table, sum_edges
+from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import IN_F32_1D, IN_F32_2D, IN_F32_3D, IN_F64_2D, IN_I64_1D, IN_U8_1D, inlined
 
 
 class Parameter(IntEnum):
@@ -585,3 +587,71 @@ def _pointwise_information(histogram: Float64Array) -> Float64Array:
     joint = (joint + 1e-6) / (joint + 1e-6).sum()
     table: Float64Array = np.log(joint / np.outer(joint.sum(axis=1), joint.sum(axis=0)))
     return table
+
+
+_CELLS = types.Array(int16, 1, "C", readonly=True)
+
+
+@inlined
+def _between(image, u, v):  # type: ignore[no-untyped-def]
+    """Interpolate an image between its pixels; beyond its outer pixels' centres these hold."""
+    height, width = image.shape
+    x, y = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
+    column, row = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+    right, below = min(column + 1, width - 1), min(row + 1, height - 1)
+    a, b = x - column, y - row
+    upper = image[row, column] + a * (image[row, right] - image[row, column])
+    lower = image[below, column] + a * (image[below, right] - image[below, column])
+    return upper + b * (lower - upper)
+
+
+@kernel(void(IN_I64_1D, IN_F32_2D, IN_U8_1D, IN_F32_1D, _CELLS, IN_F32_3D, float64[::1], float64[::1]))  # fmt: skip
+def sum_edges(
+    point_ids: Int64Array, pixels: Float32Array, kinds: UInt8Array, weights: Float32Array, cells: Int64Array,
+    edges: Float32Array, sums: Float64Array, totals: Float64Array,
+) -> None:  # fmt: skip
+    """Add up how strong an image's edges are where edges of a cloud fall: weights times edges, and the weights.
+
+    `kinds` (N,), the image of `edges` (K, H, W) that counts for each point; `weights` (N,); `sums`, `totals` (C,).
+    """
+    for i in range(point_ids.shape[0]):
+        point = point_ids[i]
+        weight = float64(weights[point])
+        sums[cells[point]] += weight * _between(edges[kinds[point]], pixels[i, 0], pixels[i, 1])
+        totals[cells[point]] += weight
+
+
+@kernel(void(IN_I64_1D, IN_F32_2D, IN_F32_1D, IN_F32_2D, float64[:, ::1]))
+def fill_histogram(
+    point_ids: Int64Array, pixels: Float32Array, levels: Float32Array, image: Float32Array, histogram: Float64Array
+) -> None:
+    """Count points by their level and that of the image, each shared among the four nearest bins.
+
+    `levels` (N,); `histogram` (B, B), its rows are levels of the points.
+    """
+    last = histogram.shape[0] - 1
+    for i in range(point_ids.shape[0]):
+        a = float64(levels[point_ids[i]])
+        b = float64(_between(image, pixels[i, 0], pixels[i, 1]))
+        row, column = min(int(a), last - 1), min(int(b), last - 1)
+        p, q = a - row, b - column
+        histogram[row, column] += (1.0 - p) * (1.0 - q)
+        histogram[row, column + 1] += (1.0 - p) * q
+        histogram[row + 1, column] += p * (1.0 - q)
+        histogram[row + 1, column + 1] += p * q
+
+
+@kernel(void(IN_I64_1D, IN_F32_2D, IN_F32_1D, _CELLS, IN_F32_2D, IN_F64_2D, float64[::1], float64[::1]))  # fmt: skip
+def sum_by_table(
+    point_ids: Int64Array, pixels: Float32Array, levels: Float32Array, cells: Int64Array, image: Float32Array,
+    table: Float64Array, sums: Float64Array, totals: Float64Array,
+) -> None:  # fmt: skip
+    """Add up what a table says of points by their level and that of the image, and count the points.
+
+    `levels` (N,); `table` (B, B), interpolated, its rows are levels of the points; `sums`, `totals` (C,).
+    """
+    for i in range(point_ids.shape[0]):
+        point = point_ids[i]
+        b = _between(image, pixels[i, 0], pixels[i, 1])
+        sums[cells[point]] += _between(table, b, levels[point])
+        totals[cells[point]] += 1.0

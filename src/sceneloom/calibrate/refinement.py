@@ -30,6 +30,7 @@ from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
+from numba import float64, void
 from scipy import ndimage
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
@@ -51,7 +52,8 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded
 from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.geometry.rigid import RigidTransform, cross_matrix
-from sceneloom.kernels.image_agreement import sum_maps
+from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import IN_F32_1D, IN_F32_2D, IN_F32_3D, IN_F64_1D, IN_I32_1D
 from sceneloom.scene.types import Progress
 
 DEFAULT = ("rotation", "translation", "time")
@@ -780,3 +782,46 @@ def _polished(level: _Level, free: AnyArray, numbers: Float64Array) -> _Around:
         if np.abs(share * step).max() < _SMALLEST_STEP:
             break
     return _Around(level, free, numbers)
+
+
+@kernel(void(
+    IN_F32_2D, IN_F32_3D, IN_F64_1D, IN_F32_1D, IN_I32_1D, IN_I32_1D, IN_F32_3D, float64[::1], float64[::1],
+    float64[:, ::1]
+))  # fmt: skip
+def sum_maps(
+    pixels: Float32Array, slopes: Float32Array, step: Float64Array, weights: Float32Array, rows: AnyArray,
+    groups: AnyArray, maps: Float32Array, sums: Float64Array, squares: Float64Array, gradients: Float64Array,
+) -> None:  # fmt: skip
+    """Add up weighted values of maps at moved pixels, by group; beyond a map's outer pixels it says nothing.
+
+    Args:
+        pixels: (N, 2) [px of the maps].
+        slopes: (N, 2, P), derivatives of the pixels by the parameters.
+        step: (P,), change of the parameters.
+        weights, rows, groups: (N,), and int32: the map that counts for each point, and the sum.
+        maps: (K, H, W).
+        sums, squares, gradients: (G,), (G,), (G, P): of weight times value, of squared values, derivatives of `sums`.
+    """
+    height, width = maps.shape[1], maps.shape[2]
+    count = step.shape[0]
+    for i in range(pixels.shape[0]):
+        u, v = float64(pixels[i, 0]), float64(pixels[i, 1])
+        for k in range(count):
+            u += slopes[i, 0, k] * step[k]
+            v += slopes[i, 1, k] * step[k]
+        if not (0.0 <= u < width - 1 and 0.0 <= v < height - 1):
+            continue
+        column, row = int(u), int(v)
+        a, b = u - column, v - row
+        one = maps[rows[i]]
+        upper, lower = one[row, column], one[row + 1, column]
+        across_upper, across_lower = one[row, column + 1] - upper, one[row + 1, column + 1] - lower
+        at_upper, at_lower = upper + a * across_upper, lower + a * across_lower
+        value = at_upper + b * (at_lower - at_upper)
+        by_u = across_upper + b * (across_lower - across_upper)
+        by_v = at_lower - at_upper
+        weight, group = float64(weights[i]), groups[i]
+        sums[group] += weight * value
+        squares[group] += value * value
+        for k in range(count):
+            gradients[group, k] += weight * (by_u * slopes[i, 0, k] + by_v * slopes[i, 1, k])

@@ -350,7 +350,7 @@ def _counted(
 ) -> "tuple[Scene, dict[str, Any]]":
     import numpy as np
 
-    from sceneloom.colouring.cuboid_points import count_points, with_activations, with_counts, with_labeled_points
+    from sceneloom.colouring.cuboid_projection import count_points, with_activations, with_counts, with_labeled_points
 
     scene = scene.corrected()
     trajectory = _chosen_trajectory(scene, given)

@@ -11,27 +11,24 @@ if TYPE_CHECKING:
         FusionAlgorithm,
         ViewRequest,
         fuse_by_projection,
-        view_points,
     )
     from sceneloom.colouring.blending import (
         NO_CAMERA,
-        BlendedPoints,
         BlendSettings,
         PointSources,
         blend_colours,
         colour_points,
         estimate_normals,
     )
-    from sceneloom.colouring.cuboid_points import (
-        FrameCounts,
-        Moment,
+    from sceneloom.colouring.cuboid_projection import (
         PointCounts,
         count_points,
+        observe_cuboids,
+        project_cuboids,
         with_activations,
         with_counts,
         with_labeled_points,
     )
-    from sceneloom.colouring.cuboid_projection import Observations, observe_cuboids, project_cuboids
     from sceneloom.colouring.depth_completion import METHODS, DenseDepth, complete_depth
     from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
     from sceneloom.colouring.results import FusedFrame, FusedView, LidarTrajectory, PointVisibility
@@ -41,14 +38,11 @@ else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "FrameCounts": "sceneloom.colouring.cuboid_points:FrameCounts",
-            "Moment": "sceneloom.colouring.cuboid_points:Moment",
-            "PointCounts": "sceneloom.colouring.cuboid_points:PointCounts",
-            "count_points": "sceneloom.colouring.cuboid_points:count_points",
-            "with_activations": "sceneloom.colouring.cuboid_points:with_activations",
-            "with_counts": "sceneloom.colouring.cuboid_points:with_counts",
-            "with_labeled_points": "sceneloom.colouring.cuboid_points:with_labeled_points",
-            "Observations": "sceneloom.colouring.cuboid_projection:Observations",
+            "PointCounts": "sceneloom.colouring.cuboid_projection:PointCounts",
+            "count_points": "sceneloom.colouring.cuboid_projection:count_points",
+            "with_activations": "sceneloom.colouring.cuboid_projection:with_activations",
+            "with_counts": "sceneloom.colouring.cuboid_projection:with_counts",
+            "with_labeled_points": "sceneloom.colouring.cuboid_projection:with_labeled_points",
             "observe_cuboids": "sceneloom.colouring.cuboid_projection:observe_cuboids",
             "project_cuboids": "sceneloom.colouring.cuboid_projection:project_cuboids",
             "METHODS": "sceneloom.colouring.depth_completion:METHODS",
@@ -57,7 +51,6 @@ else:
             "ALGORITHMS": "sceneloom.colouring.algorithms:ALGORITHMS",
             "NO_CAMERA": "sceneloom.colouring.blending:NO_CAMERA",
             "BlendSettings": "sceneloom.colouring.blending:BlendSettings",
-            "BlendedPoints": "sceneloom.colouring.blending:BlendedPoints",
             "ColouredPoints": "sceneloom.colouring.algorithms:ColouredPoints",
             "ExposureGains": "sceneloom.colouring.exposure:ExposureGains",
             "ExposureLinks": "sceneloom.colouring.exposure:ExposureLinks",
@@ -75,7 +68,6 @@ else:
             "estimate_normals": "sceneloom.colouring.blending:estimate_normals",
             "find_visible": "sceneloom.colouring.visibility:find_visible",
             "fuse_by_projection": "sceneloom.colouring.algorithms:fuse_by_projection",
-            "view_points": "sceneloom.colouring.algorithms:view_points",
         },
     )
 
@@ -84,18 +76,14 @@ __all__ = [
     "METHODS",
     "NO_CAMERA",
     "BlendSettings",
-    "BlendedPoints",
     "ColouredPoints",
     "DenseDepth",
     "ExposureGains",
     "ExposureLinks",
-    "FrameCounts",
     "FusedFrame",
     "FusedView",
     "FusionAlgorithm",
     "LidarTrajectory",
-    "Moment",
-    "Observations",
     "PointCounts",
     "PointSources",
     "PointVisibility",
@@ -111,7 +99,6 @@ __all__ = [
     "fuse_by_projection",
     "observe_cuboids",
     "project_cuboids",
-    "view_points",
     "with_activations",
     "with_counts",
     "with_labeled_points",

@@ -44,9 +44,10 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numba import float64, int64
 from scipy.optimize import linear_sum_assignment
 
-from sceneloom.arrays import BoolArray, Float64Array, FloatArray, Int64Array, read_only
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, project_unbounded, unproject
 from sceneloom.colouring.cuboid_projection import CENTRE_TO_CORNER, COARSE, box_extents
@@ -57,18 +58,10 @@ from sceneloom.errors import OptionError
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels import existence, overlaps
-from sceneloom.kernels.box_fusion import (
-    AGREED,
-    boxes_from_eye,
-    boxes_with_area,
-    boxes_with_position,
-    pair_uncontested,
-    positions_by_height,
-    shifted_sides,
-    update_by_sides,
-)
-from sceneloom.kernels.boxes import points_in_cones
-from sceneloom.kernels.overlaps import hide_covered
+from sceneloom.kernels.box_fusion import AGREED, boxes_with_area, boxes_with_position
+from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.overlaps import box_area, common_area
+from sceneloom.kernels.signatures import IN_F32_2D, IN_F64_1D, IN_F64_2D, inlined, part, tuple_of
 from sceneloom.scene.detections import Boxes2D, Boxes3D, ScoreForm
 from sceneloom.scene.types import PointsFrame
 
@@ -122,7 +115,7 @@ def position_by_height(
     rays = unproject(camera, pixels).reshape(len(rows), 5, 3)
     rotation, translation = camera_from_lidar.rotation, camera_from_lidar.translation
     sizes, height = SIZES[kinds], float(camera.height)
-    found = positions_by_height(
+    found = _positions_by_height(
         corners_xyxy, rays, rows, sizes, rotation, translation, height, _BORDER_PX, *EDGES, _CUT_SIGMA
     )
     return _Placed(*found)
@@ -397,9 +390,9 @@ def project_outlines(
         CalibrationError: the camera model is unknown.
     """
     rotation, translation = camera_from_lidar.rotation, camera_from_lidar.translation
-    axes, corners, distances, gaps = boxes_from_eye(rotation, translation, CORNER_SIGNS, boxes)
+    axes, corners, distances, gaps = _boxes_from_eye(rotation, translation, CORNER_SIGNS, boxes)
     extents, shares = box_extents(camera, corners, steps=COARSE)
-    hide_covered(extents, shares, distances, gaps, np.ones(len(boxes)) if likely is None else likely, _NEAR, _APART)
+    _hide_covered(extents, shares, distances, gaps, np.ones(len(boxes)) if likely is None else likely, _NEAR, _APART)
     return Outlines(extents, shares, axes, corners)
 
 
@@ -452,7 +445,7 @@ def assign(gains: Float64Array) -> tuple[Int64Array, Int64Array]:
     Returns:
         (N,) int64, the column of each row, and (M,) int64, the row of each column; NO_BOX for none.
     """
-    of_rows, of_columns, rows, columns = pair_uncontested(gains)
+    of_rows, of_columns, rows, columns = _pair_uncontested(gains)
     if len(rows):
         table = gains[rows][:, columns]
         first, second = linear_sum_assignment(table, maximize=True)
@@ -519,10 +512,10 @@ def refine(
     corners, count = outlines.corners_camera, len(boxes)
     pixels = project_unbounded(camera, corners.reshape(-1, 3)).reshape(count, 8, 2)
     pixels += CENTRE_TO_CORNER
-    rows, sides, shifted = shifted_sides(
+    rows, sides, shifted = _shifted_sides(
         corners, pixels, partners, corners_xyxy, float(camera.width), float(camera.height), _BORDER_PX, _STEP
     )
-    update_by_sides(
+    _update_by_sides(
         boxes,
         covariances,
         camera_from_lidar.rotation,
@@ -717,3 +710,384 @@ def _labels(sweep: _Seen, image: _Seen, partners: Int64Array) -> list[str]:
         if says_nothing(labels[row]) or (surer and not says_nothing(other)):
             labels[row] = other
     return labels
+
+
+@kernel(
+    tuple_of(float64[:, :, ::1], float64[:, :, ::1], float64[::1], float64[::1])(
+        IN_F64_2D, IN_F64_1D, IN_F64_2D, IN_F64_2D
+    )
+)
+def _boxes_from_eye(
+    rotation: Float64Array, translation: Float64Array, signs: Float64Array, boxes: Float64Array
+) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+    """Take upright boxes into the frame of an eye.
+
+    Args:
+        rotation, translation: (3, 3) and (3,) [m], into that frame.
+        signs: (8, 3), on which side of the middle each corner lies.
+        boxes: (N, 7), middle, size [m] and heading [rad].
+
+    Returns:
+        (N, 3, 3), whose columns are the axes of the boxes; (N, 8, 3) [m], their corners; (N,) [m], how far their
+        middles are from the eye, and (N,) [m], how far they themselves.
+    """
+    count = len(boxes)
+    axes, corners, distances, gaps = np.empty((count, 3, 3)), np.empty((count, 8, 3)), np.empty(count), np.empty(count)
+    middle = np.empty(3)
+    for n in range(count):
+        cosine, sine, distance, gap = np.cos(boxes[n, 6]), np.sin(boxes[n, 6]), 0.0, 0.0
+        for k in range(3):
+            axes[n, k, 0] = rotation[k, 0] * cosine + rotation[k, 1] * sine
+            axes[n, k, 1] = rotation[k, 1] * cosine - rotation[k, 0] * sine
+            axes[n, k, 2] = rotation[k, 2]
+            middle[k] = translation[k]
+            for i in range(3):
+                middle[k] += rotation[k, i] * boxes[n, i]
+            distance += middle[k] * middle[k]
+        for k in range(3):
+            along = axes[n, 0, k] * middle[0] + axes[n, 1, k] * middle[1] + axes[n, 2, k] * middle[2]
+            gap += max(abs(along) - boxes[n, 3 + k] / 2.0, 0.0) ** 2
+        for c in range(8):
+            for k in range(3):
+                corners[n, c, k] = middle[k]
+                for i in range(3):
+                    corners[n, c, k] += signs[c, i] * boxes[n, 3 + i] / 2.0 * axes[n, k, i]
+        distances[n], gaps[n] = np.sqrt(distance), np.sqrt(gap)
+    return axes, corners, distances, gaps
+
+
+@kernel(tuple_of(int64[::1], int64[::1], int64[::1], int64[::1])(float64[:, ::1]))
+def _pair_uncontested(gains: Float64Array) -> tuple[Int64Array, Int64Array, Int64Array, Int64Array]:
+    """Pair rows of (N, M) gains with columns that gain with no other row, nor the rows with another column.
+
+    Returns:
+        (N,) int64, the column of each row, and (M,) int64, the row of each column; -1 for none; and the rows and the
+        columns, rising, that gain something, too, and are not paired.
+    """
+    partners, others = np.full(gains.shape[0], -1, np.int64), np.full(gains.shape[1], -1, np.int64)
+    of_rows, of_columns = np.zeros(gains.shape[0], np.int64), np.zeros(gains.shape[1], np.int64)
+    for i in range(gains.shape[0]):
+        for j in range(gains.shape[1]):
+            if gains[i, j] > 0.0:
+                of_rows[i] += 1
+                of_columns[j] += 1
+                partners[i], others[j] = j, i
+    for i in range(gains.shape[0]):
+        if of_rows[i] != 1 or of_columns[partners[i]] != 1:
+            partners[i] = -1
+    for j in range(gains.shape[1]):
+        if of_columns[j] != 1 or of_rows[others[j]] != 1:
+            others[j] = -1
+    return (
+        partners,
+        others,
+        np.flatnonzero((partners < 0) & (of_rows > 0)),
+        np.flatnonzero((others < 0) & (of_columns > 0)),
+    )
+
+
+@kernel(
+    tuple_of(int64[::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1])(
+        float64[:, ::1],
+        float64[:, :, ::1],
+        int64[::1],
+        IN_F64_2D,
+        IN_F64_2D,
+        IN_F64_1D,
+        float64,
+        float64,
+        float64,
+        float64,
+        float64,
+    )
+)
+def _positions_by_height(
+    boxes_xyxy: Float64Array, rays: Float64Array, rows: Int64Array, sizes: Float64Array, rotation: Float64Array,
+    translation: Float64Array, image_height: float, border: float, edge_share: float, edge_px: float, cut_sigma: float,
+) -> tuple[Int64Array, Float64Array, Float64Array, Float64Array, Float64Array, Float64Array]:  # fmt: skip
+    """Estimate where objects are by how high and wide an image shows them.
+
+    Args:
+        boxes_xyxy: (M, 4) [px].
+        rays: (L, 5, 3), unit, of the middle of each box that is asked for, of its top, bottom, left and right; NaN
+            where the camera model has none.
+        rows: (L,), which boxes these are.
+        sizes: (M, 6) [m], usual length, width and height of their classes, and the deviations of those.
+        rotation, translation: camera from lidar, (3, 3) and (3,) [m].
+        image_height: [px]; `border` [px], what comes so near to it may be cut.
+        edge_share, edge_px: deviation of an edge, as a share of its side, plus so many pixels.
+        cut_sigma: deviation of the distance of what may be cut at top or bottom, as a share of it.
+
+    Returns:
+        (P,) int64, boxes along which the camera model has rays; (P, 3) [m], positions in the lidar frame, (P, 3, 3)
+        [m²], their covariances; (P, 3) [m] sizes, (P, 3, 3) [m²] of them, and (P,) [m], distances from the camera.
+    """
+    most = len(rows)
+    kept, centers, spreads = np.empty(most, np.int64), np.empty((most, 3)), np.empty((most, 3, 3))
+    own, of_sizes, ranges = np.empty((most, 3)), np.zeros((most, 3, 3)), np.empty(most)
+    angles, ray, count = np.empty(2), np.empty(3), 0
+    for m in range(most):
+        box, size, five = boxes_xyxy[rows[m]], sizes[rows[m]], rays[m]
+        for pair in range(2):
+            chord = 0.0
+            for k in range(3):
+                chord += (five[1 + 2 * pair, k] - five[2 + 2 * pair, k]) ** 2
+            angles[pair] = 2.0 * np.arcsin(min(np.sqrt(chord) / 2.0, 1.0)) if np.isfinite(chord) else 0.0
+        if not (np.isfinite(five).all() and angles[0] > 0.0):
+            continue
+        distance = size[2] / (2.0 * np.tan(min(angles[0], 3.0) / 2.0)) + size[1] / 2.0
+        # variances along the ray and across, as shares of the distance squared
+        upright = (edge_share + edge_px / (box[3] - box[1])) ** 2
+        sideways = (edge_share + edge_px / (box[2] - box[0])) ** 2
+        along = (size[5] / size[2]) ** 2 + 2.0 * upright
+        if box[1] < border or box[3] > image_height - border:
+            along += cut_sigma**2
+        across = max(sideways * angles[1] ** 2, upright * angles[0] ** 2)
+        for k in range(3):
+            ray[k] = five[0, 0] * rotation[0, k] + five[0, 1] * rotation[1, k] + five[0, 2] * rotation[2, k]
+            eye = translation[0] * rotation[0, k] + translation[1] * rotation[1, k] + translation[2] * rotation[2, k]
+            centers[count, k] = distance * ray[k] - eye
+            own[count, k], of_sizes[count, k, k] = size[k], size[3 + k] ** 2
+        for k in range(3):
+            for i in range(3):
+                spreads[count, k, i] = distance**2 * (along - across) * (ray[k] * ray[i])
+            spreads[count, k, k] += distance**2 * across
+        kept[count], ranges[count] = rows[m], distance
+        count += 1
+    return kept[:count], centers[:count], spreads[:count], own[:count], of_sizes[:count], ranges[:count]
+
+
+@part
+def _find_sides(pixels, n, box, limits, border, sides, m):  # type: ignore[no-untyped-def]
+    """Fill in the corners that bound a box in an image, -1 for both of a pair of sides that it may cut."""
+    seen = True
+    for k in range(8):
+        seen = seen and np.isfinite(pixels[n, k, 0]) and np.isfinite(pixels[n, k, 1])
+    for axis in range(2):
+        low, high, last = 0, 0, limits[axis] - border
+        for k in range(1, 8):
+            low = k if pixels[n, k, axis] < pixels[n, low, axis] else low
+            high = k if pixels[n, k, axis] > pixels[n, high, axis] else high
+        whole = pixels[n, low, axis] >= border and pixels[n, high, axis] <= last
+        whole = whole and box[axis] >= border and box[axis + 2] <= last
+        found = seen and whole
+        sides[m, axis], sides[m, axis + 2] = (low, high) if found else (-1, -1)
+
+
+@kernel(
+    "Tuple((int64[::1], int64[:,::1], float64[:,::1]))(float64[:,:,::1], float64[:,:,::1], int64[::1], "
+    "float64[:,::1], float64, float64, float64, float64)"
+)
+def _shifted_sides(
+    corners: Float64Array, pixels: Float64Array, partners: Int64Array, boxes_xyxy: Float64Array, width: float,
+    height: float, border: float, step: float,
+) -> tuple[Int64Array, Int64Array, Float64Array]:  # fmt: skip
+    """Find the corners that bound boxes in an image, where it cuts neither them nor their partners, and move them.
+
+    Args:
+        corners: (N, 8, 3) [m].
+        pixels: (N, 8, 2) [px], of the corners; NaN for those that the camera model does not see.
+        partners: (N,), which box of the image is a box's partner, -1 for none.
+        boxes_xyxy: (M, 4) [px], boxes of the image.
+        width, height: of the image [px].
+        border: what comes so near to the border may be cut there [px].
+        step: how far corners are moved [m].
+
+    Returns:
+        rows: (P,) int64, the boxes with a partner; then of these
+        sides: (P, 4) int64, the corners at the left, top, right and bottom; -1 for both of a pair of sides that may be
+            cut, and for all four where a corner is not seen;
+        shifted: (P * 4 * 6, 3) float64 [m], of each of those corners, or any for -1, the location after a move along x,
+            y, z of its frame, then back along x, y, z.
+    """
+    rows = np.flatnonzero(partners >= 0)
+    sides, shifted = np.empty((len(rows), 4), np.int64), np.empty((len(rows) * 24, 3))
+    for m in range(len(rows)):
+        n = rows[m]
+        _find_sides(pixels, n, boxes_xyxy[partners[n]], (width, height), border, sides, m)
+        for side in range(4):
+            for c in range(6):
+                row = (m * 4 + side) * 6 + c
+                for k in range(3):
+                    shifted[row, k] = corners[n, max(sides[m, side], 0), k]
+                shifted[row, c % 3] += step if c < 3 else -step
+    return rows, sides, shifted
+
+
+@inlined
+def _add_slope(shifted, step, m, side, axis, rotation, axes, n, signs, weight, row):  # type: ignore[no-untyped-def]
+    """Add to a row how a side moves with the middle of its box and its sizes, (6,), times a weight."""
+    for c in range(3):
+        along = weight * (shifted[m, side, c, axis] - shifted[m, side, c + 3, axis]) / (2.0 * step)
+        for k in range(3):
+            row[k] += along * rotation[c, k]
+            row[k + 3] += along * axes[n, c, k] * signs[k] / 2.0
+
+
+@inlined
+def _update(states, covariances, n, row, residual, variance, gain):  # type: ignore[no-untyped-def]
+    """One scalar update of a state and its covariance; `gain` is room for six numbers."""
+    spread = variance
+    for k in range(6):
+        gain[k] = 0.0
+        for i in range(6):
+            gain[k] += covariances[n, k, i] * row[i]
+        spread += row[k] * gain[k]
+    for k in range(6):
+        states[n, k] += gain[k] / spread * residual
+    for k in range(6):
+        for i in range(k, 6):
+            changed = covariances[n, k, i] - gain[k] * gain[i] / spread
+            covariances[n, k, i] = changed
+            covariances[n, i, k] = changed
+
+
+@inlined
+def _deviation(box, number, sigmas, n):  # type: ignore[no-untyped-def]
+    """Deviation of a number of the image: of the middle across or upright, or of the height [px]."""
+    scale = box[2] - box[0] if number == 0 else box[3] - box[1]
+    return sigmas[n, 2 * number] + sigmas[n, 2 * number + 1] * scale
+
+
+@kernel(
+    "void(float64[:,::1], float64[:,:,::1], Array(float64, 2, 'C', readonly=True), float64[:,:,::1], "
+    "Array(float64, 2, 'C', readonly=True), float64[:,:,::1], int64[::1], int64[:,::1], float64[:,:,:,::1], float64, "
+    "int64[::1], float64[:,::1], float64[:,::1], float64, float64)"
+)
+def _update_by_sides(
+    states: Float64Array, covariances: Float64Array, rotation: Float64Array, axes: Float64Array, signs: Float64Array,
+    pixels: Float64Array, rows: Int64Array, sides: Int64Array, shifted: Float64Array, step: float, partners: Int64Array,
+    boxes_xyxy: Float64Array, sigmas: Float64Array, farthest: float, least_share: float,
+) -> None:  # fmt: skip
+    """Update boxes by the middle of their partners in the image, and by the height of those.
+
+    Each of the three numbers z = h(state) + noise is taken by itself, one after the other, with the slopes H of h where
+    the box was before all of them. One that is too far from what was expected there is left out.
+
+    Args:
+        states: (N, 6 or more) [m]: middle x, y, z, length, width, height; changed.
+        covariances: (N, 6, 6) [m²]; changed.
+        rotation: (3, 3), from the frame of the middles into the camera's.
+        axes: (N, 3, 3), whose columns are the boxes' axes in the camera's frame.
+        signs: (8, 3), on which side of the middle each corner lies.
+        pixels: (N, 8, 2) [px], of the corners.
+        rows, sides: (P,) and (P, 4) of `_shifted_sides`.
+        shifted: (P, 4, 6, 2) [px], where its corners are in the image.
+        step: [m].
+        partners: (N,), of `_shifted_sides`.
+        boxes_xyxy: (M, 4) [px], boxes of the image.
+        sigmas: (N, 6), deviations of the middle across: [px], and beside that as a share of the box's width; of the
+            middle upright and of the height likewise, as shares of the height.
+        farthest: a number farther off than so many deviations is left out.
+        least_share: no size shrinks below this share of what it was.
+
+    Source: Kalman 1960, "A New Approach to Linear Filtering and Prediction Problems"; one number after the other:
+    Bierman 1977, "Factorization Methods for Discrete Sequential Estimation", ch. II.
+    """
+    slopes, residuals, taken = np.empty((3, 6)), np.empty(3), np.empty(3, np.bool_)
+    gain, before, variances = np.empty(6), np.empty(6), np.empty(3)
+    for m in range(len(rows)):
+        n, box = rows[m], boxes_xyxy[partners[rows[m]]]
+        for number in range(3):
+            axis = 0 if number == 0 else 1
+            first, last = sides[m, axis], sides[m, axis + 2]
+            taken[number] = first >= 0
+            if not taken[number]:
+                continue
+            of_low, of_high = (0.5, 0.5) if number < 2 else (-1.0, 1.0)
+            slope = slopes[number]
+            slope[:] = 0.0
+            _add_slope(shifted, step, m, axis, axis, rotation, axes, n, signs[first], of_low, slope)
+            _add_slope(shifted, step, m, axis + 2, axis, rotation, axes, n, signs[last], of_high, slope)
+            residuals[number] = of_low * (box[axis] - pixels[n, first, axis])
+            residuals[number] += of_high * (box[axis + 2] - pixels[n, last, axis])
+            variances[number] = _deviation(box, number, sigmas, n) ** 2
+            spread = variances[number]
+            for k in range(6):
+                for i in range(6):
+                    spread += slope[k] * covariances[n, k, i] * slope[i]
+            # false for a NaN, too
+            taken[number] = residuals[number] * residuals[number] <= farthest * farthest * spread
+        for k in range(6):
+            before[k] = states[n, k]
+        for number in range(3):
+            if taken[number]:
+                residual = residuals[number]
+                for k in range(6):
+                    residual -= slopes[number, k] * (states[n, k] - before[k])
+                _update(states, covariances, n, slopes[number], residual, variances[number], gain)
+        for k in range(3, 6):
+            states[n, k] = max(states[n, k], least_share * before[k])
+
+
+# NumPy's sort takes the compiler two seconds
+@part
+def _nearest_first(shown: Int64Array, distances: Float64Array) -> Int64Array:
+    """Sort the numbers of boxes by their distances.
+
+    Source: Shell 1959, with the gaps of Ciura 2001.
+    """
+    order = shown.copy()
+    for gap in (701, 301, 132, 57, 23, 10, 4, 1):
+        for k in range(gap, len(order)):
+            n, i = k, order[k]
+            while n >= gap and not distances[order[n - gap]] <= distances[i]:
+                order[n] = order[n - gap]
+                n -= gap
+            order[n] = i
+    return order
+
+
+@kernel("void(float64[:,::1], float64[::1], float64[::1], float64[::1], float64[::1], float64, float64)")
+def _hide_covered(
+    boxes: Float64Array, shares: Float64Array, distances: Float64Array, gaps: Float64Array, likely: Float64Array,
+    near: float, margin: float,
+) -> None:  # fmt: skip
+    """Subtract from the visible share of each box what another one is likely to cover: the most of the nearer ones.
+
+    Args:
+        boxes: (N, 4) [px], left, top, right, bottom; those the wrong way round, or around the eye, become 0.
+        shares: (N,), changed; 0 for boxes without area.
+        distances: (N,) [m], how far each is.
+        gaps: (N,) [m], how far from the eye each begins.
+        likely: (N,), how likely it is that each exists.
+        near: what begins nearer than this is around the eye [m].
+        margin: boxes that are less nearer than this are in one location, and cover nothing [m].
+    """
+    for i in range(len(boxes)):
+        if gaps[i] <= near or boxes[i, 2] <= boxes[i, 0] or boxes[i, 3] <= boxes[i, 1]:
+            boxes[i], shares[i] = 0.0, 0.0
+    shown = np.flatnonzero((boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1]))
+    order = _nearest_first(shown, distances)
+    lefts, rights = boxes[order, 0], boxes[order, 2]
+    nearer = 0
+    for k in range(len(order)):
+        i, most = order[k], 0.0
+        while distances[order[nearer]] < distances[i] - margin:
+            nearer += 1
+        for n in range(nearer):
+            if lefts[n] < boxes[i, 2] and rights[n] > boxes[i, 0]:
+                j = order[n]
+                most = max(most, likely[j] * common_area(boxes, i, boxes, j) / box_area(boxes, i))
+        shares[i] *= 1.0 - most
+
+
+@kernel(int64[::1](IN_F32_2D, IN_F64_1D, IN_F64_2D, IN_F64_1D))
+def points_in_cones(points: Float32Array, apex: Float64Array, axes: Float64Array, cosines: Float64Array) -> Int64Array:
+    """Choose the points that lie in any of the cones.
+
+    `points` (N, 3) [m]; those that are not finite lie in none; `apex` (3,) [m], where all cones begin; `axes` (L, 3),
+    unit, where they lead; `cosines` (L,), of the angles between their axes and their sides, above 0. Returns (M,)
+    int64, rising, which points.
+    """
+    kept, count = np.empty(len(points), np.int64), 0
+    for n in range(len(points)):
+        x, y, z = points[n, 0] - apex[0], points[n, 1] - apex[1], points[n, 2] - apex[2]
+        square = x * x + y * y + z * z
+        for k in range(len(axes)):
+            along = x * axes[k, 0] + y * axes[k, 1] + z * axes[k, 2]
+            if along > 0.0 and along * along >= cosines[k] * cosines[k] * square and square < np.inf:
+                kept[count] = n
+                count += 1
+                break
+    return kept[:count]

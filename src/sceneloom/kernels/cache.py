@@ -25,7 +25,7 @@ _MAKERS: Mapping[re.Pattern[str], int] = {
 
 _IMPORTED = re.compile(r"^\s*(?:from|import) (sceneloom\.[\w.]+)(?: import (?:\(([^)]*)|([\w, ]+)))?", re.MULTILINE)
 _PACKAGE = Path(__file__).parents[1]
-PACKAGES = ("kernels", "cameras", "colouring", "simulate")
+PACKAGES = ("kernels", "cameras", "colouring", "motion", "detections", "tracking", "calibrate", "simulate")
 """Those with kernels."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])

@@ -10,7 +10,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.signatures import inlined, part
+from sceneloom.kernels.signatures import inlined
 
 
 @inlined
@@ -77,58 +77,6 @@ def pair_gains(
             worth = (1.0 + common / both - (hull - both) / hull) / 2.0
             gains[i, j] = worth * weight * (1.0 + surer * (first_shares[i] + second_shares[j]) / 2.0)
     return gains
-
-
-# NumPy's sort takes the compiler two seconds
-@part
-def _nearest_first(shown: Int64Array, distances: Float64Array) -> Int64Array:
-    """Sort the numbers of boxes by their distances.
-
-    Source: Shell 1959, with the gaps of Ciura 2001.
-    """
-    order = shown.copy()
-    for gap in (701, 301, 132, 57, 23, 10, 4, 1):
-        for k in range(gap, len(order)):
-            n, i = k, order[k]
-            while n >= gap and not distances[order[n - gap]] <= distances[i]:
-                order[n] = order[n - gap]
-                n -= gap
-            order[n] = i
-    return order
-
-
-@kernel("void(float64[:,::1], float64[::1], float64[::1], float64[::1], float64[::1], float64, float64)")
-def hide_covered(
-    boxes: Float64Array, shares: Float64Array, distances: Float64Array, gaps: Float64Array, likely: Float64Array,
-    near: float, margin: float,
-) -> None:  # fmt: skip
-    """Subtract from the visible share of each box what another one is likely to cover: the most of the nearer ones.
-
-    Args:
-        boxes: (N, 4) [px], left, top, right, bottom; those the wrong way round, or around the eye, become 0.
-        shares: (N,), changed; 0 for boxes without area.
-        distances: (N,) [m], how far each is.
-        gaps: (N,) [m], how far from the eye each begins.
-        likely: (N,), how likely it is that each exists.
-        near: what begins nearer than this is around the eye [m].
-        margin: boxes that are less nearer than this are in one location, and cover nothing [m].
-    """
-    for i in range(len(boxes)):
-        if gaps[i] <= near or boxes[i, 2] <= boxes[i, 0] or boxes[i, 3] <= boxes[i, 1]:
-            boxes[i], shares[i] = 0.0, 0.0
-    shown = np.flatnonzero((boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1]))
-    order = _nearest_first(shown, distances)
-    lefts, rights = boxes[order, 0], boxes[order, 2]
-    nearer = 0
-    for k in range(len(order)):
-        i, most = order[k], 0.0
-        while distances[order[nearer]] < distances[i] - margin:
-            nearer += 1
-        for n in range(nearer):
-            if lefts[n] < boxes[i, 2] and rights[n] > boxes[i, 0]:
-                j = order[n]
-                most = max(most, likely[j] * common_area(boxes, i, boxes, j) / box_area(boxes, i))
-        shares[i] *= 1.0 - most
 
 
 _NOTHING = float(np.finfo(np.float64).eps)

@@ -14,6 +14,11 @@ def read_only(dtype: Any, dimensions: int) -> Any:
     return types.Array(dtype, dimensions, "C", readonly=True)
 
 
+def tuple_of(*kinds: Any) -> Any:
+    """Make the type of a tuple that a kernel returns."""
+    return types.Tuple(kinds)  # type: ignore[no-untyped-call]
+
+
 IN_BOOL_1D = read_only(boolean, 1)
 IN_U8_1D, IN_U8_2D, IN_U8_3D = (read_only(uint8, n) for n in (1, 2, 3))
 IN_U16_1D, IN_U16_2D = (read_only(uint16, n) for n in (1, 2))

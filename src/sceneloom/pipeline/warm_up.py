@@ -25,10 +25,7 @@ _FUSION = (
     *_of("kernels.projection", "_draw_rows"),
     *_of("colouring.visibility", "find_slopes _read_keys _position_grid"),
 )
-_ODOMETRY = (
-    *_of("kernels.scan_matching", "accumulate_normal_equations describe_surfaces"),
-    *_of("kernels.scan_matching", "insert_points move_points"),
-)
+_ODOMETRY = (*_of("motion.odometry", "accumulate_normal_equations _describe_surfaces _insert_points move_points"),)
 _READING = (*_of("kernels.images", "rgb_from_halved_chroma"), *_of("kernels.packed", "unpack"))
 _DEPTH = _of(
     "colouring.depth_completion",
@@ -44,16 +41,20 @@ _COLOUR = (
 _DEMO = (*_of("simulate.casting", "_paint_rays _trace_rays"), *_of("kernels.voxels", "number_cubes first_of_cubes"))
 _CALIBRATION = (
     *_of("kernels.projection", "_map_all"),
-    *_of("kernels.image_agreement", "sum_edges fill_histogram sum_by_table"),
+    *_of("calibrate.measures", "sum_edges fill_histogram sum_by_table"),
 )
 _DETECTIONS = (
-    *_of("kernels.box_fusion", "update_by_sides positions_by_height boxes_from_eye usual_covariances shifted_sides"),
+    *_of("detections.projection", "_update_by_sides _positions_by_height _boxes_from_eye"),
+    *_of("kernels.box_fusion", "usual_covariances"),
+    *_of("detections.projection", "_shifted_sides"),
     *_of("colouring.cuboid_projection", "sample_edges bound_edges extend_to_corners halve_steps extend_bounds"),
-    *_of("kernels.overlaps", "pair_gains hide_covered"),
+    *_of("kernels.overlaps", "pair_gains"),
+    *_of("detections.projection", "_hide_covered"),
     *_of("kernels.existence", "scores_of_sweep reported_odds scores_of_image"),
-    *_of("kernels.box_fusion", "boxes_with_position boxes_with_area pair_uncontested single_precision"),
+    *_of("kernels.box_fusion", "boxes_with_position boxes_with_area single_precision"),
+    *_of("detections.projection", "_pair_uncontested"),
 )
-_TRACKING = _of("kernels.tracking", "add_gains_in_image gains_in_space without_twins predict read_boxes read_no_slip")
+_TRACKING = _of("tracking.tracker", "add_gains_in_image gains_in_space without_twins _predict _read_boxes read_no_slip")
 _OF_SCENES = {"fuse": (), "depth": _DEPTH, "colour": _COLOUR, "demo": _DEMO, "calibrate": _CALIBRATION, "deskew": ()}
 _OF_BOXES = {"detections": _DETECTIONS, "track": (*_DETECTIONS, *_TRACKING)}
 

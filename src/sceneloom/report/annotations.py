@@ -10,8 +10,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.colouring.cuboid_points import count_points
-from sceneloom.colouring.cuboid_projection import observe_cuboids
+from sceneloom.colouring.cuboid_projection import count_points, observe_cuboids
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.report.content import (
     NOTHING,

@@ -10,6 +10,7 @@ within tolerances; what is stationary has one, and holds at all times. What look
 `review` and, the worst first, in the scene's metadata.
 """
 
+import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -19,13 +20,19 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.colouring.cuboid_points import PointCounts, count_points, with_activations, with_counts
-from sceneloom.colouring.cuboid_projection import project_cuboids
+from sceneloom.colouring.cuboid_projection import (
+    PointCounts,
+    count_points,
+    project_cuboids,
+    with_activations,
+    with_counts,
+)
 from sceneloom.detections.detectors import kind_name
 from sceneloom.editing.references import skipped, with_ours, with_warnings
 from sceneloom.errors import CalibrationError, PoseError
 from sceneloom.geometry.rigid import rotate_vectors
-from sceneloom.kernels.tracking import fewest_keyframes
+from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.signatures import inlined, part
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,
@@ -74,7 +81,7 @@ class _LabelPath:
         if self.stands:
             return np.zeros(1, np.int64)
         keep = 1.0 - _ROUNDING
-        return fewest_keyframes(
+        return _fewest_keyframes(
             np.array(self.timestamps_ns),
             np.array(self.boxes),
             settings.tolerance_m * keep,
@@ -735,3 +742,66 @@ def _empty(tracks: Sequence[Track], counts: PointCounts | None) -> list[_Flag]:
         if len(rows):
             found += _flag(track, FlagKind.EMPTY, float((points == 0).mean()), int(rows[points.argmin()]))
     return found
+
+
+_NEAR_HALF_ROTATION = math.radians(179.0)  # beyond this, rounding decides which way round is shorter [rad]
+
+
+@inlined
+def _shortest(angle):  # type: ignore[no-untyped-def]
+    """The same rotation, from -π to π [rad]."""
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@part
+def _gives_between(times, boxes, location, turn, a, b):  # type: ignore[no-untyped-def]
+    """Whether two keyframes give all rows between them: centre and size linearly, the heading the shorter way round."""
+    if b == a + 1:
+        return True
+    rotated = _shortest(boxes[b, 6] - boxes[a, 6])
+    if abs(rotated) > _NEAR_HALF_ROTATION:
+        return False
+    for k in range(a + 1, b):
+        share = (times[k] - times[a]) / (times[b] - times[a])
+        away = larger = 0.0
+        for c in range(3):
+            away += (boxes[a, c] + share * (boxes[b, c] - boxes[a, c]) - boxes[k, c]) ** 2
+            larger += (boxes[a, c + 3] + share * (boxes[b, c + 3] - boxes[a, c + 3]) - boxes[k, c + 3]) ** 2
+        apart = abs(_shortest(boxes[a, 6] + share * rotated - boxes[k, 6]))
+        if not (away <= location * location and larger <= location * location and apart <= turn):
+            return False
+    return True
+
+
+@kernel("int64[::1](int64[::1], float64[:,::1], float64, float64)")
+def _fewest_keyframes(times: Int64Array, boxes: Float64Array, location: float, turn: float) -> Int64Array:
+    """Choose the fewest rows of a box over time from which interpolation gives all others within tolerances.
+
+    The rows are joined wherever two of them report all between them, and the path of the fewest joints from the
+    first to the last is taken: a search in breadth, which looks at the farthest row first.
+
+    `times` (K,) int64, rising; `boxes` (K, 7), centre and size [m] and heading [rad]; `location`: largest distance of
+    centres, and of sizes as vectors [m]; `turn`: largest difference of headings [rad]. Returns (N,) int64, rising, the
+    first and the last row among them.
+
+    Source: Imai and Iri 1988, "Polygonal approximations of a curve", which the shortest path over such joints is.
+    """
+    count = len(times)
+    if count < 3:
+        return np.arange(count)
+    before, queue = np.full(count, -1), np.zeros(count, np.int64)
+    head, tail = 0, 1
+    while head < tail and before[count - 1] < 0:
+        a = queue[head]
+        head += 1
+        for b in range(count - 1, a, -1):
+            if before[b] < 0 and _gives_between(times, boxes, location, turn, a, b):
+                before[b], queue[tail] = a, b
+                tail += 1
+    kept, row = np.empty(count, np.int64), count - 1
+    found = 0
+    while row > 0:
+        kept[found] = row
+        found, row = found + 1, before[row]
+    kept[found] = 0
+    return kept[: found + 1][::-1].copy()

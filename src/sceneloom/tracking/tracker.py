@@ -65,8 +65,9 @@ from sceneloom.detections.detectors import KINDS, SAYS_NOTHING, kind_name
 from sceneloom.detections.projection import Outlines, assign_pairs, fuse_by_projection, project_outlines
 from sceneloom.detections.results import NO_BOX, DetectionAlgorithm, DetectionPair, FusedBoxes
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels import tracking
-from sceneloom.kernels.tracking import add_gains_in_image, gains_in_space, without_twins
+from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.overlaps import box_area, common_area
+from sceneloom.kernels.signatures import inlined, part
 from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.types import Identifier
 from sceneloom.tracking.settings import ImageBox, TrackerSettings
@@ -303,7 +304,7 @@ _EMPTY: dict[str, Any] = {
     "rows_3d": np.zeros(0, np.int64),
 }
 
-SIZE, _MEASURED = tracking.SIZE, tracking.MEASURED
+SIZE, _MEASURED = 11, 7
 YAW, ROTATION = 6, 10
 
 _FREEDOM = 4.0  # degrees of freedom of what boxes are off
@@ -339,7 +340,7 @@ def predicted(
             [fast, _ACROSS * fast, _CLIMB, _SIZE_DRIFT, _VEHICLE_HEADING_DRIFT, rotating],
         ]
     )
-    moved: tuple[Float64Array, Float64Array, Float64Array] = tracking.predict(
+    moved: tuple[Float64Array, Float64Array, Float64Array] = _predict(
         means, covariances, vehicles, seconds, _ROTATION_TIME, deviations**2
     )
     return moved
@@ -357,12 +358,7 @@ def read(
 
     Headings of boxes that are off by more than a right angle are taken the other way round.
     """
-    tracking.read_boxes(means, covariances, rows, measures, noises, columns, _FREEDOM)
-
-
-def read_no_slip(means: Float64Array, covariances: Float64Array, vehicles: BoolArray, side_slip: float) -> None:
-    """Read of vehicles, in place, that they do not move across their heading, but for so much [m/s]."""
-    tracking.read_no_slip(means, covariances, vehicles, side_slip**2)
+    _read_boxes(means, covariances, rows, measures, noises, columns, _FREEDOM)
 
 
 def probabilities(log_odds: Float64Array) -> Float64Array:
@@ -617,7 +613,7 @@ _LOCATION = [0, 1, 4]  # what says where a box is on the ground, and how wide
 _SPEEDS = ((10.0, 2.0), (1.5, 1.5))
 """Deviation of the speed of what is seen for the first time, along and across its heading: vehicles, people [m/s]."""
 
-_TRACKER_CLIMB, _ROTATION = 0.3, 0.2  # the same of climbing [m/s] and rotating [rad/s]
+_FIRST_CLIMB, _ROTATION = 0.3, 0.2  # the same of climbing [m/s] and rotating [rad/s]
 
 
 def _unclaimed(seen: _Observations, free: BoolArray, objects: _Population) -> Int64Array:
@@ -658,7 +654,7 @@ def _states(seen: _Observations, rows: Int64Array) -> tuple[Float64Array, Float6
     covariances[:, 7, 7] = along * cosines**2 + across * sines**2
     covariances[:, 8, 8] = along * sines**2 + across * cosines**2
     covariances[:, 7, 8] = covariances[:, 8, 7] = (along - across) * cosines * sines
-    covariances[:, 9, 9], covariances[:, 10, 10] = _TRACKER_CLIMB**2, _ROTATION**2
+    covariances[:, 9, 9], covariances[:, 10, 10] = _FIRST_CLIMB**2, _ROTATION**2
     return means, covariances
 
 
@@ -790,7 +786,7 @@ class Tracker:
         """Read of some objects the boxes that are theirs."""
         settings = self.settings
         read(objects.means, objects.covariances, rows, seen.measures, seen.covariances, columns)
-        read_no_slip(objects.means, objects.covariances, objects.vehicles, settings.side_slip)
+        read_no_slip(objects.means, objects.covariances, objects.vehicles, settings.side_slip**2)
         gained = seen.log_odds[columns] - log_odds(settings.prior)
         objects.log_odds[rows] = predicted.log_odds[rows] + settings.trust * gained
         objects.votes[rows] += self._votes(seen, columns)
@@ -923,3 +919,405 @@ def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
         supports=objects.supports,
         corners_xyxy=corners,
     )
+
+
+@inlined
+def _wrapped(angle):  # type: ignore[no-untyped-def]
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+@part
+def _move(mean, slope, vehicle, seconds, rotation_time):  # type: ignore[no-untyped-def]
+    """Move one state on in place, and write its slopes."""
+    slope[:] = 0.0
+    for k in range(SIZE):
+        slope[k, k] = 1.0
+    x, y, rate = mean[7], mean[8], mean[ROTATION]
+    angle = rate * seconds if vehicle else 0.0
+    lever = seconds if vehicle else 0.0
+    cosine, sine = np.cos(angle), np.sin(angle)
+    rotated_x, rotated_y = cosine * x - sine * y, sine * x + cosine * y
+    half = seconds / 2.0
+    mean[0] += half * (x + rotated_x)
+    mean[1] += half * (y + rotated_y)
+    mean[2] += seconds * mean[9]
+    mean[YAW] = _wrapped(mean[YAW] + rate * seconds)
+    mean[7], mean[8] = rotated_x, rotated_y
+    decay = np.exp(-seconds / rotation_time)
+    mean[ROTATION] = rate * decay
+    slope[0, 7], slope[0, 8] = half * (1.0 + cosine), -half * sine
+    slope[1, 7], slope[1, 8] = half * sine, half * (1.0 + cosine)
+    slope[0, ROTATION], slope[1, ROTATION] = -half * lever * rotated_y, half * lever * rotated_x
+    slope[2, 9] = seconds
+    slope[YAW, ROTATION] = seconds
+    slope[7, 7], slope[7, 8], slope[7, ROTATION] = cosine, -sine, -lever * rotated_y
+    slope[8, 7], slope[8, 8], slope[8, ROTATION] = sine, cosine, lever * rotated_x
+    slope[ROTATION, ROTATION] = decay
+
+
+@part
+def _shake(covariance, heading, seconds, variances):  # type: ignore[no-untyped-def]
+    """Add to one covariance what white noise of accelerations does in so long."""
+    along, across, climb, sizes = variances[0], variances[1], variances[2], variances[3]
+    yaw, turn = variances[4], variances[5]
+    cosine, sine = np.cos(heading), np.sin(heading)
+    xx = along * cosine * cosine + across * sine * sine
+    yy = along * sine * sine + across * cosine * cosine
+    xy = (along - across) * cosine * sine
+    cubed, squared = seconds**3 / 3.0, seconds**2 / 2.0
+    for i, j, value in ((0, 0, xx), (0, 1, xy), (1, 0, xy), (1, 1, yy), (2, 2, climb)):
+        covariance[i, j] += value * cubed
+        covariance[i, 7 + j] += value * squared
+        covariance[7 + i, j] += value * squared
+        covariance[7 + i, 7 + j] += value * seconds
+    for k in range(3, 6):
+        covariance[k, k] += sizes * seconds
+    covariance[YAW, YAW] += yaw * seconds + turn * cubed
+    covariance[YAW, ROTATION] += turn * squared
+    covariance[ROTATION, YAW] += turn * squared
+    covariance[ROTATION, ROTATION] += turn * seconds
+
+
+@kernel(
+    "Tuple((float64[:,::1], float64[:,:,::1], float64[:,:,::1]))(float64[:,::1], float64[:,:,::1], boolean[::1], "
+    "float64, float64, float64[:,::1])"
+)
+def _predict(
+    means: Float64Array, covariances: Float64Array, vehicles: BoolArray, seconds: float, rotation_time: float,
+    variances: Float64Array,
+) -> tuple[Float64Array, Float64Array, Float64Array]:  # fmt: skip
+    """Predict states `seconds` later, with the noise of that time.
+
+    `means`, `covariances` (N, 11) and (N, 11, 11); `vehicles` (N,), whether their velocity rotates with them;
+    `rotation_time` [s], after which rotation has died down; `variances` (2, 6), of people and of vehicles: densities of
+    the noise of acceleration along the heading, across it and upwards, of sizes, of the heading and of rotation.
+    Returns means and covariances afterwards, and the slopes (N, 11, 11) of the means.
+    """
+    count = len(means)
+    moved, spread = means.copy(), np.zeros((count, SIZE, SIZE))
+    slopes, half = np.empty((count, SIZE, SIZE)), np.empty((SIZE, SIZE))
+    for n in range(count):
+        noise = variances[1 if vehicles[n] else 0]
+        _move(moved[n], slopes[n], vehicles[n], seconds, rotation_time)
+        half[:] = 0.0
+        for i in range(SIZE):
+            for k in range(SIZE):
+                if slopes[n, i, k] != 0.0:
+                    for j in range(SIZE):
+                        half[i, j] += slopes[n, i, k] * covariances[n, k, j]
+        for j in range(SIZE):
+            for k in range(SIZE):
+                if slopes[n, j, k] != 0.0:
+                    for i in range(SIZE):
+                        spread[n, i, j] += half[i, k] * slopes[n, j, k]
+        _shake(spread[n], means[n, YAW], seconds, noise)
+    return moved, spread, slopes
+
+
+@part
+def _factored(matrix, root):  # type: ignore[no-untyped-def]
+    """Write Cholesky's lower triangle of a matrix; False where it is not positive."""
+    size = len(matrix)
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= root[i, k] * root[j, k]
+            if i > j:
+                root[i, j] = total / root[j, j]
+            elif total > 0.0:
+                root[i, i] = np.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@part
+def _solve(root, vector):  # type: ignore[no-untyped-def]
+    """Solve L Lᵀ x = v in place."""
+    size = len(vector)
+    for i in range(size):
+        for k in range(i):
+            vector[i] -= root[i, k] * vector[k]
+        vector[i] /= root[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            vector[i] -= root[k, i] * vector[k]
+        vector[i] /= root[i, i]
+
+
+@part
+def _weighed(covariance, noise, apart, root, spread, solved, freedom):  # type: ignore[no-untyped-def]
+    """Factor the covariance of a box, wider for one that is far off; False where it is none."""
+    wider = 1.0
+    for attempt in range(2):
+        for i in range(_MEASURED):
+            for j in range(_MEASURED):
+                spread[i, j] = covariance[i, j] + noise[i, j] * wider
+        if not _factored(spread, root):
+            return False
+        if attempt == 0:
+            # number by number: to assign a whole array takes the compiler three seconds, for its error's text
+            for i in range(_MEASURED):
+                solved[i] = apart[i]
+            _solve(root, solved)
+            off = 0.0
+            for i in range(_MEASURED):
+                off += apart[i] * solved[i]
+            wider = (freedom + off) / (freedom + _MEASURED)
+            if wider <= 1.0:
+                break
+    return True
+
+
+@part
+def _read(mean, covariance, apart, root, crossed, gain):  # type: ignore[no-untyped-def]
+    """Kalman's update of one state, in place."""
+    for i in range(SIZE):
+        for j in range(_MEASURED):
+            crossed[i, j] = gain[i, j] = covariance[i, j]
+        _solve(root, gain[i])
+        for j in range(_MEASURED):
+            mean[i] += gain[i, j] * apart[j]
+    for i in range(SIZE):
+        for j in range(i + 1):
+            for k in range(_MEASURED):
+                covariance[i, j] -= gain[i, k] * crossed[j, k]
+            covariance[j, i] = covariance[i, j]
+    mean[YAW] = _wrapped(mean[YAW])
+
+
+@kernel("void(float64[:,::1], float64[:,:,::1], int64[::1], float64[:,::1], float64[:,:,::1], int64[::1], float64)")
+def _read_boxes(
+    means: Float64Array, covariances: Float64Array, rows: Int64Array, measures: Float64Array, noises: Float64Array,
+    columns: Int64Array, freedom: float,
+) -> None:  # fmt: skip
+    """Read a box of each of some states, in place.
+
+    Headings that are off by more than a right angle are taken the other way round; boxes that are further off than
+    their covariances state are taken for less sure, as under Student's distribution.
+
+    `means`, `covariances` (N, 11) and (N, 11, 11), are changed; `rows` (K,), which of them; `measures`, `noises` (M, 7)
+    and (M, 7, 7); `columns` (K,), the box of each; `freedom`: degrees of freedom.
+    """
+    root, spread = np.zeros((_MEASURED, _MEASURED)), np.empty((_MEASURED, _MEASURED))
+    apart, solved = np.empty(_MEASURED), np.empty(_MEASURED)
+    crossed, gain = np.empty((SIZE, _MEASURED)), np.empty((SIZE, _MEASURED))
+    for k in range(len(rows)):
+        n, m = rows[k], columns[k]
+        for i in range(_MEASURED):
+            apart[i] = measures[m, i] - means[n, i]
+        turn = _wrapped(apart[YAW])
+        apart[YAW] = turn - np.pi * np.round(turn / np.pi)
+        if _weighed(covariances[n], noises[m], apart, root, spread, solved, freedom):
+            _read(means[n], covariances[n], apart, root, crossed, gain)
+
+
+@kernel("void(float64[:,::1], float64[:,:,::1], boolean[::1], float64)")
+def read_no_slip(means: Float64Array, covariances: Float64Array, vehicles: BoolArray, variance: float) -> None:
+    """Read of vehicles that their velocity across their heading is 0, in place.
+
+    `means`, `covariances` (N, 11) and (N, 11, 11), are changed; `vehicles` (N,); `variance`: of that velocity [m²/s²].
+    """
+    spread = np.empty(SIZE)
+    for n in range(len(means)):
+        if not vehicles[n]:
+            continue
+        cosine, sine = np.cos(means[n, YAW]), np.sin(means[n, YAW])
+        along = cosine * means[n, 7] + sine * means[n, 8]
+        across = cosine * means[n, 8] - sine * means[n, 7]
+        total = variance
+        for i in range(SIZE):
+            row = covariances[n, i]
+            spread[i] = cosine * row[8] - sine * row[7] - along * row[YAW]
+        total += cosine * spread[8] - sine * spread[7] - along * spread[YAW]
+        for i in range(SIZE):
+            means[n, i] -= spread[i] * across / total
+            for j in range(SIZE):
+                covariances[n, i, j] -= spread[i] * spread[j] / total
+        means[n, YAW] = _wrapped(means[n, YAW])
+
+
+@inlined
+def _heavy(square, count, freedom):  # type: ignore[no-untyped-def]
+    """Squares of deviations as heavy tails take them: near 0 as they are, far away as their logarithm."""
+    return (freedom + count) * np.log1p(square / freedom)
+
+
+@inlined
+def _may_be_one(a, i, b, j):  # type: ignore[no-untyped-def]
+    """Whether classes are equal, of one family, or one of them says nothing."""
+    if a[i, 0] == b[j, 0] or a[i, 0] < 0 or b[j, 0] < 0:
+        return True
+    return a[i, 1] == b[j, 1] and a[i, 1] >= 0
+
+
+@inlined
+def _trace(matrices, i):  # type: ignore[no-untyped-def]
+    return matrices[i, 0, 0] + matrices[i, 1, 1] + matrices[i, 2, 2]
+
+
+@part
+def _with_room(column, room):  # type: ignore[no-untyped-def]
+    """The same numbers, and room for more behind them."""
+    wider = np.empty(room, column.dtype)
+    for k in range(len(column)):
+        wider[k] = column[k]
+    return wider
+
+
+@kernel(
+    "Tuple((int64[::1], int64[::1], float64[::1]))(float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], "
+    "float64[:,::1], float64[:,:,::1], int64[:,::1], float64[::1], float64, float64, float64)"
+)
+def gains_in_space(
+    locations: Float64Array, spreads: Float64Array, codes: Int64Array, expected: Float64Array,
+    seen_positions: Float64Array, seen_spreads: Float64Array, seen_codes: Int64Array, seen_doubts: Float64Array,
+    least_variance: float, freedom: float, most: float,
+) -> tuple[Int64Array, Int64Array, Float64Array]:  # fmt: skip
+    """Compare where objects are expected with where boxes are.
+
+    Args:
+        locations, spreads: (N, 3) and (N, 3, 3) [m, m²], of objects.
+        codes: (N, 2), class and family, -1 for none.
+        expected: (N,), logarithm of how many boxes of other things lie around each [1/m²].
+        seen_positions, seen_spreads, seen_codes: the same of M boxes.
+        seen_doubts: (M,), what is added for each box.
+        least_variance: is added along each axis [m²].
+        freedom: degrees of freedom of Student's distribution.
+        most: how much images can add later; pairs that will stay below 0 are left out.
+
+    Returns:
+        The pairs that may be one: (K,) int64 objects, rising, (K,) int64 boxes, and (K,) float64 logarithms of ratios
+        of likelihoods on the ground.
+    """
+    count = len(seen_positions)
+    xs, ys, zs = seen_positions[:, 0].copy(), seen_positions[:, 1].copy(), seen_positions[:, 2].copy()
+    reach = np.empty(count)
+    for j in range(count):
+        reach[j] = _trace(seen_spreads, j) + 3.0 * least_variance
+    room, found = 4 * (len(locations) + count), 0
+    rows, columns, gains = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+    near = np.empty(count, np.int64)
+    for i in range(len(locations)):
+        # no pair is worth more than one whose locations are known as well as can be; farther ones are hopeless
+        best = most - expected[i] - np.log(2.0 * np.pi * least_variance)
+        farthest = freedom * np.expm1(max(2.0 * best, 0.0) / (freedom + 3.0))
+        own, nearby = _trace(spreads, i), 0
+        for j in range(count):
+            x, y, z = xs[j] - locations[i, 0], ys[j] - locations[i, 1], zs[j] - locations[i, 2]
+            near[nearby] = j
+            nearby += x * x + y * y + z * z <= farthest * (own + reach[j])
+        if found + nearby > room:
+            room = 2 * (found + nearby)
+            rows, columns, gains = _with_room(rows, room), _with_room(columns, room), _with_room(gains, room)
+        for k in range(nearby):
+            j = near[k]
+            if not _may_be_one(codes, i, seen_codes, j):
+                continue
+            x = seen_positions[j, 0] - locations[i, 0]
+            y = seen_positions[j, 1] - locations[i, 1]
+            z = seen_positions[j, 2] - locations[i, 2]
+            a = spreads[i, 0, 0] + seen_spreads[j, 0, 0] + least_variance
+            b = spreads[i, 0, 1] + seen_spreads[j, 0, 1]
+            c = spreads[i, 0, 2] + seen_spreads[j, 0, 2]
+            d = spreads[i, 1, 1] + seen_spreads[j, 1, 1] + least_variance
+            e = spreads[i, 1, 2] + seen_spreads[j, 1, 2]
+            f = spreads[i, 2, 2] + seen_spreads[j, 2, 2] + least_variance
+            area = a * d - b * b
+            # the adjugate of the symmetric matrix, row by row
+            r, s, t = d * f - e * e, c * e - b * f, b * e - c * d
+            whole = a * r + b * s + c * t
+            square = x * x * r + y * y * (a * f - c * c) + z * z * area
+            square += 2.0 * (x * y * s + x * z * t + y * z * (b * c - a * e))
+            far = _heavy(square / whole, 3.0, freedom)
+            gain = seen_doubts[j] - expected[i] - np.log(2.0 * np.pi) - 0.5 * (np.log(area) + far)
+            if gain > -most:
+                rows[found], columns[found], gains[found] = i, j, gain
+                found += 1
+    return rows[:found].copy(), columns[:found].copy(), gains[:found].copy()
+
+
+@kernel(
+    "void(int64[::1], int64[::1], float64[::1], float64[:,::1], float64[:,::1], boolean[::1], float64, float64, "
+    "float64, float64)"
+)
+def add_gains_in_image(
+    rows: Int64Array, columns: Int64Array, gains: Float64Array, foreseen: Float64Array, corners: Float64Array,
+    measured: BoolArray, sigma: float, usual: float, least: float, freedom: float,
+) -> None:  # fmt: skip
+    """Add to gains what boxes in an image state.
+
+    Args:
+        rows, columns: (K,), pairs of objects and boxes.
+        gains: (K,), are changed in place; -inf for what cannot be one.
+        foreseen, corners: (N, 4) and (M, 4) [px], where objects are expected and where boxes are, NaN for none.
+        measured: (M,), whether there is a box in space behind the one in the image.
+        sigma: deviation of the share by which boxes of one object fail to overlap.
+        usual: the share of overlap that says nothing.
+        least: a box in the image alone that overlaps less is not of the object.
+        freedom: degrees of freedom of Student's distribution.
+    """
+    neutral = _heavy(((1.0 - usual) / sigma) ** 2, 1.0, freedom)
+    for k in range(len(gains)):
+        i, j = rows[k], columns[k]
+        own, area = box_area(foreseen, i), box_area(corners, j)
+        if not area > 0.0:
+            continue
+        share = usual
+        if own > 0.0:
+            common = common_area(foreseen, i, corners, j)
+            share = common / (own + area - common)
+            gains[k] += 0.5 * (neutral - _heavy(((1.0 - share) / sigma) ** 2, 1.0, freedom))
+        if not measured[j] and (share < least or not own > 0.0):
+            gains[k] = -np.inf
+
+
+@inlined
+def _overlap_more(a, i, b, j, least):  # type: ignore[no-untyped-def]
+    """Whether two boxes of an image overlap by more than a share; those with NaN do not."""
+    common = common_area(a, i, b, j)
+    return common > 0.0 and common > least * (box_area(a, i) + box_area(b, j) - common)
+
+
+@kernel(
+    "int64[::1](int64[::1], float64[:,::1], boolean[::1], float64[:,:,::1], float64[:,::1], boolean[::1], "
+    "float64[:,:,::1], float64, float64)"
+)
+def without_twins(
+    rows: Int64Array, locations: Float64Array, measured: BoolArray, corners: Float64Array,
+    known_locations: Float64Array, known_measured: BoolArray, known_corners: Float64Array, share: float, overlap: float,
+) -> Int64Array:  # fmt: skip
+    """Leave out boxes that are second boxes of a thing that is known, or of a box before them that was kept.
+
+    A box that a sweep placed is one of a thing if their middles are nearer to each other on the ground than a share of
+    the thing's width. Where a sweep did not place both, they are one if their boxes in some image overlap; of two
+    that sweeps place apart one may stand before the other, however they overlap there.
+
+    `rows` (K,), which boxes, the surest first; `locations` (M, 3) [m], middles on the ground and widths of the boxes;
+    `measured` (M,), whether a sweep placed them; `corners` (C, M, 4) [px], in each image; NaN where there is none;
+    `known_locations`, `known_measured`, `known_corners`: the same of N things that are known; `share`: of a width;
+    `overlap`: intersection over union. Returns those of the rows that are kept.
+    """
+    kept, count = np.empty(len(rows), np.int64), 0
+    for k in range(len(rows)):
+        row, is_new = rows[k], True
+        for n in range(len(known_locations) + count):
+            known = n < len(known_locations)
+            i = n if known else kept[n - len(known_locations)]
+            others, boxes = (known_locations, known_corners) if known else (locations, corners)
+            placed = known_measured[i] if known else measured[i]
+            if measured[row]:
+                x, y = locations[row, 0] - others[i, 0], locations[row, 1] - others[i, 1]
+                if x * x + y * y < (share * others[i, 2]) ** 2:
+                    is_new = False
+            if is_new and not (measured[row] and placed):
+                for c in range(len(corners)):
+                    if _overlap_more(corners[c], row, boxes[c], i, overlap):
+                        is_new = False
+            if not is_new:
+                break
+        if is_new:
+            kept[count] = row
+            count += 1
+    return kept[:count].copy()

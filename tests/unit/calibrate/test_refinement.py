@@ -10,11 +10,18 @@ from scipy.ndimage import map_coordinates
 from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.measures import UNITS, Change
-from sceneloom.calibrate.refinement import Refinement, RefinementVerdict, find_cues, moving_pixels, refine, views_of
+from sceneloom.calibrate.refinement import (
+    Refinement,
+    RefinementVerdict,
+    find_cues,
+    moving_pixels,
+    refine,
+    sum_maps,
+    views_of,
+)
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.kernels.image_agreement import sum_maps
 from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, simulate_street
 
 Frames = tuple[CalibrationFrame, ...]

@@ -15,8 +15,8 @@ from sceneloom.colouring import (
     ViewRequest,
     VisibilitySettings,
     fuse_by_projection,
-    view_points,
 )
+from sceneloom.colouring.algorithms import view_points
 from sceneloom.errors import ArrayError, CalibrationError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, simulate_street

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import BlendSettings, VisibilitySettings, blend_colours, estimate_normals, view_points
+from sceneloom.colouring import BlendSettings, VisibilitySettings, blend_colours, estimate_normals
+from sceneloom.colouring.algorithms import view_points
 from sceneloom.colouring.blending import NO_IMAGE_NS, colour_points, near_outlines, view_weights
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import OptionError

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sceneloom.colouring.cuboid_points import count_points, with_activations, with_counts, with_labeled_points
+from sceneloom.colouring.cuboid_projection import count_points, with_activations, with_counts, with_labeled_points
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.boxes import points_in_box
 from sceneloom.geometry.rigid import RigidTransform

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, project_unbounded, unproject
-from sceneloom.colouring.cuboid_points import activation_of
-from sceneloom.colouring.cuboid_projection import observe_cuboids, project_cuboids
+from sceneloom.colouring.cuboid_projection import activation_of, observe_cuboids, project_cuboids
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.boxes import CORNER_SIGNS, EDGES
 from sceneloom.geometry.rigid import RigidTransform

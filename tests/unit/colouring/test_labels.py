@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import VisibilitySettings, view_points
+from sceneloom.colouring import VisibilitySettings
+from sceneloom.colouring.algorithms import view_points
 from sceneloom.colouring.labels import NO_LABEL, LabelCanvas, paint_labels
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.geometry.rigid import RigidTransform

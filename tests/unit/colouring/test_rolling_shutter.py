@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, unproject
-from sceneloom.colouring import LidarTrajectory, PointVisibility, ShutterDirection, VisibilitySettings, view_points
+from sceneloom.colouring import LidarTrajectory, PointVisibility, ShutterDirection, VisibilitySettings
+from sceneloom.colouring.algorithms import view_points
 from sceneloom.colouring.rolling_shutter import project_by_lines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import Shutter

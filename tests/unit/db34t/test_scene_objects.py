@@ -8,7 +8,8 @@ import pytest
 from PIL import Image
 
 from sceneloom.cameras import Camera
-from sceneloom.colouring import FusedFrame, view_points
+from sceneloom.colouring import FusedFrame
+from sceneloom.colouring.algorithms import view_points
 from sceneloom.db34t import ImageData, RawData, Timestamp
 from sceneloom.db34t.interface import PropertyStore, sensor_fusion_record
 from sceneloom.db34t.scene_objects import (

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sceneloom.kernels.boxes import find_points_in_boxes, points_in_cones
+from sceneloom.detections.projection import points_in_cones
+from sceneloom.kernels.boxes import find_points_in_boxes
 
 
 def a_crowd(seed, *, boxes=40, points=3_000, spread=20.0, knots=1, dtype=np.float64):

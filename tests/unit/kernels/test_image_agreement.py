@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sceneloom.kernels.image_agreement import fill_histogram, sum_by_table, sum_edges
+from sceneloom.calibrate.measures import fill_histogram, sum_by_table, sum_edges
 
 SIZE = (20, 30)
 

@@ -6,8 +6,7 @@ The map of surfaces against NumPy's own means, spreads and eigenvectors.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sceneloom.kernels.scan_matching import accumulate_normal_equations, move_points
-from sceneloom.motion.odometry import LocalMap, SurfaceLevel
+from sceneloom.motion.odometry import LocalMap, SurfaceLevel, accumulate_normal_equations, move_points
 
 YAW_RATE, VELOCITY = np.array([0.05, -0.1, 0.8]), np.array([9.0, 2.0, -0.3])
 

@@ -6,7 +6,7 @@ Second boxes of one thing, against a slow answer that looks at all pairs.
 import numpy as np
 import pytest
 
-from sceneloom.kernels.tracking import add_gains_in_image, gains_in_space, without_twins
+from sceneloom.tracking.tracker import add_gains_in_image, gains_in_space, without_twins
 
 LEAST, FREEDOM, MOST = 0.09, 4.0, 2.0
 

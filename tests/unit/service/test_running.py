@@ -41,7 +41,7 @@ def test_missing_kernels_are_compiled_before_requests_and_logged(monkeypatch, ca
     monkeypatch.setattr(running, "compile_ahead", compile_ahead)
     with caplog.at_level(logging.INFO, "sceneloom.service"):
         assert warm_up() == 2
-    assert {"sceneloom.cameras.fisheye:Fisheye.project_into_image", "sceneloom.kernels.tracking:predict"} & set(asked)
+    assert {"sceneloom.cameras.fisheye:Fisheye.project_into_image", "sceneloom.tracking.tracker:_predict"} & set(asked)
     assert caplog.records[0].fields == {"kernel": asked[0], "left": 1}
 
 

@@ -98,7 +98,7 @@ def test_a_vehicle_that_seems_to_slide_sideways_rotates_or_slows_down():
     means, covariances = np.zeros((1, tracker.SIZE)), np.eye(tracker.SIZE)[None]
     means[0, 7:9] = 10.0, 2.0
     after, spread = means.copy(), covariances.copy()
-    tracker.read_no_slip(after, spread, np.array([True]), 0.1)
+    tracker.read_no_slip(after, spread, np.array([True]), 0.1**2)
     across = -np.sin(after[0, 6]) * after[0, 7] + np.cos(after[0, 6]) * after[0, 8]
     assert abs(across) < 0.2  # of 2; rotating is linearised
     assert after[0, 6] > 0.0

@@ -84,7 +84,7 @@ def test_one_reading_gives_the_rig_that_was_written(writing, direction):
     np.testing.assert_allclose(right.camera_from_points, RIG, atol=1e-9)  # rounding alone
 
 
-def test_other_axes_rotate_the_frames_on_both_sides():
+def test_readings_have_the_choices_that_fit_and_those_of_the_same_transform_make_one_group():
     body_from_camera = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # columns: right, down, forward
     stated = np.eye(4)
     stated[:3, :3] = body_from_camera @ RIG[:3, :3] @ Rotation.from_euler("z", -90, degrees=True).as_matrix()
@@ -96,9 +96,6 @@ def test_other_axes_rotate_the_frames_on_both_sides():
     }
     (right,) = [one for one in hypotheses(stated.reshape(-1)) if wanted.items() <= one.choices.items()]
     np.testing.assert_allclose(right.camera_from_points, RIG, atol=1e-9)  # rounding alone
-
-
-def test_parts_apart_known_choices_and_numbers_that_are_no_transform():
     readings = hypotheses(np.r_[RIG[:3, :3].T.reshape(-1), RIG[:3, 3]], apart=True)
     assert {one.choices["layout"] for one in readings if np.allclose(one.camera_from_points, RIG)} == {"columns"}
     numbers = WRITINGS["translation, x y z w"][0](RIG)
@@ -110,9 +107,6 @@ def test_parts_apart_known_choices_and_numbers_that_are_no_transform():
         *([400, 0, 0, 400, 0, 0], [700, 0, 600, 0, 700, 180, 0, 0, 1], [1.0, 2.0]),
     ):
         assert hypotheses(none) == ()
-
-
-def test_readings_of_the_same_transform_make_one_group():
     # by rows as by columns, in both directions, it is one and the same half rotation about x
     found = groups(hypotheses(np.diag([1.0, -1.0, -1.0, 1.0]).reshape(-1)))
     names = ("layout", "direction", "camera axes")
@@ -194,9 +188,8 @@ def text(numbers):
     return " ".join(map(str, numbers))
 
 
-@pytest.mark.parametrize(
-    ("written", "location", "numbers"),
-    [
+def test_numbers_are_found_in_json_toml_and_text_and_named_ones_settle_their_order(tmp_path):
+    for written, location, numbers in [
         (json.dumps({"cameras": [{"imuToCamera": FOUR_ROWS}], "K": [700, 0, 600]}), "cameras[0].imuToCamera", SIXTEEN),
         (f"P2: {text([700.0] * 12)}\nTr_velo_to_cam: {text(ROWS)}\n\n", "Tr_velo_to_cam", ROWS),
         (f"Tr_velo_cam {text(ROWS)}\n", "Tr_velo_cam", ROWS),
@@ -204,18 +197,13 @@ def text(numbers):
         (f"calib_time: 09-Jan-2012\nR: {text(NINE)}\nT: 0.1 -0.2 0.3\n", "the file", [*NINE, *TRANSLATION]),
         (json.dumps({"translation": TRANSLATION, "rotation": QUATERNION}), "the file", [*TRANSLATION, *QUATERNION]),
         (f"[camera]\nextrinsic = {ROWS}\n", "camera.extrinsic", ROWS),
-    ],
-)
-def test_numbers_are_found_in_json_toml_and_text(tmp_path, written, location, numbers):
-    (tmp_path / "calibration").write_text(written, "utf-8")
-    (extrinsic,) = read_extrinsics(tmp_path / "calibration")
-    assert extrinsic.location == (location or extrinsic.location)
-    assert extrinsic.numbers == tuple(numbers)
-    assert extrinsic.apart is (len(numbers) == 12 and numbers[:9] == NINE)
-    assert "quaternion" not in extrinsic.known
-
-
-def test_named_numbers_settle_their_order(tmp_path):
+    ]:
+        (tmp_path / "calibration").write_text(written, "utf-8")
+        (extrinsic,) = read_extrinsics(tmp_path / "calibration")
+        assert extrinsic.location == (location or extrinsic.location)
+        assert extrinsic.numbers == tuple(numbers)
+        assert extrinsic.apart is (len(numbers) == 12 and numbers[:9] == NINE)
+        assert "quaternion" not in extrinsic.known
     heading = dict(zip("wxyz", QUATERNION, strict=True))
     pose = {"position": dict(zip("xyz", TRANSLATION, strict=True)), "heading": heading}
     (tmp_path / "poses.json").write_text(json.dumps({"poses": [pose]}), "utf-8")
@@ -258,14 +246,11 @@ def test_the_files_of_kitti_and_others_are_read(data_dir):
 RATES = {"lidar": (5, 10, 20), "camera": (10, 30, 60), "radar": (13, 20), "imu": (100, 200, 400), "gnss": (1, 10)}
 
 
-@pytest.mark.parametrize("unit", UNITS_NS)
-def test_usual_sensors_show_their_unit(unit):
-    rates = [(kind, rate) for kind, rates in RATES.items() for rate in rates]
-    for (kind, rate), start in itertools.product(rates, (0.0, -3.0, 12.5, 1_317_000_000.0)):
-        assert time_units((start + np.arange(50) / rate) * 1e9 / UNITS_NS[unit], kind) == (unit,)
-
-
-def test_units_of_unusual_timestamps():
+def test_units_of_timestamps_are_those_of_usual_sensors():
+    for unit in UNITS_NS:
+        rates = [(kind, rate) for kind, rates in RATES.items() for rate in rates]
+        for (kind, rate), start in itertools.product(rates, (0.0, -3.0, 12.5, 1_317_000_000.0)):
+            assert time_units((start + np.arange(50) / rate) * 1e9 / UNITS_NS[unit], kind) == (unit,)
     assert time_units([0, 0, 100, 200, 300, 5000, 5100, 5100, 5200], "lidar") == ("milliseconds",)
     for timestamps in ([], [1.0], [2.0, 2.0], [np.nan, np.inf]):
         assert time_units(timestamps, "lidar") == ()
@@ -273,16 +258,13 @@ def test_units_of_unusual_timestamps():
     assert time_units(np.arange(10) * 110.0, "imu") == ()
 
 
-def test_a_sound_drive_is_as_read(scene):
+def test_a_sound_drive_is_as_read_a_reversed_mounting_and_milliseconds_are_reported(scene):
     report = check_drive(scene)
     assert [found.as_read for found in report.extrinsics] == [True]
     assert all(found.stated in found.possible for found in report.points)
     assert {found.kind for found in report.times} >= {"lidar", "camera", "imu"}
     assert all("seconds" in found.possible for found in report.times)
     assert not report.wrong
-
-
-def test_a_reversed_mounting_and_milliseconds_read_as_seconds_are_reported(scene):
     frame = calibration_frames(scene, most=1)[0]
     upside = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
     mount = scene.lidars[0].mount @ frame.camera_from_lidar.inverse() @ upside

@@ -34,20 +34,14 @@ from sceneloom.simulate import CameraSpec, LidarSpec, SimulatedDrive, simulate_s
 GOOD, DRIFTING, WRONG, UNTOLD = Verdict.GOOD, Verdict.DRIFTING, Verdict.WRONG, Verdict.UNDETERMINED
 
 
-@pytest.mark.parametrize(
-    ("rotation_deg", "sigma_deg", "verdict"),
-    [
+def test_a_rotation_is_judged_by_its_size_and_by_how_sure_it_is_in_the_units_that_it_names():
+    for rotation_deg, sigma_deg, verdict in [
         *((0.0, 0.05, GOOD), (0.35, 0.05, GOOD), (0.7, 0.05, DRIFTING), (0.7, 0.3, UNTOLD)),
         *((1.5, 0.05, WRONG), (0.0, 0.5, UNTOLD), (1.5, 0.5, UNTOLD)),
-    ],
-)
-def test_a_rotation_is_judged_by_its_size_and_by_how_sure_it_is(rotation_deg, sigma_deg, verdict):
-    item = judge("rotation", np.radians([rotation_deg, 0.0, 0.0]), np.radians(sigma_deg) ** 2 * np.eye(3))
-    assert item.verdict is verdict
-    assert bool(item.reason) is (verdict is not GOOD)
-
-
-def test_numbers_come_in_the_units_that_they_name_and_what_may_be_chance_is_suspected():
+    ]:
+        item = judge("rotation", np.radians([rotation_deg, 0.0, 0.0]), np.radians(sigma_deg) ** 2 * np.eye(3))
+        assert item.verdict is verdict
+        assert bool(item.reason) is (verdict is not GOOD)
     item = judge("time_offset", np.array([0.03]), np.array([[0.003**2]]))
     # the deviation: 3 ms among replicates and 4 ms that the measures get wrong by themselves
     assert (item.unit, item.values, item.sigmas) == ("ms", (pytest.approx(30.0),), (pytest.approx(5.0),))
@@ -119,26 +113,19 @@ def test_a_camera_that_looks_elsewhere_is_never_good(frames, rotation_deg):
     assert check_frames(rotated(frames, *rotation_deg)).verdict in {WRONG, UNTOLD}
 
 
-@pytest.mark.parametrize(
-    ("paint", "word"),
-    [
+def test_images_or_clouds_that_show_nothing_of_the_street_state_nothing(frames):
+    for paint, word in [
         (np.zeros_like, "dark"),
         (lambda rgb: rgb // 64, "dark"),
         (lambda rgb: np.full_like(rgb, 120), "covered"),
         (lambda rgb: np.random.default_rng(1).integers(0, 256, rgb.shape), ""),
         # another street
         (lambda rgb: np.roll(rgb[:, ::-1], 97, axis=1), ""),
-    ],
-)
-def test_images_that_show_nothing_of_the_street_state_nothing(frames, paint, word):
-    health = check_frames(repainted(frames, paint))
-    assert health.verdict is UNTOLD
-    assert word in health.item("rotation").reason
-    assert not word or {item.verdict for item in health.items} == {UNTOLD}
-
-
-def test_something_that_fills_the_view_states_nothing(frames):
-    """A lorry of one colour right before the camera, and the lidar sees its flat side."""
+    ]:
+        health = check_frames(repainted(frames, paint))
+        assert health.verdict is UNTOLD
+        assert word in health.item("rotation").reason
+        assert not word or {item.verdict for item in health.items} == {UNTOLD}
     filled = []
     for frame in repainted(frames, lambda rgb: np.full_like(rgb, 90)):
         points = frame.camera_from_lidar.apply(frame.points_lidar)
@@ -146,27 +133,21 @@ def test_something_that_fills_the_view_states_nothing(frames):
         points[ahead] *= 3.0 / points[ahead, 2:]
         filled.append(replace(frame, points_lidar=frame.camera_from_lidar.inverse().apply(points), scan=None))
     assert check_frames(filled).verdict is UNTOLD
-
-
-@pytest.mark.parametrize("count", [0, 1, 20])
-def test_clouds_of_hardly_any_points_state_nothing(frames, count):
-    health = check_frames(tuple(thinned(frame, count) for frame in frames))
-    assert health.verdict is UNTOLD
-    assert "points fall into" in health.item("rotation").reason
-    if count == 0:  # as where the camera sees no point
-        lifted = tuple(replace(f, points_lidar=f.points_lidar + np.array([0.0, 0.0, 500.0])) for f in frames)
-        health = check_frames(lifted)
+    for count in [0, 1, 20]:
+        health = check_frames(tuple(thinned(frame, count) for frame in frames))
         assert health.verdict is UNTOLD
-        assert health.item("rotation").reason.startswith("0 points")
+        assert "points fall into" in health.item("rotation").reason
+        if count == 0:  # as where the camera sees no point
+            lifted = tuple(replace(f, points_lidar=f.points_lidar + np.array([0.0, 0.0, 500.0])) for f in frames)
+            health = check_frames(lifted)
+            assert health.verdict is UNTOLD
+            assert health.item("rotation").reason.startswith("0 points")
 
 
-def test_images_seconds_late_are_never_good(frames):
+def test_images_seconds_late_are_never_good_and_frames_from_one_location_are_one_view(frames):
     late = tuple(replace(f, rgb=later.rgb, grey=later.grey) for f, later in zip(frames[:-2], frames[2:], strict=True))
     assert (frames[2].image_ns - frames[0].image_ns) > 1_000_000_000
     assert check_frames(late).verdict in {WRONG, UNTOLD}
-
-
-def test_frames_from_one_location_are_one_view(frames):
     assert views_of((frames[0],) * 3).tolist() == [0, 0, 0]
     assert views_of(frames).max() >= 1
     unplaced = tuple(replace(frame, world_from_lidar=None) for frame in frames)
@@ -205,7 +186,7 @@ def fitted(shift):
     return found[:3], np.sqrt(((wanted - columns @ found) ** 2).sum() / len(x))
 
 
-def test_a_pinhole_is_as_its_formulas_state():
+def test_a_rotation_looks_like_another_principal_point_as_the_formulas_of_a_pinhole_state():
     rotations, left = look_alikes(PINHOLE)
     for row, shift in enumerate(([1.0, 0.0], [0.0, 1.0])):
         rotation, rest = fitted(shift)
@@ -214,17 +195,10 @@ def test_a_pinhole_is_as_its_formulas_state():
     # A pixel sideways is nearly 1/720 rad about y; tan² θ runs up to 0.74 and leaves a fifth of it.
     assert rotations[0, 1] * 720 == pytest.approx(0.8, abs=0.1)
     assert 0.15 < left[0] < 0.25
-
-
-def test_a_long_camera_model_reports_less_and_one_that_sees_half_the_world_more():
     long = Camera("pinhole", 1242, 375, 2880.0, 2800.0, 620.5, 187.0)
     assert (look_alikes(long)[1] < 0.1 * look_alikes(PINHOLE)[1]).all()
     assert (look_alikes(FISHEYE)[1] > look_alikes(PINHOLE)[1]).all()
-
-
-def test_a_rotation_says_which_principal_point_it_may_be_in_truth():
     stated = instead_of_rotation(PINHOLE, np.radians([0.0, 1.0, 0.0]))
-    rotations, left = look_alikes(PINHOLE)
     trajectory = np.radians(1.0) / rotations[0, 1]
     assert stated == f"its principal point {trajectory:.2g} px off looks the same within {trajectory * left[0]:.2g} px"
     assert instead_of_rotation(PINHOLE, np.radians([0.1, 0.1, 1.0])) == ""
@@ -247,18 +221,14 @@ def rotations(injected, *, rate_deg=1.5, count=60, noise_deg=0.02, seed=0):
     return camera, lidar, AXES.as_matrix()
 
 
-@pytest.mark.parametrize("size_deg", [4.0, 20.0, 90.0, 150.0])
-def test_a_rotation_across_the_axis_is_found_however_large(size_deg):
-    injected = Rotation.from_rotvec([size_deg, 0.0, 0.0], degrees=True)
-    item = judge_motion(*rotations(injected))
-    # 0.02 degrees against a degree, sixty times: 0.15 degrees
-    assert (item.verdict, abs(item.values[0])) == (WRONG, pytest.approx(size_deg, abs=0.6))
-    assert abs(item.values[1]) < 0.6
-
-
-@pytest.mark.parametrize(
-    ("injected_deg", "more", "verdict"),
-    [
+def test_a_rotation_across_the_axis_is_found_however_large_a_small_one_or_along_it_is_not():
+    for size_deg in [4.0, 20.0, 90.0, 150.0]:
+        injected = Rotation.from_rotvec([size_deg, 0.0, 0.0], degrees=True)
+        item = judge_motion(*rotations(injected))
+        # 0.02 degrees against a degree, sixty times: 0.15 degrees
+        assert (item.verdict, abs(item.values[0])) == (WRONG, pytest.approx(size_deg, abs=0.6))
+        assert abs(item.values[1]) < 0.6
+    for injected_deg, more, verdict in [
         # none, small, along the axis, upside down
         ((0.0, 0.0, 0.0), {}, GOOD),
         ((0.5, 0.0, 0.5), {}, GOOD),
@@ -268,10 +238,8 @@ def test_a_rotation_across_the_axis_is_found_however_large(size_deg):
         ((4.0, 0.0, 0.0), {"rate_deg": 0.05}, UNTOLD),
         ((4.0, 0.0, 0.0), {"count": 10}, UNTOLD),
         ((4.0, 0.0, 0.0), {"noise_deg": 2.0}, UNTOLD),
-    ],
-)
-def test_what_is_small_or_along_the_axis_is_not_reported_nor_what_hardly_moves(injected_deg, more, verdict):
-    assert judge_motion(*rotations(Rotation.from_rotvec(injected_deg, degrees=True), **more)).verdict is verdict
+    ]:
+        assert judge_motion(*rotations(Rotation.from_rotvec(injected_deg, degrees=True), **more)).verdict is verdict
 
 
 def test_rotating_makes_nothing_good_but_may_contradict():

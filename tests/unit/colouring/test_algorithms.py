@@ -35,7 +35,7 @@ def request(camera_id, camera_index, pose, image, camera=CAMERA_MODEL):
     )  # fmt: skip
 
 
-def test_projection_gives_views_in_order_and_colours_from_all_of_them():
+def test_projection_gives_views_in_order_and_each_point_the_colour_of_an_image_that_shows_it():
     points = np.array([[5.0, 0, 0], [0, 5, 0], [-5, 0, 0], [5, 4, 0], [4, 5, 0]])
     requests = [request("ahead", 3, AHEAD, (1, 2, 3)), request("left", 1, LEFT, (4, 5, 6))]
     fused = ALGORITHMS["projection"](points, requests, VisibilitySettings())
@@ -43,26 +43,17 @@ def test_projection_gives_views_in_order_and_colours_from_all_of_them():
     assert [view.point_ids.tolist() for view in fused.views] == [[0, 3], [1, 4]]
     assert fused.camera_index.tolist() == [3, 1, 255, 3, 1]
     assert fused.colors.tolist() == [[1, 2, 3], [4, 5, 6], [255] * 3, [1, 2, 3], [4, 5, 6]]
-
-
-def test_what_is_hidden_in_one_image_takes_its_colour_from_another():
     points, beside = np.array([[9.0, 8.0, 0], [4.5, 4.0, 0]]), RigidTransform(AHEAD.rotation, np.array([0.0, 8.0, 0.0]))
     requests = [request("ahead", 0, AHEAD, (1, 1, 1)), request("beside", 1, beside, (2, 2, 2))]
     for margin, visible, cameras in ((0.15, [False, True], [1, 0]), (30.0, [True, True], [1, 0])):
         fused = ALGORITHMS["projection"](points, requests, VisibilitySettings(margin=margin))
         assert fused.views[0].visible.tolist() == visible
         assert fused.camera_index.tolist() == cameras
-
-
-def test_without_images_nothing_has_a_colour_and_a_camera_index_out_of_range_is_refused():
     for name in ALGORITHMS:
         fused = ALGORITHMS[name](np.zeros((2, 3)), [], VisibilitySettings())
         assert (fused.views, fused.camera_index.tolist()) == ((), [255, 255])
     with pytest.raises(OptionError, match="255"):
         ALGORITHMS["projection"](np.zeros((2, 3)), [request("a", 255, AHEAD, 0)], VisibilitySettings())
-
-
-def test_blending_takes_colours_of_all_images_that_agree():
     camera, pose = Camera("pinhole", 21, 21, 20.0, 20.0, 10.0, 10.0), RigidTransform.identity()
     requests = [request(f"camera{k}", k, pose, level, camera) for k, level in enumerate((100, 110))]
     fused = ALGORITHMS["blending"](np.array([[0.0, 0.0, 5.0]]), requests, VisibilitySettings())
@@ -94,16 +85,6 @@ def projected_by_opencv(points_world):
     # Beyond this angle the polynomial of the camera model folds the world back into the image.
     ahead = (points[:, 2] > 0) & (np.hypot(points[:, 0], points[:, 1]) < 0.9 * points[:, 2])
     return np.flatnonzero(inside & ahead), pixels, points[:, 2]
-
-
-def test_points_fall_where_opencv_puts_them():
-    points = cloud()
-    fused = view(points)
-    ids, pixels, depths = projected_by_opencv(points)
-    assert len(ids) > 1000
-    np.testing.assert_array_equal(fused.point_ids, ids)
-    np.testing.assert_allclose(fused.pixels, pixels[ids], atol=1e-4)  # float32 keeps 3e-5 px of 640
-    np.testing.assert_allclose(fused.depths, depths[ids], rtol=1e-6)
 
 
 @pytest.mark.parametrize("visibility", [PLAIN, VisibilitySettings()], ids=["plain", "windowed"])
@@ -150,7 +131,14 @@ def test_a_fisheye_sees_beside_and_behind_itself_but_such_points_have_no_depth()
         assert sorted(fused.depth_image[fused.depth_image > 0].tolist()) == pytest.approx([1, 4])
 
 
-def test_points_in_any_memory_order_are_taken_also_read_only_ones():
+def test_points_fall_where_opencv_puts_them_in_any_memory_order():
+    points = cloud()
+    fused = view(points)
+    ids, pixels, depths = projected_by_opencv(points)
+    assert len(ids) > 1000
+    np.testing.assert_array_equal(fused.point_ids, ids)
+    np.testing.assert_allclose(fused.pixels, pixels[ids], atol=1e-4)  # float32 keeps 3e-5 px of 640
+    np.testing.assert_allclose(fused.depths, depths[ids], rtol=1e-6)
     points = cloud(500)
     expected = view(points)
     points.flags.writeable = False
@@ -201,24 +189,6 @@ def at_angle(degrees, distance=10.0):
     return distance * math.sin(math.radians(degrees)), 0.0, distance * math.cos(math.radians(degrees))
 
 
-@pytest.mark.parametrize(
-    ("camera", "points", "expected"),
-    [
-        (PINHOLE, [(0, 0, 5), (9, 0, 5), (0, 0, -5), (0, 0, 0)], "VISIBLE OUTSIDE BEHIND BEHIND"),
-        # The polynomial of this camera model folds where 1 - 0.9 r² is 0: 46.5 degrees off the axis.
-        (BARREL, [at_angle(45), (0, 9, 9), at_angle(48), at_angle(100)], "VISIBLE OUTSIDE BEHIND BEHIND"),
-        # 320 px from the centre are 122 degrees; the camera model has pixels for all directions.
-        (WIDE, [at_angle(60), at_angle(110), at_angle(130), at_angle(179)], "VISIBLE VISIBLE OUTSIDE OUTSIDE"),
-        (PINHOLE, [(math.nan, 0, 5), (0, math.inf, 5), (0, 0, 3)], "BEHIND BEHIND VISIBLE"),
-        (PINHOLE, [], ""),
-    ],
-)
-def test_each_point_is_told_from_what_the_camera_model_can_see(camera, points, expected):
-    _, observations = observations_of(np.array(points, float).reshape(-1, 3), camera)
-    assert observations.dtype == np.uint8
-    assert [PointVisibility(visibility).name for visibility in observations] == expected.split()
-
-
 @pytest.mark.parametrize("enabled", [True, False])
 @pytest.mark.parametrize("camera", [PINHOLE, BARREL, WIDE], ids=lambda camera: camera.model)
 def test_observations_agree_with_the_points_in_the_image(camera, enabled):
@@ -230,7 +200,19 @@ def test_observations_agree_with_the_points_in_the_image(camera, enabled):
     assert len(np.unique(observations)) == (3 if camera is WIDE else 4)
 
 
-def test_what_stands_behind_a_nearer_wall_is_hidden():
+def test_each_point_is_told_from_what_the_camera_model_can_see_and_what_a_wall_hides():
+    for camera, points, expected in [
+        (PINHOLE, [(0, 0, 5), (9, 0, 5), (0, 0, -5), (0, 0, 0)], "VISIBLE OUTSIDE BEHIND BEHIND"),
+        # The polynomial of this camera model folds where 1 - 0.9 r² is 0: 46.5 degrees off the axis.
+        (BARREL, [at_angle(45), (0, 9, 9), at_angle(48), at_angle(100)], "VISIBLE OUTSIDE BEHIND BEHIND"),
+        # 320 px from the centre are 122 degrees; the camera model has pixels for all directions.
+        (WIDE, [at_angle(60), at_angle(110), at_angle(130), at_angle(179)], "VISIBLE VISIBLE OUTSIDE OUTSIDE"),
+        (PINHOLE, [(math.nan, 0, 5), (0, math.inf, 5), (0, 0, 3)], "BEHIND BEHIND VISIBLE"),
+        (PINHOLE, [], ""),
+    ]:
+        _, observations = observations_of(np.array(points, float).reshape(-1, 3), camera)
+        assert observations.dtype == np.uint8
+        assert [PointVisibility(visibility).name for visibility in observations] == expected.split()
     across = 5 * np.mgrid[-0.5:0.5:0.02, -0.5:0.5:0.02].reshape(2, -1).T
     wall = np.insert(across, 2, 5.0, axis=1)
     _, observations = observations_of(np.array([*wall, [0.01, 0.01, 30.0]]), PINHOLE)

@@ -117,13 +117,6 @@ def test_settings_that_mean_nothing_are_refused(wrong):
         BlendSettings(**wrong)
 
 
-def test_an_index_is_needed_for_each_view():
-    points = np.array([[0.0, 0.0, 5.0]])
-    for indices, message in (([], "0 camera indices for 1 views"), ([255], "index 255")):
-        with pytest.raises(OptionError, match=message):
-            blend_colours(points, [view(points, image(1))], indices)
-
-
 def make_view(point_ids, pixels, rgb, visible=None):
     (height, width), count = rgb.shape[:2], len(point_ids)
     pixels = np.array(pixels, np.float32).reshape(count, 2)
@@ -166,14 +159,6 @@ def test_points_have_the_colour_of_the_image_that_shows_them_most_centrally(coun
     assert (found.tolist(), camera_index.tolist()) == (colors, cameras)
 
 
-def test_the_nearest_pixel_gives_the_colour():
-    rgb = np.random.default_rng(0).integers(0, 255, (4, 6, 3), np.uint8)
-    pixels = [(0.49, 0), (0.5, 0), (4.2, 2.7), (-0.5, -0.5), (5.49, 3.49)]
-    colors, _ = colour_points(5, [make_view(range(5), pixels, rgb)], [0])
-    nearest = [rgb[0, 0], rgb[0, 1], rgb[3, 4], rgb[0, 0], rgb[3, 5]]
-    np.testing.assert_array_equal(colors, nearest)
-
-
 def test_many_views_agree_with_a_choice_made_point_by_point():
     random, views, indices = np.random.default_rng(1), [], (5, 0, 254)
     for size in ((4, 6), (9, 5), (1, 1)):
@@ -193,7 +178,12 @@ def test_many_views_agree_with_a_choice_made_point_by_point():
         assert (colors[k].tolist(), camera_index[k]) == expected
 
 
-def test_images_in_any_memory_order_are_taken():
+def test_the_nearest_pixel_gives_the_colour_whatever_the_memory_order():
+    rgb = np.random.default_rng(0).integers(0, 255, (4, 6, 3), np.uint8)
+    pixels = [(0.49, 0), (0.5, 0), (4.2, 2.7), (-0.5, -0.5), (5.49, 3.49)]
+    colors, _ = colour_points(5, [make_view(range(5), pixels, rgb)], [0])
+    nearest = [rgb[0, 0], rgb[0, 1], rgb[3, 4], rgb[0, 0], rgb[3, 5]]
+    np.testing.assert_array_equal(colors, nearest)
     rgb = np.random.default_rng(2).integers(0, 255, (4, 6, 3), np.uint8)
     upside_down = np.ascontiguousarray(rgb[::-1])[::-1]
     upside_down.flags.writeable = False
@@ -201,13 +191,17 @@ def test_images_in_any_memory_order_are_taken():
     np.testing.assert_array_equal(colour_points(2, [view], [0])[0], [rgb[3, 5], rgb[2, 0]])
 
 
-@pytest.mark.parametrize("indices", [[], [0, 1], [255], [-1]])
-def test_camera_indices_that_cannot_be_written_are_refused(indices):
-    with pytest.raises(OptionError, match="ind"):
-        colour_points(1, [make_view([0], [(0, 0)], plain(0))], indices)
+def test_camera_indices_that_do_not_fit_are_refused():
+    points = np.array([[0.0, 0.0, 5.0]])
+    for indices, message in (([], "0 camera indices for 1 views"), ([255], "index 255")):
+        with pytest.raises(OptionError, match=message):
+            blend_colours(points, [view(points, image(1))], indices)
+    for indices in [[], [0, 1], [255], [-1]]:
+        with pytest.raises(OptionError, match="ind"):
+            colour_points(1, [make_view([0], [(0, 0)], plain(0))], indices)
 
 
-def test_planes_have_their_normals_near_and_far():
+def test_planes_have_normals_near_and_far_lines_and_single_points_none():
     random = np.random.default_rng(1)
     normal = np.array([0.36, 0.48, 0.8])
     axes = np.linalg.svd(normal[None])[2][1:]
@@ -218,9 +212,6 @@ def test_planes_have_their_normals_near_and_far():
         assert known.mean() > 0.7
         # noise of 1 cm over cubes of 0.4 m and more rotates a plane by a few degrees
         assert np.median(np.abs(found[known] @ normal)) > np.cos(np.radians(4))
-
-
-def test_lines_single_points_and_points_that_are_not_finite_have_none():
     line = np.column_stack([np.linspace(0, 0.3, 50), np.zeros(50), np.full(50, 5.0)])
     alone = np.array([[30.0, 0.0, 0.0], [np.nan, 0.0, 0.0]])
     assert (estimate_normals(np.concatenate([line, alone]), np.zeros(3)) == 0).all()

@@ -89,14 +89,11 @@ def straight_trajectory():
     return Trajectory("trajectory", np.array([0, 1_000_000_000]), np.array([[0.0, 0, 0], [10.0, 0, 0]]), rotation)
 
 
-def test_points_of_a_sensor_are_met_where_the_sensor_was():
+def test_points_are_met_where_the_sensor_was_those_in_the_world_as_they_are():
     # 3 m ahead of a sensor that looks along the world's y, at x = 5 m and z = 2 m half a second later
     box = a_box("a", [1, 1, 1, 5, 3, 2, 0, 0, 0])
     scene = a_scene([[3.0, 0, 0]], coordinates_path=straight_trajectory(), cuboids=(box,), times_ns=(0, 500_000_000))
     assert count_points(scene).lidars[0].counts[:, 0].tolist() == [0, 1]
-
-
-def test_points_in_the_world_need_no_poses_and_a_lidar_needs_some_pose():
     box = a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 45])
     scene = a_scene([[1.2, 0, 0], [0.9, 0.9, 0]], frame=PointsFrame.WORLD, cuboids=(box,))
     assert count_points(scene).lidars[0].counts.tolist() == [[1]]
@@ -106,23 +103,6 @@ def test_points_in_the_world_need_no_poses_and_a_lidar_needs_some_pose():
     poses = Poses(np.array([0]), np.array([[0.0, 0, 10]]), np.array([[0.0, 0, 0, 1]]), static=True)
     lidar = replace(scene.lidars[0], mount=None, poses=poses)
     assert count_points(replace(scene, sensors=(lidar,))).lidars[0].counts.tolist() == [[1]]
-
-
-def test_a_point_counts_in_every_box_that_it_lies_in_and_those_that_ended_have_none():
-    boxes = (
-        a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0]),
-        a_box("b", [1, 1, 1, 0, 0, 0, 0, 0, 0]),
-        a_box("gone", [9, 9, 9, 0, 0, 0, 0, 0, 0], timestamps=(5, 6)),
-        a_box("stands", [9, 9, 9, 0, 0, 0, 0, 0, 0], timestamps=(5,), stationary=True),
-        a_box("upside down", [-9, 9, 9, 0, 0, 0, 0, 0, 0]),
-        a_box("nowhere", [9, 9, 9, np.nan, 0, 0, 0, 0, 0]),
-    )
-    found = count_points(a_scene([[0.1, 0.2, 0.3]], frame=PointsFrame.WORLD, cuboids=boxes)).lidars[0]
-    assert found.counts.tolist() == [[1, 1, 0, 1, 0, 0]]
-    assert found.there.tolist() == [[True, True, False, True, True, True]]
-
-
-def test_frames_beyond_the_trajectory_are_counted_as_unplaced():
     box = a_box("a", [9, 9, 9, 0, 0, 0, 0, 0, 0], stationary=True)
     times_ns = (0, 100_000_000, 200_000_000, 9_000_000_000)
     scene = a_scene([[0, 0, 0]], coordinates_path=straight_trajectory(), cuboids=(box,), times_ns=times_ns)
@@ -146,7 +126,18 @@ def test_numbers_that_mean_nothing_spoil_their_own_cuboid_only(strange, column, 
     assert count_points(alone, moment=moment).lidars[0].counts.sum() == 0
 
 
-def test_boxes_inside_out_frames_without_points_and_scenes_without_cuboids_have_nothing():
+def test_a_point_counts_in_every_box_that_it_lies_in_and_in_none_that_ended_or_is_inside_out():
+    boxes = (
+        a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0]),
+        a_box("b", [1, 1, 1, 0, 0, 0, 0, 0, 0]),
+        a_box("gone", [9, 9, 9, 0, 0, 0, 0, 0, 0], timestamps=(5, 6)),
+        a_box("stands", [9, 9, 9, 0, 0, 0, 0, 0, 0], timestamps=(5,), stationary=True),
+        a_box("upside down", [-9, 9, 9, 0, 0, 0, 0, 0, 0]),
+        a_box("nowhere", [9, 9, 9, np.nan, 0, 0, 0, 0, 0]),
+    )
+    found = count_points(a_scene([[0.1, 0.2, 0.3]], frame=PointsFrame.WORLD, cuboids=boxes)).lidars[0]
+    assert found.counts.tolist() == [[1, 1, 0, 1, 0, 0]]
+    assert found.there.tolist() == [[True, True, False, True, True, True]]
     box = a_box("a", [-2, -2, -2, 0, 0, 0, 0, 0, 0])
     scene = a_scene([[0, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,))
     assert count_points(scene, margin=0.1).lidars[0].counts.tolist() == [[0]]
@@ -156,9 +147,6 @@ def test_boxes_inside_out_frames_without_points_and_scenes_without_cuboids_have_
         assert (found.counts.tolist(), found.point_ids) == ([[0]], [{}])
     found = count_points(a_scene([[0, 0, 0]], frame=PointsFrame.WORLD))
     assert (found.annotation_ids, found.lidars[0].counts.shape) == ((), (1, 0))
-
-
-def test_what_cannot_be_counted_is_refused():
     scene = a_scene([[0, 0, 0]], frame=PointsFrame.WORLD)
     for call, message in (
         (lambda: count_points(scene, margin=-0.1), "margin"),
@@ -169,7 +157,7 @@ def test_what_cannot_be_counted_is_refused():
             call()
 
 
-def test_counts_become_an_attribute_of_each_cuboid_and_of_each_lidar():
+def test_counts_become_attributes_labelled_points_and_activations_of_each_cuboid():
     older = AttributePath("points", (99,), np.array([0]), sensor_id="lidar")
     elsewhere = AttributePath("points", (7,), np.array([0]), sensor_id="other")
     box = a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0], timestamps=(0, 2), attributes=(older, elsewhere))
@@ -179,9 +167,6 @@ def test_counts_become_an_attribute_of_each_cuboid_and_of_each_lidar():
     assert kept is elsewhere
     assert (reported.name, reported.sensor_id, reported.values) == ("points", "lidar", (1, 1, 1))
     assert reported.timestamps_ns.tolist() == [0, 1, 2]
-
-
-def test_points_in_cuboids_become_labelled_points():
     boxes = (a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0], label="car"), a_box(7, [1, 1, 1, 50, 0, 0, 0, 0, 0]))
     scene = a_scene([[9, 9, 9], [0, 0, 0], [1, 1, 1]], frame=PointsFrame.WORLD, cuboids=boxes, times_ns=(0, 1))
     counts = count_points(scene, listed=True)
@@ -195,9 +180,6 @@ def test_points_in_cuboids_become_labelled_points():
         ("lidar", 0, [1, 2]),
         ("lidar", 1, [1, 2]),
     ]
-
-
-def test_frames_with_points_of_a_cuboid_become_activations():
     of_others = Activation("camera", np.array([3]))
     box = a_box("a", [1, 1, 1, 5, 0, 0, 0, 0, 0], timestamps=(0, 300), activations=(of_others,))
     scene = a_scene([[5, 0, 0], [5.1, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 100, 200, 400))

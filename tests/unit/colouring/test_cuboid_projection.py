@@ -51,7 +51,7 @@ def a_box(identifier="a", *, x=(10.0, 10.0), timestamps=(0, 100), **more):
     return CuboidAnnotation(identifier, CuboidPath(np.array(timestamps, np.int64), values), **more)
 
 
-def test_a_cuboid_gets_a_row_for_each_image_while_it_is_there():
+def test_a_cuboid_gets_a_row_for_each_image_nan_where_it_is_not_shown_and_confirmed_boxes_stay():
     scene = Scene((a_camera((-50, 0, 50, 100, 150)),), (a_box(x=(10.0, 18.0)), GroupAnnotation("g")))
     projected = project_cuboids(scene).annotations
     (projection,) = projected[0].projections
@@ -62,21 +62,14 @@ def test_a_cuboid_gets_a_row_for_each_image_while_it_is_there():
     np.testing.assert_array_equal(projection.cuboids[:, 3], [10.0, 14.0, 18.0])
     assert projection.confirmed is None
     assert isinstance(projected[1], GroupAnnotation)
-
-
-def test_images_that_do_not_show_it_have_rows_of_nan_and_without_any_it_loses_an_old_projection():
     scene = Scene((a_camera((0, 50, 100)),), (a_box(x=(-30.0, 30.0)),))
     (projection,) = project_cuboids(scene).annotations[0].projections
     assert np.isfinite(projection.boxes).all(axis=1).tolist() == [False, False, True]
     old, of_others = (Projection(sensor_id, np.array([0]), np.ones((1, 4))) for sensor_id in ("camera", "other"))
     scene = Scene((a_camera((0, 50)),), (a_box(x=(-9.0, -9.0), projections=(old, of_others)),))
     assert project_cuboids(scene).annotations[0].projections == (of_others,)
-
-
-def test_boxes_that_a_person_confirmed_stay():
     old = Projection("camera", np.array([0, 50]), np.full((2, 4), 7.0), confirmed=(True, False))
     scene = Scene((a_camera((0, 50)),), (a_box(projections=(old,)),))
-    (projection,) = project_cuboids(scene).annotations[0].projections
     assert projection.confirmed == (True, False)
     assert projection.boxes[0].tolist() == [7.0] * 4
     assert projection.boxes[1, 0] == pytest.approx(337.5)
@@ -96,7 +89,7 @@ def test_shares_become_attributes_of_the_camera_at_images_that_show_it():
         assert projected.attributes[1].values == (share,)
 
 
-def test_times_in_which_a_camera_sees_it_become_activations():
+def test_times_in_which_a_camera_sees_it_become_activations_a_frame_longer_at_the_end():
     # it comes out from behind the camera between the second and the third image, and ends after the fourth
     scene = Scene((a_camera((0, 50, 100, 150, 200)),), (a_box(x=(-90.0, 90.0), timestamps=(0, 160)),))
     (activation,) = project_cuboids(scene, activations=True).annotations[0].activations
@@ -104,9 +97,6 @@ def test_times_in_which_a_camera_sees_it_become_activations():
     assert activation.durations_ns == (100,)
     assert activation.cuboids[0, 3] == pytest.approx(-90.0 + 180.0 * 100 / 160)
     assert project_cuboids(scene).annotations[0].activations == ()
-
-
-def test_runs_of_frames_become_activations_with_a_frame_longer_at_the_end():
     times = np.array([0, 10, 20, 30, 40])
     made = activation_of("s", times, np.array([True, False, False, True, True]))
     assert made.timestamps_ns.tolist() == [0, 30]
@@ -114,32 +104,6 @@ def test_runs_of_frames_become_activations_with_a_frame_longer_at_the_end():
     assert activation_of("s", times, np.zeros(5, bool)) is None
     alone = activation_of("s", times[:1], np.array([True]))
     assert alone.durations_ns == (100_000_000,)
-
-
-def test_cameras_that_are_nowhere_are_passed_over_or_refused_when_asked_for():
-    lost = replace(a_camera((0,), camera_id="lost"), poses=None)
-    scene = Scene((a_camera((0,)), lost), (a_box(),))
-    projected = project_cuboids(scene)
-    assert [n.code for n in projected.warnings] == ["camera-unplaced"]
-    assert len(projected.annotations[0].projections) == 1
-    for sensors, options, error, message in (
-        (scene.sensors, {"cameras": "lost"}, PoseError, "'lost'"),
-        ((lost,), {}, PoseError, "'lost'"),
-        (scene.sensors, {"cameras": "none"}, OptionError, "no camera 'none'"),
-        ((), {}, OptionError, "has no camera that could see"),
-    ):
-        with pytest.raises(error, match=message):
-            project_cuboids(replace(scene, sensors=sensors), **options)
-
-
-def test_images_beyond_the_trajectory_of_the_camera_see_nothing():
-    trajectory, reported = Poses(np.array([0, 50]), np.zeros((2, 3)), np.repeat(LOOKS_ALONG_X, 2, axis=0)), []
-    scene = Scene((a_camera((0, 10**10), poses=trajectory),), (a_box(stationary=True),))
-    projected = project_cuboids(scene, progress=lambda done, total: reported.append((done, total)))
-    assert reported == [(1, 2), (2, 2)]
-    assert [(n.code, n.count) for n in projected.warnings] == [("images-unplaced", 1)]
-    (projection,) = projected.annotations[0].projections
-    assert np.isfinite(projection.boxes[:, 0]).tolist() == [True, False]
 
 
 @pytest.fixture(scope="module")
@@ -234,13 +198,32 @@ def test_sweeps_long_before_an_image_and_lidars_that_are_nowhere_are_no_evidence
         project_cuboids(lost, lidar="lidar")
 
 
-def test_a_mounting_of_one_image_counts():
+def test_a_mounting_of_one_image_counts_and_cameras_and_images_that_are_nowhere_see_nothing_or_are_refused():
+    lost = replace(a_camera((0,), camera_id="lost"), poses=None)
+    scene = Scene((a_camera((0,)), lost), (a_box(),))
+    projected = project_cuboids(scene)
+    assert [n.code for n in projected.warnings] == ["camera-unplaced"]
+    assert len(projected.annotations[0].projections) == 1
+    for sensors, options, error, message in (
+        (scene.sensors, {"cameras": "lost"}, PoseError, "'lost'"),
+        ((lost,), {}, PoseError, "'lost'"),
+        (scene.sensors, {"cameras": "none"}, OptionError, "no camera 'none'"),
+        ((), {}, OptionError, "has no camera that could see"),
+    ):
+        with pytest.raises(error, match=message):
+            project_cuboids(replace(scene, sensors=sensors), **options)
+    trajectory, reported = Poses(np.array([0, 50]), np.zeros((2, 3)), np.repeat(LOOKS_ALONG_X, 2, axis=0)), []
+    scene = Scene((a_camera((0, 10**10), poses=trajectory),), (a_box(stationary=True),))
+    projected = project_cuboids(scene, progress=lambda done, total: reported.append((done, total)))
+    assert reported == [(1, 2), (2, 2)]
+    assert [(n.code, n.count) for n in projected.warnings] == [("images-unplaced", 1)]
+    (projection,) = projected.annotations[0].projections
+    assert np.isfinite(projection.boxes[:, 0]).tolist() == [True, False]
     ego = Poses(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]]), static=True)
     ahead = RigidTransform.from_quaternion(np.zeros(3), LOOKS_ALONG_X[0])
     back = RigidTransform(np.diag([-1.0, -1.0, 1.0]) @ ahead.rotation, np.zeros(3))
     camera = replace(a_camera((0, 50), mounts=(None, back)), poses=None, mount=ahead)
     projected = project_cuboids(Scene((camera,), (a_box(),)), trajectory=EgoMotion("still", ego))
-    (projection,) = projected.annotations[0].projections
     assert np.isfinite(projection.boxes[:, 0]).tolist() == [True, False]
 
 
@@ -441,7 +424,7 @@ def holds_camera(center, size, rotation):
     return np.linalg.norm(np.maximum(away, 0.0)) < 0.1
 
 
-def test_a_box_straight_ahead_is_where_its_front_is_from_any_pose():
+def test_a_box_straight_ahead_is_where_its_front_is_and_only_the_part_in_the_image_bounds_it():
     # 2 m wide, 1 m high, front 8 m away: 500 / 8 pixels a metre around the image's middle (400, 300)
     for pose in (HERE, RigidTransform(AXES.T, np.array([1.0, 2.0, 3.0]))):
         rotation = Rotation.from_matrix(pose.rotation @ AXES).as_quat()
@@ -449,9 +432,6 @@ def test_a_box_straight_ahead_is_where_its_front_is_from_any_pose():
         seen = observe_cuboids(WIDE_PINHOLE, pose, box)
         np.testing.assert_allclose(seen.boxes_xyxy, [[337.5, 268.75, 462.5, 331.25]], atol=1e-9)
         assert (seen.truncations.tolist(), seen.occlusions.tolist()) == ([0.0], [0.0])
-
-
-def test_of_a_box_that_leaves_the_image_or_reaches_behind_the_camera_only_the_part_within_bounds_it():
     # the left side of a wall 1 m to the right, from 20 m behind to 20 m ahead, 2 m high: its far end shows 25 pixels to
     # the right of the middle and 25 above it; at the border 1 m stands at 1.25 m
     seen = seen_box(WIDE_PINHOLE, [1.5, 0.0, 0.0], [40.0, 1.0, 2.0])
@@ -488,21 +468,18 @@ def test_boxes_bound_all_points_of_their_surface_in_the_image_tightly(name, part
     assert compared >= 5
 
 
-@pytest.mark.parametrize("name", ["pinhole", "barrel", "fisheye"])
-def test_boxes_within_the_image_are_those_of_opencv(name):
-    camera_model, compared = CAMERA_MODELS[name], 0
-    for seed in range(30):
-        center, size, rotation = random_box(seed, ahead=6.0)
-        pixels = opencv_pixels(camera_model, rotation.apply(surface(size / 3, 61)) + center) + 0.5
-        if (pixels >= 1).all() and (pixels <= [799, 599]).all():
-            found, expected = seen_box(camera_model, center, size / 3, rotation).boxes_xyxy[0], extent(pixels - 0.5)
-            # all edges are among OpenCV's points; a curved one may bulge by a part of the step between two of them
-            np.testing.assert_allclose([*found[:2], *(found[2:] - found[:2])], expected, atol=0.02)
-            compared += 1
-    assert compared >= 8
-
-
-def test_the_bulge_of_a_bent_edge_counts():
+def test_boxes_within_the_image_are_those_of_opencv_bulges_of_bent_edges_too():
+    for name in ["pinhole", "barrel", "fisheye"]:
+        camera_model, compared = CAMERA_MODELS[name], 0
+        for seed in range(30):
+            center, size, rotation = random_box(seed, ahead=6.0)
+            pixels = opencv_pixels(camera_model, rotation.apply(surface(size / 3, 61)) + center) + 0.5
+            if (pixels >= 1).all() and (pixels <= [799, 599]).all():
+                found, expected = seen_box(camera_model, center, size / 3, rotation).boxes_xyxy[0], extent(pixels - 0.5)
+                # all edges are among OpenCV's points; a curved one may bulge by a part of the step between two of them
+                np.testing.assert_allclose([*found[:2], *(found[2:] - found[:2])], expected, atol=0.02)
+                compared += 1
+        assert compared >= 8
     # a straight bar above the middle of a barrel camera model: its ends are bent down, so that its middle is highest
     seen = seen_box(BARREL, [0.0, -2.0, 5.0], [0.01, 6.0, 0.2])
     along = np.column_stack([np.linspace(-3, 3, 100_001), np.full(100_001, -2.1), np.full(100_001, 4.995)])
@@ -555,7 +532,7 @@ def test_hidden_shares_are_those_of_a_fine_image(name):
     assert compared > 10
 
 
-def test_boxes_behind_the_camera_or_around_it_hide_nothing_and_those_too_small_to_be_listed_do():
+def test_boxes_that_cannot_be_seen_hide_nothing_and_those_too_small_to_be_listed_do():
     boxes = some_boxes([[0, 0, -10.0], [0, 0, 0.0], [0, 0, 20.0]], [[2.0, 2, 2], [5.0, 2, 2], [4.0, 2, 2]])
     seen = observe_cuboids(WIDE_PINHOLE, HERE, boxes)
     assert (seen.rows.tolist(), seen.occlusions.tolist()) == ([2], [0.0])
@@ -563,22 +540,16 @@ def test_boxes_behind_the_camera_or_around_it_hide_nothing_and_those_too_small_t
     seen = observe_cuboids(WIDE_PINHOLE, HERE, plates, min_pixels=4.0)
     assert seen.rows.tolist() == [0]
     assert seen.occlusions[0] == pytest.approx(0.02, abs=ON_GRID)
-
-
-@pytest.mark.parametrize(
-    ("center", "size"),
-    [
+    for center, size in [
         ((0, 0, 9), (1, 0, 1)),
         ((0, 0, 9), (1, -1, 1)),
         ((0, np.nan, 9), (1, 1, 1)),
         *(((0, 0, far), (1, 1, 1)) for far in (np.inf, -np.inf, 1e300)),
         *(((0, 0, 9), (1, 1, large)) for large in (np.inf, 1e300)),
-    ],
-)
-def test_boxes_without_a_volume_or_out_of_this_world_are_not_seen(center, size):
-    boxes = some_boxes([center, (0, 0, 9)], [size, (1, 1, 1)])
-    assert observe_cuboids(WIDE_PINHOLE, HERE, boxes).rows.tolist() == [1]
-    assert len(observe_cuboids(WIDE_PINHOLE, HERE, some_boxes(np.zeros((0, 3)), np.zeros((0, 3)))).rows) == 0
+    ]:
+        boxes = some_boxes([center, (0, 0, 9)], [size, (1, 1, 1)])
+        assert observe_cuboids(WIDE_PINHOLE, HERE, boxes).rows.tolist() == [1]
+        assert len(observe_cuboids(WIDE_PINHOLE, HERE, some_boxes(np.zeros((0, 3)), np.zeros((0, 3)))).rows) == 0
 
 
 def test_points_before_a_box_and_on_it_are_distinguished():

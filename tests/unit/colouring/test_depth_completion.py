@@ -176,30 +176,27 @@ def test_samples_are_widened_to_the_nearer_one_within_their_row(slack):
                 assert widened[row, column] in sparse[row, near]
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_columns_are_filled_between_samples_and_a_little_beyond(seed):
-    sparse, longest, reach = sparse_image(seed), 12.0, 3.0
-    above, distances, depths, trusts, spreads, gaps = (np.empty_like(sparse) for _ in range(6))
-    completion.look_up(sparse, above, distances)
-    completion.fill_down(sparse, above, distances, longest, reach, STEEPEST, depths, trusts, spreads, gaps)
-    for column in range(SHAPE[1]):
-        known = np.flatnonzero(sparse[:, column])
-        for row in range(SHAPE[0]):
-            up, down = known[known <= row], known[known >= row]
-            to_up, to_down = (row - up[-1] if len(up) else 1e6), (down[0] - row if len(down) else 1e6)
-            if sparse[row, column] > 0:
-                expected = sparse[row, column]
-            elif to_up + to_down <= longest:
-                expected = joined(sparse[up[-1], column], to_up, sparse[down[0], column], to_down)
-            elif min(to_up, to_down) <= reach:
-                expected = sparse[up[-1] if to_up < to_down else down[0], column]
-            else:
-                expected = 0
-            assert depths[row, column] == pytest.approx(expected, rel=1e-5)  # seven digits of float32
-    assert ((depths > 0) | (trusts == 0) | (gaps > longest)).all()
-
-
-def test_rows_are_filled_where_that_is_the_shorter_way():
+def test_columns_and_where_it_is_the_shorter_way_rows_are_filled_between_samples_and_a_little_beyond():
+    for seed in range(3):
+        sparse, longest, reach = sparse_image(seed), 12.0, 3.0
+        above, distances, depths, trusts, spreads, gaps = (np.empty_like(sparse) for _ in range(6))
+        completion.look_up(sparse, above, distances)
+        completion.fill_down(sparse, above, distances, longest, reach, STEEPEST, depths, trusts, spreads, gaps)
+        for column in range(SHAPE[1]):
+            known = np.flatnonzero(sparse[:, column])
+            for row in range(SHAPE[0]):
+                up, down = known[known <= row], known[known >= row]
+                to_up, to_down = (row - up[-1] if len(up) else 1e6), (down[0] - row if len(down) else 1e6)
+                if sparse[row, column] > 0:
+                    expected = sparse[row, column]
+                elif to_up + to_down <= longest:
+                    expected = joined(sparse[up[-1], column], to_up, sparse[down[0], column], to_down)
+                elif min(to_up, to_down) <= reach:
+                    expected = sparse[up[-1] if to_up < to_down else down[0], column]
+                else:
+                    expected = 0
+                assert depths[row, column] == pytest.approx(expected, rel=1e-5)  # seven digits of float32
+        assert ((depths > 0) | (trusts == 0) | (gaps > longest)).all()
     sparse = np.zeros(SHAPE, np.float32)
     sparse[5, 3], sparse[5, 9] = 10, 20
     depths, trusts, spreads, gaps = (np.zeros_like(sparse) for _ in range(4))
@@ -268,15 +265,12 @@ def test_pixels_are_filled_as_scipy_interpolates(mesh, trust):
     assert (~inside & (images[0] > 0)).sum() <= 0.002 * inside.sum()
 
 
-def test_across_jumps_what_the_image_reported_stays(mesh):
+def test_triangles_are_filled_with_what_bends_evenly_and_across_jumps_the_image_stays(mesh):
     pixels, depths, _, triangles = mesh
     images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)]
     images[0][20:30] = 5.0
     filled(pixels, depths, triangles, np.zeros(len(triangles), np.float32), images=images)
     np.testing.assert_array_equal(images[0][20:30], 5.0)
-
-
-def test_what_bends_evenly_comes_out_as_it_is(mesh):
     pixels, _, triangulation, triangles = mesh
     inverse, slopes = bent(pixels)
     depths, ones = (1 / inverse).astype(np.float32), np.ones(len(triangles), np.float32)
@@ -298,7 +292,7 @@ def bent(pixels):
     return inverse, np.stack([1e-5 + 8e-8 * u - 3e-8 * v, 2e-5 - 3e-8 * u + 1e-7 * v], axis=1)
 
 
-def test_slopes_of_a_plane_are_its_own_at_every_corner_and_jumps_report_none(mesh):
+def test_triangles_are_measured_and_slopes_of_a_plane_are_its_own_at_every_corner(mesh):
     pixels, _, _, triangles = mesh
     inverse = (0.1 + 1e-4 * pixels[:, 0] - 3e-4 * pixels[:, 1]).astype(np.float32)
     slopes, room = np.empty_like(pixels), np.empty(len(pixels), np.float32)
@@ -307,9 +301,6 @@ def test_slopes_of_a_plane_are_its_own_at_every_corner_and_jumps_report_none(mes
     np.testing.assert_allclose(slopes, np.broadcast_to([1e-4, -3e-4], slopes.shape), atol=2e-6)
     completion.measure_slopes(pixels, inverse, triangles, np.zeros(len(triangles), np.float32), slopes, room)
     assert not slopes.any()
-
-
-def test_triangles_are_measured(mesh):
     pixels, depths, _, triangles = mesh
     measures = np.empty((len(triangles), 3), np.float32)
     completion.measure_triangles(pixels, 1 / depths, triangles, measures)
@@ -422,14 +413,6 @@ def test_no_circumcircle_holds_another_point_and_no_location_is_left_out(kind):
             assert ax * (by * c - cy * b) - ay * (bx * c - cx * b) + a * (bx * cy - cx * by) <= 0
 
 
-def test_numbers_stay_exact_at_the_largest_extent():
-    side = completion.MOST_EXTENT // 3
-    random = np.random.default_rng(0)
-    inner = np.concatenate([random.integers(0, side, (200, 2)), [[0, 0], [side, 0], [side, side], [0, side]]])
-    points, triangles = triangulated(inner, side)
-    assert doubled_areas(points, triangles).sum() == 2 * (3 * side) ** 2
-
-
 def test_the_curve_goes_through_every_location_once_in_single_steps():
     side = 32
     locations = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2).astype(np.int64)
@@ -440,7 +423,12 @@ def test_the_curve_goes_through_every_location_once_in_single_steps():
     assert (steps == 1).all()
 
 
-def test_triangles_of_an_image_leave_out_what_lies_outside_the_hull():
+def test_numbers_stay_exact_at_the_largest_extent_and_triangles_outside_the_hull_are_left_out():
+    side = completion.MOST_EXTENT // 3
+    random = np.random.default_rng(0)
+    inner = np.concatenate([random.integers(0, side, (200, 2)), [[0, 0], [side, 0], [side, side], [0, side]]])
+    points, triangles = triangulated(inner, side)
+    assert doubled_areas(points, triangles).sum() == 2 * (3 * side) ** 2
     pixels = np.array([[10, 10], [50.5, 12], [30, 40.25]], np.float32)
     np.testing.assert_array_equal(np.sort(completion.triangles_between(pixels, 60, 80)), [[0, 1, 2]])
     assert completion.triangles_between(pixels[:2], 60, 80).shape == (0, 3)

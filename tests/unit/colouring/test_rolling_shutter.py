@@ -105,7 +105,7 @@ def rolled_points(points_world, camera, **shutter):
     return project_by_lines(points_world, camera, pose_at(0), trajectory)
 
 
-def test_points_that_no_line_sees_are_left_out():
+def test_points_enter_the_view_only_by_the_time_of_their_line_and_those_that_no_line_sees_are_left_out():
     points_world, pixels = seen_points(CAMERA_MODELS["pinhole"], over_columns=False)
     rolled = rolled_points(points_world, Camera("pinhole", 1280, 1080, 1000.0, 1000.0, 639.5, 539.5))
     columns = pixels[:, 0] - 320
@@ -116,10 +116,6 @@ def test_points_that_no_line_sees_are_left_out():
     for points in (nowhere, nowhere[:0]):
         rolled = rolled_points(points, CAMERA_MODELS["pinhole"])
         assert len(rolled.point_ids) == len(rolled.pixels) == len(rolled.points_camera) == 0
-
-
-def test_points_enter_the_view_only_by_the_time_of_their_line():
-    """Beside the camera, outside of the image in its middle."""
     camera = CAMERA_MODELS["pinhole"]
     points_world, _ = seen_points(camera, over_columns=True)
     _, inside = project(camera, pose_at(0).inverse().apply(points_world))
@@ -159,16 +155,13 @@ def test_what_is_hidden_is_found_from_where_each_line_was_taken():
     assert known.visible.mean() > alone.visible.mean()
 
 
-def test_a_shutter_without_motion_or_time_or_poses_changes_nothing():
+def test_lines_are_taken_evenly_around_the_images_time_and_without_motion_nothing_changes():
     still = PoseSource(Poses.identity(), MOUNT)
     directions = [
         ShutterDirection.of(Shutter(readout), time_ns, source)
         for readout, time_ns, source in ((0, 0, SOURCE), (READOUT_S, 0, still), (READOUT_S, 10**12, SOURCE))
     ]
     assert directions == [None] * 3
-
-
-def test_lines_are_taken_evenly_around_the_images_time():
     camera, shutter, columns = CAMERA_MODELS["pinhole"], Shutter(0.108), Shutter(0.192, over_columns=True)
     for one, lines, delays in (
         (shutter, [0, 539.5, 1079], [-0.05395, 0.0, 0.05395]),

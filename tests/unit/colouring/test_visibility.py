@@ -321,12 +321,6 @@ def lines_at(across_deg, angle_deg=90.0, along_deg=0.2):
     return np.ascontiguousarray(directions[:, order], np.float32), np.ones(len(u), np.float32), u[order]
 
 
-@pytest.mark.parametrize("spacing_deg", [0.25, 0.6, 1.2, 2.0])
-def test_lines_that_lie_alike_are_not_uneven(spacing_deg):
-    directions, ones, _ = lines_at(np.arange(-14, 14, spacing_deg))
-    assert not vis.are_uneven(look_around(directions, ones))
-
-
 @pytest.mark.parametrize("angle_deg", [90.0, 0.0, 45.0])
 def test_parts_have_the_spacing_and_the_axis_of_their_lines(angle_deg):
     directions, ones, across = lines_at(COARSE, angle_deg)
@@ -343,7 +337,10 @@ def test_parts_have_the_spacing_and_the_axis_of_their_lines(angle_deg):
         assert math.degrees(lines.angle) == pytest.approx(angle_deg)
 
 
-def test_few_points_and_none_are_not_uneven_and_make_one_part():
+def test_lines_that_lie_alike_and_few_points_are_not_uneven_and_make_one_part():
+    for spacing_deg in [0.25, 0.6, 1.2, 2.0]:
+        directions, ones, _ = lines_at(np.arange(-14, 14, spacing_deg))
+        assert not vis.are_uneven(look_around(directions, ones))
     directions, ones = np.random.default_rng(1).uniform(-0.3, 0.3, (2, 20)).astype(np.float32), np.ones(20, np.float32)
     assert not vis.are_uneven(look_around(directions, ones))
     assert not vis.are_uneven(look_around(directions[:, :0].copy(), ones[:0]))
@@ -502,19 +499,13 @@ def test_a_plane_that_passes_the_camera_at_the_surface_distance_or_farther_never
     assert marked(directions, inverse_ranges, near=ellipse(0.8, 0.8)).all()
 
 
-@pytest.mark.parametrize(
-    ("direction", "inverse"),
-    [
+def test_points_without_range_or_outside_the_map_are_not_visible_and_hide_nothing_and_few_are_fine():
+    for direction, inverse in [
         *(((0, 0), inverse) for inverse in (0.0, -1.0, math.nan, math.inf)),
         *((direction, 0.5) for direction in ((math.nan, 0), (0, math.inf), (3, 0), (0, -1e30))),
-    ],
-)
-def test_a_point_without_range_or_outside_the_map_is_not_visible_and_hides_nothing(direction, inverse):
-    visible = marked(np.column_stack([(0, 0), direction, (0, 0)]), np.array([0.1, inverse, 0.1]))
-    assert visible.tolist() == [True, False, True]
-
-
-def test_no_points_and_a_single_point_are_fine():
+    ]:
+        visible = marked(np.column_stack([(0, 0), direction, (0, 0)]), np.array([0.1, inverse, 0.1]))
+        assert visible.tolist() == [True, False, True]
     assert marked(np.zeros((2, 0)), np.zeros(0)).tolist() == []
     assert marked(np.array([[1.9], [-0.5]]), np.array([1e-3])).tolist() == [True]
     distances, neighbours = found(np.zeros((2, 0), np.float32), np.zeros(0, np.float32), 3)

@@ -26,7 +26,7 @@ from sceneloom.kernels import existence
 from sceneloom.scene.detections import ScoreForm
 
 
-def test_words_are_found_whatever_their_case_and_dashes_and_none_stands_for_two_classes():
+def test_words_are_found_whatever_their_case_and_dashes_and_unknown_ones_are_of_no_family():
     words = {"Car": "car", "Person_sitting": "pedestrian", "BICYCLIST": "cyclist", "Pick-up Truck": "van"}
     assert {word: kind_name(word) for word in words} == words
     words = [word for name, kind in KINDS.items() for word in (name, *kind.words)]
@@ -34,9 +34,6 @@ def test_words_are_found_whatever_their_case_and_dashes_and_none_stands_for_two_
     assert says_nothing("Unknown")
     assert says_nothing("")
     assert not says_nothing("dragon")
-
-
-def test_words_in_no_table_are_equal_to_themselves_and_of_no_family():
     three, two = numbers_of(["dragon", "Dragon", "car"], ["DRAGON", "griffin", "van", "Sedan"])
     assert three[0] == three[1] == two[0]
     assert three[0] != two[1]
@@ -73,9 +70,8 @@ def test_what_is_written_is_read_again_and_surer_scores_never_make_an_object_les
         assert own.visibility.weak_recall_2d <= own.visibility.recall_2d
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "location"),
-    [
+def test_wrong_and_absent_files_are_reported_with_their_location_and_the_known_detectors(tmp_path):
+    for old, new, location in [
         ('otherwise = "car"', 'otherwise = "cart"', "otherwise: 'cart'"),
         ("prior = 0.1", "prior = 0.0", "classes.car.visibility.prior: 0.0"),
         ("slope = 1.0", "slope = nan", "classes.car.sweep.slope: nan"),
@@ -83,18 +79,13 @@ def test_what_is_written_is_read_again_and_surer_scores_never_make_an_object_les
         ("degrees_of_freedom = inf", "degrees_of_freedom = 2.0", "degrees_of_freedom: 2.0"),
         ("[provenance]", "[provenance", "expected the TOML of detectors"),
         ("classes.van.", "classes.unicorn.", "classes.unicorn: no known class"),
-    ],
-)
-def test_a_wrong_file_is_reported_with_its_location(tmp_path, old, new, location):
-    assert old in TEXT
-    path = tmp_path / "wrong.toml"
-    path.write_text(TEXT.replace(old, new), "utf-8")
-    with pytest.raises(DataError, match=str(path)) as caught:
-        read_detectors(path)
-    assert location in str(caught.value)
-
-
-def test_detectors_that_are_not_there_are_reported_with_the_known_ones(tmp_path):
+    ]:
+        assert old in TEXT
+        path = tmp_path / "wrong.toml"
+        path.write_text(TEXT.replace(old, new), "utf-8")
+        with pytest.raises(DataError, match=str(path)) as caught:
+            read_detectors(path)
+        assert location in str(caught.value)
     with pytest.raises(OptionError, match=r"detectors 'kiti'; expected one of .*independent"):
         find_detectors("kiti")
     with pytest.raises(DataError, match=r"none\.toml"):
@@ -135,40 +126,28 @@ def exists(of_sweep, of_image=None, *, seen_share=1.0):
     return existence.scores_of_sweep(*given)[0]
 
 
-@pytest.mark.parametrize("first", [1, 2])
-@pytest.mark.parametrize("second", [1, 2])
-def test_two_reports_are_worth_what_counting_says(first, second):
-    both = exists(reported(share_true(first)), reported(share_true(second)))
-    assert both == pytest.approx(share_true(first, second), rel=1e-12)
-
-
-def test_a_report_that_the_other_detector_does_not_share_is_worth_what_counting_says():
+def test_reports_are_worth_what_counting_says():
+    for second in [1, 2]:
+        for first in [1, 2]:
+            both = exists(reported(share_true(first)), reported(share_true(second)))
+            assert both == pytest.approx(share_true(first, second), rel=1e-12)
     # where nothing is, silence is taken for certain; here it is so in 0.9 of the cases
     odds = share_true(2, 0) / (1 - share_true(2, 0)) * SAYS_IF_NOT[0]
     assert exists(reported(share_true(2))) == pytest.approx(odds / (1 + odds), rel=1e-12)
     of_image = existence.scores_of_image(CAR, np.array([20.0]), reported(share_true(2))[1], CAR, TABLE)
     assert of_image[0] == pytest.approx(odds / (1 + odds), rel=1e-12)
-
-
-def test_what_cannot_be_seen_is_not_missed():
     assert exists(reported(0.7), seen_share=0.0) == pytest.approx(0.7, rel=1e-12)
     far = existence.scores_of_image(CAR, np.array([71.0]), reported(0.7)[1], CAR, TABLE)
     assert far[0] == pytest.approx(0.7, rel=1e-12)
 
 
-def test_logits_are_logarithms_of_odds():
+def test_logits_are_logarithms_of_odds_and_extreme_scores_and_none_leave_probabilities():
     np.testing.assert_allclose(reported(np.log(3.0), ScoreForm.LOGIT), reported(0.75), rtol=1e-12)
     np.testing.assert_allclose(reported(0.75), [[np.log(3.0)], [np.log(3.0)], [0.75]], rtol=1e-12)
-
-
-@pytest.mark.parametrize("form", list(ScoreForm))
-def test_a_score_that_is_no_number_leaves_what_the_other_detector_says(form):
-    assert exists(reported(np.nan, form), reported(0.7)) == pytest.approx(0.7, rel=1e-12)
-
-
-@pytest.mark.parametrize(("one", "other"), [(0.0, 1.0), (1.0, 1.0), (np.inf, 0.0), (-5.0, 7.0)])
-def test_the_surest_scores_give_a_probability(one, other):
-    assert 0.0 <= exists(reported(one), reported(other)) <= 1.0
+    for form in list(ScoreForm):
+        assert exists(reported(np.nan, form), reported(0.7)) == pytest.approx(0.7, rel=1e-12)
+    for one, other in [(0.0, 1.0), (1.0, 1.0), (np.inf, 0.0), (-5.0, 7.0)]:
+        assert 0.0 <= exists(reported(one), reported(other)) <= 1.0
 
 
 FITTED = find_detectors("simulated")
@@ -226,7 +205,7 @@ def covariances_of(reported=None):
     return box_covariances(boxes, np.zeros(4), reported, np.arange(4), cars, NOISE)[0]
 
 
-def test_deviations_lie_along_the_axes_of_the_box_and_grow_with_the_range():
+def test_deviations_lie_along_the_axes_of_the_box_and_those_reported_count_where_they_are_covariances():
     found = covariances_of()[0]
     growth = np.sqrt(50 / 20)
     rotation = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
@@ -235,9 +214,6 @@ def test_deviations_lie_along_the_axes_of_the_box_and_grow_with_the_range():
     np.testing.assert_allclose(found[:3, :3], rotation @ along @ rotation.T, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(found[3:, 3:], np.diag(((SIZE_SIGMAS[0] * size + SIZE_SIGMAS[1]) * growth) ** 2))
     assert not found[:3, 3:].any()
-
-
-def test_what_a_detector_reports_counts_where_it_is_a_covariance():
     generator = np.random.default_rng(0)
     factor = generator.normal(size=(7, 7))
     reported = np.array([factor @ factor.T] * 4)

@@ -122,7 +122,7 @@ def people(front, left, *, label_left="pedestrian"):
 SOMEBODY, ANOTHER = (12.0, 4.0, -0.6), (12.0, 8.0, -0.6)
 
 
-def test_a_person_whom_two_images_alone_show_is_one_and_more_likely():
+def test_a_person_whom_two_images_alone_show_is_one_whose_odds_multiply():
     found, merged = people([SOMEBODY], [SOMEBODY])
     assert merged.objects.rows_3d.tolist() == [0, NO_BOX]
     assert merged.rows["front"].tolist() == merged.rows["left"].tolist() == [0, 1]
@@ -132,10 +132,6 @@ def test_a_person_whom_two_images_alone_show_is_one_and_more_likely():
     volume = np.linalg.det(merged.objects.center_covariances[1])
     # two guesses by the same height are no surer than the better one where both look the same way
     assert volume <= min(np.linalg.det(view.center_covariances[1]) for view in found.values()) * 1.1
-
-
-def test_two_images_of_one_kind_of_camera_multiply_the_odds_and_count_the_empty_sweep_once():
-    found, merged = people([SOMEBODY], [SOMEBODY])
     shown = {
         name: (how, image(how, SOMEBODY, label="pedestrian", size=PERSON))
         for name, how in (("front", FRONT), ("left", LEFT))

@@ -133,7 +133,7 @@ def cv2_outline(points_lidar):
     return np.concatenate([seen.min(axis=0), seen.max(axis=0)]) if len(seen) else np.zeros(4)
 
 
-def test_outlines_bound_what_opencv_projects():
+def test_outlines_bound_what_opencv_projects_as_far_as_the_image_shows_it():
     generator = np.random.default_rng(1)
     centers = generator.uniform([9, -9, -1.5], [60, 9, 0.5], (60, 3))
     sizes, yaws = generator.uniform([1, 0.5, 1], [5, 2, 2], (60, 3)), generator.uniform(-3, 3, 60)
@@ -145,16 +145,10 @@ def test_outlines_bound_what_opencv_projects():
     np.testing.assert_allclose(found[whole], np.array(expected)[whole], atol=0.3)
     # of what the border cuts, the points of the surface lie up to a grid's step within it
     np.testing.assert_allclose(found[~whole], np.array(expected)[~whole], atol=12.0)
-
-
-def test_boxes_behind_or_around_the_camera_have_no_outline():
     boxes = boxes_of([[-20, 0, 0], [0.3, 0, 0]], [[4, 2, 1.5]] * 2, [0.3, 0.0])
     outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes)
     assert not outlines.corners_xyxy.any()
     assert not outlines.seen_shares.any()
-
-
-def test_a_box_that_reaches_behind_the_camera_is_cut_at_the_image():
     # a wall 2 m to the left, from 30 m behind to 30 m ahead: 720 / 29.7 px a metre at its far end
     outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_of([[0, 2.5, 0]], [[60, 1, 2]], [0.0]))
     left, top, right, bottom = outlines.corners_xyxy[0]
@@ -230,7 +224,7 @@ def sharpened(center, partner, covariance=COVARIANCE):
     return boxes[1, :6], covariances[1]
 
 
-def test_the_update_is_that_of_the_information_form():
+def test_the_update_is_that_of_the_information_form_and_what_the_image_does_not_tell_stays():
     before = np.concatenate([CENTER, SIZE])
     partner = bounds(before) + np.array([1.5, -0.8, 2.4, 0.9])
     step = 1e-4
@@ -247,22 +241,13 @@ def test_the_update_is_that_of_the_information_form():
     # slopes by differences of OpenCV's pixels are good to six digits
     np.testing.assert_allclose(covariance, expected, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(state, before + expected @ slopes.T @ np.diag(noise**-2) @ residual, rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("center", "partner"),
-    [
+    for center, partner in [
         (CENTER, bounds(np.concatenate([CENTER, SIZE])) + np.array([60.0, 40.0, 60.0, 80.0])),  # it is elsewhere
         (np.array([0.5, 2.5, -0.8]), np.array([100.0, 100.0, 300.0, 300.0])),  # the box reaches behind the camera
-    ],
-)
-def test_a_partner_that_says_nothing_changes_nothing(center, partner):
-    state, covariance = sharpened(center, partner)
-    np.testing.assert_array_equal(state, np.concatenate([center, SIZE]))
-    np.testing.assert_array_equal(covariance, COVARIANCE)
-
-
-def test_what_the_border_cuts_reports_only_of_the_other_direction():
+    ]:
+        state, covariance = sharpened(center, partner)
+        np.testing.assert_array_equal(state, np.concatenate([center, SIZE]))
+        np.testing.assert_array_equal(covariance, COVARIANCE)
     # the left side of this car is out of the image
     center = np.array([20.0, 17.5, -0.8])
     partner = np.array([0.0, *bounds(np.concatenate([center, SIZE]))[1:]])
@@ -302,16 +287,13 @@ def placed(corners, labels, *, rows=None, camera=WIDE_CAMERA):
     return position_by_height(camera, WIDE_CAMERA_FROM_LIDAR, corners, rows, kinds)
 
 
-def test_a_person_is_where_their_height_says():
+def test_boxes_asked_for_are_placed_by_their_height_where_the_camera_model_has_rays():
     # 43 px high at 500 px focal length: 1.72 m at 20 m, to the middle of a body 0.65 m wide a third of a metre more
     found = placed([490.0, 278.5, 510.0, 321.5], ["pedestrian"])
     np.testing.assert_allclose(found.centers[0], [20.0 + 0.325 + 0.5, 0.0, -0.2], atol=0.02)
     assert found.sizes_lwh[0, 2] == 1.72
     # people differ by 9 % in height; the edges of the box are not sharper
     assert 0.09 < np.sqrt(np.linalg.eigvalsh(found.center_covariances[0])[2]) / found.ranges[0] < 0.25
-
-
-def test_every_class_has_a_size_and_what_the_camera_model_has_no_rays_for_is_not_known():
     assert len(placed([], []).centers) == 0
     for label in ("car", "dragon", ""):
         found = placed([[-3e4, -2e4, -2.9e4, -1.9e4], [400.0, 100.0, 500.0, 200.0]], [label] * 2, camera=BENT)
@@ -319,9 +301,6 @@ def test_every_class_has_a_size_and_what_the_camera_model_has_no_rays_for_is_not
         assert (found.sizes_lwh > 0).all()
         assert np.isfinite(found.centers).all()
         assert np.isfinite(found.center_covariances).all()
-
-
-def test_only_the_boxes_asked_for_are_placed():
     corners = np.array([[400.0, 100.0, 500.0, 200.0], [10.0, 20.0, 30.0, 90.0], [700.0, 100.0, 720.0, 300.0]])
     found = placed(corners, ["car", "bus", "pedestrian"], rows=[2, 0])
     assert found.rows.tolist() == [2, 0]
@@ -391,7 +370,7 @@ def a_wall(distance, left=0.4, low=-1.7, high=0.3, count=9):
     return np.column_stack([np.full(len(y), distance), y, z])
 
 
-def test_an_object_is_behind_the_points_in_the_middle_of_its_box():
+def test_an_object_is_behind_the_points_in_the_middle_of_its_box_if_these_are_its_own():
     behind = a_wall(30.0, left=10.0, count=60)
     points = np.concatenate([a_wall(14.0), behind[np.abs(behind[:, 1]) > 0.3]])
     fused = fuse_by_projection(pair_of(points))
@@ -402,26 +381,17 @@ def test_an_object_is_behind_the_points_in_the_middle_of_its_box():
     assert by_height.by_points is None
     assert by_height.centers[0, 0] == pytest.approx(15.0, abs=0.5)
     assert fused.center_covariances[0, 0, 0] < by_height.center_covariances[0, 0, 0] / 10.0
-
-
-@pytest.mark.parametrize(
-    "points",
-    [
+    for points in [
         np.zeros((0, 3)),
         a_wall(14.0, count=2),  # too few
         np.full((50, 3), np.nan),
         np.column_stack([a_wall(14.0)[:, 0], a_wall(14.0)[:, 1:] + 8.0]),  # beside it
         np.concatenate([a_wall(14.0), a_wall(5.0, count=60)]),  # most of its box shows something nearer
-    ],
-)
-def test_points_that_do_not_report_leave_an_object_where_its_height_puts_it(points):
-    fused, by_height = fuse_by_projection(pair_of(points)), fuse_by_projection(pair_of(None))
-    assert fused.by_points.tolist() == [False]
-    np.testing.assert_array_equal(fused.centers, by_height.centers)
-    np.testing.assert_array_equal(fused.center_covariances, by_height.center_covariances)
-
-
-def test_points_of_a_box_of_the_sweep_are_of_that_object():
+    ]:
+        fused, by_height = fuse_by_projection(pair_of(points)), fuse_by_projection(pair_of(None))
+        assert fused.by_points.tolist() == [False]
+        np.testing.assert_array_equal(fused.centers, by_height.centers)
+        np.testing.assert_array_equal(fused.center_covariances, by_height.center_covariances)
     # a car that stands before the pedestrian and hides the lower part, and has a box of its own
     size = np.array([[4.2, 1.8, 1.5]])
     car = Boxes3D(0, np.array([[10.0, 0.0, -1.0]]), size, np.zeros(1), np.array([0.95]), ("car",))
@@ -430,9 +400,6 @@ def test_points_of_a_box_of_the_sweep_are_of_that_object():
     fused = fuse_by_projection(pair_of(points, boxes_3d=car))
     assert fused.by_points.tolist() == [False, True]
     assert fused.centers[1, 0] == pytest.approx(14.16, abs=0.1)
-
-
-def test_what_the_border_cuts_is_known_less_well():
     whole = np.array([[500.0, 150.0, 700.0, 260.0]])
     cut = whole - [500.0, 0.0, 500.0, 0.0]
     sides = a_wall(9.0, left=8.0, low=-1.0, high=0.6, count=60)
@@ -511,18 +478,15 @@ def test_boxes_of_both_detectors_become_one_object_whose_existence_multiplies_th
     assert np.array_equal(result.corners_xyxy, two.corners_xyxy[[1, 0]])
     odds = np.array([0.6 / 0.4 * 1.0, 0.7 / 0.3 * 0.8 / 0.2]) / (0.1 / 0.9)
     assert np.allclose(result.scores, odds / (1 + odds), rtol=1e-12)
-
-
-@pytest.mark.parametrize("count_3d", [0, 2])
-@pytest.mark.parametrize("count_2d", [0, 2])
-def test_missing_boxes_on_either_side_are_no_fault(count_3d, count_2d):
-    three = boxes_3d(*[(20, 3, -1, 0.6), (30, -5, -1, 0.7)][:count_3d])
-    two = boxes_2d(*[(10, 10, 60, 60, 0.5), (900, 10, 990, 90, 0.5)][:count_2d])
-    result = fused(three, two)
-    assert len(result) == count_3d + count_2d
-    assert np.count_nonzero(result.rows_3d == NO_BOX) == count_2d
-    assert np.count_nonzero(result.rows_2d == NO_BOX) == count_3d
-    assert len(set(result.ids.tolist())) == len(result)
+    for count_2d in [0, 2]:
+        for count_3d in [0, 2]:
+            three = boxes_3d(*[(20, 3, -1, 0.6), (30, -5, -1, 0.7)][:count_3d])
+            two = boxes_2d(*[(10, 10, 60, 60, 0.5), (900, 10, 990, 90, 0.5)][:count_2d])
+            result = fused(three, two)
+            assert len(result) == count_3d + count_2d
+            assert np.count_nonzero(result.rows_3d == NO_BOX) == count_2d
+            assert np.count_nonzero(result.rows_2d == NO_BOX) == count_3d
+            assert len(set(result.ids.tolist())) == len(result)
 
 
 HIDDEN = 0.6 * 0.91 / (0.6 * 0.91 + 0.4)
@@ -546,7 +510,7 @@ def test_a_box_of_the_sweep_alone_becomes_less_likely_where_the_image_should_hav
         np.testing.assert_allclose(result.corners_xyxy[-1], outline(*boxes[-1][:3]), atol=1e-9)
 
 
-def test_a_box_of_the_image_alone_has_its_ray_and_less_existence():
+def test_a_box_of_the_image_alone_has_its_ray_less_existence_and_no_velocity_or_is_left_out():
     two = boxes_2d((700, 250, 750, 350, 0.8), labels=("pedestrian",))
     result = fused(boxes_3d((-20, 0, 0, 0.5)), two)
     assert result.rows_3d.tolist() == [0, NO_BOX]
@@ -557,9 +521,6 @@ def test_a_box_of_the_image_alone_has_its_ray_and_less_existence():
     assert result.centers[1, 1] / result.centers[1, 0] == pytest.approx(-225 / 500, rel=1e-9)
     assert result.centers[1, 2] == pytest.approx(0.0, abs=1e-9)
     assert (result.sizes_lwh[1] > 0).all()
-
-
-def test_boxes_of_the_image_alone_are_left_out_on_request_and_have_no_velocity():
     three, two = (
         boxes_3d((20, 3, -1, 0.6), velocities=np.array([[5.0, 1.0, 0.0]])),
         boxes_2d((700, 250, 750, 350, 0.8)),
@@ -569,24 +530,18 @@ def test_boxes_of_the_image_alone_are_left_out_on_request_and_have_no_velocity()
     assert len(fused(three, two, keep_camera_only=False)) == 1
 
 
-@pytest.mark.parametrize(
-    ("score_3d", "label_3d", "score_2d", "label_2d", "expected"),
-    [
+def test_the_surer_detector_names_the_class_and_boxes_are_paired_one_to_one_within_a_family():
+    for score_3d, label_3d, score_2d, label_2d, expected in [
         (0.6, "Car", 0.7, "Van", "Van"),
         (0.7, "Car", 0.6, "Van", "Car"),
         (0.6, "Car", 0.9, "Unknown", "Car"),
         (0.9, "unknown", 0.6, "Van", "Van"),
         (0.6, "Car", 0.6, "Van", "Car"),
-    ],
-)
-def test_the_surer_detector_names_the_class(score_3d, label_3d, score_2d, label_2d, expected):
-    three = boxes_3d((20, 3, -1, score_3d), labels=(label_3d,))
-    result = fused(three, boxes_2d((*outline(20, 3, -1), score_2d), labels=(label_2d,)))
-    assert result.labels == (expected,)
-    assert result.rows_2d.tolist() == [0]
-
-
-def test_a_car_and_a_person_are_never_one_object_and_boxes_are_paired_one_to_one_the_surer_ones_first():
+    ]:
+        three = boxes_3d((20, 3, -1, score_3d), labels=(label_3d,))
+        result = fused(three, boxes_2d((*outline(20, 3, -1), score_2d), labels=(label_2d,)))
+        assert result.labels == (expected,)
+        assert result.rows_2d.tolist() == [0]
     two = boxes_2d((*outline(20, 3, -1), 0.9), labels=("pedestrian",))
     assert len(fused(boxes_3d((20, 3, -1, 0.6), labels=("car",)), two)) == 2
     three = boxes_3d((20, 3, -1, 0.4), (20, 3, -1, 0.6))

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import DetectionPair
@@ -50,30 +49,17 @@ def reported(rotation_deg, **more):
     return residuals
 
 
-@pytest.mark.parametrize("rotation", [(2.0, 0, 0), (0, -2.0, 0), (0, 0, 2.5), (1.2, 1.2, -1.2)])
-def test_a_rotation_is_found_and_reported(rotation):
-    residuals = reported(rotation)
-    # 200 cars, each known to a pixel or a tenth of a degree; about the axis of visibility ten times worse
-    np.testing.assert_allclose(np.degrees(residuals.rotation().rotation), -np.array(rotation), atol=0.3)
-    (warning,) = residuals.warnings("front")
-    assert warning.location == "front"
-
-
-@pytest.mark.parametrize("rotation", [(0, 0, 0), (0.3, -0.3, 0)])
-def test_a_calibration_that_is_right_is_not_reported(rotation):
-    residuals = reported(rotation)
-    assert np.degrees(np.linalg.norm(residuals.rotation().rotation)) < 0.8
-    assert residuals.warnings("front") == []
-
-
-def test_too_few_boxes_empty_lists_and_other_classes_state_nothing():
-    assert reported((2.0, 0, 0), count=2).warnings("front") == []
-    residuals = BoxResiduals()
-    for pair in pairs(np.zeros(3), count=3):
-        two = pair.boxes_2d
-        residuals.add(replace(pair, boxes_2d=Boxes2D.empty(0)))
-        residuals.add(replace(pair, boxes_2d=replace(two, labels=("pedestrian",) * len(two))))
-    assert residuals.rotation() is None
+def test_a_rotation_is_found_and_reported_and_a_right_calibration_is_not():
+    for rotation in [(2.0, 0, 0), (0, -2.0, 0), (0, 0, 2.5), (1.2, 1.2, -1.2)]:
+        residuals = reported(rotation)
+        # 200 cars, each known to a pixel or a tenth of a degree; about the axis of visibility ten times worse
+        np.testing.assert_allclose(np.degrees(residuals.rotation().rotation), -np.array(rotation), atol=0.3)
+        (warning,) = residuals.warnings("front")
+        assert warning.location == "front"
+    for rotation in [(0, 0, 0), (0.3, -0.3, 0)]:
+        residuals = reported(rotation)
+        assert np.degrees(np.linalg.norm(residuals.rotation().rotation)) < 0.8
+        assert residuals.warnings("front") == []
 
 
 def test_what_is_stated_for_its_uncertainty_is_how_rotates_scatter():
@@ -88,7 +74,14 @@ def test_what_is_stated_for_its_uncertainty_is_how_rotates_scatter():
     assert all(found.agreeing > 5 * found.by_chance and found.images == 20 for found in rotations)
 
 
-def test_boxes_of_other_images_agree_about_no_rotation():
+def test_boxes_that_are_few_or_of_other_objects_state_nothing():
+    assert reported((2.0, 0, 0), count=2).warnings("front") == []
+    residuals = BoxResiduals()
+    for pair in pairs(np.zeros(3), count=3):
+        two = pair.boxes_2d
+        residuals.add(replace(pair, boxes_2d=Boxes2D.empty(0)))
+        residuals.add(replace(pair, boxes_2d=replace(two, labels=("pedestrian",) * len(two))))
+    assert residuals.rotation() is None
     residuals, shown = BoxResiduals(), list(pairs(np.zeros(3)))
     for pair, other in zip(shown, shown[20:] + shown[:20], strict=True):
         residuals.add(replace(pair, boxes_2d=other.boxes_2d))

@@ -60,7 +60,7 @@ def test_points_are_taken_to_any_moment_within_the_sweep_or_beyond(share: float)
         points_at(frame_at(times, positions), PoseSource(path, MOUNT), path.stop_ns + 1)
 
 
-def test_neighbouring_poses_of_opposite_sign_are_joined_by_the_shorter_arc() -> None:
+def test_poses_are_joined_by_the_shorter_arc_and_without_point_times_a_frame_moves_as_one_body():
     rotations = Rotation.from_rotvec([[0, 0, 0.0], [0, 0, 0.4]]).as_quat()
     times = np.array([0, 100], np.int64)
     plain = Poses(times, np.zeros((2, 3)), rotations)
@@ -69,9 +69,6 @@ def test_neighbouring_poses_of_opposite_sign_are_joined_by_the_shorter_arc() -> 
     np.testing.assert_allclose(
         points_to_world(frame, PoseSource(flipped, MOUNT))[0], points_to_world(frame, PoseSource(plain, MOUNT))[0]
     )
-
-
-def test_a_frame_without_point_times_moves_as_one_body_at_the_frames_time() -> None:
     path = random_path(np.random.default_rng(0))
     when = int(path.timestamps_ns[3]) + 1000
     positions = np.random.default_rng(1).normal(size=(20, 3)).astype(np.float32)
@@ -80,7 +77,7 @@ def test_a_frame_without_point_times_moves_as_one_body_at_the_frames_time() -> N
     np.testing.assert_allclose(world, expected, atol=1e-9)
 
 
-def test_points_beyond_the_path_follow_the_velocity_of_its_end_within_reach_and_are_flagged() -> None:
+def test_points_beyond_the_path_follow_its_end_within_reach_and_are_flagged_or_stand_with_it_for_ever():
     straight = Poses(np.array([0, 10**8]), np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.tile([0.0, 0, 0, 1], (2, 1)))
     source = PoseSource(straight, RigidTransform.identity(), reach_ns=10**8)
     world, extrapolated = points_to_world(frame_at(np.array([5, 15, 20]) * 10**7, np.zeros((3, 3))), source)
@@ -90,9 +87,6 @@ def test_points_beyond_the_path_follow_the_velocity_of_its_end_within_reach_and_
     late = np.array([path.stop_ns, path.stop_ns + 2], np.int64)
     with pytest.raises(PoseError, match=str(path.stop_ns + 2)):
         points_to_world(frame_at(late, np.zeros((2, 3))), PoseSource(path, MOUNT, reach_ns=1))
-
-
-def test_an_empty_frame_stays_empty_and_an_ego_that_is_stationary_for_ever_has_every_point_in_reach() -> None:
     frame = LidarFrame(0, LidarPoints(np.zeros((0, 3), np.float32), timestamps_ns=np.zeros(0, np.int64)))
     world, extrapolated = points_to_world(frame, PoseSource(random_path(np.random.default_rng(0)), MOUNT))
     assert (world.shape, bool(extrapolated)) == ((0, 3), False)

@@ -49,15 +49,12 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     return calls
 
 
-def test_a_drive_without_trajectory_is_placed_by_its_lidar_and_that_is_stated(asked: list[dict[str, Any]]) -> None:
+def test_the_lidar_places_a_drive_without_trajectory_or_one_for_which_it_is_asked(asked):
     ego = find_ego_motion(Scene((lidar(),)), lenient=True)
     assert (ego.name, len(ego.path.timestamps_ns)) == ("lidar", 2)
     assert [warning.code for warning in ego.warnings] == ["trajectory-from-lidar", "few-points"]
     assert ego.covariances is not None
     assert asked == [{"progress": None, "lenient": True}]
-
-
-def test_the_lidar_can_be_asked_for_where_a_trajectory_is_recorded(asked: list[dict[str, Any]]) -> None:
     scene = Scene((lidar(),), trajectories={"pose": RECORDED})
     assert find_ego_motion(scene).name == "pose"
     assert not asked
@@ -68,29 +65,11 @@ def test_the_lidar_can_be_asked_for_where_a_trajectory_is_recorded(asked: list[d
     named = Scene((lidar(),), trajectories={"lidar": RECORDED})
     assert find_ego_motion(named, name="lidar").path.positions[0, 0] == 1
     assert not asked
-
-
-@pytest.mark.parametrize("sensors", [(), (lidar(PointsFrame.WORLD),), (lidar(sweeps=0),)])
-def test_without_a_lidar_to_ask_a_trajectory_is_missing(
-    sensors: tuple[LidarSensor, ...], asked: list[dict[str, Any]]
-) -> None:
-    with pytest.raises(PoseError, match="--trajectory identity"):
-        find_ego_motion(Scene(sensors))
-    assert find_ego_motion(Scene(sensors), name="identity").path.static
-    assert not asked
-
-
-def test_an_imu_alone_and_unknown_names_or_headings_are_refused() -> None:
-    scene = Scene((lidar(),), trajectories={"pose": RECORDED})
-    for name, heading, error, problem in (
-        ("imu", None, PoseError, "not its position"),
-        ("vio", None, OptionError, "pose, lidar, identity"),
-        (None, "north", OptionError, "expected 'motion'"),
-    ):
-        with pytest.raises(error, match=problem):
-            find_ego_motion(scene, name=name, heading=heading)
-    with pytest.raises(OptionError, match="arcore, identity"):
-        choose_trajectory(Scene((), trajectories={"arcore": circle()}), name="arkit")
+    for sensors in [(), (lidar(PointsFrame.WORLD),), (lidar(sweeps=0),)]:
+        with pytest.raises(PoseError, match="--trajectory identity"):
+            find_ego_motion(Scene(sensors))
+        assert find_ego_motion(Scene(sensors), name="identity").path.static
+        assert not asked
 
 
 def circle(radius: float = 20.0, count: int = 200) -> Trajectory:
@@ -132,14 +111,21 @@ def test_a_stationary_ego_keeps_the_direction_that_it_came_with_and_has_none_if_
     assert ego.within(None) is ego
 
 
-def test_the_first_trajectory_is_the_default_and_a_name_chooses_another() -> None:
+def test_the_first_trajectory_is_the_default_a_name_chooses_another_and_what_cannot_be_is_refused():
+    scene = Scene((lidar(),), trajectories={"pose": RECORDED})
+    for name, heading, error, problem in (
+        ("imu", None, PoseError, "not its position"),
+        ("vio", None, OptionError, "pose, lidar, identity"),
+        (None, "north", OptionError, "expected 'motion'"),
+    ):
+        with pytest.raises(error, match=problem):
+            find_ego_motion(scene, name=name, heading=heading)
+    with pytest.raises(OptionError, match="arcore, identity"):
+        choose_trajectory(Scene((), trajectories={"arcore": circle()}), name="arkit")
     other = Trajectory("other", np.zeros(1, np.int64), np.zeros((1, 3)), UPRIGHT[:1])
     scene = Scene((), trajectories={"groundTruth": RECORDED, "other": other})
     assert choose_trajectory(scene).path.positions[0, 0] == 1
     assert choose_trajectory(scene, name="other").path.positions[0, 0] == 0
-
-
-def test_a_scene_without_trajectory_offers_identity_and_positions_alone_need_the_heading_to_be_asked_for() -> None:
     with pytest.raises(PoseError, match="--trajectory identity"):
         choose_trajectory(Scene(()))
     assert choose_trajectory(Scene(()), name="identity").path.static

@@ -113,7 +113,7 @@ def test_whitened_slopes_of_the_imu_make_up_its_normal_equations():
         assert residuals[k] @ chain.information[k] @ residuals[k] <= here.cost
 
 
-def test_steps_lead_to_where_no_direction_leads_down():
+def test_steps_lead_to_where_no_direction_leads_down_and_parts_hold_what_was_measured_in_them():
     rng = np.random.default_rng(4)
     chain, states = made_up_chain(rng, "irs"), made_up_states(rng)
     before, damping = equations(chain, states, WEIGHTS).cost, 1e-4
@@ -124,9 +124,6 @@ def test_steps_lead_to_where_no_direction_leads_down():
     assert after.cost < before
     solution = np.abs(after.right).max(axis=0) / np.sqrt(np.abs(after.blocks).max(axis=(0, 1)))
     assert solution.max() < 1e-2 * np.sqrt(after.cost)
-
-
-def test_a_part_of_a_chain_holds_what_was_measured_in_it():
     chain = made_up_chain(np.random.default_rng(5), "irs").part(1, 4)
     assert len(chain.knots_ns) == 3
     assert chain.fixes.knots.tolist() == [1]
@@ -172,16 +169,13 @@ def expected(fixes: Fixes, moved: np.ndarray | None = None) -> np.ndarray:
     return states.positions[at] + moved[at, 3:6] + trajectories + away
 
 
-def test_true_states_expect_the_antenna_where_it_is():
+def test_true_states_expect_the_antenna_where_it_is_with_imu_and_without():
     found = carried()
     assert found.knots.tolist() == [0, 0, 0, 0, 1, 1, 2, 3, 3]
     # 10 ms beyond the first and the last state nothing but the velocity leads on: 1 m/s² and turns of 1 rad/s leave
     # less than a millimetre of the ego, and a centimetre of the lever
     limits = np.where((KNOTS[0] > TIMES) | (KNOTS[-1] < TIMES), 2e-2, 1e-4)
     assert (np.abs(expected(found) - found.positions).max(axis=1) < limits).all()
-
-
-def test_without_imu_each_fix_goes_to_the_nearest_state():
     found = carried(~MEASURED)
     assert found.knots.tolist() == [0, 0, 0, 1, 1, 2, 2, 3, 3]
     assert not found.falls.any()
@@ -353,7 +347,7 @@ def test_fixes_that_jump_are_left_out_alone_and_in_a_row(town):
     assert reported.message.startswith(f"{reported.count} of {len(positions)} fixes left out")
 
 
-def test_without_fixes_for_ten_seconds_the_imu_leads_on(town):
+def test_without_fixes_or_imu_for_some_seconds_the_other_leads_on(town):
     seconds = town.gnss.timestamps_ns / SECOND
     rows = (seconds < 15) | (seconds > 25)
     run = town.run(gnss=some_fixes(town.gnss, rows))
@@ -362,9 +356,6 @@ def test_without_fixes_for_ten_seconds_the_imu_leads_on(town):
     out = (run.trajectory.timestamps_ns > 19 * SECOND) & (run.trajectory.timestamps_ns < 21 * SECOND)
     east = run.trajectory.covariances[:, 3, 3]
     assert east[out].mean() > 1.2 * np.median(east)
-
-
-def test_without_imu_for_five_seconds_the_fixes_lead_on(town):
     seconds = town.imu.streams["gyroscope"].timestamps_ns / SECOND
     run = town.run(imu=some_samples(town.imu, (seconds < 15) | (seconds > 20)))
     assert rms(errors(run, town.path)[:, 3:5]) < 0.4
@@ -446,7 +437,7 @@ def test_fixes_alone_make_a_smooth_trajectory_whose_heading_is_that_of_the_motio
     assert np.median(cosine) > np.cos(np.radians(8.0))  # fixes of 0.4 m every half second
 
 
-def test_it_is_the_default_after_recorded_trajectories_and_says_where_its_world_is(town):
+def test_the_default_after_recorded_trajectories_says_where_its_world_is_and_that_annotations_stay(town):
     scene = town.scene()
     ego = find_ego_motion(scene)
     assert ego.name == "gnss"
@@ -461,27 +452,12 @@ def test_it_is_the_default_after_recorded_trajectories_and_says_where_its_world_
     with_pose = replace(scene, trajectories={"pose": recorded})
     assert find_ego_motion(with_pose).name == "pose"
     assert find_ego_motion(with_pose, name="gnss").name == "gnss"
-
-
-def test_annotations_in_the_world_of_a_recorded_trajectory_are_reported(town):
-    recorded = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
     scene = replace(town.scene(), annotations=(PlainAnnotation("a", "cuboid", {}),))
     recorded_one = {"pose": recorded}
     for frame, paths, reported in (("world", recorded_one, True), ("ego", recorded_one, False), ("world", {}, False)):
         annotated = replace(scene, metadata={"sceneloom": {"annotations_frame": frame}}, trajectories=paths)
         codes = {warning.code for warning in find_ego_motion(annotated, name="gnss").warnings}
         assert ("annotations-not-moved" in codes) is reported
-
-
-def test_fixes_that_are_none_are_left_out(town):
-    gnss, more = town.gnss, np.ones(4)
-    times = np.concatenate([gnss.timestamps_ns, [7, 8, 9, 10]])
-    # none at all, not finite, off the earth, at a height of no receiver
-    locations = np.vstack([gnss.positions_lla, [[0, 0, 0], [np.nan, 25, 0], [200, 25, 0], [60, 25, 1e300]]])
-    accuracies = np.append(gnss.accuracies, more), np.append(gnss.vertical_accuracies, more)
-    run = town.run(gnss=GnssSensor("gnss", times, locations, *accuracies))
-    assert {warning.code: warning.count for warning in run.warnings}["gnss-fixes-left-out"] == 4
-    assert len(run.used) == len(gnss.timestamps_ns)
 
 
 def test_two_fixes_are_enough_fewer_are_not_and_of_two_locations_far_apart_one_is_taken(town):
@@ -498,22 +474,19 @@ def test_two_fixes_are_enough_fewer_are_not_and_of_two_locations_far_apart_one_i
     assert "gnss-fixes-elsewhere" in {warning.code for warning in run.warnings}
 
 
-@pytest.mark.parametrize("wrong_ns", [9_000_000_000 * SECOND, -9_000_000_000 * SECOND, 2 * 86_400 * SECOND])
-def test_a_wrong_time_is_not_bridged_by_states(wrong_ns, town):
-    times = town.gnss.timestamps_ns.copy()
-    times[0 if wrong_ns < 0 else -1] = wrong_ns
-    with pytest.raises(PoseError, match="is a timestamp wrong"):
-        town.run(gnss=replace(town.gnss, timestamps_ns=times))
-
-
-@pytest.mark.parametrize("late", ["all", "imu", "gnss", "gnss alone"])
-def test_milliseconds_taken_for_seconds_are_reported(late, town):
-    gnss = replace(town.gnss, timestamps_ns=town.gnss.timestamps_ns * (1 if late == "imu" else 1000))
-    times = 1 if late == "gnss" else 1000
-    streams = {n: VectorSamples(s.timestamps_ns * times, s.values) for n, s in town.imu.streams.items()}
-    sensors = (gnss,) if late == "gnss alone" else (ImuSensor("imu", streams), gnss)
-    with pytest.raises(PoseError, match="milliseconds"):
-        gnss_imu_motion(Scene(sensors, source="made up"))
+def test_wrong_times_and_milliseconds_taken_for_seconds_are_reported(town):
+    for wrong_ns in [9_000_000_000 * SECOND, -9_000_000_000 * SECOND, 2 * 86_400 * SECOND]:
+        times = town.gnss.timestamps_ns.copy()
+        times[0 if wrong_ns < 0 else -1] = wrong_ns
+        with pytest.raises(PoseError, match="is a timestamp wrong"):
+            town.run(gnss=replace(town.gnss, timestamps_ns=times))
+    for late in ["all", "imu", "gnss", "gnss alone"]:
+        gnss = replace(town.gnss, timestamps_ns=town.gnss.timestamps_ns * (1 if late == "imu" else 1000))
+        times = 1 if late == "gnss" else 1000
+        streams = {n: VectorSamples(s.timestamps_ns * times, s.values) for n, s in town.imu.streams.items()}
+        sensors = (gnss,) if late == "gnss alone" else (ImuSensor("imu", streams), gnss)
+        with pytest.raises(PoseError, match="milliseconds"):
+            gnss_imu_motion(Scene(sensors, source="made up"))
 
 
 def test_slow_errors_of_heights_leave_the_covariances_across_as_they_are(town):
@@ -526,12 +499,20 @@ def test_slow_errors_of_heights_leave_the_covariances_across_as_they_are(town):
     assert np.median(wavy.trajectory.covariances[:, 5, 5]) > 4.0 * np.median(plain.trajectory.covariances[:, 5, 5])
 
 
-@pytest.mark.parametrize(("stream", "torn"), [("accelerometer", 1e200), ("gyroscope", -1e12)])
-def test_samples_that_nothing_measures_are_left_out(stream, torn, town):
-    samples = town.imu.streams[stream]
-    values = samples.values.copy()
-    values[700, 1] = torn
-    streams = {**town.imu.streams, stream: VectorSamples(samples.timestamps_ns, values)}
-    run = town.run(imu=ImuSensor("imu", streams))
-    assert {warning.code: warning.count for warning in run.warnings}["imu-samples"] == 1
-    assert np.abs(errors(run, town.path)[:, 3:]).max() < 2.0  # as without it: fixes of 0.4 m an axis
+def test_fixes_and_samples_that_nothing_measures_are_left_out(town):
+    gnss, more = town.gnss, np.ones(4)
+    times = np.concatenate([gnss.timestamps_ns, [7, 8, 9, 10]])
+    # none at all, not finite, off the earth, at a height of no receiver
+    locations = np.vstack([gnss.positions_lla, [[0, 0, 0], [np.nan, 25, 0], [200, 25, 0], [60, 25, 1e300]]])
+    accuracies = np.append(gnss.accuracies, more), np.append(gnss.vertical_accuracies, more)
+    run = town.run(gnss=GnssSensor("gnss", times, locations, *accuracies))
+    assert {warning.code: warning.count for warning in run.warnings}["gnss-fixes-left-out"] == 4
+    assert len(run.used) == len(gnss.timestamps_ns)
+    for stream, torn in [("accelerometer", 1e200), ("gyroscope", -1e12)]:
+        samples = town.imu.streams[stream]
+        values = samples.values.copy()
+        values[700, 1] = torn
+        streams = {**town.imu.streams, stream: VectorSamples(samples.timestamps_ns, values)}
+        run = town.run(imu=ImuSensor("imu", streams))
+        assert {warning.code: warning.count for warning in run.warnings}["imu-samples"] == 1
+        assert np.abs(errors(run, town.path)[:, 3:]).max() < 2.0  # as without it: fixes of 0.4 m an axis

@@ -45,8 +45,7 @@ def test_the_integral_of_a_swinging_motion_is_that_of_tiny_steps() -> None:
     np.testing.assert_allclose(np.linalg.norm(rotating, axis=1), 1.0, atol=1e-12)
 
 
-def test_coning_is_not_lost() -> None:
-    """While the rate changes evenly from one axis to another, the rotations do not simply add up."""
+def test_rates_are_integrated_in_order_with_the_coning_between_them():
     rates = np.array([[2.0, 0, 0.3], [0, 2.0, 0.3]])
     rotated = Rotation.from_quat(integrate_rates(np.array([0, SECOND // 5]), rates)[1])
     true = Rotation.identity()
@@ -55,18 +54,15 @@ def test_coning_is_not_lost() -> None:
     missed = (Rotation.from_rotvec(0.2 * rates.mean(axis=0)).inv() * true).magnitude()
     assert missed > 0.01
     assert (rotated.inv() * true).magnitude() < missed / 20  # what is left is of the third order
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 16, 17])
-def test_any_number_of_samples_is_integrated_in_order(count: int) -> None:
-    rates = np.random.default_rng(count).normal(size=(count, 3))
-    rotating = integrate_rates(np.arange(count) * SECOND // 10, rates)
-    expected = Rotation.identity()
-    for k in range(count):
-        if k:
-            mean, cross = 0.5 * (rates[k - 1] + rates[k]), np.cross(rates[k - 1], rates[k])
-            expected = expected * Rotation.from_rotvec(0.1 * mean + 0.01 / 12 * cross)
-        assert (Rotation.from_quat(rotating[k]).inv() * expected).magnitude() < 1e-12
+    for count in [1, 2, 3, 16, 17]:
+        rates = np.random.default_rng(count).normal(size=(count, 3))
+        rotating = integrate_rates(np.arange(count) * SECOND // 10, rates)
+        expected = Rotation.identity()
+        for k in range(count):
+            if k:
+                mean, cross = 0.5 * (rates[k - 1] + rates[k]), np.cross(rates[k - 1], rates[k])
+                expected = expected * Rotation.from_rotvec(0.1 * mean + 0.01 / 12 * cross)
+            assert (Rotation.from_quat(rotating[k]).inv() * expected).magnitude() < 1e-12
 
 
 def test_a_simulated_drive_rotates_as_it_truly_did_but_for_bias_and_noise() -> None:
@@ -79,18 +75,6 @@ def test_a_simulated_drive_rotates_as_it_truly_did_but_for_bias_and_noise() -> N
     assert angle_between(found.as_quat(), true).max() < 1.1e-3
     assert motion.bias is None
     assert [warning.code for warning in motion.ego.warnings] == ["rotation-only", "gyroscope-bias-unknown"]
-
-
-def test_the_bias_is_found_while_the_ego_stands_and_only_then() -> None:
-    spec = ImuSpec(gyroscope_bias_sigma=0.01)
-    path = PathSpec(stops=(Stop(4.0, 5.0),))
-    drive = simulate_street(1, frames=120, cameras=(), imu=spec, path=path)
-    motion = imu_motion(drive.scene)
-    assert motion.bias is not None
-    # 1e-4 rad/s/√Hz over 3 s: 6e-5 rad/s; five times that
-    np.testing.assert_allclose(motion.bias, drive.truth.imu.gyroscope_bias, atol=3e-4)
-    reported = next(warning for warning in motion.ego.warnings if warning.code == "gyroscope-bias")
-    assert reported.kind is WarningKind.REPAIRED
 
 
 def stationary_signals(seconds: float = 4.0, rate_hz: int = 100) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -121,23 +105,27 @@ def test_an_ego_that_stands_is_seen_to_stand_also_around_a_quiet_turn() -> None:
     assert stationary.seconds == 2.0
 
 
-@pytest.mark.parametrize(
-    ("rotation", "sway", "shake"), [(0.1, 0.0, 0.0), (0.0, 0.003, 0.0), (0.0, 0.0, 0.03), (0.0, 0.0, 2.0)]
-)
-def test_an_ego_that_turns_evenly_sways_or_shakes_does_not_stand(rotation: float, sway: float, shake: float) -> None:
-    times, rates, forces = stationary_signals()
-    swing = np.sin(times * 1e-9 * 6)[:, None] * np.ones(3)
-    moved = rates + [0, 0, rotation] + sway * swing
-    assert find_stationary(times, moved, times, forces + shake * swing) is None
-
-
-def test_an_even_bend_on_a_smooth_fast_road_is_not_stationary() -> None:
+def test_the_bias_is_found_while_the_ego_stands_and_not_in_an_even_bend():
+    spec = ImuSpec(gyroscope_bias_sigma=0.01)
+    path = PathSpec(stops=(Stop(4.0, 5.0),))
+    drive = simulate_street(1, frames=120, cameras=(), imu=spec, path=path)
+    motion = imu_motion(drive.scene)
+    assert motion.bias is not None
+    # 1e-4 rad/s/√Hz over 3 s: 6e-5 rad/s; five times that
+    np.testing.assert_allclose(motion.bias, drive.truth.imu.gyroscope_bias, atol=3e-4)
+    reported = next(warning for warning in motion.ego.warnings if warning.code == "gyroscope-bias")
+    assert reported.kind is WarningKind.REPAIRED
     path = PathSpec(speeds=(20.0, 25.0), yaw_rate=0.05)
     drive = simulate_street(2, frames=60, cameras=(), path=path)
     assert imu_motion(drive.scene).bias is None
 
 
-def test_few_samples_or_none_report_no_stationary_ego() -> None:
+def test_an_ego_that_moves_at_all_or_has_few_samples_does_not_stand():
+    for rotation, sway, shake in [(0.1, 0.0, 0.0), (0.0, 0.003, 0.0), (0.0, 0.0, 0.03), (0.0, 0.0, 2.0)]:
+        times, rates, forces = stationary_signals()
+        swing = np.sin(times * 1e-9 * 6)[:, None] * np.ones(3)
+        moved = rates + [0, 0, rotation] + sway * swing
+        assert find_stationary(times, moved, times, forces + shake * swing) is None
     times, rates, forces = stationary_signals(rate_hz=5)
     assert find_stationary(times, rates, times, forces) is None
     none = np.zeros(0, np.int64), np.zeros((0, 3))
@@ -150,16 +138,13 @@ def imu_scene(times_ns: np.ndarray, rates: np.ndarray) -> Scene:
     return Scene((ImuSensor("imu", {"gyroscope": VectorSamples(times_ns, rates)}),), source="drive")
 
 
-def test_gaps_are_found_and_reported() -> None:
+def test_gaps_and_samples_out_of_order_or_without_a_number_are_reported_and_what_is_missing_is_named():
     times = np.delete(np.arange(100) * 10_000_000, np.r_[30:34, 60:66])
     motion = imu_motion(imu_scene(times, np.zeros((90, 3))))
     assert motion.gaps_ns.tolist() == [[590_000_000, 660_000_000]]
     spans = [(550, 600), (600, 610), (500, 590), (250, 400)]
     assert [motion.is_known(a * 1_000_000, b * 1_000_000) for a, b in spans] == [False, False, True, True]
     assert ("imu-gaps", 1) in [(warning.code, warning.count) for warning in motion.ego.warnings]
-
-
-def test_samples_out_of_order_or_without_a_number_do_no_harm() -> None:
     seconds = np.arange(0, 201) / 100.0
     times, rates = (seconds * SECOND).astype(np.int64), swinging_rates(seconds)
     sound = imu_motion(imu_scene(times, rates)).ego.path
@@ -168,9 +153,6 @@ def test_samples_out_of_order_or_without_a_number_do_no_harm() -> None:
     motion = imu_motion(imu_scene(times, rates))
     np.testing.assert_array_equal(motion.ego.path.quaternions_xyzw, sound.quaternions_xyzw)
     assert ("imu-samples", 2) in [(warning.code, warning.count) for warning in motion.ego.warnings]
-
-
-def test_what_is_missing_is_named() -> None:
     empty = VectorSamples(np.zeros(0, np.int64), np.zeros((0, 3)))
     with pytest.raises(PoseError, match="no IMU"):
         imu_motion(Scene((), source="drive"))

@@ -100,13 +100,10 @@ def test_after_a_gap_in_time_a_new_map_begins_where_the_motion_before_leads(clou
     assert after < 0.5  # the heading is as uncertain as the rotating during a second, but the trajectory goes on
 
 
-def test_the_same_sweep_over_and_over_is_a_stationary_ego(clouds):
+def test_the_same_sweep_over_and_over_is_a_stationary_ego_and_one_that_is_not_later_changes_nothing(clouds):
     timestamp, points, times = clouds[0]
     estimates = follow([(timestamp + k * 10**8, points, times + k * 10**8) for k in range(20)])
     assert max(np.abs(estimate.state.position).max() for estimate in estimates) < 0.005
-
-
-def test_a_sweep_that_is_not_later_changes_nothing_and_empty_ones_before_the_first_stand_at_its_pose(clouds):
     odometry = LidarOdometry()
     for cloud in clouds[:4]:
         odometry.add(*cloud)
@@ -232,17 +229,15 @@ def test_one_blind_lidar_among_two_does_not_matter(scene, sound):
         assert np.linalg.norm(found - expected) < 0.4  # the first point was measured 30 ms later: up to 0.3 m on
 
 
-def test_points_in_the_ego_frame_need_no_mounting(alone, sound):
+def test_points_in_the_ego_frame_need_no_mounting_others_do_and_scenes_that_cannot_be_followed_are_refused(
+    alone, sound, scene
+):
     lidar = alone.lidars[0]
     clouds = [replace(f.points, positions=np.float32(lidar.mount.apply(f.points.positions))) for f in lidar.frames]
     frames = [replace(frame, points=cloud) for frame, cloud in zip(lidar.frames, clouds, strict=True)]
     run = run_of(alone, replace(with_frames(lidar, frames), mount=None, points_frame=PointsFrame.EGO))
     np.testing.assert_allclose(last_position(run), last_position(sound), atol=1e-3)
     assert run.warnings == ()
-
-
-def test_mountings_that_are_missing_and_scenes_that_cannot_be_followed_are_reported(scene, alone):
-    lidar = alone.lidars[0]
     bare = replace(lidar, mount=None)
     assert codes(run_of(alone, bare)) == {"lidar-is-the-ego"}
     assert codes(run_of(scene, bare, scene.lidars[1])) == {"lidar-left-out-of-odometry"}
@@ -265,16 +260,13 @@ def unreadable(lidar: LidarSensor, broken: int) -> LidarSensor:
     return replace(lidar, frames=LazyFrames(lidar.frames.timestamps_ns, read))
 
 
-def test_a_sweep_that_cannot_be_read_stops_or_is_skipped_with_a_warning(alone, sound):
+def test_sweeps_that_cannot_be_read_out_of_order_or_of_one_time_are_left_out_or_sorted_and_reported(alone, sound):
     broken = unreadable(alone.lidars[0], 4)
     with pytest.raises(DataError, match="17 bytes"):
         run_of(alone, broken)
     run = run_of(alone, broken, lenient=True)
     assert codes(run) == {"odometry-sweep-unreadable"}
     np.testing.assert_allclose(last_position(run), last_position(sound), atol=0.02)
-
-
-def test_sweeps_out_of_order_are_sorted_and_those_of_one_time_left_out(alone, sound):
     lidar = alone.lidars[0]
     frames = list(lidar.frames)
     run = run_of(alone, with_frames(lidar, [*frames[:3], frames[4], frames[3], *frames[5:], frames[7]]))
@@ -302,7 +294,7 @@ def test_broken_point_times_are_repaired_or_left_aside_and_reported(alone, sound
         np.testing.assert_allclose(last_position(run), last_position(sound), atol=0 if exact else 1e-3)
 
 
-def test_a_single_sweep_gives_the_identity_over_its_whole_time(alone):
+def test_single_and_repeated_sweeps_stand_and_poses_lead_back_over_empty_ones_at_the_beginning(alone, sound):
     lidar = alone.lidars[0]
     run = run_of(alone, with_frames(lidar, [lidar.frames[0]]))
     times = lidar.frames[0].points.timestamps_ns
@@ -311,19 +303,11 @@ def test_a_single_sweep_gives_the_identity_over_its_whole_time(alone):
     assert codes(run) == {"odometry-without-motion"}
     # no one knows how fast it went: a road vehicle covers metres in a sweep
     assert np.sqrt(run.trajectory.covariances[-1, 3, 3]) > 0.3
-
-
-def test_a_lidar_that_repeats_its_sweep_seems_to_stand_and_that_is_reported(alone):
-    lidar = alone.lidars[0]
     points = replace(lidar.frames[0].points, timestamps_ns=None)
     frames = [LidarFrame(timestamp, points) for timestamp in lidar.frames.timestamps_ns.tolist()]
     run = run_of(alone, with_frames(lidar, frames))
     assert {warning.code: warning.count for warning in run.warnings}["repeated-sweeps"] == SWEEPS - 1
     np.testing.assert_allclose(run.trajectory.positions, 0.0, atol=1e-3)
-
-
-def test_poses_lead_back_over_empty_sweeps_at_the_beginning(alone, sound):
-    lidar = alone.lidars[0]
     frames = list(lidar.frames)
     nothing = replace(frames[0], points=blind(lidar).frames[0].points)
     run = run_of(alone, with_frames(lidar, [nothing, *frames[1:]]))

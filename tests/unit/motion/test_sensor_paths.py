@@ -36,16 +36,13 @@ def test_every_frame_has_its_pose_and_the_rest_stays_within_a_millimetre_and_a_h
     assert np.degrees(angle).max() < 0.011
 
 
-def test_a_straight_trajectory_needs_no_pose_but_the_frames_own() -> None:
+def test_a_straight_trajectory_needs_no_pose_but_the_frames_own_and_frames_beyond_the_reach_get_none():
     t = np.arange(0, 100, dtype=np.int64) * 10_000_000
     straight = Poses(t, np.stack([t * 1e-8, 0 * t, 0 * t], axis=1), np.tile([0.0, 0, 0, 1], (100, 1)))
     frames = np.arange(0, 900_000_000, 100_000_000, dtype=np.int64)
     thin = sensor_path(PoseSource(straight, MOUNT), frames)
     assert thin is not None
     np.testing.assert_array_equal(thin.timestamps_ns, frames)
-
-
-def test_frames_beyond_the_reach_get_no_pose() -> None:
     path = winding_path()
     frames = np.array([path.start_ns, path.stop_ns + 10, path.stop_ns + 1000], np.int64)
     thin = sensor_path(PoseSource(path, MOUNT, reach_ns=100), frames)
@@ -72,7 +69,7 @@ def images_with(mounts: list[RigidTransform | None], times_ns: list[int]) -> Laz
     return LazyFrames.of(images, times_ns)
 
 
-def test_each_image_has_the_pose_of_its_own_mounting() -> None:
+def test_each_image_has_the_pose_of_its_own_mounting_images_of_one_time_share_it_and_own_poses_stay():
     same = RigidTransform(RAISED.rotation.copy(), RAISED.translation.copy())
     mounts = [None, None, RAISED, same, None, RAISED]
     times = [400_000_000 + 100_000_000 * k for k in range(6)]
@@ -86,10 +83,6 @@ def test_each_image_has_the_pose_of_its_own_mounting() -> None:
     between = np.linspace(times[2], times[3], 50).astype(np.int64)
     truth = PoseSource(winding_path(), RAISED).at(between).positions
     assert np.linalg.norm(path.interpolate(between).positions - truth, axis=1).max() < 1.1e-3
-
-
-def test_images_of_one_time_share_a_pose_and_a_camera_with_poses_of_its_own_or_without_images_keeps_none() -> None:
-    source = PoseSource(winding_path(), MOUNT)
     path = camera_path(source, images_with([None, RAISED], [500, 500]))
     assert path is not None
     np.testing.assert_allclose(path.positions, source.at(np.array([500], np.int64)).positions)

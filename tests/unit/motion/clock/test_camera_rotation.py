@@ -97,7 +97,7 @@ def test_a_black_image_and_one_that_cannot_be_read_break_the_rotation(sway):
     assert np.flatnonzero(np.diff(camera_rotation(broken).chunks)).tolist() == [2, 3]
 
 
-def test_what_is_near_does_not_rotate_the_camera():
+def test_what_is_near_does_not_rotate_the_camera_and_directions_that_agree_in_nothing_are_refused():
     draw = np.random.default_rng(2)
     locations = draw.uniform([-8, -3, 4], [8, 3, 40], (200, 3))
     rotation = Rotation.from_rotvec([0.002, 0.04, -0.003])
@@ -110,9 +110,6 @@ def test_what_is_near_does_not_rotate_the_camera():
     assert (Rotation.from_matrix(found.rotation).inv() * rotation).magnitude() < 5e-4
     assert found.influences.sum() == pytest.approx(1.0)
     assert not found.agreeing[:20].all()
-
-
-def test_directions_that_agree_in_nothing_are_refused():
     draw = np.random.default_rng(3)
     first, second = draw.standard_normal((2, 100, 3))
     first, second = (x / np.linalg.norm(x, axis=1)[:, None] for x in (first, second))

@@ -137,16 +137,6 @@ def test_the_other_way_round_the_signs_change(sway, timestamps, scene):
     assert back.offset_ns == pytest.approx(-forth.offset_ns, abs=1e5)
 
 
-def test_a_rotation_between_the_bodies_is_found_along(sway, timestamps):
-    at, rates, posed, rotations = pair(sway, timestamps, offset=0.03, axes=(1.0, 1.0, 1.0))
-    mounted = Rotation.from_rotvec([0.4, -1.1, 2.0])
-    rotated = (Rotation.from_quat(rotations) * mounted).as_quat()
-    found = estimate(at, rates, posed, rotated)
-    assert found.offset_ns == pytest.approx(3e7, abs=5e5)
-    # the rate's noise leaves far less than a hundredth of a radian
-    assert (Rotation.from_rotvec(found.rotation_vector).inv() * mounted).magnitude() < 0.01
-
-
 @pytest.mark.slow
 def test_gaps_and_wild_samples_do_not_matter(sway, timestamps):
     at, rates, posed, rotations = pair(sway, timestamps, offset=0.03, seconds=36.0)
@@ -159,7 +149,14 @@ def test_gaps_and_wild_samples_do_not_matter(sway, timestamps):
     assert found.offset_ns == pytest.approx(3e7, abs=3e6)
 
 
-def test_ten_samples_a_second_of_both_are_enough(sway, timestamps):
+def test_a_rotation_between_the_bodies_is_found_along_and_ten_samples_a_second_are_enough(sway, timestamps):
+    at, rates, posed, rotations = pair(sway, timestamps, offset=0.03, axes=(1.0, 1.0, 1.0))
+    mounted = Rotation.from_rotvec([0.4, -1.1, 2.0])
+    rotated = (Rotation.from_quat(rotations) * mounted).as_quat()
+    found = estimate(at, rates, posed, rotated)
+    assert found.offset_ns == pytest.approx(3e7, abs=5e5)
+    # the rate's noise leaves far less than a hundredth of a radian
+    assert (Rotation.from_rotvec(found.rotation_vector).inv() * mounted).magnitude() < 0.01
     found = estimate(*pair(sway, timestamps, offset=0.03, poses_hz=10.0, rates_hz=10.0, size=0.05))
     assert found.offset_ns == pytest.approx(3e7, abs=5e6)
 
@@ -177,7 +174,7 @@ def test_a_long_drive_with_a_fast_clock_is_followed(sway, timestamps):
         assert piece.offset_ns == pytest.approx(truth, abs=2e6)
 
 
-def test_what_is_stationary_states_nothing(timestamps):
+def test_motions_of_what_is_stationary_or_of_two_bodies_or_that_repeat_themselves_state_nothing(timestamps, sway):
     draw = np.random.default_rng(0)
     seconds = np.arange(0.0, 30.0, 0.01)
     rates = 0.01 + NOISE * draw.standard_normal((len(seconds), 3))
@@ -187,17 +184,11 @@ def test_what_is_stationary_states_nothing(timestamps):
     assert found.verdict is ClockVerdict.NOT_OBSERVABLE
     assert found.reason
     assert found.offset_ns is None
-
-
-def test_motions_of_two_different_bodies_have_nothing_in_common(sway, timestamps):
     for seed in range(2):
         at, rates, _, _ = pair(sway, timestamps, seed=seed)
         _, _, posed, rotations = pair(sway, timestamps, seed=seed + 50)
         found = estimate(at, rates, posed, rotations)
         assert found.verdict is ClockVerdict.NOT_OBSERVABLE, seed
-
-
-def test_a_motion_that_repeats_itself_has_two_offsets(timestamps):
     seconds = np.arange(0.0, 60.0, 0.01)
     rates = np.zeros((len(seconds), 3))
     rates[:, 2] = 0.3 * np.sin(2 * np.pi * seconds / 2.0)
@@ -298,16 +289,6 @@ def test_fixes_in_step_raise_no_alarm(seed):
         assert not compared(scene, reference)[1].is_off
 
 
-def test_jumps_of_single_fixes_do_not_matter(scene):
-    receiver = scene.sensor("gnss")
-    positions = receiver.positions_lla.copy()
-    positions[::37, 0] += 2e-4
-    wild = with_receiver(scene, replace(receiver, positions_lla=positions))
-    _, found = compared(shifted(wild, 3e7), "groundTruth")
-    # a fix in 37 is off by 22 m; the others know the offset nearly as well
-    assert found.offset_ns == pytest.approx(3e7, abs=5e6)
-
-
 def test_a_trajectory_without_orientations_is_compared_by_its_trajectory(scene):
     trajectory = scene.trajectories["groundTruth"]
     times = trajectory.timestamps_ns[::10] + 30_000_000
@@ -318,7 +299,27 @@ def test_a_trajectory_without_orientations_is_compared_by_its_trajectory(scene):
     assert abs(found.offset_ns - 3e7) < 4 * found.offset_sigma_ns
 
 
-def test_a_stationary_receiver_and_a_straight_road_at_one_speed_state_nothing(scene):
+def test_jumps_and_fixes_before_reception_without_heights_or_of_a_wrong_time_do_not_matter(scene):
+    receiver = scene.sensor("gnss")
+    positions = receiver.positions_lla.copy()
+    positions[::37, 0] += 2e-4
+    wild = with_receiver(scene, replace(receiver, positions_lla=positions))
+    _, found = compared(shifted(wild, 3e7), "groundTruth")
+    # a fix in 37 is off by 22 m; the others know the offset nearly as well
+    assert found.offset_ns == pytest.approx(3e7, abs=5e6)
+    positions, times = receiver.positions_lla.copy(), receiver.timestamps_ns.copy()
+    positions[:40] = 0.0
+    positions[:, 2] = np.nan
+    _, found = compared(with_receiver(scene, replace(receiver, positions_lla=positions)), "groundTruth")
+    # as with all of them
+    assert found.offset_ns == pytest.approx(0, abs=4e6)
+    assert found.offset_sigma_ns < 2e6
+    times[-1] = 9_000_000_000_000_000_000  # makes no windows by the million
+    found = compared(with_receiver(scene, replace(receiver, timestamps_ns=times)), "groundTruth")[1]
+    assert found.samples < len(times)
+
+
+def test_few_fixes_stationary_ones_a_straight_road_and_a_dead_accelerometer_state_nothing(scene):
     receiver, trajectory = scene.sensor("gnss"), scene.trajectories["groundTruth"]
     draw = np.random.default_rng(0)
     still = receiver.positions_lla[:1] + 1e-6 * draw.standard_normal((len(receiver.timestamps_ns), 3))
@@ -337,41 +338,21 @@ def test_a_stationary_receiver_and_a_straight_road_at_one_speed_state_nothing(sc
     found = compared(replace(moved, trajectories={"groundTruth": straight}), "groundTruth")[1]
     assert (found.verdict, found.offset_ns) == (ClockVerdict.NOT_OBSERVABLE, None)
     assert found.reason
-
-
-@pytest.mark.parametrize("kept", [0, 1, 6])
-def test_too_few_fixes_are_named(scene, kept):
-    receiver = scene.sensor("gnss")
-    names = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies")
-    few = replace(receiver, **{name: getattr(receiver, name)[:kept] for name in names})
-    found = compared(with_receiver(scene, few), "groundTruth")[1]
-    assert found.verdict is ClockVerdict.NOT_OBSERVABLE
-    assert "fixes" in found.reason or "in common" in found.reason
-
-
-def test_fixes_before_reception_without_heights_or_of_a_wrong_time_do_not_matter(scene):
-    receiver = scene.sensor("gnss")
-    positions, times = receiver.positions_lla.copy(), receiver.timestamps_ns.copy()
-    positions[:40] = 0.0
-    positions[:, 2] = np.nan
-    _, found = compared(with_receiver(scene, replace(receiver, positions_lla=positions)), "groundTruth")
-    # as with all of them
-    assert found.offset_ns == pytest.approx(0, abs=4e6)
-    assert found.offset_sigma_ns < 2e6
-    times[-1] = 9_000_000_000_000_000_000  # makes no windows by the million
-    found = compared(with_receiver(scene, replace(receiver, timestamps_ns=times)), "groundTruth")[1]
-    assert found.samples < len(times)
-
-
-@pytest.mark.parametrize("forces", [0.0, 1e200])
-def test_an_accelerometer_that_states_nothing_reports_no_offset(scene, forces):
-    imu = scene.sensor("imu")
-    samples = imu.streams["accelerometer"]
-    dead = replace(samples, values=np.full_like(samples.values, forces))
-    streams = {**imu.streams, "accelerometer": dead}
-    sensors = tuple(replace(s, streams=streams) if s.id == "imu" else s for s in scene.sensors)
-    found = compared(replace(scene, sensors=sensors), "imu")[1]
-    assert found.verdict is ClockVerdict.NOT_OBSERVABLE
+    for kept in [0, 1, 6]:
+        receiver = scene.sensor("gnss")
+        names = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies")
+        few = replace(receiver, **{name: getattr(receiver, name)[:kept] for name in names})
+        found = compared(with_receiver(scene, few), "groundTruth")[1]
+        assert found.verdict is ClockVerdict.NOT_OBSERVABLE
+        assert "fixes" in found.reason or "in common" in found.reason
+    for forces in [0.0, 1e200]:
+        imu = scene.sensor("imu")
+        samples = imu.streams["accelerometer"]
+        dead = replace(samples, values=np.full_like(samples.values, forces))
+        streams = {**imu.streams, "accelerometer": dead}
+        sensors = tuple(replace(s, streams=streams) if s.id == "imu" else s for s in scene.sensors)
+        found = compared(replace(scene, sensors=sensors), "imu")[1]
+        assert found.verdict is ClockVerdict.NOT_OBSERVABLE
 
 
 def test_a_stated_antenna_is_believed_and_an_unknown_one_widens_the_uncertainty(scene):

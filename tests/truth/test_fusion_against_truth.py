@@ -113,7 +113,7 @@ def test_colours_out_of_png_images_are_exact_and_out_of_h264_videos_close(reques
     assert np.median(np.concatenate(differences)) <= (1 if exact else 4)
 
 
-def test_points_in_the_world_are_where_the_laser_hit_but_for_the_noise_of_their_range(with_png: list[Any]) -> None:
+def test_points_are_where_the_laser_hit_with_their_times_strengths_and_rings(with_png):
     for fused in with_png:
         for sweep in fused.sweeps:
             measured, true = fused.drive.truth.sweep(sweep), fused.truths.clean(sweep)
@@ -126,9 +126,6 @@ def test_points_in_the_world_are_where_the_laser_hit_but_for_the_noise_of_their_
             apart = np.linalg.norm(found - true.positions_world, axis=1)
             # 2.58 sigma hold 99 % of a normal distribution; the rest allows for the millimetre and for chance.
             assert np.percentile(apart, 99) < 3 * fused.drive.truth.lidar.spec.range_sigma
-
-
-def test_points_keep_their_times_strengths_and_rings(with_png: list[Any]) -> None:
     for fused in with_png:
         for sweep, frame in zip(fused.sweeps, fused.sensor("lidar")["frames"], strict=True):
             ours, true = frame["points"], fused.drive.truth.sweep(sweep).frame.points
@@ -152,7 +149,7 @@ def expected_poses(fused: Any, sensor_id: str, times_ns: np.ndarray) -> tuple[np
     return positions, rotations * Rotation.from_matrix(mount.rotation.copy())
 
 
-def test_poses_in_the_file_and_between_those_are_the_true_ones(with_png: list[Any]) -> None:
+def test_poses_are_the_true_ones_of_every_sweep_and_image_from_the_first_position_of_the_ego_on(with_png):
     for fused in with_png:
         for sensor_id in ("ego", "lidar", *fused.camera_ids):
             path = fused.sensor(sensor_id)["poses"]
@@ -166,9 +163,6 @@ def test_poses_in_the_file_and_between_those_are_the_true_ones(with_png: list[An
             between = np.column_stack([np.interp(times, timestamps, rows[:, k]) for k in range(3)])
             # The file leaves out poses that interpolation gives within 1 mm.
             assert np.abs(fused.to_world(between) - positions).max() < 2 * MILLIMETRE
-
-
-def test_every_sweep_and_image_has_a_pose_of_its_own(with_png: list[Any]) -> None:
     for fused in with_png:
         posed = set(fused.sensor("lidar")["poses"]["timestamps"])
         assert posed >= {frame["timestamp"] for frame in fused.sensor("lidar")["frames"]}
@@ -176,9 +170,6 @@ def test_every_sweep_and_image_has_a_pose_of_its_own(with_png: list[Any]) -> Non
             posed = fused.time_ns(fused.sensor(camera_id)["poses"]["timestamps"])
             taken = fused.drive.truth.cameras[camera_id].timestamps_ns[fused.sweeps.start : fused.sweeps.stop]
             assert all(np.abs(posed - time).min() <= 500 for time in taken)
-
-
-def test_the_files_world_begins_at_the_first_position_of_the_ego(with_png: list[Any]) -> None:
     for fused in with_png:
         matrix, path = fused.world_from_file, fused.sensor("ego")["poses"]
         np.testing.assert_array_equal(matrix[:3, :3], np.eye(3))

@@ -26,7 +26,7 @@ def drive() -> SimulatedDrive:
     return simulate_street(5, frames=4, lidar=exact, cameras=(CameraSpec(AHEAD),))
 
 
-def test_points_and_motion_are_those_of_the_truth_when_the_image_was_taken(drive):
+def test_points_and_motion_are_those_of_the_truth_when_the_image_was_taken_and_later_ones_see_from_farther_on(drive):
     frame = calibration_frames(drive.scene, most=2)[1]
     sweep = next(k for k, lidar in enumerate(drive.scene.lidars[0].frames) if lidar.reference_ns == frame.sweep_ns)
     truth_world = drive.truth.clean_points_world(sweep).positions_world
@@ -40,9 +40,6 @@ def test_points_and_motion_are_those_of_the_truth_when_the_image_was_taken(drive
     assert frame.scan is not None
     assert frame.scan.count == 12  # lines are the rings of the sensor
     assert (np.diff(frame.scan.lines) >= 0).all()
-
-
-def test_a_later_image_sees_the_points_from_farther_on(drive):
     frame = calibration_frames(drive.scene, most=1)[0]
     assert frame.world_from_lidar is not None
     stated = frame.camera_from_lidar.matrix
@@ -54,15 +51,17 @@ def test_a_later_image_sees_the_points_from_farther_on(drive):
     shift = np.linalg.inv(stated) @ later
     # a straight trajectory for 50 ms: within 2 cm of the curved one
     assert float(np.linalg.norm(shift[:3, 3])) == pytest.approx(moved, abs=0.02)
-
-
-def test_a_screw_of_a_quarter_rotation_is_a_quarter_circle():
     moved = Change((0.0, 0.0, np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0, 0.0)).camera_from_lidar(np.eye(4))
     np.testing.assert_allclose(moved[:3, 3], [1.0, 1.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(moved[:3, 0], [0.0, 1.0, 0.0], atol=1e-12)
 
 
-def test_frames_are_spread_over_the_drive_and_unknown_sensors_named_with_those_that_are_there(drive):
+def with_camera(scene: Scene, **changes: object) -> Scene:
+    sensors = [replace(s, **changes) if s.id == "camera0" else s for s in scene.sensors]
+    return replace(scene, sensors=tuple(sensors))
+
+
+def test_frames_are_spread_over_the_drive_and_sensors_or_images_that_do_not_fit_are_refused(drive):
     assert [frame.index for frame in calibration_frames(drive.scene, most=2)] == [0, 3]
     assert len(calibration_frames(drive.scene, most=100)) == 4
     with pytest.raises(OptionError, match="0 frames"):
@@ -71,14 +70,6 @@ def test_frames_are_spread_over_the_drive_and_unknown_sensors_named_with_those_t
         calibration_frames(drive.scene, "left")
     with pytest.raises(OptionError, match=r"'roof'.*'lidar'"):
         calibration_frames(drive.scene, None, "roof")
-
-
-def with_camera(scene: Scene, **changes: object) -> Scene:
-    sensors = [replace(s, **changes) if s.id == "camera0" else s for s in scene.sensors]
-    return replace(scene, sensors=tuple(sensors))
-
-
-def test_images_of_another_size_or_that_no_sweep_is_near_and_cameras_without_location_are_refused(drive):
     first = drive.scene.cameras[0].images[0]
     small = CameraImage(first.timestamp_ns, AHEAD, lambda: np.zeros((32, 48, 3), np.uint8))
     late = replace(first, timestamp_ns=first.timestamp_ns + 60_000_000_000)
@@ -108,7 +99,7 @@ def scanned(lines: int = 16, steps: int = 360) -> tuple[np.ndarray, np.ndarray]:
     return (ranges * np.array(directions)).T.copy(), rings
 
 
-def test_lines_are_reported_by_rings_by_the_order_of_the_file_or_by_elevations():
+def test_lines_are_reported_by_rings_by_the_order_of_the_file_or_by_elevations_if_there_are_any():
     points, rings = scanned()
     shuffled = np.random.default_rng(1).permutation(len(points))
     plain = np.arange(len(points))
@@ -121,9 +112,6 @@ def test_lines_are_reported_by_rings_by_the_order_of_the_file_or_by_elevations()
     assert scan is not None
     same = np.diff(scan.lines) == 0
     assert (np.diff(scan.azimuths)[same] > 0).all()
-
-
-def test_a_cloud_without_lines_and_few_points_have_none():
     assert find_scan_order(np.random.default_rng(2).normal(size=(5000, 3)) * 10.0, None) is None
     assert find_scan_order(scanned()[0][:20], None) is None
     assert find_scan_order(np.zeros((500, 3)), None) is None

@@ -116,16 +116,13 @@ def test_images_without_the_whole_board_give_nothing() -> None:
     assert find_corners(image[:, 250:], BOARD) is None
 
 
-def test_the_pose_of_the_board_is_found_from_its_corners() -> None:
+def test_the_pose_of_the_board_is_found_from_its_corners_and_from_the_cloud():
     truth = placed(LOCATIONS[1])
     pixels, _ = project(CAMERA, truth.apply(BOARD.corners))
     found = board_pose(CAMERA, pixels, BOARD)
     assert found is not None
     np.testing.assert_allclose(step_between(found[0], truth), 0.0, atol=1e-6)
     assert found[1] < 1e-5
-
-
-def test_the_board_is_distinguished_from_the_ground_and_from_things_of_another_size() -> None:
     lidar_from_board = CAMERA_FROM_LIDAR.inverse() @ placed(LOCATIONS[0])
     points = cloud(lidar_from_board, BOARD, noise=0.01)
     found = board_in_cloud(points, BOARD)

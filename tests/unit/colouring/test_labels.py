@@ -25,24 +25,18 @@ def labels(number, size=(40, 60)):
     return np.full(size, number, np.uint16)
 
 
-def test_points_take_the_label_of_their_nearest_pixel_and_of_no_other():
+def test_points_take_the_label_of_their_nearest_pixel_in_most_images_if_they_are_seen():
     image = np.arange(40 * 60, dtype=np.uint16).reshape(40, 60)
     u, v = np.array([10.4, 10.6, 0.0, 59.4]), np.array([20.4, 20.6, 0.0, 39.4])
     points = np.stack([(u - 29.5) / 50 * 4, (v - 19.5) / 50 * 4, np.full(4, 4.0)], axis=1)
     painted = paint_labels(points, [view(points)], [image])
     assert painted.tolist() == [20 * 60 + 10, 21 * 60 + 11, 0, 39 * 60 + 59]
-
-
-def test_most_images_decide_and_of_equally_many_the_better_one():
     points = np.array([[0.0, 0.0, 5.0]])
     views = [view(points), view(points, x=1.5, camera_id="b"), view(points, x=-1.5, camera_id="c")]
     assert paint_labels(points, views, [labels(1), labels(2), labels(2)]).tolist() == [2]
     assert paint_labels(points, views[:2], [labels(1), labels(2)]).tolist() == [1]
     assert paint_labels(points, views[:2], [None, labels(2)]).tolist() == [2]
     assert paint_labels(points, views, [labels(7), labels(8), labels(9)]).tolist() == [7]
-
-
-def test_hidden_points_points_outside_and_points_without_images_have_no_label_and_other_sizes_are_refused():
     points = np.array([[0.0, 0.0, 5.0], [0.0, 0.0, 9.0], [0.0, 0.0, -5.0]])
     assert paint_labels(points, [view(points)], [labels(3)]).tolist() == [3, NO_LABEL, NO_LABEL]
     assert paint_labels(points, [view(points)], [None]).tolist() == [NO_LABEL] * 3
@@ -52,7 +46,7 @@ def test_hidden_points_points_outside_and_points_without_images_have_no_label_an
             paint_labels(points, [view(points)], images)
 
 
-def test_labels_are_drawn_where_points_are_visible_and_the_nearest_counts():
+def test_labels_are_drawn_where_points_are_visible_and_the_nearest_counts_with_a_label_or_without():
     points = np.array([[-0.01, -0.01, 5.0], [-0.02, -0.02, 8.0], [1.0, 0.5, 5.0]])
     seen = view(points)
     canvas = LabelCanvas.blank(60, 40)
@@ -60,9 +54,6 @@ def test_labels_are_drawn_where_points_are_visible_and_the_nearest_counts():
     assert canvas.labels[19, 29] == 4
     assert sorted(np.unique(canvas.labels).tolist()) == [0, 4, 6]
     assert (canvas.labels > 0).sum() == 2
-
-
-def test_a_point_without_a_label_covers_what_is_behind_it():
     points = np.array([[0.0, 0.0, 8.0]])
     near = np.array([[0.0, 0.0, 4.0]])
     canvas = LabelCanvas.blank(60, 40, radius_px=2)

@@ -47,7 +47,7 @@ def test_most_of_what_moves_is_found_and_almost_nothing_that_stands(traffic):
     assert wrong < 0.003 * stationary
 
 
-def test_sweeps_come_back_in_their_order_and_wait_no_longer_than_they_must():
+def test_sweeps_come_back_in_their_order_and_move_nothing_where_it_is_not_known_from_where_they_were_measured():
     finder = MovingPoints()
     trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(1, np.float32))
     wall = np.array([[10.0, 0.0, 0.0]], np.float32)
@@ -55,16 +55,10 @@ def test_sweeps_come_back_in_their_order_and_wait_no_longer_than_they_must():
     assert order[: LAGS[-1]] == [[]] * LAGS[-1]
     assert order[LAGS[-1] :] == [[0], [1], [2]]
     assert [load for load, _ in finder.flush()] == list(range(3, LAGS[-1] + 3))
-
-
-def test_where_it_is_not_known_from_where_was_measured_nothing_moves():
     finder, points = MovingPoints(), np.random.default_rng(0).uniform(-20, 20, (500, 3)).astype(np.float32)
     for k in range(3 * LAGS[0]):
         list(finder.add(k, points + 3 * k, None))
     assert not any(marked.any() for _, marked in finder.flush())
-
-
-def test_a_cloud_of_one_point_and_one_of_none_are_judged():
     finder = MovingPoints()
     for count in (1, 0):
         trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(count, np.float32))

@@ -90,17 +90,13 @@ def test_best_takes_the_colour_that_is_trusted_most_and_the_mean_those_that_agre
     np.testing.assert_allclose(point["color"], expected, rtol=1e-5)
 
 
-def test_uncoloured_points_stay_white_and_do_not_dim_the_coloured_ones(tmp_path):
+def test_points_without_colour_stay_white_those_that_are_nowhere_are_left_out(tmp_path):
     points = empty_points(3)
     points["position"] = [[0.1, 0.1, 0.1], [0.2, 0.2, 0.2], [5.0, 5.0, 5.0]]
     points["weight"][0], points["color"][0], points["camera"][0] = 0.4, 50, 2
     found = {row["camera"]: row for row in gathered([points], tmp_path)}
     assert found[2]["color"].tolist() == [50, 50, 50]
     assert found[255]["color"].tolist() == [255, 255, 255]
-
-
-def test_points_that_are_nowhere_are_left_out_and_an_empty_map_has_no_points(tmp_path):
-    points = empty_points(3)
     points["position"][0], points["position"][1] = np.nan, np.inf
     assert len(gathered([points], tmp_path)) == 1
     assert len(gathered([], tmp_path)) == 0

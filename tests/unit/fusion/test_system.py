@@ -56,18 +56,6 @@ def fused_of(system, *sweeps):
     return results(system)
 
 
-def test_a_sweep_is_fused_as_soon_as_an_image_at_or_after_its_time_has_come():
-    system = system_with()
-    system.send("camera0", image(0, level=1))
-    system.send("lidar", sweep(40))
-    assert system.get() is None
-    system.send("camera0", image(60, level=2))
-    fused = system.get()
-    assert fused.views[0].timestamp_ns == 60
-    np.testing.assert_array_equal(fused.points.colors, [[2, 2, 2], [255, 255, 255]])
-    np.testing.assert_array_equal(fused.points.camera_index, [0, 255])
-
-
 def nearest(times, time_ns, tolerance):
     """By search over all images; of two equally near the earlier."""
     near = [time for time in sorted(times) if abs(time - time_ns) <= tolerance]
@@ -105,17 +93,16 @@ def test_a_sweep_waits_for_late_images_as_long_as_stated_and_not_for_those_that_
     assert patient.get().views[0].timestamp_ns == 3
 
 
-def test_results_come_in_the_order_of_the_sweeps_and_flush_leaves_none_behind():
+def test_a_sweep_is_fused_as_soon_as_an_image_at_or_after_its_time_has_come_and_beyond_the_tolerance_alone():
     system = system_with()
-    for start in (0, 100, 200):
-        system.send("lidar", sweep(start))
-        system.send("camera0", image(start + 10))
-    found = [(fused.index, fused.timestamp_ns, fused.views[0].timestamp_ns) for fused in fused_of(system)]
-    assert found == [(0, 0, 10), (1, 100, 110), (2, 200, 210)]
-    assert results(system) == []
-
-
-def test_an_image_beyond_the_tolerance_is_no_pair():
+    system.send("camera0", image(0, level=1))
+    system.send("lidar", sweep(40))
+    assert system.get() is None
+    system.send("camera0", image(60, level=2))
+    fused = system.get()
+    assert fused.views[0].timestamp_ns == 60
+    np.testing.assert_array_equal(fused.points.colors, [[2, 2, 2], [255, 255, 255]])
+    np.testing.assert_array_equal(fused.points.camera_index, [0, 255])
     system = system_with(pairing_tolerance_ns=20)
     system.send("camera0", image(21))
     fused = fused_of(system, sweep(0))[0]
@@ -123,7 +110,7 @@ def test_an_image_beyond_the_tolerance_is_no_pair():
     np.testing.assert_array_equal(fused.points.camera_index, 255)
 
 
-def test_two_sweeps_share_an_image_that_is_decoded_once():
+def test_a_shared_image_is_decoded_once_and_one_that_cannot_be_raises_unless_someone_listens():
     decoded = []
 
     def decode():
@@ -137,26 +124,6 @@ def test_two_sweeps_share_an_image_that_is_decoded_once():
     assert len(fused_of(system)) == 2
     assert decoded == [1]
 
-
-def test_what_is_beyond_the_trajectory_is_named_and_stays_as_it_was():
-    fused = fused_of(system_with(path=path_to(50)), sweep(60))[0]
-    assert fused.unfused.startswith("beyond the trajectory")
-    np.testing.assert_array_equal(fused.points.positions, sweep(60).points.positions)
-    assert fused.points.colors is None
-    system = system_with(path=path_to(50))
-    system.send("camera0", image(70))
-    fused = fused_of(system, sweep(40))[0]
-    assert (fused.unposed, fused.views) == (("camera0",), ())
-
-
-def test_a_mounting_of_the_image_itself_wins():
-    backwards = RigidTransform(np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]]), np.zeros(3))
-    system = system_with()
-    system.send("camera0", CameraImage(0, CAMERA, lambda: np.full((6, 8, 3), 9, np.uint8), mount=backwards))
-    np.testing.assert_array_equal(fused_of(system, sweep(0))[0].points.camera_index, [255, 0])
-
-
-def test_an_image_that_cannot_be_decoded_raises_unless_someone_listens():
     def broken():
         raise DataError("data.mkv", "image 3", "truncated")
 
@@ -171,11 +138,23 @@ def test_an_image_that_cannot_be_decoded_raises_unless_someone_listens():
     assert len(heard) == 1
 
 
-def test_without_cameras_the_colours_and_further_fields_of_the_source_stay():
+def test_a_mounting_of_the_image_wins_and_without_cameras_the_fields_of_the_source_stay():
+    backwards = RigidTransform(np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]]), np.zeros(3))
+    system = system_with()
+    system.send("camera0", CameraImage(0, CAMERA, lambda: np.full((6, 8, 3), 9, np.uint8), mount=backwards))
+    np.testing.assert_array_equal(fused_of(system, sweep(0))[0].points.camera_index, [255, 0])
     points = LidarPoints(np.ones((1, 3), np.float32), colors=np.array([[1, 2, 3]], np.uint8))
     fused = fused_of(system_with(cameras=0), LidarFrame(0, points, {"dataFile": "a.bin"}))[0]
     np.testing.assert_array_equal(fused.points.colors, points.colors)
     assert fused.extras == {"dataFile": "a.bin"}
+    fused = fused_of(system_with(path=path_to(50)), sweep(60))[0]
+    assert fused.unfused.startswith("beyond the trajectory")
+    np.testing.assert_array_equal(fused.points.positions, sweep(60).points.positions)
+    assert fused.points.colors is None
+    system = system_with(path=path_to(50))
+    system.send("camera0", image(70))
+    fused = fused_of(system, sweep(40))[0]
+    assert (fused.unposed, fused.views) == (("camera0",), ())
 
 
 def test_sweeps_that_are_timestamped_long_after_their_points_get_the_images_of_their_points():
@@ -207,7 +186,7 @@ def test_memory_holds_what_waits_and_not_what_has_passed():
     assert len(system._sweeps.queues["camera0"].items) <= 3
 
 
-def test_one_time_for_all_points_far_from_the_sweep_is_no_time():
+def test_point_times_that_count_from_the_sweep_move_points_and_one_far_from_it_is_no_time():
     positions, zero = np.zeros((2, 3), np.float32), np.zeros(2, np.int64)
     sweeps = (
         sweep(1000, LidarPoints(positions, timestamps_ns=zero)),
@@ -218,9 +197,6 @@ def test_one_time_for_all_points_far_from_the_sweep_is_no_time():
     np.testing.assert_allclose(absent.points.positions[:, 0], 10.0)
     assert flash.times == SOUND
     np.testing.assert_allclose(flash.points.positions[:, 0], 11.5)
-
-
-def test_points_whose_times_count_from_the_sweep_are_moved_by_their_own_times():
     points = LidarPoints(np.zeros((2, 3), np.float32), timestamps_ns=np.array([0, 90], np.int64))
     found = fused_of(system_with(path=path_to(5000, 50.0)), sweep(1000, points), sweep(1100, points))
     for fused, timestamp in zip(found, (1000, 1100), strict=True):
@@ -229,7 +205,14 @@ def test_points_whose_times_count_from_the_sweep_are_moved_by_their_own_times():
         np.testing.assert_allclose(fused.points.positions[:, 0], [timestamp / 100, (timestamp + 90) / 100])
 
 
-def test_a_sweep_that_is_passed_over_keeps_its_number():
+def test_results_come_in_the_order_of_the_sweeps_and_one_passed_over_keeps_its_number():
+    system = system_with()
+    for start in (0, 100, 200):
+        system.send("lidar", sweep(start))
+        system.send("camera0", image(start + 10))
+    found = [(fused.index, fused.timestamp_ns, fused.views[0].timestamp_ns) for fused in fused_of(system)]
+    assert found == [(0, 0, 10), (1, 100, 110), (2, 200, 210)]
+    assert results(system) == []
     system = system_with(cameras=0)
     system.send("lidar", sweep(0))
     system.pass_over("lidar")
@@ -301,21 +284,17 @@ def boxes_of(system, time_ns, *sweeps):
     return system.get_detections().fused
 
 
-@pytest.mark.parametrize("x", [0.0, 2.0])
-def test_from_the_first_boxes_on_sweeps_locate_what_images_alone_show_in_the_frame_of_the_lidar(x):
-    system = box_system(RigidTransform(np.eye(3), np.array([x, 0.0, 0.0])))
-    assert boxes_of(system, 0, person(0)).by_points is None
-    fused = boxes_of(system, BOX_PERIOD, person(BOX_PERIOD, distance=12.0 + x))
-    assert fused.by_points.tolist() == [True]
-    # a body is a quarter of 0.65 m behind its surface
-    assert fused.centers[0, 0] == pytest.approx(12.16, abs=0.1)
-
-
-def test_sweeps_of_other_times_or_from_before_a_clock_was_set_back_locate_nothing():
+def test_sweeps_locate_what_images_alone_show_unless_they_are_of_other_times_or_of_a_clock_set_back():
+    for x in [0.0, 2.0]:
+        system = box_system(RigidTransform(np.eye(3), np.array([x, 0.0, 0.0])))
+        assert boxes_of(system, 0, person(0)).by_points is None
+        fused = boxes_of(system, BOX_PERIOD, person(BOX_PERIOD, distance=12.0 + x))
+        assert fused.by_points.tolist() == [True]
+        # a body is a quarter of 0.65 m behind its surface
+        assert fused.centers[0, 0] == pytest.approx(12.16, abs=0.1)
     system = box_system()
     boxes_of(system, 0)
     assert boxes_of(system, 5 * BOX_PERIOD, person(BOX_PERIOD)).by_points is None
-    system = box_system()
     boxes_of(system, 0)
     system.send("lidar", person(BOX_PERIOD))
     system.restart(BOX_PERIOD)

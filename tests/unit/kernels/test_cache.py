@@ -31,9 +31,6 @@ def test_kernels_are_compiled_ahead_kept_and_not_compiled_again(monkeypatch, tmp
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
-
-
-def test_a_name_of_no_kernel_is_passed_over(monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     cache.compile_ahead(["sceneloom.kernels.voxels:no_such", "sceneloom.no.module:at_all"])

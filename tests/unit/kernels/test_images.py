@@ -88,7 +88,7 @@ def resampled(rgb, locations):
     return out[0], filled[0]
 
 
-def test_values_are_those_of_the_four_pixels_around_and_centres_give_the_pixels_themselves():
+def test_values_are_those_of_the_four_pixels_around_and_what_lies_outside_is_left_as_it_was():
     random = np.random.default_rng(0)
     rgb = random.integers(0, 256, (9, 13, 3), np.uint8)
     locations = np.float32(random.uniform((-0.5, -0.5), (12.49, 8.49), (500, 2)))
@@ -99,17 +99,11 @@ def test_values_are_those_of_the_four_pixels_around_and_centres_give_the_pixels_
     out, filled = resampled(rgb, np.stack(np.meshgrid(np.arange(13), np.arange(9)), axis=-1))
     assert np.array_equal(out, rgb.reshape(-1, 3))
     assert filled.all()
-
-
-def test_what_lies_outside_the_image_or_nowhere_is_left_as_it_was():
     rgb = np.full((4, 6, 3), 200, np.uint8)
     outside = [(-0.51, 1), (5.5, 1), (2, -0.6), (2, 3.5), (np.nan, 1), (1, np.nan), (np.inf, 1), (1e30, -1e30)]
     out, filled = resampled(rgb, outside)
     assert not filled.any()
     assert (out == 7).all()
-
-
-def test_any_number_of_channels_goes_and_an_image_of_one_pixel_is_that_pixel_everywhere():
     for channels in (1, 4):
         rgb = np.random.default_rng(2).integers(0, 256, (3, 3, channels), np.uint8)
         assert np.array_equal(resampled(rgb, [(1.0, 2.0)])[0][0], rgb[2, 1])

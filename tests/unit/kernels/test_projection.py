@@ -55,7 +55,7 @@ def test_each_pixel_holds_the_least_depth_of_its_visible_points_and_a_point_is_n
     ]
 
 
-def test_points_are_added_to_what_the_image_holds_and_one_pixel_takes_the_nearest():
+def test_points_are_added_to_what_the_image_holds_and_on_borders_fall_into_the_pixel_after_them():
     image = np.zeros((HEIGHT, WIDTH), np.float32)
     for depth in (3, 2, 4):
         draw_depths(numbered([[1, 2]]), np.array([depth], np.float32), np.ones(1, bool), image)
@@ -64,22 +64,16 @@ def test_points_are_added_to_what_the_image_holds_and_one_pixel_takes_the_neares
     numbers = numbered([[0, 0], [0.5, 0.5], [-0.5, 0], [0.6, 0]], (1, 1))
     draw_depths(numbers, np.array([3, 2, 4, 1], np.float32), np.ones(4, bool), image)
     assert image[0, 0] == 2
-
-
-@pytest.mark.parametrize(
-    ("u", "v", "location"),
-    [
+    for u, v, location in [
         (-0.5, -0.5, (0, 0)),
         (np.nextafter(np.float32(0.5), np.float32(0)), 0, (0, 0)),
         (0.5, 0, (0, 1)),
         (WIDTH - 0.5, HEIGHT - 0.5, (HEIGHT - 1, WIDTH - 1)),
         (np.nextafter(np.float32(0.5), np.float32(0)), 1.5, (2, 0)),
-    ],
-)
-def test_points_on_borders_fall_into_the_pixel_after_the_border_and_never_beyond_the_last(u, v, location):
-    image = np.zeros((HEIGHT, WIDTH), np.float32)
-    draw_depths(numbered([[u, v]]), np.ones(1, np.float32), np.ones(1, bool), image)
-    assert np.argwhere(image).tolist() == [list(location)]
+    ]:
+        image = np.zeros((HEIGHT, WIDTH), np.float32)
+        draw_depths(numbered([[u, v]]), np.ones(1, np.float32), np.ones(1, bool), image)
+        assert np.argwhere(image).tolist() == [list(location)]
 
 
 ROTATION = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -104,7 +98,7 @@ def mapped_one_by_one(points_world):
     return np.array(rows).T
 
 
-def test_directions_are_lamberts_map_of_the_sphere():
+def test_directions_are_lamberts_map_of_the_sphere_of_the_points_asked_for():
     points = np.random.default_rng(0).normal(size=(2000, 3)) * 30
     right, down, inverse = mapped_one_by_one(points)
     directions, inverse_ranges = mapped(points)
@@ -113,29 +107,20 @@ def test_directions_are_lamberts_map_of_the_sphere():
     ahead = np.hypot(right, down) < math.sqrt(2)
     np.testing.assert_allclose(directions[:, ahead], [right[ahead], down[ahead]], atol=5e-7)
     np.testing.assert_allclose(inverse_ranges, inverse, rtol=1e-6)
-
-
-def test_more_points_than_one_block_are_all_mapped_and_only_those_asked_for_in_that_order():
     points, some = np.random.default_rng(1).normal(size=(1025, 3)), [1024, 0, 511, 512, 1023]
     directions, _ = mapped(points)
     np.testing.assert_array_equal(directions[:, some], np.column_stack([mapped(points, [i])[0] for i in some]))
     np.testing.assert_array_equal(directions[:, some], mapped(points, some)[0])
 
 
-@pytest.mark.parametrize(
-    ("point", "number"),
-    [
+def test_points_without_direction_have_inverse_range_zero_and_those_behind_the_camera_stay_in_the_map():
+    for point, number in [
         *((point, 0) for point in ((math.nan, 0, 0), (0, math.inf, 0), (-1.1, 0.3, -0.2), (1e200, 0, 0))),
         *(((5, 0, 0), missing) for missing in (-1, 1, 2**62, -(2**63))),
-    ],
-)
-def test_a_point_without_direction_or_that_does_not_exist_has_inverse_range_zero(point, number):
-    directions, inverse_ranges = mapped([point], [number])
-    assert directions.tolist() == [[0], [0]]
-    assert inverse_ranges.tolist() == [0]
-
-
-def test_a_point_straight_behind_the_camera_stays_inside_the_map():
+    ]:
+        directions, inverse_ranges = mapped([point], [number])
+        assert directions.tolist() == [[0], [0]]
+        assert inverse_ranges.tolist() == [0]
     directions, inverse_ranges = mapped([(-9.1, 0.3, -0.2), (-9.1, 0.3 + 1e-7, -0.2)])
     assert np.isfinite(directions).all()
     assert np.hypot(*directions).max() <= 2.0001

@@ -19,25 +19,6 @@ def test_all_is_shared_out_once_and_rounds_spread_the_chunks_of_each_part_over_t
         assert [part for _, _, part in chunks] == [*range(size)] * rounds
 
 
-def test_phases_follow_each_other():
-    seen, total = np.zeros(100, np.int64), []
-    ThreadPool(3).share(
-        Phase(100, lambda _, a, b: seen[a:b].fill(1)), Phase(1, lambda part, *_: total.append((part, seen.sum())))
-    )
-    assert {count for _, count in total} == {100}
-
-
-def test_parts_run_side_by_side():
-    meeting = threading.Barrier(3, timeout=30)
-    ThreadPool(3).share(Phase(3, lambda *_: meeting.wait()))
-    assert not meeting.broken
-
-
-def test_results_come_in_the_order_of_their_tasks_whoever_does_them():
-    assert ThreadPool(2).gather([lambda n=n: n * n for n in range(20)]) == [n * n for n in range(20)]
-    assert ThreadPool(4).gather([]) == []
-
-
 @pytest.mark.parametrize("size", [1, 2])
 @pytest.mark.parametrize("broken", [0, 1, 5])
 def test_what_a_task_raises_is_raised_and_the_thread_pool_goes_on(size, broken):
@@ -67,6 +48,16 @@ def test_several_threads_may_have_one_thread_pool_work():
     assert sums == [300] * 8
 
 
-def test_few_points_wake_nobody():
+def test_phases_follow_each_other_parts_run_side_by_side_and_results_keep_their_order():
+    seen, total = np.zeros(100, np.int64), []
+    ThreadPool(3).share(
+        Phase(100, lambda _, a, b: seen[a:b].fill(1)), Phase(1, lambda part, *_: total.append((part, seen.sum())))
+    )
+    assert {count for _, count in total} == {100}
+    meeting = threading.Barrier(3, timeout=30)
+    ThreadPool(3).share(Phase(3, lambda *_: meeting.wait()))
+    assert not meeting.broken
+    assert ThreadPool(2).gather([lambda n=n: n * n for n in range(20)]) == [n * n for n in range(20)]
+    assert ThreadPool(4).gather([]) == []
     assert ThreadPool.of(8, 100) is ALONE
     assert ThreadPool.of(8, 1_000_000) == ThreadPool(8)

@@ -49,14 +49,11 @@ def test_cubes_and_their_points_are_those_of_the_slow_answer(side, center):
     assert nearest.tolist() == [nearest_slowly(points, rows) for rows in cubes]
 
 
-def test_cubes_on_both_sides_of_zero_are_two_and_a_face_belongs_to_the_upper_one():
+def test_cubes_on_both_sides_of_zero_are_two_and_points_far_apart_collide_in_no_table():
     points = np.array([[0.1, 0.1, 0.1], [-0.1, 0.1, 0.1], [0.9, 0.9, 0.9], [-0.9, 0.9, 0.9]])
     assert chosen(points, 1.0)[0].tolist() == [0, 1, 0, 1]
     points = np.array([[1.0, 0.0, 0.0], [0.999, 0.0, 0.0], [-1.0, 0.0, 0.0], [-1.001, 0.0, 0.0]])
     assert chosen(points, 1.0)[0].tolist() == [0, 1, 2, 3]
     assert number_cubes(np.zeros((0, 3)), 1.0, np.zeros(0, np.int64)) == 0
-
-
-def test_points_that_collide_in_no_table_stay_apart_however_far_they_are():
     points = np.array([[2e6 * k, -3e6 * k, 1e6 * k] for k in range(500)])
     assert len(chosen(points, 0.01)[1]) == 500

@@ -37,7 +37,7 @@ def filtered_drive():
     return {name: np.array(values) for name, values in rows.items()}, boxes, noise[0], first[0], spread[0]
 
 
-def test_states_are_those_of_all_boxes_at_once():
+def test_states_are_those_of_all_boxes_at_once_with_the_last_heading_all_along():
     rows, boxes, noise, first, spread = filtered_drive()
     later, covariances = smoothed(
         rows["means"], rows["covariances"], rows["predicted"], rows["spreads"], rows["slopes"]
@@ -67,9 +67,6 @@ def test_states_are_those_of_all_boxes_at_once():
     for k in range(COUNT):
         at = slice(k * size, (k + 1) * size)
         assert covariances[k] == pytest.approx(covariance[at, at], abs=1e-6)
-
-
-def test_a_heading_that_was_reversed_on_the_way_is_the_last_one_all_along():
     rows, *_ = filtered_drive()
     for name in ("means", "predicted"):
         rows[name][:, tracker.YAW] = 0.0
@@ -109,7 +106,7 @@ def both(**options):
     return tuple(track_drive(there, offline=late)[0] for late in (False, True))
 
 
-def test_states_are_nearer_to_the_truth_than_online_and_surer():
+def test_states_are_nearer_to_the_truth_than_online_surer_and_there_from_the_first_box_on():
     online, offline = both()
     truth = np.column_stack([10.0 + 6.0 * TIMES, np.full(40, 3.0)])
     errors = [np.sqrt(((track.centers[:, :2] - truth) ** 2).mean()) for track in (online, offline)]
@@ -119,26 +116,20 @@ def test_states_are_nearer_to_the_truth_than_online_and_surer():
     traces = [np.trace(track.covariances[5:-5, :2, :2], axis1=1, axis2=2) for track in (online, offline)]
     assert (traces[1] < traces[0]).all()
     assert (np.linalg.eigvalsh(offline.covariances) > 0.0).all()
-
-
-def test_an_object_is_distinguished_from_its_first_box_on_though_that_was_doubtful():
     online, offline = both(score=0.4)
     assert online.timestamps_ns[0] > offline.timestamps_ns[0] == 0
 
 
-@pytest.mark.parametrize(("gap", "filled"), [(0.8, True), (1.6, False)])
-def test_short_gaps_are_filled_and_long_ones_are_not(gap, filled):
-    (track,) = track_drive(seen(TIMES, Actor(straight, unseen=(1.05, 1.05 + gap))), offline=True)
-    between = (track.timestamps_ns > round(1.1e9)) & (track.timestamps_ns < round((1.0 + gap) * 1e9))
-    assert bool(between.any()) is filled
-    if filled:
-        assert set(track.supports[between].tolist()) == {Support.INTERPOLATED}
-        truth = 10.0 + 6.0 * track.timestamps_ns[between] / 1e9
-        assert track.centers[between, 0] == pytest.approx(truth, abs=0.3)
-        assert np.isfinite(track.corners_xyxy["front"][between]).all()
-
-
-def test_an_object_ends_with_its_last_box_and_what_was_never_likely_is_none():
+def test_short_gaps_are_filled_long_ones_not_and_an_object_ends_with_its_last_box():
+    for gap, filled in [(0.8, True), (1.6, False)]:
+        (track,) = track_drive(seen(TIMES, Actor(straight, unseen=(1.05, 1.05 + gap))), offline=True)
+        between = (track.timestamps_ns > round(1.1e9)) & (track.timestamps_ns < round((1.0 + gap) * 1e9))
+        assert bool(between.any()) is filled
+        if filled:
+            assert set(track.supports[between].tolist()) == {Support.INTERPOLATED}
+            truth = 10.0 + 6.0 * track.timestamps_ns[between] / 1e9
+            assert track.centers[between, 0] == pytest.approx(truth, abs=0.3)
+            assert np.isfinite(track.corners_xyxy["front"][between]).all()
     there = seen(TIMES, Actor(straight, unseen=(2.0, 9.0)))
     assert track_drive(there, offline=True)[0].timestamps_ns[-1] == round(1.9e9)
     fleeting = seen(TIMES, Actor(straight, score=0.85, unseen=(0.15, 9.0)))

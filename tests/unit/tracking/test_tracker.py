@@ -9,7 +9,7 @@ from sceneloom.detections.projection import Outlines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Support
 from sceneloom.tracking import ImageBox, Observation, Tracker, TrackerSettings, track_drive, tracker
-from sceneloom.tracking.tracker import UNKNOWN_VARIANCE, observed
+from sceneloom.tracking.tracker import UNKNOWN_VARIANCE, add_gains_in_image, gains_in_space, observed, without_twins
 
 from .streets import FRONT, Actor, Street, seen
 
@@ -45,7 +45,7 @@ def test_velocity_rotates_with_a_vehicle_and_not_with_a_person():
     assert after[:, tracker.YAW] == pytest.approx([0.04, 0.04])
 
 
-def test_covariances_are_moved_by_slopes_which_are_those_of_differences():
+def test_covariances_are_moved_by_slopes_which_are_those_of_differences_in_one_step_as_in_two():
     means, covariances = states(4)
     vehicles = np.array([True, False, True, False])
     _, spread, slopes = tracker.predicted(means, covariances, vehicles, 0.2, SETTINGS)
@@ -58,9 +58,6 @@ def test_covariances_are_moved_by_slopes_which_are_those_of_differences():
     noise = moved(means, vehicles, 0.2)[1]
     assert spread == pytest.approx(slopes @ covariances @ slopes.transpose(0, 2, 1) + noise)
     assert (np.linalg.eigvalsh(noise) > -1e-12).all()
-
-
-def test_two_short_steps_leave_as_much_doubt_as_a_long_one():
     means, vehicles = np.zeros((1, tracker.SIZE)), np.array([False])
     whole = moved(means, vehicles, 0.2)[1][0]
     after, half, _ = moved(means, vehicles, 0.1)
@@ -69,7 +66,7 @@ def test_two_short_steps_leave_as_much_doubt_as_a_long_one():
     assert both[np.ix_(straight, straight)] == pytest.approx(whole[np.ix_(straight, straight)], rel=1e-9)
 
 
-def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman():
+def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman_and_one_far_off_counts_less():
     means, covariances = states(3)
     noise = np.diag([0.04, 0.04, 0.02, 0.02, 0.01, 0.01, 0.02])
     measures = means[:, :7] + 0.05
@@ -82,9 +79,6 @@ def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman():
         mean[6] = tracker.wrapped(mean[6])
         assert spread[k] == pytest.approx(expected, abs=1e-9)
         assert after[k] == pytest.approx(mean, abs=1e-9)
-
-
-def test_a_box_far_off_moves_a_state_less_than_kalman_would_and_one_the_wrong_way_round_is_read_the_other_way():
     start, measures = np.zeros((1, tracker.SIZE)), np.zeros((1, 7))
     measures[0, 0] = 5.0
     after, _ = updated(start, np.eye(tracker.SIZE)[None] * 0.01, measures, np.eye(7)[None] * 0.01)
@@ -109,16 +103,13 @@ def test_a_vehicle_that_seems_to_slide_sideways_rotates_or_slows_down():
     assert spread[0] == pytest.approx(np.linalg.inv(information), abs=1e-9)
 
 
-def test_probabilities_and_logarithms_of_odds_are_inverse():
+def test_odds_are_probabilities_that_time_takes_away_and_what_detectors_cannot_find_is_not_missed():
     assert tracker.log_odds(0.9) == pytest.approx(np.log(9.0))
     assert tracker.probabilities(np.array([np.log(9.0)])) == pytest.approx([0.9])
     assert tracker.log_odds(0.0) == -np.inf
     odds = np.array([np.log(9.0)])  # which time takes away
     assert tracker.probabilities(tracker.aged(odds, 2.0, 10.0)) == pytest.approx([0.9 * np.exp(-0.2)])
     assert tracker.aged(odds, 0.0, 10.0) == pytest.approx(odds)
-
-
-def test_what_detectors_cannot_find_is_not_missed():
     corners = np.array([[0.0, 0.0, 20.0, 60.0], [0.0, 0.0, 20.0, 10.0], [0.0] * 4])
     lines = Outlines(corners, np.array([1.0, 0.5, 0.0]), np.zeros((3, 3, 3)), np.zeros((3, 8, 3)))
     settings = TrackerSettings(recall_2d=0.8, recall_3d=0.5, least_height_px=25.0, farthest_3d=50.0)
@@ -151,22 +142,16 @@ def last_yaw(tracks, near):
     return next(t.yaws[-1] for t in tracks if np.hypot(*(t.centers[-1, :2] - near)) < 1.0)
 
 
-@pytest.mark.parametrize(
-    ("others", "heads"),
-    [
+def test_a_crawling_car_heads_as_those_before_it_in_its_lane_and_a_person_does_not():
+    for others, heads in [
         ([], -1.0),  # nobody says otherwise
         ([straight(8.0, 3.0, 22.0), straight(8.0, 3.0, 35.0)], 1.0),
         ([straight(8.0, -9.0, 22.0), straight(8.0, -9.0, 35.0)], -1.0),  # not in its lane
         ([straight(8.0, 3.0, 22.0), TOWARDS], -1.0),  # of two opinions
-    ],
-)
-def test_a_crawling_car_whose_boxes_are_rotated_heads_as_those_before_it_in_its_lane(others, heads):
-    tracks = tracked(Actor(CRAWLING), *map(Actor, others), times=TIMES[:12], rotated=OFTEN_ROTATED)
-    yaw = last_yaw(tracks, (14.5, 3.0))
-    assert np.cos(yaw) == pytest.approx(heads, abs=0.1)  # boxes are off by 0.1 m, headings by less
-
-
-def test_persons_do_not_head_as_their_neighbours():
+    ]:
+        tracks = tracked(Actor(CRAWLING), *map(Actor, others), times=TIMES[:12], rotated=OFTEN_ROTATED)
+        yaw = last_yaw(tracks, (14.5, 3.0))
+        assert np.cos(yaw) == pytest.approx(heads, abs=0.1)  # boxes are off by 0.1 m, headings by less
     people = [Actor(straight(speed, 3.0, x), "Pedestrian") for speed, x in ((0.0, 14.0), (2.0, 17.0), (2.0, 20.0))]
     yaw = last_yaw(tracked(*people, times=TIMES[:12], rotated=OFTEN_ROTATED), (14.0, 3.0))
     assert np.cos(yaw) == pytest.approx(-1.0, abs=0.1)
@@ -179,16 +164,13 @@ def stationary(**options):
     return seen([0.0], Actor(lambda t: (10.0, 2.0, 0.2), **options), sigma=0.0)[0]
 
 
-def test_locations_headings_and_covariances_are_those_of_the_world():
+def test_observations_are_those_of_the_world_with_little_of_the_distance_where_an_image_alone_sees():
     standing = stationary()
     fused = replace(standing.fused["front"], center_covariances=np.diag([0.01, 0.04, 0.09])[None])
     there = observed(replace(standing, fused={"front": fused}, world_from_lidar=ROTATION))
     assert there.measures[0, :2] == pytest.approx([5.0 - 2.0, 6.0 + 10.0])
     assert there.measures[0, 6] == pytest.approx(0.2 + np.pi / 2)
     assert np.diag(there.covariances[0])[:3] == pytest.approx([0.04, 0.01, 0.09])
-
-
-def test_a_box_of_the_image_alone_reports_no_heading_and_little_of_its_distance():
     there = observed(stationary(only_in_image=(0.0, 1.0)))
     assert not there.measured[0]
     assert there.covariances[0, 6, 6] == UNKNOWN_VARIANCE
@@ -211,7 +193,7 @@ def test_of_two_cameras_the_one_with_a_partner_counts_else_the_doubtful_one_and_
         assert there.covariances[0, 6, 6] == pytest.approx(expected)
 
 
-def test_a_car_that_drives_straight_is_one_object_with_its_location_and_speed():
+def test_cars_that_drive_straight_are_one_object_each_with_location_and_speed_as_sure_as_stated():
     (track,) = tracked(Actor(straight(8.0, y=3.0)))
     assert len(track) == len(TIMES)
     assert track.label == "Car"
@@ -219,9 +201,6 @@ def test_a_car_that_drives_straight_is_one_object_with_its_location_and_speed():
     off = track.centers[10:, :2] - np.column_stack([10.0 + 8.0 * TIMES[10:], np.full(30, 3.0)])
     assert np.sqrt((off**2).mean()) < 0.1
     assert track.velocities[-1, :2] == pytest.approx([8.0, 0.0], abs=0.5)  # 0.1 m of noise at 10 Hz
-
-
-def test_deviations_of_states_are_as_large_as_the_covariances_state():
     squares = []
     for track in tracked(*(Actor(straight(8.0, y=y)) for y in (-12.0, -6.0, 0.0, 6.0, 12.0))):
         truth = np.column_stack([10.0 + 8.0 * TIMES[5:], np.full(35, round(track.centers[-1, 1] / 6.0) * 6.0)])
@@ -231,15 +210,12 @@ def test_deviations_of_states_are_as_large_as_the_covariances_state():
     assert 0.5 < np.mean(squares) < 2.5
 
 
-def test_a_rotation_is_followed_with_its_rate():
+def test_a_rotation_is_followed_with_its_rate_and_what_stands_stands_for_a_lidar_that_moves():
     (track,) = tracked(Actor(round_a_corner), sigma=0.05)
     assert len(track) == len(TIMES)
     assert track.yaw_rates[-1] == pytest.approx(0.5, abs=0.15)
     assert track.yaws[-1] == pytest.approx(0.5 * TIMES[-1], abs=0.1)
     assert np.linalg.norm(track.velocities[-1]) == pytest.approx(10.0, abs=0.7)
-
-
-def test_what_is_stationary_is_stationary_for_a_lidar_that_moves_and_rotates():
     track = tracked(Actor(lambda t: (30.0, 4.0, 0.3)), ego=lambda t: (5.0 * t, 0.0, 0.1 * t))[0]
     assert np.linalg.norm(track.velocities[-1]) < 0.4
     assert track.centers[-1, :2] == pytest.approx([30.0, 4.0], abs=0.15)
@@ -256,14 +232,11 @@ def test_objects_that_cross_each_other_keep_their_numbers():
         assert abs(np.sign(steps).sum()) > 0.9 * len(steps)  # each walks on where it was going
 
 
-def test_what_is_hidden_for_a_second_is_the_same_object_afterwards():
+def test_what_is_hidden_for_a_second_or_shown_by_the_image_alone_is_the_same_object():
     (track,) = tracked(Actor(straight(5.0, y=2.0), unseen=(1.5, 2.5)))
     reported = set(track.timestamps_ns.tolist())
     assert round(2.4e9) not in reported  # nothing has been seen of it for long
     assert round(2.6e9) in reported
-
-
-def test_what_the_image_alone_shows_goes_on_with_a_box_in_the_image():
     (track,) = tracked(Actor(straight(5.0, y=2.0), only_in_image=(1.5, 3.0)))
     assert len(track) == len(TIMES)
     middle = track.timestamps_ns == round(2.5e9)
@@ -285,16 +258,13 @@ def test_boxes_the_wrong_way_round_do_not_rotate_an_object_that_drives(rotated):
     assert np.abs(track.yaws[-1 if 0 in rotated else 0 :]).max() < 0.2
 
 
-def test_numbers_of_objects_do_not_depend_on_the_rate_of_frames():
+def test_numbers_of_objects_depend_neither_on_the_rate_of_frames_nor_on_the_run():
     for rate in (5.0, 10.0, 25.0):
         tracks = tracked(*(Actor(straight(6.0, y=y)) for y in (-5.0, 5.0)), times=np.arange(int(3 * rate)) / rate)
         assert [track.label for track in tracks] == ["Car", "Car"]
         half = len(tracks[0]) // 2
         # the filter's own deviation of a speed is 0.6 m/s; half the states are not independent, but some are
         assert tracks[0].velocities[half:, 0].mean() == pytest.approx(6.0, abs=0.6)
-
-
-def test_the_same_drive_gives_the_same_tracks():
     actors = [Actor(straight(6.0, y=y), unseen=(1.0, 1.4)) for y in (-5.0, 0.0, 5.0)]
     for a, b in zip(tracked(*actors), tracked(*actors), strict=True):
         assert a.id == b.id
@@ -319,14 +289,11 @@ def test_a_box_in_the_image_may_be_the_outline_of_the_box_in_space():
     assert np.abs(detected.corners_xyxy["front"] - outlined)[20:, 0].min() > 6.0
 
 
-def test_two_cameras_and_one_lidar_see_one_object():
+def test_two_cameras_see_one_object_and_moments_without_boxes_or_cameras_are_moments():
     there = Street([Actor(straight(4.0))]).observe(TIMES[:10], views={"left": FRONT, 7: FRONT})
     (track,) = track_drive(there)
     assert set(track.corners_xyxy) == {"left", 7}
     assert np.isfinite(track.corners_xyxy[7]).all()
-
-
-def test_moments_without_boxes_or_cameras_are_moments():
     there = seen(TIMES[:10], Actor(straight(4.0)))
     there[3] = replace(there[3], fused={})
     there[4] = replace(there[4], fused={}, views={})
@@ -338,13 +305,10 @@ def test_moments_without_boxes_or_cameras_are_moments():
     assert (len(objects), objects.timestamp_ns) == (0, 5)
 
 
-def test_cars_one_behind_the_other_are_two_and_a_person_beside_a_car_is_not_taken_for_it():
+def test_objects_beside_each_other_are_two_of_the_class_of_most_boxes():
     assert len(tracked(Actor(straight(0.0, start=12.0)), Actor(straight(0.0, start=17.5)), times=TIMES[:5])) == 2
     tracks = tracked(Actor(straight(1.0, y=2.0)), Actor(straight(1.0, y=2.9), "Pedestrian"), times=TIMES[:15])
     assert sorted(track.label for track in tracks) == ["Car", "Pedestrian"]
-
-
-def test_a_class_is_that_of_the_most_boxes():
     there = seen(TIMES[:12], Actor(straight(1.0)))
     for k in (0, 5):
         there[k : k + 1] = with_changed(there[k : k + 1], lambda _: {"labels": ("Van",)})
@@ -365,19 +329,16 @@ def test_boxes_that_are_no_numbers_are_left_out(column):
     assert all(np.isfinite(track.covariances).all() for track in tracks)
 
 
-def test_time_that_goes_back_or_leaps_ends_all_objects():
+def test_time_that_goes_back_or_leaps_ends_all_objects_and_one_moment_twice_is_one_state():
     there = seen([0.0, 0.1, 0.2], Actor(straight(0.0)))
     tracker = Tracker()
     first = [tracker.step(one).ids.tolist() for one in there][-1]
     assert tracker.step(there[0]).ids.tolist() != first
     later = replace(there[0], timestamp_ns=round(60e9))
     assert tracker.step(later).ids.tolist() not in (first, [])
-
-
-@pytest.mark.parametrize("offline", [False, True])
-def test_one_moment_reported_twice_counts_as_one_state(offline):
-    there = seen([0.0, 0.1, 0.1, 0.2], Actor(straight(2.0)))
-    assert track_drive(there, offline=offline)[0].timestamps_ns.tolist() == [0, round(0.1e9), round(0.2e9)]
+    for offline in [False, True]:
+        there = seen([0.0, 0.1, 0.1, 0.2], Actor(straight(2.0)))
+        assert track_drive(there, offline=offline)[0].timestamps_ns.tolist() == [0, round(0.1e9), round(0.2e9)]
 
 
 COLUMNS = "centers center_covariances sizes_lwh size_covariances yaws scores corners_xyxy ids rows_3d rows_2d"
@@ -393,3 +354,109 @@ def test_thousands_of_boxes_of_one_object_are_one_object():
     tracker = Tracker()
     for one in with_changed(seen([0.0, 0.1, 0.2], Actor(straight(0.0))), repeat):
         assert len(tracker.step(one)) == 1
+
+
+LEAST, FREEDOM, MOST = 0.09, 4.0, 2.0
+
+
+def covariances(random, count):
+    root = random.normal(size=(count, 3, 3)) * 0.5
+    return root @ root.transpose(0, 2, 1) + 0.01 * np.eye(3)
+
+
+def space(count=5, others=7):
+    random = np.random.default_rng(0)
+    locations, seen = random.normal(size=(count, 3)) * 2.0, random.normal(size=(others, 3)) * 2.0
+    codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1], [4, -1], [0, 0]])
+    doubts, density = -random.random(others), np.log(random.uniform(1e-4, 1e-2, count))
+    ours = locations, covariances(random, count), codes[:count], density
+    return ours, (seen, covariances(random, others), codes, doubts)
+
+
+def test_gains_in_space_are_those_of_the_formula_and_what_is_hopelessly_far_is_no_pair():
+    ours, theirs = space()
+    found = np.full((5, 7), -np.inf)
+    rows, columns, gains = gains_in_space(*ours, *theirs, LEAST, FREEDOM, MOST)
+    found[rows, columns] = gains
+    for i, (location, covariance, (name, family), density) in enumerate(zip(*ours, strict=True)):
+        for j, (where, other_covariance, (other, its_family), doubt) in enumerate(zip(*theirs, strict=True)):
+            if not (name == other or -1 in (name, other) or family == its_family != -1):
+                assert found[i, j] == -np.inf
+                continue
+            spread, apart = covariance + other_covariance + LEAST * np.eye(3), where - location
+            square = apart @ np.linalg.inv(spread) @ apart
+            ground = -0.5 * np.log(np.linalg.det(2.0 * np.pi * spread[:2, :2]))
+            expected = ground - (FREEDOM + 3) * np.log(1.0 + square / FREEDOM) / 2.0 - density + doubt
+            # what images cannot make up for need not be reported
+            assert found[i, j] == pytest.approx(expected, rel=1e-9) or (found[i, j] == -np.inf and expected < -MOST)
+    assert np.isfinite(found).sum() > 8
+    far = gains_in_space(*ours, theirs[0] + 1e3, *theirs[1:], LEAST, FREEDOM, MOST)
+    assert [len(column) for column in far] == [0, 0, 0]
+
+
+def test_boxes_in_images_speak_for_and_against():
+    foreseen = np.array([[0.0, 0.0, 10.0, 10.0], [100.0, 0.0, 110.0, 10.0], [np.nan] * 4])
+    corners = np.array([[0.0, 0.0, 10.0, 10.0], [4.0, 0.0, 14.0, 10.0], [np.nan] * 4, [8.0, 0.0, 18.0, 10.0]])
+    measured = np.array([True, True, True, False])
+    rows, columns = np.divmod(np.arange(12), 4)
+    gains = np.zeros(12)
+    add_gains_in_image(rows, columns, gains, foreseen, corners, measured, 0.25, 0.6, 0.3, FREEDOM)
+    gains = gains.reshape(3, 4)
+
+    def reported(share):
+        return -0.5 * (FREEDOM + 1) * np.log(1.0 + ((1.0 - share) / 0.25) ** 2 / FREEDOM)
+
+    assert gains[0, 0] == pytest.approx(reported(1.0) - reported(0.6))
+    assert gains[0, 1] == pytest.approx(reported(60.0 / 140.0) - reported(0.6))
+    assert gains[1, 0] == pytest.approx(reported(0.0) - reported(0.6))
+    assert gains[:, 2].tolist() == [0.0, 0.0, 0.0]  # no box in the image says nothing
+    assert gains[2, :3].tolist() == [0.0, 0.0, 0.0]  # nor does an object that it does not show
+    assert (gains[:, 3] == -np.inf).all()  # a box of the image alone has to overlap
+
+
+SHARE, OVERLAP = 0.5, 0.5
+
+
+def overlap(a, b):
+    wide, high = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
+    if not (wide > 0 and high > 0):
+        return 0.0
+    return wide * high / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - wide * high)
+
+
+def are_twins(one, other):
+    (location, measured, corners), (where, placed, boxes) = one, other
+    if measured and np.hypot(*(location[:2] - where[:2])) < SHARE * where[2]:
+        return True
+    if measured and placed:
+        return False
+    return any(overlap(a, b) > OVERLAP for a, b in zip(corners, boxes, strict=True))
+
+
+def things(rng, count):
+    locations = np.column_stack([rng.uniform(0, 12, (count, 2)), rng.uniform(0.5, 2.5, count)])
+    low = rng.uniform(0, 60, (2, count, 2))
+    corners = np.concatenate([low, low + rng.uniform(10, 40, (2, count, 2))], axis=2)
+    corners[rng.random((2, count)) < 0.3] = np.nan
+    return locations, rng.random(count) < 0.6, corners
+
+
+def listed(locations, measured, corners):
+    return [(locations[k], measured[k], corners[:, k]) for k in range(len(locations))]
+
+
+def test_what_is_kept_is_no_second_box_of_what_is_known_or_was_kept_before():
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        boxes, known = things(rng, 40), things(rng, 5 * (seed % 2))
+        rows = rng.permutation(40)[:30]
+        taken, expected = listed(*known), []
+        for row in rows.tolist():
+            box = listed(*boxes)[row]
+            if not any(are_twins(box, other) for other in taken):
+                expected.append(row)
+                taken.append(box)
+        assert 3 < len(expected) < 30
+        assert without_twins(rows, *boxes, *known, SHARE, OVERLAP).tolist() == expected
+    none = np.zeros((0, 3)), np.zeros(0, np.bool_), np.zeros((0, 0, 4))
+    assert without_twins(np.zeros(0, np.int64), *none, *none, SHARE, OVERLAP).tolist() == []

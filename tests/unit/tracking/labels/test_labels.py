@@ -81,16 +81,13 @@ def test_no_fewer_keyframes_would_do(seed):
     assert 2 < len(rows) < len(path.timestamps_ns)
 
 
-@pytest.mark.parametrize(("tolerance_m", "tolerance_deg"), [(0.02, 5.0), (0.3, 0.5), (0.0, 0.0)])
-def test_every_state_is_reported_within_the_tolerances(tolerance_m, tolerance_deg):
-    settings = LabelSettings(tolerance_m=tolerance_m, tolerance_deg=tolerance_deg)
-    path = label_path(wandering(9, count=60), settings)
-    away, rotated = deviations(path, 0, 59, path.keyframes(settings))
-    assert away <= tolerance_m + 1e-9  # centimetres of metres: sums of few roundings
-    assert rotated <= tolerance_deg + 1e-6
-
-
-def test_a_straight_drive_needs_two_keyframes_and_neither_a_long_gap_nor_the_half_rotation_any_more():
+def test_states_are_reported_within_the_tolerances_by_no_more_keyframes_than_needed():
+    for tolerance_m, tolerance_deg in [(0.02, 5.0), (0.3, 0.5), (0.0, 0.0)]:
+        settings = LabelSettings(tolerance_m=tolerance_m, tolerance_deg=tolerance_deg)
+        path = label_path(wandering(9, count=60), settings)
+        away, rotated = deviations(path, 0, 59, path.keyframes(settings))
+        assert away <= tolerance_m + 1e-9  # centimetres of metres: sums of few roundings
+        assert rotated <= tolerance_deg + 1e-6
     times = np.concatenate([np.arange(10), np.arange(40, 50)]) * 100_000_000
     track = made(count=20, timestamps_ns=times, centers=np.column_stack([times * 8e-9, np.zeros(20), np.zeros(20)]))
     assert label_path(track, LabelSettings()).keyframes(LabelSettings()).tolist() == [0, 19]
@@ -109,9 +106,6 @@ def test_a_size_is_what_most_of_the_weight_says():
     assert (path.boxes[:, 3] == 4.2).all()
     free = label_path(made(sizes_lwh=sizes), LabelSettings(constant_sizes=False))
     assert (free.boxes[:, 3] == sizes[:, 0]).all()
-
-
-def test_medians_are_those_of_repeated_values():
     random = np.random.default_rng(1)
     values, weights = random.normal(size=(9, 3)), random.integers(1, 5, (9, 3)).astype(float)
     for column, median in enumerate(weighted_medians(values, weights)):
@@ -119,7 +113,7 @@ def test_medians_are_those_of_repeated_values():
         assert median == repeated[(len(repeated) - 1) // 2]
 
 
-def test_what_stands_gets_one_pose_and_what_creeps_does_not():
+def test_what_stands_gets_one_pose_and_heading_and_what_creeps_does_not():
     random = np.random.default_rng(0)
     noise = np.column_stack([random.normal(0.0, 0.1, (21, 2)), np.zeros(21)])
     stationary = label_path(made(speed=0.0, centers=noise + np.array([5.0, 2.0, 0.8])), LabelSettings())
@@ -129,9 +123,6 @@ def test_what_stands_gets_one_pose_and_what_creeps_does_not():
     assert stationary.boxes[0, :3] == pytest.approx([5.0, 2.0, 0.8], abs=0.1)
     assert not label_path(made(speed=0.5), LabelSettings()).stands
     assert not label_path(made(speed=0.0), LabelSettings(stationary=False)).stands
-
-
-def test_what_is_seen_so_briefly_that_its_speed_is_not_known_may_stand():
     unsure = np.tile(np.diag([0.01] * 7 + [0.2] * 3), (4, 1, 1))
     assert label_path(made(count=4, speed=0.4, covariances=unsure), LabelSettings()).stands
     assert not label_path(made(count=4, speed=0.4), LabelSettings()).stands
@@ -139,9 +130,6 @@ def test_what_is_seen_so_briefly_that_its_speed_is_not_known_may_stand():
     along = np.concatenate([np.zeros(15), np.linspace(0.0, 1.5, 6)])  # stationary at first, then walking
     walking = made(label="pedestrian", centers=np.column_stack([along, np.zeros((21, 2))]))
     assert not label_path(walking, LabelSettings()).stands
-
-
-def test_a_stationary_object_heads_where_most_states_head():
     yaws = np.full(21, 0.4)
     yaws[[2, 7, 8]] += np.pi
     assert usual_heading(yaws, np.ones(21)) == pytest.approx(0.4, abs=1e-12)
@@ -168,20 +156,16 @@ def changed(column, rows, values):
     return made(**{column: whole})
 
 
-def test_a_good_track_has_no_flag_not_even_where_its_heading_goes_round_the_half_rotation():
+ZIGZAG = np.column_stack([0.8 * np.arange(21), 0.3 * (-1.0) ** np.arange(21), np.full(21, 0.8)])
+
+
+def test_each_flaw_is_flagged_where_it_is_and_a_good_track_has_no_flag():
     assert not flags_of(made())
     assert not flags_of(made(label="pedestrian", speed=0.0))
     yaws = (np.linspace(2.9, 3.5, 21) + np.pi) % (2 * np.pi) - np.pi
     velocities = 8.0 * np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(21)])
     assert not flags_of(made(yaws=yaws, velocities=velocities, centers=np.cumsum(velocities * 0.1, axis=0)))
-
-
-ZIGZAG = np.column_stack([0.8 * np.arange(21), 0.3 * (-1.0) ** np.arange(21), np.full(21, 0.8)])
-
-
-@pytest.mark.parametrize(
-    ("changes", "kind", "row"),
-    [
+    for changes, kind, row in [
         ({"count": 4}, FlagKind.SHORT, 0),
         ({"scores": np.full(21, 0.3)}, FlagKind.UNSURE, 0),
         (("supports", slice(3, 18), Support.INTERPOLATED), FlagKind.SPARSE, 10),
@@ -192,16 +176,11 @@ ZIGZAG = np.column_stack([0.8 * np.arange(21), 0.3 * (-1.0) ** np.arange(21), np
         (("yaws", slice(9, 10), np.pi), FlagKind.YAW_FLIP, 9),
         ({"yaws": np.radians(15.0) * (-1.0) ** np.arange(21)}, FlagKind.YAW_JITTER, 1),
         ({"yaws": np.full(21, np.pi)}, FlagKind.AGAINST_MOTION, 0),
-    ],
-)
-def test_each_flaw_is_flagged_where_it_is(changes, kind, row):
-    track = made(**changes) if isinstance(changes, dict) else changed(*changes)
-    (found,) = [one for one in flags_of(track) if one.kind is kind]
-    assert found.timestamp_ns == track.timestamps_ns[row]
-    assert found.urgency > 1.0
-
-
-def test_one_jump_is_no_jitter_and_one_flip_is_no_jitter_of_the_heading():
+    ]:
+        track = made(**changes) if isinstance(changes, dict) else changed(*changes)
+        (found,) = [one for one in flags_of(track) if one.kind is kind]
+        assert found.timestamp_ns == track.timestamps_ns[row]
+        assert found.urgency > 1.0
     assert FlagKind.JITTER not in kinds(changed("centers", (slice(12, None), 1), 3.0))
     assert FlagKind.YAW_JITTER not in kinds(changed("yaws", slice(9, 10), np.pi))
 
@@ -273,7 +252,7 @@ def reported(cuboid, name):
     return next(path for path in cuboid.attributes if path.name == name)
 
 
-def test_true_tracks_become_cuboids_that_stay_within_the_tolerances(labelled, tracks):
+def test_true_tracks_become_cuboids_within_the_tolerances_and_what_stands_is_found(labelled, tracks):
     cuboids = cuboids_of(labelled.scene)
     assert len(cuboids) == len(tracks) == labelled.objects
     for track in tracks:
@@ -286,9 +265,6 @@ def test_true_tracks_become_cuboids_that_stay_within_the_tolerances(labelled, tr
         rotated = (values[:, 8] - np.degrees(track.yaws) + 180.0) % 360.0 - 180.0
         assert np.abs(rotated).max() <= TOLERANCES.tolerance_deg + 1e-6
     assert labelled.keyframes < labelled.states / 3
-
-
-def test_what_stands_in_the_street_is_found(labelled, tracks):
     stationary = {each.id for each in cuboids_of(labelled.scene).values() if each.stationary}
     trajectories = {track.id: np.linalg.norm(np.ptp(track.centers, axis=0)) for track in tracks}
     assert {f"cuboid-{number}" for number, trajectory in trajectories.items() if trajectory < 1e-9} <= stationary
@@ -297,7 +273,7 @@ def test_what_stands_in_the_street_is_found(labelled, tracks):
     assert labelled.stationary == len(stationary) > 5
 
 
-def test_points_in_labels_are_those_of_the_truth(labelled, drive):
+def test_points_in_labels_are_those_of_the_truth_and_sensors_report_when_they_see_a_cuboid(labelled, drive):
     cuboids = cuboids_of(labelled.scene)
     compared = 0
     for frame in (2, 5):
@@ -312,9 +288,6 @@ def test_points_in_labels_are_those_of_the_truth(labelled, drive):
             assert points.values[row] <= 1.1 * count + 3
             compared += points.values[row] > 0
     assert compared > 3
-
-
-def test_cameras_and_lidars_report_when_they_see_a_cuboid(labelled):
     seen = [each for each in cuboids_of(labelled.scene).values() if each.projections]
     assert len(seen) > 5
     for each in seen:
@@ -330,7 +303,7 @@ def radial_speeds(labelled, track):
     return np.zeros(0, np.int64), np.zeros(0)
 
 
-def test_radars_measure_how_fast_what_drives_goes_away(labelled, drive, tracks):
+def test_radars_measure_how_fast_what_drives_goes_away_and_contradict_another_speed(labelled, drive, tracks):
     radar, compared = drive.truth.radars["radar0"], 0
     for track in tracks:
         times, speeds = radial_speeds(labelled, track)
@@ -346,9 +319,6 @@ def test_radars_measure_how_fast_what_drives_goes_away(labelled, drive, tracks):
         compared += 1
     assert compared > 2
     assert FlagKind.RADAR not in {found.kind for found in labelled.flags}
-
-
-def test_a_radar_contradicts_a_track_of_another_speed(labelled, drive, tracks):
     fast = [track for track in tracks if np.linalg.norm(track.velocities[0]) > 5.0]
     heard = max(fast, key=lambda track: len(radial_speeds(labelled, track)[0]))
     wrong = replace(heard, velocities=-heard.velocities)
@@ -388,13 +358,6 @@ def test_boxes_in_images_and_cuboid_belong_to_one_object(drive):
     assert {each.parent_id for each in (*boxes, *cuboids_of(scene).values())} == {thing.id}
 
 
-def test_riders_are_linked_with_what_they_ride_and_do_not_count_as_overlapping():
-    found = label_tracks(Scene(()), Tracks((made(1, "rider"), made(2, "bicycle"))))
-    (link,) = [each for each in found.scene.annotations if isinstance(each, LinkAnnotation)]
-    assert (link.from_id, link.to_id, link.label) == ("cuboid-1", "cuboid-2", "rides")
-    assert not found.flags
-
-
 def test_flags_are_reported_in_the_label_and_the_worst_first_in_the_metadata(drive):
     short, empty = made(1, count=3), made(2, centers=made().centers + np.array([0.0, 0.0, 300.0]))
     found = label(drive, short, empty, points=True)
@@ -406,14 +369,15 @@ def test_flags_are_reported_in_the_label_and_the_worst_first_in_the_metadata(dri
     assert reported(cuboids["cuboid-2"], "review").values == (("empty boxes",),)
 
 
-def test_what_is_hardly_there_is_left_out_on_request():
+def test_riders_are_linked_what_is_hardly_there_is_left_out_and_without_a_trajectory_labels_stay(drive):
+    found = label_tracks(Scene(()), Tracks((made(1, "rider"), made(2, "bicycle"))))
+    (link,) = [each for each in found.scene.annotations if isinstance(each, LinkAnnotation)]
+    assert (link.from_id, link.to_id, link.label) == ("cuboid-1", "cuboid-2", "rides")
+    assert not found.flags
     tracks = Tracks((made(1, count=2), made(2, scores=np.full(21, 0.2)), made(3)))
     settings = LabelSettings(least_states=3, least_score=0.3)
     assert list(cuboids_of(label_tracks(Scene(()), tracks, settings=settings).scene)) == ["cuboid-3"]
     assert label_tracks(Scene(()), Tracks(())).objects == 0
-
-
-def test_a_scene_without_a_trajectory_keeps_the_labels_and_says_what_is_missing(drive):
     lost = replace(drive.scene, annotations=(), trajectories={})
     sensors = tuple(replace(s, poses=None) if hasattr(s, "poses") else s for s in lost.sensors)
     found = label_tracks(replace(lost, sensors=sensors), Tracks((made(),)))

@@ -54,8 +54,7 @@ def test_the_trajectory_spans_all_point_times():
     drive = simulate_street(1, frames=4, lidar=LidarSpec(beams=16, steps=900), cameras=())
     run = lidar_odometry(drive.scene)
     times = [frame.points.timestamps_ns for frame in drive.scene.lidars[0].frames]
-    assert run.trajectory.name == "lidar"
-    assert run.trajectory.timestamps_ns[0] == min(t.min() for t in times)
+    assert (run.trajectory.name, run.trajectory.timestamps_ns[0]) == ("lidar", min(t.min() for t in times))
     assert run.trajectory.timestamps_ns[-1] == max(t.max() for t in times)
     np.testing.assert_allclose(run.trajectory.positions[0], 0.0, atol=1e-12)
     np.testing.assert_allclose(np.abs(run.trajectory.quaternions_xyzw[0, 3]), 1.0, atol=1e-12)
@@ -93,6 +92,7 @@ def errors(drive: SimulatedDrive, estimates: list[PoseEstimate]) -> tuple[np.nda
     return found - found[0] - positions, np.degrees(np.arccos(cosines)), trajectory
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spec", "path"),
     [
@@ -117,6 +117,7 @@ def test_the_drift_among_traffic_is_small_and_its_covariance_right_within_an_ord
     assert np.sqrt(np.trace(covariance)) < 10 * max(float(np.linalg.norm(shifts[-1])), 0.02)
 
 
+@pytest.mark.slow
 def test_a_minute_of_stationary_among_traffic_moves_the_car_by_less_than_two_centimetres():
     spec = LidarSpec(beams=16, elevations_deg=(-15.0, 15.0), steps=1200)
     drive = simulate_street(

@@ -20,8 +20,8 @@ def colours(scene):
 
 
 def test_fusing_undistorted_images_or_with_a_fitted_camera_model_gives_points_the_same_colours():
-    for name in CAMERA_MODELS:
-        camera = CameraSpec(CAMERA_MODELS[name], supersampling=2)
+    for camera_model in CAMERA_MODELS.values():
+        camera = CameraSpec(camera_model, supersampling=2)
         scene = simulate_street(2, frames=1, lidar=LidarSpec(beams=32, steps=900), cameras=(camera,)).scene
         before, seen_before = colours(scene)
         after, seen_after = colours(undistort_scene(scene, keep=1.0))

@@ -200,8 +200,7 @@ def test_numbers_are_found_in_json_toml_and_text_and_named_ones_settle_their_ord
     ]:
         (tmp_path / "calibration").write_text(written, "utf-8")
         (extrinsic,) = read_extrinsics(tmp_path / "calibration")
-        assert extrinsic.location == (location or extrinsic.location)
-        assert extrinsic.numbers == tuple(numbers)
+        assert (extrinsic.location, extrinsic.numbers) == (location or extrinsic.location, tuple(numbers))
         assert extrinsic.apart is (len(numbers) == 12 and numbers[:9] == NINE)
         assert "quaternion" not in extrinsic.known
     heading = dict(zip("wxyz", QUATERNION, strict=True))

@@ -74,8 +74,7 @@ def test_exact_motions_about_all_axes_give_the_exact_mounting() -> None:
     flipped = RigidTransform(MOUNT.rotation @ np.diag([1.0, -1.0, -1.0]), MOUNT.translation)
     guessed = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS), guess=flipped)
     np.testing.assert_allclose(step_between(guessed.mounting.a_from_b, MOUNT), 0.0, atol=1e-4)
-    assert found.mounting.unobserved == ()
-    assert found.inliers == 1.0
+    assert (found.mounting.unobserved, found.inliers) == ((), 1.0)
 
 
 def _by_scipy(body: Poses, sensor: Poses) -> RigidTransform:

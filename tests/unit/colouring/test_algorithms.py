@@ -47,8 +47,7 @@ def test_projection_gives_views_in_order_and_each_point_the_colour_of_an_image_t
     requests = [request("ahead", 0, AHEAD, (1, 1, 1)), request("beside", 1, beside, (2, 2, 2))]
     for margin, visible, cameras in ((0.15, [False, True], [1, 0]), (30.0, [True, True], [1, 0])):
         fused = ALGORITHMS["projection"](points, requests, VisibilitySettings(margin=margin))
-        assert fused.views[0].visible.tolist() == visible
-        assert fused.camera_index.tolist() == cameras
+        assert (fused.views[0].visible.tolist(), fused.camera_index.tolist()) == (visible, cameras)
     for name in ALGORITHMS:
         fused = ALGORITHMS[name](np.zeros((2, 3)), [], VisibilitySettings())
         assert (fused.views, fused.camera_index.tolist()) == ((), [255, 255])
@@ -108,8 +107,7 @@ def test_few_points_and_pixels_are_fine_and_what_is_behind_or_not_finite_is_in_n
     assert len(fused.point_ids) == len(fused.visible) == 0
     assert not fused.depth_image.any()
     fused = view(POSE.apply(np.array([[0.1, 0.2, 5.0]])), visibility=visibility)
-    assert fused.visible.tolist() == [True]
-    assert fused.depth_image[fused.depth_image > 0] == pytest.approx([5.0])
+    assert (fused.visible.tolist(), fused.depth_image[fused.depth_image > 0]) == ([True], pytest.approx([5.0]))
     points = cloud(300)
     points[::3] = [math.nan, 0, 0]
     points[1::3, 1] = math.inf

@@ -157,8 +157,7 @@ def central(size, pixel, color):
 def test_points_have_the_colour_of_the_image_that_shows_them_most_centrally(count, views, indices, colors, cameras):
     found, camera_index = colour_points(count, views, indices)
     assert found.dtype == camera_index.dtype == np.uint8
-    assert found.shape == (count, 3)
-    assert (found.tolist(), camera_index.tolist()) == (colors, cameras)
+    assert (found.shape, found.tolist(), camera_index.tolist()) == ((count, 3), colors, cameras)
 
 
 def test_many_views_agree_with_a_choice_made_point_by_point():
@@ -296,5 +295,4 @@ def test_black_images_and_no_images_give_no_factors():
     links.add(frame.views[0].points_world, frame.views, range(2))
     gains = links.solve()
     assert gains.at(0, 0) is None
-    assert gains.alone == (0, 1)
-    assert gains.for_views(frame.views, range(2)) == {}
+    assert (gains.alone, gains.for_views(frame.views, range(2))) == ((0, 1), {})

@@ -108,8 +108,7 @@ def test_points_are_met_where_the_sensor_was_those_in_the_world_as_they_are():
     scene = a_scene([[0, 0, 0]], coordinates_path=straight_trajectory(), cuboids=(box,), times_ns=times_ns)
     for moment in ("frame", "points"):
         found = count_points(scene, moment=moment)
-        assert found.unplaced == 1
-        assert found.lidars[0].there[:, 0].tolist() == [True, True, True, False]
+        assert (found.unplaced, found.lidars[0].there[:, 0].tolist()) == (1, [True, True, True, False])
 
 
 @pytest.mark.parametrize("strange", [np.nan, np.inf, -np.inf, 1e300, -1e300])

@@ -70,8 +70,7 @@ def test_a_cuboid_gets_a_row_for_each_image_nan_where_it_is_not_shown_and_confir
     assert project_cuboids(scene).annotations[0].projections == (of_others,)
     old = Projection("camera", np.array([0, 50]), np.full((2, 4), 7.0), confirmed=(True, False))
     scene = Scene((a_camera((0, 50)),), (a_box(projections=(old,)),))
-    assert projection.confirmed == (True, False)
-    assert projection.boxes[0].tolist() == [7.0] * 4
+    assert (projection.confirmed, projection.boxes[0].tolist()) == ((True, False), [7.0] * 4)
     assert projection.boxes[1, 0] == pytest.approx(337.5)
 
 
@@ -93,14 +92,12 @@ def test_times_in_which_a_camera_sees_it_become_activations_a_frame_longer_at_th
     # it comes out from behind the camera between the second and the third image, and ends after the fourth
     scene = Scene((a_camera((0, 50, 100, 150, 200)),), (a_box(x=(-90.0, 90.0), timestamps=(0, 160)),))
     (activation,) = project_cuboids(scene, activations=True).annotations[0].activations
-    assert activation.timestamps_ns.tolist() == [100]
-    assert activation.durations_ns == (100,)
+    assert (activation.timestamps_ns.tolist(), activation.durations_ns) == ([100], (100,))
     assert activation.cuboids[0, 3] == pytest.approx(-90.0 + 180.0 * 100 / 160)
     assert project_cuboids(scene).annotations[0].activations == ()
     times = np.array([0, 10, 20, 30, 40])
     made = activation_of("s", times, np.array([True, False, False, True, True]))
-    assert made.timestamps_ns.tolist() == [0, 30]
-    assert made.durations_ns == (10, 20)
+    assert (made.timestamps_ns.tolist(), made.durations_ns) == ([0, 30], (10, 20))
     assert activation_of("s", times, np.zeros(5, bool)) is None
     alone = activation_of("s", times[:1], np.array([True]))
     assert alone.durations_ns == (100_000_000,)
@@ -538,8 +535,7 @@ def test_boxes_that_cannot_be_seen_hide_nothing_and_those_too_small_to_be_listed
     assert (seen.rows.tolist(), seen.occlusions.tolist()) == ([2], [0.0])
     plates = some_boxes([[0.0, 0.0, 10.0], [0.0, 0.0, 5.0]], [[0.01, 2.0, 2.0], [0.01, 0.02, 2.0]])
     seen = observe_cuboids(WIDE_PINHOLE, HERE, plates, min_pixels=4.0)
-    assert seen.rows.tolist() == [0]
-    assert seen.occlusions[0] == pytest.approx(0.02, abs=ON_GRID)
+    assert (seen.rows.tolist(), seen.occlusions[0]) == ([0], pytest.approx(0.02, abs=ON_GRID))
     for center, size in [
         ((0, 0, 9), (1, 0, 1)),
         ((0, 0, 9), (1, -1, 1)),

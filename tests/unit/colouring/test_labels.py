@@ -51,8 +51,7 @@ def test_labels_are_drawn_where_points_are_visible_and_the_nearest_counts_with_a
     seen = view(points)
     canvas = LabelCanvas.blank(60, 40)
     canvas.draw(seen, np.array([4, 5, 6], np.uint16))
-    assert canvas.labels[19, 29] == 4
-    assert sorted(np.unique(canvas.labels).tolist()) == [0, 4, 6]
+    assert (canvas.labels[19, 29], sorted(np.unique(canvas.labels).tolist())) == (4, [0, 4, 6])
     assert (canvas.labels > 0).sum() == 2
     points = np.array([[0.0, 0.0, 8.0]])
     near = np.array([[0.0, 0.0, 4.0]])

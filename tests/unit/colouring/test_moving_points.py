@@ -52,8 +52,7 @@ def test_sweeps_come_back_in_their_order_and_move_nothing_where_it_is_not_known_
     trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(1, np.float32))
     wall = np.array([[10.0, 0.0, 0.0]], np.float32)
     order = [[load for load, _ in finder.add(k, wall, trajectory)] for k in range(LAGS[-1] + 3)]
-    assert order[: LAGS[-1]] == [[]] * LAGS[-1]
-    assert order[LAGS[-1] :] == [[0], [1], [2]]
+    assert (order[: LAGS[-1]], order[LAGS[-1] :]) == ([[]] * LAGS[-1], [[0], [1], [2]])
     assert [load for load, _ in finder.flush()] == list(range(3, LAGS[-1] + 3))
     finder, points = MovingPoints(), np.random.default_rng(0).uniform(-20, 20, (500, 3)).astype(np.float32)
     for k in range(3 * LAGS[0]):

@@ -119,8 +119,7 @@ def test_new_boxes_lie_in_the_regions_that_are_promised_and_all_scores_are_proba
 
 def test_what_detectors_find_is_found_again_if_there_is_enough(fitted):
     car = fitted.classes["car"]
-    assert fitted.otherwise == "car"
-    assert car.visibility.recall_2d == pytest.approx(RECALL_2D, abs=0.05)
+    assert (fitted.otherwise, car.visibility.recall_2d) == ("car", pytest.approx(RECALL_2D, abs=0.05))
     assert car.visibility.weak_recall_2d <= car.visibility.recall_2d
     assert car.sweep.slope > 0.3
     with pytest.raises(OptionError, match="expected 200 or more"):

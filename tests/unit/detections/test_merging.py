@@ -150,8 +150,7 @@ def test_a_person_whom_two_images_alone_show_is_one_whose_odds_multiply():
 )
 def test_what_is_elsewhere_or_something_else_stays_two(front, left, label):
     found, merged = people(front, left, label_left=label)
-    assert len(merged) == 3
-    assert merged.rows["front"].tolist() == [0, 1, NO_BOX]
+    assert (len(merged), merged.rows["front"].tolist()) == (3, [0, 1, NO_BOX])
     assert merged.rows["left"].tolist() == [0, NO_BOX, 1]
     np.testing.assert_array_equal(merged.objects.centers[2], found["left"].centers[1])
     np.testing.assert_allclose(merged.objects.scores[1], found["front"].scores[1], rtol=1e-9)

@@ -152,8 +152,7 @@ def test_outlines_bound_what_opencv_projects_as_far_as_the_image_shows_it():
     # a wall 2 m to the left, from 30 m behind to 30 m ahead: 720 / 29.7 px a metre at its far end
     outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_of([[0, 2.5, 0]], [[60, 1, 2]], [0.0]))
     left, top, right, bottom = outlines.corners_xyxy[0]
-    assert (left, bottom) == (0.0, pytest.approx(375.0))
-    assert top == pytest.approx(0.0, abs=1e-6)
+    assert (left, bottom, top) == (0.0, pytest.approx(375.0), pytest.approx(0.0, abs=1e-6))
     assert right == pytest.approx(610.5 - 720 * 1.95 / 29.7, abs=0.3)  # the camera model bends it by less
 
 
@@ -398,8 +397,7 @@ def test_an_object_is_behind_the_points_in_the_middle_of_its_box_if_these_are_it
     points = np.concatenate([a_wall(14.0), a_wall(8.0, low=-1.7, high=-0.3, count=14)])
     assert not fuse_by_projection(pair_of(points)).by_points[0]
     fused = fuse_by_projection(pair_of(points, boxes_3d=car))
-    assert fused.by_points.tolist() == [False, True]
-    assert fused.centers[1, 0] == pytest.approx(14.16, abs=0.1)
+    assert (fused.by_points.tolist(), fused.centers[1, 0]) == ([False, True], pytest.approx(14.16, abs=0.1))
     whole = np.array([[500.0, 150.0, 700.0, 260.0]])
     cut = whole - [500.0, 0.0, 500.0, 0.0]
     sides = a_wall(9.0, left=8.0, low=-1.0, high=0.6, count=60)
@@ -473,8 +471,7 @@ def test_boxes_of_both_detectors_become_one_object_whose_existence_multiplies_th
     three = boxes_3d((20, 3, -1, 0.6), (30, -5, -1, 0.7))
     two = boxes_2d((*outline(30, -5, -1), 0.8), (*outline(20, 3, -1), 0.5))
     result = fused(three, two)
-    assert result.rows_3d.tolist() == [0, 1]
-    assert result.rows_2d.tolist() == [1, 0]
+    assert (result.rows_3d.tolist(), result.rows_2d.tolist()) == ([0, 1], [1, 0])
     assert np.array_equal(result.corners_xyxy, two.corners_xyxy[[1, 0]])
     odds = np.array([0.6 / 0.4 * 1.0, 0.7 / 0.3 * 0.8 / 0.2]) / (0.1 / 0.9)
     assert np.allclose(result.scores, odds / (1 + odds), rtol=1e-12)
@@ -483,8 +480,7 @@ def test_boxes_of_both_detectors_become_one_object_whose_existence_multiplies_th
             three = boxes_3d(*[(20, 3, -1, 0.6), (30, -5, -1, 0.7)][:count_3d])
             two = boxes_2d(*[(10, 10, 60, 60, 0.5), (900, 10, 990, 90, 0.5)][:count_2d])
             result = fused(three, two)
-            assert len(result) == count_3d + count_2d
-            assert np.count_nonzero(result.rows_3d == NO_BOX) == count_2d
+            assert (len(result), np.count_nonzero(result.rows_3d == NO_BOX)) == (count_3d + count_2d, count_2d)
             assert np.count_nonzero(result.rows_2d == NO_BOX) == count_3d
             assert len(set(result.ids.tolist())) == len(result)
 
@@ -513,8 +509,7 @@ def test_a_box_of_the_sweep_alone_becomes_less_likely_where_the_image_should_hav
 def test_a_box_of_the_image_alone_has_its_ray_less_existence_and_no_velocity_or_is_left_out():
     two = boxes_2d((700, 250, 750, 350, 0.8), labels=("pedestrian",))
     result = fused(boxes_3d((-20, 0, 0, 0.5)), two)
-    assert result.rows_3d.tolist() == [0, NO_BOX]
-    assert result.rows_2d.tolist() == [NO_BOX, 0]
+    assert (result.rows_3d.tolist(), result.rows_2d.tolist()) == ([0, NO_BOX], [NO_BOX, 0])
     odds = 0.8 / 0.2 * (1 - 0.5)
     assert result.scores[1] == pytest.approx(odds / (1 + odds), rel=1e-12)
     # the middle of the box is at pixel (724.5, 299.5): 225 / 500 to the right
@@ -540,15 +535,13 @@ def test_the_surer_detector_names_the_class_and_boxes_are_paired_one_to_one_with
     ]:
         three = boxes_3d((20, 3, -1, score_3d), labels=(label_3d,))
         result = fused(three, boxes_2d((*outline(20, 3, -1), score_2d), labels=(label_2d,)))
-        assert result.labels == (expected,)
-        assert result.rows_2d.tolist() == [0]
+        assert (result.labels, result.rows_2d.tolist()) == ((expected,), [0])
     two = boxes_2d((*outline(20, 3, -1), 0.9), labels=("pedestrian",))
     assert len(fused(boxes_3d((20, 3, -1, 0.6), labels=("car",)), two)) == 2
     three = boxes_3d((20, 3, -1, 0.4), (20, 3, -1, 0.6))
     assert fused(three, boxes_2d((*outline(20, 3, -1), 0.5))).rows_2d.tolist() == [NO_BOX, 0]
     equal = fused(boxes_3d(*[(20, 3, -1, 0.5)] * 5), boxes_2d(*[(*outline(20, 3, -1), 0.5)] * 3))
-    assert len(equal) == 5
-    assert sorted(equal.rows_2d.tolist()) == [NO_BOX, NO_BOX, 0, 1, 2]
+    assert (len(equal), sorted(equal.rows_2d.tolist())) == (5, [NO_BOX, NO_BOX, 0, 1, 2])
 
 
 def test_boxes_without_a_location_are_left_out_and_scores_that_are_no_numbers_leave_numbers():

@@ -121,8 +121,7 @@ def test_a_shared_image_is_decoded_once_and_one_that_cannot_be_raises_unless_som
     system.send("lidar", sweep(0))
     system.send("lidar", sweep(60))
     system.send("camera0", CameraImage(70, CAMERA, decode))
-    assert len(fused_of(system)) == 2
-    assert decoded == [1]
+    assert (len(fused_of(system)), decoded) == (2, [1])
 
     def broken():
         raise DataError("data.mkv", "image 3", "truncated")
@@ -134,8 +133,7 @@ def test_a_shared_image_is_decoded_once_and_one_that_cannot_be_raises_unless_som
     system = system_with()
     system.on_unreadable = heard.append
     system.send("camera0", CameraImage(0, CAMERA, broken))
-    assert fused_of(system, sweep(0))[0].unpaired == ("camera0",)
-    assert len(heard) == 1
+    assert (fused_of(system, sweep(0))[0].unpaired, len(heard)) == (("camera0",), 1)
 
 
 def test_a_mounting_of_the_image_wins_and_without_cameras_the_fields_of_the_source_stay():
@@ -211,8 +209,7 @@ def test_results_come_in_the_order_of_the_sweeps_and_one_passed_over_keeps_its_n
         system.send("lidar", sweep(start))
         system.send("camera0", image(start + 10))
     found = [(fused.index, fused.timestamp_ns, fused.views[0].timestamp_ns) for fused in fused_of(system)]
-    assert found == [(0, 0, 10), (1, 100, 110), (2, 200, 210)]
-    assert results(system) == []
+    assert (found, results(system)) == ([(0, 0, 10), (1, 100, 110), (2, 200, 210)], [])
     system = system_with(cameras=0)
     system.send("lidar", sweep(0))
     system.pass_over("lidar")

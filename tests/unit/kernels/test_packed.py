@@ -53,8 +53,7 @@ def unfolded(packed: bytes, size: int) -> bytes | None:
     ],
 )
 def test_streams_made_by_hand_unfold(packed, expected):
-    assert unfold_slowly(packed) == expected
-    assert unfolded(packed, len(expected)) == expected
+    assert (unfold_slowly(packed), unfolded(packed, len(expected))) == (expected, expected)
 
 
 @given(st.binary(max_size=60))
@@ -88,8 +87,7 @@ def test_every_field_is_what_struct_finds_wherever_the_records_begin(address, re
     unpack(packed, positions, intensities, rings, seconds, times)
     expected = list(struct.iter_unpack("<fffBHd", content[address:]))
     np.testing.assert_array_equal(positions, np.array([r[:3] for r in expected], np.float32).reshape(-1, 3))
-    assert intensities.tolist() == [r[3] for r in expected]
-    assert rings.tolist() == [r[4] for r in expected]
+    assert (intensities.tolist(), rings.tolist()) == ([r[3] for r in expected], [r[4] for r in expected])
     assert seconds.tobytes() == b"".join(struct.pack("<d", r[5]) for r in expected)
     # `round` takes halves to even
     assert times.tolist() == [round(r[5] * 1e9) for r in expected]

@@ -119,8 +119,7 @@ def test_points_without_direction_have_inverse_range_zero_and_those_behind_the_c
         *(((5, 0, 0), missing) for missing in (-1, 1, 2**62, -(2**63))),
     ]:
         directions, inverse_ranges = mapped([point], [number])
-        assert directions.tolist() == [[0], [0]]
-        assert inverse_ranges.tolist() == [0]
+        assert (directions.tolist(), inverse_ranges.tolist()) == ([[0], [0]], [0])
     directions, inverse_ranges = mapped([(-9.1, 0.3, -0.2), (-9.1, 0.3 + 1e-7, -0.2)])
     assert np.isfinite(directions).all()
     assert np.hypot(*directions).max() <= 2.0001

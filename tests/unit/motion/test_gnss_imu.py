@@ -125,11 +125,8 @@ def test_steps_lead_to_where_no_direction_leads_down_and_parts_hold_what_was_mea
     solution = np.abs(after.right).max(axis=0) / np.sqrt(np.abs(after.blocks).max(axis=(0, 1)))
     assert solution.max() < 1e-2 * np.sqrt(after.cost)
     chain = made_up_chain(np.random.default_rng(5), "irs").part(1, 4)
-    assert len(chain.knots_ns) == 3
-    assert chain.fixes.knots.tolist() == [1]
-    assert chain.relative[0].knots.tolist() == [0]
-    assert chain.speeds[0].knots.tolist() == [0]
-    assert len(chain.inertial.rotations) == 2
+    assert (len(chain.knots_ns), chain.fixes.knots.tolist(), chain.relative[0].knots.tolist()) == (3, [1], [0])
+    assert (chain.speeds[0].knots.tolist(), len(chain.inertial.rotations)) == ([0], 2)
 
 
 PATH = PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0)).plan(np.random.default_rng(0), start_ns=0, duration=10.0)
@@ -440,8 +437,7 @@ def test_fixes_alone_make_a_smooth_trajectory_whose_heading_is_that_of_the_motio
 def test_the_default_after_recorded_trajectories_says_where_its_world_is_and_that_annotations_stay(town):
     scene = town.scene()
     ego = find_ego_motion(scene)
-    assert ego.name == "gnss"
-    assert ego.enu_origin_lla == tuple(town.gnss.positions_lla[0])
+    assert (ego.name, ego.enu_origin_lla) == ("gnss", tuple(town.gnss.positions_lla[0]))
     assert ego.covariances is not None
     placed = with_trajectory_estimated(replace(scene, metadata={"sceneloom": {"seed": 1}}), ego)
     assert placed.metadata["sceneloom"]["seed"] == 1
@@ -450,8 +446,7 @@ def test_the_default_after_recorded_trajectories_says_where_its_world_is_and_tha
     assert [warning.kind for warning in reported] == [WarningKind.ASSUMED]
     recorded = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), np.array([[0.0, 0, 0, 1]]))
     with_pose = replace(scene, trajectories={"pose": recorded})
-    assert find_ego_motion(with_pose).name == "pose"
-    assert find_ego_motion(with_pose, name="gnss").name == "gnss"
+    assert (find_ego_motion(with_pose).name, find_ego_motion(with_pose, name="gnss").name) == ("pose", "gnss")
     scene = replace(town.scene(), annotations=(PlainAnnotation("a", "cuboid", {}),))
     recorded_one = {"pose": recorded}
     for frame, paths, reported in (("world", recorded_one, True), ("ego", recorded_one, False), ("world", {}, False)):

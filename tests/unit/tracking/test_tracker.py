@@ -41,8 +41,7 @@ def test_velocity_rotates_with_a_vehicle_and_not_with_a_person():
     assert np.arctan2(after[0, 8], after[0, 7]) == pytest.approx(0.04)
     # on a circle of 25 m, of which the chord is the mean of both velocities to second order
     assert after[0, :2] == pytest.approx([25.0 * np.sin(0.04), 25.0 * (1.0 - np.cos(0.04))], abs=2e-3)
-    assert after[1, :2] == pytest.approx([1.0, 0.0])
-    assert after[:, tracker.YAW] == pytest.approx([0.04, 0.04])
+    assert (after[1, :2], after[:, tracker.YAW]) == (pytest.approx([1.0, 0.0]), pytest.approx([0.04, 0.04]))
 
 
 def test_covariances_are_moved_by_slopes_which_are_those_of_differences_in_one_step_as_in_two():
@@ -77,8 +76,7 @@ def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman_and_one_far_off
         expected = np.linalg.inv(information)
         mean = expected @ (np.linalg.inv(covariances[k]) @ means[k] + visibility.T @ np.linalg.inv(noise) @ measures[k])
         mean[6] = tracker.wrapped(mean[6])
-        assert spread[k] == pytest.approx(expected, abs=1e-9)
-        assert after[k] == pytest.approx(mean, abs=1e-9)
+        assert (spread[k], after[k]) == (pytest.approx(expected, abs=1e-9), pytest.approx(mean, abs=1e-9))
     start, measures = np.zeros((1, tracker.SIZE)), np.zeros((1, 7))
     measures[0, 0] = 5.0
     after, _ = updated(start, np.eye(tracker.SIZE)[None] * 0.01, measures, np.eye(7)[None] * 0.01)
@@ -186,8 +184,7 @@ def test_of_two_cameras_the_one_with_a_partner_counts_else_the_doubtful_one_and_
     partner = replace(fused, scores=np.array([0.6]))
     for by_camera, odds in (({"a": doubtful, "b": partner}, 0.6), ({"a": sure, "b": doubtful}, 0.3)):
         there = observed(replace(standing, fused=by_camera))
-        assert len(there) == 1
-        assert there.log_odds[0] == pytest.approx(np.log(odds / (1.0 - odds)))
+        assert (len(there), there.log_odds[0]) == (1, pytest.approx(np.log(odds / (1.0 - odds))))
     for stated, expected in ((np.array([0.04]), 0.04), (np.array([np.nan]), 0.01), (None, 0.01)):
         there = observed(replace(standing, fused={"front": replace(fused, yaw_variances=stated)}))
         assert there.covariances[0, 6, 6] == pytest.approx(expected)
@@ -195,8 +192,7 @@ def test_of_two_cameras_the_one_with_a_partner_counts_else_the_doubtful_one_and_
 
 def test_cars_that_drive_straight_are_one_object_each_with_location_and_speed_as_sure_as_stated():
     (track,) = tracked(Actor(straight(8.0, y=3.0)))
-    assert len(track) == len(TIMES)
-    assert track.label == "Car"
+    assert (len(track), track.label) == (len(TIMES), "Car")
     # a filter knows better than single boxes, which are off by 0.1 m
     off = track.centers[10:, :2] - np.column_stack([10.0 + 8.0 * TIMES[10:], np.full(30, 3.0)])
     assert np.sqrt((off**2).mean()) < 0.1
@@ -212,8 +208,7 @@ def test_cars_that_drive_straight_are_one_object_each_with_location_and_speed_as
 
 def test_a_rotation_is_followed_with_its_rate_and_what_stands_stands_for_a_lidar_that_moves():
     (track,) = tracked(Actor(round_a_corner), sigma=0.05)
-    assert len(track) == len(TIMES)
-    assert track.yaw_rates[-1] == pytest.approx(0.5, abs=0.15)
+    assert (len(track), track.yaw_rates[-1]) == (len(TIMES), pytest.approx(0.5, abs=0.15))
     assert track.yaws[-1] == pytest.approx(0.5 * TIMES[-1], abs=0.1)
     assert np.linalg.norm(track.velocities[-1]) == pytest.approx(10.0, abs=0.7)
     track = tracked(Actor(lambda t: (30.0, 4.0, 0.3)), ego=lambda t: (5.0 * t, 0.0, 0.1 * t))[0]
@@ -298,8 +293,7 @@ def test_two_cameras_see_one_object_and_moments_without_boxes_or_cameras_are_mom
     there[3] = replace(there[3], fused={})
     there[4] = replace(there[4], fused={}, views={})
     there[5] = replace(there[5], views={})
-    assert len(track_drive(there)) == 1
-    assert track_drive([replace(one, fused={}) for one in there]).tracks == ()
+    assert (len(track_drive(there)), track_drive([replace(one, fused={}) for one in there]).tracks) == (1, ())
     assert track_drive([]).tracks == ()
     objects = Tracker().step(Observation(5, RigidTransform.identity()))
     assert (len(objects), objects.timestamp_ns) == (0, 5)

@@ -340,8 +340,7 @@ def test_a_label_says_how_sure_it_is_and_whence_it_comes():
     support = reported(cuboid, "support")
     assert support.values == ("both", "predicted", "both")
     assert support.timestamps_ns.tolist() == track.timestamps_ns[[0, 8, 10]].tolist()
-    assert reported(cuboid, "source").values == ("made by hand",)
-    assert reported(cuboid, "track").values == (7,)
+    assert (reported(cuboid, "source").values, reported(cuboid, "track").values) == (("made by hand",), (7,))
 
 
 def test_boxes_in_images_and_cuboid_belong_to_one_object(drive):

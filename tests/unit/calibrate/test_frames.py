@@ -61,7 +61,7 @@ def with_camera(scene: Scene, **changes: object) -> Scene:
     return replace(scene, sensors=tuple(sensors))
 
 
-def test_frames_are_spread_over_the_drive_and_sensors_or_images_that_do_not_fit_are_refused(drive):
+def test_frames_are_spread_over_the_drive_with_a_trajectory_or_without_and_what_does_not_fit_is_refused(drive):
     assert [frame.index for frame in calibration_frames(drive.scene, most=2)] == [0, 3]
     assert len(calibration_frames(drive.scene, most=100)) == 4
     with pytest.raises(OptionError, match="0 frames"):
@@ -78,9 +78,6 @@ def test_frames_are_spread_over_the_drive_and_sensors_or_images_that_do_not_fit_
             calibration_frames(with_camera(drive.scene, images=LazyFrames.of([image], [image.timestamp_ns])))
     with pytest.raises(PoseError, match="not known"):
         calibration_frames(with_camera(drive.scene, mount=None, poses=None))
-
-
-def test_without_a_trajectory_the_mountings_relate_points_as_measured(drive):
     first = drive.scene.lidars[0].frames[0]
     stationary = replace(drive.scene.lidars[0], frames=LazyFrames.of([first], [first.timestamp_ns]))
     sensors = tuple(stationary if s.id == "lidar" else s for s in drive.scene.sensors)
@@ -141,7 +138,7 @@ def edges_of(ranges: np.ndarray) -> DepthEdges:
     return find_depth_edges(frame, np.arange(len(points)))
 
 
-def test_a_board_before_a_wall_has_edges_halfway_between_its_points_and_those_of_the_wall() -> None:
+def test_edges_lie_halfway_between_a_board_and_a_wall_and_on_walls_that_recede_but_not_on_steep_planes():
     ranges = np.full((9, 80), 20.0)
     ranges[:, 30:50] = 5.0
     edges = edges_of(ranges)
@@ -149,22 +146,14 @@ def test_a_board_before_a_wall_has_edges_halfway_between_its_points_and_those_of
     assert len(azimuths) == 18  # on the left and on the right of each line
     np.testing.assert_allclose(np.sort(np.abs(azimuths)), 10 * STEP, atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(edges.points_lidar, axis=1), 5.0, rtol=1e-9)
-
-
-def test_an_edge_of_a_slanting_wall_lies_on_it() -> None:
-    """A wall that recedes ends; its end is farther than the last point on it."""
     ranges = np.full(80, 60.0)
     ranges[20:] = (6.0 / np.cos(AZIMUTHS - 1.0))[20:]
     edges = edges_of(ranges / np.cos(ELEVATIONS)[:, None])
     assert len(edges.weights) == 9
-    azimuths = np.arctan2(edges.points_lidar[:, 1], edges.points_lidar[:, 0])
     np.testing.assert_allclose(azimuths, 0.5 * (AZIMUTHS[19] + AZIMUTHS[20]), atol=1e-9)
     # the last point is 0.2 m nearer; chords between a plane's points leave millimetres
     there = 6.0 / np.cos(azimuths - 1.0)
     np.testing.assert_allclose(np.linalg.norm(edges.points_lidar[:, :2], axis=1), there, rtol=1e-3)
-
-
-def test_planes_that_recede_steeply_and_surfaces_seen_in_one_line_behind_another_have_no_edges() -> None:
     # a roof half a metre below: from line to line the range grows by metres
     heights = np.append(0.5 / np.sin(-ELEVATIONS[:4]), np.full(5, 100.0))
     assert len(edges_of(np.repeat(heights[:, None], 80, axis=1)).weights) == 0

@@ -65,18 +65,6 @@ def seen_by_sensor(body: Poses, *, rotation_noise: float = 0.0, shift_noise: flo
     return Poses(body.timestamps_ns, world.apply(locations), rotated)
 
 
-def test_exact_motions_about_all_axes_give_the_exact_mounting() -> None:
-    body = tumbling_body()
-    found = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS))
-    # what keeps unknown directions at the guess pulls by a millionth of what the motions report
-    np.testing.assert_allclose(step_between(found.mounting.a_from_b, MOUNT), 0.0, atol=1e-5)
-    # also from a guess that is upside down
-    flipped = RigidTransform(MOUNT.rotation @ np.diag([1.0, -1.0, -1.0]), MOUNT.translation)
-    guessed = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS), guess=flipped)
-    np.testing.assert_allclose(step_between(guessed.mounting.a_from_b, MOUNT), 0.0, atol=1e-4)
-    assert (found.mounting.unobserved, found.inliers) == ((), 1.0)
-
-
 def _by_scipy(body: Poses, sensor: Poses) -> RigidTransform:
     """Park and Martin's two steps: rotation vectors aligned by scipy, then the translation by least squares."""
     a, b = _relative(body), _relative(sensor)
@@ -93,7 +81,16 @@ def _relative(path: Poses) -> tuple[Rotation, np.ndarray]:
     return back * rotations[10:], back.apply(path.positions[10:] - path.positions[:-10])
 
 
-def test_a_car_on_a_plane_reports_all_but_the_height_which_stays_as_it_was_guessed() -> None:
+def test_exact_motions_about_all_axes_give_the_exact_mounting_those_on_a_plane_all_but_the_height():
+    body = tumbling_body()
+    found = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS))
+    # what keeps unknown directions at the guess pulls by a millionth of what the motions report
+    np.testing.assert_allclose(step_between(found.mounting.a_from_b, MOUNT), 0.0, atol=1e-5)
+    # also from a guess that is upside down
+    flipped = RigidTransform(MOUNT.rotation @ np.diag([1.0, -1.0, -1.0]), MOUNT.translation)
+    guessed = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS), guess=flipped)
+    np.testing.assert_allclose(step_between(guessed.mounting.a_from_b, MOUNT), 0.0, atol=1e-4)
+    assert (found.mounting.unobserved, found.inliers) == ((), 1.0)
     body = planar_car()
     guess = RigidTransform(MOUNT.rotation, MOUNT.translation + np.array([0.2, -0.1, 0.3]))
     found = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS), guess=guess).mounting
@@ -188,16 +185,6 @@ def test_the_second_lidar_is_found_from_a_wrong_mounting_and_from_none(
     assert (np.abs(step) < 4.0 * found.mounting.sigmas).all()
 
 
-def test_lidars_that_are_not_there_are_refused(drive: SimulatedDrive) -> None:
-    with pytest.raises(OptionError, match="expected two"):
-        lidar_to_lidar(drive.scene, "lidar0", "lidar7")
-    one = replace(drive.scene, sensors=drive.scene.lidars[:1])
-    with pytest.raises(OptionError, match=r"expected two$"):
-        lidar_to_lidar(one)
-    with pytest.raises(OptionError, match="named twice"):
-        lidar_to_lidar(drive.scene, "lidar0", "lidar0")
-
-
 @pytest.mark.slow
 def test_a_start_far_off_is_refused_and_not_refined_into_something(drive: SimulatedDrive) -> None:
     far = inject(
@@ -208,7 +195,14 @@ def test_a_start_far_off_is_refused_and_not_refined_into_something(drive: Simula
         lidar_to_lidar(far.scene, most=3)
 
 
-def test_the_ground_is_found_below_the_sensor() -> None:
+def test_lidars_that_are_not_there_are_refused_and_the_ground_is_found_below_the_sensor(drive):
+    with pytest.raises(OptionError, match="expected two"):
+        lidar_to_lidar(drive.scene, "lidar0", "lidar7")
+    one = replace(drive.scene, sensors=drive.scene.lidars[:1])
+    with pytest.raises(OptionError, match=r"expected two$"):
+        lidar_to_lidar(one)
+    with pytest.raises(OptionError, match="named twice"):
+        lidar_to_lidar(drive.scene, "lidar0", "lidar0")
     rng = np.random.default_rng(0)
     ground = np.column_stack([rng.uniform(-15, 15, (3000, 2)), rng.normal(-1.7, 0.02, 3000)])
     wall = np.column_stack([np.full(2000, 8.0), rng.uniform(-10, 10, 2000), rng.uniform(-1.7, 4.0, 2000)])

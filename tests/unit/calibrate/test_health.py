@@ -242,17 +242,6 @@ def test_a_rotation_across_the_axis_is_found_however_large_a_small_one_or_along_
         assert judge_motion(*rotations(Rotation.from_rotvec(injected_deg, degrees=True), **more)).verdict is verdict
 
 
-def test_rotating_makes_nothing_good_but_may_contradict():
-    untold = health_of_boxes(None, source="made up", camera_id=0, lidar_id=0, frames=0)
-    good, wrong = (judge("motion", np.radians([d, 0.0]), np.zeros((2, 2))) for d in (0.0, 9.0))
-    assert with_coarse(untold, good).verdict is UNTOLD
-    assert with_coarse(untold, wrong).verdict is WRONG
-    right = type(untold)(**{f: getattr(untold, f) for f in untold.__struct_fields__} | {"verdict": GOOD})
-    assert with_coarse(right, Item.unknown("motion", "stood")).verdict is GOOD
-    doubtful = with_coarse(right, wrong)
-    assert (doubtful.verdict, ", but " in doubtful.item("motion").reason) == (UNTOLD, True)
-
-
 SURE = np.radians(0.05) ** 2 * np.eye(3)
 
 
@@ -322,7 +311,15 @@ def test_boxes_decide_where_images_cannot_and_join_them_where_they_can(images_de
     assert [item.name for item in health.items] == [*PARTS, "boxes", "boxes_roll"]
 
 
-def test_where_boxes_and_images_contradict_each_other_nothing_is_reported():
+def test_boxes_alone_are_enough_for_a_verdict_and_contradict_images_as_rotating_does():
+    untold = health_of_boxes(None, source="made up", camera_id=0, lidar_id=0, frames=0)
+    good, wrong = (judge("motion", np.radians([d, 0.0]), np.zeros((2, 2))) for d in (0.0, 9.0))
+    assert with_coarse(untold, good).verdict is UNTOLD
+    assert with_coarse(untold, wrong).verdict is WRONG
+    right = type(untold)(**{f: getattr(untold, f) for f in untold.__struct_fields__} | {"verdict": GOOD})
+    assert with_coarse(right, Item.unknown("motion", "stood")).verdict is GOOD
+    doubtful = with_coarse(right, wrong)
+    assert (doubtful.verdict, ", but " in doubtful.item("motion").reason) == (UNTOLD, True)
     for images_deg, found in ((0.0, rotation(3.0, 0.0, 0.0)), (1.5, rotation(0.0, 0.0, 0.0))):
         health = with_boxes(images_state(images_deg), found)
         assert health.verdict is UNTOLD
@@ -332,9 +329,6 @@ def test_where_boxes_and_images_contradict_each_other_nothing_is_reported():
     doubted = CalibrationHealth(**{**{k: getattr(health, k) for k in health.__struct_fields__}, "verdict": UNTOLD})
     assert with_boxes(doubted, rotation(0.0, 0.0, 0.0)).verdict is UNTOLD
     assert with_boxes(doubted, rotation(3.0, 0.0, 0.0)).verdict is WRONG
-
-
-def test_boxes_alone_are_enough_for_a_verdict():
     health = health_of_boxes(rotation(3.0, 0.0, 0.0), source="0001", camera_id=2, lidar_id=0, frames=50)
     assert (health.verdict, health.views, health.frames) == (WRONG, 0, 50)
     assert {item.verdict for item in health.items[:5]} == {UNTOLD}

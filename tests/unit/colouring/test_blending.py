@@ -45,7 +45,7 @@ def test_colours_are_taken_between_the_pixels():
     np.testing.assert_allclose(blended.colors, wanted, atol=0.51)  # rounding to levels
 
 
-def test_the_image_that_shows_a_point_away_from_its_border_counts():
+def test_the_best_colour_is_that_of_the_image_that_faces_the_surface_at_the_time_and_gains_multiply_it():
     points = np.array([[2.4, 0.0, 5.0]])  # 98 px: at the border of the first, 49 px from the axis of the second
     views = [view(points, image(10)), view(points, image(200), x=1.2, camera_id="b", timestamp_ns=7)]
     blended = blend_colours(points, views, [3, 5], settings=BEST)
@@ -54,48 +54,26 @@ def test_the_image_that_shows_a_point_away_from_its_border_counts():
         [[200, 200, 200]], [5], [7]
     )  # fmt: skip
     np.testing.assert_allclose(sources.pixels, [[74.0, 40.0]], atol=1e-4)
-
-
-def test_the_mean_holds_only_colours_that_agree_with_the_best_one():
     points = np.array([[0.0, 0.0, 5.0]])
     near = [view(points, image(100)), view(points, image(110), camera_id="b")]
     far = view(points, image(250), camera_id="c", x=0.5)
     assert blend_colours(points, near, [0, 1]).colors.tolist() == [[105, 105, 105]]
     assert blend_colours(points, [*near, far], [0, 1, 2]).colors.tolist() == [[105, 105, 105]]
-
-
-def test_a_point_measured_long_before_an_image_takes_the_colour_of_the_other_one():
     points, times = np.array([[0.0, 0.0, 5.0]]), np.array([0])
     views = [view(points, image(10), timestamp_ns=200_000_000), view(points, image(200), camera_id="b")]
     assert blend_colours(points, views, [0, 1], timestamps_ns=times, settings=BEST).colors.tolist() == [[200] * 3]
-
-
-def test_a_surface_seen_along_itself_takes_the_colour_of_the_camera_that_faces_it():
     points = np.array([[1.0, 0.0, 5.0]])
     along = np.array([[0.98058, 0.0, -0.19612]], np.float32)  # at a right angle to the first line of sight
     views = [view(points, image(10)), view(points, image(200), x=3.0, camera_id="b")]
     for normals, level in ((along, 200), (None, 10)):
         blended = blend_colours(points, views, [0, 1], normals_world=normals, settings=BEST)
         assert blended.colors.tolist() == [[level] * 3]
-
-
-def test_gains_multiply_colours_and_are_cut_off_at_white():
     points = np.array([[0.0, 0.0, 5.0]])
     blended = blend_colours(points, [view(points, image(100))], [4], gains={4: np.array([0.5, 1.0, 3.0])})
     assert blended.colors.tolist() == [[50, 100, 255]]
 
 
-def test_points_that_no_image_shows_stay_white_and_name_no_image():
-    points = np.array([[0.0, 0.0, -5.0], [np.nan, 0.0, 1.0]])
-    blended = blend_colours(points, [view(points, image(10))], [0])
-    assert (blended.colors == 255).all()
-    assert (blended.sources.camera_index == 255).all()
-    assert (blended.sources.images_ns == NO_IMAGE_NS).all()
-    assert np.isnan(blended.sources.pixels).all()
-    assert blend_colours(points, [], []).colors.shape == (2, 3)
-
-
-def test_points_beside_an_outline_are_trusted_less():
+def test_points_beside_an_outline_are_trusted_less_but_a_road_at_a_grazing_angle_is_none():
     u = np.arange(20, 81, 2.0)
     z = np.where(u < 50, 5.0, 12.0)  # a wall that ends before a farther one
     points = np.stack([(u - 50) / 100 * z, np.zeros(len(u)), z], axis=1)
@@ -105,18 +83,22 @@ def test_points_beside_an_outline_are_trusted_less():
     assert not beside[np.abs(u - 50) > 8].any()
     weights = view_weights(points, seen, BlendSettings(even_distance=1e6))
     assert weights[14] < 0.2 * weights[0]
-
-
-def test_a_road_seen_at_a_grazing_angle_is_no_outline():
     z, x = (axis.ravel() for axis in np.meshgrid(np.linspace(5, 60, 60), np.linspace(-2, 2, 9)))
     points = np.stack([x, np.full(len(z), 1.6), z], axis=1)
     assert not near_outlines(view(points, image(100))).any()
 
 
-@pytest.mark.parametrize("wrong", [{"mode": "mean"}, {"even_distance": 0.0}, {"border_share": 2.0}])
-def test_settings_that_mean_nothing_are_refused(wrong):
-    with pytest.raises(OptionError, match=next(iter(wrong))):
-        BlendSettings(**wrong)
+def test_points_that_no_image_shows_stay_white_and_settings_that_mean_nothing_are_refused():
+    points = np.array([[0.0, 0.0, -5.0], [np.nan, 0.0, 1.0]])
+    blended = blend_colours(points, [view(points, image(10))], [0])
+    assert (blended.colors == 255).all()
+    assert (blended.sources.camera_index == 255).all()
+    assert (blended.sources.images_ns == NO_IMAGE_NS).all()
+    assert np.isnan(blended.sources.pixels).all()
+    assert blend_colours(points, [], []).colors.shape == (2, 3)
+    for wrong in [{"mode": "mean"}, {"even_distance": 0.0}, {"border_share": 2.0}]:
+        with pytest.raises(OptionError, match=next(iter(wrong))):
+            BlendSettings(**wrong)
 
 
 def make_view(point_ids, pixels, rgb, visible=None):

@@ -208,19 +208,6 @@ def test_columns_and_where_it_is_the_shorter_way_rows_are_filled_between_samples
     assert np.count_nonzero(depths) == 5
 
 
-def test_filled_pixels_are_blended_with_filled_ones_only():
-    image = sparse_image(7, share=0.6)
-    blended = np.empty_like(image)
-    completion.blend_neighbours(image, np.empty((2, image.size), np.float32), blended)
-    kernel = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1])
-    for row in range(2, SHAPE[0] - 2):
-        for column in range(2, SHAPE[1] - 2):
-            window = image[row - 2 : row + 3, column - 2 : column + 3]
-            weights = kernel * (window > 0)
-            expected = (weights * window).sum() / weights.sum() if image[row, column] > 0 else 0
-            assert blended[row, column] == pytest.approx(expected, rel=1e-5)
-
-
 MESH_SHAPE = (50, 70)
 
 
@@ -341,7 +328,17 @@ def test_rows_and_columns_are_smoothed_by_least_squares(strength):
     np.testing.assert_allclose([image.T for image in down], expected, atol=2e-5)
 
 
-def test_links_follow_the_sum_of_the_differences_of_the_channels():
+def test_filled_pixels_are_blended_with_filled_ones_and_links_follow_the_differences_of_the_channels():
+    image = sparse_image(7, share=0.6)
+    blended = np.empty_like(image)
+    completion.blend_neighbours(image, np.empty((2, image.size), np.float32), blended)
+    kernel = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1])
+    for row in range(2, SHAPE[0] - 2):
+        for column in range(2, SHAPE[1] - 2):
+            window = image[row - 2 : row + 3, column - 2 : column + 3]
+            weights = kernel * (window > 0)
+            expected = (weights * window).sum() / weights.sum() if image[row, column] > 0 else 0
+            assert blended[row, column] == pytest.approx(expected, rel=1e-5)
     random = np.random.default_rng(2)
     rgb = random.integers(0, 256, (*LINKED_SHAPE, 3), dtype=np.uint8)
     table = np.linspace(1, 0, 766).astype(np.float32)
@@ -413,7 +410,7 @@ def test_no_circumcircle_holds_another_point_and_no_location_is_left_out(kind):
             assert ax * (by * c - cy * b) - ay * (bx * c - cx * b) + a * (bx * cy - cx * by) <= 0
 
 
-def test_the_curve_goes_through_every_location_once_in_single_steps():
+def test_the_curve_visits_every_location_once_and_numbers_stay_exact_at_the_largest_extent():
     side = 32
     locations = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2).astype(np.int64)
     codes = np.empty(len(locations), np.int64)
@@ -421,9 +418,6 @@ def test_the_curve_goes_through_every_location_once_in_single_steps():
     assert len(set(codes.tolist())) == len(locations)
     steps = np.abs(np.diff(locations[np.argsort(codes)], axis=0)).sum(axis=1)
     assert (steps == 1).all()
-
-
-def test_numbers_stay_exact_at_the_largest_extent_and_triangles_outside_the_hull_are_left_out():
     side = completion.MOST_EXTENT // 3
     random = np.random.default_rng(0)
     inner = np.concatenate([random.integers(0, side, (200, 2)), [[0, 0], [side, 0], [side, side], [0, side]]])

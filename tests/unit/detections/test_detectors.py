@@ -169,7 +169,7 @@ def scores_without_boxes(count):
     return existence.scores_of_sweep(outlines, np.ones(count), kinds - 1, reported_3d, odds, *none)
 
 
-def test_a_fitted_pair_has_the_odds_that_the_formula_says():
+def test_fitted_pairs_have_the_odds_that_the_formula_says_and_boxes_without_partner_those_of_a_poor_camera_too():
     score_3d, score_2d, (low, high) = 1.5, 0.8, (CAR_NUMBERS.image.low, CAR_NUMBERS.image.high)
     reported_3d = existence.reported_odds(np.array([score_3d]), CAR, True, False, CAR, FITTED_TABLE)
     reported_2d = existence.reported_odds(np.array([score_2d]), CAR, False, True, CAR, FITTED_TABLE)
@@ -181,9 +181,6 @@ def test_a_fitted_pair_has_the_odds_that_the_formula_says():
     of_image = np.clip(np.log(score_2d / (1 - score_2d)), low, high)
     odds = both.base + both.sweep * score_3d + both.image * of_image + both.overlap * (0.5 - 0.7)
     assert found[0] == pytest.approx(logistic(odds), rel=1e-9)
-
-
-def test_a_box_that_the_image_lacks_has_the_odds_of_a_camera_that_is_good_or_poor_and_many_those_of_a_poor_one():
     reported, visibility = CAR_NUMBERS.sweep, CAR_NUMBERS.visibility
     recall = (1 - visibility.weak_share) * visibility.recall_2d + visibility.weak_share * visibility.weak_recall_2d
     sure, alone, together = reported.base + reported.slope * 5.0, scores_without_boxes(1)[0], scores_without_boxes(6)

@@ -26,7 +26,7 @@ SIGMAS = np.array([0.3, 0.1, 0.08])
 RECALL_2D = 0.8
 
 
-def test_odds_are_found_again_stay_finite_and_never_fall():
+def test_odds_and_deviations_are_found_again_stay_finite_and_never_fall():
     generator = np.random.default_rng(0)
     features = np.column_stack([np.ones(4000), generator.normal(size=4000)])
     true = generator.random(4000) < 1 / (1 + np.exp(-(0.5 + 1.2 * features[:, 1])))
@@ -38,9 +38,6 @@ def test_odds_are_found_again_stay_finite_and_never_fall():
     assert np.isfinite(always).all()
     falling = fit_odds(features, features[:, 1] < 0, expected=np.zeros(2), weights=np.ones(2))
     assert falling[1] == 0.0
-
-
-def test_deviations_are_found_again_whatever_a_few_gross_errors_are():
     generator = np.random.default_rng(1)
     features = np.column_stack([np.ones(5000), generator.uniform(-1, 1, 5000)])
     sigmas = np.exp(features @ np.array([[-1.0, -2.0], [0.5, -0.3]]))

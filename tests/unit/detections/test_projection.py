@@ -133,7 +133,7 @@ def cv2_outline(points_lidar):
     return np.concatenate([seen.min(axis=0), seen.max(axis=0)]) if len(seen) else np.zeros(4)
 
 
-def test_outlines_bound_what_opencv_projects_as_far_as_the_image_shows_it():
+def test_outlines_bound_what_opencv_projects_as_far_as_the_image_and_nearer_boxes_show_it():
     generator = np.random.default_rng(1)
     centers = generator.uniform([9, -9, -1.5], [60, 9, 0.5], (60, 3))
     sizes, yaws = generator.uniform([1, 0.5, 1], [5, 2, 2], (60, 3)), generator.uniform(-3, 3, 60)
@@ -154,9 +154,6 @@ def test_outlines_bound_what_opencv_projects_as_far_as_the_image_shows_it():
     left, top, right, bottom = outlines.corners_xyxy[0]
     assert (left, bottom, top) == (0.0, pytest.approx(375.0), pytest.approx(0.0, abs=1e-6))
     assert right == pytest.approx(610.5 - 720 * 1.95 / 29.7, abs=0.3)  # the camera model bends it by less
-
-
-def test_what_stands_behind_a_nearer_box_is_seen_less():
     # the same location in the image, twice as far and half covered: 1 m wide at 10 m hides 2 m at 20 m
     centers, sizes = [[10.3, 0.5, 0], [20.5, 0, 0]], [[0.001, 1, 4], [0.001, 2, 1]]
     boxes = boxes_of(centers, sizes, [0.0, 0.0])
@@ -286,27 +283,6 @@ def placed(corners, labels, *, rows=None, camera=WIDE_CAMERA):
     return position_by_height(camera, WIDE_CAMERA_FROM_LIDAR, corners, rows, kinds)
 
 
-def test_boxes_asked_for_are_placed_by_their_height_where_the_camera_model_has_rays():
-    # 43 px high at 500 px focal length: 1.72 m at 20 m, to the middle of a body 0.65 m wide a third of a metre more
-    found = placed([490.0, 278.5, 510.0, 321.5], ["pedestrian"])
-    np.testing.assert_allclose(found.centers[0], [20.0 + 0.325 + 0.5, 0.0, -0.2], atol=0.02)
-    assert found.sizes_lwh[0, 2] == 1.72
-    # people differ by 9 % in height; the edges of the box are not sharper
-    assert 0.09 < np.sqrt(np.linalg.eigvalsh(found.center_covariances[0])[2]) / found.ranges[0] < 0.25
-    assert len(placed([], []).centers) == 0
-    for label in ("car", "dragon", ""):
-        found = placed([[-3e4, -2e4, -2.9e4, -1.9e4], [400.0, 100.0, 500.0, 200.0]], [label] * 2, camera=BENT)
-        assert found.rows.tolist() == [1]
-        assert (found.sizes_lwh > 0).all()
-        assert np.isfinite(found.centers).all()
-        assert np.isfinite(found.center_covariances).all()
-    corners = np.array([[400.0, 100.0, 500.0, 200.0], [10.0, 20.0, 30.0, 90.0], [700.0, 100.0, 720.0, 300.0]])
-    found = placed(corners, ["car", "bus", "pedestrian"], rows=[2, 0])
-    assert found.rows.tolist() == [2, 0]
-    np.testing.assert_array_equal(found.centers[0], placed(corners[2], ["pedestrian"]).centers[0])
-    np.testing.assert_array_equal(found.centers[1], placed(corners[0], ["car"]).centers[0])
-
-
 def angle(one, other):
     return np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)
 
@@ -332,7 +308,25 @@ def slowly_placed(camera, camera_from_lidar, box, label):
     return lidar_from_camera.apply(distance * middle), covariance
 
 
-def test_locations_are_those_of_the_formulas_for_bent_camera_models_and_rotated_cameras():
+def test_boxes_are_placed_by_their_height_where_the_camera_model_has_rays_as_by_the_formulas():
+    # 43 px high at 500 px focal length: 1.72 m at 20 m, to the middle of a body 0.65 m wide a third of a metre more
+    found = placed([490.0, 278.5, 510.0, 321.5], ["pedestrian"])
+    np.testing.assert_allclose(found.centers[0], [20.0 + 0.325 + 0.5, 0.0, -0.2], atol=0.02)
+    assert found.sizes_lwh[0, 2] == 1.72
+    # people differ by 9 % in height; the edges of the box are not sharper
+    assert 0.09 < np.sqrt(np.linalg.eigvalsh(found.center_covariances[0])[2]) / found.ranges[0] < 0.25
+    assert len(placed([], []).centers) == 0
+    for label in ("car", "dragon", ""):
+        found = placed([[-3e4, -2e4, -2.9e4, -1.9e4], [400.0, 100.0, 500.0, 200.0]], [label] * 2, camera=BENT)
+        assert found.rows.tolist() == [1]
+        assert (found.sizes_lwh > 0).all()
+        assert np.isfinite(found.centers).all()
+        assert np.isfinite(found.center_covariances).all()
+    corners = np.array([[400.0, 100.0, 500.0, 200.0], [10.0, 20.0, 30.0, 90.0], [700.0, 100.0, 720.0, 300.0]])
+    found = placed(corners, ["car", "bus", "pedestrian"], rows=[2, 0])
+    assert found.rows.tolist() == [2, 0]
+    np.testing.assert_array_equal(found.centers[0], placed(corners[2], ["pedestrian"]).centers[0])
+    np.testing.assert_array_equal(found.centers[1], placed(corners[0], ["car"]).centers[0])
     generator = np.random.default_rng(5)
     bent = Camera("brown_conrady", 1000, 600, 500.0, 510.0, 480.0, 310.0, (-0.1, 0.02, 5e-4, -3e-4, 1e-3))
     how = RigidTransform.from_quaternion(generator.normal(size=3), generator.normal(size=4))

@@ -78,7 +78,13 @@ def circle(radius: float = 20.0, count: int = 200) -> Trajectory:
     return Trajectory("gnssEnu", np.arange(count, dtype=np.int64), positions)
 
 
-def test_the_heading_of_a_circle_is_its_tangent_and_its_y_axis_level() -> None:
+def halting(axis: int, period_ns: int = 1) -> Trajectory:
+    positions = np.zeros((80, 3))
+    positions[:, axis] = np.concatenate([np.linspace(0, 10, 50), np.full(30, 10.0)])
+    return Trajectory("fixes", np.arange(80, dtype=np.int64) * period_ns, positions)
+
+
+def test_the_heading_of_a_circle_is_its_tangent_and_a_stationary_ego_keeps_the_one_it_came_with():
     trajectory = circle()
     headings = headed_poses(trajectory).quaternions_xyzw
     ahead = rotate_vectors(headings, np.array([1.0, 0, 0]))
@@ -89,15 +95,6 @@ def test_the_heading_of_a_circle_is_its_tangent_and_its_y_axis_level() -> None:
     assert angle.max() < np.degrees(0.5 * 1.0 / 20) + 0.1
     assert angle[5:-5].max() < 0.5
     np.testing.assert_allclose(rotate_vectors(headings, np.array([0, 1.0, 0]))[:, 2], 0, atol=1e-12)
-
-
-def halting(axis: int, period_ns: int = 1) -> Trajectory:
-    positions = np.zeros((80, 3))
-    positions[:, axis] = np.concatenate([np.linspace(0, 10, 50), np.full(30, 10.0)])
-    return Trajectory("fixes", np.arange(80, dtype=np.int64) * period_ns, positions)
-
-
-def test_a_stationary_ego_keeps_the_direction_that_it_came_with_and_has_none_if_it_never_moves() -> None:
     np.testing.assert_allclose(headed_poses(halting(0)).quaternions_xyzw[-1], [0, 0, 0, 1], atol=1e-12)
     with pytest.raises(PoseError, match=r"at least 0\.5 m"):
         headed_poses(Trajectory("fixes", np.arange(3, dtype=np.int64), np.zeros((3, 3))))

@@ -99,7 +99,7 @@ def test_the_right_side_is_half_the_falling_slope_of_the_cost(parts):
             )
 
 
-def test_whitened_slopes_of_the_imu_make_up_its_normal_equations():
+def test_steps_along_whitened_slopes_lead_to_where_no_direction_leads_down_in_parts_too():
     rng = np.random.default_rng(3)
     chain, states = made_up_chain(rng, "i"), made_up_states(rng)
     # close to what was measured, where leaving out the second order of the rotation does not matter
@@ -111,9 +111,6 @@ def test_whitened_slopes_of_the_imu_make_up_its_normal_equations():
         coupling = first[k].T @ chain.information[k] @ second[k]
         assert np.allclose(coupling[:9, :9], here.couplings[k][:9, :9], rtol=1e-2, atol=1e-2 * np.abs(coupling).max())
         assert residuals[k] @ chain.information[k] @ residuals[k] <= here.cost
-
-
-def test_steps_lead_to_where_no_direction_leads_down_and_parts_hold_what_was_measured_in_them():
     rng = np.random.default_rng(4)
     chain, states = made_up_chain(rng, "irs"), made_up_states(rng)
     before, damping = equations(chain, states, WEIGHTS).cost, 1e-4
@@ -316,18 +313,6 @@ def test_errors_are_small_and_as_large_as_the_covariances_state():
     assert 0.4 < np.mean(np.square(biases)) < 1.6
 
 
-def test_the_trajectory_is_given_at_the_rate_of_the_imu_in_the_world_of_the_first_fix(town):
-    run = town.run()
-    assert run.trajectory.name == "gnss"
-    samples = town.imu.streams["gyroscope"].timestamps_ns
-    assert np.isin(samples, run.trajectory.timestamps_ns).all()
-    assert run.trajectory.covariances.shape == (len(run.trajectory.timestamps_ns), 6, 6)
-    assert np.allclose(run.origin_lla, town.gnss.positions_lla[0])
-    assert len(run.velocities) == len(run.biases) == len(run.trajectory.timestamps_ns)
-    speeds = run.velocities - town.path.at(run.trajectory.timestamps_ns).velocities
-    assert rms(speeds) < 0.2
-
-
 def test_fixes_that_jump_are_left_out_alone_and_in_a_row(town):
     rng = np.random.default_rng(0)
     positions = enu(town.gnss)
@@ -358,23 +343,6 @@ def test_without_fixes_or_imu_for_some_seconds_the_other_leads_on(town):
     assert rms(errors(run, town.path)[:, 3:5]) < 0.4
     assert np.degrees(rms(errors(run, town.path)[:, 2:3])) < 4.0
     assert "imu-gaps" in [warning.code for warning in run.warnings]
-
-
-def test_the_antenna_may_sit_elsewhere_and_the_noise_of_fixes_is_found_whatever_they_report(town):
-    lever = np.array([0.8, -0.4, 1.2])
-    states = town.path.at(town.gnss.timestamps_ns)
-    fixes = moved(town.gnss, enu(town.gnss) + states.rotations @ lever, mount=RigidTransform(np.eye(3), lever))
-    assert rms(errors(town.run(gnss=fixes), town.path)[:, 3:]) < rms(errors(town.run(), town.path)[:, 3:]) + 0.05
-    nothing = np.full(len(town.gnss.timestamps_ns), np.nan)
-    for accuracy in (nothing, np.full(len(nothing), 0.05)):
-        run = town.run(gnss=replace(town.gnss, accuracies=accuracy, vertical_accuracies=nothing))
-        # 240 residuals report a deviation to 5 %
-        assert np.median(run.fix_sigmas[:, 0]) == pytest.approx(0.4, rel=0.25)
-        assert np.median(run.fix_sigmas[:, 2]) == pytest.approx(0.8, rel=0.25)
-    # an accuracy worse than the noise stands for what all fixes have in common
-    run = town.run(gnss=replace(town.gnss, accuracies=np.full(len(nothing), 3.0)))
-    assert "gnss-common-offset" in [warning.code for warning in run.warnings]
-    assert np.sqrt(run.trajectory.covariances[:, 3, 3]).min() > 2.5
 
 
 @pytest.mark.parametrize("mounting", [(0.0, 0.0, 3.0), (0.0, 1.2, 0.5)])
@@ -418,7 +386,16 @@ def test_an_ego_that_stands_all_the_time_has_no_heading_and_that_is_stated():
     assert spread.max() < 0.05
 
 
-def test_fixes_alone_make_a_smooth_trajectory_whose_heading_is_that_of_the_motion(town):
+def test_the_trajectory_is_given_at_the_rate_of_the_imu_or_of_fixes_alone_with_the_heading_of_the_motion(town):
+    run = town.run()
+    assert run.trajectory.name == "gnss"
+    samples = town.imu.streams["gyroscope"].timestamps_ns
+    assert np.isin(samples, run.trajectory.timestamps_ns).all()
+    assert run.trajectory.covariances.shape == (len(run.trajectory.timestamps_ns), 6, 6)
+    assert np.allclose(run.origin_lla, town.gnss.positions_lla[0])
+    assert len(run.velocities) == len(run.biases) == len(run.trajectory.timestamps_ns)
+    speeds = run.velocities - town.path.at(run.trajectory.timestamps_ns).velocities
+    assert rms(speeds) < 0.2
     scene = Scene((town.gnss,), source="made up")
     run = gnss_imu_motion(scene, settings=SETTINGS)
     assert run.trajectory.quaternions_xyzw is None
@@ -455,7 +432,7 @@ def test_the_default_after_recorded_trajectories_says_where_its_world_is_and_tha
         assert ("annotations-not-moved" in codes) is reported
 
 
-def test_two_fixes_are_enough_fewer_are_not_and_of_two_locations_far_apart_one_is_taken(town):
+def test_few_fixes_wrong_times_and_milliseconds_taken_for_seconds_are_reported(town):
     for count in (0, 1):
         with pytest.raises(PoseError, match="GNSS"):
             find_ego_motion(town.scene(gnss=some_fixes(town.gnss, np.arange(count))), name="gnss")
@@ -467,9 +444,6 @@ def test_two_fixes_are_enough_fewer_are_not_and_of_two_locations_far_apart_one_i
     run = town.run(gnss=replace(town.gnss, positions_lla=locations))
     assert len(run.fixes) == len(locations) // 2
     assert "gnss-fixes-elsewhere" in {warning.code for warning in run.warnings}
-
-
-def test_wrong_times_and_milliseconds_taken_for_seconds_are_reported(town):
     for wrong_ns in [9_000_000_000 * SECOND, -9_000_000_000 * SECOND, 2 * 86_400 * SECOND]:
         times = town.gnss.timestamps_ns.copy()
         times[0 if wrong_ns < 0 else -1] = wrong_ns
@@ -484,7 +458,21 @@ def test_wrong_times_and_milliseconds_taken_for_seconds_are_reported(town):
             gnss_imu_motion(Scene(sensors, source="made up"))
 
 
-def test_slow_errors_of_heights_leave_the_covariances_across_as_they_are(town):
+def test_the_antenna_may_sit_elsewhere_and_the_noise_and_slow_errors_of_fixes_are_found_whatever_they_report(town):
+    lever = np.array([0.8, -0.4, 1.2])
+    states = town.path.at(town.gnss.timestamps_ns)
+    fixes = moved(town.gnss, enu(town.gnss) + states.rotations @ lever, mount=RigidTransform(np.eye(3), lever))
+    assert rms(errors(town.run(gnss=fixes), town.path)[:, 3:]) < rms(errors(town.run(), town.path)[:, 3:]) + 0.05
+    nothing = np.full(len(town.gnss.timestamps_ns), np.nan)
+    for accuracy in (nothing, np.full(len(nothing), 0.05)):
+        run = town.run(gnss=replace(town.gnss, accuracies=accuracy, vertical_accuracies=nothing))
+        # 240 residuals report a deviation to 5 %
+        assert np.median(run.fix_sigmas[:, 0]) == pytest.approx(0.4, rel=0.25)
+        assert np.median(run.fix_sigmas[:, 2]) == pytest.approx(0.8, rel=0.25)
+    # an accuracy worse than the noise stands for what all fixes have in common
+    run = town.run(gnss=replace(town.gnss, accuracies=np.full(len(nothing), 3.0)))
+    assert "gnss-common-offset" in [warning.code for warning in run.warnings]
+    assert np.sqrt(run.trajectory.covariances[:, 3, 3]).min() > 2.5
     times = town.gnss.timestamps_ns * 1e-9
     heights = np.stack([0 * times, 0 * times, 3.0 * np.sin(0.8 * times)], axis=1)
     plain, wavy = town.run(), town.run(gnss=moved(town.gnss, enu(town.gnss) + heights))

@@ -288,17 +288,7 @@ def test_fixes_in_step_raise_no_alarm(seed):
         assert not compared(scene, reference)[1].is_off
 
 
-def test_a_trajectory_without_orientations_is_compared_by_its_trajectory(scene):
-    trajectory = scene.trajectories["groundTruth"]
-    times = trajectory.timestamps_ns[::10] + 30_000_000
-    locations = Trajectory("groundTruth", times, trajectory.positions[::10])
-    bare = replace(scene, trajectories={"groundTruth": locations})
-    method, found = compared(bare, "imu", "groundTruth")
-    assert method is Method.TRAJECTORY
-    assert abs(found.offset_ns - 3e7) < 4 * found.offset_sigma_ns
-
-
-def test_jumps_and_fixes_before_reception_without_heights_or_of_a_wrong_time_do_not_matter(scene):
+def test_fixes_with_jumps_or_wrong_times_and_trajectories_without_orientations_are_compared(scene):
     receiver = scene.sensor("gnss")
     positions = receiver.positions_lla.copy()
     positions[::37, 0] += 2e-4
@@ -316,6 +306,13 @@ def test_jumps_and_fixes_before_reception_without_heights_or_of_a_wrong_time_do_
     times[-1] = 9_000_000_000_000_000_000  # makes no windows by the million
     found = compared(with_receiver(scene, replace(receiver, timestamps_ns=times)), "groundTruth")[1]
     assert found.samples < len(times)
+    trajectory = scene.trajectories["groundTruth"]
+    times = trajectory.timestamps_ns[::10] + 30_000_000
+    locations = Trajectory("groundTruth", times, trajectory.positions[::10])
+    bare = replace(scene, trajectories={"groundTruth": locations})
+    method, found = compared(bare, "imu", "groundTruth")
+    assert method is Method.TRAJECTORY
+    assert abs(found.offset_ns - 3e7) < 4 * found.offset_sigma_ns
 
 
 def test_few_fixes_stationary_ones_a_straight_road_and_a_dead_accelerometer_state_nothing(scene):

@@ -224,6 +224,57 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
         """The part of that name."""
         return next(item for item in self.items if item.name == name)
 
+    @classmethod
+    def of_boxes(
+        cls, found: BoxRotation | None, *, source: str, camera_id: Identifier, lidar_id: Identifier, frames: int
+    ) -> "CalibrationHealth":
+        """Check a calibration by boxes alone, without images and points; `frames` are the images with boxes."""
+        nothing = "there are neither images nor points, but boxes alone"
+        untold = cls(
+            source=source,
+            camera_id=camera_id,
+            lidar_id=lidar_id,
+            verdict=Verdict.UNDETERMINED,
+            items=tuple(Item.unknown(name, nothing) for name in PARTS),
+            frames=frames,
+            views=0,
+        )
+        return untold.with_boxes(found)
+
+    def with_coarse(self, item: Item) -> "CalibrationHealth":
+        """Add a coarse measure: it never makes a calibration good, but it may make it doubtful or wrong.
+
+        Where all else calls the calibration good and it does not, the whole cannot be determined.
+        """
+        verdict = self.verdict
+        if item.verdict in _OFF:
+            if verdict is Verdict.GOOD:
+                verdict = Verdict.UNDETERMINED
+                item = msgspec.structs.replace(item, reason=f"{item.reason}, but the rest agrees with it")
+            elif verdict is not Verdict.WRONG:
+                verdict = item.verdict
+        return msgspec.structs.replace(self, verdict=verdict, items=(*self.items, item))
+
+    def with_boxes(self, found: BoxRotation | None) -> "CalibrationHealth":
+        """Add the rotation that boxes show to the check by images and points.
+
+        Boxes decide where images and points cannot. Where one side calls good what the other clearly does not, the
+        whole cannot be determined.
+        """
+        across, roll = judge_boxes(found)
+        verdicts = {self.verdict, across.verdict, roll.verdict}
+        reason = _contradiction(self, across, roll)
+        if reason:
+            verdict, across = Verdict.UNDETERMINED, msgspec.structs.replace(across, reason=reason)
+        elif verdicts & set(_OFF):
+            verdict = next(off for off in _OFF if off in verdicts)
+        elif self.verdict is Verdict.UNDETERMINED and (self.doubted or any(i.suspected for i in self.items)):
+            verdict = Verdict.UNDETERMINED
+        else:
+            good = Verdict.GOOD in {self.verdict, across.verdict}
+            verdict = Verdict.GOOD if good else Verdict.UNDETERMINED
+        return msgspec.structs.replace(self, verdict=verdict, items=(*self.items, across, roll))
+
     @property
     def doubted(self) -> bool:
         """Whether images and points agree much better elsewhere, where they determine the rotation at all."""
@@ -684,21 +735,6 @@ def _across(axis: Float64Array) -> Float64Array:
     return np.stack([first, np.cross(first, axis)])
 
 
-def with_coarse(health: CalibrationHealth, item: Item) -> CalibrationHealth:
-    """Add a coarse measure: it never makes a calibration good, but it may make it doubtful or wrong.
-
-    Where all else calls the calibration good and it does not, the whole cannot be determined.
-    """
-    verdict = health.verdict
-    if item.verdict in _OFF:
-        if verdict is Verdict.GOOD:
-            verdict = Verdict.UNDETERMINED
-            item = msgspec.structs.replace(item, reason=f"{item.reason}, but the rest agrees with it")
-        elif verdict is not Verdict.WRONG:
-            verdict = item.verdict
-    return msgspec.structs.replace(health, verdict=verdict, items=(*health.items, item))
-
-
 def judge_boxes(found: BoxRotation | None) -> tuple[Item, Item]:
     """Judge the rotation that boxes of images and sweeps show: across the optical axis, and about it.
 
@@ -721,44 +757,6 @@ def judge_boxes(found: BoxRotation | None) -> tuple[Item, Item]:
         across = judge(_BOXES, found.rotation[:2], found.covariance[:2, :2])
         return across, judge(_BOXES_ROLL, found.rotation[2:], found.covariance[2:, 2:])
     return Item.unknown(_BOXES, reason), Item.unknown(_BOXES_ROLL, reason)
-
-
-def health_of_boxes(
-    found: BoxRotation | None, *, source: str, camera_id: Identifier, lidar_id: Identifier, frames: int
-) -> CalibrationHealth:
-    """Check a calibration by boxes alone, without images and points; `frames` are the images with boxes."""
-    nothing = "there are neither images nor points, but boxes alone"
-    untold = CalibrationHealth(
-        source=source,
-        camera_id=camera_id,
-        lidar_id=lidar_id,
-        verdict=Verdict.UNDETERMINED,
-        items=tuple(Item.unknown(name, nothing) for name in PARTS),
-        frames=frames,
-        views=0,
-    )
-    return with_boxes(untold, found)
-
-
-def with_boxes(health: CalibrationHealth, found: BoxRotation | None) -> CalibrationHealth:
-    """Add the rotation that boxes show to the check by images and points.
-
-    Boxes decide where images and points cannot. Where one side calls good what the other clearly does not, the whole
-    cannot be determined.
-    """
-    across, roll = judge_boxes(found)
-    verdicts = {health.verdict, across.verdict, roll.verdict}
-    reason = _contradiction(health, across, roll)
-    if reason:
-        verdict, across = Verdict.UNDETERMINED, msgspec.structs.replace(across, reason=reason)
-    elif verdicts & set(_OFF):
-        verdict = next(off for off in _OFF if off in verdicts)
-    elif health.verdict is Verdict.UNDETERMINED and (health.doubted or any(i.suspected for i in health.items)):
-        verdict = Verdict.UNDETERMINED
-    else:
-        good = Verdict.GOOD in {health.verdict, across.verdict}
-        verdict = Verdict.GOOD if good else Verdict.UNDETERMINED
-    return msgspec.structs.replace(health, verdict=verdict, items=(*health.items, across, roll))
 
 
 def _contradiction(health: CalibrationHealth, across: Item, roll: Item) -> str:

@@ -175,12 +175,12 @@ class _MeasuredImage:
     plainness: float  # share of the image that shows nothing, being of one brightness
 
 
-def blur(image: Float32Array, width: float) -> Float32Array:
+def _blur(image: Float32Array, width: float) -> Float32Array:
     """Blur an image (H, W) float32 by a Gaussian of a standard deviation [px], up to three of it; borders mirror."""
     return np.asarray(ndimage.gaussian_filter(image, width, truncate=3.0), np.float32)
 
 
-def box_means(image: Float32Array, size: int) -> Float32Array:
+def _box_means(image: Float32Array, size: int) -> Float32Array:
     """Average an image (H, W) float32 over squares of an odd side [px]; the border's pixels go on beyond it."""
     return np.asarray(ndimage.uniform_filter(image, size, mode="nearest"), np.float32)
 
@@ -188,18 +188,18 @@ def box_means(image: Float32Array, size: int) -> Float32Array:
 def measured_image(grey: Float32Array, camera: Camera, *, widths: Sequence[str] = tuple(_WIDTHS_PX)) -> _MeasuredImage:
     """Reduce an image to pixels of at least 0.08 degrees, and find its edges, at these widths, and levels."""
     small, reduced = _reduced_image(grey, camera)
-    smoothed = blur(small, _SMOOTHED_PX)
+    smoothed = _blur(small, _SMOOTHED_PX)
     across, down = ndimage.sobel(smoothed, 1) / 8.0, ndimage.sobel(smoothed, 0) / 8.0
     strength = np.hypot(across, down)
-    shares = 1.0 / (box_means(strength, _SURROUNDINGS_PX) + np.float32(_NOISE))
+    shares = 1.0 / (_box_means(strength, _SURROUNDINGS_PX) + np.float32(_NOISE))
     angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     directed = [
         np.minimum(np.abs(across * cosine + down * sine) * shares, np.float32(_STRONGEST))
         for cosine, sine in zip(np.cos(angles).astype(np.float32), np.sin(angles).astype(np.float32), strict=True)
     ]
-    edges = {name: np.stack([blur(image, _WIDTHS_PX[name]) for image in directed]) for name in widths}
-    plain = float(np.mean(box_means(strength, 9) < 0.25))
-    return _MeasuredImage(reduced, intrinsics_vector(reduced), small, edges, evened(blur(small, _GREY_PX)), plain)
+    edges = {name: np.stack([_blur(image, _WIDTHS_PX[name]) for image in directed]) for name in widths}
+    plain = float(np.mean(_box_means(strength, 9) < 0.25))
+    return _MeasuredImage(reduced, intrinsics_vector(reduced), small, edges, evened(_blur(small, _GREY_PX)), plain)
 
 
 def _reduced_image(grey: Float32Array, camera: Camera) -> tuple[Float32Array, Camera]:

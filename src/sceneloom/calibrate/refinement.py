@@ -42,8 +42,6 @@ from sceneloom.calibrate.measures import (
     Change,
     FrameFeatures,
     Parameter,
-    blur,
-    box_means,
     evened,
     extract,
     measured_image,
@@ -558,7 +556,10 @@ def _reduced(image: Float32Array, stride: int) -> Float32Array:
 def _band(image: Float32Array, width: float) -> Float32Array:
     """Blur, and subtract what a blur of several times the width leaves: two boxes are nearly a Gaussian."""
     box = 2 * round(_WIDER * width * np.sqrt(6.0) / 2.0) + 1
-    return np.asarray(blur(image, width) - box_means(box_means(image, box), box), np.float32)
+    blurred, around = ndimage.gaussian_filter(image, width, truncate=3.0), image
+    for _ in range(2):
+        around = ndimage.uniform_filter(around, box, mode="nearest")
+    return np.asarray(blurred - around, np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

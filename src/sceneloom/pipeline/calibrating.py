@@ -17,16 +17,7 @@ from sceneloom.arrays import Float64Array, FloatArray
 from sceneloom.calibrate.checkerboard import Board, board_views, start_from_target
 from sceneloom.calibrate.extrinsics import MountingEstimate, step_between
 from sceneloom.calibrate.frames import MOST, CalibrationFrame, calibration_frames, chosen_camera, chosen_lidar
-from sceneloom.calibrate.health import (
-    MOTION,
-    CalibrationHealth,
-    Item,
-    check_frames,
-    health_of_boxes,
-    judge_motion,
-    with_boxes,
-    with_coarse,
-)
+from sceneloom.calibrate.health import MOTION, CalibrationHealth, Item, check_frames, judge_motion
 from sceneloom.calibrate.lidar_to_ego import lidar_to_ego
 from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
 from sceneloom.calibrate.measures import Change, Parameter, extract
@@ -133,9 +124,9 @@ def check_drive(
         drive = _within(scene_drive(scene, files, lenient=lenient), part, camera)
     health = check_frames(frames, source=scene.source)
     if drive is not None:
-        health = with_boxes(health, _rotation_of_boxes(drive, camera))
+        health = health.with_boxes(_rotation_of_boxes(drive, camera))
     if motion:
-        health = with_coarse(health, _judged_motion(part, camera, lidar))
+        health = health.with_coarse(_judged_motion(part, camera, lidar))
     health = msgspec.structs.replace(health, corrections=scene.correction_warnings)
     return CheckedCalibration(health, frames)
 
@@ -183,7 +174,7 @@ def check_sequences(tracking: KittiTracking, sequences: Sequence[str] = ()) -> l
         for camera_id, camera in drive.cameras.items():
             rotation = _rotation_of_boxes(drive, camera_id)
             found.append(
-                health_of_boxes(
+                CalibrationHealth.of_boxes(
                     rotation, source=name, camera_id=camera_id, lidar_id=drive.lidar_id, frames=len(camera.boxes)
                 )
             )

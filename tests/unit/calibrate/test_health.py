@@ -14,7 +14,6 @@ from sceneloom.calibrate.health import (
     Item,
     Verdict,
     check_frames,
-    health_of_boxes,
     instead_of_rotation,
     judge,
     judge_boxes,
@@ -22,8 +21,6 @@ from sceneloom.calibrate.health import (
     look_alikes,
     views_of,
     why_untold,
-    with_boxes,
-    with_coarse,
 )
 from sceneloom.calibrate.measures import Change
 from sceneloom.cameras.camera import Camera
@@ -306,30 +303,30 @@ def test_boxes_are_judged_by_their_rotation_and_by_how_many_agree(found, verdict
     ],
 )
 def test_boxes_decide_where_images_cannot_and_join_them_where_they_can(images_deg, found, verdict):
-    health = with_boxes(images_state(images_deg), found)
+    health = images_state(images_deg).with_boxes(found)
     assert health.verdict is verdict
     assert [item.name for item in health.items] == [*PARTS, "boxes", "boxes_roll"]
 
 
 def test_boxes_alone_are_enough_for_a_verdict_and_contradict_images_as_rotating_does():
-    untold = health_of_boxes(None, source="made up", camera_id=0, lidar_id=0, frames=0)
+    untold = CalibrationHealth.of_boxes(None, source="made up", camera_id=0, lidar_id=0, frames=0)
     good, wrong = (judge("motion", np.radians([d, 0.0]), np.zeros((2, 2))) for d in (0.0, 9.0))
-    assert with_coarse(untold, good).verdict is UNTOLD
-    assert with_coarse(untold, wrong).verdict is WRONG
+    assert untold.with_coarse(good).verdict is UNTOLD
+    assert untold.with_coarse(wrong).verdict is WRONG
     right = type(untold)(**{f: getattr(untold, f) for f in untold.__struct_fields__} | {"verdict": GOOD})
-    assert with_coarse(right, Item.unknown("motion", "stood")).verdict is GOOD
-    doubtful = with_coarse(right, wrong)
+    assert right.with_coarse(Item.unknown("motion", "stood")).verdict is GOOD
+    doubtful = right.with_coarse(wrong)
     assert (doubtful.verdict, ", but " in doubtful.item("motion").reason) == (UNTOLD, True)
     for images_deg, found in ((0.0, rotation(3.0, 0.0, 0.0)), (1.5, rotation(0.0, 0.0, 0.0))):
-        health = with_boxes(images_state(images_deg), found)
+        health = images_state(images_deg).with_boxes(found)
         assert health.verdict is UNTOLD
         assert ", but " in health.item("boxes").reason
     # good boxes do not excuse images that agree much better elsewhere
     health = images_state(0.0, stated=4.0)
     doubted = CalibrationHealth(**{**{k: getattr(health, k) for k in health.__struct_fields__}, "verdict": UNTOLD})
-    assert with_boxes(doubted, rotation(0.0, 0.0, 0.0)).verdict is UNTOLD
-    assert with_boxes(doubted, rotation(3.0, 0.0, 0.0)).verdict is WRONG
-    health = health_of_boxes(rotation(3.0, 0.0, 0.0), source="0001", camera_id=2, lidar_id=0, frames=50)
+    assert doubted.with_boxes(rotation(0.0, 0.0, 0.0)).verdict is UNTOLD
+    assert doubted.with_boxes(rotation(3.0, 0.0, 0.0)).verdict is WRONG
+    health = CalibrationHealth.of_boxes(rotation(3.0, 0.0, 0.0), source="0001", camera_id=2, lidar_id=0, frames=50)
     assert (health.verdict, health.views, health.frames) == (WRONG, 0, 50)
     assert {item.verdict for item in health.items[:5]} == {UNTOLD}
     assert health.item("boxes").values == pytest.approx((3.0, 0.0))

@@ -39,23 +39,14 @@ Decoder = Callable[[bytes], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Seen:
-    """What is true of the points of one sweep in the image that it belongs to.
+    """What is true of the points of one sweep in the image that it belongs to."""
 
-    Attributes:
-        image: number of the image in the whole drive.
-        pixels: (N, 2), where OpenCV's projection and the exact poses put the points; far outside for those behind.
-        depths: (N,) [m], z.
-        free: (N,) in the image, and nothing stands before it.
-        counted: (N,) in the image, a pixel from its border and 2 px from outlines at least.
-        truth: what the camera sees.
-    """
-
-    image: int
-    pixels: np.ndarray
-    depths: np.ndarray
-    free: np.ndarray
-    counted: np.ndarray
-    truth: ImageTruth
+    image: int  # its number in the whole drive
+    pixels: np.ndarray  # (N, 2), where OpenCV and the exact poses put the points; far outside for those behind
+    depths: np.ndarray  # (N,) [m], z
+    free: np.ndarray  # (N,) in the image, and nothing stands before it
+    counted: np.ndarray  # (N,) in the image, a pixel from its border and 2 px from outlines at least
+    truth: ImageTruth  # what the camera sees
 
 
 def project_with_opencv(camera: Camera, points_camera: np.ndarray) -> np.ndarray:
@@ -117,23 +108,14 @@ class Truths:
 
 @dataclass(frozen=True)
 class FusedDrive:
-    """A drive after its trajectory over the disk.
+    """A drive after its trajectory over the disk."""
 
-    Attributes:
-        drive: scene and truth of the whole drive.
-        recording: folder of the recording.
-        content: the written scene, as a reader that shares nothing with ours decodes it.
-        depth: folder of the depth images.
-        sweeps: numbers of the sweeps in the whole drive.
-        truths: what is true of them.
-    """
-
-    drive: SimulatedDrive
+    drive: SimulatedDrive  # scene and truth of the whole drive
     recording: Path
-    content: dict[str, Any]
-    depth: Path
-    sweeps: range
-    truths: Truths
+    content: dict[str, Any]  # the written scene, as a reader that shares nothing with ours decodes it
+    depth: Path  # folder of the depth images
+    sweeps: range  # numbers in the whole drive
+    truths: Truths  # what is true of them
 
     def sensor(self, sensor_id: str) -> dict[str, Any]:
         """A sensor of the file."""

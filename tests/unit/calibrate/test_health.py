@@ -252,18 +252,10 @@ def images_state(rotation_deg, *, stated=8.0):
     rotation = Item.unknown("rotation", "dark")
     if rotation_deg is not None:
         rotation = judge("rotation", np.radians([rotation_deg, 0.0, 0.0]), SURE)
-    return CalibrationHealth(
-        source="made up",
-        camera_id="camera",
-        lidar_id="lidar",
-        verdict=rotation.verdict,
-        items=(rotation, *(Item.unknown(name, "dark") for name in PARTS[1:])),
-        frames=4,
-        views=2,
-        distinctness=8.0,
-        stated_distinctness=stated,
-        measures={},
-    )
+    items = rotation, *(Item.unknown(name, "dark") for name in PARTS[1:])
+    about = {"source": "made up", "camera_id": "camera", "lidar_id": "lidar", "verdict": rotation.verdict}
+    standing = {"frames": 4, "views": 2, "distinctness": 8.0, "stated_distinctness": stated}
+    return CalibrationHealth(**about, items=items, **standing)
 
 
 @pytest.mark.parametrize(

@@ -20,22 +20,14 @@ REACH = 120.0
 
 @dataclass(frozen=True)
 class StreetView:
-    """Points of a sweep in an image and the truth about them.
-
-    Attributes:
-        camera, world_from_camera: the camera.
-        lidar_world: (3,), from where the points were measured.
-        points_world: (N, 3), with range noise; all fall into the image.
-        seen: (N,), whether nothing stands between the point's origin and the camera.
-        counted: (N,), whether the point lies 2 px or more from any outline.
-    """
+    """Points of a sweep in an image and the truth about them."""
 
     camera: Camera
     world_from_camera: RigidTransform
-    lidar_world: np.ndarray
-    points_world: np.ndarray
-    seen: np.ndarray
-    counted: np.ndarray
+    lidar_world: np.ndarray  # (3,), from where the points were measured
+    points_world: np.ndarray  # (N, 3), with range noise; all fall into the image
+    seen: np.ndarray  # (N,), whether nothing stands between the point's origin and the camera
+    counted: np.ndarray  # (N,), whether the point lies 2 px or more from any outline
 
 
 def street_bodies(seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -21,38 +21,23 @@ SIZES = {"Car": (4.2, 1.8, 1.5), "Pedestrian": (0.8, 0.6, 1.7)}
 
 @dataclass(frozen=True)
 class Actor:
-    """An object of a drive.
-
-    Attributes:
-        path: where it is.
-        label: its class.
-        unseen: times [s] at which neither detector finds it: from, to.
-        only_in_image: times at which the detector of images alone finds it.
-        score: of its boxes.
-    """
+    """An object of a drive."""
 
     path: Path
     label: str = "Car"
-    unseen: tuple[float, float] = (0.0, 0.0)
-    only_in_image: tuple[float, float] = (0.0, 0.0)
-    score: float = 0.95
+    unseen: tuple[float, float] = (0.0, 0.0)  # times [s] at which neither detector finds it: from, to
+    only_in_image: tuple[float, float] = (0.0, 0.0)  # times at which the detector of images alone finds it
+    score: float = 0.95  # of its boxes
 
 
 @dataclass(frozen=True)
 class Street:
-    """A drive.
-
-    Attributes:
-        actors: its objects.
-        ego: where the lidar is.
-        sigma: deviation of the middles of boxes [m].
-        rotated: numbers of the frames whose boxes are the wrong way round.
-    """
+    """A drive."""
 
     actors: Sequence[Actor]
-    ego: Path = lambda seconds: (0.0, 0.0, 0.0)
-    sigma: float = 0.1
-    rotated: frozenset[int] = frozenset()
+    ego: Path = lambda seconds: (0.0, 0.0, 0.0)  # where the lidar is
+    sigma: float = 0.1  # deviation of the middles of boxes [m]
+    rotated: frozenset[int] = frozenset()  # numbers of the frames whose boxes are the wrong way round
 
     def observe(self, times: Sequence[float], *, views: Mapping[str, View] | None = None) -> list[Observation]:
         """What is seen at these times [s]."""

@@ -6,21 +6,20 @@ import numpy as np
 import pytest
 
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames, find_scan_order
-from sceneloom.calibrate.measures import Change, DepthEdges, find_depth_edges
+from sceneloom.calibrate.measures import Change, find_depth_edges
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import Scene
 from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.frames import LazyFrames
-from sceneloom.simulate import CameraSpec, LidarSpec, SimulatedDrive, simulate_street
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 from sceneloom.simulate.lidar_radar import directions_at
 
 AHEAD = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
 
 
 @pytest.fixture(scope="module")
-def drive() -> SimulatedDrive:
+def drive():
     """Four sweeps from a moving car, without noise."""
     exact = LidarSpec(beams=12, steps=180, range_sigma=0.0)
     return simulate_street(5, frames=4, lidar=exact, cameras=(CameraSpec(AHEAD),))
@@ -56,7 +55,7 @@ def test_points_and_motion_are_those_of_the_truth_when_the_image_was_taken_and_l
     np.testing.assert_allclose(moved[:3, 0], [0.0, 1.0, 0.0], atol=1e-12)
 
 
-def with_camera(scene: Scene, **changes: object) -> Scene:
+def with_camera(scene, **changes):
     sensors = [replace(s, **changes) if s.id == "camera0" else s for s in scene.sensors]
     return replace(scene, sensors=tuple(sensors))
 
@@ -86,7 +85,7 @@ def test_frames_are_spread_over_the_drive_with_a_trajectory_or_without_and_what_
     assert len(frame.points_lidar) == len(first.points)
 
 
-def scanned(lines: int = 16, steps: int = 360) -> tuple[np.ndarray, np.ndarray]:
+def scanned(lines=16, steps=360):
     """Points on a round wall, line after line from below, each a full rotation from the front."""
     rings = np.repeat(np.arange(lines), steps)
     azimuths = np.tile(np.linspace(0.001, 2 * np.pi - 0.001, steps), lines)
@@ -120,7 +119,7 @@ AZIMUTHS = STEP * (np.arange(80) - 39.5)
 ELEVATIONS = np.radians(-4.0 + 1.0 * np.arange(9))
 
 
-def edges_of(ranges: np.ndarray) -> DepthEdges:
+def edges_of(ranges):
     """Edges in a sweep of (9, 80) ranges, lowest line first."""
     rotations, heights = np.meshgrid(AZIMUTHS, ELEVATIONS)
     points = directions_at(rotations.ravel(), heights.ravel()) * ranges.reshape(-1, 1)

@@ -18,16 +18,7 @@ from sceneloom.geometry.rigid import (
     rotate_vectors,
 )
 from sceneloom.scene import Poses
-from sceneloom.simulate import (
-    Faults,
-    LidarSpec,
-    PathSpec,
-    SensorFaults,
-    SimulatedDrive,
-    inject,
-    sensor_mount,
-    simulate_street,
-)
+from sceneloom.simulate import Faults, LidarSpec, PathSpec, SensorFaults, inject, sensor_mount, simulate_street
 
 COUNT = 200
 TIMES_NS = 1_000_000_000 + 100_000_000 * np.arange(COUNT, dtype=np.int64)
@@ -36,14 +27,14 @@ MOUNT = RigidTransform.from_quaternion(
 )
 
 
-def tumbling_body() -> Poses:
+def tumbling_body():
     seconds = np.arange(COUNT) * 0.1
     rotations = np.stack([0.4 * np.sin(0.9 * seconds), 0.3 * np.sin(1.3 * seconds), 0.2 * seconds], axis=1)
     locations = np.stack([4.0 * seconds, np.sin(seconds), 0.3 * np.cos(seconds)], axis=1)
     return Poses(TIMES_NS, locations, quaternion_from_rotation_vector(rotations))
 
 
-def planar_car() -> Poses:
+def planar_car():
     """A car on a perfect plane, which rotates about its z axis alone and moves along its x axis."""
     seconds = np.arange(COUNT) * 0.1
     yaws = 0.8 * np.sin(0.5 * seconds)
@@ -52,7 +43,7 @@ def planar_car() -> Poses:
     return Poses(TIMES_NS, np.cumsum(steps, axis=0), quaternion_from_rotation_vector(rotations))
 
 
-def seen_by_sensor(body: Poses, *, rotation_noise: float = 0.0, shift_noise: float = 0.0, seed: int = 0) -> Poses:
+def seen_by_sensor(body, *, rotation_noise=0.0, shift_noise=0.0, seed=0):
     """The sensor's own trajectory, in a world of its own."""
     rng = np.random.default_rng(seed)
     count = len(body.timestamps_ns)
@@ -65,7 +56,7 @@ def seen_by_sensor(body: Poses, *, rotation_noise: float = 0.0, shift_noise: flo
     return Poses(body.timestamps_ns, world.apply(locations), rotated)
 
 
-def _by_scipy(body: Poses, sensor: Poses) -> RigidTransform:
+def _by_scipy(body, sensor):
     """Park and Martin's two steps: rotation vectors aligned by scipy, then the translation by least squares."""
     a, b = _relative(body), _relative(sensor)
     rotation, _ = Rotation.align_vectors(a[0].as_rotvec(), b[0].as_rotvec())
@@ -75,7 +66,7 @@ def _by_scipy(body: Poses, sensor: Poses) -> RigidTransform:
     return RigidTransform(rotation.as_matrix(), translation)
 
 
-def _relative(path: Poses) -> tuple[Rotation, np.ndarray]:
+def _relative(path):
     rotations = Rotation.from_quat(path.quaternions_xyzw)
     back = rotations[:-10].inv()
     return back * rotations[10:], back.apply(path.positions[10:] - path.positions[:-10])
@@ -128,7 +119,7 @@ def test_noisy_and_wild_motions_give_a_mounting_at_least_as_good_as_that_of_scip
     assert np.mean(inside) > 0.9
 
 
-def test_a_body_that_stands_ways_without_common_time_and_the_lidars_own_trajectory_are_refused() -> None:
+def test_a_body_that_stands_ways_without_common_time_and_the_lidars_own_trajectory_are_refused():
     body = tumbling_body()
     still = Poses(TIMES_NS, np.zeros((COUNT, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1)))
     with pytest.raises(PoseError, match="stationary ego determines nothing"):
@@ -140,7 +131,7 @@ def test_a_body_that_stands_ways_without_common_time_and_the_lidars_own_trajecto
         lidar_to_ego(simulate_street(3, frames=2).scene, trajectory="lidar")
 
 
-def test_the_mounting_and_the_clock_of_a_simulated_lidar_are_found_again() -> None:
+def test_the_mounting_and_the_clock_of_a_simulated_lidar_are_found_again():
     small = LidarSpec(beams=24, steps=600)
     drive = simulate_street(3, frames=60, path=PathSpec(yaw_rate=0.5), lidar=small)
     wrong = SensorFaults(rotation_deg=(1.0, -2.0, 3.0), shift=(0.3, -0.2, 0.0), time_offset_ns=30_000_000)
@@ -163,7 +154,7 @@ CORNER = LidarSpec(
 
 
 @pytest.fixture(scope="module")
-def drive() -> SimulatedDrive:
+def drive():
     """Six sweeps of two lidars, the second of which is stated 3.7 degrees and 24 cm off."""
     wrong = SensorFaults(rotation_deg=(1.0, -2.0, 3.0), shift=(0.2, -0.1, 0.1))
     return inject(simulate_street(3, frames=6, lidars=(ROOF, CORNER)), Faults({"lidar1": wrong}))
@@ -171,9 +162,7 @@ def drive() -> SimulatedDrive:
 
 @pytest.mark.parametrize(("use_stated", "started"), [(True, "stated"), (False, "ground")])
 @pytest.mark.few(1)
-def test_the_second_lidar_is_found_from_a_wrong_mounting_and_from_none(
-    drive: SimulatedDrive, use_stated: bool, started: str
-) -> None:
+def test_the_second_lidar_is_found_from_a_wrong_mounting_and_from_none(drive, use_stated, started):
     found = lidar_to_lidar(drive.scene, use_stated=use_stated, most=4)
     step = step_between(found.mounting.a_from_b, ROOF.mount.inverse() @ CORNER.mount)
     # range noise of 2 cm over thousands of points, thinned to one in 40 cm
@@ -186,7 +175,7 @@ def test_the_second_lidar_is_found_from_a_wrong_mounting_and_from_none(
 
 
 @pytest.mark.slow
-def test_a_start_far_off_is_refused_and_not_refined_into_something(drive: SimulatedDrive) -> None:
+def test_a_start_far_off_is_refused_and_not_refined_into_something(drive):
     far = inject(
         simulate_street(3, frames=4, lidars=(ROOF, CORNER)),
         Faults({"lidar1": SensorFaults(rotation_deg=(0.0, 90.0, 0.0), shift=(0.0, 0.0, 30.0))}),

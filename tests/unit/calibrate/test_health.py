@@ -1,6 +1,5 @@
 """The check of a camera-lidar calibration."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +25,7 @@ from sceneloom.calibrate.measures import Change
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.residuals import BoxRotation
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.simulate import CameraSpec, LidarSpec, SimulatedDrive, simulate_street
+from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 GOOD, DRIFTING, WRONG, UNTOLD = Verdict.GOOD, Verdict.DRIFTING, Verdict.WRONG, Verdict.UNDETERMINED
 
@@ -53,38 +52,38 @@ AHEAD = Camera("pinhole", 620, 188, 360.0, 360.0, 309.5, 93.5)
 
 
 @pytest.fixture(scope="module")
-def drive() -> SimulatedDrive:
+def drive():
     """Two seconds through a street, seen by a lidar and a camera of half the usual size."""
     return simulate_street(31, frames=25, lidar=LidarSpec(beams=48, steps=1000), cameras=(CameraSpec(AHEAD),))
 
 
 @pytest.fixture(scope="module")
-def frames(drive: SimulatedDrive) -> Frames:
+def frames(drive):
     """Four images of it, more than half a second apart."""
     return calibration_frames(drive.scene, most=4)
 
 
 @pytest.fixture(scope="module")
-def good(frames: Frames) -> CalibrationHealth:
+def good(frames):
     return check_frames(frames)
 
 
-def stated(frames: Frames, camera_from_stated: RigidTransform) -> Frames:
+def stated(frames, camera_from_stated):
     return tuple(replace(frame, camera_from_lidar=camera_from_stated @ frame.camera_from_lidar) for frame in frames)
 
 
-def rotated(frames: Frames, *rotation_deg: float) -> Frames:
+def rotated(frames, *rotation_deg):
     error = Change.rotation(np.radians(rotation_deg)).camera_from_lidar(np.eye(4))
     return stated(frames, RigidTransform.nearest(error)[0])
 
 
-def repainted(frames: Frames, paint: Callable[[np.ndarray], np.ndarray]) -> Frames:
+def repainted(frames, paint):
     painted = [paint(frame.rgb).astype(np.uint8) for frame in frames]
     greys = [rgb.mean(axis=2, dtype=np.float32) for rgb in painted]
     return tuple(replace(f, rgb=rgb, grey=grey) for f, rgb, grey in zip(frames, painted, greys, strict=True))
 
 
-def thinned(frame: CalibrationFrame, count: int) -> CalibrationFrame:
+def thinned(frame, count):
     """A frame with its first points only, whose order is not known."""
     given = {name: getattr(frame, name) for name in ("points_lidar", "intensities", "seconds")}
     kept = {name: None if values is None else np.ascontiguousarray(values[:count]) for name, values in given.items()}

@@ -10,15 +10,7 @@ from scipy.ndimage import map_coordinates
 from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.measures import UNITS, Change, fill_histogram, sum_by_table, sum_edges
-from sceneloom.calibrate.refinement import (
-    Refinement,
-    RefinementVerdict,
-    find_cues,
-    moving_pixels,
-    refine,
-    sum_maps,
-    views_of,
-)
+from sceneloom.calibrate.refinement import RefinementVerdict, find_cues, moving_pixels, refine, sum_maps, views_of
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError
 from sceneloom.geometry.rigid import RigidTransform
@@ -29,7 +21,7 @@ CAMERA_MODEL = Camera("pinhole", 621, 188, 360.0, 360.0, 310.0, 93.5)
 
 
 @pytest.fixture(scope="module")
-def frames() -> Frames:
+def frames():
     """Six frames of a small drive, rightly calibrated."""
     drive = simulate_street(
         5,
@@ -41,16 +33,16 @@ def frames() -> Frames:
     return calibration_frames(drive.scene, most=6)
 
 
-def stated(frames: Frames, camera_from_lidar: RigidTransform) -> Frames:
+def stated(frames, camera_from_lidar):
     return tuple(replace(frame, camera_from_lidar=camera_from_lidar) for frame in frames)
 
 
-def degrees_off(frames: Frames, found: Refinement) -> float:
+def degrees_off(frames, found):
     step = step_between(frames[0].camera_from_lidar, found.camera_from_lidar)
     return float(np.degrees(np.linalg.norm(step[:3])))
 
 
-def test_an_injected_error_is_taken_out_again(frames: Frames) -> None:
+def test_an_injected_error_is_taken_out_again(frames):
     error = Change.of(np.array([0.008, -0.006, 0.004, 0, 0, 0, 0, 0]))
     wrong = error.camera_from_lidar(frames[0].camera_from_lidar.matrix)
     found = refine(stated(frames, RigidTransform.nearest(wrong)[0]), parameters=("rotation",))
@@ -63,13 +55,13 @@ def test_an_injected_error_is_taken_out_again(frames: Frames) -> None:
 @pytest.mark.parametrize(
     "levels", [pytest.param(256, id="as it is"), pytest.param(4, id="images of the night", marks=pytest.mark.slow)]
 )
-def test_the_right_calibration_stays_what_it_is_within_what_is_known(frames: Frames, levels: int) -> None:
+def test_the_right_calibration_stays_what_it_is_within_what_is_known(frames, levels):
     seen = tuple(replace(frame, grey=np.floor(frame.grey / (256 / levels))) for frame in frames)
     assert degrees_off(frames, refine(frames if levels == 256 else seen, parameters=("rotation",))) < 0.1
 
 
 @pytest.mark.slow
-def test_images_seconds_late_and_an_extrinsic_upside_down_are_never_refined(frames: Frames) -> None:
+def test_images_seconds_late_and_an_extrinsic_upside_down_are_never_refined(frames):
     half = len(frames) // 2
     late = tuple(replace(frame, grey=frames[(k + half) % len(frames)].grey) for k, frame in enumerate(frames))
     over = RigidTransform(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ frames[0].camera_from_lidar
@@ -108,7 +100,7 @@ def test_images_or_clouds_that_show_too_little_are_undetermined_and_say_why(fram
             refine(frames, parameters=parameters)
 
 
-def test_sums_over_maps_are_those_of_scipy() -> None:
+def test_sums_over_maps_are_those_of_scipy():
     rng = np.random.default_rng(1)
     maps = rng.normal(size=(2, 20, 30)).astype(np.float32)
     pixels = rng.uniform([1, 1], [27, 17], (50, 2)).astype(np.float32)

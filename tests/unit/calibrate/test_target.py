@@ -33,7 +33,7 @@ LOCATIONS = [
 ]
 
 
-def rendered(camera: Camera, camera_from_board: RigidTransform, board: Board, *, seed: int = 0) -> np.ndarray:
+def rendered(camera, camera_from_board, board, *, seed=0):
     """The board before a grey wall, (H, W) float32, four rays a pixel."""
     total = np.zeros((camera.height, camera.width))
     v, u = np.mgrid[: camera.height, : camera.width].astype(float)
@@ -44,7 +44,7 @@ def rendered(camera: Camera, camera_from_board: RigidTransform, board: Board, *,
     return np.clip(total / 4.0 + noise, 0, 255).astype(np.float32)
 
 
-def _brightness(rays: np.ndarray, camera_from_board: RigidTransform, board: Board) -> np.ndarray:
+def _brightness(rays, camera_from_board, board):
     x, y, hit = _on_board(rays, np.zeros(3), camera_from_board)
     column = np.floor(x / board.square + (board.columns + 1) / 2.0)
     row = np.floor(y / board.square + (board.rows + 1) / 2.0)
@@ -54,7 +54,7 @@ def _brightness(rays: np.ndarray, camera_from_board: RigidTransform, board: Boar
     return np.where(on, np.where(black, 30.0, 225.0), 110.0)
 
 
-def _on_board(rays: np.ndarray, origin: np.ndarray, frame_from_board: RigidTransform) -> tuple[np.ndarray, ...]:
+def _on_board(rays, origin, frame_from_board):
     inverse = frame_from_board.inverse()
     directions, start = inverse.rotate(rays), inverse.apply(origin)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -63,7 +63,7 @@ def _on_board(rays: np.ndarray, origin: np.ndarray, frame_from_board: RigidTrans
     return locations[:, 0], locations[:, 1], np.isfinite(distance) & (distance > 0)
 
 
-def cloud(lidar_from_board: RigidTransform, board: Board, *, noise: float, seed: int = 0) -> np.ndarray:
+def cloud(lidar_from_board, board, *, noise, seed=0):
     """What a lidar 1.5 m above flat ground measures of the board and the ground, (N, 3) [m]."""
     azimuths = np.radians(np.arange(-60.0, 60.0, 0.2))
     elevations = np.radians(np.arange(-25.0, 15.0, 0.4))
@@ -80,14 +80,14 @@ def cloud(lidar_from_board: RigidTransform, board: Board, *, noise: float, seed:
     return rays[seen] * ranges[seen, None]
 
 
-def placed(location: tuple[float, ...]) -> RigidTransform:
+def placed(location):
     """`camera_from_board`."""
     rotation = quaternion_from_rotation_vector(np.radians(location[3:]))
     return RigidTransform.from_quaternion(np.array(location[:3]), rotation)
 
 
 @pytest.mark.parametrize("location", LOCATIONS)
-def test_corners_lie_where_they_were_rendered(location: tuple[float, ...]) -> None:
+def test_corners_lie_where_they_were_rendered(location):
     corners = find_corners(rendered(CAMERA, placed(location), BOARD), BOARD)
     assert corners is not None
     truth, visible = project(CAMERA, placed(location).apply(BOARD.corners))
@@ -96,7 +96,7 @@ def test_corners_lie_where_they_were_rendered(location: tuple[float, ...]) -> No
     assert error < 0.15  # noise of 2 grey levels moves a saddle by some hundredths of a pixel
 
 
-def test_corners_are_those_that_opencv_finds() -> None:
+def test_corners_are_those_that_opencv_finds():
     image = rendered(CAMERA, placed(LOCATIONS[0]), BOARD)
     ours = find_corners(image, BOARD)
     found, theirs = cv2.findChessboardCornersSB(image.astype(np.uint8), (BOARD.columns, BOARD.rows))
@@ -108,7 +108,7 @@ def test_corners_are_those_that_opencv_finds() -> None:
 
 
 @pytest.mark.slow
-def test_images_without_the_whole_board_give_nothing() -> None:
+def test_images_without_the_whole_board_give_nothing():
     rng = np.random.default_rng(0)
     assert find_corners(np.zeros((200, 300), np.float32), BOARD) is None
     assert find_corners(rng.uniform(0, 255, (200, 300)).astype(np.float32), BOARD) is None
@@ -134,7 +134,7 @@ def test_the_pose_of_the_board_is_found_from_its_corners_and_from_the_cloud():
 
 
 @pytest.fixture(scope="module")
-def views() -> list[BoardView]:
+def views():
     """What camera and lidar report all locations, with 1 cm of noise."""
     found = []
     for seed, location in enumerate(LOCATIONS):
@@ -150,7 +150,7 @@ def views() -> list[BoardView]:
     return found
 
 
-def test_five_views_of_a_board_give_the_mounting_without_any_guess(views: list[BoardView]) -> None:
+def test_five_views_of_a_board_give_the_mounting_without_any_guess(views):
     mounting = start_from_target(views, BOARD)
     step = step_between(mounting.a_from_b, CAMERA_FROM_LIDAR)
     assert np.degrees(np.linalg.norm(step[:3])) < 0.3

@@ -205,7 +205,7 @@ FRAMES = 6
 CAMERA_MODEL = Camera("pinhole", 400, 260, 260.0, 260.0, 199.5, 129.5)
 
 
-def rig(*yaws_deg: float, stops: float = 0.5):
+def rig(*yaws_deg, stops=0.5):
     """Cameras that look in these directions, each with an automatic of its own."""
     cameras = [
         CameraSpec(CAMERA_MODEL, camera_mount(yaw_deg=yaw), exposure=ExposureSpec(drift_stops=stops), supersampling=2)

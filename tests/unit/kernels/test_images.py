@@ -13,7 +13,7 @@ from sceneloom.kernels.images import conversion_factors, resample_bilinear, rgb_
 SHARES = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722)}
 
 
-def spread(plane: np.ndarray, half_columns: int) -> np.ndarray:
+def spread(plane, half_columns):
     """Interpolate colours linearly, those of a sample lying midway between its two rows."""
     height, width = plane.shape
     rows, columns = (np.arange(2 * height) - 0.5) / 2, (np.arange(2 * width) - 0.5 * half_columns) / 2
@@ -21,7 +21,7 @@ def spread(plane: np.ndarray, half_columns: int) -> np.ndarray:
     return np.array([np.interp(columns, np.arange(width), row) for row in down.T])
 
 
-def rgb_by_formula(planes, shares, full, half_columns) -> np.ndarray:
+def rgb_by_formula(planes, shares, full, half_columns):
     """Source: ITU-R BT.601-7 and BT.709-6, clause 3."""
     red_share, blue_share = shares
     low, luma_span, chroma_span = (0, 255, 255) if full else (16, 219, 224)
@@ -32,7 +32,7 @@ def rgb_by_formula(planes, shares, full, half_columns) -> np.ndarray:
     return np.clip(np.stack([red, green, blue], axis=-1), 0, 255)
 
 
-def by_kernel(planes, shares, full, half_columns, *, width) -> np.ndarray:
+def by_kernel(planes, shares, full, half_columns, *, width):
     height = len(planes[0])
     rgb = np.full((height, 3 * width), 77, np.uint8)
     rgb_from_halved_chroma(*planes, conversion_factors(*shares, full=full), half_columns, rgb)

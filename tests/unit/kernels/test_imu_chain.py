@@ -8,28 +8,28 @@ import pytest
 
 from sceneloom.geometry.rigid import quaternion_from_matrix, rotation_vector_from_quaternion
 from sceneloom.kernels.imu_chain import chain_covariances, solve_chain
-from sceneloom.motion.gnss_imu import InertialSamples, Preintegrated
+from sceneloom.motion.gnss_imu import InertialSamples
 from sceneloom.simulate.drive import GRAVITY, ImuSpec, imu_truth
-from sceneloom.simulate.trajectory import EgoPath, PathSpec
+from sceneloom.simulate.trajectory import PathSpec
 
 PATH = PathSpec(yaw_rate=0.8, speeds=(3.0, 5.0)).plan(np.random.default_rng(0), start_ns=0, duration=10.0)
 KNOTS = np.arange(9) * 1_000_000_000 + 333_333_333  # between samples of every rate below
 
 
-def measured(rate_hz: float, path: EgoPath = PATH) -> tuple[np.ndarray, np.ndarray]:
+def measured(rate_hz, path=PATH):
     times = np.round(np.arange(int(9.9 * rate_hz)) * 1e9 / rate_hz).astype(np.int64)
     truth = imu_truth(ImuSpec(), path, times, seed=0)
     return times, np.hstack([truth.angular_rates, truth.specific_forces])
 
 
-def summed(times: np.ndarray, values: np.ndarray, bias: np.ndarray, densities=(1e-8, 1e-6)) -> Preintegrated:
+def summed(times, values, bias, densities=(1e-8, 1e-6)):
     count = len(KNOTS) - 1
     return InertialSamples(times, values, np.empty((0, 2), np.int64)).preintegrated(
         KNOTS, biases=np.tile(bias, (count, 1)), densities=np.tile(np.array(densities), (count, 1))
     )
 
 
-def vectors(found: Preintegrated, reference: Preintegrated) -> np.ndarray:
+def vectors(found, reference):
     apart = np.swapaxes(reference.rotations, 1, 2) @ found.rotations
     rotations = rotation_vector_from_quaternion(quaternion_from_matrix(apart))
     return np.hstack([rotations, found.velocities - reference.velocities, found.positions - reference.positions])

@@ -14,7 +14,7 @@ from sceneloom.formats.recording.contents import XYZIRT
 from sceneloom.kernels.packed import LARGEST_RATIO, unfold, unpack
 
 
-def unfold_slowly(packed: bytes) -> bytes | None:
+def unfold_slowly(packed):
     """Take one instruction after the other; None where the stream is damaged."""
     rest, out = list(packed), []
     try:
@@ -36,7 +36,7 @@ def unfold_slowly(packed: bytes) -> bytes | None:
     return bytes(out)
 
 
-def unfolded(packed: bytes, size: int) -> bytes | None:
+def unfolded(packed, size):
     target = np.full(size, 99, np.uint8)
     done = unfold(np.frombuffer(packed, np.uint8), target)
     return target.tobytes() if done == size else None

@@ -13,17 +13,17 @@ from sceneloom.scene.poses import PoseSource
 MOUNT = RigidTransform(Rotation.from_euler("xyz", [0.1, -0.2, 0.3]).as_matrix(), np.array([1.0, 0.2, 1.7]))
 
 
-def random_path(rng: np.random.Generator, count: int = 9) -> Poses:
+def random_path(rng, count=9):
     times = np.cumsum(rng.integers(5_000_000, 20_000_000, count)).astype(np.int64)
     rotations = Rotation.from_rotvec(np.cumsum(rng.normal(scale=0.2, size=(count, 3)), axis=0))
     return Poses(times, np.cumsum(rng.normal(size=(count, 3)), axis=0), rotations.as_quat())
 
 
-def frame_at(times_ns: np.ndarray, positions: np.ndarray) -> LidarFrame:
+def frame_at(times_ns, positions):
     return LidarFrame(int(times_ns[0]), LidarPoints(positions.astype(np.float32), timestamps_ns=times_ns))
 
 
-def scipy_world(path: Poses, mount: RigidTransform, times_ns: np.ndarray, positions: np.ndarray) -> np.ndarray:
+def scipy_world(path, mount, times_ns, positions):
     rotations = Slerp(path.timestamps_ns.astype(float), Rotation.from_quat(path.quaternions_xyzw))(
         times_ns.astype(float)
     )
@@ -32,7 +32,7 @@ def scipy_world(path: Poses, mount: RigidTransform, times_ns: np.ndarray, positi
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_each_point_is_placed_by_the_pose_at_its_own_time(seed: int) -> None:
+def test_each_point_is_placed_by_the_pose_at_its_own_time(seed):
     rng = np.random.default_rng(seed)
     path = random_path(rng)
     times = rng.integers(path.start_ns, path.stop_ns, 500)
@@ -44,7 +44,7 @@ def test_each_point_is_placed_by_the_pose_at_its_own_time(seed: int) -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_points_are_taken_to_any_moment_within_the_sweep_or_beyond(share: float) -> None:
+def test_points_are_taken_to_any_moment_within_the_sweep_or_beyond(share):
     rng = np.random.default_rng(7)
     path = random_path(rng)
     early, late = int(path.timestamps_ns[3]), int(path.timestamps_ns[5])

@@ -29,17 +29,17 @@ RECORDED = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), UPRIGHT[:1
 NOTE = DataWarning(kind=WarningKind.SKIPPED, code="few-points", location="lidar", message="a sweep was passed over")
 
 
-def lidar(points_frame: PointsFrame = PointsFrame.SENSOR, sweeps: int = 2) -> LidarSensor:
+def lidar(points_frame=PointsFrame.SENSOR, sweeps=2):
     frames = [LidarFrame(k, LidarPoints(np.zeros((1, 3), np.float32))) for k in range(sweeps)]
     return LidarSensor("lidar", LazyFrames.of(frames, range(sweeps)), points_frame=points_frame)
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+def asked(monkeypatch):
     """Put a stand-in in the position of the odometry, and give what it is asked."""
     calls: list[dict[str, Any]] = []
 
-    def lidar_odometry(scene: Scene, **options: Any) -> SimpleNamespace:
+    def lidar_odometry(scene, **options):
         calls.append(options)
         return SimpleNamespace(trajectory=FOUND, warnings=(NOTE,))
 
@@ -72,13 +72,13 @@ def test_the_lidar_places_a_drive_without_trajectory_or_one_for_which_it_is_aske
         assert not asked
 
 
-def circle(radius: float = 20.0, count: int = 200) -> Trajectory:
+def circle(radius=20.0, count=200):
     angle = np.linspace(0, np.pi, count)
     positions = radius * np.stack([np.cos(angle), np.sin(angle), 0.05 * angle], axis=1)
     return Trajectory("gnssEnu", np.arange(count, dtype=np.int64), positions)
 
 
-def halting(axis: int, period_ns: int = 1) -> Trajectory:
+def halting(axis, period_ns=1):
     positions = np.zeros((80, 3))
     positions[:, axis] = np.concatenate([np.linspace(0, 10, 50), np.full(30, 10.0)])
     return Trajectory("fixes", np.arange(80, dtype=np.int64) * period_ns, positions)

@@ -23,7 +23,6 @@ from sceneloom.motion.gnss_imu import (
     Chain,
     Fixes,
     GnssFixes,
-    GnssImuRun,
     InertialSamples,
     RelativePoses,
     SmootherSettings,
@@ -42,11 +41,11 @@ COUNT = 5
 WEIGHTS = np.array([1.0, 0.5, 1.0])
 
 
-def rotated(rng: np.random.Generator, size: float, count: int) -> np.ndarray:
+def rotated(rng, size, count):
     return matrix_from_quaternion(quaternion_from_rotation_vector(size * rng.standard_normal((count, 3))))
 
 
-def made_up_chain(rng: np.random.Generator, parts: str) -> Chain:
+def made_up_chain(rng, parts):
     knots = np.array([0, 400, 1000, 1300, 2000]) * 1_000_000
     times = np.arange(0, 2_000_000_001, 10_000_000)
     values = np.hstack([0.3 * rng.standard_normal((201, 3)), rng.standard_normal((201, 3))])
@@ -73,7 +72,7 @@ def made_up_chain(rng: np.random.Generator, parts: str) -> Chain:
     return replace(chain, relative=(relative,) if "r" in parts else (), speeds=(speeds,) if "s" in parts else ())
 
 
-def made_up_states(rng: np.random.Generator) -> States:
+def made_up_states(rng):
     return States(
         rotated(rng, 0.7, COUNT),
         rng.standard_normal((COUNT, 3)),
@@ -133,14 +132,14 @@ LEVER = np.array([0.4, -0.3, 1.2])
 MEASURED = np.array([True, True, True])
 
 
-def samples(gaps: tuple[tuple[int, int], ...] = ()) -> InertialSamples:
+def samples(gaps=()):
     times = np.arange(1960, dtype=np.int64) * 5_000_000
     truth = imu_truth(ImuSpec(), PATH, times, seed=0)
     values = np.hstack([truth.angular_rates, truth.specific_forces])
     return InertialSamples(times, values, np.array(gaps, np.int64).reshape(-1, 2))
 
 
-def antennas() -> GnssFixes:
+def antennas():
     states, count = PATH.at(TIMES), len(TIMES)
     sigmas, levers = np.ones((count, 3)), np.tile(LEVER, (count, 1))
     positions = states.positions + states.rotations @ LEVER
@@ -148,11 +147,11 @@ def antennas() -> GnssFixes:
     return GnssFixes(TIMES, positions, sigmas, reported, levers, receivers, np.zeros(3), ())
 
 
-def carried(measured: np.ndarray = MEASURED, bias: np.ndarray | float = 0.0) -> Fixes:
+def carried(measured=MEASURED, bias=0.0):
     return antennas().carried(KNOTS, measured, samples(), biases=np.tile(bias, (3, 1)) + np.zeros(6), gravity=GRAVITY)
 
 
-def expected(fixes: Fixes, moved: np.ndarray | None = None) -> np.ndarray:
+def expected(fixes, moved=None):
     """Where true states state that the antennas are, (F, 3), moved by (K, 15)."""
     moved = np.zeros((len(KNOTS), SIZE)) if moved is None else moved
     states, at = PATH.at(KNOTS), fixes.knots
@@ -228,16 +227,14 @@ class Drive:
     imu: ImuSensor
     gnss: GnssSensor
 
-    def scene(self, imu: ImuSensor | None = None, gnss: GnssSensor | None = None) -> Scene:
+    def scene(self, imu=None, gnss=None):
         return Scene((imu or self.imu, gnss or self.gnss), source="made up")
 
-    def run(self, imu: ImuSensor | None = None, gnss: GnssSensor | None = None) -> GnssImuRun:
+    def run(self, imu=None, gnss=None):
         return gnss_imu_motion(self.scene(imu, gnss), settings=SETTINGS)
 
 
-def drive(
-    seed: int, *, seconds: float = 40.0, rate: float = 2.0, imu: ImuSpec | None = None, path: PathSpec | None = None
-) -> Drive:
+def drive(seed, *, seconds=40.0, rate=2.0, imu=None, path=None):
     imu, gnss = imu or ImuSpec(rate_hz=100.0), GnssSpec(rate_hz=rate)
     trajectory = (path or PathSpec()).plan(np.random.default_rng(seed), start_ns=0, duration=seconds)
     samples = np.arange(int(seconds * imu.rate_hz)) * round(SECOND / imu.rate_hz) + 1_300_000
@@ -246,7 +243,7 @@ def drive(
     return Drive(trajectory, truth, imu_sensor(imu, truth, seed=seed), gnss_sensor(gnss, trajectory, fixes, seed=seed))
 
 
-def errors(run: GnssImuRun, path: EgoPath) -> np.ndarray:
+def errors(run, path):
     """(N, 6) rotate [rad] and shift [m] about the world's axes, away from the truth."""
     states = path.at(run.trajectory.timestamps_ns)
     rotations = multiply_quaternions(run.trajectory.quaternions_xyzw, conjugate_quaternion(states.quaternions_xyzw))
@@ -254,39 +251,39 @@ def errors(run: GnssImuRun, path: EgoPath) -> np.ndarray:
     return np.hstack([rotation_vector_from_quaternion(rotations), run.trajectory.positions + shift - states.positions])
 
 
-def rms(values: np.ndarray) -> float:
+def rms(values):
     return float(np.sqrt((values**2).sum(axis=1).mean()))
 
 
-def in_deviations(run: GnssImuRun, path: EgoPath, part: slice = slice(0, 6)) -> float:
+def in_deviations(run, path, part=slice(0, 6)):
     """Squared error in units of the covariance, per degree of freedom."""
     away = errors(run, path)[:, part]
     covariances = run.trajectory.covariances[:, part, part]
     return float((away * np.linalg.solve(covariances, away[:, :, None])[:, :, 0]).sum(axis=1).mean() / away.shape[1])
 
 
-def enu(gnss: GnssSensor) -> np.ndarray:
+def enu(gnss):
     return enu_from_geodetic(gnss.positions_lla, ORIGIN)
 
 
-def moved(gnss: GnssSensor, positions: np.ndarray, **others: object) -> GnssSensor:
+def moved(gnss, positions, **others):
     return replace(gnss, positions_lla=geodetic_from_enu(positions, ORIGIN), **others)
 
 
-def some_fixes(gnss: GnssSensor, rows: np.ndarray) -> GnssSensor:
+def some_fixes(gnss, rows):
     return GnssSensor(
         gnss.id, gnss.timestamps_ns[rows], gnss.positions_lla[rows], gnss.accuracies[rows],
         gnss.vertical_accuracies[rows],
     )  # fmt: skip
 
 
-def some_samples(imu: ImuSensor, rows: np.ndarray) -> ImuSensor:
+def some_samples(imu, rows):
     streams = {name: VectorSamples(s.timestamps_ns[rows], s.values[rows]) for name, s in imu.streams.items()}
     return ImuSensor(imu.id, streams)
 
 
 @pytest.fixture(scope="module")
-def town() -> Drive:
+def town():
     return drive(5)
 
 

@@ -17,12 +17,12 @@ from sceneloom.simulate.trajectory import PathSpec, Stop
 SECOND = 1_000_000_000
 
 
-def swinging_rates(seconds: np.ndarray) -> np.ndarray:
+def swinging_rates(seconds):
     """A vehicle that turns, rolls and pitches at once, about axes that change."""
     return np.stack([0.4 * np.sin(7 * seconds), 0.3 * np.cos(5 * seconds + 1), 0.6 + 0.5 * np.sin(2 * seconds)], axis=1)
 
 
-def finely_integrated(stop: float, rate_hz: int) -> Rotation:
+def finely_integrated(stop, rate_hz):
     """The product of many tiny rotations, each with the rate in its middle."""
     middles = (np.arange(int(stop * rate_hz)) + 0.5) / rate_hz
     rotated = Rotation.identity()
@@ -35,7 +35,7 @@ def finely_integrated(stop: float, rate_hz: int) -> Rotation:
 
 
 @pytest.mark.slow
-def test_the_integral_of_a_swinging_motion_is_that_of_tiny_steps() -> None:
+def test_the_integral_of_a_swinging_motion_is_that_of_tiny_steps():
     seconds = np.arange(0, 401) / 200.0
     rotating = integrate_rates((seconds * SECOND).astype(np.int64), swinging_rates(seconds))
     true = finely_integrated(2.0, 20_000)
@@ -65,7 +65,7 @@ def test_rates_are_integrated_in_order_with_the_coning_between_them():
             assert (Rotation.from_quat(rotating[k]).inv() * expected).magnitude() < 1e-12
 
 
-def stationary_signals(seconds: float = 4.0, rate_hz: int = 100) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def stationary_signals(seconds=4.0, rate_hz=100):
     rng, count = np.random.default_rng(0), int(seconds * rate_hz)
     times = np.arange(count) * SECOND // rate_hz
     rates = np.array([0.01, -0.004, 0.002]) + 0.001 * rng.normal(size=(count, 3))
@@ -126,7 +126,7 @@ def test_an_ego_that_stands_is_seen_to_stand_one_that_moves_at_all_or_has_few_sa
     assert find_stationary(many[0], many[1], *none) is None
 
 
-def imu_scene(times_ns: np.ndarray, rates: np.ndarray) -> Scene:
+def imu_scene(times_ns, rates):
     return Scene((ImuSensor("imu", {"gyroscope": VectorSamples(times_ns, rates)}),), source="drive")
 
 

@@ -12,16 +12,14 @@ from sceneloom.motion.odometry import (
     LidarOdometry,
     LocalMap,
     OdometryConfiguration,
-    OdometryRun,
     Outcome,
-    PoseEstimate,
     SceneSweeps,
     SurfaceLevel,
     accumulate_normal_equations,
     lidar_odometry,
     move_points,
 )
-from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Scene
+from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, PointsFrame
 from sceneloom.simulate import LidarSpec, PathSpec, Stop, TrafficSpec, simulate_street
 
 SPEC = LidarSpec(beams=24, elevations_deg=(-24.0, 10.0), steps=900)
@@ -35,30 +33,30 @@ def drive():
     return simulate_street(3, frames=FRAMES + GAP, lidar=SPEC, cameras=())
 
 
-def in_ego_frame(drive) -> list[Cloud]:
+def in_ego_frame(drive):
     frames = drive.scene.lidars[0].frames
     return [(f.timestamp_ns, SPEC.mount.apply(f.points.positions), f.points.timestamps_ns) for f in frames]
 
 
 @pytest.fixture(scope="module")
-def clouds(drive) -> list[Cloud]:
+def clouds(drive):
     return in_ego_frame(drive)
 
 
-def follow(clouds: list[Cloud]) -> list[PoseEstimate]:
+def follow(clouds):
     odometry = LidarOdometry()
     estimates = [odometry.add(*cloud) for cloud in clouds]
     return [estimate for estimate in estimates if estimate is not None]
 
 
-def miss(estimate: PoseEstimate, first: PoseEstimate, drive) -> float:
+def miss(estimate, first, drive):
     """How far an estimate is from the truth [m], as seen from the first."""
     states = drive.truth.path.at(np.array([first.state.timestamp_ns, estimate.state.timestamp_ns]))
     expected = states.rotations[0].T @ (states.positions[1] - states.positions[0])
     return float(np.linalg.norm(estimate.state.position - first.state.position - expected))
 
 
-def spoilt(kind: str, cloud: Cloud) -> Cloud:
+def spoilt(kind, cloud):
     timestamp, points, times = cloud
     if kind == "empty":
         return timestamp, np.zeros((0, 3)), np.zeros(0, np.int64)
@@ -165,44 +163,44 @@ SWEEPS = 8
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene():
     return held(simulate_street(3, frames=SWEEPS, lidars=(SMALL, LEFT), cameras=()).scene)
 
 
 @pytest.fixture(scope="module")
-def alone(scene) -> Scene:
+def alone(scene):
     return replace(scene, sensors=scene.lidars[:1])
 
 
 @pytest.fixture(scope="module")
-def sound(alone) -> OdometryRun:
+def sound(alone):
     return lidar_odometry(alone)
 
 
-def run_of(scene, *lidars, **more) -> OdometryRun:
+def run_of(scene, *lidars, **more):
     return lidar_odometry(replace(scene, sensors=lidars), **more)
 
 
-def held(scene: Scene) -> Scene:
+def held(scene):
     """Only the lidars, with their sweeps in memory."""
     lidars = (with_frames(lidar, list(lidar.frames)) for lidar in scene.lidars)
     return replace(scene, sensors=tuple(lidars), trajectories={})
 
 
-def with_frames(lidar: LidarSensor, frames: list[LidarFrame]) -> LidarSensor:
+def with_frames(lidar, frames):
     return replace(lidar, frames=LazyFrames.of(frames, [frame.timestamp_ns for frame in frames]))
 
 
-def blind(lidar: LidarSensor) -> LidarSensor:
+def blind(lidar):
     nothing = LidarPoints(np.zeros((0, 3), np.float32), timestamps_ns=np.zeros(0, np.int64))
     return with_frames(lidar, [replace(frame, points=nothing) for frame in lidar.frames])
 
 
-def last_position(run) -> np.ndarray:
+def last_position(run):
     return run.trajectory.positions[-1]
 
 
-def codes(run) -> set[str]:
+def codes(run):
     return {warning.code for warning in run.warnings}
 
 
@@ -253,10 +251,10 @@ def test_points_in_the_ego_frame_need_no_mounting_others_do_and_scenes_that_cann
         run_of(alone, blind(lidar))
 
 
-def unreadable(lidar: LidarSensor, broken: int) -> LidarSensor:
+def unreadable(lidar, broken):
     frames = list(lidar.frames)
 
-    def read(k: int) -> LidarFrame:
+    def read(k):
         if k == broken:
             raise DataError("sweep.bin", f"frames[{k}]", "17 bytes; expected a multiple of 23")
         return frames[k]
@@ -373,18 +371,18 @@ def test_points_move_with_the_rotating_ego_and_the_gradient_is_that_of_half_the_
 NOISE = 0.02
 
 
-def level_of(points: np.ndarray, leaf: float = 2.0) -> SurfaceLevel:
+def level_of(points, leaf=2.0):
     level = SurfaceLevel(leaf, NOISE)
     level.insert(np.ascontiguousarray(points, dtype=np.float64))
     return level
 
 
-def square(xx_xy_xz_yy_yz_zz: np.ndarray) -> np.ndarray:
+def square(xx_xy_xz_yy_yz_zz):
     xx, xy, xz, yy, yz, zz = xx_xy_xz_yy_yz_zz
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def tilted_patch(normal: np.ndarray, count: int = 50) -> np.ndarray:
+def tilted_patch(normal, count=50):
     """Points in the cube from 0 to 2 m, on a plane through its middle, one in each part at most."""
     generator = np.random.default_rng(3)
     basis = np.linalg.svd(normal[None])[2][1:]

@@ -13,7 +13,7 @@ MOUNT = RigidTransform(Rotation.from_euler("z", 0.4).as_matrix(), np.array([2.0,
 RAISED = RigidTransform(MOUNT.rotation, np.array([2.0, 0.5, 2.7]))
 
 
-def winding_path(seconds: float = 4.0, rate: int = 100) -> Poses:
+def winding_path(seconds=4.0, rate=100):
     t = np.arange(0, seconds, 1 / rate)
     positions = np.stack([10 * t, 3 * np.sin(t), 0.1 * np.sin(5 * t)], axis=1)
     rotations = Rotation.from_euler("zyx", np.stack([0.5 * np.sin(2 * t), 0.02 * np.sin(7 * t), 0 * t], axis=1))
@@ -55,7 +55,7 @@ def test_every_frame_within_reach_has_its_pose_and_the_rest_stays_within_a_milli
     np.testing.assert_array_equal(chunks.timestamps_ns, whole.timestamps_ns)
 
 
-def images_with(mounts: list[RigidTransform | None], times_ns: list[int]) -> LazyFrames[CameraImage]:
+def images_with(mounts, times_ns):
     camera, rgb = Camera("pinhole", 1, 1, 1.0, 1.0, 0.0, 0.0), np.zeros((1, 1, 3), np.uint8)
     images = [CameraImage(t, camera, lambda: rgb, mount=m) for t, m in zip(times_ns, mounts, strict=True)]
     return LazyFrames.of(images, times_ns)

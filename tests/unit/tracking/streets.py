@@ -1,6 +1,6 @@
 """Drives whose truth is known by formula, as a tracker sees them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +39,7 @@ class Street:
     sigma: float = 0.1  # deviation of the middles of boxes [m]
     rotated: frozenset[int] = frozenset()  # numbers of the frames whose boxes are the wrong way round
 
-    def observe(self, times: Sequence[float], *, views: Mapping[str, View] | None = None) -> list[Observation]:
+    def observe(self, times, *, views=None):
         """What is seen at these times [s]."""
         random = np.random.default_rng(1)
         views = {"front": FRONT} if views is None else views
@@ -85,7 +85,7 @@ class Street:
         )
 
 
-def _pose(x: float, y: float, heading: float) -> RigidTransform:
+def _pose(x, y, heading):
     cosine, sine = np.cos(heading), np.sin(heading)
     rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     return RigidTransform(rotation, np.array([x, y, 0.0]))

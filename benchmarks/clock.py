@@ -21,8 +21,8 @@ import numpy as np
 from sceneloom.cameras import Camera
 from sceneloom.editing.retime import ClockCorrection, retimed_scene
 from sceneloom.geometry.rigid import multiply_quaternions, quaternion_from_rotation_vector
-from sceneloom.motion.clock.signals import Fixes, RotationCurve, TrajectoryCurve
-from sceneloom.motion.clock.streams import Stream, StreamKind, compare_streams, streams_of
+from sceneloom.motion.clock.signals import Fixes, RotationCurve
+from sceneloom.motion.clock.streams import Stream, StreamKind, TrajectoryCurve, compare_streams, streams_of
 from sceneloom.scene import Scene
 from sceneloom.scene.types import key_of
 from sceneloom.simulate import CameraSpec, GnssSpec, LidarSpec, PathSpec, simulate_street

@@ -16,8 +16,8 @@ from sceneloom.motion.clock.comparison import (
     fit,
     misfit_of,
 )
-from sceneloom.motion.clock.signals import DeadReckonedTrajectory, Fixes, ImuSamples, Orientations, RotationCurve
-from sceneloom.motion.clock.streams import Method, compare_streams, streams_of
+from sceneloom.motion.clock.signals import Fixes, Orientations, RotationCurve
+from sceneloom.motion.clock.streams import DeadReckonedTrajectory, ImuSamples, Method, compare_streams, streams_of
 from sceneloom.scene import Trajectory, VectorSamples
 from sceneloom.simulate import GnssSpec, LidarSpec, simulate_street
 

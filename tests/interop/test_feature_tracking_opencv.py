@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sceneloom.kernels.images import corner_strengths
-from sceneloom.motion.clock.camera_rotation import Pyramid, find_corners, followed
+from sceneloom.motion.camera_rotation import Pyramid, corner_strengths, find_corners, followed
 
 
 @pytest.fixture(scope="module")

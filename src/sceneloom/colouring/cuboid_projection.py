@@ -1089,22 +1089,13 @@ def count_evidence(
 _KNOT_NS = 10_000_000
 """With times of points, boxes are placed this often during a sweep [ns]; between, they move linearly."""
 
-
 _MOST_KNOTS = 101
-
-
 _FARTHEST_BOX = 1e8  # boxes farther away, or larger, have no points [m]: their numbers are meaningless
-
-
 _NOTHING = np.zeros(0, np.int64)
-
-
 _NO_POINTS = np.zeros(0, np.uint32)
-
 
 _MEASURED = "measured_timestamps_ns"
 """The additional array of a deskewed sweep's points with the time when each was measured [ns]."""
-
 
 _POINTS = "points"  # name of the attribute that holds the counts
 

@@ -485,7 +485,6 @@ def assign_pairs(rows: Int64Array, columns: Int64Array, gains: Float64Array) -> 
 FARTHEST = 3.0
 """A number of the image that is more deviations than this from where it is expected has another reason."""
 
-
 _STEP = 1e-3  # slopes are of lines through locations so far to either side [m]
 _PROJECTION_LEAST_SHARE = 0.1  # no size shrinks below this share of what it was
 
@@ -638,8 +637,6 @@ def fuse_by_projection(pair: DetectionPair, *, settings: ProjectionSettings = DE
 
 
 _BELIEVED = 0.3  # points in a box of the sweep that is less likely than this may be another object's
-
-
 _ANY_YAW = np.pi**2 / 3.0  # variance of a heading of which nothing is known [rad²]
 
 

@@ -1146,14 +1146,10 @@ _SIDE = 4
 """A cube is cut into this many parts along each axis; each part takes a few points, so that near scan lines, which
 are dense, do not outweigh the rest."""
 
-
 _LINE_SHARE, _THIN_SHARE = 0.04, 0.1
 """Of the largest eigenvalue: a middle one below the first is that of a line; one above the second states nothing."""
 
-
 _STEEP = 0.7  # a line is steep where its direction has at least this z
-
-
 _HALF_KEY = 1 << 20
 
 

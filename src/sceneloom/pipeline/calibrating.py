@@ -40,7 +40,7 @@ from sceneloom.geometry.rigid import (
     multiply_quaternions,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.clock.camera_rotation import camera_rotation
+from sceneloom.motion.camera_rotation import camera_rotation
 from sceneloom.motion.ego_trajectory import find_ego_motion
 from sceneloom.pipeline.detected_drive import DetectedDrive, kitti_drive, moments
 from sceneloom.pipeline.detection_lists import DetectionFiles, scene_drive

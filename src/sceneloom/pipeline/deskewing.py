@@ -5,34 +5,207 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import Float32Array, Int64Array
 from sceneloom.editing.references import ours_of, with_ours
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.registry import check_scene_output, write_scene
-from sceneloom.motion.deskew import (
-    MOMENTS,
-    DeskewedFrame,
-    DeskewedFrames,
-    Deskewer,
-    PointTimesStatistics,
-    typical_offset_ns,
-)
+from sceneloom.motion.deskew import BodyKnots, PointTimesStatistics
 from sceneloom.motion.ego_trajectory import IMU, find_ego_motion, is_computed, with_trajectory_estimated
 from sceneloom.motion.imu import imu_motion
 from sceneloom.pipeline.play import Skips, check_has_lidar, report_of, reported_once, telling
-from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion, points_source, sensor_path, sensor_source
 from sceneloom.scene.frames import LazyFrames
+from sceneloom.scene.point_times import LONGEST_LAG_NS, RawTimes, TimesFound, timed_frame
+from sceneloom.scene.poses import PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns
 from sceneloom.scene.time_range import cut_scene
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, Progress, key_of
 from sceneloom.warnings import DataWarning
+
+MEASURED = "measured_timestamps_ns"
+"""Name of the additional array of a deskewed sweep's points with the time when each was measured [ns]."""
+
+LEFT_SKEWED = "left_skewed"
+"""Name of the additional field of a sweep with the reason why it could not be deskewed."""
+
+_EMPTY = "no points"
+_INSTANT = "all points of one time"
+_UNTIMED_POINTS = "no times of the points"
+_IN_GAP = "in a gap of the measured motion"
+_BEYOND = "beyond the trajectory"  # why a sweep is left as it is
+
+
+def _median_ns(times_ns: Int64Array) -> int:
+    middle = len(times_ns) // 2
+    return int(np.partition(times_ns, middle)[middle])
+
+
+_MOMENTS: Mapping[str, Callable[[Int64Array], int]] = MappingProxyType(
+    {"start": lambda times_ns: int(times_ns.min()), "middle": _median_ns, "end": lambda times_ns: int(times_ns.max())}
+)
+"""The moments of a sweep that its points can be deskewed to, by its point times (N,) int64 [ns], N >= 1."""
+
+_SAMPLED_SWEEPS = 5  # sweeps from which the usual location of the timestamp within a sweep is taken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _DeskewedFrame:
+    """A sweep as if all its points had been measured at once.
+
+    Attributes:
+        frame: its points in their original frame, all at the frame's time; as measured where `left` gives the reason.
+        times: how the times of its points were read.
+        shifts: (N,) float32 [m], how far each point was moved; none where it was left.
+        raw: what reading the next sweep's times may need.
+        extrapolated: whether poses beyond the trajectory's ends were used.
+        left: why it was left as it was, or None.
+    """
+
+    frame: LidarFrame
+    times: TimesFound
+    shifts: Float32Array
+    raw: RawTimes | None = None
+    extrapolated: bool = False
+    left: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Deskewer:
+    """Deskews a lidar's sweeps to one moment each; the points stay in their original frame.
+
+    Attributes:
+        source: transforms the points as stored into the world.
+        period_ns: from sweep to sweep.
+        offset_ns: from a sweep's timestamp to the moment that it is deskewed to.
+        gaps_ns: (G, 2) int64 [ns], between which the motion is unknown.
+    """
+
+    source: PoseSource
+    period_ns: int
+    offset_ns: int
+    gaps_ns: Int64Array
+
+    def deskew(self, frame: LidarFrame, *, previous: RawTimes | None = None) -> _DeskewedFrame:
+        """Deskew one sweep, if its points have times and the motion at these times is known."""
+        timed = timed_frame(frame, self.period_ns, previous=previous)
+        moment_ns = frame.timestamp_ns + self.offset_ns
+        measured = timed.frame.points.timestamps_ns
+        if measured is None:
+            measured = np.full(len(timed.frame.points), timed.frame.timestamp_ns, np.int64)
+        knots = self._knots(timed.frame, moment_ns)
+        # the file's own time of a sweep no longer holds where its timestamp moves
+        extras = {name: value for name, value in timed.frame.extras.items() if name != "file_seconds"}
+        if isinstance(knots, str):
+            # left as measured: the timestamp moves like those of the others, the points keep their times
+            if knots not in {_INSTANT, _EMPTY}:
+                extras[LEFT_SKEWED] = knots
+            points = replace(timed.frame.points, timestamps_ns=measured)
+            left = LidarFrame(moment_ns, points, MappingProxyType(extras))
+            return _DeskewedFrame(left, timed.found, np.zeros(0, np.float32), timed.raw, left=knots)
+        at_moment = knots.seen_at(self.source, moment_ns)
+        positions = at_moment.moved(frame.points.positions, measured, self.source.mount).astype(np.float32)
+        apart = positions - frame.points.positions
+        columns = {name: array for name, array in timed.frame.points.extras.items() if name != "file_seconds"}
+        points = replace(
+            timed.frame.points,
+            positions=positions,
+            timestamps_ns=np.full(len(measured), moment_ns, np.int64),
+            extras=MappingProxyType({**columns, MEASURED: measured}),
+        )
+        moved = LidarFrame(moment_ns, points, MappingProxyType(extras))
+        shifts = np.sqrt(np.einsum("ij,ij->i", apart, apart))
+        return _DeskewedFrame(moved, timed.found, shifts, timed.raw, knots.extrapolated)
+
+    def _knots(self, frame: LidarFrame, moment_ns: int) -> BodyKnots | str:
+        """The poses over a sweep and the moment that it is deskewed to, or why it stays as it is."""
+        times = frame.points.timestamps_ns
+        if len(frame.points) == 0:
+            return _EMPTY
+        if times is None:
+            return _UNTIMED_POINTS
+        if times.min() == times.max():
+            return _INSTANT
+        first_ns, last_ns = int(times.min(initial=moment_ns)), int(times.max(initial=moment_ns))
+        if ((self.gaps_ns[:, 0] < last_ns) & (self.gaps_ns[:, 1] > first_ns)).any():
+            return _IN_GAP
+        try:
+            return BodyKnots.of(self.source, first_ns, last_ns)
+        except PoseError:
+            return _BEYOND
+
+
+class _DeskewedFrames:
+    """Reads sweeps and deskews them, as `LazyFrames` asks for a lidar's frames.
+
+    It keeps the point times of the sweep that it read last, which help to interpret those of the next one.
+    """
+
+    def __init__(
+        self,
+        frames: LazyFrames[LidarFrame],
+        deskewer: _Deskewer,
+        on_frame: Callable[[int, _DeskewedFrame], None] | None = None,
+    ) -> None:
+        """Hold the sweeps as measured; `on_frame` is called with each one after it was deskewed."""
+        self._frames, self._deskewer, self._on_frame = frames, deskewer, on_frame
+        self._last: tuple[int, RawTimes | None] = (-1, None)
+
+    def __call__(self, k: int) -> LidarFrame:
+        """Deskew sweep `k`.
+
+        Raises:
+            DataError: it cannot be read.
+        """
+        frame = self._frames[k]
+        deskewed = self._deskewer.deskew(frame, previous=self._previous(k, frame))
+        self._last = (k, deskewed.raw)
+        if self._on_frame is not None:
+            self._on_frame(k, deskewed)
+        return deskewed.frame
+
+    def _previous(self, k: int, frame: LidarFrame) -> RawTimes | None:
+        """Of the sweep before; it is read again only where its times may be needed, near the clock's zero."""
+        if self._last[0] == k - 1:
+            return self._last[1]
+        if k == 0 or abs(frame.timestamp_ns) > LONGEST_LAG_NS:
+            return None
+        try:
+            return timed_frame(self._frames[k - 1], self._deskewer.period_ns).raw
+        except DataError:
+            return None
+
+
+def _typical_offset_ns(frames: LazyFrames[LidarFrame], period_ns: int, at: str) -> int:
+    """The usual time from a sweep's timestamp to a moment of it, from a few sweeps spread over the drive.
+
+    One offset for all sweeps keeps their moments as even as their timestamps are, and known without reading them.
+
+    Args:
+        at: one of `_MOMENTS`.
+
+    Returns:
+        The median offset [ns], 0 where no sweep has usable point times.
+    """
+    offsets = []
+    for k in np.unique(np.linspace(0, len(frames) - 1, min(_SAMPLED_SWEEPS, len(frames))).astype(int)).tolist():
+        try:
+            frame, previous = frames[k], frames[k - 1] if k else None
+        except DataError:
+            continue
+        raw = None if previous is None else timed_frame(previous, period_ns).raw
+        times = timed_frame(frame, period_ns, previous=raw).frame.points.timestamps_ns
+        if times is not None and len(times):
+            offsets.append(_MOMENTS[at](times) - frame.timestamp_ns)
+    # whole microseconds: where the timestamps are such, the moments can be written as exactly
+    return round(float(np.median(offsets)) / 1000) * 1000 if offsets else 0
 
 
 class DeskewReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -82,7 +255,7 @@ class _DeskewStatistics:
     seen: set[tuple[type, Identifier, int]] = field(default_factory=set)
 
     def add(
-        self, sensor_id: Identifier, k: int, frame: DeskewedFrame, *, progress: Progress | None, total: int
+        self, sensor_id: Identifier, k: int, frame: _DeskewedFrame, *, progress: Progress | None, total: int
     ) -> None:
         """Count sweep `k` of a sensor, and report how many of all are done."""
         key = (type(sensor_id), sensor_id, k)
@@ -118,7 +291,7 @@ class _DeskewPlan:
         """Name of the ego trajectory."""
         return None if self.ego is None else self.ego.name
 
-    def deskewed(self, on_frame: Callable[[Identifier, int, DeskewedFrame], None] | None = None) -> Scene:
+    def deskewed(self, on_frame: Callable[[Identifier, int, _DeskewedFrame], None] | None = None) -> Scene:
         """Give the scene whose sweeps are deskewed when they are read; `on_frame` gets each."""
         chosen = {key_of(sensor.id) for sensor in self.lidars}
         sensors = tuple(
@@ -142,17 +315,17 @@ class _DeskewPlan:
         return with_ours(replace(scene, sensors=sensors), deskew=[*_earlier(self.scene), entry])
 
     def _deskewed_lidar(
-        self, sensor: LidarSensor, on_frame: Callable[[Identifier, int, DeskewedFrame], None] | None
+        self, sensor: LidarSensor, on_frame: Callable[[Identifier, int, _DeskewedFrame], None] | None
     ) -> LidarSensor:
         reach_ns, period_ns = scene_period_ns(self.scene), sweep_period_ns(sensor)
         source = points_source(self.scene, sensor, self.ego, reach_ns=reach_ns)
         if source is None:
             raise OptionError(_in_world(self.scene, sensor))
-        offset_ns = typical_offset_ns(sensor.frames, period_ns, self.at)
-        deskewer = Deskewer(source, period_ns, offset_ns, self.gaps_ns)
+        offset_ns = _typical_offset_ns(sensor.frames, period_ns, self.at)
+        deskewer = _Deskewer(source, period_ns, offset_ns, self.gaps_ns)
         reported = None if on_frame is None else partial(on_frame, sensor.id)
         timestamps_ns = sensor.frames.timestamps_ns + offset_ns
-        frames = LazyFrames(timestamps_ns, DeskewedFrames(sensor.frames, deskewer, reported))
+        frames = LazyFrames(timestamps_ns, _DeskewedFrames(sensor.frames, deskewer, reported))
         poses = sensor.poses
         if poses is not None and sensor.coordinates is Coordinates.WORLD and self.trajectory != IMU:
             poses = sensor_path(sensor_source(self.scene, sensor, self.ego, reach_ns=reach_ns), timestamps_ns) or poses
@@ -172,8 +345,8 @@ def _plan_deskew(
     progress: Progress | None = None,
 ) -> _DeskewPlan:
     """Choose lidars, part and trajectory; the arguments are those of `deskew`."""
-    if at not in MOMENTS:
-        raise OptionError(f"at {at!r}; expected one of {', '.join(MOMENTS)}")
+    if at not in _MOMENTS:
+        raise OptionError(f"at {at!r}; expected one of {', '.join(_MOMENTS)}")
     scene = scene.corrected()
     _chosen_lidars(scene, lidar)
     part = cut_scene(scene, start=start, stop=stop)

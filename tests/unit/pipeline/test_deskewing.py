@@ -11,8 +11,8 @@ import sceneloom
 from sceneloom import scene as sc
 from sceneloom.errors import DataError, OptionError, OutputError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.deskew import LEFT_SKEWED, MEASURED
 from sceneloom.pipeline import deskew, deskewed_scene, iter_fused
+from sceneloom.pipeline.deskewing import LEFT_SKEWED, MEASURED
 from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import LidarSpec, simulate_street
 from sceneloom.simulate.drive import ImuSpec

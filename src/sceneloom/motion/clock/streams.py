@@ -154,7 +154,7 @@ def _lidar_motion(stream: Stream, progress: Progress | None) -> _Motion:
 
 
 def _camera_motion(stream: Stream, progress: Progress | None) -> _Motion:
-    from sceneloom.motion.clock.camera_rotation import camera_rotation
+    from sceneloom.motion.camera_rotation import camera_rotation
 
     mount = stream.source.mount
     orientations = camera_rotation(stream.source, progress=progress)
@@ -282,34 +282,21 @@ class TrajectoryCurve:
 
 
 _MARGIN = 6.0  # dead reckoning extends so far beyond a window on both sides, so that offsets can be tried [s]
-
-
 _GRAVITY = 9.8
-
-
 _FORCE_BIAS, _RATE_BIAS = 0.5, 0.05  # standard deviations of the biases [m/s², rad/s]
-
 
 _FORCE_NOISE, _RATE_NOISE = 3e-4, 3e-5
 """Least densities assumed [m/s²/√Hz, rad/s/√Hz]: slow wander does not show from sample to sample."""
 
-
 _FORCE_STEP, _RATE_STEP = 2.0, 4.0  # seconds between the kicks that stand for the noise of forces and rates
-
 
 _COMPONENTS = 24
 """Principal components kept of the effects of all kicks in a window; the 24th is a hundred times smaller than the
 first."""
 
-
 _GRID = 1.0  # seconds between the knots of the effects of noise
-
-
 _LONG_WINDOW = 60.0  # seconds of the longer windows: doubling them would improve the offset by a twentieth
-
-
 _RATE_BIASES = slice(3, 6)  # the drifts over long windows that are the gyroscope's biases
-
 
 _Curve = Callable[..., AnyArray]
 """Gives values, or with a second argument derivatives, (N, C) at (N,) times [s]; NaN outside its span."""

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras import Camera, unproject
 from sceneloom.errors import DataError
-from sceneloom.motion.clock.camera_rotation import camera_rotation, rotation_between
+from sceneloom.motion.camera_rotation import camera_rotation, rotation_between
 from sceneloom.motion.clock.comparison import compare_rotations
 from sceneloom.motion.clock.signals import Orientations
 from sceneloom.scene import CameraImage, CameraSensor, LazyFrames

@@ -20,11 +20,6 @@ _MISSING_SAMPLES = 5  # so many sample intervals without a sample are a gap, in 
 _LARGEST_SAMPLE = 1e5  # no IMU measures more, in whatever unit [rad/s, m/s²]: larger values stem from a torn line
 
 
-def measured_rows(values: Float64Array) -> BoolArray:
-    """Which rows of (N, K) samples are plausible numbers, (N,) bool."""
-    return np.asarray((np.abs(values) <= _LARGEST_SAMPLE).all(axis=1), np.bool_)
-
-
 def usable_samples(samples: VectorSamples) -> tuple[Int64Array, Float64Array, int]:
     """The samples that can be used.
 
@@ -33,7 +28,7 @@ def usable_samples(samples: VectorSamples) -> tuple[Int64Array, Float64Array, in
         values: (N, 3) float64, in the stream's unit.
         left_out: number of samples that are implausible or repeat a timestamp.
     """
-    measured = np.flatnonzero(measured_rows(samples.values[:, :3]))
+    measured = np.flatnonzero((np.abs(samples.values[:, :3]) <= _LARGEST_SAMPLE).all(axis=1))
     times, first = np.unique(samples.timestamps_ns[measured], return_index=True)
     return times, samples.values[measured[first], :3], len(samples) - len(times)
 

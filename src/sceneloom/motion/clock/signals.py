@@ -19,8 +19,8 @@ from sceneloom.geometry.rigid import (
     rotation_vector_from_quaternion,
 )
 from sceneloom.motion.ego_trajectory import usable_fixes
-from sceneloom.motion.imu import measured_rows, running_product
-from sceneloom.scene.motion import GnssSensor
+from sceneloom.motion.imu import running_product, usable_samples
+from sceneloom.scene.motion import GnssSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
 
 _LONGEST_GAP = 5.5
@@ -62,9 +62,8 @@ class Orientations:
         """
         from scipy.interpolate import CubicSpline
 
-        usable = np.flatnonzero(measured_rows(rates))
-        times, first = np.unique(timestamps_ns[usable], return_index=True)
-        values, chunks = rates[usable[first]], _number_chunks(times)
+        times, values, _ = usable_samples(VectorSamples(timestamps_ns, rates))
+        chunks = _number_chunks(times)
         rotations = np.tile(_IDENTITY, (len(times), 1))
         for rows in _slices(chunks):
             if rows.stop - rows.start >= LEAST_KNOTS:

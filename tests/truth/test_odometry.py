@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from sceneloom.geometry.rigid import (
-    angle_between,
-    conjugate_quaternion,
-    matrix_from_quaternion,
-    multiply_quaternions,
-    rotate_vectors,
-)
+from sceneloom.geometry import rigid
 from sceneloom.motion.odometry import LidarOdometry, OdometryRun, PoseEstimate, lidar_odometry
 from sceneloom.simulate import LidarSpec, PathSpec, SimulatedDrive, SolidStateSpec, Stop, TrafficSpec, simulate_street
 
@@ -17,9 +11,9 @@ from sceneloom.simulate import LidarSpec, PathSpec, SimulatedDrive, SolidStateSp
 def true_trajectory(drive: SimulatedDrive, timestamps_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions and orientations relative to the first of the times."""
     truth = drive.truth.world_from_ego(timestamps_ns)
-    to_first = conjugate_quaternion(truth.quaternions_xyzw[0])
-    positions = rotate_vectors(to_first, truth.positions - truth.positions[0])
-    return positions, multiply_quaternions(to_first, truth.quaternions_xyzw)
+    to_first = rigid.conjugate_quaternion(truth.quaternions_xyzw[0])
+    positions = rigid.rotate_vectors(to_first, truth.positions - truth.positions[0])
+    return positions, rigid.multiply_quaternions(to_first, truth.quaternions_xyzw)
 
 
 def dense_times(run: OdometryRun) -> np.ndarray:
@@ -46,7 +40,7 @@ def test_the_trajectory_of_a_drive_is_found_at_every_time_between_its_first_and_
     assert (found.coverage == 0).all()
     assert np.linalg.norm(positions[-1]) > 10.0
     assert np.linalg.norm(found.positions - positions, axis=1).max() < tolerance
-    assert np.degrees(angle_between(found.quaternions_xyzw, quaternions)).max() < 0.3
+    assert np.degrees(rigid.angle_between(found.quaternions_xyzw, quaternions)).max() < 0.3
     assert run.warnings == ()
 
 
@@ -78,7 +72,7 @@ def errors(drive: SimulatedDrive, estimates: list[PoseEstimate]) -> tuple[np.nda
     """
     times = np.array([estimate.state.timestamp_ns for estimate in estimates])
     truth = drive.truth.world_from_ego(times)
-    rotations = matrix_from_quaternion(truth.quaternions_xyzw)
+    rotations = rigid.matrix_from_quaternion(truth.quaternions_xyzw)
     positions = (truth.positions - truth.positions[0]) @ rotations[0]
     found = np.array([estimate.state.position for estimate in estimates])
     apart = np.array(

@@ -10,20 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sceneloom
-from sceneloom.calibrate.conventions import (
-    CAMERA_AXES,
-    LIDAR_AXES,
-    UNITS_NS,
-    Extrinsic,
-    check_drive,
-    check_file,
-    decide,
-    groups,
-    hypotheses,
-    read_extrinsics,
-    score_by_rotation,
-    time_units,
-)
+from sceneloom.calibrate import conventions
 from sceneloom.calibrate.frames import calibration_frames
 from sceneloom.errors import DataError
 from sceneloom.geometry.rigid import RigidTransform
@@ -80,7 +67,7 @@ def test_one_reading_gives_the_rig_that_was_written(writing, direction):
     write, choices = WRITINGS[writing]
     numbers = write(RIG if direction == DIRECTIONS[0] else np.linalg.inv(RIG))
     wanted = {**choices, "direction": direction, "camera axes": OPENCV, "lidar axes": "those of the points"}
-    (right,) = [reading for reading in hypotheses(numbers) if wanted.items() <= reading.choices.items()]
+    (right,) = [reading for reading in conventions.hypotheses(numbers) if wanted.items() <= reading.choices.items()]
     np.testing.assert_allclose(right.camera_from_points, RIG, atol=1e-9)  # rounding alone
 
 
@@ -94,21 +81,21 @@ def test_readings_have_the_choices_that_fit_and_those_of_the_same_transform_make
         "camera axes": "x forward, y left, z up",
         "lidar axes": "x, y along the points' -y, x",
     }
-    (right,) = [one for one in hypotheses(stated.reshape(-1)) if wanted.items() <= one.choices.items()]
+    (right,) = [one for one in conventions.hypotheses(stated.reshape(-1)) if wanted.items() <= one.choices.items()]
     np.testing.assert_allclose(right.camera_from_points, RIG, atol=1e-9)  # rounding alone
-    readings = hypotheses(np.r_[RIG[:3, :3].T.reshape(-1), RIG[:3, 3]], apart=True)
+    readings = conventions.hypotheses(np.r_[RIG[:3, :3].T.reshape(-1), RIG[:3, 3]], apart=True)
     assert {one.choices["layout"] for one in readings if np.allclose(one.camera_from_points, RIG)} == {"columns"}
     numbers = WRITINGS["translation, x y z w"][0](RIG)
-    everything, certain = hypotheses(numbers), hypotheses(numbers, {"quaternion": "x y z w"})
+    everything, certain = conventions.hypotheses(numbers), conventions.hypotheses(numbers, {"quaternion": "x y z w"})
     assert {one.choices["quaternion"] for one in certain} == {"x y z w"}
     assert {one.choices["quaternion"] for one in everything} == {"x y z w", "w x y z"}
     for none in (
         *(np.full(16, np.nan), np.diag([1.0, 1.0, -1.0, 1.0]).reshape(-1), [1, 2, 3, 0.5, 0.5, 0.5, 0.6]),
         *([400, 0, 0, 400, 0, 0], [700, 0, 600, 0, 700, 180, 0, 0, 1], [1.0, 2.0]),
     ):
-        assert hypotheses(none) == ()
+        assert conventions.hypotheses(none) == ()
     # by rows as by columns, in both directions, it is one and the same half rotation about x
-    found = groups(hypotheses(np.diag([1.0, -1.0, -1.0, 1.0]).reshape(-1)))
+    found = conventions.groups(conventions.hypotheses(np.diag([1.0, -1.0, -1.0, 1.0]).reshape(-1)))
     names = ("layout", "direction", "camera axes")
     together = [{tuple(one.choices[name] for name in names) for one in group} for group in found]
     assert any(set(itertools.product(("rows", "columns"), DIRECTIONS, (OPENCV,))) <= group for group in together)
@@ -130,22 +117,22 @@ def scene():
 @pytest.fixture(scope="module")
 def judge(scene):
     frames = calibration_frames(scene, most=2)
-    score, truth = score_by_rotation(frames), frames[0].camera_from_lidar.matrix
+    score, truth = conventions.score_by_rotation(frames), frames[0].camera_from_lidar.matrix
 
     def decided(numbers, *, alone=False):
-        extrinsic = Extrinsic("file", tuple(np.ravel(numbers).tolist()))
-        return decide(extrinsic) if alone else decide(extrinsic, frames, score)
+        extrinsic = conventions.Extrinsic("file", tuple(np.ravel(numbers).tolist()))
+        return conventions.decide(extrinsic) if alone else conventions.decide(extrinsic, frames, score)
 
     return SimpleNamespace(decide=decided, truth=truth)
 
 
-COMBINATIONS = tuple(itertools.product(WRITINGS, DIRECTIONS, CAMERA_AXES, LIDAR_AXES))
+COMBINATIONS = tuple(itertools.product(WRITINGS, DIRECTIONS, conventions.CAMERA_AXES, conventions.LIDAR_AXES))
 
 
 def verdict(judge, writing, direction, camera_axes, lidar_axes):
     """Whether the decision about a file with the true rig, under some axes and in some direction, is right."""
     left, right = np.eye(4), np.eye(4)
-    left[:3, :3], right[:3, :3] = CAMERA_AXES[camera_axes].T, LIDAR_AXES[lidar_axes].T
+    left[:3, :3], right[:3, :3] = conventions.CAMERA_AXES[camera_axes].T, conventions.LIDAR_AXES[lidar_axes].T
     stated = left @ judge.truth @ right
     found = judge.decide(WRITINGS[writing][0](stated if direction == DIRECTIONS[0] else np.linalg.inv(stated)))
     if not found.decided:
@@ -199,14 +186,14 @@ def test_numbers_are_found_in_json_toml_and_text_and_named_ones_settle_their_ord
         (f"[camera]\nextrinsic = {ROWS}\n", "camera.extrinsic", ROWS),
     ]:
         (tmp_path / "calibration").write_text(written, "utf-8")
-        (extrinsic,) = read_extrinsics(tmp_path / "calibration")
+        (extrinsic,) = conventions.read_extrinsics(tmp_path / "calibration")
         assert (extrinsic.location, extrinsic.numbers) == (location or extrinsic.location, tuple(numbers))
         assert extrinsic.apart is (len(numbers) == 12 and numbers[:9] == NINE)
         assert "quaternion" not in extrinsic.known
     heading = dict(zip("wxyz", QUATERNION, strict=True))
     pose = {"position": dict(zip("xyz", TRANSLATION, strict=True)), "heading": heading}
     (tmp_path / "poses.json").write_text(json.dumps({"poses": [pose]}), "utf-8")
-    (extrinsic,) = read_extrinsics(tmp_path / "poses.json")
+    (extrinsic,) = conventions.read_extrinsics(tmp_path / "poses.json")
     assert (extrinsic.location, extrinsic.known["quaternion"]) == ("poses[0]", "x y z w")
     np.testing.assert_allclose(extrinsic.numbers, [*TRANSLATION, *QUATERNION[1:], QUATERNION[0]])
 
@@ -230,15 +217,15 @@ def test_a_file_without_an_extrinsic_is_refused_with_what_was_expected(tmp_path,
     if content is not None:
         (tmp_path / "calib").write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(DataError, match=message):
-        check_file(tmp_path / "calib")
+        conventions.check_file(tmp_path / "calib")
 
 
 def test_the_files_of_kitti_and_others_are_read(data_dir):
-    kitti = read_extrinsics(data_dir / "real" / "kitti_object" / "calib" / "000001.txt")
+    kitti = conventions.read_extrinsics(data_dir / "real" / "kitti_object" / "calib" / "000001.txt")
     assert [extrinsic.location for extrinsic in kitti] == ["R0_rect", "Tr_velo_to_cam", "Tr_imu_to_velo"]
-    recording = read_extrinsics(data_dir / "recordings" / "pandaset" / "calibration.json")
+    recording = conventions.read_extrinsics(data_dir / "recordings" / "pandaset" / "calibration.json")
     assert [extrinsic.location for extrinsic in recording][:3] == [f"cameras[{n}].imuToCamera" for n in range(3)]
-    nuscenes = read_extrinsics(data_dir / "real" / "nuscenes_one_sample" / "infos.json")
+    nuscenes = conventions.read_extrinsics(data_dir / "real" / "nuscenes_one_sample" / "infos.json")
     assert "data_list[0].images.CAM_FRONT.lidar2cam" in {extrinsic.location for extrinsic in nuscenes}
 
 
@@ -246,19 +233,21 @@ RATES = {"lidar": (5, 10, 20), "camera": (10, 30, 60), "radar": (13, 20), "imu":
 
 
 def test_units_of_timestamps_are_those_of_usual_sensors():
-    for unit in UNITS_NS:
+    for unit in conventions.UNITS_NS:
         rates = [(kind, rate) for kind, rates in RATES.items() for rate in rates]
         for (kind, rate), start in itertools.product(rates, (0.0, -3.0, 12.5, 1_317_000_000.0)):
-            assert time_units((start + np.arange(50) / rate) * 1e9 / UNITS_NS[unit], kind) == (unit,)
-    assert time_units([0, 0, 100, 200, 300, 5000, 5100, 5100, 5200], "lidar") == ("milliseconds",)
+            assert conventions.time_units((start + np.arange(50) / rate) * 1e9 / conventions.UNITS_NS[unit], kind) == (
+                unit,
+            )
+    assert conventions.time_units([0, 0, 100, 200, 300, 5000, 5100, 5100, 5200], "lidar") == ("milliseconds",)
     for timestamps in ([], [1.0], [2.0, 2.0], [np.nan, np.inf]):
-        assert time_units(timestamps, "lidar") == ()
+        assert conventions.time_units(timestamps, "lidar") == ()
     # 9,091 Hz in microseconds, 9.1 Hz in milliseconds: too fast and too slow for an IMU
-    assert time_units(np.arange(10) * 110.0, "imu") == ()
+    assert conventions.time_units(np.arange(10) * 110.0, "imu") == ()
 
 
 def test_a_sound_drive_is_as_read_a_reversed_mounting_and_milliseconds_are_reported(scene):
-    report = check_drive(scene)
+    report = conventions.check_drive(scene)
     assert [found.as_read for found in report.extrinsics] == [True]
     assert all(found.stated in found.possible for found in report.points)
     assert {found.kind for found in report.times} >= {"lidar", "camera", "imu"}
@@ -268,13 +257,13 @@ def test_a_sound_drive_is_as_read_a_reversed_mounting_and_milliseconds_are_repor
     upside = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
     mount = scene.lidars[0].mount @ frame.camera_from_lidar.inverse() @ upside
     sensors = (replace(one, poses=None, mount=mount) if one.id == "camera0" else one for one in scene.sensors)
-    report = check_drive(replace(scene, sensors=tuple(sensors)))
+    report = conventions.check_drive(replace(scene, sensors=tuple(sensors)))
     assert [found.as_read for found in report.extrinsics] == [False]
     assert report.extrinsics[0].possible["camera axes"] == ("x right, y up, z backward",)
     assert report.wrong
     imu = next(sensor for sensor in scene.sensors if sensor.type == "imu")
     slow = {name: replace(stream, timestamps_ns=stream.timestamps_ns * 1000) for name, stream in imu.streams.items()}
-    report = check_drive(replace(scene, sensors=(replace(imu, streams=slow),)))
+    report = conventions.check_drive(replace(scene, sensors=(replace(imu, streams=slow),)))
     assert [found.possible for found in report.times] == [("milliseconds",)]
     assert report.wrong
 
@@ -285,7 +274,9 @@ def test_a_file_is_judged_by_a_drive(scene, tmp_path):
     pose = {"translation": written.translation.tolist(), "rotation": wxyz(written.matrix).tolist()}
     path.write_text(json.dumps({"front": pose}), "utf-8")
     reported = []
-    (found,) = check_file(path, scene, progress=lambda done, total: reported.append((done, total))).extrinsics
+    (found,) = conventions.check_file(
+        path, scene, progress=lambda done, total: reported.append((done, total))
+    ).extrinsics
     assert (found.location, found.camera, found.decided) == ("front", "camera0", True)
     assert found.possible["quaternion"] == ("w x y z",)
     assert found.possible["direction"] == ("lidar from camera",)
@@ -293,7 +284,7 @@ def test_a_file_is_judged_by_a_drive(scene, tmp_path):
     assert reported == [(1, 1)]
     # alone by plausibility
     (tmp_path / "rig.txt").write_text("Tr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 0.3\n", "utf-8")
-    (found,) = check_file(tmp_path / "rig.txt").extrinsics
+    (found,) = conventions.check_file(tmp_path / "rig.txt").extrinsics
     assert (found.possible["direction"], found.camera) == (("camera from lidar",), None)
 
 
@@ -301,6 +292,6 @@ def test_a_file_is_judged_by_a_drive(scene, tmp_path):
 @pytest.mark.parametrize("recording", ["kitti_drive", "pandaset"])
 def test_nothing_of_real_recordings_is_reported_to_be_wrong(data_dir, recording):
     with sceneloom.open(data_dir / "recordings" / recording) as drive:
-        report = check_drive(drive)
+        report = conventions.check_drive(drive)
     assert not report.wrong
     assert all(found.as_read in {True, None} for found in report.extrinsics)

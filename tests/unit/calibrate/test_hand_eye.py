@@ -10,20 +10,14 @@ from sceneloom.calibrate.extrinsics import ground_plane, step_between
 from sceneloom.calibrate.lidar_to_ego import align_motions, lidar_to_ego, paired_motions
 from sceneloom.calibrate.lidar_to_lidar import lidar_to_lidar
 from sceneloom.errors import OptionError, PoseError
-from sceneloom.geometry.rigid import (
-    RigidTransform,
-    multiply_quaternions,
-    normalise_quaternion,
-    quaternion_from_rotation_vector,
-    rotate_vectors,
-)
+from sceneloom.geometry import rigid
 from sceneloom.scene import Poses
 from sceneloom.simulate import Faults, LidarSpec, PathSpec, SensorFaults, inject, sensor_mount, simulate_street
 
 COUNT = 200
 TIMES_NS = 1_000_000_000 + 100_000_000 * np.arange(COUNT, dtype=np.int64)
-MOUNT = RigidTransform.from_quaternion(
-    np.array([0.6, -0.2, 1.8]), quaternion_from_rotation_vector(np.radians([1.0, -2.0, 30.0]))
+MOUNT = rigid.RigidTransform.from_quaternion(
+    np.array([0.6, -0.2, 1.8]), rigid.quaternion_from_rotation_vector(np.radians([1.0, -2.0, 30.0]))
 )
 
 
@@ -31,7 +25,7 @@ def tumbling_body():
     seconds = np.arange(COUNT) * 0.1
     rotations = np.stack([0.4 * np.sin(0.9 * seconds), 0.3 * np.sin(1.3 * seconds), 0.2 * seconds], axis=1)
     locations = np.stack([4.0 * seconds, np.sin(seconds), 0.3 * np.cos(seconds)], axis=1)
-    return Poses(TIMES_NS, locations, quaternion_from_rotation_vector(rotations))
+    return Poses(TIMES_NS, locations, rigid.quaternion_from_rotation_vector(rotations))
 
 
 def planar_car():
@@ -40,19 +34,19 @@ def planar_car():
     yaws = 0.8 * np.sin(0.5 * seconds)
     steps = 0.8 * np.stack([np.cos(yaws), np.sin(yaws), 0.0 * yaws], axis=1)
     rotations = np.stack([0.0 * yaws, 0.0 * yaws, yaws], axis=1)
-    return Poses(TIMES_NS, np.cumsum(steps, axis=0), quaternion_from_rotation_vector(rotations))
+    return Poses(TIMES_NS, np.cumsum(steps, axis=0), rigid.quaternion_from_rotation_vector(rotations))
 
 
 def seen_by_sensor(body, *, rotation_noise=0.0, shift_noise=0.0, seed=0):
     """The sensor's own trajectory, in a world of its own."""
     rng = np.random.default_rng(seed)
     count = len(body.timestamps_ns)
-    locations = body.positions + rotate_vectors(body.quaternions_xyzw, MOUNT.translation)
+    locations = body.positions + rigid.rotate_vectors(body.quaternions_xyzw, MOUNT.translation)
     locations = locations + rng.normal(0.0, 1.0, (count, 3)) * shift_noise
-    rotations = multiply_quaternions(body.quaternions_xyzw, MOUNT.quaternion_xyzw)
-    noise = quaternion_from_rotation_vector(rng.normal(0.0, 1.0, (count, 3)) * rotation_noise)
-    world = RigidTransform.from_quaternion(rng.normal(0, 3, 3), normalise_quaternion(rng.normal(0, 1, 4)))
-    rotated = multiply_quaternions(world.quaternion_xyzw, multiply_quaternions(rotations, noise))
+    rotations = rigid.multiply_quaternions(body.quaternions_xyzw, MOUNT.quaternion_xyzw)
+    noise = rigid.quaternion_from_rotation_vector(rng.normal(0.0, 1.0, (count, 3)) * rotation_noise)
+    world = rigid.RigidTransform.from_quaternion(rng.normal(0, 3, 3), rigid.normalise_quaternion(rng.normal(0, 1, 4)))
+    rotated = rigid.multiply_quaternions(world.quaternion_xyzw, rigid.multiply_quaternions(rotations, noise))
     return Poses(body.timestamps_ns, world.apply(locations), rotated)
 
 
@@ -63,7 +57,7 @@ def _by_scipy(body, sensor):
     matrix = (a[0].as_matrix() - np.eye(3)).reshape(-1, 3)
     right = rotation.apply(b[1]) - a[1]
     translation, *_ = np.linalg.lstsq(matrix, right.ravel(), rcond=None)
-    return RigidTransform(rotation.as_matrix(), translation)
+    return rigid.RigidTransform(rotation.as_matrix(), translation)
 
 
 def _relative(path):
@@ -78,12 +72,12 @@ def test_exact_motions_about_all_axes_give_the_exact_mounting_those_on_a_plane_a
     # what keeps unknown directions at the guess pulls by a millionth of what the motions report
     np.testing.assert_allclose(step_between(found.mounting.a_from_b, MOUNT), 0.0, atol=1e-5)
     # also from a guess that is upside down
-    flipped = RigidTransform(MOUNT.rotation @ np.diag([1.0, -1.0, -1.0]), MOUNT.translation)
+    flipped = rigid.RigidTransform(MOUNT.rotation @ np.diag([1.0, -1.0, -1.0]), MOUNT.translation)
     guessed = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS), guess=flipped)
     np.testing.assert_allclose(step_between(guessed.mounting.a_from_b, MOUNT), 0.0, atol=1e-4)
     assert (found.mounting.unobserved, found.inliers) == ((), 1.0)
     body = planar_car()
-    guess = RigidTransform(MOUNT.rotation, MOUNT.translation + np.array([0.2, -0.1, 0.3]))
+    guess = rigid.RigidTransform(MOUNT.rotation, MOUNT.translation + np.array([0.2, -0.1, 0.3]))
     found = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS), guess=guess).mounting
     step = step_between(found.a_from_b, MOUNT)
     np.testing.assert_allclose(np.degrees(step[:3]), 0.0, atol=1e-3)

@@ -4,21 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from sceneloom.calibrate.checkerboard import (
-    Board,
-    BoardView,
-    board_in_cloud,
-    board_pose,
-    find_corners,
-    start_from_target,
-)
+from sceneloom.calibrate import checkerboard
 from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.cameras import project, unproject
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform, quaternion_from_rotation_vector
 
-BOARD = Board(7, 5, 0.12, 1.1, 0.86)
+BOARD = checkerboard.Board(7, 5, 0.12, 1.1, 0.86)
 CAMERA = Camera("brown_conrady", 600, 380, 465.0, 465.0, 301.0, 186.0, (-0.1, 0.02, 0.0005, -0.0003, 0.0))
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 CAMERA_FROM_LIDAR = RigidTransform.from_quaternion(
@@ -88,7 +81,7 @@ def placed(location):
 
 @pytest.mark.parametrize("location", LOCATIONS)
 def test_corners_lie_where_they_were_rendered(location):
-    corners = find_corners(rendered(CAMERA, placed(location), BOARD), BOARD)
+    corners = checkerboard.find_corners(rendered(CAMERA, placed(location), BOARD), BOARD)
     assert corners is not None
     truth, visible = project(CAMERA, placed(location).apply(BOARD.corners))
     assert visible.all()
@@ -98,7 +91,7 @@ def test_corners_lie_where_they_were_rendered(location):
 
 def test_corners_are_those_that_opencv_finds():
     image = rendered(CAMERA, placed(LOCATIONS[0]), BOARD)
-    ours = find_corners(image, BOARD)
+    ours = checkerboard.find_corners(image, BOARD)
     found, theirs = cv2.findChessboardCornersSB(image.astype(np.uint8), (BOARD.columns, BOARD.rows))
     assert found
     assert ours is not None
@@ -110,27 +103,27 @@ def test_corners_are_those_that_opencv_finds():
 @pytest.mark.slow
 def test_images_without_the_whole_board_give_nothing():
     rng = np.random.default_rng(0)
-    assert find_corners(np.zeros((200, 300), np.float32), BOARD) is None
-    assert find_corners(rng.uniform(0, 255, (200, 300)).astype(np.float32), BOARD) is None
+    assert checkerboard.find_corners(np.zeros((200, 300), np.float32), BOARD) is None
+    assert checkerboard.find_corners(rng.uniform(0, 255, (200, 300)).astype(np.float32), BOARD) is None
     image = rendered(CAMERA, placed(LOCATIONS[0]), BOARD)
-    assert find_corners(image[:, 250:], BOARD) is None
+    assert checkerboard.find_corners(image[:, 250:], BOARD) is None
 
 
 def test_the_pose_of_the_board_is_found_from_its_corners_and_from_the_cloud():
     truth = placed(LOCATIONS[1])
     pixels, _ = project(CAMERA, truth.apply(BOARD.corners))
-    found = board_pose(CAMERA, pixels, BOARD)
+    found = checkerboard.board_pose(CAMERA, pixels, BOARD)
     assert found is not None
     np.testing.assert_allclose(step_between(found[0], truth), 0.0, atol=1e-6)
     assert found[1] < 1e-5
     lidar_from_board = CAMERA_FROM_LIDAR.inverse() @ placed(LOCATIONS[0])
     points = cloud(lidar_from_board, BOARD, noise=0.01)
-    found = board_in_cloud(points, BOARD)
+    found = checkerboard.board_in_cloud(points, BOARD)
     assert found is not None
     assert abs(found.normal @ lidar_from_board.rotation[:, 2]) > np.cos(np.radians(1.0))
     assert np.linalg.norm(found.center - lidar_from_board.translation) < 0.05
-    assert board_in_cloud(points, Board(7, 5, 0.12, 2.4, 1.9)) is None
-    assert board_in_cloud(np.zeros((0, 3)), BOARD) is None
+    assert checkerboard.board_in_cloud(points, checkerboard.Board(7, 5, 0.12, 2.4, 1.9)) is None
+    assert checkerboard.board_in_cloud(np.zeros((0, 3)), BOARD) is None
 
 
 @pytest.fixture(scope="module")
@@ -138,20 +131,20 @@ def views():
     """What camera and lidar report all locations, with 1 cm of noise."""
     found = []
     for seed, location in enumerate(LOCATIONS):
-        corners = find_corners(rendered(CAMERA, placed(location), BOARD, seed=seed), BOARD)
+        corners = checkerboard.find_corners(rendered(CAMERA, placed(location), BOARD, seed=seed), BOARD)
         assert corners is not None
-        pose = board_pose(CAMERA, corners, BOARD)
-        seen = board_in_cloud(
+        pose = checkerboard.board_pose(CAMERA, corners, BOARD)
+        seen = checkerboard.board_in_cloud(
             cloud(CAMERA_FROM_LIDAR.inverse() @ placed(location), BOARD, noise=0.01, seed=seed), BOARD
         )
         assert pose is not None
         assert seen is not None
-        found.append(BoardView(pose[0], seen))
+        found.append(checkerboard.BoardView(pose[0], seen))
     return found
 
 
 def test_five_views_of_a_board_give_the_mounting_without_any_guess(views):
-    mounting = start_from_target(views, BOARD)
+    mounting = checkerboard.start_from_target(views, BOARD)
     step = step_between(mounting.a_from_b, CAMERA_FROM_LIDAR)
     assert np.degrees(np.linalg.norm(step[:3])) < 0.3
     assert np.linalg.norm(step[3:]) < 0.02
@@ -162,9 +155,9 @@ def test_five_views_of_a_board_give_the_mounting_without_any_guess(views):
 def test_boards_that_make_no_sense_and_views_that_are_few_or_alike_are_refused(views):
     found = views[:1]
     with pytest.raises(PoseError, match="expected 3 or more"):
-        start_from_target(found, BOARD)
+        checkerboard.start_from_target(found, BOARD)
     with pytest.raises(PoseError, match="rotated alike"):
-        start_from_target(found * 4, BOARD)
+        checkerboard.start_from_target(found * 4, BOARD)
     for text in ["", "7x5", "7x5:0.1:0.2", "2x5:0.1", "7x5:0.1:0.3x0.3", "axb:c"]:
         with pytest.raises(OptionError, match="expected"):
-            Board.parse(text)
+            checkerboard.Board.parse(text)

@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections import DetectionPair
-from sceneloom.detections.fitting import (
-    FitSettings,
-    LabelledPair,
-    fit_detectors,
-    fit_deviations,
-    fit_odds,
-    fit_reported,
-)
+from sceneloom.detections import DetectionPair, fitting
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import OptionError
@@ -30,20 +22,20 @@ def test_odds_and_deviations_are_found_again_stay_finite_and_never_fall():
     generator = np.random.default_rng(0)
     features = np.column_stack([np.ones(4000), generator.normal(size=4000)])
     true = generator.random(4000) < 1 / (1 + np.exp(-(0.5 + 1.2 * features[:, 1])))
-    found = fit_odds(features, true, expected=np.zeros(2), weights=np.full(2, 1e-6))
+    found = fitting.fit_odds(features, true, expected=np.zeros(2), weights=np.full(2, 1e-6))
     # the slope of 4000 examples is known to 0.05
     np.testing.assert_allclose(found, [0.5, 1.2], atol=0.15)
     features = np.column_stack([np.ones(50), np.linspace(-1, 1, 50)])
-    always = fit_odds(features, np.ones(50, np.bool_), expected=np.zeros(2), weights=np.ones(2))
+    always = fitting.fit_odds(features, np.ones(50, np.bool_), expected=np.zeros(2), weights=np.ones(2))
     assert np.isfinite(always).all()
-    falling = fit_odds(features, features[:, 1] < 0, expected=np.zeros(2), weights=np.ones(2))
+    falling = fitting.fit_odds(features, features[:, 1] < 0, expected=np.zeros(2), weights=np.ones(2))
     assert falling[1] == 0.0
     generator = np.random.default_rng(1)
     features = np.column_stack([np.ones(5000), generator.uniform(-1, 1, 5000)])
     sigmas = np.exp(features @ np.array([[-1.0, -2.0], [0.5, -0.3]]))
     errors = sigmas * generator.normal(size=(5000, 2))
     errors[:25] = 100.0
-    found = fit_deviations(features, errors, weights=np.ones(5000), degrees_of_freedom=5.0)
+    found = fitting.fit_deviations(features, errors, weights=np.ones(5000), degrees_of_freedom=5.0)
     # a Student's scale is smaller than the deviation of the Gaussian that it is fitted to, by 15 % at the most
     np.testing.assert_allclose(found[:, 0], [-1.0, -2.0], atol=0.2)
     np.testing.assert_allclose(found[:, 1], [0.5, -0.3], atol=0.1)
@@ -58,14 +50,16 @@ def reported_and_verdicts(slope, base):
 
 def test_scores_are_held_from_where_on_nearly_all_boxes_are_true():
     reported, verdicts = reported_and_verdicts(1.0, -2.0)
-    high = fit_reported(reported, verdicts).high
+    high = fitting.fit_reported(reported, verdicts).high
     low, most = np.quantile(reported[verdicts == 1], (0.65, 0.99))
     assert low + 0.3 < high < most - 0.3
     # the share of true ones above a score rises with it
     assert verdicts[reported >= high].mean() == pytest.approx(0.99, abs=1e-3)
     for slope, base, share in [(1.0, 4.0, 0.65), (0.0, 0.5, 0.99)]:
         reported, verdicts = reported_and_verdicts(slope, base)
-        assert fit_reported(reported, verdicts).high == pytest.approx(np.quantile(reported[verdicts == 1], share))
+        assert fitting.fit_reported(reported, verdicts).high == pytest.approx(
+            np.quantile(reported[verdicts == 1], share)
+        )
 
 
 def outline(center):
@@ -89,13 +83,13 @@ def example(seed):
     two = Boxes2D(0, shown[kept], np.full(int(kept.sum()), 0.9), ("car",) * int(kept.sum()))
     truth = Boxes3D(0, locations, np.tile(CAR, (6, 1)), np.zeros(6), np.ones(6), ("Car",) * 6)
     pair = DetectionPair(three, two, CAMERA, CAMERA_FROM_LIDAR)
-    return LabelledPair(pair, truth, np.ones(6, bool), np.zeros(6, bool), np.zeros((0, 4)), f"{seed % 5}")
+    return fitting.LabelledPair(pair, truth, np.ones(6, bool), np.zeros(6, bool), np.zeros((0, 4)), f"{seed % 5}")
 
 
 @pytest.fixture(scope="module")
 def fitted():
     examples = [example(seed) for seed in range(80)]
-    return fit_detectors(examples, name="made up", settings=FitSettings(overlap=0.3))
+    return fitting.fit_detectors(examples, name="made up", settings=fitting.FitSettings(overlap=0.3))
 
 
 def test_new_boxes_lie_in_the_regions_that_are_promised_and_all_scores_are_probabilities(fitted):
@@ -120,4 +114,4 @@ def test_what_detectors_find_is_found_again_if_there_is_enough(fitted):
     assert car.visibility.weak_recall_2d <= car.visibility.recall_2d
     assert car.sweep.slope > 0.3
     with pytest.raises(OptionError, match="expected 200 or more"):
-        fit_detectors([example(0)], name="few")
+        fitting.fit_detectors([example(0)], name="few")

@@ -10,21 +10,8 @@ from scipy.stats import chi2
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
-from sceneloom.detections import DetectionPair
+from sceneloom.detections import DetectionPair, projection
 from sceneloom.detections.detectors import KINDS, numbers_of, table_rows
-from sceneloom.detections.projection import (
-    EDGES,
-    ONE_UNKNOWN,
-    SAME_FAMILY,
-    SURER,
-    assign,
-    assign_pairs,
-    fuse_by_projection,
-    pair_gains,
-    position_by_height,
-    project_outlines,
-    refine,
-)
 from sceneloom.detections.results import NO_BOX
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import ArrayError, OptionError
@@ -51,7 +38,7 @@ def slow_gain(a, b, weight, surer, least_iou):
     hull = (max(a[2], b[2]) - min(a[0], b[0])) * (max(a[3], b[3]) - min(a[1], b[1]))
     iou = common / union
     giou = iou - (hull - union) / hull
-    return (1 + giou) / 2 * weight * (1 + SURER * surer) if iou >= least_iou else 0.0
+    return (1 + giou) / 2 * weight * (1 + projection.SURER * surer) if iou >= least_iou else 0.0
 
 
 def test_gains_are_those_of_the_definition():
@@ -61,17 +48,17 @@ def test_gains_are_those_of_the_definition():
     words_b = [("car", "pedestrian", "unknown")[k % 3] for k in range(25)]
     weights = {
         ("Car", "car"): 1.0,
-        ("van", "car"): SAME_FAMILY,
+        ("van", "car"): projection.SAME_FAMILY,
         ("Pedestrian", "pedestrian"): 1.0,
         ("Pedestrian", "car"): 0.0,
         ("Car", "pedestrian"): 0.0,
         ("van", "pedestrian"): 0.0,
     }
     p, q = generator.random(30), generator.random(25)
-    found = pair_gains(a, b, *numbers_of(words_a, words_b), p, q, least_iou=0.1)
+    found = projection.pair_gains(a, b, *numbers_of(words_a, words_b), p, q, least_iou=0.1)
     expected = [
         [
-            slow_gain(a[i], b[j], weights.get((words_a[i], words_b[j]), ONE_UNKNOWN), (p[i] + q[j]) / 2, 0.1)
+            slow_gain(a[i], b[j], weights.get((words_a[i], words_b[j]), projection.ONE_UNKNOWN), (p[i] + q[j]) / 2, 0.1)
             for j in range(25)
         ]
         for i in range(30)
@@ -88,12 +75,12 @@ def test_pairs_without_rivals_are_assigned_as_in_the_whole_table(share):
         gains = np.where(rng.random(shape) < share, rng.normal(0.5, 0.5, shape), 0.0)
         rows, columns = linear_sum_assignment(np.maximum(gains, 0.0), maximize=True)
         expected = [(i, j) for i, j in zip(rows, columns, strict=True) if gains[i, j] > 0]
-        found = assign_pairs(*np.nonzero(gains), gains[gains != 0])
+        found = projection.assign_pairs(*np.nonzero(gains), gains[gains != 0])
         assert list(zip(*found, strict=True)) == expected
-        of_rows, of_columns = assign(gains)
+        of_rows, of_columns = projection.assign(gains)
         assert [(i, j) for i, j in enumerate(of_rows) if j != NO_BOX] == expected
         assert sorted((i, j) for j, i in enumerate(of_columns) if i != NO_BOX) == expected
-    partners, takers = assign(np.array([[0.0, 0.0], [0.9, 0.8]]))
+    partners, takers = projection.assign(np.array([[0.0, 0.0], [0.9, 0.8]]))
     assert (partners.tolist(), takers.tolist()) == ([NO_BOX, 0], [1, NO_BOX])
 
 
@@ -137,7 +124,7 @@ def test_outlines_bound_what_opencv_projects_as_far_as_the_image_and_nearer_boxe
     generator = np.random.default_rng(1)
     centers = generator.uniform([9, -9, -1.5], [60, 9, 0.5], (60, 3))
     sizes, yaws = generator.uniform([1, 0.5, 1], [5, 2, 2], (60, 3)), generator.uniform(-3, 3, 60)
-    found = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_of(centers, sizes, yaws)).corners_xyxy
+    found = projection.project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_of(centers, sizes, yaws)).corners_xyxy
     expected = [cv2_outline(surface(*box)) for box in zip(centers, sizes, yaws, strict=True)]
     whole = np.all((np.array(expected)[:, :2] > 2) & (np.array(expected)[:, 2:] < (1240, 373)), axis=1)
     assert whole.sum() > 30
@@ -146,23 +133,23 @@ def test_outlines_bound_what_opencv_projects_as_far_as_the_image_and_nearer_boxe
     # of what the border cuts, the points of the surface lie up to a grid's step within it
     np.testing.assert_allclose(found[~whole], np.array(expected)[~whole], atol=12.0)
     boxes = boxes_of([[-20, 0, 0], [0.3, 0, 0]], [[4, 2, 1.5]] * 2, [0.3, 0.0])
-    outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes)
+    outlines = projection.project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes)
     assert not outlines.corners_xyxy.any()
     assert not outlines.seen_shares.any()
     # a wall 2 m to the left, from 30 m behind to 30 m ahead: 720 / 29.7 px a metre at its far end
-    outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_of([[0, 2.5, 0]], [[60, 1, 2]], [0.0]))
+    outlines = projection.project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes_of([[0, 2.5, 0]], [[60, 1, 2]], [0.0]))
     left, top, right, bottom = outlines.corners_xyxy[0]
     assert (left, bottom, top) == (0.0, pytest.approx(375.0), pytest.approx(0.0, abs=1e-6))
     assert right == pytest.approx(610.5 - 720 * 1.95 / 29.7, abs=0.3)  # the camera model bends it by less
     # the same location in the image, twice as far and half covered: 1 m wide at 10 m hides 2 m at 20 m
     centers, sizes = [[10.3, 0.5, 0], [20.5, 0, 0]], [[0.001, 1, 4], [0.001, 2, 1]]
     boxes = boxes_of(centers, sizes, [0.0, 0.0])
-    shares = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes).seen_shares
+    shares = projection.project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes).seen_shares
     assert shares[1] == pytest.approx(0.5, abs=0.05)  # the camera model is 5 cm to the side
-    doubtful = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes, likely=np.array([0.4, 1.0])).seen_shares
+    doubtful = projection.project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes, likely=np.array([0.4, 1.0])).seen_shares
     assert doubtful[1] == pytest.approx(0.8, abs=0.02)
     twice = boxes_of([[20.3, 0.5, 0], [20.5, 0, 0]], sizes, [0.0, 0.0])
-    assert project_outlines(CAMERA, CAMERA_FROM_LIDAR, twice).seen_shares[1] == 1.0
+    assert projection.project_outlines(CAMERA, CAMERA_FROM_LIDAR, twice).seen_shares[1] == 1.0
 
 
 ODD = (0.0, -1.0, np.nan, np.inf, -np.inf)
@@ -211,9 +198,9 @@ def sharpened(center, partner, covariance=COVARIANCE):
     """A box after its update, the second of two boxes whose first has no partner."""
     boxes = np.tile(np.hstack([center, SIZE, YAW]), (2, 1))
     covariances = np.array([COVARIANCE, covariance])
-    outlines = project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes)
+    outlines = projection.project_outlines(CAMERA, CAMERA_FROM_LIDAR, boxes)
     partners = np.array([NO_BOX, 0])
-    refine(CAMERA, CAMERA_FROM_LIDAR, outlines, boxes, covariances, partners, partner[None].copy(), SIGMAS)
+    projection.refine(CAMERA, CAMERA_FROM_LIDAR, outlines, boxes, covariances, partners, partner[None].copy(), SIGMAS)
     np.testing.assert_array_equal(boxes[0], np.hstack([center, SIZE, YAW]))
     np.testing.assert_array_equal(covariances[0], COVARIANCE)
     assert boxes[1, 6] == YAW
@@ -280,7 +267,7 @@ BENT = Camera("brown_conrady", 1000, 600, 500.0, 500.0, 499.5, 299.5, (-0.5, 0.0
 def placed(corners, labels, *, rows=None, camera=WIDE_CAMERA):
     kinds, corners = table_rows(numbers_of(labels, [])[0]), np.array(corners, np.float64).reshape(-1, 4)
     rows = np.arange(len(corners)) if rows is None else np.array(rows)
-    return position_by_height(camera, WIDE_CAMERA_FROM_LIDAR, corners, rows, kinds)
+    return projection.position_by_height(camera, WIDE_CAMERA_FROM_LIDAR, corners, rows, kinds)
 
 
 def angle(one, other):
@@ -296,7 +283,10 @@ def slowly_placed(camera, camera_from_lidar, box, label):
     kind = KINDS[label]
     high, wide = angle(up, down), angle(*sides)
     distance = kind.size_lwh[2] / (2 * np.tan(high / 2)) + kind.size_lwh[1] / 2
-    of_width, of_height = (EDGES[0] + EDGES[1] / (right - left)), (EDGES[0] + EDGES[1] / (bottom - top))
+    of_width, of_height = (
+        (projection.EDGES[0] + projection.EDGES[1] / (right - left)),
+        (projection.EDGES[0] + projection.EDGES[1] / (bottom - top)),
+    )
     relative = (kind.size_sigmas[2] / kind.size_lwh[2]) ** 2 + 2 * of_height**2
     if top < 2.0 or bottom > camera.height - 2.0:
         relative += 0.5**2
@@ -334,7 +324,7 @@ def test_boxes_are_placed_by_their_height_where_the_camera_model_has_rays_as_by_
     corners[::7, 1] = 0.5
     labels = generator.choice(list(KINDS), 60).tolist()
     kinds = table_rows(numbers_of(labels, [])[0])
-    found = position_by_height(bent, how, corners, np.arange(60), kinds)
+    found = projection.position_by_height(bent, how, corners, np.arange(60), kinds)
     assert len(found.rows) == 60
     slowly = [slowly_placed(bent, how, box, label) for box, label in zip(corners, labels, strict=True)]
     # the chord between rays and their cross product round differently
@@ -366,11 +356,11 @@ def a_wall(distance, left=0.4, low=-1.7, high=0.3, count=9):
 def test_an_object_is_behind_the_points_in_the_middle_of_its_box_if_these_are_its_own():
     behind = a_wall(30.0, left=10.0, count=60)
     points = np.concatenate([a_wall(14.0), behind[np.abs(behind[:, 1]) > 0.3]])
-    fused = fuse_by_projection(pair_of(points))
+    fused = projection.fuse_by_projection(pair_of(points))
     assert fused.by_points.tolist() == [True]
     # a body is a quarter of the usual 0.65 m deep behind its surface; along a ray 5 degrees off the axis
     assert fused.centers[0, 0] == pytest.approx(14.16, abs=0.1)
-    by_height = fuse_by_projection(pair_of(None))
+    by_height = projection.fuse_by_projection(pair_of(None))
     assert by_height.by_points is None
     assert by_height.centers[0, 0] == pytest.approx(15.0, abs=0.5)
     assert fused.center_covariances[0, 0, 0] < by_height.center_covariances[0, 0, 0] / 10.0
@@ -381,7 +371,7 @@ def test_an_object_is_behind_the_points_in_the_middle_of_its_box_if_these_are_it
         np.column_stack([a_wall(14.0)[:, 0], a_wall(14.0)[:, 1:] + 8.0]),  # beside it
         np.concatenate([a_wall(14.0), a_wall(5.0, count=60)]),  # most of its box shows something nearer
     ]:
-        fused, by_height = fuse_by_projection(pair_of(points)), fuse_by_projection(pair_of(None))
+        fused, by_height = projection.fuse_by_projection(pair_of(points)), projection.fuse_by_projection(pair_of(None))
         assert fused.by_points.tolist() == [False]
         np.testing.assert_array_equal(fused.centers, by_height.centers)
         np.testing.assert_array_equal(fused.center_covariances, by_height.center_covariances)
@@ -389,13 +379,13 @@ def test_an_object_is_behind_the_points_in_the_middle_of_its_box_if_these_are_it
     size = np.array([[4.2, 1.8, 1.5]])
     car = Boxes3D(0, np.array([[10.0, 0.0, -1.0]]), size, np.zeros(1), np.array([0.95]), ("car",))
     points = np.concatenate([a_wall(14.0), a_wall(8.0, low=-1.7, high=-0.3, count=14)])
-    assert not fuse_by_projection(pair_of(points)).by_points[0]
-    fused = fuse_by_projection(pair_of(points, boxes_3d=car))
+    assert not projection.fuse_by_projection(pair_of(points)).by_points[0]
+    fused = projection.fuse_by_projection(pair_of(points, boxes_3d=car))
     assert (fused.by_points.tolist(), fused.centers[1, 0]) == ([False, True], pytest.approx(14.16, abs=0.1))
     whole = np.array([[500.0, 150.0, 700.0, 260.0]])
     cut = whole - [500.0, 0.0, 500.0, 0.0]
     sides = a_wall(9.0, left=8.0, low=-1.0, high=0.6, count=60)
-    seen, half_seen = (fuse_by_projection(pair_of(sides, box, "car")) for box in (whole, cut))
+    seen, half_seen = (projection.fuse_by_projection(pair_of(sides, box, "car")) for box in (whole, cut))
     assert seen.by_points[0]
     assert half_seen.by_points[0]
     volumes = [np.linalg.det(one.center_covariances[0]) for one in (seen, half_seen)]
@@ -413,7 +403,10 @@ def test_points_report_distances_several_times_better_than_heights_and_covarianc
         world_from_lidar = RigidTransform(ego.rotations[0], ego.positions[0]) @ lidar.spec.mount
         camera_from_lidar = drive.truth.world_from_camera(camera.id, k).inverse() @ world_from_lidar
         pair = DetectionPair(Boxes3D.empty(0), detected.boxes, camera.camera, camera_from_lidar, sweep.points.positions)
-        fused, by_height = fuse_by_projection(pair), fuse_by_projection(replace(pair, points_lidar=None))
+        fused, by_height = (
+            projection.fuse_by_projection(pair),
+            projection.fuse_by_projection(replace(pair, points_lidar=None)),
+        )
         truth = drive.truth.boxes(np.array([sweep.reference_ns]))
         centers = world_from_lidar.inverse().apply(truth.centers_world[0])
         origin = camera_from_lidar.inverse().translation
@@ -458,7 +451,7 @@ def outline(x, y, z):
 
 def fused(three, two, **changes):
     pair = DetectionPair(three, two, WIDE_CAMERA, FRUSTUM_CAMERA_FROM_LIDAR)
-    return fuse_by_projection(pair, settings=ProjectionSettings(detectors="independent", **changes))
+    return projection.fuse_by_projection(pair, settings=ProjectionSettings(detectors="independent", **changes))
 
 
 def test_boxes_of_both_detectors_become_one_object_whose_existence_multiplies_the_odds():

@@ -6,33 +6,11 @@ import numpy as np
 import pytest
 
 from sceneloom.errors import OptionError, PoseError
+from sceneloom.geometry import rigid
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from sceneloom.geometry.rigid import (
-    RigidTransform,
-    conjugate_quaternion,
-    matrix_from_quaternion,
-    multiply_quaternions,
-    quaternion_from_matrix,
-    quaternion_from_rotation_vector,
-    rotation_vector_from_quaternion,
-)
 from sceneloom.kernels.imu_chain import SIZE
+from sceneloom.motion import gnss_imu
 from sceneloom.motion.ego_trajectory import find_ego_motion, with_trajectory_estimated
-from sceneloom.motion.gnss_imu import (
-    BodySpeeds,
-    Chain,
-    Fixes,
-    GnssFixes,
-    InertialSamples,
-    RelativePoses,
-    SmootherSettings,
-    States,
-    equations,
-    gnss_imu_motion,
-    inertial_residuals,
-    knot_times,
-    step,
-)
 from sceneloom.scene import GnssSensor, ImuSensor, PlainAnnotation, Scene, Trajectory, VectorSamples, WarningKind
 from sceneloom.simulate.drive import GRAVITY, GnssSpec, ImuSpec, ImuTruth, gnss_sensor, imu_sensor, imu_truth
 from sceneloom.simulate.trajectory import EgoPath, PathSpec, Stop
@@ -42,7 +20,7 @@ WEIGHTS = np.array([1.0, 0.5, 1.0])
 
 
 def rotated(rng, size, count):
-    return matrix_from_quaternion(quaternion_from_rotation_vector(size * rng.standard_normal((count, 3))))
+    return rigid.matrix_from_quaternion(rigid.quaternion_from_rotation_vector(size * rng.standard_normal((count, 3))))
 
 
 def made_up_chain(rng, parts):
@@ -50,30 +28,32 @@ def made_up_chain(rng, parts):
     times = np.arange(0, 2_000_000_001, 10_000_000)
     values = np.hstack([0.3 * rng.standard_normal((201, 3)), rng.standard_normal((201, 3))])
     values[:, 5] += 9.8
-    samples = InertialSamples(times, values, np.empty((0, 2), np.int64))
+    samples = gnss_imu.InertialSamples(times, values, np.empty((0, 2), np.int64))
     inertial = samples.preintegrated(knots, biases=np.zeros((4, 6)), densities=np.tile([1e-4, 1e-2], (4, 1)))
     locations, seconds = np.array([0, 2, 4]), np.array([0.3, 0.0, -0.01])
-    fixes = Fixes(
+    fixes = gnss_imu.Fixes(
         knots[locations] + np.int64(seconds * 1e9), locations, seconds, rng.standard_normal((3, 3)),
         rng.standard_normal((3, 3)), np.array([0.44, 0.0, 0.0]), rng.standard_normal((3, 3, 6)),
         0.02 * rng.standard_normal((3, 6)), rng.uniform(0.5, 2.0, (3, 3)), np.zeros(3, np.int64),
     )  # fmt: skip
     spread = rng.standard_normal((2, 6, 6))
-    relative = RelativePoses(
+    relative = gnss_imu.RelativePoses(
         np.array([1, 3]), rotated(rng, 0.5, 2), rng.standard_normal((2, 3)),
         spread @ spread.swapaxes(1, 2) + np.eye(6),
     )  # fmt: skip
     axes = rng.standard_normal((2, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    speeds = BodySpeeds(np.array([1, 4]), axes, np.array([0.0, 0.7]), np.array([0.3, 0.4]))
-    chain = Chain(knots, np.array([True, "i" in parts, False, True]), inertial, fixes, 9.8, SmootherSettings())
+    speeds = gnss_imu.BodySpeeds(np.array([1, 4]), axes, np.array([0.0, 0.7]), np.array([0.3, 0.4]))
+    chain = gnss_imu.Chain(
+        knots, np.array([True, "i" in parts, False, True]), inertial, fixes, 9.8, gnss_imu.SmootherSettings()
+    )
     if "i" not in parts:
         chain = replace(chain, measured=np.zeros(4, np.bool_))
     return replace(chain, relative=(relative,) if "r" in parts else (), speeds=(speeds,) if "s" in parts else ())
 
 
 def made_up_states(rng):
-    return States(
+    return gnss_imu.States(
         rotated(rng, 0.7, COUNT),
         rng.standard_normal((COUNT, 3)),
         rng.standard_normal((COUNT, 3)),
@@ -85,13 +65,13 @@ def made_up_states(rng):
 def test_the_right_side_is_half_the_falling_slope_of_the_cost(parts):
     rng = np.random.default_rng(len(parts))
     chain, states = made_up_chain(rng, parts), made_up_states(rng)
-    here = equations(chain, states, WEIGHTS)
+    here = gnss_imu.equations(chain, states, WEIGHTS)
     size = 1e-6
     for row in range(COUNT):
         for column in range(15):
             move = np.zeros((COUNT, 15))
             move[row, column] = size
-            up, down = (equations(chain, states.stepped(s * move), WEIGHTS).cost for s in (1, -1))
+            up, down = (gnss_imu.equations(chain, states.stepped(s * move), WEIGHTS).cost for s in (1, -1))
             # costs of some 1e5 leave 1e-11 of them, over 2e-6, to rounding
             assert -(up - down) / (4 * size) == pytest.approx(
                 here.right[row, column], rel=1e-4, abs=1e-5 * here.cost + 1e-3
@@ -103,20 +83,20 @@ def test_steps_along_whitened_slopes_lead_to_where_no_direction_leads_down_in_pa
     chain, states = made_up_chain(rng, "i"), made_up_states(rng)
     # close to what was measured, where leaving out the second order of the rotation does not matter
     for _ in range(30):
-        states = step(chain, states, WEIGHTS, 0.0).states
-    here = equations(chain, states, WEIGHTS)
-    residuals, first, second = inertial_residuals(chain, states)
+        states = gnss_imu.step(chain, states, WEIGHTS, 0.0).states
+    here = gnss_imu.equations(chain, states, WEIGHTS)
+    residuals, first, second = gnss_imu.inertial_residuals(chain, states)
     for k in np.flatnonzero(chain.measured):
         coupling = first[k].T @ chain.information[k] @ second[k]
         assert np.allclose(coupling[:9, :9], here.couplings[k][:9, :9], rtol=1e-2, atol=1e-2 * np.abs(coupling).max())
         assert residuals[k] @ chain.information[k] @ residuals[k] <= here.cost
     rng = np.random.default_rng(4)
     chain, states = made_up_chain(rng, "irs"), made_up_states(rng)
-    before, damping = equations(chain, states, WEIGHTS).cost, 1e-4
+    before, damping = gnss_imu.equations(chain, states, WEIGHTS).cost, 1e-4
     for _ in range(60):
-        gone = step(chain, states, WEIGHTS, damping)
+        gone = gnss_imu.step(chain, states, WEIGHTS, damping)
         states, damping = gone.states, gone.damping
-    after = equations(chain, states, WEIGHTS)
+    after = gnss_imu.equations(chain, states, WEIGHTS)
     assert after.cost < before
     solution = np.abs(after.right).max(axis=0) / np.sqrt(np.abs(after.blocks).max(axis=(0, 1)))
     assert solution.max() < 1e-2 * np.sqrt(after.cost)
@@ -136,7 +116,7 @@ def samples(gaps=()):
     times = np.arange(1960, dtype=np.int64) * 5_000_000
     truth = imu_truth(ImuSpec(), PATH, times, seed=0)
     values = np.hstack([truth.angular_rates, truth.specific_forces])
-    return InertialSamples(times, values, np.array(gaps, np.int64).reshape(-1, 2))
+    return gnss_imu.InertialSamples(times, values, np.array(gaps, np.int64).reshape(-1, 2))
 
 
 def antennas():
@@ -144,7 +124,7 @@ def antennas():
     sigmas, levers = np.ones((count, 3)), np.tile(LEVER, (count, 1))
     positions = states.positions + states.rotations @ LEVER
     reported, receivers = np.zeros(count, np.bool_), np.zeros(count, np.int64)
-    return GnssFixes(TIMES, positions, sigmas, reported, levers, receivers, np.zeros(3), ())
+    return gnss_imu.GnssFixes(TIMES, positions, sigmas, reported, levers, receivers, np.zeros(3), ())
 
 
 def carried(measured=MEASURED, bias=0.0):
@@ -155,7 +135,7 @@ def expected(fixes, moved=None):
     """Where true states state that the antennas are, (F, 3), moved by (K, 15)."""
     moved = np.zeros((len(KNOTS), SIZE)) if moved is None else moved
     states, at = PATH.at(KNOTS), fixes.knots
-    rotations = states.rotations @ matrix_from_quaternion(quaternion_from_rotation_vector(moved[:, :3]))
+    rotations = states.rotations @ rigid.matrix_from_quaternion(rigid.quaternion_from_rotation_vector(moved[:, :3]))
     levers = fixes.levers + np.einsum("nij,nj->ni", fixes.slopes, moved[at, 9:] - fixes.biases)
     away = np.einsum("nij,nj->ni", rotations[at], levers) - fixes.falls[:, None] * [0.0, 0.0, 1.0]
     trajectories = fixes.seconds[:, None] * (states.velocities + moved[:, 6:9])[at]
@@ -196,26 +176,26 @@ def test_variances_are_those_of_drawn_states():
 
 def test_states_lie_farther_apart_than_fixes_only_where_the_imu_leads_well():
     fixes = np.arange(0, 9_700_000_001, 100_000_000, dtype=np.int64)
-    settings = SmootherSettings()
-    quiet = knot_times(fixes, samples(), np.empty(0, np.int64), settings)
+    settings = gnss_imu.SmootherSettings()
+    quiet = gnss_imu.knot_times(fixes, samples(), np.empty(0, np.int64), settings)
     assert np.diff(quiet).max() == 500_000_000
     assert len(quiet) < len(fixes) / 4
-    with_gap = knot_times(fixes, samples(((3_040_000_000, 5_060_000_000),)), np.empty(0, np.int64), settings)
+    with_gap = gnss_imu.knot_times(fixes, samples(((3_040_000_000, 5_060_000_000),)), np.empty(0, np.int64), settings)
     inside = with_gap[(with_gap > 3_040_000_000) & (with_gap < 5_060_000_000)]
     assert inside.tolist() == [time for time in fixes.tolist() if 3_060_000_000 <= time <= 5_040_000_000]
     assert {3_040_000_000, 5_060_000_000} <= set(with_gap.tolist())
     noisy = samples()
     noisy.values[:, 3:] += 3.0 * np.random.default_rng(2).standard_normal((len(noisy.values), 3))
-    assert len(knot_times(fixes, noisy, np.empty(0, np.int64), settings)) >= len(fixes)
+    assert len(gnss_imu.knot_times(fixes, noisy, np.empty(0, np.int64), settings)) >= len(fixes)
     # times of no IMU are all states
     fixes = np.array([0, 5, 30, 2000]) * 1_000_000
-    knots = knot_times(fixes, None, np.array([15, 1000], np.int64) * 1_000_000, SmootherSettings())
+    knots = gnss_imu.knot_times(fixes, None, np.array([15, 1000], np.int64) * 1_000_000, gnss_imu.SmootherSettings())
     assert knots.tolist() == [0, 30_000_000, 1_000_000_000, 2_000_000_000]
     with pytest.raises(OptionError, match="gate"):
-        SmootherSettings(gate=0.0)
+        gnss_imu.SmootherSettings(gate=0.0)
 
 
-SETTINGS = SmootherSettings(gravity=GRAVITY)  # the synthetic world has the same gravity everywhere
+SETTINGS = gnss_imu.SmootherSettings(gravity=GRAVITY)  # the synthetic world has the same gravity everywhere
 ORIGIN = GnssSpec().origin_lla
 SECOND = 1_000_000_000
 
@@ -231,7 +211,7 @@ class Drive:
         return Scene((imu or self.imu, gnss or self.gnss), source="made up")
 
     def run(self, imu=None, gnss=None):
-        return gnss_imu_motion(self.scene(imu, gnss), settings=SETTINGS)
+        return gnss_imu.gnss_imu_motion(self.scene(imu, gnss), settings=SETTINGS)
 
 
 def drive(seed, *, seconds=40.0, rate=2.0, imu=None, path=None):
@@ -246,9 +226,13 @@ def drive(seed, *, seconds=40.0, rate=2.0, imu=None, path=None):
 def errors(run, path):
     """(N, 6) rotate [rad] and shift [m] about the world's axes, away from the truth."""
     states = path.at(run.trajectory.timestamps_ns)
-    rotations = multiply_quaternions(run.trajectory.quaternions_xyzw, conjugate_quaternion(states.quaternions_xyzw))
+    rotations = rigid.multiply_quaternions(
+        run.trajectory.quaternions_xyzw, rigid.conjugate_quaternion(states.quaternions_xyzw)
+    )
     shift = enu_from_geodetic(run.origin_lla, ORIGIN)
-    return np.hstack([rotation_vector_from_quaternion(rotations), run.trajectory.positions + shift - states.positions])
+    return np.hstack(
+        [rigid.rotation_vector_from_quaternion(rotations), run.trajectory.positions + shift - states.positions]
+    )
 
 
 def rms(values):
@@ -344,10 +328,10 @@ def test_without_fixes_or_imu_for_some_seconds_the_other_leads_on(town):
 
 @pytest.mark.parametrize("mounting", [(0.0, 0.0, 3.0), (0.0, 1.2, 0.5)])
 def test_an_imu_that_looks_elsewhere_is_found_to(mounting, town):
-    rotation = matrix_from_quaternion(quaternion_from_rotation_vector(np.array(mounting)))
+    rotation = rigid.matrix_from_quaternion(rigid.quaternion_from_rotation_vector(np.array(mounting)))
     streams = {name: VectorSamples(s.timestamps_ns, s.values @ rotation.T) for name, s in town.imu.streams.items()}
     run = town.run(imu=ImuSensor("imu", streams))
-    back = quaternion_from_matrix(matrix_from_quaternion(run.trajectory.quaternions_xyzw) @ rotation)
+    back = rigid.quaternion_from_matrix(rigid.matrix_from_quaternion(run.trajectory.quaternions_xyzw) @ rotation)
     looked = replace(run, trajectory=replace(run.trajectory, quaternions_xyzw=back))
     away = errors(looked, town.path)
     heading = np.sqrt(run.trajectory.covariances[:, 2, 2])
@@ -376,7 +360,7 @@ def test_an_ego_that_stands_all_the_time_has_no_heading_and_that_is_stated():
     fixes = np.arange(20) * SECOND
     unknown = np.full(20, np.nan)
     gnss = GnssSensor("gnss", fixes, geodetic_from_enu(rng.standard_normal((20, 3)), ORIGIN), unknown, unknown)
-    run = gnss_imu_motion(Scene((ImuSensor("imu", streams), gnss)))
+    run = gnss_imu.gnss_imu_motion(Scene((ImuSensor("imu", streams), gnss)))
     assert "heading-unknown" in [warning.code for warning in run.warnings]
     spread = np.linalg.norm(run.trajectory.positions - run.trajectory.positions.mean(axis=0), axis=1)
     # fixes of a metre would let a moving ego wander by some decimetres; a stand is one location
@@ -394,7 +378,7 @@ def test_the_trajectory_is_given_at_the_rate_of_the_imu_or_of_fixes_alone_with_t
     speeds = run.velocities - town.path.at(run.trajectory.timestamps_ns).velocities
     assert rms(speeds) < 0.2
     scene = Scene((town.gnss,), source="made up")
-    run = gnss_imu_motion(scene, settings=SETTINGS)
+    run = gnss_imu.gnss_imu_motion(scene, settings=SETTINGS)
     assert run.trajectory.quaternions_xyzw is None
     states = town.path.at(run.trajectory.timestamps_ns)
     away = run.trajectory.positions + enu_from_geodetic(run.origin_lla, ORIGIN) - states.positions
@@ -403,7 +387,7 @@ def test_the_trajectory_is_given_at_the_rate_of_the_imu_or_of_fixes_alone_with_t
         find_ego_motion(scene, name="gnss")
     ego = find_ego_motion(scene, name="gnss", heading="motion")
     assert ego.heading == "motion"
-    ahead = matrix_from_quaternion(ego.path.quaternions_xyzw)[:, :2, 0]
+    ahead = rigid.matrix_from_quaternion(ego.path.quaternions_xyzw)[:, :2, 0]
     cosine = (ahead * states.velocities[:, :2]).sum(axis=1) / np.linalg.norm(states.velocities[:, :2], axis=1)
     assert np.median(cosine) > np.cos(np.radians(8.0))  # fixes of 0.4 m every half second
 
@@ -452,13 +436,13 @@ def test_few_fixes_wrong_times_and_milliseconds_taken_for_seconds_are_reported(t
         streams = {n: VectorSamples(s.timestamps_ns * times, s.values) for n, s in town.imu.streams.items()}
         sensors = (gnss,) if late == "gnss alone" else (ImuSensor("imu", streams), gnss)
         with pytest.raises(PoseError, match="milliseconds"):
-            gnss_imu_motion(Scene(sensors, source="made up"))
+            gnss_imu.gnss_imu_motion(Scene(sensors, source="made up"))
 
 
 def test_the_antenna_may_sit_elsewhere_and_the_noise_and_slow_errors_of_fixes_are_found_whatever_they_report(town):
     lever = np.array([0.8, -0.4, 1.2])
     states = town.path.at(town.gnss.timestamps_ns)
-    fixes = moved(town.gnss, enu(town.gnss) + states.rotations @ lever, mount=RigidTransform(np.eye(3), lever))
+    fixes = moved(town.gnss, enu(town.gnss) + states.rotations @ lever, mount=rigid.RigidTransform(np.eye(3), lever))
     assert rms(errors(town.run(gnss=fixes), town.path)[:, 3:]) < rms(errors(town.run(), town.path)[:, 3:]) + 0.05
     nothing = np.full(len(town.gnss.timestamps_ns), np.nan)
     for accuracy in (nothing, np.full(len(nothing), 0.05)):

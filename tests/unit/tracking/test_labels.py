@@ -21,17 +21,7 @@ from sceneloom.scene import (
 )
 from sceneloom.scene.annotations_at import CuboidAngles, cuboid_at
 from sceneloom.simulate import CameraSpec, LidarSpec, RadarSpec, TrafficSpec, simulate_street
-from sceneloom.tracking.labels import (
-    FlagKind,
-    boxed_part,
-    flags_of,
-    label_path,
-    label_tracks,
-    overlap_flags,
-    riders,
-    usual_heading,
-    weighted_medians,
-)
+from sceneloom.tracking import labels
 from sceneloom.tracking.settings import LabelSettings
 
 FOLLOWED = ("car", "pedestrian", "cyclist")
@@ -112,7 +102,7 @@ def least_count(path, settings):
 @pytest.mark.parametrize("seed", range(6))
 def test_no_fewer_keyframes_would_do(seed):
     settings = LabelSettings(tolerance_m=0.1, tolerance_deg=2.0, stationary=False)
-    path = label_path(wandering(seed), settings)
+    path = labels.label_path(wandering(seed), settings)
     rows = path.keyframes(settings)
     assert len(rows) == least_count(path, settings)
     assert 2 < len(rows) < len(path.timestamps_ns)
@@ -121,15 +111,15 @@ def test_no_fewer_keyframes_would_do(seed):
 def test_states_are_reported_within_the_tolerances_by_no_more_keyframes_than_needed():
     for tolerance_m, tolerance_deg in [(0.02, 5.0), (0.3, 0.5), (0.0, 0.0)]:
         settings = LabelSettings(tolerance_m=tolerance_m, tolerance_deg=tolerance_deg)
-        path = label_path(wandering(9, count=60), settings)
+        path = labels.label_path(wandering(9, count=60), settings)
         away, rotated = deviations(path, 0, 59, path.keyframes(settings))
         assert away <= tolerance_m + 1e-9  # centimetres of metres: sums of few roundings
         assert rotated <= tolerance_deg + 1e-6
     times = np.concatenate([np.arange(10), np.arange(40, 50)]) * 100_000_000
     track = made(count=20, timestamps_ns=times, centers=np.column_stack([times * 8e-9, np.zeros(20), np.zeros(20)]))
-    assert label_path(track, LabelSettings()).keyframes(LabelSettings()).tolist() == [0, 19]
+    assert labels.label_path(track, LabelSettings()).keyframes(LabelSettings()).tolist() == [0, 19]
     yaws = (np.linspace(2.6, 3.8, 21) + np.pi) % (2 * np.pi) - np.pi
-    path = label_path(made(yaws=yaws), LabelSettings())
+    path = labels.label_path(made(yaws=yaws), LabelSettings())
     assert path.boxes[:, 6] == pytest.approx(np.linspace(2.6, 3.8, 21), abs=1e-12)
     assert path.keyframes(LabelSettings()).tolist() == [0, 20]
 
@@ -139,13 +129,13 @@ def test_a_size_is_what_most_of_the_weight_says():
     sizes[:15, 0] = 3.0
     covariances = np.tile(0.01 * np.eye(10), (21, 1, 1))
     covariances[:15] *= 4.0  # half the states weigh 15 / 4 against 6
-    path = label_path(made(sizes_lwh=sizes, covariances=covariances), LabelSettings())
+    path = labels.label_path(made(sizes_lwh=sizes, covariances=covariances), LabelSettings())
     assert (path.boxes[:, 3] == 4.2).all()
-    free = label_path(made(sizes_lwh=sizes), LabelSettings(constant_sizes=False))
+    free = labels.label_path(made(sizes_lwh=sizes), LabelSettings(constant_sizes=False))
     assert (free.boxes[:, 3] == sizes[:, 0]).all()
     random = np.random.default_rng(1)
     values, weights = random.normal(size=(9, 3)), random.integers(1, 5, (9, 3)).astype(float)
-    for column, median in enumerate(weighted_medians(values, weights)):
+    for column, median in enumerate(labels.weighted_medians(values, weights)):
         repeated = np.sort(np.repeat(values[:, column], weights[:, column].astype(int)))
         assert median == repeated[(len(repeated) - 1) // 2]
 
@@ -153,37 +143,37 @@ def test_a_size_is_what_most_of_the_weight_says():
 def test_what_stands_gets_one_pose_and_heading_and_what_creeps_does_not():
     random = np.random.default_rng(0)
     noise = np.column_stack([random.normal(0.0, 0.1, (21, 2)), np.zeros(21)])
-    stationary = label_path(made(speed=0.0, centers=noise + np.array([5.0, 2.0, 0.8])), LabelSettings())
+    stationary = labels.label_path(made(speed=0.0, centers=noise + np.array([5.0, 2.0, 0.8])), LabelSettings())
     assert stationary.stands
     assert stationary.keyframes(LabelSettings()).tolist() == [0]
     # the median of 21 numbers of deviation 0.1 deviates by 0.027
     assert stationary.boxes[0, :3] == pytest.approx([5.0, 2.0, 0.8], abs=0.1)
-    assert not label_path(made(speed=0.5), LabelSettings()).stands
-    assert not label_path(made(speed=0.0), LabelSettings(stationary=False)).stands
+    assert not labels.label_path(made(speed=0.5), LabelSettings()).stands
+    assert not labels.label_path(made(speed=0.0), LabelSettings(stationary=False)).stands
     unsure = np.tile(np.diag([0.01] * 7 + [0.2] * 3), (4, 1, 1))
-    assert label_path(made(count=4, speed=0.4, covariances=unsure), LabelSettings()).stands
-    assert not label_path(made(count=4, speed=0.4), LabelSettings()).stands
-    assert not label_path(made(count=4, speed=1.0, covariances=100.0 * unsure), LabelSettings()).stands
+    assert labels.label_path(made(count=4, speed=0.4, covariances=unsure), LabelSettings()).stands
+    assert not labels.label_path(made(count=4, speed=0.4), LabelSettings()).stands
+    assert not labels.label_path(made(count=4, speed=1.0, covariances=100.0 * unsure), LabelSettings()).stands
     along = np.concatenate([np.zeros(15), np.linspace(0.0, 1.5, 6)])  # stationary at first, then walking
     walking = made(label="pedestrian", centers=np.column_stack([along, np.zeros((21, 2))]))
-    assert not label_path(walking, LabelSettings()).stands
+    assert not labels.label_path(walking, LabelSettings()).stands
     yaws = np.full(21, 0.4)
     yaws[[2, 7, 8]] += np.pi
-    assert usual_heading(yaws, np.ones(21)) == pytest.approx(0.4, abs=1e-12)
-    assert np.cos(usual_heading(yaws + np.pi, np.ones(21)) - 0.4) == pytest.approx(-1.0, abs=1e-12)
+    assert labels.usual_heading(yaws, np.ones(21)) == pytest.approx(0.4, abs=1e-12)
+    assert np.cos(labels.usual_heading(yaws + np.pi, np.ones(21)) - 0.4) == pytest.approx(-1.0, abs=1e-12)
 
 
 def test_states_before_the_first_box_and_after_the_last_are_left_out():
     supports = np.full(21, Support.PREDICTED, np.uint8)
-    assert boxed_part(made(supports=supports)) is None
+    assert labels.boxed_part(made(supports=supports)) is None
     supports[[4, 9]] = Support.IMAGE, Support.SWEEP
-    part = boxed_part(made(supports=supports, corners_xyxy={"camera": np.ones((21, 4))}))
+    part = labels.boxed_part(made(supports=supports, corners_xyxy={"camera": np.ones((21, 4))}))
     assert part.timestamps_ns.tolist() == made().timestamps_ns[4:10].tolist()
     assert part.corners_xyxy["camera"].shape == (6, 4)
 
 
 def kinds(track):
-    return {found.kind for found in flags_of(track)}
+    return {found.kind for found in labels.flags_of(track)}
 
 
 def changed(column, rows, values):
@@ -197,41 +187,41 @@ ZIGZAG = np.column_stack([0.8 * np.arange(21), 0.3 * (-1.0) ** np.arange(21), np
 
 
 def test_each_flaw_is_flagged_where_it_is_and_a_good_track_has_no_flag():
-    assert not flags_of(made())
-    assert not flags_of(made(label="pedestrian", speed=0.0))
+    assert not labels.flags_of(made())
+    assert not labels.flags_of(made(label="pedestrian", speed=0.0))
     yaws = (np.linspace(2.9, 3.5, 21) + np.pi) % (2 * np.pi) - np.pi
     velocities = 8.0 * np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(21)])
-    assert not flags_of(made(yaws=yaws, velocities=velocities, centers=np.cumsum(velocities * 0.1, axis=0)))
+    assert not labels.flags_of(made(yaws=yaws, velocities=velocities, centers=np.cumsum(velocities * 0.1, axis=0)))
     for changes, kind, row in [
-        ({"count": 4}, FlagKind.SHORT, 0),
-        ({"scores": np.full(21, 0.3)}, FlagKind.UNSURE, 0),
-        (("supports", slice(3, 18), Support.INTERPOLATED), FlagKind.SPARSE, 10),
-        ({"supports": np.full(21, Support.IMAGE, np.uint8)}, FlagKind.IMAGE_ONLY, 0),
-        ({"centers": ZIGZAG}, FlagKind.JITTER, 1),
-        (("centers", (slice(12, None), 1), 3.0), FlagKind.JUMP, 12),
-        (("sizes_lwh", (5, 0), 6.0), FlagKind.SIZE, 5),
-        (("yaws", slice(9, 10), np.pi), FlagKind.YAW_FLIP, 9),
-        ({"yaws": np.radians(15.0) * (-1.0) ** np.arange(21)}, FlagKind.YAW_JITTER, 1),
-        ({"yaws": np.full(21, np.pi)}, FlagKind.AGAINST_MOTION, 0),
+        ({"count": 4}, labels.FlagKind.SHORT, 0),
+        ({"scores": np.full(21, 0.3)}, labels.FlagKind.UNSURE, 0),
+        (("supports", slice(3, 18), Support.INTERPOLATED), labels.FlagKind.SPARSE, 10),
+        ({"supports": np.full(21, Support.IMAGE, np.uint8)}, labels.FlagKind.IMAGE_ONLY, 0),
+        ({"centers": ZIGZAG}, labels.FlagKind.JITTER, 1),
+        (("centers", (slice(12, None), 1), 3.0), labels.FlagKind.JUMP, 12),
+        (("sizes_lwh", (5, 0), 6.0), labels.FlagKind.SIZE, 5),
+        (("yaws", slice(9, 10), np.pi), labels.FlagKind.YAW_FLIP, 9),
+        ({"yaws": np.radians(15.0) * (-1.0) ** np.arange(21)}, labels.FlagKind.YAW_JITTER, 1),
+        ({"yaws": np.full(21, np.pi)}, labels.FlagKind.AGAINST_MOTION, 0),
     ]:
         track = made(**changes) if isinstance(changes, dict) else changed(*changes)
-        (found,) = [one for one in flags_of(track) if one.kind is kind]
+        (found,) = [one for one in labels.flags_of(track) if one.kind is kind]
         assert found.timestamp_ns == track.timestamps_ns[row]
         assert found.urgency > 1.0
-    assert FlagKind.JITTER not in kinds(changed("centers", (slice(12, None), 1), 3.0))
-    assert FlagKind.YAW_JITTER not in kinds(changed("yaws", slice(9, 10), np.pi))
+    assert labels.FlagKind.JITTER not in kinds(changed("centers", (slice(12, None), 1), 3.0))
+    assert labels.FlagKind.YAW_JITTER not in kinds(changed("yaws", slice(9, 10), np.pi))
 
 
 def test_of_two_objects_in_one_location_the_less_sure_one_is_flagged():
     sure, unsure = made(1), made(2, scores=np.full(21, 0.6))
     apart = made(3, centers=made().centers + np.array([0.0, 4.0, 0.0]))
     above = made(4, centers=made().centers + np.array([0.0, 0.0, 5.0]), scores=np.full(21, 0.5))
-    (found,) = overlap_flags([sure, unsure, apart, above])
-    assert (found.track, found.kind) == (2, FlagKind.OVERLAP)
-    assert not overlap_flags([sure, unsure], {frozenset((1, 2))})
+    (found,) = labels.overlap_flags([sure, unsure, apart, above])
+    assert (found.track, found.kind) == (2, labels.FlagKind.OVERLAP)
+    assert not labels.overlap_flags([sure, unsure], {frozenset((1, 2))})
     later = made(2, timestamps_ns=made().timestamps_ns + 10_000_000_000)
-    assert not overlap_flags([made(1), later])
-    assert not overlap_flags([])
+    assert not labels.overlap_flags([made(1), later])
+    assert not labels.overlap_flags([])
 
 
 def beside(number, label, left):
@@ -251,7 +241,7 @@ def beside(number, label, left):
     ],
 )
 def test_a_person_rides_the_nearest_thing_to_ride_that_it_stays_with(tracks, pairs):
-    assert [(person.id, bike.id) for person, bike in riders(tracks)] == pairs
+    assert [(person.id, bike.id) for person, bike in labels.riders(tracks)] == pairs
 
 
 FRAMES = 10
@@ -273,12 +263,12 @@ def tracks(drive):
 def label(drive, *tracks, **settings):
     """What becomes of tracks without anything of the drive's sensors but what settings say."""
     off = {"projections": False, "points": False, "radar": False} | settings
-    return label_tracks(replace(drive.scene, annotations=()), Tracks(tracks), settings=LabelSettings(**off))
+    return labels.label_tracks(replace(drive.scene, annotations=()), Tracks(tracks), settings=LabelSettings(**off))
 
 
 @pytest.fixture(scope="module")
 def labelled(drive, tracks):
-    return label_tracks(replace(drive.scene, annotations=()), tracks, settings=TOLERANCES)
+    return labels.label_tracks(replace(drive.scene, annotations=()), tracks, settings=TOLERANCES)
 
 
 def cuboids_of(scene):
@@ -355,12 +345,12 @@ def test_radars_measure_how_fast_what_drives_goes_away_and_contradict_another_sp
         assert abs(np.median(speeds - expected)) < 0.5
         compared += 1
     assert compared > 2
-    assert FlagKind.RADAR not in {found.kind for found in labelled.flags}
+    assert labels.FlagKind.RADAR not in {found.kind for found in labelled.flags}
     fast = [track for track in tracks if np.linalg.norm(track.velocities[0]) > 5.0]
     heard = max(fast, key=lambda track: len(radial_speeds(labelled, track)[0]))
     wrong = replace(heard, velocities=-heard.velocities)
     found = label(drive, wrong, radar=True)
-    assert FlagKind.RADAR in {one.kind for one in found.flags}
+    assert labels.FlagKind.RADAR in {one.kind for one in found.flags}
 
 
 def test_a_label_says_how_sure_it_is_and_whence_it_comes():
@@ -368,7 +358,7 @@ def test_a_label_says_how_sure_it_is_and_whence_it_comes():
     supports = np.full(21, Support.BOTH, np.uint8)
     supports[8:10] = Support.PREDICTED
     track = made(7, scores=scores, supports=supports)
-    scene = label_tracks(Scene(()), Tracks((track,)), settings=LabelSettings(source="made by hand")).scene
+    scene = labels.label_tracks(Scene(()), Tracks((track,)), settings=LabelSettings(source="made by hand")).scene
     cuboid = cuboids_of(scene)["cuboid-7"]
     existence = reported(cuboid, "existence")
     rows = np.searchsorted(existence.timestamps_ns, track.timestamps_ns, side="right") - 1
@@ -406,17 +396,17 @@ def test_flags_are_reported_in_the_label_and_the_worst_first_in_the_metadata(dri
 
 
 def test_riders_are_linked_what_is_hardly_there_is_left_out_and_without_a_trajectory_labels_stay(drive):
-    found = label_tracks(Scene(()), Tracks((made(1, "rider"), made(2, "bicycle"))))
+    found = labels.label_tracks(Scene(()), Tracks((made(1, "rider"), made(2, "bicycle"))))
     (link,) = [each for each in found.scene.annotations if isinstance(each, LinkAnnotation)]
     assert (link.from_id, link.to_id, link.label) == ("cuboid-1", "cuboid-2", "rides")
     assert not found.flags
     tracks = Tracks((made(1, count=2), made(2, scores=np.full(21, 0.2)), made(3)))
     settings = LabelSettings(least_states=3, least_score=0.3)
-    assert list(cuboids_of(label_tracks(Scene(()), tracks, settings=settings).scene)) == ["cuboid-3"]
-    assert label_tracks(Scene(()), Tracks(())).objects == 0
+    assert list(cuboids_of(labels.label_tracks(Scene(()), tracks, settings=settings).scene)) == ["cuboid-3"]
+    assert labels.label_tracks(Scene(()), Tracks(())).objects == 0
     lost = replace(drive.scene, annotations=(), trajectories={})
     sensors = tuple(replace(s, poses=None) if hasattr(s, "poses") else s for s in lost.sensors)
-    found = label_tracks(replace(lost, sensors=sensors), Tracks((made(),)))
+    found = labels.label_tracks(replace(lost, sensors=sensors), Tracks((made(),)))
     codes = {warning.code for warning in found.scene.warnings}
     assert {"labels-not-projected", "labels-not-counted", "labels-not-heard"} <= codes
     assert len(cuboids_of(found.scene)) == 1
@@ -424,7 +414,9 @@ def test_riders_are_linked_what_is_hardly_there_is_left_out_and_without_a_trajec
 
 def test_ids_that_are_taken_and_numbers_out_of_bounds_are_refused(labelled, tracks):
     with pytest.raises(OptionError, match="used twice"):
-        label_tracks(labelled.scene, tracks, settings=LabelSettings(projections=False, points=False, radar=False))
+        labels.label_tracks(
+            labelled.scene, tracks, settings=LabelSettings(projections=False, points=False, radar=False)
+        )
     for wrong in ({"tolerance_m": -0.1}, {"least_score": 1.5}, {"tolerance_deg": float("nan")}):
         with pytest.raises(OptionError, match=next(iter(wrong))):
             LabelSettings(**wrong)

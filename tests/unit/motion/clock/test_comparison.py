@@ -8,14 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.clock.comparison import (
-    ClockVerdict,
-    Linearised,
-    compare_rotations,
-    compare_trajectories,
-    fit,
-    misfit_of,
-)
+from sceneloom.motion.clock import comparison
 from sceneloom.motion.clock.signals import Fixes, Orientations, RotationCurve
 from sceneloom.motion.clock.streams import DeadReckonedTrajectory, ImuSamples, Method, compare_streams, streams_of
 from sceneloom.scene import Trajectory, VectorSamples
@@ -47,7 +40,7 @@ def model_of(problem):
     def model(parameters, amounts):
         del amounts
         left, known = (values - slopes @ parameters)[:, None], np.ones(ROWS, np.bool_)
-        return Linearised(left, slopes[:, None, :], columns[:, None, :], known, windows, expected)
+        return comparison.Linearised(left, slopes[:, None, :], columns[:, None, :], known, windows, expected)
 
     return model
 
@@ -66,13 +59,15 @@ def oracle(problem):
 
 
 def test_nuisances_of_known_size_make_generalised_least_squares(problem):
-    found = fit(model_of(problem), np.zeros(2), np.full(2, np.inf), whiten=False, scales=np.array([2 * SIGMA]))
+    found = comparison.fit(
+        model_of(problem), np.zeros(2), np.full(2, np.inf), whiten=False, scales=np.array([2 * SIGMA])
+    )
     parameters, information, misfit = oracle(problem)
     # the normal equations are damped by 1e-10
     np.testing.assert_allclose(found.parameters, parameters, atol=1e-7)
     np.testing.assert_allclose(found.information, information, rtol=1e-6)
     assert found.misfit == pytest.approx(misfit, rel=1e-6)
-    again = misfit_of(model_of(problem)(found.parameters, None), scales=np.array([2 * SIGMA]))
+    again = comparison.misfit_of(model_of(problem)(found.parameters, None), scales=np.array([2 * SIGMA]))
     assert again == pytest.approx(misfit, rel=1e-6)
 
 
@@ -92,7 +87,7 @@ def pair(sway, timestamps, *, seed=0, offset=0.0, skew=0.0, seconds=40.0, poses_
 
 
 def estimate(at, rates, posed, rotations):
-    return compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations))
+    return comparison.compare_rotations(Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations))
 
 
 @pytest.mark.parametrize(
@@ -107,13 +102,13 @@ def test_an_injected_offset_and_skew_come_back(sway, timestamps, offset, skew):
     assert found.offset_ns == pytest.approx(truth * 1e9, abs=5e5)
     assert found.offset_sigma_ns < 2e5
     assert abs(found.skew_ppm - skew) < 5 * found.skew_sigma_ppm
-    assert found.verdict is ClockVerdict.OFF
+    assert found.verdict is comparison.ClockVerdict.OFF
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_clocks_in_step_raise_no_alarm(sway, timestamps, seed):
     found = estimate(*pair(sway, timestamps, seed=seed, seconds=20.0))
-    assert found.verdict is ClockVerdict.IN_STEP
+    assert found.verdict is comparison.ClockVerdict.IN_STEP
     assert abs(found.offset_ns) < 5 * found.offset_sigma_ns
 
 
@@ -129,7 +124,7 @@ def test_errors_are_as_large_as_is_reported(sway, timestamps):
 def test_the_other_way_round_the_signs_change(sway, timestamps, scene):
     at, rates, posed, rotations = pair(sway, timestamps, offset=0.2, skew=100.0)
     one, other = Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations)
-    forth, back = compare_rotations(one, other), compare_rotations(other, one)
+    forth, back = comparison.compare_rotations(one, other), comparison.compare_rotations(other, one)
     assert back.offset_ns == pytest.approx(-forth.offset_ns, abs=5e4)
     assert back.skew_ppm == pytest.approx(-forth.skew_ppm, abs=5)
     wrong = shifted(scene, 4e7)
@@ -180,14 +175,14 @@ def test_motions_of_what_is_stationary_or_of_two_bodies_or_that_repeat_themselve
     posed = np.arange(0.0, 30.0, 0.05)
     rotations = Rotation.from_rotvec(1e-4 * draw.standard_normal((len(posed), 3))).as_quat()
     found = estimate(timestamps(seconds), rates, timestamps(posed), rotations)
-    assert found.verdict is ClockVerdict.NOT_OBSERVABLE
+    assert found.verdict is comparison.ClockVerdict.NOT_OBSERVABLE
     assert found.reason
     assert found.offset_ns is None
     for seed in range(2):
         at, rates, _, _ = pair(sway, timestamps, seed=seed)
         _, _, posed, rotations = pair(sway, timestamps, seed=seed + 50)
         found = estimate(at, rates, posed, rotations)
-        assert found.verdict is ClockVerdict.NOT_OBSERVABLE, seed
+        assert found.verdict is comparison.ClockVerdict.NOT_OBSERVABLE, seed
     seconds = np.arange(0.0, 60.0, 0.01)
     rates = np.zeros((len(seconds), 3))
     rates[:, 2] = 0.3 * np.sin(2 * np.pi * seconds / 2.0)
@@ -196,7 +191,7 @@ def test_motions_of_what_is_stationary_or_of_two_bodies_or_that_repeat_themselve
     yaw = 0.3 * (1 - np.cos(2 * np.pi * posed / 2.0)) / np.pi
     rotations = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0]).as_quat()
     found = estimate(timestamps(seconds), rates, timestamps(posed), rotations)
-    assert found.verdict is ClockVerdict.NOT_OBSERVABLE
+    assert found.verdict is comparison.ClockVerdict.NOT_OBSERVABLE
     assert "fit equally well" in found.reason
 
 
@@ -205,7 +200,7 @@ def test_too_few_samples_and_streams_that_never_meet_are_named(sway, timestamps)
         return Orientations.of_poses(timestamps(np.arange(count) * 0.1), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)))
 
     for count in (0, 1, 5):
-        assert "samples" in compare_rotations(still(100), still(count)).reason
+        assert "samples" in comparison.compare_rotations(still(100), still(count)).reason
     at, rates, posed, rotations = pair(sway, timestamps)
     assert "in common" in estimate(at, rates, posed + 10**12, rotations).reason
     # wrong times of both are not searched between
@@ -320,7 +315,7 @@ def test_few_fixes_stationary_ones_a_straight_road_and_a_dead_accelerometer_stat
     draw = np.random.default_rng(0)
     still = receiver.positions_lla[:1] + 1e-6 * draw.standard_normal((len(receiver.timestamps_ns), 3))
     found = compared(with_receiver(scene, replace(receiver, positions_lla=still)), "groundTruth")[1]
-    assert found.verdict is ClockVerdict.NOT_OBSERVABLE
+    assert found.verdict is comparison.ClockVerdict.NOT_OBSERVABLE
     assert found.reason
 
     def along(times, noise):
@@ -332,14 +327,14 @@ def test_few_fixes_stationary_ones_a_straight_road_and_a_dead_accelerometer_stat
     straight = Trajectory("groundTruth", trajectory.timestamps_ns, along(trajectory.timestamps_ns, 0.002))
     moved = with_receiver(scene, replace(receiver, positions_lla=fixes))
     found = compared(replace(moved, trajectories={"groundTruth": straight}), "groundTruth")[1]
-    assert (found.verdict, found.offset_ns) == (ClockVerdict.NOT_OBSERVABLE, None)
+    assert (found.verdict, found.offset_ns) == (comparison.ClockVerdict.NOT_OBSERVABLE, None)
     assert found.reason
     for kept in [0, 1, 6]:
         receiver = scene.sensor("gnss")
         names = ("timestamps_ns", "positions_lla", "accuracies", "vertical_accuracies")
         few = replace(receiver, **{name: getattr(receiver, name)[:kept] for name in names})
         found = compared(with_receiver(scene, few), "groundTruth")[1]
-        assert found.verdict is ClockVerdict.NOT_OBSERVABLE
+        assert found.verdict is comparison.ClockVerdict.NOT_OBSERVABLE
         assert "fixes" in found.reason or "in common" in found.reason
     for forces in [0.0, 1e200]:
         imu = scene.sensor("imu")
@@ -348,7 +343,7 @@ def test_few_fixes_stationary_ones_a_straight_road_and_a_dead_accelerometer_stat
         streams = {**imu.streams, "accelerometer": dead}
         sensors = tuple(replace(s, streams=streams) if s.id == "imu" else s for s in scene.sensors)
         found = compared(replace(scene, sensors=sensors), "imu")[1]
-        assert found.verdict is ClockVerdict.NOT_OBSERVABLE
+        assert found.verdict is comparison.ClockVerdict.NOT_OBSERVABLE
 
 
 def test_a_stated_antenna_is_believed_and_an_unknown_one_widens_the_uncertainty(scene):
@@ -390,7 +385,7 @@ def compared_on_circles(swing, offset_ns, *, noise=0.02, seed=0, seconds=40.0):
     scatter = noise * draw.standard_normal((2, len(fixed)))
     fixes = Fixes((fixed * 1e9).astype(np.int64) + offset_ns, locations + scatter[0] + 1j * scatter[1])
     how = {"origin_ns": 0, "fixes_are_reference": False, "reach_ns": 1_000_000_000, "lever_sigma": 0.0}
-    return compare_trajectories(fixes, DeadReckonedTrajectory(unit, 0), **how)
+    return comparison.compare_trajectories(fixes, DeadReckonedTrajectory(unit, 0), **how)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -398,7 +393,7 @@ def compared_on_circles(swing, offset_ns, *, noise=0.02, seed=0, seconds=40.0):
 def test_a_circle_at_one_speed_reports_no_offset_however_good_the_fixes_are(seed):
     """Later on the circle is the same as rotated about its middle; what is left is what the IMU gets wrong."""
     found = compared_on_circles(0.0, 200_000_000, noise=1e-5, seed=seed)
-    assert (found.verdict, found.offset_ns) == (ClockVerdict.NOT_OBSERVABLE, None)
+    assert (found.verdict, found.offset_ns) == (comparison.ClockVerdict.NOT_OBSERVABLE, None)
     assert "too even" in found.reason
 
 

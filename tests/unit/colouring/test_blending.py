@@ -142,7 +142,7 @@ def test_points_have_the_colour_of_the_image_that_shows_them_most_centrally(coun
     assert (found.shape, found.tolist(), camera_index.tolist()) == ((count, 3), colors, cameras)
 
 
-def test_many_views_agree_with_a_choice_made_point_by_point():
+def test_points_are_coloured_by_the_most_central_view_as_chosen_point_by_point_from_the_nearest_pixel():
     random, views, indices = np.random.default_rng(1), [], (5, 0, 254)
     for size in ((4, 6), (9, 5), (1, 1)):
         ids = np.sort(random.permutation(50)[:35])
@@ -159,9 +159,6 @@ def test_many_views_agree_with_a_choice_made_point_by_point():
                     color = view.rgb[math.floor(v + 0.5), math.floor(u + 0.5)]
                     best, expected = off, (color.tolist(), index)
         assert (colors[k].tolist(), camera_index[k]) == expected
-
-
-def test_the_nearest_pixel_gives_the_colour_whatever_the_memory_order():
     rgb = np.random.default_rng(0).integers(0, 255, (4, 6, 3), np.uint8)
     pixels = [(0.49, 0), (0.5, 0), (4.2, 2.7), (-0.5, -0.5), (5.49, 3.49)]
     colors, _ = colour_points(5, [make_view(range(5), pixels, rgb)], [0])
@@ -172,9 +169,6 @@ def test_the_nearest_pixel_gives_the_colour_whatever_the_memory_order():
     upside_down.flags.writeable = False
     view = make_view([0, 1], [(5, 3), (0, 2)], upside_down)
     np.testing.assert_array_equal(colour_points(2, [view], [0])[0], [rgb[3, 5], rgb[2, 0]])
-
-
-def test_camera_indices_that_do_not_fit_are_refused():
     points = np.array([[0.0, 0.0, 5.0]])
     for indices, message in (([], "0 camera indices for 1 views"), ([255], "index 255")):
         with pytest.raises(OptionError, match=message):

@@ -165,7 +165,7 @@ def shares_of(scene, name, time_ns):
     return {instance: path.values[int(rows[0])] for instance, path, rows in at if len(rows)}
 
 
-def test_points_of_a_lidar_report_how_much_is_hidden_by_whatever_stands_there():
+def test_points_of_a_lidar_report_what_is_hidden_unless_they_are_early_or_nowhere():
     drive = simulate_street(3, frames=3, traffic=TrafficSpec())
     projected = project_cuboids(drive.scene, see_through=("tree", "pole"), lidar="lidar")
     thin = {instance_of(a) for a in drive.scene.annotations if a.label in ("tree", "pole")}
@@ -179,9 +179,6 @@ def test_points_of_a_lidar_report_how_much_is_hidden_by_whatever_stands_there():
     # lidar and camera stand apart, points are sparse, and things are rounder than their boxes
     assert np.abs(np.diff(pairs, axis=1)).mean() < 0.08
     assert np.corrcoef(np.transpose(pairs))[0, 1] > 0.95
-
-
-def test_sweeps_long_before_an_image_and_lidars_that_are_nowhere_are_no_evidence():
     drive = simulate_street(3, frames=2, lidar=LidarSpec(beams=8, steps=90))
     (lidar,), others = drive.scene.lidars, [s for s in drive.scene.sensors if s.type != "lidar"]
     early = LazyFrames.of(list(lidar.frames), (lidar.frames.timestamps_ns - 10**9).tolist())
@@ -334,7 +331,7 @@ def test_a_cuboid_lies_where_its_points_are_seen_by_their_lines(camera, box, ove
     assert (np.abs(projection.boxes[0] - expected).max() > 0.5) == moves
 
 
-def test_what_hides_it_is_reported_at_the_time_of_each_line():
+def test_what_hides_it_or_cuts_it_off_is_reported_at_the_time_of_each_line():
     before = Moving("before", (0.5, 1.2, 4.0), (6.0, 4.0, 0.5), velocity=(0.0, -9.0, 0.0))
     boxes = [CAR, before]
     for roll_s in (ROLL_S, 0.0):
@@ -351,9 +348,6 @@ def test_what_hides_it_is_reported_at_the_time_of_each_line():
         found = next(path for path in projected.attributes if path.name == "occlusion").values[0]
         assert 0.1 < expected < 0.9
         assert found == pytest.approx(expected, abs=0.03)  # 24 rays along each side
-
-
-def test_what_the_image_cuts_off_is_reported_at_the_time_of_each_line_and_what_stands_as_ever():
     # A box that leaves the image upward is whole to the lines that saw it before.
     rising = Moving("rising", (1.0, 1.0, 1.0), (12.0, 4.5, 8.0), velocity=(0.0, 0.0, 60.0), yaw=0.0)
     still = Moving("still", (4.5, 1.9, 1.6), (13.0, 6.0, 0.8))
@@ -529,7 +523,7 @@ def test_hidden_shares_are_those_of_a_fine_image(name):
     assert compared > 10
 
 
-def test_boxes_that_cannot_be_seen_hide_nothing_and_those_too_small_to_be_listed_do():
+def test_boxes_that_cannot_be_seen_hide_nothing_small_ones_do_and_points_before_and_on_a_box_are_evidence():
     boxes = some_boxes([[0, 0, -10.0], [0, 0, 0.0], [0, 0, 20.0]], [[2.0, 2, 2], [5.0, 2, 2], [4.0, 2, 2]])
     seen = observe_cuboids(WIDE_PINHOLE, HERE, boxes)
     assert (seen.rows.tolist(), seen.occlusions.tolist()) == ([2], [0.0])
@@ -546,9 +540,6 @@ def test_boxes_that_cannot_be_seen_hide_nothing_and_those_too_small_to_be_listed
         boxes = some_boxes([center, (0, 0, 9)], [size, (1, 1, 1)])
         assert observe_cuboids(WIDE_PINHOLE, HERE, boxes).rows.tolist() == [1]
         assert len(observe_cuboids(WIDE_PINHOLE, HERE, some_boxes(np.zeros((0, 3)), np.zeros((0, 3)))).rows) == 0
-
-
-def test_points_before_a_box_and_on_it_are_distinguished():
     # 7.9 and 12.1 m are within 0.2 m of its faces at 8 and 12 m
     ahead = [5.0, 2.5, 7.9, 10.0, 12.1, 20.0, -5.0]
     points = np.array([*([0.0, 0.0, z] for z in ahead), [3.0, 0, 10]])

@@ -86,20 +86,6 @@ def test_points_fall_where_the_rays_of_their_lines_saw_them(name, over_columns):
     assert np.linalg.norm(at_once - pixels, axis=1)[inside].max() > 30
 
 
-def test_depths_are_those_that_the_line_saw():
-    camera = CAMERA_MODELS["pinhole"]
-    points_world, pixels = seen_points(camera, over_columns=False, count=500)
-    found = view(points_world, camera, visibility=VisibilitySettings(enabled=False))
-    rotations, positions = ego_at(((pixels[:, 1] + 0.5) / camera.height - 0.5) * READOUT_S)
-    points_ego = rotations.inv().apply(points_world - positions)
-    expected = ((points_ego - MOUNT.translation) @ MOUNT.rotation)[found.point_ids, 2]
-    np.testing.assert_allclose(found.depths, expected, atol=1e-4)  # float32 of 60 m, a hundredth of a line
-    assert found.rolled
-    assert found.unsettled == 0
-    inside = found.observations <= PointVisibility.HIDDEN
-    np.testing.assert_array_equal(np.flatnonzero(inside), found.point_ids)
-
-
 def rolled_points(points_world, camera, **shutter):
     trajectory = ShutterDirection.of(Shutter(READOUT_S, **shutter), 0, SOURCE)
     return project_by_lines(points_world, camera, pose_at(0), trajectory)
@@ -143,9 +129,18 @@ def test_a_camera_that_shakes_faster_than_its_shutter_leaves_no_wrong_pixels():
     np.testing.assert_allclose(rolled.pixels, there, atol=1.5)
 
 
-def test_what_is_hidden_is_found_from_where_each_line_was_taken():
-    """A wall seen from a camera that passes: what its edge hides depends on the line."""
+def test_depths_and_what_is_hidden_are_those_of_the_time_of_each_line():
     camera = CAMERA_MODELS["pinhole"]
+    points_world, pixels = seen_points(camera, over_columns=False, count=500)
+    found = view(points_world, camera, visibility=VisibilitySettings(enabled=False))
+    rotations, positions = ego_at(((pixels[:, 1] + 0.5) / camera.height - 0.5) * READOUT_S)
+    points_ego = rotations.inv().apply(points_world - positions)
+    expected = ((points_ego - MOUNT.translation) @ MOUNT.rotation)[found.point_ids, 2]
+    np.testing.assert_allclose(found.depths, expected, atol=1e-4)  # float32 of 60 m, a hundredth of a line
+    assert found.rolled
+    assert found.unsettled == 0
+    inside = found.observations <= PointVisibility.HIDDEN
+    np.testing.assert_array_equal(np.flatnonzero(inside), found.point_ids)
     points_world, _ = seen_points(camera, over_columns=False, count=4000)
     lidar = LidarTrajectory(np.tile(pose_at(0).translation, (2, 1)), np.zeros(len(points_world), np.float32))
     alone, known = (view(points_world, camera, trajectory=trajectory) for trajectory in (None, lidar))

@@ -125,7 +125,7 @@ def test_where_lines_lie_far_apart_points_hide_with_a_longer_reach(street, name)
     assert shares(street_view, view(street_view, of_sparse, known_trajectory=True))[1] > 2 * visible_lost
 
 
-def test_what_the_lidar_saw_as_near_to_an_edge_as_the_camera_does_is_not_hidden(street):
+def test_the_position_of_the_lidar_at_the_time_of_each_point_says_what_it_saw_beside_an_edge(street):
     street_view = street(KITTI, lidar_above=(0.0, 0.0, 0.02))
     assert street_view.seen[street_view.counted].mean() > 0.999
     settings = VisibilitySettings(surface_distance=1.2)
@@ -135,9 +135,6 @@ def test_what_the_lidar_saw_as_near_to_an_edge_as_the_camera_does_is_not_hidden(
     )
     # What opposite neighbours hide does not ask the lidar.
     assert known < 0.5 * unknown
-
-
-def test_the_position_of_the_lidar_is_taken_at_the_time_of_each_point(street):
     street_view = street(KITTI, **BESIDE)
     away, at_home = street_view.lidar_world - (0, 1.6, 0), street_view.lidar_world
     wide, matrix = VisibilitySettings(near_deg=0.5), street_view.world_from_camera.inverse().matrix
@@ -151,21 +148,6 @@ def test_the_position_of_the_lidar_is_taken_at_the_time_of_each_point(street):
     of_others = LidarTrajectory(np.zeros((2, 3)), np.zeros(3, np.float32))
     with pytest.raises(ArrayError, match=r"trajectory\.fractions"):
         find_visible(points, ids, np.eye(4), VisibilitySettings(), trajectory=of_others)
-
-
-def test_the_road_has_no_holes_and_depths_are_drawn_of_what_is_not_hidden(street):
-    street_view = street(KITTI)
-    fused, counted = view(street_view), street_view.counted
-    road = (street_view.points_world[:, 2] < 0.05) & street_view.seen & counted
-    assert fused.visible[road].mean() > 0.99
-    columns, rows = np.floor(fused.pixels + 0.5).astype(int).T
-    drawn = fused.depth_image[rows, columns] == fused.depths
-    assert (drawn & ~street_view.seen & counted).sum() < 0.03 * (~street_view.seen & counted).sum()
-    assert not (drawn & ~fused.visible).any()
-    # a plain z-buffer finds almost nothing, and a larger margin hides less
-    assert shares(street_view, view(street_view, VisibilitySettings(enabled=False)))[0] > 0.8
-    counts = [view(street_view, VisibilitySettings(margin=margin)).visible.sum() for margin in (0.05, 0.5, 5.0)]
-    assert counts[0] < counts[1] < counts[2]
 
 
 def test_given_windows_are_followed_and_one_alone_leaves_the_other_to_be_measured(street):
@@ -182,8 +164,19 @@ def test_given_windows_are_followed_and_one_alone_leaves_the_other_to_be_measure
     assert max(near_alone, window_alone) < 0.2 * narrow
 
 
-def test_decisions_do_not_depend_on_where_the_world_begins(street):
+def test_the_road_has_no_holes_depths_are_drawn_of_what_is_not_hidden_wherever_the_world_begins(street):
     street_view = street(KITTI)
+    fused, counted = view(street_view), street_view.counted
+    road = (street_view.points_world[:, 2] < 0.05) & street_view.seen & counted
+    assert fused.visible[road].mean() > 0.99
+    columns, rows = np.floor(fused.pixels + 0.5).astype(int).T
+    drawn = fused.depth_image[rows, columns] == fused.depths
+    assert (drawn & ~street_view.seen & counted).sum() < 0.03 * (~street_view.seen & counted).sum()
+    assert not (drawn & ~fused.visible).any()
+    # a plain z-buffer finds almost nothing, and a larger margin hides less
+    assert shares(street_view, view(street_view, VisibilitySettings(enabled=False)))[0] > 0.8
+    counts = [view(street_view, VisibilitySettings(margin=margin)).visible.sum() for margin in (0.05, 0.5, 5.0)]
+    assert counts[0] < counts[1] < counts[2]
     settings, ids = VisibilitySettings(), np.arange(len(street_view.points_world))
     matrix = street_view.world_from_camera.inverse().matrix
     shift = np.array([4096.0, -2048.0, 64.0])

@@ -72,7 +72,7 @@ def log_odds(share):
 BOTH_SEE, ONLY_LEFT = (20.0, 7.0, -0.5), (10.0, 14.0, -0.5)
 
 
-def test_a_box_of_the_sweep_is_one_object_to_which_each_image_adds_its_evidence():
+def test_a_box_of_the_sweep_is_one_object_to_which_each_image_that_shows_its_location_adds_its_evidence():
     boxes = sweep((*BOTH_SEE, 0.6), (*ONLY_LEFT, 0.7), (-15, 0, 0, 0.5))
     found = views(boxes, front=(FRONT, image(FRONT, BOTH_SEE)), left=(LEFT, image(LEFT, ONLY_LEFT, BOTH_SEE)))
     merged = merge_views(boxes, found)
@@ -85,9 +85,6 @@ def test_a_box_of_the_sweep_is_one_object_to_which_each_image_adds_its_evidence(
     np.testing.assert_allclose(log_odds(merged.objects.scores[0]), front[0] + left[0] - of_sweep[0], rtol=1e-9)
     np.testing.assert_allclose(merged.objects.scores[1], found["left"].scores[1], rtol=1e-9)
     assert merged.objects.scores[0] > max(found["front"].scores[0], found["left"].scores[0])
-
-
-def test_an_image_that_does_not_show_a_location_changes_nothing_and_one_that_misses_it_does():
     boxes = sweep((*BOTH_SEE, 0.6))
     seen = {"front": (FRONT, image(FRONT, BOTH_SEE))}
     front = merge_views(boxes, views(boxes, **seen)).objects
@@ -97,13 +94,8 @@ def test_an_image_that_does_not_show_a_location_changes_nothing_and_one_that_mis
     assert missed.scores[0] < front.scores[0]
     for name in ("centers", "center_covariances", "corners_xyxy", "rows_2d"):
         np.testing.assert_array_equal(getattr(missed, name), getattr(front, name))
-
-
-def test_an_object_is_where_the_image_says_that_knows_its_middle_best():
-    boxes = sweep((*BOTH_SEE, 0.6))
     seen = {name: (how, image(how, BOTH_SEE)) for name, how in (("left", LEFT), ("front", FRONT))}
     found = views(boxes, **seen, back=(BACK, NOTHING))
-    merged = merge_views(boxes, found)
     traces = {name: view.center_covariances[0].trace() for name, view in found.items()}
     best = min(("left", "front"), key=traces.__getitem__)
     assert merged.objects.center_covariances[0].trace() == traces[best]
@@ -158,7 +150,7 @@ def test_what_is_elsewhere_or_something_else_stays_two(front, left, label):
     assert {name: rows.tolist() for name, rows in merged.rows.items()} == {"front": [0, 1, 2], "left": [0, 2, 1]}
 
 
-def test_the_same_location_reported_twice_is_no_better_known():
+def test_the_same_location_reported_twice_is_no_better_known_and_without_boxes_there_is_nothing():
     boxes = sweep()
     box = image(FRONT, SOMEBODY, label="pedestrian", size=PERSON)
     found = views(boxes, one=(FRONT, box), other=(FRONT, box))
@@ -167,9 +159,6 @@ def test_the_same_location_reported_twice_is_no_better_known():
     # rounding of inverses
     np.testing.assert_allclose(merged.objects.centers, found["one"].centers, rtol=1e-6)
     np.testing.assert_allclose(merged.objects.center_covariances, found["one"].center_covariances, rtol=1e-4, atol=1e-6)
-
-
-def test_without_boxes_or_location_there_are_no_objects_and_the_others_keep_their_numbers():
     for boxes, rows in ((sweep(), []), (sweep((np.nan, 0, 0, 0.5), (*BOTH_SEE, np.nan)), [1])):
         merged = merge_views(boxes, views(boxes, front=(FRONT, NOTHING), left=(LEFT, NOTHING)))
         assert merged.objects.rows_3d.tolist() == rows

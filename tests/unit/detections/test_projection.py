@@ -531,17 +531,7 @@ def test_the_surer_detector_names_the_class_and_boxes_are_paired_one_to_one_with
     assert (len(equal), sorted(equal.rows_2d.tolist())) == (5, [NO_BOX, NO_BOX, 0, 1, 2])
 
 
-def test_boxes_without_a_location_are_left_out_and_scores_that_are_no_numbers_leave_numbers():
-    three = boxes_3d((np.nan, 3, -1, 0.6), (20, 3, -1, 0.6), (np.inf, 0, 0, 0.5))
-    two = boxes_2d((50, 50, 40, 60, 0.5), (*outline(20, 3, -1), 0.5), (0, 0, np.nan, 9, 0.5))
-    result = fused(three, two)
-    assert (result.rows_3d.tolist(), result.rows_2d.tolist()) == ([1], [1])
-    three = boxes_3d((20, 3, -1, np.nan), (-20, 3, -1, np.nan))
-    result = fused(three, boxes_2d((*outline(20, 3, -1), 0.8)))
-    assert result.scores == pytest.approx([0.8, 0.1], rel=1e-12)
-
-
-def test_the_object_of_both_is_surer_across_the_line_of_sight_than_the_sweep_alone():
+def test_the_object_of_both_is_surer_across_the_line_of_sight_and_a_thousand_find_their_partners():
     three = boxes_3d((30, 3, -1, 0.6))
     alone, both = fused(three, boxes_2d()), fused(three, boxes_2d((*outline(30, 3, -1), 0.8)))
     np.testing.assert_allclose(both.centers, alone.centers, atol=1e-6)
@@ -550,9 +540,6 @@ def test_the_object_of_both_is_surer_across_the_line_of_sight_than_the_sweep_alo
     assert (after[1:] < 0.95 * before[1:]).all()
     assert after[0] == pytest.approx(before[0], rel=0.05)
     assert (np.linalg.eigvalsh(both.size_covariances[0]) > 0).all()
-
-
-def test_a_thousand_boxes_on_each_side_find_their_partners():
     generator = np.random.default_rng(0)
     y, z = (grid.ravel() for grid in np.mgrid[-240:240:40j, -100:100:25j])
     locations = np.column_stack([np.full(1000, 300.0), y, z, np.full(1000, 0.5)])
@@ -563,7 +550,14 @@ def test_a_thousand_boxes_on_each_side_find_their_partners():
     np.testing.assert_array_equal(order[result.rows_2d], np.arange(1000))
 
 
-def test_boxes_in_another_frame_points_of_another_form_and_settings_out_of_bounds_are_refused():
+def test_boxes_that_are_no_numbers_or_in_another_frame_are_left_out_or_refused():
+    three = boxes_3d((np.nan, 3, -1, 0.6), (20, 3, -1, 0.6), (np.inf, 0, 0, 0.5))
+    two = boxes_2d((50, 50, 40, 60, 0.5), (*outline(20, 3, -1), 0.5), (0, 0, np.nan, 9, 0.5))
+    result = fused(three, two)
+    assert (result.rows_3d.tolist(), result.rows_2d.tolist()) == ([1], [1])
+    three = boxes_3d((20, 3, -1, np.nan), (-20, 3, -1, np.nan))
+    result = fused(three, boxes_2d((*outline(20, 3, -1), 0.8)))
+    assert result.scores == pytest.approx([0.8, 0.1], rel=1e-12)
     with pytest.raises(OptionError, match="boxes in the world frame; expected the lidar's"):
         fused(boxes_3d((20, 3, -1, 0.6), frame=PointsFrame.WORLD), boxes_2d())
     with pytest.raises(ArrayError, match="points_lidar"):

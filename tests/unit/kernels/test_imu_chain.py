@@ -52,17 +52,6 @@ def test_rotation_gain_and_distance_are_those_of_the_curve(rate_hz, rotation, sp
     assert np.abs(found.positions - np.einsum("nji,nj->ni", before, steps)).max() < distance
 
 
-def test_slopes_are_what_small_biases_do():
-    times, values = measured(200.0)
-    base = summed(times, values, np.zeros(6))
-    for column in range(6):
-        bias = np.zeros(6)
-        bias[column] = 1e-5
-        change = vectors(summed(times, values, bias), base) / 1e-5
-        # half a step's worth of the path is neglected in the slopes: 2.5 ms of 5 m/s² over a second
-        assert np.abs(change - base.slopes[:, :, column]).max() < 0.02
-
-
 def test_covariances_are_those_of_drawn_noise():
     times, values = measured(200.0)
     rng = np.random.default_rng(1)
@@ -81,7 +70,15 @@ def test_covariances_are_those_of_drawn_noise():
     assert np.abs(correlation - np.eye(9)).max() < 0.15
 
 
-def test_beyond_the_samples_the_last_one_holds():
+def test_slopes_are_what_small_biases_do_and_beyond_the_samples_the_last_one_holds():
+    times, values = measured(200.0)
+    base = summed(times, values, np.zeros(6))
+    for column in range(6):
+        bias = np.zeros(6)
+        bias[column] = 1e-5
+        change = vectors(summed(times, values, bias), base) / 1e-5
+        # half a step's worth of the path is neglected in the slopes: 2.5 ms of 5 m/s² over a second
+        assert np.abs(change - base.slopes[:, :, column]).max() < 0.02
     times = np.array([400_000_000, 500_000_000], np.int64)
     values = np.tile([0.0, 0.0, 0.1, 1.0, 0.0, 9.8], (2, 1))
     found = summed(times, values, np.zeros(6))

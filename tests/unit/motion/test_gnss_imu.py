@@ -271,45 +271,6 @@ def town():
     return drive(5)
 
 
-def test_errors_are_small_and_as_large_as_the_covariances_state():
-    squares, away, biases = [], [], []
-    for seed in range(6):
-        one = drive(seed)
-        run = one.run()
-        squares.append(in_deviations(run, one.path))
-        away.append(errors(run, one.path))
-        middle = run.biases[len(run.biases) // 2]
-        spread = np.sqrt(np.einsum("kii->ki", run.covariances)[len(run.covariances) // 2, 9:])
-        true = np.concatenate([one.truth.gyroscope_bias, one.truth.accelerometer_bias])
-        biases.append((middle - true) / spread)
-    all_away = np.vstack(away)
-    assert rms(all_away[:, 3:5]) < 0.2  # fixes of 0.4 m an axis
-    assert rms(all_away[:, 5:]) < 0.3
-    assert np.degrees(rms(all_away[:, 2:3])) < 1.0
-    assert np.degrees(rms(all_away[:, :2])) < 0.2
-    # neighbouring errors are alike: a drive counts as some five independent states of six numbers, so that the mean
-    # over six has a deviation of √(2 / 180) = 0.1, and chi-square bounds of four deviations are 0.6 and 1.4
-    assert 0.6 < np.mean(squares) < 1.4
-    # 36 squares of one: mean 1 ± 0.24
-    assert 0.4 < np.mean(np.square(biases)) < 1.6
-
-
-def test_fixes_that_jump_are_left_out_alone_and_in_a_row(town):
-    rng = np.random.default_rng(0)
-    positions = enu(town.gnss)
-    jumped = rng.uniform(size=len(positions)) < 0.08
-    positions[jumped, :2] += 15.0 * np.array([0.6, 0.8])
-    positions[40:46, 0] += 30.0
-    jumped[40:46] = True
-    run = town.run(gnss=moved(town.gnss, positions))
-    assert not run.used[jumped].any()
-    assert run.used[~jumped].mean() > 0.95
-    assert rms(errors(run, town.path)[:, 3:5]) < 0.25
-    [reported] = [warning for warning in run.warnings if warning.code == "gnss-jumps"]
-    assert reported.count == (~run.used).sum()
-    assert reported.message.startswith(f"{reported.count} of {len(positions)} fixes left out")
-
-
 def test_without_fixes_or_imu_for_some_seconds_the_other_leads_on(town):
     seconds = town.gnss.timestamps_ns / SECOND
     rows = (seconds < 15) | (seconds > 25)
@@ -340,7 +301,27 @@ def test_an_imu_that_looks_elsewhere_is_found_to(mounting, town):
     assert np.degrees(rms(away[:, 2:3])) < 10.0
 
 
-def test_samples_of_low_rate_and_a_drive_that_begins_with_a_stand_are_followed():
+def test_errors_are_small_and_as_large_as_the_covariances_state_at_low_rates_and_after_stands_too():
+    squares, away, biases = [], [], []
+    for seed in range(6):
+        one = drive(seed)
+        run = one.run()
+        squares.append(in_deviations(run, one.path))
+        away.append(errors(run, one.path))
+        middle = run.biases[len(run.biases) // 2]
+        spread = np.sqrt(np.einsum("kii->ki", run.covariances)[len(run.covariances) // 2, 9:])
+        true = np.concatenate([one.truth.gyroscope_bias, one.truth.accelerometer_bias])
+        biases.append((middle - true) / spread)
+    all_away = np.vstack(away)
+    assert rms(all_away[:, 3:5]) < 0.2  # fixes of 0.4 m an axis
+    assert rms(all_away[:, 5:]) < 0.3
+    assert np.degrees(rms(all_away[:, 2:3])) < 1.0
+    assert np.degrees(rms(all_away[:, :2])) < 0.2
+    # neighbouring errors are alike: a drive counts as some five independent states of six numbers, so that the mean
+    # over six has a deviation of √(2 / 180) = 0.1, and chi-square bounds of four deviations are 0.6 and 1.4
+    assert 0.6 < np.mean(squares) < 1.4
+    # 36 squares of one: mean 1 ± 0.24
+    assert 0.4 < np.mean(np.square(biases)) < 1.6
     slow, halting = drive(6, imu=ImuSpec(rate_hz=10.0)), drive(6, path=PathSpec(stops=(Stop(0.5, 12.0),)))
     run = slow.run()
     assert rms(errors(run, slow.path)[:, 3:5]) < 0.25
@@ -463,7 +444,20 @@ def test_the_antenna_may_sit_elsewhere_and_the_noise_and_slow_errors_of_fixes_ar
     assert np.median(wavy.trajectory.covariances[:, 5, 5]) > 4.0 * np.median(plain.trajectory.covariances[:, 5, 5])
 
 
-def test_fixes_and_samples_that_nothing_measures_are_left_out(town):
+def test_fixes_that_jump_or_are_none_and_samples_that_nothing_measures_are_left_out(town):
+    rng = np.random.default_rng(0)
+    positions = enu(town.gnss)
+    jumped = rng.uniform(size=len(positions)) < 0.08
+    positions[jumped, :2] += 15.0 * np.array([0.6, 0.8])
+    positions[40:46, 0] += 30.0
+    jumped[40:46] = True
+    run = town.run(gnss=moved(town.gnss, positions))
+    assert not run.used[jumped].any()
+    assert run.used[~jumped].mean() > 0.95
+    assert rms(errors(run, town.path)[:, 3:5]) < 0.25
+    [reported] = [warning for warning in run.warnings if warning.code == "gnss-jumps"]
+    assert reported.count == (~run.used).sum()
+    assert reported.message.startswith(f"{reported.count} of {len(positions)} fixes left out")
     gnss, more = town.gnss, np.ones(4)
     times = np.concatenate([gnss.timestamps_ns, [7, 8, 9, 10]])
     # none at all, not finite, off the earth, at a height of no receiver

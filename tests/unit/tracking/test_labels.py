@@ -163,15 +163,6 @@ def test_what_stands_gets_one_pose_and_heading_and_what_creeps_does_not():
     assert np.cos(labels.usual_heading(yaws + np.pi, np.ones(21)) - 0.4) == pytest.approx(-1.0, abs=1e-12)
 
 
-def test_states_before_the_first_box_and_after_the_last_are_left_out():
-    supports = np.full(21, Support.PREDICTED, np.uint8)
-    assert labels.boxed_part(made(supports=supports)) is None
-    supports[[4, 9]] = Support.IMAGE, Support.SWEEP
-    part = labels.boxed_part(made(supports=supports, corners_xyxy={"camera": np.ones((21, 4))}))
-    assert part.timestamps_ns.tolist() == made().timestamps_ns[4:10].tolist()
-    assert part.corners_xyxy["camera"].shape == (6, 4)
-
-
 def kinds(track):
     return {found.kind for found in labels.flags_of(track)}
 
@@ -212,7 +203,13 @@ def test_each_flaw_is_flagged_where_it_is_and_a_good_track_has_no_flag():
     assert labels.FlagKind.YAW_JITTER not in kinds(changed("yaws", slice(9, 10), np.pi))
 
 
-def test_of_two_objects_in_one_location_the_less_sure_one_is_flagged():
+def test_of_two_objects_in_one_location_the_less_sure_is_flagged_and_states_without_boxes_at_the_ends_go():
+    supports = np.full(21, Support.PREDICTED, np.uint8)
+    assert labels.boxed_part(made(supports=supports)) is None
+    supports[[4, 9]] = Support.IMAGE, Support.SWEEP
+    part = labels.boxed_part(made(supports=supports, corners_xyxy={"camera": np.ones((21, 4))}))
+    assert part.timestamps_ns.tolist() == made().timestamps_ns[4:10].tolist()
+    assert part.corners_xyxy["camera"].shape == (6, 4)
     sure, unsure = made(1), made(2, scores=np.full(21, 0.6))
     apart = made(3, centers=made().centers + np.array([0.0, 4.0, 0.0]))
     above = made(4, centers=made().centers + np.array([0.0, 0.0, 5.0]), scores=np.full(21, 0.5))
@@ -353,7 +350,7 @@ def test_radars_measure_how_fast_what_drives_goes_away_and_contradict_another_sp
     assert labels.FlagKind.RADAR in {one.kind for one in found.flags}
 
 
-def test_a_label_says_how_sure_it_is_and_whence_it_comes():
+def test_a_label_says_how_sure_it_is_and_whence_it_comes_with_its_boxes_in_images_and_the_worst_flags_first(drive):
     scores = np.linspace(0.5, 1.0, 21)
     supports = np.full(21, Support.BOTH, np.uint8)
     supports[8:10] = Support.PREDICTED
@@ -368,9 +365,6 @@ def test_a_label_says_how_sure_it_is_and_whence_it_comes():
     assert support.values == ("both", "predicted", "both")
     assert support.timestamps_ns.tolist() == track.timestamps_ns[[0, 8, 10]].tolist()
     assert (reported(cuboid, "source").values, reported(cuboid, "track").values) == (("made by hand",), (7,))
-
-
-def test_boxes_in_images_and_cuboid_belong_to_one_object(drive):
     images = drive.scene.cameras[0].images.timestamps_ns
     corners = np.full((FRAMES, 4), np.nan)
     corners[[0, 1, 2, 8, 9]] = np.array([10.0, 20.0, 50.0, 60.004])
@@ -382,9 +376,6 @@ def test_boxes_in_images_and_cuboid_belong_to_one_object(drive):
     assert [box.path.timestamps_ns.tolist() for box in boxes] == [images[[0, 1, 2]].tolist(), images[[8, 9]].tolist()]
     assert boxes[0].path.values[0].tolist() == [10.0, 20.0, 40.0, 40.0]
     assert {each.parent_id for each in (*boxes, *cuboids_of(scene).values())} == {thing.id}
-
-
-def test_flags_are_reported_in_the_label_and_the_worst_first_in_the_metadata(drive):
     short, empty = made(1, count=3), made(2, centers=made().centers + np.array([0.0, 0.0, 300.0]))
     found = label(drive, short, empty, points=True)
     review = found.scene.metadata["sceneloom"]["labels"]["review"]

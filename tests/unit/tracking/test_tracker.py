@@ -34,16 +34,6 @@ def updated(means, covariances, measures, noises):
     return after, spread
 
 
-def test_velocity_rotates_with_a_vehicle_and_not_with_a_person():
-    means = np.zeros((2, tracker.SIZE))
-    means[:, 7], means[:, tracker.ROTATION] = 10.0, 0.4
-    after, _, _ = moved(means, np.array([True, False]), 0.1)
-    assert np.arctan2(after[0, 8], after[0, 7]) == pytest.approx(0.04)
-    # on a circle of 25 m, of which the chord is the mean of both velocities to second order
-    assert after[0, :2] == pytest.approx([25.0 * np.sin(0.04), 25.0 * (1.0 - np.cos(0.04))], abs=2e-3)
-    assert (after[1, :2], after[:, tracker.YAW]) == (pytest.approx([1.0, 0.0]), pytest.approx([0.04, 0.04]))
-
-
 def test_covariances_are_moved_by_slopes_which_are_those_of_differences_in_one_step_as_in_two():
     means, covariances = states(4)
     vehicles = np.array([True, False, True, False])
@@ -86,7 +76,14 @@ def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman_and_one_far_off
     assert after[0, tracker.YAW] == pytest.approx(-0.05)
 
 
-def test_a_vehicle_that_seems_to_slide_sideways_rotates_or_slows_down():
+def test_velocity_rotates_with_a_vehicle_which_slides_nowhere_and_not_with_a_person():
+    means = np.zeros((2, tracker.SIZE))
+    means[:, 7], means[:, tracker.ROTATION] = 10.0, 0.4
+    after, _, _ = moved(means, np.array([True, False]), 0.1)
+    assert np.arctan2(after[0, 8], after[0, 7]) == pytest.approx(0.04)
+    # on a circle of 25 m, of which the chord is the mean of both velocities to second order
+    assert after[0, :2] == pytest.approx([25.0 * np.sin(0.04), 25.0 * (1.0 - np.cos(0.04))], abs=2e-3)
+    assert (after[1, :2], after[:, tracker.YAW]) == (pytest.approx([1.0, 0.0]), pytest.approx([0.04, 0.04]))
     means, covariances = np.zeros((1, tracker.SIZE)), np.eye(tracker.SIZE)[None]
     means[0, 7:9] = 10.0, 2.0
     after, spread = means.copy(), covariances.copy()
@@ -162,7 +159,7 @@ def stationary(**options):
     return seen([0.0], Actor(lambda t: (10.0, 2.0, 0.2), **options), sigma=0.0)[0]
 
 
-def test_observations_are_those_of_the_world_with_little_of_the_distance_where_an_image_alone_sees():
+def test_observations_are_those_of_the_world_of_the_camera_that_counts():
     standing = stationary()
     fused = replace(standing.fused["front"], center_covariances=np.diag([0.01, 0.04, 0.09])[None])
     there = observed(replace(standing, fused={"front": fused}, world_from_lidar=ROTATION))
@@ -175,10 +172,6 @@ def test_observations_are_those_of_the_world_with_little_of_the_distance_where_a
     ray = there.measures[0, :3] / np.linalg.norm(there.measures[0, :3])
     along = ray @ there.covariances[0, :3, :3] @ ray
     assert along == pytest.approx(9.0 * np.linalg.eigvalsh(there.covariances[0, :3, :3])[0])
-
-
-def test_of_two_cameras_the_one_with_a_partner_counts_else_the_doubtful_one_and_yaw_variances_where_there_are_some():
-    standing = stationary()
     fused = standing.fused["front"]
     sure, doubtful = (replace(fused, rows_2d=np.array([-1]), scores=np.array([score])) for score in (0.8, 0.3))
     partner = replace(fused, scores=np.array([0.6]))
@@ -206,18 +199,7 @@ def test_cars_that_drive_straight_are_one_object_each_with_location_and_speed_as
     assert 0.5 < np.mean(squares) < 2.5
 
 
-def test_a_rotation_is_followed_with_its_rate_and_what_stands_stands_for_a_lidar_that_moves():
-    (track,) = tracked(Actor(round_a_corner), sigma=0.05)
-    assert (len(track), track.yaw_rates[-1]) == (len(TIMES), pytest.approx(0.5, abs=0.15))
-    assert track.yaws[-1] == pytest.approx(0.5 * TIMES[-1], abs=0.1)
-    assert np.linalg.norm(track.velocities[-1]) == pytest.approx(10.0, abs=0.7)
-    track = tracked(Actor(lambda t: (30.0, 4.0, 0.3)), ego=lambda t: (5.0 * t, 0.0, 0.1 * t))[0]
-    assert np.linalg.norm(track.velocities[-1]) < 0.4
-    assert track.centers[-1, :2] == pytest.approx([30.0, 4.0], abs=0.15)
-    assert track.yaws[-1] == pytest.approx(0.3, abs=0.05)
-
-
-def test_objects_that_cross_each_other_keep_their_numbers():
+def test_what_crosses_is_hidden_for_a_second_or_shown_by_the_image_alone_is_the_same_object():
     left = Actor(lambda t: (20.0, -4.0 + 2.0 * t, np.pi / 2), "Pedestrian")
     right = Actor(lambda t: (20.8, 4.0 - 2.0 * t, -np.pi / 2), "Pedestrian")
     tracks = tracked(left, right)
@@ -225,9 +207,6 @@ def test_objects_that_cross_each_other_keep_their_numbers():
     for track in tracks:
         steps = np.diff(track.centers[:, 1])
         assert abs(np.sign(steps).sum()) > 0.9 * len(steps)  # each walks on where it was going
-
-
-def test_what_is_hidden_for_a_second_or_shown_by_the_image_alone_is_the_same_object():
     (track,) = tracked(Actor(straight(5.0, y=2.0), unseen=(1.5, 2.5)))
     reported = set(track.timestamps_ns.tolist())
     assert round(2.4e9) not in reported  # nothing has been seen of it for long
@@ -241,16 +220,18 @@ def test_what_is_hidden_for_a_second_or_shown_by_the_image_alone_is_the_same_obj
     assert np.abs(track.corners_xyxy["front"][middle][0] - truth).max() < 3.0
 
 
-def test_a_single_doubtful_box_is_no_object_and_many_are_one():
-    tracker = Tracker()
-    reported = [len(tracker.step(one)) for one in seen(TIMES[:12], Actor(straight(0.0), score=0.3))]
-    assert (reported[0], reported[-1]) == (0, 1)
-
-
-@pytest.mark.parametrize("rotated", [{8, 9, 21}, {0, 1}])
-def test_boxes_the_wrong_way_round_do_not_rotate_an_object_that_drives(rotated):
-    track = tracked(Actor(straight(5.0, y=2.0)), rotated=frozenset(rotated))[0]
-    assert np.abs(track.yaws[-1 if 0 in rotated else 0 :]).max() < 0.2
+def test_rotations_and_stands_are_followed_boxes_the_wrong_way_round_are_not():
+    (track,) = tracked(Actor(round_a_corner), sigma=0.05)
+    assert (len(track), track.yaw_rates[-1]) == (len(TIMES), pytest.approx(0.5, abs=0.15))
+    assert track.yaws[-1] == pytest.approx(0.5 * TIMES[-1], abs=0.1)
+    assert np.linalg.norm(track.velocities[-1]) == pytest.approx(10.0, abs=0.7)
+    track = tracked(Actor(lambda t: (30.0, 4.0, 0.3)), ego=lambda t: (5.0 * t, 0.0, 0.1 * t))[0]
+    assert np.linalg.norm(track.velocities[-1]) < 0.4
+    assert track.centers[-1, :2] == pytest.approx([30.0, 4.0], abs=0.15)
+    assert track.yaws[-1] == pytest.approx(0.3, abs=0.05)
+    for rotated in [{8, 9, 21}, {0, 1}]:
+        track = tracked(Actor(straight(5.0, y=2.0)), rotated=frozenset(rotated))[0]
+        assert np.abs(track.yaws[-1 if 0 in rotated else 0 :]).max() < 0.2
 
 
 def test_numbers_of_objects_depend_neither_on_the_rate_of_frames_nor_on_the_run():
@@ -274,7 +255,7 @@ def with_changed(observations, change):
     ]
 
 
-def test_a_box_in_the_image_may_be_the_outline_of_the_box_in_space():
+def test_two_cameras_see_one_object_whose_box_in_the_image_may_be_the_outline_of_that_in_space():
     there = seen(TIMES, Actor(straight(6.0, y=3.0)), sigma=0.01)
     wider = with_changed(there, lambda fused: {"corners_xyxy": fused.corners_xyxy + np.array([-10.0, 0.0, 10.0, 0.0])})
     outlined = np.array([one.fused["front"].corners_xyxy[0] for one in there])
@@ -282,9 +263,6 @@ def test_a_box_in_the_image_may_be_the_outline_of_the_box_in_space():
     detected = track_drive(wider)[0]
     assert np.abs(projected.corners_xyxy["front"] - outlined)[20:].max() < 3.0
     assert np.abs(detected.corners_xyxy["front"] - outlined)[20:, 0].min() > 6.0
-
-
-def test_two_cameras_see_one_object_and_moments_without_boxes_or_cameras_are_moments():
     there = Street([Actor(straight(4.0))]).observe(TIMES[:10], views={"left": FRONT, 7: FRONT})
     (track,) = track_drive(there)
     assert set(track.corners_xyxy) == {"left", 7}
@@ -338,14 +316,16 @@ def test_time_that_goes_back_or_leaps_ends_all_objects_and_one_moment_twice_is_o
 COLUMNS = "centers center_covariances sizes_lwh size_covariances yaws scores corners_xyxy ids rows_3d rows_2d"
 
 
-def test_thousands_of_boxes_of_one_object_are_one_object():
+def test_a_single_doubtful_box_is_no_object_and_thousands_are_one():
+    tracker = Tracker()
+    reported = [len(tracker.step(one)) for one in seen(TIMES[:12], Actor(straight(0.0), score=0.3))]
+    assert (reported[0], reported[-1]) == (0, 1)
     names = COLUMNS.split()
 
     def repeat(fused):
         columns = {name: np.repeat(getattr(fused, name), 3000, axis=0) for name in names}
         return {"labels": fused.labels * 3000, **columns}
 
-    tracker = Tracker()
     for one in with_changed(seen([0.0, 0.1, 0.2], Actor(straight(0.0))), repeat):
         assert len(tracker.step(one)) == 1
 

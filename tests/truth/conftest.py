@@ -93,8 +93,7 @@ class Truths:
 
     def _look(self, camera_id: str, sweep: int) -> Seen:
         truth, image = self._drive.truth, self.nearest_image(camera_id, sweep)
-        camera = truth.cameras[camera_id].spec.camera
-        points_world = self.clean(sweep).positions_world
+        camera, points_world = truth.cameras[camera_id].spec.camera, self.clean(sweep).positions_world
         points_camera = truth.world_from_camera(camera_id, image).inverse().apply(points_world)
         pixels = project_with_opencv(camera, points_camera)
         inside = ((pixels >= 0.5) & (pixels <= np.array([camera.width, camera.height]) - 1.5)).all(axis=1)

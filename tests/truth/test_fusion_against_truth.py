@@ -102,8 +102,7 @@ def test_colours_out_of_png_images_are_exact_and_out_of_h264_videos_close(reques
     for fused, camera_id, sweep in pairs(request.getfixturevalue(images)):
         seen = fused.truths.seen(camera_id, sweep)
         chosen = seen.counted & seen.free & coloured_by(fused, camera_id, sweep)
-        colours = fused.points(sweep)["colors"][chosen].astype(int)
-        pixels = seen.pixels[chosen]
+        colours, pixels = fused.points(sweep)["colors"][chosen].astype(int), seen.pixels[chosen]
         outside.append(levels_outside(seen.truth.colors, pixels, colours))
         differences.append(np.abs(nearest_pixels(seen.truth.colors, pixels) - colours).max(axis=1))
     if exact:

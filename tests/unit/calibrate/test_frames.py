@@ -89,16 +89,14 @@ def scanned(lines=16, steps=360):
     """Points on a round wall, line after line from below, each a full rotation from the front."""
     rings = np.repeat(np.arange(lines), steps)
     azimuths = np.tile(np.linspace(0.001, 2 * np.pi - 0.001, steps), lines)
-    elevations = np.radians(-15.0 + 2.0 * rings)
-    ranges = 10.0 + 0.3 * np.sin(7 * azimuths)
+    elevations, ranges = np.radians(-15.0 + 2.0 * rings), 10.0 + 0.3 * np.sin(7 * azimuths)
     directions = [np.cos(elevations) * np.cos(azimuths), np.cos(elevations) * np.sin(azimuths), np.sin(elevations)]
     return (ranges * np.array(directions)).T.copy(), rings
 
 
 def test_lines_are_reported_by_rings_by_the_order_of_the_file_or_by_elevations_if_there_are_any():
     points, rings = scanned()
-    shuffled = np.random.default_rng(1).permutation(len(points))
-    plain = np.arange(len(points))
+    shuffled, plain = np.random.default_rng(1).permutation(len(points)), np.arange(len(points))
     for order, known in ((plain, rings.astype(np.uint16)), (plain, None), (shuffled, None)):
         scan = find_scan_order(points[order], known)
         assert scan is not None

@@ -39,8 +39,7 @@ def planar_car():
 
 def seen_by_sensor(body, *, rotation_noise=0.0, shift_noise=0.0, seed=0):
     """The sensor's own trajectory, in a world of its own."""
-    rng = np.random.default_rng(seed)
-    count = len(body.timestamps_ns)
+    rng, count = np.random.default_rng(seed), len(body.timestamps_ns)
     locations = body.positions + rigid.rotate_vectors(body.quaternions_xyzw, MOUNT.translation)
     locations = locations + rng.normal(0.0, 1.0, (count, 3)) * shift_noise
     rotations = rigid.multiply_quaternions(body.quaternions_xyzw, MOUNT.quaternion_xyzw)
@@ -54,8 +53,7 @@ def _by_scipy(body, sensor):
     """Park and Martin's two steps: rotation vectors aligned by scipy, then the translation by least squares."""
     a, b = _relative(body), _relative(sensor)
     rotation, _ = Rotation.align_vectors(a[0].as_rotvec(), b[0].as_rotvec())
-    matrix = (a[0].as_matrix() - np.eye(3)).reshape(-1, 3)
-    right = rotation.apply(b[1]) - a[1]
+    matrix, right = (a[0].as_matrix() - np.eye(3)).reshape(-1, 3), rotation.apply(b[1]) - a[1]
     translation, *_ = np.linalg.lstsq(matrix, right.ravel(), rcond=None)
     return rigid.RigidTransform(rotation.as_matrix(), translation)
 

@@ -173,8 +173,7 @@ def fitted(shift):
     u, v = np.meshgrid(np.linspace(-0.5, 1241.5, 41), np.linspace(-0.5, 374.5, 25))
     x, y = (u.ravel() - 620.5) / 720.0, (v.ravel() - 187.0) / 700.0
     pitch = np.column_stack([-720 * x * y, -700 * (1 + y * y)])
-    yaw = np.column_stack([720 * (1 + x * x), 700 * x * y])
-    roll = np.column_stack([-720 * y, 700 * x])
+    yaw, roll = np.column_stack([720 * (1 + x * x), 700 * x * y]), np.column_stack([-720 * y, 700 * x])
     focal = np.column_stack([720 * x, 700 * y])
     columns = np.stack([part.ravel() for part in (pitch, yaw, roll, focal)], axis=1)
     wanted = np.tile(shift, len(x))

@@ -80,8 +80,7 @@ def test_images_or_clouds_that_show_too_little_are_undetermined_and_say_why(fram
         points = frame.camera_from_lidar.apply(frame.points_lidar)
         ahead = points[:, 2] > 3.0
         points[ahead] *= 3.0 / points[ahead, 2:]
-        moved = frame.camera_from_lidar.inverse().apply(points)
-        grey = np.full_like(frame.grey, 90.0)
+        moved, grey = frame.camera_from_lidar.inverse().apply(points), np.full_like(frame.grey, 90.0)
         filled.append(replace(frame, points_lidar=moved, grey=grey, scan=None))
     assert refine(filled).verdict is RefinementVerdict.UNDETERMINED
     up = RigidTransform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3)) @ frames[0].camera_from_lidar
@@ -107,8 +106,7 @@ def test_sums_over_maps_are_those_of_scipy():
     pixels[0] = np.nan
     slopes = rng.normal(0, 0.1, (50, 2, 3)).astype(np.float32)
     weights, rows = rng.normal(size=50).astype(np.float32), rng.integers(0, 2, 50).astype(np.int32)
-    groups = rng.integers(0, 4, 50).astype(np.int32)
-    step = np.array([0.3, -0.2, 0.1])
+    groups, step = rng.integers(0, 4, 50).astype(np.int32), np.array([0.3, -0.2, 0.1])
     sums, squares, gradients = np.zeros(4), np.zeros(4), np.zeros((4, 3))
     sum_maps(pixels, slopes, step, weights, rows, groups, maps, sums, squares, gradients)
     moved = pixels[1:] + slopes[1:] @ step

@@ -119,8 +119,7 @@ def view_street(
     The lines lie evenly from `top_deg` downward, or at `elevations_deg`.
     """
     bodies, center = street_bodies(seed), np.array([0.0, 0.0, height])
-    origin = center + lidar_above
-    evenly = tuple(top_deg - pitch_deg * np.arange(beams))
+    origin, evenly = center + lidar_above, tuple(top_deg - pitch_deg * np.arange(beams))
     rays = lidar_rays(evenly if elevations_deg is None else elevations_deg, azimuth_deg)
     ranges, _ = cast(bodies, origin, rays)
     rays, ranges = rays[np.isfinite(ranges)], ranges[np.isfinite(ranges)]

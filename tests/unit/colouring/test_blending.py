@@ -179,8 +179,7 @@ def test_points_are_coloured_by_the_most_central_view_as_chosen_point_by_point_f
 
 
 def test_planes_have_normals_near_and_far_lines_and_single_points_none():
-    random = np.random.default_rng(1)
-    normal = np.array([0.36, 0.48, 0.8])
+    random, normal = np.random.default_rng(1), np.array([0.36, 0.48, 0.8])
     axes = np.linalg.svd(normal[None])[2][1:]
     for distance in (5.0, 40.0):
         flat = random.uniform(-2, 2, (4000, 2)) @ axes + distance * normal

@@ -168,8 +168,7 @@ def shares_of(scene, name, time_ns):
 def test_points_of_a_lidar_report_what_is_hidden_unless_they_are_early_or_nowhere():
     drive = simulate_street(3, frames=3, traffic=TrafficSpec())
     projected = project_cuboids(drive.scene, see_through=("tree", "pole"), lidar="lidar")
-    thin = {instance_of(a) for a in drive.scene.annotations if a.label in ("tree", "pole")}
-    pairs = []
+    thin, pairs = {instance_of(a) for a in drive.scene.annotations if a.label in ("tree", "pole")}, []
     for k, time_ns in enumerate(drive.scene.cameras[0].images.timestamps_ns):
         truth, found = drive.truth.occlusion("camera0", k), shares_of(projected, "occlusion_by_points", time_ns)
         for instance, hidden, alone in zip(truth.instances, truth.hidden, truth.alone_px, strict=True):
@@ -230,8 +229,7 @@ SECOND = 1_000_000_000
 
 def camera_at(seconds, speed=SPEED, rotation=ROTATION):
     """The camera on a vehicle that drives a circle: rotations and positions, in closed form."""
-    rotated = np.asarray(seconds) * rotation
-    radius = speed / rotation
+    rotated, radius = np.asarray(seconds) * rotation, speed / rotation
     ego = Rotation.from_rotvec(np.outer(rotated, (0, 0, 1)))
     locations = np.column_stack([radius * np.sin(rotated), radius * (1 - np.cos(rotated)), 0 * rotated])
     return ego * Rotation.from_matrix(MOUNT.rotation.copy()), ego.apply(MOUNT.translation.copy()) + locations

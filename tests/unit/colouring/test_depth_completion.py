@@ -134,8 +134,7 @@ def test_the_confidence_falls_at_a_jump_and_beyond_the_last_samples(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_black_image_changes_nothing_of_a_plane(method):
-    truth = plane(*SLANTED["wall"])
-    black = np.zeros((120, 160, 3), np.uint8)
+    truth, black = plane(*SLANTED["wall"]), np.zeros((120, 160, 3), np.uint8)
     with_image = complete_depth(scanned(truth), CAMERA, black, method=method)
     without = complete_depth(scanned(truth), CAMERA, method=method)
     np.testing.assert_array_equal(with_image.depths, without.depths)
@@ -358,8 +357,7 @@ def test_each_pixel_gets_the_cell_of_its_doubt_and_its_gap():
     depths[2] = 0
     spreads *= 5
     doubt_steps, gap_steps = np.array([0.5, 1.0], np.float32), np.array([0.1, 0.2, 0.25], np.float32)
-    table = random.random((3, 4)).astype(np.float32)
-    confidence = np.empty_like(depths)
+    table, confidence = random.random((3, 4)).astype(np.float32), np.empty_like(depths)
     completion.grade_depths(
         depths, trusts, spreads, gaps, 3.0, 0.5, 0.05, 0.1, doubt_steps, gap_steps, table, confidence
     )
@@ -418,8 +416,7 @@ def test_the_curve_visits_every_location_once_and_numbers_stay_exact_at_the_larg
     assert len(set(codes.tolist())) == len(locations)
     steps = np.abs(np.diff(locations[np.argsort(codes)], axis=0)).sum(axis=1)
     assert (steps == 1).all()
-    side = completion.MOST_EXTENT // 3
-    random = np.random.default_rng(0)
+    side, random = completion.MOST_EXTENT // 3, np.random.default_rng(0)
     inner = np.concatenate([random.integers(0, side, (200, 2)), [[0, 0], [side, 0], [side, side], [0, side]]])
     points, triangles = triangulated(inner, side)
     assert doubled_areas(points, triangles).sum() == 2 * (3 * side) ** 2

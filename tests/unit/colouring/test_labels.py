@@ -48,13 +48,11 @@ def test_points_take_the_label_of_their_nearest_pixel_in_most_images_if_they_are
 
 def test_labels_are_drawn_where_points_are_visible_and_the_nearest_counts_with_a_label_or_without():
     points = np.array([[-0.01, -0.01, 5.0], [-0.02, -0.02, 8.0], [1.0, 0.5, 5.0]])
-    seen = view(points)
-    canvas = LabelCanvas.blank(60, 40)
+    seen, canvas = view(points), LabelCanvas.blank(60, 40)
     canvas.draw(seen, np.array([4, 5, 6], np.uint16))
     assert (canvas.labels[19, 29], sorted(np.unique(canvas.labels).tolist())) == (4, [0, 4, 6])
     assert (canvas.labels > 0).sum() == 2
-    points = np.array([[0.0, 0.0, 8.0]])
-    near = np.array([[0.0, 0.0, 4.0]])
+    points, near = np.array([[0.0, 0.0, 8.0]]), np.array([[0.0, 0.0, 4.0]])
     canvas = LabelCanvas.blank(60, 40, radius_px=2)
     canvas.draw(view(points), np.array([5], np.uint16))
     assert (canvas.labels == 5).sum() == 25
@@ -67,8 +65,7 @@ def test_labels_are_drawn_where_points_are_visible_and_the_nearest_counts_with_a
 def test_labels_go_to_points_and_back_unchanged():
     random = np.random.default_rng(5)
     points = np.column_stack([random.uniform(-2, 2, 300), random.uniform(-1, 1, 300), np.full(300, 5.0)])
-    image = random.integers(1, 300, (40, 60)).astype(np.uint16)
-    seen = view(points)
+    image, seen = random.integers(1, 300, (40, 60)).astype(np.uint16), view(points)
     canvas = LabelCanvas.blank(60, 40)
     canvas.draw(seen, paint_labels(points, [seen], [image]))
     drawn = canvas.labels > 0

@@ -48,8 +48,7 @@ def test_most_of_what_moves_is_found_and_almost_nothing_that_stands(traffic):
 
 
 def test_sweeps_come_back_in_their_order_and_move_nothing_where_it_is_not_known_from_where_they_were_measured():
-    finder = MovingPoints()
-    trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(1, np.float32))
+    finder, trajectory = MovingPoints(), LidarTrajectory(np.zeros((2, 3)), np.zeros(1, np.float32))
     wall = np.array([[10.0, 0.0, 0.0]], np.float32)
     order = [[load for load, _ in finder.add(k, wall, trajectory)] for k in range(LAGS[-1] + 3)]
     assert (order[: LAGS[-1]], order[LAGS[-1] :]) == ([[]] * LAGS[-1], [[0], [1], [2]])

@@ -30,8 +30,7 @@ CAMERA_MODELS = {
 
 def ego_at(seconds):
     """An ego that drives a circle at 15 m/s and rotates by 30 degrees a second."""
-    radius = SPEED / ROTATION
-    rotated = np.asarray(seconds) * ROTATION
+    radius, rotated = SPEED / ROTATION, np.asarray(seconds) * ROTATION
     positions = np.column_stack([radius * np.sin(rotated), radius * (1 - np.cos(rotated)), 0 * rotated])
     return Rotation.from_rotvec(np.outer(rotated, (0, 0, 1))), positions
 

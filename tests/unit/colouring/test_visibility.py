@@ -178,8 +178,7 @@ def test_the_road_has_no_holes_depths_are_drawn_of_what_is_not_hidden_wherever_t
     counts = [view(street_view, VisibilitySettings(margin=margin)).visible.sum() for margin in (0.05, 0.5, 5.0)]
     assert counts[0] < counts[1] < counts[2]
     settings, ids = VisibilitySettings(), np.arange(len(street_view.points_world))
-    matrix = street_view.world_from_camera.inverse().matrix
-    shift = np.array([4096.0, -2048.0, 64.0])
+    matrix, shift = street_view.world_from_camera.inverse().matrix, np.array([4096.0, -2048.0, 64.0])
     moved = matrix.copy()
     moved[:3, 3] -= matrix[:3, :3] @ shift
     here = find_visible(street_view.points_world, ids, matrix, settings)
@@ -207,8 +206,7 @@ def scan_lines(across_deg, along_deg, angle_deg=0.0, jitter=0.02):
     """Directions on parallel lines; at angle 0 the lines run to the right."""
     random = np.random.default_rng(0)
     right, down = np.meshgrid(np.arange(-15, 15, along_deg), np.arange(-12, 12, across_deg))
-    right = right + random.normal(scale=jitter, size=right.shape)
-    rotation = np.radians(angle_deg)
+    right, rotation = right + random.normal(scale=jitter, size=right.shape), np.radians(angle_deg)
     rotated = (right * np.cos(rotation) - down * np.sin(rotation), right * np.sin(rotation) + down * np.cos(rotation))
     return np.radians([axis.ravel() for axis in rotated]).astype(np.float32)
 
@@ -379,8 +377,7 @@ def ellipse(across_deg=0.38, along_deg=0.24, angle=math.pi / 2):
 
 def marked(directions, inverse_ranges, *, cell=CELL, window=WINDOW, near=None, slope=SLOPE, eyes=None, hiding=None):
     """The kernel's answer; point i has row i of the fractions, which rise from 0 to 1."""
-    count = len(inverse_ranges)
-    visible = np.zeros(len(inverse_ranges), bool)
+    count, visible = len(inverse_ranges), np.zeros(len(inverse_ranges), bool)
     locations, nearness = (np.ascontiguousarray(rows, np.float32) for rows in (directions, inverse_ranges))
     hiding = vis.Hiding(
         nearness if hiding is None else np.ascontiguousarray(hiding, np.float32), cell, window, *(near or ellipse())
@@ -403,8 +400,7 @@ def shift_by_small_step(direction, eye):
     """How a point 1 m away in a direction shifts in the map, to first order, when the eye comes from `eye`."""
     x, y = direction.astype(np.float64)
     half = math.sqrt(1 - 0.25 * (x * x + y * y))
-    ray = np.array([[x * half, y * half, 1 - 0.5 * (x * x + y * y)]])
-    step = 1e-6
+    ray, step = np.array([[x * half, y * half, 1 - 0.5 * (x * x + y * y)]]), 1e-6
     return ((in_map(ray + step * eye) - in_map(ray - step * eye)) / (2 * step))[:, 0]
 
 
@@ -414,13 +410,11 @@ def hidden_one_by_one(directions, inverse_ranges, *, cell, window, near, slope, 
     `strictness` above 1 makes hiding harder: what is hidden even then is surely hidden.
     """
     per_cell = np.float32(1 / cell)
-    steps = (directions * per_cell + np.float32(2.1) * per_cell).astype(np.int64)
-    nearest = {}
+    steps, nearest = (directions * per_cell + np.float32(2.1) * per_cell).astype(np.int64), {}
     for j, (location, inverse) in enumerate(zip(map(tuple, steps.T), inverse_ranges, strict=True)):
         if inverse > 0 and (location not in nearest or inverse > inverse_ranges[nearest[location]]):
             nearest[location] = j
-    holders = np.array(list(nearest.values()), np.int64)
-    hidden = np.zeros(len(inverse_ranges), bool)
+    holders, hidden = np.array(list(nearest.values()), np.int64), np.zeros(len(inverse_ranges), bool)
     for i, inverse in enumerate(inverse_ranges.astype(np.float64)):
         x, y = directions[:, holders].astype(np.float64) - directions[:, i : i + 1]
         flattening = math.sqrt(1 - 0.25 * float((directions[:, i].astype(np.float64) ** 2).sum()))
@@ -549,8 +543,7 @@ def found_one_by_one(directions, inverse_ranges, samples):
     """Every sampled cell against every other cell that holds a point."""
     cells = cells_of(directions)
     taking_part = (inverse_ranges > 0) & (np.abs(directions) <= 2.1).all(axis=0)
-    occupied = {tuple(cell) for cell in cells[taking_part].tolist()}
-    rows = []
+    occupied, rows = {tuple(cell) for cell in cells[taking_part].tolist()}, []
     for s in range(samples):
         nearest, count = [math.nan] * 4, len(inverse_ranges)
         i = s * count // min(samples, count) if s < min(samples, count) else None

@@ -176,8 +176,7 @@ def test_fitted_pairs_have_the_odds_that_the_formula_says_and_boxes_without_part
     # half as wide as the outline: an overlap of one half
     partner = OUTLINE - np.array([[0.0, 0, 50, 0]])
     given = OUTLINE, np.ones(1), CAR, *reported_3d[:2], partner, reported_2d[0], CAR, FITTED_TABLE
-    found = existence.scores_of_sweep(*given)
-    both = CAR_NUMBERS.both
+    found, both = existence.scores_of_sweep(*given), CAR_NUMBERS.both
     of_image = np.clip(np.log(score_2d / (1 - score_2d)), low, high)
     odds = both.base + both.sweep * score_3d + both.image * of_image + both.overlap * (0.5 - 0.7)
     assert found[0] == pytest.approx(logistic(odds), rel=1e-9)
@@ -203,8 +202,7 @@ def covariances_of(reported=None):
 
 
 def test_deviations_lie_along_the_axes_of_the_box_and_those_reported_count_where_they_are_covariances():
-    found = covariances_of()[0]
-    growth = np.sqrt(50 / 20)
+    found, growth = covariances_of()[0], np.sqrt(50 / 20)
     rotation = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
     size = np.array(KINDS["car"].size_lwh)
     along = np.diag(((CENTER_SIGMAS[0] * size + CENTER_SIGMAS[1]) * growth) ** 2)

@@ -64,8 +64,7 @@ def test_scores_are_held_from_where_on_nearly_all_boxes_are_true():
 
 def outline(center):
     corners = np.array([center + CAR / 2 * [i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
-    u = 500.0 - 500.0 * corners[:, 1] / corners[:, 0]
-    v = 300.0 - 500.0 * corners[:, 2] / corners[:, 0]
+    u, v = 500.0 - 500.0 * corners[:, 1] / corners[:, 0], 300.0 - 500.0 * corners[:, 2] / corners[:, 0]
     return [u.min(), v.min(), u.max(), v.max()]
 
 
@@ -93,15 +92,13 @@ def fitted():
 
 
 def test_new_boxes_lie_in_the_regions_that_are_promised_and_all_scores_are_probabilities(fitted):
-    settings = ProjectionSettings(detectors=fitted)
-    squares = []
+    settings, squares = ProjectionSettings(detectors=fitted), []
     for seed in range(1000, 1060):
         reported = example(seed)
         fused = fuse_by_projection(reported.pair, settings=settings)
         assert ((fused.scores >= 0) & (fused.scores <= 1)).all()
         assert (fused.yaw_variances > 0).all()
-        errors = fused.centers[:6] - reported.truth.centers
-        covariances = fused.center_covariances[:6]
+        errors, covariances = fused.centers[:6] - reported.truth.centers, fused.center_covariances[:6]
         squares += [error @ np.linalg.solve(own, error) for error, own in zip(errors, covariances, strict=True)]
         assert fused.degrees_of_freedom == fitted.degrees_of_freedom
     # the promise lies between a Student's 9.7 and a Gaussian's 7.8; 360 boxes report 95 % to 1.2 %

@@ -85,8 +85,7 @@ def test_a_box_of_the_sweep_is_one_object_to_which_each_image_that_shows_its_loc
     np.testing.assert_allclose(log_odds(merged.objects.scores[0]), front[0] + left[0] - of_sweep[0], rtol=1e-9)
     np.testing.assert_allclose(merged.objects.scores[1], found["left"].scores[1], rtol=1e-9)
     assert merged.objects.scores[0] > max(found["front"].scores[0], found["left"].scores[0])
-    boxes = sweep((*BOTH_SEE, 0.6))
-    seen = {"front": (FRONT, image(FRONT, BOTH_SEE))}
+    boxes, seen = sweep((*BOTH_SEE, 0.6)), {"front": (FRONT, image(FRONT, BOTH_SEE))}
     front = merge_views(boxes, views(boxes, **seen)).objects
     blind = merge_views(boxes, views(boxes, **seen, back=(BACK, NOTHING))).objects
     missed = merge_views(boxes, views(boxes, **seen, left=(LEFT, NOTHING))).objects
@@ -105,8 +104,7 @@ def test_a_box_of_the_sweep_is_one_object_to_which_each_image_that_shows_its_loc
 
 def people(front, left, *, label_left="pedestrian"):
     """Two images of people without a box in the sweep, whose list has a car behind."""
-    boxes = sweep((-15, 0, 0, 0.5))
-    in_front = image(FRONT, *front, label="pedestrian", size=PERSON)
+    boxes, in_front = sweep((-15, 0, 0, 0.5)), image(FRONT, *front, label="pedestrian", size=PERSON)
     found = views(boxes, front=(FRONT, in_front), left=(LEFT, image(LEFT, *left, label=label_left, size=PERSON)))
     return found, merge_views(boxes, found)
 
@@ -151,8 +149,7 @@ def test_what_is_elsewhere_or_something_else_stays_two(front, left, label):
 
 
 def test_the_same_location_reported_twice_is_no_better_known_and_without_boxes_there_is_nothing():
-    boxes = sweep()
-    box = image(FRONT, SOMEBODY, label="pedestrian", size=PERSON)
+    boxes, box = sweep(), image(FRONT, SOMEBODY, label="pedestrian", size=PERSON)
     found = views(boxes, one=(FRONT, box), other=(FRONT, box))
     merged = merge_views(boxes, found)
     assert len(merged) == 1

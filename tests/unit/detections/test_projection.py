@@ -209,8 +209,7 @@ def sharpened(center, partner, covariance=COVARIANCE):
 
 def test_the_update_is_that_of_the_information_form_and_what_the_image_does_not_tell_stays():
     before = np.concatenate([CENTER, SIZE])
-    partner = bounds(before) + np.array([1.5, -0.8, 2.4, 0.9])
-    step = 1e-4
+    partner, step = bounds(before) + np.array([1.5, -0.8, 2.4, 0.9]), 1e-4
     slopes = np.column_stack(
         [(reported(bounds(before + step * e)) - reported(bounds(before - step * e))) / (2 * step) for e in np.eye(6)]
     )
@@ -218,8 +217,7 @@ def test_the_update_is_that_of_the_information_form_and_what_the_image_does_not_
     least, share = np.array([MIDDLE_SIGMAS, MIDDLE_SIGMAS, HEIGHT_SIGMAS]).T
     noise = least + share * (wide, high, high)
     information = np.linalg.inv(COVARIANCE) + slopes.T @ np.diag(noise**-2) @ slopes
-    expected = np.linalg.inv(information)
-    residual = reported(partner) - reported(bounds(before))
+    expected, residual = np.linalg.inv(information), reported(partner) - reported(bounds(before))
     state, covariance = sharpened(CENTER, partner)
     # slopes by differences of OpenCV's pixels are good to six digits
     np.testing.assert_allclose(covariance, expected, rtol=1e-5, atol=1e-9)
@@ -243,8 +241,7 @@ def test_the_update_is_that_of_the_information_form_and_what_the_image_does_not_
 
 
 def test_errors_are_as_large_as_the_covariance_says():
-    generator = np.random.default_rng(4)
-    truth = np.concatenate([CENTER, SIZE])
+    generator, truth = np.random.default_rng(4), np.concatenate([CENTER, SIZE])
     box = bounds(truth)
     wide, high = box[2:] - box[:2]
     squares = []
@@ -383,8 +380,7 @@ def test_an_object_is_behind_the_points_in_the_middle_of_its_box_if_these_are_it
     fused = projection.fuse_by_projection(pair_of(points, boxes_3d=car))
     assert (fused.by_points.tolist(), fused.centers[1, 0]) == ([False, True], pytest.approx(14.16, abs=0.1))
     whole = np.array([[500.0, 150.0, 700.0, 260.0]])
-    cut = whole - [500.0, 0.0, 500.0, 0.0]
-    sides = a_wall(9.0, left=8.0, low=-1.0, high=0.6, count=60)
+    cut, sides = whole - [500.0, 0.0, 500.0, 0.0], a_wall(9.0, left=8.0, low=-1.0, high=0.6, count=60)
     seen, half_seen = (projection.fuse_by_projection(pair_of(sides, box, "car")) for box in (whole, cut))
     assert seen.by_points[0]
     assert half_seen.by_points[0]
@@ -444,8 +440,7 @@ def boxes_2d(*rows, labels=None):
 def outline(x, y, z):
     """What a pinhole shows of a car that heads along x: the nearer face bounds it, or the farther one on its side."""
     corners = np.array([[x + i * 2.0, y + j * 1.0, z + k * 0.8] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
-    u = 500.0 - 500.0 * corners[:, 1] / corners[:, 0]
-    v = 300.0 - 500.0 * corners[:, 2] / corners[:, 0]
+    u, v = 500.0 - 500.0 * corners[:, 1] / corners[:, 0], 300.0 - 500.0 * corners[:, 2] / corners[:, 0]
     return u.min(), v.min(), u.max(), v.max()
 
 

@@ -62,8 +62,7 @@ def test_noise_comes_out_as_the_formula_says(height, width, matrix, full, half_c
 
 @pytest.mark.parametrize("full", [False, True], ids=["limited", "full"])
 def test_every_grey_keeps_its_level_in_all_three_colours(full):
-    luma = np.tile(np.arange(256, dtype=np.uint8), (2, 1))
-    grey = np.full((1, 128), 128, np.uint8)
+    luma, grey = np.tile(np.arange(256, dtype=np.uint8), (2, 1)), np.full((1, 128), 128, np.uint8)
     rgb = by_kernel([luma, grey, grey], SHARES["bt709"], full, 0, width=256).astype(int)
     levels = np.arange(256) if full else np.clip((np.arange(256) - 16) * 255 / 219, 0, 255)
     assert np.ptp(rgb, axis=2).max() <= (0 if full else 1)

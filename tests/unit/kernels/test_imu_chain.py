@@ -41,8 +41,7 @@ def vectors(found, reference):
     [(10.0, 3e-3, 3e-2, 2e-2), (50.0, 1.2e-4, 1.2e-3, 8e-4), (200.0, 8e-6, 8e-5, 5e-5)],
 )
 def test_rotation_gain_and_distance_are_those_of_the_curve(rate_hz, rotation, speed, distance):
-    found = summed(*measured(rate_hz), np.zeros(6))
-    states = PATH.at(KNOTS)
+    found, states = summed(*measured(rate_hz), np.zeros(6)), PATH.at(KNOTS)
     before, gravity = states.rotations[:-1], np.array([0.0, 0.0, -GRAVITY])
     rotations = np.swapaxes(before, 1, 2) @ states.rotations[1:]
     gains = np.einsum("nji,nj->ni", before, np.diff(states.velocities, axis=0) - gravity)
@@ -54,8 +53,7 @@ def test_rotation_gain_and_distance_are_those_of_the_curve(rate_hz, rotation, sp
 
 def test_covariances_are_those_of_drawn_noise():
     times, values = measured(200.0)
-    rng = np.random.default_rng(1)
-    deviations = np.repeat(np.sqrt(np.array([1e-8, 1e-6]) * 200.0), 3)
+    rng, deviations = np.random.default_rng(1), np.repeat(np.sqrt(np.array([1e-8, 1e-6]) * 200.0), 3)
     base = summed(times, values, np.zeros(6))
     draws = np.stack(
         [
@@ -88,8 +86,7 @@ def test_slopes_are_what_small_biases_do_and_beyond_the_samples_the_last_one_hol
 
 def chain(count, n, seed):
     """Blocks, couplings, right side, and the whole matrix: Jᵀ J with J tying neighbours only."""
-    rng = np.random.default_rng(seed)
-    whole = np.zeros((count * n, count * n))
+    rng, whole = np.random.default_rng(seed), np.zeros((count * n, count * n))
     for k in range(count):
         slopes = np.zeros((2 * n, count * n))
         slopes[:, k * n : (k + 2) * n] = rng.standard_normal((2 * n, min(2, count - k) * n))

@@ -23,11 +23,9 @@ def outline(box):
 def expected(first, second):
     """Overlap from above and in space."""
     one, other = outline(first), outline(second)
-    ground = one.intersection(other).area
-    top = min(first[2] + first[5] / 2, second[2] + second[5] / 2)
+    ground, top = one.intersection(other).area, min(first[2] + first[5] / 2, second[2] + second[5] / 2)
     bottom = max(first[2] - first[5] / 2, second[2] - second[5] / 2)
-    room = ground * max(0.0, top - bottom)
-    volumes = one.area * first[5] + other.area * second[5]
+    room, volumes = ground * max(0.0, top - bottom), one.area * first[5] + other.area * second[5]
     return ground / (one.area + other.area - ground), room / (volumes - room)
 
 
@@ -92,8 +90,7 @@ def inside_one_by_one(points, locations, centers, rotations, halves):
     inside = np.zeros((len(points), centers.shape[1]), bool)
     for n, point in enumerate(points.astype(np.float64)):
         k, j, s = before[n], after[n], share[n]
-        center = (1 - s) * centers[k] + s * centers[j]
-        axes = (1 - s) * rotations[k] + s * rotations[j]
+        center, axes = (1 - s) * centers[k] + s * centers[j], (1 - s) * rotations[k] + s * rotations[j]
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         half = (1 - s) * halves[k] + s * halves[j]
         local = np.einsum("bji,bj->bi", axes, point - center)

@@ -80,8 +80,7 @@ RECORDS = st.lists(
 @given(records=RECORDS)
 def test_every_field_is_what_struct_finds_wherever_the_records_begin(address, records):
     content = b"?" * address + b"".join(struct.pack("<fffBHd", *record) for record in records)
-    packed = np.frombuffer(content, np.uint8)[address:].view(XYZIRT)
-    count = len(records)
+    packed, count = np.frombuffer(content, np.uint8)[address:].view(XYZIRT), len(records)
     positions, intensities = np.full((count, 3), 7, np.float32), np.full(count, 7, np.uint8)
     rings, seconds, times = np.full(count, 7, np.uint16), np.full(count, 7.0), np.full(count, 7, np.int64)
     unpack(packed, positions, intensities, rings, seconds, times)

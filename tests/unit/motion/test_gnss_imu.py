@@ -65,8 +65,7 @@ def made_up_states(rng):
 def test_the_right_side_is_half_the_falling_slope_of_the_cost(parts):
     rng = np.random.default_rng(len(parts))
     chain, states = made_up_chain(rng, parts), made_up_states(rng)
-    here = gnss_imu.equations(chain, states, WEIGHTS)
-    size = 1e-6
+    here, size = gnss_imu.equations(chain, states, WEIGHTS), 1e-6
     for row in range(COUNT):
         for column in range(15):
             move = np.zeros((COUNT, 15))
@@ -162,8 +161,7 @@ def test_true_states_expect_the_antenna_where_it_is_with_imu_and_without():
 
 @pytest.mark.slow
 def test_variances_are_those_of_drawn_states():
-    rng = np.random.default_rng(1)
-    found = carried()
+    rng, found = np.random.default_rng(1), carried()
     roots = 1e-3 * rng.standard_normal((len(KNOTS), SIZE, SIZE))
     own = roots @ roots.swapaxes(1, 2)
     drawn = [
@@ -241,8 +239,7 @@ def rms(values):
 
 def in_deviations(run, path, part=slice(0, 6)):
     """Squared error in units of the covariance, per degree of freedom."""
-    away = errors(run, path)[:, part]
-    covariances = run.trajectory.covariances[:, part, part]
+    away, covariances = errors(run, path)[:, part], run.trajectory.covariances[:, part, part]
     return float((away * np.linalg.solve(covariances, away[:, :, None])[:, :, 0]).sum(axis=1).mean() / away.shape[1])
 
 
@@ -294,8 +291,7 @@ def test_an_imu_that_looks_elsewhere_is_found_to(mounting, town):
     run = town.run(imu=ImuSensor("imu", streams))
     back = rigid.quaternion_from_matrix(rigid.matrix_from_quaternion(run.trajectory.quaternions_xyzw) @ rotation)
     looked = replace(run, trajectory=replace(run.trajectory, quaternions_xyzw=back))
-    away = errors(looked, town.path)
-    heading = np.sqrt(run.trajectory.covariances[:, 2, 2])
+    away, heading = errors(looked, town.path), np.sqrt(run.trajectory.covariances[:, 2, 2])
     assert (np.abs(away[:, 2]) < 4.0 * heading + 0.02).all()
     assert np.degrees(rms(away[:, :2])) < 1.0
     assert np.degrees(rms(away[:, 2:3])) < 10.0
@@ -332,14 +328,12 @@ def test_errors_are_small_and_as_large_as_the_covariances_state_at_low_rates_and
 
 
 def test_an_ego_that_stands_all_the_time_has_no_heading_and_that_is_stated():
-    rng = np.random.default_rng(0)
-    times = np.arange(2000) * 10_000_000
+    rng, times = np.random.default_rng(0), np.arange(2000) * 10_000_000
     streams = {
         "gyroscope": VectorSamples(times, 0.001 * rng.standard_normal((2000, 3))),
         "accelerometer": VectorSamples(times, [0, 0, GRAVITY] + 0.01 * rng.standard_normal((2000, 3))),
     }
-    fixes = np.arange(20) * SECOND
-    unknown = np.full(20, np.nan)
+    fixes, unknown = np.arange(20) * SECOND, np.full(20, np.nan)
     gnss = GnssSensor("gnss", fixes, geodetic_from_enu(rng.standard_normal((20, 3)), ORIGIN), unknown, unknown)
     run = gnss_imu.gnss_imu_motion(Scene((ImuSensor("imu", streams), gnss)))
     assert "heading-unknown" in [warning.code for warning in run.warnings]
@@ -421,8 +415,7 @@ def test_few_fixes_wrong_times_and_milliseconds_taken_for_seconds_are_reported(t
 
 
 def test_the_antenna_may_sit_elsewhere_and_the_noise_and_slow_errors_of_fixes_are_found_whatever_they_report(town):
-    lever = np.array([0.8, -0.4, 1.2])
-    states = town.path.at(town.gnss.timestamps_ns)
+    lever, states = np.array([0.8, -0.4, 1.2]), town.path.at(town.gnss.timestamps_ns)
     fixes = moved(town.gnss, enu(town.gnss) + states.rotations @ lever, mount=rigid.RigidTransform(np.eye(3), lever))
     assert rms(errors(town.run(gnss=fixes), town.path)[:, 3:]) < rms(errors(town.run(), town.path)[:, 3:]) + 0.05
     nothing = np.full(len(town.gnss.timestamps_ns), np.nan)
@@ -445,8 +438,7 @@ def test_the_antenna_may_sit_elsewhere_and_the_noise_and_slow_errors_of_fixes_ar
 
 
 def test_fixes_that_jump_or_are_none_and_samples_that_nothing_measures_are_left_out(town):
-    rng = np.random.default_rng(0)
-    positions = enu(town.gnss)
+    rng, positions = np.random.default_rng(0), enu(town.gnss)
     jumped = rng.uniform(size=len(positions)) < 0.08
     positions[jumped, :2] += 15.0 * np.array([0.6, 0.8])
     positions[40:46, 0] += 30.0

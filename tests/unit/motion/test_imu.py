@@ -24,8 +24,7 @@ def swinging_rates(seconds):
 
 def finely_integrated(stop, rate_hz):
     """The product of many tiny rotations, each with the rate in its middle."""
-    middles = (np.arange(int(stop * rate_hz)) + 0.5) / rate_hz
-    rotated = Rotation.identity()
+    middles, rotated = (np.arange(int(stop * rate_hz)) + 0.5) / rate_hz, Rotation.identity()
     for chunk in np.array_split(middles, len(middles) // 50):
         product = Rotation.identity()
         for rotation in Rotation.from_rotvec(swinging_rates(chunk) / rate_hz):
@@ -83,8 +82,7 @@ def test_a_simulated_drive_rotates_as_it_truly_did_with_the_bias_found_only_whil
     assert angle_between(found.as_quat(), true).max() < 1.1e-3
     assert motion.bias is None
     assert [warning.code for warning in motion.ego.warnings] == ["rotation-only", "gyroscope-bias-unknown"]
-    spec = ImuSpec(gyroscope_bias_sigma=0.01)
-    path = PathSpec(stops=(Stop(4.0, 5.0),))
+    spec, path = ImuSpec(gyroscope_bias_sigma=0.01), PathSpec(stops=(Stop(4.0, 5.0),))
     drive = simulate_street(1, frames=120, cameras=(), imu=spec, path=path)
     assert motion.bias is not None
     # 1e-4 rad/s/√Hz over 3 s: 6e-5 rad/s; five times that
@@ -153,6 +151,5 @@ def test_gaps_and_samples_out_of_order_or_without_a_number_are_reported_and_what
     with pytest.raises(PoseError, match="0 usable samples"):
         imu_motion(Scene((ImuSensor("imu", {"gyroscope": empty}),)))
     # the first IMU with a gyroscope counts
-    scene = imu_scene(np.arange(3) * 10, np.zeros((3, 3)))
-    other = ImuSensor("thermometer", {})
+    scene, other = imu_scene(np.arange(3) * 10, np.zeros((3, 3))), ImuSensor("thermometer", {})
     assert len(imu_motion(replace(scene, sensors=(other, *scene.sensors))).ego.path.timestamps_ns) == 3

@@ -134,8 +134,7 @@ def test_the_same_sweep_over_and_over_and_a_bare_plain_state_nothing_more_than_t
 
 @pytest.mark.slow
 def test_a_stationary_car_stays_where_it_is_while_others_pass():
-    path = PathSpec(stops=(Stop(0.0, 12.0),))
-    traffic = TrafficSpec(cars=5.0, pedestrians=8.0)
+    path, traffic = PathSpec(stops=(Stop(0.0, 12.0),)), TrafficSpec(cars=5.0, pedestrians=8.0)
     drive = simulate_street(5, frames=40, lidar=SPEC, cameras=(), path=path, traffic=traffic)
     estimates = follow(in_ego_frame(drive))
     # a centimetre is what 2 cm of range noise leave in the first sweep's surfaces
@@ -319,8 +318,7 @@ YAW_RATE, VELOCITY = np.array([0.05, -0.1, 0.8]), np.array([9.0, 2.0, -0.3])
 def moved(points, seconds, rotation, position, yaw_rate, velocity):
     """World points and arms by SciPy's rotations."""
     rotated = Rotation.from_rotvec(seconds[:, None] * yaw_rate) * Rotation.from_matrix(rotation)
-    arms = rotated.apply(points)
-    bend = 0.5 * seconds[:, None] ** 2 * np.cross(yaw_rate, velocity)
+    arms, bend = rotated.apply(points), 0.5 * seconds[:, None] ** 2 * np.cross(yaw_rate, velocity)
     return position + seconds[:, None] * velocity + bend + arms, arms
 
 
@@ -336,8 +334,7 @@ def equations(local_map, points, seconds, change, scale):
 
 def on_ground(noise, z):
     """A map of level ground, and points above it."""
-    generator = np.random.default_rng(2)
-    local_map = LocalMap(1.0, 0.02)
+    generator, local_map = np.random.default_rng(2), LocalMap(1.0, 0.02)
     local_map.insert(np.column_stack([generator.uniform(-30, 30, (60_000, 2)), generator.normal(-1.0, noise, 60_000)]))
     return local_map, np.column_stack([generator.uniform(-20, 20, (300, 2)), np.full(300, z)]), np.zeros(300)
 
@@ -378,8 +375,7 @@ def square(xx_xy_xz_yy_yz_zz):
 
 def tilted_patch(normal, count=50):
     """Points in the cube from 0 to 2 m, on a plane through its middle, one in each part at most."""
-    generator = np.random.default_rng(3)
-    basis = np.linalg.svd(normal[None])[2][1:]
+    generator, basis = np.random.default_rng(3), np.linalg.svd(normal[None])[2][1:]
     spots = generator.uniform(-0.9, 0.9, (4000, 2))
     points = 1.0 + spots @ basis + generator.normal(0, 0.01, (4000, 1)) * normal
     points = points[((points > 0) & (points < 2)).all(axis=1)]
@@ -417,8 +413,7 @@ def test_the_map_grows_by_cubes_and_forgets_those_far_away():
     generator = np.random.default_rng(5)
     points = generator.uniform(-200.0, 200.0, (120_000, 3))
     points[:, 2] *= 0.05
-    level = level_of(points, leaf=1.0)
-    cubes = np.unique(np.floor(points), axis=0)
+    level, cubes = level_of(points, leaf=1.0), np.unique(np.floor(points), axis=0)
     assert level.count == len(cubes)
     level.drop_beyond(np.zeros(3), 50.0)
     assert level.count == (((cubes + 0.5) ** 2).sum(axis=1) <= 50.0**2).sum()

@@ -52,8 +52,7 @@ class Street:
 
     def _fused(self, k, seconds, world_from_lidar, view, random):
         seen = [a for a in self.actors if not a.unseen[0] <= seconds < a.unseen[1]]
-        count = len(seen)
-        lidar_from_world = world_from_lidar.inverse()
+        count, lidar_from_world = len(seen), world_from_lidar.inverse()
         numbers = np.zeros((count, 7))
         for row, actor in enumerate(seen):
             x, y, heading = actor.path(seconds)

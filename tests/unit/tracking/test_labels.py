@@ -47,8 +47,7 @@ def made(number=1, label="car", *, count=21, period_ns=100_000_000, speed=8.0, *
 
 def followed(drive, timestamps_ns):
     """What a perfect tracker would state of a simulated drive."""
-    truth = drive.truth.boxes(timestamps_ns)
-    found = []
+    truth, found = drive.truth.boxes(timestamps_ns), []
     for i, (instance, label) in enumerate(zip(truth.instances.tolist(), truth.labels, strict=True)):
         rows = np.flatnonzero(truth.present[:, i])
         if len(rows) > 1 and label in FOLLOWED:
@@ -298,8 +297,7 @@ def test_true_tracks_become_cuboids_within_the_tolerances_and_what_stands_is_fou
 
 
 def test_points_in_labels_are_those_of_the_truth_and_sensors_report_when_they_see_a_cuboid(labelled, drive):
-    cuboids = cuboids_of(labelled.scene)
-    compared = 0
+    cuboids, compared = cuboids_of(labelled.scene), 0
     for frame in (2, 5):
         sweep = drive.truth.sweep(frame)
         for instance, count in zip(*np.unique(sweep.instances, return_counts=True), strict=True):
@@ -351,8 +349,7 @@ def test_radars_measure_how_fast_what_drives_goes_away_and_contradict_another_sp
 
 
 def test_a_label_says_how_sure_it_is_and_whence_it_comes_with_its_boxes_in_images_and_the_worst_flags_first(drive):
-    scores = np.linspace(0.5, 1.0, 21)
-    supports = np.full(21, Support.BOTH, np.uint8)
+    scores, supports = np.linspace(0.5, 1.0, 21), np.full(21, Support.BOTH, np.uint8)
     supports[8:10] = Support.PREDICTED
     track = made(7, scores=scores, supports=supports)
     scene = labels.label_tracks(Scene(()), Tracks((track,)), settings=LabelSettings(source="made by hand")).scene
@@ -365,8 +362,7 @@ def test_a_label_says_how_sure_it_is_and_whence_it_comes_with_its_boxes_in_image
     assert support.values == ("both", "predicted", "both")
     assert support.timestamps_ns.tolist() == track.timestamps_ns[[0, 8, 10]].tolist()
     assert (reported(cuboid, "source").values, reported(cuboid, "track").values) == (("made by hand",), (7,))
-    images = drive.scene.cameras[0].images.timestamps_ns
-    corners = np.full((FRAMES, 4), np.nan)
+    images, corners = drive.scene.cameras[0].images.timestamps_ns, np.full((FRAMES, 4), np.nan)
     corners[[0, 1, 2, 8, 9]] = np.array([10.0, 20.0, 50.0, 60.004])
     shown = {"camera0": corners, "other": corners}
     track = made(5, count=FRAMES, timestamps_ns=images + 7_000_000, corners_xyxy=shown)

@@ -14,8 +14,7 @@ COUNT, STEP = 6, 0.1
 
 def filtered_drive():
     """A person who walks, filtered; and the boxes."""
-    random = np.random.default_rng(3)
-    person = np.array([False])
+    random, person = np.random.default_rng(3), np.array([False])
     first, spread = np.zeros((1, tracker.SIZE)), np.eye(tracker.SIZE)[None] * 0.5
     first[0, 3:6] = 0.8, 0.6, 1.7
     boxes = first[0, :7] + np.column_stack(

@@ -57,8 +57,7 @@ def test_covariances_are_moved_by_slopes_which_are_those_of_differences_in_one_s
 
 def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman_and_one_far_off_counts_less():
     means, covariances = states(3)
-    noise = np.diag([0.04, 0.04, 0.02, 0.02, 0.01, 0.01, 0.02])
-    measures = means[:, :7] + 0.05
+    noise, measures = np.diag([0.04, 0.04, 0.02, 0.02, 0.01, 0.01, 0.02]), means[:, :7] + 0.05
     after, spread = updated(means, covariances, measures, np.repeat(noise[None], 3, axis=0))
     visibility = np.eye(7, tracker.SIZE)
     for k in range(3):
@@ -302,8 +301,7 @@ def test_boxes_that_are_no_numbers_are_left_out(column):
 
 
 def test_time_that_goes_back_or_leaps_ends_all_objects_and_one_moment_twice_is_one_state():
-    there = seen([0.0, 0.1, 0.2], Actor(straight(0.0)))
-    tracker = Tracker()
+    there, tracker = seen([0.0, 0.1, 0.2], Actor(straight(0.0))), Tracker()
     first = [tracker.step(one).ids.tolist() for one in there][-1]
     assert tracker.step(there[0]).ids.tolist() != first
     later = replace(there[0], timestamp_ns=round(60e9))

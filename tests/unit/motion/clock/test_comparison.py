@@ -22,13 +22,10 @@ SIGMA = 0.3
 @pytest.fixture(scope="module")
 def problem():
     """A line's two numbers, kicks that add up in each window, free levels."""
-    draw = np.random.default_rng(3)
-    windows = np.repeat(np.arange(WINDOWS), ROWS // WINDOWS)
-    since = np.arange(ROWS) % (ROWS // WINDOWS)
-    slopes = draw.standard_normal((ROWS, 2))
+    draw, windows = np.random.default_rng(3), np.repeat(np.arange(WINDOWS), ROWS // WINDOWS)
+    since, slopes = np.arange(ROWS) % (ROWS // WINDOWS), draw.standard_normal((ROWS, 2))
     kicks = np.maximum(since[:, None] - np.arange(0, 20, 4), 0.0)
-    columns = np.hstack([np.ones((ROWS, 1)), kicks])
-    expected = np.array([np.inf, *[0.05] * 5])
+    columns, expected = np.hstack([np.ones((ROWS, 1)), kicks]), np.array([np.inf, *[0.05] * 5])
     amounts = np.hstack([draw.standard_normal((WINDOWS, 1)), 0.05 * draw.standard_normal((WINDOWS, 5))])
     values = slopes @ [1.0, -2.0] + (columns * amounts[windows]).sum(axis=1)
     return windows, slopes, columns, expected, values + SIGMA * np.clip(draw.standard_normal(ROWS), -1.5, 1.5)
@@ -77,8 +74,7 @@ NOISE = 0.002
 
 def pair(sway, timestamps, *, seed=0, offset=0.0, skew=0.0, seconds=40.0, poses_hz=50.0, rates_hz=200.0, **more):
     """A gyroscope, and a trajectory whose timestamps are off."""
-    body = sway(seed, **more)
-    draw = np.random.default_rng(seed)
+    body, draw = sway(seed, **more), np.random.default_rng(seed)
     at = np.arange(0.0, seconds, 1 / rates_hz)
     rates = body.rates(at) + NOISE * draw.standard_normal((len(at), 3)) + 0.01 * draw.standard_normal(3)
     posed = 0.003 + np.arange(0.0, seconds, 1 / poses_hz)
@@ -169,10 +165,8 @@ def test_a_long_drive_with_a_fast_clock_is_followed(sway, timestamps):
 
 
 def test_motions_of_what_is_stationary_or_of_two_bodies_or_that_repeat_themselves_state_nothing(timestamps, sway):
-    draw = np.random.default_rng(0)
-    seconds = np.arange(0.0, 30.0, 0.01)
-    rates = 0.01 + NOISE * draw.standard_normal((len(seconds), 3))
-    posed = np.arange(0.0, 30.0, 0.05)
+    draw, seconds = np.random.default_rng(0), np.arange(0.0, 30.0, 0.01)
+    rates, posed = 0.01 + NOISE * draw.standard_normal((len(seconds), 3)), np.arange(0.0, 30.0, 0.05)
     rotations = Rotation.from_rotvec(1e-4 * draw.standard_normal((len(posed), 3))).as_quat()
     found = estimate(timestamps(seconds), rates, timestamps(posed), rotations)
     assert found.verdict is comparison.ClockVerdict.NOT_OBSERVABLE
@@ -210,14 +204,12 @@ def test_too_few_samples_and_streams_that_never_meet_are_named(sway, timestamps)
 
 
 def test_a_curve_through_rates_rotates_as_the_body_does(sway, timestamps):
-    body = sway(2)
-    seconds = np.arange(0.0, 10.0, 0.02)
+    body, seconds = sway(2), np.arange(0.0, 10.0, 0.02)
     at = timestamps(seconds)
     curve = RotationCurve(Orientations.of_rates(at, body.rates(seconds)), int(at[0]))
     starts, stops = np.linspace(0.5, 8.0, 40), np.linspace(0.9, 9.5, 40)
     asked = np.concatenate([starts, stops])
-    order = np.argsort(asked)
-    rotations = np.empty((80, 4))
+    order, rotations = np.argsort(asked), np.empty((80, 4))
     rotations[order] = body.orientations(asked[order])
     truth = Rotation.from_quat(rotations[:40]), Rotation.from_quat(rotations[40:])
     rotated = Rotation.from_rotvec(curve.rotations(starts, stops))
@@ -371,8 +363,7 @@ def compared_on_circles(swing, offset_ns, *, noise=0.02, seed=0, seconds=40.0):
     draw = np.random.default_rng(seed)
     t, fixed = np.arange(0.0, seconds, 0.02), np.arange(0.5, seconds - 0.5, 0.1)
     w = 0.5
-    rate = RATE + swing * w * np.cos(w * t)
-    faster = -swing * w * w * np.sin(w * t)
+    rate, faster = RATE + swing * w * np.cos(w * t), -swing * w * w * np.sin(w * t)
     timestamps = (t * 1e9).astype(np.int64)
     # ahead: the speed's change; left: towards the middle
     forces = np.stack([RADIUS * faster, RADIUS * rate**2, np.full_like(t, 9.81)], axis=1)

@@ -147,6 +147,7 @@ def test_edges_lie_halfway_between_a_board_and_a_wall_and_on_walls_that_recede_b
     ranges[20:] = (6.0 / np.cos(AZIMUTHS - 1.0))[20:]
     edges = edges_of(ranges / np.cos(ELEVATIONS)[:, None])
     assert len(edges.weights) == 9
+    azimuths = np.arctan2(edges.points_lidar[:, 1], edges.points_lidar[:, 0])
     np.testing.assert_allclose(azimuths, 0.5 * (AZIMUTHS[19] + AZIMUTHS[20]), atol=1e-9)
     # the last point is 0.2 m nearer; chords between a plane's points leave millimetres
     there = 6.0 / np.cos(azimuths - 1.0)

@@ -96,6 +96,7 @@ def test_points_without_colour_stay_white_those_that_are_nowhere_are_left_out(tm
     points["weight"][0], points["color"][0], points["camera"][0] = 0.4, 50, 2
     found = {row["camera"]: row for row in gathered([points], tmp_path)}
     assert (found[2]["color"].tolist(), found[255]["color"].tolist()) == ([50, 50, 50], [255, 255, 255])
+    points = empty_points(3)
     points["position"][0], points["position"][1] = np.nan, np.inf
     assert (len(gathered([points], tmp_path)), len(gathered([], tmp_path))) == (1, 0)
     with pytest.raises(OptionError, match="voxel 0"):

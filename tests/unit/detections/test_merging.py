@@ -95,6 +95,7 @@ def test_a_box_of_the_sweep_is_one_object_to_which_each_image_that_shows_its_loc
         np.testing.assert_array_equal(getattr(missed, name), getattr(front, name))
     seen = {name: (how, image(how, BOTH_SEE)) for name, how in (("left", LEFT), ("front", FRONT))}
     found = views(boxes, **seen, back=(BACK, NOTHING))
+    merged = merge_views(boxes, found)
     traces = {name: view.center_covariances[0].trace() for name, view in found.items()}
     best = min(("left", "front"), key=traces.__getitem__)
     assert merged.objects.center_covariances[0].trace() == traces[best]

@@ -172,6 +172,7 @@ def test_sweeps_timestamped_long_after_their_points_get_the_images_of_these_and_
     for second in range(1000):
         system.send("camera0", image(second * 1_000_000_000))
     assert len(system._sweeps.queues["camera0"].items) <= 12
+    system = system_with()
     for start in range(0, 100_000, 100):
         system.send("camera0", image(start))
         system.send("lidar", sweep(start))
@@ -288,6 +289,7 @@ def test_sweeps_locate_what_images_alone_show_unless_they_are_of_other_times_or_
     system = box_system()
     boxes_of(system, 0)
     assert boxes_of(system, 5 * BOX_PERIOD, person(BOX_PERIOD)).by_points is None
+    system = box_system()
     boxes_of(system, 0)
     system.send("lidar", person(BOX_PERIOD))
     system.restart(BOX_PERIOD)

@@ -84,6 +84,7 @@ def test_a_simulated_drive_rotates_as_it_truly_did_with_the_bias_found_only_whil
     assert [warning.code for warning in motion.ego.warnings] == ["rotation-only", "gyroscope-bias-unknown"]
     spec, path = ImuSpec(gyroscope_bias_sigma=0.01), PathSpec(stops=(Stop(4.0, 5.0),))
     drive = simulate_street(1, frames=120, cameras=(), imu=spec, path=path)
+    motion = imu_motion(drive.scene)
     assert motion.bias is not None
     # 1e-4 rad/s/√Hz over 3 s: 6e-5 rad/s; five times that
     np.testing.assert_allclose(motion.bias, drive.truth.imu.gyroscope_bias, atol=3e-4)
@@ -103,6 +104,7 @@ def test_an_ego_that_stands_is_seen_to_stand_one_that_moves_at_all_or_has_few_sa
     np.testing.assert_allclose(stationary.rate, bias, atol=3e-4)
     times, rates, forces = stationary_signals(6.0)
     rates[200:300, 2] += 0.03
+    stationary = find_stationary(times, rates, times, forces)
     assert stationary is not None
     assert stationary.seconds == 5.0
     np.testing.assert_allclose(stationary.rate, bias, atol=3e-4)

@@ -402,6 +402,7 @@ def test_flat_cubes_inform_across_their_plane_lines_and_few_points_about_less_an
     np.testing.assert_allclose(np.diag(information)[:2], 1 / NOISE**2, rtol=1e-6)
     assert abs(information[2, 2]) < 1e-6
     points = tilted_patch(np.array([0.0, 0.0, 1.0]))
+    level = level_of(points)
     for _ in range(5):
         level.insert(points + 0.001)
     before = level.surfaces[0].copy()

@@ -324,6 +324,7 @@ def test_a_single_doubtful_box_is_no_object_and_thousands_are_one():
         columns = {name: np.repeat(getattr(fused, name), 3000, axis=0) for name in names}
         return {"labels": fused.labels * 3000, **columns}
 
+    tracker = Tracker()
     for one in with_changed(seen([0.0, 0.1, 0.2], Actor(straight(0.0))), repeat):
         assert len(tracker.step(one)) == 1
 

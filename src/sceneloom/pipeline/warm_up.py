@@ -54,7 +54,7 @@ _DETECTIONS = (
     *_of("kernels.box_fusion", "boxes_with_position boxes_with_area single_precision"),
     *_of("detections.projection", "_pair_uncontested"),
 )
-_TRACKING = _of("tracking.tracker", "add_gains_in_image gains_in_space without_twins _predict _read_boxes read_no_slip")
+_TRACKING = _of("tracking.tracker", "add_gains_in_image gains_in_space without_twins _predict read read_no_slip")
 _OF_SCENES = {"fuse": (), "depth": _DEPTH, "colour": _COLOUR, "demo": _DEMO, "calibrate": _CALIBRATION, "deskew": ()}
 _OF_BOXES = {"detections": _DETECTIONS, "track": (*_DETECTIONS, *_TRACKING)}
 

@@ -346,21 +346,6 @@ def predicted(
     return moved
 
 
-def read(
-    means: Float64Array,
-    covariances: Float64Array,
-    rows: Int64Array,
-    measures: Float64Array,
-    noises: Float64Array,
-    columns: Int64Array,
-) -> None:
-    """Read of states (N, 11) a box each, in place: of states `rows` (K,) the boxes `columns` (K,) of M.
-
-    Headings of boxes that are off by more than a right angle are taken the other way round.
-    """
-    _read_boxes(means, covariances, rows, measures, noises, columns, _FREEDOM)
-
-
 def probabilities(log_odds: Float64Array) -> Float64Array:
     """Give logarithms of odds as probabilities."""
     shares: Float64Array = 1.0 / (1.0 + np.exp(-log_odds))
@@ -1087,10 +1072,10 @@ def _read(mean, covariance, apart, root, crossed, gain):  # type: ignore[no-unty
     mean[YAW] = _wrapped(mean[YAW])
 
 
-@kernel("void(float64[:,::1], float64[:,:,::1], int64[::1], float64[:,::1], float64[:,:,::1], int64[::1], float64)")
-def _read_boxes(
+@kernel("void(float64[:,::1], float64[:,:,::1], int64[::1], float64[:,::1], float64[:,:,::1], int64[::1])")
+def read(
     means: Float64Array, covariances: Float64Array, rows: Int64Array, measures: Float64Array, noises: Float64Array,
-    columns: Int64Array, freedom: float,
+    columns: Int64Array,
 ) -> None:  # fmt: skip
     """Read a box of each of some states, in place.
 
@@ -1098,7 +1083,7 @@ def _read_boxes(
     their covariances state are taken for less sure, as under Student's distribution.
 
     `means`, `covariances` (N, 11) and (N, 11, 11), are changed; `rows` (K,), which of them; `measures`, `noises` (M, 7)
-    and (M, 7, 7); `columns` (K,), the box of each; `freedom`: degrees of freedom.
+    and (M, 7, 7); `columns` (K,), the box of each.
     """
     root, spread = np.zeros((_MEASURED, _MEASURED)), np.empty((_MEASURED, _MEASURED))
     apart, solved = np.empty(_MEASURED), np.empty(_MEASURED)
@@ -1109,7 +1094,7 @@ def _read_boxes(
             apart[i] = measures[m, i] - means[n, i]
         turn = _wrapped(apart[YAW])
         apart[YAW] = turn - np.pi * np.round(turn / np.pi)
-        if _weighed(covariances[n], noises[m], apart, root, spread, solved, freedom):
+        if _weighed(covariances[n], noises[m], apart, root, spread, solved, _FREEDOM):
             _read(means[n], covariances[n], apart, root, crossed, gain)
 
 

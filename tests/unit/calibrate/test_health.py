@@ -256,9 +256,8 @@ def images_state(rotation_deg, *, stated=8.0):
     return CalibrationHealth(**about, items=items, **standing)
 
 
-@pytest.mark.parametrize(
-    ("found", "verdicts"),
-    [
+def test_boxes_are_judged_by_their_rotation_and_join_or_decide_what_images_state():
+    for found, verdicts in [
         (rotation(0.1, -0.1, 0.3), (GOOD, GOOD)),
         (rotation(0.8, 0.0, 0.0), (DRIFTING, GOOD)),
         (rotation(0.0, 3.0, 0.5), (WRONG, GOOD)),
@@ -270,17 +269,11 @@ def images_state(rotation_deg, *, stated=8.0):
         (rotation(3.0, 0.0, 0.0, images=6), (UNTOLD, UNTOLD)),
         (rotation(3.0, 0.0, 0.0, by_chance=120), (UNTOLD, UNTOLD)),
         (None, (UNTOLD, UNTOLD)),
-    ],
-)
-def test_boxes_are_judged_by_their_rotation_and_by_how_many_agree(found, verdicts):
-    items = judge_boxes(found)
-    assert tuple(item.verdict for item in items) == verdicts
-    assert all(bool(item.reason) is (item.verdict is not GOOD) for item in items)
-
-
-@pytest.mark.parametrize(
-    ("images_deg", "found", "verdict"),
-    [
+    ]:
+        items = judge_boxes(found)
+        assert tuple(item.verdict for item in items) == verdicts
+        assert all(bool(item.reason) is (item.verdict is not GOOD) for item in items)
+    for images_deg, found, verdict in [
         (None, rotation(0.1, 0.0, 0.0), GOOD),
         (None, rotation(3.0, 0.0, 0.0), WRONG),
         (None, rotation(0.0, 0.0, 2.5), WRONG),
@@ -290,12 +283,10 @@ def test_boxes_are_judged_by_their_rotation_and_by_how_many_agree(found, verdict
         (0.6, rotation(0.3, 0.0, 0.0), DRIFTING),
         (1.5, rotation(1.3, 0.0, 0.0), WRONG),
         (1.5, None, WRONG),
-    ],
-)
-def test_boxes_decide_where_images_cannot_and_join_them_where_they_can(images_deg, found, verdict):
-    health = images_state(images_deg).with_boxes(found)
-    assert health.verdict is verdict
-    assert [item.name for item in health.items] == [*PARTS, "boxes", "boxes_roll"]
+    ]:
+        health = images_state(images_deg).with_boxes(found)
+        assert health.verdict is verdict
+        assert [item.name for item in health.items] == [*PARTS, "boxes", "boxes_roll"]
 
 
 def test_boxes_alone_are_enough_for_a_verdict_and_contradict_images_as_rotating_does():

@@ -85,41 +85,19 @@ def projected_by_opencv(points_world):
     return np.flatnonzero(inside & ahead), pixels, points[:, 2]
 
 
-@pytest.mark.parametrize("visibility", [PLAIN, VisibilitySettings()], ids=["plain", "windowed"])
-def test_the_depth_image_holds_the_nearest_visible_depth_of_each_pixel(visibility):
-    fused = view(cloud(60_000), visibility=visibility)
-    assert (fused.camera_id, fused.camera, fused.timestamp_ns) == ("c", CAMERA, 7)
-    assert fused.world_from_camera is POSE
-    expected = np.full((480, 640), np.inf)
-    columns, rows = np.floor(fused.pixels.astype(float) + 0.5).astype(int).T
-    counted = fused.visible if visibility.enabled else np.ones(len(rows), bool)
-    np.minimum.at(expected, (rows[counted], columns[counted]), fused.depths[counted])
-    np.testing.assert_array_equal(fused.depth_image, np.where(np.isinf(expected), 0, expected))
-    assert 0.01 < fused.visible.mean() < 0.99
-    if not visibility.enabled:  # a plain z-buffer shows the nearest points
-        np.testing.assert_array_equal(fused.visible, fused.depths == expected[rows, columns])
-
-
-@pytest.mark.parametrize("visibility", [None, PLAIN], ids=["windowed", "plain"])
-def test_few_points_and_pixels_are_fine_and_what_is_behind_or_not_finite_is_in_no_image(visibility):
-    fused = view(np.zeros((0, 3)), visibility=visibility)
-    assert len(fused.point_ids) == len(fused.visible) == 0
-    assert not fused.depth_image.any()
-    fused = view(POSE.apply(np.array([[0.1, 0.2, 5.0]])), visibility=visibility)
-    assert (fused.visible.tolist(), fused.depth_image[fused.depth_image > 0]) == ([True], pytest.approx([5.0]))
-    points = cloud(300)
-    points[::3] = [math.nan, 0, 0]
-    points[1::3, 1] = math.inf
-    fused = view(points, visibility=visibility)
-    assert len(fused.point_ids) > 0
-    assert (fused.point_ids % 3 == 2).all()
-    pixel = Camera("pinhole", 1, 1, 10.0, 10.0, 0.0, 0.0)
-    fused = view(POSE.apply(np.array([[0, 0, 9.0], [0.01, 0, 3.0], [5, 0, 3]])), pixel, visibility)
-    assert (fused.point_ids.tolist(), fused.depth_image.tolist()) == ([0, 1], [[3.0]])
-    assert len(view(POSE.apply(np.array([[0, 0, -5.0], [0, 0, 0]])), visibility=visibility).point_ids) == 0
-
-
-def test_a_fisheye_sees_beside_and_behind_itself_but_such_points_have_no_depth():
+def test_the_depth_image_holds_the_nearest_visible_depth_of_each_pixel_none_of_what_is_beside_a_fisheye():
+    for visibility in [PLAIN, VisibilitySettings()]:
+        fused = view(cloud(60_000), visibility=visibility)
+        assert (fused.camera_id, fused.camera, fused.timestamp_ns) == ("c", CAMERA, 7)
+        assert fused.world_from_camera is POSE
+        expected = np.full((480, 640), np.inf)
+        columns, rows = np.floor(fused.pixels.astype(float) + 0.5).astype(int).T
+        counted = fused.visible if visibility.enabled else np.ones(len(rows), bool)
+        np.minimum.at(expected, (rows[counted], columns[counted]), fused.depths[counted])
+        np.testing.assert_array_equal(fused.depth_image, np.where(np.isinf(expected), 0, expected))
+        assert 0.01 < fused.visible.mean() < 0.99
+        if not visibility.enabled:  # a plain z-buffer shows the nearest points
+            np.testing.assert_array_equal(fused.visible, fused.depths == expected[rows, columns])
     camera = Camera("fisheye", 900, 900, 200.0, 200.0, 449.5, 449.5, (0.0, 0.0, 0.0, 0.0))
     points = POSE.apply(np.array([[5.0, 0, 1], [5, 0, -1], [0, 0, 4]]))
     for visibility in (PLAIN, VisibilitySettings()):
@@ -145,29 +123,38 @@ def test_points_fall_where_opencv_puts_them_in_any_memory_order():
         np.testing.assert_array_equal(fused.depth_image, expected.depth_image)
 
 
-@pytest.mark.parametrize("many", [False, True])
-def test_a_view_of_few_points_does_not_hold_the_room_of_all_and_one_of_many_no_more_than_its_own(many):
-    inside, outside = (1000, 10) if many else (10, 1000)
-    points = POSE.apply(np.concatenate([np.full((inside, 3), [0.0, 0, 5]), np.full((outside, 3), -5.0)]))
-    fused = view(points)
-    for held in (fused.point_ids, fused.pixels, fused.pixel_numbers, fused.depths):
-        assert (None if held.base is None else held.base.shape) == ((1010, *held.shape[1:]) if many else None)
-
-
-@pytest.mark.parametrize(
-    ("points", "options", "error", "message"),
-    [
+def test_few_points_and_pixels_are_fine_what_is_behind_is_in_no_image_and_what_does_not_fit_is_refused():
+    for visibility in [None, PLAIN]:
+        fused = view(np.zeros((0, 3)), visibility=visibility)
+        assert len(fused.point_ids) == len(fused.visible) == 0
+        assert not fused.depth_image.any()
+        fused = view(POSE.apply(np.array([[0.1, 0.2, 5.0]])), visibility=visibility)
+        assert (fused.visible.tolist(), fused.depth_image[fused.depth_image > 0]) == ([True], pytest.approx([5.0]))
+        points = cloud(300)
+        points[::3] = [math.nan, 0, 0]
+        points[1::3, 1] = math.inf
+        fused = view(points, visibility=visibility)
+        assert len(fused.point_ids) > 0
+        assert (fused.point_ids % 3 == 2).all()
+        pixel = Camera("pinhole", 1, 1, 10.0, 10.0, 0.0, 0.0)
+        fused = view(POSE.apply(np.array([[0, 0, 9.0], [0.01, 0, 3.0], [5, 0, 3]])), pixel, visibility)
+        assert (fused.point_ids.tolist(), fused.depth_image.tolist()) == ([0, 1], [[3.0]])
+        assert len(view(POSE.apply(np.array([[0, 0, -5.0], [0, 0, 0]])), visibility=visibility).point_ids) == 0
+    for many in [False, True]:
+        inside, outside = (1000, 10) if many else (10, 1000)
+        points = POSE.apply(np.concatenate([np.full((inside, 3), [0.0, 0, 5]), np.full((outside, 3), -5.0)]))
+        fused = view(points)
+        for held in (fused.point_ids, fused.pixels, fused.pixel_numbers, fused.depths):
+            assert (None if held.base is None else held.base.shape) == ((1010, *held.shape[1:]) if many else None)
+    for points, options, error, message in [
         (np.zeros((5, 2)), {}, ArrayError, "points_world"),
         (np.zeros((5, 3), np.float32), {}, ArrayError, "points_world"),
         (np.zeros(3), {}, ArrayError, "points_world"),
         (np.zeros((5, 3)), {"rgb": np.zeros((640, 480, 3), np.uint8)}, ArrayError, r"view\.rgb"),
         (np.zeros((5, 3)), {"camera": replace(CAMERA, model="mirror")}, CalibrationError, "mirror"),
-    ],
-    ids=str,
-)
-def test_what_does_not_fit_is_refused(points, options, error, message):
-    with pytest.raises(error, match=message):
-        view(points, **options)
+    ]:
+        with pytest.raises(error, match=message):
+            view(points, **options)
 
 
 PINHOLE = Camera("pinhole", 640, 480, 400.0, 400.0, 319.5, 239.5)

@@ -120,9 +120,8 @@ def central(size, pixel, color):
     return make_view([0], [pixel], plain(color, size))
 
 
-@pytest.mark.parametrize(
-    ("count", "views", "indices", "colors", "cameras"),
-    [
+def test_points_have_the_colour_of_the_image_that_shows_them_most_centrally():
+    for count, views, indices, colors, cameras in [
         (3, [make_view([1], [(2, 1)], plain((1, 2, 3)))], [4], [[255] * 3, [1, 2, 3], [255] * 3], [255, 4, 255]),
         (2, [], [], [[255] * 3] * 2, [255, 255]),
         (0, [make_view([], [], plain(0)), make_view([], [], plain(0))], [0, 1], [], []),
@@ -134,15 +133,10 @@ def central(size, pixel, color):
         (1, [central((30, 40), (24.5, 14.5), 1), central((300, 400), (259.5, 149.5), 2)], [7, 8], [[1] * 3], [7]),
         # of equally central views the first counts
         (1, [make_view([0], [(1, 2)], plain(color)) for color in (10, 20, 30)], [2, 1, 0], [[10] * 3], [2]),
-    ],
-)  # fmt: skip
-def test_points_have_the_colour_of_the_image_that_shows_them_most_centrally(count, views, indices, colors, cameras):
-    found, camera_index = colour_points(count, views, indices)
-    assert found.dtype == camera_index.dtype == np.uint8
-    assert (found.shape, found.tolist(), camera_index.tolist()) == ((count, 3), colors, cameras)
-
-
-def test_points_are_coloured_by_the_most_central_view_as_chosen_point_by_point_from_the_nearest_pixel():
+    ]:
+        found, camera_index = colour_points(count, views, indices)
+        assert found.dtype == camera_index.dtype == np.uint8
+        assert (found.shape, found.tolist(), camera_index.tolist()) == ((count, 3), colors, cameras)
     random, views, indices = np.random.default_rng(1), [], (5, 0, 254)
     for size in ((4, 6), (9, 5), (1, 1)):
         ids = np.sort(random.permutation(50)[:35])

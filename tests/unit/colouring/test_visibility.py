@@ -216,16 +216,13 @@ def spacings_deg(directions, inverse_ranges=None):
     return np.degrees(vis.measure_spacings(look_around(directions, inverse)))
 
 
-@pytest.mark.parametrize(("angle_deg", "along_axis"), [(0, 0), (45, 1), (90, 2), (135, 3)])
-@pytest.mark.parametrize(("across_deg", "along_deg"), [(0.42, 0.17), (1.0, 0.2), (2.0, 0.4), (0.6, 0.35)])
-def test_the_spacings_across_and_along_scan_lines_are_found(across_deg, along_deg, angle_deg, along_axis):
-    spacings = spacings_deg(scan_lines(across_deg, along_deg, angle_deg))
-    # Half a cell of resolution, and the neighbour across may lie a little to the side.
-    assert spacings[along_axis] == pytest.approx(along_deg, abs=0.05)
-    assert spacings[(along_axis + 2) % 4] == pytest.approx(across_deg, abs=0.05 + 0.1 * across_deg)
-
-
-def test_too_few_points_lines_beyond_reach_and_what_takes_no_part_give_no_spacing():
+def test_the_spacings_across_and_along_scan_lines_are_found_if_there_are_points_enough():
+    for across_deg, along_deg in [(0.42, 0.17), (1.0, 0.2), (2.0, 0.4), (0.6, 0.35)]:
+        for angle_deg, along_axis in [(0, 0), (45, 1), (90, 2), (135, 3)]:
+            spacings = spacings_deg(scan_lines(across_deg, along_deg, angle_deg))
+            # Half a cell of resolution, and the neighbour across may lie a little to the side.
+            assert spacings[along_axis] == pytest.approx(along_deg, abs=0.05)
+            assert spacings[(along_axis + 2) % 4] == pytest.approx(across_deg, abs=0.05 + 0.1 * across_deg)
     lines, others = scan_lines(0.42, 0.17), scan_lines(0.29, 0.87)
     both, inverse = np.column_stack([others, lines]), np.repeat([0.0, 0.1], [others.shape[1], lines.shape[1]])
     assert spacings_deg(both, inverse.astype(np.float32))[2] == pytest.approx(0.42, abs=0.1)
@@ -277,19 +274,14 @@ def surface_distance(directions, inverse_ranges, *margins):
     return vis.measure_surface_distance(look_around(directions, inverse_ranges), directions, inverse_ranges, *margins)
 
 
-@pytest.mark.parametrize(
-    ("height", "exact", "most"), [(0.3, 0.24, 0.26), (0.8, 0.64, 0.7), (1.65, 1.32, 1.4), (3.0, 1.5, None)]
-)
-def test_surfaces_pass_the_camera_at_its_height_above_the_ground(height, exact, most):
-    for spacing_deg in (0.2, 0.4, 2.0):
-        measured = surface_distance(*ground_and_wall(height, spacing_deg=spacing_deg, noise=0.0), 0.075, 0.005)
-        # The ground in the image is met at up to 25 degrees, whose cosine is 0.91; directions are rounded to float32.
-        assert 0.99 * exact < measured < exact / 0.9
-    if most is not None:  # noise makes surfaces steeper, never flatter
-        assert 0.4 * most < surface_distance(*ground_and_wall(height), 0.075, 0.005) < most
-
-
-def test_a_cloud_that_shows_no_surface_gives_the_usual_distance():
+def test_surfaces_pass_the_camera_at_its_height_above_the_ground_or_at_the_usual_distance():
+    for height, exact, most in [(0.3, 0.24, 0.26), (0.8, 0.64, 0.7), (1.65, 1.32, 1.4), (3.0, 1.5, None)]:
+        for spacing_deg in (0.2, 0.4, 2.0):
+            measured = surface_distance(*ground_and_wall(height, spacing_deg=spacing_deg, noise=0.0), 0.075, 0.005)
+            # The ground is met at up to 25 degrees in the image, whose cosine is 0.91; directions are float32.
+            assert 0.99 * exact < measured < exact / 0.9
+        if most is not None:  # noise makes surfaces steeper, never flatter
+            assert 0.4 * most < surface_distance(*ground_and_wall(height), 0.075, 0.005) < most
     directions = scan_lines(0.42, 0.17)
     ranges = np.random.default_rng(0).uniform(2, 80, directions.shape[1]).astype(np.float32)
     for some, inverse in ((directions, 1 / ranges), (directions, 0 * ranges), (directions[:, :0].copy(), ranges[:0])):

@@ -73,24 +73,16 @@ def test_tiles_rest_on_the_disk_while_others_are_added_and_the_map_does_not_depe
     assert little.tobytes() == gathered(drive(), tmp_path / "much").tobytes()
 
 
-@pytest.mark.parametrize(
-    ("weights", "reds", "mean", "expected"),
-    [
+def test_best_takes_the_colour_that_is_trusted_most_the_mean_those_that_agree_and_points_without_stay_white(tmp_path):
+    for weights, reds, mean, expected in [
         ([0.2, 0.9, 0.5], [10, 20, 30], False, 20),
         ([0.9, 0.8, 0.5], [200, 20, 190], True, (0.9 * 200 + 0.5 * 190) / 1.4),  # one that disagrees makes no ghost
-    ],
-)
-def test_best_takes_the_colour_that_is_trusted_most_and_the_mean_those_that_agree_with_it(
-    tmp_path, weights, reds, mean, expected
-):
-    points = empty_points(3)
-    points["position"] = 0.1
-    points["weight"], points["color"] = weights, np.array(reds)[:, None]
-    (point,) = gathered([points[:2], points[2:]], tmp_path, mean=mean)
-    np.testing.assert_allclose(point["color"], expected, rtol=1e-5)
-
-
-def test_points_without_colour_stay_white_those_that_are_nowhere_are_left_out(tmp_path):
+    ]:
+        points = empty_points(3)
+        points["position"] = 0.1
+        points["weight"], points["color"] = weights, np.array(reds)[:, None]
+        (point,) = gathered([points[:2], points[2:]], tmp_path, mean=mean)
+        np.testing.assert_allclose(point["color"], expected, rtol=1e-5)
     points = empty_points(3)
     points["position"] = [[0.1, 0.1, 0.1], [0.2, 0.2, 0.2], [5.0, 5.0, 5.0]]
     points["weight"][0], points["color"][0], points["camera"][0] = 0.4, 50, 2

@@ -136,20 +136,15 @@ def test_a_person_whom_two_images_alone_show_is_one_whose_odds_multiply():
     assert gained == pytest.approx(log_odds(without["left"]) - silent, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("front", "left", "label"), [([SOMEBODY], [ANOTHER], "pedestrian"), ([SOMEBODY], [SOMEBODY], "car")]
-)
-def test_what_is_elsewhere_or_something_else_stays_two(front, left, label):
-    found, merged = people(front, left, label_left=label)
-    assert (len(merged), merged.rows["front"].tolist()) == (3, [0, 1, NO_BOX])
-    assert merged.rows["left"].tolist() == [0, NO_BOX, 1]
-    np.testing.assert_array_equal(merged.objects.centers[2], found["left"].centers[1])
-    np.testing.assert_allclose(merged.objects.scores[1], found["front"].scores[1], rtol=1e-9)
-    _, merged = people([SOMEBODY, ANOTHER], [ANOTHER, SOMEBODY])  # each finds the own one
-    assert {name: rows.tolist() for name, rows in merged.rows.items()} == {"front": [0, 1, 2], "left": [0, 2, 1]}
-
-
-def test_the_same_location_reported_twice_is_no_better_known_and_without_boxes_there_is_nothing():
+def test_what_is_elsewhere_or_something_else_stays_two_and_the_same_reported_twice_is_no_better_known():
+    for front, left, label in [([SOMEBODY], [ANOTHER], "pedestrian"), ([SOMEBODY], [SOMEBODY], "car")]:
+        found, merged = people(front, left, label_left=label)
+        assert (len(merged), merged.rows["front"].tolist()) == (3, [0, 1, NO_BOX])
+        assert merged.rows["left"].tolist() == [0, NO_BOX, 1]
+        np.testing.assert_array_equal(merged.objects.centers[2], found["left"].centers[1])
+        np.testing.assert_allclose(merged.objects.scores[1], found["front"].scores[1], rtol=1e-9)
+        _, merged = people([SOMEBODY, ANOTHER], [ANOTHER, SOMEBODY])  # each finds the own one
+        assert {name: rows.tolist() for name, rows in merged.rows.items()} == {"front": [0, 1, 2], "left": [0, 2, 1]}
     boxes, box = sweep(), image(FRONT, SOMEBODY, label="pedestrian", size=PERSON)
     found = views(boxes, one=(FRONT, box), other=(FRONT, box))
     merged = merge_views(boxes, found)

@@ -471,24 +471,18 @@ HIDDEN = 0.6 * 0.91 / (0.6 * 0.91 + 0.4)
 MISSED = 0.6 / 0.4 * (1 - 0.9)
 
 
-@pytest.mark.parametrize(
-    ("boxes", "score", "accuracy"),
-    [
+def test_boxes_of_sweep_or_image_alone_become_less_likely_where_the_other_should_have_shown_them():
+    for boxes, score, accuracy in [
         ([(-20, 3, -1, 0.6)], 0.6, 1e-3),  # behind the camera: it stays as likely
         ([(60, 3, -1, 0.6)], 0.6, 1e-3),  # tiny in the image
         ([(10, 0, 0, 0.9), (25, 0, 0, 0.6)], HIDDEN, 1e-3),  # hidden by a nearer one
         ([(20, 3, -1, 0.6)], MISSED / (1 + MISSED), 1e-12),  # the image should have shown it
-    ],
-)
-def test_a_box_of_the_sweep_alone_becomes_less_likely_where_the_image_should_have_shown_it(boxes, score, accuracy):
-    result = fused(boxes_3d(*boxes), boxes_2d())
-    assert result.scores[-1] == pytest.approx(score, abs=accuracy)
-    assert result.corners_xyxy[-1].any() == (boxes[0][0] > 0)
-    if boxes[0][0] > 0:
-        np.testing.assert_allclose(result.corners_xyxy[-1], outline(*boxes[-1][:3]), atol=1e-9)
-
-
-def test_a_box_of_the_image_alone_has_its_ray_less_existence_and_no_velocity_or_is_left_out():
+    ]:
+        result = fused(boxes_3d(*boxes), boxes_2d())
+        assert result.scores[-1] == pytest.approx(score, abs=accuracy)
+        assert result.corners_xyxy[-1].any() == (boxes[0][0] > 0)
+        if boxes[0][0] > 0:
+            np.testing.assert_allclose(result.corners_xyxy[-1], outline(*boxes[-1][:3]), atol=1e-9)
     two = boxes_2d((700, 250, 750, 350, 0.8), labels=("pedestrian",))
     result = fused(boxes_3d((-20, 0, 0, 0.5)), two)
     assert (result.rows_3d.tolist(), result.rows_2d.tolist()) == ([0, NO_BOX], [NO_BOX, 0])

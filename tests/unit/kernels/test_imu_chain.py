@@ -4,7 +4,6 @@ Chains of blocks against the same matrix written out.
 """
 
 import numpy as np
-import pytest
 
 from sceneloom.geometry.rigid import quaternion_from_matrix, rotation_vector_from_quaternion
 from sceneloom.kernels.imu_chain import chain_covariances, solve_chain
@@ -35,22 +34,6 @@ def vectors(found, reference):
     return np.hstack([rotations, found.velocities - reference.velocities, found.positions - reference.positions])
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "rotation", "speed", "distance"),
-    # the force between samples 0.1 s apart is known to a'' h² / 8, which shrinks with the square of the step
-    [(10.0, 3e-3, 3e-2, 2e-2), (50.0, 1.2e-4, 1.2e-3, 8e-4), (200.0, 8e-6, 8e-5, 5e-5)],
-)
-def test_rotation_gain_and_distance_are_those_of_the_curve(rate_hz, rotation, speed, distance):
-    found, states = summed(*measured(rate_hz), np.zeros(6)), PATH.at(KNOTS)
-    before, gravity = states.rotations[:-1], np.array([0.0, 0.0, -GRAVITY])
-    rotations = np.swapaxes(before, 1, 2) @ states.rotations[1:]
-    gains = np.einsum("nji,nj->ni", before, np.diff(states.velocities, axis=0) - gravity)
-    steps = np.diff(states.positions, axis=0) - states.velocities[:-1] - 0.5 * gravity
-    assert np.abs(found.rotations - rotations).max() < rotation
-    assert np.abs(found.velocities - gains).max() < speed
-    assert np.abs(found.positions - np.einsum("nji,nj->ni", before, steps)).max() < distance
-
-
 def test_covariances_are_those_of_drawn_noise():
     times, values = measured(200.0)
     rng, deviations = np.random.default_rng(1), np.repeat(np.sqrt(np.array([1e-8, 1e-6]) * 200.0), 3)
@@ -68,7 +51,20 @@ def test_covariances_are_those_of_drawn_noise():
     assert np.abs(correlation - np.eye(9)).max() < 0.15
 
 
-def test_slopes_are_what_small_biases_do_and_beyond_the_samples_the_last_one_holds():
+def test_rotation_gain_and_distance_are_those_of_the_curve_and_slopes_what_small_biases_do():
+    for rate_hz, rotation, speed, distance in [
+        (10.0, 3e-3, 3e-2, 2e-2),
+        (50.0, 1.2e-4, 1.2e-3, 8e-4),
+        (200.0, 8e-6, 8e-5, 5e-5),
+    ]:
+        found, states = summed(*measured(rate_hz), np.zeros(6)), PATH.at(KNOTS)
+        before, gravity = states.rotations[:-1], np.array([0.0, 0.0, -GRAVITY])
+        rotations = np.swapaxes(before, 1, 2) @ states.rotations[1:]
+        gains = np.einsum("nji,nj->ni", before, np.diff(states.velocities, axis=0) - gravity)
+        steps = np.diff(states.positions, axis=0) - states.velocities[:-1] - 0.5 * gravity
+        assert np.abs(found.rotations - rotations).max() < rotation
+        assert np.abs(found.velocities - gains).max() < speed
+        assert np.abs(found.positions - np.einsum("nji,nj->ni", before, steps)).max() < distance
     times, values = measured(200.0)
     base = summed(times, values, np.zeros(6))
     for column in range(6):
@@ -102,21 +98,18 @@ def solved(blocks, couplings, right, damping):
     return solve_chain(blocks, couplings, right, damping, factors, gains, solution), solution, (factors, gains)
 
 
-@pytest.mark.parametrize(("count", "n"), [(1, 3), (2, 15), (40, 15), (100, 4)])
-def test_solution_and_covariances_are_those_of_the_whole_matrix(count, n):
-    blocks, couplings, right, whole = chain(count, n, count)
-    failed, solution, factors = solved(blocks, couplings, right, 0.0)
-    assert failed == -1
-    # float64 with condition numbers of some thousands
-    assert np.allclose(solution.ravel(), np.linalg.solve(whole, right.ravel()), rtol=1e-8, atol=1e-9)
-    own, between = np.empty_like(blocks), np.empty_like(couplings)
-    chain_covariances(*factors, own, between)
-    inverse, rows = np.linalg.inv(whole).reshape(count, n, count, n).swapaxes(1, 2), np.arange(count)
-    assert np.allclose(own, inverse[rows, rows], rtol=1e-7, atol=1e-9)
-    assert np.allclose(between, inverse[rows[:-1], rows[1:]], rtol=1e-7, atol=1e-9)
-
-
-def test_damping_adds_its_share_of_the_diagonal_and_a_matrix_that_is_not_definite_is_reported_with_its_block():
+def test_solution_and_covariances_are_those_of_the_whole_matrix_damped_or_not():
+    for count, n in [(1, 3), (2, 15), (40, 15), (100, 4)]:
+        blocks, couplings, right, whole = chain(count, n, count)
+        failed, solution, factors = solved(blocks, couplings, right, 0.0)
+        assert failed == -1
+        # float64 with condition numbers of some thousands
+        assert np.allclose(solution.ravel(), np.linalg.solve(whole, right.ravel()), rtol=1e-8, atol=1e-9)
+        own, between = np.empty_like(blocks), np.empty_like(couplings)
+        chain_covariances(*factors, own, between)
+        inverse, rows = np.linalg.inv(whole).reshape(count, n, count, n).swapaxes(1, 2), np.arange(count)
+        assert np.allclose(own, inverse[rows, rows], rtol=1e-7, atol=1e-9)
+        assert np.allclose(between, inverse[rows[:-1], rows[1:]], rtol=1e-7, atol=1e-9)
     blocks, couplings, right, whole = chain(5, 3, 0)
     expected = np.linalg.solve(whole + 0.5 * np.diag(np.diag(whole)), right.ravel())
     assert np.allclose(solved(blocks, couplings, right, 0.5)[1].ravel(), expected, rtol=1e-9)

@@ -31,33 +31,30 @@ def scipy_world(path, mount, times_ns, positions):
     return rotations.apply(positions @ mount.rotation.T + mount.translation) + locations
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_each_point_is_placed_by_the_pose_at_its_own_time(seed):
-    rng = np.random.default_rng(seed)
-    path = random_path(rng)
-    times = rng.integers(path.start_ns, path.stop_ns, 500)
-    positions = rng.normal(scale=30, size=(500, 3)).astype(np.float32)
-    world, extrapolated = points_to_world(frame_at(times, positions), PoseSource(path, MOUNT))
-    # 30 m at double precision; scipy's slerp and ours differ by rounding only
-    np.testing.assert_allclose(world, scipy_world(path, MOUNT, times, positions.astype(float)), atol=1e-9)
-    assert not extrapolated
-
-
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_points_are_taken_to_any_moment_within_the_sweep_or_beyond(share):
-    rng = np.random.default_rng(7)
-    path = random_path(rng)
-    early, late = int(path.timestamps_ns[3]), int(path.timestamps_ns[5])
-    times = rng.integers(early, late, 300)
-    moment = int(path.start_ns + share * (path.stop_ns - path.start_ns))
-    positions = rng.normal(scale=30, size=(300, 3)).astype(np.float32)
-    moved, extrapolated = points_at(frame_at(times, positions), PoseSource(path, MOUNT), moment)
-    seen_again = scipy_world(path, MOUNT, np.full(300, moment), moved)
-    world = scipy_world(path, MOUNT, times, positions.astype(float))
-    np.testing.assert_allclose(seen_again, world, atol=1e-9)
-    assert not extrapolated
-    with pytest.raises(PoseError, match="the poses reach"):
-        points_at(frame_at(times, positions), PoseSource(path, MOUNT), path.stop_ns + 1)
+def test_each_point_is_placed_by_the_pose_at_its_own_time_in_the_world_or_at_any_moment():
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        path = random_path(rng)
+        times = rng.integers(path.start_ns, path.stop_ns, 500)
+        positions = rng.normal(scale=30, size=(500, 3)).astype(np.float32)
+        world, extrapolated = points_to_world(frame_at(times, positions), PoseSource(path, MOUNT))
+        # 30 m at double precision; scipy's slerp and ours differ by rounding only
+        np.testing.assert_allclose(world, scipy_world(path, MOUNT, times, positions.astype(float)), atol=1e-9)
+        assert not extrapolated
+    for share in [0.0, 0.3, 1.0]:
+        rng = np.random.default_rng(7)
+        path = random_path(rng)
+        early, late = int(path.timestamps_ns[3]), int(path.timestamps_ns[5])
+        times = rng.integers(early, late, 300)
+        moment = int(path.start_ns + share * (path.stop_ns - path.start_ns))
+        positions = rng.normal(scale=30, size=(300, 3)).astype(np.float32)
+        moved, extrapolated = points_at(frame_at(times, positions), PoseSource(path, MOUNT), moment)
+        seen_again = scipy_world(path, MOUNT, np.full(300, moment), moved)
+        world = scipy_world(path, MOUNT, times, positions.astype(float))
+        np.testing.assert_allclose(seen_again, world, atol=1e-9)
+        assert not extrapolated
+        with pytest.raises(PoseError, match="the poses reach"):
+            points_at(frame_at(times, positions), PoseSource(path, MOUNT), path.stop_ns + 1)
 
 
 def test_poses_are_joined_by_the_shorter_arc_and_without_point_times_a_frame_moves_as_one_body():

@@ -255,7 +255,7 @@ def unreadable(lidar, broken):
     return replace(lidar, frames=LazyFrames(lidar.frames.timestamps_ns, read))
 
 
-def test_sweeps_that_cannot_be_read_out_of_order_or_of_one_time_are_left_out_or_sorted_and_reported(alone, sound):
+def test_broken_sweeps_and_point_times_are_repaired_or_left_aside_and_reported(alone, sound):
     broken = unreadable(alone.lidars[0], 4)
     with pytest.raises(DataError, match="17 bytes"):
         run_of(alone, broken)
@@ -267,26 +267,20 @@ def test_sweeps_that_cannot_be_read_out_of_order_or_of_one_time_are_left_out_or_
     run = run_of(alone, with_frames(lidar, [*frames[:3], frames[4], frames[3], *frames[5:], frames[7]]))
     assert codes(run) == {"sweeps-sorted", "sweeps-of-one-time"}
     np.testing.assert_array_equal(last_position(run), last_position(sound))
-
-
-@pytest.mark.parametrize(
-    ("change", "code", "exact"),
-    [
+    for change, code, exact in [
         (lambda times, timestamp: times - timestamp, "relative-point-times", True),
         (lambda times, timestamp: times // 1000, "unit-of-point-times", False),
         (lambda times, timestamp: np.zeros_like(times), "times-of-points", None),
-    ],
-)
-def test_broken_point_times_are_repaired_or_left_aside_and_reported(alone, sound, change, code, exact):
-    lidar = alone.lidars[0]
-    clouds = [replace(f.points, timestamps_ns=change(f.points.timestamps_ns, f.timestamp_ns)) for f in lidar.frames]
-    frames = [replace(frame, points=cloud) for frame, cloud in zip(lidar.frames, clouds, strict=True)]
-    run = run_of(alone, with_frames(lidar, frames))
-    assert code in codes(run)
-    if exact is None:
-        assert "odometry-without-point-times" in codes(run)
-    else:
-        np.testing.assert_allclose(last_position(run), last_position(sound), atol=0 if exact else 1e-3)
+    ]:
+        lidar = alone.lidars[0]
+        clouds = [replace(f.points, timestamps_ns=change(f.points.timestamps_ns, f.timestamp_ns)) for f in lidar.frames]
+        frames = [replace(frame, points=cloud) for frame, cloud in zip(lidar.frames, clouds, strict=True)]
+        run = run_of(alone, with_frames(lidar, frames))
+        assert code in codes(run)
+        if exact is None:
+            assert "odometry-without-point-times" in codes(run)
+        else:
+            np.testing.assert_allclose(last_position(run), last_position(sound), atol=0 if exact else 1e-3)
 
 
 def test_single_and_repeated_sweeps_stand_and_poses_lead_back_over_empty_ones_at_the_beginning(alone, sound):
@@ -383,7 +377,7 @@ def tilted_patch(normal, count=50):
     return points[first][:count]
 
 
-def test_flat_cubes_inform_across_their_plane_lines_and_few_points_about_less_and_full_parts_stay():
+def test_maps_of_flat_cubes_grow_inform_across_their_planes_and_forget_what_is_far_away():
     normal = np.array([0.6, 0.0, 0.8])
     points = tilted_patch(normal)
     level = level_of(points)
@@ -408,9 +402,6 @@ def test_flat_cubes_inform_across_their_plane_lines_and_few_points_about_less_an
     before = level.surfaces[0].copy()
     level.insert(points + 0.01)
     np.testing.assert_array_equal(level.surfaces[0], before)
-
-
-def test_the_map_grows_by_cubes_and_forgets_those_far_away():
     generator = np.random.default_rng(5)
     points = generator.uniform(-200.0, 200.0, (120_000, 3))
     points[:, 2] *= 0.05

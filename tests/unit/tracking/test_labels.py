@@ -224,22 +224,6 @@ def beside(number, label, left):
     return made(number, label, centers=made().centers + np.array([0.1, left, 0.0]))
 
 
-@pytest.mark.parametrize(
-    ("tracks", "pairs"),
-    [
-        # the nearest thing that a person stays with
-        ([beside(1, "Pedestrian", 0.0), beside(2, "bicycle", 0.5), beside(3, "bicycle", 0.1)], [(1, 3)]),
-        # each rides one thing and is ridden by one
-        ([beside(1, "rider", 0.0), beside(2, "person", 0.3), beside(3, "motorcycle", 0.1)], [(1, 3)]),
-        ([made(1, "pedestrian", centers=np.zeros((21, 3))), beside(2, "bicycle", 0.0)], []),  # who walks past
-        ([made(1, "pedestrian", timestamps_ns=made().timestamps_ns + 7), beside(2, "bicycle", 0.0)], []),
-        ([beside(1, "pedestrian", 0.0), beside(2, "car", 0.0)], []),  # cars are not ridden
-    ],
-)
-def test_a_person_rides_the_nearest_thing_to_ride_that_it_stays_with(tracks, pairs):
-    assert [(person.id, bike.id) for person, bike in labels.riders(tracks)] == pairs
-
-
 FRAMES = 10
 TOLERANCES = LabelSettings(tolerance_m=0.04, tolerance_deg=0.8)
 
@@ -382,7 +366,17 @@ def test_a_label_says_how_sure_it_is_and_whence_it_comes_with_its_boxes_in_image
     assert reported(cuboids["cuboid-2"], "review").values == (("empty boxes",),)
 
 
-def test_riders_are_linked_what_is_hardly_there_is_left_out_and_without_a_trajectory_labels_stay(drive):
+def test_persons_ride_the_nearest_thing_that_they_stay_with_and_are_linked_what_is_hardly_there_is_left_out(drive):
+    for tracks, pairs in [
+        # the nearest thing that a person stays with
+        ([beside(1, "Pedestrian", 0.0), beside(2, "bicycle", 0.5), beside(3, "bicycle", 0.1)], [(1, 3)]),
+        # each rides one thing and is ridden by one
+        ([beside(1, "rider", 0.0), beside(2, "person", 0.3), beside(3, "motorcycle", 0.1)], [(1, 3)]),
+        ([made(1, "pedestrian", centers=np.zeros((21, 3))), beside(2, "bicycle", 0.0)], []),  # who walks past
+        ([made(1, "pedestrian", timestamps_ns=made().timestamps_ns + 7), beside(2, "bicycle", 0.0)], []),
+        ([beside(1, "pedestrian", 0.0), beside(2, "car", 0.0)], []),  # cars are not ridden
+    ]:
+        assert [(person.id, bike.id) for person, bike in labels.riders(tracks)] == pairs
     found = labels.label_tracks(Scene(()), Tracks((made(1, "rider"), made(2, "bicycle"))))
     (link,) = [each for each in found.scene.annotations if isinstance(each, LinkAnnotation)]
     assert (link.from_id, link.to_id, link.label) == ("cuboid-1", "cuboid-2", "rides")

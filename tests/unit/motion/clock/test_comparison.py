@@ -101,14 +101,11 @@ def test_an_injected_offset_and_skew_come_back(sway, timestamps, offset, skew):
     assert found.verdict is comparison.ClockVerdict.OFF
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_clocks_in_step_raise_no_alarm(sway, timestamps, seed):
-    found = estimate(*pair(sway, timestamps, seed=seed, seconds=20.0))
-    assert found.verdict is comparison.ClockVerdict.IN_STEP
-    assert abs(found.offset_ns) < 5 * found.offset_sigma_ns
-
-
-def test_errors_are_as_large_as_is_reported(sway, timestamps):
+def test_clocks_in_step_raise_no_alarm_and_errors_are_as_large_as_is_reported(sway, timestamps):
+    for seed in range(5):
+        found = estimate(*pair(sway, timestamps, seed=seed, seconds=20.0))
+        assert found.verdict is comparison.ClockVerdict.IN_STEP
+        assert abs(found.offset_ns) < 5 * found.offset_sigma_ns
     errors = []
     for seed in range(16):
         found = estimate(*pair(sway, timestamps, seed=seed, offset=0.05, seconds=12.0, poses_hz=20.0))

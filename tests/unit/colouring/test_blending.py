@@ -145,12 +145,12 @@ def test_points_have_the_colour_of_the_image_that_shows_them_most_centrally():
     colors, camera_index = colour_points(50, views, indices)
     for k in range(50):
         best, expected = math.inf, ([255] * 3, 255)
-        for view, index in zip(views, indices, strict=True):
-            for i in np.flatnonzero((view.point_ids == k) & view.visible):
-                (u, v), (height, width) = view.pixels[i].tolist(), view.rgb.shape[:2]
+        for one, index in zip(views, indices, strict=True):
+            for i in np.flatnonzero((one.point_ids == k) & one.visible):
+                (u, v), (height, width) = one.pixels[i].tolist(), one.rgb.shape[:2]
                 off = math.hypot(u - (width - 1) / 2, v - (height - 1) / 2) / math.hypot(width, height)
                 if off < best:
-                    color = view.rgb[math.floor(v + 0.5), math.floor(u + 0.5)]
+                    color = one.rgb[math.floor(v + 0.5), math.floor(u + 0.5)]
                     best, expected = off, (color.tolist(), index)
         assert (colors[k].tolist(), camera_index[k]) == expected
     rgb = np.random.default_rng(0).integers(0, 255, (4, 6, 3), np.uint8)
@@ -161,8 +161,8 @@ def test_points_have_the_colour_of_the_image_that_shows_them_most_centrally():
     rgb = np.random.default_rng(2).integers(0, 255, (4, 6, 3), np.uint8)
     upside_down = np.ascontiguousarray(rgb[::-1])[::-1]
     upside_down.flags.writeable = False
-    view = make_view([0, 1], [(5, 3), (0, 2)], upside_down)
-    np.testing.assert_array_equal(colour_points(2, [view], [0])[0], [rgb[3, 5], rgb[2, 0]])
+    one = make_view([0, 1], [(5, 3), (0, 2)], upside_down)
+    np.testing.assert_array_equal(colour_points(2, [one], [0])[0], [rgb[3, 5], rgb[2, 0]])
     points = np.array([[0.0, 0.0, 5.0]])
     for indices, message in (([], "0 camera indices for 1 views"), ([255], "index 255")):
         with pytest.raises(OptionError, match=message):

@@ -31,12 +31,6 @@ def coloured_by(fused: Any, camera_id: str, sweep: int) -> np.ndarray:
     return fused.points(sweep)["camera_index"] == fused.camera_ids.index(camera_id)
 
 
-def nearest_pixels(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Colours (M, 3) at the pixels nearest to locations inside an image."""
-    column, row = np.rint(pixels).astype(int).T
-    return image[row, column].astype(int)
-
-
 def levels_outside(image: np.ndarray, pixels: np.ndarray, colours: np.ndarray) -> np.ndarray:
     """By how many levels colours leave the range of the 3x3 pixels around locations: (M,), the worst channel."""
     column, row = np.rint(pixels).astype(int).T
@@ -104,7 +98,8 @@ def test_colours_out_of_png_images_are_exact_and_out_of_h264_videos_close(reques
         chosen = seen.counted & seen.free & coloured_by(fused, camera_id, sweep)
         colours, pixels = fused.points(sweep)["colors"][chosen].astype(int), seen.pixels[chosen]
         outside.append(levels_outside(seen.truth.colors, pixels, colours))
-        differences.append(np.abs(nearest_pixels(seen.truth.colors, pixels) - colours).max(axis=1))
+        column, row = np.rint(pixels).astype(int).T
+        differences.append(np.abs(seen.truth.colors[row, column].astype(int) - colours).max(axis=1))
     if exact:
         # Range noise of 2 cm moves a point by less than a pixel, but for a few very near ones.
         assert (np.concatenate(outside) <= 1).mean() > 0.999

@@ -4,22 +4,8 @@ import numpy as np
 import pytest
 
 from sceneloom.geometry import rigid
-from sceneloom.motion.odometry import LidarOdometry, OdometryRun, PoseEstimate, lidar_odometry
+from sceneloom.motion.odometry import LidarOdometry, PoseEstimate, lidar_odometry
 from sceneloom.simulate import LidarSpec, PathSpec, SimulatedDrive, SolidStateSpec, Stop, TrafficSpec, simulate_street
-
-
-def true_trajectory(drive: SimulatedDrive, timestamps_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and orientations relative to the first of the times."""
-    truth = drive.truth.world_from_ego(timestamps_ns)
-    to_first = rigid.conjugate_quaternion(truth.quaternions_xyzw[0])
-    positions = rigid.rotate_vectors(to_first, truth.positions - truth.positions[0])
-    return positions, rigid.multiply_quaternions(to_first, truth.quaternions_xyzw)
-
-
-def dense_times(run: OdometryRun) -> np.ndarray:
-    """Times all over the trajectory, between its knots too."""
-    first, last = run.trajectory.timestamps_ns[[0, -1]]
-    return np.linspace(first, last, 500).astype(np.int64)
 
 
 @pytest.mark.parametrize(
@@ -34,9 +20,12 @@ def dense_times(run: OdometryRun) -> np.ndarray:
 def test_the_trajectory_of_a_drive_is_found_at_every_time_between_its_first_and_its_last_point(lidar, tolerance):
     drive = simulate_street(4, frames=25, lidar=lidar, cameras=())
     run = lidar_odometry(drive.scene)
-    times = dense_times(run)
+    times = np.linspace(*run.trajectory.timestamps_ns[[0, -1]], 500).astype(np.int64)  # between its knots too
     found = run.trajectory.poses.interpolate(times)
-    positions, quaternions = true_trajectory(drive, times)
+    truth = drive.truth.world_from_ego(times)
+    to_first = rigid.conjugate_quaternion(truth.quaternions_xyzw[0])
+    positions = rigid.rotate_vectors(to_first, truth.positions - truth.positions[0])
+    quaternions = rigid.multiply_quaternions(to_first, truth.quaternions_xyzw)
     assert (found.coverage == 0).all()
     assert np.linalg.norm(positions[-1]) > 10.0
     assert np.linalg.norm(found.positions - positions, axis=1).max() < tolerance

@@ -28,15 +28,6 @@ def tumbling_body():
     return Poses(TIMES_NS, locations, rigid.quaternion_from_rotation_vector(rotations))
 
 
-def planar_car():
-    """A car on a perfect plane, which rotates about its z axis alone and moves along its x axis."""
-    seconds = np.arange(COUNT) * 0.1
-    yaws = 0.8 * np.sin(0.5 * seconds)
-    steps = 0.8 * np.stack([np.cos(yaws), np.sin(yaws), 0.0 * yaws], axis=1)
-    rotations = np.stack([0.0 * yaws, 0.0 * yaws, yaws], axis=1)
-    return Poses(TIMES_NS, np.cumsum(steps, axis=0), rigid.quaternion_from_rotation_vector(rotations))
-
-
 def seen_by_sensor(body, *, rotation_noise=0.0, shift_noise=0.0, seed=0):
     """The sensor's own trajectory, in a world of its own."""
     rng, count = np.random.default_rng(seed), len(body.timestamps_ns)
@@ -74,7 +65,11 @@ def test_exact_motions_about_all_axes_give_the_exact_mounting_those_on_a_plane_a
     guessed = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS), guess=flipped)
     np.testing.assert_allclose(step_between(guessed.mounting.a_from_b, MOUNT), 0.0, atol=1e-4)
     assert (found.mounting.unobserved, found.inliers) == ((), 1.0)
-    body = planar_car()
+    # a car on a perfect plane, which rotates about its z axis alone and moves along its x axis
+    yaws = 0.8 * np.sin(0.5 * np.arange(COUNT) * 0.1)
+    steps = 0.8 * np.stack([np.cos(yaws), np.sin(yaws), 0.0 * yaws], axis=1)
+    rotations = np.stack([0.0 * yaws, 0.0 * yaws, yaws], axis=1)
+    body = Poses(TIMES_NS, np.cumsum(steps, axis=0), rigid.quaternion_from_rotation_vector(rotations))
     guess = rigid.RigidTransform(MOUNT.rotation, MOUNT.translation + np.array([0.2, -0.1, 0.3]))
     found = align_motions(paired_motions(body, seen_by_sensor(body), TIMES_NS), guess=guess).mounting
     step = step_between(found.a_from_b, MOUNT)

@@ -52,20 +52,10 @@ AHEAD = Camera("pinhole", 620, 188, 360.0, 360.0, 309.5, 93.5)
 
 
 @pytest.fixture(scope="module")
-def drive():
-    """Two seconds through a street, seen by a lidar and a camera of half the usual size."""
-    return simulate_street(31, frames=25, lidar=LidarSpec(beams=48, steps=1000), cameras=(CameraSpec(AHEAD),))
-
-
-@pytest.fixture(scope="module")
-def frames(drive):
-    """Four images of it, more than half a second apart."""
+def frames():
+    """Four images, more than half a second apart, of two seconds through a street, of half the usual size."""
+    drive = simulate_street(31, frames=25, lidar=LidarSpec(beams=48, steps=1000), cameras=(CameraSpec(AHEAD),))
     return calibration_frames(drive.scene, most=4)
-
-
-@pytest.fixture(scope="module")
-def good(frames):
-    return check_frames(frames)
 
 
 def stated(frames, camera_from_stated):
@@ -90,7 +80,8 @@ def thinned(frame, count):
     return replace(frame, **kept, scan=None)
 
 
-def test_a_true_calibration_is_good_and_a_camera_rotated_by_a_degree_is_not_and_the_rotation_is_found(frames, good):
+def test_a_true_calibration_is_good_and_a_camera_rotated_by_a_degree_is_not_and_the_rotation_is_found(frames):
+    good = check_frames(frames)
     assert good.verdict is GOOD
     rotation = good.item("rotation")
     # what is found lies within what is stated for its uncertainty

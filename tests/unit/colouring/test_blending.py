@@ -209,14 +209,9 @@ def gathered(drive, links=None):
     return links.solve(), frames
 
 
-@pytest.fixture(scope="module")
-def overlapping():
+def test_exposures_of_cameras_are_recovered_within_two_percent_and_seams_between_them_shrink():
     drive = rig(0.0, 45.0)
-    return drive, *gathered(drive)
-
-
-def test_exposures_of_cameras_are_recovered_within_two_percent_and_seams_between_them_shrink(overlapping):
-    drive, gains, _ = overlapping
+    gains, frames = gathered(drive)
     for k in range(FRAMES):
         evened = [
             drive.truth.exposure(f"camera{c}", k) * gains.at(c, int(drive.scene.cameras[c].images.timestamps_ns[k]))
@@ -224,14 +219,12 @@ def test_exposures_of_cameras_are_recovered_within_two_percent_and_seams_between
         ]
         np.testing.assert_allclose(evened[0] / evened[1], 1.0, atol=0.02)
     assert gains.alone == ()
-    _, gains, _ = overlapping
     logs = np.concatenate([gains.log_gains[c] for c in range(2)])
     # the mean is weighted by points, which images do not have alike
     np.testing.assert_allclose(logs.mean(axis=0), 0.0, atol=0.05)
     assert gains.seam_pairs > 200
     assert gains.seam_after < 0.25 * gains.seam_before
     assert gains.seam_after < 1.0  # level: what a pixel's own noise is
-    drive, gains, frames = overlapping
     ratios = []
     for k, frame in enumerate(frames):
         points, indices = frame.views[0].points_world, range(2)

@@ -33,14 +33,6 @@ def scanned(depths, rows=slice(5, None, 10), columns=slice(1, None, 2)):
     return sparse
 
 
-def between_samples(sparse, margin):
-    """Pixels with samples on all sides, this far from the outer ones."""
-    rows, columns = np.nonzero(sparse)
-    inner = np.zeros(sparse.shape, bool)
-    inner[rows.min() + margin : rows.max() + 1 - margin, columns.min() + margin : columns.max() + 1 - margin] = True
-    return inner
-
-
 SLANTED = {
     "wall": ((0.0, 0.0, 1.0), 12.0),
     "wall seen from the side": ((0.8, 0.0, 0.3), 4.0),
@@ -60,7 +52,10 @@ def test_a_slanted_plane_comes_back_between_its_samples(name, method, margin, mo
     truth = plane(*SLANTED[name])
     truth[truth > 60] = 0
     sparse = scanned(truth)
-    inner = between_samples(sparse, margin) & (truth > 0) & (truth < 30)
+    # pixels with samples on all sides, this far from the outer ones
+    (rows, columns), inner = np.nonzero(sparse), np.zeros(sparse.shape, bool)
+    inner[rows.min() + margin : rows.max() + 1 - margin, columns.min() + margin : columns.max() + 1 - margin] = True
+    inner &= (truth > 0) & (truth < 30)
     assert inner.sum() > 4000
     dense = complete_depth(sparse, CAMERA, method=method)
     np.testing.assert_allclose(dense.depths[inner], truth[inner], rtol=most)
@@ -90,17 +85,9 @@ def test_no_points_give_no_depths_one_stays_one_and_what_is_no_depth_or_does_not
             complete_depth(np.zeros((height, 160), np.float32), *arguments, **options)
 
 
-def two_walls(edge=80, near=6.0, far=20.0):
-    """A near wall left of an edge and a far one right of it, and their image."""
-    truth = np.full((120, 160), far, np.float32)
-    truth[:, :edge] = near
-    rgb = np.full((120, 160, 3), 60, np.uint8)
-    rgb[:, :edge] = 190
-    return truth, rgb
-
-
 def test_quality_puts_a_jump_where_the_image_has_its_edge_and_without_between_the_samples():
-    truth, rgb = two_walls()
+    truth, rgb = np.full((120, 160), 20.0, np.float32), np.full((120, 160, 3), 60, np.uint8)
+    truth[:, :80], rgb[:, :80] = 6.0, 190
     # samples eight columns apart leave the position of the edge open: they end 4 px before it and begin 4 px behind it
     sparse = scanned(truth, slice(5, None, 10), slice(4, None, 8))
     guided, alone = (complete_depth(sparse, CAMERA, image).depths[10:110] for image in (rgb, None))

@@ -1,7 +1,6 @@
 """Points on what moved: other rays pass through their locations, or an annotated box holds them."""
 
 import numpy as np
-import pytest
 
 from sceneloom.colouring.moving_points import LAGS, MovingBoxes, MovingPoints
 from sceneloom.colouring.results import LidarTrajectory
@@ -27,13 +26,9 @@ def judged(drive, cleans):
     return found
 
 
-@pytest.fixture(scope="module")
-def traffic():
+def test_most_of_what_moves_is_found_and_almost_nothing_that_stands():
     lidar = LidarSpec(beams=40, steps=450)
-    return simulate_street(5, frames=FRAMES, lidar=lidar, cameras=(), traffic=TrafficSpec())
-
-
-def test_most_of_what_moves_is_found_and_almost_nothing_that_stands(traffic):
+    traffic = simulate_street(5, frames=FRAMES, lidar=lidar, cameras=(), traffic=TrafficSpec())
     cleans = [traffic.truth.clean_points_world(k) for k in range(FRAMES)]
     found = judged(traffic, cleans)
     assert sorted(found) == list(range(FRAMES))

@@ -35,13 +35,9 @@ def ego_at(seconds):
     return Rotation.from_rotvec(np.outer(rotated, (0, 0, 1))), positions
 
 
-def trajectory_of(seconds):
-    rotations, positions = ego_at(seconds)
-    return Poses(np.rint(seconds * 1e9).astype(np.int64), positions, rotations.as_quat())
-
-
 # A trajectory of 1 kHz: between its poses the circle leaves the chord by 1 µm.
-SOURCE = PoseSource(trajectory_of(np.linspace(-0.1, 0.1, 201)), MOUNT)
+TIMES = np.linspace(-0.1, 0.1, 201)
+SOURCE = PoseSource(Poses(np.rint(TIMES * 1e9).astype(np.int64), ego_at(TIMES)[1], ego_at(TIMES)[0].as_quat()), MOUNT)
 
 
 def pose_at(timestamp_ns, source=SOURCE):

@@ -34,11 +34,6 @@ class Sky:
         return np.repeat(rows[:, :, None], 3, axis=2).astype(np.uint8)
 
 
-def rays_of_all_pixels():
-    v, u = np.mgrid[: CAMERA_MODEL.height, : CAMERA_MODEL.width]
-    return unproject(CAMERA_MODEL, np.stack([u.ravel(), v.ravel()], axis=1).astype(float))
-
-
 def camera_of(images, times_ns, **more):
     frames = [CameraImage.of(int(t), CAMERA_MODEL, rgb) for t, rgb in zip(times_ns, images, strict=True)]
     return CameraSensor("camera0", CAMERA_MODEL, LazyFrames.of(frames, [int(t) for t in times_ns]), **more)
@@ -46,7 +41,9 @@ def camera_of(images, times_ns, **more):
 
 def swayed(sway, seconds, readout=0.0):
     """Images of a swaying camera, row by row where the shutter rolls, and its rates."""
-    body, rays, sky = sway(1, size=0.12, axes=(0.5, 1.0, 0.4)), rays_of_all_pixels(), Sky.of(0)
+    body, sky = sway(1, size=0.12, axes=(0.5, 1.0, 0.4)), Sky.of(0)
+    v, u = np.mgrid[: CAMERA_MODEL.height, : CAMERA_MODEL.width]
+    rays = unproject(CAMERA_MODEL, np.stack([u.ravel(), v.ravel()], axis=1).astype(float))
     fine = np.arange(-0.1, seconds[-1] + 0.2, 0.005)
     rotations = Rotation.from_quat(body.orientations(fine))
     delays = (np.arange(CAMERA_MODEL.height) + 0.5) / CAMERA_MODEL.height * readout - readout / 2

@@ -118,16 +118,13 @@ def samples(gaps=()):
     return gnss_imu.InertialSamples(times, values, np.array(gaps, np.int64).reshape(-1, 2))
 
 
-def antennas():
+def carried(measured=MEASURED, bias=0.0):
     states, count = PATH.at(TIMES), len(TIMES)
     sigmas, levers = np.ones((count, 3)), np.tile(LEVER, (count, 1))
     positions = states.positions + states.rotations @ LEVER
     reported, receivers = np.zeros(count, np.bool_), np.zeros(count, np.int64)
-    return gnss_imu.GnssFixes(TIMES, positions, sigmas, reported, levers, receivers, np.zeros(3), ())
-
-
-def carried(measured=MEASURED, bias=0.0):
-    return antennas().carried(KNOTS, measured, samples(), biases=np.tile(bias, (3, 1)) + np.zeros(6), gravity=GRAVITY)
+    fixes = gnss_imu.GnssFixes(TIMES, positions, sigmas, reported, levers, receivers, np.zeros(3), ())
+    return fixes.carried(KNOTS, measured, samples(), biases=np.tile(bias, (3, 1)) + np.zeros(6), gravity=GRAVITY)
 
 
 def expected(fixes, moved=None):
@@ -258,11 +255,6 @@ def some_fixes(gnss, rows):
     )  # fmt: skip
 
 
-def some_samples(imu, rows):
-    streams = {name: VectorSamples(s.timestamps_ns[rows], s.values[rows]) for name, s in imu.streams.items()}
-    return ImuSensor(imu.id, streams)
-
-
 @pytest.fixture(scope="module")
 def town():
     return drive(5)
@@ -278,7 +270,9 @@ def test_without_fixes_or_imu_for_some_seconds_the_other_leads_on(town):
     east = run.trajectory.covariances[:, 3, 3]
     assert east[out].mean() > 1.2 * np.median(east)
     seconds = town.imu.streams["gyroscope"].timestamps_ns / SECOND
-    run = town.run(imu=some_samples(town.imu, (seconds < 15) | (seconds > 20)))
+    rows = (seconds < 15) | (seconds > 20)
+    streams = {name: VectorSamples(s.timestamps_ns[rows], s.values[rows]) for name, s in town.imu.streams.items()}
+    run = town.run(imu=ImuSensor(town.imu.id, streams))
     assert rms(errors(run, town.path)[:, 3:5]) < 0.4
     assert np.degrees(rms(errors(run, town.path)[:, 2:3])) < 4.0
     assert "imu-gaps" in [warning.code for warning in run.warnings]

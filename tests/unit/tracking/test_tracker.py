@@ -119,11 +119,6 @@ def straight(speed, y=0.0, start=10.0, heading=0.0):
     return lambda t: (start + speed * t, y, heading)
 
 
-def round_a_corner(t):
-    """10 m/s on a circle with the radius of 20 m: 0.5 rad/s to the left."""
-    return 25.0 + 20.0 * np.sin(0.5 * t), -10.0 + 20.0 * (1.0 - np.cos(0.5 * t)), 0.5 * t
-
-
 def tracked(*actors, times=TIMES, **street):
     return track_drive(seen(times, *actors, **street))
 
@@ -220,7 +215,9 @@ def test_what_crosses_is_hidden_for_a_second_or_shown_by_the_image_alone_is_the_
 
 
 def test_rotations_and_stands_are_followed_boxes_the_wrong_way_round_are_not():
-    (track,) = tracked(Actor(round_a_corner), sigma=0.05)
+    # 10 m/s on a circle with the radius of 20 m: 0.5 rad/s to the left
+    circle = lambda t: (25.0 + 20.0 * np.sin(0.5 * t), -10.0 + 20.0 * (1.0 - np.cos(0.5 * t)), 0.5 * t)  # noqa: E731
+    (track,) = tracked(Actor(circle), sigma=0.05)
     assert (len(track), track.yaw_rates[-1]) == (len(TIMES), pytest.approx(0.5, abs=0.15))
     assert track.yaws[-1] == pytest.approx(0.5 * TIMES[-1], abs=0.1)
     assert np.linalg.norm(track.velocities[-1]) == pytest.approx(10.0, abs=0.7)
@@ -337,17 +334,13 @@ def covariances(random, count):
     return root @ root.transpose(0, 2, 1) + 0.01 * np.eye(3)
 
 
-def space(count=5, others=7):
-    random = np.random.default_rng(0)
-    locations, seen = random.normal(size=(count, 3)) * 2.0, random.normal(size=(others, 3)) * 2.0
-    codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1], [4, -1], [0, 0]])
-    doubts, density = -random.random(others), np.log(random.uniform(1e-4, 1e-2, count))
-    ours = locations, covariances(random, count), codes[:count], density
-    return ours, (seen, covariances(random, others), codes, doubts)
-
-
 def test_gains_in_space_are_those_of_the_formula_and_what_is_hopelessly_far_is_no_pair():
-    ours, theirs = space()
+    random = np.random.default_rng(0)
+    locations, others = random.normal(size=(5, 3)) * 2.0, random.normal(size=(7, 3)) * 2.0
+    codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1], [4, -1], [0, 0]])
+    doubts, density = -random.random(7), np.log(random.uniform(1e-4, 1e-2, 5))
+    ours = locations, covariances(random, 5), codes[:5], density
+    theirs = others, covariances(random, 7), codes, doubts
     found = np.full((5, 7), -np.inf)
     rows, columns, gains = gains_in_space(*ours, *theirs, LEAST, FREEDOM, MOST)
     found[rows, columns] = gains

@@ -108,13 +108,13 @@ def test_one_that_is_known_by_name_alone_says_what_it_needs_and_an_unknown_one_w
 def test_confidence_is_that_of_the_detectors_that_are_named_if_they_come_with_the_package(fusion):
     found = set()
     for detectors in detector_names():
-        with FusionInterface(inline=True) as fusion:
-            assert fusion.set_calibration(calibration(), camera_id=1)
-            assert fusion.set_property("detectors", detectors)
-            assert fusion.send(boxes_2d(0, 0))
-            assert fusion.send(boxes_3d(0, 0))
-            fusion.flush()
-            found.add(float(fusion.get(1).record.confidence[0]))
+        with FusionInterface(inline=True) as one:
+            assert one.set_calibration(calibration(), camera_id=1)
+            assert one.set_property("detectors", detectors)
+            assert one.send(boxes_2d(0, 0))
+            assert one.send(boxes_3d(0, 0))
+            one.flush()
+            found.add(float(one.get(1).record.confidence[0]))
     assert len(found) == len(detector_names()) >= 3
     assert all(0.5 < confidence <= 1.0 for confidence in found)
     for name in ["nobody", "", "/etc/passwd", "other.toml"]:

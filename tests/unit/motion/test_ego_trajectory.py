@@ -55,6 +55,7 @@ def test_the_lidar_places_a_drive_without_trajectory_or_one_for_which_it_is_aske
     assert [warning.code for warning in ego.warnings] == ["trajectory-from-lidar", "few-points"]
     assert ego.covariances is not None
     assert asked == [{"progress": None, "lenient": True}]
+    asked.clear()
     scene = Scene((lidar(),), trajectories={"pose": RECORDED})
     assert find_ego_motion(scene).name == "pose"
     assert not asked

@@ -7,8 +7,13 @@ import numpy as np
 import sceneloom
 from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring.cuboid_projection import count_points, with_activations, with_counts, with_labeled_points
-from sceneloom.colouring.cuboid_projection import project_cuboids
+from sceneloom.colouring.cuboid_projection import (
+    count_points,
+    project_cuboids,
+    with_activations,
+    with_counts,
+    with_labeled_points,
+)
 from sceneloom.formats.sfs.spec import FORMAT
 from sceneloom.formats.sfs.writer import SceneWriter, write_scene
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, simulate_street

@@ -70,6 +70,7 @@ def test_a_cuboid_gets_a_row_for_each_image_nan_where_it_is_not_shown_and_confir
     assert project_cuboids(scene).annotations[0].projections == (of_others,)
     old = Projection("camera", np.array([0, 50]), np.full((2, 4), 7.0), confirmed=(True, False))
     scene = Scene((a_camera((0, 50)),), (a_box(projections=(old,)),))
+    (projection,) = project_cuboids(scene).annotations[0].projections
     assert (projection.confirmed, projection.boxes[0].tolist()) == ((True, False), [7.0] * 4)
     assert projection.boxes[1, 0] == pytest.approx(337.5)
 
@@ -211,6 +212,7 @@ def test_a_mounting_of_one_image_counts_and_cameras_and_images_that_are_nowhere_
     back = RigidTransform(np.diag([-1.0, -1.0, 1.0]) @ ahead.rotation, np.zeros(3))
     camera = replace(a_camera((0, 50), mounts=(None, back)), poses=None, mount=ahead)
     projected = project_cuboids(Scene((camera,), (a_box(),)), trajectory=EgoMotion("still", ego))
+    (projection,) = projected.annotations[0].projections
     assert np.isfinite(projection.boxes[:, 0]).tolist() == [True, False]
 
 

@@ -63,8 +63,8 @@ def assert_same_cuboids(scene, before, after):
     np.testing.assert_allclose(np.abs((rotations[0] * rotations[1]).sum(axis=1)), 1.0, atol=1e-9)
 
 
-@given(drives())
-def test_the_world_seen_from_the_ego_or_sensor_and_back_is_the_world(scene):
+@given(drives(), st.floats(1.0, 80.0))
+def test_the_world_seen_from_the_ego_or_sensor_and_back_is_the_world_and_cropped_twice_cropped_once(scene, reach):
     again, direct, around = to_world(to_ego(scene)), to_ego(scene), to_ego(to_sensor(scene))
     for found, expected in ((again, scene), (around, direct)):
         for after, before in zip(found.sensor("lidar").frames, expected.sensor("lidar").frames, strict=True):
@@ -75,6 +75,12 @@ def test_the_world_seen_from_the_ego_or_sensor_and_back_is_the_world(scene):
     assert_same_cuboids(scene, scene.annotations[1], parked)
     assert parked.stationary is True
     np.testing.assert_allclose(area.path.vertices, scene.annotations[2].path.vertices, atol=1e-9)
+    once = crop_scene(scene, reach=reach, frame="ego")
+    twice = crop_scene(once, reach=reach, frame="ego")
+    for a, b in zip(once.sensor("lidar").frames, twice.sensor("lidar").frames, strict=True):
+        np.testing.assert_array_equal(a.points.positions, b.points.positions)
+    assert [a.id for a in once.annotations] == [a.id for a in twice.annotations]
+    assert replace(once, warnings=()).source == scene.source
 
 
 @given(drives(), st.floats(0.0, 0.6))
@@ -105,16 +111,6 @@ def test_each_cube_with_points_keeps_one_of_them(points, side, keep):
     assert len(np.unique(cubes[rows], axis=0)) == len(rows) == len(np.unique(cubes, axis=0))
     # what was thinned once stays
     assert len(one_per_cube(positions[rows], side, keep=keep)) == len(rows)
-
-
-@given(drives(), st.floats(1.0, 80.0))
-def test_cropping_twice_is_cropping_once(scene, reach):
-    once = crop_scene(scene, reach=reach, frame="ego")
-    twice = crop_scene(once, reach=reach, frame="ego")
-    for a, b in zip(once.sensor("lidar").frames, twice.sensor("lidar").frames, strict=True):
-        np.testing.assert_array_equal(a.points.positions, b.points.positions)
-    assert [a.id for a in once.annotations] == [a.id for a in twice.annotations]
-    assert replace(once, warnings=()).source == scene.source
 
 
 STEPS = st.lists(st.integers(1, 10**9), min_size=1, max_size=40)

@@ -21,7 +21,6 @@ seeds = st.integers(0, 10_000)
 
 
 def trajectories(seed):
-    """A winding trajectory and a noisy copy of it."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(5, 60))
     timestamps = np.cumsum(rng.integers(50_000_000, 150_000_000, count))

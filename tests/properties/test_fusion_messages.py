@@ -288,11 +288,14 @@ def test_json_with_another_value_somewhere_is_a_record_or_a_fault(kind, seed, da
         assert kind_of(found).name == kind
 
 
-@given(st.binary(max_size=60) | st.text(max_size=60))
-def test_any_text_is_a_record_or_a_fault(text):
+@settings(max_examples=100)
+@given(st.binary(max_size=60) | st.text(max_size=60), st.integers(0, 2**32 - 1), st.integers(0, 10**9 - 1))
+def test_any_text_is_a_record_or_a_fault_and_timestamps_come_back_from_nanoseconds_and_text(text, seconds, rest):
     found = record_or_fault(parse_json, text)
     assert isinstance(found, DataError)
     assert found.problem
+    timestamp = Timestamp(seconds, rest)
+    assert Timestamp.of(timestamp.nanoseconds) == Timestamp.parse(str(timestamp)) == timestamp
 
 
 @KINDS
@@ -324,10 +327,3 @@ def test_a_request_with_other_bytes_somewhere_is_a_record_or_a_fault(kind, seed,
     if not isinstance(found, DataError):
         assert kind_of(found).name in SENDABLE
         assert pb.encode(quickly) == pb.encode(found)
-
-
-@settings(max_examples=200)
-@given(st.builds(Timestamp, st.integers(0, 2**32 - 1), st.integers(0, 10**9 - 1)))
-def test_a_timestamp_comes_back_from_nanoseconds_and_from_text(timestamp):
-    assert Timestamp.of(timestamp.nanoseconds) == timestamp
-    assert Timestamp.parse(str(timestamp)) == timestamp

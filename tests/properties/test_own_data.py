@@ -21,7 +21,6 @@ NAMES = ["x", "y", "z", "intensity", "ring", "t", "label"]
 
 @st.composite
 def records(draw, types=TYPES):
-    """A structured array of up to seven columns and thirty points."""
     chosen = draw(st.lists(st.sampled_from(types), min_size=1, max_size=len(NAMES)))
     dtype = np.dtype([(name, f"<{np.dtype(kind).str[1:]}") for name, kind in zip(NAMES, chosen, strict=False)])
     return draw(arrays.arrays(dtype, st.integers(0, 30)))

@@ -459,21 +459,17 @@ def test_samples_keep_their_times_to_the_nanosecond_and_their_values_to_the_bit(
         np.testing.assert_array_equal(stream.values, values)
 
 
-@given(st.lists(st.floats(-9e9, 9e9), min_size=1, max_size=12))
-def test_the_seconds_that_a_file_had_are_in_the_next_file(seconds):
+@given(st.lists(st.floats(-9e9, 9e9), min_size=1, max_size=12), timestamps(EPOCH_NS, EPOCH_NS + 10**13, unique=False))
+def test_the_seconds_that_a_file_had_are_in_the_next_and_times_since_1970_off_as_reported(seconds, since_1970):
     numbers = np.array(sorted(seconds))
-    timestamps = np.rint(numbers * 1e9).astype(np.int64)
-    for found, report in round_trip(gyroscope(timestamps, None, numbers)):
+    times = np.rint(numbers * 1e9).astype(np.int64)
+    for found, report in round_trip(gyroscope(times, None, numbers)):
         assert not report
         stream = found.sensor("imu").streams["gyroscope"]
         np.testing.assert_array_equal(stream.file_seconds, numbers)  # equal as numbers: -0.0 is 0.0
-        np.testing.assert_array_equal(stream.timestamps_ns, timestamps)
-
-
-@given(timestamps(EPOCH_NS, EPOCH_NS + 10**13, unique=False))
-def test_times_since_1970_are_off_by_no_more_than_is_reported(timestamps):
-    for found, report in round_trip(gyroscope(timestamps)):
-        off = np.abs(found.sensor("imu").streams["gyroscope"].timestamps_ns - timestamps)
+        np.testing.assert_array_equal(stream.timestamps_ns, times)
+    for found, report in round_trip(gyroscope(since_1970)):
+        off = np.abs(found.sensor("imu").streams["gyroscope"].timestamps_ns - since_1970)
         # half of the step of such seconds, 2^-22 s, and half of the step of the same time in nanoseconds, 2^8 ns
         assert off.max() <= 119 + 128
         assert sum(loss.count for loss in report) == int((off > 0).sum())

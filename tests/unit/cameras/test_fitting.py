@@ -60,7 +60,7 @@ def test_a_fisheye_below_eighty_degrees_is_held_by_the_rational_model_and_real_c
         assert fit(camera_model, "omnidirectional").largest_px < 0.1
 
 
-def test_the_best_pinhole_for_a_barrel_magnifies_less_than_its_axis():
+def test_the_best_pinhole_for_a_barrel_magnifies_less_than_its_axis_and_numbers_that_are_fixed_stay():
     found = fit(BARREL, "pinhole")
     at_corner = np.hypot(*(project_unbounded(found.camera, unproject(BARREL, [[0.0, 0.0]])) - [0.0, 0.0])[0])
     assert found.camera.fx < BARREL.fx
@@ -69,9 +69,6 @@ def test_the_best_pinhole_for_a_barrel_magnifies_less_than_its_axis():
     for factor in (0.99, 1.01):
         worse = Camera("pinhole", 1920, 1080, *(found.camera.fx * factor, found.camera.fy * factor), 959.0, 541.0)
         assert measured_fit(BARREL, worse).rms_px > found.rms_px
-
-
-def test_numbers_that_are_fixed_stay_and_what_they_would_hold_is_taken_over_by_others():
     found = fit(BARREL, "fisheye", fixed=LOCATIONS)
     assert [getattr(found.camera, name) for name in LOCATIONS] == [1200.0, 1205.0, 959.0, 541.0]
     assert found.largest_px > fit(BARREL, "fisheye").largest_px
@@ -86,7 +83,7 @@ def test_numbers_that_are_fixed_stay_and_what_they_would_hold_is_taken_over_by_o
     assert 3 * found.rms_px < measured_fit(prism, cut).rms_px
 
 
-def test_what_looks_behind_the_camera_cannot_be_held_by_a_perspective_model_and_that_is_reported_in_words():
+def test_what_looks_behind_the_camera_is_held_by_models_over_the_angle_or_a_sphere_but_not_by_perspective_ones():
     found = fit(ALL_AROUND, "brown_conrady")
     rays = unproject(ALL_AROUND, found.unheld_pixels)
     assert (rays[:, 2] <= math.cos(PERSPECTIVE_REACH) + 1e-12).all()
@@ -96,12 +93,6 @@ def test_what_looks_behind_the_camera_cannot_be_held_by_a_perspective_model_and_
     message = found.message(ALL_AROUND)
     assert message.startswith("fisheye camera model reported as brown_conrady, off by up to ")
     assert message.endswith(" % of the image cannot be held")
-
-
-HALF_ROUND = Camera("fisheye", 640, 480, 230.0, 230.0, 319.5, 239.5, (0.02, -0.004))  # 97 degrees at its corners
-
-
-def test_models_over_the_angle_or_a_sphere_come_near_to_any_fisheye_and_asymmetric_terms_are_found():
     for model in [name for name in MODELS if MODELS[name].chart in (Chart.ANGLE, Chart.SPHERE)]:
         found, over_angle = fit(HALF_ROUND, model), MODELS[model].chart is Chart.ANGLE
         assert found.share == 1 if over_angle else found.share > 0.99
@@ -114,6 +105,9 @@ def test_models_over_the_angle_or_a_sphere_come_near_to_any_fisheye_and_asymmetr
     camera_model = Camera("kannala_brandt18", 640, 480, 270.0, 270.0, 319.5, 239.5, (0.05, -0.02, 0.01, -0.003, *sides))
     assert fit(camera_model, "fisheye").largest_px > 1
     assert fit(camera_model, "kannala_brandt18").largest_px < 1e-3
+
+
+HALF_ROUND = Camera("fisheye", 640, 480, 230.0, 230.0, 319.5, 239.5, (0.02, -0.004))  # 97 degrees at its corners
 
 
 def test_of_several_models_the_nearest_is_taken_of_equals_the_first_and_what_cannot_be_fitted_is_refused():

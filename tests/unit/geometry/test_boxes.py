@@ -11,7 +11,7 @@ from sceneloom.geometry.euler import ORDERS, cuboid_angles_from_rotation, rotati
 NO_ROTATION, ROUNDING = (0.0, 0.0, 0.0, 1.0), 1e-14
 
 
-def test_corners_come_bottom_first_from_the_front_left_counter_clockwise_and_edges_join_neighbours():
+def test_corners_come_bottom_first_counter_clockwise_and_points_inside_lie_between_all_six_faces():
     corners = box_corners((10, 20, 30), (4, 2, 1.5), NO_ROTATION)
     bottom = [(12, 21, 29.25), (8, 21, 29.25), (8, 19, 29.25), (12, 19, 29.25)]
     assert np.allclose(corners, [*bottom, *np.add(bottom, (0, 0, 1.5))])
@@ -26,9 +26,6 @@ def test_corners_come_bottom_first_from_the_front_left_counter_clockwise_and_edg
     centers, sizes, rotations = rng.normal(size=(5, 3)), rng.uniform(1, 5, (5, 3)), rng.normal(size=(5, 4))
     alone = [box_corners(*one) for one in zip(centers, sizes, rotations, strict=True)]
     np.testing.assert_allclose(box_corners(centers, sizes, rotations), alone)
-
-
-def test_points_inside_are_those_between_all_six_faces_which_a_margin_moves():
     rng = np.random.default_rng(1)
     rotation, center, size = (Rotation.from_rotvec([0.2, -0.5, 2]), np.array([5.0, -3, 1]), np.array([4.0, 2, 1.5]))
     points = center + rng.uniform(-3, 3, (2000, 3))

@@ -38,7 +38,7 @@ def scipy_rotations(angles_rpy, unit, order):
 
 
 @pytest.mark.parametrize(("unit", "order"), READINGS)
-def test_a_cuboid_rotates_as_scipys_slerp_does_and_goes_straight_through_the_very_numbers_of_its_path(unit, order):
+def test_cuboids_rotate_as_scipys_slerp_does_and_go_straight_through_the_very_numbers_of_their_paths(unit, order):
     cuboid, angles = a_cuboid(unit=unit), at.CuboidAngles(unit, order)
     timestamps, values = cuboid.path.timestamps_ns, cuboid.path.values
     times = np.random.default_rng(9).integers(timestamps[0], timestamps[-1] + 1, 50)
@@ -53,6 +53,17 @@ def test_a_cuboid_rotates_as_scipys_slerp_does_and_goes_straight_through_the_ver
     rows, there = at.cuboid_at(cuboid, timestamps, angles=angles)
     assert there.all()
     np.testing.assert_array_equal(rows, values)
+    # the boxes of a moment are those of each cuboid
+    cuboids = [a_cuboid(seed, count=3 + seed % 4, unit=unit, stationary=seed % 5 == 0) for seed in range(20)]
+    named = tuple(sc.CuboidAnnotation(k, cuboid.path, stationary=cuboid.stationary) for k, cuboid in enumerate(cuboids))
+    scene = sc.Scene((), named, metadata={"sceneloom": {"euler_unit": unit, "euler_order": order}})
+    time_ns = 450_000_000
+    rows, boxes = at.BoxTable(scene).find(time_ns)
+    each = [at.cuboid_poses(cuboid, [time_ns], angles=at.CuboidAngles(unit, order)) for cuboid in named]
+    assert rows.tolist() == [k for k, poses in enumerate(each) if poses.there[0]]
+    assert list(boxes.ids) == rows.tolist()
+    np.testing.assert_allclose(boxes.centers_world, [each[k].centers_world[0] for k in rows], atol=1e-12)
+    np.testing.assert_allclose(boxes.quaternions_xyzw, [each[k].quaternions_xyzw[0] for k in rows], atol=1e-12)
 
 
 def test_a_cuboid_rotates_evenly_in_the_numbers_of_its_path_from_its_first_timestamp_to_its_last():
@@ -75,20 +86,6 @@ def test_a_cuboid_rotates_evenly_in_the_numbers_of_its_path_from_its_first_times
     nowhere = sc.CuboidAnnotation("a", sc.CuboidPath(np.zeros(0, np.int64), np.zeros((0, 9))), stationary=True)
     assert np.isnan(at.cuboid_at(nowhere, [0, 1])[0]).all()
     assert not at.cuboid_poses(nowhere, [0]).there.any()
-
-
-@pytest.mark.parametrize(("unit", "order"), READINGS)
-def test_the_boxes_of_a_moment_are_those_of_each_cuboid(unit, order):
-    cuboids = [a_cuboid(seed, count=3 + seed % 4, unit=unit, stationary=seed % 5 == 0) for seed in range(20)]
-    named = tuple(sc.CuboidAnnotation(k, cuboid.path, stationary=cuboid.stationary) for k, cuboid in enumerate(cuboids))
-    scene = sc.Scene((), named, metadata={"sceneloom": {"euler_unit": unit, "euler_order": order}})
-    time_ns = 450_000_000
-    rows, boxes = at.BoxTable(scene).find(time_ns)
-    each = [at.cuboid_poses(cuboid, [time_ns], angles=at.CuboidAngles(unit, order)) for cuboid in named]
-    assert rows.tolist() == [k for k, poses in enumerate(each) if poses.there[0]]
-    assert list(boxes.ids) == rows.tolist()
-    np.testing.assert_allclose(boxes.centers_world, [each[k].centers_world[0] for k in rows], atol=1e-12)
-    np.testing.assert_allclose(boxes.quaternions_xyzw, [each[k].quaternions_xyzw[0] for k in rows], atol=1e-12)
 
 
 def test_boxes_in_images_named_points_and_vertices_go_straight_and_end():

@@ -259,7 +259,7 @@ def test_whichever_field_of_packed_points_is_asked_for_first_all_are_unpacked_on
     assert records.asked == ["unpacked"]
 
 
-def test_packed_points_are_copied_unpacked_frozen_and_equal_to_themselves_only():
+def test_packed_points_are_copied_unpacked_and_frozen_and_what_is_wrong_with_records_is_reported_at_each_use():
     for copied in (lambda points: pickle.loads(pickle.dumps(points)), copy.copy, copy.deepcopy):
         again = copied(sc.LidarPoints.of_packed(Records()))
         assert type(again) is sc.LidarPoints
@@ -281,8 +281,6 @@ def test_packed_points_are_copied_unpacked_frozen_and_equal_to_themselves_only()
     assert not hasattr(PLAIN, "position")
     assert sc.LidarFrame(0, other).reference_ns == 20
 
-
-def test_what_is_wrong_with_records_is_reported_at_each_use_and_threads_that_ask_at_once_all_get_the_fields():
     class Torn(Records):
         def unpacked(self):
             raise DataError("0.bin", "byte 0", "torn")

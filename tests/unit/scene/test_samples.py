@@ -118,7 +118,7 @@ def test_poses_are_those_of_each_sensor_at_its_own_time_and_of_the_points_in_the
     )
 
 
-def test_without_a_trajectory_the_mountings_alone_join_lidar_and_camera():
+def test_mountings_alone_join_sensors_without_a_trajectory_and_points_in_the_world_stay_there():
     sample = drive(trajectories={}).samples()[1]
     assert sample.world_from_lidar is None
     assert all("no trajectory" in sample.unposed[name] for name in ("lidar", "camera0"))
@@ -129,9 +129,7 @@ def test_without_a_trajectory_the_mountings_alone_join_lidar_and_camera():
         (still.world_from_lidar, EGO_FROM_LIDAR),
         (still.camera_from_lidar["camera0"], expected),
     )
-
-
-def test_points_in_the_world_stay_there_and_no_trajectory_can_be_chosen_for_them():
+    # points in the world stay there, and no trajectory can be chosen for them
     world = {"coordinates": sc.Coordinates.WORLD, "mount": None}
     whole = np.array([world_from_ego(t) @ EGO_FROM_CAMERA for t in TRAJECTORY_NS])
     rotations, positions = Rotation.from_matrix(whole[:, :3, :3]), whole[:, :3, 3].copy()
@@ -171,7 +169,7 @@ def test_a_trajectory_is_chosen_by_name_or_handed_in_and_continued_for_one_perio
     assert samples[3].camera_from_lidar["camera0"] is not None
 
 
-def test_a_camera_as_reference_is_joined_by_the_nearest_sweep():
+def test_a_camera_as_reference_is_joined_by_the_nearest_sweep_and_further_sensors_when_asked_for():
     samples = drive().samples(reference="camera0")
     assert [sample.timestamp_ns for sample in samples] == IMAGES_NS.tolist()
     # 75 ms is nearer to the middle 50 of the first sweep than to 150 of the second, though that begins at 100
@@ -179,9 +177,6 @@ def test_a_camera_as_reference_is_joined_by_the_nearest_sweep():
     assert samples[1].time_differences_ns == {"camera0": 0, "lidar": -25 * MS}
     assert drive().samples(reference="camera")[1].reference_id == "camera0"
     assert drive(camera()).samples(reference="camera")[0].sweep is None
-
-
-def test_further_lidars_and_radars_are_there_when_asked_for():
     late = sc.LazyFrames.of([sweep(start) for start in (SWEEPS_NS + 30 * MS).tolist()], SWEEPS_NS + 30 * MS)
     echo = sc.RadarFrame(45 * MS, sc.RadarPoints(np.ones((2, 3), np.float32), lengths=np.ones(2, np.float32)))
     radar = sc.RadarSensor("radar", sc.LazyFrames.of([echo], [45 * MS]), mount=transform(EGO_FROM_CAMERA))

@@ -38,7 +38,7 @@ def camera_of(models, sensor_id="camera0"):
     return sc.CameraSensor(sensor_id, CAMERA, sc.LazyFrames.of(images, range(len(images))), video=video)
 
 
-def test_two_sensors_of_one_id_are_refused_but_a_number_is_not_its_text_and_the_span_reaches_over_all():
+def test_scenes_and_cuboids_are_made_of_sensors_with_different_ids_centres_and_yaws_and_shown_without_reading():
     with pytest.raises(OptionError, match=r"sensors\[1\].id: 'a' is used twice"):
         sc.Scene((lidar_at([0], "a"), lidar_at([0], "a")))
     scene = sc.Scene((lidar_at([0], 1), lidar_at([0, 1], "1")))
@@ -48,6 +48,30 @@ def test_two_sensors_of_one_id_are_refused_but_a_number_is_not_its_text_and_the_
         scene.sensor(2)
     imu = sc.ImuSensor("imu", {"gyroscope": sc.VectorSamples(np.array([-5, 3], np.int64), np.zeros((2, 3)))})
     assert (time_span(sc.Scene((lidar_at([0, 10]), imu))), time_span(sc.Scene(()))) == ((-5, 10), None)
+    lidar = sc.LidarSensor(
+        "<top>", sc.LazyFrames(np.array([0, SECOND // 10], np.int64), lambda _: pytest.fail("a frame was read"))
+    )
+    path = sc.Trajectory("gnss", np.array([0, SECOND]), np.array([[0.0, 0, 0], [3.0, 4, 0]]))
+    box = sc.CuboidAnnotation.of(1, 0, (1, 2, 3), (4, 2, 1), 0.5)
+    scene = sc.Scene((lidar, camera_of([CAMERA])), (box,), {"gnss": path}, source="drive")
+    assert repr(scene).splitlines() == [
+        "<Scene 'drive': memory, 0.10 s",
+        "  lidars: <top> (2 sweeps at 10 Hz)",
+        "  cameras: camera0 (1 images, 4x2 pinhole)",
+        "  other sensors: none",
+        "  trajectories: gnss; annotations: 1 cuboid>",
+    ]
+    assert "<td>lidar</td><td>&lt;top&gt;</td><td>2 sweeps at 10 Hz</td>" in scene._repr_html_()
+    assert repr(path) == "Trajectory('gnss', 2 poses over 1.00 s and 5.0 m, positions only)"
+    assert len(repr(lidar)) < 400
+    box = sc.CuboidAnnotation.of("a", [0, SECOND], [[1, 2, 3], [2, 2, 3]], (4, 2, 1), [0.0, np.pi / 2], label="Car")
+    assert box.path.values.tolist() == [[4, 2, 1, 1, 2, 3, 0, 0, 0], [4, 2, 1, 2, 2, 3, 0, 0, 90]]
+    assert BoxTable(sc.Scene((lidar_at([0]),), (box,))).at(SECOND).yaws_world == pytest.approx(np.pi / 2)
+    with pytest.raises(ArrayError, match=r"centers: \(3, 3\); expected \(3,\) or \(2, 3\)"):
+        sc.CuboidAnnotation.of("a", [0, 1], np.zeros((3, 3)), (4, 2, 1), 0.0)
+    for start, times, expected in ((0, [9, 1, 5, 7, 3], 5), (3, None, 3), (20, [70, 70, 70], 20)):
+        points = np.zeros((5 if times is None else len(times), 3), np.float32)
+        assert sc.LidarFrame(start, sc.LidarPoints(points, timestamps_ns=times)).reference_ns == expected
 
 
 def test_a_summary_counts_rates_gaps_and_camera_models():
@@ -71,36 +95,6 @@ def test_a_summary_counts_rates_gaps_and_camera_models():
     assert (inertial.count, inertial.gap_count) == (105, 0)
     assert (lidar.rate_hz, inertial.rate_hz, summary.duration) == pytest.approx((10, 100, 2.2))
     assert (summary.trajectories[0].metres, summary.trajectories[0].oriented) == (5.0, False)
-
-
-def test_a_scene_is_shown_in_five_lines_and_as_a_table_without_reading_it():
-    lidar = sc.LidarSensor(
-        "<top>", sc.LazyFrames(np.array([0, SECOND // 10], np.int64), lambda _: pytest.fail("a frame was read"))
-    )
-    path = sc.Trajectory("gnss", np.array([0, SECOND]), np.array([[0.0, 0, 0], [3.0, 4, 0]]))
-    box = sc.CuboidAnnotation.of(1, 0, (1, 2, 3), (4, 2, 1), 0.5)
-    scene = sc.Scene((lidar, camera_of([CAMERA])), (box,), {"gnss": path}, source="drive")
-    assert repr(scene).splitlines() == [
-        "<Scene 'drive': memory, 0.10 s",
-        "  lidars: <top> (2 sweeps at 10 Hz)",
-        "  cameras: camera0 (1 images, 4x2 pinhole)",
-        "  other sensors: none",
-        "  trajectories: gnss; annotations: 1 cuboid>",
-    ]
-    assert "<td>lidar</td><td>&lt;top&gt;</td><td>2 sweeps at 10 Hz</td>" in scene._repr_html_()
-    assert repr(path) == "Trajectory('gnss', 2 poses over 1.00 s and 5.0 m, positions only)"
-    assert len(repr(lidar)) < 400
-
-
-def test_a_cuboid_is_made_of_centres_size_and_yaws_and_a_sweeps_reference_time_is_the_median_of_its_points():
-    box = sc.CuboidAnnotation.of("a", [0, SECOND], [[1, 2, 3], [2, 2, 3]], (4, 2, 1), [0.0, np.pi / 2], label="Car")
-    assert box.path.values.tolist() == [[4, 2, 1, 1, 2, 3, 0, 0, 0], [4, 2, 1, 2, 2, 3, 0, 0, 90]]
-    assert BoxTable(sc.Scene((lidar_at([0]),), (box,))).at(SECOND).yaws_world == pytest.approx(np.pi / 2)
-    with pytest.raises(ArrayError, match=r"centers: \(3, 3\); expected \(3,\) or \(2, 3\)"):
-        sc.CuboidAnnotation.of("a", [0, 1], np.zeros((3, 3)), (4, 2, 1), 0.0)
-    for start, times, expected in ((0, [9, 1, 5, 7, 3], 5), (3, None, 3), (20, [70, 70, 70], 20)):
-        points = np.zeros((5 if times is None else len(times), 3), np.float32)
-        assert sc.LidarFrame(start, sc.LidarPoints(points, timestamps_ns=times)).reference_ns == expected
 
 
 TIMES = np.array([0, 100, 200], np.int64)

@@ -167,7 +167,7 @@ def test_activations_and_projections_of_a_cuboid_that_last_into_the_part_stay():
     np.testing.assert_array_equal(projected.boxes, rows(4, 4)[1:3])
 
 
-def test_paths_keep_the_rows_in_and_next_to_the_part():
+def test_paths_keep_the_rows_in_and_next_to_the_part_and_a_point_that_is_not_there_its_number():
     times = at(1, 4, 6, 12, 15)
     cuboid = sc.CuboidAnnotation("c", sc.CuboidPath(times, rows(9, 5)))
     box = sc.Box2DAnnotation("b", "front", sc.BoxPath(times, rows(4, 5), {"x": 1}))
@@ -181,6 +181,14 @@ def test_paths_keep_the_rows_in_and_next_to_the_part():
     assert kept_box.path.extras == {"x": 1}
     assert kept_lane.path.vertices == corners[1:4]
     assert kept_plain is plain
+    there, gone = sc.PointPath(at(4, 6), rows(3, 2), id="a"), sc.PointPath(at(1), rows(3, 1), id="b")
+    seen = sc.PointProjection("front", at(1, 6), points=rows(2, 2), positions=rows(3, 2))
+    kept = only(sc.PointsAnnotation("k", (there, gone), labels=("x", "y"), projections=((seen,), ())))
+    assert [(path.id, seconds(path)) for path in kept.paths] == [("a", [4, 6]), ("b", [])]
+    assert kept.labels == ("x", "y")
+    assert seconds(kept.projections[0][0]) == [6]
+    np.testing.assert_array_equal(kept.projections[0][0].positions, rows(3, 2)[1:])
+    assert cut(sc.PointsAnnotation("k", (gone, gone))).annotations == ()
 
 
 def test_what_is_not_there_in_the_part_is_left_out_and_reported_and_what_is_stationary_holds_in_any():
@@ -196,17 +204,6 @@ def test_what_is_not_there_in_the_part_is_left_out_and_reported_and_what_is_stat
     np.testing.assert_array_equal(kept_box.path.values, rows(9, 1))
 
 
-def test_a_point_that_is_not_there_keeps_its_number():
-    there, gone = sc.PointPath(at(4, 6), rows(3, 2), id="a"), sc.PointPath(at(1), rows(3, 1), id="b")
-    seen = sc.PointProjection("front", at(1, 6), points=rows(2, 2), positions=rows(3, 2))
-    kept = only(sc.PointsAnnotation("k", (there, gone), labels=("x", "y"), projections=((seen,), ())))
-    assert [(path.id, seconds(path)) for path in kept.paths] == [("a", [4, 6]), ("b", [])]
-    assert kept.labels == ("x", "y")
-    assert seconds(kept.projections[0][0]) == [6]
-    np.testing.assert_array_equal(kept.projections[0][0].positions, rows(3, 2)[1:])
-    assert cut(sc.PointsAnnotation("k", (gone, gone))).annotations == ()
-
-
 @pytest.mark.parametrize(
     ("start", "duration", "expected"),
     [(6, None, (6, None)), (6, 30, (6, 30)), (2, 4, (5, 1)), (2, 3, None), (2, None, None), (10, 1, None)],
@@ -218,7 +215,7 @@ def test_an_event_stays_where_it_lasts_into_the_part_and_ends_when_it_did(start,
     assert [(kept.start_ns / SECOND, end) for kept, end in zip(found, ends, strict=True)] == [expected] * bool(expected)
 
 
-def test_labelled_points_follow_their_frames():
+def test_labelled_points_follow_their_frames_and_corrections_keep_the_poses_around_the_part():
     ids = np.arange(2, dtype=np.uint32)
     parts = [sc.LabeledPoints("top", ids, sensor_frame=k) for k in (4, 5, 9, 10)]
     of_map = sc.LabeledPoints("map", ids)
@@ -231,8 +228,6 @@ def test_labelled_points_follow_their_frames():
     assert cut(whole, start=0.0, stop=100.0).annotations[0].labeled_points[0].sensor_frame is None
     assert cut(whole).annotations == ()
 
-
-def test_corrections_keep_the_poses_around_the_part():
     def adjustment(poses):
         return sc.LocalizationAdjustment("a", poses)
 

@@ -12,6 +12,5 @@ def drive():
 
 @pytest.fixture(scope="session")
 def exact_drive():
-    """The same street seen by a lidar without noise or losses."""
     exact = LidarSpec(beams=32, steps=600, range_sigma=0.0, drop_rate=0.0)
     return simulate_street(3, frames=8, lidar=exact, cameras=(CameraSpec(),))

@@ -44,7 +44,6 @@ STILL = path_at_speed(1e-6)
 
 
 def box(center, half, material=PLAIN):
-    """An upright box from its middle and half sizes."""
     return Shape(ShapeKind.BOX, RigidTransform(np.eye(3), np.array(center, float)), tuple(map(float, half)), material)
 
 

@@ -249,11 +249,6 @@ def test_shares_cut_off_and_hidden_rise_with_the_levels_that_people_gave_in_kitt
     assert np.mean(cut[1]) > 0.4
 
 
-@pytest.fixture(scope="module")
-def frames(drive):
-    return open_scene(drive("real/kitti_object"))
-
-
 def labelled(box, k, camera, camera_from_world):
     """The overlap of a box in an image with what it looks like from its camera."""
     poses = cuboid_poses(box, box.path.timestamps_ns)
@@ -263,7 +258,8 @@ def labelled(box, k, camera, camera_from_world):
     return overlaps(extents[:1], np.array([[left, top, left + width, top + height]]))[0]
 
 
-def test_points_and_boxes_of_kittis_frames_are_where_images_show_them(frames):
+def test_kittis_frames_have_points_and_boxes_where_images_show_them_and_come_back_as_they_were(drive, tmp_path):
+    frames = open_scene(drive("real/kitti_object"))
     lidar, camera = frames.sensor("velodyne"), frames.sensor("camera2")
     for frame, image in zip(lidar.frames, camera.images, strict=True):
         _, visible = project(image.camera, image.mount.inverse().apply(frame.points.positions))
@@ -279,9 +275,6 @@ def test_points_and_boxes_of_kittis_frames_are_where_images_show_them(frames):
         overlap.append(labelled(box, 0, image.camera, image.mount.inverse()))
     assert len(empty) <= 1  # one object of frame 114 has no points
     assert np.median(overlap) > 0.85
-
-
-def test_kittis_frames_come_back_as_they_were(frames, drive, tmp_path):
     assert len(write_scene(frames, tmp_path / "out", format="kitti-object")) == 0
     back = open_scene(tmp_path / "out")
     assert [a.id for a in back.annotations] == [a.id for a in frames.annotations]

@@ -1,14 +1,21 @@
 """Clouds in files: made by hand after the formats' descriptions, written and read by other programs, and as scenes."""
 
 import pickle
+import shutil
 import struct
+from dataclasses import replace
 from pathlib import Path
+
 import laspy
 import numpy as np
 import pytest
 import trimesh
 from pypcd4 import PointCloud
-from sceneloom.errors import DataError, OptionError, OutputError
+
+import sceneloom
+from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError, UnknownOptionError
+from sceneloom.formats.base.losses import Support
+from sceneloom.formats.base.registry import find_format, open_scene, write_scene
 from sceneloom.formats.points.cloud import NO_LABEL, Cloud, FieldLayout, WrittenPoints
 from sceneloom.formats.points.files import open_cloud_writer, read_cloud
 from sceneloom.formats.points.mapping import (
@@ -19,17 +26,9 @@ from sceneloom.formats.points.mapping import (
     detect_scale,
     points_of,
 )
-import shutil
-from dataclasses import replace
-import sceneloom
-from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatError, UnknownOptionError
-from sceneloom.formats.base.losses import Support
-from sceneloom.formats.base.registry import find_format, open_scene, write_scene
-from sceneloom.formats.points.files import read_cloud
 from sceneloom.formats.points.reader import numbers_of_names, stem_of, times_of_names
 from sceneloom.pipeline.converting import convert
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, LidarSensor, PointsFrame, Poses, Scene, Trajectory
-
 
 ROWS = np.array([[1.0, 2.0, 3.0, 0.5], [-4.0, 5.0, 6.0, 0.25]], np.float32)
 

@@ -6,20 +6,20 @@ import mmap
 import re
 import threading
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
+
 import av
 import cv2
 import numpy as np
 import pytest
 from av.video.reformatter import Interpolation, VideoReformatter
 from PIL import Image
-from sceneloom.errors import DataError
+
+from sceneloom.errors import ArrayError, DataError, OptionError, OutputError
 from sceneloom.formats.recording.reader import PngFolder
 from sceneloom.formats.video.reader import open_video, read_index, read_table_index
-from itertools import pairwise
-from sceneloom.errors import ArrayError, DataError, OptionError, OutputError
 from sceneloom.formats.video.writer import VideoWriter, copy_to_matroska, encode_to_mp4, remux_to_mp4
-
 
 X264 = {"g": "12", "bf": "3", "preset": "veryfast"}
 KINDS = {

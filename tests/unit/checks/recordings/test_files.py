@@ -383,8 +383,8 @@ def with_late_image(lines):
     ("change", "fixed", "left_out"),
     [
         (lambda lines: None, set(), []),
-        (with_reversed, {"lines-in-order"}, []),
         (with_doubled, {"stream-times-unique", "frame-numbers-increasing"}, []),
+        (with_reversed, {"lines-in-order"}, []),
         (with_unit_off, {"orientation-norm"}, []),
         (counted(*range(28, 40)), {"frame-numbers-begin"}, []),
         (counted(*range(6), *range(8, 14)), {GAPS}, []),

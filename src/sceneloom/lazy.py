@@ -17,17 +17,23 @@ def names_on_first_use(package: str, names: Mapping[str, str]) -> tuple[Callable
 
     Args:
         package: `__name__` of the package.
-        names: where each name is defined, as `"module:name"`.
+        names: by module, seen from the package or from `sceneloom`, the names that it defines, separated by blanks;
+            `open=open_scene` for one that is called otherwise there.
     """
+    locations = {}
+    for module, offered in names.items():
+        whole = module if module.startswith("sceneloom.") else f"{package}.{module}"
+        for name, _, original in (entry.partition("=") for entry in offered.split()):
+            locations[name] = f"{whole}:{original or name}"
 
     def first_use(name: str) -> Any:
-        if name not in names:
+        if name not in locations:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = imported(names[name])
+        value = imported(locations[name])
         setattr(sys.modules[package], name, value)
         return value
 
-    def offered() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *names})
+    def listed() -> list[str]:
+        return sorted({*vars(sys.modules[package]), *locations})
 
-    return first_use, offered
+    return first_use, listed

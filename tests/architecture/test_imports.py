@@ -241,7 +241,7 @@ def test_what_is_named_to_be_imported_on_first_use_is_there(modules):
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
         if (match := NAMED.fullmatch(node.value))
     }
-    assert len(named) > 100
+    assert len(named) > 50
     absent = [f"{module}:{name}" for module, name in named if not hasattr(import_module(module), name)]
     assert not absent
 

@@ -37,7 +37,7 @@ def test_no_file_is_large_or_holds_a_path_of_one_machine_or_the_host_of_a_regist
     assert not any(map(MACHINE_PATHS.search, relative))
 
 
-def names_on_first_use(tree: ast.Module) -> tuple[dict[str, str], dict[str, str]]:
+def names_on_first_use(package: str, tree: ast.Module) -> tuple[dict[str, str], dict[str, str]]:
     """What a package imports when it is first asked for, as type checkers see it, and as its table says it.
 
     Both give `"module:name"` by the name here.
@@ -50,11 +50,14 @@ def names_on_first_use(tree: ast.Module) -> tuple[dict[str, str], dict[str, str]
             assert isinstance(line, ast.ImportFrom)
             seen |= {alias.asname or alias.name: f"{line.module}:{alias.name}" for alias in line.names}
         for table in (found for line in node.orelse for found in ast.walk(line) if isinstance(found, ast.Dict)):
-            stated |= ast.literal_eval(table)
+            for module, names in ast.literal_eval(table).items():
+                whole = module if module.startswith("sceneloom.") else f"{package}.{module}"
+                for name, _, original in (entry.partition("=") for entry in names.split()):
+                    stated[name] = f"{whole}:{original or name}"
     return seen, stated
 
 
-def public_bindings(tree: ast.Module) -> set[str]:
+def public_bindings(package: str, tree: ast.Module) -> set[str]:
     """Public names that a package offers: imported at once, but for what it needs itself, or on first use."""
     imports = [
         node
@@ -64,12 +67,12 @@ def public_bindings(tree: ast.Module) -> set[str]:
         and node.module != "sceneloom.lazy"
     ]
     names = {alias.asname or alias.name for node in imports for alias in node.names}
-    return {name for name in names if not name.startswith("_")} | set(names_on_first_use(tree)[0])
+    return {name for name in names if not name.startswith("_")} | set(names_on_first_use(package, tree)[0])
 
 
 def test_a_package_has_only_a_docstring_imports_and_its_names_in_order_and_all_of_it_is_there(packages):
     for package in packages:
-        seen, stated = names_on_first_use(package.tree)
+        seen, stated = names_on_first_use(package.name, package.tree)
         assert seen == stated, f"{package.name}: not the same for type checkers and at run time"
         taken = [name for name in stated if find_spec(f"{package.name}.{name}")]
         assert not taken, f"{package.name}: modules have these names, and would take their locations: {taken}"
@@ -78,7 +81,9 @@ def test_a_package_has_only_a_docstring_imports_and_its_names_in_order_and_all_o
         assert not strange, f"{package.name} defines things in its __init__: {strange}"
         loaded = import_module(package.name)
         offered = list(getattr(loaded, "__all__", ()))
-        assert {name for name in offered if not name.startswith("__")} == public_bindings(package.tree), package.name
+        assert {name for name in offered if not name.startswith("__")} == public_bindings(package.name, package.tree), (
+            package.name
+        )
         assert len(offered) == len(set(offered)), package.name
         assert offered == sorted(offered, key=by_kind_and_name), package.name
         absent = [name for name in offered if not hasattr(loaded, name)]

@@ -9,16 +9,7 @@ if TYPE_CHECKING:
     from sceneloom.batch.running import RunSummary, run
 else:
     __getattr__, __dir__ = names_on_first_use(
-        __name__,
-        {
-            "Input": "sceneloom.batch.jobs:Input",
-            "Job": "sceneloom.batch.jobs:Job",
-            "Outcome": "sceneloom.batch.jobs:Outcome",
-            "RunSummary": "sceneloom.batch.running:RunSummary",
-            "State": "sceneloom.batch.jobs:State",
-            "Task": "sceneloom.batch.jobs:Task",
-            "run": "sceneloom.batch.running:run",
-        },
+        __name__, {"jobs": "Input Job Outcome State Task", "running": "RunSummary run"}
     )
 
 __all__ = ["Input", "Job", "Outcome", "RunSummary", "State", "Task", "run"]

@@ -22,24 +22,11 @@ else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "MODELS": "sceneloom.cameras.camera:MODELS",
-            "Camera": "sceneloom.cameras.camera:Camera",
-            "Chart": "sceneloom.cameras.camera:Chart",
-            "Fit": "sceneloom.cameras.fitting:Fit",
-            "Model": "sceneloom.cameras.camera:Model",
-            "PointsInImage": "sceneloom.cameras.projection:PointsInImage",
-            "Undistortion": "sceneloom.cameras.undistortion:Undistortion",
-            "check_camera": "sceneloom.cameras.projection:check_camera",
-            "domain_angle": "sceneloom.cameras.projection:domain_angle",
-            "fit": "sceneloom.cameras.fitting:fit",
-            "intrinsics_vector": "sceneloom.cameras.projection:intrinsics_vector",
-            "nearest": "sceneloom.cameras.fitting:nearest",
-            "project": "sceneloom.cameras.projection:project",
-            "project_unbounded": "sceneloom.cameras.projection:project_unbounded",
-            "projection_kernel": "sceneloom.cameras.projection:projection_kernel",
-            "undistort": "sceneloom.cameras.undistortion:undistort",
-            "undistorted_camera": "sceneloom.cameras.undistortion:undistorted_camera",
-            "unproject": "sceneloom.cameras.projection:unproject",
+            "camera": "MODELS Camera Chart Model",
+            "fitting": "Fit fit nearest",
+            "projection": "PointsInImage check_camera domain_angle intrinsics_vector project project_unbounded "
+            "projection_kernel unproject",
+            "undistortion": "Undistortion undistort undistorted_camera",
         },
     )
 

@@ -15,19 +15,9 @@ else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "SHOWN": "sceneloom.catalog.database:SHOWN",
-            "TABLES": "sceneloom.catalog.storage:TABLES",
-            "CatalogReport": "sceneloom.catalog.building:CatalogReport",
-            "Drive": "sceneloom.catalog.building:Drive",
-            "Result": "sceneloom.catalog.database:Result",
-            "Selection": "sceneloom.catalog.database:Selection",
-            "build": "sceneloom.catalog.building:build",
-            "format_csv": "sceneloom.catalog.database:format_csv",
-            "iter_list": "sceneloom.catalog.database:iter_list",
-            "opened": "sceneloom.catalog.database:opened",
-            "query": "sceneloom.catalog.database:query",
-            "records": "sceneloom.catalog.database:records",
-            "update": "sceneloom.catalog.building:update",
+            "building": "CatalogReport Drive build update",
+            "database": "SHOWN Result Selection format_csv iter_list opened query records",
+            "storage": "TABLES",
         },
     )
 

@@ -9,15 +9,7 @@ if TYPE_CHECKING:
     from sceneloom.checks.validation import ValidationReport, all_rules, chosen_rules, validate
 else:
     __getattr__, __dir__ = names_on_first_use(
-        __name__,
-        {
-            "Hit": "sceneloom.checks.rule:Hit",
-            "Rule": "sceneloom.checks.rule:Rule",
-            "ValidationReport": "sceneloom.checks.validation:ValidationReport",
-            "all_rules": "sceneloom.checks.validation:all_rules",
-            "chosen_rules": "sceneloom.checks.validation:chosen_rules",
-            "validate": "sceneloom.checks.validation:validate",
-        },
+        __name__, {"rule": "Hit Rule", "validation": "ValidationReport all_rules chosen_rules validate"}
     )
 
 __all__ = ["Hit", "Rule", "ValidationReport", "all_rules", "chosen_rules", "validate"]

@@ -7,13 +7,6 @@ from sceneloom.lazy import names_on_first_use
 if TYPE_CHECKING:
     from sceneloom.detections.results import DetectionAlgorithm, DetectionPair, FusedBoxes
 else:
-    __getattr__, __dir__ = names_on_first_use(
-        __name__,
-        {
-            "DetectionAlgorithm": "sceneloom.detections.results:DetectionAlgorithm",
-            "DetectionPair": "sceneloom.detections.results:DetectionPair",
-            "FusedBoxes": "sceneloom.detections.results:FusedBoxes",
-        },
-    )
+    __getattr__, __dir__ = names_on_first_use(__name__, {"results": "DetectionAlgorithm DetectionPair FusedBoxes"})
 
 __all__ = ["DetectionAlgorithm", "DetectionPair", "FusedBoxes"]

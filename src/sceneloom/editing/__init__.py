@@ -16,17 +16,13 @@ else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "annotations_to_world": "sceneloom.editing.move_world:annotations_to_world",
-            "apply_corrections": "sceneloom.editing.apply:apply_corrections",
-            "convert_camera_models": "sceneloom.editing.cameras:convert_camera_models",
-            "crop_scene": "sceneloom.editing.crop:crop_scene",
-            "merge_scenes": "sceneloom.editing.merge:merge_scenes",
-            "simplify_scene": "sceneloom.editing.simplify:simplify_scene",
-            "thin_scene": "sceneloom.editing.thin:thin_scene",
-            "to_ego": "sceneloom.editing.move_world:to_ego",
-            "to_sensor": "sceneloom.editing.move_world:to_sensor",
-            "to_world": "sceneloom.editing.move_world:to_world",
-            "undistort_scene": "sceneloom.editing.cameras:undistort_scene",
+            "apply": "apply_corrections",
+            "cameras": "convert_camera_models undistort_scene",
+            "crop": "crop_scene",
+            "merge": "merge_scenes",
+            "move_world": "annotations_to_world to_ego to_sensor to_world",
+            "simplify": "simplify_scene",
+            "thin": "thin_scene",
         },
     )
 

@@ -16,14 +16,7 @@ if TYPE_CHECKING:
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
-        {
-            "ALIGNMENTS": "sceneloom.evaluate.trajectory:ALIGNMENTS",
-            "RPE_DELTAS": "sceneloom.evaluate.trajectory:RPE_DELTAS",
-            "ErrorStatistics": "sceneloom.evaluate.trajectory:ErrorStatistics",
-            "RelativeErrors": "sceneloom.evaluate.trajectory:RelativeErrors",
-            "TrajectoryReport": "sceneloom.evaluate.trajectory:TrajectoryReport",
-            "evaluate_trajectory": "sceneloom.evaluate.trajectory:evaluate_trajectory",
-        },
+        {"trajectory": "ALIGNMENTS RPE_DELTAS ErrorStatistics RelativeErrors TrajectoryReport evaluate_trajectory"},
     )
 
 __all__ = ["ALIGNMENTS", "RPE_DELTAS", "ErrorStatistics", "RelativeErrors", "TrajectoryReport", "evaluate_trajectory"]

@@ -13,13 +13,10 @@ else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "FORMATS": "sceneloom.formats.base.registry:FORMATS",
-            "FormatSpec": "sceneloom.formats.base.spec:FormatSpec",
-            "Loss": "sceneloom.formats.base.losses:Loss",
-            "LossReport": "sceneloom.formats.base.losses:LossReport",
-            "open_scene": "sceneloom.formats.base.registry:open_scene",
-            "size_on_disk": "sceneloom.formats.base.files:size_on_disk",
-            "write_scene": "sceneloom.formats.base.registry:write_scene",
+            "base.files": "size_on_disk",
+            "base.losses": "Loss LossReport",
+            "base.registry": "FORMATS open_scene write_scene",
+            "base.spec": "FormatSpec",
         },
     )
 

@@ -9,11 +9,7 @@ if TYPE_CHECKING:
     from sceneloom.fusion.system import FusionSystem
 else:
     __getattr__, __dir__ = names_on_first_use(
-        __name__,
-        {
-            "FusionConfiguration": "sceneloom.fusion.configuration:FusionConfiguration",
-            "FusionSystem": "sceneloom.fusion.system:FusionSystem",
-        },
+        __name__, {"configuration": "FusionConfiguration", "system": "FusionSystem"}
     )
 
 __all__ = ["FusionConfiguration", "FusionSystem"]

@@ -12,12 +12,7 @@ if TYPE_CHECKING:
     from sceneloom.report.page import ReportSettings, write_report
 else:
     __getattr__, __dir__ = names_on_first_use(
-        __name__,
-        {
-            "DriveReport": "sceneloom.report.drive_report:DriveReport",
-            "ReportSettings": "sceneloom.report.page:ReportSettings",
-            "write_report": "sceneloom.report.page:write_report",
-        },
+        __name__, {"drive_report": "DriveReport", "page": "ReportSettings write_report"}
     )
 
 __all__ = ["DriveReport", "ReportSettings", "write_report"]

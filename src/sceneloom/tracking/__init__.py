@@ -11,14 +11,7 @@ if TYPE_CHECKING:
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
-        {
-            "Observation": "sceneloom.tracking.tracker:Observation",
-            "ImageBox": "sceneloom.tracking.settings:ImageBox",
-            "Tracker": "sceneloom.tracking.tracker:Tracker",
-            "TrackerSettings": "sceneloom.tracking.settings:TrackerSettings",
-            "View": "sceneloom.tracking.tracker:View",
-            "track_drive": "sceneloom.tracking.smoother:track_drive",
-        },
+        {"settings": "ImageBox TrackerSettings", "smoother": "track_drive", "tracker": "Observation Tracker View"},
     )
 
 __all__ = ["ImageBox", "Observation", "Tracker", "TrackerSettings", "View", "track_drive"]

@@ -10,16 +10,7 @@ if TYPE_CHECKING:
 else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
-        {
-            "ColourBy": "sceneloom.view.settings:ColourBy",
-            "DrivePart": "sceneloom.view.settings:DrivePart",
-            "DriveShown": "sceneloom.view.settings:DriveShown",
-            "ViewReport": "sceneloom.view.settings:ViewReport",
-            "ViewSettings": "sceneloom.view.settings:ViewSettings",
-            "Viewer": "sceneloom.view.viewer:Viewer",
-            "save_view": "sceneloom.view.viewer:save_view",
-            "show_view": "sceneloom.view.viewer:show_view",
-        },
+        {"settings": "ColourBy DrivePart DriveShown ViewReport ViewSettings", "viewer": "Viewer save_view show_view"},
     )
 
 __all__ = ["ColourBy", "DrivePart", "DriveShown", "ViewReport", "ViewSettings", "Viewer", "save_view", "show_view"]

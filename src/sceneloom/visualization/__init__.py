@@ -19,16 +19,9 @@ else:
     __getattr__, __dir__ = names_on_first_use(
         __name__,
         {
-            "DepthScale": "sceneloom.visualization.colour_scales:DepthScale",
-            "DriveCloud": "sceneloom.visualization.fused_frames:DriveCloud",
-            "EgoPosition": "sceneloom.visualization.clouds:EgoPosition",
-            "contact_sheet": "sceneloom.visualization.fused_frames:contact_sheet",
-            "draw_cloud_above": "sceneloom.visualization.clouds:draw_cloud_above",
-            "draw_cloud_perspective": "sceneloom.visualization.clouds:draw_cloud_perspective",
-            "draw_depth_image": "sceneloom.visualization.fused_frames:draw_depth_image",
-            "draw_overlay": "sceneloom.visualization.fused_frames:draw_overlay",
-            "iter_images": "sceneloom.visualization.fused_frames:iter_images",
-            "save_images": "sceneloom.visualization.fused_frames:save_images",
+            "clouds": "EgoPosition draw_cloud_above draw_cloud_perspective",
+            "colour_scales": "DepthScale",
+            "fused_frames": "DriveCloud contact_sheet draw_depth_image draw_overlay iter_images save_images",
         },
     )
 

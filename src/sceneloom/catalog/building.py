@@ -45,15 +45,10 @@ from sceneloom.warnings import Finding
 
 @dataclass(frozen=True, slots=True)
 class _Repeated:
-    """A column of text in which few words stand in many rows.
+    """A column of text in which few words stand in many rows."""
 
-    Attributes:
-        codes: (N,) integers, which word stands in each row.
-        words: the words; None for null.
-    """
-
-    codes: np.ndarray[Any, Any]
-    words: tuple[str | None, ...]
+    codes: np.ndarray[Any, Any]  # (N,) integers, which word stands in each row
+    words: tuple[str | None, ...]  # None for null
 
 
 _Values = np.ndarray[Any, Any] | list[Any] | _Repeated  # the rows of a column: NaN, None and counts below 0 are null

@@ -717,16 +717,10 @@ def _labels(sweep: _Seen, image: _Seen, partners: Int64Array) -> list[str]:
 def _boxes_from_eye(
     rotation: Float64Array, translation: Float64Array, signs: Float64Array, boxes: Float64Array
 ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
-    """Take upright boxes into the frame of an eye.
+    """Take upright boxes (N, 7), middle, size [m] and heading [rad], into the frame of an eye.
 
-    Args:
-        rotation, translation: (3, 3) and (3,) [m], into that frame.
-        signs: (8, 3), on which side of the middle each corner lies.
-        boxes: (N, 7), middle, size [m] and heading [rad].
-
-    Returns:
-        (N, 3, 3), whose columns are the axes of the boxes; (N, 8, 3) [m], their corners; (N,) [m], how far their
-        middles are from the eye, and (N,) [m], how far they themselves.
+    Returns their axes (N, 3, 3) as columns, their corners (N, 8, 3) [m] on the sides that `signs` (8, 3) names, and how
+    far middles (N,) and boxes (N,) are from the eye [m].
     """
     count = len(boxes)
     axes, corners, distances, gaps = np.empty((count, 3, 3)), np.empty((count, 8, 3)), np.empty(count), np.empty(count)
@@ -1040,16 +1034,10 @@ def _hide_covered(
     boxes: Float64Array, shares: Float64Array, distances: Float64Array, gaps: Float64Array, likely: Float64Array,
     near: float, margin: float,
 ) -> None:  # fmt: skip
-    """Subtract from the visible share of each box what another one is likely to cover: the most of the nearer ones.
+    """Subtract from the visible `shares` (N,) of `boxes` (N, 4) [px] what a nearer one is likely to cover at the most.
 
-    Args:
-        boxes: (N, 4) [px], left, top, right, bottom; those the wrong way round, or around the eye, become 0.
-        shares: (N,), changed; 0 for boxes without area.
-        distances: (N,) [m], how far each is.
-        gaps: (N,) [m], how far from the eye each begins.
-        likely: (N,), how likely it is that each exists.
-        near: what begins nearer than this is around the eye [m].
-        margin: boxes that are less nearer than this are in one location, and cover nothing [m].
+    Each is `distances` (N,) [m] away and begins at `gaps` (N,) [m]: nearer than `near` [m] it is around the eye, and
+    becomes 0. `likely` (N,): existence probability; boxes less than `margin` [m] nearer cover nothing.
     """
     for i in range(len(boxes)):
         if gaps[i] <= near or boxes[i, 2] <= boxes[i, 0] or boxes[i, 3] <= boxes[i, 1]:

@@ -58,40 +58,24 @@ _SAMPLED_SWEEPS = 5  # sweeps from which the usual location of the timestamp wit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _DeskewedFrame:
-    """A sweep as if all its points had been measured at once.
+    """A sweep as if all its points had been measured at once."""
 
-    Attributes:
-        frame: its points in their original frame, all at the frame's time; as measured where `left` gives the reason.
-        times: how the times of its points were read.
-        shifts: (N,) float32 [m], how far each point was moved; none where it was left.
-        raw: what reading the next sweep's times may need.
-        extrapolated: whether poses beyond the trajectory's ends were used.
-        left: why it was left as it was, or None.
-    """
-
-    frame: LidarFrame
-    times: TimesFound
-    shifts: Float32Array
-    raw: RawTimes | None = None
-    extrapolated: bool = False
-    left: str | None = None
+    frame: LidarFrame  # points in their original frame, at the frame's time; as measured where `left` gives the reason
+    times: TimesFound  # how the times of its points were read
+    shifts: Float32Array  # (N,) [m], how far each point was moved; none where it was left
+    raw: RawTimes | None = None  # what reading the next sweep's times may need
+    extrapolated: bool = False  # whether poses beyond the trajectory's ends were used
+    left: str | None = None  # why it was left as it was
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Deskewer:
-    """Deskews a lidar's sweeps to one moment each; the points stay in their original frame.
+    """Deskews a lidar's sweeps to one moment each; the points stay in their original frame."""
 
-    Attributes:
-        source: transforms the points as stored into the world.
-        period_ns: from sweep to sweep.
-        offset_ns: from a sweep's timestamp to the moment that it is deskewed to.
-        gaps_ns: (G, 2) int64 [ns], between which the motion is unknown.
-    """
-
-    source: PoseSource
-    period_ns: int
-    offset_ns: int
-    gaps_ns: Int64Array
+    source: PoseSource  # transforms the points as stored into the world
+    period_ns: int  # from sweep to sweep
+    offset_ns: int  # from a sweep's timestamp to the moment that it is deskewed to
+    gaps_ns: Int64Array  # (G, 2) [ns], between which the motion is unknown
 
     def deskew(self, frame: LidarFrame, *, previous: RawTimes | None = None) -> _DeskewedFrame:
         """Deskew one sweep, if its points have times and the motion at these times is known."""
@@ -184,16 +168,8 @@ class _DeskewedFrames:
 
 
 def _typical_offset_ns(frames: LazyFrames[LidarFrame], period_ns: int, at: str) -> int:
-    """The usual time from a sweep's timestamp to a moment of it, from a few sweeps spread over the drive.
-
-    One offset for all sweeps keeps their moments as even as their timestamps are, and known without reading them.
-
-    Args:
-        at: one of `_MOMENTS`.
-
-    Returns:
-        The median offset [ns], 0 where no sweep has usable point times.
-    """
+    """Median time [ns] from a sweep's timestamp to one of its `_MOMENTS`, by a few sweeps; 0 without point times."""
+    # one offset for all keeps their moments as even as their timestamps are, and known without reading them
     offsets = []
     for k in np.unique(np.linspace(0, len(frames) - 1, min(_SAMPLED_SWEEPS, len(frames))).astype(int)).tolist():
         try:

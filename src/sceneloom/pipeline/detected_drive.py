@@ -368,13 +368,7 @@ def kitti_labels(found: Iterable[KittiObjects], rectified_from_lidar: RigidTrans
 def _rectified_boxes(
     centers: Float64Array, sizes_lwh: Float64Array, yaws: Float64Array, rectified_from_lidar: RigidTransform
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Give boxes of the lidar's frame as KITTI has them: the inverse of `lidar_boxes`.
-
-    Returns:
-        sizes_hwl: (N, 3) float64 [m].
-        bottoms: (N, 3) float64 [m], rectified camera frame.
-        rotations_y: (N,) float64 [rad], -π to π.
-    """
+    """Give sizes_hwl [m], bottoms [m] in the rectified camera frame and rotations_y [rad]: `lidar_boxes` reversed."""
     bottoms = rectified_from_lidar.apply(centers) + np.array([0.0, 0.5, 0.0]) * sizes_lwh[:, 2:]
     headings = np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(len(yaws))])
     rotated = rectified_from_lidar.rotate(headings)

@@ -789,17 +789,7 @@ _ADOBE, _PROFILE = 0xEE, 0xE2
 
 
 def _stripped(content: bytes, *, name: str = "image") -> tuple[bytes, tuple[str, ...]]:
-    """Give an image's file without anything that its pixels do not need; they stay bit by bit.
-
-    Args:
-        content: a JPEG or PNG file.
-        name: what messages call it.
-
-    Returns:
-        The file, and what was left out of it: "APP1", "COM", "eXIf", "after the end", …
-
-    Raises:
-        DataError: it is neither, or its parts do not follow one another as they must.
+    """Give a JPEG or PNG file without anything that its pixels do not need, and what was left out ("APP1", "eXIf", …).
 
     Source: ITU-T T.81, annex B; PNG, 3rd edition, 5.3.
     """

@@ -114,18 +114,12 @@ STANDARD_ANGLES = CuboidAngles()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bracket:
-    """Between which rows of a path times lie.
+    """Between which rows of a path times lie."""
 
-    Attributes:
-        before, after: (M,) int64, rows; the same one at a timestamp and beyond the ends.
-        share: (M,) float64, how far on the way from `before` to `after`, 0 to 1.
-        there: (M,) bool, whether the path says anything at that time.
-    """
-
-    before: Int64Array
-    after: Int64Array
-    share: Float64Array
-    there: BoolArray
+    before: Int64Array  # (M,) rows
+    after: Int64Array  # (M,) rows, the same ones at a timestamp and beyond the ends
+    share: Float64Array  # (M,) how far from `before` to `after`, 0 to 1
+    there: BoolArray  # (M,) whether the path has a value at that time
 
     @classmethod
     def of(cls, timestamps_ns: Int64Array, times_ns: ArrayLike, *, stationary: bool = False) -> "_Bracket":

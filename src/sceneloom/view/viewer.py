@@ -137,20 +137,14 @@ def _ui_points(size: float) -> Any:
 
 @dataclass(slots=True, eq=False)
 class _LidarView:
-    """Shows the sweeps of one lidar.
-
-    Attributes:
-        colour_by: what gives the points their colours; None: the best that there is.
-        as_measured: leave the motion during a sweep in.
-        notify: of what could not be shown.
-    """
+    """Shows the sweeps of one lidar."""
 
     stream: Stream
     locations: Locations
     lidar: LidarSensor
-    colour_by: ColourBy | None
-    as_measured: bool
-    notify: Report
+    colour_by: ColourBy | None  # what gives the points their colours; None: the best that there is
+    as_measured: bool  # leave the motion during a sweep in
+    notify: Report  # of what could not be shown
     painter: _CloudPainter = field(init=False)
     _sensor_source: PoseSource = field(init=False)
     _source: PoseSource = field(init=False)

@@ -84,18 +84,7 @@ def _open_bag(
     world: str | None = None,
     distro: str | None = None,
 ) -> Scene:
-    """Open a bag: its index and all small messages are read, images and points when they are asked for.
-
-    Args:
-        path: a `.bag`, a folder of ROS 2, or a file of it.
-        form: name of the format.
-        lenient: read what is whole of a bag that was not closed, is cut off or damaged; leave out topics and messages
-            that are at fault; go by receive times where timestamps are of another clock.
-        assume_model: allow computing with camera models whose formulas nothing confirms.
-        timestamps: which time of a message counts: "header" or "receive"; None: that of its header.
-        ego, world: names of the frames that are to be the ego and the world; None: chosen from the transforms.
-        distro: of ROS, "humble", "noetic", …: whose types count where the bag does not define its own.
-    """
+    """Open a bag: its index and all small messages are read, images and points when they are asked for."""
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         bags = _open_bags(path, ledger)

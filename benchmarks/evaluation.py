@@ -6,9 +6,9 @@ Results are the boxes of a detector in images, each with the identity of the box
 before. Times are those of one processor, the least of several runs; TrackEval's include its reading.
 """
 
+import argparse
 import contextlib
 import io
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -109,13 +109,14 @@ def main(folder: Path) -> None:
         print(f"tracks, in memory       {ours:8.3f} s")
         reading = least_seconds(lambda: read_both(results, truth), 3)
         print(f"tracks, with reading    {ours + reading:8.3f} s")
-        with contextlib.suppress(ImportError):
-            theirs = least_seconds(lambda: by_trackeval(location), 2)
-            print(f"TrackEval               {theirs:8.3f} s   {theirs / (ours + reading):.1f} times as long")
         found = read_both(folder / "det3d_pointrcnn", folder)
         seconds = least_seconds(lambda: evaluate_detection(found.results, found.truth, classes=("car",)), 5)
         print(f"detections, in memory   {seconds:8.3f} s")
+        theirs = least_seconds(lambda: by_trackeval(location), 2)
+        print(f"tracks, by TrackEval    {theirs:8.3f} s   {theirs / (ours + reading):.1f} times as long")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data/real/kitti_tracking"))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, default=Path("../shared/data/real/kitti_tracking"))
+    main(parser.parse_args().folder)

@@ -3,8 +3,8 @@
 python -m benchmarks.samples [SWEEPS]
 """
 
+import argparse
 import pickle
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -90,4 +90,6 @@ def main(sweeps: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 40)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("sweeps", nargs="?", type=int, default=40)
+    main(parser.parse_args().sweeps)

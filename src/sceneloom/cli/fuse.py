@@ -206,7 +206,7 @@ def _print_detections(report: "DetectionFusionReport", printer: Printer) -> None
 @click.command(cls=Verb, examples=("", "--keep street --frames 50"))
 @option("--keep=DIR", "Folder for the drive, the scene and the images.", options.target, default=Path("sceneloom-demo"))
 @option("--seed", "Random seed of the street.", int, default=0)
-@option("--frames", "Lidar sweeps at 10 Hz.", click.IntRange(min=2), default=30)
+@option("--frames", "Lidar sweeps at 10 Hz.", click.IntRange(min=2), default=15)
 @option("--video=h264|png", "Format of the drive's images.", default="h264")
 @option("--overwrite", "Replace an earlier demo.")
 @verb

@@ -87,7 +87,7 @@ def _class_page(package: str, name: str, definition: str) -> str:
 def _example(name: str) -> tuple[str, str] | None:
     """The shortest code of a page that uses a class, and the page; else how an example uses it."""
     uses = re.compile(rf"\b{name}\b(?!,? import)")
-    fitting = [(code, page) for code, page in _blocks() if uses.search(code)]
+    fitting = [(code, page) for code, page in _blocks() if uses.search(re.sub(r"#.*", "", code))]
     return min(fitting or _statements(name), key=lambda found: len(found[0]), default=None)
 
 

@@ -49,10 +49,14 @@ def test_every_package_has_a_page_and_so_has_every_class_that_it_offers(hook):
     assert "| [`Scene`](Scene.md) | A drive. " in pages["reference/sceneloom.scene/index.md"]
     assert "[`Scene`](../sceneloom.scene/Scene.md)" in pages["reference/sceneloom/index.md"]
     assert "\n::: sceneloom.open\n" in pages["reference/sceneloom/index.md"]
-    page = pages["reference/sceneloom.scene/Scene.md"]
-    assert page == "# Scene\n\n```python\nfrom sceneloom.scene import Scene\n```\n\n::: sceneloom.scene.Scene\n"
+    shown = pages["reference/sceneloom.scene/SensorType.md"]
+    assert shown == (
+        "# SensorType\n\n```python\nfrom sceneloom.scene import SensorType\n```\n\n::: sceneloom.scene.SensorType\n"
+    )
+    assert "From [Simulation](../../simulation.md).\n" in pages["reference/sceneloom.simulate/LidarSpec.md"]
+    assert "](../../examples/03_build_a_scene_from_arrays.md).\n" in pages["reference/sceneloom.scene/LidarSensor.md"]
     for location, text in pages.items():
-        line = re.search(r"^from (\S+) import (\S+)$", text, re.MULTILINE)
+        line = re.search(r"^from (sceneloom\S*) import (\w+)$", text, re.MULTILINE)
         if line is not None:
             assert hasattr(importlib.import_module(line[1]), line[2]), location
 

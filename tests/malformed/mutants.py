@@ -276,7 +276,8 @@ def _work_off(name: str, folder: Path, waiting: list[int], tried: Tried, stop: f
     """Give mutants to one worker until it dies or none is left."""
     ours, theirs = Pipe()
     worker = get_context("spawn").Process(target=_work, args=(name, folder, theirs))
-    with patch.dict(os.environ, dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")):
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+    with patch.dict(os.environ, threads), patch.object(sys, "path", [str(_ROOT), *sys.path]):
         worker.start()
     theirs.close()
     try:

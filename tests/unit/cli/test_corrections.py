@@ -164,9 +164,10 @@ def scene_verb(*words, reads=figures_of_scene):
 
 
 def numbers_in_text(path):
-    if path.suffix == ".json":
-        return list(numbers_of(json.loads(path.read_text())))
-    rows = (line.split() for line in path.read_text().splitlines() if line and not line.startswith("#"))
+    text = path.read_text()
+    if text.startswith("{"):
+        return list(numbers_of(json.loads(text)))
+    rows = (line.split() for line in text.splitlines() if line and not line.startswith("#"))
     return [float(word) for row in rows for word in row if word.replace(".", "").lstrip("-").isdigit()]
 
 

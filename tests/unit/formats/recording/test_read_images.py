@@ -1,7 +1,7 @@
 """Which image belongs to which line, and what single lines state about their images."""
 
+import re
 from dataclasses import replace
-from typing import Any
 
 import av
 import numpy as np
@@ -11,23 +11,19 @@ import sceneloom
 from sceneloom.checks import validate
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.recording.reader import choose_images
-from sceneloom.scene import CameraSensor, Scene, WarningKind
+from sceneloom.scene import WarningKind
 
 GREY_STEP = 10
 """Image k of the test videos is grey 10 k."""
 
 
-def frames(number: int, time: float, *entries: dict[str, Any], **further: Any) -> dict[str, Any]:
+def frames(number, time, *entries, **further):
     return {"frames": list(entries or ({"cameraInd": 0},)), "number": number, "time": time, **further}
 
 
-def shown(camera: CameraSensor) -> list[int]:
+def shown(camera):
     """Which images of the video the camera shows, by their grey."""
     return [int(image.rgb[0, 0, 0]) // GREY_STEP for image in camera.images]
-
-
-def codes(scene: Scene) -> list[str]:
-    return [warning.code for warning in scene.warnings]
 
 
 @pytest.mark.parametrize(
@@ -145,7 +141,7 @@ def test_unsorted_lines_show_their_own_images_by_time_and_that_of_an_entry_goes_
 SHIFTED = [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1]]
 
 
-def test_a_line_brings_along_a_camera_model_and_a_mounting(recording, pinhole):
+def test_a_line_brings_along_a_mounting_and_a_camera_model_that_the_calibration_completes(recording, pinhole):
     own = {"cameraInd": 0, "cameraParameters": {"focalLengthX": 25.0, "focalLengthY": 26.0}, "imuToCamera": SHIFTED}
     parameters = {"distortionModel": "KANNALA_BRANDT4", "distortionCoefficients": [1e-3, 2e-3, 3e-3, 4e-3]}
     other = {"cameraInd": 0, "cameraParameters": parameters}
@@ -158,34 +154,20 @@ def test_a_line_brings_along_a_camera_model_and_a_mounting(recording, pinhole):
         assert zoomed.mount.translation.tolist() == [-0.5, 0.0, 0.0]
         bent = {"model": "fisheye", "coefficients": (1e-3, 2e-3, 3e-3, 4e-3)}
         assert fisheye.camera == replace(camera.camera, **bent)
-
-
-BENT = {"distortionCoefficients": [-0.2, 0.1, 0.05]}
-
-
-@pytest.mark.parametrize(
-    ("change", "own", "expected"),
-    [
+    bent = {"distortionCoefficients": [-0.2, 0.1, 0.05]}
+    brown = ("brown_conrady", (-0.2, 0.1, 0.0, 0.0, 0.05))
+    for change, own, expected in (
         # coefficients of the calibration hold for a line of the same model only
-        (
-            BENT,
-            {"focalLengthX": 25.0, "distortionModel": "PINHOLE"},
-            ("brown_conrady", 32, 25.0, 15.5, (-0.2, 0.1, 0.0, 0.0, 0.05)),
-        ),
-        (BENT, {"focalLengthX": 25.0, "distortionModel": "KannalaBrandt4"}, ("fisheye", 32, 25.0, 15.5, ())),
+        (bent, {"focalLengthX": 25.0, "distortionModel": "PINHOLE"}, brown),
+        (bent, {"focalLengthX": 25.0, "distortionModel": "KannalaBrandt4"}, ("fisheye", ())),
         # and numbers of a line are scaled like those of the calibration
-        (
-            {"imageWidth": 64, "imageHeight": 32},
-            {"focalLengthX": 50.0, "principalPointX": 31.5},
-            ("pinhole", 32, 25.0, 15.5, ()),
-        ),
-    ],
-)
-def test_a_camera_model_of_a_line_is_completed_and_scaled_by_the_calibration(recording, pinhole, change, own, expected):
-    recording.video("data.mkv", 1).lines([frames(0, 0.0, {"cameraInd": 0, "cameraParameters": own})])
-    with recording.calibration([pinhole | change]).open() as scene:
-        model = scene.cameras[0].images[0].camera
-        assert (model.model, model.width, model.fx, model.cx, model.coefficients) == expected
+        ({"imageWidth": 64, "imageHeight": 32}, {"focalLengthX": 50.0, "principalPointX": 31.5}, ("pinhole", ())),
+    ):
+        recording.video("data.mkv", 1).lines([frames(0, 0.0, {"cameraInd": 0, "cameraParameters": own})])
+        with recording.calibration([pinhole | change]).open() as scene:
+            model = scene.cameras[0].images[0].camera
+            found = (model.model, model.coefficients), model.width, model.fx, model.cx
+            assert found == (expected, 32, 25.0, 15.5)
 
 
 @pytest.mark.parametrize(
@@ -222,39 +204,32 @@ def test_what_a_line_says_further_is_read_with_the_image(recording, pinhole):
         (recording.path / "data.jsonl").write_text("")
         with pytest.raises(DataError, match="changed after it was opened"):
             _ = scene.cameras[0].images[1]
-
-
-def without_calibration(recording):
-    recording.path.joinpath("calibration.json").unlink()
-
-
-def renamed(recording, name):
-    (recording.path / "data.mkv").rename(recording.path / name)
+    # and videos that nothing names are reported
+    recording.pngs("frames3", 1).lines([{"sensor": {"type": "a", "values": [1]}, "time": 0}])
+    (warning,) = recording.open().warnings
+    assert (warning.code, warning.count) == ("videos-not-used", 2)
+    assert "data.mkv, frames3" in warning.message
 
 
 MISSING = r"calibration\.json: .*missing, while data\.jsonl has frames .*write its entry"
 EXPECTED = r"no images of camera 0, .*expected data\.\{mkv,mp4,mov,avi,ts\} or frames1/"
+VIDEO = "data.mkv"
 
 
 @pytest.mark.parametrize(
     ("change", "problem", "code"),
     [
-        (without_calibration, MISSING, None),
-        (lambda recording: recording.calibration([]), MISSING, None),
-        (lambda recording: (recording.path / "data.mkv").unlink(), EXPECTED, "missing-videos"),
-        (lambda recording: renamed(recording, "video.mkv"), "in the folder there is video.mkv", "missing-videos"),
-        (lambda recording: renamed(recording, "data.MKV"), "in the folder there is data.MKV", "missing-videos"),
-        *[
-            (lambda recording, c=c: (recording.path / "data.mkv").write_bytes(c), r"data\.mkv", "unreadable-videos")
-            for c in (b"", b"no video at all", b"\x1aE\xdf\xa3 almost")
-        ],
-        (
-            lambda recording: recording.video("data.avi", 1),
-            r"data\.mkv, data\.avi for camera 0; expected one",
-            "repeated",
-        ),
+        (lambda drive: (drive.path / "calibration.json").unlink(), MISSING, None),
+        (lambda drive: drive.calibration([]), MISSING, None),
+        (lambda drive: (drive.path / VIDEO).unlink(), EXPECTED, "missing-videos"),
+        *((lambda drive, to=to: (drive.path / VIDEO).rename(drive.path / to), f"there is {to}", "missing-videos")
+          for to in ("video.mkv", "data.MKV")),
+        *((lambda drive, content=content: (drive.path / VIDEO).write_bytes(content), r"data\.mkv", "unreadable-videos")
+          for content in (b"", b"no video at all", b"\x1aE\xdf\xa3 almost")),
+        (lambda drive: drive.video("data.avi", 1), r"data\.mkv, data\.avi for camera 0; expected one",
+         "repeated-videos"),
     ],
-)
+)  # fmt: skip
 def test_frames_without_their_calibration_or_images_are_an_error_that_says_what_to_do(
     recording, pinhole, change, problem, code
 ):
@@ -263,16 +238,8 @@ def test_frames_without_their_calibration_or_images_are_an_error_that_says_what_
         recording.open()
     if code is not None:
         with recording.open(lenient=True) as scene:
-            repeated = code == "repeated"
-            assert codes(scene) == ["repeated-videos" if repeated else code]
-            assert shown(scene.cameras[0]) == ([0] if repeated else [])
-
-
-def test_videos_that_nothing_names_are_reported(recording):
-    recording.video("data.mkv", 1).pngs("frames3", 1).lines([{"sensor": {"type": "a", "values": [1]}, "time": 0}])
-    (warning,) = recording.open().warnings
-    assert (warning.code, warning.count) == ("videos-not-used", 2)
-    assert "data.mkv, frames3" in warning.message
+            assert [warning.code for warning in scene.warnings] == [code]
+            assert shown(scene.cameras[0]) == ([0] if code == "repeated-videos" else [])
 
 
 @pytest.mark.parametrize(("alignment", "images"), [("number", [2, 3, 5]), ("first", [0, 1, 3]), ("line", [0, 1, 2])])
@@ -341,30 +308,24 @@ def brightness(image):
 
 
 @pytest.mark.parametrize("name", CODECS)
-def test_each_line_gets_its_image_from_a_video_of_any_container(drive, name):
+def test_each_line_gets_its_image_from_a_video_of_any_container_and_of_one_that_is_cut_off_if_whole(drive, name):
     video(drive.path / name, *CODECS[name])
     with drive.open() as scene:
-        camera = scene.cameras[0]
-        assert [brightness(image) for image in camera.images] == list(range(COUNT))
+        assert [brightness(image) for image in scene.cameras[0].images] == list(range(COUNT))
         assert not scene.warnings
-
-
-@pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
-@pytest.mark.parametrize("name", CODECS)
-def test_of_a_video_that_is_cut_off_the_whole_images_are_read_when_lenient(drive, name, share):
-    video(drive.path / name, *CODECS[name], share=share)
-    with pytest.raises(DataError) as error:
-        drive.open()
-    assert name in str(error.value)
-    with drive.open(lenient=True) as scene:
-        images = scene.cameras[0].images if scene.cameras else ()
-        assert [brightness(image) for image in images] == list(range(len(images)))
-        assert 0 <= len(images) < COUNT
-        assert {"unreadable-videos", "unmatched-images"} & {warning.code for warning in scene.warnings}
-    # the tables of these stand before the images, or between them
-    if name in {"data.mkv", "data.mp4", "data.ts"}:
-        # a group of 8 and what is stored ahead of its time may be incomplete at the end
-        assert len(images) >= COUNT * share - 10
+    for share in (0.3, 0.55, 0.8):
+        video(drive.path / name, *CODECS[name], share=share)
+        with pytest.raises(DataError, match=re.escape(name)):
+            drive.open()
+        with drive.open(lenient=True) as scene:
+            images = scene.cameras[0].images if scene.cameras else ()
+            assert [brightness(image) for image in images] == list(range(len(images)))
+            assert 0 <= len(images) < COUNT
+            assert {"unreadable-videos", "unmatched-images"} & {warning.code for warning in scene.warnings}
+        # the tables of these stand before the images, or between them
+        if name in {"data.mkv", "data.mp4", "data.ts"}:
+            # a group of 8 and what is stored ahead of its time may be incomplete at the end
+            assert len(images) >= COUNT * share - 10
 
 
 def test_what_is_left_of_a_video_is_reported_with_its_count_and_can_be_written(drive, tmp_path):
@@ -392,12 +353,10 @@ def test_what_is_left_of_a_video_is_reported_with_its_count_and_can_be_written(d
     report = validate(drive.path, fix=tmp_path / "repaired")
     assert report.passed
     assert "unreadable-videos" in {finding.rule for finding in report.left_out}
-
-
-def test_a_video_of_which_nothing_is_left_is_reported_and_left_out(drive):
-    path = drive.path / "data.mp4"
-    video(path, "libx264", "yuv420p")
-    path.write_bytes(path.read_bytes()[:600])
+    # of which nothing is left
+    (drive.path / "data.mkv").unlink()
+    video(drive.path / "data.mp4", "libx264", "yuv420p")
+    (drive.path / "data.mp4").write_bytes((drive.path / "data.mp4").read_bytes()[:600])
     with pytest.raises(DataError, match="cannot be read as video"):
         drive.open()
     with drive.open(lenient=True) as scene:

@@ -3,8 +3,6 @@
 import re
 import struct
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ POINTS = [
 SHIFTED = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
 
 
-def sweep(file: str, time: float, **further: Any) -> dict[str, Any]:
+def sweep(file, time, **further):
     return {"lidar": {"model": "RoboSense M1 XYZIRT", "dataFile": file, **further}, "time": time}
 
 
@@ -42,9 +40,7 @@ def test_points_hold_what_the_records_hold(recording):
     for name in ("positions", *expected):
         flags = getattr(frame.points, name).flags
         assert (flags.writeable, flags.aligned) == (False, True)
-
-
-def test_sweeps_of_one_point_or_none_are_aligned_too_and_points_that_are_not_numbers_stay(recording):
+    # those of one point or none are aligned, too, and points that are not numbers stay
     recording.points("0.bin", POINTS[:1]).points("1.bin", [])
     recording.points("2.bin", [(float("nan"), 1.0, 2.0, 3, 4, 0.5), POINTS[0]])
     scene = recording.lines([sweep(f"{k}.bin", 0.5 * k) for k in range(3)]).open()
@@ -99,18 +95,10 @@ def test_a_missing_or_cut_file_is_a_fault_of_its_line_when_it_is_read_and_left_o
     assert (skipped.kind, skipped.count) == (WarningKind.SKIPPED, 4)
 
 
-def test_names_and_links_that_lead_out_of_the_folder_are_refused_and_others_followed(recording, tmp_path: Path):
+def test_names_and_links_that_lead_out_of_the_folder_are_refused_and_others_followed(recording, tmp_path):
     recording.points("../outside.bin", POINTS).points("own.bin", POINTS)
-    outside = (
-        "/etc/passwd",
-        "../outside.bin",
-        "lidar/../../outside.bin",
-        "C:\\points.bin",
-        "..\\points.bin",
-        "",
-        "a\0b",
-    )
-    for file in outside:
+    outside = ("/etc/passwd", "../outside.bin", "lidar/../../outside.bin", "C:\\points.bin", "..\\points.bin")
+    for file in (*outside, "", "a\0b"):
         problem = r"line 1: lidar\.dataFile: .*expected a path inside the recording's folder"
         with pytest.raises(DataError, match=problem):
             recording.lines([sweep(file, 0.0)]).open()
@@ -125,18 +113,15 @@ def test_names_and_links_that_lead_out_of_the_folder_are_refused_and_others_foll
     assert len(frames[2].points) == 3
 
 
-@pytest.mark.parametrize("entries", [None, [], [{"model": "RoboSense M1 XYZIRT"}]])
-def test_without_imu_to_lidar_the_mounting_is_the_identity_with_a_warning(recording, entries):
-    recording.points("0.bin", POINTS).lines([sweep("0.bin", 0.0)])
-    if entries is not None:
-        recording.calibration(lidars=entries)
-    scene = recording.open()
-    np.testing.assert_array_equal(scene.lidars[0].mount.matrix, np.eye(4))
-    assert [(n.code, n.kind) for n in scene.warnings] == [("lidar-mount-identity", WarningKind.ASSUMED)]
-
-
 def test_several_lidars_are_distinguished_by_their_index_and_mounted_by_the_inverse_of_imu_to_lidar(recording):
-    recording.points("a.bin", POINTS).points("b.bin", POINTS[:2])
+    recording.points("a.bin", POINTS).points("b.bin", POINTS[:2]).lines([sweep("a.bin", 0.0)])
+    for entries in (None, [], [{"model": "RoboSense M1 XYZIRT"}]):
+        scene = (recording if entries is None else recording.calibration(lidars=entries)).open()
+        np.testing.assert_array_equal(scene.lidars[0].mount.matrix, np.eye(4))
+        assert [(n.code, n.kind) for n in scene.warnings] == [("lidar-mount-identity", WarningKind.ASSUMED)]
+    # unsorted sweeps come in the order of time with their own files
+    frames = recording.lines([sweep("a.bin", 0.2), sweep("b.bin", 0.1)]).open().lidars[0].frames
+    assert [(frame.timestamp_ns, len(frame.points)) for frame in frames] == [(100_000_000, 2), (200_000_000, 3)]
     recording.lines([sweep("a.bin", 0.0), sweep("b.bin", 0.05, lidarInd=1), sweep("a.bin", 0.1, lidarInd=0)])
     recording.calibration(lidars=[{"lidarInd": 1, "imuToLidar": SHIFTED}, {"imuToLidar": np.eye(4).tolist()}])
     scene = recording.open()
@@ -145,28 +130,15 @@ def test_several_lidars_are_distinguished_by_their_index_and_mounted_by_the_inve
     assert scene.lidars[1].extras["calibration"]["imuToLidar"] == SHIFTED
     assert scene.warnings == ()
 
-
-@pytest.mark.parametrize(
-    ("entries", "error", "problem"),
-    [
+    # entries of the calibration that contradict are faults
+    recording.lines([sweep("a.bin", 0.0)])
+    skewed = [{"imuToLidar": np.diag([2.0, 1.0, 1.0, 1.0]).tolist()}]
+    for entries, error, problem in (
         ([{}, {}], DataError, "lidars[1]: lidarInd 0 is used twice"),
         ([{"lidarInd": 1}, {"lidarInd": 1}], DataError, "lidars[1]: lidarInd 1 is used twice"),
-        (
-            [{"imuToLidar": np.diag([2.0, 1.0, 1.0, 1.0]).tolist()}],
-            CalibrationError,
-            "lidars[0].imuToLidar: rotation off by 3",
-        ),
-    ],
-)
-def test_entries_of_the_calibration_that_contradict_are_faults(recording, entries, error, problem):
-    recording.points("a.bin", POINTS).lines([sweep("a.bin", 0.0)]).calibration(lidars=entries)
-    with pytest.raises(error, match=re.escape(f"{recording.path / 'calibration.json'}: {problem}")):
-        recording.open()
-    assert len(recording.open(lenient=True).lidars) == 1
-
-
-def test_unsorted_sweeps_come_in_the_order_of_time_with_their_own_files(recording):
-    recording.points("late.bin", POINTS).points("early.bin", POINTS[:1])
-    recording.lines([sweep("late.bin", 0.2), sweep("early.bin", 0.1)])
-    frames = recording.open().lidars[0].frames
-    assert [(frame.timestamp_ns, len(frame.points)) for frame in frames] == [(100_000_000, 1), (200_000_000, 3)]
+        (skewed, CalibrationError, "lidars[0].imuToLidar: rotation off by 3"),
+    ):
+        recording.calibration(lidars=entries)
+        with pytest.raises(error, match=re.escape(f"{recording.path / 'calibration.json'}: {problem}")):
+            recording.open()
+        assert len(recording.open(lenient=True).lidars) == 1

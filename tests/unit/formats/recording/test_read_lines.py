@@ -5,29 +5,24 @@ import codecs
 import gzip
 import json
 import lzma
-from typing import Any
 
 import numpy as np
 import pytest
 
 from sceneloom.errors import DataError
 from sceneloom.formats.recording.spec import FORMAT
-from sceneloom.scene import GnssSensor, ImuSensor, Scene, WarningKind
+from sceneloom.scene import GnssSensor, WarningKind
 
 ROTATION = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
 
 
-def imu_line(time: float, value: float = 0.0, sensor: str = "gyroscope") -> dict[str, Any]:
+def imu_line(time, value=0.0, sensor="gyroscope"):
     return {"sensor": {"type": sensor, "values": [value, 0.5, -0.25]}, "time": time}
 
 
-def pose_line(key: str, time: float, x: float = 0.0, *, rotation: dict[str, float] | None = ROTATION) -> dict[str, Any]:
-    pose: dict[str, Any] = {"position": {"x": x, "y": 2.0, "z": 3.0}}
+def pose_line(key, time, x=0.0, *, rotation=ROTATION):
+    pose = {"position": {"x": x, "y": 2.0, "z": 3.0}}
     return {key: pose | ({"orientation": rotation} if rotation else {}), "time": time}
-
-
-def imu_of(scene: Scene) -> ImuSensor:
-    return next(sensor for sensor in scene.sensors if isinstance(sensor, ImuSensor))
 
 
 def warnings_of(scene):
@@ -43,7 +38,7 @@ def test_every_kind_of_sample_lands_in_its_stream(recording):
     ]
     lines = [imu_line(0.0, 1.0), imu_line(0.1, 2.0, "accelerometer"), *others, imu_line(0.3, 3.0)]
     scene = recording.lines(lines).open()
-    streams = imu_of(scene).streams
+    streams = scene.sensor("imu").streams
     assert {name: stream.values.tolist() for name, stream in streams.items()} == {
         "gyroscope": [[1.0, 0.5, -0.25], [3.0, 0.5, -0.25]],
         "accelerometer": [[2.0, 0.5, -0.25]],
@@ -94,7 +89,7 @@ def test_the_default_trajectory_stands_first(recording):
     assert list(scene.trajectories) == ["groundTruth", "pose:groundTruth", "gnss:gnss"]
 
 
-def test_poses_keep_position_and_orientation_if_any_and_of_two_at_one_time_the_first_is_kept(recording):
+def test_poses_keep_position_and_orientation_if_any_and_of_two_at_one_time_the_first_is_kept(recording, tmp_path):
     rotation = {"w": 0.53464, "x": -0.15299, "y": -0.826976, "z": -0.082863}
     times = ((1.5, 7.0), (1.5, 2.0), (2.5, 8.0))
     scene = recording.lines([pose_line("pose", time, x, rotation=rotation) for time, x in times]).open()
@@ -113,17 +108,25 @@ def test_poses_keep_position_and_orientation_if_any_and_of_two_at_one_time_the_f
     with pytest.raises(DataError, match=r"line 2: .*0\.9.*length 1"):
         recording.open()
     assert recording.open(lenient=True).trajectories["pose"].timestamps_ns.tolist() == [0]
+    # those without the orientation that others have are left out, counted and written again
+    lines = [pose_line("groundTruth", 0.1 * k, rotation=None if k in (3, 7) else ROTATION) for k in range(10)]
+    with recording.lines(lines).open() as scene:
+        times = scene.trajectories["groundTruth"].timestamps_ns
+        assert times.tolist() == [k * 100_000_000 for k in range(10) if k not in (3, 7)]
+        assert scene.trajectories["groundTruth"].quaternions_xyzw is not None
+        assert warnings_of(scene) == [("poses-without-orientation", WarningKind.SKIPPED, 2, "line 4")]
+        assert "2 of 10 poses" in scene.warnings[0].message
+        FORMAT.write(scene, tmp_path / "again")
+    again = (tmp_path / "again" / "data.jsonl").read_text().splitlines()
+    assert [json.loads(text) for text in again] == lines
 
 
-def test_unsorted_lines_are_sorted_stably_with_a_warning(recording):
+def test_unsorted_lines_are_sorted_stably_with_a_warning_also_in_the_example_of_the_formats_description(recording):
     scene = recording.lines([imu_line(2.0, 0.0), imu_line(1.0, 1.0), imu_line(2.0, 2.0), imu_line(0.5, 3.0)]).open()
-    stream = imu_of(scene).streams["gyroscope"]
+    stream = scene.sensor("imu").streams["gyroscope"]
     assert stream.values[:, 0].tolist() == [3.0, 1.0, 0.0, 2.0]
     assert stream.timestamps_ns.tolist() == [500_000_000, 1_000_000_000, 2_000_000_000, 2_000_000_000]
     assert warnings_of(scene) == [("lines-sorted", WarningKind.REPAIRED, 2, "line 2")]
-
-
-def test_the_example_of_the_formats_description_is_read(recording):
     lines = (
         '{"groundTruth":{"position":{"x":-0.0075,"y":0.0227,"z":0.0081},"orientation":{"w":0.53464,"x":-0.15299,'
         '"y":-0.826976,"z":-0.082863}},"time":1.444770263671875}\n'
@@ -145,7 +148,7 @@ def test_unknown_keys_are_kept_with_their_line_and_lines_of_other_kinds_word_by_
     others = ['{"barometer": {"pressure":  1013.25}, "time": 0.1}', '{"sdkVersion":"1.54"}', '{"status": null}']
     wide = {"sensor": {"type": "pressure", "values": [1, 2]}, "time": 0.6}
     scene = recording.lines([imu_line(0.0), *others, hot, sdk, wide, narrow]).open()
-    kept, streams = scene.metadata["recording"], imu_of(scene).streams
+    kept, streams = scene.metadata["recording"], scene.sensor("imu").streams
     assert [*kept["other_lines"][:3], json.loads(kept["other_lines"][3])] == [*others, narrow]
     assert json.loads(kept["further_keys"]["imu.gyroscope"]["250000000"]) == hot
     assert json.loads(kept["further_keys"]["trajectories.output"]["500000000"]) == sdk
@@ -154,21 +157,15 @@ def test_unknown_keys_are_kept_with_their_line_and_lines_of_other_kinds_word_by_
     found = {warning.code: warning for warning in scene.warnings}
     assert {code: n.count for code, n in found.items()} == {"further-keys-kept": 2, "lines-kept-as-text": 4}
     assert all(key in found["lines-kept-as-text"].message for key in ("barometer", "sdkVersion", "status", "sensor"))
-
-
-@pytest.mark.parametrize(
-    "lines",
-    [
-        [pose_line("arcore", 0.0), {"time": 0.5, **pose_line("pose", 0.0)["pose"]}],
-        [{**imu_line(0.0), **pose_line("groundTruth", 0.0)}],
-        [{"gps": FIX | {"accuracy": None}, "time": 1.0}],
-    ],
-)
-def test_lines_without_unknown_keys_are_not_kept_twice(recording, lines):
-    scene = recording.lines(lines).open()
-    assert scene.warnings == ()
-    assert "further_keys" not in scene.metadata["recording"]
-    assert len(scene.sensors) + len(scene.trajectories) == (1 if "gps" in lines[0] else 2)
+    # lines without such keys are not kept twice
+    for count, lines in (
+        (2, [pose_line("arcore", 0.0), {"time": 0.5, **pose_line("pose", 0.0)["pose"]}]),
+        (2, [{**imu_line(0.0), **pose_line("groundTruth", 0.0)}]),
+        (1, [{"gps": FIX | {"accuracy": None}, "time": 1.0}]),
+    ):
+        scene = recording.lines(lines).open()
+        assert (scene.warnings, len(scene.sensors) + len(scene.trajectories)) == ((), count)
+        assert "further_keys" not in scene.metadata["recording"]
 
 
 def test_a_file_of_many_blocks_reads_as_plain_json_does(recording):
@@ -178,8 +175,7 @@ def test_a_file_of_many_blocks_reads_as_plain_json_does(recording):
     text = (recording.path / "data.jsonl").read_text()
     assert len(text) > 2 * (1 << 20)
     expected = [json.loads(line)["sensor"]["values"] for line in text.splitlines()]
-    stream = imu_of(recording.open()).streams["gyroscope"]
-    np.testing.assert_array_equal(stream.values, expected)
+    np.testing.assert_array_equal(recording.open().sensor("imu").streams["gyroscope"].values, expected)
 
 
 def sample(values, time="1", kind="gyroscope"):
@@ -270,7 +266,7 @@ def test_a_wrong_line_is_named_with_its_number_its_value_and_what_was_expected(r
     for part in FAULTS[line]:
         assert part in caught.value.problem
     scene = recording.open(lenient=True)
-    assert imu_of(scene).streams["gyroscope"].timestamps_ns.tolist() == [0, 2_000_000_000]
+    assert scene.sensor("imu").streams["gyroscope"].timestamps_ns.tolist() == [0, 2_000_000_000]
     ((_, *reported),) = warnings_of(scene)
     assert reported == [WarningKind.SKIPPED, 2, "line 2"]
 
@@ -294,29 +290,13 @@ def test_files_that_are_no_text_are_named_by_their_first_bytes(recording):
             (recording.path / "calibration.json").unlink()
 
 
-def test_poses_without_the_orientation_that_others_have_are_left_out_counted_and_written_again(recording, tmp_path):
-    lines = [pose_line("groundTruth", 0.1 * k, rotation=None if k in (3, 7) else ROTATION) for k in range(10)]
-    recording.lines(lines)
-    with recording.open() as scene:
-        times = scene.trajectories["groundTruth"].timestamps_ns
-        assert times.tolist() == [k * 100_000_000 for k in range(10) if k not in (3, 7)]
-        assert scene.trajectories["groundTruth"].quaternions_xyzw is not None
-        assert warnings_of(scene) == [("poses-without-orientation", WarningKind.SKIPPED, 2, "line 4")]
-        assert "2 of 10 poses" in scene.warnings[0].message
-        FORMAT.write(scene, tmp_path / "again")
-    again = (tmp_path / "again" / "data.jsonl").read_text().splitlines()
-    assert [json.loads(text) for text in again] == lines
-
-
-@pytest.mark.parametrize(("ending", "blank"), [("", 0), ("\n", 0), ("\r\n", 0), ("\n\n \t\n\r\n", 3)])
-def test_the_last_line_may_end_as_it_likes_and_blank_ones_after_it_are_left_out_with_a_warning(
-    recording, ending, blank
-):
+def test_the_last_line_may_end_as_it_likes_and_blank_ones_after_it_are_left_out_with_a_warning(recording):
     text = "\n".join(json.dumps(imu_line(0.1 * k)) for k in range(3))
-    (recording.path / "data.jsonl").write_bytes((text + ending).encode())
-    with recording.open() as scene:
-        assert len(imu_of(scene).streams["gyroscope"]) == 3
-        assert warnings_of(scene) == [("blank-lines-at-end", WarningKind.REPAIRED, 3, "line 4")][: bool(blank)]
+    for ending, blank in (("", 0), ("\n", 0), ("\r\n", 0), ("\n\n \t\n\r\n", 3)):
+        (recording.path / "data.jsonl").write_bytes((text + ending).encode())
+        with recording.open() as scene:
+            assert len(scene.sensor("imu").streams["gyroscope"]) == 3
+            assert warnings_of(scene) == [("blank-lines-at-end", WarningKind.REPAIRED, 3, "line 4")][: bool(blank)]
 
 
 @pytest.mark.parametrize("blank", [1, pytest.param(200_000, marks=pytest.mark.slow)])
@@ -335,18 +315,15 @@ def test_blank_lines_before_others_are_faults_however_many(recording, blank):
         recording.open(lenient=True)
 
 
-def test_a_byte_order_mark_is_passed_over_with_a_warning_and_lines_keep_their_locations(recording):
+def test_a_byte_order_mark_is_passed_over_with_a_warning_and_lines_keep_their_locations(recording, pinhole):
     # what a line says beyond the columns is read again by the byte at which it begins
     frames = {"frames": [{"cameraInd": 0, "features": [1]}], "number": 0, "time": 0.5}
     recording.lines([imu_line(0.0), frames, imu_line(1.0)]).video("data.mkv", 1)
-    path = recording.path / "data.jsonl"
-    entry = {"focalLengthX": 20, "focalLengthY": 20, "principalPointX": 15.5, "principalPointY": 7.5}
-    rows = np.eye(4).tolist()
-    recording.calibration([{"model": "pinhole", "imuToCamera": rows, **entry}])
+    path = recording.calibration([pinhole]).path / "data.jsonl"
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     with recording.open() as scene:
         assert [warning.code for warning in scene.warnings] == ["byte-order-mark"]
-        assert len(imu_of(scene).streams["gyroscope"]) == 2
+        assert len(scene.sensor("imu").streams["gyroscope"]) == 2
         assert scene.cameras[0].images[0].extras["features"] == [1]
     alone = recording.path.rename(recording.path.with_name("other")) / "lines.log"
     (alone.parent / "data.jsonl").rename(alone)

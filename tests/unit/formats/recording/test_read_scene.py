@@ -1,7 +1,6 @@
 """A recording as a scene: recognising, options, the frame tree, and folders that are no recording."""
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,13 +19,13 @@ POINT = (1.0, 2.0, 3.0, 4, 5, 0.0)
 IMU_TO_SENSOR = np.array([[0.0, -1, 0, 0.5], [0, 0, -1, 1.5], [1, 0, 0, -0.25], [0, 0, 0, 1]])
 
 
-def pose_line(time: float, rotation: Rotation, position: np.ndarray) -> dict[str, Any]:
+def pose_line(time, rotation, position):
     orientation = dict(zip("xyzw", rotation.as_quat().tolist(), strict=True))
     pose = {"position": dict(zip("xyz", position.tolist(), strict=True)), "orientation": orientation}
     return {"groundTruth": pose, "time": time}
 
 
-def sweep(time: float) -> dict[str, Any]:
+def sweep(time):
     return {"lidar": {"model": "RoboSense M1 XYZIRT", "dataFile": "0.bin"}, "time": time}
 
 
@@ -92,11 +91,9 @@ def test_sensor_poses_are_the_trajectory_after_the_mounting_at_the_sensors_own_t
             np.testing.assert_allclose(found, expected[:3, :3], atol=1e-12)
             np.testing.assert_allclose(sensor.poses.positions[0], expected[:3, 3], atol=1e-12)
         assert scene.lidars[0].points_frame is PointsFrame.SENSOR
-
-
-def test_frames_beyond_the_trajectory_get_no_pose(recording):
+    # frames beyond the trajectory get no pose
     still = Rotation.identity()
-    recording.points("0.bin", [POINT]).calibration(lidars=[{"imuToLidar": np.eye(4).tolist()}])
+    recording.calibration(lidars=[{"imuToLidar": np.eye(4).tolist()}])
     lines = [sweep(0.0), pose_line(0.1, still, np.zeros(3)), sweep(0.2), pose_line(0.3, still, np.ones(3)), sweep(0.4)]
     lidar = recording.lines(lines).open().lidars[0]
     assert len(lidar.frames) == 3
@@ -104,10 +101,8 @@ def test_frames_beyond_the_trajectory_get_no_pose(recording):
     np.testing.assert_allclose(lidar.poses.positions, [[0.5, 0.5, 0.5]], atol=1e-12)
     for late in ([pose_line(5.0, still, np.zeros(3))], []):
         assert recording.lines([sweep(0.0), *late]).open().lidars[0].poses is None
-
-
-def test_a_lines_own_mounting_counts_for_its_pose(recording, pinhole):
-    lines = [pose_line(t, Rotation.identity(), np.zeros(3)) for t in (0.0, 1.0)]
+    # and a line's own mounting counts for its pose
+    lines = [pose_line(t, still, np.zeros(3)) for t in (0.0, 1.0)]
     entries = [{"cameraInd": 0}, {"cameraInd": 0, "imuToCamera": IMU_TO_SENSOR.tolist()}]
     lines += [{"frames": [entry], "number": k, "time": 0.25 + 0.25 * k} for k, entry in enumerate(entries)]
     recording.video("data.mkv", 2).lines(sorted(lines, key=lambda line: line["time"])).calibration([pinhole])
@@ -174,7 +169,7 @@ def output(tmp_path):
     return path
 
 
-def test_a_file_of_output_is_a_scene_with_a_trajectory(output):
+def test_a_file_of_output_or_of_poses_under_the_name_of_a_method_is_a_scene_with_a_trajectory(output):
     assert find_format(output).name == "recording"
     with FORMAT.open(output) as scene:
         assert (scene.source, list(scene.trajectories), scene.sensors) == (str(output), ["output"], ())
@@ -185,23 +180,23 @@ def test_a_file_of_output_is_a_scene_with_a_trajectory(output):
         # what a trajectory has no field for is kept word by word
         kept = scene.metadata["recording"]["further_keys"]["trajectories.output"]
         assert json.loads(kept["7323558535105"]) == json.loads(OUTPUT)
-
-
-@pytest.mark.parametrize(
-    ("root", "fields", "name"),
-    [
+    path = output.with_name("results.json")
+    for root, fields, name in (
         ("output", {}, "output"),
         ("pose", {"name": "basalt"}, "basalt"),
         ("groundTruth", {}, "groundTruth"),
         ("arkit", {"orientation": {"w": 1, "x": 0, "y": 0, "z": 0}}, "arkit"),
-    ],
-)
-def test_poses_under_the_name_of_a_method_are_read_from_any_file(tmp_path, root, fields, name):
-    path = tmp_path / "results.json"
-    path.write_text(json.dumps({root: {**fields, "position": {"x": 1, "y": 2, "z": 3}}, "time": 0.5}) + "\n")
-    assert FORMAT.sniff(path)
-    with FORMAT.open(path) as scene:
-        assert list(scene.trajectories) == [name]
+    ):
+        path.write_text(json.dumps({root: {**fields, "position": {"x": 1, "y": 2, "z": 3}}, "time": 0.5}) + "\n")
+        assert FORMAT.sniff(path)
+        with FORMAT.open(path) as scene:
+            assert list(scene.trajectories) == [name]
+    with output.open("a") as file:
+        file.write(OUTPUT.replace('"x":-0.01,', "") + "\n")
+    with pytest.raises(DataError, match=r"out\.jsonl: line 4: .*position"):
+        FORMAT.open(output)
+    (error,) = (f for f in validate(output).findings if f.severity == "error")
+    assert (error.rule, error.path.partition(": ")[0], "line 4" in error.path) == ("unfit-lines", "out.jsonl", True)
 
 
 def test_what_lies_beside_output_is_not_its_own_and_beside_a_log_of_any_name_it_is(output, recording, pinhole):
@@ -219,18 +214,8 @@ def test_what_lies_beside_output_is_not_its_own_and_beside_a_log_of_any_name_it_
 
 
 def test_other_files_are_no_logs_and_what_keeps_a_folder_from_being_a_recording_is_reported(tmp_path):
-    path = tmp_path / "other.jsonl"
-    others = (
-        "",
-        "{}\n",
-        '{"time":1}\n',
-        '{"version":"1.0","sensors":[]}\n',
-        "[1]\n",
-        '"time"\n',
-        "{broken\n",
-        "\0" * 99,
-    )
-    for text in others:
+    path, scene_file = tmp_path / "other.jsonl", '{"version":"1.0","sensors":[]}\n'
+    for text in ("", "{}\n", '{"time":1}\n', scene_file, "[1]\n", '"time"\n', "{broken\n", "\0" * 99):
         path.write_text(text)
         assert not FORMAT.sniff(path)
         with pytest.raises(UnknownFormatError):
@@ -246,12 +231,3 @@ def test_other_files_are_no_logs_and_what_keeps_a_folder_from_being_a_recording_
             find_format(tmp_path)
         assert reported in caught.value.problem
         (tmp_path / name).unlink()
-
-
-def test_faults_of_output_are_named_with_their_line(output):
-    with output.open("a") as file:
-        file.write(OUTPUT.replace('"x":-0.01,', "") + "\n")
-    with pytest.raises(DataError, match=r"out\.jsonl: line 4: .*position"):
-        FORMAT.open(output)
-    (error,) = (f for f in validate(output).findings if f.severity == "error")
-    assert (error.rule, error.path.partition(": ")[0], "line 4" in error.path) == ("unfit-lines", "out.jsonl", True)

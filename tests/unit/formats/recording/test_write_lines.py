@@ -38,31 +38,25 @@ def test_times_are_written_exactly_without_zeros_at_the_end_and_the_nearest_numb
     assert exact_seconds(timestamps).tolist() == list(map(float, exact))
 
 
-def test_a_file_s_own_numbers_are_written_where_they_still_mean_the_times():
+def test_a_time_has_as_many_digits_as_it_needs_or_is_the_number_that_it_came_from_where_it_still_means_it():
     seconds = np.array([1.444770263671875, 0.1 + 0.2, np.nan, np.inf, 1e300, 1700000000.1234567, -2.5])
     timestamps = np.array([1_444_770_264, 300_000_000, 7, 8, 9, 1_700_000_000_123_456_717, -2_400_000_000])
     texts = seconds_texts(timestamps, seconds)
     assert [float(texts[k]) for k in (0, 1, 5)] == [seconds[k] for k in (0, 1, 5)]
     assert [texts[k] for k in (2, 3, 4, 6)] == ["0.000000007", "0.000000008", "0.000000009", "-2.4"]
-
-
-def test_numbers_are_read_as_they_were():
-    numbers = np.concatenate([np.random.default_rng(0).normal(size=200) * 10.0 ** np.arange(-100, 100), [0.0, -0.0]])
-    assert [float(text) for text in row_texts(numbers[:, None])] == numbers.tolist()
-    rows = numbers[:201].reshape(-1, 3)
-    assert [msgspec.json.decode(f"[{text}]") for text in row_texts(rows)] == rows.tolist()
-    assert row_texts(np.zeros((0, 3))) == []
-
-
-def test_a_time_is_written_with_as_many_digits_as_it_has_or_as_the_number_that_it_came_from():
-    texts = "0.0 0.000000001 -0.000000001 0.1 -1.5 1.444770263 1700000000.123456789 7.0"
-    for text in texts.split():
+    for text in ["0.0", "0.000000001", "-0.000000001", "0.1", "-1.5", "1.444770263", "1700000000.123456789", "7.0"]:
         assert seconds_text(int(Decimal(text) * 10**9)) == text
     for seconds in (1.444770263671875, 0.1 + 0.2, 1e-7, -3.25, 1700000000.1234567, 5.0):
         assert float(seconds_text(round(seconds * 1e9), seconds)) == seconds
     for no_longer in (1.5, float("nan"), float("inf")):
         assert not means(no_longer, 2_000_000_000)
         assert seconds_text(2_000_000_000, no_longer) == "2.0"
+    # other numbers are read as they were
+    numbers = np.concatenate([np.random.default_rng(0).normal(size=200) * 10.0 ** np.arange(-100, 100), [0.0, -0.0]])
+    assert [float(text) for text in row_texts(numbers[:, None])] == numbers.tolist()
+    rows = numbers[:201].reshape(-1, 3)
+    assert [msgspec.json.decode(f"[{text}]") for text in row_texts(rows)] == rows.tolist()
+    assert row_texts(np.zeros((0, 3))) == []
 
 
 def test_times_that_a_64_bit_number_cannot_hold_are_counted_in_blocks_as_one_by_one():
@@ -97,9 +91,8 @@ def test_lines_come_by_time_then_by_stream_each_asked_for_when_its_turn_comes():
     assert (len(keys), asked) == (7300, [name for name, _ in merged])
 
 
-@pytest.mark.parametrize(
-    ("cameras", "rows"),
-    [
+def test_images_of_cameras_in_step_share_lines_which_ascend_and_every_image_is_in_one():
+    for cameras, rows in (
         (((0, 100, 200), (3, 99, 210), (-20, 90, 240)), [[0, 0, 0], [1, 1, 1], [2, 2, 2]]),
         # half a period apart is no longer together
         (((0, 100, 200), (50, 150, 250)), [[0, -1], [-1, 0], [1, -1], [-1, 1], [2, -1], [-1, 2]]),
@@ -111,13 +104,8 @@ def test_lines_come_by_time_then_by_stream_each_asked_for_when_its_turn_comes():
         # few images need no period
         (((), ()), []),
         (((7,), (7,)), [[0, 0]]),
-    ],
-)
-def test_images_of_cameras_in_step_share_lines(cameras, rows):
-    assert group_images([np.array(times_ms, np.int64) * 1_000_000 for times_ms in cameras]).tolist() == rows
-
-
-def test_every_image_is_in_one_line_and_lines_ascend():
+    ):
+        assert group_images([np.array(times_ms, np.int64) * 1_000_000 for times_ms in cameras]).tolist() == rows
     rng = np.random.default_rng(0)
     cameras = [np.sort(rng.integers(0, 10_000, size)).astype(np.int64) for size in (40, 55, 13)]
     rows = group_images(cameras)

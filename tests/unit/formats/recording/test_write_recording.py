@@ -28,12 +28,12 @@ from sceneloom.formats.recording.reader import open_recording
 from sceneloom.formats.recording.spec import FORMAT
 from sceneloom.formats.recording.writer import camera_model_entry, to_steps, write_recording
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import CameraImage, CameraSensor, LazyFrames, Scene
 
 MS = 1_000_000
 MODEL = "RoboSense M1 XYZIRT"
 CAMERA = Camera("pinhole", 32, 16, 30.0, 31.0, 16.0, 8.0)
 MOUNT = RigidTransform(Rotation.from_euler("zyx", [0.3, -0.2, 0.9]).as_matrix(), np.array([1.5, -0.2, 0.7]))
+HERE = RigidTransform.identity()
 
 
 def times(count, *, start_ms=0, step_ms=100):
@@ -118,6 +118,10 @@ def lines_of(folder):
     return [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
 
 
+def entries_of(folder):
+    return [line["frames"] for line in lines_of(folder)]
+
+
 def records_of(path):
     return list(struct.iter_unpack("<fffBHd", path.read_bytes()))
 
@@ -131,19 +135,11 @@ def losses_of(report):
     return {loss.field: loss.what for loss in report if loss.field != "replay"}
 
 
-def replay_of(report):
-    return {loss.what: loss.count for loss in report if loss.field == "replay"}
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A folder with all of a whole scene, and what was lost."""
-    folder = tmp_path_factory.mktemp("whole") / "drive"
-    return folder, write_recording(whole_scene(), folder)
-
-
-def test_lines_are_sorted_and_each_says_one_thing_in_the_format_s_words(whole):
-    lines = lines_of(whole[0])
+def test_a_scene_becomes_sorted_lines_packed_sweeps_videos_and_a_calibration_from_the_imu_into_the_sensors(tmp_path):
+    folder, changed = tmp_path / "drive", "encoded as H.264, which changes colours a little"
+    losses = losses_of(write_recording(whole_scene(), folder))
+    assert losses == {f"sensors[camera{k}].images[].rgb": changed for k in range(2)}
+    lines = lines_of(folder)
     timestamps = [line["time"] for line in lines]
     assert timestamps == sorted(timestamps)
     counts = {"groundTruth": 6, "sensor": 60, "gps": 2, "lidar": 3, "frames": 4}
@@ -164,22 +160,23 @@ def test_lines_are_sorted_and_each_says_one_thing_in_the_format_s_words(whole):
     # a rotation by 0.6 rad about z
     assert pose["orientation"] == pytest.approx({"x": 0, "y": 0, "z": np.sin(0.3), "w": np.cos(0.3)}, abs=1e-15)
     assert of["lidar"][2] == {"lidar": {"model": MODEL, "dataFile": "lidar/000002.bin"}, "time": 0.2}
-    changed = "encoded as H.264, which changes colours a little"
-    assert losses_of(whole[1]) == {f"sensors[camera{k}].images[].rgb": changed for k in range(2)}
-
-
-def test_a_sweep_is_a_file_of_packed_records_and_the_calibration_takes_points_of_the_imu_into_the_sensors(whole):
     points = some_points(2, 200 * MS)
-    *positions, intensities, rings, seconds = zip(*records_of(whole[0] / "lidar" / "000002.bin"), strict=True)
+    *positions, intensities, rings, seconds = zip(*records_of(folder / "lidar" / "000002.bin"), strict=True)
     np.testing.assert_array_equal(np.array(positions, np.float32).T, points.positions)
     assert (list(intensities), list(rings)) == (points.intensities.tolist(), points.rings.tolist())
     assert [round(s * 1e9) for s in seconds] == points.timestamps_ns.tolist()
-    calibration = calibration_of(whole[0])
+    calibration = calibration_of(folder)
     expected = np.linalg.inv(np.vstack([np.column_stack([MOUNT.rotation, MOUNT.translation]), [0, 0, 0, 1]]))
     found = [entry["imuToCamera"] for entry in calibration["cameras"]]
     np.testing.assert_allclose([*found, calibration["lidars"][0]["imuToLidar"]], [expected] * 3, atol=1e-15)
     assert calibration["lidars"][0]["model"] == MODEL
     assert (calibration["cameras"][0]["imageWidth"], calibration["cameras"][0]["imageHeight"]) == (32, 16)
+    for name in ("data.mkv", "data2.mkv"):
+        with av.open(str(folder / name)) as container:
+            assert container.streams.video[0].codec_context.name == "h264"
+        # flat colours survive but for rounding, 1 to 3 levels
+        off = np.array(read_video(folder / name), int) - [image_rgb(index) for index in range(4)]
+        assert np.abs(off).max() <= 4
 
 
 def read_video(path):
@@ -187,22 +184,6 @@ def read_video(path):
     while (found := capture.read())[0]:
         images.append(found[1][:, :, ::-1])
     return images
-
-
-def test_videos_are_h264_with_one_image_per_frames_line_and_encoded_where_not_all_belong_to_the_camera(whole, tmp_path):
-    for name in ("data.mkv", "data2.mkv"):
-        with av.open(str(whole[0] / name)) as container:
-            assert container.streams.video[0].codec_context.name == "h264"
-        images = read_video(whole[0] / name)
-        assert len(images) == 4
-        for index, rgb in enumerate(images):
-            # flat colours survive but for rounding, 1 to 3 levels
-            assert np.abs(rgb.astype(int) - image_rgb(index)).max() <= 4
-    path = encoded(tmp_path, count=6)
-    for name, indices in (("some", (0, 1, 2, 4)), ("too many", None)):
-        content = sc.VideoContent(lambda: path.open("rb"), "h264", frame_indices=indices)
-        write_recording(a_scene(a_camera(video=content)), tmp_path / name)
-        assert len(read_video(tmp_path / name / "data.mkv")) == 4
 
 
 def test_png_images_lose_nothing_and_odd_ones_a_line_in_h264_which_is_reported(tmp_path):
@@ -223,36 +204,31 @@ def test_png_images_lose_nothing_and_odd_ones_a_line_in_h264_which_is_reported(t
     assert read_video(tmp_path / "odd" / "data.mkv")[0].shape == (16, 32, 3)
 
 
-def encoded(tmp_path, codec="libx264", count=4, container="mkv"):
-    path = tmp_path / f"{codec}.{container}"
-    with av.open(str(path), "w") as output:
-        stream = output.add_stream(codec, rate=10)
-        stream.width, stream.height, stream.pix_fmt = 32, 16, "yuv420p"
-        for index in range(count):
-            output.mux(stream.encode(av.VideoFrame.from_ndarray(image_rgb(index), format="rgb24")))
-        output.mux(stream.encode(None))
-    return path
-
-
 def packets_of(path):
     with av.open(str(path)) as container:
         return [bytes(packet) for packet in container.demux(video=0) if packet.size]
 
 
 @pytest.mark.parametrize(
-    ("codec", "name", "container", "images", "copied"),
+    ("codec", "container", "images", "count", "indices", "copied"),
     [
-        ("libx264", "h264", "mkv", "copy", True),
-        ("libx264", "h264", "mkv", "h264", True),
-        ("libx264", "h264", "mp4", "h264", True),
-        ("libx265", "hevc", "mp4", "h264", True),
-        ("ffv1", "ffv1", "mkv", "copy", True),
-        ("ffv1", "ffv1", "mkv", "h264", False),
+        *(("libx264", container, images, 4, None, True) for container, images in (("mkv", "copy"), ("mkv", "h264"))),
+        *((codec, "mp4", "h264", 4, None, True) for codec in ("libx264", "libx265")),
+        *(("ffv1", "mkv", images, 4, None, images == "copy") for images in ("copy", "h264")),
+        # not all images belong to the camera
+        *(("libx264", "mkv", "copy", 6, indices, False) for indices in ((0, 1, 2, 4), None)),
     ],
 )
-def test_a_camera_s_own_video_is_copied_packet_by_packet(tmp_path, codec, name, container, images, copied):
-    path, written = encoded(tmp_path, codec, container=container), tmp_path / "drive" / "data.mkv"
-    video = sc.VideoContent(lambda: io.BytesIO(path.read_bytes()), name)
+def test_a_camera_s_own_video_is_copied_packet_by_packet(tmp_path, codec, container, images, count, indices, copied):
+    path, written = tmp_path / f"{codec}.{container}", tmp_path / "drive" / "data.mkv"
+    with av.open(str(path), "w") as output:
+        stream = output.add_stream(codec, rate=10)
+        stream.width, stream.height, stream.pix_fmt = 32, 16, "yuv420p"
+        for index in range(count):
+            output.mux(stream.encode(av.VideoFrame.from_ndarray(image_rgb(index), format="rgb24")))
+        output.mux(stream.encode(None))
+    name = {"libx264": "h264", "libx265": "hevc"}.get(codec, codec)
+    video = sc.VideoContent(lambda: io.BytesIO(path.read_bytes()), name, frame_indices=indices)
     options = {} if container == "mp4" else {"images": images}
     report = write_recording(a_scene(a_camera(video=video)), tmp_path / "drive", **options)
     assert (packets_of(written) == packets_of(path)) == copied
@@ -281,21 +257,26 @@ def test_a_camera_out_of_step_repeats_an_image_and_one_a_little_apart_keeps_its_
     write_recording(a_scene(a_camera(), second), tmp_path / "apart", images="png")
     entries = [{"cameraInd": 0, "time": 0.05}, {"cameraInd": 1, "time": 0.043}]
     assert lines_of(tmp_path / "apart")[0] == {"frames": entries, "number": 0, "time": 0.043}
+    # without images it is calibrated alone, and left out beside others
+    empty = a_camera("camera1", timestamps=times(0))
+    report = write_recording(a_scene(a_camera(), empty), tmp_path / "both", images="png")
+    assert "has no images" in losses_of(report)["sensors[camera1]"]
+    write_recording(a_scene(a_lidar(), empty), tmp_path / "alone")
+    assert [len(calibration_of(tmp_path / name)["cameras"]) for name in ("both", "alone")] == [1, 1]
+    assert not list((tmp_path / "alone").glob("*.mkv"))
 
 
 def test_an_image_s_own_camera_model_and_mounting_stand_in_its_line(tmp_path):
-    own, here = Camera("fisheye", 32, 16, 40.0, 41.0, 15.0, 7.0, (0.1, 0.2, 0.3, 0.4)), RigidTransform.identity()
-    images = [
-        sc.CameraImage.of(0, CAMERA, image_rgb(0)),
-        sc.CameraImage(100 * MS, own, lambda: image_rgb(1), mount=here),
-    ]
+    own = Camera("fisheye", 32, 16, 40.0, 41.0, 15.0, 7.0, (0.1, 0.2, 0.3, 0.4))
+    images = [sc.CameraImage.of(0, CAMERA, image_rgb(0))]
+    images.append(sc.CameraImage(100 * MS, own, lambda: image_rgb(1), mount=HERE))
     camera = sc.CameraSensor("camera0", CAMERA, sc.LazyFrames.of(images, [0, 100 * MS]), mount=MOUNT)
     write_recording(a_scene(camera), tmp_path / "drive", images="png")
     numbers = {"focalLengthX": 40.0, "focalLengthY": 41.0, "principalPointX": 15.0, "principalPointY": 7.0}
     numbers |= {"distortionModel": "kannala-brandt4", "distortionCoefficients": [0.1, 0.2, 0.3, 0.4]}
     first, second = ({"cameraInd": 0, "time": time} for time in (0.0, 0.1))
     second |= {"cameraParameters": numbers, "imuToCamera": np.eye(4).tolist()}
-    assert [line["frames"] for line in lines_of(tmp_path / "drive")] == [[first], [second]]
+    assert entries_of(tmp_path / "drive") == [[first], [second]]
 
 
 def test_several_lidars_have_an_index_what_points_lack_is_filled_and_what_they_have_too_much_is_named(tmp_path):
@@ -317,7 +298,6 @@ def test_several_lidars_have_an_index_what_points_lack_is_filled_and_what_they_h
         {"model": MODEL, "dataFile": "lidar2/000000.bin", "lidarInd": 1},
     ]
     assert [lidar.get("lidarInd") for lidar in calibration_of(tmp_path / "drive")["lidars"]] == [None, 1]
-    assert (tmp_path / "drive" / "lidar" / "000002.bin").stat().st_size == 5 * 23
 
 
 def world_lidar(**fields):
@@ -472,16 +452,6 @@ def test_what_a_recording_stated_beside_is_written_back(tmp_path):
     assert calibration == {"imuForward": [1, 0, 0], "cameras": []}
 
 
-def test_a_camera_without_images_is_calibrated_alone_and_left_out_beside_others(tmp_path):
-    empty = a_camera("camera1", timestamps=times(0))
-    report = write_recording(a_scene(a_camera(), empty), tmp_path / "both", images="png")
-    assert "has no images" in losses_of(report)["sensors[camera1]"]
-    assert len(calibration_of(tmp_path / "both")["cameras"]) == 1
-    write_recording(a_scene(a_lidar(), empty), tmp_path / "alone")
-    assert len(calibration_of(tmp_path / "alone")["cameras"]) == 1
-    assert not list((tmp_path / "alone").glob("*.mkv"))
-
-
 def test_the_same_scene_gives_the_same_files_and_a_recording_is_replaced_on_request_whole_but_for_its_readme(tmp_path):
     folder = tmp_path / "drive"
     folder.mkdir()
@@ -587,35 +557,32 @@ FIRST_TWO = "the vendor's software uses the first two cameras, not camera2"
 DEPTH_FIRST = "the vendor's software tracks in the first camera, and camera0 measures depth"
 
 
+NO_GYROSCOPE = "the vendor's software gives no output without gyroscope"
+LIDARS = "the vendor's software does not report lidars apart (`lidarInd`)"
+UNKNOWN = "the vendor's software may stop at settings that are not publicly known: sparkle"
+
+
 @pytest.mark.parametrize(
     ("sensors", "expected"),
     [
         ((a_camera(), a_camera("camera1"), an_imu()), {}),
         ((a_camera(), a_depth_camera(), an_imu()), {}),
         ((a_camera(),), {NO_IMU: 1}),
-        (
-            (a_camera(), an_imu(accelerometer=ACCELEROMETER)),
-            {"the vendor's software gives no output without gyroscope": 1},
-        ),
+        ((a_camera(), an_imu(accelerometer=ACCELEROMETER)), {NO_GYROSCOPE: 1}),
         ((a_lidar("lidar"),), {}),
         ((a_camera(timestamps=times(3, start_ms=3)), an_imu()), {EXACT: 3}),
         ((a_camera(), a_camera("camera1"), a_camera("camera2"), an_imu()), {FIRST_TWO: 1}),
-        (
-            (a_lidar("lidar0"), a_lidar("lidar1")),
-            {"the vendor's software does not report lidars apart (`lidarInd`)": 2},
-        ),
+        ((a_lidar("lidar0"), a_lidar("lidar1")), {LIDARS: 2}),
         ((a_depth_camera("camera0"), an_imu()), {DEPTH_FIRST: 1}),
     ],
 )
 def test_what_will_not_be_replayed_is_named(tmp_path, sensors, expected):
-    assert replay_of(write_recording(a_scene(*sensors), tmp_path / "drive", images="png")) == expected
-    if not expected:
-        settings = "useStereo: True\nsparkle: 3\n"
-        kept = {"metadata": {"recording": {"vio_config": settings}}, "format": "recording"}
-        report = write_recording(a_scene(*sensors, **kept), tmp_path / "again", images="png")
-        unknown = "the vendor's software may stop at settings that are not publicly known: sparkle"
-        assert replay_of(report) == {unknown: 1}
-        assert (tmp_path / "again" / "vio_config.yaml").read_text() == settings
+    settings = "useStereo: True\nsparkle: 3\n"
+    kept = {"metadata": {"recording": {"vio_config": settings}}, "format": "recording"}
+    for name, fields, found in (("drive", {}, expected), ("again", kept, expected | {UNKNOWN: 1})):
+        report = write_recording(a_scene(*sensors, **fields), tmp_path / name, images="png")
+        assert {loss.what: loss.count for loss in report if loss.field == "replay"} == found
+    assert (tmp_path / "again" / "vio_config.yaml").read_text() == settings
 
 
 GREY_CAMERA = Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
@@ -625,47 +592,33 @@ GREYS = 15 + 20 * np.arange(12)
 TWICE_ENCODED = 4
 
 
-@pytest.fixture
-def drive(tmp_path):
-    """A recording whose one camera has an H.264 video of greys, the first image its only key frame."""
+def test_of_a_part_of_a_video_what_packets_cannot_give_alone_is_encoded_anew_and_reported(tmp_path):
+    def written(scene, name, **options):
+        report = FORMAT.write(scene, tmp_path / name, **options)
+        with FORMAT.open(tmp_path / name) as again:
+            images = again.cameras[0].images
+            reported = {loss.field: loss.what for loss in report if loss.field.startswith("sensors[camera0]")}
+            return reported, images.timestamps_ns.tolist(), [int(np.median(shot.rgb)) for shot in images]
+
+    # an H.264 video of greys, the first image its only key frame
     pairs = zip(GREY_NS.tolist(), GREYS, strict=True)
-    images = [CameraImage.of(t, GREY_CAMERA, np.full((48, 64, 3), grey, np.uint8)) for t, grey in pairs]
-    images = LazyFrames.of(images, GREY_NS)
-    camera = CameraSensor("camera0", GREY_CAMERA, images, mount=RigidTransform.identity(), fps=10.0)
-    FORMAT.write(Scene((camera,)), tmp_path / "drive")
-    with FORMAT.open(tmp_path / "drive") as scene:
-        yield scene
-
-
-def written(scene, folder, **options):
-    report = FORMAT.write(scene, folder, **options)
-    with FORMAT.open(folder) as again:
-        images = again.cameras[0].images
-        reported = {loss.field: loss.what for loss in report if loss.field.startswith("sensors[camera0]")}
-        return reported, images.timestamps_ns.tolist(), [int(np.median(shot.rgb)) for shot in images]
-
-
-@pytest.mark.parametrize(
-    ("change", "rows"),
-    [
-        (lambda scene: thin_scene(scene, every=3), slice(None, None, 3)),
-        (lambda scene: crop_scene(scene, start=0.45), slice(5, None)),
-        (lambda scene: crop_scene(scene, start=0.25, stop=0.85), slice(3, 9)),
-    ],
-)
-def test_what_packets_cannot_give_alone_is_encoded_anew_and_reported(drive, tmp_path, change, rows):
-    reported, timestamps_ns, greys = written(change(drive), tmp_path / "part")
-    assert timestamps_ns == GREY_NS[rows].tolist()
-    np.testing.assert_allclose(greys, GREYS[rows], atol=TWICE_ENCODED)
-    assert reported["sensors[camera0].video"].startswith("encoded anew as H.264: the video could not be copied")
-    assert reported["sensors[camera0].images[].rgb"] == "encoded as H.264, which changes colours a little"
-
-
-def test_a_key_frame_by_itself_is_copied_and_lossless_images_of_a_part_are_those_of_the_video(drive, tmp_path):
-    whole = [int(np.median(image.rgb)) for image in drive.cameras[0].images]
-    reported, timestamps_ns, greys = written(crop_scene(drive, stop=0.05), tmp_path / "one")
-    assert (reported, timestamps_ns, greys) == ({}, GREY_NS[:1].tolist(), whole[:1])
-    reported, _, greys = written(thin_scene(drive, every=3), tmp_path / "part", images="lossless")
+    images = [sc.CameraImage.of(t, GREY_CAMERA, np.full((48, 64, 3), grey, np.uint8)) for t, grey in pairs]
+    camera = sc.CameraSensor("camera0", GREY_CAMERA, sc.LazyFrames.of(images, GREY_NS), mount=HERE, fps=10.0)
+    _, _, whole = written(a_scene(camera), "drive")
+    with FORMAT.open(tmp_path / "drive") as drive:
+        for part, rows in (
+            (thin_scene(drive, every=3), slice(None, None, 3)),
+            (crop_scene(drive, start=0.45), slice(5, None)),
+            (crop_scene(drive, start=0.25, stop=0.85), slice(3, 9)),
+        ):
+            reported, timestamps_ns, greys = written(part, f"part {rows}")
+            assert timestamps_ns == GREY_NS[rows].tolist()
+            np.testing.assert_allclose(greys, GREYS[rows], atol=TWICE_ENCODED)
+            assert reported["sensors[camera0].video"].startswith("encoded anew as H.264: the video could not be copied")
+            assert reported["sensors[camera0].images[].rgb"] == "encoded as H.264, which changes colours a little"
+        # a key frame by itself is copied
+        assert written(crop_scene(drive, stop=0.05), "one") == ({}, GREY_NS[:1].tolist(), whole[:1])
+        reported, _, greys = written(thin_scene(drive, every=3), "lossless", images="lossless")
     # colours of 8-bit YUV as 8-bit RGB, decoded once and kept
     assert greys == whole[::3]
     assert list(reported) == ["sensors[camera0].video"]
@@ -702,36 +655,25 @@ def test_gaps_in_numbers_cost_no_image_anything_and_stay(
     with FORMAT.open(tmp_path / "again") as scene:
         assert [image.extras["number"] for image in scene.cameras[0].images] == numbers
         np.testing.assert_array_equal([image.rgb for image in scene.cameras[0].images], before)
-    reported = {loss.field: loss.what for loss in report if loss.field != "replay"}
+    reported = losses_of(report)
     assert list(reported) == (["sensors[camera0].video"] if encoded else [])
     assert not encoded or "FFV1, which loses nothing" in reported["sensors[camera0].video"]
-    if not encoded:
-        assert packets_of(tmp_path / "again" / "data.mkv") == [
-            packets_of(recording.path / name)[k - 3] for k in numbers
-        ]
+    packets = packets_of(recording.path / name)
+    assert encoded or packets_of(tmp_path / "again" / "data.mkv") == [packets[k - 3] for k in numbers]
 
 
-HERE = RigidTransform.identity()
-
-
-def depth_camera(images, scales, **fields):
-    timestamps = np.arange(len(images), dtype=np.int64) * 100 * MS
+def depth_camera(images, scales):
     frames = [
         sc.DepthFrame(int(t), CAMERA, lambda d=depth: np.full(np.shape(d) or (16, 32), d, np.float32), scale)
-        for t, depth, scale in zip(timestamps, images, scales, strict=True)
+        for t, depth, scale in zip(times(len(images)), images, scales, strict=True)
     ]
-    return sc.DepthCameraSensor("depth", CAMERA, sc.LazyFrames.of(frames, timestamps), mount=HERE, **fields)
+    return sc.DepthCameraSensor("depth", CAMERA, sc.LazyFrames.of(frames, times(len(images))), mount=HERE)
 
 
 def steps_of(path):
     with av.open(str(path)) as container:
         assert container.streams.video[0].codec_context.name == "ffv1"
         return [frame.to_ndarray(format="gray16le") for frame in container.decode(video=0)]
-
-
-def entries_of(folder):
-    lines = [json.loads(line) for line in (folder / "data.jsonl").read_text().splitlines()]
-    return [line["frames"] for line in lines]
 
 
 def lost(report):
@@ -753,7 +695,7 @@ def test_the_smallest_step_that_holds_the_largest_depth_is_taken(tmp_path, large
     assert not [what for what in lost(report) if what.startswith("left out")]
 
 
-def test_the_steps_of_the_source_lose_nothing(tmp_path):
+def test_the_steps_of_the_source_lose_nothing_and_what_others_cannot_hold_is_counted(tmp_path):
     steps = np.random.default_rng(1).integers(0, 65536, (3, 16, 32)).astype(np.uint16)
     scales = [0.001, 0.00025, 1 / 3]
     images = [(image * scale).astype(np.float32) for image, scale in zip(steps, scales, strict=True)]
@@ -761,25 +703,17 @@ def test_the_steps_of_the_source_lose_nothing(tmp_path):
     assert lost(report) == {}
     assert [entry["depthScale"] for (entry,) in entries_of(tmp_path / "d")] == scales
     np.testing.assert_array_equal(steps_of(tmp_path / "d" / "data.mkv"), steps)
-
-
-def test_what_steps_cannot_hold_is_counted():
     depth = np.array([[0.0, 0.001, 0.0014, 0.0002, 65.535, 65.6, -1.0, np.nan, np.inf, 0.0020001]], np.float32)
     found = to_steps(depth, 0.001)
     # what is nearer than the first step is something, not nothing
-    assert found.steps.tolist() == [[0, 1, 1, 1, 65535, 0, 0, 0, 0, 2]]
-    assert (found.rounded, found.beyond) == (2, 4)
+    assert (found.steps.tolist(), found.rounded, found.beyond) == ([[0, 1, 1, 1, 65535, 0, 0, 0, 0, 2]], 2, 4)
 
 
 def test_depth_comes_after_the_images_and_a_line_without_it_repeats_the_last(tmp_path):
-    timestamps = np.arange(4, dtype=np.int64) * 100 * MS
-    shots = [sc.CameraImage.of(int(t), CAMERA, np.zeros((16, 32, 3), np.uint8)) for t in timestamps]
-    colour = sc.CameraSensor("colour", CAMERA, sc.LazyFrames.of(shots, timestamps), mount=HERE)
     depth = depth_camera([1.0, 2], [0.001, 0.001])
-    report = write_recording(sc.Scene((depth, colour)), tmp_path / "d")
-    scales = [[entry.get("depthScale") for entry in line] for line in entries_of(tmp_path / "d")]
-    assert scales == [[None, 0.001]] * 2 + [[None, None]] * 2
-    assert [line[1].get("missingBitmap") for line in entries_of(tmp_path / "d")] == [None, None, True, True]
+    report = write_recording(sc.Scene((depth, a_camera("colour", timestamps=times(4)))), tmp_path / "d")
+    found = [[(e.get("depthScale"), e.get("missingBitmap")) for e in line] for line in entries_of(tmp_path / "d")]
+    assert found == [[(None, None), (0.001, None)]] * 2 + [[(None, None), (None, True)]] * 2
     assert [image[0, 0] for image in steps_of(tmp_path / "d" / "data2.mkv")] == [1000, 2000, 2000, 2000]
     assert "sensors[depth].frames" in [loss.field for loss in report]
 
@@ -789,12 +723,8 @@ def test_a_video_whose_steps_are_known_is_copied(tmp_path):
     content = (tmp_path / "first" / "data.mkv").read_bytes()
     video = sc.VideoContent(lambda: io.BytesIO(content), "ffv1")
 
-    def undecoded():
-        raise AssertionError("decoded")
-
-    timestamps = np.arange(2, dtype=np.int64) * 100 * MS
-    frames = [sc.DepthFrame(int(t), CAMERA, undecoded, 0.001) for t in timestamps]
-    copied = sc.DepthCameraSensor("camera0", CAMERA, sc.LazyFrames.of(frames, timestamps), mount=HERE, video=video)
+    frames = [sc.DepthFrame(int(t), CAMERA, lambda: pytest.fail("decoded"), 0.001) for t in times(2)]
+    copied = sc.DepthCameraSensor("camera0", CAMERA, sc.LazyFrames.of(frames, times(2)), mount=HERE, video=video)
     report = write_recording(sc.Scene((copied,)), tmp_path / "second")
     assert (tmp_path / "second" / "data.mkv").read_bytes() == content
     assert lost(report) == {}
@@ -827,13 +757,6 @@ WRITTEN = [
 ]
 
 
-@pytest.mark.parametrize(("exact", "model", "coefficients"), WRITTEN)
-def test_camera_models_are_written_under_the_format_s_names(exact, model, coefficients):
-    numbers = {"focalLengthX": 500.0, "focalLengthY": 501.0, "principalPointX": 320.5, "principalPointY": 240.25}
-    distortion = {"model": model, "distortionCoefficients": coefficients}
-    assert camera_model_entry(exact) == ({**distortion, **numbers, "imageWidth": 640, "imageHeight": 480}, None)
-
-
 STRANGERS = [
     camera("brown_conrady", -0.2, 0.05, 0, 0, 0, 0, 0, 0, 0.002, -0.001),
     camera("fisheye_rad_tan_prism", 0.05, -0.01, 0, 0, 0, 0, 1e-3, 0, 1e-3, 0, 0, 0),
@@ -862,8 +785,12 @@ def test_a_camera_model_that_the_format_lacks_is_fitted_and_the_error_that_is_le
     assert stated < 1.5
 
 
-def test_every_model_is_either_written_or_fitted_or_refused_where_nothing_of_the_format_comes_near():
+def test_models_are_written_under_the_format_s_names_or_fitted_or_refused_where_nothing_of_the_format_comes_near():
     assert {exact.model for exact in [*STRANGERS, *(exact for exact, _, _ in WRITTEN)]} == set(MODELS)
+    numbers = {"focalLengthX": 500.0, "focalLengthY": 501.0, "principalPointX": 320.5, "principalPointY": 240.25}
+    for exact, model, coefficients in WRITTEN:
+        distortion = {"model": model, "distortionCoefficients": coefficients}
+        assert camera_model_entry(exact) == ({**distortion, **numbers, "imageWidth": 640, "imageHeight": 480}, None)
     for exact, problem in (
         (Camera("cylindrical", 640, 480, 110.0, 200.0, 320.0, 240.0), "cylindrical camera model reported as .* a"),
         (camera("periscope"), "camera model 'periscope'; a"),

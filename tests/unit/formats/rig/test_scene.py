@@ -80,23 +80,19 @@ def test_nothing_but_the_manifest_and_first_heads_is_needed_to_open(folder, open
         _ = scene.cameras[0].images[2].rgb
 
 
-@pytest.mark.parametrize(
-    ("change", "expected_codes", "message"),
-    [
+def test_what_is_hardly_meant_is_remarked_and_each_part_that_a_lenient_reading_leaves_out_with_its_fault(
+    opened, folder
+):
+    for change, expected_codes, message in (
         ((FIRST_SENSOR, f'[[transforms]]\nfrom = "a"\nto = "b"\ntranslation = [1, 0, 0]\n\n{FIRST_SENSOR}'),
          ["loose-frames"], "'a', 'b' are not connected with 'base'"),
         (("start_s = 1532402927.65", "start_s = 0"), ["clocks-apart"],
          "trajectory 'pose' begins 1532402927.300 s after sensor 'front'"),
         (("[1.0, 0.0, 2.0]", "[1000.0, 0.0, 2000.0]"), ["far-mount"] * 2, "are these millimetres?"),
-    ],
-)  # fmt: skip
-def test_what_is_hardly_meant_is_remarked(opened, change, expected_codes, message):
-    scene = opened(change)
-    assert codes(scene) == expected_codes
-    assert all(message in warning.message for warning in scene.warnings)
-
-
-def test_each_part_that_a_lenient_reading_leaves_out_is_known_by_its_location_and_its_fault(opened, folder):
+    ):  # fmt: skip
+        scene = opened(change)
+        assert codes(scene) == expected_codes
+        assert all(message in warning.message for warning in scene.warnings)
     (folder / "poses.txt").write_text("1532402927.5 0 0 0 0 0 0 1\n1532402928.5 9 0 0 0 0 1\n")
     scene = opened(("top/*.bin", "tip/*.bin"), lenient=True)
     assert [sensor.id for sensor in scene.sensors] == ["front"]
@@ -195,12 +191,6 @@ def sweeps(folder):
     return write
 
 
-@pytest.fixture
-def timed(sweeps):
-    """Sweeps whose points have times from 0 to 0.09 s after the timestamp, as float32 seconds."""
-    sweeps(np.column_stack([BLOB[:, :3], [0.0, 0.03, 0.06, 0.09]]))
-
-
 def fields(*names):
     return (FIELDS, f"fields = [{', '.join(map(repr, names))}]".replace("'", '"'))
 
@@ -208,7 +198,9 @@ def fields(*names):
 TIMED = fields("x", "y", "z", "t")
 
 
-def test_a_frame_has_the_start_of_its_sweep_and_times_of_points_count_from_what_is_stated(opened, timed):
+def test_a_frame_has_the_start_of_its_sweep_and_times_of_points_count_from_what_is_stated(opened, sweeps):
+    # points have times from 0 to 0.09 s after the timestamp, as float32 seconds
+    sweeps(np.column_stack([BLOB[:, :3], [0.0, 0.03, 0.06, 0.09]]))
     for timestamp, relative_to, frame_before_ms, points_before_ms in (
         ("start", "timestamp", 0, 0), ("middle", "timestamp", 50, 0), ("end", "timestamp", 100, 0),
         ("end", "start", 100, 100),
@@ -223,9 +215,7 @@ def test_a_frame_has_the_start_of_its_sweep_and_times_of_points_count_from_what_
     frame = opened(TIMED, (SCALE, f"{POINT_TIMES}\ndeskewed = true")).lidars[0].frames[0]
     assert set(frame.points.timestamps_ns.tolist()) == {frame.timestamp_ns}
     assert frame.points.extras["t"].tolist() == pytest.approx([0.0, 0.03, 0.06, 0.09])
-
-
-def test_points_without_times_belong_to_the_middle_of_their_sweep(opened):
+    # points without times belong to the middle of their sweep
     for stated, after_ms, assumed in (
         ("", 0, False),
         ("sweep_s = 0.1", 50, False),
@@ -240,25 +230,6 @@ def test_points_without_times_belong_to_the_middle_of_their_sweep(opened):
         assert found == (*[START_NS + after_ms * 1_000_000] * 2, ["sweep-length"] * assumed), stated
 
 
-@pytest.mark.parametrize(
-    ("column", "first", "code", "message"),
-    [
-        ("time", 0.0, "point-times-assumed", "seconds relative to the timestamp"),
-        ("timestamps", 0.0, "point-times-not-used", "looks like point times"),
-        ("time", 5000.0, "point-times-not-used", "5000 s from the file's timestamp"),
-    ],
-)
-def test_times_as_well_known_drivers_write_them_are_used_where_they_can_be_with_a_warning(
-    opened, sweeps, column, first, code, message
-):
-    sweeps(np.column_stack([BLOB[:, :3], [first, 0.03, 0.06, 0.09]]))
-    scene = opened(fields("x", "y", "z", column))
-    assert (scene.lidars[0].frames[0].points.timestamps_ns is not None) == (code == "point-times-assumed")
-    (warning,) = scene.warnings
-    assert warning.code == code
-    assert message in warning.message
-
-
 def test_columns_may_be_named_and_what_is_taken_for_granted_is_stated(opened, sweeps):
     use = '\nuse = { x = "a", y = "b", z = "c", intensity = "d" }'
     scene = opened((FIELDS, fields("a", "b", "c", "d")[1] + use))
@@ -270,6 +241,26 @@ def test_columns_may_be_named_and_what_is_taken_for_granted_is_stated(opened, sw
     for first in (np.column_stack([BLOB[:, :3], np.zeros(4)]), b""):
         sweeps(first, count=1)
         assert opened((SCALE, "")).lidars[0].extras["intensity_max"] == 255.0
+    # times as well-known drivers write them are used where they can be
+    for column, first, code, message in (
+        ("time", 0.0, "point-times-assumed", "seconds relative to the timestamp"),
+        ("timestamps", 0.0, "point-times-not-used", "looks like point times"),
+        ("time", 5000.0, "point-times-not-used", "5000 s from the file's timestamp"),
+    ):
+        sweeps(np.column_stack([BLOB[:, :3], [first, 0.03, 0.06, 0.09]]))
+        scene = opened(fields("x", "y", "z", column))
+        assert (scene.lidars[0].frames[0].points.timestamps_ns is not None) == (code == "point-times-assumed")
+        (warning,) = scene.warnings
+        assert (warning.code, message in warning.message) == (code, True)
+    # and columns that are taken for others are remarked
+    sweeps(np.random.default_rng(5).uniform([-50, -50, -3, 0], [50, 50, -1, 255], (400, 4)))
+    for names, reported in (
+        (("x", "y", "z", "intensity"), None),
+        (("x", "y", "intensity", "z"), "intensity below zero"),
+        (("x:float64", "y:float64", "z:float64", "intensity:float64"), "points farther than 10000 m"),
+    ):
+        found = [warning.message for warning in opened(fields(*names)).warnings if warning.code == "odd-points"]
+        assert found == [] if reported is None else any(message.startswith(reported) for message in found)
 
 
 def test_points_stay_in_the_frame_of_ego_or_world_and_are_brought_to_the_sensor_from_others(opened):
@@ -321,17 +312,6 @@ def test_points_that_are_dropped_are_counted_and_a_lenient_reading_begins_with_t
     refused(f"{START_NS}.bin")
 
 
-def test_columns_that_are_taken_for_others_are_remarked(opened, sweeps):
-    sweeps(np.random.default_rng(5).uniform([-50, -50, -3, 0], [50, 50, -1, 255], (400, 4)))
-    for names, reported in (
-        (("x", "y", "z", "intensity"), None),
-        (("x", "y", "intensity", "z"), "intensity below zero"),
-        (("x:float64", "y:float64", "z:float64", "intensity:float64"), "points farther than 10000 m"),
-    ):
-        found = [warning.message for warning in opened(fields(*names)).warnings if warning.code == "odd-points"]
-        assert found == [] if reported is None else any(message.startswith(reported) for message in found)
-
-
 TIMES = np.array([0.0, 0.5, 1.0])
 ROTATIONS = Rotation.from_euler("ZYX", [[0, 0, 0], [30, 5, -3], [60, 0, 2]], degrees=True)
 LOCATIONS = np.array([[0.0, 0, 0], [3, 1, 0.1], [5, 4, 0.2]])
@@ -374,20 +354,20 @@ def test_every_form_of_another_frame_gives_the_ego_trajectory(opened, refused, w
     refused("2 times for 3 poses", (TUM, KITTI))
 
 
-def test_a_world_with_optical_axes_is_rotated_so_that_z_is_up(opened, folder):
-    (folder / "poses.txt").write_text("1 1 2 3 0 0 0 1\n2 1 2 4 0 0 0 1\n")
-    found = opened((TUM, f'{TUM}\nworld_axes = "optical"')).trajectories["pose"]
-    assert found.positions.tolist() == [[3.0, -1.0, -2.0], [4.0, -1.0, -2.0]]
-    rotated = Rotation.from_quat(found.quaternions_xyzw[0]).apply([0, 0, 1.0])
-    np.testing.assert_allclose(rotated, [1, 0, 0], atol=1e-12)
-
-
-def test_the_first_trajectory_is_the_default_and_names_of_columns_may_stand_in_a_comment(opened):
+def test_the_first_trajectory_is_the_default_names_may_stand_in_a_comment_and_optical_worlds_are_rotated(
+    opened, folder
+):
     second = f'{TUM}\nname = "a"\n\n[[trajectories]]\n{TUM}\nname = "b"\ntime_offset_s = 0.5'
     trajectories = opened((TUM, second.replace('form = "tum"\nname = "b"', 'form = "csv"\nname = "b"'))).trajectories
     assert [*trajectories] == ["a", "b"]
     assert (trajectories["b"].timestamps_ns - trajectories["a"].timestamps_ns).tolist() == [500_000_000] * 2
     assert trajectories["b"].positions.tolist() == [[0, 0, 0], [10, 0, 0]]
+    # so that z is up
+    (folder / "poses.txt").write_text("1 1 2 3 0 0 0 1\n2 1 2 4 0 0 0 1\n")
+    found = opened((TUM, f'{TUM}\nworld_axes = "optical"')).trajectories["pose"]
+    assert found.positions.tolist() == [[3.0, -1.0, -2.0], [4.0, -1.0, -2.0]]
+    rotated = Rotation.from_quat(found.quaternions_xyzw[0]).apply([0, 0, 1.0])
+    np.testing.assert_allclose(rotated, [1, 0, 0], atol=1e-12)
 
 
 def test_poses_without_orientations_out_of_order_repeated_or_of_a_leaning_ego_are_remarked(opened, folder):
@@ -416,11 +396,11 @@ GNSS = '[[sensors]]\nid = "gps"\ntype = "gnss"\nfile = "gnss.csv"\n'
 CAMERA = '[[sensors]]\nid = "front"'
 WITH = {"poses.txt": (), "imu.csv": ((CAMERA, IMU + CAMERA),), "gnss.csv": ((CAMERA, GNSS + CAMERA),)}
 """What a manifest says of each file."""
-ACCELERATIONS = "t_us,ax,ay,az,gyro_x,gyro_y,gyro_z\n1000000,1,0,9.8,90,0,0\n1010000,0,2,9.8,0,90,0\n"
 
 
-def test_imu_values_are_converted_to_the_axes_of_the_ego(opened, folder):
-    (folder / "imu.csv").write_text(ACCELERATIONS)
+def test_imu_values_are_converted_to_the_axes_of_the_ego_and_fixes_read_and_sorted(opened, folder):
+    rows = "1000000,1,0,9.8,90,0,0\n1010000,0,2,9.8,0,90,0\n"
+    (folder / "imu.csv").write_text(f"t_us,ax,ay,az,gyro_x,gyro_y,gyro_z\n{rows}")
     away = IMU.replace("rotation_matrix", "translation = [1, 0, 0], rotation_matrix")
     scene = opened((CAMERA, f'{away}gyroscope_unit = "deg/s"\n' + CAMERA))
     streams = scene.sensor("imu").streams
@@ -429,9 +409,6 @@ def test_imu_values_are_converted_to_the_axes_of_the_ego(opened, folder):
     np.testing.assert_allclose(streams["gyroscope"].values, [[0, np.pi / 2, 0], [-np.pi / 2, 0, 0]], atol=1e-12)
     assert "imu-lever-arm" in codes(scene)
     assert "imu-lever-arm" not in codes(opened(*WITH["imu.csv"]))
-
-
-def test_fixes_are_read_and_sorted(opened, folder):
     (folder / "gnss.csv").write_text("time lat lon alt hacc\n2 48.1 11.5 520.5 1.5\n1 48.0 11.6 520 2\n")
     scene = opened(*WITH["gnss.csv"])
     gnss = scene.sensor("gps")
@@ -439,6 +416,17 @@ def test_fixes_are_read_and_sorted(opened, folder):
     assert gnss.positions_lla.tolist() == [[48.0, 11.6, 520.0], [48.1, 11.5, 520.5]]
     assert np.isnan(gnss.vertical_accuracies).all()
     assert "samples-sorted" in codes(scene)
+    # times stand in one column or as seconds and nanoseconds
+    for text, expected_ns in (
+        *((f"{names},gx,gy,gz\n1532402927,5,0,0,0\n1532402927,5000005,0,0,0\n",
+           [1_532_402_927_000_000_005, 1_532_402_927_005_000_005])
+          for names in ("sec,nanosec", "secs,nsecs", "stamp_sec,stamp_nanosec", "Seconds,Nanoseconds")),
+        ("nanoseconds,gx,gy,gz\n0,0,0,0\n5000000,0,0,0\n", [0, 5_000_000]),
+        # cells in quotes may hold the sign between cells
+        ('t_ns, note ,gx,gy,gz\n"7", "a,b",0,0,0\n 8 ,c,0,0,0\n', [7, 8]),
+    ):  # fmt: skip
+        (folder / "imu.csv").write_text(text)
+        assert opened(*WITH["imu.csv"]).sensor("imu").streams["gyroscope"].timestamps_ns.tolist() == expected_ns
 
 
 @pytest.mark.parametrize(
@@ -470,22 +458,6 @@ def test_fixes_are_read_and_sorted(opened, folder):
 def test_a_wrong_line_is_reported_with_its_number(refused, folder, file, text, problem):
     (folder / file).write_text(text)
     refused(problem, *WITH[file])
-
-
-@pytest.mark.parametrize(
-    ("text", "expected_ns"),
-    [
-        *((f"{names},gx,gy,gz\n1532402927,5,0,0,0\n1532402927,5000005,0,0,0\n",
-           [1_532_402_927_000_000_005, 1_532_402_927_005_000_005])
-          for names in ("sec,nanosec", "secs,nsecs", "stamp_sec,stamp_nanosec", "Seconds,Nanoseconds")),
-        ("nanoseconds,gx,gy,gz\n0,0,0,0\n5000000,0,0,0\n", [0, 5_000_000]),
-        # cells in quotes may hold the sign between cells
-        ('t_ns, note ,gx,gy,gz\n"7", "a,b",0,0,0\n 8 ,c,0,0,0\n', [7, 8]),
-    ],
-)  # fmt: skip
-def test_times_stand_in_one_column_or_as_seconds_and_nanoseconds(opened, folder, text, expected_ns):
-    (folder / "imu.csv").write_text(text)
-    assert opened(*WITH["imu.csv"]).sensor("imu").streams["gyroscope"].timestamps_ns.tolist() == expected_ns
 
 
 SIZE = (640, 480)
@@ -691,11 +663,7 @@ def test_all_ways_to_write_a_transform_mean_the_same_and_a_rotation_that_is_a_li
     found = read({"rotation_matrix": ROTATION.as_matrix() * 1.002}, ledger)
     np.testing.assert_allclose(found.rotation, ROTATION.as_matrix(), atol=1e-12)
     assert [(warning.code, warning.location) for warning in ledger.warnings] == [("rotation-normalised", "here")]
-
-
-@pytest.mark.parametrize(
-    ("record", "problem"),
-    [
+    for record, problem in (
         ({}, "no transform; expected matrix, or translation and one of"),
         ({"matrix": MATRIX, "translation": SHIFT}, "matrix beside translation"),
         ({"quaternion_xyzw": [0, 0, 0, 1], "euler_deg": [0, 0, 0]}, "quaternion_xyzw and euler_deg; expected one"),
@@ -704,11 +672,9 @@ def test_all_ways_to_write_a_transform_mean_the_same_and_a_rotation_that_is_a_li
         ({"rotation_matrix": np.diag([1.0, 1.0, -1.0])}, "mirrored or singular"),
         ({"rotation_matrix": np.eye(3) * 1.01}, "off by 0.02"),
         ({"matrix": MATRIX.T}, "last row"),
-    ],
-)
-def test_what_is_no_transform_is_refused(record, problem):
-    with pytest.raises(CalibrationError, match=problem):
-        read(record)
+    ):
+        with pytest.raises(CalibrationError, match=problem):
+            read(record)
 
 
 def edge(source, target, seed):

@@ -4,7 +4,7 @@ import gc
 import io
 import mmap
 import re
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -106,24 +106,18 @@ def test_times_are_those_of_the_container_in_the_order_of_showing(videos, contai
             assert reader.fps == pytest.approx(30.0)
 
 
-def cut_by_edit_list(content: bytes, hidden: int) -> bytes:
-    """Copy a video into mp4 so that its first images come before time 0, which an edit list then cuts away."""
-    file = io.BytesIO()
+def test_images_that_an_edit_list_cuts_away_do_not_count(videos):
+    file, content = io.BytesIO(), videos.make(container="mp4")
     with av.open(io.BytesIO(content)) as source, av.open(file, "w", format="mp4") as output:
         original = source.streams.video[0]
         stream = output.add_stream_from_template(original, opaque=True)
-        shift = round(hidden / 30 / original.time_base)
-        packets = [packet for packet in source.demux(original) if packet.size]
-        for packet in packets:
+        # the first five images come before time 0, which an edit list then cuts away
+        shift = round(5 / 30 / original.time_base)
+        for packet in [packet for packet in source.demux(original) if packet.size]:
             packet.pts, packet.dts = packet.pts - shift, packet.dts - shift
             packet.stream = stream
             output.mux(packet)
-    return file.getvalue()
-
-
-def test_images_that_an_edit_list_cuts_away_do_not_count(videos):
-    content = cut_by_edit_list(videos.make(container="mp4"), hidden=5)
-    with open_video(content) as reader:
+    with open_video(file.getvalue()) as reader:
         assert reader.count == 35
         assert reader.timestamps[0] == 0.0
         assert [videos.number(reader.rgb(index)) for index in (*range(35), 1)] == [*range(5, 40), 6]
@@ -142,19 +136,10 @@ def test_a_video_is_read_from_a_file_its_bytes_a_map_of_it_or_whatever_opens_it(
 
 
 def test_threads_that_share_a_reader_get_the_images_that_they_asked_for(videos, mkv_bytes):
-    wrong: list[tuple[int, int]] = []
-    with open_video(mkv_bytes) as reader:
-
-        def ask(indices: list[int]) -> None:
-            wrong.extend((k, n) for k in indices if (n := videos.number(reader.rgb(k))) != k)
-
-        orders = np.random.default_rng(0).integers(0, 40, (3, 15)).tolist()
-        threads = [threading.Thread(target=ask, args=(order,)) for order in orders]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    assert wrong == []
+    orders = np.random.default_rng(0).integers(0, 40, (3, 15)).tolist()
+    with open_video(mkv_bytes) as reader, ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(lambda order: [videos.number(reader.rgb(k)) for k in order], orders))
+    assert found == orders
 
 
 @pytest.mark.parametrize(
@@ -192,25 +177,21 @@ def test_no_thread_of_a_decoder_is_left_when_reading_stops_halfway(mkv_bytes, mo
     assert set(tasks.iterdir()) <= before
 
 
-def sound_only() -> bytes:
-    file = io.BytesIO()
-    with av.open(file, "w", format="matroska") as output:
+PLAYLISTS = ["ffconcat version 1.0\nfile 'data.mkv'\n", "#EXTM3U\n#EXTINF:1,\ndata.mkv\n#EXT-X-ENDLIST\n"]
+
+
+def test_what_is_no_video_a_closed_reader_and_an_image_beyond_the_last_are_refused(mkv_bytes, tmp_path):
+    sound = io.BytesIO()
+    with av.open(sound, "w", format="matroska") as output:
         stream = output.add_stream("pcm_s16le", rate=8000, layout="mono")
         frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
         frame.sample_rate = 8000
         output.mux(stream.encode(frame))
         output.mux(stream.encode(None))
-    return file.getvalue()
-
-
-PLAYLISTS = ["ffconcat version 1.0\nfile 'data.mkv'\n", "#EXTM3U\n#EXTINF:1,\ndata.mkv\n#EXT-X-ENDLIST\n"]
-
-
-def test_what_is_no_video_a_closed_reader_and_an_image_beyond_the_last_are_refused(mkv_bytes, tmp_path):
     for content, problem in (
         (b"", "cannot be read as video"),
         (b"no video" * 99, "cannot be read as video"),
-        (sound_only(), "no video stream"),
+        (sound.getvalue(), "no video stream"),
         (tmp_path / "gone.mkv", r"gone.mkv: no such file"),
         (tmp_path, "not a file"),
     ):
@@ -230,7 +211,14 @@ def test_what_is_no_video_a_closed_reader_and_an_image_beyond_the_last_are_refus
         reader.rgb(0)
 
 
-def test_an_image_of_another_size_than_the_first_is_refused_by_its_number(videos):
+def test_an_image_of_another_size_than_the_first_or_a_damaged_one_is_refused_by_its_number_and_path(
+    videos, mkv_bytes, tmp_path
+):
+    path, third, half = tmp_path / "front.mkv", len(mkv_bytes) // 3, len(mkv_bytes) // 2
+    path.write_bytes(mkv_bytes[:third] + bytes(half - third) + mkv_bytes[half:])
+    with open_video(path) as reader, pytest.raises(DataError, match=r"front\.mkv: (image|packet) \d+"):
+        for index in range(40):
+            reader.rgb(index)
     file = io.BytesIO()
     with av.open(file, "w", format="matroska") as output:
         stream = output.add_stream("mjpeg", rate=10)
@@ -252,7 +240,7 @@ SITES = {"libx264": 0.0, "ffv1": 0.5}
 """How far right of an even column its chroma sits [px], where the stream is silent: H.264 type 0; MPEG-1 else."""
 
 
-def rgb_by_formula(planes: list[np.ndarray], kr: float, kb: float, *, site: float, full: bool) -> np.ndarray:
+def rgb_by_formula(planes, kr, kb, *, site, full):
     """Decode BT.601 or BT.709; chroma linearly interpolated, midway between two rows.
 
     Source: ITU-R BT.601-7 and BT.709-6, clause 3; ITU-T H.264, figure E-1.
@@ -260,7 +248,7 @@ def rgb_by_formula(planes: list[np.ndarray], kr: float, kb: float, *, site: floa
     luma = planes[0].astype(float)
     height, width = luma.shape
 
-    def spread(plane: np.ndarray) -> np.ndarray:
+    def spread(plane):
         rows = np.clip((np.arange(height) - 0.5) / 2, 0, plane.shape[0] - 1)
         columns = np.clip((np.arange(width) - site) / 2, 0, plane.shape[1] - 1)
         down = np.array([np.interp(rows, np.arange(plane.shape[0]), column) for column in plane.T])
@@ -274,9 +262,9 @@ def rgb_by_formula(planes: list[np.ndarray], kr: float, kb: float, *, site: floa
     return np.clip(np.stack([red, green, blue], axis=-1), 0, 255)
 
 
-def smooth_plane(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
-    noise = rng.integers(0, 256, (height, width), dtype=np.uint8)
-    return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2), None, 30, 225, cv2.NORM_MINMAX)
+def smooth(rng, shape, sigma, low, high):
+    noise = cv2.GaussianBlur(rng.integers(0, 256, shape, dtype=np.uint8), (0, 0), sigma)
+    return cv2.normalize(noise, None, low, high, cv2.NORM_MINMAX)
 
 
 def of_one_image(frame, codec, options, **colours):
@@ -298,7 +286,7 @@ def of_one_image(frame, codec, options, **colours):
 def test_colours_follow_the_matrix_range_and_chroma_site_of_the_stream(matrix, full, codec):
     kr, kb, number = MATRICES[matrix]
     rng = np.random.default_rng(5)
-    planes = [smooth_plane(rng, *shape) for shape in [(64, 96), (32, 48), (32, 48)]]
+    planes = [smooth(rng, shape, 2, 30, 225) for shape in [(64, 96), (32, 48), (32, 48)]]
     together = np.concatenate([plane.ravel() for plane in planes]).reshape(96, 96)
     frame = av.VideoFrame.from_ndarray(together, format="yuv420p")
     options = {"qp": "0"} if codec == "libx264" else {}
@@ -361,25 +349,13 @@ def test_ten_bit_and_grey_videos_come_as_eight_bit_colours(videos):
         assert (rgb.dtype, rgb.shape, videos.number(rgb)) == (np.uint8, (64, 96, 3), 2)
 
 
-def test_the_path_is_in_the_message_of_a_damaged_image(mkv_bytes, tmp_path):
-    path, third, half = tmp_path / "front.mkv", len(mkv_bytes) // 3, len(mkv_bytes) // 2
-    path.write_bytes(mkv_bytes[:third] + bytes(half - third) + mkv_bytes[half:])
-    with open_video(path) as reader, pytest.raises(DataError, match=r"front\.mkv: (image|packet) \d+"):
-        for index in range(40):
-            reader.rgb(index)
-
-
-class Counted:
+class Counted(bytes):
     """Bytes that remember how many of them were looked at."""
 
-    def __init__(self, content):
-        self.content, self.looked_at = content, 0
-
-    def __len__(self):
-        return len(self.content)
+    looked_at = 0
 
     def __getitem__(self, part):
-        piece = self.content[part]
+        piece = super().__getitem__(part)
         self.looked_at += len(piece)
         return piece
 
@@ -420,15 +396,11 @@ def test_images_are_not_read_for_their_tables_and_a_video_that_was_cut_is_an_err
         _ = open_video(whole[: len(whole) * 3 // 4]).count
 
 
-@pytest.fixture
-def folder(tmp_path, videos):
+def test_images_are_those_that_were_put_in_also_after_closing_and_what_is_no_folder_of_images_refused(tmp_path, videos):
+    folder = tmp_path / "images"
+    folder.mkdir()
     for number in range(3):
-        rgb = videos.image(number, 31, 17)
-        cv2.imwrite(str(tmp_path / f"{number:08d}.png"), rgb[:, :, ::-1])
-    return tmp_path
-
-
-def test_images_are_those_that_were_put_in_also_after_closing_and_those_beyond_the_last_refused(folder, videos):
+        cv2.imwrite(str(folder / f"{number:08d}.png"), videos.image(number, 31, 17)[:, :, ::-1])
     (folder / "notes.txt").write_text("not an image")
     (folder / "3.png").write_bytes(b"a name of another kind")
     images = PngFolder(folder)
@@ -440,25 +412,6 @@ def test_images_are_those_that_were_put_in_also_after_closing_and_those_beyond_t
             images.rgb(index)
     images.close()
     assert images.rgb(0).shape == (17, 31, 3)
-
-
-def test_grey_is_repeated_transparency_dropped_and_sixteen_bits_keep_their_upper_eight(tmp_path):
-    rng = np.random.default_rng(0)
-    grey, rgba = rng.integers(0, 256, (5, 7), np.uint8), rng.integers(0, 256, (5, 7, 4), np.uint8)
-    deep = rng.integers(0, 65536, (5, 7, 3)).astype(np.uint16)
-    pillow = map(Image.fromarray, (grey, rgba, grey > 128))
-    for number, image in enumerate((*pillow, Image.fromarray(grey).convert("P"))):
-        image.save(tmp_path / f"{number:08d}.png")
-    cv2.imwrite(str(tmp_path / "00000004.png"), deep[:, :, ::-1])
-    images = PngFolder(tmp_path)
-    np.testing.assert_array_equal(images.rgb(0), np.repeat(grey[:, :, None], 3, axis=2))
-    np.testing.assert_array_equal(images.rgb(1), rgba[:, :, :3])
-    np.testing.assert_array_equal(images.rgb(2)[:, :, 1], np.where(grey > 128, 255, 0))
-    np.testing.assert_array_equal(images.rgb(3)[:, :, 2], grey)
-    np.testing.assert_array_equal(images.rgb(4), deep >> 8)
-
-
-def test_what_is_no_folder_of_images_is_refused_and_so_are_damaged_ones_and_those_of_another_kind(folder, tmp_path):
     path = folder / "00000001.png"
     content = path.read_bytes()
     for image, problem in (
@@ -483,6 +436,22 @@ def test_what_is_no_folder_of_images_is_refused_and_so_are_damaged_ones_and_thos
         (folder / f"{number:08d}.png").unlink()
     with pytest.raises(DataError, match=r"holds no images; expected 00000000\.png"):
         PngFolder(folder)
+
+
+def test_grey_is_repeated_transparency_dropped_and_sixteen_bits_keep_their_upper_eight(tmp_path):
+    rng = np.random.default_rng(0)
+    grey, rgba = rng.integers(0, 256, (5, 7), np.uint8), rng.integers(0, 256, (5, 7, 4), np.uint8)
+    deep = rng.integers(0, 65536, (5, 7, 3)).astype(np.uint16)
+    pillow = map(Image.fromarray, (grey, rgba, grey > 128))
+    for number, image in enumerate((*pillow, Image.fromarray(grey).convert("P"))):
+        image.save(tmp_path / f"{number:08d}.png")
+    cv2.imwrite(str(tmp_path / "00000004.png"), deep[:, :, ::-1])
+    images = PngFolder(tmp_path)
+    np.testing.assert_array_equal(images.rgb(0), np.repeat(grey[:, :, None], 3, axis=2))
+    np.testing.assert_array_equal(images.rgb(1), rgba[:, :, :3])
+    np.testing.assert_array_equal(images.rgb(2)[:, :, 1], np.where(grey > 128, 255, 0))
+    np.testing.assert_array_equal(images.rgb(3)[:, :, 2], grey)
+    np.testing.assert_array_equal(images.rgb(4), deep >> 8)
 
 
 def write(target, images, times=None, *, fps=10.0, **options):
@@ -524,23 +493,13 @@ def test_uneven_times_are_kept_from_the_first_image_on_and_those_of_one_tick_sta
     assert found == sorted(set(found))
 
 
-def smooth_image(seed, width=320, height=240):
-    noise = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
-    return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 8), None, 20, 235, cv2.NORM_MINMAX)
-
-
-def test_colours_come_back_unshifted(tmp_path):
-    from sceneloom.formats.video.reader import open_video
-
-    images = [smooth_image(seed) for seed in range(3)]
+def test_colours_come_back_unshifted_from_opencv_too_which_ignores_what_a_stream_says_of_them(tmp_path, videos):
+    images = [smooth(np.random.default_rng(seed), (240, 320, 3), 8, 20, 235) for seed in range(3)]
     write(tmp_path / "data.mkv", images)
     with open_video(tmp_path / "data.mkv") as reader:
         errors = np.stack([reader.rgb(k).astype(int) - rgb for k, rgb in enumerate(images)])
     assert np.abs(errors.mean(axis=(0, 1, 2))).max() < 0.2  # no tint
     assert np.median(np.abs(errors)) <= 4  # what the main job allows H.264 to lose
-
-
-def test_opencv_which_ignores_what_a_stream_says_of_its_colours_gets_them_right(tmp_path, videos):
     colours = np.array([(200, 40, 40), (40, 200, 40), (40, 40, 200), (220, 200, 30)], np.uint8)
     image = np.repeat(np.repeat(colours[None], 64, axis=1), 64, axis=0)
     write(tmp_path / "data.mkv", [image] * 3)
@@ -559,9 +518,8 @@ def test_ffv1_loses_nothing_takes_odd_sizes_and_keeps_the_order_of_images_of_one
     np.testing.assert_array_equal(videos.opencv(tmp_path / "data.mkv"), images)
 
 
-@pytest.mark.parametrize(
-    ("change", "problem"),
-    [
+def test_impossible_requests_and_images_of_another_shape_type_or_earlier_time_are_refused(tmp_path, videos, full_disk):
+    for change, problem in (
         ({"codec": "divx"}, "no video codec 'divx'; there are h264, ffv1"),
         ({"container": "avi"}, "no video container 'avi'"),
         ({"fps": 0.0}, "0.0 images a second"),
@@ -569,18 +527,11 @@ def test_ffv1_loses_nothing_takes_odd_sizes_and_keeps_the_order_of_images_of_one
         ({"width": 0}, "image size 0x64"),
         ({"width": 33}, "needs even sizes; cut them to 32x64, or keep them as PNG"),
         ({"height": 51}, "needs even sizes; cut them to 96x50, or keep them as PNG"),
-        ({"target": "data.gif"}, r"no video container '.gif'; there are .mkv, .mp4"),
-    ],
-)
-def test_impossible_requests_are_refused(tmp_path, change, problem):
-    arguments = {"target": "data.mkv", "width": 96, "height": 64, "fps": 10.0} | change
-    target = tmp_path / arguments.pop("target")
-    with pytest.raises(OptionError, match=problem):
-        VideoWriter(target, **arguments)
-    assert not target.exists()
-
-
-def test_images_of_another_shape_type_or_earlier_time_and_those_of_a_closed_writer_are_refused(tmp_path, videos):
+        ({"target": tmp_path / "data.gif"}, r"no video container '.gif'; there are .mkv, .mp4"),
+    ):
+        with pytest.raises(OptionError, match=problem):
+            VideoWriter(**{"target": tmp_path / "data.mkv", "width": 96, "height": 64, "fps": 10.0} | change)
+    assert not list(tmp_path.iterdir())
     with VideoWriter(tmp_path / "data.mkv", 96, 64, 10.0) as writer:
         writer.add(videos.image(0), 1.0)
         for wrong in (videos.image(1)[:62], videos.image(1).astype(float), videos.image(1)[:, :, :1]):
@@ -597,9 +548,6 @@ def test_images_of_another_shape_type_or_earlier_time_and_those_of_a_closed_writ
     writer.close()
     with pytest.raises(OutputError, match="the video is closed"):
         writer.add(videos.image(1))
-
-
-def test_what_cannot_be_written_is_an_output_error(tmp_path, videos, full_disk):
     with pytest.raises(OutputError, match="needs at least one image"), VideoWriter(tmp_path / "data.mkv", 96, 64, 10):
         pass
     noise = np.random.default_rng(0).integers(0, 256, (30, 64, 96, 3), dtype=np.uint8)
@@ -611,17 +559,16 @@ def test_what_cannot_be_written_is_an_output_error(tmp_path, videos, full_disk):
             write(target, noise)
 
 
-X265 = {"x265-params": "log-level=none:keyint=12:pools=1", "preset": "ultrafast"}
 COPIED = {
     "h264 from mkv": {},
     "h264 from mp4": {"container": "mp4"},
     "h264 from ts": {"container": "mpegts"},
     "h264 that starts late": {"ticks": range(300, 340)},
     "h264 with uneven times": {"ticks": np.cumsum([0, *([1, 2, 5] * 13)]).tolist()},
-    "hevc from mkv": {"codec": "libx265", "options": X265},
-    "h264 without B-frames from avi": {"container": "avi", "options": {"g": "12", "bf": "0", "preset": "veryfast"}},
+    "hevc from mkv": KINDS["hevc"],
+    "h264 without B-frames from avi": KINDS["h264 without B-frames in avi"],
 }
-FFV1 = {"codec": "ffv1", "pixel_format": "bgr0", "options": {}}
+FFV1 = KINDS["ffv1"]
 
 
 def times_of_packets(content):
@@ -638,19 +585,14 @@ def numbers_of(videos, path):
     return [videos.number(rgb) for rgb in images]
 
 
-@pytest.fixture
-def target(tmp_path):
-    return tmp_path / "made.mp4"
-
-
 def remux(source, target, **options):
     with target.open("wb") as file:
         return remux_to_mp4(source, file, **options)
 
 
 @pytest.mark.parametrize("kind", COPIED)
-def test_a_copy_holds_the_same_images_bit_by_bit_in_the_same_order_and_is_decodable_in_time(videos, target, kind):
-    content = videos.make(**COPIED[kind])
+def test_a_copy_holds_the_same_images_bit_by_bit_in_the_same_order_and_is_decodable_in_time(videos, tmp_path, kind):
+    content, target = videos.make(**COPIED[kind]), tmp_path / "made.mp4"
     result = remux(lambda: io.BytesIO(content), target)
     assert (result.images, result.copied, result.reason) == (40, True, None)
     np.testing.assert_array_equal(videos.decode(target.read_bytes()), videos.decode(content))
@@ -672,26 +614,21 @@ def test_a_copy_holds_the_same_images_bit_by_bit_in_the_same_order_and_is_decoda
     assert numbers_of(videos, target) == list(range(40))
 
 
-SOME = [3, 4, 9, 30]
-
-
-@pytest.mark.parametrize(
-    ("recipe", "chosen", "reason"),
-    [
+def test_what_cannot_be_copied_is_encoded_as_h264_and_says_why(videos, tmp_path):
+    target = tmp_path / "made.mp4"
+    for recipe, chosen, reason in (
         (FFV1, None, "ffv1 is not copied into mp4"),
-        ({"codec": "libvpx-vp9", "options": {"deadline": "realtime", "cpu-used": "8"}}, None, "vp9 is not copied"),
+        (KINDS["vp9"], None, "vp9 is not copied"),
         ({"container": "avi"}, None, "does not state when its images are shown"),
-        ({}, SOME, ""),
-    ],
-)
-def test_what_cannot_be_copied_is_encoded_as_h264_and_says_why(videos, target, recipe, chosen, reason):
-    result = remux(videos.make(**recipe), target, frame_indices=chosen)
-    expected = chosen or list(range(40))
-    assert (result.images, result.codec, result.copied) == (len(expected), "h264", False)
-    assert reason in str(result.reason)
-    assert numbers_of(videos, target) == expected
-    times = [pts for pts, _ in sorted(times_of_packets(target.read_bytes()))]
-    assert times == pytest.approx((np.array(expected) - expected[0]) / 30, abs=1e-3)
+        ({}, [3, 4, 9, 30], ""),
+    ):
+        result = remux(videos.make(**recipe), target, frame_indices=chosen)
+        expected = chosen or list(range(40))
+        assert (result.images, result.codec, result.copied) == (len(expected), "h264", False)
+        assert reason in str(result.reason)
+        assert numbers_of(videos, target) == expected
+        times = [pts for pts, _ in sorted(times_of_packets(target.read_bytes()))]
+        assert times == pytest.approx((np.array(expected) - expected[0]) / 30, abs=1e-3)
 
 
 def test_impossible_sources_times_counts_and_targets_are_refused(videos, mkv_bytes, full_disk):
@@ -769,29 +706,26 @@ def boxes_of(content):
     return names
 
 
-@pytest.mark.parametrize("kind", ["copied", "remuxed", "at times", "counted"])
-def test_the_tables_stand_before_the_images_and_the_bytes_are_always_the_same(videos, kind):
+def test_the_tables_stand_before_the_images_and_the_bytes_are_always_the_same(videos):
     rng = np.random.default_rng(3)
     images = rng.integers(0, 255, (40, 48, 64, 3), np.uint8)
-    uneven = np.cumsum(rng.uniform(0.02, 0.3, 40))
-    content = videos.make(**(FFV1 if kind == "remuxed" else {}))
-    made = []
-    for _ in range(2):
-        target = io.BytesIO()
-        if kind in {"copied", "remuxed"}:
-            remux_to_mp4(content, target, timestamps_seconds=uneven)
-        elif kind == "at times":
-            encode_to_mp4(images, target, timestamps_seconds=uneven)
-        else:
-            encode_to_mp4(iter(images), target, fps=10.0, count=40)
-        made.append(target.getvalue())
-    names = boxes_of(made[0])
-    assert names.index(b"moov") < names.index(b"mdat")
-    assert made[0] == made[1]
-    assert len(videos.decode(made[0])) == 40
-
-
-def test_tables_of_very_many_uneven_key_frames_find_room():
+    times = {"timestamps_seconds": np.cumsum(rng.uniform(0.02, 0.3, 40))}
+    copied, remuxed = videos.make(), videos.make(**FFV1)
+    for write_to in (
+        lambda target: remux_to_mp4(copied, target, **times),
+        lambda target: remux_to_mp4(remuxed, target, **times),
+        lambda target: encode_to_mp4(images, target, **times),
+        lambda target: encode_to_mp4(iter(images), target, fps=10.0, count=40),
+    ):
+        made = [io.BytesIO(), io.BytesIO()]
+        for target in made:
+            write_to(target)
+        content, again = (target.getvalue() for target in made)
+        names = boxes_of(content)
+        assert names.index(b"moov") < names.index(b"mdat")
+        assert content == again
+        assert len(videos.decode(content)) == 40
+    # very many uneven key frames find room
     target = io.BytesIO()
     with VideoWriter(target, 16, 16, 10.0, container="mp4", images=3000) as writer:
         for seconds in np.cumsum(np.random.default_rng(1).uniform(1e-3, 1.0, 3000)):

@@ -17,12 +17,12 @@ from sceneloom.formats.base.output import FolderKind, Source, check_output, file
 KIND = FolderKind("folder of ours", (r"data\.jsonl", r"images/\d+\.png"), r"data\.jsonl")
 
 
-def refused(target: Path, problem: str, *, overwrite: bool = True, folder: FolderKind | None = None) -> None:
+def refused(target, problem, *, overwrite=True, folder=None):
     with pytest.raises(OutputError, match=problem), replacing(target, overwrite=overwrite, folder=folder):
         pytest.fail("must not be entered")
 
 
-def write(folder: Path, **files: str) -> Path:
+def write(folder, **files):
     """Make a folder with files: `_` stands for the point before an ending."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
@@ -30,7 +30,7 @@ def write(folder: Path, **files: str) -> Path:
     return folder
 
 
-def tree(folder: Path) -> dict[str, str]:
+def tree(folder):
     return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -124,9 +124,7 @@ def test_a_folder_that_holds_or_lies_in_what_is_read_is_left_alone(tmp_path, rea
     with replacing(target, overwrite=True, folder=KIND) as draft:
         write(draft, data_jsonl="new")
     assert tree(tmp_path) == {"home/data.jsonl": "new"}
-
-
-def test_a_file_that_is_read_is_not_replaced_by_any_name_of_it(tmp_path):
+    # and neither is a file replaced by any name of it
     write(tmp_path, drive_sfs="old")
     (tmp_path / "link").symlink_to(tmp_path / "drive.sfs")
     source = Source(tmp_path / "link")
@@ -135,7 +133,7 @@ def test_a_file_that_is_read_is_not_replaced_by_any_name_of_it(tmp_path):
     with pytest.raises(OutputError, match="is read"), filling(tmp_path, overwrite=True) as draft:
         write(draft, drive_sfs="new")
     assert source.path.read_text() == "old"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.sfs", "link"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.sfs", "home", "link"]
 
 
 _KILLED = r"""
@@ -283,18 +281,16 @@ def test_the_workplace_of_a_living_process_and_a_folder_that_only_has_such_a_nam
     with replacing(tmp_path / "other.sfs", overwrite=False) as draft:
         draft.write_text("new")
     assert tree(tmp_path) == {**before, "other.sfs": "new"}
-
-
-@pytest.mark.parametrize(("idle", "goes"), [(0.0, False), (7200.0, True)])
-def test_the_workplace_of_another_machine_goes_when_nothing_was_written_for_an_hour(tmp_path, idle, goes):
-    workplace = tmp_path / ".drive.sfs.sceneloom"
+    # that of another machine goes when nothing was written for an hour
+    workplace = tmp_path / ".new.sfs.sceneloom"
     (workplace / "files").mkdir(parents=True)
     (workplace / "lock").write_text("another machine")
-    then = time.time() - idle
-    for path in (workplace / "files", workplace / "lock", workplace):
-        os.utime(path, (then, then))
-    check_output(tmp_path / "drive.sfs", overwrite=False)
-    assert workplace.exists() is not goes
+    for idle, goes in ((0.0, False), (7200.0, True)):
+        then = time.time() - idle
+        for path in (workplace / "files", workplace / "lock", workplace):
+            os.utime(path, (then, then))
+        check_output(tmp_path / "new.sfs", overwrite=False)
+        assert workplace.exists() is not goes
 
 
 IDS = st.one_of(st.integers(), st.text(st.characters(exclude_categories=["Cs"]), max_size=300))

@@ -20,7 +20,7 @@ from sceneloom.formats.base.registry import (
     open_scene,
 )
 from sceneloom.formats.base.spec import FormatSpec
-from sceneloom.formats.listing import FormatListing, list_formats, list_supported_fields
+from sceneloom.formats.listing import list_formats, list_supported_fields
 from sceneloom.scene import Scene
 from sceneloom.scene.contents import MODEL_FIELDS
 
@@ -28,7 +28,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "converting.md"
 SPECS = {name: format_named(name) for name in FORMATS}
 
 
-def row(form: FormatListing) -> str:
+def row(form):
     """The row that the page has to have."""
     page = f"formats/{SHARED_PAGES.get(form.name, form.name)}.md"
     name = f"`{form.name}`" if form.trajectory else f"[{form.name}]({page})"
@@ -39,12 +39,9 @@ def row(form: FormatListing) -> str:
     return f"| {name} | {both} | {suffixes if form.writes else ''} | {form.looks_like} |".replace("  ", " ")
 
 
-def test_the_page_says_of_each_format_what_the_code_says_and_lists_no_other():
+def test_page_and_help_name_each_format_and_the_page_says_of_it_what_the_code_says():
     rows = [line for line in PAGE.read_text().splitlines() if line.startswith(("| [", "| `"))]
     assert sorted(rows) == sorted(map(row, list_formats()))
-
-
-def test_help_of_open_names_each_format_that_is_read():
     named = open_scene.__doc__.split("Formats: ")[1].split("`sceneloom formats`")[0]
     words = set(re.split(r"[,;.\s]+", named))
     assert {form.name for form in list_formats() if form.reads and not form.trajectory} <= words
@@ -126,15 +123,6 @@ def test_rows_look_at_beginnings_endings_and_members(row, made, fits, tmp_path):
     assert row.fits(registry._LookedAt(path)) is fits
 
 
-def test_a_file_is_asked_of_those_formats_only_that_begin_so(tmp_path):
-    (tmp_path / "drive.sfs").write_bytes(b'{"version": "1.0", "$items": []}\0')
-    assert [spec.name for spec in formats_that_may_be(tmp_path / "drive.sfs")] == ["sfs", "recording"]
-    (tmp_path / "notes.doc").write_text("hello")
-    assert formats_that_may_be(tmp_path / "notes.doc") == []
-    # what is only written is asked of no path
-    assert not any(FORMATS[name].file or FORMATS[name].folder for name in ("colmap", "nerfstudio"))
-
-
 def test_two_formats_in_one_folder_are_both_named_and_one_can_be_chosen_and_a_folder_of_drives_names_them(tmp_path):
     monday = tmp_path / "monday"
     monday.mkdir()
@@ -156,7 +144,11 @@ def test_a_path_that_nothing_knows_lists_all_formats_that_are_read_and_what_is_e
     (tmp_path / "folder").mkdir()
     named = ", ".join(name for name, form in SPECS.items() if form.reads)
     claims = [(n, path.name) for n, form in SPECS.items() for path in tmp_path.iterdir() if form.sniff(path)]
-    assert claims == []
+    assert claims == formats_that_may_be(tmp_path / "notes.doc") == []
+    # a file is asked of those formats only that begin so, and what is only written of no path
+    (tmp_path / "drive.sfs").write_bytes(b'{"version": "1.0", "$items": []}\0')
+    assert [spec.name for spec in formats_that_may_be(tmp_path / "drive.sfs")] == ["sfs", "recording"]
+    assert not any(FORMATS[name].file or FORMATS[name].folder for name in ("colmap", "nerfstudio"))
     for name, problem in (
         ("notes.doc", f"expected one of: {named}$"),
         ("nothing.sfs", r"no reader knows this; it is empty; expected one of"),

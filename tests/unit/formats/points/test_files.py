@@ -328,21 +328,15 @@ def test_names_are_found_whatever_their_case_points_without_a_return_dropped_and
             array[0] = 1
 
 
-@pytest.mark.parametrize(
-    ("values", "maximum", "expected", "clipped"),
-    [
+def test_brightness_is_scaled_rounded_and_clipped_and_its_scale_distinguished_from_the_values():
+    for values, maximum, expected, clipped in (
         (np.array([0.0, 0.5, 1.0], np.float32), 1.0, [0, 128, 255], 0),
         (np.array([0.0, 99.4, 300.0], np.float32), 255.0, [0, 99, 255], 1),
         (np.array([0, 257, 65535], np.uint16), 65535.0, [0, 1, 255], 0),
         (np.array([np.nan, -1.0, np.inf], np.float32), 100.0, [0, 0, 255], 2),
-    ],
-)
-def test_brightness_is_scaled_rounded_and_clipped(values, maximum, expected, clipped):
-    found = mapped({**XYZ, "intensity": values}, PointMapping(scale=IntensityScale(maximum)))
-    assert (found.points.intensities.tolist(), found.clipped) == (expected, clipped)
-
-
-def test_the_scale_of_brightness_is_distinguished_from_the_values():
+    ):
+        found = mapped({**XYZ, "intensity": values}, PointMapping(scale=IntensityScale(maximum)))
+        assert (found.points.intensities.tolist(), found.clipped) == (expected, clipped)
     found = [
         detect_scale(np.array(values, dtype))
         for values, dtype in (
@@ -353,71 +347,49 @@ def test_the_scale_of_brightness_is_distinguished_from_the_values():
     assert found == [*map(IntensityScale, (1.0, 255.0, 65535.0, 255.0, 65535.0, 255.0)), None]
 
 
-ABSOLUTE = np.array([CLOCK.timestamp_ns, CLOCK.timestamp_ns + 1, CLOCK.timestamp_ns + 99_999_999], np.uint64)
-
-
-@pytest.mark.parametrize(
-    ("unit", "values", "offsets_ns"),
-    [
+def test_times_count_from_what_they_are_relative_to_and_lose_no_nanosecond_and_what_cannot_be_points_is_refused():
+    absolute = np.array([CLOCK.timestamp_ns + offset for offset in (0, 1, 99_999_999)], np.uint64)
+    for unit, values, offsets_ns in (
         ("seconds", np.array([0.0, 0.05, 0.1]), [0, 50_000_000, 100_000_000]),
         ("microseconds", np.array([-3, 0, 50_000], np.int32), [-3_000, 0, 50_000_000]),
         ("milliseconds", np.array([0.0, 0.25, 100.0], np.float32), [0, 250_000, 100_000_000]),
-        ("nanoseconds", ABSOLUTE, ABSOLUTE.tolist()),
-    ],
-)
-def test_times_count_from_what_they_are_relative_to_and_lose_no_nanosecond(unit, values, offsets_ns):
-    bases = {"clock": 7} if values is ABSOLUTE else {"timestamp": CLOCK.timestamp_ns, "start": CLOCK.start_ns}
-    for relative_to, base_ns in bases.items():
-        mapping = PointMapping(times=PointTimes(unit, relative_to, "t"))
-        found = mapped({**XYZ, "t": values}, mapping).points.timestamps_ns.tolist()
-        assert found == [base_ns + offset for offset in offsets_ns]
+        ("nanoseconds", absolute, absolute.tolist()),
+    ):
+        bases = {"clock": 7} if values is absolute else {"timestamp": CLOCK.timestamp_ns, "start": CLOCK.start_ns}
+        for relative_to, base_ns in bases.items():
+            mapping = PointMapping(times=PointTimes(unit, relative_to, "t"))
+            found = mapped({**XYZ, "t": values}, mapping).points.timestamps_ns.tolist()
+            assert found == [base_ns + offset for offset in offsets_ns]
+    seconds = PointMapping(times=PointTimes("seconds", "timestamp", "t"))
+    for columns, mapping, problem in (
+        ({**XYZ, "t": np.array([0, 50_000_000, 100_000_000], np.uint32)}, seconds,
+         r't\[1\]: 50000000 seconds .*unit = "nanoseconds", relative_to = "timestamp"'),
+        ({**XYZ, "t": np.array([0.0, 0.1, np.nan])}, seconds, r"t\[2\]: nan"),
+        (XYZ, PointMapping(named={"intensity": "reflex"}),
+         "reflex: no such column for intensity; the file has x y z"),
+        ({name: XYZ[name] for name in "xy"}, PointMapping(), "no column for z; the file has x y"),
+    ):  # fmt: skip
+        with pytest.raises(DataError, match=problem):
+            mapped(columns, mapping)
 
 
-COUNTS = np.array([0, 257, 65535], np.uint16)
-PACKED = np.array([0x00112233, 0xFF0000FF, 0], np.uint32)
-
-
-@pytest.mark.parametrize(
-    ("columns", "colors"),
-    [
-        *(({"rgb": PACKED.view(dtype)}, [[0x11, 0x22, 0x33], [0, 0, 0xFF], [0, 0, 0]]) for dtype in ("<u4", "<f4")),
+def test_colours_of_one_or_two_bytes_each_or_packed_are_taken_and_what_is_of_another_kind_kept():
+    packed = np.array([0x00112233, 0xFF0000FF, 0], np.uint32)
+    for columns, colors in (
+        *(({"rgb": packed.view(dtype)}, [[0x11, 0x22, 0x33], [0, 0, 0xFF], [0, 0, 0]]) for dtype in ("<u4", "<f4")),
         ({name: np.array([k, 0, 255], np.uint8) for k, name in enumerate(COLOURS)},
          [[0, 1, 2], [0, 0, 0], [255, 255, 255]]),
         # of 16 bits, also where their writer put bytes into them
-        (dict.fromkeys(COLOURS, COUNTS), [[0] * 3, [1] * 3, [255] * 3]),
+        (dict.fromkeys(COLOURS, np.array([0, 257, 65535], np.uint16)), [[0] * 3, [1] * 3, [255] * 3]),
         (dict.fromkeys(COLOURS, np.array([0, 128, 255], np.uint16)), [[0] * 3, [128] * 3, [255] * 3]),
-    ],
-)  # fmt: skip
-def test_colours_of_one_or_two_bytes_each_or_packed_are_taken(columns, colors):
-    assert mapped({**XYZ, **columns}).points.colors.tolist() == colors
-
-
-def test_what_means_nothing_or_is_of_another_kind_is_kept():
+    ):  # fmt: skip
+        assert mapped({**XYZ, **columns}).points.colors.tolist() == colors
     further = dict.fromkeys(COLOURS, np.array([0.0, 0.5, 1.0])) | {"ring": np.array([0.0, 1.5, 2.0])}
     further["near_ir"] = np.array([5, 6, 7], np.uint16)
     points = mapped({**XYZ, **further}).points
     assert (points.colors, points.rings) == (None, None)
     found = {name: column.tolist() for name, column in points.extras.items()}
     assert found == {name: column.tolist() for name, column in further.items()}
-
-
-SECONDS = PointMapping(times=PointTimes("seconds", "timestamp", "t"))
-
-
-@pytest.mark.parametrize(
-    ("columns", "mapping", "problem"),
-    [
-        ({**XYZ, "t": np.array([0, 50_000_000, 100_000_000], np.uint32)}, SECONDS,
-         r't\[1\]: 50000000 seconds .*unit = "nanoseconds", relative_to = "timestamp"'),
-        ({**XYZ, "t": np.array([0.0, 0.1, np.nan])}, SECONDS, r"t\[2\]: nan"),
-        (XYZ, PointMapping(named={"intensity": "reflex"}),
-         "reflex: no such column for intensity; the file has x y z"),
-        ({name: XYZ[name] for name in "xy"}, PointMapping(), "no column for z; the file has x y"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_points_is_refused(columns, mapping, problem):
-    with pytest.raises(DataError, match=problem):
-        mapped(columns, mapping)
 
 
 RNG = np.random.default_rng(11)
@@ -487,11 +459,8 @@ def test_pcd_files_of_every_encoding_hold_the_same_and_become_another_kind_witho
         same(open_scene(tmp_path / folder).lidars[0].frames, scene.lidars[0].frames)
 
 
-@pytest.mark.parametrize(
-    ("kind", "columns", "full"),
-    # KITTI counts brightness from 0 to 1, nuScenes from 0 to 255
-    [("kitti-bin", 4, 1.0), ("nuscenes-bin", 5, 255.0)],
-)
+# KITTI counts brightness from 0 to 1, nuScenes from 0 to 255
+@pytest.mark.parametrize(("kind", "columns", "full"), [("kitti-bin", 4, 1.0), ("nuscenes-bin", 5, 255.0)])
 def test_packed_files_hold_the_locations_and_the_brightness_and_what_they_leave_out_is_reported(
     tmp_path, scene, kind, columns, full
 ):
@@ -577,9 +546,7 @@ def test_brightness_beyond_bytes_is_kept_beside_them_and_goes_on_to_other_kinds(
     write_scene(read, tmp_path / "out.ply")
     found = open_scene(tmp_path / "out.ply").lidars[0].frames[0].points
     np.testing.assert_array_equal(found.extras["intensity"], rows[:, 3])
-
-
-def test_large_coordinates_are_put_on_an_origin_near_them(tmp_path):
+    # and large coordinates are put on an origin near them
     corner = np.array([500_000.0, 5_400_000.0, 200.0])
     header = laspy.LasHeader(version="1.2", point_format=0)
     header.offsets, header.scales = corner, np.full(3, 0.001)
@@ -612,12 +579,6 @@ def test_names_that_are_times_are_distinguished_from_numbers(names, times):
     assert times_of_names(names.split()) == times
 
 
-def test_numbers_and_endings_of_names():
-    assert numbers_of_names(["frame_000007", "frame_000009"]) == [7, 9]
-    assert numbers_of_names(["a_1", "b_1"]) is None
-    assert stem_of("x__1.pcd.bin") == "x__1"
-
-
 @pytest.fixture
 def numbered(tmp_path):
     """Makes a folder with files of such names."""
@@ -632,6 +593,9 @@ def numbered(tmp_path):
 
 
 def test_numbered_files_are_taken_at_ten_hertz_and_that_is_reported(numbered):
+    assert numbers_of_names(["frame_000007", "frame_000009"]) == [7, 9]
+    assert numbers_of_names(["a_1", "b_1"]) is None
+    assert stem_of("x__1.pcd.bin") == "x__1"
     folder = numbered("000000", "000001", "000003")
     for options, times_ns, assumed in (
         ({}, [0, 100_000_000, 300_000_000], {"cloud-times-assumed", "cloud-frame-assumed"}),

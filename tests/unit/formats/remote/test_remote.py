@@ -38,14 +38,17 @@ def cloud(number):
     return np.random.default_rng(number).uniform(-9, 9, (POINTS, 3)).astype(np.float32)
 
 
+def drive_of_clouds():
+    bright = np.full(POINTS, 7, np.uint8)
+    frames = [LidarFrame(k * 100_000_000, LidarPoints(cloud(k), bright)) for k in range(COUNT)]
+    return Scene((LidarSensor("top", LazyFrames.of(frames, [frame.timestamp_ns for frame in frames])),))
+
+
 @pytest.fixture
 def clouds(tmp_path, monkeypatch):
     """A folder of clouds, which a store of this machine serves."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    bright = np.full(POINTS, 7, np.uint8)
-    frames = [LidarFrame(k * 100_000_000, LidarPoints(cloud(k), bright)) for k in range(COUNT)]
-    lidar = LidarSensor("top", LazyFrames.of(frames, [frame.timestamp_ns for frame in frames]))
-    sceneloom.write(Scene((lidar,)), tmp_path / "clouds", format="kitti-bin")
+    sceneloom.write(drive_of_clouds(), tmp_path / "clouds", format="kitti-bin")
     return tmp_path / "clouds"
 
 
@@ -195,9 +198,8 @@ def test_the_beginning_of_a_file_is_fetched_alone_and_what_gets_around_the_fetch
 
 @pytest.fixture(scope="module")
 def drive():
-    camera_model = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
-    spec = LidarSpec(beams=8, steps=90)
-    return simulate_street(1, frames=4, lidar=spec, cameras=(CameraSpec(camera_model),)).scene
+    cameras = (CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)),)
+    return simulate_street(1, frames=4, lidar=LidarSpec(beams=8, steps=90), cameras=cameras).scene
 
 
 @pytest.mark.few(7)
@@ -367,21 +369,12 @@ def test_what_is_asked_for_ahead_is_not_asked_for_again_and_reading_near_takes_w
     assert file.read_near(899_990, 900_000, 50_000) == CONTENT[-10:]
 
 
-@pytest.fixture
-def mcap_drive(tmp_path):
-    """40 sweeps of 8,000 points, in chunks that are not compressed, as bytes of an MCAP file."""
-    rng = np.random.default_rng(5)
-    frames = [
-        LidarFrame(k * 100_000_000, LidarPoints(rng.normal(size=(8_000, 3)).astype(np.float32))) for k in range(40)
-    ]
-    lidar = LidarSensor("top", LazyFrames.of(frames, [frame.timestamp_ns for frame in frames]))
-    sceneloom.write(Scene((lidar,)), tmp_path / "drive.mcap", compression="none")
-    return tmp_path / "drive.mcap"
-
-
 def test_a_sweep_costs_its_message_faults_that_pass_do_not_show_and_other_processes_refuse_a_changed_drive(
-    served, mcap_drive, waits
+    served, tmp_path, waits
 ):
+    mcap_drive = tmp_path / "drive.mcap"
+    # in chunks that are not compressed
+    sceneloom.write(drive_of_clouds(), mcap_drive, compression="none")
     served.files["drive.mcap"] = mcap_drive.read_bytes()
     with sceneloom.open(served.url("drive.mcap") + "?sig=hidden") as scene, sceneloom.open(mcap_drive) as local:
         assert served.bytes_sent < len(served.files["drive.mcap"]) / 4
@@ -519,14 +512,6 @@ NAMES = ["data.jsonl", "frames/0.png", "frames/1.png"]
 
 
 @pytest.fixture
-def small_drive(tmp_path, encode_sfs):
-    frames = [{"timestamp": k, "points": {"positions": np.full((2, 3), k, np.float32)}} for k in range(3)]
-    path = tmp_path / "drive.sfs"
-    path.write_bytes(encode_sfs({"version": "1.0", "sensors": [{"id": "top", "type": "lidar", "frames": frames}]}))
-    return path
-
-
-@pytest.fixture
 def folder(tmp_path):
     root = tmp_path / "drive"
     (root / "frames").mkdir(parents=True)
@@ -550,7 +535,11 @@ def puts(monkeypatch):
     return order, faults
 
 
-def test_a_scene_is_written_to_a_store_as_to_disk_and_replaces_nothing_unless_it_may(memory, small_drive, tmp_path):
+def test_a_scene_is_written_to_a_store_as_to_disk_and_replaces_nothing_unless_it_may(memory, encode_sfs, tmp_path):
+    small_drive = tmp_path / "drive.sfs"
+    frames = [{"timestamp": k, "points": {"positions": np.full((2, 3), k, np.float32)}} for k in range(3)]
+    scene = {"version": "1.0", "sensors": [{"id": "top", "type": "lidar", "frames": frames}]}
+    small_drive.write_bytes(encode_sfs(scene))
     memory.pipe("/bucket/deep/copy.sfs", b"old")
     with sceneloom.open(small_drive) as scene:
         with pytest.raises(OutputError, match=r"bucket/deep/copy\.sfs: exists already; .*--overwrite"):
@@ -561,6 +550,12 @@ def test_a_scene_is_written_to_a_store_as_to_disk_and_replaces_nothing_unless_it
     assert memory.cat_file("/bucket/deep/copy.sfs") == (tmp_path / "copy.sfs").read_bytes()
     assert sceneloom.convert(small_drive, "memory://bucket/other.sfs").target == "memory://bucket/other.sfs"
     assert "/bucket/other.sfs" in memory.store
+    thin = ["edit", "thin", str(small_drive), "-o", "memory://bucket/thin.sfs", "--every", "2", "--json"]
+    done = CliRunner().invoke(program, thin)
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["output"] == "memory://bucket/thin.sfs"
+    with sceneloom.open("memory://bucket/thin.sfs") as scene:
+        assert len(scene.lidars[0].frames) == 2
 
 
 def test_a_verb_that_fails_leaves_nothing_and_an_upload_that_is_cut_is_begun_anew(memory, folder, waits, puts):
@@ -615,24 +610,12 @@ def test_a_folder_replaces_all_of_the_old_one_its_marker_comes_last_and_one_that
     assert [memory.cat_file(f"/bucket/drive/{name}").decode() for name in NAMES] == NAMES
 
 
-@pytest.mark.parametrize(
-    ("url", "error", "problem"),
-    [
+def test_locations_that_nothing_can_be_written_to_are_refused(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gcsfs", None)
+    for url, error, problem in (
         ("https://me:hidden@host/drive.sfs", OutputError, "web server, which is only read from"),
         ("s3://", OutputError, "names no file or folder"),
         ("gs://b/drive.sfs", MissingExtraError, r"gs://b/drive\.sfs: .*gcsfs.*pip install 'sceneloom\[cloud\]'"),
-    ],
-)
-def test_locations_that_nothing_can_be_written_to_are_refused(monkeypatch, url, error, problem):
-    monkeypatch.setitem(__import__("sys").modules, "gcsfs", None)
-    with pytest.raises(error, match=problem):
-        check_remote_output(url, overwrite=False)
-
-
-def test_verbs_write_to_stores(memory, small_drive):
-    thin = ["edit", "thin", str(small_drive), "-o", "memory://bucket/thin.sfs", "--every", "2", "--json"]
-    done = CliRunner().invoke(program, thin)
-    assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["output"] == "memory://bucket/thin.sfs"
-    with sceneloom.open("memory://bucket/thin.sfs") as scene:
-        assert len(scene.lidars[0].frames) == 2
+    ):
+        with pytest.raises(error, match=problem):
+            check_remote_output(url, overwrite=False)

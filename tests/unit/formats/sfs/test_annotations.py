@@ -1,5 +1,7 @@
 """Annotations of every type: what becomes of their fields, and where faults are stated to be."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from tests.unit.formats.sfs.conftest import make
@@ -94,18 +96,17 @@ def test_calibrations_keep_what_the_model_has_no_field_for(read_one):
     assert (bare.poses, bare.intrinsics, bare.time_offset_ns) == (None, None, None)
 
 
-def test_a_single_pose_of_a_correction_holds_at_all_times_and_does_not_move_the_clock(target):
+def test_a_single_pose_of_a_correction_does_not_move_the_clock_and_camera_models_have_all_numbers_or_the_nearest(
+    target,
+):
     late = 1_700_000_000 * 10**9
-    write_scene(
-        sc.Scene((), (sc.LocalizationAdjustment("a", sc.Poses.identity()), sc.EventAnnotation("e", late))), target
-    )
+    single = sc.LocalizationAdjustment("a", sc.Poses.identity())
+    write_scene(sc.Scene((), (single, sc.EventAnnotation("e", late))), target)
     scene = FORMAT.open(target)
     assert (scene.time_offset_ns, scene.annotations[0].poses.static) == (late, True)
-
-
-def test_the_camera_model_of_a_calibration_is_written_with_all_numbers_or_as_the_nearest_one(target):
     camera_model = Camera("brown_conrady", 8, 6, 10.0, 11.0, 3.0, 2.0, (0.1, 0.2, 0.3, 0.4, 0.5))
-    losses = write_scene(sc.Scene((), (sc.CameraCalibration("c", "front", intrinsics=camera_model),)), target)
+    calibrations = (sc.CameraCalibration("c", "front", intrinsics=camera_model),)
+    losses = write_scene(sc.Scene((), calibrations), target, overwrite=True)
     scene = FORMAT.open(target)
     assert scene.annotations[0].intrinsics.coefficients == (0.1, 0.2, 0.3, 0.4, 0.5, 0, 0, 0, 0, 0)
     assert (losses.losses, scene.warnings) == ((), ())
@@ -119,15 +120,13 @@ def test_the_camera_model_of_a_calibration_is_written_with_all_numbers_or_as_the
     assert (nearest.width, nearest.height) == (640, 480)
 
 
-@pytest.mark.parametrize("unknown", [{}, {"unit": "m/s"}])
-@pytest.mark.parametrize("values", [[], [1.5], [1.5, "fast", "faster"]])
-def test_an_attribute_with_more_or_fewer_values_than_timestamps_is_kept_as_found(read, target, values, unknown):
-    scene = read({**CUBOID, "id": 1, "attributes": [{**ATTRIBUTE, **unknown, "values": values}]})
-    write_scene(scene, target)
-    for (cuboid,) in (scene.annotations, FORMAT.open(target).annotations):
-        (attribute,) = cuboid.attributes
-        assert attribute.timestamps_ns.tolist() == [2000, 3000]
-        assert attribute.values == tuple(values)
+def test_an_attribute_with_more_or_fewer_values_than_timestamps_is_kept_as_found(read, target):
+    for values, unknown in product(([], [1.5], [1.5, "fast", "faster"]), ({}, {"unit": "m/s"})):
+        scene = read({**CUBOID, "id": 1, "attributes": [{**ATTRIBUTE, **unknown, "values": values}]})
+        write_scene(scene, target, overwrite=True)
+        for (cuboid,) in (scene.annotations, FORMAT.open(target).annotations):
+            (attribute,) = cuboid.attributes
+            assert (attribute.timestamps_ns.tolist(), attribute.values) == ([2000, 3000], tuple(values))
 
 
 USUAL = {"id": "c", "type": "cuboid", "path": path_of(ROW, ROW), "attributes": [ATTRIBUTE]}
@@ -218,11 +217,7 @@ CALIBRATION = {"type": "camera_calibration", "sensor_id": 1, "intrinsics": {**CA
         ({**POINTS, "labels": [None]}, "labels[0]", "None; expected text"),
         ({**POINTS, "paths": [path_of([1, 2, 3], [1, 2])]}, "paths[0].values[1]", "2 numbers; expected 3"),
         ({**POINTS, "paths": [path_of([1.0] * 5)]}, "paths[0].values", "rows of 5 numbers"),
-        (
-            {**POINTS, "projections": [[], [{**SEEN, "points": [None, [1]]}]]},
-            "projections[1][0].points[1]",
-            "1 numbers",
-        ),
+        ({**POINTS, "projections": [[], [{**SEEN, "points": [None, [1]]}]]}, "projections[1][0].points[1]", "1 number"),
         (adjusted(), "poses", "empty; expected at least one"),
         (adjusted(POSE, [0.0] * 7), "poses.values[1]", "a quaternion of norm 0; expected 1"),
         (CALIBRATION, "intrinsics", "focal lengths -1.0"),
@@ -236,30 +231,19 @@ def test_a_fault_is_named_with_its_location(read, annotation, location, problem)
     assert problem in caught.value.problem
 
 
-T0 = np.zeros(1, np.int64)
-SEEN_NOWHERE = (sc.Projection("c", T0, boxes=np.array([[1, np.nan, 2, 3]])),)
-
-
-@pytest.mark.parametrize(
-    ("annotation", "location"),
-    [
-        (sc.Box2DAnnotation("a", "c", sc.BoxPath(T0, np.full((1, 4), np.inf))), "path.values[0]"),
-        (sc.CuboidAnnotation("a", sc.CuboidPath(T0, np.full((1, 9), np.nan))), "path.values[0]"),
-        (
-            sc.ShapeAnnotation("a", sc.ShapeType.POINT, sc.VertexPath(T0, (np.full((1, 3), np.nan),))),
-            "path.values[0], vertices[0]",
-        ),
-        (sc.PointsAnnotation("a", (sc.PointPath(T0, np.full((1, 3), np.nan)),)), "paths[0].values[0]"),
-        (
-            sc.CuboidAnnotation("a", sc.CuboidPath(T0, np.ones((1, 9))), projections=SEEN_NOWHERE),
-            "projections[0].boxes[0]",
-        ),
-    ],
-)
-def test_numbers_that_json_cannot_state_are_refused_with_their_location(target, annotation, location):
-    with pytest.raises(OptionError) as caught, SceneWriter(target) as writer:
-        writer.add_annotation(annotation)
-    assert f"annotations[a].{location}: " in str(caught.value)
+def test_numbers_that_json_cannot_state_are_refused_with_their_location(target):
+    t0, box, row = np.zeros(1, np.int64), np.array([[1, np.nan, 2, 3]]), np.full((1, 3), np.nan)
+    seen, cuboid = (sc.Projection("c", t0, boxes=box),), sc.CuboidPath(t0, np.ones((1, 9)))
+    for annotation, location in (
+        (sc.Box2DAnnotation("a", "c", sc.BoxPath(t0, np.full((1, 4), np.inf))), "path.values[0]"),
+        (sc.CuboidAnnotation("a", sc.CuboidPath(t0, np.full((1, 9), np.nan))), "path.values[0]"),
+        (sc.ShapeAnnotation("a", sc.ShapeType.POINT, sc.VertexPath(t0, (row,))), "path.values[0], vertices[0]"),
+        (sc.PointsAnnotation("a", (sc.PointPath(t0, row),)), "paths[0].values[0]"),
+        (sc.CuboidAnnotation("a", cuboid, projections=seen), "projections[0].boxes[0]"),
+    ):
+        with pytest.raises(OptionError) as caught, SceneWriter(target) as writer:
+            writer.add_annotation(annotation)
+        assert f"annotations[a].{location}: " in str(caught.value)
 
 
 def test_many_warnings_take_no_longer_each(read):

@@ -73,9 +73,7 @@ def test_faults_of_every_part_are_found_at_once(examined):
     assert [annotation.id for annotation in examination.scene.annotations] == [1]
     costs = [*["lidar 'second'"] * 4, "", "sensors[2]", "cuboid 2", "link 3"]
     assert [fault.costs for fault in examination.faults[2:]] == costs
-
-
-def test_of_two_with_one_id_the_first_is_kept(examined):
+    # of two with one id the first is kept
     sensors = (make.lidar(), make.lidar(frames=[]), make.lidar(id=1), make.lidar(id="1"))
     annotations = [{"id": 1, "type": "group"}, {"id": 1, "type": "object"}]
     examination = examined(make.scene(*sensors, annotations=annotations))
@@ -138,15 +136,13 @@ def test_arrays_and_poses_at_fault_are_all_reported_and_once_and_a_file_without_
     assert (examination.scene, placed(examination)) == (None, [("header", "unreadable")])
 
 
-def test_faults_of_our_metadata_leave_the_rest_of_it(examined):
+def test_faults_of_our_metadata_leave_the_rest_of_it(examined, open_header):
     ours = {"sensor_notes": [{"model": "x"}, {"id": "top", "model": "VLP-16"}], "warnings": [{}], "sensors": 5}
     examination = examined(make.scene(make.lidar(), metadata={"sceneloom": ours, "mine": 1}))
     assert ("metadata.sceneloom.sensor_notes[0].id", "malformed") in placed(examination)
     assert examination.scene.sensors[0].model == "VLP-16"
     assert examination.scene.metadata["mine"] == 1
-
-
-def test_lenient_reading_keeps_what_was_brought_into_order_with_a_warning(open_header):
+    # and lenient reading keeps what was brought into order, with a warning
     header = make.scene(make.lidar(poses={"timestamps": [0], "values": [[0, 0, 0, 0, 0, 0, 2]]}))
     with pytest.raises(DataError, match="norm 2; expected 1"):
         open_header(header)

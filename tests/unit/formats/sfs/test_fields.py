@@ -10,17 +10,6 @@ from sceneloom.formats.sfs.schema import ANNOTATION_RECORDS, RECORDS, Kind
 
 PAGE = Path(__file__).parents[4] / "docs" / "formats" / "sfs.md"
 OF_RECORDS = {Kind.RECORD, Kind.RECORDS, Kind.RECORD_OR_RECORDS, Kind.RECORD_LISTS, Kind.RECORD_MAP}
-FIELDS = [(record, field) for record, fields in RECORDS.items() for field in fields.values()]
-
-
-@pytest.mark.parametrize(("record", "field"), FIELDS, ids=[f"{record}.{field.name}" for record, field in FIELDS])
-def test_a_field_names_what_its_kind_needs(record, field):
-    assert (field.kind in OF_RECORDS) == (field.record != "")
-    assert not field.record or field.record in RECORDS
-    assert (field.kind is Kind.ARRAY) == (field.dtype != "")
-    assert not field.dtype or np.dtype(field.dtype).name == field.dtype
-
-
 # records that have a table of their own on the page; sensors of ours, which stand under our metadata, have none
 SHARED = {"poses": "Poses", "attribute": "Attributes"}
 EVERYWHERE = {"sensor": ("Every sensor", "Poses"), "annotation": ("Every annotation", "Poses")}
@@ -70,7 +59,12 @@ def test_the_page_says_what_becomes_of_every_field(record):
         assert {field.name for field in RECORDS[shared].values()} <= tables[heading]
 
 
-def test_every_annotation_of_the_description_is_in_the_table():
+def test_every_annotation_of_the_description_is_in_the_table_whose_fields_name_what_their_kind_needs():
+    for name, field in ((f"{record}.{name}", field) for record in RECORDS for name, field in RECORDS[record].items()):
+        assert (field.kind in OF_RECORDS) == (field.record != ""), name
+        assert not field.record or field.record in RECORDS, name
+        assert (field.kind is Kind.ARRAY) == (field.dtype != ""), name
+        assert not field.dtype or np.dtype(field.dtype).name == field.dtype, name
     # Source: the headings of the description, plus `attributes`, `point`, `point_topdown`, `point_segmentation`
     expected = (
         "cuboid box_2d polyline_2d polygon_2d point_2d polygon polygon_topdown polyline points event labeled_points "

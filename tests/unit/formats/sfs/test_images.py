@@ -24,7 +24,6 @@ def brown(*coefficients):
     return Camera("brown_conrady", 32, 16, 40.0, 40.0, 15.5, 7.5, coefficients)
 
 
-PRISM = brown(*[0.0] * 10, 0.01, 0, 0, 0, 0, 0)
 MS = 1_000_000
 
 
@@ -224,18 +223,19 @@ def test_a_camera_model_that_the_format_lacks_is_fitted_and_its_note_counts_unle
     target, encode_sfs, decode_sfs
 ):
     # at the corner (16, 8) px from the centre x' = x + s1 r²: about 40 · 0.01 · (0.4² + 0.2²) = 0.08 px
-    report = write_scene(Scene((camera([], camera=PRISM),)), target)
+    prism = brown(*[0.0] * 10, 0.01, 0, 0, 0, 0, 0)
+    report = write_scene(Scene((camera([], camera=prism),)), target)
     header = decode_sfs(target.read_bytes())
     record = header["sensors"][0]["intrinsics"]
     numbers = [record[name] for name in ("width", "height", "fx", "fy", "cx", "cy")]
     written = Camera(record["distortion"]["model"], *numbers, tuple(record["distortion"]["params"]))
     u, v = np.meshgrid(np.linspace(-0.5, 31.5, 50), np.linspace(-0.5, 15.5, 40))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-    off = np.hypot(*(project_unbounded(written, unproject(PRISM, pixels)) - pixels).T)
+    off = np.hypot(*(project_unbounded(written, unproject(prism, pixels)) - pixels).T)
     (stated,) = (loss.what.split("up to ")[1].split()[0] for loss in report if "distortion" in loss.field)
     assert off.max() == pytest.approx(float(stated), rel=0.05)
     assert off.max() < 0.04
-    assert FORMAT.open(target).cameras[0].camera == PRISM
+    assert FORMAT.open(target).cameras[0].camera == prism
     record["distortion"]["params"][0] = 0.25
     target.write_bytes(encode_sfs(header))
     read = FORMAT.open(target).cameras[0].camera

@@ -39,32 +39,18 @@ def swept(timestamp=0, root=None, **points):
     return make.scene(make.lidar(frames=frames), **(root or {}))
 
 
-@pytest.mark.parametrize(
-    ("times", "dtype", "root", "expected"),
-    [
-        (
-            [10**6, 10**6 + 3],
-            np.uint32,
-            {"time_offset": OFFSET},
-            [1000 * (OFFSET + 10**6), 1000 * (OFFSET + 10**6 + 3)],
-        ),
-        ([7, 1_999_999_999], np.uint64, {"time_unit": "nanoseconds", "time_offset": 5}, [12, 2_000_000_004]),
-        ([7, 1_999_999_999], np.uint64, {"time_unit": "nanosecond", "time_offset": 5}, [12, 2_000_000_004]),
-        ([3, 4], np.uint32, {}, [3000, 4000]),
-        ([3, 4], np.uint64, {}, [3000, 4000]),
-        ([3, 4], np.int32, {}, [3000, 4000]),
-        ([3, 4], np.int64, {}, [3000, 4000]),
-    ],
-)
-def test_times_are_absolute_nanoseconds(open_header, times, dtype, root, expected):
-    scene = open_header(swept(times[0], root, timestamps=np.array(times, dtype)))
-    frame = scene.sensors[0].frames[0]
-    assert frame.timestamp_ns == expected[0]
-    assert frame.points.timestamps_ns.tolist() == expected
-    assert scene.time_offset_ns == root.get("time_offset", 0) * (1 if "time_unit" in root else 1000)
-
-
-def test_odd_times_are_exact_recognised_as_counted_from_the_frame_or_refused_when_read(open_header):
+def test_times_are_absolute_nanoseconds_and_odd_ones_exact_counted_from_the_frame_or_refused_when_read(open_header):
+    late = {"time_offset": OFFSET}, [1000 * (OFFSET + 10**6), 1000 * (OFFSET + 10**6 + 3)]
+    for times, dtype, root, expected in (
+        ([10**6, 10**6 + 3], np.uint32, *late),
+        *(([7, 1_999_999_999], np.uint64, {"time_unit": unit, "time_offset": 5}, [12, 2_000_000_004])
+          for unit in ("nanoseconds", "nanosecond")),
+        *(([3, 4], dtype, {}, [3000, 4000]) for dtype in (np.uint32, np.uint64, np.int32, np.int64)),
+    ):  # fmt: skip
+        scene = open_header(swept(times[0], root, timestamps=np.array(times, dtype)))
+        frame = scene.sensors[0].frames[0]
+        assert (frame.timestamp_ns, frame.points.timestamps_ns.tolist()) == (expected[0], expected)
+        assert scene.time_offset_ns == root.get("time_offset", 0) * (1 if "time_unit" in root else 1000)
     lidar = make.lidar(frames=[{"timestamp": timestamp, "points": {"positions": TWO}} for timestamp in (2.0, 2.5)])
     assert open_header(make.scene(lidar)).sensors[0].frames.timestamps_ns.tolist() == [2000, 2500]
     points = {"positions": TWO, "timestamps": np.array([0, 99_000], np.uint32)}
@@ -90,9 +76,7 @@ def test_arrays_of_points_have_the_types_of_the_model(open_header):
     assert frame.points.extras["confidence"].tolist() == [0.5, 1.0]
     assert frame.extras == {"weather": "rain"}
     assert not frame.points.positions.flags.writeable
-
-
-def test_arrays_of_strangers_are_carried_along_cut_into_rows_and_made_of_lists(open_header):
+    # those of strangers are carried along, cut into rows and made of lists
     ring, flat = np.array([1, 2], np.uint8), TWO.reshape(-1)
     header = swept(positions=flat, ring=ring, intensities=[7, 8], colors=[[1, 2, 3], [4, 5, 6]])
     points = open_header(header).sensors[0].frames[0].points
@@ -130,18 +114,17 @@ def test_nothing_but_the_header_is_read_at_open_and_arrays_outlive_the_scene(ope
         frames[0]
 
 
-@pytest.mark.parametrize(
-    ("coordinates", "option", "expected"),
-    [(None, None, "world"), ("world", None, "world"), ("ego", None, "ego"), ("ego", "sensor", "sensor")],
-)
-def test_points_are_in_the_frame_that_coordinates_name_unless_stated(open_header, coordinates, option, expected):
-    scene = open_header(make.scene(make.lidar(coordinates=coordinates)), points_frame=option)
-    assert scene.sensors[0].points_frame == sc.PointsFrame(expected)
-    assert scene.sensors[0].coordinates == sc.Coordinates(coordinates or "world")
-    assert ("points-frame" in codes(scene)) is (option is None)
+def test_points_are_where_coordinates_name_unless_stated_and_a_single_pose_of_the_ego_or_many_frames_holds_for_ever(
+    open_header,
+):
+    for given, option, expected in (
+        (None, None, "world"), ("world", None, "world"), ("ego", None, "ego"), ("ego", "sensor", "sensor"),
+    ):  # fmt: skip
+        scene = open_header(make.scene(make.lidar(coordinates=given)), points_frame=option)
+        sensor = scene.sensors[0]
+        assert (sensor.points_frame, sensor.coordinates) == (expected, given or "world")
+        assert ("points-frame" in codes(scene)) is (option is None)
 
-
-def test_a_single_pose_holds_for_ever_on_the_ego_and_for_sensors_with_several_frames(open_header):
     def read(**fields):
         scene = open_header(make.scene(make.lidar(**fields), time_offset=1))
         return scene.sensors[0].poses, codes(scene)
@@ -161,15 +144,6 @@ def test_a_single_pose_holds_for_ever_on_the_ego_and_for_sensors_with_several_fr
     assert "no-poses" in found
 
 
-@pytest.mark.parametrize("name", ["odometry", "gps", "odometer"])
-def test_odometry_is_a_sensor_and_a_trajectory(open_header, name):
-    poses = {"timestamps": [0, 5], "values": [[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]]}
-    scene = open_header(make.scene({"id": "car", "type": name, "poses": poses}))
-    assert isinstance(scene.sensors[0], sc.OdometrySensor)
-    assert scene.trajectories["car"].positions.tolist() == [[0, 0, 0], [1, 0, 0]]
-    assert ("sensor-alias" in codes(scene)) is (name != "odometry")
-
-
 def test_sensors_of_every_type_are_read_and_ids_keep_their_type(open_header):
     points = {"positions": TWO, "directions": TWO, "lengths": np.array([1, 2], np.float32)}
     radar = make.lidar(id="radar", type="radar", frames=[{"timestamp": 0, "points": points}])
@@ -185,6 +159,13 @@ def test_sensors_of_every_type_are_read_and_ids_keep_their_type(open_header):
     assert (scene.sensors[2].type, fields["poses"]) == ("sonar", "?")
     assert fields["frames"] == [{"timestamp": 7000, "pings": [1, "a"]}]
     assert [scene.sensors.index(scene.sensor(name)) for name in (1, "1")] == [3, 4]
+    # odometry is a sensor and a trajectory
+    poses = {"timestamps": [0, 5], "values": [[0, 0, 0, 0, 0, 0, 1], [1, 0, 0, 0, 0, 0, 1]]}
+    for name in ("odometry", "gps", "odometer"):
+        scene = open_header(make.scene({"id": "car", "type": name, "poses": poses}))
+        assert isinstance(scene.sensors[0], sc.OdometrySensor)
+        assert scene.trajectories["car"].positions.tolist() == [[0, 0, 0], [1, 0, 0]]
+        assert ("sensor-alias" in codes(scene)) is (name != "odometry")
 
 
 def test_annotations_of_unknown_types_stay_as_they_are_with_times_in_nanoseconds(open_header):
@@ -209,15 +190,12 @@ def test_how_angles_are_meant_is_recorded_and_asked_about(open_header):
     assert stated.metadata["sceneloom"] == {"euler_unit": "radians", "euler_order": "zyx"}
     assert stated.warnings == ()
     assert open_header(make.scene()).metadata == {}
-
-
-def test_options_that_cannot_be_followed_are_refused_and_none_states_nothing(open_header):
+    # options that cannot be followed are refused, and none states nothing
     wrong = {"euler_unit": "grad", "euler_order": "rpy", "points_frame": "camera", "altitude": "msl"}
-    for name, value in wrong.items():
-        with pytest.raises(OptionError, match=name):
+    for name, value in (*wrong.items(), ("tangential", "euler")):
+        problem = "tangential 'euler'; expected one of opencv, brown" if name == "tangential" else name
+        with pytest.raises(OptionError, match=problem):
             open_header(make.scene(), **{name: value})
-    with pytest.raises(OptionError, match="tangential 'euler'; expected one of opencv, brown"):
-        open_header(make.scene(), tangential="euler")
     assert open_header(make.scene(), points_frame=None, altitude=None).sensors == ()
 
 
@@ -271,23 +249,19 @@ def test_terms_are_exchanged_once_however_often_a_scene_is_written_and_read(open
         assert ("tangential-recorded" in codes(again)) is (stated == "brown")
 
 
-FTHETA = [0.0, 100.0, 0.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize("model", ["ftheta", "fisheye_radial_custom"])
-def test_a_camera_model_whose_formula_nothing_confirms_opens_but_is_not_computed_with(open_header, model):
-    scene = open_header(make.scene(camera(model, FTHETA)))
-    assert scene.cameras[0].camera.model == model
-    assert assumed_models(scene) == ()
-    with pytest.raises(CalibrationError, match=rf"sensors\[c\].camera: '{model}' .* use `--assume-model`"):
-        check_camera_models(scene)
-    check_camera_models(scene, [])
-
-
-def test_computing_with_it_needs_an_option_that_stands_in_the_output(open_header, target, tmp_path):
+def test_computing_with_a_camera_model_whose_formula_nothing_confirms_needs_an_option_that_stands_in_the_output(
+    open_header, target, tmp_path
+):
+    numbers = [0.0, 100.0, 0.0, 0.0, 0.0]
+    for model in ("ftheta", "fisheye_radial_custom"):
+        scene = open_header(make.scene(camera(model, numbers)))
+        assert (scene.cameras[0].camera.model, assumed_models(scene)) == (model, ())
+        with pytest.raises(CalibrationError, match=rf"sensors\[c\].camera: '{model}' .* use `--assume-model`"):
+            check_camera_models(scene)
+        check_camera_models(scene, [])
     jpeg = np.frombuffer(encode_jpeg(np.zeros((6, 8, 3), np.uint8)), np.uint8)
     images = [{"timestamp": 0, "content": jpeg}]
-    header = make.scene(camera("ftheta", FTHETA, images=images, coordinates="ego"))
+    header = make.scene(camera("ftheta", numbers, images=images, coordinates="ego"))
     convert = partial(convert_camera_models, model="fisheye")
     for compute in (align, undistort_scene, convert, partial(write_any, path=tmp_path / "drive")):
         with pytest.raises(CalibrationError, match="assume-model"):
@@ -318,7 +292,8 @@ def poses(timestamps, values):
 
 POSE = [0, 0, 0, 0, 0, 0, 1]
 PATH = {"timestamps": [0], "values": [[1.0] * 9]}
-FRAME = "sensors[0].frames[0]"
+FRAME, POINTS = "sensors[0].frames[0]", "sensors[0].frames[0].points"
+ANOTHER = "another pose than the other one at 1000 ns; expected one pose for each time"
 
 
 @pytest.mark.parametrize(
@@ -343,24 +318,16 @@ FRAME = "sensors[0].frames[0]"
         (lidar(frames=[5]), FRAME, "5; expected an object"),
         (lidar(frames=[{"points": {"positions": TWO}}]), f"{FRAME}.timestamp", "missing"),
         (lidar(frames=[{"timestamp": "0", "points": {"positions": TWO}}]), f"{FRAME}.timestamp", "'0'"),
-        (lidar(frames=[{"timestamp": 0}]), f"{FRAME}.points", "missing; expected an object"),
-        (swept(positions=None), f"{FRAME}.points.positions", "missing"),
-        (
-            swept(positions=TWO.astype(np.float64)),
-            f"{FRAME}.points.positions ($items[0])",
-            "an array of float64; expected float32",
-        ),
-        (swept(positions=TWO.T), f"{FRAME}.points.positions ($items[0])", "shape (3, 2); expected (N, 3)"),
-        (swept(intensities=np.zeros(3, np.uint8)), f"{FRAME}.points.intensities ($items[1])", "3 values for 2 points"),
-        (swept(timestamps=np.zeros(2)), f"{FRAME}.points.timestamps ($items[1])", "float64; expected uint32 or uint64"),
+        (lidar(frames=[{"timestamp": 0}]), POINTS, "missing; expected an object"),
+        (swept(positions=None), f"{POINTS}.positions", "missing"),
+        (swept(positions=TWO.astype("f8")), f"{POINTS}.positions ($items[0])", "an array of float64; expected float32"),
+        (swept(positions=TWO.T), f"{POINTS}.positions ($items[0])", "shape (3, 2); expected (N, 3)"),
+        (swept(intensities=np.zeros(3, np.uint8)), f"{POINTS}.intensities ($items[1])", "3 values for 2 points"),
+        (swept(timestamps=np.zeros(2)), f"{POINTS}.timestamps ($items[1])", "float64; expected uint32 or uint64"),
         (lidar(coordinates="map"), "sensors[0].coordinates", "'map'; expected one of world, ego"),
         (poses([0], [[1, 2]]), "sensors[0].poses", "expected rows of 7 numbers"),
         (poses([0, 1], [POSE]), "sensors[0].poses", "2 timestamps"),
-        (
-            poses([1, 1], [POSE, [1, *POSE[1:]]]),
-            "sensors[0].poses.values[0]",
-            "another pose than the other one at 1000 ns; expected one pose for each time",
-        ),
+        (poses([1, 1], [POSE, [1, *POSE[1:]]]), "sensors[0].poses.values[0]", ANOTHER),
         (poses([0], [[0, 0, 0, 0, 0, 0, 2]]), "sensors[0].poses.values[0]", "norm 2; expected 1"),
         (poses([0], [["0"] * 7]), "sensors[0].poses", "something else"),
         (poses([2**62], []), "sensors[0].poses.timestamps", "does not fit 64 bits"),

@@ -72,17 +72,13 @@ def test_a_frame_costs_its_arrays_in_one_request_and_an_image_itself_and_not_the
         assert len(served.asked) == requests + 2
 
 
-@pytest.mark.parametrize("kind", ["memory", "file"])
-def test_other_back_ends_are_read_too(kind, encode_sfs, tmp_path):
+def test_other_back_ends_are_read_too(encode_sfs, tmp_path):
     content = big_scene(encode_sfs, frames=2, points=10)
-    if kind == "memory":
-        url = "memory://folder/drive.sfs"
-        fsspec.filesystem("memory").pipe("/folder/drive.sfs", content)
-    else:
-        (tmp_path / "my drive.sfs").write_bytes(content)
-        url = (tmp_path / "my drive.sfs").as_uri()
-    with sceneloom.open(url) as scene:
-        assert len(scene.lidars[0].frames[1].points.positions) == 10
+    fsspec.filesystem("memory").pipe("/folder/drive.sfs", content)
+    (tmp_path / "my drive.sfs").write_bytes(content)
+    for url in ("memory://folder/drive.sfs", (tmp_path / "my drive.sfs").as_uri()):
+        with sceneloom.open(url) as scene:
+            assert len(scene.lidars[0].frames[1].points.positions) == 10
 
 
 def video_scene(encode_sfs, *, images, side):

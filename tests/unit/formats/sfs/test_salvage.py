@@ -80,7 +80,7 @@ def cut_before(content, path):
     return content[: stop + item["offset"] + item["length"] // 2]
 
 
-def test_frames_behind_the_cut_are_left_out_and_reported(salvaged, encode_sfs):
+def test_frames_behind_the_cut_are_left_out_and_reported_and_an_optional_array_leaves_its_frame(salvaged, encode_sfs):
     content = encode_sfs({name: v for name, v in drive().items() if name != "annotations"})
     report, scene = salvaged(cut_before(content, ["sensors", 0, "frames", 3, "points", "positions"]))
     assert [frame.points.positions[0, 0] for frame in scene.lidars[0].frames] == [0, 1, 2]
@@ -91,9 +91,6 @@ def test_frames_behind_the_cut_are_left_out_and_reported(salvaged, encode_sfs):
     assert [(s.id, s.kept, s.count) for s in report.sensors] == [("top", 3, 5), ("cam", 0, 3)]
     assert scene.lidars[0].poses is not None
     assert [n.count for n in scene.warnings if n.code == "salvaged"] == [5]
-
-
-def test_an_optional_array_that_is_lost_leaves_its_frame(salvaged, encode_sfs):
     content = encode_sfs({**drive(), "annotations": [], "sensors": drive()["sensors"][:1]})
     report, scene = salvaged(cut_before(content, ["sensors", 0, "frames", 4, "points", "intensities"]))
     frames = scene.lidars[0].frames
@@ -159,30 +156,16 @@ def test_a_header_that_was_cut_keeps_what_is_complete_and_arrays_are_found_behin
     assert sum("lead nowhere" in part.problem for part in report.lost) == 3
 
 
-@pytest.mark.parametrize("reserve", [640, 1 << 17])
-def test_the_draft_of_a_writer_that_was_stopped_is_reported(tmp_path, reserve, monkeypatch):
-    monkeypatch.setattr("sceneloom.formats.sfs.writer._IN_MEMORY", 1000)
-    with Spool(tmp_path / "draft.sfs", reserve=lambda: reserve) as spool:
-        spool.add(np.ones(100_000, np.float32))
-        spool.add(np.ones(100_000, np.float32))
-    with pytest.raises(DataError, match="draft of a writer that was stopped"):
-        salvage(tmp_path / "draft.sfs", tmp_path / "out.sfs")
-    assert not (tmp_path / "out.sfs").exists()
-
-
 def encoded(path, *, images, flags):
     """H.264 with images that are stored in another order than they are shown in."""
     rng = np.random.default_rng(5)
-    movie = av.open(path, "w", format="mp4", options={"movflags": flags} if flags else {})
-    stream = movie.add_stream("libx264", rate=10, options={"bf": "2", "g": "12"})
-    stream.width, stream.height = 96, 64
-    for _ in range(images):
-        frame = av.VideoFrame.from_ndarray(rng.integers(0, 256, (64, 96, 3), np.uint8), format="rgb24")
-        for packet in stream.encode(frame):
-            movie.mux(packet)
-    for packet in stream.encode():
-        movie.mux(packet)
-    movie.close()
+    with av.open(path, "w", format="mp4", options={"movflags": flags} if flags else {}) as movie:
+        stream = movie.add_stream("libx264", rate=10, options={"bf": "2", "g": "12"})
+        stream.width, stream.height = 96, 64
+        for _ in range(images):
+            frame = av.VideoFrame.from_ndarray(rng.integers(0, 256, (64, 96, 3), np.uint8), format="rgb24")
+            movie.mux(stream.encode(frame))
+        movie.mux(stream.encode())
     return np.frombuffer(path.read_bytes(), np.uint8)
 
 
@@ -289,8 +272,18 @@ def test_a_scene_cut_or_changed_anywhere_is_salvaged_or_refused(encode_sfs, tmp_
             sceneloom.open(target).close()
 
 
-def test_the_command_reports_what_is_kept_and_lost_and_the_damaged_file_is_never_written_over(encode_sfs, tmp_path):
+def test_the_command_reports_what_is_kept_and_lost_and_the_damaged_file_is_never_written_over(
+    encode_sfs, tmp_path, monkeypatch
+):
     path, target = tmp_path / "drive.sfs", tmp_path / "out.sfs"
+    monkeypatch.setattr("sceneloom.formats.sfs.writer._IN_MEMORY", 1000)
+    for reserve in (640, 1 << 17):
+        with Spool(path, reserve=lambda reserve=reserve: reserve) as spool:
+            spool.add(np.ones(100_000, np.float32))
+            spool.add(np.ones(100_000, np.float32))
+        with pytest.raises(DataError, match="draft of a writer that was stopped"):
+            salvage(path, target)
+        assert not target.exists()
     path.write_bytes(cut_before(encode_sfs(drive()), ["sensors", 0, "frames", 3, "points", "positions"]))
     with pytest.raises(DataError, match="choose another name"):
         salvage(path, path, overwrite=True)
@@ -337,24 +330,16 @@ def test_with_a_value_of_our_metadata_goes_the_stream_that_cannot_be_without_it(
     for absent in ("metadata.sceneloom.sensors[0].streams.absent", "sensors[9].frames[0]", "version", "nothing"):
         assert what_goes(header, parse_path(absent)) is None
 
-
-@pytest.mark.parametrize(
-    ("content", "lost", "kept", "notes", "kept_notes"),
-    [
+    # and notes about images follow those that stay
+    for content, part, kept, noted, kept_notes in (
         ({"video": {"timestamps": [1, 2, 3]}}, ("video",), {}, {"extras": [{}, {}, {}]}, {"extras": []}),
-        (
-            {"images": ["a", "b", "c"]},
-            ("images", 1),
-            {"images": ["a", "c"]},
-            {"camera_of_image": [0, 1, 2], "mounts": [5], "extras": [{}, {}, {}]},
-            {"camera_of_image": [0, 2], "mounts": [5], "extras": [{}, {}]},
-        ),
-    ],
-)
-def test_notes_about_images_follow_those_that_stay(content, lost, kept, notes, kept_notes):
-    notes = [{"id": "c", "images": notes}, {"id": "d", "images": {"extras": [{}]}}]
-    camera = {"id": "c", "type": "camera"}
-    header = {"sensors": [camera | content], "metadata": {"sceneloom": {"sensor_notes": notes}}}
-    take_out(header, [("sensors", 0, *lost)])
-    assert header["sensors"] == [camera | kept]
-    assert [note["images"] for note in notes] == [kept_notes, {"extras": [{}]}]
+        ({"images": ["a", "b", "c"]}, ("images", 1), {"images": ["a", "c"]},
+         {"camera_of_image": [0, 1, 2], "mounts": [5], "extras": [{}, {}, {}]},
+         {"camera_of_image": [0, 2], "mounts": [5], "extras": [{}, {}]}),
+    ):  # fmt: skip
+        notes = [{"id": "c", "images": noted}, {"id": "d", "images": {"extras": [{}]}}]
+        camera = {"id": "c", "type": "camera"}
+        header = {"sensors": [camera | content], "metadata": {"sceneloom": {"sensor_notes": notes}}}
+        take_out(header, [("sensors", 0, *part)])
+        assert header["sensors"] == [camera | kept]
+        assert [note["images"] for note in notes] == [kept_notes, {"extras": [{}]}]

@@ -203,12 +203,9 @@ def test_fixing_keeps_what_is_whole_and_lists_every_loss(tmp_path, encode_sfs):
         assert [len(sensor.frames) for sensor in scene.sensors[:2]] == [2, 3]
     found = sceneloom.validate(file, rules=["points-not-finite"]).findings
     assert [finding.path for finding in found] == ["sensors[0].frames[2].points.positions"]
-
-
-def test_faults_that_a_removal_brings_to_light_are_reported_at_their_location_in_the_file(tmp_path):
+    # faults that a removal brings to light are reported at their location in the file
     content = {**header(), "sensors": header()["sensors"][4:], "annotations": [], "attributes": []}
     rows = content["sensors"][0]["poses"]["values"]
     rows[0], rows[2] = [float("inf"), *POSE[1:]], [0] * 7
-    (tmp_path / "scene.sfs").write_bytes(json.dumps(content).encode())
-    found = [fault.path for fault in examine(tmp_path / "scene.sfs").faults]
-    assert found == ["sensors[0].poses.values[0]", "sensors[0].poses.values[2]"]
+    file.write_bytes(json.dumps(content).encode())
+    assert [fault.path for fault in examine(file).faults] == [f"sensors[0].poses.values[{k}]" for k in (0, 2)]

@@ -132,28 +132,25 @@ def test_the_offset_makes_the_first_timestamp_small_and_one_of_the_caller_stands
     assert list(target.parent.iterdir()) == [target]
 
 
-@pytest.mark.parametrize("by_annotation", [False, True])
-def test_something_earlier_moves_the_offset_and_the_times_written_before(target, by_annotation):
+def test_something_earlier_moves_the_offset_and_the_times_written_before_and_arrays_stay_with_their_fields(target):
     late, early = 1_700_000_005 * SECOND, 1_699_999_990 * SECOND
-    with SceneWriter(target) as writer:
-        writer.add_sensor(lidar(poses=path_at(late) if by_annotation else path_at(early, late)))
-        writer.add_frame("top", sweep(late, [late, late + 7000]))
-        labels = (sc.LabeledPoints("top", np.array([0, 1], np.uint32)),)
-        writer.add_annotation(sc.LabeledPointsAnnotation(1, labels, label="x"))
-        writer.add_annotation(sc.EventAnnotation(2, early if by_annotation else late))
-    scene = FORMAT.open(target)
-    assert scene.time_offset_ns == early
-    assert scene.sensors[0].frames[0].points.timestamps_ns.tolist() == [late, late + 7000]
-    assert scene.sensors[0].poses.timestamps_ns.tolist() == ([late] if by_annotation else [early, late])
-    assert scene.annotations[0].labeled_points[0].point_ids.tolist() == [0, 1]
-    assert scene.annotations[1].start_ns == (early if by_annotation else late)
-
-
-def test_arrays_of_the_header_stay_with_their_fields_when_the_offset_moves(target):
-    """In the profile `scale` the lidar then starts too late and goes aside, so that the order of writing changes."""
+    for sensor_times, event in (([early, late], late), ([late], early)):
+        with SceneWriter(target, overwrite=True) as writer:
+            writer.add_sensor(lidar(poses=path_at(*sensor_times)))
+            writer.add_frame("top", sweep(late, [late, late + 7000]))
+            labels = (sc.LabeledPoints("top", np.array([0, 1], np.uint32)),)
+            writer.add_annotation(sc.LabeledPointsAnnotation(1, labels, label="x"))
+            writer.add_annotation(sc.EventAnnotation(2, event))
+        scene = FORMAT.open(target)
+        assert (scene.time_offset_ns, scene.annotations[1].start_ns) == (early, event)
+        assert scene.sensors[0].frames[0].points.timestamps_ns.tolist() == [late, late + 7000]
+        assert scene.sensors[0].poses.timestamps_ns.tolist() == sensor_times
+        assert scene.annotations[0].labeled_points[0].point_ids.tolist() == [0, 1]
+    # in the profile `scale` the lidar then starts too late and goes aside, so that the order of writing changes
     late, early = 1_700_000_200 * SECOND, 1_700_000_000 * SECOND
     chart, grid = np.arange(4.0), np.arange(5)
-    with SceneWriter(target, profile="scale", metadata={"grid": grid, "again": grid}) as writer:
+    metadata = {"grid": grid, "again": grid}
+    with SceneWriter(target, profile="scale", metadata=metadata, overwrite=True) as writer:
         writer.add_sensor(lidar(poses=path_at(late), extras={"chart": chart}))
         writer.add_frame("top", sweep(late, [late, late]))
         writer.add_annotation(sc.EventAnnotation(2, early, extras={"drawn": TWO}))
@@ -330,20 +327,15 @@ def test_trajectories_stand_under_our_metadata_in_their_order(target):
     assert (loss.field, loss.count, loss.kept) == ("trajectories[]", 1, "metadata.sceneloom.trajectories")
 
 
-def near_halves(start_ns, span_ns, count=2_000):
-    """Times of which many lie on or beside a whole or half microsecond."""
-    rng = np.random.default_rng(3)
-    whole = rng.integers(0, span_ns // 500, count) * 500
-    return start_ns + whole + rng.integers(-1, 2, count).clip(-whole)
-
-
 @pytest.mark.parametrize("offset_ns", [0, 1_700_000_000_000_000_000, -5_000])
 @pytest.mark.parametrize("start_ns", [0, 1_001, 3_000_000_500])
 @pytest.mark.parametrize("span_ns", [100_000_000, 4_200_000_000, 60_000_000_000])
 @pytest.mark.parametrize("dtype", [np.uint32, np.int64])
 def test_timestamps_of_many_are_those_of_each(offset_ns, start_ns, span_ns, dtype):
-    clock = FileClock(1_000, offset_ns)
-    times_ns = near_halves(offset_ns + start_ns, span_ns)
+    clock, rng = FileClock(1_000, offset_ns), np.random.default_rng(3)
+    # many lie on or beside a whole or half microsecond
+    whole = rng.integers(0, span_ns // 500, 2_000) * 500
+    times_ns = offset_ns + start_ns + whole + rng.integers(-1, 2, 2_000).clip(-whole)
     timestamps, inexact = clock.timestamp_array(times_ns, dtype=dtype)
     assert timestamps.dtype == dtype
     assert timestamps.tolist() == [clock.timestamp(time) for time in times_ns.tolist()]
@@ -425,18 +417,6 @@ def test_headers_of_any_length_stand_before_the_arrays_and_files(tmp_path, kept,
     assert (blobs[3].shape, blobs[len(arrays) - 1].shape) == ((7,), ())
 
 
-def test_a_file_system_that_cannot_make_room_gives_the_same_bytes(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "_IN_MEMORY", 1000)
-    header = b"x" * 10_000
-    quick, _ = spooled(tmp_path / "quick", [SMALL, LARGE], header)
-    monkeypatch.setattr(module, "_fallocate", lambda *arguments: False)
-    monkeypatch.delattr(module.os, "copy_file_range", raising=False)
-    slow, blobs = spooled(tmp_path / "slow", [SMALL, LARGE], header)
-    assert slow == quick
-    check(slow, header, [SMALL, LARGE], blobs)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["quick", "slow"]
-
-
 def test_arrays_are_written_as_they_were_added_in_little_endian_order_and_can_be_changed_meanwhile(tmp_path, kept):
     array, big_endian = SMALL.copy(), np.array([1, 258], ">u4")
     with Spool(tmp_path / "file", reserve=lambda: 640) as spool:
@@ -451,7 +431,7 @@ def test_arrays_are_written_as_they_were_added_in_little_endian_order_and_can_be
     check((tmp_path / "file").read_bytes(), b"{}", arrays, blobs)
 
 
-def test_a_write_that_takes_only_a_part_is_continued(tmp_path, monkeypatch):
+def test_a_file_system_that_takes_only_a_part_or_cannot_make_room_gives_the_same_bytes(tmp_path, monkeypatch):
     class Reluctant(io.FileIO):
         """Takes at most a thousand bytes at once, as a full pipe or a signal makes a file do."""
 
@@ -459,7 +439,8 @@ def test_a_write_that_takes_only_a_part_is_continued(tmp_path, monkeypatch):
             return super().write(bytes(memoryview(content)[:1000]))
 
     monkeypatch.setattr(module, "_IN_MEMORY", 1000)
-    path = tmp_path / "file"
+    header, path = b"x" * 10_000, tmp_path / "file"
+    quick, _ = spooled(tmp_path / "quick", [SMALL, LARGE], header)
     with Spool(path, reserve=lambda: 640) as spool:
         spool._file_for(0).close()
         spool._file = Reluctant(path, "r+b")
@@ -467,3 +448,9 @@ def test_a_write_that_takes_only_a_part_is_continued(tmp_path, monkeypatch):
         blobs = [spool.add(LARGE), spool.add(SMALL)]
         spool.finish(b"{}")
     check(path.read_bytes(), b"{}", [LARGE, SMALL], blobs)
+    monkeypatch.setattr(module, "_fallocate", lambda *arguments: False)
+    monkeypatch.delattr(module.os, "copy_file_range", raising=False)
+    slow, blobs = spooled(tmp_path / "slow", [SMALL, LARGE], header)
+    assert slow == quick
+    check(slow, header, [SMALL, LARGE], blobs)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "quick", "slow"]

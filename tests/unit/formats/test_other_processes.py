@@ -113,14 +113,12 @@ def locations(tmp_path_factory):
     sceneloom.write(drive, folder / "png", images="png")
     sceneloom.write(drive, folder / "raw.sfs")
     sceneloom.fuse(drive, folder / "fused.sfs")
-    sceneloom.write(Scene((jpeg_camera(drive.cameras[0]),)), folder / "jpeg.sfs")
-    return folder
-
-
-def jpeg_camera(camera):
+    camera = drive.cameras[0]
     files = [partial(simplejpeg.encode_jpeg, image.rgb, 90, "RGB", "444") for image in camera.images]
     images = [replace(p, encoded=file) for p, file in zip(camera.images, files, strict=True)]
-    return replace(camera, images=LazyFrames.of(images, camera.images.timestamps_ns))
+    camera = replace(camera, images=LazyFrames.of(images, camera.images.timestamps_ns))
+    sceneloom.write(Scene((camera,)), folder / "jpeg.sfs")
+    return folder
 
 
 @pytest.fixture(scope="module")

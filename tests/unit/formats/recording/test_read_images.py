@@ -205,6 +205,7 @@ def test_what_a_line_says_further_is_read_with_the_image(recording, pinhole):
         with pytest.raises(DataError, match="changed after it was opened"):
             _ = scene.cameras[0].images[1]
     # and videos that nothing names are reported
+    (recording.path / "calibration.json").unlink()
     recording.pngs("frames3", 1).lines([{"sensor": {"type": "a", "values": [1]}, "time": 0}])
     (warning,) = recording.open().warnings
     assert (warning.code, warning.count) == ("videos-not-used", 2)

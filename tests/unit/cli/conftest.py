@@ -15,6 +15,13 @@ from sceneloom.db34t.json import format_json
 from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
 from sceneloom.simulate import CameraSpec, LidarSpec, detect_2d, detect_3d, simulate_street
 
+SMALL = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
+
+
+def small_drive(camera=SMALL, *, seed=1, frames=3):
+    """A street seen by a coarse lidar and one camera."""
+    return simulate_street(seed, frames=frames, lidar=LidarSpec(beams=8, steps=90), cameras=(CameraSpec(camera),))
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -76,9 +83,7 @@ def refuses(call):
 def recording(tmp_path_factory):
     """Three sweeps of a coarse lidar and one small camera, as PNG images."""
     folder = tmp_path_factory.mktemp("recordings") / "drive"
-    camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
-    drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
-    sceneloom.write(drive.scene, folder, images="png")
+    sceneloom.write(small_drive().scene, folder, images="png")
     return folder
 
 

@@ -158,25 +158,6 @@ def test_a_number_that_is_none_is_a_fault_of_the_file(refuses, tmp_path, encode_
     assert not target.exists()
 
 
-@pytest.mark.parametrize(
-    ("code", "arguments", "problem"),
-    [
-        (2, ("convert", "a.sfs", "URL"), " is a URL"),
-        (2, ("fuse", "a.sfs", "-o", "URL"), " is a URL"),
-        (2, ("edit", "crop", "a.sfs", "-o", "URL"), " is a URL"),
-        (2, ("salvage", "a.sfs", "-o", "URL"), " is a URL"),
-        (2, ("validate", "a.sfs", "--fix", "URL"), " is a URL"),
-        (2, ("demo", "--keep", "URL"), " is a URL"),
-        (1, ("diff", "URL", "a.sfs"), ": cannot be found"),
-        (1, ("salvage", "URL", "-o", "c.sfs"), ": is behind a URL"),
-    ],
-)
-def test_a_url_that_is_not_written_or_read_is_named_as_it_was_stated(refuses, monkeypatch, code, arguments, problem):
-    monkeypatch.setattr("sceneloom.formats.remote.stores.time.sleep", lambda _: None)
-    url = "https://127.0.0.1:9/b.sfs"
-    refuses(code, url + problem, *(word.replace("URL", url) for word in arguments))
-
-
 def test_what_was_left_out_before_an_error_is_reported_with_it(call, refuses, recording, drive, tmp_path):
     FAULTS["a broken line"][0](drive)
     arguments = ("fuse", drive, "--lenient", "--trajectory", "nope", "-o", tmp_path / "out.sfs")
@@ -232,32 +213,6 @@ def test_a_scene_file_says_how_to_go_on_where_it_was_cut_off_or_is_held_against_
         refuses(1, f"sceneloom salvage {drive} -o ", "info", drive)
     refuses(1, "drive.sfs", "fuse", drive, "-o", out)
     assert not out.exists()
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("fuse", "{0}", "-o", "{1}", "--boxes3d", "{2}"),
-        ("track", "{0}", "-o", "{1}", "--boxes3d", "{2}"),
-        ("track", "{0}", "-o", "{1}", "--boxes2d", "{2}"),
-        ("colour", "{0}", "-o", "{1}", "--labels", "{2}"),
-        ("convert", "{0}", "{1}", "--from-times", "{2}"),
-        ("report", "{0}", "--quick", "-o", "{1}.html", "--losses", "{2}"),
-        ("report", "{0}", "--quick", "-o", "{1}.html", "--truth", "{2}"),
-        ("edit", "blur", "{0}", "-o", "{1}", "--boxes", "{2}"),
-        ("eval", "trajectory", "{0}", "{0}", "--est-times", "{2}"),
-        ("eval", "trajectory", "{0}", "{0}", "--ref-times", "{2}"),
-        ("calibrate", "{0}", "--boxes2d", "{2}"),
-        ("view", "{0}", "--save", "{1}.rrd", "--detections", "{2}"),
-        ("formats", "--template", "{1}.toml", "--from", "{2}"),
-    ],
-    ids=" ".join,
-)
-def test_an_input_that_is_named_has_to_be_there_and_is_used(call, recording, tmp_path, words):
-    outcome = call(*(word.format(recording, tmp_path / "out.sfs", tmp_path / "nothere.tum") for word in words))
-    assert outcome.code in {1, 2}, outcome.out
-    assert "nothere" in outcome.err or words[-2] in outcome.err
-    assert list(tmp_path.iterdir()) == []
 
 
 READERS = {

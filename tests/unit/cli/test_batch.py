@@ -1,4 +1,4 @@
-"""`sceneloom batch`: one verb over many drives, on disk and in stores."""
+"""`sceneloom batch` and `catalog`: one verb over many drives, on disk and in stores, and their tables."""
 
 import json
 import shutil
@@ -16,6 +16,57 @@ import sceneloom
 from sceneloom.cli.batch import BATCHED, verb_named
 from sceneloom.formats.remote import stores
 from sceneloom.scene.scene import time_span
+
+
+def test_a_catalogue_is_built_updated_and_asked(call, recording, tmp_path):
+    folder = tmp_path / "catalogue"
+    outcome = call("catalog build", recording, tmp_path / "missing", "-o", folder)
+    assert (outcome.code, "1 scene: 1 new, 1 failed" in outcome.out) == (1, True)
+    assert f"failed: {tmp_path / 'missing'}: no such file or folder" in outcome.err
+    assert "1 unchanged" in call("catalog update", folder).out
+    reported = call("catalog query", folder, "--speed", 0, "inf", "--as", "list")
+    assert [json.loads(line)["path"] for line in reported.out.splitlines()] == [str(recording)]
+    rows = json.loads(call("catalog query", folder, "--sql", "SELECT sensor FROM sensors", "--json").out)
+    assert {"sensor": "lidar"} in rows
+    table = call("catalog query", folder, "--show", "drives").out.splitlines()
+    assert table[0].split() == ["path", "seconds", "spans", "moments", "most"]
+    lines = call("catalog query", folder, "--sql", "SELECT 1 AS one, NULL AS two", "--as", "csv").out
+    assert lines == "one,two\n1,\n"
+
+
+def test_filters_beside_sql_what_is_no_catalogue_and_outputs_in_lists_are_refused(refuses, recording, tmp_path):
+    refuses(2, "--sql", "catalog query", tmp_path, "--sql", "SELECT 1", "--label", "car")
+    refuses(1, "holds no catalogue", "catalog query", tmp_path, "--label", "car")
+    refuses(2, "NAME=VALUE", "catalog query", tmp_path, "--attribute", "rain")
+    line = {"path": str(recording), "reading": {"output": str(tmp_path / "elsewhere.sfs")}}
+    (tmp_path / "list.jsonl").write_text(json.dumps(line))
+    refuses(1, "'output'", "batch convert --list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
+    assert not (tmp_path / "elsewhere.sfs").exists()
+
+
+def test_a_list_says_how_its_drives_are_opened(call, succeeds, recording, tmp_path):
+    both, fleet = tmp_path / "kitti", tmp_path / "fleet"
+    for name in ("0001", "0002"):
+        how = ("--to", "kitti-tracking", "--output-option", f"sequence={name}")
+        succeeds("convert", recording, tmp_path / name, *how)
+        shutil.copytree(tmp_path / name, both, dirs_exist_ok=True)
+    succeeds("catalog build", both, "-o", fleet, "--input-option", "sequence=0001")
+    succeeds("catalog update", fleet, both, "--input-option", "sequence=0002")
+    assert "2 scenes: 2 unchanged" in call("catalog update", fleet, both).out
+    reported = call("catalog query", fleet, "--speed", 0, "inf", "--show", "drives", "--as", "list").out
+    readings = [json.loads(line)["reading"] for line in reported.splitlines()]
+    assert readings == [{"sequence": "0001"}, {"sequence": "0002"}]
+    (tmp_path / "list.jsonl").write_text(reported)
+    succeeds("batch convert --list", tmp_path / "list.jsonl", "-o", tmp_path / "out", "--workers", 1)
+    names = sorted(file.name for file in (tmp_path / "out").glob("*.sfs"))
+    assert names == ["kitti_0001.sfs", "kitti_0002.sfs"]
+    again = call("batch convert", both, "-o", tmp_path / "out", "--workers", 1, "--resume")
+    assert (again.code, "2 of them before and unchanged" in again.out) == (0, True), again.err
+    assert f"{both}: 2 drives; --sequence chooses one\n" in again.err
+    assert "2 unchanged" in call("catalog update", fleet, "--list", tmp_path / "list.jsonl").out
+    saved = call("view --list", tmp_path / "list.jsonl", "--save", tmp_path / "both.rrd", "--json")
+    roots = [drive["root"] for drive in json.loads(saved.out)["drives"]]
+    assert (saved.code, roots) == (0, [r"/kitti\ 0001", r"/kitti\ 0002"])
 
 
 def test_drives_are_checked_side_by_side_and_those_that_fail_are_named(call, refuses, reported, recording, tmp_path):
@@ -119,17 +170,15 @@ def test_options_of_the_verb_are_those_of_the_run_and_the_record_is_found_by_the
     refuses(1, "web server", "batch validate", recording, "-o", "https://host/run", "--quick")
 
 
-fsspec = pytest.importorskip("fsspec", reason="the extra `cloud` is not installed")
-pytest.importorskip("aiohttp", reason="the extra `cloud` is not installed")
-
 FAULTS = ("404", "500", "garbage", "short", "long", "stall", "loop", "reset", "none")
 
 
 class Web:
     """A drive at every address: whole, or as the first part of the address says."""
 
-    def __init__(self, content):
-        self.content, self.free, self.well, self.mutants = content, threading.Event(), False, {}
+    def __init__(self, content, forget):
+        self.content, self.forget = content, forget
+        self.free, self.well, self.mutants = threading.Event(), False, {}
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
         self.server.handle_error = lambda *_: None
         self.server.daemon_threads = True
@@ -198,14 +247,15 @@ class Web:
 
 @pytest.fixture
 def web(tmp_path, monkeypatch):
+    fsspec, _ = (pytest.importorskip(n, reason="the extra `cloud` is not installed") for n in ("fsspec", "aiohttp"))
     monkeypatch.setattr("sceneloom.formats.remote.stores.time.sleep", lambda _: None)
     quick = stores.Patience(tries=2, deadline=5.0, answer=0.3)
     monkeypatch.setattr("sceneloom.formats.remote.stores._PATIENCE", quick)
     sceneloom.write(sound_scene(), tmp_path / "drive.sfs")
-    found = Web((tmp_path / "drive.sfs").read_bytes())
+    found = Web((tmp_path / "drive.sfs").read_bytes(), fsspec.filesystem("http").clear_instance_cache)
     yield found
     found.close()
-    fsspec.filesystem("http").clear_instance_cache()
+    found.forget()
 
 
 @pytest.mark.usefixtures("inline")
@@ -232,7 +282,7 @@ def test_each_drive_of_a_hostile_server_fails_by_its_name_and_the_others_are_don
     )
     assert list((tmp_path / "tmp").iterdir()) == []
     web.well = True
-    fsspec.filesystem("http").clear_instance_cache()
+    web.forget()
     succeeds(*words, "--resume")
     assert len(list(out.glob("*.sfs"))) == len(urls)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.unit.cli.conftest import small_drive
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
@@ -165,31 +166,11 @@ def test_edit_count_and_project_report_what_is_seen_of_each_cuboid(succeeds, rep
     assert {path.name for a in seen for path in a.attributes} == {"truncation", "occlusion"}
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", ("simplify", "--tolerance-m", "-1")),
-        ("", ("project", "--camera", "none")),
-        ("", ("count", "--lidar", "none")),
-        ("expected six numbers", ("crop", "--box", "1,2,3")),
-        ("each minimum at most", ("crop", "--box=5,0,0,-5,9,9")),
-        ("expected boxes", ("blur",)),
-        ("no box or outline in an image with label 'face'", ("blur", "--label", "face")),
-        ("expected width x height in pixels", ("undistort", "--size", "48")),
-        ("no sensor 'camera9'", ("undistort", "--camera", "camera9")),
-    ],
-)
-def test_wrong_values_are_wrong_usage(refuses, street, tmp_path, text, words):
-    refuses(2, text, "edit", words[0], street, "-o", tmp_path / "out.sfs", *words[1:])
-    assert not (tmp_path / "out.sfs").exists()
-
-
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory):
     """Three images each: a recording with a video, and a scene file with JPEGs."""
     folder = tmp_path_factory.mktemp("drives")
-    camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
-    drive = simulate_street(1, frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=(camera,))
+    drive = small_drive()
     sceneloom.write(drive.scene, folder / "recording")
     sceneloom.write(drive.scene, folder / "scene.sfs")
     (folder / "boxes.csv").write_text("number,x1,y1,x2,y2\n1,20,10,60,50\n2,200,10,260,50\n")
@@ -224,8 +205,7 @@ def test_boxes_are_hidden_in_the_written_drive_and_the_rest_is_not(reported, dri
 
 @pytest.mark.parametrize("size", [(96, 64), (95, 63)])
 def test_a_lossless_video_stays_so_unless_its_codec_cannot_hold_the_size(tmp_path, size):
-    camera = CameraSpec(Camera("pinhole", *size, 60.0, 60.0, 47.5, 31.5))
-    drive = simulate_street(1, frames=2, lidar=LidarSpec(beams=4, steps=60), cameras=(camera,))
+    drive = small_drive(Camera("pinhole", *size, 60.0, 60.0, 47.5, 31.5), frames=2)
     sceneloom.write(drive.scene, tmp_path / "in", images="ffv1")
     box = ImageBox((20.0, 10.0, 60.0, 50.0), number=1)
     report = blur_files(tmp_path / "in", tmp_path / "out", boxes=[box], fill="black", margin=0.0)
@@ -256,8 +236,7 @@ def test_what_was_blurred_is_counted_and_an_anonymised_drive_begins_at_zero(repo
 def distorted(tmp_path_factory):
     """Two sweeps and two images of a barrel camera model."""
     folder = tmp_path_factory.mktemp("camera_models") / "drive"
-    camera = CameraSpec(Camera("brown_conrady", 96, 64, 60.0, 60.0, 47.5, 31.5, (-0.2, 0.03)))
-    drive = simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
+    drive = small_drive(Camera("brown_conrady", 96, 64, 60.0, 60.0, 47.5, 31.5, (-0.2, 0.03)), frames=2)
     sceneloom.write(drive.scene, folder, images="png")
     return folder
 

@@ -17,14 +17,13 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from tests.unit.cli.conftest import verbs, write_boxes
+from tests.unit.cli.conftest import small_drive, verbs, write_boxes
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.cli.main import sceneloom as command_line
 from sceneloom.formats.base.registry import written_formats
 from sceneloom.service.running import running_server
-from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 SECONDS = 60
 """After this long a verb hangs; each takes a fraction of a second."""
@@ -441,8 +440,7 @@ def test_every_verb_that_reads_a_drive_is_tried_on_odd_scenes():
 def given(tmp_path_factory):
     """What detectors reported, as files, and a server."""
     folder = tmp_path_factory.mktemp("lists")
-    camera = CameraSpec(Camera("pinhole", 48, 32, 30.0, 30.0, 23.5, 15.5))
-    drive = simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,))
+    drive = small_drive(Camera("pinhole", 48, 32, 30.0, 30.0, 23.5, 15.5), frames=2)
     boxes_3d, boxes_2d = write_boxes(drive, folder)
     with running_server() as server:
         yield {"BOXES3D": str(boxes_3d), "BOXES2D": str(boxes_2d), "ADDRESS": server.address}

@@ -1,13 +1,65 @@
-"""Options mean the same on every verb, and answer values that they cannot have."""
+"""Help, and options: they mean the same on every verb, and answer values that they cannot have."""
 
 import re
+import shlex
 
 import click
 import pytest
+from click.shell_completion import ShellComplete
+from click.testing import CliRunner
+from tests.unit.cli import test_odd_scenes as odd_scenes
 from tests.unit.cli.conftest import verbs
 
+from sceneloom.cli.help import Verb
 from sceneloom.cli.main import sceneloom as command_line
 from sceneloom.fusion import system
+
+
+def test_every_verb_ends_with_two_examples_that_its_options_fit(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, verb in VERBS.items():
+        if name.startswith("batch ") and name != "batch status":
+            continue  # they stand elsewhere, too
+        assert (isinstance(verb, Verb), len(verb.examples)) == (True, 2), name
+        examples = verb.lines_of(f"sceneloom {name}")
+        for example in examples:
+            if name == "completion":
+                continue  # they are of shells
+            words = shlex.split(example.partition(" > ")[0])
+            assert words[: 1 + len(name.split())] == ["sceneloom", *name.split()], example
+            context = click.Context(verb, help_option_names=["-h", "--help"])
+            verb.make_parser(context).parse_args(words[1 + len(name.split()) :])
+        assert CliRunner().invoke(command_line, [*name.split(), "--help"]).output.count(examples[1]) == 1
+
+
+def test_rare_options_are_shown_by_help_all_and_a_verb_that_is_none_names_those_that_it_resembles():
+    usual, whole = (CliRunner().invoke(command_line, ["fuse", flag]).output for flag in ("--help", "--help-all"))
+    assert "--euler-unit" not in usual
+    groups = [line for line in usual.splitlines() if line and not line.startswith(" ")]
+    assert groups[1:] == ["Options:", "Input:", "Output:", "General:", "Examples:"]
+    assert "--euler-unit" in whole.split("\nInput:")[1].split("\nOutput:")[0]
+    assert usual.split("\nGeneral:")[1].index("--help-all") < usual.split("\nGeneral:")[1].index("-h, --help")
+    for words, meant in {
+        "fsue": "fuse",
+        "edit corp": "crop",
+        "eval track": "tracking",
+        "batch covert": "convert",
+    }.items():
+        result = CliRunner().invoke(command_line, words.split())
+        assert (result.exit_code, f"Did you mean {meant}" in result.output) == (2, True)
+
+
+def test_names_of_formats_trajectories_and_sensors_are_completed(recording):
+    for words, incomplete, expected in (
+        (("fuse", recording, "--input-format"), "ro", ["ros1", "ros2"]),
+        (("convert", recording, "x", "--to"), "nus", ["nuscenes", "nuscenes-bin"]),
+        (("fuse", recording, "--trajectory"), "l", ["lidar"]),
+        (("edit", "crop", recording, "--sensor"), "cam", ["camera0"]),
+        (("edit", "crop", "nothing.sfs", "--sensor"), "cam", []),
+    ):
+        complete = ShellComplete(command_line, {}, "sceneloom", "_X").get_completions
+        assert [item.value for item in complete(list(map(str, words)), incomplete)] == expected
+
 
 VERBS = dict(verbs(command_line))
 OPTIONS = [
@@ -17,8 +69,6 @@ OPTIONS = [
     if isinstance(option, click.Option)
     for name in option.opts
 ]
-
-
 FLAG, TEXT, NUMBER, WHOLE, CHOICE, LOCATION = "flag", "text", "number", "whole number", "choice", "location"
 
 MEANINGS = {
@@ -105,20 +155,19 @@ def test_options_of_every_verb_have_help_in_sentences_and_usual_short_names(verb
             assert SHORT[name] in option.opts, f"{verb} {name}"
 
 
-def test_what_is_piped_or_asked_to_be_plain_has_no_colours_and_no_bar(succeeds, recording, tmp_path, monkeypatch):
+def test_no_colours_and_no_bar_where_plain_and_what_to_do_next_with_a_broken_drive(
+    call, succeeds, recording, tmp_path, monkeypatch
+):
     words = ("edit", "thin", recording, "--every", "2", "-o")
     piped = succeeds(*words, tmp_path / "piped.sfs")
-    monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    plain = succeeds(*words, tmp_path / "plain.sfs")
+    with monkeypatch.context() as patch:
+        patch.setenv("NO_COLOR", "1")
+        patch.setattr("sys.stderr.isatty", lambda: True)
+        plain = succeeds(*words, tmp_path / "plain.sfs")
     for outcome in (piped, plain):
         assert not re.search(r"\x1b\[[0-9;]*[1-9][0-9]*m", outcome.out + outcome.err)  # marks that set a colour
     assert "\r" not in piped.err
-
-
-def test_a_drive_that_is_broken_is_answered_with_what_to_do_next(call, recording, tmp_path):
-    broken = tmp_path / "drive"
-    broken.mkdir()
+    (broken := tmp_path / "drive").mkdir()
     (broken / "calibration.json").write_text((recording / "calibration.json").read_text())
     (broken / "data.jsonl").write_text('{"time": 0.0}\n{"x":\n')
     outcome = call("info", broken)
@@ -136,32 +185,17 @@ def test_a_drive_that_is_broken_is_answered_with_what_to_do_next(call, recording
 
 
 NEEDED = {
+    **{" ".join(odd_scenes.words_of(case)): words for case, words in reversed(odd_scenes.CASES.items())},
     "demo": ("--keep", "OUT"),
-    "info": ("DRIVE",),
-    "fuse": ("DRIVE", "-o", "OUT.sfs"),
-    "depth": ("DRIVE", "-o", "OUT"),
+    "serve": (),
+    "get": ("localhost:1", "-o", "OUT"),
     "track": ("DRIVE", "-o", "OUT"),
-    "view": ("DRIVE", "--save", "OUT.rrd"),
-    "convert": ("DRIVE", "OUT.sfs"),
-    "validate": ("DRIVE", "--quick"),
-    "salvage": ("DRIVE", "-o", "OUT.sfs"),
-    "report": ("DRIVE", "-o", "OUT.html"),
-    "diff": ("DRIVE", "DRIVE"),
-    "batch": ("DRIVE", "-o", "OUT"),
-    "catalog build": ("DRIVE", "-o", "OUT"),
+    "conformance": ("localhost:1", "--checks"),
     "catalog update": ("OUT",),
     "catalog query": ("OUT",),
-    "sync": ("DRIVE",),
-    "calibrate": ("DRIVE",),
-    "serve": (),
-    "send": ("DRIVE", "localhost:1"),
-    "conformance": ("localhost:1", "--checks"),
-    "eval detection": ("DRIVE", "DRIVE"),
-    "eval tracking": ("DRIVE", "DRIVE"),
-    "eval trajectory": ("DRIVE", "DRIVE"),
-    "edit merge": ("DRIVE", "DRIVE", "-o", "OUT.sfs"),
 }
-"""What a verb needs beside the option; `edit` verbs take a drive and an output."""
+"""What a verb needs beside the option."""
+KNOWN = {"SOUND": "DRIVE", "ADDRESS": "localhost:1"}
 
 FURTHER_NUMBERS = {"positive": ("inf", "0"), "share": ("0", "1.5"), "not_negative": ()}
 """What numbers of such types cannot be beside those that none can be."""
@@ -186,33 +220,26 @@ def bad_values(option):
 
 
 CASES = [
-    pytest.param(verb, option.opts, value, id=f"{verb} {option.opts[-1]} {' '.join(value)}")
-    for verb, command in verbs(command_line)
-    for option in command.params
-    if isinstance(option, click.Option)
+    pytest.param(verb, name, value, id=f"{verb} {name} {' '.join(value)}")
+    for verb, option, name in OPTIONS
+    if name == option.opts[-1]
     for value in bad_values(option)
 ]
 
 
-@pytest.mark.parametrize(("verb", "names", "value"), CASES)
-def test_a_value_that_an_option_cannot_have_is_answered_with_the_option(call, recording, tmp_path, verb, names, value):
-    needed = NEEDED.get(verb, ("DRIVE", "-o", "OUT.sfs"))
-    words = [word.replace("DRIVE", str(recording)).replace("OUT", str(tmp_path / "out")) for word in needed]
-    outcome = call(*verb.split(), *words, names[-1], *value)
-    assert outcome.code in (1, 2), outcome.out
-    assert "Traceback" not in outcome.err
+@pytest.mark.parametrize(("verb", "name", "value"), CASES)
+def test_a_value_that_an_option_cannot_have_is_answered_with_the_option(call, recording, tmp_path, verb, name, value):
+    words = (KNOWN.get(word, word).replace("OUT", str(tmp_path / "out")) for word in NEEDED.get(verb, ()))
+    words = [word.replace("DRIVE", str(recording)) for word in words]
+    outcome = call(*verb.split(), *words, name, *value)
+    assert (outcome.code in (1, 2), "Traceback" in outcome.err) == (True, False), outcome
     last = [line for line in outcome.err.strip().splitlines() if not line.startswith("next: ")][-1]
-    bare = names[-1].lstrip("-")
-    assert bare in last.lower().replace("_", "-"), last
+    assert name.lstrip("-") in last.lower().replace("_", "-"), last
     named = re.findall(r"(?<![a-z_])[a-z]+(?:_[a-z]+)+(?![a-z_])", last.replace(str(tmp_path), ""))
     assert not named, f"arguments of functions, which nobody could type: {last}"
 
 
-@pytest.mark.parametrize(
-    "words",
-    [("fuse", "-o", "out.sfs"), ("depth", "-o", "out", "--method", "sparse"), ("colour", "-o", "map.ply")],
-    ids=lambda words: words[0],
-)
+@pytest.mark.parametrize("words", ["fuse -o out.sfs", "depth -o out --method sparse", "colour -o map.ply"])
 def test_so_many_threads_share_each_sweep(succeeds, recording, tmp_path, monkeypatch, words):
     monkeypatch.chdir(tmp_path)
     asked = set()
@@ -226,5 +253,6 @@ def test_so_many_threads_share_each_sweep(succeeds, recording, tmp_path, monkeyp
         return run
 
     monkeypatch.setattr("sceneloom.fusion.system.algorithm", noting)
-    succeeds(words[0], recording, *words[1:], "--threads", "2")
+    verb, *others = words.split()
+    succeeds(verb, recording, *others, "--threads", "2")
     assert asked == {2}

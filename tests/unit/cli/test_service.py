@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 from PIL import Image
+from tests.unit.cli.conftest import small_drive
 
 import sceneloom
-from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.cuboid_projection import project_cuboids
 from sceneloom.db34t import CalibrationData, ImageData, PointCloudData, Timestamp
 from sceneloom.db34t.conformance import examination
@@ -17,17 +17,14 @@ from sceneloom.service.client import FusionClient
 from sceneloom.service.running import running_server
 from sceneloom.service.server import ServerSettings
 from sceneloom.service.session_log import SessionLog, compare
-from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 TOKEN = "sixteen-characters-or-more"
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    camera = CameraSpec(Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5))
-    scene = simulate_street(1, frames=3, lidar=LidarSpec(beams=8, steps=90), cameras=(camera,)).scene
     path = tmp_path_factory.mktemp("drive") / "drive.sfs"
-    sceneloom.write(project_cuboids(scene), path)
+    sceneloom.write(project_cuboids(small_drive().scene), path)
     return path
 
 

@@ -90,19 +90,7 @@ def drive():
     return CircleDrive()
 
 
-@pytest.fixture
-def mount():
-    """`ego_from_lidar` of the lidar, the radar and the camera."""
-    return MOUNT
-
-
-@pytest.fixture
-def box():
-    """Make a cuboid: `box(id, times_ns, centers, yaw_deg)`."""
-    return _box
-
-
-def _box(identifier, times_ns, centers, yaw_deg=0.0, **fields):
+def box(identifier, times_ns, centers, yaw_deg=0.0, **fields):
     """A cuboid of 4 x 2 x 1.5 m that goes through these locations."""
     rows = np.zeros((len(times_ns), 9))
     rows[:, :3] = 4.0, 2.0, 1.5

@@ -331,23 +331,19 @@ def test_what_was_corrected_is_not_corrected_again_and_a_new_camera_model_stands
         assert found[0] == found[1]
 
 
-def test_validate_and_info_list_corrections_and_change_nothing(call, reported, files):
+def test_corrections_are_listed_and_lost_where_they_are_left_off_and_not_written(call, reported, files, tmp_path):
     report = reported("info", files / "repaired.sfs")
     assert [entry["id"] for entry in report["corrections"]] == ["mounted", "placed"]
     assert "camera 'camera0'" in call("info", files / "repaired.sfs").out
     findings = json.loads(call("validate", files / "repaired.sfs", "--json").out)["findings"]
     listed = [finding["severity"] for finding in findings if finding["rule"] == "corrections-not-applied"]
     assert listed == ["hint", "hint"]
-
-
-@pytest.mark.parametrize("to", ["recording", "mcap", "kitti-tracking", "nuscenes", "colmap", "openlabel"])
-def test_corrections_that_are_left_off_and_cannot_be_written_are_losses(to, call, files, tmp_path):
-    words = ("convert", files / "repaired.sfs", tmp_path / "out", "--to", to, "--no-corrections")
-    reported = json.loads(call(*words, "--json").out)
-    lost = {row["field"] for row in reported["fields"] if row["support"] == "dropped"}
-    assert {"annotations.camera_calibration", "annotations.localization_adjustment"} <= {
-        name for field in lost for name in (field, field.rpartition(".")[0])
-    }
+    # those that are left off and cannot be written are losses
+    for to in ("recording", "mcap", "kitti-tracking", "nuscenes", "colmap", "openlabel"):
+        words = ("convert", files / "repaired.sfs", tmp_path / to, "--to", to, "--no-corrections")
+        lost = {row["field"] for row in reported(*words)["fields"] if row["support"] == "dropped"}
+        names = {name for field in lost for name in (field, field.rpartition(".")[0])}
+        assert {"annotations.camera_calibration", "annotations.localization_adjustment"} <= names, to
 
 
 def test_the_library_applies_corrections_or_leaves_them_off(files):

@@ -191,11 +191,8 @@ def test_boxes_are_hidden_in_the_written_drive_and_the_rest_is_not(reported, dri
         assert np.array_equal(new.timestamps_ns, old.timestamps_ns)
         assert np.abs(new[0].rgb.astype(int) - old[0].rgb).mean() < 8
         assert np.abs(new[1].rgb[:, 64:].astype(int) - old[1].rgb[:, 64:]).mean() < 8
-        losses = [
-            (one["field"], one["support"], one["count"])
-            for one in report["losses"]["losses"]
-            if "encoded again" in one["what"]
-        ]
+        lost = (one for one in report["losses"]["losses"] if "encoded again" in one["what"])
+        losses = [(one["field"], one["support"], one["count"]) for one in lost]
         if source == "recording":  # a video is encoded again
             assert (found["encoded"], losses) == (3, [("sensors[camera0].video", "approximated", 3)])
         elif target == "out.sfs":  # images that are not touched are copied, without what they state

@@ -128,11 +128,8 @@ def test_points_with_fields_of_any_name_become_a_folder(address, succeeds, tmp_p
     fields = ("x", "y", "z", "file", "allow_pickle", "../up", "echo 1")
     with FusionClient(address, session="names") as client:
         intrinsics, extrinsics = (8, 0, 3.5, 0, 8, 3.5, 0, 0, 1), (0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
-        client.set_calibration(
-            CalibrationData(
-                image_size=(8, 8), intrinsic_matrix=intrinsics, reference_frame=0, extrinsic_matrix=extrinsics
-            )
-        )
+        matrices = {"intrinsic_matrix": intrinsics, "extrinsic_matrix": extrinsics}
+        client.set_calibration(CalibrationData(image_size=(8, 8), reference_frame=0, **matrices))
         now = Timestamp(5, 0)
         pixels, how = np.zeros((8, 8, 1), np.uint8), {"encoding": "mono8", "channel": 1}
         image = ImageData(sensor_id=0, timestamp=now, seq=0, height=8, width=8, **how, data=pixels)

@@ -150,7 +150,9 @@ def test_lines_of_json_report_the_world(succeeds, folder, tmp_path, offline):
     assert np.hypot(*car["velocity"][:2]) < 1.0
 
 
-def test_labels_of_a_scene_are_cuboids(reported, succeeds, folder, tmp_path):
+def test_labels_of_a_scene_are_cuboids_and_what_does_not_go_with_the_form_is_refused(
+    refuses, reported, succeeds, folder, tmp_path, monkeypatch
+):
     words = ("track", folder, "-o", tmp_path / "out", "--format", "sfs")
     report = reported(*words)
     assert (report["form"], report["drives"][0]["frames"]) == ("sfs", FRAMES)
@@ -160,17 +162,11 @@ def test_labels_of_a_scene_are_cuboids(reported, succeeds, folder, tmp_path):
     # Scale's validator knows no such sensor, so a scene of this profile keeps it aside
     outcome = succeeds(*words, "--profile", "scale", "--overwrite")
     assert "sensors[ego]: Scale's validator knows no such sensor" in outcome.err
-
-
-@pytest.mark.parametrize(
-    ("words", "reported"),
-    [
-        (("-o", "x", "--profile", "scale"), "--profile: only of scenes, but 'kitti' is written"),
-        (("-o", "x.sfs"), "x.sfs: a folder is written, a file for each drive"),
-        (("-o", "x.txt", "--format", "jsonl"), "expected a name without '.txt'"),
-    ],
-)
-def test_what_does_not_go_with_the_form_is_refused(refuses, folder, tmp_path, monkeypatch, words, reported):
-    monkeypatch.chdir(tmp_path)
-    refuses(2, reported, "track", folder, *words)
-    assert [path.name for path in tmp_path.iterdir()] == [folder.name]
+    monkeypatch.chdir(folder)
+    for wrong, stated in (
+        ("x --profile scale", "--profile: only of scenes, but 'kitti' is written"),
+        ("x.sfs", "x.sfs: a folder is written, a file for each drive"),
+        ("x.txt --format jsonl", "expected a name without '.txt'"),
+    ):
+        refuses(2, stated, "track", folder, "-o", *wrong.split())
+    assert list(folder.glob("x*")) == []

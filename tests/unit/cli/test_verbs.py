@@ -452,7 +452,6 @@ def test_strict_lets_warnings_fail_and_bad_usage_is_refused(call, succeeds, reco
     for source in (recording, faulty):
         refuses(2, stated, "validate", source, "--fix", tmp_path / "repaired.xyz")
         assert not (tmp_path / "repaired.xyz").exists()
-
     # what is written is not called by the form that it was made from, nor lost what is kept aside
     repaired = call("validate", recording, "--fix", tmp_path / "repaired.sfs").out
     assert repaired.startswith(f"{tmp_path / 'repaired.sfs'}: profile sfs: passed")

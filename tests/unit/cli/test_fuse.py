@@ -13,6 +13,7 @@ from tests.unit.cli.conftest import write_boxes
 import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import fuse_by_projection
+from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.json import format_json, parse_json
 from sceneloom.db34t.scene_objects import boxes_2d_record
 from sceneloom.detections.detectors import FOLDER
@@ -136,18 +137,14 @@ def test_a_function_that_does_not_do_its_part_is_named(drive, tmp_path, function
     assert not (tmp_path / "a.sfs").exists()
 
 
-def test_detection_fusion_takes_functions_of_one_pair():
+def test_detection_fusion_takes_functions_of_one_pair_and_a_client_names_no_file(tmp_path, file):
     chosen = chosen_algorithm(FusionType.DETECTIONS, lambda pair: None)
     with pytest.raises(OptionError, match=r"returned a NoneType; expected sceneloom.detections.FusedBoxes"):
         chosen(None)
     with pytest.raises(OptionError, match=r"expected a function \(pair\)"):
         chosen_algorithm(FusionType.DETECTIONS, lambda: None)
     assert "algorithm" in {field.name for field in fields(TrackingSettings)}
-
-
-def test_a_client_of_the_service_cannot_have_a_file_executed(tmp_path, file):
-    from sceneloom.db34t.interface import FusionInterface
-
+    # a client of the service cannot have a file executed
     marker = tmp_path / "executed"
     file.write_text(f"open({str(marker)!r}, 'w')\n", "utf-8")
     with FusionInterface(inline=True) as interface:

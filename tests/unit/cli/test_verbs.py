@@ -272,10 +272,8 @@ def test_fuse_notes_a_camera_that_sees_no_point(call, recording, tmp_path):
 
 def drive_of(rotation, *, format="recording", metres=20.0, **fields):
     """A vehicle that goes east on a level road; `rotation` takes its body into the ego's frame."""
-    count = 11
-    times = np.arange(count, dtype=np.int64) * 10**8
-    positions = np.linspace([0.0, 0, 0], [metres, 0, 0], count)
-    world_from_ego = np.tile(rotation.inv().as_quat(), (count, 1))
+    times, positions = np.arange(11, dtype=np.int64) * 10**8, np.linspace([0.0, 0, 0], [metres, 0, 0], 11)
+    world_from_ego = np.tile(rotation.inv().as_quat(), (11, 1))
     trajectories = {"groundTruth": Trajectory("groundTruth", times, positions, world_from_ego)}
     return Scene((), trajectories=trajectories, format=format, **fields)
 
@@ -289,6 +287,11 @@ ROTATIONS = {
 }
 
 
+def worded(scene, rotation, yaw_deg):
+    body_from_camera = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix() @ OPTICAL
+    return mounting_text(camera(rotation.as_matrix() @ body_from_camera), ego_axes(scene))
+
+
 def test_in_a_recording_motion_and_the_world_s_up_state_where_a_camera_looks():
     for rotation in ROTATIONS.values():
         for yaw_deg, words in {0: "ahead", 90: "left", -90: "right", 180: "back", 45: "ahead left"}.items():
@@ -296,14 +299,7 @@ def test_in_a_recording_motion_and_the_world_s_up_state_where_a_camera_looks():
     for metres in (0.0, 0.3):  # of its axes it says nothing
         scene = drive_of(ROTATIONS["x ahead"], metres=metres)
         assert str(worded(scene, ROTATIONS["x ahead"], 0)).endswith("looks ahead if the ego's x axis is ahead")
-
-
-def worded(scene, rotation, yaw_deg):
-    body_from_camera = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix() @ OPTICAL
-    return mounting_text(camera(rotation.as_matrix() @ body_from_camera), ego_axes(scene))
-
-
-def test_axes_are_those_of_the_accelerometer_or_of_the_format_whatever_the_motion():
+    # axes are those of the accelerometer or of the format, whatever the motion
     rotation = ROTATIONS["odd"]
     gravity = rotation.apply([0.0, 0.0, 9.81])
     imu = ImuSensor("imu", {"accelerometer": VectorSamples([0, 1], [gravity, gravity])})

@@ -222,18 +222,12 @@ def test_what_was_blurred_is_counted_and_an_anonymised_drive_begins_at_zero(repo
         assert abs(int(min(lidar.frames.timestamps_ns[0] for lidar in scene.lidars))) < 1_000_000_000
 
 
-@pytest.fixture(scope="module")
-def distorted(tmp_path_factory):
-    """Two sweeps and two images of a barrel camera model."""
-    folder = tmp_path_factory.mktemp("camera_models") / "drive"
-    drive = small_drive(Camera("brown_conrady", 96, 64, 60.0, 60.0, 47.5, 31.5, (-0.2, 0.03)), frames=2)
-    sceneloom.write(drive.scene, folder, images="png")
-    return folder
-
-
 def test_edit_undistort_and_camera_model_write_other_camera_models_and_keep_a_limit(
-    refuses, reported, succeeds, distorted, tmp_path
+    refuses, reported, succeeds, tmp_path
 ):
+    distorted = tmp_path / "distorted"
+    drive = small_drive(Camera("brown_conrady", 96, 64, 60.0, 60.0, 47.5, 31.5, (-0.2, 0.03)), frames=2)
+    sceneloom.write(drive.scene, distorted, images="png")
     how = ("--size", "48x32", "--keep", "all", "--camera", "camera0")
     outcome = succeeds("edit undistort", distorted, "-o", tmp_path / "d.sfs", *how)
     assert f"wrote {tmp_path / 'd.sfs'}, " in outcome.out

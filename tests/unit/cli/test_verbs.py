@@ -469,16 +469,11 @@ def raised(scene, metres):
     return replace(scene, sensors=tuple(moved if s is lidar else s for s in scene.sensors))
 
 
-@pytest.fixture(scope="module")
-def drives(tmp_path_factory):
-    scene = simulate_street(1, frames=2, lidar=LidarSpec(beams=8, steps=90), cameras=()).scene
-    folder = tmp_path_factory.mktemp("drives")
-    sceneloom.write(scene, folder / "a.sfs")
-    sceneloom.write(raised(scene, 0.25), folder / "b.sfs")
-    return folder / "a.sfs", folder / "b.sfs"
-
-
-def test_equal_drives_exit_with_zero_and_drives_that_differ_with_one_and_state_where(call, refuses, succeeds, drives):
+def test_equal_drives_exit_with_zero_and_drives_that_differ_with_one_and_state_where(call, refuses, succeeds, tmp_path):
+    scene = small_drive(frames=2).scene
+    drives = tmp_path / "a.sfs", tmp_path / "b.sfs"
+    for path, other in zip(drives, (scene, raised(scene, 0.25)), strict=True):
+        sceneloom.write(other, path)
     assert succeeds("diff", drives[0], drives[0]).out == "equal\n"
     assert succeeds("diff", *drives, "--tolerance-m", "0.3")
     outcome = call("diff", *drives)
@@ -494,20 +489,15 @@ def test_equal_drives_exit_with_zero_and_drives_that_differ_with_one_and_state_w
     refuses(1, "", "diff", drives[0], drives[0].with_name("none.sfs"))
 
 
-@pytest.fixture(scope="module")
-def late(tmp_path_factory):
-    """A recording of twenty seconds whose trajectory is 30 ms late."""
-    folder = tmp_path_factory.mktemp("clocks") / "late"
+def test_sync_reports_and_writes_a_drive_in_step(succeeds, reported, tmp_path, call, refuses):
+    # twenty seconds whose trajectory is 30 ms late
+    late = tmp_path / "late"
     blind = LidarSpec(beams=1, steps=4, elevations_deg=(-1.0, 1.0))
     scene = simulate_street(4, frames=200, lidar=blind, cameras=()).scene
     trajectory = scene.trajectories["groundTruth"]
     moved = replace(trajectory, timestamps_ns=trajectory.timestamps_ns + 30_000_000)
     sensors = tuple(s for s in scene.sensors if s.id == "imu")
-    sceneloom.write(replace(scene, sensors=sensors, annotations=(), trajectories={"groundTruth": moved}), folder)
-    return folder
-
-
-def test_sync_reports_and_writes_a_drive_in_step(succeeds, reported, late, tmp_path, call, refuses):
+    sceneloom.write(replace(scene, sensors=sensors, annotations=(), trajectories={"groundTruth": moved}), late)
     outcome = succeeds("sync", late)
     assert "1 stream off, against imu" in outcome.out
     row = next(line for line in outcome.out.splitlines() if "groundTruth" in line).split()

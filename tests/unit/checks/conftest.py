@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,21 @@ import pytest
 from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.checks import Rule, all_rules, validate
+from sceneloom.formats.video.writer import VideoWriter
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 10
 PARTS = {"a": "annotations", "s": "sensors"}
 CAMERA_MODEL = Camera("pinhole", 32, 24, 30.0, 30.0, 15.5, 11.5)
+
+
+def film(width: int, height: int, *times_s: float) -> bytes:
+    """A video of black images."""
+    content = BytesIO()
+    with VideoWriter(content, width, height, fps=10) as writer:
+        for time_s in times_s:
+            writer.add(np.zeros((height, width, 3), np.uint8), time_s)
+    return content.getvalue()
 
 
 class Sound:

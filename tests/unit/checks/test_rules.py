@@ -6,6 +6,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.unit.checks.conftest import film
 
 from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
@@ -17,7 +18,6 @@ from sceneloom.checks.poses import CORRECTION_RULES, POSE_RULES
 from sceneloom.checks.sensors import REFERENCE_RULES, SENSOR_RULES
 from sceneloom.checks.shapes import ATTRIBUTE_RULES, SHAPE_RULES
 from sceneloom.checks.times import ANNOTATION_TIME_RULES, POINT_TIME_RULES, TIME_RULES
-from sceneloom.formats.video.writer import VideoWriter
 from sceneloom.geometry.rigid import RigidTransform, matrix_from_quaternion, quaternion_from_rotation_vector
 from sceneloom.simulate import CameraSpec, Faults, LidarSpec, SensorFaults, SolidStateSpec, TrafficSpec, simulate_street
 
@@ -140,11 +140,8 @@ def test_images_and_boxes_in_them(check, keeps, sound):
         check(rule, "", drawn(BOX, near), projected(BOX, near))
 
 
-def test_a_video_with_more_or_fewer_images_than_timestamps_is_found(sound, found, tmp_path):
-    with VideoWriter(tmp_path / "video.mp4", 64, 48, fps=10) as writer:
-        for timestamp_ns in sound.times().tolist():
-            writer.add(np.zeros((48, 64, 3), np.uint8), timestamp_ns / 1e9)
-    content, model = (tmp_path / "video.mp4").read_bytes(), Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
+def test_a_video_with_more_or_fewer_images_than_timestamps_is_found(sound, found):
+    content, model = film(64, 48, *(sound.times() / 1e9)), Camera("pinhole", 64, 48, 60.0, 60.0, 31.5, 23.5)
 
     def found_in(count, chosen=None):
         """What is found where the video of six images has so many timestamps."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.unit.checks.conftest import film
 
 import sceneloom
 from sceneloom import scene as sc
@@ -415,7 +416,7 @@ def whole():
     sweeps = {"poses": POSES, "frames": [{"timestamp": 0, "points": cloud}]}
     fisheye = {**CAMERA_MODEL, "distortion": {"model": "fisheye", "params": [0.1, 0, 0, 0]}}
     camera = {"type": "camera", "poses": POSES}
-    film = {"timestamps": [0], "content": np.zeros(9, np.uint8)}
+    video = {"timestamps": [0], "content": np.frombuffer(film(16, 16, 0.0), np.uint8), "fps": 10}
     triangle = (0, 0, 0, 1, 0, 0, 1, 1, 0)
     labeled = {"sensor_id": "top", "sensor_frame": 0, "point_ids": np.zeros(1, np.uint32)}
     sensors = [
@@ -423,7 +424,7 @@ def whole():
         {"id": "top", "type": "lidar", **sweeps},
         {"id": "front", "type": "radar", **sweeps},
         {"id": "cam", **camera, "intrinsics": fisheye, "images": [{"timestamp": 0, "content": np.zeros(9, np.uint8)}]},
-        {**camera, "id": "film", "intrinsics": CAMERA_MODEL, "video": {**film, "fps": 10}},
+        {**camera, "id": "film", "intrinsics": CAMERA_MODEL, "video": video},
         {"id": "ego", "type": "odometry", "poses": POSES},
     ]
     annotations = [

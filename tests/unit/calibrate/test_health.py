@@ -6,21 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sceneloom.calibrate import health as ch
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
-from sceneloom.calibrate.health import (
-    PARTS,
-    CalibrationHealth,
-    Item,
-    Verdict,
-    check_frames,
-    instead_of_rotation,
-    judge,
-    judge_boxes,
-    judge_motion,
-    look_alikes,
-    views_of,
-    why_untold,
-)
+from sceneloom.calibrate.health import PARTS, CalibrationHealth, Item, Verdict, check_frames, judge
 from sceneloom.calibrate.measures import Change
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.residuals import BoxRotation
@@ -135,10 +123,10 @@ def test_images_seconds_late_are_never_good_and_frames_from_one_location_are_one
     late = tuple(replace(f, rgb=later.rgb, grey=later.grey) for f, later in zip(frames[:-2], frames[2:], strict=True))
     assert (frames[2].image_ns - frames[0].image_ns) > 1_000_000_000
     assert check_frames(late).verdict in {WRONG, UNTOLD}
-    assert views_of((frames[0],) * 3).tolist() == [0, 0, 0]
-    assert views_of(frames).max() >= 1
+    assert ch.views_of((frames[0],) * 3).tolist() == [0, 0, 0]
+    assert ch.views_of(frames).max() >= 1
     unplaced = tuple(replace(frame, world_from_lidar=None) for frame in frames)
-    assert views_of(unplaced).tolist() == [0] * len(frames)
+    assert ch.views_of(unplaced).tolist() == [0] * len(frames)
 
 
 @pytest.mark.slow
@@ -173,7 +161,7 @@ def fitted(shift):
 
 
 def test_a_rotation_looks_like_another_principal_point_as_the_formulas_of_a_pinhole_state():
-    rotations, left = look_alikes(PINHOLE)
+    rotations, left = ch.look_alikes(PINHOLE)
     for row, shift in enumerate(([1.0, 0.0], [0.0, 1.0])):
         rotation, rest = fitted(shift)
         np.testing.assert_allclose(rotations[row], rotation, atol=1e-9)
@@ -182,17 +170,17 @@ def test_a_rotation_looks_like_another_principal_point_as_the_formulas_of_a_pinh
     assert rotations[0, 1] * 720 == pytest.approx(0.8, abs=0.1)
     assert 0.15 < left[0] < 0.25
     long = Camera("pinhole", 1242, 375, 2880.0, 2800.0, 620.5, 187.0)
-    assert (look_alikes(long)[1] < 0.1 * look_alikes(PINHOLE)[1]).all()
-    assert (look_alikes(FISHEYE)[1] > look_alikes(PINHOLE)[1]).all()
-    stated = instead_of_rotation(PINHOLE, np.radians([0.0, 1.0, 0.0]))
+    assert (ch.look_alikes(long)[1] < 0.1 * ch.look_alikes(PINHOLE)[1]).all()
+    assert (ch.look_alikes(FISHEYE)[1] > ch.look_alikes(PINHOLE)[1]).all()
+    stated = ch.instead_of_rotation(PINHOLE, np.radians([0.0, 1.0, 0.0]))
     trajectory = np.radians(1.0) / rotations[0, 1]
     assert stated == f"its principal point {trajectory:.2g} px off looks the same within {trajectory * left[0]:.2g} px"
-    assert instead_of_rotation(PINHOLE, np.radians([0.1, 0.1, 1.0])) == ""
-    assert f"by {trajectory:.3g} px to the side" in why_untold(PINHOLE)
+    assert ch.instead_of_rotation(PINHOLE, np.radians([0.1, 0.1, 1.0])) == ""
+    assert f"by {trajectory:.3g} px to the side" in ch.why_untold(PINHOLE)
     # a camera model that sees nothing promises nothing
     blind = Camera("pinhole", 1, 1, 1e-9, 1e-9, 1e12, 1e12)
-    assert why_untold(blind).startswith("moving it")
-    assert isinstance(instead_of_rotation(blind, np.ones(3)), str)
+    assert ch.why_untold(blind).startswith("moving it")
+    assert isinstance(ch.instead_of_rotation(blind, np.ones(3)), str)
 
 
 AXES = Rotation.from_matrix([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -210,7 +198,7 @@ def rotations(injected, *, rate_deg=1.5, count=60, noise_deg=0.02, seed=0):
 def test_a_rotation_across_the_axis_is_found_however_large_a_small_one_or_along_it_is_not():
     for size_deg in [4.0, 20.0, 90.0, 150.0]:
         injected = Rotation.from_rotvec([size_deg, 0.0, 0.0], degrees=True)
-        item = judge_motion(*rotations(injected))
+        item = ch.judge_motion(*rotations(injected))
         # 0.02 degrees against a degree, sixty times: 0.15 degrees
         assert (item.verdict, abs(item.values[0])) == (WRONG, pytest.approx(size_deg, abs=0.6))
         assert abs(item.values[1]) < 0.6
@@ -225,7 +213,7 @@ def test_a_rotation_across_the_axis_is_found_however_large_a_small_one_or_along_
         ((4.0, 0.0, 0.0), {"count": 10}, UNTOLD),
         ((4.0, 0.0, 0.0), {"noise_deg": 2.0}, UNTOLD),
     ]:
-        assert judge_motion(*rotations(Rotation.from_rotvec(injected_deg, degrees=True), **more)).verdict is verdict
+        assert ch.judge_motion(*rotations(Rotation.from_rotvec(injected_deg, degrees=True), **more)).verdict is verdict
 
 
 SURE = np.radians(0.05) ** 2 * np.eye(3)
@@ -261,7 +249,7 @@ def test_boxes_are_judged_by_their_rotation_and_join_or_decide_what_images_state
         (rotation(3.0, 0.0, 0.0, by_chance=120), (UNTOLD, UNTOLD)),
         (None, (UNTOLD, UNTOLD)),
     ]:
-        items = judge_boxes(found)
+        items = ch.judge_boxes(found)
         assert tuple(item.verdict for item in items) == verdicts
         assert all(bool(item.reason) is (item.verdict is not GOOD) for item in items)
     for images_deg, found, verdict in [

@@ -8,15 +8,8 @@ import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import (
-    ALGORITHMS,
-    LidarTrajectory,
-    PointVisibility,
-    ViewRequest,
-    VisibilitySettings,
-    fuse_by_projection,
-)
-from sceneloom.colouring.algorithms import view_points
+from sceneloom.colouring import LidarTrajectory, PointVisibility, VisibilitySettings
+from sceneloom.colouring.algorithms import ALGORITHMS, ViewRequest, fuse_by_projection, view_points
 from sceneloom.errors import ArrayError, CalibrationError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
 

@@ -5,25 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sceneloom import scene as sc
 from sceneloom.colouring.cuboid_projection import count_points, with_activations, with_counts, with_labeled_points
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.boxes import points_in_box
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    Activation,
-    AttributePath,
-    CuboidAnnotation,
-    CuboidPath,
-    LabeledPointsAnnotation,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    PointsFrame,
-    Poses,
-    Scene,
-    Trajectory,
-)
 from sceneloom.simulate import LidarSpec, TrafficSpec, simulate_street
 
 ON_FACES = 0.02
@@ -69,24 +55,24 @@ def test_points_of_one_moment_miss_those_that_moved_meanwhile(drive):
     assert at_frame.sum() < 0.95 * at_points.sum()
 
 
-def a_scene(positions, *, frame=PointsFrame.SENSOR, coordinates_path=None, cuboids=None, times_ns=(0,)):
-    points = LidarPoints(np.asarray(positions, np.float32))
-    frames = LazyFrames.of([LidarFrame(t, points) for t in times_ns], times_ns)
+def a_scene(positions, *, frame=sc.PointsFrame.SENSOR, coordinates_path=None, cuboids=None, times_ns=(0,)):
+    points = sc.LidarPoints(np.asarray(positions, np.float32))
+    frames = sc.LazyFrames.of([sc.LidarFrame(t, points) for t in times_ns], times_ns)
     mount = RigidTransform(np.eye(3), np.array([0.0, 0.0, 2.0]))
-    lidar = LidarSensor("lidar", frames, mount=mount, points_frame=frame)
+    lidar = sc.LidarSensor("lidar", frames, mount=mount, points_frame=frame)
     trajectories = {} if coordinates_path is None else {"trajectory": coordinates_path}
-    return Scene((lidar,), cuboids or (), trajectories=trajectories)
+    return sc.Scene((lidar,), cuboids or (), trajectories=trajectories)
 
 
 def a_box(identifier, values, timestamps=(0, 1_000_000_000), **more):
     rows = np.tile(np.asarray(values, np.float64), (len(timestamps), 1))
-    return CuboidAnnotation(identifier, CuboidPath(np.array(timestamps, np.int64), rows), **more)
+    return sc.CuboidAnnotation(identifier, sc.CuboidPath(np.array(timestamps, np.int64), rows), **more)
 
 
 def straight_trajectory():
     """10 m/s along x, rotated a quarter to the left all the time."""
     rotation = np.tile([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)], (2, 1))
-    return Trajectory("trajectory", np.array([0, 1_000_000_000]), np.array([[0.0, 0, 0], [10.0, 0, 0]]), rotation)
+    return sc.Trajectory("trajectory", np.array([0, 1_000_000_000]), np.array([[0.0, 0, 0], [10.0, 0, 0]]), rotation)
 
 
 def test_points_are_met_where_the_sensor_was_those_in_the_world_as_they_are():
@@ -95,12 +81,12 @@ def test_points_are_met_where_the_sensor_was_those_in_the_world_as_they_are():
     scene = a_scene([[3.0, 0, 0]], coordinates_path=straight_trajectory(), cuboids=(box,), times_ns=(0, 500_000_000))
     assert count_points(scene).lidars[0].counts[:, 0].tolist() == [0, 1]
     box = a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 45])
-    scene = a_scene([[1.2, 0, 0], [0.9, 0.9, 0]], frame=PointsFrame.WORLD, cuboids=(box,))
+    scene = a_scene([[1.2, 0, 0], [0.9, 0.9, 0]], frame=sc.PointsFrame.WORLD, cuboids=(box,))
     assert count_points(scene).lidars[0].counts.tolist() == [[1]]
     scene = a_scene([[0, 0, 0]], cuboids=(a_box("a", [1, 1, 1, 0, 0, 10, 0, 0, 0]),))
     with pytest.raises(PoseError, match="trajectory"):
         count_points(scene)
-    poses = Poses(np.array([0]), np.array([[0.0, 0, 10]]), np.array([[0.0, 0, 0, 1]]), static=True)
+    poses = sc.Poses(np.array([0]), np.array([[0.0, 0, 10]]), np.array([[0.0, 0, 0, 1]]), static=True)
     lidar = replace(scene.lidars[0], mount=None, poses=poses)
     assert count_points(replace(scene, sensors=(lidar,))).lidars[0].counts.tolist() == [[1]]
     box = a_box("a", [9, 9, 9, 0, 0, 0, 0, 0, 0], stationary=True)
@@ -134,19 +120,19 @@ def test_a_point_counts_in_every_box_that_it_lies_in_and_in_none_that_ended_or_i
         a_box("upside down", [-9, 9, 9, 0, 0, 0, 0, 0, 0]),
         a_box("nowhere", [9, 9, 9, np.nan, 0, 0, 0, 0, 0]),
     )
-    found = count_points(a_scene([[0.1, 0.2, 0.3]], frame=PointsFrame.WORLD, cuboids=boxes)).lidars[0]
+    found = count_points(a_scene([[0.1, 0.2, 0.3]], frame=sc.PointsFrame.WORLD, cuboids=boxes)).lidars[0]
     assert found.counts.tolist() == [[1, 1, 0, 1, 0, 0]]
     assert found.there.tolist() == [[True, True, False, True, True, True]]
     box = a_box("a", [-2, -2, -2, 0, 0, 0, 0, 0, 0])
-    scene = a_scene([[0, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,))
+    scene = a_scene([[0, 0, 0]], frame=sc.PointsFrame.WORLD, cuboids=(box,))
     assert count_points(scene, margin=0.1).lidars[0].counts.tolist() == [[0]]
-    scene = a_scene(np.zeros((0, 3)), frame=PointsFrame.WORLD, cuboids=(a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0]),))
+    scene = a_scene(np.zeros((0, 3)), frame=sc.PointsFrame.WORLD, cuboids=(a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0]),))
     for moment in ("frame", "points"):
         found = count_points(scene, moment=moment, listed=True).lidars[0]
         assert (found.counts.tolist(), found.point_ids) == ([[0]], [{}])
-    found = count_points(a_scene([[0, 0, 0]], frame=PointsFrame.WORLD))
+    found = count_points(a_scene([[0, 0, 0]], frame=sc.PointsFrame.WORLD))
     assert (found.annotation_ids, found.lidars[0].counts.shape) == ((), (1, 0))
-    scene = a_scene([[0, 0, 0]], frame=PointsFrame.WORLD)
+    scene = a_scene([[0, 0, 0]], frame=sc.PointsFrame.WORLD)
     for call, message in (
         (lambda: count_points(scene, margin=-0.1), "margin"),
         (lambda: count_points(scene, moment="noon"), "'noon'; expected one of frame, points"),
@@ -157,31 +143,31 @@ def test_a_point_counts_in_every_box_that_it_lies_in_and_in_none_that_ended_or_i
 
 
 def test_counts_become_attributes_labelled_points_and_activations_of_each_cuboid():
-    older = AttributePath("points", (99,), np.array([0]), sensor_id="lidar")
-    elsewhere = AttributePath("points", (7,), np.array([0]), sensor_id="other")
+    older = sc.AttributePath("points", (99,), np.array([0]), sensor_id="lidar")
+    elsewhere = sc.AttributePath("points", (7,), np.array([0]), sensor_id="other")
     box = a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0], timestamps=(0, 2), attributes=(older, elsewhere))
-    scene = a_scene([[0, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 1, 2, 3))
+    scene = a_scene([[0, 0, 0]], frame=sc.PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 1, 2, 3))
     counted = with_counts(scene, count_points(scene)).annotations[0]
     kept, reported = counted.attributes
     assert kept is elsewhere
     assert (reported.name, reported.sensor_id, reported.values) == ("points", "lidar", (1, 1, 1))
     assert reported.timestamps_ns.tolist() == [0, 1, 2]
     boxes = (a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0], label="car"), a_box(7, [1, 1, 1, 50, 0, 0, 0, 0, 0]))
-    scene = a_scene([[9, 9, 9], [0, 0, 0], [1, 1, 1]], frame=PointsFrame.WORLD, cuboids=boxes, times_ns=(0, 1))
+    scene = a_scene([[9, 9, 9], [0, 0, 0], [1, 1, 1]], frame=sc.PointsFrame.WORLD, cuboids=boxes, times_ns=(0, 1))
     counts = count_points(scene, listed=True)
     once = with_labeled_points(scene, counts)
     twice = with_labeled_points(once, counts)
     assert [each.id for each in twice.annotations] == ["a", 7, "a:points"]
     made = twice.annotations[2]
-    assert isinstance(made, LabeledPointsAnnotation)
+    assert isinstance(made, sc.LabeledPointsAnnotation)
     assert (made.label, made.parent_id, made.is_instance) == ("car", "a", True)
     assert [(e.sensor_id, e.sensor_frame, e.point_ids.tolist()) for e in made.labeled_points] == [
         ("lidar", 0, [1, 2]),
         ("lidar", 1, [1, 2]),
     ]
-    of_others = Activation("camera", np.array([3]))
+    of_others = sc.Activation("camera", np.array([3]))
     box = a_box("a", [1, 1, 1, 5, 0, 0, 0, 0, 0], timestamps=(0, 300), activations=(of_others,))
-    scene = a_scene([[5, 0, 0], [5.1, 0, 0]], frame=PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 100, 200, 400))
+    scene = a_scene([[5, 0, 0], [5.1, 0, 0]], frame=sc.PointsFrame.WORLD, cuboids=(box,), times_ns=(0, 100, 200, 400))
     counts = count_points(scene)
     kept, reported = with_activations(scene, counts).annotations[0].activations
     assert kept is of_others

@@ -7,25 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, project_unbounded, unproject
 from sceneloom.colouring.cuboid_projection import activation_of, observe_cuboids, project_cuboids
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.boxes import CORNER_SIGNS, EDGES
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    AttributePath,
-    Boxes,
-    CameraImage,
-    CameraSensor,
-    CuboidAnnotation,
-    CuboidPath,
-    GroupAnnotation,
-    LazyFrames,
-    Poses,
-    Projection,
-    Scene,
-)
 from sceneloom.scene.ego import EgoMotion
 from sceneloom.simulate import CameraSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street
 
@@ -41,18 +29,18 @@ def no_image():
 
 def a_camera(times_ns, *, camera_id="camera", camera_model=CAMERA_MODEL, poses=None, mounts=None):
     own = mounts or [None] * len(times_ns)
-    images = [CameraImage(t, camera_model, no_image, mount=m) for t, m in zip(times_ns, own, strict=True)]
-    path = poses or Poses(np.zeros(1, np.int64), np.zeros((1, 3)), LOOKS_ALONG_X, static=True)
-    return CameraSensor(camera_id, camera_model, LazyFrames.of(images, times_ns), poses=path)
+    images = [sc.CameraImage(t, camera_model, no_image, mount=m) for t, m in zip(times_ns, own, strict=True)]
+    path = poses or sc.Poses(np.zeros(1, np.int64), np.zeros((1, 3)), LOOKS_ALONG_X, static=True)
+    return sc.CameraSensor(camera_id, camera_model, sc.LazyFrames.of(images, times_ns), poses=path)
 
 
 def a_box(identifier="a", *, x=(10.0, 10.0), timestamps=(0, 100), **more):
     values = np.array([[4.0, 2.0, 1.0, location, 0.0, 0.0, 0.0, 0.0, 0.0] for location in x])
-    return CuboidAnnotation(identifier, CuboidPath(np.array(timestamps, np.int64), values), **more)
+    return sc.CuboidAnnotation(identifier, sc.CuboidPath(np.array(timestamps, np.int64), values), **more)
 
 
 def test_a_cuboid_gets_a_row_for_each_image_nan_where_it_is_not_shown_and_confirmed_boxes_stay():
-    scene = Scene((a_camera((-50, 0, 50, 100, 150)),), (a_box(x=(10.0, 18.0)), GroupAnnotation("g")))
+    scene = sc.Scene((a_camera((-50, 0, 50, 100, 150)),), (a_box(x=(10.0, 18.0)), sc.GroupAnnotation("g")))
     projected = project_cuboids(scene).annotations
     (projection,) = projected[0].projections
     assert projection.timestamps_ns.tolist() == [0, 50, 100]
@@ -61,29 +49,29 @@ def test_a_cuboid_gets_a_row_for_each_image_nan_where_it_is_not_shown_and_confir
     np.testing.assert_allclose(projection.boxes[:, 2], [1000 / 8, 1000 / 12, 1000 / 16], atol=1e-3)
     np.testing.assert_array_equal(projection.cuboids[:, 3], [10.0, 14.0, 18.0])
     assert projection.confirmed is None
-    assert isinstance(projected[1], GroupAnnotation)
-    scene = Scene((a_camera((0, 50, 100)),), (a_box(x=(-30.0, 30.0)),))
+    assert isinstance(projected[1], sc.GroupAnnotation)
+    scene = sc.Scene((a_camera((0, 50, 100)),), (a_box(x=(-30.0, 30.0)),))
     (projection,) = project_cuboids(scene).annotations[0].projections
     assert np.isfinite(projection.boxes).all(axis=1).tolist() == [False, False, True]
-    old, of_others = (Projection(sensor_id, np.array([0]), np.ones((1, 4))) for sensor_id in ("camera", "other"))
-    scene = Scene((a_camera((0, 50)),), (a_box(x=(-9.0, -9.0), projections=(old, of_others)),))
+    old, of_others = (sc.Projection(sensor_id, np.array([0]), np.ones((1, 4))) for sensor_id in ("camera", "other"))
+    scene = sc.Scene((a_camera((0, 50)),), (a_box(x=(-9.0, -9.0), projections=(old, of_others)),))
     assert project_cuboids(scene).annotations[0].projections == (of_others,)
-    old = Projection("camera", np.array([0, 50]), np.full((2, 4), 7.0), confirmed=(True, False))
-    scene = Scene((a_camera((0, 50)),), (a_box(projections=(old,)),))
+    old = sc.Projection("camera", np.array([0, 50]), np.full((2, 4), 7.0), confirmed=(True, False))
+    scene = sc.Scene((a_camera((0, 50)),), (a_box(projections=(old,)),))
     (projection,) = project_cuboids(scene).annotations[0].projections
     assert (projection.confirmed, projection.boxes[0].tolist()) == ((True, False), [7.0] * 4)
     assert projection.boxes[1, 0] == pytest.approx(337.5)
 
 
 def test_shares_become_attributes_of_the_camera_at_images_that_show_it():
-    older = AttributePath("occlusion", (0.9,), np.array([0]), sensor_id="camera")
+    older = sc.AttributePath("occlusion", (0.9,), np.array([0]), sensor_id="camera")
     boxes = (a_box(x=(-30.0, 30.0), attributes=(older,)), a_box("b", x=(20.0, 20.0)))
-    first, second = project_cuboids(Scene((a_camera((0, 100)),), boxes)).annotations
+    first, second = project_cuboids(sc.Scene((a_camera((0, 100)),), boxes)).annotations
     found = [(a.name, a.sensor_id, a.values, a.timestamps_ns.tolist()) for a in first.attributes]
     assert found == [("truncation", "camera", (0.0,), [100]), ("occlusion", "camera", (1.0,), [100])]
     assert [a.values for a in second.attributes] == [(0.0, 0.0), (0.0, 0.0)]
     # what fills little of its box may hide nothing
-    scene = Scene((a_camera((0,)),), (a_box(x=(20.0, 20.0)), a_box("b", label="tree")))
+    scene = sc.Scene((a_camera((0,)),), (a_box(x=(20.0, 20.0)), a_box("b", label="tree")))
     for see_through, share in (([], 1.0), (["tree"], 0.0)):
         projected = project_cuboids(scene, see_through=see_through).annotations[0]
         assert projected.attributes[1].values == (share,)
@@ -91,7 +79,7 @@ def test_shares_become_attributes_of_the_camera_at_images_that_show_it():
 
 def test_times_in_which_a_camera_sees_it_become_activations_a_frame_longer_at_the_end():
     # it comes out from behind the camera between the second and the third image, and ends after the fourth
-    scene = Scene((a_camera((0, 50, 100, 150, 200)),), (a_box(x=(-90.0, 90.0), timestamps=(0, 160)),))
+    scene = sc.Scene((a_camera((0, 50, 100, 150, 200)),), (a_box(x=(-90.0, 90.0), timestamps=(0, 160)),))
     (activation,) = project_cuboids(scene, activations=True).annotations[0].activations
     assert (activation.timestamps_ns.tolist(), activation.durations_ns) == ([100], (100,))
     assert activation.cuboids[0, 3] == pytest.approx(-90.0 + 180.0 * 100 / 160)
@@ -175,7 +163,7 @@ def test_points_of_a_lidar_report_what_is_hidden_unless_they_are_early_or_nowher
     assert np.corrcoef(np.transpose(pairs))[0, 1] > 0.95
     drive = simulate_street(3, frames=2, lidar=LidarSpec(beams=8, steps=90))
     (lidar,), others = drive.scene.lidars, [s for s in drive.scene.sensors if s.type != "lidar"]
-    early = LazyFrames.of(list(lidar.frames), (lidar.frames.timestamps_ns - 10**9).tolist())
+    early = sc.LazyFrames.of(list(lidar.frames), (lidar.frames.timestamps_ns - 10**9).tolist())
     scene = replace(drive.scene, sensors=(*others, replace(lidar, frames=early)))
     reported = {path.name for a in project_cuboids(scene, lidar="lidar").annotations for path in a.attributes}
     assert reported == {"truncation", "occlusion"}
@@ -188,7 +176,7 @@ def test_points_of_a_lidar_report_what_is_hidden_unless_they_are_early_or_nowher
 
 def test_a_mounting_of_one_image_counts_and_cameras_and_images_that_are_nowhere_see_nothing_or_are_refused():
     lost = replace(a_camera((0,), camera_id="lost"), poses=None)
-    scene = Scene((a_camera((0,)), lost), (a_box(),))
+    scene = sc.Scene((a_camera((0,)), lost), (a_box(),))
     projected = project_cuboids(scene)
     assert [n.code for n in projected.warnings] == ["camera-unplaced"]
     assert len(projected.annotations[0].projections) == 1
@@ -200,18 +188,18 @@ def test_a_mounting_of_one_image_counts_and_cameras_and_images_that_are_nowhere_
     ):
         with pytest.raises(error, match=message):
             project_cuboids(replace(scene, sensors=sensors), **options)
-    trajectory, reported = Poses(np.array([0, 50]), np.zeros((2, 3)), np.repeat(LOOKS_ALONG_X, 2, axis=0)), []
-    scene = Scene((a_camera((0, 10**10), poses=trajectory),), (a_box(stationary=True),))
+    trajectory, reported = sc.Poses(np.array([0, 50]), np.zeros((2, 3)), np.repeat(LOOKS_ALONG_X, 2, axis=0)), []
+    scene = sc.Scene((a_camera((0, 10**10), poses=trajectory),), (a_box(stationary=True),))
     projected = project_cuboids(scene, progress=lambda done, total: reported.append((done, total)))
     assert reported == [(1, 2), (2, 2)]
     assert [(n.code, n.count) for n in projected.warnings] == [("images-unplaced", 1)]
     (projection,) = projected.annotations[0].projections
     assert np.isfinite(projection.boxes[:, 0]).tolist() == [True, False]
-    ego = Poses(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]]), static=True)
+    ego = sc.Poses(np.zeros(1, np.int64), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]]), static=True)
     ahead = RigidTransform.from_quaternion(np.zeros(3), LOOKS_ALONG_X[0])
     back = RigidTransform(np.diag([-1.0, -1.0, 1.0]) @ ahead.rotation, np.zeros(3))
     camera = replace(a_camera((0, 50), mounts=(None, back)), poses=None, mount=ahead)
-    projected = project_cuboids(Scene((camera,), (a_box(),)), trajectory=EgoMotion("still", ego))
+    projected = project_cuboids(sc.Scene((camera,), (a_box(),)), trajectory=EgoMotion("still", ego))
     (projection,) = projected.annotations[0].projections
     assert np.isfinite(projection.boxes[:, 0]).tolist() == [True, False]
 
@@ -248,7 +236,7 @@ class Moving:
             [*self.size, *(self.first + self.velocity * t), 0.0, 0.0, np.degrees(self.yaw + self.yaw_rate * t)]
             for t in (-1.0, 1.0)
         ]
-        return CuboidAnnotation(self.name, CuboidPath(np.array([-SECOND, SECOND]), np.array(values)))
+        return sc.CuboidAnnotation(self.name, sc.CuboidPath(np.array([-SECOND, SECOND]), np.array(values)))
 
     def rotated(self, seconds):
         return Rotation.from_rotvec(np.outer(self.yaw + self.yaw_rate * seconds, (0, 0, 1)))
@@ -270,11 +258,11 @@ class Moving:
 def a_scene(camera, boxes, *, over_columns=False, roll_s=ROLL_S, trajectory=camera_at):
     seconds = np.linspace(-0.1, 0.1, 401)
     rotations, positions = trajectory(seconds)
-    poses = Poses(np.rint(seconds * SECOND).astype(np.int64), positions, rotations.as_quat())
+    poses = sc.Poses(np.rint(seconds * SECOND).astype(np.int64), positions, rotations.as_quat())
     stated = {"shutterRollTimeSeconds": roll_s, "rollingShutterLeftToRight": over_columns}
-    frames = LazyFrames.of([CameraImage(0, camera, lambda: None)], (0,))
-    sensor = CameraSensor("camera", camera, frames, poses=poses, extras={"calibration": stated})
-    return Scene((sensor,), tuple(box.cuboid() for box in boxes))
+    frames = sc.LazyFrames.of([sc.CameraImage(0, camera, lambda: None)], (0,))
+    sensor = sc.CameraSensor("camera", camera, frames, poses=poses, extras={"calibration": stated})
+    return sc.Scene((sensor,), tuple(box.cuboid() for box in boxes))
 
 
 def seen_at_their_lines(camera, box, points_box, *, over_columns, trajectory):
@@ -376,7 +364,7 @@ ON_GRID = 0.03
 def some_boxes(centers, sizes, quaternions=None):
     count, rotations = len(centers), Rotation.from_matrix(AXES).as_quat() if quaternions is None else quaternions
     rows = np.array(centers, np.float64), np.array(sizes, np.float64), np.broadcast_to(rotations, (count, 4))
-    return Boxes(tuple(range(count)), (None,) * count, *rows[:2], rows[2].astype(np.float64))
+    return sc.Boxes(tuple(range(count)), (None,) * count, *rows[:2], rows[2].astype(np.float64))
 
 
 def seen_box(camera, center, size, rotation=None, **options):

@@ -5,20 +5,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from sceneloom.detections.detectors import (
-    CENTER_SIGMAS,
-    FAMILIES,
-    KINDS,
-    SIZE_SIGMAS,
-    SIZES,
-    UNLISTED,
-    detector_names,
-    format_detectors,
-    independent_detectors,
-    kind_name,
-    numbers_of,
-    table_rows,
-)
+from sceneloom.detections import detectors as det
+from sceneloom.detections.detectors import KINDS, independent_detectors, numbers_of, table_rows
 from sceneloom.detections.projection import orient_by_motion, says_nothing
 from sceneloom.detections.settings import box_covariances, existence_table, find_detectors, noise_table, read_detectors
 from sceneloom.errors import DataError, OptionError
@@ -28,7 +16,7 @@ from sceneloom.scene.detections import ScoreForm
 
 def test_words_are_found_whatever_their_case_and_dashes_and_unknown_ones_are_of_no_family():
     words = {"Car": "car", "Person_sitting": "pedestrian", "BICYCLIST": "cyclist", "Pick-up Truck": "van"}
-    assert {word: kind_name(word) for word in words} == words
+    assert {word: det.kind_name(word) for word in words} == words
     words = [word for name, kind in KINDS.items() for word in (name, *kind.words)]
     assert len(words) == len(set(words))
     assert says_nothing("Unknown")
@@ -39,15 +27,15 @@ def test_words_are_found_whatever_their_case_and_dashes_and_unknown_ones_are_of_
     assert three[0] != two[1]
     assert three[2] == two[3] != two[2]
     rows = table_rows(np.concatenate([three, two]))
-    assert rows.tolist() == [UNLISTED, UNLISTED, 0, UNLISTED, UNLISTED, list(KINDS).index("van"), 0]
-    assert FAMILIES[UNLISTED] == -1
-    assert FAMILIES[0] == FAMILIES[list(KINDS).index("van")] >= 0
-    people, dragons = SIZES[table_rows(numbers_of(["Pedestrian", "dragon"], [])[0])]
+    assert rows.tolist() == [det.UNLISTED, det.UNLISTED, 0, det.UNLISTED, det.UNLISTED, list(KINDS).index("van"), 0]
+    assert det.FAMILIES[det.UNLISTED] == -1
+    assert det.FAMILIES[0] == det.FAMILIES[list(KINDS).index("van")] >= 0
+    people, dragons = det.SIZES[table_rows(numbers_of(["Pedestrian", "dragon"], [])[0])]
     assert people[2] == pytest.approx(1.7, abs=0.1)
     assert (dragons[3:] > people[3:]).all()
 
 
-TEXT = format_detectors(independent_detectors())
+TEXT = det.format_detectors(independent_detectors())
 
 
 def flat(value):
@@ -56,10 +44,10 @@ def flat(value):
     return [x for inner in value for x in flat(inner)] if isinstance(value, tuple) else [value]
 
 
-@pytest.mark.parametrize("name", detector_names())
+@pytest.mark.parametrize("name", det.detector_names())
 def test_what_is_written_is_read_again_and_surer_scores_never_make_an_object_less_likely(tmp_path, name):
     detectors, path = find_detectors(name), tmp_path / "mine.toml"
-    path.write_text(format_detectors(detectors), "utf-8")
+    path.write_text(det.format_detectors(detectors), "utf-8")
     again = find_detectors(str(path))
     for field in ("name", "otherwise", "provenance", "degrees_of_freedom"):
         assert getattr(again, field) == getattr(detectors, field)
@@ -205,9 +193,9 @@ def test_deviations_lie_along_the_axes_of_the_box_and_those_reported_count_where
     found, growth = covariances_of()[0], np.sqrt(50 / 20)
     rotation = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
     size = np.array(KINDS["car"].size_lwh)
-    along = np.diag(((CENTER_SIGMAS[0] * size + CENTER_SIGMAS[1]) * growth) ** 2)
+    along = np.diag(((det.CENTER_SIGMAS[0] * size + det.CENTER_SIGMAS[1]) * growth) ** 2)
     np.testing.assert_allclose(found[:3, :3], rotation @ along @ rotation.T, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(found[3:, 3:], np.diag(((SIZE_SIGMAS[0] * size + SIZE_SIGMAS[1]) * growth) ** 2))
+    np.testing.assert_allclose(found[3:, 3:], np.diag(((det.SIZE_SIGMAS[0] * size + det.SIZE_SIGMAS[1]) * growth) ** 2))
     assert not found[:3, 3:].any()
     generator = np.random.default_rng(0)
     factor = generator.normal(size=(7, 7))

@@ -5,16 +5,8 @@ import pytest
 from scipy import stats
 
 from sceneloom.errors import ArrayError, OptionError
-from sceneloom.evaluate.detection import (
-    DIFFICULTIES,
-    DetectionRules,
-    at_difficulty,
-    evaluate_detection,
-    judge_calibration,
-    judge_covariances,
-    pair_detections,
-    score_curve,
-)
+from sceneloom.evaluate import detection as ev
+from sceneloom.evaluate.detection import DIFFICULTIES, DetectionRules, judge_covariances
 from sceneloom.evaluate.objects import ObjectTable, Similarity
 
 IN_IMAGE = DetectionRules(similarity=Similarity.IMAGE, least_overlap=0.5)
@@ -27,7 +19,7 @@ def table(frames, labels, corners, **columns) -> ObjectTable:
 
 
 def cars_of(found, truth, **options):
-    return evaluate_detection({"a": found}, {"a": truth}, classes=("car",), **{"rules": IN_IMAGE, **options})["car"]
+    return ev.evaluate_detection({"a": found}, {"a": truth}, classes=("car",), **{"rules": IN_IMAGE, **options})["car"]
 
 
 def overlap(one, other, *, of_first=False) -> float:
@@ -128,8 +120,8 @@ def street(seed: int) -> tuple[ObjectTable, ObjectTable]:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_counts_of_every_score_are_those_of_the_rules_written_out(seed, difficulty):
     truth, found = street(seed)
-    pairs = pair_detections({"a": found}, {"a": truth}, "car", rules=IN_IMAGE)
-    curve = score_curve(at_difficulty(pairs, DIFFICULTIES[difficulty]))
+    pairs = ev.pair_detections({"a": found}, {"a": truth}, "car", rules=IN_IMAGE)
+    curve = ev.score_curve(ev.at_difficulty(pairs, DIFFICULTIES[difficulty]))
     assert len(curve.thresholds) == len(set(found.scores.tolist()))
     for k, threshold in enumerate(curve.thresholds):
         counted = count_slowly(truth, found, "Car", "Van", DIFFICULTIES[difficulty], 0.5, threshold, by_score=False)
@@ -171,16 +163,16 @@ def test_what_is_missing_has_defined_figures_or_is_named():
     box, nothing = [[0, 0, 100, 60]], ObjectTable.empty()
     there = table([0], ["Car"], box, occlusions=[0], truncations=[0])
     sides = {"a": table([0], ["Car"], box, scores=[0.9]), "b": nothing}, {"a": nothing, "b": there}
-    scores = evaluate_detection(*sides, classes=("car",), rules=IN_IMAGE)["car"].difficulties["moderate"]
+    scores = ev.evaluate_detection(*sides, classes=("car",), rules=IN_IMAGE)["car"].difficulties["moderate"]
     assert (scores.true_objects, scores.detections, scores.max_f1) == (1, 1, 0.0)
     truth, found = street(6)
     bare = table(found.frames, found.labels, found.corners_xyxy)
     with pytest.raises(OptionError, match="no scores"):
-        evaluate_detection({"a": bare}, {"a": truth}, rules=IN_IMAGE)
+        ev.evaluate_detection({"a": bare}, {"a": truth}, rules=IN_IMAGE)
     with pytest.raises(OptionError, match="similarity '3d': the truth without boxes"):
-        evaluate_detection({"a": found}, {"a": truth})
+        ev.evaluate_detection({"a": found}, {"a": truth})
     with pytest.raises(OptionError, match="difficulty 'tough'; expected one of easy"):
-        evaluate_detection({"a": found}, {"a": truth}, rules=IN_IMAGE, difficulties=("tough",))
+        ev.evaluate_detection({"a": found}, {"a": truth}, rules=IN_IMAGE, difficulties=("tough",))
 
 
 def test_regions_excuse_boxes_in_space_only_where_that_is_asked():
@@ -197,12 +189,13 @@ def test_calibration_of_scores():
     rng = np.random.default_rng(7)
     probabilities = rng.random(40_000)
     are_true = rng.random(40_000) < probabilities
-    reported = judge_calibration(probabilities, are_true)
+    reported = ev.judge_calibration(probabilities, are_true)
     assert reported.error < 0.01  # 15 bins of 2700 draws, each off by 0.004 on the average
     assert reported.brier == pytest.approx(1 / 6, abs=0.005)  # the integral of p (1 - p); 3 deviations are 0.0028
     assert sum(part.count for part in reported.bins) == reported.count == 40_000
     # scores that state too much have their excess as error
-    reported = judge_calibration(np.array([0.9] * 10 + [0.3] * 10), np.array([1] * 6 + [0] * 4 + [1] * 3 + [0] * 7) > 0)
+    true = np.repeat([True, False, True, False], [6, 4, 3, 7])
+    reported = ev.judge_calibration(np.repeat([0.9, 0.3], 10), true)
     assert reported.error == pytest.approx(0.15)  # half of them by 0.3, the others by nothing
     assert reported.largest_error == pytest.approx(0.3)
     filled = [part for part in reported.bins if part.count]
@@ -211,7 +204,7 @@ def test_calibration_of_scores():
         (pytest.approx(0.9), pytest.approx(0.6)),
     ]
     # a score of one is in the last bin; logits have no error of calibration
-    reported = judge_calibration(np.array([1.0, 0.0]), np.array([True, False]))
+    reported = ev.judge_calibration(np.array([1.0, 0.0]), np.array([True, False]))
     assert (reported.bins[0].count, reported.bins[-1].count, reported.error) == (1, 1, 0.0)
     truth, found = street(8)
     logits = table(found.frames, found.labels, found.corners_xyxy, scores=10 * found.scores - 5)

@@ -7,31 +7,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sceneloom import scene as sc
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import rotate_vectors
 from sceneloom.motion.ego_trajectory import choose_trajectory, find_ego_motion, headed_poses
-from sceneloom.scene import (
-    DataWarning,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    PointsFrame,
-    Scene,
-    Trajectory,
-    WarningKind,
-)
 
 UPRIGHT = np.array([[0.0, 0, 0, 1]] * 2)
 ALONG = np.array([[0.0, 0, 0], [1, 0, 0]])
-FOUND = Trajectory("lidar", np.array([0, 10]), ALONG, UPRIGHT, covariances=np.zeros((2, 6, 6)))
-RECORDED = Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), UPRIGHT[:1])
-NOTE = DataWarning(kind=WarningKind.SKIPPED, code="few-points", location="lidar", message="a sweep was passed over")
+FOUND = sc.Trajectory("lidar", np.array([0, 10]), ALONG, UPRIGHT, covariances=np.zeros((2, 6, 6)))
+RECORDED = sc.Trajectory("pose", np.zeros(1, np.int64), np.ones((1, 3)), UPRIGHT[:1])
+NOTE = sc.DataWarning(kind=sc.WarningKind.SKIPPED, code="few-points", location="lidar", message="passed over")
 
 
-def lidar(points_frame=PointsFrame.SENSOR, sweeps=2):
-    frames = [LidarFrame(k, LidarPoints(np.zeros((1, 3), np.float32))) for k in range(sweeps)]
-    return LidarSensor("lidar", LazyFrames.of(frames, range(sweeps)), points_frame=points_frame)
+def lidar(points_frame=sc.PointsFrame.SENSOR, sweeps=2):
+    frames = [sc.LidarFrame(k, sc.LidarPoints(np.zeros((1, 3), np.float32))) for k in range(sweeps)]
+    return sc.LidarSensor("lidar", sc.LazyFrames.of(frames, range(sweeps)), points_frame=points_frame)
 
 
 @pytest.fixture
@@ -50,39 +40,39 @@ def asked(monkeypatch):
 
 
 def test_the_lidar_places_a_drive_without_trajectory_or_one_for_which_it_is_asked(asked):
-    ego = find_ego_motion(Scene((lidar(),)), lenient=True)
+    ego = find_ego_motion(sc.Scene((lidar(),)), lenient=True)
     assert (ego.name, len(ego.path.timestamps_ns)) == ("lidar", 2)
     assert [warning.code for warning in ego.warnings] == ["trajectory-from-lidar", "few-points"]
     assert ego.covariances is not None
     assert asked == [{"progress": None, "lenient": True}]
     asked.clear()
-    scene = Scene((lidar(),), trajectories={"pose": RECORDED})
+    scene = sc.Scene((lidar(),), trajectories={"pose": RECORDED})
     assert find_ego_motion(scene).name == "pose"
     assert not asked
     forced = find_ego_motion(scene, name="lidar")
     assert (forced.name, [warning.code for warning in forced.warnings]) == ("lidar", ["few-points"])
     asked.clear()
     # a recorded trajectory of that name is taken as it is
-    named = Scene((lidar(),), trajectories={"lidar": RECORDED})
+    named = sc.Scene((lidar(),), trajectories={"lidar": RECORDED})
     assert find_ego_motion(named, name="lidar").path.positions[0, 0] == 1
     assert not asked
-    for sensors in [(), (lidar(PointsFrame.WORLD),), (lidar(sweeps=0),)]:
+    for sensors in [(), (lidar(sc.PointsFrame.WORLD),), (lidar(sweeps=0),)]:
         with pytest.raises(PoseError, match="--trajectory identity"):
-            find_ego_motion(Scene(sensors))
-        assert find_ego_motion(Scene(sensors), name="identity").path.static
+            find_ego_motion(sc.Scene(sensors))
+        assert find_ego_motion(sc.Scene(sensors), name="identity").path.static
         assert not asked
 
 
 def circle(radius=20.0, count=200):
     angle = np.linspace(0, np.pi, count)
     positions = radius * np.stack([np.cos(angle), np.sin(angle), 0.05 * angle], axis=1)
-    return Trajectory("gnssEnu", np.arange(count, dtype=np.int64), positions)
+    return sc.Trajectory("gnssEnu", np.arange(count, dtype=np.int64), positions)
 
 
 def halting(axis, period_ns=1):
     positions = np.zeros((80, 3))
     positions[:, axis] = np.concatenate([np.linspace(0, 10, 50), np.full(30, 10.0)])
-    return Trajectory("fixes", np.arange(80, dtype=np.int64) * period_ns, positions)
+    return sc.Trajectory("fixes", np.arange(80, dtype=np.int64) * period_ns, positions)
 
 
 def test_the_heading_of_a_circle_is_its_tangent_and_a_stationary_ego_keeps_the_one_it_came_with():
@@ -98,10 +88,10 @@ def test_the_heading_of_a_circle_is_its_tangent_and_a_stationary_ego_keeps_the_o
     np.testing.assert_allclose(rotate_vectors(headings, np.array([0, 1.0, 0]))[:, 2], 0, atol=1e-12)
     np.testing.assert_allclose(headed_poses(halting(0)).quaternions_xyzw[-1], [0, 0, 0, 1], atol=1e-12)
     with pytest.raises(PoseError, match=r"at least 0\.5 m"):
-        headed_poses(Trajectory("fixes", np.arange(3, dtype=np.int64), np.zeros((3, 3))))
+        headed_poses(sc.Trajectory("fixes", np.arange(3, dtype=np.int64), np.zeros((3, 3))))
     # also in a part in which it stands
     trajectory = halting(1, 1_000_000_000)
-    ego = choose_trajectory(Scene((), trajectories={"fixes": trajectory}), heading="motion")
+    ego = choose_trajectory(sc.Scene((), trajectories={"fixes": trajectory}), heading="motion")
     part = ego.within((int(trajectory.timestamps_ns[70]), int(trajectory.timestamps_ns[75])))
     assert (part.heading, len(part.path.timestamps_ns)) == ("motion", 7)
     ahead = rotate_vectors(part.path.quaternions_xyzw, np.array([1.0, 0, 0]))
@@ -110,7 +100,7 @@ def test_the_heading_of_a_circle_is_its_tangent_and_a_stationary_ego_keeps_the_o
 
 
 def test_the_first_trajectory_is_the_default_a_name_chooses_another_and_what_cannot_be_is_refused():
-    scene = Scene((lidar(),), trajectories={"pose": RECORDED})
+    scene = sc.Scene((lidar(),), trajectories={"pose": RECORDED})
     for name, heading, error, problem in (
         ("imu", None, PoseError, "not its position"),
         ("vio", None, OptionError, "pose, lidar, identity"),
@@ -119,15 +109,15 @@ def test_the_first_trajectory_is_the_default_a_name_chooses_another_and_what_can
         with pytest.raises(error, match=problem):
             find_ego_motion(scene, name=name, heading=heading)
     with pytest.raises(OptionError, match="arcore, identity"):
-        choose_trajectory(Scene((), trajectories={"arcore": circle()}), name="arkit")
-    other = Trajectory("other", np.zeros(1, np.int64), np.zeros((1, 3)), UPRIGHT[:1])
-    scene = Scene((), trajectories={"groundTruth": RECORDED, "other": other})
+        choose_trajectory(sc.Scene((), trajectories={"arcore": circle()}), name="arkit")
+    other = sc.Trajectory("other", np.zeros(1, np.int64), np.zeros((1, 3)), UPRIGHT[:1])
+    scene = sc.Scene((), trajectories={"groundTruth": RECORDED, "other": other})
     assert choose_trajectory(scene).path.positions[0, 0] == 1
     assert choose_trajectory(scene, name="other").path.positions[0, 0] == 0
     with pytest.raises(PoseError, match="--trajectory identity"):
-        choose_trajectory(Scene(()))
-    assert choose_trajectory(Scene(()), name="identity").path.static
-    scene = Scene((), trajectories={"gnssEnu": circle()})
+        choose_trajectory(sc.Scene(()))
+    assert choose_trajectory(sc.Scene(()), name="identity").path.static
+    scene = sc.Scene((), trajectories={"gnssEnu": circle()})
     with pytest.raises(PoseError, match="--orientation-from motion"):
         choose_trajectory(scene)
     assert choose_trajectory(scene, heading="motion").heading == "motion"

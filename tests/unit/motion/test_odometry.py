@@ -8,17 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import ArrayError, DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.motion.odometry import (
-    LidarOdometry,
-    LocalMap,
-    OdometryConfiguration,
-    Outcome,
-    SceneSweeps,
-    SurfaceLevel,
-    accumulate_normal_equations,
-    lidar_odometry,
-    move_points,
-)
+from sceneloom.motion import odometry as odo
+from sceneloom.motion.odometry import LidarOdometry, Outcome, lidar_odometry
 from sceneloom.scene import LazyFrames, LidarFrame, LidarPoints, PointsFrame
 from sceneloom.simulate import LidarSpec, PathSpec, Stop, TrafficSpec, simulate_street
 
@@ -147,9 +138,9 @@ def test_shapes_and_settings_that_make_no_sense_are_refused():
     with pytest.raises(ArrayError, match="timestamps_ns"):
         LidarOdometry().add(0, np.zeros((4, 3)), np.zeros(3, np.int64))
     with pytest.raises(OptionError, match="cube"):
-        OdometryConfiguration(cube=0.0)
+        odo.OdometryConfiguration(cube=0.0)
     with pytest.raises(OptionError, match="farthest"):
-        OdometryConfiguration(farthest=1.0)
+        odo.OdometryConfiguration(farthest=1.0)
 
 
 SMALL = LidarSpec(beams=24, elevations_deg=(-24.0, 10.0), steps=720)
@@ -201,7 +192,7 @@ def codes(run):
 
 
 def test_sweeps_of_one_period_make_one_cloud_of_which_one_blind_lidar_does_not_matter(scene, sound):
-    sweeps, reported = SceneSweeps.of(scene), []
+    sweeps, reported = odo.SceneSweeps.of(scene), []
     lidar_odometry(scene, progress=lambda done, total: reported.append((done, total)))
     assert reported == [(k, SWEEPS) for k in range(1, SWEEPS + 1)]
     clouds = [cloud for _, cloud in sweeps.clouds()]
@@ -322,13 +313,13 @@ def equations(local_map, points, seconds, change, scale):
     world, arms = moved(points, seconds, rotation, change[3:6], YAW_RATE + change[6:9], VELOCITY + change[9:])
     information, gradient, sums = np.empty((3, 6, 6)), np.empty((2, 6)), np.empty(4)
     levels = [x for level in local_map.levels for x in (level.leaf, level.table, level.keys, level.surfaces)]
-    accumulate_normal_equations(world, arms, seconds, scale, *levels, information, gradient, sums)
+    odo.accumulate_normal_equations(world, arms, seconds, scale, *levels, information, gradient, sums)
     return information, gradient, sums
 
 
 def on_ground(noise, z):
     """A map of level ground, and points above it."""
-    generator, local_map = np.random.default_rng(2), LocalMap(1.0, 0.02)
+    generator, local_map = np.random.default_rng(2), odo.LocalMap(1.0, 0.02)
     local_map.insert(np.column_stack([generator.uniform(-30, 30, (60_000, 2)), generator.normal(-1.0, noise, 60_000)]))
     return local_map, np.column_stack([generator.uniform(-20, 20, (300, 2)), np.full(300, z)]), np.zeros(300)
 
@@ -338,7 +329,7 @@ def test_points_move_with_the_rotating_ego_and_the_gradient_is_that_of_half_the_
     points, seconds = generator.uniform(-30, 30, (200, 3)), generator.uniform(-0.05, 0.05, 200)
     rotation, position = Rotation.from_rotvec([0.1, 0.2, -0.5]).as_matrix(), np.array([5.0, -3.0, 1.0])
     found = np.empty_like(points), np.empty_like(points)
-    move_points(points, seconds, rotation, position, YAW_RATE, VELOCITY, *found)
+    odo.move_points(points, seconds, rotation, position, YAW_RATE, VELOCITY, *found)
     np.testing.assert_allclose(found, moved(points, seconds, rotation, position, YAW_RATE, VELOCITY), atol=1e-9)
     cloud, scale, step = on_ground(0.01, -0.99), 1e6, 1e-6
     # every weight is that of where the surface lies, so that the error is a sum of squares
@@ -357,7 +348,7 @@ NOISE = 0.02
 
 
 def level_of(points, leaf=2.0):
-    level = SurfaceLevel(leaf, NOISE)
+    level = odo.SurfaceLevel(leaf, NOISE)
     level.insert(np.ascontiguousarray(points, dtype=np.float64))
     return level
 

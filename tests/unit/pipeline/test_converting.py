@@ -12,16 +12,8 @@ from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import LossError, OptionError, OutputError, without_folders
 from sceneloom.formats import open_scene, write_scene
-from sceneloom.formats.base.losses import (
-    KEPT,
-    Loss,
-    Support,
-    approximated,
-    converted,
-    dropped,
-    holding_of,
-    unknown_names,
-)
+from sceneloom.formats.base import losses
+from sceneloom.formats.base.losses import KEPT, Loss, Support, dropped
 from sceneloom.formats.base.registry import written_formats
 from sceneloom.pipeline import convert
 from sceneloom.pipeline.converting import field_supports, fields_meant, lost
@@ -124,8 +116,8 @@ HOLDS = {
     "": KEPT,
     "sensors": dropped("no sensors"),
     "sensors.lidar": KEPT,
-    "sensors.lidar.frames.points": converted("as 32 bits"),
-    "sensors.lidar.frames.points.colors": approximated("three bits each"),
+    "sensors.lidar.frames.points": losses.converted("as 32 bits"),
+    "sensors.lidar.frames.points.colors": losses.approximated("three bits each"),
 }
 KINDS = {"sensors[top]": "sensors.lidar", "sensors[a.b]": "sensors.camera", "annotations[7]": "annotations.cuboid"}
 
@@ -138,9 +130,9 @@ def test_the_longest_beginning_that_ends_at_a_dot_counts_and_slips_of_the_pen_ar
         "sensors.lidarish.id": Support.DROPPED,
         "metadata": Support.KEPT,
     }
-    assert {field: holding_of(HOLDS, field).support for field in supports} == supports
-    assert holding_of({"sensors": KEPT}, "metadata") is None
-    assert unknown_names({**HOLDS, "sensors.lidar.frame": KEPT, "meta": KEPT}) == ["sensors.lidar.frame", "meta"]
+    assert {field: losses.holding_of(HOLDS, field).support for field in supports} == supports
+    assert losses.holding_of({"sensors": KEPT}, "metadata") is None
+    assert losses.unknown_names({**HOLDS, "sensors.lidar.frame": KEPT, "meta": KEPT}) == ["sensors.lidar.frame", "meta"]
 
 
 def test_a_line_is_about_the_field_that_it_names_or_all_fields_of_its_sensor():

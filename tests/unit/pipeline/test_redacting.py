@@ -8,14 +8,8 @@ import pytest
 from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
-from sceneloom.pipeline.redacting import (
-    ImageBox,
-    filled,
-    find_hidings,
-    hidden_regions,
-    hide_in_images,
-    read_image_boxes,
-)
+from sceneloom.pipeline import redacting
+from sceneloom.pipeline.redacting import ImageBox, filled, find_hidings, hide_in_images, read_image_boxes
 from sceneloom.scene.annotations import BoxPath, ShapeType
 
 CAMERA = Camera("pinhole", 64, 48, 50.0, 50.0, 31.5, 23.5)
@@ -127,7 +121,7 @@ def test_regions_are_the_even_pixels_around_boxes_with_their_margin_within_the_i
         ImageBox((5.0, 5.0, 5.0, 9.0), number=2),
     )
     _, hiding = hidings_of(scene_with(), boxes=boxes)
-    regions = hidden_regions(hiding, 64, 48, margin=0.1)
+    regions = redacting.hidden_regions(hiding, 64, 48, margin=0.1)
     assert {k: rows.tolist() for k, rows in regions.pixels.items()} == {0: [[10, 8, 22, 34], [58, 0, 64, 6]]}
     assert (regions.outside, regions.cut) == (2, 1)
 

@@ -6,19 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.simulate.street import (
-    NO_MOVERS,
-    GroundMap,
-    Lane,
-    Material,
-    Mover,
-    PackedShapes,
-    Pattern,
-    Shape,
-    ShapeKind,
-    Street,
-    pack_movers,
-)  # fmt: skip
+from sceneloom.simulate import street as st
+from sceneloom.simulate.street import Material, Pattern, Shape, ShapeKind
 from sceneloom.simulate.trajectory import EgoPath
 
 PLAIN = Material(Pattern.PLAIN, ((100.0, 120.0, 140.0),) * 3, reflectivity=0.3)
@@ -47,17 +36,17 @@ def box(center, half, material=PLAIN):
     return Shape(ShapeKind.BOX, RigidTransform(np.eye(3), np.array(center, float)), tuple(map(float, half)), material)
 
 
-def street_of(shapes=(), path=STILL, *, movers=NO_MOVERS, instances=None):
+def street_of(shapes=(), path=STILL, *, movers=st.NO_MOVERS, instances=None):
     """A street that holds exactly the given shapes, by default one object each, and movers."""
     instances = range(1, len(shapes) + 1) if instances is None else instances
-    return Street((), PackedShapes.of(list(shapes), list(instances)), GroundMap.of(Lane.of(path)), movers)
+    return st.Street((), st.PackedShapes.of(list(shapes), list(instances)), st.GroundMap.of(st.Lane.of(path)), movers)
 
 
 def moving(designs, curves, *, start_ns=0, first_knot=-4.0, spans=None):
     """Movers, numbered from 1, along curves with knots half a second apart."""
     spans = spans or [(-(10**10), 10**10)] * len(designs)
-    things = [Mover(k + 1, design.label, design.size_lwh, *spans[k], False) for k, design in enumerate(designs)]
-    return pack_movers(things, designs, np.array(curves), start_ns=start_ns, first_knot=first_knot, knot_step=0.5)
+    things = [st.Mover(k + 1, design.label, design.size_lwh, *spans[k], False) for k, design in enumerate(designs)]
+    return st.pack_movers(things, designs, np.array(curves), start_ns=start_ns, first_knot=first_knot, knot_step=0.5)
 
 
 def excess(kind, points):

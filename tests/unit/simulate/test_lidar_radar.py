@@ -7,16 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.unit.simulate.scenery import (
-    STILL,
-    box,
-    in_box_axes,
-    instances_inside,
-    moving,
-    path_at_speed,
-    street_of,
-    unit,
-)
 
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.deskew import points_to_world
@@ -25,6 +15,8 @@ from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import LidarSpec, RadarSpec, Raster, Rosette, SolidStateSpec, sensor_mount, simulate_street
 from sceneloom.simulate.lidar_radar import FALSE_ALARM, ScanningLidar, SimulatedRadar
 from sceneloom.simulate.street import Material, MovingDesign, Part, Pattern
+
+from .scenery import STILL, box, in_box_axes, instances_inside, moving, path_at_speed, street_of, unit
 
 HEIGHT = 1.5
 UPRIGHT = RigidTransform(np.eye(3), np.array([0.0, 0.0, HEIGHT]))

@@ -6,18 +6,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.unit.simulate.scenery import (
-    EXACT,
-    SKY,
-    box,
-    first_hit,
-    in_box_axes,
-    instances_inside,
-    moving,
-    street_of,
-    surface_points,
-    unit,
-)  # fmt: skip
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.geometry.rigid import RigidTransform
@@ -25,6 +13,8 @@ from sceneloom.simulate import CameraSpec, LidarSpec, PathSpec, Stop, TrafficSpe
 from sceneloom.simulate import street as streets
 from sceneloom.simulate.camera import RenderedCamera
 from sceneloom.simulate.casting import Rays, bundles_by_direction, cast, instances_of, paint
+
+from .scenery import EXACT, SKY, box, first_hit, in_box_axes, instances_inside, moving, street_of, surface_points, unit
 
 
 @pytest.fixture(scope="module", params=[0, 1, 2])

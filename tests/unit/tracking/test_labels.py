@@ -7,18 +7,9 @@ import numpy as np
 import pytest
 
 import sceneloom
+from sceneloom import scene as sc
 from sceneloom.errors import OptionError
-from sceneloom.scene import (
-    Box2DAnnotation,
-    CuboidAnnotation,
-    CuboidPath,
-    LinkAnnotation,
-    ObjectAnnotation,
-    Scene,
-    Support,
-    Track,
-    Tracks,
-)
+from sceneloom.scene import Scene, Support, Tracks
 from sceneloom.scene.annotations_at import CuboidAngles, cuboid_at
 from sceneloom.simulate import CameraSpec, LidarSpec, RadarSpec, TrafficSpec, simulate_street
 from sceneloom.tracking import labels
@@ -42,7 +33,7 @@ def made(number=1, label="car", *, count=21, period_ns=100_000_000, speed=8.0, *
         "scores": np.full(count, 0.9),
         "supports": np.full(count, Support.BOTH, np.uint8),
     }
-    return Track(number, label, **{**columns, **changes})
+    return sc.Track(number, label, **{**columns, **changes})
 
 
 def followed(drive, timestamps_ns):
@@ -75,8 +66,8 @@ def wandering(seed, count=16):
 
 def deviations(path, first, last, keyframes):
     """How far the scene's own readers, asked for states, are from them: most of locations [m], of headings [deg]."""
-    part = CuboidPath(path.timestamps_ns[keyframes], path.cuboids(keyframes, DEGREES).values)
-    values, there = cuboid_at(CuboidAnnotation("a", part), path.timestamps_ns[first : last + 1])
+    part = sc.CuboidPath(path.timestamps_ns[keyframes], path.cuboids(keyframes, DEGREES).values)
+    values, there = cuboid_at(sc.CuboidAnnotation("a", part), path.timestamps_ns[first : last + 1])
     assert there.all()
     boxes = path.boxes[first : last + 1]
     rotations = (values[:, 8] - np.degrees(boxes[:, 6]) + 180.0) % 360.0 - 180.0
@@ -252,7 +243,7 @@ def labelled(drive, tracks):
 
 
 def cuboids_of(scene):
-    return {each.id: each for each in scene.annotations if isinstance(each, CuboidAnnotation)}
+    return {each.id: each for each in scene.annotations if isinstance(each, sc.CuboidAnnotation)}
 
 
 def reported(cuboid, name):
@@ -351,8 +342,8 @@ def test_a_label_says_how_sure_it_is_and_whence_it_comes_with_its_boxes_in_image
     shown = {"camera0": corners, "other": corners}
     track = made(5, count=FRAMES, timestamps_ns=images + 7_000_000, corners_xyxy=shown)
     scene = label(drive, track).scene
-    (thing,) = [each for each in scene.annotations if isinstance(each, ObjectAnnotation)]
-    boxes = [each for each in scene.annotations if isinstance(each, Box2DAnnotation)]
+    (thing,) = [each for each in scene.annotations if isinstance(each, sc.ObjectAnnotation)]
+    boxes = [each for each in scene.annotations if isinstance(each, sc.Box2DAnnotation)]
     assert [box.path.timestamps_ns.tolist() for box in boxes] == [images[[0, 1, 2]].tolist(), images[[8, 9]].tolist()]
     assert boxes[0].path.values[0].tolist() == [10.0, 20.0, 40.0, 40.0]
     assert {each.parent_id for each in (*boxes, *cuboids_of(scene).values())} == {thing.id}
@@ -378,7 +369,7 @@ def test_persons_ride_the_nearest_thing_that_they_stay_with_and_are_linked_what_
     ]:
         assert [(person.id, bike.id) for person, bike in labels.riders(tracks)] == pairs
     found = labels.label_tracks(Scene(()), Tracks((made(1, "rider"), made(2, "bicycle"))))
-    (link,) = [each for each in found.scene.annotations if isinstance(each, LinkAnnotation)]
+    (link,) = [each for each in found.scene.annotations if isinstance(each, sc.LinkAnnotation)]
     assert (link.from_id, link.to_id, link.label) == ("cuboid-1", "cuboid-2", "rides")
     assert not found.flags
     tracks = Tracks((made(1, count=2), made(2, scores=np.full(21, 0.2)), made(3)))

@@ -7,16 +7,8 @@ import pytest
 from sceneloom.arrays import finite_rows
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.visualization import EgoPosition, draw_cloud_above, draw_cloud_perspective
-from sceneloom.visualization.clouds import (
-    Viewpoint,
-    background,
-    find_ego,
-    layout_map,
-    middle_of,
-    sample_polyline,
-    viewpoint_behind,
-)
+from sceneloom.visualization import EgoPosition, clouds, draw_cloud_above, draw_cloud_perspective
+from sceneloom.visualization.clouds import find_ego, layout_map, viewpoint_behind
 
 SIZE = (900, 640)
 EGO = EgoPosition(np.array([100.0, 50.0, 0.0]), np.array([1.0, 0.0, 0.0]))
@@ -141,7 +133,7 @@ def _area(drawn, channel):
 
 
 def test_points_are_projected_as_opencv_projects_them():
-    viewpoint = Viewpoint(np.array([3.0, -4.0, 7.0]), np.array([10.0, 12.0, 1.0]), 800, 500)
+    viewpoint = clouds.Viewpoint(np.array([3.0, -4.0, 7.0]), np.array([10.0, 12.0, 1.0]), 800, 500)
     rng = np.random.default_rng(5)
     points = rng.uniform(-6, 6, (200, 3)) + np.array([10.0, 12.0, 1.0])
     # The pinhole's axes by hand: forward to the target, right level, down the rest.
@@ -212,7 +204,7 @@ def test_a_cloud_without_points_is_an_empty_stage_and_drawing_twice_gives_the_sa
 
 
 def test_the_background_is_lightest_at_the_horizon():
-    column = background(10, 300)[:, 0].astype(int).sum(axis=1)
+    column = clouds.background(10, 300)[:, 0].astype(int).sum(axis=1)
     lightest = int(np.argmax(column))
     assert 60 < lightest < 150
     assert (np.diff(column[:lightest]) >= 0).all()
@@ -245,14 +237,14 @@ def test_forward_is_where_the_path_leads_or_the_first_camera_looks(make_view):
     assert np.ptp(corners, axis=0)[1] == pytest.approx(2.0)
     assert corners[0] == pytest.approx([1.0, 2.0 + 1.2, 3.0])
     assert corners[:, 0].mean() == pytest.approx(1.0)
-    assert middle_of(np.zeros((0, 3))).position_world.tolist() == [0.0, 0.0, 0.0]
+    assert clouds.middle_of(np.zeros((0, 3))).position_world.tolist() == [0.0, 0.0, 0.0]
     points = np.array([[1.0, 5.0, 0.0], [2.0, 4.0, 9.0], [90.0, 3.0, 1.0]])
-    assert middle_of(points).position_world.tolist() == [2, 4, 1]
+    assert clouds.middle_of(points).position_world.tolist() == [2, 4, 1]
 
 
 def test_lines_and_maps_of_locations_that_are_far_off_have_finite_points_and_grids():
     for far in (1e9, 1e155, 1e300, 1.7e308, -1.7e308):
-        points = sample_polyline(np.array([[0.0, 0.0, 0.0], [far, 0.0, 0.0], [0.0, far, 0.0]]), 0.5)
+        points = clouds.sample_polyline(np.array([[0.0, 0.0, 0.0], [far, 0.0, 0.0], [0.0, far, 0.0]]), 0.5)
         assert len(points) > 2
         assert finite_rows(points).all()
     for far in (1e17, 1e300, 1.7e308):

@@ -9,17 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sceneloom.errors import OptionError
-from sceneloom.visualization.colour_scales import (
-    ANCHORS,
-    COARSE_DIGITS,
-    ROUND_DIGITS,
-    DepthScale,
-    colour_map,
-    oklab_from_srgb,
-    round_down,
-    round_up,
-    srgb_from_oklab,
-)
+from sceneloom.visualization import colour_scales as scales
+from sceneloom.visualization.colour_scales import ANCHORS, DepthScale, colour_map
 
 
 def test_oklab_of_named_colours_is_what_css_prints_and_every_colour_comes_back():
@@ -32,10 +23,10 @@ def test_oklab_of_named_colours_is_what_css_prints_and_every_colour_comes_back()
         (0, 0, 255): (0.45201, -0.03246, -0.31153),
     }
     # 1e-4: the published matrices of OKLab exist in two roundings.
-    assert oklab_from_srgb(np.array([*named], np.uint8)) == pytest.approx(np.array([*named.values()]), abs=1e-4)
+    assert scales.oklab_from_srgb(np.array([*named], np.uint8)) == pytest.approx(np.array([*named.values()]), abs=1e-4)
     levels = np.arange(0, 256, 5, dtype=np.uint8)
     rgb = np.stack(np.meshgrid(levels, levels, levels), axis=-1).reshape(-1, 3)
-    assert np.array_equal(srgb_from_oklab(oklab_from_srgb(rgb)), rgb)
+    assert np.array_equal(scales.srgb_from_oklab(scales.oklab_from_srgb(rgb)), rgb)
 
 
 @pytest.mark.parametrize("name", ANCHORS)
@@ -46,7 +37,7 @@ def test_lightness_falls_in_equal_steps_along_the_whole_map_and_no_colour_had_to
     assert np.diff(lightness).max() < 0.5
     assert (lightness[6:] < lightness[:-6]).all()
     assert lightness[0] - lightness[-1] > 40
-    oklab = oklab_from_srgb(table)
+    oklab = scales.oklab_from_srgb(table)
     lengths = np.linalg.norm(oklab[15::15] - oklab[:-15:15], axis=1)
     # 8 %: rounding to 8 bits, and chords across the bends of the curve.
     assert np.abs(lengths / lengths.mean() - 1).max() < 0.08
@@ -81,13 +72,13 @@ def _round_numbers(digits):
     return sorted(digit * 10.0**power for digit in digits for power in range(-6, 8))
 
 
-@pytest.mark.parametrize("digits", [ROUND_DIGITS, COARSE_DIGITS])
+@pytest.mark.parametrize("digits", [scales.ROUND_DIGITS, scales.COARSE_DIGITS])
 @given(value=st.floats(1e-4, 1e5))
 def test_rounding_finds_the_nearest_round_number_on_each_side(digits, value):
     # Half a billionth: a number that is round but for its last bits counts as round.
     numbers = _round_numbers(digits)
-    assert round_down(value, digits) == pytest.approx(max(n for n in numbers if n <= value * (1 + 5e-10)))
-    assert round_up(value, digits) == pytest.approx(min(n for n in numbers if n >= value * (1 - 5e-10)))
+    assert scales.round_down(value, digits) == pytest.approx(max(n for n in numbers if n <= value * (1 + 5e-10)))
+    assert scales.round_up(value, digits) == pytest.approx(min(n for n in numbers if n >= value * (1 - 5e-10)))
 
 
 @given(st.lists(DEPTHS, min_size=1, max_size=50))

@@ -7,20 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sceneloom import visualization as viz
 from sceneloom.colouring.results import FusedFrame
 from sceneloom.errors import OptionError, OutputError
 from sceneloom.scene import LidarPoints, Poses
-from sceneloom.visualization import (
-    DepthScale,
-    DriveCloud,
-    EgoPosition,
-    contact_sheet,
-    draw_cloud_above,
-    draw_depth_image,
-    draw_overlay,
-    iter_images,
-    save_images,
-)
+from sceneloom.visualization import DepthScale, draw_depth_image, draw_overlay, save_images
 from sceneloom.visualization.canvas import STRIP, Canvas
 from sceneloom.visualization.colour_scales import colour_map, placed_ticks
 from sceneloom.visualization.fused_frames import CUBE, NO_DEPTH, view_scale
@@ -143,10 +134,10 @@ def test_the_cloud_is_drawn_around_the_ego_at_the_time_of_its_sweep(tmp_path):
     ego_poses = Poses(times, positions, np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
     for reference_ns, x in ((500_000_000, 20.0), (-1, 0.0), (3 * 10**9, 40.0)):
         frame = replace(_frame([]), reference_ns=reference_ns)
-        ego = EgoPosition(np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
-        drawn = dict(iter_images(frame, 0, ego_poses=ego_poses))["cloud_lidar_000000_above"]()
+        ego = viz.EgoPosition(np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+        drawn = dict(viz.iter_images(frame, 0, ego_poses=ego_poses))["cloud_lidar_000000_above"]()
         points, seen = frame.points, {"camera_index": frame.points.camera_index}
-        around = draw_cloud_above(points.positions, points.colors, **seen, ego=ego, ego_path=positions)
+        around = viz.draw_cloud_above(points.positions, points.colors, **seen, ego=ego, ego_path=positions)
         # Only the captions differ.
         assert np.array_equal(np.asarray(drawn)[:800], np.asarray(around)[:800])
 
@@ -189,13 +180,13 @@ def test_no_id_leaves_the_folder_overwrites_another_or_is_too_long(make_view, tm
 def test_a_contact_sheet_shows_every_image_in_its_column():
     sizes = {(200, 0, 0): (40, 20), (0, 200, 0): (80, 80), (0, 0, 200): (10, 5)}
     images = [Image.new("RGB", size, colour) for colour, size in sizes.items()]
-    sheet = np.asarray(contact_sheet(images, columns=2, width_px=340))
+    sheet = np.asarray(viz.contact_sheet(images, columns=2, width_px=340))
     # Gaps of 2 px: two columns of 167 px; the first row is as high as the square image.
     assert sheet.shape == (2 + 167 + 2 + round(167 / 2) + 2, 340, 3)
     assert [tuple(sheet[place]) for place in ((40, 80), (120, 250), (200, 80))] == list(sizes)
     for count, options in ((0, {}), (1, {"columns": 0}), (1, {"columns": 9, "width_px": 20})):
         with pytest.raises(OptionError, match="room"):
-            contact_sheet(images[:count], **options)
+            viz.contact_sheet(images[:count], **options)
 
 
 RED, BLUE = (250, 10, 10), (10, 10, 250)
@@ -218,7 +209,7 @@ def test_the_cloud_of_a_drive_has_all_sweeps_that_are_chosen_and_fused(tmp_path)
     trajectory = Poses(np.arange(3) * 100_000_000, positions, np.tile([0.0, 0, 0, 1], (3, 1)))
 
     def drawn(*sweeps, poses=trajectory):
-        cloud = DriveCloud(frozenset(range(3)))
+        cloud = viz.DriveCloud(frozenset(range(3)))
         for one in sweeps:
             cloud.add(one)
         folder = tmp_path / str(len(list(tmp_path.iterdir())))

@@ -1,4 +1,4 @@
-"""A drive as coloured clouds: maps, sweeps, labels there and back, and what is refused."""
+"""A drive as coloured clouds and depth images: maps, labels there and back, blind sensors, and what is refused."""
 
 import json
 from dataclasses import replace
@@ -9,13 +9,16 @@ import pytest
 from PIL import Image
 
 import sceneloom
+from sceneloom import simulate as sim
 from sceneloom.cameras.camera import Camera
+from sceneloom.colouring.depth_completion import METHODS
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.points.cloud import NO_LABEL
 from sceneloom.formats.points.files import read_cloud
 from sceneloom.pipeline import ColourOutputs, ColourSettings, colour, iter_fused
+from sceneloom.pipeline.depth_images import write_depth_images
 from sceneloom.scene import CameraImage, LabeledPointsAnnotation, LazyFrames, LidarFrame, LidarPoints
-from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, TrafficSpec, camera_mount, simulate_street
+from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, simulate_street
 
 CAMERA_MODEL = Camera("pinhole", 320, 200, 190.0, 190.0, 159.5, 99.5)
 FRAMES = 4
@@ -25,7 +28,7 @@ FRAMES = 4
 def exposed(tmp_path_factory):
     """Two cameras that overlap, each with an automatic of its own; from files, so that images are made once."""
     cameras = [
-        CameraSpec(CAMERA_MODEL, camera_mount(yaw_deg=yaw), exposure=ExposureSpec(drift_stops=0.4), supersampling=2)
+        CameraSpec(CAMERA_MODEL, camera_mount(yaw_deg=yaw), exposure=sim.ExposureSpec(drift_stops=0.4), supersampling=2)
         for yaw in (0.0, 55.0)
     ]
     drive = simulate_street(21, frames=FRAMES, lidar=LidarSpec(beams=32, steps=600), cameras=cameras)
@@ -156,7 +159,7 @@ def test_labels_of_sweeps_go_back_into_the_images_that_they_came_from(exposed, t
 
 
 def test_moving_points_are_left_out_by_boxes_and_by_rays_and_counted(tmp_path):
-    drive = simulate_street(8, frames=22, lidar=LidarSpec(beams=24, steps=400), cameras=(), traffic=TrafficSpec())
+    drive = simulate_street(8, frames=22, lidar=LidarSpec(beams=24, steps=400), cameras=(), traffic=sim.TrafficSpec())
     (tmp_path / "rays").mkdir()
     settings = ColourSettings(remove_moving=True)
     report = colour(drive.scene, settings=settings, outputs=ColourOutputs(per_sweep=tmp_path / "rays" / "s"))
@@ -255,3 +258,75 @@ def test_odd_drives_become_maps_all_the_same(tmp_path, points, level, yaw_deg, c
         if coloured is not None:
             assert seen.sum() == coloured
         assert len(read) <= np.isfinite(np.asarray(points).reshape(-1, 3)).all(axis=1).sum() * 3
+
+
+CAMERA = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    cameras = (
+        CameraSpec(CAMERA, camera_mount()),
+        CameraSpec(CAMERA, camera_mount(pitch_deg=-88.0)),  # sees the sky
+    )
+    return simulate_street(2, frames=3, lidar=LidarSpec(beams=16, steps=180), cameras=cameras)
+
+
+def depths_of(folder, camera, number):
+    with np.load(folder / camera / f"{number:06d}.npz") as arrays:
+        return arrays["depth"], arrays["confidence"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_depths_come_near_to_the_truth_where_they_are_sure(drive, tmp_path, method):
+    report = write_depth_images(drive.scene, tmp_path / "out", method=method, form="npz")
+    assert [(camera.camera, camera.images) for camera in report.cameras] == [("camera0", 3), ("camera1", 3)]
+    depths, confidence = depths_of(tmp_path / "out", "camera0", 1)
+    truth = drive.truth.depth("camera0", 1)
+    sure = confidence > 0.9
+    assert sure.mean() > 0.2
+    right = np.abs(depths - truth) < np.maximum(0.5, 0.05 * truth)
+    assert right[sure].mean() > 0.85
+
+
+@pytest.mark.parametrize("method", ["sparse", *METHODS])
+def test_a_camera_that_sees_no_point_gets_empty_images(drive, tmp_path, method):
+    report = write_depth_images(drive.scene, tmp_path / "out", method=method, cameras=["camera1"])
+    (camera,) = report.cameras
+    assert (camera.filled_percent, camera.images) == (0, 3)
+    assert not np.array(Image.open(tmp_path / "out" / "camera1" / "000000.png")).any()
+    assert not (tmp_path / "out" / "camera0").exists()
+
+
+@pytest.mark.parametrize("sensor", ["lidar", "camera0"])
+def test_blind_sensors_make_no_depths_out_of_nothing(drive, tmp_path, sensor):
+    blind = sim.inject(drive, sim.Faults({sensor: sim.SensorFaults(blind=((0, 10**12),))}, seed=1))
+    write_depth_images(blind.scene, tmp_path / "out", form="npz", cameras=["camera0"], images=tmp_path / "look")
+    depths, confidence = depths_of(tmp_path / "out", "camera0", 0)
+    if sensor == "lidar":
+        assert not np.any([depths, confidence])
+    else:
+        truth = drive.truth.depth("camera0", 0)
+        right = np.abs(depths - truth) < np.maximum(0.5, 0.05 * truth)
+        assert right[confidence > 0.9].mean() > 0.85
+    assert len(list((tmp_path / "look" / "camera0").iterdir())) == 3
+
+
+def test_a_part_of_the_drive_keeps_the_numbers_that_the_index_reports(drive, tmp_path):
+    write_depth_images(drive.scene, tmp_path / "out", method="fast", stop=0.35, cameras=["camera0"])
+    lines = [json.loads(line) for line in (tmp_path / "out" / "index.jsonl").read_text().splitlines()]
+    assert len(lines) == len(list((tmp_path / "out" / "camera0").glob("*.png"))) < 3
+    assert all((tmp_path / "out" / line["file"]).is_file() for line in lines)
+
+
+def test_values_that_cannot_be_followed_are_refused_before_anything_is_read(drive, tmp_path):
+    for options in ({"method": "best"}, {"form": "tiff"}, {"cameras": ["roof"]}, {"images": tmp_path / "out"}):
+        with pytest.raises(OptionError):
+            write_depth_images(drive.scene, tmp_path / "out", **options)
+    with pytest.raises(DataError, match="no lidar"):
+        write_depth_images(replace(drive.scene, sensors=()), tmp_path / "out")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").touch()
+    with pytest.raises(OutputError):
+        write_depth_images(drive.scene, tmp_path / "full")
+    assert not (tmp_path / "out").exists()

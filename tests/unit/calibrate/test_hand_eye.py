@@ -132,12 +132,8 @@ def test_the_mounting_and_the_clock_of_a_simulated_lidar_are_found_again():
 
 
 ROOF = LidarSpec(beams=32, steps=900)
-CORNER = LidarSpec(
-    beams=16,
-    steps=900,
-    elevations_deg=(-30.0, 10.0),
-    mount=sensor_mount(position=(1.5, 0.6, 0.9), yaw_deg=70.0, pitch_deg=3.0, roll_deg=-4.0),
-)
+ASIDE = sensor_mount(position=(1.5, 0.6, 0.9), yaw_deg=70.0, pitch_deg=3.0, roll_deg=-4.0)
+CORNER = LidarSpec(beams=16, steps=900, elevations_deg=(-30.0, 10.0), mount=ASIDE)
 
 
 @pytest.fixture(scope="module")

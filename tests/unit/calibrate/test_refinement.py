@@ -202,7 +202,7 @@ def drive():
     return simulate_street(5, frames=4, lidar=exact, cameras=(CameraSpec(AHEAD),))
 
 
-def test_points_and_motion_are_those_of_the_truth_when_the_image_was_taken_and_later_ones_see_from_farther_on(drive):
+def test_points_and_motion_of_frames_spread_over_the_drive_are_the_true_ones_and_what_does_not_fit_is_refused(drive):
     frame = calibration_frames(drive.scene, most=2)[1]
     sweep = next(k for k, lidar in enumerate(drive.scene.lidars[0].frames) if lidar.reference_ns == frame.sweep_ns)
     truth_world = drive.truth.clean_points_world(sweep).positions_world
@@ -230,14 +230,6 @@ def test_points_and_motion_are_those_of_the_truth_when_the_image_was_taken_and_l
     moved = Change((0.0, 0.0, np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0, 0.0)).camera_from_lidar(np.eye(4))
     np.testing.assert_allclose(moved[:3, 3], [1.0, 1.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(moved[:3, 0], [0.0, 1.0, 0.0], atol=1e-12)
-
-
-def with_camera(scene, **changes):
-    sensors = [replace(s, **changes) if s.id == "camera0" else s for s in scene.sensors]
-    return replace(scene, sensors=tuple(sensors))
-
-
-def test_frames_are_spread_over_the_drive_with_a_trajectory_or_without_and_what_does_not_fit_is_refused(drive):
     assert [frame.index for frame in calibration_frames(drive.scene, most=2)] == [0, 3]
     assert len(calibration_frames(drive.scene, most=100)) == 4
     with pytest.raises(OptionError, match="0 frames"):
@@ -260,6 +252,11 @@ def test_frames_are_spread_over_the_drive_with_a_trajectory_or_without_and_what_
     scene = replace(drive.scene, sensors=sensors, trajectories={})
     frame = calibration_frames(scene, most=1)[0]
     assert len(frame.points_lidar) == len(first.points)
+
+
+def with_camera(scene, **changes):
+    sensors = [replace(s, **changes) if s.id == "camera0" else s for s in scene.sensors]
+    return replace(scene, sensors=tuple(sensors))
 
 
 def scanned(lines=16, steps=360):
@@ -302,13 +299,9 @@ def edges_of(ranges):
     images = {"grey": np.zeros((32, 64), np.float32), "rgb": np.zeros((32, 64, 3), np.uint8)}
     frame = CalibrationFrame(
         **{"camera_id": "camera0", "lidar_id": "lidar", "index": 0, "image_ns": 0, "sweep_ns": 0, **images},
-        camera=Camera("pinhole", 64, 32, 40.0, 40.0, 31.5, 15.5),
-        camera_from_lidar=CAMERA_FROM_LIDAR,
-        points_lidar=points,
-        intensities=None,
-        seconds=None,
-        scan=find_scan_order(points, rings),
-    )
+        camera=Camera("pinhole", 64, 32, 40.0, 40.0, 31.5, 15.5), camera_from_lidar=CAMERA_FROM_LIDAR,
+        points_lidar=points, intensities=None, seconds=None, scan=find_scan_order(points, rings),
+    )  # fmt: skip
     return find_depth_edges(frame, np.arange(len(points)))
 
 

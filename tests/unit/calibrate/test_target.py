@@ -79,7 +79,7 @@ def placed(location):
     return RigidTransform.from_quaternion(np.array(location[:3]), rotation)
 
 
-def test_corners_lie_where_they_were_rendered_and_opencv_finds_them():
+def test_corners_lie_where_they_were_rendered_and_opencv_finds_them_and_the_pose_is_found_from_them_and_the_cloud():
     for location in LOCATIONS:
         corners = checkerboard.find_corners(rendered(CAMERA, placed(location), BOARD), BOARD)
         assert corners is not None
@@ -95,18 +95,6 @@ def test_corners_lie_where_they_were_rendered_and_opencv_finds_them():
     theirs = theirs.reshape(-1, 2)
     differences = [np.abs(order - theirs).max() for order in (ours, ours[::-1])]
     assert min(differences) < 0.35  # both are good to some tenths of a pixel at single corners
-
-
-@pytest.mark.slow
-def test_images_without_the_whole_board_give_nothing():
-    rng = np.random.default_rng(0)
-    assert checkerboard.find_corners(np.zeros((200, 300), np.float32), BOARD) is None
-    assert checkerboard.find_corners(rng.uniform(0, 255, (200, 300)).astype(np.float32), BOARD) is None
-    image = rendered(CAMERA, placed(LOCATIONS[0]), BOARD)
-    assert checkerboard.find_corners(image[:, 250:], BOARD) is None
-
-
-def test_the_pose_of_the_board_is_found_from_its_corners_and_from_the_cloud():
     truth = placed(LOCATIONS[1])
     pixels, _ = project(CAMERA, truth.apply(BOARD.corners))
     found = checkerboard.board_pose(CAMERA, pixels, BOARD)
@@ -123,6 +111,15 @@ def test_the_pose_of_the_board_is_found_from_its_corners_and_from_the_cloud():
     assert checkerboard.board_in_cloud(np.zeros((0, 3)), BOARD) is None
 
 
+@pytest.mark.slow
+def test_images_without_the_whole_board_give_nothing():
+    rng = np.random.default_rng(0)
+    assert checkerboard.find_corners(np.zeros((200, 300), np.float32), BOARD) is None
+    assert checkerboard.find_corners(rng.uniform(0, 255, (200, 300)).astype(np.float32), BOARD) is None
+    image = rendered(CAMERA, placed(LOCATIONS[0]), BOARD)
+    assert checkerboard.find_corners(image[:, 250:], BOARD) is None
+
+
 @pytest.fixture(scope="module")
 def views():
     """What camera and lidar report all locations, with 1 cm of noise."""
@@ -131,25 +128,21 @@ def views():
         corners = checkerboard.find_corners(rendered(CAMERA, placed(location), BOARD, seed=seed), BOARD)
         assert corners is not None
         pose = checkerboard.board_pose(CAMERA, corners, BOARD)
-        seen = checkerboard.board_in_cloud(
-            cloud(CAMERA_FROM_LIDAR.inverse() @ placed(location), BOARD, noise=0.01, seed=seed), BOARD
-        )
+        points = cloud(CAMERA_FROM_LIDAR.inverse() @ placed(location), BOARD, noise=0.01, seed=seed)
+        seen = checkerboard.board_in_cloud(points, BOARD)
         assert pose is not None
         assert seen is not None
         found.append(checkerboard.BoardView(pose[0], seen))
     return found
 
 
-def test_five_views_of_a_board_give_the_mounting_without_any_guess(views):
+def test_five_views_of_a_board_give_the_mounting_and_boards_without_sense_and_few_or_like_views_are_refused(views):
     mounting = checkerboard.start_from_target(views, BOARD)
     step = step_between(mounting.a_from_b, CAMERA_FROM_LIDAR)
     assert np.degrees(np.linalg.norm(step[:3])) < 0.3
     assert np.linalg.norm(step[3:]) < 0.02
     assert (np.abs(step) < 4.0 * mounting.sigmas + 1e-9).all()
     assert mounting.unobserved == ()
-
-
-def test_boards_that_make_no_sense_and_views_that_are_few_or_alike_are_refused(views):
     found = views[:1]
     with pytest.raises(PoseError, match="expected 3 or more"):
         checkerboard.start_from_target(found, BOARD)

@@ -78,7 +78,7 @@ def projected_by_opencv(points_world):
     return np.flatnonzero(inside & ahead), pixels, points[:, 2]
 
 
-def test_the_depth_image_holds_the_nearest_visible_depth_of_each_pixel_none_of_what_is_beside_a_fisheye():
+def test_points_fall_where_opencv_puts_them_and_depth_images_hold_the_nearest_visible_of_each_pixel():
     for visibility in [PLAIN, VisibilitySettings()]:
         fused = view(cloud(60_000), visibility=visibility)
         assert (fused.camera_id, fused.camera, fused.timestamp_ns) == ("c", CAMERA, 7)
@@ -97,9 +97,6 @@ def test_the_depth_image_holds_the_nearest_visible_depth_of_each_pixel_none_of_w
         fused = view(points, camera, visibility)
         assert fused.visible.tolist() == [True] * 3
         assert sorted(fused.depth_image[fused.depth_image > 0].tolist()) == pytest.approx([1, 4])
-
-
-def test_points_fall_where_opencv_puts_them_in_any_memory_order():
     points = cloud()
     fused = view(points)
     ids, pixels, depths = projected_by_opencv(points)
@@ -226,12 +223,8 @@ def test_fusion_gives_the_same_to_the_bit_with_any_number_of_threads(
         rgb = np.random.default_rng(k).integers(0, 255, (200, 320, 3), np.uint8)
         pose = RigidTransform.from_quaternion(np.array([0.1 * k, 0, 0]), rotation)
         requests.append(request(f"camera {k}", k, pose, rgb, THREADS_CAMERA))
-    alone, shared = (
-        fuse_by_projection(
-            rough_walls, requests, VisibilitySettings(enabled=enabled, threads=size), trajectory=trajectory
-        )
-        for size in (1, threads)
-    )
+    alone, shared = (VisibilitySettings(enabled=enabled, threads=size) for size in (1, threads))
+    alone, shared = (fuse_by_projection(rough_walls, requests, how, trajectory=trajectory) for how in (alone, shared))
     np.testing.assert_array_equal(shared.colors, alone.colors)
     np.testing.assert_array_equal(shared.camera_index, alone.camera_index)
     for one, other in zip(shared.views, alone.views, strict=True):

@@ -31,7 +31,7 @@ def view(points, rgb, *, x=0.0, camera_id="a", timestamp_ns=0, camera=CAMERA):
     return view_points(points, camera, pose, rgb, camera_id=camera_id, timestamp_ns=timestamp_ns, visibility=PLAIN)
 
 
-def test_colours_are_taken_between_the_pixels():
+def test_colours_are_taken_between_the_pixels_points_that_no_image_shows_stay_white_and_odd_settings_are_refused():
     rgb = np.random.default_rng(0).integers(0, 255, (81, 101, 3)).astype(np.uint8)
     u, v = np.array([10.25, 50.0, 99.9]), np.array([20.75, 40.5, 3.1])
     points = np.stack([(u - 50) / 100 * 5, (v - 40) / 100 * 5, np.full(3, 5.0)], axis=1)
@@ -44,6 +44,16 @@ def test_colours_are_taken_between_the_pixels():
         for du in (0, 1)
     )
     np.testing.assert_allclose(blended.colors, wanted, atol=0.51)  # rounding to levels
+    points = np.array([[0.0, 0.0, -5.0], [np.nan, 0.0, 1.0]])
+    blended = blend_colours(points, [view(points, image(10))], [0])
+    assert (blended.colors == 255).all()
+    assert (blended.sources.camera_index == 255).all()
+    assert (blended.sources.images_ns == NO_IMAGE_NS).all()
+    assert np.isnan(blended.sources.pixels).all()
+    assert blend_colours(points, [], []).colors.shape == (2, 3)
+    for wrong in [{"mode": "mean"}, {"even_distance": 0.0}, {"border_share": 2.0}]:
+        with pytest.raises(OptionError, match=next(iter(wrong))):
+            BlendSettings(**wrong)
 
 
 def test_the_best_colour_is_that_of_the_image_that_faces_the_surface_at_the_time_and_gains_multiply_it():
@@ -87,19 +97,6 @@ def test_points_beside_an_outline_are_trusted_less_but_a_road_at_a_grazing_angle
     z, x = (axis.ravel() for axis in np.meshgrid(np.linspace(5, 60, 60), np.linspace(-2, 2, 9)))
     points = np.stack([x, np.full(len(z), 1.6), z], axis=1)
     assert not near_outlines(view(points, image(100))).any()
-
-
-def test_points_that_no_image_shows_stay_white_and_settings_that_mean_nothing_are_refused():
-    points = np.array([[0.0, 0.0, -5.0], [np.nan, 0.0, 1.0]])
-    blended = blend_colours(points, [view(points, image(10))], [0])
-    assert (blended.colors == 255).all()
-    assert (blended.sources.camera_index == 255).all()
-    assert (blended.sources.images_ns == NO_IMAGE_NS).all()
-    assert np.isnan(blended.sources.pixels).all()
-    assert blend_colours(points, [], []).colors.shape == (2, 3)
-    for wrong in [{"mode": "mean"}, {"even_distance": 0.0}, {"border_share": 2.0}]:
-        with pytest.raises(OptionError, match=next(iter(wrong))):
-            BlendSettings(**wrong)
 
 
 def make_view(point_ids, pixels, rgb, visible=None):
@@ -293,7 +290,7 @@ def test_points_take_the_label_of_their_nearest_pixel_in_most_images_if_they_are
             paint_labels(points, [labelled_view(points)], images)
 
 
-def test_labels_are_drawn_where_points_are_visible_and_the_nearest_counts_with_a_label_or_without():
+def test_labels_are_drawn_where_points_are_visible_the_nearest_counts_and_they_go_to_points_and_back_unchanged():
     points = np.array([[-0.01, -0.01, 5.0], [-0.02, -0.02, 8.0], [1.0, 0.5, 5.0]])
     seen, canvas = labelled_view(points), LabelCanvas.blank(60, 40)
     canvas.draw(seen, np.array([4, 5, 6], np.uint16))
@@ -307,9 +304,6 @@ def test_labels_are_drawn_where_points_are_visible_and_the_nearest_counts_with_a
     assert (canvas.labels == 0).all()
     with pytest.raises(OptionError, match="radius_px"):
         LabelCanvas.blank(60, 40, radius_px=-1)
-
-
-def test_labels_go_to_points_and_back_unchanged():
     random = np.random.default_rng(5)
     points = np.column_stack([random.uniform(-2, 2, 300), random.uniform(-1, 1, 300), np.full(300, 5.0)])
     image, seen = random.integers(1, 300, (40, 60)).astype(np.uint16), labelled_view(points)

@@ -63,7 +63,7 @@ def test_a_cuboid_gets_a_row_for_each_image_nan_where_it_is_not_shown_and_confir
     assert projection.boxes[1, 0] == pytest.approx(337.5)
 
 
-def test_shares_become_attributes_of_the_camera_at_images_that_show_it():
+def test_shares_become_attributes_at_images_that_show_it_and_times_in_sight_activations_a_frame_longer():
     older = sc.AttributePath("occlusion", (0.9,), np.array([0]), sensor_id="camera")
     boxes = (a_box(x=(-30.0, 30.0), attributes=(older,)), a_box("b", x=(20.0, 20.0)))
     first, second = project_cuboids(sc.Scene((a_camera((0, 100)),), boxes)).annotations
@@ -75,9 +75,6 @@ def test_shares_become_attributes_of_the_camera_at_images_that_show_it():
     for see_through, share in (([], 1.0), (["tree"], 0.0)):
         projected = project_cuboids(scene, see_through=see_through).annotations[0]
         assert projected.attributes[1].values == (share,)
-
-
-def test_times_in_which_a_camera_sees_it_become_activations_a_frame_longer_at_the_end():
     # it comes out from behind the camera between the second and the third image, and ends after the fourth
     scene = sc.Scene((a_camera((0, 50, 100, 150, 200)),), (a_box(x=(-90.0, 90.0), timestamps=(0, 160)),))
     (activation,) = project_cuboids(scene, activations=True).annotations[0].activations
@@ -302,9 +299,8 @@ NEAR = Moving("near", (4.5, 1.9, 1.6), (6.5, 4.5, 1.2), yaw=1.2)
 def test_a_cuboid_lies_where_its_points_are_seen_by_their_lines(camera, box, over_columns, trajectory):
     scene = a_scene(camera, [box], over_columns=over_columns, trajectory=trajectory)
     (projection,) = project_cuboids(scene).annotations[0].projections
-    expected = extent(
-        seen_at_their_lines(camera, box, edge_points(box), over_columns=over_columns, trajectory=trajectory)
-    )
+    seen = seen_at_their_lines(camera, box, edge_points(box), over_columns=over_columns, trajectory=trajectory)
+    expected = extent(seen)
     # Edges are followed within 0.1 px.
     np.testing.assert_allclose(projection.boxes[0], expected, atol=0.1)
     at_once = a_scene(camera, [box], roll_s=0.0, trajectory=trajectory)

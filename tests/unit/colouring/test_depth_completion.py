@@ -229,7 +229,7 @@ def test_pixels_are_filled_as_scipy_interpolates(mesh, trust):
     assert (~inside & (images[0] > 0)).sum() <= 0.002 * inside.sum()
 
 
-def test_triangles_are_filled_with_what_bends_evenly_and_across_jumps_the_image_stays(mesh):
+def test_triangles_are_measured_and_filled_with_what_bends_evenly_and_the_image_stays_across_jumps(mesh):
     pixels, depths, _, triangles = mesh
     images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)]
     images[0][20:30] = 5.0
@@ -247,16 +247,6 @@ def test_triangles_are_filled_with_what_bends_evenly_and_across_jumps_the_image_
     # float32 reports 1e-8 of 0.06; where a location leaves the range of its corners, and where depth is taken as linear
     assert np.median(off) < 2e-8
     assert np.median(off) < 0.1 * np.median(np.abs(straight - reported)[known])
-
-
-def bent(pixels):
-    """An inverse depth that bends evenly, and its slopes."""
-    u, v = pixels.astype(float).T
-    inverse = 0.05 + 1e-5 * u + 2e-5 * v + 4e-8 * u * u - 3e-8 * u * v + 5e-8 * v * v
-    return inverse, np.stack([1e-5 + 8e-8 * u - 3e-8 * v, 2e-5 - 3e-8 * u + 1e-7 * v], axis=1)
-
-
-def test_triangles_are_measured_and_slopes_of_a_plane_are_its_own_at_every_corner(mesh):
     pixels, _, _, triangles = mesh
     inverse = (0.1 + 1e-4 * pixels[:, 0] - 3e-4 * pixels[:, 1]).astype(np.float32)
     slopes, room = np.empty_like(pixels), np.empty(len(pixels), np.float32)
@@ -275,6 +265,13 @@ def test_triangles_are_measured_and_slopes_of_a_plane_are_its_own_at_every_corne
         y = 1 / depths[triangle].astype(float)
         gradient = np.linalg.solve([b - a, c - a], y[1:] - y[0])
         assert slope == pytest.approx(np.linalg.norm(gradient), rel=1e-2)  # differences of float32
+
+
+def bent(pixels):
+    """An inverse depth that bends evenly, and its slopes."""
+    u, v = pixels.astype(float).T
+    inverse = 0.05 + 1e-5 * u + 2e-5 * v + 4e-8 * u * u - 3e-8 * u * v + 5e-8 * v * v
+    return inverse, np.stack([1e-5 + 8e-8 * u - 3e-8 * v, 2e-5 - 3e-8 * u + 1e-7 * v], axis=1)
 
 
 LINKED_SHAPE = (19, 23)
@@ -305,7 +302,7 @@ def test_rows_and_columns_are_smoothed_by_least_squares(strength):
     np.testing.assert_allclose([image.T for image in down], expected, atol=2e-5)
 
 
-def test_filled_pixels_are_blended_with_filled_ones_and_links_follow_the_differences_of_the_channels():
+def test_filled_pixels_are_blended_linked_by_the_differences_of_channels_and_graded_by_doubt_and_gap():
     image = sparse_image(7, share=0.6)
     blended = np.empty_like(image)
     completion.blend_neighbours(image, np.empty((2, image.size), np.float32), blended)
@@ -326,9 +323,6 @@ def test_filled_pixels_are_blended_with_filled_ones_and_links_follow_the_differe
     np.testing.assert_array_equal(downward[:-1], table[np.abs(np.diff(wide, axis=0)).sum(axis=2)])
     assert not rightward[:, -1].any()
     assert not downward[-1].any()
-
-
-def test_each_pixel_gets_the_cell_of_its_doubt_and_its_gap():
     random = np.random.default_rng(3)
     depths, trusts, spreads, gaps = (random.random((9, 11)).astype(np.float32) for _ in range(4))
     depths *= 40

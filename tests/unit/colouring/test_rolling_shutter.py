@@ -124,7 +124,7 @@ def test_a_camera_that_shakes_faster_than_its_shutter_leaves_no_wrong_pixels():
     np.testing.assert_allclose(rolled.pixels, there, atol=1.5)
 
 
-def test_depths_and_what_is_hidden_are_those_of_the_time_of_each_line():
+def test_depths_and_what_is_hidden_are_those_of_the_time_of_each_line_evenly_around_the_images_time():
     camera = CAMERA_MODELS["pinhole"]
     points_world, pixels = seen_points(camera, over_columns=False, count=500)
     found = view(points_world, camera, visibility=VisibilitySettings(enabled=False))
@@ -143,9 +143,6 @@ def test_depths_and_what_is_hidden_are_those_of_the_time_of_each_line():
     # What hangs in the air hides a lot; a lidar beside the camera saw past all of it.
     assert alone.visible.mean() < 0.9
     assert known.visible.mean() > alone.visible.mean()
-
-
-def test_lines_are_taken_evenly_around_the_images_time_and_without_motion_nothing_changes():
     still = PoseSource(Poses.identity(), MOUNT)
     directions = [
         ShutterDirection.of(Shutter(readout), time_ns, source)

@@ -187,19 +187,12 @@ def test_the_road_has_no_holes_depths_are_drawn_of_what_is_not_hidden_wherever_t
     assert (here == there).mean() > 0.9999
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        *(("margin", value) for value in (-0.1, math.nan)),
-        *(("surface_distance", value) for value in (0.0, -1.0)),
-        *(("window_deg", value) for value in (0.0, 46.0)),
-        *(("near_deg", value) for value in (-1.0, math.nan)),
-        ("margin_share", math.inf),
-    ],
-)
-def test_settings_that_cannot_be_followed_are_refused(field, value):
-    with pytest.raises(OptionError, match=f"{field} {value}"):
-        VisibilitySettings(**{field: value})
+def test_settings_that_cannot_be_followed_are_refused():
+    wrong = {"margin": (-0.1, math.nan), "surface_distance": (0.0, -1.0), "margin_share": (math.inf,)}
+    wrong |= {"window_deg": (0.0, 46.0), "near_deg": (-1.0, math.nan)}
+    for field, value in ((field, value) for field, values in wrong.items() for value in values):
+        with pytest.raises(OptionError, match=f"{field} {value}"):
+            VisibilitySettings(**{field: value})
 
 
 def scan_lines(across_deg, along_deg, angle_deg=0.0, jitter=0.02):
@@ -216,7 +209,7 @@ def spacings_deg(directions, inverse_ranges=None):
     return np.degrees(vis.measure_spacings(look_around(directions, inverse)))
 
 
-def test_the_spacings_across_and_along_scan_lines_are_found_if_there_are_points_enough():
+def test_spacings_of_scan_lines_and_distances_of_surfaces_are_found_if_there_are_points_enough():
     for across_deg, along_deg in [(0.42, 0.17), (1.0, 0.2), (2.0, 0.4), (0.6, 0.35)]:
         for angle_deg, along_axis in [(0, 0), (45, 1), (90, 2), (135, 3)]:
             spacings = spacings_deg(scan_lines(across_deg, along_deg, angle_deg))
@@ -231,6 +224,17 @@ def test_the_spacings_across_and_along_scan_lines_are_found_if_there_are_points_
     along, _, across, _ = spacings_deg(scan_lines(4.0, 0.2))
     assert np.isnan(across)
     assert along == pytest.approx(0.2, abs=0.05)
+    for height, exact, most in [(0.3, 0.24, 0.26), (0.8, 0.64, 0.7), (1.65, 1.32, 1.4), (3.0, 1.5, None)]:
+        for spacing_deg in (0.2, 0.4, 2.0):
+            measured = surface_distance(*ground_and_wall(height, spacing_deg=spacing_deg, noise=0.0), 0.075, 0.005)
+            # The ground is met at up to 25 degrees in the image, whose cosine is 0.91; directions are float32.
+            assert 0.99 * exact < measured < exact / 0.9
+        if most is not None:  # noise makes surfaces steeper, never flatter
+            assert 0.4 * most < surface_distance(*ground_and_wall(height), 0.075, 0.005) < most
+    directions = scan_lines(0.42, 0.17)
+    ranges = np.random.default_rng(0).uniform(2, 80, directions.shape[1]).astype(np.float32)
+    for some, inverse in ((directions, 1 / ranges), (directions, 0 * ranges), (directions[:, :0].copy(), ranges[:0])):
+        assert surface_distance(some, inverse, 0.0, 0.0) == 0.5
 
 
 @pytest.mark.parametrize(
@@ -272,20 +276,6 @@ def ground_and_wall(height, *, spacing_deg=0.4, wall_at=40.0, noise=0.02):
 
 def surface_distance(directions, inverse_ranges, *margins):
     return vis.measure_surface_distance(look_around(directions, inverse_ranges), directions, inverse_ranges, *margins)
-
-
-def test_surfaces_pass_the_camera_at_its_height_above_the_ground_or_at_the_usual_distance():
-    for height, exact, most in [(0.3, 0.24, 0.26), (0.8, 0.64, 0.7), (1.65, 1.32, 1.4), (3.0, 1.5, None)]:
-        for spacing_deg in (0.2, 0.4, 2.0):
-            measured = surface_distance(*ground_and_wall(height, spacing_deg=spacing_deg, noise=0.0), 0.075, 0.005)
-            # The ground is met at up to 25 degrees in the image, whose cosine is 0.91; directions are float32.
-            assert 0.99 * exact < measured < exact / 0.9
-        if most is not None:  # noise makes surfaces steeper, never flatter
-            assert 0.4 * most < surface_distance(*ground_and_wall(height), 0.075, 0.005) < most
-    directions = scan_lines(0.42, 0.17)
-    ranges = np.random.default_rng(0).uniform(2, 80, directions.shape[1]).astype(np.float32)
-    for some, inverse in ((directions, 1 / ranges), (directions, 0 * ranges), (directions[:, :0].copy(), ranges[:0])):
-        assert surface_distance(some, inverse, 0.0, 0.0) == 0.5
 
 
 UNKNOWN = vis.ScanLines(0.01, 0.01, 0.0)
@@ -478,7 +468,7 @@ def test_a_plane_that_passes_the_camera_at_the_surface_distance_or_farther_never
     assert marked(directions, inverse_ranges, near=ellipse(0.8, 0.8)).all()
 
 
-def test_points_without_range_or_outside_the_map_are_not_visible_and_hide_nothing_and_few_are_fine():
+def test_points_without_range_or_outside_the_map_or_that_shall_not_hide_others_hide_nothing():
     for direction, inverse in [
         *(((0, 0), inverse) for inverse in (0.0, -1.0, math.nan, math.inf)),
         *((direction, 0.5) for direction in ((math.nan, 0), (0, math.inf), (3, 0), (0, -1e30))),
@@ -490,9 +480,6 @@ def test_points_without_range_or_outside_the_map_are_not_visible_and_hide_nothin
     distances, neighbours = found(np.zeros((2, 0), np.float32), np.zeros(0, np.float32), 3)
     assert np.isnan(distances).all()
     assert (neighbours == -1).all()
-
-
-def test_points_that_shall_not_hide_others_are_hidden_themselves():
     rng = np.random.default_rng(8)
     directions, inverse = rng.uniform(-0.1, 0.1, (2, 3000)), rng.uniform(0.02, 0.5, 3000)
     hides = rng.random(3000) < 0.3

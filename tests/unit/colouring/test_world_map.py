@@ -67,7 +67,9 @@ def test_each_cube_gives_one_point_with_the_means_of_its_points(tmp_path, most_c
     assert list(tmp_path.iterdir()) == []
 
 
-def test_tiles_rest_on_the_disk_while_others_are_added_and_the_map_does_not_depend_on_that(tmp_path):
+def test_the_map_does_not_depend_on_tiles_on_the_disk_and_takes_the_best_colour_or_the_mean_of_those_that_agree(
+    tmp_path,
+):
     (tmp_path / "much").mkdir()
     world = WorldMap(VOXEL, tmp_path, most_cells=5_000)
     for points in drive():
@@ -76,9 +78,6 @@ def test_tiles_rest_on_the_disk_while_others_are_added_and_the_map_does_not_depe
     assert len(list(tmp_path.iterdir())) > 5
     little = np.concatenate(list(world.points()))
     assert little.tobytes() == gathered(drive(), tmp_path / "much").tobytes()
-
-
-def test_best_takes_the_colour_that_is_trusted_most_the_mean_those_that_agree_and_points_without_stay_white(tmp_path):
     for weights, reds, mean, expected in [
         ([0.2, 0.9, 0.5], [10, 20, 30], False, 20),
         ([0.9, 0.8, 0.5], [200, 20, 190], True, (0.9 * 200 + 0.5 * 190) / 1.4),  # one that disagrees makes no ghost
@@ -134,7 +133,7 @@ def test_most_of_what_moves_is_found_and_almost_nothing_that_stands():
     assert wrong < 0.003 * stationary
 
 
-def test_sweeps_come_back_in_their_order_and_move_nothing_where_it_is_not_known_from_where_they_were_measured():
+def test_sweeps_come_back_in_order_nothing_moves_without_locations_and_points_in_moving_boxes_are_found():
     finder, trajectory = MovingPoints(), LidarTrajectory(np.zeros((2, 3)), np.zeros(1, np.float32))
     wall = np.array([[10.0, 0.0, 0.0]], np.float32)
     order = [[load for load, _ in finder.add(k, wall, trajectory)] for k in range(LAGS[-1] + 3)]
@@ -150,8 +149,6 @@ def test_sweeps_come_back_in_their_order_and_move_nothing_where_it_is_not_known_
         list(finder.add(count, np.full((count, 3), np.nan, np.float32), trajectory))
     assert [marked.tolist() for _, marked in finder.flush()] == [[False], []]
 
-
-def test_points_in_boxes_that_move_are_found_at_their_own_times():
     def box(annotation_id, stop_x, *, stationary=False):
         rows = np.array([[4, 2, 1.5, 0, 0, 0, 0, 0, 0], [4, 2, 1.5, stop_x, 0, 0, 0, 0, 0]], np.float64)
         path = CuboidPath(np.array([0, 1_000_000_000]), rows)

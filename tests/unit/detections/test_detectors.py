@@ -117,7 +117,7 @@ def exists(of_sweep, of_image=None, *, seen_share=1.0):
     return existence.scores_of_sweep(*given)[0]
 
 
-def test_reports_are_worth_what_counting_says():
+def test_reports_are_worth_what_counting_says_and_extreme_scores_and_none_leave_probabilities():
     for second in [1, 2]:
         for first in [1, 2]:
             both = exists(reported(share_true(first)), reported(share_true(second)))
@@ -130,9 +130,6 @@ def test_reports_are_worth_what_counting_says():
     assert exists(reported(0.7), seen_share=0.0) == pytest.approx(0.7, rel=1e-12)
     far = existence.scores_of_image(CAR, np.array([71.0]), reported(0.7)[1], CAR, TABLE)
     assert far[0] == pytest.approx(0.7, rel=1e-12)
-
-
-def test_logits_are_logarithms_of_odds_and_extreme_scores_and_none_leave_probabilities():
     np.testing.assert_allclose(reported(np.log(3.0), ScoreForm.LOGIT), reported(0.75), rtol=1e-12)
     np.testing.assert_allclose(reported(0.75), [[np.log(3.0)], [np.log(3.0)], [0.75]], rtol=1e-12)
     for form in list(ScoreForm):
@@ -232,7 +229,7 @@ SIGMAS = np.array([0.3, 0.1, 0.08])
 RECALL_2D = 0.8
 
 
-def test_odds_and_deviations_are_found_again_stay_finite_and_never_fall():
+def test_odds_and_deviations_are_found_again_and_scores_held_from_where_on_nearly_all_boxes_are_true():
     generator = np.random.default_rng(0)
     features = np.column_stack([np.ones(4000), generator.normal(size=4000)])
     true = generator.random(4000) < 1 / (1 + np.exp(-(0.5 + 1.2 * features[:, 1])))
@@ -253,16 +250,6 @@ def test_odds_and_deviations_are_found_again_stay_finite_and_never_fall():
     # a Student's scale is smaller than the deviation of the Gaussian that it is fitted to, by 15 % at the most
     np.testing.assert_allclose(found[:, 0], [-1.0, -2.0], atol=0.2)
     np.testing.assert_allclose(found[:, 1], [0.5, -0.3], atol=0.1)
-
-
-def reported_and_verdicts(slope, base):
-    """Scores, and boxes of which as many are true as a logistic function says."""
-    generator = np.random.default_rng(3)
-    reported = generator.normal(2.0, 3.0, 20_000)
-    return reported, (generator.random(20_000) < 1 / (1 + np.exp(-(base + slope * reported)))).astype(np.int64)
-
-
-def test_scores_are_held_from_where_on_nearly_all_boxes_are_true():
     reported, verdicts = reported_and_verdicts(1.0, -2.0)
     high = fitting.fit_reported(reported, verdicts).high
     low, most = np.quantile(reported[verdicts == 1], (0.65, 0.99))
@@ -274,6 +261,13 @@ def test_scores_are_held_from_where_on_nearly_all_boxes_are_true():
         assert fitting.fit_reported(reported, verdicts).high == pytest.approx(
             np.quantile(reported[verdicts == 1], share)
         )
+
+
+def reported_and_verdicts(slope, base):
+    """Scores, and boxes of which as many are true as a logistic function says."""
+    generator = np.random.default_rng(3)
+    reported = generator.normal(2.0, 3.0, 20_000)
+    return reported, (generator.random(20_000) < 1 / (1 + np.exp(-(base + slope * reported)))).astype(np.int64)
 
 
 def outline_of(center):
@@ -306,7 +300,7 @@ def fitted():
     return fitting.fit_detectors(examples, name="made up", settings=fitting.FitSettings(overlap=0.3))
 
 
-def test_new_boxes_lie_in_the_regions_that_are_promised_and_all_scores_are_probabilities(fitted):
+def test_what_detectors_find_is_found_again_and_new_boxes_lie_in_the_regions_that_are_promised(fitted):
     projection, squares = ProjectionSettings(detectors=fitted), []
     for seed in range(1000, 1060):
         reported = example(seed)
@@ -318,9 +312,6 @@ def test_new_boxes_lie_in_the_regions_that_are_promised_and_all_scores_are_proba
         assert fused.degrees_of_freedom == fitted.degrees_of_freedom
     # the promise lies between a Student's 9.7 and a Gaussian's 7.8; 360 boxes report 95 % to 1.2 %
     assert 0.92 < np.mean(np.array(squares) < 8.7) < 0.985
-
-
-def test_what_detectors_find_is_found_again_if_there_is_enough(fitted):
     car = fitted.classes["car"]
     assert (fitted.otherwise, car.visibility.recall_2d) == ("car", pytest.approx(RECALL_2D, abs=0.05))
     assert car.visibility.weak_recall_2d <= car.visibility.recall_2d

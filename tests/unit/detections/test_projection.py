@@ -47,23 +47,12 @@ def test_gains_are_those_of_the_definition():
     a, b = random_boxes(generator, 30), random_boxes(generator, 25)
     words_a = [("Car", "van", "Pedestrian", "dragon")[k % 4] for k in range(30)]
     words_b = [("car", "pedestrian", "unknown")[k % 3] for k in range(25)]
-    weights = {
-        ("Car", "car"): 1.0,
-        ("van", "car"): projection.SAME_FAMILY,
-        ("Pedestrian", "pedestrian"): 1.0,
-        ("Pedestrian", "car"): 0.0,
-        ("Car", "pedestrian"): 0.0,
-        ("van", "pedestrian"): 0.0,
-    }
+    weights = {("Car", "car"): 1.0, ("van", "car"): projection.SAME_FAMILY, ("Pedestrian", "pedestrian"): 1.0}
+    weights |= dict.fromkeys([("Pedestrian", "car"), ("Car", "pedestrian"), ("van", "pedestrian")], 0.0)
+    weight = [[weights.get((one, other), projection.ONE_UNKNOWN) for other in words_b] for one in words_a]
     p, q = generator.random(30), generator.random(25)
     found = projection.pair_gains(a, b, *numbers_of(words_a, words_b), p, q, least_iou=0.1)
-    expected = [
-        [
-            slow_gain(a[i], b[j], weights.get((words_a[i], words_b[j]), projection.ONE_UNKNOWN), (p[i] + q[j]) / 2, 0.1)
-            for j in range(25)
-        ]
-        for i in range(30)
-    ]
+    expected = [[slow_gain(a[i], b[j], weight[i][j], (p[i] + q[j]) / 2, 0.1) for j in range(25)] for i in range(30)]
     np.testing.assert_allclose(found, expected, rtol=1e-12)
     assert (found > 0).sum() > 20
 
@@ -208,7 +197,7 @@ def sharpened(center, partner, covariance=COVARIANCE):
     return boxes[1, :6], covariances[1]
 
 
-def test_the_update_is_that_of_the_information_form_and_what_the_image_does_not_tell_stays():
+def test_the_update_is_that_of_the_information_form_with_errors_as_large_as_it_says():
     before = np.concatenate([CENTER, SIZE])
     partner, step = bounds(before) + np.array([1.5, -0.8, 2.4, 0.9]), 1e-4
     slopes = np.column_stack(
@@ -239,9 +228,6 @@ def test_the_update_is_that_of_the_information_form_and_what_the_image_does_not_
     assert up > 0.3 * COVARIANCE[2, 2]
     assert aside < 0.05 * COVARIANCE[1, 1]
     assert ahead < 0.05 * COVARIANCE[0, 0]
-
-
-def test_errors_are_as_large_as_the_covariance_says():
     generator, truth = np.random.default_rng(4), np.concatenate([CENTER, SIZE])
     box = bounds(truth)
     wide, high = box[2:] - box[:2]
@@ -581,7 +567,7 @@ def residuals_of(rotation_deg, **more):
     return residuals
 
 
-def test_a_rotation_is_found_and_reported_and_a_right_calibration_is_not():
+def test_a_rotation_is_found_and_reported_and_nothing_of_a_right_calibration_or_few_or_other_boxes():
     for rotation in [(2.0, 0, 0), (0, -2.0, 0), (0, 0, 2.5), (1.2, 1.2, -1.2)]:
         residuals = residuals_of(rotation)
         # 200 cars, each known to a pixel or a tenth of a degree; about the axis of visibility ten times worse
@@ -592,21 +578,6 @@ def test_a_rotation_is_found_and_reported_and_a_right_calibration_is_not():
         residuals = residuals_of(rotation)
         assert np.degrees(np.linalg.norm(residuals.rotation().rotation)) < 0.8
         assert residuals.warnings("front") == []
-
-
-def test_what_is_stated_for_its_uncertainty_is_how_rotates_scatter():
-    rotations = [residuals_of((0.5, -0.5, 1.0), count=20, seed=seed).rotation() for seed in range(12)]
-    injected = -np.radians([0.5, -0.5, 1.0])
-    errors = np.array([found.rotation - injected for found in rotations])
-    # what bounded boxes have in common is not chance, and not in the covariance
-    errors -= errors.mean(axis=0)
-    stated = np.sqrt(np.mean([np.diag(found.covariance) for found in rotations], axis=0))
-    # twelve drives report a deviation to a fifth, and twenty blocks another fifth
-    assert (np.abs(np.log(errors.std(axis=0) / stated)) < np.log(2.0)).all()
-    assert all(found.agreeing > 5 * found.by_chance and found.images == 20 for found in rotations)
-
-
-def test_boxes_that_are_few_or_of_other_objects_state_nothing():
     assert residuals_of((2.0, 0, 0), count=2).warnings("front") == []
     residuals = BoxResiduals()
     for pair in pairs(np.zeros(3), count=3):
@@ -619,3 +590,15 @@ def test_boxes_that_are_few_or_of_other_objects_state_nothing():
         residuals.add(replace(pair, boxes_2d=other.boxes_2d))
     found = residuals.rotation()
     assert found is None or found.agreeing < max(40, 2 * found.by_chance)
+
+
+def test_what_is_stated_for_its_uncertainty_is_how_rotates_scatter():
+    rotations = [residuals_of((0.5, -0.5, 1.0), count=20, seed=seed).rotation() for seed in range(12)]
+    injected = -np.radians([0.5, -0.5, 1.0])
+    errors = np.array([found.rotation - injected for found in rotations])
+    # what bounded boxes have in common is not chance, and not in the covariance
+    errors -= errors.mean(axis=0)
+    stated = np.sqrt(np.mean([np.diag(found.covariance) for found in rotations], axis=0))
+    # twelve drives report a deviation to a fifth, and twenty blocks another fifth
+    assert (np.abs(np.log(errors.std(axis=0) / stated)) < np.log(2.0)).all()
+    assert all(found.agreeing > 5 * found.by_chance and found.images == 20 for found in rotations)

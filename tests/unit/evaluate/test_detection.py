@@ -152,7 +152,7 @@ def test_average_precision_and_best_f1_are_those_of_the_rules_written_out(diffic
     assert scores.max_f1 == pytest.approx(max(2 * tp / (2 * tp + fp + fn) for tp, fp, fn, _ in counts), abs=1e-12)
 
 
-def test_what_is_missing_has_defined_figures_or_is_named():
+def test_what_is_missing_has_defined_figures_or_is_named_and_regions_excuse_boxes_in_space_where_asked():
     truth, found = street(5)
     empty = ObjectTable.empty()
     for results, true in ((empty, truth), (found, empty), (empty, empty)):
@@ -173,9 +173,6 @@ def test_what_is_missing_has_defined_figures_or_is_named():
         ev.evaluate_detection({"a": found}, {"a": truth})
     with pytest.raises(OptionError, match="difficulty 'tough'; expected one of easy"):
         ev.evaluate_detection({"a": found}, {"a": truth}, rules=IN_IMAGE, difficulties=("tough",))
-
-
-def test_regions_excuse_boxes_in_space_only_where_that_is_asked():
     boxes = np.array([[10.0, 0, 0, 4, 2, 1.5, 0]])
     one = np.zeros(1, np.int64), np.full(1, -1)
     truth = ObjectTable(*one, ("DontCare",), np.array([[0.0, 0, 100, 100]]), boxes - 1000)

@@ -145,18 +145,10 @@ def test_what_is_wrong_with_detections_and_what_is_no_text_of_kitti_is_named(fus
 
 
 def labels(rng: np.random.Generator, count: int) -> KittiLabels:
-    return KittiLabels(
-        frames=np.zeros(count, np.int64),
-        track_ids=np.arange(count),
-        types=("Car",) * count,
-        truncations=np.zeros(count),
-        occlusions=np.zeros(count, np.int64),
-        alphas=np.zeros(count),
-        corners_xyxy=np.zeros((count, 4)),
-        sizes_hwl=rng.uniform(1, 5, (count, 3)),
-        bottoms=rng.normal((0, 1.6, 20), 1.5, (count, 3)),
-        rotations_y=rng.uniform(-np.pi, np.pi, count),
-    )
+    numbers, none, corners = np.arange(count), np.zeros(count), np.zeros((count, 4))
+    sizes_hwl, bottoms = rng.uniform(1, 5, (count, 3)), rng.normal((0, 1.6, 20), 1.5, (count, 3))
+    boxes = corners, sizes_hwl, bottoms, rng.uniform(-np.pi, np.pi, count)
+    return KittiLabels(0 * numbers, numbers, ("Car",) * count, none, 0 * numbers, none, *boxes)
 
 
 def ground(of: KittiLabels, k: int):
@@ -169,7 +161,7 @@ def ground(of: KittiLabels, k: int):
     return shapely.Polygon(np.column_stack([cosine * x + sine * z, -sine * x + cosine * z]) + of.bottoms[k, [0, 2]])
 
 
-def test_boxes_of_kitti_overlap_as_their_corners_in_the_camera_do():
+def test_boxes_of_kitti_overlap_as_their_corners_in_the_camera_do_and_columns_are_checked_and_joined():
     rng = np.random.default_rng(1)
     first, second = labels(rng, 12), labels(rng, 15)
     tables = ObjectTable.of_kitti(first), ObjectTable.of_kitti(second)
@@ -190,9 +182,6 @@ def test_boxes_of_kitti_overlap_as_their_corners_in_the_camera_do():
             room = common * max(high, 0)
             both = one.area * heights[0] + other.area * heights[1] - room
             assert space[i, j] == pytest.approx(room / both, abs=1e-9)
-
-
-def test_columns_are_checked_kept_and_joined():
     frames, ids = np.zeros(2, np.int64), np.zeros(2, np.int64)
     with pytest.raises(ArrayError, match=r"objects.labels: 1; expected 2"):
         ObjectTable(frames, ids, ("car",))

@@ -25,18 +25,13 @@ def along_x(milliseconds: Sequence[int], name: str = "trajectory") -> Trajectory
 
 
 def test_each_pose_has_at_most_one_partner_or_one_between_two() -> None:
+    near = {"how": "interpolate", "tolerance_ns": 200_000_000}
     for estimate, reference, options, pairs, along in (
         # 98, 100 and 103 all want 100, 301 wants 300; of three the nearest gets it
         ([98, 100, 103, 301, 500], [0, 100, 200, 300], {"how": "nearest"}, [100, 301], [0.1, 0.3]),
         ([-5, 30, 90, 400, 405], [0, 100, 400], {"how": "interpolate"}, [30, 90, 400], [0.03, 0.09, 0.4]),
         # far from the reference nothing is compared
-        (
-            range(0, 1001, 100),
-            [0, 1000],
-            {"how": "interpolate", "tolerance_ns": 200_000_000},
-            [0, 100, 200, 800, 900, 1000],
-            [0.0, 0.1, 0.2, 0.8, 0.9, 1.0],
-        ),
+        (range(0, 1001, 100), [0, 1000], near, [0, 100, 200, 800, 900, 1000], [0.0, 0.1, 0.2, 0.8, 0.9, 1.0]),
     ):
         found = associate_poses(along_x(estimate), along_x(reference), **options)
         assert (found.timestamps_ns // 1_000_000).tolist() == pairs
@@ -52,7 +47,7 @@ def test_each_pose_has_at_most_one_partner_or_one_between_two() -> None:
     np.testing.assert_allclose(pairs.reference.quaternions_xyzw, [[0, 0, np.sin(eighth), np.cos(eighth)]])
 
 
-def test_without_partners_spans_offset_and_nearest_distance_are_reported() -> None:
+def test_without_partners_spans_offset_and_nearest_distance_are_reported_and_pose_paths_are_compared() -> None:
     # the offset that is reported is added to the nanosecond
     late = Trajectory("late", np.array([1403636580838555648], np.int64), np.zeros((1, 3)))
     with pytest.raises(PoseError) as caught:
@@ -65,6 +60,10 @@ def test_without_partners_spans_offset_and_nearest_distance_are_reported() -> No
     assert (report.pairs, report.start_ns) == (1, 1403636580838555648)
     with pytest.raises(PoseError, match=r"within 0\.01 s; the nearest one is 0\.05 s away"):
         evaluate_trajectory(along_x([50, 150]), along_x([0, 100, 200]), align="none", associate="nearest")
+    path = Poses(np.array([0, 10**9], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
+    assert evaluate_trajectory(path, path, align="none").absolute.translation.max == 0.0
+    with pytest.raises(PoseError, match="holds at all times"):
+        evaluate_trajectory(Poses.identity(), path)
 
 
 def test_the_time_covered_leaves_out_gaps_and_a_part_counts_from_the_references_first_pose() -> None:
@@ -124,13 +123,6 @@ def test_numbers_that_are_none_are_refused(times, positions, quaternions, proble
 def test_options_that_cannot_be_followed_are_refused(options: dict[str, object], problem: str) -> None:
     with pytest.raises(OptionError, match=problem):
         evaluate_trajectory(along_x([0, 1000]), along_x([0, 1000]), **{"align": "none", **options})
-
-
-def test_a_pose_path_can_be_compared() -> None:
-    path = Poses(np.array([0, 10**9], np.int64), np.zeros((2, 3)), np.tile([0.0, 0, 0, 1], (2, 1)))
-    assert evaluate_trajectory(path, path, align="none").absolute.translation.max == 0.0
-    with pytest.raises(PoseError, match="holds at all times"):
-        evaluate_trajectory(Poses.identity(), path)
 
 
 @pytest.mark.parametrize("swapped", [False, True])
@@ -303,7 +295,7 @@ def test_kitti_figures_are_those_of_the_development_kit(drive: Curve) -> None:
         assert part.rotation_deg_per_m == pytest.approx(np.degrees(errors[:, 1].mean()), rel=1e-6)
 
 
-def test_steps_of_time_and_trajectory_are_those_of_the_definition(drive: Curve) -> None:
+def test_steps_of_time_and_trajectory_are_those_of_the_definition_and_gaps_are_none(drive) -> None:
     ours, theirs = map(matrices, drive)
     trajectory = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(drive[1].positions, axis=0), axis=1))])
     count = len(ours)
@@ -325,9 +317,6 @@ def test_steps_of_time_and_trajectory_are_those_of_the_definition(drive: Curve) 
         assert reported.translation_percent == pytest.approx(100 * expected[:, 0].mean() / metres, rel=1e-9)
         assert reported.rotation_deg_per_s == pytest.approx(reported.rotation_deg.mean / reported.seconds)
     assert report.relative[0].seconds == pytest.approx(1.0)
-
-
-def test_a_gap_is_no_step_of_time() -> None:
     timestamps = np.array([0, 100, 200, 300, 2000, 2100, 2200], np.int64) * 1_000_000
     trajectory = Trajectory("trajectory", timestamps, np.outer(timestamps / 1e9, [1.0, 0, 0]))
     report = evaluate_trajectory(trajectory, trajectory, align="none", rpe_deltas=("0.3s", "1s", "1000m"))

@@ -75,7 +75,7 @@ def halting(axis, period_ns=1):
     return sc.Trajectory("fixes", np.arange(80, dtype=np.int64) * period_ns, positions)
 
 
-def test_the_heading_of_a_circle_is_its_tangent_and_a_stationary_ego_keeps_the_one_it_came_with():
+def test_headings_follow_the_motion_the_first_trajectory_is_the_default_and_what_cannot_be_is_refused():
     trajectory = circle()
     headings = headed_poses(trajectory).quaternions_xyzw
     ahead = rotate_vectors(headings, np.array([1.0, 0, 0]))
@@ -97,9 +97,6 @@ def test_the_heading_of_a_circle_is_its_tangent_and_a_stationary_ego_keeps_the_o
     ahead = rotate_vectors(part.path.quaternions_xyzw, np.array([1.0, 0, 0]))
     np.testing.assert_allclose(ahead, np.tile([0.0, 1, 0], (7, 1)), atol=1e-9)
     assert ego.within(None) is ego
-
-
-def test_the_first_trajectory_is_the_default_a_name_chooses_another_and_what_cannot_be_is_refused():
     scene = sc.Scene((lidar(),), trajectories={"pose": RECORDED})
     for name, heading, error, problem in (
         ("imu", None, PoseError, "not its position"),

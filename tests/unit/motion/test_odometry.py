@@ -74,7 +74,7 @@ def test_a_sweep_that_states_nothing_is_predicted_with_a_larger_covariance_and_t
     assert miss(estimates[9], estimates[0], drive) < 0.03
 
 
-def test_after_a_gap_in_time_a_new_map_begins_where_the_motion_before_leads(clouds, drive):
+def test_gaps_in_time_begin_a_new_map_and_points_that_are_no_numbers_change_nothing(clouds, drive):
     estimates = follow([*clouds[:8], *clouds[8 + GAP :]])
     assert [k for k, e in enumerate(estimates) if e.outcome is Outcome.RESTARTED] == [8]
     deviation = np.sqrt(np.diag(estimates[8].covariance)[3:])
@@ -82,11 +82,6 @@ def test_after_a_gap_in_time_a_new_map_begins_where_the_motion_before_leads(clou
     assert miss(estimates[8], estimates[0], drive) < 3 * np.linalg.norm(deviation)
     after = miss(estimates[-1], estimates[8], drive)
     assert after < 0.5  # the heading is as uncertain as the rotating during a second, but the trajectory goes on
-
-
-def test_points_that_are_no_numbers_change_no_bit_and_without_their_times_the_trajectory_is_found_less_well(
-    clouds, drive
-):
     timestamp, points, times = clouds[3]
     strange = np.array([[np.nan, 0, 0], [np.inf, 1, 1], [1e30, 0, 0], [0, 0, 0]])
     dirty = [*clouds[:3], (timestamp, np.vstack([points, strange]), np.concatenate([times, times[-4:]])), clouds[4]]
@@ -130,17 +125,6 @@ def test_a_stationary_car_stays_where_it_is_while_others_pass():
     estimates = follow(in_ego_frame(drive))
     # a centimetre is what 2 cm of range noise leave in the first sweep's surfaces
     assert max(np.linalg.norm(estimate.state.position) for estimate in estimates) < 0.015
-
-
-def test_shapes_and_settings_that_make_no_sense_are_refused():
-    with pytest.raises(ArrayError, match="positions_ego"):
-        LidarOdometry().add(0, np.zeros((4, 2)))
-    with pytest.raises(ArrayError, match="timestamps_ns"):
-        LidarOdometry().add(0, np.zeros((4, 3)), np.zeros(3, np.int64))
-    with pytest.raises(OptionError, match="cube"):
-        odo.OdometryConfiguration(cube=0.0)
-    with pytest.raises(OptionError, match="farthest"):
-        odo.OdometryConfiguration(farthest=1.0)
 
 
 SMALL = LidarSpec(beams=24, elevations_deg=(-24.0, 10.0), steps=720)
@@ -324,7 +308,7 @@ def on_ground(noise, z):
     return local_map, np.column_stack([generator.uniform(-20, 20, (300, 2)), np.full(300, z)]), np.zeros(300)
 
 
-def test_points_move_with_the_rotating_ego_and_the_gradient_is_that_of_half_the_squared_error():
+def test_points_move_with_the_ego_the_gradient_is_that_of_half_the_squared_error_and_wrong_shapes_are_refused():
     generator = np.random.default_rng(1)
     points, seconds = generator.uniform(-30, 30, (200, 3)), generator.uniform(-0.05, 0.05, 200)
     rotation, position = Rotation.from_rotvec([0.1, 0.2, -0.5]).as_matrix(), np.array([5.0, -3.0, 1.0])
@@ -342,6 +326,14 @@ def test_points_move_with_the_rotating_ego_and_the_gradient_is_that_of_half_the_
     assert sums[0] == 300
     assert np.abs(information[0][3:5, 3:5]).max() < 1e-9 * information[0][5, 5]
     assert abs(information[0][2, 2]) < 1e-9 * information[0][0, 0]
+    with pytest.raises(ArrayError, match="positions_ego"):
+        LidarOdometry().add(0, np.zeros((4, 2)))
+    with pytest.raises(ArrayError, match="timestamps_ns"):
+        LidarOdometry().add(0, np.zeros((4, 3)), np.zeros(3, np.int64))
+    with pytest.raises(OptionError, match="cube"):
+        odo.OdometryConfiguration(cube=0.0)
+    with pytest.raises(OptionError, match="farthest"):
+        odo.OdometryConfiguration(farthest=1.0)
 
 
 NOISE = 0.02

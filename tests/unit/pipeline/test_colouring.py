@@ -312,21 +312,18 @@ def test_blind_sensors_make_no_depths_out_of_nothing(drive, tmp_path, sensor):
     assert len(list((tmp_path / "look" / "camera0").iterdir())) == 3
 
 
-def test_a_part_of_the_drive_keeps_the_numbers_that_the_index_reports(drive, tmp_path):
+def test_a_part_of_the_drive_keeps_its_numbers_and_wrong_values_are_refused_before_anything_is_read(drive, tmp_path):
     write_depth_images(drive.scene, tmp_path / "out", method="fast", stop=0.35, cameras=["camera0"])
     lines = [json.loads(line) for line in (tmp_path / "out" / "index.jsonl").read_text().splitlines()]
     assert len(lines) == len(list((tmp_path / "out" / "camera0").glob("*.png"))) < 3
     assert all((tmp_path / "out" / line["file"]).is_file() for line in lines)
-
-
-def test_values_that_cannot_be_followed_are_refused_before_anything_is_read(drive, tmp_path):
-    for options in ({"method": "best"}, {"form": "tiff"}, {"cameras": ["roof"]}, {"images": tmp_path / "out"}):
+    for options in ({"method": "best"}, {"form": "tiff"}, {"cameras": ["roof"]}, {"images": tmp_path / "new"}):
         with pytest.raises(OptionError):
-            write_depth_images(drive.scene, tmp_path / "out", **options)
+            write_depth_images(drive.scene, tmp_path / "new", **options)
     with pytest.raises(DataError, match="no lidar"):
-        write_depth_images(replace(drive.scene, sensors=()), tmp_path / "out")
+        write_depth_images(replace(drive.scene, sensors=()), tmp_path / "new")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine").touch()
     with pytest.raises(OutputError):
         write_depth_images(drive.scene, tmp_path / "full")
-    assert not (tmp_path / "out").exists()
+    assert not (tmp_path / "new").exists()

@@ -122,7 +122,7 @@ HOLDS = {
 KINDS = {"sensors[top]": "sensors.lidar", "sensors[a.b]": "sensors.camera", "annotations[7]": "annotations.cuboid"}
 
 
-def test_the_longest_beginning_that_ends_at_a_dot_counts_and_slips_of_the_pen_are_found():
+def test_the_longest_beginning_that_ends_at_a_dot_counts_and_a_line_is_about_the_fields_that_it_names():
     supports = {
         "sensors.lidar.frames.points.colors": Support.APPROXIMATED,
         "sensors.lidar.frames.points.rings": Support.CONVERTED,
@@ -133,9 +133,6 @@ def test_the_longest_beginning_that_ends_at_a_dot_counts_and_slips_of_the_pen_ar
     assert {field: losses.holding_of(HOLDS, field).support for field in supports} == supports
     assert losses.holding_of({"sensors": KEPT}, "metadata") is None
     assert losses.unknown_names({**HOLDS, "sensors.lidar.frame": KEPT, "meta": KEPT}) == ["sensors.lidar.frame", "meta"]
-
-
-def test_a_line_is_about_the_field_that_it_names_or_all_fields_of_its_sensor():
     fields = {
         "sensors[top].frames[].points.intensities": ["sensors.lidar.frames.points.intensities"],
         "sensors[top].frames[].points.timestamps": ["sensors.lidar.frames.points.timestamps_ns"],
@@ -312,7 +309,7 @@ def test_no_target_holds_the_folder_of_its_source(source_paths, target, tmp_path
         assert b"secret-home" not in path.read_bytes(), path
 
 
-def test_an_assumption_names_the_drive_alone_and_what_was_repaired_is_not_reported_again(source_paths, tmp_path):
+def test_folders_above_the_source_are_left_out_and_repairs_are_not_reported_again(source_paths, tmp_path):
     location = f"{source_paths}/oxts.txt"
     repaired = sc.DataWarning(kind=sc.WarningKind.REPAIRED, code="poses-sorted", location=location, message="sorted")
     with sceneloom.open(source_paths) as scene:
@@ -323,9 +320,6 @@ def test_an_assumption_names_the_drive_alone_and_what_was_repaired_is_not_report
         assert locations
         assert not any("secret-home" in location for location in locations)
         assert "poses-sorted" not in {n.code for n in again.warnings}
-
-
-def test_folders_above_the_source_are_left_out_and_nothing_else():
     for text, source, expected in (
         ("/x/me/drives/a/calib.txt: odd", "/x/me/drives/a", "a/calib.txt: odd"),
         ("drives/a: odd", "drives/a", "a: odd"),

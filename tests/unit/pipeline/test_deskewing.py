@@ -106,7 +106,7 @@ def test_the_step_writes_scene_files_and_recordings(drive, tmp_path, name):
             np.testing.assert_allclose(fused.points.positions, measured.points.positions, atol=1e-4)
 
 
-def test_a_scene_file_keeps_when_each_point_was_measured_and_how_it_was_deskewed(drive, tmp_path):
+def test_a_scene_file_keeps_when_points_were_measured_a_recording_says_that_it_does_not(drive, tmp_path):
     deskew(drive.scene, tmp_path / "drive.sfs", at="end", trajectory="imu")
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         entry = {"lidars": ["lidar"], "trajectory": "imu", "at": "end", "source": drive.scene.source}
@@ -115,9 +115,6 @@ def test_a_scene_file_keeps_when_each_point_was_measured_and_how_it_was_deskewed
         np.testing.assert_array_equal(written.extras[MEASURED], measured.timestamps_ns)
         with pytest.raises(OptionError, match="deskewed before, by imu at the end"):
             deskewed_scene(scene)
-
-
-def test_a_recording_says_that_it_loses_the_measured_times_and_is_not_moved_again(drive, tmp_path):
     report = deskew(drive.scene, tmp_path / "once")
     assert any(MEASURED in loss.field for loss in report.losses)
     with sceneloom.open(tmp_path / "once") as scene:

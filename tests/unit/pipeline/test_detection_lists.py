@@ -46,7 +46,7 @@ BOX_3D = {**NAMED, **SIZE, **PLACED}
 BOX_2D = {**NAMED, "image_seq": 1, "x1": 10, "y1": 20, "x2": 30, "y2": 40}
 
 
-def test_bare_records_of_table_7_are_put_together_by_frame(tmp_path, context):
+def test_bare_records_are_put_together_by_frame_and_lists_of_frames_read_as_they_were_written(tmp_path, context):
     other = {**BOX_3D, "points_seq": 0, "timestamp": "0.000000000", "X": 20.0}
     lines = "\n".join(json.dumps(box) for box in (BOX_3D, other, {**BOX_3D, "class": "Van"}))
     path = file(tmp_path, lines)
@@ -57,9 +57,6 @@ def test_bare_records_of_table_7_are_put_together_by_frame(tmp_path, context):
     assert second.centers.tolist()[0] == [10.0, 1.0, -0.5]
     np.testing.assert_allclose(second.yaws, np.pi / 2)
     np.testing.assert_allclose(second.velocities[0], [0.0, -3.0, 0.0], atol=1e-6)  # against its direction
-
-
-def test_lists_of_frames_are_read_as_they_were_written(tmp_path, context):
     ones, scores = np.ones((2, 3)), np.array([0.25, 0.75])
     boxes = Boxes3D(100_000_000, ones, 2 * ones, np.zeros(2), scores, ("Car", "Bus"))
     seen = Boxes2D(200_000_000, np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([0.5]), ("Car",))
@@ -84,16 +81,9 @@ def test_lists_of_other_sensors_and_leniently_faulty_records_are_left_out_and_co
 
 
 TOKEN = "ca9a282c9e77460f8360f564131a8af5"
-NUSCENES = {
-    "sample_token": TOKEN,
-    "translation": [5.0, 11.0, 1.0],
-    "size": [2.0, 4.0, 1.5],
-    "rotation": [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)],
-    "velocity": [0.0, 3.0],
-    "detection_name": "car",
-    "detection_score": 0.4,
-    "attribute_name": "",
-}
+NUSCENES = {"sample_token": TOKEN, "translation": [5.0, 11.0, 1.0], "size": [2.0, 4.0, 1.5], "velocity": [0.0, 3.0]}
+NUSCENES |= {"rotation": [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], "detection_name": "car", "detection_score": 0.4}
+NUSCENES |= {"attribute_name": ""}
 
 
 def nuscenes(tmp_path, box, *, token=TOKEN, micros=100_000):
@@ -101,7 +91,7 @@ def nuscenes(tmp_path, box, *, token=TOKEN, micros=100_000):
     return file(tmp_path, json.dumps({"meta": {"use_lidar": True}, "results": {token: [box]}}), "results.json")
 
 
-def test_boxes_of_nuscenes_come_from_the_world_into_the_lidars_frame(tmp_path, context):
+def test_boxes_of_nuscenes_come_into_the_lidars_frame_if_their_times_are_known(tmp_path, context):
     path = nuscenes(tmp_path, NUSCENES)
     assert form_of(path).name == "nuscenes"
     (boxes,) = read_boxes_3d(path, context, strict())
@@ -111,10 +101,7 @@ def test_boxes_of_nuscenes_come_from_the_world_into_the_lidars_frame(tmp_path, c
     np.testing.assert_allclose(boxes.velocities, [[3.0, 0.0, 0.0]], atol=1e-9)
     assert boxes.sizes_lwh.tolist() == [[4.0, 2.0, 1.5]]  # nuScenes says width first
     assert (boxes.timestamp_ns, boxes.labels) == (100_000_000, ("car",))
-
-
-def test_samples_whose_times_are_not_known_are_a_question_and_those_of_other_drives_left_out(tmp_path, context):
-    path = file(tmp_path, json.dumps({"results": {TOKEN: [NUSCENES]}}))
+    path = file(tmp_path, json.dumps({"results": {TOKEN: [NUSCENES]}}), "alone/results.json")
     with pytest.raises(DataError, match=r"put nuScenes' table sample\.json"):
         read_boxes_3d(path, context, strict())
     ledger = strict()

@@ -32,7 +32,7 @@ def fused(drive, tmp_path_factory):
     return path, fuse(drive, path)
 
 
-def test_the_written_scene_holds_what_was_fused(drive, fused):
+def test_the_written_scene_holds_what_was_fused_and_poses_of_sensors_seen_from_the_first_ego_position(drive, fused):
     path, report = fused
     found = list(iter_fused(drive))
     with sceneloom.open(path) as scene:
@@ -48,9 +48,6 @@ def test_the_written_scene_holds_what_was_fused(drive, fused):
         assert report.points == sum(len(frame.points) for frame in found)
         assert lidar.poses.stop_ns >= lidar.frames[-1].points.timestamps_ns.max(), "to the end of the last sweep"
         assert np.isin(lidar.frames.timestamps_ns, lidar.poses.timestamps_ns).all()
-
-
-def test_sensor_poses_are_the_trajectory_and_the_mounting_seen_from_the_first_ego_position(drive, fused):
     trajectory = drive.trajectories["groundTruth"]
     origin = trajectory.positions[0]
     with sceneloom.open(fused[0]) as scene:
@@ -69,7 +66,7 @@ def test_sensor_poses_are_the_trajectory_and_the_mounting_seen_from_the_first_eg
             np.testing.assert_allclose(ours.path.values[:, 3:6] + origin, source.path.values[:, 3:6], atol=1e-9)
 
 
-def test_a_part_of_a_drive_is_fused_as_it_is_within_the_whole(drive):
+def test_a_part_of_a_drive_is_fused_as_within_the_whole_at_its_own_origin_and_clock(drive, tmp_path, decode_sfs):
     whole = list(iter_fused(drive))
     start = (drive.lidars[0].frames.timestamps_ns[1] - time_span(drive)[0]) / 1e9
     seen: list[tuple[int, int]] = []
@@ -82,9 +79,6 @@ def test_a_part_of_a_drive_is_fused_as_it_is_within_the_whole(drive):
     assert report.frames == 2
     coloured = [sum(int((f.points.camera_index == k).sum()) for f in whole[:2]) for k in range(2)]
     assert [camera.coloured for camera in report.cameras] == coloured, "the last sweep is paired as within the whole"
-
-
-def test_a_part_stands_at_its_own_origin_and_begins_its_own_clock(drive, tmp_path, decode_sfs):
     first_ns = int(drive.lidars[0].frames.timestamps_ns[0])
     times = np.arange(first_ns - 200_000_000_000, first_ns + 1, 500_000_000, dtype=np.int64)
     still = Poses(times, np.zeros((len(times), 3)), np.tile([0.0, 0, 0, 1], (len(times), 1)))
@@ -198,7 +192,7 @@ def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_re
             np.testing.assert_allclose(one.points.positions, other.points.positions, atol=2e-5)
 
 
-def test_an_image_that_cannot_be_read_is_passed_over_in_every_output(drive, tmp_path):
+def test_images_that_cannot_be_read_are_passed_over_and_points_without_location_counted(drive, tmp_path):
     images = drive.cameras[0].images
 
     def broken():
@@ -217,6 +211,14 @@ def test_an_image_that_cannot_be_read_is_passed_over_in_every_output(drive, tmp_
     with sceneloom.open(tmp_path / "drive.sfs") as scene:
         kept = scene.sensor(camera.id).images.timestamps_ns
         np.testing.assert_array_equal(kept // 1000, images.timestamps_ns[[0, 2, 3]] // 1000)
+
+    def nowhere(frame, index):
+        positions = np.where(np.arange(len(frame.points))[:, None] < 7 * (index == 1), np.nan, frame.points.positions)
+        return replace(frame, points=replace(frame.points, positions=positions.astype(np.float32)))
+
+    report = fuse(with_frames(drive, nowhere))
+    assert {warning.code: warning.count for warning in report.warnings}["points-not-finite"] == 7
+    assert "points-not-finite" not in {warning.code for warning in fuse(drive).warnings}
 
 
 def test_images_are_drawn_of_chosen_sweeps_and_files_of_lidars_and_cameras_of_like_names_stand_apart(drive, tmp_path):
@@ -237,7 +239,7 @@ def test_images_are_drawn_of_chosen_sweeps_and_files_of_lidars_and_cameras_of_li
     assert {path.name for path in (tmp_path / "like" / "look").glob("*.png")} == whole
 
 
-def test_a_fused_scene_can_be_fused_again_keeps_its_origin_and_reports_by_what_it_was_placed_first(fused, tmp_path):
+def test_a_fused_scene_or_a_recording_of_it_fuses_to_the_same_points_and_keeps_its_origin(fused, tmp_path, drive):
     with sceneloom.open(fused[0]) as once:
         fuse(once, tmp_path / "twice.sfs")
         with pytest.raises(OptionError, match="placed in the world already"):
@@ -251,6 +253,12 @@ def test_a_fused_scene_can_be_fused_again_keeps_its_origin_and_reports_by_what_i
             for before, after in zip(once.lidars[0].frames, twice.lidars[0].frames, strict=True):
                 np.testing.assert_array_equal(before.points.positions, after.points.positions)
                 np.testing.assert_array_equal(before.points.camera_index, after.points.camera_index)
+    fuse(drive, tmp_path / "once.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
+    sceneloom.convert(tmp_path / "once.sfs", tmp_path / "back")
+    with sceneloom.open(tmp_path / "once.sfs") as once, sceneloom.open(tmp_path / "back") as back:
+        for first, again in zip(once.lidars[0].frames, iter_fused(back), strict=True):
+            # two roundings to float32 at 100 m
+            np.testing.assert_allclose(again.points.positions, first.points.positions, atol=3e-5)
 
 
 def test_a_drive_without_trajectory_is_placed_by_its_sweeps_from_where_a_recorded_one_begins(drive, tmp_path):
@@ -274,25 +282,6 @@ def test_a_drive_without_trajectory_is_placed_by_its_sweeps_from_where_a_recorde
     here, known = found.ego.path.interpolate(first_ns), recorded.ego.path.interpolate(first_ns)
     np.testing.assert_allclose(here.positions + found.origin_world, known.positions + recorded.origin_world, atol=1e-9)
     np.testing.assert_allclose(here.quaternions_xyzw, known.quaternions_xyzw, atol=1e-9)
-
-
-def test_points_whose_location_is_not_finite_are_counted(drive):
-    def broken(frame, index):
-        positions = np.where(np.arange(len(frame.points))[:, None] < 7 * (index == 1), np.nan, frame.points.positions)
-        return replace(frame, points=replace(frame.points, positions=positions.astype(np.float32)))
-
-    report = fuse(with_frames(drive, broken))
-    assert {warning.code: warning.count for warning in report.warnings}["points-not-finite"] == 7
-    assert "points-not-finite" not in {warning.code for warning in fuse(drive).warnings}
-
-
-def test_a_fused_scene_becomes_a_recording_that_fuses_to_the_same_points(drive, tmp_path):
-    fuse(drive, tmp_path / "once.sfs", outputs=FusionOutputs(time_unit="nanoseconds"))
-    sceneloom.convert(tmp_path / "once.sfs", tmp_path / "back")
-    with sceneloom.open(tmp_path / "once.sfs") as once, sceneloom.open(tmp_path / "back") as back:
-        for first, again in zip(once.lidars[0].frames, iter_fused(back), strict=True):
-            # two roundings to float32 at 100 m
-            np.testing.assert_allclose(again.points.positions, first.points.positions, atol=3e-5)
 
 
 def test_what_cannot_be_fused_and_settings_that_cannot_be_followed_are_refused_before_anything_is_made(drive, tmp_path):
@@ -429,7 +418,7 @@ def test_points_that_lie_in_the_world_need_no_poses(drive, tmp_path):
             assert (frame.points.camera_index == expected.points.camera_index).mean() > 0.99
 
 
-def test_a_camera_without_images_needs_no_location_and_keeps_its_number_and_one_with_images_is_refused(drive, tmp_path):
+def test_cameras_without_images_need_no_location_and_unplaced_images_or_reversed_times_are_refused(drive, tmp_path):
     idle = replace(drive.cameras[0], id="idle", images=sc.LazyFrames.of([], []), video=None, mount=None, poses=None)
     report = fuse(replace(drive, sensors=(idle, *drive.sensors)), tmp_path / "drive.sfs")
     assert next((c.camera, c.images, c.unpaired) for c in report.cameras) == ("idle", 0, 0)
@@ -438,6 +427,14 @@ def test_a_camera_without_images_needs_no_location_and_keeps_its_number_and_one_
         assert scene.metadata["sceneloom"]["fusion"]["cameras"] == ["idle", "camera0", "camera1"]
     with pytest.raises(PoseError, match="'camera1'"):
         fuse(changed(drive, "camera1", mount=None, poses=None))
+    fuse(changed(drive, "lidar", id=EGO_ID), tmp_path / "ego.sfs")
+    with sceneloom.open(tmp_path / "ego.sfs") as scene:
+        assert scene.sensor(EGO_ID) is scene.lidars[0]
+        assert isinstance(scene.sensor("ego2"), sc.OdometrySensor)
+    for sensor_id, location in (("lidar", "frames"), ("camera1", "images")):
+        backwards = changed(drive, sensor_id, **{location: getattr(drive.sensor(sensor_id), location)[::-1]})
+        with pytest.raises(DataError, match=rf"sensors\[{sensor_id}\]\.{location}\[1\]\.timestamp: .* in the order"):
+            fuse(backwards)
 
 
 def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file_and_fusing_again_applies_it_once(
@@ -462,17 +459,6 @@ def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file_and_fu
         for again, first in zip(iter_fused(scene), iter_fused(mixed), strict=True):
             for view, source in zip(again.views, first.views, strict=True):
                 np.testing.assert_allclose(view.world_from_camera.matrix, source.world_from_camera.matrix, atol=1e-9)
-
-
-def test_the_ego_gets_another_id_where_a_sensor_has_its_own_and_times_that_run_backwards_are_refused(drive, tmp_path):
-    fuse(changed(drive, "lidar", id=EGO_ID), tmp_path / "drive.sfs")
-    with sceneloom.open(tmp_path / "drive.sfs") as scene:
-        assert scene.sensor(EGO_ID) is scene.lidars[0]
-        assert isinstance(scene.sensor("ego2"), sc.OdometrySensor)
-    for sensor_id, location in (("lidar", "frames"), ("camera1", "images")):
-        backwards = changed(drive, sensor_id, **{location: getattr(drive.sensor(sensor_id), location)[::-1]})
-        with pytest.raises(DataError, match=rf"sensors\[{sensor_id}\]\.{location}\[1\]\.timestamp: .* in the order"):
-            fuse(backwards)
 
 
 CAMERA_MODEL = Camera("brown_conrady", 640, 360, 400.0, 400.0, 319.5, 179.5, (-0.12, 0.04, 0.0004, -0.0003))

@@ -25,7 +25,7 @@ def findings(group):
     return {one.name: one for one in examine_installation().findings if one.group == group}
 
 
-def test_this_installation_is_sound_and_says_its_versions():
+def test_this_installation_is_sound_and_packages_are_looked_for_as_the_metadata_name_them(monkeypatch, tmp_path):
     found = examine_installation()
     assert found.is_sound
     stated = {(one.group, one.name): one.stated for one in found.findings}
@@ -33,17 +33,6 @@ def test_this_installation_is_sound_and_says_its_versions():
     assert stated["versions", "Python"].startswith(f"{sys.version_info.major}.{sys.version_info.minor}.")
     assert stated["codecs", "H.264, written"] == "there"
 
-
-REQUIREMENTS = [
-    "numpy>=2.0",
-    "scipy>=999.1",
-    "fsspec[http]>=2024.2; extra == 'cloud'",
-    "no-such-package>=1; extra == 'mcap'",
-    "pytest>=8.2; extra == 'dev'",
-]
-
-
-def test_packages_are_looked_for_as_the_metadata_name_them_and_a_missing_extra_breaks_nothing(monkeypatch, tmp_path):
     def require(*requirements):
         monkeypatch.setattr(installation, "requires", lambda _: requirements)
 
@@ -73,6 +62,15 @@ def test_packages_are_looked_for_as_the_metadata_name_them_and_a_missing_extra_b
 
     monkeypatch.setattr(installation, "requires", absent)
     assert "not installed" in findings("packages")["sceneloom"].stated
+
+
+REQUIREMENTS = [
+    "numpy>=2.0",
+    "scipy>=999.1",
+    "fsspec[http]>=2024.2; extra == 'cloud'",
+    "no-such-package>=1; extra == 'mcap'",
+    "pytest>=8.2; extra == 'dev'",
+]
 
 
 def test_kernels_count_as_compiled_once_there_is_an_index_of_their_present_source(monkeypatch, tmp_path):

@@ -113,7 +113,7 @@ def test_annotations_are_hidden_by_their_labels_while_they_last_in_any_order_of_
     assert sorted(hidings_of(scene_with((bonnet,)), labels=("bonnet",))[0]) == list(range(6))
 
 
-def test_regions_are_the_even_pixels_around_boxes_with_their_margin_within_the_image():
+def test_regions_are_the_even_pixels_around_boxes_within_the_image_hidden_when_it_is_decoded():
     boxes = (
         ImageBox((11.0, 11.0, 21.0, 31.0), number=0),
         ImageBox((60.0, -4.0, 70.0, 4.0), number=0),
@@ -124,9 +124,6 @@ def test_regions_are_the_even_pixels_around_boxes_with_their_margin_within_the_i
     regions = redacting.hidden_regions(hiding, 64, 48, margin=0.1)
     assert {k: rows.tolist() for k, rows in regions.pixels.items()} == {0: [[10, 8, 22, 34], [58, 0, 64, 6]]}
     assert (regions.outside, regions.cut) == (2, 1)
-
-
-def test_images_of_a_scene_are_hidden_when_they_are_decoded_and_the_others_stay():
     scene = scene_with()
     hidings = find_hidings(scene, boxes=(ImageBox((8, 8, 24, 24), number=2),))
     hidden = hide_in_images(scene, hidings, fill="black", margin=0.0)

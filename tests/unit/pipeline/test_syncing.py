@@ -44,7 +44,7 @@ def report(wrong, corrected):
     return sync(wrong, corrected, streams=CHEAP)
 
 
-def test_injected_offsets_are_reported_against_the_imu(report):
+def test_injected_offsets_are_reported_against_the_imu_and_the_corrected_drive_is_in_step(report, drive, corrected):
     assert report.reference == "imu"
     assert set(report.off) == {"groundTruth", "gnss"}
     trajectory, receiver = (report.comparison(name).estimate for name in ("groundTruth", "gnss"))
@@ -55,9 +55,6 @@ def test_injected_offsets_are_reported_against_the_imu(report):
     assert [c.stream for c in besides] == ["gnss"]
     # against a trajectory that is 30 ms late
     assert besides[0].estimate.offset_ns == pytest.approx(-4.3e8 + 150e-6 * 1.5e10, abs=5e6)
-
-
-def test_the_corrected_drive_is_in_step_and_says_what_was_done(report, drive, corrected):
     assert [c.stream for c in report.applied] == ["groundTruth", "gnss"]
     assert report.applied[1].through == "groundTruth"
     with sceneloom.open(corrected) as right:
@@ -70,7 +67,7 @@ def test_the_corrected_drive_is_in_step_and_says_what_was_done(report, drive, co
         assert np.abs(found - true).max() < 3_000_000
 
 
-def test_corrections_stand_in_warnings_and_metadata(wrong):
+def test_corrections_stand_in_warnings_and_metadata_and_another_reference_rotates_their_signs(wrong):
     correction = AppliedCorrection(stream="groundTruth", offset_ns=3e7, skew_ppm=0.0, at_ns=0)
     changed = corrected_scene(wrong, [correction], reference="imu")
     warning = changed.warnings[-1]
@@ -78,9 +75,6 @@ def test_corrections_stand_in_warnings_and_metadata(wrong):
     assert "-30.000 ms" in warning.message
     assert changed.metadata["sceneloom"]["clocks"][0]["offset_ns"] == 3e7
     assert corrected_scene(wrong, []) is wrong
-
-
-def test_another_reference_rotates_the_signs(wrong):
     report = sync(wrong, reference="groundTruth", streams=("imu",))
     assert report.reference == "groundTruth"
     assert report.comparison("imu").estimate.offset_ns == pytest.approx(-3e7, abs=2e6)

@@ -72,7 +72,9 @@ def scene_and_drive():
     return scene, drive
 
 
-def test_a_dozen_moments_are_drawn_over_images_and_from_above(scene_and_drive, tmp_path):
+def test_moments_are_drawn_and_pairs_have_the_points_of_their_sweep_where_images_show_something(
+    scene_and_drive, tmp_path
+):
     scene, drive = scene_and_drive
     objects, _ = track(drive)
     paths = save_tracking_images(scene, drive, objects, tmp_path / "drawn", count=2)
@@ -82,9 +84,6 @@ def test_a_dozen_moments_are_drawn_over_images_and_from_above(scene_and_drive, t
         assert image.width >= 320
     bare = save_tracking_images(Scene(()), drive, objects, tmp_path / "bare", count=1)
     assert [path.name for path in bare] == ["000000_above.png"]
-
-
-def test_pairs_have_the_points_of_their_sweep_where_images_show_something(scene_and_drive):
     scene, drive = scene_and_drive
     for k, moment in enumerate(moments(drive)):
         (pair,) = moment.pairs_with_points().values()

@@ -95,7 +95,7 @@ def test_the_true_boxes_are_the_edges_of_the_visible_pixels_and_as_hidden_as_the
     assert (np.concatenate([report.truth.corners_xyxy for report in reports])[:, 2] == 320).any()
 
 
-def test_edges_are_off_by_as_much_as_the_specification_says(reports):
+def test_edges_are_off_by_as_much_as_the_specification_says_and_whole_boxes_are_projected_ones(reports, drive):
     normal = []
     for report in reports:
         truth = report.truth.corners_xyxy[matched(report)]
@@ -108,13 +108,6 @@ def test_edges_are_off_by_as_much_as_the_specification_says(reports):
     assert len(normal) > 150
     np.testing.assert_allclose((normal**2).mean(axis=0), 1.0, atol=4 * np.sqrt(2 / len(normal)))
     np.testing.assert_allclose(normal.mean(axis=0), 0.0, atol=4 / np.sqrt(len(normal)))
-
-
-def upright(points, center, yaw, size_lwh):
-    return Rotation.from_euler("z", yaw).apply(points * np.array(size_lwh) / 2) + center
-
-
-def test_boxes_of_whole_objects_are_the_projected_boxes_in_space(drive):
     whole, visible = (
         detect_2d(drive, "camera0", replace(ALL_2D, amodal=amodal), frames=[12])[0] for amodal in (True, False)
     )
@@ -135,6 +128,10 @@ def test_boxes_of_whole_objects_are_the_projected_boxes_in_space(drive):
     # Pixels are whole, and what is seen of an object lies in its box.
     beyond = (whole.truth.corners_xyxy - visible.truth.corners_xyxy) * [1, 1, -1, -1]
     assert (beyond <= 1).all()
+
+
+def upright(points, center, yaw, size_lwh):
+    return Rotation.from_euler("z", yaw).apply(points * np.array(size_lwh) / 2) + center
 
 
 def test_false_boxes_come_at_their_rate_overlap_few_objects_and_lie_near_returns(fair, busy_drive, fair_3d):
@@ -195,18 +192,6 @@ def test_reports_of_a_faulty_sensor_have_its_timestamps_and_gaps(drive, busy_dri
         np.testing.assert_array_equal(found[2].truth.corners_xyxy, expected[2].truth.corners_xyxy)
     else:
         assert len(found[1].truth) == 0
-
-
-def test_what_is_no_such_sensor_or_frame_is_refused(drive, busy_drive):
-    without = sim.simulate_street(1, frames=1, lidar=sim.LidarSpec(beams=2, steps=20), cameras=())
-    for call, message in (
-        (lambda: detect_2d(drive, "lidar"), "'lidar' is of type lidar; expected a camera"),
-        (lambda: detect_2d(without), "no camera"),
-        (lambda: detect_3d(busy_drive, lidar_id="imu"), "'imu' is of type imu; expected a lidar"),
-        (lambda: detect_3d(busy_drive, frames=[70]), "frame 70; expected 0 to 69"),
-    ):
-        with pytest.raises(OptionError, match=message):
-            call()
 
 
 def errors_of(report):
@@ -279,7 +264,7 @@ def test_the_true_boxes_hold_the_points_of_their_objects_of_which_others_take_a_
     assert 0 < sum(share > 0.2 for share in expected) < len(expected)
 
 
-def test_boxes_in_other_frames_are_the_same_boxes_but_for_a_wrong_mounting_of_the_sensor(busy_drive):
+def test_boxes_in_other_frames_are_the_same_but_for_a_wrong_mounting_and_no_such_sensor_is_refused(busy_drive, drive):
     report, ego, world = (detect_3d(busy_drive, ALL_3D, boxes_frame=frame, frames=[7])[0] for frame in PointsFrame)
     own, in_ego, in_world = (r.boxes.select(np.argsort(r.instances)) for r in (report, ego, world))
     np.testing.assert_allclose(in_ego.centers, busy_drive.truth.lidar.spec.mount.apply(own.centers), atol=1e-9)
@@ -304,6 +289,15 @@ def test_boxes_in_other_frames_are_the_same_boxes_but_for_a_wrong_mounting_of_th
         off = Rotation.from_euler("z", 2.0, degrees=True).apply(own) - own + np.array([0.0, 0.3, 0.0])
         error = factor * busy_drive.truth.lidar.spec.mount.rotate(off)
         np.testing.assert_allclose(moved.boxes.centers - right.boxes.centers, error, atol=1e-9)
+    without = sim.simulate_street(1, frames=1, lidar=sim.LidarSpec(beams=2, steps=20), cameras=())
+    for call, message in (
+        (lambda: detect_2d(drive, "lidar"), "'lidar' is of type lidar; expected a camera"),
+        (lambda: detect_2d(without), "no camera"),
+        (lambda: detect_3d(busy_drive, lidar_id="imu"), "'imu' is of type imu; expected a lidar"),
+        (lambda: detect_3d(busy_drive, frames=[70]), "frame 70; expected 0 to 69"),
+    ):
+        with pytest.raises(OptionError, match=message):
+            call()
 
 
 def test_objects_are_missed_as_often_as_evidence_and_occlusion_state_and_scores_are_calibrated(fair, fair_3d):
@@ -403,12 +397,18 @@ def test_numbers_out_of_bounds_are_refused_by_name(spec, wrong, message):
         spec(**wrong)
 
 
-def test_chances_are_those_of_the_formula_and_nothing_overflows_where_all_or_nothing_is_found():
+def test_chances_are_those_of_the_formula_and_boxes_of_objects_beside_the_camera_reach_the_border():
     points, hidden = np.array([1.0, 8.0, 100.0]), np.array([0.0, 0.5, 0.9])
     by_hand = [0.98 / (1 + np.exp(-2 * np.log(n / 8) + 2 * h)) for n, h in zip(points, hidden, strict=True)]
     np.testing.assert_allclose(MissSpec().chances(points, hidden, np.full(3, 8.0)), by_hand)
     sharp = MissSpec(steepness=1e5, recall=1.0).chances(points, 0.0 * hidden, np.full(3, 8.0))
     np.testing.assert_array_equal(sharp, [0.0, 0.5, 1.0])
+    ahead = np.array([[[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]])
+    middle, size = np.array([[[1.0, 3.0, -1.0]]]), np.array([[8.0, 2.0, 2.0]])
+    views = _LineViews(CAMERA_MODEL, False, ahead, np.zeros((1, 3)), middle, np.zeros((1, 1)), size)
+    (box,) = _projected_boxes(views, np.array([[1.0, 2.0, 3.0, 4.0]]))
+    # Its far end is 5 m ahead and begins 2 m to the left; its top is on the camera's height.
+    assert box == pytest.approx([0.0, 96.0, 159.5 - 190 * 2 / 5 + 0.5, 200.0])
 
 
 def draw_boxes(seed, *, frames=4000, false_rate=0.6, repeated=0.0, **spec):
@@ -445,7 +445,7 @@ def test_of_all_boxes_with_a_score_that_share_is_true(concentration, repeated):
     assert np.abs(gaps(odds / (1 + odds), true)[0]).sum() / len(scores) > 0.012
 
 
-def test_scores_are_spread_and_boxes_dealt_out_as_the_derivation_says():
+def test_scores_are_spread_and_boxes_dealt_out_as_the_derivation_says_also_as_logits():
     generator, kappa, count = np.random.default_rng(2), 2.5, 20_000
     for true, shape in ((True, (kappa * 0.7 + 1, kappa * 0.3)), (False, (kappa * 0.7, kappa * 0.3 + 1))):
         scores = draw_scores(generator, np.full(count, 0.7), np.full(count, true), ScoreSpec(concentration=kappa))
@@ -466,9 +466,6 @@ def test_scores_are_spread_and_boxes_dealt_out_as_the_derivation_says():
         areas.append((scores[true][:2000, None] > scores[~true][None, :1000]).mean())
     assert areas == sorted(areas, reverse=True)
     assert areas[0] - areas[2] > 0.01
-
-
-def test_logits_are_the_same_scores_in_another_form_which_may_be_given_by_its_word():
     plain, worded, logits, warped = (
         draw_scores(np.random.default_rng(1), np.full(500, 0.6), np.arange(500) % 2 == 0, ScoreSpec(**spec))
         for spec in (
@@ -490,22 +487,9 @@ def drives():
     """A busy street in a bend, before a camera whose shutter rolls over the rows and before one of columns."""
     spec = sim.CameraSpec(CAMERA_MODEL, sim.camera_mount(yaw_deg=20.0), readout_ns=60_000_000)
     traffic = sim.TrafficSpec(cars=5.0, cyclists=4.0, pedestrians=8.0)
-    options = {"frames": 8, "lidar": sim.LidarSpec(beams=1, steps=1), "traffic": traffic}
-    return [
-        sim.simulate_street(
-            4, cameras=(replace(spec, left_to_right=columns),), path=sim.PathSpec(yaw_rate=0.6), **options
-        )
-        for columns in (False, True)
-    ]
-
-
-def test_the_box_of_an_object_beside_the_camera_reaches_the_border_and_stays_finite():
-    ahead = np.array([[[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]])
-    middle, size = np.array([[[1.0, 3.0, -1.0]]]), np.array([[8.0, 2.0, 2.0]])
-    views = _LineViews(CAMERA_MODEL, False, ahead, np.zeros((1, 3)), middle, np.zeros((1, 1)), size)
-    (box,) = _projected_boxes(views, np.array([[1.0, 2.0, 3.0, 4.0]]))
-    # Its far end is 5 m ahead and begins 2 m to the left; its top is on the camera's height.
-    assert box == pytest.approx([0.0, 96.0, 159.5 - 190 * 2 / 5 + 0.5, 200.0])
+    options = {"lidar": sim.LidarSpec(beams=1, steps=1), "traffic": traffic, "path": sim.PathSpec(yaw_rate=0.6)}
+    cameras = [(replace(spec, left_to_right=columns),) for columns in (False, True)]
+    return [sim.simulate_street(4, frames=8, cameras=one, **options) for one in cameras]
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ SMALL = sim.LidarSpec(beams=8, steps=200)
 TINY = Camera("pinhole", 40, 30, 30.0, 30.0, 19.5, 14.5)
 
 
-def test_a_drive_has_the_sensors_of_a_recording_which_follow_each_other_ten_times_a_second(drive):
+def test_a_drive_has_the_sensors_of_a_recording_and_poses_imu_and_gnss_reach_beyond_sweeps_and_images(drive, rich):
     scene = drive.scene
     assert scene.format == "simulated"
     assert [(sensor.id, type(sensor)) for sensor in scene.sensors] == [
@@ -50,17 +50,11 @@ def test_a_drive_has_the_sensors_of_a_recording_which_follow_each_other_ten_time
     # The IMU keeps a clock of its own.
     imu_ns = scene.sensor("imu").streams["gyroscope"].timestamps_ns
     assert not np.isin(imu_ns, camera.images.timestamps_ns).any()
-
-
-def test_trajectory_imu_and_gnss_reach_beyond_every_sweep_and_image(drive, rich):
     for scene in (drive.scene, rich.scene):
         first = scene.lidars[0].frames[0].timestamp_ns
         last = max(int(lidar.frames[-1].points.timestamps_ns[-1]) for lidar in scene.lidars)
-        for times in (
-            scene.trajectories["groundTruth"].timestamps_ns,
-            scene.sensor("gnss").timestamps_ns,
-            *(stream.timestamps_ns for stream in scene.sensor("imu").streams.values()),
-        ):
+        streams = scene.trajectories["groundTruth"], scene.sensor("gnss"), *scene.sensor("imu").streams.values()
+        for times in (stream.timestamps_ns for stream in streams):
             assert times[0] < first < last < times[-1]
             assert (np.diff(times) > 0).all()
 
@@ -118,7 +112,7 @@ def test_visible_points_fall_on_pixels_of_their_own_depth_and_object_and_near_on
     assert np.percentile(difference, 90) <= 20
 
 
-def test_several_cameras_have_ids_in_their_order_and_a_drive_can_be_a_single_sweep_without_any():
+def test_several_sensors_have_ids_in_their_order_a_single_one_no_number_and_a_drive_can_be_a_single_sweep(rich):
     offsets = (0, 20_000_000, 80_000_000)
     cameras = [
         sim.CameraSpec(TINY, sim.camera_mount(yaw_deg=yaw), offset_ns=offset)
@@ -134,9 +128,25 @@ def test_several_cameras_have_ids_in_their_order_and_a_drive_can_be_a_single_swe
     assert len(frame.points) > 500
     assert frame.timestamp_ns == -5_000_000_000
     assert frame.points.timestamps_ns.max() < -4_900_000_000
+    ids = [sensor.id for sensor in rich.scene.sensors]
+    assert ids == ["lidar0", "lidar1", "lidar2", "camera0", "radar0", "radar1", "imu", "gnss"]
+    assert (list(rich.truth.lidars), list(rich.truth.radars)) == (ids[:3], ids[4:6])
+    assert rich.truth.lidar is rich.truth.lidars["lidar0"]
+    assert isinstance(rich.scene.sensor("radar1"), RadarSensor)
+    with pytest.raises(OptionError, match="'camera7'; expected one of 'camera0'"):
+        rich.truth.depth("camera7", 0)
+    with pytest.raises(OptionError, match="'lidar'; expected one of 'lidar0', 'lidar1', 'lidar2'"):
+        rich.truth.sweep(0, "lidar")
+    one, listed = (
+        simulate_street(4, frames=2, cameras=(), **given) for given in ({"lidar": RASTER}, {"lidars": (RASTER,)})
+    )
+    assert [lidar.id for lidar in (*one.scene.lidars, *listed.scene.lidars)] == ["lidar", "lidar"]
+    a, b = (drive.scene.lidars[0].frames[1] for drive in (one, listed))
+    assert a.timestamp_ns == 1_000_000_000 + 7_000_000 + 50_000_000
+    np.testing.assert_array_equal(a.points.positions, b.points.positions)
 
 
-def test_lidars_of_the_same_kind_have_noise_of_their_own():
+def test_lidars_of_the_same_kind_have_noise_of_their_own_and_the_demo_drive_two_camera_models():
     drive = simulate_street(4, frames=1, lidars=(SMALL, SMALL), cameras=())
     sweeps = [drive.truth.sweep(0, lidar_id) for lidar_id in ("lidar0", "lidar1")]
     errors = [np.linalg.norm(sweep.frame.points.positions, axis=1) - sweep.ranges for sweep in sweeps]
@@ -145,9 +155,6 @@ def test_lidars_of_the_same_kind_have_noise_of_their_own():
     assert common > 700
     assert abs(np.corrcoef(errors[0][:common], errors[1][:common])[0, 1]) < 0.18
     np.testing.assert_allclose(*(sweep.points_world.mean(axis=0) for sweep in sweeps), atol=0.5)
-
-
-def test_the_demo_drive_has_two_camera_models_with_smooth_outlines():
     drive = sim.demo_drive(0, frames=2)
     cameras = [camera.camera for camera in drive.scene.cameras]
     assert [camera.model for camera in cameras] == ["brown_conrady", "fisheye"]
@@ -172,25 +179,6 @@ def test_the_demo_drive_has_two_camera_models_with_smooth_outlines():
 def test_arguments_out_of_bounds_are_refused(wrong, message):
     with pytest.raises(OptionError, match=message):
         simulate_street(**{"lidar": SMALL, "cameras": (), **wrong})
-
-
-def test_several_lidars_and_radars_have_ids_in_their_order_and_a_single_one_no_number(rich):
-    ids = [sensor.id for sensor in rich.scene.sensors]
-    assert ids == ["lidar0", "lidar1", "lidar2", "camera0", "radar0", "radar1", "imu", "gnss"]
-    assert (list(rich.truth.lidars), list(rich.truth.radars)) == (ids[:3], ids[4:6])
-    assert rich.truth.lidar is rich.truth.lidars["lidar0"]
-    assert isinstance(rich.scene.sensor("radar1"), RadarSensor)
-    with pytest.raises(OptionError, match="'camera7'; expected one of 'camera0'"):
-        rich.truth.depth("camera7", 0)
-    with pytest.raises(OptionError, match="'lidar'; expected one of 'lidar0', 'lidar1', 'lidar2'"):
-        rich.truth.sweep(0, "lidar")
-    one, listed = (
-        simulate_street(4, frames=2, cameras=(), **given) for given in ({"lidar": RASTER}, {"lidars": (RASTER,)})
-    )
-    assert [lidar.id for lidar in (*one.scene.lidars, *listed.scene.lidars)] == ["lidar", "lidar"]
-    a, b = (drive.scene.lidars[0].frames[1] for drive in (one, listed))
-    assert a.timestamp_ns == 1_000_000_000 + 7_000_000 + 50_000_000
-    np.testing.assert_array_equal(a.points.positions, b.points.positions)
 
 
 def test_the_parts_of_the_truth_agree_and_points_behind_a_wall_are_not_visible(drive):
@@ -507,12 +495,8 @@ def test_what_a_seed_means_stays():
     bin_, trajectory, streams = truth.objects[100], scene.trajectories["groundTruth"], scene.sensor("imu").streams
     rgb, image = scene.cameras[0].images[1].rgb, truth.image("camera0", 1)
     assert (len(truth.objects), len(scene.annotations), bin_.label) == (143, 77, "bin")
-    assert (len(first), len(third), len(trajectory.positions), len(streams["gyroscope"].values)) == (
-        18916,
-        18885,
-        72,
-        142,
-    )
+    counted = first, third, trajectory.positions, streams["gyroscope"].values
+    assert [len(one) for one in counted] == [18916, 18885, 72, 142]
     # Intensities are rounded, and rays graze edges: a few may fall to the other side on other processors, which may
     # round sines differently in the last place. 1e-11 degrees are a micrometre.
     for found, expected, atol in (

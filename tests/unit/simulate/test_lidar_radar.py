@@ -71,20 +71,7 @@ def test_a_stationary_lidar_sees_the_wall_at_its_distance_and_the_ground_at_its_
     assert len(ranges) > 100
 
 
-def test_range_noise_lies_along_the_rays_has_the_deviation_asked_for_and_is_each_sweeps_own(sweep_of):
-    spec = replace(EXACT, range_sigma=0.05, steps=720)
-    sweeps = [sweep_of(spec, k=1), sweep_of(spec, k=2), sweep_of(spec, k=2, seed=1)]
-    errors = [ranges_of(sweep.frame.points) - sweep.ranges for sweep in sweeps]
-    # 7000 returns know a deviation to 0.9 % and a mean to 1.2 % of it; five times that.
-    assert errors[0].std() == pytest.approx(0.05, rel=0.045)
-    assert abs(errors[0].mean()) < 0.06 * 0.05
-    measured = sweeps[0].frame.points.positions.astype(np.float64)
-    np.testing.assert_allclose(np.cross(measured, sweeps[0].directions), 0.0, atol=2 * FLOAT32)
-    # 3000 independent pairs correlate by 0.02 at random; five times that.
-    assert np.abs(np.corrcoef(errors) - np.eye(3)).max() < 0.1
-
-
-def test_points_have_the_time_ring_and_elevation_of_the_laser_that_looked_their_way(sweep_of):
+def test_points_have_time_ring_and_elevation_of_their_laser_and_noise_along_the_rays_as_asked_for(sweep_of):
     for clockwise in [True, False]:
         spec = replace(EXACT, clockwise=clockwise, start_azimuth_deg=170.0)
         sweep = sweep_of(spec)
@@ -106,6 +93,16 @@ def test_points_have_the_time_ring_and_elevation_of_the_laser_that_looked_their_
         assert set(points.rings.tolist()) == set(range(len(elevations)))
         # float32 of some metres
         np.testing.assert_allclose(angles(points.positions)[1], elevations[points.rings], atol=1e-4)
+    spec = replace(EXACT, range_sigma=0.05, steps=720)
+    sweeps = [sweep_of(spec, k=1), sweep_of(spec, k=2), sweep_of(spec, k=2, seed=1)]
+    errors = [ranges_of(sweep.frame.points) - sweep.ranges for sweep in sweeps]
+    # 7000 returns know a deviation to 0.9 % and a mean to 1.2 % of it; five times that.
+    assert errors[0].std() == pytest.approx(0.05, rel=0.045)
+    assert abs(errors[0].mean()) < 0.06 * 0.05
+    measured = sweeps[0].frame.points.positions.astype(np.float64)
+    np.testing.assert_allclose(np.cross(measured, sweeps[0].directions), 0.0, atol=2 * FLOAT32)
+    # 3000 independent pairs correlate by 0.02 at random; five times that.
+    assert np.abs(np.corrcoef(errors) - np.eye(3)).max() < 0.1
 
 
 def test_clean_points_lie_on_the_surfaces_that_they_name_and_are_the_points_taken_to_the_world(exact_drive):
@@ -268,28 +265,6 @@ def test_a_wall_ahead_comes_nearer_at_the_speed_of_the_drive_by_as_many_returns_
     assert (instances == 0).sum() == pytest.approx(200, abs=71)
 
 
-def test_speeds_are_the_change_of_the_ranges_in_rotations_too_with_the_lever_arm(radar_drive):
-    radar, path, step_ns = radar_drive.truth.radars["radar0"], radar_drive.truth.path, 1_000_000
-    rotating = 0
-    for k in range(0, len(radar.timestamps_ns), 3):
-        truth = radar.frame_truth(k)
-        ego = path.at(truth.timestamp_ns + np.array([-step_ns, step_ns], np.int64))
-        origins = ego.positions + Rotation.from_matrix(ego.rotations).apply(radar.spec.mount.translation.copy())
-        before, after = (np.linalg.norm(truth.positions_world - origin, axis=1) for origin in origins)
-        # Of the central difference over 1 ms: error h² / 6 times the third derivative, 1e-4 m/s at 3 m and 10 m/s.
-        np.testing.assert_allclose(truth.speeds, (after - before) / (2e-9 * step_ns), atol=2e-4)
-        rotating += abs(ego.angular_rates[0, 2]) > 0.15
-        assert len(truth.speeds) > 20
-    assert rotating > 2
-    # over ground of what stands nothing is left after taking the radar's own away
-    radar = radar_drive.truth.radars["radar0"]
-    for k in (3, 17, 33):
-        points = radar.frame(k).points
-        in_radar = radar.pose(k).rotation.T @ radar.velocity_world(k)
-        np.testing.assert_allclose(points.lengths + points.directions @ in_radar, 0.0, atol=1e-5)
-        assert np.abs(points.lengths).max() > 3.0
-
-
 @pytest.fixture(scope="module")
 def passing():
     """A radar on an ego at 8 m/s; a car-sized box ahead moves at (-3, 2) m/s and rotates by 0.5 rad/s."""
@@ -301,7 +276,7 @@ def passing():
     return SimulatedRadar(spec, street, MOVING, 0, 0, PERIOD_NS * np.arange(15, dtype=np.int64))
 
 
-def test_what_moves_has_the_radial_speed_of_its_own_motion_against_the_radars(passing):
+def test_radial_speeds_are_the_change_of_ranges_in_rotations_too_and_of_what_moves(passing, radar_drive):
     step, found = 1e-3, 0
     for k in range(15):
         truth = passing.frame_truth(k)
@@ -325,9 +300,45 @@ def test_what_moves_has_the_radial_speed_of_its_own_motion_against_the_radars(pa
     along = (velocities * passing.pose(0).rotate(truth.directions[car])).sum(axis=1)
     np.testing.assert_allclose(truth.ground_speeds[car], along, atol=1e-9)
     assert np.abs(along).min() > 0.5
+    radar, path, step_ns = radar_drive.truth.radars["radar0"], radar_drive.truth.path, 1_000_000
+    rotating = 0
+    for k in range(0, len(radar.timestamps_ns), 3):
+        truth = radar.frame_truth(k)
+        ego = path.at(truth.timestamp_ns + np.array([-step_ns, step_ns], np.int64))
+        origins = ego.positions + Rotation.from_matrix(ego.rotations).apply(radar.spec.mount.translation.copy())
+        before, after = (np.linalg.norm(truth.positions_world - origin, axis=1) for origin in origins)
+        # Of the central difference over 1 ms: error h² / 6 times the third derivative, 1e-4 m/s at 3 m and 10 m/s.
+        np.testing.assert_allclose(truth.speeds, (after - before) / (2e-9 * step_ns), atol=2e-4)
+        rotating += abs(ego.angular_rates[0, 2]) > 0.15
+        assert len(truth.speeds) > 20
+    assert rotating > 2
+    # over ground of what stands nothing is left after taking the radar's own away
+    radar = radar_drive.truth.radars["radar0"]
+    for k in (3, 17, 33):
+        points = radar.frame(k).points
+        in_radar = radar.pose(k).rotation.T @ radar.velocity_world(k)
+        np.testing.assert_allclose(points.lengths + points.directions @ in_radar, 0.0, atol=1e-5)
+        assert np.abs(points.lengths).max() > 3.0
 
 
-def test_positions_in_the_radars_frame_are_those_in_the_world_by_range_so_that_their_order_states_nothing(radar_drive):
+def test_returns_come_from_the_things_that_they_name_by_range_in_the_radars_frame_and_within_the_bounds(radar_drive):
+    things, seen = {thing.instance: thing for thing in radar_drive.truth.objects}, set()
+    for k in range(0, 40, 5):
+        truth = radar_drive.truth.radars["radar0"].frame_truth(k)
+        np.testing.assert_allclose(truth.positions_world[truth.instances == 0, 2], 0.0, atol=1e-9)
+        for instance in set(truth.instances.tolist()) - {0}:
+            thing, own = things[instance], truth.positions_world[truth.instances == instance]
+            away = in_box_axes(own, thing.center_world, thing.yaw)
+            assert (np.abs(away) <= np.array(thing.size_lwh) / 2 + 1e-3).all()
+            seen.add(thing.label)
+    assert {"car", "building", "pole"} <= seen
+    # nothing comes back from nearer or farther than the bounds
+    truth = radar_drive.truth
+    spec = replace(RADAR_EXACT, min_range=12.0, max_range=30.0, detections_per_object=20.0)
+    radar = SimulatedRadar(spec, truth.street, truth.path, 0, 0, truth.radars["radar0"].timestamps_ns)
+    ranges = np.concatenate([radar.frame_truth(k).ranges for k in range(0, 40, 8)])
+    assert len(ranges) > 100
+    assert 12.0 <= ranges.min() < ranges.max() <= 30.0
     truth, sensor = radar_drive.truth.radars["radar0"].frame_truth(5), radar_drive.scene.sensor("radar0")
     frame = sensor.frames[5]
     points = frame.points
@@ -347,26 +358,6 @@ def test_positions_in_the_radars_frame_are_those_in_the_world_by_range_so_that_t
     np.testing.assert_allclose(mount.apply([1.0, 0.0, 0.0]), [1.0, 3.0, 3.0], atol=1e-15)
     down = sensor_mount(position=(0.0, 0.0, 0.0), pitch_deg=30.0)
     np.testing.assert_allclose(down.rotate([1.0, 0.0, 0.0]), [math.sqrt(0.75), 0.0, -0.5], atol=1e-15)
-
-
-def test_returns_come_from_the_things_that_they_name_within_the_bounds(radar_drive):
-    things, seen = {thing.instance: thing for thing in radar_drive.truth.objects}, set()
-    for k in range(0, 40, 5):
-        truth = radar_drive.truth.radars["radar0"].frame_truth(k)
-        np.testing.assert_allclose(truth.positions_world[truth.instances == 0, 2], 0.0, atol=1e-9)
-        for instance in set(truth.instances.tolist()) - {0}:
-            thing, own = things[instance], truth.positions_world[truth.instances == instance]
-            away = in_box_axes(own, thing.center_world, thing.yaw)
-            assert (np.abs(away) <= np.array(thing.size_lwh) / 2 + 1e-3).all()
-            seen.add(thing.label)
-    assert {"car", "building", "pole"} <= seen
-    # nothing comes back from nearer or farther than the bounds
-    truth = radar_drive.truth
-    spec = replace(RADAR_EXACT, min_range=12.0, max_range=30.0, detections_per_object=20.0)
-    radar = SimulatedRadar(spec, truth.street, truth.path, 0, 0, truth.radars["radar0"].timestamps_ns)
-    ranges = np.concatenate([radar.frame_truth(k).ranges for k in range(0, 40, 8)])
-    assert len(ranges) > 100
-    assert 12.0 <= ranges.min() < ranges.max() <= 30.0
 
 
 @pytest.mark.slow

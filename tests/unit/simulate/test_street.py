@@ -103,12 +103,7 @@ def block(half, center):
     return streets.MovingDesign("car", (streets.Part((box(center, half),)),), tuple(2.0 * np.array(half)))
 
 
-def three_designs(generator):
-    return [
-        streets.design_pedestrian(generator),
-        streets.design_cyclist(generator),
-        streets.design_moving_car(generator),
-    ]
+DESIGNS = streets.design_pedestrian, streets.design_cyclist, streets.design_moving_car
 
 
 def at(seconds):
@@ -177,9 +172,9 @@ def placed_shapes(movers, designs, seconds):
     ]
 
 
-def test_people_and_cars_are_met_where_the_slow_walk_enters_them():
+def test_people_and_cars_are_met_where_the_slow_walk_enters_them_and_balls_hold_their_bodies_at_all_times():
     generator = np.random.default_rng(4)
-    designs = three_designs(generator)
+    designs = [design(generator) for design in DESIGNS]
     curves = [
         straight_curve((9.0, -2.0), (0.9, 0.6), 0.6, 0.1, gait_rate=6.0),
         straight_curve((7.0, 4.0), (4.0, -1.0), -0.2, 0.05),
@@ -201,6 +196,24 @@ def test_people_and_cars_are_met_where_the_slow_walk_enters_them():
                 assert movers.shapes.instances[found.shapes[k]] == movers.shapes.instances[index]
             met.add(index)
     assert len(met) > 25
+    generator = np.random.default_rng(6)
+    designs = [design(generator) for design in DESIGNS]
+    curves = [
+        straight_curve((9.0, -2.0), (1.4, 0.6), 0.6, 0.4, gait_rate=6.0),
+        straight_curve((7.0, 4.0), (5.0, -1.0), -0.2, 0.3),
+        straight_curve((22.0, 2.0), (-9.0, 0.0), np.pi, -0.8),
+    ]
+    movers, surface = movers_of(designs, curves), surface_points(generator, 200)
+    for first, last in ((2.0, 2.1), (3.0, 3.8)):
+        placed = movers.placed(np.arange(3), at(np.linspace(first, last, 9)))
+        assert placed.shapes.tolist() == list(range(len(movers.shapes)))
+        for seconds in np.linspace(first, last, 9):
+            for sphere, (frame, shape) in zip(placed.spheres, placed_shapes(movers, designs, seconds), strict=True):
+                points = frame.apply(shape.pose.apply(surface[shape.kind] * shape.half))
+                assert np.linalg.norm(points - sphere[:3], axis=1).max() < sphere[3] + 1e-9
+    # A car's body that moves by 9 m/s for a tenth of a second needs half a metre and its rotating more, not tens.
+    near = movers.placed(np.arange(3), at(np.linspace(2.0, 2.1, 9))).spheres[:, 3]
+    assert (near < movers.shapes.spheres[:, 3] + 1.5).all()
 
 
 def test_states_are_derivatives_of_each_other_and_points_of_legs_move_as_the_frames_of_the_legs_do():
@@ -258,7 +271,7 @@ def test_what_moves_is_met_while_it_is_there_hides_what_stands_and_is_hidden_by_
         assert movers.near(np.zeros(3), at(times), within=within).tolist() == near
 
 
-@pytest.mark.parametrize("design", [streets.design_pedestrian, streets.design_cyclist, streets.design_moving_car])
+@pytest.mark.parametrize("design", DESIGNS)
 def test_the_box_of_what_moves_holds_it_through_all_its_gait_and_is_no_larger(design):
     generator = np.random.default_rng(5)
     made = design(generator)
@@ -273,27 +286,6 @@ def test_the_box_of_what_moves_holds_it_through_all_its_gait_and_is_no_larger(de
     assert (reached <= half + 1e-9).all()
     # 3000 points and 25 phases come within 2 cm of the furthest location; a parked car's box is 2 cm wider.
     assert (reached > half - 0.03).all()
-
-
-def test_the_balls_that_rays_are_culled_by_hold_their_bodies_at_all_times():
-    generator = np.random.default_rng(6)
-    designs = three_designs(generator)
-    curves = [
-        straight_curve((9.0, -2.0), (1.4, 0.6), 0.6, 0.4, gait_rate=6.0),
-        straight_curve((7.0, 4.0), (5.0, -1.0), -0.2, 0.3),
-        straight_curve((22.0, 2.0), (-9.0, 0.0), np.pi, -0.8),
-    ]
-    movers, surface = movers_of(designs, curves), surface_points(generator, 200)
-    for first, last in ((2.0, 2.1), (3.0, 3.8)):
-        placed = movers.placed(np.arange(3), at(np.linspace(first, last, 9)))
-        assert placed.shapes.tolist() == list(range(len(movers.shapes)))
-        for seconds in np.linspace(first, last, 9):
-            for sphere, (frame, shape) in zip(placed.spheres, placed_shapes(movers, designs, seconds), strict=True):
-                points = frame.apply(shape.pose.apply(surface[shape.kind] * shape.half))
-                assert np.linalg.norm(points - sphere[:3], axis=1).max() < sphere[3] + 1e-9
-    # A car's body that moves by 9 m/s for a tenth of a second needs half a metre and its rotating more, not tens.
-    near = movers.placed(np.arange(3), at(np.linspace(2.0, 2.1, 9))).spheres[:, 3]
-    assert (near < movers.shapes.spheres[:, 3] + 1.5).all()
 
 
 def test_what_moves_looks_like_the_same_thing_stationary_there():
@@ -559,7 +551,34 @@ def test_a_whole_street_is_seen_as_the_slow_walk_sees_it_the_ground_at_height_ov
     assert reflectivities_of(street, found)[1:].tolist() == [0, 0, 0]
 
 
-def test_the_answers_do_not_depend_on_how_rays_are_bundled_which_may_start_from_different_poses(drive):
+def test_the_nearest_shape_wins_but_for_what_a_ray_starts_in_or_is_beyond_its_reach():
+    near, far = box([10, 0, 2], [1, 2, 2]), box([20, 0, 2], [1, 9, 2])
+    for shapes in ([near, far], [far, near]):
+        street = street_of(shapes)
+        found = look(street, [0.0, 0, 2.5], AHEAD)
+        assert found.ranges[0] == pytest.approx(9.0, abs=EXACT)
+        assert shapes[found.shapes[0]] is near
+        assert instances_of(street, found).tolist() == [found.shapes[0] + 1]
+        assert reflectivities_of(street, found).tolist() == [0.3]
+    street = street_of([box([0, 0, 5], [2, 2, 2]), box([10, 0, 5], [1, 1, 1])])
+    found = [look(street, [0.0, 0, 5.0], AHEAD, reach=reach).shapes.tolist() for reach in (200.0, 9.1, 8.9)]
+    assert found == [[1], [1], [SKY]]
+    # rays that are not finite or not there meet nothing
+    directions = np.array([[1.0, 0, 0], [np.nan] * 3, [1.0, 0, 0]])
+    found = look(street_of([box([10, 0, 2], [1, 9, 9])]), [0.0, 0, 2.0], directions, bundles=np.zeros(3, np.int64))
+    assert (found.shapes.tolist(), found.ranges.tolist()) == ([0, SKY, 0], [9.0, 0.0, 9.0])
+    assert look(street, np.zeros(3), np.zeros((0, 3))).shapes.shape == (0,)
+
+
+def test_directions_of_a_bundle_lie_within_a_few_degrees_and_answers_do_not_depend_on_bundles_or_start_poses(drive):
+    directions = unit(np.random.default_rng(0).normal(size=(20000, 3)))
+    numbers = bundles_by_direction(directions)
+    order = np.argsort(numbers, kind="stable")
+    same = numbers[order][1:] == numbers[order][:-1]
+    cosines = (directions[order][1:] * directions[order][:-1]).sum(axis=1)[same]
+    # A cell of a cube's face is 2/64 wide; its diagonal in the middle of the face is the longest: 2.6 degrees.
+    assert same.sum() > 3000
+    assert np.degrees(np.arccos(cosines.min())) < 2.7
     directions = unit(np.random.default_rng(1).normal(0, [1, 1, 0.2], (4000, 3)))
     alone, *others = (
         look(drive.truth.street, [1.0, 0.3, 1.6], directions, bundles=bundles)
@@ -583,52 +602,13 @@ def test_the_answers_do_not_depend_on_how_rays_are_bundled_which_may_start_from_
         np.testing.assert_allclose(found.ranges[own], expected.ranges, atol=EXACT)
 
 
-def test_the_nearest_shape_wins_but_for_what_a_ray_starts_in_or_is_beyond_its_reach():
-    near, far = box([10, 0, 2], [1, 2, 2]), box([20, 0, 2], [1, 9, 2])
-    for shapes in ([near, far], [far, near]):
-        street = street_of(shapes)
-        found = look(street, [0.0, 0, 2.5], AHEAD)
-        assert found.ranges[0] == pytest.approx(9.0, abs=EXACT)
-        assert shapes[found.shapes[0]] is near
-        assert instances_of(street, found).tolist() == [found.shapes[0] + 1]
-        assert reflectivities_of(street, found).tolist() == [0.3]
-    street = street_of([box([0, 0, 5], [2, 2, 2]), box([10, 0, 5], [1, 1, 1])])
-    found = [look(street, [0.0, 0, 5.0], AHEAD, reach=reach).shapes.tolist() for reach in (200.0, 9.1, 8.9)]
-    assert found == [[1], [1], [SKY]]
-    # rays that are not finite or not there meet nothing
-    directions = np.array([[1.0, 0, 0], [np.nan] * 3, [1.0, 0, 0]])
-    found = look(street_of([box([10, 0, 2], [1, 9, 9])]), [0.0, 0, 2.0], directions, bundles=np.zeros(3, np.int64))
-    assert (found.shapes.tolist(), found.ranges.tolist()) == ([0, SKY, 0], [9.0, 0.0, 9.0])
-    assert look(street, np.zeros(3), np.zeros((0, 3))).shapes.shape == (0,)
-
-
-def test_directions_under_one_number_lie_within_a_few_degrees():
-    directions = unit(np.random.default_rng(0).normal(size=(20000, 3)))
-    numbers = bundles_by_direction(directions)
-    order = np.argsort(numbers, kind="stable")
-    same = numbers[order][1:] == numbers[order][:-1]
-    cosines = (directions[order][1:] * directions[order][:-1]).sum(axis=1)[same]
-    # A cell of a cube's face is 2/64 wide; its diagonal in the middle of the face is the longest: 2.6 degrees.
-    assert same.sum() > 3000
-    assert np.degrees(np.arccos(cosines.min())) < 2.7
-
-
 BASE = (200.0, 60.0, 40.0)
 
 
-@njit
-def bands(x, period, low, high, width):
-    return _bands(x, period, low, high, width)
-
-
-@njit
-def band(x, low, high, width):
-    return _band(x, low, high, width)
-
-
-@njit
-def noise(x, y, salt, width):
-    return _noise(x, y, salt, width)
+# inner kernels are called by compiled functions only
+bands = njit(lambda x, period, low, high, width: _bands(x, period, low, high, width))  # noqa: PLW0108
+band = njit(lambda x, low, high, width: _band(x, low, high, width))  # noqa: PLW0108
+noise = njit(lambda x, y, salt, width: _noise(x, y, salt, width))  # noqa: PLW0108
 
 
 def test_stripes_are_averaged_exactly_over_a_window_and_noise_is_gone_where_a_pixel_is_as_wide_as_its_lattice():

@@ -86,7 +86,7 @@ def test_the_ego_begins_at_the_origin_upright_looks_where_it_goes_and_changes_sp
     assert np.abs(Lane.of(path).curvatures).max() < 1 / 13.0
 
 
-def test_a_car_that_stops_stands_truly_still_drives_the_same_curve_and_can_stand_for_a_minute():
+def test_speeds_stay_in_their_range_angles_go_roll_pitch_yaw_and_a_car_that_stops_stands_truly_still():
     path, driving = planned(1, STOPPING), planned(1)
     stationary = path.at_seconds(np.linspace(5.0, 8.0, 301))
     assert np.ptp(stationary.positions, axis=0).max() == 0
@@ -102,6 +102,14 @@ def test_a_car_that_stops_stands_truly_still_drives_the_same_curve_and_can_stand
     states = planned(0, tr.PathSpec(stops=(tr.Stop(0.0, 60.0),)), duration=60.0).at_seconds(np.linspace(0, 60, 999))
     assert not np.ptp(states.positions, axis=0).any()
     assert not states.velocities.any()
+    states = planned(2, tr.PathSpec(speeds=(2.0, 4.0))).at_seconds(np.linspace(0, 20, 500))
+    speeds = np.linalg.norm(states.velocities, axis=1)
+    # A rotation of 0.21 rad/s needs 2.2 m/s so that it is no tighter than the street is wide; smoothing stays between.
+    assert 1.9 < speeds.min() < speeds.max() < 4.1
+    np.testing.assert_array_equal(planned(3, tr.PathSpec()).control_points, planned(3).control_points)
+    roll, pitch, yaw = np.random.default_rng(0).uniform(-1, 1, (3, 20))
+    expected = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])).as_matrix()
+    np.testing.assert_allclose(tr._rotation_from_angles(roll, pitch, yaw), expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -119,22 +127,11 @@ def test_rotates_are_as_fast_as_asked_for_and_nothing_stands_in_their_trajectory
     assert apart.min() > 1.9
 
 
-def test_speeds_stay_about_the_range_asked_for_and_angles_rotate_in_the_order_roll_pitch_yaw():
-    states = planned(2, tr.PathSpec(speeds=(2.0, 4.0))).at_seconds(np.linspace(0, 20, 500))
-    speeds = np.linalg.norm(states.velocities, axis=1)
-    # A rotation of 0.21 rad/s needs 2.2 m/s so that it is no tighter than the street is wide; smoothing stays between.
-    assert 1.9 < speeds.min() < speeds.max() < 4.1
-    np.testing.assert_array_equal(planned(3, tr.PathSpec()).control_points, planned(3).control_points)
-    roll, pitch, yaw = np.random.default_rng(0).uniform(-1, 1, (3, 20))
-    expected = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])).as_matrix()
-    np.testing.assert_allclose(tr._rotation_from_angles(roll, pitch, yaw), expected, atol=1e-14)
-
-
 CONTROL = np.random.default_rng(0).normal(size=(3, 20, 2))
 ALONG = np.random.default_rng(1).uniform(0, 15, 40)
 
 
-def test_splines_and_their_slopes_are_those_of_scipy_and_pass_cubics_through_their_samples():
+def test_splines_are_those_of_scipy_and_the_warped_time_the_integral_of_the_pace_that_stands_during_stops():
     grid = _spline_grid(CONTROL, ALONG)
     for k in range(3):
         expected = BSpline(np.arange(-5.0, 21.0), CONTROL[k], 5)
@@ -150,29 +147,6 @@ def test_splines_and_their_slopes_are_those_of_scipy_and_pass_cubics_through_the
     )
     # The first and last control point keep their samples: two knots from either end nothing is left of that.
     np.testing.assert_allclose(values, cubic[0, 3:16], atol=1e-9)
-
-
-STOPS = (tr.Stop(20.0, 5.0), tr.Stop(4.0, 2.0))
-RAMP = 3.0
-
-
-def slow_pace(second):
-    """Pace of a drive with the stops above, written from its description: 1, but 0 in stops, smooth in between."""
-    pace = 1.0
-    for stop in STOPS:
-        if stop.at_s - RAMP < second < stop.at_s:
-            x = (stop.at_s - second) / RAMP
-        elif stop.at_s <= second <= stop.at_s + stop.for_s:
-            x = 0.0
-        elif stop.at_s + stop.for_s < second < stop.at_s + stop.for_s + RAMP:
-            x = (second - stop.at_s - stop.for_s) / RAMP
-        else:
-            continue
-        pace *= x**3 * (10 - 15 * x + 6 * x * x)
-    return pace
-
-
-def test_the_warped_time_is_the_integral_of_the_pace_and_stands_to_the_last_bit_during_a_stop():
     warp = tr.TimeWarp.of(STOPS, ramp=RAMP)
     corners = sorted({t for s in STOPS for t in (s.at_s - RAMP, s.at_s, s.at_s + s.for_s, s.at_s + s.for_s + RAMP)})
     for second in (-3.0, 0.0, 2.0, 3.9, 5.0, 7.3, 12.0, 18.5, 22.0, 26.0, 40.0):
@@ -197,3 +171,23 @@ def test_the_warped_time_is_the_integral_of_the_pace_and_stands_to_the_last_bit_
         np.testing.assert_array_equal(found, np.broadcast_to(expected, 50))
     for at in (-2.0, 0.0, 1.0):
         assert tr.TimeWarp.of([tr.Stop(at, 3.0)], ramp=2.0).at(np.zeros(1))[0][0] == 0.0
+
+
+STOPS = (tr.Stop(20.0, 5.0), tr.Stop(4.0, 2.0))
+RAMP = 3.0
+
+
+def slow_pace(second):
+    """Pace of a drive with the stops above, written from its description: 1, but 0 in stops, smooth in between."""
+    pace = 1.0
+    for stop in STOPS:
+        if stop.at_s - RAMP < second < stop.at_s:
+            x = (stop.at_s - second) / RAMP
+        elif stop.at_s <= second <= stop.at_s + stop.for_s:
+            x = 0.0
+        elif stop.at_s + stop.for_s < second < stop.at_s + stop.for_s + RAMP:
+            x = (second - stop.at_s - stop.for_s) / RAMP
+        else:
+            continue
+        pace *= x**3 * (10 - 15 * x + 6 * x * x)
+    return pace

@@ -23,16 +23,11 @@ def made(number=1, label="car", *, count=21, period_ns=100_000_000, speed=8.0, *
     times = 1_000_000_000 + period_ns * np.arange(count, dtype=np.int64)
     along = speed * (times - times[0]) * 1e-9
     columns = {
-        "timestamps_ns": times,
-        "centers": np.column_stack([along, np.zeros(count), np.full(count, 0.8)]),
-        "sizes_lwh": np.tile([4.2, 1.8, 1.6], (count, 1)),
-        "yaws": np.zeros(count),
-        "velocities": np.tile([speed, 0.0, 0.0], (count, 1)),
-        "yaw_rates": np.zeros(count),
-        "covariances": np.tile(0.01 * np.eye(10), (count, 1, 1)),
-        "scores": np.full(count, 0.9),
-        "supports": np.full(count, Support.BOTH, np.uint8),
-    }
+        "timestamps_ns": times, "centers": np.column_stack([along, np.zeros(count), np.full(count, 0.8)]),
+        "sizes_lwh": np.tile([4.2, 1.8, 1.6], (count, 1)), "velocities": np.tile([speed, 0.0, 0.0], (count, 1)),
+        "yaws": np.zeros(count), "yaw_rates": np.zeros(count), "scores": np.full(count, 0.9),
+        "covariances": np.tile(0.01 * np.eye(10), (count, 1, 1)), "supports": np.full(count, Support.BOTH, np.uint8),
+    }  # fmt: skip
     return sc.Track(number, label, **{**columns, **changes})
 
 
@@ -98,7 +93,7 @@ def test_no_fewer_keyframes_would_do(seed):
     assert 2 < len(rows) < len(path.timestamps_ns)
 
 
-def test_states_are_reported_within_the_tolerances_by_no_more_keyframes_than_needed():
+def test_states_are_reported_within_the_tolerances_by_few_keyframes_and_sizes_are_what_most_of_the_weight_says():
     for tolerance_m, tolerance_deg in [(0.02, 5.0), (0.3, 0.5), (0.0, 0.0)]:
         settings = LabelSettings(tolerance_m=tolerance_m, tolerance_deg=tolerance_deg)
         path = labels.label_path(wandering(9, count=60), settings)
@@ -112,9 +107,6 @@ def test_states_are_reported_within_the_tolerances_by_no_more_keyframes_than_nee
     path = labels.label_path(made(yaws=yaws), LabelSettings())
     assert path.boxes[:, 6] == pytest.approx(np.linspace(2.6, 3.8, 21), abs=1e-12)
     assert path.keyframes(LabelSettings()).tolist() == [0, 20]
-
-
-def test_a_size_is_what_most_of_the_weight_says():
     sizes = np.tile([4.2, 1.8, 1.6], (21, 1))
     sizes[:15, 0] = 3.0
     covariances = np.tile(0.01 * np.eye(10), (21, 1, 1))

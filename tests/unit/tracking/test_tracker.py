@@ -71,21 +71,14 @@ class Street:
         if k in self.rotated:
             numbers[:, 6] += np.pi
         spread = np.where(alone, 8.0, max(self.sigma, 0.05))
+        ids, scores = np.arange(count), np.array([a.score for a in seen]).reshape(-1)
         return FusedBoxes(
-            timestamp_ns=round(seconds * 1e9),
-            centers=numbers[:, :3],
-            center_covariances=np.eye(3) * (spread**2)[:, None, None],
-            sizes_lwh=numbers[:, 3:6],
-            size_covariances=np.eye(3) * np.full((count, 1, 1), 0.1**2),
-            yaws=np.where(alone, 0.0, numbers[:, 6]),
-            velocities=None,
-            scores=np.array([a.score for a in seen]).reshape(-1),
-            labels=tuple(a.label for a in seen),
-            corners_xyxy=corners,
-            ids=np.arange(count),
-            rows_3d=np.where(alone, -1, np.arange(count)),
-            rows_2d=np.where(shown, np.arange(count), -1),
-        )
+            timestamp_ns=round(seconds * 1e9), centers=numbers[:, :3], sizes_lwh=numbers[:, 3:6],
+            center_covariances=np.eye(3) * (spread**2)[:, None, None], yaws=np.where(alone, 0.0, numbers[:, 6]),
+            size_covariances=np.eye(3) * np.full((count, 1, 1), 0.1**2), velocities=None, scores=scores,
+            labels=tuple(a.label for a in seen), corners_xyxy=corners, ids=ids, rows_3d=np.where(alone, -1, ids),
+            rows_2d=np.where(shown, ids, -1),
+        )  # fmt: skip
 
 
 def _pose(x, y, heading):
@@ -161,7 +154,7 @@ def test_a_box_near_to_where_it_is_expected_is_read_as_by_kalman_and_one_far_off
     assert after[0, tracker.YAW] == pytest.approx(-0.05)
 
 
-def test_velocity_rotates_with_a_vehicle_which_slides_nowhere_and_not_with_a_person():
+def test_velocity_rotates_with_a_vehicle_not_with_a_person_and_odds_fall_with_time_and_what_could_be_found():
     means = np.zeros((2, tracker.SIZE))
     means[:, 7], means[:, tracker.ROTATION] = 10.0, 0.4
     after, _, _ = moved(means, np.array([True, False]), 0.1)
@@ -181,9 +174,6 @@ def test_velocity_rotates_with_a_vehicle_which_slides_nowhere_and_not_with_a_per
     slope[[6, 7, 8]] = -10.0, 0.0, 1.0
     information = np.eye(tracker.SIZE) + np.outer(slope, slope) / 0.01
     assert spread[0] == pytest.approx(np.linalg.inv(information), abs=1e-9)
-
-
-def test_odds_are_probabilities_that_time_takes_away_and_what_detectors_cannot_find_is_not_missed():
     assert tracker.log_odds(0.9) == pytest.approx(np.log(9.0))
     assert tracker.probabilities(np.array([np.log(9.0)])) == pytest.approx([0.9])
     assert tracker.log_odds(0.0) == -np.inf
@@ -359,7 +349,7 @@ def test_two_cameras_see_one_object_whose_box_in_the_image_may_be_the_outline_of
     assert (len(objects), objects.timestamp_ns) == (0, 5)
 
 
-def test_objects_beside_each_other_are_two_of_the_class_of_most_boxes():
+def test_objects_beside_each_other_are_two_a_doubtful_box_is_none_and_thousands_are_one():
     assert len(tracked(Actor(straight(0.0, start=12.0)), Actor(straight(0.0, start=17.5)), times=TIMES[:5])) == 2
     tracks = tracked(Actor(straight(1.0, y=2.0)), Actor(straight(1.0, y=2.9), "Pedestrian"), times=TIMES[:15])
     assert sorted(track.label for track in tracks) == ["Car", "Pedestrian"]
@@ -368,6 +358,18 @@ def test_objects_beside_each_other_are_two_of_the_class_of_most_boxes():
         there[k : k + 1] = with_changed(there[k : k + 1], lambda _: {"labels": ("Van",)})
     (track,) = track_drive(there)
     assert (track.label, len(track)) == ("Car", 12)
+    tracker = Tracker()
+    reported = [len(tracker.step(one)) for one in seen(TIMES[:12], Actor(straight(0.0), score=0.3))]
+    assert (reported[0], reported[-1]) == (0, 1)
+    names = COLUMNS.split()
+
+    def repeat(fused):
+        columns = {name: np.repeat(getattr(fused, name), 3000, axis=0) for name in names}
+        return {"labels": fused.labels * 3000, **columns}
+
+    tracker = Tracker()
+    for one in with_changed(seen([0.0, 0.1, 0.2], Actor(straight(0.0))), repeat):
+        assert len(tracker.step(one)) == 1
 
 
 @pytest.mark.parametrize("column", ["centers", "sizes_lwh", "yaws", "scores", "center_covariances"])
@@ -395,21 +397,6 @@ def test_time_that_goes_back_or_leaps_ends_all_objects_and_one_moment_twice_is_o
 
 
 COLUMNS = "centers center_covariances sizes_lwh size_covariances yaws scores corners_xyxy ids rows_3d rows_2d"
-
-
-def test_a_single_doubtful_box_is_no_object_and_thousands_are_one():
-    tracker = Tracker()
-    reported = [len(tracker.step(one)) for one in seen(TIMES[:12], Actor(straight(0.0), score=0.3))]
-    assert (reported[0], reported[-1]) == (0, 1)
-    names = COLUMNS.split()
-
-    def repeat(fused):
-        columns = {name: np.repeat(getattr(fused, name), 3000, axis=0) for name in names}
-        return {"labels": fused.labels * 3000, **columns}
-
-    tracker = Tracker()
-    for one in with_changed(seen([0.0, 0.1, 0.2], Actor(straight(0.0))), repeat):
-        assert len(tracker.step(one)) == 1
 
 
 LEAST, FREEDOM, MOST = 0.09, 4.0, 2.0
@@ -541,7 +528,7 @@ def filtered_drive():
     return {name: np.array(values) for name, values in rows.items()}, boxes, noise[0], first[0], spread[0]
 
 
-def test_states_are_those_of_all_boxes_at_once_with_the_last_heading_all_along():
+def test_smoothed_states_and_walks_are_those_of_all_boxes_at_once_with_the_last_heading_all_along():
     rows, boxes, noise, first, spread = filtered_drive()
     later, covariances = smoothed(
         rows["means"], rows["covariances"], rows["predicted"], rows["spreads"], rows["slopes"]
@@ -578,9 +565,6 @@ def test_states_are_those_of_all_boxes_at_once_with_the_last_heading_all_along()
     rows["predicted"][4:, tracker.YAW] = np.pi - 1e-3
     later, _ = smoothed(rows["means"], rows["covariances"], rows["predicted"], rows["spreads"], rows["slopes"])
     assert np.abs(tracker.wrapped(later[:, tracker.YAW] - np.pi)).max() < 0.01
-
-
-def test_a_walk_is_that_of_all_numbers_at_once():
     random = np.random.default_rng(0)
     measures, noises = random.normal(size=(5, 4)), random.uniform(0.5, 2.0, (5, 4))
     known, drifts = np.array([False, True, True, False, True]), np.array([0.0, 0.3, 0.3, 0.6, 0.3])
@@ -603,7 +587,7 @@ def both(**options):
     return tuple(track_drive(there, offline=late)[0] for late in (False, True))
 
 
-def test_states_are_nearer_to_the_truth_than_online_surer_and_there_from_the_first_box_on():
+def test_offline_states_are_nearer_to_the_truth_from_the_first_box_to_the_last_across_short_gaps():
     online, offline = both()
     truth = np.column_stack([10.0 + 6.0 * TIMES, np.full(40, 3.0)])
     errors = [np.sqrt(((track.centers[:, :2] - truth) ** 2).mean()) for track in (online, offline)]
@@ -615,9 +599,6 @@ def test_states_are_nearer_to_the_truth_than_online_surer_and_there_from_the_fir
     assert (np.linalg.eigvalsh(offline.covariances) > 0.0).all()
     online, offline = both(score=0.4)
     assert online.timestamps_ns[0] > offline.timestamps_ns[0] == 0
-
-
-def test_short_gaps_are_filled_long_ones_not_and_an_object_ends_with_its_last_box():
     for gap, filled in [(0.8, True), (1.6, False)]:
         (track,) = track_drive(seen(TIMES, Actor(straight(6.0, y=3.0), unseen=(1.05, 1.05 + gap))), offline=True)
         between = (track.timestamps_ns > round(1.1e9)) & (track.timestamps_ns < round((1.0 + gap) * 1e9))

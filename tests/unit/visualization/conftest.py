@@ -21,21 +21,14 @@ def _make_view(points, *, width=200, height=120, camera_id="front", level=100):
     depth_image = np.zeros((height, width), np.float32)
     for u, v, depth in rows[visible]:
         depth_image[round(float(v)), round(float(u))] = depth
+    pixels = rows[:, :2].copy()
+    # The camera looks along x of the world, its x to the right: -y.
+    pose = RigidTransform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
     return FusedView(
-        camera_id=camera_id,
-        camera=Camera("pinhole", width, height, 100.0, 100.0, (width - 1) / 2, (height - 1) / 2),
-        timestamp_ns=12_345_678_901,
-        # The camera looks along x of the world, its x to the right: -y.
-        world_from_camera=RigidTransform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)),
-        rgb=np.full((height, width, 3), level, np.uint8),
-        point_ids=np.arange(len(rows), dtype=np.int64),
-        pixels=rows[:, :2].copy(),
-        pixel_numbers=pixel_numbers(np.ascontiguousarray(rows[:, :2]), width, height),
-        depths=rows[:, 2].copy(),
-        visible=visible,
-        depth_image=depth_image,
-        points_world=np.zeros((len(rows), 3)),
-    )
+        camera_id, Camera("pinhole", width, height, 100.0, 100.0, (width - 1) / 2, (height - 1) / 2), 12_345_678_901,
+        pose, np.full((height, width, 3), level, np.uint8), np.arange(len(rows), dtype=np.int64), pixels,
+        pixel_numbers(pixels, width, height), rows[:, 2].copy(), visible, depth_image, np.zeros((len(rows), 3)),
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")

@@ -116,7 +116,7 @@ def test_corrections_show_what_they_move_and_a_calibration_that_changes_nothing_
     assert 0 < after.mean() < before.mean()  # the world's y is up in the image
 
 
-def test_every_type_gets_a_file_of_its_own(scene, tmp_path):
+def test_every_type_gets_a_file_of_its_own_but_in_a_street_without_two_cars(scene, tmp_path):
     every_type = {str(a.type) for a in scene.annotations}
     assert every_type == {
         "cuboid", "box_2d", "points", "event", "labeled_points", "point_segmentation", "localization_adjustment",
@@ -131,9 +131,6 @@ def test_every_type_gets_a_file_of_its_own(scene, tmp_path):
     assert ({"timeline", "type_cuboid"} <= names, "above" in names) == (True, False)
     with pytest.raises(OptionError, match="expected a time within the scene"):
         drawing.save_annotation_images(scene, tmp_path / "other", at=1000.0)
-
-
-def test_a_street_without_two_cars_in_view_is_refused():
     spec = CameraSpec()
     drive = simulate_street(frames=1, lidar=LidarSpec(beams=4, steps=90), cameras=(spec,), traffic=None)
     empty = replace(drive.truth.street, objects=())

@@ -21,20 +21,10 @@ def test_times_are_written_exactly_and_rounded_down(timestamp_ns):
     assert seconds_text(timestamp_ns) == f"{seconds:.3f} s".replace("-0.000", "0.000")
 
 
-def test_counts_agree_with_their_nouns_and_letters_grow_with_the_image():
+def test_counts_agree_with_their_nouns_letters_grow_with_the_image_and_a_polygon_covers_its_area():
     assert [count_text(n, "point") for n in (0, 1, 12345)] == ["0 points", "1 point", "12,345 points"]
     for size, least, most in (((640, 384), 12, 13), ((1242, 375), 14, 20), ((1920, 1080), 22, 32)):
         assert least <= text_height(*size) <= most
-
-
-@given(st.text(max_size=60), st.floats(20, 300))
-def test_fitted_text_is_never_wider_than_its_room_and_not_touched_if_it_fits(text, room):
-    canvas = Canvas.blank(10, 10, text_px=16)
-    assert canvas.text_width(canvas.fitted(text, room)) <= room
-    assert canvas.fitted("front\n camera", 1000) == "front camera"
-
-
-def test_a_polygon_covers_its_area_around_its_middle():
     canvas = Canvas.blank(60, 50, text_px=12, colour=(0, 0, 0))
     canvas.polygon([(10.5, 10.0), (40.5, 10.0), (40.5, 30.0), (10.5, 30.0)], (200, 0, 0))
     red = np.asarray(canvas.image)[..., 0] / 200.0
@@ -43,6 +33,13 @@ def test_a_polygon_covers_its_area_around_its_middle():
     rows, columns = np.indices(red.shape)
     assert (columns * red).sum() / red.sum() == pytest.approx(25.5, abs=0.13)
     assert (rows * red).sum() / red.sum() == pytest.approx(20.0, abs=0.13)
+
+
+@given(st.text(max_size=60), st.floats(20, 300))
+def test_fitted_text_is_never_wider_than_its_room_and_not_touched_if_it_fits(text, room):
+    canvas = Canvas.blank(10, 10, text_px=16)
+    assert canvas.text_width(canvas.fitted(text, room)) <= room
+    assert canvas.fitted("front\n camera", 1000) == "front camera"
 
 
 RED, BLUE, GROUND = (255, 0, 0), (0, 0, 255), (40, 40, 40)
@@ -81,21 +78,14 @@ def _slow_timestamp(points, radii, ground):
     return np.rint(mean).astype(np.uint8)
 
 
+# Quarters of pixels lie exactly between two cells; both roundings would be right.
+PIXELS = (st.integers(-30, last).map(lambda n: n / 5.1) for last in (120, 90))
+POINTS = st.tuples(*PIXELS, st.integers(1, 1000), st.sampled_from([RED, BLUE, (0, 255, 0), (250, 250, 250)]))
+RADII = st.sampled_from([0.5, 0.7, 1.0, 1.5, 2.2, 3.0])
+
+
 @settings(max_examples=40, deadline=None)
-@given(
-    points=st.lists(
-        st.tuples(
-            # Quarters of pixels lie exactly between two cells; both roundings would be right.
-            st.integers(-30, 120).map(lambda n: n / 5.1),
-            st.integers(-30, 90).map(lambda n: n / 5.1),
-            st.integers(1, 1000),
-            st.sampled_from([RED, BLUE, (0, 255, 0), (250, 250, 250)]),
-        ),
-        max_size=8,
-        unique_by=lambda point: point[2],
-    ),
-    radii=st.lists(st.sampled_from([0.5, 0.7, 1.0, 1.5, 2.2, 3.0]), min_size=8, max_size=8),
-)
+@given(st.lists(POINTS, max_size=8, unique_by=lambda point: point[2]), st.lists(RADII, min_size=8, max_size=8))
 def test_discs_are_those_of_a_painter_who_starts_with_the_farthest(points, radii):
     radii = radii[: len(points)]
     assert np.array_equal(_timestamp(points, radius=radii), _slow_timestamp(points, radii, _ground()))

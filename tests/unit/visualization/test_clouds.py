@@ -66,7 +66,7 @@ def test_points_lie_at_their_metric_locations_the_higher_over_the_lower():
     assert np.ptp(rows) > 0.85 * layout_map((100.0, 50.0), 15.0, SIZE).height
 
 
-def test_the_map_reaches_as_far_as_asked_and_its_grid_stands_at_multiples_of_its_spacing():
+def test_the_map_reaches_as_far_as_asked_and_its_grid_stands_at_multiples_of_its_spacing_wherever_it_is():
     corners = LAYOUT.pixels(np.array([[100.0, 50.0], [100.0, 70.0], [100.0, 30.0]]))
     assert corners[0] == pytest.approx([(LAYOUT.width - 1) / 2, (LAYOUT.height - 1) / 2])
     # The edges of the map are the outer edges of its first and last pixel.
@@ -80,6 +80,12 @@ def test_the_map_reaches_as_far_as_asked_and_its_grid_stands_at_multiples_of_its
             assert location == pytest.approx(LAYOUT.pixels(point)[0, axis], abs=0.5)
     zeros = [f"{at:g}" for at, _ in layout_map((0.0, 0.0), 20.0, SIZE).grid(1, 10.0) if at == 0]
     assert zeros == ["0"], "without a sign"
+    for far in (1e9, 1e155, 1e300, 1.7e308, -1.7e308):
+        points = clouds.sample_polyline(np.array([[0.0, 0.0, 0.0], [far, 0.0, 0.0], [0.0, far, 0.0]]), 0.5)
+        assert len(points) > 2
+        assert finite_rows(points).all()
+    for far in (1e17, 1e300, 1.7e308):
+        assert len(layout_map((far, -far), 50.0, (640, 480)).grid(0, 10.0)) < 1000
 
 
 def test_points_that_no_camera_saw_are_grey_and_the_ego_is_marked_in_the_middle():
@@ -150,7 +156,7 @@ def test_points_are_projected_as_opencv_projects_them():
     assert depths == pytest.approx((points - viewpoint.eye_world) @ forward)
 
 
-def test_the_eye_stands_behind_and_above_the_ego_and_sees_it_and_its_path():
+def test_the_eye_stands_behind_and_above_the_ego_and_sees_it_its_path_and_the_light_at_the_horizon():
     viewpoint = viewpoint_behind(DRIVER, 20.0, *SIZE)
     offset = viewpoint.eye_world - DRIVER.position_world
     assert offset @ DRIVER.forward_world < 0
@@ -173,6 +179,11 @@ def test_the_eye_stands_behind_and_above_the_ego_and_sees_it_and_its_path():
         r, g, b = drawn[row, column]
         assert r > g > b
         assert r - b > 50
+    column = clouds.background(10, 300)[:, 0].astype(int).sum(axis=1)
+    lightest = int(np.argmax(column))
+    assert 60 < lightest < 150
+    assert (np.diff(column[:lightest]) >= 0).all()
+    assert (np.diff(column[lightest + 1 :]) <= 0).all()
 
 
 def test_left_is_left_up_is_up_and_near_points_are_larger_and_cover_far_ones():
@@ -201,14 +212,6 @@ def test_a_cloud_without_points_is_an_empty_stage_and_drawing_twice_gives_the_sa
         assert draw(np.zeros((0, 3), np.float32), None, ego=ego).size == size
     points = np.random.default_rng(1).normal(0, 10, (3000, 3)) + np.array([100, 60, 0])
     assert np.array_equal(*(_draw(points, [RED] * 3000, draw=draw) for _ in range(2)))
-
-
-def test_the_background_is_lightest_at_the_horizon():
-    column = clouds.background(10, 300)[:, 0].astype(int).sum(axis=1)
-    lightest = int(np.argmax(column))
-    assert 60 < lightest < 150
-    assert (np.diff(column[:lightest]) >= 0).all()
-    assert (np.diff(column[lightest + 1 :]) <= 0).all()
 
 
 # An IMU whose x points to the left of the car, as z stays up.
@@ -240,12 +243,3 @@ def test_forward_is_where_the_path_leads_or_the_first_camera_looks(make_view):
     assert clouds.middle_of(np.zeros((0, 3))).position_world.tolist() == [0.0, 0.0, 0.0]
     points = np.array([[1.0, 5.0, 0.0], [2.0, 4.0, 9.0], [90.0, 3.0, 1.0]])
     assert clouds.middle_of(points).position_world.tolist() == [2, 4, 1]
-
-
-def test_lines_and_maps_of_locations_that_are_far_off_have_finite_points_and_grids():
-    for far in (1e9, 1e155, 1e300, 1.7e308, -1.7e308):
-        points = clouds.sample_polyline(np.array([[0.0, 0.0, 0.0], [far, 0.0, 0.0], [0.0, far, 0.0]]), 0.5)
-        assert len(points) > 2
-        assert finite_rows(points).all()
-    for far in (1e17, 1e300, 1.7e308):
-        assert len(layout_map((far, -far), 50.0, (640, 480)).grid(0, 10.0)) < 1000

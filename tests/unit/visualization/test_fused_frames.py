@@ -115,7 +115,7 @@ def _frame(views, *, lidar_id="lidar"):
     return FusedFrame(lidar_id, 7, 0, 0, points, tuple(views))
 
 
-def test_one_file_per_image_is_written_and_named_with_the_same_bytes_again(make_view, tmp_path):
+def test_one_file_per_image_is_written_with_the_same_bytes_again_and_replaced_only_on_request(make_view, tmp_path):
     view = make_view([(60, 40, 10.0, True)])
     paths, again = (save_images(_frame([view]), tmp_path / name / "folder", 7) for name in ("once", "twice"))
     names = ["front_000007_overlay", "front_000007_depth", "cloud_lidar_000007_above", "cloud_lidar_000007_perspective"]
@@ -126,23 +126,6 @@ def test_one_file_per_image_is_written_and_named_with_the_same_bytes_again(make_
         with Image.open(path) as image:
             assert (path.suffix, image.mode) == (".png", "RGB")
             assert image.width >= view.camera.width
-
-
-def test_the_cloud_is_drawn_around_the_ego_at_the_time_of_its_sweep(tmp_path):
-    times = np.array([0, 10**9], np.int64)
-    positions = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
-    ego_poses = Poses(times, positions, np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
-    for reference_ns, x in ((500_000_000, 20.0), (-1, 0.0), (3 * 10**9, 40.0)):
-        frame = replace(_frame([]), reference_ns=reference_ns)
-        ego = viz.EgoPosition(np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
-        drawn = dict(viz.iter_images(frame, 0, ego_poses=ego_poses))["cloud_lidar_000000_above"]()
-        points, seen = frame.points, {"camera_index": frame.points.camera_index}
-        around = viz.draw_cloud_above(points.positions, points.colors, **seen, ego=ego, ego_path=positions)
-        # Only the captions differ.
-        assert np.array_equal(np.asarray(drawn)[:800], np.asarray(around)[:800])
-
-
-def test_existing_images_are_replaced_only_on_request(make_view, tmp_path):
     frame = _frame([make_view([])])
     first = save_images(frame, tmp_path / "own", 0)[0]
     first.write_bytes(b"kept")
@@ -157,6 +140,20 @@ def test_existing_images_are_replaced_only_on_request(make_view, tmp_path):
     for name in ("file/folder", "file"):
         with pytest.raises(OutputError, match="file"):
             save_images(_frame([]), tmp_path / name, 0)
+
+
+def test_the_cloud_is_drawn_around_the_ego_at_the_time_of_its_sweep(tmp_path):
+    times = np.array([0, 10**9], np.int64)
+    positions = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
+    ego_poses = Poses(times, positions, np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
+    for reference_ns, x in ((500_000_000, 20.0), (-1, 0.0), (3 * 10**9, 40.0)):
+        frame = replace(_frame([]), reference_ns=reference_ns)
+        ego = viz.EgoPosition(np.array([x, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+        drawn = dict(viz.iter_images(frame, 0, ego_poses=ego_poses))["cloud_lidar_000000_above"]()
+        points, seen = frame.points, {"camera_index": frame.points.camera_index}
+        around = viz.draw_cloud_above(points.positions, points.colors, **seen, ego=ego, ego_path=positions)
+        # Only the captions differ.
+        assert np.array_equal(np.asarray(drawn)[:800], np.asarray(around)[:800])
 
 
 def test_no_id_leaves_the_folder_overwrites_another_or_is_too_long(make_view, tmp_path):

@@ -24,17 +24,11 @@ def objects(support=Support.BOTH, sigma=0.5, **changes):
     covariances = np.zeros((1, 10, 10))
     covariances[0, :3, :3] = np.diag([sigma**2, (2.0 * sigma) ** 2, sigma**2])
     columns = {
-        "ids": np.array([3]),
-        "labels": ("car",),
-        "centers": np.array([[10.0, 0.0, 0.0]]),
-        "sizes_lwh": np.full((1, 3), 2.0),
-        "yaws": np.array([np.pi / 2.0]),
-        "velocities": np.array([[0.0, 12.0, 0.0]]),
-        "yaw_rates": np.zeros(1),
-        "covariances": covariances,
-        "scores": np.array([0.9]),
+        "ids": np.array([3]), "labels": ("car",), "centers": np.array([[10.0, 0.0, 0.0]]),
+        "sizes_lwh": np.full((1, 3), 2.0), "yaws": np.array([np.pi / 2.0]), "yaw_rates": np.zeros(1),
+        "velocities": np.array([[0.0, 12.0, 0.0]]), "covariances": covariances, "scores": np.array([0.9]),
         "supports": np.array([support], np.uint8),
-    }
+    }  # fmt: skip
     return TrackedObjects(0, **{**columns, **changes})
 
 

@@ -213,9 +213,7 @@ def rough_walls():
 @pytest.mark.parametrize("threads", [2, 3])
 @pytest.mark.parametrize("known_trajectory", [False, True])
 @pytest.mark.parametrize("enabled", [False, True])
-def test_fusion_gives_the_same_to_the_bit_with_any_number_of_threads(
-    rough_walls, images, threads, known_trajectory, enabled
-):
+def test_any_number_of_threads_gives_the_same_bits(rough_walls, images, threads, known_trajectory, enabled):
     fractions, requests = np.linspace(0, 1, COUNT, dtype=np.float32), []
     trajectory = LidarTrajectory(np.array([[0, -0.8, 0], [0.2, -0.8, 0.1]]), fractions) if known_trajectory else None
     for k in range(images):

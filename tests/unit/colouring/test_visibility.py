@@ -237,9 +237,8 @@ def test_spacings_of_scan_lines_and_distances_of_surfaces_are_found_if_there_are
         assert surface_distance(some, inverse, 0.0, 0.0) == 0.5
 
 
-@pytest.mark.parametrize(
-    ("spacings_deg", "window_deg", "across_deg", "along_deg", "angle_deg"),
-    [
+def test_the_reach_follows_the_scan_lines():
+    for spacings_deg, window_deg, across_deg, along_deg, angle_deg in [
         ((0.2, 0.45, 0.4, 0.45), 0.46, 0.3, 0.18, 90),
         ((0.4, 0.45, 0.2, 0.45), 0.46, 0.3, 0.18, 0),
         ((0.45, 0.2, 0.45, 0.4), 0.46, 0.3, 0.18, 135),
@@ -248,17 +247,15 @@ def test_spacings_of_scan_lines_and_distances_of_surfaces_are_found_if_there_are
         ((0.2, math.nan, 1.0, math.nan), 1.15, 0.87, 1.15 / 6, 90),
         ((0.2, 0.3, math.nan, math.nan), 0.5, 0.16, 0.16, 0),
         ((math.nan,) * 4, 0.5, 0.16, 0.16, 0),
-    ],
-)
-def test_the_reach_follows_the_scan_lines(spacings_deg, window_deg, across_deg, along_deg, angle_deg):
-    reach = vis.fit_reach(vis.find_lines(np.radians(spacings_deg)))
-    found = np.degrees([reach.window, reach.across, reach.along, reach.angle])
-    assert found == pytest.approx([window_deg, across_deg, along_deg, angle_deg], abs=1e-3)
-    # the ellipse has its axes across and along the lines
-    xx, xy, yy = reach.hiding(np.zeros(0, np.float32))[3:]
-    for length, angle in ((reach.across, reach.angle), (reach.along, reach.angle + math.pi / 2)):
-        x, y = length * math.cos(angle), length * math.sin(angle)
-        assert xx * x * x + xy * x * y + yy * y * y == pytest.approx(1)
+    ]:
+        reach = vis.fit_reach(vis.find_lines(np.radians(spacings_deg)))
+        found = np.degrees([reach.window, reach.across, reach.along, reach.angle])
+        assert found == pytest.approx([window_deg, across_deg, along_deg, angle_deg], abs=1e-3)
+        # the ellipse has its axes across and along the lines
+        xx, xy, yy = reach.hiding(np.zeros(0, np.float32))[3:]
+        for length, angle in ((reach.across, reach.angle), (reach.along, reach.angle + math.pi / 2)):
+            x, y = length * math.cos(angle), length * math.sin(angle)
+            assert xx * x * x + xy * x * y + yy * y * y == pytest.approx(1)
 
 
 def ground_and_wall(height, *, spacing_deg=0.4, wall_at=40.0, noise=0.02):
@@ -326,23 +323,20 @@ AHEAD = Poses(np.array([0, 1000], np.int64), np.array([[0.0, 0, 0], [10, 0, 0]])
 MOUNT = RigidTransform(np.eye(3), np.array([0.0, 1.0, 2.0]))
 
 
-@pytest.mark.parametrize(
-    ("times", "count", "ends", "fractions"),
-    [
+def test_the_ends_are_the_lidars_locations_at_the_first_and_the_last_point():
+    for times, count, ends, fractions in [
         ([300, 500, 350], 3, (3, 5), [0, 1, 0.25]),
         (None, 3, (4, 4), [0, 0, 0]),  # all were measured at the timestamp of their frame
         ([], 0, (4, 4), []),
         ([900, 1000, 1001], 3, None, None),  # beyond the poses
-    ],
-)
-def test_the_ends_are_the_lidars_locations_at_the_first_and_the_last_point(times, count, ends, fractions):
-    timestamps = None if times is None else np.array(times, np.int64)
-    frame = LidarFrame(400, LidarPoints(np.zeros((count, 3), np.float32), timestamps_ns=timestamps))
-    trajectory = LidarTrajectory.of(frame, PoseSource(AHEAD, MOUNT))
-    assert (trajectory is None) == (ends is None)
-    if ends is not None:
-        np.testing.assert_allclose(trajectory.ends_world, [[x, 1, 2] for x in ends])
-        np.testing.assert_allclose(trajectory.fractions, fractions)
+    ]:
+        timestamps = None if times is None else np.array(times, np.int64)
+        frame = LidarFrame(400, LidarPoints(np.zeros((count, 3), np.float32), timestamps_ns=timestamps))
+        trajectory = LidarTrajectory.of(frame, PoseSource(AHEAD, MOUNT))
+        assert (trajectory is None) == (ends is None)
+        if ends is not None:
+            np.testing.assert_allclose(trajectory.ends_world, [[x, 1, 2] for x in ends])
+            np.testing.assert_allclose(trajectory.fractions, fractions)
     for wrong in ((np.zeros((3, 3)), np.zeros(2, np.float32)), (np.zeros((2, 3)), np.zeros((2, 1), np.float32))):
         with pytest.raises(ArrayError, match="trajectory"):
             LidarTrajectory(*wrong)

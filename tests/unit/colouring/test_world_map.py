@@ -67,9 +67,7 @@ def test_each_cube_gives_one_point_with_the_means_of_its_points(tmp_path, most_c
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_map_does_not_depend_on_tiles_on_the_disk_and_takes_the_best_colour_or_the_mean_of_those_that_agree(
-    tmp_path,
-):
+def test_the_map_does_not_depend_on_tiles_on_the_disk_and_takes_the_best_colour_or_the_mean_of_like_ones(tmp_path):
     (tmp_path / "much").mkdir()
     world = WorldMap(VOXEL, tmp_path, most_cells=5_000)
     for points in drive():

@@ -88,26 +88,22 @@ def test_the_time_covered_leaves_out_gaps_and_a_part_counts_from_the_references_
 HALF_KNOWN = [[0, 0, 0], [0, np.nan, 0.0]]
 
 
-@pytest.mark.parametrize(
-    ("times", "positions", "quaternions", "problem"),
-    [
+def test_numbers_that_are_none_are_refused() -> None:
+    for times, positions, quaternions, problem in [
         ([0, 1], HALF_KNOWN, (), r"positions\[1\].*nan"),
         ([0], np.zeros((1, 3)), (np.full((1, 4), np.nan),), r"xyzw\[0\]"),
         ([5, 5], np.zeros((2, 3)), (), r"timestamps_ns\[1\]: 5; expected"),
         ([], np.zeros((0, 3)), (), "empty"),
         ([0], np.full((1, 3), 1e200), (), r"positions\[0\].*e\+200"),
-    ],
-)
-def test_numbers_that_are_none_are_refused(times, positions, quaternions, problem: str) -> None:
-    bad, good = Trajectory("bad", np.array(times, np.int64), np.array(positions), *quaternions), along_x([0, 1000])
-    for both in ((bad, good), (good, bad)):
-        with pytest.raises(ArrayError, match=problem):
-            evaluate_trajectory(*both, align="none")
+    ]:
+        bad, good = Trajectory("bad", np.array(times, np.int64), np.array(positions), *quaternions), along_x([0, 1000])
+        for both in ((bad, good), (good, bad)):
+            with pytest.raises(ArrayError, match=problem):
+                evaluate_trajectory(*both, align="none")
 
 
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
+def test_options_that_cannot_be_followed_are_refused() -> None:
+    for options, problem in [
         ({"associate": "closest"}, "'closest'; expected one of interpolate, nearest"),
         ({"tolerance": -1.0}, "tolerance -1 s"),
         ({"tolerance": float("nan")}, "tolerance nan s"),
@@ -118,11 +114,9 @@ def test_numbers_that_are_none_are_refused(times, positions, quaternions, proble
         ({"offset_ns": 2**63}, "beyond the year 2261"),
         ({"align": "affine"}, "'affine'; expected one of none, origin, yaw, se3, sim3"),
         ({"align_first": 0}, "first 0 poses"),
-    ],
-)
-def test_options_that_cannot_be_followed_are_refused(options: dict[str, object], problem: str) -> None:
-    with pytest.raises(OptionError, match=problem):
-        evaluate_trajectory(along_x([0, 1000]), along_x([0, 1000]), **{"align": "none", **options})
+    ]:
+        with pytest.raises(OptionError, match=problem):
+            evaluate_trajectory(along_x([0, 1000]), along_x([0, 1000]), **{"align": "none", **options})
 
 
 @pytest.mark.parametrize("swapped", [False, True])

@@ -63,9 +63,7 @@ def spoilt(kind, cloud):
     ("kind", "outcome"),
     [("empty", Outcome.TOO_FEW), ("nan", Outcome.TOO_FEW), ("few", Outcome.TOO_FEW), ("noise", Outcome.MISFIT)],
 )
-def test_a_sweep_that_states_nothing_is_predicted_with_a_larger_covariance_and_the_next_one_finds_back(
-    clouds, drive, kind, outcome
-):
+def test_a_sweep_that_states_nothing_is_predicted_less_surely_and_the_next_one_finds_back(clouds, drive, kind, outcome):
     estimates = follow([spoilt(kind, cloud) if k == 6 else cloud for k, cloud in enumerate(clouds[:10])])
     assert [estimate.outcome for estimate in estimates[5:8]] == [Outcome.FITTED, outcome, Outcome.FITTED]
     # a car accelerates by some m/s², so 0.1 s of prediction miss by centimetres
@@ -199,9 +197,7 @@ def test_sweeps_of_one_period_make_one_cloud_of_which_one_blind_lidar_does_not_m
         assert np.linalg.norm(found - expected) < 0.4  # the first point was measured 30 ms later: up to 0.3 m on
 
 
-def test_points_in_the_ego_frame_need_no_mounting_others_do_and_scenes_that_cannot_be_followed_are_refused(
-    alone, sound, scene
-):
+def test_points_in_the_ego_frame_need_no_mounting_and_scenes_that_cannot_be_followed_are_refused(alone, sound, scene):
     lidar = alone.lidars[0]
     clouds = [replace(f.points, positions=np.float32(lidar.mount.apply(f.points.positions))) for f in lidar.frames]
     frames = [replace(frame, points=cloud) for frame, cloud in zip(lidar.frames, clouds, strict=True)]

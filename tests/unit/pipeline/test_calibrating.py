@@ -62,9 +62,7 @@ def lists(scene, folder, rotation_deg):
 @pytest.mark.parametrize(
     ("rotation_deg", "verdict"), [((0.0, 0.0, 0.0), Verdict.GOOD), ((2.0, -1.0, 0.0), Verdict.WRONG)]
 )
-def test_boxes_report_what_images_cannot_and_those_of_a_part_are_judged_by_themselves(
-    drive, tmp_path, rotation_deg, verdict
-):
+def test_boxes_report_what_images_cannot_and_those_of_a_part_alone(drive, tmp_path, rotation_deg, verdict):
     found = lists(drive.scene, tmp_path, rotation_deg)
     health = check_drive(drive.scene, most=2, **found).health
     assert health.item("rotation").verdict is Verdict.UNDETERMINED
@@ -134,9 +132,7 @@ def test_a_recording_has_the_repaired_mounting_and_camera_model_and_a_scene_file
     np.testing.assert_allclose(pose, [*difference.translation, *difference.quaternion_xyzw], atol=1e-9)
 
 
-def test_table_3_holds_the_repaired_transform_by_columns_and_a_lidar_alone_is_mounted_anew_in_the_calibration(
-    recording, tmp_path
-):
+def test_table_3_holds_the_repaired_transform_by_columns_and_a_lidar_alone_is_mounted_anew(recording, tmp_path):
     calibration, pair = tmp_path / "calibration.json", tmp_path / "pair.json"
     with sceneloom.open(recording) as scene:
         repair = repair_of(scene)

@@ -70,9 +70,7 @@ def test_a_trajectory_out_of_a_drive_says_what_stays_behind(scene_file, tmp_path
     assert [field.field for field in report.lost] == ["trajectories.name"]
 
 
-def test_what_is_known_beforehand_is_refused_before_anything_is_written_and_reports_name_every_field(
-    tmp_path, monkeypatch
-):
+def test_what_is_known_beforehand_is_refused_before_writing_and_reports_name_every_field(tmp_path, monkeypatch):
     source = tmp_path / "event.sfs"
     write_scene(drive(events=(sc.EventAnnotation("e", int(TIMESTAMPS[0])),)), source)
     for suffix in (".md", ".txt"):
@@ -90,9 +88,7 @@ def test_what_is_known_beforehand_is_refused_before_anything_is_written_and_repo
     assert ("annotations.event.id", "dropped") in {(row["field"], row["support"]) for row in reported["fields"]}
 
 
-def test_what_cannot_be_written_is_refused_before_anything_is_done_and_replaced_only_where_it_may(
-    scene_file, tmp_path, monkeypatch
-):
+def test_what_cannot_be_written_is_refused_at_once_and_replaced_only_where_it_may(scene_file, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for options, message in (
         ({"loss": "loss.pdf"}, r"suffix '.pdf'; a loss report is written as .json, .md, .txt"),

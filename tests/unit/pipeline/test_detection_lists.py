@@ -109,9 +109,8 @@ def test_boxes_of_nuscenes_come_into_the_lidars_frame_if_their_times_are_known(t
     assert [warning.code for warning in ledger.warnings] == ["other-samples"]
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "reported"),
-    [
+def test_a_faulty_box_of_nuscenes_is_reported_with_its_location(tmp_path, context):
+    for field, value, reported in [
         ("size", [2.0, -4.0, 1.5], "size: .*expected sizes above 0"),
         ("size", [2.0, 4.0], "size: .*expected 3 finite numbers"),
         ("rotation", [0.0, 0.0, 0.0, 0.0], "rotation: .*of length 1"),
@@ -120,12 +119,10 @@ def test_boxes_of_nuscenes_come_into_the_lidars_frame_if_their_times_are_known(t
         ("detection_name", 7, "detection_name: 7; expected the name of a class"),
         ("detection_score", "0.4", "detection_score: '0.4'; expected a finite number"),
         ("velocity", [1.0], "velocity: .*expected two numbers"),
-    ],
-)
-def test_a_faulty_box_of_nuscenes_is_reported_with_its_location(tmp_path, context, field, value, reported):
-    path = nuscenes(tmp_path, {**NUSCENES, field: value})
-    with pytest.raises(DataError, match=rf"results\.{TOKEN}\[0\]\.{reported}"):
-        read_boxes_3d(path, context, strict())
+    ]:
+        path = nuscenes(tmp_path, {**NUSCENES, field: value})
+        with pytest.raises(DataError, match=rf"results\.{TOKEN}\[0\]\.{reported}"):
+            read_boxes_3d(path, context, strict())
 
 
 def test_kittis_lists_are_in_the_cameras_frame_and_take_the_class_of_their_folder(tmp_path, context):
@@ -176,9 +173,8 @@ def test_what_is_no_list_is_reported_with_the_forms_that_there_are(tmp_path, con
             read_boxes_3d(file(tmp_path, text), context, strict())
 
 
-@pytest.mark.parametrize(
-    ("text", "reported"),
-    [
+def test_a_faulty_list_is_reported_with_its_line(tmp_path, context):
+    for text, reported in [
         (json.dumps(BOX_3D)[:-9], "line 1: no JSON"),
         (json.dumps(BOX_3D) + "\n{}", "line 2: .*missing"),
         (json.dumps({**BOX_3D, "width": -1.0}), "line 1: width: -1.0; expected more than 0"),
@@ -188,8 +184,6 @@ def test_what_is_no_list_is_reported_with_the_forms_that_there_are(tmp_path, con
         (json.dumps(BOX_2D), "line 1: a Box2d; expected Boxes3d or Box3d"),
         ("3,2,0,0,9,9,-1.5,1.5,1.6,4.0,2.0,1.5,10.0,0.0,0.2", "frame 3; expected 0 to 2, as sensor 'lidar'"),
         ("1,2,0,0,9,9,-1.5,1.5,1.6,nan,2.0,1.5,10.0,0.0,0.2", "line 1: l 'nan'"),
-    ],
-)
-def test_a_faulty_list_is_reported_with_its_line(tmp_path, context, text, reported):
-    with pytest.raises(DataError, match=reported):
-        read_boxes_3d(file(tmp_path, text, "Car/list.txt"), context, strict())
+    ]:
+        with pytest.raises(DataError, match=reported):
+            read_boxes_3d(file(tmp_path, text, "Car/list.txt"), context, strict())

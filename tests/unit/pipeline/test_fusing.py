@@ -176,9 +176,7 @@ def test_points_without_times_are_reported_where_the_ego_moves_and_far_ones_take
 
 
 @pytest.mark.parametrize("microseconds", [False, True])
-def test_point_times_from_zero_or_in_another_unit_give_the_same_scene_and_are_reported(
-    drive, fused, tmp_path, microseconds
-):
+def test_point_times_from_zero_or_in_another_unit_give_the_same_scene(drive, fused, tmp_path, microseconds):
     def since_the_sweep(frame):
         times = frame.points.timestamps_ns // 1000 * 1000 - frame.timestamp_ns
         return times // 1000 if microseconds else times
@@ -437,9 +435,7 @@ def test_cameras_without_images_need_no_location_and_unplaced_images_or_reversed
             fuse(backwards)
 
 
-def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file_and_fusing_again_applies_it_once(
-    drive, tmp_path
-):
+def test_an_image_with_a_mounting_of_its_own_has_its_own_pose_in_the_file_and_applies_it_once(drive, tmp_path):
     camera = drive.cameras[0]
     higher = RigidTransform(camera.mount.rotation, np.add(camera.mount.translation, [0.0, 0.0, 1.0]))
 

@@ -80,9 +80,7 @@ def test_corrections_stand_in_warnings_and_metadata_and_another_reference_rotate
     assert report.comparison("imu").estimate.offset_ns == pytest.approx(-3e7, abs=2e6)
 
 
-def test_streams_that_are_not_there_and_an_output_that_exists_are_refused_and_a_drive_without_streams_not(
-    wrong, tmp_path
-):
+def test_absent_streams_and_an_output_that_exists_are_refused_and_a_drive_without_streams_not(wrong, tmp_path):
     for more in ({"reference": "radar"}, {"streams": ("imu", "radar")}):
         with pytest.raises(OptionError, match=r"radar.*groundTruth"):
             sync(wrong, **more)

@@ -72,9 +72,7 @@ def scene_and_drive():
     return scene, drive
 
 
-def test_moments_are_drawn_and_pairs_have_the_points_of_their_sweep_where_images_show_something(
-    scene_and_drive, tmp_path
-):
+def test_moments_are_drawn_and_pairs_have_points_where_images_show_something(scene_and_drive, tmp_path):
     scene, drive = scene_and_drive
     objects, _ = track(drive)
     paths = save_tracking_images(scene, drive, objects, tmp_path / "drawn", count=2)

@@ -379,9 +379,8 @@ def test_what_moves_has_its_box_and_its_velocity_of_the_reference_time():
     assert (truth.speeds[np.abs(truth.speeds) > 1] > 0).all()
 
 
-@pytest.mark.parametrize(
-    ("spec", "wrong", "message"),
-    [
+def test_numbers_out_of_bounds_are_refused_by_name():
+    for spec, wrong, message in [
         (MissSpec, {"recall": 0.0}, "detector.misses.recall: 0.0; expected"),
         (MissSpec, {"hiding": float("inf")}, "detector.misses.hiding: inf; expected"),
         (MissSpec, {"steepness": float("nan")}, "detector.misses.steepness: nan; expected"),
@@ -390,11 +389,9 @@ def test_what_moves_has_its_box_and_its_velocity_of_the_reference_time():
         (ScoreSpec, {"form": ScoreForm.LOGIT, "logit_scale": 0.0}, "scores.logit_scale"),
         (ScoreSpec, {"form": ScoreForm.LOGIT, "logit_shift": float("nan")}, "scores.logit_shift"),
         (ScoreSpec, {"logit_shift": 1.0}, "scores: logit_scale and logit_shift are for logits"),
-    ],
-)
-def test_numbers_out_of_bounds_are_refused_by_name(spec, wrong, message):
-    with pytest.raises(OptionError, match=f"^{message}"):
-        spec(**wrong)
+    ]:
+        with pytest.raises(OptionError, match=f"^{message}"):
+            spec(**wrong)
 
 
 def test_chances_are_those_of_the_formula_and_boxes_of_objects_beside_the_camera_reach_the_border():

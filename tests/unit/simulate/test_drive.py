@@ -164,9 +164,8 @@ def test_lidars_of_the_same_kind_have_noise_of_their_own_and_the_demo_drive_two_
     assert not np.array_equal(image, drive.truth.colors("camera1", 0))
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
+def test_arguments_out_of_bounds_are_refused():
+    for wrong, message in [
         ({"frames": 0}, "0 frames"),
         ({"trajectory_hz": 1.0}, "poses a second"),
         ({"cameras": (sim.CameraSpec(TINY, offset_ns=10**9),)}, "expected -100000000 to 200000000"),
@@ -174,11 +173,9 @@ def test_lidars_of_the_same_kind_have_noise_of_their_own_and_the_demo_drive_two_
         ({"lidars": (SMALL,)}, "both are given"),
         ({"lidar": None, "lidars": ()}, "lidars: none"),
         ({"lidar": None, "lidars": (SMALL, sim.SolidStateSpec(period_ns=10**9 + 1))}, "lidar1.period_ns"),
-    ],
-)
-def test_arguments_out_of_bounds_are_refused(wrong, message):
-    with pytest.raises(OptionError, match=message):
-        simulate_street(**{"lidar": SMALL, "cameras": (), **wrong})
+    ]:
+        with pytest.raises(OptionError, match=message):
+            simulate_street(**{"lidar": SMALL, "cameras": (), **wrong})
 
 
 def test_the_parts_of_the_truth_agree_and_points_behind_a_wall_are_not_visible(drive):
@@ -702,28 +699,25 @@ def test_blind_sensors_give_nothing_and_intensities_and_focal_lengths_are_scaled
     np.testing.assert_array_equal(camera.images[0].rgb, exact.images[0].rgb)
 
 
-@pytest.mark.parametrize(
-    ("kind", "expected"),
-    [
-        (sim.PointTimes.MISSING, lambda times, timestamp: None),
-        (sim.PointTimes.ZERO, lambda times, timestamp: 0 * times),
-        (sim.PointTimes.FRAME, lambda times, timestamp: 0 * times + timestamp),
-        (sim.PointTimes.RELATIVE, lambda times, timestamp: times - timestamp),
-        (sim.PointTimes.MICROSECONDS, lambda times, timestamp: times // 1000),
-        (sim.PointTimes.RELATIVE_MICROSECONDS, lambda times, timestamp: (times - timestamp) // 1000),
-        (sim.PointTimes.STRETCHED, lambda times, timestamp: timestamp + 1000 * (times - timestamp)),
-    ],
-)
-def test_point_times_are_wrong_as_asked_for(right, kind, expected):
-    given = injected(right, "lidar", point_times=kind).scene.lidars[0].frames[3]
-    true = right.scene.lidars[0].frames[3]
-    assert given.timestamp_ns == true.timestamp_ns
-    np.testing.assert_array_equal(given.points.timestamps_ns, expected(true.points.timestamps_ns, true.timestamp_ns))
+def test_point_times_are_wrong_as_asked_for(right):
+    frame = right.scene.lidars[0].frames[3]
+    times, timestamp, kinds = frame.points.timestamps_ns, frame.timestamp_ns, sim.PointTimes
+    for kind, expected in [
+        (kinds.MISSING, None),
+        (kinds.ZERO, 0 * times),
+        (kinds.FRAME, 0 * times + timestamp),
+        (kinds.RELATIVE, times - timestamp),
+        (kinds.MICROSECONDS, times // 1000),
+        (kinds.RELATIVE_MICROSECONDS, (times - timestamp) // 1000),
+        (kinds.STRETCHED, timestamp + 1000 * (times - timestamp)),
+    ]:
+        given = injected(right, "lidar", point_times=kind).scene.lidars[0].frames[3]
+        assert given.timestamp_ns == timestamp
+        np.testing.assert_array_equal(given.points.timestamps_ns, expected)
 
 
-@pytest.mark.parametrize(
-    ("sensor_id", "wrong", "message"),
-    [
+def test_faults_that_cannot_be_are_refused(right):
+    for sensor_id, wrong, message in [
         ("lidar7", {}, "no sensor 'lidar7'; it has 'lidar', 'camera0', 'radar0', 'imu', 'gnss'"),
         ("lidar", {"focal_scale": 1.1}, "focal_scale; a sensor of type lidar can have"),
         ("camera0", {"point_times": sim.PointTimes.ZERO}, "point_times; a sensor of type camera can have"),
@@ -738,8 +732,6 @@ def test_point_times_are_wrong_as_asked_for(right, kind, expected):
         ("lidar", {"swapped": ((1, 2), (2, 3))}, "swapped"),
         ("camera0", {"focal_scale": 0.0}, "focal_scale"),
         ("lidar", {"clock_skew_ppm": 1e6}, "clock_skew_ppm"),
-    ],
-)
-def test_faults_that_cannot_be_are_refused(right, sensor_id, wrong, message):
-    with pytest.raises(OptionError, match=message):
-        injected(right, sensor_id, **wrong)
+    ]:
+        with pytest.raises(OptionError, match=message):
+            injected(right, sensor_id, **wrong)

@@ -106,18 +106,15 @@ def test_points_that_no_camera_saw_are_grey_and_the_ego_is_marked_in_the_middle(
     assert np.ptp(grey, axis=2).max() < 30
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
+def test_what_cannot_be_drawn_is_refused():
+    for options, error, message in [
         ({"reach": 0.0}, OptionError, "reach 0.0 m"),
         ({"reach": float("nan")}, OptionError, "positive"),
         ({"size_px": (200, 640)}, OptionError, "200x640 px; expected at least 320x240"),
         ({"camera_index": np.zeros(2, np.uint8)}, ArrayError, "camera_index"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused(options, error, message):
-    with pytest.raises(error, match=message):
-        _draw([[105, 55, 0]], [RED], **options)
+    ]:
+        with pytest.raises(error, match=message):
+            _draw([[105, 55, 0]], [RED], **options)
     with pytest.raises(ArrayError, match=r"points_world: \(4, 2\)"):
         draw_cloud_above(np.zeros((4, 2)), None)
     for options, message in (({"reach": -1}, "reach -1"), ({"size_px": (900, 100)}, "expected at least 320x240")):

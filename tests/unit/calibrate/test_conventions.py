@@ -237,7 +237,7 @@ def test_units_of_timestamps_are_those_of_usual_sensors():
     assert conventions.time_units(np.arange(10) * 110.0, "imu") == ()
 
 
-def test_a_sound_drive_is_as_read_a_reversed_mounting_and_milliseconds_are_reported(scene):
+def test_a_sound_drive_is_as_read_a_reversed_mounting_is_reported_and_a_file_judged_by_a_drive(scene, tmp_path):
     report = conventions.check_drive(scene)
     assert [found.as_read for found in report.extrinsics] == [True]
     assert all(found.stated in found.possible for found in report.points)
@@ -257,9 +257,6 @@ def test_a_sound_drive_is_as_read_a_reversed_mounting_and_milliseconds_are_repor
     report = conventions.check_drive(replace(scene, sensors=(replace(imu, streams=slow),)))
     assert [found.possible for found in report.times] == [("milliseconds",)]
     assert report.wrong
-
-
-def test_a_file_is_judged_by_a_drive(scene, tmp_path):
     truth = calibration_frames(scene, most=1)[0].camera_from_lidar
     written, path = truth.inverse(), tmp_path / "rig.json"
     pose = {"translation": written.translation.tolist(), "rotation": wxyz(written.matrix).tolist()}

@@ -235,7 +235,7 @@ def images_state(rotation_deg, *, stated=8.0):
     return CalibrationHealth(**about, items=items, **standing)
 
 
-def test_boxes_are_judged_by_their_rotation_and_join_or_decide_what_images_state():
+def test_boxes_are_judged_by_their_rotation_join_decide_or_contradict_what_images_state():
     for found, verdicts in [
         (rotation(0.1, -0.1, 0.3), (GOOD, GOOD)),
         (rotation(0.8, 0.0, 0.0), (DRIFTING, GOOD)),
@@ -266,9 +266,6 @@ def test_boxes_are_judged_by_their_rotation_and_join_or_decide_what_images_state
         health = images_state(images_deg).with_boxes(found)
         assert health.verdict is verdict
         assert [item.name for item in health.items] == [*PARTS, "boxes", "boxes_roll"]
-
-
-def test_boxes_alone_are_enough_for_a_verdict_and_contradict_images_as_rotating_does():
     untold = CalibrationHealth.of_boxes(None, source="made up", camera_id=0, lidar_id=0, frames=0)
     good, wrong = (judge("motion", np.radians([d, 0.0]), np.zeros((2, 2))) for d in (0.0, 9.0))
     assert untold.with_coarse(good).verdict is UNTOLD

@@ -161,7 +161,7 @@ def interpolated(image, pixels):
     return ndimage.map_coordinates(np.asarray(image, np.float64), pixels[:, ::-1].T.astype(np.float64), order=1)
 
 
-def test_edges_are_summed_by_cell_and_direction_and_beyond_the_outer_centres_the_border_holds(placed):
+def test_edges_are_summed_by_cell_and_direction_and_histograms_and_tables_are_bilinear(placed):
     generator, ids, pixels = placed
     kinds, cells = generator.integers(0, 4, 40).astype(np.uint8), generator.integers(0, 5, 40).astype(np.int16)
     weights, edges = generator.random(40).astype(np.float32), generator.random((4, *SIZE)).astype(np.float32)
@@ -175,10 +175,6 @@ def test_edges_are_summed_by_cell_and_direction_and_beyond_the_outer_centres_the
     same = np.zeros(2, np.uint8), np.ones(2, np.float32), np.zeros(2, np.int16)
     sum_edges(np.arange(2), outside, *same, edges, sums, np.zeros(1))
     assert sums[0] == pytest.approx(edges[0, 0, 0] + edges[0, -1, -1], rel=1e-6)
-
-
-def test_a_histogram_shares_each_point_among_four_bins_and_a_table_is_looked_up_between_its_numbers(placed):
-    generator, ids, pixels = placed
     levels, cells = generator.uniform(0, 7, 40).astype(np.float32), generator.integers(0, 3, 40).astype(np.int16)
     image, table = generator.uniform(0, 7, SIZE).astype(np.float32), generator.normal(size=(8, 8))
     histogram, sums, totals, shown = np.zeros((8, 8)), np.zeros(3), np.zeros(3), interpolated(image, pixels)

@@ -101,19 +101,9 @@ def far_from_outlines(look: Callable[[np.ndarray], np.ndarray], pixels: np.ndarr
 
 
 def view_street(
-    camera: Camera,
-    *,
-    lidar_above: tuple[float, float, float] = (-0.3, 0.0, 0.6),
-    height: float = 1.65,
-    beams: int = 64,
-    pitch_deg: float = 0.42,
-    top_deg: float = 2.0,
-    azimuth_deg: float = 0.17,
-    elevations_deg: Sequence[float] | None = None,
-    roll: float = 0.0,
-    noise: float = 0.02,
-    seed: int = 0,
-) -> StreetView:
+    camera, *, lidar_above=(-0.3, 0.0, 0.6), height=1.65, beams=64, pitch_deg=0.42, top_deg=2.0, azimuth_deg=0.17,
+    elevations_deg=None, roll=0.0, noise=0.02, seed=0,
+):  # fmt: skip
     """Look ahead into the street; `lidar_above` is the lidar's location from the camera (forward, left, up).
 
     The lines lie evenly from `top_deg` downward, or at `elevations_deg`.
@@ -135,14 +125,8 @@ def view_street(
         rays = unproject(camera, where) @ world_from_camera.rotation.T
         return np.where(np.isnan(rays[:, 0]), -2, cast(bodies, center, np.nan_to_num(rays, nan=0.6))[1])
 
-    return StreetView(
-        camera,
-        world_from_camera,
-        origin,
-        (origin + rays * noisy[:, None])[inside],
-        first > distances - 0.03 - 1e-3 * distances,
-        far_from_outlines(look, pixels[inside]),
-    )
+    points, seen = (origin + rays * noisy[:, None])[inside], first > distances - 0.03 - 1e-3 * distances
+    return StreetView(camera, world_from_camera, origin, points, seen, far_from_outlines(look, pixels[inside]))
 
 
 @pytest.fixture(scope="session")

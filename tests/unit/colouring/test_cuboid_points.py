@@ -108,7 +108,7 @@ def test_numbers_that_mean_nothing_spoil_their_own_cuboid_only(strange, column, 
     assert count_points(alone, moment=moment).lidars[0].counts.sum() == 0
 
 
-def test_a_point_counts_in_every_box_that_it_lies_in_and_in_none_that_ended_or_is_inside_out():
+def test_a_point_counts_in_every_box_that_it_lies_in_and_counts_become_attributes_labels_and_activations():
     boxes = (
         a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0]),
         a_box("b", [1, 1, 1, 0, 0, 0, 0, 0, 0]),
@@ -137,9 +137,6 @@ def test_a_point_counts_in_every_box_that_it_lies_in_and_in_none_that_ended_or_i
     ):
         with pytest.raises(OptionError, match=message):
             call()
-
-
-def test_counts_become_attributes_labelled_points_and_activations_of_each_cuboid():
     older = sc.AttributePath("points", (99,), np.array([0]), sensor_id="lidar")
     elsewhere = sc.AttributePath("points", (7,), np.array([0]), sensor_id="other")
     box = a_box("a", [2, 2, 2, 0, 0, 0, 0, 0, 0], timestamps=(0, 2), attributes=(older, elsewhere))

@@ -61,7 +61,7 @@ def test_a_slanted_plane_comes_back_between_its_samples(name, method, margin, mo
     np.testing.assert_allclose(dense.depths[inner], truth[inner], rtol=most)
 
 
-def test_no_points_give_no_depths_one_stays_one_and_what_is_no_depth_or_does_not_fit_is_refused():
+def test_no_points_give_no_depths_wrong_ones_are_refused_and_the_confidence_falls_at_a_jump():
     for method in METHODS:
         sparse = np.zeros((120, 160), np.float32)
         dense = complete_depth(sparse, CAMERA, method=method)
@@ -83,6 +83,20 @@ def test_no_points_give_no_depths_one_stays_one_and_what_is_no_depth_or_does_not
     ]:
         with pytest.raises(error, match=message):
             complete_depth(np.zeros((height, 160), np.float32), *arguments, **options)
+    for method in METHODS:
+        truth = np.full((120, 160), 20.0, np.float32)
+        truth[80:] = 6.0
+        dense = complete_depth(scanned(truth, slice(45, None, 10)), CAMERA, method=method)
+        surface = dense.confidence[57:70, 20:140]
+        assert surface.min() > dense.confidence[78:82, 20:140].max()
+        assert surface.min() > dense.confidence[38:41, 20:140].max()
+        assert ((dense.confidence > 0) == (dense.depths > 0)).all()
+        assert not dense.depths[:30].any()  # nothing was measured near the sky
+    for method in METHODS:
+        truth, black = plane(*SLANTED["wall"]), np.zeros((120, 160, 3), np.uint8)
+        with_image = complete_depth(scanned(truth), CAMERA, black, method=method)
+        without = complete_depth(scanned(truth), CAMERA, method=method)
+        np.testing.assert_array_equal(with_image.depths, without.depths)
 
 
 def test_quality_puts_a_jump_where_the_image_has_its_edge_and_without_between_the_samples():
@@ -99,23 +113,6 @@ def test_quality_puts_a_jump_where_the_image_has_its_edge_and_without_between_th
     # beyond three pixels nothing of the other wall is left but what no edge of an image is believed for
     assert np.abs(guided[:, 60:76] - 6).max() < 0.02
     assert np.abs(guided[:, 85:100] - 20).max() < 0.02
-
-
-def test_the_confidence_falls_at_a_jump_and_a_black_image_changes_nothing_of_a_plane():
-    for method in METHODS:
-        truth = np.full((120, 160), 20.0, np.float32)
-        truth[80:] = 6.0
-        dense = complete_depth(scanned(truth, slice(45, None, 10)), CAMERA, method=method)
-        surface = dense.confidence[57:70, 20:140]
-        assert surface.min() > dense.confidence[78:82, 20:140].max()
-        assert surface.min() > dense.confidence[38:41, 20:140].max()
-        assert ((dense.confidence > 0) == (dense.depths > 0)).all()
-        assert not dense.depths[:30].any()  # nothing was measured near the sky
-    for method in METHODS:
-        truth, black = plane(*SLANTED["wall"]), np.zeros((120, 160, 3), np.uint8)
-        with_image = complete_depth(scanned(truth), CAMERA, black, method=method)
-        without = complete_depth(scanned(truth), CAMERA, method=method)
-        np.testing.assert_array_equal(with_image.depths, without.depths)
 
 
 SHAPE = (40, 30)

@@ -226,7 +226,7 @@ def test_regions_hold_what_they_promise_of_errors_of_their_own_kind(degrees_of_f
         assert reported.nees_high == pytest.approx(3 + 1.96 * np.sqrt(6 / count), rel=1e-3)
 
 
-def test_a_student_with_many_degrees_of_freedom_is_a_gaussian_and_what_is_no_covariance_is_named():
+def test_a_student_with_many_degrees_of_freedom_is_a_gaussian_and_covariances_are_judged_by_part():
     errors, covariances = np.random.default_rng(10).normal(0, 1, (500, 2)), np.tile(np.eye(2), (500, 1, 1))
     gaussian = judge_covariances(errors, covariances)
     student = judge_covariances(errors, covariances, degrees_of_freedom=1e7)
@@ -239,9 +239,6 @@ def test_a_student_with_many_degrees_of_freedom_is_a_gaussian_and_what_is_no_cov
         judge_covariances(np.zeros((2, 2)), np.tile(np.eye(3), (2, 1, 1)))
     with pytest.raises(OptionError, match="expected more than 2"):
         judge_covariances(np.zeros((1, 2)), np.eye(2)[None], degrees_of_freedom=2.0)
-
-
-def test_covariances_of_detections_are_judged_by_part_and_reversed_headings_are_reported():
     rng = np.random.default_rng(11)
     count, deviations = 3000, np.array([0.2, 0.1, 0.05, 0.2, 0.1, 0.1, 0.03])
     sizes, yaws = np.tile([4.2, 1.8, 1.5], (count, 1)), rng.uniform(-3, 3, count)

@@ -24,7 +24,7 @@ def along_x(milliseconds: Sequence[int], name: str = "trajectory") -> Trajectory
     return Trajectory(name, timestamps, np.outer(timestamps / 1e9, [1.0, 0.0, 0.0]))
 
 
-def test_each_pose_has_at_most_one_partner_or_one_between_two() -> None:
+def test_each_pose_has_at_most_one_partner_or_one_between_two_and_the_time_covered_leaves_out_gaps() -> None:
     near = {"how": "interpolate", "tolerance_ns": 200_000_000}
     for estimate, reference, options, pairs, along in (
         # 98, 100 and 103 all want 100, 301 wants 300; of three the nearest gets it
@@ -45,6 +45,22 @@ def test_each_pose_has_at_most_one_partner_or_one_between_two() -> None:
     pairs = associate_poses(estimate, reference)
     eighth = np.pi / 8
     np.testing.assert_allclose(pairs.reference.quaternions_xyzw, [[0, 0, np.sin(eighth), np.cos(eighth)]])
+    for estimate, share in (
+        ([0, 1000, 2000, 3000, 4000], 1.0),
+        ([-500, 5000], 1.0),
+        ([0, 900, 1800], 0.45),
+        ([2000, 2900, 3800, 5000], 0.5),
+        ([0, 100, 200, 300, 3700, 3800, 3900, 4000], 0.15),
+        ([2000], 0.0),
+    ):
+        timestamps = [np.array(times, np.int64) * 1_000_000 for times in (estimate, [0, 2000, 4000])]
+        assert covered_share(*timestamps) == pytest.approx(share, abs=1e-12)
+    trajectory, reference = along_x(list(range(1000, 3000, 100))), along_x(list(range(1000, 3000, 50)))
+    report = evaluate_trajectory(trajectory, reference, align="none", start=0.5, stop=1.0)
+    assert (report.start_ns, report.stop_ns) == (1_500_000_000, 1_900_000_000)
+    assert report.pairs == report.estimate_poses == 5
+    with pytest.raises(PoseError, match="no pose from 101 to"):
+        evaluate_trajectory(trajectory, reference, align="none", start=100)
 
 
 def test_without_partners_spans_offset_and_nearest_distance_are_reported_and_pose_paths_are_compared() -> None:
@@ -64,25 +80,6 @@ def test_without_partners_spans_offset_and_nearest_distance_are_reported_and_pos
     assert evaluate_trajectory(path, path, align="none").absolute.translation.max == 0.0
     with pytest.raises(PoseError, match="holds at all times"):
         evaluate_trajectory(Poses.identity(), path)
-
-
-def test_the_time_covered_leaves_out_gaps_and_a_part_counts_from_the_references_first_pose() -> None:
-    for estimate, share in (
-        ([0, 1000, 2000, 3000, 4000], 1.0),
-        ([-500, 5000], 1.0),
-        ([0, 900, 1800], 0.45),
-        ([2000, 2900, 3800, 5000], 0.5),
-        ([0, 100, 200, 300, 3700, 3800, 3900, 4000], 0.15),
-        ([2000], 0.0),
-    ):
-        timestamps = [np.array(times, np.int64) * 1_000_000 for times in (estimate, [0, 2000, 4000])]
-        assert covered_share(*timestamps) == pytest.approx(share, abs=1e-12)
-    trajectory, reference = along_x(list(range(1000, 3000, 100))), along_x(list(range(1000, 3000, 50)))
-    report = evaluate_trajectory(trajectory, reference, align="none", start=0.5, stop=1.0)
-    assert (report.start_ns, report.stop_ns) == (1_500_000_000, 1_900_000_000)
-    assert report.pairs == report.estimate_poses == 5
-    with pytest.raises(PoseError, match="no pose from 101 to"):
-        evaluate_trajectory(trajectory, reference, align="none", start=100)
 
 
 HALF_KNOWN = [[0, 0, 0], [0, np.nan, 0.0]]

@@ -134,7 +134,7 @@ def expected(fixes, moved=None):
     return states.positions[at] + moved[at, 3:6] + trajectories + away
 
 
-def test_true_states_expect_the_antenna_where_it_is_with_imu_and_without():
+def test_true_states_expect_the_antenna_where_it_is_and_lie_apart_only_where_the_imu_leads_well():
     found = carried()
     assert found.knots.tolist() == [0, 0, 0, 0, 1, 1, 2, 3, 3]
     # 10 ms beyond the first and the last state nothing but the velocity leads on: 1 m/s² and turns of 1 rad/s leave
@@ -150,22 +150,6 @@ def test_true_states_expect_the_antenna_where_it_is_with_imu_and_without():
     assert np.abs(other.levers - plain.levers).max() > 0.01
     # what is second order in 3e-3 rad and 0.05 m/s² over 0.9 s
     assert np.abs(expected(other) - expected(plain)).max() < 1e-4
-
-
-@pytest.mark.slow
-def test_variances_are_those_of_drawn_states():
-    rng, found = np.random.default_rng(1), carried()
-    roots = 1e-3 * rng.standard_normal((len(KNOTS), SIZE, SIZE))
-    own = roots @ roots.swapaxes(1, 2)
-    drawn = [
-        expected(found, np.einsum("kij,kj->ki", roots, rng.standard_normal((len(KNOTS), SIZE)))) for _ in range(4000)
-    ]
-    # a variance of 4000 draws has a deviation of √(2 / 4000) = 2.2 %
-    variances = found.variances(PATH.at(KNOTS).rotations, own)
-    assert np.var(drawn, axis=0) == pytest.approx(variances, rel=0.1)
-
-
-def test_states_lie_farther_apart_than_fixes_only_where_the_imu_leads_well():
     fixes = np.arange(0, 9_700_000_001, 100_000_000, dtype=np.int64)
     settings = gnss_imu.SmootherSettings()
     quiet = gnss_imu.knot_times(fixes, samples(), np.empty(0, np.int64), settings)
@@ -184,6 +168,19 @@ def test_states_lie_farther_apart_than_fixes_only_where_the_imu_leads_well():
     assert knots.tolist() == [0, 30_000_000, 1_000_000_000, 2_000_000_000]
     with pytest.raises(OptionError, match="gate"):
         gnss_imu.SmootherSettings(gate=0.0)
+
+
+@pytest.mark.slow
+def test_variances_are_those_of_drawn_states():
+    rng, found = np.random.default_rng(1), carried()
+    roots = 1e-3 * rng.standard_normal((len(KNOTS), SIZE, SIZE))
+    own = roots @ roots.swapaxes(1, 2)
+    drawn = [
+        expected(found, np.einsum("kij,kj->ki", roots, rng.standard_normal((len(KNOTS), SIZE)))) for _ in range(4000)
+    ]
+    # a variance of 4000 draws has a deviation of √(2 / 4000) = 2.2 %
+    variances = found.variances(PATH.at(KNOTS).rotations, own)
+    assert np.var(drawn, axis=0) == pytest.approx(variances, rel=0.1)
 
 
 SETTINGS = gnss_imu.SmootherSettings(gravity=GRAVITY)  # the synthetic world has the same gravity everywhere

@@ -226,7 +226,7 @@ def unreadable(lidar, broken):
     return replace(lidar, frames=LazyFrames(lidar.frames.timestamps_ns, read))
 
 
-def test_broken_sweeps_and_point_times_are_repaired_or_left_aside_and_reported(alone, sound):
+def test_broken_sweeps_and_point_times_are_repaired_or_left_aside_and_single_or_repeated_ones_stand(alone, sound):
     broken = unreadable(alone.lidars[0], 4)
     with pytest.raises(DataError, match="17 bytes"):
         run_of(alone, broken)
@@ -252,9 +252,6 @@ def test_broken_sweeps_and_point_times_are_repaired_or_left_aside_and_reported(a
             assert "odometry-without-point-times" in codes(run)
         else:
             np.testing.assert_allclose(last_position(run), last_position(sound), atol=0 if exact else 1e-3)
-
-
-def test_single_and_repeated_sweeps_stand_and_poses_lead_back_over_empty_ones_at_the_beginning(alone, sound):
     lidar = alone.lidars[0]
     run = run_of(alone, with_frames(lidar, [lidar.frames[0]]))
     times = lidar.frames[0].points.timestamps_ns

@@ -118,7 +118,7 @@ def test_a_map_of_cubes_has_one_point_for_each(exposed, tmp_path, suffix):
     assert len(np.unique(cubes, axis=0)) > 0.95 * len(positions)
 
 
-def test_labels_go_onto_points_by_number_and_by_time_and_into_every_kind_of_file(exposed, tmp_path):
+def test_labels_go_onto_points_by_number_and_by_time_into_every_kind_of_file_and_back_into_images(exposed, tmp_path):
     by_number = label_folder(exposed.scene, tmp_path / "numbers")
     by_time = label_folder(exposed.scene, tmp_path / "times", name="{time_ns}")
     (by_number / "labels.json").write_text(json.dumps({"3": "left"}))
@@ -135,9 +135,6 @@ def test_labels_go_onto_points_by_number_and_by_time_and_into_every_kind_of_file
     with sceneloom.open(tmp_path / "c.sfs") as scene:
         assert {each.label for each in scene.annotations} == {"left", "300"}
         assert sum(len(e.labeled_points[0].point_ids) for e in scene.annotations) == first.labels.points
-
-
-def test_labels_of_sweeps_go_back_into_the_images_that_they_came_from(exposed, tmp_path):
     labels = label_folder(exposed.scene, tmp_path / "labels")
     outputs = ColourOutputs(per_sweep=tmp_path / "drive.sfs")
     colour(exposed.scene, settings=ColourSettings(labels=labels), outputs=outputs)

@@ -152,7 +152,7 @@ def test_kittis_results_report_by_their_range_what_scores_are(tmp_path, context,
     assert read_boxes_2d(path, context, strict())[1].corners_xyxy.tolist() == [[10.5, 20.5, 30.5, 40.5]]
 
 
-def test_an_empty_file_or_frames_between_records_say_that_nothing_was_found(tmp_path, context):
+def test_empty_files_or_frames_say_that_nothing_was_found_and_what_is_no_list_is_reported(tmp_path, context):
     later = {**BOX_2D, "image_seq": 2, "timestamp": "0.200000000"}
     first = {**BOX_2D, "image_seq": 0, "timestamp": "0.000000000"}
     lists = read_boxes_2d(file(tmp_path, f"{json.dumps(first)}\n{json.dumps(later)}"), context, strict())
@@ -161,9 +161,6 @@ def test_an_empty_file_or_frames_between_records_say_that_nothing_was_found(tmp_
     assert form_of(path) is None
     assert [len(boxes) for boxes in read_boxes_3d(path, context, strict())] == [0, 0, 0]
     assert [boxes.timestamp_ns for boxes in read_boxes_2d(path, context, strict())] == TIMES.tolist()
-
-
-def test_what_is_no_list_is_reported_with_the_forms_that_there_are(tmp_path, context):
     for text, reported in (
         ("hello\n", "'hello'; expected a list of boxes: json-lines"),
         ("\x00\x01\x02", "expected a list of boxes"),

@@ -59,7 +59,7 @@ def test_what_is_left_of_hidden_boxes():
         filled(image, np.array([[0, 0, 1, 1]]), fill="smear")
 
 
-def test_tracks_are_joined_by_straight_lines_in_time_and_held_and_boxes_without_image_counted():
+def test_tracks_are_joined_by_straight_lines_and_annotations_hidden_by_labels_while_they_last():
     boxes = (
         ImageBox((0, 0, 10, 10), number=1, track="a"),
         ImageBox((30, 6, 40, 16), timestamp_ns=EARLY + 4 * PERIOD_NS, track="a"),
@@ -83,9 +83,6 @@ def test_tracks_are_joined_by_straight_lines_in_time_and_held_and_boxes_without_
     assert (sorted(found), hiding.unmatched) == ([2], 2)
     with pytest.raises(OptionError, match="camera 'rear'; its cameras are 'front'"):
         find_hidings(scene_with(), boxes=(ImageBox((0, 0, 9, 9), camera="rear", number=0),))
-
-
-def test_annotations_are_hidden_by_their_labels_while_they_last_in_any_order_of_times():
     path = BoxPath(
         np.array([EARLY + PERIOD_NS - 3_000, EARLY + 3 * PERIOD_NS - 3_000]),
         np.array([[0.0, 0.0, 8.0, 8.0], [20.0, 0.0, 8.0, 8.0]]),

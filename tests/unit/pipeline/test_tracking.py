@@ -72,7 +72,7 @@ def scene_and_drive():
     return scene, drive
 
 
-def test_moments_are_drawn_and_pairs_have_points_where_images_show_something(scene_and_drive, tmp_path):
+def test_moments_are_drawn_and_pairs_have_points_of_the_lidar_where_images_show_something(scene_and_drive, tmp_path):
     scene, drive = scene_and_drive
     objects, _ = track(drive)
     paths = save_tracking_images(scene, drive, objects, tmp_path / "drawn", count=2)
@@ -92,9 +92,6 @@ def test_moments_are_drawn_and_pairs_have_points_where_images_show_something(sce
     }
     for moment in moments(replace(drive, cameras=blind)):
         assert next(iter(moment.pairs_with_points().values())).points_lidar is None
-
-
-def test_points_of_the_world_are_taken_to_the_lidar_and_those_of_other_times_or_on_the_ego_are_none(scene_and_drive):
     scene, drive = scene_and_drive
     lidar, time_ns = scene.lidars[0], drive.boxes[1].timestamp_ns
     frame, pose = lidar.frames[1], drive.source.at(np.array([time_ns], np.int64))

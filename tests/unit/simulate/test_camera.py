@@ -88,7 +88,7 @@ def test_depths_along_the_rays_of_opencv_end_on_the_surfaces(drive, camera):
         assert (np.abs(away) <= np.array(thing.size_lwh) / 2 + 1e-3).all()
 
 
-def test_the_image_is_the_true_colour_at_pixel_centres_when_the_shutter_opens_at_the_offset(drive):
+def test_images_are_the_true_colours_at_pixel_centres_and_supersampled_ones_the_mean_of_a_finer_image(drive):
     camera = drive.scene.cameras[0]
     rgb = camera.images[3].rgb
     assert (rgb.shape, rgb.dtype) == ((camera.camera.height, camera.camera.width, 3), np.uint8)
@@ -99,9 +99,6 @@ def test_the_image_is_the_true_colour_at_pixel_centres_when_the_shutter_opens_at
     pose, ego = drive.truth.world_from_camera("camera0", 4), drive.truth.path.at(times[4:5])
     np.testing.assert_allclose(pose.translation, ego.rotations[0] @ mount.translation + ego.positions[0], atol=1e-12)
     np.testing.assert_allclose(pose.rotation, ego.rotations[0] @ mount.rotation, atol=1e-12)
-
-
-def test_supersampling_is_the_mean_of_a_finer_image_and_patterns_are_averaged_over_a_pixel(drive):
     fine, smooth = (
         camera_in(drive, spec).render(1)
         for spec in (CameraSpec(PINHOLE.resized(240, 160), AHEAD), CameraSpec(PINHOLE, AHEAD, supersampling=2))
@@ -300,7 +297,7 @@ def test_what_hides_a_point_is_asked_from_the_line_that_would_see_it_and_passing
     assert 300 < (~free).sum() < len(free) / 10
 
 
-def test_line_poses_are_trajectory_and_mounting_at_each_lines_time_and_a_global_shutter_takes_the_middle(rolling_drive):
+def test_line_poses_are_those_at_each_lines_time_and_a_point_lies_in_the_line_that_sees_it(rolling_drive):
     shown = rolling_drive.scene.cameras[1].images[3].rgb
     np.testing.assert_array_equal(shown, rolling_drive.truth.colors("camera1", 3))
     camera = rolling_drive.truth.cameras["camera1"]
@@ -321,19 +318,6 @@ def test_line_poses_are_trajectory_and_mounting_at_each_lines_time_and_a_global_
     assert first < min(inner)
     assert min(inner) > 0.98
     assert rolling_drive.scene.sensor("camera0").extras == {}
-
-
-def seen_points(drive, k, which):
-    """World points of pixels of the rolling camera, by the poses of their lines; rows and columns."""
-    camera, truth = drive.truth.cameras["camera1"], drive.truth.image("camera1", k)
-    rotations, origins = camera.line_poses(k)
-    row, column = np.nonzero(which(truth))
-    rays = unproject(ROLLED, np.column_stack([column, row]).astype(np.float64))
-    points = rays / rays[:, 2:] * truth.depths[row, column][:, None].astype(np.float64)
-    return np.einsum("nij,nj->ni", rotations[row], points) + origins[row], row, column
-
-
-def test_the_line_that_sees_a_point_is_the_one_in_which_it_lies_and_its_rays_end_on_the_ground(rolling_drive):
     world, _, _ = seen_points(rolling_drive, 2, lambda truth: truth.instances == 0)
     assert len(world) > 3000
     # float32 holds 100 m in steps of 8e-6 m.
@@ -345,6 +329,16 @@ def test_the_line_that_sees_a_point_is_the_one_in_which_it_lies_and_its_rays_end
     middle = rolling_drive.truth.world_from_camera("camera1", 1)
     pixels, inside = project(ROLLED, middle.inverse().apply(world))
     assert np.nanmax(np.abs(pixels[inside] - np.column_stack([column, row])[inside])) > 3.0
+
+
+def seen_points(drive, k, which):
+    """World points of pixels of the rolling camera, by the poses of their lines; rows and columns."""
+    camera, truth = drive.truth.cameras["camera1"], drive.truth.image("camera1", k)
+    rotations, origins = camera.line_poses(k)
+    row, column = np.nonzero(which(truth))
+    rays = unproject(ROLLED, np.column_stack([column, row]).astype(np.float64))
+    points = rays / rays[:, 2:] * truth.depths[row, column][:, None].astype(np.float64)
+    return np.einsum("nij,nj->ni", rotations[row], points) + origins[row], row, column
 
 
 @pytest.mark.parametrize("name", ["drive", "drive.sfs"])

@@ -236,34 +236,6 @@ def test_errors_and_covariances_are_as_large_as_the_specification_says(reports_3
     assert errors[:, :2].std() == pytest.approx(0.3, rel=4 / np.sqrt(4 * len(errors)))
 
 
-def test_the_true_boxes_hold_the_points_of_their_objects_of_which_others_take_a_share(busy_drive, reports_3d):
-    checked = 0
-    for k in (0, 40):
-        sweep, report = busy_drive.truth.sweep(k), reports_3d[k]
-        ego = busy_drive.truth.path.at(np.array([report.truth.timestamp_ns]))
-        in_ego = (sweep.points_world - ego.positions[0]) @ ego.rotations[0]
-        in_lidar = busy_drive.truth.lidar.spec.mount.inverse().apply(in_ego)
-        for j, instance in enumerate(report.truth_instances):
-            half, own = report.truth.yaws[j] / 2, in_lidar[sweep.instances == instance]
-            rotation = np.array([0.0, 0.0, np.sin(half), np.cos(half)])
-            # The box stands upright in a lidar that leans by half a degree: 2 cm at the ends of a car.
-            inside = points_in_box(own, report.truth.centers[j], report.truth.sizes_lwh[j], rotation, margin=0.04)
-            assert inside.all()
-            assert len(own) == report.evidence[j]
-            checked += len(own)
-    assert checked > 300
-    # occlusion is the share of points that others take
-    lidar, street, report = busy_drive.truth.lidar, busy_drive.truth.street, reports_3d[20]
-    expected = []
-    for instance, points in zip(report.truth_instances, report.evidence, strict=True):
-        own = street.shapes.instances == instance
-        shapes = PackedShapes(*(getattr(street.shapes, f.name)[own] for f in fields(PackedShapes)))
-        alone = replace(lidar, street=replace(street, shapes=shapes)).sweep(20)
-        expected.append(1 - points / (alone.instances == instance).sum())
-    assert report.occlusions == pytest.approx(expected)
-    assert 0 < sum(share > 0.2 for share in expected) < len(expected)
-
-
 def test_boxes_in_other_frames_are_the_same_but_for_a_wrong_mounting_and_no_such_sensor_is_refused(busy_drive, drive):
     report, ego, world = (detect_3d(busy_drive, ALL_3D, boxes_frame=frame, frames=[7])[0] for frame in PointsFrame)
     own, in_ego, in_world = (r.boxes.select(np.argsort(r.instances)) for r in (report, ego, world))
@@ -347,7 +319,7 @@ def test_all_objects_are_found_once_the_surest_first_and_duplicates_are_marked(r
         np.testing.assert_allclose(1 / (1 + np.exp(-other.boxes.scores)), report.boxes.scores, rtol=1e-6)
 
 
-def test_a_share_of_an_objects_errors_lasts_and_the_rest_does_not(busy_drive):
+def test_a_share_of_errors_lasts_and_true_boxes_hold_the_points_of_their_objects(busy_drive, reports_3d):
     def by_instance(report):
         errors, growth = errors_of(report)
         return dict(zip(report.instances.tolist(), errors / growth[:, None], strict=True))
@@ -361,6 +333,31 @@ def test_a_share_of_an_objects_errors_lasts_and_the_rest_does_not(busy_drive):
     # A correlation of N pairs is uncertain by less than 1 / sqrt(N); objects that recur count once or so.
     assert (first * second).mean() == pytest.approx(0.6, abs=0.3)
     assert (first**2).mean() == pytest.approx(1.0, abs=0.4)
+    checked = 0
+    for k in (0, 40):
+        sweep, report = busy_drive.truth.sweep(k), reports_3d[k]
+        ego = busy_drive.truth.path.at(np.array([report.truth.timestamp_ns]))
+        in_ego = (sweep.points_world - ego.positions[0]) @ ego.rotations[0]
+        in_lidar = busy_drive.truth.lidar.spec.mount.inverse().apply(in_ego)
+        for j, instance in enumerate(report.truth_instances):
+            half, own = report.truth.yaws[j] / 2, in_lidar[sweep.instances == instance]
+            rotation = np.array([0.0, 0.0, np.sin(half), np.cos(half)])
+            # The box stands upright in a lidar that leans by half a degree: 2 cm at the ends of a car.
+            inside = points_in_box(own, report.truth.centers[j], report.truth.sizes_lwh[j], rotation, margin=0.04)
+            assert inside.all()
+            assert len(own) == report.evidence[j]
+            checked += len(own)
+    assert checked > 300
+    # occlusion is the share of points that others take
+    lidar, street, report = busy_drive.truth.lidar, busy_drive.truth.street, reports_3d[20]
+    expected = []
+    for instance, points in zip(report.truth_instances, report.evidence, strict=True):
+        own = street.shapes.instances == instance
+        shapes = PackedShapes(*(getattr(street.shapes, f.name)[own] for f in fields(PackedShapes)))
+        alone = replace(lidar, street=replace(street, shapes=shapes)).sweep(20)
+        expected.append(1 - points / (alone.instances == instance).sum())
+    assert report.occlusions == pytest.approx(expected)
+    assert 0 < sum(share > 0.2 for share in expected) < len(expected)
 
 
 def test_what_moves_has_its_box_and_its_velocity_of_the_reference_time():

@@ -161,7 +161,7 @@ def test_every_shot_ends_on_the_wall_or_on_the_ground_at_moments_spread_evenly_o
         assert (None if rings is None else rings.dtype) == (np.uint16 if pattern is SMALL else None)
 
 
-def test_the_default_raster_shoots_as_a_frame_of_packets_holds_and_rows_go_in_passes_from_the_top_to_and_fro():
+def test_rasters_shoot_as_packets_hold_in_passes_from_the_top_and_rosettes_as_two_prisms_bend():
     shots = SolidStateSpec().plan_shots()(0)
     packets, moments_in_packet, channels = 630, 25, 5
     assert len(shots.moments) == packets * moments_in_packet * channels
@@ -180,9 +180,6 @@ def test_the_default_raster_shoots_as_a_frame_of_packets_holds_and_rows_go_in_pa
     expected = 48.75 - 2.5 * (np.arange(10)[:, None] + 10 * np.arange(4))
     for row, cells in ((0, expected), (1, expected[::-1]), (6, expected)):
         np.testing.assert_allclose(azimuths.reshape(7, 10, 4)[row], cells, atol=1e-9)
-
-
-def test_the_rosette_adds_the_bends_of_two_prisms_and_closes_its_gaps_over_time_in_a_round_field():
     pattern = Rosette(fov_deg=40.0, shots_per_second=20_000.0, rotations_per_minute=(6000.0, -1700.0), share=0.6)
     lidar = lidar_before_wall(pattern)
     for k in (0, 3):

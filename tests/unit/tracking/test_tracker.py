@@ -253,7 +253,7 @@ def test_observations_are_those_of_the_world_of_the_camera_that_counts():
         assert there.covariances[0, 6, 6] == pytest.approx(expected)
 
 
-def test_cars_that_drive_straight_are_one_object_each_with_location_and_speed_as_sure_as_stated():
+def test_cars_that_drive_straight_are_one_object_each_as_sure_as_stated_at_any_rate_in_any_run():
     (track,) = tracked(Actor(straight(8.0, y=3.0)))
     assert (len(track), track.label) == (len(TIMES), "Car")
     # a filter knows better than single boxes, which are off by 0.1 m
@@ -267,6 +267,17 @@ def test_cars_that_drive_straight_are_one_object_each_with_location_and_speed_as
         squares += np.einsum("ni,nij,nj->n", off, np.linalg.inv(track.covariances[5:, :2, :2]), off).tolist()
     # of two numbers the mean is 2; the noise of motion that is not there makes states less sure than they could be
     assert 0.5 < np.mean(squares) < 2.5
+    for rate in (5.0, 10.0, 25.0):
+        tracks = tracked(*(Actor(straight(6.0, y=y)) for y in (-5.0, 5.0)), times=np.arange(int(3 * rate)) / rate)
+        assert [track.label for track in tracks] == ["Car", "Car"]
+        half = len(tracks[0]) // 2
+        # the filter's own deviation of a speed is 0.6 m/s; half the states are not independent, but some are
+        assert tracks[0].velocities[half:, 0].mean() == pytest.approx(6.0, abs=0.6)
+    actors = [Actor(straight(6.0, y=y), unseen=(1.0, 1.4)) for y in (-5.0, 0.0, 5.0)]
+    for a, b in zip(tracked(*actors), tracked(*actors), strict=True):
+        assert a.id == b.id
+        assert np.array_equal(a.centers, b.centers)
+        assert np.array_equal(a.scores, b.scores)
 
 
 def test_what_crosses_is_hidden_for_a_second_or_shown_by_the_image_alone_is_the_same_object():
@@ -304,20 +315,6 @@ def test_rotations_and_stands_are_followed_boxes_the_wrong_way_round_are_not():
     for rotated in [{8, 9, 21}, {0, 1}]:
         track = tracked(Actor(straight(5.0, y=2.0)), rotated=frozenset(rotated))[0]
         assert np.abs(track.yaws[-1 if 0 in rotated else 0 :]).max() < 0.2
-
-
-def test_numbers_of_objects_depend_neither_on_the_rate_of_frames_nor_on_the_run():
-    for rate in (5.0, 10.0, 25.0):
-        tracks = tracked(*(Actor(straight(6.0, y=y)) for y in (-5.0, 5.0)), times=np.arange(int(3 * rate)) / rate)
-        assert [track.label for track in tracks] == ["Car", "Car"]
-        half = len(tracks[0]) // 2
-        # the filter's own deviation of a speed is 0.6 m/s; half the states are not independent, but some are
-        assert tracks[0].velocities[half:, 0].mean() == pytest.approx(6.0, abs=0.6)
-    actors = [Actor(straight(6.0, y=y), unseen=(1.0, 1.4)) for y in (-5.0, 0.0, 5.0)]
-    for a, b in zip(tracked(*actors), tracked(*actors), strict=True):
-        assert a.id == b.id
-        assert np.array_equal(a.centers, b.centers)
-        assert np.array_equal(a.scores, b.scores)
 
 
 def with_changed(observations, change):
@@ -407,7 +404,7 @@ def covariances(random, count):
     return root @ root.transpose(0, 2, 1) + 0.01 * np.eye(3)
 
 
-def test_gains_in_space_are_those_of_the_formula_and_what_is_hopelessly_far_is_no_pair():
+def test_gains_in_space_are_those_of_the_formula_and_boxes_in_images_speak_for_and_against():
     random = np.random.default_rng(0)
     locations, others = random.normal(size=(5, 3)) * 2.0, random.normal(size=(7, 3)) * 2.0
     codes = np.array([[0, 0], [1, 0], [2, 1], [-1, -1], [3, -1], [4, -1], [0, 0]])
@@ -431,9 +428,6 @@ def test_gains_in_space_are_those_of_the_formula_and_what_is_hopelessly_far_is_n
     assert np.isfinite(found).sum() > 8
     far = gains_in_space(*ours, theirs[0] + 1e3, *theirs[1:], LEAST, FREEDOM, MOST)
     assert [len(column) for column in far] == [0, 0, 0]
-
-
-def test_boxes_in_images_speak_for_and_against():
     foreseen = np.array([[0.0, 0.0, 10.0, 10.0], [100.0, 0.0, 110.0, 10.0], [np.nan] * 4])
     corners = np.array([[0.0, 0.0, 10.0, 10.0], [4.0, 0.0, 14.0, 10.0], [np.nan] * 4, [8.0, 0.0, 18.0, 10.0]])
     measured = np.array([True, True, True, False])

@@ -135,7 +135,7 @@ def _area(drawn, channel):
     return np.nonzero((drawn[..., channel] > 150) & (drawn[..., others] < 60).all(axis=2))
 
 
-def test_points_are_projected_as_opencv_projects_them():
+def test_points_are_projected_as_by_opencv_and_near_ones_are_larger_and_cover_far_ones():
     viewpoint = clouds.Viewpoint(np.array([3.0, -4.0, 7.0]), np.array([10.0, 12.0, 1.0]), 800, 500)
     rng = np.random.default_rng(5)
     points = rng.uniform(-6, 6, (200, 3)) + np.array([10.0, 12.0, 1.0])
@@ -151,6 +151,23 @@ def test_points_are_projected_as_opencv_projects_them():
     pixels, depths = viewpoint.project(points)
     assert pixels == pytest.approx(expected[:, 0], abs=1e-6)
     assert depths == pytest.approx((points - viewpoint.eye_world) @ forward)
+    # The ego faces along y of the world, so that its left is towards smaller x.
+    for axis, height in ((1, 0), (0, 5)):
+        drawn = _perspective([[95, 60, height], [105, 60, 0]], [RED, GREEN])
+        assert _area(drawn, 0)[axis].max() < _area(drawn, 1)[axis].min()
+    eye = viewpoint_behind(DRIVER, 20.0, *SIZE).eye_world
+    near = np.array([101.0, 62.0, 0.5])
+    points, colors = [near, eye + 2.0 * (near - eye)], [RED, GREEN]
+    for order in (1, -1):
+        drawn = _perspective(points[::order], colors[::order])
+        assert (len(_area(drawn, 0)[0]) > 0, len(_area(drawn, 1)[0])) == (True, 0)
+    drawn = _perspective([[100, 54, 0], [100, 90, 0]], [RED, GREEN])
+    assert len(_area(drawn, 0)[0]) > 2 * len(_area(drawn, 1)[0])
+    behind = eye - 5.0 * DRIVER.forward_world
+    one, both = _perspective([[100, 60, 0]], [RED]), _perspective([[100, 60, 0], behind], [RED, GREEN])
+    assert np.array_equal(one[: SIZE[1] - 100], both[: SIZE[1] - 100]), "what is behind the eye is not drawn"
+    drawn = _perspective([[95, 60, 0], [105, 60, 0]], [RED, GREEN], camera_index=np.array([0, 255], np.uint8))
+    assert (len(_area(drawn, 0)[0]) > 0, len(_area(drawn, 1)[0])) == (True, 0), "what no camera saw is grey"
 
 
 def test_the_eye_stands_behind_and_above_the_ego_and_sees_it_its_path_and_the_light_at_the_horizon():
@@ -181,26 +198,6 @@ def test_the_eye_stands_behind_and_above_the_ego_and_sees_it_its_path_and_the_li
     assert 60 < lightest < 150
     assert (np.diff(column[:lightest]) >= 0).all()
     assert (np.diff(column[lightest + 1 :]) <= 0).all()
-
-
-def test_left_is_left_up_is_up_and_near_points_are_larger_and_cover_far_ones():
-    # The ego faces along y of the world, so that its left is towards smaller x.
-    for axis, height in ((1, 0), (0, 5)):
-        drawn = _perspective([[95, 60, height], [105, 60, 0]], [RED, GREEN])
-        assert _area(drawn, 0)[axis].max() < _area(drawn, 1)[axis].min()
-    eye = viewpoint_behind(DRIVER, 20.0, *SIZE).eye_world
-    near = np.array([101.0, 62.0, 0.5])
-    points, colors = [near, eye + 2.0 * (near - eye)], [RED, GREEN]
-    for order in (1, -1):
-        drawn = _perspective(points[::order], colors[::order])
-        assert (len(_area(drawn, 0)[0]) > 0, len(_area(drawn, 1)[0])) == (True, 0)
-    drawn = _perspective([[100, 54, 0], [100, 90, 0]], [RED, GREEN])
-    assert len(_area(drawn, 0)[0]) > 2 * len(_area(drawn, 1)[0])
-    behind = eye - 5.0 * DRIVER.forward_world
-    one, both = _perspective([[100, 60, 0]], [RED]), _perspective([[100, 60, 0], behind], [RED, GREEN])
-    assert np.array_equal(one[: SIZE[1] - 100], both[: SIZE[1] - 100]), "what is behind the eye is not drawn"
-    drawn = _perspective([[95, 60, 0], [105, 60, 0]], [RED, GREEN], camera_index=np.array([0, 255], np.uint8))
-    assert (len(_area(drawn, 0)[0]) > 0, len(_area(drawn, 1)[0])) == (True, 0), "what no camera saw is grey"
 
 
 @pytest.mark.parametrize(("draw", "size"), [(draw_cloud_above, (1280, 900)), (draw_cloud_perspective, (1280, 780))])

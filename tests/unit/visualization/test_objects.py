@@ -37,7 +37,7 @@ def coloured(image, colour=PALETTE[3]):
     return np.argwhere((np.asarray(image)[:, :, :3] == colour).all(axis=2))[:, ::-1]
 
 
-def test_a_box_is_drawn_where_the_camera_model_puts_its_corners_or_the_image_shows_it():
+def test_boxes_are_drawn_where_their_corners_or_images_have_them_and_ellipses_and_paths_on_the_map():
     pixels = coloured(draw_objects_in_image(BLACK, objects(), WORLD_FROM_CAMERA, "camera"))
     # the face nearest to the camera is 9 m away and 2 m wide and high
     half = 300.0 / 9.0
@@ -52,9 +52,6 @@ def test_a_box_is_drawn_where_the_camera_model_puts_its_corners_or_the_image_sho
     drawn = draw_objects_in_image(BLACK, objects(Support.PREDICTED), WORLD_FROM_CAMERA, "camera")
     assert len(coloured(drawn)) == 0, "what rests on no box is darker"
     assert len(coloured(drawn, tuple(round(0.55 * part) for part in PALETTE[3]))) > 50
-
-
-def test_an_ellipse_of_95_per_cent_half_a_second_ahead_and_the_past_are_on_the_map():
     layout = layout_map((10.0, 0.0), 20.0, SIZE_PX)
 
     def drawn(sigma, **options):

@@ -92,6 +92,9 @@ def nuscenes(tmp_path, box, *, token=TOKEN, micros=100_000):
 
 
 def test_boxes_of_nuscenes_come_into_the_lidars_frame_if_their_times_are_known(tmp_path, context):
+    path = file(tmp_path, json.dumps({"results": {TOKEN: [NUSCENES]}}))
+    with pytest.raises(DataError, match=r"put nuScenes' table sample\.json"):
+        read_boxes_3d(path, context, strict())
     path = nuscenes(tmp_path, NUSCENES)
     assert form_of(path).name == "nuscenes"
     (boxes,) = read_boxes_3d(path, context, strict())
@@ -101,9 +104,6 @@ def test_boxes_of_nuscenes_come_into_the_lidars_frame_if_their_times_are_known(t
     np.testing.assert_allclose(boxes.velocities, [[3.0, 0.0, 0.0]], atol=1e-9)
     assert boxes.sizes_lwh.tolist() == [[4.0, 2.0, 1.5]]  # nuScenes says width first
     assert (boxes.timestamp_ns, boxes.labels) == (100_000_000, ("car",))
-    path = file(tmp_path, json.dumps({"results": {TOKEN: [NUSCENES]}}), "alone/results.json")
-    with pytest.raises(DataError, match=r"put nuScenes' table sample\.json"):
-        read_boxes_3d(path, context, strict())
     ledger = strict()
     assert not read_boxes_3d(nuscenes(tmp_path, NUSCENES, micros=10**15), context, ledger)
     assert [warning.code for warning in ledger.warnings] == ["other-samples"]

@@ -293,10 +293,7 @@ def test_the_workplace_of_a_living_process_and_a_folder_that_only_has_such_a_nam
         assert workplace.exists() is not goes
 
 
-IDS = st.one_of(st.integers(), st.text(st.characters(exclude_categories=["Cs"]), max_size=300))
-
-
-@given(st.lists(IDS, max_size=8))
+@given(st.lists(st.one_of(st.integers(), st.text(st.characters(exclude_categories=["Cs"]), max_size=300)), max_size=8))
 def test_names_of_ids_are_one_part_of_a_path_and_differ_even_where_case_does_not_count(identifiers):
     stems = file_stems(identifiers)
     assert len({stem.casefold() for stem in stems}) == len(stems) == len(identifiers)

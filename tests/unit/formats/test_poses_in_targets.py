@@ -15,28 +15,13 @@ from PIL import Image
 from tests.unit.formats.conftest import cameras_in_world
 
 from sceneloom import convert, fuse
+from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.base.losses import Support
 from sceneloom.formats.base.poses import STATIONARY_EGO
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.scene import (
-    CameraCalibration,
-    CameraImage,
-    CameraSensor,
-    Coordinates,
-    CuboidAnnotation,
-    CuboidPath,
-    LazyFrames,
-    LidarFrame,
-    LidarPoints,
-    LidarSensor,
-    LocalizationAdjustment,
-    Poses,
-    Scene,
-    Trajectory,
-)
 from sceneloom.scene.poses import PoseSource
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
@@ -105,7 +90,7 @@ def expected(different):
 def world_from_images(scene):
     """Where each image was taken from, as whoever computes with the scene finds it."""
     (camera,), trajectory = scene.cameras, next(iter(scene.trajectories.values())).poses
-    assert camera.coordinates is Coordinates.WORLD
+    assert camera.coordinates is sc.Coordinates.WORLD
     for image in camera.images:
         own = image.mount or camera.mount
         samples = PoseSource(trajectory, own).at(np.array([image.timestamp_ns]))
@@ -189,7 +174,7 @@ def drifting():
     zeros = np.zeros(3)
     rotations = np.stack([zeros, np.sin(angles / 2), zeros, np.cos(angles / 2)], axis=1)
     times = np.array([1_050_000_000, 1_200_000_000, 1_400_000_000], np.int64)
-    return Poses(times, np.stack([np.array([0.0, 0.1, 0.3]), zeros, zeros], axis=1), rotations)
+    return sc.Poses(times, np.stack([np.array([0.0, 0.1, 0.3]), zeros, zeros], axis=1), rotations)
 
 
 @cache
@@ -202,12 +187,12 @@ def street():
 def corrected_over_time(kind):
     """A drive whose camera moves on the vehicle: by a correction, as its poses state, or as each image says."""
     drive = street()
-    correction = CameraCalibration("drift", "camera0", drifting())
+    correction = sc.CameraCalibration("drift", "camera0", drifting())
     corrected = replace(drive, annotations=(correction,))
     (camera,) = corrected.corrected().cameras if kind == "poses" else drive.cameras
     shots, mount = drive.cameras[0].images, drive.cameras[0].mount
     if kind == "mountings":
-        own = LazyFrames(shots.timestamps_ns, lambda k: replace(shots[k], mount=mount))
+        own = sc.LazyFrames(shots.timestamps_ns, lambda k: replace(shots[k], mount=mount))
         camera = replace(camera, images=own)
     sensors = tuple(camera if one.id == camera.id else one for one in drive.sensors)
     return replace(drive if kind == "poses" else corrected, sensors=sensors)
@@ -226,7 +211,7 @@ def mountings(scene, injected):
             at = np.array([timestamp], np.int64)
             ego, there = (path.held(at) for path in (next(iter(trajectories.values())).poses, camera.poses))
             ego, there = (RigidTransform.from_quaternion(p.positions[0], p.quaternions_xyzw[0]) for p in (ego, there))
-            mount = there if camera.coordinates is Coordinates.EGO else ego.inverse() @ there
+            mount = there if camera.coordinates is sc.Coordinates.EGO else ego.inverse() @ there
         found.append(mount.matrix)
     return np.linalg.inv(found[0]) @ np.array(found)
 
@@ -314,10 +299,11 @@ MOUNT = RigidTransform.identity()
 def of(times, sweep):
     """A lidar with such sweeps, and a camera."""
     camera_model = Camera("pinhole", 8, 6, 6.0, 6.0, 4.0, 3.0)
-    images = [CameraImage(int(time), camera_model, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in times]
-    frames = LazyFrames(times, lambda k: LidarFrame(int(times[k]), LidarPoints(np.asarray(sweep(k), np.float32))))
-    camera = CameraSensor("camera", camera_model, LazyFrames(times, images.__getitem__), mount=MOUNT)
-    return Scene((LidarSensor("lidar", frames, mount=MOUNT), camera))
+    images = [sc.CameraImage(int(time), camera_model, decode=lambda: np.zeros((6, 8, 3), np.uint8)) for time in times]
+    points = [sc.LidarPoints(np.asarray(sweep(k), np.float32)) for k in range(len(times))]
+    frames = sc.LazyFrames(times, lambda k: sc.LidarFrame(int(times[k]), points[k]))
+    camera = sc.CameraSensor("camera", camera_model, sc.LazyFrames(times, images.__getitem__), mount=MOUNT)
+    return sc.Scene((sc.LidarSensor("lidar", frames, mount=MOUNT), camera))
 
 
 def drive():
@@ -373,7 +359,7 @@ def test_targets_in_the_world_follow_the_sweeps_where_they_can_and_stand_as_aske
 def test_the_drives_own_trajectory_comes_first_and_another_can_be_named(name, options, tmp_path):
     times, straight = np.array([0, 600_000_000]), np.array([[0.0, 0.0, 0.0, 1.0]] * 2)
     trajectories = {
-        key: Trajectory(key, times, np.array([[0.0, 0.0, 0.0], [end, 0.0, 0.0]]), straight)
+        key: sc.Trajectory(key, times, np.array([[0.0, 0.0, 0.0], [end, 0.0, 0.0]]), straight)
         for key, end in (("first", 6.0), ("second", 12.0))
     }
     for chosen, end in ((None, 5.0), ("second", 10.0)):
@@ -401,8 +387,8 @@ def test_targets_that_hold_data_where_the_sensors_are_need_no_poses(tmp_path):
 
 
 def test_cuboids_in_the_world_are_seen_from_a_stationary_ego_which_is_reported(tmp_path):
-    path = CuboidPath(TIMES[:1], np.array([[4.0, 2.0, 1.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))
-    scene = replace(drive(), annotations=(CuboidAnnotation("box", path, "car"),))
+    path = sc.CuboidPath(TIMES[:1], np.array([[4.0, 2.0, 1.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))
+    scene = replace(drive(), annotations=(sc.CuboidAnnotation("box", path, "car"),))
     for name in ("kitti-raw", "kitti-tracking", "kitti-object"):
         assert reported(write_scene(scene, tmp_path / name, format=name)) == [STATIONARY_EGO]
 
@@ -414,11 +400,11 @@ def drifted(*, recorded):
     drift = np.array([0.0, 0.9])
     if recorded:
         aside = np.stack([np.array([100.0, 101.2]), 50.0 + drift, still], axis=1)
-        repair = Poses(times, np.stack([still, -drift, still], axis=1), straight)
-        trajectories = {"recorded": Trajectory("recorded", times, aside, straight)}
+        repair = sc.Poses(times, np.stack([still, -drift, still], axis=1), straight)
+        trajectories = {"recorded": sc.Trajectory("recorded", times, aside, straight)}
     else:
-        repair, trajectories = Poses(times, np.array([[100.0, 50.0, 0.0], [101.2, 50.0, 0.0]]), straight), {}
-    return replace(moving(), trajectories=trajectories, annotations=(LocalizationAdjustment("repair", repair),))
+        repair, trajectories = sc.Poses(times, np.array([[100.0, 50.0, 0.0], [101.2, 50.0, 0.0]]), straight), {}
+    return replace(moving(), trajectories=trajectories, annotations=(sc.LocalizationAdjustment("repair", repair),))
 
 
 @pytest.mark.parametrize("recorded", [True, False])

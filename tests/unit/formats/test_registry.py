@@ -10,22 +10,13 @@ from tests.test_documentation import SHARED_PAGES
 from sceneloom.errors import MissingExtraError, OptionError, UnknownFormatError, UnknownOptionError
 from sceneloom.formats.base import registry
 from sceneloom.formats.base.losses import Support
-from sceneloom.formats.base.registry import (
-    FORMATS,
-    FormatRow,
-    find_format,
-    format_for_output,
-    format_named,
-    formats_that_may_be,
-    open_scene,
-)
 from sceneloom.formats.base.spec import FormatSpec
 from sceneloom.formats.listing import list_formats, list_supported_fields
 from sceneloom.scene import Scene
 from sceneloom.scene.contents import MODEL_FIELDS
 
 PAGE = Path(__file__).parents[3] / "docs" / "converting.md"
-SPECS = {name: format_named(name) for name in FORMATS}
+SPECS = {name: registry.format_named(name) for name in registry.FORMATS}
 
 
 def row(form):
@@ -42,7 +33,7 @@ def row(form):
 def test_page_and_help_name_each_format_and_the_page_says_of_it_what_the_code_says():
     rows = [line for line in PAGE.read_text().splitlines() if line.startswith(("| [", "| `"))]
     assert sorted(rows) == sorted(map(row, list_formats()))
-    named = open_scene.__doc__.split("Formats: ")[1].split("`sceneloom formats`")[0]
+    named = registry.open_scene.__doc__.split("Formats: ")[1].split("`sceneloom formats`")[0]
     words = set(re.split(r"[,;.\s]+", named))
     assert {form.name for form in list_formats() if form.reads and not form.trajectory} <= words
 
@@ -81,8 +72,8 @@ def test_a_format_of_another_package_is_asked_of_every_path_and_an_extra_that_is
     monkeypatch.setattr(registry, "_entry_points", lambda: (point,))
     monkeypatch.setattr("sceneloom.formats.base.spec.imported", lambda name: globals()[name.partition(":")[2]])
     (tmp_path / "a.bin").write_bytes(b"THEIRS")
-    assert find_format(tmp_path / "a.bin") is THEIRS
-    with open_scene(tmp_path / "a.bin", loud=True) as scene:
+    assert registry.find_format(tmp_path / "a.bin") is THEIRS
+    with registry.open_scene(tmp_path / "a.bin", loud=True) as scene:
         assert scene.metadata["loud"] is True
     # options that are not stated are none, and unknown ones refused
     assert THEIRS.open("a", loud=None).metadata["loud"] is False
@@ -97,30 +88,30 @@ def test_a_format_of_another_package_is_asked_of_every_path_and_an_extra_that_is
 
 
 @pytest.mark.parametrize(
-    ("row", "made", "fits"),
+    ("rule", "made", "fits"),
     [
-        (FormatRow("", file=(b"{",)), {"": "\ufeff \n {"}, True),
-        (FormatRow("", file=(b'{"a":',)), {"": '{ "a" : 1}'}, True),
-        (FormatRow("", file=(b'{"a":',)), {"": '{"b": 1}'}, False),
-        (FormatRow("", file=(".txt",)), {"": "x"}, True),
-        (FormatRow("", folder=(".txt",)), {"": "x"}, False),
-        (FormatRow("", folder=("b.csv",)), {"b.csv": ""}, True),
-        (FormatRow("", folder=("a/b.csv",)), {"a/b.csv": ""}, True),
-        (FormatRow("", folder=("a/b.csv",)), {"b.csv": ""}, False),
-        (FormatRow("", folder=("*.pcd",)), {"1.PCD": ""}, True),
-        (FormatRow("", folder=("*.pcd",)), {"a/1.pcd": ""}, False),
-        (FormatRow("", folder=("*/*.pcd",)), {"a/1.pcd": "", "b.txt": ""}, True),
-        (FormatRow("", folder=("v[0-9]*",)), {"v1.0-mini/sample.json": ""}, True),
-        (FormatRow("", file=(b"x",)), {"b.csv": "x"}, False),
+        ({"file": (b"{",)}, {"": "\ufeff \n {"}, True),
+        ({"file": (b'{"a":',)}, {"": '{ "a" : 1}'}, True),
+        ({"file": (b'{"a":',)}, {"": '{"b": 1}'}, False),
+        ({"file": (".txt",)}, {"": "x"}, True),
+        ({"folder": (".txt",)}, {"": "x"}, False),
+        ({"folder": ("b.csv",)}, {"b.csv": ""}, True),
+        ({"folder": ("a/b.csv",)}, {"a/b.csv": ""}, True),
+        ({"folder": ("a/b.csv",)}, {"b.csv": ""}, False),
+        ({"folder": ("*.pcd",)}, {"1.PCD": ""}, True),
+        ({"folder": ("*.pcd",)}, {"a/1.pcd": ""}, False),
+        ({"folder": ("*/*.pcd",)}, {"a/1.pcd": "", "b.txt": ""}, True),
+        ({"folder": ("v[0-9]*",)}, {"v1.0-mini/sample.json": ""}, True),
+        ({"file": (b"x",)}, {"b.csv": "x"}, False),
     ],
 )
-def test_rows_look_at_beginnings_endings_and_members(row, made, fits, tmp_path):
+def test_rows_look_at_beginnings_endings_and_members(rule, made, fits, tmp_path):
     path = tmp_path / "drive.txt"
     for name, text in made.items():
         file = path / name if name else path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, "utf-8")
-    assert row.fits(registry._LookedAt(path)) is fits
+    assert registry.FormatRow("", **rule).fits(registry._LookedAt(path)) is fits
 
 
 def test_two_formats_in_one_folder_are_both_named_and_one_can_be_chosen_and_a_folder_of_drives_names_them(tmp_path):
@@ -128,12 +119,12 @@ def test_two_formats_in_one_folder_are_both_named_and_one_can_be_chosen_and_a_fo
     monday.mkdir()
     (monday / "data.jsonl").write_text('{"time":1.0,"groundTruth":{"position":{"x":0,"y":0,"z":0}}}\n')
     with pytest.raises(UnknownFormatError, match=r"no reader knows this; inside are .*monday \(recording\)"):
-        find_format(tmp_path)
+        registry.find_format(tmp_path)
     (monday / "rig.toml").write_text("[sensors.top]\n")
     problem = r"more than one reader claims this: recording, .*; rig, .*--input-format"
     with pytest.raises(UnknownFormatError, match=problem):
-        find_format(monday)
-    with open_scene(monday, format="recording") as scene:
+        registry.find_format(monday)
+    with registry.open_scene(monday, format="recording") as scene:
         assert scene.format == "recording"
 
 
@@ -144,26 +135,26 @@ def test_a_path_that_nothing_knows_lists_all_formats_that_are_read_and_what_is_e
     (tmp_path / "folder").mkdir()
     named = ", ".join(name for name, form in SPECS.items() if form.reads)
     claims = [(n, path.name) for n, form in SPECS.items() for path in tmp_path.iterdir() if form.sniff(path)]
-    assert claims == formats_that_may_be(tmp_path / "notes.doc") == []
+    assert claims == registry.formats_that_may_be(tmp_path / "notes.doc") == []
     # a file is asked of those formats only that begin so, and what is only written of no path
     (tmp_path / "drive.sfs").write_bytes(b'{"version": "1.0", "$items": []}\0')
-    assert [spec.name for spec in formats_that_may_be(tmp_path / "drive.sfs")] == ["sfs", "recording"]
-    assert not any(FORMATS[name].file or FORMATS[name].folder for name in ("colmap", "nerfstudio"))
+    assert [spec.name for spec in registry.formats_that_may_be(tmp_path / "drive.sfs")] == ["sfs", "recording"]
+    assert not any(registry.FORMATS[name].file or registry.FORMATS[name].folder for name in ("colmap", "nerfstudio"))
     for name, problem in (
         ("notes.doc", f"expected one of: {named}$"),
         ("nothing.sfs", r"no reader knows this; it is empty; expected one of"),
         ("folder", r"no reader knows this; it is empty; expected one of"),
     ):
         with pytest.raises(UnknownFormatError, match=problem):
-            find_format(tmp_path / name)
+            registry.find_format(tmp_path / name)
 
 
 def test_every_suffix_names_one_format_that_is_written_and_none_a_recording(tmp_path, monkeypatch):
     for name, form in SPECS.items():
         for suffix in filter(None, form.suffixes if form.writes else ()):
-            assert format_for_output(tmp_path / f"drive{suffix}").name == name, suffix
-    assert format_for_output(tmp_path / "drive").name == "recording"
+            assert registry.format_for_output(tmp_path / f"drive{suffix}").name == name, suffix
+    assert registry.format_for_output(tmp_path / "drive").name == "recording"
     twin = FormatSpec(name="twin", title="a twin", suffixes=(".sfs",), looks_like="its twin", writer="twins:write")
     monkeypatch.setattr(registry, "_all_formats", lambda: [*SPECS.values(), twin])
     with pytest.raises(OptionError, match=r"belongs to several formats; use `--to sfs` or `--to twin`"):
-        format_for_output(tmp_path / "drive.sfs")
+        registry.format_for_output(tmp_path / "drive.sfs")

@@ -450,13 +450,14 @@ def test_a_folder_of_clouds_gives_back_all_that_its_points_bear_also_in_other_pr
         assert not losses
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
-def test_pcd_files_of_every_encoding_hold_the_same_and_become_another_kind_without_loss(tmp_path, scene, encoding):
-    write_scene(scene, tmp_path / "clouds", format="pcd", encoding=encoding)
-    report = convert(tmp_path / "clouds", tmp_path / "second", to="ply", strict=True)
-    assert not [support for support in report.fields if support.support in {Support.APPROXIMATED, Support.DROPPED}]
-    for folder in ("clouds", "second"):
-        same(open_scene(tmp_path / folder).lidars[0].frames, scene.lidars[0].frames)
+def test_pcd_files_of_every_encoding_hold_the_same_and_become_another_kind_without_loss(tmp_path, scene):
+    for encoding in ("ascii", "binary", "binary_compressed"):
+        first, second = tmp_path / encoding, tmp_path / f"{encoding} as ply"
+        write_scene(scene, first, format="pcd", encoding=encoding)
+        report = convert(first, second, to="ply", strict=True)
+        assert not [support for support in report.fields if support.support in {Support.APPROXIMATED, Support.DROPPED}]
+        for folder in (first, second):
+            same(open_scene(folder).lidars[0].frames, scene.lidars[0].frames)
 
 
 # KITTI counts brightness from 0 to 1, nuScenes from 0 to 255
@@ -605,10 +606,8 @@ def test_numbered_files_are_taken_at_ten_hertz_and_that_is_reported(numbered):
         assert scene.lidars[0].frames.timestamps_ns.tolist() == times_ns
         codes = {warning.code for warning in scene.warnings}
         assert codes & {"cloud-times-assumed", "cloud-frame-assumed"} == assumed
-
-
-def test_a_list_of_times_beside_the_files_counts_and_times_are_all_different(numbered):
-    folder = numbered("000000", "000001")
+    # a list of times beside the files counts, and times are all different
+    (folder / "000003.bin").unlink()
     times = folder.parent / "timestamps.txt"
     times.write_text("2011-09-26 13:02:25.5\n2011-09-26 13:02:25.600000001\n")
     assert np.diff(open_scene(folder).lidars[0].frames.timestamps_ns).tolist() == [100_000_001]

@@ -90,11 +90,6 @@ def a_depth_camera(name="camera1"):
     return sc.DepthCameraSensor(name, CAMERA, sc.LazyFrames.of(frames, times(3)), mount=MOUNT)
 
 
-def a_gnss():
-    lla = np.array([[60.173783793064594, 24.906486344581662, 14.18831106834269], [60.2, 24.9, 15.0]])
-    return sc.GnssSensor("gnss", times(2, start_ms=20), lla, np.array([4.0, np.nan]), np.array([np.nan, 2.5]))
-
-
 def ego_path(count=6):
     rotations = Rotation.from_rotvec(np.linspace(0, 1, count)[:, None] * [0.0, 0.0, 1.0])
     positions = np.stack([np.arange(count, dtype=float), np.zeros(count), np.zeros(count)], axis=1)
@@ -111,7 +106,9 @@ def a_scene(*sensors, trajectories=(), **fields):
 
 
 def whole_scene():
-    return a_scene(a_lidar(), a_camera(), a_camera("camera1"), an_imu(), a_gnss(), trajectories=[a_trajectory()])
+    lla = np.array([[60.173783793064594, 24.906486344581662, 14.18831106834269], [60.2, 24.9, 15.0]])
+    gnss = sc.GnssSensor("gnss", times(2, start_ms=20), lla, np.array([4.0, np.nan]), np.array([np.nan, 2.5]))
+    return a_scene(a_lidar(), a_camera(), a_camera("camera1"), an_imu(), gnss, trajectories=[a_trajectory()])
 
 
 def lines_of(folder):
@@ -350,21 +347,27 @@ def test_points_in_the_world_or_on_the_ego_are_brought_back_to_where_each_was_me
 FAR = sc.Poses(times(2, start_ms=5000), np.zeros((2, 3)), np.array([[0.0, 0, 0, 1]] * 2))
 
 
-@pytest.mark.parametrize(
-    ("sensors", "error", "problem"),
-    [
-        (lambda: [world_lidar()[0]], PoseError, "lidar 'lidar': its points are in the world"),
-        (lambda: [world_lidar(poses=FAR)[0]], PoseError, "sweep at 120000000 ns: no pose for 5 of its points"),
-        (lambda: [a_camera("front", mount=None)], CalibrationError, "camera 'front': nothing says how it is mounted"),
-        (list, DataError, "holds nothing that a recording could hold"),
-    ],
-)
-def test_what_cannot_be_written_is_refused_and_leaves_nothing(tmp_path, sensors, error, problem):
-    with pytest.raises(error, match=problem):
-        write_recording(a_scene(*sensors()), tmp_path / "drive")
+def test_what_cannot_be_written_is_refused_and_leaves_nothing(tmp_path):
+    front = a_camera("front", mount=None)
+    for sensors, error, problem in (
+        ([world_lidar()[0]], PoseError, "lidar 'lidar': its points are in the world"),
+        ([world_lidar(poses=FAR)[0]], PoseError, "sweep at 120000000 ns: no pose for 5 of its points"),
+        ([front], CalibrationError, "camera 'front': nothing says how it is mounted"),
+        ([], DataError, "holds nothing that a recording could hold"),
+    ):
+        with pytest.raises(error, match=problem):
+            write_recording(a_scene(*sensors), tmp_path / "drive")
     for images in ("jpeg", ""):
         with pytest.raises(OptionError, match="expected one of: copy, lossless, h264, ffv1, png"):
             write_recording(whole_scene(), tmp_path / "drive", images=images)
+    small = depth_camera([np.zeros((3, 4), np.float32)], [0.001])
+    for camera, error, problem in (
+        *((depth_camera([1.0], [scale]), OptionError, "scale .* expected a length")
+          for scale in (0.0, -0.001, float("nan"), float("inf"))),
+        (small, ArrayError, "depth"),
+    ):  # fmt: skip
+        with pytest.raises(error, match=problem):
+            write_recording(a_scene(camera), tmp_path / "drive")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -680,22 +683,17 @@ def lost(report):
     return {loss.what: loss.count for loss in report if loss.field.endswith(".depth")}
 
 
-@pytest.mark.parametrize(
-    ("largest", "scale"),
-    [(65.535, 0.001), (65.6, 0.002), (131.0, 0.002), (131.2, 0.005), (300.0, 0.005), (400.0, 0.01)],
-)
-def test_the_smallest_step_that_holds_the_largest_depth_is_taken(tmp_path, largest, scale):
-    report = write_recording(sc.Scene((depth_camera([0.5, largest], [None, None]),)), tmp_path / "d")
-    entries = entries_of(tmp_path / "d")
-    assert [entry["depthScale"] for (entry,) in entries] == [scale, scale]
-    assert [entry["colorFormat"] for (entry,) in entries] == ["gray16", "gray16"]
-    first, second = steps_of(tmp_path / "d" / "data.mkv")
-    assert (first == round(0.5 / scale)).all()
-    assert abs(second[0, 0] * scale - largest) <= scale / 2
-    assert not [what for what in lost(report) if what.startswith("left out")]
-
-
-def test_the_steps_of_the_source_lose_nothing_and_what_others_cannot_hold_is_counted(tmp_path):
+def test_the_steps_of_the_source_lose_nothing_else_the_smallest_that_hold_the_largest_depth_are_taken(tmp_path):
+    for k, (largest, scale) in enumerate(
+        [(65.535, 0.001), (65.6, 0.002), (131.0, 0.002), (131.2, 0.005), (300.0, 0.005), (400.0, 0.01)]
+    ):
+        report = write_recording(a_scene(depth_camera([0.5, largest], [None, None])), tmp_path / f"{k}")
+        found = [(entry["depthScale"], entry["colorFormat"]) for (entry,) in entries_of(tmp_path / f"{k}")]
+        assert found == [(scale, "gray16")] * 2
+        first, second = steps_of(tmp_path / f"{k}" / "data.mkv")
+        assert (first == round(0.5 / scale)).all()
+        assert abs(second[0, 0] * scale - largest) <= scale / 2
+        assert not [what for what in lost(report) if what.startswith("left out")]
     steps = np.random.default_rng(1).integers(0, 65536, (3, 16, 32)).astype(np.uint16)
     scales = [0.001, 0.00025, 1 / 3]
     images = [(image * scale).astype(np.float32) for image, scale in zip(steps, scales, strict=True)]
@@ -728,15 +726,6 @@ def test_a_video_whose_steps_are_known_is_copied(tmp_path):
     report = write_recording(sc.Scene((copied,)), tmp_path / "second")
     assert (tmp_path / "second" / "data.mkv").read_bytes() == content
     assert lost(report) == {}
-
-
-@pytest.mark.parametrize("scale", [0.0, -0.001, float("nan"), float("inf"), None])
-def test_a_step_that_is_no_length_and_an_image_of_another_size_are_refused(tmp_path, scale):
-    small = scale is None
-    camera = depth_camera([np.zeros((3, 4), np.float32) if small else 1.0], [0.001 if small else scale])
-    with pytest.raises(ArrayError if small else OptionError, match="depth" if small else "scale .* expected a length"):
-        write_recording(sc.Scene((camera,)), tmp_path / "d")
-    assert list(tmp_path.iterdir()) == []
 
 
 def camera(model, *coefficients):

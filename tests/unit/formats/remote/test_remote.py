@@ -511,30 +511,6 @@ def test_errors_of_worker_processes_show_none_in_tracebacks_and_logs(served, enc
 NAMES = ["data.jsonl", "frames/0.png", "frames/1.png"]
 
 
-@pytest.fixture
-def folder(tmp_path):
-    root = tmp_path / "drive"
-    (root / "frames").mkdir(parents=True)
-    for name in NAMES:
-        (root / name).write_text(name)
-    return root
-
-
-@pytest.fixture
-def puts(monkeypatch):
-    """Paths of what was sent, in order, and the errors that come of some of them."""
-    put, order, faults = stores.Store.put, [], {}
-
-    def noted(self, source):
-        order.append(self.path)
-        for name in [name for name in faults if self.path.endswith(name) and faults[name]]:
-            raise faults[name].pop()
-        put(self, source)
-
-    monkeypatch.setattr(stores.Store, "put", noted)
-    return order, faults
-
-
 def test_a_scene_is_written_to_a_store_as_to_disk_and_replaces_nothing_unless_it_may(memory, encode_sfs, tmp_path):
     small_drive = tmp_path / "drive.sfs"
     frames = [{"timestamp": k, "points": {"positions": np.full((2, 3), k, np.float32)}} for k in range(3)]
@@ -556,17 +532,6 @@ def test_a_scene_is_written_to_a_store_as_to_disk_and_replaces_nothing_unless_it
     assert json.loads(done.stdout)["output"] == "memory://bucket/thin.sfs"
     with sceneloom.open("memory://bucket/thin.sfs") as scene:
         assert len(scene.lidars[0].frames) == 2
-
-
-def test_a_verb_that_fails_leaves_nothing_and_an_upload_that_is_cut_is_begun_anew(memory, folder, waits, puts):
-    with pytest.raises(RuntimeError), uploading("memory://bucket/a.bin", overwrite=False) as draft:
-        draft.write_bytes(b"half")
-        raise RuntimeError
-    assert memory.store == {}
-    assert not draft.parent.exists()
-    puts[1]["data.jsonl"] = [ConnectionResetError("cut"), TimeoutError("slow")]
-    upload(folder / "data.jsonl", "memory://bucket/data.jsonl")
-    assert (len(waits), memory.cat_file("/bucket/data.jsonl")) == (2, b"data.jsonl")
 
 
 def test_chunks_that_were_sent_are_given_up_where_one_fails(memory, tmp_path, waits, monkeypatch):
@@ -593,10 +558,31 @@ def test_chunks_that_were_sent_are_given_up_where_one_fails(memory, tmp_path, wa
     assert waits == []
 
 
-def test_a_folder_replaces_all_of_the_old_one_its_marker_comes_last_and_one_that_fails_midway_is_taken_back(
-    memory, folder, puts
+def test_a_folder_replaces_all_of_the_old_one_its_marker_comes_last_and_what_fails_midway_is_taken_back_or_begun_anew(
+    memory, tmp_path, waits, monkeypatch
 ):
-    puts[1]["1.png"] = [PermissionError(13, "no")]
+    put, order, faults, folder = stores.Store.put, [], {}, tmp_path / "drive"
+
+    def noted(self, source):
+        order.append(self.path)
+        for name in [name for name in faults if self.path.endswith(name) and faults[name]]:
+            raise faults[name].pop()
+        put(self, source)
+
+    monkeypatch.setattr(stores.Store, "put", noted)
+    (folder / "frames").mkdir(parents=True)
+    for name in NAMES:
+        (folder / name).write_text(name)
+    with pytest.raises(RuntimeError), uploading("memory://bucket/a.bin", overwrite=False) as draft:
+        draft.write_bytes(b"half")
+        raise RuntimeError
+    assert memory.store == {}
+    assert not draft.parent.exists()
+    faults["data.jsonl"] = [ConnectionResetError("cut"), TimeoutError("slow")]
+    upload(folder / "data.jsonl", "memory://bucket/data.jsonl")
+    assert (len(waits), memory.cat_file("/bucket/data.jsonl")) == (2, b"data.jsonl")
+    memory.rm("/bucket/data.jsonl")
+    faults["1.png"] = [PermissionError(13, "no")]
     with pytest.raises(OutputError, match="cannot be written"):
         upload(folder, "memory://bucket/drive")
     assert memory.store == {}
@@ -605,7 +591,7 @@ def test_a_folder_replaces_all_of_the_old_one_its_marker_comes_last_and_one_that
     with pytest.raises(OutputError, match="exists already"):
         check_remote_output("memory://bucket/drive", overwrite=False)
     upload(folder, "memory://bucket/drive")
-    assert puts[0][-1] == f"/bucket/drive/{MARKER}"
+    assert order[-1] == f"/bucket/drive/{MARKER}"
     assert sorted(memory.find("/bucket/drive")) == [f"/bucket/drive/{name}" for name in (MARKER, *NAMES)]
     assert [memory.cat_file(f"/bucket/drive/{name}").decode() for name in NAMES] == NAMES
 

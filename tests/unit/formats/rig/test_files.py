@@ -167,21 +167,16 @@ def test_the_template_opens_once_it_is_filled_in_and_says_before_what_is_left(cl
     assert set(tomllib.loads(TEMPLATE)["sensors"][0]) <= known
 
 
-@pytest.mark.parametrize("location", ["inside", "above", "elsewhere"])
-def test_a_look_into_a_folder_gives_a_manifest_that_opens_once_it_is_filled_in(
-    clouds_and_images, location, tmp_path_factory
-):
-    path = {
-        "inside": clouds_and_images / "rig.toml",
-        "above": clouds_and_images.parent / f"{clouds_and_images.name}.toml",
-        "elsewhere": tmp_path_factory.mktemp("x") / "rig.toml",
-    }[location]
-    write_template(path, folder=clouds_and_images)
-    path.write_text(filled(path.read_text()))
-    scene = FORMAT.open(path)
-    assert [(sensor.id, sensor.type) for sensor in scene.sensors] == [("lidar_top", "lidar"), ("cam_front", "camera")]
-    assert scene.cameras[0].images.timestamps_ns.tolist() == [START_NS, START_NS + 1]
-    assert ("root" in tomllib.loads(path.read_text())) == (location != "inside")
+def test_a_look_into_a_folder_gives_a_manifest_that_opens_once_it_is_filled_in(clouds_and_images, tmp_path_factory):
+    above = clouds_and_images.parent / f"{clouds_and_images.name}.toml"
+    for path in (above, tmp_path_factory.mktemp("x") / "rig.toml", clouds_and_images / "rig.toml"):
+        write_template(path, folder=clouds_and_images)
+        path.write_text(filled(path.read_text()))
+        scene = FORMAT.open(path)
+        found = [(sensor.id, sensor.type) for sensor in scene.sensors]
+        assert found == [("lidar_top", "lidar"), ("cam_front", "camera")]
+        assert scene.cameras[0].images.timestamps_ns.tolist() == [START_NS, START_NS + 1]
+        assert ("root" in tomllib.loads(path.read_text())) == (path.parent != clouds_and_images)
 
 
 def test_a_template_is_a_toml_file_replaces_none_unless_reported_to_and_needs_clouds_or_images(tmp_path):

@@ -323,21 +323,14 @@ KITTI = 'file = "trajectory.txt"\nform = "kitti"\ntimes = "times.txt"'
 AS_CSV = 'file = "trajectory.csv"\nform = "csv"'
 
 
-@pytest.fixture
-def written(folder):
-    """The trajectory of the frame `imu` in three forms."""
+def test_every_form_of_another_frame_gives_the_ego_trajectory(opened, refused, folder):
     rows = np.column_stack([TIMES, LOCATIONS, ROTATIONS.as_quat()])
     np.savetxt(folder / "tum.txt", rows, header="t x y z qx qy qz qw")
     rows[:, 0] *= 1000
-    names = "timestamp_ms,east,y,z,qw,qx,qy,qz"
-    path = folder / "trajectory.csv"
+    names, path = "timestamp_ms,east,y,z,qw,qx,qy,qz", folder / "trajectory.csv"
     np.savetxt(path, rows[:, [0, 1, 2, 3, 7, 4, 5, 6]], header=names, comments="", delimiter=",")
     np.savetxt(folder / "trajectory.txt", WORLD_FROM_FRAME[:, :3].reshape(3, 12))
     np.savetxt(folder / "times.txt", TIMES)
-    return folder
-
-
-def test_every_form_of_another_frame_gives_the_ego_trajectory(opened, refused, written):
     expected = WORLD_FROM_FRAME @ np.linalg.inv(BASE_FROM_IMU)
     for stated in ('file = "tum.txt"\nform = "tum"', AS_CSV + '\ncolumns = { x = "east" }', KITTI):
         scene = opened((TUM, f'{stated}\nframe = "imu"\nname = "slam"'), (FIRST_SENSOR, IMU_FRAME))
@@ -348,9 +341,9 @@ def test_every_form_of_another_frame_gives_the_ego_trajectory(opened, refused, w
         rotations = Rotation.from_quat(found.quaternions_xyzw).as_matrix()
         np.testing.assert_allclose(rotations, expected[:, :3, :3], atol=1e-12)
     # of KITTI's form rotations have to be such, and there are as many times
-    np.savetxt(written / "trajectory.txt", (WORLD_FROM_FRAME[:, :3] * [[[1.0]], [[1.1]], [[1.0]]]).reshape(3, 12))
+    np.savetxt(folder / "trajectory.txt", (WORLD_FROM_FRAME[:, :3] * [[[1.0]], [[1.1]], [[1.0]]]).reshape(3, 12))
     refused(r"line 2: rotation off by 0.21", (TUM, KITTI))
-    (written / "times.txt").write_text("1\n2\n")
+    (folder / "times.txt").write_text("1\n2\n")
     refused("2 times for 3 poses", (TUM, KITTI))
 
 
@@ -504,11 +497,7 @@ def test_coefficients_have_names_or_opencvs_order_images_may_be_rectified_and_a_
     homogeneous = np.column_stack([POINTS, np.ones(50)]) @ P.T
     pixels, visible = project(camera_model, shift.inverse().apply(POINTS))
     np.testing.assert_allclose(pixels[visible], (homogeneous[:, :2] / homogeneous[:, 2:])[visible], atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("record", "problem"),
-    [
+    for record, problem in (
         ({}, "no focal length; expected one of fx fy cx cy, K, P"),
         ({"fx": 5.0, "K": K}, "fx and K; expected one of"),
         ({"K": K, "cx": 3.0}, "K beside cx"),
@@ -520,11 +509,9 @@ def test_coefficients_have_names_or_opencvs_order_images_may_be_rectified_and_a_
         ({"K": K, "model": "fisheye", "coefficients": [0.1] * 5}, "5 distortion coefficients; fisheye has 4"),
         ({"K": -K}, "expected"),
         ({"K": K, "width": 640}, "width without height"),
-    ],
-)
-def test_what_is_no_camera_model_is_refused(record, problem):
-    with pytest.raises(CalibrationError, match=problem):
-        read_camera_model(record, SIZE)
+    ):
+        with pytest.raises(CalibrationError, match=problem):
+            read_camera_model(record, SIZE)
 
 
 def test_a_camera_model_for_another_size_is_scaled_and_rolling_shutters_kept_as_recordings_state_them(opened):
@@ -537,7 +524,7 @@ def test_a_camera_model_for_another_size_is_scaled_and_rolling_shutters_kept_as_
     assert Shutter.of(opened().cameras[0]) == Shutter()
 
 
-def test_jpeg_images_are_decoded_and_their_bytes_are_at_hand(opened, folder):
+def test_images_of_8_bits_are_decoded_their_bytes_are_at_hand_and_those_of_16_or_another_size_refused(opened, folder):
     rng = np.random.default_rng(1)
     smooth = cv2.resize(rng.integers(0, 255, (3, 4, 3)).astype(np.uint8), (80, 60))
     Image.fromarray(smooth).save(folder / "front" / "0.jpg", quality=98, subsampling=0)
@@ -547,9 +534,7 @@ def test_jpeg_images_are_decoded_and_their_bytes_are_at_hand(opened, folder):
     assert np.abs(images[0].rgb.astype(int) - smooth).max() < 12
     assert np.abs(images[1].rgb.astype(int) - smooth[:, :, :1]).max() < 12
     assert images[0].encoded() == (folder / "front" / "0.jpg").read_bytes()
-
-
-def test_images_of_8_bits_become_red_green_blue_and_those_of_16_or_another_size_are_refused(opened, folder):
+    # png images of 8 bits become red, green and blue
     path = folder / "front" / "1.png"
     for image, problem in (
         *((Image.new(mode, (8, 6), 1), None) for mode in ("L", "P", "1")),

@@ -96,9 +96,7 @@ def test_quaternions_are_normalised_and_each_is_reported_unless_they_report_no_d
         examination = examined(make.scene(make.lidar(poses=poses)))
         assert placed(examination) == [("sensors[0].poses.values[0]", "malformed")]
         assert [(sensor.id, sensor.poses) for sensor in examination.scene.sensors] == [("top", None)]
-
-
-def test_poses_are_sorted_and_taken_once_unless_two_of_one_time_differ(examined):
+    # they are sorted and taken once, unless two of one time differ
     rows = [[k, *POSE[1:]] for k in (0, 2, 1, 1)]
     examination = examined(make.scene(make.lidar(poses={"timestamps": [0, 20, 10, 10], "values": rows})))
     assert placed(examination) == [

@@ -188,6 +188,20 @@ def test_values_that_were_not_fetched_cannot_be_looked_at(served, encode_sfs):
             look(positions) if look is not np.array_equal else look(positions, positions)
     assert container.fetch(positions).any()
     container.close()
+    # chunks of a content are those of its bytes
+    video = np.random.default_rng(2).integers(0, 256, 649_000, np.uint8)
+    served.files["video.sfs"] = encode_sfs({"sensors": [{"type": "camera", "video": {"content": video}}]})
+    container, expected = Container(served.url("video.sfs")), video.tobytes()
+    part = container.bytes_of(container.header["sensors"][0]["video"]["content"])
+    assert len(part) == len(expected)
+    for start, stop in ((0, 4), (300_000, 300_001), (262_140, 262_150), (648_990, 700_000), (-4, None), (5, 5)):
+        assert part[start:stop] == expected[start:stop]
+    with part() as opened:
+        opened.seek(-10, 2)
+        assert opened.read() == expected[-10:]
+        opened.seek(3)
+        assert opened.read(600_000) == expected[3:600_003]
+    container.close()
 
 
 def test_arrays_of_strangers_and_without_a_dtype_are_fetched(served, encode_sfs):
@@ -203,22 +217,6 @@ def test_arrays_of_strangers_and_without_a_dtype_are_fetched(served, encode_sfs)
     served.files["other.sfs"] = encode_sfs({"version": "1.0", "sensors": [lidar]}, dtype=None, shape=None)
     with sceneloom.open(served.url("other.sfs")) as scene:
         assert scene.lidars[0].frames[0].points.positions.tolist() == [[7, 7, 7]] * 2
-
-
-def test_chunks_of_a_content_are_those_of_its_bytes(served, encode_sfs):
-    video = np.random.default_rng(2).integers(0, 256, 649_000, np.uint8)
-    served.files["drive.sfs"] = encode_sfs({"sensors": [{"type": "camera", "video": {"content": video}}]})
-    container, expected = Container(served.url("drive.sfs")), video.tobytes()
-    part = container.bytes_of(container.header["sensors"][0]["video"]["content"])
-    assert len(part) == len(expected)
-    for start, stop in ((0, 4), (300_000, 300_001), (262_140, 262_150), (648_990, 700_000), (-4, None), (5, 5)):
-        assert part[start:stop] == expected[start:stop]
-    with part() as opened:
-        opened.seek(-10, 2)
-        assert opened.read() == expected[-10:]
-        opened.seek(3)
-        assert opened.read(600_000) == expected[3:600_003]
-    container.close()
 
 
 def test_urls_are_distinguished_from_paths_and_neighbouring_ranges_are_joined(tmp_path):

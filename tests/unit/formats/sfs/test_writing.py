@@ -401,7 +401,6 @@ def kept(request, monkeypatch):
     if request.param == "on disk":
         monkeypatch.setattr(module, "_IN_MEMORY", 1000)
         monkeypatch.setattr(module, "_GATHERED", 500)
-    return request.param
 
 
 @pytest.mark.parametrize("length", [0, 1, 639, 640, 641, 5000, 300_000])

@@ -225,7 +225,9 @@ def test_a_file_that_was_removed_meanwhile_is_named_and_a_sample_needs_none(loca
         np.testing.assert_array_equal(found[name], array)
 
 
-def test_a_scene_of_a_file_is_small_when_pickled_and_one_in_memory_takes_its_arrays_which_refuse_writing(scenes):
+def test_a_scene_of_a_file_is_small_when_pickled_and_one_in_memory_takes_its_arrays_which_refuse_writing(
+    scenes, tmp_path
+):
     """What is pickled are timestamps, poses and tables; points and pixels stay in the file."""
     for name in ("video", "png", "raw.sfs", "fused.sfs"):
         scene = scenes[name]
@@ -237,6 +239,20 @@ def test_a_scene_of_a_file_is_small_when_pickled_and_one_in_memory_takes_its_arr
     in_memory = pickle.loads(pickle.dumps(scenes["memory"])).cameras[0].images[0].rgb
     for array in (camera.poses.positions, camera.mount.rotation, camera.images.timestamps_ns, in_memory):
         assert not array.flags.writeable
+    # a map of a file stays in it, and one in memory goes along
+    rng = np.random.default_rng(0)
+    positions = rng.normal(size=(20_000, 3)).astype(np.float32)
+    in_memory = PointsSensor("map", positions, rng.integers(0, 256, (20_000, 3)).astype(np.uint8))
+    sceneloom.write(Scene((in_memory,)), tmp_path / "map.sfs")
+    with sceneloom.open(tmp_path / "map.sfs") as scene:
+        parcel = pickle.dumps(scene)
+    assert len(parcel) < 5_000 < len(pickle.dumps(in_memory))
+    for restored in (pickle.loads(parcel).sensors[0], pickle.loads(pickle.dumps(in_memory))):
+        np.testing.assert_array_equal(restored.positions, positions)
+        np.testing.assert_array_equal(restored.colors, in_memory.colors)
+    os.utime(tmp_path / "map.sfs", ns=(0, 0))
+    with pytest.raises(DataError, match="was changed after it was opened"):
+        pickle.loads(parcel)
 
 
 def test_a_video_takes_its_list_of_images_or_its_bytes_along(locations, monkeypatch):
@@ -254,22 +270,6 @@ def test_a_video_takes_its_list_of_images_or_its_bytes_along(locations, monkeypa
     assert again.count == 5
     np.testing.assert_array_equal(again.rgb(3), rgb[0])
     np.testing.assert_array_equal(pickle.loads(parcel).cameras[1].images[3].rgb, rgb[1])
-
-
-def test_a_map_of_a_file_stays_in_it_and_one_in_memory_goes_along(tmp_path):
-    rng = np.random.default_rng(0)
-    positions = rng.normal(size=(20_000, 3)).astype(np.float32)
-    in_memory = PointsSensor("map", positions, rng.integers(0, 256, (20_000, 3)).astype(np.uint8))
-    sceneloom.write(Scene((in_memory,)), tmp_path / "map.sfs")
-    with sceneloom.open(tmp_path / "map.sfs") as scene:
-        parcel = pickle.dumps(scene)
-    assert len(parcel) < 5_000 < len(pickle.dumps(in_memory))
-    for restored in (pickle.loads(parcel).sensors[0], pickle.loads(pickle.dumps(in_memory))):
-        np.testing.assert_array_equal(restored.positions, positions)
-        np.testing.assert_array_equal(restored.colors, in_memory.colors)
-    os.utime(tmp_path / "map.sfs", ns=(0, 0))
-    with pytest.raises(DataError, match="was changed after it was opened"):
-        pickle.loads(parcel)
 
 
 def refuse():

@@ -61,17 +61,15 @@ def test_a_file_takes_its_location_when_it_is_whole_and_replaces_no_target_of_an
         assert (tmp_path / "pipe").is_fifo()
 
 
-@pytest.mark.parametrize("folder", [False, True], ids=["file", "folder"])
-def test_what_another_program_made_meanwhile_is_not_replaced(tmp_path, folder):
-    target, kind = tmp_path / "drive", KIND if folder else None
-    with pytest.raises(OutputError, match="meanwhile"), replacing(target, overwrite=False, folder=kind) as draft:
-        (draft / "data.jsonl" if folder else draft).write_text("ours")
-        target.write_text("theirs")
-    assert tree(tmp_path) == {"drive": "theirs"}
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_filling_keeps_other_files_in_a_folder_and_moves_nothing_where_it_fails(tmp_path):
+def test_filling_keeps_other_files_in_a_folder_and_nothing_replaces_what_another_program_made_meanwhile(tmp_path):
+    target = tmp_path / "drive"
+    for kind in (None, KIND):
+        with pytest.raises(OutputError, match="meanwhile"), replacing(target, overwrite=False, folder=kind) as draft:
+            (draft / "data.jsonl" if kind else draft).write_text("ours")
+            target.write_text("theirs")
+        assert tree(tmp_path) == {"drive": "theirs"}
+        assert list(tmp_path.iterdir()) == [target]
+        target.unlink()
     folder = write(tmp_path / "images")
     with filling(folder, overwrite=False) as draft:
         write(draft / "camera0", **{"0_png": "new"})

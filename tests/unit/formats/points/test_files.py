@@ -58,7 +58,7 @@ def types(columns):
     return [column.dtype.name for column in columns.values()]
 
 
-def test_bin_files_are_read_as_kittis_or_nuscenes_or_as_a_layout_says(read):
+def test_bin_files_are_read_as_kittis_or_nuscenes_or_as_a_layout_says_and_those_of_numpy_by_name(read):
     x, y, z, intensity = ROWS.T.tolist()
     assert values(read("0.bin", ROWS.tobytes())) == {"x": x, "y": y, "z": z, "intensity": intensity}
     assert read("0.pcd.bin", np.arange(10, dtype="<f4").tobytes())["ring"].tolist() == [4, 9]
@@ -69,9 +69,7 @@ def test_bin_files_are_read_as_kittis_or_nuscenes_or_as_a_layout_says(read):
     for fields in (["x:floot32"], ["x", "x"], ["x y"], []):
         with pytest.raises(OptionError):
             FieldLayout.parse(fields)
-
-
-def test_columns_of_npz_and_npy_files_are_taken_by_name_and_rows_cut_into_columns(read):
+    # columns of npz and npy files are taken by name, and rows cut into columns
     for name in ("points", "positions", "xyz"):
         columns = read(f"{name}.npz", ring=np.array([1, 2]), session=np.arange(7), **{name: ROWS})
         # an array of another length says nothing of the points

@@ -271,7 +271,9 @@ def test_a_wrong_line_is_named_with_its_number_its_value_and_what_was_expected(r
     assert reported == [WarningKind.SKIPPED, 2, "line 2"]
 
 
-def test_files_that_are_no_text_are_named_by_their_first_bytes(recording):
+def test_files_that_are_no_text_are_named_by_their_first_bytes_and_lines_that_are_none_are_faults(
+    recording, monkeypatch
+):
     text = b'{"time":1}'
     contents = {
         bz2.compress(text): "is compressed by bzip2",
@@ -288,6 +290,17 @@ def test_files_that_are_no_text_are_named_by_their_first_bytes(recording):
             with pytest.raises(DataError, match=rf"calibration\.json: {kind}; expected plain JSON"):
                 recording.open()
             (recording.path / "calibration.json").unlink()
+    # nor are bytes, lines nested beyond reason, or longer than any
+    (recording.path / "data.jsonl").write_bytes(b'{"time":0,"word":"\xff\xfe"}\n')
+    with pytest.raises(DataError, match="line 1"):
+        recording.open()
+    assert recording.open(lenient=True).sensors == ()
+    with pytest.raises(DataError, match="line 1"):
+        recording.lines(['{"a":' * 100_000]).open()
+    monkeypatch.setattr("sceneloom.formats.recording.contents._LONGEST_LINE", 1 << 21)
+    (recording.path / "data.jsonl").write_bytes(b" " * (1 << 22))
+    with pytest.raises(DataError, match="longer than 2097152 bytes"):
+        recording.open(lenient=True)
 
 
 def test_the_last_line_may_end_as_it_likes_and_blank_ones_after_it_are_left_out_with_a_warning(recording):
@@ -328,16 +341,3 @@ def test_a_byte_order_mark_is_passed_over_with_a_warning_and_lines_keep_their_lo
     alone = recording.path.rename(recording.path.with_name("other")) / "lines.log"
     (alone.parent / "data.jsonl").rename(alone)
     assert FORMAT.sniff(alone)
-
-
-def test_lines_of_bytes_that_are_no_text_nested_beyond_reason_or_longer_than_any_are_faults(recording, monkeypatch):
-    (recording.path / "data.jsonl").write_bytes(b'{"time":0,"word":"\xff\xfe"}\n')
-    with pytest.raises(DataError, match="line 1"):
-        recording.open()
-    assert recording.open(lenient=True).sensors == ()
-    with pytest.raises(DataError, match="line 1"):
-        recording.lines(['{"a":' * 100_000]).open()
-    monkeypatch.setattr("sceneloom.formats.recording.contents._LONGEST_LINE", 1 << 21)
-    (recording.path / "data.jsonl").write_bytes(b" " * (1 << 22))
-    with pytest.raises(DataError, match="longer than 2097152 bytes"):
-        recording.open(lenient=True)

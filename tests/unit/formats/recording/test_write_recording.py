@@ -319,17 +319,16 @@ def mounted_path(count=6, *, raised=0.0):
     return sc.Poses(path.timestamps_ns, positions, np.array([pose.quaternion_xyzw for pose in poses]))
 
 
-def brought_back(scene, folder):
-    write_recording(scene, folder)
-    return np.array([record[:3] for record in records_of(folder / "lidar" / "000000.bin")])
-
-
 def test_points_in_the_world_or_on_the_ego_are_brought_back_to_where_each_was_measured(tmp_path):
+    def brought_back(scene):
+        write_recording(scene, tmp_path / "drive", overwrite=True)
+        return np.array([record[:3] for record in records_of(tmp_path / "drive" / "lidar" / "000000.bin")])
+
     (lidar, positions), path, known = world_lidar(), mounted_path(), {"trajectories": [a_trajectory()]}
     posed, aside = (world_lidar(poses=path.moved(np.array([x, 0.0, 0.0])))[0] for x in (0.0, 1.0))
     points = sc.LidarPoints(MOUNT.apply(positions).astype(np.float32))
     on_ego = a_lidar(frames=[sc.LidarFrame(0, points)], points_frame=sc.PointsFrame.EGO)
-    scenes = [
+    for scene, tolerance in (
         (a_scene(lidar, **known), 2e-5),  # float32 at 20 m
         (a_scene(lidar, sc.OdometrySensor("ego", ego_path())), 2e-5),
         (a_scene(on_ego), 2e-5),
@@ -337,11 +336,9 @@ def test_points_in_the_world_or_on_the_ego_are_brought_back_to_where_each_was_me
         (a_scene(posed), 8e-3),
         # its own poses count unless the trajectory says the same and more
         (a_scene(posed, **known), 2e-5),
-    ]
-    for k, (scene, tolerance) in enumerate(scenes):
-        np.testing.assert_allclose(brought_back(scene, tmp_path / str(k)), positions, atol=tolerance)
-    back = brought_back(a_scene(aside, **known), tmp_path / "aside")
-    assert np.linalg.norm(back - positions, axis=1).min() > 0.9
+    ):
+        np.testing.assert_allclose(brought_back(scene), positions, atol=tolerance)
+    assert np.linalg.norm(brought_back(a_scene(aside, **known)) - positions, axis=1).min() > 0.9
 
 
 FAR = sc.Poses(times(2, start_ms=5000), np.zeros((2, 3)), np.array([[0.0, 0, 0, 1]] * 2))

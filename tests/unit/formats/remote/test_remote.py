@@ -248,7 +248,7 @@ def bucket(memory, monkeypatch, tmp_path):
     return memory
 
 
-def test_a_folder_opens_as_on_disk_and_goes_when_it_is_closed(bucket, tmp_path):
+def test_a_folder_opens_as_on_disk_and_leaves_nothing_behind_when_it_is_closed(bucket, monkeypatch, tmp_path):
     with sceneloom.open("memory://bucket/clouds") as scene:
         assert scene.source == "memory://bucket/clouds"
         assert [frame.points.positions[0, 0] for frame in scene.lidars[0].frames] == [1, 2, 3, 4, 5]
@@ -256,11 +256,7 @@ def test_a_folder_opens_as_on_disk_and_goes_when_it_is_closed(bucket, tmp_path):
         location = Path(warning.message.split(" to ")[1].split(";")[0])
         assert sorted(path.name for path in location.iterdir()) == [f"{k}.pcd" for k in range(5)]
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_of_no_format_too_large_or_with_names_that_lead_out_leaves_nothing_behind(
-    bucket, monkeypatch, tmp_path
-):
+    # as does one of no format, too large or with names that lead out
     bucket.pipe("/bucket/other/readme.txt", b"nothing")
     with pytest.raises(UnknownFormatError):
         sceneloom.open("memory://bucket/other")

@@ -120,9 +120,7 @@ def test_faulty_items_name_their_paths_and_leave_nothing_in_their_locations(open
     assert faults[0].problem.startswith("starts at byte 40, inside item 1, which ends at 56")
     assert (header["d"], header["e"]) == (None, None)
     np.testing.assert_array_equal(header["a"][0]["b"], ARRAY)
-
-
-def test_an_item_at_fault_takes_no_array_from_another(of_bytes, encode_sfs):
+    # and take no array from another
     item = {"keys": ["a"], "offset": 4, "length": 4, "dtype": "uint8"}
     items = [{**item, "shape": [4]}, {**item, "dtype": "text"}, 7]
     faults = []

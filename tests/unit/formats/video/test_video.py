@@ -120,9 +120,7 @@ def test_a_video_is_read_from_a_file_its_bytes_a_map_of_it_or_whatever_opens_it(
                 assert (reader.count, reader.codec, reader.width, reader.height) == (40, "h264", 96, 64)
                 assert videos.number(reader.rgb(33)) == 33
         view.release()
-
-
-def test_threads_that_share_a_reader_get_the_images_that_they_asked_for(videos, mkv_bytes):
+    # threads that share a reader get the images that they asked for
     orders = np.random.default_rng(0).integers(0, 40, (3, 15)).tolist()
     with open_video(mkv_bytes) as reader, ThreadPoolExecutor(3) as pool:
         found = list(pool.map(lambda order: [videos.number(reader.rgb(k)) for k in order], orders))

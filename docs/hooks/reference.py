@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from functools import cache
 from inspect import cleandoc
 from pathlib import Path
+from typing import Any
 
 from links import PROJECT, page_of
 
@@ -78,8 +79,7 @@ def _package_page(package: str, classes: dict[str, str], others: list[str], home
 def _class_page(package: str, name: str, definition: str) -> str:
     if name not in _public(_tree(package)):
         package = definition.split(":", maxsplit=1)[0]
-    found = _example(name)
-    code, page = found or (f"from {package} import {name}", None)
+    code, page = _example(name) or (_use(package, name, definition), None)
     source = f"\n\nFrom [{_titles().get(page, page)}](../../{page_of(page)})." if page else ""
     return f"# {name}\n\n```python\n{code}\n```{source}\n\n::: {package}.{name}\n"
 
@@ -89,6 +89,50 @@ def _example(name: str) -> tuple[str, str] | None:
     uses = re.compile(rf"\b{name}\b(?!,? import)")
     fitting = [(code, page) for code, page in _blocks() if uses.search(re.sub(r"#.*", "", code))]
     return min(fitting or _statements(name), key=lambda found: len(found[0]), default=None)
+
+
+def _use(package: str, name: str, definition: str) -> str:
+    """How one gets an object of a class that no page uses: what gives it, else how it is made."""
+    node: Any = _definition(definition)
+    stated = [ast.unparse(part) for part in (*node.bases, *node.keywords, *node.decorator_list)]
+    start, variable = f"from {package} import {name}\n\n", re.findall("[A-Z][a-z0-9]*", name)[-1].lower()
+    if any(base.endswith("Error") or base == "Exception" for base in stated):
+        return f"{start}try:\n    ...\nexcept {name} as error:\n    print(error)"
+    members = [s.targets[0].id for s in node.body if isinstance(s, ast.Assign) and isinstance(s.targets[0], ast.Name)]
+    if members and any("Enum" in base for base in stated):
+        return f"{start}{variable} = {name}.{members[0]}"
+    if name in _givers():
+        giver, function = _givers()[name]
+        needed = ", ".join(_needed(function.args))
+        return f"from {giver} import {function.name}\n\n{variable} = {function.name}({needed})"
+    made = [s for s in node.body if isinstance(s, ast.FunctionDef) and s.name == "__init__"]
+    unset = (s.target for s in node.body if isinstance(s, ast.AnnAssign) and s.value is None)
+    fields = [target.id for target in unset if isinstance(target, ast.Name) and not target.id.startswith("_")]
+    if any("kw_only=True" in part for part in stated):
+        fields = [f"{field}={field}" for field in fields]
+    return f"{start}{variable} = {name}({', '.join(_needed(made[0].args)[1:] if made else fields)})"
+
+
+def _needed(arguments: ast.arguments) -> list[str]:
+    """The arguments that have to be given."""
+    positional = [a.arg for a in [*arguments.posonlyargs, *arguments.args]]
+    named = zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)
+    given = positional[: len(positional) - len(arguments.defaults)]
+    return given + [f"{a.arg}={a.arg}" for a, default in named if default is None]
+
+
+@cache
+def _givers() -> dict[str, tuple[str, ast.FunctionDef]]:
+    """For each class the first public function whose result is one, and the package that offers it."""
+    found: dict[str, tuple[str, ast.FunctionDef]] = {}
+    for package in _OFFERED:
+        for whole in _offered(package)[1] if _file(package) else ():
+            home, name = whole.rsplit(".", maxsplit=1)
+            definition = _defined(home, name)
+            node = definition and _definition(definition)
+            if isinstance(node, ast.FunctionDef) and isinstance(node.returns, ast.Name):
+                found.setdefault(node.returns.id, (home, node))
+    return found
 
 
 def _statements(name: str) -> Iterator[tuple[str, str]]:

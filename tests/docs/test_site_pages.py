@@ -49,10 +49,10 @@ def test_every_package_has_a_page_and_so_has_every_class_that_it_offers(hook):
     assert "| [`Scene`](Scene.md) | A drive. " in pages["reference/sceneloom.scene/index.md"]
     assert "[`Scene`](../sceneloom.scene/Scene.md)" in pages["reference/sceneloom/index.md"]
     assert "\n::: sceneloom.open\n" in pages["reference/sceneloom/index.md"]
-    shown = pages["reference/sceneloom.scene/SensorType.md"]
-    assert shown == (
-        "# SensorType\n\n```python\nfrom sceneloom.scene import SensorType\n```\n\n::: sceneloom.scene.SensorType\n"
-    )
+    types = "# SensorType\n\n```python\nfrom sceneloom.scene import SensorType\n\ntype = SensorType.POINTS\n```\n"
+    assert pages["reference/sceneloom.scene/SensorType.md"] == f"{types}\n::: sceneloom.scene.SensorType\n"
+    assert "\n\nreport = validate(source)\n" in pages["reference/sceneloom.checks/ValidationReport.md"]
+    assert "except PoseError as error:" in pages["reference/sceneloom.errors/PoseError.md"]
     assert "From [Simulation](../../simulation.md).\n" in pages["reference/sceneloom.simulate/LidarSpec.md"]
     assert "](../../examples/03_build_a_scene_from_arrays.md).\n" in pages["reference/sceneloom.scene/LidarSensor.md"]
     for location, text in pages.items():

@@ -102,9 +102,8 @@ def _use(package: str, name: str, definition: str) -> str:
     if members and any("Enum" in base for base in stated):
         return f"{start}{variable} = {name}.{members[0]}"
     if name in _givers():
-        giver, function = _givers()[name]
-        needed = ", ".join(_needed(function.args))
-        return f"from {giver} import {function.name}\n\n{variable} = {function.name}({needed})"
+        giver, function, node = _givers()[name]
+        return f"from {giver} import {function}\n\n{variable} = {function}({', '.join(_needed(node.args))})"
     made = [s for s in node.body if isinstance(s, ast.FunctionDef) and s.name == "__init__"]
     unset = (s.target for s in node.body if isinstance(s, ast.AnnAssign) and s.value is None)
     fields = [target.id for target in unset if isinstance(target, ast.Name) and not target.id.startswith("_")]
@@ -122,16 +121,16 @@ def _needed(arguments: ast.arguments) -> list[str]:
 
 
 @cache
-def _givers() -> dict[str, tuple[str, ast.FunctionDef]]:
-    """For each class the first public function whose result is one, and the package that offers it."""
-    found: dict[str, tuple[str, ast.FunctionDef]] = {}
+def _givers() -> dict[str, tuple[str, str, ast.FunctionDef]]:
+    """For each class the first public function whose result is one: the package that offers it, its name there."""
+    found: dict[str, tuple[str, str, ast.FunctionDef]] = {}
     for package in _OFFERED:
         for whole in _offered(package)[1] if _file(package) else ():
             home, name = whole.rsplit(".", maxsplit=1)
             definition = _defined(home, name)
             node = definition and _definition(definition)
             if isinstance(node, ast.FunctionDef) and isinstance(node.returns, ast.Name):
-                found.setdefault(node.returns.id, (home, node))
+                found.setdefault(node.returns.id, (home, name, node))
     return found
 
 

@@ -82,11 +82,11 @@ def follow(tracking: KittiTracking, fusion: Mapping[str, ProjectionSettings], va
     return 1e3 * seconds / frames
 
 
-def lay_out_truth(folder: Path, tracking: KittiTracking, truth: Path) -> None:
+def lay_out_truth(folder: Path, tracking: KittiTracking, names: tuple[str, ...], truth: Path) -> None:
     """Put labels where TrackEval looks for them."""
     (truth / "label_02").mkdir(parents=True)
     lengths = []
-    for name in tracking.sequences:
+    for name in names:
         (truth / "label_02" / f"{name}.txt").write_text((folder / "label_02" / f"{name}.txt").read_text())
         lengths.append(f"{name} empty 000000 {tracking.sequence(name).frame_count:06d}\n")
     (truth / "evaluate_tracking.seqmap.training").write_text("".join(lengths))
@@ -151,7 +151,7 @@ def main() -> None:
         fusion = fusions(reported.folder, names, detectors)
         with tempfile.TemporaryDirectory() as scratch:
             location = Path(scratch)
-            lay_out_truth(reported.folder, tracking, location / "truth")
+            lay_out_truth(reported.folder, tracking, names, location / "truth")
             times = {
                 variant: follow(tracking, fusion, variant, location / "results" / variant / "data")
                 for variant in reported.variants

@@ -52,7 +52,7 @@ else:
 OURS = """
 import sys, time
 import sceneloom
-from sceneloom.formats.sfs import FORMAT
+import sceneloom.formats.sfs.reader
 memory = lambda: int(next(l for l in open("/proc/self/status") if l.startswith("VmHWM")).split()[1]) * 1024
 def look(path, frame):
     with sceneloom.open(path) as scene:

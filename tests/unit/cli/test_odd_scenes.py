@@ -551,7 +551,7 @@ LEFT_OUT = (
     ("colour", "a_point_of_nan", "points", 1),
     ("depth", "a_point_of_nan", "points", 1),
     ("info --visualize --at", "only_points_of_nan", "points", 60),
-    ("info --visualize", "a_cuboid_from_end_to_end_of_float64", "annotations", 4),
+    ("info --visualize", "a_cuboid_from_end_to_end_of_float64", "annotations", 5),
 )
 
 

@@ -297,10 +297,10 @@ def _read_las(path: Path) -> Cloud:
                     _check_chunks(path, stream, file.header)
                 points = file.read()
                 columns, head = _las_columns(points), _head(file.header)
-        except (DataError, OSError, MemoryError):
+        except (DataError, OSError, MemoryError, KeyboardInterrupt, SystemExit):
             raise
-        except Exception as error:
-            # laspy and what unpacks LAZ for it raise what they met, of any kind
+        except BaseException as error:
+            # laspy and what unpacks LAZ for it raise what they met, of any kind, and panic, which is no Exception
             reported = str(error) or type(error).__name__
             raise DataError(path, "", f"cannot be read: {reported}; expected a LAS file") from error
     _check_positions(path, columns, known.count)

@@ -162,6 +162,9 @@ def test_no_byte_of_a_table_of_chunks_ends_the_process(tmp_path):
     for count in (0, 50_001, 2**28):  # of the header, which does not agree with the table
         content = with_number(with_number(whole, "<Q", 247, count), "<I", 107, 0)
         refused(tmp_path / "changed.laz", content, "its 1 chunks hold 1 to 50000|bytes that unpack to")
+    for layer in range(9):  # what unpacks one makes room for as many bytes as are declared
+        content = with_number(whole, "<I", start + 8 + 30 + 4 + 4 * layer, 1 << 31)
+        refused(tmp_path / "changed.laz", content, f"byte {start + 8}: layers of more bytes than their chunk")
 
 
 LAS_FAULTS = [

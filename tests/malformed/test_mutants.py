@@ -46,7 +46,7 @@ def test_a_mutant_of_a_drive_gives_a_scene_or_an_error_of_ours(name):
 def test_many_mutants_of_a_drive_or_of_files_of_others_give_a_scene_or_an_error_of_ours(name, request):
     if name in STRANGERS and not (request.getfixturevalue("data_dir") / "real" / "strangers").is_dir():
         pytest.skip("no files of others beside the real data")
-    tried = try_mutants(name, range(FEW, FEW + MANY), seconds=110)
+    tried = try_mutants(name, range(FEW, FEW + MANY), seconds=45)
     assert not tried.failures, str(tried)
     if name in DRIVES:
         assert set(tried.outcomes) == {"scene", "refused"} - ({"scene"} if name == GUARDED else set())

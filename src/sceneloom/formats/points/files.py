@@ -459,7 +459,8 @@ def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
     if count > most:
         raise DataError(path, f"byte {location + 4}", f"{count} chunks; expected {most} or fewer in {size} bytes")
     stream.seek(int(header.offset_to_point_data))
-    vlr = lazrs.LazVlr(header.vlrs.get("LasZipVlr")[0].record_data)
+    record = header.vlrs.get("LasZipVlr")[0].record_data
+    vlr = lazrs.LazVlr(record)
     chunks = lazrs.read_chunk_table(stream, vlr)
     reported = sum(length for _, length in chunks)
     if reported > size:
@@ -469,7 +470,20 @@ def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
     if not (least_points if chunks else 0) <= points <= most_points:
         problem = f"{points} points; its {len(chunks)} chunks hold {least_points} to {most_points}"
         raise DataError(path, "header", problem)
+    # from point format 6 on, a chunk lists the lengths of its layers behind its first point and the number of points
+    items = struct.iter_unpack("<HHH", record[34 : 34 + 6 * int.from_bytes(record[32:34], "little")])
+    layers = sum(size if kind == _BYTES_14 else _LAYERS.get(kind, 0) for kind, size, _ in items)
+    start = int(header.offset_to_point_data) + 8
+    for _, length in chunks if layers else ():
+        stream.seek(start + int(header.point_format.size) + 4)
+        if sum(memoryview(stream.read(4 * layers).ljust(4 * layers, b"\0")).cast("I")) > length:
+            raise DataError(path, f"byte {start}", f"layers of more bytes than their chunk, which has {length}")
+        start += length
     stream.seek(before)
+
+
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of POINT14, RGB14, RGBNIR14 and WAVEPACKET14
+_BYTES_14 = 14  # each of its bytes has a layer
 
 
 def _number(stream: BinaryIO, location: int, form: str) -> int:

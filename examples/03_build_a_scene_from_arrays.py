@@ -30,7 +30,7 @@ def main(path: Path) -> None:
         for time_ns, location in zip(times_ns.tolist(), positions_world, strict=True):
             around = rng.normal(scale=5.0, size=(2000, 3)) + location
             brightness = rng.integers(0, 256, 2000).astype(np.uint8)
-            points = LidarPoints(around.astype(np.float32), intensities=brightness)
+            points = LidarPoints(around, intensities=brightness)  # float64 becomes float32 where that loses nothing
             writer.add_frame("top", LidarFrame(time_ns, points))
     for loss in writer.losses:
         print(f"{loss.field}: {loss.what}")

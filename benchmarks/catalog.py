@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 
 import sceneloom
-from sceneloom.catalog import Selection, opened, update
-from sceneloom.catalog import database as catalog_database
+from sceneloom.catalog import Selection, opened, query, update
 from sceneloom.catalog.building import PART_ROWS, Entry, Fresh, Parts, scene_name, scene_rows, write_draft
 from sceneloom.catalog.database import sql_of
 from sceneloom.catalog.storage import MARKER, Layout
@@ -148,7 +147,7 @@ def ask(folder: Path, runs: int) -> None:
         for name, wanted in QUERIES.items():
             sql, values = (wanted, ()) if isinstance(wanted, str) else sql_of(wanted)
             rows = len(database.query(sql, values).rows)
-            once = least(lambda wanted=wanted: catalog_database(folder, wanted), runs)
+            once = least(lambda wanted=wanted: query(folder, wanted), runs)
             again = least(lambda sql=sql, values=values: database.query(sql, values), runs)
             peer = least(lambda name=name: PEERS[name](folder), runs) if name in PEERS else None
             print(f"{name:28}{rows:7}{cell(once)}{cell(again)}{cell(peer)}")
@@ -184,7 +183,7 @@ def main() -> None:
         location.mkdir(exist_ok=True)
         folder, objects = location / "catalogue", chosen.boxes // chosen.scenes // FRAMES
         fill(folder, chosen.scenes, objects)
-        ((count,),) = catalog_database(folder, "SELECT count(*) FROM annotations").rows
+        ((count,),) = query(folder, "SELECT count(*) FROM annotations").rows
         files = len([*folder.rglob("*.parquet")])
         print(f"{count} boxes in {chosen.scenes} scenes, {files} files")
         ask(folder, chosen.runs)

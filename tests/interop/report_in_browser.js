@@ -46,7 +46,7 @@ function look() {
     headings: [...document.querySelectorAll("h1, h2")].filter((h) => h.checkVisibility()).map((h) => h.textContent),
     unseen: [...document.images].filter((image) => !image.complete || image.naturalWidth === 0).length,
     images: document.images.length,
-    drawings: document.querySelectorAll("img.plot").length,
+    plots: document.querySelectorAll("img.plot").length,
     background: getComputedStyle(document.body).backgroundColor,
   };
 }

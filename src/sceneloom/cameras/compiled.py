@@ -16,6 +16,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import ArrayLike
 
 from sceneloom.cameras.formulas import (
+    FORMULA,
     INLINE,
     PART,
     distance_at,
@@ -120,7 +121,7 @@ def _kernel_of(numbers: Any, signature: Any) -> Callable[[_Function], _Function]
     def declare(function: _Function) -> _Function:
         function.__module__ = numbers.__module__
         function.__qualname__ = f"{numbers.__name__}.{function.__name__}"
-        return kernel(signature, **PART)(function)
+        return kernel(signature, **FORMULA)(function)
 
     return declare
 

@@ -27,9 +27,11 @@ from numba import njit
 from numba.extending import overload
 
 from sceneloom.cameras.camera import MODELS
+from sceneloom.kernels.cache import OPTIONS, PART_OPTIONS
 
 # Of the fast mathematics only fused multiply-add: the others would let a NaN slip through the tests.
-PART: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+FORMULA: dict[str, Any] = {**OPTIONS, "fastmath": {"contract"}}
+PART: dict[str, Any] = {**FORMULA, **PART_OPTIONS}
 INLINE: dict[str, Any] = {**PART, "forceinline": True}
 MINIMUM_DEPTH = 1e-6
 """Perspective models see only what lies at least so far in front of the camera [m]."""

@@ -212,27 +212,34 @@ def _print_detections(report: "DetectionFusionReport", printer: Printer) -> None
 @verb
 def demo(keep: Path, seed: int, frames: int, video: str, overwrite: bool, printer: Printer) -> None:
     """Simulate a small drive through a street, fuse it, and show the result."""
-    from sceneloom.formats.base.output import check_output
+    from sceneloom.formats.base.output import check_output, replacing
 
     begun = time.perf_counter()
     recording = keep / "drive"
-    fused, depth, images = keep / "drive.sfs", keep / "depth", keep / "images"
+    fused, depth, images, first_image = (keep / name for name in ("drive.sfs", "depth", "images", "first_image.png"))
     keep.mkdir(parents=True, exist_ok=True)
-    for location in (recording, fused, depth, images):
+    for location in (recording, fused, depth, images, first_image):
         check_output(location, overwrite=overwrite)
     if not printer.quiet:
         click.echo(f"making a drive of {frames / 10:g} s through a synthetic street …", err=True)
 
-    from sceneloom.formats.base.registry import open_scene, write_scene
-    from sceneloom.pipeline.fusing import FusionOutputs
-    from sceneloom.pipeline.fusing import fuse as fuse_scene
-    from sceneloom.pipeline.warm_up import compile_for
-    from sceneloom.simulate.drive import demo_drive
+    from sceneloom.pipeline.warm_up import compiling_for_demo
 
-    outputs = FusionOutputs(scene=fused, depth=depth, images=images, overwrite=overwrite)
-    drive = demo_drive(seed=seed, frames=frames).scene
-    compile_for("demo", drive)
-    written = write_scene(drive, recording, overwrite=overwrite, images=video)
+    with compiling_for_demo() as wait_for_simulation:
+        from sceneloom.formats.base.images import encode_png
+        from sceneloom.formats.base.registry import open_scene, write_scene
+        from sceneloom.pipeline.fusing import FusionOutputs
+        from sceneloom.pipeline.fusing import fuse as fuse_scene
+        from sceneloom.simulate.drive import demo_drive
+
+        outputs = FusionOutputs(scene=fused, depth=depth, images=images, overwrite=overwrite)
+        wait_for_simulation()
+        drive = demo_drive(seed=seed, frames=frames).scene
+        with replacing(first_image, overwrite=overwrite) as draft:
+            draft.write_bytes(encode_png(drive.cameras[0].images[0].rgb))
+        if not printer.quiet:
+            click.echo(f"its first image: {first_image}; fusing what follows …", err=True)
+        written = write_scene(drive, recording, overwrite=overwrite, images=video)
     with open_scene(recording) as scene, printer.progress("fusing") as progress:
         report = fuse_scene(scene, outputs=outputs, progress=progress)
     if printer.as_json:

@@ -7,7 +7,7 @@ from numba import boolean, int16, int64, uint8, void
 
 from sceneloom.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.signatures import IN_F32_3D, IN_U8_2D, IN_U8_3D, inlined
+from sceneloom.kernels.signatures import IN_F32_3D, IN_U8_2D, IN_U8_3D, inlined, part
 
 _FRACTION_BITS = 5  # of a level. With one more, the sum of brightness and colour would leave 16 bits.
 _ROUNDED = 1 << (_FRACTION_BITS - 1)
@@ -26,20 +26,20 @@ def _centred(level):  # type: ignore[no-untyped-def]
     return np.int16(np.int16(np.int16(level) - 128) << 8)
 
 
-@inlined
+@part
 def _scale(colour, factor, scaled):  # type: ignore[no-untyped-def]
     for k in range(len(scaled)):
         scaled[k] = _high(_centred(colour[k]), factor)
 
 
-@inlined
+@part
 def _scale_both(blue, blue_factor, red, red_factor, scaled):  # type: ignore[no-untyped-def]
     for k in range(len(scaled)):
         of_blue, of_red = _high(_centred(blue[k]), blue_factor), _high(_centred(red[k]), red_factor)
         scaled[k] = np.int16(of_blue + of_red + np.int16(1))
 
 
-@inlined
+@part
 def _spread(scaled, spread, half_columns):  # type: ignore[no-untyped-def]
     """Give each pixel of a row its colour: linear between samples on even columns, or midway between two columns."""
     last = len(scaled) - 1
@@ -66,7 +66,7 @@ def _level(bright, near, far):  # type: ignore[no-untyped-def]
     return np.uint8(min(max(level, np.int16(0)), np.int16(255)))
 
 
-@inlined
+@part
 def _spread_colours(blue, red, factors, half_columns, scaled, spread):  # type: ignore[no-untyped-def]
     """Give each column what one row of samples adds to red, green and blue."""
     _scale(red, np.int16(factors[2]), scaled)
@@ -77,7 +77,7 @@ def _spread_colours(blue, red, factors, half_columns, scaled, spread):  # type: 
     _spread(scaled, spread[2], half_columns)
 
 
-@inlined
+@part
 def _paint(luma, near, far, factors, line):  # type: ignore[no-untyped-def]
     """Fill a row of pixels, a quarter of the way from one row of samples to the next one."""
     gain, offset = np.int16(factors[0]), np.int16(factors[1])

@@ -6,7 +6,7 @@ from typing import Any
 import numba
 from numba import boolean, float32, float64, int32, int64, types, uint8, uint16
 
-from sceneloom.kernels.cache import OPTIONS
+from sceneloom.kernels.cache import PART_OPTIONS
 
 
 def read_only(dtype: Any, dimensions: int) -> Any:
@@ -30,9 +30,9 @@ IN_F64_1D, IN_F64_2D, IN_F64_3D = (read_only(float64, n) for n in (1, 2, 3))
 
 def part(function: Callable[..., Any]) -> Any:
     """Declare a function of which kernels consist: compiled, and kept, as a part of them."""
-    return numba.njit(**OPTIONS)(function)
+    return numba.njit(**PART_OPTIONS)(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Declare a function that is put into each kernel that calls it before the compiler looks at it."""
-    return numba.njit(**OPTIONS, inline="always")(function)
+    return numba.njit(**PART_OPTIONS, inline="always")(function)

@@ -4,11 +4,13 @@ A kernel that is missing here is compiled when it is called, as any other. Withi
 first.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
 from sceneloom.cameras.camera import MODELS
-from sceneloom.kernels.cache import compile_ahead
+from sceneloom.kernels.cache import compile_ahead, compiling_ahead
 
 if TYPE_CHECKING:
     from sceneloom.scene.scene import Scene
@@ -38,7 +40,7 @@ _COLOUR = (
     *_of("kernels.projection", "sample_between_pixels"),
     *_of("kernels.voxels", "number_cubes"),
 )
-_DEMO = (*_of("simulate.casting", "_paint_rays _trace_rays"), *_of("kernels.voxels", "number_cubes first_of_cubes"))
+_CASTING = _of("simulate.casting", "_paint_rays _trace_rays")
 _CALIBRATION = (
     *_of("kernels.projection", "_map_all"),
     *_of("calibrate.measures", "sum_edges fill_histogram sum_by_table"),
@@ -55,7 +57,7 @@ _DETECTIONS = (
     *_of("detections.projection", "_pair_uncontested"),
 )
 _TRACKING = _of("tracking.tracker", "add_gains_in_image gains_in_space without_twins _predict read read_no_slip")
-_OF_SCENES = {"fuse": (), "depth": _DEPTH, "colour": _COLOUR, "demo": _DEMO, "calibrate": _CALIBRATION, "deskew": ()}
+_OF_SCENES = {"fuse": (), "depth": _DEPTH, "colour": _COLOUR, "calibrate": _CALIBRATION, "deskew": ()}
 _OF_BOXES = {"detections": _DETECTIONS, "track": (*_DETECTIONS, *_TRACKING)}
 
 
@@ -63,7 +65,7 @@ def compile_for(job: str, scene: "Scene") -> None:
     """Compile the kernels that are not kept yet and that a job needs with the sensors of a scene.
 
     Args:
-        job: `fuse`, `depth`, `colour`, `calibrate`, `deskew`, or `demo`, whose scene is a simulated one.
+        job: `fuse`, `depth`, `colour`, `calibrate` or `deskew`.
         scene: what it reads.
     """
     if not scene.lidars:
@@ -74,12 +76,27 @@ def compile_for(job: str, scene: "Scene") -> None:
     if job == "deskew":
         compile_ahead([*moving, *_READING, *odometry])
         return
-    kernels = {"depth": "unproject_pixels", "demo": "unproject_pixels", "calibrate": "project_points unproject_pixels"}
+    kernels = {"depth": "unproject_pixels", "calibrate": "project_points unproject_pixels"}
     models = {sensor.camera.model for sensor in scene.cameras}
     cameras = _of_cameras(models, f"project_into_image {kernels.get(job, '')}")
     first, *further = _FUSION if scene.cameras else moving
     own = _OF_SCENES[job]
     compile_ahead([*own[:2], first, *cameras, *_READING, *odometry, *further, *own[2:]])
+
+
+@contextmanager
+def compiling_for_demo() -> Iterator[Callable[[], None]]:
+    """Compile what simulating the demo's drive needs and then, while that is at work, what fusing it needs.
+
+    Yields:
+        what waits until the drive can be simulated; leaving the block waits for the rest.
+    """
+    models = ("brown_conrady", "fisheye")
+    simulating = [*_CASTING, *_of_cameras(models, "unproject_pixels"), *_of_cameras(models[:1], "fold_radius")]
+    cubes = _of("kernels.voxels", "number_cubes first_of_cubes")
+    fusing = [_FUSION[0], *_of_cameras(models, "project_into_image"), *_READING, *_FUSION[1:], *cubes]
+    with compiling_ahead([*simulating, *fusing]) as wait:
+        yield partial(wait, simulating)
 
 
 def compile_for_boxes(job: str, models: Iterable[str] = ("pinhole",)) -> None:

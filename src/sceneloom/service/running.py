@@ -13,6 +13,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -24,11 +25,11 @@ import numpy as np
 from sceneloom.cameras.camera import MODELS
 from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.records import Boxes2d, Boxes3d, CalibrationData, ImageData, PointCloudData
-from sceneloom.db34t.setting import CalibrationEntry, entry_of, parse_sensors
+from sceneloom.db34t.setting import CAMERA_MODELS, CalibrationEntry, entry_of, parse_sensors
 from sceneloom.db34t.types import Outcome, Timestamp
 from sceneloom.errors import CalibrationError, DataError
 from sceneloom.formats.base.files import read_settings
-from sceneloom.kernels.cache import compile_ahead, compile_kernels, declared_kernels, reporting_compiling
+from sceneloom.kernels.cache import compile_kernels, compiling_ahead, declared_kernels, reporting_compiling
 from sceneloom.service.server import FusionServer, ServerSettings
 from sceneloom.service.startup import ServiceLimits, log_to_standard_error
 
@@ -36,22 +37,58 @@ _LOG = logging.getLogger(__name__)
 _FORWARD = (0.0, 0, 1, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 0, 1)
 _WIDTH, _HEIGHT = 64, 48
 _Process = subprocess.Popen[str]
+_TABLE_3 = ("pinhole", "brown_conrady")  # what its records can state
+_RARE = (
+    "sceneloom.kernels.boxes:find_points_in_boxes",
+    "sceneloom.colouring.cuboid_projection:count_observations",
+    "sceneloom.colouring.cuboid_projection:count_evidence",
+)
+"""Kernels that come with those that requests call, and take long to compile."""
 
 
-def warm_up(started: Callable[[_Process], object] = id) -> int:
+def warm_up(
+    started: Callable[[_Process], object] = id,
+    ready: Callable[[], object] = dict,
+    configure: Callable[[FusionInterface], None] | None = None,
+    ended: Callable[[], bool] = bool,
+) -> int:
     """Compile and load all kernels that requests can reach; gives how many results a small pair of each type gave.
 
     Every kernel has its types written down. What is imported with the interface is what it can call, and camera
-    models, which properties choose.
+    models, which properties choose: those that new sessions do not have come last.
 
     Args:
         started: receives each process that compiles, which may be killed: this compiles the rest itself.
+        ready: called once all is loaded but the kernels of those camera models.
+        configure: sets up new sessions.
+        ended: whether nobody needs them any more.
     """
     for model in MODELS.values():
         import_module(model.module)
+    with FusionInterface(inline=True) as fusion:
+        if configure is not None:
+            configure(fusion)
+        stated = [row.value for row in fusion.list_properties() if row.name == CAMERA_MODELS]
+    usual = [name for name in MODELS if name in _TABLE_3 or f'"{name}"' in str(stated)]
+    classes = tuple(name.title().replace("_", "") + "." for name in usual)
+    names = declared_kernels()
+    cameras = {name for name in names if name.startswith("sceneloom.cameras.")}
+    later = {name for name in cameras if not name.partition(":")[2].startswith(classes)}.union(_RARE)
+    first = [name for name in names if name not in later]
     with reporting_compiling(_log_compiling):
-        compile_ahead(declared_kernels(), started=started)
-        compile_kernels(declared_kernels())
+        with compiling_ahead([*first, *names], started=started) as wait:
+            wait(first)
+            if ended():
+                return 0
+            compile_kernels(first)
+            results = _fuse_a_pair()
+            ready()
+        compile_kernels(() if ended() else names)
+    return results
+
+
+def _fuse_a_pair() -> int:
+    """Send one record of each type, and give how many results they had."""
     with FusionInterface(inline=True) as fusion:
         fusion.set_calibration(
             CalibrationData(
@@ -157,7 +194,8 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
     server = FusionServer(settings)
     server.check_ports()  # before the seconds that warming takes
     _LOG.info("loading what requests need; the port is closed until then")
-    if not await _warmed_up(ended):
+    processes: list[_Process] = []
+    if not await _warmed_up(ended, settings.configure, processes):
         return ()
     gc.freeze()  # what is there now stays: looking through it again and again would stop all sessions
     await server.start()
@@ -165,17 +203,23 @@ async def _serve(settings: ServerSettings, started: Callable[[FusionServer], Non
     await ended.wait()
     for number in _ENDING:
         loop.remove_signal_handler(number)
+    for process in processes:
+        process.kill()
     return await server.drain()
 
 
-async def _warmed_up(ended: asyncio.Event) -> bool:
-    """Load what requests need; False if the server has to end meanwhile, which it does at once."""
+async def _warmed_up(
+    ended: asyncio.Event, configure: Callable[[FusionInterface], None] | None, processes: list[_Process]
+) -> bool:
+    """Load what requests need; False if the server has to end meanwhile, which it does at once.
+
+    What a session has to ask for is loaded further in a thread, by processes that are added to the list.
+    """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[None] = loop.create_future()
-    processes: list[subprocess.Popen[str]] = []
 
-    def report(error: BaseException | None) -> None:
-        if done.cancelled():
+    def report(error: BaseException | None = None) -> None:
+        if done.done():
             return
         if error is None:
             done.set_result(None)
@@ -183,13 +227,11 @@ async def _warmed_up(ended: asyncio.Event) -> bool:
             done.set_exception(error)
 
     def work() -> None:
-        error: BaseException | None = None
-        try:
-            warm_up(processes.append)
-        except BaseException as caught:  # noqa: BLE001 - it is raised where it is waited for
-            error = caught
         with suppress(RuntimeError):  # the loop is closed where nobody waits any more
-            loop.call_soon_threadsafe(report, error)
+            try:
+                warm_up(processes.append, partial(loop.call_soon_threadsafe, report), configure, ended.is_set)
+            except BaseException as caught:  # noqa: BLE001 - it is raised where it is waited for
+                loop.call_soon_threadsafe(report, caught)
 
     threading.Thread(target=work, name="warming up", daemon=True).start()
     ending = asyncio.ensure_future(ended.wait())

@@ -18,13 +18,17 @@ Source: the filtered pulse train is that of Apodaca and Gritz, "Advanced RenderM
 """
 
 import math
+import os
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array
 from sceneloom.kernels.cache import kernel
+from sceneloom.kernels.thread_pool import Phase, ThreadPool
 from sceneloom.simulate import street as simulate_street
 from sceneloom.simulate.street import INNER, PALETTE, Street
 
@@ -209,22 +213,24 @@ def _trace_bundle(
 
 
 @kernel(
-    "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], "
+    "void(int64, int64, float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], int64[::1], "
     "uint8[::1], float64[:,:,::1], int32[::1], float64[:,:,:,::1], float64[:,::1], int32[::1], float64, "
-    "float64[::1], int32[::1])",
-    parallel=True,
+    "float64[::1], int32[::1])"
 )
 def _trace_rays(
+    first: int, last: int,
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
     bundle_starts: Int64Array, slots: Int64Array, kinds: UInt8Array, maps: Float64Array, frame_of_shape: Int32Array,
     frames: Float64Array, spheres: Float64Array, candidates: Int32Array, reach: float, ranges: Float64Array,
     hits: Int32Array,
 ) -> None:  # fmt: skip
-    """Find what each ray meets first: arrays as in `Rays`, `PackedShapes`, `Moving` and `Hits`, whose two are written.
+    """Find what each ray of some bundles meets first, from `first` to before `last`.
+
+    Arrays as in `Rays`, `PackedShapes`, `Moving` and `Hits`, whose two are written.
 
     Shapes are entered from outside: a ray that starts inside one does not see it.
     """
-    for bundle in prange(len(bundle_starts) - 1):
+    for bundle in range(first, last):
         _trace_bundle(
             directions, pose_of_ray, rotations, origins, bundle_starts[bundle], bundle_starts[bundle + 1], slots,
             kinds, maps, frame_of_shape, frames, spheres, candidates, reach, ranges, hits,
@@ -264,11 +270,12 @@ def _count_bundle(
 
 
 @kernel(
-    "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], uint8[::1], float64[:,:,::1], "
-    "int32[::1], int32[::1], float64[:,:,:,::1], float64[:,::1], int32[::1], float64, int64[:,::1])",
-    parallel=True,
+    "void(int64, int64, float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], uint8[::1], "
+    "float64[:,:,::1], int32[::1], int32[::1], float64[:,:,:,::1], float64[:,::1], int32[::1], float64, "
+    "int64[:,::1])"
 )
 def _count_silhouettes(
+    first: int, last: int,
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
     bundle_starts: Int64Array, kinds: UInt8Array, maps: Float64Array, object_of_shape: Int32Array,
     frame_of_shape: Int32Array, frames: Float64Array, spheres: Float64Array, candidates: Int32Array, reach: float,
@@ -277,10 +284,10 @@ def _count_silhouettes(
     """Count for each object the rays that would meet it if it were alone, as `_trace_rays` takes them.
 
     The shapes of one object, (P,) counted from 0, follow each other; the sum over the rows of `counts` (W, objects),
-    which W workers share, is the answer.
+    each of which is filled from its share of the bundles, is the answer. The rows from `first` to before `last` are.
     """
     workers, bundles = counts.shape[0], len(bundle_starts) - 1
-    for worker in prange(workers):
+    for worker in range(first, last):
         for bundle in range(worker, bundles, workers):
             _count_bundle(
                 directions, pose_of_ray, rotations, origins, bundle_starts[bundle], bundle_starts[bundle + 1], kinds,
@@ -729,8 +736,14 @@ def _rotation_to_world(frame: Float64Array, normal: Float64Array) -> None:
         normal[i] = frame[0, i] * x + frame[1, i] * y + frame[2, i] * z
 
 
-@njit(**INNER)
-def _paint_chunk(
+@kernel(
+    "void(int64, int64, float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], float64[::1], "
+    "int32[::1], "
+    "uint8[::1], float64[:,:,::1], int32[::1], float64[:,:,:,::1], float64[:,::1], uint8[::1], float64[:,:,::1], "
+    "float64[:,::1], int64[::1], float32[:,:,::1], float64[::1], float64, float64[:,::1], float64, "
+    "uint8[:,::1], float32[::1])"
+)
+def _paint_rays(
     start: int, stop: int,
     directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
     slots: Int64Array, ranges: Float64Array, hits: Int32Array, kinds: UInt8Array, maps: Float64Array,
@@ -738,7 +751,11 @@ def _paint_chunk(
     palettes: Float64Array, measures: Float64Array, salts: Int64Array, road: Float32Array, corner: Float64Array,
     cell: float, ground_palette: Float64Array, pixel_angle: float, colors: UInt8Array, facings: Float32Array,
 ) -> None:  # fmt: skip
-    """Paint the rays from `start` to `stop`; the other arguments as in `_paint_rays`."""
+    """Write `Paint`, colours and facings, of what rays met: arrays as in `Rays`, `Hits`, `PackedShapes`, `GroundMap`.
+
+    `salts` (P,) make the noise of one object differ from another's; `ground_palette` (5, 3): asphalt, paint, pavement,
+    kerb, grass.
+    """
     color, location, weights = np.empty(3), np.empty(4), np.empty(5)
     scratch, own = np.empty((6, 3)), np.empty(6)
     for k in range(start, stop):
@@ -775,38 +792,11 @@ def _paint_chunk(
             colors[slot, i] = np.uint8(min(255.0, max(0.0, color[i] + (_HORIZON[i] - color[i]) * haze + 0.5)))
 
 
-@kernel(
-    "void(float64[:,::1], int32[::1], float64[:,:,::1], float64[:,::1], int64[::1], float64[::1], int32[::1], "
-    "uint8[::1], float64[:,:,::1], int32[::1], float64[:,:,:,::1], float64[:,::1], uint8[::1], float64[:,:,::1], "
-    "float64[:,::1], int64[::1], float32[:,:,::1], float64[::1], float64, float64[:,::1], float64, "
-    "uint8[:,::1], float32[::1])",
-    parallel=True,
-)
-def _paint_rays(
-    directions: Float64Array, pose_of_ray: Int32Array, rotations: Float64Array, origins: Float64Array,
-    slots: Int64Array, ranges: Float64Array, hits: Int32Array, kinds: UInt8Array, maps: Float64Array,
-    frame_of_shape: Int32Array, frames: Float64Array, halves: Float64Array, patterns: UInt8Array,
-    palettes: Float64Array, measures: Float64Array, salts: Int64Array, road: Float32Array, corner: Float64Array,
-    cell: float, ground_palette: Float64Array, pixel_angle: float, colors: UInt8Array, facings: Float32Array,
-) -> None:  # fmt: skip
-    """Write `Paint`, colours and facings, of what rays met: arrays as in `Rays`, `Hits`, `PackedShapes`, `GroundMap`.
-
-    `salts` (P,) make the noise of one object differ from another's; `ground_palette` (5, 3): asphalt, paint, pavement,
-    kerb, grass.
-    """
-    for chunk in prange((len(slots) + 4095) // 4096):
-        _paint_chunk(
-            4096 * chunk, min(len(slots), 4096 * chunk + 4096),
-            directions, pose_of_ray, rotations, origins, slots, ranges, hits,
-            kinds, maps, frame_of_shape, frames, halves, patterns, palettes, measures, salts,
-            road, corner, cell, ground_palette, pixel_angle, colors, facings,
-        )  # fmt: skip
-
-
 SKY_INSTANCE, GROUND_INSTANCE = -1, 0
 """What instance images state where there is no object."""
 
 _WORKERS = 16  # rows that count at the same time
+_POOL = ThreadPool(int(os.environ.get("NUMBA_NUM_THREADS") or os.cpu_count() or 1))
 _BLOCK, _SHARES = 64, 8
 """Bundles are dealt out in blocks (a row of tiles or so) to this many shares, so that threads finish together."""
 
@@ -923,7 +913,9 @@ def cast(
     shapes = np.full(rays.slot_count, SKY, np.int32)
     bodies = street.bodies
     moving = _moving(street, origins, times_ns, reach=reach)
-    _trace_rays(
+    _side_by_side(
+        _trace_rays,
+        len(rays.bundle_starts) - 1,
         rays.directions,
         rays.pose_of_ray,
         np.ascontiguousarray(rotations, np.float64),
@@ -957,7 +949,9 @@ def silhouettes(
     bodies = street.bodies
     moving = _moving(street, origins, times_ns, reach=reach)
     counts = np.zeros((_WORKERS, len(street.objects) + len(street.movers)), np.int64)
-    _count_silhouettes(
+    _side_by_side(
+        _count_silhouettes,
+        _WORKERS,
         rays.directions,
         rays.pose_of_ray,
         np.ascontiguousarray(rotations, np.float64),
@@ -975,6 +969,11 @@ def silhouettes(
     )
     totals: Int64Array = counts.sum(axis=0)
     return totals
+
+
+def _side_by_side(work: Callable[..., None], length: int, *arguments: Any) -> None:
+    """Call a kernel in all threads, with the bounds of shares of a length before its arguments."""
+    _POOL.share(Phase(length, lambda _, start, stop: work(start, stop, *arguments), _SHARES))
 
 
 def _moving(street: Street, origins: Float64Array, times_ns: Int64Array, *, reach: float) -> Moving:
@@ -1007,7 +1006,9 @@ def paint(
     colors = np.zeros((rays.slot_count, 3), np.uint8)
     facings = np.zeros(rays.slot_count, np.float32)
     shapes = street.bodies
-    _paint_rays(
+    _side_by_side(
+        _paint_rays,
+        len(rays.slots),
         rays.directions,
         rays.pose_of_ray,
         np.ascontiguousarray(rotations, np.float64),

@@ -7,7 +7,7 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.polynomial import polynomial
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array
@@ -630,9 +630,7 @@ def _swing_back(frame: Float64Array, angle: float, x: float, z: float) -> None:
 
 
 @kernel(
-    "void(float64[:,:,::1], boolean[:,::1], int32[::1], float64[:,::1], float64[::1], float64[::1], "
-    "float64[:,:,:,::1])",
-    parallel=True,
+    "void(float64[:,:,::1], boolean[:,::1], int32[::1], float64[:,::1], float64[::1], float64[::1], float64[:,:,:,::1])"
 )
 def _put_parts(
     states: Float64Array, there: BoolArray, mover_of_part: Int32Array, hinges: Float64Array, swings: Float64Array,
@@ -648,7 +646,7 @@ def _put_parts(
             sine of gait and lead, about an axis along y through its hinge.
         frames: (M, F, 3, 4) float64, written.
     """
-    for time in prange(len(states)):
+    for time in range(len(states)):
         for part in range(len(mover_of_part)):
             mover, frame = mover_of_part[part], frames[time, part]
             x, y, yaw = states[time, mover, 0], states[time, mover, 1], states[time, mover, 2]

@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 import sceneloom
 from sceneloom.cameras.camera import Camera
@@ -136,7 +137,7 @@ def test_all_kernels_that_a_job_names_are_there_and_unknown_cameras_left_to_the_
     models = ("brown_conrady", "kannala_brandt18", "fisheye")
     cameras = tuple(CameraSpec(Camera(model, 96, 64, 60.0, 60.0, 47.5, 31.5)) for model in models)
     scene = simulate_street(1, frames=2, cameras=cameras).scene
-    jobs = {job: lambda job=job: warm_up.compile_for(job, scene) for job in ("fuse", "depth", "colour", "demo")}
+    jobs = {job: lambda job=job: warm_up.compile_for(job, scene) for job in ("fuse", "depth", "colour")}
     jobs["calibrate"] = lambda: warm_up.compile_for("calibrate", scene)
     jobs |= {job: lambda job=job: warm_up.compile_for_boxes(job) for job in ("detections", "track")}
     for job, ask in jobs.items():
@@ -157,11 +158,13 @@ def test_all_kernels_that_a_job_names_are_there_and_unknown_cameras_left_to_the_
 
 PROGRAM = """
 import sys
+from contextlib import contextmanager
 from sceneloom.cli.main import main
 from sceneloom.kernels import cache
 from sceneloom.pipeline import warm_up
 asked, met = [], []
 warm_up.compile_ahead = asked.extend
+warm_up.compiling_ahead = contextmanager(lambda names: (yield asked.extend(names) or id))
 cache._is_kept = lambda function: False
 with cache.reporting_compiling(lambda name, _: met.append(name)):
     try:
@@ -190,6 +193,12 @@ def drive(tmp_path_factory):
 def test_a_verb_meets_no_kernel_that_was_not_asked_for(verb, drive, tmp_path):
     output = () if verb == "calibrate" else ("-o", tmp_path / ("map.ply" if verb == "colour" else "drive.sfs"))
     assert kernels_not_asked_for(*verb.split(), drive, "--quiet", *output) == "[] True"
+
+
+def test_the_demo_meets_no_kernel_that_was_not_asked_for_and_shows_an_image_first(tmp_path):
+    assert kernels_not_asked_for("demo", "--frames", "2", "--keep", tmp_path, "--quiet") == "[] True"
+    with Image.open(tmp_path / "first_image.png") as image:
+        assert image.size == (800, 400)
 
 
 @pytest.mark.slow

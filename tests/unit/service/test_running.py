@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -32,17 +33,33 @@ def test_requests_and_the_whole_conformance_kit_reach_no_kernel_that_was_not_the
 
 
 def test_missing_kernels_are_compiled_before_requests_and_logged(monkeypatch, caplog):
-    asked = []
+    asked, waited, loaded, ready = [], [], [], []
 
-    def compile_ahead(names, *, started):
+    @contextmanager
+    def compiling_ahead(names, *, started):
         asked.extend(names)
         cache._report(asked[0], 1)
+        yield waited.extend
 
-    monkeypatch.setattr(running, "compile_ahead", compile_ahead)
+    monkeypatch.setattr(running, "compiling_ahead", compiling_ahead)
+    monkeypatch.setattr(running, "compile_kernels", lambda names: loaded.append(set(names)))
     with caplog.at_level(logging.INFO, "sceneloom.service"):
-        assert warm_up() == 2
-    assert {"sceneloom.cameras.fisheye:Fisheye.project_into_image", "sceneloom.tracking.tracker:_predict"} & set(asked)
+        assert warm_up(ready=lambda: ready.append(len(loaded))) == 2
+    of_models = [f"sceneloom.cameras.{name}.project_into_image" for name in ("perspective:Pinhole", "fisheye:Fisheye")]
+    assert {*of_models, "sceneloom.tracking.tracker:_predict"} <= set(asked)
     assert caplog.records[0].fields == {"kernel": asked[0], "left": 1}
+    # what a session may ask for comes once the server listens; what its configuration asks for, before
+    assert (set(of_models) & set(waited), ready) == ({of_models[0]}, [1])
+    assert loaded == [set(waited), set(asked)]
+
+    def configure(fusion):
+        fusion.add_property("camera_models", "", "string")
+        fisheye = {"model": "fisheye", "image_size": [64, 48], "fx": 50.0, "fy": 50.0, "cx": 31.5, "cy": 23.5}
+        fusion.set_property("camera_models", json.dumps({"1": fisheye}))
+
+    waited.clear()
+    assert warm_up(configure=configure, ended=lambda: True) == 0
+    assert set(of_models) <= set(waited)
 
 
 def test_a_server_listens_only_when_it_is_warm_and_ends_at_once_if_it_is_told_so_while_loading(monkeypatch):
@@ -59,12 +76,12 @@ def test_a_server_listens_only_when_it_is_warm_and_ends_at_once_if_it_is_told_so
         look("started")
         os.kill(os.getpid(), signal.SIGTERM)
 
-    def load(started):
+    def load(started, *_):
         started(SimpleNamespace(kill=lambda: killed.append(True)))
         os.kill(os.getpid(), signal.SIGTERM)
         here.wait(60)
 
-    monkeypatch.setattr(running, "warm_up", lambda started: look("warming up"))
+    monkeypatch.setattr(running, "warm_up", lambda started, ready, *_: (look("warming up"), ready()))
     monkeypatch.setattr(running.gc, "freeze", lambda: None)
     assert running.serve_until_ended(ServerSettings(port=port), started=started, quiet=True) == ()
     assert seen == [("warming up", False), ("started", True)]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -205,12 +206,11 @@ class _Sweeps:
 
     def _meeting(self, one: _Sweep, other: _Sweep) -> Mapping[PointsFrame, float]:
         """The share of points off the ground that meet points of another sweep, by frame whose poses are known."""
-        from scipy.spatial import cKDTree
-
         shares: dict[PointsFrame, float] = {}
         if len(other[1]) < _LEAST_ASKED:
             return shares
-        others = cKDTree(other[1])
+        _, alone = np.unique(_cells(other[1], _MEETS_M / 3), return_index=True)
+        others = other[1][alone]  # one for all in a small cube: dense clouds meet as often, and take no longer
         for frame, source in self.locations.points.items():
             world_from_one, world_from_other = _transform_at(source, one[0]), _transform_at(source, other[0])
             if world_from_one is None or world_from_other is None:
@@ -219,9 +219,30 @@ class _Sweeps:
             asked = asked[_off_ground(asked)]
             asked = asked[:: len(asked) // _ASKED_POINTS + 1]
             if len(asked) >= _LEAST_ASKED:
-                away, _ = others.query(world_from_other.inverse().apply(asked), distance_upper_bound=_MEETS_M)
-                shares[frame] = float(np.isfinite(away).mean())
+                shares[frame] = float(_meet(world_from_other.inverse().apply(asked), others).mean())
         return shares
+
+
+def _cells(points: Float64Array, size: float, step: tuple[int, int, int] = (0, 0, 0)) -> Int64Array:
+    """Number the cubes of a size [m] that are some steps away from points (N, 3), (N,) int64."""
+    x, y, z = (np.floor(points / size).astype(np.int64) + step).T
+    return np.asarray((x << 42) + (y << 21) + z)
+
+
+def _meet(asked: Float64Array, others: Float64Array) -> BoolArray:
+    """(A,) bool: whether a point (A, 3) is within `_MEETS_M` of one of others (N, 3), in the cubes about it."""
+    met = np.zeros(len(asked), np.bool_)
+    cells = _cells(others, _MEETS_M)
+    order = np.argsort(cells)
+    others, cells = others[order], cells[order]
+    for x, y in product((-1, 0, 1), repeat=2):
+        first = np.searchsorted(cells, _cells(asked, _MEETS_M, (x, y, -1)))
+        last = np.searchsorted(cells, _cells(asked, _MEETS_M, (x, y, 1)), "right")
+        counts = last - first
+        rows = np.repeat(np.arange(len(asked)), counts)
+        found = others[np.arange(len(rows)) - np.repeat(np.cumsum(counts) - last, counts)]
+        met[rows[np.sum((asked[rows] - found) ** 2, axis=1) < _MEETS_M**2]] = True
+    return met
 
 
 def _off_ground(points: Float64Array) -> BoolArray:
@@ -356,8 +377,6 @@ def _boxes_with_points(
     subject: Subject, sweep: LidarFrame, points: Float64Array, sensor: Float64Array
 ) -> tuple[int, int]:
     """How many cuboids with a keyframe at a sweep are in sight of the lidar, and how many of them contain a point."""
-    from sceneloom.kernels.boxes import find_points_in_boxes  # imports the compiler: only where there are cuboids
-
     rows = _cuboids_at(subject, sweep)
     distances = np.hypot(*(rows[:, 3:5] - sensor[:2]).T)
     sized = ((rows[:, :3] > 0) & (rows[:, :3] < _LARGEST_BOX_M)).all(axis=1) & (rows[:, 2] > 2 * _FLOOR_M)
@@ -365,14 +384,25 @@ def _boxes_with_points(
     rows = rows[_in_sight(rows[:, 3:5] - sensor[:2], points[:, :2] - sensor[:2])]
     if len(rows) == 0:
         return 0, 0
-    found, angles = np.zeros(len(rows), np.int64), CuboidAngles.of(subject.scene)
+    angles = CuboidAngles.of(subject.scene)
     rotations = rotation_from_cuboid_angles(rows[:, 6:], unit=angles.unit, order=angles.order)
     centers, halves = rows[:, 3:6].copy(), rows[:, :3] / 2 + _MARGIN_M
     centers[:, 2] += (_FLOOR_M + _MARGIN_M) / 2
     halves[:, 2] -= (_FLOOR_M + _MARGIN_M) / 2
-    boxes = (centers[None], np.ascontiguousarray(rotations[None]), np.ascontiguousarray(halves[None]))
-    find_points_in_boxes(np.ascontiguousarray(points), np.zeros(0), *boxes, found, np.zeros(0, np.int64))
-    return len(rows), int(np.count_nonzero(found))
+    nearby = _points_about(points, centers, np.linalg.norm(halves, axis=1))
+    inside = [
+        (np.abs((found - center) @ rotation) <= half).all(axis=1).any()
+        for found, center, rotation, half in zip(nearby, centers, rotations, halves, strict=True)
+    ]
+    return len(rows), sum(map(bool, inside))
+
+
+def _points_about(points: Float64Array, centers: Float64Array, reaches: Float64Array) -> Iterator[Float64Array]:
+    """Give for each centre (B, 3) the points (N, 3) that lie within its reach (B,) along x, and some beside them."""
+    points = points[np.argsort(points[:, 0])]
+    first = np.searchsorted(points[:, 0], centers[:, 0] - reaches)
+    last = np.searchsorted(points[:, 0], centers[:, 0] + reaches, "right")
+    return (points[start:stop] for start, stop in zip(first, last, strict=True))
 
 
 def _in_sight(centers: Float64Array, points: Float64Array) -> BoolArray:
@@ -558,16 +588,19 @@ def _count_in_boxes(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
 
 def _count_points(evidence: _Evidence, points_world: Float64Array, rows: Float64Array) -> None:
     """Count the points in some boxes near the middle of a sweep, except for those just above their floors."""
-    from scipy.spatial import cKDTree
-
     near = np.linalg.norm(rows[:, 3:6] - np.median(points_world, axis=0), axis=1) < _NEAR_M
     rows = rows[near & (rows[:, :3] > 0).all(axis=1)]
     rows = rows[:: len(rows) // _MOST_BOXES + 1]
     evidence.boxes += len(rows)
-    lists = cKDTree(points_world).query_ball_point(rows[:, 3:6], np.linalg.norm(rows[:, :3], axis=1) / 2)
+    reaches = np.linalg.norm(rows[:, :3], axis=1) / 2
+    lists = [
+        (found - center)[np.linalg.norm(found - center, axis=1) <= reach]
+        for center, reach, found in zip(
+            rows[:, 3:6], reaches, _points_about(points_world, rows[:, 3:6], reaches), strict=True
+        )
+    ]
     boxes: Int64Array = np.repeat(np.arange(len(rows)), np.array([len(found) for found in lists], np.int64))
-    ids = np.concatenate([np.zeros(0, np.int64), *(np.asarray(found, np.int64) for found in lists)])
-    away, halves = points_world[ids] - rows[boxes, 3:6], rows[boxes, :3] / 2
+    away, halves = np.concatenate([np.zeros((0, 3)), *lists]), rows[boxes, :3] / 2
     for reading in _readings(evidence.stated):
         points_box = np.einsum("nji,nj->ni", _rotations(reading, rows)[boxes], away)
         inside = (np.abs(points_box) <= halves).all(axis=1) & (points_box[:, 2] > _OFF_GROUND_M - halves[:, 2])

@@ -1,5 +1,6 @@
 """The command `sceneloom` and the table of its verbs, each imported when it is called."""
 
+import os
 import signal
 import sys
 import threading
@@ -81,6 +82,8 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(stream, TextIOWrapper):
             # names of files need not be Unicode, and a terminal may know fewer characters than we write
             stream.reconfigure(errors="backslashreplace")
+    # thousands of products with 3x3 matrices are all that BLAS gets: its threads would only spin beside ours
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     ignore_warnings_of_extreme_numbers()
     with _ending_cleanly(), reported_compiling():
         sys.exit(_run(arguments))

@@ -10,7 +10,6 @@ from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F32_3D, IN_U8_2D, IN_U8_3D, inlined, part
 
 _FRACTION_BITS = 5  # of a level. With one more, the sum of brightness and colour would leave 16 bits.
-_ROUNDED = 1 << (_FRACTION_BITS - 1)
 
 
 # compiled by itself: in place, the product becomes one of 64 bits
@@ -101,7 +100,7 @@ def rgb_from_halved_chroma(
     Args:
         luma: (height, at least width), whose first columns are the image's.
         blue, red: (height / 2, at least width / 2), differences of blue and red from brightness.
-        factors: (6,) below 32768, the formula's factors as `conversion_factors` gives them.
+        factors: (6,) below 32768, the formula's factors of `formats.video.reader`.
         half_columns: how far right of the even column a sample of colour lies, in halves of a pixel: 0 or 1.
         rgb: (height, 3 width), filled; both sizes even.
     """
@@ -118,32 +117,6 @@ def rgb_from_halved_chroma(
             _paint(luma[2 * k - 1], before, after, factors, rgb[2 * k - 1])
         if k == latest:
             _paint(luma[2 * k], after, before, factors, rgb[2 * k])
-
-
-def conversion_factors(red_share: float, blue_share: float, *, full: bool) -> Int64Array:
-    """Put the formula's factors into fixed point.
-
-    Args:
-        red_share, blue_share: of red and blue in brightness.
-        full: whether brightness has the levels 0 to 255, not 16 to 235.
-
-    Returns:
-        (6,): gain and offset of brightness; red of the red difference; green of the blue and of the red difference;
-        blue of the blue difference.
-
-    Source: ITU-R BT.601-7 and BT.709-6, clause 3; ITU-T H.264, E.2.1, `video_full_range_flag`.
-    """
-    darkest, luma_gain, chroma_gain = (0, 1.0, 1.0) if full else (16, 255 / 219, 255 / 224)
-    green_share = 1 - red_share - blue_share
-    red, blue = 2 * (1 - red_share) * chroma_gain, 2 * (1 - blue_share) * chroma_gain
-    unit = 1 << _FRACTION_BITS
-    differences = np.array([red, -blue_share / green_share * blue, -red_share / green_share * red, blue])
-    # the two products of a sum are rounded down: half a unit each
-    offset = round((128 - darkest) * luma_gain * unit) + _ROUNDED + 1
-    # levels come eight bits up, and a product gives its upper 16 of 32 bits
-    gain = luma_gain * unit * (1 << 16 - 8)
-    scaled = np.rint(differences * unit * (1 << 16 - 8))
-    return np.array([round(gain), offset, *scaled], np.int64)
 
 
 @kernel(void(IN_U8_3D, IN_F32_3D, uint8[:, :, ::1], boolean[:, ::1]))

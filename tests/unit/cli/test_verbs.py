@@ -82,7 +82,7 @@ def test_demo_keeps_a_recording_a_scene_and_images(refuses, succeeds, tmp_path, 
     assert [path.name for path in (tmp_path / "other").iterdir()] == ["images"]
     outcome = succeeds("demo --keep", tmp_path / "kept", "--frames", "2")
     kept = {path.name for path in (tmp_path / "kept").iterdir()}
-    assert kept == {"drive", "drive.sfs", "depth", "images"}
+    assert kept == {"drive", "drive.sfs", "depth", "images", "first_image.png"}
     assert "sceneloom info" in outcome.out
     shown = next(line.split()[2] for line in outcome.out.splitlines() if line.startswith("look at "))
     assert Path(shown).is_file()

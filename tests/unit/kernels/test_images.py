@@ -1,4 +1,4 @@
-"""The kernel against the formulas in floating point, with colours interpolated by NumPy.
+"""The kernel, and what stands in for it, against the formulas in floating point, with colours interpolated by NumPy.
 
 Blending four pixels, against the same by hand, at the edges of the image and beyond them.
 """
@@ -8,7 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from sceneloom.kernels.images import conversion_factors, resample_bilinear, rgb_from_halved_chroma
+from sceneloom.formats.video.reader import _conversion_factors, _rgb_from_halved_chroma
+from sceneloom.kernels.images import resample_bilinear, rgb_from_halved_chroma
 
 SHARES = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722)}
 
@@ -32,11 +33,14 @@ def rgb_by_formula(planes, shares, full, half_columns):
     return np.clip(np.stack([red, green, blue], axis=-1), 0, 255)
 
 
-def by_kernel(planes, shares, full, half_columns, *, width):
+def by_kernel_and_numpy(planes, shares, full, half_columns, *, width):
     height = len(planes[0])
     rgb = np.full((height, 3 * width), 77, np.uint8)
-    rgb_from_halved_chroma(*planes, conversion_factors(*shares, full=full), half_columns, rgb)
-    return rgb.reshape(height, width, 3)
+    rgb_from_halved_chroma(*planes, _conversion_factors(*shares, full=full), half_columns, rgb)
+    by_numpy = np.full((height, width, 3), 77, np.uint8)
+    _rgb_from_halved_chroma(*planes, _conversion_factors(*shares, full=full), half_columns, by_numpy)
+    assert np.array_equal(by_numpy, rgb.reshape(height, width, 3))  # whichever an image is converted by
+    return by_numpy
 
 
 @pytest.mark.parametrize("half_columns", [0, 1])
@@ -52,7 +56,7 @@ def test_noise_comes_out_as_the_formula_says(height, width, matrix, full, half_c
     ]
     shown = [plane[:, : width // n] for plane, n in zip(stored, (1, 2, 2), strict=True)]
     expected = rgb_by_formula(shown, SHARES[matrix], full, half_columns)
-    difference = by_kernel(stored, SHARES[matrix], full, half_columns, width=width) - expected
+    difference = by_kernel_and_numpy(stored, SHARES[matrix], full, half_columns, width=width) - expected
     # half a level of rounding, and brightness and colours in steps of a 32nd
     assert np.abs(difference).max() < 0.6
     if difference.size > 10_000:
@@ -63,7 +67,7 @@ def test_noise_comes_out_as_the_formula_says(height, width, matrix, full, half_c
 @pytest.mark.parametrize("full", [False, True], ids=["limited", "full"])
 def test_every_grey_keeps_its_level_in_all_three_colours(full):
     luma, grey = np.tile(np.arange(256, dtype=np.uint8), (2, 1)), np.full((1, 128), 128, np.uint8)
-    rgb = by_kernel([luma, grey, grey], SHARES["bt709"], full, 0, width=256).astype(int)
+    rgb = by_kernel_and_numpy([luma, grey, grey], SHARES["bt709"], full, 0, width=256).astype(int)
     levels = np.arange(256) if full else np.clip((np.arange(256) - 16) * 255 / 219, 0, 255)
     assert np.ptp(rgb, axis=2).max() <= (0 if full else 1)
     assert np.abs(rgb[0] - levels[:, None]).max() <= (0 if full else 0.55)

@@ -2,6 +2,7 @@
 
 import io
 import os
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -24,7 +25,7 @@ from av.video.frame import VideoFrame
 from av.video.reformatter import Interpolation, VideoReformatter
 from av.video.stream import VideoStream
 
-from sceneloom.arrays import Float64Array, Int64Array, UInt8Array, UInt16Array
+from sceneloom.arrays import Float64Array, Int16Array, Int64Array, UInt8Array, UInt16Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import (
@@ -508,12 +509,17 @@ _HALVED = frozenset({"yuv420p", "yuvj420p"})
 """FFmpeg's names of pixels in three planes of bytes, the colours at half the resolution both ways."""
 
 
+_BY_NUMPY = 24
+"""So many images of a video are converted without the compiler, where nobody has imported it: that takes as long."""
+
+
 class _Colours:
     """Converts the images of one stream; for one thread at a time."""
 
     def __init__(self) -> None:
         self._reformatter = VideoReformatter()
         self._formulas: dict[tuple[str, int, int, bool], _Formula | None] = {}
+        self._left = _BY_NUMPY
 
     def rgb(self, frame: VideoFrame) -> UInt8Array:
         """Give (height, width, 3) uint8, red green blue."""
@@ -522,11 +528,11 @@ class _Colours:
         if even and frame.format.name in _HALVED and all(plane.line_size >= plane.width for plane in frame.planes):
             kind = (frame.format.name, frame.colorspace, frame.color_range, frame.interlaced_frame)
             if kind not in self._formulas:
-                # loads the compiler: for images only, not for opening and counting
                 self._formulas[kind] = _formula_like_converter(frame)
             formula = self._formulas[kind]
             if formula is not None:
-                return _by_formula(frame, formula)
+                self._left -= 1
+                return _by_formula(frame, formula, compiled=self._left < 0)
         return _by_converter(frame, self._reformatter)
 
 
@@ -540,27 +546,93 @@ _SHARES = ((0.299, 0.114), (0.2126, 0.0722))
 
 _PROBE_WIDTH, _PROBE_HEIGHT = 32, 16  # room for a hundred samples of colour
 
+_FRACTION_BITS = 5  # of a level, as in the kernel
 _Formula = tuple[Int64Array, int]
 """(6,) factors as the kernel takes them; and how far right of the even column a sample of colour lies [px / 2]."""
 
 
-def _by_formula(frame: VideoFrame, formula: _Formula) -> UInt8Array:
-    from sceneloom.kernels.images import rgb_from_halved_chroma
-
+def _by_formula(frame: VideoFrame, formula: _Formula, *, compiled: bool = False) -> UInt8Array:
     # the memory of the planes themselves, (height, at least width)
     luma, blue, red = (np.frombuffer(memoryview(p), np.uint8).reshape(p.height, p.line_size) for p in frame.planes)
     rgb = np.empty((frame.height, frame.width, 3), np.uint8)
-    lines = rgb.reshape(frame.height, 3 * frame.width)
-    rgb_from_halved_chroma(luma, blue, red, *formula, lines)
+    if compiled or "numba" in sys.modules:
+        from sceneloom.kernels.images import rgb_from_halved_chroma
+
+        rgb_from_halved_chroma(luma, blue, red, *formula, rgb.reshape(frame.height, 3 * frame.width))
+    else:
+        _rgb_from_halved_chroma(luma, blue, red, *formula, rgb)
     return rgb
+
+
+def _rgb_from_halved_chroma(
+    luma: UInt8Array, blue: UInt8Array, red: UInt8Array, factors: Int64Array, half_columns: int, rgb: UInt8Array
+) -> None:
+    """Fill (H, W, 3) with what the kernel of the name computes, without the compiler, whose import takes longer."""
+    gain, offset, *scales = factors.astype(np.int16)
+    height, width = rgb.shape[:2]
+    of_blue, of_red = (_centred(plane[: height // 2, : width // 2]) for plane in (blue, red))
+    red_red, blue_green, red_green, blue_blue = scales
+    added = (
+        _high(of_red, red_red),
+        _high(of_blue, blue_green) + _high(of_red, red_green) + 1,
+        _high(of_blue, blue_blue),
+    )
+    bright = _high(_centred(luma[:, :width]), gain) + offset
+    for channel, scaled in enumerate(added):
+        spread = np.empty((height // 2, width), np.int16)
+        a, b = scaled[:, :-1], scaled[:, 1:]
+        if half_columns == 1:
+            spread[:, 0], spread[:, -1] = scaled[:, 0], scaled[:, -1]
+            step = (b - a + 2) >> 2
+            spread[:, 1:-1:2], spread[:, 2::2] = a + step, b - step
+        else:
+            spread[:, ::2], spread[:, 1:-1:2], spread[:, -1] = scaled, (a + b + 1) >> 1, scaled[:, -1]
+        before, after = np.vstack([spread[:1], spread[:-1]]), np.vstack([spread[1:], spread[-1:]])
+        for first, far in ((0, before), (1, after)):
+            levels = (bright[first::2] + spread + ((far - spread + 2) >> 2)) >> _FRACTION_BITS
+            rgb[first::2, :, channel] = levels.clip(0, 255)
+
+
+def _centred(levels: UInt8Array) -> Int16Array:
+    """Levels without their middle, filling 16 bits."""
+    return (levels.astype(np.int16) - 128) << 8
+
+
+def _high(a: Int16Array, b: Any) -> Int16Array:
+    """The upper half of the product of 16-bit numbers, rounded down."""
+    return (a.astype(np.int32) * np.int32(b) >> 16).astype(np.int16)
+
+
+def _conversion_factors(red_share: float, blue_share: float, *, full: bool) -> Int64Array:
+    """Put the formula's factors into fixed point.
+
+    Args:
+        red_share, blue_share: of red and blue in brightness.
+        full: whether brightness has the levels 0 to 255, not 16 to 235.
+
+    Returns:
+        (6,): gain and offset of brightness; red of the red difference; green of the blue and of the red difference;
+        blue of the blue difference.
+
+    Source: ITU-R BT.601-7 and BT.709-6, clause 3; ITU-T H.264, E.2.1, `video_full_range_flag`.
+    """
+    darkest, luma_gain, chroma_gain = (0, 1.0, 1.0) if full else (16, 255 / 219, 255 / 224)
+    green_share = 1 - red_share - blue_share
+    red, blue = 2 * (1 - red_share) * chroma_gain, 2 * (1 - blue_share) * chroma_gain
+    unit = 1 << _FRACTION_BITS
+    differences = np.array([red, -blue_share / green_share * blue, -red_share / green_share * red, blue])
+    # the two products of a sum are rounded down: half a unit each
+    offset = round((128 - darkest) * luma_gain * unit) + (unit >> 1) + 1
+    # levels come eight bits up, and a product gives its upper 16 of 32 bits
+    gain = luma_gain * unit * (1 << 16 - 8)
+    scaled = np.rint(differences * unit * (1 << 16 - 8))
+    return np.array([round(gain), offset, *scaled], np.int64)
 
 
 @lru_cache(maxsize=1)
 def _formulas() -> tuple[_Formula, ...]:
-    from sceneloom.kernels.images import conversion_factors
-
     return tuple(
-        (conversion_factors(*shares, full=full), half_columns)
+        (_conversion_factors(*shares, full=full), half_columns)
         for shares, full, half_columns in product(_SHARES, (False, True), (0, 1))
     )
 

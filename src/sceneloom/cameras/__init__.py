@@ -31,22 +31,7 @@ else:
     )
 
 __all__ = [
-    "MODELS",
-    "Camera",
-    "Chart",
-    "Fit",
-    "Model",
-    "PointsInImage",
-    "Undistortion",
-    "check_camera",
-    "domain_angle",
-    "fit",
-    "intrinsics_vector",
-    "nearest",
-    "project",
-    "project_unbounded",
-    "projection_kernel",
-    "undistort",
-    "undistorted_camera",
-    "unproject",
-]
+    "MODELS", "Camera", "Chart", "Fit", "Model", "PointsInImage", "Undistortion", "check_camera", "domain_angle", "fit",
+    "intrinsics_vector", "nearest", "project", "project_unbounded", "projection_kernel", "undistort",
+    "undistorted_camera", "unproject",
+]  # fmt: skip

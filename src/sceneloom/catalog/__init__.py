@@ -22,17 +22,6 @@ else:
     )
 
 __all__ = [
-    "SHOWN",
-    "TABLES",
-    "CatalogReport",
-    "Drive",
-    "Result",
-    "Selection",
-    "build",
-    "format_csv",
-    "iter_list",
-    "opened",
-    "query",
-    "records",
-    "update",
-]
+    "SHOWN", "TABLES", "CatalogReport", "Drive", "Result", "Selection", "build", "format_csv", "iter_list", "opened",
+    "query", "records", "update",
+]  # fmt: skip

@@ -9,6 +9,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from sceneloom.cli.help import Verb
+from sceneloom.cli.options import option
 from sceneloom.cli.printing import Printer, print_json, print_table
 from sceneloom.cli.running import verb
 from sceneloom.errors import OptionError
@@ -16,12 +17,16 @@ from sceneloom.errors import OptionError
 _MARKS = {"good": "ok", "missing": "--", "broken": "BROKEN"}
 
 
-@click.command(cls=Verb, examples=("", "--json"))
+@click.command(cls=Verb, examples=("", "--compile", "--json"))
+@option("--compile", "Compile all numeric kernels first: for images of containers, and for services.")
 @verb
-def doctor(printer: Printer) -> int:
+def doctor(printer: Printer, **given: bool) -> int:
     """Report what this installation can do and what it lacks; exit 1 if something needed is broken."""
+    from sceneloom.kernels.cache import compile_all
     from sceneloom.pipeline.installation import examine_installation
 
+    if given["compile"]:
+        compile_all()
     report = examine_installation()
     if printer.as_json:
         print_json({"sound": report.is_sound, "findings": report.findings})

@@ -34,19 +34,6 @@ else:
     )
 
 __all__ = [
-    "ENCODINGS",
-    "RECORD_KINDS",
-    "TABLES",
-    "Box2d",
-    "Box3d",
-    "Boxes2d",
-    "Boxes3d",
-    "CalibrationData",
-    "FusedDetections",
-    "ImageData",
-    "PointCloudData",
-    "RawData",
-    "SensorFusionData",
-    "Timestamp",
-    "kind_of",
-]
+    "ENCODINGS", "RECORD_KINDS", "TABLES", "Box2d", "Box3d", "Boxes2d", "Boxes3d", "CalibrationData", "FusedDetections",
+    "ImageData", "PointCloudData", "RawData", "SensorFusionData", "Timestamp", "kind_of",
+]  # fmt: skip

@@ -27,15 +27,6 @@ else:
     )
 
 __all__ = [
-    "annotations_to_world",
-    "apply_corrections",
-    "convert_camera_models",
-    "crop_scene",
-    "merge_scenes",
-    "simplify_scene",
-    "thin_scene",
-    "to_ego",
-    "to_sensor",
-    "to_world",
-    "undistort_scene",
-]
+    "annotations_to_world", "apply_corrections", "convert_camera_models", "crop_scene", "merge_scenes",
+    "simplify_scene", "thin_scene", "to_ego", "to_sensor", "to_world", "undistort_scene",
+]  # fmt: skip

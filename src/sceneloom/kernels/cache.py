@@ -260,12 +260,7 @@ def find_kernel_cache() -> KernelCache:
     Source: Numba's manual, "Cache Sharing" and NUMBA_CACHE_DIR: `__pycache__` beside the source where that can be
     written, else a folder of the user's; NUMBA_CACHE_DIR comes first.
     """
-    counts = {
-        source: count
-        for package in PACKAGES
-        for source in sorted((_PACKAGE / package).glob("*.py"))
-        if (count := _count_kernels(source))
-    }
+    counts = _counts_of_kernels()
     elsewhere = os.environ.get("NUMBA_CACHE_DIR")
     beside = Path(__file__).parent / "__pycache__"
     folder = Path(elsewhere) if elsewhere else beside
@@ -275,6 +270,12 @@ def find_kernel_cache() -> KernelCache:
     users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
     usable = writable or any(map(_can_write, (beside, users)))
     return KernelCache(folder, writable, sum(counts.values()), compiled, usable)
+
+
+def _counts_of_kernels() -> dict[Path, int]:
+    """How many kernels each module has that has some."""
+    sources = [source for package in PACKAGES for source in sorted((_PACKAGE / package).glob("*.py"))]
+    return {source: count for source in sources if (count := _count_kernels(source))}
 
 
 def _can_write(folder: Path) -> bool:
@@ -301,6 +302,14 @@ def _file_of(module: str) -> Path | None:
     if len(parts) != 3 or parts[0] != _PACKAGE.name or parts[1] not in PACKAGES:
         return None
     return _PACKAGE.parent.joinpath(*parts).with_suffix(".py")
+
+
+def compile_all() -> None:
+    """Compile all kernels that there are and that are not kept yet."""
+    for source in _counts_of_kernels():
+        import_module(".".join(source.relative_to(_PACKAGE.parent).with_suffix("").parts))
+    compile_ahead(declared_kernels())
+    compile_kernels(declared_kernels())
 
 
 def compile_ahead(names: Iterable[str], *, started: Callable[[Popen[str]], object] = id) -> None:

@@ -914,24 +914,11 @@ def cast(
     bodies = street.bodies
     moving = _moving(street, origins, times_ns, reach=reach)
     _side_by_side(
-        _trace_rays,
-        len(rays.bundle_starts) - 1,
-        rays.directions,
-        rays.pose_of_ray,
-        np.ascontiguousarray(rotations, np.float64),
-        np.ascontiguousarray(origins, np.float64),
-        rays.bundle_starts,
-        rays.slots,
-        bodies.kinds,
-        bodies.maps,
-        moving.frame_of_shape,
-        moving.frames,
-        moving.spheres,
-        moving.candidates,
-        float(reach),
-        ranges,
-        shapes,
-    )
+        _trace_rays, len(rays.bundle_starts) - 1, rays.directions, rays.pose_of_ray,
+        np.ascontiguousarray(rotations, np.float64), np.ascontiguousarray(origins, np.float64),
+        rays.bundle_starts, rays.slots, bodies.kinds, bodies.maps,
+        moving.frame_of_shape, moving.frames, moving.spheres, moving.candidates, float(reach), ranges, shapes,
+    )  # fmt: skip
     return Hits(ranges, shapes, moving)
 
 
@@ -950,23 +937,11 @@ def silhouettes(
     moving = _moving(street, origins, times_ns, reach=reach)
     counts = np.zeros((_WORKERS, len(street.objects) + len(street.movers)), np.int64)
     _side_by_side(
-        _count_silhouettes,
-        _WORKERS,
-        rays.directions,
-        rays.pose_of_ray,
-        np.ascontiguousarray(rotations, np.float64),
-        np.ascontiguousarray(origins, np.float64),
-        rays.bundle_starts,
-        bodies.kinds,
-        bodies.maps,
-        (bodies.instances - 1).astype(np.int32),
-        moving.frame_of_shape,
-        moving.frames,
-        moving.spheres,
-        moving.candidates,
-        float(reach),
-        counts,
-    )
+        _count_silhouettes, _WORKERS, rays.directions, rays.pose_of_ray,
+        np.ascontiguousarray(rotations, np.float64), np.ascontiguousarray(origins, np.float64),
+        rays.bundle_starts, bodies.kinds, bodies.maps, (bodies.instances - 1).astype(np.int32),
+        moving.frame_of_shape, moving.frames, moving.spheres, moving.candidates, float(reach), counts,
+    )  # fmt: skip
     totals: Int64Array = counts.sum(axis=0)
     return totals
 
@@ -1007,32 +982,13 @@ def paint(
     facings = np.zeros(rays.slot_count, np.float32)
     shapes = street.bodies
     _side_by_side(
-        _paint_rays,
-        len(rays.slots),
-        rays.directions,
-        rays.pose_of_ray,
-        np.ascontiguousarray(rotations, np.float64),
-        np.ascontiguousarray(origins, np.float64),
-        rays.slots,
-        hits.ranges,
-        hits.shapes,
-        shapes.kinds,
-        shapes.maps,
-        hits.moving.frame_of_shape,
-        hits.moving.frames,
-        shapes.halves,
-        shapes.patterns,
-        shapes.palettes,
-        shapes.measures,
-        shapes.instances,
-        street.ground.nodes,
-        street.ground.corner,
-        street.ground.cell,
-        np.array(PALETTE, np.float64),
-        float(pixel_angle),
-        colors,
-        facings,
-    )
+        _paint_rays, len(rays.slots), rays.directions, rays.pose_of_ray,
+        np.ascontiguousarray(rotations, np.float64), np.ascontiguousarray(origins, np.float64),
+        rays.slots, hits.ranges, hits.shapes, shapes.kinds, shapes.maps, hits.moving.frame_of_shape,
+        hits.moving.frames, shapes.halves, shapes.patterns, shapes.palettes, shapes.measures, shapes.instances,
+        street.ground.nodes, street.ground.corner, street.ground.cell,
+        np.array(PALETTE, np.float64), float(pixel_angle), colors, facings,
+    )  # fmt: skip
     return Paint(colors, facings)
 
 

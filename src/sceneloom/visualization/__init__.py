@@ -26,14 +26,6 @@ else:
     )
 
 __all__ = [
-    "DepthScale",
-    "DriveCloud",
-    "EgoPosition",
-    "contact_sheet",
-    "draw_cloud_above",
-    "draw_cloud_perspective",
-    "draw_depth_image",
-    "draw_overlay",
-    "iter_images",
-    "save_images",
-]
+    "DepthScale", "DriveCloud", "EgoPosition", "contact_sheet", "draw_cloud_above", "draw_cloud_perspective",
+    "draw_depth_image", "draw_overlay", "iter_images", "save_images",
+]  # fmt: skip

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from sceneloom.cli.printing import Printer, seconds
 from sceneloom.formats import FORMATS
 from sceneloom.formats.base.losses import Loss, Support
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels import cache
 from sceneloom.pipeline import installation
 from sceneloom.pipeline.installation import Finding, InstallationReport, Status
 from sceneloom.scene import CameraSensor, ImuSensor, LazyFrames, LidarSensor, Scene, Trajectory, VectorSamples
@@ -368,6 +370,16 @@ def test_doctor_says_what_is_there_and_ends_with_1_where_something_needed_is_bro
     assert "something that is needed is broken" in outcome.err
     reported = call("doctor --json")
     assert (reported.code, json.loads(reported.out)["sound"]) == (1, False)
+
+
+def test_doctor_compiles_all_kernels_that_it_counts_when_asked_to(call, monkeypatch):
+    compiled = []
+    monkeypatch.setattr(cache, "compile_ahead", lambda names: compiled.append(set(names)))
+    monkeypatch.setattr(cache, "compile_kernels", lambda names: compiled.append(set(names)))
+    outcome = call("doctor --compile")
+    assert (outcome.code, len(compiled), compiled[0]) == (0, 2, compiled[1])
+    own = [name for name in compiled[0] if name.startswith("sceneloom.")]
+    assert re.search(rf"\d+ of {len(own)} compiled", outcome.out)
 
 
 def test_completion_is_of_the_shell_and_bash_completes_verbs(call, refuses, succeeds, tmp_path, monkeypatch):

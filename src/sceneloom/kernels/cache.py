@@ -379,6 +379,7 @@ def compiling_ahead(
 
         try:
             yield wait
+            wait(done)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             for process in processes:

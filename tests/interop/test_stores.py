@@ -207,7 +207,8 @@ import os, signal
 from pathlib import Path
 
 import sceneloom
-from sceneloom.formats.remote import names_below, stores
+from sceneloom.formats.remote import stores
+from sceneloom.formats.remote.mirror import names_below
 
 put = stores.Store.put
 

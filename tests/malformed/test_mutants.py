@@ -49,7 +49,7 @@ def test_many_mutants_of_a_drive_or_of_files_of_others_give_a_scene_or_an_error_
     tried = try_mutants(name, range(FEW, FEW + MANY), seconds=45)
     assert not tried.failures, str(tried)
     if name in DRIVES:
-        assert set(tried.outcomes) == {"scene", "refused"} - ({"scene"} if name == GUARDED else set())
+        assert set(tried.outcomes) >= ({"refused"} if name == GUARDED else {"scene", "refused"})
 
 
 @on_linux

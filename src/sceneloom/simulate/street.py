@@ -1411,7 +1411,7 @@ def _add_cars(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan) ->
     """Cars before and behind the ego, which stop and go as it does, and a stream of oncoming ones."""
     if spec.cars == 0:
         return
-    spacing = 100.0 / spec.cars
+    spacing = min(100.0 / spec.cars, 1e9)
     parameters, _, _ = plan.path.warp.at(plan.knots)
     for side in (1.0, -1.0):
         track = _Track.of(plan.lane, _OWN_LANE + generator.uniform(-0.08, 0.08))

@@ -735,3 +735,8 @@ def test_faults_that_cannot_be_are_refused(right):
     ]:
         with pytest.raises(OptionError, match=message):
             injected(right, sensor_id, **wrong)
+
+
+def test_hardly_any_traffic_is_the_nearest_cars():
+    traffic = sim.TrafficSpec(cars=1e-308, cyclists=1e-308, pedestrians=1e-308, stationary=1e-308)
+    assert len(simulate_street(4, frames=1, lidar=SMALL, cameras=(), traffic=traffic).truth.street.movers) == 2

@@ -125,7 +125,8 @@ def _rectified_camera(file: _RawFile, ending: str) -> tuple[Camera, RigidTransfo
     """The camera model of a rectified camera, and what takes the frame of camera 0, as recorded, into its own."""
     file.numbers(f"P_rect{ending}")
     rectified = KittiCalibration.of_projection(file.lines[f"P_rect{ending}"])
-    rotation = rotation_of(file.lines["R_rect_00"], file.numbers("R_rect_00").reshape(3, 3))
+    numbers = file.numbers("R_rect_00").reshape(3, 3)
+    rotation = rotation_of(file.lines["R_rect_00"], numbers)
     camera_from_first = rectified.camera_from_lidar(0) @ RigidTransform(rotation, np.zeros(3))
     return rectified.camera(0, file.size(f"S_rect{ending}")), camera_from_first
 

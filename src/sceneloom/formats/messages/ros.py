@@ -395,7 +395,7 @@ class _SqliteBag:
         try:
             self.connections, self._numbers = self._read_topics()
             self._rows = self._read_rows(ledger)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             self.close()
             raise DataError(path, "", f"cannot be read as a bag: {error}") from error
         except DataError:
@@ -454,7 +454,7 @@ class _SqliteBag:
                     rows[self._numbers[topic]].append((identifier, time_ns))
                 else:
                     lost += 1
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             count = sum(map(len, rows))
             problem = f"damaged after {count} messages, is it cut off?: {error}"
             ledger.fault("bag-cut-off", DataError(self.path, "messages", problem))
@@ -472,7 +472,7 @@ class _SqliteBag:
         with self._lock:
             try:
                 row = self._opened().execute("SELECT data FROM messages WHERE id=?", (identifier,)).fetchone()
-            except sqlite3.Error as error:
+            except (sqlite3.Error, UnicodeDecodeError) as error:
                 raise self._fault(identifier, error) from error
         if row is None or not isinstance(row[0], bytes):
             raise self._fault(identifier, "no bytes")
@@ -484,7 +484,7 @@ class _SqliteBag:
                 try:
                     with self._opened().blobopen("messages", "data", identifier, readonly=True) as blob:
                         content = blob.read(size)
-                except (sqlite3.Error, OverflowError) as error:
+                except (sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
                     raise self._fault(identifier, error) from error
             yield content
 

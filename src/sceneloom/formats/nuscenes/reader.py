@@ -630,7 +630,8 @@ def _velocities(cloud: Cloud, positions: Float32Array) -> tuple[Float32Array | N
     if not {"vx", "vy"} <= cloud.columns.keys():
         return None, None
     velocities = np.zeros((cloud.count, 3))
-    velocities[:, 0], velocities[:, 1] = cloud.columns["vx"], cloud.columns["vy"]
+    with np.errstate(invalid="ignore"):  # files hold numbers that are none
+        velocities[:, 0], velocities[:, 1] = cloud.columns["vx"], cloud.columns["vy"]
     lengths = np.linalg.norm(velocities, axis=1)
     distances = np.linalg.norm(positions.astype(np.float64), axis=1)
     directions = np.tile([1.0, 0.0, 0.0], (cloud.count, 1))

@@ -241,6 +241,7 @@ def test_several_drives_are_listed_and_one_can_be_chosen(raw_folder):
     ("changed", "problem"),
     [
         ({"calib_cam_to_cam.txt": None}, "calib_cam_to_cam.txt: is missing"),
+        ({"calib_cam_to_cam.txt": CAM_TO_CAM.replace("R_rect_00", "R_rect_03")}, "no R_rect_00; it has"),
         ({"calib_velo_to_cam.txt": "R: 1 0 0\nT: 0 0 0\n"}, "line 1: 4 values; expected 10"),
         ({"calib_velo_to_cam.txt": "T: 0 0 0\n"}, "no R; it has T"),
         ({"DRIVE/image_02/timestamps.txt": None}, "image_02/timestamps.txt: is missing"),

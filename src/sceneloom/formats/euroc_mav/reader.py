@@ -129,7 +129,7 @@ def _camera_model(path: Path, description: dict[str, Any], size: tuple[int, int]
         fx, fy, cx, cy = intrinsics
         camera = Camera(model, int(stated[0]), int(stated[1]), fx, fy, cx, cy, tuple(coefficients))
         return camera if (camera.width, camera.height) == size else camera.resized(*size)
-    except (SceneloomError, IndexError) as error:
+    except (SceneloomError, IndexError, ValueError, OverflowError) as error:
         raise DataError(path, "intrinsics, resolution", str(error)) from error
 
 

@@ -5,17 +5,16 @@ import os
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from hashlib import blake2b
 from importlib import import_module
 from pathlib import Path
-from queue import SimpleQueue
-from subprocess import DEVNULL, PIPE, Popen
-from tempfile import TemporaryFile
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+if TYPE_CHECKING:
+    from subprocess import Popen
 
 _MAKERS: Mapping[re.Pattern[str], int] = {
     re.compile(r"^@kernel\(", re.MULTILINE): 1,
@@ -283,6 +282,8 @@ def _can_write(folder: Path) -> bool:
     there = next((one for one in (folder, *folder.parents) if one.exists()), None)
     if there is None or not there.is_dir():
         return False
+    from tempfile import TemporaryFile
+
     try:
         with TemporaryFile(dir=there):
             return True
@@ -312,7 +313,7 @@ def compile_all() -> None:
     compile_kernels(declared_kernels())
 
 
-def compile_ahead(names: Iterable[str], *, started: Callable[[Popen[str]], object] = id) -> None:
+def compile_ahead(names: Iterable[str], *, started: Callable[["Popen[str]"], object] = id) -> None:
     """Compile kernels as `compiling_ahead` does, and return when all of them are kept."""
     with compiling_ahead(names, started=started):
         pass
@@ -320,7 +321,7 @@ def compile_ahead(names: Iterable[str], *, started: Callable[[Popen[str]], objec
 
 @contextmanager
 def compiling_ahead(
-    names: Iterable[str], *, started: Callable[[Popen[str]], object] = id
+    names: Iterable[str], *, started: Callable[["Popen[str]"], object] = id
 ) -> Iterator[Callable[[Iterable[str]], None]]:
     """Compile those of some kernels that are not kept yet, in as many processes as there are processors.
 
@@ -350,6 +351,11 @@ def compiling_ahead(
     if count < 2 or not find_kernel_cache().writable:
         yield lambda _: None
         return
+    # what only compiling needs
+    from concurrent.futures import ThreadPoolExecutor
+    from queue import SimpleQueue
+    from subprocess import DEVNULL, PIPE, Popen
+
     idle, processes, ended = SimpleQueue[Popen[str]](), list[Popen[str]](), list[Popen[str]]()
 
     def compile_one(name: str, left: int) -> None:

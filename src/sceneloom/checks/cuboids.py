@@ -219,7 +219,7 @@ class _Sweeps:
             asked = asked[_off_ground(asked)]
             asked = asked[:: len(asked) // _ASKED_POINTS + 1]
             if len(asked) >= _LEAST_ASKED:
-                shares[frame] = float(_meet(world_from_other.inverse().apply(asked), others).mean())
+                shares[frame] = _share_near(world_from_other.inverse().apply(asked), others)
         return shares
 
 
@@ -229,12 +229,13 @@ def _cells(points: Float64Array, size: float, step: tuple[int, int, int] = (0, 0
     return np.asarray((x << 42) + (y << 21) + z)
 
 
-def _meet(asked: Float64Array, others: Float64Array) -> BoolArray:
-    """(A,) bool: whether a point (A, 3) is within `_MEETS_M` of one of others (N, 3), in the cubes about it."""
+def _share_near(asked: Float64Array, others: Float64Array) -> float:
+    """The share of points (A, 3) within `_MEETS_M` of one of others (N, 3), which are in the cubes about them."""
     met = np.zeros(len(asked), np.bool_)
     cells = _cells(others, _MEETS_M)
     order = np.argsort(cells)
     others, cells = others[order], cells[order]
+    asked = asked[np.argsort(_cells(asked, _MEETS_M))]  # neighbours are looked up together
     for x, y in product((-1, 0, 1), repeat=2):
         first = np.searchsorted(cells, _cells(asked, _MEETS_M, (x, y, -1)))
         last = np.searchsorted(cells, _cells(asked, _MEETS_M, (x, y, 1)), "right")
@@ -242,7 +243,7 @@ def _meet(asked: Float64Array, others: Float64Array) -> BoolArray:
         rows = np.repeat(np.arange(len(asked)), counts)
         found = others[np.arange(len(rows)) - np.repeat(np.cumsum(counts) - last, counts)]
         met[rows[np.sum((asked[rows] - found) ** 2, axis=1) < _MEETS_M**2]] = True
-    return met
+    return float(met.mean())
 
 
 def _off_ground(points: Float64Array) -> BoolArray:
@@ -381,9 +382,9 @@ def _boxes_with_points(
     distances = np.hypot(*(rows[:, 3:5] - sensor[:2]).T)
     sized = ((rows[:, :3] > 0) & (rows[:, :3] < _LARGEST_BOX_M)).all(axis=1) & (rows[:, 2] > 2 * _FLOOR_M)
     rows = rows[sized & (distances > _NEAREST_M) & (distances < _FARTHEST_M)]
-    rows = rows[_in_sight(rows[:, 3:5] - sensor[:2], points[:, :2] - sensor[:2])]
     if len(rows) == 0:
         return 0, 0
+    rows = rows[_in_sight(rows[:, 3:5] - sensor[:2], points[:, :2] - sensor[:2])]
     angles = CuboidAngles.of(subject.scene)
     rotations = rotation_from_cuboid_angles(rows[:, 6:], unit=angles.unit, order=angles.order)
     centers, halves = rows[:, 3:6].copy(), rows[:, :3] / 2 + _MARGIN_M

@@ -31,12 +31,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.detector_fits import KITTI, kitti_examples
+from benchmarks.tracking_peers import ab3dmot
 from sceneloom.detections import DetectionPair, FusedBoxes
 from sceneloom.detections.fitting import FitSettings, columns_of, fit_columns
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.settings import ProjectionSettings
+from sceneloom.formats.kitti.benchmark_writer import write_labels
 from sceneloom.formats.kitti.tracking_reader import KittiTracking, open_tracking_folder
 from sceneloom.pipeline import DetectionInput, TrackingSettings, track_objects
+from sceneloom.pipeline.detected_drive import kitti_drive
 from sceneloom.tracking import ImageBox, TrackerSettings
 
 FITTED = ("0000", "0002", "0003", "0006", "0010")
@@ -223,6 +226,37 @@ def interval(scores: Scores, names: tuple[str, ...], label: str) -> tuple[float,
     return float(low), float(high)
 
 
+LEAST_SCORES = (-99.0, 0.0, 1.0, 2.0, 3.0)
+"""Of PointRCNN's boxes, out of which those of AB3DMOT are chosen, which says nothing of them."""
+
+
+def write_ab3dmot(tracking: KittiTracking, least_scores: Mapping[str, Mapping[str, float]], location: Path) -> None:
+    """Write what AB3DMOT follows, with the least score of each sequence and class."""
+    location.mkdir(parents=True)
+    for name, of_classes in least_scores.items():
+        sequence = tracking.sequence(name)
+        labels = {label.capitalize(): least for label, least in of_classes.items()}
+        found = ab3dmot(kitti_drive(sequence), sequence.rectified_from_lidar, labels)
+        write_labels(found, location / f"{name}.txt")
+
+
+def cross_validated_peer(tracking: KittiTracking, names: tuple[str, ...], truth: Path, location: Path) -> Scores:
+    """What AB3DMOT reaches on sequences that did not choose which boxes it looks at."""
+    for least in LEAST_SCORES:
+        own = dict.fromkeys(names, dict.fromkeys(CLASSES, least))
+        write_ab3dmot(tracking, own, location / "tried" / f"{least:g}" / "data")
+    judged = evaluate(truth, location / "tried")
+    held: dict[str, dict[str, float]] = {}
+    for name in names:
+        others = tuple(other for other in names if other != name)
+        held[name] = {
+            label: max(LEAST_SCORES, key=lambda least: together(judged[f"{least:g}"], others, label).hota)
+            for label in CLASSES
+        }
+    write_ab3dmot(tracking, held, location / "held" / "AB3DMOT" / "data")
+    return evaluate(truth, location / "held")["AB3DMOT"]
+
+
 def cross_validate(folder: Path, tracking: KittiTracking, names: tuple[str, ...], variant: str) -> None:
     """Print what is reached on sequences that chose nothing, and how much less that is than on those that did."""
     fusion = {name: Remembered(settings) for name, settings in fusions(folder, names, "left out").items()}
@@ -254,9 +288,11 @@ def cross_validate(folder: Path, tracking: KittiTracking, names: tuple[str, ...]
         for key, (how, settings) in rows.items():
             follow(tracking, how, variant, final / key / "data", settings)
         found = evaluate(truth, final)
+        if variant == "online":
+            found["AB3DMOT, held out"] = cross_validated_peer(tracking, names, truth, Path(scratch) / "peer")
     print(f"\n{variant:20s}{'class':12s}{'HOTA':>7}{'from':>7}{'to':>7}{'DetA':>7}{'AssA':>7}{'MOTA':>8}{'IDSW':>6}")
     for label in CLASSES:
-        for key in rows:
+        for key in found:
             row, (low, high) = together(found[key], names, label), interval(found[key], names, label)
             figures = (
                 f"{row.hota:7.2f}{low:7.1f}{high:7.1f}{row.det:7.2f}{row.ass:7.2f}{row.mota:8.2f}{row.switches:6d}"

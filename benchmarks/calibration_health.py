@@ -1,6 +1,6 @@
-"""How often the check of a calibration is right: injected rotates on a real drive, injected faults on simulated ones.
+"""How often the check of a calibration is right: injected rotations on a real drive, injected faults on simulated ones.
 
-python -m benchmarks.calibration_health [--data ../shared/data] [--rotates 20] [--most 12] [--seeds 4]
+python -m benchmarks.calibration_health [--data ../shared/data] [--rotations 4] [--most 8] [--seeds 2]
 """
 
 import argparse
@@ -55,7 +55,7 @@ def rotation_error(health: CalibrationHealth, rotation_deg: np.ndarray) -> float
 
 
 def real_drive(path: Path, rotations: int, most: int) -> None:
-    """Plant rotates about random axes in a real drive."""
+    """Plant rotations about random axes in a real drive."""
     with sceneloom.open(path) as scene:
         frames = calibration_frames(scene, most=most)
     generator = np.random.default_rng(0)
@@ -92,9 +92,9 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--rotations", type=int, default=20)
-    parser.add_argument("--most", type=int, default=12)
-    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--rotations", type=int, default=4)
+    parser.add_argument("--most", type=int, default=8)
+    parser.add_argument("--seeds", type=int, default=2)
     options = parser.parse_args()
     recordings = options.data / "recordings"
     if recordings.is_dir():

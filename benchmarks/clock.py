@@ -1,6 +1,6 @@
 """How well offsets and skews between clocks are found on synthetic streets, and whether their uncertainty is true.
 
-Run with `python -m benchmarks.clock [--seeds 20] [--only NAME]`. In every drive the clock of one stream is set off by
+Run with `python -m benchmarks.clock [--seeds 4] [--only NAME]`. In every drive the clock of one stream is set off by
 -1 to 1 s (a third of them by nothing) and made up to 200 ppm too fast or slow. Errors are those of the offset in the
 middle of the drive. z: root mean square of the errors in standard deviations as reported, 1 where they are true.
 alarms: streams in step that were called off, of those that were. within 2: share of the errors within two standard
@@ -210,7 +210,7 @@ def row_of(row: Row, seeds: int) -> str:
 def main() -> None:
     """Print the table."""
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--seeds", type=int, default=20)
+    arguments.add_argument("--seeds", type=int, default=4)
     arguments.add_argument("--only", default="", help="rows whose name holds this")
     chosen = arguments.parse_args()
     print(

@@ -93,10 +93,9 @@ def _video_counts(subject: Subject, frame: FrameInHand) -> Iterator[Hit]:
 
 def _images_in(open_video: Callable[[], BinaryIO]) -> int:
     """Count the images of a video by its packets, without decoding them."""
-    from sceneloom.formats.video.reader import VideoReader
+    from sceneloom.formats.video.reader import read_index
 
-    with VideoReader(open_video, name="video") as reader:
-        return reader.count
+    return len(read_index(open_video, "video"))
 
 
 # fmt: off

@@ -90,13 +90,9 @@ def warm_up(
 def _fuse_a_pair() -> int:
     """Send one record of each type, and give how many results they had."""
     with FusionInterface(inline=True) as fusion:
+        size, intrinsics = (_WIDTH, _HEIGHT), (50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1)
         fusion.set_calibration(
-            CalibrationData(
-                image_size=(_WIDTH, _HEIGHT),
-                intrinsic_matrix=(50.0, 0, 31.5, 0, 50.0, 23.5, 0, 0, 1),
-                reference_frame=0,
-                extrinsic_matrix=_FORWARD,
-            )
+            CalibrationData(image_size=size, intrinsic_matrix=intrinsics, reference_frame=0, extrinsic_matrix=_FORWARD)
         )
         common: dict[str, Any] = {"sensor_id": 0, "seq": 0, "timestamp": Timestamp(1, 0)}
         one: dict[str, Any] = {
@@ -108,16 +104,11 @@ def _fuse_a_pair() -> int:
         fusion.send(ImageData(**common, height=_HEIGHT, width=_WIDTH, encoding="rgb8", channel=3, data=pixels))
         fusion.send(PointCloudData(**common, number=1, fields=("x", "y", "z"), fields_number=3, data=point))
         fusion.send(Boxes2d(**common, **one, corners_xyxy=np.array([[25, 18, 38, 30]], np.uint32)))
-        fusion.send(
-            Boxes3d(
-                **common,
-                **one,
-                centers=point,
-                sizes_lwh=np.full((1, 3), 2.0, np.float32),
-                directions=np.array([[1, 0, 0]], np.float32),
-                velocities=np.zeros(1, np.float32),
-            )
-        )
+        shape: dict[str, Any] = {
+            "sizes_lwh": np.full((1, 3), 2.0, np.float32),
+            "directions": np.array([[1, 0, 0]], np.float32),
+        }
+        fusion.send(Boxes3d(**common, **one, **shape, centers=point, velocities=np.zeros(1, np.float32)))
         fusion.flush()
         return fusion.waiting_results
 
@@ -227,7 +218,7 @@ async def _warmed_up(
             done.set_exception(error)
 
     def work() -> None:
-        with suppress(RuntimeError):  # the loop is closed where nobody waits any more
+        with suppress(RuntimeError):  # where the loop is closed
             try:
                 warm_up(processes.append, partial(loop.call_soon_threadsafe, report), configure, ended.is_set)
             except BaseException as caught:  # noqa: BLE001 - it is raised where it is waited for

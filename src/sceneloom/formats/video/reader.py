@@ -708,6 +708,7 @@ class VideoReader:
     def _begin(self) -> None:
         """Make what no other process can have a part in."""
         self._cursor: Cursor | None = None
+        self._begun = False  # whether what is opened was read from
         self._colours = _Colours()
         self._lock = Lock()
         _READERS[id(self)] = self
@@ -861,13 +862,16 @@ class VideoReader:
         entry = int(images.entries[index])
         if not images.timed or (entry == 0 and self._cursor is None):
             return None
+        self._begun = True
         with decoder_faults(self.name, f"image {index}"):
             opened.container.seek(int(images.pts[entry]), stream=opened.stream, backward=True)
         cursor = Cursor(opened, images, self.name)
         return cursor if cursor.enter(entry) else None
 
     def _restart(self) -> Cursor:
-        self._let_go()
+        if self._begun:
+            self._let_go()
+        self._begun = True
         return Cursor(self._open(), self._known_index(), self.name)
 
     def _open(self) -> OpenVideo:
@@ -888,7 +892,7 @@ class VideoReader:
     def _let_go(self) -> None:
         if self._opened is not None:
             self._opened.close()
-        self._opened = self._cursor = None
+        self._opened, self._cursor, self._begun = None, None, False
 
 
 def open_video(source: VideoSource, *, name: str | None = None, cut_off: bool = False) -> VideoReader:

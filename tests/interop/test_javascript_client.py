@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sceneloom.service.running import running_server
+from sceneloom.service.running import _fuse_a_pair, running_server
 
 CLIENT = Path(__file__).parents[2] / "examples" / "clients" / "javascript" / "client.js"
 LIMIT_S = 120
@@ -24,6 +24,7 @@ def modules():
         pytest.skip(f"no modules of {CLIENT.parent.name}: npm install elsewhere and set SCENELOOM_NODE_MODULES")
     if not Path(folder, "@grpc", "grpc-js").is_dir():
         pytest.fail(f"SCENELOOM_NODE_MODULES={folder} has no @grpc/grpc-js")
+    _fuse_a_pair()  # what it sends is fused within its deadline, which compiling would take
     return folder
 
 

@@ -17,7 +17,7 @@ from sceneloom.errors import OptionError
 _MARKS = {"good": "ok", "missing": "--", "broken": "BROKEN"}
 
 
-@click.command(cls=Verb, examples=("", "--compile", "--json"))
+@click.command(cls=Verb, examples=("", "--compile"))
 @option("--compile", "Compile all numeric kernels first: for images of containers, and for services.")
 @verb
 def doctor(printer: Printer, **given: bool) -> int:

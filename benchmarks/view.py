@@ -123,7 +123,7 @@ def save(drive: Path, target: Path) -> dict[str, float]:
 def main() -> None:
     """Measure both forms, each in a process of its own."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seconds", type=float, default=40.0)
     parser.add_argument("--keep", type=Path, help="folder of the drive, which is made there unless it is there")
     parser.add_argument("--one", type=Path, help=argparse.SUPPRESS)
     chosen = parser.parse_args()

@@ -160,8 +160,8 @@ def write_film(folder: Path, images: int) -> None:
     """A recording with a video of noise that moves, in groups of 20 images."""
     folder.mkdir()
     camera_model = {"model": "pinhole", "focalLengthX": 900, "focalLengthY": 900}
-    camera_model |= {"principalPointX": 640, "principalPointY": 360, "imuToCamera": np.eye(4).tolist()}
-    camera = {"cameraInd": 0, "cameraParameters": camera_model}
+    camera_model |= {"principalPointX": 640, "principalPointY": 360}
+    camera = {"cameraInd": 0, "cameraParameters": camera_model, "imuToCamera": np.eye(4).tolist()}
     lines = [json.dumps({"time": k / 10, "number": k, "frames": [camera]}) for k in range(images)]
     (folder / "data.jsonl").write_text("\n".join(lines) + "\n")
     noise = np.random.default_rng(0).integers(0, 256, (720, 1280, 3), np.uint8)

@@ -16,7 +16,7 @@ from sceneloom.detections import DetectionPair
 from sceneloom.detections.detectors import FOLDER, format_detectors
 from sceneloom.detections.fitting import FitSettings, LabelledPair, fit_detectors
 from sceneloom.formats.base.output import replacing
-from sceneloom.formats.kitti.labels import lidar_boxes, read_labels
+from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, lidar_boxes, read_labels
 from sceneloom.formats.kitti.tracking_reader import open_tracking_folder
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene import Boxes3D
@@ -50,7 +50,8 @@ def kitti_examples(folder: Path, sequences: Sequence[str] | None = None) -> Iter
             time_ns = int(drive.timestamps_ns[frame])
             truth = Boxes3D(time_ns, *placed, np.ones(len(rows)), words)
             pair = DetectionPair(drive.boxes_3d(frame), drive.boxes_2d(frame), drive.camera, drive.camera_from_lidar)
-            yield LabelledPair(pair, truth, counts[rows], neighbours[rows], corners[types == "DontCare"], name)
+            regions, drawn = corners[types == "DontCare"], corners[rows] + CENTRE_TO_CORNER
+            yield LabelledPair(pair, truth, counts[rows], neighbours[rows], regions, name, drawn_xyxy=drawn)
 
 
 DRIVES, FRAMES, STEP = 12, 120, 10

@@ -22,7 +22,7 @@ from sceneloom.detections.detectors import (
     numbers_of,
     table_rows,
 )
-from sceneloom.detections.projection import Outlines, assign, pair_gains, project_outlines, refine
+from sceneloom.detections.projection import Outlines, assign, differences, pair_gains, project_outlines, refine
 from sceneloom.detections.results import NO_BOX, DetectionPair
 from sceneloom.detections.settings import box_covariances, existence_table, image_sigmas, noise_table, radius_squared
 from sceneloom.errors import OptionError
@@ -142,6 +142,7 @@ class LabelledPair:
         regions_xyxy: (R, 4) float64 [px], parts of the image whose objects nobody wrote down.
         group: of what belongs together, such as a drive: errors within are alike.
         least_height_px: a box without an object is not false where the image shows it, but less high than this [px].
+        drawn_xyxy: (T, 4) float64 [px], the boxes that people drew around the objects in the image, or None.
     """
 
     pair: DetectionPair
@@ -151,6 +152,7 @@ class LabelledPair:
     regions_xyxy: Float64Array
     group: str
     least_height_px: float = 25.0
+    drawn_xyxy: Float64Array | None = None
 
 
 class SweepColumns(NamedTuple):
@@ -168,8 +170,9 @@ class SweepColumns(NamedTuple):
         distance: (N,) [m].
         verdict: (N,) int64, 1 true, 0 false, or IGNORED.
         errors: (N, 7) of the box in its own axes: middle, sizes [m] and heading [rad]; NaN where no object is near.
-        apart: (N, 3) [px], how far the partner's middle across and upright and its height are off the outline of the
-            object; NaN where none is known.
+        apart: (N, 11), how far the partner's middle across and upright and its height are off the outline of the
+            object [px]; `differences` of the box that people drew from the outline; those of the partner less these.
+            NaN where none is known.
         sides: (N, 2) [px], width and height of the partner.
     """
 
@@ -384,8 +387,8 @@ class _Truth(NamedTuple):
         return errors
 
     def apart(self, found: Int64Array, corners: Float64Array, partners: Int64Array) -> Float64Array:
-        """How far partners are off the true outlines, (N, 3) [px]; NaN where one of them may be cut."""
-        apart = np.full((len(found), 3), np.nan)
+        """How far partners are off the true outlines, (N, 11); NaN where one of them may be cut."""
+        apart, drawn = np.full((len(found), 11), np.nan), self.example.drawn_xyxy
         rows = self._own(np.where(partners == NO_BOX, NO_BOX, found))
         if not len(rows):
             return apart
@@ -395,7 +398,11 @@ class _Truth(NamedTuple):
         whole = np.column_stack([low > _BORDER_PX, high < limits]).min(axis=1)
         off = own - true
         numbers = (off[:, 0] + off[:, 2]) / 2, (off[:, 1] + off[:, 3]) / 2, off[:, 3] - off[:, 1]
-        apart[rows] = np.where(whole[:, None], np.column_stack(numbers), np.nan)
+        rows, true, own, off = rows[whole], true[whole], own[whole], np.column_stack(numbers)[whole]
+        apart[rows, :3] = off
+        if drawn is not None and len(rows):
+            apart[rows, 3:7] = differences(drawn[found[rows]], true)
+            apart[rows, 7:] = differences(own, true) - apart[rows, 3:7]
         return apart
 
 
@@ -560,7 +567,7 @@ def _fit_noise(columns: SweepColumns, reported: Reported, degrees_of_freedom: fl
 
 def _fit_image_noise(columns: SweepColumns) -> ImageNoise:
     """Fit how far partners are off the true outlines: robust deviations in four classes of size, on a line."""
-    rows = np.isfinite(columns.apart).all(axis=1)
+    rows = np.isfinite(columns.apart[:, :3]).all(axis=1)
     if rows.sum() < _LEAST_ERRORS:
         return ImageNoise(across=(2.0, 0.03), upright=(2.0, 0.03), height=(2.0, 0.06))
     apart, sides = columns.apart[rows], columns.sides[rows]
@@ -573,7 +580,22 @@ def _fit_image_noise(columns: SweepColumns) -> ImageNoise:
         share = max(share, _LEAST_SHARE)
         return float(max(np.mean(sigmas - share * middles), least, _LEAST_PX)), float(share)
 
-    return ImageNoise(across=line(0, 0), upright=line(1, 1), height=line(2, 1))
+    return ImageNoise(across=line(0, 0), upright=line(1, 1), height=line(2, 1), **_fit_drawn(columns))
+
+
+def _fit_drawn(columns: SweepColumns) -> dict[str, Any]:
+    """Fit how the boxes that people draw differ from outlines, and the detector's from those."""
+    rows = np.isfinite(columns.apart).all(axis=1)
+    if rows.sum() < _LEAST_ERRORS:
+        return {}
+    group, apart = columns.group[rows], columns.apart[rows, 3:]
+    middles = np.array([np.median(apart[group == one, :4], axis=0) for one in np.unique(group)])
+    # what groups do not agree on is not usual
+    usual, doubt = middles.mean(axis=0), middles.var(axis=0) / len(middles)
+    usual *= usual**2 / np.maximum(usual**2 + doubt, _SMALL)
+    spread, error = (_NORMAL * np.median(np.abs(off), axis=0) for off in (apart[:, :4] - usual, apart[:, 4:]))
+    found = {"usual": usual, "spread": np.maximum(spread, _LEAST_SHARE), "error": np.maximum(error, _LEAST_SHARE)}
+    return {name: tuple(values.tolist()) for name, values in found.items()}
 
 
 _NORMAL = 1.4826  # a Gaussian's deviation by its median absolute value

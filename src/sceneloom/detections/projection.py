@@ -366,12 +366,14 @@ class Outlines:
 
     Attributes:
         corners_xyxy: (N, 4) float64 [px], corner convention, cut at the image; zeros where it does not show them.
-        seen_shares: (N,) float64, which share of a box is in the image and not behind a nearer one.
+        shown_shares: (N,) float64, which share of a box is in the image.
+        seen_shares: (N,) float64, which share of it is there and not behind a nearer one.
         axes_camera: (N, 3, 3) float64, whose columns are the boxes' axes in the camera's frame.
         corners_camera: (N, 8, 3) float64 [m], in the order of `geometry.boxes.CORNER_SIGNS`.
     """
 
     corners_xyxy: Float64Array
+    shown_shares: Float64Array
     seen_shares: Float64Array
     axes_camera: Float64Array
     corners_camera: Float64Array
@@ -391,9 +393,17 @@ def project_outlines(
     """
     rotation, translation = camera_from_lidar.rotation, camera_from_lidar.translation
     axes, corners, distances, gaps = _boxes_from_eye(rotation, translation, CORNER_SIGNS, boxes)
-    extents, shares = box_extents(camera, corners, steps=COARSE)
+    extents, shown = box_extents(camera, corners, steps=COARSE)
+    shares = shown.copy()
     _hide_covered(extents, shares, distances, gaps, np.ones(len(boxes)) if likely is None else likely, _NEAR, _APART)
-    return Outlines(extents, shares, axes, corners)
+    return Outlines(extents, shown, shares, axes, corners)
+
+
+def differences(corners: Float64Array, outlined: Float64Array) -> Float64Array:
+    """Shifts of the middles of boxes (N, 4) from those of outlines, and logarithms of the factors of their sides."""
+    sides, usual = corners[:, 2:] - corners[:, :2], outlined[:, 2:] - outlined[:, :2]
+    shifts = ((corners[:, :2] + corners[:, 2:]) - (outlined[:, :2] + outlined[:, 2:])) / (2.0 * usual)
+    return np.concatenate([shifts, np.log(sides / usual)], axis=1)
 
 
 SAME_FAMILY = 0.8

@@ -237,7 +237,7 @@ def track(
     groups = tuple(_groups(drive))
     for k, (of_group, recalls) in enumerate(groups):
         known = replace(fusion, **recalls)
-        tracker = replace(wanted.tracker, **recalls)
+        tracker = replace(wanted.tracker, detectors=known.detectors, **recalls)
         steps = _share(progress, k, len(groups), len(of_group.boxes))
         observations = _observations(of_group, wanted.algorithm, known)
         found, spent = _track_all(of_group, observations, wanted.offline, tracker, steps)
@@ -450,9 +450,11 @@ def _image_boxes(
     """A box in the image for each object, (N, 4) float64 [px] in the corner convention; zeros where none shows."""
     corners = projected_boxes(boxes, camera_model, camera_from_lidar)
     own = objects.corners_xyxy.get(camera_id)
-    if box2d is ImageBox.IMAGE and own is not None:
+    if own is not None:
         reported = np.isfinite(own).all(axis=1)
-        corners[reported] = own[reported]
+        corners[~reported & np.isin(objects.supports, (Support.PREDICTED, Support.INTERPOLATED))] = 0.0
+        if box2d is ImageBox.IMAGE:
+            corners[reported] = own[reported]
     return corners
 
 

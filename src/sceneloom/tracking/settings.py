@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 from enum import StrEnum
 
+from sceneloom.detections.detectors import DEFAULT, Detectors
 from sceneloom.errors import OptionError
 
 
@@ -20,16 +21,14 @@ class TrackerSettings:
     """What a tracker takes for granted about objects and detectors.
 
     Attributes:
-        vehicle_acceleration: how strongly vehicles change their speed [m/s² in a second].
-        person_acceleration: the same of people [m/s²].
+        detectors: what they find, and how their boxes in images differ from outlines, as in `ProjectionSettings`.
+        vehicle_acceleration: how much the velocity of vehicles changes in a second [m/s].
+        person_acceleration: the same of people [m/s].
         yaw_acceleration: how quickly vehicles change how fast they rotate [rad/s²].
         side_slip: how fast vehicles move across their heading [m/s].
         recall_2d, recall_3d: share of the objects that it sees openly which the detector of images and that of
-            sweeps finds at one time, 0 to 1 (excluded).
-        least_height_px: an object less high than this in an image need not be found there [px].
-        farthest_3d: what is farther than this need not be found in a sweep [m].
-        prior: share of the locations at which a detector could report something that hold an object, as in the fusion.
-        trust: how much one more moment counts, 0 to 1: detectors repeat their mistakes from one moment to the next.
+            sweeps finds at one time, 0 to 1 (excluded). [default: by `detectors`]
+        trust: how much one more box counts, 0 to 1: detectors repeat their mistakes from one moment to the next.
         lifetime: how long objects stay in view [s].
         report: objects are reported from this existence probability on, 0 to 1.
         drop: they are forgotten below this one.
@@ -44,16 +43,14 @@ class TrackerSettings:
         OptionError: a number is out of bounds.
     """
 
-    vehicle_acceleration: float = 3.0
-    person_acceleration: float = 1.0
+    detectors: str | Detectors = DEFAULT
+    vehicle_acceleration: float = 1.0
+    person_acceleration: float = 0.3
     yaw_acceleration: float = 0.5
     side_slip: float = 0.5
-    recall_2d: float = 0.8
-    recall_3d: float = 0.6
-    least_height_px: float = 25.0
-    farthest_3d: float = 70.0
-    prior: float = 0.1
-    trust: float = 0.5
+    recall_2d: float | None = None
+    recall_3d: float | None = None
+    trust: float = 0.2
     lifetime: float = 10.0
     report: float = 0.5
     drop: float = 0.005
@@ -74,7 +71,6 @@ _ANY = float("inf")
 _BOUNDS = {
     **dict.fromkeys(("recall_2d", "recall_3d"), (0.0, 0.999)),
     **dict.fromkeys(("trust", "report", "drop", "accept", "least_score"), (0.0, 1.0)),
-    "prior": (1e-6, 1.0 - 1e-6),
     "lifetime": (1e-3, _ANY),
     "tolerance_deg": (0.0, 180.0),
     "least_states": (1.0, _ANY),

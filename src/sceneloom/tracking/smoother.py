@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
+from sceneloom.detections.projection import differences
 from sceneloom.scene.detections import Support, Track, TrackedObjects, Tracks
 from sceneloom.scene.types import Identifier
 from sceneloom.tracking import tracker as states
@@ -50,25 +51,31 @@ def smoothed(
     return later, spread
 
 
-def smoothed_walk(
-    measures: Float64Array, noises: Float64Array, known: BoolArray, drifts: Float64Array, first: float
+def smoothed_returns(
+    measures: Float64Array,
+    noises: Float64Array,
+    known: BoolArray,
+    usual: Float64Array,
+    spreads: Float64Array,
+    kept: Float64Array,
 ) -> Float64Array:
-    """Smooth (K, 4) numbers that wander, each on its own.
+    """Smooth (K, 4) numbers that return to what is usual, each on its own.
 
-    Measures and noises (variances) are looked at where `known` (K,). `drifts` (K,) are the variance that is added from
-    the moment before to each, `first` is the variance around 0 before anything is known.
+    Measures and noises (variances) are looked at where `known` (K,). `usual` and `spreads` (variances), (K, 4), are
+    what they are like where nothing else is known; `kept` (K,), how much of a difference is left of the moment before.
     """
     count = len(measures)
-    means, variances = np.zeros_like(measures), np.zeros_like(measures)
-    mean, variance = np.zeros(measures.shape[1]), np.full(measures.shape[1], first)
+    means, variances, foreseen, doubts = (np.zeros_like(measures) for _ in range(4))
+    mean, variance = usual[0], spreads[0]
     for k in range(count):
-        variance = variance + (drifts[k] if k else 0.0)
+        mean, variance = usual[k] + kept[k] * (mean - usual[k]), spreads[k] + kept[k] ** 2 * (variance - spreads[k])
+        foreseen[k], doubts[k] = mean, variance
         if known[k]:
             gain = variance / (variance + noises[k])
             mean, variance = mean + gain * (measures[k] - mean), variance * (1.0 - gain)
         means[k], variances[k] = mean, variance
     for k in range(count - 2, -1, -1):
-        means[k] += variances[k] / (variances[k] + drifts[k + 1]) * (means[k + 1] - means[k])
+        means[k] += kept[k + 1] * variances[k] / doubts[k + 1] * (means[k + 1] - foreseen[k + 1])
     return means
 
 
@@ -81,6 +88,7 @@ class Course:
         means, covariances: (K, 11) and (K, 11, 11), smoothed.
         supports: (K,) uint8 of `Support`.
         likely: (K,), probability that it exists, by what came before.
+        score: probability that its boxes are right.
         seen: by camera, (K, 4) float64 [px], boxes of its images.
     """
 
@@ -93,6 +101,7 @@ class Course:
     covariances: Float64Array
     supports: UInt8Array
     likely: Float64Array
+    score: float
     seen: dict[Identifier, Float64Array]
 
     def __len__(self) -> int:
@@ -105,6 +114,7 @@ def _course(number: int, moments: Sequence[states.Moment], locations: list[tuple
     rows = [(moments[k].objects, row) for k, row in locations]
     means, covariances = _smoothed(number, moments, locations)
     objects, row = rows[-1]
+    unseen = Support.PREDICTED
     cameras = dict.fromkeys(camera_id for objects, _ in rows for camera_id in objects.corners_xyxy)
     return Course(
         id=number,
@@ -116,6 +126,7 @@ def _course(number: int, moments: Sequence[states.Moment], locations: list[tuple
         covariances=covariances,
         supports=np.array([objects.supports[row] for objects, row in rows]),
         likely=states.probabilities(np.array([objects.log_odds[row] for objects, row in rows])),
+        score=float(states.probabilities(np.mean([own.box_log_odds[k] for own, k in rows if own.supports[k] != unseen]))),
         seen={
             camera_id: np.array(
                 [objects.corners_xyxy.get(camera_id, states.no_boxes(len(objects)))[row] for objects, row in rows]
@@ -150,13 +161,13 @@ def _track(course: Course, moments: Sequence[states.Moment], settings: TrackerSe
         id=course.id,
         label=course.label,
         timestamps_ns=course.timestamps_ns[kept],
-        centers=course.means[kept, :3],
+        centers=course.means[kept, :3] + np.array([moments[k].leap for k in course.moments[kept].tolist()]),
         sizes_lwh=course.means[kept, 3:6],
         yaws=course.means[kept, states.YAW],
         velocities=course.means[kept, 7:10],
         yaw_rates=course.means[kept, states.ROTATION],
         covariances=course.covariances[kept, :10, :10],
-        scores=np.full(len(kept), course.likely.max()),
+        scores=np.full(len(kept), course.score),
         supports=supports[kept].astype(np.uint8),
         corners_xyxy=corners,
     )
@@ -180,32 +191,29 @@ def _corners(
 ) -> Float64Array:
     """Boxes of an object in the images of a camera, (K, 4)."""
     observations = [moments[k].observation for k in course.moments.tolist()]
-    outlined = np.zeros((len(course), 4))
-    for i, observation in enumerate(observations):
-        if camera_id in observation.views:
-            numbers, view = course.means[i : i + 1, :7], observation.views[camera_id]
-            lines = states.outlines(numbers, np.ones(1), observation.world_from_lidar, view)
-            outlined[i] = lines.corners_xyxy[0]
+    outlined, shown, vehicles = np.zeros((len(course), 4)), np.zeros(len(course)), np.full(len(course), course.vehicle)
+    looked = np.array([camera_id in observation.views for observation in observations])
+    for i in np.flatnonzero(looked).tolist():
+        numbers, seen_by = course.means[i : i + 1, :7], observations[i]
+        lines = states.outlines(numbers, np.ones(1), seen_by.world_from_lidar, seen_by.views[camera_id])
+        outlined[i], shown[i] = lines.corners_xyxy[0], lines.shown_shares[0]
     differing = np.zeros((len(course), 4))
     if settings.image_box is ImageBox.IMAGE and camera_id in course.seen:
-        differing = _smoothed_differences(course, course.seen[camera_id], outlined)
+        seen = course.seen[camera_id]
+        known = states.has_area(seen) & states.has_area(outlined)
+        apart, noises = np.zeros((len(seen), 4)), np.ones((len(seen), 4))
+        apart[known] = differences(seen[known], outlined[known])
+        noises[known] = states.noises(seen[known], vehicles[known], settings)
+        eyes = np.array([observation.world_from_lidar.translation for observation in observations])
+        usual = states.usual_differences(course.means, course.covariances, vehicles, eyes, settings)
+        seconds = np.diff(course.timestamps_ns, prepend=course.timestamps_ns[:1]) / 1e9
+        differing = smoothed_returns(apart, noises, known, *usual, np.exp(-seconds / states.RETURN_TIME))
     corners = states.no_boxes(len(course))
-    for i, observation in enumerate(observations):
-        if camera_id in observation.views:
-            camera = observation.views[camera_id].camera
-            row = slice(i, i + 1)
-            corners[row] = states.applied(differing[row], outlined[row], camera.width, camera.height)
+    for i in np.flatnonzero(looked).tolist():
+        camera, row = observations[i].views[camera_id].camera, slice(i, i + 1)
+        corners[row] = states.applied(differing[row], outlined[row], camera.width, camera.height)
+    corners[states.left_view(course.supports, shown)] = np.nan
     return corners
-
-
-def _smoothed_differences(course: Course, seen: Float64Array, outlined: Float64Array) -> Float64Array:
-    known = states.has_area(seen) & states.has_area(outlined)
-    apart, noises = np.zeros((len(seen), 4)), np.ones((len(seen), 4))
-    apart[known] = states.differences(seen[known], outlined[known])
-    noises[known] = states.noises(seen[known])
-    seconds = np.diff(course.timestamps_ns, prepend=course.timestamps_ns[:1]) / 1e9
-    drift = states.DRIFTS[0 if course.vehicle else 1] ** 2
-    return smoothed_walk(apart, noises, known, drift * seconds, states.UNKNOWN)
 
 
 _COLUMNS = (*("centers", "sizes_lwh", "yaws", "velocities", "yaw_rates", "covariances", "scores", "supports"),)

@@ -15,22 +15,28 @@ ch. 6.2 for the noise and ch. 11.7 for rotating; Lange, Little and Taylor 1989, 
 Distribution", for the weight.
 
 The probability p that an object exists falls with time, as objects leave, p ← p exp(-t / lifetime). A box of the object
-with the probability s of its own moment, where π is the prior one, changes the odds of p by
+with the probability s of its own moment, where π is the prior one, changes the odds of p to
 
-    odds ← odds · ([s / (1 - s)] / [π / (1 - π)])ʷ,
+    odds ← max(odds · ([s / (1 - s)] / [π / (1 - π)])ʷ, s / (1 - s)),
 
-and a moment without any box, where detectors had the chances D to find it, by
+and a moment without any box, where detectors had the chances D to find it, to
 
-    odds ← odds · ((1 - D_2d) (1 - D_3d))ʷ.
+    odds ← odds · (1 - D_2d) (1 - D_3d).
 
-The exponent w is below 1 since moments are not independent: what was mistaken or hidden once is likely to be again.
+The exponent w is below 1 since moments are not independent: what was mistaken once is likely to be again. That is why
+p decides what is followed, but is not the score that is stated: that one is s of the last box, less what the moments
+since took, and less how likely the stated place is off by more than a third of the width, where boxes overlap by half.
 
 Source: Thrun, Burgard and Fox 2005, "Probabilistic Robotics", ch. 4.2 for log odds; Musicki, Evans and Stankovic 1994,
 "Integrated Probabilistic Data Association", for existence that is lost with time and by missed detections.
 
-A detector's box is not the outline of the box in space: arms and shadows, sizes and locations that are a little off.
-How it differs changes slowly: its middle by shares of the outline's sides, its sides by factors. These four numbers are
-filtered, so that the box in the next image is foreseen well, and so that one image's noise does not count in full.
+The box that people draw is not the outline of the box in space: they leave out arms. How it differs changes slowly: its
+middle by shares of the outline's sides, its sides by factors. These four numbers return to what is usual within seconds
+and vary around it by what is measured (`ImageNoise`) and what the state leaves open. They are filtered by the
+detector's boxes, whose errors are measured likewise.
+
+Poses of an ego leap where fixes correct them. No vehicle changes its velocity as quickly as that looks, so a step that
+would need more than `_MOST_ACCELERATION` counts as the one before, and what is left of it moves the world.
 
 A box z is rather of an object whose location x is foreseen than of anything else by the logarithm of
 
@@ -51,19 +57,21 @@ whose heading is known are asked anew each time, and count only where the rest i
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from scipy.special import erf
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.cuboid_projection import widest_angle
 from sceneloom.detections.detectors import KINDS, SAYS_NOTHING, kind_name
-from sceneloom.detections.projection import Outlines, assign_pairs, fuse_by_projection, project_outlines
+from sceneloom.detections.projection import Outlines, assign_pairs, differences, fuse_by_projection, project_outlines
 from sceneloom.detections.results import NO_BOX, DetectionAlgorithm, DetectionPair, FusedBoxes
+from sceneloom.detections.settings import find_detectors, statistics_of
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.overlaps import box_area, common_area
@@ -157,6 +165,39 @@ def _is_vehicle(codes: Int64Array) -> BoolArray:
     vehicles: BoolArray = codes[:, 1] == _VEHICLES
     return vehicles
 
+
+class _Statistics(NamedTuple):
+    """What detectors are like with people and vehicles, a row each."""
+
+    prior_log_odds: Float64Array  # (2,)
+    recalls: Float64Array  # (2, 2), of images and sweeps
+    least_heights: Float64Array  # (2,) [px]
+    farthest: Float64Array  # (2,) [m]
+    usual: Float64Array  # (2, 4) of `differences`
+    spreads: Float64Array  # (2, 4), variances
+    errors: Float64Array  # (2, 4), variances
+
+
+@lru_cache(maxsize=64)
+def _statistics(settings: TrackerSettings) -> _Statistics:
+    named = settings.detectors
+    detectors = find_detectors(named) if isinstance(named, str) else named
+    known = [statistics_of(detectors, name) for name in ("pedestrian", "car")]
+    seen, noises = [own.visibility for own in known], [own.image_noise for own in known]
+    found_2d = [(1.0 - v.weak_share) * v.recall_2d + v.weak_share * v.weak_recall_2d for v in seen]
+    own = (found_2d, settings.recall_2d), ([v.recall_3d for v in seen], settings.recall_3d)
+    return _Statistics(
+        np.array([log_odds(v.prior) for v in seen]),
+        np.array([found if one is None else [one, one] for found, one in own]).T.clip(0.0, _SUREST_RECALL),
+        np.array([v.heights_px[1] for v in seen]),
+        np.array([v.farthest_3d for v in seen]),
+        np.array([n.usual for n in noises]),
+        np.array([n.spread for n in noises]) ** 2,
+        np.array([n.error for n in noises]) ** 2,
+    )
+
+
+_SUREST_RECALL = 0.999  # no detector finds a larger share than this
 
 _SUREST = 1e-4  # no single moment makes surer of what is there or not than this
 
@@ -308,7 +349,7 @@ SIZE, _MEASURED = 11, 7
 YAW, ROTATION = 6, 10
 
 _FREEDOM = 4.0  # degrees of freedom of what boxes are off
-_CLIMB = 0.3  # deviation of vertical accelerations [m/s²]
+_CLIMB = 0.15  # how much vertical velocities change [m/s after a second]
 _SIZE_DRIFT = 0.02  # how much sizes change as objects are seen from other sides [m after a second]
 
 _VEHICLE_HEADING_DRIFT, _PERSON_HEADING_DRIFT = 0.02, 0.5
@@ -365,16 +406,17 @@ def aged(odds: Float64Array, seconds: float, lifetime: float) -> Float64Array:
     return older
 
 
-def missed(lines: Outlines, distances: Float64Array, settings: TrackerSettings) -> Float64Array:
+def missed(
+    lines: Outlines, distances: Float64Array, vehicles: BoolArray, settings: TrackerSettings
+) -> Float64Array:
     """How little it says of each object that neither detector finds it, by what one camera sees: logarithms of 1 - D.
 
     `lines` are where the image shows the objects, `distances` (N,) [m] are from the lidar. Gives (N, 2) float64, of
     images and of sweeps.
     """
-    corners = lines.corners_xyxy
-    tall = corners[:, 3] - corners[:, 1] >= settings.least_height_px
-    near = distances < settings.farthest_3d
-    recalls = np.column_stack([settings.recall_2d * tall, settings.recall_3d * near])
+    known, corners, rows = _statistics(settings), lines.corners_xyxy, vehicles.astype(np.int64)
+    tall = corners[:, 3] - corners[:, 1] >= known.least_heights[rows]
+    recalls = known.recalls[rows] * np.column_stack([tall, distances < known.farthest[rows]])
     chances: Float64Array = np.log1p(-recalls * lines.seen_shares[:, None])
     return chances
 
@@ -390,6 +432,7 @@ class _Population:
     means: Float64Array  # (N, 11) of `motion`
     covariances: Float64Array  # (N, 11, 11)
     log_odds: Float64Array  # (N,), of existence
+    box_log_odds: Float64Array  # (N,), that the last box is right and still there
     hidden: Float64Array  # (N,), probability that something unknown hides them
     codes: Int64Array  # (N, 2), class and family
     vehicles: BoolArray  # (N,)
@@ -397,7 +440,7 @@ class _Population:
     heading_votes: Float64Array  # (N,), how much speaks for their heading and against its opposite
     votes: Float64Array  # (N, K), for each of K words
     supports: UInt8Array  # (N,) of `Support`
-    differing: _ByCamera = field(default_factory=dict)  # (N, 4) of `image_boxes`
+    differing: _ByCamera = field(default_factory=dict)  # (N, 4) of `differences`
     differing_variances: _ByCamera = field(default_factory=dict)  # (N, 4)
     corners_xyxy: _ByCamera = field(default_factory=dict)  # (N, 4) [px], detected at this moment, or NaN
 
@@ -412,6 +455,7 @@ class _Population:
             means=np.zeros((0, SIZE)),
             covariances=np.zeros((0, SIZE, SIZE)),
             log_odds=np.zeros(0),
+            box_log_odds=np.zeros(0),
             hidden=np.zeros(0),
             codes=np.zeros((0, 2), np.int64),
             vehicles=np.zeros(0, np.bool_),
@@ -460,13 +504,11 @@ def no_boxes(count: int) -> Float64Array:
     return np.full((count, 4), np.nan)
 
 
-_EDGE_PX, _EDGE_SHARE = 1.0, 0.02  # deviation of an edge of a detector's box: so many pixels, plus so much of its side
+EDGE_PX = 1.0
+"""Deviation of an edge of a detector's box beside what is a share of its sides [px]."""
 
-DRIFTS = (0.05, 0.3)
-"""How much a box comes to differ from the outline, as shares of its sides: of vehicles and people [after a second]."""
-
-UNKNOWN = 0.15**2
-"""Variance of how they differ before anything is known of it."""
+RETURN_TIME = 2.0
+"""After so long boxes in images differ from outlines as usual [s]."""
 
 
 def outlines(numbers: Float64Array, likely: Float64Array, world_from_lidar: RigidTransform, view: View) -> Outlines:
@@ -507,31 +549,47 @@ def _in_view(boxes: Float64Array, view: View) -> BoolArray:
     return in_view
 
 
-def _filtered(
-    differing: Float64Array, variances: Float64Array, corners: Float64Array, outlined: Float64Array
+def _across(means: Float64Array, covariances: Float64Array, eye: Float64Array) -> tuple[Float64Array, ...]:
+    """How wide objects look [m], and variances of that [m²], of where they are across [m²], and of log distances."""
+    apart = means[:, :2] - eye[..., :2]
+    away = np.maximum(np.sqrt((apart**2).sum(axis=1)), 1.0)
+    rays = apart / away[:, None]
+    sides = np.column_stack([-rays[:, 1], rays[:, 0]])
+    along, across = (np.einsum("ni,nij,nj->n", axes, covariances[:, :2, :2], axes) for axes in (rays, sides))
+    cosines = np.cos(means[:, YAW] - np.arctan2(rays[:, 1], rays[:, 0])) ** 2
+    wide = np.sqrt(1.0 - cosines) * means[:, 3] + np.sqrt(cosines) * means[:, 4]
+    return wide, (1.0 - cosines) * covariances[:, 3, 3] + cosines * covariances[:, 4, 4], across, along / away**2
+
+
+def usual_differences(
+    means: Float64Array, covariances: Float64Array, vehicles: BoolArray, eye: Float64Array, settings: TrackerSettings
 ) -> tuple[Float64Array, Float64Array]:
-    """Read how the detector's boxes of an image, NaN where none, differ from outlines, zeros where none; all (N, 4)."""
-    fresh = np.isnan(differing)
-    means, variances = np.where(fresh, 0.0, differing), np.where(fresh, UNKNOWN, variances)
-    seen = np.flatnonzero(has_area(corners) & has_area(outlined))
-    apart = differences(corners[seen], outlined[seen])
-    gains = variances[seen] / (variances[seen] + noises(corners[seen]))
-    means[seen] += gains * (apart - means[seen])
-    variances[seen] *= 1.0 - gains
-    return means, variances
+    """How boxes in images usually differ from outlines of states, seen from one eye (3,) or (N, 3): (N, 4) and variances."""
+    known, rows, high = _statistics(settings), vehicles.astype(np.int64), means[:, 5] ** 2
+    wide, of_widths, across, of_distances = _across(means, covariances, eye)
+    sides = of_widths / wide**2 + of_distances, covariances[:, 5, 5] / high + of_distances
+    open_left = np.column_stack([across / wide**2, covariances[:, 2, 2] / high, *sides])
+    return known.usual[rows], known.spreads[rows] + open_left
 
 
-def differences(corners: Float64Array, outlined: Float64Array) -> Float64Array:
-    """Shifts of the middles of boxes (N, 4) from those of outlines, and logarithms of the factors of their sides."""
-    sides, usual = corners[:, 2:] - corners[:, :2], outlined[:, 2:] - outlined[:, :2]
-    shifts = ((corners[:, :2] + corners[:, 2:]) - (outlined[:, :2] + outlined[:, 2:])) / (2.0 * usual)
-    return np.concatenate([shifts, np.log(sides / usual)], axis=1)
+def localized(means: Float64Array, covariances: Float64Array, eye: Float64Array) -> Float64Array:
+    """How likely boxes are off by less than a third of their width, as the eye (3,) sees them, (N,)."""
+    wide, _, across, _ = _across(means, covariances, eye)
+    shares: Float64Array = erf(wide / 3.0 / np.sqrt(2.0 * np.maximum(across, 1e-12)))
+    return shares
 
 
-def noises(corners: Float64Array) -> Float64Array:
+def noises(corners: Float64Array, vehicles: BoolArray, settings: TrackerSettings) -> Float64Array:
     """Variances (N, 4) of the differences of a detector's boxes: of a middle half, of a side twice those of an edge."""
-    edges = (_EDGE_PX / (corners[:, 2:] - corners[:, :2]) + _EDGE_SHARE) ** 2
-    return np.concatenate([edges / 2.0, edges * 2.0], axis=1)
+    edges = (EDGE_PX / (corners[:, 2:] - corners[:, :2])) ** 2
+    varied = _statistics(settings).errors[vehicles.astype(np.int64)]
+    return varied + np.concatenate([edges / 2.0, edges * 2.0], axis=1)
+
+
+def left_view(supports: UInt8Array, shown_shares: Float64Array) -> BoolArray:
+    """Which objects no detector sees since the image shows less than half of them, (N,)."""
+    unseen: BoolArray = (supports == Support.PREDICTED) & (shown_shares < 0.5)
+    return unseen
 
 
 def applied(differing: Float64Array, outlined: Float64Array, width: int, height: int) -> Float64Array:
@@ -559,7 +617,7 @@ def has_area(corners: Float64Array) -> BoolArray:
 _OVERLAP_SIGMA = 0.25  # deviation of the share by which boxes in images fail to overlap that are one object's
 _USUAL_OVERLAP = 0.6  # the overlap that speaks neither for nor against one object
 _LEAST_OVERLAP = 0.3  # an object takes a box of an image alone that overlaps with its own by so much at least
-_LEAST_SIGMA = 0.3  # no middle of a box is where it is expected to within less than this [m]
+_LEAST_SIGMA = 0.1  # no middle of a box is where it is expected to within less than this [m]
 
 _AGREEMENT = 0.5 * (_FREEDOM + 1.0) * float(np.log1p(((1.0 - _USUAL_OVERLAP) / _OVERLAP_SIGMA) ** 2 / _FREEDOM))
 """What an image adds at most: where boxes are the same."""
@@ -688,6 +746,9 @@ def _of_neighbours(objects: _Population, rows: Int64Array) -> Float64Array:
 
 DEFAULTS = TrackerSettings()
 
+_MOST_ACCELERATION = 15.0  # tyres hold no vehicle that changes its velocity more quickly than this [m/s²]
+_LEAST_LEAP, _MOST_LEAPS = 0.1, 3  # shorter leaps of poses do no harm [m]; more in a row are motion
+
 
 class Moment(NamedTuple):
     """What a tracker knows at one moment, of objects that it reports and of others.
@@ -697,16 +758,18 @@ class Moment(NamedTuple):
         objects: all that may be there.
         predicted: those of the moment before, before the boxes of this one were read.
         slopes: (N, 11, 11), of their states with respect to those of the moment before.
-        outlined: by camera, (N, 4) float64 [px], outlines of the boxes of `objects` in its image, zeros where none.
+        outlined: by camera, outlines of the boxes of `objects` in its image.
         words: the labels that the columns of `objects.votes` stand for.
+        leap: (3,) [m], by how much poses have leapt so far: takes states into the world of the poses.
     """
 
     observation: Observation
     objects: _Population
     predicted: _Population
     slopes: Float64Array
-    outlined: _ByCamera
+    outlined: Mapping[Identifier, Outlines]
     words: Sequence[str]
+    leap: Float64Array
 
 
 class Tracker:
@@ -722,6 +785,9 @@ class Tracker:
         self._time_ns: int | None = None
         self._next_id = 1
         self._words: list[str] = []
+        self._eye: Float64Array | None = None  # where the lidar was
+        self._velocity: Float64Array | None = None  # its own [m/s]
+        self._leap, self._leaps = np.zeros(3), 0
 
     def step(self, observation: Observation) -> TrackedObjects:
         """Take the boxes of the next moment, and report the objects that are there."""
@@ -730,6 +796,7 @@ class Tracker:
     def advance(self, observation: Observation) -> Moment:
         """Take the boxes of the next moment, and give all that is known then."""
         seconds = self._elapsed(observation.timestamp_ns)
+        observation = self._without_leaps(observation, seconds)
         seen = observed(observation)
         self._learn_words(seen)
         predicted, slopes = _predicted(self._objects, seconds, self.settings)
@@ -738,7 +805,8 @@ class Tracker:
         rows, columns = assign_pairs(*found)
         objects = predicted.copied()
         unseen = predicted.hidden + (1.0 - predicted.hidden) * np.exp(missed)
-        objects.log_odds += self.settings.trust * np.log(unseen)
+        objects.log_odds += np.log(unseen)
+        objects.box_log_odds += np.log(unseen)
         objects.hidden = predicted.hidden / unseen
         objects.hidden[rows] = 0.0
         self._read(objects, rows, seen, columns, predicted)
@@ -747,9 +815,9 @@ class Tracker:
         there = objects.log_odds > log_odds(self.settings.drop)
         there &= observation.timestamp_ns - objects.seen_ns <= self.settings.longest_gap * 1e9
         objects = objects if there.all() else objects.select(there)
-        outlined = _compare_with_outlines(objects, observation)
+        outlined = _compare_with_outlines(objects, observation, seconds, self.settings)
         self._objects = objects
-        return Moment(observation, objects, predicted, slopes, outlined, self._words)
+        return Moment(observation, objects, predicted, slopes, outlined, self._words, self._leap)
 
     def _elapsed(self, timestamp_ns: int) -> float:
         before, self._time_ns = self._time_ns, timestamp_ns
@@ -757,7 +825,27 @@ class Tracker:
         if 0.0 <= seconds <= self.settings.longest_gap:
             return seconds
         self._objects = _Population.empty()
+        self._eye = self._velocity = None
         return 0.0
+
+    def _without_leaps(self, observation: Observation, seconds: float) -> Observation:
+        """What was seen from where the ego would be if its poses had not leapt."""
+        pose = observation.world_from_lidar
+        before, self._eye = self._eye, pose.translation
+        if before is None:
+            self._leap, self._leaps = np.zeros(3), 0
+        elif seconds > 0.0:
+            velocity = (pose.translation - before) / seconds
+            apart = np.zeros(3) if self._velocity is None else velocity - self._velocity
+            size = float(np.linalg.norm(apart))
+            leaps = size > _MOST_ACCELERATION * seconds and size * seconds > _LEAST_LEAP and self._leaps < _MOST_LEAPS
+            self._leaps = self._leaps + 1 if leaps else 0
+            if leaps:
+                self._leap, velocity = self._leap + apart * seconds, velocity - apart
+            self._velocity = velocity
+        if not self._leap.any():
+            return observation
+        return replace(observation, world_from_lidar=RigidTransform(pose.rotation, pose.translation - self._leap))
 
     def _learn_words(self, seen: _Observations) -> None:
         self._words += [word for word in dict.fromkeys(seen.labels) if word not in self._words]
@@ -772,8 +860,10 @@ class Tracker:
         settings = self.settings
         read(objects.means, objects.covariances, rows, seen.measures, seen.covariances, columns)
         read_no_slip(objects.means, objects.covariances, objects.vehicles, settings.side_slip**2)
-        gained = seen.log_odds[columns] - log_odds(settings.prior)
-        objects.log_odds[rows] = predicted.log_odds[rows] + settings.trust * gained
+        own = seen.log_odds[columns]
+        gained = own - _statistics(settings).prior_log_odds[objects.vehicles[rows].astype(np.int64)]
+        objects.log_odds[rows] = np.maximum(predicted.log_odds[rows] + settings.trust * gained, own)
+        objects.box_log_odds[rows] = own
         objects.votes[rows] += self._votes(seen, columns)
         objects.supports[:] = Support.PREDICTED
         objects.supports[rows] = _supports(seen, columns)
@@ -803,6 +893,7 @@ class Tracker:
             means=means,
             covariances=covariances,
             log_odds=seen.log_odds[new],
+            box_log_odds=seen.log_odds[new],
             hidden=np.zeros(len(new)),
             codes=seen.codes[new],
             vehicles=seen.vehicles[new],
@@ -823,12 +914,9 @@ def _predicted(objects: _Population, seconds: float, settings: TrackerSettings) 
         objects.means, objects.covariances, objects.vehicles, seconds, settings
     )
     moved.log_odds = aged(objects.log_odds, seconds, settings.lifetime)
+    moved.box_log_odds = aged(objects.box_log_odds, seconds, settings.lifetime)
     leaving, coming = np.exp(-seconds / settings.hidden_time), np.exp(-seconds / settings.open_time)
     moved.hidden = objects.hidden * leaving + (1.0 - objects.hidden) * (1.0 - coming)
-    drifts = np.where(objects.vehicles, *DRIFTS)[:, None] ** 2 * seconds
-    moved.differing_variances = {
-        camera_id: variances + drifts for camera_id, variances in moved.differing_variances.items()
-    }
     moved.corners_xyxy = {}
     return moved, slopes
 
@@ -846,7 +934,7 @@ def _foreseen(
         differing = objects.differing.get(camera_id, no_boxes(len(objects)))
         foreseen[camera_id] = applied(differing, lines.corners_xyxy, view.camera.width, view.camera.height)
         # every camera looks for itself, the lidar once
-        of_camera = missed(lines, apart, settings)
+        of_camera = missed(lines, apart, objects.vehicles, settings)
         misses[:, 0] += of_camera[:, 0]
         misses[:, 1] = np.minimum(misses[:, 1], of_camera[:, 1])
     return foreseen, misses.sum(axis=1)
@@ -861,46 +949,60 @@ def _supports(seen: _Observations, rows: Int64Array) -> UInt8Array:
     return np.where(seen.measured[rows], supports, Support.IMAGE).astype(np.uint8)
 
 
-def _compare_with_outlines(objects: _Population, observation: Observation) -> _ByCamera:
+def _compare_with_outlines(
+    objects: _Population, observation: Observation, seconds: float, settings: TrackerSettings
+) -> Mapping[Identifier, Outlines]:
     """Learn how boxes in images differ from the outlines of the objects, and give these."""
-    likely = probabilities(objects.log_odds)
-    outlined: _ByCamera = {}
+    likely, eye = probabilities(objects.log_odds), observation.world_from_lidar.translation
+    usual, spreads = usual_differences(objects.means, objects.covariances, objects.vehicles, eye, settings)
+    kept, found = float(np.exp(-seconds / RETURN_TIME)), dict[Identifier, Outlines]()
     for camera_id, view in observation.views.items():
-        lines = outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
-        outlined[camera_id] = lines.corners_xyxy
-        unknown = no_boxes(len(objects))
-        objects.differing[camera_id], objects.differing_variances[camera_id] = _filtered(
-            objects.differing.get(camera_id, unknown),
-            objects.differing_variances.get(camera_id, unknown),
-            objects.corners_xyxy.get(camera_id, unknown),
-            lines.corners_xyxy,
+        found[camera_id] = outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
+        outlined, unknown = found[camera_id].corners_xyxy, no_boxes(len(objects))
+        before, variances = (
+            by_camera.get(camera_id, unknown) for by_camera in (objects.differing, objects.differing_variances)
         )
-    return outlined
+        fresh = np.isnan(before)
+        means = np.where(fresh, usual, usual + kept * (before - usual))
+        variances = np.where(fresh, spreads, spreads + kept**2 * (variances - spreads))
+        corners = objects.corners_xyxy.get(camera_id, unknown)
+        seen = np.flatnonzero(has_area(corners) & has_area(outlined))
+        noise = noises(corners[seen], objects.vehicles[seen], settings)
+        gains = variances[seen] / (variances[seen] + noise)
+        means[seen] += gains * (differences(corners[seen], outlined[seen]) - means[seen])
+        variances[seen] *= 1.0 - gains
+        objects.differing[camera_id], objects.differing_variances[camera_id] = means, variances
+    return found
 
 
 def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
     """The objects that are likely enough to be reported."""
-    likely = probabilities(moment.objects.log_odds) * (1.0 - moment.objects.hidden)
-    rows = np.flatnonzero(likely >= np.minimum(settings.report, 1.0 - _SUREST))
-    objects = moment.objects.select(rows)
+    every, eye = moment.objects, moment.observation.world_from_lidar.translation
+    there = 1.0 - every.hidden
+    unseen = every.supports == Support.PREDICTED
+    there[unseen] *= localized(every.means[unseen], every.covariances[unseen], eye)
+    rows = np.flatnonzero(probabilities(every.log_odds) * there >= np.minimum(settings.report, 1.0 - _SUREST))
+    objects = every.select(rows)
     corners = {}
     for camera_id, view in moment.observation.views.items():
-        outlined = moment.outlined[camera_id][rows]
+        lines = moment.outlined[camera_id]
         differing = objects.differing[camera_id]
         if settings.image_box is ImageBox.PROJECTED:
             differing = np.zeros_like(differing)
-        corners[camera_id] = applied(differing, outlined, view.camera.width, view.camera.height)
+        boxes = applied(differing, lines.corners_xyxy[rows], view.camera.width, view.camera.height)
+        boxes[left_view(objects.supports, lines.shown_shares[rows])] = np.nan
+        corners[camera_id] = boxes
     return TrackedObjects(
         timestamp_ns=moment.observation.timestamp_ns,
         ids=objects.ids,
         labels=tuple(moment.words[k] for k in objects.votes.argmax(axis=1).tolist()) if len(objects) else (),
-        centers=objects.means[:, :3],
+        centers=objects.means[:, :3] + moment.leap,
         sizes_lwh=objects.means[:, 3:6],
         yaws=objects.means[:, YAW],
         velocities=objects.means[:, 7:10],
         yaw_rates=objects.means[:, ROTATION],
         covariances=objects.covariances[:, :10, :10],
-        scores=likely[rows],
+        scores=probabilities(objects.box_log_odds) * there[rows],
         supports=objects.supports,
         corners_xyxy=corners,
     )

@@ -114,7 +114,7 @@ def _course(number: int, moments: Sequence[states.Moment], locations: list[tuple
     rows = [(moments[k].objects, row) for k, row in locations]
     means, covariances = _smoothed(number, moments, locations)
     objects, row = rows[-1]
-    unseen = Support.PREDICTED
+    stated = [own.box_log_odds[k] for own, k in rows if own.supports[k] != Support.PREDICTED]
     cameras = dict.fromkeys(camera_id for objects, _ in rows for camera_id in objects.corners_xyxy)
     return Course(
         id=number,
@@ -126,7 +126,7 @@ def _course(number: int, moments: Sequence[states.Moment], locations: list[tuple
         covariances=covariances,
         supports=np.array([objects.supports[row] for objects, row in rows]),
         likely=states.probabilities(np.array([objects.log_odds[row] for objects, row in rows])),
-        score=float(states.probabilities(np.mean([own.box_log_odds[k] for own, k in rows if own.supports[k] != unseen]))),
+        score=float(states.probabilities(np.mean(stated))),
         seen={
             camera_id: np.array(
                 [objects.corners_xyxy.get(camera_id, states.no_boxes(len(objects)))[row] for objects, row in rows]

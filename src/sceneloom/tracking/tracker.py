@@ -406,9 +406,7 @@ def aged(odds: Float64Array, seconds: float, lifetime: float) -> Float64Array:
     return older
 
 
-def missed(
-    lines: Outlines, distances: Float64Array, vehicles: BoolArray, settings: TrackerSettings
-) -> Float64Array:
+def missed(lines: Outlines, distances: Float64Array, vehicles: BoolArray, settings: TrackerSettings) -> Float64Array:
     """How little it says of each object that neither detector finds it, by what one camera sees: logarithms of 1 - D.
 
     `lines` are where the image shows the objects, `distances` (N,) [m] are from the lidar. Gives (N, 2) float64, of
@@ -564,7 +562,7 @@ def _across(means: Float64Array, covariances: Float64Array, eye: Float64Array) -
 def usual_differences(
     means: Float64Array, covariances: Float64Array, vehicles: BoolArray, eye: Float64Array, settings: TrackerSettings
 ) -> tuple[Float64Array, Float64Array]:
-    """How boxes in images usually differ from outlines of states, seen from one eye (3,) or (N, 3): (N, 4) and variances."""
+    """How boxes in images usually differ from outlines, seen from an eye (3,) or (N, 3): (N, 4) and variances."""
     known, rows, high = _statistics(settings), vehicles.astype(np.int64), means[:, 5] ** 2
     wide, of_widths, across, of_distances = _across(means, covariances, eye)
     sides = of_widths / wide**2 + of_distances, covariances[:, 5, 5] / high + of_distances

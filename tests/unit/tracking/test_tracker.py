@@ -8,11 +8,12 @@ import pytest
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import FusedBoxes
+from sceneloom.detections.detectors import independent_detectors
 from sceneloom.detections.projection import Outlines, project_outlines
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Support
 from sceneloom.tracking import ImageBox, Observation, Tracker, TrackerSettings, View, track_drive, tracker
-from sceneloom.tracking.smoother import smoothed, smoothed_walk
+from sceneloom.tracking.smoother import smoothed, smoothed_returns
 from sceneloom.tracking.tracker import UNKNOWN_VARIANCE, add_gains_in_image, gains_in_space, observed, without_twins
 
 Path = Callable[[float], tuple[float, float, float]]
@@ -181,9 +182,10 @@ def test_velocity_rotates_with_a_vehicle_not_with_a_person_and_odds_fall_with_ti
     assert tracker.probabilities(tracker.aged(odds, 2.0, 10.0)) == pytest.approx([0.9 * np.exp(-0.2)])
     assert tracker.aged(odds, 0.0, 10.0) == pytest.approx(odds)
     corners = np.array([[0.0, 0.0, 20.0, 60.0], [0.0, 0.0, 20.0, 10.0], [0.0] * 4])
-    lines = Outlines(corners, np.array([1.0, 0.5, 0.0]), np.zeros((3, 3, 3)), np.zeros((3, 8, 3)))
-    settings = TrackerSettings(recall_2d=0.8, recall_3d=0.5, least_height_px=25.0, farthest_3d=50.0)
-    chances = np.exp(tracker.missed(lines, np.array([100.0, 10.0, 10.0]), settings))
+    lines = Outlines(corners, np.ones(3), np.array([1.0, 0.5, 0.0]), np.zeros((3, 3, 3)), np.zeros((3, 8, 3)))
+    known = independent_detectors(least_height_px=25.0)
+    settings = TrackerSettings(detectors=known, recall_2d=0.8, recall_3d=0.5)
+    chances = np.exp(tracker.missed(lines, np.array([100.0, 10.0, 10.0]), np.ones(3, np.bool_), settings))
     assert chances == pytest.approx(np.array([[0.2, 1.0], [1.0, 0.75], [1.0, 1.0]]))
 
 
@@ -561,17 +563,22 @@ def test_smoothed_states_and_walks_are_those_of_all_boxes_at_once_with_the_last_
     assert np.abs(tracker.wrapped(later[:, tracker.YAW] - np.pi)).max() < 0.01
     random = np.random.default_rng(0)
     measures, noises = random.normal(size=(5, 4)), random.uniform(0.5, 2.0, (5, 4))
-    known, drifts = np.array([False, True, True, False, True]), np.array([0.0, 0.3, 0.3, 0.6, 0.3])
-    found = smoothed_walk(measures, noises, known, drifts, 0.9)
+    usual, spreads = random.normal(size=(5, 4)), random.uniform(0.5, 2.0, (5, 4))
+    known, kept = np.array([False, True, True, False, True]), np.array([1.0, 0.9, 0.5, 0.7, 0.9])
+    found = smoothed_returns(measures, noises, known, usual, spreads, kept)
     for column in range(4):
         information, pull = np.zeros((5, 5)), np.zeros(5)
-        information[0, 0] = 1.0 / 0.9
+        information[0, 0] = 1.0 / spreads[0, column]
+        pull[0] = usual[0, column] / spreads[0, column]
         for k in range(5):
             if known[k]:
                 information[k, k] += 1.0 / noises[k, column]
                 pull[k] += measures[k, column] / noises[k, column]
             if k:
-                information[k - 1 : k + 1, k - 1 : k + 1] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / drifts[k]
+                step, pair = np.array([-kept[k], 1.0]), slice(k - 1, k + 1)
+                weight = 1.0 / (spreads[k, column] * (1.0 - kept[k] ** 2))
+                information[pair, pair] += weight * np.outer(step, step)
+                pull[pair] += weight * step * (1.0 - kept[k]) * usual[k, column]
         assert found[:, column] == pytest.approx(np.linalg.solve(information, pull))
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections import FusedBoxes
@@ -580,6 +581,59 @@ def test_smoothed_states_and_walks_are_those_of_all_boxes_at_once_with_the_last_
                 information[pair, pair] += weight * np.outer(step, step)
                 pull[pair] += weight * step * (1.0 - kept[k]) * usual[k, column]
         assert found[:, column] == pytest.approx(np.linalg.solve(information, pull))
+
+
+def test_poses_that_leap_neither_tear_tracks_nor_move_what_is_stated_in_their_world():
+    walking = [Actor(straight(1.0, y=y), "Pedestrian") for y in (3.0, 3.8)]
+
+    def leaping(seconds):  # a fix corrects a lidar that drives at 5 m/s, in two steps
+        return 5.0 * seconds, 0.5 * (seconds > 1.95) + 0.3 * (seconds > 2.05), 0.0
+
+    there = Street(walking, ego=lambda seconds: (5.0 * seconds, 0.0, 0.0), sigma=0.05).observe(TIMES)
+    moved_by = [
+        replace(one, world_from_lidar=_pose(*leaping(seconds))) for one, seconds in zip(there, TIMES, strict=True)
+    ]
+    for offline in (False, True):
+        tracks = track_drive(moved_by, offline=offline)
+        assert len(tracks) == 2
+        for track in tracks:
+            assert len(track) == len(TIMES)
+            assert track.centers[-1, 1] - track.centers[15, 1] == pytest.approx(0.8, abs=0.15)
+            assert np.abs(track.velocities[-1, :2] - [1.0, 0.0]).max() < 0.25
+    # the same in smaller steps is motion, and so is what goes on
+    for drift in (lambda t: (5.0 * t, 0.8 * t, 0.0), lambda t: (5.0 * t + 20.0 * max(t - 2.0, 0.0), 0.0, 0.0)):
+        followed = Tracker()
+        leaps = [
+            followed.advance(replace(one, world_from_lidar=_pose(*drift(seconds)))).leap
+            for one, seconds in zip(there, TIMES, strict=True)
+        ]
+        assert np.abs(leaps[-1] - leaps[-5]).max() == 0.0
+
+
+def test_an_object_that_left_the_image_is_followed_but_has_no_box_in_it():
+    leaving = Actor(lambda t: (12.0, 6.0 + 3.0 * t, np.pi / 2.0), unseen=(1.05, 9.0))
+    (track,) = track_drive(seen(TIMES[:20], leaving), settings=TrackerSettings(recall_2d=0.1, recall_3d=0.1))
+    assert len(track) == 20
+    # its middle is where the image ends, 10.3 m aside, after 1.43 s
+    assert np.isfinite(track.corners_xyxy["front"]).all(axis=1).tolist() == [seconds < 1.55 for seconds in TIMES[:20]]
+
+
+def test_boxes_are_where_they_are_stated_as_often_as_their_covariances_say():
+    means, covariances = np.zeros((1, tracker.SIZE)), np.zeros((1, tracker.SIZE, tracker.SIZE))
+    means[0, :7] = 20.0, 0.0, 0.0, 4.5, 1.8, 1.5, 0.0
+    covariances[0, 0, 0], covariances[0, 1, 1] = 9.0, 0.5**2  # what lies along the line of sight does not count
+    for heading, wide in [(0.0, 1.8), (np.pi / 2.0, 4.5)]:
+        means[0, tracker.YAW] = heading
+        found = tracker.localized(means, covariances, np.zeros(3))
+        assert found == pytest.approx(stats.norm.cdf(wide / 3.0, scale=0.5) * 2.0 - 1.0)
+
+
+def test_stated_scores_are_those_of_the_last_boxes_until_detectors_miss_the_object():
+    there = Street([Actor(straight(6.0, y=3.0), score=0.7, unseen=(2.05, 9.0))], sigma=0.05).observe(TIMES[:24])
+    follower = Tracker(TrackerSettings(report=0.0, drop=0.0))
+    scores = [float(follower.step(one).scores[0]) for one in there]
+    assert scores[:21] == pytest.approx([0.7] * 21)
+    assert scores[23] < scores[22] < scores[21] < 0.3
 
 
 def both(**options):

@@ -566,8 +566,8 @@ def usual_differences(
     known, rows, high = _statistics(settings), vehicles.astype(np.int64), means[:, 5] ** 2
     wide, of_widths, across, of_distances = _across(means, covariances, eye)
     sides = of_widths / wide**2 + of_distances, covariances[:, 5, 5] / high + of_distances
-    open_left = np.column_stack([across / wide**2, covariances[:, 2, 2] / high, *sides])
-    return known.usual[rows], known.spreads[rows] + open_left
+    spreads = known.spreads[rows] + np.column_stack([across / wide**2, covariances[:, 2, 2] / high, *sides])
+    return known.usual[rows], spreads
 
 
 def localized(means: Float64Array, covariances: Float64Array, eye: Float64Array) -> Float64Array:

@@ -325,6 +325,6 @@ def test_what_detectors_find_is_found_again_and_new_boxes_lie_in_the_regions_tha
     assert noise.usual == pytest.approx([0.0, 0.03, np.log(0.9), 0.0], abs=1e-3)
     assert noise.spread == (0.01,) * 4  # the least there is
     assert 0.03 < noise.error[1] < 0.05  # edges are off by a pixel, too
-    assert noise.error[2] == pytest.approx(-np.log(0.9), rel=0.1)
+    assert -np.log(0.9) < noise.error[2] < 0.17
     with pytest.raises(OptionError, match="expected 200 or more"):
         fitting.fit_detectors([example(0)], name="few")

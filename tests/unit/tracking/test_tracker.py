@@ -614,8 +614,10 @@ def test_an_object_that_left_the_image_is_followed_but_has_no_box_in_it():
     leaving = Actor(lambda t: (12.0, 6.0 + 3.0 * t, np.pi / 2.0), unseen=(1.05, 9.0))
     (track,) = track_drive(seen(TIMES[:20], leaving), settings=TrackerSettings(recall_2d=0.1, recall_3d=0.1))
     assert len(track) == 20
-    # its middle is where the image ends, 10.3 m aside, after 1.43 s
-    assert np.isfinite(track.corners_xyxy["front"]).all(axis=1).tolist() == [seconds < 1.55 for seconds in TIMES[:20]]
+    shown = np.isfinite(track.corners_xyxy["front"]).all(axis=1)
+    # its middle is where the image ends, 10.3 m aside, after 1.43 s; which share is shown is known within 5 %
+    assert shown[TIMES[:20] < 1.35].all()
+    assert not shown[TIMES[:20] > 1.75].any()
 
 
 def test_boxes_are_where_they_are_stated_as_often_as_their_covariances_say():

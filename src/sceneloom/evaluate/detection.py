@@ -223,19 +223,11 @@ class DetectionReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def compare_detections(
-    results: Path | str,
-    truth: Path | str,
-    *,
-    classes: Sequence[str] = (),
-    sequences: Sequence[str] = (),
-    similarities: Sequence[Similarity | str] = (),
-    least_overlap: float | None = None,
-    difficulties: Sequence[str] = (),
-    degrees_of_freedom: float | None = None,
-    rules: DetectionRules = _KITTI_IN_SPACE,
-    lenient: bool = False,
-    corrections: str = "apply",
-) -> DetectionReport:
+    results: Path | str, truth: Path | str, *, classes: Sequence[str] = (), sequences: Sequence[str] = (),
+    similarities: Sequence[Similarity | str] = (), least_overlap: float | None = None,
+    difficulties: Sequence[str] = (), degrees_of_freedom: float | None = None, rules: DetectionRules = _KITTI_IN_SPACE,
+    lenient: bool = False, corrections: str = "apply",
+) -> DetectionReport:  # fmt: skip
     """Evaluate detections against the truth, by KITTI's rules.
 
     Args:

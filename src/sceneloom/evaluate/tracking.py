@@ -168,17 +168,10 @@ class TrackingReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def compare_tracks(
-    results: Path | str,
-    truth: Path | str,
-    *,
-    classes: Sequence[str] = (),
-    sequences: Sequence[str] = (),
-    similarity: Similarity | str | None = None,
-    least_similarity: float | None = None,
-    rules: TrackingRules = _KITTI_RULES,
-    lenient: bool = False,
-    corrections: str = "apply",
-) -> TrackingReport:
+    results: Path | str, truth: Path | str, *, classes: Sequence[str] = (), sequences: Sequence[str] = (),
+    similarity: Similarity | str | None = None, least_similarity: float | None = None,
+    rules: TrackingRules = _KITTI_RULES, lenient: bool = False, corrections: str = "apply",
+) -> TrackingReport:  # fmt: skip
     """Evaluate tracks against the truth, by KITTI's rules.
 
     Args:

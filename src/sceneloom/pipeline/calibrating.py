@@ -509,16 +509,9 @@ def mount_lidar(
 
 
 def align_lidars(
-    scene: Scene,
-    target: Path | None = None,
-    *,
-    lidar: Identifier | None = None,
-    onto: Identifier | None = None,
-    most: int = MOST,
-    form: str | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> RepairReport:
+    scene: Scene, target: Path | None = None, *, lidar: Identifier | None = None, onto: Identifier | None = None,
+    most: int = MOST, form: str | None = None, overwrite: bool = False, progress: Progress | None = None,
+) -> RepairReport:  # fmt: skip
     """Estimate the pose of a lidar relative to another one by their clouds; its own extrinsics change.
 
     Args:
@@ -545,17 +538,10 @@ def align_lidars(
 
 
 def calibrate_by_target(
-    scene: Scene,
-    target: Path | None = None,
-    *,
-    board: str,
-    camera: Identifier | None = None,
-    lidar: Identifier | None = None,
-    most: int = MOST,
-    form: str | None = None,
-    overwrite: bool = False,
+    scene: Scene, target: Path | None = None, *, board: str, camera: Identifier | None = None,
+    lidar: Identifier | None = None, most: int = MOST, form: str | None = None, overwrite: bool = False,
     progress: Progress | None = None,
-) -> RepairReport:
+) -> RepairReport:  # fmt: skip
     """Estimate the pose of a camera relative to a lidar by a checkerboard that both see; no guess is needed.
 
     Args:

@@ -897,18 +897,10 @@ class _Job:
 
 
 def colour(
-    scene: Scene,
-    output: str | Path | None = None,
-    *,
-    trajectory: str | None = None,
-    heading: str | None = None,
-    start: float | None = None,
-    stop: float | None = None,
-    settings: ColourSettings | None = None,
-    outputs: ColourOutputs | None = None,
-    lenient: bool = False,
-    progress: Progress | None = None,
-) -> ColourReport:
+    scene: Scene, output: str | Path | None = None, *, trajectory: str | None = None, heading: str | None = None,
+    start: float | None = None, stop: float | None = None, settings: ColourSettings | None = None,
+    outputs: ColourOutputs | None = None, lenient: bool = False, progress: Progress | None = None,
+) -> ColourReport:  # fmt: skip
     """Colour the points of a drive from all cameras that see them, and write them as one map, or sweep by sweep.
 
     Memory depends on the sweeps in flight and on the tiles of the map around them, not on the length of the drive.

@@ -275,19 +275,11 @@ def iter_fused(
 
 
 def fuse(
-    scene: Scene,
-    output: str | Path | None = None,
-    *,
-    trajectory: str | None = None,
-    heading: str | None = None,
-    start: float | None = None,
-    stop: float | None = None,
-    algorithm: AlgorithmChoice | None = None,
-    outputs: FusionOutputs | None = None,
-    configuration: FusionConfiguration | None = None,
-    lenient: bool = False,
+    scene: Scene, output: str | Path | None = None, *, trajectory: str | None = None, heading: str | None = None,
+    start: float | None = None, stop: float | None = None, algorithm: AlgorithmChoice | None = None,
+    outputs: FusionOutputs | None = None, configuration: FusionConfiguration | None = None, lenient: bool = False,
     progress: Progress | None = None,
-) -> FusionReport:
+) -> FusionReport:  # fmt: skip
     """Fuse lidar and cameras of a scene and write the fused scene, depth images and images.
 
     Args:

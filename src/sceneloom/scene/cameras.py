@@ -188,20 +188,7 @@ class DepthFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthCameraSensor:
-    """A camera that measures depth.
-
-    Attributes:
-        id: unique among the scene's sensors.
-        camera: the camera model (an image can have one of its own).
-        frames: the depth images in time order, decoded when asked for.
-        poses: camera (x right, y down, z forward) to `coordinates` frame, or None.
-        mount: `ego_from_camera`, where the source knows a rigid mounting.
-        coordinates: the frame that `poses` lead into.
-        video: the encoded video, where the images come from one.
-        fps: nominal images a second, or None.
-        parent_id: id of the parent sensor, or None.
-        extras: further fields of the file, by name.
-    """
+    """A camera that measures depth; fields as in `CameraSensor`, depth images as `frames`."""
 
     id: Identifier
     camera: Camera

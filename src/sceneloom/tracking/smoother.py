@@ -52,13 +52,9 @@ def smoothed(
 
 
 def smoothed_returns(
-    measures: Float64Array,
-    noises: Float64Array,
-    known: BoolArray,
-    usual: Float64Array,
-    spreads: Float64Array,
+    measures: Float64Array, noises: Float64Array, known: BoolArray, usual: Float64Array, spreads: Float64Array,
     kept: Float64Array,
-) -> Float64Array:
+) -> Float64Array:  # fmt: skip
     """Smooth (K, 4) numbers that return to what is usual, each on its own.
 
     Measures and noises (variances) are looked at where `known` (K,). `usual` and `spreads` (variances), (K, 4), are

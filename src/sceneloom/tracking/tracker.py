@@ -581,7 +581,8 @@ def noises(corners: Float64Array, vehicles: BoolArray, settings: TrackerSettings
     """Variances (N, 4) of the differences of a detector's boxes: of a middle half, of a side twice those of an edge."""
     edges = (EDGE_PX / (corners[:, 2:] - corners[:, :2])) ** 2
     varied = _statistics(settings).errors[vehicles.astype(np.int64)]
-    return varied + np.concatenate([edges / 2.0, edges * 2.0], axis=1)
+    variances: Float64Array = varied + np.concatenate([edges / 2.0, edges * 2.0], axis=1)
+    return variances
 
 
 def left_view(supports: UInt8Array, shown_shares: Float64Array) -> BoolArray:

@@ -104,10 +104,8 @@ def open_argoverse2(
         sequence: name of the log, where there are several.
         one_lidar: give the points of both lidars as those of one, `lidar`.
         distorted: use the coefficients of the camera models, for images that are not those of the data set.
-        lenient: leave out what is at fault and count it.
 
     Raises:
-        DataError: a file is missing or wrong.
         OptionError: there is no such log, none was chosen of several, or an option is neither true nor false.
         MissingExtraError: pyarrow is not installed.
     """

@@ -493,11 +493,14 @@ def write_scene(
 ) -> LossReport:
     """Write a scene in the format that the path's suffix, or `format`, names; a URL of a store may stand for the path.
 
-    Where the format has no field for corrections, they are applied (`Scene.corrected`).
+    Where the format has no field for corrections, they are applied (`Scene.corrected`). Each format's own function
+    takes the same scene, path and `overwrite`, replaces nothing but a file or folder of its format, and reports what
+    that could not hold.
 
     Raises:
         OutputError: the output exists, or cannot be written.
         OptionError: no format has that suffix or name.
+        DataError: what the scene is read from is damaged.
     """
     if is_url(path):
         with imported(_UPLOADING)(str(path), overwrite=overwrite) as draft:

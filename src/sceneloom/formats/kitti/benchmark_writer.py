@@ -346,20 +346,7 @@ _OBJECT_KIND = FolderKind(
 
 
 def write_object(scene: Scene, path: Path, *, overwrite: bool = False) -> LossReport:
-    """Write a scene as frames in a folder `training`.
-
-    Args:
-        scene: to be written.
-        path: the folder above `training`.
-        overwrite: replace a folder of such frames as a whole.
-
-    Returns:
-        What the folder could not hold.
-
-    Raises:
-        OutputError: the path exists, or cannot be written.
-        DataError: what the scene is read from is damaged.
-    """
+    """Write a scene as frames in a folder `training` below the path."""
     choice = Choice.of(scene, tuple(OBJECT_CAMERAS), _OBJECT_HELD, rigid=False)
     choice.check_files(labels=True)
     timeline = choice.timeline(one_time=False)
@@ -488,21 +475,13 @@ _TRACKING_KIND = FolderKind(
 
 
 def write_tracking(scene: Scene, path: Path, *, overwrite: bool = False, sequence: str | None = None) -> LossReport:
-    """Write a scene as a sequence in a folder `training`.
+    """Write a scene as a sequence in a folder `training` below the path.
 
     Args:
-        scene: to be written.
-        path: the folder above `training`.
-        overwrite: replace a folder of such sequences as a whole.
         sequence: its name, four digits; None for the one that the scene was read from, else "0000".
-
-    Returns:
-        What the folder could not hold.
 
     Raises:
         OptionError: the name is none.
-        OutputError: the path exists, or cannot be written.
-        DataError: what the scene is read from is damaged.
     """
     name = sequence or kept_of(scene).get("sequence") or "0000"
     name = name if len(name) == 4 else f"{int(name):04d}" if name.isascii() and name.isdigit() else name

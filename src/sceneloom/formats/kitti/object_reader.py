@@ -73,15 +73,7 @@ class _Calibrations:
 
 
 def open_object(path: Path, *, lenient: bool = False) -> Scene:
-    """Open frames of the object benchmark: their folder, or the one above `training` and `testing`.
-
-    Args:
-        path: the folder.
-        lenient: leave out frames without calibration and faulty labels, and count them.
-
-    Raises:
-        DataError: something is missing or wrong.
-    """
+    """Open frames of the object benchmark: their folder, or the one above `training` and `testing`."""
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         found = object_folders(path)

@@ -117,10 +117,8 @@ def open_odometry(path: Path, *, sequence: str | None = None, labels: str = "rea
         path: the folder of a sequence, of sequences, or the one above `sequences` and `poses`.
         sequence: which one, as "00", where there are several.
         labels: "read" SemanticKITTI's labels, which takes four bytes of memory for each labelled point, or "skip" them.
-        lenient: leave out files without a time and times without a pose, and count them.
 
     Raises:
-        DataError: something is missing or wrong.
         OptionError: there are several sequences and none was chosen, or `labels` is none of these.
     """
     if labels not in _LABELS:

@@ -135,21 +135,13 @@ _KIND = FolderKind(
 
 
 def write_odometry(scene: Scene, path: Path, *, overwrite: bool = False, sequence: str | None = None) -> LossReport:
-    """Write a scene as a sequence in folders `sequences` and `poses`.
+    """Write a scene as a sequence in folders `sequences` and `poses` below the path.
 
     Args:
-        scene: to be written.
-        path: the folder above `sequences`.
-        overwrite: replace a folder of such sequences as a whole.
         sequence: its name, two digits; None for the one that the scene was read from, else "00".
-
-    Returns:
-        What the folder could not hold.
 
     Raises:
         OptionError: the name is none.
-        OutputError: the path exists, or cannot be written.
-        DataError: what the scene is read from is damaged.
     """
     kept = kept_of(scene)
     name = str(kept["sequence"]) if kept.get("benchmark") == "odometry" and "sequence" in kept else "00"

@@ -426,12 +426,9 @@ def open_raw(path: Path, *, sequence: str | None = None, lenient: bool = False) 
     """Open a drive: its own folder, that of its day, or one of days.
 
     Args:
-        path: the folder.
         sequence: the drive, as `0001`, `0001_sync` or its folder's name, where there are several.
-        lenient: leave out files without a time and times without a file, and count them.
 
     Raises:
-        DataError: something is missing or wrong.
         OptionError: there are several drives and none was chosen.
     """
     drive = _find_drive(path, sequence)

@@ -315,24 +315,16 @@ _KIND = FolderKind(
 def write_raw(
     scene: Scene, path: Path, *, overwrite: bool = False, kind: str | None = None, sequence: str | None = None
 ) -> LossReport:
-    """Write a scene as a drive in the folder of its day.
+    """Write a scene as a drive in the folder of its day, below the path.
 
     Args:
-        scene: to be written.
-        path: the folder above the day's.
-        overwrite: replace a folder of such drives as a whole.
         kind: "sync", one frame of all sensors with rectified images, or "extract", each sensor by itself with the
             camera models' distortion; None for "sync" where all images are of camera models without distortion that
             look the same way, one for each sweep.
         sequence: number of the drive, four digits; None for that which the scene was read from, else "0001".
 
-    Returns:
-        What the folder could not hold.
-
     Raises:
         OptionError: the kind or the number is none.
-        OutputError: the path exists, or cannot be written.
-        DataError: what the scene is read from is damaged.
     """
     if kind not in (None, *_MODELS):
         raise OptionError(f"kind {kind!r}; expected one of {', '.join(_MODELS)}")

@@ -379,10 +379,8 @@ def open_tracking(path: Path, *, sequence: str | None = None, lenient: bool = Fa
     Args:
         path: the folder of sequences, or the one above `training` and `testing`.
         sequence: which one, as "0000", where there are several.
-        lenient: leave out what is at fault, and count it.
 
     Raises:
-        DataError: something is missing or wrong.
         OptionError: there are several sequences and none was chosen.
     """
     ledger = Ledger(lenient=lenient)

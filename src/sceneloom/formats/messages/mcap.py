@@ -155,16 +155,12 @@ def write_mcap(
     """Write a scene; one message is in memory at a time.
 
     Args:
-        scene: the drive.
-        path: of the file.
-        overwrite: whether a file that is there may be replaced.
         compression: of chunks: "none", "lz4" or "zstd".
         images: "copy" hands on videos packet by packet and JPEG files as they are, and encodes the rest as JPEG;
             "jpeg", "png" and "raw" write all images in one form.
 
     Raises:
         OptionError: there is no such compression, or way of writing images.
-        OutputError: the file exists, or cannot be written.
     """
     check_images(images)
     with replacing(path, overwrite=overwrite) as draft, draft.open("wb") as stream:

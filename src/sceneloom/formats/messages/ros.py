@@ -670,15 +670,11 @@ def write_ros1(
     """Write a `.bag`; one message is in memory at a time.
 
     Args:
-        scene: the drive.
-        path: of the file.
-        overwrite: whether a file that is there may be replaced.
         images: see `write_ros2`.
         distro: of ROS 1, whose types are written.
 
     Raises:
         OptionError: there is no such distribution, or way of writing images.
-        OutputError: the file exists, or cannot be written.
     """
     from rosbags.rosbag1 import Writer
 
@@ -698,9 +694,6 @@ def write_ros2(
     """Write a folder with `metadata.yaml`; one message is in memory at a time.
 
     Args:
-        scene: the drive.
-        path: of the folder.
-        overwrite: whether a folder that is there may be replaced.
         storage: "mcap" or "sqlite3".
         images: "jpeg" and "copy" write JPEG files, copied where the scene has them, "png" and "raw" lose nothing,
             "video" hands on videos packet by packet as messages of foxglove_msgs.
@@ -708,7 +701,6 @@ def write_ros2(
 
     Raises:
         OptionError: there is no such storage, distribution, or way of writing images.
-        OutputError: the folder exists, or cannot be written.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
 

@@ -140,10 +140,8 @@ def open_nuscenes(
         path: the folder of the data set, or that of its tables.
         sequence: name or token of the scene, where the tables have several.
         keyframes: leave out what was taken between the samples.
-        lenient: leave out what is at fault and count it.
 
     Raises:
-        DataError: a table or a file is missing or wrong.
         OptionError: there is no such scene, or none was chosen of several.
     """
     tables = _find_tables(path)

@@ -116,8 +116,6 @@ def write_nuscenes(
     """Write a scene as a data set; frames are read, written and released one by one.
 
     Args:
-        scene: what to write.
-        path: the folder that is made.
         overwrite: replace the folder if it is a data set, or empty; no other folder is ever replaced.
         version: name of the folder of tables; None: that which the scene was read from, else `v1.0-sceneloom`.
         keyframe_rate_hz: samples a second; None: those that the scene was read with, else two a second.
@@ -126,13 +124,9 @@ def write_nuscenes(
             that nuScenes has for the lidar or for the only camera with their viewing direction, else their id.
         trajectory: name of the ego's, as of `ego_in_world`.
 
-    Returns:
-        What the tables could not hold.
-
     Raises:
         OptionError: an option is none of these.
         PoseError: the trajectory cannot be taken.
-        OutputError: the path exists, or cannot be written.
         CalibrationError: a camera model cannot be computed with.
         DataError: what the scene is read from is damaged, or has no frame at all.
     """

@@ -562,12 +562,9 @@ def read_openlabel(path: Path, *, lenient: bool = False, rate_hz: float | str | 
     """Read a file.
 
     Args:
-        path: of the file.
-        lenient: leave out what is wrong, and count it.
         rate_hz: frames per second of a file whose frames have no timestamps.
 
     Raises:
-        DataError: the file is wrong.
         OptionError: the rate is no number above 0.
     """
     rate = None if rate_hz is None else as_positive("rate_hz", rate_hz)

@@ -104,10 +104,8 @@ def open_pandaset(path: Path, *, sequence: str | None = None, lenient: bool = Fa
     Args:
         path: the folder of a drive (`002`), or one of several.
         sequence: name of the drive, where there are several.
-        lenient: leave out files of boxes that are at fault, and count them.
 
     Raises:
-        DataError: a file is missing or wrong.
         OptionError: there is no such drive, or none was chosen of several.
     """
     expected = "lidar/00.pkl.gz, lidar/poses.json, camera/"

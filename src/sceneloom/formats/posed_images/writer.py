@@ -375,9 +375,6 @@ def write_colmap(
     """Write a folder `images` and a folder `sparse/0`.
 
     Args:
-        scene: the drive.
-        path: of the folder.
-        overwrite: whether a folder that is there may be replaced.
         model: how the files of the model are written: "txt", "bin" or "both".
         options: those of `PosedSettings`.
 
@@ -386,7 +383,6 @@ def write_colmap(
         PoseError: it is not known where a camera was.
         DataError: an image or a sweep cannot be read.
         CalibrationError: COLMAP has no model for a camera model.
-        OutputError: the folder exists, or cannot be written.
     """
     if model not in _FORMS:
         raise OptionError(f"model {model!r}; expected one of {', '.join(_FORMS)}")
@@ -436,7 +432,6 @@ def write_nerfstudio(scene: Scene, path: Path, *, options: PosedSettings, overwr
         PoseError: it is not known where a camera was.
         DataError: an image or a sweep cannot be read.
         CalibrationError: nerfstudio has no model for a camera model.
-        OutputError: the folder exists, or cannot be written.
     """
     posed = _PosedScene.of(scene, options)
     model = _camera_model(scene)

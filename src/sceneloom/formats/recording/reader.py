@@ -1043,7 +1043,6 @@ def open_recording(
     Args:
         path: the folder, the `data.jsonl` in it, a zip archive, which is unpacked until the scene is closed, or any
             other file of such lines, as methods put out; what lies beside that counts only if it has images or lidar.
-        lenient: leave out and count what is wrong instead of raising.
         altitude: what the altitudes of `gps` lines are above: "wgs84", the ellipsoid, or "msl", mean sea level.
         camera_shift: what becomes of `imuToCameraShiftSeconds` of the calibration: "ignore"; "apply" adds it to the
             times of the camera's images, which are then on the IMU's clock; "subtract" takes it off them.
@@ -1052,7 +1051,6 @@ def open_recording(
             the numbers span, "line" where as many as lines, else that is open: an error.
 
     Raises:
-        DataError: files are missing or wrong.
         CalibrationError: a camera model or a mounting is unusable.
         OptionError: a value is unknown.
     """

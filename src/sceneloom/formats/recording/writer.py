@@ -1027,16 +1027,11 @@ def write_recording(scene: Scene, path: Path, *, overwrite: bool = False, images
     """Write a scene as a recording; frames are read, written and let go one by one.
 
     Args:
-        scene: what to write.
-        path: the folder that is made.
         overwrite: replace the folder if it is a recording, or empty, but for a README; nobody else's folder is ever
             replaced.
         images: "copy" copies a camera's own video packet by packet, cut to the images that are left, where that can
             be done, and encodes H.264 else, or FFV1 where that video has lost nothing; "lossless" encodes FFV1 then;
             "h264" copies only what is H.264 already; "ffv1" (video) and "png" (files) lose nothing.
-
-    Returns:
-        What the format could not hold.
 
     Raises:
         OptionError: `images` is none of these.

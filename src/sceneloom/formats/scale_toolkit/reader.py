@@ -49,7 +49,6 @@ def open_scale_toolkit(path: Path, *, rate_hz: float | str | None = None, lenien
         lenient: go without poses and cameras that are missing or wrong, and count them.
 
     Raises:
-        DataError: a file is missing or wrong.
         OptionError: the rate is no number above 0.
     """
     rate = None if rate_hz is None else as_positive("rate_hz", rate_hz)

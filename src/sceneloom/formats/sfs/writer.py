@@ -589,14 +589,9 @@ def write_scene(
 
     Args:
         scene: any scene; one that was read from a file of this format keeps its unit, offset and timestamps.
-        path: the file to be made.
-        overwrite: whether a file there may be replaced.
         profile: "sfs", or "scale" for a file that Scale's own library loads and validates.
         time_unit: "microseconds" or "nanoseconds"; None for the scene's own, else microseconds.
         time_offset_ns: the absolute time of the file's zero [ns]; None to choose it.
-
-    Returns:
-        What the file cannot hold.
 
     Raises:
         OptionError: an argument has an invalid value, or something cannot be held by the format.

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.detector_fits import KITTI, kitti_examples
-from benchmarks.tracking_peers import ab3dmot
+from benchmarks.tracking_peers import follow as follow_as_peer
 from sceneloom.detections import DetectionPair, FusedBoxes
 from sceneloom.detections.fitting import FitSettings, columns_of, fit_columns
 from sceneloom.detections.projection import fuse_by_projection
@@ -269,25 +269,32 @@ def interval(scores: Scores, names: tuple[str, ...], label: str) -> tuple[float,
     return float(low), float(high)
 
 
+PEERS = {"AB3DMOT": False, "DeepFusionMOT": True}
+"""Trackers of others, and whether they take the boxes of both detectors."""
+
 LEAST_SCORES = (-99.0, 0.0, 1.0, 2.0, 3.0)
-"""Of PointRCNN's boxes, out of which those of AB3DMOT are chosen, which says nothing of them."""
+"""Of PointRCNN's boxes, out of which those of the peers are chosen, which say nothing of them."""
 
 
-def write_ab3dmot(tracking: KittiTracking, least_scores: Mapping[str, Mapping[str, float]], location: Path) -> None:
-    """Write what AB3DMOT follows, with the least score of each sequence and class."""
+def write_peer(
+    tracking: KittiTracking, least_scores: Mapping[str, Mapping[str, float]], location: Path, *, by_both: bool
+) -> None:
+    """Write what a peer follows, with the least score of each sequence and class."""
     location.mkdir(parents=True)
     for name, of_classes in least_scores.items():
         sequence = tracking.sequence(name)
         labels = {label.capitalize(): least for label, least in of_classes.items()}
-        found = ab3dmot(kitti_drive(sequence), sequence.rectified_from_lidar, labels)
+        found = follow_as_peer(kitti_drive(sequence), sequence.rectified_from_lidar, labels, by_both=by_both)
         write_labels(found, location / f"{name}.txt")
 
 
-def cross_validated_peer(tracking: KittiTracking, names: tuple[str, ...], truth: Path, location: Path) -> Scores:
-    """What AB3DMOT reaches on sequences that did not choose which boxes it looks at."""
+def cross_validated_peer(
+    peer: str, tracking: KittiTracking, names: tuple[str, ...], truth: Path, location: Path
+) -> Scores:
+    """What a peer reaches on sequences that did not choose which boxes it looks at."""
     for least in LEAST_SCORES:
         own = dict.fromkeys(names, dict.fromkeys(CLASSES, least))
-        write_ab3dmot(tracking, own, location / "tried" / f"{least:g}" / "data")
+        write_peer(tracking, own, location / "tried" / f"{least:g}" / "data", by_both=PEERS[peer])
     judged = evaluate(truth, location / "tried")
     held: dict[str, dict[str, float]] = {}
     for name in names:
@@ -296,8 +303,8 @@ def cross_validated_peer(tracking: KittiTracking, names: tuple[str, ...], truth:
             label: max(LEAST_SCORES, key=lambda least: together(judged[f"{least:g}"], others, label).hota)
             for label in CLASSES
         }
-    write_ab3dmot(tracking, held, location / "held" / "AB3DMOT" / "data")
-    return evaluate(truth, location / "held")["AB3DMOT"]
+    write_peer(tracking, held, location / "held" / peer / "data", by_both=PEERS[peer])
+    return evaluate(truth, location / "held")[peer]
 
 
 def cross_validate(folder: Path, tracking: KittiTracking, names: tuple[str, ...], variant: str) -> None:
@@ -329,8 +336,8 @@ def cross_validate(folder: Path, tracking: KittiTracking, names: tuple[str, ...]
         for key, (how, numbers) in rows.items():
             follow(tracking, how, variant, final / key / "data", numbers)
         found = evaluate(truth, final)
-        if variant == "online":
-            found["AB3DMOT, held out"] = cross_validated_peer(tracking, names, truth, Path(scratch) / "peer")
+        for peer in PEERS if variant == "online" else ():
+            found[f"{peer}, held out"] = cross_validated_peer(peer, tracking, names, truth, Path(scratch) / peer)
     print(f"\n{variant:20s}{'class':12s}{'HOTA':>7}{'from':>7}{'to':>7}{'DetA':>7}{'AssA':>7}{'MOTA':>8}{'IDSW':>6}")
     for label in CLASSES:
         for key in found:

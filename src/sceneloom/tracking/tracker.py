@@ -551,10 +551,10 @@ def _across(means: Float64Array, covariances: Float64Array, eye: Float64Array) -
     """How wide objects look [m], and variances of that [m²], of where they are across [m²], and of log distances."""
     apart = means[:, :2] - eye[..., :2]
     away = np.maximum(np.sqrt((apart**2).sum(axis=1)), 1.0)
-    rays = apart / away[:, None]
-    sides = np.column_stack([-rays[:, 1], rays[:, 0]])
-    along, across = (np.einsum("ni,nij,nj->n", axes, covariances[:, :2, :2], axes) for axes in (rays, sides))
-    cosines = np.cos(means[:, YAW] - np.arctan2(rays[:, 1], rays[:, 0])) ** 2
+    x, y = (apart / away[:, None]).T
+    xx, yy, xy = covariances[:, 0, 0], covariances[:, 1, 1], 2.0 * x * y * covariances[:, 0, 1]
+    along, across = x * x * xx + y * y * yy + xy, y * y * xx + x * x * yy - xy
+    cosines = np.cos(means[:, YAW] - np.arctan2(y, x)) ** 2
     wide = np.sqrt(1.0 - cosines) * means[:, 3] + np.sqrt(cosines) * means[:, 4]
     return wide, (1.0 - cosines) * covariances[:, 3, 3] + cosines * covariances[:, 4, 4], across, along / away**2
 
@@ -883,7 +883,7 @@ class Tracker:
     ) -> _Population:
         free = seen.log_odds > log_odds(self.settings.drop)
         free[columns] = False
-        new = _unclaimed(seen, free, objects.select(rows))
+        new = _unclaimed(seen, free, objects.select(rows)) if free.any() else rows[:0]
         if not len(new):
             return objects
         means, covariances = _states(seen, new)
@@ -908,7 +908,7 @@ class Tracker:
 
 def _predicted(objects: _Population, seconds: float, settings: TrackerSettings) -> tuple[_Population, Float64Array]:
     """The objects so much later, and the slopes of their states."""
-    moved = objects.copied()
+    moved = replace(objects)
     moved.means, moved.covariances, slopes = predicted(
         objects.means, objects.covariances, objects.vehicles, seconds, settings
     )
@@ -981,28 +981,27 @@ def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
     unseen = every.supports == Support.PREDICTED
     there[unseen] *= localized(every.means[unseen], every.covariances[unseen], eye)
     rows = np.flatnonzero(probabilities(every.log_odds) * there >= np.minimum(settings.report, 1.0 - _SUREST))
-    objects = every.select(rows)
-    corners = {}
+    means, supports, corners = every.means[rows], every.supports[rows], {}
     for camera_id, view in moment.observation.views.items():
         lines = moment.outlined[camera_id]
-        differing = objects.differing[camera_id]
+        differing = every.differing[camera_id][rows]
         if settings.image_box is ImageBox.PROJECTED:
             differing = np.zeros_like(differing)
         boxes = applied(differing, lines.corners_xyxy[rows], view.camera.width, view.camera.height)
-        boxes[left_view(objects.supports, lines.shown_shares[rows])] = np.nan
+        boxes[left_view(supports, lines.shown_shares[rows])] = np.nan
         corners[camera_id] = boxes
     return TrackedObjects(
         timestamp_ns=moment.observation.timestamp_ns,
-        ids=objects.ids,
-        labels=tuple(moment.words[k] for k in objects.votes.argmax(axis=1).tolist()) if len(objects) else (),
-        centers=objects.means[:, :3] + moment.leap,
-        sizes_lwh=objects.means[:, 3:6],
-        yaws=objects.means[:, YAW],
-        velocities=objects.means[:, 7:10],
-        yaw_rates=objects.means[:, ROTATION],
-        covariances=objects.covariances[:, :10, :10],
-        scores=probabilities(objects.box_log_odds) * there[rows],
-        supports=objects.supports,
+        ids=every.ids[rows],
+        labels=tuple(moment.words[k] for k in every.votes[rows].argmax(axis=1).tolist()) if len(rows) else (),
+        centers=means[:, :3] + moment.leap,
+        sizes_lwh=means[:, 3:6],
+        yaws=means[:, YAW],
+        velocities=means[:, 7:10],
+        yaw_rates=means[:, ROTATION],
+        covariances=every.covariances[rows, :10, :10],
+        scores=probabilities(every.box_log_odds[rows]) * there[rows],
+        supports=supports,
         corners_xyxy=corners,
     )
 

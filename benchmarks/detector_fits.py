@@ -51,7 +51,8 @@ def kitti_examples(folder: Path, sequences: Sequence[str] | None = None) -> Iter
             truth = Boxes3D(time_ns, *placed, np.ones(len(rows)), words)
             pair = DetectionPair(drive.boxes_3d(frame), drive.boxes_2d(frame), drive.camera, drive.camera_from_lidar)
             regions, drawn = corners[types == "DontCare"], corners[rows] + CENTRE_TO_CORNER
-            yield LabelledPair(pair, truth, counts[rows], neighbours[rows], regions, name, drawn_xyxy=drawn)
+            ids = labels.track_ids[now][rows]
+            yield LabelledPair(pair, truth, counts[rows], neighbours[rows], regions, name, drawn_xyxy=drawn, ids=ids)
 
 
 DRIVES, FRAMES, STEP = 12, 120, 10

@@ -143,6 +143,7 @@ class LabelledPair:
         group: of what belongs together, such as a drive: errors within are alike.
         least_height_px: a box without an object is not false where the image shows it, but less high than this [px].
         drawn_xyxy: (T, 4) float64 [px], the boxes that people drew around the objects in the image, or None.
+        ids: (T,) int64, numbers of the objects, the same in all examples of the group, or None.
     """
 
     pair: DetectionPair
@@ -153,6 +154,7 @@ class LabelledPair:
     group: str
     least_height_px: float = 25.0
     drawn_xyxy: Float64Array | None = None
+    ids: Int64Array | None = None
 
 
 class SweepColumns(NamedTuple):
@@ -174,6 +176,7 @@ class SweepColumns(NamedTuple):
             object [px]; `differences` of the box that people drew from the outline; those of the partner less these.
             NaN where none is known.
         sides: (N, 2) [px], width and height of the partner.
+        object: (N,) int64, number of the object, or NO_BOX.
     """
 
     group: Int64Array
@@ -189,6 +192,7 @@ class SweepColumns(NamedTuple):
     errors: Float64Array
     apart: Float64Array
     sides: Float64Array
+    object: Int64Array
 
 
 class ImageColumns(NamedTuple):
@@ -302,6 +306,7 @@ def _example(example: LabelledPair, group: int, overlap: float) -> tuple[Prepare
         truth.errors(boxes, near),
         truth.apart(near, corners, partners),
         sides,
+        np.full(count, NO_BOX) if example.ids is None else np.append(example.ids, NO_BOX)[near],
     )
     image = ImageColumns(
         np.full(len(corners), group),
@@ -553,6 +558,7 @@ def _fit_noise(columns: SweepColumns, reported: Reported, degrees_of_freedom: fl
         for part in _PARTS
     ]
     numbers = [[tuple(column) for column in part.T.tolist()] for part in parts]
+    scaled = columns.errors[rows][:, :6] / np.exp(np.concatenate([features @ part.T for part in parts[:2]], axis=1))
     return BoxNoise(
         scores=(reported.low, reported.high),
         center_base=numbers[0][0],
@@ -562,7 +568,29 @@ def _fit_noise(columns: SweepColumns, reported: Reported, degrees_of_freedom: fl
         size_by_score=numbers[1][1],
         size_by_range=numbers[1][2],
         yaw=(numbers[2][0][0], numbers[2][1][0], numbers[2][2][0]),
+        lasting=_lasting(groups, columns.object[rows], scaled),
     )
+
+
+def _lasting(groups: Int64Array, objects: Int64Array, scaled: Float64Array) -> tuple[float, float]:
+    """Which share of the squares of scaled errors (N, 6) of middles and sizes is alike in all boxes of an object."""
+    known = objects != NO_BOX
+    _, numbers, counts = np.unique(
+        np.column_stack([groups, objects])[known], axis=0, return_inverse=True, return_counts=True
+    )
+    if not (counts > 1).any():
+        return _UNKNOWN.lasting
+    off = np.clip(scaled[known], -_FARTHEST, _FARTHEST)
+    sums, squares = np.zeros((2, len(counts), 6))
+    np.add.at(sums, numbers, off)
+    np.add.at(squares, numbers, off**2)
+    often = counts > 1
+    alike = (sums[often] ** 2 - squares[often]) / (counts[often, None] - 1.0)
+    shares = (alike.sum(axis=0) / squares[often].sum(axis=0)).clip(0.0, 1.0)
+    return float(shares[:3].mean()), float(shares[3:].mean())
+
+
+_FARTHEST = 3.0  # errors beyond so many deviations count as these
 
 
 def _fit_image_noise(columns: SweepColumns) -> ImageNoise:

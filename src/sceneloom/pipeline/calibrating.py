@@ -82,18 +82,10 @@ class CheckedCalibration:
 
 
 def check_drive(
-    scene: Scene,
-    camera_id: Identifier | None = None,
-    lidar_id: Identifier | None = None,
-    *,
-    most: int = MOST,
-    start: float | None = None,
-    stop: float | None = None,
-    boxes_3d: Sequence[Path] = (),
-    boxes_2d: Sequence[Path] = (),
-    motion: bool = False,
-    lenient: bool = False,
-) -> CheckedCalibration:
+    scene: Scene, camera_id: Identifier | None = None, lidar_id: Identifier | None = None, *, most: int = MOST,
+    start: float | None = None, stop: float | None = None, boxes_3d: Sequence[Path] = (),
+    boxes_2d: Sequence[Path] = (), motion: bool = False, lenient: bool = False,
+) -> CheckedCalibration:  # fmt: skip
     """Check a calibration by images and points, and by lists of boxes where there are any.
 
     Args:
@@ -428,18 +420,10 @@ class RepairReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def refine_drive(
-    scene: Scene,
-    target: Path | None = None,
-    *,
-    camera: Identifier | None = None,
-    lidar: Identifier | None = None,
-    parameters: Sequence[str] = DEFAULT,
-    most: int = MOST,
-    form: str | None = None,
-    images: Path | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> RepairReport:
+    scene: Scene, target: Path | None = None, *, camera: Identifier | None = None, lidar: Identifier | None = None,
+    parameters: Sequence[str] = DEFAULT, most: int = MOST, form: str | None = None, images: Path | None = None,
+    overwrite: bool = False, progress: Progress | None = None,
+) -> RepairReport:  # fmt: skip
     """Refine the calibration of a camera against a lidar by the drive itself.
 
     Nothing is written unless the calibration was refined; images are drawn in any case.

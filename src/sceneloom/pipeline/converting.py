@@ -415,18 +415,10 @@ def _refuse_losses(report: ConversionReport) -> None:
 
 
 def convert(
-    source: str | Path,
-    target: str | Path,
-    *,
-    to: str | None = None,
-    trajectory: str | None = None,
-    strict: bool = False,
-    loss: str | Path | None = None,
-    overwrite: bool = False,
-    reading: Mapping[str, Any] | None = None,
-    progress: Progress | None = None,
-    **writing: Any,
-) -> ConversionReport:
+    source: str | Path, target: str | Path, *, to: str | None = None, trajectory: str | None = None,
+    strict: bool = False, loss: str | Path | None = None, overwrite: bool = False,
+    reading: Mapping[str, Any] | None = None, progress: Progress | None = None, **writing: Any,
+) -> ConversionReport:  # fmt: skip
     """Read a recording or a scene and write it in another format, without fusing anything.
 
     A target that is a file of trajectories (`.tum`, `.kitti`, `.csv`, `.jsonl`) gets one trajectory of the source; a

@@ -108,23 +108,12 @@ class _Writer:
 
 
 def write_depth_images(
-    scene: Scene,
-    folder: str | Path,
-    *,
-    method: str = "quality",
-    form: str = "png",
-    cameras: Iterable[Identifier] | None = None,
-    confidence: bool = False,
-    images: str | Path | None = None,
-    trajectory: str | None = None,
-    heading: str | None = None,
-    start: float | None = None,
-    stop: float | None = None,
-    configuration: FusionConfiguration | None = None,
-    lenient: bool = False,
-    overwrite: bool = False,
+    scene: Scene, folder: str | Path, *, method: str = "quality", form: str = "png",
+    cameras: Iterable[Identifier] | None = None, confidence: bool = False, images: str | Path | None = None,
+    trajectory: str | None = None, heading: str | None = None, start: float | None = None, stop: float | None = None,
+    configuration: FusionConfiguration | None = None, lenient: bool = False, overwrite: bool = False,
     progress: Progress | None = None,
-) -> DepthReport:
+) -> DepthReport:  # fmt: skip
     """Write a depth image for each sweep and each image that belongs to it.
 
     Sweeps are read, completed and let go one after another. `index.jsonl` in the folder says of each image which sweep

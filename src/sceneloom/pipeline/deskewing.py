@@ -413,20 +413,10 @@ def _in_world(scene: Scene, sensor: LidarSensor) -> str:
 
 
 def deskew(
-    scene: Scene,
-    output: str | Path,
-    *,
-    trajectory: str | None = None,
-    heading: str | None = None,
-    at: str = "middle",
-    lidar: Identifier | None = None,
-    start: float | None = None,
-    stop: float | None = None,
-    lenient: bool = False,
-    progress: Progress | None = None,
-    overwrite: bool = False,
-    **writing: Any,
-) -> DeskewReport:
+    scene: Scene, output: str | Path, *, trajectory: str | None = None, heading: str | None = None, at: str = "middle",
+    lidar: Identifier | None = None, start: float | None = None, stop: float | None = None, lenient: bool = False,
+    progress: Progress | None = None, overwrite: bool = False, **writing: Any,
+) -> DeskewReport:  # fmt: skip
     """Undo the motion during each lidar sweep, and write the scene with the deskewed sweeps.
 
     Args:

@@ -306,18 +306,11 @@ _SIDE_SUFFIX = ".frames.jsonl"
 
 
 def fuse_detections(
-    path: str | Path,
-    output: str | Path,
-    *,
-    chosen: DetectionInput | None = None,
-    form: str = "jsonl",
-    configuration: FusionConfiguration | None = None,
-    settings: ProjectionSettings | None = None,
-    lenient: bool = False,
-    reading: Mapping[str, Any] | None = None,
-    overwrite: bool = False,
+    path: str | Path, output: str | Path, *, chosen: DetectionInput | None = None, form: str = "jsonl",
+    configuration: FusionConfiguration | None = None, settings: ProjectionSettings | None = None,
+    lenient: bool = False, reading: Mapping[str, Any] | None = None, overwrite: bool = False,
     progress: Progress | None = None,
-) -> DetectionFusionReport:
+) -> DetectionFusionReport:  # fmt: skip
     """Fuse what detectors found in a drive, or in each sequence of a folder, into records of table 10.
 
     Beside each file of lines of JSON a second one, `.frames.jsonl`, says where lidar and camera were.

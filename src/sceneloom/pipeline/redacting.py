@@ -508,20 +508,11 @@ class BlurReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def blur_files(
-    source: str | Path,
-    output: str | Path,
-    *,
-    boxes: Sequence[ImageBox] = (),
-    labels: Iterable[str] = (),
-    fill: str = "blur",
-    margin: float = 0.1,
-    hold: float = 0.0,
-    drop_colours: bool = False,
-    reading: Mapping[str, Any] | None = None,
-    progress: Progress | None = None,
-    overwrite: bool = False,
+    source: str | Path, output: str | Path, *, boxes: Sequence[ImageBox] = (), labels: Iterable[str] = (),
+    fill: str = "blur", margin: float = 0.1, hold: float = 0.0, drop_colours: bool = False,
+    reading: Mapping[str, Any] | None = None, progress: Progress | None = None, overwrite: bool = False,
     **writing: Any,
-) -> BlurReport:
+) -> BlurReport:  # fmt: skip
     """Hide boxes in the images of a drive, and write it.
 
     Videos are encoded again, FFV1 as FFV1 and others as H.264, which the loss report lists; the images keep their

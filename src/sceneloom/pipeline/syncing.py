@@ -90,17 +90,10 @@ class SyncReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def sync(
-    scene: Scene,
-    output: str | Path | None = None,
-    *,
-    reference: str | None = None,
-    streams: Collection[str] | None = None,
-    reach_ns: int = REACH_NS,
-    lever_sigma: float = LEVER_SIGMA,
-    progress: Progress | None = None,
-    overwrite: bool = False,
-    **writing: Any,
-) -> SyncReport:
+    scene: Scene, output: str | Path | None = None, *, reference: str | None = None,
+    streams: Collection[str] | None = None, reach_ns: int = REACH_NS, lever_sigma: float = LEVER_SIGMA,
+    progress: Progress | None = None, overwrite: bool = False, **writing: Any,
+) -> SyncReport:  # fmt: skip
     """Compare the clocks of a drive's streams, and write the drive with those corrected that are off.
 
     Streams are IMUs (by their gyroscope), trajectories, lidars (by odometry), cameras (by followed corners) and

@@ -82,6 +82,7 @@ class Course:
     Attributes:
         moments, timestamps_ns: (K,) int64, which moments of the drive, and their times [ns].
         means, covariances: (K, 11) and (K, 11, 11), smoothed.
+        boxes: (K, 6, 6), covariances of middles and sizes of the last boxes.
         supports: (K,) uint8 of `Support`.
         likely: (K,), probability that it exists, by what came before.
         score: probability that its boxes are right.
@@ -95,6 +96,7 @@ class Course:
     timestamps_ns: Int64Array
     means: Float64Array
     covariances: Float64Array
+    boxes: Float64Array
     supports: UInt8Array
     likely: Float64Array
     score: float
@@ -120,6 +122,7 @@ def _course(number: int, moments: Sequence[states.Moment], locations: list[tuple
         timestamps_ns=np.array([moments[k].observation.timestamp_ns for k, _ in locations]),
         means=means,
         covariances=covariances,
+        boxes=np.array([objects.box_covariances[row] for objects, row in rows]),
         supports=np.array([objects.supports[row] for objects, row in rows]),
         likely=states.probabilities(np.array([objects.log_odds[row] for objects, row in rows])),
         score=float(states.probabilities(np.mean(stated))),
@@ -162,7 +165,9 @@ def _track(course: Course, moments: Sequence[states.Moment], settings: TrackerSe
         yaws=course.means[kept, states.YAW],
         velocities=course.means[kept, 7:10],
         yaw_rates=course.means[kept, states.ROTATION],
-        covariances=course.covariances[kept, :10, :10],
+        covariances=states.stated_covariances(
+            course.covariances[kept], course.boxes[kept], np.full(len(kept), course.vehicle), settings
+        ),
         scores=np.full(len(kept), course.score),
         supports=supports[kept].astype(np.uint8),
         corners_xyxy=corners,

@@ -176,6 +176,7 @@ class _Statistics(NamedTuple):
     usual: Float64Array  # (2, 4) of `differences`
     spreads: Float64Array  # (2, 4), variances
     errors: Float64Array  # (2, 4), variances
+    lasting: Float64Array  # (2, 6, 6), of covariances of middles and sizes
 
 
 @lru_cache(maxsize=64)
@@ -194,6 +195,7 @@ def _statistics(settings: TrackerSettings) -> _Statistics:
         np.array([n.usual for n in noises]),
         np.array([n.spread for n in noises]) ** 2,
         np.array([n.error for n in noises]) ** 2,
+        np.array([np.kron(np.diag(own.noise.lasting), np.ones((3, 3))) for own in known]),
     )
 
 
@@ -435,6 +437,7 @@ class _Population:
     codes: Int64Array  # (N, 2), class and family
     vehicles: BoolArray  # (N,)
     seen_ns: Int64Array  # (N,) [ns], when a box was last theirs
+    box_covariances: Float64Array  # (N, 6, 6), of middle and size of the last box
     heading_votes: Float64Array  # (N,), how much speaks for their heading and against its opposite
     votes: Float64Array  # (N, K), for each of K words
     supports: UInt8Array  # (N,) of `Support`
@@ -458,6 +461,7 @@ class _Population:
             codes=np.zeros((0, 2), np.int64),
             vehicles=np.zeros(0, np.bool_),
             seen_ns=np.zeros(0, np.int64),
+            box_covariances=np.zeros((0, 6, 6)),
             heading_votes=np.zeros(0),
             votes=np.zeros((0, 0)),
             supports=np.zeros(0, np.uint8),
@@ -863,6 +867,7 @@ class Tracker:
         gained = own - _statistics(settings).prior_log_odds[objects.vehicles[rows].astype(np.int64)]
         objects.log_odds[rows] = np.maximum(predicted.log_odds[rows] + settings.trust * gained, own)
         objects.box_log_odds[rows] = own
+        objects.box_covariances[rows] = seen.covariances[columns, :6, :6]
         objects.votes[rows] += self._votes(seen, columns)
         objects.supports[:] = Support.PREDICTED
         objects.supports[rows] = _supports(seen, columns)
@@ -897,6 +902,7 @@ class Tracker:
             codes=seen.codes[new],
             vehicles=seen.vehicles[new],
             seen_ns=np.full(len(new), timestamp_ns),
+            box_covariances=seen.covariances[new, :6, :6],
             heading_votes=np.where(seen.measured[new], 1.0, 0.0),
             votes=self._votes(seen, new),
             supports=_supports(seen, new),
@@ -974,6 +980,15 @@ def _compare_with_outlines(
     return found
 
 
+def stated_covariances(
+    covariances: Float64Array, boxes: Float64Array, vehicles: BoolArray, settings: TrackerSettings
+) -> Float64Array:
+    """Covariances (N, 10, 10) of states, with what errs alike in all boxes: (N, 6, 6) of the last ones."""
+    stated = covariances[:, :10, :10].copy()
+    stated[:, :6, :6] += _statistics(settings).lasting[vehicles.astype(np.int64)] * boxes
+    return stated
+
+
 def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
     """The objects that are likely enough to be reported."""
     every, eye = moment.objects, moment.observation.world_from_lidar.translation
@@ -999,7 +1014,9 @@ def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
         yaws=means[:, YAW],
         velocities=means[:, 7:10],
         yaw_rates=means[:, ROTATION],
-        covariances=every.covariances[rows, :10, :10],
+        covariances=stated_covariances(
+            every.covariances[rows], every.box_covariances[rows], every.vehicles[rows], settings
+        ),
         scores=probabilities(every.box_log_odds[rows]) * there[rows],
         supports=supports,
         corners_xyxy=corners,

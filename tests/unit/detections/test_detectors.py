@@ -305,6 +305,17 @@ def fitted():
     return fitting.fit_detectors(examples, name="made up", settings=fitting.FitSettings(overlap=0.3))
 
 
+def test_what_errs_alike_in_all_boxes_of_an_object_is_told_from_what_does_not():
+    generator = np.random.default_rng(5)
+    objects = np.repeat(np.arange(300), 12)
+    alike, own = generator.normal(size=(300, 6))[objects], generator.normal(size=(3600, 6))
+    shares = np.array([0.2] * 3 + [0.7] * 3)
+    errors = np.sqrt(shares) * alike + np.sqrt(1.0 - shares) * own
+    unknown = np.full(3600, -1)
+    assert fitting._lasting(objects % 3, objects, errors) == pytest.approx((0.2, 0.7), abs=0.03)
+    assert fitting._lasting(objects % 3, unknown, errors) == fitting._UNKNOWN.lasting
+
+
 def test_what_detectors_find_is_found_again_and_new_boxes_lie_in_the_regions_that_are_promised(fitted):
     projection, squares = ProjectionSettings(detectors=fitted), []
     for seed in range(1000, 1060):

@@ -630,6 +630,18 @@ def test_boxes_are_where_they_are_stated_as_often_as_their_covariances_say():
         assert found == pytest.approx(stats.norm.cdf(wide / 3.0, scale=0.5) * 2.0 - 1.0)
 
 
+def test_what_boxes_err_alike_is_in_the_covariances_that_are_stated():
+    own = independent_detectors()
+    lasting = {k: replace(c, noise=replace(c.noise, lasting=(0.25, 0.5))) for k, c in own.classes.items()}
+    settings = TrackerSettings(detectors=replace(own, classes=lasting))
+    for offline in (False, True):
+        (track,) = track_drive(seen(TIMES, Actor(straight(6.0, y=3.0))), settings=settings, offline=offline)
+        # of a box the deviations are 0.1 m, and the state knows no less
+        assert (np.linalg.eigvalsh(track.covariances[:, :3, :3]) > 0.25 * 0.1**2).all()
+        assert (track.covariances[20:, 3, 3] > 0.5 * 0.1**2).all()
+        assert (track.covariances[20:, 3, 3] < 0.9 * 0.1**2).all()
+
+
 def test_stated_scores_are_those_of_the_last_boxes_until_detectors_miss_the_object():
     there = Street([Actor(straight(6.0, y=3.0), score=0.7, unseen=(2.05, 9.0))], sigma=0.05).observe(TIMES[:24])
     follower = Tracker(TrackerSettings(report=0.0, drop=0.0))

@@ -215,7 +215,7 @@ class BoxNoise:
         size_base, size_by_score, size_by_range: of length, width and height [m].
         yaw: base, by score and by range of the heading [rad].
         agreed: by how much the covariances of middles and of sizes are multiplied after an update by the image.
-        lasting: share of the variances of middles and of sizes in which all boxes of one object err alike.
+        lasting: share of the variances of middles and of sizes in which the boxes of one object err alike for a second.
     """
 
     scores: tuple[float, float]
@@ -227,7 +227,7 @@ class BoxNoise:
     size_by_range: _Three
     yaw: _Three
     agreed: tuple[float, float] = (1.0, 1.0)
-    lasting: tuple[float, float] = (0.35, 0.9)
+    lasting: tuple[float, float] = (0.4, 0.8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

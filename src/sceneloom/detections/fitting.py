@@ -177,6 +177,7 @@ class SweepColumns(NamedTuple):
             NaN where none is known.
         sides: (N, 2) [px], width and height of the partner.
         object: (N,) int64, number of the object, or NO_BOX.
+        seconds: (N,) of the sweep.
     """
 
     group: Int64Array
@@ -193,6 +194,7 @@ class SweepColumns(NamedTuple):
     apart: Float64Array
     sides: Float64Array
     object: Int64Array
+    seconds: Float64Array
 
 
 class ImageColumns(NamedTuple):
@@ -307,6 +309,7 @@ def _example(example: LabelledPair, group: int, overlap: float) -> tuple[Prepare
         truth.apart(near, corners, partners),
         sides,
         np.full(count, NO_BOX) if example.ids is None else np.append(example.ids, NO_BOX)[near],
+        np.full(count, three.timestamp_ns / 1e9),
     )
     image = ImageColumns(
         np.full(len(corners), group),
@@ -568,28 +571,31 @@ def _fit_noise(columns: SweepColumns, reported: Reported, degrees_of_freedom: fl
         size_by_score=numbers[1][1],
         size_by_range=numbers[1][2],
         yaw=(numbers[2][0][0], numbers[2][1][0], numbers[2][2][0]),
-        lasting=_lasting(groups, columns.object[rows], scaled),
+        lasting=_lasting(np.column_stack([groups, columns.object[rows], columns.seconds[rows]]), scaled),
     )
 
 
-def _lasting(groups: Int64Array, objects: Int64Array, scaled: Float64Array) -> tuple[float, float]:
-    """Which share of the squares of scaled errors (N, 6) of middles and sizes is alike in all boxes of an object."""
-    known = objects != NO_BOX
-    _, numbers, counts = np.unique(
-        np.column_stack([groups, objects])[known], axis=0, return_inverse=True, return_counts=True
-    )
-    if not (counts > 1).any():
+def _lasting(rows: Float64Array, scaled: Float64Array) -> tuple[float, float]:
+    """Which share of the squares of scaled errors (N, 6) of middles and sizes an object's boxes of a second have alike.
+
+    `rows` (N, 3) are group, object and time [s] of each.
+    """
+    order = np.lexsort(rows.T[::-1])
+    order = order[rows[order, 1] != NO_BOX]
+    known, off = rows[order], np.clip(scaled[order], -_FARTHEST, _FARTHEST)
+    alike, squares = np.zeros(6), np.zeros(6)
+    for lag in range(1, _NEAR_BOXES + 1):
+        step = known[lag:] - known[:-lag]
+        pairs = np.flatnonzero((step[:, :2] == 0.0).all(axis=1) & (step[:, 2] <= 1.0))
+        alike += (off[pairs] * off[pairs + lag]).sum(axis=0)
+        squares += (off[pairs] ** 2 + off[pairs + lag] ** 2).sum(axis=0) / 2.0
+    if not squares.all():
         return _UNKNOWN.lasting
-    off = np.clip(scaled[known], -_FARTHEST, _FARTHEST)
-    sums, squares = np.zeros((2, len(counts), 6))
-    np.add.at(sums, numbers, off)
-    np.add.at(squares, numbers, off**2)
-    often = counts > 1
-    alike = (sums[often] ** 2 - squares[often]) / (counts[often, None] - 1.0)
-    shares = (alike.sum(axis=0) / squares[often].sum(axis=0)).clip(0.0, 1.0)
+    shares = (alike / squares).clip(0.0, 1.0)
     return float(shares[:3].mean()), float(shares[3:].mean())
 
 
+_NEAR_BOXES = 10  # so many boxes later an object's box is compared with one at most
 _FARTHEST = 3.0  # errors beyond so many deviations count as these
 
 

@@ -311,9 +311,12 @@ def test_what_errs_alike_in_all_boxes_of_an_object_is_told_from_what_does_not():
     alike, own = generator.normal(size=(300, 6))[objects], generator.normal(size=(3600, 6))
     shares = np.array([0.2] * 3 + [0.7] * 3)
     errors = np.sqrt(shares) * alike + np.sqrt(1.0 - shares) * own
-    unknown = np.full(3600, -1)
-    assert fitting._lasting(objects % 3, objects, errors) == pytest.approx((0.2, 0.7), abs=0.03)
-    assert fitting._lasting(objects % 3, unknown, errors) == fitting._UNKNOWN.lasting
+    rows = np.column_stack([objects % 3, objects, np.tile(np.arange(12) / 10.0, 300)])[::-1]
+    assert fitting._lasting(rows, errors[::-1]) == pytest.approx((0.2, 0.7), abs=0.03)
+    for column, value in ((1, -1.0), (2, 5.0 * np.arange(3600))):  # no object is known, or none is seen twice a second
+        others = rows.copy()
+        others[:, column] = value
+        assert fitting._lasting(others, errors) == fitting._UNKNOWN.lasting
 
 
 def test_what_detectors_find_is_found_again_and_new_boxes_lie_in_the_regions_that_are_promised(fitted):

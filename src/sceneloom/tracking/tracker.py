@@ -24,8 +24,9 @@ and a moment without any box, where detectors had the chances D to find it, to
     odds ← odds · (1 - D_2d) (1 - D_3d).
 
 The exponent w is below 1 since moments are not independent: what was mistaken once is likely to be again. That is why
-p decides what is followed, but is not the score that is stated: that one is s of the last box, less what the moments
-since took, and less how likely the stated place is off by more than a third of the width, where boxes overlap by half.
+p decides what is followed, but counts only by `_HISTORY` in the score that is stated, beside s of the last box and what
+the moments since took from it. Of an object that is not seen it falls by how likely the stated place is off by more
+than a third of the width, where boxes overlap by half.
 
 Source: Thrun, Burgard and Fox 2005, "Probabilistic Robotics", ch. 4.2 for log odds; Musicki, Evans and Stankovic 1994,
 "Integrated Probabilistic Data Association", for existence that is lost with time and by missed detections.
@@ -980,6 +981,9 @@ def _compare_with_outlines(
     return found
 
 
+_HISTORY = 0.3  # more of it orders what is stated better, and makes it too sure
+
+
 def stated_covariances(
     covariances: Float64Array, boxes: Float64Array, vehicles: BoolArray, settings: TrackerSettings
 ) -> Float64Array:
@@ -1017,7 +1021,8 @@ def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
         covariances=stated_covariances(
             every.covariances[rows], every.box_covariances[rows], every.vehicles[rows], settings
         ),
-        scores=probabilities(every.box_log_odds[rows]) * there[rows],
+        scores=probabilities(_HISTORY * every.log_odds[rows] + (1.0 - _HISTORY) * every.box_log_odds[rows])
+        * there[rows],
         supports=supports,
         corners_xyxy=corners,
     )

@@ -642,12 +642,20 @@ def test_what_boxes_err_alike_is_in_the_covariances_that_are_stated():
         assert (track.covariances[20:, 3, 3] < 0.9 * 0.1**2).all()
 
 
-def test_stated_scores_are_those_of_the_last_boxes_until_detectors_miss_the_object():
+def test_stated_scores_grow_slower_than_what_is_known_of_existence_and_fall_where_detectors_miss_the_object():
     there = Street([Actor(straight(6.0, y=3.0), score=0.7, unseen=(2.05, 9.0))], sigma=0.05).observe(TIMES[:24])
     follower = Tracker(TrackerSettings(report=0.0, drop=0.0))
-    scores = [float(follower.step(one).scores[0]) for one in there]
-    assert scores[:21] == pytest.approx([0.7] * 21)
-    assert scores[23] < scores[22] < scores[21] < 0.3
+    scores, likely = [], []
+    for one in there:
+        moment = follower.advance(one)
+        scores.append(float(tracker._reported(moment, follower.settings).scores[0]))
+        likely.append(float(moment.objects.log_odds[0]))
+    assert scores[0] == pytest.approx(0.7)
+    own = tracker.log_odds(0.7)
+    assert [tracker.log_odds(score) - own for score in scores[:21]] == pytest.approx(
+        [0.3 * (odds - own) for odds in likely[:21]]
+    )
+    assert scores[23] < scores[22] < scores[21] < scores[20] > 0.8
 
 
 def both(**options):

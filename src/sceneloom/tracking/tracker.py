@@ -57,7 +57,7 @@ box votes for its own heading, each moment of motion for its direction; the sum 
 whose heading is known are asked anew each time, and count only where the rest is undecided.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from types import MappingProxyType
@@ -468,21 +468,17 @@ class _Population:
             supports=np.zeros(0, np.uint8),
         )
 
-    def _each(self, change: Callable[[Any], Any]) -> "_Population":
-        """The objects with every array changed."""
-        kept: dict[str, Any] = {}
-        for name in _COLUMNS:
-            value = getattr(self, name)
-            kept[name] = {k: change(v) for k, v in value.items()} if isinstance(value, dict) else change(value)
-        return _Population(**kept)
-
     def copied(self) -> "_Population":
         """The same objects, to be changed in place."""
-        return self._each(np.copy)
+        return replace(self, **{name: getattr(self, name).copy() for name in _IN_PLACE})
 
     def select(self, rows: Int64Array | BoolArray) -> "_Population":
         """Some of the objects."""
-        return self._each(lambda values: values[rows])
+        kept: dict[str, Any] = {}
+        for name in _COLUMNS:
+            value = getattr(self, name)
+            kept[name] = {k: v[rows] for k, v in value.items()} if isinstance(value, dict) else value[rows]
+        return _Population(**kept)
 
     def joined(self, others: "_Population") -> "_Population":
         """These objects and others, whose words are the same."""
@@ -500,6 +496,7 @@ class _Population:
 
 
 _COLUMNS = tuple(f.name for f in fields(_Population))
+_IN_PLACE = tuple(name for name in _COLUMNS if name not in {"ids", "hidden", "codes", "vehicles"})  # is written to
 
 
 def no_boxes(count: int) -> Float64Array:
@@ -663,19 +660,21 @@ _SPEEDS = ((10.0, 2.0), (1.5, 1.5))
 _FIRST_CLIMB, _ROTATION = 0.3, 0.2  # the same of climbing [m/s] and rotating [rad/s]
 
 
-def _unclaimed(seen: _Observations, free: BoolArray, objects: _Population) -> Int64Array:
-    """Give rows of `free` boxes (M,), likely enough, that are no second box of an object, nor of one another."""
+def _unclaimed(seen: _Observations, free: BoolArray, objects: _Population, found: Int64Array) -> Int64Array:
+    """Give rows of `free` boxes (M,), likely enough, that are no second box of an object found, nor of one another."""
     rows = np.flatnonzero(free)
+    if not len(rows):
+        return rows
     rows = rows[np.argsort(-seen.log_odds[rows], kind="stable")]
-    known = {name: objects.corners_xyxy.get(name, no_boxes(len(objects))) for name in seen.corners_xyxy}
+    known = {name: objects.corners_xyxy[name][found] for name in seen.corners_xyxy}
     kept: Int64Array = without_twins(
         rows,
         np.ascontiguousarray(seen.measures[:, _LOCATION]),
         seen.measured,
         _stacked(seen.corners_xyxy, len(seen)),
-        np.ascontiguousarray(objects.means[:, _LOCATION]),
-        objects.supports != Support.IMAGE,
-        _stacked(known, len(objects)),
+        np.ascontiguousarray(objects.means[found][:, _LOCATION]),
+        objects.supports[found] != Support.IMAGE,
+        _stacked(known, len(found)),
         _TWIN_SHARE,
         _TWIN_OVERLAP,
     )
@@ -889,7 +888,7 @@ class Tracker:
     ) -> _Population:
         free = seen.log_odds > log_odds(self.settings.drop)
         free[columns] = False
-        new = _unclaimed(seen, free, objects.select(rows)) if free.any() else rows[:0]
+        new = _unclaimed(seen, free, objects, rows)
         if not len(new):
             return objects
         means, covariances = _states(seen, new)

@@ -132,13 +132,15 @@ def _numbers(value: Any, location: str) -> Iterator[tuple[str, float]]:
         yield location, float(value)
 
 
-def find_detectors(name: str) -> Detectors:
-    """Find detectors by their name, or by the path of a file.
+def find_detectors(name: str | Detectors) -> Detectors:
+    """Find detectors by their name, or by the path of a file; what is known of some stays as it is.
 
     Raises:
         OptionError: there are none of that name, and no such file.
         DataError: the file is faulty.
     """
+    if isinstance(name, Detectors):
+        return name
     if name == INDEPENDENT:
         return independent_detectors()
     if name in detector_names():
@@ -362,6 +364,6 @@ def tables_of(settings: ProjectionSettings) -> Tables:
         OptionError: no detectors have that name.
         DataError: their file is faulty.
     """
-    detectors = find_detectors(settings.detectors) if isinstance(settings.detectors, str) else settings.detectors
+    detectors = find_detectors(settings.detectors)
     existence = existence_table(detectors, recall_2d=settings.recall_2d, recall_3d=settings.recall_3d)
     return Tables(existence, noise_table(detectors), detectors.degrees_of_freedom)

@@ -72,8 +72,9 @@ from sceneloom.colouring.cuboid_projection import widest_angle
 from sceneloom.detections.detectors import KINDS, SAYS_NOTHING, kind_name
 from sceneloom.detections.projection import Outlines, assign_pairs, differences, fuse_by_projection, project_outlines
 from sceneloom.detections.results import NO_BOX, DetectionAlgorithm, DetectionPair, FusedBoxes
-from sceneloom.detections.settings import find_detectors, statistics_of
+from sceneloom.detections.settings import existence_table, find_detectors, statistics_of
 from sceneloom.geometry.rigid import RigidTransform
+from sceneloom.kernels import existence
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.overlaps import box_area, common_area
 from sceneloom.kernels.signatures import inlined, part
@@ -182,25 +183,23 @@ class _Statistics(NamedTuple):
 
 @lru_cache(maxsize=64)
 def _statistics(settings: TrackerSettings) -> _Statistics:
-    named = settings.detectors
-    detectors = find_detectors(named) if isinstance(named, str) else named
-    known = [statistics_of(detectors, name) for name in ("pedestrian", "car")]
-    seen, noises = [own.visibility for own in known], [own.image_noise for own in known]
-    found_2d = [(1.0 - v.weak_share) * v.recall_2d + v.weak_share * v.weak_recall_2d for v in seen]
-    own = (found_2d, settings.recall_2d), ([v.recall_3d for v in seen], settings.recall_3d)
+    detectors, names = find_detectors(settings.detectors), ("pedestrian", "car")
+    known = [statistics_of(detectors, name) for name in names]
+    table = existence_table(detectors, recall_2d=settings.recall_2d, recall_3d=settings.recall_3d)
+    table = table[[list(KINDS).index(name) for name in names]]
+    weak, noises = table[:, existence.WEAK_SHARE], [own.image_noise for own in known]
+    found_2d = (1.0 - weak) * table[:, existence.RECALL_2D] + weak * table[:, existence.WEAK_RECALL_2D]
     return _Statistics(
-        np.array([log_odds(v.prior) for v in seen]),
-        np.array([found if one is None else [one, one] for found, one in own]).T.clip(0.0, _SUREST_RECALL),
-        np.array([v.heights_px[1] for v in seen]),
-        np.array([v.farthest_3d for v in seen]),
+        table[:, existence.PRIOR],
+        np.column_stack([found_2d, table[:, existence.RECALL_3D]]),
+        table[:, existence.HIGH_PX],
+        table[:, existence.FARTHEST_3D],
         np.array([n.usual for n in noises]),
         np.array([n.spread for n in noises]) ** 2,
         np.array([n.error for n in noises]) ** 2,
         np.array([np.kron(np.diag(own.noise.lasting), np.ones((3, 3))) for own in known]),
     )
 
-
-_SUREST_RECALL = 0.999  # no detector finds a larger share than this
 
 _SUREST = 1e-4  # no single moment makes surer of what is there or not than this
 

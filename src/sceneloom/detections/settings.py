@@ -119,6 +119,8 @@ def _faults(found: _File) -> Iterator[tuple[str, str]]:
             value = getattr(visibility, key)
             if not 0.0 <= value <= 1.0 or (key == "prior" and value in {0.0, 1.0}):
                 yield f"classes.{name}.visibility.{key}", f"{value}; expected 0 to 1"
+        if not all(0.0 <= share <= 1.0 for share in own.noise.lasting):
+            yield f"classes.{name}.noise.lasting", f"{list(own.noise.lasting)}; expected 0 to 1"
 
 
 def _numbers(value: Any, location: str) -> Iterator[tuple[str, float]]:

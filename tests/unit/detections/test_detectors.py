@@ -68,6 +68,7 @@ def test_wrong_and_absent_files_are_reported_with_their_location_and_the_known_d
         ("slope = 1.0", "slope = nan", "classes.car.sweep.slope: nan"),
         ("slope = 1.0", "slop = 1.0", "slope"),
         ("degrees_of_freedom = inf", "degrees_of_freedom = 2.0", "degrees_of_freedom: 2.0"),
+        ("lasting = [0.4, 0.8]", "lasting = [0.4, -0.8]", "classes.car.noise.lasting: [0.4, -0.8]; expected 0 to 1"),
         ("[provenance]", "[provenance", "expected the TOML of detectors"),
         ("classes.van.", "classes.unicorn.", "classes.unicorn: no known class"),
     ]:

@@ -17,6 +17,9 @@ mean HOTA of both classes on the others, where that gains more than its standard
 left out reach with that, with the interval of 95 % of a bootstrap over sequences; "defaults, left out" has the
 tracker's defaults; "in sample" is what is reached if all is chosen on the very sequences that are reported, with
 detectors fitted to them. It takes twenty minutes a variant.
+
+FOLDER may be another one that is laid out like KITTI's, as by `benchmarks.tracking_drives`; its sequences are grouped
+by what their names begin with.
 """
 
 import argparse
@@ -58,6 +61,9 @@ VARIANTS: Mapping[str, tuple[bool, ImageBox]] = {
     "offline, projected": (True, ImageBox.PROJECTED),
 }
 
+PARTS = {"all": FITTED + HELD + HARD, "first": FITTED + HELD, "fitted": FITTED, "held": HELD, "hard": HARD}
+"""Sequences of KITTI that have a row together."""
+
 Scores = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """By sequence, class and metric."""
 
@@ -72,12 +78,21 @@ class Row(NamedTuple):
     switches: int
 
 
+def parts_of(names: tuple[str, ...]) -> Mapping[str, tuple[str, ...]]:
+    """Which sequences have a row together."""
+    if set(names) <= set(PARTS["all"]):
+        return {part: tuple(name for name in some if name in names) for part, some in PARTS.items()}
+    starts = sorted({name.partition("_")[0] for name in names})
+    return {"all": names, **{start: tuple(name for name in names if name.startswith(start)) for start in starts}}
+
+
 def fusions(folder: Path, names: tuple[str, ...], reported: str) -> dict[str, ProjectionSettings]:
     """How each sequence's detections are fused."""
-    if reported != "left out":
-        detectors = KITTI if reported == "shipped" else "simulated"
-        return dict.fromkeys(names, ProjectionSettings(detectors=detectors))
+    if reported in {"shipped", "simulated"}:
+        return dict.fromkeys(names, ProjectionSettings(detectors=KITTI if reported == "shipped" else reported))
     columns = columns_of(kitti_examples(folder), overlap=FitSettings().overlap)
+    if reported == "in sample":
+        return dict.fromkeys(names, ProjectionSettings(detectors=fit_columns(columns, name="all")))
     return {
         name: ProjectionSettings(detectors=fit_columns(columns.without(columns.groups.index(name)), name="others"))
         for name in names
@@ -202,17 +217,15 @@ def together(scores: Scores, names: tuple[str, ...], label: str) -> Row:
 def lines(scores: Scores, variant: str, milliseconds: float) -> Iterator[str]:
     """Lines of the table of one way to follow objects."""
     for label in CLASSES:
-        parts = {"all": FITTED + HELD + HARD, "first": FITTED + HELD, "fitted": FITTED, "held": HELD, "hard": HARD}
-        for part, names in parts.items():
-            present = tuple(name for name in names if name in scores)
-            if not present:
+        for part, names in parts_of(tuple(name for name in scores if name != "COMBINED_SEQ")).items():
+            if not any(scores[name][label]["Count"]["GT_Dets"] for name in names):
                 continue
-            row = together(scores, present, label)
+            row = together(scores, names, label)
             figures = f"{row.hota:7.2f}{row.det:7.2f}{row.ass:7.2f}{row.mota:8.2f}{row.switches:6d}"
-            shares = ""
+            shares = f"{'':16s}"
             if part == "first":
                 shares = "".join(f"{100 * row.hota / hota:8.1f}" for hota, _ in CEILINGS[label])
-                shares += f"{milliseconds:8.2f}"
+            shares += f"{milliseconds:8.2f}"
             yield f"{variant:20s}{label:12s}{part:8s}{figures}{shares}"
 
 
@@ -340,7 +353,7 @@ def cross_validate(folder: Path, tracking: KittiTracking, names: tuple[str, ...]
             figures = "".join(f"{value:8.2f}" for value in (*cars, *people))
             print(f"{name:24s}{usual(name):10.4g}{figures}")
         held = {name: chosen(judged, tuple(other for other in names if other != name)) for name in names}
-        own = {name: Remembered(settings) for name, settings in fusions(folder, names, "shipped").items()}
+        own = {name: Remembered(settings) for name, settings in fusions(folder, names, "in sample").items()}
         rows = {
             "held out": (fusion, held),
             "defaults, left out": (fusion, dict.fromkeys(names, Numbers())),
@@ -373,7 +386,7 @@ def main() -> None:
     parser.add_argument("--cross-validate", action="store_true")
     reported = parser.parse_args()
     tracking = open_tracking_folder(reported.folder)
-    names = tuple(name for name in tracking.sequences if name in FITTED + HELD + HARD)
+    names = tuple(name for name in tracking.sequences if name in PARTS["all"]) or tracking.sequences
     if reported.cross_validate:
         for variant in reported.variants:
             cross_validate(reported.folder, tracking, names, variant)

@@ -1306,6 +1306,7 @@ class TrafficSpec:
         pedestrians: on 100 m of each pavement. They and the cyclists are fewer where there is no room.
         stationary: share of the pedestrians who stand.
         crossing: share of the pedestrians who cross the street.
+        oncoming: slowest and fastest speed of oncoming cars [m/s], which all go at one of these.
 
     Raises:
         OptionError: a number is out of bounds.
@@ -1316,10 +1317,12 @@ class TrafficSpec:
     pedestrians: float = 4.0
     stationary: float = 0.2
     crossing: float = 0.3
+    oncoming: tuple[float, float] = (6.5, 9.0)
 
     def __post_init__(self) -> None:
         check_bounds("traffic", self, cars=(0.0, 6.0), cyclists=(0.0, 10.0), pedestrians=(0.0, 20.0))
         check_bounds("traffic", self, stationary=(0.0, 1.0), crossing=(0.0, 1.0 - self.stationary))
+        check_bounds("traffic", self, oncoming=((0.0, 60.0), (self.oncoming[0], 60.0)))
 
     def plan(
         self, generator: np.random.Generator, path: EgoPath, street: "Street", *, span_ns: tuple[int, int]
@@ -1421,7 +1424,7 @@ def _add_cars(generator: np.random.Generator, spec: TrafficSpec, plan: _Plan) ->
             along = ego + side * gap + _wave(generator, 2.0, (0.3, 0.5), parameters)
             plan.try_add(design_moving_car(generator), *_on_track(track, along, ahead=1.0))
     track = _Track.of(plan.lane, _ONCOMING_LANE)
-    driven = generator.uniform(6.5, 9.0) * plan.knots + _wave(generator, 3.0, (0.35, 0.45), plan.knots)
+    driven = generator.uniform(*spec.oncoming) * plan.knots + _wave(generator, 3.0, (0.35, 0.45), plan.knots)
     reach = track.length + float(np.ptp(driven))
     for location in _gaps(generator, generator.uniform(0.0, spacing), spacing, reach):
         along = location - (driven - driven[0]) + _wave(generator, 1.0, (0.4, 0.7), plan.knots)

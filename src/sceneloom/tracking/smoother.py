@@ -206,9 +206,9 @@ def _corners(
         apart[known] = differences(seen[known], outlined[known])
         noises[known] = states.noises(seen[known], vehicles[known], settings)
         eyes = np.array([observation.world_from_lidar.translation for observation in observations])
-        usual = states.usual_differences(course.means, course.covariances, vehicles, eyes, settings)
+        usual, spreads, _ = states.usual_differences(course.means, course.covariances, vehicles, eyes, settings)
         seconds = np.diff(course.timestamps_ns, prepend=course.timestamps_ns[:1]) / 1e9
-        differing = smoothed_returns(apart, noises, known, *usual, np.exp(-seconds / states.RETURN_TIME))
+        differing = smoothed_returns(apart, noises, known, usual, spreads, np.exp(-seconds / states.RETURN_TIME))
     corners = states.no_boxes(len(course))
     for i in np.flatnonzero(looked).tolist():
         camera, row = observations[i].views[camera_id].camera, slice(i, i + 1)

@@ -57,6 +57,7 @@ box votes for its own heading, each moment of motion for its direction; the sum 
 whose heading is known are asked anew each time, and count only where the rest is undecided.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
@@ -240,9 +241,8 @@ def observed(observation: Observation) -> _Observations:
         name: np.concatenate([empty, *(found[name] for found in columns)]) for name, empty in _EMPTY.items()
     }
     labels = tuple(fused.labels[k] for _, fused, rows in parts for k in rows.tolist())
-    codes = _codes_of(labels)
-    corners_xyxy = _corners(parts, stacked.pop("rows_3d"))
-    return _Observations(labels=labels, codes=codes, vehicles=_is_vehicle(codes), corners_xyxy=corners_xyxy, **stacked)
+    corners_xyxy, vehicles = _corners(parts, stacked.pop("rows_3d")), _is_vehicle(stacked["codes"])
+    return _Observations(labels=labels, vehicles=vehicles, corners_xyxy=corners_xyxy, **stacked)
 
 
 def _sound(fused: FusedBoxes) -> BoolArray:
@@ -299,7 +299,7 @@ def _corners(
 
 def _columns(fused: FusedBoxes, rows: Int64Array, world_from_lidar: RigidTransform) -> dict[str, Any]:
     measured = fused.rows_3d[rows] != NO_BOX
-    rotation = world_from_lidar.rotation
+    rotation, codes = world_from_lidar.rotation, _codes_of([fused.labels[k] for k in rows.tolist()])
     yaws, covariances = fused.yaws[rows], np.zeros((len(rows), 7, 7))
     centers = fused.center_covariances[rows]
     alone = np.flatnonzero(~measured)
@@ -310,17 +310,19 @@ def _columns(fused: FusedBoxes, rows: Int64Array, world_from_lidar: RigidTransfo
         centers[alone] += ((_SEEN_ALONG - 1.0) * along)[:, None, None] * (rays[:, :, None] * rays[:, None])
     covariances[:, :3, :3] = rotation @ centers @ rotation.T
     covariances[:, 3:6, 3:6] = fused.size_covariances[rows]
-    covariances[:, 6, 6] = _yaw_variances(fused, rows)
+    covariances[:, 6, 6] = _yaw_variances(fused, rows, _is_vehicle(codes))
     covariances[alone, 6, 6] = UNKNOWN_VARIANCE
-    directions = np.column_stack([np.cos(yaws), np.sin(yaws), np.zeros(len(yaws))]) @ rotation.T
     scores = np.clip(np.nan_to_num(fused.scores[rows], nan=0.5), _SUREST, 1.0 - _SUREST)
     velocities = np.full((len(rows), 3), np.nan)
     if fused.velocities is not None:
         velocities[measured] = fused.velocities[rows[measured]] @ rotation.T
-    headings = np.arctan2(directions[:, 1], directions[:, 0])
+    measures = np.empty((len(rows), 7))
+    measures[:, :3], measures[:, 3:6] = world_from_lidar.apply(fused.centers[rows]), fused.sizes_lwh[rows]
+    measures[:, 6] = _rotated(yaws, rotation)
     return {
-        "measures": np.column_stack([world_from_lidar.apply(fused.centers[rows]), fused.sizes_lwh[rows], headings]),
+        "measures": measures,
         "covariances": covariances,
+        "codes": codes,
         "measured": measured,
         "log_odds": np.log(scores / (1.0 - scores)),
         "velocities": velocities,
@@ -328,8 +330,14 @@ def _columns(fused: FusedBoxes, rows: Int64Array, world_from_lidar: RigidTransfo
     }
 
 
-def _yaw_variances(fused: FusedBoxes, rows: Int64Array) -> Float64Array:
-    vehicles = _is_vehicle(_codes_of([fused.labels[k] for k in rows.tolist()]))
+def _rotated(yaws: Float64Array, rotation: Float64Array) -> Float64Array:
+    """Headings (N,) [rad] in the frame that a rotation leads to."""
+    x, y = np.cos(yaws), np.sin(yaws)
+    rotated: Float64Array = np.arctan2(rotation[1, 0] * x + rotation[1, 1] * y, rotation[0, 0] * x + rotation[0, 1] * y)
+    return rotated
+
+
+def _yaw_variances(fused: FusedBoxes, rows: Int64Array, vehicles: BoolArray) -> Float64Array:
     variances: Float64Array = np.where(vehicles, _VEHICLE_YAW_SIGMA, _PERSON_YAW_SIGMA) ** 2
     stated: Float64Array | None = getattr(fused, "yaw_variances", None)
     if stated is not None:
@@ -341,6 +349,7 @@ def _yaw_variances(fused: FusedBoxes, rows: Int64Array) -> Float64Array:
 _EMPTY: dict[str, Any] = {
     "measures": np.zeros((0, 7)),
     "covariances": np.zeros((0, 7, 7)),
+    "codes": np.zeros((0, 2), np.int64),
     "measured": np.zeros(0, np.bool_),
     "log_odds": np.zeros(0),
     "velocities": np.zeros((0, 3)),
@@ -395,6 +404,7 @@ def probabilities(log_odds: Float64Array) -> Float64Array:
     return shares
 
 
+@lru_cache(maxsize=64)
 def log_odds(share: float) -> float:
     """Give a probability between 0 and 1 as a logarithm of odds."""
     with np.errstate(divide="ignore"):
@@ -416,7 +426,9 @@ def missed(lines: Outlines, distances: Float64Array, vehicles: BoolArray, settin
     """
     known, corners, rows = _statistics(settings), lines.corners_xyxy, vehicles.astype(np.int64)
     tall = corners[:, 3] - corners[:, 1] >= known.least_heights[rows]
-    recalls = known.recalls[rows] * np.column_stack([tall, distances < known.farthest[rows]])
+    recalls = known.recalls[rows]
+    recalls[:, 0] *= tall
+    recalls[:, 1] *= distances < known.farthest[rows]
     chances: Float64Array = np.log1p(-recalls * lines.seen_shares[:, None])
     return chances
 
@@ -517,13 +529,9 @@ def outlines(numbers: Float64Array, likely: Float64Array, world_from_lidar: Rigi
         numbers: (N, 7), middle, length, width, height [m] and heading [rad].
         likely: (N,), how likely each is there, and hides what is behind it.
     """
-    rotation = world_from_lidar.rotation
-    cosines, sines = np.cos(numbers[:, 6]), np.sin(numbers[:, 6])
     boxes = numbers.copy()
-    boxes[:, :3] = (numbers[:, :3] - world_from_lidar.translation) @ rotation
-    boxes[:, 6] = np.arctan2(
-        rotation[0, 1] * cosines + rotation[1, 1] * sines, rotation[0, 0] * cosines + rotation[1, 0] * sines
-    )
+    boxes[:, :3] = (numbers[:, :3] - world_from_lidar.translation) @ world_from_lidar.rotation
+    boxes[:, 6] = _rotated(numbers[:, 6], world_from_lidar.rotation.T)
     in_view = _in_view(boxes, view)
     if in_view.all():
         return project_outlines(view.camera, view.camera_from_lidar, boxes, likely=likely)
@@ -555,34 +563,34 @@ def _across(means: Float64Array, covariances: Float64Array, eye: Float64Array) -
     x, y = (apart / away[:, None]).T
     xx, yy, xy = covariances[:, 0, 0], covariances[:, 1, 1], 2.0 * x * y * covariances[:, 0, 1]
     along, across = x * x * xx + y * y * yy + xy, y * y * xx + x * x * yy - xy
-    cosines = np.cos(means[:, YAW] - np.arctan2(y, x)) ** 2
+    cosines = (np.cos(means[:, YAW]) * x + np.sin(means[:, YAW]) * y) ** 2
     wide = np.sqrt(1.0 - cosines) * means[:, 3] + np.sqrt(cosines) * means[:, 4]
     return wide, (1.0 - cosines) * covariances[:, 3, 3] + cosines * covariances[:, 4, 4], across, along / away**2
 
 
 def usual_differences(
     means: Float64Array, covariances: Float64Array, vehicles: BoolArray, eye: Float64Array, settings: TrackerSettings
-) -> tuple[Float64Array, Float64Array]:
-    """How boxes in images usually differ from outlines, seen from an eye (3,) or (N, 3): (N, 4) and variances."""
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """How boxes in images usually differ from outlines, seen from an eye (3,) or (N, 3): (N, 4), and variances.
+
+    And how likely boxes are off by less than a third of their width, as the eye sees them, (N,).
+    """
     known, rows, high = _statistics(settings), vehicles.astype(np.int64), means[:, 5] ** 2
     wide, of_widths, across, of_distances = _across(means, covariances, eye)
-    sides = of_widths / wide**2 + of_distances, covariances[:, 5, 5] / high + of_distances
-    spreads = known.spreads[rows] + np.column_stack([across / wide**2, covariances[:, 2, 2] / high, *sides])
-    return known.usual[rows], spreads
-
-
-def localized(means: Float64Array, covariances: Float64Array, eye: Float64Array) -> Float64Array:
-    """How likely boxes are off by less than a third of their width, as the eye (3,) sees them, (N,)."""
-    wide, _, across, _ = _across(means, covariances, eye)
-    shares: Float64Array = erf(wide / 3.0 / np.sqrt(2.0 * np.maximum(across, 1e-12)))
-    return shares
+    spreads, broad = known.spreads[rows], wide**2
+    spreads[:, 0] += across / broad
+    spreads[:, 1] += covariances[:, 2, 2] / high
+    spreads[:, 2] += of_widths / broad + of_distances
+    spreads[:, 3] += covariances[:, 5, 5] / high + of_distances
+    return known.usual[rows], spreads, erf(wide / 3.0 / np.sqrt(2.0 * np.maximum(across, 1e-12)))
 
 
 def noises(corners: Float64Array, vehicles: BoolArray, settings: TrackerSettings) -> Float64Array:
     """Variances (N, 4) of the differences of a detector's boxes: of a middle half, of a side twice those of an edge."""
     edges = (EDGE_PX / (corners[:, 2:] - corners[:, :2])) ** 2
-    varied = _statistics(settings).errors[vehicles.astype(np.int64)]
-    variances: Float64Array = varied + np.concatenate([edges / 2.0, edges * 2.0], axis=1)
+    variances: Float64Array = _statistics(settings).errors[vehicles.astype(np.int64)]
+    variances[:, :2] += edges / 2.0
+    variances[:, 2:] += edges * 2.0
     return variances
 
 
@@ -601,11 +609,11 @@ def applied(differing: Float64Array, outlined: Float64Array, width: int, height:
     sides = outlined[:, 2:] - outlined[:, :2]
     middles = (outlined[:, :2] + outlined[:, 2:]) / 2.0 + known[:, :2] * sides
     halves = sides * np.exp(known[:, 2:]) / 2.0
-    corners = np.concatenate([middles - halves, middles + halves], axis=1)
-    corners = np.clip(corners, 0.0, (width, height, width, height))
-    corners[~(has_area(outlined) & has_area(corners))] = np.nan
-    boxes: Float64Array = corners
-    return boxes
+    corners = np.empty((len(outlined), 4))
+    corners[:, :2], corners[:, 2:] = middles - halves, middles + halves
+    np.minimum(np.maximum(corners, 0.0, out=corners), (width, height, width, height), out=corners)
+    corners[~has_area(corners)] = np.nan
+    return corners
 
 
 def has_area(corners: Float64Array) -> BoolArray:
@@ -653,7 +661,7 @@ _TWIN_OVERLAP = 0.5  # boxes in an image that overlap by more than this stand fo
 _TWIN_SHARE = 0.5  # so do boxes whose middles are nearer to each other than this share of a width
 _LOCATION = [0, 1, 4]  # what says where a box is on the ground, and how wide
 
-_SPEEDS = ((10.0, 2.0), (1.5, 1.5))
+_SPEEDS = np.array([[10.0, 2.0], [1.5, 1.5]])
 """Deviation of the speed of what is seen for the first time, along and across its heading: vehicles, people [m/s]."""
 
 _FIRST_CLIMB, _ROTATION = 0.3, 0.2  # the same of climbing [m/s] and rotating [rad/s]
@@ -693,7 +701,7 @@ def _states(seen: _Observations, rows: Int64Array) -> tuple[Float64Array, Float6
     covariances[:, 6, 6] = np.minimum(covariances[:, 6, 6], np.pi**2)
     reported = np.isfinite(seen.velocities[rows]).all(axis=1)
     means[reported, 7:10] = seen.velocities[rows[reported]]
-    along, across = np.where(seen.vehicles[rows], *(np.array(_SPEEDS)[..., None] ** 2))
+    along, across = np.where(seen.vehicles[rows], *(_SPEEDS[..., None] ** 2))
     across = np.where(seen.measured[rows], across, along)
     cosines, sines = np.cos(means[:, 6]), np.sin(means[:, 6])
     covariances[:, 7, 7] = along * cosines**2 + across * sines**2
@@ -721,13 +729,11 @@ def _rotation_round(objects: _Population, rows: Int64Array, seen: _Observations,
     headings = objects.means[:, YAW]
     forward = np.cos(headings) * objects.means[:, 7] + np.sin(headings) * objects.means[:, 8]
     objects.heading_votes += np.sign(forward) * (np.abs(forward) > _MOVING)
-    objects.heading_votes = np.clip(objects.heading_votes, -_MOST_VOTES, _MOST_VOTES)
+    np.minimum(np.maximum(objects.heading_votes, -_MOST_VOTES), _MOST_VOTES, out=objects.heading_votes)
     doubtful = np.flatnonzero(objects.vehicles & (objects.heading_votes < _OUTVOTED + _NEIGHBOURS))
     votes = objects.heading_votes[doubtful]
-    wrong = np.union1d(
-        doubtful[votes + _NEIGHBOURS * _of_neighbours(objects, doubtful) < _OUTVOTED],
-        np.flatnonzero(~objects.vehicles & (objects.heading_votes < _OUTVOTED)),
-    )
+    wrong = ~objects.vehicles & (objects.heading_votes < _OUTVOTED)
+    wrong[doubtful] = votes + _NEIGHBOURS * _of_neighbours(objects, doubtful) < _OUTVOTED
     objects.means[wrong, YAW] = wrapped(objects.means[wrong, YAW] + np.pi)
     objects.heading_votes[wrong] *= -1.0
 
@@ -762,6 +768,7 @@ class Moment(NamedTuple):
         slopes: (N, 11, 11), of their states with respect to those of the moment before.
         outlined: by camera, outlines of the boxes of `objects` in its image.
         words: the labels that the columns of `objects.votes` stand for.
+        localized: (N,), how likely `objects` are off by less than a third of their width.
         leap: (3,) [m], by how much poses have leapt so far: takes states into the world of the poses.
     """
 
@@ -771,6 +778,7 @@ class Moment(NamedTuple):
     slopes: Float64Array
     outlined: Mapping[Identifier, Outlines]
     words: Sequence[str]
+    localized: Float64Array
     leap: Float64Array
 
 
@@ -817,9 +825,9 @@ class Tracker:
         there = objects.log_odds > log_odds(self.settings.drop)
         there &= observation.timestamp_ns - objects.seen_ns <= self.settings.longest_gap * 1e9
         objects = objects if there.all() else objects.select(there)
-        outlined = _compare_with_outlines(objects, observation, seconds, self.settings)
+        outlined, localized = _compare_with_outlines(objects, observation, seconds, self.settings)
         self._objects = objects
-        return Moment(observation, objects, predicted, slopes, outlined, self._words, self._leap)
+        return Moment(observation, objects, predicted, slopes, outlined, self._words, localized, self._leap)
 
     def _elapsed(self, timestamp_ns: int) -> float:
         before, self._time_ns = self._time_ns, timestamp_ns
@@ -839,7 +847,7 @@ class Tracker:
         elif seconds > 0.0:
             velocity = (pose.translation - before) / seconds
             apart = np.zeros(3) if self._velocity is None else velocity - self._velocity
-            size = float(np.linalg.norm(apart))
+            size = math.hypot(*apart.tolist())
             leaps = size > _MOST_ACCELERATION * seconds and size * seconds > _LEAST_LEAP and self._leaps < _MOST_LEAPS
             self._leaps = self._leaps + 1 if leaps else 0
             if leaps:
@@ -930,7 +938,7 @@ def _foreseen(
 ) -> tuple[_ByCamera, Float64Array]:
     """The boxes that are expected in images, and how little it says if an object is not found, (N,) logarithms."""
     likely = probabilities(objects.log_odds)
-    apart = np.linalg.norm(objects.means[:, :3] - observation.world_from_lidar.translation, axis=1)
+    apart = np.sqrt(((objects.means[:, :3] - observation.world_from_lidar.translation) ** 2).sum(axis=1))
     foreseen: _ByCamera = {}
     misses = np.zeros((len(objects), 2))
     for camera_id, view in observation.views.items():
@@ -955,10 +963,10 @@ def _supports(seen: _Observations, rows: Int64Array) -> UInt8Array:
 
 def _compare_with_outlines(
     objects: _Population, observation: Observation, seconds: float, settings: TrackerSettings
-) -> Mapping[Identifier, Outlines]:
-    """Learn how boxes in images differ from the outlines of the objects, and give these."""
+) -> tuple[Mapping[Identifier, Outlines], Float64Array]:
+    """Learn how boxes in images differ from the outlines of the objects, and give these, and `Moment.localized`."""
     likely, eye = probabilities(objects.log_odds), observation.world_from_lidar.translation
-    usual, spreads = usual_differences(objects.means, objects.covariances, objects.vehicles, eye, settings)
+    usual, spreads, localized = usual_differences(objects.means, objects.covariances, objects.vehicles, eye, settings)
     kept, found = float(np.exp(-seconds / RETURN_TIME)), dict[Identifier, Outlines]()
     for camera_id, view in observation.views.items():
         found[camera_id] = outlines(objects.means[:, :7], likely, observation.world_from_lidar, view)
@@ -976,7 +984,7 @@ def _compare_with_outlines(
         means[seen] += gains * (differences(corners[seen], outlined[seen]) - means[seen])
         variances[seen] *= 1.0 - gains
         objects.differing[camera_id], objects.differing_variances[camera_id] = means, variances
-    return found
+    return found, localized
 
 
 _HISTORY = 0.3  # more of it orders what is stated better, and makes it too sure
@@ -993,10 +1001,8 @@ def stated_covariances(
 
 def _reported(moment: Moment, settings: TrackerSettings) -> TrackedObjects:
     """The objects that are likely enough to be reported."""
-    every, eye = moment.objects, moment.observation.world_from_lidar.translation
-    there = 1.0 - every.hidden
-    unseen = every.supports == Support.PREDICTED
-    there[unseen] *= localized(every.means[unseen], every.covariances[unseen], eye)
+    every = moment.objects
+    there = (1.0 - every.hidden) * np.where(every.supports == Support.PREDICTED, moment.localized, 1.0)
     rows = np.flatnonzero(probabilities(every.log_odds) * there >= np.minimum(settings.report, 1.0 - _SUREST))
     means, supports, corners = every.means[rows], every.supports[rows], {}
     for camera_id, view in moment.observation.views.items():

@@ -448,6 +448,13 @@ def test_everyone_goes_at_the_speed_of_their_kind_and_nobody_where_nobody_is_wan
     for cars, labels in ((0.0, set()), (3.0, {"car"})):
         drive = drive_through(TrafficSpec(cars=cars, cyclists=0.0, pedestrians=0.0), cameras=())
         assert {thing.label for thing in drive.truth.movers} == labels
+    # oncoming cars are as fast as is asked, but for their waves
+    drive = drive_through(replace(BUSY, cyclists=0.0, pedestrians=0.0, oncoming=(25.0, 27.0)), cameras=())
+    boxes = drive.truth.boxes([1_500_000_000])
+    forward = np.sum(boxes.velocities[0, :, :2] * drive.truth.path.at(np.array([1_500_000_000])).velocities[0, :2], axis=1)
+    oncoming = (forward < 0.0) & boxes.present[0]
+    assert np.linalg.norm(boxes.velocities[0, oncoming], axis=1) == pytest.approx(26.0, abs=3.5)
+    assert oncoming.sum() > 2
     # in the ego's lane cars stop and go with it
     drive = drive_through(BUSY, cameras=(), path=PathSpec(stops=(Stop(0.0, 4.0),)))
     boxes = drive.truth.boxes(np.array([1_900_000_000, 2_100_000_000], np.int64))

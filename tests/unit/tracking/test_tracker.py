@@ -626,7 +626,7 @@ def test_boxes_are_where_they_are_stated_as_often_as_their_covariances_say():
     covariances[0, 0, 0], covariances[0, 1, 1] = 9.0, 0.5**2  # what lies along the line of sight does not count
     for heading, wide in [(0.0, 1.8), (np.pi / 2.0, 4.5)]:
         means[0, tracker.YAW] = heading
-        found = tracker.localized(means, covariances, np.zeros(3))
+        found = tracker.usual_differences(means, covariances, np.array([True]), np.zeros(3), TrackerSettings())[2]
         assert found == pytest.approx(stats.norm.cdf(wide / 3.0, scale=0.5) * 2.0 - 1.0)
 
 

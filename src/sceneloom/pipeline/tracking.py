@@ -693,6 +693,8 @@ class _Job:
                 tracked, seconds = track(source.drive, settings=self.settings, progress=steps)
             else:
                 offline, tracker = self.settings.offline, self.settings.tracker
+                if self.settings.fusion is not None:
+                    tracker = replace(tracker, detectors=self.settings.fusion.detectors)
                 tracked, seconds = _track_all(source.drive, fused, offline, tracker, steps)
         with stage("writing"):
             losses = _FORMS[form][1](tracked, source, draft, self.outputs)

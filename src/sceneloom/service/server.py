@@ -482,7 +482,8 @@ class TrackedResults:
         found = result.found
         if found is None:
             return [result]
-        lidar = self._lidars.setdefault(found.frame.lidar_id, _OneLidar(Tracker(TrackerSettings())))
+        settings = TrackerSettings(detectors=result.configuration["detectors"])
+        lidar = self._lidars.setdefault(found.frame.lidar_id, _OneLidar(Tracker(settings)))
         given: list[Result] = []
         sweep = found.frame.index, found.frame.timestamp_ns
         if lidar.sweep != sweep and lidar.waiting:

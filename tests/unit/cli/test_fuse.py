@@ -265,6 +265,9 @@ def test_what_was_fused_is_tracked_as_if_at_once_and_done_whole(refuses, succeed
         assert (k, a["id"], a["class"]) == (n, b["id"], b["class"])
         # 0.4 m: 1 % of the distance, as boxes of some 50 px get whole pixels on the way through the file
         np.testing.assert_allclose(a["center"], b["center"], atol=0.4)
+    # the tracker takes the detectors for what they are said to be
+    succeeds("track", objects, "--detectors", "kitti_rrc_pointrcnn", "-o", tmp_path / "k.jsonl")
+    assert (tmp_path / "k.jsonl").read_text() != (tmp_path / "a.jsonl").read_text()
     for name in ("boxes3d", "boxes2d"):  # one detector is enough
         succeeds("track", recording, f"--{name}", folder / f"{name}.jsonl", "-o", tmp_path / f"{name}.sfs")
     (tmp_path / "objects.frames.jsonl").unlink()

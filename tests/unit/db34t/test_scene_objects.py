@@ -363,10 +363,11 @@ def boxes_at(k, x):
     return boxes_3d(PERIOD_MS * k, k, X=x, confidence=0.9, velocity=0.0)
 
 
-def results_of(positions, *, cameras=(1,), path=None):
+def results_of(positions, *, cameras=(1,), path=None, detectors="simulated"):
     """Results of a box at each of some distances, one sweep each; the ego goes along a path, piece by piece."""
     found = []
     with interface(inline=True, cameras=cameras) as fusion:
+        assert fusion.set_property("detectors", detectors)
         for k, x in enumerate(positions):
             assert path is None or fusion.send_motion(path(k))
             images = [no_boxes_2d(PERIOD_MS * k, k, sensor_id=camera) for camera in cameras]
@@ -395,6 +396,9 @@ def test_a_box_of_every_sweep_is_one_track_whose_velocity_is_found():
     assert last.center_covs[0, 0, 0] < results[-1].record.center_covs[0, 0, 0]
     reported = tracked(results_of([*[15.0] * 6, None, 15.0]))  # a missed box does not end it
     assert reported[7].record.id.tolist() == reported[5].record.id.tolist() == [1]
+    # what is known of the detectors is that of the property
+    other = tracked(results_of([15.0] * 6, detectors="independent"))
+    assert not np.allclose(other[5].record.center_covs, reported[5].record.center_covs)
 
 
 def test_every_image_of_a_sweep_gets_the_tracks_of_all_of_them():

@@ -451,8 +451,8 @@ def test_everyone_goes_at_the_speed_of_their_kind_and_nobody_where_nobody_is_wan
     # oncoming cars are as fast as is asked, but for their waves
     drive = drive_through(replace(BUSY, cyclists=0.0, pedestrians=0.0, oncoming=(25.0, 27.0)), cameras=())
     boxes = drive.truth.boxes([1_500_000_000])
-    forward = np.sum(boxes.velocities[0, :, :2] * drive.truth.path.at(np.array([1_500_000_000])).velocities[0, :2], axis=1)
-    oncoming = (forward < 0.0) & boxes.present[0]
+    forward = drive.truth.path.at(np.array([1_500_000_000])).velocities[0]
+    oncoming = (boxes.velocities[0] @ forward < 0.0) & boxes.present[0]
     assert np.linalg.norm(boxes.velocities[0, oncoming], axis=1) == pytest.approx(26.0, abs=3.5)
     assert oncoming.sum() > 2
     # in the ego's lane cars stop and go with it

@@ -1252,11 +1252,11 @@ class _TrajectoryModel:
 
     def doubt(self, found: _Fit) -> str:
         """Why the fit is not of a motion in common that determines the offset; "" where it is."""
+        if self.speed_share(found) < _LEAST_SHARE:
+            return "the motion is too even to tell an offset from another position and heading"
         scale = float(np.median(np.hypot(*found.amounts[:, -2:].T)))
         if not 1 / _MOST_SCALE <= scale <= _MOST_SCALE:
             return f"the motions differ in size by more than a factor of {_MOST_SCALE}"
-        if self.speed_share(found) < _LEAST_SHARE:
-            return "the motion is too even to tell an offset from another position and heading"
         return ""
 
     def speed_share(self, found: _Fit) -> float:

@@ -169,7 +169,40 @@ def test_rates_of_the_oxts_unit_are_late_by_half_a_sample_and_injected_offsets_c
 def test_fixes_are_in_step_with_the_trajectory_that_they_are_and_half_a_second_is_too_short_to_say(scene, drive):
     found = sync(scene, reference="groundTruth", streams=("gnss",)).comparison("gnss").estimate
     assert (found.verdict, abs(found.offset_ns) < 1e4) == (ClockVerdict.IN_STEP, True)
+    assert found.interval_ns[0] <= 0.0 <= found.interval_ns[1]
     with sceneloom.open(drive("recordings/pandaset")) as short:
         report = sync(short, streams=("groundTruth", "camera0"))
     assert {c.estimate.verdict for c in report.comparisons} == {ClockVerdict.NOT_OBSERVABLE}
     assert all("samples" in c.estimate.reason for c in report.comparisons)
+
+
+@pytest.mark.parametrize("name", ["0012", "0016"])
+def test_a_car_that_stands_has_no_motion_in_common_with_anything(drive, name):
+    sequence = oxts(drive, name)
+    report = sync(sequence, streams=("oxts", "gnss"))
+    assert {c.estimate.verdict for c in report.comparisons if c.reference == "imu"} == {ClockVerdict.NOT_OBSERVABLE}
+
+
+@pytest.mark.parametrize("name", ["0003", "0013"])
+def test_errors_of_fixes_that_last_for_half_a_minute_do_not_move_the_offset_out_of_its_interval(drive, name):
+    sequence, draw = oxts(drive, name), np.random.default_rng(0)
+    receiver = sequence.sensor("gnss")
+    offset_ns = round(draw.uniform(-2e8, 2e8))
+    errors = draw.standard_normal((len(receiver.timestamps_ns), 3))
+    kept = np.exp(-0.1 / 30.0)
+    for k in range(1, len(errors)):
+        errors[k] = kept * errors[k - 1] + np.sqrt(1.0 - kept**2) * errors[k]
+    origin = receiver.positions_lla[0]
+    moved = geodetic_from_enu(enu_from_geodetic(receiver.positions_lla, origin) + 0.4 * errors, origin)
+    late = replace(receiver, positions_lla=moved, timestamps_ns=receiver.timestamps_ns + offset_ns)
+    sensors = tuple(late if s is receiver else s for s in sequence.sensors)
+    report = sync(replace(sequence, sensors=sensors), reference="oxts", streams=("gnss",))
+    low, high = report.comparison("gnss").estimate.interval_ns
+    assert low < offset_ns < high
+    assert high - low < 8e7
+
+
+def oxts(drive, name):
+    """A sequence of KITTI's tracking benchmark, with what its GNSS and IMU unit measured."""
+    with sceneloom.open(drive("real/kitti_tracking"), sequence=name) as sequence:
+        return sequence

@@ -1,5 +1,6 @@
 """`sceneloom sync`."""
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 @option("--reference=STREAM", "The stream of reference. [default: the IMU, else …]")
 @option("--streams=NAMES", "The only streams to compare, with commas. [default: all]")
 @option("--reach=S", "Search for offsets up to S seconds.", options.positive, default=5.0)
+@option("--tolerance=S", "Offsets up to S seconds do no harm.", options.positive, default=0.005)
 @option(
     "--lever=M lever_sigma",
     "Standard deviation of a receiver's antenna's distance from the ego's origin.",
@@ -37,6 +39,7 @@ def sync(
     stop: float | None,
     streams: str | None,
     reach: float,
+    tolerance: float,
     printer: Printer,
     reading: dict[str, Any],
     **given: Any,
@@ -44,14 +47,16 @@ def sync(
     """Check whether the clocks of a drive's streams are synchronised, and correct those that are not.
 
     Streams are IMUs, trajectories, lidars, cameras and satellite receivers. Their motion is compared: a constant delay
-    between two streams is the offset of their clocks, a growing one the skew.
+    between two streams is the offset of their clocks, a growing one the skew. A stream is in step, or off, where the
+    99 % interval of its offset is within, or beyond, the tolerance.
     """
     from sceneloom.formats.base.registry import open_scene
     from sceneloom.pipeline.syncing import sync as sync_scene
     from sceneloom.scene.time_range import cut_scene
 
     writing = options.scene_options(given)
-    own = {"streams": options.names(streams), "reach_ns": round(reach * 1e9), **given}
+    limits = {"reach_ns": round(reach * 1e9), "tolerance_ns": round(tolerance * 1e9)}
+    own = {"streams": options.names(streams), **limits, **given}
     with open_scene(path, **reading) as scene, printer.progress("looking") as progress:
         part = cut_scene(scene, start=start, stop=stop)
         report = sync_scene(part, output, progress=progress, **own, **({} if output is None else writing))
@@ -62,8 +67,12 @@ def _print_report(report: "SyncReport", printer: Printer) -> None:
     if not report.comparisons:
         click.echo(f"{report.source}: nothing to compare: two streams that report the ego's motion are needed")
         return
-    click.echo(f"{report.source}: {several(len(report.off), 'stream')} off, against {report.reference}")
-    print_table([("stream", "against", "by", "offset [ms]", "skew [ppm]", "verdict"), *map(_row, report.comparisons)])
+    verdicts = Counter(c.estimate.verdict for c in report.comparisons if c.reference == report.reference)
+    found = ", ".join(f"{count} {verdict}" for verdict, count in sorted(verdicts.items()))
+    compared = f"{several(verdicts.total(), 'stream')} against {report.reference}"
+    click.echo(f"{report.source}: {compared}: {found}; tolerance {report.tolerance_ns / 1e6:g} ms")
+    titles = ("stream", "against", "by", "offset [ms]", "99 % [ms]", "skew [ppm]", "verdict")
+    print_table([titles, *map(_row, report.comparisons)])
     if report.output is not None:
         for correction in report.applied:
             skew = f", skew {correction.skew_ppm:+.1f} ppm" if correction.skew_ppm else ""
@@ -75,14 +84,14 @@ def _print_report(report: "SyncReport", printer: Printer) -> None:
 
 def _row(comparison: Any) -> tuple[str, ...]:
     estimate: ClockEstimate = comparison.estimate
-    verdict = f"{estimate.verdict}: {estimate.reason}" if estimate.reason else str(estimate.verdict)
     return (
         comparison.stream,
         comparison.reference,
         comparison.method,
         _measured(estimate.offset_ns, estimate.offset_sigma_ns, 1e6),
+        "-" if estimate.interval_ns is None else " to ".join(f"{end / 1e6:+.1f}" for end in estimate.interval_ns),
         _measured(estimate.skew_ppm, estimate.skew_sigma_ppm, 1.0),
-        verdict,
+        estimate.summary,
     )
 
 

@@ -483,7 +483,7 @@ def mount_lidar(
     clock = "" if result.clock.offset_ns is None else f", {result.clock.offset_ns / 1e6:.1f} ms late"
     notes = [
         f"compared with trajectory {result.trajectory!r}; {100 * result.found.inliers:.0f} % of the motions fit",
-        f"clock of the lidar: {result.clock.verdict}{clock}",
+        f"clock of the lidar: {result.clock.summary}{clock}",
     ]
     report = _mounting_report(
         scene, "hand-eye", ("ego", str(result.lidar_id)), stated, mounting, result.found.motions, notes

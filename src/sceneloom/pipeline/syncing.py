@@ -12,7 +12,7 @@ from sceneloom.editing.retime import ClockCorrection, retimed_scene
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.registry import check_scene_output, write_scene
-from sceneloom.motion.clock.comparison import LEVER_SIGMA, REACH_NS, ClockEstimate, ClockVerdict
+from sceneloom.motion.clock.comparison import LEVER_SIGMA, REACH_NS, TOLERANCE_NS, ClockEstimate, ClockVerdict
 from sceneloom.motion.clock.streams import Stream, StreamKind, compare_streams, streams_of
 from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Progress, key_of
@@ -61,7 +61,8 @@ class SyncReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         reference: name of the stream whose clock counts as the right one; None where nothing could be compared.
         comparisons: what was compared with what, each stream with the reference first.
-        off: names of the streams that are not in step with the reference.
+        tolerance_ns: largest offset that counts as in step [ns].
+        off: names of the streams that surely differ from the reference by more than the tolerance.
         output: what was written, or None.
         applied: what was corrected in it.
     """
@@ -69,6 +70,7 @@ class SyncReport(msgspec.Struct, frozen=True, kw_only=True):
     source: str
     reference: str | None
     comparisons: tuple[ClockComparison, ...]
+    tolerance_ns: int
     off: tuple[str, ...]
     output: str | None = None
     applied: tuple[AppliedCorrection, ...] = ()
@@ -91,8 +93,8 @@ class SyncReport(msgspec.Struct, frozen=True, kw_only=True):
 
 def sync(
     scene: Scene, output: str | Path | None = None, *, reference: str | None = None,
-    streams: Collection[str] | None = None, reach_ns: int = REACH_NS, lever_sigma: float = LEVER_SIGMA,
-    progress: Progress | None = None, overwrite: bool = False, **writing: Any,
+    streams: Collection[str] | None = None, reach_ns: int = REACH_NS, tolerance_ns: int = TOLERANCE_NS,
+    lever_sigma: float = LEVER_SIGMA, progress: Progress | None = None, overwrite: bool = False, **writing: Any,
 ) -> SyncReport:  # fmt: skip
     """Compare the clocks of a drive's streams, and write the drive with those corrected that are off.
 
@@ -104,16 +106,19 @@ def sync(
         reference: name of the stream whose clock is right; None for the first IMU, else trajectory, lidar, ….
         streams: names of the only streams to compare; None for all.
         reach_ns: offsets up to this are looked for [ns].
+        tolerance_ns: offsets up to this do no harm [ns]: in step is what is surely within, off what is surely beyond.
         lever_sigma: how far from the ego's origin a receiver's antenna may be on each axis [m].
         writing: further options of the output's format.
 
     Raises:
-        OptionError: there is no such stream, `reach_ns` is not above 0, or `lever_sigma` below.
+        OptionError: there is no such stream, `reach_ns` or `tolerance_ns` is not above 0, or `lever_sigma` below.
         OutputError: the output exists, or cannot be written.
     """
     begun = time.perf_counter()
     if reach_ns <= 0:
         raise OptionError(f"offsets up to {reach_ns / 1e9:g} s; expected more than 0")
+    if tolerance_ns <= 0:
+        raise OptionError(f"a tolerance of {tolerance_ns / 1e6:g} ms; expected more than 0")
     if not 0.0 <= lever_sigma < float("inf"):
         raise OptionError(f"an antenna {lever_sigma:g} m off; expected 0 or more")
     if output is not None:
@@ -121,13 +126,15 @@ def sync(
     scene = scene.corrected()
     found = {stream.name: stream for stream in streams_of(scene)}
     chosen = _chosen(scene, found, reference, streams)
-    comparisons = _compared(chosen, found, reach_ns, lever_sigma, progress)
+    limits = {"reach_ns": reach_ns, "tolerance_ns": tolerance_ns, "lever_sigma": lever_sigma}
+    comparisons = _compared(chosen, found, progress, **limits)
     right = chosen[0].name if chosen else None
     applied = _corrections(comparisons, right)
     report = SyncReport(
         source=scene.source,
         reference=right,
         comparisons=comparisons,
+        tolerance_ns=tolerance_ns,
         off=tuple(c.stream for c in comparisons if c.reference == right and c.estimate.is_off),
         warnings=scene.warnings,
     )
@@ -188,7 +195,7 @@ def _chosen(
 
 
 def _compared(
-    chosen: list[Stream], found: Mapping[str, Stream], reach_ns: int, lever_sigma: float, progress: Progress | None
+    chosen: list[Stream], found: Mapping[str, Stream], progress: Progress | None, **limits: Any
 ) -> tuple[ClockComparison, ...]:
     """Each stream with the reference; and with the first trajectory what states nothing against that."""
     if not chosen:
@@ -198,9 +205,7 @@ def _compared(
     comparisons: list[ClockComparison] = []
 
     def compare(against: Stream, stream: Stream) -> ClockComparison:
-        method, estimate = compare_streams(
-            against, stream, reach_ns=reach_ns, lever_sigma=lever_sigma, progress=progress
-        )
+        method, estimate = compare_streams(against, stream, progress=progress, **limits)
         comparisons.append(
             ClockComparison(
                 stream=stream.name, kind=stream.kind, reference=against.name, method=method, estimate=estimate

@@ -511,9 +511,12 @@ def test_sync_reports_and_writes_a_drive_in_step(succeeds, reported, tmp_path, c
     sensors = tuple(s for s in scene.sensors if s.id == "imu")
     sceneloom.write(replace(scene, sensors=sensors, annotations=(), trajectories={"groundTruth": moved}), late)
     outcome = succeeds("sync", late)
-    assert "1 stream off, against imu" in outcome.out
+    assert "1 stream against imu: 1 off; tolerance 5 ms" in outcome.out
     row = next(line for line in outcome.out.splitlines() if "groundTruth" in line).split()
     assert (*row[1:3], row[-1]) == ("imu", "rotation", "off")
+    out = succeeds("sync", late, "--tolerance", "0.03").out
+    assert re.search(r"\+2\d\.\d to \+3\d\.\d .* cannot tell, up to 3\d\.\d ms\n", out)
+    assert "1 cannot tell; tolerance 30 ms" in out
     report = reported("sync", late, "--reference", "groundTruth")
     estimate = report["comparisons"][0]["estimate"]
     assert (report["off"], estimate["verdict"]) == (["imu"], "off")
@@ -525,7 +528,8 @@ def test_sync_reports_and_writes_a_drive_in_step(succeeds, reported, tmp_path, c
     assert "groundTruth" in refuses(2, "sonar", "sync", late, "--streams", "imu,sonar").err
     refuses(2, "", "sync", late, "--lever", "nan")
     for reach in ("-1", "0", "nan", "inf", "far"):
-        refuses(2, "--reach", "sync", late, "--reach", reach)
+        for limit in ("--reach", "--tolerance"):
+            refuses(2, limit, "sync", late, limit, reach)
     assert call("sync", late, "--start", "3", "--stop", "3.5").code in {0, 2}, "of so little nothing may be known"
 
 

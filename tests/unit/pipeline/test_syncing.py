@@ -80,6 +80,16 @@ def test_corrections_stand_in_warnings_and_metadata_and_another_reference_rotate
     assert report.comparison("imu").estimate.offset_ns == pytest.approx(-3e7, abs=2e6)
 
 
+def test_what_is_not_surely_off_is_not_corrected(wrong, tmp_path):
+    report = sync(wrong, tmp_path / "same.sfs", streams=("imu", "groundTruth"), tolerance_ns=30_000_000)
+    found = report.comparison("groundTruth").estimate
+    assert found.verdict is ClockVerdict.CANNOT_TELL
+    assert found.interval_ns[0] < 30_000_000 < found.interval_ns[1]
+    assert (report.off, report.applied, report.tolerance_ns) == ((), (), 30_000_000)
+    with pytest.raises(OptionError, match="tolerance"):
+        sync(wrong, tolerance_ns=0)
+
+
 def test_absent_streams_and_an_output_that_exists_are_refused_and_a_drive_without_streams_not(wrong, tmp_path):
     for more in ({"reference": "radar"}, {"streams": ("imu", "radar")}):
         with pytest.raises(OptionError, match=r"radar.*groundTruth"):

@@ -35,13 +35,15 @@ REACH_NS = 5_000_000_000
 LEVER_SIGMA = 1.0
 """Standard deviation of a receiver's antenna from the ego's origin on each axis, where its position is unknown [m]."""
 
-_SIGMAS = 4.0  # an offset of so many standard deviations is significant: chance exceeds it once in 16,000
+TOLERANCE_NS = 5_000_000
+"""Offsets up to this do no harm [ns]: they are 5 cm at 10 m/s, as a lidar's range noise, and 0.15° at 30 °/s."""
 
-_TOLERANCE_NS = 1_000_000.0
-"""Smaller offsets count as in step whatever their uncertainty: no sensor's timestamps are that exact [ns]."""
+LEVEL = 0.99
+"""Confidence level of intervals: a drive has some ten streams, and a wrong verdict changes all times of one."""
 
 _WORST_SIGMA_NS = 50_000_000.0  # offsets that are known less well are not reported [ns]
-_WORST_SKEW_SIGMA_PPM = 300.0  # the same of the skew: quartz clocks differ by less than 200 ppm
+_WORST_SKEW_SIGMA_PPM = 300.0  # the same of the skew
+_QUARTZ_PPM = 100.0  # standard deviation of a skew that is not known: quartz clocks differ by less than 200 ppm
 
 
 class ClockVerdict(StrEnum):
@@ -49,6 +51,7 @@ class ClockVerdict(StrEnum):
 
     IN_STEP = "in step"
     OFF = "off"
+    CANNOT_TELL = "cannot tell"
     NOT_OBSERVABLE = "not observable"
 
 
@@ -66,10 +69,13 @@ class ClockEstimate(msgspec.Struct, frozen=True, kw_only=True):
     A time t of the stream is the reference's t - offset - skew (t - offset - at).
 
     Attributes:
-        verdict: the result.
+        verdict: in step: the interval is within the tolerance from begin to end of the common time; off: somewhere it
+            is beyond; cannot tell: neither; not observable: there is no interval.
         reason: why the clocks cannot be compared; "" otherwise.
         offset_ns: the stream's timestamps minus the reference's, at `at_ns` [ns]; None where unknown.
         offset_sigma_ns: its standard deviation [ns].
+        interval_ns: confidence interval of the offset at `at_ns`, of the level `LEVEL` [ns]; None where unknown.
+        limit_ns: the largest offset in either direction within the intervals of the whole common time [ns].
         skew_ppm: how much faster the stream's clock runs [parts in a million]; None where unknown.
         skew_sigma_ppm: its standard deviation.
         at_ns: middle of the common time, on the reference's clock [ns].
@@ -84,6 +90,8 @@ class ClockEstimate(msgspec.Struct, frozen=True, kw_only=True):
     reason: str = ""
     offset_ns: float | None = None
     offset_sigma_ns: float | None = None
+    interval_ns: tuple[float, float] | None = None
+    limit_ns: float | None = None
     skew_ppm: float | None = None
     skew_sigma_ppm: float | None = None
     at_ns: int = 0
@@ -99,8 +107,15 @@ class ClockEstimate(msgspec.Struct, frozen=True, kw_only=True):
         return cls(verdict=ClockVerdict.NOT_OBSERVABLE, reason=reason, **known)  # type: ignore[arg-type]
 
     @property
+    def summary(self) -> str:
+        """The verdict in words, with the reason why nothing is known, or how large the offset may be."""
+        if self.verdict is ClockVerdict.CANNOT_TELL and self.limit_ns is not None:
+            return f"{self.verdict}, up to {self.limit_ns / 1e6:.1f} ms"
+        return f"{self.verdict}: {self.reason}" if self.reason else str(self.verdict)
+
+    @property
     def is_off(self) -> bool:
-        """Whether the clocks differ."""
+        """Whether the clocks surely differ by more than the tolerance."""
         return self.verdict is ClockVerdict.OFF
 
 
@@ -200,7 +215,7 @@ def fit(
     start: Float64Array,
     prior_sigmas: Float64Array,
     *,
-    begin: Float64Array | None = None,
+    like: _Fit | None = None,
     whiten: bool = True,
     scales: Float64Array | None = None,
 ) -> _Fit | None:
@@ -213,15 +228,15 @@ def fit(
     Args:
         start: (P,), the prior mean.
         prior_sigmas: (P,), its standard deviations, infinite where nothing is known.
-        begin: (P,), first guess; None: the start.
+        like: first guess of parameters and noise; None: the start, and white noise.
         scales: (K,), fixed standard deviations of the residuals; None: estimated.
 
     Source: whitening before the estimate of Newey and West 1987 is Andrews and Monahan 1992; the autoregression is
     that of Yule 1927 and Walker 1931; weights are those of Huber 1964.
     """
-    parameters = (start if begin is None else begin).astype(np.float64)
+    parameters = (start if like is None else like.parameters).astype(np.float64)
     at = model(parameters, _NO_AMOUNTS)
-    colour = np.zeros((at.residuals.shape[1], 0))
+    colour = np.zeros((at.residuals.shape[1], 0)) if like is None else like.colour
     precision = 1.0 / prior_sigmas**2
     solved = _solve(at, colour, precision, parameters - start, fixed_scales=scales)
     if solved is None:
@@ -481,11 +496,41 @@ class _Candidate:
     def scatter(self) -> float:
         """By how much offsets of parts of the drive scatter more than the noise explains, 1 at least (Birge 1932)."""
         # errors that are no noise, such as a bent trajectory between fixes, show there
-        blocks = self.block_offsets(_BLOCKS)
-        freedom = len(blocks) - 2
-        if freedom < 2:
-            return 1.0
-        return float(np.sqrt(max(1.0, sum((step / sigma) ** 2 for _, step, sigma in blocks) / freedom)))
+        squares = sum((step / sigma) ** 2 for _, step, sigma in self.block_offsets(_BLOCKS))
+        return float(np.sqrt(max(1.0, squares / self.freedom)))
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the scatter: the parts less offset and skew."""
+        return max(len(self.block_offsets(_BLOCKS)) - 2, 1)
+
+    @property
+    def skew_sigma(self) -> float:
+        """Standard deviation of the skew."""
+        return max(float(np.sqrt(self.fit.covariance[1, 1])) * self.scatter, _FINEST / max(self.span, 1e-3))
+
+    @property
+    def knows_skew(self) -> bool:
+        """Whether the skew is known well enough to be reported."""
+        return self.skew_sigma * 1e6 <= _WORST_SKEW_SIGMA_PPM
+
+    def interval(self, since: float = 0.0) -> tuple[float, float]:
+        """Confidence interval of the offset [s] so many seconds after the middle.
+
+        Source: the mean of parts divided by their own scatter follows Student's t, however the noise is correlated
+        within a part: Schmeiser 1982, "Batch Size Effects in the Analysis of Simulation Output".
+        """
+        from scipy.special import stdtrit
+
+        offset, variance = self.offset, self.sigma**2
+        if self.knows_skew:
+            offset += since * float(self.fit.parameters[1])
+            covariance = self.scatter**2 * self.fit.covariance
+            variance += 2 * since * float(covariance[0, 1]) + (since * self.skew_sigma) ** 2
+        else:
+            variance += (since * _QUARTZ_PPM * 1e-6) ** 2
+        reach = float(stdtrit(self.freedom, 0.5 + 0.5 * LEVEL)) * float(np.sqrt(max(variance, _FINEST**2)))
+        return offset - reach, offset + reach
 
     def block_offsets(self, count: int) -> list[tuple[float, float, float]]:
         """For each of `count` parts of the drive the middle [s], its offset from the line, and its sigma [s]."""
@@ -505,10 +550,11 @@ class _Candidate:
 
 @dataclass(frozen=True, slots=True)
 class _Clocks:
-    """To which of two streams' timestamps the offset adds, and the origin of the seconds."""
+    """To which of two streams' timestamps the offset adds, the origin of the seconds, and the tolerable offset."""
 
     origin_ns: int
     finer_is_stream: bool
+    tolerance_ns: int
 
     @property
     def sign(self) -> float:
@@ -543,18 +589,21 @@ class _Clocks:
     def _judge(self, best: _Candidate) -> ClockEstimate:
         offset_ns, skew_ppm = (self.sign * best.fit.parameters[:2] * [1e9, 1e6]).tolist()
         sigma_ns, span_ns = best.sigma * 1e9, round(best.span * 1e9)
-        skew_sigma = max(float(np.sqrt(best.fit.covariance[1, 1])) * best.scatter, _FINEST / max(best.span, 1e-3))
-        knows_skew = skew_sigma * 1e6 <= _WORST_SKEW_SIGMA_PPM
-        drift_ns = abs(skew_ppm) * 1e-6 * span_ns / 2 if knows_skew else 0.0
-        drifts = drift_ns > _TOLERANCE_NS and abs(skew_ppm) > _SIGMAS * skew_sigma * 1e6
-        known, reason, verdict = True, "", ClockVerdict.IN_STEP
+        # offset and skew are a line, whose extremes are at the ends; in the middle it is known best
+        intervals = 1e9 * np.sort([best.interval(since) for since in (0.0, -0.5 * best.span, 0.5 * best.span)], axis=1)
+        low, high = np.sort(self.sign * intervals[0]).tolist()
+        limit_ns = float(np.abs(intervals).max())
+        least_ns = float(np.where(intervals[:, 0] * intervals[:, 1] > 0, np.abs(intervals).min(axis=1), 0.0).max())
+        known, reason, verdict = True, "", ClockVerdict.CANNOT_TELL
         if not np.isfinite(sigma_ns) or sigma_ns > _WORST_SIGMA_NS:
             known, verdict = False, ClockVerdict.NOT_OBSERVABLE
             reason = (
                 f"too little motion in common: the offset is known within {sigma_ns / 1e6:.0f} ms only; "
                 f"expected {_WORST_SIGMA_NS / 1e6:.0f} ms or better"
             )
-        elif drifts or abs(offset_ns) > max(_SIGMAS * sigma_ns, _TOLERANCE_NS):
+        elif limit_ns <= self.tolerance_ns:
+            verdict = ClockVerdict.IN_STEP
+        elif least_ns > self.tolerance_ns:
             verdict = ClockVerdict.OFF
         middle_ns = self.origin_ns + round(best.middle * 1e9)
         rotation = best.rotation
@@ -566,8 +615,10 @@ class _Clocks:
             reason=reason,
             offset_ns=offset_ns if known else None,
             offset_sigma_ns=sigma_ns,
-            skew_ppm=skew_ppm if known and knows_skew else None,
-            skew_sigma_ppm=skew_sigma * 1e6,
+            interval_ns=(low, high) if known else None,
+            limit_ns=limit_ns if known else None,
+            skew_ppm=skew_ppm if known and best.knows_skew else None,
+            skew_sigma_ppm=best.skew_sigma * 1e6,
             # the middle is a time of the slower stream's clock
             at_ns=middle_ns if self.finer_is_stream else middle_ns + round(best.offset * 1e9),
             span_ns=span_ns,
@@ -779,6 +830,7 @@ _LEAST_SECONDS = (0.05, 0.1, 0.2, 0.4)
 """Rotations over at least so many seconds are compared, the shortest that the noise allows [s]."""
 
 _NOISE_SHARE = 0.1  # largest share of noise in the differences of the rates between start and stop of a rotation
+_MOST_NOISE = 1.0  # with more noise than motion in them nothing is compared
 _FAR_LESS = 4.0  # lags whose correlation is farther from 1 than the best one's by this factor are left out
 
 _PRIORS = np.array([10.0, 2e-3, 0.7, 0.7, 0.7])
@@ -790,6 +842,7 @@ def compare_rotations(
     stream: Orientations,
     *,
     reach_ns: int = REACH_NS,
+    tolerance_ns: int = TOLERANCE_NS,
     reference_from_stream: Float64Array | None = None,
 ) -> ClockEstimate:
     """Estimate offset and skew of a stream's clock from the rotation that two streams measure.
@@ -803,6 +856,7 @@ def compare_rotations(
         reference: the stream whose clock is taken as correct.
         stream: the other one.
         reach_ns: largest offset that is searched [ns].
+        tolerance_ns: largest offset that counts as in step [ns].
         reference_from_stream: (3, 3), prior rotation between the bodies, used where the motion does not determine it.
 
     Source: the rate correlation before the fit, and the continuous-time fit of offset with the rotation, are as in
@@ -814,7 +868,7 @@ def compare_rotations(
     coarse, fine = (reference, stream) if finer_is_stream else (stream, reference)
     expected = np.eye(3) if reference_from_stream is None else reference_from_stream
     pair = _Pair.of(coarse, fine, expected if finer_is_stream else expected.T)
-    clocks = _Clocks(pair.origin_ns, finer_is_stream)
+    clocks = _Clocks(pair.origin_ns, finer_is_stream, tolerance_ns)
     if not pair.fine or pair.common < _LEAST_COMMON:
         return ClockEstimate.unknown(
             f"{max(pair.common, 0.0):.1f} s in common; expected {_LEAST_COMMON:.0f} s or more without gaps"
@@ -902,6 +956,8 @@ class _Pair:
         if chosen is None:
             return None
         model, found = chosen
+        if model.noise_share(found) > _MOST_NOISE:
+            return None
         whitened = fit(model, found.parameters, _PRIORS)
         return None if whitened is None else model.candidate(whitened, peak)
 
@@ -976,7 +1032,9 @@ class _RotationModel:
 
 _LEAST_FIXES = 12
 _LEAST_COMMON_FIXES = 5.0  # seconds that fixes and a trajectory need in common
-_LAG = 0.2  # step of the search [s]; from so near the fit converges
+_LEAST_DISTANCE = 1.0  # fixes that stay within so many metres are of a stationary body, and vary by their errors
+_LAG = 0.2  # step of the search [s]; from so near the fit converges where the noise of fixes is white
+_FINE_LAG = 0.05  # the same where it is correlated: whitened motion is that of the accelerations
 _MOST_SEARCHED = 3000  # largest number of fixes in the search and for the biases of an IMU; the last fit uses all
 
 _LEAST_SHARE = 0.01
@@ -984,7 +1042,10 @@ _LEAST_SHARE = 0.01
 is a tenth to a half."""
 
 _LEAST_LIKELY = 100.0  # offsets whose log-likelihood is lower than the best one's by so much are dropped
-_FARTHEST = 1.0  # longer windows sharpen an offset and do not change it by more [s]
+_FARTHEST = 1.0  # longer windows and the noise's correlation do not change an offset by more [s]
+
+_MOST_SCALE = 1.5
+"""Largest factor between the sizes of both motions, which are in metres: noise does not fit noise at its own size."""
 
 _MOST_WORSE = 0.15
 """Largest growth of the logarithm of the residuals over longer windows: a bad IMU is not described by its noise."""
@@ -999,6 +1060,7 @@ def compare_trajectories(
     origin_ns: int,
     fixes_are_reference: bool,
     reach_ns: int,
+    tolerance_ns: int = TOLERANCE_NS,
     lever: Float64Array | None = None,
     lever_sigma: float = LEVER_SIGMA,
 ) -> ClockEstimate:
@@ -1015,6 +1077,7 @@ def compare_trajectories(
         origin_ns: origin of the trajectory's seconds.
         fixes_are_reference: whose clock is taken as correct.
         reach_ns: largest offset that is searched [ns].
+        tolerance_ns: largest offset that counts as in step [ns].
         lever: (3,) position of the receiver on the body of the trajectory [m]; None for its origin.
         lever_sigma: its standard deviation on each axis [m].
 
@@ -1023,6 +1086,9 @@ def compare_trajectories(
     """
     if len(fixes) < _LEAST_FIXES:
         return ClockEstimate.unknown(f"{len(fixes)} fixes; expected {_LEAST_FIXES} or more")
+    extent = max(np.ptp(fixes.locations.real), np.ptp(fixes.locations.imag))
+    if extent < _LEAST_DISTANCE:
+        return ClockEstimate.unknown(f"fixes within {extent:.2f} m; expected a body that moves {_LEAST_DISTANCE:.0f} m")
     model = _TrajectoryModel.of(fixes, trajectory, origin_ns)
     known = model.known_at(0.0)
     common = float(np.ptp(model.times[known])) if known.any() else 0.0
@@ -1035,29 +1101,34 @@ def compare_trajectories(
     location = np.zeros(3) if lever is None else lever
     reach = min(reach_ns * 1e-9, common / 2)
     part = model.part(_MOST_SEARCHED)
-    found = [
-        near
-        for lag in _lags(part, reach)
-        if (near := fit(part, np.array([lag, 0.0, *location]), priors)) is not None
-        and abs(near.parameters[0]) <= reach + 2 * _LAG
-    ]
+
+    def fitted_from(lags: list[float], like: _Fit | None = None) -> list[_Fit]:
+        starts = [np.array([lag, 0.0, *location]) for lag in lags]
+        likes = [None if like is None else replace(like, parameters=start) for start in starts]
+        near = (fit(part, start, priors, like=one) for start, one in zip(starts, likes, strict=True))
+        return [one for one in near if one is not None and abs(one.parameters[0]) <= reach + 2 * _LAG]
+
+    found = fitted_from(_lags(part, np.arange(-np.floor(reach / _LAG), np.floor(reach / _LAG) + 1) * _LAG))
     if not found:
         return ClockEstimate.unknown(f"no offset up to {reach:.1f} s makes the motions alike")
     best = min(found, key=lambda near: near.level)
-    refined = [
-        _refined(part, near, fixes, location, priors) for near in found if best.evidence_against(near) < _LEAST_LIKELY
-    ]
+    if best.colour.shape[1]:
+        around = best.parameters[0] + np.arange(-_FARTHEST, _FARTHEST + _FINE_LAG, _FINE_LAG)
+        found += fitted_from(_lags(part, around[np.abs(around) <= reach], best), best)
+        best = min(found, key=lambda near: near.level)
+    likely = {round(near.parameters[0], 3): near for near in found if best.evidence_against(near) < _LEAST_LIKELY}
+    refined = [_refined(part, near, fixes, location, priors) for near in likely.values()]
     ranked = sorted((one for one in refined if one is not None), key=lambda one: one[1].level)
-    if ranked and ranked[0][0].speed_share(ranked[0][1]) < _LEAST_SHARE:
-        return ClockEstimate.unknown("the motion is too even to tell an offset from another position and heading")
-    clocks = _Clocks(origin_ns, finer_is_stream=fixes_are_reference)
+    if ranked and (doubt := ranked[0][0].doubt(ranked[0][1])):
+        return ClockEstimate.unknown(doubt)
+    clocks = _Clocks(origin_ns, fixes_are_reference, tolerance_ns)
     return clocks.choose([model.candidate(fitted, common) for model, fitted in ranked])
 
 
-def _lags(part: "_TrajectoryModel", reach: float) -> list[float]:
-    """The offsets at which a trajectory fits best, as first guesses."""
-    lags = np.arange(-np.floor(reach / _LAG), np.floor(reach / _LAG) + 1) * _LAG
-    costs = np.array([misfit_of(part(np.array([lag, 0, 0, 0, 0]), _NO_AMOUNTS)) for lag in lags.tolist()])
+def _lags(part: "_TrajectoryModel", lags: Float64Array, like: _Fit | None = None) -> list[float]:
+    """The offsets among (L,) at which a trajectory fits best, as first guesses; `like`: with the noise of a fit."""
+    how = {} if like is None else {"colour": like.colour, "scales": like.scales}
+    costs = np.array([misfit_of(part(np.array([lag, 0, 0, 0, 0]), _NO_AMOUNTS), **how) for lag in lags.tolist()])
     padded = np.concatenate([[np.inf], costs, [np.inf]])
     lows = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] < padded[2:]))
     return [float(lags[k]) for k in lows[np.argsort(costs[lows])][:3]]
@@ -1068,20 +1139,20 @@ def _refined(
 ) -> tuple["_TrajectoryModel", _Fit] | None:
     """Fit the trajectory, chosen by `part`, over longer windows if they fit as well as the short ones; then to all."""
     start = np.array([near.parameters[0], 0.0, *location])
-    at, found, begin = part, near, None
+    at, found, like = part, near, None
     while (trajectory := at.trajectory.finer(at.drifts_of(found.amounts))) is not None:
         longer = _TrajectoryModel.of(fixes, trajectory, part.origin_ns).part(_MOST_SEARCHED)
-        better = fit(longer, start, priors, begin=begin)
+        better = fit(longer, start, priors, like=like)
         if better is None or abs(better.parameters[0] - near.parameters[0]) > _FARTHEST:
             at, found = part, near
             break
-        at, found, begin = longer, better, better.parameters
+        at, found, like = longer, better, better
     if float(np.log(found.scales / near.scales).mean()) >= _MOST_WORSE:
         at, found = part, near
     whole = _TrajectoryModel.of(fixes, at.trajectory, part.origin_ns)
     if len(whole.times) == len(at.times):
         return at, found
-    last = fit(whole, start, priors, begin=found.parameters)
+    last = fit(whole, start, priors, like=found)
     return None if last is None else (whole, last)
 
 
@@ -1178,6 +1249,15 @@ class _TrajectoryModel:
         return Linearised(
             _split(self.locations), _split(slopes), _split(nuisances), known, self.windows, nuisance_sigmas=sigmas
         )
+
+    def doubt(self, found: _Fit) -> str:
+        """Why the fit is not of a motion in common that determines the offset; "" where it is."""
+        if self.speed_share(found) < _LEAST_SHARE:
+            return "the motion is too even to tell an offset from another position and heading"
+        scale = float(np.median(np.hypot(*found.amounts[:, -2:].T)))
+        if not 1 / _MOST_SCALE <= scale <= _MOST_SCALE:
+            return f"the motions differ in size by more than a factor of {_MOST_SCALE}"
+        return ""
 
     def speed_share(self, found: _Fit) -> float:
         """The share of the speed that determines the offset, beyond what the nuisances explain."""

@@ -14,6 +14,7 @@ from sceneloom.geometry.rigid import matrix_from_quaternion, rotate_vectors
 from sceneloom.motion.clock.comparison import (
     LEVER_SIGMA,
     REACH_NS,
+    TOLERANCE_NS,
     ClockEstimate,
     ClockVerdict,
     compare_rotations,
@@ -182,6 +183,7 @@ def compare_streams(
     stream: Stream,
     *,
     reach_ns: int = REACH_NS,
+    tolerance_ns: int = TOLERANCE_NS,
     lever_sigma: float = LEVER_SIGMA,
     progress: Progress | None = None,
 ) -> tuple[Method, ClockEstimate]:
@@ -191,6 +193,7 @@ def compare_streams(
 
     Args:
         reach_ns: largest offset that is searched [ns].
+        tolerance_ns: largest offset that counts as in step [ns].
         lever_sigma: standard deviation of the antenna's position on the ego on each axis, where it is unknown [m].
         progress: called while images or sweeps are processed.
     """
@@ -210,11 +213,12 @@ def compare_streams(
             first.orientations,
             second.orientations,
             reach_ns=reach_ns,
+            tolerance_ns=tolerance_ns,
             reference_from_stream=ego_from_reference.T @ ego_from_stream,
         )
         if by_rotation.verdict is not ClockVerdict.NOT_OBSERVABLE:
             return Method.ROTATION, by_rotation
-    by_trajectory = _by_trajectory(first, second, reach_ns, lever_sigma)
+    by_trajectory = _by_trajectory(first, second, reach_ns, tolerance_ns, lever_sigma)
     if by_trajectory is not None and (by_rotation is None or by_trajectory.verdict is not ClockVerdict.NOT_OBSERVABLE):
         return Method.TRAJECTORY, by_trajectory
     if by_rotation is not None:
@@ -222,7 +226,9 @@ def compare_streams(
     return Method.NONE, ClockEstimate.unknown("one measures only positions, the other only rotation")
 
 
-def _by_trajectory(reference: _Motion, stream: _Motion, reach_ns: int, lever_sigma: float) -> ClockEstimate | None:
+def _by_trajectory(
+    reference: _Motion, stream: _Motion, reach_ns: int, tolerance_ns: int, lever_sigma: float
+) -> ClockEstimate | None:
     """Compare fixes with a trajectory, where one stream has fixes and the other a trajectory."""
     for measured, trajectory, fixes_are_reference in (
         (stream, reference.trajectory, False),
@@ -237,6 +243,7 @@ def _by_trajectory(reference: _Motion, stream: _Motion, reach_ns: int, lever_sig
                 origin_ns=origin_ns,
                 fixes_are_reference=fixes_are_reference,
                 reach_ns=reach_ns,
+                tolerance_ns=tolerance_ns,
                 lever=lever,
                 lever_sigma=lever_sigma if lever is None else min(lever_sigma, _KNOWN_LEVER_SIGMA),
             )

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import t
 
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rigid import RigidTransform
@@ -262,6 +263,59 @@ def test_an_offset_of_fixes_against_an_imu_comes_back(scene, offset_ns):
     # what was computed bends by centimetres, which is worth some milliseconds
     assert abs(found.offset_ns - offset_ns) < 4 * found.offset_sigma_ns
     assert found.offset_sigma_ns < 1.2e7
+
+
+@pytest.fixture(scope="module")
+def coarse(scene):
+    """The drive with fixes of 0.4 m."""
+    receiver, draw = scene.sensor("gnss"), np.random.default_rng(8)
+    origin = receiver.positions_lla[0]
+    moved = enu_from_geodetic(receiver.positions_lla, origin) + 0.4 * draw.standard_normal(
+        (len(receiver.timestamps_ns), 3)
+    )
+    return with_receiver(scene, replace(receiver, positions_lla=geodetic_from_enu(moved, origin)))
+
+
+@pytest.mark.parametrize(
+    ("offset_ns", "tolerance_ns", "verdict"),
+    [
+        (3e7, 5_000_000, "cannot tell"),
+        (0.0, 5_000_000, "cannot tell"),
+        (3e7, 500_000_000, "in step"),
+        (1e9, 5_000_000, "off"),
+        (-1e9, 5_000_000, "off"),
+        (1e9, 980_000_000, "cannot tell"),
+    ],
+)
+@pytest.mark.few(3)
+def test_in_step_and_off_need_the_whole_interval_and_what_is_neither_has_a_limit(
+    coarse, offset_ns, tolerance_ns, verdict
+):
+    _, found = compared(shifted(coarse, offset_ns), "groundTruth", tolerance_ns=tolerance_ns)
+    assert found.verdict == verdict
+    # fixes of 0.4 m know the offset to some 15 ms, the antenna being unknown: 30 ms are within the uncertainty
+    assert 5e6 < found.offset_sigma_ns < 3e7
+    # eight parts less two parameters are six degrees of freedom
+    expected = t.interval(0.99, 6, found.offset_ns, found.offset_sigma_ns)
+    np.testing.assert_allclose(found.interval_ns, expected, rtol=1e-6)
+    assert found.interval_ns[0] < offset_ns < found.interval_ns[1]
+    assert found.limit_ns >= np.abs(found.interval_ns).max()
+    said = f"cannot tell, up to {found.limit_ns / 1e6:.1f} ms" if verdict == "cannot tell" else verdict
+    assert found.summary == said
+
+
+def test_an_offset_that_grows_beyond_the_tolerance_is_off_though_it_is_none_in_the_middle(sway, timestamps):
+    at, rates, posed, rotations = pair(sway, timestamps, offset=-0.004, skew=200.0)
+    found = estimate(at, rates, posed, rotations)
+    # 40 s at 200 ppm are 4 ms at either end
+    assert abs(found.offset_ns) < 5e5
+    verdicts = {
+        tolerance_ns: comparison.compare_rotations(
+            Orientations.of_rates(at, rates), Orientations.of_poses(posed, rotations), tolerance_ns=tolerance_ns
+        ).verdict
+        for tolerance_ns in (2_000_000, 4_000_000, 8_000_000)
+    }
+    assert list(verdicts.values()) == ["off", "cannot tell", "in step"]
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])

@@ -19,11 +19,6 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @click.argument("path", type=options.location)
 @options.output("The map: .las, .laz, .ply, .pcd or .sfs.", required=False)
 @option("--voxel=M", "Keep one point per cube of M metres. [default: all]", options.positive)
-@option(
-    "--blend=nearest|best|weighted",
-    "The pixel nearest to an image's centre; the most trusted colour, interpolated between pixels; or the mean of "
-    "those that agree with it. [default: weighted]",
-)
 @option("--no-exposure", "Do not correct differences in exposure between images.")
 @option("--remove-moving", "Remove points that other rays pass through, or in moving boxes.")
 @option("--only-coloured", "Remove points that no image shows.")

@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # the pipeline takes seconds to import, and `--help` needs no
 @options.trajectory(options.STATIONARY)
 @option(
     "--algorithm=NAME|FILE.py:FUNCTION",
-    "`projection`: colours of nearest pixels; `blending`: of all images, by weight; one that a package brings, "
+    "`projection`: colours of nearest pixels; `blending`: means of all images; one that a package brings, "
     "or a function of a Python file, which is executed. [default: projection]",
 )
 @option("--depth=DIR", "Folder for depth images.", options.target, group="output")

@@ -12,14 +12,7 @@ if TYPE_CHECKING:
         ViewRequest,
         fuse_by_projection,
     )
-    from sceneloom.colouring.blending import (
-        NO_CAMERA,
-        BlendSettings,
-        PointSources,
-        blend_colours,
-        colour_points,
-        estimate_normals,
-    )
+    from sceneloom.colouring.blending import NO_CAMERA, PointSources, blend_colours, colour_points
     from sceneloom.colouring.cuboid_projection import (
         PointCounts,
         count_points,
@@ -39,7 +32,7 @@ else:
         __name__,
         {
             "algorithms": "ALGORITHMS ColouredPoints FusionAlgorithm ViewRequest fuse_by_projection",
-            "blending": "NO_CAMERA BlendSettings PointSources blend_colours colour_points estimate_normals",
+            "blending": "NO_CAMERA PointSources blend_colours colour_points",
             "cuboid_projection": "PointCounts count_points observe_cuboids project_cuboids with_activations "
             "with_counts with_labeled_points",
             "depth_completion": "METHODS DenseDepth complete_depth",
@@ -51,9 +44,9 @@ else:
     )
 
 __all__ = [
-    "ALGORITHMS", "METHODS", "NO_CAMERA", "BlendSettings", "ColouredPoints", "DenseDepth", "ExposureGains",
+    "ALGORITHMS", "METHODS", "NO_CAMERA", "ColouredPoints", "DenseDepth", "ExposureGains",
     "ExposureLinks", "FusedFrame", "FusedView", "FusionAlgorithm", "LidarTrajectory", "PointCounts", "PointSources",
     "PointVisibility", "ShutterDirection", "ViewRequest", "VisibilitySettings", "blend_colours", "colour_points",
-    "complete_depth", "count_points", "estimate_normals", "find_visible", "fuse_by_projection", "observe_cuboids",
+    "complete_depth", "count_points", "find_visible", "fuse_by_projection", "observe_cuboids",
     "project_cuboids", "with_activations", "with_counts", "with_labeled_points",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ from numba import boolean, void
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import PointsInImage, intrinsics_vector, projection_kernel
-from sceneloom.colouring.blending import blend_colours, colour_points, estimate_normals
+from sceneloom.colouring.blending import blend_colours, colour_points
 from sceneloom.colouring.results import FusedView, LidarTrajectory
 from sceneloom.colouring.rolling_shutter import ShutterDirection, project_by_lines
 from sceneloom.colouring.visibility import Looks, VisibilitySettings, find_visible
@@ -231,17 +231,13 @@ def fuse_by_blending(
     *,
     trajectory: LidarTrajectory | None = None,
 ) -> ColouredPoints:
-    """As `fuse_by_projection`, but with the weighted mean of the colours of all images that show a point.
+    """As `fuse_by_projection`, but with the mean of the colours of all images that show a point.
 
     Points count as measured with the images.
     """
     views = _views(points_world, requests, visibility, trajectory)
     indices = [request.camera_index for request in requests]
-    normals = None
-    if views:
-        eyes = [request.world_from_camera.translation for request in requests]
-        normals = estimate_normals(points_world, np.mean(eyes, axis=0))
-    blended = blend_colours(points_world, views, indices, normals_world=normals)
+    blended = blend_colours(points_world, views, indices)
     return ColouredPoints(views, blended.colors, blended.sources.camera_index)
 
 

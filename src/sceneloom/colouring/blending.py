@@ -1,13 +1,11 @@
-"""Colours of a cloud from all images that show it, nearest or blended by weight; surface normals; colour sources."""
+"""Colours of a cloud from all images that show it, of nearest pixels or blended; where they come from."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import isfinite, radians
 
 import numpy as np
-from numba import boolean, float32, float64, int64, uint8, void
+from numba import float64, int64, uint8, void
 
 from sceneloom.arrays import (
     AnyArray,
@@ -23,20 +21,9 @@ from sceneloom.arrays import (
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import OptionError
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.projection import BLOCK, sample_between_pixels
-from sceneloom.kernels.signatures import (
-    IN_BOOL_1D,
-    IN_F32_1D,
-    IN_F32_2D,
-    IN_F64_1D,
-    IN_F64_2D,
-    IN_I32_1D,
-    IN_I64_1D,
-    IN_U8_3D,
-    part,
-)
+from sceneloom.kernels.projection import BLOCK, sample_footprints
+from sceneloom.kernels.signatures import IN_BOOL_1D, IN_F32_2D, IN_I32_1D, IN_I64_1D, IN_U8_3D, part
 from sceneloom.kernels.thread_pool import Phase, ThreadPool
-from sceneloom.kernels.voxels import number_cubes
 
 NO_CAMERA = 255
 """In `camera_index`: no image shows the point; its colour is then 255, 255, 255."""
@@ -91,7 +78,7 @@ def _check_indices(views: Sequence[FusedView], camera_indices: Sequence[int]) ->
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointSources:
-    """For each point the image whose colour counts most.
+    """For each point the image whose colour counts most, of equal ones the first.
 
     Attributes:
         camera_index: (N,) uint8, the camera among the scene's, 255 for none.
@@ -120,164 +107,33 @@ class PointSources:
         )
 
 
-_NEAR_SIDE, _NEAR = 0.4, 12.0
-"""Up to this distance from the sensor cubes have the smallest side [m]; it doubles with the distance, as gaps do."""
+_EVEN_SECONDS = 0.05
+"""Time between a point and an image at which its weight is half [s]: what is measured within half a sweep of 0.1 s
+counts as simultaneous; later, colours are wrong by what moves meanwhile and by what the poses are wrong by."""
 
-_LEVELS = 4
-_FEWEST = 5
-
-_FLAT, _LINE = 0.1, 0.02
-"""Of the eigenvalues of a plane's spread, the least is at most the first share of the middle one; and the middle one
-at least the second share of the greatest, or else the points are on a line, as those of one scan line are."""
+_BEAM = 3e-3
+"""Width of a lidar's beam [rad]. Source: Velodyne VLS-128 manual, table F-1: 3.0 by 1.5 mrad."""
 
 
-def estimate_normals(points_world: Float64Array, eye_world: Float64Array) -> Float32Array:
-    """Estimate the surface normal at each point, of either sign.
+def view_weights(view: FusedView, timestamps_ns: Int64Array | None = None) -> Float32Array:
+    """Weights of the points in an image, (M,) float32: 1 / (1 + (time apart / 0.05 s)²); 0 for hidden points.
 
     Args:
-        points_world: (N, 3) float64 [m].
-        eye_world: (3,) float64 [m], approximate position of the sensor.
-
-    Returns:
-        (N, 3) float32 unit vectors; 0 where the points around one make no plane.
-    """
-    check_array("points_world", points_world, (None, 3), np.float64)
-    points = np.ascontiguousarray(points_world)
-    normals = np.zeros((len(points), 3), np.float32)
-    distances = np.linalg.norm(points - eye_world, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        levels = np.clip(np.ceil(np.log2(distances / _NEAR)), 0, _LEVELS - 1)
-    for level in range(_LEVELS):
-        rows = np.flatnonzero(levels == level)
-        if len(rows):
-            numbers = np.empty(len(rows), np.int64)
-            count = number_cubes(points[rows], _NEAR_SIDE * 2.0**level, numbers)
-            # a point in no cube has the number -1, the last row
-            of_cubes = np.zeros((count + 1, 3), np.float32)
-            if count:
-                found, flat = _planes(points[rows], numbers, count)
-                of_cubes[:count][flat] = found[flat]
-            normals[rows] = of_cubes[numbers]
-    return normals
-
-
-def _planes(points_world: Float64Array, numbers: Int64Array, count: int) -> tuple[Float64Array, BoolArray]:
-    """The axis of the least spread in each cube, (count, 3), and whether it is that of a plane."""
-    rows = np.flatnonzero(numbers >= 0)
-    inside, cubes = points_world[rows], numbers[rows]
-    held = np.bincount(cubes, minlength=count)
-    means = np.stack([np.bincount(cubes, inside[:, k], count) for k in range(3)], axis=1) / held[:, None]
-    apart = inside - means[cubes]
-    spread = np.empty((count, 3, 3))
-    for a in range(3):
-        for b in range(a, 3):
-            spread[:, a, b] = spread[:, b, a] = np.bincount(cubes, apart[:, a] * apart[:, b], count)
-    values, axes = np.linalg.eigh(spread)
-    flat = (held >= _FEWEST) & (values[:, 0] <= _FLAT * values[:, 1]) & (values[:, 1] >= _LINE * values[:, 2])
-    return axes[:, :, 0], flat
-
-
-_OUTLINE_CELL_DEG = 0.25  # points beside an outline: their gap in the image is a few scan lines at most
-
-_SURFACE_DISTANCE = 1.2
-"""Nearly all surfaces pass the camera at this distance or more [m]: roads at the height of the camera."""
-
-_REACH_CELLS = 2.0
-_OUTLINE_STEP = 0.3  # least step in depth [m]
-_MODES = ("best", "weighted")
-
-_WEIGHTS = ("even_distance", "even_seconds", "border_share", "border_least", "least_cosine", "outline_factor")
-"""Fields of `BlendSettings` in the order of `weigh_samples`."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BlendSettings:
-    """How the colours of several images are combined.
-
-    A point falls beside its true position in the image by noise of the lidar, which does not depend on the distance,
-    and by angles of mountings, whose effect does. Both are equal at `even_distance`: 3 cm and a tenth of a degree meet
-    at 17 m. With time colours are wrong by what moves meanwhile, the ego trajectory included.
-
-    Attributes:
-        mode: "best", the colour with the greatest weight, or "weighted", the mean of all that agree with it.
-        even_distance: where a weight is half of what it is nearby [m].
-        even_seconds: time between point and image at which it is half [s].
-        border_share: width of the image border in which weights fall, as a share of its shorter side.
-        border_least: factor of a weight at the very border.
-        least_cosine: factor of a weight where a surface is seen at grazing angle.
-        outline_factor: factor of a weight beside the outline of something nearer or farther, to which a pixel's colour
-            may belong.
-        agreement: colours that differ from the best one by more levels in a channel are left out of the mean: one of
-            them is of another surface.
-
-    Raises:
-        OptionError: a number is out of bounds, or the mode is none of these.
-    """
-
-    mode: str = "weighted"
-    even_distance: float = 20.0
-    even_seconds: float = 0.05
-    border_share: float = 0.08
-    border_least: float = 0.05
-    least_cosine: float = 0.1
-    outline_factor: float = 0.1
-    agreement: float = 32.0
-
-    def __post_init__(self) -> None:
-        if self.mode not in _MODES:
-            raise OptionError(f"mode {self.mode!r}; expected one of {', '.join(_MODES)}")
-        for name in ("even_distance", "even_seconds", "agreement"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise OptionError(f"{name} {value}; expected a finite number above 0")
-        for name in ("border_share", "border_least", "least_cosine", "outline_factor"):
-            value = getattr(self, name)
-            if not 0 < value <= 1:
-                raise OptionError(f"{name} {value}; expected more than 0 and at most 1")
-
-
-def view_weights(
-    points_world: Float64Array,
-    view: FusedView,
-    settings: BlendSettings,
-    *,
-    normals_world: Float32Array | None = None,
-    timestamps_ns: Int64Array | None = None,
-) -> Float32Array:
-    """Weights of the colours of the points in an image.
-
-    Args:
-        points_world: (N, 3) float64 [m], contiguous.
         view: the points in the image.
-        settings: of the weights.
-        normals_world: (N, 3) float32 unit vectors, 0 where unknown; None: of no point.
-        timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the image.
-
-    Returns:
-        (M,) float32, one for each of `view.point_ids`; 0 for points that are not visible.
+        timestamps_ns: (N,) int64 [ns], when each point of the cloud was measured; None: with the image.
     """
-    weights = np.empty(len(view.point_ids), np.float32)
-    weigh_samples(
-        points_world, view.point_ids, view.pixels, view.visible, near_outlines(view),
-        np.zeros((0, 3), np.float32) if normals_world is None else normals_world,
-        np.zeros(0, np.int64) if timestamps_ns is None else timestamps_ns,
-        view.world_from_camera.matrix, view.camera.width, view.camera.height, view.timestamp_ns,
-        np.array([getattr(settings, name) for name in _WEIGHTS]), weights,
-    )  # fmt: skip
-    return weights
+    if timestamps_ns is None:
+        return view.visible.astype(np.float32)
+    apart = (timestamps_ns[view.point_ids] - view.timestamp_ns) * (1e-9 / _EVEN_SECONDS)
+    return np.where(view.visible, 1.0 / (1.0 + apart * apart), 0.0).astype(np.float32)
 
 
-def near_outlines(view: FusedView) -> BoolArray:
-    """Which points of an image are beside an outline of something nearer or farther, (M,) bool."""
-    found = np.empty(len(view.point_ids), np.bool_)
-    focal_px = max(min(view.camera.fx, view.camera.fy), 1.0)
-    cell_px = max(radians(_OUTLINE_CELL_DEG) * focal_px, 2.0)
-    slope = _REACH_CELLS * cell_px / focal_px / _SURFACE_DISTANCE
-    mark_outlines(
-        view.pixels, view.depths, view.visible, view.camera.width, view.camera.height, cell_px, slope, _OUTLINE_STEP,
-        found,
-    )  # fmt: skip
-    return found
+def sample_view(view: FusedView, pixels: Float32Array) -> Float32Array:
+    """Colours at pixels (K, 2) of a view's image, each the mean over the footprint of a beam, (K, 3) float32."""
+    colors = np.empty((len(pixels), 3), np.float32)
+    width_px = max(_BEAM * min(view.camera.fx, view.camera.fy), 1.0)
+    sample_footprints(np.ascontiguousarray(pixels), np.ascontiguousarray(view.rgb), width_px, colors)
+    return colors
 
 
 _Gains = Mapping[int, Float64Array]
@@ -304,19 +160,17 @@ def blend_colours(
     views: Sequence[FusedView],
     camera_indices: Sequence[int],
     *,
-    settings: BlendSettings | None = None,
-    normals_world: Float32Array | None = None,
     timestamps_ns: Int64Array | None = None,
     gains: _Gains = _NO_GAINS,
 ) -> BlendedPoints:
-    """Give each point the best, or the weighted mean, of the colours that images interpolate between their pixels.
+    """Give each point the mean of the colours of all images that show it, those near to its time counting most.
+
+    In an image, the colour of a point is the mean over the footprint of the lidar's beam.
 
     Args:
         points_world: (N, 3) float64 [m].
-        views: the cloud in each image.
+        views: the cloud in each image, of one moment or of several.
         camera_indices: of the camera of each view, 0 to 254.
-        settings: mode and weights; None for the usual ones.
-        normals_world: (N, 3) float32 unit vectors, 0 where unknown; None: the camera's axis is used for all of them.
         timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the images.
         gains: factors of the colours of each camera's image.
 
@@ -325,35 +179,24 @@ def blend_colours(
         OptionError: the indices are not as many as the views, or out of range.
     """
     count = check_array("points_world", points_world, (None, 3), np.float64)
-    check_array("normals_world", normals_world, (count, 3), np.float32, optional=True)
     check_array("timestamps_ns", timestamps_ns, (count,), np.int64, optional=True)
     _check_indices(views, camera_indices)
-    chosen, points = settings or BlendSettings(), np.ascontiguousarray(points_world)
-    best, sources = np.full((count, 3), 255, np.float32), PointSources.none(count)
-    found = []
+    sums, total, sources = np.zeros((count, 3), np.float32), np.zeros(count, np.float32), PointSources.none(count)
     for view, index in zip(views, camera_indices, strict=True):
-        weights = view_weights(points, view, chosen, normals_world=normals_world, timestamps_ns=timestamps_ns)
-        rows = np.flatnonzero(weights > 0)
-        ids, weights, pixels = view.point_ids[rows], weights[rows], np.ascontiguousarray(view.pixels[rows])
-        colors = np.empty((len(rows), 3), np.float32)
-        sample_between_pixels(pixels, np.ascontiguousarray(view.rgb), colors)
+        rows = np.flatnonzero(view.visible)
+        ids, pixels, weights = view.point_ids[rows], view.pixels[rows], view_weights(view, timestamps_ns)[rows]
+        sampled = sample_view(view, pixels)
         if index in gains:
-            colors *= gains[index].astype(np.float32)
-        found.append((ids, weights, colors))
+            sampled *= gains[index].astype(np.float32)
+        sums[ids] += weights[:, None] * sampled
+        total[ids] += weights
         better = weights > sources.weights[ids]
         ids = ids[better]
-        best[ids], sources.weights[ids], sources.pixels[ids] = colors[better], weights[better], pixels[better]
+        sources.weights[ids], sources.pixels[ids] = weights[better], pixels[better]
         sources.camera_index[ids], sources.images_ns[ids] = index, view.timestamp_ns
-    if chosen.mode == "weighted" and len(views) > 1:
-        sums, total = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
-        for ids, weights, colors in found:
-            # colours of another surface than the best one's would be ghosts
-            agrees = (np.abs(colors - best[ids]) <= chosen.agreement).all(axis=1)
-            sums[ids[agrees]] += weights[agrees, None] * colors[agrees]
-            total[ids[agrees]] += weights[agrees]
-        seen = total > 0
-        best[seen] = sums[seen] / total[seen, None]
-    return BlendedPoints(np.rint(np.clip(best, 0.0, 255.0)).astype(np.uint8), sources)
+    colors, seen = np.full((count, 3), 255, np.uint8), total > 0
+    colors[seen] = np.rint(np.clip(sums[seen] / total[seen, None], 0.0, 255.0))
+    return BlendedPoints(colors, sources)
 
 
 _GREEN, _BLUE = np.uint64(1), np.uint64(2)
@@ -437,101 +280,3 @@ def paint_points(
         if eccentricities.shape[0] > 0:
             _choose(ids, flat_pixels[2 * start : 2 * stop], width, height, eccentricities, block)
         _paint_block(block, ids, flat_rgb, camera, flat_colors, camera_index)
-
-
-_LEAST_DEPTH = np.float32(0.05)
-"""Points beside or behind the camera, which wide camera models show, too, have no inverse depth to compare [m]."""
-
-
-@kernel(void(IN_F32_2D, IN_F32_1D, IN_BOOL_1D, int64, int64, float64, float64, float64, boolean[::1]))
-def mark_outlines(
-    pixels: Float32Array, depths: Float32Array, visible: BoolArray, width: int, height: int, cell_px: float,
-    slope: float, margin: float, near_outline: BoolArray,
-) -> None:  # fmt: skip
-    """Mark points that have a nearer surface, or behind them a farther visible one, beside them in the image.
-
-    On one surface, the inverse depth changes by at most `slope` over the reach of three cells; `margin` [m] is what
-    counts as a step besides.
-
-    `pixels` (M, 2) [px]; `depths` (M,) [m]; points that are not in front of the camera model are never marked;
-    `visible` (M,); `width`, `height`: of the image [px]; `cell_px`: side of the cells; neighbours are looked for in
-    three by three of them; `slope` [1/m]; `margin` [m]; `near_outline` (M,), written.
-    """
-    columns, rows = int(width / cell_px) + 3, int(height / cell_px) + 3
-    nearest = np.zeros((rows, columns), np.float32)
-    farthest = np.full((rows, columns), np.float32(np.inf))
-    locations = np.empty((pixels.shape[0], 2), np.int32)
-    for i in range(pixels.shape[0]):
-        column = min(max(int((pixels[i, 0] + 0.5) / cell_px), 0), columns - 3) + 1
-        row = min(max(int((pixels[i, 1] + 0.5) / cell_px), 0), rows - 3) + 1
-        locations[i, 0], locations[i, 1] = column, row
-        if not depths[i] > _LEAST_DEPTH:
-            continue
-        inverse = float32(1.0) / depths[i]
-        nearest[row, column] = max(nearest[row, column], inverse)
-        if visible[i]:
-            farthest[row, column] = min(farthest[row, column], inverse)
-    for i in range(pixels.shape[0]):
-        near_outline[i] = False
-        if not depths[i] > _LEAST_DEPTH:
-            continue
-        inverse = float32(1.0) / depths[i]
-        step = slope + margin * inverse * inverse
-        high, low = inverse, inverse
-        for row in range(locations[i, 1] - 1, locations[i, 1] + 2):
-            for column in range(locations[i, 0] - 1, locations[i, 0] + 2):
-                high = max(high, nearest[row, column])
-                low = min(low, farthest[row, column])
-        near_outline[i] = (high - inverse > step) | (inverse - low > step)
-
-
-@kernel(void(
-    IN_F64_2D, IN_I64_1D, IN_F32_2D, IN_BOOL_1D, IN_BOOL_1D, IN_F32_2D, IN_I64_1D, IN_F64_2D, int64, int64, int64,
-    IN_F64_1D, float32[::1]
-))  # fmt: skip
-def weigh_samples(
-    points_world: Float64Array, point_ids: Int64Array, pixels: Float32Array, visible: BoolArray,
-    near_outline: BoolArray, normals_world: Float32Array, times_ns: Int64Array, world_from_camera: Float64Array,
-    width: int, height: int, image_ns: int, numbers: Float64Array, weights: Float32Array,
-) -> None:  # fmt: skip
-    """The weight of the colour of each point in an image, 0 for points that are not visible.
-
-    The weight is the product of five: the cosine between the line of sight and the surface's normal, or the camera's
-    axis where none is known; 1 / (1 + (distance / d)²); 1 / (1 + (time apart / t)²); a ramp from the image's border
-    inwards; and a factor for points beside an outline.
-
-    Args:
-        points_world: (N, 3) [m].
-        point_ids: (M,), rows of `points_world`, `normals_world` and `times_ns`.
-        pixels: (M, 2) [px].
-        visible, near_outline: (M,).
-        normals_world: (N, 3) unit vectors, 0 where not known; or (0, 3).
-        times_ns: (N,) [ns]; or (0,).
-        world_from_camera: (3, 4) or (4, 4).
-        width, height: of the image [px].
-        image_ns: its time [ns].
-        numbers: d [m], t [s], width of the ramp as a share of the image's shorter side, least factor of the border,
-            least cosine, factor beside an outline.
-        weights: (M,), written.
-    """
-    ramp_px = max(numbers[2] * min(width, height), 1e-6)
-    for i in range(point_ids.shape[0]):
-        if not visible[i]:
-            weights[i] = 0.0
-            continue
-        k = point_ids[i]
-        x = points_world[k, 0] - world_from_camera[0, 3]
-        y = points_world[k, 1] - world_from_camera[1, 3]
-        z = points_world[k, 2] - world_from_camera[2, 3]
-        distance = max(math.sqrt(x * x + y * y + z * z), 1e-9)
-        nx, ny, nz = 0.0, 0.0, 0.0
-        if normals_world.shape[0] > 0:
-            nx, ny, nz = normals_world[k, 0], normals_world[k, 1], normals_world[k, 2]
-        if nx == 0.0 and ny == 0.0 and nz == 0.0:
-            nx, ny, nz = world_from_camera[0, 2], world_from_camera[1, 2], world_from_camera[2, 2]
-        cosine = max(abs(nx * x + ny * y + nz * z) / distance, numbers[4])
-        apart = (times_ns[k] - image_ns) * 1e-9 if times_ns.shape[0] > 0 else 0.0
-        border_px = min(pixels[i, 0], width - 1 - pixels[i, 0], pixels[i, 1], height - 1 - pixels[i, 1])
-        border = min(max((border_px + 0.5) / ramp_px, numbers[3]), 1.0)
-        weight = cosine * border / (1.0 + (distance / numbers[0]) ** 2) / (1.0 + (apart / numbers[1]) ** 2)
-        weights[i] = weight * (numbers[5] if near_outline[i] else 1.0)

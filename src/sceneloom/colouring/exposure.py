@@ -19,14 +19,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import float32, void
+from numba import boolean, float32, float64, int64, void
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
-from sceneloom.colouring.blending import near_outlines
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from sceneloom.colouring.blending import sample_view
 from sceneloom.colouring.results import FusedView
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.projection import sample_between_pixels
-from sceneloom.kernels.signatures import IN_F32_2D, IN_U8_3D
+from sceneloom.kernels.signatures import IN_BOOL_1D, IN_F32_1D, IN_F32_2D, IN_U8_3D
 
 _CUBE = 0.15  # side of the cubes by which positions are found again in other sweeps [m]
 _DARKEST, _LIGHTEST = 16.0, 240.0  # levels beyond these are clipped, or nearly, in this image or its neighbours
@@ -44,6 +43,26 @@ _UNCHANGED = 3.0  # the weak pull towards no change, as a factor's logarithm, fo
 _ROUNDS, _ROBUST = 6, 3.0
 _MOST_SEAM_PAIRS = 500  # pairs of colours kept of each pair of cameras in each sweep, to judge the result by
 _Node = tuple[int, int]  # an image: index of the camera, and time [ns]
+_OUTLINE_CELL_DEG = 0.25  # points beside an outline: their gap in the image is a few scan lines at most
+
+_SURFACE_DISTANCE = 1.2
+"""Nearly all surfaces pass the camera at this distance or more [m]: roads at the height of the camera."""
+
+_REACH_CELLS = 2.0
+_OUTLINE_STEP = 0.3  # least step in depth [m]
+
+
+def _near_outlines(view: FusedView) -> BoolArray:
+    """Which points of an image are beside an outline of something nearer or farther, (M,) bool."""
+    found = np.empty(len(view.point_ids), np.bool_)
+    focal_px = max(min(view.camera.fx, view.camera.fy), 1.0)
+    cell_px = max(math.radians(_OUTLINE_CELL_DEG) * focal_px, 2.0)
+    slope = _REACH_CELLS * cell_px / focal_px / _SURFACE_DISTANCE
+    mark_outlines(
+        view.pixels, view.depths, view.visible, view.camera.width, view.camera.height, cell_px, slope, _OUTLINE_STEP,
+        found,
+    )  # fmt: skip
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,14 +79,13 @@ class _SurfaceSamples:
         u, v = view.pixels.T
         inside = (u >= _BORDER_PX) & (u <= view.camera.width - 1 - _BORDER_PX)
         inside &= (v >= _BORDER_PX) & (v <= view.camera.height - 1 - _BORDER_PX)
-        rows = np.flatnonzero(view.visible & inside & (view.depths < _FARTHEST) & ~near_outlines(view))
+        rows = np.flatnonzero(view.visible & inside & (view.depths < _FARTHEST) & ~_near_outlines(view))
         pixels = np.ascontiguousarray(view.pixels[rows])
         rgb, contrasts = np.ascontiguousarray(view.rgb), np.empty(len(rows), np.float32)
         measure_contrasts(pixels, rgb, contrasts)
         plain = contrasts <= _PLAIN
-        rows, pixels = rows[plain], np.ascontiguousarray(pixels[plain])
-        colors = np.empty((len(rows), 3), np.float32)
-        sample_between_pixels(pixels, rgb, colors)
+        rows, pixels = rows[plain], pixels[plain]
+        colors = sample_view(view, pixels)
         unclipped = ((colors >= _DARKEST) & (colors <= _LIGHTEST)).all(axis=1)
         rows, colors = rows[unclipped], colors[unclipped]
         ids = view.point_ids[rows]
@@ -278,3 +296,49 @@ def measure_contrasts(pixels: Float32Array, rgb: UInt8Array, contrasts: Float32A
                 low, high = min(low, value), max(high, value)
             greatest = max(greatest, high - low)
         contrasts[i] = greatest
+
+
+_LEAST_DEPTH = np.float32(0.05)
+"""Points beside or behind the camera, which wide camera models show, too, have no inverse depth to compare [m]."""
+
+
+@kernel(void(IN_F32_2D, IN_F32_1D, IN_BOOL_1D, int64, int64, float64, float64, float64, boolean[::1]))
+def mark_outlines(
+    pixels: Float32Array, depths: Float32Array, visible: BoolArray, width: int, height: int, cell_px: float,
+    slope: float, margin: float, near_outline: BoolArray,
+) -> None:  # fmt: skip
+    """Mark points that have a nearer surface, or behind them a farther visible one, beside them in the image.
+
+    On one surface, the inverse depth changes by at most `slope` over the reach of three cells; `margin` [m] is what
+    counts as a step besides.
+
+    `pixels` (M, 2) [px]; `depths` (M,) [m]; points that are not in front of the camera model are never marked;
+    `visible` (M,); `width`, `height`: of the image [px]; `cell_px`: side of the cells; neighbours are looked for in
+    three by three of them; `slope` [1/m]; `margin` [m]; `near_outline` (M,), written.
+    """
+    columns, rows = int(width / cell_px) + 3, int(height / cell_px) + 3
+    nearest = np.zeros((rows, columns), np.float32)
+    farthest = np.full((rows, columns), np.float32(np.inf))
+    locations = np.empty((pixels.shape[0], 2), np.int32)
+    for i in range(pixels.shape[0]):
+        column = min(max(int((pixels[i, 0] + 0.5) / cell_px), 0), columns - 3) + 1
+        row = min(max(int((pixels[i, 1] + 0.5) / cell_px), 0), rows - 3) + 1
+        locations[i, 0], locations[i, 1] = column, row
+        if not depths[i] > _LEAST_DEPTH:
+            continue
+        inverse = float32(1.0) / depths[i]
+        nearest[row, column] = max(nearest[row, column], inverse)
+        if visible[i]:
+            farthest[row, column] = min(farthest[row, column], inverse)
+    for i in range(pixels.shape[0]):
+        near_outline[i] = False
+        if not depths[i] > _LEAST_DEPTH:
+            continue
+        inverse = float32(1.0) / depths[i]
+        step = slope + margin * inverse * inverse
+        high, low = inverse, inverse
+        for row in range(locations[i, 1] - 1, locations[i, 1] + 2):
+            for column in range(locations[i, 0] - 1, locations[i, 0] + 2):
+                high = max(high, nearest[row, column])
+                low = min(low, farthest[row, column])
+        near_outline[i] = (high - inverse > step) | (inverse - low > step)

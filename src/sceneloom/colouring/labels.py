@@ -1,7 +1,7 @@
 """Labels of images transferred to the visible points, and labels of points into images.
 
 Labels are never mixed: a point takes that of its nearest pixel, several images vote, and of equally many votes those
-count more whose images show the point better. In an image, the nearest visible point of a pixel counts.
+count more whose images are nearer in time. In an image, the nearest visible point of a pixel counts.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from numba import float32, int64, types, uint16, void
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt16Array, check_array
-from sceneloom.colouring.blending import BlendSettings, view_weights
+from sceneloom.colouring.blending import view_weights
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import ArrayError, OptionError
 from sceneloom.kernels.cache import kernel
@@ -27,7 +27,6 @@ def paint_labels(
     views: Sequence[FusedView],
     label_images: Sequence[UInt16Array | None],
     *,
-    settings: BlendSettings | None = None,
     timestamps_ns: Int64Array | None = None,
 ) -> UInt16Array:
     """Give each point the label at its nearest pixel in most of the images that show it.
@@ -36,7 +35,6 @@ def paint_labels(
         points_world: (N, 3) float64 [m].
         views: the cloud in each image.
         label_images: (H, W) uint16 for each view, in the size of its image; None where there is none.
-        settings: the weights that decide between equally many votes; None for the usual ones.
         timestamps_ns: (N,) int64 [ns], when each point was measured; None: with the images.
 
     Returns:
@@ -48,13 +46,12 @@ def paint_labels(
     count = check_array("points_world", points_world, (None, 3), np.float64)
     if len(views) != len(label_images):
         raise ArrayError(f"{len(label_images)} label images for {len(views)} views; expected one each, or None")
-    points, chosen = np.ascontiguousarray(points_world), settings or BlendSettings()
     reported = [pair for pair in zip(views, label_images, strict=True) if pair[1] is not None]
     votes = np.full((len(reported), count), NO_LABEL, np.uint16)
     trust = np.zeros((len(reported), count), np.float32)
     for k, (view, image) in enumerate(reported):
         check_array("label_image", image, (view.camera.height, view.camera.width), np.uint16)
-        weights = view_weights(points, view, chosen, timestamps_ns=timestamps_ns)
+        weights = view_weights(view, timestamps_ns)
         take_labels(view.point_ids, view.pixels, weights, np.ascontiguousarray(image), votes[k], trust[k])
     labels = np.full(count, NO_LABEL, np.uint16)
     count_votes(votes, trust, NO_LABEL, labels)

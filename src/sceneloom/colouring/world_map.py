@@ -30,19 +30,18 @@ _VOTE = np.dtype([("cube", "i8"), ("label", "u2"), ("count", "u4")])  # how many
 _NO_LABEL = 65535
 
 
-def _cells_of(points: AnyArray, cubes: Int64Array, *, agreement: float) -> AnyArray:
+def _cells_of(points: AnyArray, cubes: Int64Array) -> AnyArray:
     """A cell for each cube that points (N,) of dtype `_POINT` fall into, (C,) ascending by `cube`."""
     cells = np.zeros(len(points), _CELL)
     cells["cube"], cells["count"], cells["best"] = cubes, 1, points
     for name in ("position", "weight", "intensity"):
         cells[name] = points[name]
     cells["color"] = points["color"] * points["weight"][:, None]
-    return _merged([cells], agreement=agreement)
+    return _merged([cells])
 
 
-def _merged(parts: Iterable[AnyArray], *, agreement: float) -> AnyArray:
+def _merged(parts: Iterable[AnyArray]) -> AnyArray:
     """Join cells of the same cubes, (C,) ascending by `cube`."""
-    # mean colours hold only those parts whose mean is within `agreement` levels of the best colour of the cube
     cells = np.concatenate([*parts])
     if not len(cells):
         return cells
@@ -54,12 +53,8 @@ def _merged(parts: Iterable[AnyArray], *, agreement: float) -> AnyArray:
     weights = cells["best"]["weight"]
     rows = np.flatnonzero(weights == np.maximum.reduceat(weights, starts)[group])
     joined = cells[rows[np.unique(group[rows], return_index=True)[1]]]
-    means = cells["color"] / np.maximum(cells["weight"], np.float32(1e-20))[:, None]
-    agrees = (np.abs(means - joined["best"]["color"][group]) <= agreement).all(axis=1)
-    for name in ("count", "position", "intensity"):
+    for name in ("count", "position", "color", "weight", "intensity"):
         joined[name] = np.add.reduceat(cells[name], starts, axis=0)
-    joined["weight"] = np.add.reduceat(np.where(agrees, cells["weight"], np.float32(0)), starts)
-    joined["color"] = np.add.reduceat(np.where(agrees[:, None], cells["color"], np.float32(0)), starts, axis=0)
     return joined
 
 
@@ -84,14 +79,13 @@ def _added_votes(parts: Iterable[AnyArray]) -> AnyArray:
     return added
 
 
-def _points_of_cells(cells: AnyArray, votes: AnyArray, *, mean: bool) -> AnyArray:
-    """One point for each cell: at the mean position, with the mean or the best colour and the label with most votes."""
+def _points_of_cells(cells: AnyArray, votes: AnyArray) -> AnyArray:
+    """One point for each cell: at the mean position, with the mean colour and the label with most votes."""
     points: Any = cells["best"].copy()
     points["position"] = cells["position"] / cells["count"][:, None]
     points["intensity"] = cells["intensity"] / cells["count"]
-    if mean:
-        seen = cells["weight"] > 0
-        points["color"][seen] = cells["color"][seen] / cells["weight"][seen, None]
+    seen = cells["weight"] > 0
+    points["color"][seen] = cells["color"][seen] / cells["weight"][seen, None]
     points["label"] = _NO_LABEL
     if len(votes):
         # of equally many the smaller number
@@ -114,7 +108,6 @@ _ROOM_SHARE = 0.75  # share that is left in memory once tiles are moved to the d
 _HEIGHT_CUBES = 1 << 24
 _FARTHEST_TILE = 1 << 30
 _BOUNDS = np.array([64.0 * _HEIGHT_CUBES, 64.0 * _HEIGHT_CUBES, 0.5 * _HEIGHT_CUBES])
-_AGREEMENT = 40.0  # colours that differ by more levels from the best one of their cube are left out of its mean
 Tile = tuple[int, int]
 
 
@@ -141,7 +134,6 @@ class WorldMap:
     Attributes:
         voxel: side of the cubes [m].
         folder: an empty folder for tiles that do not fit into the memory.
-        mean: whether a cube's colour is the mean of its points' by weight, or that with the greatest weight.
         most_cells: largest number of cubes in memory.
         added: number of points so far.
 
@@ -151,7 +143,6 @@ class WorldMap:
 
     voxel: float
     folder: Path
-    mean: bool = True
     most_cells: int = _MOST_CELLS
     added: int = 0
     _tiles: OrderedDict[Tile, _Tile] = field(default_factory=OrderedDict)
@@ -197,8 +188,8 @@ class WorldMap:
             cubes = np.floor(points["position"] / self.voxel).astype(np.int64)
             columns = (cubes[:, 0] % TILE_CUBES) * TILE_CUBES + cubes[:, 1] % TILE_CUBES
             cubes = columns * _HEIGHT_CUBES + (cubes[:, 2] + _HEIGHT_CUBES // 2)
-            made = _cells_of(points, cubes, agreement=_AGREEMENT)
-            tile.cells = _merged([tile.cells, made], agreement=_AGREEMENT)
+            made = _cells_of(points, cubes)
+            tile.cells = _merged([tile.cells, made])
             tile.votes = _added_votes([tile.votes, _votes_of(points, cubes)])
             tile.known = len(tile.cells)
         self._size += tile.size - before
@@ -229,7 +220,7 @@ class WorldMap:
             for what in ("cells", "votes"):
                 self._file(key, what).unlink(missing_ok=True)
             if tile.cells is not None and len(tile.cells):
-                yield _points_of_cells(tile.cells, tile.votes, mean=self.mean)
+                yield _points_of_cells(tile.cells, tile.votes)
 
 
 def empty_points(count: int) -> AnyArray:

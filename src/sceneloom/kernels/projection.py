@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import float32, int32, int64, void
+from numba import float32, float64, int32, int64, void
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int32Array, Int64Array, UInt8Array
 from sceneloom.kernels.cache import kernel
@@ -239,20 +239,26 @@ def draw_depths(
     thread_pool.share(Phase(len(depth_image), draw))
 
 
-@kernel(void(IN_F32_2D, IN_U8_3D, float32[:, ::1]))
-def sample_between_pixels(pixels: Float32Array, rgb: UInt8Array, colors: Float32Array) -> None:
-    """Sample colours bilinearly; beyond the outer pixels' centres these hold.
+@kernel(void(IN_F32_2D, IN_U8_3D, float64, float32[:, ::1]))
+def sample_footprints(pixels: Float32Array, rgb: UInt8Array, width_px: float, colors: Float32Array) -> None:
+    """Average colours over squares around positions; pixels count by the share of them that a square covers.
 
-    `pixels` (M, 2) [px], finite; `rgb` (H, W, 3); `colors` (M, 3), written, 0 to 255.
+    A square of one pixel is bilinear interpolation. What is outside of the image does not count.
+
+    `pixels` (M, 2) [px], finite, in the image; `rgb` (H, W, 3); `width_px`: side of the squares, at least 1; `colors`
+    (M, 3), written, 0 to 255.
     """
-    height, width = rgb.shape[0], rgb.shape[1]
+    height, width, half = rgb.shape[0], rgb.shape[1], 0.5 * width_px
     for i in range(pixels.shape[0]):
-        u = min(max(float32(pixels[i, 0]), float32(0.0)), float32(width - 1))
-        v = min(max(float32(pixels[i, 1]), float32(0.0)), float32(height - 1))
-        left, top = min(int(u), max(width - 2, 0)), min(int(v), max(height - 2, 0))
-        right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
-        a, b = u - float32(left), v - float32(top)
-        for c in range(3):
-            upper = (float32(1.0) - a) * rgb[top, left, c] + a * rgb[top, right, c]
-            lower = (float32(1.0) - a) * rgb[bottom, left, c] + a * rgb[bottom, right, c]
-            colors[i, c] = (float32(1.0) - b) * upper + b * lower
+        u, v = min(max(pixels[i, 0], -0.5), width - 0.5), min(max(pixels[i, 1], -0.5), height - 0.5)
+        first, last = max(math.floor(u - half + 0.5), 0), min(math.floor(u + half + 0.5), width - 1)
+        red, green, blue, total = 0.0, 0.0, 0.0, 0.0
+        for row in range(max(math.floor(v - half + 0.5), 0), min(math.floor(v + half + 0.5), height - 1) + 1):
+            down = min(row + 0.5, v + half) - max(row - 0.5, v - half)
+            for column in range(first, last + 1):
+                share = down * (min(column + 0.5, u + half) - max(column - 0.5, u - half))
+                red += share * rgb[row, column, 0]
+                green += share * rgb[row, column, 1]
+                blue += share * rgb[row, column, 2]
+                total += share
+        colors[i, 0], colors[i, 1], colors[i, 2] = red / total, green / total, blue / total

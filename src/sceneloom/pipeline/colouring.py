@@ -18,8 +18,8 @@ from typing import Any, BinaryIO
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array, UInt16Array, finite_rows
-from sceneloom.colouring.blending import BlendSettings, PointSources, blend_colours, estimate_normals, view_weights
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt16Array, finite_rows
+from sceneloom.colouring.blending import blend_colours
 from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
 from sceneloom.colouring.labels import LabelCanvas, paint_labels
 from sceneloom.colouring.moving_points import MovingBoxes, MovingPoints, lags_for
@@ -62,9 +62,6 @@ from sceneloom.scene.types import Identifier, Key, Progress, key_of
 from sceneloom.visualization.canvas import counting_left_out
 from sceneloom.warnings import DataWarning
 
-_BLENDS = ("nearest", "best", "weighted")
-"""How the colours of several images become one: that of the pixel nearest to an image's middle, the interpolated one
-with the largest weight, or the weighted mean of all that agree with it."""
 _SCENE_SUFFIX = ".sfs"
 
 
@@ -73,7 +70,6 @@ class ColourSettings:
     """How a drive is coloured.
 
     Attributes:
-        blend: one of `_BLENDS`.
         exposure: whether differences in exposure are compensated.
         voxel: side of the cubes of which the map keeps one point each [m]; None: it keeps all points.
         remove_moving: whether points on moving objects are left out.
@@ -87,7 +83,6 @@ class ColourSettings:
         OptionError: a value is not one that can be followed.
     """
 
-    blend: str = "weighted"
     exposure: bool = True
     voxel: float | None = None
     remove_moving: bool = False
@@ -98,8 +93,6 @@ class ColourSettings:
     threads: int = 1
 
     def __post_init__(self) -> None:
-        if self.blend not in _BLENDS:
-            raise OptionError(f"blend {self.blend!r}; expected one of {', '.join(_BLENDS)}")
         if self.voxel is not None and not (isfinite(self.voxel) and 0.001 <= self.voxel <= 1000):
             raise OptionError(f"voxel {self.voxel}; expected 0.001 to 1000 m")
         if not 0 <= self.label_radius_px <= 100:
@@ -192,7 +185,6 @@ class ColourReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         output: the map written, or None.
         trajectory: name of the ego trajectory that the map stands on, or None where the scene's own poses were used.
-        blend: how the colours of several images became one.
         frames: sweeps that were read.
         unfused: why the others are not, with counts.
         skipped: sweeps and images that could not be read, one line each.
@@ -209,7 +201,6 @@ class ColourReport(msgspec.Struct, frozen=True, kw_only=True):
     source: str
     output: str | None
     trajectory: str | None
-    blend: str
     frames: int
     fused: int
     unfused: dict[str, int]
@@ -380,7 +371,6 @@ class _SweepColouring:
     """Colours sweeps; the numbers of images are those in the cameras of the scene as read."""
 
     scene: Scene
-    blend: str
     gains: ExposureGains | None = None
     labels: _LabelFolder | None = None
     _cameras: dict[Identifier, tuple[int, CameraSensor]] = field(default_factory=dict)
@@ -404,20 +394,8 @@ class _SweepColouring:
         times = frame.points.timestamps_ns
         indices = [self._cameras[view.camera_id][0] for view in frame.views]
         gains = {} if self.gains is None else self.gains.for_views(frame.views, indices)
-        if self.blend == "nearest":
-            colors, sources = _nearest(frame, indices, gains, points_world)
-        else:
-            eyes = [view.world_from_camera.translation for view in frame.views]
-            blended = blend_colours(
-                points_world,
-                frame.views,
-                indices,
-                settings=BlendSettings(mode=self.blend),
-                normals_world=estimate_normals(points_world, np.mean(eyes, axis=0)) if eyes else None,
-                timestamps_ns=times,
-                gains=gains,
-            )
-            colors, sources = blended.colors, blended.sources
+        blended = blend_colours(points_world, frame.views, indices, timestamps_ns=times, gains=gains)
+        colors, sources = blended.colors, blended.sources
         points = empty_points(len(points_world))
         points["position"] = points_world
         points["color"], points["weight"] = colors, sources.weights
@@ -442,26 +420,6 @@ class _SweepColouring:
             kept = number, labels.image(camera, number, (view.camera.width, view.camera.height))
             self._images[view.camera_id] = kept
         return kept[1]
-
-
-def _nearest(
-    frame: FusedFrame, indices: Sequence[int], gains: Mapping[int, Float64Array], points_world: Float64Array
-) -> tuple[UInt8Array, PointSources]:
-    """The colours that the fusion gave, with their provenance."""
-    sources = PointSources.none(len(frame.points))
-    if frame.points.colors is None or frame.points.camera_index is None:
-        return np.full((len(frame.points), 3), 255, np.uint8), sources
-    colors, chosen = frame.points.colors.copy(), frame.points.camera_index
-    sources.camera_index[:] = chosen
-    for view, index in zip(frame.views, indices, strict=True):
-        rows = np.flatnonzero(chosen[view.point_ids] == index)
-        ids = view.point_ids[rows]
-        weights = view_weights(points_world, view, BlendSettings(), timestamps_ns=frame.points.timestamps_ns)
-        sources.images_ns[ids], sources.pixels[ids] = view.timestamp_ns, view.pixels[rows]
-        sources.weights[ids] = weights[rows]
-        if index in gains:
-            colors[ids] = np.rint(np.clip(colors[ids] * gains[index], 0, 255)).astype(np.uint8)
-    return colors, sources
 
 
 _CANVASES = 2  # images of a camera that are drawn at once: sweeps of several lidars may meet them alternately
@@ -756,7 +714,7 @@ def _open_map(
     cubes = None
     if settings.voxel is not None:
         (rest / "tiles").mkdir()
-        cubes = WorldMap(settings.voxel, rest / "tiles", mean=settings.blend == "weighted")
+        cubes = WorldMap(settings.voxel, rest / "tiles")
     if target.suffix.lower() != _SCENE_SUFFIX:
         return _MapSink(stack.enter_context(open_cloud_writer(target, overwrite=overwrite)), columns, cubes)
     (rest / "columns").mkdir()
@@ -935,7 +893,7 @@ def colour(
     with telling(job.skips), counting_left_out() as left, ExitStack() as stack:
         labels = None if chosen.labels is None else _LabelFolder.of(chosen.labels, scene.cameras)
         gains = job.compare_exposures() if chosen.exposure and len(scene.cameras) else None
-        colouring = _SweepColouring(scene, chosen.blend, gains, labels)
+        colouring = _SweepColouring(scene, gains, labels)
         sinks = _open_sinks(aligned, wanted, chosen, colouring, stack)
         job.run(colouring, sinks)
         for sink in sinks.values():
@@ -947,7 +905,6 @@ def colour(
         source=scene.source,
         output=None if wanted.map is None else str(wanted.map),
         trajectory=aligned.trajectory,
-        blend=chosen.blend,
         skipped=job.skips.reasons,
         coloured_percent=percent(job.coloured, job.statistics.points),
         removed_in_boxes=job.removed_in_boxes,

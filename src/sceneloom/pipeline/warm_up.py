@@ -35,10 +35,8 @@ _DEPTH = _of(
     "widen_samples fill_down fill_across measure_slopes hilbert_codes look_up",
 )
 _COLOUR = (
-    *_of("colouring.blending", "weigh_samples mark_outlines"),
-    *_of("colouring.exposure", "measure_contrasts"),
-    *_of("kernels.projection", "sample_between_pixels"),
-    *_of("kernels.voxels", "number_cubes"),
+    *_of("colouring.exposure", "mark_outlines measure_contrasts"),
+    *_of("kernels.projection", "sample_footprints"),
 )
 _CASTING = _of("simulate.casting", "_paint_rays _trace_rays")
 _CALIBRATION = (

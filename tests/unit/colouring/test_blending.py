@@ -1,14 +1,16 @@
-"""Colours and labels of several images become one, by weight and votes; normals of one sweep."""
+"""Colours and labels of several images become one, as means and by votes."""
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring import BlendSettings, ExposureLinks, VisibilitySettings, blend_colours, estimate_normals
+from sceneloom.colouring import ExposureLinks, VisibilitySettings, blend_colours
 from sceneloom.colouring.algorithms import view_points
-from sceneloom.colouring.blending import NO_IMAGE_NS, colour_points, near_outlines, view_weights
+from sceneloom.colouring.blending import NO_IMAGE_NS, colour_points
+from sceneloom.colouring.exposure import _near_outlines
 from sceneloom.colouring.labels import NO_LABEL, LabelCanvas, paint_labels
 from sceneloom.colouring.results import FusedView
 from sceneloom.errors import ArrayError, OptionError
@@ -19,7 +21,6 @@ from sceneloom.simulate import CameraSpec, ExposureSpec, LidarSpec, camera_mount
 
 CAMERA = Camera("pinhole", 101, 81, 100.0, 100.0, 50.0, 40.0)
 PLAIN = VisibilitySettings(enabled=False)
-BEST = BlendSettings(mode="best")
 
 
 def image(level):
@@ -31,12 +32,12 @@ def view(points, rgb, *, x=0.0, camera_id="a", timestamp_ns=0, camera=CAMERA):
     return view_points(points, camera, pose, rgb, camera_id=camera_id, timestamp_ns=timestamp_ns, visibility=PLAIN)
 
 
-def test_colours_are_taken_between_the_pixels_points_that_no_image_shows_stay_white_and_odd_settings_are_refused():
+def test_colours_are_means_over_a_beam_and_points_that_no_image_shows_stay_white():
     rgb = np.random.default_rng(0).integers(0, 255, (81, 101, 3)).astype(np.uint8)
     u, v = np.array([10.25, 50.0, 99.9]), np.array([20.75, 40.5, 3.1])
     points = np.stack([(u - 50) / 100 * 5, (v - 40) / 100 * 5, np.full(3, 5.0)], axis=1)
-    blended = blend_colours(points, [view(points, rgb)], [0], settings=BEST)
-    # A slow answer: the four pixels around, weighted by the areas opposite to them.
+    blended = blend_colours(points, [view(points, rgb)], [0])
+    # 3 mrad are less than a pixel. A slow answer: the four pixels around, weighted by the areas opposite to them.
     column, row = np.floor([u, v]).astype(int)
     wanted = sum(
         (abs(1 - du - (u - column)) * abs(1 - dv - (v - row)))[:, None] * rgb[row + dv, column + du]
@@ -44,6 +45,17 @@ def test_colours_are_taken_between_the_pixels_points_that_no_image_shows_stay_wh
         for du in (0, 1)
     )
     np.testing.assert_allclose(blended.colors, wanted, atol=0.51)  # rounding to levels
+    # 3 mrad of 1000 px are three pixels around a pixel's centre: OpenCV's box
+    sharp = Camera("pinhole", 101, 81, 1000.0, 1000.0, 50.0, 40.0)
+    columns, rows = np.array([7, 50, 93, 50]), np.array([60, 40, 2, 79])
+    points = np.stack([(columns - 50) / 1000 * 5, (rows - 40) / 1000 * 5, np.full(4, 5.0)], axis=1)
+    blended = blend_colours(points, [view(points, rgb, camera=sharp)], [0])
+    boxed = cv2.blur(rgb.astype(np.float32), (3, 3))
+    np.testing.assert_allclose(blended.colors, boxed[rows, columns], atol=0.52)
+    # at the corner, of the pixels that there are
+    corner = np.array([[-50 / 1000 * 5, -40 / 1000 * 5, 5.0]])
+    blended = blend_colours(corner, [view(corner, rgb, camera=sharp)], [0])
+    np.testing.assert_allclose(blended.colors[0], rgb[:2, :2].mean(axis=(0, 1)), atol=0.52)
     points = np.array([[0.0, 0.0, -5.0], [np.nan, 0.0, 1.0]])
     blended = blend_colours(points, [view(points, image(10))], [0])
     assert (blended.colors == 255).all()
@@ -51,52 +63,41 @@ def test_colours_are_taken_between_the_pixels_points_that_no_image_shows_stay_wh
     assert (blended.sources.images_ns == NO_IMAGE_NS).all()
     assert np.isnan(blended.sources.pixels).all()
     assert blend_colours(points, [], []).colors.shape == (2, 3)
-    for wrong in [{"mode": "mean"}, {"even_distance": 0.0}, {"border_share": 2.0}]:
-        with pytest.raises(OptionError, match=next(iter(wrong))):
-            BlendSettings(**wrong)
 
 
-def test_the_best_colour_is_that_of_the_image_that_faces_the_surface_at_the_time_and_gains_multiply_it():
-    points = np.array([[2.4, 0.0, 5.0]])  # 98 px: at the border of the first, 49 px from the axis of the second
+def test_images_count_by_their_nearness_in_time_and_gains_multiply_their_colours():
+    points = np.array([[2.4, 0.0, 5.0]])
     views = [view(points, image(10)), view(points, image(200), x=1.2, camera_id="b", timestamp_ns=7)]
-    blended = blend_colours(points, views, [3, 5], settings=BEST)
-    sources = blended.sources
+    blended = blend_colours(points, views, [3, 5])
+    sources = blended.sources  # of equal ones the first
     assert (blended.colors.tolist(), sources.camera_index.tolist(), sources.images_ns.tolist()) == (
-        [[200, 200, 200]], [5], [7]
+        [[105] * 3], [3], [0]
     )  # fmt: skip
-    np.testing.assert_allclose(sources.pixels, [[74.0, 40.0]], atol=1e-4)
+    np.testing.assert_allclose(sources.pixels, [[98.0, 40.0]], atol=1e-4)
+    # 50 ms away an image counts half, 0.15 s away a tenth: (40 + 0.5 * 100 + 0.1 * 240) / 1.6
     points = np.array([[0.0, 0.0, 5.0]])
-    near = [view(points, image(100)), view(points, image(110), camera_id="b")]
-    far = view(points, image(250), camera_id="c", x=0.5)
-    assert blend_colours(points, near, [0, 1]).colors.tolist() == [[105, 105, 105]]
-    assert blend_colours(points, [*near, far], [0, 1, 2]).colors.tolist() == [[105, 105, 105]]
-    points, times = np.array([[0.0, 0.0, 5.0]]), np.array([0])
-    views = [view(points, image(10), timestamp_ns=200_000_000), view(points, image(200), camera_id="b")]
-    assert blend_colours(points, views, [0, 1], timestamps_ns=times, settings=BEST).colors.tolist() == [[200] * 3]
-    points = np.array([[1.0, 0.0, 5.0]])
-    along = np.array([[0.98058, 0.0, -0.19612]], np.float32)  # at a right angle to the first line of sight
-    views = [view(points, image(10)), view(points, image(200), x=3.0, camera_id="b")]
-    for normals, level in ((along, 200), (None, 10)):
-        blended = blend_colours(points, views, [0, 1], normals_world=normals, settings=BEST)
-        assert blended.colors.tolist() == [[level] * 3]
-    points = np.array([[0.0, 0.0, 5.0]])
+    views = [
+        view(points, image(level), timestamp_ns=time_ns)
+        for level, time_ns in ((100, 50_000_000), (40, 0), (240, -150_000_000))
+    ]
+    blended = blend_colours(points, views, [0, 1, 2], timestamps_ns=np.array([0]))
+    assert blended.colors.tolist() == [[71] * 3]
+    assert (blended.sources.camera_index.tolist(), blended.sources.weights.tolist()) == ([1], [1.0])
     blended = blend_colours(points, [view(points, image(100))], [4], gains={4: np.array([0.5, 1.0, 3.0])})
     assert blended.colors.tolist() == [[50, 100, 255]]
 
 
-def test_points_beside_an_outline_are_trusted_less_but_a_road_at_a_grazing_angle_is_none():
+def test_points_beside_an_outline_are_known_and_a_road_at_a_grazing_angle_is_none():
     u = np.arange(20, 81, 2.0)
     z = np.where(u < 50, 5.0, 12.0)  # a wall that ends before a farther one
     points = np.stack([(u - 50) / 100 * z, np.zeros(len(u)), z], axis=1)
     seen = view(points, image(100))
-    beside = near_outlines(seen)
+    beside = _near_outlines(seen)
     assert beside[np.abs(u - 49) < 2].all()
     assert not beside[np.abs(u - 50) > 8].any()
-    weights = view_weights(points, seen, BlendSettings(even_distance=1e6))
-    assert weights[14] < 0.2 * weights[0]
     z, x = (axis.ravel() for axis in np.meshgrid(np.linspace(5, 60, 60), np.linspace(-2, 2, 9)))
     points = np.stack([x, np.full(len(z), 1.6), z], axis=1)
-    assert not near_outlines(view(points, image(100))).any()
+    assert not _near_outlines(view(points, image(100))).any()
 
 
 def make_view(point_ids, pixels, rgb, visible=None):
@@ -168,22 +169,6 @@ def test_points_have_the_colour_of_the_image_that_shows_them_most_centrally():
     for indices in [[], [0, 1], [255], [-1]]:
         with pytest.raises(OptionError, match="ind"):
             colour_points(1, [make_view([0], [(0, 0)], plain(0))], indices)
-
-
-def test_planes_have_normals_near_and_far_lines_and_single_points_none():
-    random, normal = np.random.default_rng(1), np.array([0.36, 0.48, 0.8])
-    axes = np.linalg.svd(normal[None])[2][1:]
-    for distance in (5.0, 40.0):
-        flat = random.uniform(-2, 2, (4000, 2)) @ axes + distance * normal
-        found = estimate_normals(flat + 0.01 * random.normal(size=flat.shape), np.zeros(3))
-        known = np.linalg.norm(found, axis=1) > 0
-        assert known.mean() > 0.7
-        # noise of 1 cm over cubes of 0.4 m and more rotates a plane by a few degrees
-        assert np.median(np.abs(found[known] @ normal)) > np.cos(np.radians(4))
-    line = np.column_stack([np.linspace(0, 0.3, 50), np.zeros(50), np.full(50, 5.0)])
-    alone = np.array([[30.0, 0.0, 0.0], [np.nan, 0.0, 0.0]])
-    assert (estimate_normals(np.concatenate([line, alone]), np.zeros(3)) == 0).all()
-    assert estimate_normals(np.zeros((0, 3)), np.zeros(3)).shape == (0, 3)
 
 
 FRAMES = 6

@@ -67,7 +67,7 @@ def test_each_cube_gives_one_point_with_the_means_of_its_points(tmp_path, most_c
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_map_does_not_depend_on_tiles_on_the_disk_and_takes_the_best_colour_or_the_mean_of_like_ones(tmp_path):
+def test_the_map_does_not_depend_on_tiles_on_the_disk_and_points_without_colour_count_for_none(tmp_path):
     (tmp_path / "much").mkdir()
     world = WorldMap(VOXEL, tmp_path, most_cells=5_000)
     for points in drive():
@@ -76,15 +76,6 @@ def test_the_map_does_not_depend_on_tiles_on_the_disk_and_takes_the_best_colour_
     assert len(list(tmp_path.iterdir())) > 5
     little = np.concatenate(list(world.points()))
     assert little.tobytes() == gathered(drive(), tmp_path / "much").tobytes()
-    for weights, reds, mean, expected in [
-        ([0.2, 0.9, 0.5], [10, 20, 30], False, 20),
-        ([0.9, 0.8, 0.5], [200, 20, 190], True, (0.9 * 200 + 0.5 * 190) / 1.4),  # one that disagrees makes no ghost
-    ]:
-        points = empty_points(3)
-        points["position"] = 0.1
-        points["weight"], points["color"] = weights, np.array(reds)[:, None]
-        (point,) = gathered([points[:2], points[2:]], tmp_path, mean=mean)
-        np.testing.assert_allclose(point["color"], expected, rtol=1e-5)
     points = empty_points(3)
     points["position"] = [[0.1, 0.1, 0.1], [0.2, 0.2, 0.2], [5.0, 5.0, 5.0]]
     points["weight"][0], points["color"][0], points["camera"][0] = 0.4, 50, 2

@@ -153,9 +153,9 @@ def ouster_metadata(path: Path, *, profile="RNG15_RFL8_NIR8", rows=4, columns=64
     return path
 
 
-def ouster(columns, words, *, frame=1, session=5, first_ns=10**12, size=4, valid=True):
+def ouster(columns, words, *, frame=1, session=5, first_ns=10**12, step_ns=100_000, size=4, valid=True):
     """A packet of any profile but the legacy one: words (W, H, size) uint8 are the pixels as they are sent."""
     content = struct.pack("<HH", 1, frame) + session.to_bytes(3, "little") + bytes(25)
     for k, number in enumerate(columns):
-        content += struct.pack("<QHH", first_ns + 100_000 * int(number), number, valid) + words[k, :, :size].tobytes()
+        content += struct.pack("<QHH", first_ns + step_ns * int(number), number, valid) + words[k, :, :size].tobytes()
     return content + bytes(32)

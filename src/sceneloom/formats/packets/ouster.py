@@ -368,7 +368,7 @@ class OusterDecoder:
 
 
 def session_of(packets: UInt8Array, metadata: OusterMetadata) -> int:
-    """The number of the sensor's initialisation that the first of packets, (P, L) uint8, states; 0 where it does not."""
+    """The number of the sensor's start that the first of packets, (P, L) uint8, states; 0 where there is none."""
     if metadata.profile == "LEGACY" or metadata.header == _FUSA_HEADER:
         return 0
     return (

@@ -121,15 +121,19 @@ class _Capture:
 
     def _others(self) -> Iterator[tuple[_Stream, PacketDecoder]]:
         """Streams of lidars whose packets say which model they are of, and what decodes them."""
-        states = self._taken(lambda one: robosense.is_state(one.packets(1)))
+        states = {}
+        for stream in self.left:
+            packets = stream.packets(_SAMPLE)
+            for packet in packets[robosense.states(packets)][:1]:
+                states.setdefault(stream.host, packet)
+        self._taken(lambda one: bool(robosense.states(one.packets(_SAMPLE)).all()))
         for maker in _MAKERS:
             for stream in self._taken(lambda one, maker=maker: maker.recognise(one.packets(_SAMPLE)) is not None):  # type: ignore[misc]
                 key = maker.recognise(stream.packets(_SAMPLE)) or ""
                 if self.options.model in maker.MODELS:
                     key = self.options.model
-                state = next((one.packets(1)[0] for one in states if one.host == stream.host), None)
                 try:
-                    yield stream, maker.decoder_of(key, self._angles(stream), state)
+                    yield stream, maker.decoder_of(key, self._angles(stream), states.get(stream.host))
                 except DataError as error:
                     self.ledger.fault("lidar-unreadable", error)
 

@@ -135,9 +135,11 @@ def _big_endian(digits: UInt8Array) -> Int64Array:
     return found
 
 
-def is_state(packets: UInt8Array) -> bool:
-    """Whether packets, (P, L) uint8, are DIFOP packets."""
-    return packets.shape[1] == LENGTH and bool((packets[:, : len(_DIFOP)] == tuple(_DIFOP)).all())
+def states(packets: UInt8Array) -> BoolArray:
+    """Which of packets, (P, L) uint8, are DIFOP packets."""
+    if packets.shape[1] != LENGTH:
+        return np.zeros(len(packets), np.bool_)
+    return np.asarray((packets[:, : len(_DIFOP)] == tuple(_DIFOP)).all(axis=1), np.bool_)
 
 
 def recognise(packets: UInt8Array) -> str | None:

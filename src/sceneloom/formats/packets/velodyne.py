@@ -219,7 +219,7 @@ class VelodyneDecoder:
         _, tilt, distance_all, distance_x, distance_y, aside, above = chosen.T
         cosine, sine = turn[0][kept].astype(np.float64), turn[1][kept].astype(np.float64)
         distance = distances[kept] + distance_all
-        level = distance * np.cos(tilt) - above * np.sin(tilt)
+        level = distance * np.cos(tilt)
         # of the two-point correction: between walls at 2.4 m and 1.93 m, and one at 25.04 m
         right, ahead = np.abs(level * sine - aside * cosine), np.abs(level * cosine + aside * sine)
         two_points = (distance_x != 0) | (distance_y != 0)
@@ -230,11 +230,7 @@ class VelodyneDecoder:
             two_points, (distance_all - distance_y) * (ahead - 1.93) / 23.11 + distance_y - distance_all, 0
         )
         level_x, level_y = level + more_x * np.cos(tilt), level + more_y * np.cos(tilt)
-        found = (
-            level_y * cosine + aside * sine,
-            level_x * sine - aside * cosine,
-            (distance + more_y) * np.sin(tilt) + above * np.cos(tilt),
-        )
+        found = (level_y * cosine + aside * sine, level_x * sine - aside * cosine, distance * np.sin(tilt) + above)
         return np.stack(found, axis=1).astype(np.float32)
 
 

@@ -12,7 +12,7 @@ START_NS = 1_700_000_000_000_000_000
 def frames_of(payload, *, sender="192.168.1.201", port=2368, vlan=(), mtu=0, number=1, ipv6=False):
     """The Ethernet frames of one datagram: several where it is longer than `mtu`."""
     udp = struct.pack(">4H", port, port, len(payload) + 8, 0) + payload
-    step = len(udp) if not mtu else mtu
+    step = mtu or len(udp)
     frames = []
     for start in range(0, len(udp), step):
         part, more = udp[start : start + step], start + step < len(udp)
@@ -113,7 +113,9 @@ def at_correction(starts, azimuths, elevations, azimuth_steps, elevation_steps):
 
 def robosense(azimuths, distances, intensities, *, time_us, seconds=1_700_000_000):
     """An MSOP packet: 12 blocks of 32."""
-    head = b"\x55\xaa\x05\x5a" + bytes(16) + seconds.to_bytes(6, "big") + struct.pack(">I", time_us) + b"\x06" + bytes(11)
+    head = (
+        b"\x55\xaa\x05\x5a" + bytes(16) + seconds.to_bytes(6, "big") + struct.pack(">I", time_us) + b"\x06" + bytes(11)
+    )
     content = b""
     for k in range(12):
         content += b"\xff\xee" + struct.pack(">H", azimuths[k])
@@ -127,7 +129,12 @@ def robosense_state(elevations_deg, azimuths_deg):
     def angles(values):
         return b"".join(struct.pack(">BH", value < 0, round(abs(value) * 100)) for value in values).ljust(96, b"\0")
 
-    return b"\xa5\xff\x00\x5a\x11\x11\x55\x55".ljust(468, b"\0") + angles(elevations_deg) + angles(azimuths_deg) + bytes(588)
+    return (
+        b"\xa5\xff\x00\x5a\x11\x11\x55\x55".ljust(468, b"\0")
+        + angles(elevations_deg)
+        + angles(azimuths_deg)
+        + bytes(588)
+    )
 
 
 def ouster_metadata(path: Path, *, profile="RNG15_RFL8_NIR8", rows=4, columns=64, per_packet=16, **more):

@@ -85,14 +85,17 @@ def test_a_sector_without_measurements_is_none_of_missing_packets(tmp_path):
 def test_several_lidars_keep_apart_and_each_names_its_sender(tmp_path):
     records = []
     for k, packet in enumerate(rotation(30)):
-        for sender in ("192.168.1.201", "192.168.1.202"):
-            records.append((START_NS + k * PERIOD_US * 1000, *frames_of(packet, sender=sender)))
+        senders = ("192.168.1.201", "192.168.1.202")
+        records += [(START_NS + k * PERIOD_US * 1000, *frames_of(packet, sender=sender)) for sender in senders]
     records.append((START_NS, *frames_of(b"hello", port=53)))
     (tmp_path / "a.pcap").write_bytes(pcap(records))
     scene, warnings = opened(tmp_path / "a.pcap")
     assert [lidar.id for lidar in scene.sensors] == ["lidar_1", "lidar_2"]
     assert [lidar.extras["sender"] for lidar in scene.sensors] == ["192.168.1.201:2368", "192.168.1.202:2368"]
-    assert (warnings["datagrams-unknown"].count, "5 bytes to port 53" in warnings["datagrams-unknown"].message) == (1, True)
+    assert (warnings["datagrams-unknown"].count, "5 bytes to port 53" in warnings["datagrams-unknown"].message) == (
+        1,
+        True,
+    )
 
 
 def test_position_packets_become_fixes_each_sentence_once_and_only_those_that_hold(tmp_path):
@@ -128,7 +131,9 @@ def check(sentence):
 def ouster_packets(columns=64, frames=3, size=4):
     words = np.arange(16 * 4 * size, dtype=np.uint8).reshape(16, 4, size) | 1
     return [
-        build.ouster(range(start, start + 16), words, frame=frame, size=size, first_ns=10**12 + frame * 10**8, step_ns=1_562_500)
+        build.ouster(
+            range(start, start + 16), words, frame=frame, size=size, first_ns=10**12 + frame * 10**8, step_ns=1_562_500
+        )
         for frame in range(frames)
         for start in range(0, columns, 16)
     ]
@@ -181,7 +186,8 @@ def test_imu_packets_are_in_units_of_the_model_on_the_clock_of_the_lidar(tmp_pat
 def test_files_of_angles_stand_beside_the_capture_or_are_named_for_each_host(tmp_path):
     distances = np.full((4, 64), 500)
     packets = [
-        build.hesai([k * 240 + 60 * j for j in range(4)], distances, distances % 256, time_us=k * 600) for k in range(20)
+        build.hesai([k * 240 + 60 * j for j in range(4)], distances, distances % 256, time_us=k * 600)
+        for k in range(20)
     ]
     path = capture(tmp_path / "a.pcap", packets, step_ns=600_000)
     lines = "\n".join(f"{k + 1},0.0,0.0" for k in range(64))
@@ -196,7 +202,11 @@ def test_files_of_angles_stand_beside_the_capture_or_are_named_for_each_host(tmp
     (tmp_path / "b.csv").write_text("1,2,3")
     with pytest.raises(DataError, match="1 lines of elevation and azimuth; expected 64"):
         opened(path, angles=str(tmp_path / "b.csv"))
-    assert opened(path)[0].sensors[0].mount.rotation.tolist() == [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]  # x right to x ahead
+    assert opened(path)[0].sensors[0].mount.rotation.tolist() == [
+        [0, 1, 0],
+        [-1, 0, 0],
+        [0, 0, 1],
+    ]  # x right to x ahead
 
 
 def test_captures_without_lidars_and_unknown_models_are_refused_in_one_sentence(tmp_path):

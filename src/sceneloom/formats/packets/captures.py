@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from ipaddress import ip_address
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 
@@ -31,6 +31,7 @@ _ETHERNET, _RAW, _LOOPBACK, _COOKED, _COOKED2 = 1, (12, 14, 101, 228, 229), (0, 
 _IPV4, _IPV6 = b"\x08\x00", b"\x86\xdd"
 _TAGS = (b"\x81\x00", b"\x88\xa8", b"\x91\x00")
 _UDP, _FRAGMENT = 17, 44
+_IPV4_HEADER, _UDP_HEADER = struct.Struct(">BBHHHBBH").unpack_from, struct.Struct(">4H").unpack
 _REASSEMBLY_NS = 2_000_000_000
 """Fragments that are farther apart belong to two datagrams, whose numbers have come round."""
 
@@ -90,34 +91,18 @@ class Datagrams:
         return max(int(near.max(initial=0)), offset + length)
 
 
-class _Record(NamedTuple):
-    """One captured packet: its type of link, time [ns], length on the wire, offset of its bytes, and these."""
-
-    link: int
-    time_ns: int
-    length: int
-    offset: int
-    content: bytes
-
-
-class _Part(NamedTuple):
-    """A fragment: where it belongs in its datagram, where its bytes lie in the file, these, and whether it is last."""
-
-    start: int
-    offset: int
-    body: bytes
-    is_last: bool
+_Record = tuple[int, int, int, int, bytes]
+"""A captured packet: type of link, time [ns], length on the wire, offset of its bytes in the file, and these."""
 
 
 class _Pending:
-    """A datagram of which fragments are missing: what has come, by its offset in the datagram."""
+    """A datagram of which fragments are missing: those that came, by where they belong in it."""
 
-    __slots__ = ("parts", "time_ns", "total")
+    __slots__ = ("found", "head", "parts", "time_ns", "total")
 
     def __init__(self, time_ns: int) -> None:
-        self.time_ns = time_ns
-        self.parts: dict[int, _Part] = {}
-        self.total = -1
+        self.time_ns, self.found, self.total, self.head = time_ns, 0, -1, b""
+        self.parts: dict[int, tuple[int, int]] = {}
 
 
 @dataclass(slots=True)
@@ -145,64 +130,74 @@ class _Network:
     def __init__(self, path: Path, ledger: Ledger) -> None:
         self.path, self.ledger = path, ledger
         self.flows: dict[_Address, _Flow] = {}
-        self._pending: dict[bytes, _Pending] = {}
+        self._pending: dict[tuple[bytes, int], _Pending] = {}
 
     def note(self, code: str, message: str, count: int = 1) -> None:
         self.ledger.note(WarningKind.SKIPPED, code, str(self.path), message, count=count)
 
-    def take(self, record: _Record) -> None:
-        content = record.content
-        kind, at = _network_header(record.link, content)
+    def take(self, link: int, time_ns: int, length: int, offset: int, content: bytes) -> None:
+        kind, at = (content[12:14], 14) if link == _ETHERNET else (b"", 0)
+        if kind != _IPV4:
+            kind, at = _network_header(link, content)
         if kind == _IPV4 and len(content) >= at + 20:
-            header = (content[at] & 15) * 4
-            total = int.from_bytes(content[at + 2 : at + 4], "big") or record.length - at
-            fragment = int.from_bytes(content[at + 6 : at + 8], "big")
-            protocol, more, start = content[at + 9], bool(fragment & 0x2000), (fragment & 0x1FFF) * 8
-            sender, named = content[at + 12 : at + 16], content[at + 4 : at + 6] + content[at + 12 : at + 20]
+            first, _, total, name, fragment, _, protocol, _ = _IPV4_HEADER(content, at)
+            header, total = (first & 15) * 4, total or length - at
+            more, start, addresses = fragment & 0x2000, (fragment & 0x1FFF) * 8, content[at + 12 : at + 20]
+            sender = addresses[:4]
         elif kind == _IPV6 and len(content) >= at + 48:
             header, total = 40, 40 + int.from_bytes(content[at + 4 : at + 6], "big")
-            protocol, more, start, named = content[at + 6], False, 0, b""
-            sender = content[at + 8 : at + 24]
+            protocol, more, start, name, addresses = content[at + 6], 0, 0, 0, content[at + 8 : at + 40]
+            sender = addresses[:16]
             if protocol == _FRAGMENT:
-                fragment = int.from_bytes(content[at + 42 : at + 44], "big")
-                protocol, more, start, header = content[at + 40], bool(fragment & 1), fragment & 0xFFF8, 48
-                named = content[at + 44 : at + 48] + content[at + 8 : at + 40]
+                protocol, _, start, name = struct.unpack_from(">BBHI", content, at + 40)
+                more, start, header = start & 1, start & 0xFFF8, 48
         else:
             return
         if protocol != _UDP:
             return
-        if len(content) < at + total or total < header:
+        body, stop = at + header, at + total
+        if len(content) < stop or total < header:
             self.note("packets-cut", "a packet was captured in part; it is left out")
-            return
-        body = content[at + header : at + total]
-        if more or start:
-            self._take_fragment(record, named, sender, _Part(start, record.offset + at + header, body, not more))
-        elif len(body) >= 8:
-            self._add(record.time_ns, sender, body, [record.offset + at + header, len(body)])
+        elif more or start:
+            pending = self._part((addresses, name), time_ns, start, offset + body, stop - body)
+            if not start:
+                pending.head = content[body : body + 8]
+            if not more:
+                pending.total = start + stop - body
+            if pending.found == pending.total:
+                self._join(sender, self._pending.pop((addresses, name)))
+        elif total >= header + 8:
+            self._add(time_ns, sender, content[body : body + 8], [offset + body, stop - body])
 
-    def _take_fragment(self, record: _Record, named: bytes, sender: bytes, part: _Part) -> None:
-        pending = self._pending.get(named)
-        if pending is not None and record.time_ns - pending.time_ns > _REASSEMBLY_NS:
+    def _part(self, name: tuple[bytes, int], time_ns: int, start: int, offset: int, length: int) -> _Pending:
+        """Note a fragment, and give what has come of its datagram."""
+        pending = self._pending.get(name)
+        if pending is not None and time_ns - pending.time_ns > _REASSEMBLY_NS:
             self.note("fragments-missing", "fragments of a datagram are missing; it is left out")
             pending = None
         if pending is None:
-            pending = self._pending[named] = _Pending(record.time_ns)
-        pending.parts.setdefault(part.start, part)
-        pending.total = part.start + len(part.body) if part.is_last else pending.total
-        if sum(len(one.body) for one in pending.parts.values()) != pending.total:
-            return  # some are still to come
-        del self._pending[named]
+            pending = self._pending[name] = _Pending(time_ns)
+        if start not in pending.parts:
+            pending.parts[start] = (offset, length)
+            pending.found += length
+        return pending
+
+    def _join(self, sender: bytes, pending: _Pending) -> None:
         pieces: list[int] = []
-        for start, one in sorted(pending.parts.items()):
-            if start != sum(pieces[1::2]) or (not start and len(one.body) < 8):
-                self.note("fragments-missing", "fragments of a datagram do not fit together; it is left out")
-                return
-            pieces += [one.offset, len(one.body)]
-        self._add(pending.time_ns, sender, pending.parts[0].body, pieces)
+        reached = 0
+        for start, (offset, length) in sorted(pending.parts.items()):
+            if start != reached:
+                break
+            pieces += (offset, length)
+            reached += length
+        if reached != pending.total or len(pending.head) < 8:
+            self.note("fragments-missing", "fragments of a datagram do not fit together; it is left out")
+        else:
+            self._add(pending.time_ns, sender, pending.head, pieces)
 
     def _add(self, time_ns: int, sender: bytes, head: bytes, pieces: list[int]) -> None:
         """Add a datagram whose header begins the head, and whose pieces follow one another."""
-        source, port, length, _ = struct.unpack_from(">4H", head)
+        source, port, length, _ = _UDP_HEADER(head)
         available = sum(pieces[1::2])
         length = length or available  # of jumbograms it is 0
         if length == 8:
@@ -274,7 +269,7 @@ def read_datagrams(path: Path, ledger: Ledger) -> list[Datagrams]:
     with file_faults(path), open_file(path, buffering=1 << 20) as file:
         network = _Network(path, ledger)
         for record in _records(file, path, network):
-            network.take(record)
+            network.take(*record)
         return network.finish(FileIdentity.of(path, descriptor=file.fileno()))
 
 
@@ -300,7 +295,7 @@ def _pcap_records(file: BinaryIO, magic: bytes, network: _Network) -> Iterator[_
         if len(content) < captured:
             break
         offset += 16
-        yield _Record(link, seconds * 1_000_000_000 + fraction * fraction_ns, length, offset, content)
+        yield link, seconds * 1_000_000_000 + fraction * fraction_ns, length, offset, content
         offset += captured
     if head:
         network.note("capture-cut", "the capture ends within a packet")
@@ -337,7 +332,7 @@ def _pcapng_records(file: BinaryIO, network: _Network) -> Iterator[_Record]:
                 if number < len(interfaces) and captured <= len(body) - 24:
                     link, per_second, zero_ns = interfaces[number]
                     time_ns = zero_ns + (high << 32 | low) * 1_000_000_000 // per_second
-                    yield _Record(link, time_ns, original, offset + 28, body[20 : 20 + captured])
+                    yield link, time_ns, original, offset + 28, body[20 : 20 + captured]
                 else:
                     network.note("capture-damaged", "a block of a packet does not fit its interface or length")
         offset += length

@@ -18,7 +18,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Int64Array, UInt8Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import read_settings
-from sceneloom.formats.packets.sweeps import Survey, angle_table, polar_points
+from sceneloom.formats.packets.sweeps import Survey, angle_table, located, polar_points
 from sceneloom.scene.clouds import LidarPoints
 
 _START, _BLOCK_START = b"\xee\xff", b"\xff\xee"
@@ -231,44 +231,45 @@ class HesaiDecoder:
         for apart in range(1, int(returns.max(initial=1))):
             equal = (raw[:, apart:] == raw[:, :-apart]) & (intensities[:, apart:] == intensities[:, :-apart])
             kept[:, apart:] &= ~(equal & (number[:, apart:] >= apart)[:, :, None])
-        step = packets[:, 9] if model.header else np.full(len(packets), 4)
-        distances = raw * (step.astype(np.float32) * np.float32(0.001))[:, None, None]
-        elevations, azimuths = self._angles(self._azimuths(body))
-        turn = np.sin(azimuths), np.cos(azimuths)
-        positions = polar_points(kept, turn, distances * np.cos(elevations), distances * np.sin(elevations))
+        index, block, channel = located(kept)
+        unit_m = (packets[:, 9] if model.header else np.full(len(packets), 4)).astype(np.float32) * np.float32(0.001)
+        distances = raw.ravel()[index] * np.repeat(unit_m, model.blocks)[block]
+        elevations, azimuths = self._angles(self._azimuths(body).ravel(), block, channel)
+        positions = polar_points(azimuths, distances * np.cos(elevations), distances * np.sin(elevations))
         channels_ns = np.rint(np.array(model.channel_us) * 1000).astype(np.int64)
-        times_ns = (self._block_times_ns(packets) + shifts_ns[:, None])[:, :, None] + channels_ns
-        rings = np.broadcast_to(np.arange(model.channels, dtype=np.uint16), kept.shape)
+        times_ns = (self._block_times_ns(packets) + shifts_ns[:, None]).ravel()
         extras = {}
         if int(returns.max(initial=1)) > 1:
-            extras["return_number"] = np.broadcast_to(number[:, :, None] + 1, kept.shape)[kept].astype(np.uint8)
+            extras["return_number"] = (number + 1).astype(np.uint8).ravel()[block]
         return LidarPoints(
-            positions,
-            intensities[kept],
-            timestamps_ns=times_ns[kept],
-            rings=rings[kept],
+            np.ascontiguousarray(positions[:, [1, 0, 2]]),
+            intensities.ravel()[index],
+            timestamps_ns=times_ns[block] + channels_ns[channel],
+            rings=channel.astype(np.uint16),
             extras=MappingProxyType(extras),
         )
 
-    def _angles(self, azimuths: Int64Array) -> tuple[Float32Array, Float32Array]:
-        """Elevation and azimuth [rad] of each channel at azimuths of blocks, (P, B); broadcast to (P, B, C)."""
+    def _angles(
+        self, azimuths: Int64Array, block: Int64Array, channel: Int64Array
+    ) -> tuple[Float32Array, Float32Array]:
+        """Elevation and azimuth [rad], (N,), of returns by their blocks, of (P * B,) azimuths, and channels."""
         if self.correction is None:
-            elevations, offsets = np.deg2rad(self.angles_deg).T
-            turned = np.deg2rad(azimuths / 100.0)[:, :, None] + offsets
-            return elevations.astype(np.float32), turned.astype(np.float32)
-        table = self.correction
+            elevations, offsets = np.deg2rad(self.angles_deg).T.astype(np.float32)
+            return elevations[channel], np.deg2rad(azimuths / 100.0).astype(np.float32)[block] + offsets[channel]
+        table, full = self.correction, 36000 * _FINE
         side = (np.searchsorted(table.starts, azimuths, side="right") - 1) % len(table.starts)
-        at, part = np.divmod(azimuths % (36000 * _FINE), _ADJUSTED_EVERY)
-        weight = (part / _ADJUSTED_EVERY).astype(np.float32)[:, :, None]
-        adjusted = [
-            one.T[at % one.shape[1]] * (1 - weight) + one.T[(at + 1) % one.shape[1]] * weight
+        at, part = np.divmod(azimuths % full, _ADJUSTED_EVERY)
+        weight = (part / _ADJUSTED_EVERY).astype(np.float32)[block]
+        steps = table.adjustments.shape[2]
+        before, after = channel * steps + (at % steps)[block], channel * steps + ((at + 1) % steps)[block]
+        unit = np.float32(np.deg2rad(1 / (100.0 * _FINE)))
+        elevation, azimuth = (
+            (one.ravel()[before] * (1 - weight) + one.ravel()[after] * weight) * (_FINE * unit)
             for one in table.adjustments
-        ]
-        turned = (azimuths - table.starts[side])[:, :, None] * 2.0 - table.angles[:, 1] + adjusted[1] * _FINE
-        elevations = table.angles[:, 0] + adjusted[0] * _FINE
-        unit = np.deg2rad(1 / (100.0 * _FINE))
-        full = 36000.0 * _FINE
-        return (elevations * unit).astype(np.float32), (turned % full * unit).astype(np.float32)
+        )
+        fixed = (table.angles * unit).astype(np.float32)
+        turned = ((azimuths - table.starts[side]) * 2 % full * np.float64(unit)).astype(np.float32)
+        return elevation + fixed[channel, 0], azimuth + turned[block] - fixed[channel, 1]
 
 
 def _seconds(dates: UInt8Array) -> Int64Array:

@@ -20,7 +20,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.json_files import read_json
-from sceneloom.formats.packets.sweeps import Survey
+from sceneloom.formats.packets.sweeps import Survey, located
 from sceneloom.scene.clouds import LidarPoints
 from sceneloom.scene.motion import VectorSamples
 
@@ -30,68 +30,46 @@ _NO_CRC = (0, 0xDEADBEEF_0000C0DE)  # what stands instead of the checksum where 
 _FUSA_HEADER = "FUSA"
 
 _Fields = Mapping[str, tuple[str, int, int, int]]
-"""Of a profile: type of a field, its offset in a pixel, mask (0 for none), and by how much it is shifted right."""
+"""Of a profile: type of a field, its first bit in a pixel, how many it has, and by how much it is shifted left."""
 
 
-def _ranged(name: str, offset: int, bits: int, number: str = "") -> _Fields:
-    """Range, flags and reflectivity of a return: of 19 bits in mm, or of 15 in 8 mm."""
-    if bits == 15:
-        return {
-            f"RANGE{number}": ("<u4", offset, 0x7FFF, -3),
-            f"FLAGS{number}": ("u1", offset + 1, 0x80, 7),
-            f"REFLECTIVITY{number}": ("u1", offset + 2, 0, 0),
-        }
-    fields = {f"RANGE{number}": ("<u4", offset, 0x7FFFF, 0), f"FLAGS{number}": ("u1", offset + 2, 0xF8, 3)}
-    return fields if name == "apart" else {**fields, f"REFLECTIVITY{number}": ("u1", offset + 3, 0, 0)}
+def _plain(**fields: int) -> _Fields:
+    """Whole bytes, by the first one of a pixel: two of them where the name is not of a byte."""
+    return {
+        name: ("u1", 8 * at, 8, 0) if name.startswith(("REFLECTIVITY", "WINDOW")) else ("<u2", 8 * at, 16, 0)
+        for name, at in fields.items()
+    }
 
 
-def _plain(**fields: tuple[str, int]) -> _Fields:
-    return {name: (kind, offset, 0, 0) for name, (kind, offset) in fields.items()}
-
-
-_NIR8: _Fields = {"NEAR_IR": ("<u2", 2, 0xFF00, 4)}
-_SINGLE = {**_ranged("apart", 0, 19), **_plain(REFLECTIVITY=("u1", 4), SIGNAL=("<u2", 6), NEAR_IR=("<u2", 8))}
-_DUAL = {
-    **_ranged("", 0, 19), **_ranged("", 4, 19, "2"),
-    **_plain(SIGNAL=("<u2", 8), SIGNAL2=("<u2", 10), NEAR_IR=("<u2", 12)),
-}  # fmt: skip
-_LOW_DUAL = {**_ranged("", 0, 15), **_NIR8, **_ranged("", 4, 15, "2"), **_plain(WINDOW=("u1", 7))}
-_RGB = _plain(SIGNAL=("<u2", 4), NEAR_IR=("<u2", 6), R=("<u2", 8), G=("<u2", 10), B=("<u2", 12))
-_RGB2 = _plain(SIGNAL=("<u2", 8), SIGNAL2=("<u2", 10), NEAR_IR=("<u2", 12), R=("<u2", 14), G=("<u2", 16), B=("<u2", 18))
+_SHORT: _Fields = {"RANGE": ("<u4", 0, 15, 3), "FLAGS": ("u1", 15, 1, 0), **_plain(REFLECTIVITY=2)}
+_SHORT2: _Fields = {"RANGE2": ("<u4", 32, 15, 3), "FLAGS2": ("u1", 47, 1, 0), **_plain(REFLECTIVITY2=6)}
+_NIR8: _Fields = {"NEAR_IR": ("<u2", 24, 8, 4)}
+_LONG: _Fields = {"RANGE": ("<u4", 0, 19, 0), "FLAGS": ("u1", 19, 5, 0)}
+_LONG2: _Fields = {"RANGE2": ("<u4", 32, 19, 0), "FLAGS2": ("u1", 51, 5, 0), **_plain(REFLECTIVITY=3, REFLECTIVITY2=7)}
+_LOW_DUAL = {**_SHORT, **_NIR8, **_SHORT2, **_plain(WINDOW=7)}
+_SINGLE = {**_LONG, **_plain(REFLECTIVITY=4, SIGNAL=6, NEAR_IR=8)}
+_TWICE = {**_LONG, **_LONG2, **_plain(SIGNAL=8, SIGNAL2=10)}
 
 PROFILES: Mapping[str, tuple[int, _Fields]] = MappingProxyType(
     {
         "LEGACY": (
             12,
-            {
-                **_plain(REFLECTIVITY=("u1", 4), SIGNAL=("<u2", 6), NEAR_IR=("<u2", 8)),
-                "RANGE": ("<u4", 0, 0xFFFFF, 0),
-                "FLAGS": ("u1", 3, 0xF0, 4),
-            },
+            {"RANGE": ("<u4", 0, 20, 0), "FLAGS": ("u1", 28, 4, 0), **_plain(REFLECTIVITY=4, SIGNAL=6, NEAR_IR=8)},
         ),
-        "RNG15_RFL8_NIR8": (4, {**_ranged("", 0, 15), **_NIR8}),
+        "RNG15_RFL8_NIR8": (4, {**_SHORT, **_NIR8}),
         "RNG15_RFL8_NIR8_DUAL": (8, _LOW_DUAL),
         "FUSA_RNG15_RFL8_NIR8_DUAL": (8, _LOW_DUAL),
-        "RNG15_RFL8_NIR8_ZONE16": (
-            8,
-            {**_ranged("", 0, 15), **_NIR8, **_plain(ZONE_MASK=("<u2", 4), WINDOW=("u1", 6))},
-        ),
-        "RNG15_RFL8_WIN8": (4, {**_ranged("", 0, 15), **_plain(WINDOW=("u1", 3))}),
-        "RNG19_RFL8_SIG16_NIR16": (12, {**_SINGLE, **_plain(WINDOW=("u1", 11))}),
-        "RNG19_RFL8_SIG16_NIR16_DUAL": (16, {**_DUAL, **_plain(WINDOW=("u1", 15))}),
-        "RNG19_RFL8_SIG16_NIR16_ZONE16": (12, {**_SINGLE, **_plain(WINDOW=("u1", 5), ZONE_MASK=("<u2", 10))}),
-        "RNG19_RFL8_SIG16_ZONE16_DUAL": (
-            16,
-            {
-                **{name: field for name, field in _DUAL.items() if name != "NEAR_IR"},
-                **_plain(ZONE_MASK=("<u2", 12), WINDOW=("u1", 15)),
-            },
-        ),
-        "RNG19_RFL8_SIG16_NIR16_RGB16": (16, {**_ranged("", 0, 19), **_RGB}),
-        "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL": (20, {**_ranged("", 0, 19), **_ranged("", 4, 19, "2"), **_RGB2}),
-        "FIVE_WORD_PIXEL": (20, _DUAL),
+        "RNG15_RFL8_NIR8_ZONE16": (8, {**_SHORT, **_NIR8, **_plain(ZONE_MASK=4, WINDOW=6)}),
+        "RNG15_RFL8_WIN8": (4, {**_SHORT, **_plain(WINDOW=3)}),
+        "RNG19_RFL8_SIG16_NIR16": (12, {**_SINGLE, **_plain(WINDOW=11)}),
+        "RNG19_RFL8_SIG16_NIR16_DUAL": (16, {**_TWICE, **_plain(NEAR_IR=12, WINDOW=15)}),
+        "RNG19_RFL8_SIG16_NIR16_ZONE16": (12, {**_SINGLE, **_plain(WINDOW=5, ZONE_MASK=10)}),
+        "RNG19_RFL8_SIG16_ZONE16_DUAL": (16, {**_TWICE, **_plain(ZONE_MASK=12, WINDOW=15)}),
+        "RNG19_RFL8_SIG16_NIR16_RGB16": (16, {**_LONG, **_plain(REFLECTIVITY=3, SIGNAL=4, NEAR_IR=6, R=8, G=10, B=12)}),
+        "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL": (20, {**_TWICE, **_plain(NEAR_IR=12, R=14, G=16, B=18)}),
+        "FIVE_WORD_PIXEL": (20, {**_TWICE, **_plain(NEAR_IR=12)}),
     }
-)  # fmt: skip
+)
 """Bytes of a pixel and its fields, by the name of the profile."""
 
 
@@ -222,15 +200,10 @@ def _transform(numbers: Any) -> tuple[float, ...]:
 @lru_cache(maxsize=16)
 def _packet_dtype(profile: str, rows: int, columns: int) -> np.dtype[Any]:
     """The layout of a packet: header, columns with their pixels, footer."""
-    size, fields = PROFILES[profile]
-    legacy = profile == "LEGACY"
-    words = {f"RAW32_WORD{k + 1}": ("<u4", 4 * k) for k in range(size // 4)}
-    layout = {**{name: (kind, offset) for name, (kind, offset, _, _) in fields.items()}, **words}
-    pixel = _laid_out(layout, size)
+    size, legacy = PROFILES[profile][0], profile == "LEGACY"
     head = 16 if legacy else 12
-    parts: dict[str, tuple[Any, int]] = {
-        "TIMESTAMP": ("<u8", 0), "MEASUREMENT_ID": ("<u2", 8), "pixels": ((pixel, rows), head),
-    }  # fmt: skip
+    words = (("<u4", (rows, size // 4)), head)
+    parts = {"TIMESTAMP": ("<u8", 0), "MEASUREMENT_ID": ("<u2", 8), "words": words}
     if legacy:
         more = {"FRAME_ID": ("<u2", 10), "ENCODER_COUNT": ("<u4", 12), "STATUS": ("<u4", head + rows * size)}
         column = _laid_out({**parts, **more}, head + rows * size + 4)
@@ -286,7 +259,7 @@ class OusterDecoder:
         return PROFILES[self.metadata.profile][1]
 
     def columns(self, packets: UInt8Array) -> AnyArray:
-        """The columns of packets, (P, L) uint8, as (P, W) records with TIMESTAMP, MEASUREMENT_ID, STATUS, pixels."""
+        """The columns of packets, (P, L) uint8, as (P, W) records of TIMESTAMP, MEASUREMENT_ID, STATUS and words."""
         found: AnyArray = self._records(packets)["columns"]
         return found
 
@@ -296,14 +269,20 @@ class OusterDecoder:
         return found
 
     def field(self, packets: UInt8Array, name: str) -> AnyArray:
-        """A field of all pixels, by its name in `PROFILES` or `RAW32_WORD1`…, as (P, W, H) of the profile's type."""
-        raw = self.columns(packets)["pixels"][name]
-        _, _, mask, shift = self._fields.get(name, ("", 0, 0, 0))
-        if mask:
-            raw = raw & raw.dtype.type(mask)
-        if shift:
-            raw = raw >> raw.dtype.type(shift) if shift > 0 else raw << raw.dtype.type(-shift)
-        return np.asarray(raw)
+        """A field of all pixels by its name in `PROFILES`, or `RAW32_WORD1`…, as (P, W, H) of the profile's type."""
+        return self._value(self.columns(packets)["words"], name)
+
+    def _value(self, words: AnyArray, name: str) -> AnyArray:
+        """A field of pixels, (..., size // 4) uint32."""
+        if name.startswith("RAW32_WORD"):
+            return np.asarray(words[..., int(name[10:]) - 1])
+        kind, bit, bits, left = self._fields[name]
+        values = words[..., bit // 32] >> np.uint32(bit % 32)
+        if bit % 32 + bits < 32:
+            values &= np.uint32((1 << bits) - 1)
+        if left:
+            values <<= np.uint32(left)
+        return np.asarray(values.astype(kind, copy=False))
 
     def frame_numbers(self, packets: UInt8Array) -> Int64Array:
         """The sensor's number of the frame of each column, (P, W) int64."""
@@ -333,38 +312,31 @@ class OusterDecoder:
         """Decode the returns of packets, (P, L) uint8: all first returns, then all second ones of dual profiles."""
         columns, rows = self.columns(packets), self.metadata.rows
         valid = self._valid(columns) & blocks
-        numbers = columns["MEASUREMENT_ID"].astype(np.int64)
-        times_ns = columns["TIMESTAMP"].astype(np.int64) + shifts_ns[:, None]
+        beams = (columns["MEASUREMENT_ID"].astype(np.int64) * rows).ravel()
+        times_ns = (columns["TIMESTAMP"].astype(np.int64) + shifts_ns[:, None]).ravel()
         directions, origins = _directions(self.metadata)
-        second = [name for name in ("2",) if "RANGE2" in self._fields]
+        words = np.ascontiguousarray(columns["words"])
+        names = [name for name in self._fields if not name.startswith(("RANGE", "REFLECTIVITY")) and name[-1] != "2"]
         found: list[tuple[AnyArray, ...]] = []
-        shared = [name for name in self._fields if name.rstrip("2") not in ("RANGE", "REFLECTIVITY")]
-        names = [name for name in shared if not name.endswith("2")]
-        for suffix in ("", *second):
-            ranges = self.field(packets, f"RANGE{suffix}")
-            kept = np.flatnonzero((ranges > 0) & valid[:, :, None])
-            column, row = np.divmod(kept, rows)
-            beam = numbers.ravel()[column] * rows + row
-            distances = ranges.ravel()[kept].astype(np.float32) * np.float32(0.001)
+        for suffix in ("", "2") if "RANGE2" in self._fields else ("",):
+            index, column, row = located((self._value(words, f"RANGE{suffix}") > 0) & valid[:, :, None])
+            pixels = words.reshape(-1, words.shape[-1]).take(index, axis=0)
+            beam = beams[column] + row
             positions = directions.take(beam, axis=0)
-            positions *= distances[:, None]
+            positions *= (self._value(pixels, f"RANGE{suffix}").astype(np.float32) * np.float32(0.001))[:, None]
             positions += origins.take(beam, axis=0)
-            extras = [
-                self.field(packets, f"{name}{suffix}" if f"{name}{suffix}" in shared else name).ravel()[kept]
-                for name in names
-            ]
-            intensities = self.field(packets, f"REFLECTIVITY{suffix}").ravel()[kept]
-            number = np.full(len(kept), 2 if suffix else 1, np.uint8)
-            found.append((positions, intensities, times_ns.ravel()[column], row.astype(np.uint16), number, *extras))
+            own = [f"{name}{suffix}" if f"{name}{suffix}" in self._fields else name for name in names]
+            extras = [self._value(pixels, name) for name in own]
+            number = np.full(len(index), len(found) + 1, np.uint8)
+            intensities = self._value(pixels, f"REFLECTIVITY{suffix}")
+            found.append((positions, intensities, times_ns[column], row.astype(np.uint16), number, *extras))
         positions, intensities, times, rings, number, *extras = (
-            found[0] if not second else map(np.concatenate, zip(*found, strict=True))
+            found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
         )
         more = {name.lower(): values for name, values in zip(names, extras, strict=True)}
-        if second:
+        if len(found) > 1:
             more["return_number"] = number
-        return LidarPoints(
-            positions, intensities, timestamps_ns=times, rings=rings, extras=MappingProxyType(more)
-        )  # fmt: skip
+        return LidarPoints(positions, intensities, timestamps_ns=times, rings=rings, extras=MappingProxyType(more))
 
 
 def session_of(packets: UInt8Array, metadata: OusterMetadata) -> int:

@@ -121,7 +121,7 @@ class _Capture:
 
     def _others(self) -> Iterator[tuple[_Stream, PacketDecoder]]:
         """Streams of lidars whose packets say which model they are of, and what decodes them."""
-        states = {}
+        states: dict[str, UInt8Array] = {}
         for stream in self.left:
             packets = stream.packets(_SAMPLE)
             for packet in packets[robosense.states(packets)][:1]:
@@ -216,6 +216,13 @@ class _Capture:
                 where, message = f"{self.path}: {stream.datagrams.sender}", "no NMEA sentence with a valid fix"
                 self.ledger.note(WarningKind.SKIPPED, "positions-without-fix", where, message, count=len(sentences))
             else:
+                if np.isnan(sensor.positions_lla).any():
+                    where, message = (
+                        f"{self.path}: {stream.datagrams.sender}",
+                        "RMC sentences have no altitude; it is 0",
+                    )
+                    self.ledger.note(WarningKind.ASSUMED, "altitude-unknown", where, message)
+                    sensor = replace(sensor, positions_lla=np.nan_to_num(sensor.positions_lla))
                 yield sensor
 
     def _note_left(self) -> None:
@@ -232,7 +239,7 @@ class _Capture:
 def _receiver(sensor_id: str, sentences: Sequence[str], arrivals_ns: Int64Array) -> GnssSensor | None:
     """The fixes of NMEA sentences (RMC, GGA), each once; None where there is none.
 
-    Altitudes are NaN where only RMC sentences came, which have none.
+    Altitudes are NaN of RMC sentences, which have none.
     """
     fixes: dict[int, tuple[float, float, float]] = {}
     previous = ""

@@ -15,7 +15,7 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array
 from sceneloom.errors import DataError
-from sceneloom.formats.packets.sweeps import Survey, angle_table, polar_points
+from sceneloom.formats.packets.sweeps import Survey, angle_table, located, polar_points
 from sceneloom.scene.clouds import LidarPoints
 
 LENGTH = 1248
@@ -86,35 +86,27 @@ class RobosenseDecoder:
         kept = (raw > 0) & blocks[:, :, None]
         equal = (raw[:, 1:] == raw[:, :-1]) & (intensities[:, 1:] == intensities[:, :-1])
         kept[:, 1:] &= ~(equal & second[:, 1:, None])
+        index, block, channel = located(kept)
         azimuths = body["azimuth"].astype(np.int64)
-        channel_us = np.arange(32) * _CHANNEL_US
-        per_block = self._steps(azimuths, pairs)
-        turned = azimuths[:, :, None] + per_block[:, :, None] * (channel_us / _BLOCK_US)
-        lasers = np.arange(32) % _LASERS
-        elevations, offsets = np.deg2rad(self.angles_deg[lasers]).T.astype(np.float32)
-        block_angles = np.deg2rad(turned / 100.0).astype(np.float32)
-        angles = block_angles + offsets
-        distances = raw * np.float32(_STEP)
-        level = distances * np.cos(elevations)
-        positions = polar_points(kept, (np.cos(angles), np.sin(angles)), level, distances * np.sin(elevations))
-        chosen = block_angles[kept]
-        positions[:, 0] += np.float32(_RADIUS) * np.cos(chosen)
-        positions[:, 1] += np.float32(_RADIUS) * np.sin(chosen)
+        after_us, laser = channel * _CHANNEL_US, channel % _LASERS
+        turned = azimuths.ravel()[block] + self._steps(azimuths, pairs).ravel()[block] * (after_us / _BLOCK_US)
+        before = np.deg2rad(turned / 100.0).astype(np.float32)
+        elevations, offsets = np.deg2rad(self.angles_deg).T.astype(np.float32)
+        distances = raw.ravel()[index] * np.float32(_STEP)
+        level, height = distances * np.cos(elevations)[laser], distances * np.sin(elevations)[laser]
+        positions = polar_points(before + offsets[laser], level, height)
+        positions[:, 0] += np.float32(_RADIUS) * np.cos(before)
+        positions[:, 1] += np.float32(_RADIUS) * np.sin(before)
         positions[:, 1] *= -1
-        channels_ns = np.rint(channel_us * 1000).astype(np.int64)
-        times_ns = (self._block_times_ns(packets, pairs) + shifts_ns[:, None])[:, :, None] + channels_ns
+        times_ns = (self._block_times_ns(packets, pairs) + shifts_ns[:, None]).ravel()
         order = np.argsort(np.argsort(self.angles_deg[:, 0], kind="stable"), kind="stable").astype(np.uint16)
-        extras = {}
-        if pairs.any():
-            extras["return_number"] = np.broadcast_to(second[:, :, None], kept.shape)[kept].astype(np.uint8) + np.uint8(
-                1
-            )
+        numbers = second.ravel()[block].astype(np.uint8) + np.uint8(1) if pairs.any() else None
         return LidarPoints(
             positions,
-            intensities[kept],
-            timestamps_ns=times_ns[kept],
-            rings=np.broadcast_to(order[lasers], kept.shape)[kept],
-            extras=MappingProxyType(extras),
+            intensities.ravel()[index],
+            timestamps_ns=times_ns[block] + np.rint(after_us * 1000).astype(np.int64),
+            rings=order[laser],
+            extras=MappingProxyType({} if numbers is None else {"return_number": numbers}),
         )
 
     def _steps(self, azimuths: Int64Array, pairs: BoolArray) -> Int64Array:

@@ -267,19 +267,28 @@ def no_sweeps(path: object, problem: str) -> DataError:
     return DataError(path, "", f"{problem}; expected UDP packets of Ouster, Velodyne, Hesai or RoboSense lidars")
 
 
-def polar_points(kept: BoolArray, turn: tuple[AnyArray, AnyArray], level: AnyArray, height: AnyArray) -> Float32Array:
+def located(kept: BoolArray) -> tuple[Int64Array, Int64Array, Int64Array]:
+    """Where the returns that count are: numbers in the flat array, of their blocks, and of their channels, (N,) int64.
+
+    Args:
+        kept: (P, B, C) bool.
+    """
+    index = np.flatnonzero(kept)
+    blocks = np.repeat(np.arange(kept.shape[0] * kept.shape[1]), np.count_nonzero(kept, axis=2).ravel())
+    return index, blocks, index - blocks * kept.shape[2]
+
+
+def polar_points(azimuths: Float32Array, level: Float32Array, height: Float32Array) -> Float32Array:
     """Positions of returns, (N, 3) float32 [m]: x along azimuth 0, y where the azimuth grows, z up.
 
     Args:
-        kept: (P, B, C) bool, which returns count.
-        turn: cosines and sines of the azimuth, each (P, B, C).
-        level, height: distance from the axis, and above the centre, each (P, B, C) [m].
+        azimuths: (N,) [rad].
+        level, height: (N,) [m], distance from the axis, and above the centre.
     """
-    found = np.empty((int(np.count_nonzero(kept)), 3), np.float32)
-    level = level[kept]
-    for axis in range(2):
-        np.multiply(turn[axis][kept], level, out=found[:, axis])
-    found[:, 2] = height[kept]
+    found = np.empty((len(azimuths), 3), np.float32)
+    np.multiply(np.cos(azimuths), level, out=found[:, 0])
+    np.multiply(np.sin(azimuths), level, out=found[:, 1])
+    found[:, 2] = height
     return found
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import read_settings
-from sceneloom.formats.packets.sweeps import HOUR_NS, Survey, polar_points
+from sceneloom.formats.packets.sweeps import HOUR_NS, Survey, located, polar_points
 from sceneloom.scene.clouds import LidarPoints
 
 LENGTH = 1206
@@ -183,55 +183,47 @@ class VelodyneDecoder:
         second = dual[:, None] & (np.arange(12) // again % 2 == 1)
         equal = (raw[:, again:] == raw[:, :-again]) & (intensities[:, again:] == intensities[:, :-again])
         kept[:, again:] &= ~(equal & second[:, again:, None])
+        index, block, channel = located(kept)
         rate = (azimuths[:, -1] - azimuths[:, 0]) % 36000.0 / starts_us[:, -1]
-        turned_deg = (rate[:, None] * np.array(model.laser_us))[:, None] / 100.0
-        lasers = np.arange(32) % len(self._lasers)
+        after_us = np.array(model.laser_us)[channel]
+        lasers = channel % len(self._lasers)
         if self._paired:
-            lasers = np.where(body["flag"] == _LOWER, 32, 0)[:, :, None] + lasers
-        angles = np.deg2rad(azimuths / 100.0)[:, :, None] + np.deg2rad(turned_deg) - self._lasers[lasers, 0]
-        distances = raw * np.float32(model.step)
-        angles = angles.astype(np.float32)
-        turn = np.cos(angles), np.sin(angles)
+            lasers = channel + np.where(body["flag"] == _LOWER, 32, 0).ravel()[block]
+        turned = azimuths.ravel()[block] + np.repeat(rate, 12)[block] * after_us
+        angles = (np.deg2rad(turned / 100.0) - self._lasers[lasers, 0]).astype(np.float32)
+        distances = raw.ravel()[index] * np.float32(model.step)
         if self.corrections is None:
-            tilt, above = self._lasers[lasers, 1], self._lasers[lasers, 6]
-            cosine, sine = np.cos(tilt).astype(np.float32), np.sin(tilt).astype(np.float32)
-            positions = polar_points(kept, turn, distances * cosine, distances * sine + above.astype(np.float32))
+            tilt, above = self._lasers[:, 1], self._lasers[:, 6].astype(np.float32)
+            level = distances * np.cos(tilt).astype(np.float32)[lasers]
+            positions = polar_points(angles, level, distances * np.sin(tilt).astype(np.float32)[lasers] + above[lasers])
         else:
-            positions = self._corrected(kept, turn, distances, self._lasers[lasers])
+            positions = self._corrected(angles, distances, self._lasers[lasers])
         positions[:, 1] *= -1
-        times_ns = np.rint((starts_us[:, :, None] + np.array(model.laser_us)) * 1000).astype(np.int64)
-        times_ns += (records["time"].astype(np.int64) * 1000 + shifts_ns)[:, None, None]
-        numbers = np.broadcast_to(second[:, :, None], kept.shape)[kept] + np.uint8(1)
+        blocks_ns = np.rint(starts_us * 1000).astype(np.int64)
+        blocks_ns += (records["time"].astype(np.int64) * 1000 + shifts_ns)[:, None]
+        numbers = second.ravel()[block].astype(np.uint8) + np.uint8(1) if dual.any() else None
         return LidarPoints(
             positions,
-            intensities[kept],
-            timestamps_ns=times_ns[kept],
-            rings=np.broadcast_to(self._rings[lasers], kept.shape)[kept],
-            extras=MappingProxyType({"return_number": numbers.astype(np.uint8)} if dual.any() else {}),
+            intensities.ravel()[index],
+            timestamps_ns=blocks_ns.ravel()[block] + np.rint(after_us * 1000).astype(np.int64),
+            rings=self._rings[lasers],
+            extras=MappingProxyType({} if numbers is None else {"return_number": numbers}),
         )
 
-    def _corrected(
-        self, kept: BoolArray, turn: tuple[Float32Array, Float32Array], distances: Float32Array, lasers: Float64Array
-    ) -> Float32Array:
+    def _corrected(self, angles: Float32Array, distances: Float32Array, lasers: Float64Array) -> Float32Array:
         """Positions by a calibration with offsets and distances of each laser, x forward and y right."""
-        shape = (*kept.shape, len(_CORRECTIONS))
-        chosen = np.broadcast_to(lasers, shape)[kept]
-        _, tilt, distance_all, distance_x, distance_y, aside, above = chosen.T
-        cosine, sine = turn[0][kept].astype(np.float64), turn[1][kept].astype(np.float64)
-        distance = distances[kept] + distance_all
+        _, tilt, distance_all, distance_x, distance_y, aside, above = lasers.T
+        cosine, sine = np.cos(angles.astype(np.float64)), np.sin(angles.astype(np.float64))
+        distance = distances + distance_all
         level = distance * np.cos(tilt)
         # of the two-point correction: between walls at 2.4 m and 1.93 m, and one at 25.04 m
         right, ahead = np.abs(level * sine - aside * cosine), np.abs(level * cosine + aside * sine)
-        two_points = (distance_x != 0) | (distance_y != 0)
-        more_x = np.where(
-            two_points, (distance_all - distance_x) * (right - 2.4) / 22.64 + distance_x - distance_all, 0
-        )
-        more_y = np.where(
-            two_points, (distance_all - distance_y) * (ahead - 1.93) / 23.11 + distance_y - distance_all, 0
-        )
-        level_x, level_y = level + more_x * np.cos(tilt), level + more_y * np.cos(tilt)
-        found = (level_y * cosine + aside * sine, level_x * sine - aside * cosine, distance * np.sin(tilt) + above)
-        return np.stack(found, axis=1).astype(np.float32)
+        has_two = (distance_x != 0) | (distance_y != 0)
+        more_x = (distance_all - distance_x) * (right - 25.04) / 22.64 * has_two
+        more_y = (distance_all - distance_y) * (ahead - 25.04) / 23.11 * has_two
+        forward = (level + more_y * np.cos(tilt)) * cosine + aside * sine
+        sideways = (level + more_x * np.cos(tilt)) * sine - aside * cosine
+        return np.stack((forward, sideways, distance * np.sin(tilt) + above), axis=1).astype(np.float32)
 
 
 def read_corrections(path: Path) -> Float64Array:

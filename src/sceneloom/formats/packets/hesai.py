@@ -235,14 +235,15 @@ class HesaiDecoder:
         unit_m = (packets[:, 9] if model.header else np.full(len(packets), 4)).astype(np.float32) * np.float32(0.001)
         distances = raw.ravel()[index] * np.repeat(unit_m, model.blocks)[block]
         elevations, azimuths = self._angles(self._azimuths(body).ravel(), block, channel)
-        positions = polar_points(azimuths, distances * np.cos(elevations), distances * np.sin(elevations))
+        aside = np.float32(np.pi / 2) - azimuths  # from x, which is right of azimuth 0
+        positions = polar_points(aside, distances * np.cos(elevations), distances * np.sin(elevations))
         channels_ns = np.rint(np.array(model.channel_us) * 1000).astype(np.int64)
         times_ns = (self._block_times_ns(packets) + shifts_ns[:, None]).ravel()
         extras = {}
         if int(returns.max(initial=1)) > 1:
             extras["return_number"] = (number + 1).astype(np.uint8).ravel()[block]
         return LidarPoints(
-            np.ascontiguousarray(positions[:, [1, 0, 2]]),
+            positions,
             intensities.ravel()[index],
             timestamps_ns=times_ns[block] + channels_ns[channel],
             rings=channel.astype(np.uint16),

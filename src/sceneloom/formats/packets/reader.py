@@ -24,7 +24,7 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.warnings import WarningKind
 
 _SAMPLE = 64  # packets by which a stream is recognised
-_OUSTER_PORT, _SHORTEST_OUSTER = 7502, 1000
+_OUSTER_PORT, _SHORTEST = 7502, 800  # packets of returns are longer
 _NAMES_LISTED = 5
 _FAR_NS = 100_000_000_000  # a receiver's clock that is farther from the capturing one is not believed
 _DAY_NS = 86_400_000_000_000
@@ -69,13 +69,16 @@ def open_capture(path: Path, *, options: CaptureReading) -> Scene:
     """
     ledger = Ledger(lenient=options.lenient)
     with ledger.telling():
-        streams = [
-            _Stream(flow, np.flatnonzero(flow.lengths == length))
-            for flow in read_datagrams(path, ledger)
-            for length in np.unique(flow.lengths)
-        ]
+        streams = [stream for flow in read_datagrams(path, ledger) for stream in _streams(flow)]
         sensors = _Capture(path, options, ledger, streams).sensors()
     return Scene(tuple(sensors), source=str(path), format="pcap", warnings=ledger.warnings)
+
+
+def _streams(flow: Datagrams) -> list[_Stream]:
+    """The datagrams of a flow by their lengths."""
+    order = np.argsort(flow.lengths, kind="stable")
+    changes = np.flatnonzero(np.diff(flow.lengths[order])) + 1
+    return [_Stream(flow, rows) for rows in np.split(order, changes)]
 
 
 class _Capture:
@@ -121,21 +124,24 @@ class _Capture:
 
     def _others(self) -> Iterator[tuple[_Stream, PacketDecoder]]:
         """Streams of lidars whose packets say which model they are of, and what decodes them."""
+        samples = [(one, one.packets(_SAMPLE)) for one in self._taken(lambda one: one.length >= _SHORTEST)]
         states: dict[str, UInt8Array] = {}
-        for stream in self.left:
-            packets = stream.packets(_SAMPLE)
+        for stream, packets in samples:
             for packet in packets[robosense.states(packets)][:1]:
                 states.setdefault(stream.host, packet)
-        self._taken(lambda one: bool(robosense.states(one.packets(_SAMPLE)).all()))
-        for maker in _MAKERS:
-            for stream in self._taken(lambda one, maker=maker: maker.recognise(one.packets(_SAMPLE)) is not None):  # type: ignore[misc]
-                key = maker.recognise(stream.packets(_SAMPLE)) or ""
-                if self.options.model in maker.MODELS:
-                    key = self.options.model
-                try:
-                    yield stream, maker.decoder_of(key, self._angles(stream), states.get(stream.host))
-                except DataError as error:
-                    self.ledger.fault("lidar-unreadable", error)
+        for stream, packets in samples:
+            if robosense.states(packets).all():
+                continue
+            maker, key = next(((one, key) for one in _MAKERS if (key := one.recognise(packets))), (None, None))
+            if maker is None or key is None:
+                self.left.append(stream)
+                continue
+            if self.options.model in maker.MODELS:
+                key = self.options.model
+            try:
+                yield stream, maker.decoder_of(key, self._angles(stream), states.get(stream.host))
+            except DataError as error:
+                self.ledger.fault("lidar-unreadable", error)
 
     def _angles(self, stream: _Stream) -> Path | None:
         """The file of angles of a lidar: the option, or a file of the capture's name."""
@@ -170,7 +176,7 @@ class _Capture:
                 )
                 self.imus += [(imu, metadata) for imu in own]
             yield stream, ouster.OusterDecoder(metadata)
-        for stream in self._taken(lambda one: one.datagrams.port == _OUSTER_PORT and one.length > _SHORTEST_OUSTER):
+        for stream in self._taken(lambda one: one.datagrams.port == _OUSTER_PORT and one.length > _SHORTEST):
             stated = ", ".join(f"{one.file} ({one.length} bytes)" for one in known) or "none"
             problem = (
                 f"packets of {stream.length} bytes to port {_OUSTER_PORT}, as of an Ouster; expected its metadata "

@@ -42,8 +42,8 @@ def _near_miss(path: Path) -> str | None:
 FORMAT = FormatSpec(
     name="pcap",
     title="a capture of lidar packets",
-    looks_like="a .pcap or .pcapng file of Ouster, Velodyne, Hesai or RoboSense lidars (built to the description, "
-    "without a real file: QT64, AT128, HDL-32E, HDL-64E, VLP-32C)",
+    looks_like="a .pcap or .pcapng file of Ouster, Velodyne, Hesai or RoboSense lidars (built to the description: "
+    "QT64, AT128, HDL-32E, HDL-64E, VLP-32C)",
     suffixes=(".pcap",),
     sniff=_is_capture,
     near_miss=_near_miss,

@@ -35,7 +35,7 @@ _CHUNK = 2048  # packets that are looked at together
 _TURN = 1 << 16
 _JITTER = _TURN // 10  # a rotation goes on where its angle falls by less
 _LONGEST_GAP_NS = 300_000_000  # no lidar rotates slower than 4 times a second
-_REORDERED_NS = 500_000_000
+_JUMP_NS = 500_000_000  # a packet that came so much sooner or later than others has a wrong time
 _PAUSE = 1.5  # where packets follow one another more than so many times slower than usual, some are missing
 
 
@@ -200,21 +200,26 @@ def _on_scene_clock(
         behind = usual + (behind - usual + cycle // 2) % cycle - cycle // 2
         times_ns = arrivals_ns - behind
     delays = arrivals_ns - times_ns
-    if abs(int(np.median(delays))) < (cycle or _ABSOLUTE_NS):
-        return times_ns
-    shift = int(delays.min())
-    message = f"its clock does not know the date; its times are shifted by {shift / 1e9:.6f} s to when packets came"
-    ledger.note(WarningKind.ASSUMED, "clock-shifted", where, message)
-    return times_ns + shift
+    usual = int(np.partition(delays, len(delays) // 2)[len(delays) // 2])
+    if abs(usual) > _ABSOLUTE_NS:
+        # the shortest delays, but for packets whose times are wrong
+        shift = int(delays[np.abs(delays - usual) < _JUMP_NS].min())
+        message = f"its clock does not know the date; its times are shifted by {shift / 1e9:.6f} s to when packets came"
+        ledger.note(WarningKind.ASSUMED, "clock-shifted", where, message)
+        times_ns, usual = times_ns + shift, usual - shift
+    jumps = np.abs(arrivals_ns - times_ns - usual) > _JUMP_NS
+    if jumps.any():
+        message = "the sensor's clock was set, or is wrong in a packet; when it came counts instead"
+        ledger.note(WarningKind.REPAIRED, "clock-jumped", where, message, count=int(np.count_nonzero(jumps)))
+        times_ns = np.where(jumps, arrivals_ns - usual, times_ns)
+    return times_ns
 
 
 def _in_order(
     times_ns: Int64Array, phases: AnyArray, rows: Int64Array, source: Payloads, where: str, ledger: Ledger
 ) -> Int64Array:
     """Which packets follow one another in time; those that were sent twice count once."""
-    # a clock that is set back begins anew
-    parts = np.cumsum(np.append(False, np.diff(times_ns) < -_REORDERED_NS))
-    order = np.lexsort((times_ns, parts))
+    order = np.argsort(times_ns, kind="stable")
     late = int((np.diff(order) < 0).sum())
     if late:
         message = "a packet came out of order; it was put where it belongs"

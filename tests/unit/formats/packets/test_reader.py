@@ -76,6 +76,16 @@ def test_packets_out_of_order_twice_and_missing_are_counted_and_the_points_are_t
     assert warnings["packets-unusable"].count == 1
 
 
+def test_a_clock_that_is_set_or_wrong_in_a_packet_does_no_harm(tmp_path):
+    packets, wrong = rotation(100), rotation(100, start_us=HOUR_US + 1_200_000_000)
+    mixed = [*packets[:40], wrong[40], *packets[41:70], *wrong[70:]]
+    scene, warnings = opened(capture(tmp_path / "a.pcap", mixed, step_ns=PERIOD_US * 1000))
+    assert warnings["clock-jumped"].count == 31
+    times = np.concatenate([frame.points.timestamps_ns for frame in scene.sensors[0].frames])
+    assert np.ptp(times) < 100 * PERIOD_US * 1000
+    assert (np.diff(scene.sensors[0].frames.timestamps_ns) > 0).all()
+
+
 def test_a_sector_without_measurements_is_none_of_missing_packets(tmp_path):
     packets = [one for k, one in enumerate(rotation(400)) if not 40 < k * 477.7 % 36000 / 477.7 < 60]
     _, warnings = opened(capture(tmp_path / "a.pcap", packets, step_ns=PERIOD_US * 1000))

@@ -233,10 +233,10 @@ class HesaiDecoder:
             kept[:, apart:] &= ~(equal & (number[:, apart:] >= apart)[:, :, None])
         index, block, channel = located(kept)
         unit_m = (packets[:, 9] if model.header else np.full(len(packets), 4)).astype(np.float32) * np.float32(0.001)
-        distances = raw.ravel()[index] * np.repeat(unit_m, model.blocks)[block]
-        elevations, azimuths = self._angles(self._azimuths(body).ravel(), block, channel)
+        distances = raw.ravel().take(index) * np.repeat(unit_m, model.blocks).take(block)
+        (cosine, sine), azimuths = self._angles(self._azimuths(body).ravel(), block, channel)
         aside = np.float32(np.pi / 2) - azimuths  # from x, which is right of azimuth 0
-        positions = polar_points(aside, distances * np.cos(elevations), distances * np.sin(elevations))
+        positions = polar_points(aside, distances * cosine, distances * sine)
         channels_ns = np.rint(np.array(model.channel_us) * 1000).astype(np.int64)
         times_ns = (self._block_times_ns(packets) + shifts_ns[:, None]).ravel()
         extras = {}
@@ -244,33 +244,37 @@ class HesaiDecoder:
             extras["return_number"] = (number + 1).astype(np.uint8).ravel()[block]
         return LidarPoints(
             positions,
-            intensities.ravel()[index],
-            timestamps_ns=times_ns[block] + channels_ns[channel],
+            intensities.ravel().take(index),
+            timestamps_ns=times_ns.take(block) + channels_ns.take(channel),
             rings=channel.astype(np.uint16),
             extras=MappingProxyType(extras),
         )
 
     def _angles(
         self, azimuths: Int64Array, block: Int64Array, channel: Int64Array
-    ) -> tuple[Float32Array, Float32Array]:
-        """Elevation and azimuth [rad], (N,), of returns by their blocks, of (P * B,) azimuths, and channels."""
+    ) -> tuple[tuple[Float32Array, Float32Array], Float32Array]:
+        """Cosine and sine of the elevation, and azimuth [rad], of returns by their blocks' azimuths and channels."""
         if self.correction is None:
             elevations, offsets = np.deg2rad(self.angles_deg).T.astype(np.float32)
-            return elevations[channel], np.deg2rad(azimuths / 100.0).astype(np.float32)[block] + offsets[channel]
+            turned = np.deg2rad(azimuths / 100.0).astype(np.float32).take(block) + offsets.take(channel)
+            return (np.cos(elevations).take(channel), np.sin(elevations).take(channel)), turned
         table, full = self.correction, 36000 * _FINE
         side = (np.searchsorted(table.starts, azimuths, side="right") - 1) % len(table.starts)
         at, part = np.divmod(azimuths % full, _ADJUSTED_EVERY)
-        weight = (part / _ADJUSTED_EVERY).astype(np.float32)[block]
+        weight = (part / _ADJUSTED_EVERY).astype(np.float32).take(block)
         steps = table.adjustments.shape[2]
-        before, after = channel * steps + (at % steps)[block], channel * steps + ((at + 1) % steps)[block]
+        before, after = ((at + one) % steps for one in (0, 1))
+        rows = channel * steps
+        before, after = before.take(block) + rows, after.take(block) + rows
         unit = np.float32(np.deg2rad(1 / (100.0 * _FINE)))
         elevation, azimuth = (
-            (one.ravel()[before] * (1 - weight) + one.ravel()[after] * weight) * (_FINE * unit)
-            for one in table.adjustments
+            (one.take(before) * (1 - weight) + one.take(after) * weight) * (_FINE * unit) for one in table.adjustments
         )
         fixed = (table.angles * unit).astype(np.float32)
         turned = ((azimuths - table.starts[side]) * 2 % full * np.float64(unit)).astype(np.float32)
-        return elevation + fixed[channel, 0], azimuth + turned[block] - fixed[channel, 1]
+        elevation += fixed[:, 0].take(channel)
+        azimuth += turned.take(block) - fixed[:, 1].take(channel)
+        return (np.cos(elevation), np.sin(elevation)), azimuth
 
 
 def _seconds(dates: UInt8Array) -> Int64Array:

@@ -323,17 +323,18 @@ class OusterDecoder:
         names = [name for name in self._fields if not name.startswith(("RANGE", "REFLECTIVITY")) and name[-1] != "2"]
         found: list[tuple[AnyArray, ...]] = []
         for suffix in ("", "2") if "RANGE2" in self._fields else ("",):
-            index, column, row = located((self._value(words, f"RANGE{suffix}") > 0) & valid[:, :, None])
+            ranges = self._value(words, f"RANGE{suffix}")
+            index, column, row = located((ranges > 0) & valid[:, :, None])
             pixels = words.reshape(-1, words.shape[-1]).take(index, axis=0)
-            beam = beams[column] + row
+            beam = beams.take(column) + row
             positions = directions.take(beam, axis=0)
-            positions *= (self._value(pixels, f"RANGE{suffix}").astype(np.float32) * np.float32(0.001))[:, None]
+            positions *= (ranges.ravel().take(index).astype(np.float32) * np.float32(0.001))[:, None]
             positions += origins.take(beam, axis=0)
             own = [f"{name}{suffix}" if f"{name}{suffix}" in self._fields else name for name in names]
             extras = [self._value(pixels, name) for name in own]
             number = np.full(len(index), len(found) + 1, np.uint8)
             intensities = self._value(pixels, f"REFLECTIVITY{suffix}")
-            found.append((positions, intensities, times_ns[column], row.astype(np.uint16), number, *extras))
+            found.append((positions, intensities, times_ns.take(column), row.astype(np.uint16), number, *extras))
         positions, intensities, times, rings, number, *extras = (
             found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
         )

@@ -88,13 +88,14 @@ class RobosenseDecoder:
         kept[:, 1:] &= ~(equal & second[:, 1:, None])
         index, block, channel = located(kept)
         azimuths = body["azimuth"].astype(np.int64)
-        after_us, laser = channel * _CHANNEL_US, channel % _LASERS
-        turned = azimuths.ravel()[block] + self._steps(azimuths, pairs).ravel()[block] * (after_us / _BLOCK_US)
-        before = np.deg2rad(turned / 100.0).astype(np.float32)
+        laser = channel % _LASERS
+        starts, rates = np.deg2rad(azimuths.ravel() / 100.0), np.deg2rad(self._steps(azimuths, pairs).ravel() / 100.0)
+        parts = (np.arange(32) * (_CHANNEL_US / _BLOCK_US)).astype(np.float32)
+        before = rates.astype(np.float32).take(block) * parts.take(channel) + starts.astype(np.float32).take(block)
         elevations, offsets = np.deg2rad(self.angles_deg).T.astype(np.float32)
-        distances = raw.ravel()[index] * np.float32(_STEP)
-        level, height = distances * np.cos(elevations)[laser], distances * np.sin(elevations)[laser]
-        positions = polar_points(before + offsets[laser], level, height)
+        distances = raw.ravel().take(index) * np.float32(_STEP)
+        level, height = distances * np.cos(elevations).take(laser), distances * np.sin(elevations).take(laser)
+        positions = polar_points(before + offsets.take(laser), level, height)
         positions[:, 0] += np.float32(_RADIUS) * np.cos(before)
         positions[:, 1] += np.float32(_RADIUS) * np.sin(before)
         positions[:, 1] *= -1
@@ -103,9 +104,10 @@ class RobosenseDecoder:
         numbers = second.ravel()[block].astype(np.uint8) + np.uint8(1) if pairs.any() else None
         return LidarPoints(
             positions,
-            intensities.ravel()[index],
-            timestamps_ns=times_ns[block] + np.rint(after_us * 1000).astype(np.int64),
-            rings=order[laser],
+            intensities.ravel().take(index),
+            timestamps_ns=times_ns.take(block)
+            + np.rint(np.arange(32) * _CHANNEL_US * 1000).astype(np.int64).take(channel),
+            rings=order.take(laser),
             extras=MappingProxyType({} if numbers is None else {"return_number": numbers}),
         )
 

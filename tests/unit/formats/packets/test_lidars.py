@@ -31,7 +31,7 @@ def decoded(decoder, *packets, length=None):
     return survey, points
 
 
-def agree(points, expected, *, tolerance=2e-5):
+def agree(points, expected, *, tolerance=5e-5):
     """Compare with rows of x, y, z, time [ns], ring, intensity, return number."""
     expected = sorted(expected, key=lambda row: (row[3], row[4], row[6]))
     rows, times_ns = np.array(expected, float), np.array([row[3] for row in expected])

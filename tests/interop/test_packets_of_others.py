@@ -80,6 +80,9 @@ def test_every_field_of_every_ouster_profile_is_what_the_sdk_sets(profile, tmp_p
     info, decoder = metadata(core, tmp_path / "a.json", profile)
     layout = core.PacketFormat.from_info(info)
     assert layout.lidar_packet_size == decoder.metadata.length
+    packet = core.LidarPacket(layout)
+    layout.set_frame_id(packet, 1234)
+    assert decoder.frame_numbers(np.array(packet.buf, np.uint8)[None])[0, 0] == 1234
     names = [name for name in ouster.PROFILES[profile][1] if name in set(layout.fields)]
     assert set(names) >= {"RANGE", "REFLECTIVITY"}
     for name in names:

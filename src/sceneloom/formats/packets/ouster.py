@@ -304,13 +304,15 @@ class OusterDecoder:
         valid, times_ns = self._valid(columns), columns["TIMESTAMP"].astype(np.int64)
         usable: BoolArray = np.asarray(valid.any(axis=1), np.bool_)
         # columns that were not measured may have no time
-        first = times_ns[np.arange(len(times_ns)), valid.argmax(axis=1)]
-        times_ns = np.where(valid, times_ns, first[:, None])
+        first = np.arange(len(valid)), valid.argmax(axis=1)
+        times_ns = np.where(valid, times_ns, times_ns[first][:, None])
+        frames = self.frame_numbers(packets)
+        frames = np.where(valid, frames, frames[first][:, None])
         if self.metadata.profile != "LEGACY":
             usable &= self._records(packets)["PACKET_TYPE"] & 0xFF == 1
             usable &= crc_holds(packets)
         phases = columns["MEASUREMENT_ID"] / float(self.metadata.columns)
-        return Survey(times_ns, phases, usable, self.frame_numbers(packets))
+        return Survey(times_ns, phases, usable, frames)
 
     def points(self, packets: UInt8Array, shifts_ns: Int64Array, blocks: BoolArray) -> LidarPoints:
         """Decode the returns of packets, (P, L) uint8: all first returns, then all second ones of dual profiles."""

@@ -93,6 +93,7 @@ class _LookedAt:
 _BEGINNING = 4096
 _WILD = re.compile(r"[*?\[]")
 _JSON, _ZIP, _MCAP = b"{", b"PK\x03\x04", b"\x89MCAP0\r\n"
+_CAPTURES = tuple(map(bytes.fromhex, ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23c4d", "0a0d0d0a")))
 _KITTI = "sceneloom.formats.kitti.spec"
 _POINTS = "sceneloom.formats.points.spec"
 _MESSAGES = "sceneloom.formats.messages.spec"
@@ -142,6 +143,7 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "kitti-bin": FormatRow(f"{_POINTS}:KITTI_BIN", file=(".bin",), folder=("*.bin", "*/*.bin")),
         "nuscenes-bin": FormatRow(f"{_POINTS}:NUSCENES_BIN", file=(".pcd.bin",), folder=("*.pcd.bin", "*/*.pcd.bin")),
         "npz": FormatRow(f"{_POINTS}:NPZ", file=(".npz", ".npy"), folder=("*.npz", "*.npy", "*/*.npz", "*/*.npy")),
+        "pcap": FormatRow("sceneloom.formats.packets.spec:FORMAT", file=_CAPTURES),
         "euroc-mav": FormatRow(
             "sceneloom.formats.euroc_mav.spec:FORMAT", folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv")
         ),
@@ -295,8 +297,8 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel; clouds as pcd, ply, las, laz, kitti-bin, nuscenes-bin,
-    npz. `sceneloom formats` describes each.
+    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, pcap; clouds as pcd, ply, las, laz, kitti-bin,
+    nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by

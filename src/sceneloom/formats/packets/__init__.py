@@ -1,0 +1,1 @@
+"""Lidar packets as their sensors send them, and captures of networks (`.pcap`, `.pcapng`) that hold them."""

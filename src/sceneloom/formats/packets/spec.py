@@ -1,0 +1,53 @@
+"""Captures of networks with the packets of lidars: how they are recognised, and their options. Only read."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from sceneloom.formats.base.spec import FormatSpec, as_flag, first_bytes, option
+from sceneloom.formats.packets.captures import MAGICS
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureReading:
+    """How a capture is to be read."""
+
+    lenient: bool = option(default=False, help="Leave out lidars whose metadata or angles are missing or wrong.")
+    metadata: str | None = option(
+        default=None,
+        help="Metadata of Ouster sensors (JSON), several with commas; by default the .json files beside the capture.",
+    )
+    angles: str | None = option(
+        default=None,
+        help="Angle or calibration file of the lidar (Hesai .csv or .dat, RoboSense .csv, Velodyne .yaml), or "
+        "HOST=FILE for each, with commas; by default a file of the capture's name.",
+    )
+    model: str | None = option(
+        default=None, help="Model, where packets do not tell it: vlp-16, hdl-64e-s2, pandar40p, helios-16p, …"
+    )
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lenient", as_flag("lenient", self.lenient))
+
+
+def _is_capture(path: Path) -> bool:
+    return first_bytes(path, 4) in MAGICS
+
+
+def _near_miss(path: Path) -> str | None:
+    if path.suffix.lower() not in (".pcap", ".pcapng") or not path.is_file() or _is_capture(path):
+        return None
+    return "it is called like a capture, but does not begin as one does (unpack .gz first)"
+
+
+FORMAT = FormatSpec(
+    name="pcap",
+    title="a capture of lidar packets",
+    looks_like="a .pcap or .pcapng file of Ouster, Velodyne, Hesai or RoboSense lidars (built to the description: "
+    "QT64, AT128, HDL-32E, HDL-64E, VLP-32C)",
+    suffixes=(".pcap",),
+    sniff=_is_capture,
+    near_miss=_near_miss,
+    reader="sceneloom.formats.packets.reader:open_capture",
+    read_options=CaptureReading,
+    instead="captures are only read; write a scene file (drive.sfs) or clouds (`--to pcd`) instead",
+)

@@ -53,6 +53,8 @@ from sceneloom.formats.points.mapping import (
     detect_scale,
 )
 from sceneloom.formats.rig.spec import MANIFEST, natural_key
+from sceneloom.formats.rig_files.matching import RigSensor, ego_frame, match_cameras, match_frames
+from sceneloom.formats.rig_files.reader import Rig
 from sceneloom.formats.video.reader import VideoReader, open_video, open_whole_or_left
 from sceneloom.geometry.euler import ORDERS, rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import (
@@ -337,9 +339,11 @@ class _Manifest:
         return [(f"{name}[{k}]", record) for k, record in enumerate(self.record.get(name, []))]
 
 
-def _read_manifest(path: Path) -> _Manifest:
-    """Read a manifest."""
+def _read_manifest(path: Path, rig: Rig | None = None) -> _Manifest:
+    """Read a manifest, and what a rig adds to it."""
     raw = _parse(path)
+    if rig is not None:
+        _add_rig(raw, rig)
     faults = Faults(path)
     manifest = _Manifest(path, read_record(raw, "rig", "", faults))
     for name, key in _NAMED:
@@ -353,6 +357,82 @@ def _read_manifest(path: Path) -> _Manifest:
         faults.add("sensors", "an empty list; expected at least one `[[sensors]]`")
     faults.raise_all()
     return manifest
+
+
+def _add_rig(raw: _Record, rig: Rig) -> None:
+    """Put the transforms and camera models of a rig into a manifest, as if they stood there."""
+    tables = [one for one in raw.get("sensors") or [] if isinstance(one, dict) and isinstance(one.get("id"), str)]
+    known = [RigSensor(one["id"], one.get("type") == "camera", str(one.get("frame", ""))) for one in tables]
+    cameras, ego = match_cameras(rig, known), str(raw.get("ego", "base"))
+    if rig.transforms or not cameras:
+        transforms = match_frames(rig, known, cameras, [ego])
+        top = ego_frame(rig, transforms)
+        edges = [(one.child, one.parent, one.parent_from_child) for one in transforms]
+        if top is not None and ego not in rig.frames:
+            edges.append((top, ego, RigidTransform.identity()))
+            message = f"frame {top!r} is taken as the manifest's ego {ego!r}; state another with `--rig-name ego=FRAME`"
+            rig.ledger.note(WarningKind.ASSUMED, "rig-ego-taken", rig.files[0], message)
+        stated = [{"from": child, "to": parent, "matrix": pose.matrix.tolist()} for child, parent, pose in edges]
+        raw["transforms"] = [*raw.get("transforms", []), *stated]
+    for one in tables:
+        if one["id"] in cameras:
+            camera = cameras[one["id"]].camera
+            names = MODELS[camera.model].coefficient_names
+            numbers = {name: getattr(camera, name) for name in ("model", "width", "height", "fx", "fy", "cx", "cy")}
+            coefficients = dict(zip(names, camera.coefficients, strict=False))
+            one["camera_model"] = numbers | ({"coefficients": coefficients} if coefficients else {})
+
+
+def read_frames_and_cameras(
+    path: Path,
+) -> tuple[list[tuple[str, str, RigidTransform, str]], list[tuple[str, str, Camera, str]]]:
+    """Read what a manifest states of frames and cameras; its files are not looked at, and need not be named.
+
+    Returns:
+        transforms: source frame, target frame, `target_from_source`, and where it stands.
+        cameras: id, frame, camera model, and where it stands; of those whose image size is stated.
+
+    Raises:
+        DataError: the manifest is no TOML, or something of this is at fault.
+    """
+    raw, faults, ledger = _parse(path), Faults(path), Ledger(lenient=False)
+    kept: _Record = {name: raw[name] for name in ("ego", "transforms") if name in raw}
+    sensors = raw.get("sensors", [])
+    if not isinstance(sensors, list) or not all(
+        isinstance(one, dict) and isinstance(one.get("id"), str) for one in sensors
+    ):
+        raise DataError(path, "sensors", "expected `[[sensors]]`, each with an `id`")
+    record = read_record({**kept, "sensors": []}, "rig", "", faults)
+    tables = [
+        (f"transforms[{k}]", one, one["from"], one["to"])
+        for k, one in enumerate(record.get("transforms", ()))
+        if {"from", "to"} <= one.keys()
+    ]
+    cameras = []
+    for k, one in enumerate(sensors):
+        frame, location = str(one.get("frame", one["id"])), f"sensors[{k}]"
+        for name in ("extrinsic", "camera_model"):
+            if name in one and not isinstance(one[name], dict):
+                faults.add(f"{location}.{name}", f"{_found(one[name])}; expected a table")
+        if isinstance(one.get("extrinsic"), dict):
+            table = read_record(one["extrinsic"], "extrinsic", f"{location}.extrinsic", faults)
+            tables.append((f"{location}.extrinsic", table, table.get("from", frame), table.get("to", frame)))
+        if isinstance(one.get("camera_model"), dict):
+            where = f"{location}.camera_model"
+            model = read_record(one["camera_model"], "camera_model", where, faults)
+            with faults.catching(where):
+                size = model.get("width", 0), model.get("height", 0)
+                if not all(size):
+                    raise CalibrationError("no width and height; expected those of the calibrated images")
+                cameras.append((one["id"], frame, read_camera_model(model, size), where))
+    found = []
+    for location, table, source, target in tables:
+        with faults.catching(location):
+            if source == target:
+                raise CalibrationError(f"from {source!r} to itself; expected two frames")
+            found.append((source, target, read_transform(table, location, ledger), location))
+    faults.raise_all()
+    return found, cameras
 
 
 def _parse(path: Path) -> _Record:
@@ -540,24 +620,28 @@ _WORLD = "world"
 _RESERVED_NAMES = {"gnss", "lidar", "identity"}  # names of trajectories that stand for computed ones
 
 
-def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False) -> Scene:
+def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False, rig: Rig | None = None) -> Scene:
     """Open a folder with a `rig.toml`, or a manifest itself; images and points are read on demand.
 
     Args:
         path: the folder, or the manifest.
         lenient: leave out sensors and trajectories that are at fault, files without time and times without file.
         assume_model: allow computing with camera models whose formulas nothing confirms.
+        rig: transforms and camera models that the manifest does not state.
 
     Raises:
         DataError: the manifest, or what it names, is at fault; all faults are reported at once.
+        OptionError: nothing of the rig is the manifest's.
     """
-    manifest = _read_manifest(path / MANIFEST if path.is_dir() else path)
+    manifest = _read_manifest(path / MANIFEST if path.is_dir() else path, rig)
     ledger = Ledger(lenient=lenient)
     try:
         with ledger.telling():
             scene = _open(manifest, ledger)
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error}") from error
+    if rig is not None:
+        scene = replace(scene, warnings=(*scene.warnings, *rig.ledger.warnings))
     return with_assumed_models(scene) if assume_model else scene
 
 

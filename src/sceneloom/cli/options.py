@@ -211,7 +211,7 @@ reading = stacked(
         "--rig=FILE…",
         "Mountings and camera models that the drive does not state: URDF, Kalibr, OpenCV or camera_info YAML, Autoware "
         "kits, basalt JSON, tf_static of a bag, rig.toml; may be repeated.",
-        source(),
+        source(exists=True),
         callback=lambda _context, _parameter, given: given or None,
     ),
     _rare(

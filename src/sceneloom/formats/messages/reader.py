@@ -281,11 +281,7 @@ class _FrameTree:
         frames = {frame for one in transforms for frame in (one.parent, one.child)}
         moving = [frame for frame in self.edges if self.moves(frame)]
         hanging = [frame for frame, edge in self.edges.items() if edge.parent not in frames]
-        try:
-            found = oriented(transforms, [*moving, *hanging])
-        except CalibrationError as error:
-            raise DataError(name, "", str(error)) from None
-        for one in found:
+        for one in oriented(transforms, [*moving, *hanging]):
             if self.moves(one.child):
                 message = f"{one.location}: frame {one.child!r} moves in the drive; its fixed transform is not used"
                 rig.ledger.note(WarningKind.SKIPPED, "rig-frame-moves", name, message)
@@ -1142,7 +1138,7 @@ def scene_from_topics(
         trajectories=MappingProxyType(trajectories),
         source=log.name,
         format=form,
-        warnings=(*ledger.warnings, *(() if rig is None else rig.ledger.warnings)),
+        warnings=(*(() if rig is None else rig.ledger.warnings), *ledger.warnings),
         on_close=closing,
         **fields,
     )
@@ -1223,7 +1219,7 @@ def _locate(context: _Log, *, ego: str | None, world: str | None) -> dict[str, T
             if sensor.frame in large and sensor.frame not in seen and not known.is_placed(sensor.frame):
                 seen.add(sensor.frame)
                 message = lacking(sensor, known.roles.ego or "base_link")
-                ledger.note(WarningKind.SKIPPED, "frames-missing", log.name, message)
+                (ledger if rig is None else rig.ledger).note(WarningKind.SKIPPED, "frames-missing", log.name, message)
     trajectory = next(iter(trajectories.values()), None)
     if trajectory is not None and trajectory.quaternions_xyzw is None:
         message = f"trajectory {trajectory.name!r} holds positions without orientations, so the sensors have no poses"

@@ -641,7 +641,7 @@ def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False, r
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error}") from error
     if rig is not None:
-        scene = replace(scene, warnings=(*scene.warnings, *rig.ledger.warnings))
+        scene = replace(scene, warnings=(*rig.ledger.warnings, *scene.warnings))
     return with_assumed_models(scene) if assume_model else scene
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import CalibrationError, OptionError
+from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.poses import default_poses
 from sceneloom.formats.rig_files.reader import Rig, RigCamera, RigTransform
 from sceneloom.geometry.rigid import RigidTransform, angle_between
@@ -134,10 +134,12 @@ def match_frames(
         others: further frames that the drive knows.
 
     Raises:
-        OptionError: none of the frames is one of the drive's.
+        OptionError: none of the frames is one of the drive's, or the ego's only.
+        DataError: transforms contradict one another.
     """
     frames, found = {_bare(frame): frame for frame in rig.frames}, [*rig.transforms]
     matched = {_bare(name) for name in others} & {*frames}
+    tops = _from_top(rig.transforms)
     for sensor in sensors:
         wanted, source, why = sensor.own_frame, None, ""
         stated = rig.stated.get(str(sensor.id))
@@ -169,11 +171,13 @@ def match_frames(
         matched.add(_bare(source))
         if source != wanted:
             if wanted not in {one.child for one in found}:
-                found.append(RigTransform(source, wanted, RigidTransform.identity(), f"{source!r} is {wanted!r}"))
+                upright = sensor.is_camera and sensor.frame and _is_upright(rig, source, tops.get(source))
+                pose = _BODY_FROM_OPTICAL if upright else RigidTransform.identity()
+                found.append(RigTransform(source, wanted, pose, f"{source!r} is {wanted!r}"))
             if why:
                 message = f"frame {source!r} is taken for {wanted!r} of sensor {str(sensor.id)!r}, {why}"
                 rig.ledger.note(WarningKind.ASSUMED, "rig-frame-taken", rig.files[0], message)
-    if not matched:
+    if not matched or (len(matched) == 1 and matched <= {*EGO_FRAMES} and not cameras):
         known = ", ".join(dict.fromkeys(repr(sensor.own_frame) for sensor in sensors)) or "none"
         raise OptionError(
             f"{' + '.join(rig.files)}: none of its frames ({', '.join(rig.frames)}) is one of the drive's ({known}); "
@@ -190,7 +194,7 @@ def oriented(transforms: Sequence[RigTransform], roots: Iterable[str]) -> list[R
         roots: frames that come first; in what they do not reach, frames that are no child.
 
     Raises:
-        CalibrationError: two chains between the same frames contradict each other.
+        DataError: two chains between the same frames contradict each other.
     """
     children = {one.child for one in transforms}
     frames = list(dict.fromkeys(name for one in transforms for name in (one.parent, one.child)))
@@ -220,10 +224,9 @@ def oriented(transforms: Sequence[RigTransform], roots: Iterable[str]) -> list[R
                     continue
                 distance, angle = _apart(pose, root_from[one.child])
                 if distance > _AGREEMENT_M or angle > _AGREEMENT_RAD:
-                    raise CalibrationError(
-                        f"{one.location}: contradicts the other transforms between {one.parent!r} and {one.child!r} "
-                        f"by {distance:.3g} m and {np.degrees(angle):.3g}°"
-                    )
+                    file, _, place = one.location.partition(": ")
+                    between = f"contradicts the other transforms between {one.parent!r} and {one.child!r}"
+                    raise DataError(file, place, f"{between} by {distance:.3g} m and {np.degrees(angle):.3g}°")
     return found
 
 
@@ -288,7 +291,7 @@ def with_rig(scene: Scene, rig: Rig) -> Scene:
 
     Raises:
         OptionError: nothing of the rig is the drive's, or it is not known which frame is the ego's.
-        CalibrationError: transforms contradict one another.
+        DataError: transforms contradict one another.
     """
     sensors = [RigSensor(one.id, isinstance(one, CameraSensor | DepthCameraSensor)) for one in scene.sensors]
     cameras = match_cameras(rig, sensors)
@@ -305,11 +308,14 @@ def with_rig(scene: Scene, rig: Rig) -> Scene:
         if isinstance(sensor, _MOUNTED):
             pose = ego_from.get(known.own_frame)
             if pose is not None:
-                one = _mounted(rig, known, one, _as_optical(rig, known, pose) if known.is_camera else pose, path)
+                name = rig.stated.get(str(sensor.id), known.own_frame)
+                if known.is_camera and _is_upright(rig, name, pose):
+                    pose = pose @ _BODY_FROM_OPTICAL
+                one = _mounted(rig, known, one, pose, path)
             elif sensor.mount is None and getattr(sensor, "poses", None) is None:
                 rig.ledger.note(WarningKind.SKIPPED, "frames-missing", scene.source, lacking(known, ego))
         changed.append(one)
-    return replace(scene, sensors=tuple(changed), warnings=(*scene.warnings, *rig.ledger.warnings))
+    return replace(scene, sensors=tuple(changed), warnings=(*rig.ledger.warnings, *scene.warnings))
 
 
 _MOUNTED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor, GnssSensor)
@@ -349,16 +355,21 @@ def _ego_from(
     return ego, found
 
 
-def _as_optical(rig: Rig, sensor: RigSensor, pose: RigidTransform) -> RigidTransform:
-    """The mounting of a camera whose frame may have the axes of a body, which an upright z axis shows."""
-    name = rig.stated.get(str(sensor.id), sensor.own_frame)
-    if name in rig.optical or "optical" in name or pose.rotation[2, 2] < _UPRIGHT:
-        return pose
-    message = (
-        f"frame {name!r} of camera {str(sensor.id)!r} is upright: its x axis is taken as the optical axis (REP 103)"
-    )
+def _is_upright(rig: Rig, name: str, pose: RigidTransform | None) -> bool:
+    """Whether the frame of a camera has the axes of a body, which an upright z axis shows; it is reported."""
+    if name in rig.optical or "optical" in name or pose is None or pose.rotation[2, 2] < _UPRIGHT:
+        return False
+    message = f"frame {name!r} of a camera is upright: its x axis is taken as the optical axis (REP 103)"
     rig.ledger.note(WarningKind.ASSUMED, "rig-frame-upright", rig.files[0], message)
-    return pose @ _BODY_FROM_OPTICAL
+    return True
+
+
+def _from_top(transforms: Sequence[RigTransform]) -> dict[str, RigidTransform]:
+    """`top_from_frame` of all frames below the topmost ones."""
+    found: dict[str, RigidTransform] = {}
+    for one in oriented(transforms, ()):
+        found[one.child] = found.get(one.parent, RigidTransform.identity()) @ one.parent_from_child
+    return found
 
 
 def _mounted(rig: Rig, known: RigSensor, sensor: Any, mount: RigidTransform, path: Any) -> Any:

@@ -146,6 +146,13 @@ def test_names_that_differ_are_matched_by_statement_topic_or_the_only_one_and_el
     for wrong, problem in (("top=velodyne", "no sensor 'top'"), ("lidar=nix", "no frame or camera 'nix'")):
         with pytest.raises(OptionError, match=problem):
             open_scene(bare, rig=other, rig_names=(wrong,))
+    # a tree that shares nothing with the drive but its ego; a camera's frame that has the axes of a body
+    (tmp_path / "kit.yaml").write_text("base_link:\n  top: {x: 0, y: 0, z: 2, roll: 0, pitch: 0, yaw: 0}\n")
+    with pytest.raises(OptionError, match="none of its frames"):
+        open_scene(bare, rig=tmp_path / "kit.yaml")
+    with open_scene(bare, rig=tmp_path / "kit.yaml", rig_names="camera0=top") as scene:
+        assert "its x axis is taken as the optical axis" in codes(scene)["rig-frame-upright"]
+        np.testing.assert_allclose(mounts(scene)["camera0"], camera_mount(position=(0.0, 0.0, 2.0)).matrix, atol=1e-12)
     # a chain of Kalibr knows the topic of the camera, beside a tree that has its IMU
     chain = CHAIN.partition("cam1:")[0].replace("/left/image_raw", "/camera0/image").replace("[640, 480]", "[48, 32]")
     (tmp_path / "chain.yaml").write_text(chain)

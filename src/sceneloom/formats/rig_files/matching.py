@@ -312,7 +312,7 @@ def with_rig(scene: Scene, rig: Rig) -> Scene:
                 if known.is_camera and _is_upright(rig, name, pose):
                     pose = pose @ _BODY_FROM_OPTICAL
                 one = _mounted(rig, known, one, pose, path)
-            elif sensor.mount is None and getattr(sensor, "poses", None) is None:
+            elif sensor.mount is None and not isinstance(sensor, GnssSensor) and sensor.poses is None:
                 rig.ledger.note(WarningKind.SKIPPED, "frames-missing", scene.source, lacking(known, ego))
         changed.append(one)
     return replace(scene, sensors=tuple(changed), warnings=(*rig.ledger.warnings, *scene.warnings))

@@ -244,7 +244,8 @@ class _Value:
         """The transform of a 4x4 or 3x4 matrix, by rows."""
         matrix = np.array(self.numbers(16, 12)).reshape(-1, 4)
         try:
-            transform, error = RigidTransform.nearest(matrix)
+            with np.errstate(all="ignore"):  # files hold numbers that are none
+                transform, error = RigidTransform.nearest(matrix)
         except CalibrationError as fault:
             raise self.fault(str(fault)) from None
         if not error <= GREATEST_ERROR:
@@ -491,34 +492,34 @@ def _read_vins(draft: _Draft, root: _Value) -> None:
     """Read a configuration of VINS, whose matrices take points of a camera into the body's frame."""
     if "imu_topic" in root:
         draft.topics[_BODY] = root["imu_topic"].text()
-    names = [name for name, _ in root.items() if name.startswith("body_T_cam")]
-    for name in names:
-        frame = name.removeprefix("body_T_")
+    cameras = [(name, name.removeprefix("body_T_")) for name, _ in root.items() if name.startswith("body_T_cam")]
+    value = root
+    if not cameras:
+        # VINS-Mono and LVI-SAM have one camera, in two matrices
+        blocks = root["extrinsicRotation"].numbers(9), root["extrinsicTranslation"].numbers(3)
+        matrix = np.hstack([np.array(blocks[0]).reshape(3, 3), np.array(blocks[1])[:, None]])
+        value = _Value(draft.path, "", {"extrinsicRotation": matrix.tolist()})
+        cameras = [("extrinsicRotation", root["camera_name"].text() if "camera_name" in root else "cam0")]
+    for name, frame in cameras:
         draft.optical.add(frame)
-        draft.mount(_BODY, frame, root[name].transform(draft.notes), name)
-        topic = root[topic_key].text() if (topic_key := f"image{frame[3:]}_topic") in root else ""
+        draft.mount(_BODY, frame, value[name].transform(draft.notes), name)
+        topic_key, file_key = (
+            ("image_topic", "") if value is not root else (f"image{frame[3:]}_topic", f"{frame}_calib")
+        )
+        topic = root[topic_key].text() if topic_key in root else ""
         if topic:
             draft.topics[frame] = topic
-        key = f"{frame}_calib"
-        if key in root:
-            file = draft.path.parent / root[key].text()
-            if not file.is_file():
-                draft.notes.append(("camera-file-missing", f"{key} {root[key].value!r}: no such file beside it"))
-                continue
-            one = _read_camera_file(draft, _Value(file, "", read_yaml(file)))
-            draft.cameras.append(replace(one, names=tuple(dict.fromkeys((frame, *one.names))), topic=topic))
-    if not names:
-        rotation, translation = root["extrinsicRotation"].numbers(9), root["extrinsicTranslation"].numbers(3)
-        matrix = np.hstack([np.array(rotation).reshape(3, 3), np.array(translation)[:, None]])
-        pose = _Value(draft.path, "extrinsicRotation", matrix.tolist()).transform(draft.notes)
-        frame = root["camera_name"].text() if "camera_name" in root else "cam0"
-        draft.optical.add(frame)
-        draft.mount(_BODY, frame, pose, "extrinsicRotation")
-        topic = root["image_topic"].text() if "image_topic" in root else ""
-        if topic:
-            draft.topics[frame] = topic
-        if "model_type" in root:
-            one = _read_camera_file(draft, root)
+        held = root if value is not root and "model_type" in root else None
+        if file_key in root:
+            file = draft.path.parent / root[file_key].text()
+            if file.is_file():
+                held = _Value(file, "", read_yaml(file))
+            else:
+                draft.notes.append(
+                    ("camera-file-missing", f"{file_key} {root[file_key].value!r}: no such file beside it")
+                )
+        if held is not None:
+            one = _read_camera_file(draft, held)
             draft.cameras.append(replace(one, names=tuple(dict.fromkeys((frame, *one.names))), topic=topic))
 
 
@@ -594,28 +595,23 @@ def _read_basalt(draft: _Draft) -> None:
 
 _BASALT: Mapping[str, tuple[str, str, str]] = MappingProxyType(
     {
-        "pinhole": ("pinhole", "", ""),
-        "pinhole-radtan8": ("pinhole", "", "k1 k2 p1 p2 k3 k4 k5 k6"),
-        "kb4": ("pinhole", "", "k1 k2 k3 k4"),
-        "ds": ("ds", "xi alpha", ""),
-        "eucm": ("eucm", "alpha beta", ""),
-        "ucm": ("ucm", "alpha", ""),
-        "fov": ("pinhole", "", "w"),
+        **{model: (model, "none", "") for model in ("pinhole", "ds", "eucm", "ucm")},
+        "pinhole-radtan8": ("pinhole", "radtan", "k1 k2 p1 p2 k3 k4 k5 k6"),
+        "kb4": ("pinhole", "equidistant", "k1 k2 k3 k4"),
+        "fov": ("pinhole", "fov", "w"),
     }
 )
-"""By the name of a model: what `of_model` calls it, its numbers before fx fy cx cy, and those of its distortion."""
-
-_BASALT_DISTORTIONS = {"pinhole-radtan8": "radtan", "kb4": "equidistant", "fov": "fov"}
+"""By the name of a model: what `of_model` calls it and its distortion, and the numbers of that."""
 
 
 def _basalt_camera(draft: _Draft, value: _Value, size: tuple[float, ...]) -> Camera:
     kind = value["camera_type"].text()
     if kind not in _BASALT:
         raise value["camera_type"].fault(f"{kind!r}; expected one of {', '.join(_BASALT)}")
-    model, own, distortion = _BASALT[kind]
-    numbers = [value["intrinsics"][name].number() for name in (*own.split(), "fx", "fy", "cx", "cy")]
-    coefficients = [value["intrinsics"][name].number() for name in distortion.split()]
-    return _Numbers(draft, value, size, coefficients).of_model(model, _BASALT_DISTORTIONS.get(kind, "none"), numbers)
+    model, distortion, names = _BASALT[kind]
+    numbers = [value["intrinsics"][name].number() for name in (*_OWN_NUMBERS[model].split(), "fx", "fy", "cx", "cy")]
+    coefficients = [value["intrinsics"][name].number() for name in names.split()]
+    return _Numbers(draft, value, size, coefficients).of_model(model, distortion, numbers)
 
 
 # Camera models
@@ -678,7 +674,7 @@ class _Numbers:
                 coefficients = [*coefficients[:8], 0.0, 0.0, *coefficients[8:]]
             return self._camera(kind if coefficients else "pinhole", fx, fy, cx, cy, coefficients)
         if model == "ucm" and 0.0 <= first[0] < 1.0:
-            # Source: Usenko and others 2018, "The Double Sphere Camera Model", eq. 12 and 14: xi = α / (1 - α)
+            # the unified model is that of a mirror without distortion, with xi = α / (1 - α)
             rest = 1.0 - first[0]
             return self._camera("omnidir", fx / rest, fy / rest, cx, cy, [0.0, 0.0, 0.0, first[0] / rest, 0.0, 0.0])
         if model == "omni":
@@ -748,6 +744,6 @@ _RADII: Mapping[str, Callable[..., Float64Array]] = MappingProxyType(
 )
 """How far from the principal point, in focal lengths, a model puts what is an angle [rad] off its axis.
 
-Source: Usenko and others 2018, "The Double Sphere Camera Model", eq. 14, 27 and 40; the field-of-view model is that of
-Devernay and Faugeras 2001, eq. 13.
+Source: Usenko and others 2018, "The Double Sphere Camera Model", for UCM, EUCM and DS; Devernay and Faugeras 2001 for
+the field-of-view model.
 """

@@ -105,6 +105,12 @@ def test_a_bag_without_its_fixed_tf_and_a_urdf_of_it_give_the_bytes_of_the_whole
         np.testing.assert_allclose(
             mounts(right)["lidar"][:3, :3], Rotation.from_euler("xyz", RPY).as_matrix(), atol=1e-9
         )
+    # what a bag states of its own gives way
+    moved = urdf.read_text().replace('xyz="1.25 ', 'xyz="1.5 ')
+    (tmp_path / "moved.urdf").write_text(moved)
+    with open_scene(whole, rig=tmp_path / "moved.urdf") as found:
+        assert mounts(found)["lidar"][0, 3] == 1.5
+        assert codes(found)["rig-replaces"].startswith("the rig replaces the mounting of frame 'lidar' in 'base_link'")
     # transforms of another bag, and the notes of ours that name the frames
     with open_scene(bare, rig=whole) as found:
         np.testing.assert_array_equal(mounts(found)["lidar"], mounts(right)["lidar"])

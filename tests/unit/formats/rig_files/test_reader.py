@@ -1,6 +1,7 @@
 """Files of rigs: transforms against SciPy, camera models against OpenCV and papers, faults by their place."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.cameras import project, project_unbounded
 from sceneloom.errors import DataError, OptionError, SceneloomError
-from sceneloom.formats.rig_files.matching import oriented
+from sceneloom.formats.rig_files.matching import RigSensor, match_frames, oriented
 from sceneloom.formats.rig_files.reader import quaternion_of_rpy, read_rig
 
 pytest.importorskip("ruamel.yaml", reason="ruamel.yaml is not installed")
@@ -175,6 +176,17 @@ def test_chains_of_cameras_go_from_imu_to_camera_and_configurations_of_vins_the_
     np.testing.assert_allclose(basalt_pose, expected, atol=1e-12)
 
 
+def test_optical_frames_of_a_kit_are_those_of_its_links_as_rep_103_has_them(rig):
+    text = "kit:\n  front/camera_link: {x: 1, y: 0, z: 0, roll: 0, pitch: 0.1, yaw: 0.2}\n"
+    found = rig("kit.yaml", text)
+    sensor = RigSensor("front", is_camera=True, frame="front/camera_optical_link", topic="/front/image")
+    made = replace(found, transforms=tuple(match_frames(found, [sensor], {})))
+    link, optical = (poses(made, "kit")[f"front/camera_{name}"] for name in ("link", "optical_link"))
+    # x right, y down, z forward of x forward, y left, z up
+    np.testing.assert_allclose(optical[:3, :3], np.stack([-link[:3, 1], -link[:3, 2], link[:3, 0]], axis=1), atol=1e-12)
+    assert "as REP 103 has it" in notes(found)["rig-frame-optical"]
+
+
 POINTS = np.random.default_rng(2).uniform([-1, -1, 1.5], [1, 1, 4], (200, 3))
 K, ZERO = np.array([[484.1, 0, 457.2], [0, 484.5, 364.9], [0, 0, 1]]), np.zeros(3)
 FOURTEEN = np.array([-0.2, 0.07, 0.003, 0.0003, 0.01, 0.02, 0.03, 0.004, 0.001, 0.002, 0.003, 0.004, 0, 0])
@@ -199,7 +211,7 @@ def test_camera_models_project_as_opencv_does(rig, name):
 
 
 def on_plane(kind, numbers, points):
-    """The models of Usenko and others 2018, eq. 14, 17 and 40, as they stand there."""
+    """The double sphere and the (extended) unified model as Usenko and others 2018 have them."""
     x, y, z = points.T
     alpha = numbers["alpha"]
     if kind == "ds":

@@ -389,50 +389,67 @@ def read_frames_and_cameras(
     """Read what a manifest states of frames and cameras; its files are not looked at, and need not be named.
 
     Returns:
-        transforms: source frame, target frame, `target_from_source`, and where it stands.
+        transforms: source frame, target frame, `target_from_source`, and where it stands; frames of cameras have
+            optical axes here, whatever their own are.
         cameras: id, frame, camera model, and where it stands; of those whose image size is stated.
 
     Raises:
         DataError: the manifest is no TOML, or something of this is at fault.
     """
     raw, faults, ledger = _parse(path), Faults(path), Ledger(lenient=False)
-    kept: _Record = {name: raw[name] for name in ("ego", "transforms") if name in raw}
     sensors = raw.get("sensors", [])
-    if not isinstance(sensors, list) or not all(
-        isinstance(one, dict) and isinstance(one.get("id"), str) for one in sensors
-    ):
+    if not isinstance(sensors, list) or not all(isinstance(_of(one, "id"), str) for one in sensors):
         raise DataError(path, "sensors", "expected `[[sensors]]`, each with an `id`")
-    record = read_record({**kept, "sensors": []}, "rig", "", faults)
-    tables = [
-        (f"transforms[{k}]", one, one["from"], one["to"])
-        for k, one in enumerate(record.get("transforms", ()))
-        if {"from", "to"} <= one.keys()
-    ]
-    cameras = []
+    kept: _Record = {name: raw[name] for name in ("ego", "transforms") if name in raw}
+    listed = read_record({**kept, "sensors": []}, "rig", "", faults).get("transforms", [])
+    tables = [(f"transforms[{k}]", one, one.get("from", ""), one.get("to", "")) for k, one in enumerate(listed)]
+    cameras, optical = [], {}
     for k, one in enumerate(sensors):
         frame, location = str(one.get("frame", one["id"])), f"sensors[{k}]"
-        for name in ("extrinsic", "camera_model"):
-            if name in one and not isinstance(one[name], dict):
-                faults.add(f"{location}.{name}", f"{_found(one[name])}; expected a table")
-        if isinstance(one.get("extrinsic"), dict):
-            table = read_record(one["extrinsic"], "extrinsic", f"{location}.extrinsic", faults)
+        parts = {name: one[name] for name in ("extrinsic", "camera_model") if name in one}
+        for name, part in parts.items():
+            parts[name] = read_record(part, name, f"{location}.{name}", faults) if isinstance(part, dict) else None
+            if parts[name] is None:
+                faults.add(f"{location}.{name}", f"{_found(part)}; expected a table")
+        table, model = parts.get("extrinsic"), parts.get("camera_model")
+        if table is not None:
             tables.append((f"{location}.extrinsic", table, table.get("from", frame), table.get("to", frame)))
-        if isinstance(one.get("camera_model"), dict):
-            where = f"{location}.camera_model"
-            model = read_record(one["camera_model"], "camera_model", where, faults)
-            with faults.catching(where):
-                size = model.get("width", 0), model.get("height", 0)
-                if not all(size):
-                    raise CalibrationError("no width and height; expected those of the calibrated images")
-                cameras.append((one["id"], frame, read_camera_model(model, size), where))
+        with faults.catching(f"{location}.axes"):
+            if "axes" in one:
+                optical[frame] = frame_from_optical(_stated_axes(one["axes"], f"{location}.axes", faults))
+        with faults.catching(f"{location}.camera_model"):
+            if model is not None and "width" not in model:
+                raise CalibrationError("no width and height; expected those of the calibrated images")
+            if model is not None:
+                optical[frame] = optical.get(frame, RigidTransform.identity()) @ frame_from_camera(model)
+                size = int(model["width"]), int(model.get("height", 0))
+                cameras.append((one["id"], frame, read_camera_model(model, size), f"{location}.camera_model"))
     found = []
     for location, table, source, target in tables:
         with faults.catching(location):
             if source == target:
                 raise CalibrationError(f"from {source!r} to itself; expected two frames")
-            found.append((source, target, read_transform(table, location, ledger), location))
+            pose = read_transform(table, location, ledger)
+            if source in optical:
+                pose = pose @ optical[source]
+            if target in optical:
+                pose = optical[target].inverse() @ pose
+            found.append((source, target, pose, location))
     faults.raise_all()
     return found, cameras
+
+
+def _stated_axes(value: Any, location: str, faults: Faults) -> tuple[str, ...]:
+    field = next(field for field in RECORDS["sensor camera"] if field.name == "axes")
+    try:
+        axes: tuple[str, ...] = _read(value, field, location, faults)
+    except _FieldError as error:
+        raise CalibrationError(str(error)) from None
+    return axes
+
+
+def _of(table: Any, name: str) -> Any:
+    return table.get(name) if isinstance(table, dict) else None
 
 
 def _parse(path: Path) -> _Record:

@@ -171,6 +171,10 @@ def test_chains_of_cameras_go_from_imu_to_camera_and_configurations_of_vins_the_
     )
     manifest = rig("rig.toml")
     np.testing.assert_allclose(poses(manifest, "base_link")["front"][:3, 3], [1 + 0.28, 2 + 0.96, 3], atol=1e-12)
+    # a camera whose axes are those of a body
+    manifest = rig("rig.toml", MANIFEST.replace('id = "front",', 'id = "front", axes = "flu",'))
+    front = poses(manifest, "top")["front"]
+    np.testing.assert_allclose(front, rigid([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [1, 0, 0]), atol=1e-12)
     basalt_pose = poses(rig("basalt.json"), "imu0")["cam0"]
     expected = rigid(Rotation.from_quat([0, 0, 0.6, 0.8]).as_matrix(), [0.1, 0.2, 0.3])
     np.testing.assert_allclose(basalt_pose, expected, atol=1e-12)
@@ -268,6 +272,7 @@ def test_models_that_we_do_not_have_are_met_within_a_thousandth_of_a_pixel_and_i
         ("vins.yaml", "0, 0, 0, 1]", "0, 0, 1]", r"body_T_cam0: 15 numbers; expected 16 or 12"),
         ("rig.toml", '"top", to', '"base_link", to', r"rig\.toml: transforms\[0\]: from 'base_link' to itself"),
         ("rig.toml", "fx = 6.0", "fx = -6.0", r"sensors\[0\]\.camera_model\.fx: -6\.0; expected a number"),
+        ("rig.toml", 'id = "front",', 'id = "front", axes = 3,', r"sensors\[0\]\.axes: 3; expected a word"),
         ("basalt.json", '"ds"', '"dc"', r"value0\.intrinsics\[0\]\.camera_type: 'dc'; expected one of pinhole"),
         ("basalt.json", "[512, 512]", "", r"0 resolutions; expected as many of each"),
         ("basalt.json", "value0", "value", r"has value; expected URDF"),

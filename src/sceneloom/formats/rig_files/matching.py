@@ -145,15 +145,22 @@ def match_frames(
         stated = rig.stated.get(str(sensor.id))
         camera = cameras.get(sensor.id)
         by_camera = next((name for name in camera.names if name in rig.frames), None) if camera is not None else None
-        by_topic = next((frame for frame, topic in rig.topics.items() if _same_topic(topic, sensor.topic)), None)
+        by_topic = next(
+            (
+                frame
+                for frame, topic in rig.topics.items()
+                if _same_topic(topic, sensor.topic) or str(sensor.id) in _named_by(topic)
+            ),
+            None,
+        )
         optical = _OPTICAL.fullmatch(wanted)
         suffixes = [f"{optical[1]}{suffix}" for suffix in ("_link", "_frame", "")] if optical else []
         if stated in frames.values():
             source = stated
         elif _bare(wanted) in frames:
             source = frames[_bare(wanted)]
-        elif by_topic in frames:
-            source, why = by_topic, f"by its topic {sensor.topic}"
+        elif by_topic is not None and by_topic in frames.values():
+            source, why = by_topic, f"by its topic {rig.topics[by_topic]}"
         elif by_camera is not None:
             source, why = by_camera, "as its camera model is"
         elif str(sensor.id) in frames:
@@ -169,6 +176,7 @@ def match_frames(
         if source is None:
             continue
         matched.add(_bare(source))
+        rig.optical.update({wanted} if source in rig.optical else ())
         if source != wanted:
             if wanted not in {one.child for one in found}:
                 upright = sensor.is_camera and sensor.frame and _is_upright(rig, source, tops.get(source))

@@ -62,7 +62,7 @@ class Rig:
         transforms: between frames, in the order of the files.
         cameras: camera models.
         topics: the topic of a frame's sensor, by the frame.
-        optical: frames of cameras that look along z, as their kind of file has it.
+        optical: frames of cameras that look along z, as their kind of file has it; those that are matched are added.
         stated: frame or camera name by the id of a sensor, or by "ego", as a person stated it.
         ledger: what was assumed or left out.
     """
@@ -71,7 +71,7 @@ class Rig:
     transforms: tuple[RigTransform, ...] = ()
     cameras: tuple[RigCamera, ...] = ()
     topics: Mapping[str, str] = field(default_factory=dict)
-    optical: frozenset[str] = frozenset()
+    optical: set[str] = field(default_factory=set)
     stated: Mapping[str, str] = field(default_factory=dict)
     ledger: Ledger = field(default_factory=lambda: Ledger(lenient=False))
 
@@ -112,7 +112,7 @@ def read_rig(files: Any, names: Any = None) -> Rig:
         transforms=tuple(one for draft in drafts for one in draft.transforms),
         cameras=tuple(one for draft in drafts for one in draft.cameras),
         topics=MappingProxyType({frame: topic for draft in drafts for frame, topic in draft.topics.items()}),
-        optical=frozenset(frame for draft in drafts for frame in draft.optical),
+        optical={frame for draft in drafts for frame in draft.optical},
     )
 
 
@@ -402,6 +402,7 @@ def _read_manifest(draft: _Draft) -> None:
     edges, cameras = imported("sceneloom.formats.rig.reader:read_frames_and_cameras")(draft.path)
     for source, target, pose, location in edges:
         draft.mount(target, source, pose, location)
+        draft.optical |= {target, source}  # a camera's frame is optical in a manifest
     for name, frame, camera, location in cameras:
         draft.cameras.append(RigCamera(tuple(dict.fromkeys((name, frame))), camera, f"{draft.path.name}: {location}"))
         draft.optical.add(frame)

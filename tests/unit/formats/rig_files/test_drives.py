@@ -195,6 +195,16 @@ def test_a_rig_replaces_what_a_drive_states_and_places_its_sensors_along_the_tra
         ego = next(iter(scene.trajectories.values())).poses.interpolate(lidar.poses.timestamps_ns)
         moved = Rotation.from_quat(ego.quaternions_xyzw).apply([0, 0, 2]) + ego.positions
         np.testing.assert_allclose(lidar.poses.positions, moved, atol=1e-9)
+    # a camera of Kalibr looks along z, wherever the IMU's axes point
+    same = "[[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
+    chain = f"cam0:\n  T_imu_cam: {same}\n  rostopic: /camera0/image_raw\n"
+    (tmp_path / "chain.yaml").write_text(chain)
+    names = {"camera0": "cam0", "ego": "imu0"}
+    with open_scene(tmp_path / "drive", rig=tmp_path / "chain.yaml", rig_names=names) as scene:
+        np.testing.assert_array_equal(mounts(scene)["camera0"], RigidTransform(np.eye(3), np.array([0.5, 0, 0])).matrix)
+    # and what the drive has placed places what it has not
+    with open_scene(tmp_path / "drive", rig=tmp_path / "chain.yaml") as scene:
+        np.testing.assert_allclose(mounts(scene)["camera0"], mounts(street)["camera0"], atol=1e-6)
     (tmp_path / "none.urdf").write_text(f"<robot>{joints.replace('lidar', 'top').replace('camera0', 'front')}</robot>")
     with pytest.raises(OptionError, match=r"none of its frames .* state which is which with `--rig-name SENSOR=FRAME`"):
         open_scene(tmp_path / "drive", rig=tmp_path / "none.urdf")

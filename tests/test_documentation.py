@@ -170,6 +170,7 @@ SHARED_PAGES = dict.fromkeys(("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes
     "pcap": "packets",
     "ros1": "ros",
     "ros2": "ros",
+    **dict.fromkeys(("urdf", "kalibr", "camera-info"), "rig"),
 }
 """Formats that are reported on one page, and its name."""
 

@@ -26,7 +26,7 @@ ALLOWED = {
     ("sceneloom.formats.base.images", "Image.open"): "after `check_regular`, or of bytes in memory",
     ("sceneloom.formats.argoverse2.reader", "feather.read_table"): "after `check_regular`",
     ("sceneloom.formats.messages.ros", "sqlite3.connect"): "after `check_regular`",
-    ("sceneloom.formats.messages.ros", "YAML"): "of a text",
+    ("sceneloom.formats.base.yaml_files", "YAML"): "of a text",
     ("sceneloom.formats.points.cloud", "np.loadtxt"): "of lines in memory",
     ("sceneloom.formats.points.files", "laspy.open"): "of a stream, or for writing",
     ("sceneloom.formats.points.files", "np.load"): "of an open file",

@@ -48,7 +48,7 @@ class Batched:
     modules: tuple[str, ...]
     folders: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
-    beside: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ("rig",)
 
 
 BATCHED: Mapping[str, Batched] = MappingProxyType(
@@ -56,12 +56,12 @@ BATCHED: Mapping[str, Batched] = MappingProxyType(
         "fuse": Batched(
             *("path", "output", ".sfs", ("sceneloom.cli.fuse", "sceneloom.pipeline.fusing")),
             folders=("depth", "images"),
-            beside=("boxes3d", "boxes2d", "detectors"),
+            beside=("boxes3d", "boxes2d", "detectors", "rig"),
         ),
         "convert": Batched(
             *("source", "target", ".sfs", ("sceneloom.cli.convert", "sceneloom.pipeline.converting")),
             files=("loss",),
-            beside=("from_times",),
+            beside=("from_times", "rig"),
         ),
         "validate": Batched(
             *("path", "", ".json", ("sceneloom.cli.validate", "sceneloom.checks.validation")), files=("fix",)
@@ -69,12 +69,12 @@ BATCHED: Mapping[str, Batched] = MappingProxyType(
         "track": Batched(
             *("path", "output", ".sfs", ("sceneloom.cli.track", "sceneloom.pipeline.tracking")),
             folders=("images",),
-            beside=("boxes3d", "boxes2d", "detectors"),
+            beside=("boxes3d", "boxes2d", "detectors", "rig"),
         ),
         "report": Batched(
             *("path", "output", ".html", ("sceneloom.cli.report", "sceneloom.report.page")),
             files=("numbers",),
-            beside=("truth", "losses"),
+            beside=("truth", "losses", "rig"),
         ),
     }
 )

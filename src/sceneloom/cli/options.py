@@ -207,6 +207,19 @@ reading = stacked(
         help="An option of the drive's format, such as `world=odom` for bags; each format's page lists its own.",
     ),
     lenient,
+    _input(
+        "--rig=FILE…",
+        "Mountings and camera models that the drive does not state: URDF, Kalibr, OpenCV or camera_info YAML, Autoware "
+        "kits, basalt JSON, tf_static of a bag, rig.toml; may be repeated.",
+        source(exists=True),
+        callback=lambda _context, _parameter, given: given or None,
+    ),
+    _rare(
+        "--rig-name=SENSOR=NAME… rig_names",
+        "What the rig calls a sensor (its frame or camera), where that is not the sensor's id or the frame of its "
+        "messages; `ego=NAME` for the ego.",
+        callback=lambda _context, _parameter, given: given or None,
+    ),
     _rare(
         "--points-frame=world|ego|sensor",
         "Frame of the lidar points of a scene file that does not state it. [default: that of its coordinates]",

@@ -14,7 +14,7 @@ import sceneloom
 from sceneloom import convert
 from sceneloom.formats.base.registry import format_named, written_formats
 
-FILES_OF_ONE_DRIVE = ("sfs", "mcap", "ros1", "openlabel")
+FILES_OF_ONE_DRIVE = ("sfs", "mcap", "ros1", "openlabel", "urdf", "kalibr")
 
 
 def test_a_short_table_says_what_is_not_simply_kept_and_strict_refuses_it(call, reported, recording, tmp_path):
@@ -81,13 +81,14 @@ def test_a_folder_is_replaced_only_by_its_like_and_never_with_the_source_in_it(
     convert(recording, drive)
     suffixes = format_named(name).suffixes
     if name in FILES_OF_ONE_DRIVE:
-        own = own.with_suffix(suffixes[0])
+        own = own.with_name(f"{own.name}{suffixes[0]}")
     words = ("--to", name, "--overwrite")
     for _ in range(2):
         succeeds("convert", drive, own, *words, "--quiet")
     assert own.is_dir() is (name not in FILES_OF_ONE_DRIVE)
     if own.is_file():
-        refuses(1, "is read by this very run", "convert", own, own, *words)
+        if format_named(name).reads:
+            refuses(1, "is read by this very run", "convert", own, own, *words)
         return
     (own / "thesis.odt").write_text("mine")
     before = _tree(own)
@@ -281,3 +282,19 @@ def test_options_of_one_format_are_a_number_or_true_or_false(call, refuses, repo
     pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     report = reported("info", write_log(tmp_path / "log"), "--input-option", "one_lidar=true")
     assert [sensor["id"] for sensor in report["sensors"]] == ["lidar", "ring_front_center"]
+
+
+def test_a_rig_is_taken_beside_a_drive_and_written_and_what_is_wrong_with_it_is_named(
+    succeeds, refuses, recording, tmp_path
+):
+    succeeds("convert", recording, tmp_path / "car.urdf")
+    out = succeeds("info", recording, "--rig", tmp_path / "car.urdf", "--json").out
+    assert json.loads(out)["sensors"] == json.loads(succeeds("info", recording, "--json").out)["sensors"]
+    moved = (tmp_path / "car.urdf").read_text().replace('"lidar"', '"roof"').replace('xyz="', 'xyz="1')
+    (tmp_path / "car.urdf").write_text(moved)
+    words = ("info", recording, "--rig", tmp_path / "car.urdf", "--rig-name", "lidar=roof")
+    assert "the rig replaces the mounting of sensor 'lidar'" in succeeds(*words, "-v").err
+    refuses(2, "rig name top=roof: no sensor 'top'", *words[:-1], "top=roof")
+    refuses(2, "none.urdf", "info", recording, "--rig", tmp_path / "none.urdf")
+    (tmp_path / "car.urdf").write_text(moved.replace("fixed", "welded"))
+    refuses(1, "car.urdf: joint 'lidar_joint': type 'welded'; expected one of fixed", *words)

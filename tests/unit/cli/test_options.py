@@ -99,6 +99,8 @@ MEANINGS = {
     "--quiet": (FLAG, ""),
     "--input-format": (TEXT, "Format of the drive"),
     "--input-option": (TEXT, "An option of the drive's format"),
+    "--rig": (LOCATION, "Mountings and camera models that the drive does not state"),
+    "--rig-name": (TEXT, "What the rig calls a sensor"),
     "--sequence": (TEXT, ""),
     "--session": (TEXT, "The session"),
     "--start": (NUMBER, "Begin S seconds after the first timestamp"),

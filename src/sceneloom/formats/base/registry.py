@@ -97,6 +97,7 @@ _CAPTURES = tuple(map(bytes.fromhex, ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23
 _KITTI = "sceneloom.formats.kitti.spec"
 _POINTS = "sceneloom.formats.points.spec"
 _MESSAGES = "sceneloom.formats.messages.spec"
+_RIG_FILES = "sceneloom.formats.rig_files.spec"
 
 FORMATS: Mapping[str, FormatRow] = MappingProxyType(
     {
@@ -150,6 +151,9 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
         "colmap": FormatRow("sceneloom.formats.posed_images.spec:COLMAP"),
         "nerfstudio": FormatRow("sceneloom.formats.posed_images.spec:NERFSTUDIO"),
+        "urdf": FormatRow(f"{_RIG_FILES}:URDF"),
+        "kalibr": FormatRow(f"{_RIG_FILES}:KALIBR"),
+        "camera-info": FormatRow(f"{_RIG_FILES}:CAMERA_INFO"),
     }
 )
 """The formats by name. Their rows are looked at before a spec is imported; they only rule out, and a spec decides."""
@@ -310,7 +314,9 @@ def open_scene(
         corrections: "apply" or "ignore": what is done with the scene's camera calibrations and localization adjustments
             by everything that computes with it (`Scene.corrected`). Here they stay as they are.
         options: reading options of the format, such as `lenient=True`, which skips what is broken, counts it, and goes
-            on; one that the format does not have is named in the error, with those that it has.
+            on; one that the format does not have is named in the error, with those that it has. Of every format: `rig`,
+            a file or several that state mountings and camera models which the drive does not (URDF, Kalibr, OpenCV,
+            camera_info, …), and `rig_names`, what these call a sensor, by its id, or `"ego"`.
 
     Raises:
         UnknownFormatError: no format fits the path.

@@ -1,7 +1,7 @@
 """What a format is: a `FormatSpec` with its options, its supported fields, and its reader and writer by name."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
@@ -88,7 +88,8 @@ class FormatSpec:
 
         Args:
             path: a file or folder.
-            options: those of `read_options`; None for what is not stated.
+            options: those of `read_options`; None for what is not stated. Of every format `rig` and `rig_names`:
+                files of mountings and camera models, as of `open_scene`.
 
         Raises:
             UnknownOptionError: an option is unknown.
@@ -98,8 +99,11 @@ class FormatSpec:
         """
         if not self.reader:
             raise OptionError(f"{path}: {self.instead}")
-        scene: Scene = self._read(self.reader, path, options)
-        return scene
+        rig, left = _rig_of(options)
+        if rig is not None and isinstance(self.read_options, tuple) and "rig" in self.read_options:
+            return self._read(self.reader, path, {**left, "rig": rig})  # type: ignore[no-any-return]
+        scene: Scene = self._read(self.reader, path, left)
+        return scene if rig is None else _rigged(scene, rig)
 
     def examine(self, path: Path | str, **options: Any) -> Any:
         """Give all faults of a path, and the scene of all that is sound; options as for `open`, without `lenient`.
@@ -108,7 +112,9 @@ class FormatSpec:
             UnknownOptionError: an option is unknown.
             OptionError: the value of an option cannot be followed.
         """
-        return self._read(self.examiner, path, {name: value for name, value in options.items() if name != "lenient"})
+        rig, left = _rig_of(options)
+        found = self._read(self.examiner, path, {name: value for name, value in left.items() if name != "lenient"})
+        return found if rig is None or found.scene is None else replace(found, scene=_rigged(found.scene, rig))
 
     def write(self, scene: "Scene", path: Path, *, overwrite: bool = False, **options: Any) -> LossReport:
         """Write beside the target, then rename; report what the format could not hold.
@@ -152,6 +158,25 @@ class FormatSpec:
             raise MissingExtraError(f"{missing}; install the extra: {how_to_install(self.extra)}") from missing
         found: Callable[..., Any] = imported(name)
         return found
+
+
+def _rig_of(options: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Read the files of a rig that options name; give it, or None, and the other options."""
+    left = dict(options)
+    files, names = left.pop("rig", None), left.pop("rig_names", None)
+    if not files and names:
+        raise OptionError("rig_names without rig; expected the files of the rig")
+    return (imported("sceneloom.formats.rig_files.reader:read_rig")(files, names) if files else None), left
+
+
+def _rigged(scene: "Scene", rig: Any) -> "Scene":
+    """Give the scene with the mountings and camera models of a rig; where that cannot be, it is closed."""
+    try:
+        changed: Scene = imported("sceneloom.formats.rig_files.matching:with_rig")(scene, rig)
+    except BaseException:
+        scene.close()
+        raise
+    return changed
 
 
 def _arguments(known: tuple[str, ...] | type[Any], doing: str, options: Mapping[str, Any]) -> dict[str, Any]:

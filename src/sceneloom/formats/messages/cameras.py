@@ -2,7 +2,7 @@
 
 import io
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from threading import Lock
@@ -407,8 +407,20 @@ class CameraDraft:
     video: _MessageVideo | None = None
 
     @classmethod
-    def of(cls, survey: Survey, topic: Topic, camera_model_topic: Topic | None) -> "CameraDraft":
+    def of(
+        cls,
+        survey: Survey,
+        topic: Topic,
+        camera_model_topic: Topic | None,
+        fitted: Callable[[tuple[int, int]], Camera] | None = None,
+    ) -> "CameraDraft":
         """Find out what a topic of images shows; its first message is read.
+
+        Args:
+            survey: of the log.
+            topic: of the images.
+            camera_model_topic: of their calibrations, or None.
+            fitted: gives the camera model for images of a size, in place of calibrations.
 
         Raises:
             DataError: the first message is damaged, or the camera model is.
@@ -417,7 +429,7 @@ class CameraDraft:
         timestamps = survey.times_ns[topic.number]
         location = f"{survey.log.name}: {topic.name}"
         if topic.kind is Kind.VIDEO:
-            return _draft_video(survey, topic, camera_model_topic, timestamps, location)
+            return _draft_video(survey, topic, camera_model_topic, timestamps, location, fitted)
         rows = in_order(timestamps, location, survey.ledger)
         first: Any = survey.log.read(topic, int(rows[0]))[0]
         owner, where = survey.log.name, f"{topic.name}[{int(rows[0])}]"
@@ -426,7 +438,7 @@ class CameraDraft:
         else:
             form = _image_form(first, owner, where)
             is_depth, size = False, EncodedImage(bytes(first.data), form, 0, 0, owner, where).stated_size()
-        camera_models = _camera_models(survey, camera_model_topic, size, location)
+        camera_models = _camera_models(survey, camera_model_topic, size, location, fitted)
         scale = MILLIMETRE if is_depth and first.encoding == "16UC1" else None
         reader = _ImageReader(survey.log, topic, rows, timestamps[rows], camera_models, scale)
         frames: LazyFrames[Any] = LazyFrames(timestamps[rows], reader.depth_frame if is_depth else reader.image)
@@ -441,7 +453,12 @@ class CameraDraft:
 
 
 def _draft_video(
-    survey: Survey, topic: Topic, camera_model_topic: Topic | None, timestamps: Int64Array, location: str
+    survey: Survey,
+    topic: Topic,
+    camera_model_topic: Topic | None,
+    timestamps: Int64Array,
+    location: str,
+    fitted: Callable[[tuple[int, int]], Camera] | None,
 ) -> CameraDraft:
     skipped, first = 0, None
     for skipped in range(len(timestamps)):
@@ -461,7 +478,7 @@ def _draft_video(
     rows = np.arange(skipped, len(timestamps), dtype=np.int64)
     video = _MessageVideo(survey.log, topic, rows, timestamps[rows], _CODECS[first.form])
     size = _video_size(bytes(first.data), location)
-    camera_models = _camera_models(survey, camera_model_topic, size, location)
+    camera_models = _camera_models(survey, camera_model_topic, size, location, fitted)
     shown = np.sort(timestamps[rows], kind="stable")
     frames = LazyFrames(shown, partial(_video_image, video, shown, camera_models))
     return CameraDraft(topic, first.frame_id, camera_models.cameras[0], frames, is_depth=False, video=video)
@@ -479,8 +496,16 @@ def _video_size(packet: bytes, name: str) -> tuple[int, int]:
         opened.close()
 
 
-def _camera_models(survey: Survey, topic: Topic | None, size: tuple[int, int], location: str) -> _CameraModels:
+def _camera_models(
+    survey: Survey,
+    topic: Topic | None,
+    size: tuple[int, int],
+    location: str,
+    fitted: Callable[[tuple[int, int]], Camera] | None,
+) -> _CameraModels:
     """The camera models of a topic, fitted to the size of the images."""
+    if fitted is not None:
+        return _CameraModels(np.zeros(1, np.int64), (fitted(size),))
     found: dict[int, Camera] = {}
     records = [] if topic is None else survey.of(topic, CameraModelRecord)
     before: Any = None
@@ -499,7 +524,9 @@ def _camera_models(survey: Survey, topic: Topic | None, size: tuple[int, int], l
             found[record.timestamp_ns] = _fitted(camera_model, size, location, survey.ledger)
     if not found:
         message = (
-            "no calibration: the images can be looked at, and nothing can be projected into them"
+            "no calibration: the images can be looked at, and nothing can be projected into them; state it with "
+            "`--rig FILE`: camera_info or Kalibr YAML, or a rig.toml with sensors = [{ id = …, type = "
+            '"camera", camera_model = { width = W, height = H, K = [[FX, 0, CX], [0, FY, CY], [0, 0, 1]] } }]'
             if topic is None
             else f"{topic.name} reports no camera model that is known; nothing can be projected into the images"
         )

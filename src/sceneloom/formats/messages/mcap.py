@@ -54,6 +54,7 @@ from sceneloom.formats.messages.records import (
     vector_of,
 )
 from sceneloom.formats.messages.writer import SceneStreams, check_images
+from sceneloom.formats.rig_files.reader import Rig
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.scene import Scene, with_assumed_models
 from sceneloom.version import __version__
@@ -187,6 +188,7 @@ def open_mcap(
     timestamps: str | None = None,
     ego: str | None = None,
     world: str | None = None,
+    rig: Rig | None = None,
 ) -> Scene:
     """Open a file: its index and all small messages are read, images and points when they are asked for.
 
@@ -198,6 +200,7 @@ def open_mcap(
         timestamps: which time of a message counts: "header", what it says itself, or "receive", when it was recorded;
             None: what it says itself.
         ego, world: names of the frames that are to be the ego and the world; None: chosen from the transforms.
+        rig: mountings and camera models that the file does not state.
 
     Raises:
         DataError: the file is damaged, or a message is wrong.
@@ -205,10 +208,10 @@ def open_mcap(
     """
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        log = _open_log(path, ledger)
+        log = open_log(path, ledger)
         reported = {"profile": log.index.profile, "library": log.index.library}
         scene = scene_from_topics(
-            log, ledger, form="mcap", metadata=reported, timestamps=timestamps, ego=ego, world=world
+            log, ledger, form="mcap", metadata=reported, timestamps=timestamps, ego=ego, world=world, rig=rig
         )
     return with_assumed_models(scene) if assume_model else scene
 
@@ -269,8 +272,12 @@ class _McapLog:
         self.index.file.close()
 
 
-def _open_log(path: Path | str, ledger: Ledger) -> _McapLog:
-    """Read the index of a file."""
+def open_log(path: Path | str, ledger: Ledger) -> _McapLog:
+    """Open a file as a log of topics by its index.
+
+    Raises:
+        DataError: the file is damaged.
+    """
     file = FileBytes(path)
     try:
         index = read_index(file, ledger)

@@ -4,6 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import DataError, OptionError, UnknownFormatError
+from sceneloom.errors import CalibrationError, DataError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.messages.cameras import CameraDraft
@@ -31,6 +32,17 @@ from sceneloom.formats.messages.records import (
     numbered,
 )
 from sceneloom.formats.messages.survey import ATTRIBUTE_PARTS, Survey, in_order
+from sceneloom.formats.rig_files.matching import (
+    EGO_FRAMES,
+    RigSensor,
+    fitted_camera,
+    lacking,
+    match_cameras,
+    match_frames,
+    note_replaced,
+    oriented,
+)
+from sceneloom.formats.rig_files.reader import Rig, RigCamera, RigTransform
 from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
@@ -260,6 +272,27 @@ class _FrameTree:
         self.repeated += len(rows.times_ns) - len(times)
         return _Edge(rows.parent, path=Poses(times, positions[first], quaternions[first]))
 
+    def add(self, rig: Rig, transforms: Sequence[RigTransform], name: str) -> None:
+        """Add the transforms of a rig, which replace fixed ones of the log; frames that move in the log go on to move.
+
+        Raises:
+            DataError: transforms contradict one another, or lead in a circle.
+        """
+        frames = {frame for one in transforms for frame in (one.parent, one.child)}
+        moving = [frame for frame in self.edges if self.moves(frame)]
+        hanging = [frame for frame, edge in self.edges.items() if edge.parent not in frames]
+        for one in oriented(transforms, [*moving, *hanging]):
+            if self.moves(one.child):
+                message = f"{one.location}: frame {one.child!r} moves in the drive; its fixed transform is not used"
+                rig.ledger.note(WarningKind.SKIPPED, "rig-frame-moves", name, message)
+                continue
+            before = self.mount(one.parent, one.child)
+            if before is not None:
+                note_replaced(rig, f"frame {one.child!r} in {one.parent!r}", before, one.parent_from_child)
+            self.edges[one.child] = _Edge(one.parent, fixed=one.parent_from_child)
+        for child in self.edges:
+            self._check_chain(child, name)
+
     def _check_chain(self, frame: str, name: str) -> None:
         seen = {frame}
         while frame in self.edges:
@@ -353,10 +386,6 @@ def _check_transform(record: TransformRecord, name: str) -> None:
         raise DataError(name, f"transform {record.parent!r} to {record.child!r}", "is from a frame to itself")
 
 
-_EGO_NAMES = ("base_link", "ego", "ego_vehicle", "base_footprint", "vehicle", "base", "body")
-"""What the frame of a vehicle is called, the likeliest first. Source: REP 105 for the first."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Roles:
     """The frames of a scene: ego, None where no sensor has a frame; world, None where nothing moves."""
@@ -403,7 +432,7 @@ def _ego(tree: _FrameTree, sensor_frames: list[str]) -> str | None:
         body = moving[0] if moving and not sensor_frames else None
     else:
         body = movers.most_common(1)[0][0]
-    candidates = [name for name in _EGO_NAMES if name in tree.frames]
+    candidates = [name for name in EGO_FRAMES if name in tree.frames]
     if body is not None:
         above = tree.ancestors(body)[1:]
         near = [name for name in candidates if name in above or tree.mount(body, name) is not None]
@@ -427,6 +456,11 @@ class _Locations:
         if frame_id == self.roles.world:
             return PointsFrame.WORLD
         return PointsFrame.EGO if frame_id == self.roles.ego else PointsFrame.SENSOR
+
+    def is_placed(self, frame_id: str) -> bool:
+        """Whether it is known where a frame is on the ego or in the world."""
+        roots = [frame for frame in (self.roles.ego, self.roles.world) if frame is not None]
+        return self.mount(frame_id) is not None or any(frame in self.tree.ancestors(frame_id) for frame in roots)
 
     def mount(self, frame_id: str) -> RigidTransform | None:
         """`ego_from_sensor`, or None."""
@@ -975,6 +1009,26 @@ def _noted_scene_fields(survey: Survey, metadata: Mapping[str, Any], form: str) 
     }
 
 
+def fixed_transforms(log: TopicLog) -> tuple[list[tuple[str, str, RigidTransform]], list[str]]:
+    """Read the transforms of a log that are stated to stay.
+
+    Returns:
+        fixed: parent, child and `parent_from_child` of each, of topics that end with tf_static.
+        others: children of transforms on other topics, which move or may.
+
+    Raises:
+        DataError: a message is wrong, or the frames are no tree.
+    """
+    records: dict[bool, list[TransformRecord]] = {True: [], False: []}
+    for topic in log.topics:
+        for k in range(topic.count if topic.kind is Kind.TRANSFORM else 0):
+            found = [record for record in log.read(topic, k) if isinstance(record, TransformRecord)]
+            records[topic.name.endswith("tf_static")] += [replace(record, fixed=True) for record in found]
+    edges = _FrameTree(records[True], log.name).edges
+    fixed = [(edge.parent, child, edge.fixed) for child, edge in edges.items() if edge.fixed is not None]
+    return fixed, sorted({record.child for record in records[False]} - edges.keys())
+
+
 _IMAGE_KINDS = (Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO)
 _FROM_FRAMES = "tf"  # name of the ego trajectory that the transforms report
 
@@ -996,10 +1050,14 @@ class _Closing:
 class _Log:
     """A log while a scene is made of it; `clouds` and `cameras` by the names of their topics."""
 
-    def __init__(self, found: Survey, cameras: list[CameraDraft]) -> None:
+    def __init__(self, found: Survey, cameras: list[CameraDraft], rig: Rig | None) -> None:
         """Look at the first message of each topic of large ones; drafts of cameras are added to `cameras`, too."""
-        self.survey = found
-        clouds = _draft_all(found, cameras)
+        self.survey, self.rig, self.ids = found, rig, _ids_of_topics(found)
+        known = [
+            RigSensor(self.ids[one.name], one.kind in _IMAGE_KINDS, topic=one.name) for one in _sensor_topics(found)
+        ]
+        self.rig_cameras = {} if rig is None else match_cameras(rig, known)
+        clouds = _draft_all(self, cameras)
         self.clouds = {draft.reader.topic.name: draft for draft in clouds}
         self.cameras = {draft.topic.name: draft for draft in cameras}
         self.drafts: list[CloudDraft | CameraDraft] = [*clouds, *cameras]
@@ -1008,6 +1066,17 @@ class _Log:
     def at(self, topic: str) -> str:
         """Where a topic is, for warnings."""
         return f"{self.survey.log.name}: {topic}"
+
+    def sensors(self) -> list[RigSensor]:
+        """The sensors of all topics whose messages have a frame."""
+        frames = {draft.topic.name: draft.frame_id for draft in self.drafts if isinstance(draft, CameraDraft)}
+        frames |= {name: draft.frame_id for name, draft in self.clouds.items()}
+        for kind, record_type in ((Kind.SAMPLE, SampleRecord), (Kind.FIX, FixRecord)):
+            small: type[Any] = record_type
+            for topic in self.survey.topics(kind):
+                for record in self.survey.of(topic, small)[:1]:
+                    frames[topic.name] = record.frame_id
+        return [RigSensor(self.ids[name], name in self.cameras, frame, name) for name, frame in frames.items()]
 
     def records(self, topic: str, kind: Kind, record_type: type[_R]) -> list[_R]:
         """The records of a topic by its name."""
@@ -1028,6 +1097,7 @@ def scene_from_topics(
     timestamps: str | None = None,
     ego: str | None = None,
     world: str | None = None,
+    rig: Rig | None = None,
 ) -> Scene:
     """Make a scene of a log.
 
@@ -1038,15 +1108,17 @@ def scene_from_topics(
         metadata: what the file says of itself.
         timestamps: which times of messages count, "header" or "receive".
         ego, world: frames that are to be these.
+        rig: mountings and camera models that the log does not state, or not rightly.
 
     Raises:
         DataError: a message is wrong.
-        OptionError: a frame that was chosen is not there.
+        OptionError: a frame that was chosen is not there, or nothing of the rig is.
     """
     closing = _Closing(log, [])
     try:
         found = _survey(log, ledger, timestamps=timestamps)
-        context = _Log(found, closing.cameras)
+        context = _Log(found, closing.cameras, rig)
+        ego = ego or (rig.stated.get("ego") if rig is not None else None)
         trajectories = _locate(context, ego=ego, world=world)
         sensors = _noted_sensors(context)
         cameras = {
@@ -1054,7 +1126,7 @@ def scene_from_topics(
             for note in found.notes.sensors
             if note.get("type") == "camera" and {"topic", "id"} <= note.keys()
         }
-        sensors += _foreign_sensors(context, {sensor.id for sensor in sensors}, cameras)
+        sensors += _foreign_sensors(context, cameras)
         annotations = _read_annotations(found, context.locations, cameras)
         fields = _noted_scene_fields(found, metadata, form)
     except BaseException:
@@ -1066,14 +1138,15 @@ def scene_from_topics(
         trajectories=MappingProxyType(trajectories),
         source=log.name,
         format=form,
-        warnings=ledger.warnings,
+        warnings=(*(() if rig is None else rig.ledger.warnings), *ledger.warnings),
         on_close=closing,
         **fields,
     )
 
 
-def _draft_all(found: Survey, cameras: list[CameraDraft]) -> list[CloudDraft]:
+def _draft_all(context: "_Log", cameras: list[CameraDraft]) -> list[CloudDraft]:
     """Look at the first message of each topic of large ones; drafts of cameras are added to `cameras`."""
+    found = context.survey
     camera_models = {topic.name: topic for topic in found.topics(Kind.CAMERA_MODEL)}
     noted = {note["topic"]: note.get("camera_model_topic") for note in found.notes.sensors if "topic" in note}
     clouds = []
@@ -1083,6 +1156,11 @@ def _draft_all(found: Survey, cameras: list[CameraDraft]) -> list[CloudDraft]:
                 clouds.append(CloudDraft.of(found, topic))
                 continue
             name = noted[topic.name] if topic.name in noted else _nearest(topic.name, camera_models)
+            chosen = context.rig_cameras.get(context.ids[topic.name])
+            if context.rig is not None and chosen is not None:
+                rigged = partial(_rig_camera, context.rig, context.ids[topic.name], chosen)
+                cameras.append(CameraDraft.of(found, topic, None, rigged))
+                continue
             cameras.append(CameraDraft.of(found, topic, camera_models.get(name or "")))
         except UnknownFormatError as error:
             location = f"{found.log.name}: {topic.name}"
@@ -1091,6 +1169,13 @@ def _draft_all(found: Survey, cameras: list[CameraDraft]) -> list[CloudDraft]:
         except DataError as error:
             found.ledger.fault("topics-at-fault", error, count=topic.count)
     return clouds
+
+
+def _rig_camera(rig: Rig, camera_id: Any, found: RigCamera, size: tuple[int, int]) -> Camera:
+    try:
+        return fitted_camera(rig, camera_id, found, size)
+    except CalibrationError as error:
+        raise DataError(found.location, "", str(error)) from None
 
 
 def _locate(context: _Log, *, ego: str | None, world: str | None) -> dict[str, Trajectory]:
@@ -1109,6 +1194,12 @@ def _locate(context: _Log, *, ego: str | None, world: str | None) -> dict[str, T
         if count:
             ledger.note(WarningKind.SKIPPED, code, log.name, message, count=count)
     frames = set(tree.frames)
+    rig, sensors = context.rig, context.sensors()
+    if rig is not None and rig.transforms:
+        tree.add(rig, match_frames(rig, sensors, context.rig_cameras, tree.edges), log.name)
+        frames = set(tree.frames)
+    elif rig is not None and not context.rig_cameras:
+        match_frames(rig, sensors, {})
     chosen = {
         role: stated or (noted.get(role) if noted.get(role) in frames else None)
         for role, stated in (("ego", ego), ("world", world))
@@ -1122,10 +1213,13 @@ def _locate(context: _Log, *, ego: str | None, world: str | None) -> dict[str, T
     trajectories = _noted_trajectories(found)
     if not found.notes.ours:
         trajectories = _foreign_trajectories(found, context.locations)
-        loose = sorted(set(large) - frames)
-        if loose:
-            message = f"frames {', '.join(map(repr, loose))} are in no transform, so their sensors are not placed"
-            ledger.note(WarningKind.SKIPPED, "frames-missing", log.name, message, count=len(loose))
+    if rig is not None or not found.notes.ours:
+        known, seen = context.locations, set[str]()
+        for sensor in sensors:
+            if sensor.frame in large and sensor.frame not in seen and not known.is_placed(sensor.frame):
+                seen.add(sensor.frame)
+                message = lacking(sensor, known.roles.ego or "base_link")
+                (ledger if rig is None else rig.ledger).note(WarningKind.SKIPPED, "frames-missing", log.name, message)
     trajectory = next(iter(trajectories.values()), None)
     if trajectory is not None and trajectory.quaternions_xyzw is None:
         message = f"trajectory {trajectory.name!r} holds positions without orientations, so the sensors have no poses"
@@ -1157,20 +1251,40 @@ def _foreign_trajectories(found: Survey, locations: _Locations) -> dict[str, Tra
 _RESERVED_NAMES = frozenset({"gnss", "lidar", "identity"})  # names of trajectories that are computed
 
 
-def _foreign_sensors(context: _Log, taken: set[Any], camera_ids: dict[str, Any]) -> list[Sensor]:
+def _noted_topics(found: Survey) -> set[Any]:
+    return {name for note in found.notes.sensors for name in (note.get("topic"), *note.get("topics", ()))}
+
+
+def _sensor_topics(found: Survey) -> list[Topic]:
+    return found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.SAMPLE, Kind.FIX)
+
+
+def _ids_of_topics(found: Survey) -> dict[str, Any]:
+    """The id of the sensor of each topic: that of a note of ours, else after the topic's name."""
+    noted = {
+        topic: note.get("id")
+        for note in found.notes.sensors
+        for topic in (note.get("topic"), *note.get("topics", ()))
+        if topic is not None
+    }
+    taken = {note.get("id") for note in found.notes.sensors}
+    names = [topic.name for topic in _sensor_topics(found) if topic.name not in noted]
+    made = zip(names, _sensor_names(names), strict=True)
+    return noted | {topic: f"{name}~" if name in taken else name for topic, name in made}
+
+
+def _foreign_sensors(context: _Log, camera_ids: dict[str, Any]) -> list[Sensor]:
     """The sensors that no note of ours speaks of; the ids of cameras are noted down by their topics."""
     found, locations = context.survey, context.locations
-    noted = {name for note in found.notes.sensors for name in (note.get("topic"), *note.get("topics", ()))}
-    topics = [
-        topic for topic in found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.SAMPLE, Kind.FIX) if topic.name not in noted
-    ]
+    noted = _noted_topics(found)
+    topics = [topic for topic in _sensor_topics(found) if topic.name not in noted]
     drafts = {
         (draft.topic if isinstance(draft, CameraDraft) else draft.reader.topic).number: draft
         for draft in context.drafts
     }
     sensors: list[Sensor] = []
-    for topic, name in zip(topics, _sensor_names([topic.name for topic in topics]), strict=True):
-        identifier, draft = f"{name}~" if name in taken else name, drafts.get(topic.number)
+    for topic in topics:
+        identifier, draft = context.ids[topic.name], drafts.get(topic.number)
         if isinstance(draft, CloudDraft):
             mount, points_frame = locations.mount(draft.frame_id), locations.points_frame(draft.frame_id)
             poses = locations.poses(draft.frame_id, mount, draft.reader.starts_ns)

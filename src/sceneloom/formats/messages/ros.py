@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import sqlite3
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,16 +18,15 @@ import numpy as np
 from rosbags.rosbag1.reader import Header, ReaderError, RecordType, read_uint32
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.files import check_regular, file_faults, most_unpacked, read_bytes
+from sceneloom.formats.base.files import check_regular, file_faults, most_unpacked
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.poses import lengths_of
+from sceneloom.formats.base.yaml_files import read_yaml
 from sceneloom.formats.messages.file_bytes import Chunk, ChunkedMessages, FileBytes, decompress
 from sceneloom.formats.messages.mcap_files import McapIndex, read_index
 from sceneloom.formats.messages.reader import scene_from_topics
@@ -56,6 +54,7 @@ from sceneloom.formats.messages.records import (
 )
 from sceneloom.formats.messages.spec import METADATA, ROOT_KEY
 from sceneloom.formats.messages.writer import FIXED_FRAMES_TOPIC, SceneStreams, check_images
+from sceneloom.formats.rig_files.reader import Rig
 from sceneloom.scene.scene import Scene, with_assumed_models
 from sceneloom.warnings import WarningKind
 
@@ -83,19 +82,16 @@ def _open_bag(
     ego: str | None = None,
     world: str | None = None,
     distro: str | None = None,
+    rig: Rig | None = None,
 ) -> Scene:
     """Open a bag: its index and all small messages are read, images and points when they are asked for."""
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        bags = _open_bags(path, ledger)
-        try:
-            log = _log_of(str(path), bags, distro)
-            _note_not_read(log, ledger)
-        except BaseException:
-            for bag in bags:
-                bag.close()
-            raise
-        scene = scene_from_topics(log, ledger, form=form, metadata={}, timestamps=timestamps, ego=ego, world=world)
+        log = open_log(path, ledger, distro)
+        _note_not_read(log, ledger)
+        scene = scene_from_topics(
+            log, ledger, form=form, metadata={}, timestamps=timestamps, ego=ego, world=world, rig=rig
+        )
     return with_assumed_models(scene) if assume_model else scene
 
 
@@ -103,12 +99,24 @@ open_ros1, open_ros2 = partial(_open_bag, form="ros1"), partial(_open_bag, form=
 """As `_open_bag`."""
 
 
+def open_log(path: Path, ledger: Ledger, distro: str | None = None) -> "_RosLog":
+    """Open a bag as a log of topics, which closes its files.
+
+    Raises:
+        DataError: a file is missing, damaged, or packed as a whole.
+    """
+    bags = _open_bags(path, ledger)
+    try:
+        return _log_of(str(path), bags, distro)
+    except BaseException:
+        for bag in bags:
+            bag.close()
+        raise
+
+
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _LONGEST_HEAD = 1 << 20
 _HEAD_ROOM = 512  # heads of messages of ROS 1 are no longer [bytes]
-
-_TOO_DEEP = re.compile(r"(?:[\[{]\s*|- ){65}")
-"""Collections in one another without anything between them; rosbag2 writes six, thousands take the parser seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,14 +188,12 @@ def _metadata(folder: Path, ledger: Ledger) -> Mapping[str, Any]:
         ledger.note(WarningKind.ASSUMED, "metadata-missing", str(folder), message)
         return {}
     try:
-        text = read_bytes(path).decode()
-        if _TOO_DEEP.search(text):
-            raise ValueError("nested deeper than 64 levels")  # noqa: TRY301 - one handler for all faults
-        root = YAML(typ="safe").load(text)[ROOT_KEY]
+        content = read_yaml(path)
+        root = content.get(ROOT_KEY) if isinstance(content, dict) else None
         if not isinstance(root, dict):
-            raise TypeError(f"{ROOT_KEY} is no mapping")  # noqa: TRY301 - one handler for all faults
-    except (YAMLError, OSError, ValueError, RecursionError, KeyError, TypeError) as error:
-        ledger.fault("metadata-at-fault", DataError(path, "", f"cannot be read: {error}"))
+            raise DataError(path, "", f"cannot be read: {ROOT_KEY} is no mapping")  # noqa: TRY301 - one handler for both
+    except DataError as error:
+        ledger.fault("metadata-at-fault", error)
         return {}
     return root
 

@@ -179,7 +179,7 @@ _BAG_SUPPORTS: Supports = MappingProxyType(
     }
 )
 
-_READ_OPTIONS = ("lenient", "assume_model", "timestamps", "ego", "world")
+_READ_OPTIONS = ("lenient", "assume_model", "timestamps", "ego", "world", "rig")
 
 MCAP = FormatSpec(
     name="mcap",

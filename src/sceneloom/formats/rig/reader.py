@@ -53,6 +53,8 @@ from sceneloom.formats.points.mapping import (
     detect_scale,
 )
 from sceneloom.formats.rig.spec import MANIFEST, natural_key
+from sceneloom.formats.rig_files.matching import RigSensor, ego_frame, match_cameras, match_frames
+from sceneloom.formats.rig_files.reader import Rig
 from sceneloom.formats.video.reader import VideoReader, open_video, open_whole_or_left
 from sceneloom.geometry.euler import ORDERS, rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import (
@@ -337,9 +339,11 @@ class _Manifest:
         return [(f"{name}[{k}]", record) for k, record in enumerate(self.record.get(name, []))]
 
 
-def _read_manifest(path: Path) -> _Manifest:
-    """Read a manifest."""
+def _read_manifest(path: Path, rig: Rig | None = None) -> _Manifest:
+    """Read a manifest, and what a rig adds to it."""
     raw = _parse(path)
+    if rig is not None:
+        _add_rig(raw, rig)
     faults = Faults(path)
     manifest = _Manifest(path, read_record(raw, "rig", "", faults))
     for name, key in _NAMED:
@@ -353,6 +357,99 @@ def _read_manifest(path: Path) -> _Manifest:
         faults.add("sensors", "an empty list; expected at least one `[[sensors]]`")
     faults.raise_all()
     return manifest
+
+
+def _add_rig(raw: _Record, rig: Rig) -> None:
+    """Put the transforms and camera models of a rig into a manifest, as if they stood there."""
+    tables = [one for one in raw.get("sensors") or [] if isinstance(one, dict) and isinstance(one.get("id"), str)]
+    known = [RigSensor(one["id"], one.get("type") == "camera", str(one.get("frame", ""))) for one in tables]
+    cameras, ego = match_cameras(rig, known), str(raw.get("ego", "base"))
+    if rig.transforms or not cameras:
+        transforms = match_frames(rig, known, cameras, [ego])
+        top = ego_frame(rig, transforms)
+        edges = [(one.child, one.parent, one.parent_from_child) for one in transforms]
+        if top is not None and ego not in rig.frames:
+            edges.append((top, ego, RigidTransform.identity()))
+            message = f"frame {top!r} is taken as the manifest's ego {ego!r}; state another with `--rig-name ego=FRAME`"
+            rig.ledger.note(WarningKind.ASSUMED, "rig-ego-taken", rig.files[0], message)
+        stated = [{"from": child, "to": parent, "matrix": pose.matrix.tolist()} for child, parent, pose in edges]
+        raw["transforms"] = [*raw.get("transforms", []), *stated]
+    for one in tables:
+        if one["id"] in cameras:
+            camera = cameras[one["id"]].camera
+            names = MODELS[camera.model].coefficient_names
+            numbers = {name: getattr(camera, name) for name in ("model", "width", "height", "fx", "fy", "cx", "cy")}
+            coefficients = dict(zip(names, camera.coefficients, strict=False))
+            one["camera_model"] = numbers | ({"coefficients": coefficients} if coefficients else {})
+
+
+def read_frames_and_cameras(
+    path: Path,
+) -> tuple[list[tuple[str, str, RigidTransform, str]], list[tuple[str, str, Camera, str]]]:
+    """Read what a manifest states of frames and cameras; its files are not looked at, and need not be named.
+
+    Returns:
+        transforms: source frame, target frame, `target_from_source`, and where it stands; frames of cameras have
+            optical axes here, whatever their own are.
+        cameras: id, frame, camera model, and where it stands; of those whose image size is stated.
+
+    Raises:
+        DataError: the manifest is no TOML, or something of this is at fault.
+    """
+    raw, faults, ledger = _parse(path), Faults(path), Ledger(lenient=False)
+    sensors = raw.get("sensors", [])
+    if not isinstance(sensors, list) or not all(isinstance(_of(one, "id"), str) for one in sensors):
+        raise DataError(path, "sensors", "expected `[[sensors]]`, each with an `id`")
+    kept: _Record = {name: raw[name] for name in ("ego", "transforms") if name in raw}
+    listed = read_record({**kept, "sensors": []}, "rig", "", faults).get("transforms", [])
+    tables = [(f"transforms[{k}]", one, one.get("from", ""), one.get("to", "")) for k, one in enumerate(listed)]
+    cameras, optical = [], {}
+    for k, one in enumerate(sensors):
+        frame, location = str(one.get("frame", one["id"])), f"sensors[{k}]"
+        parts = {name: one[name] for name in ("extrinsic", "camera_model") if name in one}
+        for name, part in parts.items():
+            parts[name] = read_record(part, name, f"{location}.{name}", faults) if isinstance(part, dict) else None
+            if parts[name] is None:
+                faults.add(f"{location}.{name}", f"{_found(part)}; expected a table")
+        table, model = parts.get("extrinsic"), parts.get("camera_model")
+        if table is not None:
+            tables.append((f"{location}.extrinsic", table, table.get("from", frame), table.get("to", frame)))
+        with faults.catching(f"{location}.axes"):
+            if "axes" in one:
+                optical[frame] = frame_from_optical(_stated_axes(one["axes"], f"{location}.axes", faults))
+        with faults.catching(f"{location}.camera_model"):
+            if model is not None and "width" not in model:
+                raise CalibrationError("no width and height; expected those of the calibrated images")
+            if model is not None:
+                optical[frame] = optical.get(frame, RigidTransform.identity()) @ frame_from_camera(model)
+                size = int(model["width"]), int(model.get("height", 0))
+                cameras.append((one["id"], frame, read_camera_model(model, size), f"{location}.camera_model"))
+    found = []
+    for location, table, source, target in tables:
+        with faults.catching(location):
+            if source == target:
+                raise CalibrationError(f"from {source!r} to itself; expected two frames")
+            pose = read_transform(table, location, ledger)
+            if source in optical:
+                pose = pose @ optical[source]
+            if target in optical:
+                pose = optical[target].inverse() @ pose
+            found.append((source, target, pose, location))
+    faults.raise_all()
+    return found, cameras
+
+
+def _stated_axes(value: Any, location: str, faults: Faults) -> tuple[str, ...]:
+    field = next(field for field in RECORDS["sensor camera"] if field.name == "axes")
+    try:
+        axes: tuple[str, ...] = _read(value, field, location, faults)
+    except _FieldError as error:
+        raise CalibrationError(str(error)) from None
+    return axes
+
+
+def _of(table: Any, name: str) -> Any:
+    return table.get(name) if isinstance(table, dict) else None
 
 
 def _parse(path: Path) -> _Record:
@@ -540,24 +637,28 @@ _WORLD = "world"
 _RESERVED_NAMES = {"gnss", "lidar", "identity"}  # names of trajectories that stand for computed ones
 
 
-def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False) -> Scene:
+def open_rig(path: Path, *, lenient: bool = False, assume_model: bool = False, rig: Rig | None = None) -> Scene:
     """Open a folder with a `rig.toml`, or a manifest itself; images and points are read on demand.
 
     Args:
         path: the folder, or the manifest.
         lenient: leave out sensors and trajectories that are at fault, files without time and times without file.
         assume_model: allow computing with camera models whose formulas nothing confirms.
+        rig: transforms and camera models that the manifest does not state.
 
     Raises:
         DataError: the manifest, or what it names, is at fault; all faults are reported at once.
+        OptionError: nothing of the rig is the manifest's.
     """
-    manifest = _read_manifest(path / MANIFEST if path.is_dir() else path)
+    manifest = _read_manifest(path / MANIFEST if path.is_dir() else path, rig)
     ledger = Ledger(lenient=lenient)
     try:
         with ledger.telling():
             scene = _open(manifest, ledger)
     except OSError as error:
         raise DataError(path, "", f"cannot be read: {error}") from error
+    if rig is not None:
+        scene = replace(scene, warnings=(*rig.ledger.warnings, *scene.warnings))
     return with_assumed_models(scene) if assume_model else scene
 
 

@@ -42,7 +42,7 @@ FORMAT = FormatSpec(
     suffixes=(".toml",),
     sniff=_looks_like_manifest,
     reader="sceneloom.formats.rig.reader:open_rig",
-    read_options=("lenient", "assume_model"),
+    read_options=("lenient", "assume_model", "rig"),
     instead="a rig is only read; write a scene file (drive.sfs) or a recording (a folder) instead, or begin a "
     "manifest with `sceneloom formats --template rig.toml`",
 )

@@ -292,8 +292,8 @@ def complete_depth(
     check_array("rgb", image, (camera_model.height, camera_model.width, 3), np.uint8, optional=True)
     filled = fill_surfaces(samples, image, pixels_per_radian(camera_model))
     confidence = np.empty_like(filled.depths)
-    steps = (np.array(one, np.float32) for one in (SUPPORT_STEPS, DISTANCE_STEPS, _TABLE))
-    grade_depths(filled.depths, filled.supports, filled.distances, *steps, confidence)
+    supports, distances, table = (np.array(one, np.float32) for one in (SUPPORT_STEPS, DISTANCE_STEPS, _TABLE))
+    grade_depths(filled.depths, filled.supports, filled.distances, supports, distances, table, confidence)
     return DenseDepth(filled.depths, confidence)
 
 
@@ -303,7 +303,7 @@ _ROUNDING = np.float32(1e-4)
 """How far outside a triangle a pixel may be and still be filled by it, as a share of the triangle."""
 
 _UPRIGHT = np.float32(0.4)  # how much a distance down the image counts beside one along it
-_IN_ROW, _ROW_PX = np.float32(300), np.float32(0.5)
+_IN_ROW, _ROW_PX = np.float32(4000), np.float32(0.5)
 _TO_MEDIAN = np.float32(0.3)  # from the mean of the votes, which errs least in squares, to their median, least in size
 
 
@@ -387,7 +387,7 @@ def _vote(du: float, dv: float) -> Any:
     down = _UPRIGHT * dv
     off = dv / _ROW_PX
     off *= off
-    return one / (along + down * down) + _IN_ROW / (along * along * (one + off * off))
+    return one / (along + down * down) + _IN_ROW / (along * along * along * (one + off * off))
 
 
 @inlined

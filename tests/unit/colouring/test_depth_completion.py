@@ -143,7 +143,7 @@ def voted(mesh, voters, colours, location):
     pixels, depths = mesh[0].astype(float), mesh[1].astype(float)
     row, column = location
     du, dv = (pixels[voters] - [column, row]).T
-    votes = 1 / (du**2 + 1 + (0.4 * dv) ** 2) + 300 / ((du**2 + 1) ** 2 * (1 + (dv / 0.5) ** 4))
+    votes = 1 / (du**2 + 1 + (0.4 * dv) ** 2) + 4000 / ((du**2 + 1) ** 3 * (1 + (dv / 0.5) ** 4))
     votes *= LIKENESS[np.abs(RGB[row, column].astype(int) - colours[voters].astype(int)).sum(axis=1)]
     order = np.argsort(depths[voters])
     median = depths[voters][order][np.searchsorted(np.cumsum(votes[order]), votes.sum() / 2)]

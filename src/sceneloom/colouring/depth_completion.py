@@ -10,9 +10,9 @@ no steeper than they are. What is 1.3 times as steep is half a jump.
 
 Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane comes out exactly. Across a jump, a
 pixel is of one surface or of the other. The triangle's three points and the three beyond its sides vote: more the
-nearer they are, sideways before up and down, as outlines are mostly upright; far more in the pixel's own row, as
-scan lines run along rows; and more where the image has their colour, by as much as colours tell surfaces apart in
-this image. The depth lies between the mean and the median of the votes.
+nearer they are, above and below before beside, as outlines are mostly upright; far more in the pixel's own row as far
+as the next point of a scan line, which runs along rows; and more where the image has their colour, by as much as
+colours tell surfaces apart in this image. The depth is the mean of the votes, a little nearer to their median.
 
 A pixel's confidence is the share of held-out points like it whose depth was less than 0.5 m, or 5 %, from the truth.
 Alike are pixels with the same distance to the nearest point and the same support: across a jump the share of the votes
@@ -165,10 +165,11 @@ def fill_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -
     """Fill an image (H, W) from triangles between its samples; `rgb` (H, W, 3) or None, pixels per radian."""
     height, width = samples.image.shape
     triangles, beyond = triangles_between(samples.pixels, height, width)
-    inverse_depths, measures = np.reciprocal(samples.depths), np.empty((len(triangles), 3), np.float32)
+    inverse_depths, measures = np.reciprocal(samples.depths), np.empty((len(triangles), 4), np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
         measure_triangles(samples.pixels, inverse_depths, triangles, measures)
-    areas, sides, slopes = np.ascontiguousarray(measures.T)
+    areas, sides, shortest, slopes = np.ascontiguousarray(measures.T)
+    unit = max(1.0, float(np.median(shortest)) / 2) if len(shortest) else 1.0
     broad = (areas > _SLIVER_PX2) & np.isfinite(slopes)
     spacing = _weighted_quantile(sides, areas, 0.5)
     usual = _weighted_quantile(slopes[broad], areas[broad], _SURFACES)
@@ -182,7 +183,7 @@ def fill_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -
     likeness = _likeness(samples.depths, colours, triangles[small & (trusts <= 0.5)])
     depths, supports, distances = (np.zeros((height, width), np.float32) for _ in range(3))
     fill_triangles(
-        samples.pixels, samples.depths, triangles, beyond, small, trusts, image, colours, likeness, TOLERANCE,
+        samples.pixels, samples.depths, triangles, beyond, small, trusts, image, colours, likeness, unit, TOLERANCE,
         TOLERANCE_SHARE, depths, supports, distances,
     )  # fmt: skip
     bare: BoolArray = (samples.image > 0) & (depths == 0)  # without two others near
@@ -251,15 +252,15 @@ SUPPORT_STEPS = (0.2, 0.4, 0.6, 0.8, 0.95, 1.2, 1.55, 1.7, 1.9)
 DISTANCE_STEPS = (1.5, 3.0, 4.5, 6.0)  # [px]
 
 _TABLE = (
-    (0.142, 0.142, 0.142, 0.142, 0.142),
-    (0.466, 0.466, 0.450, 0.450, 0.450),
-    (0.641, 0.641, 0.641, 0.628, 0.628),
-    (0.719, 0.719, 0.719, 0.719, 0.698),
-    (0.856, 0.856, 0.856, 0.856, 0.844),
-    (0.976, 0.976, 0.976, 0.963, 0.956),
-    (0.685, 0.618, 0.544, 0.470, 0.221),
-    (0.838, 0.762, 0.728, 0.697, 0.407),
-    (0.975, 0.945, 0.921, 0.911, 0.815),
+    (0.149, 0.149, 0.149, 0.149, 0.149),
+    (0.507, 0.507, 0.496, 0.496, 0.496),
+    (0.626, 0.626, 0.626, 0.595, 0.595),
+    (0.701, 0.701, 0.701, 0.701, 0.701),
+    (0.807, 0.807, 0.807, 0.807, 0.807),
+    (0.966, 0.966, 0.966, 0.964, 0.955),
+    (0.685, 0.617, 0.544, 0.470, 0.221),
+    (0.837, 0.761, 0.728, 0.699, 0.406),
+    (0.975, 0.944, 0.920, 0.911, 0.816),
     (0.998, 0.996, 0.992, 0.992, 0.986),
 )  # confidence, row by row of rising support, column by column of rising distances
 
@@ -303,8 +304,8 @@ _ROUNDING = np.float32(1e-4)
 """How far outside a triangle a pixel may be and still be filled by it, as a share of the triangle."""
 
 _UPRIGHT = np.float32(0.4)  # how much a distance down the image counts beside one along it
-_IN_ROW, _ROW_PX = np.float32(4000), np.float32(0.5)
-_TO_MEDIAN = np.float32(0.3)  # from the mean of the votes, which errs least in squares, to their median, least in size
+_IN_ROW, _ROW_PX = np.float32(2000), np.float32(0.5)
+_TO_MEDIAN = np.float32(0.2)  # from the mean of the votes, which errs least in squares, to their median, least in size
 
 
 @kernel(void(IN_F32_2D, IN_F32_1D, IN_I32_2D, float32[:, ::1]))
@@ -313,21 +314,21 @@ def measure_triangles(
 ) -> None:
     """Measure each triangle.
 
-    `pixels` (N, 2) [px]; `inverse_depths` (N,) [1/m]; `triangles` (T, 3); `measures` (T, 3), written: area [px²];
-    length of the longest side [px]; how much the inverse depth changes for a pixel, the steepest way [1/m/px],
-    infinite for triangles without area.
+    `pixels` (N, 2) [px]; `inverse_depths` (N,) [1/m]; `triangles` (T, 3); `measures` (T, 4), written: area [px²];
+    lengths of the longest and the shortest side [px]; how much the inverse depth changes for a pixel, the steepest way
+    [1/m/px], infinite for triangles without area.
     """
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         bu, bv = pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1]
         cu, cv = pixels[c, 0] - pixels[a, 0], pixels[c, 1] - pixels[a, 1]
         twice = bu * cv - bv * cu
-        longest = max(bu * bu + bv * bv, cu * cu + cv * cv, (bu - cu) ** 2 + (bv - cv) ** 2)
+        sides = bu * bu + bv * bv, cu * cu + cv * cv, (bu - cu) ** 2 + (bv - cv) ** 2
         db, dc = inverse_depths[b] - inverse_depths[a], inverse_depths[c] - inverse_depths[a]
         slope_u, slope_v = (db * cv - dc * bv) / twice, (dc * bu - db * cu) / twice
         measures[t, 0] = 0.5 * abs(twice)
-        measures[t, 1] = math.sqrt(longest)
-        measures[t, 2] = math.sqrt(slope_u * slope_u + slope_v * slope_v) if twice != 0 else math.inf
+        measures[t, 1], measures[t, 2] = math.sqrt(max(sides)), math.sqrt(min(sides))
+        measures[t, 3] = math.sqrt(slope_u * slope_u + slope_v * slope_v) if twice != 0 else math.inf
 
 
 @inlined
@@ -378,13 +379,13 @@ def _list_voters(
 
 
 @inlined
-def _vote(du: float, dv: float) -> Any:
+def _vote(du: float, dv: float, unit: float) -> Any:
     """The weight of a point that is so many pixels away, along the row and down.
 
     The first term is of any point; the second of those in the pixel's row, as far as their neighbour on the scan line.
     """
-    one, along = np.float32(1), du * du + np.float32(1)
-    down = _UPRIGHT * dv
+    one, across = np.float32(1), du / unit
+    along, down = across * across + one, _UPRIGHT * dv / unit
     off = dv / _ROW_PX
     off *= off
     return one / (along + down * down) + _IN_ROW / (along * along * along * (one + off * off))
@@ -393,7 +394,7 @@ def _vote(du: float, dv: float) -> Any:
 @inlined
 def _count_votes(
     pixels: Float32Array, depths: Float32Array, colours: UInt8Array, voters: AnyArray, count: int, u: float, v: float,
-    colour: UInt8Array, likeness: Float32Array, votes: Float32Array,
+    unit: float, colour: UInt8Array, likeness: Float32Array, votes: Float32Array,
 ) -> tuple[Any, Any]:  # fmt: skip
     """The depth that the voters, sorted by depth, give a pixel, and the sum of their votes, which are written."""
     total, mean = _NOTHING, _NOTHING
@@ -401,7 +402,7 @@ def _count_votes(
         point, difference = voters[k], 0
         for channel in range(3):
             difference += abs(int64(colour[channel]) - int64(colours[point, channel]))
-        votes[k] = likeness[difference] * _vote(u - pixels[point, 0], v - pixels[point, 1])
+        votes[k] = likeness[difference] * _vote(u - pixels[point, 0], v - pixels[point, 1], unit)
         total += votes[k]
         mean += votes[k] * depths[point]
     below, m, half = votes[0], 0, np.float32(0.5) * total
@@ -414,12 +415,13 @@ def _count_votes(
 
 @kernel(void(
     IN_F32_2D, IN_F32_1D, IN_I32_2D, IN_I32_2D, IN_BOOL_1D, IN_F32_1D, IN_U8_3D, IN_U8_2D, IN_F32_1D, float32, float32,
-    float32[:, ::1], float32[:, ::1], float32[:, ::1]
+    float32, float32[:, ::1], float32[:, ::1], float32[:, ::1]
 ))  # fmt: skip
 def fill_triangles(
     pixels: Float32Array, depths: Float32Array, triangles: AnyArray, beyond: AnyArray, filled: BoolArray,
-    trusts: Float32Array, rgb: UInt8Array, colours: UInt8Array, likeness: Float32Array, tolerance: float,
-    tolerance_share: float, depth_image: Float32Array, support_image: Float32Array, distance_image: Float32Array,
+    trusts: Float32Array, rgb: UInt8Array, colours: UInt8Array, likeness: Float32Array, unit: float,
+    tolerance: float, tolerance_share: float, depth_image: Float32Array, support_image: Float32Array,
+    distance_image: Float32Array,
 ) -> None:  # fmt: skip
     """Fill the pixels of triangles: linearly in inverse depth on a surface, by a vote of six points across a jump.
 
@@ -433,6 +435,7 @@ def fill_triangles(
         rgb: (H, W, 3).
         colours: (N, 3), of the points.
         likeness: (766,), what a vote counts by the difference of its colour, all channels together.
+        unit: of distances between votes and pixels [px]: half of the usual one between points of a scan line.
         tolerance: [m], or …
         tolerance_share: … this share of the depth where that is more.
         depth_image: (H, W) [m], written where a triangle is.
@@ -469,7 +472,7 @@ def fill_triangles(
                 support = one + np.float32(met) / np.float32(count)
                 if trust < one:
                     voted, total = _count_votes(
-                        pixels, depths, colours, voters, count, across, down, rgb[row, u], likeness, votes
+                        pixels, depths, colours, voters, count, across, down, unit, rgb[row, u], likeness, votes
                     )
                     depth = trust * depth + (one - trust) * voted
                     if trust <= half:

@@ -118,6 +118,7 @@ def mesh():
 
 RGB = np.random.default_rng(5).integers(0, 256, (*MESH_SHAPE, 3), dtype=np.uint8)
 LIKENESS = np.linspace(2, 0.1, 766).astype(np.float32)
+UNIT = 1.5
 
 
 def filled(mesh, trust):
@@ -133,7 +134,7 @@ def filled(mesh, trust):
     count = len(triangles)
     completion.fill_triangles(
         pixels, depths, triangles, beyond, np.ones(count, bool), np.full(count, trust, np.float32), RGB, colours,
-        LIKENESS, 0.5, 0.05, *images,
+        LIKENESS, UNIT, 0.5, 0.05, *images,
     )  # fmt: skip
     return images, colours, beyond
 
@@ -143,11 +144,12 @@ def voted(mesh, voters, colours, location):
     pixels, depths = mesh[0].astype(float), mesh[1].astype(float)
     row, column = location
     du, dv = (pixels[voters] - [column, row]).T
-    votes = 1 / (du**2 + 1 + (0.4 * dv) ** 2) + 4000 / ((du**2 + 1) ** 3 * (1 + (dv / 0.5) ** 4))
+    off, du, dv = dv / 0.5, du / UNIT, dv / UNIT
+    votes = 1 / (du**2 + 1 + (0.4 * dv) ** 2) + 2000 / ((du**2 + 1) ** 3 * (1 + off**4))
     votes *= LIKENESS[np.abs(RGB[row, column].astype(int) - colours[voters].astype(int)).sum(axis=1)]
     order = np.argsort(depths[voters])
     median = depths[voters][order][np.searchsorted(np.cumsum(votes[order]), votes.sum() / 2)]
-    return 0.7 * (votes @ depths[voters]) / votes.sum() + 0.3 * median, votes / votes.sum()
+    return 0.8 * (votes @ depths[voters]) / votes.sum() + 0.2 * median, votes / votes.sum()
 
 
 def test_surfaces_are_filled_as_scipy_interpolates_and_jumps_by_the_votes_of_six_points(mesh):
@@ -182,12 +184,13 @@ def test_surfaces_are_filled_as_scipy_interpolates_and_jumps_by_the_votes_of_six
 
 def test_triangles_are_measured_and_know_the_points_beyond_their_sides(mesh):
     pixels, depths, _, triangles = mesh
-    measures = np.empty((len(triangles), 3), np.float32)
+    measures = np.empty((len(triangles), 4), np.float32)
     completion.measure_triangles(pixels, 1 / depths, triangles, measures)
-    for triangle, (area, longest, slope) in zip(triangles, measures, strict=True):
+    for triangle, (area, longest, shortest, slope) in zip(triangles, measures, strict=True):
         a, b, c = pixels[triangle].astype(float)
         assert area == pytest.approx(abs(np.linalg.det([b - a, c - a])) / 2, rel=1e-3, abs=1e-3)
         assert longest == pytest.approx(np.linalg.norm([a - b, b - c, c - a], axis=1).max(), rel=1e-5)
+        assert shortest == pytest.approx(np.linalg.norm([a - b, b - c, c - a], axis=1).min(), rel=1e-5)
         y = 1 / depths[triangle].astype(float)
         gradient = np.linalg.solve([b - a, c - a], y[1:] - y[0])
         assert slope == pytest.approx(np.linalg.norm(gradient), rel=1e-2)  # differences of float32

@@ -1,10 +1,16 @@
 """Dense depth images: how exact, how fast, and whether the confidence means what it says.
 
+    python -m benchmarks.depth held DATA       # real sweeps and simulated: points, or scan lines, held out
     python -m benchmarks.depth rings DATA      # real sweeps: half the rings in, the other half as truth
     python -m benchmarks.depth window DATA     # the same, hidden points reported by a window of pixels
     python -m benchmarks.depth simulated       # simulated streets: every pixel's truth
-    python -m benchmarks.depth confidence DATA # share of right pixels by confidence
-    python -m benchmarks.depth fit             # the tables of `sceneloom.colouring.depth_completion`
+    python -m benchmarks.depth confidence DATA # share of right pixels by confidence, each set with the others' table
+    python -m benchmarks.depth fit DATA        # the table of `sceneloom.colouring.depth_completion`
+
+`held`: of the visible points of a sweep in an image, a fifth is left out, at random or by whole scan lines (each fifth
+one; PandaSet does not tell lines, there bands of elevation as high as the lines' distance), and compared with the depth
+of the nearest pixel, where all methods have one. Sets: KITTI object, two frames of other mirrors of KITTI, PandaSet,
+a longer KITTI drive, and streets of other seeds than those on which the method was chosen.
 
 `rings`: of each frame of the KITTI object set in DATA, rings 0, 2, 4, … from the top go in, seen from the camera with
 what is hidden taken out as `fuse` does it; truth are the points of the other rings that the camera sees, as the whole
@@ -16,25 +22,26 @@ several runs, from the samples (or the sparse image) to the image filled.
 """
 
 import argparse
+import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+import sceneloom
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import FusedView, LidarTrajectory
 from sceneloom.colouring.algorithms import view_points
 from sceneloom.colouring.depth_completion import (
-    DOUBT_STEPS,
-    GAP_STEPS,
-    METHODS,
-    SLOPE_SHARE,
+    DISTANCE_STEPS,
+    SUPPORT_STEPS,
     TOLERANCE,
     TOLERANCE_SHARE,
     Samples,
     complete_depth,
+    fill_surfaces,
     pixels_per_radian,
 )
 from sceneloom.geometry.rigid import RigidTransform
@@ -87,25 +94,154 @@ def through_window(view: FusedView) -> FusedView:
 
 def kitti(folder: Path, name: str, *, window: bool = False) -> Case:
     """Half the rings of a frame of the KITTI object set."""
+    points, ring, camera, lidar_from_camera, rgb = kitti_object(folder, name)
+    at_once = np.zeros((2, 3)), np.zeros(len(points), np.float32)
+    return halved(points, ring, camera, lidar_from_camera, rgb, *at_once, window=window)
+
+
+def kitti_object(folder: Path, name: str):
+    numbers = kitti_numbers(folder / "calib" / f"{name}.txt")
+    matrices = numbers["P2"], numbers["R0_rect"].reshape(3, 3), numbers["Tr_velo_to_cam"]
+    return kitti_frame(folder / "velodyne" / f"{name}.bin", folder / "image_2" / f"{name}.png", *matrices)
+
+
+def kitti_numbers(path: Path) -> dict[str, np.ndarray]:
+    words = [line.replace(":", " ").split() for line in path.read_text().splitlines() if line.strip()]
+    return {key: np.array(values, float) for key, *values in words if not key.endswith("time")}
+
+
+def kitti_frame(sweep: Path, image: Path, projection, upright, mounting):
+    """Points, their rings, the camera, its pose in the lidar's frame and the image."""
     from PIL import Image
 
-    calib = dict(line.split(":", 1) for line in (folder / "calib" / f"{name}.txt").read_text().splitlines() if line)
-    numbers = {key: np.array(text.split(), float) for key, text in calib.items()}
-    rgb = np.array(Image.open(folder / "image_2" / f"{name}.png").convert("RGB"))
-    points = np.fromfile(folder / "velodyne" / f"{name}.bin", np.float32).reshape(-1, 4)[:, :3].astype(float)
-    projection = numbers["P2"].reshape(3, 4)
-    k, shift = projection[:, :3], np.eye(4)
+    rgb = np.array(Image.open(image).convert("RGB"))
+    points = np.fromfile(sweep, np.float32).reshape(-1, 4)[:, :3].astype(float)
+    projection = projection.reshape(3, 4)
+    k, shift, rectified, mounted = projection[:, :3], np.eye(4), np.eye(4), np.eye(4)
     shift[:3, 3] = np.linalg.solve(k, projection[:, 3])
-    upright, mounting = np.eye(4), np.eye(4)
-    upright[:3, :3], mounting[:3] = numbers["R0_rect"].reshape(3, 3), numbers["Tr_velo_to_cam"].reshape(3, 4)
-    camera_from_lidar = shift @ upright @ mounting
+    rectified[:3, :3], mounted[:3] = upright, mounting.reshape(3, 4)
+    camera_from_lidar = shift @ rectified @ mounted
     left, _, right = np.linalg.svd(camera_from_lidar[:3, :3])
     lidar_from_camera = RigidTransform(left @ right, camera_from_lidar[:3, 3]).inverse()
     camera = Camera("pinhole", rgb.shape[1], rgb.shape[0], k[0, 0], k[1, 1], k[0, 2], k[1, 2])
     azimuths = np.arctan2(points[:, 1], points[:, 0])  # each ring is written from straight ahead, once around
-    ring = np.concatenate([[0], np.cumsum((azimuths[1:] >= 0) & (azimuths[:-1] < 0))])
-    at_once = np.zeros((2, 3)), np.zeros(len(points), np.float32)
-    return halved(points, ring, camera, lidar_from_camera, rgb, *at_once, window=window)
+    begins = (azimuths[1:] >= 0) & (azimuths[:-1] < 0)
+    if np.abs(azimuths).max() < np.pi / 2:  # cut to the camera's view
+        begins = np.abs(np.diff(azimuths)) > np.radians(20)
+    return points, np.concatenate([[0], np.cumsum(begins)]), camera, lidar_from_camera, rgb
+
+
+def at_once(points, ring, camera, world_from_camera, rgb) -> tuple[FusedView, np.ndarray]:
+    trajectory = LidarTrajectory(np.zeros((2, 3)), np.zeros(len(points), np.float32))
+    return view_of(points, camera, world_from_camera, rgb, trajectory), ring
+
+
+def recorded(data: Path, name: str, step: int, *, first: int = 0) -> Iterator[tuple[FusedView, np.ndarray]]:
+    scene = sceneloom.open(str(data / "recordings" / name))
+    for number, frame in enumerate(iter_fused(scene)):
+        if number % step == first:
+            points = scene.lidars[0].frames[number].points
+            ring = points.rings.astype(int)
+            if not ring.any():
+                elevations = np.arcsin(points.positions[:, 2] / np.linalg.norm(points.positions, axis=1))
+                ring = np.rint(np.degrees(elevations) * 6).astype(int)
+            yield from ((view, ring) for view in frame.views)
+
+
+def kitti_extra(data: Path) -> Iterator[tuple[FusedView, np.ndarray]]:
+    folder = data / "real" / "kitti_object_extra" / "mmdet3d_000008"
+    stated = json.loads((folder / "000008_infos.json").read_text())["data_list"][0]["images"]["CAM2"]
+    projection, mounting = (np.array(stated[key], float)[:3] for key in ("cam2img", "lidar2cam"))
+    yield at_once(*kitti_frame(folder / "000008.bin", folder / "000008.png", projection, np.eye(3), mounting))
+
+
+def kitti_raw(data: Path) -> Iterator[tuple[FusedView, np.ndarray]]:
+    folder = data / "real" / "kitti_raw_sfnd"
+    numbers = kitti_numbers(folder / "calib_2011_09_26.txt")
+    for number in range(3):
+        files = folder / "velodyne" / f"{number:010d}.bin", folder / "image_02" / f"{number:010d}.png"
+        matrices = numbers["P2"], numbers["R_rect"].reshape(3, 3), numbers["Tr_velo_cam"]
+        yield at_once(*kitti_frame(*files, *matrices))
+
+
+def streets(seeds: Iterable[int]) -> Iterator[tuple[FusedView, np.ndarray]]:
+    for seed in seeds:
+        drive = street(seed, 64)
+        yield next(iter_fused(drive.scene)).views[0], drive.scene.lidars[0].frames[0].points.rings.astype(int)
+
+
+SIMULATED = "simulated"
+
+SETS: dict[str, Callable[[Path], Iterable[tuple[FusedView, np.ndarray]]]] = {
+    "KITTI object": lambda data: (
+        at_once(*kitti_object(data / "real" / "kitti_object", name)) for names in ROWS.values() for name in names
+    ),
+    "KITTI object 000008": kitti_extra,
+    "KITTI raw": kitti_raw,
+    "PandaSet": lambda data: recorded(data, "pandaset", 1),
+    "KITTI drive": lambda data: recorded(data, "kitti_drive_40", 8, first=4),
+    SIMULATED: lambda _: streets(range(400, 404)),
+}
+"""A view and the scan line of each point of the sweep, for each image."""
+
+PROTOCOLS = ("points", "lines")
+
+
+def held_out(view: FusedView, ring: np.ndarray, protocol: str) -> tuple[FusedView, np.ndarray, np.ndarray]:
+    """The view without some visible points; their nearest pixels (N, 2), column and row; their depths (N,)."""
+    numbers = np.flatnonzero(view.visible & (view.depths > 0) & np.isfinite(view.depths))
+    if protocol == "points":
+        left_out = np.random.default_rng(0).random(len(numbers)) < 0.2
+    else:
+        lines = ring[view.point_ids[numbers]]
+        left_out = np.searchsorted(np.unique(lines), lines) % 5 == 2
+    visible = np.zeros(len(view.visible), bool)
+    visible[numbers[~left_out]] = True
+    kept = replace(view, visible=visible, depth_image=drawn(view.pixels[visible], view.depths[visible], view.camera))
+    pixels = np.rint(view.pixels[numbers[left_out]]).astype(int)
+    return kept, pixels.clip(0, [view.camera.width - 1, view.camera.height - 1]), view.depths[numbers[left_out]]
+
+
+def depths_at(view: FusedView, pixels: np.ndarray) -> dict[str, np.ndarray]:
+    """What each method gives at some pixels."""
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.spatial import cKDTree
+
+    samples, depths = view.pixels[view.visible], view.depths[view.visible].astype(float)
+    distances, near = cKDTree(samples).query(pixels, k=8)
+    weights = 1 / np.maximum(distances, 0.3) ** 2
+    return {
+        "Delaunay, inverse depth": np.nan_to_num(1 / LinearNDInterpolator(samples, 1 / depths)(pixels)),
+        "nearest": depths[near[:, 0]],
+        "inverse distance, 8 nearest": (weights * depths[near]).sum(1) / weights.sum(1),
+        "complete_depth": complete_depth(view).depths[pixels[:, 1], pixels[:, 0]],
+    }
+
+
+def compare_held_out(data: Path) -> None:
+    """Print a row per set, protocol and method, means over the images, and ours as a multiple of the best peer."""
+    for name, views in SETS.items():
+        rows: dict[str, dict[str, list[tuple[float, ...]]]] = {protocol: {} for protocol in PROTOCOLS}
+        for view, ring in views(data):
+            for protocol in PROTOCOLS:
+                kept, pixels, truth = held_out(view, ring, protocol)
+                found = depths_at(kept, pixels)
+                shared = np.all([depths > 0 for depths in found.values()], axis=0)
+                for method, depths in found.items():
+                    rmse, mae, _ = errors(depths, truth, shared)
+                    row = rmse, mae, 100 * (depths > 0).mean(), shared.sum()
+                    rows[protocol].setdefault(method, []).append(row)
+        for protocol, methods in rows.items():
+            means = {method: np.mean(of_images, axis=0) for method, of_images in methods.items()}
+            best = np.min([mean[:2] for method, mean in means.items() if method != "complete_depth"], axis=0)
+            per_image = np.array([[row[0] for row in of_images] for of_images in methods.values()])
+            wins = int((per_image[-1] < per_image[:-1].min(axis=0)).sum())
+            count = int(sum(row[3] for row in methods["complete_depth"]))
+            print(f"{name}, {protocol} held out: {per_image.shape[1]} images, {count} points; RMSE, MAE [mm], filled")
+            for method, (rmse, mae, filled, _) in means.items():
+                print(f"  {method:28} {rmse:6.0f} {mae:5.0f} {filled:6.1f}%")
+            ratios = means["complete_depth"][:2] / best
+            print(f"  of the best peer: {ratios[0]:.2f} {ratios[1]:.2f}; least RMSE in {wins} images", flush=True)
 
 
 def halved(points, ring, camera, world_from_camera, rgb, ends, fractions, *, window: bool = False) -> Case:
@@ -126,12 +262,16 @@ def halved(points, ring, camera, world_from_camera, rgb, ends, fractions, *, win
     return Case(drawn(view.pixels, view.depths, camera), view, truth)
 
 
-def simulated(seed: int, beams: int = 64, *, half: bool = False) -> Case:
-    """A sweep of a simulated street, or half its rings; truth is the depth at every pixel's centre, 0 for the sky."""
-    drive = simulate_street(
+def street(seed: int, beams: int):
+    return simulate_street(
         seed, frames=2, lidar=LidarSpec(beams=beams), cameras=(CameraSpec(PINHOLE, camera_mount()),),
         traffic=TrafficSpec(),
     )  # fmt: skip
+
+
+def simulated(seed: int, beams: int = 64, *, half: bool = False) -> Case:
+    """A sweep of a simulated street, or half its rings; truth is the depth at every pixel's centre, 0 for the sky."""
+    drive = street(seed, beams)
     frame = next(iter_fused(drive.scene))
     view = frame.views[0]
     truth = drive.truth.depth("camera0", 0)
@@ -195,8 +335,7 @@ SIDES: dict[str, Callable[[Case], np.ndarray]] = {
     "Delaunay, inverse depth": lambda case: delaunay(case.view),
     "inverse distance, 4 nearest": lambda case: inverse_distance(case.view, nearest=4),
     "inverse distance, 8 nearest": lambda case: inverse_distance(case.view),
-    "fast": lambda case: complete_depth(case.view, method="fast").depths,
-    "quality": lambda case: complete_depth(case.view, method="quality").depths,
+    "complete_depth": lambda case: complete_depth(case.view).depths,
 }
 
 
@@ -248,34 +387,52 @@ def right(depths: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return (truth > 0) & (np.abs(depths - truth) < np.maximum(TOLERANCE, TOLERANCE_SHARE * truth))
 
 
-def show_confidence(title: str, cases: list[Case], *, sky: bool) -> None:
-    """Print the share of right pixels by confidence."""
-    borders = np.array([0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.01])
-    print(title)
-    for method in METHODS:
-        total, good, stated = np.zeros(6), np.zeros(6), np.zeros(6)
-        for case in cases:
-            dense = complete_depth(case.view, method=method)
-            among = (dense.depths > 0) if sky else (dense.depths > 0) & (case.truth > 0)
-            at = np.searchsorted(borders, dense.confidence[among], "right") - 1
-            total += np.bincount(at, minlength=6)
-            good += np.bincount(at, right(dense.depths, case.truth)[among], minlength=6)
-            stated += np.bincount(at, dense.confidence[among], minlength=6)
-        cells = [
-            f"{100 * stated[k] / total[k]:.0f}: {100 * good[k] / total[k]:.1f} ({100 * total[k] / total.sum():.0f})"
-            if total[k] else "-" for k in range(6)
-        ]  # fmt: skip
-        print(f"  {method:8} stated: right % (of all %)  " + "   ".join(cells))
+SHAPE = len(SUPPORT_STEPS) + 1, len(DISTANCE_STEPS) + 1
+BORDERS = np.array([0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.01])
+
+Counts = dict[tuple[str, str], np.ndarray]
+"""By set and protocol: (2, S, D), how many pixels there are of each cell of the table, and how many are right."""
 
 
-def bins(method: str, view: FusedView) -> tuple[np.ndarray, np.ndarray]:
-    """The depths of a method, and the cell of the confidence table of each pixel."""
-    filled = METHODS[method](Samples.of_view(view), view.rgb, pixels_per_radian(view.camera))
-    share = 1 - filled.trusts * (1 - SLOPE_SHARE)
-    allowed = np.maximum(TOLERANCE, TOLERANCE_SHARE * filled.depths)
-    doubt = np.searchsorted(DOUBT_STEPS, share * filled.spreads / allowed, "right")
-    gap = np.searchsorted(GAP_STEPS, filled.gaps / max(filled.spacing, 1.0), "right")
-    return filled.depths, doubt * (len(GAP_STEPS) + 1) + gap
+def cells_of(view: FusedView) -> tuple[np.ndarray, np.ndarray]:
+    """The depths of a view, and the cell of the table of each pixel."""
+    filled = fill_surfaces(Samples.of_view(view), view.rgb, pixels_per_radian(view.camera))
+    support = np.searchsorted(SUPPORT_STEPS, filled.supports, "right")
+    return filled.depths, support * SHAPE[1] + np.searchsorted(DISTANCE_STEPS, filled.distances, "right")
+
+
+def count_cells(data: Path) -> Counts:
+    counts: Counts = {}
+
+    def add(key: tuple[str, str], depths: np.ndarray, cell: np.ndarray, truth: np.ndarray) -> None:
+        among = depths > 0
+        both = cell[among], cell[among & right(depths, truth)]
+        found = np.stack([np.bincount(one, minlength=SHAPE[0] * SHAPE[1]).reshape(SHAPE) for one in both])
+        counts[key] = counts.get(key, np.zeros((2, *SHAPE))) + found
+
+    for name, views in SETS.items():
+        for view, ring in views(data) if name != SIMULATED else ():
+            for protocol in PROTOCOLS:
+                kept, pixels, truth = held_out(view, ring, protocol)
+                at = pixels[:, 1], pixels[:, 0]
+                add((name, protocol), *(image[at] for image in cells_of(kept)), truth)
+    for seed in range(100, 106):
+        for beams in (64, 32):
+            case = simulated(seed, beams)
+            add((SIMULATED, "every pixel"), *cells_of(case.view), case.truth)
+    return counts
+
+
+def fitted(counts: Counts) -> np.ndarray:
+    """The table (S, D) of some sets, each protocol of each with the same weight."""
+    count, good = sum(found / found[0].sum() for found in counts.values()) * 1e5
+    by_support = good.sum(1, keepdims=True) / np.maximum(count.sum(1, keepdims=True), 1)
+    shares, weights = (good + 200 * by_support) / (count + 200), count + 200  # few pixels: as their row
+    table = np.empty(SHAPE)
+    surfaces = int(np.searchsorted(SUPPORT_STEPS, 1.0)) + 1
+    for rows in (slice(0, surfaces), slice(surfaces, None)):
+        table[rows] = falling(shares[rows][::-1], weights[rows][::-1])[::-1]
+    return table
 
 
 def falling(shares: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -291,55 +448,46 @@ def falling(shares: np.ndarray, counts: np.ndarray) -> np.ndarray:
     return np.minimum.accumulate(np.minimum.accumulate(table, axis=0), axis=1)
 
 
-def training_cases() -> Iterator[Case]:
-    """Streets of other seeds than the tables of results are made of."""
-    for seed in range(100, 106):
-        for beams, half in ((64, False), (64, True), (32, False)):
-            yield simulated(seed, beams, half=half)
+def show_confidence(data: Path) -> None:
+    """Print for each set, with the table of the others, the share of right pixels by stated confidence."""
+    counts = count_cells(data)
+    for name in SETS:
+        table = fitted({key: found for key, found in counts.items() if key[0] != name})
+        own = {protocol: found for (owner, protocol), found in counts.items() if owner == name}
+        for protocol, (count, good) in ({**own, "both": sum(own.values())} if len(own) > 1 else own).items():
+            at = np.searchsorted(BORDERS, table, "right") - 1
+            total, hits, stated = (
+                np.bincount(at.ravel(), one.ravel(), minlength=len(BORDERS) - 1) for one in (count, good, count * table)
+            )
+            texts = [
+                f"{100 * s / n:.0f}: {100 * h / n:.0f} ({n:.0f})" if n >= 50 else "-"
+                for n, h, s in zip(total, hits, stated, strict=True)
+            ]
+            print(f"  {name:20} {protocol:12} stated: right % (n)  " + "   ".join(texts), flush=True)
 
 
-def fit() -> None:
-    """Print the tables of confidence."""
-    cells = (len(DOUBT_STEPS) + 1) * (len(GAP_STEPS) + 1)
-    counts, good = ({method: np.zeros(cells) for method in METHODS} for _ in range(2))
-    for case in training_cases():
-        for method in METHODS:
-            depths, cell = bins(method, case.view)
-            among = depths > 0
-            counts[method] += np.bincount(cell[among], minlength=cells)
-            good[method] += np.bincount(cell[among], right(depths, case.truth)[among], minlength=cells)
-    for method in METHODS:
-        shape = (len(DOUBT_STEPS) + 1, len(GAP_STEPS) + 1)
-        count, hits = counts[method].reshape(shape), good[method].reshape(shape)
-        by_doubt = hits.sum(1, keepdims=True) / np.maximum(count.sum(1, keepdims=True), 1)
-        table = falling((hits + 200 * by_doubt) / (count + 200), count + 200)  # few pixels: as their row
-        print(f'        "{method}": (')
-        for row in table:
-            print("            (" + ", ".join(f"{value:.3f}" for value in row) + "),")
-        print("        ),")
+def fit(data: Path) -> None:
+    """Print the table of confidence of all sets."""
+    for row in fitted(count_cells(data)):
+        print("    (" + ", ".join(f"{value:.3f}" for value in row) + "),")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["rings", "window", "simulated", "confidence", "fit"])
+    parser.add_argument("what", choices=["held", "rings", "window", "simulated", "confidence", "fit"])
     parser.add_argument("data", nargs="?", type=Path, help="the folder of real data")
     stated = parser.parse_args()
-    if stated.what == "fit":
-        fit()
     if stated.what == "simulated":
         compare("simulated streets, 64 beams, every pixel that is no sky", [simulated(seed) for seed in range(20, 24)])
-    if stated.what == "confidence":
-        show_confidence("simulated streets, whole sweeps", [simulated(seed) for seed in range(20, 24)], sky=True)
-    if stated.what in ("rings", "window", "confidence"):
-        if stated.data is None:
-            parser.error("state where the real data are")
+        return
+    if stated.data is None:
+        parser.error("state where the real data are")
+    if stated.what in ("rings", "window"):
         for title, names in ROWS.items():
             folder, heading = (stated.data / "real" / "kitti_object", f"KITTI object {title}, every other ring in")
-            cases = [kitti(folder, name, window=stated.what == "window") for name in names]
-            if stated.what == "confidence":
-                show_confidence(heading, cases, sky=False)
-            else:
-                compare(heading, cases)
+            compare(heading, [kitti(folder, name, window=stated.what == "window") for name in names])
+    else:
+        {"held": compare_held_out, "confidence": show_confidence, "fit": fit}[stated.what](stated.data)
 
 
 if __name__ == "__main__":

@@ -167,7 +167,7 @@ COMMANDS: tuple[Command, ...] = (
     _command("colour", f"colour {_PANDASET} -o {{out}}/map.ply {_SHORT} --voxel 0.2"),
     _command("colour_sweeps", "colour {to_sfs}/drive.sfs -o {out}/drive.sfs --per-sweep"),
     _command("depth", "depth {to_sfs}/drive.sfs -o {out}/depth"),
-    _command("depth_dense", "depth {to_sfs}/drive.sfs -o {out}/depth --method fast --form npz"),
+    _command("depth_dense", "depth {to_sfs}/drive.sfs -o {out}/depth --method dense --form npz"),
     _command("track", f"track {_TRACKING} -o {{out}}/results"),
     _command("track_offline", f"track {_TRACKING} -o {{out}}/results --offline"),
     _command("fuse_detections", f"fuse {_TRACKING} --type detection -o {{out}}/fused"),

@@ -18,11 +18,7 @@ if TYPE_CHECKING:
 @click.command(cls=Verb, examples=("drive/ -o depth/", "drive/ --method sparse --form npz -o depth/"))
 @click.argument("path", type=options.location)
 @options.output("Folder for the depth images.")
-@option(
-    "--method=sparse|fast|quality",
-    "`sparse`: measured points only; `fast`: gaps between scan lines filled; `quality`: surfaces, with "
-    "discontinuities at edges of the image. [default: quality]",
-)
+@option("--method=sparse|dense", "`sparse`: measured points only; `dense`: surfaces between them. [default: dense]")
 @option("--form=png|npz", "16-bit PNG (metres times 256) or NPZ (float32 metres and confidence). [default: png]")
 @option("--camera=ID… cameras", "The only cameras. [default: all]")
 @option("--confidence", "Write the confidence beside PNG images: 8 bit, 255 for 1.")

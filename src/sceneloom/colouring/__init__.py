@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         with_counts,
         with_labeled_points,
     )
-    from sceneloom.colouring.depth_completion import METHODS, DenseDepth, complete_depth
+    from sceneloom.colouring.depth_completion import DenseDepth, complete_depth
     from sceneloom.colouring.exposure import ExposureGains, ExposureLinks
     from sceneloom.colouring.results import FusedFrame, FusedView, LidarTrajectory, PointVisibility
     from sceneloom.colouring.rolling_shutter import ShutterDirection
@@ -35,7 +35,7 @@ else:
             "blending": "NO_CAMERA PointSources blend_colours colour_points",
             "cuboid_projection": "PointCounts count_points observe_cuboids project_cuboids with_activations "
             "with_counts with_labeled_points",
-            "depth_completion": "METHODS DenseDepth complete_depth",
+            "depth_completion": "DenseDepth complete_depth",
             "exposure": "ExposureGains ExposureLinks",
             "results": "FusedFrame FusedView LidarTrajectory PointVisibility",
             "rolling_shutter": "ShutterDirection",
@@ -44,7 +44,7 @@ else:
     )
 
 __all__ = [
-    "ALGORITHMS", "METHODS", "NO_CAMERA", "ColouredPoints", "DenseDepth", "ExposureGains",
+    "ALGORITHMS", "NO_CAMERA", "ColouredPoints", "DenseDepth", "ExposureGains",
     "ExposureLinks", "FusedFrame", "FusedView", "FusionAlgorithm", "LidarTrajectory", "PointCounts", "PointSources",
     "PointVisibility", "ShutterDirection", "ViewRequest", "VisibilitySettings", "blend_colours", "colour_points",
     "complete_depth", "count_points", "find_visible", "fuse_by_projection", "observe_cuboids",

@@ -1,4 +1,4 @@
-"""Dense depth images from sparse ones, by gaps between scan lines or by triangulated surfaces, with a confidence.
+"""Dense depth images from sparse ones, by triangles between the measured points, with a confidence.
 
 With x, y the direction of a pixel (x/z, y/z of the points in it), a plane n·p = d has 1/z = n·(x, y, 1) / d. So the
 inverse depth changes linearly over the image, by at most 1/d for each radian, however far away and however grazing the
@@ -8,24 +8,20 @@ nearer than that, or a jump from one object to another.
 How near surfaces pass the camera is measured: most of a street's image is ground and walls, so 0.7 of the image is
 no steeper than they are. What is 1.3 times as steep is half a jump.
 
-Morphology closes a gap by dilating what is known and eroding the rim again; here the two rims are joined by what is
-between them: linearly in inverse depth on one surface, linearly in depth across a jump, where that errs least. Samples
-are first widened along their row to their neighbours on the scan line, so that columns meet the lines.
+Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane comes out exactly. Across a jump, a
+pixel is of one surface or of the other. The triangle's three points and the three beyond its sides vote: more the
+nearer they are, above and below before beside, as outlines are mostly upright; far more in the pixel's own row as far
+as the next point of a scan line, which runs along rows; and more where the image has their colour, by as much as
+colours tell surfaces apart in this image. The depth is the mean of the votes, a little nearer to their median.
 
-Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane comes out exactly; the slopes around
-their corners show how surfaces bend between scan lines. Across jumps they mean little: there, depths flow in from
-the surfaces on both sides, over pixels of one colour and hardly across edges of the image.
-
-A pixel's confidence is the share of pixels like it whose depth was less than 0.5 m, or 5 %, from the truth. Alike are
-pixels with the same doubt (how far apart the depths around the pixel are, in units of that tolerance, of which a
-twentieth counts where they are of one surface) and the same gap (in spacings of the scan lines). Both tables fall along
-rows and columns. `python -m benchmarks.depth fit` makes them; the sky counts as wrong.
+A pixel's confidence is the share of held-out points like it whose depth was less than 0.5 m, or 5 %, from the truth.
+Alike are pixels with the same distance to the nearest point and the same support: across a jump the share of the votes
+within that tolerance of the depth, on a surface the share of the six points within it of the triangle's plane. The
+table rises with the support and falls with the distance. `python -m benchmarks.depth fit DATA` makes it.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,7 +31,7 @@ from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, In
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import unproject
 from sceneloom.colouring.results import FusedView
-from sceneloom.errors import ArrayError, OptionError
+from sceneloom.errors import ArrayError
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import (
     IN_BOOL_1D,
@@ -44,6 +40,7 @@ from sceneloom.kernels.signatures import (
     IN_I32_2D,
     IN_I64_1D,
     IN_I64_2D,
+    IN_U8_2D,
     IN_U8_3D,
     inlined,
 )
@@ -135,123 +132,101 @@ def _weighted_quantile(values: AnyArray, weights: AnyArray, share: float) -> flo
     return float(values[order[min(int(np.searchsorted(sums, share * sums[-1])), len(values) - 1)]])
 
 
-_SURFACES = 0.7
-_STEEPER = 1.2
+_SURFACES, _STEEPER = 0.7, 1.2
 
 _LEAST, _MOST = 0.5, 10.0
 """Bounds of the steepest slope [1/m/rad]: surfaces that pass the camera at 2 m are never cut apart."""
 
 _EVEN, _SUDDEN = 0.85, 1.3
-"""Up to 0.85 of the steepest slope two samples are of one surface; from 1.3 on there is a jump between them."""
+"""Up to 0.85 of the steepest slope a triangle is of one surface; from 1.3 on there is a jump in it."""
 
+_LONGEST = 12.0  # the longest side of a triangle that is filled, in spacings of the scan lines
 
-def _steepest_slope(slopes: AnyArray, weights: AnyArray, per_radian: float) -> float:
-    """The largest slope of the inverse depth of one surface [1/m/px], of slopes (N,) weighted by image area (N,)."""
-    finite = np.isfinite(slopes)
-    usual = _weighted_quantile(slopes[finite], weights[finite], _SURFACES)
-    return float(np.clip(_STEEPER * usual * per_radian, _LEAST, _MOST)) / per_radian
-
-
-_WIDENED_PER_STEP = 0.6
-"""Widening, in steps from sample to sample of a scan line: a little more than half, as steps differ."""
-
-_USUAL_STEP_SHARE = 0.4
-_THIN = 2.0  # up to so many rows apart samples are of one scan line, which crosses from row to row [px]
-
-_LONGEST, _REACH = 3.0, 1.0
-"""The longest gap that is closed, and how far the last scan line reaches, in spacings of the lines."""
+_SLIVER_PX2 = 0.05  # smaller triangles give no slope
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Filled:
-    """A dense depth image."""
+class Completed:
+    """A dense depth image, and what its confidence is looked up by.
 
-    depths: Float32Array  # (H, W) float32 [m], 0 for none
-    trusts: Float32Array  # (H, W) float32, 1 on one surface, 0 across a jump
-    spreads: Float32Array  # (H, W) float32 [m], how far apart the depths around a pixel are
-    gaps: Float32Array  # (H, W) float32 [px], how far apart they are in the image
-    spacing: float  # between scan lines [px]; 0 where there are no two
+    Attributes:
+        depths: (H, W) float32 [m], 0 for none.
+        supports: (H, W) float32, across jumps the share of the votes within the tolerance of the depth; on surfaces 1
+            and the share of the triangle's and its neighbours' points within it of the triangle's plane.
+        distances: (H, W) float32 [px], to the nearest point.
+    """
 
-
-def _close_gaps(samples: Samples, per_radian: float) -> _Filled:
-    """Fill the gaps between samples along columns and rows."""
-    sparse = samples.image
-    rows, columns = np.divmod(np.flatnonzero(sparse), sparse.shape[1])
-    # how far a sample is widened [px]; 0 where no two are in one row
-    steps = np.diff(columns)[np.diff(rows) == 0]
-    slack = 0
-    if len(steps):
-        at = int(_USUAL_STEP_SHARE * (len(steps) - 1))
-        slack = max(1, round(_WIDENED_PER_STEP * float(np.partition(steps, at)[at])))
-    widened, above, distances = (np.empty_like(sparse) for _ in range(3))
-    widen_samples(sparse, slack, widened)
-    look_up(widened, above, distances)
-    rows, columns = rows[rows > 0], columns[rows > 0]
-    apart = distances[rows - 1, columns] + 1.0
-    between = (apart > _THIN) & (apart < sparse.shape[0])
-    rows, columns, apart = rows[between], columns[between], apart[between]
-    changes = np.abs(1.0 / sparse[rows, columns] - 1.0 / above[rows - 1, columns])
-    spacing = float(np.median(apart)) if len(apart) else 0.0
-    steepest = _steepest_slope(changes / apart, apart, per_radian)
-    depths, trusts, spreads, gaps = (np.empty_like(sparse) for _ in range(4))
-    longest = _LONGEST * spacing
-    fill_down(widened, above, distances, longest, _REACH * spacing, steepest, depths, trusts, spreads, gaps)
-    fill_across(sparse, longest, steepest, depths, trusts, spreads, gaps)
-    return _Filled(depths, trusts, spreads, gaps, spacing)
+    depths: Float32Array
+    supports: Float32Array
+    distances: Float32Array
 
 
-_LONGEST_SURFACE, _LONGEST_JUMP = 12.0, 2.5
-"""The longest side of a triangle that is filled, in spacings of the scan lines."""
-
-_SLIVER_PX2 = 0.05  # smaller triangles give no slope
-_TRUST_OF_JUMPS = 0.02
-
-_EDGE_LEVELS = 12.0
-"""A difference of so many levels, all three channels together, weakens the flow between two pixels by e."""
-
-_ROTATIONS = 2
-_FLOW = 0.5  # how far depths flow, as a share of the squared spacing of the scan lines
-
-_BELIEF_IN_EDGES = np.float32(0.85)
-"""Not every edge of an image is one of an object: by this share jumps move to the image's edges."""
-
-_UNDRAWN = 2.0
-
-
-def _cover_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -> _Filled:
-    """Fill an image from triangles between its samples, with jumps at the edges of the image (H, W, 3), if any."""
-    filled = _close_gaps(samples, per_radian)
-    triangles = triangles_between(samples.pixels, *samples.image.shape)
-    inverse_depths, measures = np.reciprocal(samples.depths), np.empty((len(triangles), 3), np.float32)
+def fill_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -> Completed:
+    """Fill an image (H, W) from triangles between its samples; `rgb` (H, W, 3) or None, pixels per radian."""
+    height, width = samples.image.shape
+    triangles, beyond = triangles_between(samples.pixels, height, width)
+    inverse_depths, measures = np.reciprocal(samples.depths), np.empty((len(triangles), 4), np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
         measure_triangles(samples.pixels, inverse_depths, triangles, measures)
-    areas, sides, slopes = np.ascontiguousarray(measures.T)
-    broad = areas > _SLIVER_PX2
+    areas, sides, shortest, slopes = np.ascontiguousarray(measures.T)
+    unit = max(1.0, float(np.median(shortest)) / 2) if len(shortest) else 1.0
+    broad = (areas > _SLIVER_PX2) & np.isfinite(slopes)
     spacing = _weighted_quantile(sides, areas, 0.5)
-    steepest = _steepest_slope(slopes[broad], areas[broad], per_radian)
+    usual = _weighted_quantile(slopes[broad], areas[broad], _SURFACES)
+    steepest = float(np.clip(_STEEPER * usual * per_radian, _LEAST, _MOST)) / per_radian
     # 1 for slopes of one surface, 0 for jumps
     trusts = (1.0 - np.clip((slopes / steepest - _EVEN) / (_SUDDEN - _EVEN), 0.0, 1.0)).astype(np.float32)
-    bends = np.empty_like(samples.pixels)
-    measure_slopes(samples.pixels, inverse_depths, triangles, trusts, bends, np.empty_like(samples.depths))
-    # draw the triangles that are not too large over the closed gaps
-    small: BoolArray = sides <= np.where(trusts > 0.5, _LONGEST_SURFACE, _LONGEST_JUMP) * max(spacing, 2.0)
-    beside = filled.trusts.copy()
-    filled.trusts.fill(_UNDRAWN)
-    images = filled.depths, filled.trusts, filled.spreads, filled.gaps
-    fill_triangles(samples.pixels, samples.depths, bends, triangles, small, trusts, sides, *images)
-    beyond: BoolArray = filled.trusts == _UNDRAWN
-    np.copyto(filled.trusts, beside, where=beyond)
-    return replace(filled, depths=_guide(filled, beyond, rgb, spacing), spacing=spacing)
+    small: BoolArray = sides <= _LONGEST * max(spacing, 2.0)
+    image = np.zeros((height, width, 3), np.uint8) if rgb is None else np.ascontiguousarray(rgb)
+    columns, rows = np.rint(samples.pixels).astype(np.int64).clip(0, [width - 1, height - 1]).T
+    colours = image[rows, columns]
+    likeness = _likeness(samples.depths, colours, triangles[small & (trusts <= 0.5)])
+    depths, supports, distances = (np.zeros((height, width), np.float32) for _ in range(3))
+    fill_triangles(
+        samples.pixels, samples.depths, triangles, beyond, small, trusts, image, colours, likeness, unit, TOLERANCE,
+        TOLERANCE_SHARE, depths, supports, distances,
+    )  # fmt: skip
+    bare: BoolArray = (samples.image > 0) & (depths == 0)  # without two others near
+    depths[bare], supports[bare] = samples.image[bare], 1.0
+    return Completed(depths, supports, distances)
 
 
-def triangles_between(pixels: Float32Array, height: int, width: int) -> AnyArray:
+_ALIKE, _UNLIKE = 1.05, 1.15
+"""Points are of one surface with depths up to 5 % apart, of two from 15 % on."""
+
+_LEVELS = np.array([4, 8, 12, 18, 26, 38, 54, 76, 108, 152, 216, 300])
+"""Borders between differences of colours that are told apart, all three channels together."""
+
+_DEPENDENT = 0.75  # votes are not independent: the power of their likelihood ratio
+_DOUBTED = 20.0  # so many pairs are counted beside the measured ones that tell nothing
+
+
+def _likeness(depths: Float32Array, colours: UInt8Array, jumps: AnyArray) -> Float32Array:
+    """How much a difference of colours speaks for one surface: measured along the sides of triangles across jumps.
+
+    `depths` (N,) [m]; `colours` (N, 3); `jumps` (T, 3), rows of both. Gives (766,) float32 by the sum of the
+    differences of the three channels: the likelihood ratio, to a power, as votes are not independent.
+    """
+    pairs = np.concatenate([jumps[:, [0, 1]], jumps[:, [1, 2]], jumps[:, [2, 0]]])
+    apart = depths[pairs].max(axis=1) / depths[pairs].min(axis=1)
+    difference = np.abs(np.diff(colours[pairs].astype(np.int64), axis=1)).sum(axis=(1, 2))
+    cells = np.searchsorted(_LEVELS, difference)
+    one, two = (np.bincount(cells[chosen], minlength=len(_LEVELS) + 1) for chosen in (apart < _ALIKE, apart > _UNLIKE))
+    share = (one + two + 1e-3) / (one + two + 1e-3).sum()
+    ratio = (one + _DOUBTED * share) / (one.sum() + _DOUBTED) * (two.sum() + _DOUBTED) / (two + _DOUBTED * share)
+    falling = np.minimum.accumulate(ratio) ** _DEPENDENT
+    return falling[np.searchsorted(_LEVELS, np.arange(766))].astype(np.float32)
+
+
+def triangles_between(pixels: Float32Array, height: int, width: int) -> tuple[AnyArray, AnyArray]:
     """Triangulate points of an image.
 
     Args:
         pixels: (N, 2) float32 [px].
 
     Returns:
-        (T, 3) int32, rows of `pixels`; without the triangles outside their hull.
+        triangles: (T, 3) int32, rows of `pixels`; without the triangles outside their hull.
+        beyond: (T, 3) int32, the point beyond the side that is opposite each corner; -1 for none.
     """
     extent = max(height, width)
     scale = MOST_EXTENT / (3 * (extent + 1))
@@ -260,71 +235,40 @@ def triangles_between(pixels: Float32Array, height: int, width: int) -> AnyArray
     corners = np.array([[-most, -most], [2 * most, -most], [2 * most, 2 * most], [-most, 2 * most]])
     codes = np.empty(len(inner), np.int64)
     hilbert_codes(np.ascontiguousarray(inner), codes)
-    triangles = np.empty((2 * len(inner) + 2, 3), np.int32)
-    count = triangulate(np.concatenate([corners, inner]), np.argsort(codes) + CORNERS, triangles)
-    triangles = triangles[:count]
-    return np.ascontiguousarray(triangles[(triangles >= CORNERS).all(axis=1)] - np.int32(CORNERS))
-
-
-def _guide(filled: _Filled, beyond: BoolArray, rgb: UInt8Array | None, spacing: float) -> Float32Array:
-    """Let depths flow from surfaces into jumps along the image; on surfaces and beyond triangles they stay."""
-    depths, trusts = filled.depths, np.where(beyond, np.float32(0), filled.trusts)
-    # strength of the links between pixels, all equal without an image
-    image = np.zeros((*depths.shape, 3), np.uint8) if rgb is None else np.ascontiguousarray(rgb)
-    rightward, downward = np.empty_like(depths), np.empty_like(depths)
-    link_pixels(image, np.exp(-np.arange(766) / _EDGE_LEVELS).astype(np.float32), rightward, downward)
-    weights = np.where(depths > 0, trusts + np.float32(_TRUST_OF_JUMPS), np.float32(0))
-    flows, room = weights * depths, np.empty_like(depths)
-    for rotation in range(1, _ROTATIONS + 1):
-        strength = 1.5 * 4.0 ** (_ROTATIONS - rotation) / (4.0**_ROTATIONS - 1) * _FLOW * spacing**2
-        smooth_rightward(rightward, strength, flows, weights)
-        smooth_downward(downward, strength, flows, weights, room)
-    np.divide(flows, weights, out=flows, where=weights > 0)
-    guided = depths + _BELIEF_IN_EDGES * (1 - trusts) * (flows - depths)
-    return np.where(beyond, depths, guided)
+    triangles, beside = (np.full((2 * len(inner) + 2, 3), -1, np.int32) for _ in range(2))
+    count = triangulate(np.concatenate([corners, inner]), np.argsort(codes) + CORNERS, triangles, beside)
+    triangles, beside = triangles[:count], beside[:count]
+    # of the six corners of two triangles, two sides' ends are in both
+    sums = triangles.sum(axis=1, dtype=np.int64)
+    beyond = np.where(beside < 0, -1, sums[beside] - (sums[:, None] - triangles) - CORNERS)
+    kept = (triangles >= CORNERS).all(axis=1)
+    return triangles[kept] - np.int32(CORNERS), np.maximum(beyond[kept], -1).astype(np.int32)
 
 
 TOLERANCE, TOLERANCE_SHARE = 0.5, 0.05
 """Depths count as right with an error of less than 0.5 m, or of less than 5 % where that is more."""
 
-SLOPE_SHARE = 0.05
-DOUBT_STEPS = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
-GAP_STEPS = (0.5, 1.1, 1.6, 2.1, 3.1, 5.1)
+SUPPORT_STEPS = (0.2, 0.4, 0.6, 0.8, 0.95, 1.2, 1.55, 1.7, 1.9)
+DISTANCE_STEPS = (1.5, 3.0, 4.5, 6.0)  # [px]
 
-_TABLES: Mapping[str, tuple[tuple[float, ...], ...]] = MappingProxyType(
-    {
-        "fast": (
-            (0.973, 0.973, 0.973, 0.863, 0.863, 0.863, 0.863),
-            (0.973, 0.973, 0.973, 0.817, 0.815, 0.815, 0.815),
-            (0.973, 0.973, 0.947, 0.768, 0.768, 0.768, 0.768),
-            (0.973, 0.893, 0.795, 0.721, 0.373, 0.373, 0.373),
-            (0.973, 0.830, 0.795, 0.721, 0.373, 0.373, 0.373),
-            (0.973, 0.830, 0.795, 0.721, 0.373, 0.373, 0.373),
-            (0.939, 0.805, 0.795, 0.721, 0.358, 0.358, 0.358),
-            (0.045, 0.045, 0.045, 0.045, 0.045, 0.045, 0.045),
-        ),
-        "quality": (
-            (0.995, 0.995, 0.995, 0.936, 0.936, 0.936, 0.936),
-            (0.992, 0.992, 0.973, 0.851, 0.851, 0.851, 0.851),
-            (0.982, 0.982, 0.929, 0.830, 0.817, 0.727, 0.437),
-            (0.982, 0.837, 0.814, 0.813, 0.782, 0.724, 0.437),
-            (0.982, 0.837, 0.814, 0.813, 0.691, 0.691, 0.437),
-            (0.982, 0.837, 0.814, 0.813, 0.691, 0.691, 0.437),
-            (0.974, 0.837, 0.814, 0.813, 0.636, 0.636, 0.437),
-            (0.553, 0.553, 0.428, 0.334, 0.334, 0.334, 0.334),
-        ),
-    }
-)  # confidence by method, row by row of rising doubt, column by column of rising gaps
+_TABLE = (
+    (0.149, 0.149, 0.149, 0.149, 0.149),
+    (0.507, 0.507, 0.496, 0.496, 0.496),
+    (0.626, 0.626, 0.626, 0.595, 0.595),
+    (0.701, 0.701, 0.701, 0.701, 0.701),
+    (0.807, 0.807, 0.807, 0.807, 0.807),
+    (0.966, 0.966, 0.966, 0.964, 0.955),
+    (0.685, 0.617, 0.544, 0.470, 0.221),
+    (0.837, 0.761, 0.728, 0.699, 0.406),
+    (0.975, 0.944, 0.920, 0.911, 0.816),
+    (0.998, 0.996, 0.992, 0.992, 0.986),
+)  # confidence, row by row of rising support, column by column of rising distances
 
 
 def complete_depth(
-    source: FusedView | Float32Array,
-    camera: Camera | None = None,
-    rgb: UInt8Array | None = None,
-    *,
-    method: str = "quality",
+    source: FusedView | Float32Array, camera: Camera | None = None, rgb: UInt8Array | None = None
 ) -> DenseDepth:
-    """Give a depth, and its confidence, to every pixel near measured points.
+    """Give a depth, and its confidence, to every pixel between measured points.
 
     Points must be visible: of a view the hidden ones are left out. Where no points are near, as in the sky, there is
     no depth.
@@ -333,16 +277,12 @@ def complete_depth(
         source: a sweep in an image, whose points count at their exact positions; or (H, W) float32 [m], the depths of
             some pixels, 0 for none.
         camera: the camera model of the image; a view has its own.
-        rgb: (H, W, 3) uint8, the image, by which `quality` places jumps; None: that of the view, or none.
-        method: a name out of `METHODS`.
+        rgb: (H, W, 3) uint8, the image, by which jumps are placed; None: that of the view, or none.
 
     Raises:
         ArrayError: an array is not of the camera's size, or a depth is NaN, infinite or negative.
         CalibrationError: the camera's model is unknown or has other coefficients.
-        OptionError: the method is unknown.
     """
-    if method not in METHODS:
-        raise OptionError(f"method {method!r}; expected one of {', '.join(METHODS)}")
     if isinstance(source, FusedView):
         camera_model, samples = source.camera, Samples.of_view(source)
         image: UInt8Array | None = source.rgb if rgb is None else rgb
@@ -351,212 +291,21 @@ def complete_depth(
     else:
         camera_model, samples, image = camera, Samples.of_image(source, camera), rgb
     check_array("rgb", image, (camera_model.height, camera_model.width, 3), np.uint8, optional=True)
-    filled = METHODS[method](samples, image, pixels_per_radian(camera_model))
+    filled = fill_surfaces(samples, image, pixels_per_radian(camera_model))
     confidence = np.empty_like(filled.depths)
-    doubts, gaps, table = (np.array(one, np.float32) for one in (DOUBT_STEPS, GAP_STEPS, _TABLES[method]))
-    grade_depths(
-        filled.depths, filled.trusts, filled.spreads, filled.gaps, max(filled.spacing, 1.0), TOLERANCE,
-        TOLERANCE_SHARE, SLOPE_SHARE, doubts, gaps, table, confidence,
-    )  # fmt: skip
+    supports, distances, table = (np.array(one, np.float32) for one in (SUPPORT_STEPS, DISTANCE_STEPS, _TABLE))
+    grade_depths(filled.depths, filled.supports, filled.distances, supports, distances, table, confidence)
     return DenseDepth(filled.depths, confidence)
 
 
-def _fill_fast(samples: Samples, _: UInt8Array | None, per_radian: float) -> _Filled:
-    filled = _close_gaps(samples, per_radian)
-    blended = np.empty_like(filled.depths)
-    blend_neighbours(filled.depths, np.empty((2, filled.depths.size), np.float32), blended)
-    return replace(filled, depths=blended)
-
-
-_Method = Callable[[Samples, UInt8Array | None, float], _Filled]
-"""Fills an image: samples, the image or None, pixels per radian."""
-
-METHODS: Mapping[str, _Method] = MappingProxyType({"fast": _fill_fast, "quality": _cover_surfaces})
-"""The methods by name."""
-
-_FAR = np.float32(1e6)
 _NOTHING = np.float32(0)
-_EVEN_UP_TO, _PER_STEEPNESS = np.float32(_EVEN), np.float32(1.0 / (_SUDDEN - _EVEN))
-_BEYOND = np.float32(0.3)  # how far another surface may be, as a share of the depth, where only one side is known
-
-
-@kernel(void(IN_F32_2D, int64, float32[:, ::1]))
-def widen_samples(sparse: Float32Array, slack: int, widened: Float32Array) -> None:
-    """Widen each sample along its row, by at most `slack` pixels; what lies between two is shared out by halves.
-
-    `sparse` (H, W) [m], 0 for nothing; `slack` [px]; `widened` (H, W) [m], written.
-    """
-    height, width = sparse.shape
-    for row in range(height):
-        last = -1
-        for column in range(width):
-            widened[row, column] = 0
-        for column in range(width):
-            depth = sparse[row, column]
-            if not depth > 0:
-                continue
-            first = max(0, column - slack)
-            if last >= 0:
-                first = max(first, (last + column) // 2 + 1)
-            for k in range(first, min(width, column + slack + 1)):
-                widened[row, k] = depth
-            last = column
-
-
-@kernel(void(IN_F32_2D, float32[:, ::1], float32[:, ::1]))
-def look_up(widened: Float32Array, depths: Float32Array, distances: Float32Array) -> None:
-    """Give the next sample above each pixel, itself included, and how many rows it is away.
-
-    `widened` (H, W) [m], 0 for nothing; `depths` (H, W) [m], written; 0 for none; `distances` (H, W) [px], written;
-    very large for none.
-    """
-    height, width = widened.shape
-    for column in range(width):
-        depths[0, column] = widened[0, column]
-        distances[0, column] = _NOTHING if widened[0, column] > 0 else _FAR
-    for row in range(1, height):
-        for column in range(width):
-            here = widened[row, column]
-            known = here > 0
-            depths[row, column] = here if known else depths[row - 1, column]
-            distances[row, column] = _NOTHING if known else distances[row - 1, column] + np.float32(1)
-
-
-@inlined
-def _join(near: float, to_near: float, other: float, to_other: float, steepest: float) -> tuple[Any, Any]:
-    """Depth and trust of a pixel between two samples that are so many pixels away."""
-    one = np.float32(1)
-    gap = to_near + to_other
-    share = to_other / gap
-    inverse_near, inverse_other = one / near, one / other
-    inverse = share * inverse_near + (one - share) * inverse_other
-    steepness = abs(inverse_near - inverse_other) / (gap * steepest)
-    jump = min(one, max(_NOTHING, _PER_STEEPNESS * (steepness - _EVEN_UP_TO)))
-    return (one - jump) / inverse + jump * (share * near + (one - share) * other), one - jump
-
-
-@kernel(void(
-    IN_F32_2D, IN_F32_2D, IN_F32_2D, float32, float32, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1],
-    float32[:, ::1]
-))  # fmt: skip
-def fill_down(
-    widened: Float32Array, depths_above: Float32Array, distances_above: Float32Array, longest: float, reach: float,
-    steepest: float, depth_image: Float32Array, trust_image: Float32Array, spread_image: Float32Array,
-    gap_image: Float32Array,
-) -> None:  # fmt: skip
-    """Fill gaps along columns: between two samples by both, beyond the last one a little trajectory by this one.
-
-    Args:
-        widened: (H, W) [m], the samples, 0 for nothing.
-        depths_above, distances_above: (H, W), as `look_up` gives them.
-        longest: the longest gap that is filled [px].
-        reach: how far the last sample of a column reaches [px].
-        steepest: how much the inverse depth of one surface changes at most from pixel to pixel [1/m/px].
-        depth_image: (H, W) [m], written; 0 where nothing is near.
-        trust_image: (H, W), written: 1 for one surface, 0 for a jump, and beyond the last sample.
-        spread_image: (H, W) [m], written: how far apart the two depths are.
-        gap_image: (H, W) [px], written: the gap's length, twice the distance beyond the last sample.
-    """
-    height, width = widened.shape
-    below, distances = np.zeros(width, np.float32), np.full(width, _FAR, np.float32)
-    one = np.float32(1)
-    for row in range(height - 1, -1, -1):
-        for column in range(width):
-            here, above, to_above = (widened[row, column], depths_above[row, column], distances_above[row, column])
-            known = here > 0
-            other = here if known else below[column]
-            to_other = _NOTHING if known else distances[column] + one
-            below[column], distances[column] = other, to_other
-            depth, trust, spread, gap = here, one, _NOTHING, _NOTHING
-            if not known:
-                nearest, gap = min(to_above, to_other), to_above + to_other
-                if gap <= longest:
-                    depth, trust = _join(above, to_above, other, to_other, steepest)
-                    spread = abs(above - other)
-                elif nearest <= reach:
-                    depth, trust, gap = (above if to_above < to_other else other), _NOTHING, nearest + nearest
-                    spread = depth * _BEYOND
-            depth_image[row, column], trust_image[row, column] = depth, trust
-            spread_image[row, column], gap_image[row, column] = spread, gap
-
-
-@kernel(void(IN_F32_2D, float32, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1]))
-def fill_across(
-    sparse: Float32Array, longest: float, steepest: float, depth_image: Float32Array, trust_image: Float32Array,
-    spread_image: Float32Array, gap_image: Float32Array,
-) -> None:  # fmt: skip
-    """Fill gaps along rows where that is the shorter way, as `fill_down` does along columns.
-
-    `sparse` (H, W) [m], the samples, 0 for nothing; `longest`: the longest gap that is filled [px]; `steepest`: how
-    much the inverse depth of one surface changes at most from pixel to pixel [1/m/px]; `depth_image`, `trust_image`,
-    `spread_image`, `gap_image` (H, W), what is known already; written.
-    """
-    height, width = sparse.shape
-    for row in range(height):
-        last = -1
-        for column in range(width):
-            if not sparse[row, column] > 0:
-                continue
-            gap = np.float32(column - last)
-            if last >= 0 and gap <= longest:
-                left, right = sparse[row, last], sparse[row, column]
-                for k in range(last + 1, column):
-                    if depth_image[row, k] > 0 and gap_image[row, k] <= gap:
-                        continue
-                    depth_image[row, k], trust_image[row, k] = _join(
-                        left, np.float32(k - last), right, np.float32(column - k), steepest
-                    )
-                    spread_image[row, k], gap_image[row, k] = abs(left - right), gap
-            last = column
-
-
-@kernel(void(IN_F32_2D, float32[:, ::1], float32[:, ::1]))
-def blend_neighbours(depth_image: Float32Array, room: Float32Array, blended: Float32Array) -> None:
-    """Average each filled pixel with the filled ones beside it, weighted 1 4 6 4 1 along both axes.
-
-    `depth_image` (H, W) [m], 0 for nothing; `room` (2, H * W), overwritten; `blended` (H, W) [m], written; 0 where
-    `depth_image` is.
-
-    Source: Burt 1981, Computer Graphics and Image Processing 16, the binomial kernel of five.
-    """
-    height, width = depth_image.shape
-    four, six = np.float32(4), np.float32(6)
-    sums, weights = room[0].reshape(height, width), room[1].reshape(height, width)
-    padded, present = np.zeros(width + 4, np.float32), np.zeros(width + 4, np.float32)
-    for row in range(height):
-        for column in range(width):
-            depth = depth_image[row, column]
-            padded[column + 2] = depth
-            present[column + 2] = np.float32(1) if depth > 0 else _NOTHING
-        for column in range(width):
-            sums[row, column] = (
-                padded[column] + padded[column + 4] + four * (padded[column + 1] + padded[column + 3])
-                + six * padded[column + 2]
-            )  # fmt: skip
-            weights[row, column] = (
-                present[column] + present[column + 4] + four * (present[column + 1] + present[column + 3])
-                + six * present[column + 2]
-            )  # fmt: skip
-    for row in range(height):
-        a, b = max(row - 2, 0), max(row - 1, 0)
-        d, e = min(row + 1, height - 1), min(row + 2, height - 1)
-        for column in range(width):
-            total = (
-                sums[a, column] + sums[e, column] + four * (sums[b, column] + sums[d, column])
-                + six * sums[row, column]
-            )  # fmt: skip
-            weight = (
-                weights[a, column] + weights[e, column] + four * (weights[b, column] + weights[d, column])
-                + six * weights[row, column]
-            )  # fmt: skip
-            blended[row, column] = total / weight if depth_image[row, column] > 0 else _NOTHING
-
-
-_HALF = np.float32(0.5)
-_SLIVER = np.float32(0.1)  # twice the least area of a triangle that gives a slope [px²]
 
 _ROUNDING = np.float32(1e-4)
 """How far outside a triangle a pixel may be and still be filled by it, as a share of the triangle."""
+
+_UPRIGHT = np.float32(0.4)  # how much a distance down the image counts beside one along it
+_IN_ROW, _ROW_PX = np.float32(2000), np.float32(0.5)
+_TO_MEDIAN = np.float32(0.2)  # from the mean of the votes, which errs least in squares, to their median, least in size
 
 
 @kernel(void(IN_F32_2D, IN_F32_1D, IN_I32_2D, float32[:, ::1]))
@@ -565,55 +314,21 @@ def measure_triangles(
 ) -> None:
     """Measure each triangle.
 
-    `pixels` (N, 2) [px]; `inverse_depths` (N,) [1/m]; `triangles` (T, 3); `measures` (T, 3), written: area [px²];
-    length of the longest side [px]; how much the inverse depth changes for a pixel, the steepest trajectory [1/m/px],
-    infinite for triangles without area.
+    `pixels` (N, 2) [px]; `inverse_depths` (N,) [1/m]; `triangles` (T, 3); `measures` (T, 4), written: area [px²];
+    lengths of the longest and the shortest side [px]; how much the inverse depth changes for a pixel, the steepest way
+    [1/m/px], infinite for triangles without area.
     """
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         bu, bv = pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1]
         cu, cv = pixels[c, 0] - pixels[a, 0], pixels[c, 1] - pixels[a, 1]
         twice = bu * cv - bv * cu
-        longest = max(bu * bu + bv * bv, cu * cu + cv * cv, (bu - cu) ** 2 + (bv - cv) ** 2)
+        sides = bu * bu + bv * bv, cu * cu + cv * cv, (bu - cu) ** 2 + (bv - cv) ** 2
         db, dc = inverse_depths[b] - inverse_depths[a], inverse_depths[c] - inverse_depths[a]
         slope_u, slope_v = (db * cv - dc * bv) / twice, (dc * bu - db * cu) / twice
         measures[t, 0] = 0.5 * abs(twice)
-        measures[t, 1] = math.sqrt(longest)
-        measures[t, 2] = math.sqrt(slope_u * slope_u + slope_v * slope_v) if twice != 0 else math.inf
-
-
-@kernel(void(IN_F32_2D, IN_F32_1D, IN_I32_2D, IN_F32_1D, float32[:, ::1], float32[::1]))
-def measure_slopes(
-    pixels: Float32Array, inverse_depths: Float32Array, triangles: AnyArray, trusts: Float32Array, slopes: Float32Array,
-    weights: Float32Array,
-) -> None:  # fmt: skip
-    """Measure how the inverse depth changes around each point: the mean of its triangles, the smallest before all.
-
-    `pixels` (N, 2) [px]; `inverse_depths` (N,) [1/m]; `triangles` (T, 3); `trusts` (T,), 1 for one surface, 0 for a
-    jump, which does not count; `slopes` (N, 2) [1/m/px], written: rightward and downward; 0 where no triangle reports;
-    `weights` (N,), overwritten.
-    """
-    slopes[:], weights[:] = _NOTHING, _NOTHING
-    for t in range(triangles.shape[0]):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        bu, bv = pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1]
-        cu, cv = pixels[c, 0] - pixels[a, 0], pixels[c, 1] - pixels[a, 1]
-        twice = bu * cv - bv * cu
-        if abs(twice) < _SLIVER or trusts[t] <= 0:
-            continue
-        longest = max(bu * bu + bv * bv, cu * cu + cv * cv, (bu - cu) ** 2 + (bv - cv) ** 2)
-        db, dc = inverse_depths[b] - inverse_depths[a], inverse_depths[c] - inverse_depths[a]
-        room = longest + np.float32(1)
-        weight = trusts[t] * abs(twice) / (room * room * room)
-        slope_u, slope_v = weight * (db * cv - dc * bv) / twice, weight * (dc * bu - db * cu) / twice
-        for k in (a, b, c):
-            slopes[k, 0] += slope_u
-            slopes[k, 1] += slope_v
-            weights[k] += weight
-    for k in range(slopes.shape[0]):
-        if weights[k] > 0:
-            slopes[k, 0] /= weights[k]
-            slopes[k, 1] /= weights[k]
+        measures[t, 1], measures[t, 2] = math.sqrt(max(sides)), math.sqrt(min(sides))
+        measures[t, 3] = math.sqrt(slope_u * slope_u + slope_v * slope_v) if twice != 0 else math.inf
 
 
 @inlined
@@ -627,232 +342,171 @@ def _span(value: float, step: float, columns: int) -> tuple[int, int]:
 
 
 @inlined
-def _rise(slopes: Float32Array, corner: int, across: float, down: float) -> Any:
-    """What a corner's slope adds at a distance of so many pixels."""
-    return slopes[corner, 0] * across + slopes[corner, 1] * down
+def _shares(pixels: Float32Array, triangle: AnyArray, u: float, v: float) -> tuple[Any, Any]:
+    """The shares of the second and the third corner in a position, which are linear in it."""
+    a, b, c = triangle[0], triangle[1], triangle[2]
+    bu, bv = pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1]
+    cu, cv = pixels[c, 0] - pixels[a, 0], pixels[c, 1] - pixels[a, 1]
+    du, dv, twice = u - pixels[a, 0], v - pixels[a, 1], bu * cv - bv * cu
+    return (du * cv - dv * cu) / twice, (dv * bu - du * bv) / twice
 
 
 @inlined
-def _evenness(pixels: Float32Array, slopes: Float32Array, corners: tuple[Any, ...], inverses: tuple[Any, ...]) -> Any:
-    """How far depth itself counts as linear: where slopes miss the other corners, and depths are different."""
-    least, most, off = min(inverses), max(inverses), _NOTHING
-    for own in range(3):
-        for other in range(3):
-            k, m = corners[own], corners[other]
-            reported = _rise(slopes, k, pixels[m, 0] - pixels[k, 0], pixels[m, 1] - pixels[k, 1])
-            off = max(off, abs(inverses[other] - inverses[own] - reported))
+def _list_voters(
+    pixels: Float32Array, depths: Float32Array, triangle: AnyArray, beyond: AnyArray, tolerance: float, share: float,
+    voters: AnyArray,
+) -> tuple[int, int]:  # fmt: skip
+    """List a triangle's points and those beyond its sides by depth; how many, and how many of them are in its plane."""
+    voters[0], voters[1], voters[2], count, met = triangle[0], triangle[1], triangle[2], 3, 3
     one = np.float32(1)
-    return min(one, most / least - one) * (min(one, off / (most - least)) if most > least else one)
+    ya, yb, yc = one / depths[triangle[0]], one / depths[triangle[1]], one / depths[triangle[2]]
+    for k in range(3):
+        other = beyond[k]
+        if other >= 0:
+            of_b, of_c = _shares(pixels, triangle, pixels[other, 0], pixels[other, 1])
+            expected = ya + of_b * (yb - ya) + of_c * (yc - ya)
+            allowed = max(tolerance, share * depths[other])
+            met += expected > 0 and abs(one / expected - depths[other]) < allowed
+            voters[count] = other
+            count += 1
+    for k in range(1, count):
+        point, m = voters[k], k
+        while m > 0 and depths[voters[m - 1]] > depths[point]:
+            voters[m] = voters[m - 1]
+            m -= 1
+        voters[m] = point
+    return count, met
+
+
+@inlined
+def _vote(du: float, dv: float, unit: float) -> Any:
+    """The weight of a point that is so many pixels away, along the row and down.
+
+    The first term is of any point; the second of those in the pixel's row, as far as their neighbour on the scan line.
+    """
+    one, across = np.float32(1), du / unit
+    along, down = across * across + one, _UPRIGHT * dv / unit
+    off = dv / _ROW_PX
+    off *= off
+    return one / (along + down * down) + _IN_ROW / (along * along * along * (one + off * off))
+
+
+@inlined
+def _count_votes(
+    pixels: Float32Array, depths: Float32Array, colours: UInt8Array, voters: AnyArray, count: int, u: float, v: float,
+    unit: float, colour: UInt8Array, likeness: Float32Array, votes: Float32Array,
+) -> tuple[Any, Any]:  # fmt: skip
+    """The depth that the voters, sorted by depth, give a pixel, and the sum of their votes, which are written."""
+    total, mean = _NOTHING, _NOTHING
+    for k in range(count):
+        point, difference = voters[k], 0
+        for channel in range(3):
+            difference += abs(int64(colour[channel]) - int64(colours[point, channel]))
+        votes[k] = likeness[difference] * _vote(u - pixels[point, 0], v - pixels[point, 1], unit)
+        total += votes[k]
+        mean += votes[k] * depths[point]
+    below, m, half = votes[0], 0, np.float32(0.5) * total
+    while below < half and m < count - 1:
+        m += 1
+        below += votes[m]
+    mean /= total
+    return mean + _TO_MEDIAN * (depths[voters[m]] - mean), total
 
 
 @kernel(void(
-    IN_F32_2D, IN_F32_1D, IN_F32_2D, IN_I32_2D, IN_BOOL_1D, IN_F32_1D, IN_F32_1D, float32[:, ::1], float32[:, ::1],
-    float32[:, ::1], float32[:, ::1]
+    IN_F32_2D, IN_F32_1D, IN_I32_2D, IN_I32_2D, IN_BOOL_1D, IN_F32_1D, IN_U8_3D, IN_U8_2D, IN_F32_1D, float32, float32,
+    float32, float32[:, ::1], float32[:, ::1], float32[:, ::1]
 ))  # fmt: skip
 def fill_triangles(
-    pixels: Float32Array, depths: Float32Array, slopes: Float32Array, triangles: AnyArray, filled: BoolArray,
-    trusts: Float32Array, lengths: Float32Array, depth_image: Float32Array, trust_image: Float32Array,
-    spread_image: Float32Array, length_image: Float32Array,
+    pixels: Float32Array, depths: Float32Array, triangles: AnyArray, beyond: AnyArray, filled: BoolArray,
+    trusts: Float32Array, rgb: UInt8Array, colours: UInt8Array, likeness: Float32Array, unit: float,
+    tolerance: float, tolerance_share: float, depth_image: Float32Array, support_image: Float32Array,
+    distance_image: Float32Array,
 ) -> None:  # fmt: skip
-    """Fill the pixels of triangles: in inverse depth where these are trusted.
-
-    On one surface, each corner reports its inverse depth and half of what its slope adds on the way to the pixel, and
-    the pixel's shares in the triangle weigh the three: exact for planes and for what bends evenly. Nothing leaves the
-    range of the corners. Where slopes miss the other corners, and these are unlike in depth, depths are linear, which
-    errs least where nobody knows: entirely so where they miss by all there is, and one corner is twice as far as
-    another.
-
-    Across jumps, what the image reported already stays, and where it reported nothing, depths are linear.
+    """Fill the pixels of triangles: linearly in inverse depth on a surface, by a vote of six points across a jump.
 
     Args:
         pixels: (N, 2) [px].
         depths: (N,) [m].
-        slopes: (N, 2) [1/m/px], how the inverse depth changes rightward and downward.
-        triangles: (T, 3).
+        triangles: (T, 3), rows of both.
+        beyond: (T, 3), the points beyond the triangle's sides; negative for none.
         filled: (T,), others are left out.
-        trusts: (T,), 1 for one surface, 0 for a jump.
-        lengths: (T,), longest sides [px].
-        depth_image: (H, W) [m], 0 for nothing; written where a triangle is.
-        trust_image: (H, W), the triangle's trust.
-        spread_image: (H, W) [m], how far apart the triangle's depths are.
-        length_image: (H, W) [px], the triangle's longest side.
+        trusts: (T,), 1 for one surface, 0 for a jump; a mean of both depths between.
+        rgb: (H, W, 3).
+        colours: (N, 3), of the points.
+        likeness: (766,), what a vote counts by the difference of its colour, all channels together.
+        unit: of distances between votes and pixels [px]: half of the usual one between points of a scan line.
+        tolerance: [m], or …
+        tolerance_share: … this share of the depth where that is more.
+        depth_image: (H, W) [m], written where a triangle is.
+        support_image: (H, W), of jumps the share of the votes within the tolerance of the depth; of surfaces 1 and the
+            share of the six points within it of the triangle's plane.
+        distance_image: (H, W) [px], to the nearest corner.
     """
     height, width = depth_image.shape
-    one = np.float32(1.0)
+    one, half = np.float32(1), np.float32(0.5)
+    voters, votes = np.empty(6, np.int64), np.empty(6, np.float32)
     for t in range(triangles.shape[0]):
-        if not filled[t]:
-            continue
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        a, b, c, trust = triangles[t, 0], triangles[t, 1], triangles[t, 2], trusts[t]
         au, av, bu, bv, cu, cv = (
             pixels[a, 0], pixels[a, 1], pixels[b, 0], pixels[b, 1], pixels[c, 0], pixels[c, 1]
         )  # fmt: skip
         left, right = max(0, math.ceil(min(au, bu, cu))), min(width - 1, math.floor(max(au, bu, cu)))
         top, bottom = max(0, math.ceil(min(av, bv, cv))), min(height - 1, math.floor(max(av, bv, cv)))
         twice = (bu - au) * (cv - av) - (bv - av) * (cu - au)
-        if twice == 0:
+        if not filled[t] or twice == 0 or left > right or top > bottom:
             continue
-        step_b, step_c = (cv - av) / twice, -(bv - av) / twice
-        za, zb, zc = depths[a], depths[b], depths[c]
-        spread, trust = max(za, zb, zc) - min(za, zb, zc), trusts[t]
-        ya, yb, yc = one / za, one / zb, one / zc
-        least, most = min(ya, yb, yc), max(ya, yb, yc)
-        even = _evenness(pixels, slopes, (a, b, c), (ya, yb, yc))
+        count, met = _list_voters(pixels, depths, triangles[t], beyond[t], tolerance, tolerance_share, voters)
+        ya, yb, yc = one / depths[a], one / depths[b], one / depths[c]
+        step_b, step_c, columns = (cv - av) / twice, -(bv - av) / twice, right - left
         for row in range(top, bottom + 1):
-            du, dv = np.float32(left) - au, np.float32(row) - av
-            share_b = (du * (cv - av) - dv * (cu - au)) / twice
-            share_c = (dv * (bu - au) - du * (bv - av)) / twice
-            count = right - left
-            first_b, last_b = _span(share_b, step_b, count)
-            first_c, last_c = _span(share_c, step_c, count)
-            first_a, last_a = _span(one - share_b - share_c, -step_b - step_c, count)
+            share_b, share_c = _shares(pixels, triangles[t], np.float32(left), np.float32(row))
+            first_b, last_b = _span(share_b, step_b, columns)
+            first_c, last_c = _span(share_c, step_c, columns)
+            first_a, last_a = _span(one - share_b - share_c, -step_b - step_c, columns)
             for column in range(max(first_a, first_b, first_c), min(last_a, last_b, last_c) + 1):
                 of_b, of_c = share_b + np.float32(column) * step_b, share_c + np.float32(column) * step_c
-                of_a = one - of_b - of_c
                 u = left + column
                 across, down = np.float32(u), np.float32(row)
-                bent = of_a * _rise(slopes, a, across - au, down - av)
-                bent += of_b * _rise(slopes, b, across - bu, down - bv)
-                bent += of_c * _rise(slopes, c, across - cu, down - cv)
-                inverse = min(most, max(least, of_a * ya + of_b * yb + of_c * yc + _HALF * bent))
-                linear = of_a * za + of_b * zb + of_c * zc
-                surface = (one - even) / inverse + even * linear
-                reported = depth_image[row, u]
-                between = reported if reported > 0 else linear
-                depth_image[row, u] = trust * surface + (one - trust) * between
-                trust_image[row, u] = trust
-                spread_image[row, u] = spread
-                length_image[row, u] = lengths[t]
+                depth = one / ((one - of_b - of_c) * ya + of_b * yb + of_c * yc)
+                support = one + np.float32(met) / np.float32(count)
+                if trust < one:
+                    voted, total = _count_votes(
+                        pixels, depths, colours, voters, count, across, down, unit, rgb[row, u], likeness, votes
+                    )
+                    depth = trust * depth + (one - trust) * voted
+                    if trust <= half:
+                        allowed, near = max(tolerance, tolerance_share * depth), _NOTHING
+                        for k in range(count):
+                            near += votes[k] if abs(depths[voters[k]] - depth) < allowed else _NOTHING
+                        support = near / total
+                to_a = (across - au) * (across - au) + (down - av) * (down - av)
+                to_b = (across - bu) * (across - bu) + (down - bv) * (down - bv)
+                to_c = (across - cu) * (across - cu) + (down - cv) * (down - cv)
+                depth_image[row, u], support_image[row, u] = depth, support
+                distance_image[row, u] = math.sqrt(min(to_a, to_b, to_c))
 
 
-_FASTMATH = {"contract", "arcp"}
-_LANES = 16
-
-
-@kernel(void(IN_U8_3D, IN_F32_1D, float32[:, ::1], float32[:, ::1]))
-def link_pixels(
-    rgb: UInt8Array, link_of_difference: Float32Array, rightward: Float32Array, downward: Float32Array
-) -> None:
-    """Give the strength of the links between neighbouring pixels.
-
-    `rgb` (H, W, 3); `link_of_difference` (766,), by the sum of the differences of the three channels; `rightward`,
-    `downward` (H, W), written: of each pixel to the next one; 0 in the last column or row.
-    """
-    height, width = rightward.shape
-    for row in range(height):
-        for column in range(width):
-            right, down = 0, 0
-            if column + 1 < width:
-                for k in range(3):
-                    right += abs(int64(rgb[row, column, k]) - int64(rgb[row, column + 1, k]))
-                rightward[row, column] = link_of_difference[right]
-            else:
-                rightward[row, column] = 0
-            if row + 1 < height:
-                for k in range(3):
-                    down += abs(int64(rgb[row, column, k]) - int64(rgb[row + 1, column, k]))
-                downward[row, column] = link_of_difference[down]
-            else:
-                downward[row, column] = 0
-
-
-@kernel(void(IN_F32_2D, float32, float32[:, ::1], float32[:, ::1], float32[:, ::1]), fastmath=_FASTMATH)
-def smooth_downward(
-    links: Float32Array, strength: float, first: Float32Array, second: Float32Array, room: Float32Array
-) -> None:
-    """Smooth two images along axis 0, all columns side by side.
-
-    `links` (N, M), of each row to the next; 0 in the last; `strength`: λ; `first`, `second` (N, M), smoothed in place;
-    `room` (N, M), overwritten.
-    """
-    count, lanes = first.shape
-    one = np.float32(1)
-    for column in range(lanes):
-        link = strength * links[0, column]
-        scale = one / (one + link)
-        room[0, column] = link * scale
-        first[0, column] *= scale
-        second[0, column] *= scale
-    for row in range(1, count):
-        for column in range(lanes):
-            above, link = strength * links[row - 1, column], strength * links[row, column]
-            scale = one / (one + above + link - above * room[row - 1, column])
-            room[row, column] = link * scale
-            first[row, column] = (first[row, column] + above * first[row - 1, column]) * scale
-            second[row, column] = (second[row, column] + above * second[row - 1, column]) * scale
-    for row in range(count - 2, -1, -1):
-        for column in range(lanes):
-            first[row, column] += room[row, column] * first[row + 1, column]
-            second[row, column] += room[row, column] * second[row + 1, column]
-
-
-@kernel(void(IN_F32_2D, float32, float32[:, ::1], float32[:, ::1]), fastmath=_FASTMATH)
-def smooth_rightward(links: Float32Array, strength: float, first: Float32Array, second: Float32Array) -> None:
-    """Smooth two images along axis 1: some rows at a time are laid side by side.
-
-    `links` (H, W), of each pixel to the next; 0 in the last column; `strength`: λ; `first`, `second` (H, W), smoothed
-    in place.
-    """
-    height, width = first.shape
-    laid = np.zeros((4, width, _LANES), np.float32)
-    for top in range(0, height, _LANES):
-        rows = min(_LANES, height - top)
-        for k in range(rows):
-            for column in range(width):
-                laid[0, column, k] = links[top + k, column]
-                laid[1, column, k] = first[top + k, column]
-                laid[2, column, k] = second[top + k, column]
-        smooth_downward(laid[0], strength, laid[1], laid[2], laid[3])
-        for k in range(rows):
-            for column in range(width):
-                first[top + k, column] = laid[1, column, k]
-                second[top + k, column] = laid[2, column, k]
-
-
-@kernel(void(
-    IN_F32_2D, IN_F32_2D, IN_F32_2D, IN_F32_2D, float32, float32, float32, float32, IN_F32_1D, IN_F32_1D, IN_F32_2D,
-    float32[:, ::1]
-))  # fmt: skip
+@kernel(void(IN_F32_2D, IN_F32_2D, IN_F32_2D, IN_F32_1D, IN_F32_1D, IN_F32_2D, float32[:, ::1]))
 def grade_depths(
-    depths: Float32Array, trusts: Float32Array, spreads: Float32Array, gaps: Float32Array, spacing: float,
-    tolerance: float, tolerance_share: float, slope_share: float, doubt_steps: Float32Array, gap_steps: Float32Array,
-    table: Float32Array, confidence: Float32Array,
+    depths: Float32Array, supports: Float32Array, distances: Float32Array, support_steps: Float32Array,
+    distance_steps: Float32Array, table: Float32Array, confidence: Float32Array,
 ) -> None:  # fmt: skip
-    """Look up the confidence of each pixel by its doubt and its gap.
+    """Look up the confidence of each pixel by its support and its distance to the nearest point.
 
-    The doubt is the spread of the depths around the pixel, in tolerances; where these are of one surface, only
-    `slope_share` of it counts.
-
-    Args:
-        depths: (H, W) [m], 0 for none, which has no confidence.
-        trusts: (H, W), 1 on one surface, 0 across a jump.
-        spreads: (H, W) [m].
-        gaps: (H, W) [px].
-        spacing: [px], the unit of the gaps.
-        tolerance: [m], or …
-        tolerance_share: … this share of the depth where that is more.
-        slope_share: of the spread on one surface.
-        doubt_steps: (D - 1,) rising, the borders of the table's rows.
-        gap_steps: (G - 1,) rising, the borders of its columns.
-        table: (D, G).
-        confidence: (H, W), written.
+    `depths`, `supports`, `distances` (H, W); where there is no depth there is no confidence; `support_steps` (S - 1,),
+    `distance_steps` (D - 1,), rising, the borders of the rows and columns of `table` (S, D); `confidence` (H, W),
+    written.
     """
     height, width = depths.shape
-    one = np.float32(1)
     for row in range(height):
         for column in range(width):
-            depth = depths[row, column]
-            if not depth > 0:
-                confidence[row, column] = 0
-                continue
-            allowed = max(tolerance, tolerance_share * depth)
-            share = one - trusts[row, column] * (one - slope_share)
-            doubt, gap = share * spreads[row, column] / allowed, gaps[row, column] / spacing
-            d, g = 0, 0
-            for k in range(doubt_steps.shape[0]):
-                d += doubt >= doubt_steps[k]
-            for k in range(gap_steps.shape[0]):
-                g += gap >= gap_steps[k]
-            confidence[row, column] = table[d, g]
+            s, d = 0, 0
+            for k in range(support_steps.shape[0]):
+                s += supports[row, column] >= support_steps[k]
+            for k in range(distance_steps.shape[0]):
+                d += distances[row, column] >= distance_steps[k]
+            confidence[row, column] = table[s, d] if depths[row, column] > 0 else _NOTHING
 
 
 MOST_EXTENT = 29_000
@@ -946,8 +600,8 @@ def _close_hole(
     return count + edges - taken
 
 
-@kernel(int64(IN_I64_2D, IN_I64_1D, int32[:, ::1]))
-def triangulate(points: Int64Array, order: Int64Array, triangles: AnyArray) -> int:
+@kernel(int64(IN_I64_2D, IN_I64_1D, int32[:, ::1], int32[:, ::1]))
+def triangulate(points: Int64Array, order: Int64Array, triangles: AnyArray, beside: AnyArray) -> int:
     """Triangulate points so that no circumcircle holds another point.
 
     Args:
@@ -955,12 +609,13 @@ def triangulate(points: Int64Array, order: Int64Array, triangles: AnyArray) -> i
             inside which all others lie.
         order: (N,) the rows of the others in the order of their insertion, best along a curve that fills the plane.
         triangles: (2 N + 2, 3), written: rows of `points`, all rotating the same way.
+        beside: (2 N + 2, 3), all -1; written: the triangle beyond the side that is opposite each corner, -1 for none.
 
     Returns:
         How many triangles were written. Those of the corners are among them; the second of two equal points is in none.
     """
     most = triangles.shape[0]
-    beside, marks = np.full((most, 3), -1, np.int32), np.full(most, -1, np.int32)
+    marks = np.full(most, -1, np.int32)
     hole, rim = np.empty(most, np.int32), np.empty((most + 2, 3), np.int32)
     starting = np.empty(points.shape[0], np.int32)
     triangles[0, 0], triangles[0, 1], triangles[0, 2] = 0, 1, 2

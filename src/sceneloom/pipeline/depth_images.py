@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import finite_rows
-from sceneloom.colouring.depth_completion import METHODS, DenseDepth, complete_depth
+from sceneloom.colouring.depth_completion import DenseDepth, complete_depth
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.images import write_grey_png
@@ -27,7 +27,7 @@ from sceneloom.visualization.canvas import counting_left_out, leave_out
 from sceneloom.visualization.fused_frames import draw_dense_depth, save_image
 from sceneloom.warnings import DataWarning
 
-_SPARSE = "sparse"  # the method that keeps the measured points alone
+_SPARSE, _DENSE = "sparse", "dense"
 
 
 class DepthCameraReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -108,7 +108,7 @@ class _Writer:
 
 
 def write_depth_images(
-    scene: Scene, folder: str | Path, *, method: str = "quality", form: str = "png",
+    scene: Scene, folder: str | Path, *, method: str = _DENSE, form: str = "png",
     cameras: Iterable[Identifier] | None = None, confidence: bool = False, images: str | Path | None = None,
     trajectory: str | None = None, heading: str | None = None, start: float | None = None, stop: float | None = None,
     configuration: FusionConfiguration | None = None, lenient: bool = False, overwrite: bool = False,
@@ -121,7 +121,7 @@ def write_depth_images(
 
     Args:
         folder: for the images: `<camera>/<number of the sweep>.png`; of several lidars, below `<lidar>/`.
-        method: "sparse" (the measured points alone), "fast" or "quality".
+        method: "sparse" (the measured points alone) or "dense" (surfaces between them).
         form: "png" (16 bit, metres times 256) or "npz" (float32 metres and confidence).
         cameras: the only cameras; None for all.
         confidence: write `<camera>/confidence/<number>.png` (8 bit, 255 for 1) beside PNG images; NPZ always hold it.
@@ -141,7 +141,7 @@ def write_depth_images(
     """
     begun = time.perf_counter()
     location, drawn = Path(folder), None if images is None else Path(images)
-    for name, value, known in (("method", method, (_SPARSE, *METHODS)), ("form", form, ("png", "npz"))):
+    for name, value, known in (("method", method, (_SPARSE, _DENSE)), ("form", form, ("png", "npz"))):
         if value not in known:
             raise OptionError(f"{name} {value!r}; expected one of {', '.join(known)}")
     if drawn is not None and drawn.absolute() == location.absolute():
@@ -165,7 +165,7 @@ def write_depth_images(
                 if method == _SPARSE:
                     dense = DenseDepth(view.depth_image, (view.depth_image > 0).astype(np.float32))
                 else:
-                    dense = complete_depth(view, method=method)
+                    dense = complete_depth(view)
                 writer.add(frame, view, dense)
             if progress is not None:
                 progress(done, total)

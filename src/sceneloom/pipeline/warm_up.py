@@ -29,11 +29,7 @@ _FUSION = (
 )
 _ODOMETRY = (*_of("motion.odometry", "accumulate_normal_equations _describe_surfaces _insert_points move_points"),)
 _READING = (*_of("kernels.images", "rgb_from_halved_chroma"), *_of("kernels.packed", "unpack"))
-_DEPTH = _of(
-    "colouring.depth_completion",
-    "triangulate fill_triangles measure_triangles link_pixels smooth_rightward smooth_downward grade_depths "
-    "widen_samples fill_down fill_across measure_slopes hilbert_codes look_up",
-)
+_DEPTH = _of("colouring.depth_completion", "triangulate fill_triangles measure_triangles hilbert_codes grade_depths")
 _COLOUR = (
     *_of("colouring.exposure", "mark_outlines measure_contrasts"),
     *_of("kernels.projection", "sample_footprints"),

@@ -345,7 +345,7 @@ CASES: dict[str, tuple[str, ...]] = {
     "track --offline": ("DRIVE", *LISTS, "-o", "OUT.jsonl", "--format", "jsonl"),
     "colour": ("DRIVE", *SCENE, "--visualize", "OUT.drawn", "--remove-moving"),
     "colour --per-sweep": ("DRIVE", "--per-sweep", "OUT.sfs"),
-    "depth": ("DRIVE", "-o", "OUT", "--method", "quality", "--visualize", "OUT.drawn"),
+    "depth": ("DRIVE", "-o", "OUT", "--method", "dense", "--visualize", "OUT.drawn"),
     "depth --method sparse": ("DRIVE", "-o", "OUT", "--form", "npz", "--method", "sparse"),
     "view": ("DRIVE", "--save", "OUT.rrd"),
     "view --as-measured": ("DRIVE", "--save", "OUT.rrd", "--as-measured", "--colour-by", "height"),

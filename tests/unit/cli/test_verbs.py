@@ -580,7 +580,7 @@ def test_a_map_and_sweeps_are_written_and_missing_label_images_counted(succeeds,
     assert set(np.unique(laspy.read(tmp_path / "map.las").label).tolist()) == {9, 65535}
 
 
-@pytest.mark.parametrize("method", ["sparse", "fast", "quality"])
+@pytest.mark.parametrize("method", ["sparse", "dense"])
 def test_each_sweep_and_image_gets_a_depth_image(reported, recording, tmp_path, method):
     words = ("--method", method, "--visualize", tmp_path / "look", *(("--confidence",) if method != "sparse" else ()))
     (camera,) = reported("depth", recording, "-o", tmp_path / "out", *words)["cameras"]
@@ -598,10 +598,10 @@ def test_each_sweep_and_image_gets_a_depth_image(reported, recording, tmp_path, 
 
 
 def test_dense_images_keep_the_pixels_of_sparse_ones_nearly(refuses, succeeds, recording, tmp_path):
-    for method in ("sparse", "quality"):
+    for method in ("sparse", "dense"):
         succeeds("depth", recording, "-o", tmp_path / method, "--method", method, "--form", "npz")
     sparse = np.load(tmp_path / "sparse" / "camera0" / "000000.npz")["depth"]
-    with np.load(tmp_path / "quality" / "camera0" / "000000.npz") as arrays:
+    with np.load(tmp_path / "dense" / "camera0" / "000000.npz") as arrays:
         dense, confidence = arrays["depth"], arrays["confidence"]
     assert dense.dtype == confidence.dtype == np.float32
     assert ((confidence > 0) == (dense > 0)).all()

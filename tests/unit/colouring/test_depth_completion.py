@@ -1,8 +1,6 @@
-"""Closing of gaps against loops that do what is stated, pixel by pixel.
+"""Triangles in an image against SciPy's interpolation, and votes across jumps against sums in double precision.
 
-Triangles in an image against SciPy's interpolation.
-Smoothing against the linear systems that it stands for, solved whole.
-Triangulation against what a triangulation is.
+Triangulation against what a triangulation is, and its neighbours against SciPy's.
 """
 
 import numpy as np
@@ -12,8 +10,8 @@ from scipy.spatial import Delaunay
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import depth_completion as completion
-from sceneloom.colouring.depth_completion import METHODS, complete_depth
-from sceneloom.errors import ArrayError, OptionError
+from sceneloom.colouring.depth_completion import complete_depth
+from sceneloom.errors import ArrayError
 
 CAMERA = Camera("pinhole", 160, 120, 120.0, 120.0, 79.5, 59.5)
 
@@ -42,144 +40,69 @@ SLANTED = {
 
 
 @pytest.mark.parametrize("name", SLANTED)
-@pytest.mark.parametrize(
-    # Quality gives it back but for the seven digits of float32, over inverse depths of a few per mille. For fast,
-    # samples stand for two columns, and five pixels are averaged: a plane as steep as these bends by a few per cent.
-    ("method", "margin", "most"),
-    [("quality", 0, 2e-4), ("fast", 3, 0.08)],
-)
-def test_a_slanted_plane_comes_back_between_its_samples(name, method, margin, most):
+def test_a_slanted_plane_comes_back_between_its_samples(name):
     truth = plane(*SLANTED[name])
     truth[truth > 60] = 0
     sparse = scanned(truth)
-    # pixels with samples on all sides, this far from the outer ones
+    # pixels with samples on all sides
     (rows, columns), inner = np.nonzero(sparse), np.zeros(sparse.shape, bool)
-    inner[rows.min() + margin : rows.max() + 1 - margin, columns.min() + margin : columns.max() + 1 - margin] = True
+    inner[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] = True
     inner &= (truth > 0) & (truth < 30)
     assert inner.sum() > 4000
-    dense = complete_depth(sparse, CAMERA, method=method)
-    np.testing.assert_allclose(dense.depths[inner], truth[inner], rtol=most)
+    dense = complete_depth(sparse, CAMERA)
+    # the seven digits of float32, over inverse depths of a few per mille
+    np.testing.assert_allclose(dense.depths[inner], truth[inner], rtol=2e-4)
 
 
 def test_no_points_give_no_depths_wrong_ones_are_refused_and_the_confidence_falls_at_a_jump():
-    for method in METHODS:
-        sparse = np.zeros((120, 160), np.float32)
-        dense = complete_depth(sparse, CAMERA, method=method)
-        assert not dense.depths.any()
-        assert not dense.confidence.any()
-        sparse[7, 9] = 8.0
-        dense = complete_depth(sparse, CAMERA, method=method)
-        np.testing.assert_array_equal(dense.depths, sparse)
-        assert (dense.confidence > 0).sum() == 1
-        for value in (np.nan, np.inf, -1.0):
-            sparse[7, 9] = value
-            with pytest.raises(ArrayError, match=r"sparse\[7, 9\]"):
-                complete_depth(sparse, CAMERA, method=method)
-    for height, arguments, options, error, message in [
-        (120, (CAMERA, np.zeros((120, 161, 3), np.uint8)), {}, ArrayError, r"rgb: \(120, 161, 3\)"),
-        (119, (CAMERA,), {}, ArrayError, r"sparse: \(119, 160\)"),
-        (120, (CAMERA,), {"method": "best"}, OptionError, "fast, quality"),
-        (120, (), {}, ArrayError, "camera"),
+    sparse = np.zeros((120, 160), np.float32)
+    dense = complete_depth(sparse, CAMERA)
+    assert not dense.depths.any()
+    assert not dense.confidence.any()
+    sparse[7, 9] = 8.0
+    dense = complete_depth(sparse, CAMERA)
+    np.testing.assert_array_equal(dense.depths, sparse)
+    assert (dense.confidence > 0).sum() == 1
+    for value in (np.nan, np.inf, -1.0):
+        sparse[7, 9] = value
+        with pytest.raises(ArrayError, match=r"sparse\[7, 9\]"):
+            complete_depth(sparse, CAMERA)
+    for height, arguments, message in [
+        (120, (CAMERA, np.zeros((120, 161, 3), np.uint8)), r"rgb: \(120, 161, 3\)"),
+        (119, (CAMERA,), r"sparse: \(119, 160\)"),
+        (120, (), "camera"),
     ]:
-        with pytest.raises(error, match=message):
-            complete_depth(np.zeros((height, 160), np.float32), *arguments, **options)
-    for method in METHODS:
-        truth = np.full((120, 160), 20.0, np.float32)
-        truth[80:] = 6.0
-        dense = complete_depth(scanned(truth, slice(45, None, 10)), CAMERA, method=method)
-        surface = dense.confidence[57:70, 20:140]
-        assert surface.min() > dense.confidence[78:82, 20:140].max()
-        assert surface.min() > dense.confidence[38:41, 20:140].max()
-        assert ((dense.confidence > 0) == (dense.depths > 0)).all()
-        assert not dense.depths[:30].any()  # nothing was measured near the sky
-    for method in METHODS:
-        truth, black = plane(*SLANTED["wall"]), np.zeros((120, 160, 3), np.uint8)
-        with_image = complete_depth(scanned(truth), CAMERA, black, method=method)
-        without = complete_depth(scanned(truth), CAMERA, method=method)
-        np.testing.assert_array_equal(with_image.depths, without.depths)
+        with pytest.raises(ArrayError, match=message):
+            complete_depth(np.zeros((height, 160), np.float32), *arguments)
+    truth = np.full((120, 160), 20.0, np.float32)
+    truth[80:] = 6.0
+    dense = complete_depth(scanned(truth, slice(45, None, 10)), CAMERA)
+    surface = dense.confidence[57:64, 20:140]
+    assert surface.min() > dense.confidence[78:82, 20:140].max()
+    assert ((dense.confidence > 0) == (dense.depths > 0)).all()
+    assert not dense.depths[:45].any()  # nothing was measured in the sky
+    truth, black = plane(*SLANTED["wall"]), np.zeros((120, 160, 3), np.uint8)
+    with_image, without = complete_depth(scanned(truth), CAMERA, black), complete_depth(scanned(truth), CAMERA)
+    np.testing.assert_array_equal(with_image.depths, without.depths)
 
 
-def test_quality_puts_a_jump_where_the_image_has_its_edge_and_without_between_the_samples():
+def test_a_jump_is_where_the_image_has_its_edge_if_colours_tell_surfaces_apart_and_else_between_the_samples():
     truth, rgb = np.full((120, 160), 20.0, np.float32), np.full((120, 160, 3), 60, np.uint8)
     truth[:, :80], rgb[:, :80] = 6.0, 190
-    # samples eight columns apart leave the position of the edge open: they end 4 px before it and begin 4 px behind it
-    sparse = scanned(truth, slice(5, None, 10), slice(4, None, 8))
-    guided, alone = (complete_depth(sparse, CAMERA, image).depths[10:110] for image in (rgb, None))
+    # samples leave the position of the edge open: they end 7 px before it and begin 1 px behind it
+    columns = np.r_[1:80:8, 81:160:8]
+    sparse = np.zeros_like(truth)
+    sparse[5::5, columns] = truth[5::5, columns]
+    noise = np.random.default_rng(0).integers(0, 256, rgb.shape, dtype=np.uint8)
+    guided, alone, misled = (complete_depth(sparse, CAMERA, image).depths[10:110] for image in (rgb, None, noise))
     kept = (dense := complete_depth(sparse, CAMERA, rgb)).above(0.9)
     np.testing.assert_array_equal(kept, np.where(dense.confidence < 0.9, 0, dense.depths))
-    jumps, between = (np.argmax(depths > (6.0 + 20.0) / 2, axis=1) for depths in (guided, alone))
-    assert np.abs(jumps - 80).max() <= 1
-    assert ((between > 76) & (between <= 84)).all()
-    # beyond three pixels nothing of the other wall is left but what no edge of an image is believed for
-    assert np.abs(guided[:, 60:76] - 6).max() < 0.02
-    assert np.abs(guided[:, 85:100] - 20).max() < 0.02
-
-
-SHAPE = (40, 30)
-STEEPEST = 0.002
-
-
-def sparse_image(seed, share=0.05):
-    random = np.random.default_rng(seed)
-    image = random.uniform(3, 60, SHAPE).astype(np.float32)
-    image[random.random(SHAPE) > share] = 0
-    return image
-
-
-def joined(near, to_near, other, to_other):
-    gap = to_near + to_other
-    inverse = (to_other / near + to_near / other) / gap
-    steepness = abs(1 / near - 1 / other) / (gap * STEEPEST)
-    jump = min(1.0, max(0.0, (steepness - 0.85) / 0.45))
-    return (1 - jump) / inverse + jump * (to_other * near + to_near * other) / gap
-
-
-@pytest.mark.parametrize("slack", [0, 1, 3])
-def test_samples_are_widened_to_the_nearer_one_within_their_row(slack):
-    sparse = sparse_image(slack)
-    widened = np.empty_like(sparse)
-    completion.widen_samples(sparse, slack, widened)
-    for row in range(SHAPE[0]):
-        known = np.flatnonzero(sparse[row])
-        for column in range(SHAPE[1]):
-            distances = np.abs(known - column)
-            near = known[distances == distances.min()] if len(known) else known
-            if len(near) == 0 or distances.min() > slack:
-                assert widened[row, column] == 0
-            else:
-                assert widened[row, column] in sparse[row, near]
-
-
-def test_columns_and_where_it_is_the_shorter_way_rows_are_filled_between_samples_and_a_little_beyond():
-    for seed in range(3):
-        sparse, longest, reach = sparse_image(seed), 12.0, 3.0
-        above, distances, depths, trusts, spreads, gaps = (np.empty_like(sparse) for _ in range(6))
-        completion.look_up(sparse, above, distances)
-        completion.fill_down(sparse, above, distances, longest, reach, STEEPEST, depths, trusts, spreads, gaps)
-        for column in range(SHAPE[1]):
-            known = np.flatnonzero(sparse[:, column])
-            for row in range(SHAPE[0]):
-                up, down = known[known <= row], known[known >= row]
-                to_up, to_down = (row - up[-1] if len(up) else 1e6), (down[0] - row if len(down) else 1e6)
-                if sparse[row, column] > 0:
-                    expected = sparse[row, column]
-                elif to_up + to_down <= longest:
-                    expected = joined(sparse[up[-1], column], to_up, sparse[down[0], column], to_down)
-                elif min(to_up, to_down) <= reach:
-                    expected = sparse[up[-1] if to_up < to_down else down[0], column]
-                else:
-                    expected = 0
-                assert depths[row, column] == pytest.approx(expected, rel=1e-5)  # seven digits of float32
-        assert ((depths > 0) | (trusts == 0) | (gaps > longest)).all()
-    sparse = np.zeros(SHAPE, np.float32)
-    sparse[5, 3], sparse[5, 9] = 10, 20
-    depths, trusts, spreads, gaps = (np.zeros_like(sparse) for _ in range(4))
-    depths[5, 6], gaps[5, 6] = 7, 4
-    depths[5, 7], gaps[5, 7] = 7, 30
-    completion.fill_across(sparse, 8.0, STEEPEST, depths, trusts, spreads, gaps)
-    between = [joined(10, k, 20, 6 - k) for k in range(1, 6)]
-    assert depths[5, 4:9].tolist() == pytest.approx([*between[:2], 7, *between[3:]], rel=1e-5)
-    assert np.count_nonzero(depths) == 5
+    beside_edge = np.abs(guided - truth[10:110])[:, 74:80]
+    assert beside_edge.mean() < 0.5 * np.abs(alone - truth[10:110])[:, 74:80].mean()
+    # an image that tells nothing changes little
+    assert np.abs(misled - alone).mean() < 0.2
+    np.testing.assert_allclose(guided[:, 2:72], 6, atol=0.01)
+    np.testing.assert_allclose(guided[:, 90:150], 20, atol=0.01)
 
 
 MESH_SHAPE = (50, 70)
@@ -193,154 +116,128 @@ def mesh():
     return pixels, random.uniform(4, 30, 60).astype(np.float32), triangulation, triangulation.simplices.astype(np.int32)
 
 
-def filled(pixels, depths, triangles, trusts, *, slopes=None, lengths=None, images=None):
-    """The images that `fill_triangles` writes, from empty ones."""
-    count = len(triangles)
-    images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)] if images is None else images
-    slopes = np.zeros_like(pixels) if slopes is None else slopes
-    lengths = np.ones(count, np.float32) if lengths is None else lengths
-    completion.fill_triangles(pixels, depths, slopes, triangles, np.ones(count, bool), trusts, lengths, *images)
-    return images
+RGB = np.random.default_rng(5).integers(0, 256, (*MESH_SHAPE, 3), dtype=np.uint8)
+LIKENESS = np.linspace(2, 0.1, 766).astype(np.float32)
+UNIT = 1.5
 
 
-@pytest.mark.parametrize("trust", [1.0, 0.0, 0.3])
-def test_pixels_are_filled_as_scipy_interpolates(mesh, trust):
+def filled(mesh, trust):
+    """The images that `fill_triangles` writes, with the colours of the points and the points beyond the triangles."""
     pixels, depths, triangulation, triangles = mesh
+    images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(3)]
+    colours = np.random.default_rng(6).integers(0, 256, (len(pixels), 3), dtype=np.uint8)
+    beyond = np.full_like(triangles, -1)
+    for t, neighbours in enumerate(triangulation.neighbors):
+        for k, other in enumerate(neighbours):
+            if other >= 0:
+                beyond[t, k] = next(iter(set(triangles[other].tolist()) - set(triangles[t].tolist())))
     count = len(triangles)
-    # without slopes, what corners report one another is missed by all there is
-    trusts, lengths = np.full(count, trust, np.float32), np.full(count, 9, np.float32)
-    images = filled(pixels, depths, triangles, trusts, lengths=lengths)
+    completion.fill_triangles(
+        pixels, depths, triangles, beyond, np.ones(count, bool), np.full(count, trust, np.float32), RGB, colours,
+        LIKENESS, UNIT, 0.5, 0.05, *images,
+    )  # fmt: skip
+    return images, colours, beyond
+
+
+def voted(mesh, voters, colours, location):
+    """The depth that points vote for in a pixel, and the votes, in double precision."""
+    pixels, depths = mesh[0].astype(float), mesh[1].astype(float)
+    row, column = location
+    du, dv = (pixels[voters] - [column, row]).T
+    off, du, dv = dv / 0.5, du / UNIT, dv / UNIT
+    votes = 1 / (du**2 + 1 + (0.4 * dv) ** 2) + 2000 / ((du**2 + 1) ** 3 * (1 + off**4))
+    votes *= LIKENESS[np.abs(RGB[row, column].astype(int) - colours[voters].astype(int)).sum(axis=1)]
+    order = np.argsort(depths[voters])
+    median = depths[voters][order][np.searchsorted(np.cumsum(votes[order]), votes.sum() / 2)]
+    return 0.8 * (votes @ depths[voters]) / votes.sum() + 0.2 * median, votes / votes.sum()
+
+
+def test_surfaces_are_filled_as_scipy_interpolates_and_jumps_by_the_votes_of_six_points(mesh):
+    pixels, depths, triangulation, triangles = mesh
     rows, columns = np.mgrid[: MESH_SHAPE[0], : MESH_SHAPE[1]]
-    surface = 1 / LinearNDInterpolator(triangulation, 1 / depths.astype(float))(columns, rows)
-    between = LinearNDInterpolator(triangulation, depths.astype(float))(columns, rows)
-    at = depths[triangles[triangulation.find_simplex(np.stack([columns, rows], axis=-1).astype(float))]]
-    even = np.minimum(1, at.max(-1) / at.min(-1) - 1)
-    expected = trust * ((1 - even) * surface + even * between) + (1 - trust) * between
+    expected = 1 / LinearNDInterpolator(triangulation, 1 / depths.astype(float))(columns, rows)
     inside = np.isfinite(expected)
-    off = np.abs(images[0][inside] / expected[inside] - 1)
-    # float32; pixels on the border of two triangles are reported by either, or by both
+    (found, supports, distances), _, beyond = filled(mesh, 1.0)
+    off = np.abs(found[inside] / expected[inside] - 1)
+    # float32; pixels on the border of two triangles are of either
     assert np.quantile(off, 0.99) < 1e-5
     assert off.max() < 0.02
-    assert (images[3][inside] == 9).all()
     # a ten-thousandth of a triangle beside the hull
-    assert (~inside & (images[0] > 0)).sum() <= 0.002 * inside.sum()
+    assert (~inside & (found > 0)).sum() <= 0.002 * inside.sum()
+    assert ((supports[inside] >= 1.5) & (supports[inside] <= 2)).all()
+    of_pixel = triangulation.find_simplex(np.stack([columns, rows], axis=-1).astype(float))
+    (jumps, shares, _), colours, _ = filled(mesh, 0.0)
+    (between, _, _), _, _ = filled(mesh, 0.75)
+    missed = 0
+    for location in zip(*np.nonzero(inside), strict=True):
+        t = of_pixel[location]
+        voters = np.array([*triangles[t], *(other for other in beyond[t] if other >= 0)])
+        depth, votes = voted(mesh, voters, colours, location)
+        nearest = np.linalg.norm(pixels[triangles[t]] - location[::-1], axis=1).min()
+        near = votes[np.abs(depths[voters] - jumps[location]) < max(0.5, 0.05 * jumps[location])].sum()
+        missed += not np.allclose(
+            [jumps[location], shares[location], distances[location], between[location]],
+            [depth, near, nearest, 0.75 * expected[location] + 0.25 * depth], rtol=1e-4, atol=1e-4,
+        )  # fmt: skip
+    assert missed <= 0.01 * inside.sum()  # on borders of triangles, and where half of the votes is reached by rounding
 
 
-def test_triangles_are_measured_and_filled_with_what_bends_evenly_and_the_image_stays_across_jumps(mesh):
+def test_triangles_are_measured_and_know_the_points_beyond_their_sides(mesh):
     pixels, depths, _, triangles = mesh
-    images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)]
-    images[0][20:30] = 5.0
-    filled(pixels, depths, triangles, np.zeros(len(triangles), np.float32), images=images)
-    np.testing.assert_array_equal(images[0][20:30], 5.0)
-    pixels, _, triangulation, triangles = mesh
-    inverse, slopes = bent(pixels)
-    depths, ones = (1 / inverse).astype(np.float32), np.ones(len(triangles), np.float32)
-    depth_image = filled(pixels, depths, triangles, ones, slopes=slopes.astype(np.float32))[0]
-    rows, columns = np.nonzero(depth_image)
-    locations = np.stack([columns, rows], axis=1)
-    reported, straight = bent(locations)[0], LinearNDInterpolator(triangulation, inverse)(locations)
-    known = np.isfinite(straight)
-    off = np.abs(1 / depth_image[rows, columns] - reported)[known]
-    # float32 reports 1e-8 of 0.06; where a location leaves the range of its corners, and where depth is taken as linear
-    assert np.median(off) < 2e-8
-    assert np.median(off) < 0.1 * np.median(np.abs(straight - reported)[known])
-    pixels, _, _, triangles = mesh
-    inverse = (0.1 + 1e-4 * pixels[:, 0] - 3e-4 * pixels[:, 1]).astype(np.float32)
-    slopes, room = np.empty_like(pixels), np.empty(len(pixels), np.float32)
-    completion.measure_slopes(pixels, inverse, triangles, np.ones(len(triangles), np.float32), slopes, room)
-    # differences of float32 numbers of a tenth over a pixel
-    np.testing.assert_allclose(slopes, np.broadcast_to([1e-4, -3e-4], slopes.shape), atol=2e-6)
-    completion.measure_slopes(pixels, inverse, triangles, np.zeros(len(triangles), np.float32), slopes, room)
-    assert not slopes.any()
-    pixels, depths, _, triangles = mesh
-    measures = np.empty((len(triangles), 3), np.float32)
+    measures = np.empty((len(triangles), 4), np.float32)
     completion.measure_triangles(pixels, 1 / depths, triangles, measures)
-    for triangle, (area, longest, slope) in zip(triangles, measures, strict=True):
+    for triangle, (area, longest, shortest, slope) in zip(triangles, measures, strict=True):
         a, b, c = pixels[triangle].astype(float)
         assert area == pytest.approx(abs(np.linalg.det([b - a, c - a])) / 2, rel=1e-3, abs=1e-3)
         assert longest == pytest.approx(np.linalg.norm([a - b, b - c, c - a], axis=1).max(), rel=1e-5)
+        assert shortest == pytest.approx(np.linalg.norm([a - b, b - c, c - a], axis=1).min(), rel=1e-5)
         y = 1 / depths[triangle].astype(float)
         gradient = np.linalg.solve([b - a, c - a], y[1:] - y[0])
         assert slope == pytest.approx(np.linalg.norm(gradient), rel=1e-2)  # differences of float32
+    pixels = np.random.default_rng(8).uniform(0, [70, 50], (60, 2)).astype(np.float32)
+    triangulation = Delaunay(pixels.astype(float))
+    theirs = {}
+    for corners, neighbours in zip(triangulation.simplices, triangulation.neighbors, strict=True):
+        for k, other in enumerate(neighbours):
+            side = frozenset(np.delete(corners, k).tolist())
+            point = set(triangulation.simplices[other].tolist()) - side if other >= 0 else {-1}
+            theirs[corners[k], side] = point.pop()
+    ours = {
+        (corners[k], frozenset(np.delete(corners, k).tolist())): points[k]
+        for corners, points in zip(*completion.triangles_between(pixels, 50, 70), strict=True)
+        for k in range(3)
+    }
+    # flat triangles at the hull may be inside for one and outside for the other
+    assert len(ours.keys() & theirs.keys()) > 0.97 * len(theirs)
+    assert sum(ours[key] == theirs[key] for key in ours.keys() & theirs.keys()) > 0.97 * len(theirs)
 
 
-def bent(pixels):
-    """An inverse depth that bends evenly, and its slopes."""
-    u, v = pixels.astype(float).T
-    inverse = 0.05 + 1e-5 * u + 2e-5 * v + 4e-8 * u * u - 3e-8 * u * v + 5e-8 * v * v
-    return inverse, np.stack([1e-5 + 8e-8 * u - 3e-8 * v, 2e-5 - 3e-8 * u + 1e-7 * v], axis=1)
-
-
-LINKED_SHAPE = (19, 23)
-
-
-def solved_along_rows(image, links, strength):
-    """Each row of x that minimises sum (x - value)² + strength sum link (x - next)²."""
-    solved = np.empty(image.shape)
-    for row in range(image.shape[0]):
-        matrix = np.eye(image.shape[1])
-        for k, link in enumerate(links[row, :-1].astype(float)):
-            matrix[k : k + 2, k : k + 2] += strength * link * np.array([[1, -1], [-1, 1]])
-        solved[row] = np.linalg.solve(matrix, image[row].astype(float))
-    return solved
-
-
-@pytest.mark.parametrize("strength", [0.0, 3.0, 500.0])
-def test_rows_and_columns_are_smoothed_by_least_squares(strength):
-    random = np.random.default_rng(1)
-    first, second, links = (random.random(LINKED_SHAPE).astype(np.float32) for _ in range(3))
-    links[:, -1] = 0
-    expected = [solved_along_rows(image, links, strength) for image in (first, second)]
-    down = [np.ascontiguousarray(image.T) for image in (first, second)]
-    completion.smooth_rightward(links, strength, first, second)
-    # float32, and systems whose condition grows with the strength
-    np.testing.assert_allclose([first, second], expected, atol=2e-5)
-    completion.smooth_downward(np.ascontiguousarray(links.T), strength, *down, np.empty(LINKED_SHAPE[::-1], np.float32))
-    np.testing.assert_allclose([image.T for image in down], expected, atol=2e-5)
-
-
-def test_filled_pixels_are_blended_linked_by_the_differences_of_channels_and_graded_by_doubt_and_gap():
-    image = sparse_image(7, share=0.6)
-    blended = np.empty_like(image)
-    completion.blend_neighbours(image, np.empty((2, image.size), np.float32), blended)
-    kernel = np.outer([1, 4, 6, 4, 1], [1, 4, 6, 4, 1])
-    for row in range(2, SHAPE[0] - 2):
-        for column in range(2, SHAPE[1] - 2):
-            window = image[row - 2 : row + 3, column - 2 : column + 3]
-            weights = kernel * (window > 0)
-            expected = (weights * window).sum() / weights.sum() if image[row, column] > 0 else 0
-            assert blended[row, column] == pytest.approx(expected, rel=1e-5)
-    random = np.random.default_rng(2)
-    rgb = random.integers(0, 256, (*LINKED_SHAPE, 3), dtype=np.uint8)
-    table = np.linspace(1, 0, 766).astype(np.float32)
-    rightward, downward = np.empty(LINKED_SHAPE, np.float32), np.empty(LINKED_SHAPE, np.float32)
-    completion.link_pixels(rgb, table, rightward, downward)
-    wide = rgb.astype(int)
-    np.testing.assert_array_equal(rightward[:, :-1], table[np.abs(np.diff(wide, axis=1)).sum(axis=2)])
-    np.testing.assert_array_equal(downward[:-1], table[np.abs(np.diff(wide, axis=0)).sum(axis=2)])
-    assert not rightward[:, -1].any()
-    assert not downward[-1].any()
+def test_the_likeness_of_colours_is_measured_across_jumps_and_pixels_are_graded_by_support_and_distance():
+    depths = np.tile(np.array([5.0, 5.1, 9.0], np.float32), 200)
+    colours = np.tile(np.array([[100] * 3, [101] * 3, [180] * 3], np.uint8), (200, 1))
+    triangles = np.arange(600, dtype=np.int32).reshape(-1, 3)
+    likeness = completion._likeness(depths, colours, triangles)
+    assert likeness.shape == (766,)
+    assert (np.diff(likeness) <= 0).all()
+    assert likeness[3] > 10 * likeness[240]
+    np.testing.assert_allclose(completion._likeness(depths, colours * 0, triangles), 1, rtol=1e-5)
+    np.testing.assert_allclose(completion._likeness(depths, colours, triangles[:0]), 1, rtol=1e-5)
     random = np.random.default_rng(3)
-    depths, trusts, spreads, gaps = (random.random((9, 11)).astype(np.float32) for _ in range(4))
-    depths *= 40
+    depths, supports, distances = (random.random((9, 11)).astype(np.float32) for _ in range(3))
     depths[2] = 0
-    spreads *= 5
-    doubt_steps, gap_steps = np.array([0.5, 1.0], np.float32), np.array([0.1, 0.2, 0.25], np.float32)
+    support_steps, distance_steps = np.array([0.5, 0.8], np.float32), np.array([0.1, 0.2, 0.25], np.float32)
     table, confidence = random.random((3, 4)).astype(np.float32), np.empty_like(depths)
-    completion.grade_depths(
-        depths, trusts, spreads, gaps, 3.0, 0.5, 0.05, 0.1, doubt_steps, gap_steps, table, confidence
-    )
+    completion.grade_depths(depths, supports, distances, support_steps, distance_steps, table, confidence)
     for location in np.ndindex(depths.shape):
-        doubt = (1 - 0.9 * trusts[location]) * spreads[location] / max(0.5, 0.05 * depths[location])
-        cell = (doubt >= doubt_steps).sum(), (gaps[location] / 3 >= gap_steps).sum()
+        cell = (supports[location] >= support_steps).sum(), (distances[location] >= distance_steps).sum()
         assert confidence[location] == (table[cell] if depths[location] > 0 else 0)
 
 
 def triangulated(inner, extent=1000):
     corners = [[-extent, -extent], [2 * extent, -extent], [2 * extent, 2 * extent], [-extent, 2 * extent]]
     points = np.concatenate([np.array(corners, np.int64), np.asarray(inner, np.int64).reshape(-1, 2)])
-    triangles = np.empty((2 * len(points), 3), np.int32)
-    count = completion.triangulate(points, np.arange(4, len(points)), triangles)
+    triangles, beside = (np.full((2 * len(points), 3), -1, np.int32) for _ in range(2))
+    count = completion.triangulate(points, np.arange(4, len(points)), triangles, beside)
     return points, triangles[:count]
 
 
@@ -390,5 +287,5 @@ def test_the_curve_visits_every_location_once_and_numbers_stay_exact_at_the_larg
     points, triangles = triangulated(inner, side)
     assert doubled_areas(points, triangles).sum() == 2 * (3 * side) ** 2
     pixels = np.array([[10, 10], [50.5, 12], [30, 40.25]], np.float32)
-    np.testing.assert_array_equal(np.sort(completion.triangles_between(pixels, 60, 80)), [[0, 1, 2]])
-    assert completion.triangles_between(pixels[:2], 60, 80).shape == (0, 3)
+    np.testing.assert_array_equal(np.sort(completion.triangles_between(pixels, 60, 80)[0]), [[0, 1, 2]])
+    assert completion.triangles_between(pixels[:2], 60, 80)[0].shape == (0, 3)

@@ -11,7 +11,6 @@ from PIL import Image
 import sceneloom
 from sceneloom import simulate as sim
 from sceneloom.cameras.camera import Camera
-from sceneloom.colouring.depth_completion import METHODS
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.points.cloud import NO_LABEL
 from sceneloom.formats.points.files import read_cloud
@@ -266,9 +265,8 @@ def depths_of(folder, camera, number):
         return arrays["depth"], arrays["confidence"]
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_depths_come_near_to_the_truth_where_they_are_sure(drive, tmp_path, method):
-    report = write_depth_images(drive.scene, tmp_path / "out", method=method, form="npz")
+def test_depths_come_near_to_the_truth_where_they_are_sure(drive, tmp_path):
+    report = write_depth_images(drive.scene, tmp_path / "out", form="npz")
     assert [(camera.camera, camera.images) for camera in report.cameras] == [("camera0", 3), ("camera1", 3)]
     depths, confidence = depths_of(tmp_path / "out", "camera0", 1)
     truth = drive.truth.depth("camera0", 1)
@@ -278,7 +276,7 @@ def test_depths_come_near_to_the_truth_where_they_are_sure(drive, tmp_path, meth
     assert right[sure].mean() > 0.85
 
 
-@pytest.mark.parametrize("method", ["sparse", *METHODS])
+@pytest.mark.parametrize("method", ["sparse", "dense"])
 def test_a_camera_that_sees_no_point_gets_empty_images(drive, tmp_path, method):
     report = write_depth_images(drive.scene, tmp_path / "out", method=method, cameras=["camera1"])
     (camera,) = report.cameras
@@ -302,7 +300,7 @@ def test_blind_sensors_make_no_depths_out_of_nothing(drive, tmp_path, sensor):
 
 
 def test_a_part_of_the_drive_keeps_its_numbers_and_wrong_values_are_refused_before_anything_is_read(drive, tmp_path):
-    write_depth_images(drive.scene, tmp_path / "out", method="fast", stop=0.35, cameras=["camera0"])
+    write_depth_images(drive.scene, tmp_path / "out", stop=0.35, cameras=["camera0"])
     lines = [json.loads(line) for line in (tmp_path / "out" / "index.jsonl").read_text().splitlines()]
     assert len(lines) == len(list((tmp_path / "out" / "camera0").glob("*.png"))) < 3
     assert all((tmp_path / "out" / line["file"]).is_file() for line in lines)

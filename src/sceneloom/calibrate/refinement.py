@@ -132,10 +132,9 @@ _FIRST_STEP, _LONGEST_STEP, _SMALLEST_STEP, _FARTHEST_CLIMB = 0.3, 1.0, 0.01, 2.
 _OBJECT = 5.0
 """Points within such a square of the ground are of one object [m]: a car, a stretch of a facade."""
 
-_RESOLVED, _SHARED, _NEAR, _SHARED_UNITS = 12.0**-0.5, 12.0**-0.5 / 7.0, 10.0, 0.05
+_RESOLVED, _SHARED, _NEAR = 12.0**-0.5, 12.0**-0.5 / 7.0, 10.0
 """An edge lies anywhere between two beams: its standard deviation is that share of their distance. A seventh of that
-counts as shared by all edges; for translations it is that angle at so many metres, for focal length and time in units.
-"""
+counts as shared by all edges; for translations it is that angle at so many metres."""
 
 _SHARPEST_WRONG, _AROUND, _NEARBY = 4.0, 60, (3.0, 8.0)
 """How far above others around it, in their standard deviations, wrong calibrations come at most; right ones reach 6."""
@@ -423,7 +422,7 @@ def _covariance_of(found: "_Around") -> tuple[Float64Array, float]:
     shares = np.einsum("gp,pq,gq->g", pulls, np.linalg.inv(spread), pulls)
     counted = float(shares.sum() ** 2 / max(float(np.square(shares).sum()), 1e-12))
     inverse = found.basis @ found.inverse_curvature() @ found.basis.T
-    shared = np.append(_SHARED * _resolution(level.cues, np.arange(6)), [_SHARED_UNITS] * 2)[free]
+    shared = _SHARED * _resolution(level.cues, free)
     return np.asarray(inverse @ spread @ inverse + np.diag(shared**2), np.float64), counted
 
 

@@ -59,6 +59,18 @@ class ScanOrder:
     ranges: Float64Array
     count: int
 
+    @property
+    def spacing(self) -> float:
+        """The usual angle from one line to the next [rad]; 0 for a single line."""
+        means = np.bincount(self.lines, self.elevations) / np.maximum(np.bincount(self.lines), 1)
+        return float(np.median(np.diff(means))) if len(means) > 1 else 0.0
+
+    @property
+    def step(self) -> float:
+        """The usual angle from one point of a line to the next [rad]; 0 where there are none."""
+        steps = np.diff(self.azimuths)[np.diff(self.lines) == 0]
+        return float(np.median(steps)) if len(steps) else 0.0
+
     def part(self, points: Int64Array) -> "ScanOrder":
         """Some of the points, (K,) int64 numbers of the frame, in the same order."""
         wanted = np.zeros(max(int(self.order.max(initial=0)), int(points.max(initial=0))) + 1, np.bool_)
@@ -70,8 +82,7 @@ class ScanOrder:
 
     def along(self, most_steps: float) -> tuple[Int64Array, float]:
         """Rows (K,) whose next one is beside them on a line, at most so many usual steps away; that step [rad]."""
-        steps, same = np.diff(self.azimuths), np.diff(self.lines) == 0
-        usual = float(np.median(steps[same])) if same.any() else 0.0
+        steps, same, usual = np.diff(self.azimuths), np.diff(self.lines) == 0, self.step
         return np.flatnonzero(same & (steps <= most_steps * usual)), usual
 
     def above(self, step: float) -> Int64Array:

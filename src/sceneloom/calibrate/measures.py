@@ -275,8 +275,7 @@ def _jumps_in_scan(scan: ScanOrder, chosen: Int64Array) -> tuple[Int64Array, Int
     pairs, step = part.along(_GAP_STEPS)
     after = np.full(len(part.order), -1)
     after[pairs] = pairs + 1
-    means = np.bincount(scan.lines, scan.elevations) / np.maximum(np.bincount(scan.lines), 1)
-    spacing = float(np.median(np.diff(means))) if len(means) > 1 else 0.0
+    spacing = scan.spacing
     jumps = [
         _jumps_along(onwards, back, part.ranges, apart)
         for ahead, apart in ((after, step), (part.above(step), spacing))

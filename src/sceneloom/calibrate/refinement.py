@@ -14,24 +14,30 @@ square of how far pixels move it is round.
 
 Source: preconditioning by a quadratic form, e.g. Nocedal and Wright 2006, "Numerical Optimization", 5.1.
 
-The objective's slope at the solution is a sum over parts of the images. How differently these parts pull, through the
-objective's curvature, is the covariance: the sandwich of M-estimators. One part of a view shows the same in successive
-frames: frames of one view pull together.
+The objective's slope at the solution is a sum over points. How differently they pull, through the objective's
+curvature, is the covariance: the sandwich of M-estimators. Points of one object err together, in whatever frames they
+are, and so do edges of one kind and direction, since those of a cloud lie between two beams and some of an image are
+shadows: the scatter among objects and that among kinds are added up. Few objects know their own scatter badly, which
+widens the region of changes that may be chance; so does the distance of the beams, of which other scenes of the same
+sensors could not tell more.
 
 Source: Huber 1967, "The behavior of maximum likelihood estimates under nonstandard conditions"; clusters: Liang and
-Zeger 1986.
+Zeger 1986; of several kinds: Cameron, Gelbach and Miller 2011, "Robust inference with multiway clustering",
+without the part that both share, so that it is an upper bound; regions of few samples: Hotelling 1931.
+
+What is stated is a measurement too, good to `_FARTHEST`, with which the solution is combined by least squares: where
+the drive reports little, the stated numbers stay, and the covariance has what is not known of them.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
 from numba import float64, void
-from scipy import ndimage
+from scipy import ndimage, special
 
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from sceneloom.calibrate.frames import CalibrationFrame, ScanOrder
@@ -64,14 +70,9 @@ _GROUPS: dict[str, tuple[Parameter, ...]] = {
     "focal": (Parameter.FOCAL,),
 }  # what can be refined, by the words of the command line
 
-_LOOSEST = {
-    "rotation": (np.radians(0.5), np.degrees(1.0), "deg"),
-    "translation": (0.15, 100.0, "cm"),
-    "time": (0.05, 1e3, "ms"),
-    "focal": (0.02, 100.0, "%"),
-}
-"""Standard deviations [rad], [m], [s], and of the focal length's logarithm, from which a group is not reported, with
-scale and unit for messages. The stated calibration is usually known as well."""
+_SCALES = {"translation": (100.0, "cm"), "time": (1e3, "ms"), "focal": (100.0, "%")}  # for messages
+_UNDETERMINED, _LOOSEST = 0.6, np.radians(0.5)
+"""A group known no better than this part of `_FARTHEST` is held; a rotation known no better than this [rad] is none."""
 
 _CHANNELS = ("depth edges", "intensity edges", "contrasts")
 """What is compared with an image; contrasts of intensity are compared with its brightness, edges with its edges."""
@@ -110,33 +111,42 @@ _FARTHEST = np.array([6.0, 6.0, 6.0, 3.0, 3.0, 3.0, 2.0, 2.5])
 
 _CURVATURE_STEP = 0.4  # curvature is taken over this part of the blur's width: over less, single pixels show
 
-_ROTATIONS, _STARTS, _SEED = np.arange(3), 200, 7
+_ROTATIONS, _STARTS, _SEED = np.arange(3), (200, 1500), 7
+_STARTS_SPREAD, _MOST_STARTED = np.radians((0.75, 6.0)), 6000
+"""So many rotations are tried, near the stated one (standard deviation) and within a ball of a radius [rad], by at most
+so many points."""
+
 _KEPT = (8, 3, 1)  # so many candidates are followed up after each look
 
 _MOST_ROTATED, _MOST_MOVED = (12_000, 16_000, 24_000), (40_000, 160_000)
 """Points used at each stage, for the rotation alone and for all parameters: few suffice, since wide maps are smooth."""
 
+_RIDGE_STARTS, _RIDGES_KEPT, _RIDGE_WIDTH = 800, 2, 1.0 / 3.0
+"""So many translations and times are tried, with rotations that make up for them up to this part of what is usual; so
+many are followed up."""
+
 _ROUNDS, _LAST_STEPS, _MOST_STEPS = 2, 3, 10
 _FIRST_STEP, _LONGEST_STEP, _SMALLEST_STEP, _FARTHEST_CLIMB = 0.3, 1.0, 0.01, 2.0
 """Of a climb, in widths of the blur; the maps are smooth over about so much."""
 
-_ACROSS, _DOWN = 6, 3
-_SYSTEMATIC = 0.05
-"""Errors that all parts share [units], such as shadows beside objects: 0.0125 degrees, 2.5 mm, 1 ms. With less,
-intervals of simulated drives hold the truth too rarely."""
+_OBJECT = 5.0
+"""Points within such a square of the ground are of one object [m]: a car, a stretch of a facade."""
 
-_LEAST_VIEWS = 4
-"""Translation, time and focal length move pixels nearly as a rotation does. What single objects suggest of the
-difference averages out over several views only."""
+_RESOLVED, _SHARED, _NEAR = 12.0**-0.5, 12.0**-0.5 / 7.0, 10.0
+"""An edge lies anywhere between two beams: its standard deviation is that share of their distance. A seventh of that
+counts as shared by all edges; for translations it is that angle at so many metres."""
 
 _SHARPEST_WRONG, _AROUND, _NEARBY = 4.0, 60, (3.0, 8.0)
 """How far above others around it, in their standard deviations, wrong calibrations come at most; right ones reach 6."""
 
-_FARTHEST_ROTATION, _FARTHEST_SHIFT, _FARTHEST_LATER = np.radians(4.0), 0.5, 0.2
+_FARTHEST_ROTATION, _FARTHEST_SHIFT, _FARTHEST_LATER = np.radians(8.0), 0.5, 0.2
 """A refinement beyond these [rad], [m], [s] is none: the search went astray, or the stated calibration is no start."""
 
-_VIEW_LENGTH, _VIEW_ROTATION = 2.0, np.radians(6.0)
-"""Beyond this length of the trajectory [m] or rotation [rad] a view counts as another one."""
+_SEEN_ANEW = np.radians(2.0)
+"""Beyond this rotation the camera sees other points than the stated calibration says: they are found again."""
+
+_CONFIDENCE = 0.95
+"""Of the region of changes that may be chance, and of the gain of objects in held-out frames."""
 
 _LEAST_FRAMES, _FOLDS = 4, 3
 _LEAST_CUES, _PLAIN = 150, 0.97
@@ -166,13 +176,13 @@ class Refinement:
         change: what was found, whatever the verdict: rotation and translation about the camera's axes, focal length,
             time.
         parameters: the groups that were refined.
-        held: groups that the drive does not determine, and how well it would.
+        held: groups that the drive does not determine, and how well it would; they stay as stated.
         free: (P,) int64, the numbers of the change that were searched.
-        covariance: (P, P) of these, in rad, m, logarithm and s.
+        covariance: (P, P) of these, in rad, m, logarithm and s, whatever is held.
         gains: how much likelier the held-out frames of each fold are under the calibration that the others found.
         sharpness: how far the solution stands above others around it, in their standard deviations.
         frames: how many were used.
-        views: how many of them show something different.
+        objects: how many objects the result rests on, each counted by what it contributes.
     """
 
     verdict: RefinementVerdict
@@ -188,7 +198,7 @@ class Refinement:
     gains: tuple[float, ...] = ()
     sharpness: float = 0.0
     frames: int = 0
-    views: int = 0
+    objects: float = 0.0
 
     @property
     def sigmas(self) -> dict[str, float]:
@@ -209,7 +219,8 @@ def refine(
 
     Args:
         frames: of one camera and one lidar, all with the same stated calibration.
-        parameters: names out of `_GROUPS`; "rotation" is always among what is refined.
+        parameters: names out of `_GROUPS`; "rotation" is always among what is refined. Rotation, translation and
+            time not named stay as stated, yet what is not known of them counts.
         progress: reported how many of the steps are done.
 
     Raises:
@@ -242,33 +253,27 @@ def refine(
     if problem:
         return replace(stated, reason=problem)
     levels = [after(_Level.of(cues, width)) for width in _WIDTHS_PX]
-    views, everything, held = views_of([one.frame for one in cues]), np.ones(len(cues), np.bool_), list[str]()
-    count = int(views[-1]) + 1
-    if count < _LEAST_VIEWS:
-        held = [f"{name}: {count} views; expected {_LEAST_VIEWS} or more" for name in groups if name != "rotation"]
-        groups = ("rotation",)
-    while True:  # again without the groups that the drive does not determine
-        free = np.array([int(parameter) for name in groups for parameter in _GROUPS[name]], np.int64)
-        found = after(_search(levels, everything, free))
-        covariance = _covariance_of(found, views)
-        roots = dict(zip(free.tolist(), (np.sqrt(np.diagonal(covariance)) * UNITS[free]).tolist(), strict=True))
-        loose = []
-        for name in groups[1:]:
-            limit, scale, unit = _LOOSEST[name]
-            sigma = max(roots[parameter] for parameter in _GROUPS[name])
-            if sigma > limit:
-                loose.append(name)
-                held.append(f"{name}: known within {sigma * scale:.2g} {unit} only")
-        if not loose:
-            break
-        groups = tuple(name for name in groups if name not in loose)
-    # whole views are held out together where there are enough
-    stretches = views if count >= _FOLDS else np.arange(len(cues))
-    folds = [stretches * _FOLDS // (int(stretches[-1]) + 1) == fold for fold in range(_FOLDS)]
-    gains = [after(_held_out_gain(levels, fold, free)) for fold in folds]
+    everything = np.ones(len(cues), np.bool_)
+    free = _numbers_of([name for name in _GROUPS if name in groups or name in DEFAULT])
+    found = after(_search(levels, everything, free))
+    if float(np.linalg.norm(found.numbers[:3])) > _SEEN_ANEW:
+        cues = [_seen_anew(one, found.numbers) for one in cues]
+        levels = [_Level.of(cues, width) for width in _WIDTHS_PX]
+        found = _search(levels, everything, free, begun=found.numbers)
+    covariance, objects = _covariance_of(found)
+    after(None)
+    combined, known = _combined(found, covariance)
+    roots = dict(zip(free.tolist(), np.sqrt(np.diagonal(known)).tolist(), strict=True))
+    worst = {name: max(_GROUPS[name], key=lambda k: roots[k] / _FARTHEST[k]) for name in groups}
+    loose = [name for name, k in worst.items() if name in _SCALES and roots[k] > _UNDETERMINED * _FARTHEST[k]]
+    refined = _numbers_of([name for name in groups if name not in loose])
+    numbers, known = _holding(combined, known, free, ~np.isin(free, refined))
+    folds = [np.arange(len(cues)) * _FOLDS // len(cues) == fold for fold in range(_FOLDS)]
+    gains = np.array([after(_held_out_gains(levels, fold, free, found.numbers)) for fold in folds])
     sharpness = _sharpness_of(found)
-    verdict, reason = _judged(found, covariance, gains, sharpness)
-    change = Change.of(found.numbers)
+    asked = np.isin(free, _numbers_of(groups))
+    verdict, reason = _judged(found, numbers, covariance, known, asked, objects, gains, sharpness)
+    change = Change.of(numbers)
     taken = change if verdict is RefinementVerdict.REFINED else Change()
     first = cues[0].frame
     return Refinement(
@@ -278,29 +283,24 @@ def refine(
         camera=_focused(first.camera, taken.numbers[Parameter.FOCAL]),
         time_offset=taken.numbers[Parameter.LATER],
         change=change,
-        parameters=groups,
-        held=tuple(held),
-        free=free,
-        covariance=covariance * np.outer(UNITS[free], UNITS[free]),
-        gains=tuple(gains),
+        parameters=tuple(name for name in groups if name not in loose),
+        held=tuple(
+            f"{name}: known within {roots[worst[name]] * UNITS[worst[name]] * _SCALES[name][0]:.2g} "
+            f"{_SCALES[name][1]} only, held as stated"
+            for name in loose
+        ),
+        free=free[asked],
+        covariance=(known * np.outer(UNITS[free], UNITS[free]))[np.ix_(asked, asked)],
+        gains=tuple(gains[:, 0].sum(axis=1).tolist()),
         sharpness=sharpness,
         frames=len(cues),
-        views=count,
+        objects=objects,
     )
 
 
-def views_of(frames: Sequence[CalibrationFrame]) -> Int64Array:
-    """Number the views of frames in the order of their time, (F,) int64; unknown motion is none."""
-    numbers, length, rotation = [0], 0.0, 0.0
-    for before, after in pairwise(frames):
-        if before.twist_lidar is not None:
-            seconds = abs(after.image_ns - before.image_ns) * 1e-9
-            length += float(np.linalg.norm(before.twist_lidar[3:])) * seconds
-            rotation += float(np.linalg.norm(before.twist_lidar[:3])) * seconds
-        new = length > _VIEW_LENGTH or rotation > _VIEW_ROTATION
-        numbers.append(numbers[-1] + int(new))
-        length, rotation = (0.0, 0.0) if new else (length, rotation)
-    return np.array(numbers[: len(frames)], np.int64)
+def _numbers_of(groups: Sequence[str]) -> Int64Array:
+    """The numbers of some groups, (P,)."""
+    return np.array([int(parameter) for name in groups for parameter in _GROUPS[name]], np.int64)
 
 
 def _why_not(frames: Sequence[CalibrationFrame], cues: "Sequence[_Cues]") -> str:
@@ -317,48 +317,82 @@ def _why_not(frames: Sequence[CalibrationFrame], cues: "Sequence[_Cues]") -> str
     return ""
 
 
+def _combined(found: "_Around", covariance: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """The solution and what is stated, combined: numbers in units, (P,), and their covariance, (P, P)."""
+    information, step = np.linalg.inv(covariance), (found.numbers / UNITS)[found.free]
+    known = np.linalg.inv(information + np.diag(_FARTHEST[found.free] ** -2.0))
+    return known @ information @ step, known
+
+
+def _holding(
+    combined: Float64Array, known: Float64Array, free: Int64Array, held: BoolArray
+) -> tuple[Float64Array, Float64Array]:
+    """The numbers, (8,), where those held, (P,) bool, are 0 and others what they most likely are then; covariance."""
+    # Source: conditional mean of a normal distribution; how far it is from the mean adds to the covariance
+    away = np.zeros(len(free))
+    if held.any():
+        away = known[:, held] @ np.linalg.solve(known[np.ix_(held, held)], combined[held])
+    return _spread(free, np.where(held, 0.0, combined - away)), known + np.outer(away, away)
+
+
 def _judged(
-    found: "_Around", covariance: Float64Array, gains: Sequence[float], sharpness: float
-) -> tuple[RefinementVerdict, str]:
+    found: "_Around", numbers: Float64Array, covariance: Float64Array, known: Float64Array, asked: BoolArray,
+    objects: float, gains: Float64Array, sharpness: float,
+) -> tuple[RefinementVerdict, str]:  # fmt: skip
     """Whether the solution is to be taken."""
-    numbers = found.numbers
     rotation, shift = (float(np.linalg.norm(part)) for part in (numbers[:3], numbers[3:6]))
     later, undetermined = float(numbers[Parameter.LATER]), RefinementVerdict.UNDETERMINED
-    sigma = float(np.degrees(np.sqrt(np.diagonal(covariance)[:3].max()) * UNITS[0]))
+    sigma = float(np.sqrt(np.diagonal(known)[:3].max()) * UNITS[0])
     if not found.weights.any() or not sharpness > _SHARPEST_WRONG:
         return undetermined, (
             f"nothing stands out near the stated calibration: the best is {sharpness:.1f} standard deviations above "
             f"others around it; expected {_SHARPEST_WRONG:.0f} or more"
         )
-    if sigma > np.degrees(_LOOSEST["rotation"][0]):
-        return undetermined, f"the rotation is known within {sigma:.2g} deg only; expected 0.5 or better"
+    if sigma > _LOOSEST:
+        return undetermined, f"the rotation is known within {np.degrees(sigma):.2g} deg only; expected 0.5 or better"
     if rotation > _FARTHEST_ROTATION or shift > _FARTHEST_SHIFT or abs(later) > _FARTHEST_LATER:
         return undetermined, (
             f"the best is {np.degrees(rotation):.1f} deg, {shift:.2f} m and {later * 1e3:.0f} ms away from the stated "
             "calibration, too far for a refinement; expected a start within a few degrees (`--target`, `--hand-eye` "
             "give one)"
         )
-    if min(gains) <= 0.0:
+    worse, (of_objects, evidence) = int((gains[:, 0].sum(axis=1) <= 0.0).sum()), gains.sum(axis=0)
+    # how unevenly objects gain for what they show (ratio estimator: Cochran 1977, "Sampling Techniques", 6.4)
+    uneven = of_objects - evidence * (of_objects.sum() / max(float(evidence.sum()), 1e-12))
+    gain = float(of_objects.sum()) / max(float(np.sqrt(np.square(uneven).sum())), 1e-12)
+    least = float(special.ndtri(_CONFIDENCE))
+    if worse or gain < least:
         return RefinementVerdict.KEPT, (
-            f"held-out frames do not agree: {sum(gain <= 0 for gain in gains)} of {len(gains)} held-out parts "
-            "of the drive fit the stated calibration better"
+            f"held-out frames do not agree: {worse} of {len(gains)} held-out parts of the drive fit the stated "
+            f"calibration better, and all together are {gain:.1f} standard deviations for the other one; expected "
+            f"{least:.1f}"
         )
-    step = numbers[found.free] / UNITS[found.free]
-    if float(step @ np.linalg.solve(covariance, step)) / len(step) < 1.0:
-        return RefinementVerdict.KEPT, "the stated calibration is as good as the drive can determine"
+    step, count = (found.numbers / UNITS)[found.free][asked], int(asked.sum())
+    resolved = covariance + np.diag((_RESOLVED * _resolution(found.level.cues, found.free)) ** 2)
+    resolved = resolved[np.ix_(asked, asked)]
+    distance = float(step @ np.linalg.solve(resolved, step)) / count
+    if distance < special.fdtri(count, max(objects - 1.0, 1.0), _CONFIDENCE):
+        return RefinementVerdict.KEPT, (
+            f"the stated calibration is within the {_CONFIDENCE:.0%} region of the best one, scatter and distance of "
+            "the beams included: as good as the drive can determine"
+        )
     return RefinementVerdict.REFINED, (
-        f"all {len(gains)} held-out parts of the drive fit better than the stated calibration"
+        f"all {len(gains)} held-out parts of the drive fit better than the stated calibration, which is outside the "
+        f"{_CONFIDENCE:.0%} region"
     )
 
 
-def _held_out_gain(levels: "Sequence[_Level]", held_out: BoolArray, free: Int64Array) -> float:
-    """How much likelier frames are under the calibration that the others found than under the stated one."""
-    found = _search(levels, ~held_out, free, thinned=2)
-    level, nothing = levels[-1].part(held_out), np.zeros(len(free))
-    here, there = (
-        _Around(level, free, at).likelihood(nothing, found.weights) for at in (np.zeros(COUNT), found.numbers)
-    )
-    return there - here
+def _held_out_gains(
+    levels: "Sequence[_Level]", held_out: BoolArray, free: Int64Array, begun: Float64Array
+) -> Float64Array:
+    """How much likelier frames are under the calibration that others found, and than anywhere, by object: (2, G)."""
+    found = _search(levels, ~held_out, free, thinned=2, begun=begun)
+    level, objects = levels[-1].part(held_out), _objects_of(levels[-1])
+    clusters, sums = objects[level.chosen], []
+    for at in (np.zeros(COUNT), found.numbers):
+        around, count = _Around(level, free, at), int(objects.max()) + 1
+        sums.append(_summed(around, _weighed(around, found.weights), clusters, count)[0])
+    return np.stack([sums[1] - sums[0], np.maximum(sums[1], 0.0)])
 
 
 def _sharpness_of(found: "_Around") -> float:
@@ -374,26 +408,62 @@ def _sharpness_of(found: "_Around") -> float:
     return (here - float(np.mean(values))) / max(float(np.std(values)), 1e-12)
 
 
-def _covariance_of(found: "_Around", views: Int64Array) -> Float64Array:
-    """The covariance of the free numbers, (P, P), in units; `views`, (F,) int64, numbers the views of the frames."""
-    level, free = found.level, len(found.free)
-    frames = level.groups // len(_CHANNELS)
-    height, width = level.maps.shape[1:]
-    inside = np.nan_to_num(found.pixels)
-    across = np.clip(inside[:, 0] / width * _ACROSS, 0, _ACROSS - 1).astype(np.int64)
-    down = np.clip(inside[:, 1] / height * _DOWN, 0, _DOWN - 1).astype(np.int64)
-    clusters = ((views[frames] * _DOWN + down) * _ACROSS + across).astype(np.int32)
-    count = int(clusters.max(initial=0)) + 1
-    slopes = np.zeros((count, free))  # of each tile of each view at the solution
-    weights = (level.weights * found.weights[level.groups % len(_CHANNELS)]).astype(np.float32)
-    sum_maps(
-        found.pixels, found.slopes, np.zeros(free), weights, level.rows, clusters, level.maps,
-        np.zeros(count), np.zeros(count), slopes,
-    )  # fmt: skip
-    pulling = int((np.abs(slopes).sum(axis=1) > 0).sum())
-    spread = slopes.T @ slopes * (pulling / max(pulling - 1, 1)) + np.diag(_FARTHEST[found.free] ** -2.0)
+def _covariance_of(found: "_Around") -> tuple[Float64Array, float]:
+    """The covariance of the free numbers by the drive alone, (P, P), in units, and how many objects it rests on."""
+    level, free = found.level, found.free
+    weights = _weighed(found, found.weights)
+    kinds = (level.groups % len(_CHANNELS) * _MAPS + level.rows % _MAPS).astype(np.int32)
+    spread, pulls = np.diag(_FARTHEST[free] ** -2.0), np.zeros((0, len(free)))
+    for clusters in (kinds, _objects_of(level)):
+        _, pulls = _summed(found, weights, clusters, int(clusters.max(initial=0)) + 1)
+        pulls = pulls[np.abs(pulls).sum(axis=1) > 0]
+        spread += pulls.T @ pulls * (len(pulls) / max(len(pulls) - 1, 1))
+    # as many objects, pulling equally, would pull as unevenly (Kish's effective size)
+    shares = np.einsum("gp,pq,gq->g", pulls, np.linalg.inv(spread), pulls)
+    counted = float(shares.sum() ** 2 / max(float(np.square(shares).sum()), 1e-12))
     inverse = found.basis @ found.inverse_curvature() @ found.basis.T
-    return np.asarray(inverse @ spread @ inverse + np.diag(np.full(free, _SYSTEMATIC**2)), np.float64)
+    shared = _SHARED * _resolution(level.cues, free)
+    return np.asarray(inverse @ spread @ inverse + np.diag(shared**2), np.float64), counted
+
+
+def _weighed(around: "_Around", weights: Float64Array) -> Float32Array:
+    """What each point counts, (N,), by weights of the channels."""
+    level = around.level
+    return np.asarray(level.weights * weights[level.groups % len(_CHANNELS)], np.float32)
+
+
+def _summed(
+    around: "_Around", weights: Float32Array, clusters: AnyArray, count: int
+) -> tuple[Float64Array, Float64Array]:
+    """By cluster, of (N,) points: weighted sums of the maps' values, (G,), and of slopes, (G, P)."""
+    sums, slopes = np.zeros(count), np.zeros((count, len(around.free)))
+    sum_maps(
+        around.pixels, around.slopes, np.zeros(len(around.free)), weights, around.level.rows, clusters,
+        around.level.maps, sums, np.zeros(count), slopes,
+    )  # fmt: skip
+    return sums, slopes
+
+
+def _objects_of(level: "_Level") -> AnyArray:
+    """Number the objects that points are of, (N,) int32; where motion is not known nothing moves."""
+    cells = np.empty(len(level.chosen), np.int64)
+    begins = np.cumsum([0, *(len(one.weights) for one in level.cues)])
+    of = np.searchsorted(level.chosen, begins)
+    for k, one in enumerate(level.cues):
+        own = slice(of[k], of[k + 1])
+        points, pose = one.points_lidar[level.chosen[own] - begins[k]], one.frame.world_from_lidar
+        east, north = np.floor((points if pose is None else pose.apply(points))[:, :2].T / _OBJECT).astype(np.int64)
+        cells[own] = (east << 32) + north
+    return np.unique(cells, return_inverse=True)[1].astype(np.int32)
+
+
+def _resolution(cues: "Sequence[_Cues]", free: Int64Array) -> Float64Array:
+    """The distance of beams, or of pixels where it is larger, as rotations and translations, (P,) in units."""
+    scan, pixel = cues[0].frame.scan, 1.0 / cues[0].features.image.camera.fx
+    beside, above = (pixel, pixel) if scan is None else (max(scan.step, pixel), max(scan.spacing, pixel))
+    numbers = np.zeros(COUNT)
+    numbers[:6] = above, beside, beside, beside * _NEAR, above * _NEAR, above * _NEAR
+    return np.asarray((numbers / UNITS)[free])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -409,6 +479,13 @@ class _Cues:
     @property
     def frame(self) -> CalibrationFrame:
         return self.features.frame
+
+
+def _seen_anew(cues: _Cues, numbers: Float64Array) -> _Cues:
+    """Find the points of a frame that the camera sees under a candidate; numbers remain changes of the stated one."""
+    changed = RigidTransform.nearest(Change.of(numbers).camera_from_lidar(cues.frame.camera_from_lidar.matrix))[0]
+    found = find_cues(replace(cues.frame, camera_from_lidar=changed))
+    return replace(found, features=replace(found.features, frame=cues.frame))
 
 
 def find_cues(frame: CalibrationFrame) -> _Cues:
@@ -672,14 +749,19 @@ class _Around:
         return np.asarray(np.maximum(means, 0.0) / variances * distinct / counts, np.float64)
 
     @cached_property
-    def basis(self) -> Float64Array:
-        """Steps (P, P) in units that move pixels by the blur's width (root mean square), or as far as usual."""
-        form = np.zeros((len(self.free),) * 2)
+    def form(self) -> Float64Array:
+        """The mean square of how far a step moves pixels, in widths, and numbers, in what is usual: (P, P)."""
+        form = np.diag(_FARTHEST[self.free] ** -2.0)
         if len(self._inside):
             scale = np.float64(_STRIDES[self.level.width] / self.level.width)
             moved = scale * self.slopes[self._inside].reshape(2 * len(self._inside), -1)
-            form = np.einsum("ip,iq->pq", moved, moved) / len(self._inside)
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(form + np.diag(_FARTHEST[self.free] ** -2.0))).T)
+            form += np.einsum("ip,iq->pq", moved, moved) / len(self._inside)
+        return form
+
+    @cached_property
+    def basis(self) -> Float64Array:
+        """Steps (P, P) in units that move pixels by the blur's width (root mean square), or as far as usual."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.form)).T)
 
     def downwards(self, step: Float64Array) -> tuple[float, Float64Array]:
         """Minus the objective, which speaks against going far, and its slope at a step in widths, (P,)."""
@@ -714,24 +796,56 @@ def _spread(free: AnyArray, step: Float64Array) -> Float64Array:
     return numbers
 
 
-def _search(levels: Sequence[_Level], frames: AnyArray, free: AnyArray, *, thinned: int = 1) -> _Around:
-    """Find the best candidate near the stated one at levels from wide to narrow; one point of `thinned` counts."""
-    # rotations first, from many beginnings, for they move far points as well as near ones; then all numbers from there;
-    # `frames` (F,) bool, which count; `free` (P,) int64, which of the eight numbers are searched
+def _search(
+    levels: Sequence[_Level], frames: AnyArray, free: AnyArray, *, thinned: int = 1, begun: Float64Array | None = None
+) -> _Around:
+    """Find the best candidate near the stated one at levels from wide to narrow; one point of `thinned` counts.
+
+    Args:
+        frames: (F,) bool, which count.
+        free: (P,) int64, which of the eight numbers are searched.
+        begun: where to begin instead, (8,).
+    """
+    wide, narrow = (
+        level.part(frames, most=most // thinned) for level, most in zip(levels[1:], _MOST_MOVED, strict=True)
+    )
+    if begun is not None:
+        return _polished(narrow, free, _climbed(narrow, free, _climbed(wide, free, begun)))
+    few, nothing = narrow.part(frames, most=_MOST_MOVED[0] // thinned), np.zeros(len(free))
+    rotation = _best_rotation(levels, frames, thinned)
+    beginnings = _along_ridges(wide.part(frames, most=_MOST_STARTED), free, rotation)
+    climbed = [_climbed(few, free, _climbed(wide, free, numbers)) for numbers in beginnings]
+    best = max(climbed, key=lambda numbers: _Around(few, free, numbers).height(nothing))
+    return _polished(narrow, free, _climbed(narrow, free, best))
+
+
+def _along_ridges(level: _Level, free: AnyArray, numbers: Float64Array) -> list[Float64Array]:
+    """The numbers, (8,), and the best of many that differ from them by more than a climb goes."""
+    hill, others = _Around(level, free, numbers), free >= len(_ROTATIONS)
+    # rotations make up for translations, times and focal lengths as well as they can, or nearly so
+    steps = np.random.default_rng(_SEED).normal(size=(_RIDGE_STARTS, len(free))) * _FARTHEST[free]
+    made_up = np.linalg.solve(hill.form[np.ix_(~others, ~others)], hill.form[np.ix_(~others, others)])
+    steps[:, ~others] = steps[:, ~others] * _RIDGE_WIDTH - steps[:, others] @ made_up.T
+    best = np.argsort([-hill.height(step) for step in steps])[:_RIDGES_KEPT]
+    return [numbers, *(numbers + _spread(free, steps[k]) for k in best)]
+
+
+def _best_rotation(levels: Sequence[_Level], frames: AnyArray, thinned: int) -> Float64Array:
+    """The numbers, (8,), of the best rotation, from many beginnings: rotations move far points as well as near ones."""
     parts = [level.part(frames, most=most // thinned) for level, most in zip(levels, _MOST_ROTATED, strict=True)]
-    stated = _Around(parts[0], _ROTATIONS, np.zeros(COUNT))
-    drawn = np.random.default_rng(_SEED).normal(0.0, 0.5, (_STARTS, len(_ROTATIONS))) * _FARTHEST[_ROTATIONS]
+    generator = np.random.default_rng(_SEED)
+    (near, far), (spread, radius) = _STARTS, _STARTS_SPREAD / UNITS[0]
+    directions = generator.normal(size=(far, 3))
+    directions *= (radius * np.cbrt(generator.random(far)) / np.linalg.norm(directions, axis=1))[:, None]
+    drawn = np.concatenate([spread * generator.normal(size=(near, 3)), directions])
+    stated = _Around(parts[0].part(frames, most=_MOST_STARTED // thinned), _ROTATIONS, np.zeros(COUNT))
     best = np.argsort([-stated.height(step) for step in drawn])[: _KEPT[0] - 1]
     found = [np.zeros(COUNT), *(_spread(_ROTATIONS, drawn[k]) for k in best)]
     for level, kept in zip(parts, _KEPT, strict=True):
         climbed = [_climbed(level, _ROTATIONS, begun) for begun in found]
         heights = [_Around(level, _ROTATIONS, numbers).height(np.zeros(len(_ROTATIONS))) for numbers in climbed]
         found = [climbed[k] for k in np.argsort(heights)[::-1]][:kept]
-    numbers = found[0]
-    parts = [level.part(frames, most=most // thinned) for level, most in zip(levels[1:], _MOST_MOVED, strict=True)]
-    for level in parts:
-        numbers = _climbed(level, free, numbers)
-    return _polished(parts[-1], free, numbers)
+    return found[0]
 
 
 def _climbed(level: _Level, free: AnyArray, numbers: Float64Array) -> Float64Array:

@@ -453,7 +453,7 @@ def refine_drive(
         verdict=str(found.verdict),
         reason=found.reason,
         unobserved=found.held,
-        notes=(f"{found.frames} frames of {found.views} views, sharpness {found.sharpness:.1f}",),
+        notes=(f"{found.frames} frames, {found.objects:.0f} objects, sharpness {found.sharpness:.1f}",),
         frames=found.frames,
         time_offset=found.time_offset,
     )

@@ -51,7 +51,17 @@ from sceneloom.calibrate.measures import (
     FrameFeatures,
     Parameter,
 )
-from sceneloom.calibrate.refinement import _WIDTHS_PX, _climbed, _covariance_of, _Level, _polished, _search, find_cues
+from sceneloom.calibrate.refinement import (
+    _FARTHEST,
+    _WIDTHS_PX,
+    _Around,
+    _climbed,
+    _covariance_of,
+    _Level,
+    _polished,
+    _search,
+    find_cues,
+)
 from sceneloom.calibrate.refinement import views_of as successive_views
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded, unproject
@@ -110,7 +120,7 @@ _SEED, _NO_DEVIATION = 0, 1e-6
 _WIDE_RADII, _FINE_RADIUS = (20.0, 11.0, 6.0, 3.5), 2.4
 """Balls of rotations that are searched, one after another [units of a quarter degree]."""
 
-_MANY, _MANY_RADIUS, _PROMISING = 150, 7.0, 3
+_MANY, _MANY_RADIUS, _PROMISING = 150, 7.0, 2
 """So many rotations up to so far are scored, and so many followed up: peaks are narrower than wide balls show."""
 
 _ROUGH_FROM = 3.0  # in wider balls some of the features show where to look next
@@ -124,7 +134,9 @@ _OWN_VIEW_M, _OWN_VIEW_DEG = 4.0, 15.0
 _LEAST_SEEN, _LEAST_EDGES = 200, 60
 _PLAIN = 0.9  # images of which more shows nothing are dark, covered or fogged
 
-_SURE = 3.0
+_CURVATURE_STEP = 0.8  # of the blur's width
+
+_SURE = 2.5
 """Standard deviations by which a part must be off beyond what calibrations are known to."""
 
 _LEAST_FRAMES = 4
@@ -572,9 +584,25 @@ def _fitted(frames: Sequence[CalibrationFrame], start: Float64Array) -> _Fits | 
             return None
         change = found.numbers.copy()
         change[:6] = _screw(Change.of(found.numbers).camera_from_lidar(turned))
-        covariance = _covariance_of(found, views) * np.outer(UNITS[free], UNITS[free])
+        steady = _Steady(found.level, free, found.numbers)
+        covariance = _covariance_of(steady, views) * np.outer(UNITS[free], UNITS[free])
         fits.append(_Fit(free, change, covariance, arm))
     return _Fits(*fits)
+
+
+class _Steady(_Around):
+    """A fit of which curvature is taken over nearly the width of the blur: where few views agree, less shows pixels."""
+
+    def inverse_curvature(self) -> Float64Array:
+        """The inverse of minus the second derivatives, (P, P); flat directions are bounded by the prior."""
+        gradients = [
+            [self.downwards(sign * _CURVATURE_STEP * axis)[1] for sign in (1.0, -1.0)]
+            for axis in np.eye(len(self.free))
+        ]
+        curvature = np.array([ahead - behind for ahead, behind in gradients]) / (2.0 * _CURVATURE_STEP)
+        values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+        bounds = np.square(self.basis @ vectors / _FARTHEST[self.free][:, None]).sum(axis=0)
+        return np.asarray(vectors / np.maximum(values, bounds) @ vectors.T)
 
 
 def _screw(matrix: Float64Array) -> Float64Array:

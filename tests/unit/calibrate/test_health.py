@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import logm
 from scipy.spatial.transform import Rotation
 
 from sceneloom.calibrate import health as ch
@@ -20,8 +21,8 @@ GOOD, DRIFTING, WRONG, UNTOLD = Verdict.GOOD, Verdict.DRIFTING, Verdict.WRONG, V
 
 def test_a_rotation_is_judged_by_its_size_and_by_how_sure_it_is_in_the_units_that_it_names():
     for rotation_deg, sigma_deg, verdict in [
-        *((0.0, 0.05, GOOD), (0.25, 0.05, GOOD), (0.32, 0.05, UNTOLD), (0.4, 0.05, DRIFTING), (0.7, 0.3, UNTOLD)),
-        *((1.5, 0.05, WRONG), (0.0, 0.5, UNTOLD), (1.5, 0.5, UNTOLD), (1.5, 0.4, WRONG)),
+        *((0.0, 0.05, GOOD), (0.25, 0.05, GOOD), (0.32, 0.08, UNTOLD), (0.4, 0.05, DRIFTING), (0.7, 0.3, UNTOLD)),
+        *((1.5, 0.05, WRONG), (0.0, 0.5, UNTOLD), (1.5, 0.7, UNTOLD), (1.5, 0.4, WRONG)),
     ]:
         item = judge("rotation", np.radians([rotation_deg, 0.0, 0.0]), np.radians(sigma_deg) ** 2 * np.eye(3))
         assert item.verdict is verdict
@@ -32,9 +33,18 @@ def test_a_rotation_is_judged_by_its_size_and_by_how_sure_it_is_in_the_units_tha
     assert item.verdict is DRIFTING
     spread = 4 * np.diag([0.05, 0.05, 0.05]) ** 2
     assert not judge("translation", np.zeros(3), spread).suspected
-    assert judge("translation", np.array([0.3, 0.0, 0.0]), spread).suspected
-    # 10 cm along each axis and 2 cm of the measures: 2 cm that calibrations are known to, and four deviations
-    assert "less than 0.43 m would not be seen" in judge("translation", np.zeros(3), spread).reason
+    assert judge("translation", np.array([0.27, 0.0, 0.0]), spread).suspected
+    # 10 cm along each axis and 2 cm of the measures: 2 cm that calibrations are known to, and 3.5 deviations
+    assert "less than 0.38 m would not be seen" in judge("translation", np.zeros(3), spread).reason
+
+
+def test_the_numbers_of_a_change_are_those_of_the_logarithm_of_its_transform():
+    rotation, translation = np.array([0.08, -0.05, 0.11]), np.array([0.3, -0.2, 0.4])
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = Rotation.from_rotvec(rotation).as_matrix(), translation
+    logarithm = logm(matrix).real
+    expected = [logarithm[2, 1], logarithm[0, 2], logarithm[1, 0], *logarithm[:3, 3]]
+    np.testing.assert_allclose(ch._screw(matrix), expected, atol=1e-9)
 
 
 Frames = tuple[CalibrationFrame, ...]
@@ -246,9 +256,9 @@ def test_boxes_are_judged_by_their_rotation_join_decide_or_contradict_what_image
         (rotation(0.8, 0.0, 0.0), (DRIFTING, GOOD)),
         (rotation(0.0, 3.0, 0.5), (WRONG, GOOD)),
         (rotation(0.0, 0.0, 2.5), (GOOD, WRONG)),
-        # its own 0.4 degrees make 1.3 degrees about the axis of visibility chance
-        (rotation(0.0, 0.0, 1.3), (GOOD, UNTOLD)),
-        (rotation(3.0, 0.0, 0.0, sigma_deg=1.0), (UNTOLD, UNTOLD)),
+        # its own 0.4 degrees make 1.05 degrees about the axis of visibility chance
+        (rotation(0.0, 0.0, 1.05), (GOOD, UNTOLD)),
+        (rotation(3.0, 0.0, 0.0, sigma_deg=1.3), (UNTOLD, UNTOLD)),
         (rotation(3.0, 0.0, 0.0, agreeing=30), (UNTOLD, UNTOLD)),
         (rotation(3.0, 0.0, 0.0, images=6), (UNTOLD, UNTOLD)),
         (rotation(3.0, 0.0, 0.0, by_chance=120), (UNTOLD, UNTOLD)),

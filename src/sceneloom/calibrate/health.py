@@ -52,17 +52,17 @@ from sceneloom.calibrate.measures import (
     Parameter,
 )
 from sceneloom.calibrate.refinement import (
+    _CHANNELS,
     _FARTHEST,
     _WIDTHS_PX,
     _Around,
     _climbed,
-    _covariance_of,
     _Level,
     _polished,
     _search,
     find_cues,
+    sum_maps,
 )
-from sceneloom.calibrate.refinement import views_of as successive_views
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.detections.residuals import BoxFrame, BoxRotation
@@ -130,11 +130,12 @@ _LOOKS, _LOOKS_ROUGH = 28, 40  # of the ten numbers of a quadratic, near and far
 _DISTINCT = 4.5
 """Deviations above chance from which on images and sweeps agree; the best of some hundred chances reaches 3.3."""
 
-_OWN_VIEW_M, _OWN_VIEW_DEG = 4.0, 15.0
+_OWN_VIEW_M, _OWN_VIEW_DEG = 2.0, 6.0
 _LEAST_SEEN, _LEAST_EDGES = 200, 60
 _PLAIN = 0.9  # images of which more shows nothing are dark, covered or fogged
 
 _CURVATURE_STEP = 0.8  # of the blur's width
+_TILES_ACROSS, _TILES_DOWN = 6, 3
 
 _SURE = 2.5
 """Standard deviations by which a part must be off beyond what calibrations are known to."""
@@ -531,16 +532,14 @@ class _Fit:
     free: Int64Array  # (P,) which of the eight numbers were searched
     change: Float64Array  # (8,) from the stated calibration
     covariance: Float64Array  # (P, P), of those that were searched
-    arm: float  # tangent of the angle to the optical axis at which pixels are (root of the mean square)
+    more: Float64Array  # (3,) [rad²], by which the floor of the rotation is too low here
 
     def judged(self, part: str) -> Item:
         """Judge a part of which the parameters were searched."""
         rows = [self.free.tolist().index(parameter) for parameter in _OF_PART[part]]
-        covariance = self.covariance[np.ix_(rows, rows)].copy()
+        covariance = self.covariance[np.ix_(rows, rows)]
         if part == "rotation":
-            # what misplaces pixels by the floor of pitch and yaw misleads roll by so much more
-            floor = _LIMITS[part].floor / _LIMITS[part].scale
-            covariance[2, 2] += floor**2 * max(self.arm**-2 - 1.0, 0.0)
+            covariance = covariance + np.diag(self.more)
         return judge(part, self.change[self.free[rows]], covariance)
 
 
@@ -564,12 +563,16 @@ def _fitted(frames: Sequence[CalibrationFrame], start: Float64Array) -> _Fits | 
         turned = Change.of(start).camera_from_lidar(turned)
     error = RigidTransform.nearest(turned)[0]
     size, camera = frames[0].grey.shape, frames[0].camera
+    # what misplaces pixels by the floor of pitch and yaw misleads roll by so much more as pixels are near the axis
     arm = float(np.hypot(camera.width / camera.fx, camera.height / camera.fy)) / np.sqrt(12.0)
+    share = max(_LEAST_FRAMES / len(frames), 1.0)
+    floor = _LIMITS["rotation"].floor / _LIMITS["rotation"].scale
+    more = floor**2 * (share * np.array([1.0, 1.0, max(arm**-2, 1.0)]) - 1.0)
     near = [replace(f, camera_from_lidar=error @ f.camera_from_lidar) for f in frames if f.grey.shape == size]
     cues = [one for frame in near if len((one := find_cues(frame)).weights) >= _LEAST_EDGES]
     if not cues:
         return None
-    levels, views = [_Level.of(cues, width) for width in _WIDTHS_PX], successive_views([one.frame for one in cues])
+    levels, views = [_Level.of(cues, width) for width in _WIDTHS_PX], views_of([one.frame for one in cues])
     whole = [k for k in Parameter if k is not Parameter.LATER or not _why_no_time(near)]
     found = _search(levels, np.ones(len(cues), np.bool_), np.array(ROTATION, np.int64))
     fits = []
@@ -585,8 +588,7 @@ def _fitted(frames: Sequence[CalibrationFrame], start: Float64Array) -> _Fits | 
         change = found.numbers.copy()
         change[:6] = _screw(Change.of(found.numbers).camera_from_lidar(turned))
         steady = _Steady(found.level, free, found.numbers)
-        covariance = _covariance_of(steady, views) * np.outer(UNITS[free], UNITS[free])
-        fits.append(_Fit(free, change, covariance, arm))
+        fits.append(_Fit(free, change, steady.covariance(views) * np.outer(UNITS[free], UNITS[free]), more))
     return _Fits(*fits)
 
 
@@ -603,6 +605,25 @@ class _Steady(_Around):
         values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
         bounds = np.square(self.basis @ vectors / _FARTHEST[self.free][:, None]).sum(axis=0)
         return np.asarray(vectors / np.maximum(values, bounds) @ vectors.T)
+
+    def covariance(self, views: Int64Array) -> Float64Array:
+        """The covariance (P, P) of the numbers, in units, by how differently tiles pull; `views` (F,) of the frames."""
+        level, free = self.level, len(self.free)
+        size = np.array(level.maps.shape[:0:-1])
+        tiles = np.array([_TILES_ACROSS, _TILES_DOWN])
+        tile = np.clip(np.nan_to_num(self.pixels) / size * tiles, 0, tiles - 1).astype(np.int64)
+        clusters = (views[level.groups // len(_CHANNELS)] * tiles[1] + tile[:, 1]) * tiles[0] + tile[:, 0]
+        weights = (level.weights * self.weights[level.groups % len(_CHANNELS)]).astype(np.float32)
+        count = int(clusters.max(initial=0)) + 1
+        pulls, rest = np.zeros((count, free)), np.zeros((2, count))
+        sum_maps(
+            self.pixels, self.slopes, np.zeros(free), weights, level.rows, clusters.astype(np.int32), level.maps,
+            rest[0], rest[1], pulls,
+        )  # fmt: skip
+        pulling = int(pulls.any(axis=1).sum())
+        spread = pulls.T @ pulls * (pulling / max(pulling - 1, 1)) + np.diag(_FARTHEST[self.free] ** -2.0)
+        inverse = self.basis @ self.inverse_curvature() @ self.basis.T
+        return np.asarray(inverse @ spread @ inverse)
 
 
 def _screw(matrix: Float64Array) -> Float64Array:

@@ -127,7 +127,7 @@ _ROUGH_FROM = 3.0  # in wider balls some of the features show where to look next
 
 _PROBES, _FARTHEST_DEG = 3000, 6.0
 _LOOKS, _LOOKS_ROUGH = 28, 40  # of the ten numbers of a quadratic, near and far
-_DISTINCT, _CHANCE = 4.5, 3.3
+_DISTINCT = 4.5
 """Deviations above chance from which on images and sweeps agree; the best of some hundred chances reaches 3.3."""
 
 _OWN_VIEW_M, _OWN_VIEW_DEG = 2.0, 6.0
@@ -386,16 +386,16 @@ def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") 
     search = _Search(agreement)
     start = search.rotation()
     standing = search.standing(start)
-    fits = _fitted(frames, start) if standing["distinctness"] > _CHANCE else None
-    if fits is not None:  # where the translation is off no rotation alone agrees well
-        there = (search.standing(fit.change) for fit in (fits.rotated, fits.shifted))
-        standing = max(standing, *there, key=lambda found: float(found["distinctness"]))
     distinctness = standing["distinctness"]
-    if fits is None or distinctness < _DISTINCT:
+    if distinctness < _DISTINCT:
         reason = (
             f"no calibration within 6 degrees makes images and sweeps agree better than by chance "
             f"({distinctness:.1f} deviations; expected {_DISTINCT:g}): it is far off, or they show too little"
         )
+        return health(tuple(Item.unknown(name, reason) for name in PARTS), **standing)
+    fits = _fitted(frames, start)
+    if fits is None:
+        reason = "the points in the images are too few, or nowhere different from their surroundings"
         return health(tuple(Item.unknown(name, reason) for name in PARTS), **standing)
     few = "" if len(frames) >= _LEAST_FRAMES else f"{len(frames)} images; expected {_LEAST_FRAMES} or more"
     untimed = few or _why_no_time(frames)

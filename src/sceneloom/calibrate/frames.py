@@ -203,6 +203,8 @@ class CalibrationFrame:
         twist_lidar: (6,) float64, angular velocity [rad/s] and velocity [m/s] of the lidar in its own axes at the
             image's time; None where the motion is not known, and the points were left as they were measured.
         world_from_lidar: where the lidar was at the image's time, or None.
+        points_frame: the frame in which the drive states the points; beyond that of the sensor, `camera_from_lidar`
+            and `points_lidar` depend on the lidar's extrinsics alike, and together not at all.
     """
 
     camera_id: Identifier
@@ -220,6 +222,7 @@ class CalibrationFrame:
     rgb: UInt8Array
     twist_lidar: Float64Array | None = None
     world_from_lidar: RigidTransform | None = None
+    points_frame: PointsFrame = PointsFrame.SENSOR
 
     def __post_init__(self) -> None:
         count = check_array("frame.points_lidar", self.points_lidar, (None, 3), np.float64)
@@ -368,6 +371,7 @@ class _Drive:
             rgb=rgb,
             twist_lidar=twist,
             world_from_lidar=world_from_lidar,
+            points_frame=lidar.points_frame,
         )
 
     def _by_poses(self, sweep: LidarFrame, image: CameraImage) -> _Placed | None:

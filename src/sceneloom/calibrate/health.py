@@ -1,11 +1,15 @@
 """Check of a camera-lidar calibration: by images and points, by detected boxes, and by motion.
 
-The limits of the verdicts are lengths and angles that matter, and the errors that the measures have by themselves on
-simulated drives of other seeds than those of the tests: see docs/calibration.md.
+The limits of the verdicts are lengths and angles that matter: see docs/calibration.md.
 
 Search: quadratics are fitted to scores at random locations of a ball, and the next, smaller ball lies around the top.
-Source: response surfaces, Box and Wilson 1951, "On the Experimental Attainment of Optimum Conditions"; bootstrap over
-blocks: Künsch 1989, "The Jackknife and the Bootstrap for General Stationary Observations".
+Source: response surfaces, Box and Wilson 1951, "On the Experimental Attainment of Optimum Conditions".
+
+From there calibrations are fitted as by a refinement, three times: the rotation alone, with the translation, and with
+focal length and time. At one distance a translation looks like a rotation, and at one speed another time like a
+translation ahead: near points tell the first apart, turns and other speeds the second. So the fewest numbers that
+explain what is seen are judged, and more of them only where those are off by themselves. What misplaces all edges
+alike, such as shadows behind them, is in no covariance: floors of 0.06 degrees, which are 2 cm at 20 m, stand for it.
 
 Principal point: at the angle θ off the axis, a pinhole has u = f·tan θ + c. A rotation by a small angle a moves u by
 f·a·(1 + tan² θ), and a principal point off by d moves it by d: to first order they are the same, d = f·a, at any
@@ -20,11 +24,12 @@ the Form AX = XB"; rotation vectors: Park and Martin 1994; sandwich by clusters:
 
 Boxes: those of images and sweeps agree about one rotation. It is as exact as that of edges where there are many boxes,
 and found from farther off. To boxes a translation of the camera looks like a rotation, by its length over their
-distance.
+distance. They judge what leads from the frame in which they are stated into the image, and nothing else: KITTI's boxes
+are in the rectified camera's frame, and show of its calibration P2 alone.
 """
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -45,12 +50,24 @@ from sceneloom.calibrate.measures import (
     Change,
     FrameFeatures,
     Parameter,
-    Score,
+)
+from sceneloom.calibrate.refinement import (
+    _CHANNELS,
+    _FARTHEST,
+    _WIDTHS_PX,
+    _Around,
+    _climbed,
+    _Level,
+    _polished,
+    _search,
+    find_cues,
+    sum_maps,
 )
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded, unproject
-from sceneloom.detections.residuals import BoxRotation
+from sceneloom.detections.residuals import BoxFrame, BoxRotation
 from sceneloom.geometry.rigid import (
+    RigidTransform,
     cross_matrix,
     matrix_from_quaternion,
     multiply_quaternions,
@@ -59,45 +76,75 @@ from sceneloom.geometry.rigid import (
     rotation_vector_from_quaternion,
 )
 from sceneloom.scene.scene import Scene
-from sceneloom.scene.types import Identifier
+from sceneloom.scene.types import Identifier, PointsFrame
 from sceneloom.warnings import DataWarning
 
-PARTS = ("rotation", "translation", "focal_length", "principal_point", "time_offset")
+PARTS = ("rotation", "translation", "focal_length", "principal_point", "time_offset", "ego_from_lidar")
 """What images and points are asked about, in the order of the items."""
 
 MOTION, _BOXES, _BOXES_ROLL = "motion", "boxes", "boxes_roll"
 """Further items: of rotation from image to image; of boxes, about the camera's x and y axes, and about its z axis."""
 
-_GROUPS: dict[str, tuple[Parameter, ...]] = {
-    "translation": (*ROTATION, *TRANSLATION),
-    "focal_length": (*ROTATION, Parameter.FOCAL),
-    "time_offset": (*ROTATION, Parameter.LATER),
-}  # parameters that are searched together with the rotation, by the part that the verdict is about
+_PROJECTED, _PROJECTED_ROLL = "boxes_projection", "boxes_projection_roll"
+"""Instead of those of boxes, where boxes do not come in the lidar's frame."""
+
+_POINTS_JUDGE = {
+    PointsFrame.SENSOR: "camera_from_lidar",
+    PointsFrame.EGO: "camera_from_ego",
+    PointsFrame.WORLD: "camera_from_world",
+}  # what images and points are evidence of, by the frame in which the points are stated
+
+_BOXES_JUDGE = {
+    BoxFrame.LIDAR: "camera_from_lidar",
+    BoxFrame.CAMERA: "camera model",
+    BoxFrame.WORLD: "camera_from_world",
+}
+_CANCELS = {
+    BoxFrame.CAMERA: "the camera's frame, as KITTI's are: they judge the camera model (P2), and what relates the lidar "
+    "to it (R_rect, Tr_velo_cam, Tr_imu_velo) cancels",
+    BoxFrame.WORLD: "world coordinates, as nuScenes' are: they judge the camera's extrinsics and model, and the "
+    "lidar's extrinsics cancel",
+}
+
+_OF_PART = {
+    "rotation": ROTATION,
+    "translation": TRANSLATION,
+    "focal_length": (Parameter.FOCAL,),
+    "time_offset": (Parameter.LATER,),
+}
 
 _FINE, _WIDE = (EDGES, INFORMATION), MEASURES
 _FAR_LOOKS, _FAR_DEG = 48, (2.5, 6.0)  # rotations so far away that images and clouds agree by nothing but chance
 
-_REPLICATES, _SEED, _NO_DEVIATION = 100, 0, 1e-6
-_WIDE_RADII, _FINE_RADII = (20.0, 11.0, 6.0, 3.5), (2.4, 1.6)
+_SEED, _NO_DEVIATION = 0, 1e-6
+_WIDE_RADII, _FINE_RADIUS = (20.0, 11.0, 6.0, 3.5), 2.4
 """Balls of rotations that are searched, one after another [units of a quarter degree]."""
 
-_NEAR_RADII, _FAR_RADII = (4.0, 2.0), (10.0, 5.0, 2.0)
-_MANY, _MANY_RADIUS, _PROMISING = 150, 7.0, 3
+_MANY, _MANY_RADIUS, _PROMISING = 150, 7.0, 2
 """So many rotations up to so far are scored, and so many followed up: peaks are narrower than wide balls show."""
 
-_FINE_FROM, _ROUGH_FROM = 4.0, 3.0
-"""In wider balls the coarse measures count, too; in wider balls some of the features show where to look next."""
+_ROUGH_FROM = 3.0  # in wider balls some of the features show where to look next
 
-_PROBES, _LOOKS_PER_COEFFICIENT, _FARTHEST_DEG = 3000, (4.0, 2.5), 6.0
+_PROBES, _FARTHEST_DEG = 3000, 6.0
+_LOOKS, _LOOKS_ROUGH = 28, 40  # of the ten numbers of a quadratic, near and far
 _DISTINCT = 4.5
 """Deviations above chance from which on images and sweeps agree; the best of some hundred chances reaches 3.3."""
 
-_OWN_VIEW_M, _OWN_VIEW_DEG = 4.0, 15.0
+_OWN_VIEW_M, _OWN_VIEW_DEG = 2.0, 6.0
 _LEAST_SEEN, _LEAST_EDGES = 200, 60
 _PLAIN = 0.9  # images of which more shows nothing are dark, covered or fogged
 
-_BETTER, _BETTER_SIGMAS = 1.0, 3.0
-"""A part counts as off only if changing it, too, makes images and sweeps agree better by this."""
+_CURVATURE_STEP = 0.8  # of the blur's width
+_TILES_ACROSS, _TILES_DOWN = 6, 3
+
+_SURE = 2.5
+"""Standard deviations by which a part must be off beyond what calibrations are known to."""
+
+_LEAST_FRAMES = 4
+"""Translation, focal length and time move pixels nearly as a rotation does: what single objects suggest of the
+difference, from one side, averages out over several images only."""
+
+_RESTATED = np.radians(1.0)  # a fit begins at the rotation that was found before if that is farther away
 
 _ALIKE = 0.8
 """A good calibration reaches this part of the height of the best one. On simulated drives true ones reach 0.9 and
@@ -137,22 +184,28 @@ class _Limits:
 
     unit: str
     scale: float  # leads to the unit from radians, metres, logarithms and seconds
+    known: float  # that well calibrations are known, published ones too
     good: float  # up to here
     wrong: float  # beyond this
     floor: float  # the error that the measures have by themselves, on each axis
-    vague: float  # with a larger standard deviation on any axis nothing is stated
+    vague: float  # with a larger standard deviation in any direction it is not called good
     what: str = "images and sweeps agree"
 
 
 _TOGETHER = "boxes of images and sweeps agree"
+_DEG = 180.0 / np.pi
+_OF_BOXES = _Limits("deg", _DEG, 0.1, 0.4, 1.0, 0.12, 0.35, _TOGETHER)
+_OF_BOXES_ROLL = _Limits("deg", _DEG, 0.1, 1.0, 2.0, 0.4, 0.6, _TOGETHER)
 _LIMITS = {
-    "rotation": _Limits("deg", 180.0 / np.pi, 0.4, 1.0, 0.12, 0.35),
-    "translation": _Limits("m", 1.0, 0.1, 0.3, 0.04, 0.06),
-    "focal_length": _Limits("%", 100.0, 1.0, 3.0, 0.4, 0.8),
-    "time_offset": _Limits("ms", 1e3, 15.0, 60.0, 4.0, 9.0),
-    _BOXES: _Limits("deg", 180.0 / np.pi, 0.4, 1.0, 0.12, 0.35, _TOGETHER),
-    _BOXES_ROLL: _Limits("deg", 180.0 / np.pi, 1.0, 2.0, 0.4, 0.6, _TOGETHER),
-    MOTION: _Limits("deg", 180.0 / np.pi, 1.5, 3.0, 0.5, 0.8, "camera and lidar rotate alike"),
+    "rotation": _Limits("deg", _DEG, 0.1, 0.3, 1.0, 0.06, 0.2),
+    "translation": _Limits("m", 1.0, 0.02, 0.06, 0.3, 0.02, 0.04),
+    "focal_length": _Limits("%", 100.0, 0.2, 1.0, 3.0, 0.2, 0.8),
+    "time_offset": _Limits("ms", 1e3, 2.0, 15.0, 60.0, 4.0, 9.0),
+    _BOXES: _OF_BOXES,
+    _BOXES_ROLL: _OF_BOXES_ROLL,
+    _PROJECTED: _OF_BOXES,
+    _PROJECTED_ROLL: _OF_BOXES_ROLL,
+    MOTION: _Limits("deg", _DEG, 0.1, 1.5, 3.0, 0.5, 0.8, "camera and lidar rotate alike"),
 }
 
 
@@ -160,12 +213,13 @@ class Item(msgspec.Struct, frozen=True, kw_only=True):
     """One part of a calibration.
 
     Attributes:
-        name: one of `PARTS`, "boxes", "boxes_roll" or "motion".
+        name: one of `PARTS`, "boxes", "boxes_roll", "boxes_projection", "boxes_projection_roll" or "motion".
         verdict: its state.
         reason: why, where it is not good.
         unit: of the numbers.
         values: by how much it would have to be changed; empty where nothing was found.
         sigmas: their standard deviations, the errors that the measures have by themselves included.
+        judged: the stated value that the evidence depends on.
     """
 
     name: str
@@ -174,6 +228,7 @@ class Item(msgspec.Struct, frozen=True, kw_only=True):
     unit: str = ""
     values: tuple[float, ...] = ()
     sigmas: tuple[float, ...] = ()
+    judged: str = "camera_from_lidar"
 
     @property
     def suspected(self) -> bool:
@@ -226,7 +281,14 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def of_boxes(
-        cls, found: BoxRotation | None, *, source: str, camera_id: Identifier, lidar_id: Identifier, frames: int
+        cls,
+        found: BoxRotation | None,
+        stated_in: Collection[BoxFrame],
+        *,
+        source: str,
+        camera_id: Identifier,
+        lidar_id: Identifier,
+        frames: int,
     ) -> "CalibrationHealth":
         """Check a calibration by boxes alone, without images and points; `frames` are the images with boxes."""
         nothing = "there are neither images nor points, but boxes alone"
@@ -239,7 +301,7 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
             frames=frames,
             views=0,
         )
-        return untold.with_boxes(found)
+        return untold.with_boxes(found, stated_in)
 
     def with_coarse(self, item: Item) -> "CalibrationHealth":
         """Add a coarse measure: it never makes a calibration good, but it may make it doubtful or wrong.
@@ -255,13 +317,13 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
                 verdict = item.verdict
         return msgspec.structs.replace(self, verdict=verdict, items=(*self.items, item))
 
-    def with_boxes(self, found: BoxRotation | None) -> "CalibrationHealth":
+    def with_boxes(self, found: BoxRotation | None, stated_in: Collection[BoxFrame]) -> "CalibrationHealth":
         """Add the rotation that boxes show to the check by images and points.
 
-        Boxes decide where images and points cannot. Where one side calls good what the other clearly does not, the
-        whole cannot be determined.
+        Boxes that are stated in the lidar's frame decide where images and points cannot; others never make a
+        calibration good. Where one side calls good what the other clearly does not, the whole cannot be determined.
         """
-        across, roll = judge_boxes(found)
+        across, roll, *untold = judge_boxes(found, stated_in)
         verdicts = {self.verdict, across.verdict, roll.verdict}
         reason = _contradiction(self, across, roll)
         if reason:
@@ -271,9 +333,9 @@ class CalibrationHealth(msgspec.Struct, frozen=True, kw_only=True):
         elif self.verdict is Verdict.UNDETERMINED and (self.doubted or any(i.suspected for i in self.items)):
             verdict = Verdict.UNDETERMINED
         else:
-            good = Verdict.GOOD in {self.verdict, across.verdict}
+            good = Verdict.GOOD in {self.verdict, across.verdict if across.name == _BOXES else self.verdict}
             verdict = Verdict.GOOD if good else Verdict.UNDETERMINED
-        return msgspec.structs.replace(self, verdict=verdict, items=(*self.items, across, roll))
+        return msgspec.structs.replace(self, verdict=verdict, items=(*self.items, across, roll, *untold))
 
     @property
     def doubted(self) -> bool:
@@ -302,9 +364,10 @@ def check_calibration(
 
 def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") -> CalibrationHealth:
     """Check a calibration by frames of one camera and one lidar."""
-    views = views_of(frames)
+    views, judged = views_of(frames), _POINTS_JUDGE[frames[0].points_frame]
 
     def health(items: tuple[Item, ...], verdict: Verdict = Verdict.UNDETERMINED, **found: Any) -> CalibrationHealth:
+        items = tuple(msgspec.structs.replace(item, judged=judged) for item in items)
         return CalibrationHealth(
             source=source,
             camera_id=frames[0].camera_id,
@@ -321,28 +384,56 @@ def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") 
     if nothing:
         return health(tuple(Item.unknown(name, nothing) for name in PARTS))
     search = _Search(agreement)
-    rotation = search.rotation()
-    if rotation.distinctness < _DISTINCT:
+    start = search.rotation()
+    standing = search.standing(start)
+    distinctness = standing["distinctness"]
+    if distinctness < _DISTINCT:
         reason = (
             f"no calibration within 6 degrees makes images and sweeps agree better than by chance "
-            f"({rotation.distinctness:.1f} deviations; expected {_DISTINCT:g}): it is far off, or they show too little"
+            f"({distinctness:.1f} deviations; expected {_DISTINCT:g}): it is far off, or they show too little"
         )
-        return health(tuple(Item.unknown(name, reason) for name in PARTS), **search.standing(rotation))
-    joint = {name: search.group(rotation.change, group) for name, group in _GROUPS.items()}
-    best = max((top for top in joint.values() if top.is_better), key=lambda top: top.gain, default=rotation)
+        return health(tuple(Item.unknown(name, reason) for name in PARTS), **standing)
+    fits = _fitted(frames, start)
+    if fits is None:
+        reason = "the points in the images are too few, or nowhere different from their surroundings"
+        return health(tuple(Item.unknown(name, reason) for name in PARTS), **standing)
+    few = "" if len(frames) >= _LEAST_FRAMES else f"{len(frames)} images; expected {_LEAST_FRAMES} or more"
+    untimed = few or _why_no_time(frames)
+    shifted = Item.unknown("translation", few) if few else fits.shifted.judged("translation")
+    focal = Item.unknown("focal_length", few) if few else fits.whole.judged("focal_length")
+    time = Item.unknown("time_offset", untimed) if untimed else fits.whole.judged("time_offset")
+    best = fits.rotated
+    if shifted.verdict in _OFF:
+        best = fits.shifted
+    if focal.verdict in _OFF or time.verdict in _OFF:
+        best = fits.whole
+        shifted = best.judged("translation")
     items = (
-        _rotation_item(search, frames[0].camera, best, alone=best is rotation),
-        _joint_item("translation", joint),
-        _joint_item("focal_length", joint),
+        _rotation_item(frames[0].camera, best, fits),
+        shifted,
+        focal,
         Item.unknown("principal_point", why_untold(frames[0].camera)),
-        _time_item(frames, joint),
+        time,
+        Item.unknown("ego_from_lidar", _why_no_ego(frames[0].points_frame)),
     )
-    standing = search.standing(best)
     verdict = next((off for off in _OFF if any(item.verdict is off for item in items)), items[0].verdict)
-    doubted = standing["stated_distinctness"] < _ALIKE * standing["distinctness"]
+    doubted = standing["stated_distinctness"] < _ALIKE * distinctness
     if verdict is Verdict.GOOD and (doubted or any(item.suspected for item in items)):
         verdict = Verdict.UNDETERMINED
     return health(items, verdict, **standing, change=tuple(best.change.tolist()))
+
+
+def _why_no_ego(points_frame: PointsFrame) -> str:
+    """Why images and points do not show the lidar's extrinsics."""
+    if points_frame is PointsFrame.SENSOR:
+        return (
+            "camera and lidar are compared with one another, so that what is common to both (KITTI: Tr_imu_velo) "
+            "cancels; --hand-eye estimates it"
+        )
+    return (
+        f"the points are stated in {points_frame} coordinates, so that the lidar's extrinsics cancel: camera and "
+        "points alone were judged; expected points in the lidar's own frame"
+    )
 
 
 def _why_nothing(features: Sequence[FrameFeatures]) -> str:
@@ -376,6 +467,9 @@ def views_of(frames: Sequence[CalibrationFrame]) -> Int64Array:
 def judge(name: str, values: Float64Array, covariance: Float64Array) -> Item:
     """Judge the change that a part would need.
 
+    It is off where it is beyond what calibrations are known to by more than `_SURE` standard deviations, and by more
+    than is good.
+
     Args:
         name: of an item but the principal point.
         values: (P,), in radians, metres, logarithms or seconds.
@@ -385,16 +479,18 @@ def judge(name: str, values: Float64Array, covariance: Float64Array) -> Item:
     found = values * limits.scale
     spread = covariance * limits.scale**2 + limits.floor**2 * np.eye(len(values))
     sigmas, size = np.sqrt(np.diag(spread)), float(np.linalg.norm(found))
+    widest = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
+    along = float(np.sqrt(found @ spread @ found)) / size if size > 0.0 else widest
     verdict, reason = Verdict.GOOD, ""
-    significant = float(found @ np.linalg.solve(spread, found)) > _SIGNIFICANT
-    if sigmas.max() > limits.vague:
-        verdict = Verdict.UNDETERMINED
-        reason = f"known within {sigmas.max():.2g} {limits.unit} only; expected {limits.vague:g} or better"
-    elif size > limits.good and not significant:
-        verdict, reason = Verdict.UNDETERMINED, f"{size:.2g} {limits.unit} may be chance"
-    elif size > limits.good:
+    if size > limits.good and size - _SURE * along > limits.known:
         verdict = Verdict.WRONG if size > limits.wrong else Verdict.DRIFTING
         reason = f"{limits.what} best {size:.2g} {limits.unit} away from it"
+    elif widest > limits.vague:
+        verdict = Verdict.UNDETERMINED
+        unseen = max(limits.good, limits.known + _SURE * widest) + widest
+        reason = f"known within {widest:.2g} {limits.unit} only: less than {unseen:.2g} {limits.unit} would not be seen"
+    elif size > limits.good:
+        verdict, reason = Verdict.UNDETERMINED, f"{size:.2g} {limits.unit} may be chance"
     return Item(
         name=name,
         verdict=verdict,
@@ -405,56 +501,143 @@ def judge(name: str, values: Float64Array, covariance: Float64Array) -> Item:
     )
 
 
-def _rotation_item(search: "_Search", camera: Camera, best: "_Top", *, alone: bool) -> Item:
-    item = judge("rotation", best.change[:3], best.covariance[:3, :3])
-    if item.verdict is Verdict.GOOD and alone and search.height(np.zeros(COUNT), _FINE) < _ALIKE * best.height:
-        reason = "images and sweeps agree much better a little away from it"
-        return msgspec.structs.replace(item, verdict=Verdict.UNDETERMINED, reason=reason)
-    instead = instead_of_rotation(camera, best.change[:3]) if item.verdict in _OFF else ""
-    return msgspec.structs.replace(item, reason=f"{item.reason}; {instead}") if instead else item
+def _rotation_item(camera: Camera, best: "_Fit", fits: "_Fits") -> Item:
+    """Judge the rotation, and name what else would look like it."""
+    item = best.judged("rotation")
+    if item.verdict not in _OFF:
+        return item
+    others = [instead_of_rotation(camera, best.change[:3])]
+    if best is fits.rotated:
+        there = fits.shifted.change
+        rotation, shift = np.degrees(np.linalg.norm(there[:3])), 100.0 * np.linalg.norm(there[3:6])
+        others.append(f"so do {rotation:.2g} deg with a translation of {shift:.2g} cm")
+    return msgspec.structs.replace(item, reason="; ".join(filter(None, (item.reason, *others))))
 
 
-def _joint_item(name: str, joint: dict[str, "_Top"]) -> Item:
-    top = joint[name]
-    item = judge(name, top.change[list(top.parameters[3:])], top.covariance[3:, 3:])
-    if item.verdict in _OFF and not top.is_better:
-        reason = "a change of it does not make images and sweeps agree better"
-        return msgspec.structs.replace(item, verdict=Verdict.UNDETERMINED, reason=reason)
-    return item
-
-
-def _time_item(frames: Sequence[CalibrationFrame], joint: dict[str, "_Top"]) -> Item:
+def _why_no_time(frames: Sequence[CalibrationFrame]) -> str:
+    """Why nothing shows when images were taken; "" if it may."""
     twists = [frame.twist_lidar for frame in frames if frame.twist_lidar is not None]
     if not twists:
-        return Item.unknown("time_offset", "the ego's motion is not known")
+        return "the ego's motion is not known"
     rotation, speed = np.linalg.norm(np.reshape(twists, (-1, 2, 3)), axis=2).max(axis=0).tolist()
     if speed < _LEAST_SPEED and rotation < _LEAST_ROTATION:
-        return Item.unknown("time_offset", f"the ego hardly moved: {speed:.1f} m/s, {np.degrees(rotation):.1f} deg/s")
-    return _joint_item("time_offset", joint)
+        return f"the ego hardly moved: {speed:.1f} m/s, {np.degrees(rotation):.1f} deg/s"
+    return ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Top:
-    """The best location that was found, by some parameters of a change."""
+class _Fit:
+    """The best calibration by some parameters of a change."""
 
-    parameters: tuple[Parameter, ...]  # those searched
-    change: Float64Array  # (8,) the location
-    covariance: Float64Array  # (P, P), among bootstrap replicates
-    height: float  # deviations above chance
-    distinctness: float  # height by chance's own deviation
-    gain: float  # how much higher it is than where the search began
-    gain_deviation: float  # among replicates
+    free: Int64Array  # (P,) which of the eight numbers were searched
+    change: Float64Array  # (8,) from the stated calibration
+    covariance: Float64Array  # (P, P), of those that were searched
+    more: Float64Array  # (3,) [rad²], by which the floor of the rotation is too low here
 
-    @property
-    def is_better(self) -> bool:
-        return self.gain > max(_BETTER, _BETTER_SIGMAS * self.gain_deviation)
+    def judged(self, part: str) -> Item:
+        """Judge a part of which the parameters were searched."""
+        rows = [self.free.tolist().index(parameter) for parameter in _OF_PART[part]]
+        covariance = self.covariance[np.ix_(rows, rows)]
+        if part == "rotation":
+            covariance = covariance + np.diag(self.more)
+        return judge(part, self.change[self.free[rows]], covariance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fits:
+    """The best calibrations by the rotation alone, with translation, and with all that can be searched."""
+
+    rotated: _Fit
+    shifted: _Fit
+    whole: _Fit
+
+
+def _fitted(frames: Sequence[CalibrationFrame], start: Float64Array) -> _Fits | None:
+    """Fit calibrations as a refinement does, from a rotation that is near, (8,); None where there is too little.
+
+    Their covariance is that of the pulls of the tiles of each view: frames that show nearly the same are no evidence of
+    their own.
+    """
+    turned = np.eye(4)
+    if float(np.linalg.norm(start[:3])) > _RESTATED:
+        turned = Change.of(start).camera_from_lidar(turned)
+    error = RigidTransform.nearest(turned)[0]
+    size, camera = frames[0].grey.shape, frames[0].camera
+    # what misplaces pixels by the floor of pitch and yaw misleads roll by so much more as pixels are near the axis
+    arm = float(np.hypot(camera.width / camera.fx, camera.height / camera.fy)) / np.sqrt(12.0)
+    share = max(_LEAST_FRAMES / len(frames), 1.0)
+    floor = _LIMITS["rotation"].floor / _LIMITS["rotation"].scale
+    more = floor**2 * (share * np.array([1.0, 1.0, max(arm**-2, 1.0)]) - 1.0)
+    near = [replace(f, camera_from_lidar=error @ f.camera_from_lidar) for f in frames if f.grey.shape == size]
+    cues = [one for frame in near if len((one := find_cues(frame)).weights) >= _LEAST_EDGES]
+    if not cues:
+        return None
+    levels, views = [_Level.of(cues, width) for width in _WIDTHS_PX], views_of([one.frame for one in cues])
+    whole = [k for k in Parameter if k is not Parameter.LATER or not _why_no_time(near)]
+    found = _search(levels, np.ones(len(cues), np.bool_), np.array(ROTATION, np.int64))
+    fits = []
+    for parameters in (ROTATION, (*ROTATION, *TRANSLATION), whole):
+        free = np.array(parameters, np.int64)
+        if len(free) > len(ROTATION):
+            numbers = found.numbers
+            for level in levels[1:]:
+                numbers = _climbed(level, free, numbers)
+            found = _polished(levels[-1], free, numbers)
+        if not found.weights.any():
+            return None
+        change = found.numbers.copy()
+        change[:6] = _screw(Change.of(found.numbers).camera_from_lidar(turned))
+        steady = _Steady(found.level, free, found.numbers)
+        fits.append(_Fit(free, change, steady.covariance(views) * np.outer(UNITS[free], UNITS[free]), more))
+    return _Fits(*fits)
+
+
+class _Steady(_Around):
+    """A fit of which curvature is taken over nearly the width of the blur: where few views agree, less shows pixels."""
+
+    def inverse_curvature(self) -> Float64Array:
+        """The inverse of minus the second derivatives, (P, P); flat directions are bounded by the prior."""
+        gradients = [
+            [self.downwards(sign * _CURVATURE_STEP * axis)[1] for sign in (1.0, -1.0)]
+            for axis in np.eye(len(self.free))
+        ]
+        curvature = np.array([ahead - behind for ahead, behind in gradients]) / (2.0 * _CURVATURE_STEP)
+        values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
+        bounds = np.square(self.basis @ vectors / _FARTHEST[self.free][:, None]).sum(axis=0)
+        return np.asarray(vectors / np.maximum(values, bounds) @ vectors.T)
+
+    def covariance(self, views: Int64Array) -> Float64Array:
+        """The covariance (P, P) of the numbers, in units, by how differently tiles pull; `views` (F,) of the frames."""
+        level, free = self.level, len(self.free)
+        size = np.array(level.maps.shape[:0:-1])
+        tiles = np.array([_TILES_ACROSS, _TILES_DOWN])
+        tile = np.clip(np.nan_to_num(self.pixels) / size * tiles, 0, tiles - 1).astype(np.int64)
+        clusters = (views[level.groups // len(_CHANNELS)] * tiles[1] + tile[:, 1]) * tiles[0] + tile[:, 0]
+        weights = (level.weights * self.weights[level.groups % len(_CHANNELS)]).astype(np.float32)
+        count = int(clusters.max(initial=0)) + 1
+        pulls, rest = np.zeros((count, free)), np.zeros((2, count))
+        sum_maps(
+            self.pixels, self.slopes, np.zeros(free), weights, level.rows, clusters.astype(np.int32), level.maps,
+            rest[0], rest[1], pulls,
+        )  # fmt: skip
+        pulling = int(pulls.any(axis=1).sum())
+        spread = pulls.T @ pulls * (pulling / max(pulling - 1, 1)) + np.diag(_FARTHEST[self.free] ** -2.0)
+        inverse = self.basis @ self.inverse_curvature() @ self.basis.T
+        return np.asarray(inverse @ spread @ inverse)
+
+
+def _screw(matrix: Float64Array) -> Float64Array:
+    """The rotation and translation, (6,), of which `Change.camera_from_lidar` makes a (4, 4) transform."""
+    rotation = rotation_vector_from_quaternion(RigidTransform.nearest(matrix)[0].quaternion_xyzw)
+    axes = [Change.of(np.array([*rotation, *axis, 0.0, 0.0])).camera_from_lidar(np.eye(4))[:3, 3] for axis in np.eye(3)]
+    return np.concatenate([rotation, np.linalg.solve(np.column_stack(axes), matrix[:3, 3])])
 
 
 class _Search:
-    """Finds the change, (8,) numbers, where the sum of the measures, each in deviations above chance, is highest."""
+    """Finds the rotation where the sum of the measures, each in deviations above chance, is highest."""
 
     def __init__(self, agreement: Agreement) -> None:
-        """Measure chance around the stated calibration, and draw cells with replacement for bootstrap replicates."""
+        """Measure chance around the stated calibration."""
         self.agreement = agreement
         self.generator = np.random.default_rng(_SEED)
         looks = []
@@ -470,136 +653,61 @@ class _Search:
         self.deviations[known] = np.nanstd(values[:, known], axis=0)
         self.deviations[self.deviations < _NO_DEVIATION] = np.inf
         self.sum_deviation = max(float(self._above_chance(values)[:, _rows(_FINE)].sum(axis=1).std()), 1.0)
-        occupied = np.flatnonzero(agreement.score(Change(), by_cells=True).totals.sum(axis=0) > 0)
-        self.replicates = np.zeros((_REPLICATES, agreement.cells))
-        if len(occupied):
-            shares = np.full(len(occupied), 1 / len(occupied))
-            self.replicates[:, occupied] = self.generator.multinomial(len(occupied), shares, _REPLICATES)
 
     def _above_chance(self, values: Float64Array) -> Float64Array:
         """How far values (B, M) stand above chance; 0 where one is missing."""
         return np.asarray(np.nan_to_num((values - self.means) / self.deviations, nan=0.0))
 
-    def _heights(self, score: Score, measures: Collection[str] = _FINE, *, replicated: bool = False) -> Float64Array:
-        """Deviations above chance, summed over measures: (1,), or (B,) for the replicates."""
-        values = score.values(self.replicates) if replicated else score.values()[None]
-        return np.asarray(self._above_chance(values)[:, _rows(measures)].sum(axis=1))
-
     def height(self, location: Float64Array, measures: Collection[str], *, rough: bool = False) -> float:
         """Deviations above chance, summed over measures."""
-        return float(self._heights(self.agreement.score(Change.of(location), measures, rough=rough), measures)[0])
+        values = self.agreement.score(Change.of(location), measures, rough=rough).values()
+        return float(self._above_chance(values[None])[0, _rows(measures)].sum())
 
-    def standing(self, top: _Top) -> dict[str, Any]:
-        """How far the stated and the best calibration stand above chance, as fields of `CalibrationHealth`."""
-        stated, best = (self.agreement.score(change) for change in (Change(), Change.of(top.change)))
-        pairs = np.stack([self._above_chance(score.values()[None])[0] for score in (stated, best)], axis=1).tolist()
-        return {
-            "distinctness": float(self._heights(best)[0] / self.sum_deviation),
-            "stated_distinctness": float(self._heights(stated)[0] / self.sum_deviation),
-            "measures": {name: (here, there) for name, (here, there) in zip(MEASURES, pairs, strict=True)},
-        }
+    def standing(self, best: Float64Array) -> dict[str, Any]:
+        """How far the stated calibration and another stand above chance, as fields of `CalibrationHealth`."""
+        scores = np.array([self.agreement.score(change).values() for change in (Change(), Change.of(best))])
+        heights = self._above_chance(scores)
+        stated, there = (heights[:, _rows(_FINE)].sum(axis=1) / self.sum_deviation).tolist()
+        pairs = dict(zip(MEASURES, zip(*heights.tolist(), strict=True), strict=True))
+        return {"distinctness": there, "stated_distinctness": stated, "measures": pairs}
 
-    def rotation(self) -> _Top:
-        """Find the best rotation: from far to near, near the stated one, and near some that agree."""
+    def rotation(self) -> Float64Array:
+        """Find the best rotation, as (8,) numbers: from far to near, near the stated one, and near some that agree."""
         stated = np.zeros(COUNT)
         wide = stated
         for radius in _WIDE_RADII:
-            wide = self._climbed(wide, ROTATION, radius, _WIDE)
+            wide = self._climbed(wide, radius, _WIDE)
             wide[:3] *= min(1.0, np.radians(_FARTHEST_DEG) / max(float(np.linalg.norm(wide[:3])), 1e-12))
         starts = (wide, stated, *self._promising())
-        highest = self._highest([self._climbed(start, ROTATION, _FINE_RADII[0], _FINE) for start in starts])
-        return self._top(highest, highest, ROTATION, _FINE_RADII[1])
-
-    def group(self, start: Float64Array, parameters: Sequence[Parameter]) -> _Top:
-        """Find the best location by several parameters, from near and from farther away; the higher of both counts."""
-        locations = []
-        for radii in (_NEAR_RADII, _FAR_RADII):
-            location = start
-            for radius in radii[:-1]:
-                location = self._climbed(location, parameters, radius, _FINE if radius <= _FINE_FROM else _WIDE)
-            locations.append(location)
-        return self._top(self._highest(locations), start, parameters, _NEAR_RADII[-1])
+        near = [self._climbed(start, _FINE_RADIUS, _FINE) for start in starts]
+        highest: Float64Array = near[int(np.argmax([self.height(location, _FINE) for location in near]))]
+        return highest
 
     def _promising(self) -> list[Float64Array]:
         """Some of many rotations around the stated calibration that agree best, none near another."""
-        columns = list(ROTATION)
-        rotations = _in_ball(_MANY, len(columns), self.generator) * _MANY_RADIUS
+        rotations = _in_ball(_MANY, len(ROTATION), self.generator) * _MANY_RADIUS
         locations = np.zeros((_MANY, COUNT))
-        locations[:, columns] = rotations * UNITS[columns]
+        locations[:, :3] = rotations * UNITS[:3]
         heights = np.array([self.height(location, _WIDE, rough=True) for location in locations])
         found: list[int] = []
         for row in np.argsort(-heights).tolist():
-            if all(np.linalg.norm(rotations[row] - rotations[other]) > _FINE_RADII[0] for other in found):
+            if all(np.linalg.norm(rotations[row] - rotations[other]) > _FINE_RADIUS for other in found):
                 found.append(row)
         return [locations[row] for row in found[:_PROMISING]]
 
-    def _highest(self, locations: Sequence[Float64Array]) -> Float64Array:
-        highest: Float64Array = locations[int(np.argmax([self.height(location, _FINE) for location in locations]))]
-        return highest
-
-    def _climbed(
-        self, middle: Float64Array, parameters: Sequence[Parameter], radius: float, measures: Collection[str]
-    ) -> Float64Array:
+    def _climbed(self, middle: Float64Array, radius: float, measures: Collection[str]) -> Float64Array:
         """Go to the top of the quadratic through looks at a ball, or to the best look where that is higher."""
-        columns, rough = list(parameters), radius > _ROUGH_FROM
-        locations, tops, scores = self._looks(middle, columns, radius, measures, rough=rough)
-        values = np.array([self._heights(score, measures) for score in scores]).T
-        top, best_look = middle.copy(), middle.copy()
-        top[columns] = tops(values)[0]
-        best_look[columns] = locations[np.argmax(values[0])]
-        return top if rough or self.height(top, measures) >= values.max() else best_look
-
-    def _top(self, middle: Float64Array, start: Float64Array, parameters: Sequence[Parameter], radius: float) -> _Top:
-        """Find the top in a ball, and those of the replicates; `start` is what its gain is counted from."""
-        columns = list(parameters)
-        _, tops, scores = self._looks(middle, columns, radius, _FINE, by_cells=True)
-        found = middle.copy()
-        found[columns] = tops(np.array([self._heights(score) for score in scores]).T)[0]
-        replicates = tops(np.array([self._heights(score, replicated=True) for score in scores]).T)
-        there, here = (self.agreement.score(Change.of(at), _FINE, by_cells=True) for at in (found, start))
-        height = float(self._heights(there)[0])
-        gains = self._heights(there, replicated=True) - self._heights(here, replicated=True)
-        return _Top(
-            tuple(parameters),
-            found,
-            np.atleast_2d(np.cov(replicates.T)),
-            height,
-            height / self.sum_deviation,
-            float(height - self._heights(here)[0]),
-            float(gains.std()),
-        )
-
-    def _looks(
-        self,
-        middle: Float64Array,
-        columns: list[Parameter],
-        radius: float,
-        measures: Collection[str],
-        *,
-        by_cells: bool = False,
-        rough: bool = False,
-    ) -> tuple[Float64Array, Callable[[Float64Array], Float64Array], list[Score]]:
-        """Score locations in a ball (N, P); what finds tops (B, P) of quadratics through values (B, N); the scores."""
-        # more locations for more parameters, but not as many more as a quadratic has coefficients
-        dimensions = len(columns)
-        looks_each = _LOOKS_PER_COEFFICIENT[dimensions > len(ROTATION)]
-        ball = _in_ball(int(looks_each * ((dimensions + 1) * (dimensions + 2) // 2)), dimensions, self.generator)
+        rough, dimensions = radius > _ROUGH_FROM, len(ROTATION)
+        ball = _in_ball(_LOOKS_ROUGH if rough else _LOOKS, dimensions, self.generator)
         ball[0] = 0.0
         probes = _in_ball(_PROBES, dimensions, self.generator)
-        solve, probe_terms = np.linalg.pinv(_terms(ball)), _terms(probes)
-        middle_columns, scale = middle[columns], radius * UNITS[columns]
-        locations = middle_columns + scale * ball
-
-        def tops(values: Float64Array) -> Float64Array:
-            best = np.argmax(values @ solve.T @ probe_terms.T, axis=1)
-            return np.asarray(middle_columns + scale * probes[best])
-
-        scores = []
-        for location in locations:
-            numbers = middle.copy()
-            numbers[columns] = location
-            scores.append(self.agreement.score(Change.of(numbers), measures, by_cells=by_cells, rough=rough))
-        return locations, tops, scores
+        locations = np.tile(middle, (len(ball), 1))
+        locations[:, :3] += radius * UNITS[:3] * ball
+        heights = np.array([self.height(location, measures, rough=rough) for location in locations])
+        top = middle.copy()
+        top[:3] += radius * UNITS[:3] * probes[np.argmax(_terms(probes) @ (np.linalg.pinv(_terms(ball)) @ heights))]
+        better = rough or self.height(top, measures) >= heights.max()
+        return top if better else locations[int(np.argmax(heights))]
 
 
 def _rows(measures: Collection[str]) -> list[int]:
@@ -735,12 +843,18 @@ def _across(axis: Float64Array) -> Float64Array:
     return np.stack([first, np.cross(first, axis)])
 
 
-def judge_boxes(found: BoxRotation | None) -> tuple[Item, Item]:
+def judge_boxes(found: BoxRotation | None, stated_in: Collection[BoxFrame]) -> tuple[Item, ...]:
     """Judge the rotation that boxes of images and sweeps show: across the optical axis, and about it.
 
     Args:
         found: the rotation; None where hardly any boxes may be of one object.
+        stated_in: the frames in which the boxes of sweeps were stated; unless that is the lidar's alone, they say
+            nothing of its extrinsics, and a third item states that.
     """
+    others: list[BoxFrame] = [frame for frame in BoxFrame if frame in stated_in and frame is not BoxFrame.LIDAR]
+    names = (_PROJECTED, _PROJECTED_ROLL) if others else (_BOXES, _BOXES_ROLL)
+    judged = " or ".join(_BOXES_JUDGE[frame] for frame in others or [BoxFrame.LIDAR])
+    reason = ""
     if found is None:
         reason = "hardly any boxes of images and sweeps may be of one object"
     elif found.agreeing < _LEAST_AGREEING or found.images < _LEAST_IMAGES:
@@ -754,9 +868,14 @@ def judge_boxes(found: BoxRotation | None) -> tuple[Item, Item]:
             f"expected {_ABOVE_CHANCE:g} times as many"
         )
     else:
-        across = judge(_BOXES, found.rotation[:2], found.covariance[:2, :2])
-        return across, judge(_BOXES_ROLL, found.rotation[2:], found.covariance[2:, 2:])
-    return Item.unknown(_BOXES, reason), Item.unknown(_BOXES_ROLL, reason)
+        parts = slice(0, 2), slice(2, 3)
+        items = [judge(n, found.rotation[p], found.covariance[p, p]) for n, p in zip(names, parts, strict=True)]
+    if found is None or reason:
+        items = [Item.unknown(name, reason) for name in names]
+    items = [msgspec.structs.replace(item, judged=judged) for item in items]
+    why = "; ".join(f"the boxes of sweeps are stated in {_CANCELS[frame]}" for frame in others)
+    needed = "expected sweeps with images, or boxes in the lidar's own frame"
+    return (*items, *([Item.unknown(_BOXES, f"{why}; {needed}")] if others else []))
 
 
 def _contradiction(health: CalibrationHealth, across: Item, roll: Item) -> str:
@@ -765,7 +884,7 @@ def _contradiction(health: CalibrationHealth, across: Item, roll: Item) -> str:
     if health.verdict is Verdict.GOOD and off:
         return f"{off[0].reason}, but images and points agree with it"
     rotation = health.item("rotation")
-    if rotation.verdict not in _OFF or across.verdict is not Verdict.GOOD:
+    if rotation.verdict not in _OFF or across.verdict is not Verdict.GOOD or across.name != _BOXES:
         return ""
     apart = np.subtract(rotation.values[:2], across.values)
     variances = np.square(rotation.sigmas[:2]) + np.square(across.sigmas)

@@ -159,7 +159,7 @@ def _check_folder(path: Path | str, given: dict[str, Any], printer: Printer, *, 
     from sceneloom.pipeline.calibrating import check_sequences
 
     tracking = open_tracking_folder(path, detector_2d=given["det2d"], detector_3d=given["det3d"], lenient=lenient)
-    found = check_sequences(tracking, given["sequences"])
+    found = check_sequences(tracking, given["sequences"], most=given["most"])
     if printer.as_json:
         print_json(found)
     else:

@@ -18,6 +18,7 @@ leave.
 """
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -137,6 +138,18 @@ _LEAST_PX, _BORDER_PX = 25.0, 3.0
 
 _LEAST_DEPTH = 0.3  # cosine of the angle to the optical axis from which on tangents are of use
 _BETTER = 1.2  # so many times more couples must agree about a rotation than about none
+
+
+class BoxFrame(StrEnum):
+    """The frame in which a detector's list states its boxes in space.
+
+    Brought into the lidar's frame and back into the image by one stated transform, boxes show nothing of it: those of
+    `CAMERA` and `WORLD` are the same pixels whatever the extrinsics of the lidar.
+    """
+
+    LIDAR = "lidar"
+    CAMERA = "camera"
+    WORLD = "world"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

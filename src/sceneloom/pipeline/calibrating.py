@@ -31,7 +31,7 @@ from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.output import check_output, filling, replacing
 from sceneloom.formats.base.registry import format_for_output
-from sceneloom.formats.kitti.tracking_reader import KittiTracking
+from sceneloom.formats.kitti.tracking_reader import CAMERA_ID, KittiTracking, open_tracking
 from sceneloom.geometry.rigid import (
     OUT_OF_REACH,
     RigidTransform,
@@ -41,7 +41,7 @@ from sceneloom.geometry.rigid import (
     rotation_vector_from_quaternion,
 )
 from sceneloom.motion.camera_rotation import camera_rotation
-from sceneloom.motion.ego_trajectory import find_ego_motion
+from sceneloom.motion.ego_trajectory import LIDAR, find_ego_motion
 from sceneloom.pipeline.detected_drive import DetectedDrive, kitti_drive, moments
 from sceneloom.pipeline.detection_lists import DetectionFiles, scene_drive
 from sceneloom.scene.annotations import CameraCalibration
@@ -116,7 +116,7 @@ def check_drive(
         drive = _within(scene_drive(scene, files, lenient=lenient), part, camera)
     health = check_frames(frames, source=scene.source)
     if drive is not None:
-        health = health.with_boxes(_rotation_of_boxes(drive, camera))
+        health = health.with_boxes(_rotation_of_boxes(drive, camera), drive.stated_in)
     if motion:
         health = health.with_coarse(_judged_motion(part, camera, lidar))
     health = msgspec.structs.replace(health, corrections=scene.correction_warnings)
@@ -144,7 +144,9 @@ def _judged_motion(part: Scene, camera_id: Identifier, lidar_id: Identifier) -> 
     stated = multiply_quaternions(
         conjugate_quaternion(trajectories[0].quaternions_xyzw[row]), trajectories[1].quaternions_xyzw[row]
     )
-    return judge_motion(steps, given, matrix_from_quaternion(stated))
+    # only lidar odometry rotates with the lidar's extrinsics: of another trajectory the ego's rotation is compared
+    judged = "camera_from_lidar" if ego is not None and ego.name == LIDAR else "camera_from_ego"
+    return msgspec.structs.replace(judge_motion(steps, given, matrix_from_quaternion(stated)), judged=judged)
 
 
 def _steps(quaternions_xyzw: Float64Array) -> Float64Array:
@@ -154,8 +156,13 @@ def _steps(quaternions_xyzw: Float64Array) -> Float64Array:
     )
 
 
-def check_sequences(tracking: KittiTracking, sequences: Sequence[str] = ()) -> list[CalibrationHealth]:
-    """Check the calibration of sequences laid out like KITTI's tracking benchmark, by boxes alone.
+def check_sequences(
+    tracking: KittiTracking, sequences: Sequence[str] = (), *, most: int = MOST
+) -> list[CalibrationHealth]:
+    """Check the calibration of sequences laid out like KITTI's tracking benchmark.
+
+    The boxes are in the camera's frame and judge P2 alone; what relates camera and lidar is judged by images and sweeps
+    where the folder has both.
 
     Raises:
         DataError: a file is faulty, or a sequence is not there.
@@ -163,11 +170,21 @@ def check_sequences(tracking: KittiTracking, sequences: Sequence[str] = ()) -> l
     found = []
     for name in tracking.chosen(sequences):
         drive = kitti_drive(tracking.sequence(name))
-        for camera_id, camera in drive.cameras.items():
-            rotation = _rotation_of_boxes(drive, camera_id)
+        camera_id, lidar_id = CAMERA_ID, drive.lidar_id
+        rotation = _rotation_of_boxes(drive, camera_id)
+        if all((tracking.path / kind / name).is_dir() for kind in ("velodyne", "image_02")):
+            with open_tracking(tracking.path, sequence=name, lenient=tracking.lenient) as scene:
+                health = check_frames(calibration_frames(scene.corrected(), camera_id, lidar_id, most), source=name)
+            found.append(health.with_boxes(rotation, drive.stated_in))
+        else:
             found.append(
                 CalibrationHealth.of_boxes(
-                    rotation, source=name, camera_id=camera_id, lidar_id=drive.lidar_id, frames=len(camera.boxes)
+                    rotation,
+                    drive.stated_in,
+                    source=name,
+                    camera_id=camera_id,
+                    lidar_id=lidar_id,
+                    frames=len(drive.cameras[camera_id].boxes),
                 )
             )
     return found

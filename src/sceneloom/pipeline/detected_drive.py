@@ -13,7 +13,7 @@ import numpy as np
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.detectors import detector_names
-from sceneloom.detections.residuals import BoxResiduals
+from sceneloom.detections.residuals import BoxFrame, BoxResiduals
 from sceneloom.detections.results import DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.editing.references import assumed
@@ -104,6 +104,7 @@ class DetectedDrive:
         classes: that the detector of sweeps looks for; None for all that there are.
         period_ns: the usual time from sweep to sweep [ns].
         detectors: name of what is known of such detectors, for those who state none; None for the usual one.
+        stated_in: the frames in which the lists have the boxes of sweeps.
         trajectory_known: whether the ego trajectory is known; else the world is the ego's frame.
         points: of the sweeps, by which what images alone show is placed; None where there are none.
     """
@@ -116,6 +117,7 @@ class DetectedDrive:
     classes: frozenset[str] | None = None
     period_ns: int = PERIOD_NS
     detectors: str | None = None
+    stated_in: frozenset[BoxFrame] = frozenset({BoxFrame.LIDAR})
     trajectory_known: bool = True
     points: SweepPoints | None = None
     warnings: tuple[DataWarning, ...] = field(default=())
@@ -305,6 +307,7 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
         classes=sequence.classes_3d,
         period_ns=PERIOD_NS,
         detectors=detectors,
+        stated_in=frozenset({BoxFrame.CAMERA}),
         trajectory_known=known,
         warnings=tuple(warnings),
     )

@@ -17,6 +17,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.db34t.json import from_json
 from sceneloom.db34t.records import RECORD_KINDS, Box2d, Box3d, Boxes2d, Boxes3d, join_boxes
 from sceneloom.db34t.scene_objects import boxes_2d_of, boxes_3d_of
+from sceneloom.detections.residuals import BoxFrame
 from sceneloom.editing.crop import crop_scene
 from sceneloom.errors import DataError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
@@ -349,10 +350,11 @@ def _first_words(head: str, separator: str | None) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _ListForm:
-    """One form of lists: what it looks like, whether the first bytes of a file are of it, and what reads it."""
+    """One form of lists: what it looks like, the frame of its boxes in space, what recognises and what reads it."""
 
     name: str
     looks_like: str
+    frame: BoxFrame
     recognises: Callable[[str], bool]
     read: Callable[[_List], Iterable[Any]]
 
@@ -361,18 +363,21 @@ _FORMS: tuple[_ListForm, ...] = (
     _ListForm(
         "json-lines",
         "lines of JSON, each a record of table 7 or 8 of DB34/T 4101, or a frame's list of them",
+        BoxFrame.LIDAR,
         lambda head: head.startswith("{") and '"results"' not in head[:20_000].split("[", 1)[0],
         _read_json_lines,
     ),
     _ListForm(
         "nuscenes",
         'a JSON object with "results" by sample, as nuScenes has detections',
+        BoxFrame.WORLD,
         lambda head: head.startswith("{") and '"results"' in head,
         _read_nuscenes,
     ),
     _ListForm(
         "kitti-lists",
         "lines of 6 or 15 numbers with commas, a frame's number first",
+        BoxFrame.CAMERA,
         lambda head: (
             len(words := _first_words(head, ",")) in {len(COLUMNS_2D), len(COLUMNS_3D)}
             and words[0].strip().lstrip("-").isdigit()
@@ -382,6 +387,7 @@ _FORMS: tuple[_ListForm, ...] = (
     _ListForm(
         "kitti-results",
         "KITTI's text of labels or results, 15 to 18 words a line",
+        BoxFrame.CAMERA,
         lambda head: (
             len(words := _first_words(head, None)) in {15, 16, 17, 18} and any(word[:1].isalpha() for word in words[:3])
         ),
@@ -592,6 +598,7 @@ def scene_drive(scene: Scene, files: DetectionFiles, *, lenient: bool = False) -
             cameras=cameras,
             classes=None if files.boxes_3d else frozenset(),
             period_ns=sweep_period_ns(lidar),
+            stated_in=frozenset(form.frame for path in files.boxes_3d if (form := form_of(path)) is not None),
             points=SweepPoints.of(scene, lidar.id, source),
             warnings=(*scene.warnings, *ledger.warnings),
         )

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import logm
 from scipy.spatial.transform import Rotation
 
 from sceneloom.calibrate import health as ch
@@ -11,7 +12,7 @@ from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames
 from sceneloom.calibrate.health import PARTS, CalibrationHealth, Item, Verdict, check_frames, judge
 from sceneloom.calibrate.measures import Change
 from sceneloom.cameras.camera import Camera
-from sceneloom.detections.residuals import BoxRotation
+from sceneloom.detections.residuals import BoxFrame, BoxRotation
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
@@ -20,8 +21,8 @@ GOOD, DRIFTING, WRONG, UNTOLD = Verdict.GOOD, Verdict.DRIFTING, Verdict.WRONG, V
 
 def test_a_rotation_is_judged_by_its_size_and_by_how_sure_it_is_in_the_units_that_it_names():
     for rotation_deg, sigma_deg, verdict in [
-        *((0.0, 0.05, GOOD), (0.35, 0.05, GOOD), (0.7, 0.05, DRIFTING), (0.7, 0.3, UNTOLD)),
-        *((1.5, 0.05, WRONG), (0.0, 0.5, UNTOLD), (1.5, 0.5, UNTOLD)),
+        *((0.0, 0.05, GOOD), (0.25, 0.05, GOOD), (0.32, 0.08, UNTOLD), (0.4, 0.05, DRIFTING), (0.7, 0.3, UNTOLD)),
+        *((1.5, 0.05, WRONG), (0.0, 0.5, UNTOLD), (1.5, 0.7, UNTOLD), (1.5, 0.4, WRONG)),
     ]:
         item = judge("rotation", np.radians([rotation_deg, 0.0, 0.0]), np.radians(sigma_deg) ** 2 * np.eye(3))
         assert item.verdict is verdict
@@ -32,7 +33,18 @@ def test_a_rotation_is_judged_by_its_size_and_by_how_sure_it_is_in_the_units_tha
     assert item.verdict is DRIFTING
     spread = 4 * np.diag([0.05, 0.05, 0.05]) ** 2
     assert not judge("translation", np.zeros(3), spread).suspected
-    assert judge("translation", np.array([0.5, 0.0, 0.0]), spread).suspected
+    assert judge("translation", np.array([0.27, 0.0, 0.0]), spread).suspected
+    # 10 cm along each axis and 2 cm of the measures: 2 cm that calibrations are known to, and 3.5 deviations
+    assert "less than 0.38 m would not be seen" in judge("translation", np.zeros(3), spread).reason
+
+
+def test_the_numbers_of_a_change_are_those_of_the_logarithm_of_its_transform():
+    rotation, translation = np.array([0.08, -0.05, 0.11]), np.array([0.3, -0.2, 0.4])
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = Rotation.from_rotvec(rotation).as_matrix(), translation
+    logarithm = logm(matrix).real
+    expected = [logarithm[2, 1], logarithm[0, 2], logarithm[1, 0], *logarithm[:3, 3]]
+    np.testing.assert_allclose(ch._screw(matrix), expected, atol=1e-9)
 
 
 Frames = tuple[CalibrationFrame, ...]
@@ -224,6 +236,9 @@ def rotation(*rotation_deg, sigma_deg=0.05, agreeing=200, by_chance=10, images=5
     return BoxRotation(np.radians(rotation_deg), covariance, agreeing, by_chance, images)
 
 
+LIDAR = (BoxFrame.LIDAR,)
+
+
 def images_state(rotation_deg, *, stated=8.0):
     """What images and points state: a rotation about x, or nothing."""
     rotation = Item.unknown("rotation", "dark")
@@ -241,15 +256,15 @@ def test_boxes_are_judged_by_their_rotation_join_decide_or_contradict_what_image
         (rotation(0.8, 0.0, 0.0), (DRIFTING, GOOD)),
         (rotation(0.0, 3.0, 0.5), (WRONG, GOOD)),
         (rotation(0.0, 0.0, 2.5), (GOOD, WRONG)),
-        # its own 0.4 degrees make 1.3 degrees about the axis of visibility chance
-        (rotation(0.0, 0.0, 1.3), (GOOD, UNTOLD)),
-        (rotation(3.0, 0.0, 0.0, sigma_deg=0.6), (UNTOLD, UNTOLD)),
+        # its own 0.4 degrees make 1.05 degrees about the axis of visibility chance
+        (rotation(0.0, 0.0, 1.05), (GOOD, UNTOLD)),
+        (rotation(3.0, 0.0, 0.0, sigma_deg=1.3), (UNTOLD, UNTOLD)),
         (rotation(3.0, 0.0, 0.0, agreeing=30), (UNTOLD, UNTOLD)),
         (rotation(3.0, 0.0, 0.0, images=6), (UNTOLD, UNTOLD)),
         (rotation(3.0, 0.0, 0.0, by_chance=120), (UNTOLD, UNTOLD)),
         (None, (UNTOLD, UNTOLD)),
     ]:
-        items = ch.judge_boxes(found)
+        items = ch.judge_boxes(found, LIDAR)
         assert tuple(item.verdict for item in items) == verdicts
         assert all(bool(item.reason) is (item.verdict is not GOOD) for item in items)
     for images_deg, found, verdict in [
@@ -263,10 +278,10 @@ def test_boxes_are_judged_by_their_rotation_join_decide_or_contradict_what_image
         (1.5, rotation(1.3, 0.0, 0.0), WRONG),
         (1.5, None, WRONG),
     ]:
-        health = images_state(images_deg).with_boxes(found)
+        health = images_state(images_deg).with_boxes(found, LIDAR)
         assert health.verdict is verdict
         assert [item.name for item in health.items] == [*PARTS, "boxes", "boxes_roll"]
-    untold = CalibrationHealth.of_boxes(None, source="made up", camera_id=0, lidar_id=0, frames=0)
+    untold = CalibrationHealth.of_boxes(None, LIDAR, source="made up", camera_id=0, lidar_id=0, frames=0)
     good, wrong = (judge("motion", np.radians([d, 0.0]), np.zeros((2, 2))) for d in (0.0, 9.0))
     assert untold.with_coarse(good).verdict is UNTOLD
     assert untold.with_coarse(wrong).verdict is WRONG
@@ -275,15 +290,39 @@ def test_boxes_are_judged_by_their_rotation_join_decide_or_contradict_what_image
     doubtful = right.with_coarse(wrong)
     assert (doubtful.verdict, ", but " in doubtful.item("motion").reason) == (UNTOLD, True)
     for images_deg, found in ((0.0, rotation(3.0, 0.0, 0.0)), (1.5, rotation(0.0, 0.0, 0.0))):
-        health = images_state(images_deg).with_boxes(found)
+        health = images_state(images_deg).with_boxes(found, LIDAR)
         assert health.verdict is UNTOLD
         assert ", but " in health.item("boxes").reason
     # good boxes do not excuse images that agree much better elsewhere
     health = images_state(0.0, stated=4.0)
     doubted = CalibrationHealth(**{**{k: getattr(health, k) for k in health.__struct_fields__}, "verdict": UNTOLD})
-    assert doubted.with_boxes(rotation(0.0, 0.0, 0.0)).verdict is UNTOLD
-    assert doubted.with_boxes(rotation(3.0, 0.0, 0.0)).verdict is WRONG
-    health = CalibrationHealth.of_boxes(rotation(3.0, 0.0, 0.0), source="0001", camera_id=2, lidar_id=0, frames=50)
+    assert doubted.with_boxes(rotation(0.0, 0.0, 0.0), LIDAR).verdict is UNTOLD
+    assert doubted.with_boxes(rotation(3.0, 0.0, 0.0), LIDAR).verdict is WRONG
+    health = CalibrationHealth.of_boxes(
+        rotation(3.0, 0.0, 0.0), LIDAR, source="0001", camera_id=2, lidar_id=0, frames=50
+    )
     assert (health.verdict, health.views, health.frames) == (WRONG, 0, 50)
     assert {item.verdict for item in health.items[:5]} == {UNTOLD}
     assert health.item("boxes").values == pytest.approx((3.0, 0.0))
+
+
+@pytest.mark.parametrize("frame", [BoxFrame.CAMERA, BoxFrame.WORLD])
+def test_boxes_that_are_not_stated_in_the_lidars_frame_say_nothing_of_the_lidar(frame):
+    for images_deg, found, verdict in [
+        (None, rotation(0.0, 0.0, 0.0), UNTOLD),
+        (None, rotation(3.0, 0.0, 0.0), WRONG),
+        (None, None, UNTOLD),
+        (0.0, rotation(0.0, 0.0, 0.0), GOOD),
+        (0.0, rotation(3.0, 0.0, 0.0), UNTOLD),
+        (1.5, rotation(0.0, 0.0, 0.0), WRONG),
+    ]:
+        health = images_state(images_deg).with_boxes(found, (BoxFrame.LIDAR, frame))
+        assert health.verdict is verdict
+        assert [item.name for item in health.items[len(PARTS) :]] == [
+            "boxes_projection",
+            "boxes_projection_roll",
+            "boxes",
+        ]
+        assert health.item("boxes").verdict is UNTOLD
+        assert "cancel" in health.item("boxes").reason
+        assert health.item("boxes_projection").judged != "camera_from_lidar"

@@ -28,7 +28,7 @@ def test_a_drive_that_shows_too_little_cannot_determine_nor_refine(call, recordi
     assert (outcome.code, "cannot determine" in outcome.out) == (5, True)
     assert min(path.name for path in (tmp_path / "look").iterdir()) == "edges_000000.png"
     items = json.loads(call("calibrate", recording, "--json").out)["items"]
-    names = ["rotation", "translation", "focal_length", "principal_point", "time_offset"]
+    names = ["rotation", "translation", "focal_length", "principal_point", "time_offset", "ego_from_lidar"]
     assert [item["name"] for item in items] == names
     assert all(item["reason"] for item in items)
     outcome = call("calibrate", recording, "--refine", "-o", tmp_path / "out.sfs")
@@ -102,7 +102,7 @@ def test_a_folder_of_lists_alone_is_judged_by_its_boxes(call, folder):
     outcome = call("calibrate", folder, "--check", "--json")
     assert outcome.code == 4, outcome.err
     (health,) = json.loads(outcome.out)
-    across = next(item for item in health["items"] if item["name"] == "boxes")
+    across = next(item for item in health["items"] if item["name"] == "boxes_projection")
     # couples are known to 0.1 degrees each, and there are 80 of them
     np.testing.assert_allclose(across["values"], [0.0, 2.0], atol=0.1)
     reported = call("calibrate", folder)

@@ -13,15 +13,17 @@ from sceneloom.calibrate.extrinsics import moved_by, step_between
 from sceneloom.calibrate.frames import calibration_frames
 from sceneloom.calibrate.health import Verdict
 from sceneloom.cameras.camera import Camera
-from sceneloom.db34t.json import format_json, parse_json
-from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_record
+from sceneloom.db34t.json import format_json, from_json, parse_json
+from sceneloom.db34t.scene_objects import boxes_2d_record, boxes_3d_of, boxes_3d_record
 from sceneloom.errors import DataError, OptionError, OutputError
+from sceneloom.formats.kitti.tracking_reader import KittiTracking, open_tracking_folder
 from sceneloom.geometry.boxes import CORNER_SIGNS
 from sceneloom.geometry.rigid import RigidTransform
-from sceneloom.pipeline.calibrating import Repair, check_drive, form_for, write_calibration
+from sceneloom.pipeline.calibrating import Repair, check_drive, check_sequences, form_for, write_calibration
 from sceneloom.pipeline.detected_drive import poses_at
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.ego import sensor_source
+from sceneloom.scene.types import PointsFrame
 from sceneloom.simulate import CameraSpec, LidarSpec, simulate_street
 
 CAMERA_MODEL = Camera("pinhole", 640, 320, 360.0, 360.0, 319.5, 159.5)
@@ -73,6 +75,154 @@ def test_boxes_report_what_images_cannot_and_those_of_a_part_alone(drive, tmp_pa
     assert health.item("boxes").verdict is Verdict.UNDETERMINED, "five images are too few"
     with pytest.raises(OptionError, match="boxes of images alone"):
         check_drive(drive.scene, boxes_2d=found["boxes_2d"])
+
+
+def turned(scene, sensor_id, *rotation_deg):
+    """The scene with one sensor mounted as if it was rotated."""
+    error = RigidTransform(Rotation.from_rotvec(rotation_deg, degrees=True).as_matrix(), np.zeros(3))
+    sensors = (replace(s, mount=s.mount @ error) if s.id == sensor_id else s for s in scene.sensors)
+    return replace(scene, sensors=tuple(sensors))
+
+
+@pytest.mark.parametrize("of_lidar", [False, True])
+@pytest.mark.few(1)
+def test_boxes_judge_the_extrinsics_that_lead_from_their_own_frame_into_the_image(drive, tmp_path, of_lidar):
+    files, scene = lists(drive.scene, tmp_path, (0.0, 0.0, 0.0)), drive.scene
+    off = turned(scene, scene.lidars[0].id if of_lidar else scene.cameras[0].id, 1.0, -2.0, 0.0)
+    assert check_drive(off, most=1, **files).health.verdict is Verdict.WRONG
+    # the same boxes as nuScenes states them, in the world
+    lidar, results = scene.lidars[0], {}
+    source = sensor_source(scene, lidar, None, reach_ns=10**9)
+    for record in map(json.loads, files["boxes_3d"][0].read_text().splitlines()):
+        (boxes,) = record.values() if len(record) == 1 else (record,)
+        results |= nuscenes_sample(boxes_3d_of(from_json("boxes_3d", boxes)), source)
+    files["boxes_3d"] = [tmp_path / "results.json"]
+    files["boxes_3d"][0].write_text(json.dumps({"results": results}))
+    health = check_drive(off, most=1, **files).health
+    assert health.verdict is (Verdict.UNDETERMINED if of_lidar else Verdict.WRONG)
+    projection = health.item("boxes_projection")
+    assert (projection.verdict, projection.judged) == (Verdict.GOOD if of_lidar else Verdict.WRONG, "camera_from_world")
+    assert health.item("boxes").verdict is Verdict.UNDETERMINED
+
+
+def nuscenes_sample(boxes, source):
+    """Boxes of a sweep in the world, by their time."""
+    (world_from_lidar,) = poses_at(source, np.array([boxes.timestamp_ns], np.int64))
+    yaw = Rotation.from_matrix(world_from_lidar.rotation).as_euler("ZYX")[0]
+    rows = [
+        {
+            "translation": center.tolist(),
+            "size": size[[1, 0, 2]].tolist(),
+            "rotation": [float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))],
+            "detection_name": "Car",
+            "detection_score": 1.0,
+        }
+        for center, size in zip(world_from_lidar.apply(boxes.centers), boxes.sizes_lwh, strict=True)
+    ]
+    return {str(boxes.timestamp_ns // 1000): rows}
+
+
+KITTI = {
+    "P2:": [700.0, 0.0, 600.0, 40.0, 0.0, 700.0, 180.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+    "R_rect": np.eye(3).ravel().tolist(),
+    "Tr_velo_cam": [0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, -0.1, 1.0, 0.0, 0.0, -0.3],
+    "Tr_imu_velo": [1.0, 0.0, 0.0, -0.8, 0.0, 1.0, 0.0, 0.3, 0.0, 0.0, 1.0, -0.8],
+}
+
+
+def calibration_text(values):
+    return "".join(f"{name} {' '.join(f'{v:.12g}' for v in row)}\n" for name, row in values.items())
+
+
+def with_turned(values, name, degrees):
+    """KITTI's calibration with one entry off; of a projection the principal point, as that many degrees would be."""
+    row = np.array(values[name])
+    if name == "P2:":
+        row[[2, 6]] += row[0] * np.tan(np.radians(degrees))
+    else:
+        matrix = row.reshape(3, -1)
+        row = (Rotation.from_rotvec([0.0, degrees, 0.0], degrees=True).as_matrix() @ matrix).ravel()
+    return {**values, name: row.tolist()}
+
+
+@pytest.mark.parametrize("degrees", [2.0, 20.0])
+@pytest.mark.parametrize("name", [None, *KITTI])
+def test_lists_of_kitti_judge_p2_and_nothing_that_relates_the_lidar_to_the_camera(tmp_path, name, degrees):
+    generator, cube = np.random.default_rng(4), np.array(np.meshgrid((-1, 1), (-1, 1), (-1, 1))).reshape(3, 8).T
+    lines_2d, lines_3d = [], []
+    p2 = np.reshape(KITTI["P2:"], (3, 4))
+    for frame in range(20):
+        for depth in generator.uniform(12.0, 30.0, 4):
+            center = np.array([depth * generator.uniform(-0.5, 0.5), generator.uniform(0.0, 1.0), depth])
+            seen = (center + cube) @ p2[:, :3].T + p2[:, 3]
+            pixels = seen[:, :2] / seen[:, 2:]
+            corners = ",".join(f"{value:.2f}" for value in (*pixels.min(axis=0), *pixels.max(axis=0)))
+            x, y, z = center + np.array([0.0, 1.0, 0.0])
+            lines_2d.append(f"{frame},{corners},0.9\n")
+            lines_3d.append(f"{frame},2,{corners},3.0,2.0,2.0,2.0,{x:.3f},{y:.3f},{z:.3f},0.0,0.0\n")
+    values = KITTI if name is None else with_turned(KITTI, name, degrees)
+    texts = {
+        "calib/0001.txt": calibration_text(values),
+        "oxts/0001.txt": ("0 0" + " 0" * 28 + "\n") * 20,
+        "det2d_a/Car/0001.txt": "".join(lines_2d),
+        "det3d_b/Car/0001.txt": "".join(lines_3d),
+    }
+    for file, text in texts.items():
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text(text)
+    (health,) = check_sequences(open_tracking_folder(tmp_path))
+    off_p2 = name == "P2:"
+    assert health.verdict is (Verdict.WRONG if off_p2 and degrees < 5.0 else Verdict.UNDETERMINED)
+    # what is good is the camera model, and that alone
+    assert {item.judged for item in health.items if item.verdict is Verdict.GOOD} <= {"camera model"}
+    assert (health.item("boxes_projection").verdict is Verdict.GOOD) is not off_p2
+    reason = health.item("boxes").reason
+    assert all(word in reason for word in ("R_rect", "Tr_velo_cam", "Tr_imu_velo", "expected sweeps with images"))
+
+
+@pytest.fixture(scope="module")
+def kitti_sweeps(tmp_path_factory):
+    """A street with sweeps and images as a folder of the tracking benchmark, and its calibration."""
+    camera = Camera("pinhole", 620, 188, 360.0, 360.0, 309.5, 93.5)
+    street = simulate_street(31, frames=25, lidar=LidarSpec(beams=48, steps=1000), cameras=(CameraSpec(camera),))
+    folder = tmp_path_factory.mktemp("kitti") / "drive"
+    sceneloom.write(street.scene, folder, format="kitti-tracking")
+    text = (folder / "training" / "calib" / "0000.txt").read_text()
+    entries = (line.split() for line in text.splitlines() if line.strip())
+    return folder / "training", {words[0]: [float(word) for word in words[1:]] for words in entries}
+
+
+@pytest.mark.parametrize("name", [None, "P2:", "R_rect", "Tr_velo_cam", "Tr_imu_velo"])
+@pytest.mark.few(2)
+def test_sweeps_with_images_judge_what_relates_lidar_and_camera(kitti_sweeps, tmp_path, name):
+    folder, values = kitti_sweeps
+    (folder / "calib" / "0000.txt").write_text(calibration_text(with_turned(values, name, 2.0) if name else values))
+    (health,) = check_sequences(KittiTracking(folder, ("0000",), None, None), most=4)
+    assert health.item("ego_from_lidar").verdict is Verdict.UNDETERMINED
+    assert "Tr_imu_velo" in health.item("ego_from_lidar").reason
+    if name is None:
+        assert health.item("rotation").verdict is Verdict.GOOD
+    elif name != "Tr_imu_velo":
+        assert health.verdict in {Verdict.WRONG, Verdict.DRIFTING, Verdict.UNDETERMINED}
+        assert health.item("rotation").verdict is not Verdict.GOOD
+
+
+def test_points_in_ego_coordinates_judge_the_camera_and_not_the_lidar(drive):
+    scene, found = drive.scene, []
+    lidar = scene.lidars[0]
+    stored = replace(
+        scene, sensors=tuple(replace(s, points_frame=PointsFrame.EGO) if s is lidar else s for s in scene.sensors)
+    )
+    for degrees in (0.0, 20.0):
+        off = turned(stored, lidar.id, 0.0, 0.0, degrees)
+        (frame,) = calibration_frames(off, most=1)
+        found.append(frame.camera_from_lidar.apply(frame.points_lidar))
+    np.testing.assert_allclose(*found, atol=1e-4)
+    health = check_drive(off, most=1).health
+    assert {item.judged for item in health.items} == {"camera_from_ego"}
+    assert health.item("ego_from_lidar").verdict is Verdict.UNDETERMINED
+    (frame,) = calibration_frames(turned(scene, lidar.id, 0.0, 0.0, 20.0), most=1)
+    assert np.abs(frame.camera_from_lidar.apply(frame.points_lidar) - found[0]).max() > 1.0
 
 
 @pytest.mark.parametrize(("tilt_deg", "verdict"), [(0.0, Verdict.GOOD), (8.0, Verdict.WRONG)])

@@ -28,6 +28,7 @@ _RANGE_ERRORS = {1: 2.0, 2: 1.0, 3: 1.0, 4: 0.05, 5: 0.5}
 """Errors of ranges [m] by GGA's quality (autonomous, with corrections, PPS, ambiguities fixed or not), which times HDOP
 are the horizontal error. Source: budgets as in Kaplan and Hegarty 2017, "Understanding GPS/GNSS", 10.2; as claimed."""
 
+_LARGEST = 1e6  # no time, angle, height or deviation is larger
 _NS, _DAY_NS = 1_000_000_000, 86_400_000_000_000
 
 
@@ -165,7 +166,7 @@ def _fixes(path: Path, ledger: Ledger) -> GnssSensor:
 def _number(text: str, what: str) -> float:
     """The number of a field, NaN where it is empty."""
     value = float(text) if text else math.nan
-    if math.isinf(value) or "_" in text:
+    if abs(value) > _LARGEST or "_" in text:
         raise ValueError(f"{text!r}; expected {what}, or nothing")
     return value
 

@@ -58,6 +58,8 @@ class SmootherSettings:
         rotating: density of the angular velocity of an ego without IMU [rad/s/√Hz].
         fix_noise: initial standard deviation of a fix without reported accuracy [m].
         least_fix_noise: least standard deviation of a fix [m].
+        slow_error: least standard deviation across of errors that fixes have in common for long [m], 1.7 times that in
+            height: about that of code ranges with corrections. State less where a receiver's accuracy is trusted.
         gate: a fix is left out while it is more than so many standard deviations off.
         longest_interval: longest time between states [s].
         vehicle: whether the ego moves along one of its axes only, as cars do: True, False, or None to let the data
@@ -77,7 +79,8 @@ class SmootherSettings:
     acceleration: float = 2.0
     rotating: float = 0.5
     fix_noise: float = 2.0
-    least_fix_noise: float = 0.01
+    least_fix_noise: float = 0.001
+    slow_error: float = 0.33
     gate: float = 3.5
     longest_interval: float = 1.0
     vehicle: bool | None = None
@@ -279,6 +282,26 @@ def _preintegrated_until(
     return found
 
 
+_STARTING = 3.0  # largest acceleration of an ego that starts [m/s²]
+
+
+def _measured_anew(times_ns: Int64Array, positions_lla: Float64Array) -> BoolArray:
+    """(F,) whether fixes are measurements: one that repeats the one before is none, unless the ego is stationary.
+
+    It is where the receiver measures anew at most times, and goes on from there as from a standstill.
+    """
+    anew = np.concatenate([[True], (np.diff(positions_lla[:, :2], axis=0) != 0).any(axis=1)])
+    first = np.flatnonzero(anew)
+    if np.median(np.diff(np.append(first, len(anew)))) > 1:
+        return anew
+    last = np.append(first[1:], len(anew)) - 1
+    ecef = ecef_from_geodetic(np.nan_to_num(positions_lla))
+    away = np.append(np.linalg.norm(ecef[first[1:]] - ecef[last[:-1]], axis=1), 0.0)
+    step = np.append(times_ns[first[1:]] - times_ns[last[:-1]], 0) * 1e-9
+    stationary = away <= 0.5 * _STARTING * step**2
+    return np.asarray(anew | np.repeat(stationary, last - first + 1), np.bool_)
+
+
 _FARTHEST = 100_000.0  # fixes farther than this from the central one [m] are left out
 
 _VERTICAL = 1.7
@@ -308,9 +331,7 @@ class GnssFixes:
         for number, receiver in enumerate(gnss_receivers(scene)):
             rows = np.flatnonzero(usable_fixes(receiver))
             rows = rows[np.unique(receiver.timestamps_ns[rows], return_index=True)[1]]
-            # a fix that repeats the one before is not a measurement
-            same = (np.diff(receiver.positions_lla[rows, :2], axis=0) == 0).all(axis=1)
-            rows = rows[np.concatenate([[True], ~same])]
+            rows = rows[_measured_anew(receiver.timestamps_ns[rows], receiver.positions_lla[rows])]
             lost = len(receiver.timestamps_ns) - len(rows)
             if lost:
                 location = f"{scene.source}: sensors[{receiver.id}]"
@@ -384,7 +405,8 @@ class GnssFixes:
         falls = np.where(led, 0.5 * gravity * seconds**2, 0.0)
         sigmas = self.sigmas if sigmas is None else sigmas
         return Fixes(
-            times, knots, seconds, self.positions, levers, falls, slopes, subtracted, sigmas, self.receivers
+            times, knots, seconds, self.positions, levers, falls, slopes, subtracted, sigmas, self.receivers,
+            np.where(self.reported[:, None], self.sigmas, 0.0),
         )  # fmt: skip
 
 
@@ -405,6 +427,7 @@ class Fixes:
     biases: Float64Array  # (F, 6) that are subtracted in `levers`
     sigmas: Float64Array  # (F, 3) [m], standard deviations along the world's axes
     receivers: Int64Array  # (F,) int64, number of the receiver of each
+    stated: Float64Array  # (F, 3) [m], as the receivers reported, 0 where they did not
 
     def __len__(self) -> int:
         return len(self.knots)
@@ -462,8 +485,8 @@ def _check_times(location: str, fixes: GnssFixes, samples: InertialSamples | Non
 _CLOSEST_NS = 20_000_000  # least time between states [ns]: over so short a time a fix is carried without loss
 _LONGEST_NS = 86_400 * 1_000_000_000  # no drive is longer [ns]: a wrong time must not make millions of states
 
-_CARRIED = 0.3
-"""Noise that the IMU may add to a fix on the way from the state before it, as a share of the best fix's own."""
+_CARRIED = 0.003
+"""Noise [m] that the IMU may add to a fix on the way from the state before it."""
 
 _LONGEST_CARRIED = 0.5
 """Longest time from the state before a fix [s]: errors of scales, axes and initial biases do not show as noise."""
@@ -515,7 +538,7 @@ def _apart_ns(times_ns: Int64Array, samples: InertialSamples | None, settings: S
     if samples is None:
         return np.full(len(times_ns), _CLOSEST_NS)
     rate, force = samples.noise_densities(times_ns, settings).T
-    allowed = _CARRIED * settings.least_fix_noise / np.sqrt(2.0)
+    allowed = _CARRIED / np.sqrt(2.0)
     seconds = np.minimum((3.0 * allowed**2 / force) ** (1.0 / 3.0), (20.0 * allowed**2 / (_WEIGHT**2 * rate)) ** 0.2)
     apart = np.rint(np.minimum(seconds, _LONGEST_CARRIED) * 1e9).astype(np.int64)
     return np.where(samples.is_measured(times_ns, times_ns), np.maximum(apart, _CLOSEST_NS), _CLOSEST_NS)
@@ -787,9 +810,16 @@ _READMITTED, _AROUND = 0.7, 2
 _MEDIAN_FLAT, _MEDIAN_UP, _MEDIAN_ROOT = 1.3863, 0.4549, 0.888
 """Medians of chi-square with two degrees of freedom, with one, and of the root of a third of it with three."""
 
+_INSIDE_FLAT, _INSIDE_UP = 5.991, 3.841  # 95 % of chi-square with two degrees of freedom, and with one
 _REPORTED_WORTH = 1.0  # the reported accuracy of a receiver counts as this many measurements of it
 _INERTIAL_WORTH = 6.0  # the noise seen in the samples counts as this many measurements of it
 _LEAST_SCALE, _LARGEST_SCALE = 1e-3, 1e3
+
+_DRIFT_SECONDS, _DRIFT_WORTH, _RARE_DRIFT, _LEAST_DRIFT, _DRIFT_LASTS = 60.0, 0.3, 9.0, 1e-10, 10.0
+"""Assumed time constant [s] of the fixes' slow errors, by which their drift begins; what this counts as in measurements
+of it; the largest square that counts, in units of the expected; the least drift [m²]; and how long [s] one speed of the
+drift lasts, about the time over which a receiver smooths."""
+
 _AXES = (slice(0, 2), slice(2, 3))  # across, and height
 
 
@@ -907,6 +937,9 @@ def _gate_ratios(fit: _Fit, *, scaled: bool) -> Float64Array:
         across = _rarity(flat[rows], float(free[:2].sum()), 2, scaled=scaled)
         height = _rarity(up[rows], float(free[2]), 1, scaled=scaled)
         ratios[rows] = np.maximum(across, height) / -math.log(rare)
+    # what is inside the 95 % region that a receiver reports is no jump
+    inside = (residuals[:, :2] ** 2).sum(axis=1) < _INSIDE_FLAT * fixes.stated[:, 0] ** 2
+    ratios[inside & (residuals[:, 2] ** 2 < _INSIDE_UP * fixes.stated[:, 2] ** 2)] = 0.0
     return ratios
 
 
@@ -937,27 +970,60 @@ def _rescaled(fit: _Fit) -> _Fit:
     return replace(fit, chain=replace(chain, fixes=replace(fixes, sigmas=sigmas)))
 
 
-def _inertial_factors(fit: _Fit) -> Float64Array:
-    """Factors (2,), at least 1, by which the IMU's noises exceed the assumed ones (Förstner 1979, as `_rescaled`)."""
-    # the rotation's share of velocity and position is taken out first
+def _inertial_noise(fit: _Fit, drifts: Float64Array) -> tuple[float, Float64Array]:
+    """The factor, at least 1, by which the gyroscope's noise exceeds the assumed one, and the drifts as they are."""
+    # Source: Förstner 1979 as `_rescaled`; the drifts are added to the IMU's noise, so that their update is that of Rao
+    # 1971, "Estimation of Variance and Covariance Components", one share of the expected squares at a time
     rows = np.flatnonzero(fit.chain.measured)
     if len(rows) == 0:
-        return np.ones(2)
+        return 1.0, drifts
     own, between = fit.covariances()
     residuals, first, second = inertial_residuals(fit.chain, fit.states)
-    whitened = np.linalg.inv(np.linalg.cholesky(fit.chain.inertial.covariances[rows]))
-    residuals = np.einsum("nij,nj->ni", whitened, residuals[rows])
-    first, second = whitened @ first[rows], whitened @ second[rows]
-    taken = np.einsum("nij,njk,nik->ni", first, own[rows], first)
-    taken += np.einsum("nij,njk,nik->ni", second, own[rows + 1], second)
-    taken += 2.0 * np.einsum("nij,njk,nik->ni", first, between[rows], second)
-    redundancy = np.clip(1.0 - taken, 0.0, 1.0)
-    factors = np.ones(2)
-    for k, columns in enumerate((slice(0, 3), slice(3, 9))):
-        total = (residuals[:, columns] ** 2).sum() + _INERTIAL_WORTH
-        free = redundancy[:, columns].sum() + _INERTIAL_WORTH
-        factors[k] = np.clip(np.sqrt(total / free), 1.0, _LARGEST_SCALE)
-    return factors
+    covariances = fit.chain.inertial.covariances[rows]
+    residuals, first, second = residuals[rows], first[rows], second[rows]
+    crossed = first @ between[rows] @ second.swapaxes(1, 2)
+    taken = first @ own[rows] @ first.swapaxes(1, 2) + second @ own[rows + 1] @ second.swapaxes(1, 2)
+    left = covariances - taken - crossed - crossed.swapaxes(1, 2)
+    whitened = np.linalg.inv(np.linalg.cholesky(covariances[:, :3, :3]))
+    redundancy = np.clip(np.einsum("nij,njk,nik->ni", whitened, left[:, :3, :3], whitened), 0.0, 1.0)
+    squares = np.einsum("nij,nj->ni", whitened, residuals[:, :3]) ** 2
+    factor = math.sqrt((squares.sum() + _INERTIAL_WORTH) / (redundancy.sum() + _INERTIAL_WORTH))
+    # velocity and position along each of the world's axes
+    inverse = (fit.states.rotations[rows, None] @ np.linalg.inv(covariances)[:, 3:].reshape(-1, 2, 3, 9)).swapaxes(1, 2)
+    weighted, expected = np.einsum("naij,nj->nai", inverse, residuals), inverse @ left[:, None] @ inverse.swapaxes(2, 3)
+    drifts = drifts.copy()
+    for k, shape in enumerate(_drift_shapes(fit.chain.seconds[rows])):
+        known = drifts[k, rows] * (shape[:, None] * expected).sum(axis=(2, 3))
+        found = drifts[k, rows] * np.einsum("nai,nij,naj->na", weighted, shape, weighted)
+        found = np.minimum(found, _RARE_DRIFT * np.maximum(known, 0.0))
+        for axes in _AXES:
+            drifts[k, :, axes] *= (found[:, axes].sum() + _DRIFT_WORTH) / (known[:, axes].sum() + _DRIFT_WORTH)
+    return min(max(1.0, factor), _LARGEST_SCALE), np.maximum(drifts, _LEAST_DRIFT)
+
+
+def _drift_shapes(seconds: Float64Array) -> Float64Array:
+    """(2, F, 2, 2) covariances of velocity and position by a drift of 1 m² in F intervals: rough, and smooth."""
+    rough, one = np.zeros((len(seconds), 2, 2)), np.ones_like(seconds)
+    rough[:, 1, 1] = 1.0
+    smooth = np.array([[3.0 / seconds**2, 1.5 / seconds], [1.5 / seconds, one]])
+    return np.stack([rough, np.moveaxis(smooth, 2, 0)])
+
+
+def _drift_speeds(drifts: Float64Array, seconds: Float64Array) -> Float64Array:
+    """(K, 3) variances of the speed with which the fixes drift at the states."""
+    squares = 3.0 * _DRIFT_LASTS * drifts[1] / seconds[:, None] ** 3
+    return np.asarray(np.maximum(np.vstack([squares, squares[-1:]]), np.vstack([squares[:1], squares])))
+
+
+def _drifting(inertial: Preintegrated, rotations: Float64Array, seconds: Float64Array, drifts: Float64Array) -> None:
+    """Let what receivers report drift against the IMU, by variances (2, F, 3) [m²] in intervals (F,) [s].
+
+    Args:
+        rotations: (F, 3, 3) orientations at their beginnings.
+    """
+    for drift, shape in zip(drifts, _drift_shapes(seconds), strict=True):
+        turned = rotations.swapaxes(1, 2) @ (drift[:, :, None] * rotations)
+        inertial.covariances[:, 3:, 3:] += np.einsum("nkm,nij->nkimj", shape, turned).reshape(-1, 6, 6)
 
 
 _FIRST_DISTANCE, _FIRST_SECONDS, _FIRST_KNOTS = 30.0, 10.0, 12
@@ -1088,7 +1154,7 @@ _WIDE = 1.5  # excess of the variance over that of white noise by chance, with f
 
 
 def _standstill(
-    fit: _Fit, own: Float64Array, samples: InertialSamples
+    fit: _Fit, own: Float64Array, samples: InertialSamples, drifts: Float64Array
 ) -> tuple[tuple[BodySpeeds, ...], tuple[RelativePoses, ...]]:
     """Measurements of the states at which the ego is stationary; `own` (K, 15, 15) covariances of the states."""
     # IMU samples are white noise without sway, and fixes show no speed: a smooth even drive passes the first test alone
@@ -1104,10 +1170,15 @@ def _standstill(
         return (), ()
     count = 3 * len(rows)
     axes = np.tile(np.eye(3), (len(rows), 1))
-    speeds = BodySpeeds(np.repeat(rows, 3), axes, np.zeros(count), np.full(count, _STILL_SPEED))
+    drifting = _drift_speeds(drifts, chain.seconds)
+    sigmas = np.sqrt(_STILL_SPEED**2 + drifting[rows].ravel())
+    speeds = BodySpeeds(np.repeat(rows, 3), axes, np.zeros(count), sigmas)
     knots = np.flatnonzero(still[:-1] & still[1:])
-    information = np.diag(np.repeat([_STILL_ROTATION**-2, _STILL_DISTANCE**-2], 3))
-    unrotated, information = (np.tile(one, (len(knots), 1, 1)) for one in (np.eye(3), information))
+    unrotated, rotations = np.tile(np.eye(3), (len(knots), 1, 1)), states.rotations[knots]
+    information = np.zeros((len(knots), 6, 6))
+    information[:, :3, :3] = np.eye(3) * _STILL_ROTATION**-2
+    distances = _STILL_DISTANCE**2 + drifts[0, knots] + chain.seconds[knots, None] ** 2 * drifting[knots]
+    information[:, 3:, 3:] = rotations.swapaxes(1, 2) @ (rotations / distances[:, :, None])
     return (speeds,), (RelativePoses(knots, unrotated, np.zeros((len(knots), 3)), information),)
 
 
@@ -1149,7 +1220,9 @@ _LARGEST_MISFIT = 2.0  # largest mean square of sideways speeds in units of thei
 _CONTRADICTED = 3.0  # mean square misfit of constraints, in standard deviations, from which on they are dropped
 
 
-def _vehicle_speeds(fit: _Fit, own: Float64Array, samples: InertialSamples) -> tuple[BodySpeeds, ...]:
+def _vehicle_speeds(
+    fit: _Fit, own: Float64Array, samples: InertialSamples, drifts: Float64Array
+) -> tuple[BodySpeeds, ...]:
     """No speed across the vehicle's axis as measurements, if the states show that it holds, or it is asked for."""
     # it has to show in rotations, or at speed along x: on a straight line every body moves along one axis
     # Source: Dissanayake, Sukkarieh, Nebot and Durrant-Whyte 2001, "The Aiding of a Low-Cost Strapdown IMU …"
@@ -1161,7 +1234,8 @@ def _vehicle_speeds(fit: _Fit, own: Float64Array, samples: InertialSamples) -> t
     seconds = (chain.knots_ns - chain.knots_ns[0]) * 1e-9
     _, rows = np.unique(np.floor(seconds / _EVERY + 1e-6), return_index=True)
     speed, rate = np.linalg.norm(velocities_body[rows], axis=1), np.linalg.norm(rates[rows], axis=1)
-    sigmas = np.repeat(np.sqrt(_SLIP**2 + (_AXIS * speed) ** 2 + (_LEVER * rate) ** 2), 2)
+    variances = _SLIP**2 + (_AXIS * speed) ** 2 + (_LEVER * rate) ** 2
+    sigmas = np.repeat(np.sqrt(variances + _drift_speeds(drifts, chain.seconds)[rows, 0]), 2)
     # the body's own x axis, and that along which it moved most
     most = np.linalg.eigh(velocities_body.T @ velocities_body)[1][:, 2]
     for axis in (np.array([1.0, 0.0, 0.0]), most * np.sign(velocities_body.sum(axis=0) @ most or 1.0)):
@@ -1258,7 +1332,7 @@ def _lidar_rotations(lidar: Trajectory, knots_ns: Int64Array, fixes: Fixes) -> F
     return np.asarray(rotation @ matrix_from_quaternion(known.quaternions_xyzw), np.float64)
 
 
-_SMOOTHER_ROUNDS = 4  # how often the noise is estimated anew from the residuals
+_SMOOTHER_ROUNDS = 6  # how often the noise is estimated anew from the residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1282,16 +1356,19 @@ def _smoothed(drive: _Drive, settings: SmootherSettings) -> _Fit:
     if drive.gyroscope_bias is not None:
         biases[:, :3] = drive.gyroscope_bias
     measured, inertial = np.zeros(count, np.bool_), Preintegrated.nothing(biases)
+    variances = _resampled((knots[:-1] + knots[1:]) // 2, fixes.timestamps_ns, fixes.sigmas[:, [0, 0, 0]] ** 2)
+    drifts = np.stack(2 * [np.diff(knots)[:, None] * 1e-9 / _DRIFT_SECONDS * variances])
     if samples is not None:
         measured = samples.is_measured(knots[:-1], knots[1:], slack_ns=samples.slack_ns)
         densities = samples.noise_densities((knots[:-1] + knots[1:]) // 2, settings)
         inertial = samples.preintegrated(knots, biases=biases, densities=densities)
+        _drifting(inertial, np.tile(np.eye(3), (count, 1, 1)), np.diff(knots) * 1e-9, drifts)
     carried = fixes.carried(knots, measured, samples, biases=biases, gravity=drive.gravity)
     relative = () if lidar is None else (_lidar_steps(lidar, knots),)
     chain = Chain(knots, measured, inertial, carried, drive.gravity, settings, relative)
     coasting, chain = _coasted(drive, chain)
     if samples is not None:
-        return _refined(_oriented(chain, coasting.states), fixes, samples, densities)
+        return _refined(_oriented(chain, coasting.states), fixes, samples, densities, drifts)
     fit = coasting
     if lidar is not None:
         rotations = _lidar_rotations(lidar, chain.knots_ns, chain.fixes)
@@ -1321,25 +1398,32 @@ def _coasted(drive: _Drive, chain: Chain) -> tuple[_Fit, Chain]:
     return fit, replace(chain, fixes=replace(chain.fixes, sigmas=sigmas))
 
 
-def _refined(fit: _Fit, fixes: GnssFixes, samples: InertialSamples, densities: Float64Array) -> _Fit:
+def _refined(
+    fit: _Fit, fixes: GnssFixes, samples: InertialSamples, densities: Float64Array, drifts: Float64Array
+) -> _Fit:
     """Fit again with estimated biases and noise, without fixes that jump, and with constraints on the ego's speed."""
     lidar = fit.chain.relative
     fit = _fit_rejecting(fit, scaled=False)
     for number in range(_SMOOTHER_ROUNDS):
-        densities = densities * _inertial_factors(fit) ** 2
+        factor, drifts = _inertial_noise(fit, drifts)
+        densities = densities * [factor**2, 1.0]
         fit = _rescaled(fit)
         chain, constrained = fit.chain, bool(fit.chain.speeds)
         if number >= _SMOOTHER_ROUNDS - 2:
             own, _ = fit.covariances()
-            still, unmoved = _standstill(fit, own, samples)
-            speeds = (*_vehicle_speeds(fit, own, samples), *still)
+            still, unmoved = _standstill(fit, own, samples, drifts)
+            speeds = (*_vehicle_speeds(fit, own, samples, drifts), *still)
             chain = replace(chain, speeds=speeds, relative=(*lidar, *unmoved))
-        knots, biases = chain.knots_ns, fit.states.biases[:-1]
-        inertial = samples.preintegrated(knots, biases=biases, densities=densities)
-        carried = fixes.carried(
-            knots, chain.measured, samples, biases=biases, gravity=chain.gravity, sigmas=chain.fixes.sigmas
-        )
-        fit = replace(fit, chain=replace(chain, inertial=inertial, fixes=carried))
+        knots, biases, again = chain.knots_ns, fit.states.biases[:-1], number in {0, _SMOOTHER_ROUNDS - 1}
+        if again or factor > 1.0:
+            undrifted = samples.preintegrated(knots, biases=biases, densities=densities)
+            carried = fixes.carried(
+                knots, chain.measured, samples, biases=biases, gravity=chain.gravity, sigmas=chain.fixes.sigmas
+            )
+            chain = replace(chain, fixes=carried)
+        inertial = replace(undrifted, covariances=undrifted.covariances.copy())
+        _drifting(inertial, fit.states.rotations[:-1], chain.seconds, drifts)
+        fit = replace(fit, chain=replace(chain, inertial=inertial))
         if chain.speeds and not constrained:
             # fixes that bent the trajectory towards themselves show against the stiffer one
             fit = _fit_rejecting(_fit_robustly(fit.chain, fit.states), scaled=False)
@@ -1420,89 +1504,118 @@ def _pose_covariances(fit: _Fit, own: Float64Array, times_ns: Int64Array) -> Flo
     at_knots = axes @ own[:, :6, :6] @ np.swapaxes(axes, 1, 2)
     knots = np.clip(np.searchsorted(chain.knots_ns, times_ns, side="right") - 1, 0, len(own) - 2)
     share = ((times_ns - chain.knots_ns[knots]) * 1e-9 / chain.seconds[knots])[:, None, None]
-    return np.asarray((1.0 - share) * at_knots[knots] + share * at_knots[knots + 1], np.float64)
+    found: Float64Array = np.diff(at_knots, axis=0)[knots]
+    found *= share
+    found += at_knots[knots]
+    return found
 
 
-_LEAST_FIXES = 8
+_STATED_TO, _AROUND_SECONDS, _SECONDS_TO = math.log(4.0), 100.0, math.log(3.0)
+"""What is known of slow errors beforehand: standard deviation of the logarithm of their size over the stated accuracy;
+their time constant, minutes by multipath and the ionosphere, [s] and standard deviation of its logarithm."""
 
-_ALIKE, _LEAST_ALIKE = 1.3, 0.3
-"""Residuals of neighbours are correlated where their correlation is above so many standard deviations of that of white
-noise, 1/√n, and above the second number; those of a smoother with white noise are rather anticorrelated."""
-
-_MOST_ALIKE = 0.98
-_NEIGHBOUR_SECONDS = 3.0  # fixes farther apart in time [s] are no neighbours
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _SlowError:
-    """The slow error of the fixes along some axes."""
-
-    sigma: float  # its standard deviation [m]
-    seconds: float  # the time constant of its correlation
-    alike: float  # correlation of neighbouring residuals
-    times_ns: Int64Array  # (F,) int64 [ns] of the fixes
-    values: Float64Array  # (F, axes) [m], the slow error at each
-
-    @classmethod
-    def of(cls, times_ns: Int64Array, residuals: Float64Array) -> "_SlowError | None":
-        """Take it from residuals (F, axes) of neighbouring fixes, if they are correlated."""
-        steps = np.diff(times_ns) * 1e-9
-        near = (steps > 0) & (steps <= max(_NEIGHBOUR_SECONDS, 1.5 * float(np.median(steps))))
-        variance = float((residuals**2).mean())
-        if near.sum() < _LEAST_FIXES or variance == 0.0:
-            return None
-        alike = float((residuals[1:] * residuals[:-1])[near].mean()) / variance
-        if alike < max(_LEAST_ALIKE, _ALIKE / np.sqrt(near.sum() * residuals.shape[1])):
-            return None
-        alike = min(alike, _MOST_ALIKE)
-        seconds = -float(np.median(steps[near])) / np.log(alike)
-        return cls(np.sqrt(variance), seconds, alike, times_ns, residuals)
-
-    def at(self, times_ns: Int64Array) -> Float64Array:
-        """The mean at some times, between and beyond the fixes, (N, axes) [m]."""
-        # Source: Rasmussen and Williams 2006, 4.2.1: the exponential covariance's process needs the two neighbours only
-        after = np.searchsorted(self.times_ns, times_ns)
-        before, after = np.clip(after - 1, 0, None), np.clip(after, None, len(self.times_ns) - 1)
-        one, other = (np.exp(-np.abs(times_ns - self.times_ns[k]) * 1e-9 / self.seconds) for k in (before, after))
-        both = np.where(before == after, 0.0, one * other)
-        left = np.maximum(1.0 - both**2, 1e-12)
-        outside = times_ns > self.times_ns[-1]
-        weights = np.stack([one - both * other, other - both * one]) / left
-        alone = before == after
-        weights[:, alone] = np.stack([one, 0.0 * one])[:, alone]
-        weights[:, outside] = np.stack([0.0 * one, other])[:, outside]
-        values = weights[0][:, None] * self.values[before] + weights[1][:, None] * self.values[after]
-        return np.asarray(values, np.float64)
+_SLOW_FACTORS = 2.0 ** np.arange(-2.0, 5.0)  # sizes that are tried, in units of the stated accuracy
+_SLOW_SECONDS = 5.0 * 2.0 ** np.arange(9.0)  # time constants that are tried [s]
+_FORCE_WALKS = 10.0 ** np.arange(-4.0, -1.5, 0.5)  # densities of the walk of the IMU's force error [m/s³/√Hz]
+_SLOW_STEP, _MOST_SLOW_STEPS, _LEAST_SLOW_STEPS = 1.0, 1200, 12  # time between values [s], and how many there are
 
 
-def _with_slow_errors(
-    fit: _Fit, motion: _Motion, poses: Float64Array, offset: Float64Array
-) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Positions as the receiver would report them, slow errors included; covariances and common offset with them."""
-    # with a correlation ρ of neighbours, the variance of a mean is larger by (1 + ρ) / (1 - ρ)
-    positions, offset, growth = motion.positions.copy(), offset.copy(), np.ones(6)
-    fixes, rows = fit.chain.fixes, np.flatnonzero(fit.weights > 0)
-    if len(rows) < _LEAST_FIXES or len(np.unique(fixes.receivers)) > 1:
-        return positions, poses, offset
-    residuals = -fit.equations().fix_residuals[rows]
-    for axes, grown in zip(_AXES, ([0, 1, 2, 3, 4], [5]), strict=True):
-        slow = _SlowError.of(fixes.timestamps_ns[rows], residuals[:, axes])
-        if slow is not None:
-            positions[:, axes] += slow.at(motion.timestamps_ns)
-            offset[axes] = np.maximum(offset[axes], slow.sigma)
-            growth[grown] = np.sqrt((1.0 + slow.alike) / (1.0 - slow.alike))
-    return positions, growth[:, None] * poses * growth, offset
+def _slow_factor(fit: _Fit, stated: float) -> float:
+    """By how much the slow errors of the fixes across exceed the stated accuracy [m], by their drift against the IMU.
+
+    Nothing but a drift shows, so that the stated accuracy is the least.
+    """
+    # the IMU leads from the first state; what the fixes are apart from there is the IMU's error, a velocity whose
+    # acceleration walks, and the slow error, an Ornstein-Uhlenbeck process; evidences of its parameters by a Kalman
+    # filter. Source: Brown and Hwang 2012, "Introduction to Random Signals and Applied Kalman Filtering", 5.6 and 9.2
+    times, values, counts = _apart_from_imu(fit)
+    if len(times) < _LEAST_SLOW_STEPS:
+        return 1.0
+    factors, constants, walks = (one.ravel() for one in np.meshgrid(_SLOW_FACTORS, _SLOW_SECONDS, _FORCE_WALKS))
+    slow = (stated * factors) ** 2
+    noise = float(np.median(fit.chain.fixes.sigmas[:, 0])) ** 2
+    size = len(slow)
+    means, spread = np.zeros((size, 4, 2)), np.zeros((size, 4, 4))
+    means[:, 0] = values[0]
+    spread[:] = np.diag([noise, _FIRST_SPEED**2, _FIRST_FORCE**2, 0.0])
+    spread[:, 3, 3], spread[:, 0, 0] = slow, spread[:, 0, 0] + slow
+    spread[:, 0, 3] = spread[:, 3, 0] = -slow
+    evidence, moved = np.zeros(size), np.tile(np.eye(4), (size, 1, 1))
+    for step, value, count in zip(np.diff(times), values[1:], counts[1:], strict=True):
+        kept = np.exp(-step / constants)
+        moved[:, 0, 1] = moved[:, 1, 2] = step
+        moved[:, 0, 2], moved[:, 3, 3] = 0.5 * step**2, kept
+        means, spread = moved @ means, moved @ spread @ moved.swapaxes(1, 2)
+        powers = step ** np.array([[5, 4, 3], [4, 3, 2], [3, 2, 1]]) / np.array([[20, 8, 6], [8, 3, 2], [6, 2, 1]])
+        spread[:, :3, :3] += walks[:, None, None] ** 2 * powers
+        spread[:, 3, 3] += slow * (1.0 - kept**2)
+        across = spread[:, :, 0] + spread[:, :, 3]
+        variance = across[:, 0] + across[:, 3] + noise / count
+        apart = value - means[:, 0] - means[:, 3]
+        squares = np.minimum((apart**2).sum(axis=1) / variance, _RARE_SLOW)
+        evidence -= 0.5 * squares + np.log(variance)
+        gain = across / variance[:, None]
+        means += gain[:, :, None] * apart[:, None]
+        spread -= gain[:, :, None] * across[:, None]
+    evidence -= 0.5 * (np.log(factors) / _STATED_TO) ** 2
+    evidence -= 0.5 * (np.log(constants / _AROUND_SECONDS) / _SECONDS_TO) ** 2
+    weights = np.exp(evidence - evidence.max())
+    return max(1.0, float(np.exp((weights * np.log(factors)).sum() / weights.sum())))
 
 
-def _common_offset(fixes: GnssFixes, sigmas: Float64Array) -> Float64Array:
-    """(3,) [m] standard deviation of an offset of all fixes: the reported accuracy beyond the noise that is seen."""
-    if not fixes.reported.any():
-        return np.zeros(3)
-    reported, seen = (np.median(values[fixes.reported], axis=0) for values in (fixes.sigmas, sigmas))
-    rest = np.sqrt(np.maximum(reported**2 - seen**2, 0.0))
-    return np.asarray(np.where(seen < 0.6 * reported, rest, 0.0), np.float64)
+_FIRST_SPEED, _FIRST_FORCE = 10.0, 0.1  # standard deviations of the IMU's first errors [m/s], [m/s²]
+_RARE_SLOW = 25.0  # largest square of a value that counts, in units of the expected
 
 
+def _apart_from_imu(fit: _Fit) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Seconds, positions (N, 2) across by the fixes less those by the IMU's force alone [m], and counts of fixes.
+
+    They are of the longest time in which the IMU measured without a gap.
+    """
+    chain, states, fixes = fit.chain, fit.states, fit.chain.fixes
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chain.measured, [False]]).astype(np.int8))).reshape(-1, 2)
+    if not len(edges):
+        return np.empty(0), np.empty((0, 2)), np.empty(0)
+    first, last = edges[np.diff(chain.knots_ns[edges], axis=1).argmax()].tolist()
+    rows, seconds = slice(first, last), chain.seconds[first:last, None]
+    change = states.biases[rows] - chain.inertial.biases[rows]
+    gains, ways = (
+        np.einsum("nij,nj->ni", states.rotations[rows], one + np.einsum("nij,nj->ni", slopes, change))[:, :2]
+        for one, slopes in (
+            (chain.inertial.velocities[rows], chain.inertial.slopes[rows, 3:6]),
+            (chain.inertial.positions[rows], chain.inertial.slopes[rows, 6:9]),
+        )
+    )
+    speeds = states.velocities[first, :2] + _running_sums(gains)
+    places = states.positions[first, :2] + _running_sums(seconds * speeds[:-1] + ways)
+    inside = (fixes.knots >= first) & (fixes.knots <= last) & (fit.weights > 0)
+    knots = fixes.knots[inside]
+    levers = np.einsum("nij,nj->ni", states.rotations[knots], fixes.levers[inside])[:, :2]
+    expected = places[knots - first] + fixes.seconds[inside, None] * speeds[knots - first] + levers
+    times = (fixes.timestamps_ns[inside] - chain.knots_ns[first]) * 1e-9
+    if not len(times):
+        return np.empty(0), np.empty((0, 2)), np.empty(0)
+    step = max(_SLOW_STEP, (times[-1] - times[0]) / _MOST_SLOW_STEPS)
+    _, bins, counts = np.unique(np.floor(times / step), return_inverse=True, return_counts=True)
+    columns = (times, *(fixes.positions[inside, :2] - expected).T)
+    means = np.stack([np.bincount(bins, column) / counts for column in columns], axis=1)
+    return means[:, 0], means[:, 1:], counts.astype(np.float64)
+
+
+def _slow_variances(
+    fit: _Fit, fixes: GnssFixes, times_ns: Int64Array, settings: SmootherSettings
+) -> tuple[Float64Array, float]:
+    """Variances (N, 3) of the slow errors of the fixes at some times, and the factor on the stated accuracy in them."""
+    least = settings.slow_error * np.array([1.0, 1.0, _VERTICAL])
+    variances = np.maximum(fixes.sigmas, least) ** 2
+    # a height that no receiver knows is uncertain by itself
+    variances[fixes.sigmas >= _UNKNOWN_HEIGHT] = least[2] ** 2
+    factor = _slow_factor(fit, math.sqrt(float(np.median(variances[:, 0]))))
+    variances = factor**2 * variances - np.minimum(fit.chain.fixes.sigmas, fixes.sigmas) ** 2
+    return _resampled(times_ns, fixes.timestamps_ns, np.maximum(variances, least**2)), factor
+
+
+_SLOW_FACTOR_REPORTED = 1.5
 _UNSURE_HEADING = np.radians(15.0)  # standard deviation of the heading from which on it counts as unknown
 
 
@@ -1566,14 +1679,12 @@ def gnss_imu_motion(
     motion = _motion_between(fit.chain, fit.states, samples)
     poses = _pose_covariances(fit, own, motion.timestamps_ns)
     sigmas = fit.chain.fixes.sigmas
-    positions, offset = motion.positions, _common_offset(fixes, sigmas)
-    if lidar is None:
-        positions, poses, offset = _with_slow_errors(fit, motion, poses, offset)
-    poses[:, 3:, 3:] += np.diag(offset**2)
+    slow, factor = _slow_variances(fit, fixes, motion.timestamps_ns, settings)
+    poses[:, [3, 4, 5], [3, 4, 5]] += slow
     rotations = None if samples is None and lidar is None else quaternion_from_matrix(motion.rotations)
-    trajectory = Trajectory(NAME, motion.timestamps_ns, positions, rotations, covariances=poses)
+    trajectory = Trajectory(NAME, motion.timestamps_ns, motion.positions, rotations, covariances=poses)
     used = fit.weights > 0.5
-    warnings = (*fixes.warnings, *_notes(scene.source, drive, trajectory, used, sigmas, offset))
+    warnings = (*fixes.warnings, *_notes(scene.source, drive, trajectory, used, sigmas, slow, factor))
     return GnssImuRun(
         trajectory, fixes.origin_lla, motion.velocities, motion.biases, fit.chain.knots_ns, own, fixes, used,
         sigmas, warnings,
@@ -1589,7 +1700,13 @@ _WITH = {
 
 
 def _notes(
-    location: str, drive: _Drive, trajectory: Trajectory, used: BoolArray, sigmas: Float64Array, offset: Float64Array
+    location: str,
+    drive: _Drive,
+    trajectory: Trajectory,
+    used: BoolArray,
+    sigmas: Float64Array,
+    slow: Float64Array,
+    factor: float,
 ) -> Iterator[DataWarning]:
     """The warnings about a run."""
     samples = drive.samples
@@ -1605,13 +1722,14 @@ def _notes(
     if lost:
         message = f"{lost} of {len(used)} fixes left out, off the trajectory by more than the rest allows"
         yield _warning(WarningKind.SKIPPED, "gnss-jumps", location, message, lost)
-    if offset.any():
-        message = (
-            f"the fixes agree with each other better than their reported accuracy; all of them may be off together by "
-            f"{offset[0]:.2f} m across and {offset[2]:.2f} m in height (one standard deviation), which is part of the "
-            "covariances"
-        )
-        yield _warning(WarningKind.ASSUMED, "gnss-common-offset", location, message)
+    across, _, up = np.sqrt(np.median(slow, axis=0))
+    message = (
+        f"all fixes may be off together by {across:.2f} m across and {up:.2f} m in height (one standard deviation), "
+        "which is part of the covariances"
+    )
+    if factor > _SLOW_FACTOR_REPORTED:
+        message += f"; by their drift their errors are {factor:.1f} times the stated accuracy"
+    yield _warning(WarningKind.ASSUMED, "gnss-slow-errors", location, message)
     if samples is not None and len(samples.gaps_ns):
         message = "the IMU has gaps; in them the motion was interpolated"
         yield _warning(WarningKind.ASSUMED, "imu-gaps", location, message, len(samples.gaps_ns))

@@ -116,6 +116,9 @@ class GnssSpec:
     Attributes:
         rate_hz: fixes a second.
         horizontal_sigma, vertical_sigma: standard deviation of each fix [m], the first for east and for north.
+        correlated_sigma: standard deviation of a further, slow error [m] for east and for north; in height it is larger
+            by the ratio of the two above.
+        correlation_time: time constant of its exponential correlation [s].
         origin_lla: where the world's origin lies: latitude, longitude [deg], altitude above the ellipsoid [m].
 
     Raises:
@@ -125,20 +128,34 @@ class GnssSpec:
     rate_hz: float = 10.0
     horizontal_sigma: float = 0.4
     vertical_sigma: float = 0.8
+    correlated_sigma: float = 0.0
+    correlation_time: float = 60.0
     origin_lla: tuple[float, float, float] = (60.1708, 24.9375, 14.0)
 
     def __post_init__(self) -> None:
         check_bounds("gnss", self, rate_hz=(0.01, 1000.0), horizontal_sigma=(0.0, 1e4), vertical_sigma=(0.0, 1e4))
+        check_bounds("gnss", self, correlated_sigma=(0.0, 1e4), correlation_time=(1e-3, 1e6))
         check_bounds("gnss", self, origin_lla=((-90.0, 90.0), (-180.0, 180.0), (-1e4, 1e5)))
 
 
 def gnss_sensor(spec: GnssSpec, path: EgoPath, timestamps_ns: Int64Array, *, seed: int) -> GnssSensor:
-    """Give noisy fixes at (N,) int64 times [ns]."""
+    """Give noisy fixes at (N,) int64 times [ns], ascending; their accuracy is stated with all errors."""
     sigmas = np.array([spec.horizontal_sigma, spec.horizontal_sigma, spec.vertical_sigma])
-    noise = sigmas * generator_for(seed, Stream.GNSS).standard_normal((len(timestamps_ns), 3))
+    drawn = generator_for(seed, Stream.GNSS).standard_normal((2, len(timestamps_ns), 3))
+    noise = sigmas * drawn[0]
+    if spec.correlated_sigma:
+        ratio = spec.vertical_sigma / spec.horizontal_sigma if spec.horizontal_sigma else 1.0
+        slow = spec.correlated_sigma * np.array([1.0, 1.0, ratio])
+        # Source: Rasmussen and Williams 2006, B.2.1: the Ornstein-Uhlenbeck process at steps of any length
+        kept = np.exp(-np.diff(timestamps_ns, prepend=timestamps_ns[:1]) * 1e-9 / spec.correlation_time)
+        error = drawn[1, 0] if len(drawn[1]) else np.zeros(3)
+        for k, share in enumerate(kept):
+            error = share * error + np.sqrt(1.0 - share**2) * drawn[1, k]
+            noise[k] += slow * error
+        sigmas = np.hypot(sigmas, slow)
     positions = geodetic_from_enu(path.at(timestamps_ns).positions + noise, np.array(spec.origin_lla))
-    horizontal, vertical = (np.full(len(noise), sigma) for sigma in (spec.horizontal_sigma, spec.vertical_sigma))
-    return GnssSensor("gnss", timestamps_ns, positions, horizontal, vertical)
+    across, up = (np.full(len(noise), sigma) for sigma in sigmas[1:])
+    return GnssSensor("gnss", timestamps_ns, positions, across, up)
 
 
 _MARGIN_NS = 200_000_000  # how far trajectory, IMU and GNSS reach beyond the first and the last measurement

@@ -425,6 +425,19 @@ def test_gnss_fixes_scatter_as_much_as_stated_north_in_latitude_and_east_in_long
     np.testing.assert_allclose((exact[:, 1] - 25.0) * 55_800, east, atol=0.01)
 
 
+def test_slow_errors_of_fixes_fade_by_their_time_constant_and_are_stated_with_the_noise(path):
+    spec = sim.GnssSpec(horizontal_sigma=0.3, vertical_sigma=0.6, correlated_sigma=2.0, correlation_time=0.02)
+    times, true = timestamps(10.0, 200), path.at(timestamps(10.0, 200)).positions
+    fixes = [gnss_sensor(spec, path, times, seed=seed) for seed in range(10)]
+    error = np.stack([enu_from_geodetic(one.positions_lla, np.array(spec.origin_lla)) - true for one in fixes])
+    # 100 s are 2,500 independent draws, which know a variance to 3 %; five times that
+    assert (error**2).mean(axis=(0, 1)) == pytest.approx([4.09, 4.09, 4.0 * 4.09], rel=0.15)
+    for lag in (1, 4):
+        alike = (error[:, lag:] * error[:, :-lag]).mean(axis=(0, 1))
+        assert alike == pytest.approx(np.array([4.0, 4.0, 16.0]) * np.exp(-lag * 0.005 / 0.02), rel=0.2)
+    assert (fixes[0].accuracies[0], fixes[0].vertical_accuracies[0]) == pytest.approx((4.09**0.5, 2.0 * 4.09**0.5))
+
+
 NAN, PERIOD_NS = float("nan"), 100_000_000
 REFUSED = {
     sim.ImuSpec: (
@@ -432,7 +445,7 @@ REFUSED = {
     ),
     sim.GnssSpec: (
         *({"rate_hz": rate} for rate in (0.0, -5.0, NAN, 1e6)), {"vertical_sigma": -1.0}, {"vertical_sigma": NAN},
-        {"origin_lla": (500.0, 0.0, 0.0)},
+        {"origin_lla": (500.0, 0.0, 0.0)}, {"correlated_sigma": -1.0}, {"correlation_time": 0.0},
     ),
     sim.ExposureSpec: (
         {"drift_stops": -1.0}, {"drift_period": 0.0}, {"recovery": 0.0}, {"vignetting": 1.5}, {"exposure_ns": -1},

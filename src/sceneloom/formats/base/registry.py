@@ -148,6 +148,7 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "euroc-mav": FormatRow(
             "sceneloom.formats.euroc_mav.spec:FORMAT", folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv")
         ),
+        "nmea": FormatRow("sceneloom.formats.nmea.spec:FORMAT", file=(b"$", ".nmea", ".gga", ".log", ".txt")),
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
         "colmap": FormatRow("sceneloom.formats.posed_images.spec:COLMAP"),
         "nerfstudio": FormatRow("sceneloom.formats.posed_images.spec:NERFSTUDIO"),
@@ -301,7 +302,7 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, pcap; clouds as pcd, ply, las, laz, kitti-bin,
+    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, nmea, pcap; clouds as pcd, ply, las, laz, kitti-bin,
     nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:

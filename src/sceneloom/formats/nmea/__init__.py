@@ -1,0 +1,1 @@
+"""Logs of NMEA 0183: lines of a satellite receiver."""

@@ -52,15 +52,15 @@ from sceneloom.calibrate.measures import (
     Parameter,
 )
 from sceneloom.calibrate.refinement import (
-    _CHANNELS,
-    _FARTHEST,
-    _WIDTHS_PX,
-    _Around,
-    _climbed,
-    _Level,
-    _polished,
-    _search,
+    CHANNELS,
+    FARTHEST,
+    WIDTHS_PX,
+    Around,
+    Level,
+    climbed,
     find_cues,
+    polished,
+    search,
     sum_maps,
 )
 from sceneloom.cameras.camera import Camera
@@ -383,9 +383,9 @@ def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") 
     nothing = _why_nothing(agreement.features)
     if nothing:
         return health(tuple(Item.unknown(name, nothing) for name in PARTS))
-    search = _Search(agreement)
-    start = search.rotation()
-    standing = search.standing(start)
+    rotations = _Search(agreement)
+    start = rotations.rotation()
+    standing = rotations.standing(start)
     distinctness = standing["distinctness"]
     if distinctness < _DISTINCT:
         reason = (
@@ -572,17 +572,17 @@ def _fitted(frames: Sequence[CalibrationFrame], start: Float64Array) -> _Fits | 
     cues = [one for frame in near if len((one := find_cues(frame)).weights) >= _LEAST_EDGES]
     if not cues:
         return None
-    levels, views = [_Level.of(cues, width) for width in _WIDTHS_PX], views_of([one.frame for one in cues])
+    levels, views = [Level.of(cues, width) for width in WIDTHS_PX], views_of([one.frame for one in cues])
     whole = [k for k in Parameter if k is not Parameter.LATER or not _why_no_time(near)]
-    found = _search(levels, np.ones(len(cues), np.bool_), np.array(ROTATION, np.int64))
+    found = search(levels, np.ones(len(cues), np.bool_), np.array(ROTATION, np.int64))
     fits = []
     for parameters in (ROTATION, (*ROTATION, *TRANSLATION), whole):
         free = np.array(parameters, np.int64)
         if len(free) > len(ROTATION):
             numbers = found.numbers
             for level in levels[1:]:
-                numbers = _climbed(level, free, numbers)
-            found = _polished(levels[-1], free, numbers)
+                numbers = climbed(level, free, numbers)
+            found = polished(levels[-1], free, numbers)
         if not found.weights.any():
             return None
         change = found.numbers.copy()
@@ -592,7 +592,7 @@ def _fitted(frames: Sequence[CalibrationFrame], start: Float64Array) -> _Fits | 
     return _Fits(*fits)
 
 
-class _Steady(_Around):
+class _Steady(Around):
     """A fit of which curvature is taken over nearly the width of the blur: where few views agree, less shows pixels."""
 
     def inverse_curvature(self) -> Float64Array:
@@ -603,7 +603,7 @@ class _Steady(_Around):
         ]
         curvature = np.array([ahead - behind for ahead, behind in gradients]) / (2.0 * _CURVATURE_STEP)
         values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
-        bounds = np.square(self.basis @ vectors / _FARTHEST[self.free][:, None]).sum(axis=0)
+        bounds = np.square(self.basis @ vectors / FARTHEST[self.free][:, None]).sum(axis=0)
         return np.asarray(vectors / np.maximum(values, bounds) @ vectors.T)
 
     def covariance(self, views: Int64Array) -> Float64Array:
@@ -612,8 +612,8 @@ class _Steady(_Around):
         size = np.array(level.maps.shape[:0:-1])
         tiles = np.array([_TILES_ACROSS, _TILES_DOWN])
         tile = np.clip(np.nan_to_num(self.pixels) / size * tiles, 0, tiles - 1).astype(np.int64)
-        clusters = (views[level.groups // len(_CHANNELS)] * tiles[1] + tile[:, 1]) * tiles[0] + tile[:, 0]
-        weights = (level.weights * self.weights[level.groups % len(_CHANNELS)]).astype(np.float32)
+        clusters = (views[level.groups // len(CHANNELS)] * tiles[1] + tile[:, 1]) * tiles[0] + tile[:, 0]
+        weights = (level.weights * self.weights[level.groups % len(CHANNELS)]).astype(np.float32)
         count = int(clusters.max(initial=0)) + 1
         pulls, rest = np.zeros((count, free)), np.zeros((2, count))
         sum_maps(
@@ -621,7 +621,7 @@ class _Steady(_Around):
             rest[0], rest[1], pulls,
         )  # fmt: skip
         pulling = int(pulls.any(axis=1).sum())
-        spread = pulls.T @ pulls * (pulling / max(pulling - 1, 1)) + np.diag(_FARTHEST[self.free] ** -2.0)
+        spread = pulls.T @ pulls * (pulling / max(pulling - 1, 1)) + np.diag(FARTHEST[self.free] ** -2.0)
         inverse = self.basis @ self.inverse_curvature() @ self.basis.T
         return np.asarray(inverse @ spread @ inverse)
 
@@ -676,10 +676,10 @@ class _Search:
         stated = np.zeros(COUNT)
         wide = stated
         for radius in _WIDE_RADII:
-            wide = self._climbed(wide, radius, _WIDE)
+            wide = self.climbed(wide, radius, _WIDE)
             wide[:3] *= min(1.0, np.radians(_FARTHEST_DEG) / max(float(np.linalg.norm(wide[:3])), 1e-12))
         starts = (wide, stated, *self._promising())
-        near = [self._climbed(start, _FINE_RADIUS, _FINE) for start in starts]
+        near = [self.climbed(start, _FINE_RADIUS, _FINE) for start in starts]
         highest: Float64Array = near[int(np.argmax([self.height(location, _FINE) for location in near]))]
         return highest
 
@@ -695,7 +695,7 @@ class _Search:
                 found.append(row)
         return [locations[row] for row in found[:_PROMISING]]
 
-    def _climbed(self, middle: Float64Array, radius: float, measures: Collection[str]) -> Float64Array:
+    def climbed(self, middle: Float64Array, radius: float, measures: Collection[str]) -> Float64Array:
         """Go to the top of the quadratic through looks at a ball, or to the best look where that is higher."""
         rough, dimensions = radius > _ROUGH_FROM, len(ROTATION)
         ball = _in_ball(_LOOKS_ROUGH if rough else _LOOKS, dimensions, self.generator)

@@ -34,7 +34,7 @@ from sceneloom.cameras.projection import (
 )
 from sceneloom.colouring.visibility import VisibilitySettings, find_visible
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.signatures import IN_F32_1D, IN_F32_2D, IN_F32_3D, IN_F64_2D, IN_I64_1D, IN_U8_1D, inlined
+from sceneloom.kernels.signatures import IN_F32_1D, IN_F32_2D, IN_F32_3D, IN_I64_1D, IN_U8_1D, inlined
 
 
 class Parameter(IntEnum):
@@ -343,7 +343,6 @@ class FrameFeatures:
         edge_cells: (E,) int16, tile of the image.
         level_points: (P, 3) float64 [m], lidar frame, seen by the camera.
         levels: (P,) float32, intensity as a level that is as frequent as any other, 0 to `_LEVELS` - 1.
-        level_cells: (P,) int16.
         seen: how many points the camera sees by the stated calibration.
         around: (A,) int64, the points of the frame in the image and around it.
         visible: (V,) int64, those in the image that nothing hides.
@@ -357,14 +356,13 @@ class FrameFeatures:
     edge_cells: AnyArray
     level_points: Float64Array
     levels: Float32Array
-    level_cells: AnyArray
     seen: int
     around: Int64Array
     visible: Int64Array
 
     def thinned(self, every: int) -> "FrameFeatures":
         """One of so many edges and levels."""
-        names = ("edge_points", "edge_kinds", "edge_weights", "edge_cells", "level_points", "levels", "level_cells")
+        names = ("edge_points", "edge_kinds", "edge_weights", "edge_cells", "level_points", "levels")
         columns: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name)[::every]) for name in names}
         return replace(self, **columns)
 
@@ -394,7 +392,6 @@ def extract(frame: CalibrationFrame, image: _MeasuredImage | None = None) -> Fra
         edge_cells=_tiles(near[known], image),
         level_points=np.ascontiguousarray(frame.points_lidar[level_rows[order]]),
         levels=levels[order],
-        level_cells=_tiles(level_pixels[order], image),
         seen=seen,
         around=chosen,
         visible=visible,
@@ -516,27 +513,23 @@ class Agreement:
         thinned.features = tuple(features.thinned(_THINNED) for features in self.features)
         return thinned
 
-    def score(
-        self, change: Change, measures: Collection[str] = MEASURES, *, by_cells: bool = False, rough: bool = False
-    ) -> Score:
+    def score(self, change: Change, measures: Collection[str] = MEASURES, *, rough: bool = False) -> Score:
         """Score a candidate; a measure whose features have mostly left the images has no value.
 
         Args:
             measures: the only ones to be taken; the others have no value.
-            by_cells: share out the information among the cells, which takes longer; else the first one has it all.
             rough: by some of the features only.
         """
         if rough:
-            return self._thinned.score(change, measures, by_cells=by_cells)
-        score = self._score(change, measures, by_cells=by_cells)
+            return self._thinned.score(change, measures)
+        score = self._score(change, measures)
         few = score.totals.sum(axis=1) < _LEAST_SHARE * self._stated_totals
         if not few.any():
             return score
         return Score(np.where(few[:, None], 0.0, score.sums), np.where(few[:, None], 0.0, score.totals))
 
-    def _score(self, change: Change, measures: Collection[str] = MEASURES, *, by_cells: bool = False) -> Score:
+    def _score(self, change: Change, measures: Collection[str] = MEASURES) -> Score:
         sums, totals = np.zeros((len(MEASURES), self.cells)), np.zeros((len(MEASURES), self.cells))
-        placed = []
         histogram = np.zeros((_LEVELS, _LEVELS))
         for features, view in zip(self.features, self.views.tolist(), strict=True):
             own = slice(view * _TILES, (view + 1) * _TILES)
@@ -552,18 +545,10 @@ class Agreement:
                 continue
             ids, pixels = _project(features, features.level_points, *placing)
             fill_histogram(ids, pixels, features.levels, features.image.levels, histogram)
-            placed.append((features, own, ids, pixels))
         row = MEASURES.index(INFORMATION)
         table = _pointwise_information(histogram)
-        if not by_cells:
-            # bins share points as the table shares its numbers, so that all points together need no second look
-            sums[row, 0], totals[row, 0] = (histogram * table).sum(), histogram.sum()
-            return Score(sums, totals)
-        for features, own, ids, pixels in placed:
-            sum_by_table(
-                ids, pixels, features.levels, features.level_cells, features.image.levels, table,
-                sums[row, own], totals[row, own],
-            )  # fmt: skip
+        # bins share points as the table shares its numbers, so that all points together need no second look
+        sums[row, 0], totals[row, 0] = (histogram * table).sum(), histogram.sum()
         return Score(sums, totals)
 
 
@@ -638,19 +623,3 @@ def fill_histogram(
         histogram[row, column + 1] += (1.0 - p) * q
         histogram[row + 1, column] += p * (1.0 - q)
         histogram[row + 1, column + 1] += p * q
-
-
-@kernel(void(IN_I64_1D, IN_F32_2D, IN_F32_1D, _CELLS, IN_F32_2D, IN_F64_2D, float64[::1], float64[::1]))  # fmt: skip
-def sum_by_table(
-    point_ids: Int64Array, pixels: Float32Array, levels: Float32Array, cells: Int64Array, image: Float32Array,
-    table: Float64Array, sums: Float64Array, totals: Float64Array,
-) -> None:  # fmt: skip
-    """Add up what a table says of points by their level and that of the image, and count the points.
-
-    `levels` (N,); `table` (B, B), interpolated, its rows are levels of the points; `sums`, `totals` (C,).
-    """
-    for i in range(point_ids.shape[0]):
-        point = point_ids[i]
-        b = _between(image, pixels[i, 0], pixels[i, 1])
-        sums[cells[point]] += _between(table, b, levels[point])
-        totals[cells[point]] += 1.0

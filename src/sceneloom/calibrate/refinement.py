@@ -25,7 +25,7 @@ Source: Huber 1967, "The behavior of maximum likelihood estimates under nonstand
 Zeger 1986; of several kinds: Cameron, Gelbach and Miller 2011, "Robust inference with multiway clustering",
 without the part that both share, so that it is an upper bound; regions of few samples: Hotelling 1931.
 
-What is stated is a measurement too, good to `_FARTHEST`, with which the solution is combined by least squares: where
+What is stated is a measurement too, good to `FARTHEST`, with which the solution is combined by least squares: where
 the drive reports little, the stated numbers stay, and the covariance has what is not known of them.
 """
 
@@ -72,9 +72,9 @@ _GROUPS: dict[str, tuple[Parameter, ...]] = {
 
 _SCALES = {"translation": (100.0, "cm"), "time": (1e3, "ms"), "focal": (100.0, "%")}  # for messages
 _UNDETERMINED, _LOOSEST = 0.6, np.radians(0.5)
-"""A group known no better than this part of `_FARTHEST` is held; a rotation known no better than this [rad] is none."""
+"""A group known no better than this part of `FARTHEST` is held; a rotation known no better than this [rad] is none."""
 
-_CHANNELS = ("depth edges", "intensity edges", "contrasts")
+CHANNELS = ("depth edges", "intensity edges", "contrasts")
 """What is compared with an image; contrasts of intensity are compared with its brightness, edges with its edges."""
 
 _LEVEL_MAP = DIRECTIONS  # number of the map of brightness; those of edges come before it
@@ -95,7 +95,7 @@ _SURROUNDINGS = 61
 _STEP_SHARE, _FOCAL_STEP = 1e-4, 1e-4
 """Derivatives of the camera model are taken over this part of a point's distance, and of the focal length."""
 
-_WIDTHS_PX = (6.0, 3.0, 1.0)  # how far images are blurred [px of the measured image], from the first look to the last
+WIDTHS_PX = (6.0, 3.0, 1.0)  # how far images are blurred [px of the measured image], from the first look to the last
 
 _STRIDES = {6.0: 3, 3.0: 2, 1.0: 1}
 """So many pixels of an image are one of the map: a wide blur leaves nothing between them."""
@@ -106,7 +106,7 @@ _BRIGHTNESS_SHARE = 0.5
 
 _CELL_WIDTHS = 2.0  # points of a channel within so many widths see the same of an image: they count as one
 
-_FARTHEST = np.array([6.0, 6.0, 6.0, 3.0, 3.0, 3.0, 2.0, 2.5])
+FARTHEST = np.array([6.0, 6.0, 6.0, 3.0, 3.0, 3.0, 2.0, 2.5])
 """How far a calibration is usually off, in units: 1.5 degrees, 15 cm, 2 % of the focal length, 50 ms."""
 
 _CURVATURE_STEP = 0.4  # curvature is taken over this part of the blur's width: over less, single pixels show
@@ -239,7 +239,7 @@ def refine(
     if len(frames) < _LEAST_FRAMES:
         reason = f"{len(frames)} frames; expected {_LEAST_FRAMES} or more, to refine and to judge by"
         return replace(stated, reason=reason)
-    done, whole = 0, len(frames) + len(_WIDTHS_PX) + 2 + _FOLDS
+    done, whole = 0, len(frames) + len(WIDTHS_PX) + 2 + _FOLDS
 
     def after(result: _Result) -> _Result:
         nonlocal done
@@ -252,20 +252,20 @@ def refine(
     problem = _why_not(frames, cues)
     if problem:
         return replace(stated, reason=problem)
-    levels = [after(_Level.of(cues, width)) for width in _WIDTHS_PX]
+    levels = [after(Level.of(cues, width)) for width in WIDTHS_PX]
     everything = np.ones(len(cues), np.bool_)
     free = _numbers_of([name for name in _GROUPS if name in groups or name in DEFAULT])
-    found = after(_search(levels, everything, free))
+    found = after(search(levels, everything, free))
     if float(np.linalg.norm(found.numbers[:3])) > _SEEN_ANEW:
         cues = [_seen_anew(one, found.numbers) for one in cues]
-        levels = [_Level.of(cues, width) for width in _WIDTHS_PX]
-        found = _search(levels, everything, free, begun=found.numbers)
+        levels = [Level.of(cues, width) for width in WIDTHS_PX]
+        found = search(levels, everything, free, begun=found.numbers)
     covariance, objects = _covariance_of(found)
     after(None)
     combined, known = _combined(found, covariance)
     roots = dict(zip(free.tolist(), np.sqrt(np.diagonal(known)).tolist(), strict=True))
-    worst = {name: max(_GROUPS[name], key=lambda k: roots[k] / _FARTHEST[k]) for name in groups}
-    loose = [name for name, k in worst.items() if name in _SCALES and roots[k] > _UNDETERMINED * _FARTHEST[k]]
+    worst = {name: max(_GROUPS[name], key=lambda k: roots[k] / FARTHEST[k]) for name in groups}
+    loose = [name for name, k in worst.items() if name in _SCALES and roots[k] > _UNDETERMINED * FARTHEST[k]]
     refined = _numbers_of([name for name in groups if name not in loose])
     numbers, known = _holding(combined, known, free, ~np.isin(free, refined))
     folds = [np.arange(len(cues)) * _FOLDS // len(cues) == fold for fold in range(_FOLDS)]
@@ -317,10 +317,10 @@ def _why_not(frames: Sequence[CalibrationFrame], cues: "Sequence[_Cues]") -> str
     return ""
 
 
-def _combined(found: "_Around", covariance: Float64Array) -> tuple[Float64Array, Float64Array]:
+def _combined(found: "Around", covariance: Float64Array) -> tuple[Float64Array, Float64Array]:
     """The solution and what is stated, combined: numbers in units, (P,), and their covariance, (P, P)."""
     information, step = np.linalg.inv(covariance), (found.numbers / UNITS)[found.free]
-    known = np.linalg.inv(information + np.diag(_FARTHEST[found.free] ** -2.0))
+    known = np.linalg.inv(information + np.diag(FARTHEST[found.free] ** -2.0))
     return known @ information @ step, known
 
 
@@ -336,7 +336,7 @@ def _holding(
 
 
 def _judged(
-    found: "_Around", numbers: Float64Array, covariance: Float64Array, known: Float64Array, asked: BoolArray,
+    found: "Around", numbers: Float64Array, covariance: Float64Array, known: Float64Array, asked: BoolArray,
     objects: float, gains: Float64Array, sharpness: float,
 ) -> tuple[RefinementVerdict, str]:  # fmt: skip
     """Whether the solution is to be taken."""
@@ -383,19 +383,19 @@ def _judged(
 
 
 def _held_out_gains(
-    levels: "Sequence[_Level]", held_out: BoolArray, free: Int64Array, begun: Float64Array
+    levels: "Sequence[Level]", held_out: BoolArray, free: Int64Array, begun: Float64Array
 ) -> Float64Array:
     """How much likelier frames are under the calibration that others found, and than anywhere, by object: (2, G)."""
-    found = _search(levels, ~held_out, free, thinned=2, begun=begun)
+    found = search(levels, ~held_out, free, thinned=2, begun=begun)
     level, objects = levels[-1].part(held_out), _objects_of(levels[-1])
     clusters, sums = objects[level.chosen], []
     for at in (np.zeros(COUNT), found.numbers):
-        around, count = _Around(level, free, at), int(objects.max()) + 1
+        around, count = Around(level, free, at), int(objects.max()) + 1
         sums.append(_summed(around, _weighed(around, found.weights), clusters, count)[0])
     return np.stack([sums[1] - sums[0], np.maximum(sums[1], 0.0)])
 
 
-def _sharpness_of(found: "_Around") -> float:
+def _sharpness_of(found: "Around") -> float:
     """How far the solution stands above others a degree or two around it, in their standard deviations."""
     rotations = np.flatnonzero(found.free < 3)
     drawn = np.random.default_rng(3).normal(size=(_AROUND, len(rotations)))
@@ -408,12 +408,12 @@ def _sharpness_of(found: "_Around") -> float:
     return (here - float(np.mean(values))) / max(float(np.std(values)), 1e-12)
 
 
-def _covariance_of(found: "_Around") -> tuple[Float64Array, float]:
+def _covariance_of(found: "Around") -> tuple[Float64Array, float]:
     """The covariance of the free numbers by the drive alone, (P, P), in units, and how many objects it rests on."""
     level, free = found.level, found.free
     weights = _weighed(found, found.weights)
-    kinds = (level.groups % len(_CHANNELS) * _MAPS + level.rows % _MAPS).astype(np.int32)
-    spread, pulls = np.diag(_FARTHEST[free] ** -2.0), np.zeros((0, len(free)))
+    kinds = (level.groups % len(CHANNELS) * _MAPS + level.rows % _MAPS).astype(np.int32)
+    spread, pulls = np.diag(FARTHEST[free] ** -2.0), np.zeros((0, len(free)))
     for clusters in (kinds, _objects_of(level)):
         _, pulls = _summed(found, weights, clusters, int(clusters.max(initial=0)) + 1)
         pulls = pulls[np.abs(pulls).sum(axis=1) > 0]
@@ -426,14 +426,14 @@ def _covariance_of(found: "_Around") -> tuple[Float64Array, float]:
     return np.asarray(inverse @ spread @ inverse + np.diag(shared**2), np.float64), counted
 
 
-def _weighed(around: "_Around", weights: Float64Array) -> Float32Array:
+def _weighed(around: "Around", weights: Float64Array) -> Float32Array:
     """What each point counts, (N,), by weights of the channels."""
     level = around.level
-    return np.asarray(level.weights * weights[level.groups % len(_CHANNELS)], np.float32)
+    return np.asarray(level.weights * weights[level.groups % len(CHANNELS)], np.float32)
 
 
 def _summed(
-    around: "_Around", weights: Float32Array, clusters: AnyArray, count: int
+    around: "Around", weights: Float32Array, clusters: AnyArray, count: int
 ) -> tuple[Float64Array, Float64Array]:
     """By cluster, of (N,) points: weighted sums of the maps' values, (G,), and of slopes, (G, P)."""
     sums, slopes = np.zeros(count), np.zeros((count, len(around.free)))
@@ -444,7 +444,7 @@ def _summed(
     return sums, slopes
 
 
-def _objects_of(level: "_Level") -> AnyArray:
+def _objects_of(level: "Level") -> AnyArray:
     """Number the objects that points are of, (N,) int32; where motion is not known nothing moves."""
     cells = np.empty(len(level.chosen), np.int64)
     begins = np.cumsum([0, *(len(one.weights) for one in level.cues)])
@@ -474,7 +474,7 @@ class _Cues:
     points_lidar: Float64Array  # (N, 3) [m]
     weights: Float32Array  # (N,); of a channel they have the mean square 1
     maps: AnyArray  # (N,) int32, which of the image's maps counts for each
-    channels: AnyArray  # (N,) int32, by `_CHANNELS`
+    channels: AnyArray  # (N,) int32, by `CHANNELS`
 
     @property
     def frame(self) -> CalibrationFrame:
@@ -508,7 +508,7 @@ def find_cues(frame: CalibrationFrame) -> _Cues:
         drawn.append((points[rows], chosen / np.float32(max(scale, 1e-6)), np.asarray(maps[rows], np.int32)))
     points, weights, maps = (np.concatenate(column) for column in zip(*drawn, strict=True))
     counts = [len(part) for part, _, _ in drawn]
-    return _Cues(features, points, weights, maps, np.repeat(np.arange(len(_CHANNELS), dtype=np.int32), counts))
+    return _Cues(features, points, weights, maps, np.repeat(np.arange(len(CHANNELS), dtype=np.int32), counts))
 
 
 def _contrasts(features: FrameFeatures) -> tuple[Float64Array, Float32Array]:
@@ -640,7 +640,7 @@ def _band(image: Float32Array, width: float) -> Float32Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Level:
+class Level:
     """All frames at one width."""
 
     cues: Sequence[_Cues]
@@ -652,7 +652,7 @@ class _Level:
     chosen: AnyArray  # (N,) int64, number of each point among those of all frames
 
     @classmethod
-    def of(cls, cues: Sequence[_Cues], width: float) -> "_Level":
+    def of(cls, cues: Sequence[_Cues], width: float) -> "Level":
         """Blur all images, which must be of one size."""
         stride = _STRIDES[width]
         maps = np.empty((len(cues), _MAPS, *_reduced(cues[0].features.image.grey, stride).shape), np.float32)
@@ -667,14 +667,14 @@ class _Level:
             width,
             maps.reshape(-1, *maps.shape[2:]),
             np.concatenate([one.maps + _MAPS * k for k, one in enumerate(cues)]).astype(np.int32),
-            np.concatenate([one.channels + len(_CHANNELS) * k for k, one in enumerate(cues)]).astype(np.int32),
+            np.concatenate([one.channels + len(CHANNELS) * k for k, one in enumerate(cues)]).astype(np.int32),
             weights,
             np.arange(len(weights)),
         )
 
-    def part(self, frames: AnyArray, *, most: int | None = None) -> "_Level":
+    def part(self, frames: AnyArray, *, most: int | None = None) -> "Level":
         """Keep the points of some frames, (F,) bool, evenly drawn about so many of them; the maps are shared."""
-        kept = np.flatnonzero(frames[self.groups // len(_CHANNELS)])
+        kept = np.flatnonzero(frames[self.groups // len(CHANNELS)])
         if most is not None:
             kept = kept[:: max(-(-len(kept) // most), 1)]
         return replace(
@@ -682,13 +682,13 @@ class _Level:
         )
 
 
-class _Around:
+class Around:
     """A level around a candidate: pixels move linearly with the numbers that are free."""
 
     # `free` (P,) which of the eight `numbers`; steps are (P,), in units, those of a climb in widths of the blur:
     # `basis` takes them into units; `pixels` (N, 2) [px of the maps]; `slopes` (N, 2, P) by unit
 
-    def __init__(self, level: _Level, free: AnyArray, numbers: Float64Array) -> None:
+    def __init__(self, level: Level, free: AnyArray, numbers: Float64Array) -> None:
         self.level, self.free, self.numbers = level, free, numbers
         chosen, stride = level.chosen, _STRIDES[level.width]
         begins = np.cumsum([0, *(len(one.weights) for one in level.cues)])
@@ -704,7 +704,7 @@ class _Around:
 
     def _sums(self, step: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """By channel at a step: weighted sums of the maps' values (C,), of squares (C,), slopes (F, C, P)."""
-        level, shape = self.level, (len(self.level.cues), len(_CHANNELS))
+        level, shape = self.level, (len(self.level.cues), len(CHANNELS))
         count = shape[0] * shape[1]
         values, squares, gradients = np.zeros(count), np.zeros(count), np.zeros((count, len(self.free)))
         sum_maps(
@@ -734,7 +734,7 @@ class _Around:
         """What each channel counts, (C,): m/v of its values, times the share of points that add information."""
         # a channel whose points do not fit better than others would gets 0; points in one cell of a few widths add
         # nothing to one another
-        level, channels = self.level, len(_CHANNELS)
+        level, channels = self.level, len(CHANNELS)
         cell = _CELL_WIDTHS * level.width / _STRIDES[level.width]
         groups = level.groups[self._inside]
         cells = (self.pixels[self._inside] / np.float32(cell)).astype(np.int32)
@@ -751,7 +751,7 @@ class _Around:
     @cached_property
     def form(self) -> Float64Array:
         """The mean square of how far a step moves pixels, in widths, and numbers, in what is usual: (P, P)."""
-        form = np.diag(_FARTHEST[self.free] ** -2.0)
+        form = np.diag(FARTHEST[self.free] ** -2.0)
         if len(self._inside):
             scale = np.float64(_STRIDES[self.level.width] / self.level.width)
             moved = scale * self.slopes[self._inside].reshape(2 * len(self._inside), -1)
@@ -765,7 +765,7 @@ class _Around:
 
     def downwards(self, step: Float64Array) -> tuple[float, Float64Array]:
         """Minus the objective, which speaks against going far, and its slope at a step in widths, (P,)."""
-        in_units, reach = self.basis @ step, _FARTHEST[self.free]
+        in_units, reach = self.basis @ step, FARTHEST[self.free]
         values, _, gradients = self._sums(in_units)
         away = ((self.numbers / UNITS)[self.free] + in_units) / reach
         value = float((values * self.weights).sum() - 0.5 * away @ away)
@@ -781,7 +781,7 @@ class _Around:
             rows.append((ahead - behind) / (2.0 * _CURVATURE_STEP))
         curvature = np.array(rows)
         values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
-        bounds = np.square(self.basis @ vectors / _FARTHEST[self.free][:, None]).sum(axis=0)
+        bounds = np.square(self.basis @ vectors / FARTHEST[self.free][:, None]).sum(axis=0)
         return np.asarray(vectors / np.maximum(values, bounds) @ vectors.T)
 
     def stepped(self, step: Float64Array) -> Float64Array:
@@ -796,9 +796,9 @@ def _spread(free: AnyArray, step: Float64Array) -> Float64Array:
     return numbers
 
 
-def _search(
-    levels: Sequence[_Level], frames: AnyArray, free: AnyArray, *, thinned: int = 1, begun: Float64Array | None = None
-) -> _Around:
+def search(
+    levels: Sequence[Level], frames: AnyArray, free: AnyArray, *, thinned: int = 1, begun: Float64Array | None = None
+) -> Around:
     """Find the best candidate near the stated one at levels from wide to narrow; one point of `thinned` counts.
 
     Args:
@@ -810,27 +810,27 @@ def _search(
         level.part(frames, most=most // thinned) for level, most in zip(levels[1:], _MOST_MOVED, strict=True)
     )
     if begun is not None:
-        return _polished(narrow, free, _climbed(narrow, free, _climbed(wide, free, begun)))
+        return polished(narrow, free, climbed(narrow, free, climbed(wide, free, begun)))
     few, nothing = narrow.part(frames, most=_MOST_MOVED[0] // thinned), np.zeros(len(free))
     rotation = _best_rotation(levels, frames, thinned)
     beginnings = _along_ridges(wide.part(frames, most=_MOST_STARTED), free, rotation)
-    climbed = [_climbed(few, free, _climbed(wide, free, numbers)) for numbers in beginnings]
-    best = max(climbed, key=lambda numbers: _Around(few, free, numbers).height(nothing))
-    return _polished(narrow, free, _climbed(narrow, free, best))
+    tops = [climbed(few, free, climbed(wide, free, numbers)) for numbers in beginnings]
+    best = max(tops, key=lambda numbers: Around(few, free, numbers).height(nothing))
+    return polished(narrow, free, climbed(narrow, free, best))
 
 
-def _along_ridges(level: _Level, free: AnyArray, numbers: Float64Array) -> list[Float64Array]:
+def _along_ridges(level: Level, free: AnyArray, numbers: Float64Array) -> list[Float64Array]:
     """The numbers, (8,), and the best of many that differ from them by more than a climb goes."""
-    hill, others = _Around(level, free, numbers), free >= len(_ROTATIONS)
+    hill, others = Around(level, free, numbers), free >= len(_ROTATIONS)
     # rotations make up for translations, times and focal lengths as well as they can, or nearly so
-    steps = np.random.default_rng(_SEED).normal(size=(_RIDGE_STARTS, len(free))) * _FARTHEST[free]
+    steps = np.random.default_rng(_SEED).normal(size=(_RIDGE_STARTS, len(free))) * FARTHEST[free]
     made_up = np.linalg.solve(hill.form[np.ix_(~others, ~others)], hill.form[np.ix_(~others, others)])
     steps[:, ~others] = steps[:, ~others] * _RIDGE_WIDTH - steps[:, others] @ made_up.T
     best = np.argsort([-hill.height(step) for step in steps])[:_RIDGES_KEPT]
     return [numbers, *(numbers + _spread(free, steps[k]) for k in best)]
 
 
-def _best_rotation(levels: Sequence[_Level], frames: AnyArray, thinned: int) -> Float64Array:
+def _best_rotation(levels: Sequence[Level], frames: AnyArray, thinned: int) -> Float64Array:
     """The numbers, (8,), of the best rotation, from many beginnings: rotations move far points as well as near ones."""
     parts = [level.part(frames, most=most // thinned) for level, most in zip(levels, _MOST_ROTATED, strict=True)]
     generator = np.random.default_rng(_SEED)
@@ -838,20 +838,20 @@ def _best_rotation(levels: Sequence[_Level], frames: AnyArray, thinned: int) -> 
     directions = generator.normal(size=(far, 3))
     directions *= (radius * np.cbrt(generator.random(far)) / np.linalg.norm(directions, axis=1))[:, None]
     drawn = np.concatenate([spread * generator.normal(size=(near, 3)), directions])
-    stated = _Around(parts[0].part(frames, most=_MOST_STARTED // thinned), _ROTATIONS, np.zeros(COUNT))
+    stated = Around(parts[0].part(frames, most=_MOST_STARTED // thinned), _ROTATIONS, np.zeros(COUNT))
     best = np.argsort([-stated.height(step) for step in drawn])[: _KEPT[0] - 1]
     found = [np.zeros(COUNT), *(_spread(_ROTATIONS, drawn[k]) for k in best)]
     for level, kept in zip(parts, _KEPT, strict=True):
-        climbed = [_climbed(level, _ROTATIONS, begun) for begun in found]
-        heights = [_Around(level, _ROTATIONS, numbers).height(np.zeros(len(_ROTATIONS))) for numbers in climbed]
-        found = [climbed[k] for k in np.argsort(heights)[::-1]][:kept]
+        tops = [climbed(level, _ROTATIONS, begun) for begun in found]
+        heights = [Around(level, _ROTATIONS, numbers).height(np.zeros(len(_ROTATIONS))) for numbers in tops]
+        found = [tops[k] for k in np.argsort(heights)[::-1]][:kept]
     return found[0]
 
 
-def _climbed(level: _Level, free: AnyArray, numbers: Float64Array) -> Float64Array:
+def climbed(level: Level, free: AnyArray, numbers: Float64Array) -> Float64Array:
     """Go uphill at one level, with pixels linearised anew in each round."""
     for _ in range(_ROUNDS):
-        hill = _Around(level, free, numbers)
+        hill = Around(level, free, numbers)
         step = _descended(hill)
         numbers = hill.stepped(step)
         if np.abs(step).max() < 0.05:
@@ -859,7 +859,7 @@ def _climbed(level: _Level, free: AnyArray, numbers: Float64Array) -> Float64Arr
     return numbers
 
 
-def _descended(hill: _Around) -> Float64Array:
+def _descended(hill: Around) -> Float64Array:
     """Where a quasi-Newton descent of minus the objective ends; a library's would wake threads for eight numbers."""
     # Source: the BFGS update with halved steps (Nocedal and Wright 2006, algorithm 6.1)
     here = np.zeros(len(hill.free))
@@ -886,17 +886,17 @@ def _descended(hill: _Around) -> Float64Array:
     return here
 
 
-def _polished(level: _Level, free: AnyArray, numbers: Float64Array) -> _Around:
+def polished(level: Level, free: AnyArray, numbers: Float64Array) -> Around:
     """Newton's steps to the top, which long narrow ridges need; none that leads down."""
     for _ in range(_LAST_STEPS):
-        hill = _Around(level, free, numbers)
+        hill = Around(level, free, numbers)
         value, slope = hill.downwards(np.zeros(len(free)))
         step = np.clip(-hill.inverse_curvature() @ slope, -1.0, 1.0)
         share = next((part for part in (1.0, 0.5, 0.25) if hill.downwards(part * step)[0] < value), 0.0)
         numbers = hill.stepped(share * step)
         if np.abs(share * step).max() < _SMALLEST_STEP:
             break
-    return _Around(level, free, numbers)
+    return Around(level, free, numbers)
 
 
 @kernel(void(

@@ -35,10 +35,7 @@ _COLOUR = (
     *_of("kernels.projection", "sample_footprints"),
 )
 _CASTING = _of("simulate.casting", "_paint_rays _trace_rays")
-_CALIBRATION = (
-    *_of("kernels.projection", "_map_all"),
-    *_of("calibrate.measures", "sum_edges fill_histogram sum_by_table"),
-)
+_CALIBRATION = (*_of("kernels.projection", "_map_all"), *_of("calibrate.measures", "sum_edges fill_histogram"))
 _DETECTIONS = (
     *_of("detections.projection", "_update_by_sides _positions_by_height _boxes_from_eye"),
     *_of("kernels.box_fusion", "usual_covariances"),

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames, find_scan_order
-from sceneloom.calibrate.measures import UNITS, Change, fill_histogram, find_depth_edges, sum_by_table, sum_edges
+from sceneloom.calibrate.measures import UNITS, Change, fill_histogram, find_depth_edges, sum_edges
 from sceneloom.calibrate.refinement import RefinementVerdict, find_cues, moving_pixels, refine, sum_maps
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
@@ -178,7 +178,7 @@ def interpolated(image, pixels):
     return ndimage.map_coordinates(np.asarray(image, np.float64), pixels[:, ::-1].T.astype(np.float64), order=1)
 
 
-def test_edges_are_summed_by_cell_and_direction_and_histograms_and_tables_are_bilinear(placed):
+def test_edges_are_summed_by_cell_and_direction_and_histograms_are_bilinear(placed):
     generator, ids, pixels = placed
     kinds, cells = generator.integers(0, 4, 40).astype(np.uint8), generator.integers(0, 5, 40).astype(np.int16)
     weights, edges = generator.random(40).astype(np.float32), generator.random((4, *SIZE)).astype(np.float32)
@@ -192,17 +192,13 @@ def test_edges_are_summed_by_cell_and_direction_and_histograms_and_tables_are_bi
     same = np.zeros(2, np.uint8), np.ones(2, np.float32), np.zeros(2, np.int16)
     sum_edges(np.arange(2), outside, *same, edges, sums, np.zeros(1))
     assert sums[0] == pytest.approx(edges[0, 0, 0] + edges[0, -1, -1], rel=1e-6)
-    levels, cells = generator.uniform(0, 7, 40).astype(np.float32), generator.integers(0, 3, 40).astype(np.int16)
-    image, table = generator.uniform(0, 7, SIZE).astype(np.float32), generator.normal(size=(8, 8))
-    histogram, sums, totals, shown = np.zeros((8, 8)), np.zeros(3), np.zeros(3), interpolated(image, pixels)
+    levels = generator.uniform(0, 7, 40).astype(np.float32)
+    image = generator.uniform(0, 7, SIZE).astype(np.float32)
+    histogram, shown = np.zeros((8, 8)), interpolated(image, pixels)
     fill_histogram(ids, pixels, levels, image, histogram)
     own, other = (np.maximum(0.0, 1.0 - np.abs(np.arange(8) - v[:, None])) for v in (levels[ids], shown))
     np.testing.assert_allclose(histogram, own.T @ other, atol=1e-4)  # float32 levels
     assert histogram.sum() == pytest.approx(len(ids))
-    sum_by_table(ids, pixels, levels, cells, image, table, sums, totals)
-    looked_up = interpolated(table, np.column_stack([shown, levels[ids]]))
-    np.testing.assert_allclose(sums, np.bincount(cells[ids], looked_up, minlength=3), atol=1e-4)
-    assert totals.tolist() == np.bincount(cells[ids], minlength=3).tolist()
 
 
 AHEAD = Camera("pinhole", 96, 64, 60.0, 60.0, 47.5, 31.5)

@@ -126,6 +126,7 @@ def _flags_named() -> Iterator[None]:
 
 
 _NOT_BROKEN = ("no such file", "no lidar in it")  # what problems of drives state that no rule finds and nothing repairs
+_RIGS = (".urdf", ".yaml", ".yml")  # of files that may be rigs
 _DRIVES = ("path", "source", "drive")  # what verbs call the argument that is a drive
 
 
@@ -139,8 +140,10 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
         return None
     if isinstance(error, UnknownFormatError):
         return (
-            "`sceneloom formats` lists what can be read, and how it is recognised; of clouds and images of your own, "
-            "`sceneloom formats --template FOLDER/rig.toml --from FOLDER` begins a manifest"
+            f"if it states where sensors are, or camera models, it goes with a drive: `DRIVE --rig {error.file}`"
+            if Path(str(error.file)).suffix.lower() in _RIGS
+            else "`sceneloom formats` lists what can be read, and how it is recognised; of clouds and images of your "
+            "own, `sceneloom formats --template FOLDER/rig.toml --from FOLDER` begins a manifest"
         )
     if type(error) is not DataError or "lenient" not in values:
         return None

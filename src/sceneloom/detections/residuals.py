@@ -219,8 +219,8 @@ class BoxResiduals:
         if agreeing < _LEAST_AGREEING or agreeing <= _BETTER * now or np.linalg.norm(angles) < _TOLD_DEG:
             return []
         message = (
-            "the calibration was taken as it is, but boxes of images and sweeps come together after a rotation of "
-            f"camera_from_lidar by ({', '.join(f'{angle:+.1f}' for angle in angles)})° about the camera's axes: "
+            "the calibration was taken as it is, but boxes of sweeps and images come together after the former are "
+            f"rotated by ({', '.join(f'{angle:+.1f}' for angle in angles)})° about the camera's axes: "
             f"{agreeing} couples fit then, {now} now"
         )
         return [DataWarning(kind=WarningKind.ASSUMED, code="calibration-off", location=camera_id, message=message)]

@@ -179,6 +179,8 @@ def test_no_colours_and_no_bar_where_plain_and_what_to_do_next_with_a_broken_dri
     stranger = tmp_path / "stranger.xyz"
     stranger.write_text("?")
     assert "next: `sceneloom formats` lists what can be read" in call("info", stranger).err
+    (rig := tmp_path / "car.urdf").write_text("<robot name='car'><link name='base'/></robot>")
+    assert f"goes with a drive: `DRIVE --rig {rig}`" in call("info", rig).err
     assert "next:" not in call("info", tmp_path / "none").err
     poses = tmp_path / "poses.txt"
     poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")

@@ -67,10 +67,9 @@ def _print_supported_fields(found: "Mapping[str, Holding]", name: str, _: Printe
     from sceneloom.formats.base.losses import Support
 
     if not found:
-        from sceneloom.formats.listing import list_formats
+        from sceneloom.formats.base.registry import format_named
 
-        looks_like = {form.name: form.looks_like for form in list_formats()}[name]
-        click.echo(f"{name} is only read: {looks_like}")
+        click.echo(f"{name} is only read: {format_named(name).looks_like}")
     for support in Support:
         rows = [(field, how.how) for field, how in found.items() if how.support == support]
         if rows:

@@ -117,10 +117,10 @@ def test_a_module_imports_only_from_rows_below_its_own(modules):
 
 
 FORMAT_ROWS = (
-    ("nuscenes", "openlabel", "kitti", "pandaset", "argoverse2", "euroc_mav", "scale_toolkit", "nmea"),
+    ("nuscenes", "openlabel", "kitti", "pandaset", "argoverse2", "euroc_mav", "scale_toolkit"),
     ("sfs", "recording", "rig", "messages", "posed_images"),
     ("points", "packets", "rig_files"),
-    ("trajectories", "video"),
+    ("trajectories", "video", "nmea"),
     ("remote",),
     ("base",),
 )

@@ -69,7 +69,7 @@ def _sentences(path: Path, ledger: Ledger, broken_dates: Counter[str]) -> Iterat
             if raw.strip():
                 unused[address if text else "lines that are no sentences"] += 1
             continue
-        found = f"{reduce(xor, body.encode('ascii', 'replace'), 0):02X}"
+        found = checksum_of(body)
         if not star or checksum.upper() != found:
             if kind == "RMC" and len(fields) > 8:
                 broken_dates[fields[8]] += 1
@@ -102,7 +102,7 @@ class _Log:
         Raises:
             ValueError: a field is wrong.
         """
-        time_ns = _time_of_day(one.fields[0])
+        time_ns = time_of_day(one.fields[0])
         if time_ns is None:
             return
         if self.last_ns is not None:  # the day on which it is nearest to the time before
@@ -111,13 +111,13 @@ class _Log:
         if one.kind == "GST":
             self.noise[time_ns] = [_number(text, "a deviation") for text in one.fields[5:8]]
         elif one.kind == "RMC":
-            position = _position(one.fields[2:6])
+            position = position_of(one.fields[2:6])
             if one.fields[8] and self.first_day is None:
-                self.first_day = _day(one.fields[8]) - time_ns // _DAY_NS
+                self.first_day = day_of(one.fields[8]) - time_ns // _DAY_NS
             if one.fields[1] == "A" and position is not None:
                 self.courses[time_ns] = [*position, *3 * [math.nan]]
         else:
-            position, quality = _position(one.fields[1:5]), int(one.fields[5] or 0)
+            position, quality = position_of(one.fields[1:5]), int(one.fields[5] or 0)
             if quality == 0 or position is None:
                 self.without += 1
                 return
@@ -163,6 +163,11 @@ def _fixes(path: Path, ledger: Ledger) -> GnssSensor:
     )
 
 
+def checksum_of(body: str) -> str:
+    """The two hexadecimal digits that follow `*` in a sentence, of what stands between `$` and it."""
+    return f"{reduce(xor, body.encode('ascii', 'replace'), 0):02X}"
+
+
 def _number(text: str, what: str) -> float:
     """The number of a field, NaN where it is empty."""
     value = float(text) if text else math.nan
@@ -171,8 +176,8 @@ def _number(text: str, what: str) -> float:
     return value
 
 
-def _time_of_day(text: str) -> int | None:
-    """Nanoseconds since midnight of `hhmmss.ss`, None where it is empty."""
+def time_of_day(text: str) -> int | None:
+    """Nanoseconds since midnight of `hhmmss.ss`, None where it is empty; ValueError where it is none."""
     if not text:
         return None
     hours, minutes, seconds = int(text[:2]), int(text[2:4]), _number(text[4:], "seconds")
@@ -181,8 +186,8 @@ def _time_of_day(text: str) -> int | None:
     return (hours * 3600 + minutes * 60) * _NS + round(seconds * _NS)
 
 
-def _position(fields: list[str]) -> tuple[float, float] | None:
-    """Latitude and longitude [deg] of four fields `ddmm.mm,N,dddmm.mm,E`, None where one is empty."""
+def position_of(fields: list[str]) -> tuple[float, float] | None:
+    """Latitude and longitude [deg] of `ddmm.mm,N,dddmm.mm,E`, None where one is empty; ValueError where one is none."""
     if not all(fields):
         return None
     degrees = []
@@ -196,8 +201,8 @@ def _position(fields: list[str]) -> tuple[float, float] | None:
     return degrees[0], degrees[1]
 
 
-def _day(text: str) -> int:
-    """Days since 1970 of `ddmmyy`; years below 80 are of this century, since GPS began in 1980."""
+def day_of(text: str) -> int:
+    """Days since 1970 of `ddmmyy`, ValueError where it is none; GPS began in 1980, years below are of this century."""
     if len(text) != 6 or not text.isdigit():
         raise ValueError(f"date {text!r}; expected ddmmyy")
     year = int(text[4:])
@@ -208,7 +213,7 @@ def _day(text: str) -> int:
 def _most_frequent_day(dates: Counter[str]) -> int:
     for text, _ in dates.most_common(1):
         try:
-            return _day(text)
+            return day_of(text)
         except ValueError:
             break
     return 0

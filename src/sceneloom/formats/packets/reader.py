@@ -2,9 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from functools import reduce
-from operator import xor
 from pathlib import Path
 from types import MappingProxyType
 
@@ -13,6 +10,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
+from sceneloom.formats.nmea.reader import checksum_of, day_of, position_of, time_of_day
 from sceneloom.formats.packets import hesai, ouster, robosense, velodyne
 from sceneloom.formats.packets.captures import Datagrams, read_datagrams
 from sceneloom.formats.packets.spec import CaptureReading
@@ -267,34 +265,21 @@ def _fix(sentence: str, arrival_ns: int) -> tuple[int, tuple[float, float, float
     Source: NMEA 0183: RMC and GGA, checksum.
     """
     body, _, stated = sentence.removeprefix("$").partition("*")
-    parts = body.split(",")
+    address, *fields = body.split(",")
     try:
-        if int(stated[:2], 16) != reduce(xor, body.encode("ascii"), 0):
+        if stated[:2].upper() != checksum_of(body):
             return None
-        altitude, at = float("nan"), 3
-        came = datetime.fromtimestamp(arrival_ns / 1e9, UTC)
-        if parts[0].endswith("RMC") and parts[2] == "A":
-            day = datetime.strptime(parts[9] + "+0000", "%d%m%y%z")
-        elif parts[0].endswith("GGA") and parts[6] not in ("", "0"):
-            altitude, at = float(parts[9]) + float(parts[11] or 0.0), 2
-            day = came.replace(hour=0, minute=0, second=0, microsecond=0)
+        if address.endswith("RMC") and fields[1] == "A":
+            position, altitude, day = position_of(fields[2:6]), float("nan"), day_of(fields[8])
+        elif address.endswith("GGA") and fields[5] not in ("", "0"):
+            # it has no date: the one that is nearest to when it came
+            position, altitude, day = position_of(fields[1:5]), float(fields[8]) + float(fields[10] or 0.0), None
         else:
             return None
-        clock = parts[1]
-        seconds = int(clock[:2]) * 3600 + int(clock[2:4]) * 60 + float(clock[4:])
-        time_ns = int(day.timestamp()) * 1_000_000_000 + round(seconds * 1e9)
-        if at == 2:  # GGA has no date: the one that is nearest to when it came
-            time_ns += round((arrival_ns - time_ns) / _DAY_NS) * _DAY_NS
-        lla = _degrees(parts[at], parts[at + 1]), _degrees(parts[at + 2], parts[at + 3]), altitude
-    except (ValueError, IndexError, OverflowError, OSError):
+        time_ns = time_of_day(fields[0])
+    except (ValueError, IndexError, OverflowError):
         return None
-    return (time_ns if abs(time_ns - arrival_ns) < _FAR_NS else arrival_ns), lla
-
-
-def _degrees(value: str, side: str) -> float:
-    """Degrees of NMEA's degrees and minutes, (d)ddmm.mmm."""
-    whole, minutes = divmod(float(value), 100.0)
-    degrees = whole + minutes / 60.0
-    if not degrees <= 180.0 or side not in ("N", "S", "E", "W"):
-        raise ValueError(value)
-    return -degrees if side in "SW" else degrees
+    if position is None or time_ns is None:
+        return None
+    time_ns += _DAY_NS * (round((arrival_ns - time_ns) / _DAY_NS) if day is None else day)
+    return (time_ns if abs(time_ns - arrival_ns) < _FAR_NS else arrival_ns), (*position, altitude)

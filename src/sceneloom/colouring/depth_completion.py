@@ -12,9 +12,7 @@ Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane 
 pixel is of one surface or of the other. The triangle's three points and the three beyond its sides vote: more the
 nearer they are, above and below before beside, as outlines are mostly upright; far more in the pixel's own row as far
 as the next point of a scan line, which runs along rows; and more where the image has their colour, by as much as
-colours tell surfaces apart in this image. A near surface that went on for more than a step of the scan line would have
-been hit again, whereas the far one may be hidden from the lidar there: beyond a step the votes of points before the
-farthest fall off faster. The depth is the mean of the votes, a little nearer to their median.
+colours tell surfaces apart in this image. The depth is the mean of the votes, a little nearer to their median.
 
 A pixel's confidence is the share of held-out points like it whose depth was less than 0.5 m, or 5 %, from the truth.
 Alike are pixels with the same distance to the nearest point and the same support: across a jump the share of the votes
@@ -312,9 +310,6 @@ _ROUNDING = np.float32(1e-4)
 
 _UPRIGHT = np.float32(0.4)  # how much a distance down the image counts beside one along it
 _IN_ROW, _ROW_PX = np.float32(2000), np.float32(0.5)
-_STEP2 = np.float32(4)  # squared step between points of a scan line, in the unit of votes
-_ENDED = np.float32(10)  # how much faster votes of nearer surfaces fall beyond a step, along the row
-_NEARER, _PER_NEARER = np.float32(1.05), np.float32(10)  # of nearer ones, from 5 % on; wholly from 15 % on
 _TO_MEDIAN = np.float32(0.2)  # from the mean of the votes, which errs least in squares, to their median, least in size
 
 
@@ -389,15 +384,13 @@ def _list_voters(
 
 
 @inlined
-def _vote(du: float, dv: float, unit: float, ended: float) -> Any:
+def _vote(du: float, dv: float, unit: float) -> Any:
     """The weight of a point that is so many pixels away, along the row and down.
 
     The first term is of any point; the second of those in the pixel's row, as far as their neighbour on the scan line.
-    `ended`: 0 for points of the farthest surface; how much faster the others' votes fall beyond a step.
     """
     one, across = np.float32(1), du / unit
-    across *= across
-    along, down = across + ended * max(_NOTHING, across - _STEP2) + one, _UPRIGHT * dv / unit
+    along, down = across * across + one, _UPRIGHT * dv / unit
     off = dv / _ROW_PX
     off *= off
     return one / (along + down * down) + _IN_ROW / (along * along * along * (one + off * off))
@@ -405,8 +398,8 @@ def _vote(du: float, dv: float, unit: float, ended: float) -> Any:
 
 @inlined
 def _count_votes(
-    pixels: Float32Array, depths: Float32Array, colours: UInt8Array, voters: AnyArray, ended: Float32Array, count: int,
-    u: float, v: float, unit: float, colour: UInt8Array, likeness: Float32Array, votes: Float32Array,
+    pixels: Float32Array, depths: Float32Array, colours: UInt8Array, voters: AnyArray, count: int, u: float, v: float,
+    unit: float, colour: UInt8Array, likeness: Float32Array, votes: Float32Array,
 ) -> tuple[Any, Any]:  # fmt: skip
     """The depth that the voters, sorted by depth, give a pixel, and the sum of their votes, which are written."""
     total, mean = _NOTHING, _NOTHING
@@ -414,7 +407,7 @@ def _count_votes(
         point, difference = voters[k], 0
         for channel in range(3):
             difference += abs(int64(colour[channel]) - int64(colours[point, channel]))
-        votes[k] = likeness[difference] * _vote(u - pixels[point, 0], v - pixels[point, 1], unit, ended[k])
+        votes[k] = likeness[difference] * _vote(u - pixels[point, 0], v - pixels[point, 1], unit)
         total += votes[k]
         mean += votes[k] * depths[point]
     below, m, half = votes[0], 0, np.float32(0.5) * total
@@ -457,7 +450,7 @@ def fill_triangles(
     """
     height, width = depth_image.shape
     one, half = np.float32(1), np.float32(0.5)
-    voters, votes, ended = np.empty(6, np.int64), np.empty(6, np.float32), np.empty(6, np.float32)
+    voters, votes = np.empty(6, np.int64), np.empty(6, np.float32)
     for t in range(triangles.shape[0]):
         a, b, c, trust = triangles[t, 0], triangles[t, 1], triangles[t, 2], trusts[t]
         au, av, bu, bv, cu, cv = (
@@ -469,9 +462,6 @@ def fill_triangles(
         if not filled[t] or twice == 0 or left > right or top > bottom:
             continue
         count, met = _list_voters(pixels, depths, triangles[t], beyond[t], tolerance, tolerance_share, voters)
-        for k in range(count):
-            nearer = (depths[voters[count - 1]] / depths[voters[k]] - _NEARER) * _PER_NEARER
-            ended[k] = _ENDED * min(one, max(_NOTHING, nearer))
         ya, yb, yc = one / depths[a], one / depths[b], one / depths[c]
         step_b, step_c, columns = (cv - av) / twice, -(bv - av) / twice, right - left
         for row in range(top, bottom + 1):
@@ -487,7 +477,7 @@ def fill_triangles(
                 support = one + np.float32(met) / np.float32(count)
                 if trust < one:
                     voted, total = _count_votes(
-                        pixels, depths, colours, voters, ended, count, across, down, unit, rgb[row, u], likeness, votes
+                        pixels, depths, colours, voters, count, across, down, unit, rgb[row, u], likeness, votes
                     )
                     depth = trust * depth + (one - trust) * voted
                     if trust <= half:

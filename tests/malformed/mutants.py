@@ -182,6 +182,7 @@ OTHER_DRIVES: dict[str, Write] = {
     "pandaset": partial(_by_test, "pandaset.test_reader", "write_drive", "drive"),
     "scale-toolkit": partial(_by_test, "scale_toolkit.test_reader", "write_folder", "drive"),
     "euroc-mav": partial(_by_test, "euroc_mav.test_reader", "write_drive", "."),
+    **_folders("supervisely", "segments", "scale-task", "sustechpoints"),
     "nmea": partial(_by_test, "nmea.test_reader", "write_log", "."),
 }
 """Those of the formats whose mutants are tried elsewhere."""

@@ -32,9 +32,7 @@ for dataset in project.datasets:
     if sys.argv[2] == "episodes":
         annotation = dataset.get_ann(project.meta)
         by_index = {frame.index: frame for frame in annotation.frames}
-        names = [
-            dataset.get_frame_name(k) if hasattr(dataset, "get_frame_name") else name for k, name in enumerate(names)
-        ]
+        names.sort(key=dataset.get_frame_idx)
         frames = [[figure_row(f) for f in by_index[k].figures] if k in by_index else [] for k in range(len(names))]
         tags = {o.key().hex: [tag_row(t) for t in o.tags] for o in annotation.objects}
         tags["dataset"] = [tag_row(t) for t in annotation.tags]

@@ -6,7 +6,6 @@ width, length and height, and it looks along +y at yaw 0, counter-clockwise. Tha
 taken for granted, as in the folders of Scale's lidar toolkit.
 """
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import floor, isfinite
@@ -472,7 +471,7 @@ def _write(plan: TaskPlan, root: Path, name: str) -> None:
         "response": {"annotations": {"url": "annotations.json"}},
     }
     for target, value in (("task.json", task), ("annotations.json", labels)):
-        (root / target).write_text(json.dumps(value, ensure_ascii=False, allow_nan=False), "utf-8")
+        (root / target).write_bytes(msgspec.json.encode(value))
 
 
 def _frame_text(plan: TaskPlan, frame: WrittenFrame, root: Path) -> bytes:
@@ -554,7 +553,7 @@ def _cuboids(plan: TaskPlan, frame: WrittenFrame, texts: dict[str, Any]) -> list
                 "dimensions": _xyz(box.size_lwh[[1, 0, 2]]),
                 "yaw": _wrapped(yaw - np.pi / 2),
                 **beside,
-                "attributes": {name: _plain(value) for name, value in stated.items()},
+                "attributes": stated,
             }
         )
     return found
@@ -563,10 +562,6 @@ def _cuboids(plan: TaskPlan, frame: WrittenFrame, texts: dict[str, Any]) -> list
 def _wrapped(angle: float) -> float:
     """An angle from -pi to pi [rad]."""
     return angle - 2 * np.pi * floor((angle + np.pi) / (2 * np.pi))
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
 
 
 def _xyz(values: Float64Array) -> dict[str, float]:

@@ -588,7 +588,7 @@ class _Writer:
             name = f"pointclouds/{frame.name}.pcd"
             clouds.write_frame(self.plan.lidar, frame.sweep, self.root / name)
             frames.append(self._frame(frame, name))
-            labels.append(self._label(frame))
+            labels.append(msgspec.Raw(msgspec.json.encode(self._label(frame))))  # a number per point, as a text
         kind = f"{_TASKS[self.task]}{_SEQUENCE}"
         sample = {
             "uuid": str(uuid5(_NAMESPACE, "\0".join((self.name, *self.plan.names)))),
@@ -610,8 +610,7 @@ class _Writer:
             "samples": [sample],
         }
         release = {"name": "sceneloom", "description": "", "dataset": dataset}
-        text = json.dumps(release, ensure_ascii=False, allow_nan=False)
-        (self.root / "release.json").write_text(text, "utf-8")
+        (self.root / "release.json").write_bytes(msgspec.json.encode(release))
 
     def _categories(self) -> list[dict[str, Any]]:
         attributes = [

@@ -138,8 +138,8 @@ _SEGMENTS_TASK = re.compile(rb'"task_type"\s*:\s*"(pointcloud-(cuboid|segmentati
 def segments_release(path: Path) -> Path | None:
     """The JSON file of a release with point clouds: the path, or the only one in a folder; None where there is none."""
     if path.is_dir():
-        found = [one for one in islice(sorted(path.glob("*.json")), _MOST_LOOKED_AT) if segments_release(one)]
-        return found[0] if len(found) == 1 else None
+        found = [*islice(path.glob("*.json"), 2)]
+        return segments_release(found[0]) if len(found) == 1 else None
     if path.suffix.lower() != ".json":
         return None
     start = first_bytes(path, _BEGINNING)

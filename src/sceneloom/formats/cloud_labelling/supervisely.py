@@ -655,9 +655,10 @@ class _Writer:
             one = self.plan.labelled[number]
             thing = self._thing(one.id, one.label, _POINTS)
             thing.frames.append(frame.number)
-            yield self._figure(thing, frame.number, _POINTS, {"indices": rows.tolist()})
+            geometry = msgspec.Raw(msgspec.json.encode({"indices": rows.tolist()}))
+            yield self._figure(thing, frame.number, _POINTS, geometry)
 
-    def _figure(self, thing: _Thing, frame: int, kind: str, geometry: Mapping[str, Any]) -> dict[str, Any]:
+    def _figure(self, thing: _Thing, frame: int, kind: str, geometry: Any) -> dict[str, Any]:
         key = _new_key("figure", thing.key, frame, kind)
         return {"key": key, "objectKey": thing.key, "geometryType": kind, "geometry": geometry}
 
@@ -798,4 +799,4 @@ def _new_key(*parts: object) -> str:
 
 
 def _dump(path: Path, value: Any) -> None:
-    path.write_text(json.dumps(value, ensure_ascii=False, allow_nan=False), "utf-8")
+    path.write_bytes(msgspec.json.encode(value))

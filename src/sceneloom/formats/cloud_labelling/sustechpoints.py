@@ -6,7 +6,6 @@ into the camera. `lidar_pose`, `lidar_to_camera` and calibrations of single fram
 writes them; radars are placed by `translation` and `rotation` in the lidar's frame.
 """
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -379,7 +378,7 @@ class _Writer:
             if box.cuboid.label is None:
                 self.plan.losses.converted("annotations.cuboid.label", "objects without a class become `Unknown`")
             vectors = {"position": box.center, "scale": box.size_lwh, "rotation": rotation}
-            stated = {name: _plain(value) for name, value in box.stated.items() if value is not None}
+            stated = {name: value for name, value in box.stated.items() if value is not None}
             annotator = {"annotator": stated.pop("annotator")} if "annotator" in stated else {}
             found.append(
                 {
@@ -393,10 +392,6 @@ class _Writer:
         return found
 
 
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
-
-
 def _dump(path: Path, value: Any) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(value, ensure_ascii=False, allow_nan=False), "utf-8")
+    path.write_bytes(msgspec.json.encode(value))

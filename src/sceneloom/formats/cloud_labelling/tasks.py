@@ -792,8 +792,27 @@ class TaskPlan:
                 self.cuboids.append(one)
                 self._boxes.append(poses)
                 self._present.append(there)
-                own = {path.name: attribute_at(path, times) for path in one.attributes if self._is_held(path)}
-                self._stated.append(own)
+                self._stated.append(
+                    {
+                        path.name: [*map(self._plain, attribute_at(path, times))]
+                        for path in one.attributes
+                        if self._is_held(path)
+                    }
+                )
+
+    def _plain(self, value: Any) -> Any:
+        """A value as JSON has it: a text, a finite number, true or false, or a list of these."""
+        if value is None or isinstance(value, str | bool | int):
+            return value
+        if isinstance(value, float):
+            if isfinite(value):
+                return value
+            self.losses.dropped(f"{_CUBOID}.attributes", "numbers that are not finite are left out")
+            return None
+        if isinstance(value, list | tuple):
+            return [one for one in map(self._plain, value) if one is not None]
+        self.losses.converted(f"{_CUBOID}.attributes", "values of other types are written as texts")
+        return str(value)
 
     def _is_held(self, path: AttributePath) -> bool:
         return path.sensor_id is None or key_of(path.sensor_id) == key_of(self.lidar.id)

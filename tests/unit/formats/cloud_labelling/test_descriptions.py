@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats import open_scene
-from sceneloom.formats.points.files import open_cloud_writer
 from sceneloom.formats.points.cloud import WrittenPoints
+from sceneloom.formats.points.files import open_cloud_writer
 from sceneloom.scene.annotations_at import CuboidAngles, attribute_at
 
 NEAR = 1e-9
@@ -149,7 +149,7 @@ def test_one_of_several_datasets_has_to_be_chosen(episode):
     (episode / "ds0").rename(episode / "day")
     for name in ("annotation", "frame_pointcloud_map"):
         put(episode / "night" / f"{name}.json", json.loads((episode / "day" / f"{name}.json").read_text()))
-    with pytest.raises(OptionError, match="--sequence NAME.*day, night"):
+    with pytest.raises(OptionError, match=r"--sequence NAME.*day, night"):
         open_scene(episode)
     assert open_scene(episode, sequence="night").source.endswith("night")
     assert open_scene(episode / "day").source.endswith("day")
@@ -245,7 +245,12 @@ def scale_task(tmp_path):
         "image_url": "https://files.example/cam/0.png",
         "position": vector(1, 0, 2),
         "heading": dict(zip("xyzw", [-0.5, 0.5, -0.5, 0.5], strict=True)),
-        **{"fx": 50, "fy": 51, "cx": 31.5, "cy": 23.5, "camera_index": 4, "k1": 0.1},
+        "fx": 50,
+        "fy": 51,
+        "cx": 31.5,
+        "cy": 23.5,
+        "camera_index": 4,
+        "k1": 0.1,
     }
     points = [{**vector(*map(float, row)), "i": 0.5, "d": 1, "t": 1_541_196_976_735_462_000} for row in POINTS]
     for k, name in enumerate(("b", "a")):

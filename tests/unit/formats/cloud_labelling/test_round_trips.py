@@ -40,7 +40,7 @@ def street():
         AttributePath("state", ("parked", "driving"), times[[0, 1]]),
     )
     ids = (7, 'bus "4"', UUID_KEY, cuboids[3].id)
-    named = [replace(one, id=name, attributes=attributes[:k]) for k, (one, name) in enumerate(zip(cuboids, ids, strict=True))]
+    named = [replace(one, id=ids[k], attributes=attributes[:k]) for k, one in enumerate(cuboids)]
     path = named[3].path
     tilted = np.array(path.values)
     tilted[:, 6:8] = [2.0, -3.0]

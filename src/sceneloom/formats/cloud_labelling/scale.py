@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, read_only
+from sceneloom.cameras.camera import OPENCV_NAMES
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.json_files import read_json
@@ -57,7 +58,7 @@ _FARTHEST = 1e7  # no point is farther from the world's origin [m]
 _LATEST_NS = 1 << 62
 _NEAR_NS = 10 * SECOND_NS
 _COEFFICIENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"brown_conrady": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), "fisheye": ("k1", "k2", "k3", "k4")}
+    {"brown_conrady": OPENCV_NAMES[:8], "fisheye": ("k1", "k2", "k3", "k4")}
 )
 """Camera models and the order of their coefficients."""
 

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt32Array
-from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.camera import OPENCV_NAMES, Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.json_files import read_json
@@ -63,7 +63,7 @@ _ID = "sceneloom_id"
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
 _DISTORTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "fisheye": ("fisheye", ("k1", "k2", "k3", "k4")),
-    "brown-conrady": ("brown_conrady", ("k1", "k2", "p1", "p2", "k3")),
+    "brown-conrady": ("brown_conrady", OPENCV_NAMES[:5]),
 }
 """Camera models by the tool's names, and the order of their coefficients."""
 

@@ -406,7 +406,7 @@ class _PointFiles:
         if all(one.i is None for one in points):
             return None
         values = np.array([0.0 if one.i is None else one.i for one in points])
-        return read_only(np.clip(np.rint(np.nan_to_num(values) * 255.0), 0, 255), np.uint8)
+        return read_only(np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255.0), np.uint8)
 
     @staticmethod
     def _times(points: Sequence[_Point], time_ns: int) -> Any:

@@ -18,7 +18,7 @@ from uuid import UUID, uuid5
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, read_only
+from sceneloom.arrays import Float64Array, Int64Array, finite_rows, read_only
 from sceneloom.cameras.camera import OPENCV_NAMES
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
@@ -490,7 +490,7 @@ def _frame_text(plan: TaskPlan, frame: WrittenFrame, root: Path) -> bytes:
 def _points(plan: TaskPlan, frame: WrittenFrame) -> list[_Point]:
     points, count = frame.sweep.points, len(frame.sweep.points)
     positions = np.round(points.positions.astype(np.float64), 5)
-    finite = np.isfinite(positions).all(axis=1)
+    finite = finite_rows(positions)
     field = "sensors.lidar.frames.points"
     plan.losses.dropped(f"{field}.positions", "points that are not finite are left out", count=int((~finite).sum()))
     bright = points.intensities

@@ -271,7 +271,7 @@ class _Reader:
                 ledger.fault("labels", error)
         lidar = lidar_of(self.frames, world, ledger, keep_all=bool(points))
         # without poses, the world of the boxes is each cloud's frame
-        cuboids = tracks.cuboids(self.times_ns, None, lidar_id=lidar and lidar.id)
+        cuboids = tracks.cuboids(self.times_ns, None, lidar_id=None if lidar is None else lidar.id)
         about = {
             "dataset": self.dataset.name,
             "sample": self.sample.name,
@@ -687,7 +687,7 @@ class _Writer:
                 "position": _xyz(box.center),
                 "dimensions": _xyz(box.size_lwh),
                 "yaw": float(yaw),
-                "rotation": msgspec.structs.asdict(_Quaternion.of(box.quaternion_xyzw)),
+                "rotation": msgspec.structs.asdict(_Quaternion.of(box.quaternion_xyzw.tolist())),
                 "is_keyframe": True,
                 "index": frame.number,
             }

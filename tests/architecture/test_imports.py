@@ -120,7 +120,7 @@ FORMAT_ROWS = (
     ("nuscenes", "openlabel", "kitti", "pandaset", "argoverse2", "euroc_mav", "scale_toolkit"),
     ("sfs", "recording", "rig", "messages", "posed_images"),
     ("points", "packets", "rig_files"),
-    ("trajectories", "video", "nmea"),
+    ("trajectories", "video", "gnss_logs"),
     ("remote",),
     ("base",),
 )

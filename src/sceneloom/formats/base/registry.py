@@ -98,6 +98,7 @@ _KITTI = "sceneloom.formats.kitti.spec"
 _POINTS = "sceneloom.formats.points.spec"
 _MESSAGES = "sceneloom.formats.messages.spec"
 _RIG_FILES = "sceneloom.formats.rig_files.spec"
+_GNSS_LOGS = "sceneloom.formats.gnss_logs.spec"
 
 FORMATS: Mapping[str, FormatRow] = MappingProxyType(
     {
@@ -148,7 +149,9 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "euroc-mav": FormatRow(
             "sceneloom.formats.euroc_mav.spec:FORMAT", folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv")
         ),
-        "nmea": FormatRow("sceneloom.formats.nmea.spec:FORMAT", file=(b"$", ".nmea", ".gga", ".log", ".txt")),
+        "nmea": FormatRow(f"{_GNSS_LOGS}:NMEA", file=(b"$", ".nmea", ".gga", ".log", ".txt", ".ubx")),
+        "ubx": FormatRow(f"{_GNSS_LOGS}:UBX", file=(b"\xb5\x62", b"$", ".ubx", ".nmea", ".log", ".txt", ".dat", ".raw")),
+        "rtklib": FormatRow(f"{_GNSS_LOGS}:RTKLIB", file=(b"%", ".pos", ".txt")),
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
         "colmap": FormatRow("sceneloom.formats.posed_images.spec:COLMAP"),
         "nerfstudio": FormatRow("sceneloom.formats.posed_images.spec:NERFSTUDIO"),
@@ -302,7 +305,7 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, nmea, pcap; clouds as pcd, ply, las, laz, kitti-bin,
+    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, nmea, ubx, rtklib, pcap; clouds as pcd, ply, las, laz, kitti-bin,
     nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:

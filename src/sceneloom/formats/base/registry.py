@@ -150,7 +150,9 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
             "sceneloom.formats.euroc_mav.spec:FORMAT", folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv")
         ),
         "nmea": FormatRow(f"{_GNSS_LOGS}:NMEA", file=(b"$", ".nmea", ".gga", ".log", ".txt", ".ubx")),
-        "ubx": FormatRow(f"{_GNSS_LOGS}:UBX", file=(b"\xb5\x62", b"$", ".ubx", ".nmea", ".log", ".txt", ".dat", ".raw")),
+        "ubx": FormatRow(
+            f"{_GNSS_LOGS}:UBX", file=(b"\xb5\x62", b"$", ".ubx", ".nmea", ".log", ".txt", ".dat", ".raw")
+        ),
         "rtklib": FormatRow(f"{_GNSS_LOGS}:RTKLIB", file=(b"%", ".pos", ".txt")),
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
         "colmap": FormatRow("sceneloom.formats.posed_images.spec:COLMAP"),
@@ -305,8 +307,8 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, nmea, ubx, rtklib, pcap; clouds as pcd, ply, las, laz, kitti-bin,
-    nuscenes-bin, npz. `sceneloom formats` describes each.
+    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, nmea, ubx, rtklib, pcap; clouds as pcd, ply, las, laz,
+    kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by

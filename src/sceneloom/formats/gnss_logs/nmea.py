@@ -16,9 +16,9 @@ RANGE_ERRORS = {1: 2.0, 2: 1.0, 3: 1.0, 4: 0.05, 5: 0.5}
 are the horizontal error. Source: budgets as in Kaplan and Hegarty 2017, "Understanding GPS/GNSS", 10.2; as claimed."""
 
 LEAST_FIELDS = {
-    **{"GGA": 14, "GNS": 12, "RMC": 9, "GLL": 5, "GST": 8, "GSA": 17, "ZDA": 4, "HDT": 1, "THS": 2},
-    **{"PASHR": 5, "PUBX,00": 17, "PUBX,04": 2},
-}
+    "GGA": 14, "GNS": 12, "RMC": 9, "GLL": 5, "GST": 8, "GSA": 17, "ZDA": 4, "HDT": 1, "THS": 2, "PASHR": 5,
+    "PUBX,00": 17, "PUBX,04": 2,
+}  # fmt: skip
 """The sentences that are used, and how many fields they have at least."""
 
 _MODES = {"R": 4, "F": 5, "D": 2, "P": 3, "A": 1, "E": 6, "M": 7, "S": 8}
@@ -113,7 +113,10 @@ class NmeaLog:
                 north, east, up = (_number(text, "a deviation") for text in fields[5:8])
                 self.noise[time_ns] = north, east, up
             case "PASHR":
-                heading, roll, pitch = _angle(fields[1], "a heading"), *(_angle(text, "an angle") for text in fields[3:5])
+                heading, roll, pitch = (
+                    _angle(fields[1], "a heading"),
+                    *(_angle(text, "an angle") for text in fields[3:5]),
+                )
                 if math.isfinite(heading + roll + pitch):
                     self.attitudes[time_ns] = heading, roll, pitch
             case "PUBX,00":

@@ -8,6 +8,8 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from itertools import accumulate
+from math import radians
 from pathlib import Path
 from struct import Struct
 from types import MappingProxyType
@@ -85,8 +87,7 @@ def _crc_24q(data: bytes) -> int:
 
 def fletcher_8(data: bytes) -> bytes:
     """The two bytes that end a UBX frame, of its class, number, length and payload."""
-    values = np.frombuffer(data, np.uint8).astype(np.int64)
-    return bytes((int(values.sum()) & 255, int((values * np.arange(len(values), 0, -1)).sum()) & 255))
+    return bytes((sum(data) & 255, sum(accumulate(data)) & 255))
 
 
 @dataclass(slots=True)
@@ -114,8 +115,10 @@ class _Frames:
         self.broken[what] = count + 1, first
 
     def messages(self) -> Iterator[tuple[str, bytes]]:
-        """Give each message whose checksum is right: ("nmea", between `$` and `*`), ("ubx", class, number, payload) or
-        ("rtcm", payload); and ("wrong", between `$` and `*`) for sentences whose checksum is not.
+        """Give each message whose checksum is right.
+
+        These are ("nmea", between `$` and `*`), ("ubx", class, number, payload) and ("rtcm", payload); and ("wrong",
+        between `$` and `*`) are sentences whose checksum is not.
         """
         buffer, at, counted, base, ended = b"", 0, 0, 0, False
         while True:
@@ -185,13 +188,13 @@ class _Frames:
 # UBX
 
 _CLASSES = {
-    **{0x01: "NAV", 0x02: "RXM", 0x04: "INF", 0x05: "ACK", 0x06: "CFG", 0x09: "UPD", 0x0A: "MON", 0x0B: "AID"},
-    **{0x0D: "TIM", 0x10: "ESF", 0x13: "MGA", 0x21: "LOG", 0x27: "SEC", 0x28: "HNR", 0x29: "NAV2"},
-}
+    0x01: "NAV", 0x02: "RXM", 0x04: "INF", 0x05: "ACK", 0x06: "CFG", 0x09: "UPD", 0x0A: "MON", 0x0B: "AID",
+    0x0D: "TIM", 0x10: "ESF", 0x13: "MGA", 0x21: "LOG", 0x27: "SEC", 0x28: "HNR", 0x29: "NAV2",
+}  # fmt: skip
 _NAMES = {
-    **{(0x01, 0x04): "DOP", (0x01, 0x12): "VELNED", (0x01, 0x22): "CLOCK", (0x01, 0x35): "SAT", (0x01, 0x61): "EOE"},
-    **{(0x02, 0x13): "SFRBX", (0x02, 0x14): "MEASX", (0x02, 0x15): "RAWX", (0x10, 0x10): "STATUS"},
-}
+    (0x01, 0x04): "DOP", (0x01, 0x12): "VELNED", (0x01, 0x22): "CLOCK", (0x01, 0x35): "SAT", (0x01, 0x61): "EOE",
+    (0x02, 0x13): "SFRBX", (0x02, 0x14): "MEASX", (0x02, 0x15): "RAWX", (0x02, 0x32): "RTCM", (0x10, 0x10): "STATUS",
+}  # fmt: skip
 _DATE = Struct("<HBBBBB")
 _LAYOUTS = {
     (0x01, 0x02): ("NAV-POSLLH", Struct("<I4i2I")),  # iTOW, lon, lat, height, hMSL, hAcc, vAcc
@@ -236,7 +239,7 @@ _AXES = {14: ("gyroscope", 0), 13: ("gyroscope", 1), 5: ("gyroscope", 2),
          16: ("accelerometer", 0), 17: ("accelerometer", 1), 18: ("accelerometer", 2)}  # fmt: skip
 """Streams and axes by the type of a datum of ESF-MEAS and ESF-RAW."""
 
-_SCALES = {"gyroscope": np.deg2rad(2.0**-12), "accelerometer": 2.0**-10}
+_SCALES = {"gyroscope": radians(2.0**-12), "accelerometer": 2.0**-10}
 _SHORT_S = 60.0
 
 
@@ -349,6 +352,21 @@ class _UbxLog:
                     self.without += 1
                     return
                 self._put(name, tow, _fix(lat, lon, height * 1e-3, h_acc * 1e-3, v_acc * 1e-3))
+            case "NAV-COV":
+                north, east, down = (float(v[k]) for k in (3, 6, 8))
+                if v[1] == 1 and north >= 0.0 and east >= 0.0 and down >= 0.0 and np.isfinite(north + east + down):
+                    self.covariances[tow] = ((north + east) / 2.0) ** 0.5, down**0.5
+            case "NAV-ATT":
+                self.attitudes[tow] = v[3] * 1e-5, v[1] * 1e-5, v[2] * 1e-5
+            case "ESF-INS":
+                if v[0] >> 8 & 7 == 7:
+                    self.rates[tow] = [radians(value * 1e-3) for value in v[2:5]]
+            case _:
+                self._take_state(name, tow, v)
+
+    def _take_state(self, name: str, tow: int, v: tuple[int, ...]) -> None:
+        """Take what says whether there is a fix, or what time iTOW is."""
+        match name:
             case "NAV-STATUS":
                 self._judge(tow, v[1], v[2])
             case "NAV-SOL":
@@ -361,15 +379,6 @@ class _UbxLog:
             case "NAV-TIMEUTC":
                 if v[4] & 4:
                     self._know(tow, v[3], v[2], exact=False)
-            case "NAV-COV":
-                north, east, down = (float(v[k]) for k in (3, 6, 8))
-                if v[1] == 1 and north >= 0.0 and east >= 0.0 and down >= 0.0 and np.isfinite(north + east + down):
-                    self.covariances[tow] = ((north + east) / 2.0) ** 0.5, down**0.5
-            case "NAV-ATT":
-                self.attitudes[tow] = v[3] * 1e-5, v[1] * 1e-5, v[2] * 1e-5
-            case _:  # ESF-INS
-                if v[0] >> 8 & 7 == 7:
-                    self.rates[tow] = np.deg2rad(np.array(v[2:5]) * 1e-3).tolist()
 
     def _put(self, name: str, tow: int, fix: Fix) -> None:
         if abs(fix.latitude) > 90.0 or abs(fix.longitude) > 180.0:
@@ -565,10 +574,11 @@ class _Log:
             if time_ns in self.nmea.noise:
                 north, east, up = self.nmea.noise[time_ns]
                 across = ((north**2 + east**2) / 2.0) ** 0.5
-                fix = replace(fix, across=across, up=up, assumed=False) if np.isfinite(across) else fix
-            if fix.assumed:
-                fix = replace(fix, up=fix.up * self.nmea.dilutions.get(time_ns, _UNKNOWN))
-            chosen[time_ns] = fix
+                if np.isfinite(across):
+                    chosen[time_ns] = replace(fix, across=across, up=up, assumed=False)
+                    continue
+            up = fix.up * self.nmea.dilutions.get(time_ns, _UNKNOWN) if fix.assumed else fix.up
+            chosen[time_ns] = replace(fix, up=up)
         return chosen
 
     def _midnight(self, *, needed: bool) -> int | None:
@@ -578,7 +588,9 @@ class _Log:
             day, doubtful = 0, self.nmea.doubtful_days.most_common(1)
             if doubtful:
                 day = doubtful[0][0]
-            said = "is that of sentences without a fix, or with wrong checksums" if doubtful else "was taken as 1970-01-01"
+            said = (
+                "is that of sentences without a fix, or with wrong checksums" if doubtful else "was taken as 1970-01-01"
+            )
             message = f"no sound sentence has the date, which {said}"
             self.ledger.note(WarningKind.ASSUMED, "nmea-date", str(self.path), message)
         return None if day is None else day * DAY_NS
@@ -648,8 +660,9 @@ class _Log:
 
 
 def _quaternions(heading: Float64Array, roll: Float64Array, pitch: Float64Array) -> Float64Array:
-    """Orientations of x forward, y left, z up in east, north, up: heading clockwise from north, roll to the right and
-    pitch upwards positive [deg]; NaN of roll and pitch is 0.
+    """Orientations of x forward, y left, z up in east, north, up, (N, 4).
+
+    Headings are clockwise from north, rolls to the right and pitches upwards positive [deg]; NaN of these two is 0.
     """
     angles = np.column_stack([np.nan_to_num(roll), -np.nan_to_num(pitch), 90.0 - heading])
     return read_only(quaternion_from_matrix(rotation_from_cuboid_angles(angles, order="zyx")))

@@ -123,7 +123,9 @@ def _names(head: Sequence[str]) -> list[str] | None:
     return None
 
 
-def _columns(path: Path, ledger: Ledger, head: Sequence[str], words: Sequence[str], before: _Columns | None) -> _Columns:
+def _columns(
+    path: Path, ledger: Ledger, head: Sequence[str], words: Sequence[str], before: _Columns | None
+) -> _Columns:
     names, text = _names(head), "\n".join(head)
     if names is None:
         numbers = list(map(float, words[2:5]))

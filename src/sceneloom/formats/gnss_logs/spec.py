@@ -6,9 +6,7 @@ from pathlib import Path
 from sceneloom.formats.base.spec import FormatSpec, first_bytes
 
 _POSITION = re.compile(rb"(^|[^ -~])\$([A-Z]{2}(GGA|RMC|GNS|GLL)|PUBX,00),")
-_POS_HEAD = re.compile(
-    rb"^%.*\b(latitude\((deg|d'\")\)|x-ecef\(m\)|e-baseline\(m\)).*\bQ\b.*$", re.MULTILINE
-)
+_POS_HEAD = re.compile(rb"^%.*\b(latitude\((deg|d'\")\)|x-ecef\(m\)|e-baseline\(m\)).*\bQ\b.*$", re.MULTILINE)
 _POS_LINE = re.compile(rb"(\d{4}/\d{2}/\d{2}[ ,;\t]+\d{2}:\d{2}:|\d{1,4}[ ,;\t]+\d+\.\d+)[^%$a-zA-Z]{80}")
 _BEGINNING = 65_536
 

@@ -230,6 +230,10 @@ def utc_from_gps(gps_ns: Int64Array) -> Int64Array:
     return gps_ns - leaps.astype(np.int64) * _NS
 
 
+LAST_WEEK = 10_000
+"""No week of GPS time is later: that of 2171."""
+
+
 def gps_time(week: int, second_ns: int) -> int:
     """Nanoseconds since 1970, as GPS time counts them, of a week and the nanoseconds in it."""
     return _GPS_EPOCH_NS + week * _WEEK_MS * _MS_NS + second_ns
@@ -394,13 +398,15 @@ class _UbxLog:
         # a second of 60 is a leap second
         moment = datetime(year, month, day, hour, minute, tzinfo=UTC)
         utc_ns = round(moment.timestamp()) * _NS + second * _NS + nano
-        if not -_NS <= nano <= _NS or second > 60:
-            raise ValueError(f"second {second}, nano {nano}; expected a time of day")
+        if not -_NS <= nano <= _NS or second > 60 or not 1980 <= year < 2200:
+            raise ValueError(f"year {year}, second {second}, nano {nano}; expected a time since 1980")
         self.offsets[round((utc_ns - tow * _MS_NS) / _MS_NS)] += 1
         if exact:
             self.times[tow] = utc_ns
 
     def _know_week(self, tow: int, week: int, leap: int | None = None) -> None:
+        if not 0 <= week < LAST_WEEK:
+            raise ValueError(f"week {week}; expected one since 1980")
         gps_ns = gps_time(week, (tow % _WEEK_MS) * _MS_NS)
         utc_ns = gps_ns - leap * _NS if leap is not None else int(utc_from_gps(np.array([gps_ns]))[0])
         self.offsets[round((utc_ns - tow * _MS_NS) / _MS_NS)] += 1

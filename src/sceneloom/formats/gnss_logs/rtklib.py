@@ -19,7 +19,7 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import file_faults, open_file
-from sceneloom.formats.gnss_logs.receiver import gps_time, utc_from_gps
+from sceneloom.formats.gnss_logs.receiver import LAST_WEEK, gps_time, utc_from_gps
 from sceneloom.geometry.geodesy import ecef_from_enu, geodetic_from_ecef
 from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Trajectory
@@ -183,11 +183,11 @@ def _parse(words: Sequence[str], columns: _Columns) -> tuple[int, list[float], i
         hour, minute, second = words[1].split(":")
         moment = datetime(year, month, day, tzinfo=UTC).timestamp()
         time_ns = (round(moment) + int(hour) * 3600 + int(minute) * 60) * _NS + round(float(second) * _NS)
-        in_range = int(hour) < 24 and int(minute) < 60 and 0.0 <= float(second) < 61.0
+        in_range = 1980 <= year < 2200 and int(hour) < 24 and int(minute) < 60 and 0.0 <= float(second) < 61.0
     else:
         week, second_of_week = int(words[0]), float(words[1])
         time_ns = gps_time(week, round(second_of_week * _NS))
-        in_range = 0 <= week < 10_000 and 0.0 <= second_of_week <= 604_800.0
+        in_range = 0 <= week < LAST_WEEK and 0.0 <= second_of_week <= 604_800.0
     if not in_range:
         raise ValueError(f"time {' '.join(words[:2])!r}")
     values = [float(word) for word in words[2:]]

@@ -28,7 +28,8 @@ def test_positions_and_deviations_are_those_that_pyubx2_was_given(seed, tmp_path
         if kind == "NAV-PVT":
             nano = int((utc - utc.astype("datetime64[s]")).astype(int)) * 10**6
             fields |= {"year": date.year, "month": date.month, "day": date.day, "hour": date.hour, "min": date.minute}
-            fields |= {"second": date.second, "nano": nano, "validDate": 1, "validTime": 1, "fixType": 3, "gnssFixOk": 1}
+            fields |= {"second": date.second, "nano": nano, "validDate": 1, "validTime": 1, "fixType": 3}
+            fields["gnssFixOk"] = 1
         content += pyubx2.UBXMessage("NAV", kind, pyubx2.GET, **fields).serialize()
         content += chance.bytes(int(chance.integers(0, 9)))
         expected.append((int(utc.astype("datetime64[ns]").astype(int)), latitude, longitude, height * 1e-3))

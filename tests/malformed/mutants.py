@@ -4,8 +4,8 @@ A mutant is a drive with one file changed, and is known by the name of the drive
 again: `python -m tests.malformed.mutants NAME NUMBER` shows what becomes of one, with its traceback.
 `python -m tests.malformed.mutants NAME --count 2000` tries the first of them, `--count 2000 120`
 for two minutes at most, and says how many there were of each outcome, how long they took and the most memory.
-`python -m tests.malformed.mutants --every 20` does so with every drive for 20 seconds each, with mutants that nobody has
-tried, and fails if one fails; `--every 20 ubx pcap` with these drives.
+`python -m tests.malformed.mutants --every 20` does so with every drive for 20 seconds each, with mutants that nobody
+has tried, and fails if one fails; `--every 20 ubx pcap` with these drives.
 Mutants with negative numbers have a named pipe, a device, a folder, a socket or a file of 200 GB without content in
 the position of a file, or a file that is named by a number beyond 64 bits, or has values nested 100,000 deep.
 

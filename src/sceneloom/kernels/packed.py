@@ -1,4 +1,4 @@
-"""Packed bytes: LZF of PCD files, 23-byte lidar records, and lists of protobuf records in both directions.
+"""Packed bytes: LZF of PCD files, 23-byte lidar records, ranges of beams, lists of protobuf records both ways.
 
 Unusual is all that a writer need not write: fields that are unknown or come twice, lists in parts, numbers of more than
 32 bits, and records that do not agree with the list about its number and time.
@@ -8,7 +8,7 @@ Source: protobuf.dev, "Encoding"; numbers that are 0 and empty texts are left ou
 
 import numba
 import numpy as np
-from numba import float32, float64, int64, types, uint8, uint16, void
+from numba import float32, float64, int64, types, uint8, uint16, uint32, void
 
 from sceneloom.arrays import (
     AnyArray,
@@ -21,7 +21,19 @@ from sceneloom.arrays import (
     UInt32Array,
 )
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.signatures import IN_U8_1D, inlined, part
+from sceneloom.kernels.signatures import (
+    IN_BOOL_1D,
+    IN_F32_1D,
+    IN_F32_2D,
+    IN_F32_3D,
+    IN_F64_1D,
+    IN_I64_1D,
+    IN_U8_1D,
+    IN_U8_2D,
+    inlined,
+    part,
+    read_only,
+)
 
 LARGEST_RATIO = 264 / 3
 """A back reference of three bytes stands for at most 264: no stream can unfold to more than this times its length."""
@@ -489,3 +501,164 @@ def write_list(
             out[at] = out[k]
             at += 1
     return out[:at].copy()
+
+
+_BITS = (int64, int64, int64, int64)
+"""A field of a pixel's words: number of the word, its lowest bit, the mask of its bits, and how far they go left."""
+
+
+@inlined
+def _bits(words: UInt32Array, pixel: int, word: int, bit: int, mask: int, left: int) -> int:
+    return ((int64(words[pixel, word]) >> bit) & mask) << left
+
+
+@kernel(
+    int64(
+        *(read_only(uint32, 2), *_BITS, IN_BOOL_1D, IN_I64_1D, IN_I64_1D, IN_F32_2D, IN_F32_2D),
+        *(float32[:, ::1], int64[::1], uint16[::1], int64[::1]),
+    )
+)
+def place_ranges(
+    words: UInt32Array,
+    word: int,
+    bit: int,
+    mask: int,
+    left: int,
+    valid: BoolArray,
+    beams: Int64Array,
+    times_ns: Int64Array,
+    directions: Float32Array,
+    origins: Float32Array,
+    positions: Float32Array,
+    stamps_ns: Int64Array,
+    rings: UInt16Array,
+    index: Int64Array,
+) -> int:
+    """Place the ranges of the pixels of columns along their beams.
+
+    Args:
+        words: (M * H, W) of pixels, in which `word`, `bit`, `mask` and `left` are the range [mm], 0 for no return.
+        valid: (M,) whether a column counts.
+        beams: (M,) row of a column's first beam in `directions`.
+        times_ns: (M,) [ns].
+        directions, origins: (B, 3) of beams; where they begin [m].
+        positions, stamps_ns, rings, index: (M * H or more, …), filled: positions [m], times, rows of the beams, and the
+            pixel of each return.
+
+    Returns:
+        How many returns there are.
+    """
+    count = 0
+    rows = words.shape[0] // max(len(valid), 1)
+    for column in range(len(valid)):
+        if not valid[column]:
+            continue
+        for row in range(rows):
+            pixel = column * rows + row
+            millimetres = _bits(words, pixel, word, bit, mask, left)
+            if millimetres == 0:
+                continue
+            beam = beams[column] + row
+            metres = float32(millimetres) * float32(0.001)
+            for axis in range(3):
+                positions[count, axis] = directions[beam, axis] * metres + origins[beam, axis]
+            stamps_ns[count] = times_ns[column]
+            rings[count] = row
+            index[count] = pixel
+            count += 1
+    return count
+
+
+@kernel([void(read_only(uint32, 2), *_BITS, IN_I64_1D, kind[::1]) for kind in (uint8, uint16, uint32)])
+def pick_bits(
+    words: UInt32Array, word: int, bit: int, mask: int, left: int, pixels: Int64Array, values: AnyArray
+) -> None:
+    """Fill `values` (N,) with a field of the pixels (N,) of `words` (M, W)."""
+    for k in range(len(pixels)):
+        values[k] = _bits(words, pixels[k], word, bit, mask, left)
+
+
+@inlined
+def _turned(cosine: float, sine: float, angle: float) -> tuple[float, float]:
+    """Cosine and sine of an angle that grows by less than 0.03 rad: Taylor's series, within 1e-11."""
+    square = angle * angle
+    more_cosine, more_sine = 1.0 - square * (0.5 - square / 24.0), angle * (1.0 - square / 6.0)
+    return cosine * more_cosine - sine * more_sine, sine * more_cosine + cosine * more_sine
+
+
+@kernel(
+    int64(
+        *(IN_BOOL_1D, IN_I64_1D, read_only(uint16, 2), IN_U8_2D, IN_F32_1D, IN_F64_1D, IN_F64_1D, IN_F64_1D),
+        *(IN_I64_1D, IN_I64_1D, IN_F32_3D, IN_I64_1D, IN_F32_1D),
+        *(float32[:, ::1], uint8[::1], int64[::1], uint16[::1], int64[::1]),
+    )
+)
+def place_polar(
+    counted: BoolArray,
+    numbers: Int64Array,
+    distances: UInt16Array,
+    intensities: UInt8Array,
+    unit_m: Float32Array,
+    azimuths: Float64Array,
+    offsets: Float64Array,
+    elevations: Float64Array,
+    times_ns: Int64Array,
+    channels_ns: Int64Array,
+    adjustments: Float32Array,
+    steps: Int64Array,
+    weights: Float32Array,
+    positions: Float32Array,
+    reflected: UInt8Array,
+    stamps_ns: Int64Array,
+    rings: UInt16Array,
+    blocks: Int64Array,
+) -> int:
+    """Place the returns of blocks of channels: x along azimuth 0, y where the azimuth grows, z up.
+
+    Args:
+        counted: (M,) whether a block counts.
+        numbers: (M,) of a block among those of one firing, from 0; of equal returns of a firing one counts.
+        distances, intensities: (M, C), distances in `unit_m` (M,), 0 where nothing returned.
+        azimuths: (M,) of blocks [rad].
+        offsets, elevations: (C,) of channels [rad]: what is added to the azimuth; above the horizon.
+        times_ns, channels_ns: (M,), (C,) [ns], which are added.
+        adjustments: (2, S, C) [rad], below 0.03: of elevation and azimuth, a circle of steps; (2, 0, C) for none.
+        steps, weights: (M,) the step before a block, and how much of the way to the next it is.
+        positions, reflected, stamps_ns, rings, blocks: filled: positions [m], intensities, times, channels, blocks.
+
+    Returns:
+        How many returns there are.
+    """
+    count, circle = 0, adjustments.shape[1]
+    cosines, sines = np.cos(elevations), np.sin(elevations)
+    cosines_aside, sines_aside = np.cos(offsets), np.sin(offsets)
+    for block in range(distances.shape[0]):
+        if not counted[block]:
+            continue
+        cosine_of_block, sine_of_block = np.cos(azimuths[block]), np.sin(azimuths[block])
+        before = steps[block]
+        after = before + 1 if before + 1 < circle else 0
+        for channel in range(distances.shape[1]):
+            value, intensity, repeated = distances[block, channel], intensities[block, channel], False
+            for other in range(block - numbers[block], block):
+                repeated |= distances[other, channel] == value and intensities[other, channel] == intensity
+            if value == 0 or repeated:
+                continue
+            distance = value * unit_m[block]
+            x = cosine_of_block * cosines_aside[channel] - sine_of_block * sines_aside[channel]
+            y = sine_of_block * cosines_aside[channel] + cosine_of_block * sines_aside[channel]
+            cosine, sine = cosines[channel], sines[channel]
+            if circle:
+                weight = weights[block]
+                up, aside = adjustments[0], adjustments[1]
+                cosine, sine = _turned(cosine, sine, up[before, channel] * (1 - weight) + up[after, channel] * weight)
+                x, y = _turned(x, y, aside[before, channel] * (1 - weight) + aside[after, channel] * weight)
+            positions[count, 0] = distance * cosine * x
+            positions[count, 1] = distance * cosine * y
+            positions[count, 2] = distance * sine
+            reflected[count] = intensity
+            stamps_ns[count] = times_ns[block] + channels_ns[channel]
+            rings[count] = channel
+            blocks[count] = block
+            count += 1
+    return count

@@ -509,7 +509,8 @@ _BITS = (int64, int64, int64, int64)
 
 @inlined
 def _bits(words: UInt32Array, pixel: int, word: int, bit: int, mask: int, left: int) -> int:
-    return ((int64(words[pixel, word]) >> bit) & mask) << left
+    value: int = ((int64(words[pixel, word]) >> bit) & mask) << left
+    return value
 
 
 @kernel(

@@ -430,8 +430,8 @@ class _UbxLog:
 
 def _fix(latitude: float, longitude: float, height: float, across: float, up: float) -> Fix:
     """A position of latitude and longitude in 1e-7 degrees; the horizontal accuracy is that of both directions."""
-    deviations = [value if 0.0 < value < 4e6 else _UNKNOWN for value in (across / 2.0**0.5, up)]
-    return Fix(latitude * 1e-7, longitude * 1e-7, height, 0.0, *deviations)
+    across, up = (value if 0.0 < value < 4e6 else _UNKNOWN for value in (across / 2.0**0.5, up))
+    return Fix(latitude * 1e-7, longitude * 1e-7, height, 0.0, across, up)
 
 
 # logs

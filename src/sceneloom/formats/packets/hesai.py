@@ -227,8 +227,7 @@ class HesaiDecoder:
 
         model = MODELS[self.key]
         body = self._body(packets)
-        values = body["values"]
-        raw, intensities = (np.ascontiguousarray(values[name]) for name in ("distance", "reflectivity"))
+        raw, intensities = (np.ascontiguousarray(body["values"][name]) for name in ("distance", "reflectivity"))
         returns = self._returns(packets)[:, None]
         number = (np.arange(model.blocks) % returns).ravel()
         unit_m = (packets[:, 9] if model.header else np.full(len(packets), 4)).astype(np.float32) * np.float32(0.001)
@@ -236,19 +235,16 @@ class HesaiDecoder:
         positions, rings = np.empty((most, 3), np.float32), np.empty(most, np.uint16)
         stamps_ns, block = np.empty(most, np.int64), np.empty(most, np.int64)
         reflected = np.empty(most, np.uint8)
+        units_m = np.repeat(unit_m, model.blocks)
+        times_ns = (self._block_times_ns(packets) + shifts_ns[:, None]).ravel()
+        channels_ns = np.rint(np.array(model.channel_us) * 1000).astype(np.int64)
+        azimuths, offsets, elevations = self._angles(self._azimuths(body).ravel())
+        steps, weights = self._steps(self._azimuths(body).ravel())
+        distances, reflectivities = (values.reshape(-1, model.channels) for values in (raw, intensities))
         count = place_polar(
-            blocks.ravel(),
-            number,
-            raw.reshape(-1, model.channels),
-            intensities.reshape(-1, model.channels),
-            np.repeat(unit_m, model.blocks),
-            *self._angles(self._azimuths(body).ravel()),
-            (self._block_times_ns(packets) + shifts_ns[:, None]).ravel(),
-            np.rint(np.array(model.channel_us) * 1000).astype(np.int64),
-            self._adjusted,
-            *self._steps(self._azimuths(body).ravel()),
-            *(positions, reflected, stamps_ns, rings, block),
-        )
+            blocks.ravel(), number, distances, reflectivities, units_m, azimuths, offsets, elevations,
+            times_ns, channels_ns, self._adjusted, steps, weights, positions, reflected, stamps_ns, rings, block,
+        )  # fmt: skip
         extras = {}
         if int(returns.max(initial=1)) > 1:
             extras["return_number"] = (number + 1).astype(np.uint8).take(block[:count])
@@ -263,13 +259,16 @@ class HesaiDecoder:
     def _angles(self, azimuths: Int64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Azimuths of blocks (M,), offsets and elevations of channels (C,) [rad], counter-clockwise from x (right)."""
         if self.correction is None:
-            elevations, offsets = np.deg2rad(np.asarray(self.angles_deg, np.float64)).T
-            return np.pi / 2 - np.deg2rad(azimuths / 100.0), -offsets, np.ascontiguousarray(elevations)
-        table = self.correction
-        side = (np.searchsorted(table.starts, azimuths, side="right") - 1) % len(table.starts)
-        turned = (azimuths - table.starts[side]) * 2 % (36000 * _FINE)
-        elevations, offsets = (table.angles * _AT_UNIT).T
-        return np.pi / 2 - turned * _AT_UNIT, np.ascontiguousarray(offsets), np.ascontiguousarray(elevations)
+            turned, angles, sign = np.deg2rad(azimuths / 100.0), np.deg2rad(self.angles_deg), -1.0
+        else:
+            table = self.correction
+            side = (np.searchsorted(table.starts, azimuths, side="right") - 1) % len(table.starts)
+            turned = (azimuths - table.starts[side]) * 2 % (36000 * _FINE) * _AT_UNIT
+            angles, sign = table.angles * _AT_UNIT, 1.0
+        # from x, which is right of azimuth 0
+        around: Float64Array = np.pi / 2 - turned
+        offsets: Float64Array = np.ascontiguousarray(angles[:, 1] * sign)
+        return around, offsets, np.ascontiguousarray(angles[:, 0])
 
     @cached_property
     def _adjusted(self) -> Float32Array:

@@ -330,12 +330,15 @@ class OusterDecoder:
         most = len(suffixes) * len(words)
         positions, rings = np.empty((most, 3), np.float32), np.empty(most, np.uint16)
         stamps_ns, pixels = np.empty(most, np.int64), np.empty(most, np.int64)
+        directions, origins = _directions(self.metadata)
         stops = [0]
         for suffix in suffixes:
             rest = slice(stops[-1], None)
-            filled = positions[rest], stamps_ns[rest], rings[rest], pixels[rest]
-            beam = valid, beams, times_ns, *_directions(self.metadata)
-            stops.append(stops[-1] + place_ranges(words, *self._bits(f"RANGE{suffix}"), *beam, *filled))
+            count = place_ranges(
+                words, *self._bits(f"RANGE{suffix}"), valid, beams, times_ns, directions, origins,
+                positions[rest], stamps_ns[rest], rings[rest], pixels[rest],
+            )  # fmt: skip
+            stops.append(stops[-1] + count)
         found: dict[str, AnyArray] = {}
         for name in ("REFLECTIVITY", *names):
             found[name.lower()] = np.empty(stops[-1], self._fields[name][0])

@@ -1317,7 +1317,8 @@ _TAILS = frozenset(
         "points", "points_raw", "point_cloud", "pointcloud", "pointcloud2", "cloud", "points2", "image", "image_raw",
         "image_rect", "image_color", "image_rect_color", "image_mono", "image_rect_raw", "raw", "compressed",
         "compressed_image", "compressed_video", "video", "data", "data_raw", "fix", "imu", "h264", "navsatfix",
-        "location", "odometry", "pose", "mag", "temperature", "compressedDepth",
+        "location", "odometry", "pose", "mag", "temperature", "compressedDepth", "ffmpeg", "draco", "zstd", "zlib",
+        "cloudini", "scan",
     }
 )  # fmt: skip
 """Last parts of topics that state what messages are, and not of which sensor."""

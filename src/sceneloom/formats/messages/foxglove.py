@@ -15,6 +15,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.formats.messages.points import scan_record
 from sceneloom.formats.messages.records import (
+    VELOCITIES,
     AnyRecord,
     Box2D,
     Box3D,
@@ -138,11 +139,15 @@ def _poses(message: Any, _: memoryview) -> Iterable[PoseRecord | SampleRecord]:
         yield PoseRecord(*head, vector_of(pose.position), rotation if known else None, body, covariance)
     values = {
         stream: tuple(vector_of(getattr(message, name)).tolist())
-        for stream, name in (("linearVelocity", "linear_velocity"), ("angularVelocity", "angular_velocity"))
+        for stream, name in zip(VELOCITIES, ("linear_velocity", "angular_velocity"), strict=True)
         if hasattr(message, name) and _states(message, name)
     }
     if values:
-        yield SampleRecord(head[0], body, values)
+        numbers = np.asarray(message.velocity_covariance, np.float64)
+        spread = numbers.reshape(6, 6) if numbers.size == 36 else np.zeros((6, 6))
+        parts = zip(VELOCITIES, (spread[:3, :3], spread[3:, 3:]), strict=True)
+        known = {name: tuple(part.reshape(-1).tolist()) for name, part in parts if part.any() and name in values}
+        yield SampleRecord(head[0], body, values, known)
 
 
 def _fixes(message: Any, _: memoryview) -> Iterable[FixRecord]:

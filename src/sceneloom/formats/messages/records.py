@@ -167,11 +167,12 @@ class FixRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleRecord:
-    """What an IMU measured at a time, by the names of its streams."""
+    """What an IMU measured at a time, by the names of its streams, and the (K, K) covariances of these, row by row."""
 
     timestamp_ns: int
     frame_id: str
     values: Mapping[str, tuple[float, ...]]
+    covariances: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: NO_FIELDS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -270,6 +271,10 @@ class Topic:
     kind: Kind | None
     count: int
     why: str = "of a type that is not read"
+
+
+VELOCITIES = ("linearVelocity", "angularVelocity")
+"""Streams of what odometry, wheels or receivers say of the motion [m/s], [rad/s], in the axes of the body."""
 
 
 class TopicLog(Protocol):

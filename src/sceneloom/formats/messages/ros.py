@@ -19,7 +19,7 @@ from rosbags.rosbag1.reader import Header, ReaderError, RecordType, read_uint32
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import check_regular, file_faults, most_unpacked
@@ -33,6 +33,7 @@ from sceneloom.formats.messages.mcap_files import McapIndex, read_index
 from sceneloom.formats.messages.points import scan_record
 from sceneloom.formats.messages.reader import scene_from_topics
 from sceneloom.formats.messages.records import (
+    VELOCITIES,
     AnyRecord,
     Box2D,
     Box3D,
@@ -1040,23 +1041,54 @@ def _fix(message: Any) -> Sequence[FixRecord]:
 def _imu(message: Any) -> Sequence[SampleRecord]:
     """Measurements; a first element -1 of their covariances says that there are none."""
     values: dict[str, tuple[float, ...]] = {}
-    if message.linear_acceleration_covariance[0] != -1:
-        values["accelerometer"] = tuple(vector_of(message.linear_acceleration).tolist())
-    if message.angular_velocity_covariance[0] != -1:
-        values["gyroscope"] = tuple(vector_of(message.angular_velocity).tolist())
+    covariances: dict[str, tuple[float, ...]] = {}
+    for stream, name in (("accelerometer", "linear_acceleration"), ("gyroscope", "angular_velocity")):
+        spread = np.asarray(getattr(message, f"{name}_covariance"), np.float64)
+        if spread[0] != -1:
+            values[stream] = tuple(vector_of(getattr(message, name)).tolist())
+            covariances |= _spread(stream, spread)
     rotation = rotation_of(message.orientation)
     if message.orientation_covariance[0] != -1 and not lengths_of(rotation[None])[1][0]:
         values["orientation"] = tuple(rotation.tolist())
-    return [SampleRecord(*_head(message), values)]
+        covariances |= _spread("orientation", np.asarray(message.orientation_covariance, np.float64))
+    return [SampleRecord(*_head(message), values, covariances)]
+
+
+def _spread(stream: str, covariance: Float64Array) -> dict[str, tuple[float, ...]]:
+    """A covariance that is stated; zeros say that it is not known."""
+    return {stream: tuple(covariance.reshape(-1).tolist())} if covariance.any() else {}
 
 
 def _magnetic(message: Any) -> Sequence[SampleRecord]:
     field = vector_of(message.magnetic_field) / _MICROTESLA
-    return [SampleRecord(*_head(message), {"magnetometer": tuple(field.tolist())})]
+    spread = np.asarray(message.magnetic_field_covariance, np.float64) / _MICROTESLA**2
+    known = _spread("magnetometer", spread) if spread[0] >= 0 else {}
+    return [SampleRecord(*_head(message), {"magnetometer": tuple(field.tolist())}, known)]
 
 
 def _temperature(message: Any) -> Sequence[SampleRecord]:
-    return [SampleRecord(*_head(message), {"imuTemperature": (float(message.temperature) + _ZERO_CELSIUS,)})]
+    spread = _spread("imuTemperature", np.array([message.variance], np.float64))
+    return [SampleRecord(*_head(message), {"imuTemperature": (float(message.temperature) + _ZERO_CELSIUS,)}, spread)]
+
+
+def _twist(message: Any) -> Sequence[SampleRecord]:
+    return [_velocities(*_head(message), message.twist)]
+
+
+def _velocities(time_ns: int, frame_id: str, twist: Any) -> SampleRecord:
+    """A motion, with its covariance or without."""
+    covariances: dict[str, tuple[float, ...]] = {}
+    if hasattr(twist, "twist"):
+        spread = np.asarray(twist.covariance, np.float64).reshape(6, 6)
+        covariances = _spread(VELOCITIES[0], spread[:3, :3]) | _spread(VELOCITIES[1], spread[3:, 3:])
+        twist = twist.twist
+    vectors = vector_of(twist.linear), vector_of(twist.angular)
+    values = {stream: tuple(vector.tolist()) for stream, vector in zip(VELOCITIES, vectors, strict=True)}
+    return SampleRecord(time_ns, frame_id, values, covariances)
+
+
+def _odometry(message: Any) -> Sequence[PoseRecord | SampleRecord]:
+    return [*_pose(message), _velocities(_head(message)[0], _frame(message.child_frame_id), message.twist)]
 
 
 def _label(detection: Any) -> tuple[str | None, dict[str, str]]:
@@ -1123,7 +1155,9 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": (Kind.VIDEO, _video),
         **{f"{_FOXGLOVE}{name}": (kind, partial(_foxglove, read)) for name, (kind, read) in READERS.items()},
         "sensor_msgs/msg/CameraInfo": (Kind.CAMERA_MODEL, _camera_model),
-        "nav_msgs/msg/Odometry": (Kind.POSE, _pose),
+        "nav_msgs/msg/Odometry": (Kind.POSE, _odometry),
+        "geometry_msgs/msg/TwistStamped": (Kind.SAMPLE, _twist),
+        "geometry_msgs/msg/TwistWithCovarianceStamped": (Kind.SAMPLE, _twist),
         "geometry_msgs/msg/PoseStamped": (Kind.POSE, _pose),
         "geometry_msgs/msg/PoseWithCovarianceStamped": (Kind.POSE, _pose),
         "geometry_msgs/msg/PointStamped": (Kind.POSE, _point),
@@ -1140,10 +1174,6 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
 
 _NOT_READ: Mapping[str, str] = MappingProxyType(
     {
-        "nav_msgs/msg/Odometry": "velocities",
-        "sensor_msgs/msg/Imu": "covariances",
-        "sensor_msgs/msg/MagneticField": "covariances",
-        "sensor_msgs/msg/Temperature": "variances",
         "vision_msgs/msg/Detection3DArray": "hypotheses but the likeliest, and their poses,",
         "vision_msgs/msg/Detection2DArray": "hypotheses but the likeliest, and their poses,",
     }

@@ -543,7 +543,7 @@ def _bits(content, position, stop, held, count, wanted):  # type: ignore[no-unty
 
 
 @part
-def _whole(content, position, size):  # type: ignore[no-untyped-def]
+def _value(content, position, size):  # type: ignore[no-untyped-def]
     """The bits of a value of `size` bytes, lowest byte first."""
     whole = np.uint64(0)
     for b in range(size):
@@ -588,7 +588,7 @@ def _next_value(content, position, stop, field, before, window, is_first):  # ty
         return before ^ changed, position, False
     if position + size > stop:
         return before, -1, False
-    whole = _whole(content, position, size)
+    whole = _value(content, position, size)
     return (before ^ whole if way == MIXED else whole), position + size, False
 
 
@@ -639,7 +639,7 @@ def _read_palette(content, position, size, values):  # type: ignore[no-untyped-d
         index, position, held, left = _bits(content, position, stop, held, left, width)
         if position < 0 or np.int64(index) >= count:
             return -1
-        values[k] = np.int64(_whole(content, palette + np.int64(index) * size, size))
+        values[k] = np.int64(_value(content, palette + np.int64(index) * size, size))
     return position
 
 
@@ -649,7 +649,7 @@ def _read_repeated(content, position, size, values, steps):  # type: ignore[no-u
     stop, done, total = content.size, 0, np.uint64(0)
     if position + 4 > stop:
         return -1
-    runs = np.int64(_whole(content, position, 4))
+    runs = np.int64(_value(content, position, 4))
     position += 4
     for _ in range(runs):
         if steps:
@@ -660,14 +660,14 @@ def _read_repeated(content, position, size, values, steps):  # type: ignore[no-u
         else:
             if position + size > stop:
                 return -1
-            whole, position = _whole(content, position, size), position + size
+            whole, position = _value(content, position, size), position + size
         length, position = _varint(content, position, stop) if position >= 0 else (np.uint64(0), -1)
         if position < 0 or length > np.uint64(values.size - done):
             return -1
-        for k in range(done, done + np.int64(length)):
+        for k in range(done, done + int(length)):
             total = total + whole if steps else whole
             values[k] = np.int64(total)
-        done += np.int64(length)
+        done = done + int(length)
     return position if done == values.size else -1
 
 

@@ -188,7 +188,7 @@ class _Cloudini:
             bits: AnyArray = values.astype(f"<u{field.dtype.itemsize}").view(field.dtype)
             return bits
         steps = values.astype(np.int32) if narrow else values
-        column = steps.astype(field.dtype) * field.dtype.type(np.float32(field.resolution))
+        column: AnyArray = steps.astype(field.dtype) * field.dtype.type(np.float32(field.resolution))
         column[values == NO_NUMBER] = np.nan
         return column
 
@@ -286,7 +286,7 @@ def _text_head(text: str) -> tuple[_Head, tuple[_CloudiniField, ...]]:
 
 def _binary_head(content: bytes, start: int) -> tuple[_Head, tuple[_CloudiniField, ...], int]:
     try:
-        *sizes, stage, compression, count = struct.unpack_from("<IIIBBH", content, start)
+        width, height, stride, stage, compression, count = struct.unpack_from("<IIIBBH", content, start)
         start += 16
         fields = []
         for _ in range(min(count, _MOST_FIELDS + 1)):
@@ -297,7 +297,7 @@ def _binary_head(content: bytes, start: int) -> tuple[_Head, tuple[_CloudiniFiel
             start += 11 + length
     except struct.error as error:
         raise ValueError(f"the head of Cloudini is cut off: {error}") from error
-    return _head(*sizes, stage, compression, tuple(fields)), tuple(fields), start
+    return _head(width, height, stride, stage, compression, tuple(fields)), tuple(fields), start
 
 
 def _head(

@@ -146,8 +146,8 @@ def _poses(message: Any, _: memoryview) -> Iterable[PoseRecord | SampleRecord]:
         numbers = np.asarray(message.velocity_covariance, np.float64)
         spread = numbers.reshape(6, 6) if numbers.size == 36 else np.zeros((6, 6))
         parts = zip(VELOCITIES, (spread[:3, :3], spread[3:, 3:]), strict=True)
-        known = {name: tuple(part.reshape(-1).tolist()) for name, part in parts if part.any() and name in values}
-        yield SampleRecord(head[0], body, values, known)
+        stated = {name: tuple(part.reshape(-1).tolist()) for name, part in parts if part.any() and name in values}
+        yield SampleRecord(head[0], body, values, stated)
 
 
 def _fixes(message: Any, _: memoryview) -> Iterable[FixRecord]:

@@ -50,6 +50,7 @@ NEIGHBOURS = {("arrays", "errors"), ("lazy", "errors"), ("warnings", "errors"), 
 ROW_OF = {room: number for number, row in enumerate(ROWS) for room in row}
 
 WRAPPERS = {
+    "DracoPy": {"formats"},
     "numba": {"kernels", "cameras", "colouring", "motion", "detections", "calibrate", "simulate"},
     "av": {"formats", "simulate"},
     "simplejpeg": {"formats"},

@@ -141,6 +141,10 @@ def _packed_bag(folder: Path) -> Path:
     return rewrite_bag(_written("ros1", "sound.bag", folder), folder / "drive.bag", lz4=True)
 
 
+def _packed_messages(folder: Path) -> Path:
+    return import_module("tests.interop.test_packed_messages").write_drive(folder / "drive")
+
+
 def _copied(location: str, folder: Path) -> Path:
     """A file of someone else, out of the folder of real data."""
     data = os.environ.get("SCENELOOM_DATA", _ROOT.parent / "shared" / "data")
@@ -182,6 +186,7 @@ DRIVES: dict[str, Write] = {
     "ros1 lz4": _packed_bag,
     **_folders("ros2"),
     "ros2 sqlite": partial(_written, "ros2", "drive", storage="sqlite3"),
+    "ros2 packed messages": _packed_messages,
 }
 """Writers of sound drives, by their format and what else reports them apart."""
 

@@ -21,15 +21,15 @@ from sceneloom.formats.base.text_tables import FARTHEST_NS, UNITS_NS, TimestampE
 from sceneloom.formats.openlabel.document import (
     ABSOLUTE,
     CONFIRMED,
+    DOCUMENT,
     FISHEYE,
     INTERPOLATED,
-    DOCUMENT,
     KEPT,
     KEPT_WHOLE,
     KIND,
     LENS_COEFFICIENTS,
-    OPENCV_ORDER,
     OF_OTHERS,
+    OPENCV_ORDER,
     OURS,
     OURS_CAMERA,
     PLAIN,
@@ -41,12 +41,7 @@ from sceneloom.formats.openlabel.document import (
     SeenBoxes,
     restored,
 )
-from sceneloom.geometry.rigid import (
-    RigidTransform,
-    multiply_quaternions,
-    normalise_quaternion,
-    rotate_vectors,
-)
+from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,
@@ -580,6 +575,7 @@ class _Element:
     id: str  # `uid`, with its kind where something else of the file has the same key
     head: _Part  # its entry in the root
     data: _Data = field(default_factory=dict)
+    systems: dict[tuple[str, str], Any] = field(default_factory=dict)  # of shapes, by their type and name
     frames: list[int] = field(default_factory=list)  # numbers of the frames that name it
 
     @property
@@ -598,7 +594,10 @@ class _Element:
         return found
 
     def take(self, data: _Part, time_ns: int | None) -> None:
-        """Add the data of a frame, or of the head; of data of equal names the second is called `name#2`."""
+        """Add the data of a frame, or of the head; of data of equal names the second is called `name#2`.
+
+        Shapes of one name that change their coordinate system are several: `name`, `name@system`.
+        """
         for kind, values in data.members().items():
             if kind not in (*_SHAPES, *PLAIN, *KEPT_WHOLE):
                 known = ", ".join((*_SHAPES, *PLAIN, *KEPT_WHOLE))
@@ -608,6 +607,9 @@ class _Element:
             for part in data.items(kind):
                 name = part.members().get("name")
                 name = name if isinstance(name, str) else kind
+                if kind in _SHAPES:
+                    system = part.members().get("coordinate_system")
+                    name += "" if self.systems.setdefault((kind, name), system) == system else f"@{system}"
                 seen[name] = seen.get(name, 0) + 1
                 unique = name if seen[name] == 1 else f"{name}#{seen[name]}"
                 self.data.setdefault((kind, unique), []).append(_Stated(time_ns, part))
@@ -812,12 +814,7 @@ class DocumentReader:
         return False
 
     def _shape(
-        self,
-        key: tuple[str, str],
-        rows: list[_Stated],
-        head: _Part,
-        members: Mapping[str, Any],
-        fields: dict[str, Any],
+        self, key: tuple[str, str], rows: list[_Stated], head: _Part, members: Mapping[str, Any], fields: dict[str, Any]
     ) -> Annotation:
         """Make an annotation of the rows of one type and name of data, and of `fields` found for all of them."""
         # `head` is the entry of the object, whose coordinate system holds for all that states none; `members` are our
@@ -846,8 +843,6 @@ class DocumentReader:
         first = rows[0].part
         times = [self.times.first_ns if row.time_ns is None else row.time_ns for row in rows]
         stated = first.get("coordinate_system")
-        if any(row.part.members().get("coordinate_system") != (stated and stated.value) for row in rows):
-            raise first.fault("the same coordinate_system in all frames")
         stated = stated or head.get("coordinate_system")
         system = None if stated is None else stated.text()
         if kind in _IN_IMAGES:
@@ -1142,7 +1137,16 @@ _MODES = (ABSOLUTE, RELATIVE, *_CHAIN_CODES)
 _DIGITS: Mapping[str, int] = MappingProxyType({digit: k for k, digit in enumerate(
     "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"
 )})  # fmt: skip
-_STEPS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))  # clockwise in the image, from the right
+_STEPS = (
+    (1, 0),
+    (1, 1),
+    (0, 1),
+    (-1, 1),
+    (-1, 0),
+    (-1, -1),
+    (0, -1),
+    (1, -1),
+)  # clockwise in the image, from the right
 _DOWN, _BACK = 2, 5
 _ROTATIONS: Mapping[int, int] = MappingProxyType({1: 1, 2: -1, 3: 2, 4: -2})  # by code, in eighths of a full one
 

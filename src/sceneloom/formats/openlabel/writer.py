@@ -27,9 +27,9 @@ from sceneloom.formats.openlabel.document import (
     KEPT,
     KIND,
     LENS_COEFFICIENTS,
+    OF_OTHERS,
     OPENCV_COUNTS,
     OPENCV_ORDER,
-    OF_OTHERS,
     OURS,
     OURS_CAMERA,
     PLAIN,
@@ -210,7 +210,7 @@ def _is_plain(sensor: Sensor) -> bool:
 _RELATIVE, _ABSOLUTE, _MICROSECOND = 1e-12, 1e-9, 1000  # of what went through another format and back
 
 
-def _same(a: Any, b: Any, tolerance: float = _ABSOLUTE) -> bool:
+def _same(a: Any, b: Any, tolerance: float = _ABSOLUTE) -> bool:  # noqa: PLR0911 - one for each kind of value
     """Whether two parts of scenes state the same; a sensor with frames is no stream, which has none."""
     if a is b:
         return True
@@ -231,7 +231,7 @@ def _same(a: Any, b: Any, tolerance: float = _ABSOLUTE) -> bool:
         return len(a) == len(b) and all(map(_same, a, b))
     if isinstance(a, int | float) and isinstance(b, int | float) and isinstance(a, bool) is isinstance(b, bool):
         relative = _RELATIVE if isinstance(a, float) or isinstance(b, float) else 0.0
-        return a == b or (a != a and b != b) or math.isclose(a, b, rel_tol=relative, abs_tol=tolerance)
+        return (math.isnan(a) and math.isnan(b)) or math.isclose(a, b, rel_tol=relative, abs_tol=tolerance)
     return type(a) is type(b) and bool(a == b)
 
 

@@ -207,7 +207,7 @@ def documents(draw):
     found |= {"frames": frames} if frames or draw(st.booleans()) else {}
     if draw(st.booleans()):
         found |= {
-            "ontologies": {"0": "http://a.b", "1": {"uri": "x", "boundary_list": ["a"]}},
+            "ontologies": {"0": "http://a.b", "1": {"uri": "x", "boundary_list": ["a"], "boundary_mode": "include"}},
             "resources": {"0": "map.xodr"},
             "tags": {"0": {"type": "x", "ontology_uid": "0", "tag_data": draw(OTHER_DATA)}},
             "frame_intervals": [{"frame_start": 0, "frame_end": 3}],

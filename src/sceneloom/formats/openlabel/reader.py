@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import MODELS, OPENCV_LENGTHS, Camera, from_opencv
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
@@ -29,7 +29,6 @@ from sceneloom.formats.openlabel.document import (
     KIND,
     LENS_COEFFICIENTS,
     OF_OTHERS,
-    OPENCV_ORDER,
     OURS,
     OURS_CAMERA,
     PLAIN,
@@ -497,16 +496,17 @@ def _pinhole(part: _Part) -> tuple[Camera | None, Float64Array]:
         return None, _CENTRED
     listed = _first(part, "distortion_coeffs_1xN", "distortion_coeffs")
     coefficients = [] if listed is None else listed.numbers()
-    if len(coefficients) > len(OPENCV_ORDER):
-        raise listed.fault(f"at most {len(OPENCV_ORDER)} numbers")  # type: ignore[union-attr]
+    if len(coefficients) > OPENCV_LENGTHS[-1]:
+        raise listed.fault(f"at most {OPENCV_LENGTHS[-1]} numbers")  # type: ignore[union-attr]
     offset = -np.linalg.solve(stated[:, :3], stated[:, 3]) if stated.shape[1] == 4 else _CENTRED
     values = (_pixels(part, "width_px"), _pixels(part, "height_px"), fx, fy, cx, cy)
     if not any(coefficients):
         return _built(part, "pinhole", *values), offset
-    named = dict(zip(OPENCV_ORDER, coefficients, strict=False))
-    ordered = np.array([named.get(name, 0.0) for name in MODELS["brown_conrady"].coefficient_names])
+    # the schema allows counts that OpenCV does not know
+    length = next(length for length in OPENCV_LENGTHS if length >= len(coefficients))
+    ordered = (*from_opencv([*coefficients, *[0.0] * (length - len(coefficients))]), 0.0)
     count = max([5, *(np.flatnonzero(ordered) + 1).tolist()])
-    return _built(part, "brown_conrady", *values, tuple(ordered[:count].tolist())), offset
+    return _built(part, "brown_conrady", *values, ordered[:count]), offset
 
 
 _KANNALA = "kannala"

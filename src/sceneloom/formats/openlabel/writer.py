@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import MODELS, Camera, to_opencv
 from sceneloom.errors import SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import Loss, Losses, LossReport, Support, field_losses
@@ -28,8 +28,6 @@ from sceneloom.formats.openlabel.document import (
     KIND,
     LENS_COEFFICIENTS,
     OF_OTHERS,
-    OPENCV_COUNTS,
-    OPENCV_ORDER,
     OURS,
     OURS_CAMERA,
     PLAIN,
@@ -791,8 +789,6 @@ def _camera_properties(camera: Camera) -> dict[str, Any]:
     ours = {name: getattr(camera, name) for name in OURS_CAMERA}
     named = dict(zip(MODELS[camera.model].coefficient_names, camera.coefficients, strict=False))
     size = {"width_px": camera.width, "height_px": camera.height}
-    # OpenCV has no model with distortion whose centre of distortion is shifted
-    unshifted = not (named.get("lx") or named.get("ly"))
     if camera.model == "fisheye":
         kind, found = (
             "fisheye",
@@ -802,11 +798,9 @@ def _camera_properties(camera: Camera) -> dict[str, Any]:
                 "model": "opencv_fisheye",
             },
         )
-    elif camera.model == "pinhole" or (camera.model == "brown_conrady" and unshifted):
-        coefficients = [named.get(name, 0.0) for name in OPENCV_ORDER]
-        count = next(count for count in OPENCV_COUNTS if not any(coefficients[count:]))
+    elif (coefficients := to_opencv(camera)) is not None:
         matrix = [camera.fx, 0.0, camera.cx, 0.0, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
-        kind, found = "pinhole", {"camera_matrix_3x4": matrix, "distortion_coeffs_1xN": coefficients[:count]}
+        kind, found = "pinhole", {"camera_matrix_3x4": matrix, "distortion_coeffs_1xN": coefficients}
     else:
         kind, found = "custom", {**ours, **named}
     return {

@@ -196,7 +196,7 @@ print(json.dumps({"pixels": found, "points": points, "models": [c.model.name for
 """
 
 
-@pytest.mark.parametrize("kind", ["text", "binary"])
+@pytest.mark.parametrize("kind", ["txt", "bin"])
 @pytest.mark.parametrize("name", ["plain", "four", "eight", "fish eye"])
 def test_pycolmap_opens_a_model_and_sees_points_where_the_scene_does(tmp_path, ask, name, kind):
     one = scene([name])

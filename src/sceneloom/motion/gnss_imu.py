@@ -821,7 +821,7 @@ of it; the largest square that counts, in units of the expected; the least drift
 drift lasts, about the time over which a receiver smooths."""
 
 _NEAR_WORTH = 4.0
-"""What the drift of all of a drive counts as in measurements of that within `_DRIFT_LASTS`: receivers drift more at some
+"""What the drift of a whole drive counts as in measurements of that within `_DRIFT_LASTS`: receivers drift more at some
 times than at others, as signals come and go."""
 
 _AXES = (slice(0, 2), slice(2, 3))  # across, and height
@@ -1521,9 +1521,9 @@ def _pose_covariances(fit: _Fit, own: Float64Array, times_ns: Int64Array) -> Flo
 
 
 _STATED_TO, _STATED_TAIL = 0.4, 4.0
-"""What a stated accuracy is worth: the logarithm of the true error over it follows Student's t of this scale and so many
-degrees of freedom. No region serves all receivers whose errors do not show: one that holds 98 % of an honest one's errors
-is 1.14 times as wide as stated, and holds 62 % of those that are twice as large."""
+"""What a stated accuracy is worth: the logarithm of the true error over it follows Student's t of this scale and so
+many degrees of freedom. No region serves all receivers whose errors do not show: one that holds 98 % of the errors of
+honest receivers is 1.14 times as wide as stated, and holds 62 % of errors twice as large."""
 
 _AROUND_SECONDS, _SECONDS_TO = 300.0, math.log(5.0)
 """Time constant of slow errors [s], and standard deviation of its logarithm. Source: Joerger and Pervan 2020,
@@ -1539,15 +1539,15 @@ _SLOW_STEP, _MOST_SLOW_STEPS, _LEAST_SLOW_STEPS = 1.0, 1200, 12  # time between 
 def _slow_factor(fit: _Fit, stated: float) -> float:
     """Expected size of the slow errors of the fixes across, given all that shows, over the stated accuracy [m].
 
-    What shows is the noise of the fixes, which is a part of what they state, and their drift against the IMU; without
-    one the stated accuracy stands.
+    What shows is the noise of the fixes, which is a part of what they state, and their drift against the IMU; 0 where
+    no IMU shows any.
     """
     noise = float(np.median(fit.chain.fixes.sigmas[:, 0])) ** 2
     factors, constants, walks = (one.ravel() for one in np.meshgrid(_SLOW_FACTORS, _SLOW_SECONDS, _FORCE_WALKS))
     slow = (stated * factors) ** 2
     evidence = _slow_evidence(fit, noise, slow, constants, walks)
     if evidence is None:
-        return 1.0
+        return 0.0
     total = slow + noise
     worth = 0.5 * np.log(total / max(stated**2, noise))
     # the density of the total by the logarithm of the slow error, which is what is tried
@@ -1644,7 +1644,11 @@ def _slow_variances(
     # a height that no receiver knows is uncertain by itself
     variances[fixes.sigmas >= _UNKNOWN_HEIGHT] = least[2] ** 2
     factor = _slow_factor(fit, math.sqrt(float(np.median(variances[:, 0]))))
-    return factor**2 * _resampled(times_ns, fixes.timestamps_ns, variances), factor
+    if factor > 1.0:
+        return _resampled(times_ns, fixes.timestamps_ns, factor**2 * variances), factor
+    # slow errors that are not larger than all that is stated are what is stated beyond the noise
+    variances = np.maximum(variances - np.minimum(fit.chain.fixes.sigmas, fixes.sigmas) ** 2, least**2)
+    return _resampled(times_ns, fixes.timestamps_ns, variances), factor
 
 
 _SLOW_FACTOR_REPORTED = 1.5

@@ -97,6 +97,7 @@ _CAPTURES = tuple(map(bytes.fromhex, ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23
 _KITTI = "sceneloom.formats.kitti.spec"
 _POINTS = "sceneloom.formats.points.spec"
 _MESSAGES = "sceneloom.formats.messages.spec"
+_LABELLING = "sceneloom.formats.labelling.spec"
 _RIG_FILES = "sceneloom.formats.rig_files.spec"
 
 FORMATS: Mapping[str, FormatRow] = MappingProxyType(
@@ -150,6 +151,8 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         ),
         "nmea": FormatRow("sceneloom.formats.nmea.spec:FORMAT", file=(b"$", ".nmea", ".gga", ".log", ".txt")),
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
+        "cvat": FormatRow(f"{_LABELLING}:CVAT", file=(".xml",), folder=("annotations.xml",)),
+        "tracklets": FormatRow(f"{_LABELLING}:TRACKLETS", file=(".xml",)),
         "colmap": FormatRow("sceneloom.formats.posed_images.spec:COLMAP"),
         "nerfstudio": FormatRow("sceneloom.formats.posed_images.spec:NERFSTUDIO"),
         "urdf": FormatRow(f"{_RIG_FILES}:URDF"),
@@ -302,7 +305,7 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, nmea, pcap; clouds as pcd, ply, las, laz, kitti-bin,
+    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, cvat, tracklets, nmea, pcap; clouds as pcd, ply, las, laz, kitti-bin,
     nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:

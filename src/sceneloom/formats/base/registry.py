@@ -153,6 +153,14 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
         "cvat": FormatRow(f"{_LABELLING}:CVAT", file=(".xml",), folder=("annotations.xml",)),
         "tracklets": FormatRow(f"{_LABELLING}:TRACKLETS", file=(".xml",)),
+        "coco": FormatRow(f"{_LABELLING}:COCO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
+        "datumaro": FormatRow(f"{_LABELLING}:DATUMARO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
+        "yolo": FormatRow(
+            f"{_LABELLING}:YOLO",
+            file=(".yaml", ".yml", "obj.names", "obj.data"),
+            folder=("data.yaml", "data.yml", "dataset.yaml", "obj.names", "obj.data"),
+        ),
+        "label-studio": FormatRow(f"{_LABELLING}:LABEL_STUDIO", file=(b"[{",), folder=("tasks.json",)),
         "colmap": FormatRow("sceneloom.formats.posed_images.spec:COLMAP"),
         "nerfstudio": FormatRow("sceneloom.formats.posed_images.spec:NERFSTUDIO"),
         "urdf": FormatRow(f"{_RIG_FILES}:URDF"),
@@ -305,7 +313,8 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, cvat, tracklets, nmea, pcap; clouds as pcd, ply, las, laz, kitti-bin,
+    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo,
+    label-studio, nmea, pcap; clouds as pcd, ply, las, laz, kitti-bin,
     nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:

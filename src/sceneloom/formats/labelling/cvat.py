@@ -377,9 +377,9 @@ class _CvatReader:
 
     def _skeleton_rows(self, track: ET.Element, nested: list[ET.Element]) -> list[ET.Element]:
         """Skeletons with the points of the tracks inside; each point holds until it is stated anew."""
-        states: list[dict[int, ET.Element]] = []
-        for inner in nested:
-            states.append({_whole(self.path, one, "frame"): one for one in inner.findall("points")})
+        states = [
+            {_whole(self.path, one, "frame"): one for one in inner.findall("points")} for inner in nested
+        ]
         rows = []
         for skeleton in track.findall("skeleton"):
             number, row = _whole(self.path, skeleton, "frame"), ET.Element("skeleton", dict(skeleton.attrib))

@@ -18,7 +18,7 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.files import MOST_PIXELS
+from sceneloom.formats.base.files import MOST_PIXELS, read_bytes
 from sceneloom.formats.base.images import IMAGE_SUFFIXES, ImageFile, encode_jpeg, encode_png, images_image_size, is_jpeg
 from sceneloom.formats.base.losses import Losses, LossReport
 from sceneloom.formats.base.output import FolderKind, file_stem, replacing
@@ -61,7 +61,7 @@ MASKS = "mask_rle"
 """Extra field of a path of 2D boxes: the masks that these bound, one per row, as `{"size": [h, w], "counts": text}`."""
 
 IMAGES = "labelled_images"
-"""Extra field of a camera: its labelled images, as rows `timestamp_ns number width height name`; unknown sizes are 0."""
+"""Extra field of a camera: its labelled images, as rows `timestamp_ns number width height name`; 0 for unknown sizes."""
 
 LABELLING = "labelling"
 """Entry of the metadata: what the tool states of its labels."""
@@ -252,6 +252,105 @@ class Drawn:
     segment: int | None = None
 
 
+# JSON
+
+_GREATEST = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class Json:
+    """A part of a JSON document, with its location.
+
+    Attributes:
+        path: the file.
+        location: as `annotations[3].bbox`.
+        value: what is there.
+    """
+
+    path: Path
+    location: str
+    value: Any
+
+    @classmethod
+    def read(cls, path: Path) -> "Json":
+        """Read a file.
+
+        Raises:
+            DataError: it cannot be read, or is no JSON.
+        """
+        try:
+            return cls(path, "", msgspec.json.decode(read_bytes(path)))
+        except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+            raise DataError(path, "", f"is no JSON: {error}") from error
+
+    def fault(self, expected: str) -> DataError:
+        """The error of a part that is not what was expected."""
+        text = repr(self.value)
+        return DataError(self.path, self.location, f"{text[:60]}{'…' * (len(text) > 60)}; expected {expected}")
+
+    def __contains__(self, name: str) -> bool:
+        return isinstance(self.value, dict) and self.value.get(name) is not None
+
+    def __getitem__(self, name: str) -> "Json":
+        if not isinstance(self.value, dict):
+            raise self.fault("a JSON object")
+        return Json(self.path, f"{self.location}.{name}".lstrip("."), self.value.get(name))
+
+    def each(self) -> Iterator["Json"]:
+        """The elements of a list; of null none."""
+        if self.value is not None and not isinstance(self.value, list):
+            raise self.fault("a list")
+        for k, value in enumerate(self.value or ()):
+            yield Json(self.path, f"{self.location}[{k}]", value)
+
+    def members(self) -> Mapping[str, Any]:
+        """The members of an object; of null none."""
+        if self.value is not None and not isinstance(self.value, dict):
+            raise self.fault("a JSON object")
+        return self.value or {}
+
+    def numbers(self, *counts: int) -> Float64Array:
+        """A list of numbers, of one of the lengths, if there are any."""
+        values = self.value
+        sound = isinstance(values, list) and {*map(type, values)} <= {int, float}
+        if not sound or not all(abs(one) <= _GREATEST for one in values) or (counts and len(values) not in counts):
+            raise self.fault(f"a list of {' or '.join(map(str, counts))}{' ' * bool(counts)}numbers")
+        return np.array(values, np.float64)
+
+    def number(self) -> float:
+        """A number."""
+        if type(self.value) not in (int, float) or not abs(self.value) <= _GREATEST:
+            raise self.fault(f"a number within {_GREATEST:g}")
+        return float(self.value)
+
+    def whole(self, default: int | None = None) -> int:
+        """A whole number; null is the default, if there is one."""
+        if self.value is None and default is not None:
+            return default
+        if type(self.value) is not int or abs(self.value) >= 2**63:
+            raise self.fault("a whole number")
+        return self.value
+
+    def text(self, default: str | None = None) -> str:
+        """A text; null is the default, if there is one."""
+        if self.value is None and default is not None:
+            return default
+        if not isinstance(self.value, str):
+            raise self.fault("a text")
+        return self.value
+
+    def identifier(self) -> Identifier:
+        """A text or a whole number."""
+        return self.value if isinstance(self.value, str) else self.whole()
+
+    def mask(self) -> "Mask":
+        """A mask in COCO's runs."""
+        try:
+            return Mask.of_record(self.value)
+        except ValueError as error:
+            raise DataError(self.path, self.location, str(error)) from error
+
+
 # ids as text
 
 _WHOLE = re.compile(r"0|-?[1-9][0-9]{0,17}")
@@ -290,10 +389,28 @@ def corners_of(rotated: Float64Array) -> Float64Array:
     return found
 
 
+def bounds_of(vertices: Float64Array) -> Float64Array:
+    """Left, top, width and height of what points (V, 2 or more) cover."""
+    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+    return np.concatenate([low, high - low])
+
+
+def rotated_of(corners: Float64Array) -> Float64Array | None:
+    """The rotated box of four corners (4, 2) in a circle; None where they are of none, within a hundredth."""
+    if corners.shape != (4, 2):
+        return None
+    across, down = corners[1] - corners[0], corners[2] - corners[1]
+    width, height = float(np.hypot(*across)), float(np.hypot(*down))
+    angle = float(np.arctan2(across[1], across[0])) if width else float(np.arctan2(-down[0], down[1]))
+    found = np.array([*corners.mean(axis=0), width, height, angle])
+    off = float(np.abs(corners_of(found) - corners).max())
+    return found if off <= 0.01 * max(width, height, 1e-9) else None
+
+
 # reading
 
 _CLOCK = re.compile(r"-?[0-9]{18,19}")
-_PLAIN_FOLDERS = {"", ".", "..", "images", "data", "frames", "jpegimages"}
+_PLAIN_FOLDERS = {"", ".", "..", "images", "data", "frames", "jpegimages", "train", "val", "valid", "test", "default"}
 _MOST_FRAMES = 10_000_000
 
 
@@ -596,10 +713,13 @@ class _Annotator:
         ordered = sorted(group, key=lambda one: (one.segment or 0, self.ranks[one.frame]))
         begun: list[Drawn] = []
         for one in ordered:
-            if (begun and one.kind is Kind.TAG) or (begun and (
-                one.segment != begun[-1].segment
-                or (one.segment is None and self.ranks[one.frame] != self.ranks[begun[-1].frame] + 1)
-            )):
+            if (begun and one.kind is Kind.TAG) or (
+                begun
+                and (
+                    one.segment != begun[-1].segment
+                    or (one.segment is None and self.ranks[one.frame] != self.ranks[begun[-1].frame] + 1)
+                )
+            ):
                 yield begun
                 begun = []
             begun.append(one)
@@ -671,16 +791,15 @@ def _points(
     name: Identifier, times: Int64Array, rows: list[Drawn], owner: Identifier, stated: Mapping[str, Any]
 ) -> PointsAnnotation:
     """Keypoints in images: points without locations in space, of which cameras state where they see them."""
-    count = max(len(one.values) for one in rows)
+    labels = tuple(dict.fromkeys(one for row in rows for one in _names_of(row)))
+    tables = [ordered_points(one, labels) for one in rows]
     projections = []
-    for k in range(count):
-        table = np.array([one.values[k] if k < len(one.values) else (np.nan, np.nan, 0) for one in rows], np.float64)
+    for k in range(len(labels)):
+        table = np.array([one[k] for one in tables])
         pixels = np.where(table[:, 2:] > 0, table[:, :2], np.nan)
         extras = MappingProxyType({"visibility": [int(row) for row in table[:, 2]]})
         projections.append((PointProjection(owner, times, pixels, extras=extras),))
-    nowhere = (np.zeros(0, np.int64), np.zeros((0, 3)))
-    given = max((one.names for one in rows), key=len)
-    labels = tuple(given[k] if k < len(given) else str(k) for k in range(count))
+    nowhere, count = (np.zeros(0, np.int64), np.zeros((0, 3))), len(labels)
     paths = tuple(PointPath(*nowhere, id=k) for k in range(count))
     stated = {key: value for key, value in stated.items() if key != "label"}
     return PointsAnnotation(name, paths, labels, tuple(projections), **stated)
@@ -744,6 +863,29 @@ class Sheet:
         found = [one.label for drawn in self.drawn for one in drawn if one.label is not None]
         return list(dict.fromkeys([*named, *found]))
 
+    def point_names(self) -> dict[str, list[str]]:
+        """The names of the keypoints of each class."""
+        found: dict[str, list[str]] = {}
+        for drawn in self.drawn:
+            for one in drawn:
+                if one.kind is Kind.POINTS:
+                    names = found.setdefault(one.label or "", [])
+                    names += [name for name in _names_of(one) if name not in names]
+        return found
+
+    def identified(self) -> set[Key]:
+        """The whole numbers above 0 that are ids of one shape only: ids of their own in tools without tracks."""
+        counts = Counter(key_of(one.track) for drawn in self.drawn for one in drawn if one.track is not None)
+        return {key for key, count in counts.items() if count == 1 and key[0] is int and int(key[1]) > 0}
+
+    def report_kinds(self, *kinds: Kind, what: str) -> None:
+        """Report shapes of kinds that the tool has not."""
+        counts = Counter(
+            key_of(one.track) for drawn in self.drawn for one in drawn if one.kind in kinds and one.track is not None
+        )
+        for (_, identifier), count in counts.items():
+            self.losses.dropped(f"annotations[{identifier}]", what, count=count)
+
     def spec(self) -> Mapping[str, Any]:
         """What the tool that the scene was read from stated of its labels."""
         named = self.scene.metadata.get(LABELLING)
@@ -768,6 +910,7 @@ class Sheet:
         *,
         images: str,
         overwrite: bool,
+        folder: str = "images",
     ) -> LossReport:
         """Write a file where the path has the suffix, else a folder with it and the images in `images`.
 
@@ -777,6 +920,8 @@ class Sheet:
             kind: of the folder.
             write: writes the file.
             images: "copy", or "none" for their names only.
+            overwrite: whether an output of that kind is replaced.
+            folder: where images are written to.
 
         Raises:
             OptionError: `images` is neither.
@@ -796,7 +941,7 @@ class Sheet:
             (draft / name).parent.mkdir(parents=True, exist_ok=True)
             write(draft / name)
             if images == "copy":
-                self.write_images(draft / "images")
+                self.write_images(draft / folder)
             else:
                 self.losses.dropped("sensors.camera.images.rgb", "left out as asked for", count=count)
         return LossReport.of(self.losses)
@@ -821,6 +966,43 @@ class Sheet:
                 self.losses.approximated(field_name, "encoded as JPEG, which the name asks for")
             else:
                 file.write_bytes(encode_png(image.rgb))
+
+
+def _names_of(one: Drawn) -> list[str]:
+    """Names of keypoints, all different: those without one are counted."""
+    names: list[str] = []
+    for k in range(len(one.values)):
+        name = one.names[k] if k < len(one.names) else str(k)
+        while name in names:
+            name += "#"
+        names.append(name)
+    return names
+
+
+def ordered_points(one: Drawn, names: Sequence[str]) -> Float64Array:
+    """Keypoints (V, 3) in the order of the names of their class; those that are missing are 0 0 0."""
+    found = np.zeros((len(names), 3))
+    for name, row in zip(_names_of(one), one.values, strict=True):
+        found[names.index(name)] = row if row[2] > 0 else 0.0
+    return found
+
+
+def json_attributes(one: Drawn) -> dict[str, Any]:
+    """Attributes as a JSON object, with the mark of what was interpolated."""
+    return {**one.attributes, **({} if one.keyframe else {KEYFRAME: False})}
+
+
+def take_attributes(one: Drawn, members: Mapping[str, Any], labels: "Labels") -> None:
+    """Take attributes out of a JSON object: the id of the object and the mark of what was interpolated apart."""
+    for name, value in members.items():
+        if name == TRACK and isinstance(value, str | int) and not isinstance(value, bool):
+            one.track = value
+        elif name == KEYFRAME and isinstance(value, bool):
+            one.keyframe = value
+        elif is_scalar(value):
+            one.attributes[name] = value
+        elif value is not None:
+            labels.skipped("attributes", name, "attributes that are no text, number, true or false are not read")
 
 
 _PARTS = re.compile(rf"({'|'.join(Kind)})([0-9]*)(@.*)?(:[0-9]+)?")

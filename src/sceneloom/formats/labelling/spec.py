@@ -5,6 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 from types import MappingProxyType
 
+import msgspec
+
+from sceneloom.errors import DataError
+from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.losses import KEPT, Holding, Supports, converted, dropped
 from sceneloom.formats.base.spec import FormatSpec, first_bytes
 
@@ -147,4 +151,136 @@ TRACKLETS = FormatSpec(
             "annotations.cuboid.path.timestamps_ns": converted("the number of the sweep"),
         }
     ),
+)
+
+
+# JSON of several tools, told apart by the members of its root
+
+
+class _Members(msgspec.Struct):
+    """The members by which the root shows whose it is, not looked into."""
+
+    images: msgspec.Raw = msgspec.Raw(b"")
+    annotations: msgspec.Raw = msgspec.Raw(b"")
+    categories: msgspec.Raw = msgspec.Raw(b"")
+    items: msgspec.Raw = msgspec.Raw(b"")
+
+
+_FIRST_KEY = re.compile(
+    rb'(?:\xef\xbb\xbf)?\s*\{\s*"(?:info|infos|licenses|images|annotations|categories|videos|items|media_type|'
+    rb'dm_format_version|type)"\s*:'
+)
+
+
+def _members(path: Path) -> _Members:
+    """The members of the root; none of a file that begins otherwise."""
+    if path.suffix.lower() == ".sfs" or not _FIRST_KEY.match(first_bytes(path, _BEGINNING)):
+        return _Members()
+    try:
+        return msgspec.json.decode(read_bytes(path), type=_Members)
+    except (DataError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return _Members()
+
+
+def _opens(raw: msgspec.Raw, mark: bytes) -> bool:
+    return bytes(raw).lstrip().startswith(mark)
+
+
+def is_coco(path: Path) -> bool:
+    """Whether a file is JSON of COCO: lists of images and annotations."""
+    found = _members(path)
+    return _opens(found.images, b"[") and _opens(found.annotations, b"[")
+
+
+def is_datumaro(path: Path) -> bool:
+    """Whether a file is JSON of Datumaro: a list of items, and categories by their kinds."""
+    found = _members(path)
+    return _opens(found.items, b"[") and _opens(found.categories, b"{")
+
+
+COCO_FILES = DATUMARO_FILES = ("annotations/*.json", "*.json")
+
+COCO = FormatSpec(
+    name="coco",
+    title="COCO",
+    looks_like="a .json file with lists of images, annotations and categories, or a folder with annotations/NAME.json",
+    suffixes=(".coco.json", ".coco"),
+    sniff=_any_file(*COCO_FILES, is_one=is_coco),
+    reader=f"{_HERE}.coco:read_coco",
+    read_options=_READING,
+    writer=f"{_HERE}.coco:write_coco",
+    write_options=("images",),
+    supports=_supports(),
+)
+DATUMARO = FormatSpec(
+    name="datumaro",
+    title="Datumaro",
+    looks_like="a .json file with a list of items and categories by their kinds, or a folder with annotations/NAME.json",
+    suffixes=(".datumaro.json", ".datumaro"),
+    sniff=_any_file(*DATUMARO_FILES, is_one=is_datumaro),
+    reader=f"{_HERE}.datumaro:read_datumaro",
+    read_options=_READING,
+    writer=f"{_HERE}.datumaro:write_datumaro",
+    write_options=("images",),
+    supports=_supports(_TAGS, _CUBOIDS, _NAMED),
+)
+
+# YOLO
+
+YOLO_FILES = ("data.yaml", "data.yml", "dataset.yaml", "obj.names", "obj.data")
+_NAMES = re.compile(rb"(?m)^\s*(?:\"?names\"?\s*:|nc\s*:)")
+
+
+def is_yolo(path: Path) -> bool:
+    """Whether a file states the classes of a data set of YOLO."""
+    if path.name.lower() in ("obj.names", "obj.data"):
+        return path.is_file()
+    return path.suffix.lower() in (".yaml", ".yml") and _NAMES.search(first_bytes(path, 1 << 16)) is not None
+
+
+YOLO = FormatSpec(
+    name="yolo",
+    title="YOLO",
+    looks_like="a data.yaml with names, beside images/ and labels/ (Ultralytics), or a folder with it or with obj.names",
+    suffixes=(".yolo",),
+    sniff=_any_file(*YOLO_FILES, is_one=is_yolo),
+    reader=f"{_HERE}.yolo:read_yolo",
+    read_options=(*_READING, "task"),
+    writer=f"{_HERE}.yolo:write_yolo",
+    write_options=("images", "task"),
+    supports=_supports(
+        {
+            name: dropped("left out: a line is a class and where it is")
+            for kind in ("box_2d", "shape", "points", "cuboid")
+            for name in (f"annotations.{kind}.id", f"annotations.{kind}.attributes")
+        },
+        {"annotations.object.id": dropped("left out: a line is a class and where it is")},
+    ),
+)
+
+# Label Studio
+
+_TASKS = re.compile(rb"(?:\xef\xbb\xbf)?\s*\[\s*\{")
+_TASK_KEY = re.compile(rb'"(?:annotations|predictions|completions|data)"\s*:')
+
+
+def is_label_studio(path: Path) -> bool:
+    """Whether a file is a list of tasks of Label Studio."""
+    beginning = first_bytes(path, 1 << 16)
+    return _TASKS.match(beginning) is not None and _TASK_KEY.search(beginning) is not None
+
+
+LABEL_STUDIO_FILES = ("tasks.json", "*.json")
+
+LABEL_STUDIO = FormatSpec(
+    name="label-studio",
+    title="Label Studio",
+    looks_like="a .json file that is a list of tasks with annotations and data, or a folder with a tasks.json",
+    suffixes=(".label-studio.json", ".label-studio"),
+    sniff=_any_file(LABEL_STUDIO_FILES[0], is_one=is_label_studio),
+    reader=f"{_HERE}.label_studio:read_label_studio",
+    read_options=_READING,
+    writer=f"{_HERE}.label_studio:write_label_studio",
+    write_options=("images", "task", "camera", "prefix"),
+    supports=_supports(_TAGS),
 )

@@ -40,6 +40,10 @@ def moving_boxes():
     yield box("b-2:box:2", [[9, 6, 2, 3], [9.5, 6, 2, 3]], TIMES[4:], label="person", parent_id="b-2")
 
 
+def parts_only():
+    yield from [*moving_boxes()][1:]
+
+
 def areas():
     ring = np.array([[1.0, 1], [20.5, 2], [18.25, 30], [2, 28]])
     path = sc.VertexPath(TIMES[:2], (ring, ring + 1.5))
@@ -86,7 +90,7 @@ def cuboids():
 
 PARTS = {
     "boxes": moving_boxes, "areas": areas, "lines": lines, "rotated": rotated, "masks": masks, "keypoints": keypoints,
-    "cuboids": cuboids,
+    "cuboids": cuboids, "parts": parts_only,
 }  # fmt: skip
 
 
@@ -140,6 +144,12 @@ HELD = [
     ("cvat", "out", {}, "boxes areas lines rotated"),
     ("cvat", "out", {"task": "images"}, "boxes areas lines rotated masks"),
     ("cvat", "a.xml", {"task": "video"}, "boxes areas lines rotated"),
+    ("coco", "out", {}, "boxes areas rotated masks keypoints"),
+    ("coco", "a.json", {}, "boxes areas rotated masks keypoints"),
+    ("datumaro", "out", {}, "boxes areas lines rotated masks keypoints"),
+    ("datumaro", "a.json", {}, "cuboids"),
+    ("label-studio", "out", {}, "areas lines rotated masks keypoints boxes"),
+    ("label-studio", "a.json", {"task": "video"}, "rotated parts"),
     ("tracklets", "tracklet_labels.xml", {}, "cuboids"),
     ("tracklets", "t.xml", {"dialect": "kitti"}, "cuboids"),
 ]

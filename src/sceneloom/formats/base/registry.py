@@ -151,8 +151,8 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         ),
         "nmea": FormatRow("sceneloom.formats.nmea.spec:FORMAT", file=(b"$", ".nmea", ".gga", ".log", ".txt")),
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
-        "cvat": FormatRow(f"{_LABELLING}:CVAT", file=(".xml",), folder=("annotations.xml",)),
-        "tracklets": FormatRow(f"{_LABELLING}:TRACKLETS", file=(".xml",)),
+        "cvat": FormatRow(f"{_LABELLING}:CVAT", file=(".xml",), folder=("*.xml",)),
+        "tracklets": FormatRow(f"{_LABELLING}:TRACKLETS", file=(".xml",), folder=("frame_list.txt",)),
         "coco": FormatRow(f"{_LABELLING}:COCO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
         "datumaro": FormatRow(f"{_LABELLING}:DATUMARO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
         "yolo": FormatRow(

@@ -52,6 +52,8 @@ def read_coco(path: Path, *, lenient: bool = False, rate_hz: float | str | None 
         DataError: it is no such file, or there are several in the folder.
     """
     files = [one for one in file_in(path, *COCO_FILES) if is_coco(one)]
+    if len(files) > 1:  # Datumaro writes several of one data set
+        files = [one for one in files if one.name.startswith("instances_")] or files
     if len(files) != 1:
         names = ", ".join(str(one.relative_to(path)) for one in files)
         raise DataError(path, "", f"{names or 'no file of COCO'}; expected the path of one file")
@@ -214,13 +216,14 @@ def _document(sheet: Sheet) -> dict[str, Any]:
             number += 1
             while number in taken:
                 number += 1
+            track: dict[str, Any] = {}
             annotation = {"id": number, "image_id": k + 1, "category_id": categories[first.label or ""]["id"]}
             if first.track is not None and key_of(first.track) in own:
                 annotation["id"] = first.track
                 number -= 1
             else:
-                annotation[TRACK] = first.track
-            annotations.append(annotation | _fields(parts, names.get(first.label or "", [])))
+                track = {TRACK: first.track}
+            annotations.append(annotation | _fields(parts, names.get(first.label or "", []), track))
     frames = [
         {
             "id": k + 1, "file_name": frame.name, "width": frame.width, "height": frame.height,
@@ -251,7 +254,7 @@ def _objects(drawn: list[Drawn]) -> Iterator[list[Drawn]]:
     yield from objects.values()
 
 
-def _fields(parts: list[Drawn], names: list[str]) -> dict[str, Any]:
+def _fields(parts: list[Drawn], names: list[str], track: Mapping[str, Any]) -> dict[str, Any]:
     fields: dict[str, Any] = {"segmentation": [], "iscrowd": 0}
     attributes: dict[str, Any] = {}
     box: Float64Array | None = None
@@ -282,7 +285,7 @@ def _fields(parts: list[Drawn], names: list[str]) -> dict[str, Any]:
         box = bounds_of(np.concatenate([row[:, :2] for row in rows])) if rows else np.zeros(4)
     if attributes.pop("iscrowd", None) is True:
         fields["iscrowd"] = 1
-    return {**fields, "bbox": box.tolist(), "area": area or float(box[2] * box[3]), "attributes": attributes}
+    return {**fields, "bbox": box.tolist(), "area": area or float(box[2] * box[3]), "attributes": attributes | track}
 
 
 def _area(ring: Float64Array) -> float:

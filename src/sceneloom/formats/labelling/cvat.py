@@ -17,7 +17,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.base.files import check_length, file_faults, open_file
+from sceneloom.formats.base.files import check_length, file_faults, open_file, read_settings
 from sceneloom.formats.base.losses import Losses, LossReport, field_losses
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.labelling.drawn import (
@@ -33,7 +33,7 @@ from sceneloom.formats.labelling.drawn import (
     image_roots,
     text_id,
 )
-from sceneloom.formats.labelling.spec import CVAT, CVAT_FILES, TRACKLETS, file_in, is_cvat
+from sceneloom.formats.labelling.spec import CVAT, CVAT_FILES, FRAME_LIST, TRACKLETS, TRACKLETS_FILE, file_in, is_cvat
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import matrix_from_quaternion, quaternion_from_matrix
 from sceneloom.scene.scene import Scene
@@ -377,9 +377,7 @@ class _CvatReader:
 
     def _skeleton_rows(self, track: ET.Element, nested: list[ET.Element]) -> list[ET.Element]:
         """Skeletons with the points of the tracks inside; each point holds until it is stated anew."""
-        states = [
-            {_whole(self.path, one, "frame"): one for one in inner.findall("points")} for inner in nested
-        ]
+        states = [{_whole(self.path, one, "frame"): one for one in inner.findall("points")} for inner in nested]
         rows = []
         for skeleton in track.findall("skeleton"):
             number, row = _whole(self.path, skeleton, "frame"), ET.Element("skeleton", dict(skeleton.attrib))
@@ -409,8 +407,11 @@ def read_cvat(path: Path, *, lenient: bool = False, rate_hz: float | str | None 
         DataError: it is no XML of CVAT.
     """
     files = [one for one in file_in(path, *CVAT_FILES) if is_cvat(one)]
+    files = files if len(files) == 1 else [one for one in files if one.name == CVAT_FILES[0]]
     if not files:
-        raise DataError(path, "", "no annotations.xml of CVAT; expected a file that begins with <annotations>")
+        raise DataError(
+            path, "", "no annotations.xml of CVAT, or several; expected a file that begins with <annotations>"
+        )
     labels = Labels.of(files[0], "cvat", lenient=lenient, rate_hz=rate_hz)
     labels.roots = image_roots(files[0], files[0].stem)
     with labels.ledger.telling():
@@ -673,7 +674,7 @@ def _dialect(name: str) -> str:
 def read_tracklets(
     path: Path, *, lenient: bool = False, rate_hz: float | str | None = None, dialect: str | None = None
 ) -> Scene:
-    """Read a file of tracklets that is not in a drive of KITTI.
+    """Read a file of tracklets that is not in a drive of KITTI, or a folder with it and frame_list.txt.
 
     Args:
         rate_hz: sweeps per second.
@@ -684,7 +685,11 @@ def read_tracklets(
         OptionError: there is no such dialect, or the rate is no number above 0.
         DataError: a part is missing or no number.
     """
-    chosen = _dialect(dialect or "cvat")
+    chosen, names = _dialect(dialect or "cvat"), list[str]()
+    if path.is_dir():
+        lines = read_settings(path / FRAME_LIST).decode("utf-8", "replace").splitlines()
+        names = [line.partition(" ")[2].strip() for line in lines if line.strip()]
+        path = path / TRACKLETS_FILE
     labels = Labels.of(path, "tracklets", lenient=lenient, rate_hz=rate_hz)
     if dialect is None:
         message = (
@@ -711,9 +716,10 @@ def read_tracklets(
         last = max([one.frame for one in found], default=-1)
         if last > 10_000_000:
             raise DataError(path, "", f"frame {last}; expected at most 10000000")
-        for number in range(max(last + 1, len(ours))):
+        for number in range(max(last + 1, len(ours), len(names))):
             time_ns = ours[number] if number < len(ours) else None
-            labels.add_frame(Frame(number, "", 0, 0, time_ns, cloud=True))
+            name = names[number] if number < len(names) else ""
+            labels.add_frame(Frame(number, name, 0, 0, time_ns, cloud=True))
         labels.drawn = found
         return labels.scene()
 

@@ -111,7 +111,12 @@ def is_cvat(path: Path) -> bool:
     return _CVAT.search(first_bytes(path, _BEGINNING)) is not None
 
 
+TRACKLETS_FILE, FRAME_LIST = "tracklet_labels.xml", "frame_list.txt"
+
+
 def _is_tracklets(path: Path) -> bool:
+    if path.is_dir():
+        return (path / FRAME_LIST).is_file() and _is_tracklets(path / TRACKLETS_FILE)
     return path.is_file() and _TRACKLETS.search(first_bytes(path, _BEGINNING)) is not None
 
 
@@ -122,7 +127,7 @@ CVAT = FormatSpec(
     title="CVAT",
     looks_like="an .xml file with `<annotations>` of CVAT 1.1 (images or video), or a folder with an annotations.xml",
     suffixes=(".xml", ".cvat"),
-    sniff=_any_file(CVAT_FILES[0], is_one=is_cvat),
+    sniff=_any_file(*CVAT_FILES, is_one=is_cvat),
     reader=f"{_HERE}.cvat:read_cvat",
     read_options=_READING,
     writer=f"{_HERE}.cvat:write_cvat",
@@ -134,7 +139,7 @@ CVAT = FormatSpec(
 TRACKLETS = FormatSpec(
     name="tracklets",
     title="tracklets of CVAT 3D tasks",
-    looks_like="a tracklet_labels.xml by itself (CVAT's Kitti Raw Format), with `<boost_serialization>`",
+    looks_like="a tracklet_labels.xml by itself, or a folder with it and frame_list.txt (CVAT's Kitti Raw Format)",
     suffixes=("tracklet_labels.xml",),
     sniff=_is_tracklets,
     reader=f"{_HERE}.cvat:read_tracklets",

@@ -25,7 +25,9 @@ def camera(identifier="front"):
 
 
 def box(identifier, values, times=TIMES, **fields):
-    return sc.Box2DAnnotation(identifier, "front", sc.BoxPath(times, np.array(values, float)), **{"label": "car", **fields})
+    return sc.Box2DAnnotation(
+        identifier, "front", sc.BoxPath(times, np.array(values, float)), **{"label": "car", **fields}
+    )
 
 
 def moving_boxes():
@@ -73,9 +75,7 @@ def masks():
 def keypoints(names=("nose", "tail")):
     pixels = np.array([[[10.0, 12], [11, 12]], [[20.25, 22], [np.nan, np.nan]]])
     flags = ([2, 1], [2, 0])
-    seen = [
-        (sc.PointProjection("front", TIMES[:2], pixels[k], extras={"visibility": flags[k]}),) for k in range(2)
-    ]
+    seen = [(sc.PointProjection("front", TIMES[:2], pixels[k], extras={"visibility": flags[k]}),) for k in range(2)]
     nowhere = (np.zeros(0, np.int64), np.zeros((0, 3)))
     yield sc.ObjectAnnotation("k", "dog")
     yield sc.PointsAnnotation(

@@ -1,7 +1,7 @@
 """What Datumaro says of a data set of labels, and data sets that it writes.
 
-`read PATH FORMAT` prints items with their annotations as JSON; `write FOLDER FORMAT` makes one with boxes, an outline, a
-mask and a cuboid, as far as the format has these, and prints the same of it.
+`read PATH FORMAT` prints items with their annotations as JSON; `write FOLDER FORMAT` makes one with boxes, an outline,
+a mask and a cuboid, as far as the format has these, and prints the same of it.
 """
 
 import json
@@ -22,7 +22,7 @@ def described(dataset):
         found = []
         for one in item.annotations:
             row = {"type": one.type.name, "label": None if one.label is None else names[one.label], "id": one.id}
-            row["attributes"] = {key: value for key, value in one.attributes.items()}
+            row["attributes"] = dict(one.attributes)
             if isinstance(one, Mask):
                 rows, columns = np.nonzero(one.image)
                 row["mask"] = [int(columns.min()), int(rows.min()), int(columns.max()), int(rows.max()), len(rows)]
@@ -67,4 +67,4 @@ def written(folder, form):
 
 command, location, name = sys.argv[1:]
 dataset = Dataset.import_from(location, name) if command == "read" else written(location, name)
-print(json.dumps([*described(dataset)]))
+sys.stdout.write(json.dumps([*described(dataset)]) + "\n")

@@ -1,7 +1,8 @@
-"""What the SDK of Label Studio says of tasks: masks of brushes, boxes of videos frame by frame; and a brush of its own."""
+"""What the SDK of Label Studio says of tasks: masks of brushes, boxes of videos by frames; and a brush of its own."""
 
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 from label_studio_sdk._extensions.label_studio_tools.postprocessing.video import extract_key_frames
@@ -9,9 +10,7 @@ from label_studio_sdk.converter import brush
 
 found = {"masks": {}, "videos": {}}
 for path in sys.argv[1:]:
-    with open(path) as file:
-        tasks = json.load(file)
-    for task in tasks:
+    for task in json.loads(Path(path).read_text("utf-8")):
         results = task["annotations"][0]["result"]
         for one in results:
             if one["type"] == "brushlabels":
@@ -29,4 +28,4 @@ pixels = np.zeros((48, 64), np.uint8)
 pixels[5:20, 7:30] = 255
 pixels[10:12, 9:15] = 0
 found["brush"] = list(map(int, brush.mask2rle(pixels)))
-print(json.dumps(found))
+sys.stdout.write(json.dumps(found) + "\n")

@@ -20,4 +20,4 @@ for one in coco.loadAnns(coco.getAnnIds()):
     if one.get("keypoints"):
         row["keypoints"] = one["keypoints"]
     rows.append(row)
-print(json.dumps(rows))
+sys.stdout.write(json.dumps(rows) + "\n")

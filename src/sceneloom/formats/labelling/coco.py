@@ -187,8 +187,12 @@ def write_coco(scene: Scene, path: Path, *, images: str = "copy", overwrite: boo
     """
     sheet = Sheet.of(scene, Losses(field_losses(scene, COCO.supports)))
     content = msgspec.json.encode(_document(sheet))
+
+    def write(draft: Path) -> None:
+        draft.write_bytes(content)
+
     return sheet.write(
-        path, ".json", "annotations/instances_default.json", _FOLDER, lambda draft: draft.write_bytes(content) and None,
+        path, ".json", "annotations/instances_default.json", _FOLDER, write,
         images=images, overwrite=overwrite,
     )  # fmt: skip
 

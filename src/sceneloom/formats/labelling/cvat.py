@@ -205,6 +205,8 @@ class _Spec:
         return text
 
 
+_LARGEST_MASK = 1 << 25  # pixels of the rectangle that a mask is in
+
 _SHAPES = ("box", "polygon", "polyline", "points", "mask", "skeleton", "tag")
 
 
@@ -277,7 +279,9 @@ class _CvatReader:
             else:
                 one.attributes[name] = self.spec.value(label, name, text)
 
-    def _values(self, element: ET.Element, size: tuple[int, int]) -> tuple[Kind, Any, tuple[str, ...]]:
+    def _values(  # noqa: PLR0911 - one for each kind
+        self, element: ET.Element, size: tuple[int, int]
+    ) -> tuple[Kind, Any, tuple[str, ...]]:
         path = self.path
         match element.tag:
             case "box":
@@ -308,6 +312,8 @@ class _CvatReader:
             raise _fault(self.path, element, f"rle: {text[:40]!r}; expected whole numbers")
         if not all(size):
             raise _fault(self.path, element, "the image has no width and height, which a mask needs")
+        if width * height > _LARGEST_MASK:
+            raise _fault(self.path, element, f"{width}x{height} pixels; expected {_LARGEST_MASK} at most")
         # row by row within the rectangle: as if its columns were rows
         columns, rows = Mask(width, height, tuple(map(int, words))).pixels()
         return Mask.of_pixels(size[1], size[0], rows + left, columns + top)

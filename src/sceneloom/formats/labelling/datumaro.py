@@ -186,8 +186,12 @@ def write_datumaro(scene: Scene, path: Path, *, images: str = "copy", overwrite:
     """
     sheet = Sheet.of(scene, Losses(field_losses(scene, DATUMARO.supports)), cuboids=True)
     content = msgspec.json.encode(_document(sheet))
+
+    def write(draft: Path) -> None:
+        draft.write_bytes(content)
+
     return sheet.write(
-        path, ".json", "annotations/default.json", _FOLDER, lambda draft: draft.write_bytes(content) and None,
+        path, ".json", "annotations/default.json", _FOLDER, write,
         images=images, overwrite=overwrite, folder="images/default",
     )  # fmt: skip
 
@@ -254,7 +258,7 @@ def _document(sheet: Sheet) -> dict[str, Any]:
     }
 
 
-def _fields(one: Drawn, names: list[str]) -> dict[str, Any]:
+def _fields(one: Drawn, names: list[str]) -> dict[str, Any]:  # noqa: PLR0911 - one for each kind
     match one.kind:
         case Kind.BOX:
             return {"type": "bbox", "bbox": one.values.tolist()}

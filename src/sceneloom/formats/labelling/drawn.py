@@ -61,7 +61,7 @@ MASKS = "mask_rle"
 """Extra field of a path of 2D boxes: the masks that these bound, one per row, as `{"size": [h, w], "counts": text}`."""
 
 IMAGES = "labelled_images"
-"""Extra field of a camera: its labelled images, as rows `timestamp_ns number width height name`; 0 for unknown sizes."""
+"""Extra field of a camera: its labelled images, rows `timestamp_ns number width height name`; unknown sizes are 0."""
 
 LABELLING = "labelling"
 """Entry of the metadata: what the tool states of its labels."""
@@ -154,11 +154,17 @@ class Mask:
 
     def box(self) -> Float64Array:
         """Left, top, width and height of what it covers [px]; all 0 where that is nothing."""
-        columns, rows = self.pixels()
-        if not len(columns):
+        stops = np.cumsum(np.array(self.runs, np.int64))
+        starts = np.concatenate([[0], stops[:-1]])[1::2]
+        inside = starts < stops[1::2]
+        first, last = starts[inside], stops[1::2][inside] - 1
+        if not len(first):
             return np.zeros(4)
-        left, top = int(columns.min()), int(rows.min())
-        return np.array([left, top, int(columns.max()) + 1 - left, int(rows.max()) + 1 - top], np.float64)
+        left, right = int(first[0]) // self.height, int(last[-1]) // self.height
+        crosses = bool((first // self.height != last // self.height).any())
+        top = 0 if crosses else int((first % self.height).min())
+        bottom = self.height - 1 if crosses else int((last % self.height).max())
+        return np.array([left, top, right + 1 - left, bottom + 1 - top], np.float64)
 
     def record(self) -> dict[str, Any]:
         """As COCO writes it, compressed."""
@@ -725,7 +731,9 @@ class _Annotator:
             begun.append(one)
         yield begun
 
-    def _annotation(self, name: Identifier, drawn: list[Drawn], parent: Identifier | None) -> Annotation:
+    def _annotation(  # noqa: PLR0911 - one for each kind
+        self, name: Identifier, drawn: list[Drawn], parent: Identifier | None
+    ) -> Annotation:
         attributes = self._attributes(drawn)
         rows = _drawn_rows(drawn, self.times)
         first = rows[0]
@@ -1229,7 +1237,9 @@ def _own_times(one: Any, camera: Identifier) -> Int64Array:
 _Shape = tuple[int, Kind, Any, tuple[str, ...]]  # location of the frame, kind, values, names of points
 
 
-def _shapes_of(one: Any, camera: Identifier, times: Int64Array, is_key: Any) -> Iterator[_Shape]:
+def _shapes_of(  # noqa: PLR0912 - some for each kind
+    one: Any, camera: Identifier, times: Int64Array, is_key: Any
+) -> Iterator[_Shape]:
     """The shapes of an annotation at the times of frames."""
     if isinstance(one, EventAnnotation):
         stop_ns = one.start_ns + int(one.duration_ns or 0)

@@ -104,7 +104,7 @@ class _Task:
         self.size = (0, 0)
 
     def read(self) -> None:
-        annotations = [one for one in self.task["annotations"].each()] + [*self.task["completions"].each()]
+        annotations = [*self.task["annotations"].each(), *self.task["completions"].each()]
         if not annotations and self.task["predictions"].value:
             annotations = [*self.task["predictions"].each()]
         elif self.task["predictions"].value:
@@ -248,7 +248,7 @@ class _Task:
 
     def _points(self, whole: str, listed: list[tuple[int, Json]], region: Json | None, stated: list[Json]) -> None:
         """Keypoints of an object."""
-        rows, names, label = [], [], None
+        rows, names, label = [], list[str](), None
         for _, point in sorted(listed, key=lambda pair: pair[0]):
             try:
                 rows.append(self._shape(point["value"], "keypoint")[2][0])
@@ -267,7 +267,7 @@ class _Task:
             self.labels.drawn.append(one)
 
     def _sequence(self, value: Json, label: str | None) -> Iterator[Drawn]:
-        """The key frames of a video's box; one that is not enabled ends a stretch, the last one else lasts to the end."""
+        """The key frames of a video's box: one that is not enabled ends a stretch; else the last one lasts."""
         count = int(value["framesCount"].number()) if "framesCount" in value else 0
         duration = value["duration"].number() if "duration" in value else 0.0
         rate = count / duration if count > 0 and duration > 0 else self.labels.rate_hz or DEFAULT_RATE_HZ
@@ -309,7 +309,7 @@ def _turned(box: Float64Array, degrees: float, frame: int) -> tuple[Kind, int, F
     angle = np.radians(degrees)
     cosine, sine = np.cos(angle), np.sin(angle)
     x, y = box[2:] / 2
-    centre = box[:2] + (x * cosine - y * sine, x * sine + y * cosine)
+    centre = box[:2] + np.array([x * cosine - y * sine, x * sine + y * cosine])
     return Kind.ROTATED, frame, np.array([*centre, *box[2:], angle])
 
 
@@ -393,11 +393,10 @@ def packed_brush(mask: Mask) -> list[int]:
     edges = np.diff(np.concatenate([[0], np.stack([starts, stops], axis=1).reshape(-1), [total]])) * 4
     bits = [f"{total * 4:032b}", f"{7:05b}", *(f"{size - 1:04b}" for size in _SIZES)]
     for k, length in enumerate(edges.tolist()):
-        while length > 0:
-            part = min(length, 1 << _SIZES[3])
+        for start in range(0, length, 1 << _SIZES[3]):
+            part = min(length - start, 1 << _SIZES[3])
             which = next(k for k, size in enumerate(_SIZES) if part <= 1 << size)
             bits.append(f"1{which:02b}{part - 1:0{_SIZES[which]}b}{255 * (k % 2):08b}")
-            length -= part
     text = "".join(bits)
     text += "0" * (-len(text) % 8)
     return [int(text[k : k + 8], 2) for k in range(0, len(text), 8)]
@@ -452,10 +451,14 @@ def write_label_studio(
         ".json",
         "tasks.json",
         _FOLDER,
-        lambda draft: draft.write_bytes(content) and None,
+        lambda draft: _write_bytes(draft, content),
         images=images,
         overwrite=overwrite,
     )
+
+
+def _write_bytes(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
 
 
 def _annotation(number: int, results: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -467,11 +470,10 @@ def _image_tasks(sheet: Sheet, prefix: str) -> list[dict[str, Any]]:
     for k, (frame, drawn) in enumerate(zip(sheet.frames, sheet.drawn, strict=True), 1):
         results: list[dict[str, Any]] = []
         taken: set[str] = set()
-        if not (frame.width and frame.height) and any(one.kind is not Kind.TAG for one in drawn):
-            what = "left out: the size of the image is not known"
-            sheet.losses.dropped("annotations", what, count=len(drawn))
-            drawn = [one for one in drawn if one.kind is Kind.TAG]
-        for one in drawn:
+        shown = drawn if frame.width and frame.height else [one for one in drawn if one.kind is Kind.TAG]
+        what = "left out: the size of the image is not known"
+        sheet.losses.dropped("annotations", what, count=len(drawn) - len(shown))
+        for one in shown:
             name = id_text(one.track) if one.track is not None else str(len(results))
             if name in taken and one.kind is not Kind.POINTS:
                 what = "written under another id: a region is one shape"

@@ -220,7 +220,7 @@ COCO = FormatSpec(
 DATUMARO = FormatSpec(
     name="datumaro",
     title="Datumaro",
-    looks_like="a .json file with a list of items and categories by their kinds, or a folder with annotations/NAME.json",
+    looks_like="a .json file with a list of items and categories by kind, or a folder with annotations/NAME.json",
     suffixes=(".datumaro.json", ".datumaro"),
     sniff=_any_file(*DATUMARO_FILES, is_one=is_datumaro),
     reader=f"{_HERE}.datumaro:read_datumaro",
@@ -246,7 +246,7 @@ def is_yolo(path: Path) -> bool:
 YOLO = FormatSpec(
     name="yolo",
     title="YOLO",
-    looks_like="a data.yaml with names, beside images/ and labels/ (Ultralytics), or a folder with it or with obj.names",
+    looks_like="a data.yaml with names beside images/ and labels/ (Ultralytics), a folder with it, or with obj.names",
     suffixes=(".yolo",),
     sniff=_any_file(*YOLO_FILES, is_one=is_yolo),
     reader=f"{_HERE}.yolo:read_yolo",

@@ -140,9 +140,9 @@ class _Reader:
         found = False
         for entry in [one for one in listed if isinstance(one, str)] or ["images"]:
             start = base / entry
-            for image, name in self._images(start, base):
+            for file, name in self._images(start, base):
                 found = True
-                yield _text_of(image), (image, name)
+                yield _text_of(file), (file, name)
         for folder in (base / "labels", base / "obj_train_data", base / "obj_valid_data"):
             for text in sorted(folder.rglob("*.txt")) if folder.is_dir() else ():
                 name = text.relative_to(folder).with_suffix(".jpg").as_posix()

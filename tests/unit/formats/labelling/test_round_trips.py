@@ -1,7 +1,5 @@
 """Labels written for each tool and read again: ids, places and times; what a tool cannot hold is reported."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -192,3 +190,104 @@ def key_type(identifier):
 @pytest.mark.parametrize("identifier", [0, -3, 7, "7", "a b", '"7"', "", "7 ", "007", 123456789012345678])
 def test_whole_numbers_and_texts_stay_apart_as_ids(identifier):
     assert key_type(text_id(id_text(identifier))) == key_type(identifier)
+
+
+def test_masks_bound_what_they_cover_and_their_runs_are_packed_as_coco_has_them():
+    # a run over two columns; the text is that of pycocotools 2.0.11 for the same pixels
+    mask = Mask(10, 5, (12, 5, 20, 3, 10))
+    columns, rows = mask.pixels()
+    assert mask.box().tolist() == [columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1]
+    assert mask.record() == {"size": [10, 5], "counts": "<5d0NF"}
+    assert Mask.of_record(mask.record()) == mask == Mask.of_pixels(10, 5, columns, rows)
+    across = Mask(4, 3, (3, 2, 7))
+    assert across.box().tolist() == [0, 0, 2, 4]
+    for wrong in (
+        {"size": [10, 5], "counts": [3]},
+        {"size": [10, 5], "counts": "<"},
+        {"size": [0, 5], "counts": []},
+        7,
+    ):
+        with pytest.raises(ValueError, match=r"expected|of|ends"):
+            Mask.of_record(wrong)
+
+
+def test_yolo_keeps_classes_places_and_times_and_says_that_ids_are_gone(tmp_path):
+    kinds = {"boxes": "detect", "areas": "segment", "rotated": "obb", "keypoints": "pose"}
+    for part, task in kinds.items():
+        scene = scene_of(part)
+        report = write_scene(scene, tmp_path / task, format="yolo")
+        assert any("ids" in loss.what for loss in report)
+        with open_scene(tmp_path / task) as again:
+            assert again.cameras[0].images.timestamps_ns.tolist() == TIMES.tolist()
+            shown = [one for one in again.annotations if not isinstance(one, sc.ObjectAnnotation)]
+            if task == "detect":
+                expected = [at.box_2d_at(one, TIMES) for one in moving_boxes() if isinstance(one, sc.Box2DAnnotation)]
+                rows = np.concatenate([row[there] for row, there in expected])
+                found = np.concatenate([one.path.values for one in shown])
+                order = [np.lexsort(np.round(table, 6).T) for table in (rows, found)]
+                np.testing.assert_allclose(found[order[1]], rows[order[0]], atol=PX)
+                assert {one.label for one in shown} == {"car", "person"}
+            elif task == "pose":
+                (points, *_) = [one for one in shown if isinstance(one, sc.PointsAnnotation)]
+                assert points.labels == ("nose", "tail")
+                np.testing.assert_allclose(points.projections[1][0].points, [[20.25, 22]], atol=PX)
+            else:
+                (shape,) = scene.annotations
+                for one, vertices in zip(shown, shape.path.vertices, strict=True):
+                    np.testing.assert_allclose(one.path.vertices[0], vertices, atol=PX)
+                    assert (RBBOX in one.path.extras) == (task == "obb")
+
+
+BOMB = '<?xml version="1.0"?><!DOCTYPE annotations [<!ENTITY a "aaaa">]><annotations><a>&a;</a></annotations>'
+FEW_RUNS = (
+    '<annotations><image id="0" width="9" height="9"><mask rle="1,2" left="0" top="0" width="9" height="9"/></image>'
+    "</annotations>"
+)
+SIZE = '"original_width": 10, "original_height": 10'
+WRONG_REGION = (
+    '[{"data": {"image": "a.jpg"}, "annotations": [{"result": [{"id": "a", "type": "rectanglelabels", '
+    f'{SIZE}, "value": {{"x": "1"}}}}]}}]}}]'
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.xml", BOMB, "declares entities"),
+        ("a.xml", f"<annotations>{'<a>' * 100}", "elements in 32 others"),
+        ("a.xml", '<annotations><image id="0"><box xtl="x"/></image></annotations>', "line 1, <box>"),
+        ("a.xml", FEW_RUNS, "runs of 3 pixels"),
+        ("a.xml", '<annotations><image id="0"', "is no XML"),
+        ("c.json", '{"images": [], "categories": [], "annotations": [{"image_id": 3}]}', "annotations[0].image_id"),
+        ("c.json", '{"images": [{"id": 1, "width": -4}], "categories": [], "annotations": []}', "expected those of an"),
+        ("d.json", '{"items": [{"id": "a", "annotations": [{"type": "bbox", "bbox": [1, 2]}]}], "categories": {}}',
+         "items[0].annotations[0].bbox"),
+        ("l.json", WRONG_REGION, "result[0].value.x"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named_with_its_place_and_passed_over_where_that_is_asked_for(name, text, message, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(DataError) as caught:
+        open_scene(tmp_path / name)
+    assert message in str(caught.value)
+    if "items" in text or "<box" in text or "rectangle" in text:
+        with open_scene(tmp_path / name, lenient=True) as scene:
+            assert not scene.annotations
+            assert any("left out" in one.message for one in scene.warnings)
+
+
+def test_options_that_cannot_be_followed_are_named(tmp_path):
+    scene = scene_of("boxes")
+    for form, options, message in (
+        ("cvat", {"task": "x"}, "task 'x'"),
+        ("cvat", {"camera": "rear"}, "no camera 'rear'"),
+        ("cvat", {"images": "all"}, "images 'all'"),
+        ("yolo", {"task": "x"}, "task 'x'"),
+        ("tracklets", {"dialect": "x"}, "dialect 'x'"),
+        ("label-studio", {"task": "x"}, "task 'x'"),
+    ):
+        with pytest.raises(OptionError, match=message):
+            write_scene(scene, tmp_path / "o", format=form, **options)
+    with pytest.raises(OptionError, match="rate_hz"):
+        write_scene(scene, tmp_path / "a.coco.json")
+        open_scene(tmp_path / "a.coco.json", rate_hz=0)

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ class Messages:
     def __init__(self, folder, length, *, kind=False):
         (file,) = folder.glob("*.db3")
         self.packets, times, self.states = [], [], []
-        with sqlite3.connect(f"file:{file}?immutable=1", uri=True) as bag:
+        with closing(sqlite3.connect(f"file:{file}?immutable=1", uri=True)) as bag:
             messages = [row[0] for row in bag.execute("SELECT data FROM messages ORDER BY timestamp")]
         for data in messages:
             at = 16 + int.from_bytes(data[12:16], "little")

@@ -94,8 +94,8 @@ def _read(document: Json, labels: Labels) -> None:
             category_id = annotation["category_id"]
             if category_id.value is not None and category_id.whole() not in categories:
                 raise category_id.fault("the id of a category")
-            category = categories.get(category_id.value)
-            labels.drawn += _of_annotation(annotation, frames[image_id.value], category, labels)
+            stated = categories.get(category_id.value)
+            labels.drawn += _of_annotation(annotation, frames[image_id.value], stated, labels)
         except DataError as error:
             labels.ledger.fault("annotations", error)
 
@@ -258,7 +258,7 @@ def _objects(drawn: list[Drawn]) -> Iterator[list[Drawn]]:
     yield from objects.values()
 
 
-def _fields(parts: list[Drawn], names: list[str], track: Mapping[str, Any]) -> dict[str, Any]:
+def _fields(parts: list[Drawn], names: list[str], track: dict[str, Any]) -> dict[str, Any]:
     fields: dict[str, Any] = {"segmentation": [], "iscrowd": 0}
     attributes: dict[str, Any] = {}
     box: Float64Array | None = None

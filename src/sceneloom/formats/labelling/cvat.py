@@ -82,7 +82,7 @@ def _elements(path: Path, root: str, *, depth: int = 1) -> Iterator[ET.Element]:
         if len(above) > depth:
             builder.data(text)
 
-    def entity(*_: Any) -> None:
+    def entity(*_: Any) -> int:
         raise fault("declares entities; expected plain XML")
 
     parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, data
@@ -492,8 +492,8 @@ def write_cvat(
     write = _write_images
     if task == "video" or (task is None and len(cameras) == 1 and flat and tracked):
         sheet, write = sheet.renamed(_frame_name), _write_video
-    names = sum(bool(one.names) and not all(map(str.isdigit, one.names)) for drawn in sheet.drawn for one in drawn)
-    losses.dropped("annotations.points.labels", "names of points are left out; skeletons are not written", count=names)
+    named = sum(bool(one.names) and not all(map(str.isdigit, one.names)) for drawn in sheet.drawn for one in drawn)
+    losses.dropped("annotations.points.labels", "names of points are left out; skeletons are not written", count=named)
 
     def write_xml(draft: Path) -> None:
         with draft.open("w", encoding="utf-8", newline="\n") as file:

@@ -129,7 +129,7 @@ def _of_annotation(
             parts = annotation["position"].numbers(3), annotation["scale"].numbers(3), quaternion_from_matrix(rotation)
             one.kind, one.values = Kind.CUBOID, np.concatenate(parts)
         case "skeleton" | "points" | "polygon" | "polyline":
-            _take_vertices(one, annotation, kind, points.get(label_id, ()))  # type: ignore[arg-type]
+            _take_vertices(one, annotation, kind, points.get(label_id, ()) if label is not None else ())
         case _:
             message = f"annotations of the type {kind[:40]!r} are not read"
             labels.skipped("types-unknown", annotation.location, message)

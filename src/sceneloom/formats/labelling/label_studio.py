@@ -520,6 +520,7 @@ def _results(one: Drawn, name: str, frame: Frame, sheet: Sheet) -> Iterator[dict
             yield {"id": name, "from_name": kind, "to_name": "image", "type": kind, "value": value}
             return
     for attribute, value in one.attributes.items():
+        field: dict[str, Any]
         if isinstance(value, bool):
             kind, field = "choices", {"choices": ["true" if value else "false"]}
         elif isinstance(value, int | float):

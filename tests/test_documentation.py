@@ -172,6 +172,7 @@ SHARED_PAGES = dict.fromkeys(("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes
     "ros1": "ros",
     "ros2": "ros",
     **dict.fromkeys(("urdf", "kalibr", "camera-info"), "rig"),
+    **dict.fromkeys(("cvat", "tracklets", "coco", "datumaro", "yolo", "label-studio"), "labelling"),
 }
 """Formats that are reported on one page, and its name."""
 

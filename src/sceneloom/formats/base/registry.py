@@ -97,6 +97,7 @@ _CAPTURES = tuple(map(bytes.fromhex, ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23
 _KITTI = "sceneloom.formats.kitti.spec"
 _POINTS = "sceneloom.formats.points.spec"
 _MESSAGES = "sceneloom.formats.messages.spec"
+_LABELLING = "sceneloom.formats.labelling.spec"
 _RIG_FILES = "sceneloom.formats.rig_files.spec"
 _GNSS_LOGS = "sceneloom.formats.gnss_logs.spec"
 
@@ -155,6 +156,16 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         ),
         "rtklib": FormatRow(f"{_GNSS_LOGS}:RTKLIB", file=(b"%", ".pos", ".txt")),
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
+        "cvat": FormatRow(f"{_LABELLING}:CVAT", file=(".xml",), folder=("*.xml",)),
+        "tracklets": FormatRow(f"{_LABELLING}:TRACKLETS", file=(".xml",), folder=("frame_list.txt",)),
+        "coco": FormatRow(f"{_LABELLING}:COCO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
+        "datumaro": FormatRow(f"{_LABELLING}:DATUMARO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
+        "yolo": FormatRow(
+            f"{_LABELLING}:YOLO",
+            file=(".yaml", ".yml", "obj.names", "obj.data"),
+            folder=("data.yaml", "data.yml", "dataset.yaml", "obj.names", "obj.data"),
+        ),
+        "label-studio": FormatRow(f"{_LABELLING}:LABEL_STUDIO", file=(b"[{",), folder=("tasks.json",)),
         "colmap": FormatRow("sceneloom.formats.posed_images.spec:COLMAP"),
         "nerfstudio": FormatRow("sceneloom.formats.posed_images.spec:NERFSTUDIO"),
         "urdf": FormatRow(f"{_RIG_FILES}:URDF"),
@@ -307,8 +318,9 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, nmea, ubx, rtklib, pcap; clouds as pcd, ply, las, laz,
-    kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
+    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio,
+    nmea, ubx, rtklib, pcap; clouds as pcd, ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes
+    each.
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by

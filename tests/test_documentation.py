@@ -173,6 +173,7 @@ SHARED_PAGES = dict.fromkeys(("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes
     "ros2": "ros",
     **dict.fromkeys(("urdf", "kalibr", "camera-info"), "rig"),
     **dict.fromkeys(("cvat", "tracklets", "coco", "datumaro", "yolo", "label-studio"), "labelling"),
+    **dict.fromkeys(("supervisely", "segments", "scale-task", "sustechpoints"), "cloud-labelling"),
 }
 """Formats that are reported on one page, and its name."""
 

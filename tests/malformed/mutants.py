@@ -209,6 +209,7 @@ OTHER_DRIVES: dict[str, Write] = {
     "pandaset": partial(_by_test, "pandaset.test_reader", "write_drive", "drive"),
     "scale-toolkit": partial(_by_test, "scale_toolkit.test_reader", "write_folder", "drive"),
     "euroc-mav": partial(_by_test, "euroc_mav.test_reader", "write_drive", "."),
+    **_folders("supervisely", "segments", "scale-task", "sustechpoints"),
     "nmea": partial(_by_test, "gnss_logs.test_nmea", "write_log", "."),
     "ubx": partial(_by_test, "gnss_logs.test_ubx", "write_log", "."),
     "rtklib": partial(_by_test, "gnss_logs.test_rtklib", "write_log", "."),

@@ -100,6 +100,7 @@ _MESSAGES = "sceneloom.formats.messages.spec"
 _LABELLING = "sceneloom.formats.labelling.spec"
 _RIG_FILES = "sceneloom.formats.rig_files.spec"
 _GNSS_LOGS = "sceneloom.formats.gnss_logs.spec"
+_CLOUD_LABELLING = "sceneloom.formats.cloud_labelling.spec"
 
 FORMATS: Mapping[str, FormatRow] = MappingProxyType(
     {
@@ -139,6 +140,10 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
             folder=("lidar", "annotations/cuboids", "*/lidar", "*/annotations/cuboids"),
         ),
         "scale-toolkit": FormatRow("sceneloom.formats.scale_toolkit.spec:FORMAT", folder=("pointcloud",)),
+        "supervisely": FormatRow(f"{_CLOUD_LABELLING}:SUPERVISELY", folder=("meta.json", "annotation.json", "ann")),
+        "segments": FormatRow(f"{_CLOUD_LABELLING}:SEGMENTS", file=(".json",), folder=("*.json",)),
+        "scale-task": FormatRow(f"{_CLOUD_LABELLING}:SCALE_TASK", folder=("frames",)),
+        "sustechpoints": FormatRow(f"{_CLOUD_LABELLING}:SUSTECHPOINTS", folder=("lidar", "*/lidar")),
         "pcd": FormatRow(f"{_POINTS}:PCD", file=(".pcd",), folder=("*.pcd", "*/*.pcd")),
         "ply": FormatRow(f"{_POINTS}:PLY", file=(".ply",), folder=("*.ply", "*/*.ply")),
         "las": FormatRow(f"{_POINTS}:LAS", file=(".las",), folder=("*.las", "*/*.las")),
@@ -318,9 +323,9 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio,
-    nmea, ubx, rtklib, pcap; clouds as pcd, ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes
-    each.
+    argoverse2, pandaset, scale-toolkit, supervisely, segments, scale-task, sustechpoints, euroc-mav, openlabel, cvat,
+    tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap; clouds as pcd, ply, las, laz, kitti-bin,
+    nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by

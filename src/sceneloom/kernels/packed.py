@@ -509,7 +509,7 @@ _BITS = (int64, int64, int64, int64)
 
 
 @inlined
-def _bits(words: UInt32Array, pixel: int, word: int, bit: int, mask: int, left: int) -> int:
+def _pixel_bits(words: UInt32Array, pixel: int, word: int, bit: int, mask: int, left: int) -> int:
     value: int = ((int64(words[pixel, word]) >> bit) & mask) << left
     return value
 
@@ -557,7 +557,7 @@ def place_ranges(
             continue
         for row in range(rows):
             pixel = column * rows + row
-            millimetres = _bits(words, pixel, word, bit, mask, left)
+            millimetres = _pixel_bits(words, pixel, word, bit, mask, left)
             if millimetres == 0:
                 continue
             beam = beams[column] + row
@@ -577,7 +577,7 @@ def pick_bits(
 ) -> None:
     """Fill `values` (N,) with a field of the pixels (N,) of `words` (M, W)."""
     for k in range(len(pixels)):
-        values[k] = _bits(words, pixels[k], word, bit, mask, left)
+        values[k] = _pixel_bits(words, pixels[k], word, bit, mask, left)
 
 
 @inlined

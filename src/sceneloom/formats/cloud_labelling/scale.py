@@ -18,7 +18,7 @@ from uuid import UUID, uuid5
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, read_only
+from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import OPENCV_NAMES
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
@@ -490,7 +490,7 @@ def _frame_text(plan: TaskPlan, frame: WrittenFrame, root: Path) -> bytes:
 def _points(plan: TaskPlan, frame: WrittenFrame) -> list[_Point]:
     points, count = frame.sweep.points, len(frame.sweep.points)
     positions = np.round(points.positions.astype(np.float64), 5)
-    finite = np.isfinite(positions).all(axis=1)
+    finite: BoolArray = np.isfinite(positions).all(axis=1)
     field = "sensors.lidar.frames.points"
     plan.losses.dropped(f"{field}.positions", "points that are not finite are left out", count=int((~finite).sum()))
     bright = points.intensities
@@ -502,7 +502,7 @@ def _points(plan: TaskPlan, frame: WrittenFrame) -> list[_Point]:
             plan.losses.dropped(f"{field}.{name}", "points have x, y, z, intensity and time", count=count)
     if set(points.extras) - {"t"}:
         plan.losses.dropped(f"{field}.extras", "points have x, y, z, intensity and time", count=count)
-    rows = zip(positions.tolist(), intensities, times, finite.tolist(), strict=True)
+    rows = zip(positions.tolist(), intensities, times, finite, strict=True)
     return [_Point(x, y, z, i, None, t) for (x, y, z), i, t, there in rows if there]
 
 

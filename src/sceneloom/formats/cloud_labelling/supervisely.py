@@ -217,7 +217,7 @@ class _Dataset:
             key: [timeline.path(name, self.times_ns) for name, timeline in timelines.items()]
             for key, timelines in self.attributes.items()
         }
-        cuboids = tracks.cuboids(self.times_ns, world, lidar_id=lidar and lidar.id, attributes=paths)
+        cuboids = tracks.cuboids(self.times_ns, world, lidar_id=None if lidar is None else lidar.id, attributes=paths)
         about = {
             "project_type": _EPISODES if self.is_episode else _CLOUDS,
             "dataset": folder.resolve().name,
@@ -355,7 +355,9 @@ class _Dataset:
             if not one.key and one.id is None:
                 raise DataError(path, f"objects[{row}]", "has neither key nor id")
             identifier = self._identifier(path, f"objects[{row}].tags", one)
-            for name in filter(None, (one.key, one.id)):
+            for name in (one.key, one.id):
+                if not name:
+                    continue
                 if name in found:
                     raise DataError(path, f"objects[{row}]", f"{name!r} is another object's, too; expected it once")
                 found[name] = (identifier, one)
@@ -402,7 +404,7 @@ class _Dataset:
             where = f"{location}.figures[{row}]".removeprefix(".")
             try:
                 name = figure.objectKey or figure.objectId
-                if name in objects:
+                if name is not None and name in objects:
                     self._add_figure(path, where, frame, figure, *objects[name])
                     continue
                 fault = DataError(path, where, f"object {name!r} is none of the listed ones")

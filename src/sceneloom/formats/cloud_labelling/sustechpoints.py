@@ -149,7 +149,7 @@ class _Reader:
                     self.ledger.fault("labels", error)
         return task_scene(
             [lidar, *self._beside(), *cameras_of(self.frames, world, self.folder, self.ledger)],
-            tracks.cuboids(self.times_ns, world, lidar_id=lidar and lidar.id),
+            tracks.cuboids(self.times_ns, world, lidar_id=None if lidar is None else lidar.id),
             world,
             self.ledger,
             source=self.folder,

@@ -157,7 +157,9 @@ def camera_of(
         DataError: the numbers are no camera, or the image cannot be read.
     """
     try:
-        return Camera(model, *images_image_size(image), *map(float, numbers), tuple(map(float, coefficients)))
+        width, height = images_image_size(image)
+        fx, fy, cx, cy = map(float, numbers)
+        return Camera(model, width, height, fx, fy, cx, cy, tuple(map(float, coefficients)))
     except CalibrationError as error:
         raise DataError(path, location, str(error)) from error
 

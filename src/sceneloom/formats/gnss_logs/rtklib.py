@@ -222,14 +222,15 @@ def _note(path: Path, ledger: Ledger, columns: _Columns, qualities: Mapping[int,
 
 def _scene(path: Path, ledger: Ledger, columns: _Columns, times_ns: Int64Array, table: Float64Array) -> Scene:
     positions, variances = table[:, :3], table[:, 3:6]
-    if columns.frame == "enu" and columns.base is None:
+    base = columns.base
+    if columns.frame == "enu" and base is None:
         message = "a baseline without the position of its base (`ref pos`): no fixes, a trajectory around it"
         ledger.note(WarningKind.ASSUMED, "pos-without-base", str(path), message)
         trajectory = Trajectory("baseline", read_only(times_ns), read_only(np.ascontiguousarray(positions)))
         named = MappingProxyType({trajectory.name: trajectory})
         return Scene((), trajectories=named, source=str(path), format="rtklib", warnings=ledger.warnings)
-    if columns.frame == "enu":
-        positions = geodetic_from_ecef(ecef_from_enu(positions, columns.base))
+    if columns.frame == "enu" and base is not None:
+        positions = geodetic_from_ecef(ecef_from_enu(positions, base))
     elif columns.frame == "ecef":
         positions = geodetic_from_ecef(positions)
         variances = _level(positions, table[:, 3:9])

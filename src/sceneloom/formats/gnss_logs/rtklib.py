@@ -183,7 +183,7 @@ def _parse(words: Sequence[str], columns: _Columns) -> tuple[int, list[float], i
         hour, minute, second = words[1].split(":")
         moment = datetime(year, month, day, tzinfo=UTC).timestamp()
         time_ns = (round(moment) + int(hour) * 3600 + int(minute) * 60) * _NS + round(float(second) * _NS)
-        in_range = 1980 <= year < 2200 and int(hour) < 24 and int(minute) < 60 and 0.0 <= float(second) < 61.0
+        in_range = 1970 <= year < 2200 and int(hour) < 24 and int(minute) < 60 and 0.0 <= float(second) < 61.0
     else:
         week, second_of_week = int(words[0]), float(words[1])
         time_ns = gps_time(week, round(second_of_week * _NS))

@@ -490,7 +490,7 @@ def _frame_text(plan: TaskPlan, frame: WrittenFrame, root: Path) -> bytes:
 def _points(plan: TaskPlan, frame: WrittenFrame) -> list[_Point]:
     points, count = frame.sweep.points, len(frame.sweep.points)
     positions = np.round(points.positions.astype(np.float64), 5)
-    finite: BoolArray = np.isfinite(positions).all(axis=1)
+    finite: BoolArray = np.logical_and.reduce(np.isfinite(positions), axis=1)
     field = "sensors.lidar.frames.points"
     plan.losses.dropped(f"{field}.positions", "points that are not finite are left out", count=int((~finite).sum()))
     bright = points.intensities

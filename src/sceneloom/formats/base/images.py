@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, check_array
+from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, UInt16Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.files import check_pixels, check_regular, read_bytes
@@ -325,6 +325,43 @@ def write_grey_png(values: AnyArray, path: Path, *, overwrite: bool = False) -> 
 
     with replacing(path, overwrite=overwrite) as draft:
         Image.fromarray(values).save(draft, "PNG", compress_level=_COMPRESSION)
+
+
+def decode_grey_png(content: bytes, owner: str, location: str) -> UInt16Array:
+    """Decode a PNG file of 16-bit grey, as depths are kept in.
+
+    Args:
+        content: the file.
+        owner: what it belongs to, for messages.
+        location: the field that holds it, for messages.
+
+    Returns:
+        (height, width) uint16.
+
+    Raises:
+        DataError: it is no such file, damaged, of another kind of pixels, or has more than `check_pixels` lets pass.
+    """
+    from PIL import Image
+
+    grey_png_size(content, owner, location)
+    try:
+        with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
+            return np.array(image).astype(np.uint16)
+    except (*_FAULTS, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise DataError(owner, location, f"cannot be decoded as png: {error}") from error
+
+
+def grey_png_size(content: bytes, owner: str, location: str) -> tuple[int, int]:
+    """Width and height of a PNG file of 16-bit grey [px], from its head; errors as of `decode_grey_png`."""
+    try:
+        mark, chunk, width, height, bits, colours = _PNG_HEAD.unpack_from(content)
+    except struct.error as error:
+        raise DataError(owner, location, f"is no png file: {error}") from error
+    if (mark, chunk, bits, colours) != (PNG_START, b"IHDR", 16, 0):
+        problem = f"no PNG file of 16-bit grey, but begins with {content[:8].hex(' ')}"
+        raise DataError(owner, location, problem)
+    check_pixels(owner, location, width, height)
+    return width, height
 
 
 def _check(depth_image: Float32Array) -> None:

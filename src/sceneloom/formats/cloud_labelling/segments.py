@@ -6,7 +6,7 @@ cameras are placed in the frame of the cloud, by default as OpenGL has them (x r
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Generic, TypeVar
@@ -81,7 +81,7 @@ class _Quaternion(msgspec.Struct):
         return self.qx, self.qy, self.qz, self.qw
 
     @classmethod
-    def of(cls, quaternion_xyzw: Sequence[float]) -> "_Quaternion":
+    def of(cls, quaternion_xyzw: Iterable[float]) -> "_Quaternion":
         return cls(*map(float, quaternion_xyzw))
 
 

@@ -163,8 +163,8 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
         "cvat": FormatRow(f"{_LABELLING}:CVAT", file=(".xml",), folder=("*.xml",)),
         "tracklets": FormatRow(f"{_LABELLING}:TRACKLETS", file=(".xml",), folder=("frame_list.txt",)),
-        "coco": FormatRow(f"{_LABELLING}:COCO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
-        "datumaro": FormatRow(f"{_LABELLING}:DATUMARO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
+        "coco": FormatRow(f"{_LABELLING}:COCO", file=(".json",), folder=("*.json", "annotations/*.json")),
+        "datumaro": FormatRow(f"{_LABELLING}:DATUMARO", file=(".json",), folder=("*.json", "annotations/*.json")),
         "yolo": FormatRow(
             f"{_LABELLING}:YOLO",
             file=(".yaml", ".yml", "obj.names", "obj.data"),

@@ -175,7 +175,7 @@ def find_sweeps(
     rows, arrivals_ns, raw_ns = rows[usable], arrivals_ns[usable], np.concatenate(kept.times_ns)
     phases = np.concatenate(kept.phases)
     frames = np.concatenate(kept.frames) if kept.frames else None
-    times_ns = _on_scene_clock(raw_ns, arrivals_ns, decoder, where, ledger)
+    times_ns = on_scene_clock(raw_ns, arrivals_ns, decoder.clock_ns, where, ledger)
     order = _in_order(times_ns, phases, rows, source, where, ledger)
     rows, times_ns, raw_ns, phases = rows[order], times_ns[order], raw_ns[order], phases[order]
     begins = _rotation_begins(times_ns, phases, None if frames is None else frames[order])
@@ -188,12 +188,19 @@ def find_sweeps(
     return PacketSweeps(source, decoder, rows, shifts_ns, limits, read_only(starts_ns), blocks)
 
 
-def _on_scene_clock(
-    raw_ns: Int64Array, arrivals_ns: Int64Array, decoder: PacketDecoder, where: str, ledger: Ledger
+def on_scene_clock(
+    raw_ns: Int64Array, arrivals_ns: Int64Array, cycle: int, where: str, ledger: Ledger
 ) -> Int64Array:
-    """Give the times of packets: the sensor's, with hours, or shifted where its clock does not know the date."""
+    """Give the times of packets: the sensor's, with hours, or shifted where its clock does not know the date.
+
+    Args:
+        raw_ns: (P,) int64 [ns], by the sensor's clock.
+        arrivals_ns: (P,) int64 [ns], when they came.
+        cycle: after how long the sensor's clock begins anew [ns]; 0 where it does not.
+        where: the sensor, for messages.
+    """
     times_ns = raw_ns
-    if cycle := decoder.clock_ns:
+    if cycle:
         behind = (arrivals_ns - raw_ns + cycle // 2) % cycle - cycle // 2
         # packets that come at once agree, also where the clocks are half a cycle apart
         usual = int(behind[len(behind) // 2])

@@ -167,7 +167,7 @@ def test_examples_are_short_and_use_public_names_only():
 
 
 SHARED_PAGES = dict.fromkeys(("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes-bin", "npz"), "clouds") | {
-    "pcap": "packets",
+    **dict.fromkeys(("pcap", "lvx"), "packets"),
     "ros1": "ros",
     "ros2": "ros",
     **dict.fromkeys(("urdf", "kalibr", "camera-info"), "rig"),

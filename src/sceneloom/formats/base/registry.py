@@ -145,6 +145,7 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "nuscenes-bin": FormatRow(f"{_POINTS}:NUSCENES_BIN", file=(".pcd.bin",), folder=("*.pcd.bin", "*/*.pcd.bin")),
         "npz": FormatRow(f"{_POINTS}:NPZ", file=(".npz", ".npy"), folder=("*.npz", "*.npy", "*/*.npz", "*/*.npy")),
         "pcap": FormatRow("sceneloom.formats.packets.spec:FORMAT", file=_CAPTURES),
+        "lvx": FormatRow("sceneloom.formats.packets.spec:LVX", file=(b"livox_tech\0",)),
         "euroc-mav": FormatRow(
             "sceneloom.formats.euroc_mav.spec:FORMAT", folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv")
         ),

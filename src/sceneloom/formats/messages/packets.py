@@ -1,4 +1,4 @@
-"""Topics of packets as sensors: lidars by the decoders of captures, with Ouster's IMUs, and Continental's ARS548 radars.
+"""Topics of packets as sensors: lidars by the decoders of captures, Ouster's IMUs, and Continental's ARS548 radars.
 
 Source: Continental ARS 548 RDI, "Interface specification" (SOME/IP services DetectionList and ObjectList), whose layout
 the public headers of nebula (continental_ars548.hpp) give, too.
@@ -21,6 +21,7 @@ from sceneloom.formats.packets import ouster, robosense
 from sceneloom.formats.packets.reader import check_model, decoder_of, find_angles, find_metadata
 from sceneloom.formats.packets.spec import CaptureReading
 from sceneloom.formats.packets.sweeps import PacketDecoder, PacketSweeps, find_sweeps, on_scene_clock
+from sceneloom.geometry.euler import rotation_from_cuboid_angles
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarSensor, RadarFrame, RadarPoints, RadarSensor
 from sceneloom.scene.frames import LazyFrames
@@ -294,7 +295,7 @@ def _object(text: str) -> Mapping[str, Any]:
 def _note_left(found: Survey, left: Sequence[_Group], metadata: Sequence[ouster.OusterMetadata]) -> None:
     for group in left:
         count, length = len(group.packets.messages), group.packets.length
-        if group.topic.schema.endswith("PacketMsg") and length > 800:
+        if group.topic.schema.endswith("PacketMsg") and "imu" not in group.topic.name.lower():
             stated = ", ".join(f"{one.file} ({one.length} bytes)" for one in metadata) or "none"
             problem = (
                 f"packets of {length} bytes of an Ouster; expected its metadata on a topic, beside the bag or as "
@@ -430,11 +431,7 @@ def _stated_mount(record: Any) -> RigidTransform | None:
     numbers = np.array([record[name] for name in _ORIGIN], np.float64)
     if record["origin_invalid_flags"] or not np.isfinite(numbers).all() or not numbers.any():
         return None
-    cosines, sines = np.cos(numbers[3:]), np.sin(numbers[3:])
-    about_x = np.array([[1, 0, 0], [0, cosines[0], -sines[0]], [0, sines[0], cosines[0]]])
-    about_y = np.array([[cosines[1], 0, sines[1]], [0, 1, 0], [-sines[1], 0, cosines[1]]])
-    about_z = np.array([[cosines[2], -sines[2], 0], [sines[2], cosines[2], 0], [0, 0, 1]])
-    return RigidTransform(about_z @ about_y @ about_x, numbers[:3])
+    return RigidTransform(rotation_from_cuboid_angles(numbers[3:], unit="radians", order="zyx"), numbers[:3])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1184,7 +1184,8 @@ def _note_twice(found: Survey, clouds: Sequence[CloudDraft], packets: Sequence[P
     topics = {draft.frame_id: draft.reader.topic.name for draft in clouds if draft.frame_id}
     for draft in packets:
         if draft.frame_id in topics and draft.model:
-            message = f"packets and points on {topics[draft.frame_id]} have one frame, {draft.frame_id!r}: both are read"
+            other, frame = topics[draft.frame_id], draft.frame_id
+            message = f"packets and points on {other} have one frame, {frame!r}: both are read"
             location = f"{found.log.name}: {draft.topic.name}"
             found.ledger.note(WarningKind.ASSUMED, "packets-and-points", location, message)
 

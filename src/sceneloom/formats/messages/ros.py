@@ -831,6 +831,16 @@ def _ros_part(identifier: str | int) -> str:
     return f"_{part}" if part[0].isdigit() else part
 
 
+_LIVOX_PACKAGES = ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces")
+
+
+def _livox_types(package: str) -> dict[str, str]:
+    point = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n"
+    head = "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n"
+    whole = f"{head}{package}/CustomPoint[] points\n"
+    return {f"{package}/msg/CustomPoint": point, f"{package}/msg/CustomMsg": whole}
+
+
 _SIZED = "builtin_interfaces/Time stamp\nuint8[1500] data\nuint32 size\n"
 
 
@@ -879,21 +889,7 @@ DEFINITIONS: Mapping[str, str] = MappingProxyType(
         "ouster_ros/msg/PacketMsg": "uint8[] buf\n",
         "nebula_msgs/msg/NebulaPacket": "builtin_interfaces/Time stamp\nuint8[] data\n",
         "nebula_msgs/msg/NebulaPackets": _scan("nebula_msgs/NebulaPacket"),
-        **{
-            name: text
-            for package in ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces")
-            for name, text in (
-                (
-                    f"{package}/msg/CustomPoint",
-                    "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n",
-                ),
-                (
-                    f"{package}/msg/CustomMsg",
-                    "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n"
-                    f"{package}/CustomPoint[] points\n",
-                ),
-            )
-        },
+        **{name: text for package in _LIVOX_PACKAGES for name, text in _livox_types(package).items()},
     }
 )
 """Definitions of types that rosbags does not have, by name; those that others use come before them.
@@ -1022,7 +1018,7 @@ def _cloud(message: Any) -> Sequence[CloudRecord]:
     return [CloudRecord(*_head(message), fields, stride, data, width * height, row_bytes=rows)]
 
 
-_LIVOX = frozenset(f"{name}/msg/CustomMsg" for name in ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces"))
+_LIVOX = frozenset(f"{name}/msg/CustomMsg" for name in _LIVOX_PACKAGES)
 _LIVOX_HEAD = ("header", "timebase", "point_num", "lidar_id", "rsvd", "points")
 _LIVOX_NUMBERS = {"uint32": "u4", "float32": "f4", "uint8": "u1", "float64": "f8", "uint64": "u8", "uint16": "u2"}
 
@@ -1233,8 +1229,8 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "sensor_msgs/msg/Temperature": (Kind.SAMPLE, _temperature),
         "vision_msgs/msg/Detection3DArray": (Kind.BOXES_3D, _boxes_3d),
         "vision_msgs/msg/Detection2DArray": (Kind.BOXES_2D, _boxes_2d),
-        **{name: (Kind.CLOUD, _cloud) for name in _LIVOX},
-        **{name: (Kind.PACKETS, _packets) for name in _PACKETS},
+        **dict.fromkeys(_LIVOX, (Kind.CLOUD, _cloud)),
+        **dict.fromkeys(_PACKETS, (Kind.PACKETS, _packets)),
         "std_msgs/msg/String": (Kind.NOTES, lambda message: [NotesRecord(0, message.data)]),
     }
 )

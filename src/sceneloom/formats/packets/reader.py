@@ -11,7 +11,7 @@ from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.nmea.reader import checksum_of, day_of, position_of, time_of_day
-from sceneloom.formats.packets import hesai, ouster, robosense, velodyne
+from sceneloom.formats.packets import hesai, livox, ouster, robosense, velodyne
 from sceneloom.formats.packets.captures import Datagrams, read_datagrams
 from sceneloom.formats.packets.spec import CaptureReading
 from sceneloom.formats.packets.sweeps import PacketDecoder, find_sweeps, no_sweeps
@@ -22,12 +22,12 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.warnings import WarningKind
 
 _SAMPLE = 64  # packets by which a stream is recognised
-_OUSTER_PORT, _SHORTEST = 7502, 800  # packets of returns are longer
+_OUSTER_PORT, _SHORTEST = 7502, 600  # packets of returns are longer
 _NAMES_LISTED = 5
 _FAR_NS = 100_000_000_000  # a receiver's clock that is farther from the capturing one is not believed
 _DAY_NS = 86_400_000_000_000
 
-_MAKERS = (velodyne, hesai, robosense)
+_MAKERS = (velodyne, hesai, robosense, livox)
 """The modules of makers whose packets tell their model: each has `MODELS`, `recognise` and `decoder_of`."""
 
 _EGO_FROM_Y_FORWARD = RigidTransform(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
@@ -104,7 +104,7 @@ def decoder_of(
     if maker is None or key is None:
         return None
     key = options.model if options.model in maker.MODELS else key
-    return maker.decoder_of(key, angles, state)
+    return livox.decoder_of(key, packets) if maker is livox else maker.decoder_of(key, angles, state)
 
 
 def find_angles(path: Path, options: CaptureReading, name: str) -> Path | None:
@@ -234,9 +234,14 @@ class _Capture:
 
     def _inertial(self, shifts_ns: dict[str, int]) -> Iterator[Sensor]:
         """The IMUs, on the clocks of their lidars."""
-        for number, (stream, metadata) in enumerate(self.imus, 1):
-            streams = ouster.imu_streams(metadata, stream.packets(), shifts_ns.get(stream.host, 0))
-            yield ImuSensor("imu" if len(self.imus) == 1 else f"imu_{number}", MappingProxyType(streams))
+        of_livox = self._taken(lambda one: one.length in livox.IMU_LENGTHS and livox.are_imu(one.packets(_SAMPLE)))
+        found = [
+            ouster.imu_streams(metadata, stream.packets(), shifts_ns.get(stream.host, 0))
+            for stream, metadata in self.imus
+        ]
+        found += [livox.imu_streams(one.packets(), shifts_ns.get(one.host, 0)) for one in of_livox]
+        for number, streams in enumerate(found, 1):
+            yield ImuSensor("imu" if len(found) == 1 else f"imu_{number}", MappingProxyType(streams))
 
     # satellite receivers
 

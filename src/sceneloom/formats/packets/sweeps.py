@@ -4,6 +4,7 @@ What the bytes of a packet mean is known to decoders, one for each model; packet
 """
 
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol
 
@@ -276,7 +277,7 @@ def _note_missing(times_ns: Int64Array, phases: AnyArray, where: str, ledger: Le
 
 def no_sweeps(path: object, problem: str) -> DataError:
     """The error of a source without any sweep."""
-    return DataError(path, "", f"{problem}; expected UDP packets of Ouster, Velodyne, Hesai or RoboSense lidars")
+    return DataError(path, "", f"{problem}; expected UDP packets of Ouster, Velodyne, Hesai, RoboSense or Livox lidars")
 
 
 def located(kept: BoolArray) -> tuple[Int64Array, Int64Array, Int64Array]:
@@ -302,6 +303,27 @@ def polar_points(azimuths: Float32Array, level: Float32Array, height: Float32Arr
     np.multiply(np.sin(azimuths), level, out=found[:, 1])
     found[:, 2] = height
     return found
+
+
+def utc_seconds(dates: UInt8Array) -> Int64Array:
+    """Seconds since 1970 of dates, (P, 6) uint8: year since 1900 or 2000, month, day, h, min, s; or 0 and seconds.
+
+    What is no date is 0.
+    """
+    distinct, which = np.unique(dates, axis=0, return_inverse=True)
+    return np.array([_second(date) for date in distinct.tolist()], np.int64)[which.ravel()]
+
+
+def _second(date: list[int]) -> int:
+    year, month, day, *clock = date
+    if year == 0:
+        return int.from_bytes(bytes(date[1:]), "big")
+    try:
+        return int(datetime(year + (2000 if year < 70 else 1900), month, day, tzinfo=UTC).timestamp()) + (
+            clock[0] * 3600 + clock[1] * 60 + clock[2]
+        )
+    except ValueError:
+        return 0
 
 
 def angle_table(path: Path, channels: int) -> Float64Array:

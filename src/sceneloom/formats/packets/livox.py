@@ -1,5 +1,6 @@
-"""Livox's lidars: their packets, of the first SDK (Mid-40, Mid-70, Horizon, Tele-15, Avia) and of the second one (HAP,
-Mid-360), of IMUs, too, and `.lvx` and `.lvx2` files, which hold such packets.
+"""Packets of Livox's lidars and of their IMUs, and `.lvx` and `.lvx2` files, which hold such packets.
+
+There are packets of the first SDK (Mid-40, Mid-70, Horizon, Tele-15, Avia) and of the second one (HAP, Mid-360).
 
 Axes: the maker's, x forward, y left, z up. What they scan has no rotation: a sweep is what 0.1 s measure, as their
 drivers have it. Rings are lines, where a file names the device.
@@ -127,7 +128,8 @@ class LivoxDecoder:
         heads = self._heads(packets)
         usable = heads["data_type"] == self.data_type
         if self.key == _SECOND:
-            usable &= heads["count"].astype(np.int64) * _LAYOUTS[self.key][self.data_type].itemsize <= packets.shape[1] - 36
+            size = heads["count"].astype(np.int64) * _LAYOUTS[self.key][self.data_type].itemsize
+            usable &= size <= packets.shape[1] - heads.dtype.itemsize
         times_ns = _times_ns(self.key, heads)[:, None]
         usable &= times_ns[:, 0] >= 0
         return Survey(times_ns, np.zeros(times_ns.shape), np.asarray(usable, np.bool_), times_ns // _SWEEP_NS)

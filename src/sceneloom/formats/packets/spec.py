@@ -45,8 +45,8 @@ def _near_miss(path: Path) -> str | None:
 FORMAT = FormatSpec(
     name="pcap",
     title="a capture of lidar packets",
-    looks_like="a .pcap or .pcapng file of Ouster, Velodyne, Hesai, RoboSense or Livox lidars (built to the description: "
-    "QT64, AT128, HDL-32E, HDL-64E, VLP-32C, Livox)",
+    looks_like="a .pcap or .pcapng file of Ouster, Velodyne, Hesai, RoboSense or Livox lidars (built to the "
+    "description: QT64, AT128, HDL-32E, HDL-64E, VLP-32C, Livox)",
     suffixes=(".pcap",),
     sniff=_is_capture,
     near_miss=_near_miss,

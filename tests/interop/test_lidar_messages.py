@@ -161,7 +161,7 @@ def write_bag(folder, kind="ros1"):
         for k in range(2):
             livox(bag, "livox_ros_driver2", EPOCH_NS + k * PERIOD_NS, EPOCH_NS + k * PERIOD_NS)
             stamp = bag.make("builtin_interfaces/msg/Time", EPOCH_NS // 10**9, k * PERIOD_NS)
-            lists = [bytes(2) + (336).to_bytes(2, "big") + bytes(35332), bytes(2) + (329).to_bytes(2, "big") + bytes(9397)]
+            lists = [method.to_bytes(4, "big") + bytes(size) for method, size in ((336, 35332), (329, 9397))]
             found = [bag.make("nebula_msgs/msg/NebulaPacket", stamp, np.frombuffer(one, np.uint8)) for one in lists]
             bag.send("/radar/packets", "nebula_msgs/msg/NebulaPackets", EPOCH_NS + k * PERIOD_NS, "radar", found)
             sized = np.zeros(1500, np.uint8)

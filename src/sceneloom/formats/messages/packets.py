@@ -6,7 +6,7 @@ the public headers of nebula (continental_ars548.hpp) give, too.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -70,6 +70,7 @@ class _MessagePackets:
             DataError: a message cannot be read, or has other packets than when it was opened.
         """
         found = np.empty((len(rows), self.length), np.uint8)
+        into = memoryview(found).cast("B") if len(rows) else memoryview(bytearray())
         messages, numbers = self.messages[rows], self.numbers[rows].tolist()
         limits = [0, *(np.flatnonzero(np.diff(messages)) + 1).tolist(), len(rows)]
         for start, stop in pairwise(limits):
@@ -79,7 +80,7 @@ class _MessagePackets:
                 if len(packet) < self.length:
                     problem = f"{len(packet)} bytes in packet {numbers[row]}; expected {self.length}"
                     raise DataError(self.log.name, f"{self.topic.name}[{messages[start]}]", problem)
-                found[row] = np.frombuffer(packet, np.uint8, self.length)
+                into[row * self.length : (row + 1) * self.length] = packet[: self.length]
         return found
 
 
@@ -216,14 +217,18 @@ def _groups(found: Survey, topic: Topic) -> Iterator[_Group]:
             found.ledger.fault("messages-at-fault", error)
             continue
         frame_id = frame_id or record.frame_id
-        own = record.arrivals_ns if record.timestamp_ns else None
-        for number, packet in enumerate(record.packets):
-            delay_ns = 0 if own is None else int(own[number]) - record.timestamp_ns
-            delay_ns = delay_ns if abs(delay_ns) < _DELAYED_NS else 0
+        delays_ns = np.zeros(len(record.packets), np.int64)
+        if record.arrivals_ns is not None and record.timestamp_ns:
+            delays_ns = record.arrivals_ns - record.timestamp_ns
+        arrivals_ns = settled_ns + np.where(np.abs(delays_ns) < _DELAYED_NS, delays_ns, 0)
+        for number, (packet, arrival_ns) in enumerate(zip(record.packets, arrivals_ns.tolist(), strict=True)):
             kind = len(packet), robosense.is_state(packet)
-            columns = kinds.setdefault(kind, ([], [], []))
-            for column, value in zip(columns, (k, number, settled_ns + delay_ns), strict=True):
-                column.append(value)
+            columns = kinds.get(kind)
+            if columns is None:
+                columns = kinds[kind] = ([], [], [])
+            columns[0].append(k)
+            columns[1].append(number)
+            columns[2].append(arrival_ns)
     for (length, is_state), columns in kinds.items():
         packets = _MessagePackets(found.log, topic, length, *(np.array(one, np.int64) for one in columns))
         if length:
@@ -245,11 +250,16 @@ def _lidar(
         # early messages were one byte longer than the packet
         fitting = [one for one in metadata if packets.length - one.length in (0, 1)]
         if fitting:
-            chosen = max(fitting, key=lambda one: ouster.session_of(group.sample[:, : one.length], one) == one.session)
+            name = group.topic.name
+            first = [np.ascontiguousarray(group.sample[:1, : one.length]) for one in fitting]
+            sessions = [ouster.session_of(packet, one) for packet, one in zip(first, fitting, strict=True)]
+            ranks = [(own == one.session, _shared(one.file, name)) for own, one in zip(sessions, fitting, strict=True)]
+            chosen = fitting[ranks.index(max(ranks))]
             decoder, packets = ouster.OusterDecoder(chosen), replace(packets, length=chosen.length)
             frame_id = frame_id or _OUSTER_FRAME
     else:
-        state = states.get(group.topic.name, next(iter(states.values()), None))
+        nearest = max(states, key=lambda name: _shared(name, group.topic.name), default=None)
+        state = None if nearest is None else states[nearest]
         angles = find_angles(reading.path, reading.options, group.topic.name)
         decoder = decoder_of(group.sample, reading.options, angles, state)
     if decoder is None:
@@ -262,6 +272,12 @@ def _lidar(
     if isinstance(decoder, ouster.OusterDecoder):
         shifts_ns.setdefault(decoder.metadata.file, int(sweeps.shifts_ns[0]))
     return [PacketDraft(group.topic, frame_id, "", sweeps.frames, decoder.model)]
+
+
+def _shared(one: str, topic: str) -> int:
+    """How many parts of the names of two topics are the same, from the first; the first may follow that of a log."""
+    parts = zip(one.rpartition(": ")[2].split("/"), topic.split("/"), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], parts))
 
 
 def _metadata(found: Survey, reading: PacketReading, *, needed: bool) -> list[ouster.OusterMetadata]:

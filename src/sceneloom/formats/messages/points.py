@@ -438,9 +438,7 @@ def _found_times(
         passed = reader.stated_ns(other) - reader.stated_ns(k)
         most = _SAME_PACE * passed + _PACE_JITTER_NS
         own = {
-            key: one
-            for key, one in own.items()
-            if key in again and abs(again[key].low_ns - one.low_ns - passed) < most
+            key: one for key, one in own.items() if key in again and abs(again[key].low_ns - one.low_ns - passed) < most
         }
     else:
         own = {}

@@ -1233,7 +1233,7 @@ def _locate(context: _Log, *, ego: str | None, world: str | None) -> dict[str, T
     if not found.notes.ours:
         trajectories = _foreign_trajectories(found, context.locations)
     if rig is not None or not found.notes.ours:
-        known, seen = context.locations, set[str]()
+        known, seen = context.locations, {draft.frame_id for draft in context.packets if draft.mount is not None}
         for sensor in sensors:
             if sensor.frame in large and sensor.frame not in seen and not known.is_placed(sensor.frame):
                 seen.add(sensor.frame)
@@ -1332,7 +1332,7 @@ def _foreign_sensors(context: _Log, camera_ids: dict[str, Any]) -> list[Sensor]:
 def _packet_sensor(context: _Log, identifier: str, draft: PacketDraft) -> Sensor:
     """A sensor of packets where its frame is; else where it says itself to be."""
     locations = context.locations
-    mount = locations.mount(draft.frame_id)
+    mount = RigidTransform.identity() if draft.on_ego else locations.mount(draft.frame_id)
     if mount is None and draft.mount is not None:
         mount = draft.mount
         message = "no frame tells where the radar is on the ego; where it says itself to be counts"

@@ -189,9 +189,7 @@ def find_sweeps(
     return PacketSweeps(source, decoder, rows, shifts_ns, limits, read_only(starts_ns), blocks)
 
 
-def on_scene_clock(
-    raw_ns: Int64Array, arrivals_ns: Int64Array, cycle: int, where: str, ledger: Ledger
-) -> Int64Array:
+def on_scene_clock(raw_ns: Int64Array, arrivals_ns: Int64Array, cycle: int, where: str, ledger: Ledger) -> Int64Array:
     """Give the times of packets: the sensor's, with hours, or shifted where its clock does not know the date.
 
     Args:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import MODELS, OPENCV_LENGTHS, Camera, from_opencv
 from sceneloom.errors import CalibrationError, DataError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import FileView
@@ -138,7 +138,7 @@ OUR_PREFIX = "sceneloom:"  # begins the names of models that only we know, in ca
 
 _READ: Mapping[str, tuple[str, int]] = MappingProxyType(
     dict.fromkeys(("", "none", "pinhole", "plumb_bob"), ("brown_conrady", 5))
-    | {"rational_polynomial": ("brown_conrady", 14)}
+    | {"rational_polynomial": ("brown_conrady", OPENCV_LENGTHS[-1])}
     | dict.fromkeys(("equidistant", "fisheye", "kannala_brandt"), ("fisheye", 4))
 )
 """Our model of each name, and how many coefficients it may have."""
@@ -193,10 +193,7 @@ def _model(record: CameraModelRecord, owner: str, location: str) -> tuple[str, t
         return model, (*numbers, *(0.0,) * (most - len(numbers)))
     if not any(numbers):
         return "pinhole", ()
-    if len(numbers) > 8:
-        # s1-s4 and the tilt come after k6; in our model after lx and ly, which OpenCV does not have
-        numbers = (*numbers[:8], 0.0, 0.0, *numbers[8:])
-    return model, numbers
+    return model, from_opencv(numbers)
 
 
 def _fitted(camera: Camera, size: tuple[int, int], location: str, ledger: Ledger) -> Camera:

@@ -1064,7 +1064,7 @@ def _packets(message: Any) -> Sequence[PacketsRecord]:
     head = _head(message) if hasattr(message, "header") else (0, "")
     if parts is None:
         parts = [getattr(message, "packet", message)]
-    if not len(parts):
+    if not parts:
         return [PacketsRecord(*head, ())]
     # all of one type: looking at each for its fields would take longer than reading them
     name, sized, stamped = "data" if hasattr(parts[0], "data") else "buf", hasattr(parts[0], "size"), None

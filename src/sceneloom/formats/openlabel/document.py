@@ -58,10 +58,6 @@ TYPE = "openlabel_type"
 KIND = "openlabel"
 """Extra field of an annotation: what the file calls it and states about it besides."""
 
-OPENCV_ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
-"""Source: `cv::projectPoints`."""
-
-OPENCV_COUNTS = (0, 4, 5, 8, 12, 14)
 OURS_CAMERA = ("model", "width", "height", "fx", "fy", "cx", "cy")
 FISHEYE = {"center_x": "cx", "center_y": "cy", "focal_length_x": "fx", "focal_length_y": "fy"}
 """Fields of a fisheye's intrinsics, and ours."""

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import MODELS, OPENCV_LENGTHS, Camera, from_opencv
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
@@ -25,8 +25,6 @@ from sceneloom.formats.openlabel.document import (
     KEPT,
     KEPT_WHOLE,
     KIND,
-    OPENCV_COUNTS,
-    OPENCV_ORDER,
     OURS,
     OURS_CAMERA,
     PLAIN,
@@ -462,14 +460,13 @@ def _pinhole(part: _Part) -> Camera:
     if abs(skew) > 1e-9 * abs(fx):
         raise matrix.fault("a camera matrix without skew")
     listed = part.get("distortion_coeffs_1xN") or part.get("distortion_coeffs")
-    coefficients = [] if listed is None else listed.numbers(*OPENCV_COUNTS)
+    coefficients = [] if listed is None else listed.numbers(*OPENCV_LENGTHS)
     values = (_pixels(part, "width_px"), _pixels(part, "height_px"), fx, fy, cx, cy)
     if not any(coefficients):
         return _built(part, "pinhole", *values)
-    named = dict(zip(OPENCV_ORDER, coefficients, strict=False))
-    ordered = np.array([named.get(name, 0.0) for name in MODELS["brown_conrady"].coefficient_names])
+    ordered = (*from_opencv(coefficients), 0.0)
     count = max([5, *(np.flatnonzero(ordered) + 1).tolist()])
-    return _built(part, "brown_conrady", *values, tuple(ordered[:count].tolist()))
+    return _built(part, "brown_conrady", *values, ordered[:count])
 
 
 def _fisheye(part: _Part) -> Camera | None:

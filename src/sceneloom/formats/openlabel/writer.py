@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import MODELS, Camera, to_opencv
 from sceneloom.formats.base.losses import Loss, Losses, LossReport, Support, field_losses
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.base.text_tables import seconds_text
@@ -22,8 +22,6 @@ from sceneloom.formats.openlabel.document import (
     INTERPOLATED,
     KEPT,
     KIND,
-    OPENCV_COUNTS,
-    OPENCV_ORDER,
     OURS,
     OURS_CAMERA,
     PLAIN,
@@ -606,8 +604,6 @@ def _camera_properties(camera: Camera) -> dict[str, Any]:
     ours = {name: getattr(camera, name) for name in OURS_CAMERA}
     named = dict(zip(MODELS[camera.model].coefficient_names, camera.coefficients, strict=False))
     size = {"width_px": camera.width, "height_px": camera.height}
-    # OpenCV has no model with distortion whose centre of distortion is shifted
-    unshifted = not (named.get("lx") or named.get("ly"))
     if camera.model == "fisheye":
         kind, found = (
             "fisheye",
@@ -617,11 +613,9 @@ def _camera_properties(camera: Camera) -> dict[str, Any]:
                 "model": "opencv_fisheye",
             },
         )
-    elif camera.model == "pinhole" or (camera.model == "brown_conrady" and unshifted):
-        coefficients = [named.get(name, 0.0) for name in OPENCV_ORDER]
-        count = next(count for count in OPENCV_COUNTS[2:] if not any(coefficients[count:]))
+    elif (coefficients := to_opencv(camera)) is not None:
         matrix = [camera.fx, 0.0, camera.cx, 0.0, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
-        kind, found = "pinhole", {"camera_matrix_3x4": matrix, "distortion_coeffs_1xN": coefficients[:count]}
+        kind, found = "pinhole", {"camera_matrix_3x4": matrix, "distortion_coeffs_1xN": coefficients}
     else:
         kind, found = "custom", {**ours, **named}
     return {

@@ -303,7 +303,7 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, nmea, pcap; clouds as pcd, ply, las, laz, kitti-bin,
+    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, nmea, pcap, lvx; clouds as pcd, ply, las, laz, kitti-bin,
     nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array, UInt8Array, read_only
@@ -174,8 +175,8 @@ def draft_packets(found: Survey, reading: PacketReading) -> list[PacketDraft]:
     left: list[_Group] = []
     for group in groups:
         try:
-            made = list(_radar(group, found))
-            if not made:
+            made = _radar(group, found)
+            if made is None:
                 made = _lidar(group, found, reading, metadata, states, shifts_ns)
         except DataError as error:
             found.ledger.fault("lidar-unreadable", error, count=len(group.packets.messages))
@@ -300,8 +301,6 @@ def _metadata(found: Survey, reading: PacketReading, *, needed: bool) -> list[ou
 
 def _object(text: str) -> Mapping[str, Any]:
     """What JSON of a topic holds; DataError where it is no object."""
-    import msgspec
-
     try:
         return msgspec.json.decode(text, type=dict[str, Any])
     except (msgspec.MsgspecError, RecursionError) as error:
@@ -402,28 +401,26 @@ _SYNCHRONISED = 1
 _ELEVATION_UNKNOWN = 0b10000
 
 
-def _radar(group: _Group, found: Survey) -> Iterator[PacketDraft]:
-    """The radar of a group of packets: a sensor of detections, or of objects."""
+def _radar(group: _Group, found: Survey) -> list[PacketDraft] | None:
+    """The radar of a group of packets: a sensor of detections, or of objects; None of packets of others."""
     length, head = group.packets.length, np.dtype(_HEAD)
-    layout = next((one for one in _LISTS.values() if one.itemsize == length), None)
+    method, layout = next((row for row in _LISTS.items() if row[1].itemsize == length), (0, None))
     if length in _STATES and (group.sample[:, :4].copy().view(">u2")[:, 1] == _STATES[length]).all():
         message = "the radar's packets of its status have no points"
         count = len(group.packets.messages)
         found.ledger.note(WarningKind.SKIPPED, "radar-status", group.where, message, count=count)
-        yield from ()
-        return
+        return []
     if layout is None:
-        return
+        return None
     heads = np.concatenate(
         [
             np.ascontiguousarray(group.packets.payloads(rows)[:, : head.itemsize]).view(head)[:, 0]
             for rows in np.array_split(group.packets.rows, len(group.packets.rows) // _SAMPLE + 1)
         ]
     )
-    rows = np.flatnonzero((heads["service"] == 0) & (_LISTS.get(int(heads["method"][0])) is layout))
-    rows = rows[heads["method"][rows] == heads["method"][0]]
+    rows = np.flatnonzero((heads["service"] == 0) & (heads["method"] == method))
     if not len(rows):
-        return
+        return None
     arrivals_ns = group.packets.arrivals_ns[rows]
     raw_ns = heads["seconds"][rows].astype(np.int64) * 1_000_000_000 + heads["nanoseconds"][rows]
     synchronised = heads["stamp_sync_status"][rows] == _SYNCHRONISED
@@ -439,7 +436,7 @@ def _radar(group: _Group, found: Survey) -> Iterator[PacketDraft]:
     suffix = "/objects" if layout is _OBJECTS else ""
     mount = None if layout is _OBJECTS else _stated_mount(reader.record(0))
     frames = LazyFrames(times_ns, reader)
-    yield PacketDraft(group.topic, group.frame_id, suffix, frames, mount=mount, on_ego=layout is _OBJECTS)
+    return [PacketDraft(group.topic, group.frame_id, suffix, frames, mount=mount, on_ego=layout is _OBJECTS)]
 
 
 def _stated_mount(record: Any) -> RigidTransform | None:

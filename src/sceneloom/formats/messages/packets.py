@@ -71,7 +71,7 @@ class _MessagePackets:
             DataError: a message cannot be read, or has other packets than when it was opened.
         """
         found = np.empty((len(rows), self.length), np.uint8)
-        into = memoryview(found).cast("B") if len(rows) else memoryview(bytearray())
+        into = found.reshape(-1)
         messages, numbers = self.messages[rows], self.numbers[rows].tolist()
         limits = [0, *(np.flatnonzero(np.diff(messages)) + 1).tolist(), len(rows)]
         for start, stop in pairwise(limits):
@@ -81,7 +81,7 @@ class _MessagePackets:
                 if len(packet) < self.length:
                     problem = f"{len(packet)} bytes in packet {numbers[row]}; expected {self.length}"
                     raise DataError(self.log.name, f"{self.topic.name}[{messages[start]}]", problem)
-                into[row * self.length : (row + 1) * self.length] = packet[: self.length]
+                into[row * self.length : (row + 1) * self.length] = np.frombuffer(packet, np.uint8, self.length)
         return found
 
 
@@ -468,13 +468,13 @@ class _RadarCycles:
         read = _objects if self.is_objects else _detections
         points, dropped = read(rows)
         names = ("ambiguity_free_velocity_min", "ambiguity_free_velocity_max", "alignment_status", "stamp_sync_status")
-        extras = {name: record[name].item() for name in names if name in record.dtype.names}
+        extras = {name: record[name].item() for name in names if name in (record.dtype.names or ())}
         extras |= {"dropped_points": dropped} if dropped else {}
         return RadarFrame(int(self.times_ns[number]), points, MappingProxyType(extras))
 
 
 def _columns(rows: AnyArray, *, without: Sequence[str] = ()) -> dict[str, AnyArray]:
-    names = [name for name in rows.dtype.names if name not in without]
+    names = [name for name in rows.dtype.names or () if name not in without]
     return {name: read_only(rows[name].astype(rows.dtype[name].newbyteorder("="))) for name in names}
 
 

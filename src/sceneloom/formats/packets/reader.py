@@ -103,7 +103,8 @@ def decoder_of(
     maker, key = next(((one, key) for one in _MAKERS if (key := one.recognise(packets))), (None, None))
     if maker is None or key is None:
         return None
-    key = options.model if options.model in maker.MODELS else key
+    if options.model is not None and options.model in maker.MODELS:
+        key = options.model
     return livox.decoder_of(key, packets) if maker is livox else maker.decoder_of(key, angles, state)
 
 

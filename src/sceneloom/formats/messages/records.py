@@ -72,6 +72,7 @@ class CloudRecord:
         frame_from_points: where the points' origin is in the frame; None for its origin.
         row_bytes: bytes from row to row and points in a row, of clouds in rows; None where rows follow each other.
         base_ns: what times of points count from in nanoseconds, of messages that state it.
+        left_out: names of fields that could not be decompressed.
     """
 
     timestamp_ns: int
@@ -83,6 +84,19 @@ class CloudRecord:
     frame_from_points: RigidTransform | None = None
     row_bytes: tuple[int, int] | None = None
     base_ns: int | None = None
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedCloudRecord:
+    """Compressed points; `layout` is what the message itself states of them, without bytes, or None."""
+
+    timestamp_ns: int
+    frame_id: str
+    form: str
+    data: memoryview
+    layout: CloudRecord | None = None
+    frame_from_points: RigidTransform | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,11 +171,12 @@ class FixRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleRecord:
-    """What an IMU measured at a time, by the names of its streams."""
+    """What an IMU measured at a time, by the names of its streams, and the (K, K) covariances of these, row by row."""
 
     timestamp_ns: int
     frame_id: str
     values: Mapping[str, tuple[float, ...]]
+    covariances: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: NO_FIELDS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,6 +260,7 @@ class NotesRecord:
 AnyRecord = (
     TransformRecord
     | CloudRecord
+    | PackedCloudRecord
     | ImageRecord
     | CompressedImageRecord
     | CameraModelRecord
@@ -277,6 +293,10 @@ class Topic:
     kind: Kind | None
     count: int
     why: str = "of a type that is not read"
+
+
+VELOCITIES = ("linearVelocity", "angularVelocity")
+"""Streams of what odometry, wheels or receivers say of the motion [m/s], [rad/s], in the axes of the body."""
 
 
 class TopicLog(Protocol):

@@ -1520,7 +1520,7 @@ def _pose_covariances(fit: _Fit, own: Float64Array, times_ns: Int64Array) -> Flo
     return found
 
 
-_STATED_TO, _STATED_TAIL = 0.5, 4.0
+_STATED_TO, _STATED_TAIL = 0.4, 4.0
 """What a stated accuracy is worth: the logarithm of the true error over it follows Student's t of this scale and so
 many degrees of freedom. No region serves all receivers whose errors do not show: one that holds 98 % of the errors of
 honest receivers is 1.14 times as wide as stated, and holds 62 % of errors twice as large."""
@@ -1644,7 +1644,7 @@ def _slow_variances(
     # a height that no receiver knows is uncertain by itself
     variances[fixes.sigmas >= _UNKNOWN_HEIGHT] = least[2] ** 2
     factor = _slow_factor(fit, math.sqrt(float(np.median(variances[:, 0]))))
-    # what outlasts the drive does not show: what is stated beyond the noise stays, and is all if the receiver is trusted
+    # what outlasts the drive does not show: what is stated beyond the noise stays, and is all if a receiver is trusted
     # and slow errors do not seem larger than all that is stated
     expected = factor**2 * variances * (factor > 1.0 or settings.slow_error >= DEFAULTS.slow_error)
     stated = variances - np.minimum(fit.chain.fixes.sigmas, fixes.sigmas) ** 2

@@ -996,7 +996,7 @@ def _inertial_noise(fit: _Fit, drifts: Float64Array) -> tuple[float, Float64Arra
     inverse = (fit.states.rotations[rows, None] @ np.linalg.inv(covariances)[:, 3:].reshape(-1, 2, 3, 9)).swapaxes(1, 2)
     weighted, expected = np.einsum("naij,nj->nai", inverse, residuals), inverse @ left[:, None] @ inverse.swapaxes(2, 3)
     drifts, seconds = drifts.copy(), fit.chain.knots_ns[rows] * 1e-9
-    first, last = (np.searchsorted(seconds, seconds + sign * _DRIFT_LASTS) for sign in (-1.0, 1.0))
+    begins, ends = (np.searchsorted(seconds, seconds + sign * _DRIFT_LASTS) for sign in (-1.0, 1.0))
     for k, shape in enumerate(_drift_shapes(fit.chain.seconds[rows])):
         known = drifts[k, rows] * (shape[:, None] * expected).sum(axis=(2, 3))
         found = drifts[k, rows] * np.einsum("nai,nij,naj->na", weighted, shape, weighted)
@@ -1005,7 +1005,7 @@ def _inertial_noise(fit: _Fit, drifts: Float64Array) -> tuple[float, Float64Arra
             squares = np.stack([found[:, axes].sum(axis=1), known[:, axes].sum(axis=1)], axis=1)
             total = squares.sum(axis=0) + _DRIFT_WORTH
             sums = _running_sums(squares)
-            near = sums[last] - sums[first] + _NEAR_WORTH * total / total[1]
+            near = sums[ends] - sums[begins] + _NEAR_WORTH * total / total[1]
             drifts[k, :, axes] *= total[0] / total[1]
             drifts[k, rows, axes] *= (near[:, 0] / near[:, 1] * (total[1] / total[0]))[:, None]
     return min(max(1.0, factor), _LARGEST_SCALE), np.maximum(drifts, _LEAST_DRIFT)

@@ -100,6 +100,12 @@ _MESSAGES = "sceneloom.formats.messages.spec"
 _LABELLING = "sceneloom.formats.labelling.spec"
 _RIG_FILES = "sceneloom.formats.rig_files.spec"
 
+
+def _roots(*names: str) -> tuple[bytes, ...]:
+    """Beginnings of JSON objects whose first member has one of some names."""
+    return tuple(f'{{"{name}":'.encode() for name in names)
+
+
 FORMATS: Mapping[str, FormatRow] = MappingProxyType(
     {
         "sfs": FormatRow("sceneloom.formats.sfs.spec:FORMAT", file=(_JSON,)),
@@ -153,8 +159,16 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
         "cvat": FormatRow(f"{_LABELLING}:CVAT", file=(".xml",), folder=("*.xml",)),
         "tracklets": FormatRow(f"{_LABELLING}:TRACKLETS", file=(".xml",), folder=("frame_list.txt",)),
-        "coco": FormatRow(f"{_LABELLING}:COCO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
-        "datumaro": FormatRow(f"{_LABELLING}:DATUMARO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
+        "coco": FormatRow(
+            f"{_LABELLING}:COCO",
+            file=_roots("info", "licenses", "images", "annotations", "categories", "videos", "type"),
+            folder=("*.json", "annotations/*.json"),
+        ),
+        "datumaro": FormatRow(
+            f"{_LABELLING}:DATUMARO",
+            file=_roots("dm_format_version", "media_type", "info", "infos", "categories", "items"),
+            folder=("*.json", "annotations/*.json"),
+        ),
         "yolo": FormatRow(
             f"{_LABELLING}:YOLO",
             file=(".yaml", ".yml", "obj.names", "obj.data"),

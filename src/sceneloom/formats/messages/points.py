@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Int64Array, read_only
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.text_tables import UNITS_NS
-from sceneloom.formats.messages.records import CloudRecord, PackedField, Topic, TopicLog
+from sceneloom.formats.messages.compressed_points import unpacked
+from sceneloom.formats.messages.records import CloudRecord, PackedCloudRecord, PackedField, Topic, TopicLog
 from sceneloom.formats.messages.survey import Survey, in_order
 from sceneloom.formats.points.cloud import MOST_POINTS, Cloud, find_roles, unique_names
 from sceneloom.formats.points.mapping import (
@@ -88,6 +89,63 @@ def _column(rows: AnyArray, field: PackedField) -> AnyArray:
     column = np.ndarray(shape, field.dtype, rows, field.offset, strides)
     native: AnyArray = column.astype(field.dtype.newbyteorder("="), order="C")
     return native
+
+
+def scan_record(
+    timestamp_ns: int,
+    frame_id: str,
+    ranges: Float64Array,
+    intensities: Float64Array,
+    *,
+    angles: tuple[float, float],
+    limits: tuple[float, float] = (0.0, np.inf),
+    step_s: float = 0.0,
+    beams: Int64Array | None = None,
+    echoes: Int64Array | None = None,
+    frame_from_points: RigidTransform | None = None,
+) -> CloudRecord:
+    """The points of a lidar of one line, in the plane z = 0; those without a range have none.
+
+    Args:
+        timestamp_ns: of the first beam [ns].
+        frame_id: of the points.
+        ranges: (N,) [m]; infinite, NaN, and not above 0 where nothing was measured.
+        intensities: (N,), or none.
+        angles: of the first beam, and from beam to beam [rad], counterclockwise about z from x.
+        limits: smallest and largest range that was measured [m].
+        step_s: from beam to beam [s]; 0 where it is not stated.
+        beams: (N,) number of the beam of each range; None for one range of each.
+        echoes: (N,) number of the range among those of its beam, or None.
+        frame_from_points: where the lidar is in the frame.
+
+    Source: sensor_msgs/LaserScan and MultiEchoLaserScan; REP 117.
+    """
+    beams = np.arange(len(ranges), dtype=np.int64) if beams is None else beams
+    columns: dict[str, tuple[str, AnyArray]] = {}
+    with np.errstate(invalid="ignore", over="ignore"):
+        measured = np.isfinite(ranges) & (ranges > 0) & (ranges >= limits[0]) & (ranges <= limits[1])
+        kept = np.where(measured, ranges, np.nan)
+        bearings = angles[0] + angles[1] * beams
+        for name, values in (("x", np.cos(bearings)), ("y", np.sin(bearings)), ("z", np.zeros(len(beams)))):
+            columns[name] = "<f4", kept * values
+        if len(intensities) == len(ranges) > 0:
+            columns["intensity"] = "<f4", intensities
+        offsets_ns = np.rint(beams * (step_s * 1e9))
+        if step_s > 0 and offsets_ns.max(initial=0) < 1 << 32:
+            columns["t"] = "<u4", offsets_ns
+        elif step_s:
+            columns["time"] = "<f8", beams * step_s
+        if echoes is not None:
+            columns["echo"] = "<u1", np.minimum(echoes, 255)
+        rows = np.empty(len(ranges), np.dtype([(name, dtype) for name, (dtype, _) in columns.items()]))
+        for name, (_, values) in columns.items():
+            rows[name] = values
+    offsets: Any = rows.dtype.fields
+    fields = tuple(PackedField(name, int(offsets[name][1]), offsets[name][0]) for name in columns)
+    data = rows.view(np.uint8).data.cast("B")
+    return CloudRecord(
+        timestamp_ns, frame_id, fields, rows.dtype.itemsize, data, len(rows), frame_from_points=frame_from_points
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,6 +247,11 @@ class _CloudReader:
     def record(self, k: int) -> CloudRecord:
         """Read message `k`."""
         record = self.log.read(self.topic, int(self.rows[k]))[0]
+        if isinstance(record, PackedCloudRecord):
+            try:
+                return unpacked(record)
+            except ValueError as error:
+                raise DataError(self.log.name, self.location(k), str(error)) from error
         if not isinstance(record, CloudRecord):
             raise DataError(self.log.name, self.location(k), "no points; expected a cloud")
         return record
@@ -374,11 +437,12 @@ class CloudDraft:
         """
         timestamps = survey.times_ns[topic.number]
         rows = in_order(timestamps, f"{survey.log.name}: {topic.name}", survey.ledger)
-        first = survey.log.read(topic, int(rows[0]))[0]
-        if not isinstance(first, CloudRecord):
-            raise DataError(survey.log.name, f"{topic.name}[{int(rows[0])}]", "no points; expected a cloud")
         ours = survey.notes.ours and any(note.get("topic") == topic.name for note in survey.notes.sensors)
         reader = _CloudReader(survey.log, topic, rows, timestamps[rows], timestamps[rows], whole=ours)
+        first = reader.record(0)
+        if first.left_out:
+            message = f"fields {', '.join(first.left_out)}, which the library of Draco would round, are left out"
+            survey.ledger.note(WarningKind.SKIPPED, "fields-rounded", f"{survey.log.name}: {topic.name}", message)
         names = {field.name for field in first.fields}
         # a radar's points have speeds, and the topic or our own fields report it
         is_radar = "radar" in topic.name.lower() or names.issuperset(DIRECTION_COLUMNS)

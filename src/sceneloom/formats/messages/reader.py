@@ -12,16 +12,18 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
-from sceneloom.errors import CalibrationError, DataError, OptionError, UnknownFormatError
+from sceneloom.errors import CalibrationError, DataError, MissingExtraError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import lengths_of
-from sceneloom.formats.messages.cameras import CameraDraft
+from sceneloom.formats.messages.cameras import CameraDraft, is_known_model
 from sceneloom.formats.messages.points import CloudDraft
 from sceneloom.formats.messages.records import (
     LARGE,
+    VELOCITIES,
     AnyRecord,
     Boxes2DRecord,
     Boxes3DRecord,
+    CameraModelRecord,
     FixRecord,
     Kind,
     PoseRecord,
@@ -705,7 +707,7 @@ _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 """Messages have covariances of position, then rotation; trajectories of rotation, then position."""
 
 _R = TypeVar("_R")
-_VECTORS = frozenset({"accelerometer", "gyroscope", "magnetometer"})
+_VECTORS = frozenset({"accelerometer", "gyroscope", "magnetometer", *VELOCITIES})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -838,7 +840,32 @@ def _imu_sensor(
     streams: Mapping[str, VectorSamples] = MappingProxyType(
         {name: _stream(name, rows, rotation, survey, location) for name, rows in by_stream.items()}
     )
-    return ImuSensor(sensor_id, streams)
+    covariances = _covariances(records, rotation, survey, location)
+    extras = MappingProxyType({"covariances": covariances}) if covariances else NO_FIELDS
+    return ImuSensor(sensor_id, streams, extras=extras)
+
+
+def _covariances(
+    records: Sequence[SampleRecord], rotation: Float64Array | None, survey: Survey, location: str
+) -> dict[str, list[list[float]]]:
+    """The covariance of each stream, in the axes of the stream, where it is the same in all messages."""
+    stated: dict[str, Counter[tuple[float, ...]]] = {}
+    for record in records:
+        for name, covariance in record.covariances.items():
+            stated.setdefault(name, Counter())[covariance] += 1
+    found: dict[str, list[list[float]]] = {}
+    for name, counts in stated.items():
+        spread = np.array(next(iter(counts)), np.float64)
+        width = round(len(spread) ** 0.5)
+        if len(counts) > 1 or width * width != len(spread) or not np.isfinite(spread).all():
+            message = f"covariances of {name} that change, or are no numbers, are not read"
+            survey.ledger.note(WarningKind.SKIPPED, "fields-not-read", location, message, count=counts.total())
+            continue
+        spread = spread.reshape(width, width)
+        if rotation is not None and name in _VECTORS and width == 3:
+            spread = rotation @ spread @ rotation.T
+        found[name] = spread.tolist()
+    return found
 
 
 def _stream(
@@ -1071,10 +1098,10 @@ class _Log:
         """The sensors of all topics whose messages have a frame."""
         frames = {draft.topic.name: draft.frame_id for draft in self.drafts if isinstance(draft, CameraDraft)}
         frames |= {name: draft.frame_id for name, draft in self.clouds.items()}
-        for kind, record_type in ((Kind.SAMPLE, SampleRecord), (Kind.FIX, FixRecord)):
+        for kind, record_type in ((Kind.SAMPLE, SampleRecord), (Kind.POSE, SampleRecord), (Kind.FIX, FixRecord)):
             small: type[Any] = record_type
             for topic in self.survey.topics(kind):
-                for record in self.survey.of(topic, small)[:1]:
+                for record in self.survey.of(topic, small)[:1] if topic.name in self.ids else ():
                     frames[topic.name] = record.frame_id
         return [RigSensor(self.ids[name], name in self.cameras, frame, name) for name, frame in frames.items()]
 
@@ -1155,7 +1182,7 @@ def _draft_all(context: "_Log", cameras: list[CameraDraft]) -> list[CloudDraft]:
             if topic.kind is Kind.CLOUD:
                 clouds.append(CloudDraft.of(found, topic))
                 continue
-            name = noted[topic.name] if topic.name in noted else _nearest(topic.name, camera_models)
+            name = noted[topic.name] if topic.name in noted else _calibration_of(found, topic, camera_models)
             chosen = context.rig_cameras.get(context.ids[topic.name])
             if context.rig is not None and chosen is not None:
                 rigged = partial(_rig_camera, context.rig, context.ids[topic.name], chosen)
@@ -1166,9 +1193,28 @@ def _draft_all(context: "_Log", cameras: list[CameraDraft]) -> list[CloudDraft]:
             location = f"{found.log.name}: {topic.name}"
             message = f"images that are not read: {error.problem}"
             found.ledger.note(WarningKind.SKIPPED, "unknown-images", location, message, count=topic.count)
-        except DataError as error:
+        except (DataError, MissingExtraError) as error:
             found.ledger.fault("topics-at-fault", error, count=topic.count)
     return clouds
+
+
+def _calibration_of(found: Survey, topic: Topic, camera_models: Mapping[str, Topic]) -> str | None:
+    """The topic of a camera's calibrations: beside that of its images, else the only one of its frame that is known."""
+    name = _nearest(topic.name, camera_models)
+    if name is not None or found.notes.ours:
+        return name
+    frame = getattr(found.log.read(topic, 0)[0], "frame_id", "")
+    near = [
+        name
+        for name, one in camera_models.items()
+        if frame
+        and any(record.frame_id == frame and is_known_model(record) for record in found.of(one, CameraModelRecord)[:1])
+    ]
+    if len(near) != 1:
+        return None
+    message = f"{near[0]} is taken for the calibration of these images: it states the same frame {frame!r}"
+    found.ledger.note(WarningKind.ASSUMED, "calibration-by-frame", f"{found.log.name}: {topic.name}", message)
+    return near[0]
 
 
 def _rig_camera(rig: Rig, camera_id: Any, found: RigCamera, size: tuple[int, int]) -> Camera:
@@ -1256,7 +1302,17 @@ def _noted_topics(found: Survey) -> set[Any]:
 
 
 def _sensor_topics(found: Survey) -> list[Topic]:
-    return found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.SAMPLE, Kind.FIX)
+    return [*found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.SAMPLE, Kind.FIX), *_velocity_topics(found)]
+
+
+def _velocity_topics(found: Survey) -> list[Topic]:
+    """Topics of poses that state velocities, too: of others they are 0 throughout."""
+    topics = [] if found.notes.ours else found.topics(Kind.POSE)
+    return [
+        topic
+        for topic in topics
+        if any(any(map(any, record.values.values())) for record in found.of(topic, SampleRecord))
+    ]
 
 
 def _ids_of_topics(found: Survey) -> dict[str, Any]:
@@ -1268,8 +1324,9 @@ def _ids_of_topics(found: Survey) -> dict[str, Any]:
         if topic is not None
     }
     taken = {note.get("id") for note in found.notes.sensors}
-    names = [topic.name for topic in _sensor_topics(found) if topic.name not in noted]
-    made = zip(names, _sensor_names(names), strict=True)
+    velocities = {topic.name: f"{'/'.join(_parts_of(topic.name))}/twist" for topic in _velocity_topics(found)}
+    names = [topic.name for topic in _sensor_topics(found) if topic.name not in noted | velocities]
+    made = [*zip(names, _sensor_names(names), strict=True), *velocities.items()]
     return noted | {topic: f"{name}~" if name in taken else name for topic, name in made}
 
 
@@ -1299,11 +1356,12 @@ def _foreign_sensors(context: _Log, camera_ids: dict[str, Any]) -> list[Sensor]:
             fixes = found.of(topic, FixRecord)
             mount = locations.mount(fixes[0].frame_id) if fixes else None
             sensors.append(_gnss_sensor(context, identifier, fixes, context.at(topic.name), mount=mount))
-        elif topic.kind is Kind.SAMPLE:
+        elif topic.kind in {Kind.SAMPLE, Kind.POSE}:
             samples = found.of(topic, SampleRecord)
             rotation = locations.mount(samples[0].frame_id) if samples else None
             sensors.append(_imu_sensor(context, identifier, samples, context.at(topic.name), rotation))
-    return sensors
+    # what looks for an IMU takes the first
+    return sorted(sensors, key=lambda one: isinstance(one, ImuSensor) and set(one.streams) <= set(VELOCITIES))
 
 
 def _camera_model_from_text(text: str) -> Camera:
@@ -1317,7 +1375,8 @@ _TAILS = frozenset(
         "points", "points_raw", "point_cloud", "pointcloud", "pointcloud2", "cloud", "points2", "image", "image_raw",
         "image_rect", "image_color", "image_rect_color", "image_mono", "image_rect_raw", "raw", "compressed",
         "compressed_image", "compressed_video", "video", "data", "data_raw", "fix", "imu", "h264", "navsatfix",
-        "location", "odometry", "pose", "mag", "temperature", "compressedDepth",
+        "location", "odometry", "pose", "mag", "temperature", "compressedDepth", "ffmpeg", "draco", "zstd", "zlib",
+        "cloudini", "scan",
     }
 )  # fmt: skip
 """Last parts of topics that state what messages are, and not of which sensor."""

@@ -69,6 +69,7 @@ class CloudRecord:
         data: the bytes.
         frame_from_points: where the points' origin is in the frame; None for its origin.
         row_bytes: bytes from row to row and points in a row, of clouds in rows; None where rows follow each other.
+        left_out: names of fields that could not be decompressed.
     """
 
     timestamp_ns: int
@@ -79,6 +80,19 @@ class CloudRecord:
     count: int | None = None
     frame_from_points: RigidTransform | None = None
     row_bytes: tuple[int, int] | None = None
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedCloudRecord:
+    """Compressed points; `layout` is what the message itself states of them, without bytes, or None."""
+
+    timestamp_ns: int
+    frame_id: str
+    form: str
+    data: memoryview
+    layout: CloudRecord | None = None
+    frame_from_points: RigidTransform | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,11 +167,12 @@ class FixRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleRecord:
-    """What an IMU measured at a time, by the names of its streams."""
+    """What an IMU measured at a time, by the names of its streams, and the (K, K) covariances of these, row by row."""
 
     timestamp_ns: int
     frame_id: str
     values: Mapping[str, tuple[float, ...]]
+    covariances: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: NO_FIELDS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,6 +239,7 @@ class NotesRecord:
 AnyRecord = (
     TransformRecord
     | CloudRecord
+    | PackedCloudRecord
     | ImageRecord
     | CompressedImageRecord
     | CameraModelRecord
@@ -255,6 +271,10 @@ class Topic:
     kind: Kind | None
     count: int
     why: str = "of a type that is not read"
+
+
+VELOCITIES = ("linearVelocity", "angularVelocity")
+"""Streams of what odometry, wheels or receivers say of the motion [m/s], [rad/s], in the axes of the body."""
 
 
 class TopicLog(Protocol):

@@ -19,7 +19,7 @@ from rosbags.rosbag1.reader import Header, ReaderError, RecordType, read_uint32
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import check_regular, file_faults, most_unpacked
@@ -28,9 +28,12 @@ from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.yaml_files import read_yaml
 from sceneloom.formats.messages.file_bytes import Chunk, ChunkedMessages, FileBytes, decompress
+from sceneloom.formats.messages.foxglove import READERS
 from sceneloom.formats.messages.mcap_files import McapIndex, read_index
+from sceneloom.formats.messages.points import scan_record
 from sceneloom.formats.messages.reader import scene_from_topics
 from sceneloom.formats.messages.records import (
+    VELOCITIES,
     AnyRecord,
     Box2D,
     Box3D,
@@ -44,6 +47,7 @@ from sceneloom.formats.messages.records import (
     ImageRecord,
     Kind,
     NotesRecord,
+    PackedCloudRecord,
     PackedField,
     PoseRecord,
     SampleRecord,
@@ -61,7 +65,12 @@ from sceneloom.warnings import WarningKind
 _NOTES_TOPIC = "/sceneloom/scene"  # the topic of what no message has a field for
 
 _TIMESTAMPS = {"cdr": (4, "iI"), "ros1": (4, "II")}
-"""Byte and form of the time in a header: behind the byte order in CDR, behind a counter of messages in ROS 1."""
+"""Byte and form of the time in a header: behind the byte order in CDR, behind a counter of messages in ROS 1.
+
+Messages of Foxglove's schemas begin with the time itself, without a header.
+"""
+
+_FOXGLOVE = "foxglove_msgs/msg/"
 
 _FIXED = "tf_static"
 
@@ -566,8 +575,11 @@ class _RosLog:
         """The time that each message says itself; all of them are looked at."""
         found: list[int] = []
         for file, number, _ in self.parts[topic.number]:
-            location, form = _TIMESTAMPS[self.bags[file].connections[number].encoding]
-            cdr = self.bags[file].connections[number].encoding == "cdr"
+            connection = self.bags[file].connections[number]
+            location, form = _TIMESTAMPS[connection.encoding]
+            cdr = connection.encoding == "cdr"
+            if not cdr and connection.type.startswith(_FOXGLOVE):
+                location = 0
             for k, head in enumerate(self.bags[file].heads(number, location + 8)):
                 if len(head) < location + 8:
                     raise DataError(self.name, f"{topic.name}[{k}]", f"{len(head)} bytes; expected a message")
@@ -791,6 +803,22 @@ def _ros_part(identifier: str | int) -> str:
     return f"_{part}" if part[0].isdigit() else part
 
 
+_STAMPED = "builtin_interfaces/Time timestamp\nstring frame_id\n"
+_FOXGLOVE_DEFINITIONS: Mapping[str, str] = MappingProxyType(
+    {
+        "CompressedVideo": "uint8[] data\nstring format\n",
+        "CompressedImage": "uint8[] data\nstring format\n",
+        "CompressedPointCloud": "geometry_msgs/Pose pose\nuint8[] data\nstring format\n",
+        "LaserScan": (
+            "geometry_msgs/Pose pose\nfloat64 start_angle\nfloat64 end_angle\nfloat64[] ranges\nfloat64[] intensities\n"
+        ),
+        "PoseInFrame": "geometry_msgs/Pose pose\n",
+        "PosesInFrame": "geometry_msgs/Pose[] poses\n",
+        "RawImage": "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data\n",
+    }
+)
+"""Of Foxglove's schemas those that are small, behind time and frame."""
+
 DEFINITIONS: Mapping[str, str] = MappingProxyType(
     {
         "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
@@ -812,14 +840,21 @@ DEFINITIONS: Mapping[str, str] = MappingProxyType(
             "vision_msgs/BoundingBox3D bbox\nstring id\n"
         ),
         "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
-        "foxglove_msgs/msg/CompressedVideo": (
-            "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+        "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": (
+            "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
+            "bool is_bigendian\nuint8[] data\n"
         ),
+        "point_cloud_interfaces/msg/CompressedPointCloud2": (
+            "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\n"
+            "bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] compressed_data\nbool is_dense\n"
+            "string format\n"
+        ),
+        **{f"{_FOXGLOVE}{name}": _STAMPED + text for name, text in _FOXGLOVE_DEFINITIONS.items()},
     }
 )
 """Definitions of types that rosbags does not have, by name; those that others use come before them.
 
-Source: packages vision_msgs (4.0), tf2_msgs and foxglove_msgs of ROS 2.
+Source: packages vision_msgs (4.0), tf2_msgs, foxglove_msgs, ffmpeg_image_transport_msgs and point_cloud_interfaces.
 """
 
 _USUAL_DISTRO = {"ros1": "noetic", "cdr": "humble"}
@@ -916,6 +951,37 @@ def _cloud(message: Any) -> Sequence[CloudRecord]:
     return [CloudRecord(*_head(message), fields, stride, data, width * height, row_bytes=rows)]
 
 
+def _packed_cloud(message: Any) -> Sequence[PackedCloudRecord]:
+    """Compressed points, whose layout is that of the points before; `format` was a truth value in old definitions."""
+    data, message.data = message.compressed_data, message.compressed_data[:0]
+    (layout,) = _cloud(message)
+    return [PackedCloudRecord(*_head(message), str(message.format).lower(), _bytes(data), layout)]
+
+
+def _scan(message: Any) -> Sequence[CloudRecord]:
+    """A line of ranges, or of several ranges for each beam."""
+    ranges, intensities, beams, echoes = message.ranges, message.intensities, None, None
+    if not isinstance(ranges, np.ndarray):
+        counts = [len(one.echoes) for one in ranges]
+        beams = np.repeat(np.arange(len(counts)), counts)
+        echoes = np.concatenate([np.arange(0), *(np.arange(count) for count in counts)])
+        none = np.zeros(0)
+        ranges = np.concatenate([none, *(one.echoes for one in ranges)])
+        intensities = np.concatenate([none, *(one.echoes for one in intensities)])
+    return [
+        scan_record(
+            *_head(message),
+            np.asarray(ranges, np.float64),
+            np.asarray(intensities, np.float64),
+            angles=(float(message.angle_min), float(message.angle_increment)),
+            limits=(float(message.range_min), float(message.range_max)),
+            step_s=float(message.time_increment),
+            beams=beams,
+            echoes=echoes,
+        )
+    ]
+
+
 def _image(message: Any) -> Sequence[ImageRecord]:
     size = int(message.width), int(message.height), int(message.step)
     return [
@@ -927,9 +993,20 @@ def _compressed_image(message: Any) -> Sequence[CompressedImageRecord]:
     return [CompressedImageRecord(*_head(message), message.format.lower(), _bytes(message.data))]
 
 
+_FFMPEG_CODECS = (("264", "h264"), ("265", "h265"), ("hevc", "h265"), ("vp9", "vp9"), ("av1", "av1"))
+"""Parts of names of FFmpeg's codecs and encoders, and what the codec is called here."""
+
+
 def _video(message: Any) -> Sequence[CompressedImageRecord]:
-    head = _timestamp_ns(message.timestamp), _frame(message.frame_id)
-    return [CompressedImageRecord(*head, message.format.lower(), _bytes(message.data))]
+    """A packet of FFmpeg, whose encoding begins with the name of a codec, or of an encoder in old messages."""
+    named = str(message.encoding).partition(";")[0].strip().lower()
+    codec = next((codec for part, codec in _FFMPEG_CODECS if part in named), named)
+    return [CompressedImageRecord(*_head(message), codec, _bytes(message.data))]
+
+
+def _foxglove(read: Callable[[Any, memoryview], Iterable[AnyRecord]], message: Any) -> Iterable[AnyRecord]:
+    """A message of Foxglove's schemas in ROS."""
+    return read(message, _bytes(message.data) if hasattr(message, "data") else memoryview(b""))
 
 
 def _camera_model(message: Any) -> Sequence[CameraModelRecord]:
@@ -964,23 +1041,54 @@ def _fix(message: Any) -> Sequence[FixRecord]:
 def _imu(message: Any) -> Sequence[SampleRecord]:
     """Measurements; a first element -1 of their covariances says that there are none."""
     values: dict[str, tuple[float, ...]] = {}
-    if message.linear_acceleration_covariance[0] != -1:
-        values["accelerometer"] = tuple(vector_of(message.linear_acceleration).tolist())
-    if message.angular_velocity_covariance[0] != -1:
-        values["gyroscope"] = tuple(vector_of(message.angular_velocity).tolist())
+    covariances: dict[str, tuple[float, ...]] = {}
+    for stream, name in (("accelerometer", "linear_acceleration"), ("gyroscope", "angular_velocity")):
+        spread = np.asarray(getattr(message, f"{name}_covariance"), np.float64)
+        if spread[0] != -1:
+            values[stream] = tuple(vector_of(getattr(message, name)).tolist())
+            covariances |= _spread(stream, spread)
     rotation = rotation_of(message.orientation)
     if message.orientation_covariance[0] != -1 and not lengths_of(rotation[None])[1][0]:
         values["orientation"] = tuple(rotation.tolist())
-    return [SampleRecord(*_head(message), values)]
+        covariances |= _spread("orientation", np.asarray(message.orientation_covariance, np.float64))
+    return [SampleRecord(*_head(message), values, covariances)]
+
+
+def _spread(stream: str, covariance: Float64Array) -> dict[str, tuple[float, ...]]:
+    """A covariance that is stated; zeros say that it is not known."""
+    return {stream: tuple(covariance.reshape(-1).tolist())} if covariance.any() else {}
 
 
 def _magnetic(message: Any) -> Sequence[SampleRecord]:
     field = vector_of(message.magnetic_field) / _MICROTESLA
-    return [SampleRecord(*_head(message), {"magnetometer": tuple(field.tolist())})]
+    spread = np.asarray(message.magnetic_field_covariance, np.float64) / _MICROTESLA**2
+    known = _spread("magnetometer", spread) if spread[0] >= 0 else {}
+    return [SampleRecord(*_head(message), {"magnetometer": tuple(field.tolist())}, known)]
 
 
 def _temperature(message: Any) -> Sequence[SampleRecord]:
-    return [SampleRecord(*_head(message), {"imuTemperature": (float(message.temperature) + _ZERO_CELSIUS,)})]
+    spread = _spread("imuTemperature", np.array([message.variance], np.float64))
+    return [SampleRecord(*_head(message), {"imuTemperature": (float(message.temperature) + _ZERO_CELSIUS,)}, spread)]
+
+
+def _twist(message: Any) -> Sequence[SampleRecord]:
+    return [_velocities(*_head(message), message.twist)]
+
+
+def _velocities(time_ns: int, frame_id: str, twist: Any) -> SampleRecord:
+    """A motion, with its covariance or without."""
+    covariances: dict[str, tuple[float, ...]] = {}
+    if hasattr(twist, "twist"):
+        spread = np.asarray(twist.covariance, np.float64).reshape(6, 6)
+        covariances = _spread(VELOCITIES[0], spread[:3, :3]) | _spread(VELOCITIES[1], spread[3:, 3:])
+        twist = twist.twist
+    vectors = vector_of(twist.linear), vector_of(twist.angular)
+    values = {stream: tuple(vector.tolist()) for stream, vector in zip(VELOCITIES, vectors, strict=True)}
+    return SampleRecord(time_ns, frame_id, values, covariances)
+
+
+def _odometry(message: Any) -> Sequence[PoseRecord | SampleRecord]:
+    return [*_pose(message), _velocities(_head(message)[0], _frame(message.child_frame_id), message.twist)]
 
 
 def _label(detection: Any) -> tuple[str | None, dict[str, str]]:
@@ -1041,9 +1149,15 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "sensor_msgs/msg/PointCloud2": (Kind.CLOUD, _cloud),
         "sensor_msgs/msg/Image": (Kind.IMAGE, _image),
         "sensor_msgs/msg/CompressedImage": (Kind.COMPRESSED_IMAGE, _compressed_image),
-        "foxglove_msgs/msg/CompressedVideo": (Kind.VIDEO, _video),
+        "sensor_msgs/msg/LaserScan": (Kind.CLOUD, _scan),
+        "sensor_msgs/msg/MultiEchoLaserScan": (Kind.CLOUD, _scan),
+        "point_cloud_interfaces/msg/CompressedPointCloud2": (Kind.CLOUD, _packed_cloud),
+        "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": (Kind.VIDEO, _video),
+        **{f"{_FOXGLOVE}{name}": (kind, partial(_foxglove, read)) for name, (kind, read) in READERS.items()},
         "sensor_msgs/msg/CameraInfo": (Kind.CAMERA_MODEL, _camera_model),
-        "nav_msgs/msg/Odometry": (Kind.POSE, _pose),
+        "nav_msgs/msg/Odometry": (Kind.POSE, _odometry),
+        "geometry_msgs/msg/TwistStamped": (Kind.SAMPLE, _twist),
+        "geometry_msgs/msg/TwistWithCovarianceStamped": (Kind.SAMPLE, _twist),
         "geometry_msgs/msg/PoseStamped": (Kind.POSE, _pose),
         "geometry_msgs/msg/PoseWithCovarianceStamped": (Kind.POSE, _pose),
         "geometry_msgs/msg/PointStamped": (Kind.POSE, _point),
@@ -1060,10 +1174,6 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
 
 _NOT_READ: Mapping[str, str] = MappingProxyType(
     {
-        "nav_msgs/msg/Odometry": "velocities",
-        "sensor_msgs/msg/Imu": "covariances",
-        "sensor_msgs/msg/MagneticField": "covariances",
-        "sensor_msgs/msg/Temperature": "variances",
         "vision_msgs/msg/Detection3DArray": "hypotheses but the likeliest, and their poses,",
         "vision_msgs/msg/Detection2DArray": "hypotheses but the likeliest, and their poses,",
     }

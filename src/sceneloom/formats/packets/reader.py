@@ -10,7 +10,7 @@ import numpy as np
 from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.nmea.reader import checksum_of, day_of, position_of, time_of_day
+from sceneloom.formats.gnss_logs.nmea import checksum_of, day_of, position_of, time_of_day
 from sceneloom.formats.packets import hesai, ouster, robosense, velodyne
 from sceneloom.formats.packets.captures import Datagrams, read_datagrams
 from sceneloom.formats.packets.spec import CaptureReading

@@ -151,6 +151,10 @@ def _packed_bag(folder: Path) -> Path:
     return rewrite_bag(_written("ros1", "sound.bag", folder), folder / "drive.bag", lz4=True)
 
 
+def _lidar_bag(folder: Path) -> Path:
+    return import_module("tests.interop.test_lidar_messages").write_bag(folder)
+
+
 def _packed_messages(folder: Path) -> Path:
     return import_module("tests.interop.test_packed_messages").write_drive(folder / "drive")
 
@@ -196,6 +200,8 @@ DRIVES: dict[str, Write] = {
     "ros1 lz4": _packed_bag,
     **_folders("ros2"),
     "ros2 sqlite": partial(_written, "ros2", "drive", storage="sqlite3"),
+    "ros1 lidars": _lidar_bag,
+    "lvx": partial(_by_test, "packets.test_livox", "write_file", "."),
     "ros2 packed messages": _packed_messages,
 }
 """Writers of sound drives, by their format and what else reports them apart."""

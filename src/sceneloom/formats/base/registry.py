@@ -102,12 +102,6 @@ _RIG_FILES = "sceneloom.formats.rig_files.spec"
 _GNSS_LOGS = "sceneloom.formats.gnss_logs.spec"
 _CLOUD_LABELLING = "sceneloom.formats.cloud_labelling.spec"
 
-
-def _roots(*names: str) -> tuple[bytes, ...]:
-    """Beginnings of JSON objects whose first member has one of some names."""
-    return tuple(f'{{"{name}":'.encode() for name in names)
-
-
 FORMATS: Mapping[str, FormatRow] = MappingProxyType(
     {
         "sfs": FormatRow("sceneloom.formats.sfs.spec:FORMAT", file=(_JSON,)),
@@ -158,6 +152,7 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "nuscenes-bin": FormatRow(f"{_POINTS}:NUSCENES_BIN", file=(".pcd.bin",), folder=("*.pcd.bin", "*/*.pcd.bin")),
         "npz": FormatRow(f"{_POINTS}:NPZ", file=(".npz", ".npy"), folder=("*.npz", "*.npy", "*/*.npz", "*/*.npy")),
         "pcap": FormatRow("sceneloom.formats.packets.spec:FORMAT", file=_CAPTURES),
+        "lvx": FormatRow("sceneloom.formats.packets.spec:LVX", file=(b"livox_tech\0",)),
         "euroc-mav": FormatRow(
             "sceneloom.formats.euroc_mav.spec:FORMAT", folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv")
         ),
@@ -169,16 +164,8 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
         "cvat": FormatRow(f"{_LABELLING}:CVAT", file=(".xml",), folder=("*.xml",)),
         "tracklets": FormatRow(f"{_LABELLING}:TRACKLETS", file=(".xml",), folder=("frame_list.txt",)),
-        "coco": FormatRow(
-            f"{_LABELLING}:COCO",
-            file=_roots("info", "licenses", "images", "annotations", "categories", "videos", "type"),
-            folder=("*.json", "annotations/*.json"),
-        ),
-        "datumaro": FormatRow(
-            f"{_LABELLING}:DATUMARO",
-            file=_roots("dm_format_version", "media_type", "info", "infos", "categories", "items"),
-            folder=("*.json", "annotations/*.json"),
-        ),
+        "coco": FormatRow(f"{_LABELLING}:COCO", file=(".json",), folder=("*.json", "annotations/*.json")),
+        "datumaro": FormatRow(f"{_LABELLING}:DATUMARO", file=(".json",), folder=("*.json", "annotations/*.json")),
         "yolo": FormatRow(
             f"{_LABELLING}:YOLO",
             file=(".yaml", ".yml", "obj.names", "obj.data"),
@@ -338,7 +325,8 @@ def open_scene(
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
     argoverse2, pandaset, scale-toolkit, supervisely, segments, scale-task, sustechpoints, euroc-mav, openlabel, cvat,
-    tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap; clouds as pcd, ply, las, laz, kitti-bin,
+    tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap, lvx; clouds as pcd, ply, las, laz,
+    kitti-bin,
     nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:

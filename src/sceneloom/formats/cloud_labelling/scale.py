@@ -18,7 +18,7 @@ from uuid import UUID, uuid5
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import BoolArray, Float64Array, Int64Array, read_only
+from sceneloom.arrays import Float64Array, Int64Array, finite_rows, read_only
 from sceneloom.cameras.camera import OPENCV_NAMES
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
@@ -406,7 +406,7 @@ class _PointFiles:
         if all(one.i is None for one in points):
             return None
         values = np.array([0.0 if one.i is None else one.i for one in points])
-        return read_only(np.clip(np.rint(np.nan_to_num(values) * 255.0), 0, 255), np.uint8)
+        return read_only(np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255.0), np.uint8)
 
     @staticmethod
     def _times(points: Sequence[_Point], time_ns: int) -> Any:
@@ -490,7 +490,7 @@ def _frame_text(plan: TaskPlan, frame: WrittenFrame, root: Path) -> bytes:
 def _points(plan: TaskPlan, frame: WrittenFrame) -> list[_Point]:
     points, count = frame.sweep.points, len(frame.sweep.points)
     positions = np.round(points.positions.astype(np.float64), 5)
-    finite: BoolArray = np.logical_and.reduce(np.isfinite(positions), axis=1)
+    finite = finite_rows(positions)
     field = "sensors.lidar.frames.points"
     plan.losses.dropped(f"{field}.positions", "points that are not finite are left out", count=int((~finite).sum()))
     bright = points.intensities
@@ -502,7 +502,7 @@ def _points(plan: TaskPlan, frame: WrittenFrame) -> list[_Point]:
             plan.losses.dropped(f"{field}.{name}", "points have x, y, z, intensity and time", count=count)
     if set(points.extras) - {"t"}:
         plan.losses.dropped(f"{field}.extras", "points have x, y, z, intensity and time", count=count)
-    rows = zip(positions.tolist(), intensities, times, finite, strict=True)
+    rows = zip(positions.tolist(), intensities, times, finite.tolist(), strict=True)
     return [_Point(x, y, z, i, None, t) for (x, y, z), i, t, there in rows if there]
 
 

@@ -687,7 +687,7 @@ class _Writer:
                 "position": _xyz(box.center),
                 "dimensions": _xyz(box.size_lwh),
                 "yaw": float(yaw),
-                "rotation": msgspec.structs.asdict(_Quaternion.of(box.quaternion_xyzw)),
+                "rotation": msgspec.structs.asdict(_Quaternion.of(box.quaternion_xyzw.tolist())),
                 "is_keyframe": True,
                 "index": frame.number,
             }

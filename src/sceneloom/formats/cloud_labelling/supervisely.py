@@ -355,9 +355,8 @@ class _Dataset:
             if not one.key and one.id is None:
                 raise DataError(path, f"objects[{row}]", "has neither key nor id")
             identifier = self._identifier(path, f"objects[{row}].tags", one)
-            for name in (one.key, one.id):
-                if not name:
-                    continue
+            names: list[str | int] = [name for name in (one.key, one.id) if name]
+            for name in names:
                 if name in found:
                     raise DataError(path, f"objects[{row}]", f"{name!r} is another object's, too; expected it once")
                 found[name] = (identifier, one)

@@ -20,7 +20,7 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.images import ImageFile, images_image_size, is_jpeg, with_pinholes, write_image
 from sceneloom.formats.base.losses import Losses, Support, Supports, field_losses
 from sceneloom.formats.base.output import file_stem
-from sceneloom.formats.base.poses import STATIONARY_EGO, ego_in_world
+from sceneloom.formats.base.poses import STATIONARY_EGO, ego_in_world, lengths_of
 from sceneloom.formats.base.spec import as_positive
 from sceneloom.formats.points.reader import listed_frames, numbers_of_names, times_of_names
 from sceneloom.formats.points.spec import KINDS
@@ -105,8 +105,7 @@ def rigid_of(path: object, location: str, position: Float64Array, quaternion_xyz
         DataError: the quaternion is not of length 1, within a hundredth.
     """
     quaternion = np.array([*quaternion_xyzw], np.float64)
-    length = float(np.linalg.norm(quaternion))
-    if not abs(length - 1.0) <= 0.01:
+    if lengths_of(quaternion[None])[1][0]:
         raise DataError(path, location, f"x, y, z, w = {quaternion.tolist()}; expected a quaternion of length 1")
     return RigidTransform.from_quaternion(position, normalise_quaternion(quaternion))
 

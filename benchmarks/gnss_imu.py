@@ -220,6 +220,7 @@ def print_made_up(seeds: int, seconds: float) -> None:
 
 
 RECEIVERS = ((0.0, 60.0), (0.5, 20.0), (1.5, 20.0), (1.5, 100.0), (1.0, 300.0), (3.0, 60.0))  # slow error [m], [s]
+FIRST_REGION = 1000
 IMUS = {"IMU": ImuSpec(), "poor IMU": DRIVES["poor IMU, 100 Hz"][0]}
 
 
@@ -231,14 +232,15 @@ def held(away: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def print_regions(seeds: int, seconds: float) -> None:
     """A line per receiver with slow errors; deviations across beside what is true."""
-    print("| IMU | slow error | states | held across | height | σ stated [m] | rms of an axis [m] | of the fixes [m] |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    print(f"regions: {seeds} drives of {seconds:g} s a line, seeds {FIRST_REGION} to {FIRST_REGION + seeds - 1}")
+    print("| IMU | slow error | states | held across | height | σ ours [m] | rms [m] | σ over rms | of the fixes [m] |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     for name, imu in IMUS.items():
         for slow, constant in RECEIVERS:
             gnss = GnssSpec(rate_hz=2.0, correlated_sigma=slow, correlation_time=constant)
             for share in (1.0, 0.5):
                 rows = []
-                for seed in range(1000, 1000 + seeds):
+                for seed in range(FIRST_REGION, FIRST_REGION + seeds):
                     trajectory, _, scene = made_up(seed, seconds, imu, gnss, PathSpec())
                     fixes = scene.sensors[1]
                     sigmas = share * fixes.accuracies, share * fixes.vertical_accuracies
@@ -255,7 +257,8 @@ def print_regions(seeds: int, seconds: float) -> None:
                     squares = covariances[:, 0, 0].mean(), (away[:, :2] ** 2).mean(), (reported[:, :2] ** 2).mean()
                     rows.append((across.mean(), height.mean(), *squares))
                 mean = np.mean(rows, axis=0)
-                cells = [f"{value:.3f}" for value in (*mean[:2], *np.sqrt(mean[2:]))]
+                sigma, true, of_fixes = np.sqrt(mean[2:])
+                cells = [f"{value:.3f}" for value in (*mean[:2], sigma, true, sigma / true, of_fixes)]
                 what = f"{slow:g} m, {constant:g} s" if slow else "none"
                 print(f"| {name} | {what} | {share:g} of it | " + " | ".join(cells) + " |", flush=True)
 
@@ -273,12 +276,10 @@ def print_beside(folder: Path) -> None:
     reported = enu_from_geodetic(fixes.positions_lla, run.origin_lla)[rows] - true
     across, height = held(positions - true, covariances)
     sizes = (float(np.sqrt((one[:, :2] ** 2).sum(1).mean())) for one in (positions - true, reported))
-    print("| fixes | held across | height | ours [m] | fixes [m] |\n| --- | --- | --- | --- | --- |")
-    print(
-        f"| {len(times)} | {across.mean():.3f} | {height.mean():.3f} | "
-        + " | ".join(f"{one:.3f}" for one in sizes)
-        + " |"
-    )
+    sigma = float(np.sqrt(np.median(covariances[:, 0, 0] + covariances[:, 1, 1])))
+    print("| fixes | held across | height | σ ours [m] | ours [m] | fixes [m] |\n| --- | --- | --- | --- | --- | --- |")
+    cells = " | ".join(f"{one:.3f}" for one in (across.mean(), height.mean(), sigma, *sizes))
+    print(f"| {len(times)} | {cells} |")
 
 
 def main() -> None:

@@ -167,10 +167,13 @@ def test_examples_are_short_and_use_public_names_only():
 
 
 SHARED_PAGES = dict.fromkeys(("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes-bin", "npz"), "clouds") | {
-    "pcap": "packets",
+    **dict.fromkeys(("pcap", "lvx"), "packets"),
+    **dict.fromkeys(("nmea", "ubx", "rtklib"), "gnss-logs"),
     "ros1": "ros",
     "ros2": "ros",
     **dict.fromkeys(("urdf", "kalibr", "camera-info"), "rig"),
+    **dict.fromkeys(("cvat", "tracklets", "coco", "datumaro", "yolo", "label-studio"), "labelling"),
+    **dict.fromkeys(("supervisely", "segments", "scale-task", "sustechpoints"), "cloud-labelling"),
 }
 """Formats that are reported on one page, and its name."""
 

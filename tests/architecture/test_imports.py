@@ -50,6 +50,7 @@ NEIGHBOURS = {("arrays", "errors"), ("lazy", "errors"), ("warnings", "errors"), 
 ROW_OF = {room: number for number, row in enumerate(ROWS) for room in row}
 
 WRAPPERS = {
+    "DracoPy": {"formats"},
     "numba": {"kernels", "cameras", "colouring", "motion", "detections", "calibrate", "simulate"},
     "av": {"formats", "simulate"},
     "simplejpeg": {"formats"},
@@ -117,10 +118,13 @@ def test_a_module_imports_only_from_rows_below_its_own(modules):
 
 
 FORMAT_ROWS = (
-    ("nuscenes", "openlabel", "kitti", "pandaset", "argoverse2", "euroc_mav", "scale_toolkit"),
+    (
+        *("nuscenes", "openlabel", "labelling", "kitti", "pandaset", "argoverse2", "euroc_mav", "scale_toolkit"),
+        "cloud_labelling",
+    ),
     ("sfs", "recording", "rig", "messages", "posed_images"),
     ("points", "packets", "rig_files"),
-    ("trajectories", "video", "nmea"),
+    ("trajectories", "video", "gnss_logs"),
     ("remote",),
     ("base",),
 )

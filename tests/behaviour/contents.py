@@ -11,6 +11,7 @@ import json
 import re
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -196,7 +197,7 @@ def _bag(file: Path) -> Iterator[tuple[str, Any]]:
 def _sqlite_bag(file: Path) -> Iterator[tuple[str, Any]]:
     import sqlite3
 
-    with sqlite3.connect(file) as tables:
+    with closing(sqlite3.connect(file)) as tables:
         columns = "name, type, timestamp, data"
         rows = tables.execute(
             f"SELECT {columns} FROM messages JOIN topics ON topic_id = topics.id ORDER BY messages.id"

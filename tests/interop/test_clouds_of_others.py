@@ -1,8 +1,12 @@
-"""Clouds that other programs wrote and read: pypcd4 for PCD, trimesh for PLY, laspy for LAS and LAZ."""
+"""Clouds that other programs wrote and read: pypcd4 for PCD, trimesh for PLY, laspy for LAS and LAZ.
+
+Open3D reads PCD and PLY, too, where `SCENELOOM_OPEN3D_PYTHON` names a Python that has it.
+"""
 
 import laspy
 import numpy as np
 import pytest
+from tests.peers import python_with
 
 from sceneloom.errors import DataError
 from sceneloom.formats.base.registry import open_scene, write_scene
@@ -93,6 +97,32 @@ def test_trimesh_reads_our_ply_files(tmp_path):
     np.testing.assert_array_equal(np.asarray(found.vertices, np.float32), points.positions)
     np.testing.assert_array_equal(np.asarray(found.colors)[:, :3], points.colors)
     same_measurements(found.metadata["_ply_raw"]["vertex"]["data"], points)
+
+
+OPEN3D = """
+import json, sys
+import numpy as np
+import open3d as o3d
+cloud = o3d.io.read_point_cloud(sys.argv[1])
+table = o3d.t.io.read_point_cloud(sys.argv[1]).point
+fields = {name: table[name].numpy().ravel().tolist() for name in table if name in ("intensity", "ring")}
+colors = np.rint(np.asarray(cloud.colors) * 255).astype(int)
+print(json.dumps({"points": np.asarray(cloud.points).tolist(), "colors": colors.tolist(), "fields": fields}))
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [*(("pcd", {"encoding": one}) for one in ("ascii", "binary", "binary_compressed")), ("ply", {})],
+)
+def test_open3d_reads_our_pcd_and_ply_files(tmp_path, ask, kind, options):
+    python = python_with("open3d", "SCENELOOM_OPEN3D_PYTHON")
+    points, file = written_by_us(tmp_path / "o", kind, **options)
+    found = ask(python, OPEN3D, file)
+    np.testing.assert_array_equal(np.array(found["points"], np.float32), points.positions)
+    np.testing.assert_array_equal(found["colors"], points.colors)
+    assert found["fields"]["intensity"] == points.intensities.tolist()
+    assert found["fields"]["ring"] == points.rings.tolist()
 
 
 @pytest.mark.parametrize("kind", ["las", "laz"])

@@ -1,10 +1,14 @@
-"""COLMAP models and nerfstudio's transforms.json, projected by OpenCV as their documentation says."""
+"""COLMAP models and nerfstudio's transforms.json, projected by OpenCV as their documentation says.
+
+COLMAP's own library opens the models, too, where `SCENELOOM_COLMAP_PYTHON` names a Python that has `pycolmap`.
+"""
 
 import json
 import struct
 
 import numpy as np
 import pytest
+from tests.peers import python_with
 
 from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
@@ -174,6 +178,40 @@ def test_the_binary_files_hold_what_the_texts_hold(tmp_path):
         assert track == 0
         location += 51
     assert len(data) == 8 + 51 * len(points)
+
+
+PYCOLMAP = """
+import json, sys
+import numpy as np
+import pycolmap
+model = pycolmap.Reconstruction(sys.argv[1])
+asked = json.load(open(sys.argv[2]))
+found = {}
+for image in model.images.values():
+    pose = image.cam_from_world
+    seen = (pose() if callable(pose) else pose) * np.array(asked[image.name])
+    found[image.name] = np.array(model.cameras[image.camera_id].img_from_cam(seen)).tolist()
+points = [[*one.xyz, *map(int, one.color)] for _, one in sorted(model.points3D.items())]
+print(json.dumps({"pixels": found, "points": points, "models": [c.model.name for c in model.cameras.values()]}))
+"""
+
+
+@pytest.mark.parametrize("kind", ["txt", "bin"])
+@pytest.mark.parametrize("name", ["plain", "four", "eight", "fish eye"])
+def test_pycolmap_opens_a_model_and_sees_points_where_the_scene_does(tmp_path, ask, name, kind):
+    one = scene([name])
+    write_scene(one, tmp_path / "o", format="colmap", model=kind, images="none")
+    write_scene(one, tmp_path / "texts", format="colmap", images="none")
+    _, images, points = read_colmap(tmp_path / "texts" / "sparse" / "0")
+    expected = {image: truth(one, name, number - 1) for image, (number, _, _) in images.items()}
+    (tmp_path / "asked.json").write_text(json.dumps({key: row.tolist() for key, (row, _) in expected.items()}))
+    python = python_with("pycolmap", "SCENELOOM_COLMAP_PYTHON")
+    found = ask(python, PYCOLMAP, tmp_path / "o" / "sparse" / "0", tmp_path / "asked.json")
+    assert found["pixels"].keys() == expected.keys()
+    for image, (_, pixels) in expected.items():
+        # COLMAP counts from the corner of the first pixel
+        np.testing.assert_allclose(np.array(found["pixels"][image]) - 0.5, pixels, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found["points"], points[:, 1:7], rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(("names", "model"), [(["plain", "five"], "OPENCV"), (["fish eye"], "OPENCV_FISHEYE")])

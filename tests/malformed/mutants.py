@@ -4,6 +4,8 @@ A mutant is a drive with one file changed, and is known by the name of the drive
 again: `python -m tests.malformed.mutants NAME NUMBER` shows what becomes of one, with its traceback.
 `python -m tests.malformed.mutants NAME --count 2000` tries the first of them, `--count 2000 120`
 for two minutes at most, and says how many there were of each outcome, how long they took and the most memory.
+`python -m tests.malformed.mutants --every 20` does so with every drive for 20 seconds each, with mutants that nobody
+has tried, and fails if one fails; `--every 20 ubx pcap` with these drives.
 Mutants with negative numbers have a named pipe, a device, a folder, a socket or a file of 200 GB without content in
 the position of a file, or a file that is named by a number beyond 64 bits, or has values nested 100,000 deep.
 
@@ -83,6 +85,16 @@ def _written(name: str, location: str, folder: Path, **options: Any) -> Path:
     return folder / location
 
 
+def _labelled(name: str, location: str, folder: Path, *parts: str) -> Path:
+    """A drive with labels of some kinds, in the format of a labelling tool."""
+    from tests.unit.formats.labelling.test_round_trips import scene_of
+
+    from sceneloom.formats import write_scene
+
+    write_scene(scene_of(*parts), folder / location, format=name)
+    return folder / location
+
+
 def _by_test(module: str, function: str, location: str, folder: Path) -> Path:
     """A drive of a format that is only read, made by the writer in the tests of that format."""
     (folder / location).mkdir(exist_ok=True)
@@ -139,11 +151,39 @@ def _packed_bag(folder: Path) -> Path:
     return rewrite_bag(_written("ros1", "sound.bag", folder), folder / "drive.bag", lz4=True)
 
 
+def _lidar_bag(folder: Path) -> Path:
+    return import_module("tests.interop.test_lidar_messages").write_bag(folder)
+
+
+def _packed_messages(folder: Path) -> Path:
+    return import_module("tests.interop.test_packed_messages").write_drive(folder / "drive")
+
+
 def _copied(location: str, folder: Path) -> Path:
     """A file of someone else, out of the folder of real data."""
     data = os.environ.get("SCENELOOM_DATA", _ROOT.parent / "shared" / "data")
     source = Path(data, "real", "strangers", location)
     return Path(shutil.copyfile(source, folder / source.name))
+
+
+def _packets(folder: Path) -> Path:
+    """Packets of every maker, with the metadata of an Ouster beside."""
+    from tests.malformed.test_packets import sound
+    from tests.unit.formats.packets.build import pcap
+
+    (folder / "drive.pcap").write_bytes(pcap(sound(folder)))
+    return folder / "drive.pcap"
+
+
+_RIG_FILE = "rig-file"
+_RIG_FILES = ("rig.urdf", "camchain.yaml", "mei.yaml", "rig.toml")
+
+
+def _rig_file(name: str, folder: Path) -> Path:
+    from tests.unit.formats.rig_files.test_reader import FILES
+
+    (folder / name).write_text(FILES[name], "utf-8")
+    return folder / name
 
 
 def _folders(*names: str) -> dict[str, Write]:
@@ -160,6 +200,9 @@ DRIVES: dict[str, Write] = {
     "ros1 lz4": _packed_bag,
     **_folders("ros2"),
     "ros2 sqlite": partial(_written, "ros2", "drive", storage="sqlite3"),
+    "ros1 lidars": _lidar_bag,
+    "lvx": partial(_by_test, "packets.test_livox", "write_file", "."),
+    "ros2 packed messages": _packed_messages,
 }
 """Writers of sound drives, by their format and what else reports them apart."""
 
@@ -182,7 +225,18 @@ OTHER_DRIVES: dict[str, Write] = {
     "pandaset": partial(_by_test, "pandaset.test_reader", "write_drive", "drive"),
     "scale-toolkit": partial(_by_test, "scale_toolkit.test_reader", "write_folder", "drive"),
     "euroc-mav": partial(_by_test, "euroc_mav.test_reader", "write_drive", "."),
-    "nmea": partial(_by_test, "nmea.test_reader", "write_log", "."),
+    **_folders("supervisely", "segments", "scale-task", "sustechpoints"),
+    "cvat": lambda folder: _labelled("cvat", "a.xml", folder, "boxes", "rotated", "lines"),
+    "tracklets": lambda folder: _labelled("tracklets", "a.xml", folder, "cuboids"),
+    "coco": lambda folder: _labelled("coco", "a.json", folder, "boxes", "masks", "keypoints"),
+    "datumaro": lambda folder: _labelled("datumaro", "a.json", folder, "boxes", "masks", "lines"),
+    "yolo": lambda folder: _labelled("yolo", "drive", folder, "boxes", "keypoints"),
+    "label-studio": lambda folder: _labelled("label-studio", "a.json", folder, "boxes", "masks"),
+    "nmea": partial(_by_test, "gnss_logs.test_nmea", "write_log", "."),
+    "ubx": partial(_by_test, "gnss_logs.test_ubx", "write_log", "."),
+    "rtklib": partial(_by_test, "gnss_logs.test_rtklib", "write_log", "."),
+    "pcap": _packets,
+    **{f"{_RIG_FILE} {name}": partial(_rig_file, name) for name in _RIG_FILES},
 }
 """Those of the formats whose mutants are tried elsewhere."""
 
@@ -243,6 +297,7 @@ class Tried:
     def __init__(self) -> None:
         self.outcomes: Counter[str] = Counter()
         self.failures: dict[int, str] = {}
+        self.until = float("inf")  # when no further mutant is begun
 
     def __str__(self) -> str:
         kinds: dict[str, list[int]] = {}
@@ -260,20 +315,25 @@ def try_mutants(name: str, numbers: range | None, *, seconds: float = float("inf
     Args:
         name: of `ALL_DRIVES`.
         numbers: of the mutants; None for those of `impostors_of`.
-        seconds: begin no further mutant after this time.
+        seconds: begin no further mutant after this time from when the sound drive has been read.
     """
-    tried, stop = Tried(), time.monotonic() + seconds
+    tried = Tried()
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         sound = Path(folder, "sound")
         sound.mkdir()
         ALL_DRIVES[name](sound)
-        waiting = list(reversed(impostors_of(next(sound.iterdir())) if numbers is None else numbers))
-        while waiting and time.monotonic() < stop:
-            _work_off(name, Path(folder), waiting, tried, stop)
+        waiting = list(reversed(impostors_of(_drive_in(sound)) if numbers is None else numbers))
+        while waiting and time.monotonic() < tried.until:
+            _work_off(name, Path(folder), waiting, tried, seconds)
     return tried
 
 
-def _work_off(name: str, folder: Path, waiting: list[int], tried: Tried, stop: float) -> None:
+def _drive_in(folder: Path) -> Path:
+    """The drive of a folder, in which metadata may be beside it."""
+    return min(folder.iterdir(), key=lambda path: path.suffix == ".json")
+
+
+def _work_off(name: str, folder: Path, waiting: list[int], tried: Tried, seconds: float) -> None:
     """Give mutants to one worker until it dies or none is left."""
     ours, theirs = Pipe()
     worker = get_context("spawn").Process(target=_work, args=(name, folder, theirs))
@@ -285,7 +345,8 @@ def _work_off(name: str, folder: Path, waiting: list[int], tried: Tried, stop: f
         outcome = _answer(ours, 300.0)
         if outcome is None or outcome[0] != "scene":
             raise AssertionError(f"the sound drive {name!r} cannot be read: {outcome}")
-        while waiting and time.monotonic() < stop:
+        tried.until = min(tried.until, time.monotonic() + seconds)
+        while waiting and time.monotonic() < tried.until:
             number = waiting.pop()
             ours.send(number)
             # a video is looked through for ten seconds each time that it is opened
@@ -319,10 +380,10 @@ def _work(name: str, folder: Path, theirs: Connection) -> None:
     """Be a worker: take numbers, answer each with an outcome."""
     for stream in (1, 2):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
-    sound = next((folder / "sound").iterdir())
+    sound = _drive_in(folder / "sound")
     with tempfile.TemporaryDirectory(dir=folder) as own:
         drive = Path(own, sound.name)
-        (shutil.copytree if sound.is_dir() else shutil.copy)(sound, drive)
+        shutil.copytree(sound.parent, own, dirs_exist_ok=True)
         outcomes = {_use(drive, name, step) for step in range(len(_STEPS))}
         theirs.send(outcomes.pop() if len(outcomes) == 1 else ("failed", str(outcomes)))
         pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
@@ -421,7 +482,7 @@ def _use(drive: Path, name: str, number: int) -> tuple[str, str]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            for step in (read, _STEPS[number % len(_STEPS)]):
+            for step in (_read_rig_file,) if name.startswith(_RIG_FILE) else (read, _STEPS[number % len(_STEPS)]):
                 try:
                     step(drive, name)
                 except SceneloomError:
@@ -436,6 +497,12 @@ def read(drive: Path, name: str, *, lenient: bool = False) -> None:
 
     with sceneloom.open(drive, format=name.split(maxsplit=1)[0], lenient=lenient) as scene:
         look_at_everything(scene)
+
+
+def _read_rig_file(drive: Path, _: str) -> None:
+    from sceneloom.formats.rig_files.reader import read_rig
+
+    read_rig(drive)
 
 
 def _run_verb(*arguments: str) -> None:
@@ -455,8 +522,31 @@ _STEPS: tuple[Callable[[Path, str], None], ...] = (
 )
 
 
+def _try_every(seconds: float, names: list[str]) -> bool:
+    """Try new mutants of drives, and say what became of them; gives whether none failed."""
+    from sceneloom.formats.base.registry import format_named, format_names
+
+    start, sound = int(time.time()) << 20, True
+    for name in names or ALL_DRIVES:
+        try:
+            tried = try_mutants(name, range(start, start + (1 << 20)), seconds=seconds)
+        except (FileNotFoundError, ImportError) as missing:  # no files of others, or no library that reads them
+            sys.stdout.write(f"{name}: left out: {missing}\n")
+            continue
+        sys.stdout.write(f"{name}: {tried.outcomes.total()} mutants: {tried}\n")
+        sys.stdout.flush()
+        sound &= not tried.failures
+    known = {name.split(maxsplit=1)[0] for name in ALL_DRIVES}
+    left = [name for name in format_names() if name not in known and format_named(name).reads]
+    if left and not names:
+        sys.stdout.write(f"no sample of: {', '.join(left)}\n")
+    return sound
+
+
 def _main() -> None:
     arguments = sys.argv[1:]
+    if arguments[0] == "--every":
+        sys.exit(not _try_every(float(arguments[1]), arguments[2:]))
     if arguments[1] in {"--count", "--impostors"}:
         begun = time.monotonic()
         numbers = range(int(arguments[2])) if arguments[1] == "--count" else None

@@ -1,7 +1,7 @@
 """The intrinsics of a camera, and the table of camera models: names, coefficients, domains and sources."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
@@ -109,6 +109,52 @@ MODELS: Mapping[str, Model] = MappingProxyType(
     }
 )
 """The projection models by name: those of the Sensor Fusion Scene format by its names, then others."""
+
+MODEL_ALIASES: Mapping[str, str] = MappingProxyType(
+    dict.fromkeys(("plumb_bob", "rational_polynomial", "radtan", "radial_tangential", "opencv"), "brown_conrady")
+    | dict.fromkeys(("equidistant", "equi", "opencv_fisheye", "kannala_brandt", "kannala_brandt4"), "fisheye")
+    | {"fisheye624": "fisheye_rad_tan_prism"}
+)
+"""Names that ROS, OpenCV, Kalibr and others have for models of the table, in lower case with `_` between words."""
+
+OPENCV_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
+OPENCV_LENGTHS = (0, 4, 5, 8, 12, 14)
+"""The order and the possible numbers of OpenCV's coefficients. Source: "Camera Calibration and 3D Reconstruction"."""
+
+_SHIFT = slice(8, 10)  # lx and ly of `brown_conrady`, which OpenCV does not have
+
+
+def from_opencv(numbers: Sequence[float]) -> tuple[float, ...]:
+    """Put coefficients from OpenCV's order into that of `brown_conrady`, whose centre of distortion can be shifted."""
+    shift = (0.0, 0.0) if len(numbers) > _SHIFT.start else ()
+    return (*numbers[: _SHIFT.start], *shift, *numbers[_SHIFT.start :])
+
+
+def to_opencv(camera: "Camera") -> tuple[float, ...] | None:
+    """Coefficients in OpenCV's order, as few as it can be told (5, 8, 12 or 14); None where OpenCV has no such model.
+
+    Args:
+        camera: of the model `pinhole` or `brown_conrady`.
+    """
+    numbers = camera.coefficients
+    if camera.model not in {"pinhole", "brown_conrady"} or any(numbers[_SHIFT]):
+        return None
+    ordered = (*numbers[: _SHIFT.start], *numbers[_SHIFT.stop :], *(0.0,) * OPENCV_LENGTHS[-1])
+    return ordered[: next(length for length in OPENCV_LENGTHS[2:] if not any(ordered[length:]))]
+
+
+def to_ros(camera: "Camera", fisheye: str = "equidistant") -> tuple[str, tuple[float, ...]] | None:
+    """Name and coefficients of the distortion as sensor_msgs/CameraInfo has them; None where ROS has no such model.
+
+    Args:
+        fisheye: what is said for an OpenCV fisheye camera model.
+    """
+    if camera.model == "fisheye":
+        return fisheye, (*camera.coefficients, *(0.0,) * 4)[:4]
+    numbers = to_opencv(camera)
+    if numbers is None:
+        return None
+    return "plumb_bob" if len(numbers) == 5 else "rational_polynomial", numbers
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,16 @@ from typing import Any
 import numpy as np
 
 from sceneloom.editing.move_world import FrameChange, moved_world
-from sceneloom.editing.references import LINES, assumed, skipped, with_ours, with_warnings, without, without_fields
+from sceneloom.editing.references import (
+    LINES,
+    WHOLE_LABELS,
+    assumed,
+    skipped,
+    with_ours,
+    with_warnings,
+    without,
+    without_fields,
+)
 from sceneloom.editing.retime import clock_from_zero
 from sceneloom.errors import OptionError
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
@@ -158,10 +167,11 @@ _VALUES: Mapping[str, Callable[[str], Any]] = MappingProxyType(
     }
 )  # texts that report something
 
-_RECORDING_LINES = frozenset(
+_KEPT_TEXTS = frozenset(
     f"metadata.{LINES}.{name}"
     for name in ("other_lines", "other_seconds", "further_keys", "shared_lines", "frame_lines")
-)  # where a recording's lines are kept as text, with their original locations and times
+) | {f"metadata.{'.'.join(WHOLE_LABELS)}"}
+"""Where lines of a recording, or a whole file of labels, are kept as text, with their original locations and times."""
 
 _OURS_REVEALING = frozenset({"enu_origin", "world_from_file", "cropped", "source", "sources"})
 """Entries of our own part of the metadata that report a location or a name; others are numbers that readers need."""
@@ -202,7 +212,7 @@ class _RevealingFields:
         if location.startswith("metadata.sceneloom."):
             kind = "location" if name in _OURS_REVEALING else None
         else:
-            kind = "location" if location in _RECORDING_LINES else kind_of(name, value)
+            kind = "location" if location in _KEPT_TEXTS else kind_of(name, value)
         if kind in self.kinds:
             self.gone.append(skipped(f"reports-{kind}", location, f"a field that reports a {kind}: left out"))
         elif kind is not None:

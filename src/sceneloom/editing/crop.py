@@ -14,6 +14,7 @@ from sceneloom.editing.references import (
     LINES,
     OURS,
     TEXTS,
+    WHOLE_LABELS,
     NewIds,
     assumed,
     entries_of,
@@ -428,11 +429,17 @@ _OTHER, _ANCHORS, _FRAMES = "other_lines", "other_seconds", "frame_lines"
 
 
 def _cut_lines(scene: Scene, part: Interval | None) -> Mapping[str, Any]:
-    """Metadata of what stays, without lines of times outside `part` [ns], and of sensors and trajectories gone."""
+    """Metadata of what stays, without lines of times outside `part` [ns], and of sensors and trajectories gone.
+
+    Nor is a file of labels kept as text, where times go.
+    """
     # unknown lines stay where their time does, those without one where that of the line before does
-    kept = scene.metadata.get(LINES)
+    metadata, (labels, document) = dict(scene.metadata), WHOLE_LABELS
+    if part is not None and isinstance(whole := metadata.get(labels), Mapping):
+        metadata[labels] = {name: value for name, value in whole.items() if name != document}
+    kept = metadata.get(LINES)
     if not isinstance(kept, Mapping):
-        return scene.metadata
+        return MappingProxyType(metadata)
     there = {f"trajectories.{name}" for name in scene.trajectories}
     there |= {name for sensor in scene.sensors for name in streams_of(sensor)}
     changed = {**kept, **_other_lines(kept, part)}
@@ -446,7 +453,7 @@ def _cut_lines(scene: Scene, part: Interval | None) -> Mapping[str, Any]:
     if part is not None:
         changed.pop(_FRAMES, None)
     left = {name: value for name, value in changed.items() if value or value == kept.get(name)}
-    return MappingProxyType({**scene.metadata, LINES: MappingProxyType(left)})
+    return MappingProxyType({**metadata, LINES: MappingProxyType(left)})
 
 
 def _other_lines(kept: Mapping[str, Any], part: Interval | None) -> dict[str, Any]:

@@ -225,6 +225,10 @@ In it, such lines by stream and by time [ns] as text.
 """
 
 
+WHOLE_LABELS = ("openlabel", "document")
+"""Our entry of the metadata with the text of the OpenLABEL file that a scene was read from."""
+
+
 def streams_of(sensor: Sensor) -> list[str]:
     """The names under which a recording keeps lines of a sensor."""
     if isinstance(sensor, ImuSensor):

@@ -1,4 +1,4 @@
-"""Packed bytes: LZF of PCD files, 23-byte lidar records, and lists of protobuf records in both directions.
+"""Packed bytes: LZF, lidar records, ranges of beams, protobuf lists both ways, points in steps, depths in runs.
 
 Unusual is all that a writer need not write: fields that are unknown or come twice, lists in parts, numbers of more than
 32 bits, and records that do not agree with the list about its number and time.
@@ -8,7 +8,7 @@ Source: protobuf.dev, "Encoding"; numbers that are 0 and empty texts are left ou
 
 import numba
 import numpy as np
-from numba import float32, float64, int64, types, uint8, uint16, void
+from numba import float32, float64, int64, types, uint8, uint16, uint32, void
 
 from sceneloom.arrays import (
     AnyArray,
@@ -21,7 +21,20 @@ from sceneloom.arrays import (
     UInt32Array,
 )
 from sceneloom.kernels.cache import kernel
-from sceneloom.kernels.signatures import IN_U8_1D, inlined, part
+from sceneloom.kernels.signatures import (
+    IN_BOOL_1D,
+    IN_F32_1D,
+    IN_F32_2D,
+    IN_F32_3D,
+    IN_F64_1D,
+    IN_I64_1D,
+    IN_I64_2D,
+    IN_U8_1D,
+    IN_U8_2D,
+    inlined,
+    part,
+    read_only,
+)
 
 LARGEST_RATIO = 264 / 3
 """A back reference of three bytes stands for at most 264: no stream can unfold to more than this times its length."""
@@ -489,3 +502,428 @@ def write_list(
             out[at] = out[k]
             at += 1
     return out[:at].copy()
+
+
+_BITS = (int64, int64, int64, int64)
+"""A field of a pixel's words: number of the word, its lowest bit, the mask of its bits, and how far they go left."""
+
+
+@inlined
+def _pixel_bits(words: UInt32Array, pixel: int, word: int, bit: int, mask: int, left: int) -> int:
+    value: int = ((int64(words[pixel, word]) >> bit) & mask) << left
+    return value
+
+
+@kernel(
+    int64(
+        *(read_only(uint32, 2), *_BITS, IN_BOOL_1D, IN_I64_1D, IN_I64_1D, IN_F32_2D, IN_F32_2D),
+        *(float32[:, ::1], int64[::1], uint16[::1], int64[::1]),
+    )
+)
+def place_ranges(
+    words: UInt32Array,
+    word: int,
+    bit: int,
+    mask: int,
+    left: int,
+    valid: BoolArray,
+    beams: Int64Array,
+    times_ns: Int64Array,
+    directions: Float32Array,
+    origins: Float32Array,
+    positions: Float32Array,
+    stamps_ns: Int64Array,
+    rings: UInt16Array,
+    index: Int64Array,
+) -> int:
+    """Place the ranges of the pixels of columns along their beams.
+
+    Args:
+        words: (M * H, W) of pixels, in which `word`, `bit`, `mask` and `left` are the range [mm], 0 for no return.
+        valid: (M,) whether a column counts.
+        beams: (M,) row of a column's first beam in `directions`.
+        times_ns: (M,) [ns].
+        directions, origins: (B, 3) of beams; where they begin [m].
+        positions, stamps_ns, rings, index: (M * H or more, …), filled: positions [m], times, rows of the beams, and the
+            pixel of each return.
+
+    Returns:
+        How many returns there are.
+    """
+    count = 0
+    rows = words.shape[0] // max(len(valid), 1)
+    for column in range(len(valid)):
+        if not valid[column]:
+            continue
+        for row in range(rows):
+            pixel = column * rows + row
+            millimetres = _pixel_bits(words, pixel, word, bit, mask, left)
+            if millimetres == 0:
+                continue
+            beam = beams[column] + row
+            metres = float32(millimetres) * float32(0.001)
+            for axis in range(3):
+                positions[count, axis] = directions[beam, axis] * metres + origins[beam, axis]
+            stamps_ns[count] = times_ns[column]
+            rings[count] = row
+            index[count] = pixel
+            count += 1
+    return count
+
+
+@kernel([void(read_only(uint32, 2), *_BITS, IN_I64_1D, kind[::1]) for kind in (uint8, uint16, uint32)])
+def pick_bits(
+    words: UInt32Array, word: int, bit: int, mask: int, left: int, pixels: Int64Array, values: AnyArray
+) -> None:
+    """Fill `values` (N,) with a field of the pixels (N,) of `words` (M, W)."""
+    for k in range(len(pixels)):
+        values[k] = _pixel_bits(words, pixels[k], word, bit, mask, left)
+
+
+@inlined
+def _turned(cosine: float, sine: float, angle: float) -> tuple[float, float]:
+    """Cosine and sine of an angle that grows by less than 0.03 rad: Taylor's series, within 1e-11."""
+    square = angle * angle
+    more_cosine, more_sine = 1.0 - square * (0.5 - square / 24.0), angle * (1.0 - square / 6.0)
+    return cosine * more_cosine - sine * more_sine, sine * more_cosine + cosine * more_sine
+
+
+@kernel(
+    int64(
+        *(IN_BOOL_1D, IN_I64_1D, read_only(uint16, 2), IN_U8_2D, IN_F32_1D, IN_F64_1D, IN_F64_1D, IN_F64_1D),
+        *(IN_I64_1D, IN_I64_1D, IN_F32_3D, IN_I64_1D, IN_F32_1D),
+        *(float32[:, ::1], uint8[::1], int64[::1], uint16[::1], int64[::1]),
+    )
+)
+def place_polar(
+    counted: BoolArray,
+    numbers: Int64Array,
+    distances: UInt16Array,
+    intensities: UInt8Array,
+    unit_m: Float32Array,
+    azimuths: Float64Array,
+    offsets: Float64Array,
+    elevations: Float64Array,
+    times_ns: Int64Array,
+    channels_ns: Int64Array,
+    adjustments: Float32Array,
+    steps: Int64Array,
+    weights: Float32Array,
+    positions: Float32Array,
+    reflected: UInt8Array,
+    stamps_ns: Int64Array,
+    rings: UInt16Array,
+    blocks: Int64Array,
+) -> int:
+    """Place the returns of blocks of channels: x along azimuth 0, y where the azimuth grows, z up.
+
+    Args:
+        counted: (M,) whether a block counts.
+        numbers: (M,) of a block among those of one firing, from 0; of equal returns of a firing one counts.
+        distances, intensities: (M, C), distances in `unit_m` (M,), 0 where nothing returned.
+        azimuths: (M,) of blocks [rad].
+        offsets, elevations: (C,) of channels [rad]: what is added to the azimuth; above the horizon.
+        times_ns, channels_ns: (M,), (C,) [ns], which are added.
+        adjustments: (2, S, C) [rad], below 0.03: of elevation and azimuth, a circle of steps; (2, 0, C) for none.
+        steps, weights: (M,) the step before a block, and how much of the way to the next it is.
+        positions, reflected, stamps_ns, rings, blocks: filled: positions [m], intensities, times, channels, blocks.
+
+    Returns:
+        How many returns there are.
+    """
+    count, circle = 0, adjustments.shape[1]
+    cosines, sines = np.cos(elevations), np.sin(elevations)
+    cosines_aside, sines_aside = np.cos(offsets), np.sin(offsets)
+    for block in range(distances.shape[0]):
+        if not counted[block]:
+            continue
+        cosine_of_block, sine_of_block = np.cos(azimuths[block]), np.sin(azimuths[block])
+        before = steps[block]
+        after = before + 1 if before + 1 < circle else 0
+        for channel in range(distances.shape[1]):
+            value, intensity, repeated = distances[block, channel], intensities[block, channel], False
+            for other in range(block - numbers[block], block):
+                repeated |= distances[other, channel] == value and intensities[other, channel] == intensity
+            if value == 0 or repeated:
+                continue
+            distance = value * unit_m[block]
+            x = cosine_of_block * cosines_aside[channel] - sine_of_block * sines_aside[channel]
+            y = sine_of_block * cosines_aside[channel] + cosine_of_block * sines_aside[channel]
+            cosine, sine = cosines[channel], sines[channel]
+            if circle:
+                weight = weights[block]
+                up, aside = adjustments[0], adjustments[1]
+                cosine, sine = _turned(cosine, sine, up[before, channel] * (1 - weight) + up[after, channel] * weight)
+                x, y = _turned(x, y, aside[before, channel] * (1 - weight) + aside[after, channel] * weight)
+            positions[count, 0] = distance * cosine * x
+            positions[count, 1] = distance * cosine * y
+            positions[count, 2] = distance * sine
+            reflected[count] = intensity
+            stamps_ns[count] = times_ns[block] + channels_ns[channel]
+            rings[count] = channel
+            blocks[count] = block
+            count += 1
+    return count
+
+
+COPIED, STEPPED, MIXED, GORILLA = 0, 1, 2, 3
+"""How `read_points` finds a field's value: as it stands, by a step from the point before, by the bits that differ
+from the point before in all bytes, or in as few bits as they take."""
+
+NO_NUMBER = np.iinfo(np.int64).min
+"""Stands for NaN where values are steps."""
+
+_LONGEST_VARINT_BITS = 63
+_NO_WINDOW = 255
+_BITS_LEADING, _BITS_LENGTH = 5, 6
+_STEPS, _PALETTE, _RUNS_OF_STEPS = 0, 1, 3
+
+
+@part
+def _varint(content, position, stop):  # type: ignore[no-untyped-def]
+    """A number, seven bits a byte, lowest first, and where it ends; -1 where it does not end before `stop`."""
+    number, bits = np.uint64(0), 0
+    while position < stop and bits < _LONGEST_VARINT_BITS + 7:
+        byte = np.uint64(content[position])
+        position += 1
+        number |= (byte & np.uint64(0x7F)) << np.uint64(bits)
+        if byte < np.uint64(0x80):
+            return number, position
+        bits += 7
+    return number, -1
+
+
+@part
+def _step(number):  # type: ignore[no-untyped-def]
+    """The signed number that is written as `number`, one more than its zigzag form: 0 is kept for NaN."""
+    zigzag = number - np.uint64(1)
+    return np.int64(zigzag >> np.uint64(1)) ^ -np.int64(zigzag & np.uint64(1))
+
+
+@part
+def _bits(content, position, stop, held, count, wanted):  # type: ignore[no-untyped-def]
+    """The next bits, lowest first: these, where the bytes go on, and what is left of the last byte and its length."""
+    found, have = np.uint64(0), 0
+    while have < wanted:
+        if count == 0:
+            if position >= stop:
+                return found, -1, held, count
+            held, count = np.uint64(content[position]), 8
+            position += 1
+        taken = min(count, wanted - have)
+        mask = (np.uint64(1) << np.uint64(taken)) - np.uint64(1)
+        found |= (held & mask) << np.uint64(have)
+        held, count, have = held >> np.uint64(taken), count - taken, have + taken
+    return found, position, held, count
+
+
+@part
+def _value(content, position, size):  # type: ignore[no-untyped-def]
+    """The bits of a value of `size` bytes, lowest byte first."""
+    whole = np.uint64(0)
+    for b in range(size):
+        whole |= np.uint64(content[position + b]) << np.uint64(8 * b)
+    return whole
+
+
+@part
+def _changed(content, position, stop, window, width):  # type: ignore[no-untyped-def]
+    """The bits in which a value differs from the one before, and where they end; -1 where they break off.
+
+    `window` (2,): how many bits before and behind those that were stated last are equal; filled.
+    """
+    flag, position, held, left = _bits(content, position, stop, np.uint64(0), 0, 1)
+    if position < 0 or flag == 0:
+        return np.uint64(0), position
+    control, position, held, left = _bits(content, position, stop, held, left, 1)
+    if position >= 0 and control:
+        leading, position, held, left = _bits(content, position, stop, held, left, _BITS_LEADING)
+        length = np.uint64(0)
+        if position >= 0:
+            length, position, held, left = _bits(content, position, stop, held, left, _BITS_LENGTH)
+        window[0] = np.int64(leading)
+        window[1] = width - np.int64(leading) - np.int64(length) - 1
+    if position < 0 or window[1] < 0 or window[0] + window[1] >= width:
+        return np.uint64(0), -1
+    changed, position, held, left = _bits(content, position, stop, held, left, width - window[0] - window[1])
+    return changed << np.uint64(window[1]), position
+
+
+@part
+def _next_value(content, position, stop, field, before, window, is_first):  # type: ignore[no-untyped-def]
+    """The bits of a field's next value, where they end, -1 where they break off, and whether it is NaN."""
+    way, size = field[0], field[1]
+    if way == STEPPED:
+        number, position = _varint(content, position, stop)
+        if number == 0:
+            return np.uint64(0), (position if field[2] else -1), True
+        return before + np.uint64(_step(number)), position, False
+    if way == GORILLA and not is_first:
+        changed, position = _changed(content, position, stop, window, 8 * size)
+        return before ^ changed, position, False
+    if position + size > stop:
+        return before, -1, False
+    whole = _value(content, position, size)
+    return (before ^ whole if way == MIXED else whole), position + size, False
+
+
+@kernel(int64(IN_U8_1D, int64, IN_I64_2D, int64[:, ::1]))
+def read_points(content: UInt8Array, start: int, fields: Int64Array, values: Int64Array) -> int:
+    """Read the fields of points that stand one point after another, each value by that of the point before.
+
+    Args:
+        content: the bytes.
+        start: where the first point begins.
+        fields: (F, 3) of each field: `COPIED`, `STEPPED`, `MIXED` or `GORILLA`; its bytes; whether a step may be NaN,
+            after which the next one counts from 0.
+        values: (F, N), filled: the bits of a value as they stand, or the sum of the steps, `NO_NUMBER` for NaN.
+
+    Returns:
+        Where the last point ends; -1 where the bytes break off, or a step is of more than 64 bits or none.
+
+    Source: field_decoder.hpp and encoding_utils.hpp of Cloudini; Pelkonen et al. 2015, "Gorilla", 4.1.2, of which each
+    value here begins with a byte of its own.
+    """
+    stop, position = content.size, start
+    before = np.zeros(fields.shape[0], np.uint64)
+    windows = np.full((fields.shape[0], 2), _NO_WINDOW, np.int64)
+    for k in range(values.shape[1]):
+        for f in range(fields.shape[0]):
+            before[f], position, is_nan = _next_value(content, position, stop, fields[f], before[f], windows[f], k == 0)
+            if position < 0:
+                return -1
+            values[f, k] = NO_NUMBER if is_nan else np.int64(before[f])
+    return position
+
+
+@part
+def _read_palette(content, position, size, values):  # type: ignore[no-untyped-def]
+    """Values by their numbers in a list of `size` bytes each, which stands before; where they end, or -1."""
+    stop = content.size
+    if position + 2 > stop:
+        return -1
+    count = np.int64(content[position]) | np.int64(content[position + 1]) << 8
+    palette, position = position + 2, position + 2 + count * size
+    width = 0
+    while (count - 1) >> width > 0:
+        width += 1
+    if count == 0 or position + (width * values.size + 7) // 8 > stop:
+        return -1
+    held, left = np.uint64(0), 0
+    for k in range(values.size):
+        index, position, held, left = _bits(content, position, stop, held, left, width)
+        if position < 0 or np.int64(index) >= count:
+            return -1
+        values[k] = np.int64(_value(content, palette + np.int64(index) * size, size))
+    return position
+
+
+@part
+def _read_repeated(content, position, size, values, steps):  # type: ignore[no-untyped-def]
+    """Values, or steps from one to the next, with how often each comes; where they end, or -1."""
+    stop, done, total = content.size, 0, np.uint64(0)
+    if position + 4 > stop:
+        return -1
+    runs = np.int64(_value(content, position, 4))
+    position += 4
+    for _ in range(runs):
+        if steps:
+            number, position = _varint(content, position, stop)
+            whole = np.uint64(_step(number))
+            if number == 0:
+                return -1
+        else:
+            if position + size > stop:
+                return -1
+            whole, position = _value(content, position, size), position + size
+        length, position = _varint(content, position, stop) if position >= 0 else (np.uint64(0), -1)
+        if position < 0 or length > np.uint64(values.size - done):
+            return -1
+        for k in range(done, done + int(length)):
+            total = total + whole if steps else whole
+            values[k] = np.int64(total)
+        done = done + int(length)
+    return position if done == values.size else -1
+
+
+@kernel(int64(IN_U8_1D, int64, int64, int64[::1]))
+def read_column(content: UInt8Array, start: int, size: int, values: Int64Array) -> int:
+    """Read the values of one field of all points: in steps, from a palette, or in runs.
+
+    Args:
+        content: the bytes.
+        start: of the section.
+        size: of a value [byte].
+        values: (N,), filled, as in `read_points`.
+
+    Returns:
+        Where the section ends; -1 where it breaks off, is of another kind, or holds more or fewer than N values.
+
+    Source: v5_codec.cpp of Cloudini, sections of adaptive integers: 0 steps, 1 palette, 2 runs, 3 runs of steps.
+    """
+    position = start + 1
+    if start >= content.size or content[start] > _RUNS_OF_STEPS:
+        return -1
+    if content[start] == _PALETTE:
+        return int(_read_palette(content, position, size, values))
+    if content[start] != _STEPS:
+        return int(_read_repeated(content, position, size, values, content[start] == _RUNS_OF_STEPS))
+    total = np.uint64(0)
+    for k in range(values.size):
+        number, position = _varint(content, position, content.size)
+        if position < 0 or number == 0:
+            return -1
+        total += np.uint64(_step(number))
+        values[k] = np.int64(total)
+    return position
+
+
+@part
+def _nibbles(content, place):  # type: ignore[no-untyped-def]
+    """A number, three bits a nibble, lowest first, and where it ends; -1 where the bytes break off.
+
+    `place` counts nibbles; words of four bytes stand lowest byte first, and begin with their highest nibble.
+    """
+    number, bits = np.int64(0), 0
+    while place < content.size * 2 and bits < 36:
+        byte = content[(place >> 3) * 4 + 3 - (place & 7) // 2]
+        nibble = np.int64(byte >> 4 if place % 2 == 0 else byte & 0xF)
+        place += 1
+        number |= (nibble & 7) << bits
+        if nibble < 8:
+            return number, place
+        bits += 3
+    return number, -1
+
+
+@kernel(int64(IN_U8_1D, uint16[::1]))
+def read_runs(content: UInt8Array, pixels: UInt16Array) -> int:
+    """Read depths in runs of zeros and of steps from one that is not zero to the next (RVL).
+
+    Args:
+        content: whole words of four bytes.
+        pixels: (N,), filled.
+
+    Returns:
+        How many pixels there were; -1 where the bytes break off, or hold more than N.
+
+    Source: Wilson 2017, "Fast Lossless Depth Image Compression", listing 1.
+    """
+    place, done, depth = 0, 0, 0
+    while done < pixels.size:
+        zeros, place = _nibbles(content, place)
+        if place < 0 or zeros > pixels.size - done:
+            return -1
+        pixels[done : done + zeros] = 0
+        done += zeros
+        others, place = _nibbles(content, place)
+        if place < 0 or others > pixels.size - done or zeros + others == 0:
+            return -1
+        for _ in range(others):
+            number, place = _nibbles(content, place)
+            if place < 0:
+                return -1
+            depth += (number >> 1) ^ -(number & 1)
+            pixels[done] = depth & 0xFFFF
+            done += 1
+    return done

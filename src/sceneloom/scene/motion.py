@@ -56,7 +56,8 @@ class ImuSensor:
     Attributes:
         id: unique among the scene's sensors.
         streams: by the recording's words: "accelerometer" [m/s²], "gyroscope" [rad/s], "magnetometer" [µT],
-            "imuTemperature" [K], …
+            "imuTemperature" [K], …; of what others found of the motion, "linearVelocity" [m/s] and "angularVelocity"
+            [rad/s].
         parent_id: id of the parent sensor, or None.
         extras: further fields of the file, by name.
     """

@@ -133,7 +133,8 @@ def test_fields_are_known_by_the_words_of_their_names_and_by_their_values():
 
 
 def test_nothing_of_the_location_is_left_in_the_file_that_is_written_and_choices_are_checked(tmp_path):
-    scene = anonymised_scene(drive(metadata={"city": "Karlsruhe"}), dates="shift")
+    labels = {"document": '{"metadata":{"comment":"Karlsruhe"},"frames":{"0":{"timestamp":1700000000.1}}}'}
+    scene = anonymised_scene(drive(metadata={"city": "Karlsruhe", "openlabel": labels}), dates="shift")
     sceneloom.write(scene, tmp_path / "o.sfs")
     content = (tmp_path / "o.sfs").read_bytes()
     secrets = (b"Karlsruhe", b"48.1", b"11.5", b"690000", b"5330000", b"1700000000")

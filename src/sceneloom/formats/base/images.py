@@ -2,6 +2,7 @@
 
 import io
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -9,12 +10,14 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, check_array
+from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, UInt16Array, check_array
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import ArrayError, DataError
 from sceneloom.formats.base.files import check_pixels, check_regular, read_bytes
+from sceneloom.formats.base.losses import Losses
 from sceneloom.formats.base.output import replacing
 from sceneloom.scene.cameras import CameraImage
+from sceneloom.scene.scene import Scene
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -324,6 +327,43 @@ def write_grey_png(values: AnyArray, path: Path, *, overwrite: bool = False) -> 
         Image.fromarray(values).save(draft, "PNG", compress_level=_COMPRESSION)
 
 
+def decode_grey_png(content: bytes, owner: str, location: str) -> UInt16Array:
+    """Decode a PNG file of 16-bit grey, as depths are kept in.
+
+    Args:
+        content: the file.
+        owner: what it belongs to, for messages.
+        location: the field that holds it, for messages.
+
+    Returns:
+        (height, width) uint16.
+
+    Raises:
+        DataError: it is no such file, damaged, of another kind of pixels, or has more than `check_pixels` lets pass.
+    """
+    from PIL import Image
+
+    grey_png_size(content, owner, location)
+    try:
+        with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
+            return np.array(image).astype(np.uint16)
+    except (*_FAULTS, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise DataError(owner, location, f"cannot be decoded as png: {error}") from error
+
+
+def grey_png_size(content: bytes, owner: str, location: str) -> tuple[int, int]:
+    """Width and height of a PNG file of 16-bit grey [px], from its head; errors as of `decode_grey_png`."""
+    try:
+        mark, chunk, width, height, bits, colours = _PNG_HEAD.unpack_from(content)
+    except struct.error as error:
+        raise DataError(owner, location, f"is no png file: {error}") from error
+    if (mark, chunk, bits, colours) != (PNG_START, b"IHDR", 16, 0):
+        problem = f"no PNG file of 16-bit grey, but begins with {content[:8].hex(' ')}"
+        raise DataError(owner, location, problem)
+    check_pixels(owner, location, width, height)
+    return width, height
+
+
 def _check(depth_image: Float32Array) -> None:
     check_array("depth_image", depth_image, (None, None), np.float32)
     if depth_image.size == 0:
@@ -352,3 +392,48 @@ def encode_jpeg(rgb: UInt8Array, *, quality: int = JPEG_QUALITY, subsampling: st
 
     content: bytes = encode(np.ascontiguousarray(rgb), quality, "RGB", subsampling)
     return content
+
+
+def with_pinholes(scene: Scene, losses: Losses, *, keep: Iterable[str] = ("pinhole",)) -> Scene:
+    """Resample the images of cameras whose models a target does not have, and report it.
+
+    Args:
+        keep: the models that the target has.
+
+    Raises:
+        CalibrationError: a camera model cannot be computed with.
+    """
+    from sceneloom.editing.cameras import undistort_scene
+
+    others = [camera for camera in scene.cameras if camera.camera.model not in keep and len(camera.images)]
+    for camera in others:
+        model = camera.camera.model
+        what = f"{camera.id!r}: a {model} camera model replaced by a pinhole, and its images resampled for it"
+        for name in ("camera", "images.rgb", "images.encoded"):
+            losses.approximated(f"sensors.camera.{name}", what)
+    return undistort_scene(scene, cameras=[camera.id for camera in others]) if others else scene
+
+
+def write_image(stem: Path, image: CameraImage, losses: Losses, *, png: bool = False) -> Path:
+    """Write an image beside a name: a JPEG or PNG file as it is, else encoded anew, which is reported.
+
+    Args:
+        stem: the path without its ending.
+        png: write what is no PNG file as one, without loss, instead of as JPEG.
+
+    Returns:
+        The path with its ending.
+    """
+    source = image.decode
+    is_png = isinstance(source, ImageFile) and source.path.suffix.lower() == ".png"
+    if is_png or png:
+        path = stem.with_name(f"{stem.name}.png")
+        path.write_bytes(source.encoded() if isinstance(source, ImageFile) and is_png else encode_png(image.rgb))
+        return path
+    path = stem.with_name(f"{stem.name}.jpg")
+    if image.encoded is not None:
+        path.write_bytes(image.encoded())
+        return path
+    path.write_bytes(encode_jpeg(image.rgb))
+    losses.approximated("sensors.camera.images.rgb", f"encoded as JPEG of quality {JPEG_QUALITY}")
+    return path

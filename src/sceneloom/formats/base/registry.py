@@ -97,7 +97,10 @@ _CAPTURES = tuple(map(bytes.fromhex, ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23
 _KITTI = "sceneloom.formats.kitti.spec"
 _POINTS = "sceneloom.formats.points.spec"
 _MESSAGES = "sceneloom.formats.messages.spec"
+_LABELLING = "sceneloom.formats.labelling.spec"
 _RIG_FILES = "sceneloom.formats.rig_files.spec"
+_GNSS_LOGS = "sceneloom.formats.gnss_logs.spec"
+_CLOUD_LABELLING = "sceneloom.formats.cloud_labelling.spec"
 
 FORMATS: Mapping[str, FormatRow] = MappingProxyType(
     {
@@ -137,6 +140,10 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
             folder=("lidar", "annotations/cuboids", "*/lidar", "*/annotations/cuboids"),
         ),
         "scale-toolkit": FormatRow("sceneloom.formats.scale_toolkit.spec:FORMAT", folder=("pointcloud",)),
+        "supervisely": FormatRow(f"{_CLOUD_LABELLING}:SUPERVISELY", folder=("meta.json", "annotation.json", "ann")),
+        "segments": FormatRow(f"{_CLOUD_LABELLING}:SEGMENTS", file=(".json",), folder=("*.json",)),
+        "scale-task": FormatRow(f"{_CLOUD_LABELLING}:SCALE_TASK", folder=("frames",)),
+        "sustechpoints": FormatRow(f"{_CLOUD_LABELLING}:SUSTECHPOINTS", folder=("lidar", "*/lidar")),
         "pcd": FormatRow(f"{_POINTS}:PCD", file=(".pcd",), folder=("*.pcd", "*/*.pcd")),
         "ply": FormatRow(f"{_POINTS}:PLY", file=(".ply",), folder=("*.ply", "*/*.ply")),
         "las": FormatRow(f"{_POINTS}:LAS", file=(".las",), folder=("*.las", "*/*.las")),
@@ -145,11 +152,26 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "nuscenes-bin": FormatRow(f"{_POINTS}:NUSCENES_BIN", file=(".pcd.bin",), folder=("*.pcd.bin", "*/*.pcd.bin")),
         "npz": FormatRow(f"{_POINTS}:NPZ", file=(".npz", ".npy"), folder=("*.npz", "*.npy", "*/*.npz", "*/*.npy")),
         "pcap": FormatRow("sceneloom.formats.packets.spec:FORMAT", file=_CAPTURES),
+        "lvx": FormatRow("sceneloom.formats.packets.spec:LVX", file=(b"livox_tech\0",)),
         "euroc-mav": FormatRow(
             "sceneloom.formats.euroc_mav.spec:FORMAT", folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv")
         ),
-        "nmea": FormatRow("sceneloom.formats.nmea.spec:FORMAT", file=(b"$", ".nmea", ".gga", ".log", ".txt")),
+        "nmea": FormatRow(f"{_GNSS_LOGS}:NMEA", file=(b"$", ".nmea", ".gga", ".log", ".txt", ".ubx")),
+        "ubx": FormatRow(
+            f"{_GNSS_LOGS}:UBX", file=(b"\xb5\x62", b"$", ".ubx", ".nmea", ".log", ".txt", ".dat", ".raw")
+        ),
+        "rtklib": FormatRow(f"{_GNSS_LOGS}:RTKLIB", file=(b"%", ".pos", ".txt")),
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
+        "cvat": FormatRow(f"{_LABELLING}:CVAT", file=(".xml",), folder=("*.xml",)),
+        "tracklets": FormatRow(f"{_LABELLING}:TRACKLETS", file=(".xml",), folder=("frame_list.txt",)),
+        "coco": FormatRow(f"{_LABELLING}:COCO", file=(".json",), folder=("*.json", "annotations/*.json")),
+        "datumaro": FormatRow(f"{_LABELLING}:DATUMARO", file=(".json",), folder=("*.json", "annotations/*.json")),
+        "yolo": FormatRow(
+            f"{_LABELLING}:YOLO",
+            file=(".yaml", ".yml", "obj.names", "obj.data"),
+            folder=("data.yaml", "data.yml", "dataset.yaml", "obj.names", "obj.data"),
+        ),
+        "label-studio": FormatRow(f"{_LABELLING}:LABEL_STUDIO", file=(b"[{",), folder=("tasks.json",)),
         "colmap": FormatRow("sceneloom.formats.posed_images.spec:COLMAP"),
         "nerfstudio": FormatRow("sceneloom.formats.posed_images.spec:NERFSTUDIO"),
         "urdf": FormatRow(f"{_RIG_FILES}:URDF"),
@@ -302,7 +324,9 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, euroc-mav, openlabel, nmea, pcap; clouds as pcd, ply, las, laz, kitti-bin,
+    argoverse2, pandaset, scale-toolkit, supervisely, segments, scale-task, sustechpoints, euroc-mav, openlabel, cvat,
+    tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap, lvx; clouds as pcd, ply, las, laz,
+    kitti-bin,
     nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:

@@ -1,6 +1,7 @@
 """The cameras of a log: raw and compressed images, depth, videos of one image a message, and camera models."""
 
 import io
+import struct
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -11,12 +12,12 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.arrays import AnyArray, Float32Array, Int64Array, UInt8Array, UInt16Array
+from sceneloom.cameras.camera import MODELS, OPENCV_LENGTHS, Camera, from_opencv
 from sceneloom.errors import CalibrationError, DataError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.files import FileView
-from sceneloom.formats.base.images import EncodedImage
+from sceneloom.formats.base.files import FileView, check_pixels
+from sceneloom.formats.base.images import PNG_START, EncodedImage, decode_grey_png, grey_png_size
 from sceneloom.formats.messages.records import (
     CameraModelRecord,
     CompressedImageRecord,
@@ -138,7 +139,7 @@ OUR_PREFIX = "sceneloom:"  # begins the names of models that only we know, in ca
 
 _READ: Mapping[str, tuple[str, int]] = MappingProxyType(
     dict.fromkeys(("", "none", "pinhole", "plumb_bob"), ("brown_conrady", 5))
-    | {"rational_polynomial": ("brown_conrady", 14)}
+    | {"rational_polynomial": ("brown_conrady", OPENCV_LENGTHS[-1])}
     | dict.fromkeys(("equidistant", "fisheye", "kannala_brandt"), ("fisheye", 4))
 )
 """Our model of each name, and how many coefficients it may have."""
@@ -173,6 +174,12 @@ def read_camera_model(record: CameraModelRecord, owner: str, location: str, ledg
         raise DataError(owner, location, str(error)) from None
 
 
+def is_known_model(record: CameraModelRecord) -> bool:
+    """Whether a calibration is of a model that is read."""
+    named = record.model.strip()
+    return named.lower() in _READ or (named.startswith(OUR_PREFIX) and named.removeprefix(OUR_PREFIX) in MODELS)
+
+
 def _model(record: CameraModelRecord, owner: str, location: str) -> tuple[str, tuple[float, ...]]:
     named = record.model.strip()
     own = named.removeprefix(OUR_PREFIX)
@@ -193,10 +200,7 @@ def _model(record: CameraModelRecord, owner: str, location: str) -> tuple[str, t
         return model, (*numbers, *(0.0,) * (most - len(numbers)))
     if not any(numbers):
         return "pinhole", ()
-    if len(numbers) > 8:
-        # s1-s4 and the tilt come after k6; in our model after lx and ly, which OpenCV does not have
-        numbers = (*numbers[:8], 0.0, 0.0, *numbers[8:])
-    return model, numbers
+    return model, from_opencv(numbers)
 
 
 def _fitted(camera: Camera, size: tuple[int, int], location: str, ledger: Ledger) -> Camera:
@@ -208,7 +212,7 @@ def _fitted(camera: Camera, size: tuple[int, int], location: str, ledger: Ledger
     return _no_camera_model(*size) if camera.model == UNKNOWN_MODEL else camera.resized(*size)
 
 
-_CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
+_CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "av1"}
 """Codecs that are read from messages, by the words of messages, and as FFmpeg calls them."""
 
 
@@ -289,18 +293,37 @@ class _MessageVideo:
 
     def _made(self) -> BinaryIO:
         """Put the packets into a file, with the times that the messages state."""
-        from sceneloom.formats.video.writer import annex_b_to_mp4
+        from sceneloom.formats.video.writer import packets_to_mp4
 
         with tempfile.TemporaryFile() as raw:
-            for packet in self.packets():
+            raw.write(_stream_head(self.codec))
+            for k, packet in enumerate(self.packets()):
+                raw.write(_packet_head(self.codec, len(packet), k))
                 raw.write(packet)
             target = cast("BinaryIO", tempfile.TemporaryFile())  # noqa: SIM115 - it stays open with the video
             try:
-                annex_b_to_mp4(cast("BinaryIO", raw), target, self.timestamps_ns, self.name)
+                packets_to_mp4(cast("BinaryIO", raw), target, self.timestamps_ns, self.name)
             except BaseException:
                 target.close()
                 raise
         return target
+
+
+_IVF_CODES = {"vp9": b"VP90", "av1": b"AV01"}
+
+
+def _stream_head(codec: str) -> bytes:
+    """What stands before the packets of a video: IVF, where they have no form of their own to tell them apart.
+
+    Source: wiki.multimedia.cx, "Duck IVF".
+    """
+    if codec not in _IVF_CODES:
+        return b""
+    return struct.pack("<4sHH4sHHIII4x", b"DKIF", 0, 32, _IVF_CODES[codec], 0, 0, 30, 1, 0)
+
+
+def _packet_head(codec: str, size: int, number: int) -> bytes:
+    return struct.pack("<IQ", size, number) if codec in _IVF_CODES else b""
 
 
 def _video_image(video: _MessageVideo, timestamps_ns: Int64Array, models: "_CameraModels", k: int) -> CameraImage:
@@ -358,7 +381,13 @@ class _ImageReader:
 
     def depth(self, k: int) -> Float32Array:
         """Decode depth image `k`, (height, width) float32 [m], 0 for none."""
-        values = _values_of(*self._message(k))[:, :, 0]
+        record, owner, location = self._message(k)
+        if not isinstance(record, ImageRecord):
+            packed = _PackedDepth.of(record)
+            if packed is None:
+                raise DataError(owner, location, f"format {record.form!r}; expected depths as in the first message")
+            return packed.depths(owner, location)
+        values = _values_of(record, owner, location)[:, :, 0]
         if values.dtype == np.uint16:
             return (values * np.float64(MILLIMETRE)).astype(np.float32)
         return cast("Float32Array", np.where(np.isfinite(values) & (values > 0), values, np.float32(0)))
@@ -435,11 +464,14 @@ class CameraDraft:
         owner, where = survey.log.name, f"{topic.name}[{int(rows[0])}]"
         if isinstance(first, ImageRecord):
             is_depth, size = not _encoding_of(first, owner, where).order, (first.width, first.height)
+            kind = first.encoding.lower()
+        elif (packed := _PackedDepth.of(first)) is not None:
+            is_depth, size, kind = True, packed.size(owner, where), packed.type
         else:
             form = _image_form(first, owner, where)
-            is_depth, size = False, EncodedImage(bytes(first.data), form, 0, 0, owner, where).stated_size()
+            is_depth, size, kind = False, EncodedImage(bytes(first.data), form, 0, 0, owner, where).stated_size(), ""
         camera_models = _camera_models(survey, camera_model_topic, size, location, fitted)
-        scale = MILLIMETRE if is_depth and first.encoding == "16UC1" else None
+        scale = MILLIMETRE if is_depth and kind == "16uc1" else None
         reader = _ImageReader(survey.log, topic, rows, timestamps[rows], camera_models, scale)
         frames: LazyFrames[Any] = LazyFrames(timestamps[rows], reader.depth_frame if is_depth else reader.image)
         return cls(topic, first.frame_id, camera_models.cameras[0], frames, is_depth)
@@ -477,18 +509,18 @@ def _draft_video(
         survey.ledger.note(WarningKind.SKIPPED, "video-begins-late", location, message, count=skipped)
     rows = np.arange(skipped, len(timestamps), dtype=np.int64)
     video = _MessageVideo(survey.log, topic, rows, timestamps[rows], _CODECS[first.form])
-    size = _video_size(bytes(first.data), location)
+    size = _video_size(bytes(first.data), _CODECS[first.form], location)
     camera_models = _camera_models(survey, camera_model_topic, size, location, fitted)
     shown = np.sort(timestamps[rows], kind="stable")
     frames = LazyFrames(shown, partial(_video_image, video, shown, camera_models))
     return CameraDraft(topic, first.frame_id, camera_models.cameras[0], frames, is_depth=False, video=video)
 
 
-def _video_size(packet: bytes, name: str) -> tuple[int, int]:
+def _video_size(packet: bytes, codec: str, name: str) -> tuple[int, int]:
     """Width and height of the image in the first packet of a video [px]."""
     from sceneloom.formats.video.reader import OpenVideo
 
-    opened = OpenVideo(packet, name)
+    opened = OpenVideo(_stream_head(codec) + _packet_head(codec, len(packet), 0) + packet, name)
     try:
         decoder = opened.stream.codec_context
         return decoder.width, decoder.height
@@ -540,12 +572,114 @@ _START_CODE = b"\x00\x00\x01"
 _PARAMETERS = {"h264": lambda byte: byte & 0x1F == 7, "hevc": lambda byte: (byte >> 1) & 0x3F == 33}
 """Whether a unit with this first byte holds the parameters of a sequence, without which nothing is decoded."""
 
+_AV1_SEQUENCE, _AV1_HAS_SIZE, _AV1_HAS_EXTENSION = 1, 2, 4
+
 
 def _starts_video(packet: bytes | memoryview, codec: str) -> bool:
-    """Whether decoding can begin with a packet in Annex B form: whether it holds the sequence's parameters."""
+    """Whether decoding can begin with a packet: whether it holds the parameters of the sequence, or a key frame."""
     content, location = bytes(packet), 0
+    if codec == "vp9":
+        # Source: VP9 bitstream specification, 6.2: frame marker 2, profile, (reserved), nothing shown again, key frame
+        bits = f"{content[0]:08b}" if content else ""
+        return bits.startswith("10") and bits[(5 if bits[2:4] == "11" else 4) :][:2] == "00"
+    if codec == "av1":
+        return _holds_av1_sequence(content)
     while (location := content.find(_START_CODE, location)) >= 0 and location + 3 < len(content):
         if _PARAMETERS[codec](content[location + 3]):
             return True
         location += 3
     return False
+
+
+def _holds_av1_sequence(content: bytes) -> bool:
+    """Whether a packet of AV1 holds the header of a sequence. Source: AV1 bitstream specification, 5.3 and 5.9."""
+    location = 0
+    while location < len(content):
+        head = content[location]
+        if head >> 3 & 0xF == _AV1_SEQUENCE:
+            return True
+        location += 2 if head & _AV1_HAS_EXTENSION else 1
+        size, bits = 0, 0
+        if not head & _AV1_HAS_SIZE:
+            return False
+        while location < len(content):
+            size |= (content[location] & 0x7F) << bits
+            location, bits = location + 1, bits + 7
+            if content[location - 1] < 0x80:
+                break
+        location += size
+    return False
+
+
+_DEPTH_TYPES = ("16uc1", "32fc1")
+_DEPTH_HEAD = struct.Struct("<iff")
+_RVL_HEAD = struct.Struct("<II")
+
+
+@dataclass(frozen=True, slots=True)
+class _PackedDepth:
+    """A depth image that is compressed: what it is, and where in the bytes it begins.
+
+    Source: codec.cpp and compression_common.h of compressed_depth_image_transport: a head of a number and the two
+    parameters a, b of inverse depths q, whose depth is a / (q - b); images of 16UC1 are millimetres.
+    """
+
+    type: str
+    is_rvl: bool
+    content: bytes
+    parameters: tuple[float, float] | None
+
+    @classmethod
+    def of(cls, record: CompressedImageRecord) -> "_PackedDepth | None":
+        """What a message holds; None for an image of colours."""
+        kind, _, rest = (part.strip() for part in record.form.partition(";"))
+        if kind not in _DEPTH_TYPES:
+            return None
+        content = bytes(record.data)
+        if content.startswith(PNG_START) or "compresseddepth" not in rest:
+            return cls(kind, "rvl" in rest, content, None)
+        parameters = _DEPTH_HEAD.unpack_from(content)[1:] if len(content) >= _DEPTH_HEAD.size else None
+        return cls(kind, "rvl" in rest, content[_DEPTH_HEAD.size :], parameters)
+
+    def size(self, owner: str, location: str) -> tuple[int, int]:
+        """Width and height [px].
+
+        Raises:
+            DataError: it is no PNG file of 16 bits, or no RVL.
+        """
+        if not self.is_rvl:
+            return grey_png_size(self.content, owner, location)
+        if len(self.content) < _RVL_HEAD.size:
+            raise DataError(owner, location, f"{len(self.content)} bytes of RVL; expected a head of {_RVL_HEAD.size}")
+        width, height = _RVL_HEAD.unpack_from(self.content)
+        check_pixels(owner, location, width, height)
+        return width, height
+
+    def depths(self, owner: str, location: str) -> Float32Array:
+        """Decode the image, (height, width) float32 [m], 0 for none.
+
+        Raises:
+            DataError: as for `size`, or it is damaged.
+        """
+        width, height = self.size(owner, location)
+        steps = self._from_rvl(width, height, owner, location) if self.is_rvl else None
+        if steps is None:
+            steps = decode_grey_png(self.content, owner, location)
+        if self.type == "16uc1":
+            return (steps * np.float64(MILLIMETRE)).astype(np.float32)
+        if self.parameters is None:
+            raise DataError(owner, location, "inverse depths without their parameters; expected a head of 12 bytes")
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            depths = np.float32(self.parameters[0]) / (steps.astype(np.float32) - np.float32(self.parameters[1]))
+        known = (steps > 0) & np.isfinite(depths) & (depths > 0)
+        return cast("Float32Array", np.where(known, depths, np.float32(0)))
+
+    def _from_rvl(self, width: int, height: int, owner: str, location: str) -> UInt16Array:
+        from sceneloom.kernels.packed import read_runs
+
+        content = self.content[_RVL_HEAD.size :]
+        words = np.frombuffer(content + bytes(-len(content) % 4), np.uint8)
+        pixels = np.empty(width * height, np.uint16)
+        if read_runs(words, pixels) != len(pixels):
+            raise DataError(owner, location, f"RVL of {len(content)} bytes that are no {width}x{height} pixels")
+        return pixels.reshape(height, width)

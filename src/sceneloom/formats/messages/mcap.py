@@ -6,8 +6,7 @@ Messages are protobuf or JSON; their large fields are not copied.
 import base64
 import binascii
 import json
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
@@ -23,19 +22,18 @@ from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.message import DecodeError, Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Int64Array
 from sceneloom.errors import DataError, MissingExtraError, OutputError, how_to_install
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.base.protobuf import LENGTH_TYPE, field_head, wire_fields
 from sceneloom.formats.messages.file_bytes import Entries, FileBytes
+from sceneloom.formats.messages.foxglove import LINE_LOOP, MATCHING_ID, POINT_TYPES, READERS
 from sceneloom.formats.messages.mcap_files import McapIndex, McapWriter, read_index
 from sceneloom.formats.messages.reader import scene_from_topics
 from sceneloom.formats.messages.records import (
     AnyRecord,
-    Box2D,
-    Box3D,
     Boxes2DRecord,
     Boxes3DRecord,
     CameraModelRecord,
@@ -45,17 +43,13 @@ from sceneloom.formats.messages.records import (
     FixRecord,
     ImageRecord,
     Kind,
-    PackedField,
     PoseRecord,
     SampleRecord,
     Topic,
     TransformRecord,
-    rotation_of,
-    vector_of,
 )
 from sceneloom.formats.messages.writer import SceneStreams, check_images
 from sceneloom.formats.rig_files.reader import Rig
-from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.scene import Scene, with_assumed_models
 from sceneloom.version import __version__
 
@@ -83,17 +77,10 @@ _SAMPLE_JSON = MappingProxyType({
 })  # fmt: skip
 """Source: MCAP format registry, schema encoding "jsonschema"."""
 
-_LABEL_KEYS = ("label", "class", "class_name", "category", "type")
-"""Metadata of plots that name the class of an object, the likeliest first."""
-
-_ID_KEYS = ("id", "track_id", "instance_id", "object_id")  # metadata of plots that name an object, the likeliest first
-_DTYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
-_TYPES = {name: number for number, name in _DTYPES.items()}
+_TYPES = {name: number for number, name in POINT_TYPES.items()}
 _DATA = "data"
-_MATCHING_ID, _DIAGONAL = 0, 2
-_LINE_LOOP, _LINE_STRIP, _LINE_LIST = 2, 3, 4
+_DIAGONAL = 2
 _VIDEOS = frozenset({"h264", "h265", "vp9", "av1"})
-_OTHER_PLOTS = ("arrows", "spheres", "cylinders", "lines", "triangles", "models")
 _FACES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 0.35}
 _EDGES = {"r": 0.1, "g": 0.6, "b": 1.0, "a": 1.0}
 _SECOND_NS = 1_000_000_000
@@ -331,7 +318,11 @@ def serialised(message: Message) -> bytes:
 def _foxglove_type(schema: str) -> type[Any]:
     """Give the class of a Foxglove schema by its full name."""
     name = schema.removeprefix("foxglove.")
-    found: type[Any] = getattr(import_module(f"{foxglove_schemas_protobuf.__name__}.{name}_pb2"), name)
+    try:
+        found: type[Any] = getattr(import_module(f"{foxglove_schemas_protobuf.__name__}.{name}_pb2"), name)
+    except ImportError as missing:
+        problem = f"{missing}; install the extra, with a newer foxglove-schemas-protobuf: {how_to_install('mcap')}"
+        raise MissingExtraError(problem) from missing
     return found
 
 
@@ -432,69 +423,35 @@ def _xyzw(values: Any) -> dict[str, float]:
     return dict(zip("xyzw", map(float, values), strict=True))
 
 
-def _same(value: Any) -> Any:
-    return value
-
-
 class _Field(NamedTuple):
-    """A field of a message and of its record, and how its values are read and written."""
+    """A field of a message and of its record, and how its values are written."""
 
     message: str
     record: str
-    read: Callable[[Any], Any] = _same
-    write: Callable[[Any], Any] = _same
+    write: Callable[[Any], Any] = lambda value: value
 
 
-_HEAD = (_Field("timestamp", "timestamp_ns", _time_ns, _time), _Field("frame_id", "frame_id"))
+_HEAD = (_Field("timestamp", "timestamp_ns", _time), _Field("frame_id", "frame_id"))
 _SIZE = (_Field("width", "width"), _Field("height", "height"))
 
 _FIELDS: Mapping[type[Any], tuple[_Field, ...]] = {
     TransformRecord: (
         _HEAD[0], _Field("parent_frame_id", "parent"), _Field("child_frame_id", "child"),
-        _Field("translation", "position", vector_of, _xyz), _Field("rotation", "quaternion_xyzw", rotation_of, _xyzw),
+        _Field("translation", "position", _xyz), _Field("rotation", "quaternion_xyzw", _xyzw),
     ),
     ImageRecord: (*_HEAD, *_SIZE, _Field("encoding", "encoding"), _Field("step", "step")),
-    CompressedImageRecord: (
-        *_HEAD, _Field("format", "form", lambda form: form.lower().removeprefix("image/").replace("jpg", "jpeg")),
-    ),
+    CompressedImageRecord: (*_HEAD, _Field("format", "form")),
     CameraModelRecord: (
-        *_HEAD, *_SIZE, _Field("distortion_model", "model"), _Field("D", "coefficients", tuple),
-        _Field("K", "k", tuple), _Field("P", "p", tuple),
+        *_HEAD, *_SIZE, _Field("distortion_model", "model"), _Field("D", "coefficients"), _Field("K", "k"),
+        _Field("P", "p"),
     ),
 }  # fmt: skip
 """Records whose messages have the same fields, but for large ones."""
 
 
-def _read_fields(record_type: type[Any], message: Any, data: memoryview) -> Iterable[Any]:
-    large = {} if record_type in {TransformRecord, CameraModelRecord} else {_DATA: data}
-    for part in getattr(message, "transforms", [message]):
-        values = {field.record: field.read(getattr(part, field.message)) for field in _FIELDS[record_type]}
-        yield record_type(**values, **large)
-
-
 def _write_fields(record: Any, schema: str, **further: Any) -> tuple[str, _Parts]:
     fields = {field.message: field.write(getattr(record, field.record)) for field in _FIELDS[type(record)]}
     return _message(schema, getattr(record, _DATA, None), **fields, **further)
-
-
-def _read_cloud(message: Any, data: memoryview) -> Iterable[CloudRecord]:
-    fields = tuple(
-        PackedField(field.name, field.offset, np.dtype(_DTYPES[field.type]).newbyteorder("<"))
-        for field in message.fields
-        if field.type in _DTYPES
-    )
-    timestamp_ns, frame_id, stride = _time_ns(message.timestamp), message.frame_id, message.point_stride
-    placed = _rigid(message.pose) if message.HasField("pose") else None
-    yield CloudRecord(timestamp_ns, frame_id, fields, stride, data, frame_from_points=placed)
-
-
-def _rigid(pose: Any) -> RigidTransform:
-    quaternion = rotation_of(pose.orientation)
-    with np.errstate(over="ignore", invalid="ignore"):
-        length = np.linalg.norm(quaternion)
-    if not 0 < length < math.inf:
-        return RigidTransform(np.eye(3), vector_of(pose.position))
-    return RigidTransform.from_quaternion(vector_of(pose.position), quaternion)
 
 
 def _write_cloud(record: CloudRecord) -> tuple[str, _Parts]:
@@ -511,34 +468,11 @@ def _write_cloud(record: CloudRecord) -> tuple[str, _Parts]:
     )
 
 
-def _read_poses(message: Any, _: memoryview) -> Iterable[PoseRecord]:
-    for pose in getattr(message, "poses", None) or [message.pose]:
-        yield PoseRecord(
-            _time_ns(message.timestamp),
-            message.frame_id,
-            vector_of(pose.position),
-            rotation_of(pose.orientation) if pose.HasField("orientation") else None,
-            getattr(message, "body_frame_id", ""),
-        )
-
-
 def _write_pose(record: PoseRecord) -> tuple[str, _Parts]:
     pose: dict[str, Any] = {"position": _xyz(record.position)}
     if record.quaternion_xyzw is not None:
         pose["orientation"] = _xyzw(record.quaternion_xyzw)
     return _message("foxglove.PoseInFrame", timestamp=_time(record.timestamp_ns), frame_id=record.frame_id, pose=pose)
-
-
-def _read_fixes(message: Any, _: memoryview) -> Iterable[FixRecord]:
-    for fix in getattr(message, "fixes", [message]):
-        covariance = tuple(fix.position_covariance)
-        known = fix.position_covariance_type != 0 and len(covariance) == 9
-        yield FixRecord(
-            _time_ns(fix.timestamp),
-            fix.frame_id,
-            (fix.latitude, fix.longitude, fix.altitude),
-            (covariance[0], covariance[4], covariance[8]) if known else None,
-        )
 
 
 def _write_fix(record: FixRecord) -> tuple[str, _Parts]:
@@ -564,39 +498,9 @@ def _write_sample(record: SampleRecord) -> tuple[str, _Parts]:
     return _SAMPLE_SCHEMA, [msgspec.json.encode(content)]
 
 
-def _reported(pairs: Iterable[Any], *all_keys: Sequence[str]) -> tuple[dict[str, str], list[str | None]]:
-    """Metadata of a plot, without what the first of each group of keys says, which stands beside it."""
-    reported = {pair.key: pair.value for pair in pairs}
-    names = [next((key for key in keys if key in reported), None) for keys in all_keys]
-    return reported, [None if name is None else reported.pop(name) for name in names]
-
-
 def _metadata(reported: Mapping[str, str], **named: str | None) -> list[dict[str, str]]:
     known = {key: value for key, value in named.items() if value is not None}
     return [{"key": key, "value": value} for key, value in {**known, **reported}.items()]
-
-
-def _read_boxes_3d(message: Any, _: memoryview) -> Iterable[Boxes3DRecord]:
-    boxes: list[Box3D] = []
-    others = 0
-    for entity in message.entities:
-        others += sum(len(getattr(entity, name)) for name in _OTHER_PLOTS) + (not entity.cubes)
-        for k, cube in enumerate(entity.cubes):
-            reported, (label,) = _reported(entity.metadata, _LABEL_KEYS)
-            boxes.append(
-                Box3D(
-                    entity.id if len(entity.cubes) == 1 else f"{entity.id}/{k}",
-                    entity.frame_id,
-                    vector_of(cube.pose.position),
-                    rotation_of(cube.pose.orientation),
-                    vector_of(cube.size),
-                    label if label is not None else next((text.text for text in entity.texts if text.text), None),
-                    MappingProxyType(reported),
-                )
-            )
-    gone = tuple(deletion.id for deletion in message.deletions if deletion.type == _MATCHING_ID)
-    for timed in [*message.entities, *message.deletions][:1]:
-        yield Boxes3DRecord(_time_ns(timed.timestamp), tuple(boxes), gone, others)
 
 
 def _write_boxes_3d(record: Boxes3DRecord) -> tuple[str, _Parts]:
@@ -614,26 +518,8 @@ def _write_boxes_3d(record: Boxes3DRecord) -> tuple[str, _Parts]:
                 "cubes": [{"pose": pose, "size": _xyz(box.size_lwh), "color": _FACES}],
             }
         )
-    gone = [{"timestamp": time, "type": _MATCHING_ID, "id": identifier} for identifier in record.gone]
+    gone = [{"timestamp": time, "type": MATCHING_ID, "id": identifier} for identifier in record.gone]
     return _message("foxglove.SceneUpdate", deletions=gone, entities=entities)
-
-
-def _read_boxes_2d(message: Any, _: memoryview) -> Iterable[Boxes2DRecord]:
-    by_time: dict[int, list[Box2D]] = {}
-    others = len(message.circles)
-    for drawing in message.points:
-        points = np.array([(point.x, point.y) for point in drawing.points]).reshape(-1, 2)
-        box = _upright(points) if drawing.type in {_LINE_LOOP, _LINE_STRIP, _LINE_LIST} else None
-        if box is None:
-            others += 1
-            continue
-        reported, (identifier, label) = _reported(drawing.metadata, _ID_KEYS, _LABEL_KEYS)
-        found = Box2D(identifier or "", box, label, MappingProxyType(reported))
-        by_time.setdefault(_time_ns(drawing.timestamp), []).append(found)
-    if not by_time and others:
-        by_time[_time_ns(message.timestamp)] = []
-    for number, (timestamp_ns, boxes) in enumerate(by_time.items()):
-        yield Boxes2DRecord(timestamp_ns, "", tuple(boxes), 0 if number else others)
 
 
 def _write_boxes_2d(record: Boxes2DRecord) -> tuple[str, _Parts]:
@@ -644,7 +530,7 @@ def _write_boxes_2d(record: Boxes2DRecord) -> tuple[str, _Parts]:
         points.append(
             {
                 "timestamp": time,
-                "type": _LINE_LOOP,
+                "type": LINE_LOOP,
                 "points": [{"x": x, "y": y} for x, y in corners],
                 "outline_color": _EDGES,
                 "thickness": 2.0,
@@ -654,37 +540,7 @@ def _write_boxes_2d(record: Boxes2DRecord) -> tuple[str, _Parts]:
     return _message("foxglove.ImageAnnotations", points=points)
 
 
-def _upright(points: Float64Array) -> tuple[float, float, float, float] | None:
-    """Left, top, width and height of a drawing whose points are the corners of an upright box; None of others."""
-    if len(points) < 4 or not np.isfinite(points).all():
-        return None
-    (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    if {(x, y) for x, y in points.tolist()} != {(x, y) for x in (left, right) for y in (top, bottom)}:
-        return None
-    return left, top, right - left, bottom - top
-
-
-_Reader = Callable[[Any, memoryview], Iterable[AnyRecord]]
-
-_READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
-    {
-        "foxglove.FrameTransform": (Kind.TRANSFORM, partial(_read_fields, TransformRecord)),
-        "foxglove.FrameTransforms": (Kind.TRANSFORM, partial(_read_fields, TransformRecord)),
-        "foxglove.PointCloud": (Kind.CLOUD, _read_cloud),
-        "foxglove.RawImage": (Kind.IMAGE, partial(_read_fields, ImageRecord)),
-        "foxglove.CompressedImage": (Kind.COMPRESSED_IMAGE, partial(_read_fields, CompressedImageRecord)),
-        "foxglove.CompressedVideo": (Kind.VIDEO, partial(_read_fields, CompressedImageRecord)),
-        "foxglove.CameraCalibration": (Kind.CAMERA_MODEL, partial(_read_fields, CameraModelRecord)),
-        "foxglove.PoseInFrame": (Kind.POSE, _read_poses),
-        "foxglove.PosesInFrame": (Kind.POSE, _read_poses),
-        "foxglove.Odometry": (Kind.POSE, _read_poses),
-        "foxglove.LocationFix": (Kind.FIX, _read_fixes),
-        "foxglove.LocationFixes": (Kind.FIX, _read_fixes),
-        "foxglove.SceneUpdate": (Kind.BOXES_3D, _read_boxes_3d),
-        "foxglove.ImageAnnotations": (Kind.BOXES_2D, _read_boxes_2d),
-    }
-)
-"""The schemas that are read, by name: what they state, and what reads them."""
+_READERS = {f"foxglove.{name}": reader for name, reader in READERS.items()}
 
 _WRITERS: Mapping[type[Any], Callable[[Any], tuple[str, _Parts]]] = MappingProxyType(
     {

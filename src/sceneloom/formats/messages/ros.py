@@ -19,7 +19,7 @@ from rosbags.rosbag1.reader import Header, ReaderError, RecordType, read_uint32
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import check_regular, file_faults, most_unpacked
@@ -28,9 +28,13 @@ from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.yaml_files import read_yaml
 from sceneloom.formats.messages.file_bytes import Chunk, ChunkedMessages, FileBytes, decompress
+from sceneloom.formats.messages.foxglove import READERS
 from sceneloom.formats.messages.mcap_files import McapIndex, read_index
+from sceneloom.formats.messages.packets import PacketReading
+from sceneloom.formats.messages.points import scan_record
 from sceneloom.formats.messages.reader import scene_from_topics
 from sceneloom.formats.messages.records import (
+    VELOCITIES,
     AnyRecord,
     Box2D,
     Box3D,
@@ -44,7 +48,9 @@ from sceneloom.formats.messages.records import (
     ImageRecord,
     Kind,
     NotesRecord,
+    PackedCloudRecord,
     PackedField,
+    PacketsRecord,
     PoseRecord,
     SampleRecord,
     Topic,
@@ -54,6 +60,7 @@ from sceneloom.formats.messages.records import (
 )
 from sceneloom.formats.messages.spec import METADATA, ROOT_KEY
 from sceneloom.formats.messages.writer import FIXED_FRAMES_TOPIC, SceneStreams, check_images
+from sceneloom.formats.packets.spec import CaptureReading
 from sceneloom.formats.rig_files.reader import Rig
 from sceneloom.scene.scene import Scene, with_assumed_models
 from sceneloom.warnings import WarningKind
@@ -61,9 +68,15 @@ from sceneloom.warnings import WarningKind
 _NOTES_TOPIC = "/sceneloom/scene"  # the topic of what no message has a field for
 
 _TIMESTAMPS = {"cdr": (4, "iI"), "ros1": (4, "II")}
-"""Byte and form of the time in a header: behind the byte order in CDR, behind a counter of messages in ROS 1."""
+"""Byte and form of the time in a header: behind the byte order in CDR, behind a counter of messages in ROS 1.
+
+Messages of Foxglove's schemas begin with the time itself, without a header.
+"""
+
+_FOXGLOVE = "foxglove_msgs/msg/"
 
 _FIXED = "tf_static"
+_DESCRIPTION = "metadata"  # end of topics with what sensors say of themselves
 
 _FAULTS = (
     *(SerdeError, AssertionError, ValueError, IndexError, KeyError),
@@ -83,14 +96,29 @@ def _open_bag(
     world: str | None = None,
     distro: str | None = None,
     rig: Rig | None = None,
+    metadata: str | None = None,
+    angles: str | None = None,
+    model: str | None = None,
 ) -> Scene:
-    """Open a bag: its index and all small messages are read, images and points when they are asked for."""
+    """Open a bag: its index and all small messages are read, images and points when they are asked for.
+
+    Of packets of lidars `metadata`, `angles` and `model` tell what they do not, as of captures.
+    """
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         log = open_log(path, ledger, distro)
         _note_not_read(log, ledger)
+        packets = CaptureReading(lenient=lenient, metadata=metadata, angles=angles, model=model)
         scene = scene_from_topics(
-            log, ledger, form=form, metadata={}, timestamps=timestamps, ego=ego, world=world, rig=rig
+            log,
+            ledger,
+            form=form,
+            metadata={},
+            timestamps=timestamps,
+            ego=ego,
+            world=world,
+            rig=rig,
+            packets=PacketReading(path, packets),
         )
     return with_assumed_models(scene) if assume_model else scene
 
@@ -563,11 +591,16 @@ class _RosLog:
         return np.concatenate([np.zeros(0, np.int64), *parts])
 
     def timestamps(self, topic: Topic) -> tuple[Int64Array, bool]:
-        """The time that each message says itself; all of them are looked at."""
+        """The time that each message says itself, or when it was recorded; all of them are looked at."""
+        if topic.schema in _WITHOUT_HEADER:
+            return self.receive_times(topic), True
         found: list[int] = []
         for file, number, _ in self.parts[topic.number]:
-            location, form = _TIMESTAMPS[self.bags[file].connections[number].encoding]
-            cdr = self.bags[file].connections[number].encoding == "cdr"
+            connection = self.bags[file].connections[number]
+            location, form = _TIMESTAMPS[connection.encoding]
+            cdr = connection.encoding == "cdr"
+            if not cdr and connection.type.startswith(_FOXGLOVE):
+                location = 0
             for k, head in enumerate(self.bags[file].heads(number, location + 8)):
                 if len(head) < location + 8:
                     raise DataError(self.name, f"{topic.name}[{k}]", f"{len(head)} bytes; expected a message")
@@ -582,10 +615,9 @@ class _RosLog:
         connection = self.bags[file].connections[number]
         content = self.bags[file].data(number, k - first)
         try:
-            store, kind = _store_of(connection, self.distro), connection.type
-            parse = store.deserialize_cdr if connection.encoding == "cdr" else store.deserialize_ros1
-            message = parse(content, kind)
-            records = list(_READERS[connection.type][1](message))
+            if connection.type in _LIVOX:
+                return [_livox_cloud(_store_of(connection, self.distro), connection, content)]
+            records = list(_READERS[connection.type][1](_parsed(connection, content, self.distro)))
         except _FAULTS as error:
             raise DataError(self.name, f"{topic.name}[{k}]", f"no {connection.type}: {error}") from error
         if topic.name.endswith(_FIXED):
@@ -596,6 +628,21 @@ class _RosLog:
         """Release the files."""
         for bag in self.bags:
             bag.close()
+
+
+def _parsed(connection: _Connection, content: memoryview, distro: str | None) -> Any:
+    """A message; of types whose definition changed, without one in the bag, the first that its bytes fit."""
+    stores = [_store_of(connection, distro)]
+    if not connection.definition and connection.type in _EARLIER:
+        stores += _earlier_stores(connection.type)
+    for number, store in enumerate(stores, 1):
+        parse = store.deserialize_cdr if connection.encoding == "cdr" else store.deserialize_ros1
+        try:
+            return parse(content, connection.type)
+        except _FAULTS:
+            if number == len(stores):
+                raise
+    return None
 
 
 def _log_of(name: str, bags: Sequence[_Bag], distro: str | None) -> _RosLog:
@@ -625,13 +672,18 @@ def _topic(number: int, connection: _Connection, count: int, distro: str | None)
         why = f"in the encoding {connection.encoding!r}; expected {' or '.join(_TIMESTAMPS)}"
         return Topic(number, *named, None, count, why)
     known = _READERS.get(connection.type)
-    if known is None or (known[0] is Kind.NOTES and connection.topic != _NOTES_TOPIC):
+    if known is None:
         return Topic(number, *named, None, count)
+    kind = known[0]
+    if kind is Kind.NOTES and connection.topic != _NOTES_TOPIC:
+        if not connection.topic.endswith(_DESCRIPTION):
+            return Topic(number, *named, None, count)
+        kind = Kind.DESCRIPTION
     try:
         _store_of(connection, distro)
     except ValueError as error:
         return Topic(number, *named, None, count, f"{error}; name the ROS distribution with distro=")
-    return Topic(number, *named, known[0], count)
+    return Topic(number, *named, kind, count)
 
 
 def _note_not_read(log: _RosLog, ledger: Ledger) -> None:
@@ -791,6 +843,39 @@ def _ros_part(identifier: str | int) -> str:
     return f"_{part}" if part[0].isdigit() else part
 
 
+_LIVOX_PACKAGES = ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces")
+
+
+def _livox_types(package: str) -> dict[str, str]:
+    point = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n"
+    head = "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n"
+    whole = f"{head}{package}/CustomPoint[] points\n"
+    return {f"{package}/msg/CustomPoint": point, f"{package}/msg/CustomMsg": whole}
+
+
+_SIZED = "builtin_interfaces/Time stamp\nuint8[1500] data\nuint32 size\n"
+
+
+def _packets_of(packet: str) -> str:
+    return f"std_msgs/Header header\n{packet}[] packets\n"
+
+
+_STAMPED = "builtin_interfaces/Time timestamp\nstring frame_id\n"
+_FOXGLOVE_DEFINITIONS: Mapping[str, str] = MappingProxyType(
+    {
+        "CompressedVideo": "uint8[] data\nstring format\n",
+        "CompressedImage": "uint8[] data\nstring format\n",
+        "CompressedPointCloud": "geometry_msgs/Pose pose\nuint8[] data\nstring format\n",
+        "LaserScan": (
+            "geometry_msgs/Pose pose\nfloat64 start_angle\nfloat64 end_angle\nfloat64[] ranges\nfloat64[] intensities\n"
+        ),
+        "PoseInFrame": "geometry_msgs/Pose pose\n",
+        "PosesInFrame": "geometry_msgs/Pose[] poses\n",
+        "RawImage": "uint32 width\nuint32 height\nstring encoding\nuint32 step\nuint8[] data\n",
+    }
+)
+"""Of Foxglove's schemas those that are small, behind time and frame."""
+
 DEFINITIONS: Mapping[str, str] = MappingProxyType(
     {
         "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
@@ -812,15 +897,55 @@ DEFINITIONS: Mapping[str, str] = MappingProxyType(
             "vision_msgs/BoundingBox3D bbox\nstring id\n"
         ),
         "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
-        "foxglove_msgs/msg/CompressedVideo": (
-            "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+        "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": (
+            "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
+            "bool is_bigendian\nuint8[] data\n"
         ),
+        "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
+        "velodyne_msgs/msg/VelodyneScan": _packets_of("velodyne_msgs/VelodynePacket"),
+        "pandar_msgs/msg/PandarPacket": _SIZED,
+        "pandar_msgs/msg/PandarScan": _packets_of("pandar_msgs/PandarPacket"),
+        "hesai_ros_driver/msg/UdpPacket": "uint8[] data\nuint32 size\n",
+        "hesai_ros_driver/msg/UdpFrame": _packets_of("hesai_ros_driver/UdpPacket"),
+        "robosense_msgs/msg/RobosensePacket": _SIZED,
+        "robosense_msgs/msg/RobosenseScan": _packets_of("robosense_msgs/RobosensePacket"),
+        "robosense_msgs/msg/RobosenseInfoPacket": "string lidar_model\nrobosense_msgs/RobosensePacket packet\n",
+        "rslidar_msg/msg/RslidarPacket": (
+            "std_msgs/Header header\nuint8 is_difop\nuint8 is_frame_begin\nuint8[] data\n"
+        ),
+        "ouster_msgs/msg/PacketMsg": "uint8[] buf\n",
+        "ouster_sensor_msgs/msg/PacketMsg": "uint8[] buf\n",
+        "ouster_ros/msg/PacketMsg": "uint8[] buf\n",
+        "nebula_msgs/msg/NebulaPacket": "builtin_interfaces/Time stamp\nuint8[] data\n",
+        "nebula_msgs/msg/NebulaPackets": _packets_of("nebula_msgs/NebulaPacket"),
+        **{name: text for package in _LIVOX_PACKAGES for name, text in _livox_types(package).items()},
+        "point_cloud_interfaces/msg/CompressedPointCloud2": (
+            "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\n"
+            "bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] compressed_data\nbool is_dense\n"
+            "string format\n"
+        ),
+        **{f"{_FOXGLOVE}{name}": _STAMPED + text for name, text in _FOXGLOVE_DEFINITIONS.items()},
     }
 )
 """Definitions of types that rosbags does not have, by name; those that others use come before them.
 
-Source: packages vision_msgs (4.0), tf2_msgs and foxglove_msgs of ROS 2.
+Source: packages vision_msgs (4.0), tf2_msgs, foxglove_msgs, ffmpeg_image_transport_msgs and point_cloud_interfaces, and
+those of the drivers of lidars and radars: velodyne_msgs, pandar_msgs, robosense_msgs and nebula_msgs, hesai_ros_driver,
+rslidar_msg, ouster_ros, livox_ros_driver.
 """
+
+_EARLIER: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "robosense_msgs/msg/RobosenseScan": (
+            "robosense_msgs/msg/RobosensePacket",
+            (
+                "builtin_interfaces/Time stamp\nuint8 is_difop\nuint8[1500] data\nuint32 size\n",
+                "builtin_interfaces/Time stamp\nuint8[1248] data\nuint32 size\n",
+            ),
+        )
+    }
+)
+"""Earlier definitions of a type that messages have, by their own. Source: history of robosense_msgs in nebula."""
 
 _USUAL_DISTRO = {"ros1": "noetic", "cdr": "humble"}
 """The distribution whose types are taken where nothing is stated, by the encoding of messages."""
@@ -847,6 +972,19 @@ def _store_of(connection: _Connection, distro: str | None) -> Any:
     if connection.type not in store.fielddefs:
         raise ValueError(f"the bag does not define {connection.type}, and neither does ROS {distro or 'by itself'}")
     return store
+
+
+@cache
+def _earlier_stores(name: str) -> list[Any]:
+    """The types that messages of a type may have been written with before."""
+    part, texts = _EARLIER[name]
+    found = []
+    for text in texts:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        for one in (part, name):
+            store.register(get_types_from_msg(text if one == part else DEFINITIONS[one], one))
+        found.append(store)
+    return found
 
 
 @cache
@@ -916,6 +1054,99 @@ def _cloud(message: Any) -> Sequence[CloudRecord]:
     return [CloudRecord(*_head(message), fields, stride, data, width * height, row_bytes=rows)]
 
 
+_LIVOX = frozenset(f"{name}/msg/CustomMsg" for name in _LIVOX_PACKAGES)
+_LIVOX_HEAD = ("header", "timebase", "point_num", "lidar_id", "rsvd", "points")
+_LIVOX_NUMBERS = {"uint32": "u4", "float32": "f4", "uint8": "u1", "float64": "f8", "uint64": "u8", "uint16": "u2"}
+
+
+def _livox_cloud(store: Any, connection: _Connection, content: memoryview) -> CloudRecord:
+    """The points of a message of Livox's drivers as they lie in its bytes: one by one they would take 50 times as long.
+
+    Source: livox_ros_driver/CustomMsg and CustomPoint; OMG CDR (alignment of numbers by their size).
+    """
+    fields = store.fielddefs[connection.type][1]
+    if tuple(name for name, _ in fields) != _LIVOX_HEAD:
+        raise ValueError(f"fields {', '.join(name for name, _ in fields)}; expected {', '.join(_LIVOX_HEAD)}")
+    cdr = connection.encoding == "cdr"
+    order = ">" if cdr and not content[1] & 1 else "<"
+    content = content[4:] if cdr else content
+    at = 0 if cdr else 4  # headers of ROS 1 begin with a number
+    seconds, nanoseconds, length = struct.unpack_from(f"{order}III", content, at)
+    at += 12 + length
+    frame_id = bytes(content[at - length : at]).rstrip(b"\0").decode()
+    at += -at % 8 if cdr else 0
+    base_ns, _, _, count = struct.unpack_from(f"{order}QIB3xI", content, at)
+    at += 20
+    members: list[PackedField] = []
+    offset = 0
+    for name, (_, kind) in store.fielddefs[fields[-1][1][1][0][1]][1]:
+        dtype = np.dtype(order + _LIVOX_NUMBERS[kind[0]])
+        offset += -offset % dtype.itemsize if cdr else 0
+        members.append(PackedField(name, offset, dtype))
+        offset += dtype.itemsize
+    stride = offset + (-offset % max(one.dtype.itemsize for one in members) if cdr else 0)
+    data = content[at:]
+    if len(data) < count * stride - (stride - offset):
+        raise ValueError(f"{len(data)} bytes for {count} points of {stride}; expected all of them")
+    if count and len(data) < count * stride:  # there is no padding behind the last one
+        data = memoryview(bytes(data) + bytes(stride - offset))
+    timestamp_ns = seconds * 1_000_000_000 + nanoseconds
+    return CloudRecord(timestamp_ns, _frame(frame_id), tuple(members), stride, data, count, base_ns=base_ns)
+
+
+def _packets(message: Any) -> Sequence[PacketsRecord]:
+    """The packets of a message: in an array, or one that is the message itself or its field."""
+    parts = getattr(message, "packets", None)
+    head = _head(message) if hasattr(message, "header") else (0, "")
+    if parts is None:
+        parts = [getattr(message, "packet", message)]
+    if not parts:
+        return [PacketsRecord(*head, ())]
+    # all of one type: looking at each for its fields would take longer than reading them
+    name, sized, stamped = "data" if hasattr(parts[0], "data") else "buf", hasattr(parts[0], "size"), None
+    found = [memoryview(getattr(part, name)).cast("B") for part in parts]
+    if sized:
+        sizes = [int(part.size) for part in parts]
+        for size, data in zip(sizes, found, strict=True):
+            if size > len(data):
+                raise ValueError(f"a packet of {size} bytes, of which {len(data)} are there")
+        found = [data[:size] for size, data in zip(sizes, found, strict=True)]
+    if hasattr(parts[0], "stamp"):
+        stamped = np.array([part.stamp.sec * 1_000_000_000 + part.stamp.nanosec for part in parts], np.int64)
+    return [PacketsRecord(*head, tuple(found), stamped)]
+
+
+def _packed_cloud(message: Any) -> Sequence[PackedCloudRecord]:
+    """Compressed points, whose layout is that of the points before; `format` was a truth value in old definitions."""
+    data, message.data = message.compressed_data, message.compressed_data[:0]
+    (layout,) = _cloud(message)
+    return [PackedCloudRecord(*_head(message), str(message.format).lower(), _bytes(data), layout)]
+
+
+def _scan(message: Any) -> Sequence[CloudRecord]:
+    """A line of ranges, or of several ranges for each beam."""
+    ranges, intensities, beams, echoes = message.ranges, message.intensities, None, None
+    if not isinstance(ranges, np.ndarray):
+        counts = [len(one.echoes) for one in ranges]
+        beams = np.repeat(np.arange(len(counts)), counts)
+        echoes = np.concatenate([np.arange(0), *(np.arange(count) for count in counts)])
+        none = np.zeros(0)
+        ranges = np.concatenate([none, *(one.echoes for one in ranges)])
+        intensities = np.concatenate([none, *(one.echoes for one in intensities)])
+    return [
+        scan_record(
+            *_head(message),
+            np.asarray(ranges, np.float64),
+            np.asarray(intensities, np.float64),
+            angles=(float(message.angle_min), float(message.angle_increment)),
+            limits=(float(message.range_min), float(message.range_max)),
+            step_s=float(message.time_increment),
+            beams=beams,
+            echoes=echoes,
+        )
+    ]
+
+
 def _image(message: Any) -> Sequence[ImageRecord]:
     size = int(message.width), int(message.height), int(message.step)
     return [
@@ -927,9 +1158,20 @@ def _compressed_image(message: Any) -> Sequence[CompressedImageRecord]:
     return [CompressedImageRecord(*_head(message), message.format.lower(), _bytes(message.data))]
 
 
+_FFMPEG_CODECS = (("264", "h264"), ("265", "h265"), ("hevc", "h265"), ("vp9", "vp9"), ("av1", "av1"))
+"""Parts of names of FFmpeg's codecs and encoders, and what the codec is called here."""
+
+
 def _video(message: Any) -> Sequence[CompressedImageRecord]:
-    head = _timestamp_ns(message.timestamp), _frame(message.frame_id)
-    return [CompressedImageRecord(*head, message.format.lower(), _bytes(message.data))]
+    """A packet of FFmpeg, whose encoding begins with the name of a codec, or of an encoder in old messages."""
+    named = str(message.encoding).partition(";")[0].strip().lower()
+    codec = next((codec for part, codec in _FFMPEG_CODECS if part in named), named)
+    return [CompressedImageRecord(*_head(message), codec, _bytes(message.data))]
+
+
+def _foxglove(read: Callable[[Any, memoryview], Iterable[AnyRecord]], message: Any) -> Iterable[AnyRecord]:
+    """A message of Foxglove's schemas in ROS."""
+    return read(message, _bytes(message.data) if hasattr(message, "data") else memoryview(b""))
 
 
 def _camera_model(message: Any) -> Sequence[CameraModelRecord]:
@@ -964,23 +1206,54 @@ def _fix(message: Any) -> Sequence[FixRecord]:
 def _imu(message: Any) -> Sequence[SampleRecord]:
     """Measurements; a first element -1 of their covariances says that there are none."""
     values: dict[str, tuple[float, ...]] = {}
-    if message.linear_acceleration_covariance[0] != -1:
-        values["accelerometer"] = tuple(vector_of(message.linear_acceleration).tolist())
-    if message.angular_velocity_covariance[0] != -1:
-        values["gyroscope"] = tuple(vector_of(message.angular_velocity).tolist())
+    covariances: dict[str, tuple[float, ...]] = {}
+    for stream, name in (("accelerometer", "linear_acceleration"), ("gyroscope", "angular_velocity")):
+        spread = np.asarray(getattr(message, f"{name}_covariance"), np.float64)
+        if spread[0] != -1:
+            values[stream] = tuple(vector_of(getattr(message, name)).tolist())
+            covariances |= _spread(stream, spread)
     rotation = rotation_of(message.orientation)
     if message.orientation_covariance[0] != -1 and not lengths_of(rotation[None])[1][0]:
         values["orientation"] = tuple(rotation.tolist())
-    return [SampleRecord(*_head(message), values)]
+        covariances |= _spread("orientation", np.asarray(message.orientation_covariance, np.float64))
+    return [SampleRecord(*_head(message), values, covariances)]
+
+
+def _spread(stream: str, covariance: Float64Array) -> dict[str, tuple[float, ...]]:
+    """A covariance that is stated; zeros say that it is not known."""
+    return {stream: tuple(covariance.reshape(-1).tolist())} if covariance.any() else {}
 
 
 def _magnetic(message: Any) -> Sequence[SampleRecord]:
     field = vector_of(message.magnetic_field) / _MICROTESLA
-    return [SampleRecord(*_head(message), {"magnetometer": tuple(field.tolist())})]
+    spread = np.asarray(message.magnetic_field_covariance, np.float64) / _MICROTESLA**2
+    known = _spread("magnetometer", spread) if spread[0] >= 0 else {}
+    return [SampleRecord(*_head(message), {"magnetometer": tuple(field.tolist())}, known)]
 
 
 def _temperature(message: Any) -> Sequence[SampleRecord]:
-    return [SampleRecord(*_head(message), {"imuTemperature": (float(message.temperature) + _ZERO_CELSIUS,)})]
+    spread = _spread("imuTemperature", np.array([message.variance], np.float64))
+    return [SampleRecord(*_head(message), {"imuTemperature": (float(message.temperature) + _ZERO_CELSIUS,)}, spread)]
+
+
+def _twist(message: Any) -> Sequence[SampleRecord]:
+    return [_velocities(*_head(message), message.twist)]
+
+
+def _velocities(time_ns: int, frame_id: str, twist: Any) -> SampleRecord:
+    """A motion, with its covariance or without."""
+    covariances: dict[str, tuple[float, ...]] = {}
+    if hasattr(twist, "twist"):
+        spread = np.asarray(twist.covariance, np.float64).reshape(6, 6)
+        covariances = _spread(VELOCITIES[0], spread[:3, :3]) | _spread(VELOCITIES[1], spread[3:, 3:])
+        twist = twist.twist
+    vectors = vector_of(twist.linear), vector_of(twist.angular)
+    values = {stream: tuple(vector.tolist()) for stream, vector in zip(VELOCITIES, vectors, strict=True)}
+    return SampleRecord(time_ns, frame_id, values, covariances)
+
+
+def _odometry(message: Any) -> Sequence[PoseRecord | SampleRecord]:
+    return [*_pose(message), _velocities(_head(message)[0], _frame(message.child_frame_id), message.twist)]
 
 
 def _label(detection: Any) -> tuple[str | None, dict[str, str]]:
@@ -1033,6 +1306,21 @@ def _boxes_2d(message: Any) -> Sequence[Boxes2DRecord]:
 
 _Reader = Callable[[Any], Iterable[AnyRecord]]
 
+_WITHOUT_HEADER = frozenset(
+    {
+        *("ouster_ros/msg/PacketMsg", "ouster_msgs/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg"),
+        "robosense_msgs/msg/RobosenseInfoPacket",
+    }
+)
+"""Types of packets that do not say when they were sent."""
+
+_PACKETS = _WITHOUT_HEADER | {
+    *("velodyne_msgs/msg/VelodyneScan", "pandar_msgs/msg/PandarScan", "hesai_lidar/msg/PandarScan"),
+    *("hesai_ros_driver/msg/UdpFrame", "robosense_msgs/msg/RobosenseScan", "rslidar_msg/msg/RslidarPacket"),
+    *("rslidar_msg/msg/RslidarScan", "rslidar_msgs/msg/rslidarScan", "nebula_msgs/msg/NebulaPackets"),
+}
+"""Types of packets. Source: as of `DEFINITIONS`."""
+
 _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
     {
         "tf2_msgs/msg/TFMessage": (Kind.TRANSFORM, _transforms),
@@ -1041,9 +1329,15 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "sensor_msgs/msg/PointCloud2": (Kind.CLOUD, _cloud),
         "sensor_msgs/msg/Image": (Kind.IMAGE, _image),
         "sensor_msgs/msg/CompressedImage": (Kind.COMPRESSED_IMAGE, _compressed_image),
-        "foxglove_msgs/msg/CompressedVideo": (Kind.VIDEO, _video),
+        "sensor_msgs/msg/LaserScan": (Kind.CLOUD, _scan),
+        "sensor_msgs/msg/MultiEchoLaserScan": (Kind.CLOUD, _scan),
+        "point_cloud_interfaces/msg/CompressedPointCloud2": (Kind.CLOUD, _packed_cloud),
+        "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": (Kind.VIDEO, _video),
+        **{f"{_FOXGLOVE}{name}": (kind, partial(_foxglove, read)) for name, (kind, read) in READERS.items()},
         "sensor_msgs/msg/CameraInfo": (Kind.CAMERA_MODEL, _camera_model),
-        "nav_msgs/msg/Odometry": (Kind.POSE, _pose),
+        "nav_msgs/msg/Odometry": (Kind.POSE, _odometry),
+        "geometry_msgs/msg/TwistStamped": (Kind.SAMPLE, _twist),
+        "geometry_msgs/msg/TwistWithCovarianceStamped": (Kind.SAMPLE, _twist),
         "geometry_msgs/msg/PoseStamped": (Kind.POSE, _pose),
         "geometry_msgs/msg/PoseWithCovarianceStamped": (Kind.POSE, _pose),
         "geometry_msgs/msg/PointStamped": (Kind.POSE, _point),
@@ -1053,6 +1347,8 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "sensor_msgs/msg/Temperature": (Kind.SAMPLE, _temperature),
         "vision_msgs/msg/Detection3DArray": (Kind.BOXES_3D, _boxes_3d),
         "vision_msgs/msg/Detection2DArray": (Kind.BOXES_2D, _boxes_2d),
+        **dict.fromkeys(_LIVOX, (Kind.CLOUD, _cloud)),
+        **dict.fromkeys(_PACKETS, (Kind.PACKETS, _packets)),
         "std_msgs/msg/String": (Kind.NOTES, lambda message: [NotesRecord(0, message.data)]),
     }
 )
@@ -1060,10 +1356,6 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
 
 _NOT_READ: Mapping[str, str] = MappingProxyType(
     {
-        "nav_msgs/msg/Odometry": "velocities",
-        "sensor_msgs/msg/Imu": "covariances",
-        "sensor_msgs/msg/MagneticField": "covariances",
-        "sensor_msgs/msg/Temperature": "variances",
         "vision_msgs/msg/Detection3DArray": "hypotheses but the likeliest, and their poses,",
         "vision_msgs/msg/Detection2DArray": "hypotheses but the likeliest, and their poses,",
     }

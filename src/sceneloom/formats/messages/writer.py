@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Int64Array, UInt8Array
-from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.camera import Camera, to_ros
 from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import Losses
 from sceneloom.formats.messages.cameras import MILLIMETRE, OUR_PREFIX, UNKNOWN_MODEL
@@ -830,12 +830,6 @@ def camera_model_record(camera: Camera, timestamp_ns: int, frame_id: str, fishey
 
 
 def _written_model(camera: Camera, fisheye: str) -> tuple[str, tuple[float, ...]]:
-    numbers = camera.coefficients
-    padded = (*numbers, *(0.0,) * 16)
-    if camera.model in {"pinhole", UNKNOWN_MODEL}:
+    if camera.model == UNKNOWN_MODEL:
         return "plumb_bob", (0.0,) * 5
-    if camera.model == "fisheye":
-        return fisheye, padded[:4]
-    if camera.model == "brown_conrady" and not any(padded[8:]):
-        return ("rational_polynomial", padded[:8]) if len(numbers) > 5 else ("plumb_bob", padded[:5])
-    return f"{OUR_PREFIX}{camera.model}", numbers
+    return to_ros(camera, fisheye) or (f"{OUR_PREFIX}{camera.model}", camera.coefficients)

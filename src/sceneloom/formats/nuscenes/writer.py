@@ -15,9 +15,8 @@ import numpy as np
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt32Array, finite_rows
 from sceneloom.cameras.camera import Camera
-from sceneloom.editing.cameras import undistort_scene
 from sceneloom.errors import DataError, OptionError
-from sceneloom.formats.base.images import ImageFile, encode_png
+from sceneloom.formats.base.images import with_pinholes, write_image
 from sceneloom.formats.base.losses import Loss, Losses, LossReport, Support, field_losses
 from sceneloom.formats.base.output import FolderKind, file_stem, file_stems, replacing
 from sceneloom.formats.base.poses import each_mounted, ego_in_world, mounting
@@ -38,7 +37,6 @@ from sceneloom.scene.scene import Scene
 from sceneloom.scene.types import Key, PointsFrame, key_of
 
 _IMAGES = ("copy", "png")  # how images are written
-_JPEG_QUALITY = 95  # of images that come from a video or from memory
 
 _KIND = FolderKind(
     "data set of nuScenes",
@@ -248,7 +246,7 @@ class _WritingPlan:
         asked = _channels_asked_for(scene, channel)
         losses = Losses(loss for loss in field_losses(scene, SUPPORTS) if loss.support is Support.DROPPED)
         losses.extend(_all_unknown_fields(scene))
-        scene = _with_pinholes(scene, losses)
+        scene = with_pinholes(scene, losses)
         ego_path = ego_trajectory(scene) if trajectory is None else None
         if ego_path is None:
             ego, reported = ego_in_world(scene, name=trajectory)
@@ -309,17 +307,6 @@ def _all_unknown_fields(scene: Scene) -> Iterator[Loss]:
         elif isinstance(annotation, LabeledPointsAnnotation):
             yield from _unknown_fields(f"{kind}.extras", annotation.extras, frozenset({"index"}))
     yield from _unknown_fields("metadata", scene.metadata, _OF_SCENES)
-
-
-def _with_pinholes(scene: Scene, losses: Losses) -> Scene:
-    """Resample the images of other camera models, since all of nuScenes' images are undistorted."""
-    distorted = [camera for camera in scene.cameras if camera.camera.model != "pinhole" and len(camera.images)]
-    for camera in distorted:
-        model = camera.camera.model
-        what = f"{camera.id!r}: a {model} camera model replaced by a pinhole, and its images resampled for it"
-        for name in ("camera", "images.rgb", "images.encoded"):
-            losses.approximated(f"sensors.camera.{name}", what)
-    return undistort_scene(scene, cameras=[camera.id for camera in distorted]) if distorted else scene
 
 
 def _rows(about: Mapping[str, Any], path: Path) -> tuple[Any, Any]:
@@ -569,7 +556,8 @@ class _Writer:
     def _write_frame(self, channel: _Channel, frame: Any, stem: Path, ego: RigidTransform) -> _Frame:
         self.losses.extend(_unknown_fields(f"{channel.field}.extras", frame.extras, _OF_FRAMES))
         if isinstance(frame, CameraImage):
-            return _Frame(self._write_image(stem, frame), frame.mount or channel.mount, frame.camera)
+            path = write_image(stem, frame, self.losses, png=self.images == "png")
+            return _Frame(path, frame.mount or channel.mount, frame.camera)
         points_frame = channel.sensor.points_frame  # type: ignore[union-attr]
         positions = frame.points.positions
         if points_frame is not PointsFrame.SENSOR:
@@ -641,26 +629,6 @@ class _Writer:
             self.losses.approximated(field, what, count=int((upright > 0).sum()), error=error)
         if "vx_comp" not in points.extras:
             rows["vx_comp"], rows["vy_comp"] = rows["vx"], rows["vy"]
-
-    def _write_image(self, stem: Path, image: CameraImage) -> Path:
-        """Write an image: a JPEG or PNG file as it is, else encoded anew; returns its path, with its suffix."""
-        source = image.decode
-        is_png = isinstance(source, ImageFile) and source.path.suffix.lower() == ".png"
-        if is_png or self.images == "png":
-            path = stem.with_name(f"{stem.name}.png")
-            path.write_bytes(source.encoded() if isinstance(source, ImageFile) and is_png else encode_png(image.rgb))
-            return path
-        path = stem.with_name(f"{stem.name}.jpg")
-        if image.encoded is not None:
-            path.write_bytes(image.encoded())
-            return path
-        from simplejpeg import encode_jpeg
-
-        rgb = np.ascontiguousarray(image.rgb)
-        path.write_bytes(encode_jpeg(rgb, _JPEG_QUALITY, "RGB", colorsubsampling="444"))
-        what = f"encoded as JPEG of quality {_JPEG_QUALITY}"
-        self.losses.approximated("sensors.camera.images.rgb", what)
-        return path
 
     # boxes
 

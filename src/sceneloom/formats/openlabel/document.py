@@ -44,6 +44,13 @@ UID = re.compile(r"-?[0-9]+|[0-9a-fA-F]{8}-(?:[0-9a-fA-F]{4}-){3}[0-9a-fA-F]{12}
 KEPT = ("metadata", "ontologies", "resources", "tags")
 """Members of the root that are kept as they are."""
 
+DOCUMENT, RATE = "document", "rate_hz"
+"""Entries of our metadata `openlabel`: the file as it was read, as text, if it states more than the scene, and the rate
+that its frames without timestamps were read at."""
+
+OF_OTHERS = "of_others"
+"""Member of `OURS` in metadata: whether other members of the file are as others wrote them."""
+
 KEPT_WHOLE = ("mat", "image", "binary", "mesh", "line_reference", "area_reference")
 """Types of data that are kept as they are, as attributes."""
 
@@ -58,13 +65,14 @@ TYPE = "openlabel_type"
 KIND = "openlabel"
 """Extra field of an annotation: what the file calls it and states about it besides."""
 
-OPENCV_ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
-"""Source: `cv::projectPoints`."""
-
-OPENCV_COUNTS = (0, 4, 5, 8, 12, 14)
 OURS_CAMERA = ("model", "width", "height", "fx", "fy", "cx", "cy")
 FISHEYE = {"center_x": "cx", "center_y": "cy", "focal_length_x": "fx", "focal_length_y": "fy"}
 """Fields of a fisheye's intrinsics, and ours."""
+
+LENS_COEFFICIENTS = (
+    "lens_coeffs_1xN", "lens_coeffs_1x4", "lens_coeffs", "camera_model_coeffs_1xN", "camera_model_coeffs_1x4",
+)  # fmt: skip
+"""Names of a fisheye's coefficients: of VCD now and before, of the schema, and ours before."""
 
 
 def _is_number(value: Any) -> bool:

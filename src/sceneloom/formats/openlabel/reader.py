@@ -1,7 +1,8 @@
 """Read an OpenLABEL file: objects, actions, events, contexts and relations as annotations."""
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -10,7 +11,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import MODELS, OPENCV_LENGTHS, Camera, from_opencv
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
@@ -20,16 +21,18 @@ from sceneloom.formats.base.text_tables import FARTHEST_NS, UNITS_NS, TimestampE
 from sceneloom.formats.openlabel.document import (
     ABSOLUTE,
     CONFIRMED,
+    DOCUMENT,
     FISHEYE,
     INTERPOLATED,
     KEPT,
     KEPT_WHOLE,
     KIND,
-    OPENCV_COUNTS,
-    OPENCV_ORDER,
+    LENS_COEFFICIENTS,
+    OF_OTHERS,
     OURS,
     OURS_CAMERA,
     PLAIN,
+    RATE,
     RBBOX,
     RELATIVE,
     SCHEMA_VERSION,
@@ -37,14 +40,7 @@ from sceneloom.formats.openlabel.document import (
     SeenBoxes,
     restored,
 )
-from sceneloom.geometry.rigid import (
-    RigidTransform,
-    matrix_from_quaternion,
-    multiply_quaternions,
-    normalise_quaternion,
-    quaternion_from_matrix,
-    rotate_vectors,
-)
+from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,
@@ -210,6 +206,9 @@ def _read_frame_times(document: _Part, ledger: Ledger, rate_hz: float | None) ->
             missing.append(int(key))
         else:
             known[int(key)] = _timestamp_ns(timestamp)
+    if repeated := len(known) - len({*known.values()}):
+        message = "frames have the time of another one; both are read, at that time"
+        document.below("frames").note(ledger, WarningKind.ASSUMED, "frame-times-repeated", message, count=repeated)
     if missing:
         rate = rate_hz or _DEFAULT_RATE_HZ
         times = _FrameTimes(dict(known))
@@ -246,10 +245,10 @@ def _read_transform(part: _Part) -> RigidTransform:
     translation = np.array(part.need("translation").numbers(3))
     quaternion, angles, sequence = part.get("quaternion"), part.get("euler_angles"), part.get("sequence")
     if quaternion is not None:
-        rotation = _unit_quaternions([quaternion], [quaternion.numbers(4)])[0]
+        rotation = _unit_quaternions([quaternion], np.array([quaternion.numbers(4)]))[0]
     elif angles is not None:
         order = _DEFAULT_SEQUENCE if sequence is None else sequence.text()
-        rotation = _quaternion_from_euler(part, angles.numbers(3), order)
+        rotation = _quaternions_from_euler(part, np.array([angles.numbers(3)]), order)[0]
     else:
         raise part.fault("matrix4x4, or quaternion or euler_angles with a translation")
     return RigidTransform.from_quaternion(translation, rotation)
@@ -268,25 +267,30 @@ def _of_matrix(part: _Part) -> RigidTransform:
     return nearest
 
 
-def _unit_quaternions(parts: Sequence[_Part], values: list[list[float]]) -> Float64Array:
+def _unit_quaternions(parts: Sequence[_Part], quaternions: Float64Array) -> Float64Array:
     """Quaternions x y z w, (N, 4), of length 1 within a hundredth; one part each, for messages."""
-    quaternions = np.array(values, np.float64)
     wrong = np.flatnonzero(lengths_of(quaternions)[1])
     if len(wrong):
         raise parts[int(wrong[0])].fault("a quaternion x y z w of length 1")
     return normalise_quaternion(quaternions)
 
 
-def _quaternion_from_euler(part: _Part, angles: list[float], sequence: str = _DEFAULT_SEQUENCE) -> Float64Array:
-    """The product of three rotations about named axes, x y z w: of "ZYX" and (a, b, c) it is Rz(a) Ry(b) Rx(c)."""
+def _quaternions_from_euler(part: _Part, angles: Float64Array, sequence: str = _DEFAULT_SEQUENCE) -> Float64Array:
+    """Products of three rotations about named axes, x y z w: of "ZYX" and a row (a, b, c) it is Rz(a) Ry(b) Rx(c).
+
+    Args:
+        part: for messages.
+        angles: (N, 3) [rad].
+        sequence: the three axes.
+    """
     if len(sequence) != 3 or not set(sequence.upper()) <= set("XYZ"):
         raise DataError(part.file, f"{part.location}.sequence", f"{sequence!r}; expected three of X, Y, Z")
-    rotation = np.eye(3)
-    for axis, angle in zip(sequence.upper(), angles, strict=True):
-        half = np.zeros(4)
-        half["XYZ".index(axis)], half[3] = np.sin(angle / 2), np.cos(angle / 2)
-        rotation = rotation @ matrix_from_quaternion(half)
-    return quaternion_from_matrix(rotation)
+    found = np.tile([0.0, 0.0, 0.0, 1.0], (len(angles), 1))
+    for axis, column in zip(sequence.upper(), angles.T, strict=True):
+        one = np.zeros((len(angles), 4))
+        one[:, "XYZ".index(axis)], one[:, 3] = np.sin(column / 2), np.cos(column / 2)
+        found = multiply_quaternions(found, one)
+    return normalise_quaternion(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -403,8 +407,9 @@ def _sensor(name: str, stream: _Part, systems: _Systems, ledger: Ledger) -> Sens
     frames = LazyFrames[Any].of([], [])
     stated = ours.get("type")
     if kind == "camera":
-        camera = _read_camera(properties)
+        camera, offset = _read_camera(properties)
         if camera is not None:
+            placed = _moved(placed, offset, stream, ledger) if offset.any() else placed
             return CameraSensor(sensor_id, camera, frames, extras=further, **placed)
         message = "its camera model is missing or unknown; the stream is kept as it is"
         stream.note(ledger, WarningKind.SKIPPED, "camera-model-not-read", message)
@@ -419,7 +424,8 @@ def _sensor(name: str, stream: _Part, systems: _Systems, ledger: Ledger) -> Sens
             case "gnss" | "gps_imu":
                 no_times, none, mount = np.zeros(0, np.int64), np.zeros(0), placed.get("mount")
                 return GnssSensor(sensor_id, no_times, np.zeros((0, 3)), none, none, mount=mount, extras=further)
-    return PlainSensor(sensor_id, f"openlabel_{kind}", MappingProxyType(dict(stream.members())))
+    fields = {key: value for key, value in stream.members().items() if key != "type"}
+    return PlainSensor(sensor_id, f"openlabel_{kind}", MappingProxyType(fields))
 
 
 def _placed(name: str, systems: _Systems) -> dict[str, Any]:
@@ -437,8 +443,29 @@ def _placed(name: str, systems: _Systems) -> dict[str, Any]:
     return found
 
 
-def _read_camera(properties: _Part) -> Camera | None:
-    """The camera model of a stream: ours, else that of the format; None where it is missing or unknown."""
+def _moved(placed: dict[str, Any], offset: Float64Array, stream: _Part, ledger: Ledger) -> dict[str, Any]:
+    """Place a camera whose centre is not the origin of its coordinate system: at `offset` there [m], (3,)."""
+    if not placed:
+        message = "the fourth column of its camera matrix is left out: its coordinate system is not described"
+        stream.note(ledger, WarningKind.SKIPPED, "camera-offset", message)
+        return placed
+    shift, found = RigidTransform(np.eye(3), offset), dict(placed)
+    if (poses := placed.get("poses")) is not None:
+        positions = rotate_vectors(poses.quaternions_xyzw, np.tile(offset, (len(poses.positions), 1)))
+        found["poses"] = replace(poses, positions=poses.positions + positions)
+    if (mount := placed.get("mount")) is not None:
+        found["mount"] = mount @ shift
+    return found
+
+
+_CENTRED = np.zeros(3)
+
+
+def _read_camera(properties: _Part) -> tuple[Camera | None, Float64Array]:
+    """The camera model of a stream, ours, else that of the format, or None where it is missing or unknown.
+
+    Besides, where its centre is in the coordinate system of its stream, (3,) [m].
+    """
     ours = properties.get(OURS)
     camera = None if ours is None else ours.get("camera_model")
     if camera is not None:
@@ -447,40 +474,62 @@ def _read_camera(properties: _Part) -> Camera | None:
             raise camera.need("model").fault(f"one of {', '.join(MODELS)}")
         size = [_pixels(camera, name) for name in ("width", "height")]
         numbers = [camera.need(name).number() for name in OURS_CAMERA[3:]]
-        return _built(camera, model, *size, *numbers, tuple(camera.need("coefficients").numbers()))
+        return _built(camera, model, *size, *numbers, tuple(camera.need("coefficients").numbers())), _CENTRED
     pinhole, fisheye = properties.get("intrinsics_pinhole"), properties.get("intrinsics_fisheye")
     if pinhole is not None:
         return _pinhole(pinhole)
-    return None if fisheye is None else _fisheye(fisheye)
+    return None if fisheye is None else _fisheye(fisheye), _CENTRED
 
 
-def _pinhole(part: _Part) -> Camera:
-    matrix = part.get("camera_matrix_3x4") or part.get("camera_matrix")
-    if matrix is None:
-        raise DataError(part.file, f"{part.location}.camera_matrix_3x4", "missing")
-    (fx, skew, cx, *_), (_, fy, cy, *_), _ = np.reshape(matrix.numbers(12, 9), (3, -1)).tolist()
-    if abs(skew) > 1e-9 * abs(fx):
-        raise matrix.fault("a camera matrix without skew")
-    listed = part.get("distortion_coeffs_1xN") or part.get("distortion_coeffs")
-    coefficients = [] if listed is None else listed.numbers(*OPENCV_COUNTS)
+def _first(part: _Part, *names: str) -> _Part | None:
+    """The first of some members that is there: programs and the schema call one thing by several names."""
+    return next((found for name in names if (found := part.get(name)) is not None), None)
+
+
+def _pinhole(part: _Part) -> tuple[Camera | None, Float64Array]:
+    matrix = _first(part, "camera_matrix_3x4", "camera_matrix")
+    if matrix is None or part.get("width_px") is None or part.get("height_px") is None:
+        return None, _CENTRED
+    stated = np.reshape(matrix.numbers(12, 9), (3, -1))
+    (fx, skew, cx), (other, fy, cy), last = stated[:, :3].tolist()
+    if abs(skew) > 1e-9 * abs(fx) or other or last != [0.0, 0.0, 1.0] or fx <= 0 or fy <= 0:
+        return None, _CENTRED
+    listed = _first(part, "distortion_coeffs_1xN", "distortion_coeffs")
+    coefficients = [] if listed is None else listed.numbers()
+    if len(coefficients) > OPENCV_LENGTHS[-1]:
+        raise listed.fault(f"at most {OPENCV_LENGTHS[-1]} numbers")  # type: ignore[union-attr]
+    offset = -np.linalg.solve(stated[:, :3], stated[:, 3]) if stated.shape[1] == 4 else _CENTRED
     values = (_pixels(part, "width_px"), _pixels(part, "height_px"), fx, fy, cx, cy)
     if not any(coefficients):
-        return _built(part, "pinhole", *values)
-    named = dict(zip(OPENCV_ORDER, coefficients, strict=False))
-    ordered = np.array([named.get(name, 0.0) for name in MODELS["brown_conrady"].coefficient_names])
+        return _built(part, "pinhole", *values), offset
+    # the schema allows counts that OpenCV does not know
+    length = next(length for length in OPENCV_LENGTHS if length >= len(coefficients))
+    ordered = (*from_opencv([*coefficients, *[0.0] * (length - len(coefficients))]), 0.0)
     count = max([5, *(np.flatnonzero(ordered) + 1).tolist()])
-    return _built(part, "brown_conrady", *values, tuple(ordered[:count].tolist()))
+    return _built(part, "brown_conrady", *values, ordered[:count]), offset
+
+
+_KANNALA = "kannala"
+"""VCD's model of fisheyes that scales the angle, too: the first of its five coefficients is a factor of the others."""
 
 
 def _fisheye(part: _Part) -> Camera | None:
     numbers = {field: found for name, field in FISHEYE.items() if (found := part.get(name)) is not None}
-    listed = part.get("camera_model_coeffs_1xN") or part.get("camera_model_coeffs_1x4")
+    listed = _first(part, *LENS_COEFFICIENTS)
     model = part.get("model")
-    if listed is None or len(numbers) < len(FISHEYE) or (model is not None and model.text() != "opencv_fisheye"):
+    kind = "opencv_fisheye" if model is None else model.text()
+    sized = part.get("width_px") is not None and part.get("height_px") is not None
+    if listed is None or len(numbers) < len(FISHEYE) or kind not in {"opencv_fisheye", _KANNALA} or not sized:
         return None
     size = [_pixels(part, "width_px"), _pixels(part, "height_px")]
-    values = [numbers[name].number() for name in OURS_CAMERA[3:]]
-    return _built(part, "fisheye", *size, *values, tuple(listed.numbers(4)))
+    fx, fy, cx, cy = (numbers[name].number() for name in OURS_CAMERA[3:])
+    if kind == "opencv_fisheye":
+        return _built(part, "fisheye", *size, fx, fy, cx, cy, tuple(listed.numbers(4)))
+    scale, *coefficients = listed.numbers(5)
+    if not scale:
+        raise listed.fault("a first number other than 0")
+    relative = tuple(one / scale for one in coefficients)
+    return _built(part, "fisheye", *size, fx * scale, fy * scale, cx, cy, relative)
 
 
 def _pixels(part: _Part, name: str) -> int:
@@ -502,6 +551,7 @@ _ELEMENTS = {"objects": "object", "actions": "action", "events": "event", "conte
 
 _HEAD = {"type", "frame_intervals", *(f"{kind}_data{end}" for kind in _ELEMENTS.values() for end in ("", "_pointers"))}
 _OF_ROWS = {"name", "val", "coordinate_system", "attributes", "closed", "mode"}
+_LEFT_OUT = {"elements", "relations", "frame-numbers"}  # faults that a lenient reading passed over
 _ANGLES = CuboidAngles()
 
 
@@ -525,6 +575,7 @@ class _Element:
     id: str  # `uid`, with its kind where something else of the file has the same key
     head: _Part  # its entry in the root
     data: _Data = field(default_factory=dict)
+    systems: dict[tuple[str, str], Any] = field(default_factory=dict)  # of shapes, by their type and name
     frames: list[int] = field(default_factory=list)  # numbers of the frames that name it
 
     @property
@@ -543,7 +594,10 @@ class _Element:
         return found
 
     def take(self, data: _Part, time_ns: int | None) -> None:
-        """Add the data of a frame, or of the head; of data of equal names the second is called `name#2`."""
+        """Add the data of a frame, or of the head; of data of equal names the second is called `name#2`.
+
+        Shapes of one name that change their coordinate system are several: `name`, `name@system`.
+        """
         for kind, values in data.members().items():
             if kind not in (*_SHAPES, *PLAIN, *KEPT_WHOLE):
                 known = ", ".join((*_SHAPES, *PLAIN, *KEPT_WHOLE))
@@ -553,6 +607,9 @@ class _Element:
             for part in data.items(kind):
                 name = part.members().get("name")
                 name = name if isinstance(name, str) else kind
+                if kind in _SHAPES:
+                    system = part.members().get("coordinate_system")
+                    name += "" if self.systems.setdefault((kind, name), system) == system else f"@{system}"
                 seen[name] = seen.get(name, 0) + 1
                 unique = name if seen[name] == 1 else f"{name}#{seen[name]}"
                 self.data.setdefault((kind, unique), []).append(_Stated(time_ns, part))
@@ -576,14 +633,31 @@ def read_openlabel(path: Path, *, lenient: bool = False, rate_hz: float | str | 
         raise DataError(path, "", "has no object `openlabel`; expected a file of ASAM OpenLABEL")
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
-        return _Reader(_Part(path, "openlabel", value["openlabel"]), ledger, rate).scene()
+        return DocumentReader(path, value["openlabel"], ledger, rate).scene()
 
 
-class _Reader:
-    """A document with what its elements refer to: frames, coordinate systems, sensors, and our own fields."""
+class DocumentReader:
+    """A document with what its elements refer to: frames, coordinate systems, sensors, and our own fields.
 
-    def __init__(self, document: _Part, ledger: Ledger, rate_hz: float | None) -> None:
-        self.document, self.ledger = document, ledger
+    Attributes:
+        numbers: of its frames, by their times [ns]; of frames of one time the lowest.
+        sensors: by the names of their streams.
+    """
+
+    def __init__(self, path: Path, openlabel: Mapping[str, Any], ledger: Ledger, rate_hz: float | None) -> None:
+        """Read what elements refer to.
+
+        Args:
+            path: of the file, for messages.
+            openlabel: the member `openlabel` of the file.
+            ledger: where warnings and faults go.
+            rate_hz: frames per second where frames have no timestamps; None for the default.
+
+        Raises:
+            DataError: a frame, coordinate system or stream is not as the standard states.
+        """
+        self.document, self.ledger, self.rate_hz = _Part(path, "openlabel", openlabel), ledger, rate_hz
+        document = self.document
         metadata = document.below("metadata")
         version = metadata.get("schema_version")
         if version is None or version.value != SCHEMA_VERSION:
@@ -594,27 +668,37 @@ class _Reader:
         self.times: _FrameTimes = _read_frame_times(document, ledger, rate_hz)
         self.systems: _Systems = _read_systems(document, self.times, ledger)
         self.sensors: dict[str, Sensor] = _read_streams(document, self.systems, ledger)
+        self.numbers = {time_ns: number for number, time_ns in sorted(self.times.by_number.items(), reverse=True)}
 
     def scene(self) -> Scene:
-        elements = self._elements()
-        annotations: list[Annotation] = []
-        for element in elements:
-            try:
-                annotations += self._of_object(element) if element.kind == "object" else [self._of_event(element)]
-            except DataError as error:
-                self.ledger.fault("elements", error)
-        annotations += self._links(elements, {annotation.id for annotation in annotations})
+        """The document as a scene."""
+        stated = self.by_element()
         return Scene(
             tuple(self.sensors.values()),
-            annotations=tuple(annotations),
-            trajectories=MappingProxyType(self._trajectories()),
+            annotations=tuple(annotation for annotations in stated.values() for annotation in annotations),
+            trajectories=MappingProxyType(self.trajectories()),
             metadata=MappingProxyType(self._metadata()),
             source=str(self.document.file),
             format="openlabel",
             warnings=self.ledger.warnings,
         )
 
-    def _trajectories(self) -> dict[str, Trajectory]:
+    def by_element(self) -> dict[tuple[str, str], list[Annotation]]:
+        """The annotations by the kind and key of the element that states them; relations come last."""
+        found: dict[tuple[str, str], list[Annotation]] = {}
+        elements = self._elements()
+        for element in elements:
+            try:
+                made = self._of_object(element) if element.kind == "object" else [self._of_event(element)]
+            except DataError as error:
+                self.ledger.fault("elements", error)
+            else:
+                found[element.kind, element.uid] = made
+        known = {annotation.id for annotations in found.values() for annotation in annotations}
+        return found | {("relation", uid): links for uid, links in self._links(elements, known).items()}
+
+    def trajectories(self) -> dict[str, Trajectory]:
+        """The trajectory of the ego, if it moves, by its name."""
         ego = self.systems.ego
         path = None if ego is None else self.systems.path_to(ego, self.systems.chain(ego)[-1])
         if ego is None or path is None:
@@ -624,11 +708,16 @@ class _Reader:
         return {name: Trajectory(name, path.timestamps_ns, path.positions, path.quaternions_xyzw)}
 
     def _metadata(self) -> dict[str, Any]:
-        """The members that the model has no field for, and how the angles of boxes are meant."""
-        kept = {name: value for name in KEPT if (value := self.document.members().get(name))}
+        """The members that the model has no field for, the document of others, and how angles of boxes are meant."""
+        members = self.document.members()
+        kept = {name: value for name in KEPT if (value := members.get(name))}
         if isinstance(kept.get("metadata"), dict):
             own = {name: value for name, value in kept.pop("metadata").items() if name not in {OURS, "schema_version"}}
             kept |= {"metadata": own} if own else {}
+        is_whole = not {warning.code for warning in self.ledger.warnings} & _LEFT_OUT
+        if is_whole and (not self.ours.members() or self.ours.members().get(OF_OTHERS) is True):
+            kept[DOCUMENT] = msgspec.json.encode(members).decode()
+            kept |= {} if self.rate_hz is None else {RATE: self.rate_hz}
         metadata: dict[str, Any] = {OURS: {"euler_unit": str(_ANGLES.unit), "euler_order": _ANGLES.order}}
         stated = self.ours.members().get("metadata")
         if isinstance(stated, dict):
@@ -676,12 +765,12 @@ class _Reader:
         if len(shapes) == 1 and members.get("is_whole") is not True:
             ((key, rows),) = shapes.items()
             fields = {"id": element.id, "label": label, "attributes": plain, "extras": extras}
-            whole = _restored(own, self._shape(key, rows, members, fields), drawn)
+            whole = _restored(own, self._shape(key, rows, element.head, members, fields), drawn)
             return [whole, *(one for one in parts if one is not None)]
         whole = _restored(own, ObjectAnnotation(element.id, label, attributes=plain, extras=extras))
         fields = {"label": label, "attributes": (), "extras": NO_FIELDS, "parent_id": whole.id}
         made = [
-            self._shape(key, rows, members, {"id": f"{element.id}:{key[0]}:{key[1]}", **fields})
+            self._shape(key, rows, element.head, members, {"id": f"{element.id}:{key[0]}:{key[1]}", **fields})
             for key, rows in shapes.items()
         ]
         return [whole, *(one for one in parts if one is not None), *made]
@@ -710,7 +799,7 @@ class _Reader:
         if "class" in members or not shapes:
             return _restored(own, ObjectAnnotation(**fields))
         key, rows = next(iter(shapes.items()))
-        return _restored(own, self._shape(key, rows, members, fields), drawn)
+        return _restored(own, self._shape(key, rows, element.head, members, fields), drawn)
 
     def _is_read(self, key: tuple[str, str], rows: list[_Stated]) -> bool:
         """Whether a shape is of a form that we know; cuboids without a value state that there is none."""
@@ -718,17 +807,18 @@ class _Reader:
         if not rows:
             return False
         mode = rows[0].part.members().get("mode", ABSOLUTE)
-        if key[0] != "poly2d" or mode in {ABSOLUTE, RELATIVE}:
+        if key[0] != "poly2d" or mode in _MODES:
             return True
-        message = f"polygons of the mode {mode} are chain codes, which are not read"
+        message = f"polygons of the unknown mode {mode!r} are not read"
         rows[0].part.note(self.ledger, WarningKind.SKIPPED, "poly2d-mode", message, count=len(rows))
         return False
 
     def _shape(
-        self, key: tuple[str, str], rows: list[_Stated], members: Mapping[str, Any], fields: dict[str, Any]
+        self, key: tuple[str, str], rows: list[_Stated], head: _Part, members: Mapping[str, Any], fields: dict[str, Any]
     ) -> Annotation:
         """Make an annotation of the rows of one type and name of data, and of `fields` found for all of them."""
-        # `members` are our own fields of the annotation; they state whether we interpolated some of the rows.
+        # `head` is the entry of the object, whose coordinate system holds for all that states none; `members` are our
+        # own fields of the annotation, which state whether we interpolated some of the rows.
         kind, name = key
         further = {key: value for key, value in rows[0].part.members().items() if key not in _OF_ROWS}
         further |= {"name": name} if name != kind else {}
@@ -743,15 +833,18 @@ class _Reader:
         fields = {**fields, "attributes": attributes, "extras": MappingProxyType(extras)}
         if any(row.time_ns is None for row in rows):
             # what holds for the whole object is stationary
+            timed = sum(row.time_ns is not None for row in rows)
+            if timed:
+                message = "it holds for the whole object, too: what is stated for frames is left out"
+                rows[0].part.note(self.ledger, WarningKind.SKIPPED, "always-and-in-frames", message, count=timed)
             rows = [row for row in rows if row.time_ns is None][:1]
             fields["stationary"] = True
         rows = sorted(rows, key=lambda row: row.time_ns or 0)
         first = rows[0].part
         times = [self.times.first_ns if row.time_ns is None else row.time_ns for row in rows]
         stated = first.get("coordinate_system")
+        stated = stated or head.get("coordinate_system")
         system = None if stated is None else stated.text()
-        if any(row.part.members().get("coordinate_system") != system for row in rows):
-            raise first.fault("the same coordinate_system in all frames")
         if kind in _IN_IMAGES:
             fields["sensor_id"] = self._camera(system, first)
         elif system is not None and system not in self.systems.names:
@@ -790,21 +883,27 @@ class _Reader:
         )
         return _restored(self._own(element.kind, element.uid), event)
 
-    def _links(self, elements: list[_Element], known: set[Identifier]) -> Iterator[Annotation]:
-        """A link for each pair of subject and object of a relation."""
+    def _links(self, elements: list[_Element], known: set[Identifier]) -> dict[str, list[Annotation]]:
+        """A link for each pair of subject and object of a relation, by the relation's key."""
         ids: dict[tuple[str, str], Identifier] = {}
         for element in elements:
             own = self._own(element.kind, element.uid)
             stated = element.id if own is None else own.members().get("id", element.id)
             if isinstance(stated, str | int) and stated in known:
                 ids[element.kind, element.uid] = stated
+        found: dict[str, list[Annotation]] = {}
         taken = {uid for _, uid in ids}
         for uid, relation in self.document.each("relations"):
             try:
-                for link in _pairs(uid if uid not in taken else f"relation:{uid}", relation, ids):
-                    yield _restored(self._own("relation", uid), link)
+                links = _pairs(uid if uid not in taken else f"relation:{uid}", relation, ids)
+                found[uid] = [_restored(self._own("relation", uid), link) for link in links]
             except DataError as error:
                 self.ledger.fault("relations", error)
+            else:
+                if not links:
+                    message = "it has no subject or no object, and is no link"
+                    relation.note(self.ledger, WarningKind.SKIPPED, "relation-without-ends", message)
+        return found
 
 
 def _pairs(relation_id: str, relation: _Part, ids: Mapping[tuple[str, str], Identifier]) -> list[LinkAnnotation]:
@@ -815,8 +914,6 @@ def _pairs(relation_id: str, relation: _Part, ids: Mapping[tuple[str, str], Iden
             if (kind, uid) not in ids:
                 raise part.fault(f"the uid of one of the file's {kind}s")
         ends.append([ids[kind, uid] for _, kind, uid in keys])
-    if not all(ends):
-        raise relation.fault("at least one each of rdf_subjects and rdf_objects")
     label, taken = relation.need("type").text() or None, {"type", "rdf_subjects", "rdf_objects"}
     further = {key: value for key, value in relation.members().items() if key not in taken and value != relation_id}
     extras = MappingProxyType({KIND: further} if further else {})
@@ -935,16 +1032,19 @@ class _Rows:
         """Bring (V, 3) locations of each row into the root of their coordinate system."""
         if self.system is None or len(self.systems.chain(self.system)) == 1:
             return points
-        moved = zip(points, *self.systems.root_from(self.system, self.timestamps_ns), strict=True)
-        return [rotate_vectors(quaternion, one) + position for one, position, quaternion in moved]
+        counts = [len(one) for one in points]
+        poses = self.systems.root_from(self.system, self.timestamps_ns)
+        positions, quaternions = (np.repeat(one, counts, axis=0) for one in poses)
+        moved = rotate_vectors(quaternions, np.concatenate(points)) + positions
+        return np.split(moved, np.cumsum(counts)[:-1])
 
 
 def _cuboid(rows: _Rows, fields: dict[str, Any]) -> Annotation:
     values, parts = rows.numbers(9, 10), [part.need("val") for part in rows.parts]
-    rotations = [
-        row[3:7] if len(row) == 10 else _quaternion_from_euler(part, row[5:2:-1]).tolist()
-        for part, row in zip(parts, values, strict=True)
-    ]
+    by_angles = np.array([len(row) == 9 for row in values])
+    angles = np.array([row[5:2:-1] for row in values if len(row) == 9]).reshape(-1, 3)
+    rotations = np.array([row[3:7] if len(row) == 10 else [0.0, 0.0, 0.0, 1.0] for row in values])
+    rotations[by_angles] = _quaternions_from_euler(rows.parts[0], angles)
     quaternions = _unit_quaternions(parts, rotations)
     if rows.system is not None and len(rows.systems.chain(rows.system)) > 1:
         quaternions = multiply_quaternions(rows.systems.root_from(rows.system, rows.timestamps_ns)[1], quaternions)
@@ -971,17 +1071,84 @@ def _rbbox(rows: _Rows, fields: dict[str, Any]) -> Annotation:
 
 def _polygon(dimensions: int, closed: ShapeType, opened: ShapeType) -> "_Make":
     def make(rows: _Rows, fields: dict[str, Any]) -> Annotation:
-        vertices = rows.vertices(dimensions)
-        for k, part in enumerate(rows.parts if dimensions == 2 else ()):
-            mode = part.get("mode")
-            if mode is not None and mode.value not in {ABSOLUTE, RELATIVE}:
-                raise mode.fault(f"{ABSOLUTE} or {RELATIVE}; chain codes are not read")
-            if mode is not None and mode.value == RELATIVE:
-                vertices[k] = np.cumsum(vertices[k], axis=0)
+        vertices = rows.vertices(3) if dimensions == 3 else [_outline(part) for part in rows.parts]
         kind = closed if rows.parts[0].members().get("closed") else opened
         return ShapeAnnotation(type=kind, path=VertexPath(rows.timestamps_ns, tuple(vertices)), **fields)
 
     return make
+
+
+def _outline(part: _Part) -> Float64Array:
+    """The vertices of a polygon in an image, (V, 2) [px]."""
+    mode, stated = part.get("mode"), part.need("val")
+    if mode is not None and mode.value not in _MODES:
+        raise mode.fault(f"one of {', '.join(_MODES)}")
+    if mode is not None and mode.value in _CHAIN_CODES:
+        return _chain(stated, _CHAIN_CODES[mode.value])
+    values = stated.numbers()
+    if len(values) % 2:
+        raise DataError(stated.file, stated.location, f"{len(values)} numbers; expected pairs")
+    vertices = np.array(values).reshape(-1, 2)
+    return np.cumsum(vertices, axis=0) if mode is not None and mode.value == RELATIVE else vertices
+
+
+def _chain(stated: _Part, runs: tuple[int, int] | None) -> Float64Array:
+    """Follow a chain code from pixel to neighbouring pixel; straight runs have no vertices between their ends.
+
+    The texts are the first pixel's x and y, the lengths of runs that have a code of their own where the mode does not
+    fix them, how many codes at the end are padding, and the codes, two in each base64 digit. Beginning downwards, codes
+    0 to 4 are a step straight on, or after a rotation by 45, -45, 90 or -90 degrees clockwise in the image; 5 turns
+    back without a step; 6 and 7 are short and long runs of steps straight on.
+
+    Source: the modes SRF6DCC and RS6FCC of `poly2d` as VCD writes them.
+    """
+    texts, count = stated.value, 4 if runs else 6
+    expected = f"{count} texts of a chain code"
+    if not isinstance(texts, list) or len(texts) != count or not all(isinstance(one, str) for one in texts):
+        raise stated.fault(expected)
+    if not all(re.fullmatch(r"-?[0-9]{1,7}", one) for one in texts[:-1]) or set(texts[-1]) - _DIGITS.keys():
+        raise stated.fault(expected)
+    x, y, *lengths, padding = map(int, texts[:-1])
+    codes = [code for digit in texts[-1] for code in divmod(_DIGITS[digit], 8)]
+    if not 0 <= padding <= len(codes):
+        raise stated.fault(expected)
+    steps = {0: 1, **dict(zip((6, 7), runs or lengths, strict=True))}
+    vertices, direction, is_straight = [(x, y)], _DOWN, False
+    for code in codes[: len(codes) - padding]:
+        if code == _BACK:
+            direction, is_straight = (direction + 4) % 8, False
+            continue
+        direction = (direction + _ROTATIONS.get(code, 0)) % 8
+        length = steps.get(code, 1)
+        x, y = x + length * _STEPS[direction][0], y + length * _STEPS[direction][1]
+        if code in steps and is_straight:
+            vertices.pop()
+        vertices.append((x, y))
+        is_straight = code in steps
+    return np.array(vertices, np.float64)
+
+
+_CHAIN_CODES: Mapping[str, tuple[int, int] | None] = MappingProxyType(
+    {"MODE_POLY2D_SRF6DCC": (3, 15), "MODE_POLY2D_RS6FCC": None}
+)
+"""Modes of chain codes, and the lengths of their runs; None where the values state them."""
+
+_MODES = (ABSOLUTE, RELATIVE, *_CHAIN_CODES)
+_DIGITS: Mapping[str, int] = MappingProxyType({digit: k for k, digit in enumerate(
+    "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"
+)})  # fmt: skip
+_STEPS = (
+    (1, 0),
+    (1, 1),
+    (0, 1),
+    (-1, 1),
+    (-1, 0),
+    (-1, -1),
+    (0, -1),
+    (1, -1),
+)  # clockwise in the image, from the right
+_DOWN, _BACK = 2, 5
+_ROTATIONS: Mapping[int, int] = MappingProxyType({1: 1, 2: -1, 3: 2, 4: -2})  # by code, in eighths of a full one
 
 
 def _point(dimensions: int, kind: ShapeType) -> "_Make":

@@ -1,7 +1,8 @@
 """Write a scene as an OpenLABEL file."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 from uuid import NAMESPACE_URL, uuid5
@@ -10,23 +11,27 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import MODELS, Camera, to_opencv
+from sceneloom.errors import SceneloomError
+from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import Loss, Losses, LossReport, Support, field_losses
 from sceneloom.formats.base.output import replacing
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.openlabel.document import (
     ABSOLUTE,
     CONFIRMED,
+    DOCUMENT,
     EGO,
     FISHEYE,
     INTERPOLATED,
     KEPT,
     KIND,
-    OPENCV_COUNTS,
-    OPENCV_ORDER,
+    LENS_COEFFICIENTS,
+    OF_OTHERS,
     OURS,
     OURS_CAMERA,
     PLAIN,
+    RATE,
     RBBOX,
     SCHEMA_VERSION,
     TYPE,
@@ -35,6 +40,7 @@ from sceneloom.formats.openlabel.document import (
     is_json,
     own_fields,
 )
+from sceneloom.formats.openlabel.reader import DocumentReader
 from sceneloom.formats.openlabel.spec import SUPPORTS
 from sceneloom.geometry.rigid import RigidTransform, angle_between
 from sceneloom.scene.annotations import (
@@ -59,13 +65,16 @@ from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame, cubo
 from sceneloom.scene.cameras import CameraSensor, mounts_of_shots
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
 from sceneloom.scene.ego import check_one_ego
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor, frame_times
-from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
+from sceneloom.scene.types import NO_FIELDS, Coordinates, Identifier, Key, key_of
 
 _Datum = tuple[int | None, str, dict[str, Any]]  # time [ns], or None for always; type of the data; the element
 
+_LASTING = ("action", "event", "context")
+_KINDS = ("object", *_LASTING, "relation")
 _CLOSED = (ShapeType.POLYGON, ShapeType.POLYGON_2D, ShapeType.POLYGON_TOPDOWN)
 _POINTS = (ShapeType.POINT, ShapeType.POINT_2D, ShapeType.POINT_TOPDOWN)
 _LEFT_OUT = (LocalizationAdjustment, CameraCalibration, PlainAnnotation)
@@ -80,25 +89,164 @@ def write_openlabel(scene: Scene, path: Path, *, overwrite: bool = False) -> Los
         OutputError: the file exists, or cannot be written.
         DataError: the metadata name an unknown frame of annotations.
     """
-    writer = _Writer(scene)
+    losses = Losses([])
+    kept = _Kept.of(scene, losses)
+    losses.extend(field_losses(scene if kept is None else kept.without_held(scene), SUPPORTS))
+    document = kept.document if kept is not None and kept.is_whole else _Writer(scene, losses, kept).document()
     with replacing(path, overwrite=overwrite) as draft:
-        draft.write_bytes(msgspec.json.encode({"openlabel": writer.document()}))
-    return LossReport.of(writer.losses)
+        draft.write_bytes(msgspec.json.encode({"openlabel": document}))
+    return LossReport.of(losses)
+
+
+# what others wrote
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Kept:
+    """The document that a scene was read from, as far as the scene is still what it states."""
+
+    document: dict[str, Any]
+    numbers: Mapping[int, int]  # of its frames, by their times [ns]
+    unchanged: frozenset[tuple[str, str]]  # kind and key of the elements that state what the scene does
+    annotations: frozenset[Key]  # of these elements
+    elements: Mapping[Key, tuple[str, str]]  # kind and key of each element, by the first of its annotations
+    is_whole: bool  # whether nothing changed
+
+    @classmethod
+    def of(cls, scene: Scene, losses: Losses) -> "_Kept | None":
+        """Compare a scene with the document of its metadata; None where there is none, or it holds no more."""
+        stated = scene.metadata.get("openlabel")
+        text = stated.get(DOCUMENT) if isinstance(stated, Mapping) else None
+        if not isinstance(stated, Mapping) or not isinstance(text, str):
+            return None
+        rate = stated.get(RATE)
+        try:
+            document = msgspec.json.decode(text, type=dict[str, Any])
+            reader = DocumentReader(
+                Path(f"metadata.openlabel.{DOCUMENT}"),
+                document,
+                Ledger(lenient=False),
+                rate if isinstance(rate, float) and rate > 0 else None,
+            )
+            read = reader.by_element()
+        except (SceneloomError, msgspec.DecodeError, RecursionError) as error:
+            losses.dropped(f"metadata.openlabel.{DOCUMENT}", f"left out: it is no document ({error})")
+            return None
+        sensors = tuple(sensor for sensor in scene.sensors if not _is_plain(sensor))
+        if not _same(sensors, tuple(reader.sensors.values())) or not _same(scene.trajectories, reader.trajectories()):
+            what = "what only the document states is left out: sensors or the trajectory changed"
+            losses.dropped(f"metadata.openlabel.{DOCUMENT}", what)
+            return None
+        here = {key_of(one.id): one for one in scene.annotations}
+        same = {
+            element: all(_same(here.get(key_of(one.id)), one) for one in annotations)
+            for element, annotations in read.items()
+        }
+        unchanged = {element for element, is_same in same.items() if is_same}
+        held = {key_of(one.id) for element in unchanged for one in read[element]}
+        left = [one for one in scene.annotations if key_of(one.id) not in held]
+        if not set(_frame_times(left).tolist()) <= reader.numbers.keys():
+            what = "what only the document states is left out: there are annotations at other times than its frames"
+            losses.dropped(f"metadata.openlabel.{DOCUMENT}", what)
+            return None
+        for name in KEPT:
+            if not _same(stated.get(name), _stated(document, name)):
+                document = {key: value for key, value in document.items() if key != name}
+                document |= {name: stated[name]} if name in stated else {}
+        document["metadata"] = {**document.get("metadata", {}), "schema_version": SCHEMA_VERSION}
+        own = {name for name in scene.metadata if name not in {"openlabel", OURS}}
+        return cls(
+            document,
+            reader.numbers,
+            frozenset(unchanged),
+            frozenset(held),
+            {key_of(annotations[0].id): element for element, annotations in read.items() if annotations},
+            not left and len(unchanged) == len(read) and not own and OURS not in document["metadata"],
+        )
+
+    def without_held(self, scene: Scene) -> Scene:
+        """A scene without what the document states of it."""
+        return replace(
+            scene,
+            sensors=tuple(one for one in scene.sensors if _is_plain(one)),
+            annotations=tuple(one for one in scene.annotations if key_of(one.id) not in self.annotations),
+            trajectories=NO_FIELDS,
+        )
+
+    def elements_of(self, kind: str) -> dict[str, Any]:
+        """The unchanged elements of a kind, by their keys."""
+        stated: Mapping[str, Any] = self.document.get(f"{kind}s") or {}
+        return {uid: element for uid, element in stated.items() if (kind, uid) in self.unchanged}
+
+    def frame(self, number: int) -> dict[str, Any]:
+        """What a frame states of unchanged elements, and its properties."""
+        frame: Mapping[str, Any] = (self.document.get("frames") or {}).get(str(number)) or {}
+        found = {}
+        for name, value in frame.items():
+            kind = name.removesuffix("s")
+            if kind in _KINDS and isinstance(value, Mapping):
+                found[name] = {uid: stated for uid, stated in value.items() if (kind, uid) in self.unchanged}
+            else:
+                found[name] = value
+        return {name: value for name, value in found.items() if value or value == frame[name]}
+
+
+def _stated(document: Mapping[str, Any], name: str) -> Any:
+    """A member of a document as metadata hold it: without the schema's version and what is ours."""
+    value = document.get(name)
+    if name == "metadata" and isinstance(value, Mapping):
+        value = {key: one for key, one in value.items() if key not in {OURS, "schema_version"}}
+    return value or None
+
+
+def _is_plain(sensor: Sensor) -> bool:
+    """Whether a sensor is of a type that streams do not have."""
+    plain = isinstance(sensor, PlainSensor) and sensor.type.startswith("openlabel_")
+    return type(sensor) not in _STREAM_TYPES and not plain
+
+
+_RELATIVE, _ABSOLUTE, _MICROSECOND = 1e-12, 1e-9, 1000  # of what went through another format and back
+
+
+def _same(a: Any, b: Any, tolerance: float = _ABSOLUTE) -> bool:  # noqa: PLR0911 - one for each kind of value
+    """Whether two parts of scenes state the same; a sensor with frames is no stream, which has none."""
+    if a is b:
+        return True
+    if isinstance(a, LazyFrames) and isinstance(b, LazyFrames):
+        return len(a) == len(b) == 0
+    if is_dataclass(a) or is_dataclass(b):
+        return type(a) is type(b) and all(
+            _same(getattr(a, name), getattr(b, name), _MICROSECOND if name.endswith("_ns") else _ABSOLUTE)
+            for name in (one.name for one in fields(a))
+        )
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        relative = _RELATIVE if a.dtype.kind == "f" else 0.0
+        same = np.array_equal(a, b)
+        return same or (a.shape == b.shape and np.allclose(a, b, rtol=relative, atol=tolerance, equal_nan=True))
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return a.keys() == b.keys() and all(_same(value, b[key]) for key, value in a.items())
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, int | float) and isinstance(b, int | float) and isinstance(a, bool) is isinstance(b, bool):
+        relative = _RELATIVE if isinstance(a, float) or isinstance(b, float) else 0.0
+        return (math.isnan(a) and math.isnan(b)) or math.isclose(a, b, rel_tol=relative, abs_tol=tolerance)
+    return type(a) is type(b) and bool(a == b)
 
 
 class _Writer:
     """Turns a scene into a document."""
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+    def __init__(self, scene: Scene, losses: Losses, kept: _Kept | None) -> None:
+        self.scene, self.losses, self.kept = scene, losses, kept
         self.streams = _Streams.of(scene)
-        self.losses = Losses(field_losses(scene, SUPPORTS))
-        self.times = _frame_times(scene)  # of the frames, ascending
-        self.heads: dict[str, dict[str, dict[str, Any]]] = {"object": {}, "event": {}}  # by type and key
+        times = _times_of(scene).tolist() if kept is None else sorted(kept.numbers)
+        self.times = np.array(times, np.int64)  # of the frames, ascending
+        self.numbers = dict(zip(times, range(len(times)), strict=True)) if kept is None else kept.numbers
+        self.heads: dict[str, dict[str, dict[str, Any]]] = {kind: {} for kind in _KINDS[:-1]}  # by kind and key
         # by number, as `heads`: the data by type
         self.frames: dict[int, dict[str, dict[str, dict[str, list[dict[str, Any]]]]]] = {}
         self.names: dict[str, set[str]] = {}  # of the data of each object, by its key
-        self.uids: dict[Key, str] = {}  # of the elements, by annotation
+        self.uids: dict[Key, tuple[str, str]] = {}  # kind and key of the elements, by annotation
         self.taken: set[str] = set()
         self.parts: set[Key] = set()  # annotations that are data of another's object
         self.relations: dict[str, Any] = {}
@@ -108,30 +256,51 @@ class _Writer:
 
     def document(self) -> dict[str, Any]:
         """The member `openlabel`."""
-        written = [one for one in self.scene.annotations if not isinstance(one, _LEFT_OUT)]
+        kept = self.kept
+        if kept is not None:
+            self.uids |= kept.elements
+            self.taken |= {uid for _, uid in kept.elements.values()}
+        left = [one for one in self.scene.annotations if kept is None or key_of(one.id) not in kept.annotations]
+        written = [one for one in left if not isinstance(one, _LEFT_OUT)]
         for annotation, parts in _things([one for one in written if not isinstance(one, LinkAnnotation)]):
             self._element(annotation, parts)
         for annotation in written:
             if isinstance(annotation, LinkAnnotation):
                 self._relation(annotation)
         self._point_heads_to_frames()
+        if kept is not None:
+            return self._merged(kept)
         self._report_trajectories()
         self.losses.extend(self.streams.losses(self.times))
-        kept = self.scene.metadata.get("openlabel")
-        kept = {name: kept[name] for name in KEPT if name in kept} if isinstance(kept, Mapping) else {}
+        stated = self.scene.metadata.get("openlabel")
+        stated = {name: stated[name] for name in KEPT if name in stated} if isinstance(stated, Mapping) else {}
         count = len(self.times)
         members = {
-            **kept,
-            "metadata": {**kept.get("metadata", {}), "schema_version": SCHEMA_VERSION, OURS: self._ours()},
+            **stated,
+            "metadata": {**stated.get("metadata", {}), "schema_version": SCHEMA_VERSION, OURS: self._ours()},
             "coordinate_systems": self.streams.systems(world=self.system == WORLD),
             "streams": self.streams.members(),
-            "objects": self.heads["object"],
-            "events": self.heads["event"],
+            **{f"{kind}s": heads for kind, heads in self.heads.items()},
             "relations": self.relations,
             "frames": {str(number): self._frame(number) for number in range(count)},
             "frame_intervals": [_interval(0, count - 1)] if count else [],
         }
         return {name: value for name, value in members.items() if value}
+
+    def _merged(self, kept: _Kept) -> dict[str, Any]:
+        """The document of others, with the elements that changed as we write them."""
+        ours = {**self._ours(), OF_OTHERS: True}
+        members = {**kept.document, "metadata": {**kept.document["metadata"], OURS: ours}}
+        for kind in _KINDS:
+            written = self.relations if kind == "relation" else self.heads[kind]
+            members[f"{kind}s"] = {**kept.elements_of(kind), **written}
+        if kept.document.get("frames"):
+            members["frames"] = {}
+        for number in map(int, kept.document.get("frames") or ()):
+            members["frames"][str(number)] = frame = kept.frame(number)
+            for name, stated in self._data_of(number).items():
+                frame[name] = {**frame.get(name, {}), **stated}
+        return {name: value for name, value in members.items() if value or value == kept.document.get(name)}
 
     def _frame(self, number: int) -> dict[str, Any]:
         time_ns = int(self.times[number])
@@ -141,9 +310,12 @@ class _Writer:
             "streams": self.streams.syncs(time_ns),
         }
         frame: dict[str, Any] = {"frame_properties": {name: value for name, value in properties.items() if value}}
-        for kind, stated in self.frames.get(number, {}).items():
-            frame[f"{kind}s"] = {uid: {f"{kind}_data": data} for uid, data in stated.items()}
-        return frame
+        return frame | self._data_of(number)
+
+    def _data_of(self, number: int) -> dict[str, Any]:
+        """The elements of a frame, by kind and key, with their data."""
+        found = self.frames.get(number, {})
+        return {f"{kind}s": {uid: {f"{kind}_data": one} for uid, one in data.items()} for kind, data in found.items()}
 
     def _ours(self) -> dict[str, Any]:
         """What the format has no keywords for: fields of annotations, and metadata as far as JSON holds them."""
@@ -159,24 +331,29 @@ class _Writer:
 
     def _number(self, time_ns: int) -> int:
         """The number of the frame of a time."""
-        return int(np.searchsorted(self.times, time_ns))
+        return self.numbers[time_ns]
 
-    def _new_uid(self, identifier: Identifier) -> str:
-        """A key for an id: the id itself where the schema accepts it, else a UUID made of it."""
+    def _new_uid(self, kind: str, identifier: Identifier) -> str:
+        """A key for an id: that of its element before, the id itself where the schema accepts it, else a UUID of it."""
+        before = self.uids.get(key_of(identifier), ("", ""))
+        if before[0] == kind:
+            return before[1]
         uid = text = str(identifier)
         attempt = 0
         while not UID.fullmatch(uid) or uid in self.taken:
             uid = str(uuid5(NAMESPACE_URL, f"sceneloom:{type(identifier).__name__}:{attempt}:{text}"))
             attempt += 1
         self.taken.add(uid)
-        self.uids[key_of(identifier)] = uid
+        self.uids[key_of(identifier)] = kind, uid
         return uid
 
     def _element(self, annotation: Any, parts: Sequence[Any]) -> None:
         """Write an annotation as an object or event, and its parts as further data of the same object."""
-        kind = "event" if isinstance(annotation, EventAnnotation) else "object"
-        uid = self._new_uid(annotation.id)
         further = _further(annotation)
+        kind = "object"
+        if isinstance(annotation, EventAnnotation):
+            kind = next((one for one in _LASTING if one == further.get("kind")), "event")
+        uid = self._new_uid(kind, annotation.id)
         name = further.get("name")
         label = next((stated for one in (annotation, *parts) if (stated := _label(one))), None)
         self.heads[kind][uid] = {
@@ -193,7 +370,7 @@ class _Writer:
             if not fields["data"]:
                 fields["is_whole"] = True
             for part in parts:
-                self.uids[key_of(part.id)] = uid
+                self.uids[key_of(part.id)] = kind, uid
                 self.parts.add(key_of(part.id))
             fields["parts"] = [self._state(kind, uid, part, label) for part in parts]
         del fields["data"]
@@ -360,8 +537,8 @@ class _Writer:
         if None in ends:
             self.losses.dropped(f"annotations[{link.id}]", "left out: one of its ends is not written")
             return
-        uid = self._new_uid(link.id)
-        subject, other = ({"uid": end, "type": "event" if end in self.heads["event"] else "object"} for end in ends)
+        uid = self._new_uid("relation", link.id)
+        subject, other = ({"uid": end[1], "type": end[0]} for end in ends if end is not None)
         further = _further(link)
         self.relations[uid] = {
             "name": further.get("name", str(link.id)),
@@ -412,10 +589,20 @@ def _intervals(numbers: list[int]) -> list[dict[str, int]]:
     return [_interval(int(run[0]), int(run[-1])) for run in runs]
 
 
-def _frame_times(scene: Scene) -> Int64Array:
+def _times_of(scene: Scene) -> Int64Array:
     """The times that the file has frames of: those of annotations, and of the first lidar's or camera's frames."""
-    found: list[Int64Array] = []
-    for annotation in scene.annotations:
+    found = [_frame_times(scene.annotations)]
+    sensors: list[Sensor] = [*scene.lidars, *scene.cameras]
+    found += [times for one in sensors if len(times := frame_times(one))][:1]
+    if not any(len(times) for times in found):
+        found = [trajectory.timestamps_ns for trajectory in list(scene.trajectories.values())[:1]]
+    return np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)
+
+
+def _frame_times(annotations: Iterable[Annotation]) -> Int64Array:
+    """The times that annotations need frames of."""
+    found: list[Int64Array] = [np.zeros(0, np.int64)]
+    for annotation in annotations:
         if isinstance(annotation, LocalizationAdjustment | CameraCalibration):
             continue
         paths = [getattr(annotation, "path", None), *getattr(annotation, "paths", ())]
@@ -426,11 +613,7 @@ def _frame_times(scene: Scene) -> Int64Array:
         if isinstance(annotation, EventAnnotation):
             stop_ns = annotation.start_ns + int(annotation.duration_ns or 0)
             found.append(np.array([annotation.start_ns, stop_ns], np.int64))
-    sensors: list[Sensor] = [*scene.lidars, *scene.cameras]
-    found += [times for one in sensors if len(times := frame_times(one))][:1]
-    if not any(len(times) for times in found):
-        found = [trajectory.timestamps_ns for trajectory in list(scene.trajectories.values())[:1]]
-    return np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)
+    return np.unique(np.concatenate(found))
 
 
 # which annotations are one object
@@ -606,22 +789,18 @@ def _camera_properties(camera: Camera) -> dict[str, Any]:
     ours = {name: getattr(camera, name) for name in OURS_CAMERA}
     named = dict(zip(MODELS[camera.model].coefficient_names, camera.coefficients, strict=False))
     size = {"width_px": camera.width, "height_px": camera.height}
-    # OpenCV has no model with distortion whose centre of distortion is shifted
-    unshifted = not (named.get("lx") or named.get("ly"))
     if camera.model == "fisheye":
         kind, found = (
             "fisheye",
             {
                 **{name: getattr(camera, field) for name, field in FISHEYE.items()},
-                "camera_model_coeffs_1xN": [named.get(name, 0.0) for name in _FISHEYE_COEFFICIENTS],
+                LENS_COEFFICIENTS[0]: [named.get(name, 0.0) for name in _FISHEYE_COEFFICIENTS],
                 "model": "opencv_fisheye",
             },
         )
-    elif camera.model == "pinhole" or (camera.model == "brown_conrady" and unshifted):
-        coefficients = [named.get(name, 0.0) for name in OPENCV_ORDER]
-        count = next(count for count in OPENCV_COUNTS[2:] if not any(coefficients[count:]))
+    elif (coefficients := to_opencv(camera)) is not None:
         matrix = [camera.fx, 0.0, camera.cx, 0.0, 0.0, camera.fy, camera.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
-        kind, found = "pinhole", {"camera_matrix_3x4": matrix, "distortion_coeffs_1xN": coefficients[:count]}
+        kind, found = "pinhole", {"camera_matrix_3x4": matrix, "distortion_coeffs_1xN": coefficients}
     else:
         kind, found = "custom", {**ours, **named}
     return {
@@ -651,8 +830,7 @@ class _Streams:
         sensors: dict[str, Sensor] = {}
         placed = {}
         for sensor in scene.sensors:
-            plain = isinstance(sensor, PlainSensor) and sensor.type.startswith("openlabel_")
-            if type(sensor) not in _STREAM_TYPES and not plain:
+            if _is_plain(sensor):
                 continue
             name = str(sensor.id)
             while name in sensors or name in {WORLD, EGO}:
@@ -781,7 +959,7 @@ def _matrix(pose: RigidTransform) -> dict[str, Any]:
 
 def _stream(sensor: Any) -> dict[str, Any]:
     if isinstance(sensor, PlainSensor):
-        return dict(sensor.fields)
+        return {"type": sensor.type.removeprefix("openlabel_"), **sensor.fields}
     camera = _camera_properties(sensor.camera) if isinstance(sensor, CameraSensor) else {}
     kept = sensor.extras.get("stream_properties")
     own = {"id": sensor.id, "type": str(sensor.type), **camera.get(OURS, {})}

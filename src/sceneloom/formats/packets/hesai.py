@@ -8,17 +8,17 @@ Distribution"), and for AT128 "Angle Correction File", version 1.5.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Int64Array, UInt8Array
+from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import read_settings
-from sceneloom.formats.packets.sweeps import Survey, angle_table, located, polar_points
+from sceneloom.formats.packets.sweeps import Survey, angle_table, utc_seconds
 from sceneloom.scene.clouds import LidarPoints
 
 _START, _BLOCK_START = b"\xee\xff", b"\xff\xee"
@@ -27,6 +27,7 @@ _RETURNS = {0x39: 2, 0x3A: 2, 0x3B: 2, 0x3C: 2, 0x3D: 3, 0x3E: 2}
 
 _LONGEST_TAIL = 40  # sequence number, checksum and signature
 _FINE = 256  # fine steps of AT128's azimuth in 0.01°
+_AT_UNIT = np.pi / (180.0 * 100.0 * _FINE)  # radians of such a step
 _ADJUSTED_EVERY = 200 * _FINE  # AT128's tables of adjustments have a value every 2°
 
 
@@ -196,7 +197,7 @@ class HesaiDecoder:
         steps = (model.blocks - 1 - numbers) // returns if model.step_us > 0 else numbers // returns
         offsets = np.rint((model.first_us - abs(model.step_us) * steps * np.sign(model.step_us)) * 1000)
         microseconds = np.ascontiguousarray(packets[:, model.time : model.time + 4]).view("<u4").astype(np.int64)
-        seconds = _seconds(packets[:, model.date : model.date + 6])
+        seconds = utc_seconds(packets[:, model.date : model.date + 6])
         return np.asarray(seconds[:, None] * 1_000_000_000 + microseconds * 1000 + offsets.astype(np.int64))
 
     def survey(self, packets: UInt8Array) -> Survey:
@@ -221,78 +222,65 @@ class HesaiDecoder:
 
     def points(self, packets: UInt8Array, shifts_ns: Int64Array, blocks: BoolArray) -> LidarPoints:
         """Decode the returns of packets, (P, L) uint8; of equal returns of a firing one counts."""
+        from sceneloom.kernels.packed import place_polar
+
         model = MODELS[self.key]
         body = self._body(packets)
-        values = body["values"]
-        raw, intensities = values["distance"], values["reflectivity"]
+        raw, intensities = (np.ascontiguousarray(body["values"][name]) for name in ("distance", "reflectivity"))
         returns = self._returns(packets)[:, None]
-        number = np.arange(model.blocks) % returns
-        kept = (raw > 0) & blocks[:, :, None]
-        for apart in range(1, int(returns.max(initial=1))):
-            equal = (raw[:, apart:] == raw[:, :-apart]) & (intensities[:, apart:] == intensities[:, :-apart])
-            kept[:, apart:] &= ~(equal & (number[:, apart:] >= apart)[:, :, None])
-        index, block, channel = located(kept)
+        number = (np.arange(model.blocks) % returns).ravel()
         unit_m = (packets[:, 9] if model.header else np.full(len(packets), 4)).astype(np.float32) * np.float32(0.001)
-        distances = raw.ravel().take(index) * np.repeat(unit_m, model.blocks).take(block)
-        (cosine, sine), azimuths = self._angles(self._azimuths(body).ravel(), block, channel)
-        aside = np.float32(np.pi / 2) - azimuths  # from x, which is right of azimuth 0
-        positions = polar_points(aside, distances * cosine, distances * sine)
-        channels_ns = np.rint(np.array(model.channel_us) * 1000).astype(np.int64)
+        most = raw.size
+        positions, rings = np.empty((most, 3), np.float32), np.empty(most, np.uint16)
+        stamps_ns, block = np.empty(most, np.int64), np.empty(most, np.int64)
+        reflected = np.empty(most, np.uint8)
+        units_m = np.repeat(unit_m, model.blocks)
         times_ns = (self._block_times_ns(packets) + shifts_ns[:, None]).ravel()
+        channels_ns = np.rint(np.array(model.channel_us) * 1000).astype(np.int64)
+        azimuths, offsets, elevations = self._angles(self._azimuths(body).ravel())
+        steps, weights = self._steps(self._azimuths(body).ravel())
+        distances, reflectivities = (values.reshape(-1, model.channels) for values in (raw, intensities))
+        count = place_polar(
+            blocks.ravel(), number, distances, reflectivities, units_m, azimuths, offsets, elevations,
+            times_ns, channels_ns, self._adjusted, steps, weights, positions, reflected, stamps_ns, rings, block,
+        )  # fmt: skip
         extras = {}
         if int(returns.max(initial=1)) > 1:
-            extras["return_number"] = (number + 1).astype(np.uint8).ravel()[block]
+            extras["return_number"] = (number + 1).astype(np.uint8).take(block[:count])
         return LidarPoints(
-            positions,
-            intensities.ravel().take(index),
-            timestamps_ns=times_ns.take(block) + channels_ns.take(channel),
-            rings=channel.astype(np.uint16),
+            positions[:count],
+            reflected[:count],
+            timestamps_ns=stamps_ns[:count],
+            rings=rings[:count],
             extras=MappingProxyType(extras),
         )
 
-    def _angles(
-        self, azimuths: Int64Array, block: Int64Array, channel: Int64Array
-    ) -> tuple[tuple[Float32Array, Float32Array], Float32Array]:
-        """Cosine and sine of the elevation, and azimuth [rad], of returns by their blocks' azimuths and channels."""
+    def _angles(self, azimuths: Int64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Azimuths of blocks (M,), offsets and elevations of channels (C,) [rad], counter-clockwise from x (right)."""
         if self.correction is None:
-            elevations, offsets = np.deg2rad(self.angles_deg).T.astype(np.float32)
-            turned = np.deg2rad(azimuths / 100.0).astype(np.float32).take(block) + offsets.take(channel)
-            return (np.cos(elevations).take(channel), np.sin(elevations).take(channel)), turned
-        table, full = self.correction, 36000 * _FINE
-        side = (np.searchsorted(table.starts, azimuths, side="right") - 1) % len(table.starts)
-        at, part = np.divmod(azimuths % full, _ADJUSTED_EVERY)
-        weight = (part / _ADJUSTED_EVERY).astype(np.float32).take(block)
-        steps = table.adjustments.shape[2]
-        before, after = ((at + one) % steps for one in (0, 1))
-        rows = channel * steps
-        before, after = before.take(block) + rows, after.take(block) + rows
-        unit = np.float32(np.deg2rad(1 / (100.0 * _FINE)))
-        elevation, azimuth = (
-            (one.take(before) * (1 - weight) + one.take(after) * weight) * (_FINE * unit) for one in table.adjustments
-        )
-        fixed = (table.angles * unit).astype(np.float32)
-        turned = ((azimuths - table.starts[side]) * 2 % full * np.float64(unit)).astype(np.float32)
-        elevation += fixed[:, 0].take(channel)
-        azimuth += turned.take(block) - fixed[:, 1].take(channel)
-        return (np.cos(elevation), np.sin(elevation)), azimuth
+            turned, angles, sign = np.deg2rad(azimuths / 100.0), np.deg2rad(self.angles_deg), -1.0
+        else:
+            table = self.correction
+            side = (np.searchsorted(table.starts, azimuths, side="right") - 1) % len(table.starts)
+            turned = (azimuths - table.starts[side]) * 2 % (36000 * _FINE) * _AT_UNIT
+            angles, sign = table.angles * _AT_UNIT, 1.0
+        # from x, which is right of azimuth 0
+        around: Float64Array = np.pi / 2 - turned
+        offsets: Float64Array = np.ascontiguousarray(angles[:, 1] * sign)
+        return around, offsets, np.ascontiguousarray(angles[:, 0])
 
+    @cached_property
+    def _adjusted(self) -> Float32Array:
+        """Adjustments of elevation and azimuth every 2 degrees, (2, S, C) [rad], as `_angles` counts; or (2, 0, C)."""
+        if self.correction is None:
+            return np.zeros((2, 0, MODELS[self.key].channels), np.float32)
+        up, aside = self.correction.adjustments * np.float32(_FINE * _AT_UNIT)
+        return np.ascontiguousarray(np.stack((up.T, -aside.T)))
 
-def _seconds(dates: UInt8Array) -> Int64Array:
-    """Seconds since 1970 of dates, (P, 6) uint8: year since 1900 or 2000, month, day, h, min, s; or 0 and seconds."""
-    distinct, which = np.unique(dates, axis=0, return_inverse=True)
-    return np.array([_second(date) for date in distinct.tolist()], np.int64)[which.ravel()]
-
-
-def _second(date: list[int]) -> int:
-    year, month, day, *clock = date
-    if year == 0:
-        return int.from_bytes(bytes(date[1:]), "big")
-    try:
-        return int(datetime(year + (2000 if year < 70 else 1900), month, day, tzinfo=UTC).timestamp()) + (
-            clock[0] * 3600 + clock[1] * 60 + clock[2]
-        )
-    except ValueError:
-        return 0
+    def _steps(self, azimuths: Int64Array) -> tuple[Int64Array, Float32Array]:
+        """Which adjustment is before each block (M,), and how much of the way to the next it is (M,)."""
+        at, part = np.divmod(azimuths % (36000 * _FINE), _ADJUSTED_EVERY)
+        return at % max(self._adjusted.shape[1], 1), (part / _ADJUSTED_EVERY).astype(np.float32)
 
 
 def recognise(packets: UInt8Array) -> str | None:

@@ -20,7 +20,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.json_files import read_json
-from sceneloom.formats.packets.sweeps import Survey, located
+from sceneloom.formats.packets.sweeps import Survey
 from sceneloom.scene.clouds import LidarPoints
 from sceneloom.scene.motion import VectorSamples
 
@@ -276,13 +276,14 @@ class OusterDecoder:
         """A field of pixels, (..., size // 4) uint32."""
         if name.startswith("RAW32_WORD"):
             return np.asarray(words[..., int(name[10:]) - 1])
-        kind, bit, bits, left = self._fields[name]
-        values = words[..., bit // 32] >> np.uint32(bit % 32)
-        if bit % 32 + bits < 32:
-            values &= np.uint32((1 << bits) - 1)
-        if left:
-            values <<= np.uint32(left)
-        return np.asarray(values.astype(kind, copy=False))
+        word, bit, mask, left = self._bits(name)
+        values = (words[..., word] >> np.uint32(bit) & np.uint32(mask)) << np.uint32(left)
+        return np.asarray(values.astype(self._fields[name][0], copy=False))
+
+    def _bits(self, name: str) -> tuple[int, int, int, int]:
+        """Where a field is in the words of a pixel: which word, its lowest bit, its mask, and how far it goes left."""
+        _, bit, bits, left = self._fields[name]
+        return bit // 32, bit % 32, (1 << bits) - 1, left
 
     def frame_numbers(self, packets: UInt8Array) -> Int64Array:
         """The sensor's number of the frame of each column, (P, W) int64."""
@@ -316,34 +317,44 @@ class OusterDecoder:
 
     def points(self, packets: UInt8Array, shifts_ns: Int64Array, blocks: BoolArray) -> LidarPoints:
         """Decode the returns of packets, (P, L) uint8: all first returns, then all second ones of dual profiles."""
+        from sceneloom.kernels.packed import pick_bits, place_ranges
+
         columns, rows = self.columns(packets), self.metadata.rows
-        valid = self._valid(columns) & blocks
+        valid = (self._valid(columns) & blocks).ravel()
         beams = (columns["MEASUREMENT_ID"].astype(np.int64) * rows).ravel()
         times_ns = (columns["TIMESTAMP"].astype(np.int64) + shifts_ns[:, None]).ravel()
-        directions, origins = _directions(self.metadata)
         words = np.ascontiguousarray(columns["words"])
+        words = words.reshape(-1, words.shape[-1])
         names = [name for name in self._fields if not name.startswith(("RANGE", "REFLECTIVITY")) and name[-1] != "2"]
-        found: list[tuple[AnyArray, ...]] = []
-        for suffix in ("", "2") if "RANGE2" in self._fields else ("",):
-            ranges = self._value(words, f"RANGE{suffix}")
-            index, column, row = located((ranges > 0) & valid[:, :, None])
-            pixels = words.reshape(-1, words.shape[-1]).take(index, axis=0)
-            beam = beams.take(column) + row
-            positions = directions.take(beam, axis=0)
-            positions *= (ranges.ravel().take(index).astype(np.float32) * np.float32(0.001))[:, None]
-            positions += origins.take(beam, axis=0)
-            own = [f"{name}{suffix}" if f"{name}{suffix}" in self._fields else name for name in names]
-            extras = [self._value(pixels, name) for name in own]
-            number = np.full(len(index), len(found) + 1, np.uint8)
-            intensities = self._value(pixels, f"REFLECTIVITY{suffix}")
-            found.append((positions, intensities, times_ns.take(column), row.astype(np.uint16), number, *extras))
-        positions, intensities, times, rings, number, *extras = (
-            found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
+        suffixes = ("", "2") if "RANGE2" in self._fields else ("",)
+        most = len(suffixes) * len(words)
+        positions, rings = np.empty((most, 3), np.float32), np.empty(most, np.uint16)
+        stamps_ns, pixels = np.empty(most, np.int64), np.empty(most, np.int64)
+        directions, origins = _directions(self.metadata)
+        stops = [0]
+        for suffix in suffixes:
+            rest = slice(stops[-1], None)
+            count = place_ranges(
+                words, *self._bits(f"RANGE{suffix}"), valid, beams, times_ns, directions, origins,
+                positions[rest], stamps_ns[rest], rings[rest], pixels[rest],
+            )  # fmt: skip
+            stops.append(stops[-1] + count)
+        found: dict[str, AnyArray] = {}
+        for name in ("REFLECTIVITY", *names):
+            found[name.lower()] = np.empty(stops[-1], self._fields[name][0])
+            for suffix, start, stop in zip(suffixes, stops, stops[1:], strict=False):
+                bits = self._bits(f"{name}{suffix}" if f"{name}{suffix}" in self._fields else name)
+                pick_bits(words, *bits, pixels[start:stop], found[name.lower()][start:stop])
+        intensities = found.pop("reflectivity")
+        if len(suffixes) > 1:
+            found["return_number"] = np.repeat(np.array([1, 2], np.uint8), np.diff(stops))
+        return LidarPoints(
+            positions[: stops[-1]],
+            intensities,
+            timestamps_ns=stamps_ns[: stops[-1]],
+            rings=rings[: stops[-1]],
+            extras=MappingProxyType(found),
         )
-        more = {name.lower(): values for name, values in zip(names, extras, strict=True)}
-        if len(found) > 1:
-            more["return_number"] = number
-        return LidarPoints(positions, intensities, timestamps_ns=times, rings=rings, extras=MappingProxyType(more))
 
 
 def session_of(packets: UInt8Array, metadata: OusterMetadata) -> int:

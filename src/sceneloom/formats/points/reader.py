@@ -188,11 +188,12 @@ class _CloudFrames:
     layout: FieldLayout | None = None  # columns of files that do not state them
     mapping: PointMapping = _NOTHING_STATED  # meaning of the columns
     origin: Float64Array | None = None  # (3,) [m], subtracted from positions in the files
+    keep_all: bool = False  # points that are no returns are points, too: their rows are counted elsewhere
 
     def __call__(self, k: int) -> LidarFrame:
         """Read frame `k`."""
         cloud, timestamp_ns = self.cloud(k), int(self.timestamps_ns[k])
-        read = points_of(cloud, self.mapping, SweepClock(timestamp_ns, timestamp_ns, 0))
+        read = points_of(cloud, self.mapping, SweepClock(timestamp_ns, timestamp_ns, 0), keep_all=self.keep_all)
         extras = {name: column for name, column in read.points.extras.items() if name != "camera_index"}
         cameras = read.points.extras.get("camera_index")
         if cameras is not None and (cameras.dtype != np.uint8 or cameras.ndim != 1):
@@ -327,10 +328,7 @@ def _times(folder: _CloudFolder) -> tuple[Int64Array, tuple[Path, ...]]:
 
 def _with_mapping(folder: _CloudFolder, frames: _CloudFrames) -> _CloudFrames:
     """Settle the meaning of intensities and times, by the first files."""
-    scale, name = _scale_of(frames)
-    if name is not None and scale is None:
-        message = f"column {name!r} fits no scale of intensity; kept as it is among the extra values"
-        folder.note(WarningKind.SKIPPED, "intensity-not-used", message)
+    scale = _noted_scale(frames, folder.location, folder.ledger)
     if scale is not None and folder.kind.name == "nuscenes-bin":
         scale = IntensityScale(max(scale.maximum, 255.0))
     times = _times_of(frames.cloud(0), int(frames.timestamps_ns[0]))
@@ -338,6 +336,42 @@ def _with_mapping(folder: _CloudFolder, frames: _CloudFrames) -> _CloudFrames:
         message = f"column {times.field!r} is taken for point times: {times.unit} relative to the {times.relative_to}"
         folder.note(WarningKind.ASSUMED, "point-times-assumed", message)
     return replace(frames, mapping=PointMapping(scale=scale, times=times))
+
+
+def _noted_scale(frames: _CloudFrames, location: Path, ledger: Ledger) -> IntensityScale | None:
+    scale, name = _scale_of(frames)
+    if name is not None and scale is None:
+        message = f"column {name!r} fits no scale of intensity; kept as it is among the extra values"
+        ledger.note(WarningKind.SKIPPED, "intensity-not-used", str(location), message)
+    return scale
+
+
+def listed_frames(
+    files: Sequence[Path], timestamps_ns: Int64Array, ledger: Ledger, *, keep_all: bool = False
+) -> tuple[LazyFrames[LidarFrame], Mapping[str, Any]]:
+    """Give the frames of files whose times are known otherwise, read on demand; the first files are read for columns.
+
+    Columns of times are kept as they are: what is stated of such a frame holds for all its points.
+
+    Args:
+        files: at least one.
+        timestamps_ns: (N,) int64 [ns], ascending, one per file.
+        ledger: takes what is assumed of the columns.
+        keep_all: points that are not finite or at the origin are points, too, since labels count the rows of a file.
+
+    Returns:
+        frames: the sweeps.
+        extras: what their sensor states: `intensity_max`, where intensities have a scale.
+
+    Raises:
+        DataError: the first file cannot be read.
+    """
+    frames = _CloudFrames(tuple(files), read_only(timestamps_ns), keep_all=keep_all)
+    scale = _noted_scale(frames, files[0].parent, ledger)
+    frames = replace(frames, mapping=PointMapping(scale=scale))
+    return LazyFrames(frames.timestamps_ns, frames), MappingProxyType(
+        {} if scale is None else {"intensity_max": scale.maximum}
+    )
 
 
 def _scale_of(frames: _CloudFrames) -> tuple[IntensityScale | None, str | None]:

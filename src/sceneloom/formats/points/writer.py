@@ -120,7 +120,7 @@ def write_clouds(scene: Scene, path: Path, *, kind: CloudKind, overwrite: bool =
             losses.dropped(f"sensors[{lidar.id}]", "left out: another lidar was asked for")
     if path.name.lower().endswith(kind.endings[1:]):
         raise OptionError(f"{path}: written as {kind.endings[0]} only; {path.suffix} has one array and no names")
-    files = _FrameFiles(kind, saving.encoding, losses)
+    files = FrameFiles(kind, saving.encoding, losses)
     if kind.has_name(path.name):
         _write_file(lidars, path, files, overwrite=overwrite)
     else:
@@ -186,19 +186,34 @@ def _chosen(scene: Scene, lidar: str | None) -> list[LidarSensor]:
 
 
 @dataclass(frozen=True, slots=True)
-class _FrameFiles:
-    """Writes frames to files of a kind."""
+class FrameFiles:
+    """Writes frames to files of a kind.
+
+    Attributes:
+        kind: of the files.
+        encoding: of PCD files.
+        losses: takes what a file cannot hold.
+        float_intensities: write intensities of 0 to 255 as float32 of 0 to 1, which programs expect that know no other
+            type.
+    """
 
     kind: CloudKind
     encoding: str
     losses: Losses
+    float_intensities: bool = False
 
     def write(self, lidar: LidarSensor, k: int, path: Path) -> None:
         """Write frame `k` of a lidar."""
-        frame = lidar.frames[k]
+        self.write_frame(lidar, lidar.frames[k], path)
+
+    def write_frame(self, lidar: LidarSensor, frame: LidarFrame, path: Path) -> None:
+        """Write a frame of a lidar."""
         reported = {name: value for name, value in frame.extras.items() if name not in _WRITTEN}
         _left_out(replace(frame, extras=reported), str(lidar.id), self.losses)
         columns = _frame_columns(frame, lidar.extras.get("intensity_max"))
+        if self.float_intensities and columns.intensities is not None and columns.intensities.dtype.kind != "f":
+            scaled = (columns.intensities / np.float64(columns.brightest)).astype(np.float32)
+            columns = replace(columns, intensities=scaled, brightest=1.0)
         options = {"encoding": self.encoding} if self.kind.name == "pcd" else {}
         FRAME_WRITERS[self.kind.name](path, columns, f"sensors[{lidar.id}].frames.points", self.losses, **options)
 
@@ -210,7 +225,7 @@ class _FrameFiles:
                 self.losses.converted(f"sensors[{lidar.id}].id", f"read back as {found!r}")
 
 
-def _write_file(lidars: list[LidarSensor], path: Path, files: _FrameFiles, *, overwrite: bool) -> None:
+def _write_file(lidars: list[LidarSensor], path: Path, files: FrameFiles, *, overwrite: bool) -> None:
     count = sum(len(lidar.frames) for lidar in lidars)
     if count != 1:
         raise OptionError(
@@ -228,7 +243,7 @@ def _write_file(lidars: list[LidarSensor], path: Path, files: _FrameFiles, *, ov
     files.note_ids([lidar])
 
 
-def _write_folder(scene: Scene, lidars: list[LidarSensor], path: Path, files: _FrameFiles, *, overwrite: bool) -> None:
+def _write_folder(scene: Scene, lidars: list[LidarSensor], path: Path, files: FrameFiles, *, overwrite: bool) -> None:
     written = [lidar for lidar in lidars if len(lidar.frames)]
     for lidar in lidars:
         if lidar not in written:

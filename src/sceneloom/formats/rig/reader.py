@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array, UInt8Array, read_only
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import MODEL_ALIASES, MODELS, OPENCV_LENGTHS, OPENCV_NAMES, Camera, from_opencv
 from sceneloom.cameras.projection import check_camera
 from sceneloom.errors import CalibrationError, DataError, OptionError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
@@ -1561,23 +1561,6 @@ def _check_columns(table: Table, columns: Mapping[str, int], needed: Sequence[st
         raise DataError(table.path, "line 1", problem)
 
 
-_MODEL_ALIASES: Mapping[str, str] = {
-    "opencv": "brown_conrady",
-    "plumb_bob": "brown_conrady",
-    "radtan": "brown_conrady",
-    "rational_polynomial": "brown_conrady",
-    "equidistant": "fisheye",
-    "opencv_fisheye": "fisheye",
-    "kannala_brandt": "fisheye",
-    "kannala_brandt4": "fisheye",
-    "fisheye624": "fisheye_rad_tan_prism",
-}
-"""Names that ROS, OpenCV and others have for models of the table."""
-
-_OPENCV_LENGTHS = (0, 4, 5, 8, 12, 14)
-_OPENCV_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
-"""Source: "Camera Calibration and 3D Reconstruction" of the OpenCV documentation."""
-
 _SKEW = 1e-3
 _RATIO_ERROR = 0.01
 
@@ -1700,9 +1683,9 @@ def _model(name: str | None, given: Any) -> str:
     if name is None:
         return "brown_conrady" if given else "pinhole"
     plain = name.lower().replace("-", "_").replace(" ", "_")
-    model = _MODEL_ALIASES.get(plain, plain)
+    model = MODEL_ALIASES.get(plain, plain)
     if model not in MODELS:
-        known = [*MODELS, *_MODEL_ALIASES]
+        known = [*MODELS, *MODEL_ALIASES]
         close = get_close_matches(plain, known, 1, 0.6)
         hint = f"; did you mean {close[0]!r}?" if close else ""
         raise CalibrationError(f"model {name!r}; expected one of {', '.join(known)}{hint}")
@@ -1716,14 +1699,13 @@ def _coefficients(model: str, given: list[float] | dict[str, float]) -> tuple[fl
         if unknown:
             raise CalibrationError(f"coefficients {', '.join(unknown)}; {model} has {' '.join(names) or 'none'}")
         return tuple(given.get(name, 0.0) for name in names) if given else ()
-    if model == "brown_conrady" and len(given) not in _OPENCV_LENGTHS:
-        lengths = ", ".join(map(str, _OPENCV_LENGTHS))
-        order = " ".join(_OPENCV_NAMES)
+    if model != "brown_conrady":
+        return tuple(given)
+    if len(given) not in OPENCV_LENGTHS:
+        lengths = ", ".join(map(str, OPENCV_LENGTHS))
+        order = " ".join(OPENCV_NAMES)
         raise CalibrationError(f"{len(given)} coefficients; expected {lengths} in OpenCV's order: {order}")
-    if model == "brown_conrady" and len(given) > 8:
-        by_name = dict(zip(_OPENCV_NAMES, given, strict=False))
-        return tuple(by_name.get(name, 0.0) for name in names)
-    return tuple(given)
+    return from_opencv(given)
 
 
 _LONGEST_SWEEP_NS = 60_000_000_000  # a sweep that takes longer than this [ns] is none

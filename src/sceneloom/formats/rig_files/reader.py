@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array
-from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.camera import MODEL_ALIASES, OPENCV_LENGTHS, Camera, from_opencv
 from sceneloom.cameras.projection import check_camera
 from sceneloom.errors import CalibrationError, DataError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
@@ -618,11 +618,10 @@ def _basalt_camera(draft: _Draft, value: _Value, size: tuple[float, ...]) -> Cam
 # Camera models
 
 _DISTORTIONS: Mapping[str, str] = MappingProxyType(
-    dict.fromkeys(("plumb_bob", "rational_polynomial", "radtan", "radial-tangential", "opencv"), "brown_conrady")
-    | dict.fromkeys(("equidistant", "fisheye", "kannala_brandt", "equi"), "fisheye")
-    | {"none": "pinhole", "": "pinhole", "fov": "fov"}
+    {name: model for name, model in MODEL_ALIASES.items() if model in {"brown_conrady", "fisheye"}}
+    | {"fisheye": "fisheye", "none": "pinhole", "": "pinhole", "fov": "fov"}
 )
-_LENGTHS = {"brown_conrady": (0, 4, 5, 8, 12, 14), "fisheye": (4,), "pinhole": (0,), "fov": (1,)}
+_LENGTHS = {"brown_conrady": OPENCV_LENGTHS, "fisheye": (4,), "pinhole": (0,), "fov": (1,)}
 _OWN_NUMBERS = {"pinhole": "", "omni": "xi", "ds": "xi alpha", "eucm": "alpha beta", "ucm": "alpha"}
 _POLYNOMIAL, _FITTED_ANGLES, _FITTED_POWERS = "fisheye_rad_tan_prism", 400, 7
 
@@ -648,7 +647,7 @@ class _Numbers:
         """
         if model not in _OWN_NUMBERS:
             raise self.value.fault(f"camera model {model!r}; expected one of {', '.join(_OWN_NUMBERS)}")
-        kind = _DISTORTIONS.get(distortion.lower())
+        kind = _DISTORTIONS.get(distortion.lower().replace("-", "_"))
         if kind is None or (model != "pinhole" and kind not in {"pinhole", "brown_conrady"}):
             raise self.value.fault(
                 f"distortion {distortion!r} of {model}; expected one of {', '.join(filter(None, _DISTORTIONS))}"
@@ -670,9 +669,7 @@ class _Numbers:
                 raise self.value.fault(f"w {w:g} of fov; expected more than 0 and less than π")
             return self._fitted("fov", partial(_field_of_view, w), fx, fy, cx, cy)
         if model == "pinhole":
-            if len(coefficients) > 8:
-                # s1-s4 and the tilt come after k6; in our model after lx and ly, which OpenCV does not have
-                coefficients = [*coefficients[:8], 0.0, 0.0, *coefficients[8:]]
+            coefficients = [*from_opencv(coefficients)]
             return self._camera(kind if coefficients else "pinhole", fx, fy, cx, cy, coefficients)
         if model == "ucm" and 0.0 <= first[0] < 1.0:
             # the unified model is that of a mirror without distortion, with xi = α / (1 - α)

@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 import msgspec
 import numpy as np
 
-from sceneloom.cameras.camera import MODELS, Camera
+from sceneloom.cameras.camera import MODELS, Camera, to_ros
 from sceneloom.cameras.fitting import nearest
 from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.formats.base.losses import Losses, LossReport, field_losses
@@ -123,13 +123,7 @@ def write_camera_info(scene: Scene, path: Path, *, overwrite: bool = False) -> L
 
 
 def _camera_info(name: str, camera: Camera) -> Iterator[str]:
-    numbers = list(camera.coefficients)
-    if len(numbers) > 8:
-        numbers = [*numbers[:8], *numbers[10:]]  # lx and ly, which ROS does not have
-    lengths = (4,) if camera.model == "fisheye" else (5, 8, 12, 14)
-    count = next(length for length in lengths if length >= len(numbers))
-    numbers += [0.0] * (count - len(numbers))
-    model = "equidistant" if camera.model == "fisheye" else "plumb_bob" if count == 5 else "rational_polynomial"
+    model, numbers = to_ros(camera) or ("", ())  # `_cameras` gives those that ROS has
     k = camera.matrix
     yield from _yaml({"image_width": camera.width, "image_height": camera.height, "camera_name": name})
     yield from _matrix("camera_matrix", k)

@@ -19,6 +19,7 @@ from sceneloom.formats.trajectories.text_formats import of_fixes
 from sceneloom.formats.trajectories.trajectory_file import Reading, TrajectoryFile, TrajectoryForm
 from sceneloom.lazy import imported
 from sceneloom.motion.ego_trajectory import GNSS, RESERVED, usable_fixes
+from sceneloom.scene.ego import stated_origin
 from sceneloom.scene.motion import GnssSensor
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Corrections, Scene
@@ -63,10 +64,12 @@ def _read_scene_trajectory(
 
 def _named(scene: Scene, reading: Reading, progress: Progress | None) -> TrajectoryFile:
     name = reading.name
-    if name is None and scene.trajectories:
-        return TrajectoryFile(next(iter(scene.trajectories.values())))
-    if name in scene.trajectories:
-        return TrajectoryFile(scene.trajectories[str(name)])
+    chosen = next(iter(scene.trajectories), None) if name is None else name
+    if chosen in scene.trajectories:
+        stated = stated_origin(scene)
+        return TrajectoryFile(
+            scene.trajectories[str(chosen)], origin_lla=None if stated is None else read_only(stated, np.float64)
+        )
     receivers = [sensor for sensor in scene.sensors if isinstance(sensor, GnssSensor)]
     if receivers and (name == _FIXES or (name is None and not scene.lidars)):
         return _received(scene, receivers[0], _FIXES, reading)

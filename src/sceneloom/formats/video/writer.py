@@ -605,11 +605,11 @@ _FILTERS = {"h264": "h264_mp4toannexb", "hevc": "hevc_mp4toannexb"}
 """FFmpeg's filters that put packets into Annex B form, with the parameters before each key image."""
 
 
-def annex_b_to_mp4(raw: BinaryIO, target: BinaryIO, timestamps_ns: Int64Array, name: str) -> None:
-    """Put a stream in Annex B form into an mp4 file.
+def packets_to_mp4(raw: BinaryIO, target: BinaryIO, timestamps_ns: Int64Array, name: str) -> None:
+    """Put a stream in Annex B form, or an IVF file, into an mp4 file.
 
     Args:
-        raw: the packets one after another.
+        raw: the packets one after another, or the file.
         target: a seekable binary file.
         timestamps_ns: (N,) int64 [ns], when each image is shown, in the order of decoding.
         name: what messages call the video.

@@ -226,6 +226,13 @@ def read(tmp_path, content, **options):
     return open_scene(path, **options)
 
 
+def written_anew(scene, tmp_path):
+    """What we write of a scene without the document that it was read from."""
+    kept = {name: value for name, value in scene.metadata["openlabel"].items() if name != "document"}
+    write_scene(replace(scene, metadata={**scene.metadata, "openlabel": kept}), tmp_path / "again.json")
+    return json.loads((tmp_path / "again.json").read_text())["openlabel"]
+
+
 def frame(timestamp, data, **properties):
     properties = {**({} if timestamp is None else {"timestamp": timestamp}), **properties}
     return {"frame_properties": properties, "objects": {"1": {"object_data": data}}}
@@ -280,7 +287,7 @@ def test_rotated_boxes_matrices_and_whole_objects_come_back_and_relative_polygon
     matrix = {"name": "m", "val": [1, 2], "width": 2, "height": 1, "channels": 1, "data_type": "float"}
     static = {"text": [{"name": "plate", "val": "HB"}], "mat": [matrix], **cuboid(1, 2, 3, 0, 0, 0, 1, 1, 1, 1)}
     relative = {"name": "p", "val": [5, 5, 1, 0, 0, 2], "mode": "MODE_POLY2D_RELATIVE", "closed": False}
-    coded = {"name": "q", "val": ["0", "0", "1"], "mode": "MODE_POLY2D_SRF6DCC", "closed": True}
+    coded = {"name": "q", "val": ["0", "0", "1"], "mode": "MODE_POLY2D_F8DCC", "closed": True}
     turned = {"name": "r", "val": [100, 50, 40, 20, np.pi / 2]}
     objects = {name: {"name": name, "type": "Car"} for name in "123"} | {"4": {"name": "four", "type": "Car"}}
     objects["4"]["object_data"] = static
@@ -298,8 +305,7 @@ def test_rotated_boxes_matrices_and_whole_objects_come_back_and_relative_polygon
     (box,) = (one for one in found.annotations if one.type == "cuboid")
     assert box.stationary
     assert {one.name: one.values[0] for one in box.attributes}["plate"] == "HB"
-    write_scene(found, tmp_path / "again.json")
-    again = json.loads((tmp_path / "again.json").read_text())["openlabel"]
+    again = written_anew(found, tmp_path)
     assert again["frames"]["0"]["objects"]["1"]["object_data"]["rbbox"][0]["val"] == turned["val"]
     assert (again["objects"]["4"]["object_data"]["mat"], again["objects"]["4"]["name"]) == ([matrix], "four")
     assert {name: again[name] for name in kept} == kept

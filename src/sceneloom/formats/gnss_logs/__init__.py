@@ -1,0 +1,1 @@
+"""Logs of satellite receivers: NMEA 0183, UBX, and positions of RTKLIB."""

@@ -1,0 +1,1 @@
+"""Files of labelling tools: CVAT, COCO, Datumaro, YOLO and Label Studio."""

@@ -1,1 +1,0 @@
-"""Logs of NMEA 0183: lines of a satellite receiver."""

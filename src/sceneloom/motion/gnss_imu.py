@@ -820,7 +820,7 @@ _DRIFT_SECONDS, _DRIFT_WORTH, _RARE_DRIFT, _LEAST_DRIFT, _DRIFT_LASTS = 60.0, 0.
 of it; the largest square that counts, in units of the expected; the least drift [m²]; and how long [s] one speed of the
 drift lasts, about the time over which a receiver smooths."""
 
-_NEAR_WORTH = 4.0
+_NEAR_WORTH = 32.0
 """What the drift of a whole drive counts as in measurements of that within `_DRIFT_LASTS`: receivers drift more at some
 times than at others, as signals come and go."""
 

@@ -126,7 +126,10 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         ),
         "nuscenes": FormatRow(
             "sceneloom.formats.nuscenes.spec:FORMAT",
-            folder=("sample_data.json", "ego_pose.json", "calibrated_sensor.json", "v[0-9]*"),
+            folder=(
+                *("sample_data.json", "ego_pose.json", "calibrated_sensor.json", "v[0-9]*"),
+                *("annotation/*.json", "[0-9]*/annotation/*.json"),
+            ),
         ),
         "argoverse2": FormatRow(
             "sceneloom.formats.argoverse2.spec:FORMAT",

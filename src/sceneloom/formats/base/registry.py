@@ -131,6 +131,11 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
                 *("annotation/*.json", "[0-9]*/annotation/*.json"),
             ),
         ),
+        "ncore": FormatRow(
+            "sceneloom.formats.ncore.spec:FORMAT",
+            file=(".zarr.itar", b'{"sequence_id":'),
+            folder=(".zattrs", "*.zarr.itar", "*.zarr"),
+        ),
         "argoverse2": FormatRow(
             "sceneloom.formats.argoverse2.spec:FORMAT",
             folder=(
@@ -325,10 +330,10 @@ def open_scene(
             print(sample.timestamp_ns, len(sample.sweep.points), list(sample.images))
     ```
 
-    Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, supervisely, segments, scale-task, sustechpoints, euroc-mav, openlabel, cvat,
-    tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap; clouds as pcd, ply, las, laz, kitti-bin,
-    nuscenes-bin, npz. `sceneloom formats` describes each.
+    Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry,
+    nuscenes, argoverse2, pandaset, ncore, scale-toolkit, supervisely, segments, scale-task, sustechpoints,
+    euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap; clouds as
+    pcd, ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by

@@ -566,7 +566,7 @@ class _Reader:
             problem = f"mask of {list(row.mask.size)}; expected the height and width of the image, {list(size)}"
             raise self._fault(table, row.token, problem)
         rows, columns = mask.pixels()
-        return Mask.of_pixels(mask.width, mask.height, rows, columns).record()
+        return Mask.of_pixels(mask.width, mask.height, columns, rows).record()
 
     def _boxes_2d(self) -> list[Box2DAnnotation]:
         """A box for each instance and camera, the child of the instance's cuboid; those with masks apart."""

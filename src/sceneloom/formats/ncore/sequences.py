@@ -46,8 +46,8 @@ _RIG, _WORLD, _VERSION = "rig", "world", "v4"
 _ENTRY = "ncore"  # of the metadata, and of the extra fields of sensors
 _SPAN = "frame_timestamps_us"
 _KNOWN = ("poses", "intrinsics", "cameras", "lidars", "radars", "cuboids")
-_BOX_RADIANS = CuboidAngles("radians", "xyz")
-"""Angles of boxes. Source: `bbox_pose` of ncore.impl.common.transformations, SciPy's lower-case "xyz"."""
+_BOX_RADIANS = CuboidAngles("radians", "zyx")
+"""Angles of boxes. Source: `bbox_pose` of ncore.impl.common.transformations: SciPy's "xyz", about axes that stand."""
 
 _OPENCV = ("radial_coeffs", "tangential_coeffs", "thin_prism_coeffs")
 _GROWTH_PX = 0.01  # an inverse polynomial that is further off than this is reported
@@ -95,7 +95,11 @@ def _ftheta(parameters: Mapping[str, Any], width: int, height: int, u: float, v:
     forward = _polynomial(parameters, "angle_to_pixeldist_poly")
     error = 0.0
     if parameters.get("reference_poly") == "PIXELDIST_TO_ANGLE":
-        forward, error = _inverse(_polynomial(parameters, "pixeldist_to_angle_poly"), math.hypot(width, height))
+        reach = math.hypot(max(u + 0.5, width - 0.5 - u), max(v + 0.5, height - 0.5 - v))
+        limit = parameters.get("max_angle")
+        largest = float(limit) if type(limit) in (int, float) and 0 < limit < math.pi else math.pi
+        backward = _polynomial(parameters, "pixeldist_to_angle_poly")
+        forward, error = _inverse(backward, reach * max(1.0, 1.0 / c if c > 0 else 1.0), largest)
     if not forward[1] > 0:
         raise CalibrationError(f"angle_to_pixeldist_poly {forward.tolist()}; expected a slope above 0")
     k0, k1, *higher = forward.tolist()
@@ -103,11 +107,11 @@ def _ftheta(parameters: Mapping[str, Any], width: int, height: int, u: float, v:
     return Camera("ftheta_skewed", width, height, c * k1, k1, u, v, coefficients), error
 
 
-def _inverse(backward: Float64Array, reach: float) -> tuple[Float64Array, float]:
-    """The polynomial of degree 5 that undoes another one up to a distance, and how far it is off at most."""
+def _inverse(backward: Float64Array, reach: float, largest: float) -> tuple[Float64Array, float]:
+    """The polynomial of degree 5 that undoes another one up to a distance and angle, and how far it is off at most."""
     distances = np.linspace(0.0, reach, 2001)
     angles = np.polynomial.polynomial.polyval(distances, backward)
-    falling = np.flatnonzero((np.diff(angles) <= 0) | (angles[1:] > math.pi))
+    falling = np.flatnonzero((np.diff(angles) <= 0) | (angles[1:] > largest))
     stop = int(falling[0]) + 1 if len(falling) else len(angles)
     if stop < 20:
         raise CalibrationError(

@@ -218,7 +218,7 @@ def open_ncore(path: Path, *, sequence: str | None = None, lenient: bool = False
 
 def _stores(path: Path, sequence: str | None) -> list[Store]:
     if path.is_file() and is_sequence_file(path):
-        listed = read_json(path).get("component_stores")
+        listed = read_json(path, dict).get("component_stores")
         names = [one.get("path") for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
         if not names or not all(isinstance(name, str) and Path(name).name == name for name in names):
             raise DataError(path, "component_stores", f"{str(listed)[:80]}; expected names of stores beside the file")

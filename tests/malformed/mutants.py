@@ -220,7 +220,7 @@ OTHER_DRIVES: dict[str, Write] = {
     "rig": partial(_by_test, "rig.conftest", "write_folder", "drive"),
     **_folders("kitti-tracking", "kitti-odometry", "kitti-bin", "nuscenes-bin"),
     "nuscenes": _street,
-    "t4": _t4,
+    "nuscenes t4": _t4,
     "ncore": partial(_written, "ncore", "drive.zarr.itar"),
     "ncore folder": _ncore_folder,
     "argoverse2": partial(_by_test, "argoverse2.test_reader", "write_log", "drive"),

@@ -26,7 +26,7 @@ from sceneloom.simulate import CameraSpec, LidarSpec, camera_mount, simulate_str
 
 @pytest.fixture(scope="module")
 def street():
-    camera = CameraSpec(Camera("fisheye", 48, 32, 20.0, 20.0, 23.5, 15.5, (0.02, -0.01)), camera_mount())
+    camera = CameraSpec(Camera("fisheye", 48, 32, 20.0, 20.0, 23.5, 15.5, (0.02, -0.01, 0.001, -5e-4)), camera_mount())
     return simulate_street(5, frames=3, lidar=LidarSpec(beams=4, steps=60), cameras=(camera,)).scene
 
 

@@ -119,7 +119,17 @@ def test_a_module_imports_only_from_rows_below_its_own(modules):
 
 FORMAT_ROWS = (
     (
-        *("nuscenes", "openlabel", "labelling", "kitti", "pandaset", "argoverse2", "euroc_mav", "scale_toolkit"),
+        *(
+            "nuscenes",
+            "openlabel",
+            "labelling",
+            "kitti",
+            "pandaset",
+            "argoverse2",
+            "ncore",
+            "euroc_mav",
+            "scale_toolkit",
+        ),
         "cloud_labelling",
     ),
     ("sfs", "recording", "rig", "messages", "posed_images"),

@@ -14,8 +14,9 @@ from tests.peers import python_with
 from tests.unit.formats.labelling.test_round_trips import TIMES, by_id, scene_of
 
 from sceneloom import scene as sc
+from sceneloom.formats.base.masks import MASKS, Mask
 from sceneloom.formats.base.registry import open_scene, write_scene
-from sceneloom.formats.labelling.drawn import MASKS, RBBOX, Mask
+from sceneloom.formats.labelling.drawn import RBBOX
 from sceneloom.formats.labelling.label_studio import unpacked_brush
 from sceneloom.scene import annotations_at as at
 

@@ -20,6 +20,7 @@ import shutil
 import socket
 import struct
 import sys
+import tarfile
 import tempfile
 import time
 import traceback
@@ -105,6 +106,20 @@ def _street(folder: Path) -> Path:
     from tests.unit.formats.nuscenes.schema_folder import street, with_classes
 
     return with_classes(street(folder / "drive"), dict.fromkeys((0, 2, 4), slice(3, 9))).write()
+
+
+def _t4(folder: Path) -> Path:
+    from tests.unit.formats.nuscenes.test_nuscenes import t4_street
+
+    return t4_street(folder / "drive").write()
+
+
+def _ncore_folder(folder: Path) -> Path:
+    archive = _written("ncore", "drive.zarr.itar", folder)
+    with tarfile.open(archive) as tar:
+        tar.extractall(folder / "drive.zarr", filter="data")
+    archive.unlink()
+    return folder / "drive.zarr"
 
 
 def _without_checksums(folder: Path) -> Path:
@@ -221,6 +236,9 @@ OTHER_DRIVES: dict[str, Write] = {
     "rig": partial(_by_test, "rig.conftest", "write_folder", "drive"),
     **_folders("kitti-tracking", "kitti-odometry", "kitti-bin", "nuscenes-bin"),
     "nuscenes": _street,
+    "nuscenes t4": _t4,
+    "ncore": partial(_written, "ncore", "drive.zarr.itar"),
+    "ncore folder": _ncore_folder,
     "argoverse2": partial(_by_test, "argoverse2.test_reader", "write_log", "drive"),
     "pandaset": partial(_by_test, "pandaset.test_reader", "write_drive", "drive"),
     "scale-toolkit": partial(_by_test, "scale_toolkit.test_reader", "write_folder", "drive"),

@@ -31,6 +31,7 @@ CAMERA_MODELS = {
     "fisheye_rad_tan_prism": Camera("fisheye_rad_tan_prism", *WIDE, (*SIX, 1e-3, -1e-3, 5e-4, 1e-4, -1e-3, -1e-4)),
     "fisheye_radial_custom": Camera("fisheye_radial_custom", *WIDE, (*SIX, 1e-3, -1e-3, 2.5, -1.5)),
     "ftheta": Camera("ftheta", *WIDE, (0.0, 67.0, 1.0, -0.8, 0.05)),
+    "ftheta_skewed": Camera("ftheta_skewed", *WIDE, (0.0, 0.015, -0.012, 0.001, 0.0, 1.0, -0.5)),
     "kannala_brandt18": Camera("kannala_brandt18", *WIDE, (*SIX[:4], *ASYMMETRIC)),
     "omnidir": Camera("omnidir", *WIDE, (-0.02, 0.003, 0.4, 1.1, 1e-3, -1e-3)),
 }

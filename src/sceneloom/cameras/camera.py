@@ -102,6 +102,13 @@ MODELS: Mapping[str, Model] = MappingProxyType(
             on_request=True,
             pixel_axes=dict.fromkeys(("k1", "k2", "k3", "k4", "k5"), "uv"),
         ),
+        "ftheta_skewed": _row(
+            "fisheye",
+            "k0 k2 k3 k4 k5 skew_u skew_v",
+            Chart.ANGLE,
+            "NVIDIA NCore, FTheta",
+            pixel_axes={"skew_u": "u", "skew_v": "v"},
+        ),
         "kannala_brandt18": _row(
             "fisheye", "k0 k1 k2 k3 l1 l2 l3 i1 i2 i3 i4 m1 m2 m3 j1 j2 j3 j4", Chart.ANGLE, "Kannala and Brandt 2006"
         ),

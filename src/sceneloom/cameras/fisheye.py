@@ -32,6 +32,7 @@ from sceneloom.cameras.formulas import (
     numbers_of,
     odd_polynomial,
     pixel_of_plane,
+    plane_of_pixel,
     prepared,
     project_point,
     ray_of_chart,
@@ -201,6 +202,46 @@ def _limit_px(coefficients: tuple[float, ...]) -> float:
 
 
 FTHETA = compiled_model(Ftheta, _limit_px)
+
+
+# The polynomial of all powers of the angle, and a linear term that skews the image, s and t in pixels:
+#
+#     d = k0 + θ + k2 θ² + k3 θ³ + k4 θ⁴ + k5 θ⁵,  (x, y) = d (cos φ, sin φ),  u = fx x + s y + cx,  v = t x + fy y + cy
+#
+# With k0 other than 0 a point right ahead has no pixel. Source: documentation of NVIDIA NCore, "Sensor Models", FTheta,
+# whose forward polynomial is fy times this one, and whose c, d, e are fx/fy, s/fy, t/fy.
+
+FthetaSkewed = numbers_of("ftheta_skewed", __name__)
+
+
+def _skewed_pixel(x: Any, y: Any, c: Any) -> Any:
+    return c.fx * x + c.skew_u * y + c.cx, c.skew_v * x + c.fy * y + c.cy
+
+
+def _plane_of_skewed_pixel(u: Any, v: Any, c: Any) -> Any:
+    right, down = u - c.cx, v - c.cy
+    determinant = c.fx * c.fy - c.skew_u * c.skew_v
+    return (c.fy * right - c.skew_u * down) / determinant, (c.fx * down - c.skew_v * right) / determinant
+
+
+use_formulas(FthetaSkewed, {**_RADIAL, pixel_of_plane: _skewed_pixel, plane_of_pixel: _plane_of_skewed_pixel})
+
+
+@formula_of(FthetaSkewed, distance_at)
+def _distance_of_all_powers(angle: Any, c: Any) -> Any:
+    return (
+        c.k0 + angle * (1.0 + angle * (c.k2 + angle * (c.k3 + angle * (c.k4 + angle * c.k5)))),
+        1.0 + angle * (2.0 * c.k2 + angle * (3.0 * c.k3 + angle * (4.0 * c.k4 + angle * 5.0 * c.k5))),
+    )
+
+
+def _limit_of_all_powers(coefficients: tuple[float, ...]) -> float:
+    """Where the polynomial stops growing, π at most."""
+    _, k2, k3, k4, k5, _, _ = coefficients
+    return min(math.pi, first_positive_root([5 * k5, 4 * k4, 3 * k3, 2 * k2, 1.0]))
+
+
+FTHETA_SKEWED = compiled_model(FthetaSkewed, _limit_of_all_powers)
 
 
 # Six radial, two tangential and four thin-prism coefficients, with t = (p1, p2):

@@ -39,6 +39,7 @@ CAMERAS = [
     Camera("fisheye_rad_tan_prism", *SIZE, SIX),
     Camera("fisheye_radial_custom", *SIZE, (*SIX, 1e-3, -2e-3, 3.5, -2.5)),
     Camera("ftheta", *SIZE, (0.0, 505.0, 3.0, -5.0, -2.0)),
+    Camera("ftheta_skewed", *SIZE, (0.0, 0.012, -0.03, 0.008, -0.002, 2.5, -3.5)),
     Camera("kannala_brandt18", *SIZE, SIX[:4]),
     Camera("kannala_brandt18", *SIZE, (*SIX[:4], *ASYMMETRIC)),
     Camera("omnidir", *SIZE, (-0.1, 0.02, 1.3, 1.2, 1e-3, -2e-3)),
@@ -153,6 +154,12 @@ def ftheta(n, X, Y, Z):
     return complex(pixels * toward.real / n["fx"], pixels * toward.imag / n["fy"])
 
 
+def ftheta_skewed(n, X, Y, Z):
+    angle, toward = polar(X, Y, Z)
+    p = (n["k0"] + angle + sum(n[f"k{i}"] * angle**i for i in (2, 3, 4, 5))) * toward
+    return complex(p.real + n["skew_u"] / n["fx"] * p.imag, p.imag + n["skew_v"] / n["fy"] * p.real)
+
+
 def kannala_brandt18(n, X, Y, Z):
     angle, toward = polar(X, Y, Z)
     phi = cmath.phase(toward)
@@ -170,7 +177,7 @@ ORACLES: dict[str, Oracle] = {
     oracle.__name__: oracle
     for oracle in (
         pinhole, brown_conrady, fisheye, mod_equi_fish, mod_kannala, cylindrical, equirectangular, omnidirectional,
-        fisheye_rad_tan_prism, fisheye_radial_custom, ftheta, kannala_brandt18, omnidir,
+        fisheye_rad_tan_prism, fisheye_radial_custom, ftheta, ftheta_skewed, kannala_brandt18, omnidir,
     )
 }  # fmt: skip
 
@@ -195,6 +202,7 @@ ODD = [
     ("omnidirectional", (-0.2, 0.05, 0.01, 0.002, 1e-3, -2e-3, 0.6, 0.01, -0.02)),
     ("omnidirectional", (-0.1, 0.03, 0.002, -4e-4, 1e-3, -2e-3, 1.7, 0.01, -0.02)),
     ("ftheta", (-2.5, 420.0)),
+    ("ftheta_skewed", (-0.005, 0.02, -0.04)),
     ("omnidir", (-0.2, 0.05, 0.0, 1.0)),
 ]
 
@@ -450,6 +458,7 @@ def test_an_image_of_another_size_shows_corners_and_centres_where_they_belong():
         Camera("pinhole", 640, 480, 500.0, 510.0, 319.5, 250.0),
         Camera("ftheta", *size, (0.5, 300.0, 2.0, -3.0, -1.0)),
         Camera("omnidir", *size, (-0.1, 0.02, 1.5, 1.1, 1e-3, -1e-3)),
+        Camera("ftheta_skewed", *size, (0.0, 0.01, -0.02, 0.0, 0.0, 2.0, -3.0)),
         Camera("fisheye_radial_custom", *size, (0.05, *(0.0,) * 5, 1e-3, -1e-3, 2.5, -1.5)),
     ):
         # measured from the image's corner, everything doubles or halves
@@ -476,6 +485,7 @@ REACH = {
     "mod_equi_fish": [((9.0, -0.2), math.sqrt(1 / 0.6)), ((0.0, 0.0, -0.1), (1 / 0.4) ** (1 / 3))],
     "mod_kannala": [((), math.pi), ((-0.5,), math.tan(math.sqrt(1 / 1.5)))],
     "ftheta": [((0.0, 300.0, -75.0), 2.0), ((3.0, -300.0), 0.0)],
+    "ftheta_skewed": [((), math.pi), ((0.0, -0.25), 2.0)],
     "cylindrical": [((), math.pi)],
     "equirectangular": [((), math.pi)],
     "omnidirectional": [

@@ -126,7 +126,15 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         ),
         "nuscenes": FormatRow(
             "sceneloom.formats.nuscenes.spec:FORMAT",
-            folder=("sample_data.json", "ego_pose.json", "calibrated_sensor.json", "v[0-9]*"),
+            folder=(
+                *("sample_data.json", "ego_pose.json", "calibrated_sensor.json", "v[0-9]*"),
+                *("annotation/*.json", "[0-9]*/annotation/*.json"),
+            ),
+        ),
+        "ncore": FormatRow(
+            "sceneloom.formats.ncore.spec:FORMAT",
+            file=(".zarr.itar", b'{"sequence_id":'),
+            folder=(".zattrs", "*.zarr.itar", "*.zarr"),
         ),
         "argoverse2": FormatRow(
             "sceneloom.formats.argoverse2.spec:FORMAT",
@@ -323,11 +331,10 @@ def open_scene(
             print(sample.timestamp_ns, len(sample.sweep.points), list(sample.images))
     ```
 
-    Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, scale-toolkit, supervisely, segments, scale-task, sustechpoints, euroc-mav, openlabel, cvat,
-    tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap, lvx; clouds as pcd, ply, las, laz,
-    kitti-bin,
-    nuscenes-bin, npz. `sceneloom formats` describes each.
+    Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry,
+    nuscenes, argoverse2, pandaset, ncore, scale-toolkit, supervisely, segments, scale-task, sustechpoints,
+    euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap, lvx; clouds
+    as pcd, ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by

@@ -19,6 +19,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.files import check_length, file_faults, open_file, read_settings
 from sceneloom.formats.base.losses import Losses, LossReport, field_losses
+from sceneloom.formats.base.masks import Mask
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.labelling.drawn import (
     MOST_FOLDERS,
@@ -27,7 +28,6 @@ from sceneloom.formats.labelling.drawn import (
     Frame,
     Kind,
     Labels,
-    Mask,
     Sheet,
     id_text,
     image_roots,

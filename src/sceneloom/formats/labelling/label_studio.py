@@ -17,6 +17,7 @@ from sceneloom.arrays import Float64Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.files import MOST_PIXELS
 from sceneloom.formats.base.losses import Losses, LossReport, field_losses
+from sceneloom.formats.base.masks import Mask
 from sceneloom.formats.base.output import FolderKind
 from sceneloom.formats.labelling.drawn import (
     DEFAULT_RATE_HZ,
@@ -26,7 +27,6 @@ from sceneloom.formats.labelling.drawn import (
     Json,
     Kind,
     Labels,
-    Mask,
     Sheet,
     corners_of,
     id_text,

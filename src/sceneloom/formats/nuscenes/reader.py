@@ -1,6 +1,7 @@
-"""Read one scene of a data set in the nuScenes schema."""
+"""Read one scene of a data set in the nuScenes schema, or in its dialect T4."""
 
 import re
+from base64 import b64decode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,21 +13,24 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float32Array, Float64Array, Int64Array, UInt8Array, read_only
-from sceneloom.cameras.camera import Camera
+from sceneloom.cameras.camera import OPENCV_LENGTHS, Camera, from_opencv
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import open_file, read_bytes
 from sceneloom.formats.base.images import ImageFile, images_image_size, is_jpeg
+from sceneloom.formats.base.masks import MASKS, Mask
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import as_flag
 from sceneloom.formats.nuscenes.spec import table_folders
-from sceneloom.formats.nuscenes.tables import KEY_FRAMES, MICROSECOND, NEEDED, TABLES, Quaternion
+from sceneloom.formats.nuscenes.tables import KEY_FRAMES, MICROSECOND, NEEDED, T4_VECTORS, TABLES, Quaternion
 from sceneloom.formats.points.cloud import NUSCENES, Cloud
 from sceneloom.formats.points.files import read_bin, read_cloud
 from sceneloom.geometry.rigid import RigidTransform, multiply_quaternions, normalise_quaternion, rotate_vectors
 from sceneloom.scene.annotations import (
     Annotation,
     AttributePath,
+    Box2DAnnotation,
+    BoxPath,
     CuboidAnnotation,
     CuboidPath,
     LabeledPoints,
@@ -114,6 +118,8 @@ _BOX_TABLES = ("sample_annotation", "instance", "category", "attribute", "visibi
 _LEFT_OUT = (
     ("map.json", "maps", "maps are left out"),
     ("panoptic.json", "panoptic", "panoptic labels of points are left out"),
+    ("vehicle_state.json", "vehicle-states", "pedals, steering and indicators of the vehicle are left out"),
+    ("../input_bag", "input-bag", "the bag that the data set was made of is left out; open it as a drive of its own"),
 )
 _EMPTY_TABLE = 4  # a file of so many bytes holds no row
 
@@ -211,10 +217,15 @@ class _Reader:
         """Build the scene that was asked for by a path."""
         trajectory = self._trajectory()
         sensors = [sensor for data in self.sensors if (sensor := self._sensor(data)) is not None]
-        annotations: tuple[Annotation, ...] = (*self._cuboids(), *self._labelled_points())
+        annotations: tuple[Annotation, ...] = (
+            *self._cuboids(),
+            *self._boxes_2d(),
+            *self._surfaces(),
+            *self._labelled_points(),
+        )
         for name, code, message in _LEFT_OUT:
             file = self.tables / name
-            if file.is_file() and file.stat().st_size > _EMPTY_TABLE:
+            if file.is_dir() or (file.is_file() and file.stat().st_size > _EMPTY_TABLE):
                 self.ledger.note(WarningKind.SKIPPED, f"{code}-left-out", str(file), message)
         if self.others:
             location = str(self.tables / "scene.json")
@@ -290,7 +301,10 @@ class _Reader:
             elif calibration.sensor_token not in sensors:
                 fault = self._dangling("calibrated_sensor", calibration.token, "sensor", calibration.sensor_token)
             else:
-                if self._is_there(row):
+                if not row.is_valid:
+                    location, message = str(self.tables / "sample_data.json"), "frames that are stated to be invalid"
+                    self.ledger.note(WarningKind.SKIPPED, "frames-invalid", location, f"{message} are left out")
+                elif self._is_there(row):
                     taken.setdefault(calibration.sensor_token, []).append(row)
                 continue
             self.ledger.fault("dangling-tokens", fault)
@@ -326,11 +340,15 @@ class _Reader:
 
     def _trajectory(self) -> Trajectory | None:
         """The ego trajectory: its poses at all frames of all sensors; None where there are none."""
-        rows = {row.token: row for data in self.sensors for row in data.poses}
+        rows: dict[str, tuple[int, Any]] = {}
+        for data in self.sensors:
+            for frame, row in zip(data.rows, data.poses, strict=True):
+                rows.setdefault(row.token, (frame.timestamp if row.timestamp is None else row.timestamp, row))
         if not rows:
             return None
-        ordered = sorted(rows.values(), key=lambda row: row.timestamp)
-        timestamps_ns = np.array([row.timestamp for row in ordered], np.int64) * MICROSECOND
+        timed = sorted(rows.values(), key=lambda pair: pair[0])
+        ordered = [row for _, row in timed]
+        timestamps_ns = np.array([time for time, _ in timed], np.int64) * MICROSECOND
         times_ns, first = np.unique(timestamps_ns, return_index=True)
         positions = np.array([row.translation for row in ordered], np.float64)
         quaternions = self._quaternions("ego_pose", [(row.token, row.rotation) for row in ordered])
@@ -411,7 +429,7 @@ class _Reader:
         return Poses(times_ns, (shifts + positions)[first], rotations[first])
 
     def _cameras(self, data: _SensorData, files: _Files) -> tuple[Camera, ...]:
-        """The camera model of each image; all images of nuScenes are undistorted."""
+        """The camera model of each image; images of nuScenes are undistorted, those of T4 need not be."""
         known: dict[tuple[str, int, int], Camera] = {}
         cameras = []
         for row, calibration, path in zip(data.rows, data.calibrations, files.paths, strict=True):
@@ -427,7 +445,14 @@ class _Reader:
         fault = f"camera_intrinsic {row.camera_intrinsic}; expected rows (fx, 0, cx), (0, fy, cy), (0, 0, 1)"
         if matrix.shape == (3, 3) and np.array_equal(matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1]):
             (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
+            distortion = row.camera_distortion or []
+            if len(distortion) not in OPENCV_LENGTHS:
+                lengths = ", ".join(map(str, OPENCV_LENGTHS))
+                problem = f"camera_distortion of {len(distortion)} numbers; expected {lengths} in OpenCV's order"
+                raise self._fault("calibrated_sensor", row.token, problem)
             try:
+                if any(distortion):
+                    return Camera("brown_conrady", *size, fx, fy, cx, cy, from_opencv(distortion))
                 return Camera("pinhole", *size, fx, fy, cx, cy)
             except CalibrationError as error:
                 fault = str(error)
@@ -490,6 +515,11 @@ class _Reader:
         if any(row.visibility_token for row in rows):
             levels = (names["visibility"].get(row.visibility_token) for row in rows)
             stated["visibility"] = tuple("" if level is None else level.level for level in levels)
+        for name in T4_VECTORS:
+            if all(getattr(row, name) is not None for row in rows):
+                stated[name] = tuple(getattr(row, name) for row in rows)
+        if any(row.automatic_annotation for row in rows):
+            stated["automatic_annotation"] = tuple(row.automatic_annotation for row in rows)
         extras = MappingProxyType({"tokens": tuple(row.token for row in rows)})
         return CuboidAnnotation(
             id=instance.token,
@@ -497,6 +527,109 @@ class _Reader:
             label=names["category"][instance.category_token].name,
             attributes=tuple(AttributePath(name, values, timestamps_ns) for name, values in stated.items()),
         )
+
+    def _drawn(self, table: str) -> list[tuple[_SensorData, int, Any, Mapping[str, Any] | None]]:
+        """Rows of a table of T4 that draw on images of this scene: camera, number of the image, row and mask."""
+        if not (self.tables / f"{table}.json").is_file():
+            return []
+        cameras = [data for data in self.sensors if data.sensor.modality == "camera"]
+        images = {row.token: (data, k) for data in cameras for k, row in enumerate(data.rows)}
+        found = []
+        for row in iter_rows(self.tables, table):
+            if row.sample_data_token not in images:
+                continue
+            data, k = images[row.sample_data_token]
+            try:
+                mask = None if row.mask is None else self._mask(table, row, data.rows[k])
+            except DataError as error:
+                self.ledger.fault("labels", error)
+                continue
+            found.append((data, k, row, mask))
+        found.sort(key=lambda entry: entry[0].rows[entry[1]].timestamp)
+        return found
+
+    def _mask(self, table: str, row: Any, image: Any) -> Mapping[str, Any]:
+        """A mask as COCO has it; of one whose sides are width and height the runs follow the rows of the image.
+
+        Source: `RLEMask` of t4-devkit, of whose versions some transpose what they decode, and some do not. A square
+        mask is taken as COCO's.
+        """
+        try:
+            counts = b64decode(row.mask.counts, validate=True).decode("ascii")
+            mask = Mask.of_record({"size": row.mask.size, "counts": counts})
+        except ValueError as error:
+            raise self._fault(table, row.token, f"mask: {error}") from error
+        size = (image.height or mask.height, image.width or mask.width)
+        if (mask.height, mask.width) == size:
+            return mask.record()
+        if (mask.width, mask.height) != size:
+            problem = f"mask of {list(row.mask.size)}; expected the height and width of the image, {list(size)}"
+            raise self._fault(table, row.token, problem)
+        rows, columns = mask.pixels()
+        return Mask.of_pixels(mask.width, mask.height, columns, rows).record()
+
+    def _boxes_2d(self) -> list[Box2DAnnotation]:
+        """A box for each instance and camera, the child of the instance's cuboid; those with masks apart."""
+        names = {name: self._by_token(name) for name in ("category", "attribute")}
+        tracks: dict[tuple[str, str, bool], list[Any]] = {}
+        for entry in self._drawn("object_ann"):
+            data, _, row, mask = entry
+            missing = [(name, token) for name, token in _named(row) if token not in names[name]]
+            if missing:
+                self.ledger.fault("dangling-tokens", self._dangling("object_ann", row.token, *missing[0]))
+                continue
+            left, top, right, bottom = row.bbox
+            if not (right >= left and bottom >= top):
+                problem = f"bbox {list(row.bbox)}; expected left, top, right, bottom"
+                self.ledger.fault("boxes", self._fault("object_ann", row.token, problem))
+                continue
+            tracks.setdefault((row.instance_token, data.sensor.token, mask is not None), []).append(entry)
+        return [self._box_2d(token, track, names) for (token, _, _), track in tracks.items()]
+
+    def _box_2d(self, instance: str, track: list[Any], names: Mapping[str, Mapping[str, Any]]) -> Box2DAnnotation:
+        data, _, first, mask = track[0]
+        timestamps_ns = np.array([one.rows[k].timestamp for one, k, _, _ in track], np.int64) * MICROSECOND
+        corners = np.array([row.bbox for _, _, row, _ in track], np.float64)
+        extras: dict[str, Any] = {"tokens": tuple(row.token for _, _, row, _ in track)}
+        if mask is not None:
+            extras[MASKS] = [found for _, _, _, found in track]
+        stated: dict[str, tuple[Any, ...]] = {
+            "attributes": tuple(
+                tuple(names["attribute"][token].name for token in row.attribute_tokens) for _, _, row, _ in track
+            )
+        }
+        for name, empty in (("automatic_annotation", False), ("orientation", None), ("number", None)):
+            values = tuple(getattr(row, name) for _, _, row, _ in track)
+            if any(value is not empty for value in values):
+                stated[name] = values
+        values = np.hstack([corners[:, :2], corners[:, 2:] - corners[:, :2]])
+        return Box2DAnnotation(
+            id=f"{instance}:{data.sensor.channel}{'' if mask is None else ':mask'}",
+            sensor_id=data.id,
+            path=BoxPath(timestamps_ns, values, MappingProxyType(extras)),
+            label=names["category"][first.category_token].name,
+            parent_id=instance,
+            attributes=tuple(AttributePath(name, values, timestamps_ns) for name, values in stated.items()),
+        )
+
+    def _surfaces(self) -> list[Box2DAnnotation]:
+        """A box with its mask for each area of an image; those without a mask are left out."""
+        categories = self._by_token("category")
+        found = []
+        for data, k, row, mask in self._drawn("surface_ann"):
+            if row.category_token not in categories:
+                fault = self._dangling("surface_ann", row.token, "category", row.category_token)
+                self.ledger.fault("dangling-tokens", fault)
+                continue
+            if mask is None:
+                location, message = str(self.tables / "surface_ann.json"), "areas without a mask are left out"
+                self.ledger.note(WarningKind.SKIPPED, "masks-missing", location, message)
+                continue
+            timestamps_ns = np.array([data.rows[k].timestamp], np.int64) * MICROSECOND
+            path = BoxPath(timestamps_ns, Mask.of_record(mask).box()[None], MappingProxyType({MASKS: [mask]}))
+            label = categories[row.category_token].name
+            found.append(Box2DAnnotation(id=row.token, sensor_id=data.id, path=path, label=label))
+        return found
 
     def _labelled_points(self) -> list[LabeledPointsAnnotation]:
         """An annotation for each class of points; none where the data set has no such labels."""
@@ -545,6 +678,11 @@ class _Reader:
         if unknown:
             raise DataError(file, "", f"class {unknown[0]}; expected an `index` of category.json")
         return labels
+
+
+def _named(row: Any) -> list[tuple[str, str]]:
+    """Tables and tokens that a row of object_ann.json names."""
+    return [("category", row.category_token), *(("attribute", token) for token in row.attribute_tokens)]
 
 
 def _chosen(tables: Path, scenes: list[Any], sequence: str | None) -> Any:

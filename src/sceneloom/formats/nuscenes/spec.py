@@ -1,4 +1,4 @@
-"""The nuScenes schema: a data set as a folder of tables, and the files of its sensors."""
+"""The nuScenes schema and its dialect T4: a data set as a folder of tables, and the files of its sensors."""
 
 from pathlib import Path
 from types import MappingProxyType
@@ -9,6 +9,9 @@ from sceneloom.formats.base.spec import FormatSpec
 _MARKS = ("sample_data", "ego_pose", "calibrated_sensor")
 """Tables that only nuScenes has; a folder with one of them is taken as (perhaps incomplete) nuScenes data."""
 
+T4 = "annotation"
+"""The folder of the tables of T4, which stands in that of the data set or in one of its versions (`0`, `1`)."""
+
 
 def table_folders(path: Path) -> list[Path]:
     """The folders with tables: those of a data set, or the path itself."""
@@ -16,7 +19,8 @@ def table_folders(path: Path) -> list[Path]:
         return []
     if _has_tables(path):
         return [path]
-    return [child for child in sorted(path.glob("v[0-9]*")) if child.is_dir() and _has_tables(child)]
+    children = [*sorted(path.glob("v[0-9]*")), path / T4, *sorted(path.glob(f"[0-9]*/{T4}"))]
+    return [child for child in children if child.is_dir() and _has_tables(child)]
 
 
 def _has_tables(folder: Path) -> bool:
@@ -94,7 +98,7 @@ SUPPORTS: Supports = MappingProxyType(
 FORMAT = FormatSpec(
     name="nuscenes",
     title="nuScenes",
-    looks_like="a folder with v1.0-mini/sample_data.json and the other tables of the nuScenes schema",
+    looks_like="a folder with v1.0-mini/sample_data.json and the other tables of nuScenes, or T4's annotation/",
     sniff=lambda path: bool(table_folders(path)),
     near_miss=_near_miss,
     drives=_scene_names,

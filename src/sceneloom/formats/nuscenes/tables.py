@@ -1,4 +1,7 @@
-"""Tables of the nuScenes schema: their columns, and the types of their rows."""
+"""Tables of the nuScenes schema and of its dialect T4: their columns, and the types of their rows.
+
+Source: "Schema Tables" of t4-devkit for what T4 adds.
+"""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -20,6 +23,17 @@ KEY_FRAMES = "key_frames_us"
 """Extra field of a sensor that was read from nuScenes: the times of its key frames."""
 
 
+T4_VECTORS = ("velocity", "acceleration")
+"""What T4 may state of a box, in the world [m/s, m/s²]."""
+
+
+class _Mask(msgspec.Struct):
+    """A mask of T4: two sides of the image, and COCO's compressed runs in base64."""
+
+    size: tuple[int, int]
+    counts: str
+
+
 def _texts(*names: str) -> list[tuple[str, Any, Any]]:
     return [(name, str, "") for name in names]
 
@@ -34,15 +48,18 @@ _COLUMNS: dict[str, list[Any]] = {
     "sample_data": [
         *((f"{name}_token", str) for name in ("sample", "ego_pose", "calibrated_sensor")), ("filename", str),
         ("timestamp", _Microseconds), ("is_key_frame", bool), *_texts("fileformat"), ("width", int | None, None),
-        ("height", int | None, None), *_texts("next", "prev"),
+        ("height", int | None, None), *_texts("next", "prev"), ("is_valid", bool, True),
     ],
-    # world from ego
-    "ego_pose": [*_POSE, ("timestamp", _Microseconds)],
-    # ego from sensor
-    "calibrated_sensor": [("sensor_token", str), *_POSE, ("camera_intrinsic", list[_Vector], [])],
+    # world from ego; T4 may leave the time to the frames
+    "ego_pose": [*_POSE, ("timestamp", _Microseconds | None, None)],
+    # ego from sensor; only cameras of T4 state a distortion
+    "calibrated_sensor": [
+        ("sensor_token", str), *_POSE, ("camera_intrinsic", list[_Vector], []),
+        ("camera_distortion", list[float] | None, None),
+    ],
     # `sensor_id` is ours, of channels that are not the sensor's own id
     "sensor": [("channel", str), ("modality", str), ("sensor_id", str | int | None, None)],
-    "log": _texts("logfile", "vehicle", "date_captured", "location"),
+    "log": _texts("logfile", "vehicle", "date_captured", "location", "data_captured"),
     # `index` is the number of a class in the files of nuScenes-lidarseg
     "category": [("name", str), *_texts("description"), ("index", int | None, None)],
     "attribute": [("name", str), *_texts("description")],
@@ -57,6 +74,18 @@ _COLUMNS: dict[str, list[Any]] = {
         ("size", _Vector),  # width, length, height
         ("rotation", Quaternion), ("attribute_tokens", list[str], []), *_texts("visibility_token"),
         ("num_lidar_pts", int, 0), ("num_radar_pts", int, 0), *_texts("next", "prev"),
+        *((name, _Vector | None, None) for name in T4_VECTORS), ("automatic_annotation", bool, False),
+    ],
+    # a box of an object in an image: left, top, right, bottom
+    "object_ann": [
+        *((f"{name}_token", str) for name in ("sample_data", "instance", "category")),
+        ("attribute_tokens", list[str], []), ("bbox", tuple[float, float, float, float]), ("mask", _Mask | None, None),
+        ("automatic_annotation", bool, False), ("orientation", float | None, None), ("number", int | None, None),
+    ],
+    # an area of an image
+    "surface_ann": [
+        ("sample_data_token", str), ("category_token", str), ("mask", _Mask | None, None),
+        ("automatic_annotation", bool, False),
     ],
     # the file with the classes of the points of a sweep
     "lidarseg": [("sample_data_token", str), ("filename", str)],

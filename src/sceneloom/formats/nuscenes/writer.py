@@ -319,7 +319,8 @@ def _rows(about: Mapping[str, Any], path: Path) -> tuple[Any, Any]:
         description=str(kept.get("description") or ""),
         log_token=str(log.get("token") or _token_of("log", name)),
     )
-    fields = {key: str(log.get(key) or "") for key in ("vehicle", "date_captured", "location")}
+    fields = {key: str(log.get(key) or "") for key in ("vehicle", "location")}
+    fields["date_captured"] = str(log.get("date_captured") or log.get("data_captured") or "")
     return row, TABLES["log"](token=row.log_token, logfile=str(log.get("logfile") or name), **fields)
 
 
@@ -779,7 +780,8 @@ class _Writer:
         self._write_table("sample", rows)
         row.nbr_samples, row.first_sample_token, row.last_sample_token = len(tokens), tokens[0], tokens[-1]
         self._write_table("scene", [msgspec.structs.asdict(row)])
-        self._write_table("log", [msgspec.structs.asdict(self.plan.log)])
+        log = msgspec.structs.asdict(self.plan.log)
+        self._write_table("log", [{name: value for name, value in log.items() if name != "data_captured"}])
 
     def _write_map(self) -> None:
         from PIL import Image

@@ -6,8 +6,9 @@ import pytest
 from sceneloom import scene as sc
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
+from sceneloom.formats.base.masks import MASKS, Mask
 from sceneloom.formats.base.registry import find_format, format_named, open_scene, write_scene
-from sceneloom.formats.labelling.drawn import MASKS, RBBOX, Mask, corners_of, id_text, text_id
+from sceneloom.formats.labelling.drawn import RBBOX, corners_of, id_text, text_id
 from sceneloom.scene import annotations_at as at
 
 T0 = 1_700_000_000_000_000_001

@@ -1,5 +1,6 @@
 """Scenes in the nuScenes schema: what the tables state is in the scene, number for number, and written again."""
 
+import base64
 import json
 import pickle
 from dataclasses import replace
@@ -26,6 +27,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats import write_scene
 from sceneloom.formats.base.losses import Support
+from sceneloom.formats.base.masks import MASKS, Mask, packed_runs
 from sceneloom.formats.base.registry import drives_of
 from sceneloom.formats.nuscenes import reader as row_tables
 from sceneloom.geometry.rigid import RigidTransform
@@ -527,3 +529,97 @@ def test_a_sensor_gets_the_channel_that_is_named_and_its_id_only_if_that_is_uniq
     table.write_text(json.dumps(rows))
     with sceneloom.open(tmp_path / "out") as again:
         assert {sensor.id for sensor in again.sensors} == {row["channel"] for row in rows}
+
+
+def t4_street(folder):
+    """The street in the layout of T4: distorted cameras, boxes with masks on images, areas, an invalid image."""
+    tables = street(folder)
+    tables.folder = folder / "0" / "annotation"
+    tables.file("0/.keep", b"")
+    for name in ("samples", "sweeps"):
+        (folder / name).rename(folder / "0" / name)
+    for row in tables.rows["calibrated_sensor"]:
+        row["camera_distortion"] = [-0.3, 0.1, 0.001, -0.002, -0.02] if row["camera_intrinsic"] else []
+    for row in tables.rows["ego_pose"]:
+        del row["timestamp"]
+    tables.row("sample_data", "scene-0001-CAM_FRONT-4")["is_valid"] = False
+    drawn = {"attribute_tokens": ["att-moving"], "instance_token": "scene-0001-car", "category_token": "cat-car"}
+    wide = {"sample_data_token": "scene-0001-CAM_FRONT-0", "bbox": [10, 4, 14, 10]}
+    # columns 10 to 13, rows 4 to 9 of 64x48 pixels: down the columns as COCO has it, and along the rows
+    runs = {(48, 64): [484, *[6, 42] * 3, 6, 2438], (64, 48): [266, *[4, 60] * 5, 4, 2482]}
+    for number, (size, lengths) in enumerate(runs.items()):
+        mask = {"size": size, "counts": base64.b64encode(packed_runs(lengths).encode()).decode()}
+        wide["sample_data_token"] = f"scene-0001-CAM_FRONT-{2 * number}"
+        tables.add("object_ann", f"o-{number}", mask=mask, **wide, **drawn)
+        tables.add(
+            "surface_ann",
+            f"a-{number}",
+            mask=mask,
+            category_token="cat-noise",
+            sample_data_token=wide["sample_data_token"],
+        )
+    return tables
+
+
+def test_t4_has_distorted_cameras_and_boxes_masks_and_areas_on_images(tmp_path):
+    t4_street(tmp_path / "t4").write()
+    scene = sceneloom.open(tmp_path / "t4")
+    camera = scene.cameras[0]
+    assert camera.camera == Camera("brown_conrady", 64, 48, 30, 30, 31.5, 23.5, (-0.3, 0.1, 0.001, -0.002, -0.02))
+    assert len(camera.images) == 4
+    assert [warning.count for warning in scene.warnings if warning.code == "frames-invalid"] == [1]
+    # times of poses that the table does not state are those of the frames
+    taken = [scene.lidars[0].frames, scene.sensor("RADAR_FRONT").frames, camera.images]
+    expected = np.unique(np.concatenate([frames.timestamps_ns for frames in taken]))
+    assert np.array_equal(scene.trajectories["pose"].timestamps_ns, expected)
+    box, *areas = [one for one in scene.annotations if isinstance(one, sc.Box2DAnnotation)]
+    assert (box.parent_id, box.label, box.sensor_id) == ("scene-0001-car", "vehicle.car", "CAM_FRONT")
+    assert box.path.values.tolist() == [[10, 4, 4, 6]] * 2
+    for record in (*box.path.extras[MASKS], *(area.path.extras[MASKS][0] for area in areas)):
+        mask = Mask.of_record(record)
+        assert (mask.height, mask.width, mask.area, mask.box().tolist()) == (48, 64, 24, [10, 4, 4, 6])
+    # written as nuScenes: pinholes; what is drawn on images is reported as lost
+    report = write_scene(scene, tmp_path / "out", format="nuscenes")
+    assert any(loss.field == "annotations.box_2d" and loss.count == 3 for loss in report)
+    assert sceneloom.open(tmp_path / "out").cameras[0].camera.model == "pinhole"
+
+
+@pytest.mark.parametrize(
+    ("table", "change", "message"),
+    [
+        (
+            "calibrated_sensor",
+            {"camera_distortion": [0.1, 0.2, 0.3]},
+            r"row c-.*camera_distortion of 3 numbers; expected 0, 4, 5",
+        ),
+        ("object_ann", {"mask": {"size": [9, 9], "counts": "c1E="}}, "row o-1: mask: .*"),
+        ("object_ann", {"category_token": "nope"}, "row o-1: category_token 'nope' leads to no row of category.json"),
+        ("object_ann", {"bbox": [4, 4, 2, 2]}, r"row o-1: bbox .*expected left, top, right, bottom"),
+    ],
+)
+def test_faults_of_t4_are_errors_with_file_and_row(table, change, message, tmp_path):
+    tables = t4_street(tmp_path / "t4")
+    tables.rows[table][-1].update(change)
+    tables.write()
+    with pytest.raises(DataError, match=f"{table}.json: {message}"):
+        sceneloom.open(tmp_path / "t4")
+
+
+def test_the_sample_of_t4_has_what_its_tables_state(data_dir):
+    folder = data_dir / "real" / "strangers" / "t4"
+    if not folder.is_dir():
+        pytest.skip(f"no {folder}")
+    scene = sceneloom.open(folder)
+    stated = json.loads((folder / "status.json").read_text())["statistics"]
+    assert len(scene.sensors) == stated["sensors"]
+    assert sum(len(one.frames if one.type == "lidar" else one.images) for one in scene.sensors) == stated["sample_data"]
+    cuboids = [one for one in scene.annotations if isinstance(one, sc.CuboidAnnotation)]
+    assert (len(cuboids), sum(len(one.path.timestamps_ns) for one in cuboids)) == (
+        stated["instances"],
+        stated["annotations_3d"],
+    )
+    boxes = [one for one in scene.annotations if isinstance(one, sc.Box2DAnnotation)]
+    rows = sum(len(one.path.timestamps_ns) for one in boxes)
+    assert rows == stated["annotations_2d"] + stated["surface_annotations"]
+    areas = sorted(Mask.of_record(mask).area for one in boxes for mask in one.path.extras[MASKS])
+    assert areas == [16000, 29450, 30000, 54000, 120000, 120000]

@@ -207,6 +207,7 @@ OTHER_DRIVES: dict[str, Write] = {
     "nuscenes": _street,
     "argoverse2": partial(_by_test, "argoverse2.test_reader", "write_log", "drive"),
     "pandaset": partial(_by_test, "pandaset.test_reader", "write_drive", "drive"),
+    "kitti-360": partial(_by_test, "kitti.test_kitti360", "write_data", "drive"),
     "waymo": partial(_by_test, "waymo.test_reader", "write_segment", "drive"),
     "scale-toolkit": partial(_by_test, "scale_toolkit.test_reader", "write_folder", "drive"),
     "euroc-mav": partial(_by_test, "euroc_mav.test_reader", "write_drive", "."),

@@ -124,6 +124,7 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
             f"{_KITTI}:ODOMETRY",
             folder=("calib.txt", "times.txt", "sequences", "[0-9][0-9]/calib.txt", "[0-9][0-9]/times.txt"),
         ),
+        "kitti-360": FormatRow(f"{_KITTI}:KITTI_360", folder=("data_2d_raw", "data_3d_raw", "data_poses")),
         "nuscenes": FormatRow(
             "sceneloom.formats.nuscenes.spec:FORMAT",
             folder=("sample_data.json", "ego_pose.json", "calibrated_sensor.json", "v[0-9]*"),
@@ -326,10 +327,10 @@ def open_scene(
             print(sample.timestamp_ns, len(sample.sweep.points), list(sample.images))
     ```
 
-    Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry, nuscenes,
-    argoverse2, pandaset, waymo, scale-toolkit, supervisely, segments, scale-task, sustechpoints, euroc-mav, openlabel,
-    cvat, tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap; clouds as pcd, ply, las, laz,
-    kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
+    Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry,
+    kitti-360, nuscenes, argoverse2, pandaset, waymo, scale-toolkit, supervisely, segments, scale-task, sustechpoints,
+    euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap; clouds as pcd,
+    ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by

@@ -209,6 +209,7 @@ OTHER_DRIVES: dict[str, Write] = {
     "pandaset": partial(_by_test, "pandaset.test_reader", "write_drive", "drive"),
     "kitti-360": partial(_by_test, "kitti.test_kitti360", "write_data", "drive"),
     "waymo": partial(_by_test, "waymo.test_reader", "write_segment", "drive"),
+    "zod": partial(_by_test, "zod.test_reader", "write_sequence", "000002"),
     "scale-toolkit": partial(_by_test, "scale_toolkit.test_reader", "write_folder", "drive"),
     "euroc-mav": partial(_by_test, "euroc_mav.test_reader", "write_drive", "."),
     **_folders("supervisely", "segments", "scale-task", "sustechpoints"),

@@ -99,16 +99,8 @@ def test_metadata_of_a_bag_with_infinite_numbers_and_depths_are_faults_of_the_fi
 
 
 FOLDERS = ["kitti-raw", "kitti-object", "kitti-tracking", "kitti-odometry", "nuscenes", "argoverse2", "pandaset"]
-FOLDERS += [
-    "kitti-360",
-    "waymo",
-    "scale-toolkit",
-    "euroc-mav",
-    "supervisely",
-    "segments",
-    "scale-task",
-    "sustechpoints",
-]
+FOLDERS += ["kitti-360", "waymo", "zod", "scale-toolkit", "euroc-mav"]
+FOLDERS += ["supervisely", "segments", "scale-task", "sustechpoints"]
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(200, marks=pytest.mark.slow)])

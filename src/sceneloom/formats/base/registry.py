@@ -144,6 +144,10 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
             "sceneloom.formats.waymo.spec:FORMAT",
             folder=("vehicle_pose/*.parquet", "lidar/*.parquet", "camera_image/*.parquet"),
         ),
+        "zod": FormatRow(
+            "sceneloom.formats.zod.spec:FORMAT",
+            folder=("calibration.json", "lidar_velodyne", "*/calibration.json", "*/lidar_velodyne"),
+        ),
         "scale-toolkit": FormatRow("sceneloom.formats.scale_toolkit.spec:FORMAT", folder=("pointcloud",)),
         "supervisely": FormatRow(f"{_CLOUD_LABELLING}:SUPERVISELY", folder=("meta.json", "annotation.json", "ann")),
         "segments": FormatRow(f"{_CLOUD_LABELLING}:SEGMENTS", file=(".json",), folder=("*.json",)),
@@ -328,9 +332,9 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry,
-    kitti-360, nuscenes, argoverse2, pandaset, waymo, scale-toolkit, supervisely, segments, scale-task, sustechpoints,
-    euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap; clouds as pcd,
-    ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
+    kitti-360, nuscenes, argoverse2, pandaset, waymo, zod, scale-toolkit, supervisely, segments, scale-task,
+    sustechpoints, euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap;
+    clouds as pcd, ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by

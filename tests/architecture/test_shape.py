@@ -8,7 +8,8 @@ from importlib.util import find_spec
 REFUSED_NAMES = {"util", "utils", "common", "core", "helper", "helpers", "misc", "manager", "managers", "tools"}
 LARGEST_FILE = 1_000_000
 
-MACHINE_PATHS = re.compile(r"(?<![\w.~$}-])/(?:root|work|home|Users|mnt|data|scratch)/\w")
+MACHINE_PATHS = re.compile(r"(?<![\w.~$}-])/(?:root|work|home|Users|mnt|data(?!/local-files/)|scratch)/\w")
+"""`/data/local-files/` begins addresses of Label Studio."""
 HOSTS = ("pypi.org", "pythonhosted.org", "conda.anaconda.org", "index-url", "find-links", "artifactory", "nexus")
 QUOTES_THE_HOSTS = "tests/architecture/test_shape.py"
 

@@ -85,6 +85,16 @@ def _written(name: str, location: str, folder: Path, **options: Any) -> Path:
     return folder / location
 
 
+def _labelled(name: str, location: str, folder: Path, *parts: str) -> Path:
+    """A drive with labels of some kinds, in the format of a labelling tool."""
+    from tests.unit.formats.labelling.test_round_trips import scene_of
+
+    from sceneloom.formats import write_scene
+
+    write_scene(scene_of(*parts), folder / location, format=name)
+    return folder / location
+
+
 def _by_test(module: str, function: str, location: str, folder: Path) -> Path:
     """A drive of a format that is only read, made by the writer in the tests of that format."""
     (folder / location).mkdir(exist_ok=True)
@@ -141,6 +151,10 @@ def _packed_bag(folder: Path) -> Path:
     return rewrite_bag(_written("ros1", "sound.bag", folder), folder / "drive.bag", lz4=True)
 
 
+def _lidar_bag(folder: Path) -> Path:
+    return import_module("tests.interop.test_lidar_messages").write_bag(folder)
+
+
 def _packed_messages(folder: Path) -> Path:
     return import_module("tests.interop.test_packed_messages").write_drive(folder / "drive")
 
@@ -186,6 +200,8 @@ DRIVES: dict[str, Write] = {
     "ros1 lz4": _packed_bag,
     **_folders("ros2"),
     "ros2 sqlite": partial(_written, "ros2", "drive", storage="sqlite3"),
+    "ros1 lidars": _lidar_bag,
+    "lvx": partial(_by_test, "packets.test_livox", "write_file", "."),
     "ros2 packed messages": _packed_messages,
 }
 """Writers of sound drives, by their format and what else reports them apart."""
@@ -213,6 +229,12 @@ OTHER_DRIVES: dict[str, Write] = {
     "scale-toolkit": partial(_by_test, "scale_toolkit.test_reader", "write_folder", "drive"),
     "euroc-mav": partial(_by_test, "euroc_mav.test_reader", "write_drive", "."),
     **_folders("supervisely", "segments", "scale-task", "sustechpoints"),
+    "cvat": lambda folder: _labelled("cvat", "a.xml", folder, "boxes", "rotated", "lines"),
+    "tracklets": lambda folder: _labelled("tracklets", "a.xml", folder, "cuboids"),
+    "coco": lambda folder: _labelled("coco", "a.json", folder, "boxes", "masks", "keypoints"),
+    "datumaro": lambda folder: _labelled("datumaro", "a.json", folder, "boxes", "masks", "lines"),
+    "yolo": lambda folder: _labelled("yolo", "drive", folder, "boxes", "keypoints"),
+    "label-studio": lambda folder: _labelled("label-studio", "a.json", folder, "boxes", "masks"),
     "nmea": partial(_by_test, "gnss_logs.test_nmea", "write_log", "."),
     "ubx": partial(_by_test, "gnss_logs.test_ubx", "write_log", "."),
     "rtklib": partial(_by_test, "gnss_logs.test_rtklib", "write_log", "."),

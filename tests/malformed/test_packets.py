@@ -91,3 +91,41 @@ def test_any_file_of_angles_is_read_or_refused(tmp_path_factory, junk):
         ):
             with pytest.raises(DataError):
                 reader(path)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "SQLITE3"])
+def test_a_message_that_is_cut_or_has_wrong_lengths_is_read_or_refused(kind, tmp_path):
+    rosbags = pytest.importorskip("rosbags.highlevel")
+    from tests.interop.test_lidar_messages import Bag, write_bag
+
+    with rosbags.AnyReader([write_bag(tmp_path, kind)]) as reader:
+        sound = [(one.topic, one.msgtype, bytes(raw), time_ns) for one, time_ns, raw in reader.messages()]
+    chance = np.random.default_rng(4)
+    # of a message, bytes that say how many follow: of packets, of points, of a packet's bytes
+    for number in range(9):
+        with Bag(tmp_path / f"bad{number}", kind) as bag:
+            for topic, name, raw, time_ns in sound:
+                content = bytearray(raw)
+                at = 4 * int(chance.integers(0, 20))
+                if number % 3 == 0:
+                    content = content[: int(chance.integers(0, len(raw)))]
+                elif number % 3 == 1:
+                    content[at : at + 4] = (0xFFFFFFFF, 0x7FFFFFFF, 1 << 24)[number // 3].to_bytes(4, "little")
+                else:
+                    content[-int(chance.integers(1, 9))] ^= 0xFF
+                if (topic, name) not in bag.connections:
+                    bag.connections[topic, name] = bag.writer.add_connection(topic, name, typestore=bag.store)
+                bag.writer.write(bag.connections[topic, name], time_ns, bytes(content))
+        path = bag.path if kind == "ros1" else next(bag.path.glob("*.db3"))
+        for lenient in (False, True):
+            with suppress(SceneloomError), open_scene(path, lenient=lenient) as scene:
+                look_at_everything(scene)
+
+
+@settings(max_examples=60)
+@given(junk=st.binary(min_size=1, max_size=300), version=st.sampled_from([b"\x01\x01", b"\x02\x00"]))
+def test_any_bytes_after_the_head_of_a_livox_file_are_read_or_refused(tmp_path_factory, junk, version):
+    path = tmp_path_factory.mktemp("junk") / "a.lvx"
+    path.write_bytes(b"livox_tech".ljust(16, b"\0") + version + b"\0\0\x67\xa7\x0e\xac" + bytes(4) + junk)
+    with suppress(SceneloomError), open_scene(path, lenient=bool(junk[0] % 2)) as scene:
+        look_at_everything(scene)

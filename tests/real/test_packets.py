@@ -2,8 +2,7 @@
 
 import hashlib
 import json
-import sqlite3
-from contextlib import closing
+import re
 
 import numpy as np
 import pytest
@@ -11,45 +10,11 @@ from scipy.spatial import cKDTree
 
 from sceneloom.formats import open_scene
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.packets import hesai, ouster, robosense, velodyne
+from sceneloom.formats.packets import ouster
 from sceneloom.formats.packets.captures import read_datagrams
-from sceneloom.formats.packets.sweeps import find_sweeps
 from sceneloom.formats.points.files import read_cloud
 
 STRANGERS = "real/strangers"
-
-
-class Messages:
-    """The packets of a bag's scan messages: a header, then stamps with arrays of bytes of fixed length."""
-
-    def __init__(self, folder, length, *, kind=False):
-        (file,) = folder.glob("*.db3")
-        self.packets, times, self.states = [], [], []
-        with closing(sqlite3.connect(f"file:{file}?immutable=1", uri=True)) as bag:
-            messages = [row[0] for row in bag.execute("SELECT data FROM messages ORDER BY timestamp")]
-        for data in messages:
-            at = 16 + int.from_bytes(data[12:16], "little")
-            at += -at % 4
-            count, at = int.from_bytes(data[at : at + 4], "little"), at + 4
-            for _ in range(count):
-                at += -at % 4
-                seconds, nanoseconds = np.frombuffer(data, "<u4", 2, at).tolist()
-                is_state, at = kind and data[at + 8], at + 8 + kind
-                packet, at = data[at : at + length], at + length
-                if length == 1500:
-                    at += -at % 4
-                    packet, at = packet[: int.from_bytes(data[at : at + 4], "little")], at + 4
-                (self.states if is_state else self.packets).append(packet)
-                times += [] if is_state else [seconds * 10**9 + nanoseconds]
-        self.arrivals_ns = np.array(times)
-        self.array = np.frombuffer(b"".join(self.packets), np.uint8).reshape(len(self.packets), -1)
-
-    def payloads(self, rows):
-        return self.array[rows]
-
-    def frames(self, decoder):
-        rows = np.arange(len(self.packets))
-        return find_sweeps(self, rows, self.arrivals_ns, decoder, "bag", Ledger(lenient=False)).frames
 
 
 def nearest(folder, frames):
@@ -101,21 +66,58 @@ def test_a_vlp_16_has_the_sweeps_and_the_fix_of_its_capture(drive):
         assert abs(int(gnss.timestamps_ns[0]) - int(lidar.frames.timestamps_ns[0])) < 10**9
 
 
+def frames_of(folder, **options):
+    with open_scene(folder, **options) as scene:
+        (lidar,) = scene.lidars
+        return list(lidar.frames)
+
+
 def test_points_of_bags_are_those_of_the_clouds_beside_them(drive):
     folder = drive(f"{STRANGERS}/velodyne_bag/vlp16")
     # that cloud was made without offsets of lasers, as the calibration beside it states
-    decoder = velodyne.decoder_of("vlp-16", drive(f"{STRANGERS}/velodyne_bag") / "VLP16.yaml")
-    assert min(map(np.median, nearest(folder, Messages(folder, 1206).frames(decoder)))) < 0.0005
-    for name, key, table in (("40p", "pandar40p", "Pandar40P.csv"), ("xt32m", "xt32m", "PandarXT32M.csv")):
+    angles = str(drive(f"{STRANGERS}/velodyne_bag") / "VLP16.yaml")
+    assert min(map(np.median, nearest(folder, frames_of(folder, angles=angles)))) < 0.0005
+    assert sum(map(len, (frame.points for frame in frames_of(folder)))) == 59414  # as velodyne-decoder 3.1 has
+    for name, table in (("40p", "Pandar40P.csv"), ("xt32m", "PandarXT32M.csv")):
         folder = drive(f"{STRANGERS}/hesai_bag/{name}")
-        distances = nearest(folder, Messages(folder, 1500).frames(hesai.decoder_of(key, folder / table)))
+        distances = nearest(folder, frames_of(folder, angles=f"/pandar_packets={folder / table}"))
         assert min(map(np.median, distances)) < 1e-6
         assert min(np.percentile(one, 99) for one in distances) < 1e-5
     folder = drive(f"{STRANGERS}/robosense_bag")
-    messages = Messages(folder, 1500, kind=True)
-    state = np.frombuffer(messages.states[0], np.uint8)
-    by_file = robosense.decoder_of("helios-16p", folder / "RobosenseHelios16P.csv")
-    assert np.array_equal(robosense.state_angles(state), by_file.angles_deg)
-    distances = nearest(folder, messages.frames(by_file))
+    by_file, by_state = (frames_of(folder, angles=one) for one in (str(folder / "RobosenseHelios16P.csv"), None))
+    assert np.array_equal(by_file[0].points.positions, by_state[0].points.positions)
+    distances = nearest(folder, by_file)
     assert min(map(np.median, distances)) < 0.0005
     assert min(np.percentile(one, 99) for one in distances) < 0.003
+
+
+def test_a_radar_has_the_detections_and_objects_of_the_lists_beside_it(drive):
+    folder = drive(f"{STRANGERS}/radar_bag/ars548")
+    stated = [next(folder.glob(f"*_{name}.yaml")).read_text("utf-8") for name in ("detection", "object")]
+
+    def listed(text, name):
+        return np.array(re.findall(rf"^  [- ] {name}: (\S+)$", text, re.MULTILINE), float)
+
+    def listed_xyz(text, name):
+        rows = re.findall(rf"^    {name}:\n +x: (\S+)\n +y: (\S+)\n +z: (\S+)$", text, re.MULTILINE)
+        return np.array(rows, float)
+
+    with open_scene(folder) as scene:
+        sensors = sorted(scene.sensors, key=lambda one: len(one.id))
+        np.testing.assert_allclose(sensors[0].mount.translation, [3.872, 0, 0.641], atol=1e-6)
+        found = [sensor.frames[0].points for sensor in sensors]
+    detections, objects = stated
+    assert [len(one) for one in found] == [len(listed(text, "object_id")) for text in stated] == [308, 50]
+    for name in ("azimuth_angle", "elevation_angle", "range", "range_std", "rcs", "measurement_id", "object_id"):
+        np.testing.assert_allclose(found[0].extras[name], listed(detections, name), rtol=6e-6)
+    np.testing.assert_allclose(found[0].lengths, listed(detections, "range_rate"), rtol=6e-6)
+    azimuths, elevations = (listed(detections, f"{name}_angle") for name in ("azimuth", "elevation"))
+    directions = np.stack((np.cos(elevations) * np.cos(azimuths), np.sin(elevations)), axis=1)
+    np.testing.assert_allclose(found[0].directions[:, [0, 2]], directions, atol=1e-6)
+    np.testing.assert_allclose(found[1].positions, listed_xyz(objects, "position"), atol=1e-3)
+    for name in ("object_id", "age", "orientation", "shape_length_edge_mean", "raw_existence_probability"):
+        np.testing.assert_allclose(found[1].extras[name], listed(objects, name), rtol=6e-6)
+    # the lists have relative accelerations in the place of relative velocities: the radar moves at 6 m/s
+    accelerations = listed_xyz(objects, "relative_velocity")[:, 0]
+    np.testing.assert_allclose(found[1].extras["relative_acceleration_x"], accelerations, rtol=6e-6)
+    assert np.median(found[1].extras["relative_velocity_x"]) == pytest.approx(-6, abs=0.5)

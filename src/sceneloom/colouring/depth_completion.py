@@ -140,7 +140,12 @@ _LEAST, _MOST = 0.5, 10.0
 _EVEN, _SUDDEN = 0.85, 1.3
 """Up to 0.85 of the steepest slope a triangle is of one surface; from 1.3 on there is a jump in it."""
 
-_LONGEST = 12.0  # the longest side of a triangle that is filled, in spacings of the scan lines
+_LONGEST, _LONGEST_JUMP = 12.0, 2.5
+"""The longest side of a triangle that is filled, in spacings of the scan lines: on one surface, and across a jump.
+
+A hole of the cloud is a pane or a black car where its rims are of one surface; where they are not, it may be the sky,
+or what is too far away to be measured.
+"""
 
 _SLIVER_PX2 = 0.05  # smaller triangles give no slope
 
@@ -176,7 +181,7 @@ def fill_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -
     steepest = float(np.clip(_STEEPER * usual * per_radian, _LEAST, _MOST)) / per_radian
     # 1 for slopes of one surface, 0 for jumps
     trusts = (1.0 - np.clip((slopes / steepest - _EVEN) / (_SUDDEN - _EVEN), 0.0, 1.0)).astype(np.float32)
-    small: BoolArray = sides <= _LONGEST * max(spacing, 2.0)
+    small: BoolArray = sides <= np.where(trusts > 0.5, _LONGEST, _LONGEST_JUMP) * max(spacing, 2.0)
     image = np.zeros((height, width, 3), np.uint8) if rgb is None else np.ascontiguousarray(rgb)
     columns, rows = np.rint(samples.pixels).astype(np.int64).clip(0, [width - 1, height - 1]).T
     colours = image[rows, columns]

@@ -820,7 +820,7 @@ _DRIFT_SECONDS, _DRIFT_WORTH, _RARE_DRIFT, _LEAST_DRIFT, _DRIFT_LASTS = 60.0, 0.
 of it; the largest square that counts, in units of the expected; the least drift [m²]; and how long [s] one speed of the
 drift lasts, about the time over which a receiver smooths."""
 
-_NEAR_WORTH = 4.0
+_NEAR_WORTH = 32.0
 """What the drift of a whole drive counts as in measurements of that within `_DRIFT_LASTS`: receivers drift more at some
 times than at others, as signals come and go."""
 
@@ -1644,10 +1644,11 @@ def _slow_variances(
     # a height that no receiver knows is uncertain by itself
     variances[fixes.sigmas >= _UNKNOWN_HEIGHT] = least[2] ** 2
     factor = _slow_factor(fit, math.sqrt(float(np.median(variances[:, 0]))))
-    if factor > 1.0:
-        return _resampled(times_ns, fixes.timestamps_ns, factor**2 * variances), factor
-    # slow errors that are not larger than all that is stated are what is stated beyond the noise
-    variances = np.maximum(variances - np.minimum(fit.chain.fixes.sigmas, fixes.sigmas) ** 2, least**2)
+    # what outlasts the drive does not show: what is stated beyond the noise stays, and is all if a receiver is trusted
+    # and slow errors do not seem larger than all that is stated
+    expected = factor**2 * variances * (factor > 1.0 or settings.slow_error >= DEFAULTS.slow_error)
+    stated = variances - np.minimum(fit.chain.fixes.sigmas, fixes.sigmas) ** 2
+    variances = np.maximum(np.maximum(stated, least**2), expected)
     return _resampled(times_ns, fixes.timestamps_ns, variances), factor
 
 

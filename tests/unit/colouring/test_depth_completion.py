@@ -105,6 +105,21 @@ def test_a_jump_is_where_the_image_has_its_edge_if_colours_tell_surfaces_apart_a
     np.testing.assert_allclose(guided[:, 90:150], 20, atol=0.01)
 
 
+def test_a_hole_is_filled_where_its_rims_are_of_one_surface_and_stays_empty_between_two():
+    def filled_between(last, first, left):
+        """Near samples up to a column, a wall at 20 m from another one on."""
+        truth = np.full((120, 160), 20.0, np.float32)
+        truth[:, :80] = left
+        columns = np.r_[1 : last + 1 : 2, first:160:2]
+        sparse = np.zeros_like(truth)
+        sparse[5::10, columns] = truth[5::10, columns]
+        return complete_depth(sparse, CAMERA).depths[15:105]
+
+    np.testing.assert_allclose(filled_between(61, 97, 20.0)[:, 1:-2], 20, rtol=1e-5)  # a hole of 3.6 spacings
+    assert not filled_between(61, 97, 2.5)[:, 66:93].any()
+    assert filled_between(61, 81, 2.5)[:, 1:-2].all()  # two spacings
+
+
 MESH_SHAPE = (50, 70)
 
 

@@ -161,6 +161,7 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "nuscenes-bin": FormatRow(f"{_POINTS}:NUSCENES_BIN", file=(".pcd.bin",), folder=("*.pcd.bin", "*/*.pcd.bin")),
         "npz": FormatRow(f"{_POINTS}:NPZ", file=(".npz", ".npy"), folder=("*.npz", "*.npy", "*/*.npz", "*/*.npy")),
         "pcap": FormatRow("sceneloom.formats.packets.spec:FORMAT", file=_CAPTURES),
+        "lvx": FormatRow("sceneloom.formats.packets.spec:LVX", file=(b"livox_tech\0",)),
         "euroc-mav": FormatRow(
             "sceneloom.formats.euroc_mav.spec:FORMAT", folder=("mav0", "cam[01]/data.csv", "imu[01]/data.csv")
         ),
@@ -172,8 +173,8 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "openlabel": FormatRow("sceneloom.formats.openlabel.spec:FORMAT", file=(b'{"openlabel":',)),
         "cvat": FormatRow(f"{_LABELLING}:CVAT", file=(".xml",), folder=("*.xml",)),
         "tracklets": FormatRow(f"{_LABELLING}:TRACKLETS", file=(".xml",), folder=("frame_list.txt",)),
-        "coco": FormatRow(f"{_LABELLING}:COCO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
-        "datumaro": FormatRow(f"{_LABELLING}:DATUMARO", file=(_JSON,), folder=("*.json", "annotations/*.json")),
+        "coco": FormatRow(f"{_LABELLING}:COCO", file=(".json",), folder=("*.json", "annotations/*.json")),
+        "datumaro": FormatRow(f"{_LABELLING}:DATUMARO", file=(".json",), folder=("*.json", "annotations/*.json")),
         "yolo": FormatRow(
             f"{_LABELLING}:YOLO",
             file=(".yaml", ".yml", "obj.names", "obj.data"),
@@ -333,8 +334,8 @@ def open_scene(
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry,
     kitti-360, nuscenes, argoverse2, pandaset, waymo, zod, scale-toolkit, supervisely, segments, scale-task,
-    sustechpoints, euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap;
-    clouds as pcd, ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
+    sustechpoints, euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap,
+    lvx; clouds as pcd, ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by

@@ -43,6 +43,7 @@ from sceneloom.scene.annotations import (
 from sceneloom.scene.annotations_at import CuboidAngles, attribute_at, box_2d_at, cuboid_poses, shape_at
 from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarSensor
+from sceneloom.scene.contents import KINDS
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import Scene, Sensor, frame_times
 from sceneloom.scene.types import Identifier, Key, key_of
@@ -1032,6 +1033,7 @@ class _Taking:
         self.angles = CuboidAngles.of(scene)
         self.parents = {key_of(one.id): one for one in scene.annotations if isinstance(one, ObjectAnnotation)}
         self.used_parents: set[Key] = set()
+        self.shown: set[Key] = set()
 
     def sheet(self, cameras: Sequence[Identifier] | None) -> Sheet:
         known = {key_of(camera.id): camera for camera in self.scene.sensors if isinstance(camera, CameraSensor)}
@@ -1091,6 +1093,7 @@ class _Taking:
             self.losses.approximated(f"annotations[{annotation.id}].path.timestamps_ns", what, count=off)
         attributes = self._attributes(annotation, camera, times)
         for k, kind, values, names in _shapes_of(annotation, camera, times, is_key):
+            self.shown.add(key_of(annotation.id))
             one = Drawn(kind, first + k, values, label, track, attributes[k], names, bool(is_key[k]), part)
             self.drawn[first + k].append(one)
         if isinstance(annotation, Box2DAnnotation | ShapeAnnotation) and off and MASKS in annotation.path.extras:
@@ -1154,26 +1157,22 @@ class _Taking:
                 self.losses.approximated(f"annotations[{one.id}].path.timestamps_ns", what, count=off)
             for k in np.flatnonzero(poses.there).tolist():
                 row = np.concatenate([poses.centers_world[k], poses.sizes_lwh[k], poses.quaternions_xyzw[k]])
+                self.shown.add(key_of(one.id))
                 shape = Drawn(Kind.CUBOID, first + k, row, label, track, attributes[k], (), bool(is_key[k]), part)
                 self.drawn[first + k].append(shape)
 
     def _report(self) -> None:
         """Report what annotations hold besides."""
+        whole = {loss.field for loss in self.losses}
+        shown = self.shown | self.used_parents
         for one in self.scene.annotations:
-            where = f"annotations[{one.id}]"
-            if isinstance(one, CuboidAnnotation) and not self.cuboids:
-                what = "left out: only boxes in images are written; `sceneloom edit project` makes them"
-                seen = any(projection.boxes is not None for projection in one.projections)
-                if seen:
-                    self.losses.converted(f"{where}.path.values", "written as the boxes in the images of cameras")
-                else:
-                    self.losses.dropped(where, what)
-            if isinstance(one, ObjectAnnotation) and key_of(one.id) not in self.used_parents:
-                self.losses.dropped(where, "left out: only what is drawn is written")
-            if isinstance(one, PointsAnnotation) and any(len(path.timestamps_ns) for path in one.paths):
+            where, kind = f"annotations[{one.id}]", KINDS[type(one)]
+            if key_of(one.id) not in shown and kind not in whole:
+                self.losses.dropped(kind, "left out: only what is drawn in images, or as the tool draws, is written")
+            elif isinstance(one, CuboidAnnotation) and not self.cuboids:
+                self.losses.converted(f"{where}.path.values", "written as the boxes in the images of cameras")
+            elif isinstance(one, PointsAnnotation) and any(len(path.timestamps_ns) for path in one.paths):
                 self.losses.dropped(f"{where}.paths.values", "left out: only points in images are written")
-            if isinstance(one, ShapeAnnotation) and one.type not in _DRAWN_IN_IMAGES:
-                self.losses.dropped(where, "left out: only shapes in images are written")
             parent = getattr(one, "parent_id", None)
             if parent is not None and key_of(parent) not in self.used_parents:
                 self.losses.dropped(f"{where}.parent_id", "left out: the tool has no field for it")

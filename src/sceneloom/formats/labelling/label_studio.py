@@ -409,7 +409,7 @@ _FOLDER = FolderKind(
     ("tasks\\.json", *("/".join(["images", *[".*"] * depth]) for depth in range(1, MOST_FOLDERS + 1))),
     marker="tasks\\.json",
 )
-_PREFIX = "/data/local-files/?d=images/"
+_PREFIX = "/data/local-files/?d=images/"  # where local storage serves files
 
 
 def write_label_studio(

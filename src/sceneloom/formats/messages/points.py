@@ -15,7 +15,7 @@ from sceneloom.formats.base.text_tables import UNITS_NS
 from sceneloom.formats.messages.compressed_points import unpacked
 from sceneloom.formats.messages.records import CloudRecord, PackedCloudRecord, PackedField, Topic, TopicLog
 from sceneloom.formats.messages.survey import Survey, in_order
-from sceneloom.formats.points.cloud import MOST_POINTS, Cloud, find_roles, unique_names
+from sceneloom.formats.points.cloud import ALIASES, MOST_POINTS, Cloud, find_roles, unique_names
 from sceneloom.formats.points.mapping import (
     IntensityScale,
     PointMapping,
@@ -178,6 +178,8 @@ def _can_be_kept(record: CloudRecord) -> bool:
 _LONGEST_SWEEP_NS = 1_500_000_000  # no lidar rotates more slowly
 _SHORTEST_SWEEP_NS = 1_000_000  # times over less than this are not those of a sweep, but one time with noise
 _USUAL_SWEEP_NS = 100_000_000
+_SAME_PACE, _PACE_JITTER_NS = 0.1, 20_000_000  # clocks that differ by more, of what passes and beside it, do not agree
+_CERTAIN = 10.0  # sweeps that last so many times longer or shorter than from message to message may be of another unit
 
 _ORDERS = {
     "f": ("seconds", "milliseconds", "microseconds", "nanoseconds"),
@@ -186,34 +188,44 @@ _ORDERS = {
 }
 """Units by kind of number, the likeliest first."""
 
+_REFERENCES = ("timestamp", "clock", "own")
+"""What times count from, the likeliest first: the message's timestamp, zero of the clock that timestamps messages, and
+zero of another clock, of which only differences are known."""
+
 
 class _FoundTimes(NamedTuple):
-    """What the times of points mean, and where the first of a sweep lies from its timestamp [ns]."""
+    """What the times of points may mean: unit, one of `_REFERENCES`, and where they lie from the timestamp [ns]."""
 
-    meaning: PointTimes
+    unit: str
+    reference: str
     first_ns: int
+    last_ns: int
+    low_ns: int = 0  # the least value itself
+
+    def off(self, sweep_ns: int) -> float:
+        """How many times longer or shorter than `sweep_ns` the sweep is."""
+        ratio = (self.last_ns - self.first_ns) / sweep_ns
+        return max(ratio, 1 / ratio)
 
 
-def _find_point_times(name: str, values: AnyArray, timestamp_ns: int, sweep_ns: int | None) -> _FoundTimes | None:
-    """Unit and zero of times, (N,), within 1.5 s of their message over 1 ms or more; None where no unit fits."""
-    # Of several readings, the one whose sweep lasts most nearly as long as from message to message (`sweep_ns`) counts.
+def _possible_times(values: AnyArray, timestamp_ns: int) -> dict[tuple[str, str], _FoundTimes]:
+    """Readings of times of points, (N,), by unit and reference: over 1 ms to 1.5 s, and as near to their message."""
     if values.ndim != 1 or values.dtype.kind not in _ORDERS or len(values) < 2:
-        return None
+        return {}
     exact = values.dtype.kind != "f"
     ends = values.min(), values.max()
     if not exact and not np.isfinite(ends).all():
-        return None
-    found: list[tuple[float, int, _FoundTimes]] = []
-    for order, unit in enumerate(_ORDERS[values.dtype.kind]):
+        return {}
+    found = {}
+    for unit in _ORDERS[values.dtype.kind]:
         low, high = (int(v) * UNITS_NS[unit] if exact else round(float(v) * UNITS_NS[unit]) for v in ends)
-        for rank, (reference, zero_ns) in enumerate((("timestamp", 0), ("clock", timestamp_ns))):
+        if not _SHORTEST_SWEEP_NS <= high - low <= _LONGEST_SWEEP_NS:
+            continue
+        for reference, zero_ns in zip(_REFERENCES, (0, timestamp_ns, low), strict=True):
             first, last = low - zero_ns, high - zero_ns
-            if max(abs(first), abs(last)) > _LONGEST_SWEEP_NS or last - first < _SHORTEST_SWEEP_NS:
-                continue
-            badness = abs(float(np.log((last - first) / (sweep_ns or _USUAL_SWEEP_NS))))
-            times = _FoundTimes(PointTimes(unit, reference, name), first)
-            found.append((round(badness, 1), order * 2 + rank, times))
-    return min(found, key=lambda row: row[:2])[2] if found else None
+            if max(abs(first), abs(last)) <= _LONGEST_SWEEP_NS:
+                found[unit, reference] = _FoundTimes(unit, reference, first, last, low)
+    return found
 
 
 SPEED_COLUMNS = ("velocity", "doppler", "radial_speed", "range_rate", "v_doppler_mps", "speed_radial")
@@ -243,6 +255,7 @@ class _CloudReader:
     starts_ns: Int64Array  # start of each sweep
     mapping: PointMapping = field(default_factory=PointMapping)
     whole: bool = False  # points at the origin are points: in messages of ours they are
+    own_clock: bool = False  # times of points are of another clock than those of messages
 
     def record(self, k: int) -> CloudRecord:
         """Read message `k`."""
@@ -255,6 +268,10 @@ class _CloudReader:
         if not isinstance(record, CloudRecord):
             raise DataError(self.log.name, self.location(k), "no points; expected a cloud")
         return record
+
+    def stated_ns(self, k: int) -> int:
+        """The timestamp that message `k` has, or that counts where it has none."""
+        return self.record(k).timestamp_ns or int(self.timestamps_ns[k])
 
     def location(self, k: int) -> str:
         """Where message `k` stands, for messages."""
@@ -275,10 +292,10 @@ class _CloudReader:
     def unpacked(self, k: int, record: CloudRecord) -> tuple[LidarPoints, dict[str, Any]]:
         """Take the points of message `k` apart, and count what was left out of them."""
         cloud = _unpack(record, self.log.name, self.location(k))
-        clock = SweepClock(int(self.timestamps_ns[k]), int(self.starts_ns[k]), 0)
         mapping = _ours(cloud) if self.whole else self.mapping
         if mapping.times is not None and mapping.times.field not in cloud.columns:
             mapping = replace(mapping, times=None)
+        clock = SweepClock(int(self.timestamps_ns[k]), int(self.starts_ns[k]), self._zero_ns(k, record, cloud))
         try:
             read = points_of(cloud, mapping, clock, keep_all=self.whole)
         except DataError as error:
@@ -287,6 +304,17 @@ class _CloudReader:
         counts = {"dropped_points": read.dropped, "clipped_intensities": read.clipped}
         points = _placed(read.points, record.frame_from_points)
         return self._with_cameras(points), {n: c for n, c in counts.items() if c}
+
+    def _zero_ns(self, k: int, record: CloudRecord, cloud: Cloud) -> int:
+        """Where zero of the clock that times of points count from lies on the scene's clock [ns]."""
+        if self.own_clock and self.mapping.times is not None:
+            low = _counted(cloud, str(self.mapping.times.field)).min(initial=np.inf)
+            low_ns = 0 if not np.isfinite(low) else round(low.item() * UNITS_NS[self.mapping.times.unit])
+            return int(self.timestamps_ns[k]) - low_ns
+        # messages whose own timestamps do not count are moved with the times of their points
+        settled_ns = int(self.timestamps_ns[k])
+        stamp_ns = record.timestamp_ns or settled_ns
+        return settled_ns - stamp_ns + (_base_ns(record, stamp_ns) or 0)
 
     def _with_cameras(self, points: LidarPoints) -> LidarPoints:
         """Take what coloured the points out of the further columns of a message of ours."""
@@ -364,7 +392,7 @@ def _understood(reader: _CloudReader, ledger: Ledger) -> _CloudReader:
     if "intensity" in roles:
         mapping = replace(mapping, scale=_scale(cloud.columns[roles["intensity"]], roles["intensity"], where, ledger))
     reader = replace(reader, mapping=mapping)
-    return _with_times(reader, cloud, k, roles["time"], where, ledger) if "time" in roles else reader
+    return _with_times(reader, cloud, k, where, ledger)
 
 
 def _telling(reader: _CloudReader) -> tuple[int, Cloud]:
@@ -389,19 +417,56 @@ def _scale(values: AnyArray, name: str, where: str, ledger: Ledger) -> Any:
     return scale
 
 
-def _with_times(reader: _CloudReader, cloud: Cloud, k: int, name: str, where: str, ledger: Ledger) -> _CloudReader:
-    sweep_ns = int(np.median(np.diff(reader.timestamps_ns))) if len(reader.timestamps_ns) > 1 else None
+def _base_ns(record: CloudRecord, stamp_ns: int) -> int | None:
+    """What the times of points count from, where the message states it: its timestamp, if the two are far apart."""
+    if record.base_ns is None or abs(record.base_ns - stamp_ns) <= _LONGEST_SWEEP_NS:
+        return record.base_ns
+    return stamp_ns
+
+
+def _counted(cloud: Cloud, name: str) -> AnyArray:
+    """The values of a column that are finite and of points with a return."""
     values = cloud.columns[name]
-    found = _find_point_times(name, values, int(reader.timestamps_ns[k]), sweep_ns or None)
-    if found is None:
-        message = f"field {name!r} is no time of points in any unit, relative or absolute; it is kept as it is"
+    kept = np.isfinite(values) if values.dtype.kind == "f" else np.ones(values.shape, np.bool_)
+    axes = [cloud.columns[axis] for axis in "xyz" if axis in cloud.columns and cloud.columns[axis].ndim == 1]
+    if len(axes) == 3 and values.ndim == 1:
+        kept &= np.isfinite(axes).all(axis=0) & (np.array(axes) != 0).any(axis=0)
+    return np.asarray(values[kept])
+
+
+def _with_times(reader: _CloudReader, cloud: Cloud, k: int, where: str, ledger: Ledger) -> _CloudReader:
+    """Settle what times of points are there and mean, by two messages as far apart as can be."""
+    record = reader.record(k)
+    stated = record.base_ns is not None
+    lower = {name.lower(): name for name in reversed([*cloud.columns])}
+    names = [lower[alias] for alias in ALIASES["time"] if alias in lower]
+    if not names:
+        return reader
+    far = len(reader.rows) - 1 - k
+    other = next((at for at in range(k + far, max(k, k + far - _LOOKED_AT), -1) if reader.cloud(at).count > 1), None)
+    sweep_ns = int(np.median(np.diff(reader.timestamps_ns))) if len(reader.timestamps_ns) > 1 else 0
+    for name in names:
+        if stated:
+            found = _stated_times(record, reader.stated_ns(k), cloud, name)
+        else:
+            found = _found_times(reader, cloud, k, other, name, sweep_ns)
+        if found is not None:
+            break
+    else:
+        message = f"field {names[0]!r} is no time of points in any unit, relative or absolute; it is kept as it is"
         ledger.note(WarningKind.SKIPPED, "point-times-not-used", where, message)
         return reader
-    meaning = found.meaning
-    base = "the message's timestamp" if meaning.relative_to == "timestamp" else "the clock's zero"
-    message = f"field {name!r} is taken for times of points: {meaning.unit} from {base}"
-    ledger.note(WarningKind.ASSUMED, "point-times-assumed", where, message)
-    reader = replace(reader, mapping=replace(reader.mapping, times=meaning))
+    if stated and abs(off_ns := (record.base_ns or 0) - reader.stated_ns(k)) > _LONGEST_SWEEP_NS:
+        message = f"{name!r} counts from {off_ns / 1e9:+.3f} s off the message's timestamp, from which it is counted"
+        ledger.note(WarningKind.ASSUMED, "point-times-other-clock", where, message)
+    elif not stated:
+        _note_times(found, name, sweep_ns, where, ledger)
+    if found.reference == "timestamp" and _falls(_counted(cloud, name)):
+        message = f"field {name!r} falls from the first point to the last; it is not taken to count back from an end"
+        ledger.note(WarningKind.ASSUMED, "point-times-fall", where, message)
+    times = PointTimes(found.unit, "timestamp" if found.reference == "timestamp" else "clock", name)
+    own = found.reference == "own"
+    reader = replace(reader, mapping=replace(reader.mapping, times=times), own_clock=own)
     if not found.first_ns < -_EARLY_NS:
         return reader
     message = (
@@ -409,6 +474,61 @@ def _with_times(reader: _CloudReader, cloud: Cloud, k: int, name: str, where: st
     )
     ledger.note(WarningKind.ASSUMED, "timestamps-after-start", where, message)
     return replace(reader, starts_ns=read_only(reader.timestamps_ns + found.first_ns))
+
+
+def _stated_times(record: CloudRecord, stamp_ns: int, cloud: Cloud, name: str) -> _FoundTimes | None:
+    """Times whose meaning the type of the message states: nanoseconds from `base_ns`."""
+    values = _counted(cloud, name)
+    if values.dtype.kind not in "iu":
+        return None
+    if not len(values):
+        return _FoundTimes("nanoseconds", "clock", 0, 0)
+    base_ns = (_base_ns(record, stamp_ns) or 0) - stamp_ns
+    return _FoundTimes("nanoseconds", "clock", base_ns + int(values.min()), base_ns + int(values.max()))
+
+
+def _found_times(
+    reader: _CloudReader, cloud: Cloud, k: int, other: int | None, name: str, sweep_ns: int
+) -> _FoundTimes | None:
+    """The likeliest reading of a column that fits two messages; of another clock if it runs as that of messages."""
+    found = _possible_times(_counted(cloud, name), reader.stated_ns(k))
+    own = {key: one for key, one in found.items() if key[1] == "own"}
+    usual = {key: one for key, one in found.items() if key not in own}
+    if other is not None:
+        later = reader.cloud(other)
+        again = {} if name not in later.columns else _possible_times(_counted(later, name), reader.stated_ns(other))
+        usual = {key: one for key, one in usual.items() if key in again}
+        passed = reader.stated_ns(other) - reader.stated_ns(k)
+        most = _SAME_PACE * passed + _PACE_JITTER_NS
+        own = {
+            key: one for key, one in own.items() if key in again and abs(again[key].low_ns - one.low_ns - passed) < most
+        }
+    else:
+        own = {}
+    likely = usual or own
+    # of equal ones the first: units and references are in the order of how likely they are
+    return min(likely.values(), key=lambda one: round(np.log(one.off(sweep_ns or _USUAL_SWEEP_NS)), 1), default=None)
+
+
+def _note_times(found: _FoundTimes, name: str, sweep_ns: int, where: str, ledger: Ledger) -> None:
+    """Report what the times of points were taken for."""
+    bases = {"timestamp": "the message's timestamp", "clock": "the clock's zero", "own": "another clock's zero"}
+    message = f"field {name!r} is taken for times of points: {found.unit} from {bases[found.reference]}"
+    ledger.note(WarningKind.ASSUMED, "point-times-assumed", where, message)
+    if found.reference == "own":
+        message = f"{name!r} is of another clock than timestamps; the first point of a sweep is taken to be at its own"
+        ledger.note(WarningKind.ASSUMED, "point-times-other-clock", where, message)
+    if sweep_ns > 0 and found.off(sweep_ns) > _CERTAIN:
+        lasts = (found.last_ns - found.first_ns) / 1e9
+        message = f"by {name!r} sweeps last {lasts:.6f} s, one every {sweep_ns / 1e9:.6f} s; its unit is not certain"
+        ledger.note(WarningKind.ASSUMED, "point-times-uncertain", where, message)
+
+
+def _falls(values: AnyArray) -> bool:
+    """Whether times fall from the first point to the last, but for noise."""
+    tenth = max(len(values) // 10, 1)
+    first, last = values[:tenth].mean(), values[-tenth:].mean()
+    return bool(len(values) > 1 and last < first - 0.5 * float(values.max() - values.min()))
 
 
 _EARLY_NS = 1_000_000  # points may be this much earlier than the timestamp of their sweep: drivers round

@@ -16,6 +16,7 @@ from sceneloom.errors import CalibrationError, DataError, MissingExtraError, Opt
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.messages.cameras import CameraDraft, is_known_model
+from sceneloom.formats.messages.packets import PacketDraft, PacketReading, draft_packets
 from sceneloom.formats.messages.points import CloudDraft
 from sceneloom.formats.messages.records import (
     LARGE,
@@ -148,7 +149,7 @@ def _survey(log: TopicLog, ledger: Ledger, *, timestamps: str | None) -> Survey:
     times: list[_TopicTimes] = []
     rows: dict[int, list[tuple[int, list[AnyRecord]]]] = {}
     for topic in log.topics:
-        if topic.kind is None or not topic.count or topic.kind is Kind.NOTES:
+        if topic.kind in (None, Kind.NOTES, Kind.DESCRIPTION) or not topic.count:
             continue
         received = log.receive_times(topic)
         if topic.kind in LARGE:
@@ -1077,7 +1078,9 @@ class _Closing:
 class _Log:
     """A log while a scene is made of it; `clouds` and `cameras` by the names of their topics."""
 
-    def __init__(self, found: Survey, cameras: list[CameraDraft], rig: Rig | None) -> None:
+    def __init__(
+        self, found: Survey, cameras: list[CameraDraft], rig: Rig | None, packets: PacketReading | None
+    ) -> None:
         """Look at the first message of each topic of large ones; drafts of cameras are added to `cameras`, too."""
         self.survey, self.rig, self.ids = found, rig, _ids_of_topics(found)
         known = [
@@ -1087,7 +1090,9 @@ class _Log:
         clouds = _draft_all(self, cameras)
         self.clouds = {draft.reader.topic.name: draft for draft in clouds}
         self.cameras = {draft.topic.name: draft for draft in cameras}
-        self.drafts: list[CloudDraft | CameraDraft] = [*clouds, *cameras]
+        self.packets = [] if packets is None else draft_packets(found, packets)
+        self.drafts: list[CloudDraft | CameraDraft | PacketDraft] = [*clouds, *cameras, *self.packets]
+        _note_twice(found, clouds, self.packets)
         self.locations: _Locations  # of all frames, once they are known
 
     def at(self, topic: str) -> str:
@@ -1098,6 +1103,7 @@ class _Log:
         """The sensors of all topics whose messages have a frame."""
         frames = {draft.topic.name: draft.frame_id for draft in self.drafts if isinstance(draft, CameraDraft)}
         frames |= {name: draft.frame_id for name, draft in self.clouds.items()}
+        frames |= {draft.topic.name: draft.frame_id for draft in self.packets}
         for kind, record_type in ((Kind.SAMPLE, SampleRecord), (Kind.POSE, SampleRecord), (Kind.FIX, FixRecord)):
             small: type[Any] = record_type
             for topic in self.survey.topics(kind):
@@ -1125,6 +1131,7 @@ def scene_from_topics(
     ego: str | None = None,
     world: str | None = None,
     rig: Rig | None = None,
+    packets: PacketReading | None = None,
 ) -> Scene:
     """Make a scene of a log.
 
@@ -1136,6 +1143,7 @@ def scene_from_topics(
         timestamps: which times of messages count, "header" or "receive".
         ego, world: frames that are to be these.
         rig: mountings and camera models that the log does not state, or not rightly.
+        packets: how packets are read; None where the format has none.
 
     Raises:
         DataError: a message is wrong.
@@ -1144,7 +1152,7 @@ def scene_from_topics(
     closing = _Closing(log, [])
     try:
         found = _survey(log, ledger, timestamps=timestamps)
-        context = _Log(found, closing.cameras, rig)
+        context = _Log(found, closing.cameras, rig, packets)
         ego = ego or (rig.stated.get("ego") if rig is not None else None)
         trajectories = _locate(context, ego=ego, world=world)
         sensors = _noted_sensors(context)
@@ -1196,6 +1204,17 @@ def _draft_all(context: "_Log", cameras: list[CameraDraft]) -> list[CloudDraft]:
         except (DataError, MissingExtraError) as error:
             found.ledger.fault("topics-at-fault", error, count=topic.count)
     return clouds
+
+
+def _note_twice(found: Survey, clouds: Sequence[CloudDraft], packets: Sequence[PacketDraft]) -> None:
+    """Warn of a lidar that is there as points and as packets: sweeps would count twice."""
+    topics = {draft.frame_id: draft.reader.topic.name for draft in clouds if draft.frame_id}
+    for draft in packets:
+        if draft.frame_id in topics and draft.model:
+            other, frame = topics[draft.frame_id], draft.frame_id
+            message = f"packets and points on {other} have one frame, {frame!r}: both are read"
+            location = f"{found.log.name}: {draft.topic.name}"
+            found.ledger.note(WarningKind.ASSUMED, "packets-and-points", location, message)
 
 
 def _calibration_of(found: Survey, topic: Topic, camera_models: Mapping[str, Topic]) -> str | None:
@@ -1260,7 +1279,7 @@ def _locate(context: _Log, *, ego: str | None, world: str | None) -> dict[str, T
     if not found.notes.ours:
         trajectories = _foreign_trajectories(found, context.locations)
     if rig is not None or not found.notes.ours:
-        known, seen = context.locations, set[str]()
+        known, seen = context.locations, {draft.frame_id for draft in context.packets if draft.mount is not None}
         for sensor in sensors:
             if sensor.frame in large and sensor.frame not in seen and not known.is_placed(sensor.frame):
                 seen.add(sensor.frame)
@@ -1302,7 +1321,7 @@ def _noted_topics(found: Survey) -> set[Any]:
 
 
 def _sensor_topics(found: Survey) -> list[Topic]:
-    return [*found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.SAMPLE, Kind.FIX), *_velocity_topics(found)]
+    return [*found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.PACKETS, Kind.SAMPLE, Kind.FIX), *_velocity_topics(found)]
 
 
 def _velocity_topics(found: Survey) -> list[Topic]:
@@ -1336,12 +1355,16 @@ def _foreign_sensors(context: _Log, camera_ids: dict[str, Any]) -> list[Sensor]:
     noted = _noted_topics(found)
     topics = [topic for topic in _sensor_topics(found) if topic.name not in noted]
     drafts = {
-        (draft.topic if isinstance(draft, CameraDraft) else draft.reader.topic).number: draft
+        (draft.reader.topic if isinstance(draft, CloudDraft) else draft.topic).number: draft
         for draft in context.drafts
+        if not isinstance(draft, PacketDraft)
     }
     sensors: list[Sensor] = []
     for topic in topics:
         identifier, draft = context.ids[topic.name], drafts.get(topic.number)
+        sensors += [
+            _packet_sensor(context, identifier, one) for one in context.packets if one.topic.number == topic.number
+        ]
         if isinstance(draft, CloudDraft):
             mount, points_frame = locations.mount(draft.frame_id), locations.points_frame(draft.frame_id)
             poses = locations.poses(draft.frame_id, mount, draft.reader.starts_ns)
@@ -1364,6 +1387,21 @@ def _foreign_sensors(context: _Log, camera_ids: dict[str, Any]) -> list[Sensor]:
     return sorted(sensors, key=lambda one: isinstance(one, ImuSensor) and set(one.streams) <= set(VELOCITIES))
 
 
+def _packet_sensor(context: _Log, identifier: str, draft: PacketDraft) -> Sensor:
+    """A sensor of packets where its frame is; else where it says itself to be."""
+    locations = context.locations
+    mount = RigidTransform.identity() if draft.on_ego else locations.mount(draft.frame_id)
+    if mount is None and draft.mount is not None:
+        mount = draft.mount
+        message = "no frame tells where the radar is on the ego; where it says itself to be counts"
+        context.survey.ledger.note(WarningKind.ASSUMED, "extrinsics-of-radar", context.at(draft.topic.name), message)
+    if not len(draft.times_ns):
+        return draft.sensor(identifier, mount=mount)
+    poses = locations.poses(draft.frame_id, mount, draft.times_ns)
+    points_frame = locations.points_frame(draft.frame_id)
+    return draft.sensor(identifier, mount=mount, poses=poses, points_frame=points_frame)
+
+
 def _camera_model_from_text(text: str) -> Camera:
     """The camera model of the writer's `_camera_model_text`."""
     model, width, height, (fx, fy, cx, cy), coefficients = json.loads(text)
@@ -1375,8 +1413,9 @@ _TAILS = frozenset(
         "points", "points_raw", "point_cloud", "pointcloud", "pointcloud2", "cloud", "points2", "image", "image_raw",
         "image_rect", "image_color", "image_rect_color", "image_mono", "image_rect_raw", "raw", "compressed",
         "compressed_image", "compressed_video", "video", "data", "data_raw", "fix", "imu", "h264", "navsatfix",
-        "location", "odometry", "pose", "mag", "temperature", "compressedDepth", "ffmpeg", "draco", "zstd", "zlib",
-        "cloudini", "scan",
+        "location", "odometry", "pose", "mag", "temperature", "compressedDepth", "packets", "lidar_packets",
+        "imu_packets", "velodyne_packets", "pandar_packets", "robosense_packets", "rslidar_packets", "nebula_packets",
+        "ffmpeg", "draco", "zstd", "zlib", "cloudini", "scan",
     }
 )  # fmt: skip
 """Last parts of topics that state what messages are, and not of which sensor."""

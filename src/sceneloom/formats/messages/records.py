@@ -28,9 +28,11 @@ class Kind(StrEnum):
     BOXES_3D = "boxes_3d"
     BOXES_2D = "boxes_2d"
     NOTES = "notes"
+    PACKETS = "packets"
+    DESCRIPTION = "description"
 
 
-LARGE = frozenset({Kind.CLOUD, Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO})
+LARGE = frozenset({Kind.CLOUD, Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO, Kind.PACKETS})
 """Kinds whose messages are read one by one, when they are asked for."""
 
 
@@ -69,6 +71,7 @@ class CloudRecord:
         data: the bytes.
         frame_from_points: where the points' origin is in the frame; None for its origin.
         row_bytes: bytes from row to row and points in a row, of clouds in rows; None where rows follow each other.
+        base_ns: what times of points count from in nanoseconds, of messages that state it.
         left_out: names of fields that could not be decompressed.
     """
 
@@ -80,6 +83,7 @@ class CloudRecord:
     count: int | None = None
     frame_from_points: RigidTransform | None = None
     row_bytes: tuple[int, int] | None = None
+    base_ns: int | None = None
     left_out: tuple[str, ...] = ()
 
 
@@ -229,8 +233,25 @@ class Boxes2DRecord:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PacketsRecord:
+    """Packets of a lidar or radar as they came over the network.
+
+    Attributes:
+        timestamp_ns: of the message [ns]; 0 where it has none.
+        frame_id: of the sensor; "" where it is not stated.
+        packets: the bytes of each.
+        arrivals_ns: (N,) int64 [ns], when they came; None where it is not stated.
+    """
+
+    timestamp_ns: int
+    frame_id: str
+    packets: tuple[memoryview, ...]
+    arrivals_ns: Int64Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class NotesRecord:
-    """What a scene holds that no message has a field for, as JSON."""
+    """What a scene holds that no message has a field for, or a sensor says of itself, as JSON."""
 
     timestamp_ns: int
     text: str
@@ -248,6 +269,7 @@ AnyRecord = (
     | SampleRecord
     | Boxes3DRecord
     | Boxes2DRecord
+    | PacketsRecord
     | NotesRecord
 )
 

@@ -30,6 +30,7 @@ from sceneloom.formats.base.yaml_files import read_yaml
 from sceneloom.formats.messages.file_bytes import Chunk, ChunkedMessages, FileBytes, decompress
 from sceneloom.formats.messages.foxglove import READERS
 from sceneloom.formats.messages.mcap_files import McapIndex, read_index
+from sceneloom.formats.messages.packets import PacketReading
 from sceneloom.formats.messages.points import scan_record
 from sceneloom.formats.messages.reader import scene_from_topics
 from sceneloom.formats.messages.records import (
@@ -49,6 +50,7 @@ from sceneloom.formats.messages.records import (
     NotesRecord,
     PackedCloudRecord,
     PackedField,
+    PacketsRecord,
     PoseRecord,
     SampleRecord,
     Topic,
@@ -58,6 +60,7 @@ from sceneloom.formats.messages.records import (
 )
 from sceneloom.formats.messages.spec import METADATA, ROOT_KEY
 from sceneloom.formats.messages.writer import FIXED_FRAMES_TOPIC, SceneStreams, check_images
+from sceneloom.formats.packets.spec import CaptureReading
 from sceneloom.formats.rig_files.reader import Rig
 from sceneloom.scene.scene import Scene, with_assumed_models
 from sceneloom.warnings import WarningKind
@@ -73,6 +76,7 @@ Messages of Foxglove's schemas begin with the time itself, without a header.
 _FOXGLOVE = "foxglove_msgs/msg/"
 
 _FIXED = "tf_static"
+_DESCRIPTION = "metadata"  # end of topics with what sensors say of themselves
 
 _FAULTS = (
     *(SerdeError, AssertionError, ValueError, IndexError, KeyError),
@@ -92,14 +96,29 @@ def _open_bag(
     world: str | None = None,
     distro: str | None = None,
     rig: Rig | None = None,
+    metadata: str | None = None,
+    angles: str | None = None,
+    model: str | None = None,
 ) -> Scene:
-    """Open a bag: its index and all small messages are read, images and points when they are asked for."""
+    """Open a bag: its index and all small messages are read, images and points when they are asked for.
+
+    Of packets of lidars `metadata`, `angles` and `model` tell what they do not, as of captures.
+    """
     ledger = Ledger(lenient=lenient)
     with ledger.telling():
         log = open_log(path, ledger, distro)
         _note_not_read(log, ledger)
+        packets = CaptureReading(lenient=lenient, metadata=metadata, angles=angles, model=model)
         scene = scene_from_topics(
-            log, ledger, form=form, metadata={}, timestamps=timestamps, ego=ego, world=world, rig=rig
+            log,
+            ledger,
+            form=form,
+            metadata={},
+            timestamps=timestamps,
+            ego=ego,
+            world=world,
+            rig=rig,
+            packets=PacketReading(path, packets),
         )
     return with_assumed_models(scene) if assume_model else scene
 
@@ -572,7 +591,9 @@ class _RosLog:
         return np.concatenate([np.zeros(0, np.int64), *parts])
 
     def timestamps(self, topic: Topic) -> tuple[Int64Array, bool]:
-        """The time that each message says itself; all of them are looked at."""
+        """The time that each message says itself, or when it was recorded; all of them are looked at."""
+        if topic.schema in _WITHOUT_HEADER:
+            return self.receive_times(topic), True
         found: list[int] = []
         for file, number, _ in self.parts[topic.number]:
             connection = self.bags[file].connections[number]
@@ -594,10 +615,9 @@ class _RosLog:
         connection = self.bags[file].connections[number]
         content = self.bags[file].data(number, k - first)
         try:
-            store, kind = _store_of(connection, self.distro), connection.type
-            parse = store.deserialize_cdr if connection.encoding == "cdr" else store.deserialize_ros1
-            message = parse(content, kind)
-            records = list(_READERS[connection.type][1](message))
+            if connection.type in _LIVOX:
+                return [_livox_cloud(_store_of(connection, self.distro), connection, content)]
+            records = list(_READERS[connection.type][1](_parsed(connection, content, self.distro)))
         except _FAULTS as error:
             raise DataError(self.name, f"{topic.name}[{k}]", f"no {connection.type}: {error}") from error
         if topic.name.endswith(_FIXED):
@@ -608,6 +628,21 @@ class _RosLog:
         """Release the files."""
         for bag in self.bags:
             bag.close()
+
+
+def _parsed(connection: _Connection, content: memoryview, distro: str | None) -> Any:
+    """A message; of types whose definition changed, without one in the bag, the first that its bytes fit."""
+    stores = [_store_of(connection, distro)]
+    if not connection.definition and connection.type in _EARLIER:
+        stores += _earlier_stores(connection.type)
+    for number, store in enumerate(stores, 1):
+        parse = store.deserialize_cdr if connection.encoding == "cdr" else store.deserialize_ros1
+        try:
+            return parse(content, connection.type)
+        except _FAULTS:
+            if number == len(stores):
+                raise
+    return None
 
 
 def _log_of(name: str, bags: Sequence[_Bag], distro: str | None) -> _RosLog:
@@ -637,13 +672,18 @@ def _topic(number: int, connection: _Connection, count: int, distro: str | None)
         why = f"in the encoding {connection.encoding!r}; expected {' or '.join(_TIMESTAMPS)}"
         return Topic(number, *named, None, count, why)
     known = _READERS.get(connection.type)
-    if known is None or (known[0] is Kind.NOTES and connection.topic != _NOTES_TOPIC):
+    if known is None:
         return Topic(number, *named, None, count)
+    kind = known[0]
+    if kind is Kind.NOTES and connection.topic != _NOTES_TOPIC:
+        if not connection.topic.endswith(_DESCRIPTION):
+            return Topic(number, *named, None, count)
+        kind = Kind.DESCRIPTION
     try:
         _store_of(connection, distro)
     except ValueError as error:
         return Topic(number, *named, None, count, f"{error}; name the ROS distribution with distro=")
-    return Topic(number, *named, known[0], count)
+    return Topic(number, *named, kind, count)
 
 
 def _note_not_read(log: _RosLog, ledger: Ledger) -> None:
@@ -803,6 +843,23 @@ def _ros_part(identifier: str | int) -> str:
     return f"_{part}" if part[0].isdigit() else part
 
 
+_LIVOX_PACKAGES = ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces")
+
+
+def _livox_types(package: str) -> dict[str, str]:
+    point = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n"
+    head = "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n"
+    whole = f"{head}{package}/CustomPoint[] points\n"
+    return {f"{package}/msg/CustomPoint": point, f"{package}/msg/CustomMsg": whole}
+
+
+_SIZED = "builtin_interfaces/Time stamp\nuint8[1500] data\nuint32 size\n"
+
+
+def _packets_of(packet: str) -> str:
+    return f"std_msgs/Header header\n{packet}[] packets\n"
+
+
 _STAMPED = "builtin_interfaces/Time timestamp\nstring frame_id\n"
 _FOXGLOVE_DEFINITIONS: Mapping[str, str] = MappingProxyType(
     {
@@ -844,6 +901,24 @@ DEFINITIONS: Mapping[str, str] = MappingProxyType(
             "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
             "bool is_bigendian\nuint8[] data\n"
         ),
+        "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
+        "velodyne_msgs/msg/VelodyneScan": _packets_of("velodyne_msgs/VelodynePacket"),
+        "pandar_msgs/msg/PandarPacket": _SIZED,
+        "pandar_msgs/msg/PandarScan": _packets_of("pandar_msgs/PandarPacket"),
+        "hesai_ros_driver/msg/UdpPacket": "uint8[] data\nuint32 size\n",
+        "hesai_ros_driver/msg/UdpFrame": _packets_of("hesai_ros_driver/UdpPacket"),
+        "robosense_msgs/msg/RobosensePacket": _SIZED,
+        "robosense_msgs/msg/RobosenseScan": _packets_of("robosense_msgs/RobosensePacket"),
+        "robosense_msgs/msg/RobosenseInfoPacket": "string lidar_model\nrobosense_msgs/RobosensePacket packet\n",
+        "rslidar_msg/msg/RslidarPacket": (
+            "std_msgs/Header header\nuint8 is_difop\nuint8 is_frame_begin\nuint8[] data\n"
+        ),
+        "ouster_msgs/msg/PacketMsg": "uint8[] buf\n",
+        "ouster_sensor_msgs/msg/PacketMsg": "uint8[] buf\n",
+        "ouster_ros/msg/PacketMsg": "uint8[] buf\n",
+        "nebula_msgs/msg/NebulaPacket": "builtin_interfaces/Time stamp\nuint8[] data\n",
+        "nebula_msgs/msg/NebulaPackets": _packets_of("nebula_msgs/NebulaPacket"),
+        **{name: text for package in _LIVOX_PACKAGES for name, text in _livox_types(package).items()},
         "point_cloud_interfaces/msg/CompressedPointCloud2": (
             "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\n"
             "bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] compressed_data\nbool is_dense\n"
@@ -854,8 +929,23 @@ DEFINITIONS: Mapping[str, str] = MappingProxyType(
 )
 """Definitions of types that rosbags does not have, by name; those that others use come before them.
 
-Source: packages vision_msgs (4.0), tf2_msgs, foxglove_msgs, ffmpeg_image_transport_msgs and point_cloud_interfaces.
+Source: packages vision_msgs (4.0), tf2_msgs, foxglove_msgs, ffmpeg_image_transport_msgs and point_cloud_interfaces, and
+those of the drivers of lidars and radars: velodyne_msgs, pandar_msgs, robosense_msgs and nebula_msgs, hesai_ros_driver,
+rslidar_msg, ouster_ros, livox_ros_driver.
 """
+
+_EARLIER: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "robosense_msgs/msg/RobosenseScan": (
+            "robosense_msgs/msg/RobosensePacket",
+            (
+                "builtin_interfaces/Time stamp\nuint8 is_difop\nuint8[1500] data\nuint32 size\n",
+                "builtin_interfaces/Time stamp\nuint8[1248] data\nuint32 size\n",
+            ),
+        )
+    }
+)
+"""Earlier definitions of a type that messages have, by their own. Source: history of robosense_msgs in nebula."""
 
 _USUAL_DISTRO = {"ros1": "noetic", "cdr": "humble"}
 """The distribution whose types are taken where nothing is stated, by the encoding of messages."""
@@ -882,6 +972,19 @@ def _store_of(connection: _Connection, distro: str | None) -> Any:
     if connection.type not in store.fielddefs:
         raise ValueError(f"the bag does not define {connection.type}, and neither does ROS {distro or 'by itself'}")
     return store
+
+
+@cache
+def _earlier_stores(name: str) -> list[Any]:
+    """The types that messages of a type may have been written with before."""
+    part, texts = _EARLIER[name]
+    found = []
+    for text in texts:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        for one in (part, name):
+            store.register(get_types_from_msg(text if one == part else DEFINITIONS[one], one))
+        found.append(store)
+    return found
 
 
 @cache
@@ -949,6 +1052,68 @@ def _cloud(message: Any) -> Sequence[CloudRecord]:
     rows = (int(message.row_step), width) if height > 1 else None
     data, stride = _bytes(message.data), int(message.point_step)
     return [CloudRecord(*_head(message), fields, stride, data, width * height, row_bytes=rows)]
+
+
+_LIVOX = frozenset(f"{name}/msg/CustomMsg" for name in _LIVOX_PACKAGES)
+_LIVOX_HEAD = ("header", "timebase", "point_num", "lidar_id", "rsvd", "points")
+_LIVOX_NUMBERS = {"uint32": "u4", "float32": "f4", "uint8": "u1", "float64": "f8", "uint64": "u8", "uint16": "u2"}
+
+
+def _livox_cloud(store: Any, connection: _Connection, content: memoryview) -> CloudRecord:
+    """The points of a message of Livox's drivers as they lie in its bytes: one by one they would take 50 times as long.
+
+    Source: livox_ros_driver/CustomMsg and CustomPoint; OMG CDR (alignment of numbers by their size).
+    """
+    fields = store.fielddefs[connection.type][1]
+    if tuple(name for name, _ in fields) != _LIVOX_HEAD:
+        raise ValueError(f"fields {', '.join(name for name, _ in fields)}; expected {', '.join(_LIVOX_HEAD)}")
+    cdr = connection.encoding == "cdr"
+    order = ">" if cdr and not content[1] & 1 else "<"
+    content = content[4:] if cdr else content
+    at = 0 if cdr else 4  # headers of ROS 1 begin with a number
+    seconds, nanoseconds, length = struct.unpack_from(f"{order}III", content, at)
+    at += 12 + length
+    frame_id = bytes(content[at - length : at]).rstrip(b"\0").decode()
+    at += -at % 8 if cdr else 0
+    base_ns, _, _, count = struct.unpack_from(f"{order}QIB3xI", content, at)
+    at += 20
+    members: list[PackedField] = []
+    offset = 0
+    for name, (_, kind) in store.fielddefs[fields[-1][1][1][0][1]][1]:
+        dtype = np.dtype(order + _LIVOX_NUMBERS[kind[0]])
+        offset += -offset % dtype.itemsize if cdr else 0
+        members.append(PackedField(name, offset, dtype))
+        offset += dtype.itemsize
+    stride = offset + (-offset % max(one.dtype.itemsize for one in members) if cdr else 0)
+    data = content[at:]
+    if len(data) < count * stride - (stride - offset):
+        raise ValueError(f"{len(data)} bytes for {count} points of {stride}; expected all of them")
+    if count and len(data) < count * stride:  # there is no padding behind the last one
+        data = memoryview(bytes(data) + bytes(stride - offset))
+    timestamp_ns = seconds * 1_000_000_000 + nanoseconds
+    return CloudRecord(timestamp_ns, _frame(frame_id), tuple(members), stride, data, count, base_ns=base_ns)
+
+
+def _packets(message: Any) -> Sequence[PacketsRecord]:
+    """The packets of a message: in an array, or one that is the message itself or its field."""
+    parts = getattr(message, "packets", None)
+    head = _head(message) if hasattr(message, "header") else (0, "")
+    if parts is None:
+        parts = [getattr(message, "packet", message)]
+    if not parts:
+        return [PacketsRecord(*head, ())]
+    # all of one type: looking at each for its fields would take longer than reading them
+    name, sized, stamped = "data" if hasattr(parts[0], "data") else "buf", hasattr(parts[0], "size"), None
+    found = [memoryview(getattr(part, name)).cast("B") for part in parts]
+    if sized:
+        sizes = [int(part.size) for part in parts]
+        for size, data in zip(sizes, found, strict=True):
+            if size > len(data):
+                raise ValueError(f"a packet of {size} bytes, of which {len(data)} are there")
+        found = [data[:size] for size, data in zip(sizes, found, strict=True)]
+    if hasattr(parts[0], "stamp"):
+        stamped = np.array([part.stamp.sec * 1_000_000_000 + part.stamp.nanosec for part in parts], np.int64)
+    return [PacketsRecord(*head, tuple(found), stamped)]
 
 
 def _packed_cloud(message: Any) -> Sequence[PackedCloudRecord]:
@@ -1141,6 +1306,21 @@ def _boxes_2d(message: Any) -> Sequence[Boxes2DRecord]:
 
 _Reader = Callable[[Any], Iterable[AnyRecord]]
 
+_WITHOUT_HEADER = frozenset(
+    {
+        *("ouster_ros/msg/PacketMsg", "ouster_msgs/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg"),
+        "robosense_msgs/msg/RobosenseInfoPacket",
+    }
+)
+"""Types of packets that do not say when they were sent."""
+
+_PACKETS = _WITHOUT_HEADER | {
+    *("velodyne_msgs/msg/VelodyneScan", "pandar_msgs/msg/PandarScan", "hesai_lidar/msg/PandarScan"),
+    *("hesai_ros_driver/msg/UdpFrame", "robosense_msgs/msg/RobosenseScan", "rslidar_msg/msg/RslidarPacket"),
+    *("rslidar_msg/msg/RslidarScan", "rslidar_msgs/msg/rslidarScan", "nebula_msgs/msg/NebulaPackets"),
+}
+"""Types of packets. Source: as of `DEFINITIONS`."""
+
 _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
     {
         "tf2_msgs/msg/TFMessage": (Kind.TRANSFORM, _transforms),
@@ -1167,6 +1347,8 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "sensor_msgs/msg/Temperature": (Kind.SAMPLE, _temperature),
         "vision_msgs/msg/Detection3DArray": (Kind.BOXES_3D, _boxes_3d),
         "vision_msgs/msg/Detection2DArray": (Kind.BOXES_2D, _boxes_2d),
+        **dict.fromkeys(_LIVOX, (Kind.CLOUD, _cloud)),
+        **dict.fromkeys(_PACKETS, (Kind.PACKETS, _packets)),
         "std_msgs/msg/String": (Kind.NOTES, lambda message: [NotesRecord(0, message.data)]),
     }
 )

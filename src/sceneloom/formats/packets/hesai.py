@@ -8,7 +8,6 @@ Distribution"), and for AT128 "Angle Correction File", version 1.5.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +18,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import read_settings
-from sceneloom.formats.packets.sweeps import Survey, angle_table
+from sceneloom.formats.packets.sweeps import Survey, angle_table, utc_seconds
 from sceneloom.scene.clouds import LidarPoints
 
 _START, _BLOCK_START = b"\xee\xff", b"\xff\xee"
@@ -198,7 +197,7 @@ class HesaiDecoder:
         steps = (model.blocks - 1 - numbers) // returns if model.step_us > 0 else numbers // returns
         offsets = np.rint((model.first_us - abs(model.step_us) * steps * np.sign(model.step_us)) * 1000)
         microseconds = np.ascontiguousarray(packets[:, model.time : model.time + 4]).view("<u4").astype(np.int64)
-        seconds = _seconds(packets[:, model.date : model.date + 6])
+        seconds = utc_seconds(packets[:, model.date : model.date + 6])
         return np.asarray(seconds[:, None] * 1_000_000_000 + microseconds * 1000 + offsets.astype(np.int64))
 
     def survey(self, packets: UInt8Array) -> Survey:
@@ -282,24 +281,6 @@ class HesaiDecoder:
         """Which adjustment is before each block (M,), and how much of the way to the next it is (M,)."""
         at, part = np.divmod(azimuths % (36000 * _FINE), _ADJUSTED_EVERY)
         return at % max(self._adjusted.shape[1], 1), (part / _ADJUSTED_EVERY).astype(np.float32)
-
-
-def _seconds(dates: UInt8Array) -> Int64Array:
-    """Seconds since 1970 of dates, (P, 6) uint8: year since 1900 or 2000, month, day, h, min, s; or 0 and seconds."""
-    distinct, which = np.unique(dates, axis=0, return_inverse=True)
-    return np.array([_second(date) for date in distinct.tolist()], np.int64)[which.ravel()]
-
-
-def _second(date: list[int]) -> int:
-    year, month, day, *clock = date
-    if year == 0:
-        return int.from_bytes(bytes(date[1:]), "big")
-    try:
-        return int(datetime(year + (2000 if year < 70 else 1900), month, day, tzinfo=UTC).timestamp()) + (
-            clock[0] * 3600 + clock[1] * 60 + clock[2]
-        )
-    except ValueError:
-        return 0
 
 
 def recognise(packets: UInt8Array) -> str | None:

@@ -11,7 +11,7 @@ from sceneloom.arrays import Int64Array, UInt8Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.gnss_logs.nmea import checksum_of, day_of, position_of, time_of_day
-from sceneloom.formats.packets import hesai, ouster, robosense, velodyne
+from sceneloom.formats.packets import hesai, livox, ouster, robosense, velodyne
 from sceneloom.formats.packets.captures import Datagrams, read_datagrams
 from sceneloom.formats.packets.spec import CaptureReading
 from sceneloom.formats.packets.sweeps import PacketDecoder, find_sweeps, no_sweeps
@@ -22,12 +22,12 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.warnings import WarningKind
 
 _SAMPLE = 64  # packets by which a stream is recognised
-_OUSTER_PORT, _SHORTEST = 7502, 800  # packets of returns are longer
+_OUSTER_PORT, _SHORTEST = 7502, 600  # packets of returns are longer
 _NAMES_LISTED = 5
 _FAR_NS = 100_000_000_000  # a receiver's clock that is farther from the capturing one is not believed
 _DAY_NS = 86_400_000_000_000
 
-_MAKERS = (velodyne, hesai, robosense)
+_MAKERS = (velodyne, hesai, robosense, livox)
 """The modules of makers whose packets tell their model: each has `MODELS`, `recognise` and `decoder_of`."""
 
 _EGO_FROM_Y_FORWARD = RigidTransform(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
@@ -79,6 +79,70 @@ def _streams(flow: Datagrams) -> list[_Stream]:
     return [_Stream(flow, rows) for rows in np.split(order, changes)]
 
 
+def check_model(options: CaptureReading) -> None:
+    """Raise an OptionError where there is no such model."""
+    known = [name for maker in _MAKERS for name in maker.MODELS]
+    if options.model is not None and options.model not in known:
+        raise OptionError(f"model {options.model!r}; expected one of {', '.join(known)}")
+
+
+def decoder_of(
+    packets: UInt8Array, options: CaptureReading, angles: Path | None, state: UInt8Array | None
+) -> PacketDecoder | None:
+    """What decodes the packets that some of them, (P, L) uint8, are of; None where they are of no model that is known.
+
+    Args:
+        packets: some of them.
+        options: may name the model.
+        angles: file of the lidar's angles, if there is one.
+        state: a packet in which the lidar states its angles, if there is one.
+
+    Raises:
+        DataError: angles are missing or wrong.
+    """
+    maker, key = next(((one, key) for one in _MAKERS if (key := one.recognise(packets))), (None, None))
+    if maker is None or key is None:
+        return None
+    if options.model is not None and options.model in maker.MODELS:
+        key = options.model
+    return livox.decoder_of(key, packets) if maker is livox else maker.decoder_of(key, angles, state)
+
+
+def find_angles(path: Path, options: CaptureReading, name: str) -> Path | None:
+    """The file of angles of the lidar of a name: of the option, else one of the name of the capture or bag."""
+    for one in (options.angles or "").split(","):
+        stated, equals, file = one.strip().rpartition("=")
+        if file and (not equals or stated == name):
+            return Path(file)
+    if options.angles:
+        return None
+    beside = (path.with_suffix(suffix) for suffix in (".csv", ".dat", ".yaml", ".yml"))
+    return next((file for file in beside if file.is_file()), None)
+
+
+def find_metadata(path: Path, options: CaptureReading) -> list[ouster.OusterMetadata]:
+    """The metadata that are named, else those beside the capture or bag: of its name, or all that lie there.
+
+    Raises:
+        DataError: what is named is no metadata.
+    """
+    if options.metadata is not None:
+        return [ouster.read_metadata(Path(name.strip())) for name in options.metadata.split(",")]
+    named = path.with_suffix(".json")
+    try:
+        files = [named] if named.is_file() else sorted(path.parent.glob("*.json"))[:_SAMPLE]
+    except OSError:
+        return []
+    found = []
+    for file in files:
+        try:
+            found.append(ouster.read_metadata(file))
+        except DataError as error:
+            if file == named and error.location == "udp_profile_lidar":
+                raise
+    return found
+
+
 class _Capture:
     """The streams of a capture, and what was found of them."""
 
@@ -86,9 +150,7 @@ class _Capture:
         self.path, self.options, self.ledger = path, options, ledger
         self.left = list(streams)
         self.imus: list[tuple[_Stream, ouster.OusterMetadata]] = []
-        known = [name for maker in _MAKERS for name in maker.MODELS]
-        if options.model is not None and options.model not in known:
-            raise OptionError(f"model {options.model!r}; expected one of {', '.join(known)}")
+        check_model(options)
 
     def sensors(self) -> list[Sensor]:
         lidars: list[LidarSensor] = []
@@ -130,33 +192,22 @@ class _Capture:
         for stream, packets in samples:
             if robosense.states(packets).all():
                 continue
-            maker, key = next(((one, key) for one in _MAKERS if (key := one.recognise(packets))), (None, None))
-            if maker is None or key is None:
-                self.left.append(stream)
-                continue
-            if self.options.model in maker.MODELS:
-                key = self.options.model
+            angles = find_angles(self.path, self.options, stream.host)
             try:
-                yield stream, maker.decoder_of(key, self._angles(stream), states.get(stream.host))
+                decoder = decoder_of(packets, self.options, angles, states.get(stream.host))
             except DataError as error:
                 self.ledger.fault("lidar-unreadable", error)
-
-    def _angles(self, stream: _Stream) -> Path | None:
-        """The file of angles of a lidar: the option, or a file of the capture's name."""
-        for one in (self.options.angles or "").split(","):
-            host, equals, name = one.strip().rpartition("=")
-            if name and (not equals or host == stream.host):
-                return Path(name)
-        if self.options.angles:
-            return None
-        beside = (self.path.with_suffix(suffix) for suffix in (".csv", ".dat", ".yaml", ".yml"))
-        return next((file for file in beside if file.is_file()), None)
+                continue
+            if decoder is None:
+                self.left.append(stream)
+            else:
+                yield stream, decoder
 
     # Ouster
 
     def _ousters(self) -> Iterator[tuple[_Stream, PacketDecoder]]:
         """Streams of Ouster's lidars, whose packets only their metadata explain; streams of their IMUs are kept."""
-        known = self._metadata()
+        known = find_metadata(self.path, self.options)
         for stream in self._taken(lambda one: any(one.length == metadata.length for metadata in known)):
             fitting = [metadata for metadata in known if metadata.length == stream.length]
             session = ouster.session_of(stream.packets(1), fitting[0])
@@ -182,29 +233,16 @@ class _Capture:
             )
             self.ledger.fault("lidar-unreadable", DataError(self.path, stream.datagrams.sender, problem))
 
-    def _metadata(self) -> list[ouster.OusterMetadata]:
-        """The metadata that are named, else those beside the capture: of its name, or all that lie there."""
-        if self.options.metadata is not None:
-            return [ouster.read_metadata(Path(name.strip())) for name in self.options.metadata.split(",")]
-        named = self.path.with_suffix(".json")
-        try:
-            files = [named] if named.is_file() else sorted(self.path.parent.glob("*.json"))[:_SAMPLE]
-        except OSError:
-            return []
-        found = []
-        for file in files:
-            try:
-                found.append(ouster.read_metadata(file))
-            except DataError as error:
-                if file == named and error.location == "udp_profile_lidar":
-                    raise
-        return found
-
     def _inertial(self, shifts_ns: dict[str, int]) -> Iterator[Sensor]:
         """The IMUs, on the clocks of their lidars."""
-        for number, (stream, metadata) in enumerate(self.imus, 1):
-            streams = ouster.imu_streams(metadata, stream.packets(), shifts_ns.get(stream.host, 0))
-            yield ImuSensor("imu" if len(self.imus) == 1 else f"imu_{number}", MappingProxyType(streams))
+        of_livox = self._taken(lambda one: one.length in livox.IMU_LENGTHS and livox.are_imu(one.packets(_SAMPLE)))
+        found = [
+            ouster.imu_streams(metadata, stream.packets(), shifts_ns.get(stream.host, 0))
+            for stream, metadata in self.imus
+        ]
+        found += [livox.imu_streams(one.packets(), shifts_ns.get(one.host, 0)) for one in of_livox]
+        for number, streams in enumerate(found, 1):
+            yield ImuSensor("imu" if len(found) == 1 else f"imu_{number}", MappingProxyType(streams))
 
     # satellite receivers
 

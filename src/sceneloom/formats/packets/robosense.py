@@ -136,6 +136,11 @@ def states(packets: UInt8Array) -> BoolArray:
     return np.asarray((packets[:, : len(_DIFOP)] == tuple(_DIFOP)).all(axis=1), np.bool_)
 
 
+def is_state(packet: memoryview) -> bool:
+    """Whether a packet is a DIFOP packet."""
+    return len(packet) == LENGTH and packet[: len(_DIFOP)] == _DIFOP
+
+
 def recognise(packets: UInt8Array) -> str | None:
     """The key of the model whose MSOP packets these, (P, L) uint8, are; None where they are none."""
     if packets.shape[1] != LENGTH or (packets[:, :4] == tuple(_MSOP)).all(axis=1).mean() <= 0.5:

@@ -29,6 +29,9 @@ class CaptureReading:
         object.__setattr__(self, "lenient", as_flag("lenient", self.lenient))
 
 
+_LIVOX = b"livox_tech\0\0\0\0\0\0"  # how `.lvx` and `.lvx2` files begin
+
+
 def _is_capture(path: Path) -> bool:
     return first_bytes(path, 4) in MAGICS
 
@@ -42,12 +45,28 @@ def _near_miss(path: Path) -> str | None:
 FORMAT = FormatSpec(
     name="pcap",
     title="a capture of lidar packets",
-    looks_like="a .pcap or .pcapng file of Ouster, Velodyne, Hesai or RoboSense lidars (built to the description: "
-    "QT64, AT128, HDL-32E, HDL-64E, VLP-32C)",
+    looks_like="a .pcap or .pcapng file of Ouster, Velodyne, Hesai, RoboSense or Livox lidars (built to the "
+    "description: QT64, AT128, HDL-32E, HDL-64E, VLP-32C, Livox)",
     suffixes=(".pcap",),
     sniff=_is_capture,
     near_miss=_near_miss,
     reader="sceneloom.formats.packets.reader:open_capture",
     read_options=CaptureReading,
     instead="captures are only read; write a scene file (drive.sfs) or clouds (`--to pcd`) instead",
+)
+
+
+def _is_livox(path: Path) -> bool:
+    return first_bytes(path, len(_LIVOX)) == _LIVOX
+
+
+LVX = FormatSpec(
+    name="lvx",
+    title="a file of Livox lidars",
+    looks_like="a .lvx (1.1) or .lvx2 file of Livox lidars (built to the description)",
+    suffixes=(".lvx", ".lvx2"),
+    sniff=_is_livox,
+    reader="sceneloom.formats.packets.livox:open_lvx",
+    read_options=("lenient",),
+    instead="files of Livox lidars are only read; write a scene file (drive.sfs) or clouds (`--to pcd`) instead",
 )

@@ -4,6 +4,7 @@ What the bytes of a packet mean is known to decoders, one for each model; packet
 """
 
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol
 
@@ -175,7 +176,7 @@ def find_sweeps(
     rows, arrivals_ns, raw_ns = rows[usable], arrivals_ns[usable], np.concatenate(kept.times_ns)
     phases = np.concatenate(kept.phases)
     frames = np.concatenate(kept.frames) if kept.frames else None
-    times_ns = _on_scene_clock(raw_ns, arrivals_ns, decoder, where, ledger)
+    times_ns = on_scene_clock(raw_ns, arrivals_ns, decoder.clock_ns, where, ledger)
     order = _in_order(times_ns, phases, rows, source, where, ledger)
     rows, times_ns, raw_ns, phases = rows[order], times_ns[order], raw_ns[order], phases[order]
     begins = _rotation_begins(times_ns, phases, None if frames is None else frames[order])
@@ -188,12 +189,17 @@ def find_sweeps(
     return PacketSweeps(source, decoder, rows, shifts_ns, limits, read_only(starts_ns), blocks)
 
 
-def _on_scene_clock(
-    raw_ns: Int64Array, arrivals_ns: Int64Array, decoder: PacketDecoder, where: str, ledger: Ledger
-) -> Int64Array:
-    """Give the times of packets: the sensor's, with hours, or shifted where its clock does not know the date."""
+def on_scene_clock(raw_ns: Int64Array, arrivals_ns: Int64Array, cycle: int, where: str, ledger: Ledger) -> Int64Array:
+    """Give the times of packets: the sensor's, with hours, or shifted where its clock does not know the date.
+
+    Args:
+        raw_ns: (P,) int64 [ns], by the sensor's clock.
+        arrivals_ns: (P,) int64 [ns], when they came.
+        cycle: after how long the sensor's clock begins anew [ns]; 0 where it does not.
+        where: the sensor, for messages.
+    """
     times_ns = raw_ns
-    if cycle := decoder.clock_ns:
+    if cycle:
         behind = (arrivals_ns - raw_ns + cycle // 2) % cycle - cycle // 2
         # packets that come at once agree, also where the clocks are half a cycle apart
         usual = int(behind[len(behind) // 2])
@@ -269,7 +275,7 @@ def _note_missing(times_ns: Int64Array, phases: AnyArray, where: str, ledger: Le
 
 def no_sweeps(path: object, problem: str) -> DataError:
     """The error of a source without any sweep."""
-    return DataError(path, "", f"{problem}; expected UDP packets of Ouster, Velodyne, Hesai or RoboSense lidars")
+    return DataError(path, "", f"{problem}; expected UDP packets of Ouster, Velodyne, Hesai, RoboSense or Livox lidars")
 
 
 def located(kept: BoolArray) -> tuple[Int64Array, Int64Array, Int64Array]:
@@ -295,6 +301,27 @@ def polar_points(azimuths: Float32Array, level: Float32Array, height: Float32Arr
     np.multiply(np.sin(azimuths), level, out=found[:, 1])
     found[:, 2] = height
     return found
+
+
+def utc_seconds(dates: UInt8Array) -> Int64Array:
+    """Seconds since 1970 of dates, (P, 6) uint8: year since 1900 or 2000, month, day, h, min, s; or 0 and seconds.
+
+    What is no date is 0.
+    """
+    distinct, which = np.unique(dates, axis=0, return_inverse=True)
+    return np.array([_second(date) for date in distinct.tolist()], np.int64)[which.ravel()]
+
+
+def _second(date: list[int]) -> int:
+    year, month, day, *clock = date
+    if year == 0:
+        return int.from_bytes(bytes(date[1:]), "big")
+    try:
+        return int(datetime(year + (2000 if year < 70 else 1900), month, day, tzinfo=UTC).timestamp()) + (
+            clock[0] * 3600 + clock[1] * 60 + clock[2]
+        )
+    except ValueError:
+        return 0
 
 
 def angle_table(path: Path, channels: int) -> Float64Array:

@@ -115,7 +115,8 @@ ALIASES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "ring": ("ring", "rings", "laser_id", "laser_number", "channel", "line", "beam", "ring_id"),
         "time": (
             "time", "t", "timestamp", "timestamps", "timestamps_ns", "offset_time", "time_offset", "offset_ns",
-            "time_stamp", "point_time",
+            "time_stamp", "point_time", "time_offset_ns", "time_offset_us", "point_time_offset", "timestamp_ns",
+            "timestamp_us", "timeoffset", "time_ns", "time_us", "relative_time", "ts",
         ),
         "red": ("red", "r"),
         "green": ("green", "g"),

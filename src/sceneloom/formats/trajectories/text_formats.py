@@ -14,6 +14,7 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.poses import PoseRows
+from sceneloom.formats.base.spec import first_bytes
 from sceneloom.formats.base.text_tables import (
     FARTHEST_NS,
     GNSS_COLUMNS,
@@ -295,7 +296,25 @@ NAMED_COLUMNS = TrajectoryForm(
 # GNSS fixes
 
 
+_PLAIN = ("time", *_LLA, "north_deviation", "east_deviation", "down_deviation")
+"""Columns of lines of seven numbers: GPS seconds of a week, degrees, metres. Source: KF-GINS' manual."""
+
+_WEEK_SECONDS, _FIRST_LINES = 604_800.0, 4096  # the latter in bytes
+
+
+def _gnss_recognises(text: str) -> bool:
+    values = _first_values(text, None)
+    if values is None:
+        return _recognises_names(GNSS_COLUMNS, ("latitude", "longitude"), text)
+    if len(values) != len(_PLAIN):
+        return False
+    seconds, latitude, longitude, _, *deviations = values
+    return 0.0 <= seconds < _WEEK_SECONDS and abs(latitude) <= 90 and abs(longitude) <= 180 and min(deviations) > 0.0
+
+
 def _gnss_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+    if _first_values(first_bytes(path, _FIRST_LINES).decode("utf-8", "replace"), None) is not None:
+        return _plain_fixes(path, reading, ledger)
     table, columns = _named_table(path, GNSS_COLUMNS)
     _check_columns(table, columns, ("time", "latitude", "longitude"))
     if not table.rows:
@@ -304,14 +323,34 @@ def _gnss_read(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
     if "altitude" not in columns:
         ledger.note(WarningKind.ASSUMED, "altitude-zero", str(path), "no column of altitudes; taken as 0 m")
         positions_lla = np.concatenate([positions_lla, np.zeros((len(positions_lla), 1))], axis=1)
-    outside = (np.abs(positions_lla[:, 0]) > 90) | (np.abs(positions_lla[:, 1]) > 180)
-    for k in np.flatnonzero(outside)[:1].tolist():
-        problem = f"latitude {positions_lla[k, 0]}, longitude {positions_lla[k, 1]}"
-        raise DataError(path, f"line {table.lines[k]}", f"{problem}; expected degrees within ±90 and ±180")
+    _check_degrees(table, positions_lla)
     rows = PoseRows(table.timestamps(columns["time"], reading.unit), positions_lla, None, table.lines)
     trajectory, kept = ordered(path, reading.name or path.stem, rows, ledger)
     accuracies, vertical = (_accuracies(table, columns.get(name), kept) for name in _OPTIONAL)
     fixes = GnssSensor(trajectory.name, trajectory.timestamps_ns, trajectory.positions, accuracies, vertical)
+    return replace(of_fixes(fixes, origin_lla=reading.origin_lla), form=GNSS.name)
+
+
+def _check_degrees(table: Table, positions_lla: Float64Array) -> None:
+    outside = (np.abs(positions_lla[:, 0]) > 90) | (np.abs(positions_lla[:, 1]) > 180)
+    for k in np.flatnonzero(outside)[:1].tolist():
+        problem = f"latitude {positions_lla[k, 0]}, longitude {positions_lla[k, 1]}"
+        raise DataError(table.path, f"line {table.lines[k]}", f"{problem}; expected degrees within ±90 and ±180")
+
+
+def _plain_fixes(path: Path, reading: Reading, ledger: Ledger) -> TrajectoryFile:
+    table = _number_lines(path, (len(_PLAIN),), " ".join(_PLAIN))
+    values = table.numbers(range(1, len(_PLAIN)))
+    _check_degrees(table, values)
+    if reading.unit is None:
+        message = "times without a week; taken as seconds from 1970, as in other files of the same week"
+        ledger.note(WarningKind.ASSUMED, "gnss-week-unknown", str(path), message)
+    rows = PoseRows(table.timestamps(0, reading.unit or "seconds"), values[:, :3], None, table.lines)
+    trajectory, kept = ordered(path, reading.name or path.stem, rows, ledger)
+    across, down = np.sqrt((values[kept, 3:5] ** 2).mean(axis=1)), values[kept, 5]
+    fixes = GnssSensor(
+        trajectory.name, trajectory.timestamps_ns, trajectory.positions, read_only(across), read_only(down)
+    )
     return replace(of_fixes(fixes, origin_lla=reading.origin_lla), form=GNSS.name)
 
 
@@ -371,8 +410,8 @@ def _fixes_of_trajectory(content: TrajectoryFile, target: Path) -> GnssSensor:
 GNSS = TrajectoryForm(
     "gnss",
     (),
-    "CSV with columns of names such as time, latitude, longitude, altitude",
-    partial(_recognises_names, GNSS_COLUMNS, ("latitude", "longitude")),
+    "CSV with columns of names such as time, latitude, longitude, altitude; or lines of 7 numbers as KF-GINS has them",
+    _gnss_recognises,
     _gnss_read,
     _gnss_write,
     supports=LOCATIONS,

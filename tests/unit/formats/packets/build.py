@@ -166,3 +166,47 @@ def ouster(columns, words, *, frame=1, session=5, first_ns=10**12, step_ns=100_0
     for k, number in enumerate(columns):
         content += struct.pack("<QHH", first_ns + step_ns * int(number), number, valid) + words[k, :, :size].tobytes()
     return content + bytes(32)
+
+
+LIVOX_FIRST = {0: ("iiiB", 100, 1), 1: ("IHHB", 100, 1), 2: ("iiiBB", 96, 1), 3: ("IHHBB", 96, 1),
+               4: ("iiiBB", 48, 2), 5: ("IBB", 48, 2), 7: ("iiiBB", 30, 3), 8: ("IBB", 30, 3)}  # fmt: skip
+LIVOX_SECOND = {1: ("iiiBB", 96, 1), 2: ("hhhBB", 96, 1), 3: ("IHHBB", 96, 1)}
+"""Of each data type: what a return is, how many points a packet has, and how many returns a point."""
+
+
+def livox_points(data_type, returns, *, second=False):
+    """The points of a packet; returns (N, R, 5) are x, y, z [mm], or depth [mm], theta and phi [0.01°]; value, tag."""
+    form = (LIVOX_SECOND if second else LIVOX_FIRST)[data_type][0]
+    content = b""
+    for point in np.asarray(returns).tolist():
+        if form == "IBB":
+            content += struct.pack("<HH", *point[0][1:3])
+            content += b"".join(struct.pack("<IBB", one[0], *one[3:]) for one in point)
+        else:
+            content += b"".join(struct.pack(f"<{form}", *one[: len(form)]) for one in point)
+    return content
+
+
+def livox(data_type, content, *, time_ns, time_type=1, second=False, interval_ns=475_000, count=96):
+    """A packet of the first or second SDK around points or values of an IMU."""
+    if not second:
+        return struct.pack("<4BI2BQ", 5, 1, 1, 0, 0, time_type, data_type, time_ns) + content
+    head = struct.pack("<BHHHHBBB", 0, 36 + len(content), interval_ns // 100, count, 7, 3, data_type, time_type)
+    return head + bytes(12) + struct.pack("<IQ", 0, time_ns) + content
+
+
+def lvx(frames, *, version=1, device_type=7, pose=(0.0, 0.0, 90.0, 1.0, 2.0, 3.0), enabled=1):
+    """A `.lvx` (version 1) or `.lvx2` file of frames, each of (data type, time [ns], data)."""
+    content = b"livox_tech".ljust(16, b"\0") + bytes((version, 2 - version, 0, 0)) + struct.pack("<I", 0xAC0EA767)
+    content += struct.pack("<IB", 50, 1) + b"3GGDJ6K00100881".ljust(16, b"\0") + bytes(16)
+    content += bytes((0, device_type)) if version == 1 else struct.pack("<IBB", 7, 0, device_type)
+    content += bytes((enabled,)) + struct.pack("<6f", *pose)
+    for number, packages in enumerate(frames):
+        body = b""
+        for data_type, time_ns, data in packages:
+            if version == 1:
+                body += struct.pack("<5BI2BQ", 0, 5, 1, 1, 0, 0, 1, data_type, time_ns) + data
+            else:
+                body += struct.pack("<BIBBQHBIB4x", 0, 7, 0, 1, time_ns, 0, data_type, len(data), 0) + data
+        content += struct.pack("<3Q", len(content), len(content) + 24 + len(body), number) + body
+    return content

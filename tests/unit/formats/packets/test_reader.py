@@ -221,7 +221,7 @@ def test_files_of_angles_stand_beside_the_capture_or_are_named_for_each_host(tmp
 
 def test_captures_without_lidars_and_unknown_models_are_refused_in_one_sentence(tmp_path):
     (tmp_path / "a.pcap").write_bytes(pcap([(START_NS, *frames_of(b"hello", port=53))]))
-    with pytest.raises(DataError, match="expected UDP packets of Ouster, Velodyne, Hesai or RoboSense"):
+    with pytest.raises(DataError, match="expected UDP packets of Ouster, Velodyne, Hesai, RoboSense or Livox"):
         opened(tmp_path / "a.pcap")
     with pytest.raises(OptionError, match="model 'vlp'; expected one of vlp-16, "):
         opened(tmp_path / "a.pcap", model="vlp")

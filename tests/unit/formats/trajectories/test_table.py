@@ -113,6 +113,21 @@ def test_fixes_are_metres_from_the_first_or_a_named_origin_with_which_a_trajecto
     np.testing.assert_allclose(read_trajectory(tmp_path / "a.csv").positions, trajectory.positions, atol=1e-8)
 
 
+KF_GINS = "456250.000  30.44478  114.47186  21.095  0.010  0.020  0.030\n456251  30.44479 114.47186 21 0.3 0.4 1\n"
+
+
+def test_lines_of_kf_gins_are_fixes_with_their_deviations(tmp_path):
+    content = read_trajectory_file(put(tmp_path, "fixes.txt", KF_GINS))
+    np.testing.assert_array_equal(content.fixes.timestamps_ns, [456_250 * 10**9, 456_251 * 10**9])
+    np.testing.assert_array_equal(content.fixes.positions_lla[0], [30.44478, 114.47186, 21.095])
+    # across is the root of the mean square along each of two axes
+    np.testing.assert_allclose(content.fixes.accuracies, [math.sqrt(0.00025), math.sqrt(0.125)])
+    np.testing.assert_array_equal(content.fixes.vertical_accuracies, [0.03, 1.0])
+    # a degree of latitude is 111 km
+    assert content.trajectory.positions[1, 1] == pytest.approx(1.11, abs=0.01)
+    assert [warning.code for warning in content.warnings] == ["gnss-week-unknown"]
+
+
 @pytest.mark.parametrize(
     ("name", "text", "form"),
     [
@@ -121,6 +136,7 @@ def test_fixes_are_metres_from_the_first_or_a_named_origin_with_which_a_trajecto
         ("a.csv", EUROC.split("\n", 1)[1], "euroc"),
         ("a.txt", KITTI, "kitti"),
         ("a.csv", FIXES, "gnss"),
+        ("a.txt", KF_GINS, "gnss"),
         ("a.csv", "timestamp_ns,x,y,z\n5,1,2,3\n", "csv"),
         ("a.csv", "t;px;py;pz;qx;qy;qz;qw\n5;1;2;3;0;0;0;1\n", "csv"),
         ("a.jsonl", '{"groundTruth":{"position":{"x":1,"y":2,"z":3}},"time":5}\n', "jsonl"),

@@ -313,7 +313,8 @@ class _Drive:
 
 def _stated(stated: _Properties, times: Int64Array) -> tuple[AttributePath, ...]:
     values = {name: getattr(stated, name) for name in ("type", "unclear", "occlusion_ratio", "artificial")}
-    return tuple(AttributePath(name, (value,), times) for name, value in values.items() if value is not None)
+    texts = {name: str(value).lower() if isinstance(value, bool) else value for name, value in values.items()}
+    return tuple(AttributePath(name, (text,), times) for name, text in texts.items() if text is not None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

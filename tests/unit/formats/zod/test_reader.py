@@ -123,7 +123,7 @@ def test_objects_are_at_the_key_frame_in_the_world_and_in_its_image(folder):
     scene = sceneloom.open(folder)
     car, seen, sign = scene.annotations
     assert (car.id, car.label, seen.id, sign.id) == ("car", "Vehicle", "car:2d", "sign:2d")
-    assert [(one.name, one.values) for one in sign.attributes] == [("unclear", (True,))]
+    assert [(one.name, one.values) for one in sign.attributes] == [("unclear", ("true",))]
     turned, here = ego(SWEEPS_US[1])
     rotation, location = LIDAR
     row = car.path.values[0]

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 from tests.properties.strategies import JSON, optional
 
@@ -247,7 +247,11 @@ def test_without_one_annotation_all_other_elements_come_back_as_they_were(conten
             return
         gone = random.choice(others)
         left = tuple(one for one in scene.annotations if one is not gone and one.id not in links)
-        again = written(folder, replace(scene, annotations=left))["openlabel"]
+        report = write_scene(replace(scene, annotations=left), Path(folder, "written.json"))
+        if any(loss.field == "metadata.openlabel.document" for loss in report.losses):
+            event("what only the document states cannot be kept")
+            return
+        again = json.loads(Path(folder, "written.json").read_text("utf-8"))["openlabel"]
         stated = content["openlabel"]
         for kind in DATA:
             for uid, head in stated.get(f"{kind}s", {}).items():

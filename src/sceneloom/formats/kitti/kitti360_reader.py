@@ -117,8 +117,8 @@ class _Sequence:
         sweeps, times = self._files(self.points / "velodyne_points", "data", SWEEPS)
         if len(sweeps):
             sensors.append(lidar_sensor(sweeps, times, self._lidar_mount(mounts), path, self.ledger))
-        for number, folder in (_PERSPECTIVE | _FISHEYE).items():
-            sensor, _, data = folder.partition("/")
+        for number, place in (_PERSPECTIVE | _FISHEYE).items():
+            sensor, _, data = place.partition("/")
             files, times = self._files(self.images / sensor, data, IMAGES)
             if not len(files):
                 continue
@@ -408,6 +408,7 @@ def _fisheye(file: Path) -> Camera:
     size = int(stated["image_width"]), int(stated["image_height"])
     focal = (stated["gamma1"], stated["gamma2"], stated["u0"], stated["v0"])
     try:
-        return Camera("omnidirectional", *size, *map(float, focal), tuple(map(float, coefficients)))
+        fx, fy, cx, cy = map(float, focal)
+        return Camera("omnidirectional", *size, fx, fy, cx, cy, tuple(map(float, coefficients)))
     except CalibrationError as error:
         raise DataError(file, "", str(error)) from error

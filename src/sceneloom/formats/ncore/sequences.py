@@ -97,7 +97,7 @@ def _ftheta(parameters: Mapping[str, Any], width: int, height: int, u: float, v:
     if parameters.get("reference_poly") == "PIXELDIST_TO_ANGLE":
         reach = math.hypot(max(u + 0.5, width - 0.5 - u), max(v + 0.5, height - 0.5 - v))
         limit = parameters.get("max_angle")
-        largest = float(limit) if type(limit) in (int, float) and 0 < limit < math.pi else math.pi
+        largest = float(limit) if isinstance(limit, int | float) and 0 < limit < math.pi else math.pi
         backward = _polynomial(parameters, "pixeldist_to_angle_poly")
         forward, error = _inverse(backward, reach * max(1.0, 1.0 / c if c > 0 else 1.0), largest)
     if not forward[1] > 0:
@@ -219,10 +219,11 @@ def open_ncore(path: Path, *, sequence: str | None = None, lenient: bool = False
 def _stores(path: Path, sequence: str | None) -> list[Store]:
     if path.is_file() and is_sequence_file(path):
         listed = read_json(path, dict).get("component_stores")
-        names = [one.get("path") for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
-        if not names or not all(isinstance(name, str) and Path(name).name == name for name in names):
+        found_names = [one.get("path") for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
+        stores = [name for name in found_names if isinstance(name, str) and Path(name).name == name]
+        if not stores or len(stores) < len(found_names):
             raise DataError(path, "component_stores", f"{str(listed)[:80]}; expected names of stores beside the file")
-        return [Store(path.parent / name) for name in names]
+        return [Store(path.parent / name) for name in stores]
     found = sequences_in(path)
     if not found:
         raise DataError(

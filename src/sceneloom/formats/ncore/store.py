@@ -184,15 +184,10 @@ class Store:
         if about is None:
             raise self._fault(key, "is missing; expected an array")
         shape, chunks = about.get("shape"), about.get("chunks")
-        both = isinstance(shape, list) and isinstance(chunks, list) and len(shape) == len(chunks)
-        whole = (
-            both
-            and all(type(n) is int and 0 <= n < 1 << 40 for n in shape)
-            and all(  # type: ignore[union-attr]
-                type(n) is int and 0 < n < 1 << 40
-                for n in chunks  # type: ignore[union-attr]
-            )
-        )
+        whole = False
+        if isinstance(shape, list) and isinstance(chunks, list) and len(shape) == len(chunks):
+            numbers = all(type(n) is int and 0 <= n < 1 << 40 for n in (*shape, *chunks))
+            whole = numbers and all(n > 0 for n in chunks)
         if not whole or about.get("zarr_format") != 2 or about.get("filters") or about.get("order", "C") not in "CF":
             expected = "an array of zarr 2 with `shape` and `chunks`, and without filters"
             raise self._fault(key, f"{str(about)[:80]}; expected {expected}")

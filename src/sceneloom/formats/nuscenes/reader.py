@@ -602,11 +602,11 @@ class _Reader:
             values = tuple(getattr(row, name) for _, _, row, _ in track)
             if any(value is not empty for value in values):
                 stated[name] = values
-        values = np.hstack([corners[:, :2], corners[:, 2:] - corners[:, :2]])
+        boxes = np.hstack([corners[:, :2], corners[:, 2:] - corners[:, :2]])
         return Box2DAnnotation(
             id=f"{instance}:{data.sensor.channel}{'' if mask is None else ':mask'}",
             sensor_id=data.id,
-            path=BoxPath(timestamps_ns, values, MappingProxyType(extras)),
+            path=BoxPath(timestamps_ns, boxes, MappingProxyType(extras)),
             label=names["category"][first.category_token].name,
             parent_id=instance,
             attributes=tuple(AttributePath(name, values, timestamps_ns) for name, values in stated.items()),

@@ -15,7 +15,7 @@ from enum import Enum, auto
 from pathlib import Path
 from threading import Lock
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -217,8 +217,8 @@ class _Segment:
             frames = self._known(file, keys[_FRAME][rows])
             rows, frames = rows[frames >= 0], frames[frames >= 0]
             if number not in models:
-                error = DataError(self.file(LIDAR_CALIBRATION), _LASER, f"no lidar {number}; expected that of {file}")
-                self.ledger.fault("lidar-calibration", error, count=len(rows))
+                missing = DataError(self.file(LIDAR_CALIBRATION), _LASER, f"no lidar {number}; expected that of {file}")
+                self.ledger.fault("lidar-calibration", missing, count=len(rows))
                 continue
             frames, first = np.unique(frames, return_index=True)
             if len(frames):
@@ -295,8 +295,8 @@ class _Segment:
             return []
         lost = sorted(set(self.images.numbers.tolist()) - set(models))
         if lost:
-            error = DataError(self.file(CAMERA_CALIBRATION), _CAMERA, f"no camera {lost[0]}, which has images")
-            self.ledger.fault("camera-calibration", error, count=len(lost))
+            missing = DataError(self.file(CAMERA_CALIBRATION), _CAMERA, f"no camera {lost[0]}, which has images")
+            self.ledger.fault("camera-calibration", missing, count=len(lost))
         return [self._camera(number, model) for number, model in sorted(models.items())]
 
     def _camera(self, number: int, model: "_CameraModel") -> CameraSensor:
@@ -881,7 +881,7 @@ def _column(path: Path, name: str, column: Any, kind: _Kind) -> AnyArray:
         return np.array(rows, np.float64).reshape(-1, 4, 4)
     if column.null_count and kind is not _Kind.OPTIONAL and kind is not _Kind.TEXT:
         raise DataError(path, name, f"{column.null_count} values are missing; expected one in each row")
-    values = column.to_numpy()
+    values = cast("AnyArray", column.to_numpy())
     if kind is _Kind.TEXT:
         if not all(isinstance(value, str) for value in values):
             raise DataError(path, name, f"values of type {column.type}; expected texts")
@@ -892,7 +892,7 @@ def _column(path: Path, name: str, column: Any, kind: _Kind) -> AnyArray:
         raise DataError(path, name, f"values of type {column.type}; expected numbers")
     if kind is _Kind.WHOLE:
         return values.astype(np.int64)
-    numbers = values.astype(np.float64)
+    numbers: Float64Array = values.astype(np.float64)
     if kind is _Kind.NUMBER and not (np.abs(numbers) <= _LARGEST).all():
         k = int(np.argmin(np.abs(numbers) <= _LARGEST))
         raise DataError(path, f"row {k}: {name}", f"{numbers[k]:g}; expected a number within ±{_LARGEST:g}")

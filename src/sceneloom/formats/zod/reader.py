@@ -135,7 +135,8 @@ class _Drive:
         self.info = read_json(folder / INFO, _Info) if (folder / INFO).is_file() else _Info()
         self.sweeps, self.sweep_times = _timestamped_files(folder / LIDAR, ".npy")
         self.camera = next((name for name in CAMERAS if (folder / name).is_dir()), None)
-        self.images, self.image_times = (), np.zeros(0, np.int64)
+        self.images: tuple[Path, ...] = ()
+        self.image_times: Int64Array = np.zeros(0, np.int64)
         if self.camera is not None:
             self.images, self.image_times = _timestamped_files(folder / self.camera, ".jpg")
         if not self.sweeps and not self.images:
@@ -150,7 +151,8 @@ class _Drive:
         sensors: list[Sensor] = [*self._lidars(path), *self._cameras(path)]
         about = {"sequence": self.folder.name}
         if (self.folder / METADATA).is_file():
-            about |= read_json(self.folder / METADATA, dict[str, str | int | float | bool | None])
+            stated: dict[str, Any] = read_json(self.folder / METADATA, dict)
+            about |= {name: str(value) for name, value in stated.items()}
         return Scene(
             tuple(sensors),
             annotations=tuple(self._annotations(path)),

@@ -9,7 +9,7 @@ import msgspec
 
 from sceneloom.errors import DataError
 from sceneloom.formats.base.files import read_bytes
-from sceneloom.formats.base.losses import KEPT, Holding, Supports, converted, dropped
+from sceneloom.formats.base.losses import KEPT, Holding, Supports, approximated, converted, dropped
 from sceneloom.formats.base.spec import FormatSpec, first_bytes
 
 _BEGINNING = 4096
@@ -24,7 +24,9 @@ _AS_ATTRIBUTES = converted("an attribute of the shape in each frame; text, numbe
 def _annotation(kind: str, *kept: str, **other: Holding) -> dict[str, Holding]:
     """What becomes of the annotations of a kind: some fields are kept, and some are stated in another way."""
     rows = dict.fromkeys(("id", "label", *kept), KEPT)
-    rows |= {"attributes": _AS_ATTRIBUTES, "stationary": converted("drawn in every frame"), **other}
+    rows |= {"attributes": _AS_ATTRIBUTES, **other}
+    if kind != "event":
+        rows["stationary"] = converted("drawn in every frame")
     return {f"annotations.{kind}.{name.replace('__', '.')}": holding for name, holding in rows.items()}
 
 
@@ -34,12 +36,13 @@ _CAMERA = {
     "sensors.camera.id": converted("the folder in the names of its images"),
     "sensors.camera.images.timestamp_ns": _TIMES,
     "sensors.camera.images.rgb": KEPT,
-    "sensors.camera.images.encoded": KEPT,
+    "sensors.camera.images.encoded": converted("as they are, or as PNG where they are no JPEG or PNG"),
     "sensors.camera.extras": dropped("left out but for the names of labelled images"),
 }
+_AMONG = converted("boxes of cuboids are among them")
 _BOXES = _annotation(
     "box_2d", "path.timestamps_ns", "path.values", sensor_id=converted("by the image"), parent_id=_PARENT,
-    path__extras=dropped("left out but for masks"),
+    path__extras=dropped("left out but for masks"), id=_AMONG, label=_AMONG,
 )  # fmt: skip
 _SHAPES = _annotation(
     "shape", "type", "path.timestamps_ns", "path.vertices", sensor_id=converted("by the image"), parent_id=_PARENT,
@@ -48,7 +51,7 @@ _SHAPES = _annotation(
 _POINTS = {
     "annotations.points.paths.id": converted("counted"),
     "annotations.points.projections.extras": converted("whether each point is visible"),
-    "annotations.points.id": KEPT,
+    "annotations.points.id": converted("where the object has other shapes, too, with the kind behind it"),
     "annotations.points.labels": KEPT,
     "annotations.points.parent_id": _PARENT,
     "annotations.points.attributes": _AS_ATTRIBUTES,
@@ -62,12 +65,12 @@ _TAGS = _annotation(
 )  # fmt: skip
 _PROJECTED = {
     "annotations.cuboid.id": converted("of its boxes in images"),
-    "annotations.cuboid.label": KEPT,
+    "annotations.cuboid.label": converted("of its boxes in images"),
     "annotations.cuboid.attributes": _AS_ATTRIBUTES,
     "annotations.cuboid.path.values": dropped("left out: only boxes in images are written"),
     "annotations.cuboid.projections.sensor_id": converted("by the image"),
-    "annotations.cuboid.projections.timestamps_ns": KEPT,
-    "annotations.cuboid.projections.boxes": KEPT,
+    "annotations.cuboid.projections.timestamps_ns": converted("boxes in images"),
+    "annotations.cuboid.projections.boxes": converted("boxes in images"),
 }
 _CUBOIDS = _annotation(
     "cuboid", "path.timestamps_ns", path__values=converted("centre, sizes and angles [rad] at each sweep"),
@@ -259,6 +262,18 @@ YOLO = FormatSpec(
             for kind in ("box_2d", "shape", "points", "cuboid")
             for name in (f"annotations.{kind}.id", f"annotations.{kind}.attributes")
         },
+        {
+            name: approximated("each image by itself, in shares of it")
+            for name in (
+                *(
+                    "annotations.box_2d.path.timestamps_ns",
+                    "annotations.box_2d.path.values",
+                    "annotations.points.labels",
+                ),
+                *("annotations.points.projections.timestamps_ns", "annotations.points.projections.points"),
+                *("annotations.shape.path.timestamps_ns", "annotations.shape.path.vertices"),
+            )
+        },
         {"annotations.object.id": dropped("left out: a line is a class and where it is")},
     ),
 )
@@ -287,5 +302,7 @@ LABEL_STUDIO = FormatSpec(
     read_options=_READING,
     writer=f"{_HERE}.label_studio:write_label_studio",
     write_options=("images", "task", "camera", "prefix"),
-    supports=_supports(_TAGS),
+    supports=_supports(
+        _TAGS, {"annotations.points.projections.points": converted("percent of the image's width and height")}
+    ),
 )

@@ -169,6 +169,7 @@ def test_examples_are_short_and_use_public_names_only():
 SHARED_PAGES = dict.fromkeys(("pcd", "ply", "las", "laz", "kitti-bin", "nuscenes-bin", "npz"), "clouds") | {
     **dict.fromkeys(("pcap", "lvx"), "packets"),
     **dict.fromkeys(("nmea", "ubx", "rtklib"), "gnss-logs"),
+    **dict.fromkeys(("waymo", "kitti-360", "zod"), "driving-sets"),
     "ros1": "ros",
     "ros2": "ros",
     **dict.fromkeys(("urdf", "kalibr", "camera-info"), "rig"),

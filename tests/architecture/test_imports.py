@@ -119,18 +119,8 @@ def test_a_module_imports_only_from_rows_below_its_own(modules):
 
 FORMAT_ROWS = (
     (
-        *(
-            "nuscenes",
-            "openlabel",
-            "labelling",
-            "kitti",
-            "pandaset",
-            "argoverse2",
-            "ncore",
-            "euroc_mav",
-            "scale_toolkit",
-        ),
-        "cloud_labelling",
+        *("nuscenes", "openlabel", "labelling", "kitti", "pandaset", "argoverse2", "euroc_mav", "scale_toolkit"),
+        *("cloud_labelling", "waymo", "zod", "ncore"),
     ),
     ("sfs", "recording", "rig", "messages", "posed_images"),
     ("points", "packets", "rig_files"),

@@ -62,7 +62,7 @@ def test_many_mutants_of_a_drive_or_of_files_of_others_give_a_scene_or_an_error_
     ],
 )
 def test_what_is_no_file_and_what_is_static_in_the_position_of_any_file_is_refused_and_never_waited_for(name):
-    if name == "argoverse2":
+    if name in {"argoverse2", "waymo"}:
         pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     tried = try_mutants(name, None)
     assert not tried.failures, str(tried)
@@ -99,13 +99,14 @@ def test_metadata_of_a_bag_with_infinite_numbers_and_depths_are_faults_of_the_fi
 
 
 FOLDERS = ["kitti-raw", "kitti-object", "kitti-tracking", "kitti-odometry", "nuscenes", "argoverse2", "pandaset"]
-FOLDERS += ["scale-toolkit", "euroc-mav", "supervisely", "segments", "scale-task", "sustechpoints"]
+FOLDERS += ["kitti-360", "waymo", "zod", "scale-toolkit", "euroc-mav"]
+FOLDERS += ["supervisely", "segments", "scale-task", "sustechpoints"]
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", FOLDERS)
 def test_a_file_of_each_kind_that_is_changed_empty_or_gone_is_a_fault_or_does_no_harm(name, count, tmp_path):
-    if name == "argoverse2":
+    if name in {"argoverse2", "waymo"}:
         pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     drive, chance = ALL_DRIVES[name](tmp_path), np.random.default_rng(4)
     for file, *_ in kinds_of_files(drive):

@@ -37,6 +37,7 @@ for dataset in project.datasets:
         tags = {o.key().hex: [tag_row(t) for t in o.tags] for o in annotation.objects}
         tags["dataset"] = [tag_row(t) for t in annotation.tags]
     else:
+        names.sort()  # a project of clouds has no order
         for name in names:
             annotation = dataset.get_ann(name, project.meta)
             frames.append([figure_row(f) for f in annotation.figures])

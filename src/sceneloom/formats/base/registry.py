@@ -124,6 +124,7 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
             f"{_KITTI}:ODOMETRY",
             folder=("calib.txt", "times.txt", "sequences", "[0-9][0-9]/calib.txt", "[0-9][0-9]/times.txt"),
         ),
+        "kitti-360": FormatRow(f"{_KITTI}:KITTI_360", folder=("data_2d_raw", "data_3d_raw", "data_poses")),
         "nuscenes": FormatRow(
             "sceneloom.formats.nuscenes.spec:FORMAT",
             folder=(
@@ -146,6 +147,14 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
         "pandaset": FormatRow(
             "sceneloom.formats.pandaset.spec:FORMAT",
             folder=("lidar", "annotations/cuboids", "*/lidar", "*/annotations/cuboids"),
+        ),
+        "waymo": FormatRow(
+            "sceneloom.formats.waymo.spec:FORMAT",
+            folder=("vehicle_pose/*.parquet", "lidar/*.parquet", "camera_image/*.parquet"),
+        ),
+        "zod": FormatRow(
+            "sceneloom.formats.zod.spec:FORMAT",
+            folder=("calibration.json", "lidar_velodyne", "*/calibration.json", "*/lidar_velodyne"),
         ),
         "scale-toolkit": FormatRow("sceneloom.formats.scale_toolkit.spec:FORMAT", folder=("pointcloud",)),
         "supervisely": FormatRow(f"{_CLOUD_LABELLING}:SUPERVISELY", folder=("meta.json", "annotation.json", "ann")),
@@ -332,9 +341,9 @@ def open_scene(
     ```
 
     Formats: sfs, recording, rig, mcap, ros1, ros2, kitti-raw, kitti-object, kitti-tracking, kitti-odometry,
-    nuscenes, argoverse2, pandaset, ncore, scale-toolkit, supervisely, segments, scale-task, sustechpoints,
-    euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap, lvx; clouds
-    as pcd, ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
+    kitti-360, nuscenes, argoverse2, pandaset, ncore, waymo, zod, scale-toolkit, supervisely, segments, scale-task,
+    sustechpoints, euroc-mav, openlabel, cvat, tracklets, coco, datumaro, yolo, label-studio, nmea, ubx, rtklib, pcap,
+    lvx; clouds as pcd, ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:
         path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by

@@ -148,7 +148,7 @@ def _recorded_camera(file: _RawFile, ending: str) -> tuple[Camera, RigidTransfor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _TimestampFile:
+class TimestampFile:
     """The times of one stream, by number of the frame."""
 
     path: Path
@@ -156,7 +156,7 @@ class _TimestampFile:
     reported: BoolArray  # false where the line is blank: the frame is not there
 
     @classmethod
-    def read(cls, path: Path) -> "_TimestampFile":
+    def read(cls, path: Path) -> "TimestampFile":
         """Read a file of times."""
         if not path.is_file():
             raise DataError(path, "", "is missing; expected the time of each frame, a line each")
@@ -172,7 +172,7 @@ class _TimestampFile:
         return cls(path, values, np.array([bool(line.words) for line in lines], np.bool_))
 
 
-def _timestamped(files: NumberedFiles, timestamps: _TimestampFile, ledger: Ledger) -> NumberedFiles:
+def timestamped(files: NumberedFiles, timestamps: TimestampFile, ledger: Ledger) -> NumberedFiles:
     """The files that have a time; frames without a file between others are left out with a warning."""
     count = len(timestamps.values_ns)
     files = frames_within(files, count, timestamps.path, ledger)
@@ -196,7 +196,7 @@ def _timestamped(files: NumberedFiles, timestamps: _TimestampFile, ledger: Ledge
     return files
 
 
-def _in_order(numbers: Int64Array, timestamps: _TimestampFile, ledger: Ledger) -> Int64Array:
+def in_order(numbers: Int64Array, timestamps: TimestampFile, ledger: Ledger) -> Int64Array:
     """Give the rows of numbers in the order of their times; of two of one time the first stays."""
     times = timestamps.values_ns[numbers]
     _, rows = np.unique(times, return_index=True)
@@ -419,7 +419,7 @@ class _Stream:
 
     files: NumberedFiles
     timestamps_ns: Int64Array
-    timestamps: _TimestampFile
+    timestamps: TimestampFile
 
 
 def open_raw(path: Path, *, sequence: str | None = None, lenient: bool = False) -> Scene:
@@ -497,11 +497,11 @@ def _stream(folder: Path, suffixes: tuple[str, ...], ledger: Ledger) -> _Stream 
             problem = f"holds no {' or '.join(suffixes)}; expected a file for each line of timestamps.txt"
             ledger.fault("counts-disagree", DataError(folder / "data", "", problem))
         return None
-    timestamps = _TimestampFile.read(folder / "timestamps.txt")
-    files = _timestamped(files, timestamps, ledger)
+    timestamps = TimestampFile.read(folder / "timestamps.txt")
+    files = timestamped(files, timestamps, ledger)
     if not len(files):
         return None
-    rows = _in_order(files.numbers, timestamps, ledger)
+    rows = in_order(files.numbers, timestamps, ledger)
     files = NumberedFiles(files.folder, files.numbers[rows], tuple(files.paths[k] for k in rows.tolist()))
     return _Stream(files, timestamps.values_ns[files.numbers], timestamps)
 
@@ -534,7 +534,7 @@ def _rotations(
         return sweeps.timestamps_ns, None
     found = []
     for location in locations:
-        timestamps = _TimestampFile.read(location)
+        timestamps = TimestampFile.read(location)
         if len(timestamps.values_ns) < len(sweeps.timestamps.values_ns):
             counts = f"{len(timestamps.values_ns)} times for {len(sweeps.timestamps.values_ns)} of timestamps.txt"
             raise DataError(location, "", f"{counts}; expected as many")

@@ -247,6 +247,27 @@ def _odometry_near_miss(path: Path) -> str | None:
     )
 
 
+# KITTI-360: `data_2d_raw/2013_05_28_drive_0000_sync` and so on, a folder for each kind of data.
+
+IMAGES_360, POINTS_360, POSES_360, BOXES_360 = "data_2d_raw", "data_3d_raw", "data_poses", "data_3d_bboxes"
+
+
+def sequences_360(path: Path) -> tuple[str, ...]:
+    """Names of the sequences with images, sweeps or poses."""
+    found: set[str] = set()
+    for kind in (IMAGES_360, POINTS_360, POSES_360):
+        folder = path / kind
+        try:
+            found |= {child.name for child in folder.iterdir() if DRIVE_NAME.fullmatch(child.name) and child.is_dir()}
+        except OSError:
+            continue
+    return tuple(sorted(found))
+
+
+def _is_360(path: Path) -> bool:
+    return path.is_dir() and bool(sequences_360(path))
+
+
 # Supported fields: what all of them have in common, and what each has besides.
 
 _NO_POSITION = dropped("the folder has no field for it")
@@ -450,4 +471,18 @@ ODOMETRY = FormatSpec(
     writer="sceneloom.formats.kitti.odometry_writer:write_odometry",
     write_options=("sequence",),
     supports=_ODOMETRY_SUPPORTS,
+)
+
+KITTI_360 = FormatSpec(
+    name="kitti-360",
+    title="KITTI-360",
+    looks_like=(
+        "a folder with data_2d_raw/ or data_3d_raw/ of KITTI-360 (in them 2013_05_28_drive_0000_sync), calibration/, "
+        "data_poses/ (built to the description)"
+    ),
+    sniff=_is_360,
+    drives=sequences_360,
+    reader="sceneloom.formats.kitti.kitti360_reader:open_360",
+    read_options=("sequence", "lenient"),
+    instead="KITTI-360 is only read; write a scene file (drive.sfs), a recording (a folder) or kitti-raw instead",
 )

@@ -1,0 +1,1 @@
+"""Segments of the Waymo Open Dataset, version 2: a parquet file for each component."""

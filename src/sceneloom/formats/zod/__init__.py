@@ -1,0 +1,1 @@
+"""Frames, sequences and drives of the Zenseact Open Dataset."""

@@ -24,7 +24,7 @@ REFERENCES = ("sensor_id", "order", "parent_id", "from_id", "to_id")
 ROUNDING = 1e-3
 """How far numbers that are only converted may be off: as a share of them, or as a number if they are below 1."""
 
-FREE_NUMBERS = ("time_offset_ns", "sensors.radar.frames.points.lengths")
+FREE_NUMBERS = ("time_offset_ns", "sensors.radar.frames.points.lengths", "sensors.radar.frames.points.directions")
 """Fields that mean the same with other numbers: where a clock starts, and a speed the other way round."""
 
 FREE = ("metadata", "extras")

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from sceneloom.formats.base.files import read_bytes
-from sceneloom.formats.base.losses import KEPT, Supports, converted, dropped
+from sceneloom.formats.base.losses import KEPT, Supports, approximated, converted, dropped
 from sceneloom.formats.base.spec import FormatSpec, first_bytes
 
 _STORE = re.compile(r"(?P<name>.*?)\.?ncore4(-(?P<group>.+))?\.zarr(\.itar)?")
@@ -92,7 +92,7 @@ SUPPORTS: Supports = MappingProxyType(
         "annotations.cuboid.id": converted("names are texts"),
         "annotations.cuboid.label": converted("of objects without a class `unknown`"),
         "annotations.cuboid.path.timestamps_ns": _MICROSECONDS,
-        "annotations.cuboid.path.values": converted("radians, in the world"),
+        "annotations.cuboid.path.values": approximated("in radians, in the world"),
         "trajectories.name": converted("it is `rig`"),
         "trajectories.timestamps_ns": _MICROSECONDS,
         "trajectories.positions": converted("matrices"),

@@ -96,8 +96,8 @@ def test_what_looks_behind_the_camera_is_held_by_models_over_the_angle_or_a_sphe
     for model in [name for name in MODELS if MODELS[name].chart in (Chart.ANGLE, Chart.SPHERE)]:
         found, over_angle = fit(HALF_ROUND, model), MODELS[model].chart is Chart.ANGLE
         assert found.share == 1 if over_angle else found.share > 0.99
-        # those of four coefficients for a polynomial of other powers
-        assert found.largest_px < (1.5 if over_angle else 5)
+        # those of four coefficients for a polynomial of other powers; offset and skew are hard to tell from others
+        assert found.largest_px < (2.5 if model == "ftheta_skewed" else 1.5 if over_angle else 5)
         if over_angle:
             assert largest_distance_px(HALF_ROUND, found.camera) <= 1.01 * found.largest_px + 1e-9
     # asymmetric terms are found, though they are factors of one another

@@ -750,6 +750,7 @@ STRANGERS = [
     camera("mod_kannala", 0.02),
     camera("mod_equi_fish", 0.0, -0.02, 0.01, -0.003),
     Camera("ftheta", 640, 480, 1.0, 1.0, 320.0, 240.0, (0.0, 500.0, 0.0, -12.0, 2.0)),
+    camera("ftheta_skewed", 0.0, 0.01, -0.02, 0.0, 0.0, 0.3, -0.4),
     camera("fisheye_radial_custom", 0.05, -0.01, 0, 0, 0, 0, 1e-4, 0, 0.5, -0.3),
     Camera("cylindrical", 640, 480, 1500.0, 1500.0, 320.0, 240.0),
     Camera("equirectangular", 640, 480, 1500.0, 1500.0, 320.0, 240.0),

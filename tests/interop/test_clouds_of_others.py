@@ -122,7 +122,8 @@ def test_open3d_reads_our_pcd_and_ply_files(tmp_path, ask, kind, options):
     np.testing.assert_array_equal(np.array(found["points"], np.float32), points.positions)
     np.testing.assert_array_equal(found["colors"], points.colors)
     assert found["fields"]["intensity"] == points.intensities.tolist()
-    assert found["fields"]["ring"] == points.rings.tolist()
+    # it skips columns of 16 bits in PLY files, and says so
+    assert found["fields"].get("ring") == (None if kind == "ply" else points.rings.tolist())
 
 
 @pytest.mark.parametrize("kind", ["las", "laz"])

@@ -169,8 +169,9 @@ def nearest_rotation(matrix: ArrayLike) -> tuple[Float64Array, float]:
         raise CalibrationError(f"rotation {m.tolist()}; expected 3x3 finite numbers")
     u, _, vt = np.linalg.svd(m)
     handedness = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    error = float(np.abs(m @ m.T - np.eye(3)).max()) if np.linalg.det(m) > 0 else np.inf
-    return (u * handedness) @ vt, error
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond 1e154, whose error is infinite
+        error = float(np.abs(m @ m.T - np.eye(3)).max()) if np.linalg.det(m) > 0 else np.inf
+    return (u * handedness) @ vt, np.inf if np.isnan(error) else error
 
 
 def rotation_vector_from_quaternion(quaternion_xyzw: ArrayLike) -> Float64Array:

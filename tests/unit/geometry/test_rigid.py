@@ -1,5 +1,6 @@
 """Rotations and paths of poses against SciPy, slow oracles, and where digits are easily lost; rigid transforms."""
 
+import math
 import pickle
 import warnings
 
@@ -96,6 +97,7 @@ def test_a_rounded_rotation_is_brought_back_to_the_nearest_and_its_error_reporte
     assert error == pytest.approx(np.abs(rounded @ rounded.T - np.eye(3)).max())
     assert np.abs(found - rotation).max() < 1e-3  # no farther from the truth than the rounding took it
     # a mirror is no rotation however orthonormal it is
+    assert rigid.nearest_rotation(np.diag([1e300, 1.0, 1.0]))[1] == math.inf
     mirrored, error = rigid.nearest_rotation(np.diag([1.0, 1.0, -1.0]))
     assert error == np.inf
     assert np.linalg.det([found, mirrored]) == pytest.approx(1.0)

@@ -90,7 +90,11 @@ class _Reader:
         elif isinstance(names, list):
             self.names = [str(name) for name in names]
         shape = self.settings.get("kpt_shape")
-        if isinstance(shape, list) and len(shape) == 2 and all(re.fullmatch(r"[0-9]{1,4}", one) for one in shape):
+        if (
+            isinstance(shape, list)
+            and len(shape) == 2
+            and all(isinstance(one, str) and re.fullmatch(r"[0-9]{1,4}", one) for one in shape)
+        ):
             self.points, self.dimensions = int(shape[0]), int(shape[1])
             if self.dimensions not in (2, 3):
                 raise DataError(file, "kpt_shape", f"{shape}; expected a number of points and 2 or 3")

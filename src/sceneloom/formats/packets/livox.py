@@ -479,7 +479,8 @@ def _sensors(
 
 def _mount(pose: AnyArray) -> RigidTransform:
     """Where a device is: roll, pitch, yaw [deg] about fixed axes, then x, y, z [m]."""
-    numbers = pose.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # NaN of any bits
+        numbers = pose.astype(np.float64)
     if not np.isfinite(numbers).all():
         return RigidTransform.identity()
     return RigidTransform(rotation_from_cuboid_angles(numbers[:3], order="zyx"), numbers[3:])

@@ -292,3 +292,13 @@ def test_options_that_cannot_be_followed_are_named(tmp_path):
     with pytest.raises(OptionError, match="rate_hz"):
         write_scene(scene, tmp_path / "a.coco.json")
         open_scene(tmp_path / "a.coco.json", rate_hz=0)
+
+
+@pytest.mark.parametrize("shape", ["[[1, 2], 3]", "[{a: 1}, 3]"])
+def test_a_shape_of_keypoints_that_is_none_is_not_used(shape, tmp_path):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "labels").mkdir()
+    (tmp_path / "labels" / "1.txt").write_text("0 0.5 0.5 0.25 0.5\n")
+    (tmp_path / "data.yaml").write_text(f"train: images\nkpt_shape: {shape}\nnames: [car]\n")
+    with open_scene(tmp_path) as scene:
+        assert [one.label for one in scene.annotations] == ["car"]

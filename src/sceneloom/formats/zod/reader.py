@@ -209,7 +209,7 @@ class _Drive:
             self.ledger.note(WarningKind.SKIPPED, "images-missing", str(self.folder / CAMERAS[0]), "no images")
             return []
         k = np.array(stated.intrinsics[:3], dtype=object)
-        if k.ndim != 2 or k.shape[1] < 3 or len(stated.distortion) != 4 or len(stated.image_dimensions) != 2:
+        if k.ndim != 2 or min(k.shape) < 3 or len(stated.distortion) != 4 or len(stated.image_dimensions) != 2:
             raise DataError(file, "FC", "expected 3 rows of intrinsics, 4 coefficients of distortion, width and height")
         focal = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
         try:

@@ -19,6 +19,7 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
+from sceneloom.formats.base.xml_files import xml_root
 from sceneloom.formats.base.yaml_files import read_yaml
 from sceneloom.formats.kitti.calibration import rotation_of
 from sceneloom.formats.kitti.oxts import PERIOD_NS
@@ -360,14 +361,7 @@ _OFF_M, _OFF = 0.01, 1e-3
 
 
 def _objects(file: Path) -> list[ET.Element]:
-    content = read_bytes(file)
-    if re.search(rb"<!ENTITY", content):
-        raise DataError(file, "", "declares entities; expected plain XML")
-    try:
-        root = ET.fromstring(content)  # noqa: S314 - entities, by which XML does harm, were refused
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise DataError(file, "", f"is no XML: {error}") from error
-    return [item for item in root if item.find("transform") is not None]
+    return [item for item in xml_root(file, read_bytes(file)) if item.find("transform") is not None]
 
 
 def _entries(file: Path) -> dict[str, Line]:

@@ -1,6 +1,5 @@
 """Read a drive of KITTI's raw data: calibration, timestamps, sweeps, images, OXTS and tracklets."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import images_image_size
 from sceneloom.formats.base.text_tables import TimestampError, parse_timestamp
+from sceneloom.formats.base.xml_files import xml_root
 from sceneloom.formats.kitti.calibration import KittiCalibration, rotation_of
 from sceneloom.formats.kitti.oxts import oxts_sensors, read_fields
 from sceneloom.formats.kitti.sensors import LIDAR_ID, camera_sensor, kitti_metadata, lidar_sensor, stationary
@@ -237,13 +237,7 @@ class Tracklet:
 
 def _read_tracklets(path: Path) -> list[Tracklet]:
     """Read a file of tracklets."""
-    content = read_bytes(path)
-    if re.search(rb"<!ENTITY", content):
-        raise DataError(path, "", "declares entities; expected plain XML")
-    try:
-        root = ET.fromstring(content)  # noqa: S314 - entities, by which XML does harm, were refused
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise DataError(path, "", f"is no XML: {error}") from error
+    root = xml_root(path, read_bytes(path))
     listed = root.find("tracklets")
     if listed is None:
         raise DataError(path, root.tag, "holds no `tracklets`; expected boost_serialization/tracklets")

@@ -111,8 +111,11 @@ _GREATEST = 1e9
 
 def _number(path: Path, element: ET.Element, name: str, default: float | None = None) -> float:
     text = element.get(name)
-    if text is None and default is not None:
-        return default
+    return default if text is None and default is not None else _checked(path, element, name, text)
+
+
+def _checked(path: Path, element: ET.Element, name: str, text: str | None) -> float:
+    """What an element states as a number."""
     try:
         value = float(text or "")
     except ValueError:
@@ -731,15 +734,7 @@ def read_tracklets(
 
 
 def _member(path: Path, item: ET.Element, name: str) -> float:
-    text = item.findtext(name)
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = float("nan")
-    if not abs(value) <= _GREATEST:
-        shown = "missing" if text is None else repr(text[:40])
-        raise _fault(path, item, f"{name}: {shown}; expected a number within {_GREATEST:g}")
-    return value
+    return _checked(path, item, name, item.findtext(name))
 
 
 def _of_tracklet(path: Path, item: ET.Element, k: int, dialect: str) -> list[Drawn]:

@@ -20,6 +20,7 @@ from sceneloom.errors import CalibrationError, DataError, OptionError, UnknownFo
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import LARGEST_SETTINGS, read_bytes, why_no_file
 from sceneloom.formats.base.spec import first_bytes
+from sceneloom.formats.base.xml_files import xml_root
 from sceneloom.formats.base.yaml_files import read_yaml
 from sceneloom.geometry.rigid import GREATEST_ERROR, SILENT_ERROR, RigidTransform, normalise_quaternion
 from sceneloom.lazy import imported
@@ -280,13 +281,7 @@ def _read_urdf(draft: _Draft) -> None:
     path, content = draft.path, read_bytes(draft.path)
     if _XACRO.search(content):
         raise DataError(path, "", f"is xacro with macros; expand them first: xacro {path.name} > rig.urdf")
-    if b"<!ENTITY" in content:
-        raise DataError(path, "", "declares entities; expected plain XML")
-    try:
-        root = ET.fromstring(content)  # noqa: S314 - entities, by which XML does harm, were refused
-    except (ET.ParseError, ValueError, LookupError) as error:
-        line, column = getattr(error, "position", (0, 0))
-        raise DataError(path, f"line {line}, column {column + 1}" if line else "", f"is no XML: {error}") from error
+    root = xml_root(path, content)
     if root.tag != "robot":
         raise DataError(path, "", f"root element {root.tag!r}; expected <robot> of a URDF")
     moving, parents = [], dict[str, str]()

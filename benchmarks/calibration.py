@@ -7,7 +7,8 @@ the published calibration counts as it, which is itself a measurement.
 deviation of errors in stated standard deviations, and fails below 92 %. `--windows` alone starts windows of
 kitti_drive_40 and the cameras of PandaSet as published (how often that is kept) and compares disjoint windows with one
 another: the standard deviation of their differences in stated ones is 1 if these are right. `--far N` alone starts N
-times each 5, 10 and 20 cm off from 12 frames of a slow car, and 2 and 5 degrees with 20 cm off from 20 frames.
+times each 5, 10 and 20 cm off from 12 frames of a slow car, 2 and 5 degrees with 20 cm off from 20 frames, and the
+latter on PandaSet and on N simulated drives.
 """
 
 import argparse
@@ -15,6 +16,7 @@ import os
 import sys
 import time
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -163,35 +165,50 @@ def _numbers(found: Refinement) -> str:
 
 
 def _far(recordings: Path, starts: int) -> None:
-    """Print what is left of errors of several sizes, by the published calibration and by the repair from it."""
+    """Print what is left of errors of several sizes, by truth or published calibration, and by the other starts."""
     with sceneloom.open(recordings / "kitti_drive_40") as scene:
         frames = calibration_frames(scene, most=40)
-    for name, window, degrees, shift in (
-        ("12 frames", frames[:12], 0.0, 0.05),
-        ("12 frames", frames[:12], 0.0, 0.1),
-        ("12 frames", frames[:12], 0.0, 0.2),
-        ("20 frames", frames[::2], 2.0, 0.2),
-        ("20 frames", frames[::2], 5.0, 0.2),
+    with sceneloom.open(recordings / "pandaset") as scene:
+        cameras = [calibration_frames(scene, camera.id) for camera in scene.cameras]
+    drives = [calibration_frames(simulate_street(seed, frames=20).scene) for seed in range(500, 500 + starts)]
+    for name, windows, degrees, shift in (
+        ("12 frames", [frames[:12]], 0.0, 0.05),
+        ("12 frames", [frames[:12]], 0.0, 0.1),
+        ("12 frames", [frames[:12]], 0.0, 0.2),
+        ("20 frames", [frames[::2]], 2.0, 0.2),
+        ("20 frames", [frames[::2]], 5.0, 0.2),
+        ("PandaSet, 5 frames", cameras, 5.0, 0.2),
+        ("simulated drives, 20 frames", drives, 5.0, 0.2),
     ):
-        truth, rng = window[0].camera_from_lidar, np.random.default_rng(200)
-        best = _found_from(window, np.zeros(8))[1]
-        rows, verdicts = [], []
-        for _ in range(starts):
-            numbers = np.zeros(8)
+        rng, verdicts, left = np.random.default_rng(200), [], []
+        solutions: list[list[RigidTransform]] = [[] for _ in windows]
+        for start in range(starts):
+            own, numbers = start % len(windows), np.zeros(8)
             numbers[:3], numbers[3:6] = np.radians(degrees) * _direction(rng), shift * _direction(rng)
-            found, solution = _found_from(window, numbers)
+            found, solution = _found_from(windows[own], numbers)
             verdicts.append(str(found.verdict))
-            left = [step_between(a, b) for a, b in ((truth, found.camera_from_lidar), (best, solution))]
-            rows.append([np.linalg.norm(step[part]) for step in left for part in (slice(3), slice(3, 6))])
-        left = np.array(rows) * [np.degrees(1.0), 100.0, np.degrees(1.0), 100.0]
-        median, largest = np.median(left, axis=0), left.max(axis=0)
+            solutions[own].append(solution)
+            left.append(_apart(windows[own][0].camera_from_lidar, found.camera_from_lidar))
+        repaired = sum(row[0] <= 0.1 and row[1] <= 1.5 for row in left)
+        apart = [_apart(a, b) for own in solutions for a, b in combinations(own, 2)]
         print(
-            f"{name}, {degrees:.0f} deg and {100 * shift:.0f} cm, {starts} starts: {verdicts.count('refined')} refined;"
-            f" from the published one {median[0]:.2f} deg, {median[1]:.1f} cm (largest {largest[0]:.2f}, "
-            f"{largest[1]:.1f}); solutions from the one begun there {median[2]:.2f} deg, {median[3]:.1f} cm (largest "
-            f"{largest[2]:.2f}, {largest[3]:.1f})",
+            f"{name}, {degrees:.0f} deg and {100 * shift:.0f} cm, {starts} starts: {verdicts.count('refined')} refined,"
+            f" {repaired} within 0.10 deg and 1.5 cm; from truth or published one {_extent(left)}"
+            + (f"; solutions from one another {_extent(apart)}" if apart else ""),
             flush=True,
         )
+
+
+def _apart(one: RigidTransform, other: RigidTransform) -> tuple[float, float]:
+    """How far calibrations are apart: rotation [deg] and translation [cm]."""
+    step = step_between(one, other)
+    return float(np.degrees(np.linalg.norm(step[:3]))), 100 * float(np.linalg.norm(step[3:]))
+
+
+def _extent(rows: list[tuple[float, float]]) -> str:
+    """Medians of angles and lengths, and the largest of each."""
+    median, largest = np.median(rows, axis=0), np.max(rows, axis=0)
+    return f"{median[0]:.2f} deg, {median[1]:.1f} cm (largest {largest[0]:.2f}, {largest[1]:.1f})"
 
 
 def _found_from(frames: tuple[CalibrationFrame, ...], numbers: np.ndarray) -> tuple[Refinement, RigidTransform]:

@@ -1,4 +1,4 @@
-"""How far lidar odometry drifts, how fast it is, and what deskewing by it brings; kiss-icp beside it, where installed.
+"""How far lidar odometry drifts, how fast it is, what deskewing by it brings; beside kiss-icp, small_gicp if installed.
 
 Run with `python -m benchmarks.motion [TABLE ...] [--metres 600] [--seeds 20 21] [--stand 60] [--kitti DIR]`. Tables:
 
@@ -18,6 +18,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -121,14 +122,40 @@ class Kiss:
         return int(times[-1]), self.icp.last_pose[:3, :3].copy(), self.icp.last_pose[:3, 3].copy()
 
 
+class Gicp:
+    """small_gicp against its map of voxels, with the numbers of its example; it does not deskew: poses hold halfway."""
+
+    name = "small_gicp"
+
+    def __init__(self) -> None:
+        import small_gicp
+
+        self.library = small_gicp
+        self.voxels = small_gicp.GaussianVoxelMap(1.0)
+        self.voxels.set_lru(horizon=100, clear_cycle=10)
+        self.pose, self.step, self.begun = np.eye(4), np.eye(4), False
+
+    def add(self, points: np.ndarray, frame: LidarFrame) -> tuple[int, np.ndarray, np.ndarray]:
+        """Take a sweep in the ego frame."""
+        cloud, _ = self.library.preprocess_points(points.astype(np.float64), downsampling_resolution=0.25)
+        if self.begun:
+            found = self.library.align(self.voxels, cloud, self.pose @ self.step).T_target_source
+            self.pose, self.step = found, np.linalg.inv(self.pose) @ found
+        self.voxels.insert(cloud, self.pose)
+        self.begun, times = True, frame.points.timestamps_ns
+        assert times is not None
+        return int(np.median(times)), self.pose[:3, :3].copy(), self.pose[:3, 3].copy()
+
+
 def methods() -> list[type]:
-    """Ours, and kiss-icp where it is installed."""
-    try:
-        import kiss_icp  # noqa: F401
-    except ImportError:
-        print("kiss-icp is not installed: `pip install kiss-icp` puts it beside ours\n")
-        return [Ours]
-    return [Ours, Kiss]
+    """Ours, and the peers that are installed."""
+    kinds: list[type] = [Ours]
+    for module, peer in (("kiss_icp", Kiss), ("small_gicp", Gicp)):
+        if find_spec(module) is None:
+            print(f"{peer.name} is not installed: `pip install {peer.name}` puts it beside ours\n")
+        else:
+            kinds.append(peer)
+    return kinds
 
 
 def follow(drive: SimulatedDrive, kinds: list[type], mount: Any) -> list[SmoothedTrajectory]:
@@ -218,15 +245,16 @@ def drift(options: argparse.Namespace) -> None:
     """Long drives with rotates and traffic."""
     print("drift\n" + HEADINGS)
     kinds = methods()
-    ratios, nees = [], []
+    ratios: dict[str, list[float]] = {kind.name: [] for kind in kinds[1:]}
+    nees = []
     for seed in options.seeds:
         drive = simulate_street(seed, frames=frames_for(options.metres), lidar=DENSE, cameras=(), traffic=BUSY)
         found = print_trajectories(f"seed {seed}", drive, DENSE.mount, kinds)
         nees.append(squared_error(*found[0]))
-        if len(found) == 2:
-            ratios.append(found[1][0].milliseconds()[1] / found[0][0].milliseconds()[1])
-    if ratios:
-        print(f"wall time of kiss-icp over ours: {np.mean(ratios):.1f}")
+        for peer, _ in found[1:]:
+            ratios[peer.name].append(peer.milliseconds()[1] / found[0][0].milliseconds()[1])
+    for name, shares in ratios.items():
+        print(f"wall time of {name} over ours: {np.mean(shares):.1f}")
     print(f"squared error at the end over its covariance, per degree of freedom: {np.round(nees, 2)}\n")
 
 

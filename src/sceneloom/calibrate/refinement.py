@@ -132,9 +132,9 @@ _FIRST_STEP, _LONGEST_STEP, _SMALLEST_STEP, _FARTHEST_CLIMB = 0.3, 1.0, 0.01, 2.
 _OBJECT = 5.0
 """Points within such a square of the ground are of one object [m]: a car, a stretch of a facade."""
 
-_RESOLVED, _SHARED, _NEAR = 12.0**-0.5, 12.0**-0.5 / 7.0, 10.0
-"""An edge lies anywhere between two beams: its standard deviation is that share of their distance. A seventh of that
-counts as shared by all edges; for translations it is that angle at so many metres."""
+_RESOLVED, _NEAR = 12.0**-0.5, 10.0
+"""An edge lies anywhere between two beams: its standard deviation is that share of their distance; for translations it
+is that angle at so many metres."""
 
 _SHARPEST_WRONG, _AROUND, _NEARBY = 4.0, 60, (3.0, 8.0)
 """How far above others around it, in their standard deviations, wrong calibrations come at most; right ones reach 6."""
@@ -422,8 +422,7 @@ def _covariance_of(found: "Around") -> tuple[Float64Array, float]:
     shares = np.einsum("gp,pq,gq->g", pulls, np.linalg.inv(spread), pulls)
     counted = float(shares.sum() ** 2 / max(float(np.square(shares).sum()), 1e-12))
     inverse = found.basis @ found.inverse_curvature() @ found.basis.T
-    shared = _SHARED * _resolution(level.cues, free)
-    return np.asarray(inverse @ spread @ inverse + np.diag(shared**2), np.float64), counted
+    return np.asarray(inverse @ spread @ inverse, np.float64), counted
 
 
 def _weighed(around: "Around", weights: Float64Array) -> Float32Array:
@@ -513,8 +512,8 @@ def find_cues(frame: CalibrationFrame) -> _Cues:
 
 def _contrasts(features: FrameFeatures) -> tuple[Float64Array, Float32Array]:
     """Points, and how much brighter each is than its neighbours on the same surface: (N, 3), (N,)."""
-    # the sum over pairs of neighbours of the step in intensity times the step in brightness is the sum over points of
-    # their contrast times their brightness, each exactly where the point is
+    # a point at the end of a surface is not compared along that direction: its brightness in the image is blurred with
+    # that of what lies behind, which pulled drives of exact truth to one side
     frame, levels = features.frame, features.levels
     if frame.scan is None or frame.intensities is None or len(frame.scan.order) < 2:
         if len(levels):
@@ -525,8 +524,10 @@ def _contrasts(features: FrameFeatures) -> tuple[Float64Array, Float32Array]:
     levels = frame.intensities[points].astype(np.float32)
     contrasts = np.zeros(len(levels), np.float32)
     for first, second in (along, across):
-        steps = levels[first] - levels[second]
-        contrasts += np.bincount(first, steps, len(levels)) - np.bincount(second, steps, len(levels))
+        steps, ahead, behind = levels[first] - levels[second], np.zeros_like(levels), np.zeros_like(levels)
+        between = np.intersect1d(first, second)
+        ahead[first], behind[second] = steps, steps
+        contrasts[between] += ahead[between] - behind[between]
     return frame.points_lidar[points], contrasts
 
 

@@ -301,18 +301,34 @@ AZIMUTHS = STEP * (np.arange(80) - 39.5)
 ELEVATIONS = np.radians(-4.0 + 1.0 * np.arange(9))
 
 
-def edges_of(ranges):
-    """Edges in a sweep of (9, 80) ranges, lowest line first."""
+def frame_of(ranges, intensities=None):
+    """A sweep of (9, 80) ranges, lowest line first, before a dark image."""
     rotations, heights = np.meshgrid(AZIMUTHS, ELEVATIONS)
     points = directions_at(rotations.ravel(), heights.ravel()) * ranges.reshape(-1, 1)
     rings = np.repeat(np.arange(9, dtype=np.uint16), 80)
     images = {"grey": np.zeros((32, 64), np.float32), "rgb": np.zeros((32, 64, 3), np.uint8)}
-    frame = CalibrationFrame(
+    return CalibrationFrame(
         **{"camera_id": "camera0", "lidar_id": "lidar", "index": 0, "image_ns": 0, "sweep_ns": 0, **images},
         camera=Camera("pinhole", 64, 32, 40.0, 40.0, 31.5, 15.5), camera_from_lidar=CAMERA_FROM_LIDAR,
-        points_lidar=points, intensities=None, seconds=None, scan=find_scan_order(points, rings),
+        points_lidar=points, intensities=intensities, seconds=None, scan=find_scan_order(points, rings),
     )  # fmt: skip
-    return find_depth_edges(frame, np.arange(len(points)))
+
+
+def edges_of(ranges):
+    return find_depth_edges(frame_of(ranges), np.arange(720))
+
+
+def test_contrasts_are_those_of_points_between_two_of_the_same_surface():
+    levels = np.array([10, 40, 20, 90, 30, 60, 200, 10, 50], np.uint8)
+    cues = find_cues(frame_of(np.full((9, 80), 20.0), np.repeat(levels, 80)))
+    points, contrasts = cues.points_lidar[cues.maps == 4], cues.weights[cues.maps == 4]
+    lines = np.rint(np.degrees(np.arcsin(points[:, 2] / 20.0)) + 4.0).astype(int)
+    expected = 2.0 * levels.astype(float)
+    expected[1:-1] -= levels[:-2].astype(float) + levels[2:]
+    expected[[0, -1]] = 0.0  # nothing is below, above
+    scale = np.abs(contrasts).max() / np.abs(expected).max()
+    np.testing.assert_allclose(contrasts, scale * expected[lines], rtol=1e-5)
+    assert set(lines) == set(range(9))
 
 
 def test_edges_lie_halfway_between_a_board_and_a_wall_and_on_walls_that_recede_but_not_on_steep_planes():

@@ -31,7 +31,7 @@ ALLOWED = {
     ("sceneloom.formats.points.files", "laspy.open"): "of a stream, or for writing",
     ("sceneloom.formats.points.files", "np.load"): "of an open file",
     ("sceneloom.formats.points.spec", "zipfile.ZipFile"): "of an open file",
-    ("sceneloom.formats.recording.zipped", "ZipFile"): "of an open file",
+    ("sceneloom.formats.base.zipped", "ZipFile"): "of an open file",
     ("sceneloom.formats.pandaset.pickles", "gzip.GzipFile"): "of an open file",
     ("sceneloom.formats.video.reader", "av.open"): "after a look whether it is a file",
     ("sceneloom.formats.video.writer", "av.open"): "for writing",

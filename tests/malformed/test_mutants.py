@@ -82,7 +82,7 @@ def test_texts_with_infinite_numbers_and_depths_or_of_other_letters_are_faults_o
                 reader(path)
     root = ALL_DRIVES["nuscenes"](tmp_path)
     (root / "v1.0-mini" / "sensor.json").write_bytes(b'[{"token": "\xe7"}]')
-    with pytest.raises(SceneloomError, match=r"sensor.json: is no JSON"):
+    with pytest.raises(SceneloomError, match=r"sensor.json: line 1, column 13: is no JSON: Invalid UTF-8"):
         open_scene(root)
 
 

@@ -9,6 +9,7 @@ from tests.unit.formats.packets import build
 
 from sceneloom.errors import DataError
 from sceneloom.formats import open_scene
+from sceneloom.formats.messages import ros
 
 COUNT = 300
 POINTS = np.random.default_rng(1).normal(0, 20, (COUNT, 3)).astype(np.float32)
@@ -189,6 +190,52 @@ def test_a_bag_and_a_capture_give_the_same_points(kind, tmp_path):
         for ours, theirs in zip(lidar.frames, same.frames, strict=True):
             assert np.array_equal(ours.points.positions, theirs.points.positions)
             assert np.array_equal(ours.points.timestamps_ns, theirs.points.timestamps_ns)
+
+
+PACKETS = {  # types of packets, by that of their message
+    "velodyne_msgs/msg/VelodyneScan": ("velodyne_msgs/msg/VelodynePacket", 1206, ()),
+    "pandar_msgs/msg/PandarScan": ("pandar_msgs/msg/PandarPacket", 1500, (1262,)),
+    "robosense_msgs/msg/RobosenseScan": ("robosense_msgs/msg/RobosensePacket", 1500, (1248,)),
+}
+
+
+@pytest.mark.parametrize("encoding", ["ros1", "cdr", "cdr of the other order"])
+@pytest.mark.parametrize("name", PACKETS)
+def test_packets_as_they_lie_in_a_message_are_those_that_rosbags_reads_and_cut_ones_are_refused(name, encoding):
+    packet, length, size = PACKETS[name]
+    connection = ros._Connection("/packets", name, "", "", encoding[:4].strip())
+    store = ros._store_of(connection, None)
+    make, rng = store.types, np.random.default_rng(3)
+
+    def content_of(sizes):
+        found = [
+            make[packet](make[ros._TIME](1_700_000_000 + k, 5 * k), rng.integers(0, 256, length, np.uint8), *one)
+            for k, one in enumerate(sizes)
+        ]
+        sequence = (7,) if encoding == "ros1" else ()
+        header = make["std_msgs/msg/Header"](*sequence, make[ros._TIME](1_700_000_001, 12), "top")
+        message = make[name](header, found)
+        if encoding == "ros1":
+            return memoryview(store.serialize_ros1(message, name))
+        return memoryview(store.serialize_cdr(message, name, little_endian=encoding == "cdr"))
+
+    for count in (0, 1, 5):
+        content = content_of([size] * count)
+        (expected,) = ros._packets(ros._parsed(connection, content, None))
+        found = ros._packed_packets(store, connection, content)
+        assert (found.timestamp_ns, found.frame_id) == (expected.timestamp_ns, expected.frame_id)
+        assert [*map(bytes, found.packets)] == [*map(bytes, expected.packets)]
+        if count:
+            assert np.array_equal(found.arrivals_ns, expected.arrivals_ns)
+        for cut in (1, 9, 40, len(content) // 2):
+            with pytest.raises(ros._FAULTS):
+                ros._packed_packets(store, connection, content[: max(len(content) - cut, 0)])
+        with pytest.raises(ValueError, match="bytes behind"):
+            ros._packed_packets(store, connection, memoryview(bytes(content) + bytes(8)))
+    if size:
+        assert ros._packed_packets(store, connection, content_of([(9,), (10,)])) is None  # each by itself
+        with pytest.raises(ValueError, match=f"a packet of {length + 1} bytes, of which {length} are there"):
+            ros._packed_packets(store, connection, content_of([(length + 1,)]))
 
 
 @pytest.mark.parametrize("extra", [0, 1])

@@ -72,12 +72,19 @@ class _MessagePackets:
         """
         found = np.empty((len(rows), self.length), np.uint8)
         into = found.reshape(-1)
-        messages, numbers = self.messages[rows], self.numbers[rows].tolist()
+        messages, numbers = self.messages[rows], self.numbers[rows]
         limits = [0, *(np.flatnonzero(np.diff(messages)) + 1).tolist(), len(rows)]
         for start, stop in pairwise(limits):
             packets = () if start == stop else _read(self.log, self.topic, int(messages[start])).packets
+            if (
+                isinstance(packets, np.ndarray)
+                and packets.shape[1] >= self.length
+                and numbers[start:stop].max() < len(packets)
+            ):
+                found[start:stop] = packets[numbers[start:stop], : self.length]
+                continue
             for row in range(start, stop):
-                packet = packets[numbers[row]] if numbers[row] < len(packets) else memoryview(b"")
+                packet = packets[numbers[row]] if numbers[row] < len(packets) else b""
                 if len(packet) < self.length:
                     problem = f"{len(packet)} bytes in packet {numbers[row]}; expected {self.length}"
                     raise DataError(self.log.name, f"{self.topic.name}[{messages[start]}]", problem)
@@ -222,7 +229,8 @@ def _groups(found: Survey, topic: Topic) -> Iterator[_Group]:
         if record.arrivals_ns is not None and record.timestamp_ns:
             delays_ns = record.arrivals_ns - record.timestamp_ns
         arrivals_ns = settled_ns + np.where(np.abs(delays_ns) < _DELAYED_NS, delays_ns, 0)
-        for number, (packet, arrival_ns) in enumerate(zip(record.packets, arrivals_ns.tolist(), strict=True)):
+        packets = map(memoryview, record.packets)  # type: ignore[arg-type]
+        for number, (packet, arrival_ns) in enumerate(zip(packets, arrivals_ns.tolist(), strict=True)):
             kind = len(packet), robosense.is_state(packet)
             columns = kinds.get(kind)
             if columns is None:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.types import NO_FIELDS
 
@@ -239,13 +239,13 @@ class PacketsRecord:
     Attributes:
         timestamp_ns: of the message [ns]; 0 where it has none.
         frame_id: of the sensor; "" where it is not stated.
-        packets: the bytes of each.
+        packets: the bytes of each; (N, L) uint8 of packets of one length.
         arrivals_ns: (N,) int64 [ns], when they came; None where it is not stated.
     """
 
     timestamp_ns: int
     frame_id: str
-    packets: tuple[memoryview, ...]
+    packets: tuple[memoryview, ...] | UInt8Array
     arrivals_ns: Int64Array | None = None
 
 

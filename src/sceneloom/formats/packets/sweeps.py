@@ -308,8 +308,12 @@ def utc_seconds(dates: UInt8Array) -> Int64Array:
 
     What is no date is 0.
     """
-    distinct, which = np.unique(dates, axis=0, return_inverse=True)
-    return np.array([_second(date) for date in distinct.tolist()], np.int64)[which.ravel()]
+    words = np.zeros((len(dates), 8), np.uint8)
+    words[:, :6] = dates
+    distinct, which = np.unique(words.view(np.int64), return_inverse=True)
+    return np.array([_second(date) for date in distinct.view(np.uint8).reshape(-1, 8)[:, :6].tolist()], np.int64)[
+        which.ravel()
+    ]
 
 
 def _second(date: list[int]) -> int:

@@ -302,8 +302,8 @@ def srr520(bag, *, sync=1, late=0, without=()):
                              "snr": 3}) for k in range(23)]  # fmt: skip
     rows[4] = bits(DETECTION, {"range": 9, "azimuth": 511})
     things = [bits(OBJECT, {"id": 5 + k, "x": 33859, "y": 32767 + 1092 * k, "vx": 9283, "vy": 8191, "ax": 511,
-                            "ay": 1023, "deviations": 546 << 70 | 1, "length": 614, "width": 273, "orientation": 3070, "rcs": 2047,
-                            "score": 15, "life": 300, "rest": 0b101}) for k in range(3)]  # fmt: skip
+                            "ay": 1023, "deviations": 546 << 70 | 1, "length": 614, "width": 273, "orientation": 3070,
+                            "rcs": 2047, "score": 15, "life": 300, "rest": 0b101}) for k in range(3)]  # fmt: skip
     second = EPOCH_NS // 10**9 + late // 10**9
     lists = [
         can_list(NEAR, rows, elements=50, each=10, seconds=second, numbers=(65535, 1000), sync=sync),

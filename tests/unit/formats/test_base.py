@@ -18,8 +18,8 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import ByteStream
 from sceneloom.formats.base.images import EncodedImage, write_depth_image
 from sceneloom.formats.base.json_files import damage_of_json, read_json
-from sceneloom.formats.base.protobuf import enclosed, field_head, varint, wire_fields
 from sceneloom.formats.base.registry import open_scene, write_scene
+from sceneloom.formats.base.wire_formats import enclosed, field_head, varint, wire_fields
 from sceneloom.formats.recording.reader import _MOST_LOCATIONS, _FaultLedger
 from sceneloom.pipeline.redacting import _stripped
 

@@ -1,6 +1,6 @@
-"""What messages of Foxglove's schemas state, whatever their encoding: of protobuf, JSON, ROS 1 or ROS 2.
+"""What messages of Foxglove's schemas state, whatever their encoding: of protobuf, JSON, FlatBuffers, ROS 1 or ROS 2.
 
-Messages are objects with the fields of the schemas; times have `seconds` and `nanos`, or `sec` and `nanosec`.
+Messages are objects with the fields of the schemas; times have `seconds` and `nanos`, or `sec` and `nanosec` or `nsec`.
 
 Source: docs.foxglove.dev, "Message schemas"; package foxglove_msgs of ROS.
 """
@@ -59,7 +59,8 @@ _OTHER_PLOTS = ("arrows", "spheres", "cylinders", "lines", "triangles", "models"
 def _time_ns(timestamp: Any) -> int:
     if hasattr(timestamp, "nanos"):
         return int(timestamp.seconds) * 1_000_000_000 + int(timestamp.nanos)
-    return int(timestamp.sec) * 1_000_000_000 + int(timestamp.nanosec)
+    rest = timestamp.nanosec if hasattr(timestamp, "nanosec") else timestamp.nsec
+    return int(timestamp.sec) * 1_000_000_000 + int(rest)
 
 
 def _head(message: Any) -> tuple[int, str]:
@@ -67,7 +68,7 @@ def _head(message: Any) -> tuple[int, str]:
 
 
 def _states(message: Any, name: str) -> bool:
-    """Whether a message has a field: of protobuf it may be left out."""
+    """Whether a message has a field: of protobuf and FlatBuffers it may be left out."""
     return bool(message.HasField(name)) if hasattr(message, "HasField") else hasattr(message, name)
 
 

@@ -241,6 +241,19 @@ def test_messages_in_json_state_the_same(tmp_path):
         np.testing.assert_allclose(lidar.frames[0].points.positions, POINTS + np.array([1, 0, 0]), atol=1e-5)
 
 
+def test_points_in_a_frame_are_a_trajectory_without_orientations(tmp_path):
+    log = Log()
+    for k in range(3):
+        head = {"timestamp": time(EPOCH_NS + k * PERIOD_NS), "frame_id": "map"}
+        log.add("/prism/position", "Point3InFrame", EPOCH_NS + k * PERIOD_NS, **head, point={"x": k, "y": 2, "z": -1})
+        rows = {"position": {"x": 2 * k}, "orientation": {"w": 1}}
+        log.add("/ego/pose", "PoseInFrame", EPOCH_NS + k * PERIOD_NS, **head, pose=rows)
+    with sceneloom.open(log.saved(tmp_path / "drive.mcap")) as scene:
+        found = scene.trajectories["prism/position"]
+        assert found.positions.tolist() == [[k, 2, -1] for k in range(3)]
+        assert found.quaternions_xyzw is None
+
+
 def decoded(path):
     """Topic, schema and message of a file, as the reference library and Foxglove's classes have them."""
     with path.open("rb") as stream:

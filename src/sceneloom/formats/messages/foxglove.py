@@ -151,6 +151,10 @@ def _poses(message: Any, _: memoryview) -> Iterable[PoseRecord | SampleRecord]:
         yield SampleRecord(head[0], body, values, stated)
 
 
+def _point(message: Any, _: memoryview) -> Iterable[PoseRecord]:
+    yield PoseRecord(*_head(message), vector_of(message.point), None)
+
+
 def _fixes(message: Any, _: memoryview) -> Iterable[FixRecord]:
     for fix in getattr(message, "fixes", [message]):
         covariance = tuple(map(float, fix.position_covariance))
@@ -235,6 +239,7 @@ READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "PoseInFrame": (Kind.POSE, _poses),
         "PosesInFrame": (Kind.POSE, _poses),
         "Odometry": (Kind.POSE, _poses),
+        "Point3InFrame": (Kind.POSE, _point),
         "LocationFix": (Kind.FIX, _fixes),
         "LocationFixes": (Kind.FIX, _fixes),
         "SceneUpdate": (Kind.BOXES_3D, _boxes_3d),

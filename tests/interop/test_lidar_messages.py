@@ -374,6 +374,33 @@ def test_lists_of_an_srr520_with_missing_packets_or_without_a_clock_are_reported
     assert codes["packets-unusable"] == 3
 
 
+def test_the_last_grid_of_a_topic_in_a_fixed_frame_is_a_map_and_one_that_moves_is_reported(tmp_path):
+    with Bag(tmp_path / "bag", "SQLITE3") as bag:
+        bag.transform("/tf_static", EPOCH_NS, "base_link", "top", (0, 0, 2))
+        bag.transform("/tf_static", EPOCH_NS, "map", "site", (100, 0, 0))
+        for k in range(3):
+            stamp = EPOCH_NS + k * PERIOD_NS
+            bag.transform("/tf", stamp, "map", "base_link", (5 * k, 0, 0))
+            bag.cloud("/points", stamp, "top", table_of([*XYZI, ("t", "u4")], "t", OFFSETS_NS, "<"))
+            time = bag.header(stamp, "").stamp
+            for topic, frame, corner in (("/map", "site", (10, 20, 1)), ("/costmap", "base_link", (0, 0, 0))):
+                # turned by 90 degrees: columns along y, rows against x
+                info = bag.make(
+                    "nav_msgs/msg/MapMetaData", time, 0.5, 3, 2, bag.pose(corner, (0, 0, 0.5**0.5, 0.5**0.5))
+                )
+                cells = np.array([0, 100, -1, 40, 101, k], np.int8)
+                bag.send(topic, "nav_msgs/msg/OccupancyGrid", stamp, frame, info, cells)
+    with open_scene(bag.path) as scene:
+        (cloud,) = (one for one in scene.sensors if one.type == "points")
+        assert cloud.id == "map"
+        expected = [[109.75, 20.25, 1], [109.75, 20.75, 1], [109.25, 20.25, 1], [109.25, 21.25, 1]]
+        np.testing.assert_allclose(cloud.positions, expected, atol=1e-5)
+        assert cloud.colors[:, 0].tolist() == [255, 0, 153, 250]
+        codes = {one.code: (one.location.rpartition(": ")[2], one.count) for one in scene.warnings}
+    assert codes["grids-replaced"] == ("/map", 2)
+    assert codes["grids-moving"] == ("/costmap", 3)
+
+
 def test_texts_of_others_and_packets_of_unknown_sensors_are_listed(tmp_path):
     other = json.dumps({"beam_altitude_angles": []})
     with Bag(tmp_path / "other", "MCAP") as bag:

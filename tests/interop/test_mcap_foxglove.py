@@ -241,6 +241,25 @@ def test_messages_in_json_state_the_same(tmp_path):
         np.testing.assert_allclose(lidar.frames[0].points.positions, POINTS + np.array([1, 0, 0]), atol=1e-5)
 
 
+def test_a_grid_is_a_map_with_the_colours_that_it_states(tmp_path):
+    fields = [{"name": name, "offset": k, "type": 1} for k, name in enumerate(("red", "green", "blue"))]
+    cells = np.zeros((2, 40), np.uint8)
+    cells[:, :36].reshape(2, 3, 12)[..., :3] = RGB[:2, :3]
+    grid = {"column_count": 3, "cell_size": {"x": 2, "y": 0.5}, "row_stride": 40, "cell_stride": 12}
+    head = {"timestamp": time(EPOCH_NS), "frame_id": "map", "pose": {"position": {"x": -1}, "orientation": {"w": 1}}}
+    for names, colors in ((fields, RGB[:2, :3].reshape(-1, 3)), (fields[:2], None)):
+        log = Log()
+        log.add("/grid", "Grid", EPOCH_NS, **head, **grid, fields=names, data=cells.tobytes())
+        with sceneloom.open(log.saved(tmp_path / "drive.mcap")) as scene:
+            (found,) = scene.sensors
+            assert found.positions.tolist() == [[2 * x, 0.25 + 0.5 * y, 0] for y in range(2) for x in range(3)]
+            assert (found.colors is None) if colors is None else np.array_equal(found.colors, colors)
+    log = Log()
+    log.add("/grid", "Grid", EPOCH_NS, **head, **{**grid, "row_stride": 35}, fields=fields, data=cells.tobytes())
+    with pytest.raises(DataError, match=r"/grid\[0\].*3 columns of 12 bytes in rows of 35"):
+        sceneloom.open(log.saved(tmp_path / "drive.mcap"))
+
+
 def test_points_in_a_frame_are_a_trajectory_without_orientations(tmp_path):
     log = Log()
     for k in range(3):

@@ -25,6 +25,7 @@ from sceneloom.formats.messages.records import (
     CloudRecord,
     CompressedImageRecord,
     FixRecord,
+    GridRecord,
     ImageRecord,
     Kind,
     PackedCloudRecord,
@@ -32,6 +33,7 @@ from sceneloom.formats.messages.records import (
     PoseRecord,
     SampleRecord,
     TransformRecord,
+    grid_positions,
     rotation_of,
     vector_of,
 )
@@ -108,6 +110,23 @@ def _cloud(message: Any, data: memoryview) -> Iterable[CloudRecord]:
 
 def _packed_cloud(message: Any, data: memoryview) -> Iterable[PackedCloudRecord]:
     yield PackedCloudRecord(*_head(message), str(message.format), data, frame_from_points=_placed(message))
+
+
+def _grid(message: Any, data: memoryview) -> Iterable[GridRecord]:
+    """A grid, whose cells have the colours that they state."""
+    stride, row_stride = int(message.cell_stride), int(message.row_stride)
+    columns = int(message.column_count)
+    if not 0 < stride * columns <= row_stride:
+        raise ValueError(f"{columns} columns of {stride} bytes in rows of {row_stride}; expected longer rows")
+    count = len(data) // row_stride
+    table = np.frombuffer(data, np.uint8, count * row_stride).reshape(count, row_stride)[:, : columns * stride]
+    cells = table.reshape(count * columns, stride)
+    offsets = {str(one.name): int(one.offset) for one in message.fields if POINT_TYPES.get(int(one.type)) == "u1"}
+    found = [offsets.get(name, stride) for name in ("red", "green", "blue")]
+    colors = cells[:, found] if max(found) < stride else None
+    rows, across = np.divmod(np.arange(len(cells)), columns)
+    size = float(message.cell_size.x), float(message.cell_size.y)
+    yield GridRecord(*_head(message), grid_positions(across, rows, size, message.pose), colors)
 
 
 def _scan(message: Any, _: memoryview) -> Iterable[CloudRecord]:
@@ -232,6 +251,7 @@ READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "PointCloud": (Kind.CLOUD, _cloud),
         "CompressedPointCloud": (Kind.CLOUD, _packed_cloud),
         "LaserScan": (Kind.CLOUD, _scan),
+        "Grid": (Kind.GRID, _grid),
         "RawImage": (Kind.IMAGE, _image),
         "CompressedImage": (Kind.COMPRESSED_IMAGE, _compressed_image),
         "CompressedVideo": (Kind.VIDEO, _compressed_image),

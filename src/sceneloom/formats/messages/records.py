@@ -30,9 +30,10 @@ class Kind(StrEnum):
     NOTES = "notes"
     PACKETS = "packets"
     DESCRIPTION = "description"
+    GRID = "grid"
 
 
-LARGE = frozenset({Kind.CLOUD, Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO, Kind.PACKETS})
+LARGE = frozenset({Kind.CLOUD, Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO, Kind.PACKETS, Kind.GRID})
 """Kinds whose messages are read one by one, when they are asked for."""
 
 
@@ -250,6 +251,23 @@ class PacketsRecord:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GridRecord:
+    """The cells of a grid whose values are known.
+
+    Attributes:
+        timestamp_ns: of the message [ns].
+        frame_id: of the grid.
+        positions: (N, 3) float64 [m], the middles of the cells.
+        colors: (N, 3) uint8, or None where their values are none.
+    """
+
+    timestamp_ns: int
+    frame_id: str
+    positions: Float64Array
+    colors: UInt8Array | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class NotesRecord:
     """What a scene holds that no message has a field for, or a sensor says of itself, as JSON."""
 
@@ -270,6 +288,7 @@ AnyRecord = (
     | Boxes3DRecord
     | Boxes2DRecord
     | PacketsRecord
+    | GridRecord
     | NotesRecord
 )
 
@@ -341,6 +360,23 @@ Stated = tuple[str, AnyRecord]
 def vector_of(vector: Any) -> Float64Array:
     """(3,) float64 of the x, y and z of a message."""
     return np.array([vector.x, vector.y, vector.z])
+
+
+def grid_positions(columns: Int64Array, rows: Int64Array, cell: tuple[float, float], pose: Any) -> Float64Array:
+    """The middles of cells of a grid, (N, 3) float64 [m], by the pose of its corner.
+
+    Args:
+        columns, rows: (N,) int64, along x and y.
+        cell: size of a cell along x and y [m].
+        pose: `position` and `orientation` of a message.
+    """
+    flat = np.stack(((columns + 0.5) * cell[0], (rows + 0.5) * cell[1], np.zeros(len(rows))), axis=1)
+    position, quaternion = vector_of(pose.position), rotation_of(pose.orientation)
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(quaternion)
+    turned = 0 < length < np.inf
+    corner = RigidTransform.from_quaternion(position, quaternion) if turned else RigidTransform(np.eye(3), position)
+    return corner.apply(flat)
 
 
 def rotation_of(quaternion: Any) -> Float64Array:

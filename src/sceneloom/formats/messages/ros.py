@@ -46,6 +46,7 @@ from sceneloom.formats.messages.records import (
     CompressedImageRecord,
     Dialect,
     FixRecord,
+    GridRecord,
     ImageRecord,
     Kind,
     NotesRecord,
@@ -56,6 +57,7 @@ from sceneloom.formats.messages.records import (
     SampleRecord,
     Topic,
     TransformRecord,
+    grid_positions,
     rotation_of,
     vector_of,
 )
@@ -1190,6 +1192,24 @@ def _packets(message: Any) -> Sequence[PacketsRecord]:
     return [PacketsRecord(*head, tuple(found), stamped)]
 
 
+def _grid(message: Any) -> Sequence[GridRecord]:
+    """A map of what is occupied, by 0 to 100; cells that are unknown are left out."""
+    info, values = message.info, np.asarray(message.data, np.int8)
+    width, height = int(info.width), int(info.height)
+    if len(values) != width * height:
+        raise ValueError(f"{len(values)} cells; expected {width} x {height}")
+    known = np.flatnonzero((values >= 0) & (values <= _OCCUPIED))
+    rows, columns = np.divmod(known, max(width, 1))
+    grey = np.rint(255.0 - 255.0 / _OCCUPIED * values[known]).astype(np.uint8)
+    size = float(info.resolution), float(info.resolution)
+    return [
+        GridRecord(*_head(message), grid_positions(columns, rows, size, info.origin), np.stack((grey,) * 3, axis=1))
+    ]
+
+
+_OCCUPIED = 100
+
+
 def _packed_cloud(message: Any) -> Sequence[PackedCloudRecord]:
     """Compressed points, whose layout is that of the points before; `format` was a truth value in old definitions."""
     data, message.data = message.compressed_data, message.compressed_data[:0]
@@ -1410,6 +1430,7 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         **{f"{_FOXGLOVE}{name}": (kind, partial(_foxglove, read)) for name, (kind, read) in READERS.items()},
         "sensor_msgs/msg/CameraInfo": (Kind.CAMERA_MODEL, _camera_model),
         "nav_msgs/msg/Odometry": (Kind.POSE, _odometry),
+        "nav_msgs/msg/OccupancyGrid": (Kind.GRID, _grid),
         "geometry_msgs/msg/TwistStamped": (Kind.SAMPLE, _twist),
         "geometry_msgs/msg/TwistWithCovarianceStamped": (Kind.SAMPLE, _twist),
         "geometry_msgs/msg/PoseStamped": (Kind.POSE, _pose),

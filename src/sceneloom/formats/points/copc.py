@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from sceneloom.arrays import AnyArray, Float64Array, Int64Array
+from sceneloom.formats.base.files import open_file
 
 _CELLS_BITS = 7  # a cube has 128 cells along each axis
 _LEAF = 50_000  # points of a cube that is not split further, at most
@@ -30,11 +31,11 @@ Key = tuple[int, int, int, int]  # level, x, y, z
 def write_copc(source: Path, target: Path) -> None:
     """Write the points of a LAS 1.4 file of point format 6, 7 or 8, with equal steps on all axes, as COPC.
 
-    Memory grows with the number of cubes, not of points; what waits is kept beside the target, once over.
+    Memory grows with the number of cubes, not of points; what waits is kept beside the target, twice over at most.
     """
     import laspy
 
-    with laspy.open(str(source)) as file, target.open("x+b") as stream:
+    with open_file(source) as content, laspy.open(content, closefd=False) as file, target.open("x+b") as stream:
         header = file.header.copy()
         octree = _Octree.around(header, stream, target.parent)
         octree.place((0, 0, 0, 0), (chunk.array for chunk in file.chunk_iterator(_CHUNK)), header.point_count)
@@ -61,9 +62,10 @@ class _Octree:
         import laspy
         import lazrs
 
-        corner = np.rint((header.mins - header.offsets) / header.scales).astype(np.int64) if header.point_count else 0
-        extent = np.rint((header.maxs - header.mins) / header.scales) if header.point_count else 0
-        bits = max(_CELLS_BITS, int(np.max(extent)).bit_length())
+        ends = np.zeros((2, 3), np.int64)
+        if header.point_count:
+            ends = np.rint((np.stack([header.mins, header.maxs]) - header.offsets) / header.scales).astype(np.int64)
+        bits = max(_CELLS_BITS, int((ends[1] - ends[0]).max()).bit_length())
         form = header.point_format
         packing = lazrs.LazVlr.new_for_compression(form.id, form.num_extra_bytes, use_variable_size_chunks=True)
         header.are_points_compressed = True
@@ -72,7 +74,7 @@ class _Octree:
         header.vlrs.append(laspy.vlrs.known.LasZipVlr(packing.record_data()))
         header.write_to(stream)
         packer = lazrs.LasZipCompressor(stream, packing)
-        return cls(header, stream, folder, np.broadcast_to(np.int64(corner), 3), bits, packing, packer)
+        return cls(header, stream, folder, ends[0], bits, packing, packer)
 
     def place(self, key: Key, parts: Iterator[AnyArray], count: int) -> None:
         """Write the points of a cube (records of the file, in parts): those that it keeps, then its eighths."""
@@ -99,10 +101,8 @@ class _Octree:
         self._write(key, kept)
         del taken, first, kept
         for octant, waiting in enumerate(eighths):
-            if waiting.count:
-                x, y, z = (2 * key[k + 1] + (octant >> k & 1) for k in range(3))
-                self.place((level + 1, x, y, z), waiting.parts(), waiting.count)
-            waiting.close()
+            x, y, z = (2 * key[k + 1] + (octant >> k & 1) for k in range(3))
+            self.place((level + 1, x, y, z), waiting.parts(), waiting.count)
 
     def _within(self, points: AnyArray, shift: int, bits: int) -> Int64Array:
         """Number of the cell of each point, (N,): `bits` of each axis, x lowest."""
@@ -164,12 +164,9 @@ class _Waiting:
         self.count += len(points)
 
     def parts(self) -> Iterator[AnyArray]:
-        """All points, in parts."""
+        """All points, in parts; they wait no longer."""
         self._file.seek(0)
         size = 0 if self._dtype is None else self._dtype.itemsize
         while content := self._file.read(_CHUNK * size):
             yield np.frombuffer(content, self._dtype)
-
-    def close(self) -> None:
-        """Let them go."""
         self._file.close()

@@ -81,6 +81,48 @@ def test_velodyne_returns_lie_and_were_measured_where_and_when_the_manuals_say(k
     assert survey.phases[0, 0] == pytest.approx(0.99722, abs=1e-5)
 
 
+@pytest.mark.parametrize(("dual", "own_azimuths"), [(False, False), (False, True), (True, False)])
+def test_vls_128_fires_four_banks_of_32_lasers_eight_at_a_time(dual, own_azimuths):
+    # 3 firings of 4 banks, or one with two returns of each bank and four blocks that hold nothing; 10 turns a second
+    banks = [0, 0, 1, 1, 2, 2, 3, 3] if dual else [0, 1, 2, 3] * 3
+    flags = tuple((0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF)[bank] for bank in banks) + (0xFFFF,) * (12 - len(banks))
+    speed = 0.36  # 0.01 degree / µs, as 10 turns a second have it
+    packets, expected = [], []
+    decoder = velodyne.decoder_of("vls-128", None)
+    for number in range(2):
+        time_us = 1_000_000 + number * round(53.3 * (1 if dual else 3))
+        distances, intensities = values(12, 32)
+        azimuths = [0] * 12
+        for block, bank in enumerate(banks):
+            firing = 0 if dual else block // 4
+            started_us = 53.3 * firing + (2.665 * (4 * bank + bank // 2) if own_azimuths else 0)
+            azimuths[block] = round(35_000 + speed * (time_us - 1_000_000 + started_us))
+            for channel in range(32):
+                metres, laser = distances[block][channel] * 0.004, 32 * bank + channel
+                second = dual and block % 2
+                pair = [(one[block - second][channel], one[block][channel]) for one in (distances, intensities)]
+                if not metres or (second and all(a == b for a, b in pair)):
+                    continue
+                after_us = 53.3 * firing + 2.665 * (laser // 8 + laser // 64)
+                spread = (635.4, 454.8, 273.2, 91.1, -91.1, -273.2, -454.8, -635.4)[laser % 8]
+                azimuth = math.radians((azimuths[block] + speed * (after_us - started_us) + spread) / 100)
+                elevation = decoder._lasers[laser, 1]
+                level = metres * math.cos(elevation)
+                row = (level * math.cos(azimuth), -level * math.sin(azimuth), metres * math.sin(elevation))
+                time_ns = 1000 * time_us + 1000 + round((after_us - 8.7) * 1000)
+                expected.append((*row, time_ns, laser, intensities[block][channel], 1 + second))
+        mode = 0x39 if dual else 0x37
+        packets.append(
+            build.velodyne(azimuths, distances, intensities, time_us=time_us, mode=mode, product=0xA1, flags=flags)
+        )
+    assert velodyne.recognise(np.frombuffer(packets[0], np.uint8)[None]) == "vls-128"
+    survey, points = decoded(decoder, *packets)
+    order = np.argsort(np.argsort(decoder._lasers[:, 1], kind="stable"), kind="stable")
+    assert sorted(np.rad2deg(decoder._lasers[:, 1]).round(3))[:2] == [-25.0, -19.582]
+    agree(points, [(*row[:4], order[row[4]], *row[5:]) for row in expected], tolerance=0.03)
+    assert survey.phases.max() < 1
+
+
 def test_velodyne_models_are_told_by_the_packet_and_hdl_64e_need_their_calibration(tmp_path):
     distances, intensities = values(12, 32)
     for key, product in (("vlp-16", 0x22), ("puck-hi-res", 0x24), ("hdl-32e", 0x21), ("vlp-32c", 0x28)):

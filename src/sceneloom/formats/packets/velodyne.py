@@ -5,7 +5,8 @@ are counted from the lowest laser up.
 
 Source: VLP-16 User Manual 63-9243 Rev. E, HDL-32E Application Note 63-9277 Rev. D, VLP-32C User Manual 63-9325 Rev. B,
 HDL-64E S2 and S3 User's Manuals: packet formats, firing timings, vertical angles, appendix "two-point correction". For
-VLS-128 (Alpha Prime) the constants of the ROS driver (banks, 53.3, 2.665 and 8.7 µs) and VeloView's calibration.
+VLS-128 (Alpha Prime) VeloView's calibration, and banks and timings of velodyne-decoder 3.1 (57.8, 2.89, 7 µs); those of
+the ROS driver (53.3, 2.665, 8.7 µs) are another 9 µs at most.
 """
 
 import re
@@ -92,7 +93,7 @@ _VLS_ELEVATIONS = (
     *(-5.84, -0.45, 8.43, -2.87, 2.52, -6.17, -1.66, 3.73, -4.96, 0.43),
 )
 _VLS_AZIMUTHS = (6.354, 4.548, 2.732, 0.911, -0.911, -2.732, -4.548, -6.354) * 16
-_VLS_US = tuple(2.665 * (k // 8 + k // 64) - 8.7 for k in range(128))  # eight at a time, with a pause in the middle
+_VLS_US = tuple(2.89 * (k // 8 + 2 * (k // 64)) - 7.0 for k in range(128))  # eight at a time, with a pause after 64
 
 MODELS: Mapping[str, _Model] = MappingProxyType(
     {
@@ -108,7 +109,7 @@ MODELS: Mapping[str, _Model] = MappingProxyType(
             "VLP-32C", 0x28, _VLP32_ELEVATIONS, _VLP32_AZIMUTHS, 0.0424, 0.004,
             tuple(2.304 * (k // 2) for k in range(32)), 55.296,
         ),
-        "vls-128": _Model("VLS-128", 0xA1, _VLS_ELEVATIONS, _VLS_AZIMUTHS, 0.0, 0.004, _VLS_US, 53.3, banks=4),
+        "vls-128": _Model("VLS-128", 0xA1, _VLS_ELEVATIONS, _VLS_AZIMUTHS, 0.05863, 0.004, _VLS_US, 57.8, banks=4),
         "hdl-64e-s2": _Model("HDL-64E S2", None, (), (), 0.0, 0.002, _S2_US, 48.0, banks=2),
         "hdl-64e-s3": _Model("HDL-64E S3", None, (), (), 0.0, 0.002, _S3_US, 57.6, banks=2),
     }

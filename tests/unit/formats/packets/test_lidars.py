@@ -90,12 +90,12 @@ def test_vls_128_fires_four_banks_of_32_lasers_eight_at_a_time(dual, own_azimuth
     packets, expected = [], []
     decoder = velodyne.decoder_of("vls-128", None)
     for number in range(2):
-        time_us = 1_000_000 + number * round(53.3 * (1 if dual else 3))
+        time_us = 1_000_000 + number * round(57.8 * (1 if dual else 3))
         distances, intensities = values(12, 32)
         azimuths = [0] * 12
         for block, bank in enumerate(banks):
             firing = 0 if dual else block // 4
-            started_us = 53.3 * firing + (2.665 * (4 * bank + bank // 2) if own_azimuths else 0)
+            started_us = 57.8 * firing + (2.89 * (4 * bank + bank // 2 * 2) if own_azimuths else 0)
             azimuths[block] = round(35_000 + speed * (time_us - 1_000_000 + started_us))
             for channel in range(32):
                 metres, laser = distances[block][channel] * 0.004, 32 * bank + channel
@@ -103,13 +103,17 @@ def test_vls_128_fires_four_banks_of_32_lasers_eight_at_a_time(dual, own_azimuth
                 pair = [(one[block - second][channel], one[block][channel]) for one in (distances, intensities)]
                 if not metres or (second and all(a == b for a, b in pair)):
                     continue
-                after_us = 53.3 * firing + 2.665 * (laser // 8 + laser // 64)
+                after_us = 57.8 * firing + 2.89 * (laser // 8 + laser // 64 * 2)
                 spread = (635.4, 454.8, 273.2, 91.1, -91.1, -273.2, -454.8, -635.4)[laser % 8]
                 azimuth = math.radians((azimuths[block] + speed * (after_us - started_us) + spread) / 100)
                 elevation = decoder._lasers[laser, 1]
                 level = metres * math.cos(elevation)
-                row = (level * math.cos(azimuth), -level * math.sin(azimuth), metres * math.sin(elevation))
-                time_ns = 1000 * time_us + 1000 + round((after_us - 8.7) * 1000)
+                row = (
+                    level * math.cos(azimuth),
+                    -level * math.sin(azimuth),
+                    metres * math.sin(elevation) - 0.05863 * math.tan(elevation),
+                )
+                time_ns = 1000 * time_us + 1000 + round((after_us - 7) * 1000)
                 expected.append((*row, time_ns, laser, intensities[block][channel], 1 + second))
         mode = 0x39 if dual else 0x37
         packets.append(

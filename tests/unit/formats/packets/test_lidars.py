@@ -148,15 +148,15 @@ def test_velodyne_models_are_told_by_the_packet_and_hdl_64e_need_their_calibrati
 
 
 @pytest.mark.parametrize("mode", [0x37, 0x39])
-@pytest.mark.parametrize("key", ["pandar40p", "xt32m", "qt64"])
+@pytest.mark.parametrize("key", ["pandar40p", "pandar64", "xt16", "xt32", "xt32m", "qt64"])
 def test_hesai_returns_lie_and_were_measured_where_and_when_the_manuals_say(key, mode, tmp_path):
     model = hesai.MODELS[key]
     blocks, channels = model.blocks, model.channels
     distances, intensities = values(blocks, channels)
     returns = 2 if mode == 0x39 else 1
     azimuths = [1000 + 20 * (k // returns) for k in range(blocks)]
-    make = build.hesai_40p if key == "pandar40p" else build.hesai
-    unit = {"pandar40p": 4, "xt32m": 5, "qt64": 4}[key]
+    make = {"pandar40p": build.hesai_40p, "pandar64": build.hesai_64}.get(key, build.hesai)
+    unit = 5 if key in ("xt32m", "pandar64") else 4
     how = {} if key == "pandar40p" else {"unit_mm": unit}
     packet = make(azimuths, distances, intensities, time_us=250_000, mode=mode, **how)
     elevations, offsets = RNG.uniform(-25, 20, channels).round(3), RNG.uniform(-5, 5, channels).round(3)
@@ -170,9 +170,12 @@ def test_hesai_returns_lie_and_were_measured_where_and_when_the_manuals_say(key,
             back = (blocks - 1 - block) // returns
             after = {
                 "pandar40p": -28.58 - 55.56 * back,
+                "pandar64": -42.58 - 55.56 * back,
+                "xt16": 5.632 - 50 * back + 0.368 + 3.024 * channel,
+                "xt32": 5.632 - 50 * back + 0.368 + 1.512 * channel,
                 "xt32m": 5.632 - 50 * back + 0.368 + 2.888 * (channel % 16),
                 "qt64": 25.71 + 500 / 3 * (block // returns),
-            }[key] + (0 if key == "xt32m" else model.channel_us[channel])
+            }[key] + (0 if key.startswith("xt") else model.channel_us[channel])
             azimuth = math.radians(azimuths[block] / 100 + offsets[channel])
             elevation, metres = math.radians(elevations[channel]), distances[block][channel] * unit / 1000
             level = metres * math.cos(elevation)
@@ -183,6 +186,40 @@ def test_hesai_returns_lie_and_were_measured_where_and_when_the_manuals_say(key,
     _, points = decoded(hesai.decoder_of(key, tmp_path / "a.csv"), packet)
     agree(points, expected)
     assert len(decoded(hesai.decoder_of(key, None), packet)[1]) == len(points)  # by the manual's angles
+
+
+@pytest.mark.parametrize(("mode", "fine"), [(0x37, False), (0x37, True), (0x39, False)])
+def test_ot128_fires_its_channels_in_another_order_in_high_resolution(mode, fine, tmp_path):
+    distances, intensities = values(2, 128)
+    elevations, offsets = RNG.uniform(-25, 15, 128).round(3), RNG.uniform(-5, 5, 128).round(3)
+    lines = [f"{k + 1},{elevations[k]},{offsets[k]}" for k in range(128)]
+    (tmp_path / "a.csv").write_text("\n".join(["Laser id,Elevation,Azimuth", *lines]))
+    dual = mode == 0x39
+    packet = build.hesai_ot128(
+        [35_990, 35_990 if dual else 10], distances, intensities, time_us=5, mode=mode, fine=fine
+    )
+    model, expected = hesai.MODELS["ot128"], []
+    assert (model.channel_us[0], model.channel_us[127], model.fine_us[0], model.fine_us[39]) == (
+        49.758,
+        30.156,
+        21.98,
+        0,
+    )
+    for block in range(2):
+        for channel in range(128):
+            azimuth = math.radians(([35_990, 35_990 if dual else 10][block]) / 100 + offsets[channel])
+            elevation, metres = math.radians(elevations[channel]), distances[block][channel] * 0.004
+            level = metres * math.cos(elevation)
+            after = 43.346 - (0 if dual else 55.556 * (1 - block))
+            after += (model.fine_us if fine else model.channel_us)[channel]
+            time = 1_700_000_000_000_006_000 + round(after * 1000)
+            row = (level * math.sin(azimuth), level * math.cos(azimuth), metres * math.sin(elevation), time, channel)
+            if metres:
+                expected.append((*row, intensities[block][channel], 1 + (dual and block)))
+    assert hesai.recognise(np.frombuffer(packet, np.uint8)[None]) == "ot128"
+    agree(decoded(hesai.decoder_of("ot128", tmp_path / "a.csv"), packet)[1], expected)
+    with pytest.raises(DataError, match="expected the angles of this OT128"):
+        hesai.decoder_of("ot128", None)
 
 
 def test_at128_angles_are_twice_those_of_its_mirror_and_adjusted_by_its_file(tmp_path):

@@ -131,30 +131,35 @@ def at_correction(starts, azimuths, elevations, azimuth_steps, elevation_steps):
     return head + b"".join(integers) + azimuth_steps.astype("i1").tobytes() + elevation_steps.astype("i1").tobytes()
 
 
-def robosense(azimuths, distances, intensities, *, time_us, seconds=1_700_000_000):
-    """An MSOP packet: 12 blocks of 32."""
-    head = (
-        b"\x55\xaa\x05\x5a" + bytes(16) + seconds.to_bytes(6, "big") + struct.pack(">I", time_us) + b"\x06" + bytes(11)
-    )
-    content = b""
+def robosense(azimuths, distances, intensities, *, time_us, seconds=1_700_000_000, kind=None, calendar=None):
+    """An MSOP packet: 12 blocks of 32; of the older form with a type; with a date, or the newer one's time."""
+    head = b"\x55\xaa\x05\x5a" + bytes(16) if kind is None else b"\x55\xaa\x05\x0a\x5a\xa5\x50\xa0" + bytes(12)
+    if calendar is None:
+        head += seconds.to_bytes(6, "big") + struct.pack(">I", time_us)
+    else:
+        head += bytes(calendar) + struct.pack(">HH", *divmod(time_us, 1000))
+    content = (head + bytes((6 if kind is None else kind,))).ljust(42, b"\0")
     for k in range(12):
         content += b"\xff\xee" + struct.pack(">H", azimuths[k])
         content += b"".join(struct.pack(">HB", d, i) for d, i in zip(distances[k], intensities[k], strict=True))
-    return head + content + bytes(6)
+    return content + bytes(6)
 
 
-def robosense_state(elevations_deg, azimuths_deg):
-    """A DIFOP packet with the angles of 16 lasers."""
+def robosense_state(elevations_deg, azimuths_deg, *, mode=4):
+    """A DIFOP packet with the angles of 16 or 32 lasers; those of an RS-LiDAR-16 lie elsewhere, without azimuths."""
 
     def angles(values):
-        return b"".join(struct.pack(">BH", value < 0, round(abs(value) * 100)) for value in values).ljust(96, b"\0")
+        return b"".join(struct.pack(">BH", int(value < 0), round(abs(value) * 100)) for value in values).ljust(
+            96, b"\0"
+        )
 
-    return (
-        b"\xa5\xff\x00\x5a\x11\x11\x55\x55".ljust(468, b"\0")
-        + angles(elevations_deg)
-        + angles(azimuths_deg)
-        + bytes(588)
-    )
+    packet = bytearray(b"\xa5\xff\x00\x5a\x11\x11\x55\x55".ljust(1248, b"\0"))
+    packet[300] = mode
+    if azimuths_deg is None:
+        packet[1165:1213] = b"".join(round(abs(one) * 10_000).to_bytes(3, "big") for one in elevations_deg)
+    else:
+        packet[468:660] = angles(elevations_deg) + angles(azimuths_deg)
+    return bytes(packet)
 
 
 def ouster_metadata(path: Path, *, profile="RNG15_RFL8_NIR8", rows=4, columns=64, per_packet=16, **more):

@@ -256,31 +256,75 @@ def test_at128_angles_are_twice_those_of_its_mirror_and_adjusted_by_its_file(tmp
         hesai.decoder_of("at128", tmp_path / "a.dat")
 
 
+ROBOSENSE = {  # step and origin [m], µs of a block, when a channel is fired, type of the older form
+    "helios-16p": (0.0025, 0.03498, 0.0, 55.56, lambda k: 1.73 * k, None),
+    "helios": (0.0025, 0.03498, 0.0, 55.56, lambda k: 1.73 * k, None),
+    "bpearl": (0.005, 0.01473, 0.09427, 55.52, lambda k: 2.56 * (k % 16) + 1.28 * (k // 16) + 5.2 * (k // 8 % 2), 3),
+    "bpearl-v4": (0.0025, 0.01619, 0.09571, 55.56, lambda k: 1.66783 * k, 3),
+    "rs-16": (0.005, 0.03825, 0.0, 111.0, lambda k: 2.8 * (k % 16) + 55.5 * (k // 16), 1),
+    "rs-32": (0.005, 0.03997, 0.0, 55.52, lambda k: 2.88 * (k % 16) + 1.44 * (k // 16 + (k % 16 == 15)), 2),
+}
+
+
 @pytest.mark.parametrize("dual", [False, True])
-def test_robosense_returns_lie_where_the_manual_says_by_the_angles_of_a_state_packet(dual):
+@pytest.mark.parametrize("key", ROBOSENSE)
+def test_robosense_returns_lie_where_the_manual_says_by_the_angles_of_a_state_packet(key, dual):
+    step_m, radius, height, block_us, fired_us, kind = ROBOSENSE[key]
+    lasers = 16 if key in ("helios-16p", "rs-16") else 32
+    # with two returns blocks come in pairs, but those of 16 lasers hold both
+    halves, apart = dual and lasers == 16, 2 if dual and lasers == 32 else 1
     distances, intensities = values(12, 32)
-    azimuths = [3000 + 20 * (k // 2 if dual else k) for k in range(12)]
-    packet = build.robosense(azimuths, distances, intensities, time_us=123)
-    elevations = [14.94, 13.03, 10.92, 8.9, 6.96, 5.46, 3.98, 2.67, 1.33, 0, -1.33, -2.67, -3.96, -5.23, -6.63, -8.01]
-    offsets = [(-1) ** (k + 1) * 3.9 for k in range(16)]
-    state = np.frombuffer(build.robosense_state(elevations, offsets), np.uint8)
+    if key == "helios-16p":  # by which those of 16 lasers are told
+        distances[:, 16:] = np.where(RNG.random((12, 16)) < 0.8, distances[:, :16] + 1, distances[:, 16:])
+        intensities[:, 16:] = np.where(RNG.random((12, 16)) < 0.3, intensities[:, :16], intensities[:, 16:])
+        distances[0, 16:], intensities[0, 16:] = distances[0, :16], intensities[0, :16]
+    turn = 20 * (1 if halves else 2 if key == "rs-16" else 1)
+    azimuths = [3000 + turn * (k // apart) for k in range(12)]
+    block_us /= 1 + halves
+    calendar = (23, 11, 14, 22, 13, 20) if key in ("bpearl", "rs-16", "rs-32") else None
+    packet = build.robosense(azimuths, distances, intensities, time_us=123_456, kind=kind, calendar=calendar)
+    elevations = np.round(RNG.permutation(np.linspace(-16, 15, lasers)), 2)
+    offsets = np.round(RNG.uniform(-5, 5, lasers), 2)
+    if key == "rs-16":
+        elevations, offsets = np.array([*range(-15, 0, 2), *range(15, 0, -2)], float), np.zeros(16)
+    mode = 0 if dual else 4
+    state = build.robosense_state(elevations.tolist(), None if key == "rs-16" else offsets.tolist(), mode=mode)
+    state = np.frombuffer(state, np.uint8)
     assert robosense.states(state[None]).tolist() == [True]
-    expected = []
+    recognised = robosense.recognise(np.frombuffer(packet, np.uint8)[None])
+    assert recognised == key
+    rings, expected = np.argsort(np.argsort(elevations)), []
     for block in range(12):
         for channel in range(32):
-            metres, laser = distances[block][channel] * 0.0025, channel % 16
-            turned = math.radians((azimuths[block] + 20 * 1.73 * channel / 55.56) / 100)
+            metres, laser = distances[block][channel] * step_m, channel % lasers
+            second = channel // 16 if halves else apart - 1 and block % 2
+            other = (block, channel - 16) if halves else (block - 1, channel)
+            if not metres or (second and all(one[block][channel] == one[other] for one in (distances, intensities))):
+                continue
+            after = fired_us(channel % 16 if halves else channel)
+            turned = math.radians((azimuths[block] + turn * after / block_us) / 100)
             azimuth, elevation = turned + math.radians(offsets[laser]), math.radians(elevations[laser])
             level = metres * math.cos(elevation)
-            x = level * math.cos(azimuth) + 0.03498 * math.cos(turned)
-            y = -level * math.sin(azimuth) - 0.03498 * math.sin(turned)
-            time = 1_700_000_000_000_123_000 + 1000
-            time += round(1000 * 55.56 * (block // 2 if dual else block)) + 1730 * channel
-            row = (x, y, metres * math.sin(elevation), time, 15 - laser, intensities[block][channel])
-            if metres:
-                expected.append((*row, 1 + (dual and block % 2)))
-    _, points = decoded(robosense.decoder_of("helios-16p", None, state), packet)
-    agree(points, expected)
+            x = level * math.cos(azimuth) + radius * math.cos(turned)
+            y = -level * math.sin(azimuth) - radius * math.sin(turned)
+            time = 1_700_000_000_123_456_000 + 1000 + round(1000 * block_us * (block // apart)) + round(1000 * after)
+            row = (x, y, metres * math.sin(elevation) + height, time, rings[laser], intensities[block][channel])
+            expected.append((*row, 1 + second))
+    decoder = robosense.decoder_of(recognised, None, state)
+    assert decoder.key == key
+    agree(decoded(decoder, packet)[1], expected, tolerance=2e-4)
+    if lasers == 16:  # without a state packet the times of packets tell
+        steps = [round(12 * block_us) * k for k in range(3)]
+        packets = [
+            build.robosense(azimuths, distances, intensities, time_us=123_456 + step, kind=kind, calendar=calendar)
+            for step in steps
+        ]
+        array = np.frombuffer(b"".join(packets), np.uint8).reshape(3, -1)
+        points = robosense.RobosenseDecoder(key, decoder.angles_deg).points(
+            array, np.zeros(3, np.int64), np.ones((3, 12), bool)
+        )
+        assert len(points) == 3 * len(expected)
+        assert ("return_number" in points.extras) == dual
     with pytest.raises(DataError, match="no DIFOP packet"):
         robosense.decoder_of("helios-16p", None, state * 0)
 

@@ -153,7 +153,7 @@ class _Waiting:
     """Points of a cube that wait for their turn, in memory while they are few, else on the disk."""
 
     def __init__(self, folder: Path) -> None:
-        self._file = SpooledTemporaryFile(_SPOOLED, dir=folder)  # noqa: SIM115
+        self._file = SpooledTemporaryFile(_SPOOLED, dir=str(folder))  # noqa: SIM115
         self._dtype: np.dtype[np.void] | None = None
         self.count = 0
 

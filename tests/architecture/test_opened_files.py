@@ -29,6 +29,7 @@ ALLOWED = {
     ("sceneloom.formats.base.yaml_files", "YAML"): "of a text",
     ("sceneloom.formats.points.cloud", "np.loadtxt"): "of lines in memory",
     ("sceneloom.formats.points.files", "laspy.open"): "of a stream, or for writing",
+    ("sceneloom.formats.points.copc", "laspy.open"): "of an open file",
     ("sceneloom.formats.points.files", "np.load"): "of an open file",
     ("sceneloom.formats.points.spec", "zipfile.ZipFile"): "of an open file",
     ("sceneloom.formats.base.zipped", "ZipFile"): "of an open file",

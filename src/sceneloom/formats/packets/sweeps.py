@@ -328,8 +328,12 @@ def _second(date: list[int]) -> int:
         return 0
 
 
-def angle_table(path: Path, channels: int) -> Float64Array:
+def angle_table(path: Path, *channels: int) -> Float64Array:
     """Read a file of angles, (C, 2) float64 [deg]: lines of elevation and azimuth, maybe after the channel's number.
+
+    Args:
+        path: the file.
+        channels: how many the lidar has, or may have.
 
     Raises:
         DataError: it cannot be read, or has not a line for each channel.
@@ -341,8 +345,9 @@ def angle_table(path: Path, channels: int) -> Float64Array:
         except ValueError:
             continue  # the head
     rows = [row[-2:] for row in rows if len(row) in (2, 3)]
-    if len(rows) != channels:
-        raise DataError(path, "", f"{len(rows)} lines of elevation and azimuth; expected {channels}")
+    if len(rows) not in channels:
+        expected = " or ".join(map(str, channels))
+        raise DataError(path, "", f"{len(rows)} lines of elevation and azimuth; expected {expected}")
     found = np.array(rows)
     if not (np.abs(found) <= 360).all():
         raise DataError(path, "", "an angle is beyond 360 degrees")

@@ -136,8 +136,9 @@ _RESOLVED, _NEAR = 12.0**-0.5, 10.0
 """An edge lies anywhere between two beams: its standard deviation is that share of their distance; for translations it
 is that angle at so many metres."""
 
-_SHARPEST_WRONG, _AROUND, _NEARBY = 4.0, 60, (3.0, 8.0)
-"""How far above others around it, in their standard deviations, wrong calibrations come at most; right ones reach 6."""
+_SHARPEST_WRONG, _AROUND, _NEARBY = 5.0, 60, (3.0, 8.0)
+"""How far above others around it, in their standard deviations, wrong calibrations come: the best of some 300,000 by
+chance, as many as differ within 6 degrees and what translations and times are usual. Right ones reach 6."""
 
 _FARTHEST_ROTATION, _FARTHEST_SHIFT, _FARTHEST_LATER = np.radians(8.0), 0.5, 0.2
 """A refinement beyond these [rad], [m], [s] is none: the search went astray, or the stated calibration is no start."""

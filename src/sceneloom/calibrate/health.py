@@ -393,6 +393,7 @@ def check_frames(frames: Sequence[CalibrationFrame], *, source: str = "frames") 
             f"({distinctness:.1f} deviations; expected {_DISTINCT:g}): it is far off, or they show too little"
         )
         return health(tuple(Item.unknown(name, reason) for name in PARTS), **standing)
+    del agreement, rotations  # of the size of ten images a frame, as what is fitted by is
     fits = _fitted(frames, start)
     if fits is None:
         reason = "the points in the images are too few, or nowhere different from their surroundings"

@@ -259,7 +259,8 @@ def find_format(path: Path) -> FormatSpec:
     """
     if not path.exists():
         raise UnknownFormatError(path, "", "no such file or folder")
-    claims, guess = claims_of(path), partial(_guesses, path)
+    claims = claims_of(path)
+    guess: Callable[[], list[str]] = partial(_guesses, path)
     if not claims and begins(path, ZIP):
         claims, guess = _looked_into(path)
     if len(claims) == 1:

@@ -230,9 +230,8 @@ def _groups(found: Survey, topic: Topic) -> Iterator[_Group]:
         if record.arrivals_ns is not None and record.timestamp_ns:
             delays_ns = record.arrivals_ns - record.timestamp_ns
         arrivals_ns = settled_ns + np.where(np.abs(delays_ns) < _DELAYED_NS, delays_ns, 0)
-        packets = map(memoryview, record.packets)  # type: ignore[arg-type]
-        for number, (packet, arrival_ns) in enumerate(zip(packets, arrivals_ns.tolist(), strict=True)):
-            kind = len(packet), robosense.is_state(packet)
+        for number, (packet, arrival_ns) in enumerate(zip(record.packets, arrivals_ns.tolist(), strict=True)):
+            kind = len(packet), robosense.is_state(memoryview(packet))
             columns = kinds.get(kind)
             if columns is None:
                 columns = kinds[kind] = ([], [], [])

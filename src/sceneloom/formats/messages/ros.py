@@ -1091,8 +1091,9 @@ def _livox_cloud(store: Any, connection: _Connection, content: memoryview) -> Cl
         name: np.dtype(order + _CDR_NUMBERS[kind[0]]) for name, (_, kind) in store.fielddefs[fields[-1][1][1][0][1]][1]
     }
     rows = _packed_rows(kinds, content[at + 20 :], count, aligned=cdr)
-    members = tuple(PackedField(name, offset, dtype) for name, (dtype, offset) in (rows.dtype.fields or {}).items())
-    return CloudRecord(*head, members, rows.itemsize, memoryview(rows).cast("B"), count, base_ns=base_ns)
+    members = tuple(PackedField(name, entry[1], entry[0]) for name, entry in (rows.dtype.fields or {}).items())
+    data = memoryview(rows).cast("B")  # type: ignore[arg-type]  # arrays are buffers
+    return CloudRecord(*head, members, rows.itemsize, data, count, base_ns=base_ns)
 
 
 def _packed_head(connection: _Connection, content: memoryview) -> tuple[bool, str, memoryview, int, tuple[int, str]]:
@@ -1122,7 +1123,7 @@ def _packed_rows(kinds: Mapping[str, np.dtype[Any]], data: memoryview, count: in
         raise ValueError(f"{len(data)} bytes for {count} elements of {stride}; expected all of them")
     if count and len(data) < count * stride:  # there is no padding behind the last one
         data = memoryview(bytes(data) + bytes(stride - end))
-    layout = {"names": list(kinds), "formats": list(kinds.values()), "offsets": offsets, "itemsize": stride}
+    layout: Any = {"names": list(kinds), "formats": list(kinds.values()), "offsets": offsets, "itemsize": stride}
     return np.frombuffer(data, np.dtype(layout), count)
 
 
@@ -1157,10 +1158,10 @@ def _packed_packets(store: Any, connection: _Connection, content: memoryview) ->
     if behind > 3:
         raise ValueError(f"{behind} bytes behind {count} packets of {rows.itemsize}")
     data, stamps = rows["data"], None
-    if "stamp" in rows.dtype.names:
+    if "stamp" in kinds:
         seconds, nanoseconds = rows["stamp"].astype(np.int64).T
         stamps = seconds * 1_000_000_000 + nanoseconds
-    if "size" in rows.dtype.names:
+    if "size" in kinds:
         size = int(rows["size"].max(initial=0))
         if size > data.shape[1]:
             raise ValueError(f"a packet of {size} bytes, of which {data.shape[1]} are there")

@@ -565,7 +565,7 @@ def _camodocal(draft: _Draft, root: _Value, size: tuple[float, ...]) -> Camera:
 
 def _read_basalt(draft: _Draft) -> None:
     """Read a calibration of basalt. Source: `calibration.hpp` of its headers, as cereal writes it."""
-    content = read_json(draft.path, Any)
+    content: Any = read_json(draft.path, object)
     root = _Value(draft.path, "", content)
     if "value0" not in root or "T_imu_cam" not in root["value0"]:
         raise root.fault(f"has {', '.join(map(str, list(content)[:8])) or 'nothing'}; expected {_KINDS}")

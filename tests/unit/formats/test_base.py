@@ -221,8 +221,10 @@ def test_json_with_other_damage_is_reported_where_it_is_and_a_mark_before_it_is_
         read_json(path, object)
     path.write_bytes(b'\xef\xbb\xbf{"a": 1}')
     assert read_json(path, dict) == {"a": 1}
-    path.write_bytes(b'{"a": 1}\n{"a": 2}\n')  # lines of JSON
-    assert damage_of_json(path) is None
+    (tmp_path / "a.jsonl").write_bytes(b'{"a": 1}\n{"a": 2}\n')
+    assert damage_of_json(tmp_path / "a.jsonl") is None
+    path.write_bytes(b'{"a": 1}\n}')
+    assert damage_of_json(path) == "a.json: line 2, column 1: is no JSON: trailing characters"
 
 
 @pytest.mark.parametrize("name", ["coco", "datumaro", "label-studio"])

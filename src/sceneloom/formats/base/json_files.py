@@ -43,7 +43,8 @@ def damage_of_json(path: Path) -> str | None:
         return None
     except NO_JSON as error:
         fault = no_json(path, content, error)
-        return None if fault.problem.endswith(_FURTHER) else f"{path.name}: {fault.location}: {fault.problem}"
+        lines = fault.problem.endswith(_FURTHER) and path.suffix.lower() != ".json"
+        return None if lines else f"{path.name}: {fault.location}: {fault.problem}"
     return None
 
 
@@ -52,6 +53,7 @@ def no_json(path: Path, content: bytes, error: Exception) -> DataError:
     at, text = len(content), str(error)
     if found := _BYTE.search(text):
         at, text = int(found[1]), text[: found.start()].removeprefix("JSON is malformed: ")
+        at -= text == _FURTHER  # the first of them has been taken
     elif text.startswith("Invalid UTF-8"):
         try:
             content.decode()

@@ -4,14 +4,18 @@
     python -m benchmarks.depth rings DATA      # real sweeps: half the rings in, the other half as truth
     python -m benchmarks.depth window DATA     # the same, hidden points reported by a window of pixels
     python -m benchmarks.depth simulated       # simulated streets: every pixel's truth
-    python -m benchmarks.depth confidence DATA # share of right pixels by confidence, each set with the others' table
-    python -m benchmarks.depth fit DATA        # the table of `sceneloom.colouring.depth_completion`
+    python -m benchmarks.depth confidence DATA # share of right pixels by confidence, each set with the others' fit
+    python -m benchmarks.depth fit DATA        # the confidence of `sceneloom.colouring.depth_completion`
 
 `held`: of the visible points of a sweep in an image, a fifth is left out, at random or by whole scan lines (PandaSet
 does not tell lines, there bands of elevation as high as the lines' distance), and compared with the depth of the
 nearest pixel, where all methods have one. A single roof that one line alone has hit may outweigh all else in three
 images; `PARTS` may name all five ways of leaving out each fifth line. Sets: KITTI object, two frames of other mirrors
-of KITTI, PandaSet, a longer KITTI drive, and streets of other seeds than those on which the method was chosen.
+of KITTI, PandaSet, a longer KITTI drive, and streets of other seeds than those on which the method was chosen (200 to
+207). The method's constants were chosen on these, nuScenes and Lyft.
+
+`confidence`: points and lines of each image together; of simulated streets each third pixel of each third row. The
+intervals hold for other images of a set: images are the units that are independent, pixels are not.
 
 `rings`: of each frame of the KITTI object set in DATA, rings 0, 2, 4, … from the top go in, seen from the camera with
 what is hidden taken out as `fuse` does it; truth are the points of the other rings that the camera sees, as the whole
@@ -36,10 +40,11 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import FusedView, LidarTrajectory
 from sceneloom.colouring.algorithms import view_points
 from sceneloom.colouring.depth_completion import (
-    DISTANCE_STEPS,
-    SUPPORT_STEPS,
+    LEVELS,
+    STEPS,
     TOLERANCE,
     TOLERANCE_SHARE,
+    Completed,
     Samples,
     complete_depth,
     fill_surfaces,
@@ -113,18 +118,12 @@ def kitti_numbers(path: Path) -> dict[str, np.ndarray]:
 
 def kitti_frame(sweep: Path, image: Path, projection, upright, mounting):
     """Points, their rings, the camera, its pose in the lidar's frame and the image."""
-    from PIL import Image
-
-    rgb = np.array(Image.open(image).convert("RGB"))
     points = np.fromfile(sweep, np.float32).reshape(-1, 4)[:, :3].astype(float)
     projection = projection.reshape(3, 4)
     k, shift, rectified, mounted = projection[:, :3], np.eye(4), np.eye(4), np.eye(4)
     shift[:3, 3] = np.linalg.solve(k, projection[:, 3])
     rectified[:3, :3], mounted[:3] = upright, mounting.reshape(3, 4)
-    camera_from_lidar = shift @ rectified @ mounted
-    left, _, right = np.linalg.svd(camera_from_lidar[:3, :3])
-    lidar_from_camera = RigidTransform(left @ right, camera_from_lidar[:3, 3]).inverse()
-    camera = Camera("pinhole", rgb.shape[1], rgb.shape[0], k[0, 0], k[1, 1], k[0, 2], k[1, 2])
+    camera, lidar_from_camera, rgb = camera_of(image, k, (shift @ rectified @ mounted)[:3])
     azimuths = np.arctan2(points[:, 1], points[:, 0])  # each ring is written from straight ahead, once around
     begins = (azimuths[1:] >= 0) & (azimuths[:-1] < 0)
     if np.abs(azimuths).max() < np.pi / 2:  # cut to the camera's view
@@ -165,6 +164,40 @@ def kitti_raw(data: Path) -> Iterator[tuple[FusedView, np.ndarray]]:
         yield at_once(*kitti_frame(*files, *matrices))
 
 
+def nuscenes(data: Path) -> Iterator[tuple[FusedView, np.ndarray]]:
+    folder = data / "real" / "nuscenes_one_sample"
+    stated = json.loads((folder / "infos.json").read_text())["data_list"][0]
+    points = np.fromfile(folder / stated["lidar_points"]["lidar_path"], np.float32).reshape(-1, 5).astype(float)
+    points = points[np.linalg.norm(points[:, :2], axis=1) > 2.5]  # without the car itself
+    for camera in stated["images"].values():
+        numbers = np.array(camera["cam2img"]), np.array(camera["lidar2cam"])[:3]
+        yield at_once(points[:, :3], points[:, 4].astype(int), *camera_of(folder / camera["img_path"], *numbers))
+
+
+def lyft(data: Path) -> Iterator[tuple[FusedView, np.ndarray]]:
+    folder = data / "real" / "strangers" / "supervisely_lyft" / "LYFT"
+    sweep = min((folder / "pointcloud").glob("*.pcd"))
+    body = sweep.read_bytes().split(b"DATA binary\n", 1)[1]
+    points = np.frombuffer(body, np.float32).reshape(-1, 4)[:, :3].astype(float)
+    elevations = np.degrees(np.arcsin(points[:, 2] / np.linalg.norm(points, axis=1)))
+    order, ring = np.argsort(elevations), np.empty(len(points), int)
+    ring[order] = np.concatenate([[0], np.cumsum(np.diff(elevations[order]) > 0.06)])
+    for image in sorted((folder / "related_images" / sweep.name.replace(".", "_")).glob("*.jpeg")):
+        stated = json.loads(image.with_name(image.name + ".json").read_text())["meta"]["sensorsData"]
+        numbers = np.reshape(stated["intrinsicMatrix"], (3, 3)), np.reshape(stated["extrinsicMatrix"], (3, 4))
+        yield at_once(points, ring, *camera_of(image, *numbers))
+
+
+def camera_of(image: Path, k: np.ndarray, camera_from_lidar: np.ndarray):
+    """A camera, its pose in the lidar's frame and its image."""
+    from PIL import Image
+
+    rgb = np.array(Image.open(image).convert("RGB"))
+    left, _, right = np.linalg.svd(camera_from_lidar[:, :3])
+    lidar_from_camera = RigidTransform(left @ right, camera_from_lidar[:, 3]).inverse()
+    return Camera("pinhole", rgb.shape[1], rgb.shape[0], k[0, 0], k[1, 1], k[0, 2], k[1, 2]), lidar_from_camera, rgb
+
+
 def streets(seeds: Iterable[int]) -> Iterator[tuple[FusedView, np.ndarray]]:
     for seed in seeds:
         drive = street(seed, 64)
@@ -182,8 +215,10 @@ SETS: dict[str, Callable[[Path], Iterable[tuple[FusedView, np.ndarray]]]] = {
     "PandaSet": lambda data: recorded(data, "pandaset", 1),
     "KITTI drive": lambda data: recorded(data, "kitti_drive_40", 8, first=4),
     SIMULATED: lambda _: streets(range(400, 404)),
+    "nuScenes": nuscenes,
+    "Lyft": lyft,
 }
-"""A view and the scan line of each point of the sweep, for each image."""
+"""A view and the scan line of each point of the sweep, for each image. The last two chose the method's constants."""
 
 PROTOCOLS = ("points", "lines")
 PARTS = (("points", 0), ("lines", 2))
@@ -391,105 +426,120 @@ def right(depths: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return (truth > 0) & (np.abs(depths - truth) < np.maximum(TOLERANCE, TOLERANCE_SHARE * truth))
 
 
-SHAPE = len(SUPPORT_STEPS) + 1, len(DISTANCE_STEPS) + 1
-BORDERS = np.array([0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.01])
+@dataclass(frozen=True)
+class Judged:
+    """Pixels of an image: (N, 6) what scores are made of; (N,) whether points voted, and whether the depth is right."""
 
-Counts = dict[tuple[str, str], np.ndarray]
-"""By set and protocol: (2, S, D), how many pixels there are of each cell of the table, and how many are right."""
-
-
-def cells_of(view: FusedView) -> tuple[np.ndarray, np.ndarray]:
-    """The depths of a view, and the cell of the table of each pixel."""
-    filled = fill_surfaces(Samples.of_view(view), view.rgb, pixels_per_radian(view.camera))
-    support = np.searchsorted(SUPPORT_STEPS, filled.supports, "right")
-    return filled.depths, support * SHAPE[1] + np.searchsorted(DISTANCE_STEPS, filled.distances, "right")
+    parts: np.ndarray
+    voted: np.ndarray
+    good: np.ndarray
 
 
-def count_cells(data: Path) -> Counts:
-    counts: Counts = {}
+def judge(filled: Completed, at: tuple[np.ndarray, np.ndarray], truth: np.ndarray) -> Judged:
+    """Pixels, by rows and columns, of which the truth is known; those without a depth are left out."""
+    known = filled.depths[at] > 0
+    at = at[0][known], at[1][known]
+    depths, support = filled.depths[at].astype(float), filled.supports[at].astype(float)
+    share, spread = support.clip(0.02, 0.98), filled.spreads[at].astype(float).clip(1.02, 10)
+    far = np.maximum(depths * TOLERANCE_SHARE / TOLERANCE, 1)
+    columns = [
+        np.ones(len(depths)), np.log(share / (1 - share)), support < 0.1, filled.strongest[at], np.log(spread),
+        np.log(far),
+    ]  # fmt: skip
+    return Judged(np.stack(columns, axis=1), support <= 1, right(depths, truth[known]))
 
-    def add(key: tuple[str, str], depths: np.ndarray, cell: np.ndarray, truth: np.ndarray) -> None:
-        among = depths > 0
-        both = cell[among], cell[among & right(depths, truth)]
-        found = np.stack([np.bincount(one, minlength=SHAPE[0] * SHAPE[1]).reshape(SHAPE) for one in both])
-        counts[key] = counts.get(key, np.zeros((2, *SHAPE))) + found
 
+def judged_images(data: Path) -> dict[str, list[Judged]]:
+    """The images of each set."""
+
+    def filled_by(view: FusedView) -> Completed:
+        return fill_surfaces(Samples.of_view(view), view.rgb, pixels_per_radian(view.camera))
+
+    images: dict[str, list[Judged]] = {}
     for name, views in SETS.items():
         for view, ring in views(data) if name != SIMULATED else ():
+            found = []
             for protocol, part in PARTS:
                 kept, pixels, truth = held_out(view, ring, protocol, part)
-                at = pixels[:, 1], pixels[:, 0]
-                add((name, protocol), *(image[at] for image in cells_of(kept)), truth)
+                found.append(judge(filled_by(kept), (pixels[:, 1], pixels[:, 0]), truth))
+            fields = zip(*((one.parts, one.voted, one.good) for one in found), strict=True)
+            images.setdefault(name, []).append(Judged(*(np.concatenate(field) for field in fields)))
     for seed in range(100, 106):
         for beams in (64, 32):
             case = simulated(seed, beams)
-            add((SIMULATED, "every pixel"), *cells_of(case.view), case.truth)
-    return counts
+            rows, columns = (axis.ravel() for axis in np.mgrid[: case.truth.shape[0] : 3, : case.truth.shape[1] : 3])
+            found = judge(filled_by(case.view), (rows, columns), case.truth[rows, columns])
+            images.setdefault(SIMULATED, []).append(found)
+    return images
 
 
-def fitted(counts: Counts) -> np.ndarray:
-    """The table (S, D) of some sets, each protocol of each with the same weight."""
-    count, good = sum(found / found[0].sum() for found in counts.values()) * 1e5
-    by_support = good.sum(1, keepdims=True) / np.maximum(count.sum(1, keepdims=True), 1)
-    shares, weights = (good + 200 * by_support) / (count + 200), count + 200  # few pixels: as their row
-    table = np.empty(SHAPE)
-    surfaces = int(np.searchsorted(SUPPORT_STEPS, 1.0)) + 1
-    for rows in (slice(0, surfaces), slice(surfaces, None)):
-        table[rows] = falling(shares[rows][::-1], weights[rows][::-1])[::-1]
-    return table
+def fitted(images: list[Judged]) -> tuple[np.ndarray, np.ndarray]:
+    """The weights (6,) and the levels (S + 2,) of some images, all of the same weight."""
+    parts, voted, good = (np.concatenate([getattr(one, name) for one in images]) for name in ("parts", "voted", "good"))
+    share = np.concatenate([np.full(len(one.good), 1e4 / len(one.good)) for one in images])
+    features, hits, each, weights = parts[voted], good[voted], share[voted], np.zeros(6)
+    for _ in range(30):  # Newton's method
+        expected = 1 / (1 + np.exp(-features @ weights))
+        curvature = (features * (each * expected * (1 - expected))[:, None]).T @ features
+        weights += np.linalg.solve(curvature + 1e-3 * np.eye(6), features.T @ (each * (hits - expected)))
+    level = levels_of(parts, voted, weights)
+    totals, right_ones = (np.bincount(level, one, minlength=len(STEPS) + 2) for one in (share, share * good))
+    return weights, right_ones / np.maximum(totals, 1e-9)
 
 
-def falling(shares: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Make a table fall along both axes, by averaging over neighbours that do not, as often as needed."""
-    table = shares.copy()
-    for _ in range(200):
-        for axis in (0, 1):
-            first, second = (table[:-1], table[1:]) if axis == 0 else (table[:, :-1], table[:, 1:])
-            here, there = (counts[:-1], counts[1:]) if axis == 0 else (counts[:, :-1], counts[:, 1:])
-            rising = second > first
-            mean = (first * here + second * there) / (here + there)
-            first[rising], second[rising] = mean[rising], mean[rising]
-    return np.minimum.accumulate(np.minimum.accumulate(table, axis=0), axis=1)
+def levels_of(parts: np.ndarray, voted: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The number of each pixel's level."""
+    return np.where(voted, np.searchsorted(STEPS, parts @ weights, "right"), len(STEPS) + 1)
 
 
 def show_confidence(data: Path) -> None:
-    """Print for each set, with the table of the others, the share of right pixels by stated confidence."""
-    counts = count_cells(data)
-    for name in SETS:
-        table = fitted({key: found for key, found in counts.items() if key[0] != name})
-        own = {protocol: found for (owner, protocol), found in counts.items() if owner == name}
-        for protocol, (count, good) in ({**own, "both": sum(own.values())} if len(own) > 1 else own).items():
-            at = np.searchsorted(BORDERS, table, "right") - 1
-            total, hits, stated = (
-                np.bincount(at.ravel(), one.ravel(), minlength=len(BORDERS) - 1) for one in (count, good, count * table)
-            )
-            texts = [_reliability(s / n, h, n) if n else "-" for n, h, s in zip(total, hits, stated, strict=True)]
-            print(f"  {name:20} {protocol:12} stated: right % (interval; n)  " + "   ".join(texts), flush=True)
+    """Print for each set, with the fit of the others, the share of right pixels at each level of confidence."""
+    sets = judged_images(data)
+    for name, images in sets.items():
+        weights, stated = fitted([one for other, those in sets.items() if other != name for one in those])
+        counts, hits = np.zeros((2, len(images), len(LEVELS)))
+        for k, one in enumerate(images):
+            level = levels_of(one.parts, one.voted, weights)
+            counts[k] = np.bincount(level, minlength=len(LEVELS))
+            hits[k] = np.bincount(level, one.good, minlength=len(LEVELS))
+        texts = [_reliability(stated[k], hits[:, k], counts[:, k]) for k in range(len(LEVELS)) if counts[:, k].any()]
+        print(f"  {name:20} {len(images)} images; stated: right % (interval; n)  " + "   ".join(texts), flush=True)
 
 
 RELIABLE = 0.05  # how far the share of right pixels may be from the stated confidence
 
 
-def interval(hits: float, count: float) -> tuple[float, float]:
-    """Where a rate lies with 95 %, of so many hits. Source: Wilson 1927."""
-    z2 = 1.96**2
-    middle, width = hits + z2 / 2, 1.96 * np.sqrt(hits * (count - hits) / count + z2 / 4)
-    return (middle - width) / (count + z2), (middle + width) / (count + z2)
+def interval(hits: np.ndarray, counts: np.ndarray) -> tuple[float, float]:
+    """Where the rate of a set lies with 95 %, by the hits and pixels of each of its images.
+
+    Wilson's interval (1927) of as many independent pixels as vary that much between images, with Student's quantile;
+    of one image, of its pixels.
+    """
+    from scipy.stats import t
+
+    hit, count, images = hits.sum(), counts.sum(), (counts > 0).sum()
+    rate, alike, z = hit / count, 1.0, 1.96
+    if images > 1:
+        between = ((hits - rate * counts) ** 2).sum() * images / (images - 1)
+        alike, z = max(1.0, between / max(count * rate * (1 - rate), 1e-9)), t.ppf(0.975, images - 1)
+    hit, count = hit / alike, count / alike
+    middle, width = hit + z * z / 2, z * np.sqrt(hit * (count - hit) / count + z * z / 4)
+    return (middle - width) / (count + z * z), (middle + width) / (count + z * z)
 
 
-def _reliability(stated: float, hits: float, count: float) -> str:
-    """One bin; `!` where it misses, `?` where its pixels are too few to say."""
-    low, high = interval(hits, count)
-    within = stated - RELIABLE <= low and high <= stated + RELIABLE
-    missed = high < stated - RELIABLE or low > stated + RELIABLE
-    mark = "" if within else "!" if missed else "?"
-    return f"{100 * stated:.0f}: {100 * hits / count:.0f}{mark} ({100 * low:.0f}-{100 * high:.0f}; {count:.0f})"
+def _reliability(stated: float, hits: np.ndarray, counts: np.ndarray) -> str:
+    """One level; `!` where it is off by more than is allowed, `?` where its interval still holds what is stated."""
+    low, high = interval(hits, counts)
+    rate = hits.sum() / counts.sum()
+    mark = "" if abs(rate - stated) <= RELIABLE else "?" if low <= stated <= high else "!"
+    return f"{100 * stated:.0f}: {100 * rate:.0f}{mark} ({100 * low:.0f}-{100 * high:.0f}; {counts.sum():.0f})"
 
 
 def fit(data: Path) -> None:
-    """Print the table of confidence of all sets."""
-    for row in fitted(count_cells(data)):
-        print("    (" + ", ".join(f"{value:.3f}" for value in row) + "),")
+    """Print the confidence that all sets give."""
+    weights, levels = fitted([one for images in judged_images(data).values() for one in images])
+    print("WEIGHTS = (" + ", ".join(f"{value:.3f}" for value in weights) + ")")
+    print("LEVELS = (" + ", ".join(f"{value:.3f}" for value in levels) + ")")
 
 
 def main() -> None:

@@ -1,6 +1,7 @@
 """Messages of lidars and radars as their drivers state them, in bags that rosbags writes: layouts, times, packets."""
 
 import json
+import struct
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from tests.unit.formats.packets import build
 
 from sceneloom.errors import DataError
 from sceneloom.formats import open_scene
+from sceneloom.formats.messages import ros
 
 COUNT = 300
 POINTS = np.random.default_rng(1).normal(0, 20, (COUNT, 3)).astype(np.float32)
@@ -191,6 +193,52 @@ def test_a_bag_and_a_capture_give_the_same_points(kind, tmp_path):
             assert np.array_equal(ours.points.timestamps_ns, theirs.points.timestamps_ns)
 
 
+PACKETS = {  # types of packets, by that of their message
+    "velodyne_msgs/msg/VelodyneScan": ("velodyne_msgs/msg/VelodynePacket", 1206, ()),
+    "pandar_msgs/msg/PandarScan": ("pandar_msgs/msg/PandarPacket", 1500, (1262,)),
+    "robosense_msgs/msg/RobosenseScan": ("robosense_msgs/msg/RobosensePacket", 1500, (1248,)),
+}
+
+
+@pytest.mark.parametrize("encoding", ["ros1", "cdr", "cdr of the other order"])
+@pytest.mark.parametrize("name", PACKETS)
+def test_packets_as_they_lie_in_a_message_are_those_that_rosbags_reads_and_cut_ones_are_refused(name, encoding):
+    packet, length, size = PACKETS[name]
+    connection = ros._Connection("/packets", name, "", "", encoding[:4].strip())
+    store = ros._store_of(connection, None)
+    make, rng = store.types, np.random.default_rng(3)
+
+    def content_of(sizes):
+        found = [
+            make[packet](make[ros._TIME](1_700_000_000 + k, 5 * k), rng.integers(0, 256, length, np.uint8), *one)
+            for k, one in enumerate(sizes)
+        ]
+        sequence = (7,) if encoding == "ros1" else ()
+        header = make["std_msgs/msg/Header"](*sequence, make[ros._TIME](1_700_000_001, 12), "top")
+        message = make[name](header, found)
+        if encoding == "ros1":
+            return memoryview(store.serialize_ros1(message, name))
+        return memoryview(store.serialize_cdr(message, name, little_endian=encoding == "cdr"))
+
+    for count in (0, 1, 5):
+        content = content_of([size] * count)
+        (expected,) = ros._packets(ros._parsed(connection, content, None))
+        found = ros._packed_packets(store, connection, content)
+        assert (found.timestamp_ns, found.frame_id) == (expected.timestamp_ns, expected.frame_id)
+        assert [*map(bytes, found.packets)] == [*map(bytes, expected.packets)]
+        if count:
+            assert np.array_equal(found.arrivals_ns, expected.arrivals_ns)
+        for cut in (1, 9, 40, len(content) // 2):
+            with pytest.raises(ros._FAULTS):
+                ros._packed_packets(store, connection, content[: max(len(content) - cut, 0)])
+        with pytest.raises(ValueError, match="bytes behind"):
+            ros._packed_packets(store, connection, memoryview(bytes(content) + bytes(8)))
+    if size:
+        assert ros._packed_packets(store, connection, content_of([(9,), (10,)])) is None  # each by itself
+        with pytest.raises(ValueError, match=f"a packet of {length + 1} bytes, of which {length} are there"):
+            ros._packed_packets(store, connection, content_of([(length + 1,)]))
+
+
 @pytest.mark.parametrize("extra", [0, 1])
 def test_ouster_packets_need_metadata_of_a_topic_or_a_file(extra, tmp_path):
     text = build.ouster_metadata(tmp_path / "a.json").read_text()
@@ -220,6 +268,137 @@ def test_ouster_packets_need_metadata_of_a_topic_or_a_file(extra, tmp_path):
             assert unit.streams["accelerometer"].values[0] == pytest.approx([0, 0, 9.80665])
             assert abs(int(unit.streams["accelerometer"].timestamps_ns[0]) - EPOCH_NS) < 10**9
             assert not any(w.code == "unknown-messages" for w in scene.warnings)
+
+
+NEAR, HRR, OBJECTS = (900, 901), (1100, 1101), (1200, 1201)
+DETECTION = (("range", 12), ("azimuth", 9), ("range_rate", 11), ("rcs", 7), ("pdh", 5), ("snr", 4))
+OBJECT = (
+    ("id", 8), ("x", 16), ("y", 16), ("vx", 14), ("vy", 14), ("ax", 10), ("ay", 10), ("deviations", 84), ("length", 12),
+    ("width", 12), ("orientation", 12), ("rcs", 12), ("score", 4), ("life", 16), ("rest", 8),
+)  # fmt: skip
+
+
+def bits(fields, values):
+    text = "".join(format(values.get(name, 0), f"0{count}b") for name, count in fields)
+    return int(text, 2).to_bytes(len(text) // 8, "big")
+
+
+def can_list(ids, rows, *, elements, each, seconds, numbers, sync=1, cycle=0):
+    """The packets of a list of an SRR520 by nebula's description: a head, elements, and a checksum."""
+    counts = (
+        struct.pack(">HHH", *numbers, len(rows)) if ids != OBJECTS else struct.pack(">HHBB", *numbers, 3, len(rows))
+    )
+    head = struct.pack(">IIIIBBBI", ids[0], 1234, seconds, 500, sync, 1, 9, cycle) + counts
+    packets = [head + bytes(36 - len(head))]
+    for k in range(elements):
+        body = b"".join(rows[k * each : (k + 1) * each])
+        packets.append(struct.pack(">I", ids[1]) + body.ljust(62, b"\0") + bytes((k, 9)))
+    return [*packets, struct.pack(">IBHB", 800, 0, 0, 0)]
+
+
+def srr520(bag, *, sync=1, late=0, without=()):
+    stamp = bag.make("builtin_interfaces/msg/Time", EPOCH_NS // 10**9, late)
+    rows = [bits(DETECTION, {"range": 100 * k, "azimuth": 255 + k, "range_rate": 1023 - k, "rcs": 84, "pdh": 0b10001,
+                             "snr": 3}) for k in range(23)]  # fmt: skip
+    rows[4] = bits(DETECTION, {"range": 9, "azimuth": 511})
+    things = [bits(OBJECT, {"id": 5 + k, "x": 33859, "y": 32767 + 1092 * k, "vx": 9283, "vy": 8191, "ax": 511,
+                            "ay": 1023, "deviations": 546 << 70 | 1, "length": 614, "width": 273, "orientation": 3070,
+                            "rcs": 2047, "score": 15, "life": 300, "rest": 0b101}) for k in range(3)]  # fmt: skip
+    second = EPOCH_NS // 10**9 + late // 10**9
+    lists = [
+        can_list(NEAR, rows, elements=50, each=10, seconds=second, numbers=(65535, 1000), sync=sync),
+        can_list(HRR, rows[:2], elements=20, each=10, seconds=second, numbers=(65535, 1500), sync=sync),
+        can_list(OBJECTS, things, elements=20, each=2, seconds=second, numbers=(36044, 32767), sync=sync),
+    ]
+    for content in lists:
+        content[:] = [packet for k, packet in enumerate(content) if k not in without]
+        found = [bag.make("nebula_msgs/msg/NebulaPacket", stamp, np.frombuffer(one, np.uint8)) for one in content]
+        bag.send("/radar/packets", "nebula_msgs/msg/NebulaPackets", EPOCH_NS + late, "radar", found)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "SQLITE3"])
+def test_lists_of_an_srr520_are_read_as_nebula_describes_them(kind, tmp_path):
+    with Bag(tmp_path / "bag", kind) as bag:
+        srr520(bag)
+        srr520(bag, late=10**9)
+    with open_scene(bag.path) as scene:
+        by_id = {one.id.rpartition("/")[2]: one for one in scene.sensors}
+        (near,) = (one for one in scene.sensors if not one.id.endswith(("/hrr", "/objects")))
+        hrr, objects = by_id["hrr"], by_id["objects"]
+        assert [len(one.frames) for one in (near, hrr, objects)] == [2, 2, 2]
+        times = near.frames.timestamps_ns
+        assert times.tolist() == [EPOCH_NS // 10**9 * 10**9 + 500 + k * 10**9 for k in range(2)]
+        frame, points = near.frames[0], near.frames[0].points
+        assert len(points) == 22
+        assert frame.extras["dropped_points"] == 1  # its azimuth is no value
+        assert (frame.extras["v_ambiguous"], frame.extras["max_range"]) == (pytest.approx(100, abs=0.01), 100)
+        kept = np.delete(np.arange(23), 4)
+        ranges, azimuths = kept * 2.4420024, np.deg2rad((kept + 255 - 255) * 180 / 510)
+        expected = np.stack((ranges * np.cos(azimuths), ranges * np.sin(azimuths), 0 * ranges), axis=1)
+        np.testing.assert_allclose(points.positions, expected, atol=1e-3)
+        np.testing.assert_allclose(points.lengths, -kept * 0.014662757, atol=1e-4)
+        assert points.extras["rcs"][0] == pytest.approx(0, abs=1e-4)
+        assert points.extras["snr"][0] == pytest.approx(16.1)
+        assert [points.extras[f"pdh0{k}"][0] for k in range(5)] == [100, 0, 0, 0, 100]
+        assert len(hrr.frames[0].points) == 2
+        points = objects.frames[0].points
+        assert objects.points_frame == "ego"
+        assert points.extras["object_id"].tolist() == [5, 6, 7]
+        np.testing.assert_allclose(points.positions, [[10, 10 * k, 0] for k in range(3)], atol=0.01)
+        # they move at 10 m/s over ground, as the vehicle does
+        np.testing.assert_allclose(points.extras["v_abs_x"], 10, atol=0.01)
+        np.testing.assert_allclose(points.lengths, 0, atol=0.02)
+        assert np.isnan(points.extras["a_abs_y"]).all()
+        for name, value in (("dist_x_std", 1), ("box_length", 4.5), ("box_width", 2), ("orientation", 1.5708),
+                            ("rcs", 0), ("score", 100), ("life_cycles", 300), ("box_valid", 1)):  # fmt: skip
+            assert points.extras[name][2] == pytest.approx(value, abs=0.003), name
+        assert points.extras["a_abs_y_std"][0] == pytest.approx(0.0018, abs=1e-4)
+        assert points.extras["object_status"].tolist() == [2, 2, 2]
+        assert objects.frames[0].extras["ego_vx"] == pytest.approx(10, abs=0.01)
+    assert not [one for one in scene.warnings if one.code.startswith(("packets", "lidar"))]
+
+
+def test_lists_of_an_srr520_with_missing_packets_or_without_a_clock_are_reported(tmp_path):
+    with Bag(tmp_path / "bag", "SQLITE3") as bag:
+        srr520(bag, sync=3)
+        srr520(bag, sync=3, late=10**9, without=(2,))  # the second element of each list
+        srr520(bag, sync=3, late=2 * 10**9, without=(0,))
+    with open_scene(bag.path) as scene:
+        (near,) = (one for one in scene.sensors if not one.id.endswith(("/hrr", "/objects")))
+        assert near.frames.timestamps_ns.tolist() == [EPOCH_NS, EPOCH_NS + 10**9]
+        frame = near.frames[1]
+        assert frame.extras["dropped_points"] == 11
+        np.testing.assert_allclose(frame.points.lengths[8:10], -np.array([9, 20]) * 0.014662757, atol=1e-4)
+        codes = {one.code: one.count for one in scene.warnings}
+    assert codes["radar-clock"] == 6
+    assert codes["packets-unusable"] == 3
+
+
+def test_the_last_grid_of_a_topic_in_a_fixed_frame_is_a_map_and_one_that_moves_is_reported(tmp_path):
+    with Bag(tmp_path / "bag", "SQLITE3") as bag:
+        bag.transform("/tf_static", EPOCH_NS, "base_link", "top", (0, 0, 2))
+        bag.transform("/tf_static", EPOCH_NS, "map", "site", (100, 0, 0))
+        for k in range(3):
+            stamp = EPOCH_NS + k * PERIOD_NS
+            bag.transform("/tf", stamp, "map", "base_link", (5 * k, 0, 0))
+            bag.cloud("/points", stamp, "top", table_of([*XYZI, ("t", "u4")], "t", OFFSETS_NS, "<"))
+            time = bag.header(stamp, "").stamp
+            for topic, frame, corner in (("/map", "site", (10, 20, 1)), ("/costmap", "base_link", (0, 0, 0))):
+                # turned by 90 degrees: columns along y, rows against x
+                info = bag.make(
+                    "nav_msgs/msg/MapMetaData", time, 0.5, 3, 2, bag.pose(corner, (0, 0, 0.5**0.5, 0.5**0.5))
+                )
+                cells = np.array([0, 100, -1, 40, 101, k], np.int8)
+                bag.send(topic, "nav_msgs/msg/OccupancyGrid", stamp, frame, info, cells)
+    with open_scene(bag.path) as scene:
+        (cloud,) = (one for one in scene.sensors if one.type == "points")
+        assert cloud.id == "map"
+        expected = [[109.75, 20.25, 1], [109.75, 20.75, 1], [109.25, 20.25, 1], [109.25, 21.25, 1]]
+        np.testing.assert_allclose(cloud.positions, expected, atol=1e-5)
+        assert cloud.colors[:, 0].tolist() == [255, 0, 153, 250]
+        codes = {one.code: (one.location.rpartition(": ")[2], one.count) for one in scene.warnings}
+    assert codes["grids-replaced"] == ("/map", 2)
+    assert codes["grids-moving"] == ("/costmap", 3)
 
 
 def test_texts_of_others_and_packets_of_unknown_sensors_are_listed(tmp_path):

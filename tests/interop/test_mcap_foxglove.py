@@ -5,6 +5,7 @@ import io
 import json
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -240,6 +241,38 @@ def test_messages_in_json_state_the_same(tmp_path):
         np.testing.assert_allclose(lidar.frames[0].points.positions, POINTS + np.array([1, 0, 0]), atol=1e-5)
 
 
+def test_a_grid_is_a_map_with_the_colours_that_it_states(tmp_path):
+    fields = [{"name": name, "offset": k, "type": 1} for k, name in enumerate(("red", "green", "blue"))]
+    cells = np.zeros((2, 40), np.uint8)
+    cells[:, :36].reshape(2, 3, 12)[..., :3] = RGB[:2, :3]
+    grid = {"column_count": 3, "cell_size": {"x": 2, "y": 0.5}, "row_stride": 40, "cell_stride": 12}
+    head = {"timestamp": time(EPOCH_NS), "frame_id": "map", "pose": {"position": {"x": -1}, "orientation": {"w": 1}}}
+    for names, colors in ((fields, RGB[:2, :3].reshape(-1, 3)), (fields[:2], None)):
+        log = Log()
+        log.add("/grid", "Grid", EPOCH_NS, **head, **grid, fields=names, data=cells.tobytes())
+        with sceneloom.open(log.saved(tmp_path / "drive.mcap")) as scene:
+            (found,) = scene.sensors
+            assert found.positions.tolist() == [[2 * x, 0.25 + 0.5 * y, 0] for y in range(2) for x in range(3)]
+            assert (found.colors is None) if colors is None else np.array_equal(found.colors, colors)
+    log = Log()
+    log.add("/grid", "Grid", EPOCH_NS, **head, **{**grid, "row_stride": 35}, fields=fields, data=cells.tobytes())
+    with pytest.raises(DataError, match=r"/grid\[0\].*3 columns of 12 bytes in rows of 35"):
+        sceneloom.open(log.saved(tmp_path / "drive.mcap"))
+
+
+def test_points_in_a_frame_are_a_trajectory_without_orientations(tmp_path):
+    log = Log()
+    for k in range(3):
+        head = {"timestamp": time(EPOCH_NS + k * PERIOD_NS), "frame_id": "map"}
+        log.add("/prism/position", "Point3InFrame", EPOCH_NS + k * PERIOD_NS, **head, point={"x": k, "y": 2, "z": -1})
+        rows = {"position": {"x": 2 * k}, "orientation": {"w": 1}}
+        log.add("/ego/pose", "PoseInFrame", EPOCH_NS + k * PERIOD_NS, **head, pose=rows)
+    with sceneloom.open(log.saved(tmp_path / "drive.mcap")) as scene:
+        found = scene.trajectories["prism/position"]
+        assert found.positions.tolist() == [[k, 2, -1] for k in range(3)]
+        assert found.quaternions_xyzw is None
+
+
 def decoded(path):
     """Topic, schema and message of a file, as the reference library and Foxglove's classes have them."""
     with path.open("rb") as stream:
@@ -252,6 +285,77 @@ def decoded(path):
             found = foxglove(schema.name.removeprefix("foxglove."))()
             found.ParseFromString(message.data)
             yield channel.topic, schema.name, message, found
+
+
+GOLDEN = Path(__file__).parent / "golden"  # FlatBuffers made by flatc 2.0.8: programs/foxglove_flatbuffers_write.py
+
+
+def same_in_json(path):
+    """The messages of the golden file in JSON, as Foxglove's schemas for it have them."""
+    log = Log()
+    for topic, name, fields in json.loads((GOLDEN / "foxglove_flatbuffers.json").read_text()):
+        message = {key.upper() if len(key) == 1 else key: value for key, value in fields.items()}
+        if "data" in message:
+            message["data"] = base64.b64encode(bytes(message["data"])).decode()
+        stamp = next(find_times(message))
+        log.add_other(topic, f"foxglove.{name}", "jsonschema", json.dumps(message).encode(), stamp)
+    return sceneloom.open(log.saved(path))
+
+
+def find_times(value):
+    if isinstance(value, dict):
+        if set(value) == {"sec", "nsec"}:
+            yield value["sec"] * 10**9 + value["nsec"]
+        for part in value.values():
+            yield from find_times(part)
+    elif isinstance(value, list):
+        for part in value:
+            yield from find_times(part)
+
+
+def test_flatbuffers_by_the_schemas_of_their_channels_state_what_the_same_messages_in_json_do(tmp_path):
+    with sceneloom.open(GOLDEN / "foxglove_flatbuffers.mcap") as scene, same_in_json(tmp_path / "a.mcap") as expected:
+        assert [(one.id, one.type) for one in scene.sensors] == [(one.id, one.type) for one in expected.sensors]
+        assert [one.type for one in scene.sensors] == ["lidar", "camera", "gnss"]
+        for ours, theirs in zip(scene.lidars[0].frames, expected.lidars[0].frames, strict=True):
+            assert ours.timestamp_ns == theirs.timestamp_ns
+            assert np.array_equal(ours.points.positions, theirs.points.positions)
+            assert ours.points.intensities.tolist() == [7, 255, 30]
+        (ours,), (theirs,) = scene.cameras, expected.cameras
+        assert ours.camera == theirs.camera
+        assert (ours.camera.width, ours.camera.fx) == (16, 20)
+        assert np.array_equal(ours.images[1].rgb, theirs.images[1].rgb)
+        assert np.array_equal(scene.sensor("gnss").positions_lla, expected.sensor("gnss").positions_lla)
+        assert scene.sensor("gnss").positions_lla[2].tolist() == [48.50002, 11.25, 501]
+        assert list(scene.trajectories) == list(expected.trajectories) == ["tf", "odometry"]
+        for name, trajectory in scene.trajectories.items():
+            other = expected.trajectories[name]
+            assert np.array_equal(trajectory.positions, other.positions)
+            assert np.array_equal(trajectory.quaternions_xyzw, other.quaternions_xyzw)
+        assert repr(scene.annotations) == repr(expected.annotations)
+        assert [(one.id, one.type) for one in scene.annotations] == [("car-1", "cuboid"), ("b", "box_2d")]
+        assert [one.code for one in scene.warnings] == [one.code for one in expected.warnings]
+
+
+def test_a_schema_of_flatbuffers_that_is_none_or_of_something_else_is_a_fault_of_the_file(tmp_path):
+    with (GOLDEN / "foxglove_flatbuffers.mcap").open("rb") as stream:
+        rows = [(schema, message.data) for schema, _, message in make_reader(stream).iter_messages()]
+    clouds = [(schema.data, data) for schema, data in rows if schema.name == "foxglove.PointCloud"]
+    poses = next(schema.data for schema, _ in rows if schema.name == "foxglove.PoseInFrame")
+    content = clouds[0][1]
+    for schema, data, problem in (
+        (b"", content, "schema 'foxglove.PointCloud': no schema of FlatBuffers"),
+        (poses[: len(poses) // 2], content, "no schema of FlatBuffers"),
+        (poses, content, r"/points\[0\]"),
+        (clouds[0][0], content[:20], r"/points\[0\]"),
+        (clouds[0][0], b"", r"/points\[0\]"),
+    ):
+        log = Log()
+        number = log.writer.register_schema("foxglove.PointCloud", "flatbuffer", schema)
+        channel = log.writer.register_channel("/points", "flatbuffer", number)
+        log.writer.add_message(channel, EPOCH_NS, data, EPOCH_NS)
+        with pytest.raises(DataError, match=problem):
+            sceneloom.open(log.saved(tmp_path / "a.mcap"))
 
 
 @pytest.mark.parametrize("compression", ["none", pytest.param("zstd", marks=pytest.mark.slow)])

@@ -124,13 +124,21 @@ def _ncore_folder(folder: Path) -> Path:
 
 def _without_checksums(folder: Path) -> Path:
     """Write an MCAP file with packed chunks and without checksums, so that what is changed in it is looked at."""
+    return _rewrite_mcap(_written("mcap", "sound.mcap", folder), folder / "drive.mcap", "ZSTD")
+
+
+def _flatbuffers(folder: Path) -> Path:
+    """Write an MCAP file with messages that are FlatBuffers, without checksums."""
+    golden = _ROOT / "tests" / "interop" / "golden" / "foxglove_flatbuffers.mcap"
+    return _rewrite_mcap(Path(shutil.copyfile(golden, folder / "sound.mcap")), folder / "drive.mcap", "NONE")
+
+
+def _rewrite_mcap(sound: Path, target: Path, compression: str) -> Path:
     from mcap.reader import make_reader
     from mcap.writer import CompressionType, Writer
 
-    sound = _written("mcap", "sound.mcap", folder)
-    target = folder / "drive.mcap"
     with sound.open("rb") as source, target.open("wb") as stream:
-        writer = Writer(stream, compression=CompressionType.ZSTD, enable_crcs=False)
+        writer = Writer(stream, compression=CompressionType[compression], enable_crcs=False)
         writer.start(profile="", library="another")
         known: dict[int, int] = {}
         for schema, channel, message in make_reader(source).iter_messages():
@@ -211,6 +219,7 @@ DRIVES: dict[str, Write] = {
     "mcap": partial(_written, "mcap", "drive.mcap"),
     "mcap lz4": partial(_written, "mcap", "drive.mcap", compression="lz4"),
     "mcap zstd unchecked": _without_checksums,
+    "mcap flatbuffers": _flatbuffers,
     "ros1": partial(_written, "ros1", "drive.bag", images="raw"),
     "ros1 lz4": _packed_bag,
     **_folders("ros2"),

@@ -37,7 +37,7 @@ from sceneloom.db34t.interface import FusionInterface
 from sceneloom.db34t.protobuf import to_protobuf
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import DataError
-from sceneloom.formats.base.protobuf import enclosed
+from sceneloom.formats.base.wire_formats import enclosed
 from sceneloom.service.server import METHODS, CallError
 
 ANSWERS = {"INVALID_ARGUMENT", "NOT_FOUND", "RESOURCE_EXHAUSTED"}

@@ -82,7 +82,19 @@ def test_texts_with_infinite_numbers_and_depths_or_of_other_letters_are_faults_o
                 reader(path)
     root = ALL_DRIVES["nuscenes"](tmp_path)
     (root / "v1.0-mini" / "sensor.json").write_bytes(b'[{"token": "\xe7"}]')
-    with pytest.raises(SceneloomError, match=r"sensor.json: is no JSON"):
+    with pytest.raises(SceneloomError, match=r"sensor.json: line 1, column 13: is no JSON: Invalid UTF-8"):
+        open_scene(root)
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "word"),
+    [("segments", "release.json", b'"cuboid"'), ("supervisely", "annotation.json", b'"position"')],
+)
+def test_other_letters_in_parts_of_json_that_are_read_later_are_faults_of_the_file(tmp_path, name, file, word):
+    root = ALL_DRIVES[name](tmp_path)
+    path = next(root.rglob(file))
+    path.write_bytes(path.read_bytes().replace(word, word[:2] + b"\xe7" + word[3:], 1))
+    with pytest.raises(SceneloomError, match=rf"{file}: .*is no JSON: Invalid UTF-8"):
         open_scene(root)
 
 

@@ -6,18 +6,19 @@ plane is seen: a road 1.65 m below the camera has the slope 0.6 1/m everywhere. 
 nearer than that, or a jump from one object to another.
 
 How near surfaces pass the camera is measured: most of a street's image is ground and walls, so 0.7 of the image is
-no steeper than they are. What is 1.3 times as steep is half a jump.
+no steeper than they are. What is 1.3 times as steep holds a jump.
 
-Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane comes out exactly. Across a jump, a
-pixel is of one surface or of the other. The triangle's three points and the three beyond its sides vote: more the
-nearer they are, above and below before beside, as outlines are mostly upright; far more in the pixel's own row as far
-as the next point of a scan line, which runs along rows; and more where the image has their colour, by as much as
-colours tell surfaces apart in this image. The depth is the mean of the votes, a little nearer to their median.
+Triangles (Delaunay) hold inverse depth, in which planes are linear, so a plane comes out exactly: where the points
+beyond a triangle's sides are in its plane, too, and it is not too steep. Elsewhere there are jumps, edges, or leaves,
+and the triangle's three points and the three beyond vote: more the nearer they are, above and below before beside, as
+outlines are mostly upright; far more in the pixel's own row as far as the next point of a scan line, which runs along
+rows; and more where the image has their colour, by as much as colours tell surfaces apart in this image. The depth is
+the mean of the votes, which errs least in squares, a little nearer to their median, which errs least in size.
 
 A pixel's confidence is the share of held-out points like it whose depth was less than 0.5 m, or 5 %, from the truth.
-Alike are pixels with the same distance to the nearest point and the same support: across a jump the share of the votes
-within that tolerance of the depth, on a surface the share of the six points within it of the triangle's plane. The
-table rises with the support and falls with the distance. `python -m benchmarks.depth fit DATA` makes it.
+Alike are all pixels in planes; and of the others those to which a logistic regression gives about the same
+probability. It knows the share of the votes within that tolerance of the depth, the strongest vote, how far the votes
+are apart, and how far away they are. `python -m benchmarks.depth fit DATA` makes it, each image with the same weight.
 """
 
 import math
@@ -132,13 +133,10 @@ def _weighted_quantile(values: AnyArray, weights: AnyArray, share: float) -> flo
     return float(values[order[min(int(np.searchsorted(sums, share * sums[-1])), len(values) - 1)]])
 
 
-_SURFACES, _STEEPER = 0.7, 1.2
+_SURFACES, _STEEPER = 0.7, 1.3
 
 _LEAST, _MOST = 0.5, 10.0
 """Bounds of the steepest slope [1/m/rad]: surfaces that pass the camera at 2 m are never cut apart."""
-
-_EVEN, _SUDDEN = 0.85, 1.3
-"""Up to 0.85 of the steepest slope a triangle is of one surface; from 1.3 on there is a jump in it."""
 
 _LONGEST, _LONGEST_JUMP = 12.0, 2.5
 """The longest side of a triangle that is filled, in spacings of the scan lines: on one surface, and across a jump.
@@ -156,44 +154,45 @@ class Completed:
 
     Attributes:
         depths: (H, W) float32 [m], 0 for none.
-        supports: (H, W) float32, across jumps the share of the votes within the tolerance of the depth; on surfaces 1
-            and the share of the triangle's and its neighbours' points within it of the triangle's plane.
-        distances: (H, W) float32 [px], to the nearest point.
+        supports: (H, W) float32, the share of the votes within the tolerance of the depth; 2 in planes, without a vote.
+        strongest: (H, W) float32, the largest share that one vote has.
+        spreads: (H, W) float32, the farthest depth among those that vote, divided by the nearest.
     """
 
     depths: Float32Array
     supports: Float32Array
-    distances: Float32Array
+    strongest: Float32Array
+    spreads: Float32Array
 
 
 def fill_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -> Completed:
     """Fill an image (H, W) from triangles between its samples; `rgb` (H, W, 3) or None, pixels per radian."""
     height, width = samples.image.shape
     triangles, beyond = triangles_between(samples.pixels, height, width)
-    inverse_depths, measures = np.reciprocal(samples.depths), np.empty((len(triangles), 4), np.float32)
+    measures = np.empty((len(triangles), 5), np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
-        measure_triangles(samples.pixels, inverse_depths, triangles, measures)
-    areas, sides, shortest, slopes = np.ascontiguousarray(measures.T)
+        measure_triangles(samples.pixels, samples.depths, triangles, beyond, TOLERANCE, TOLERANCE_SHARE, measures)
+    areas, sides, shortest, slopes, inside = np.ascontiguousarray(measures.T)
     unit = max(1.0, float(np.median(shortest)) / 2) if len(shortest) else 1.0
     broad = (areas > _SLIVER_PX2) & np.isfinite(slopes)
     spacing = _weighted_quantile(sides, areas, 0.5)
     usual = _weighted_quantile(slopes[broad], areas[broad], _SURFACES)
     steepest = float(np.clip(_STEEPER * usual * per_radian, _LEAST, _MOST)) / per_radian
-    # 1 for slopes of one surface, 0 for jumps
-    trusts = (1.0 - np.clip((slopes / steepest - _EVEN) / (_SUDDEN - _EVEN), 0.0, 1.0)).astype(np.float32)
-    small: BoolArray = sides <= np.where(trusts > 0.5, _LONGEST, _LONGEST_JUMP) * max(spacing, 2.0)
+    planar: BoolArray = (inside == 1) & (slopes < steepest)
+    steep: BoolArray = ~(slopes < steepest)
+    small: BoolArray = sides <= np.where(steep, _LONGEST_JUMP, _LONGEST) * max(spacing, 2.0)
     image = np.zeros((height, width, 3), np.uint8) if rgb is None else np.ascontiguousarray(rgb)
     columns, rows = np.rint(samples.pixels).astype(np.int64).clip(0, [width - 1, height - 1]).T
     colours = image[rows, columns]
-    likeness = _likeness(samples.depths, colours, triangles[small & (trusts <= 0.5)])
-    depths, supports, distances = (np.zeros((height, width), np.float32) for _ in range(3))
+    likeness = _likeness(samples.depths, colours, triangles[small & steep])
+    depths, supports, strongest, spreads = (np.zeros((height, width), np.float32) for _ in range(4))
     fill_triangles(
-        samples.pixels, samples.depths, triangles, beyond, small, trusts, image, colours, likeness, unit, TOLERANCE,
-        TOLERANCE_SHARE, depths, supports, distances,
+        samples.pixels, samples.depths, triangles, beyond, small, planar, image, colours, likeness, unit, TOLERANCE,
+        TOLERANCE_SHARE, depths, supports, strongest, spreads,
     )  # fmt: skip
     bare: BoolArray = (samples.image > 0) & (depths == 0)  # without two others near
-    depths[bare], supports[bare] = samples.image[bare], 1.0
-    return Completed(depths, supports, distances)
+    depths[bare], supports[bare] = samples.image[bare], 2.0
+    return Completed(depths, supports, strongest, spreads)
 
 
 _ALIKE, _UNLIKE = 1.05, 1.15
@@ -202,7 +201,7 @@ _ALIKE, _UNLIKE = 1.05, 1.15
 _LEVELS = np.array([4, 8, 12, 18, 26, 38, 54, 76, 108, 152, 216, 300])
 """Borders between differences of colours that are told apart, all three channels together."""
 
-_DEPENDENT = 0.75  # votes are not independent: the power of their likelihood ratio
+_DEPENDENT = 0.7  # votes are not independent: the power of their likelihood ratio
 _DOUBTED = 20.0  # so many pairs are counted beside the measured ones that tell nothing
 
 
@@ -253,21 +252,14 @@ def triangles_between(pixels: Float32Array, height: int, width: int) -> tuple[An
 TOLERANCE, TOLERANCE_SHARE = 0.5, 0.05
 """Depths count as right with an error of less than 0.5 m, or of less than 5 % where that is more."""
 
-SUPPORT_STEPS = (0.2, 0.4, 0.6, 0.8, 0.95, 1.2, 1.55, 1.7, 1.9)
-DISTANCE_STEPS = (1.5, 3.0, 4.5, 6.0)  # [px]
+WEIGHTS = (0.752, 0.711, 1.006, -0.356, -0.512, -0.363)
+"""Of the parts of a score, as `grade_depths` states them: a logistic regression of whether a depth is right."""
 
-_TABLE = (
-    (0.149, 0.149, 0.149, 0.149, 0.149),
-    (0.507, 0.507, 0.496, 0.496, 0.496),
-    (0.626, 0.626, 0.626, 0.595, 0.595),
-    (0.701, 0.701, 0.701, 0.701, 0.701),
-    (0.807, 0.807, 0.807, 0.807, 0.807),
-    (0.966, 0.966, 0.966, 0.964, 0.955),
-    (0.685, 0.617, 0.544, 0.470, 0.221),
-    (0.837, 0.761, 0.728, 0.699, 0.406),
-    (0.975, 0.944, 0.920, 0.911, 0.816),
-    (0.998, 0.996, 0.992, 0.992, 0.986),
-)  # confidence, row by row of rising support, column by column of rising distances
+STEPS = (-0.847, 0.847, 2.197)
+"""Borders between scores; logits of 0.3, 0.7 and 0.9. Finer levels do not hold on sets that they are not fitted on."""
+
+LEVELS = (0.152, 0.594, 0.791, 0.949, 0.991)
+"""The shares of right depths between the borders, and in planes."""
 
 
 def complete_depth(
@@ -298,8 +290,10 @@ def complete_depth(
     check_array("rgb", image, (camera_model.height, camera_model.width, 3), np.uint8, optional=True)
     filled = fill_surfaces(samples, image, pixels_per_radian(camera_model))
     confidence = np.empty_like(filled.depths)
-    supports, distances, table = (np.array(one, np.float32) for one in (SUPPORT_STEPS, DISTANCE_STEPS, _TABLE))
-    grade_depths(filled.depths, filled.supports, filled.distances, supports, distances, table, confidence)
+    weights, steps, levels = (np.array(one, np.float32) for one in (WEIGHTS, STEPS, LEVELS))
+    grade_depths(
+        filled.depths, filled.supports, filled.strongest, filled.spreads, weights, steps, levels, confidence
+    )  # fmt: skip
     return DenseDepth(filled.depths, confidence)
 
 
@@ -308,32 +302,46 @@ _NOTHING = np.float32(0)
 _ROUNDING = np.float32(1e-4)
 """How far outside a triangle a pixel may be and still be filled by it, as a share of the triangle."""
 
-_UPRIGHT = np.float32(0.4)  # how much a distance down the image counts beside one along it
-_IN_ROW, _ROW_PX = np.float32(2000), np.float32(0.5)
-_TO_MEDIAN = np.float32(0.2)  # from the mean of the votes, which errs least in squares, to their median, least in size
+_UPRIGHT = np.float32(0.5)  # how much a distance down the image counts beside one along it
+_IN_ROW, _ROW_PX = np.float32(600), np.float32(0.3)
+_TO_MEDIAN = np.float32(0.15)  # from the mean of the votes, which errs least in squares, to their median, least in size
 
 
-@kernel(void(IN_F32_2D, IN_F32_1D, IN_I32_2D, float32[:, ::1]))
+@kernel(void(IN_F32_2D, IN_F32_1D, IN_I32_2D, IN_I32_2D, float32, float32, float32[:, ::1]))
 def measure_triangles(
-    pixels: Float32Array, inverse_depths: Float32Array, triangles: AnyArray, measures: Float32Array
-) -> None:
+    pixels: Float32Array, depths: Float32Array, triangles: AnyArray, beyond: AnyArray, tolerance: float,
+    tolerance_share: float, measures: Float32Array,
+) -> None:  # fmt: skip
     """Measure each triangle.
 
-    `pixels` (N, 2) [px]; `inverse_depths` (N,) [1/m]; `triangles` (T, 3); `measures` (T, 4), written: area [px²];
-    lengths of the longest and the shortest side [px]; how much the inverse depth changes for a pixel, the steepest way
-    [1/m/px], infinite for triangles without area.
+    `pixels` (N, 2) [px]; `depths` (N,) [m]; `triangles`, `beyond` (T, 3), the points beyond the triangle's sides,
+    negative for none; `measures` (T, 5), written: area [px²]; lengths of the longest and the shortest side [px]; how
+    much the inverse depth changes for a pixel, the steepest way [1/m/px], infinite for triangles without area; the
+    share of the points beyond its sides whose depth is within the tolerance [m], or within that share of it where that
+    is more, of the triangle's plane, 1 where there are none.
     """
+    one = np.float32(1)
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         bu, bv = pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1]
         cu, cv = pixels[c, 0] - pixels[a, 0], pixels[c, 1] - pixels[a, 1]
         twice = bu * cv - bv * cu
         sides = bu * bu + bv * bv, cu * cu + cv * cv, (bu - cu) ** 2 + (bv - cv) ** 2
-        db, dc = inverse_depths[b] - inverse_depths[a], inverse_depths[c] - inverse_depths[a]
-        slope_u, slope_v = (db * cv - dc * bv) / twice, (dc * bu - db * cu) / twice
+        ya, yb, yc = one / depths[a], one / depths[b], one / depths[c]
+        slope_u, slope_v = ((yb - ya) * cv - (yc - ya) * bv) / twice, ((yc - ya) * bu - (yb - ya) * cu) / twice
+        known, met = _NOTHING, _NOTHING
+        for k in range(3):
+            other = beyond[t, k]
+            if other >= 0:
+                du, dv = pixels[other, 0] - pixels[a, 0], pixels[other, 1] - pixels[a, 1]
+                expected = ya + slope_u * du + slope_v * dv
+                allowed = max(tolerance, tolerance_share * depths[other])
+                met += expected > 0 and abs(one / expected - depths[other]) < allowed
+                known += one
         measures[t, 0] = 0.5 * abs(twice)
         measures[t, 1], measures[t, 2] = math.sqrt(max(sides)), math.sqrt(min(sides))
         measures[t, 3] = math.sqrt(slope_u * slope_u + slope_v * slope_v) if twice != 0 else math.inf
+        measures[t, 4] = met / known if known > 0 else one
 
 
 @inlined
@@ -357,30 +365,19 @@ def _shares(pixels: Float32Array, triangle: AnyArray, u: float, v: float) -> tup
 
 
 @inlined
-def _list_voters(
-    pixels: Float32Array, depths: Float32Array, triangle: AnyArray, beyond: AnyArray, tolerance: float, share: float,
-    voters: AnyArray,
-) -> tuple[int, int]:  # fmt: skip
-    """List a triangle's points and those beyond its sides by depth; how many, and how many of them are in its plane."""
-    voters[0], voters[1], voters[2], count, met = triangle[0], triangle[1], triangle[2], 3, 3
-    one = np.float32(1)
-    ya, yb, yc = one / depths[triangle[0]], one / depths[triangle[1]], one / depths[triangle[2]]
-    for k in range(3):
-        other = beyond[k]
-        if other >= 0:
-            of_b, of_c = _shares(pixels, triangle, pixels[other, 0], pixels[other, 1])
-            expected = ya + of_b * (yb - ya) + of_c * (yc - ya)
-            allowed = max(tolerance, share * depths[other])
-            met += expected > 0 and abs(one / expected - depths[other]) < allowed
-            voters[count] = other
-            count += 1
-    for k in range(1, count):
-        point, m = voters[k], k
+def _list_voters(depths: Float32Array, triangle: AnyArray, beyond: AnyArray, voters: AnyArray) -> int:
+    """List a triangle's points and those beyond its sides by depth; how many."""
+    count = 0
+    for k in range(6):
+        point, m = (triangle[k] if k < 3 else beyond[k - 3]), count
+        if point < 0:
+            continue
         while m > 0 and depths[voters[m - 1]] > depths[point]:
             voters[m] = voters[m - 1]
             m -= 1
         voters[m] = point
-    return count, met
+        count += 1
+    return count
 
 
 @inlined
@@ -391,9 +388,9 @@ def _vote(du: float, dv: float, unit: float) -> Any:
     """
     one, across = np.float32(1), du / unit
     along, down = across * across + one, _UPRIGHT * dv / unit
-    off = dv / _ROW_PX
+    off, away = dv / _ROW_PX, along + down * down
     off *= off
-    return one / (along + down * down) + _IN_ROW / (along * along * along * (one + off * off))
+    return one / (away * math.sqrt(away)) + _IN_ROW / (along * along * along * (one + off * off))
 
 
 @inlined
@@ -419,14 +416,14 @@ def _count_votes(
 
 
 @kernel(void(
-    IN_F32_2D, IN_F32_1D, IN_I32_2D, IN_I32_2D, IN_BOOL_1D, IN_F32_1D, IN_U8_3D, IN_U8_2D, IN_F32_1D, float32, float32,
-    float32, float32[:, ::1], float32[:, ::1], float32[:, ::1]
+    IN_F32_2D, IN_F32_1D, IN_I32_2D, IN_I32_2D, IN_BOOL_1D, IN_BOOL_1D, IN_U8_3D, IN_U8_2D, IN_F32_1D, float32, float32,
+    float32, float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1]
 ))  # fmt: skip
 def fill_triangles(
     pixels: Float32Array, depths: Float32Array, triangles: AnyArray, beyond: AnyArray, filled: BoolArray,
-    trusts: Float32Array, rgb: UInt8Array, colours: UInt8Array, likeness: Float32Array, unit: float,
+    planar: BoolArray, rgb: UInt8Array, colours: UInt8Array, likeness: Float32Array, unit: float,
     tolerance: float, tolerance_share: float, depth_image: Float32Array, support_image: Float32Array,
-    distance_image: Float32Array,
+    strongest_image: Float32Array, spread_image: Float32Array,
 ) -> None:  # fmt: skip
     """Fill the pixels of triangles: linearly in inverse depth on a surface, by a vote of six points across a jump.
 
@@ -436,7 +433,7 @@ def fill_triangles(
         triangles: (T, 3), rows of both.
         beyond: (T, 3), the points beyond the triangle's sides; negative for none.
         filled: (T,), others are left out.
-        trusts: (T,), 1 for one surface, 0 for a jump; a mean of both depths between.
+        planar: (T,), of one plane; in the others points vote.
         rgb: (H, W, 3).
         colours: (N, 3), of the points.
         likeness: (766,), what a vote counts by the difference of its colour, all channels together.
@@ -444,15 +441,15 @@ def fill_triangles(
         tolerance: [m], or …
         tolerance_share: … this share of the depth where that is more.
         depth_image: (H, W) [m], written where a triangle is.
-        support_image: (H, W), of jumps the share of the votes within the tolerance of the depth; of surfaces 1 and the
-            share of the six points within it of the triangle's plane.
-        distance_image: (H, W) [px], to the nearest corner.
+        support_image: (H, W), the share of the votes within the tolerance of the depth; 2 in planes.
+        strongest_image: (H, W), where points vote the largest share of one vote.
+        spread_image: (H, W), where points vote the ratio of the farthest to the nearest of them.
     """
     height, width = depth_image.shape
-    one, half = np.float32(1), np.float32(0.5)
+    one = np.float32(1)
     voters, votes = np.empty(6, np.int64), np.empty(6, np.float32)
     for t in range(triangles.shape[0]):
-        a, b, c, trust = triangles[t, 0], triangles[t, 1], triangles[t, 2], trusts[t]
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         au, av, bu, bv, cu, cv = (
             pixels[a, 0], pixels[a, 1], pixels[b, 0], pixels[b, 1], pixels[c, 0], pixels[c, 1]
         )  # fmt: skip
@@ -461,7 +458,7 @@ def fill_triangles(
         twice = (bu - au) * (cv - av) - (bv - av) * (cu - au)
         if not filled[t] or twice == 0 or left > right or top > bottom:
             continue
-        count, met = _list_voters(pixels, depths, triangles[t], beyond[t], tolerance, tolerance_share, voters)
+        count = 0 if planar[t] else _list_voters(depths, triangles[t], beyond[t], voters)
         ya, yb, yc = one / depths[a], one / depths[b], one / depths[c]
         step_b, step_c, columns = (cv - av) / twice, -(bv - av) / twice, right - left
         for row in range(top, bottom + 1):
@@ -474,44 +471,56 @@ def fill_triangles(
                 u = left + column
                 across, down = np.float32(u), np.float32(row)
                 depth = one / ((one - of_b - of_c) * ya + of_b * yb + of_c * yc)
-                support = one + np.float32(met) / np.float32(count)
-                if trust < one:
-                    voted, total = _count_votes(
+                support_image[row, u] = one + one
+                if count > 0:
+                    depth, total = _count_votes(
                         pixels, depths, colours, voters, count, across, down, unit, rgb[row, u], likeness, votes
                     )
-                    depth = trust * depth + (one - trust) * voted
-                    if trust <= half:
-                        allowed, near = max(tolerance, tolerance_share * depth), _NOTHING
-                        for k in range(count):
-                            near += votes[k] if abs(depths[voters[k]] - depth) < allowed else _NOTHING
-                        support = near / total
-                to_a = (across - au) * (across - au) + (down - av) * (down - av)
-                to_b = (across - bu) * (across - bu) + (down - bv) * (down - bv)
-                to_c = (across - cu) * (across - cu) + (down - cv) * (down - cv)
-                depth_image[row, u], support_image[row, u] = depth, support
-                distance_image[row, u] = math.sqrt(min(to_a, to_b, to_c))
+                    allowed, near, strongest = max(tolerance, tolerance_share * depth), _NOTHING, _NOTHING
+                    for k in range(count):
+                        near += votes[k] if abs(depths[voters[k]] - depth) < allowed else _NOTHING
+                        strongest = max(strongest, votes[k])
+                    support_image[row, u], strongest_image[row, u] = near / total, strongest / total
+                    spread_image[row, u] = depths[voters[count - 1]] / depths[voters[0]]
+                depth_image[row, u] = depth
 
 
-@kernel(void(IN_F32_2D, IN_F32_2D, IN_F32_2D, IN_F32_1D, IN_F32_1D, IN_F32_2D, float32[:, ::1]))
+_LEAST_SHARE, _HARDLY = np.float32(0.02), np.float32(0.1)
+_LEAST_SPREAD, _MOST_SPREAD = np.float32(1.02), np.float32(10)
+_FAR = np.float32(TOLERANCE / TOLERANCE_SHARE)  # from here on the tolerance is a share of the depth
+
+
+@kernel(void(IN_F32_2D, IN_F32_2D, IN_F32_2D, IN_F32_2D, IN_F32_1D, IN_F32_1D, IN_F32_1D, float32[:, ::1]))
 def grade_depths(
-    depths: Float32Array, supports: Float32Array, distances: Float32Array, support_steps: Float32Array,
-    distance_steps: Float32Array, table: Float32Array, confidence: Float32Array,
+    depths: Float32Array, supports: Float32Array, strongest: Float32Array, spreads: Float32Array,
+    weights: Float32Array, steps: Float32Array, levels: Float32Array, confidence: Float32Array,
 ) -> None:  # fmt: skip
-    """Look up the confidence of each pixel by its support and its distance to the nearest point.
+    """Give each pixel the confidence of its kind.
 
-    `depths`, `supports`, `distances` (H, W); where there is no depth there is no confidence; `support_steps` (S - 1,),
-    `distance_steps` (D - 1,), rising, the borders of the rows and columns of `table` (S, D); `confidence` (H, W),
-    written.
+    Args:
+        depths, supports, strongest, spreads: (H, W), as `Completed` has them.
+        weights: (6,), of 1, the logit of the support, whether that is below 0.1, the strongest vote, the logarithm of
+            the spread, and that of the depth in multiples of 10 m where it is more; their sum is the score.
+        steps: (S,), rising, the borders between scores.
+        levels: (S + 2,), the confidence between them; the last one is that of planes.
+        confidence: (H, W), written; 0 where there is no depth.
     """
     height, width = depths.shape
+    one = np.float32(1)
     for row in range(height):
         for column in range(width):
-            s, d = 0, 0
-            for k in range(support_steps.shape[0]):
-                s += supports[row, column] >= support_steps[k]
-            for k in range(distance_steps.shape[0]):
-                d += distances[row, column] >= distance_steps[k]
-            confidence[row, column] = table[s, d] if depths[row, column] > 0 else _NOTHING
+            depth, level = depths[row, column], steps.shape[0] + 1
+            support = supports[row, column]
+            if depth > 0 and support <= one:
+                share = min(max(support, _LEAST_SHARE), one - _LEAST_SHARE)
+                spread = min(max(spreads[row, column], _LEAST_SPREAD), _MOST_SPREAD)
+                score = weights[0] + weights[1] * math.log(share / (one - share))
+                score += weights[2] * (support < _HARDLY) + weights[3] * strongest[row, column]
+                score += weights[4] * math.log(spread) + weights[5] * math.log(max(depth / _FAR, one))
+                level = 0
+                for k in range(steps.shape[0]):
+                    level += score >= steps[k]
+            confidence[row, column] = levels[level] if depth > 0 else _NOTHING
 
 
 MOST_EXTENT = 29_000

@@ -21,7 +21,7 @@ from sceneloom.db34t.setting import Property, Snapshot
 from sceneloom.db34t.tables import ARRAY_DTYPES, STREAM, TIME, Row
 from sceneloom.db34t.types import NANOSECONDS, Timestamp, ValueForm, ValueType, array_of, bytes_of, shown
 from sceneloom.errors import DataError, MissingExtraError, how_to_install
-from sceneloom.formats.base.protobuf import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
+from sceneloom.formats.base.wire_formats import LENGTH_TYPE, WireField, enclosed, field_head, wire_fields
 from sceneloom.kernels import packed
 from sceneloom.scene.poses import Poses
 

@@ -50,7 +50,7 @@ from sceneloom.db34t.types import DONE, Cause, Outcome, refused
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.detections.results import NO_BOX, FusedBoxes
 from sceneloom.errors import DataError, OptionError, SceneloomError
-from sceneloom.formats.base.protobuf import LENGTH_TYPE, wire_fields
+from sceneloom.formats.base.wire_formats import LENGTH_TYPE, wire_fields
 from sceneloom.fusion.algorithms import FusionType
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.detections import Support, TrackedObjects

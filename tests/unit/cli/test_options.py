@@ -181,6 +181,9 @@ def test_no_colours_and_no_bar_where_plain_and_what_to_do_next_with_a_broken_dri
     assert "next: `sceneloom formats` lists what can be read" in call("info", stranger).err
     (rig := tmp_path / "car.urdf").write_text("<robot name='car'><link name='base'/></robot>")
     assert f"goes with a drive: `DRIVE --rig {rig}`" in call("info", rig).err
+    way = tmp_path / "way.tum"
+    way.write_text("0.0 0 0 0 0 0 0 1\n")
+    assert f"goes with a drive: `DRIVE --trajectory {way}`" in call("info", way).err
     assert "next:" not in call("info", tmp_path / "none").err
     poses = tmp_path / "poses.txt"
     poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")

@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 from google.protobuf.internal.encoder import _VarintBytes
 from PIL import Image, PngImagePlugin
+from tests.unit.formats.labelling.test_round_trips import scene_of
 
 from sceneloom.db34t.wire import fusion_pb2
 from sceneloom.errors import ArrayError, CalibrationError, DataError, OutputError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import ByteStream
 from sceneloom.formats.base.images import EncodedImage, write_depth_image
-from sceneloom.formats.base.protobuf import enclosed, field_head, varint, wire_fields
+from sceneloom.formats.base.json_files import damage_of_json, read_json
+from sceneloom.formats.base.registry import open_scene, write_scene
+from sceneloom.formats.base.wire_formats import enclosed, field_head, varint, wire_fields
 from sceneloom.formats.recording.reader import _MOST_LOCATIONS, _FaultLedger
 from sceneloom.pipeline.redacting import _stripped
 
@@ -178,6 +181,61 @@ def test_numbers_fields_and_parts_of_messages_are_written_as_protobuf_does_and_f
 
 def line(number):
     return DataError("/drive/data.jsonl", f"line {number}", f"{number} is odd")
+
+
+@pytest.mark.parametrize(
+    ("content", "location", "value"),
+    [
+        (b'{"images": [],\n "annotations": [{"id": 1}, {"bbox": [1, 2', "line 2, column 43", "annotations[1].bbox[1]"),
+        (b'{"a": {"b c": 1, "d": "\xc3\xa4\\"', "line 1, column 27", "a.d"),
+        (b'{"a": {"b": [], "nam', "line 1, column 21", "a"),
+        (b'[{"a": [[],[]]}, {', "line 1, column 19", "[1]"),
+        (b"[" * 60, "line 1, column 61", "…]" + "[0]" * 33),
+        (b"{", "line 1, column 2", "its first value"),
+    ],
+)
+def test_json_that_is_cut_off_is_reported_with_line_column_and_the_value_it_ends_in(tmp_path, content, location, value):
+    path = tmp_path / "a.json"
+    path.write_bytes(content)
+    with pytest.raises(DataError) as error:
+        read_json(path, object)
+    assert error.value.location == location
+    assert error.value.problem == f"is no JSON: the file ends within {value}, it is cut off"
+    with pytest.raises(DataError, match=rf"a\.json: {location}: is no JSON: "):
+        open_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b'{"a": 1,\n\n  "b": x}', "line 3, column 8: is no JSON: invalid character"),
+        (b'{"a": "\xff"}', "line 1, column 8: is no JSON: Invalid UTF-8"),
+        (b"", "line 1, column 1: is no JSON: the file is empty"),
+        (b"[" * 100_000, "is no JSON: "),
+    ],
+)
+def test_json_with_other_damage_is_reported_where_it_is_and_a_mark_before_it_is_none(tmp_path, content, problem):
+    path = tmp_path / "a.json"
+    path.write_bytes(content)
+    with pytest.raises(DataError, match=rf"a\.json: {problem}"):
+        read_json(path, object)
+    path.write_bytes(b'\xef\xbb\xbf{"a": 1}')
+    assert read_json(path, dict) == {"a": 1}
+    (tmp_path / "a.jsonl").write_bytes(b'{"a": 1}\n{"a": 2}\n')
+    assert damage_of_json(tmp_path / "a.jsonl") is None
+    path.write_bytes(b'{"a": 1}\n}')
+    assert damage_of_json(path) == "a.json: line 2, column 1: is no JSON: trailing characters"
+
+
+@pytest.mark.parametrize("name", ["coco", "datumaro", "label-studio"])
+def test_labels_cut_anywhere_are_refused_as_json_that_is_cut_off(tmp_path, name):
+    path = tmp_path / f"a.{name}.json"
+    write_scene(scene_of("boxes"), path, format=name)
+    whole = path.read_bytes().rstrip()
+    for cut in range(1, 40):
+        path.write_bytes(whole[: len(whole) * cut // 40])
+        with pytest.raises(DataError, match=r"line \d+, column \d+: is no JSON: the file ends within .+, it is cut"):
+            open_scene(path)
 
 
 def test_of_very_many_faults_those_beyond_are_counted_with_the_position_of_the_last():

@@ -11,6 +11,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cache, cached_property, partial
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, cast
@@ -18,9 +19,10 @@ from urllib.parse import urlsplit
 
 from sceneloom.errors import OptionError, SceneloomError, UnknownFormatError, UnknownOptionError, redacted
 from sceneloom.formats.base.files import is_url, path_or_url
+from sceneloom.formats.base.json_files import damage_of_json
 from sceneloom.formats.base.losses import Loss, LossReport
 from sceneloom.formats.base.output import Source, check_output
-from sceneloom.formats.base.spec import FormatSpec, first_bytes
+from sceneloom.formats.base.spec import ZIP, FormatSpec, begins, close_both, first_bytes
 from sceneloom.lazy import imported
 from sceneloom.scene.scene import Corrections, Scene
 from sceneloom.scene.types import key_of
@@ -92,7 +94,7 @@ class _LookedAt:
 
 _BEGINNING = 4096
 _WILD = re.compile(r"[*?\[]")
-_JSON, _ZIP, _MCAP = b"{", b"PK\x03\x04", b"\x89MCAP0\r\n"
+_JSON, _MCAP = b"{", b"\x89MCAP0\r\n"
 _CAPTURES = tuple(map(bytes.fromhex, ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23c4d", "0a0d0d0a")))
 _KITTI = "sceneloom.formats.kitti.spec"
 _POINTS = "sceneloom.formats.points.spec"
@@ -106,7 +108,7 @@ FORMATS: Mapping[str, FormatRow] = MappingProxyType(
     {
         "sfs": FormatRow("sceneloom.formats.sfs.spec:FORMAT", file=(_JSON,)),
         "recording": FormatRow(
-            "sceneloom.formats.recording.spec:FORMAT", file=(_JSON, _ZIP, "data.jsonl"), folder=("data.jsonl",)
+            "sceneloom.formats.recording.spec:FORMAT", file=(_JSON, "data.jsonl"), folder=("data.jsonl",)
         ),
         "rig": FormatRow("sceneloom.formats.rig.spec:FORMAT", file=(".toml",), folder=("rig.toml",)),
         "mcap": FormatRow(f"{_MESSAGES}:MCAP", file=(_MCAP,)),
@@ -249,19 +251,23 @@ def claims_of(path: Path) -> list[FormatSpec]:
 
 
 def find_format(path: Path) -> FormatSpec:
-    """Find the format whose content test accepts an existing path.
+    """Find the format whose content test accepts an existing path, or what a zip archive holds.
 
     Raises:
         UnknownFormatError: the path is missing, or none, or more than one format claims it.
+        DataError: it is a zip archive that cannot be unpacked.
     """
     if not path.exists():
         raise UnknownFormatError(path, "", "no such file or folder")
     claims = claims_of(path)
+    guess: Callable[[], list[str]] = partial(_guesses, path)
+    if not claims and begins(path, ZIP):
+        claims, guess = _looked_into(path)
     if len(claims) == 1:
         return claims[0]
     if not claims:
         expected = f"expected one of: {', '.join(form.name for form in _all_formats() if form.reads)}"
-        raise UnknownFormatError(path, "", "; ".join(["no reader knows this", *_guesses(path), expected]))
+        raise UnknownFormatError(path, "", "; ".join(["no reader knows this", *guess(), expected]))
     names = "; ".join(f"{form.name}, {form.looks_like}" for form in claims)
     raise UnknownFormatError(
         path,
@@ -271,13 +277,44 @@ def find_format(path: Path) -> FormatSpec:
     )
 
 
+def _looked_into(path: Path) -> tuple[list[FormatSpec], Callable[[], list[str]]]:
+    """What claims the drive in a zip archive, and what guesses why nothing does."""
+    from sceneloom.formats.base.zipped import look_into
+
+    unpacked = look_into(path)
+    locations = list(unpacked.locations())
+    claims = next(filter(None, map(claims_of, locations)), [])
+
+    def guesses() -> list[str]:
+        near = [guess.replace(str(unpacked.folder), path.name) for guess in _guesses(locations[-1])]
+        return [*near, f"it is a zip archive: unpack what is wanted of it first (`unzip {path.name} -d FOLDER`)"]
+
+    return claims, guesses
+
+
 def _guesses(path: Path) -> list[str]:
     """What a person may have meant: what nearly is of a format, and what lies right inside of a folder."""
     if _is_empty(path):
         return ["it is empty"]
+    damaged = [damage for file in _json_files(path) if (damage := damage_of_json(file))]
+    if damaged:
+        return damaged
     near = {form.name: form.near_miss(path) for form in map(format_named, FORMATS) if form.reads}
     reported = [f"{name}? {guess}" for name, guess in near.items() if guess]
     return reported or _inside(path)
+
+
+def _json_files(path: Path) -> list[Path]:
+    """The files of JSON that a path is, or that are in a folder where labelling tools put them."""
+    if not path.is_dir():
+        return [path] if first_bytes(path, _BEGINNING).lstrip()[:1] in (b"{", b"[") else []
+    try:
+        return list(islice((one for name in _OF_LABELS for one in sorted(path.glob(name))), _LOOKED_AT))
+    except OSError:
+        return []
+
+
+_OF_LABELS = ("*.json", "annotations/*.json")
 
 
 def _is_empty(path: Path) -> bool:
@@ -346,9 +383,9 @@ def open_scene(
     lvx; clouds as pcd, ply, las, laz, kitti-bin, nuscenes-bin, npz. `sceneloom formats` describes each.
 
     Args:
-        path: a file or folder, or the URL of one (needs the extra `cloud`): scene files and MCAP files are read by
-            ranges, files of folders fetched when they are opened, and other files at once, into a temporary folder,
-            which is removed when the scene is closed.
+        path: a file or folder, a zip archive of one, or the URL of one (needs the extra `cloud`): scene files and MCAP
+            files are read by ranges, files of folders fetched when they are opened, and other files at once. What is
+            fetched or unpacked is in a temporary folder, which is removed when the scene is closed.
         format: the format's name, where the content should not decide.
         start, stop: seconds after the scene's first timestamp between which it counts, as of `editing.crop_scene`;
             None for the beginning and the end.
@@ -436,7 +473,7 @@ def opened_by(form: FormatSpec, location: Path | str, **options: Any) -> Scene:
     scene = form.open(location, **options)
     if isinstance(location, str):
         return scene
-    return replace(scene, on_close=partial(_close_both, scene.on_close, Source(location).release))
+    return replace(scene, on_close=partial(close_both, scene.on_close, Source(location).release))
 
 
 def _read_by_ranges(url: str, format: str | None) -> bool:
@@ -467,13 +504,8 @@ def _fetched_scene(url: str, format: str | None, options: dict[str, Any]) -> Sce
         scene,
         source=redacted(url),
         warnings=(*scene.warnings, reported),
-        on_close=partial(_close_both, scene.on_close, fetched.remove),
+        on_close=partial(close_both, scene.on_close, fetched.remove),
     )
-
-
-def _close_both(close: Callable[[], None], remove: Callable[[], None]) -> None:
-    close()
-    remove()
 
 
 def format_and_location(path: str | Path, *, format: str | None = None) -> tuple[FormatSpec, Any]:

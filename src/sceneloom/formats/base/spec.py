@@ -2,12 +2,23 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sceneloom.errors import DataError, MissingExtraError, OptionError, check_option_names, how_to_install
+from msgspec import structs
+
+from sceneloom.errors import (
+    DataError,
+    MissingExtraError,
+    OptionError,
+    SceneloomError,
+    check_option_names,
+    how_to_install,
+    redacted,
+)
 from sceneloom.formats.base.files import open_file, path_or_url
 from sceneloom.formats.base.losses import LossReport, Supports
 from sceneloom.lazy import imported
@@ -148,7 +159,38 @@ class FormatSpec:
         where = path
         if isinstance(path, str):
             where = path_or_url(path) if self.reads_urls else Path(path)
-        return self._function(function)(where, **self.given, **taken)
+        read = partial(self._function(function), **self.given, **taken)
+        if isinstance(where, Path) and begins(where, ZIP) and not self.sniff(where):
+            return self._read_unpacked(read, where)
+        return read(where)
+
+    def _read_unpacked(self, read: Callable[[Path], Any], path: Path) -> Any:
+        """Read a drive in a zip archive; what is unpacked for it goes when its scene is closed."""
+        from sceneloom.formats.base.zipped import unpack
+
+        unpacked = unpack(path)
+        folder, archive = str(unpacked.folder), str(path)
+        try:
+            found = read(unpacked.location_of(self.sniff, self.looks_like))
+        except BaseException as error:
+            unpacked.remove()
+            if isinstance(error, SceneloomError):
+                error.rename(folder, archive)
+            raise
+        scene = getattr(found, "scene", found)
+        if scene is None:
+            unpacked.remove()
+            return found
+        scene = replace(
+            scene,
+            source=redacted(archive),
+            warnings=tuple(
+                structs.replace(one, **{name: getattr(one, name).replace(folder, archive) for name in _TEXTS})
+                for one in scene.warnings
+            ),
+            on_close=partial(close_both, scene.on_close, unpacked.remove),
+        )
+        return replace(found, scene=scene) if hasattr(found, "scene") else scene
 
     def _function(self, name: str) -> Callable[..., Any]:
         try:
@@ -158,6 +200,15 @@ class FormatSpec:
             raise MissingExtraError(f"{missing}; install the extra: {how_to_install(self.extra)}") from missing
         found: Callable[..., Any] = imported(name)
         return found
+
+
+_TEXTS = ("location", "message")  # of warnings
+
+
+def close_both(close: Callable[[], None], remove: Callable[[], None]) -> None:
+    """Close what a scene holds open, then remove what was put on the disk for it."""
+    close()
+    remove()
 
 
 def _rig_of(options: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
@@ -189,6 +240,9 @@ def _arguments(known: tuple[str, ...] | type[Any], doing: str, options: Mapping[
 
 
 # What the specs and readers of several formats share.
+
+ZIP = b"PK\x03\x04"
+"""What zip archives begin with."""
 
 _LOOKED_AT = 50
 _MOST_NAMES = 20

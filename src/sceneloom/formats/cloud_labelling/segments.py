@@ -20,7 +20,7 @@ from sceneloom.arrays import Float64Array, Int64Array, UInt32Array
 from sceneloom.cameras.camera import OPENCV_NAMES, Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.json_files import read_json
+from sceneloom.formats.base.json_files import NO_JSON, read_json
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, file_stem, replacing
 from sceneloom.formats.cloud_labelling.spec import SEGMENTS_SUPPORTS, segments_release
@@ -294,6 +294,8 @@ class _Reader:
         except msgspec.ValidationError as error:
             problem, _, location = str(error).partition(" - at `$")
             raise DataError(self.path, f"{where}{location.rstrip('`')}", problem) from error
+        except NO_JSON as error:
+            raise DataError(self.path, where, f"is no JSON: {error}") from error
 
     def _sensor(self, raw: msgspec.Raw, where: str) -> msgspec.Raw:
         """The attributes of the clouds among those of several sensors."""

@@ -21,7 +21,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, UInt32Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.json_files import read_json
+from sceneloom.formats.base.json_files import NO_JSON, read_json
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, file_stem, replacing
 from sceneloom.formats.base.spec import choose_drive
@@ -473,6 +473,8 @@ def _decoded(path: Path, where: str, raw: msgspec.Raw, kind: Any) -> Any:
     except msgspec.ValidationError as error:
         problem, _, location = str(error).partition(" - at `$")
         raise DataError(path, f"{where}.geometry{location.rstrip('`')}", problem) from error
+    except NO_JSON as error:
+        raise DataError(path, f"{where}.geometry", f"is no JSON: {error}") from error
 
 
 @dataclass(slots=True)

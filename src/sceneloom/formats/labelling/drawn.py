@@ -18,8 +18,8 @@ from sceneloom.arrays import Float64Array, Int64Array, read_only
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.images import IMAGE_SUFFIXES, ImageFile, encode_jpeg, encode_png, images_image_size, is_jpeg
+from sceneloom.formats.base.json_files import read_json
 from sceneloom.formats.base.losses import Losses, LossReport
 from sceneloom.formats.base.masks import MASKS, Mask
 from sceneloom.formats.base.output import FolderKind, file_stem, replacing
@@ -163,10 +163,7 @@ class Json:
         Raises:
             DataError: it cannot be read, or is no JSON.
         """
-        try:
-            return cls(path, "", msgspec.json.decode(read_bytes(path)))
-        except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-            raise DataError(path, "", f"is no JSON: {error}") from error
+        return cls(path, "", read_json(path, Any))
 
     def fault(self, expected: str) -> DataError:
         """The error of a part that is not what was expected."""

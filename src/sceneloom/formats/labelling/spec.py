@@ -105,13 +105,14 @@ def _any_file(*patterns: str, is_one: Callable[[Path], bool]) -> Callable[[Path]
 
 # CVAT
 
-_CVAT = re.compile(rb"<annotations[\s>]")
-_TRACKLETS = re.compile(rb"<boost_serialization[\s>]")
+_XML = rb"(?:\xef\xbb\xbf)?\s*<(?s:.*<)?"
+_CVAT = re.compile(_XML + rb"annotations[\s>]")
+_TRACKLETS = re.compile(_XML + rb"boost_serialization[\s>]")
 
 
 def is_cvat(path: Path) -> bool:
     """Whether a file is XML of CVAT 1.1."""
-    return _CVAT.search(first_bytes(path, _BEGINNING)) is not None
+    return _CVAT.match(first_bytes(path, _BEGINNING)) is not None
 
 
 TRACKLETS_FILE, FRAME_LIST = "tracklet_labels.xml", "frame_list.txt"
@@ -120,7 +121,7 @@ TRACKLETS_FILE, FRAME_LIST = "tracklet_labels.xml", "frame_list.txt"
 def _is_tracklets(path: Path) -> bool:
     if path.is_dir():
         return (path / FRAME_LIST).is_file() and _is_tracklets(path / TRACKLETS_FILE)
-    return path.is_file() and _TRACKLETS.search(first_bytes(path, _BEGINNING)) is not None
+    return path.is_file() and _TRACKLETS.match(first_bytes(path, _BEGINNING)) is not None
 
 
 CVAT_FILES = ("annotations.xml", "*.xml")

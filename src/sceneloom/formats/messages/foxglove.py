@@ -1,6 +1,6 @@
-"""What messages of Foxglove's schemas state, whatever their encoding: of protobuf, JSON, ROS 1 or ROS 2.
+"""What messages of Foxglove's schemas state, whatever their encoding: of protobuf, JSON, FlatBuffers, ROS 1 or ROS 2.
 
-Messages are objects with the fields of the schemas; times have `seconds` and `nanos`, or `sec` and `nanosec`.
+Messages are objects with the fields of the schemas; times have `seconds` and `nanos`, or `sec` and `nanosec` or `nsec`.
 
 Source: docs.foxglove.dev, "Message schemas"; package foxglove_msgs of ROS.
 """
@@ -25,6 +25,7 @@ from sceneloom.formats.messages.records import (
     CloudRecord,
     CompressedImageRecord,
     FixRecord,
+    GridRecord,
     ImageRecord,
     Kind,
     PackedCloudRecord,
@@ -32,6 +33,7 @@ from sceneloom.formats.messages.records import (
     PoseRecord,
     SampleRecord,
     TransformRecord,
+    grid_positions,
     rotation_of,
     vector_of,
 )
@@ -59,7 +61,8 @@ _OTHER_PLOTS = ("arrows", "spheres", "cylinders", "lines", "triangles", "models"
 def _time_ns(timestamp: Any) -> int:
     if hasattr(timestamp, "nanos"):
         return int(timestamp.seconds) * 1_000_000_000 + int(timestamp.nanos)
-    return int(timestamp.sec) * 1_000_000_000 + int(timestamp.nanosec)
+    rest = timestamp.nanosec if hasattr(timestamp, "nanosec") else timestamp.nsec
+    return int(timestamp.sec) * 1_000_000_000 + int(rest)
 
 
 def _head(message: Any) -> tuple[int, str]:
@@ -67,7 +70,7 @@ def _head(message: Any) -> tuple[int, str]:
 
 
 def _states(message: Any, name: str) -> bool:
-    """Whether a message has a field: of protobuf it may be left out."""
+    """Whether a message has a field: of protobuf and FlatBuffers it may be left out."""
     return bool(message.HasField(name)) if hasattr(message, "HasField") else hasattr(message, name)
 
 
@@ -109,6 +112,23 @@ def _packed_cloud(message: Any, data: memoryview) -> Iterable[PackedCloudRecord]
     yield PackedCloudRecord(*_head(message), str(message.format), data, frame_from_points=_placed(message))
 
 
+def _grid(message: Any, data: memoryview) -> Iterable[GridRecord]:
+    """A grid, whose cells have the colours that they state."""
+    stride, row_stride = int(message.cell_stride), int(message.row_stride)
+    columns = int(message.column_count)
+    if not 0 < stride * columns <= row_stride:
+        raise ValueError(f"{columns} columns of {stride} bytes in rows of {row_stride}; expected longer rows")
+    count = len(data) // row_stride
+    table = np.frombuffer(data, np.uint8, count * row_stride).reshape(count, row_stride)[:, : columns * stride]
+    cells = table.reshape(count * columns, stride)
+    offsets = {str(one.name): int(one.offset) for one in message.fields if POINT_TYPES.get(int(one.type)) == "u1"}
+    found = [offsets.get(name, stride) for name in ("red", "green", "blue")]
+    colors = cells[:, found] if max(found) < stride else None
+    rows, across = np.divmod(np.arange(len(cells)), columns)
+    size = float(message.cell_size.x), float(message.cell_size.y)
+    yield GridRecord(*_head(message), grid_positions(across, rows, size, message.pose), colors)
+
+
 def _scan(message: Any, _: memoryview) -> Iterable[CloudRecord]:
     ranges = np.asarray(message.ranges, np.float64)
     start, stop = float(message.start_angle), float(message.end_angle)
@@ -148,6 +168,10 @@ def _poses(message: Any, _: memoryview) -> Iterable[PoseRecord | SampleRecord]:
         parts = zip(VELOCITIES, (spread[:3, :3], spread[3:, 3:]), strict=True)
         stated = {name: tuple(part.reshape(-1).tolist()) for name, part in parts if part.any() and name in values}
         yield SampleRecord(head[0], body, values, stated)
+
+
+def _point(message: Any, _: memoryview) -> Iterable[PoseRecord]:
+    yield PoseRecord(*_head(message), vector_of(message.point), None)
 
 
 def _fixes(message: Any, _: memoryview) -> Iterable[FixRecord]:
@@ -227,6 +251,7 @@ READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "PointCloud": (Kind.CLOUD, _cloud),
         "CompressedPointCloud": (Kind.CLOUD, _packed_cloud),
         "LaserScan": (Kind.CLOUD, _scan),
+        "Grid": (Kind.GRID, _grid),
         "RawImage": (Kind.IMAGE, _image),
         "CompressedImage": (Kind.COMPRESSED_IMAGE, _compressed_image),
         "CompressedVideo": (Kind.VIDEO, _compressed_image),
@@ -234,6 +259,7 @@ READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         "PoseInFrame": (Kind.POSE, _poses),
         "PosesInFrame": (Kind.POSE, _poses),
         "Odometry": (Kind.POSE, _poses),
+        "Point3InFrame": (Kind.POSE, _point),
         "LocationFix": (Kind.FIX, _fixes),
         "LocationFixes": (Kind.FIX, _fixes),
         "SceneUpdate": (Kind.BOXES_3D, _boxes_3d),

@@ -1,6 +1,6 @@
 """MCAP files with Foxglove's schemas: messages as records and back, a file as a log of topics, as a scene, and written.
 
-Messages are protobuf or JSON; their large fields are not copied.
+Messages are protobuf, JSON or FlatBuffers; their large fields are not copied.
 """
 
 import base64
@@ -27,7 +27,7 @@ from sceneloom.errors import DataError, MissingExtraError, OutputError, how_to_i
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import replacing
-from sceneloom.formats.base.protobuf import LENGTH_TYPE, field_head, wire_fields
+from sceneloom.formats.base.wire_formats import LENGTH_TYPE, FlatSchema, field_head, flat_schema, wire_fields
 from sceneloom.formats.messages.file_bytes import Entries, FileBytes
 from sceneloom.formats.messages.foxglove import LINE_LOOP, MATCHING_ID, POINT_TYPES, READERS
 from sceneloom.formats.messages.mcap_files import McapIndex, McapWriter, read_index
@@ -164,7 +164,8 @@ def write_mcap(
 
 _HEAD_BYTES = 512
 _LOOKED_AT = 8  # messages of a topic in compressed chunks whose own times are compared with those of the index
-_ENCODINGS = ("protobuf", "json")  # encodings of messages that are read
+_FLAT = "flatbuffer"
+_ENCODINGS = ("protobuf", "json", _FLAT)  # encodings of messages that are read
 
 
 def open_mcap(
@@ -236,19 +237,38 @@ class _McapLog:
 
     def _timestamps_of(self, topic: Topic, rows: Int64Array) -> Int64Array:
         messages, entries, found = self.index.messages, self.entries[topic.number], []
-        heads = messages.heads(entries, rows, _HEAD_BYTES) if self._encoding(topic) == "protobuf" else None
+        head_timestamp = self._head_timestamp(topic)
+        heads = None if head_timestamp is None else messages.heads(entries, rows, _HEAD_BYTES)
         for row in rows.tolist():
-            stated = None if heads is None else _head_timestamp(next(heads))
+            stated = None if heads is None or head_timestamp is None else head_timestamp(next(heads))
             found.append(self.read(topic, row)[0].timestamp_ns if stated is None else stated)
         return np.array(found, np.int64)
 
+    def _head_timestamp(self, topic: Topic) -> Callable[[bytes], int | None] | None:
+        """What finds the timestamp at the head of a large message; None of encodings that are read whole."""
+        match self._encoding(topic):
+            case "protobuf":
+                return _head_timestamp
+            case "flatbuffer":
+                return partial(_flat_timestamp, self._flat_schema(topic))
+        return None
+
     def _encoding(self, topic: Topic) -> str:
         return self.index.channels[topic.number].message_encoding
+
+    def _flat_schema(self, topic: Topic) -> FlatSchema:
+        schema = self.index.schemas[self.index.channels[topic.number].schema_id]
+        try:
+            return flat_schema(schema.data)
+        except (ValueError, RecursionError) as error:
+            raise DataError(self.name, f"schema {schema.name!r}", f"no schema of FlatBuffers: {error}") from error
 
     def read(self, topic: Topic, k: int) -> Sequence[AnyRecord]:
         """What message `k` says."""
         content = self.index.messages.data(self.entries[topic.number], k)
         try:
+            if self._encoding(topic) == _FLAT:
+                return _parse_flatbuffer(self._flat_schema(topic), topic.schema, content)
             parse = _parse_protobuf if self._encoding(topic) == "protobuf" else _parse_json
             return parse(topic.schema, content)
         except (ValueError, OverflowError) as error:
@@ -283,7 +303,7 @@ def _topic(index: McapIndex, number: int, count: int) -> Topic:
     kind = Kind.SAMPLE if name == _SAMPLE_SCHEMA and channel.message_encoding == "json" else None
     kind = _READERS[name][0] if name in _READERS else kind
     if kind is not None and channel.message_encoding not in _ENCODINGS:
-        why = f"in the encoding {channel.message_encoding!r}; expected protobuf or json"
+        why = f"in the encoding {channel.message_encoding!r}; expected one of {', '.join(_ENCODINGS)}"
         return Topic(number, channel.topic, name, None, count, why)
     if schema is None:
         return Topic(number, channel.topic, f"{channel.message_encoding or 'bytes'} without a schema", None, count)
@@ -370,6 +390,26 @@ def _parse_json(schema: str, content: memoryview) -> Sequence[AnyRecord]:
     ) as error:
         raise ValueError(f"no {schema} in JSON: {error}") from error
     return list(_READERS[schema][1](message, data))
+
+
+def _parse_flatbuffer(flat: FlatSchema, schema: str, content: memoryview) -> Sequence[AnyRecord]:
+    """Read a FlatBuffer by the schema of its channel."""
+    message = flat.message(content)
+    data = memoryview(message.data) if message.HasField(_DATA) else memoryview(b"")
+    try:
+        return list(_READERS[schema][1](message, data))
+    except (AttributeError, TypeError) as error:
+        raise ValueError(f"no {schema}: its schema states other fields: {error}") from error
+
+
+def _flat_timestamp(flat: FlatSchema, head: bytes) -> int | None:
+    """Timestamp [ns] at the head of a large FlatBuffer; None where it is farther on."""
+    try:
+        message = flat.message(memoryview(head))
+        timestamp = message.timestamp
+        return int(timestamp.sec) * _SECOND_NS + int(timestamp.nsec)
+    except (ValueError, AttributeError):
+        return None
 
 
 def _as_protobuf_writes(value: Any, name: str = "") -> Any:

@@ -1,7 +1,7 @@
-"""Topics of packets as sensors: lidars by the decoders of captures, Ouster's IMUs, and Continental's ARS548 radars.
+"""Topics of packets as sensors: lidars by the decoders of captures, Ouster's IMUs, Continental's ARS548 and SRR520.
 
 Source: Continental ARS 548 RDI, "Interface specification" (SOME/IP services DetectionList and ObjectList), whose layout
-the public headers of nebula (continental_ars548.hpp) give, too.
+the public headers of nebula (continental_ars548.hpp) give, too; for SRR520 those and its decoder (continental_srr520).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -72,12 +72,19 @@ class _MessagePackets:
         """
         found = np.empty((len(rows), self.length), np.uint8)
         into = found.reshape(-1)
-        messages, numbers = self.messages[rows], self.numbers[rows].tolist()
+        messages, numbers = self.messages[rows], self.numbers[rows]
         limits = [0, *(np.flatnonzero(np.diff(messages)) + 1).tolist(), len(rows)]
         for start, stop in pairwise(limits):
             packets = () if start == stop else _read(self.log, self.topic, int(messages[start])).packets
+            if (
+                isinstance(packets, np.ndarray)
+                and packets.shape[1] >= self.length
+                and numbers[start:stop].max() < len(packets)
+            ):
+                found[start:stop] = packets[numbers[start:stop], : self.length]
+                continue
             for row in range(start, stop):
-                packet = packets[numbers[row]] if numbers[row] < len(packets) else memoryview(b"")
+                packet = packets[numbers[row]] if numbers[row] < len(packets) else b""
                 if len(packet) < self.length:
                     problem = f"{len(packet)} bytes in packet {numbers[row]}; expected {self.length}"
                     raise DataError(self.log.name, f"{self.topic.name}[{messages[start]}]", problem)
@@ -176,6 +183,7 @@ def draft_packets(found: Survey, reading: PacketReading) -> list[PacketDraft]:
     for group in groups:
         try:
             made = _radar(group, found)
+            made = _short_range_radar(group, found) if made is None else made
             if made is None:
                 made = _lidar(group, found, reading, metadata, states, shifts_ns)
         except DataError as error:
@@ -223,7 +231,7 @@ def _groups(found: Survey, topic: Topic) -> Iterator[_Group]:
             delays_ns = record.arrivals_ns - record.timestamp_ns
         arrivals_ns = settled_ns + np.where(np.abs(delays_ns) < _DELAYED_NS, delays_ns, 0)
         for number, (packet, arrival_ns) in enumerate(zip(record.packets, arrivals_ns.tolist(), strict=True)):
-            kind = len(packet), robosense.is_state(packet)
+            kind = len(packet), robosense.is_state(memoryview(packet))
             columns = kinds.get(kind)
             if columns is None:
                 columns = kinds[kind] = ([], [], [])
@@ -421,6 +429,16 @@ def _radar(group: _Group, found: Survey) -> list[PacketDraft] | None:
     rows = np.flatnonzero((heads["service"] == 0) & (heads["method"] == method))
     if not len(rows):
         return None
+    times_ns, rows = _cycle_times(group, found, heads, rows)
+    reader = _RadarCycles(group.packets, rows, times_ns, is_objects=layout is _OBJECTS)
+    suffix = "/objects" if layout is _OBJECTS else ""
+    mount = None if layout is _OBJECTS else _stated_mount(reader.record(0))
+    frames = LazyFrames(times_ns, reader)
+    return [PacketDraft(group.topic, group.frame_id, suffix, frames, mount=mount, on_ego=layout is _OBJECTS)]
+
+
+def _cycle_times(group: _Group, found: Survey, heads: AnyArray, rows: Int64Array) -> tuple[Int64Array, Int64Array]:
+    """Times of the cycles of a radar whose heads are these rows, (K,) int64 [ns], and the rows that remain."""
     arrivals_ns = group.packets.arrivals_ns[rows]
     raw_ns = heads["seconds"][rows].astype(np.int64) * 1_000_000_000 + heads["nanoseconds"][rows]
     synchronised = heads["stamp_sync_status"][rows] == _SYNCHRONISED
@@ -432,11 +450,7 @@ def _radar(group: _Group, found: Survey) -> list[PacketDraft] | None:
     if len(first) < len(rows):
         message = "a packet is there twice; it counts once"
         found.ledger.note(WarningKind.REPAIRED, "packets-repeated", group.where, message, count=len(rows) - len(first))
-    reader = _RadarCycles(group.packets, rows[first], times_ns, is_objects=layout is _OBJECTS)
-    suffix = "/objects" if layout is _OBJECTS else ""
-    mount = None if layout is _OBJECTS else _stated_mount(reader.record(0))
-    frames = LazyFrames(times_ns, reader)
-    return [PacketDraft(group.topic, group.frame_id, suffix, frames, mount=mount, on_ego=layout is _OBJECTS)]
+    return times_ns, rows[first]
 
 
 def _stated_mount(record: Any) -> RigidTransform | None:
@@ -517,3 +531,174 @@ def _objects(rows: AnyArray) -> tuple[RadarPoints, int]:
         extras=MappingProxyType(_columns(kept, without=("position_x", "position_y", "position_z"))),
     )
     return points, len(rows) - len(points)
+
+
+# Radar: Continental SRR520. Each packet is a frame of CAN FD behind its id; a message holds the packets of one list.
+
+_CAN_HEAD: _Layout = [
+    ("id", ">u4"), ("microseconds", ">u4"), ("seconds", ">u4"), ("nanoseconds", ">u4"), ("stamp_sync_status", "u1"),
+    ("signal_status", "u1"), ("sequence_counter", "u1"), ("cycle_counter", ">u4"),
+]  # fmt: skip
+_SCAN_HEAD = np.dtype([*_CAN_HEAD, ("v_ambiguous", ">u2"), ("max_range", ">u2"), ("count", ">u2"), ("reserved", "V7")])
+_OBJECTS_HEAD = np.dtype(
+    [*_CAN_HEAD, ("ego_vx", ">u2"), ("ego_yaw_rate", ">u2"), *_bytes("motion_type", "count"), ("reserved", "V7")]
+)
+_ELEMENT_LENGTH, _CRC_LENGTH = 68, 8
+_COUNTER = 66  # the byte of an element that counts them within a list
+_CRC_ID, _STATUS_ID = 800, 700
+
+_Field = tuple[str, int, float, float]  # name, bits, unit of the number, and what is added to it
+_SCAN_FIELDS: tuple[_Field, ...] = (
+    ("range", 12, 0.024420024, 0.0), ("azimuth_angle", 9, 0.006159986, -1.570796327),
+    ("range_rate", 11, 0.014662757, -15.0), ("rcs", 7, 0.476190476, -40.0),
+    *((f"pdh0{k}", 1, 100.0, 0.0) for k in range(5)), ("snr", 4, 1.7, 11.0),
+)  # fmt: skip
+_OBJECT_FIELDS: tuple[_Field, ...] = (
+    ("object_id", 8, 1.0, 0.0), ("dist_x", 16, 0.009155553, -300.0), ("dist_y", 16, 0.009155553, -300.0),
+    ("v_abs_x", 14, 0.009156391, -75.0), ("v_abs_y", 14, 0.009156391, -75.0),
+    ("a_abs_x", 10, 0.019569472, -10.0), ("a_abs_y", 10, 0.019569472, -10.0),
+    *((f"{name}_{axis}_std", 14, 0.001831166, 0.0) for name in ("dist", "v_abs", "a_abs") for axis in "xy"),
+    ("box_length", 12, 0.007326007, 0.0), ("box_width", 12, 0.007326007, 0.0),
+    ("orientation", 12, 0.001534729, -3.14159), ("rcs", 12, 0.024425989, -50.0), ("score", 4, 6.666666667, 0.0),
+    ("life_cycles", 16, 1.0, 0.0), ("reserved", 5, 1.0, 0.0), ("object_status", 2, 1.0, 0.0),
+    ("box_valid", 1, 1.0, 0.0),
+)  # fmt: skip
+_UNKNOWN_IF_FULL = frozenset(
+    {"azimuth_angle", "range_rate", "dist_x", "dist_y", "v_abs_x", "v_abs_y", "a_abs_x", "a_abs_y", "orientation"}
+    | {"rcs"}
+)
+"""Fields of which the largest number is no value."""
+
+
+@dataclass(frozen=True, slots=True)
+class _CanList:
+    """A list that an SRR520 sends: the ids of its head and of its elements, layouts, and what its sensor is called."""
+
+    head_id: int
+    element_id: int
+    head: np.dtype[Any]
+    fields: tuple[_Field, ...]
+    each: int  # rows of an element
+    suffix: str
+
+
+_CAN_LISTS = (
+    _CanList(900, 901, _SCAN_HEAD, _SCAN_FIELDS, 10, ""),
+    _CanList(1100, 1101, _SCAN_HEAD, _SCAN_FIELDS, 10, "/hrr"),
+    _CanList(1200, 1201, _OBJECTS_HEAD, _OBJECT_FIELDS, 2, "/objects"),
+)
+_HEAD_UNITS = MappingProxyType(
+    {"v_ambiguous": (0.003051851, -100.0), "max_range": (0.1, 0.0), "ego_vx": (0.003051851, -100.0)}
+    | {"ego_yaw_rate": (9.58766e-05, -3.14159)}
+)
+
+
+def _short_range_radar(group: _Group, found: Survey) -> list[PacketDraft] | None:
+    """The sensors of an SRR520 whose heads a group has, none of its other packets; None of packets of others."""
+    ids = np.ascontiguousarray(group.sample[:, :4]).view(">u4")[:, 0]
+    length = group.packets.length
+    if length == _CRC_LENGTH and (ids == _CRC_ID).all():
+        return []
+    if length == _ELEMENT_LENGTH and np.isin(ids, [_STATUS_ID, *(one.element_id for one in _CAN_LISTS)]).all():
+        alone = int((group.packets.numbers == 0).sum())
+        if alone:
+            message = "a list without its head; it is left out"
+            found.ledger.note(WarningKind.SKIPPED, "packets-unusable", group.where, message, count=alone)
+        return []
+    if length != _SCAN_HEAD.itemsize or not np.isin(ids, [one.head_id for one in _CAN_LISTS]).all():
+        return None
+    content = group.packets.payloads(group.packets.rows)
+    drafts = []
+    for one in _CAN_LISTS:
+        heads = content.view(one.head)[:, 0]
+        rows = np.flatnonzero(heads["id"] == one.head_id)
+        if len(rows):
+            times_ns, rows = _cycle_times(group, found, heads, rows)
+            reader = _CanCycles(group.packets, one, rows, times_ns)
+            frames, on_ego = LazyFrames(times_ns, reader), one.fields is _OBJECT_FIELDS
+            drafts.append(PacketDraft(group.topic, group.frame_id, one.suffix, frames, on_ego=on_ego))
+    return drafts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CanCycles:
+    """Reads cycles of an SRR520, each a list in a message; what `LazyFrames` calls."""
+
+    packets: _MessagePackets
+    kind: _CanList
+    rows: Int64Array
+    times_ns: Int64Array
+
+    def __call__(self, number: int) -> RadarFrame:
+        """Read one cycle; elements that are missing are counted as dropped points."""
+        row = int(self.rows[number])
+        head = self.packets.payloads(self.rows[number : number + 1]).view(self.kind.head)[0, 0]
+        message = _read(self.packets.log, self.packets.topic, int(self.packets.messages[row]))
+        wanted = self.kind.element_id.to_bytes(4, "big")
+        elements = [bytes(one) for one in message.packets if len(one) == _ELEMENT_LENGTH and bytes(one[:4]) == wanted]
+        elements.sort(key=lambda one: one[_COUNTER])
+        count, each = int(head["count"]), self.kind.each
+        size = sum(bits for _, bits, *_ in self.kind.fields) // 8
+        body = np.frombuffer(b"".join(one[4 : 4 + each * size] for one in elements), np.uint8).reshape(-1, each, size)
+        # a row is where its element says that it is
+        numbers = np.array([one[_COUNTER] for one in elements], np.int64)[:, None] * each + np.arange(each)
+        columns = _bit_fields(body[numbers < count], self.kind.fields)
+        extras = {name: head[name].item() for name in head.dtype.names or () if name not in _NO_EXTRAS}
+        extras |= {name: extras[name] * unit + first for name, (unit, first) in _HEAD_UNITS.items() if name in extras}
+        read = _can_objects if self.kind.fields is _OBJECT_FIELDS else _can_detections
+        points = read(columns, extras)
+        dropped = count - len(points)
+        extras |= {"dropped_points": dropped} if dropped > 0 else {}
+        return RadarFrame(int(self.times_ns[number]), points, MappingProxyType(extras))
+
+
+_NO_EXTRAS = frozenset({"id", "seconds", "nanoseconds", "count", "reserved"})
+
+
+def _bit_fields(rows: UInt8Array, fields: Sequence[_Field]) -> dict[str, AnyArray]:
+    """Numbers of some bits each, the first ones first, of rows of bytes, (N, B) uint8; NaN where there is no value."""
+    bits = np.unpackbits(rows, axis=1)
+    columns: dict[str, AnyArray] = {}
+    start = 0
+    for name, count, unit, first in fields:
+        numbers = bits[:, start : start + count] @ (1 << np.arange(count - 1, -1, -1))
+        start += count
+        columns[name] = numbers.astype(np.uint16) if unit == 1.0 else (numbers * unit + first).astype(np.float32)
+        if name in _UNKNOWN_IF_FULL:
+            columns[name][numbers == (1 << count) - 1] = np.nan
+    return columns
+
+
+def _can_detections(columns: dict[str, AnyArray], _: Mapping[str, Any]) -> RadarPoints:
+    """Detections whose azimuth is known, in the plane of the radar."""
+    azimuths = columns["azimuth_angle"].astype(np.float64)
+    kept = np.isfinite(azimuths)
+    directions = np.stack((np.cos(azimuths), np.sin(azimuths), np.zeros(len(azimuths))), axis=1)[kept]
+    positions = directions * columns["range"][kept, None]
+    lengths = columns.pop("range_rate")[kept]
+    return _can_points(positions, directions, lengths, columns, kept)
+
+
+def _can_objects(columns: dict[str, AnyArray], extras: Mapping[str, Any]) -> RadarPoints:
+    """Objects whose position is known, with their velocities relative to the vehicle, which moves and turns."""
+    x, y = (columns.pop(f"dist_{axis}").astype(np.float64) for axis in "xy")
+    kept = np.isfinite(x) & np.isfinite(y)
+    columns.pop("reserved")
+    none = np.zeros(len(x))
+    moved = np.stack((extras["ego_vx"] - extras["ego_yaw_rate"] * y, extras["ego_yaw_rate"] * x), axis=1)
+    relative = np.stack((columns["v_abs_x"], columns["v_abs_y"]), axis=1) - moved
+    lengths = np.linalg.norm(relative, axis=1)
+    directions = np.tile([1.0, 0.0, 0.0], (len(x), 1))
+    np.divide(relative, lengths[:, None], out=directions[:, :2], where=(lengths > 0)[:, None])
+    return _can_points(np.stack((x, y, none), axis=1)[kept], directions[kept], lengths[kept], columns, kept)
+
+
+def _can_points(
+    positions: AnyArray, directions: AnyArray, lengths: AnyArray, columns: Mapping[str, AnyArray], kept: AnyArray
+) -> RadarPoints:
+    return RadarPoints(
+        read_only(positions, np.float32),
+        read_only(directions, np.float32),
+        read_only(lengths, np.float32),
+        extras=MappingProxyType({name: read_only(values[kept]) for name, values in columns.items()}),
+    )

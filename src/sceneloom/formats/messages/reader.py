@@ -26,6 +26,7 @@ from sceneloom.formats.messages.records import (
     Boxes3DRecord,
     CameraModelRecord,
     FixRecord,
+    GridRecord,
     Kind,
     PoseRecord,
     SampleRecord,
@@ -57,7 +58,7 @@ from sceneloom.scene.annotations import (
 )
 from sceneloom.scene.annotations_at import CuboidAngles
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
-from sceneloom.scene.clouds import LidarSensor, RadarSensor
+from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, VectorSamples
 from sceneloom.scene.poses import Poses, Trajectory, placed_along, poses_along
@@ -1321,7 +1322,10 @@ def _noted_topics(found: Survey) -> set[Any]:
 
 
 def _sensor_topics(found: Survey) -> list[Topic]:
-    return [*found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.PACKETS, Kind.SAMPLE, Kind.FIX), *_velocity_topics(found)]
+    return [
+        *found.topics(Kind.CLOUD, *_IMAGE_KINDS, Kind.PACKETS, Kind.SAMPLE, Kind.FIX, Kind.GRID),
+        *_velocity_topics(found),
+    ]
 
 
 def _velocity_topics(found: Survey) -> list[Topic]:
@@ -1375,6 +1379,8 @@ def _foreign_sensors(context: _Log, camera_ids: dict[str, Any]) -> list[Sensor]:
             sensors.append(draft.sensor(identifier, mount=mount, poses=poses))
             if not draft.is_depth:
                 camera_ids[topic.name] = identifier
+        elif topic.kind is Kind.GRID:
+            sensors += _map_sensors(context, identifier, topic)
         elif topic.kind is Kind.FIX:
             fixes = found.of(topic, FixRecord)
             mount = locations.mount(fixes[0].frame_id) if fixes else None
@@ -1385,6 +1391,29 @@ def _foreign_sensors(context: _Log, camera_ids: dict[str, Any]) -> list[Sensor]:
             sensors.append(_imu_sensor(context, identifier, samples, context.at(topic.name), rotation))
     # what looks for an IMU takes the first
     return sorted(sensors, key=lambda one: isinstance(one, ImuSensor) and set(one.streams) <= set(VELOCITIES))
+
+
+def _map_sensors(context: _Log, identifier: str, topic: Topic) -> list[PointsSensor]:
+    """The map that the last grid of a topic is, if its frame does not move in the world."""
+    ledger, location = context.survey.ledger, context.at(topic.name)
+    try:
+        (record,) = context.survey.log.read(topic, topic.count - 1)
+    except DataError as error:
+        ledger.fault("topics-at-fault", error, count=topic.count)
+        return []
+    if not isinstance(record, GridRecord):
+        return []
+    _, world_from_grid = context.locations.world_from(record.frame_id, np.array([record.timestamp_ns]))
+    if world_from_grid is None:
+        message = f"frame {record.frame_id!r} is not fixed in the world, which maps are in; its grids are left out"
+        ledger.note(WarningKind.SKIPPED, "grids-moving", location, message, count=topic.count)
+        return []
+    if topic.count > 1:
+        ledger.note(WarningKind.SKIPPED, "grids-replaced", location, "the last grid counts", count=topic.count - 1)
+    positions = world_from_grid.apply(record.positions)
+    finite = (np.abs(positions) <= np.finfo(np.float32).max).all(axis=1)
+    colors = None if record.colors is None else read_only(record.colors[finite])
+    return [PointsSensor(identifier, read_only(positions[finite], np.float32), colors)]
 
 
 def _packet_sensor(context: _Log, identifier: str, draft: PacketDraft) -> Sensor:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.types import NO_FIELDS
 
@@ -30,9 +30,10 @@ class Kind(StrEnum):
     NOTES = "notes"
     PACKETS = "packets"
     DESCRIPTION = "description"
+    GRID = "grid"
 
 
-LARGE = frozenset({Kind.CLOUD, Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO, Kind.PACKETS})
+LARGE = frozenset({Kind.CLOUD, Kind.IMAGE, Kind.COMPRESSED_IMAGE, Kind.VIDEO, Kind.PACKETS, Kind.GRID})
 """Kinds whose messages are read one by one, when they are asked for."""
 
 
@@ -239,14 +240,31 @@ class PacketsRecord:
     Attributes:
         timestamp_ns: of the message [ns]; 0 where it has none.
         frame_id: of the sensor; "" where it is not stated.
-        packets: the bytes of each.
+        packets: the bytes of each; (N, L) uint8 of packets of one length.
         arrivals_ns: (N,) int64 [ns], when they came; None where it is not stated.
     """
 
     timestamp_ns: int
     frame_id: str
-    packets: tuple[memoryview, ...]
+    packets: tuple[memoryview, ...] | UInt8Array
     arrivals_ns: Int64Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridRecord:
+    """The cells of a grid whose values are known.
+
+    Attributes:
+        timestamp_ns: of the message [ns].
+        frame_id: of the grid.
+        positions: (N, 3) float64 [m], the middles of the cells.
+        colors: (N, 3) uint8, or None where their values are none.
+    """
+
+    timestamp_ns: int
+    frame_id: str
+    positions: Float64Array
+    colors: UInt8Array | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -270,6 +288,7 @@ AnyRecord = (
     | Boxes3DRecord
     | Boxes2DRecord
     | PacketsRecord
+    | GridRecord
     | NotesRecord
 )
 
@@ -341,6 +360,23 @@ Stated = tuple[str, AnyRecord]
 def vector_of(vector: Any) -> Float64Array:
     """(3,) float64 of the x, y and z of a message."""
     return np.array([vector.x, vector.y, vector.z])
+
+
+def grid_positions(columns: Int64Array, rows: Int64Array, cell: tuple[float, float], pose: Any) -> Float64Array:
+    """The middles of cells of a grid, (N, 3) float64 [m], by the pose of its corner.
+
+    Args:
+        columns, rows: (N,) int64, along x and y.
+        cell: size of a cell along x and y [m].
+        pose: `position` and `orientation` of a message.
+    """
+    flat = np.stack(((columns + 0.5) * cell[0], (rows + 0.5) * cell[1], np.zeros(len(rows))), axis=1)
+    position, quaternion = vector_of(pose.position), rotation_of(pose.orientation)
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(quaternion)
+    turned = 0 < length < np.inf
+    corner = RigidTransform.from_quaternion(position, quaternion) if turned else RigidTransform(np.eye(3), position)
+    return corner.apply(flat)
 
 
 def rotation_of(quaternion: Any) -> Float64Array:

@@ -15,11 +15,12 @@ from typing import Any, ClassVar, Protocol
 from urllib.parse import quote
 
 import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag1.reader import Header, ReaderError, RecordType, read_uint32
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array
 from sceneloom.errors import DataError, OptionError, OutputError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import check_regular, file_faults, most_unpacked
@@ -45,6 +46,7 @@ from sceneloom.formats.messages.records import (
     CompressedImageRecord,
     Dialect,
     FixRecord,
+    GridRecord,
     ImageRecord,
     Kind,
     NotesRecord,
@@ -55,6 +57,7 @@ from sceneloom.formats.messages.records import (
     SampleRecord,
     Topic,
     TransformRecord,
+    grid_positions,
     rotation_of,
     vector_of,
 )
@@ -617,6 +620,11 @@ class _RosLog:
         try:
             if connection.type in _LIVOX:
                 return [_livox_cloud(_store_of(connection, self.distro), connection, content)]
+            if connection.type in _PACKETS:
+                pack = partial(_packed_packets, connection=connection, content=content)
+                packed: PacketsRecord | None = _fitting(connection, self.distro, pack)
+                if packed is not None:
+                    return [packed]
             records = list(_READERS[connection.type][1](_parsed(connection, content, self.distro)))
         except _FAULTS as error:
             raise DataError(self.name, f"{topic.name}[{k}]", f"no {connection.type}: {error}") from error
@@ -631,14 +639,23 @@ class _RosLog:
 
 
 def _parsed(connection: _Connection, content: memoryview, distro: str | None) -> Any:
-    """A message; of types whose definition changed, without one in the bag, the first that its bytes fit."""
+    """A message."""
+
+    def parsed(store: Any) -> Any:
+        parse = store.deserialize_cdr if connection.encoding == "cdr" else store.deserialize_ros1
+        return parse(content, connection.type)
+
+    return _fitting(connection, distro, parsed)
+
+
+def _fitting(connection: _Connection, distro: str | None, parse: Callable[[Any], Any]) -> Any:
+    """A message; of types whose definition changed, without one in the bag, by the first that its bytes fit."""
     stores = [_store_of(connection, distro)]
     if not connection.definition and connection.type in _EARLIER:
         stores += _earlier_stores(connection.type)
     for number, store in enumerate(stores, 1):
-        parse = store.deserialize_cdr if connection.encoding == "cdr" else store.deserialize_ros1
         try:
-            return parse(content, connection.type)
+            return parse(store)
         except _FAULTS:
             if number == len(stores):
                 raise
@@ -1056,7 +1073,7 @@ def _cloud(message: Any) -> Sequence[CloudRecord]:
 
 _LIVOX = frozenset(f"{name}/msg/CustomMsg" for name in _LIVOX_PACKAGES)
 _LIVOX_HEAD = ("header", "timebase", "point_num", "lidar_id", "rsvd", "points")
-_LIVOX_NUMBERS = {"uint32": "u4", "float32": "f4", "uint8": "u1", "float64": "f8", "uint64": "u8", "uint16": "u2"}
+_CDR_NUMBERS = {"uint32": "u4", "float32": "f4", "uint8": "u1", "float64": "f8", "uint64": "u8", "uint16": "u2"}
 
 
 def _livox_cloud(store: Any, connection: _Connection, content: memoryview) -> CloudRecord:
@@ -1067,6 +1084,20 @@ def _livox_cloud(store: Any, connection: _Connection, content: memoryview) -> Cl
     fields = store.fielddefs[connection.type][1]
     if tuple(name for name, _ in fields) != _LIVOX_HEAD:
         raise ValueError(f"fields {', '.join(name for name, _ in fields)}; expected {', '.join(_LIVOX_HEAD)}")
+    cdr, order, content, at, head = _packed_head(connection, content)
+    at += -at % 8 if cdr else 0
+    base_ns, _, _, count = struct.unpack_from(f"{order}QIB3xI", content, at)
+    kinds = {
+        name: np.dtype(order + _CDR_NUMBERS[kind[0]]) for name, (_, kind) in store.fielddefs[fields[-1][1][1][0][1]][1]
+    }
+    rows = _packed_rows(kinds, content[at + 20 :], count, aligned=cdr)
+    members = tuple(PackedField(name, entry[1], entry[0]) for name, entry in (rows.dtype.fields or {}).items())
+    data = memoryview(rows).cast("B")  # type: ignore[arg-type]  # arrays are buffers
+    return CloudRecord(*head, members, rows.itemsize, data, count, base_ns=base_ns)
+
+
+def _packed_head(connection: _Connection, content: memoryview) -> tuple[bool, str, memoryview, int, tuple[int, str]]:
+    """Whether a message with a header is CDR, its byte order, its bytes, where the header ends, and what it states."""
     cdr = connection.encoding == "cdr"
     order = ">" if cdr and not content[1] & 1 else "<"
     content = content[4:] if cdr else content
@@ -1074,24 +1105,70 @@ def _livox_cloud(store: Any, connection: _Connection, content: memoryview) -> Cl
     seconds, nanoseconds, length = struct.unpack_from(f"{order}III", content, at)
     at += 12 + length
     frame_id = bytes(content[at - length : at]).rstrip(b"\0").decode()
-    at += -at % 8 if cdr else 0
-    base_ns, _, _, count = struct.unpack_from(f"{order}QIB3xI", content, at)
-    at += 20
-    members: list[PackedField] = []
-    offset = 0
-    for name, (_, kind) in store.fielddefs[fields[-1][1][1][0][1]][1]:
-        dtype = np.dtype(order + _LIVOX_NUMBERS[kind[0]])
-        offset += -offset % dtype.itemsize if cdr else 0
-        members.append(PackedField(name, offset, dtype))
-        offset += dtype.itemsize
-    stride = offset + (-offset % max(one.dtype.itemsize for one in members) if cdr else 0)
-    data = content[at:]
-    if len(data) < count * stride - (stride - offset):
-        raise ValueError(f"{len(data)} bytes for {count} points of {stride}; expected all of them")
+    return cdr, order, content, at, (seconds * 1_000_000_000 + nanoseconds, _frame(frame_id))
+
+
+def _packed_rows(kinds: Mapping[str, np.dtype[Any]], data: memoryview, count: int, *, aligned: bool) -> AnyArray:
+    """Elements of a sequence as they lie in the bytes of a message, (count,) of the members `kinds`.
+
+    Source: OMG CDR (alignment of numbers by their size); messages of ROS 1 have no padding.
+    """
+    sizes = [kind.base.itemsize if aligned else 1 for kind in kinds.values()]
+    offsets, end = [], 0
+    for kind, size in zip(kinds.values(), sizes, strict=True):
+        offsets.append(end + -end % size)
+        end = offsets[-1] + kind.itemsize
+    stride = end + -end % max(sizes)
+    if len(data) < count * stride - (stride - end):
+        raise ValueError(f"{len(data)} bytes for {count} elements of {stride}; expected all of them")
     if count and len(data) < count * stride:  # there is no padding behind the last one
-        data = memoryview(bytes(data) + bytes(stride - offset))
-    timestamp_ns = seconds * 1_000_000_000 + nanoseconds
-    return CloudRecord(timestamp_ns, _frame(frame_id), tuple(members), stride, data, count, base_ns=base_ns)
+        data = memoryview(bytes(data) + bytes(stride - end))
+    layout: Any = {"names": list(kinds), "formats": list(kinds.values()), "offsets": offsets, "itemsize": stride}
+    return np.frombuffer(data, np.dtype(layout), count)
+
+
+_TIME = "builtin_interfaces/msg/Time"
+
+
+def _packed_packets(store: Any, connection: _Connection, content: memoryview) -> PacketsRecord | None:
+    """The packets of a message as they lie in its bytes: one by one they would take five times as long.
+
+    None of types that are no header and packets of one length and layout.
+    """
+    fields = store.fielddefs[connection.type][1]
+    if [name for name, _ in fields] != ["header", "packets"] or fields[1][1][0] != Nodetype.SEQUENCE:
+        return None
+    cdr, order, content, at, head = _packed_head(connection, content)
+    kinds: dict[str, np.dtype[Any]] = {}
+    for name, (node, kind) in store.fielddefs[fields[1][1][1][0][1]][1]:
+        if (node, kind) == (Nodetype.NAME, _TIME):
+            kinds[name] = np.dtype((f"{order}u4", 2))
+        elif node == Nodetype.BASE and kind[0] in _CDR_NUMBERS:
+            kinds[name] = np.dtype(order + _CDR_NUMBERS[kind[0]])
+        elif node == Nodetype.ARRAY and kind[0] == (Nodetype.BASE, ("uint8", 0)):
+            kinds[name] = np.dtype(("u1", kind[1]))
+        else:
+            return None
+    if "data" not in kinds or not kinds["data"].shape:
+        return None
+    at += -at % 4 if cdr else 0
+    (count,) = struct.unpack_from(f"{order}I", content, at)
+    rows = _packed_rows(kinds, content[at + 4 :], count, aligned=cdr)
+    behind = len(content) - at - 4 - rows.nbytes
+    if behind > 3:
+        raise ValueError(f"{behind} bytes behind {count} packets of {rows.itemsize}")
+    data, stamps = rows["data"], None
+    if "stamp" in kinds:
+        seconds, nanoseconds = rows["stamp"].astype(np.int64).T
+        stamps = seconds * 1_000_000_000 + nanoseconds
+    if "size" in kinds:
+        size = int(rows["size"].max(initial=0))
+        if size > data.shape[1]:
+            raise ValueError(f"a packet of {size} bytes, of which {data.shape[1]} are there")
+        if (rows["size"] != size).any():
+            return None
+        data = data[:, :size]
+    return PacketsRecord(*head, data, stamps)
 
 
 def _packets(message: Any) -> Sequence[PacketsRecord]:
@@ -1114,6 +1191,24 @@ def _packets(message: Any) -> Sequence[PacketsRecord]:
     if hasattr(parts[0], "stamp"):
         stamped = np.array([part.stamp.sec * 1_000_000_000 + part.stamp.nanosec for part in parts], np.int64)
     return [PacketsRecord(*head, tuple(found), stamped)]
+
+
+def _grid(message: Any) -> Sequence[GridRecord]:
+    """A map of what is occupied, by 0 to 100; cells that are unknown are left out."""
+    info, values = message.info, np.asarray(message.data, np.int8)
+    width, height = int(info.width), int(info.height)
+    if len(values) != width * height:
+        raise ValueError(f"{len(values)} cells; expected {width} x {height}")
+    known = np.flatnonzero((values >= 0) & (values <= _OCCUPIED))
+    rows, columns = np.divmod(known, max(width, 1))
+    grey = np.rint(255.0 - 255.0 / _OCCUPIED * values[known]).astype(np.uint8)
+    size = float(info.resolution), float(info.resolution)
+    return [
+        GridRecord(*_head(message), grid_positions(columns, rows, size, info.origin), np.stack((grey,) * 3, axis=1))
+    ]
+
+
+_OCCUPIED = 100
 
 
 def _packed_cloud(message: Any) -> Sequence[PackedCloudRecord]:
@@ -1336,6 +1431,7 @@ _READERS: Mapping[str, tuple[Kind, _Reader]] = MappingProxyType(
         **{f"{_FOXGLOVE}{name}": (kind, partial(_foxglove, read)) for name, (kind, read) in READERS.items()},
         "sensor_msgs/msg/CameraInfo": (Kind.CAMERA_MODEL, _camera_model),
         "nav_msgs/msg/Odometry": (Kind.POSE, _odometry),
+        "nav_msgs/msg/OccupancyGrid": (Kind.GRID, _grid),
         "geometry_msgs/msg/TwistStamped": (Kind.SAMPLE, _twist),
         "geometry_msgs/msg/TwistWithCovarianceStamped": (Kind.SAMPLE, _twist),
         "geometry_msgs/msg/PoseStamped": (Kind.POSE, _pose),

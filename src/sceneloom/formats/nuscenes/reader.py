@@ -18,6 +18,7 @@ from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import open_file, read_bytes
 from sceneloom.formats.base.images import ImageFile, images_image_size, is_jpeg
+from sceneloom.formats.base.json_files import NO_JSON, no_json
 from sceneloom.formats.base.masks import MASKS, Mask
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import as_flag
@@ -107,8 +108,8 @@ def _decoded(path: Path, decoder: "msgspec.json.Decoder[list[Any]]", content: by
         found = _FIELD.search(location)
         where = "" if found is None else ".".join(filter(None, (f"row {found['row']}", found["field"])))
         raise DataError(path, where, problem) from error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise DataError(path, "", f"is no JSON: {error}") from error
+    except NO_JSON as error:
+        raise no_json(path, content, error) from error
 
 
 _MOST_NAMES = 20

@@ -14,7 +14,7 @@ from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.cameras.camera import MODELS, OPENCV_LENGTHS, Camera, from_opencv
 from sceneloom.errors import DataError, SceneloomError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.files import read_bytes
+from sceneloom.formats.base.json_files import read_json
 from sceneloom.formats.base.poses import lengths_of
 from sceneloom.formats.base.spec import as_positive
 from sceneloom.formats.base.text_tables import FARTHEST_NS, UNITS_NS, TimestampError, parse_timestamp
@@ -625,10 +625,7 @@ def read_openlabel(path: Path, *, lenient: bool = False, rate_hz: float | str | 
         OptionError: the rate is no number above 0.
     """
     rate = None if rate_hz is None else as_positive("rate_hz", rate_hz)
-    try:
-        value = msgspec.json.decode(read_bytes(path))
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-        raise DataError(path, "", f"is no JSON: {error}") from error
+    value = read_json(path, Any)
     if not isinstance(value, Mapping) or not isinstance(value.get("openlabel"), dict):
         raise DataError(path, "", "has no object `openlabel`; expected a file of ASAM OpenLABEL")
     ledger = Ledger(lenient=lenient)

@@ -1,8 +1,8 @@
-"""Packets of Hesai's lidars: Pandar40P, PandarXT-32M2X, PandarQT-64 and AT128, with one, two or three returns.
+"""Packets of Hesai's lidars: Pandar40P and 64, PandarXT-16, -32 and -32M2X, PandarQT-64, OT128, AT128.
 
 Axes: the maker's, x right, y forward (azimuth 0), z up. Rings are channels, from 0.
 
-Source: user manuals of the four models ("Point Cloud Data Packet", "Absolute Time of Point Cloud Data", "Channel
+Source: user manuals of the models ("Point Cloud Data Packet", "Absolute Time of Point Cloud Data", "Channel
 Distribution"), and for AT128 "Angle Correction File", version 1.5.
 """
 
@@ -25,7 +25,7 @@ _START, _BLOCK_START = b"\xee\xff", b"\xff\xee"
 _RETURNS = {0x39: 2, 0x3A: 2, 0x3B: 2, 0x3C: 2, 0x3D: 3, 0x3E: 2}
 """How many returns a firing has, by the return mode of packets; 1 in others."""
 
-_LONGEST_TAIL = 40  # sequence number, checksum and signature
+_LONG_HEADER = 12
 _FINE = 256  # fine steps of AT128's azimuth in 0.01°
 _AT_UNIT = np.pi / (180.0 * 100.0 * _FINE)  # radians of such a step
 _ADJUSTED_EVERY = 200 * _FINE  # AT128's tables of adjustments have a value every 2°
@@ -38,13 +38,15 @@ class _Model:
     Attributes:
         name: the maker's.
         blocks, channels: of a packet; how many values a block has.
-        header: bytes before the first block.
+        header: bytes before the first block; in 8 the distance unit is byte 5, in 12 byte 9.
         mode, time, date: offsets of the return mode, of the microseconds and of the date.
         first_us, step_us: when the last firing of a packet was, and how far firings are apart [µs]; with a negative
             step the first one is meant.
         channel_us: when channels are fired [µs].
         length: the shortest packet; sequence numbers and signatures may follow.
         angles_deg: (elevation, azimuth) of channels by the manual; () where only the sensor's own file tells.
+        fine_us: `channel_us` of high resolution, which the byte before the return mode states by 0; () without.
+        longest_tail: sequence number, checksum, IMU and signature at most [bytes].
     """
 
     name: str
@@ -59,6 +61,8 @@ class _Model:
     channel_us: tuple[float, ...]
     length: int
     angles_deg: tuple[tuple[float, float], ...] = ()
+    fine_us: tuple[float, ...] = ()
+    longest_tail: int = 40
 
 
 _40P_US = (
@@ -68,6 +72,21 @@ _40P_US = (
 )
 _40P_ELEVATIONS = (15.0, 11, 8, 5, 3, 2, *(round((5 - k) / 3, 2) for k in range(24)), *range(-7, -15, -1), -19, -25)
 _40P_AZIMUTHS = (*(-1.042,) * 6, *(3.125, -5.208, -1.042) * 8, *(-1.042,) * 10)
+_64_US = (
+    *(23.18, 21.876, 20.572, 19.268, 17.964, 16.66, 11.444, 46.796, 7.532, 36.956, 50.732, 54.668, 40.892, 44.828),
+    *(31.052, 34.988, 48.764, 52.7, 38.924, 42.86, 29.084, 33.02, 46.796, 25.148, 36.956, 50.732, 27.116, 40.892),
+    *(44.828, 31.052, 34.988, 48.764, 25.148, 38.924, 42.86, 29.084, 33.02, 52.7, 6.228, 54.668, 15.356, 27.116),
+    *(10.14, 23.18, 4.924, 21.876, 14.052, 17.964, 8.836, 19.268, 3.62, 20.572, 12.748, 16.66, 7.532, 11.444, 6.228),
+    *(15.356, 10.14, 4.924, 3.62, 14.052, 8.836, 12.748),
+)
+_64_ELEVATIONS = (
+    *(14.9, 11.05, 8.077, 5.075, 3.058, 2.046, 1.878, 1.706, 1.54, 1.369, 1.202, 1.031, 0.864, 0.693, 0.526, 0.355),
+    *(0.187, 0.018, -0.151, -0.319, -0.49, -0.657, -0.827, -0.995, -1.166, -1.333, -1.504, -1.67, -1.842, -2.01),
+    *(-2.18, -2.347, -2.518, -2.682, -2.855, -3.022, -3.192, -3.357, -3.53, -3.694, -3.866, -4.032, -4.203, -4.367),
+    *(-4.54, -4.702, -4.874, -5.039, -5.211, -5.373, -5.547, -5.708, -5.88, -6.043, -7.045, -8.041, -9.042, -10.027),
+    *(-11.014, -11.988, -12.956, -13.912, -18.871, -24.879),
+)
+_64_AZIMUTHS = (*(-1.042,) * 6, *(1.042, 3.125, 5.208, -5.208, -3.125, -1.042) * 8, *(-1.042,) * 10)
 _QT_US = (
     *(12.31, 14.37, 16.43, 18.49, 20.54, 22.6, 24.66, 26.71, 29.16, 31.22, 33.28, 35.34, 37.39, 39.45, 41.5, 43.56),
     *(46.61, 48.67, 50.73, 52.78, 54.84, 56.9, 58.95, 61.01, 63.45, 65.52, 67.58, 69.63, 71.69, 73.74, 75.8, 77.86),
@@ -89,6 +108,29 @@ _QT_AZIMUTHS = (
     *(5.759, 5.808, 5.862, 5.921, -5.33, -5.396, -5.469, -5.55, -5.64, -5.74, -5.85, -5.974, -6.113, -6.269),
     *(-6.447, -6.651, -6.887, -7.163, -7.493, -7.892),
 )
+_OT_US = (
+    *(49.758, 43.224, 36.69, 30.156, 21.98, 15.446, 8.912, 2.378, 49.758, 43.224, 36.69, 30.156, 2.378, 15.446),
+    *(8.912, 21.98, 43.224, 30.156, 49.758, 15.446, 36.69, 2.378, 21.98, 8.912, 34.312, 45.002, 38.468, 40.846),
+    *(40.846, 34.312, 51.536, 47.38, 31.934, 47.38, 31.934, 51.536, 38.468, 27.778, 27.778, 45.002, 38.468, 40.846),
+    *(51.536, 45.002, 31.934, 47.38, 34.312, 27.778, 38.468, 40.846, 51.536, 45.002, 31.934, 34.312, 27.778, 38.468),
+    *(40.846, 51.536, 45.002, 31.934, 47.38, 34.312, 27.778, 45.002, 45.002, 51.536, 38.468, 40.846, 47.38, 40.846),
+    *(31.934, 45.002, 27.778, 38.468, 40.846, 31.934, 27.778, 38.468, 34.312, 34.312, 34.312, 47.38, 51.536, 31.934),
+    *(51.536, 47.38, 27.778, 49.758, 21.98, 43.224, 15.446, 43.224, 36.69, 8.912, 30.156, 2.378, 49.758, 21.98),
+    *(36.69, 15.446, 8.912, 30.156, 2.378, 49.758, 43.224, 36.69, 30.156, 21.98, 15.446, 8.912, 2.378, 43.224),
+    *(49.758, 30.156, 36.69, 21.98, 15.446, 2.378, 8.912, 49.758, 43.224, 36.69, 30.156, 21.98, 15.446, 8.912, 2.378),
+    *(30.156,),
+)
+_OT_FINE_US = (
+    *(21.98, 15.446, 8.912, 2.378, 21.98, 15.446, 8.912, 2.378, 21.98, 15.446, 8.912, 2.378, 2.378, 15.446, 8.912),
+    *(21.98, 8.912, 2.378, 21.98, 8.912, 6.534, 17.224, 10.69, 13.068, 13.068, 6.534, 23.758, 19.602, 4.156, 19.602),
+    *(4.156, 23.758, 13.068, 13.068, 23.758, 10.69, 4.156, 19.602, 19.602, 0, 10.69, 6.534, 23.758, 17.224, 23.758),
+    *(19.602, 6.534, 17.224, 4.156, 0, 6.534, 0, 17.224, 10.69, 17.224, 17.224, 23.758, 23.758, 10.69, 13.068),
+    *(13.068, 13.068, 19.602, 19.602, 6.534, 13.068, 4.156, 4.156, 17.224, 17.224, 17.224, 0, 10.69, 10.69, 13.068),
+    *(13.068, 4.156, 0, 10.69, 6.534, 6.534, 6.534, 19.602, 23.758, 4.156, 23.758, 19.602, 0, 21.98, 21.98, 15.446),
+    *(15.446, 8.912, 8.912, 2.378, 2.378, 21.98, 15.446, 21.98, 8.912, 15.446, 8.912, 2.378, 2.378, 21.98, 15.446),
+    *(8.912, 2.378, 21.98, 15.446, 8.912, 2.378, 15.446, 21.98, 2.378, 8.912, 21.98, 15.446, 2.378, 8.912, 21.98),
+    *(15.446, 8.912, 2.378, 21.98, 15.446, 8.912, 2.378),
+)
 _AT_US = (
     *(0, 0, 8.24, 4.112, 4.144, 8.24, 0, 0, 12.424, 4.144, 4.112, 8.264, 12.376, 12.376, 8.264, 12.424),
     *(0, 0, 4.112, 8.24, 4.144, 0, 0, 4.144, 12.424, 8.264, 4.112, 12.376, 12.376, 12.424, 8.264, 0.848),
@@ -108,6 +150,21 @@ MODELS: Mapping[str, _Model] = MappingProxyType(
             first_us=-28.58, step_us=55.56, channel_us=tuple(-value for value in _40P_US), length=1262,
             angles_deg=tuple(zip(_40P_ELEVATIONS, _40P_AZIMUTHS, strict=True)),
         ),
+        "pandar64": _Model(
+            name="Pandar64", blocks=6, channels=64, header=8, mode=1186, time=1182, date=1188,
+            first_us=-42.58, step_us=55.56, channel_us=tuple(-value for value in _64_US), length=1194,
+            angles_deg=tuple(zip(_64_ELEVATIONS, _64_AZIMUTHS, strict=True)),
+        ),
+        "xt16": _Model(
+            name="PandarXT-16", blocks=8, channels=16, header=12, mode=550, time=559, date=553,
+            first_us=5.632, step_us=50.0, channel_us=tuple(0.368 + 3.024 * k for k in range(16)), length=564,
+            angles_deg=tuple((15.0 - 2 * k, 0.0) for k in range(16)),
+        ),
+        "xt32": _Model(
+            name="PandarXT-32", blocks=8, channels=32, header=12, mode=1062, time=1071, date=1065,
+            first_us=5.632, step_us=50.0, channel_us=tuple(0.368 + 1.512 * k for k in range(32)), length=1076,
+            angles_deg=tuple((15.0 - k, 0.0) for k in range(32)),
+        ),
         "xt32m": _Model(
             name="PandarXT-32M2X", blocks=6, channels=32, header=12, mode=802, time=811, date=805,
             first_us=5.632, step_us=50.0, channel_us=tuple(0.368 + 2.888 * (k % 16) for k in range(32)), length=816,
@@ -117,6 +174,10 @@ MODELS: Mapping[str, _Model] = MappingProxyType(
             name="PandarQT-64", blocks=4, channels=64, header=12, mode=1060, time=1056, date=1062,
             first_us=25.71, step_us=-500 / 3, channel_us=_QT_US, length=1068,
             angles_deg=tuple(zip(_QT_ELEVATIONS, _QT_AZIMUTHS, strict=True)),
+        ),
+        "ot128": _Model(
+            name="OT128", blocks=2, channels=128, header=12, mode=817, time=826, date=820,
+            first_us=43.346, step_us=2 * 27.778, channel_us=_OT_US, length=831, fine_us=_OT_FINE_US, longest_tail=62,
         ),
         "at128": _Model(
             name="AT128", blocks=2, channels=128, header=12, mode=1070, time=1066, date=1072,
@@ -167,7 +228,7 @@ class HesaiDecoder:
         """The blocks of packets, (P, L) uint8, as (P, B) records of flag, azimuth, fine and values."""
         model = MODELS[self.key]
         unit = [("distance", "<u2"), ("reflectivity", "u1")]
-        if model.header:
+        if model.header == _LONG_HEADER and not model.fine_us:
             unit.append(("more", "u1"))
         head = [("azimuth", "<u2")] if model.header else [("flag", "<u2"), ("azimuth", "<u2")]
         if self.correction is not None:
@@ -212,8 +273,7 @@ class HesaiDecoder:
             phases = (azimuths - int(self.correction.starts[0])) / (36000.0 * _FINE) * sides
             usable = (body["azimuth"] <= 36000).all(axis=1)
         if model.header:
-            named = (model.channels, model.blocks)
-            usable &= (packets[:, 6:8] == named).all(axis=1) & (packets[:, :2] == tuple(_START)).all(axis=1)
+            usable &= _named(packets, model)
         else:
             usable &= (body["flag"] == int.from_bytes(_BLOCK_START, "little")).all(axis=1)
         if self.correction is None:
@@ -229,7 +289,8 @@ class HesaiDecoder:
         raw, intensities = (np.ascontiguousarray(body["values"][name]) for name in ("distance", "reflectivity"))
         returns = self._returns(packets)[:, None]
         number = (np.arange(model.blocks) % returns).ravel()
-        unit_m = (packets[:, 9] if model.header else np.full(len(packets), 4)).astype(np.float32) * np.float32(0.001)
+        unit_mm = packets[:, model.header - 3] if model.header else np.full(len(packets), 4)
+        unit_m = unit_mm.astype(np.float32) * np.float32(0.001)
         most = raw.size
         positions, rings = np.empty((most, 3), np.float32), np.empty(most, np.uint16)
         stamps_ns, block = np.empty(most, np.int64), np.empty(most, np.int64)
@@ -244,6 +305,10 @@ class HesaiDecoder:
             blocks.ravel(), number, distances, reflectivities, units_m, azimuths, offsets, elevations,
             times_ns, channels_ns, self._adjusted, steps, weights, positions, reflected, stamps_ns, rings, block,
         )  # fmt: skip
+        if model.fine_us:
+            sooner_ns = np.rint((np.array(model.fine_us) - np.array(model.channel_us)) * 1000).astype(np.int64)
+            fine = packets[:, model.mode - 1] == 0
+            stamps_ns[:count] += fine[block[:count] // model.blocks] * sooner_ns[rings[:count]]
         extras = {}
         if int(returns.max(initial=1)) > 1:
             extras["return_number"] = (number + 1).astype(np.uint8).take(block[:count])
@@ -283,15 +348,21 @@ class HesaiDecoder:
         return at % max(self._adjusted.shape[1], 1), (part / _ADJUSTED_EVERY).astype(np.float32)
 
 
+def _named(packets: UInt8Array, model: _Model) -> BoolArray:
+    """Which packets, (P, L) uint8, have a header with this model's channels and blocks, (P,)."""
+    at = model.header - 6
+    found = (packets[:, :2] == tuple(_START)).all(axis=1)
+    return np.asarray(found & (packets[:, at : at + 2] == (model.channels, model.blocks)).all(axis=1))
+
+
 def recognise(packets: UInt8Array) -> str | None:
     """The key of the model whose packets these, (P, L) uint8, are; None where it is none of `MODELS`."""
     length = packets.shape[1]
     for key, model in MODELS.items():
-        if not model.length <= length <= model.length + _LONGEST_TAIL:
+        if not model.length <= length <= model.length + model.longest_tail:
             continue
         if model.header:
-            found = (packets[:, :2] == tuple(_START)).all(axis=1)
-            found &= (packets[:, 6:8] == (model.channels, model.blocks)).all(axis=1)
+            found = _named(packets, model)
         else:
             found = (packets[:, :2] == tuple(_BLOCK_START)).all(axis=1)
             found &= (packets[:, 124:126] == tuple(_BLOCK_START)).all(axis=1)
@@ -314,6 +385,8 @@ def decoder_of(key: str, angles: Path | None, state: UInt8Array | None = None) -
             raise DataError("", "", problem)
         return HesaiDecoder(key, np.zeros((0, 2)), read_at_correction(angles))
     if angles is None:
+        if not model.angles_deg:
+            raise DataError("", "", f"expected the angles of this {model.name}, as `--input-option angles=FILE.csv`")
         return HesaiDecoder(key, np.array(model.angles_deg))
     return HesaiDecoder(key, angle_table(angles, model.channels))
 

@@ -22,7 +22,7 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.warnings import WarningKind
 
 _SAMPLE = 64  # packets by which a stream is recognised
-_OUSTER_PORT, _SHORTEST = 7502, 600  # packets of returns are longer
+_OUSTER_PORT, _SHORTEST = 7502, 560  # packets of returns are longer, and of no state
 _NAMES_LISTED = 5
 _FAR_NS = 100_000_000_000  # a receiver's clock that is farther from the capturing one is not believed
 _DAY_NS = 86_400_000_000_000

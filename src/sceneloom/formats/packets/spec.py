@@ -46,7 +46,8 @@ FORMAT = FormatSpec(
     name="pcap",
     title="a capture of lidar packets",
     looks_like="a .pcap or .pcapng file of Ouster, Velodyne, Hesai, RoboSense or Livox lidars (built to the "
-    "description: QT64, AT128, HDL-32E, HDL-64E, VLP-32C, Livox)",
+    "description: QT64, AT128, OT128, Pandar64, XT16, XT32, HDL-32E, "
+    "HDL-64E, VLP-32C, VLS-128, Bpearl, RS-16, RS-32, Livox)",
     suffixes=(".pcap",),
     sniff=_is_capture,
     near_miss=_near_miss,

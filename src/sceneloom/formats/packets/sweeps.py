@@ -308,8 +308,12 @@ def utc_seconds(dates: UInt8Array) -> Int64Array:
 
     What is no date is 0.
     """
-    distinct, which = np.unique(dates, axis=0, return_inverse=True)
-    return np.array([_second(date) for date in distinct.tolist()], np.int64)[which.ravel()]
+    words = np.zeros((len(dates), 8), np.uint8)
+    words[:, :6] = dates
+    distinct, which = np.unique(words.view(np.int64), return_inverse=True)
+    return np.array([_second(date) for date in distinct.view(np.uint8).reshape(-1, 8)[:, :6].tolist()], np.int64)[
+        which.ravel()
+    ]
 
 
 def _second(date: list[int]) -> int:
@@ -324,8 +328,12 @@ def _second(date: list[int]) -> int:
         return 0
 
 
-def angle_table(path: Path, channels: int) -> Float64Array:
+def angle_table(path: Path, *channels: int) -> Float64Array:
     """Read a file of angles, (C, 2) float64 [deg]: lines of elevation and azimuth, maybe after the channel's number.
+
+    Args:
+        path: the file.
+        channels: how many the lidar has, or may have.
 
     Raises:
         DataError: it cannot be read, or has not a line for each channel.
@@ -337,8 +345,9 @@ def angle_table(path: Path, channels: int) -> Float64Array:
         except ValueError:
             continue  # the head
     rows = [row[-2:] for row in rows if len(row) in (2, 3)]
-    if len(rows) != channels:
-        raise DataError(path, "", f"{len(rows)} lines of elevation and azimuth; expected {channels}")
+    if len(rows) not in channels:
+        expected = " or ".join(map(str, channels))
+        raise DataError(path, "", f"{len(rows)} lines of elevation and azimuth; expected {expected}")
     found = np.array(rows)
     if not (np.abs(found) <= 360).all():
         raise DataError(path, "", "an angle is beyond 360 degrees")

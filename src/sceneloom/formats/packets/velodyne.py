@@ -1,10 +1,12 @@
-"""Packets of Velodyne's lidars: VLP-16 (Puck, Puck LITE), Puck Hi-Res, HDL-32E, VLP-32C and HDL-64E.
+"""Packets of Velodyne's lidars: VLP-16 (Puck, Puck LITE), Puck Hi-Res, HDL-32E, VLP-32C, VLS-128 and HDL-64E.
 
 Axes: x forward (azimuth 0), y left, z up, as the ROS drivers have them; the manuals have x right and y forward. Rings
 are counted from the lowest laser up.
 
 Source: VLP-16 User Manual 63-9243 Rev. E, HDL-32E Application Note 63-9277 Rev. D, VLP-32C User Manual 63-9325 Rev. B,
-HDL-64E S2 and S3 User's Manuals: packet formats, firing timings, vertical angles, appendix "two-point correction".
+HDL-64E S2 and S3 User's Manuals: packet formats, firing timings, vertical angles, appendix "two-point correction". For
+VLS-128 (Alpha Prime) VeloView's calibration, and banks and timings of velodyne-decoder 3.1 (57.8, 2.89, 7 µs); those of
+the ROS driver (53.3, 2.665, 8.7 µs) are another 9 µs at most.
 """
 
 import re
@@ -31,6 +33,8 @@ _RETURN = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 _BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("returns", _RETURN, 32)])
 _PACKET = np.dtype([("blocks", _BLOCK, 12), ("time", "<u4"), ("mode", "u1"), ("product", "u1")])
 _UPPER, _LOWER = 0xEEFF, 0xDDFF
+_BANKS = (_UPPER, _LOWER, 0xCCFF, 0xBBFF)
+"""Flags of blocks, by which 32 lasers they are of."""
 _DUAL = 0x39
 _NMEA = 206  # where the sentence of a position packet begins
 
@@ -45,8 +49,9 @@ class _Model:
         elevations_deg, azimuths_deg: of each laser; what is added to the azimuth of a block.
         radius: how far from the axis the lasers cross [m]: they begin so much times the tangent above the centre.
         step: of distances [m].
-        laser_us: of the 32 values of a block, when they were fired after its first one [µs].
-        cycle_us: from one block to the next one, or to the one after next where blocks come in pairs [µs].
+        laser_us: of the values of a block, or of all lasers of a firing, when they were fired after the first one [µs].
+        cycle_us: from one firing of all lasers to the next [µs].
+        banks: how many blocks, of 32 lasers each, are one firing.
     """
 
     name: str
@@ -57,6 +62,7 @@ class _Model:
     step: float
     laser_us: tuple[float, ...]
     cycle_us: float
+    banks: int = 1
 
 
 def _fan(lowest: float, middle: float, step: float, lasers: int) -> tuple[float, ...]:
@@ -76,6 +82,19 @@ _VLP32_AZIMUTHS = (
 _S2_US = tuple(6.0 * (k // 4) + (0.0, 1.26, 2.46, 3.66)[k % 4] for k in range(32))
 _S3_US = tuple(7.2 * (k // 4) + (0.0, 1.3, 2.5, 3.7)[k % 4] for k in range(32))
 
+_VLS_ELEVATIONS = (
+    *(-11.742, -1.99, 3.4, -5.29, -0.78, 4.61, -4.08, 1.31, -6.5, -1.11, 4.28, -4.41, 0.1, 6.48, -3.2, 2.19, -3.86),
+    *(1.53, -9.244, -1.77, 2.74, -5.95, -0.56, 4.83, -2.98, 2.41, -6.28, -0.89, 3.62, -5.07, 0.32, 7.58, -0.34, 5.18),
+    *(-3.64, 1.75, -25.0, -2.43, 2.96, -5.73, 0.54, 9.7, -2.76, 2.63, -7.65, -1.55, 3.84, -4.85, 3.18, -5.51, -0.12),
+    *(5.73, -4.3, 1.09, -16.042, -2.21, 4.06, -4.63, 0.76, 15.0, -3.42, 1.97, -6.85, -1.33, -5.62, -0.23, 5.43, -3.53),
+    *(0.98, -19.582, -2.32, 3.07, -4.74, 0.65, 11.75, -2.65, 1.86, -7.15, -1.44, 3.95, -2.1, 3.29, -5.4, -0.01, 4.5),
+    *(-4.19, 1.2, -13.565, -1.22, 4.17, -4.52, 0.87, 6.08, -3.31, 2.08, -6.65, 1.42, -10.346, -1.88, 3.51, -6.06),
+    *(-0.67, 4.72, -3.97, 2.3, -6.39, -1.0, 4.39, -5.18, 0.21, 6.98, -3.09, 4.98, -3.75, 1.64, -8.352, -2.54, 2.85),
+    *(-5.84, -0.45, 8.43, -2.87, 2.52, -6.17, -1.66, 3.73, -4.96, 0.43),
+)
+_VLS_AZIMUTHS = (6.354, 4.548, 2.732, 0.911, -0.911, -2.732, -4.548, -6.354) * 16
+_VLS_US = tuple(2.89 * (k // 8 + 2 * (k // 64)) - 7.0 for k in range(128))  # eight at a time, with a pause after 64
+
 MODELS: Mapping[str, _Model] = MappingProxyType(
     {
         "vlp-16": _Model("VLP-16", 0x22, _fan(-15, 1, 2, 16), (0.0,) * 16, 0.04191, 0.002, _PAIR_US, 110.592),
@@ -90,8 +109,9 @@ MODELS: Mapping[str, _Model] = MappingProxyType(
             "VLP-32C", 0x28, _VLP32_ELEVATIONS, _VLP32_AZIMUTHS, 0.0424, 0.004,
             tuple(2.304 * (k // 2) for k in range(32)), 55.296,
         ),
-        "hdl-64e-s2": _Model("HDL-64E S2", None, (), (), 0.0, 0.002, _S2_US, 48.0),
-        "hdl-64e-s3": _Model("HDL-64E S3", None, (), (), 0.0, 0.002, _S3_US, 57.6),
+        "vls-128": _Model("VLS-128", 0xA1, _VLS_ELEVATIONS, _VLS_AZIMUTHS, 0.05863, 0.004, _VLS_US, 57.8, banks=4),
+        "hdl-64e-s2": _Model("HDL-64E S2", None, (), (), 0.0, 0.002, _S2_US, 48.0, banks=2),
+        "hdl-64e-s3": _Model("HDL-64E S3", None, (), (), 0.0, 0.002, _S3_US, 57.6, banks=2),
     }
 )  # fmt: skip
 """The models by the names that `--input-option model=` takes."""
@@ -122,10 +142,13 @@ class VelodyneDecoder:
         """The maker's name for the device."""
         return f"Velodyne {MODELS[self.key].name}"
 
-    @property
-    def _paired(self) -> bool:
-        """Whether two blocks, of the upper and the lower lasers, are one firing."""
-        return MODELS[self.key].product is None
+    def _banks(self, records: AnyArray) -> Int64Array:
+        """Which 32 lasers blocks are of, (P, 12) int64; -1 where they are of none."""
+        flags = records["blocks"]["flag"]
+        found = np.full(flags.shape, -1, np.int64)
+        for bank, flag in enumerate(_BANKS[: MODELS[self.key].banks]):
+            found[flags == flag] = bank
+        return found
 
     @cached_property
     def _lasers(self) -> Float64Array:
@@ -144,29 +167,47 @@ class VelodyneDecoder:
 
     def survey(self, packets: UInt8Array) -> Survey:
         """Look at packets, (P, 1206) uint8."""
-        records = packets.view(_PACKET)[:, 0]
-        blocks, model = records["blocks"], MODELS[self.key]
-        flags = blocks["flag"]
-        usable = ((flags == _UPPER) | (flags == _LOWER if self._paired else False)).all(axis=1)
-        usable &= (blocks["azimuth"] <= 36000).all(axis=1) & (records["time"] < 3_600_000_000)
+        records, model = packets.view(_PACKET)[:, 0], MODELS[self.key]
+        azimuths, known = records["blocks"]["azimuth"], self._banks(records) >= 0
+        if model.banks == 4:
+            # with two returns the last blocks hold nothing: they are where the last one is that does
+            last = np.maximum.accumulate(np.where(known, np.arange(12), 0), axis=1)
+            azimuths, known = np.take_along_axis(azimuths, last, axis=1), known[:, :8]
+        usable = known.all(axis=1) & (azimuths <= 36000).all(axis=1) & (records["time"] < 3_600_000_000)
         if model.product is not None:
             usable &= records["product"] == model.product
         starts_ns = np.rint(self._firing_starts_us(records) * 1000).astype(np.int64)
         times_ns = records["time"].astype(np.int64)[:, None] * 1000 + starts_ns
-        return Survey(times_ns, blocks["azimuth"] / 36000.0, np.asarray(usable, np.bool_))
+        return Survey(times_ns, azimuths / 36000.0, np.asarray(usable, np.bool_))
 
     def _dual(self, records: AnyArray) -> BoolArray:
         """Which packets hold two returns of each firing; HDL-64E show it by azimuths that repeat."""
-        if self._paired:
+        if MODELS[self.key].product is None:
             azimuths = records["blocks"]["azimuth"]
             return np.asarray(azimuths[:, 0] == azimuths[:, 2], np.bool_)
         return np.asarray(records["mode"] == _DUAL, np.bool_)
 
     def _firing_starts_us(self, records: AnyArray) -> Float64Array:
-        """When the first laser of each block was fired after the packet's time [µs], (P, 12)."""
-        number, pair = np.arange(12), 2 if self._paired else 1
-        single, dual = number // pair, number // (2 * pair)
-        return np.where(self._dual(records)[:, None], dual, single) * MODELS[self.key].cycle_us
+        """When the first laser of each block's firing was fired after the packet's time [µs], (P, 12)."""
+        number, model = np.arange(12), MODELS[self.key]
+        if model.banks == 4:
+            first = self._banks(records) == 0
+            first[:, 1:] &= ~first[:, :-1]  # of two returns the first
+            return np.asarray(np.maximum(np.cumsum(first, axis=1) - 1, 0) * model.cycle_us)
+        single, dual = number // model.banks, number // (2 * model.banks)
+        return np.where(self._dual(records)[:, None], dual, single) * model.cycle_us
+
+    def _rates(self, records: AnyArray, starts_us: Float64Array) -> Float64Array:
+        """How fast the azimuth grows in each packet, (P,) [0.01 degree / µs]."""
+        azimuths = records["blocks"]["azimuth"].astype(np.float64)
+        if MODELS[self.key].banks < 4:
+            return np.asarray((azimuths[:, -1] - azimuths[:, 0]) % 36000.0 / starts_us[:, -1])
+        # two returns of one firing fill a packet: the speed is that from one packet to the next
+        starts, times = azimuths[:, 0], records["time"].astype(np.float64)
+        within = (azimuths[:, 8] - starts) % 36000.0 / np.maximum(starts_us[:, 8], 1.0)
+        across = np.diff(starts) % 36000.0 / np.maximum(np.diff(times), 1.0)
+        speed = np.median(within if len(starts) == 1 else across)
+        return np.full(len(starts), speed)
 
     def points(self, packets: UInt8Array, shifts_ns: Int64Array, blocks: BoolArray) -> LidarPoints:
         """Decode the returns of packets, (P, 1206) uint8; of two equal returns of a firing one counts.
@@ -178,20 +219,27 @@ class VelodyneDecoder:
         values, azimuths = body["returns"], body["azimuth"].astype(np.float64)
         raw, intensities = values["distance"], values["intensity"]
         starts_us, dual = self._firing_starts_us(records), self._dual(records)
+        banks = self._banks(records)
         kept = (raw > 0) & blocks[:, :, None]
-        again = 2 if self._paired else 1
+        again = 2 if model.banks == 2 else 1
         second = dual[:, None] & (np.arange(12) // again % 2 == 1)
+        if model.banks == 4:
+            kept &= (banks >= 0)[:, :, None]
         equal = (raw[:, again:] == raw[:, :-again]) & (intensities[:, again:] == intensities[:, :-again])
         kept[:, again:] &= ~(equal & second[:, again:, None])
         index, block, channel = located(kept)
-        rate = (azimuths[:, -1] - azimuths[:, 0]) % 36000.0 / starts_us[:, -1]
+        rate = self._rates(records, starts_us)
         lasers = channel % len(self._lasers) if len(self._lasers) < 32 else channel
-        if self._paired:
-            lasers = channel + np.where(body["flag"] == _LOWER, 32, 0).ravel()[block]
+        if model.banks > 1:
+            lasers = channel + 32 * banks.ravel()[block]
         # float32 from here on: a turn in steps of 5e-7 rad is 0.05 mm at 100 m
         starts, rates = np.deg2rad(azimuths.ravel() / 100.0), np.deg2rad(np.repeat(rate, 12) / 100.0)
         after_us = np.array(model.laser_us)
-        angles = rates.astype(np.float32).take(block) * after_us.astype(np.float32).take(channel)
+        fired = lasers if len(after_us) > 32 else channel
+        turned_us = after_us - after_us[0]
+        if model.banks == 4 and (azimuths[:, 0] != azimuths[:, 2]).any():
+            turned_us = after_us - np.repeat(after_us[::32], 32)  # each bank states the azimuth of its own start
+        angles = rates.astype(np.float32).take(block) * turned_us.astype(np.float32).take(fired)
         angles += starts.astype(np.float32).take(block)
         angles -= self._lasers[:, 0].astype(np.float32).take(lasers)
         distances = raw.ravel().take(index) * np.float32(model.step)
@@ -209,7 +257,7 @@ class VelodyneDecoder:
         return LidarPoints(
             positions,
             intensities.ravel().take(index),
-            timestamps_ns=blocks_ns.ravel().take(block) + np.rint(after_us * 1000).astype(np.int64).take(channel),
+            timestamps_ns=blocks_ns.ravel().take(block) + np.rint(after_us * 1000).astype(np.int64).take(fired),
             rings=self._rings.take(lasers),
             extras=MappingProxyType({} if numbers is None else {"return_number": numbers}),
         )
@@ -244,8 +292,8 @@ def read_corrections(path: Path) -> Float64Array:
             entries[int(values["laser_id"])] = {name: float(values.get(name, 0.0)) for name in _CORRECTIONS}
         except (KeyError, ValueError) as error:
             raise DataError(path, f"lasers[{len(entries)}]", f"{error}; expected laser_id and numbers") from error
-    if sorted(entries) != list(range(len(entries))) or len(entries) not in (16, 32, 64):
-        raise DataError(path, "lasers", f"{len(entries)} lasers; expected 16, 32 or 64 with laser_id from 0")
+    if sorted(entries) != list(range(len(entries))) or len(entries) not in (16, 32, 64, 128):
+        raise DataError(path, "lasers", f"{len(entries)} lasers; expected 16, 32, 64 or 128 with laser_id from 0")
     found = np.array([[entries[k][name] for name in _CORRECTIONS] for k in range(len(entries))])
     if not np.isfinite(found).all():
         raise DataError(path, "lasers", "a number is not finite")
@@ -258,7 +306,7 @@ def recognise(packets: UInt8Array) -> str | None:
         return None
     records = packets.view(_PACKET)[:, 0]
     products, flags = records["product"], records["blocks"]["flag"]
-    if (flags == _LOWER).any():
+    if (flags == _LOWER).any() and (products != MODELS["vls-128"].product).mean() > 0.5:
         return "hdl-64e-s3" if np.isin(flags, (_UPPER, _LOWER)).mean() > 0.5 else None
     return next((key for key, model in MODELS.items() if (products == model.product).mean() > 0.5), None)
 

@@ -35,6 +35,7 @@ from sceneloom.formats.points.cloud import (
     parse_rows,
     unique_names,
 )
+from sceneloom.formats.points.copc import write_copc
 from sceneloom.formats.points.spec import POSITION_NAMES
 
 _MAGIC = b"\x93NUMPY"
@@ -217,7 +218,8 @@ class _LasFile:
         steps = np.rint(steps)
         for axis, name in enumerate(("X", "Y", "Z")):
             record[name] = steps[:, axis].astype(np.int32)
-        for name, values in dimensions.items():
+        single = np.ones(len(positions), np.uint8)  # a count of 0 is none
+        for name, values in {"return_number": single, "number_of_returns": single, **dimensions}.items():
             record[name] = values
         self._file.write_points(record)
         return float(np.abs(steps * header.scales + header.offsets - positions).max(initial=0.0))
@@ -244,11 +246,15 @@ def _colors_16(colors: AnyArray | None) -> dict[str, AnyArray]:
 
 
 class _LasWriter:
-    """An open LAS file: labels are classifications up to 255, and all in `label`; times are the scene's [s]."""
+    """An open LAS file: labels are classifications up to 255, and all in `label`; times are the scene's [s].
+
+    A name in `.copc.laz` has the points in an octree: they are written plainly beside it first.
+    """
 
     def __init__(self, path: Path) -> None:
         """Begin a file, which must not be there."""
-        self._path = path
+        self._target = path
+        self._path = path.with_suffix(".las") if path.name.lower().endswith(".copc.laz") else path
         self._file: _LasFile | None = None
 
     def add(self, points: WrittenPoints) -> None:
@@ -275,6 +281,9 @@ class _LasWriter:
             self.add(WrittenPoints(np.zeros((0, 3))))
         if self._file is not None:
             self._file.close()
+        if self._path != self._target:
+            write_copc(self._path, self._target)
+            self._path.unlink()
 
 
 def _read_las(path: Path) -> Cloud:
@@ -474,9 +483,9 @@ def _check_chunks(path: Path, stream: BinaryIO, header: Any) -> None:
     items = struct.iter_unpack("<HHH", record[34 : 34 + 6 * int.from_bytes(record[32:34], "little")])
     layers = sum(size if kind == _BYTES_14 else _LAYERS.get(kind, 0) for kind, size, _ in items)
     start = int(header.offset_to_point_data) + 8
-    for _, length in chunks if layers else ():
+    for held, length in chunks if layers else ():
         stream.seek(start + int(header.point_format.size) + 4)
-        if sum(memoryview(stream.read(4 * layers).ljust(4 * layers, b"\0")).cast("I")) > length:
+        if held and sum(memoryview(stream.read(4 * layers).ljust(4 * layers, b"\0")).cast("I")) > length:
             raise DataError(path, f"byte {start}", f"layers of more bytes than their chunk, which has {length}")
         start += length
     stream.seek(before)
@@ -507,7 +516,7 @@ def _head(header: Any) -> dict[str, Any]:
     records = [
         {"user_id": str(one.user_id), "record_id": int(one.record_id), "description": str(one.description)}
         for one in header.vlrs
-        if one.record_id not in _KNOWN_RECORDS and not hasattr(one, "string")
+        if one.record_id not in _KNOWN_RECORDS and one.user_id != "copc" and not hasattr(one, "string")
     ]
     head.update({"records_left_out": records} if records else {})
     return head

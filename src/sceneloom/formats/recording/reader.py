@@ -60,7 +60,6 @@ from sceneloom.formats.recording.contents import (
     with_frames,
 )
 from sceneloom.formats.recording.spec import DATA_FILE
-from sceneloom.formats.recording.zipped import unpack
 from sceneloom.formats.video.reader import VideoReader, open_video, open_whole_or_left
 from sceneloom.geometry.rigid import RigidTransform, angle_between
 from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame, VideoContent
@@ -1002,14 +1001,10 @@ class _Location:
     source: str  # what messages call it
     data_path: Path  # its lines
     alone: bool = False  # a log by itself, as programs put out: what lies beside it is somebody else's
-    remove: Callable[[], None] | None = None  # removes what was unpacked for it
 
     @classmethod
     def of(cls, path: Path) -> "_Location":
-        """Find the folder of a recording that is named by its folder, its log or a zip archive of it."""
-        unpacked = None if path.is_dir() else unpack(path, DATA_FILE)
-        if unpacked is not None:
-            return cls(unpacked.folder, str(path), unpacked.folder / DATA_FILE, remove=unpacked.remove)
+        """Find the folder of a recording that is named by its folder or its log."""
         if path.is_file():
             alone = path.name != DATA_FILE
             return cls(path.parent, str(path if alone else path.parent), path, alone=alone)
@@ -1018,16 +1013,13 @@ class _Location:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Closing:
-    """Closes the images that a scene holds open, then removes what was unpacked for it."""
+    """Closes the images that a scene holds open."""
 
     images: list[ImageFiles]
-    remove: Callable[[], None] | None
 
     def __call__(self) -> None:
         for files in self.images:
             files.close()
-        if self.remove is not None:
-            self.remove()
 
 
 def open_recording(
@@ -1041,8 +1033,8 @@ def open_recording(
     """Open a recording; images and points are read when asked for.
 
     Args:
-        path: the folder, the `data.jsonl` in it, a zip archive, which is unpacked until the scene is closed, or any
-            other file of such lines, as methods put out; what lies beside that counts only if it has images or lidar.
+        path: the folder, the `data.jsonl` in it, or any other file of such lines, as methods put out; what lies beside
+            that counts only if it has images or lidar.
         altitude: what the altitudes of `gps` lines are above: "wgs84", the ellipsoid, or "msl", mean sea level.
         camera_shift: what becomes of `imuToCameraShiftSeconds` of the calibration: "ignore"; "apply" adds it to the
             times of the camera's images, which are then on the IMU's clock; "subtract" takes it off them.
@@ -1086,10 +1078,7 @@ def examine_recording(
     """
     options = {"altitude": altitude, "camera_shift": camera_shift, "image_index": image_index}
     _check_values(options)
-    try:
-        location = _Location.of(path)
-    except SceneloomError as error:
-        return RecordingExamination(None, (_fault_of(error, "unreadable", str(path)),))
+    location = _Location.of(path)
     ledger = _FaultLedger(location.folder)
     try:
         scene, contents = _read_recording(location, ledger, **options)
@@ -1108,7 +1097,7 @@ def _read_recording(
     location: _Location, ledger: Ledger, *, altitude: str, camera_shift: str, image_index: str
 ) -> tuple[Scene, RecordingContents]:
     """Read a recording with a ledger that decides what becomes of its faults."""
-    closing = _Closing([], location.remove)
+    closing = _Closing([])
     try:
         with ledger.telling():
             contents = _read_contents(location, ledger, camera_shift, image_index)

@@ -8,20 +8,19 @@ import msgspec
 
 from sceneloom.formats.base.files import open_file
 from sceneloom.formats.base.losses import KEPT, converted, dropped
-from sceneloom.formats.base.spec import FormatSpec, begins
+from sceneloom.formats.base.spec import FormatSpec
 
 DATA_FILE = "data.jsonl"
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-_ZIP = b"PK\x03\x04"
 _LONGEST_FIRST_LINE = 1 << 18
 _LEADING_LINES = 20
 
 
 def _sniff(path: Path) -> bool:
-    """Whether a path is a folder with a `data.jsonl`, a file of such lines, or a zip archive of a folder."""
+    """Whether a path is a folder with a `data.jsonl`, or a file of such lines."""
     if path.is_dir():
         return (path / DATA_FILE).is_file()
-    return path.is_file() and (path.name == DATA_FILE or _is_log(path) or _is_zipped(path))
+    return path.is_file() and (path.name == DATA_FILE or _is_log(path))
 
 
 def _is_log(path: Path) -> bool:
@@ -58,32 +57,16 @@ def _is_known(line: dict[str, Any]) -> bool:
     return is_pose or bool(RECORD_KEYS & line.keys())
 
 
-def _is_zipped(path: Path) -> bool:
-    if not begins(path, _ZIP):
-        return False
-    from sceneloom.formats.recording.zipped import holds_recording
-
-    return holds_recording(path, DATA_FILE)
-
-
 def _near_miss(path: Path) -> str | None:
     """Report what keeps a path from being a recording, where it nearly is one; None where it is something else."""
     if not path.is_dir():
-        return _damage(path)
+        return None
     names = sorted(entry.name for entry in path.iterdir())
     packed = [name for name in names if name.lower().startswith(DATA_FILE + ".")]
     if packed:
         return f"there is {packed[0]}: unpack it to {DATA_FILE}"
     logs = [name for name in names if name.lower().endswith(".jsonl")]
     return f"there is {logs[0]}: is it the recording's {DATA_FILE}?" if logs else None
-
-
-def _damage(path: Path) -> str | None:
-    if not begins(path, _ZIP):
-        return None
-    from sceneloom.formats.recording.zipped import damage_of_zip
-
-    return damage_of_zip(path)
 
 
 _NO_POSITION = dropped("the format has none")
@@ -119,7 +102,7 @@ _SUPPORTS = {
 FORMAT = FormatSpec(
     name="recording",
     title="a recording",
-    looks_like="a folder with a data.jsonl, a zip file of one, or a file of such lines",
+    looks_like="a folder with a data.jsonl, or a file of such lines",
     sniff=_sniff,
     near_miss=_near_miss,
     reader="sceneloom.formats.recording.reader:open_recording",

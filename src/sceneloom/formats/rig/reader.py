@@ -1466,8 +1466,10 @@ def _build_trajectory(part: _Part) -> Trajectory:
             problem = f"orientation {quaternions[k].tolist()} of length {norms[k]:.4f}; expected 1 within 0.01"
             raise DataError(path, f"line {rows.lines[k]}", problem)
         quaternions = normalise_quaternion(quaternions)
-    if (times_ns[1:] < times_ns[:-1]).any():
-        ledger.note(WarningKind.REPAIRED, "poses-sorted", str(path), "poses out of order; sorted by time")
+    back = np.flatnonzero(times_ns[1:] < times_ns[:-1])
+    if len(back):
+        location = f"{path}: line {rows.lines[int(back[0]) + 1]}"
+        ledger.note(WarningKind.REPAIRED, "poses-sorted", location, "poses out of order; sorted by time")
     unique_ns, chosen = np.unique(times_ns, return_index=True)
     if len(unique_ns) < len(times_ns):
         message, count = "several poses at one time; the first was kept", len(times_ns) - len(unique_ns)
@@ -1975,10 +1977,10 @@ def _read_samples(
         raise DataError(table.path, "line 1", problem)
     times = table.timestamps(columns["time"], part.record.get("unit"))
     timestamps = _shifted(times, part.offset_ns, table.path, "")
-    back = int((timestamps[1:] < timestamps[:-1]).sum())
-    if back:
-        message = "times run backwards; sorted by time"
-        part.ledger.note(WarningKind.REPAIRED, "samples-sorted", str(table.path), message, count=back)
+    back = np.flatnonzero(timestamps[1:] < timestamps[:-1])
+    if len(back):
+        location, message = f"{table.path}: line {table.lines[int(back[0]) + 1]}", "times run backwards; sorted by time"
+        part.ledger.note(WarningKind.REPAIRED, "samples-sorted", location, message, count=len(back))
     order = np.argsort(timestamps, kind="stable")
     return table, columns, order, read_only(timestamps[order])
 

@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree as ET
 
-import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array
@@ -19,6 +18,7 @@ from sceneloom.cameras.projection import check_camera
 from sceneloom.errors import CalibrationError, DataError, OptionError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import LARGEST_SETTINGS, read_bytes, why_no_file
+from sceneloom.formats.base.json_files import read_json
 from sceneloom.formats.base.spec import first_bytes
 from sceneloom.formats.base.xml_files import xml_root
 from sceneloom.formats.base.yaml_files import read_yaml
@@ -565,10 +565,7 @@ def _camodocal(draft: _Draft, root: _Value, size: tuple[float, ...]) -> Camera:
 
 def _read_basalt(draft: _Draft) -> None:
     """Read a calibration of basalt. Source: `calibration.hpp` of its headers, as cereal writes it."""
-    try:
-        content = msgspec.json.decode(read_bytes(draft.path))
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise DataError(draft.path, "", f"is no JSON: {error}") from error
+    content: Any = read_json(draft.path, object)
     root = _Value(draft.path, "", content)
     if "value0" not in root or "T_imu_cam" not in root["value0"]:
         raise root.fault(f"has {', '.join(map(str, list(content)[:8])) or 'nothing'}; expected {_KINDS}")

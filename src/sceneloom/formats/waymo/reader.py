@@ -8,6 +8,7 @@ Source: the columns and comments of `waymo_open_dataset.v2.perception` and of `d
 `range_image_utils`: row k has the inclination of beam H - 1 - k, the columns go clockwise from behind.
 """
 
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from enum import Enum, auto
 from pathlib import Path
 from threading import Lock
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -824,27 +825,90 @@ def _opened(path: Path) -> Iterator[Any]:
         raise DataError(path, "", "is not there; expected a parquet file")
     try:
         with file_faults(path), open_file(path) as file:
-            size = path.stat().st_size
             table = parquet.ParquetFile(pa.PythonFile(file, mode="r"), pre_buffer=False, buffer_size=_BUFFER)
-            for group in range(table.metadata.num_row_groups):
-                _check_group(path, size, table.metadata.row_group(group))
+            _check_groups(path, file)
             yield table
-    except (pa.ArrowException, OSError, ValueError, MemoryError, OverflowError) as error:
+    except (pa.ArrowException, OSError, ValueError, IndexError, MemoryError, OverflowError) as error:
         raise DataError(path, "", f"is no whole parquet file: {error}") from error
 
 
 _BUFFER = 1 << 20
 
 
-def _check_group(path: Path, size: int, group: Any) -> None:
-    """Refuse a group of rows that declares far more values than its file can hold."""
-    check_unpacked(path, "", size, max(group.total_byte_size, _FEWEST_BYTES * group.num_rows))
-    for number in range(group.num_columns):
-        column = group.column(number)
-        check_unpacked(path, column.path_in_schema, size, _FEWEST_BYTES * column.num_values)
+def _check_groups(path: Path, file: BinaryIO) -> None:
+    """Refuse groups of rows that declare far more values than their file can hold.
+
+    The footer is read here: pyarrow ends the process where statistics of a column in it are damaged.
+
+    Source: Apache Parquet, parquet.thrift (FileMetaData, RowGroup, ColumnChunk, ColumnMetaData).
+    """
+    size = file.seek(-8, os.SEEK_END) + 8
+    length = int.from_bytes(file.read(4), "little")
+    file.seek(-8 - length, os.SEEK_END)
+    footer, _ = _compact(file.read(length), 0, _STRUCT)
+    for group in footer.get(4, ()):
+        check_unpacked(path, "", size, max(group.get(2, 0), _FEWEST_BYTES * group.get(3, 0)))
+        for column in group.get(1, ()):
+            stated = column.get(3, {})
+            name = b".".join(stated.get(3, ())).decode("utf-8", "replace")
+            check_unpacked(path, name, size, _FEWEST_BYTES * stated.get(5, 0))
 
 
 _FEWEST_BYTES = 4  # of a value, once it is unpacked
+_TRUE, _FALSE, _BYTE, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = 1, 2, 3, 7, 8, 9, 10, 11, 12
+_DEEPEST = 32
+
+
+def _compact(data: bytes, at: int, kind: int, depth: int = 0) -> tuple[Any, int]:
+    """A value of Thrift, and where it ends: structs are mappings by the numbers of their fields.
+
+    Source: Apache Thrift, "Compact protocol encoding".
+    """
+    if depth > _DEEPEST:
+        raise ValueError(f"values in {_DEEPEST} others")
+    if kind in (_TRUE, _FALSE, _BYTE):
+        return data[at], at + 1
+    if kind == _DOUBLE:
+        return data[at + 7], at + 8
+    if kind == _STRUCT:
+        fields: dict[int, Any] = {}
+        number = 0
+        while data[at]:
+            step, inner = divmod(data[at], 16)
+            (number, at) = (number + step, at + 1) if step else _zigzag(data, at + 1)
+            fields[number], at = (
+                (inner == _TRUE, at) if inner in (_TRUE, _FALSE) else _compact(data, at, inner, depth + 1)
+            )
+        return fields, at + 1
+    if kind in (_LIST, _SET):
+        count, inner = divmod(data[at], 16)
+        count, at = (count, at + 1) if count < 15 else _varint(data, at + 1)
+        values = []
+        for _ in range(count):
+            value, at = _compact(data, at, inner, depth + 1)
+            values.append(value)
+        return values, at
+    if kind == _BINARY:
+        length, at = _varint(data, at)
+        return data[at : at + length], at + length
+    if kind == _MAP:
+        raise ValueError("a mapping, which footers do not have")
+    return _zigzag(data, at)
+
+
+def _varint(data: bytes, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while shift < 64:
+        value |= (data[at] & 0x7F) << shift
+        shift, at = shift + 7, at + 1
+        if not data[at - 1] & 0x80:
+            return value, at
+    raise ValueError(f"no number ends before byte {at} of the footer")
+
+
+def _zigzag(data: bytes, at: int) -> tuple[int, int]:
+    value, at = _varint(data, at)
+    return value >> 1 ^ -(value & 1), at
 
 
 def _read(path: Path, kinds: Mapping[str, _Kind]) -> dict[str, AnyArray]:

@@ -87,8 +87,28 @@ def hesai_40p(azimuths, distances, intensities, *, time_us, date=(23, 11, 14, 22
     return content + tail + bytes(date)
 
 
+def hesai_64(azimuths, distances, intensities, *, time_us, unit_mm=4, mode=0x37, date=(23, 11, 14, 22, 13, 20)):
+    """A packet of a Pandar64: 6 blocks of 64 behind a header of 8 bytes."""
+    content = bytes((0xEE, 0xFF, 64, 6, 0, unit_mm, 0, 0))
+    for k in range(6):
+        content += struct.pack("<H", azimuths[k])
+        content += b"".join(struct.pack("<HB", d, i) for d, i in zip(distances[k], intensities[k], strict=True))
+    tail = bytes(5) + b"\0" + bytes(2) + struct.pack("<H", 600) + struct.pack("<IBB", time_us, mode, 0x42)
+    return content + tail + bytes(date)
+
+
+def hesai_ot128(azimuths, distances, intensities, *, time_us, unit_mm=4, mode=0x37, fine=False):
+    """A packet of an OT128: 2 blocks of 128, each value of 3 bytes, then checksum, functional safety and tail."""
+    content = struct.pack("<2s10B", b"\xee\xff", 1, 4, 0, 0, 128, 2, 1, unit_mm, 1, 0)
+    for k in range(2):
+        content += struct.pack("<H", azimuths[k])
+        content += b"".join(struct.pack("<HB", d, i) for d, i in zip(distances[k], intensities[k], strict=True))
+    tail = bytes(4 + 17 + 9 + 2) + bytes((not fine, mode)) + bytes(2) + bytes((123, 11, 14, 22, 13, 20))
+    return content + tail + struct.pack("<IB", time_us, 0x42) + bytes(30)
+
+
 def hesai(azimuths, distances, intensities, *, time_us, unit_mm=4, mode=0x37, date=(123, 11, 14, 22, 13, 20)):
-    """A packet of an XT32M (6 blocks of 32), a QT64 (4 of 64) or, with fine azimuths, an AT128 (2 of 128)."""
+    """A packet of an XT16, XT32 (8 blocks), XT32M (6), QT64 (4 of 64) or, with fine azimuths, AT128 (2 of 128)."""
     blocks, channels = np.shape(distances)
     content = struct.pack("<2s10B", b"\xee\xff", 6, 1, 0, 0, channels, blocks, 1, unit_mm, 1, 0)
     for k in range(blocks):
@@ -96,7 +116,7 @@ def hesai(azimuths, distances, intensities, *, time_us, unit_mm=4, mode=0x37, da
         content += fine if channels == 128 else struct.pack("<H", azimuths[k])
         content += b"".join(struct.pack("<HBB", d, i, 0) for d, i in zip(distances[k], intensities[k], strict=True))
     micro = struct.pack("<I", time_us)
-    if channels == 32:
+    if channels <= 32:
         return content + bytes(10) + bytes((mode,)) + bytes(2) + bytes(date) + micro + b"\x42" + bytes(4)
     if channels == 64:
         return content + bytes(12) + micro + bytes((mode, 0x42)) + bytes(date) + bytes(4)
@@ -111,30 +131,35 @@ def at_correction(starts, azimuths, elevations, azimuth_steps, elevation_steps):
     return head + b"".join(integers) + azimuth_steps.astype("i1").tobytes() + elevation_steps.astype("i1").tobytes()
 
 
-def robosense(azimuths, distances, intensities, *, time_us, seconds=1_700_000_000):
-    """An MSOP packet: 12 blocks of 32."""
-    head = (
-        b"\x55\xaa\x05\x5a" + bytes(16) + seconds.to_bytes(6, "big") + struct.pack(">I", time_us) + b"\x06" + bytes(11)
-    )
-    content = b""
+def robosense(azimuths, distances, intensities, *, time_us, seconds=1_700_000_000, kind=None, calendar=None):
+    """An MSOP packet: 12 blocks of 32; of the older form with a type; with a date, or the newer one's time."""
+    head = b"\x55\xaa\x05\x5a" + bytes(16) if kind is None else b"\x55\xaa\x05\x0a\x5a\xa5\x50\xa0" + bytes(12)
+    if calendar is None:
+        head += seconds.to_bytes(6, "big") + struct.pack(">I", time_us)
+    else:
+        head += bytes(calendar) + struct.pack(">HH", *divmod(time_us, 1000))
+    content = (head + bytes((6 if kind is None else kind,))).ljust(42, b"\0")
     for k in range(12):
         content += b"\xff\xee" + struct.pack(">H", azimuths[k])
         content += b"".join(struct.pack(">HB", d, i) for d, i in zip(distances[k], intensities[k], strict=True))
-    return head + content + bytes(6)
+    return content + bytes(6)
 
 
-def robosense_state(elevations_deg, azimuths_deg):
-    """A DIFOP packet with the angles of 16 lasers."""
+def robosense_state(elevations_deg, azimuths_deg, *, mode=4):
+    """A DIFOP packet with the angles of 16 or 32 lasers; those of an RS-LiDAR-16 lie elsewhere, without azimuths."""
 
     def angles(values):
-        return b"".join(struct.pack(">BH", value < 0, round(abs(value) * 100)) for value in values).ljust(96, b"\0")
+        return b"".join(struct.pack(">BH", int(value < 0), round(abs(value) * 100)) for value in values).ljust(
+            96, b"\0"
+        )
 
-    return (
-        b"\xa5\xff\x00\x5a\x11\x11\x55\x55".ljust(468, b"\0")
-        + angles(elevations_deg)
-        + angles(azimuths_deg)
-        + bytes(588)
-    )
+    packet = bytearray(b"\xa5\xff\x00\x5a\x11\x11\x55\x55".ljust(1248, b"\0"))
+    packet[300] = mode
+    if azimuths_deg is None:
+        packet[1165:1213] = b"".join(round(abs(one) * 10_000).to_bytes(3, "big") for one in elevations_deg)
+    else:
+        packet[468:660] = angles(elevations_deg) + angles(azimuths_deg)
+    return bytes(packet)
 
 
 def ouster_metadata(path: Path, *, profile="RNG15_RFL8_NIR8", rows=4, columns=64, per_packet=16, **more):

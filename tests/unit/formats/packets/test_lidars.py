@@ -81,6 +81,52 @@ def test_velodyne_returns_lie_and_were_measured_where_and_when_the_manuals_say(k
     assert survey.phases[0, 0] == pytest.approx(0.99722, abs=1e-5)
 
 
+@pytest.mark.parametrize(("dual", "own_azimuths"), [(False, False), (False, True), (True, False)])
+def test_vls_128_fires_four_banks_of_32_lasers_eight_at_a_time(dual, own_azimuths):
+    # 3 firings of 4 banks, or one with two returns of each bank and four blocks that hold nothing; 10 turns a second
+    banks = [0, 0, 1, 1, 2, 2, 3, 3] if dual else [0, 1, 2, 3] * 3
+    flags = tuple((0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF)[bank] for bank in banks) + (0xFFFF,) * (12 - len(banks))
+    speed = 0.36  # 0.01 degree / µs, as 10 turns a second have it
+    packets, expected = [], []
+    decoder = velodyne.decoder_of("vls-128", None)
+    for number in range(2):
+        time_us = 1_000_000 + number * round(57.8 * (1 if dual else 3))
+        distances, intensities = values(12, 32)
+        azimuths = [0] * 12
+        for block, bank in enumerate(banks):
+            firing = 0 if dual else block // 4
+            started_us = 57.8 * firing + (2.89 * (4 * bank + bank // 2 * 2) if own_azimuths else 0)
+            azimuths[block] = round(35_000 + speed * (time_us - 1_000_000 + started_us))
+            for channel in range(32):
+                metres, laser = distances[block][channel] * 0.004, 32 * bank + channel
+                second = dual and block % 2
+                pair = [(one[block - second][channel], one[block][channel]) for one in (distances, intensities)]
+                if not metres or (second and all(a == b for a, b in pair)):
+                    continue
+                after_us = 57.8 * firing + 2.89 * (laser // 8 + laser // 64 * 2)
+                spread = (635.4, 454.8, 273.2, 91.1, -91.1, -273.2, -454.8, -635.4)[laser % 8]
+                azimuth = math.radians((azimuths[block] + speed * (after_us - started_us) + spread) / 100)
+                elevation = decoder._lasers[laser, 1]
+                level = metres * math.cos(elevation)
+                row = (
+                    level * math.cos(azimuth),
+                    -level * math.sin(azimuth),
+                    metres * math.sin(elevation) - 0.05863 * math.tan(elevation),
+                )
+                time_ns = 1000 * time_us + 1000 + round((after_us - 7) * 1000)
+                expected.append((*row, time_ns, laser, intensities[block][channel], 1 + second))
+        mode = 0x39 if dual else 0x37
+        packets.append(
+            build.velodyne(azimuths, distances, intensities, time_us=time_us, mode=mode, product=0xA1, flags=flags)
+        )
+    assert velodyne.recognise(np.frombuffer(packets[0], np.uint8)[None]) == "vls-128"
+    survey, points = decoded(decoder, *packets)
+    order = np.argsort(np.argsort(decoder._lasers[:, 1], kind="stable"), kind="stable")
+    assert sorted(np.rad2deg(decoder._lasers[:, 1]).round(3))[:2] == [-25.0, -19.582]
+    agree(points, [(*row[:4], order[row[4]], *row[5:]) for row in expected], tolerance=0.03)
+    assert survey.phases.max() < 1
+
+
 def test_velodyne_models_are_told_by_the_packet_and_hdl_64e_need_their_calibration(tmp_path):
     distances, intensities = values(12, 32)
     for key, product in (("vlp-16", 0x22), ("puck-hi-res", 0x24), ("hdl-32e", 0x21), ("vlp-32c", 0x28)):
@@ -102,15 +148,15 @@ def test_velodyne_models_are_told_by_the_packet_and_hdl_64e_need_their_calibrati
 
 
 @pytest.mark.parametrize("mode", [0x37, 0x39])
-@pytest.mark.parametrize("key", ["pandar40p", "xt32m", "qt64"])
+@pytest.mark.parametrize("key", ["pandar40p", "pandar64", "xt16", "xt32", "xt32m", "qt64"])
 def test_hesai_returns_lie_and_were_measured_where_and_when_the_manuals_say(key, mode, tmp_path):
     model = hesai.MODELS[key]
     blocks, channels = model.blocks, model.channels
     distances, intensities = values(blocks, channels)
     returns = 2 if mode == 0x39 else 1
     azimuths = [1000 + 20 * (k // returns) for k in range(blocks)]
-    make = build.hesai_40p if key == "pandar40p" else build.hesai
-    unit = {"pandar40p": 4, "xt32m": 5, "qt64": 4}[key]
+    make = {"pandar40p": build.hesai_40p, "pandar64": build.hesai_64}.get(key, build.hesai)
+    unit = 5 if key in ("xt32m", "pandar64") else 4
     how = {} if key == "pandar40p" else {"unit_mm": unit}
     packet = make(azimuths, distances, intensities, time_us=250_000, mode=mode, **how)
     elevations, offsets = RNG.uniform(-25, 20, channels).round(3), RNG.uniform(-5, 5, channels).round(3)
@@ -124,9 +170,12 @@ def test_hesai_returns_lie_and_were_measured_where_and_when_the_manuals_say(key,
             back = (blocks - 1 - block) // returns
             after = {
                 "pandar40p": -28.58 - 55.56 * back,
+                "pandar64": -42.58 - 55.56 * back,
+                "xt16": 5.632 - 50 * back + 0.368 + 3.024 * channel,
+                "xt32": 5.632 - 50 * back + 0.368 + 1.512 * channel,
                 "xt32m": 5.632 - 50 * back + 0.368 + 2.888 * (channel % 16),
                 "qt64": 25.71 + 500 / 3 * (block // returns),
-            }[key] + (0 if key == "xt32m" else model.channel_us[channel])
+            }[key] + (0 if key.startswith("xt") else model.channel_us[channel])
             azimuth = math.radians(azimuths[block] / 100 + offsets[channel])
             elevation, metres = math.radians(elevations[channel]), distances[block][channel] * unit / 1000
             level = metres * math.cos(elevation)
@@ -137,6 +186,40 @@ def test_hesai_returns_lie_and_were_measured_where_and_when_the_manuals_say(key,
     _, points = decoded(hesai.decoder_of(key, tmp_path / "a.csv"), packet)
     agree(points, expected)
     assert len(decoded(hesai.decoder_of(key, None), packet)[1]) == len(points)  # by the manual's angles
+
+
+@pytest.mark.parametrize(("mode", "fine"), [(0x37, False), (0x37, True), (0x39, False)])
+def test_ot128_fires_its_channels_in_another_order_in_high_resolution(mode, fine, tmp_path):
+    distances, intensities = values(2, 128)
+    elevations, offsets = RNG.uniform(-25, 15, 128).round(3), RNG.uniform(-5, 5, 128).round(3)
+    lines = [f"{k + 1},{elevations[k]},{offsets[k]}" for k in range(128)]
+    (tmp_path / "a.csv").write_text("\n".join(["Laser id,Elevation,Azimuth", *lines]))
+    dual = mode == 0x39
+    packet = build.hesai_ot128(
+        [35_990, 35_990 if dual else 10], distances, intensities, time_us=5, mode=mode, fine=fine
+    )
+    model, expected = hesai.MODELS["ot128"], []
+    assert (model.channel_us[0], model.channel_us[127], model.fine_us[0], model.fine_us[39]) == (
+        49.758,
+        30.156,
+        21.98,
+        0,
+    )
+    for block in range(2):
+        for channel in range(128):
+            azimuth = math.radians(([35_990, 35_990 if dual else 10][block]) / 100 + offsets[channel])
+            elevation, metres = math.radians(elevations[channel]), distances[block][channel] * 0.004
+            level = metres * math.cos(elevation)
+            after = 43.346 - (0 if dual else 55.556 * (1 - block))
+            after += (model.fine_us if fine else model.channel_us)[channel]
+            time = 1_700_000_000_000_006_000 + round(after * 1000)
+            row = (level * math.sin(azimuth), level * math.cos(azimuth), metres * math.sin(elevation), time, channel)
+            if metres:
+                expected.append((*row, intensities[block][channel], 1 + (dual and block)))
+    assert hesai.recognise(np.frombuffer(packet, np.uint8)[None]) == "ot128"
+    agree(decoded(hesai.decoder_of("ot128", tmp_path / "a.csv"), packet)[1], expected)
+    with pytest.raises(DataError, match="expected the angles of this OT128"):
+        hesai.decoder_of("ot128", None)
 
 
 def test_at128_angles_are_twice_those_of_its_mirror_and_adjusted_by_its_file(tmp_path):
@@ -173,31 +256,75 @@ def test_at128_angles_are_twice_those_of_its_mirror_and_adjusted_by_its_file(tmp
         hesai.decoder_of("at128", tmp_path / "a.dat")
 
 
+ROBOSENSE = {  # step and origin [m], µs of a block, when a channel is fired, type of the older form
+    "helios-16p": (0.0025, 0.03498, 0.0, 55.56, lambda k: 1.73 * k, None),
+    "helios": (0.0025, 0.03498, 0.0, 55.56, lambda k: 1.73 * k, None),
+    "bpearl": (0.005, 0.01473, 0.09427, 55.52, lambda k: 2.56 * (k % 16) + 1.28 * (k // 16) + 5.2 * (k // 8 % 2), 3),
+    "bpearl-v4": (0.0025, 0.01619, 0.09571, 55.56, lambda k: 1.66783 * k, 3),
+    "rs-16": (0.005, 0.03825, 0.0, 111.0, lambda k: 2.8 * (k % 16) + 55.5 * (k // 16), 1),
+    "rs-32": (0.005, 0.03997, 0.0, 55.52, lambda k: 2.88 * (k % 16) + 1.44 * (k // 16 + (k % 16 == 15)), 2),
+}
+
+
 @pytest.mark.parametrize("dual", [False, True])
-def test_robosense_returns_lie_where_the_manual_says_by_the_angles_of_a_state_packet(dual):
+@pytest.mark.parametrize("key", ROBOSENSE)
+def test_robosense_returns_lie_where_the_manual_says_by_the_angles_of_a_state_packet(key, dual):
+    step_m, radius, height, block_us, fired_us, kind = ROBOSENSE[key]
+    lasers = 16 if key in ("helios-16p", "rs-16") else 32
+    # with two returns blocks come in pairs, but those of 16 lasers hold both
+    halves, apart = dual and lasers == 16, 2 if dual and lasers == 32 else 1
     distances, intensities = values(12, 32)
-    azimuths = [3000 + 20 * (k // 2 if dual else k) for k in range(12)]
-    packet = build.robosense(azimuths, distances, intensities, time_us=123)
-    elevations = [14.94, 13.03, 10.92, 8.9, 6.96, 5.46, 3.98, 2.67, 1.33, 0, -1.33, -2.67, -3.96, -5.23, -6.63, -8.01]
-    offsets = [(-1) ** (k + 1) * 3.9 for k in range(16)]
-    state = np.frombuffer(build.robosense_state(elevations, offsets), np.uint8)
+    if key == "helios-16p":  # by which those of 16 lasers are told
+        distances[:, 16:] = np.where(RNG.random((12, 16)) < 0.8, distances[:, :16] + 1, distances[:, 16:])
+        intensities[:, 16:] = np.where(RNG.random((12, 16)) < 0.3, intensities[:, :16], intensities[:, 16:])
+        distances[0, 16:], intensities[0, 16:] = distances[0, :16], intensities[0, :16]
+    turn = 20 * (1 if halves else 2 if key == "rs-16" else 1)
+    azimuths = [3000 + turn * (k // apart) for k in range(12)]
+    block_us /= 1 + halves
+    calendar = (23, 11, 14, 22, 13, 20) if key in ("bpearl", "rs-16", "rs-32") else None
+    packet = build.robosense(azimuths, distances, intensities, time_us=123_456, kind=kind, calendar=calendar)
+    elevations = np.round(RNG.permutation(np.linspace(-16, 15, lasers)), 2)
+    offsets = np.round(RNG.uniform(-5, 5, lasers), 2)
+    if key == "rs-16":
+        elevations, offsets = np.array([*range(-15, 0, 2), *range(15, 0, -2)], float), np.zeros(16)
+    mode = 0 if dual else 4
+    state = build.robosense_state(elevations.tolist(), None if key == "rs-16" else offsets.tolist(), mode=mode)
+    state = np.frombuffer(state, np.uint8)
     assert robosense.states(state[None]).tolist() == [True]
-    expected = []
+    recognised = robosense.recognise(np.frombuffer(packet, np.uint8)[None])
+    assert recognised == key
+    rings, expected = np.argsort(np.argsort(elevations)), []
     for block in range(12):
         for channel in range(32):
-            metres, laser = distances[block][channel] * 0.0025, channel % 16
-            turned = math.radians((azimuths[block] + 20 * 1.73 * channel / 55.56) / 100)
+            metres, laser = distances[block][channel] * step_m, channel % lasers
+            second = channel // 16 if halves else apart - 1 and block % 2
+            other = (block, channel - 16) if halves else (block - 1, channel)
+            if not metres or (second and all(one[block][channel] == one[other] for one in (distances, intensities))):
+                continue
+            after = fired_us(channel % 16 if halves else channel)
+            turned = math.radians((azimuths[block] + turn * after / block_us) / 100)
             azimuth, elevation = turned + math.radians(offsets[laser]), math.radians(elevations[laser])
             level = metres * math.cos(elevation)
-            x = level * math.cos(azimuth) + 0.03498 * math.cos(turned)
-            y = -level * math.sin(azimuth) - 0.03498 * math.sin(turned)
-            time = 1_700_000_000_000_123_000 + 1000
-            time += round(1000 * 55.56 * (block // 2 if dual else block)) + 1730 * channel
-            row = (x, y, metres * math.sin(elevation), time, 15 - laser, intensities[block][channel])
-            if metres:
-                expected.append((*row, 1 + (dual and block % 2)))
-    _, points = decoded(robosense.decoder_of("helios-16p", None, state), packet)
-    agree(points, expected)
+            x = level * math.cos(azimuth) + radius * math.cos(turned)
+            y = -level * math.sin(azimuth) - radius * math.sin(turned)
+            time = 1_700_000_000_123_456_000 + 1000 + round(1000 * block_us * (block // apart)) + round(1000 * after)
+            row = (x, y, metres * math.sin(elevation) + height, time, rings[laser], intensities[block][channel])
+            expected.append((*row, 1 + second))
+    decoder = robosense.decoder_of(recognised, None, state)
+    assert decoder.key == key
+    agree(decoded(decoder, packet)[1], expected, tolerance=2e-4)
+    if lasers == 16:  # without a state packet the times of packets tell
+        steps = [round(12 * block_us) * k for k in range(3)]
+        packets = [
+            build.robosense(azimuths, distances, intensities, time_us=123_456 + step, kind=kind, calendar=calendar)
+            for step in steps
+        ]
+        array = np.frombuffer(b"".join(packets), np.uint8).reshape(3, -1)
+        points = robosense.RobosenseDecoder(key, decoder.angles_deg).points(
+            array, np.zeros(3, np.int64), np.ones((3, 12), bool)
+        )
+        assert len(points) == 3 * len(expected)
+        assert ("return_number" in points.extras) == dual
     with pytest.raises(DataError, match="no DIFOP packet"):
         robosense.decoder_of("helios-16p", None, state * 0)
 

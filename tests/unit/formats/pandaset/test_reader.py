@@ -176,7 +176,7 @@ FAULTS = [
     (POSES, poses(lidar_pose, 1), "1 poses; expected 2"),
     (POSES, [{"position": ORIGIN}] * 2, r"\$\[0\]: Object missing required field `heading`"),
     (POSES, [poses(lidar_pose)[0] | NO_HEADING] * 2, r"\[0\].heading: w, x, y, z = \[2.0, .*\]; expected length 1"),
-    (POSES, b"[{", "poses.json: is no JSON"),
+    (POSES, b"[{", "poses.json: line 1, column 3: is no JSON: the file ends within \\[0\\]"),
     (f"{CAMERA}/intrinsics.json", None, "intrinsics.json: is not there"),
     (f"{CAMERA}/intrinsics.json", {"fx": 0.0, "fy": 1.0, "cx": 1.0, "cy": 1.0}, "focal lengths 0.0, 1.0"),
     ("annotations/cuboids/07.pkl.gz", FRAMES / "cuboids_0.pkl.gz", "07.pkl.gz: there is no sweep of this number"),

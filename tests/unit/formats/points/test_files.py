@@ -248,6 +248,44 @@ def test_las_is_read_by_laspy_as_it_was_written(tmp_path, suffix):
     assert (found == [FAR.labels, known, FAR.extras["camera"]]).all()
 
 
+def test_copc_is_read_by_laspy_whole_in_part_and_coarsely(tmp_path):
+    # a surface of 150,000 points, and more in one location than a cube holds
+    grid = np.stack(np.meshgrid(np.arange(500.0), np.arange(300.0)), axis=-1).reshape(-1, 2) / 10
+    positions = np.concatenate([np.c_[grid, np.sin(grid[:, 0])], np.tile([60.0, 5.0, 1.0], (60_000, 1))])
+    positions += [450_000.0, 5_400_000.0, 300.0]
+    count = len(positions)
+    labels = np.arange(count).astype(np.uint16)
+    path = tmp_path / "map.copc.laz"
+    with open_cloud_writer(path) as writer:
+        for chosen in np.array_split(np.random.default_rng(0).permutation(count), 5):
+            writer.add(WrittenPoints(positions[chosen], None, None, 1_000_000_000 * chosen, labels[chosen]))
+    assert [one.name for one in tmp_path.iterdir()] == ["map.copc.laz"]
+
+    def xyz(record):
+        return np.stack([record.x, record.y, record.z], axis=1)
+
+    with laspy.CopcReader.open(str(path)) as reader:
+        info, read = reader.copc_info, reader.query()
+        found = xyz(read)
+        assert (info.gps_min, info.gps_max) == (0.0, count - 1.0)
+        order = np.argsort(read.gps_time)
+        np.testing.assert_allclose(found[order], positions, atol=0.00051)
+        assert (np.asarray(read.label)[order] == labels).all()
+        assert np.abs(found - info.center).max() <= info.halfsize
+        # a window holds what lies in it
+        least, most = np.array([450_010.0, 5_400_005.0, 0.0]), np.array([450_012.0, 5_400_008.0, 400.0])
+        inside = ((found >= least) & (found <= most)).all(axis=1)
+        assert len(reader.query(bounds=laspy.copc.Bounds(least, most))) == inside.sum() > 500
+        # the root has a point in each of its cells that has any
+        coarse = xyz(reader.query(level=0))
+        coarse_cells, cells = (
+            np.unique((points - info.center + info.halfsize) // info.spacing, axis=0) for points in (coarse, found)
+        )
+        assert len(coarse) == len(coarse_cells) == len(cells) < count / 10
+    with laspy.open(path) as file:
+        assert file.header.number_of_points_by_return[0] == count
+
+
 def test_ply_is_read_by_trimesh_as_it_was_written(tmp_path):
     read = trimesh.load(written(tmp_path / "map.ply", FAR), process=False)
     assert (np.asarray(read.vertices) == FAR.positions_world).all()
@@ -270,7 +308,7 @@ def test_pcd_is_read_by_pypcd4_as_it_was_written_and_far_from_zero_counts_from_w
     np.testing.assert_allclose(read + np.array(origin, float), FAR.positions_world, atol=1e-4)
 
 
-@pytest.mark.parametrize("suffix", [".las", ".laz", ".ply", ".pcd"])
+@pytest.mark.parametrize("suffix", [".las", ".laz", ".copc.laz", ".ply", ".pcd"])
 def test_our_readers_read_what_we_write_also_of_no_points_and_of_one(tmp_path, suffix):
     cloud = read_cloud(written(tmp_path / f"map{suffix}", NEAR))
     assert cloud.count == len(NEAR)

@@ -1,4 +1,4 @@
-"""Zipped recordings: the same scene as from the folder, nothing outside the folder, nothing left behind."""
+"""Zipped drives: the same scene as from the folder, nothing outside the folder, nothing left behind."""
 
 import pickle
 import stat
@@ -9,11 +9,12 @@ import zipfile
 
 import numpy as np
 import pytest
+from tests.unit.formats.labelling.test_round_trips import scene_of
 
 from sceneloom.checks import validate
-from sceneloom.errors import DataError
-from sceneloom.formats.base.registry import find_format, open_scene
-from sceneloom.formats.recording import zipped
+from sceneloom.errors import DataError, UnknownFormatError
+from sceneloom.formats.base import zipped
+from sceneloom.formats.base.registry import find_format, open_scene, write_scene
 from sceneloom.formats.recording.spec import FORMAT
 
 LINES = [
@@ -71,7 +72,7 @@ def test_a_zipped_drive_is_the_same_scene_and_its_faults_are_reported_as_those_o
     with (drive / "data.jsonl").open("a") as file:
         file.write("{broken\n")
     zip_of(drive, path, top=top)
-    assert_refused(path, scratch, r"drive\.zip/data\.jsonl: line 5: {broken")
+    assert_refused(path, scratch, rf"drive\.zip/{top}data\.jsonl: line 5: {{broken")
     findings = validate(path, locations=None).findings
     assert [(f.rule, f.path) for f in findings if f.severity == "error"] == [("broken-lines", "data.jsonl: line 5")]
     assert list(scratch.iterdir()) == []
@@ -155,16 +156,58 @@ def test_damaged_encrypted_and_other_archives_and_those_cut_anywhere_raise_error
     for content, problem in (
         (flipped, "cannot be unpacked"),
         (encrypted, "is encrypted"),
-        (whole[: len(whole) // 2], "cannot be unpacked: File is not a zip file"),
+        (whole[: len(whole) // 2], "cannot be unpacked, is damaged or cut off: File is not a zip file"),
         *[(whole[: len(whole) * cut // 400], r"bad\.zip: ") for cut in range(0, 400, 7)],
     ):
         path.write_bytes(content)
         assert_refused(path, scratch, problem)
     path.write_bytes(whole[:-300])
-    with pytest.raises(DataError, match="a zip archive that is damaged or cut off"):
+    with pytest.raises(DataError, match="a zip archive that cannot be unpacked, is damaged or cut off"):
         find_format(path)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("a/data.jsonl", "{}")
         archive.writestr("b/data.jsonl", "{}")
     assert not FORMAT.sniff(path)
-    assert_refused(path, scratch, r"holds no data\.jsonl, neither at its root nor in a single top folder")
+    assert_refused(path, scratch, r"a zip archive that holds no such drive; expected a folder with a data\.jsonl")
+
+
+@pytest.mark.parametrize(("name", "top"), [("cvat", ""), ("coco", "export/"), ("yolo", ""), ("supervisely", "a/b/")])
+def test_what_labelling_tools_export_as_zip_is_read_as_its_folder_is_and_goes_when_it_is_closed(
+    tmp_path, scratch, name, top
+):
+    folder = tmp_path / f"drive.{name}"
+    write_scene(scene_of("cuboids" if name == "supervisely" else "boxes"), folder, format=name)
+    path = zip_of(folder, tmp_path / "drive.zip", top=top)
+    with open_scene(folder) as expected, open_scene(path) as scene:
+        assert (scene.source, scene.format) == (str(path), name)
+        assert repr(scene.annotations) == repr(expected.annotations)
+        assert len(scene.annotations) > 0
+        for shown, wanted in zip(scene.cameras, expected.cameras, strict=True):
+            np.testing.assert_array_equal(shown.images[0].rgb, wanted.images[0].rgb)
+        assert not any(str(scratch) in warning.location + warning.message for warning in scene.warnings)
+    assert list(scratch.iterdir()) == []
+    with open_scene(path, format=name) as scene:
+        assert len(scene.annotations) == len(expected.annotations)
+    assert list(scratch.iterdir()) == []
+
+
+def test_an_archive_of_one_file_is_that_file_and_of_anything_else_says_what_is_in_it_and_to_unpack_it(
+    tmp_path, scratch
+):
+    write_scene(scene_of("boxes"), tmp_path / "a.xml", format="cvat")
+    with zipfile.ZipFile(tmp_path / "one.zip", "w") as archive:
+        archive.write(tmp_path / "a.xml", "job 7.xml")
+    with open_scene(tmp_path / "one.zip") as scene:
+        assert scene.format == "cvat"
+    with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
+        archive.writestr("a/notes.md", "x")
+        archive.write(tmp_path / "a.xml", "a/labels/annotations.xml")
+    for _ in range(2):  # what was looked into is kept for who opens it, once
+        with pytest.raises(UnknownFormatError, match=r"inside are other\.zip/a/labels \(cvat\);") as error:
+            open_scene(tmp_path / "other.zip")
+        assert "a zip archive: unpack what is wanted of it first (`unzip other.zip -d FOLDER`)" in str(error.value)
+        assert str(scratch) not in str(error.value)
+        assert len(list(scratch.iterdir())) == 1
+    with pytest.raises(DataError, match=r"other\.zip: a zip archive that holds no such drive; expected a \.json file"):
+        open_scene(tmp_path / "other.zip", format="coco")
+    assert list(scratch.iterdir()) == []

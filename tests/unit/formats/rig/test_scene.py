@@ -373,6 +373,7 @@ def test_poses_without_orientations_out_of_order_repeated_or_of_a_leaning_ego_ar
     scene = opened()
     assert scene.trajectories["pose"].positions[:, 0].tolist() == [0.0, 10.0]
     assert codes(scene) == ["poses-sorted", "repeated-poses"]
+    assert scene.warnings[0].location.endswith("poses.txt: line 2")
     (folder / "poses.txt").write_text("1532402927.5 0 0 0 1 0 0 0\n1532402928.5 9 0 0 0.98 0.02 0 0.198\n")
     (warning,) = opened().warnings
     assert warning.code == "ego-leaning"
@@ -408,7 +409,9 @@ def test_imu_values_are_converted_to_the_axes_of_the_ego_and_fixes_read_and_sort
     assert (gnss.timestamps_ns.tolist(), gnss.accuracies.tolist()) == ([1_000_000_000, 2_000_000_000], [2.0, 1.5])
     assert gnss.positions_lla.tolist() == [[48.0, 11.6, 520.0], [48.1, 11.5, 520.5]]
     assert np.isnan(gnss.vertical_accuracies).all()
-    assert "samples-sorted" in codes(scene)
+    assert [one.location.rpartition("/")[2] for one in scene.warnings if one.code == "samples-sorted"] == [
+        "gnss.csv: line 3"
+    ]
     # times stand in one column or as seconds and nanoseconds
     for text, expected_ns in (
         *((f"{names},gx,gy,gz\n1532402927,5,0,0,0\n1532402927,5000005,0,0,0\n",

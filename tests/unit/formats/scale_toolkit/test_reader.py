@@ -100,7 +100,7 @@ FAULTS = [
     (POSE, None, r"poses/2.json: is not there"),
     (POSE, '{"heading": [2, 0, 0, 0], "position": [0, 0, 0]}', r"2.json: heading: \[2.0, 0.0, .*\] has the length 2"),
     (POSE, '{"heading": [1, 0, 0, 0], "position": [0, "a", 0]}', r"position: \[0, 'a', 0\]; expected 3 numbers"),
-    (POSE, "{", "poses/2.json: is no JSON"),
+    (POSE, "{", "poses/2.json: line 1, column 2: is no JSON: the file ends within its first value"),
     ("cameras/front/extrinsics.json", None, "extrinsics.json: is not there"),
     (INTRINSICS, '{"fx": 1}', r"fx, fy, cx, cy are \[1, None"),
     ("pointcloud/1.pcd", "", r"1.ply: 1.pcd is of the same frame"),

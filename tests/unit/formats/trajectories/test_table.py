@@ -250,6 +250,15 @@ def test_a_lenient_reading_leaves_out_what_is_bad_and_poses_out_of_order_are_sor
         assert name != "a.txt" or content.trajectory.positions[:, 0].tolist() == [1.0, 2.0]
 
 
+def test_fixes_of_kf_gins_that_run_backwards_are_sorted_and_the_first_line_is_named(tmp_path):
+    rows = [f"{357473 + k} {30.5 + 1e-5 * k:.6f} 114.5 22.5 0.1 0.1 0.2" for k in (0, 1, 3, 2, 5, 4)]
+    content = read_trajectory_file(put(tmp_path, "a.txt", "\n".join(rows)))
+    assert np.diff(content.trajectory.timestamps_ns).tolist() == [10**9] * 5
+    assert (np.diff(content.trajectory.positions[:, 1]) > 0).all()
+    found = {one.code: one.location.rpartition("/")[2] for one in content.warnings}
+    assert found == {"gnss-week-unknown": "a.txt", "poses-sorted": "a.txt: line 4"}
+
+
 def test_files_are_not_replaced_unasked_and_what_no_form_holds_is_refused(tmp_path):
     trajectory = Trajectory("trajectory", np.array([0], np.int64), np.zeros((1, 3)))
     for name in ("a.tum", "a.kitti", "a.csv"):

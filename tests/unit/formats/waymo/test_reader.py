@@ -1,5 +1,6 @@
 """Segments of the Waymo Open Dataset v2, built to the columns that its public package declares."""
 
+import contextlib
 import pickle
 from io import BytesIO
 from pathlib import Path
@@ -13,6 +14,7 @@ import sceneloom
 from sceneloom.cameras.projection import project
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.registry import drives_of
+from sceneloom.formats.waymo import reader
 from sceneloom.scene.annotations_at import CuboidAngles
 
 pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
@@ -398,3 +400,44 @@ def test_what_is_missing_or_of_another_segment_is_reported(tmp_path):
     with pytest.raises(DataError, match=r"lidar_calibration.*is not there"):
         sceneloom.open(root)
     assert [sensor.type for sensor in sceneloom.open(root, lenient=True).sensors] == ["camera", "camera"]
+
+
+def footer_of(path):
+    content = path.read_bytes()
+    length = int.from_bytes(content[-8:-4], "little")
+    return content[-8 - length : -8]
+
+
+def test_footers_state_what_pyarrow_reads_in_them_and_damaged_ones_end_in_errors(root):
+    files = sorted(root.rglob("*.parquet"))
+    for path in files:
+        stated, _ = reader._compact(footer_of(path), 0, reader._STRUCT)
+        metadata = parquet.ParquetFile(path).metadata
+        groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+        assert [(one[2], one[3]) for one in stated[4]] == [(one.total_byte_size, one.num_rows) for one in groups]
+        columns = [one.column(k) for one in groups for k in range(one.num_columns)]
+        found = [one[3] for group in stated[4] for one in group[1]]
+        assert [one[5] for one in found] == [one.num_values for one in columns]
+        assert [b".".join(one[3]).decode() for one in found] == [one.path_in_schema for one in columns]
+    sound, chance = footer_of(files[0]), np.random.default_rng(4)
+    for _ in range(3000):
+        changed = bytearray(sound)
+        for at in chance.integers(0, len(changed), 2):
+            changed[at] = chance.integers(256)
+        with contextlib.suppress(ValueError, IndexError):
+            reader._compact(bytes(changed[: chance.integers(len(changed) + 1)]), 0, reader._STRUCT)
+
+
+def test_a_footer_that_declares_far_more_values_than_its_file_holds_is_refused(tmp_path):
+    # FileMetaData with one group of 2^40 rows, and one with a column of as many values
+    many = b"\x80\x80\x80\x80\x80\x40"  # 2^40 as Thrift writes it
+    column = bytes([0x3C, 0x39, 0x18, 1, ord("x"), 0x26]) + many + b"\0\0"
+    path = tmp_path / "a.parquet"
+    for group, where in ((b"\x36" + many + b"\0", ""), (bytes([0x19, 0x1C]) + column + b"\0", "x: ")):
+        footer = bytes([0x49, 0x1C]) + group + b"\0"
+        path.write_bytes(b"PAR1" + footer + len(footer).to_bytes(4, "little") + b"PAR1")
+        with (
+            path.open("rb") as file,
+            pytest.raises(DataError, match=rf"a\.parquet: {where}\d+ bytes that unpack to {1 << 42}"),
+        ):
+            reader._check_groups(path, file)

@@ -1,4 +1,4 @@
-"""Zipped recordings: unpacked within bounds into a temporary folder that is removed when the scene is closed."""
+"""Zipped drives: unpacked within bounds into a temporary folder that is removed when the scene is closed."""
 
 import atexit
 import os
@@ -6,14 +6,16 @@ import shutil
 import stat
 import tempfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from threading import Lock
 from zipfile import BadZipFile, LargeZipFile, ZipFile, ZipInfo
 
 from sceneloom.errors import DataError
-from sceneloom.formats.base.files import open_file
+from sceneloom.formats.base.files import FileIdentity, open_file
 
 MOST_FILES = 1_000_000
 """More files than this are not unpacked: 28 hours of lidar at 10 Hz have as many."""
@@ -28,7 +30,7 @@ _ALWAYS_FINE = 64 << 20  # bytes that may come out of an archive of any size
 _SPARE_BYTES = 64 << 20
 _BLOCK = 1 << 20
 _LONGEST_NAME = 1000
-_BESIDE = ("__MACOSX/", ".DS_Store")
+_DEEPEST = 4
 
 _FAULTS = (BadZipFile, LargeZipFile, OSError, EOFError, RuntimeError, NotImplementedError, ValueError, zlib.error)
 """What reading of an archive that nobody checked may raise; `RuntimeError` is for one with a password."""
@@ -39,14 +41,38 @@ class UnpackedFolder:
     """A folder that goes with the scene that was unpacked into it; in other processes it only names the location.
 
     Attributes:
-        folder: what holds the `data.jsonl`.
+        folder: what was unpacked.
         top: what is removed.
         owner: id of the process that unpacked it.
+        archive: what it was unpacked from.
     """
 
     folder: Path
     top: Path
     owner: int
+    archive: FileIdentity
+
+    def locations(self) -> Iterator[Path]:
+        """Where a drive may be: the folder, the only entry of it, and the only one of that, and so on."""
+        location = self.folder
+        for _ in range(_DEEPEST):
+            yield location
+            inside = list(islice(location.iterdir(), 2)) if location.is_dir() else []
+            if len(inside) != 1:
+                return
+            location = inside[0]
+
+    def location_of(self, is_one: Callable[[Path], bool], expected: str) -> Path:
+        """Find the drive of a format.
+
+        Raises:
+            DataError: there is none.
+        """
+        for location in self.locations():
+            if is_one(location):
+                return location
+        problem = f"a zip archive that holds no such drive; expected {expected}"
+        raise DataError(self.archive.name, "", problem)
 
     def remove(self) -> None:
         """Remove what was unpacked; of copies of this in other processes none does."""
@@ -55,91 +81,54 @@ class UnpackedFolder:
             shutil.rmtree(self.top, ignore_errors=True)
 
 
-def _is_zip(path: Path) -> bool:
-    """Whether a file begins as zip archives do."""
-    try:
-        with open_file(path) as file:
-            return file.read(4) == b"PK\x03\x04"
-    except OSError:
-        return False
+_LOCK = Lock()
+_looked_at: list[UnpackedFolder] = []  # at most one, which whoever opens the archive next takes
 
 
-def damage_of_zip(path: Path) -> str | None:
-    """Why a zip archive cannot be read; None where it can."""
-    try:
-        with open_file(path) as file, ZipFile(file):
-            return None
-    except _FAULTS as error:
-        return f"a zip archive that is damaged or cut off: {error or type(error).__name__}"
+def look_into(path: Path) -> UnpackedFolder:
+    """Unpack an archive to see what it holds, and keep it until another is looked into, or this one is unpacked.
 
-
-def holds_recording(path: Path, data_file: str) -> bool:
-    """Whether a file is a zip archive of a recording.
-
-    Args:
-        path: any file.
-        data_file: the file that a recording's folder has.
+    Raises:
+        DataError: as of `unpack`.
     """
-    if not _is_zip(path):
-        return False
-    try:
-        with open_file(path) as file, ZipFile(file) as archive:
-            return root_of(archive.namelist(), data_file) is not None
-    except _FAULTS:
-        return False
+    unpacked = unpack(path)
+    with _LOCK:
+        others, _looked_at[:] = _looked_at[:], [unpacked]
+    for other in others:
+        other.remove()
+    return unpacked
 
 
-def root_of(names: Sequence[str], data_file: str) -> str | None:
-    """Find what stands before the names of a recording's files: "", or its single top folder with a slash.
-
-    Returns:
-        None where there is no such file at the root or in a single top folder.
-    """
-    ours = [name for name in names if not name.startswith(_BESIDE)]
-    if data_file in ours:
-        return ""
-    tops = {name.partition("/")[0] for name in ours}
-    top = next(iter(tops), "")
-    return f"{top}/" if len(tops) == 1 and f"{top}/{data_file}" in ours else None
-
-
-def unpack(path: Path, data_file: str) -> UnpackedFolder | None:
-    """Unpack a zipped recording into a folder of its own among the system's temporary files.
+def unpack(path: Path) -> UnpackedFolder:
+    """Unpack a zip archive into a folder of its own among the system's temporary files.
 
     It is removed by `remove`, and when the interpreter ends; where something is wrong, nothing is left.
 
-    Args:
-        path: any file or folder.
-        data_file: the file that a recording's folder has.
-
-    Returns:
-        None where it is no zip archive.
-
     Raises:
-        DataError: it is damaged, holds no recording, or more than the bounds allow; or one of its
-            names leads out of the folder.
+        DataError: it is damaged, or holds more than the bounds allow; or one of its names leads out of the folder.
     """
-    if not _is_zip(path):
-        return None
     try:
+        identity = FileIdentity.of(path)
+        with _LOCK:
+            found = [one for one in _looked_at if (one.archive, one.owner) == (identity, os.getpid())]
+            _looked_at[:] = [one for one in _looked_at if one not in found]
+        if found:
+            return found[0]
         with open_file(path) as file, ZipFile(file) as archive:
-            return _unpack(archive, path, data_file)
+            return _unpack(archive, path, identity)
     except _FAULTS as error:
-        raise DataError(path, "", f"cannot be unpacked: {error or type(error).__name__}") from error
+        problem = "a zip archive that cannot be unpacked, is damaged or cut off"
+        raise DataError(path, "", f"{problem}: {error or type(error).__name__}") from error
 
 
-def _unpack(archive: ZipFile, path: Path, data_file: str) -> UnpackedFolder:
-    root = root_of(archive.namelist(), data_file)
-    if root is None:
-        problem = f"holds no {data_file}, neither at its root nor in a single top folder"
-        raise DataError(path, "", f"{problem}; expected a zipped recording")
-    members = [member for member in archive.infolist() if not member.filename.startswith(_BESIDE)]
+def _unpack(archive: ZipFile, path: Path, identity: FileIdentity) -> UnpackedFolder:
+    members = [member for member in archive.infolist() if not _is_beside(member.filename)]
     _check_bounds(members, path)
     for member in members:
         _check_name(member, path)
     top = Path(tempfile.mkdtemp(prefix="sceneloom-"))
     # messages that name a file in it then name the archive, too
-    unpacked = UnpackedFolder(top / path.name, top, os.getpid())
+    unpacked = UnpackedFolder(top / path.name, top, os.getpid(), identity)
     atexit.register(unpacked.remove)
     with ExitStack() as stack:
         stack.callback(unpacked.remove)
@@ -147,11 +136,17 @@ def _unpack(archive: ZipFile, path: Path, data_file: str) -> UnpackedFolder:
         if total + _SPARE_BYTES > free:
             problem = f"holds {total} bytes, and {top.parent} has {free} free"
             raise DataError(path, "", f"{problem}; unpack it elsewhere and open the folder, or set TMPDIR")
+        unpacked.folder.mkdir()
         for member in members:
             if not member.is_dir():
-                _write(archive, member, unpacked.folder / member.filename.removeprefix(root), path)
+                _write(archive, member, unpacked.folder / member.filename, path)
         stack.pop_all()
     return unpacked
+
+
+def _is_beside(name: str) -> bool:
+    """Whether macOS or Windows put a file beside those of a person."""
+    return name.startswith("__MACOSX/") or name.rpartition("/")[2] in {".DS_Store", "Thumbs.db"}
 
 
 def _check_bounds(members: Sequence[ZipInfo], path: Path) -> None:
@@ -179,7 +174,7 @@ def _check_name(member: ZipInfo, path: Path) -> None:
         problem = "is encrypted"
     else:
         return
-    raise DataError(path, repr(name[:_LONGEST_NAME]), f"{problem}; expected plain files in the recording's folder")
+    raise DataError(path, repr(name[:_LONGEST_NAME]), f"{problem}; expected plain files in a folder")
 
 
 def _write(archive: ZipFile, member: ZipInfo, target: Path, path: Path) -> None:

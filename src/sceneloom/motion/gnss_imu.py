@@ -79,7 +79,7 @@ class SmootherSettings:
     acceleration: float = 2.0
     rotating: float = 0.5
     fix_noise: float = 2.0
-    least_fix_noise: float = 0.001
+    least_fix_noise: float = 1e-4
     slow_error: float = 0.33
     gate: float = 3.5
     longest_interval: float = 1.0
@@ -852,9 +852,9 @@ class _Fit:
         chain_covariances(*solved[2:], own, between)
         return own, between
 
-    def fix_variances(self) -> tuple[Float64Array, Float64Array]:
-        """(F, 3) residuals of the fixes [m], and variances of the predicted antenna positions [m²]."""
-        variances = self.chain.fixes.variances(self.states.rotations, self.covariances()[0])
+    def fix_variances(self, own: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """(F, 3) residuals of the fixes [m], and variances of the antenna positions [m²] by `own` of the states."""
+        variances = self.chain.fixes.variances(self.states.rotations, own)
         return self.equations().fix_residuals, variances
 
 
@@ -893,7 +893,7 @@ def _fit_rejecting(fit: _Fit, *, scaled: bool) -> _Fit:
     states, weights = fit.states, fit.weights
     changes = np.zeros(len(weights), np.int64)
     for number in range(_MOST_ROUNDS):
-        if number:
+        if number or scaled:
             states = _fit_weighted(fit.chain, states, weights, _FEW_STEPS).states
         ratios = _gate_ratios(_Fit(fit.chain, states, weights, 0.0), scaled=scaled)
         allowed = changes < _MOST_CHANGES
@@ -902,7 +902,7 @@ def _fit_rejecting(fit: _Fit, *, scaled: bool) -> _Fit:
         dropped = (ratios > 1.0) & (weights > 0) & worst & allowed
         taken = (ratios < _READMITTED) & (weights == 0) & allowed
         full = np.where(dropped, 0.0, np.where(taken | (weights > 0), 1.0, 0.0))
-        if number and (full == weights).all():
+        if (number or scaled) and (full == weights).all():
             break
         changes += (full > 0) != (weights > 0)
         weights = full
@@ -925,7 +925,7 @@ def _fit_weighted(chain: Chain, states: States, weights: Float64Array, steps: in
 def _gate_ratios(fit: _Fit, *, scaled: bool) -> Float64Array:
     """(F,) squared distances of the fixes from the predictions by the others, in units of the gate's."""
     fixes, weights = fit.chain.fixes, fit.weights
-    residuals, spread = fit.fix_variances()
+    residuals, spread = fit.fix_variances(fit.covariances()[0])
     known = np.where(weights[:, None] > 0, -weights[:, None] * spread, spread)
     apart = residuals**2 / np.maximum(fixes.sigmas**2 + known, 0.05 * fixes.sigmas**2)
     flat, up = apart[:, :2].sum(axis=1), apart[:, 2]
@@ -956,10 +956,10 @@ def _rarity(distances: Float64Array, free: float, axes: int, *, scaled: bool) ->
     return 0.5 * distances
 
 
-def _rescaled(fit: _Fit) -> _Fit:
+def _rescaled(fit: _Fit, own: Float64Array) -> _Fit:
     """Scale the fixes' noise to their residuals: the sum of squares over the redundancy (Förstner 1979)."""
     chain, fixes = fit.chain, fit.chain.fixes
-    residuals, spread = fit.fix_variances()
+    residuals, spread = fit.fix_variances(own)
     share = (fit.weights[:, None] / fixes.sigmas**2) * spread
     redundancy = fit.weights[:, None] * np.clip(1.0 - share, 0.0, 1.0)
     weighted = fit.weights[:, None] * (residuals / fixes.sigmas) ** 2
@@ -974,14 +974,15 @@ def _rescaled(fit: _Fit) -> _Fit:
     return replace(fit, chain=replace(chain, fixes=replace(fixes, sigmas=sigmas)))
 
 
-def _inertial_noise(fit: _Fit, drifts: Float64Array) -> tuple[float, Float64Array]:
+def _inertial_noise(
+    fit: _Fit, drifts: Float64Array, own: Float64Array, between: Float64Array
+) -> tuple[float, Float64Array]:
     """The factor, at least 1, by which the gyroscope's noise exceeds the assumed one, and the drifts as they are."""
     # Source: Förstner 1979 as `_rescaled`; the drifts are added to the IMU's noise, so that their update is that of Rao
     # 1971, "Estimation of Variance and Covariance Components", one share of the expected squares at a time
     rows = np.flatnonzero(fit.chain.measured)
     if len(rows) == 0:
         return 1.0, drifts
-    own, between = fit.covariances()
     residuals, first, second = inertial_residuals(fit.chain, fit.states)
     covariances = fit.chain.inertial.covariances[rows]
     residuals, first, second = residuals[rows], first[rows], second[rows]
@@ -1137,20 +1138,15 @@ def _extended(chain: Chain, coasting: States, known: States, edges: tuple[int, i
     joined = States(*(np.concatenate([getattr(one, f.name) for one in (before, known, after)]) for f in fields(States)))
     rotations, biases = joined.rotations, joined.biases
     biases[: first - earlier], biases[last - earlier :] = known.biases[0], known.biases[-1]
-    for k in range(last - 1, later - 1):
-        rotations[k + 1 - earlier] = rotations[k - earlier] @ _inertial_rotation(chain, k, known.biases[-1])
-    for k in range(first - 1, earlier - 1, -1):
-        rotations[k - earlier] = rotations[k + 1 - earlier] @ _inertial_rotation(chain, k, known.biases[0]).T
+    inside = slice(earlier, later - 1)
+    changes = np.einsum("nij,nj->ni", chain.inertial.slopes[inside, :3], biases[:-1] - chain.inertial.biases[inside])
+    between = chain.inertial.rotations[inside] @ _rotation_matrices(changes)
+    between[~chain.measured[inside]] = np.eye(3)
+    for k in range(last - 1 - earlier, later - 1 - earlier):
+        rotations[k + 1] = rotations[k] @ between[k]
+    for k in range(first - 1 - earlier, -1, -1):
+        rotations[k] = rotations[k + 1] @ between[k].T
     return joined
-
-
-def _inertial_rotation(chain: Chain, k: int, bias: Float64Array) -> Float64Array:
-    """The rotation (3, 3) between two states by the gyroscope with another bias."""
-    if not chain.measured[k]:
-        return np.eye(3)
-    inertial = chain.inertial
-    change = inertial.slopes[k, :3] @ (bias - inertial.biases[k])
-    return np.asarray(inertial.rotations[k] @ _rotation_matrices(change), np.float64)
 
 
 _QUIET_SECONDS, _LEAST_SAMPLES = 1.0, 15  # the IMU is judged over so long, and so many samples at least
@@ -1342,7 +1338,8 @@ def _lidar_rotations(lidar: Trajectory, knots_ns: Int64Array, fixes: Fixes) -> F
     return np.asarray(rotation @ matrix_from_quaternion(known.quaternions_xyzw), np.float64)
 
 
-_SMOOTHER_ROUNDS = 6  # how often the noise is estimated anew from the residuals
+_SMOOTHER_ROUNDS = 10  # how often the noise is estimated anew from the residuals
+_LARGEST_RATIO = 0.75  # largest ratio of successive changes that is believed when they are extrapolated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -1385,7 +1382,7 @@ def _smoothed(drive: _Drive, settings: SmootherSettings) -> _Fit:
         fit = _fit_robustly(chain, replace(coasting.states, rotations=rotations))
     fit = _fit_rejecting(fit, scaled=False)
     for _ in range(_SMOOTHER_ROUNDS):
-        fit = _fit_rejecting(_rescaled(fit), scaled=True)
+        fit = _fit_rejecting(_rescaled(fit, fit.covariances()[0]), scaled=True)
     return fit
 
 
@@ -1397,7 +1394,7 @@ def _coasted(drive: _Drive, chain: Chain) -> tuple[_Fit, Chain]:
     alone = replace(chain, measured=unmeasured, relative=(), fixes=_rows(fixes, near))
     fit = _fit_robustly(alone, _initial_states(alone, drive.gyroscope_bias))
     for _ in range(3):
-        fit = _rescaled(fit)
+        fit = _rescaled(fit, fit.covariances()[0])
         fit = _fit_robustly(fit.chain, fit.states)
     sigmas = chain.fixes.sigmas.copy()
     for receiver in np.unique(fixes.receivers[near]):
@@ -1414,13 +1411,22 @@ def _refined(
     """Fit again with estimated biases and noise, without fixes that jump, and with constraints on the ego's speed."""
     lidar = fit.chain.relative
     fit = _fit_rejecting(fit, scaled=False)
+    earlier: list[tuple[Float64Array, Float64Array]] = []  # noise since it was extrapolated
     for number in range(_SMOOTHER_ROUNDS):
-        factor, drifts = _inertial_noise(fit, drifts)
+        own, between = fit.covariances()
+        earlier.append((fit.chain.fixes.sigmas, drifts))
+        factor, drifts = _inertial_noise(fit, drifts, own, between)
         densities = densities * [factor**2, 1.0]
-        fit = _rescaled(fit)
+        fit = _rescaled(fit, own)
+        if len(earlier) == 2 and number < _SMOOTHER_ROUNDS - 2:
+            # white noise and drift are hard to tell apart: rounds change them by little, but long in one direction
+            sigmas, drifts = (_limit(*three) for three in zip(*earlier, (fit.chain.fixes.sigmas, drifts), strict=True))
+            sigmas = np.maximum(sigmas, fit.chain.settings.least_fix_noise)
+            fit = replace(fit, chain=replace(fit.chain, fixes=replace(fit.chain.fixes, sigmas=sigmas)))
+            drifts = np.maximum(drifts, _LEAST_DRIFT)
+            earlier.clear()
         chain, constrained = fit.chain, bool(fit.chain.speeds)
         if number >= _SMOOTHER_ROUNDS - 2:
-            own, _ = fit.covariances()
             still, unmoved = _standstill(fit, own, samples, drifts)
             speeds = (*_vehicle_speeds(fit, own, samples, drifts), *still)
             chain = replace(chain, speeds=speeds, relative=(*lidar, *unmoved))
@@ -1443,6 +1449,14 @@ def _refined(
     if len(believed) < len(fit.chain.speeds):
         fit = _fit_rejecting(replace(fit, chain=replace(fit.chain, speeds=believed, relative=lidar)), scaled=True)
     return fit
+
+
+def _limit(first: Float64Array, second: Float64Array, third: Float64Array) -> Float64Array:
+    """To what three successive positive values tend, if the changes of their logarithms keep their ratio."""
+    # Source: Aitken 1926, "On Bernoulli's Numerical Solution of Algebraic Equations"
+    change, last = np.log(second / first), np.log(third / second)
+    ratio = np.clip(np.divide(last, change, out=np.zeros_like(last), where=change * last > 0), 0.0, _LARGEST_RATIO)
+    return np.asarray(third * np.exp(last * ratio / (1.0 - ratio)), np.float64)
 
 
 _COASTING_STEP_NS = 100_000_000  # longest time between poses where no IMU measured [ns]

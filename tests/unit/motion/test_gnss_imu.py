@@ -455,6 +455,21 @@ def test_what_a_receiver_reports_between_precise_fixes_that_drift_is_followed_wi
     assert rms((found.T + shift - drifting)[within, :2]) < 0.05
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_fixes_without_noise_of_a_stationary_ego_are_followed_within_what_they_drift(seed):
+    # eight seconds: a noise that stays too large, since rounds tell it from the drift slowly, leaves 0.3 mm and more
+    rng, times = np.random.default_rng(seed), np.arange(80, dtype=np.int64) * (SECOND // 10)
+    rates, forces = 2e-4 * rng.standard_normal((80, 3)), 0.003 * rng.standard_normal((80, 3)) + [0.0, 0.0, GRAVITY]
+    imu = ImuSensor("imu", {"gyroscope": VectorSamples(times, rates), "accelerometer": VectorSamples(times, forces)})
+    drifting = 0.01 * np.sin(times[:, None] * 1e-9 / np.array([1.3, 1.7, 2.1]) + rng.uniform(0.0, 6.0, 3))
+    kept, stated = slice(0, None, 10), np.full(8, 0.02)
+    gnss = GnssSensor("gnss", times[kept], geodetic_from_enu(drifting[kept], ORIGIN), stated, stated)
+    run = gnss_imu.gnss_imu_motion(Scene((imu, gnss), source="made up"))
+    found = run.trajectory.positions + enu_from_geodetic(run.origin_lla, ORIGIN)
+    columns = [np.interp(times[:71], run.trajectory.timestamps_ns, one) for one in found.T]
+    assert rms((np.stack(columns, axis=1) - drifting[:71])[:, :2]) < 2e-4
+
+
 def test_repeated_fixes_of_a_receiver_that_stands_are_measurements_and_those_of_a_slow_one_are_none():
     times = np.arange(40, dtype=np.int64) * SECOND
     # ten seconds of braking from 10 m/s, twenty of standing, ten of accelerating

@@ -254,7 +254,8 @@ def fit(
             if (np.abs(step) <= _CONVERGED * spread + 1e-12).all():
                 break
         if whiten and round_number < _ROUNDS - 1:
-            colour = _colour(at.without_nuisances(state.amounts), state.used, at.windows)
+            spent = at.nuisances.shape[2] / at.residuals.shape[1]
+            colour = _colour(at.without_nuisances(state.amounts), state.used, at.windows, spent)
     return replace(state, parameters=parameters, covariance=_covariance(state, precision))
 
 
@@ -393,8 +394,8 @@ def _whitened(values: Float64Array, known: BoolArray, used: BoolArray, colour: F
     return whitened
 
 
-def _colour(residuals: Float64Array, used: BoolArray, windows: Int64Array) -> Float64Array:
-    """Fit an autoregression (K, L) to the residuals, clipped against outliers."""
+def _colour(residuals: Float64Array, used: BoolArray, windows: Int64Array, spent: float) -> Float64Array:
+    """Fit an autoregression (K, L) to the residuals, clipped against outliers; `spent` nuisances in each window."""
     order = min(_MOST_LAGS, int(used.sum()) // 25)
     components = residuals.shape[1]
     if order == 0:
@@ -406,11 +407,29 @@ def _colour(residuals: Float64Array, used: BoolArray, windows: Int64Array) -> Fl
         pairs = used[lag:] & used[: len(used) - lag] & (windows[lag:] == windows[: len(windows) - lag])
         products = clipped[lag:] * clipped[: len(clipped) - lag]
         moments[:, lag] = (products * pairs[:, None]).sum(axis=0) / len(used)
-    chosen = [_autoregression(row, int(used.sum())) for row in moments]
+    length = float(used.sum()) / (int(windows[-1]) + 1)
+    chosen = [_lasting(row, int(used.sum()), length, spent) for row in moments]
     colour = np.zeros((components, max(map(len, chosen))))
     for k, factors in enumerate(chosen):
         colour[k, : len(factors)] = factors
     return colour
+
+
+def _lasting(moments: Float64Array, count: int, length: float, spent: float) -> Float64Array:
+    """The autoregression, with a root close to 1 where nuisances hide how long the noise lasts.
+
+    Without the smoothest `spent` functions in windows of `length` rows a random walk keeps a variance of length / (π²
+    spent) squared steps, as if it lasted 2 length / (π² spent) rows. What seems to last half of that may last longer.
+
+    Source: the eigenvalues of the random walk are those of Karhunen and Loève; the bias is that of Kendall 1954.
+    """
+    factors = _autoregression(moments, count)
+    if not len(factors) or 1.0 - factors.sum() > np.pi**2 * spent / length:
+        return factors
+    root = 1.0 - 0.1 / length
+    before = np.append(moments[1], moments[:-2])
+    rest = _autoregression((1.0 + root**2) * moments[:-1] - root * (moments[1:] + before), count)
+    return np.asarray(-np.convolve([1.0, -root], np.append(1.0, -rest))[1:], np.float64)
 
 
 def _autoregression(moments: Float64Array, count: int) -> Float64Array:

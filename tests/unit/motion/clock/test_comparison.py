@@ -445,3 +445,28 @@ def test_a_circle_at_changing_speed_reports_the_offset(offset_ns):
     assert found.offset_ns == pytest.approx(offset_ns, abs=4 * found.offset_sigma_ns)
     # fixes of 2 cm at 9 m/s that comes and goes by a half
     assert found.offset_sigma_ns < 5e6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_skews_from_errors_that_outlast_the_windows_are_as_uncertain_as_they_are(seed):
+    # a minute in two windows: changes of the speed determine offset and skew, the errors last as long as a window
+    rng, since = np.random.default_rng(seed), np.linspace(-30.0, 30.0, 600)
+    windows = np.repeat([0, 1], 300)
+    within = 2.0 * (np.arange(600) % 300) / 299.0 - 1.0
+    nuisances = np.polynomial.legendre.legvander(within, 4)[:, None]
+    speeds, apart = 8.0 + 2.0 * np.sin(0.7 * since), []
+    slopes = np.stack([speeds, speeds * since], axis=1)
+    for _ in range(40):
+        errors = 0.4 * rng.standard_normal(600)
+        kept = np.exp(-0.1 / 30.0)
+        for k in range(1, 600):
+            errors[k] = kept * errors[k - 1] + np.sqrt(1.0 - kept**2) * errors[k]
+
+        def model(parameters, _, errors=errors):
+            left = (errors - slopes @ parameters)[:, None]
+            return comparison.Linearised(left, slopes[:, None], nuisances, np.ones(600, np.bool_), windows)
+
+        found = comparison.fit(model, np.zeros(2), np.full(2, np.inf))
+        apart.append(found.parameters[1] / np.sqrt(found.covariance[1, 1]))
+    # of 40 values the root mean square is known to a ninth
+    assert 0.7 < np.sqrt(np.mean(np.square(apart))) < 1.4

@@ -220,7 +220,7 @@ def print_made_up(seeds: int, seconds: float) -> None:
 
 
 RECEIVERS = ((0.0, 60.0), (0.5, 20.0), (1.5, 20.0), (1.5, 100.0), (1.0, 300.0), (3.0, 60.0))  # slow error [m], [s]
-FIRST_REGION = 4100
+FIRST_REGION = 5000
 IMUS = {"IMU": ImuSpec(), "poor IMU": DRIVES["poor IMU, 100 Hz"][0]}
 
 

@@ -4,8 +4,8 @@ A mutant is a drive with one file changed, and is known by the name of the drive
 again: `python -m tests.malformed.mutants NAME NUMBER` shows what becomes of one, with its traceback.
 `python -m tests.malformed.mutants NAME --count 2000` tries the first of them, `--count 2000 120`
 for two minutes at most, and says how many there were of each outcome, how long they took and the most memory.
-`python -m tests.malformed.mutants --every 20` does so with every drive for 20 seconds each, with mutants that nobody
-has tried, and fails if one fails; `--every 20 ubx pcap` with these drives.
+`python -m tests.malformed.mutants --every 60` does so with every drive for a minute each, with mutants that nobody
+has tried, and fails if one fails; `--every 60 ubx pcap` with these drives.
 Mutants with negative numbers have a named pipe, a device, a folder, a socket or a file of 200 GB without content in
 the position of a file, or a file that is named by a number beyond 64 bits, or has values nested 100,000 deep.
 
@@ -27,6 +27,7 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -557,15 +558,22 @@ def _try_every(seconds: float, names: list[str]) -> bool:
     from sceneloom.formats.base.registry import format_named, format_names
 
     start, sound = int(time.time()) << 20, True
-    for name in names or ALL_DRIVES:
+
+    def tried(name: str) -> Tried | Exception:
         try:
-            tried = try_mutants(name, range(start, start + (1 << 20)), seconds=seconds)
+            return try_mutants(name, range(start, start + (1 << 20)), seconds=seconds)
         except (FileNotFoundError, ImportError) as missing:  # no files of others, or no library that reads them
-            sys.stdout.write(f"{name}: left out: {missing}\n")
-            continue
-        sys.stdout.write(f"{name}: {tried.outcomes.total()} mutants: {tried}\n")
-        sys.stdout.flush()
-        sound &= not tried.failures
+            return missing
+
+    chosen = names or list(ALL_DRIVES)
+    with ThreadPoolExecutor(os.cpu_count()) as threads:  # each waits for a worker of its own
+        for name, outcome in zip(chosen, threads.map(tried, chosen), strict=True):
+            if isinstance(outcome, Exception):
+                sys.stdout.write(f"{name}: left out: {outcome}\n")
+                continue
+            sys.stdout.write(f"{name}: {outcome.outcomes.total()} mutants: {outcome}\n")
+            sys.stdout.flush()
+            sound &= not outcome.failures
     known = {name.split(maxsplit=1)[0] for name in ALL_DRIVES}
     left = [name for name in format_names() if name not in known and format_named(name).reads]
     if left and not names:

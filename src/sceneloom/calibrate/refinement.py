@@ -228,6 +228,29 @@ def refine(
         OptionError: a parameter is unknown.
         CalibrationError: there are no frames.
     """
+    result = _refined(frames, parameters, progress)
+    far = float(np.linalg.norm(result.change.numbers[:3])) > _SEEN_ANEW
+    if result.verdict is not RefinementVerdict.REFINED or not far:
+        return result
+    # the right one is found again from where it is; of others the drive does not know that much
+    begun = [replace(frame, camera_from_lidar=result.camera_from_lidar) for frame in frames]
+    again = _refined(begun, parameters)
+    if again.verdict is not RefinementVerdict.UNDETERMINED:
+        return result
+    return replace(
+        result,
+        verdict=RefinementVerdict.UNDETERMINED,
+        reason=f"far from the stated calibration one was found, but not again from there: {again.reason}",
+        camera_from_lidar=frames[0].camera_from_lidar,
+        camera=frames[0].camera,
+        time_offset=0.0,
+    )
+
+
+def _refined(
+    frames: Sequence[CalibrationFrame], parameters: Sequence[str], progress: Progress | None = None
+) -> Refinement:
+    """Refine without looking again from what is found."""
     unknown = [name for name in parameters if name not in _GROUPS]
     if unknown or not parameters:
         raise OptionError(f"parameters {', '.join(unknown) or 'none'}; expected some of {', '.join(_GROUPS)}")

@@ -7,10 +7,11 @@ import pytest
 from scipy import ndimage
 from scipy.ndimage import map_coordinates
 
+from sceneloom.calibrate import refinement
 from sceneloom.calibrate.extrinsics import step_between
 from sceneloom.calibrate.frames import CalibrationFrame, calibration_frames, find_scan_order
 from sceneloom.calibrate.measures import UNITS, Change, fill_histogram, find_depth_edges, sum_edges
-from sceneloom.calibrate.refinement import RefinementVerdict, find_cues, moving_pixels, refine, sum_maps
+from sceneloom.calibrate.refinement import Refinement, RefinementVerdict, find_cues, moving_pixels, refine, sum_maps
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
@@ -65,6 +66,28 @@ def test_errors_of_five_degrees_are_taken_out_and_covariances_have_what_translat
     if found.verdict is RefinementVerdict.REFINED:
         assert (np.abs(step[:3]) < 3.0 * np.array(list(found.sigmas.values()))).all()
     assert found.change.numbers[3:] == (0.0,) * 5
+
+
+@pytest.mark.parametrize(("degrees", "again"), [(5.0, "cannot determine"), (5.0, "kept"), (1.0, "cannot determine")])
+def test_what_is_found_far_away_is_taken_only_if_it_is_determined_from_there_too(frames, degrees, again, monkeypatch):
+    change = Change.of(np.array([np.radians(degrees), 0, 0, 0, 0, 0, 0, 0]))
+    there = RigidTransform.nearest(change.camera_from_lidar(frames[0].camera_from_lidar.matrix))[0]
+    first = Refinement(RefinementVerdict.REFINED, "", there, frames[0].camera, time_offset=0.01, change=change)
+    begun = []
+
+    def refined(chosen, *_):
+        begun.append(chosen[0].camera_from_lidar)
+        return first if len(begun) == 1 else replace(first, verdict=RefinementVerdict(again), reason="too little")
+
+    monkeypatch.setattr(refinement, "_refined", refined)
+    found = refine(frames)
+    if (degrees, again) == (5.0, "cannot determine"):
+        assert (found.verdict, found.time_offset) == (RefinementVerdict.UNDETERMINED, 0.0)
+        assert found.camera_from_lidar is frames[0].camera_from_lidar
+        assert found.reason.endswith("not again from there: too little")
+    else:
+        assert found is first
+    assert begun == [frames[0].camera_from_lidar, there][: 1 + (degrees > 2)]
 
 
 @pytest.mark.parametrize(

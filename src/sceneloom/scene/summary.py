@@ -165,7 +165,7 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
                 name=name,
                 poses=len(trajectory.timestamps_ns),
                 seconds=int(np.ptp(trajectory.timestamps_ns)) / 1e9 if len(trajectory.timestamps_ns) else 0.0,
-                metres=float(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum()),
+                metres=float(np.hypot.reduce(np.diff(trajectory.positions, axis=0), axis=1).sum()),
                 oriented=trajectory.quaternions_xyzw is not None,
             )
             for name, trajectory in scene.trajectories.items()

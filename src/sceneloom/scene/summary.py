@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Int64Array
+from sceneloom.arrays import Float64Array, Int64Array
 from sceneloom.errors import DataError
 from sceneloom.scene.annotations import effect_of
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, ShootingSensor, shots_of
@@ -165,7 +165,7 @@ def summarise(scene: Scene, *, size_bytes: int | None = None) -> SceneSummary:
                 name=name,
                 poses=len(trajectory.timestamps_ns),
                 seconds=int(np.ptp(trajectory.timestamps_ns)) / 1e9 if len(trajectory.timestamps_ns) else 0.0,
-                metres=float(np.hypot.reduce(np.diff(trajectory.positions, axis=0), axis=1).sum()),
+                metres=_length(trajectory.positions),
                 oriented=trajectory.quaternions_xyzw is not None,
             )
             for name, trajectory in scene.trajectories.items()
@@ -229,3 +229,9 @@ def _intrinsics(sensor: ShootingSensor, *, each_camera_model: bool) -> Intrinsic
     table = np.array([(model.fx, model.fy, model.cx, model.cy) for model in camera_models])
     fx, fy, cx, cy = zip(table.min(axis=0).tolist(), table.max(axis=0).tolist(), strict=True)
     return Intrinsics(camera_models=len(camera_models), fx=fx, fy=fy, cx=cx, cy=cy)
+
+
+def _length(positions: Float64Array) -> float:
+    """Length of a trajectory, positions (N, 3) [m]; infinite where numbers are too large."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())

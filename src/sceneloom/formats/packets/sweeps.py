@@ -289,12 +289,14 @@ def located(kept: BoolArray) -> tuple[Int64Array, Int64Array, Int64Array]:
     return index, blocks, index - blocks * kept.shape[2]
 
 
-def polar_points(azimuths: Float32Array, level: Float32Array, height: Float32Array) -> Float32Array:
+def polar_points(
+    azimuths: Float32Array, level: Float32Array | np.float32, height: Float32Array | np.float32
+) -> Float32Array:
     """Positions of returns, (N, 3) float32 [m]: x along azimuth 0, y where the azimuth grows, z up.
 
     Args:
         azimuths: (N,) [rad].
-        level, height: (N,) [m], distance from the axis, and above the centre.
+        level, height: (N,) [m], or one for all, distance from the axis, and above the centre.
     """
     found = np.empty((len(azimuths), 3), np.float32)
     np.multiply(np.cos(azimuths), level, out=found[:, 0])

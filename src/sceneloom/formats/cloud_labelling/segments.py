@@ -20,7 +20,7 @@ from sceneloom.arrays import Float64Array, Int64Array, UInt32Array
 from sceneloom.cameras.camera import OPENCV_NAMES, Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.json_files import NO_JSON, read_json
+from sceneloom.formats.base.json_files import decode_part, read_json
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, file_stem, replacing
 from sceneloom.formats.cloud_labelling.spec import SEGMENTS_SUPPORTS, segments_release
@@ -288,21 +288,12 @@ class _Reader:
             about=about,
         )
 
-    def _decoded(self, raw: msgspec.Raw, where: str, kind: Any) -> Any:
-        try:
-            return msgspec.json.decode(raw, type=kind)
-        except msgspec.ValidationError as error:
-            problem, _, location = str(error).partition(" - at `$")
-            raise DataError(self.path, f"{where}{location.rstrip('`')}", problem) from error
-        except NO_JSON as error:
-            raise DataError(self.path, where, f"is no JSON: {error}") from error
-
     def _sensor(self, raw: msgspec.Raw, where: str) -> msgspec.Raw:
         """The attributes of the clouds among those of several sensors."""
         if self.dataset.task_type != _MULTISENSOR:
             return raw
         found: msgspec.Raw | None = None
-        for number, sensor in enumerate(self._decoded(raw, where, _Sensors).sensors):
+        for number, sensor in enumerate(decode_part(self.path, where, raw, _Sensors).sensors):
             if sensor.task_type.startswith("pointcloud-") and found is None:
                 found, self.task = sensor.attributes, sensor.task_type
             else:
@@ -316,8 +307,8 @@ class _Reader:
         """The frames of a sequence, or the only one of a sample that is none."""
         if self.task.endswith(_SEQUENCE):
             holder: Any = _Frames[kind]
-            return list(self._decoded(raw, where, holder).frames)
-        return [self._decoded(raw, where, kind)]
+            return list(decode_part(self.path, where, raw, holder).frames)
+        return [decode_part(self.path, where, raw, kind)]
 
     def _times(self, rate_hz: float | str | None) -> Int64Array:
         stated = [one.timestamp for one in self.listed]

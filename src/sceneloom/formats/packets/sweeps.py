@@ -340,17 +340,19 @@ def angle_table(path: Path, *channels: int) -> Float64Array:
     Raises:
         DataError: it cannot be read, or has not a line for each channel.
     """
-    rows: list[list[float]] = []
-    for line in read_settings(path).decode("utf-8-sig", "replace").splitlines():
+    rows: dict[int, list[float]] = {}
+    for number, line in enumerate(read_settings(path).decode("utf-8-sig", "replace").splitlines(), 1):
         try:
-            rows.append([float(part) for part in line.replace(";", ",").split(",") if part.strip()])
+            row = [float(part) for part in line.replace(";", ",").split(",") if part.strip()]
         except ValueError:
             continue  # the head
-    rows = [row[-2:] for row in rows if len(row) in (2, 3)]
+        if len(row) in (2, 3):
+            rows[number] = row[-2:]
     if len(rows) not in channels:
         expected = " or ".join(map(str, channels))
         raise DataError(path, "", f"{len(rows)} lines of elevation and azimuth; expected {expected}")
-    found = np.array(rows)
-    if not (np.abs(found) <= 360).all():
-        raise DataError(path, "", "an angle is beyond 360 degrees")
-    return found
+    for number, row in rows.items():
+        for angle in row:
+            if not abs(angle) <= 360:  # NaN, too
+                raise DataError(path, f"line {number}", f"angle {angle}; expected 360 degrees at most")
+    return np.array(list(rows.values()))

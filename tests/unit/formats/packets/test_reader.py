@@ -212,6 +212,10 @@ def test_files_of_angles_stand_beside_the_capture_or_are_named_for_each_host(tmp
     (tmp_path / "b.csv").write_text("1,2,3")
     with pytest.raises(DataError, match="1 lines of elevation and azimuth; expected 64"):
         opened(path, angles=str(tmp_path / "b.csv"))
+    for value in ("nan", "400.0", "-inf"):
+        (tmp_path / "b.csv").write_text("channel,elevation,azimuth\n" + lines.replace("7,0.0,", f"7,{value},", 1))
+        with pytest.raises(DataError, match=rf"b\.csv: line 8: angle {value}; expected 360 degrees"):
+            opened(path, angles=str(tmp_path / "b.csv"))
     assert opened(path)[0].sensors[0].mount.rotation.tolist() == [
         [0, 1, 0],
         [-1, 0, 0],

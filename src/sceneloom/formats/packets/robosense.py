@@ -138,7 +138,7 @@ class RobosenseDecoder:
         if not MODELS[self.key].calendar:
             usable &= (packets[:, _TIME : _TIME + 2] == 0).all(axis=1)
         times_ns, _ = self._block_times_ns(packets, self._pairs(body))
-        return Survey(times_ns, body["azimuth"] / 36000.0, np.asarray(usable, np.bool_))
+        return Survey(times_ns, body["azimuth"] / 36000.0, np.asarray(usable, np.bool_), states=states(packets))
 
     def points(self, packets: UInt8Array, shifts_ns: Int64Array, blocks: BoolArray) -> LidarPoints:
         """Decode the returns of packets, (P, 1248) uint8; of two equal returns of a firing one counts."""

@@ -57,12 +57,14 @@ class Survey:
         phases: (P, B) float64, how much of a turn each block is away from where the sensor's rotation begins.
         frames: (P, B) int64, the sensor's own numbers of rotations, where it counts them.
         usable: (P,) bool, whether the packet is one of this sensor, and whole.
+        states: (P,) bool, which packets are of this sensor's state, without returns; none where it is None.
     """
 
     times_ns: Int64Array
     phases: Float64Array
     usable: BoolArray
     frames: Int64Array | None = None
+    states: BoolArray | None = None
 
 
 class PacketDecoder(Protocol):
@@ -157,10 +159,12 @@ def find_sweeps(
     Returns:
         the sweeps, or None where no packet is usable.
     """
-    kept = _Surveyed()
+    kept, unusable = _Surveyed(), 0
     for start in range(0, len(rows), _CHUNK):
         chunk = rows[start : start + _CHUNK]
         survey = decoder.survey(source.payloads(chunk))
+        known = survey.usable if survey.states is None else survey.usable | survey.states
+        unusable += int(np.count_nonzero(~known))
         kept.rows.append(np.flatnonzero(survey.usable) + start)
         kept.times_ns.append(survey.times_ns[survey.usable, 0])
         phases = np.floor(survey.phases[survey.usable] % 1.0 * _TURN)
@@ -168,9 +172,9 @@ def find_sweeps(
         if survey.frames is not None:
             kept.frames.append(survey.frames[survey.usable])
     usable = np.concatenate(kept.rows)
-    if len(usable) < len(rows):
+    if unusable:
         message = f"a packet is damaged, or none of {decoder.model}; it is left out"
-        ledger.note(WarningKind.SKIPPED, "packets-unusable", where, message, count=len(rows) - len(usable))
+        ledger.note(WarningKind.SKIPPED, "packets-unusable", where, message, count=unusable)
     if not len(usable):
         return None
     rows, arrivals_ns, raw_ns = rows[usable], arrivals_ns[usable], np.concatenate(kept.times_ns)

@@ -308,9 +308,7 @@ class Choice:
         change = points_change(self.scene, lidar, ego, PointsFrame.SENSOR, reach_ns=limit)
         if change is None:
             return points.positions
-        times = points.timestamps_ns
-        if times is None:
-            times = np.full(len(points), frame.timestamp_ns, np.int64)
+        times = frame.point_times_ns
         moved = change.positions(times, points.positions[:, None])[:, 0] if len(times) else points.positions
         if not np.isfinite(moved).all():
             raise PoseError(

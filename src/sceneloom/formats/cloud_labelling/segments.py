@@ -16,7 +16,7 @@ from uuid import UUID, uuid5
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, UInt32Array
+from sceneloom.arrays import Int64Array, UInt32Array
 from sceneloom.cameras.camera import OPENCV_NAMES, Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
@@ -44,6 +44,7 @@ from sceneloom.formats.cloud_labelling.tasks import (
     pinhole_of,
     rigid_of,
     task_scene,
+    xyz,
 )
 from sceneloom.formats.points.reader import stem_of, times_of_names
 from sceneloom.geometry.rigid import RigidTransform
@@ -623,7 +624,7 @@ class _Writer:
             "images": images,
             "name": frame.name,
             "timestamp": frame.timestamp_ns,
-            **({"ego_pose": {"position": _xyz(pose.translation), "heading": _q(pose)}} if self.plan.posed else {}),
+            **({"ego_pose": {"position": xyz(pose.translation), "heading": _q(pose)}} if self.plan.posed else {}),
         }
 
     def _image(self, number: int, written: WrittenImage) -> dict[str, Any]:
@@ -641,7 +642,7 @@ class _Writer:
             what = "images of cameras whose mounting is not known are written without extrinsics"
             self.plan.losses.dropped("sensors.camera.camera", what)
         else:
-            record["extrinsics"] = {"translation": _xyz(pose.translation), "rotation": _q(pose)}
+            record["extrinsics"] = {"translation": xyz(pose.translation), "rotation": _q(pose)}
         known = {model: (name, names) for name, (model, names) in _DISTORTIONS.items()}
         if camera.model in known:
             name, names = known[camera.model]
@@ -677,8 +678,8 @@ class _Writer:
             {
                 **self._object(box.cuboid.id, box.cuboid.label, box.stated),
                 "type": "cuboid",
-                "position": _xyz(box.center),
-                "dimensions": _xyz(box.size_lwh),
+                "position": xyz(box.center),
+                "dimensions": xyz(box.size_lwh),
                 "yaw": float(yaw),
                 "rotation": msgspec.structs.asdict(_Quaternion.of(box.quaternion_xyzw.tolist())),
                 "is_keyframe": True,
@@ -724,11 +725,6 @@ def _numbers(identifiers: Sequence[Identifier]) -> dict[Key, int]:
             free += 1
         taken.add(free)
         found[key_of(one)] = free
-    return found
-
-
-def _xyz(values: Float64Array) -> dict[str, float]:
-    found: dict[str, float] = msgspec.structs.asdict(XYZ.of(values))
     return found
 
 

@@ -46,6 +46,7 @@ from sceneloom.formats.cloud_labelling.tasks import (
     rigid_of_rows,
     task_file,
     task_scene,
+    xyz,
 )
 from sceneloom.formats.points.reader import stem_of
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
@@ -639,8 +640,8 @@ class _Writer:
             for name, value in box.stated.items():
                 if value is not None:
                     thing.stated.setdefault(name, {})[frame.number] = value
-            vectors = {"position": box.center, "rotation": rotation, "dimensions": box.size_lwh[[1, 0, 2]]}
-            geometry = {name: msgspec.structs.asdict(XYZ.of(values)) for name, values in vectors.items()}
+            dimensions = xyz(box.size_lwh[[1, 0, 2]])
+            geometry = {"position": xyz(box.center), "rotation": xyz(rotation), "dimensions": dimensions}
             yield self._figure(thing, frame.number, _CUBOID, geometry)
 
     def _points(self, frame: WrittenFrame) -> Iterator[dict[str, Any]]:

@@ -61,7 +61,8 @@ class _Stream:
     def state(self) -> UInt8Array | None:
         """The first DIFOP packet of a RoboSense lidar that sends them to the port of its returns; None without any."""
         for start in range(0, len(self.rows), _CHUNK):
-            packets = self.datagrams.payloads(self.rows[start : start + _CHUNK])
+            packets: UInt8Array = self.datagrams.payloads(self.rows[start : start + _CHUNK])
+            packet: UInt8Array
             for packet in packets[robosense.states(packets)][:1]:
                 return packet
         return None

@@ -406,7 +406,7 @@ _STATES = {84: 380, 330: 396}
 
 _UNUSABLE = 0b101  # flags of detections whose distance or azimuth is invalid
 _SYNCHRONISED = 1
-_ELEVATION_UNKNOWN = 0b10000
+_ELEVATION_UNKNOWN, _RATE_UNKNOWN = 0b10000, 0b1000000
 
 
 def _radar(group: _Group, found: Survey) -> list[PacketDraft] | None:
@@ -494,7 +494,7 @@ def _columns(rows: AnyArray, *, without: Sequence[str] = ()) -> dict[str, AnyArr
 
 
 def _detections(rows: AnyArray) -> RadarPoints:
-    """Detections whose distance and azimuth are valid, by their angles; an invalid elevation is 0."""
+    """Detections whose distance and azimuth are valid, by their angles; an invalid elevation is 0, a velocity NaN."""
     azimuths, elevations, ranges = (
         rows[name].astype(np.float64) for name in ("azimuth_angle", "elevation_angle", "range")
     )
@@ -504,15 +504,17 @@ def _detections(rows: AnyArray) -> RadarPoints:
         directions = np.stack((level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)), axis=1)
         positions = (directions * ranges[:, None]).astype(np.float32)
     kept = np.isfinite(positions).all(axis=1) & ((rows["invalid_flags"] & _UNUSABLE) == 0)
-    return _radar_points(positions, directions, rows["range_rate"], _columns(rows, without=("range_rate",)), kept)
+    rates = np.where(rows["invalid_flags"] & _RATE_UNKNOWN, np.nan, rows["range_rate"])
+    return _radar_points(positions, directions, rates, _columns(rows, without=("range_rate",)), kept)
 
 
 def _objects(rows: AnyArray) -> RadarPoints:
-    """Objects at their reference points, with their velocities relative to the vehicle."""
+    """Objects at their reference points, with their velocities relative to the vehicle, NaN where they are invalid."""
     names = [f"position_{axis}" for axis in "xyz"]
     positions = np.stack([rows[name] for name in names], axis=1).astype(np.float32)
     kept = np.isfinite(positions).all(axis=1) & (rows["position_invalid_flags"] == 0)
-    velocities = np.stack([rows[f"relative_velocity_{axis}"] for axis in "xy"], axis=1)
+    velocities = np.stack([rows[f"relative_velocity_{axis}"] for axis in "xy"], axis=1).astype(np.float64)
+    velocities[rows["relative_velocity_invalid_flags"] != 0] = np.nan
     return _radar_points(positions, *_decomposed(velocities), _columns(rows, without=names), kept)
 
 

@@ -302,3 +302,11 @@ def test_velocities_of_radar_objects_keep_a_direction_of_length_one_and_stay_unk
     rows["position_x"][1], rows["position_invalid_flags"][2] = np.nan, 1
     assert packets._objects(rows).positions[:, 0].tolist() == [1, 4, 5]
     assert (packets._objects(rows).lengths[-1], *packets._objects(rows).directions[-1]) == (np.inf, 1, 0, 0)
+    rows["relative_velocity_invalid_flags"][0] = 1
+    np.testing.assert_array_equal(packets._objects(rows).lengths, [np.nan, np.nan, np.inf])
+
+
+def test_radar_detections_of_unknown_velocities_have_none():
+    rows = np.zeros(3, packets._DETECTION)
+    rows["range"], rows["range_rate"], rows["invalid_flags"] = 10.0, [-3.0, 4.0, 5.0], [0, 0b1000000, 0b100]
+    np.testing.assert_array_equal(packets._detections(rows).lengths, [-3.0, np.nan])

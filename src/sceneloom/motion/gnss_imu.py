@@ -1209,6 +1209,18 @@ def _quiet(samples: InertialSamples, knots_ns: Int64Array, biases: Float64Array)
     return np.asarray(calm & white & (np.abs(rate) < _YAW_RATE).all(axis=1), np.bool_)
 
 
+def _always_stands(fit: _Fit, samples: InertialSamples) -> bool:
+    """Whether nothing that the IMU felt could tell a heading: what drifting fixes seem to tell about it is noise."""
+    measured = np.append(fit.chain.measured, False) & np.insert(fit.chain.measured, 0, False)
+    still = _quiet(samples, fit.chain.knots_ns, fit.states.biases)
+    return bool(still[measured].all() and (np.linalg.norm(fit.states.velocities, axis=1) < _MOVING).all())
+
+
+def _about_up_anyhow(rotations: Float64Array) -> Float64Array:
+    """(N, 3, 3) covariance, about the ego's axes, of a heading that may be any."""
+    return np.asarray(math.pi**2 / 3.0 * rotations[:, 2, :, None] * rotations[:, 2, None, :], np.float64)
+
+
 _EVERY = 1.0  # the vehicle constraint is used this often [s]: its errors are correlated over about so long
 
 _SLIP, _AXIS, _LEVER = 0.1, 0.02, 0.5
@@ -1732,6 +1744,9 @@ def gnss_imu_motion(
     sigmas = fit.chain.fixes.sigmas
     slow, factor = _slow_variances(fit, fixes, motion.timestamps_ns, settings)
     poses[:, [3, 4, 5], [3, 4, 5]] += slow
+    if samples is not None and _always_stands(fit, samples):
+        poses[:, :3, :3] += _about_up_anyhow(motion.rotations)
+        own[:, :3, :3] += _about_up_anyhow(fit.states.rotations)
     rotations = None if samples is None and lidar is None else quaternion_from_matrix(motion.rotations)
     trajectory = Trajectory(NAME, motion.timestamps_ns, motion.positions, rotations, covariances=poses)
     used = fit.weights > 0.5

@@ -482,6 +482,21 @@ def _check_times(location: str, fixes: GnssFixes, samples: InertialSamples | Non
         )
 
 
+_LEAST_PULL, _LARGEST_PULL = 0.7, 2.0  # what an accelerometer measures for most of a drive, over gravity
+
+
+def _check_gravity(location: str, samples: InertialSamples | None, gravity: float) -> None:
+    """Refuse accelerations in another unit, or without gravity, which the fixes would be bent to."""
+    if samples is None:
+        return
+    measured = float(np.median(np.linalg.norm(samples.values[:, 3:], axis=1)))
+    if not _LEAST_PULL <= measured / gravity <= _LARGEST_PULL:
+        raise PoseError(
+            f"{location}: the IMU's accelerations are {measured:.4g} m/s² long (median); expected about "
+            f"{gravity:.4g}, gravity among them: are they in g (a rig's `accelerometer_unit`), or is gravity taken off?"
+        )
+
+
 _CLOSEST_NS = 20_000_000  # least time between states [ns]: over so short a time a fix is carried without loss
 _LONGEST_NS = 86_400 * 1_000_000_000  # no drive is longer [ns]: a wrong time must not make millions of states
 
@@ -1678,7 +1693,7 @@ def _slow_variances(
     return _resampled(times_ns, fixes.timestamps_ns, variances), factor
 
 
-_SLOW_FACTOR_REPORTED = 1.5
+_SLOW_FACTOR_REPORTED, _SLOW_FACTOR_DOUBTED = 1.5, 3.0  # the latter is beyond what receivers state falsely
 _UNSURE_HEADING = np.radians(15.0)  # standard deviation of the heading from which on it counts as unknown
 
 
@@ -1731,6 +1746,7 @@ def gnss_imu_motion(
     samples = InertialSamples.of_scene(scene)
     gravity = settings.gravity or _normal_gravity(float(fixes.origin_lla[0]), float(fixes.origin_lla[2]))
     _check_times(scene.source, fixes, samples)
+    _check_gravity(scene.source, samples, gravity)
     bias = None
     if samples is not None:
         times, values = samples.timestamps_ns, samples.values
@@ -1795,6 +1811,11 @@ def _notes(
     )
     if factor > _SLOW_FACTOR_REPORTED:
         message += f"; by their drift their errors are {factor:.1f} times the stated accuracy"
+    if samples is not None and factor > _SLOW_FACTOR_DOUBTED:
+        message += (
+            ", unless the IMU contradicts them: compare their clocks (`sceneloom sync`), the IMU's units and axes, and "
+            "the fixes' latitudes and longitudes"
+        )
     yield _warning(WarningKind.ASSUMED, "gnss-slow-errors", location, message)
     if samples is not None and len(samples.gaps_ns):
         message = "the IMU has gaps; in them the motion was interpolated"

@@ -486,6 +486,17 @@ def test_a_receiver_that_drifts_tells_no_heading_of_an_ego_that_always_stands(se
     assert np.degrees(np.sqrt(run.covariances[:, 2, 2].min())) > 100.0
 
 
+def test_accelerations_in_g_are_refused_and_fixes_that_the_imu_contradicts_are_doubted(town):
+    sensor = town.imu.streams["accelerometer"]
+    in_g = {**town.imu.streams, "accelerometer": VectorSamples(sensor.timestamps_ns, sensor.values / GRAVITY)}
+    with pytest.raises(PoseError, match=r"accelerations are 1\.\d+ m/s² long .* `accelerometer_unit`"):
+        town.run(imu=ImuSensor("imu", in_g))
+    late = replace(town.gnss, timestamps_ns=town.gnss.timestamps_ns + 18 * SECOND)
+    for gnss, doubted in ((late, True), (town.gnss, False)):
+        (message,) = (one.message for one in town.run(gnss=gnss).warnings if one.code == "gnss-slow-errors")
+        assert ("unless the IMU contradicts them" in message) is doubted
+
+
 def test_repeated_fixes_of_a_receiver_that_stands_are_measurements_and_those_of_a_slow_one_are_none():
     times = np.arange(40, dtype=np.int64) * SECOND
     # ten seconds of braking from 10 m/s, twenty of standing, ten of accelerating

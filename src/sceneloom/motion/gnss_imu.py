@@ -1766,11 +1766,58 @@ def gnss_imu_motion(
     rotations = None if samples is None and lidar is None else quaternion_from_matrix(motion.rotations)
     trajectory = Trajectory(NAME, motion.timestamps_ns, motion.positions, rotations, covariances=poses)
     used = fit.weights > 0.5
-    warnings = (*fixes.warnings, *_notes(scene.source, drive, trajectory, used, sigmas, slow, factor))
+    notes = _notes(scene.source, drive, trajectory, used, sigmas, slow, factor)
+    steps = _notes_of_steps(scene.source, drive, used, sigmas, motion, slow)
+    warnings = (*fixes.warnings, *notes, *steps)
     return GnssImuRun(
         trajectory, fixes.origin_lla, motion.velocities, motion.biases, fit.chain.knots_ns, own, fixes, used,
         sigmas, warnings,
     )  # fmt: skip
+
+
+_STEP, _STEP_OF_SLOW, _STEP_SECONDS = 6.0, 2.0, 2.0
+"""A step of the fixes counts beyond so many standard deviations of their noise, and of the slow errors, between fixes
+that are no more than so many seconds apart."""
+
+
+def _notes_of_steps(
+    location: str, drive: _Drive, used: BoolArray, sigmas: Float64Array, motion: _Motion, slow: Float64Array
+) -> Iterator[DataWarning]:
+    """Warn of fixes that step together, which the trajectory follows, where the IMU moved on."""
+    fixes, samples = drive.fixes, drive.samples
+    if samples is None:
+        return
+    # positions by the IMU alone, up to a velocity, which the fixes around a step have
+    seconds = np.diff(samples.timestamps_ns)[:, None] * 1e-9
+    near = np.clip(np.searchsorted(motion.timestamps_ns, samples.timestamps_ns), 0, len(motion.timestamps_ns) - 1)
+    forces = samples.values[:, 3:] - motion.biases[near, 3:]
+    accelerations = np.einsum("nij,nj->ni", motion.rotations[near], forces)[:-1] - [0.0, 0.0, drive.gravity]
+    velocities = np.vstack([np.zeros(3), np.cumsum(accelerations * seconds, axis=0)])
+    moved = np.vstack([np.zeros(3), np.cumsum((velocities[:-1] + 0.5 * accelerations * seconds) * seconds, axis=0)])
+    found, sizes = [], []
+    for receiver in np.unique(fixes.receivers):
+        rows = np.flatnonzero(used & (fixes.receivers == receiver))
+        times = fixes.timestamps_ns[rows]
+        near = np.clip(np.searchsorted(motion.timestamps_ns, times), 0, len(motion.timestamps_ns) - 1)
+        antennas = np.einsum("nij,nj->ni", motion.rotations[near], fixes.levers[rows])
+        apart = (fixes.positions[rows] - antennas - _resampled(times, samples.timestamps_ns, moved))[:, :2]
+        gaps = np.diff(times) * 1e-9
+        before, after = 0.5 * gaps[1:-1] / gaps[:-2], 0.5 * gaps[1:-1] / gaps[2:]
+        parts = np.stack([before, -1.0 - before, 1.0 + after, -after], axis=1)
+        around = np.arange(4) + np.arange(max(len(rows) - 3, 0))[:, None]
+        steps = np.linalg.norm(np.einsum("nk,nkd->nd", parts, apart[around]), axis=1)
+        noise = np.sqrt((parts**2 * sigmas[rows, 0][around] ** 2).sum(axis=1))
+        beyond = steps > np.maximum(_STEP * noise, _STEP_OF_SLOW * np.sqrt(np.median(slow[:, 0])))
+        beyond &= gaps[np.arange(3) + np.arange(len(beyond))[:, None]].max(axis=1) <= _STEP_SECONDS
+        beyond &= samples.is_measured(times[:-3], times[3:], slack_ns=samples.slack_ns)
+        found.extend(times[2:-1][beyond].tolist())
+        sizes.extend(steps[beyond].tolist())
+    if found:
+        message = (
+            f"fixes step by {max(sizes):.1f} m beyond what the IMU moved, first at {min(found) * 1e-9:.3f} s; the "
+            "trajectory follows them, and its covariances do not contain such steps"
+        )
+        yield _warning(WarningKind.ASSUMED, "gnss-steps", location, message, len(found))
 
 
 _WITH = {

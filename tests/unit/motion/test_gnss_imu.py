@@ -497,6 +497,16 @@ def test_accelerations_in_g_are_refused_and_fixes_that_the_imu_contradicts_are_d
         assert ("unless the IMU contradicts them" in message) is doubted
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_fixes_that_step_together_and_stay_so_are_warned_of_and_honest_ones_are_not(seed):
+    one = drive(seed, seconds=60.0, gnss=GnssSpec(rate_hz=2.0, correlated_sigma=1.0, correlation_time=100.0))
+    stepping = enu(one.gnss)
+    stepping[60:76, :2] += 8.0  # for 8 s
+    for positions, expected in ((stepping, True), (enu(one.gnss), False)):
+        run = gnss_imu.gnss_imu_motion(one.scene(gnss=moved(one.gnss, positions)), settings=SETTINGS)
+        assert ("gnss-steps" in [warning.code for warning in run.warnings]) is expected
+
+
 def test_repeated_fixes_of_a_receiver_that_stands_are_measurements_and_those_of_a_slow_one_are_none():
     times = np.arange(40, dtype=np.int64) * SECOND
     # ten seconds of braking from 10 m/s, twenty of standing, ten of accelerating

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, finite_rows
-from sceneloom.editing.references import assumed, ours_of, skipped, with_ours, with_warnings
+from sceneloom.editing.references import ours_of, with_ours, with_warnings
 from sceneloom.errors import ArrayError, OptionError, PoseError
 from sceneloom.geometry.rigid import (
     RigidTransform,
@@ -59,7 +59,7 @@ from sceneloom.scene.poses import Poses, PoseSamples, PoseSource, Trajectory, sa
 from sceneloom.scene.scene import Scene, Sensor, frame_times, scene_period_ns
 from sceneloom.scene.time_range import Renumbering, renumbered, select_rows
 from sceneloom.scene.types import Coordinates, Identifier, Key, PointsFrame, Progress, key_of
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 KNOWN = 1
 """Greatest coverage of a pose that is used: inside its path, or extrapolated within the limit."""

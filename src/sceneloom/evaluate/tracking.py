@@ -28,7 +28,7 @@ from sceneloom.evaluate.objects import (
 )
 from sceneloom.evaluate.plot import check_plot, save_plot
 from sceneloom.kernels import scores as kernels
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, skipped
 
 CLASSES = ("car", "pedestrian")
 """The classes of KITTI's tracking benchmark."""
@@ -195,14 +195,8 @@ def compare_tracks(
     if len(ids) and (ids < 0).all():
         raise OptionError(f"{results}: no object has an id, which tracks need; see `sceneloom eval detection`")
     if (ids < 0).any():
-        skipped = DataWarning(
-            kind=WarningKind.SKIPPED,
-            code="results-without-id",
-            location=str(results),
-            message="objects whose id is below 0 are left out",
-            count=int((ids < 0).sum()),
-        )
-        warnings = (*warnings, skipped)
+        message = "objects whose id is below 0 are left out"
+        warnings = (*warnings, skipped("results-without-id", str(results), message, count=int((ids < 0).sum())))
     if similarity is None:
         chosen = Similarity.IMAGE if Similarity.IMAGE in sides.similarities else Similarity.SPACE
     else:

@@ -30,7 +30,7 @@ from sceneloom.geometry.rigid import (
 )
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.time_range import select_rows
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed
 
 RPE_DELTAS = ("1s", "5m", "10m", "50m")
 """Steps over which motions are compared unless others are given."""
@@ -314,7 +314,7 @@ def evaluate_trajectory(
     missing = [delta for delta, errors in relative.items() if errors is None]
     if missing:
         message = f"the trajectory is too short for steps of {', '.join(missing)}"
-        report = structs.replace(report, warnings=(*report.warnings, _warning("no-steps", message)))
+        report = structs.replace(report, warnings=(*report.warnings, assumed("no-steps", "", message)))
     if plot is not None:
         curves = [("translation [m]", lengths)] + ([] if degrees is None else [("rotation [°]", degrees)])
         _plot_errors(report, pairs, aligned, part.positions, curves, Path(plot), overwrite=overwrite)
@@ -801,12 +801,12 @@ def _kitti_errors(pairs: Pairs, aligned: MatchedPoses) -> KittiErrors | None:
 
 def _doubts_of(alignment: _Alignment, pairs: Pairs, aligned: MatchedPoses) -> list[DataWarning]:
     """Warnings about the shape of the trajectory, missing orientations or other axes of the device."""
-    found = [_warning("doubtful-alignment", doubt) for doubt in alignment.doubts]
+    found = [assumed("doubtful-alignment", "", doubt) for doubt in alignment.doubts]
     ours, theirs = aligned.quaternions_xyzw, pairs.reference.quaternions_xyzw
     if ours is None or theirs is None:
         side = "estimate" if ours is None else "reference"
         message = f"the {side} has no orientations: motions are compared in the aligned world, rotations not at all"
-        return [*found, _warning("no-orientations", message)]
+        return [*found, assumed("no-orientations", "", message)]
     rotations = multiply_quaternions(conjugate_quaternion(ours), theirs)
     mean, _ = nearest_rotation(matrix_from_quaternion(rotations).mean(axis=0))
     axes = quaternion_from_matrix(mean)
@@ -818,7 +818,7 @@ def _doubts_of(alignment: _Alignment, pairs: Pairs, aligned: MatchedPoses) -> li
             f"the device's axes differ by a constant rotation of {rotated:.1f}° (single poses deviate by "
             f"{strays:.2g}°): if one side has the poses of a camera, use `--est-optical` or `--ref-optical`"
         )
-        found.append(_warning("other-axes", message))
+        found.append(assumed("other-axes", "", message))
     return found
 
 
@@ -828,11 +828,7 @@ def _same_poses(estimate: Trajectory, reference: Trajectory) -> list[DataWarning
     pairs = [(getattr(estimate, name), getattr(reference, name)) for name in names]
     if not all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs):
         return []
-    return [_warning("same-poses", "estimate and reference are the same poses at the same times")]
-
-
-def _warning(code: str, message: str) -> DataWarning:
-    return DataWarning(kind=WarningKind.ASSUMED, code=code, location="", message=message)
+    return [assumed("same-poses", "", "estimate and reference are the same poses at the same times")]
 
 
 def _plot_errors(

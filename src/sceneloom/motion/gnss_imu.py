@@ -39,7 +39,7 @@ from sceneloom.motion.imu import QUIET_FORCE, QUIET_RATE, WHITE, find_stationary
 from sceneloom.scene.motion import ImuSensor, VectorSamples
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed, repaired, skipped
 
 NAME = "gnss"
 """Name of the trajectory."""
@@ -129,10 +129,6 @@ def _resampled(wanted_ns: Int64Array, times_ns: Int64Array, values: Float64Array
     """Values (N, K) interpolated linearly at other times."""
     seconds, known = (wanted_ns - times_ns[0]) * 1e-9, (times_ns - times_ns[0]) * 1e-9
     return np.stack([np.interp(seconds, known, column) for column in values.T], axis=1)
-
-
-def _warning(kind: WarningKind, code: str, location: str, message: str, count: int = 1) -> DataWarning:
-    return DataWarning(kind=kind, code=code, location=location, message=message, count=count)
 
 
 _NOISE_SECONDS, _NOISE_SAMPLES = 2.0, 21  # time over which the noise is averaged, and the least number of samples
@@ -336,7 +332,7 @@ class GnssFixes:
             if lost:
                 location = f"{scene.source}: sensors[{receiver.id}]"
                 message = "fixes that are invalid, repeat a timestamp or repeat the fix before were left out"
-                warnings.append(_warning(WarningKind.SKIPPED, "gnss-fixes-left-out", location, message, lost))
+                warnings.append(skipped("gnss-fixes-left-out", location, message, count=lost))
             locations = receiver.positions_lla[rows]
             across, up = receiver.accuracies[rows], receiver.vertical_accuracies[rows]
             reported, reported_up = (np.isfinite(sigma) & (sigma > 0) for sigma in (across, up))
@@ -356,7 +352,7 @@ class GnssFixes:
         if not near.all():
             message = f"fixes more than {_FARTHEST / 1000:.0f} km from the others were left out"
             lost = int((~near).sum())
-            warnings.append(_warning(WarningKind.SKIPPED, "gnss-fixes-elsewhere", scene.source, message, lost))
+            warnings.append(skipped("gnss-fixes-elsewhere", scene.source, message, count=lost))
         order = np.flatnonzero(near)[np.argsort(times[near], kind="stable")]
         origin = locations[order[0]]
         sigmas, reported, levers, numbers = (column[order] for column in columns)
@@ -1768,11 +1764,11 @@ def _notes(
         f"the ego; estimated noise of the fixes {sigma[0]:.2f} m across, {sigma[2]:.2f} m in height; the world's axes "
         f"are east, north and up at the first fix, {latitude:.7f}, {longitude:.7f}, {height:.2f} m"
     )
-    yield _warning(WarningKind.ASSUMED, "trajectory-from-gnss", location, message)
+    yield assumed("trajectory-from-gnss", location, message)
     lost = int((~used).sum())
     if lost:
         message = f"{lost} of {len(used)} fixes left out, off the trajectory by more than the rest allows"
-        yield _warning(WarningKind.SKIPPED, "gnss-jumps", location, message, lost)
+        yield skipped("gnss-jumps", location, message, count=lost)
     across, _, up = np.sqrt(np.median(slow, axis=0))
     message = (
         f"all fixes may be off together by {across:.2f} m across and {up:.2f} m in height (one standard deviation), "
@@ -1780,17 +1776,17 @@ def _notes(
     )
     if factor > _SLOW_FACTOR_REPORTED:
         message += f"; by their drift their errors are {factor:.1f} times the stated accuracy"
-    yield _warning(WarningKind.ASSUMED, "gnss-slow-errors", location, message)
+    yield assumed("gnss-slow-errors", location, message)
     if samples is not None and len(samples.gaps_ns):
         message = "the IMU has gaps; in them the motion was interpolated"
-        yield _warning(WarningKind.ASSUMED, "imu-gaps", location, message, len(samples.gaps_ns))
+        yield assumed("imu-gaps", location, message, count=len(samples.gaps_ns))
     if samples is not None and samples.left_out:
         message = "samples that are not finite, or not later than the one before, were left out"
-        yield _warning(WarningKind.REPAIRED, "imu-samples", location, message, samples.left_out)
+        yield repaired("imu-samples", location, message, count=samples.left_out)
     covariances = trajectory.covariances
     if samples is not None and covariances is not None and np.sqrt(covariances[:, 2, 2].min()) > _UNSURE_HEADING:
         message = (
             f"the ego moved too little to determine its heading, which is known to "
             f"{np.degrees(np.sqrt(covariances[:, 2, 2].min())):.0f} degrees at best; it was taken as that of the motion"
         )
-        yield _warning(WarningKind.ASSUMED, "heading-unknown", location, message)
+        yield assumed("heading-unknown", location, message)

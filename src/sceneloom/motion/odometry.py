@@ -33,7 +33,7 @@ from sceneloom.scene.point_times import RawTimes, timed_frame
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.scene import Scene, sweep_period_ns
 from sceneloom.scene.types import PointsFrame
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed, repaired, skipped
 
 NAME = "lidar"
 """Name of the trajectory."""
@@ -623,10 +623,6 @@ def _moved_between(first: _MotionState, second: _MotionState) -> _MotionState:
 _SAME_PERIOD = 0.75  # sweeps that begin within this part of a period of one another belong together
 
 
-def _warning(kind: WarningKind, code: str, location: str, message: str, count: int = 1) -> DataWarning:
-    return DataWarning(kind=kind, code=code, location=location, message=message, count=count)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class EgoCloud:
     """The points of all lidars in one period."""
@@ -681,7 +677,7 @@ class _Source:
         yield from self.statistics.warnings(f"{location}[].points.timestamps")
         for code, message in _SWEEP_NOTES.items():
             if self.counts[code]:
-                yield _warning(WarningKind.ASSUMED, code, location, message.format(count), self.counts[code])
+                yield assumed(code, location, message.format(count), count=self.counts[code])
 
 
 @dataclass(slots=True)
@@ -746,7 +742,7 @@ class SceneSweeps:
                 "the ego's motion during a sweep remains in its points and in the poses"
             )
             code = "odometry-without-point-times"
-            yield _warning(WarningKind.ASSUMED, code, self.scene.source, message, self.untimed)
+            yield assumed(code, self.scene.source, message, count=self.untimed)
 
 
 def _usable_sources(scene: Scene, warnings: list[DataWarning]) -> list[_Source]:
@@ -769,15 +765,13 @@ def _usable_sources(scene: Scene, warnings: list[DataWarning]) -> list[_Source]:
     if not mounted:
         mounted = [(raw[0], identity)]
         message = f"lidar {raw[0].id!r} has no mounting on the ego; the lidar was taken as the ego"
-        warnings.append(_warning(WarningKind.ASSUMED, "lidar-is-the-ego", f"sensors[{raw[0].id}]", message))
+        warnings.append(assumed("lidar-is-the-ego", f"sensors[{raw[0].id}]", message))
     used = {id(lidar) for lidar, _ in mounted}
     for lidar in lidars:
         if id(lidar) not in used:
             why = "its points are in world coordinates already" if lidar not in raw else "its mounting is unknown"
             message = f"lidar {lidar.id!r} was left out of the odometry: {why}"
-            warnings.append(
-                _warning(WarningKind.SKIPPED, "lidar-left-out-of-odometry", f"sensors[{lidar.id}]", message)
-            )
+            warnings.append(skipped("lidar-left-out-of-odometry", f"sensors[{lidar.id}]", message))
     return [_Source(lidar, mount, sweep_period_ns(lidar)) for lidar, mount in mounted]
 
 
@@ -791,11 +785,11 @@ def _grouped(sources: list[_Source], warnings: list[DataWarning]) -> list[list[t
         location = f"sensors[{source.lidar.id}].frames"
         if (order != np.arange(len(order))).any():
             message = "sweeps were not in the order of their time; they were sorted"
-            warnings.append(_warning(WarningKind.REPAIRED, "sweeps-sorted", location, message))
+            warnings.append(repaired("sweeps-sorted", location, message))
         fresh = np.diff(timestamps[order], prepend=timestamps[order[0]] - 1) > 0
         if not fresh.all():
             message = "sweeps with the time of the one before were left out of the odometry"
-            warnings.append(_warning(WarningKind.SKIPPED, "sweeps-of-one-time", location, message, int((~fresh).sum())))
+            warnings.append(skipped("sweeps-of-one-time", location, message, count=int((~fresh).sum())))
         entries += [(int(timestamps[k]), number, int(k)) for k in order[fresh]]
     groups: list[list[tuple[int, int]]] = []
     start_ns, latest = 0, set[int]()
@@ -954,13 +948,13 @@ _NOTES: Mapping[Outcome, tuple[str, str]] = MappingProxyType(
 def _notes(counts: Counter[Outcome], late: int, location: str) -> Iterator[DataWarning]:
     for outcome, (code, message) in _NOTES.items():
         if counts[outcome]:
-            yield _warning(WarningKind.ASSUMED, code, location, message, counts[outcome])
+            yield assumed(code, location, message, count=counts[outcome])
     if not counts[Outcome.FITTED]:
         message = "no two sweeps could be compared, so the motion is unknown; the ego was taken as stationary"
-        yield _warning(WarningKind.ASSUMED, "odometry-without-motion", location, message)
+        yield assumed("odometry-without-motion", location, message)
     if late:
         message = "sweeps whose middle is not later than that of the sweep before were left out of the odometry"
-        yield _warning(WarningKind.SKIPPED, "odometry-late-sweep", location, message, late)
+        yield skipped("odometry-late-sweep", location, message, count=late)
 
 
 _SUPPORT = 0.25

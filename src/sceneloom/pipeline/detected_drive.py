@@ -16,7 +16,6 @@ from sceneloom.detections.detectors import detector_names
 from sceneloom.detections.residuals import BoxFrame, BoxResiduals
 from sceneloom.detections.results import DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.editing.references import assumed
 from sceneloom.errors import PoseError
 from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, KittiLabels, observation_angles
 from sceneloom.formats.kitti.oxts import PERIOD_NS
@@ -27,7 +26,7 @@ from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, sweep_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
-from sceneloom.editing.references import assumed, skipped, with_warnings, without, without_fields
+from sceneloom.editing.references import with_warnings, without, without_fields
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.files import open_file, read_bytes
 from sceneloom.formats.base.images import PNG_START, encode_png
@@ -33,7 +33,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor, PointsSensor
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.scene.types import Identifier, Key, Progress, key_of
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import NO_FIELDS, Identifier, key_of
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 if TYPE_CHECKING:
     from sceneloom.scene.ego import EgoMotion
@@ -233,13 +233,8 @@ class Scene:
             return corrected
         known = {(warning.code, warning.location) for warning in self.warnings}
         reported = [
-            DataWarning(
-                kind=WarningKind.SKIPPED,
-                code="correction-not-applied",
-                location=f"annotations[{annotation.id}]",
-                message=f"{annotation.type} left off, as was asked for",
-            )
-            for annotation in pending
+            skipped("correction-not-applied", f"annotations[{a.id}]", f"{a.type} left off, as was asked for")
+            for a in pending
         ]
         new = [warning for warning in reported if (warning.code, warning.location) not in known]
         return replace(self, warnings=(*self.warnings, *new)) if new else self
@@ -388,13 +383,6 @@ def with_assumed_models(scene: Scene) -> Scene:
         return scene
     reported = sorted({*assumed_models(scene), *models})
     metadata = {**scene.metadata, _OURS: {**_ours(scene), _ENTRY: reported}}
-    warnings = (
-        DataWarning(
-            kind=WarningKind.ASSUMED,
-            code="assumed-model",
-            location=f"sensors[{camera_id}].camera",
-            message=f"{model}: computed with by a formula that nothing confirms, as asked for",
-        )
-        for model, camera_id in models.items()
-    )
+    why = "computed with by a formula that nothing confirms, as asked for"
+    warnings = (assumed("assumed-model", f"sensors[{id_}].camera", f"{model}: {why}") for model, id_ in models.items())
     return replace(scene, metadata=MappingProxyType(metadata), warnings=(*scene.warnings, *warnings))

@@ -38,7 +38,7 @@ from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, Vector
 from sceneloom.scene.poses import Poses, Trajectory
 from sceneloom.scene.scene import Scene, frame_times, time_span
 from sceneloom.scene.types import Key, key_of
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, skipped
 
 _Rows = Callable[[int | None], Int64Array | None]
 """Gives the rows of the points that stay of a frame (by its old number), or of a sensor without frames (None); or
@@ -139,11 +139,7 @@ def _moved_entry(
 
 def _skipped(location: str, *found: tuple[str, str, int]) -> tuple[DataWarning, ...]:
     """A warning for each code, message and count above 0."""
-    return tuple(
-        DataWarning(kind=WarningKind.SKIPPED, code=code, location=location, message=message, count=count)
-        for code, message, count in found
-        if count
-    )
+    return tuple(skipped(code, location, message, count=count) for code, message, count in found if count)
 
 
 Interval = tuple[int, int]

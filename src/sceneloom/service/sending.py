@@ -40,7 +40,7 @@ from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns, time_span, usual_period_ns
 from sceneloom.scene.types import Identifier, PointsFrame, Progress
 from sceneloom.service.session_log import read_log
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 _CAMERA_AXES, _LIDAR_AXES = "+z,+x,-y", "+x,-y,+z"
 """Where forward, right and up point in the frames of a scene: what a session has to be reported."""
@@ -125,12 +125,8 @@ def _table_3(
         coefficients = found.camera.coefficients
         nearest = replace(found.camera, coefficients=(*coefficients[:5], *[0.0] * (len(coefficients) - 5)))
         message = f"{found.message(model)}, for table 3; {exactly}"
-    warning = _warning(WarningKind.ASSUMED, "camera-model-beyond-table-3", message, f"sensors[{camera.id}]")
+    warning = assumed("camera-model-beyond-table-3", f"sensors[{camera.id}]", message)
     return calibration_data(nearest, camera_from_points, *axes), model, [warning]
-
-
-def _warning(kind: WarningKind, code: str, message: str, location: str = "") -> DataWarning:
-    return DataWarning(kind=kind, code=code, location=location, message=message)
 
 
 def _format_camera_models(camera_models: Mapping[int, Camera]) -> str:
@@ -172,7 +168,7 @@ def _ego(scene: Scene, trajectory: str | None, heading: str | None) -> tuple[Ego
         return find_ego_motion(scene, heading=heading), []
     except PoseError as error:
         message = f"sent without motion: {error}"
-        return None, [_warning(WarningKind.SKIPPED, "motion-unknown", message, scene.source)]
+        return None, [skipped("motion-unknown", scene.source, message)]
 
 
 def _path(source: PoseSource | None) -> Poses | None:
@@ -218,7 +214,7 @@ class _Locations:
             f"it moves against lidar {lidar.id!r} by up to {offset:.3f} m and {np.degrees(rotation):.2f}°; its pose in "
             "the middle of the drive was taken"
         )
-        return middle, [_warning(WarningKind.ASSUMED, "mounting-moves", message, f"sensors[{camera.id}]")]
+        return middle, [assumed("mounting-moves", f"sensors[{camera.id}]", message)]
 
     def _seen(self, camera: CameraSensor, lidar: LidarSensor) -> Iterator[RigidTransform]:
         of_camera = sensor_source(self.scene, camera, self.ego, reach_ns=self.reach_ns)
@@ -535,17 +531,17 @@ def send_scene(
     rig = sent_rig(scene, trajectory=trajectory, heading=heading)
     statistics = Statistics(receiver, pace or Pace(rate))
     _configure(receiver, rig)
-    skipped: list[DataWarning] = []
+    unread: list[DataWarning] = []
     with _refusing(receiver, statistics.pace.rate):
-        _send_frames(rig, statistics, skipped if lenient else None, progress)
+        _send_frames(rig, statistics, unread if lenient else None, progress)
     receiver.flush()
     numbers = {str(sensor_id): number for sensor_id, number in rig.numbers.items()}
-    warnings = (*rig.scene.warnings, *rig.warnings, *skipped)
+    warnings = (*rig.scene.warnings, *rig.warnings, *unread)
     return SendReport.of(rig.scene.source, begun, [statistics], sensors=numbers, warnings=warnings)
 
 
 def _send_frames(
-    rig: _SentRig, statistics: Statistics, skipped: list[DataWarning] | None, progress: Progress | None
+    rig: _SentRig, statistics: Statistics, unread: list[DataWarning] | None, progress: Progress | None
 ) -> None:
     total = sum(len(lidar.frames) for lidar in rig.scene.lidars)
     total += sum(len(camera.images) for camera in rig.scene.cameras)
@@ -557,9 +553,9 @@ def _send_frames(
         try:
             records = maker.records(sensor_id, read())
         except DataError as error:
-            if skipped is None:
+            if unread is None:
                 raise
-            skipped.append(_warning(WarningKind.SKIPPED, "frame-unreadable", str(error)))
+            unread.append(skipped("frame-unreadable", "", str(error)))
             records = []
         if motion is not None:
             statistics.send_motion(motion)

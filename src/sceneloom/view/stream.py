@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sceneloom.arrays import AnyArray, BoolArray, Int64Array
 from sceneloom.errors import MissingExtraError, how_to_install
 from sceneloom.scene.types import Identifier
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, skipped
 
 
 @cache
@@ -121,16 +121,8 @@ class Stream:
     @property
     def warnings(self) -> tuple[DataWarning, ...]:
         """What was left out so far."""
-        return tuple(
-            DataWarning(
-                kind=WarningKind.SKIPPED,
-                code="beyond-the-viewer",
-                location=kind,
-                message="not shown: their numbers are not finite, or beyond the viewer's float32",
-                count=count,
-            )
-            for kind, count in self.left_out.items()
-        )
+        message = "not shown: their numbers are not finite, or beyond the viewer's float32"
+        return tuple(skipped("beyond-the-viewer", kind, message, count=n) for kind, n in self.left_out.items())
 
     def _note(self, kind: str | None, rows: int, size: int) -> None:
         if kind is not None:

@@ -50,7 +50,7 @@ from sceneloom.view.stream import SENSORS, TIME, WORLD, Feed, Report, Stream, es
 from sceneloom.visualization.canvas import Colour
 from sceneloom.visualization.colour_scales import colour_map
 from sceneloom.visualization.figures import colour_of_name
-from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind
+from sceneloom.warnings import DataWarning, Finding, Severity, WarningKind, repaired, skipped
 
 _Packed = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]  # colours 0xRRGGBBAA
 _UNSEEN = np.uint32(0x6E6E6EFF)  # of points that no camera saw
@@ -528,13 +528,7 @@ class _Reported:
     def warnings(self) -> tuple[DataWarning, ...]:
         """All of it."""
         return tuple(
-            DataWarning(
-                kind=WarningKind.REPAIRED if code == "straightened" else WarningKind.SKIPPED,
-                code=code,
-                location=location,
-                message=message,
-                count=count,
-            )
+            (repaired if code == "straightened" else skipped)(code, location, message, count=count)
             for (code, location), (message, count) in self.lines.items()
         )
 

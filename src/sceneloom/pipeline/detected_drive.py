@@ -104,7 +104,6 @@ class DetectedDrive:
         period_ns: the usual time from sweep to sweep [ns].
         detectors: name of what is known of such detectors, for those who state none; None for the usual one.
         stated_in: the frames in which the lists have the boxes of sweeps.
-        trajectory_known: whether the ego trajectory is known; else the world is the ego's frame.
         points: of the sweeps, by which what images alone show is placed; None where there are none.
     """
 
@@ -117,7 +116,6 @@ class DetectedDrive:
     period_ns: int = PERIOD_NS
     detectors: str | None = None
     stated_in: frozenset[BoxFrame] = frozenset({BoxFrame.LIDAR})
-    trajectory_known: bool = True
     points: SweepPoints | None = None
     warnings: tuple[DataWarning, ...] = field(default=())
 
@@ -280,7 +278,6 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
     """
     path, ego_from_lidar = Poses.identity(), RigidTransform.identity()
     warnings = list(sequence.warnings)
-    known = sequence.world_from_ego is not None and sequence.lidar_from_imu is not None
     if sequence.world_from_ego is not None and sequence.lidar_from_imu is not None:
         path, ego_from_lidar = sequence.world_from_ego, sequence.lidar_from_imu.inverse()
     else:
@@ -307,7 +304,6 @@ def kitti_drive(sequence: KittiSequence) -> DetectedDrive:
         period_ns=PERIOD_NS,
         detectors=detectors,
         stated_in=frozenset({BoxFrame.CAMERA}),
-        trajectory_known=known,
         warnings=tuple(warnings),
     )
 

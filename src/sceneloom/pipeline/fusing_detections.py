@@ -184,9 +184,7 @@ def _streams(drive: DetectedDrive) -> list[list[_Sent]]:
     return streams
 
 
-def _detections_record(
-    frame: FusedDetectionFrame, camera_model: Camera, *, camera_number: int, lidar_number: int = 0
-) -> FusedDetections:
+def _detections_record(frame: FusedDetectionFrame, camera_model: Camera, *, camera_number: int) -> FusedDetections:
     """Give the record of table 10 of the objects of a sweep and an image, axes as the scene has them."""
     fused = frame.fused
     columns, _ = declared_columns(fused, _AS_IN_THE_SCENE, camera_model)
@@ -198,7 +196,7 @@ def _detections_record(
         image_seq=int(frame.image_extras["seq"]),
         points_seq=frame.index,
         camera_id=camera_number,
-        lidar_id=lidar_number,
+        lidar_id=0,
         id=fused.ids.astype(np.int32),
         class_names=fused.labels,
         box_3d_ids=box_ids[0],

@@ -619,9 +619,7 @@ def _must(outcome: Outcome, what: str) -> None:
         raise OptionError(f"the session refuses the {what}: {outcome.cause}: {outcome.reason}")
 
 
-def send_log(
-    path: str | Path, open_session: Callable[[str], Receiver], *, rate: float = 1.0, pace: Pace | None = None
-) -> SendReport:
+def send_log(path: str | Path, open_session: Callable[[str], Receiver], *, rate: float = 1.0) -> SendReport:
     """Send what was taken in the sessions of a log, in its order.
 
     What was refused or dropped is not sent again. Results are the same byte for byte as long as the receiving sessions
@@ -630,21 +628,19 @@ def send_log(
     Args:
         open_session: gives what is sent to, by the name of the session in the log.
         rate: 1 for as fast as it came, 2 for twice as fast, 0 for as fast as the sessions take it.
-        pace: holds records back; None for one of that rate.
 
     Raises:
         DataError: the file is no log, or what stands in it is faulty.
         OptionError: a session refuses the configuration.
     """
-    begun = time.perf_counter()
-    kept = pace or Pace(rate)
+    begun, pace = time.perf_counter(), Pace(rate)
     sessions: dict[str, _ResentSession] = {}
     for entry in read_log(Path(path)):
         if entry.what not in _RESENT:
             continue
         if entry.session not in sessions:
-            sessions[entry.session] = _ResentSession(Statistics(open_session(entry.session), kept))
-        kept.until(entry.log_time_ns)
+            sessions[entry.session] = _ResentSession(Statistics(open_session(entry.session), pace))
+        pace.until(entry.log_time_ns)
         sessions[entry.session].take(entry.what, entry.message)
     for session in sessions.values():
         session.end()

@@ -145,9 +145,9 @@ def escaped(name: Identifier) -> str:
     return str(escape(str(name) or "-"))
 
 
-def one_packed(rgb: tuple[int, int, int], *, alpha: int = 255) -> int:
-    """Pack one colour as 0xRRGGBBAA."""
-    return (rgb[0] << 24) | (rgb[1] << 16) | (rgb[2] << 8) | alpha
+def one_packed(rgb: tuple[int, int, int]) -> int:
+    """Pack one opaque colour as 0xRRGGBBAA."""
+    return (rgb[0] << 24) | (rgb[1] << 16) | (rgb[2] << 8) | 255
 
 
 Report = Callable[[str, str, str], None]

@@ -632,9 +632,7 @@ def draw_calibration(sample: Sample, calibration: CameraCalibration) -> PilImage
     return framed(plot, [f"{calibration.type} {calibration.id} of {calibration.sensor_id}", stated])
 
 
-def draw_adjustment(
-    scene: Scene, adjustment: LocalizationAdjustment, *, size_px: tuple[int, int] = SIZE_PX
-) -> PilImage:
+def draw_adjustment(scene: Scene, adjustment: LocalizationAdjustment) -> PilImage:
     """Draw the ego trajectory before and after a localisation adjustment, from above."""
     trajectory = _some_trajectory(scene)
     before = after = np.zeros((0, 3))
@@ -659,7 +657,7 @@ def draw_adjustment(
     ]
     return draw_cloud_above(
         middle[None], None, ego=EgoPosition(middle, np.array([1.0, 0.0, 0.0])), caption=lines, reach=reach,
-        size_px=size_px, over=over,
+        over=over,
     )  # fmt: skip
 
 

@@ -108,17 +108,16 @@ def subdued(rgb: UInt8Array) -> UInt8Array:
     return np.asarray(_BRIGHTNESS * (_GREYNESS * grey + (1.0 - _GREYNESS) * rgb.astype(np.float32)), np.uint8)
 
 
-def draw_dense_depth(view: FusedView, dense: "DenseDepth", *, scale: DepthScale | None = None) -> PilImage:
+def draw_dense_depth(view: FusedView, dense: "DenseDepth") -> PilImage:
     """Draw a completed depth image below its image, and its confidence below it: black 0, white 1.
 
     Args:
         dense: what was made of it.
-        scale: the colours of the depths; by default chosen to hold the view's own depths.
     """
-    used = scale or view_scale(view)
+    scale = view_scale(view)
     known = dense.depths > 0
     depths: UInt8Array = np.full((*dense.depths.shape, 3), NO_DEPTH, np.uint8)
-    depths[known] = used.colours(dense.depths[known])
+    depths[known] = scale.colours(dense.depths[known])
     grey = np.rint(dense.confidence * 255).astype(np.uint8)
     sheet = np.concatenate([view.rgb, depths, np.repeat(grey[..., None], 3, axis=2)])
     share, sure = 100.0 * known.mean(), 100.0 * (dense.confidence >= 0.9).mean()
@@ -126,7 +125,7 @@ def draw_dense_depth(view: FusedView, dense: "DenseDepth", *, scale: DepthScale 
         f"{view.camera_id} · {seconds_text(view.timestamp_ns)}",
         f"{share:.1f} % with depth, {sure:.1f} % surer than 0.9",
     ]
-    return framed(image_canvas(sheet), lines, scale=used)
+    return framed(image_canvas(sheet), lines, scale=scale)
 
 
 _COMPRESSION = 2  # higher levels of PNG make these images 3 % smaller and take three times as long

@@ -12,10 +12,9 @@ from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.recording.contents import RecordingContents
 from sceneloom.scene.annotations import Annotation, Box2DAnnotation, CuboidAnnotation, PointsAnnotation, ShapeAnnotation
-from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor, DepthFrame
-from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarFrame, RadarSensor
-from sceneloom.scene.frames import LazyFrames
-from sceneloom.scene.scene import NOMINAL_PERIOD_NS, Scene, Sensor
+from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthFrame
+from sceneloom.scene.clouds import LidarFrame, RadarFrame
+from sceneloom.scene.scene import NOMINAL_PERIOD_NS, Scene, Sensor, frames_of
 from sceneloom.scene.types import Identifier, key_of
 from sceneloom.warnings import DataWarning, Severity
 
@@ -226,17 +225,9 @@ class Rule:
     profiles: tuple[str, ...] = ALL_PROFILES
 
 
-def frames_of(sensor: Sensor) -> Sequence[Any]:
-    """The frames or images of a sensor; none for sensors without."""
-    if isinstance(sensor, CameraSensor):
-        return sensor.images
-    return sensor.frames if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor) else ()
-
-
 def timestamps_of(sensor: Sensor) -> Int64Array:
     """The times of a sensor's frames or images, (N,) int64 [ns]; none for sensors without frames."""
-    frames = frames_of(sensor)
-    return frames.timestamps_ns if isinstance(frames, LazyFrames) else np.zeros(0, np.int64)
+    return frames_of(sensor).timestamps_ns
 
 
 def period_ns(timestamps_ns: Int64Array) -> float:

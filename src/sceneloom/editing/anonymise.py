@@ -19,11 +19,10 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import usable_positions
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Poses, Trajectory
-from sceneloom.scene.scene import Scene
+from sceneloom.scene.scene import Posed, Scene
 from sceneloom.scene.time_range import select_rows
 from sceneloom.scene.types import Coordinates
 from sceneloom.warnings import DataWarning, assumed, skipped

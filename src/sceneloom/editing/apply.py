@@ -25,10 +25,9 @@ from sceneloom.scene.annotations import (
 from sceneloom.scene.annotations_at import ANNOTATIONS_FRAME
 from sceneloom.scene.cameras import CameraImage, CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses, PoseSource, Trajectory
-from sceneloom.scene.scene import Scene, scene_period_ns
+from sceneloom.scene.scene import Posed, Scene, scene_period_ns
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, key_of
 from sceneloom.warnings import assumed, repaired, skipped
 

@@ -45,11 +45,10 @@ from sceneloom.scene.annotations import (
 from sceneloom.scene.annotations_at import CuboidAngles, annotations_frame
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, shots_of, with_shots
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Poses, Trajectory
-from sceneloom.scene.scene import Scene, Sensor, frame_times
+from sceneloom.scene.scene import Posed, Scene, Sensor, frame_times
 from sceneloom.scene.time_range import TIMED_COLUMNS
 from sceneloom.scene.types import Coordinates, Identifier, Key, key_of
 from sceneloom.warnings import DataWarning, assumed, skipped

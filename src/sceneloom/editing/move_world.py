@@ -45,7 +45,6 @@ from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor, shots_of
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
 from sceneloom.scene.ego import (
     EgoMotion,
-    Posed,
     camera_path,
     ego_path,
     frames_ns,
@@ -56,7 +55,7 @@ from sceneloom.scene.ego import (
 )
 from sceneloom.scene.motion import OdometrySensor, PlainSensor
 from sceneloom.scene.poses import Poses, PoseSamples, PoseSource, Trajectory, same_direction
-from sceneloom.scene.scene import Scene, Sensor, frame_times, scene_period_ns
+from sceneloom.scene.scene import Posed, Scene, Sensor, frame_times, scene_period_ns
 from sceneloom.scene.time_range import Renumbering, renumbered, select_rows
 from sceneloom.scene.types import Coordinates, Identifier, Key, PointsFrame, Progress, key_of
 from sceneloom.warnings import DataWarning, assumed, skipped

@@ -19,9 +19,8 @@ from sceneloom.scene.annotations import (
     locations_of,
 )
 from sceneloom.scene.annotations_at import CuboidAngles
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.motion import OdometrySensor
-from sceneloom.scene.scene import Scene
+from sceneloom.scene.scene import Posed, Scene
 from sceneloom.scene.time_range import select_rows
 from sceneloom.warnings import skipped
 

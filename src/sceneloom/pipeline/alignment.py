@@ -17,18 +17,16 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import find_ego_motion, is_computed, with_trajectory_estimated
 from sceneloom.scene.annotations import LocalizationAdjustment, PlainAnnotation
-from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
-from sceneloom.scene.clouds import LidarFrame, LidarSensor, RadarSensor
+from sceneloom.scene.cameras import CameraSensor
+from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.ego import EgoMotion, camera_path, must_be_placed, needs_ego, sensor_source
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import PlainSensor
 from sceneloom.scene.poses import PoseSource
-from sceneloom.scene.scene import Scene, Sensor, check_camera_models, frame_times, scene_period_ns
+from sceneloom.scene.scene import Posed, Scene, Sensor, check_camera_models, frame_times, scene_period_ns
 from sceneloom.scene.time_range import chosen_interval, cut_scene
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, Progress
 from sceneloom.stages import stage
-
-_POSED = (LidarSensor, RadarSensor, CameraSensor, DepthCameraSensor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +149,7 @@ def align(
 def _check_order(scene: Scene) -> None:
     """Refuse times that run backwards: what is paired and what is cut off depends on their order."""
     for sensor in scene.sensors:
-        if not isinstance(sensor, _POSED):
+        if not isinstance(sensor, Posed):
             continue
         times = frame_times(sensor)
         backwards = np.flatnonzero(times[1:] < times[:-1])

@@ -17,6 +17,7 @@ from sceneloom.errors import CalibrationError, OptionError, SceneloomError
 from sceneloom.scene.annotations import Annotation, AttributePath, CameraCalibration, LocalizationAdjustment
 from sceneloom.scene.cameras import CameraSensor, DepthCameraSensor
 from sceneloom.scene.clouds import LidarSensor, PointsSensor, RadarSensor
+from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor, PlainSensor
 from sceneloom.scene.poses import Trajectory
 from sceneloom.scene.types import NO_FIELDS, Identifier, key_of
@@ -37,6 +38,9 @@ Sensor = (
     | GnssSensor
     | PlainSensor
 )
+
+Posed = LidarSensor | RadarSensor | CameraSensor | DepthCameraSensor
+"""Sensors with frames, and with poses."""
 
 
 def _nothing() -> None:
@@ -306,12 +310,20 @@ def scene_period_ns(scene: Scene) -> int:
     return max((sweep_period_ns(lidar) for lidar in scene.lidars), default=NOMINAL_PERIOD_NS)
 
 
+_NO_FRAMES: LazyFrames[Any] = LazyFrames(np.zeros(0, np.int64), ().__getitem__)
+
+
+def frames_of(sensor: Sensor) -> LazyFrames[Any]:
+    """The sweeps, cycles, images or depth images of a sensor; none of one without."""
+    if isinstance(sensor, CameraSensor):
+        return sensor.images
+    return sensor.frames if isinstance(sensor, Posed) else _NO_FRAMES
+
+
 def frame_times(sensor: Sensor) -> Int64Array:
     """The timestamps (N,) int64 [ns] of whatever the sensor gives over time; empty where it has no time."""
-    if isinstance(sensor, LidarSensor | RadarSensor | DepthCameraSensor):
-        return sensor.frames.timestamps_ns
-    if isinstance(sensor, CameraSensor):
-        return sensor.images.timestamps_ns
+    if isinstance(sensor, Posed):
+        return frames_of(sensor).timestamps_ns
     if isinstance(sensor, OdometrySensor):
         return np.zeros(0, np.int64) if sensor.poses.static else sensor.poses.timestamps_ns
     if isinstance(sensor, ImuSensor):

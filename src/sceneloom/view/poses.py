@@ -12,10 +12,10 @@ from sceneloom.geometry.rigid import OUT_OF_REACH, RigidTransform
 from sceneloom.motion.ego_trajectory import find_ego_motion
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
-from sceneloom.scene.ego import EgoMotion, Posed, needs_ego, sensor_source
+from sceneloom.scene.ego import EgoMotion, needs_ego, sensor_source
 from sceneloom.scene.motion import OdometrySensor
 from sceneloom.scene.poses import Poses, PoseSamples, PoseSource
-from sceneloom.scene.scene import Scene, scene_period_ns
+from sceneloom.scene.scene import Posed, Scene, scene_period_ns
 from sceneloom.scene.types import Progress
 from sceneloom.view.stream import fits, sdk
 from sceneloom.warnings import DataWarning, assumed

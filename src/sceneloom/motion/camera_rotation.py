@@ -9,12 +9,7 @@ from numba import boolean, float32, int64, void
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, UInt8Array, finite_rows
 from sceneloom.cameras.projection import unproject
 from sceneloom.errors import DataError
-from sceneloom.geometry.rigid import (
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    quaternion_from_rotation_vector,
-    rotation_vector_from_quaternion,
-)
+from sceneloom.geometry.rigid import matrix_from_rotation_vector, rotation_vector_from_matrix
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F32_2D, inlined
 from sceneloom.motion.clock.signals import Orientations
@@ -77,7 +72,7 @@ def rotation_between(first: Float64Array, second: Float64Array) -> BearingRotati
         root = np.sqrt(weights)[:, None] / scales
         rows = np.vstack([(slopes * root[:, :, None]).reshape(-1, 9), _PRIOR])
         solution = np.linalg.lstsq(rows, np.append(parts * root, np.zeros(2)), rcond=1e-6)[0]
-        rotation = matrix_from_quaternion(quaternion_from_rotation_vector(solution[:3])) @ rotation
+        rotation = matrix_from_rotation_vector(solution[:3]) @ rotation
         ahead = ahead + np.clip(solution[3:5], -0.3, 0.3) @ sideways
         ahead /= np.linalg.norm(ahead)
         amounts = amounts + solution[5:]
@@ -128,7 +123,7 @@ def _rotation_alone(first: Float64Array, second: Float64Array) -> tuple[Float64A
 def _influences(rows: Float64Array, rotation: Float64Array) -> Float64Array:
     """The share of each bearing in the rotation about the axis found, by the least squares' rows (2 N + 2, 9)."""
     # if a single bearing saw a larger rotation, the solution's rotation would grow by its share of that
-    vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotation))
+    vector = rotation_vector_from_matrix(rotation)
     axis = vector / max(float(np.linalg.norm(vector)), 1e-12)
     normal = rows.T @ rows
     lengths = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -310,7 +305,7 @@ def _rotation(
     rotated = rotation_between(rays_before[usable], rays_after[usable])
     if rotated is None:
         return unknown
-    vector = rotation_vector_from_quaternion(quaternion_from_matrix(rotated.rotation.T))
+    vector = rotation_vector_from_matrix(rotated.rotation.T)
     early = _delay(shutter, before[usable], rotated.influences, first_image)
     return vector, early, _delay(shutter, after[usable], rotated.influences, second_image)
 

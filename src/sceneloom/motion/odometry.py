@@ -16,11 +16,10 @@ from sceneloom.arrays import AnyArray, Float64Array, FloatArray, Int64Array
 from sceneloom.errors import ArrayError, DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import (
     RigidTransform,
-    matrix_from_quaternion,
+    matrix_from_rotation_vector,
     multiply_quaternions,
     quaternion_from_matrix,
-    quaternion_from_rotation_vector,
-    rotation_vector_from_quaternion,
+    rotation_vector_from_matrix,
     slerp,
 )
 from sceneloom.kernels.cache import kernel
@@ -94,7 +93,8 @@ class _MotionState:
         """Rotation and position at another time, at constant velocity and angular velocity in the ego frame."""
         dt = (timestamp_ns - self.timestamp_ns) * 1e-9
         bend = 0.5 * dt * dt * np.cross(self.yaw_rate, self.velocity)
-        return _rotation_matrix(self.yaw_rate * dt) @ self.rotation, self.position + dt * self.velocity + bend
+        rotation = matrix_from_rotation_vector(self.yaw_rate * dt) @ self.rotation
+        return rotation, self.position + dt * self.velocity + bend
 
     def predicted(self, timestamp_ns: int, configuration: OdometryConfiguration) -> "_MotionState":
         """The state at a later time; accelerations add to its uncertainty."""
@@ -111,7 +111,7 @@ class _MotionState:
             gains = (value, 0.5 * dt * dt * size), (rate, dt * size)
             for (first, a), (second, b) in product(gains, gains):
                 noise[first, second] = a * b * np.eye(3)
-        velocity = _rotation_matrix(self.yaw_rate * dt) @ self.velocity
+        velocity = matrix_from_rotation_vector(self.yaw_rate * dt) @ self.velocity
         covariance = step @ self.covariance @ step.T + noise
         return _MotionState(timestamp_ns, rotation, position, self.yaw_rate, velocity, covariance)
 
@@ -119,7 +119,7 @@ class _MotionState:
         """The state after small changes, (12,)."""
         return replace(
             self,
-            rotation=_rotation_matrix(step[_ROTATION]) @ self.rotation,
+            rotation=matrix_from_rotation_vector(step[_ROTATION]) @ self.rotation,
             position=self.position + step[_SHIFT],
             yaw_rate=self.yaw_rate + step[_YAW_RATE],
             velocity=self.velocity + step[_VELOCITY],
@@ -127,7 +127,7 @@ class _MotionState:
 
     def minus(self, other: "_MotionState") -> Float64Array:
         """The changes, (12,), that lead from another state to this one."""
-        rotation = _rotation_vector(self.rotation @ other.rotation.T)
+        rotation = rotation_vector_from_matrix(self.rotation @ other.rotation.T)
         position, yaw_rate = self.position - other.position, self.yaw_rate - other.yaw_rate
         return np.concatenate([rotation, position, yaw_rate, self.velocity - other.velocity])
 
@@ -135,16 +135,6 @@ class _MotionState:
         """The state with its pose changed by a motion in the ego frame."""
         position = self.position + self.rotation @ translation
         return replace(self, rotation=self.rotation @ rotation, position=position)
-
-
-def _rotation_matrix(rotation_vector: Float64Array) -> Float64Array:
-    """The (3, 3) rotation about a (3,) vector by its length [rad]."""
-    return matrix_from_quaternion(quaternion_from_rotation_vector(rotation_vector))
-
-
-def _rotation_vector(rotation: Float64Array) -> Float64Array:
-    """The (3,) rotation vector of a (3, 3) rotation."""
-    return rotation_vector_from_quaternion(quaternion_from_matrix(rotation))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -613,7 +603,7 @@ def _motion_covariance(yaw_rate: float, speed: float) -> Float64Array:
 def _moved_between(first: _MotionState, second: _MotionState) -> _MotionState:
     """The first state with the motion that leads to the second's pose; two sweeps skewed alike fit well, so no skew."""
     seconds = (second.timestamp_ns - first.timestamp_ns) * 1e-9
-    yaw_rate = _rotation_vector(second.rotation @ first.rotation.T) / seconds
+    yaw_rate = rotation_vector_from_matrix(second.rotation @ first.rotation.T) / seconds
     chord = (second.position - first.position) / seconds
     velocity = chord - 0.5 * seconds * np.cross(yaw_rate, chord)
     covariance = _motion_covariance(_GUESSED_ROTATION_RATE, _GUESSED_SPEED)

@@ -14,12 +14,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, finite_rows
-from sceneloom.geometry.rigid import (
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    quaternion_from_rotation_vector,
-    rotation_vector_from_quaternion,
-)
+from sceneloom.geometry.rigid import matrix_from_rotation_vector, rotation_vector_from_matrix
 from sceneloom.motion.clock.signals import Fixes, Orientations, RotationCurve, SmoothedTrajectory, TrajectorySamples
 
 REACH_NS = 5_000_000_000
@@ -621,7 +616,7 @@ class _Clocks:
         rotation = best.rotation
         if rotation is not None:
             into_reference = rotation if self.finer_is_stream else rotation.T
-            rotation = rotation_vector_from_quaternion(quaternion_from_matrix(into_reference))
+            rotation = rotation_vector_from_matrix(into_reference)
         return ClockEstimate(
             verdict=verdict,
             reason=reason,
@@ -1015,7 +1010,7 @@ class _RotationModel:
 
     def rotated(self, parameters: Float64Array) -> Float64Array:
         """The rotation (3, 3) from the finer stream's body into the other's."""
-        rotation = matrix_from_quaternion(quaternion_from_rotation_vector(parameters[2:5]))
+        rotation = matrix_from_rotation_vector(parameters[2:5])
         return np.asarray(rotation @ self.coarse_from_fine, np.float64)
 
     def noise_share(self, found: _Fit) -> float:

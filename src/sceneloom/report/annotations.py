@@ -26,7 +26,6 @@ from sceneloom.report.content import (
     line_plot,
     pair_columns,
     percent,
-    several,
     text_column,
 )
 from sceneloom.report.coverage import spread_rows
@@ -35,6 +34,7 @@ from sceneloom.scene.annotations_at import BoxTable
 from sceneloom.scene.samples import Sample
 from sceneloom.scene.scene import Scene, time_span
 from sceneloom.visualization.annotations import draw_annotations_above, draw_annotations_in_image
+from sceneloom.visualization.canvas import several
 
 _MOMENTS = 12  # moments at which boxes are looked at, at most
 _RANGE_EDGES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 75.0, 100.0, 150.0)

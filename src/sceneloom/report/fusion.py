@@ -12,13 +12,14 @@ from sceneloom.fusion.configuration import FusionConfiguration
 from sceneloom.pipeline.alignment import align
 from sceneloom.pipeline.fusing import CameraReport, FusionStatistics
 from sceneloom.pipeline.play import Skips, build_system, play, report_of
-from sceneloom.report.content import NOTHING, Block, Column, Figures, Section, Table, count, several, text_column
+from sceneloom.report.content import NOTHING, Block, Column, Figures, Section, Table, count, text_column
 from sceneloom.report.coverage import spread_rows
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.poses import Poses
 from sceneloom.scene.scene import Scene, Sensor, scene_period_ns, sweep_period_ns
 from sceneloom.scene.types import Identifier
+from sceneloom.visualization.canvas import several
 from sceneloom.visualization.fused_frames import DriveCloud, iter_images
 
 _FRAMES = 6  # images of each camera that are looked at; `sceneloom calibrate --check` takes more

@@ -59,9 +59,9 @@ from sceneloom.visualization.canvas import (
     Canvas,
     Colour,
     PilImage,
-    count_text,
     leave_out,
     seconds_text,
+    several,
     text_height,
 )
 from sceneloom.visualization.clouds import SIZE_PX, EgoPosition, MapLayout, draw_cloud_above
@@ -372,7 +372,7 @@ def draw_annotations_in_image(scene: Scene, sample: Sample, camera_id: Identifie
 
 def _caption(scene: Scene, shown: int, timestamp_ns: int) -> str:
     events = _active_events(scene, timestamp_ns)
-    return count_text(shown, "annotation") + (f"; now: {', '.join(events)}" if events else "")
+    return several(shown, "annotation") + (f"; now: {', '.join(events)}" if events else "")
 
 
 _MARK_PX = 2.2
@@ -493,8 +493,8 @@ def draw_timeline(scene: Scene, *, title: str = "annotations over time", width_p
     for number, row in enumerate(shown):
         _draw_row(canvas, axis, row, round((number + 1) * line), line)
     draw_strip(canvas, height)
-    left = f"; {count_text(len(rows) - len(shown), 'more line')} not drawn" if len(rows) > len(shown) else ""
-    lines = [title, f"{count_text(len(scene.annotations), 'annotation')}{left}"]
+    left = f"; {several(len(rows) - len(shown), 'more line')} not drawn" if len(rows) > len(shown) else ""
+    lines = [title, f"{several(len(scene.annotations), 'annotation')}{left}"]
     draw_caption(canvas, height, width_px, lines)
     return canvas.image
 

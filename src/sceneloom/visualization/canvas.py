@@ -191,7 +191,7 @@ def seconds_text(timestamp_ns: int) -> str:
     return f"{whole}.{part:03d} s"
 
 
-def count_text(count: int, noun: str) -> str:
+def several(count: int, noun: str) -> str:
     """Write a count with its noun, thousands set apart: "1 point", "12,345 points"."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 

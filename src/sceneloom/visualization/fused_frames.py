@@ -18,15 +18,7 @@ from sceneloom.errors import OptionError, OutputError
 from sceneloom.formats.base.output import file_stem, file_stems, replacing
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.poses import Poses
-from sceneloom.visualization.canvas import (
-    Canvas,
-    PilImage,
-    count_text,
-    draw_crosses,
-    draw_discs,
-    leave_out,
-    seconds_text,
-)
+from sceneloom.visualization.canvas import Canvas, PilImage, draw_crosses, draw_discs, leave_out, seconds_text, several
 from sceneloom.visualization.clouds import UNSEEN, draw_cloud_above, draw_cloud_perspective, find_ego
 from sceneloom.visualization.colour_scales import DepthScale, framed, image_canvas
 
@@ -61,7 +53,7 @@ def draw_overlay(view: FusedView, *, scale: DepthScale | None = None, show_hidde
     radius = _disc_radius(view)
     drawn = draw_discs(drawn, view.pixels[view.visible], depths, used.colours(depths), radius)
     hidden = len(view.depths) - len(depths)
-    counts = f"{count_text(len(depths), 'point')}, {hidden:,} more hidden" + (" (crosses)" if show_hidden else "")
+    counts = f"{several(len(depths), 'point')}, {hidden:,} more hidden" + (" (crosses)" if show_hidden else "")
     return framed(image_canvas(drawn), [_title(view), counts], scale=used)
 
 
@@ -81,7 +73,7 @@ def draw_depth_image(view: FusedView, *, scale: DepthScale | None = None) -> Pil
     pixels = np.column_stack([columns, rows]).astype(np.float32)
     drawn = draw_discs(empty, pixels, depths, used.colours(depths), max(1.0, _disc_radius(view)))
     share = 100.0 * len(depths) / view.depth_image.size
-    counts = f"{count_text(len(depths), 'pixel')} with depth, {share:.2g} %"
+    counts = f"{several(len(depths), 'pixel')} with depth, {share:.2g} %"
     return framed(image_canvas(drawn), [_title(view), counts], scale=used)
 
 
@@ -291,7 +283,7 @@ class DriveCloud:
                 middle = trajectory[int(np.searchsorted(done[1:], done[-1] / 2))]
                 reach = float(np.abs(trajectory[:, :2] - middle[:2]).max()) + _MARGIN
         ego = find_ego(pose, trajectory, ())
-        caption = [f"{count_text(len(self._parts), 'sweep')} of the drive together"]
+        caption = [f"{several(len(self._parts), 'sweep')} of the drive together"]
         above, perspective = (
             partial(draw, positions, colors, camera_index=camera_index, ego=ego, ego_path=trajectory, caption=caption)
             for draw in (draw_cloud_above, draw_cloud_perspective)

@@ -17,7 +17,7 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraImage
 from sceneloom.scene.detections import Support, TrackedObjects
 from sceneloom.scene.types import Identifier
-from sceneloom.visualization.canvas import Canvas, Colour, PilImage, count_text, seconds_text
+from sceneloom.visualization.canvas import Canvas, Colour, PilImage, seconds_text, several
 from sceneloom.visualization.clouds import EgoPosition, MapLayout, draw_cloud_above
 from sceneloom.visualization.colour_scales import framed, image_canvas
 from sceneloom.visualization.figures import (
@@ -113,7 +113,7 @@ def draw_objects_in_image(
             names.append((_outline(objects, k, corners_xyxy[k]), corners_xyxy[k, :2]))
     write_names(canvas, names)
     about = f"objects · {camera_id} · {seconds_text(image.timestamp_ns)}"
-    return framed(canvas, [about, f"{count_text(len(names), 'object')} found"])
+    return framed(canvas, [about, f"{several(len(names), 'object')} found"])
 
 
 def draw_objects_above(

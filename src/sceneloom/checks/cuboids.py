@@ -20,7 +20,7 @@ from sceneloom.checks.rule import (
     Subject,
     annotation_parts,
     frames_spread,
-    repaired_annotations,
+    with_each,
 )
 from sceneloom.errors import SceneloomError
 from sceneloom.geometry.euler import ORDERS, AngleUnit, rotation_from_cuboid_angles
@@ -722,7 +722,7 @@ def _positive_sizes(scene: Scene) -> Scene:
         values = np.concatenate([np.abs(cuboid.path.values[:, :3]), cuboid.path.values[:, 3:]], axis=1)
         return replace(cuboid, path=replace(cuboid.path, values=read_only(values)))
 
-    return repaired_annotations(scene, positive)
+    return with_each(scene, "annotations", positive)
 
 
 def _size_changes(subject: Subject) -> Iterator[Hit]:

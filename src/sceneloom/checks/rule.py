@@ -20,6 +20,7 @@ from sceneloom.warnings import DataWarning, Severity
 
 _Table = TypeVar("_Table")
 _Kind = TypeVar("_Kind")
+_Owner = TypeVar("_Owner")
 ERROR, WARNING, HINT = Severity.ERROR, Severity.WARNING, Severity.HINT
 _FRAME = re.compile(r"(.*?sensors\[\d+\])\.(frames|images)\[(\d+)\](.*)", re.DOTALL)
 
@@ -251,12 +252,18 @@ def seconds(nanoseconds: float) -> str:
     return f"{nanoseconds / 1e9:.6f} s"
 
 
-def repaired_annotations(scene: Scene, repair: Callable[[Annotation], Annotation]) -> Scene:
-    """Repair each annotation; `repair` gives back those that need nothing as they are."""
-    annotations = tuple(map(repair, scene.annotations))
-    if all(new is old for new, old in zip(annotations, scene.annotations, strict=True)):
-        return scene
-    return replace(scene, annotations=annotations)
+def with_each(owner: _Owner, name: str, repair: Callable[[Any], Any]) -> _Owner:
+    """Repair each part in a field of a scene or an annotation; `repair` gives back those that need nothing as they are.
+
+    Args:
+        name: of the field, a tuple: "annotations", "sensors", ….
+    """
+    parts = getattr(owner, name)
+    repaired = tuple(map(repair, parts))
+    if all(new is old for new, old in zip(repaired, parts, strict=True)):
+        return owner
+    changed: _Owner = replace(cast("Any", owner), **{name: repaired})
+    return changed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1016,10 +1016,15 @@ def _new_recording(views: Sequence[DriveView]) -> Any:
 def _log_drives(
     views: Sequence[DriveView], recording: Any, *, progress: Progress | None = None
 ) -> tuple[DriveShown, ...]:
-    """Log drives one after another to an open stream."""
-    spans = [time_span(view.scene) for view in views]
-    calendar = all(span is not None and span[0] >= _SINCE_EPOCH_NS for span in spans)
-    return tuple(view.log(recording, calendar=calendar, progress=progress) for view in views)
+    """Log drives one after another to an open stream, and close it."""
+    try:
+        spans = [time_span(view.scene) for view in views]
+        calendar = all(span is not None and span[0] >= _SINCE_EPOCH_NS for span in spans)
+        shown = tuple(view.log(recording, calendar=calendar, progress=progress) for view in views)
+        recording.flush()
+    finally:
+        recording.disconnect()
+    return shown
 
 
 def save_view(
@@ -1055,11 +1060,7 @@ def save_view(
     ):
         recording = _new_recording(views)
         recording.save(draft, default_blueprint=DriveView.layout(views))
-        try:
-            drives = _log_drives(views, recording, progress=progress)
-            recording.flush()
-        finally:
-            recording.disconnect()
+        drives = _log_drives(views, recording, progress=progress)
     return ViewReport(
         output=str(target), size_bytes=target.stat().st_size, drives=drives, seconds=time.perf_counter() - started
     )
@@ -1271,11 +1272,7 @@ def show_view(
             ready(viewer)
         recording = _new_recording(views)
         recording.connect_grpc(viewer.sink, default_blueprint=DriveView.layout(views))
-        try:
-            drives = _log_drives(views, recording, progress=progress)
-            recording.flush()
-        finally:
-            recording.disconnect()
+        drives = _log_drives(views, recording, progress=progress)
         report = ViewReport(output=None, size_bytes=0, drives=drives, seconds=time.perf_counter() - started)
         _wait(viewer)
     return report

@@ -16,7 +16,7 @@ from sceneloom.scene.clouds import LidarFrame, LidarSensor
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.samples import choose_ego
 from sceneloom.scene.scene import Scene, scene_period_ns
-from sceneloom.scene.types import Identifier, PointsFrame, Progress, key_of
+from sceneloom.scene.types import Identifier, PointsFrame, Progress, key_of, reporting
 
 _SPACING, _COARSE, _NEIGHBOURS = 0.4, 1.0, 15
 """Clouds are thinned to one point per cell of this size [m], for the fit and for the search over headings."""
@@ -90,11 +90,10 @@ def lidar_to_lidar(
     start = start or _ground_start(*pairs[len(pairs) // 2])
     if start is None:
         raise PoseError(f"{scene.source}: no ground in both clouds; expected one, or stated extrinsics to begin with")
-    fits = []
-    for done, (target, source) in enumerate(pairs, start=1):
-        fits.append(_fit_cloud(_PreparedCloud(target), _PreparedCloud(source), start.matrix, _REACHES))
-        if progress is not None:
-            progress(done, len(pairs))
+    fits = [
+        _fit_cloud(_PreparedCloud(target), _PreparedCloud(source), start.matrix, _REACHES)
+        for target, source in reporting(pairs, progress, len(pairs))
+    ]
     overlap = float(np.median([fit.overlap for fit in fits]))
     if overlap < _LEAST_OVERLAP:
         raise PoseError(

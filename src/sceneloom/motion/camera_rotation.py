@@ -14,7 +14,7 @@ from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F32_2D, inlined
 from sceneloom.motion.clock.signals import Orientations
 from sceneloom.scene.cameras import CameraImage, CameraSensor, Shutter
-from sceneloom.scene.types import Progress
+from sceneloom.scene.types import Progress, reporting
 
 _LEAST_BEARINGS = 16  # fewer bearings do not determine a rotation
 _ROUNDS = 12
@@ -268,7 +268,7 @@ def camera_rotation(camera: CameraSensor, *, progress: Progress | None = None) -
     vectors = np.full((max(len(rows) - 1, 0), 3), np.nan)
     delays = np.zeros(len(rows))
     before: tuple[CameraImage, Pyramid] | None = None
-    for number, row in enumerate(rows.tolist()):
+    for number, row in enumerate(reporting(rows.tolist(), progress, len(rows))):
         seen = None
         try:
             image = camera.images[row]
@@ -280,8 +280,6 @@ def camera_rotation(camera: CameraSensor, *, progress: Progress | None = None) -
             delays[number - 1] = early if number == 1 else 0.5 * (delays[number - 1] + early)
             delays[number] = late
         before = seen
-        if progress is not None:
-            progress(number + 1, len(rows))
     timestamps = times[rows] + np.rint(delays * 1e9).astype(np.int64)
     return Orientations.of_steps(np.maximum.accumulate(timestamps), vectors)
 

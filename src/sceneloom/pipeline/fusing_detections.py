@@ -50,7 +50,7 @@ from sceneloom.pipeline.detection_lists import DetectionInput
 from sceneloom.scene.detections import Boxes2D, Boxes3D
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import usual_period_ns
-from sceneloom.scene.types import Identifier, Progress
+from sceneloom.scene.types import Identifier, Progress, reporting
 from sceneloom.tracking.tracker import Observation, View
 from sceneloom.warnings import DataWarning
 
@@ -367,7 +367,7 @@ def _fuse_sequences(
         raise OptionError(f"format {form!r}; expected 'jsonl' or 'kitti'")
     names, reports = tracking.chosen(sequences), list[_FusedDriveReport]()
     with filling(output, overwrite=overwrite) as folder:
-        for k, name in enumerate(names):
+        for name in reporting(names, progress, len(names)):
             sequence = tracking.sequence(name)
             drive = kitti_drive(sequence)
             if form == "kitti":
@@ -377,8 +377,6 @@ def _fuse_sequences(
             else:
                 draft = folder / f"{name}.jsonl"
                 reports.append(_fuse_into(drive, draft, _side_file(draft), output / draft.name, fuse))
-            if progress is not None:
-                progress(k + 1, len(names))
     return reports
 
 

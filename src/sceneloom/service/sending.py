@@ -38,7 +38,7 @@ from sceneloom.scene.ego import EgoMotion, points_source, sensor_source
 from sceneloom.scene.point_times import RawTimes, timed_frame
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns, time_span, usual_period_ns
-from sceneloom.scene.types import Identifier, PointsFrame, Progress
+from sceneloom.scene.types import Identifier, PointsFrame, Progress, reporting
 from sceneloom.service.session_log import read_log
 from sceneloom.warnings import DataWarning, assumed, skipped
 
@@ -547,7 +547,7 @@ def _send_frames(
     total += sum(len(camera.images) for camera in rig.scene.cameras)
     maker = _Maker(rig)
     frames = (frame for frame in in_time_order(rig.scene) if frame[1] in rig.numbers)
-    for done, (timestamp_ns, sensor_id, read) in enumerate(frames, start=1):
+    for timestamp_ns, sensor_id, read in reporting(frames, progress, total):
         motion = maker.motion_until(timestamp_ns)
         statistics.pace.until(timestamp_ns)
         try:
@@ -561,8 +561,6 @@ def _send_frames(
             statistics.send_motion(motion)
         for record in records:
             statistics.send(record)
-        if progress is not None:
-            progress(done, total)
 
 
 def _configure(receiver: Receiver, rig: _SentRig) -> None:

@@ -40,7 +40,7 @@ from sceneloom.scene.motion import GnssSensor, ImuSensor, PlainSensor, VectorSam
 from sceneloom.scene.poses import Poses, PoseSource
 from sceneloom.scene.scene import Scene, scene_period_ns, sweep_period_ns, time_span
 from sceneloom.scene.time_range import cut_scene
-from sceneloom.scene.types import Identifier, Key, PointsFrame, Progress, key_of
+from sceneloom.scene.types import Identifier, Key, PointsFrame, Progress, key_of, reporting
 from sceneloom.view.annotations import ATTRIBUTES, EVENTS, LIST, RELATIONS, AnnotationView
 from sceneloom.view.images import DEPTH, IMAGE, camera_feed, fused_depth_feed, with_straight_camera_models
 from sceneloom.view.objects import detection_feeds, track_feed
@@ -742,7 +742,6 @@ class DriveView:
         run = _Run(self, stream, AnnotationView.of(stream, self.locations, scene, reported))
         run.log_maps()
         feeds = run.feeds()
-        total = sum(map(len, feeds))
         lenient = bool(self.settings.reading.get("lenient"))
 
         def passed_over(error: Exception) -> bool:
@@ -752,9 +751,8 @@ class DriveView:
             reported("unreadable", error.location or error.file, error.problem)
             return True
 
-        for done, _ in enumerate(_play(feeds, passed_over), start=1):
-            if progress is not None:
-                progress(done, total)
+        for _ in reporting(_play(feeds, passed_over), progress, sum(map(len, feeds))):
+            pass
         run.annotations.finish()
         _log_notes(stream, span_ns[0], (*reported.warnings, *stream.warnings), ())
         return run.shown(span_ns, findings)

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array, spread_rows
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
@@ -258,7 +258,7 @@ def calibration_frames(
         reference=camera.id, cameras=camera.id, depth_cameras=(), lidars=lidar.id, trajectory=drive.ego
     )
     found = []
-    for row in spread_rows(len(camera.images), most):
+    for row in spread_rows(len(camera.images), most).tolist():
         sample = samples[row]
         image, sweep = sample.images[camera.id], sample.sweeps[lidar.id]
         if image is not None and sweep is not None:
@@ -271,12 +271,6 @@ def calibration_frames(
             "expected one at least",
         )
     return tuple(found)
-
-
-def spread_rows(count: int, most: int) -> list[int]:
-    """At most so many numbers of images or sweeps, evenly spread."""
-    rows: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
-    return rows
 
 
 def chosen_camera(scene: Scene, camera_id: Identifier | None) -> CameraSensor:

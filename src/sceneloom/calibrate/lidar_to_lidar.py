@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import small_gicp
 
-from sceneloom.arrays import Float64Array
+from sceneloom.arrays import Float64Array, spread_rows
 from sceneloom.calibrate.extrinsics import MountingEstimate, ground_plane
-from sceneloom.calibrate.frames import MOST, spread_rows
+from sceneloom.calibrate.frames import MOST
 from sceneloom.errors import OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform, quaternion_from_rotation_vector, rotation_vector_from_quaternion
 from sceneloom.motion.deskew import BodyKnots
@@ -126,7 +126,7 @@ def _clouds(
     """Clouds of both lidars at one time, each in its own frame then."""
     ego = choose_ego(scene, None) if scene.trajectories else None
     reach_ns, times = scene_period_ns(scene), second.frames.timestamps_ns
-    for k in spread_rows(len(first.frames), most) if len(times) else ():
+    for k in spread_rows(len(first.frames), most).tolist() if len(times) else ():
         sweep = first.frames[k]
         other = int(np.argmin(np.abs(times - sweep.timestamp_ns)))
         if abs(int(times[other]) - sweep.timestamp_ns) > reach_ns:

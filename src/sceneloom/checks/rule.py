@@ -8,7 +8,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, spread_rows
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.recording.contents import RecordingContents
 from sceneloom.scene.annotations import Annotation, Box2DAnnotation, CuboidAnnotation, PointsAnnotation, ShapeAnnotation
@@ -239,7 +239,7 @@ def period_ns(timestamps_ns: Int64Array) -> float:
 
 def frames_spread(count: int, wanted: int) -> frozenset[int]:
     """Numbers of frames, evenly spread over all of a sensor's."""
-    return frozenset(np.linspace(0, count - 1, wanted).astype(int).tolist())
+    return frozenset(spread_rows(count, wanted, nearest=False).tolist())
 
 
 def frames_path(sensor_path: str, sensor: Sensor) -> str:

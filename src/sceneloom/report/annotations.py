@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, spread_rows
 from sceneloom.colouring.cuboid_projection import count_points, observe_cuboids
 from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.report.content import (
@@ -28,7 +28,6 @@ from sceneloom.report.content import (
     percent,
     text_column,
 )
-from sceneloom.report.coverage import spread_rows
 from sceneloom.scene.annotations import CuboidAnnotation
 from sceneloom.scene.annotations_at import BoxTable
 from sceneloom.scene.samples import Sample

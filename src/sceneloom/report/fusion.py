@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import msgspec
 import numpy as np
 
+from sceneloom.arrays import spread_rows
 from sceneloom.calibrate.health import Item, Verdict, check_calibration
 from sceneloom.colouring.results import FusedFrame, FusedView
 from sceneloom.errors import SceneloomError
@@ -13,7 +14,6 @@ from sceneloom.pipeline.alignment import align
 from sceneloom.pipeline.fusing import CameraReport, FusionStatistics
 from sceneloom.pipeline.play import Skips, build_system, play, report_of
 from sceneloom.report.content import NOTHING, Block, Column, Figures, Section, Table, count, text_column
-from sceneloom.report.coverage import spread_rows
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.poses import Poses

@@ -16,7 +16,7 @@ from typing import Any, Protocol, Self
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, spread_rows
 from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.fitting import fit
 from sceneloom.db34t.protobuf import from_protobuf, path_of, property_of, value_from_protobuf
@@ -222,7 +222,7 @@ class _Locations:
         if of_points is None:
             return
         times = camera.images.timestamps_ns
-        times = times[np.unique(np.linspace(0, len(times) - 1, _LOOKED_AT).astype(np.int64))]
+        times = times[spread_rows(len(times), _LOOKED_AT, nearest=False)]
         cameras, points = of_camera.at(times), of_points.at(times)
         for k in np.flatnonzero((cameras.coverage < 2) & (points.coverage < 2)):
             world_from_camera = RigidTransform.from_quaternion(cameras.positions[k], cameras.quaternions_xyzw[k])

@@ -24,7 +24,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, FloatArray, Int64Array, UInt8Array
+from sceneloom.arrays import Float32Array, Float64Array, FloatArray, Int64Array, UInt8Array, spread_rows
 from sceneloom.errors import DataError, MissingExtraError, OptionError, OutputError, PoseError, how_to_install
 from sceneloom.formats.base.output import check_output, replacing
 from sceneloom.formats.base.registry import SharedOptions, open_scene
@@ -345,7 +345,7 @@ def _show_ego(stream: Stream, locations: Locations) -> None:
         stream.static(stream.path(WORLD, _TRAJECTORIES, name), _strips(line, colour_of_name(name), name))
     if path is None:
         return
-    rows = _spread_rows(len(path.timestamps_ns), _MOST_POSES)
+    rows = spread_rows(len(path.timestamps_ns), _MOST_POSES, nearest=False)
     samples = path.moved(locations.origin_world).held(path.timestamps_ns[rows])
     held = fits(samples.positions)
     stream.leave_out("ego poses", np.count_nonzero(~held))
@@ -374,11 +374,7 @@ def _strips(line: Float64Array, colour: Colour, name: str) -> object:
 
 def _line(positions: Float64Array) -> Float64Array:
     finite = positions[fits(positions)]
-    return np.asarray(finite[_spread_rows(len(finite), _MOST_POSES)], np.float64)
-
-
-def _spread_rows(count: int, most: int) -> np.ndarray:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+    return np.asarray(finite[spread_rows(len(finite), _MOST_POSES, nearest=False)], np.float64)
 
 
 def _show_imu(stream: Stream, sensor: ImuSensor) -> None:
@@ -477,7 +473,7 @@ def _plan_line(stream: Stream, names: tuple[str | int, ...], enu: Float64Array, 
 def _plan_marks(
     stream: Stream, names: tuple[str | int, ...], times_ns: np.ndarray, enu: Float64Array, colour: Colour
 ) -> None:
-    rows = _spread_rows(len(enu), _MOST_POSES)
+    rows = spread_rows(len(enu), _MOST_POSES, nearest=False)
     marks = sdk().Points2D.columns(
         positions=_on_plan(enu[rows]),
         colors=np.full(len(rows), one_packed(colour), np.uint32),

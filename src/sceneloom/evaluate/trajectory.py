@@ -14,6 +14,7 @@ from msgspec import structs
 from sceneloom.arrays import Float64Array, FloatArray, Int64Array
 from sceneloom.errors import ArrayError, OptionError, PoseError
 from sceneloom.evaluate.plot import check_plot, save_plot
+from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.trajectories.table import read_trajectory_file
 from sceneloom.formats.trajectories.text_formats import of_fixes
 from sceneloom.formats.trajectories.trajectory_file import FARTHEST, TrajectoryFile
@@ -485,24 +486,18 @@ def _nearest(timestamps_ns: Int64Array, query_ns: Int64Array) -> Int64Array:
 def _without_pairs(estimate: Trajectory, reference: Trajectory, away_ns: int, tolerance_ns: int) -> str:
     (a, b), (c, d) = ([int(one.timestamps_ns[row]) for row in (0, -1)] for one in (estimate, reference))
     spans = (
-        f"no pose of {estimate.name!r} ({_text(a)} to {_text(b)} s) has a partner in {reference.name!r} "
-        f"({_text(c)} to {_text(d)} s)"
+        f"no pose of {estimate.name!r} ({seconds_text(a)} to {seconds_text(b)} s) has a partner in {reference.name!r} "
+        f"({seconds_text(c)} to {seconds_text(d)} s)"
     )
     if b < c or d < a:
         return (
             f"{spans}: they do not overlap in time; if both clocks started with the drive, add "
-            f"{_text(c - a)} s to the estimate's times (`--offset {_text(c - a)}`)"
+            f"{seconds_text(c - a)} s to the estimate's times (`--offset {seconds_text(c - a)}`)"
         )
     return (
         f"{spans} within {tolerance_ns / 1e9:g} s; the nearest one is {away_ns / 1e9:.6g} s away: "
         "allow more (`--tolerance`)"
     )
-
-
-def _text(timestamp_ns: int) -> str:
-    whole, rest = divmod(abs(timestamp_ns), 1_000_000_000)
-    decimals = f"{rest:09d}".rstrip("0") or "0"
-    return f"{'-' if timestamp_ns < 0 else ''}{whole}.{decimals}"
 
 
 def covered_share(estimate_ns: Int64Array, reference_ns: Int64Array) -> float:

@@ -9,7 +9,7 @@ from numba import boolean, float32, int64, void
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, UInt8Array, finite_rows
 from sceneloom.cameras.projection import unproject
 from sceneloom.errors import DataError
-from sceneloom.geometry.rigid import matrix_from_rotation_vector, rotation_vector_from_matrix
+from sceneloom.geometry.rigid import matrix_from_rotation_vector, nearest_rotation, rotation_vector_from_matrix
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F32_2D, inlined
 from sceneloom.motion.clock.signals import Orientations
@@ -112,8 +112,7 @@ def _rotation_alone(first: Float64Array, second: Float64Array) -> tuple[Float64A
     weights = np.ones(len(first))
     rotation = np.eye(3)
     for _ in range(_ROUNDS):
-        u, _, vt = np.linalg.svd(np.einsum("n,ni,nj->ij", weights, second, first))
-        rotation = (u * np.array([1.0, 1.0, np.linalg.det(u @ vt)])) @ vt
+        rotation, _ = nearest_rotation(np.einsum("n,ni,nj->ij", weights, second, first))
         distances = np.linalg.norm(second - first @ rotation.T, axis=1)
         scale = max(1.4826 * float(np.median(distances)), _FINEST)
         weights = (1.0 + (distances / (2.0 * scale)) ** 2) ** -2

@@ -18,6 +18,7 @@ from sceneloom.geometry.rigid import (
     cross_matrix,
     matrix_from_quaternion,
     matrix_from_rotation_vector,
+    nearest_rotation,
     quaternion_from_matrix,
     rotation_vector_from_matrix,
 )
@@ -1109,8 +1110,7 @@ def _levelled(chain: Chain, states: States, rotations: Float64Array) -> Float64A
     of_fixes = (np.diff(states.velocities, axis=0) + seconds[:, None] * [0.0, 0.0, chain.gravity])[measured]
     span = np.floor(np.cumsum(seconds[measured]) / _SPAN).astype(np.int64)
     sums = [np.stack([np.bincount(span, column) for column in one.T], axis=1) for one in (of_imu, of_fixes)]
-    u, _, vt = np.linalg.svd(sums[1].T @ sums[0])
-    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, np.float64)
+    return nearest_rotation(sums[1].T @ sums[0])[0]
 
 
 def _about_up(angle: float) -> Float64Array:

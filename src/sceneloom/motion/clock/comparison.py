@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, finite_rows
-from sceneloom.geometry.rigid import matrix_from_rotation_vector, rotation_vector_from_matrix
+from sceneloom.geometry.rigid import matrix_from_rotation_vector, nearest_rotation, rotation_vector_from_matrix
 from sceneloom.motion.clock.signals import Fixes, Orientations, RotationCurve, SmoothedTrajectory, TrajectorySamples
 
 REACH_NS = 5_000_000_000
@@ -693,8 +693,7 @@ def _correlation_peaks(
     for k in tops[np.argsort(-scores[tops])][:_MOST_PEAKS].tolist():
         others = scores[np.abs(np.arange(len(scores)) - k) > 2 * lobe]
         heights = np.arctanh(np.clip([scores[k], others.max(initial=0.0)], 0.0, 1 - 1e-9))
-        u, _, vt = np.linalg.svd(products[k] + 0.02 * expected)
-        rotation = (u * np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])) @ vt
+        rotation, _ = nearest_rotation(products[k] + 0.02 * expected)
         lag = k + _vertex(scores, k) - reach + centre
         peaks.append(_Peak(lag, float(min(scores[k], 1.0)), float((heights[0] - heights[1]) / sigma), rotation))
     return peaks

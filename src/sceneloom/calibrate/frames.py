@@ -409,12 +409,7 @@ class _Drive:
 
 def _pose(source: PoseSource, time_ns: int) -> RigidTransform | None:
     """`world_from_sensor` at a time [ns]; None where the poses do not reach."""
-    if not -(2**63) <= time_ns < 2**63:
-        return None
-    found = source.at(np.array([time_ns], np.int64))
-    if not np.isfinite(found.positions).all():
-        return None
-    return RigidTransform.from_quaternion(found.positions[0], found.quaternions_xyzw[0])
+    return source.pose_at(time_ns) if -(2**63) <= time_ns < 2**63 else None
 
 
 def _twist(source: PoseSource, time_ns: int) -> Float64Array | None:

@@ -153,10 +153,9 @@ def _at_one_time(
     if path is None or lidar.mount is None or times is None or len(times) == 0:
         return points
     source = PoseSource(path, lidar.mount, reach_ns)
-    at = source.at(np.array([time_ns], np.int64))
-    if not np.isfinite(at.positions).all():
+    here = source.pose_at(time_ns)
+    if here is None:
         return points
-    here = RigidTransform.from_quaternion(at.positions[0], at.quaternions_xyzw[0])
     try:
         knots = BodyKnots.of(source, int(times.min()), int(times.max()))
     except PoseError:

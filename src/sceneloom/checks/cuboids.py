@@ -124,12 +124,7 @@ class _Locations:
 
 def _transform_at(source: PoseSource | None, timestamp_ns: int) -> RigidTransform | None:
     """The transform at one time; None without a source, beyond its reach, and where its poses are not finite."""
-    if source is None:
-        return None
-    poses = source.at(np.array([timestamp_ns], np.int64))
-    if poses.coverage[0] == 2 or not np.isfinite(poses.positions).all():
-        return None
-    return RigidTransform.from_quaternion(poses.positions[0], poses.quaternions_xyzw[0])
+    return None if source is None else source.pose_at(timestamp_ns)
 
 
 def _points_in_world(subject: Subject, lidar: LidarSensor, sweep: LidarFrame, most: int) -> Float64Array | None:

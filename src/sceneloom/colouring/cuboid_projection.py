@@ -872,15 +872,15 @@ class _Look:
         """Add the observations of image `k`, if its pose is known, to a view."""
         image, time_ns = camera.images[k], int(camera.images.timestamps_ns[k])
         location = source.mounted(image.mount)
-        pose = location.at(np.array([time_ns], np.int64))
+        world_from_camera = location.pose_at(time_ns)
         # the sensor by whose activations cuboids are there
         sensor_id = None if self.anew else camera.id
         rows, boxes = self.table.find(time_ns, sensor_id=sensor_id)
-        if not np.isfinite(pose.positions).all():
+        if world_from_camera is None:
             return
         observations = observe_cuboids(
             image.camera,
-            RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]),
+            world_from_camera,
             boxes,
             hides=np.array([label not in self.see_through for label in boxes.labels], np.bool_),
             min_pixels=self.min_pixels,

@@ -67,10 +67,9 @@ class SweepPoints:
         positions = self.lidar.frames[row].points.positions
         if self.lidar.points_frame is PointsFrame.SENSOR:
             return np.ascontiguousarray(positions)
-        pose = self.source.at(np.array([time_ns], np.int64))
-        if not np.isfinite(pose.positions).all():
+        world_from_lidar = self.source.pose_at(time_ns)
+        if world_from_lidar is None:
             raise PoseError(f"it is not known where lidar {self.lidar.id!r} was at {time_ns} ns")
-        world_from_lidar = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0])
         return world_from_lidar.inverse().apply(positions).astype(np.float32)
 
 

@@ -295,10 +295,10 @@ class _Maker:
         source = self.rig.sources[lidar_id]
         if not self._boxes.annotations or source is None:
             return None
-        pose = source.at(np.array([time_ns], np.int64))
-        if pose.coverage[0] == 2:
+        world_from_points = source.pose_at(time_ns)
+        if world_from_points is None:
             return None
-        points_from_world = RigidTransform.from_quaternion(pose.positions[0], pose.quaternions_xyzw[0]).inverse()
+        points_from_world = world_from_points.inverse()
         rows, found = self._boxes.find(time_ns, sensor_id=lidar_id)
         headings = points_from_world.rotate(found.rotations_world[:, :, 0])
         return Boxes3D(

@@ -13,7 +13,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array
 from sceneloom.editing.move_world import FrameChange, annotations_to_world, moved_world, with_odometry
 from sceneloom.editing.references import ours_of
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import find_ego_motion, is_computed, with_trajectory_estimated
 from sceneloom.scene.annotations import LocalizationAdjustment, PlainAnnotation
@@ -23,6 +23,7 @@ from sceneloom.scene.ego import EgoMotion, camera_path, must_be_placed, needs_eg
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import PlainSensor
 from sceneloom.scene.poses import PoseSource
+from sceneloom.scene.samples import choose_ego
 from sceneloom.scene.scene import Posed, Scene, Sensor, check_camera_models, frame_times, scene_period_ns
 from sceneloom.scene.time_range import chosen_interval, cut_scene
 from sceneloom.scene.types import Coordinates, Identifier, PointsFrame, Progress
@@ -124,11 +125,7 @@ def align(
     scene = annotations_to_world(scene, trajectory=trajectory, heading=heading)
     part = cut_scene(scene, start=start, stop=stop)
     if not needs_ego(scene):
-        if trajectory is not None:
-            raise OptionError(
-                f"{scene.source}: its points and sensors are placed in the world already; a trajectory cannot be chosen"
-            )
-        return Aligned(part, None, np.zeros(3))
+        return Aligned(part, choose_ego(scene, trajectory), np.zeros(3))  # none, and a named one is refused
     if is_computed(scene, trajectory):
         with stage("finding the trajectory"):
             ego = find_ego_motion(part, name=trajectory, heading=heading, lenient=lenient, progress=progress)

@@ -12,7 +12,7 @@ import numpy as np
 
 from sceneloom.checks.faults import FAULT_CODES, FAULT_RULES, RECORDING_FAULT_RULES, UNREADABLE
 from sceneloom.checks.rule import ALL_PROFILES, FrameInHand, Hit, Rule, Subject
-from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError, redacted
+from sceneloom.errors import CalibrationError, DataError, OptionError, PoseError, SceneloomError, check_choice, redacted
 from sceneloom.formats.base.diagnostics import PlacedFault
 from sceneloom.formats.base.losses import Loss
 from sceneloom.formats.base.registry import (
@@ -172,8 +172,7 @@ def chosen_rules(profile: str, *, only: Iterable[str] = (), ignored: Iterable[st
     Raises:
         OptionError: there is no such profile, or no such rule.
     """
-    if profile not in ALL_PROFILES:
-        raise OptionError(f"profile {profile!r}; expected one of {', '.join(ALL_PROFILES)}")
+    check_choice("profile", profile, ALL_PROFILES)
     rules, only, ignored = all_rules(), frozenset(only), frozenset(ignored)
     known_ids = {rule.id for rule in rules}
     for identifier in sorted((only | ignored) - known_ids):

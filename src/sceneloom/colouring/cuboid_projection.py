@@ -22,7 +22,7 @@ from sceneloom.arrays import (
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project, project_unbounded, unproject
 from sceneloom.colouring.rolling_shutter import ShutterDirection, pixels_by_lines, project_by_lines
-from sceneloom.errors import OptionError, PoseError
+from sceneloom.errors import OptionError, PoseError, check_choice
 from sceneloom.geometry.boxes import EDGES, box_corners
 from sceneloom.geometry.rigid import RigidTransform, conjugate_quaternion, multiply_quaternions, rotate_vectors
 from sceneloom.kernels.boxes import find_points_in_boxes
@@ -1170,8 +1170,7 @@ def count_points(
         PoseError: the pose of a lidar's points in the world is unknown.
         DataError: a frame cannot be read.
     """
-    if moment not in tuple(Moment):
-        raise OptionError(f"moment {str(moment)!r}; expected one of {', '.join(Moment)}")
+    check_choice("moment", moment, Moment)
     if not 0.0 <= margin < _FARTHEST_BOX:
         raise OptionError(f"margin {margin} m; expected a number from 0 on")
     scene = scene.corrected()

@@ -13,7 +13,7 @@ import numpy as np
 from sceneloom.editing.move_world import FrameChange, moved_world
 from sceneloom.editing.references import LINES, WHOLE_LABELS, with_ours, with_warnings, without, without_fields
 from sceneloom.editing.retime import clock_from_zero
-from sceneloom.errors import OptionError
+from sceneloom.errors import check_choice
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import usable_positions
@@ -51,10 +51,8 @@ def anonymised_scene(scene: Scene, *, fixes: str = "drop", dates: str = "keep") 
         OptionError: there is no such choice.
         DataError: a frame with labelled points cannot be read.
     """
-    if dates not in DATES:
-        raise OptionError(f"dates {dates!r}; expected one of {', '.join(DATES)}")
-    if fixes not in _FIXES:
-        raise OptionError(f"fixes {fixes!r}; expected one of {', '.join(_FIXES)}")
+    check_choice("dates", dates, DATES)
+    check_choice("fixes", fixes, _FIXES)
     moved = _with_positions_from_start(scene, fixes)
     kinds = {"location", "name", "file"}
     if dates == "shift":

@@ -28,7 +28,7 @@ from sceneloom.editing.references import (
     with_warnings,
 )
 from sceneloom.editing.thin import OnPoints, with_map_points, with_points
-from sceneloom.errors import OptionError
+from sceneloom.errors import OptionError, check_choice
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import ego_motion_as_given
 from sceneloom.scene.annotations import (
@@ -96,8 +96,7 @@ def crop_scene(
         PoseError: the poses that this needs are not known.
         DataError: a frame that this needs cannot be read.
     """
-    if frame not in tuple(PointsFrame):
-        raise OptionError(f"frame {frame!r}; expected one of {', '.join(PointsFrame)}")
+    check_choice("frame", frame, PointsFrame)
     gone = tuple(without)
     if not gone and all(stated is None for stated in (start, stop, box, reach, sensors, labels)):
         raise OptionError(f"nothing to crop by; expected one of {', '.join(_CHOICES)}")

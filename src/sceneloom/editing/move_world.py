@@ -11,7 +11,7 @@ import numpy as np
 
 from sceneloom.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Int64Array, finite_rows
 from sceneloom.editing.references import ours_of, with_ours, with_warnings
-from sceneloom.errors import ArrayError, OptionError, PoseError
+from sceneloom.errors import ArrayError, OptionError, PoseError, check_choice
 from sceneloom.geometry.rigid import (
     RigidTransform,
     conjugate_quaternion,
@@ -326,8 +326,7 @@ def to_sensor(
 def _stated_annotations_frame(scene: Scene, stated: Coordinates | str | None) -> Coordinates:
     if stated is None:
         return annotations_frame(scene)
-    if stated not in tuple(Coordinates):
-        raise OptionError(f"annotations in {stated!r}; expected one of {', '.join(Coordinates)}")
+    check_choice("annotations in", stated, Coordinates)
     return Coordinates(stated)
 
 

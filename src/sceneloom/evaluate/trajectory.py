@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import structs
 
 from sceneloom.arrays import Float64Array, FloatArray, Int64Array
-from sceneloom.errors import ArrayError, OptionError, PoseError
+from sceneloom.errors import ArrayError, OptionError, PoseError, check_choice
 from sceneloom.evaluate.plot import check_plot, save_plot
 from sceneloom.formats.base.text_tables import seconds_text
 from sceneloom.formats.trajectories.table import read_trajectory_file
@@ -452,8 +452,7 @@ def associate_poses(
         OptionError: `how` or the tolerance is wrong.
         PoseError: no pose has a partner.
     """
-    if how not in _TOLERANCES_NS:
-        raise OptionError(f"association {how!r}; expected one of {', '.join(_TOLERANCES_NS)}")
+    check_choice("association", how, _TOLERANCES_NS)
     tolerance_ns = _TOLERANCES_NS[how] if tolerance_ns is None else tolerance_ns
     if tolerance_ns < 0:
         raise OptionError(f"tolerance {tolerance_ns / 1e9:g} s; expected 0 or more")

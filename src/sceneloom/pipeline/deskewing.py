@@ -13,7 +13,7 @@ import numpy as np
 
 from sceneloom.arrays import Float32Array, Int64Array, spread_rows
 from sceneloom.editing.references import ours_of, with_ours
-from sceneloom.errors import DataError, OptionError, PoseError
+from sceneloom.errors import DataError, OptionError, PoseError, check_choice
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.registry import check_scene_output, write_scene
 from sceneloom.motion.deskew import BodyKnots, PointTimesStatistics
@@ -319,8 +319,7 @@ def _plan_deskew(
     progress: Progress | None = None,
 ) -> _DeskewPlan:
     """Choose lidars, part and trajectory; the arguments are those of `deskew`."""
-    if at not in _MOMENTS:
-        raise OptionError(f"at {at!r}; expected one of {', '.join(_MOMENTS)}")
+    check_choice("at", at, _MOMENTS)
     scene = scene.corrected()
     _chosen_lidars(scene, lidar)
     part = cut_scene(scene, start=start, stop=stop)

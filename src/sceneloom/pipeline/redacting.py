@@ -20,7 +20,7 @@ import numpy as np
 
 from sceneloom.arrays import Float64Array, Int64Array, UInt8Array
 from sceneloom.editing.references import with_warnings, without, without_fields
-from sceneloom.errors import DataError, OptionError
+from sceneloom.errors import DataError, OptionError, check_choice
 from sceneloom.formats.base.files import open_file, read_bytes
 from sceneloom.formats.base.images import PNG_START, encode_png
 from sceneloom.formats.base.losses import Loss, LossReport, Support
@@ -258,9 +258,8 @@ def filled(image: UInt8Array, boxes: Int64Array, *, fill: str = "blur") -> UInt8
     Raises:
         OptionError: there is no such fill.
     """
-    paint = _FILLS.get(fill)
-    if paint is None:
-        raise OptionError(f"fill {fill!r}; expected one of {', '.join(_FILLS)}")
+    check_choice("fill", fill, _FILLS)
+    paint = _FILLS[fill]
     hidden = np.array(image, np.uint8)
     for left, top, right, bottom in boxes.tolist():
         region = hidden[top:bottom, left:right]
@@ -342,8 +341,7 @@ def hide_in_images(
     Raises:
         OptionError: there is no such fill, or nothing is hidden anywhere.
     """
-    if fill not in _FILLS:
-        raise OptionError(f"fill {fill!r}; expected one of {', '.join(_FILLS)}")
+    check_choice("fill", fill, _FILLS)
     regions = _regions_of(scene, hidings, margin=margin)
     if not any(one.pixels for one in regions.values()):
         given = sum(hiding.given for hiding in hidings)

@@ -22,7 +22,7 @@ from sceneloom.colouring.cuboid_projection import FINE, box_extents
 from sceneloom.detections.projection import fuse_by_projection
 from sceneloom.detections.results import DetectionAlgorithm, DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
-from sceneloom.errors import OptionError
+from sceneloom.errors import OptionError, check_choice
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import check_output, file_stem, filling, replacing
 from sceneloom.formats.base.registry import write_scene
@@ -106,8 +106,7 @@ class TrackOutputs:
             raise OptionError(
                 f"{output}: suffix {output.suffix!r} belongs to no form of tracks; expected one of: {known}"
             )
-        if form not in _FORMS:
-            raise OptionError(f"format {form!r}; expected one of {', '.join(_FORMS)}")
+        check_choice("format", form, _FORMS)
         if self.scene_options and form != "sfs":
             flags = " and ".join(f"--{name.replace('_', '-')}" for name in self.scene_options)
             raise OptionError(f"{flags}: only of scenes, but {form!r} is written; it needs --format sfs")

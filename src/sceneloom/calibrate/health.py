@@ -65,7 +65,7 @@ from sceneloom.calibrate.refinement import (
 )
 from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project_unbounded, unproject
-from sceneloom.detections.residuals import BoxFrame, BoxRotation
+from sceneloom.detections.results import BoxFrame, BoxRotation
 from sceneloom.geometry.rigid import (
     RigidTransform,
     cross_matrix,

@@ -26,7 +26,8 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.cameras.projection import project
 from sceneloom.db34t.json import format_json
 from sceneloom.db34t.setting import DeclaredAxes, calibration_data
-from sceneloom.detections.residuals import BoxResiduals, BoxRotation
+from sceneloom.detections.residuals import BoxResiduals
+from sceneloom.detections.results import BoxRotation
 from sceneloom.errors import CalibrationError, DataError, OptionError
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.output import check_output, filling, replacing

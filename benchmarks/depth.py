@@ -40,8 +40,6 @@ from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import FusedView, LidarTrajectory
 from sceneloom.colouring.algorithms import view_points
 from sceneloom.colouring.depth_completion import (
-    LEVELS,
-    STEPS,
     TOLERANCE,
     TOLERANCE_SHARE,
     Completed,
@@ -428,7 +426,7 @@ def right(depths: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Judged:
-    """Pixels of an image: (N, 6) what scores are made of; (N,) whether points voted, and whether the depth is right."""
+    """Pixels of an image: (N, 4) what scores are made of; (N,) whether points voted, and whether the depth is right."""
 
     parts: np.ndarray
     voted: np.ndarray
@@ -440,12 +438,9 @@ def judge(filled: Completed, at: tuple[np.ndarray, np.ndarray], truth: np.ndarra
     known = filled.depths[at] > 0
     at = at[0][known], at[1][known]
     depths, support = filled.depths[at].astype(float), filled.supports[at].astype(float)
-    share, spread = support.clip(0.02, 0.98), filled.spreads[at].astype(float).clip(1.02, 10)
+    share, spread = support.clip(0.02, 0.98), filled.spreads[at].astype(float).clip(0.01, 100)
     far = np.maximum(depths * TOLERANCE_SHARE / TOLERANCE, 1)
-    columns = [
-        np.ones(len(depths)), np.log(share / (1 - share)), support < 0.1, filled.strongest[at], np.log(spread),
-        np.log(far),
-    ]  # fmt: skip
+    columns = [np.ones(len(depths)), np.log(share / (1 - share)), np.log(spread), np.log(far)]
     return Judged(np.stack(columns, axis=1), support <= 1, right(depths, truth[known]))
 
 
@@ -473,37 +468,40 @@ def judged_images(data: Path) -> dict[str, list[Judged]]:
     return images
 
 
-def fitted(images: list[Judged]) -> tuple[np.ndarray, np.ndarray]:
-    """The weights (6,) and the levels (S + 2,) of some images, all of the same weight."""
+def fitted(images: list[Judged]) -> tuple[np.ndarray, float]:
+    """The weights (4,) and the share of right pixels in planes of some images, all of the same weight."""
     parts, voted, good = (np.concatenate([getattr(one, name) for one in images]) for name in ("parts", "voted", "good"))
     share = np.concatenate([np.full(len(one.good), 1e4 / len(one.good)) for one in images])
-    features, hits, each, weights = parts[voted], good[voted], share[voted], np.zeros(6)
+    features, hits, each, weights = parts[voted], good[voted], share[voted], np.zeros(4)
     for _ in range(30):  # Newton's method
         expected = 1 / (1 + np.exp(-features @ weights))
         curvature = (features * (each * expected * (1 - expected))[:, None]).T @ features
-        weights += np.linalg.solve(curvature + 1e-3 * np.eye(6), features.T @ (each * (hits - expected)))
-    level = levels_of(parts, voted, weights)
-    totals, right_ones = (np.bincount(level, one, minlength=len(STEPS) + 2) for one in (share, share * good))
-    return weights, right_ones / np.maximum(totals, 1e-9)
+        weights += np.linalg.solve(curvature + 1e-3 * np.eye(4), features.T @ (each * (hits - expected)))
+    return weights, float(np.average(good[~voted], weights=share[~voted]))
 
 
-def levels_of(parts: np.ndarray, voted: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The number of each pixel's level."""
-    return np.where(voted, np.searchsorted(STEPS, parts @ weights, "right"), len(STEPS) + 1)
+BORDERS = (0.5, 0.9)
+"""Between what the confidence of pixels in which points vote is reported by; planes are reported by themselves."""
 
 
 def show_confidence(data: Path) -> None:
     """Print for each set, with the fit of the others, the share of right pixels at each level of confidence."""
     sets = judged_images(data)
+    bins = len(BORDERS) + 2
+    sums = np.zeros((3, bins))  # pixels, and those stated and found to be right, each image with the same weight
     for name, images in sets.items():
-        weights, stated = fitted([one for other, those in sets.items() if other != name for one in those])
-        counts, hits = np.zeros((2, len(images), len(LEVELS)))
+        weights, planes = fitted([one for other, those in sets.items() if other != name for one in those])
+        counts, stated, hits = np.zeros((3, len(images), bins))
         for k, one in enumerate(images):
-            level = levels_of(one.parts, one.voted, weights)
-            counts[k] = np.bincount(level, minlength=len(LEVELS))
-            hits[k] = np.bincount(level, one.good, minlength=len(LEVELS))
-        texts = [_reliability(stated[k], hits[:, k], counts[:, k]) for k in range(len(LEVELS)) if counts[:, k].any()]
+            confidence = np.where(one.voted, 1 / (1 + np.exp(-one.parts @ weights)), planes)
+            rows = np.where(one.voted, np.searchsorted(BORDERS, confidence, "right"), bins - 1)
+            counts[k] = np.bincount(rows, minlength=bins)
+            stated[k], hits[k] = (np.bincount(rows, each, minlength=bins) for each in (confidence, one.good))
+            sums += np.stack([counts[k], stated[k], hits[k]]) / len(rows)
+        texts = [_reliability(stated[:, k], hits[:, k], counts[:, k]) for k in range(bins) if counts[:, k].any()]
         print(f"  {name:20} {len(images)} images; stated: right % (interval; n)  " + "   ".join(texts), flush=True)
+    shares = 100 * sums[1:] / sums[0]
+    print("  all, each image with the same weight: " + "   ".join(f"{one:.1f}: {other:.1f}" for one, other in shares.T))
 
 
 RELIABLE = 0.05  # how far the share of right pixels may be from the stated confidence
@@ -527,19 +525,19 @@ def interval(hits: np.ndarray, counts: np.ndarray) -> tuple[float, float]:
     return (middle - width) / (count + z * z), (middle + width) / (count + z * z)
 
 
-def _reliability(stated: float, hits: np.ndarray, counts: np.ndarray) -> str:
-    """One level; `!` where it is off by more than is allowed, `?` where its interval still holds what is stated."""
+def _reliability(stated: np.ndarray, hits: np.ndarray, counts: np.ndarray) -> str:
+    """One bin; `!` where it is off by more than is allowed, `?` where its interval still holds what is stated."""
     low, high = interval(hits, counts)
-    rate = hits.sum() / counts.sum()
-    mark = "" if abs(rate - stated) <= RELIABLE else "?" if low <= stated <= high else "!"
-    return f"{100 * stated:.0f}: {100 * rate:.0f}{mark} ({100 * low:.0f}-{100 * high:.0f}; {counts.sum():.0f})"
+    rate, expected = hits.sum() / counts.sum(), stated.sum() / counts.sum()
+    mark = "" if abs(rate - expected) <= RELIABLE else "?" if low <= expected <= high else "!"
+    return f"{100 * expected:.0f}: {100 * rate:.0f}{mark} ({100 * low:.0f}-{100 * high:.0f}; {counts.sum():.0f})"
 
 
 def fit(data: Path) -> None:
     """Print the confidence that all sets give."""
-    weights, levels = fitted([one for images in judged_images(data).values() for one in images])
+    weights, planes = fitted([one for images in judged_images(data).values() for one in images])
     print("WEIGHTS = (" + ", ".join(f"{value:.3f}" for value in weights) + ")")
-    print("LEVELS = (" + ", ".join(f"{value:.3f}" for value in levels) + ")")
+    print(f"PLANES = {planes:.3f}")
 
 
 def main() -> None:

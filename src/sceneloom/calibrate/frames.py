@@ -381,9 +381,7 @@ class _Drive:
         if self.poses is None or len(sweep.points) == 0:
             return None
         at_camera, at_lidar, of_points = self.poses
-        times = sweep.points.timestamps_ns
-        if times is None:
-            times = np.full(len(sweep.points), sweep.timestamp_ns, np.int64)
+        times = sweep.point_times_ns
         at_image = _pose(at_lidar, image.timestamp_ns)
         camera = _pose(at_camera.mounted(image.mount), image.timestamp_ns)
         if at_image is None or camera is None:

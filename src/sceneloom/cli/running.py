@@ -126,14 +126,10 @@ def _flags_named() -> Iterator[None]:
 
 
 _NOT_BROKEN = ("no such file", "no lidar in it")  # what problems of drives state that no rule finds and nothing repairs
-_WITH_DRIVES = {
-    (
-        ".urdf",
-        ".yaml",
-        ".yml",
-    ): "if it states where sensors are, or camera models, it goes with a drive: `DRIVE --rig {}`",
-    (".tum", ".txt", ".csv"): "if it is a trajectory, it goes with a drive: `DRIVE --trajectory {}`",
-}
+_WITH_DRIVES = dict.fromkeys(
+    (".urdf", ".yaml", ".yml"),
+    "if it states where sensors are, or camera models, it goes with a drive: `DRIVE --rig {}`",
+) | dict.fromkeys((".tum", ".txt", ".csv"), "if it is a trajectory, it goes with a drive: `DRIVE --trajectory {}`")
 """What a file may be that is no drive, by its ending."""
 _DRIVES = ("path", "source", "drive")  # what verbs call the argument that is a drive
 
@@ -147,9 +143,8 @@ def next_step(error: SceneloomError, values: Mapping[str, Any]) -> str | None:
     if isinstance(error, DataError) and any(words in error.problem for words in _NOT_BROKEN):
         return None
     if isinstance(error, UnknownFormatError):
-        ending = Path(str(error.file)).suffix.lower()
-        beside = next((hint.format(error.file) for endings, hint in _WITH_DRIVES.items() if ending in endings), None)
-        return beside or (
+        beside = _WITH_DRIVES.get(Path(str(error.file)).suffix.lower(), "")
+        return beside.format(error.file) or (
             "`sceneloom formats` lists what can be read, and how it is recognised; of clouds and images of your own, "
             "`sceneloom formats --template FOLDER/rig.toml --from FOLDER` begins a manifest"
         )

@@ -470,10 +470,7 @@ class _SweptPoints:
             return None
         if self._kept[0] != index:
             frame = timed_frame(self.lidar.frames[index], period_ns).frame
-            times = frame.points.timestamps_ns
-            if times is None:
-                times = np.full(len(frame.points), frame.timestamp_ns, np.int64)
-            self._kept = index, _points_in_world(self.source, frame.points.positions, times)
+            self._kept = index, _points_in_world(self.source, frame.points.positions, frame.point_times_ns)
         return self._kept[1]
 
 

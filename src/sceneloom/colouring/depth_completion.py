@@ -15,10 +15,11 @@ outlines are mostly upright; far more in the pixel's own row as far as the next 
 rows; and more where the image has their colour, by as much as colours tell surfaces apart in this image. The depth is
 the mean of the votes, which errs least in squares, a little nearer to their median, which errs least in size.
 
-A pixel's confidence is the share of held-out points like it whose depth was less than 0.5 m, or 5 %, from the truth.
-Alike are all pixels in planes; and of the others those to which a logistic regression gives about the same
-probability. It knows the share of the votes within that tolerance of the depth, the strongest vote, how far the votes
-are apart, and how far away they are. `python -m benchmarks.depth fit DATA` makes it, each image with the same weight.
+A pixel's confidence is the probability that its depth is less than 0.5 m, or 5 %, from the truth: in planes the share
+of held-out points that is; elsewhere by a logistic regression. It knows how many of the points are within that
+tolerance of the depth, by their distances from the pixel (with colours, which mislead where the image and the sweep
+do not match, it would foretell less), how far the votes are apart, and how far away they are.
+`python -m benchmarks.depth fit DATA` makes it, each image with the same weight.
 """
 
 import math
@@ -154,14 +155,13 @@ class Completed:
 
     Attributes:
         depths: (H, W) float32 [m], 0 for none.
-        supports: (H, W) float32, the share of the votes within the tolerance of the depth; 2 in planes, without a vote.
-        strongest: (H, W) float32, the largest share that one vote has.
-        spreads: (H, W) float32, the farthest depth among those that vote, divided by the nearest.
+        supports: (H, W) float32, the share of the votes, as they are without colours, within the tolerance of the
+            depth; 2 in planes, without a vote.
+        spreads: (H, W) float32, how far the votes are from the depth (root of the mean square), in tolerances.
     """
 
     depths: Float32Array
     supports: Float32Array
-    strongest: Float32Array
     spreads: Float32Array
 
 
@@ -185,14 +185,14 @@ def fill_surfaces(samples: Samples, rgb: UInt8Array | None, per_radian: float) -
     columns, rows = np.rint(samples.pixels).astype(np.int64).clip(0, [width - 1, height - 1]).T
     colours = image[rows, columns]
     likeness = _likeness(samples.depths, colours, triangles[small & steep])
-    depths, supports, strongest, spreads = (np.zeros((height, width), np.float32) for _ in range(4))
+    depths, supports, spreads = (np.zeros((height, width), np.float32) for _ in range(3))
     fill_triangles(
         samples.pixels, samples.depths, triangles, beyond, small, planar, image, colours, likeness, unit, TOLERANCE,
-        TOLERANCE_SHARE, depths, supports, strongest, spreads,
+        TOLERANCE_SHARE, depths, supports, spreads,
     )  # fmt: skip
     bare: BoolArray = (samples.image > 0) & (depths == 0)  # without two others near
     depths[bare], supports[bare] = samples.image[bare], 2.0
-    return Completed(depths, supports, strongest, spreads)
+    return Completed(depths, supports, spreads)
 
 
 _ALIKE, _UNLIKE = 1.05, 1.15
@@ -252,14 +252,11 @@ def triangles_between(pixels: Float32Array, height: int, width: int) -> tuple[An
 TOLERANCE, TOLERANCE_SHARE = 0.5, 0.05
 """Depths count as right with an error of less than 0.5 m, or of less than 5 % where that is more."""
 
-WEIGHTS = (0.752, 0.711, 1.006, -0.356, -0.512, -0.363)
-"""Of the parts of a score, as `grade_depths` states them: a logistic regression of whether a depth is right."""
+WEIGHTS = (1.030, 0.444, -0.594, -0.385)
+"""Of the parts of a logit, as `grade_depths` states them: a logistic regression of whether a depth is right."""
 
-STEPS = (-0.847, 0.847, 2.197)
-"""Borders between scores; logits of 0.3, 0.7 and 0.9. Finer levels do not hold on sets that they are not fitted on."""
-
-LEVELS = (0.152, 0.594, 0.791, 0.949, 0.991)
-"""The shares of right depths between the borders, and in planes."""
+PLANES = 0.990
+"""The share of right depths in planes."""
 
 
 def complete_depth(
@@ -290,10 +287,8 @@ def complete_depth(
     check_array("rgb", image, (camera_model.height, camera_model.width, 3), np.uint8, optional=True)
     filled = fill_surfaces(samples, image, pixels_per_radian(camera_model))
     confidence = np.empty_like(filled.depths)
-    weights, steps, levels = (np.array(one, np.float32) for one in (WEIGHTS, STEPS, LEVELS))
-    grade_depths(
-        filled.depths, filled.supports, filled.strongest, filled.spreads, weights, steps, levels, confidence
-    )  # fmt: skip
+    weights = np.array(WEIGHTS, np.float32)
+    grade_depths(filled.depths, filled.supports, filled.spreads, weights, PLANES, confidence)
     return DenseDepth(filled.depths, confidence)
 
 
@@ -396,15 +391,19 @@ def _vote(du: float, dv: float, unit: float) -> Any:
 @inlined
 def _count_votes(
     pixels: Float32Array, depths: Float32Array, colours: UInt8Array, voters: AnyArray, count: int, u: float, v: float,
-    unit: float, colour: UInt8Array, likeness: Float32Array, votes: Float32Array,
+    unit: float, colour: UInt8Array, likeness: Float32Array, plain: Float32Array, votes: Float32Array,
 ) -> tuple[Any, Any]:  # fmt: skip
-    """The depth that the voters, sorted by depth, give a pixel, and the sum of their votes, which are written."""
+    """The depth that the voters, sorted by depth, give a pixel, and the sum of their votes.
+
+    Written: the votes without colours, and the votes.
+    """
     total, mean = _NOTHING, _NOTHING
     for k in range(count):
         point, difference = voters[k], 0
         for channel in range(3):
             difference += abs(int64(colour[channel]) - int64(colours[point, channel]))
-        votes[k] = likeness[difference] * _vote(u - pixels[point, 0], v - pixels[point, 1], unit)
+        plain[k] = _vote(u - pixels[point, 0], v - pixels[point, 1], unit)
+        votes[k] = likeness[difference] * plain[k]
         total += votes[k]
         mean += votes[k] * depths[point]
     below, m, half = votes[0], 0, np.float32(0.5) * total
@@ -417,13 +416,13 @@ def _count_votes(
 
 @kernel(void(
     IN_F32_2D, IN_F32_1D, IN_I32_2D, IN_I32_2D, IN_BOOL_1D, IN_BOOL_1D, IN_U8_3D, IN_U8_2D, IN_F32_1D, float32, float32,
-    float32, float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1]
+    float32, float32[:, ::1], float32[:, ::1], float32[:, ::1]
 ))  # fmt: skip
 def fill_triangles(
     pixels: Float32Array, depths: Float32Array, triangles: AnyArray, beyond: AnyArray, filled: BoolArray,
     planar: BoolArray, rgb: UInt8Array, colours: UInt8Array, likeness: Float32Array, unit: float,
     tolerance: float, tolerance_share: float, depth_image: Float32Array, support_image: Float32Array,
-    strongest_image: Float32Array, spread_image: Float32Array,
+    spread_image: Float32Array,
 ) -> None:  # fmt: skip
     """Fill the pixels of triangles: linearly in inverse depth on a surface, by a vote of six points across a jump.
 
@@ -441,13 +440,12 @@ def fill_triangles(
         tolerance: [m], or …
         tolerance_share: … this share of the depth where that is more.
         depth_image: (H, W) [m], written where a triangle is.
-        support_image: (H, W), the share of the votes within the tolerance of the depth; 2 in planes.
-        strongest_image: (H, W), where points vote the largest share of one vote.
-        spread_image: (H, W), where points vote the ratio of the farthest to the nearest of them.
+        support_image: (H, W), the share of the votes, without colours, within the tolerance of the depth; 2 in planes.
+        spread_image: (H, W), where points vote how far they are from the depth, in tolerances.
     """
     height, width = depth_image.shape
     one = np.float32(1)
-    voters, votes = np.empty(6, np.int64), np.empty(6, np.float32)
+    voters, plain, votes = np.empty(6, np.int64), np.empty(6, np.float32), np.empty(6, np.float32)
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         au, av, bu, bv, cu, cv = (
@@ -474,53 +472,52 @@ def fill_triangles(
                 support_image[row, u] = one + one
                 if count > 0:
                     depth, total = _count_votes(
-                        pixels, depths, colours, voters, count, across, down, unit, rgb[row, u], likeness, votes
+                        pixels, depths, colours, voters, count, across, down, unit, rgb[row, u], likeness, plain, votes
                     )
-                    allowed, near, strongest = max(tolerance, tolerance_share * depth), _NOTHING, _NOTHING
+                    allowed = max(tolerance, tolerance_share * depth)
+                    near, every, squares = _NOTHING, _NOTHING, _NOTHING
                     for k in range(count):
-                        near += votes[k] if abs(depths[voters[k]] - depth) < allowed else _NOTHING
-                        strongest = max(strongest, votes[k])
-                    support_image[row, u], strongest_image[row, u] = near / total, strongest / total
-                    spread_image[row, u] = depths[voters[count - 1]] / depths[voters[0]]
+                        off = depths[voters[k]] - depth
+                        near += plain[k] if abs(off) < allowed else _NOTHING
+                        every += plain[k]
+                        squares += votes[k] * off * off
+                    support_image[row, u] = near / every
+                    spread_image[row, u] = math.sqrt(squares / total) / allowed
                 depth_image[row, u] = depth
 
 
-_LEAST_SHARE, _HARDLY = np.float32(0.02), np.float32(0.1)
-_LEAST_SPREAD, _MOST_SPREAD = np.float32(1.02), np.float32(10)
+_LEAST_SHARE = np.float32(0.02)
+_LEAST_SPREAD, _MOST_SPREAD = np.float32(0.01), np.float32(100)
 _FAR = np.float32(TOLERANCE / TOLERANCE_SHARE)  # from here on the tolerance is a share of the depth
 
 
-@kernel(void(IN_F32_2D, IN_F32_2D, IN_F32_2D, IN_F32_2D, IN_F32_1D, IN_F32_1D, IN_F32_1D, float32[:, ::1]))
+@kernel(void(IN_F32_2D, IN_F32_2D, IN_F32_2D, IN_F32_1D, float32, float32[:, ::1]))
 def grade_depths(
-    depths: Float32Array, supports: Float32Array, strongest: Float32Array, spreads: Float32Array,
-    weights: Float32Array, steps: Float32Array, levels: Float32Array, confidence: Float32Array,
+    depths: Float32Array, supports: Float32Array, spreads: Float32Array, weights: Float32Array, planes: float,
+    confidence: Float32Array,
 ) -> None:  # fmt: skip
-    """Give each pixel the confidence of its kind.
+    """Give each pixel the probability that its depth is right.
 
     Args:
-        depths, supports, strongest, spreads: (H, W), as `Completed` has them.
-        weights: (6,), of 1, the logit of the support, whether that is below 0.1, the strongest vote, the logarithm of
-            the spread, and that of the depth in multiples of 10 m where it is more; their sum is the score.
-        steps: (S,), rising, the borders between scores.
-        levels: (S + 2,), the confidence between them; the last one is that of planes.
+        depths, supports, spreads: (H, W), as `Completed` has them.
+        weights: (4,), of 1, the logit of the support, the logarithm of the spread, and that of the depth in multiples
+            of 10 m where it is more; their sum is the logit of the probability.
+        planes: the probability in planes.
         confidence: (H, W), written; 0 where there is no depth.
     """
     height, width = depths.shape
     one = np.float32(1)
     for row in range(height):
         for column in range(width):
-            depth, level = depths[row, column], steps.shape[0] + 1
-            support = supports[row, column]
-            if depth > 0 and support <= one:
-                share = min(max(support, _LEAST_SHARE), one - _LEAST_SHARE)
-                spread = min(max(spreads[row, column], _LEAST_SPREAD), _MOST_SPREAD)
-                score = weights[0] + weights[1] * math.log(share / (one - share))
-                score += weights[2] * (support < _HARDLY) + weights[3] * strongest[row, column]
-                score += weights[4] * math.log(spread) + weights[5] * math.log(max(depth / _FAR, one))
-                level = 0
-                for k in range(steps.shape[0]):
-                    level += score >= steps[k]
-            confidence[row, column] = levels[level] if depth > 0 else _NOTHING
+            depth, support = depths[row, column], supports[row, column]
+            if depth == 0 or support > one:
+                confidence[row, column] = planes if depth > 0 else _NOTHING
+                continue
+            share = min(max(support, _LEAST_SHARE), one - _LEAST_SHARE)
+            spread = min(max(spreads[row, column], _LEAST_SPREAD), _MOST_SPREAD)
+            score = weights[0] + weights[1] * math.log(share / (one - share)) + weights[2] * math.log(spread)
+            score += weights[3] * math.log(max(depth / _FAR, one))
+            confidence[row, column] = one / (one + math.exp(-score))
 
 
 MOST_EXTENT = 29_000

@@ -40,9 +40,7 @@ class LidarTrajectory:
             frame: the sweep; points without times of their own have the frame's.
             location: `world_from_lidar`.
         """
-        times = frame.points.timestamps_ns
-        if times is None or len(times) == 0:
-            times = np.full(len(frame.points), frame.timestamp_ns, np.int64)
+        times = frame.point_times_ns
         start_ns, stop_ns = (int(times.min()), int(times.max())) if len(times) else (frame.timestamp_ns,) * 2
         samples = location.at(np.array([start_ns, stop_ns], np.int64))
         if (samples.coverage == 2).any():

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import boolean, float32, int64, void
 
-from sceneloom.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
+from sceneloom.arrays import BoolArray, Float32Array, Float64Array, UInt8Array, finite_rows
 from sceneloom.cameras.projection import unproject
 from sceneloom.errors import DataError
 from sceneloom.geometry.rigid import (
@@ -17,7 +17,7 @@ from sceneloom.geometry.rigid import (
 )
 from sceneloom.kernels.cache import kernel
 from sceneloom.kernels.signatures import IN_F32_2D, inlined
-from sceneloom.motion.clock.signals import Orientations, finite_rows
+from sceneloom.motion.clock.signals import Orientations
 from sceneloom.scene.cameras import CameraImage, CameraSensor, Shutter
 from sceneloom.scene.types import Progress
 

@@ -29,7 +29,7 @@ def points_to_world(frame: LidarFrame, source: PoseSource) -> tuple[Float64Array
     Raises:
         PoseError: a point's time is beyond the extrapolation limit of the path.
     """
-    times = _point_times(frame)
+    times = frame.point_times_ns
     if len(times) == 0:
         return np.zeros((0, 3)), False
     knots = BodyKnots.of(source, int(times.min()), int(times.max()))
@@ -50,15 +50,10 @@ def points_at(frame: LidarFrame, source: PoseSource, moment_ns: int) -> tuple[Fl
     Raises:
         PoseError: the moment or a point's time is beyond the extrapolation limit of the path.
     """
-    times = _point_times(frame)
+    times = frame.point_times_ns
     knots = BodyKnots.of(source, int(times.min(initial=moment_ns)), int(times.max(initial=moment_ns)))
     knots = knots.seen_at(source, moment_ns)
     return knots.moved(frame.points.positions, times, source.mount), knots.extrapolated
-
-
-def _point_times(frame: LidarFrame) -> Int64Array:
-    times = frame.points.timestamps_ns
-    return np.full(len(frame.points), frame.timestamp_ns, np.int64) if times is None else times
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -733,7 +733,7 @@ class SceneSweeps:
             start_ns = min(frame.timestamp_ns for frame, _ in parts)
             positions, times = np.concatenate([points for _, points in parts]), None
             if not len(positions) or any(frame.points.timestamps_ns is not None for frame, _ in parts):
-                times = np.concatenate([_times(frame) for frame, _ in parts])
+                times = np.concatenate([frame.point_times_ns for frame, _ in parts])
             yield row, EgoCloud(start_ns, positions, times)
 
     def counted_warnings(self) -> Iterator[DataWarning]:
@@ -747,11 +747,6 @@ class SceneSweeps:
             )
             code = "odometry-without-point-times"
             yield _warning(WarningKind.ASSUMED, code, self.scene.source, message, self.untimed)
-
-
-def _times(frame: LidarFrame) -> Int64Array:
-    times = frame.points.timestamps_ns
-    return np.full(len(frame.points), frame.timestamp_ns, np.int64) if times is None else times
 
 
 def _usable_sources(scene: Scene, warnings: list[DataWarning]) -> list[_Source]:

@@ -81,9 +81,7 @@ class _Deskewer:
         """Deskew one sweep, if its points have times and the motion at these times is known."""
         timed = timed_frame(frame, self.period_ns, previous=previous)
         moment_ns = frame.timestamp_ns + self.offset_ns
-        measured = timed.frame.points.timestamps_ns
-        if measured is None:
-            measured = np.full(len(timed.frame.points), timed.frame.timestamp_ns, np.int64)
+        measured = timed.frame.point_times_ns
         knots = self._knots(timed.frame, moment_ns)
         # the file's own time of a sweep no longer holds where its timestamp moves
         extras = {name: value for name, value in timed.frame.extras.items() if name != "file_seconds"}

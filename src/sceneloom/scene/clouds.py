@@ -181,6 +181,12 @@ class LidarFrame:
             hold_timestamp(self, "frame.timestamp_ns")
 
     @property
+    def point_times_ns(self) -> Int64Array:
+        """Times of the points, (N,) int64 [ns]: the sweep's start of those without times of their own."""
+        times = self.points.timestamps_ns
+        return np.full(len(self.points), self.timestamp_ns, np.int64) if times is None else times
+
+    @property
     def reference_ns(self) -> int:
         """The time by which the sweep is paired with images: the median of its point times.
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
+from scipy.special import expit
 
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring import depth_completion as completion
@@ -150,7 +151,7 @@ def points_beyond(mesh):
 def filled(mesh, *, planar):
     """The images that `fill_triangles` writes, and the colours of the points."""
     pixels, depths, _, triangles = mesh
-    images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(4)]
+    images = [np.zeros(MESH_SHAPE, np.float32) for _ in range(3)]
     colours = np.random.default_rng(6).integers(0, 256, (len(pixels), 3), dtype=np.uint8)
     count = len(triangles)
     completion.fill_triangles(
@@ -161,16 +162,16 @@ def filled(mesh, *, planar):
 
 
 def voted(mesh, voters, colours, location):
-    """The depth that points vote for in a pixel, and the votes, in double precision."""
+    """The depth that points vote for in a pixel, the votes without colours and the votes, in double precision."""
     pixels, depths = mesh[0].astype(float), mesh[1].astype(float)
     row, column = location
     du, dv = (pixels[voters] - [column, row]).T
     off, du, dv = dv / 0.3, du / UNIT, dv / UNIT
-    votes = 1 / (du**2 + 1 + (0.5 * dv) ** 2) ** 1.5 + 600 / ((du**2 + 1) ** 3 * (1 + off**4))
-    votes *= LIKENESS[np.abs(RGB[row, column].astype(int) - colours[voters].astype(int)).sum(axis=1)]
+    plain = 1 / (du**2 + 1 + (0.5 * dv) ** 2) ** 1.5 + 600 / ((du**2 + 1) ** 3 * (1 + off**4))
+    votes = plain * LIKENESS[np.abs(RGB[row, column].astype(int) - colours[voters].astype(int)).sum(axis=1)]
     order = np.argsort(depths[voters])
     median = depths[voters][order][np.searchsorted(np.cumsum(votes[order]), votes.sum() / 2)]
-    return 0.85 * (votes @ depths[voters]) / votes.sum() + 0.15 * median, votes / votes.sum()
+    return 0.85 * (votes @ depths[voters]) / votes.sum() + 0.15 * median, plain / plain.sum(), votes / votes.sum()
 
 
 def test_surfaces_are_filled_as_scipy_interpolates_and_jumps_by_the_votes_of_six_points(mesh):
@@ -178,7 +179,7 @@ def test_surfaces_are_filled_as_scipy_interpolates_and_jumps_by_the_votes_of_six
     rows, columns = np.mgrid[: MESH_SHAPE[0], : MESH_SHAPE[1]]
     expected = 1 / LinearNDInterpolator(triangulation, 1 / depths.astype(float))(columns, rows)
     inside = np.isfinite(expected)
-    (found, supports, _, _), _ = filled(mesh, planar=True)
+    (found, supports, _), _ = filled(mesh, planar=True)
     off = np.abs(found[inside] / expected[inside] - 1)
     # float32; pixels on the border of two triangles are of either
     assert np.quantile(off, 0.99) < 1e-5
@@ -187,18 +188,16 @@ def test_surfaces_are_filled_as_scipy_interpolates_and_jumps_by_the_votes_of_six
     assert (~inside & (found > 0)).sum() <= 0.002 * inside.sum()
     assert (supports[inside] == 2).all()
     of_pixel = triangulation.find_simplex(np.stack([columns, rows], axis=-1).astype(float))
-    (jumps, shares, strongest, spreads), colours = filled(mesh, planar=False)
+    (jumps, shares, spreads), colours = filled(mesh, planar=False)
     beyond, missed = points_beyond(mesh), 0
     for location in zip(*np.nonzero(inside), strict=True):
         t = of_pixel[location]
         voters = np.array([*triangles[t], *(other for other in beyond[t] if other >= 0)])
-        depth, votes = voted(mesh, voters, colours, location)
-        spread = depths[voters].max() / depths[voters].min()
-        near = votes[np.abs(depths[voters] - jumps[location]) < max(0.5, 0.05 * jumps[location])].sum()
-        missed += not np.allclose(
-            [jumps[location], shares[location], strongest[location], spreads[location]],
-            [depth, near, votes.max(), spread], rtol=1e-4, atol=1e-4,
-        )  # fmt: skip
+        depth, plain, votes = voted(mesh, voters, colours, location)
+        off, allowed = depths[voters] - jumps[location], max(0.5, 0.05 * jumps[location])
+        near, spread = plain[np.abs(off) < allowed].sum(), np.sqrt(votes @ off**2) / allowed
+        measured = [jumps[location], shares[location], spreads[location]]
+        missed += not np.allclose(measured, [depth, near, spread], rtol=1e-4, atol=1e-4)
     assert missed <= 0.01 * inside.sum()  # on borders of triangles, and where half of the votes is reached by rounding
 
 
@@ -250,23 +249,16 @@ def test_the_likeness_of_colours_is_measured_across_jumps_and_pixels_are_graded_
     np.testing.assert_allclose(completion._likeness(depths, colours * 0, triangles), 1, rtol=1e-5)
     np.testing.assert_allclose(completion._likeness(depths, colours, triangles[:0]), 1, rtol=1e-5)
     random = np.random.default_rng(3)
-    depths, strongest = (random.random((9, 11)).astype(np.float32) * factor for factor in (40, 1))
+    depths = random.random((9, 11)).astype(np.float32) * 40
     supports = random.choice([0, 0.05, 0.3, 0.9, 1, 2], (9, 11)).astype(np.float32)
-    spreads = random.choice([1, 1.3, 4, 20], (9, 11)).astype(np.float32)
+    spreads = random.choice([0, 0.3, 4, 200], (9, 11)).astype(np.float32)
     depths[2] = 0
-    weights = np.array([0.5, 0.7, 0.3, 0.4, -0.9, -0.2], np.float32)
-    steps, levels = np.array([-1, 0, 1], np.float32), np.array([0.1, 0.4, 0.6, 0.8, 0.95], np.float32)
-    confidence = np.empty_like(depths)
-    completion.grade_depths(depths, supports, strongest, spreads, weights, steps, levels, confidence)
-    for location in np.ndindex(depths.shape):
-        share = np.clip(supports[location], 0.02, 0.98)
-        parts = [
-            1, np.log(share / (1 - share)), supports[location] < 0.1, strongest[location],
-            np.log(np.clip(spreads[location], 1.02, 10)), np.log(max(depths[location], 10) / 10),
-        ]  # fmt: skip
-        level = 4 if supports[location] == 2 else (weights @ parts >= steps).sum()
-        assert confidence[location] == (levels[level] if depths[location] > 0 else 0)
-    assert set(np.unique(confidence)) == {0, *levels}
+    weights, planes, confidence = np.array([0.5, 0.7, -0.9, -0.2], np.float32), 0.95, np.empty_like(depths)
+    completion.grade_depths(depths, supports, spreads, weights, planes, confidence)
+    share = supports.astype(float).clip(0.02, 0.98)
+    parts = [np.log(share / (1 - share)), np.log(spreads.clip(0.01, 100)), np.log(depths.clip(10) / 10)]
+    expected = np.where(supports == 2, planes, expit(weights[0] + np.tensordot(weights[1:], parts, 1)))
+    np.testing.assert_allclose(confidence, np.where(depths > 0, expected, 0), atol=1e-6)
 
 
 def triangulated(inner, extent=1000):

@@ -19,7 +19,7 @@ from sceneloom.formats.base.files import ByteStream
 from sceneloom.formats.base.images import EncodedImage, write_depth_image
 from sceneloom.formats.base.json_files import damage_of_json, read_json
 from sceneloom.formats.base.registry import open_scene, write_scene
-from sceneloom.formats.base.wire_formats import enclosed, field_head, varint, wire_fields
+from sceneloom.formats.base.wire_formats import enclosed, field_head, read_varint, varint, wire_fields
 from sceneloom.formats.recording.reader import _MOST_LOCATIONS, _FaultLedger
 from sceneloom.pipeline.redacting import _stripped
 
@@ -163,6 +163,7 @@ def test_bytes_are_read_and_sought_as_in_a_file(content):
 def test_numbers_fields_and_parts_of_messages_are_written_as_protobuf_does_and_fields_found_without_being_read():
     for number in (0, 1, 127, 128, 300, 16383, 16384, 2**31, 2**35 + 5):
         assert varint(number) == _VarintBytes(number)
+        assert read_varint(b"." + varint(number), 1, 1 + len(varint(number))) == (number, 1 + len(varint(number)))
     content = b"x" * 200
     assert fusion_pb2.ImageData.FromString(field_head(8, len(content)) + content).data == content
     inner = [b"\x18\x05", memoryview(field_head(8, 3)), b"abc"]

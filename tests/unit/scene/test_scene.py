@@ -71,7 +71,9 @@ def test_scenes_and_cuboids_are_made_of_sensors_with_different_ids_centres_and_y
         sc.CuboidAnnotation.of("a", [0, 1], np.zeros((3, 3)), (4, 2, 1), 0.0)
     for start, times, expected in ((0, [9, 1, 5, 7, 3], 5), (3, None, 3), (20, [70, 70, 70], 20)):
         points = np.zeros((5 if times is None else len(times), 3), np.float32)
-        assert sc.LidarFrame(start, sc.LidarPoints(points, timestamps_ns=times)).reference_ns == expected
+        frame = sc.LidarFrame(start, sc.LidarPoints(points, timestamps_ns=times))
+        assert frame.reference_ns == expected
+        assert frame.point_times_ns.tolist() == (times or [3] * 5)
 
 
 def test_a_summary_counts_rates_gaps_and_camera_models():

@@ -34,6 +34,27 @@ def read_json(path: Path, kind: type[_Kind]) -> _Kind:
         raise no_json(path, content, error) from error
 
 
+def decode_part(path: Path, location: str, part: msgspec.Raw, kind: type[_Kind]) -> _Kind:
+    """Decode a part of a JSON file that was kept as it stands there.
+
+    Args:
+        path: the file.
+        location: of the part in it.
+        part: its text.
+        kind: what it shall be.
+
+    Raises:
+        DataError: it is no JSON, or a value in it is missing or of another kind.
+    """
+    try:
+        return msgspec.json.decode(part, type=kind)
+    except msgspec.ValidationError as error:
+        problem, _, inner = str(error).partition(" - at `$")
+        raise DataError(path, f"{location}{inner.rstrip('`')}", problem) from error
+    except NO_JSON as error:
+        raise DataError(path, location, f"is no JSON: {error}") from error
+
+
 def damage_of_json(path: Path) -> str | None:
     """Why a file is no JSON, with line and column; None where it is, or is lines of JSON."""
     try:

@@ -51,6 +51,26 @@ def varint(number: int) -> bytes:
     return bytes(parts)
 
 
+def read_varint(content: bytes | memoryview, position: int, stop: int) -> tuple[int, int]:
+    """A number as `varint` writes it, also of Thrift, Draco and AV1, and where it ends.
+
+    Args:
+        content: bytes in which it stands.
+        position: where it begins.
+        stop: where it has ended at the latest.
+
+    Raises:
+        ValueError: it does not end before `stop`, or within ten bytes.
+    """
+    number = 0
+    for k in range(min(_LONGEST_VARINT, stop - position)):
+        byte = content[position + k]
+        number |= (byte & 0x7F) << (7 * k)
+        if byte < 0x80:
+            return number, position + k + 1
+    raise ValueError(f"the number at byte {position} does not end before byte {stop}, or is longer than 64 bits")
+
+
 def field_head(number: int, length: int) -> bytes:
     """What stands before the content of a field of messages, bytes or texts.
 
@@ -82,34 +102,26 @@ def wire_fields(
     """
     fields: list[WireField] = []
     position = start
-    while position < stop:
-        head = position
-        tag, position = _read_varint(content, position, stop)
-        kind, begin = tag & 7, position
-        if kind == LENGTH_TYPE:
-            length, begin = _read_varint(content, position, stop)
-            position = begin + length
-        elif kind == _VARINT_TYPE:
-            position = _read_varint(content, position, stop)[1]
-        elif kind in _FIXED_SIZES:
-            position += _FIXED_SIZES[kind]
-        else:
-            return None
-        if position > stop or len(fields) == most:
-            return None
-        fields.append(WireField(tag >> 3, kind, head, begin, position))
+    try:
+        while position < stop:
+            head = position
+            tag, position = read_varint(content, position, stop)
+            kind, begin = tag & 7, position
+            if kind == LENGTH_TYPE:
+                length, begin = read_varint(content, position, stop)
+                position = begin + length
+            elif kind == _VARINT_TYPE:
+                position = read_varint(content, position, stop)[1]
+            elif kind in _FIXED_SIZES:
+                position += _FIXED_SIZES[kind]
+            else:
+                return None
+            if position > stop or len(fields) == most:
+                return None
+            fields.append(WireField(tag >> 3, kind, head, begin, position))
+    except ValueError:
+        return None
     return fields
-
-
-def _read_varint(content: bytes | memoryview, position: int, stop: int) -> tuple[int, int]:
-    """A number, and where it ends: beyond `stop` where it does not end before."""
-    number = 0
-    for k in range(min(_LONGEST_VARINT, stop - position)):
-        byte = content[position + k]
-        number |= (byte & 0x7F) << (7 * k)
-        if byte < 0x80:
-            return number, position + k + 1
-    return 0, stop + 1
 
 
 # FlatBuffers

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+from sceneloom.arrays import Int64Array
+from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor
 from sceneloom.scene.motion import OdometrySensor
@@ -27,3 +29,11 @@ def ego_trajectory(scene: Scene) -> Poses | None:
         egos = PoseSource(posed.poses, posed.mount.inverse()).at(posed.poses.timestamps_ns)
         return replace(posed.poses, positions=egos.positions, quaternions_xyzw=egos.quaternions_xyzw)
     return None
+
+
+def egos_at(path: Poses | None, timestamps_ns: Int64Array) -> list[RigidTransform]:
+    """`world_from_ego` at each time: end poses hold beyond the trajectory; without one the ego is stationary."""
+    if path is None:
+        return [RigidTransform.identity()] * len(timestamps_ns)
+    held = path.held(timestamps_ns)
+    return [*map(RigidTransform.from_quaternion, held.positions, held.quaternions_xyzw)]

@@ -18,7 +18,7 @@ from uuid import UUID, uuid5
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, finite_rows, read_only
+from sceneloom.arrays import Int64Array, finite_rows, read_only
 from sceneloom.cameras.camera import OPENCV_NAMES
 from sceneloom.errors import DataError
 from sceneloom.formats.base.diagnostics import Ledger
@@ -46,6 +46,7 @@ from sceneloom.formats.cloud_labelling.tasks import (
     rigid_of,
     task_scene,
     unique_text,
+    xyz,
 )
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.clouds import LidarFrame, LidarPoints, RadarFrame, RadarPoints, RadarSensor
@@ -478,7 +479,7 @@ def _write(plan: TaskPlan, root: Path, name: str) -> None:
 def _frame_text(plan: TaskPlan, frame: WrittenFrame, root: Path) -> bytes:
     device = plan.device(frame.number)
     record = {
-        "device_position": _xyz(device.translation),
+        "device_position": xyz(device.translation),
         "device_heading": _xyzw(device),
         "timestamp": frame.timestamp_ns,
         "images": [*filter(None, (_image(plan, frame, image, root) for image in frame.images))],
@@ -518,7 +519,7 @@ def _image(plan: TaskPlan, frame: WrittenFrame, written: WrittenImage, root: Pat
         "image_url": path.relative_to(root).as_posix(),
         "camera_index": order.index(str(written.camera_id)),
         "timestamp": written.image.timestamp_ns,
-        "position": _xyz(pose.translation),
+        "position": xyz(pose.translation),
         "heading": _xyzw(pose),
         **{name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")},
     }
@@ -550,8 +551,8 @@ def _cuboids(plan: TaskPlan, frame: WrittenFrame, texts: dict[str, Any]) -> list
             {
                 "uuid": text,
                 "label": box.cuboid.label or "unknown",
-                "position": _xyz(box.center),
-                "dimensions": _xyz(box.size_lwh[[1, 0, 2]]),
+                "position": xyz(box.center),
+                "dimensions": xyz(box.size_lwh[[1, 0, 2]]),
                 "yaw": _wrapped(yaw - np.pi / 2),
                 **beside,
                 "attributes": stated,
@@ -563,11 +564,6 @@ def _cuboids(plan: TaskPlan, frame: WrittenFrame, texts: dict[str, Any]) -> list
 def _wrapped(angle: float) -> float:
     """An angle from -pi to pi [rad]."""
     return angle - 2 * np.pi * floor((angle + np.pi) / (2 * np.pi))
-
-
-def _xyz(values: Float64Array) -> dict[str, float]:
-    found: dict[str, float] = msgspec.structs.asdict(XYZ.of(values))
-    return found
 
 
 def _xyzw(pose: RigidTransform) -> dict[str, float]:

@@ -16,11 +16,11 @@ from uuid import UUID, uuid5
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array, UInt32Array
+from sceneloom.arrays import Int64Array, UInt32Array
 from sceneloom.cameras.camera import OPENCV_NAMES, Camera
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.json_files import NO_JSON, read_json
+from sceneloom.formats.base.json_files import decode_part, read_json
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, file_stem, replacing
 from sceneloom.formats.cloud_labelling.spec import SEGMENTS_SUPPORTS, segments_release
@@ -44,6 +44,7 @@ from sceneloom.formats.cloud_labelling.tasks import (
     pinhole_of,
     rigid_of,
     task_scene,
+    xyz,
 )
 from sceneloom.formats.points.reader import stem_of, times_of_names
 from sceneloom.geometry.rigid import RigidTransform
@@ -288,21 +289,12 @@ class _Reader:
             about=about,
         )
 
-    def _decoded(self, raw: msgspec.Raw, where: str, kind: Any) -> Any:
-        try:
-            return msgspec.json.decode(raw, type=kind)
-        except msgspec.ValidationError as error:
-            problem, _, location = str(error).partition(" - at `$")
-            raise DataError(self.path, f"{where}{location.rstrip('`')}", problem) from error
-        except NO_JSON as error:
-            raise DataError(self.path, where, f"is no JSON: {error}") from error
-
     def _sensor(self, raw: msgspec.Raw, where: str) -> msgspec.Raw:
         """The attributes of the clouds among those of several sensors."""
         if self.dataset.task_type != _MULTISENSOR:
             return raw
         found: msgspec.Raw | None = None
-        for number, sensor in enumerate(self._decoded(raw, where, _Sensors).sensors):
+        for number, sensor in enumerate(decode_part(self.path, where, raw, _Sensors).sensors):
             if sensor.task_type.startswith("pointcloud-") and found is None:
                 found, self.task = sensor.attributes, sensor.task_type
             else:
@@ -316,8 +308,8 @@ class _Reader:
         """The frames of a sequence, or the only one of a sample that is none."""
         if self.task.endswith(_SEQUENCE):
             holder: Any = _Frames[kind]
-            return list(self._decoded(raw, where, holder).frames)
-        return [self._decoded(raw, where, kind)]
+            return list(decode_part(self.path, where, raw, holder).frames)
+        return [decode_part(self.path, where, raw, kind)]
 
     def _times(self, rate_hz: float | str | None) -> Int64Array:
         stated = [one.timestamp for one in self.listed]
@@ -632,7 +624,7 @@ class _Writer:
             "images": images,
             "name": frame.name,
             "timestamp": frame.timestamp_ns,
-            **({"ego_pose": {"position": _xyz(pose.translation), "heading": _q(pose)}} if self.plan.posed else {}),
+            **({"ego_pose": {"position": xyz(pose.translation), "heading": _q(pose)}} if self.plan.posed else {}),
         }
 
     def _image(self, number: int, written: WrittenImage) -> dict[str, Any]:
@@ -650,7 +642,7 @@ class _Writer:
             what = "images of cameras whose mounting is not known are written without extrinsics"
             self.plan.losses.dropped("sensors.camera.camera", what)
         else:
-            record["extrinsics"] = {"translation": _xyz(pose.translation), "rotation": _q(pose)}
+            record["extrinsics"] = {"translation": xyz(pose.translation), "rotation": _q(pose)}
         known = {model: (name, names) for name, (model, names) in _DISTORTIONS.items()}
         if camera.model in known:
             name, names = known[camera.model]
@@ -686,8 +678,8 @@ class _Writer:
             {
                 **self._object(box.cuboid.id, box.cuboid.label, box.stated),
                 "type": "cuboid",
-                "position": _xyz(box.center),
-                "dimensions": _xyz(box.size_lwh),
+                "position": xyz(box.center),
+                "dimensions": xyz(box.size_lwh),
                 "yaw": float(yaw),
                 "rotation": msgspec.structs.asdict(_Quaternion.of(box.quaternion_xyzw.tolist())),
                 "is_keyframe": True,
@@ -733,11 +725,6 @@ def _numbers(identifiers: Sequence[Identifier]) -> dict[Key, int]:
             free += 1
         taken.add(free)
         found[key_of(one)] = free
-    return found
-
-
-def _xyz(values: Float64Array) -> dict[str, float]:
-    found: dict[str, float] = msgspec.structs.asdict(XYZ.of(values))
     return found
 
 

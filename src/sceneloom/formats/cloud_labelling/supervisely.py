@@ -21,7 +21,7 @@ import numpy as np
 from sceneloom.arrays import Float64Array, Int64Array, UInt32Array
 from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.diagnostics import Ledger
-from sceneloom.formats.base.json_files import NO_JSON, read_json
+from sceneloom.formats.base.json_files import decode_part, read_json
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, file_stem, replacing
 from sceneloom.formats.base.spec import choose_drive
@@ -46,6 +46,7 @@ from sceneloom.formats.cloud_labelling.tasks import (
     rigid_of_rows,
     task_file,
     task_scene,
+    xyz,
 )
 from sceneloom.formats.points.reader import stem_of
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
@@ -432,14 +433,14 @@ class _Dataset:
         self, path: Path, where: str, frame: int, figure: _Figure, identifier: Identifier, thing: _Object
     ) -> None:
         if figure.geometryType == _CUBOID:
-            cuboid = _decoded(path, where, figure.geometry, _Cuboid)
+            cuboid = decode_part(path, f"{where}.geometry", figure.geometry, _Cuboid)
             position = cuboid.position.array(path, f"{where}.geometry.position")
             rotation = cuboid.rotation.array(path, f"{where}.geometry.rotation")
             dimensions = cuboid.dimensions.array(path, f"{where}.geometry.dimensions")
             box = (position, dimensions, rotation)
             self.boxes.append(_Box(path, where, identifier, frame, thing.classTitle, box))
         elif figure.geometryType == _POINTS:
-            indices = _decoded(path, where, figure.geometry, _Indices).indices
+            indices = decode_part(path, f"{where}.geometry", figure.geometry, _Indices).indices
             if any(not 0 <= index < 1 << 32 for index in indices):
                 raise DataError(path, f"{where}.geometry.indices", "expected numbers of points")
             row = self._rows.get(frame)
@@ -465,16 +466,6 @@ class _Box:
     frame: int
     label: str
     box: tuple[Float64Array, Float64Array, Float64Array]
-
-
-def _decoded(path: Path, where: str, raw: msgspec.Raw, kind: Any) -> Any:
-    try:
-        return msgspec.json.decode(raw, type=kind)
-    except msgspec.ValidationError as error:
-        problem, _, location = str(error).partition(" - at `$")
-        raise DataError(path, f"{where}.geometry{location.rstrip('`')}", problem) from error
-    except NO_JSON as error:
-        raise DataError(path, f"{where}.geometry", f"is no JSON: {error}") from error
 
 
 @dataclass(slots=True)
@@ -649,8 +640,8 @@ class _Writer:
             for name, value in box.stated.items():
                 if value is not None:
                     thing.stated.setdefault(name, {})[frame.number] = value
-            vectors = {"position": box.center, "rotation": rotation, "dimensions": box.size_lwh[[1, 0, 2]]}
-            geometry = {name: msgspec.structs.asdict(XYZ.of(values)) for name, values in vectors.items()}
+            dimensions = xyz(box.size_lwh[[1, 0, 2]])
+            geometry = {"position": xyz(box.center), "rotation": xyz(rotation), "dimensions": dimensions}
             yield self._figure(thing, frame.number, _CUBOID, geometry)
 
     def _points(self, frame: WrittenFrame) -> Iterator[dict[str, Any]]:

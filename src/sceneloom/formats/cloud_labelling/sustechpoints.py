@@ -41,6 +41,7 @@ from sceneloom.formats.cloud_labelling.tasks import (
     rigid_of_rows,
     task_scene,
     unique_text,
+    xyz,
 )
 from sceneloom.formats.points.reader import listed_frames, stem_of
 from sceneloom.geometry.euler import AngleUnit, cuboid_angles_from_rotation, rotation_from_cuboid_angles
@@ -377,12 +378,11 @@ class _Writer:
         for box, rotation in zip(frame.boxes, angles, strict=True):
             if box.cuboid.label is None:
                 self.plan.losses.converted("annotations.cuboid.label", "objects without a class become `Unknown`")
-            vectors = {"position": box.center, "scale": box.size_lwh, "rotation": rotation}
             stated = {name: value for name, value in box.stated.items() if value is not None}
             annotator = {"annotator": stated.pop("annotator")} if "annotator" in stated else {}
             found.append(
                 {
-                    "psr": {name: msgspec.structs.asdict(XYZ.of(values)) for name, values in vectors.items()},
+                    "psr": {"position": xyz(box.center), "scale": xyz(box.size_lwh), "rotation": xyz(rotation)},
                     "obj_type": box.cuboid.label or "Unknown",
                     "obj_id": unique_text(texts, box.cuboid.id, self.plan.losses),
                     "obj_attr": stated.pop("obj_attr") if [*stated] == ["obj_attr"] else stated or "",

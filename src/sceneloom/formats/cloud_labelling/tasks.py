@@ -92,10 +92,10 @@ class XYZ(msgspec.Struct):
             raise DataError(path, location, f"{list(values)}; expected finite numbers below {_FARTHEST:g}")
         return np.array(values, np.float64)
 
-    @classmethod
-    def of(cls, values: Iterable[float]) -> "XYZ":
-        """Take three numbers."""
-        return cls(*(float(value) for value in values))
+
+def xyz(values: Float64Array) -> dict[str, float]:
+    """Three numbers, (3,), by the names of axes."""
+    return dict(zip("xyz", values.tolist(), strict=True))
 
 
 def rigid_of(path: object, location: str, position: Float64Array, quaternion_xyzw: Iterable[float]) -> RigidTransform:

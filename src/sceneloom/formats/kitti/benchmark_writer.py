@@ -12,6 +12,7 @@ from sceneloom.errors import DataError, OptionError
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, filling, replacing
 from sceneloom.formats.base.text_tables import seconds_text
+from sceneloom.formats.base.written_ego import egos_at
 from sceneloom.formats.kitti.calibration import Mounted, write_calibration
 from sceneloom.formats.kitti.frames_writer import (
     NONE,
@@ -440,7 +441,7 @@ def _write_labels(
     rectified_from_lidar: list[RigidTransform],
     folder: Path,
 ) -> None:
-    egos = choice.egos_at(timeline.timestamps_ns)
+    egos = egos_at(choice.ego_path, timeline.timestamps_ns)
     world_from_rectified = [
         ego @ choice.ego_from_lidar @ rectified.inverse()
         for ego, rectified in zip(egos, rectified_from_lidar, strict=True)
@@ -506,7 +507,7 @@ def write_tracking(scene: Scene, path: Path, *, overwrite: bool = False, sequenc
             choice.losses.extend(lines.losses)
             (folder / "oxts").mkdir()
             write_lines(folder / "oxts" / f"{name}.txt", lines.texts())
-        egos = choice.egos_at(timeline.timestamps_ns)
+        egos = egos_at(choice.ego_path, timeline.timestamps_ns)
         ego_from_rectified = choice.ego_from_lidar @ rectified_from_lidar.inverse()
         rows = _LabelRows(
             choice,

@@ -94,10 +94,11 @@ def read_calibration(path: Path, *, needs_lidar: bool = True) -> KittiCalibratio
         with suppress(DataError):  # such as a date: no number that a scene is made of
             finite[name] = tuple(line.floats(1, [name] * (len(line.words) - 1)))
     has_imu = any(name in entries for name in _SPELLINGS["velodyne_from_imu"])
+    imu = _entry(path, entries, "velodyne_from_imu") if has_imu else None
     return KittiCalibration(
         MappingProxyType(projections),
         _rectified_from_lidar(path, entries, needs_lidar=needs_lidar),
-        _rigid(_entry(path, entries, "velodyne_from_imu")) if has_imu else None,
+        None if imu is None else rigid_of(imu, imu.entry(12)),
         MappingProxyType(finite),
     )
 
@@ -107,7 +108,7 @@ def _rectified_from_lidar(path: Path, entries: Mapping[str, Line], *, needs_lida
     if not needs_lidar and not any(name in entries for name in known):
         return _OPTICAL_FROM_BODY
     line = _entry(path, entries, "camera_from_velodyne")
-    camera_from_velodyne = _rigid(line)
+    camera_from_velodyne = rigid_of(line, line.entry(12))
     if line.words[0].rstrip(":") == _RECTIFIED_FROM_VELODYNE:
         return camera_from_velodyne
     line = _entry(path, entries, "rectification")
@@ -157,8 +158,9 @@ def rotation_of(line: Line, matrix: Float64Array) -> Float64Array:
     return rotation
 
 
-def _rigid(line: Line) -> RigidTransform:
-    matrix = line.entry(12).reshape(3, 4)
+def rigid_of(line: Line, numbers: Float64Array) -> RigidTransform:
+    """The transform of [R t], (12,), of a line; DataError if R is too far from a rotation."""
+    matrix = numbers.reshape(3, 4)
     try:
         return RigidTransform(rotation_of(line, matrix[:, :3]), matrix[:, 3].copy())
     except CalibrationError as error:

@@ -130,13 +130,6 @@ class Choice:
         """Whether the ego's frame is the lidar's."""
         return bool(np.abs(self.ego_from_lidar.matrix - np.eye(4)).max() <= _IDENTICAL)
 
-    def egos_at(self, timestamps_ns: Int64Array) -> list[RigidTransform]:
-        """`world_from_ego` at each time: end poses hold beyond the trajectory; without one the ego is stationary."""
-        if self.ego_path is None:
-            return [RigidTransform.identity()] * len(timestamps_ns)
-        held = self.ego_path.held(timestamps_ns)
-        return [*map(RigidTransform.from_quaternion, held.positions, held.quaternions_xyzw)]
-
     def mounted(self, *, with_imu: bool) -> Mounted:
         """One calibration for all frames; `with_imu` states where the ego is."""
         mounts = {number: mount.inverse() @ self.ego_from_lidar for number, mount in self.ego_from_camera.items()}
@@ -308,9 +301,7 @@ class Choice:
         change = points_change(self.scene, lidar, ego, PointsFrame.SENSOR, reach_ns=limit)
         if change is None:
             return points.positions
-        times = points.timestamps_ns
-        if times is None:
-            times = np.full(len(points), frame.timestamp_ns, np.int64)
+        times = frame.point_times_ns
         moved = change.positions(times, points.positions[:, None])[:, 0] if len(times) else points.positions
         if not np.isfinite(moved).all():
             raise PoseError(

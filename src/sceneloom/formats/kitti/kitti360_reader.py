@@ -21,7 +21,7 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import read_bytes
 from sceneloom.formats.base.xml_files import xml_root
 from sceneloom.formats.base.yaml_files import read_yaml
-from sceneloom.formats.kitti.calibration import rotation_of
+from sceneloom.formats.kitti.calibration import rigid_of, rotation_of
 from sceneloom.formats.kitti.oxts import PERIOD_NS
 from sceneloom.formats.kitti.raw_reader import TimestampFile, in_order, timestamped
 from sceneloom.formats.kitti.sensors import camera_sensor, kitti_metadata, lidar_sensor
@@ -191,7 +191,7 @@ class _Sequence:
             return {}
         names = {f"image_{number:02d}": number for number in range(4)}
         return {
-            names[name]: _EGO_FROM_POSE @ _rigid(line, line.entry(12))
+            names[name]: _EGO_FROM_POSE @ rigid_of(line, line.entry(12))
             for name, line in entries.items()
             if name in names
         }
@@ -210,7 +210,7 @@ class _Sequence:
             raise DataError(file, "", f"{len(lines)} lines; expected one of 12 numbers, the camera's pose on the lidar")
         lines[0].check_count((12,), "three rows of [R t]")
         numbers = np.array(lines[0].floats(0, [f"value {k}" for k in range(12)]))
-        return mounts[0] @ _rigid(lines[0], numbers).inverse()
+        return mounts[0] @ rigid_of(lines[0], numbers).inverse()
 
     def _model(self, number: int) -> tuple[Camera, RigidTransform]:
         """A camera model, and what takes the camera's frame into the one before it was rectified."""
@@ -244,7 +244,7 @@ class _Sequence:
             line.check_count((13,), "number of the frame, and three rows of [R t]")
             numbers.append(line.whole_at(0, "frame"))
             values = np.array(line.floats(1, [f"value {k}" for k in range(12)]))
-            poses.append(_rigid(line, values) @ _EGO_FROM_POSE.inverse())
+            poses.append(rigid_of(line, values) @ _EGO_FROM_POSE.inverse())
         if not poses:
             raise DataError(file, "", "is empty; expected a pose for each frame")
         times = self.times_of(np.array(numbers, np.int64))
@@ -368,14 +368,6 @@ def _entries(file: Path) -> dict[str, Line]:
     if not file.is_file():
         raise DataError(file, "", "is missing; expected the calibration of KITTI-360")
     return read_entries(file)
-
-
-def _rigid(line: Line, numbers: Float64Array) -> RigidTransform:
-    matrix = numbers.reshape(3, 4)
-    try:
-        return RigidTransform(rotation_of(line, matrix[:, :3]), matrix[:, 3].copy())
-    except CalibrationError as error:
-        raise line.fault(str(error)) from error
 
 
 _GROUPS = {

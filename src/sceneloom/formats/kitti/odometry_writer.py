@@ -12,6 +12,7 @@ from sceneloom.errors import OptionError
 from sceneloom.formats.base.losses import Losses, LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.text_tables import seconds_text
+from sceneloom.formats.base.written_ego import egos_at
 from sceneloom.formats.kitti.calibration import write_calibration
 from sceneloom.formats.kitti.frames_writer import Choice, Timeline, kept_calibration, kept_of
 from sceneloom.formats.kitti.odometry_reader import CLASS_BITS, CLASS_NAMES, UNLABELED
@@ -183,7 +184,7 @@ def _location(path: Path, name: str) -> OdometrySequence:
 
 def _poses(choice: Choice, timeline: Timeline, rectified_from_lidar: RigidTransform) -> list[str]:
     """The poses of camera 0's rectified frame, seen from its first one, a line each."""
-    egos = choice.egos_at(timeline.timestamps_ns)
+    egos = egos_at(choice.ego_path, timeline.timestamps_ns)
     if not egos:
         return []
     path, losses = choice.ego_path, choice.losses

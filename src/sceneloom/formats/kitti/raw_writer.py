@@ -15,7 +15,7 @@ from sceneloom.errors import OptionError, SceneloomError
 from sceneloom.formats.base.losses import LossReport
 from sceneloom.formats.base.output import FolderKind, replacing
 from sceneloom.formats.base.poses import mounting
-from sceneloom.formats.base.written_ego import ego_trajectory
+from sceneloom.formats.base.written_ego import ego_trajectory, egos_at
 from sceneloom.formats.kitti.calibration import CAMERAS, SPARE_CAMERA, Mounted
 from sceneloom.formats.kitti.frames_writer import (
     NONE,
@@ -230,7 +230,7 @@ def _tracklets_of(choice: Choice, timestamps_ns: Int64Array, starts_ns: Int64Arr
             losses.dropped("annotations.cuboid.id", "tracklets have no ids; read back, they are counted")
         report_unwritten(annotation, STATES, "left out: a tracklet has no field for it", losses, seen=0)
         for run, run_times in runs:
-            world_from_lidar = [ego @ choice.ego_from_lidar for ego in choice.egos_at(run_times)]
+            world_from_lidar = [ego @ choice.ego_from_lidar for ego in egos_at(choice.ego_path, run_times)]
             tracklet, error = _tracklet(annotation, run, run_times, world_from_lidar, angles, lidar_id)
             found.append(tracklet)
             if error > 0:

@@ -18,6 +18,7 @@ from sceneloom.errors import CalibrationError, DataError, UnknownFormatError
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import FileView, check_pixels
 from sceneloom.formats.base.images import PNG_START, EncodedImage, decode_grey_png, grey_png_size
+from sceneloom.formats.base.wire_formats import read_varint
 from sceneloom.formats.messages.records import (
     CameraModelRecord,
     CompressedImageRecord,
@@ -599,14 +600,12 @@ def _holds_av1_sequence(content: bytes) -> bool:
         if head >> 3 & 0xF == _AV1_SEQUENCE:
             return True
         location += 2 if head & _AV1_HAS_EXTENSION else 1
-        size, bits = 0, 0
         if not head & _AV1_HAS_SIZE:
             return False
-        while location < len(content):
-            size |= (content[location] & 0x7F) << bits
-            location, bits = location + 1, bits + 7
-            if content[location - 1] < 0x80:
-                break
+        try:
+            size, location = read_varint(content, location, len(content))
+        except ValueError:
+            return False
         location += size
     return False
 

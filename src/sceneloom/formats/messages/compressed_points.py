@@ -12,6 +12,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, Int64Array
 from sceneloom.errors import MissingExtraError, how_to_install
 from sceneloom.formats.base.files import most_unpacked
+from sceneloom.formats.base.wire_formats import read_varint
 from sceneloom.formats.messages.file_bytes import decompress
 from sceneloom.formats.messages.records import CloudRecord, PackedCloudRecord, PackedField
 from sceneloom.formats.points.cloud import MOST_POINTS
@@ -414,18 +415,18 @@ def _check_draco(content: bytes) -> int:
             raise ValueError(f"Draco of kind {kind}, version {version}; expected points (0), version {_DRACO_VERSION}")
         position = _DRACO_HEAD.size
         if flags & _DRACO_METADATA:
-            owners, position = _read_varint(content, position)
+            owners, position = read_varint(content, position, len(content))
             for _ in range(owners):
-                position = _skip_metadata(content, _read_varint(content, position)[1])
+                position = _skip_metadata(content, read_varint(content, position, len(content))[1])
             position = _skip_metadata(content, position)
         count, decoders = struct.unpack_from("<iB", content, position)
         position += 5
         size = 0
         for _ in range(decoders):
-            attributes, position = _read_varint(content, position)
+            attributes, position = read_varint(content, position, len(content))
             for _ in range(attributes):
                 size += content[position + 2] * _DRACO_SIZES.get(content[position + 1], 8)
-                position = _read_varint(content, position + 4)[1]
+                position = read_varint(content, position + 4, len(content))[1]
             position += attributes if method == _SEQUENTIAL else 0  # how each attribute is decoded
     except (IndexError, struct.error, RecursionError) as error:
         raise ValueError(f"the head of Draco is cut off: {error}") from error
@@ -433,24 +434,14 @@ def _check_draco(content: bytes) -> int:
     return int(count)
 
 
-def _read_varint(content: bytes, position: int) -> tuple[int, int]:
-    number = 0
-    for k in range(5):
-        byte = content[position + k]
-        number |= (byte & 0x7F) << (7 * k)
-        if byte < 0x80:
-            return number, position + k + 1
-    raise ValueError("a number of Draco of more than 32 bits")
-
-
 def _skip_metadata(content: bytes, position: int) -> int:
     """Where metadata end: entries of names and values, then parts of names and metadata."""
-    entries, position = _read_varint(content, position)
+    entries, position = read_varint(content, position, len(content))
     for _ in range(entries):
         position += 1 + content[position]
-        size, position = _read_varint(content, position)
+        size, position = read_varint(content, position, len(content))
         position += size
-    parts, position = _read_varint(content, position)
+    parts, position = read_varint(content, position, len(content))
     for _ in range(parts):
         position = _skip_metadata(content, position + 1 + content[position])
     return position

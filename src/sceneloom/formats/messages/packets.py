@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import AnyArray, Int64Array, UInt8Array, read_only
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, UInt8Array, read_only
 from sceneloom.errors import DataError
 from sceneloom.formats.messages.records import Kind, NotesRecord, PacketsRecord, Topic, TopicLog
 from sceneloom.formats.messages.survey import Survey
@@ -406,7 +406,7 @@ _STATES = {84: 380, 330: 396}
 
 _UNUSABLE = 0b101  # flags of detections whose distance or azimuth is invalid
 _SYNCHRONISED = 1
-_ELEVATION_UNKNOWN = 0b10000
+_ELEVATION_UNKNOWN, _RATE_UNKNOWN = 0b10000, 0b1000000
 
 
 def _radar(group: _Group, found: Survey) -> list[PacketDraft] | None:
@@ -480,7 +480,8 @@ class _RadarCycles:
         record = self.record(number)
         rows = record["rows"][: min(int(record["count"]), len(record["rows"]))]
         read = _objects if self.is_objects else _detections
-        points, dropped = read(rows)
+        points = read(rows)
+        dropped = len(rows) - len(points)
         names = ("ambiguity_free_velocity_min", "ambiguity_free_velocity_max", "alignment_status", "stamp_sync_status")
         extras = {name: record[name].item() for name in names if name in (record.dtype.names or ())}
         extras |= {"dropped_points": dropped} if dropped else {}
@@ -489,48 +490,55 @@ class _RadarCycles:
 
 def _columns(rows: AnyArray, *, without: Sequence[str] = ()) -> dict[str, AnyArray]:
     names = [name for name in rows.dtype.names or () if name not in without]
-    return {name: read_only(rows[name].astype(rows.dtype[name].newbyteorder("="))) for name in names}
+    return {name: rows[name].astype(rows.dtype[name].newbyteorder("=")) for name in names}
 
 
-def _detections(rows: AnyArray) -> tuple[RadarPoints, int]:
-    """Detections whose distance and azimuth are valid, by their angles; an invalid elevation is 0."""
-    kept = rows[(rows["invalid_flags"] & _UNUSABLE) == 0]
+def _detections(rows: AnyArray) -> RadarPoints:
+    """Detections whose distance and azimuth are valid, by their angles; an invalid elevation is 0, a velocity NaN."""
     azimuths, elevations, ranges = (
-        kept[name].astype(np.float64) for name in ("azimuth_angle", "elevation_angle", "range")
+        rows[name].astype(np.float64) for name in ("azimuth_angle", "elevation_angle", "range")
     )
-    elevations = np.where(kept["invalid_flags"] & _ELEVATION_UNKNOWN, 0.0, elevations)
+    elevations = np.where(rows["invalid_flags"] & _ELEVATION_UNKNOWN, 0.0, elevations)
     with np.errstate(invalid="ignore", over="ignore"):
         level = np.cos(elevations)
         directions = np.stack((level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)), axis=1)
         positions = (directions * ranges[:, None]).astype(np.float32)
-    finite = np.isfinite(positions).all(axis=1)
-    points = RadarPoints(
-        read_only(positions[finite]),
-        read_only(directions[finite], np.float32),
-        read_only(kept["range_rate"][finite], np.float32),
-        extras=MappingProxyType(_columns(kept[finite], without=("range_rate",))),
-    )
-    return points, len(rows) - len(points)
+    kept = np.isfinite(positions).all(axis=1) & ((rows["invalid_flags"] & _UNUSABLE) == 0)
+    rates = np.where(rows["invalid_flags"] & _RATE_UNKNOWN, np.nan, rows["range_rate"])
+    return _radar_points(positions, directions, rates, _columns(rows, without=("range_rate",)), kept)
 
 
-def _objects(rows: AnyArray) -> tuple[RadarPoints, int]:
-    """Objects at their reference points, with their velocities relative to the vehicle."""
-    positions = np.stack([rows[f"position_{axis}"] for axis in "xyz"], axis=1).astype(np.float32)
-    finite = np.isfinite(positions).all(axis=1) & (rows["position_invalid_flags"] == 0)
-    kept = rows[finite]
-    velocities = np.zeros((len(kept), 3))
-    velocities[:, 0], velocities[:, 1] = kept["relative_velocity_x"], kept["relative_velocity_y"]
-    with np.errstate(invalid="ignore", over="ignore"):
-        lengths = np.linalg.norm(velocities, axis=1)
-        directions = np.divide(velocities, lengths[:, None], out=np.zeros_like(velocities), where=lengths[:, None] > 0)
-    directions[lengths == 0, 0] = 1.0
-    points = RadarPoints(
-        read_only(positions[finite]),
-        read_only(directions, np.float32),
-        read_only(lengths, np.float32),
-        extras=MappingProxyType(_columns(kept, without=("position_x", "position_y", "position_z"))),
-    )
-    return points, len(rows) - len(points)
+def _objects(rows: AnyArray) -> RadarPoints:
+    """Objects at their reference points, with their velocities relative to the vehicle, NaN where they are invalid."""
+    names = [f"position_{axis}" for axis in "xyz"]
+    positions = np.stack([rows[name] for name in names], axis=1).astype(np.float32)
+    kept = np.isfinite(positions).all(axis=1) & (rows["position_invalid_flags"] == 0)
+    velocities = np.stack([rows[f"relative_velocity_{axis}"] for axis in "xy"], axis=1).astype(np.float64)
+    velocities[rows["relative_velocity_invalid_flags"] != 0] = np.nan
+    return _radar_points(positions, *_decomposed(velocities), _columns(rows, without=names), kept)
+
+
+def _decomposed(velocities: AnyArray) -> tuple[Float64Array, Float64Array]:
+    """Directions, (N, 3), and lengths of velocities (N, 2) [m/s]; along x where they are zero, or not known (NaN)."""
+    velocities = velocities.astype(np.float64)
+    lengths = np.linalg.norm(velocities, axis=1)
+    directions = np.tile([1.0, 0.0, 0.0], (len(velocities), 1))
+    known = (lengths > 0) & np.isfinite(lengths)
+    np.divide(velocities, lengths[:, None], out=directions[:, :2], where=known[:, None])
+    return directions, lengths
+
+
+def _radar_points(
+    positions: AnyArray, directions: AnyArray, lengths: AnyArray, columns: Mapping[str, AnyArray], kept: BoolArray
+) -> RadarPoints:
+    """The points that are kept, of arrays of all."""
+    with np.errstate(over="ignore"):
+        return RadarPoints(
+            read_only(positions[kept], np.float32),
+            read_only(directions[kept], np.float32),
+            read_only(lengths[kept], np.float32),
+            extras=MappingProxyType({name: read_only(values[kept]) for name, values in columns.items()}),
+        )
 
 
 # Radar: Continental SRR520. Each packet is a frame of CAN FD behind its id; a message holds the packets of one list.
@@ -672,33 +680,16 @@ def _bit_fields(rows: UInt8Array, fields: Sequence[_Field]) -> dict[str, AnyArra
 def _can_detections(columns: dict[str, AnyArray], _: Mapping[str, Any]) -> RadarPoints:
     """Detections whose azimuth is known, in the plane of the radar."""
     azimuths = columns["azimuth_angle"].astype(np.float64)
-    kept = np.isfinite(azimuths)
-    directions = np.stack((np.cos(azimuths), np.sin(azimuths), np.zeros(len(azimuths))), axis=1)[kept]
-    positions = directions * columns["range"][kept, None]
-    lengths = columns.pop("range_rate")[kept]
-    return _can_points(positions, directions, lengths, columns, kept)
+    directions = np.stack((np.cos(azimuths), np.sin(azimuths), np.zeros(len(azimuths))), axis=1)
+    positions = directions * columns["range"][:, None]
+    return _radar_points(positions, directions, columns.pop("range_rate"), columns, np.isfinite(azimuths))
 
 
 def _can_objects(columns: dict[str, AnyArray], extras: Mapping[str, Any]) -> RadarPoints:
     """Objects whose position is known, with their velocities relative to the vehicle, which moves and turns."""
     x, y = (columns.pop(f"dist_{axis}").astype(np.float64) for axis in "xy")
-    kept = np.isfinite(x) & np.isfinite(y)
     columns.pop("reserved")
-    none = np.zeros(len(x))
     moved = np.stack((extras["ego_vx"] - extras["ego_yaw_rate"] * y, extras["ego_yaw_rate"] * x), axis=1)
-    relative = np.stack((columns["v_abs_x"], columns["v_abs_y"]), axis=1) - moved
-    lengths = np.linalg.norm(relative, axis=1)
-    directions = np.tile([1.0, 0.0, 0.0], (len(x), 1))
-    np.divide(relative, lengths[:, None], out=directions[:, :2], where=(lengths > 0)[:, None])
-    return _can_points(np.stack((x, y, none), axis=1)[kept], directions[kept], lengths[kept], columns, kept)
-
-
-def _can_points(
-    positions: AnyArray, directions: AnyArray, lengths: AnyArray, columns: Mapping[str, AnyArray], kept: AnyArray
-) -> RadarPoints:
-    return RadarPoints(
-        read_only(positions, np.float32),
-        read_only(directions, np.float32),
-        read_only(lengths, np.float32),
-        extras=MappingProxyType({name: read_only(values[kept]) for name, values in columns.items()}),
-    )
+    directions, lengths = _decomposed(np.stack((columns["v_abs_x"], columns["v_abs_y"]), axis=1) - moved)
+    kept = np.isfinite(x) & np.isfinite(y)
+    return _radar_points(np.stack((x, y, np.zeros(len(x))), axis=1), directions, lengths, columns, kept)

@@ -33,9 +33,9 @@ from sceneloom.formats.messages.records import (
     Topic,
     TopicLog,
     TransformRecord,
-    numbered,
 )
 from sceneloom.formats.messages.survey import ATTRIBUTE_PARTS, Survey, in_order
+from sceneloom.formats.points.cloud import unique_names
 from sceneloom.formats.rig_files.matching import (
     EGO_FRAMES,
     RigSensor,
@@ -1470,7 +1470,7 @@ def _sensor_names(topics: Sequence[str]) -> list[str]:
     """Name the sensors of topics: short where that is unique, else the whole topic, with a number if need be."""
     bases = ["/".join(_parts_of(topic, without=_TAILS)) or topic or "topic" for topic in topics]
     counts, pairs = Counter(bases), zip(topics, bases, strict=True)
-    return numbered(base if counts[base] == 1 else "/".join(_parts_of(topic)) or base for topic, base in pairs)
+    return unique_names(base if counts[base] == 1 else "/".join(_parts_of(topic)) or base for topic, base in pairs)
 
 
 def _nearest(topic: str, others: Iterable[str]) -> str | None:

@@ -1,7 +1,6 @@
 """Messages whatever their format: records, topics that are read, streams that are written, supported fields."""
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Protocol
@@ -382,16 +381,6 @@ def grid_positions(columns: Int64Array, rows: Int64Array, cell: tuple[float, flo
 def rotation_of(quaternion: Any) -> Float64Array:
     """(4,) float64, x y z w of a message."""
     return np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
-
-
-def numbered(names: Iterable[str], mark: str = "~") -> list[str]:
-    """The same names, with a mark and a number where one is there once more."""
-    taken = Counter[str]()
-    found = []
-    for name in names:
-        taken[name] += 1
-        found.append(name if taken[name] == 1 else f"{name}{mark}{taken[name]}")
-    return found
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,9 +34,9 @@ from sceneloom.formats.messages.records import (
     SampleRecord,
     Stated,
     TransformRecord,
-    numbered,
 )
 from sceneloom.formats.messages.survey import ATTRIBUTE_PARTS, VERSION
+from sceneloom.formats.points.cloud import unique_names
 from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.scene.annotations import AttributePath, Box2DAnnotation, CuboidAnnotation
 from sceneloom.scene.annotations_at import CuboidAngles
@@ -337,7 +337,7 @@ class SceneStreams:
         plain = sum(isinstance(sensor, PlainSensor) for sensor in scene.sensors)
         self.losses.dropped("sensors.plain", "sensors of a type that there are no messages for", count=plain)
         trajectories = self._trajectories()
-        parts = numbered([dialect.part(sensor.id) for sensor in scene.sensors], "_")
+        parts = unique_names([dialect.part(sensor.id) for sensor in scene.sensors], "_")
         pairs = zip(scene.sensors, parts, strict=True)
         sensors = [self._sensor(sensor, part) for sensor, part in pairs if not isinstance(sensor, PlainSensor)]
         self.notes: dict[str, Any] = {
@@ -378,7 +378,7 @@ class SceneStreams:
         """Report each trajectory on a topic of its own."""
         dialect, notes = self._dialect, []
         trajectories = self._scene.trajectories
-        parts = numbered([dialect.part(name) for name in trajectories], "_")
+        parts = unique_names([dialect.part(name) for name in trajectories], "_")
         for (name, trajectory), part in zip(trajectories.items(), parts, strict=True):
             if len(trajectory.timestamps_ns) == 0:
                 self.losses.dropped("trajectories", f"trajectory {name!r} without a pose")
@@ -618,7 +618,7 @@ class SceneStreams:
                 continue
             groups.setdefault((tail, samples.timestamps_ns.tobytes()), []).append(name)
             self._drop_seconds(f"{location}.file_seconds", samples.file_seconds)
-        note["topics"] = [f"/{note['part']}/{tail}" for tail in numbered([tail for tail, _ in groups], "_")]
+        note["topics"] = [f"/{note['part']}/{tail}" for tail in unique_names([tail for tail, _ in groups], "_")]
         for topic, names in zip(note["topics"], groups.values(), strict=True):
             self._streams.append(self._samples(sensor, names, topic))
 
@@ -634,7 +634,8 @@ class SceneStreams:
     def _annotations(self, sensor_notes: Sequence[_Note]) -> list[_Note]:
         """Draw the boxes; of all other annotations nothing is held."""
         annotations = self._scene.annotations
-        keys = dict(zip(map(id, annotations), numbered(str(a.id) or "annotation" for a in annotations), strict=True))
+        names = unique_names(str(a.id) or "annotation" for a in annotations)
+        keys = dict(zip(map(id, annotations), names, strict=True))
         topics: dict[int, str] = {}
         cuboids = [a for a in annotations if isinstance(a, CuboidAnnotation) and len(a.path.timestamps_ns)]
         if cuboids:

@@ -21,7 +21,7 @@ from sceneloom.formats.base.losses import Loss, Losses, LossReport, Support, fie
 from sceneloom.formats.base.output import FolderKind, file_stem, file_stems, replacing
 from sceneloom.formats.base.poses import each_mounted, ego_in_world, mounting
 from sceneloom.formats.base.spec import as_positive
-from sceneloom.formats.base.written_ego import ego_trajectory
+from sceneloom.formats.base.written_ego import ego_trajectory, egos_at
 from sceneloom.formats.nuscenes.spec import SUPPORTS
 from sceneloom.formats.nuscenes.tables import KEY_FRAMES, MICROSECOND, TABLES
 from sceneloom.formats.points.cloud import NUSCENES
@@ -274,13 +274,6 @@ class _WritingPlan:
         samples = _samples(scene, channels, about, rate_hz, row.name)
         return cls(scene, version, row, log, channels, samples, ego_path, losses)
 
-    def egos_at(self, timestamps_ns: Int64Array) -> list[RigidTransform]:
-        """`world_from_ego` at each time; beyond the trajectory its end poses hold."""
-        if self.ego_path is None:
-            return [RigidTransform.identity()] * len(timestamps_ns)
-        held = self.ego_path.held(timestamps_ns)
-        return [*map(RigidTransform.from_quaternion, held.positions, held.quaternions_xyzw)]
-
     def beyond(self, timestamps_ns: Int64Array) -> int:
         """How many times are beyond the ego trajectory."""
         path = self.ego_path
@@ -519,7 +512,7 @@ class _Writer:
 
     def _write_channel(self, channel: _Channel, add_row: _Add, add_pose: _Add) -> None:
         plan, timestamps = self.plan, channel.frames.timestamps_ns
-        timestamps_us, egos = _microseconds(timestamps), plan.egos_at(timestamps)
+        timestamps_us, egos = _microseconds(timestamps), egos_at(plan.ego_path, timestamps)
         is_key = plan.samples.key_rows(channel)
         samples = plan.samples.numbers(timestamps, is_key)
         tokens = [_token_of("sample_data", self.name, channel.name, k) for k in range(len(timestamps))]

@@ -20,6 +20,7 @@ import numpy as np
 from sceneloom.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from sceneloom.errors import DataError
 from sceneloom.formats.base.json_files import read_json
+from sceneloom.formats.base.wire_formats import varint
 from sceneloom.formats.packets.sweeps import Survey
 from sceneloom.scene.clouds import LidarPoints
 from sceneloom.scene.motion import VectorSamples
@@ -385,21 +386,11 @@ def _xz_frame(length: int) -> tuple[bytes, bytes]:
     chunk = b"\x01" + (length - 1).to_bytes(2, "big")
     before = b"\xfd7zXZ\x00" + checked(flags) + checked(b"\x02\x00\x21\x01\x00\x00\x00\x00") + chunk
     unpadded = 12 + 3 + length + 1 + 8
-    sizes = b"".join(_variable(value) for value in (1, unpadded, length))
+    sizes = b"".join(varint(value) for value in (1, unpadded, length))
     index = b"\x00" + sizes
     index = checked(index + bytes(-len(index) % 4))
     tail = (len(index) // 4 - 1).to_bytes(4, "little") + flags
     return before, index + zlib.crc32(tail).to_bytes(4, "little") + tail + b"YZ"
-
-
-def _variable(value: int) -> bytes:
-    """An integer of as many bytes of 7 bits as it needs."""
-    found = bytearray()
-    while value >= 0x80:
-        found.append(value & 0x7F | 0x80)
-        value >>= 7
-    found.append(value)
-    return bytes(found)
 
 
 def crc_holds(packets: UInt8Array) -> BoolArray:

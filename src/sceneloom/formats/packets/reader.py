@@ -22,6 +22,7 @@ from sceneloom.scene.scene import Scene, Sensor
 from sceneloom.warnings import WarningKind
 
 _SAMPLE = 64  # packets by which a stream is recognised
+_CHUNK = 2048  # packets that are searched together
 _OUSTER_PORT, _SHORTEST = 7502, 560  # packets of returns are longer, and of no state
 _NAMES_LISTED = 5
 _FAR_NS = 100_000_000_000  # a receiver's clock that is farther from the capturing one is not believed
@@ -56,6 +57,15 @@ class _Stream:
 
     def packets(self, count: int | None = None) -> UInt8Array:
         return self.datagrams.payloads(self.rows[:count])
+
+    def state(self) -> UInt8Array | None:
+        """The first DIFOP packet of a RoboSense lidar that sends them to the port of its returns; None without any."""
+        for start in range(0, len(self.rows), _CHUNK):
+            packets: UInt8Array = self.datagrams.payloads(self.rows[start : start + _CHUNK])
+            packet: UInt8Array
+            for packet in packets[robosense.states(packets)][:1]:
+                return packet
+        return None
 
 
 def open_capture(path: Path, *, options: CaptureReading) -> Scene:
@@ -192,9 +202,11 @@ class _Capture:
         for stream, packets in samples:
             if robosense.states(packets).all():
                 continue
-            angles = find_angles(self.path, self.options, stream.host)
+            angles, state = find_angles(self.path, self.options, stream.host), states.get(stream.host)
             try:
-                decoder = decoder_of(packets, self.options, angles, states.get(stream.host))
+                if angles is None and state is None and robosense.recognise(packets) is not None:
+                    state = stream.state()
+                decoder = decoder_of(packets, self.options, angles, state)
             except DataError as error:
                 self.ledger.fault("lidar-unreadable", error)
                 continue

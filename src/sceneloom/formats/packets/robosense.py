@@ -122,11 +122,13 @@ class RobosenseDecoder:
             microseconds = _big_endian(packets[:, _TIME + 6 : _TIME + 10])
         return np.asarray(seconds * 1_000_000_000 + microseconds * 1000)
 
-    def _block_times_ns(self, packets: UInt8Array, pairs: BoolArray) -> Int64Array:
-        """Times of blocks, (P, 12) int64 [ns]."""
+    def _block_times_ns(self, packets: UInt8Array, pairs: BoolArray) -> tuple[Int64Array, bool]:
+        """Times of blocks, (P, 12) int64 [ns], and whether they hold two returns of 16 lasers."""
         starts_ns = self._starts_ns(packets)
-        number = np.where(pairs[:, None], np.arange(12) // 2, np.arange(12)) / (1 + self._halves(starts_ns))
-        return np.asarray(starts_ns[:, None] + np.rint(number * MODELS[self.key].block_us * 1000).astype(np.int64))
+        halves = self._halves(starts_ns)
+        number = np.where(pairs[:, None], np.arange(12) // 2, np.arange(12)) / (1 + halves)
+        shifts_ns = np.rint(number * MODELS[self.key].block_us * 1000).astype(np.int64)
+        return np.asarray(starts_ns[:, None] + shifts_ns), halves
 
     def survey(self, packets: UInt8Array) -> Survey:
         """Look at packets, (P, 1248) uint8."""
@@ -135,15 +137,16 @@ class RobosenseDecoder:
         usable &= (body["azimuth"] <= 36000).all(axis=1)
         if not MODELS[self.key].calendar:
             usable &= (packets[:, _TIME : _TIME + 2] == 0).all(axis=1)
-        times_ns = self._block_times_ns(packets, self._pairs(body))
-        return Survey(times_ns, body["azimuth"] / 36000.0, np.asarray(usable, np.bool_))
+        times_ns, _ = self._block_times_ns(packets, self._pairs(body))
+        return Survey(times_ns, body["azimuth"] / 36000.0, np.asarray(usable, np.bool_), states=states(packets))
 
     def points(self, packets: UInt8Array, shifts_ns: Int64Array, blocks: BoolArray) -> LidarPoints:
         """Decode the returns of packets, (P, 1248) uint8; of two equal returns of a firing one counts."""
         body, model = _blocks(packets), MODELS[self.key]
         raw, intensities = body["returns"]["distance"].astype(np.float32), body["returns"]["intensity"]
         kept = (raw > 0) & blocks[:, :, None]
-        pairs, halves = self._pairs(body), self._halves(self._starts_ns(packets))
+        pairs = self._pairs(body)
+        block_times_ns, halves = self._block_times_ns(packets, pairs)
         second = np.broadcast_to((pairs[:, None] & (np.arange(12) % 2 == 1))[:, :, None], raw.shape)
         if halves:
             second = np.broadcast_to(np.arange(32) >= 16, raw.shape)
@@ -163,11 +166,9 @@ class RobosenseDecoder:
         distances = raw.ravel().take(index) * np.float32(model.step)
         level, height = distances * np.cos(elevations).take(laser), distances * np.sin(elevations).take(laser)
         positions = polar_points(before + offsets.take(laser), level, height)
-        positions += np.stack((np.cos(before), np.sin(before), np.ones_like(before)), axis=1) * np.array(
-            (model.radius, model.radius, model.height), np.float32
-        )
+        positions += polar_points(before, np.float32(model.radius), np.float32(model.height))
         positions[:, 1] *= -1
-        times_ns = (self._block_times_ns(packets, pairs) + shifts_ns[:, None]).ravel()
+        times_ns = (block_times_ns + shifts_ns[:, None]).ravel()
         order = np.argsort(np.argsort(self.angles_deg[:, 0], kind="stable"), kind="stable").astype(np.uint16)
         numbers = second.ravel().take(index).astype(np.uint8) + np.uint8(1) if second.any() else None
         return LidarPoints(

@@ -57,12 +57,14 @@ class Survey:
         phases: (P, B) float64, how much of a turn each block is away from where the sensor's rotation begins.
         frames: (P, B) int64, the sensor's own numbers of rotations, where it counts them.
         usable: (P,) bool, whether the packet is one of this sensor, and whole.
+        states: (P,) bool, which packets are of this sensor's state, without returns; none where it is None.
     """
 
     times_ns: Int64Array
     phases: Float64Array
     usable: BoolArray
     frames: Int64Array | None = None
+    states: BoolArray | None = None
 
 
 class PacketDecoder(Protocol):
@@ -157,10 +159,12 @@ def find_sweeps(
     Returns:
         the sweeps, or None where no packet is usable.
     """
-    kept = _Surveyed()
+    kept, unusable = _Surveyed(), 0
     for start in range(0, len(rows), _CHUNK):
         chunk = rows[start : start + _CHUNK]
         survey = decoder.survey(source.payloads(chunk))
+        known = survey.usable if survey.states is None else survey.usable | survey.states
+        unusable += int(np.count_nonzero(~known))
         kept.rows.append(np.flatnonzero(survey.usable) + start)
         kept.times_ns.append(survey.times_ns[survey.usable, 0])
         phases = np.floor(survey.phases[survey.usable] % 1.0 * _TURN)
@@ -168,9 +172,9 @@ def find_sweeps(
         if survey.frames is not None:
             kept.frames.append(survey.frames[survey.usable])
     usable = np.concatenate(kept.rows)
-    if len(usable) < len(rows):
+    if unusable:
         message = f"a packet is damaged, or none of {decoder.model}; it is left out"
-        ledger.note(WarningKind.SKIPPED, "packets-unusable", where, message, count=len(rows) - len(usable))
+        ledger.note(WarningKind.SKIPPED, "packets-unusable", where, message, count=unusable)
     if not len(usable):
         return None
     rows, arrivals_ns, raw_ns = rows[usable], arrivals_ns[usable], np.concatenate(kept.times_ns)
@@ -289,12 +293,14 @@ def located(kept: BoolArray) -> tuple[Int64Array, Int64Array, Int64Array]:
     return index, blocks, index - blocks * kept.shape[2]
 
 
-def polar_points(azimuths: Float32Array, level: Float32Array, height: Float32Array) -> Float32Array:
+def polar_points(
+    azimuths: Float32Array, level: Float32Array | np.float32, height: Float32Array | np.float32
+) -> Float32Array:
     """Positions of returns, (N, 3) float32 [m]: x along azimuth 0, y where the azimuth grows, z up.
 
     Args:
         azimuths: (N,) [rad].
-        level, height: (N,) [m], distance from the axis, and above the centre.
+        level, height: (N,) [m], or one for all, distance from the axis, and above the centre.
     """
     found = np.empty((len(azimuths), 3), np.float32)
     np.multiply(np.cos(azimuths), level, out=found[:, 0])
@@ -338,17 +344,19 @@ def angle_table(path: Path, *channels: int) -> Float64Array:
     Raises:
         DataError: it cannot be read, or has not a line for each channel.
     """
-    rows: list[list[float]] = []
-    for line in read_settings(path).decode("utf-8-sig", "replace").splitlines():
+    rows: dict[int, list[float]] = {}
+    for number, line in enumerate(read_settings(path).decode("utf-8-sig", "replace").splitlines(), 1):
         try:
-            rows.append([float(part) for part in line.replace(";", ",").split(",") if part.strip()])
+            row = [float(part) for part in line.replace(";", ",").split(",") if part.strip()]
         except ValueError:
             continue  # the head
-    rows = [row[-2:] for row in rows if len(row) in (2, 3)]
+        if len(row) in (2, 3):
+            rows[number] = row[-2:]
     if len(rows) not in channels:
         expected = " or ".join(map(str, channels))
         raise DataError(path, "", f"{len(rows)} lines of elevation and azimuth; expected {expected}")
-    found = np.array(rows)
-    if not (np.abs(found) <= 360).all():
-        raise DataError(path, "", "an angle is beyond 360 degrees")
-    return found
+    for number, row in rows.items():
+        for angle in row:
+            if not abs(angle) <= 360:  # NaN, too
+                raise DataError(path, f"line {number}", f"angle {angle}; expected 360 degrees at most")
+    return np.array(list(rows.values()))

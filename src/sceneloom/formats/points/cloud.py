@@ -2,7 +2,8 @@
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -34,13 +35,13 @@ class Cloud:
     head: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
 
-def unique_names(names: list[str]) -> list[str]:
-    """Give repeated names a number, since a structured array has no two fields of one name; `_` stays padding."""
-    seen: dict[str, int] = {}
+def unique_names(names: Iterable[str], mark: str = "~") -> list[str]:
+    """The same names, with a mark and a number where one is there once more; of columns `_` stays padding."""
+    seen = Counter[str]()
     unique = []
     for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        unique.append(name if seen[name] == 1 else f"{name}~{seen[name]}")
+        seen[name] += 1
+        unique.append(name if seen[name] == 1 else f"{name}{mark}{seen[name]}")
     return unique
 
 

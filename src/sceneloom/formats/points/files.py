@@ -246,15 +246,11 @@ def _colors_16(colors: AnyArray | None) -> dict[str, AnyArray]:
 
 
 class _LasWriter:
-    """An open LAS file: labels are classifications up to 255, and all in `label`; times are the scene's [s].
-
-    A name in `.copc.laz` has the points in an octree: they are written plainly beside it first.
-    """
+    """An open LAS file: labels are classifications up to 255, and all in `label`; times are the scene's [s]."""
 
     def __init__(self, path: Path) -> None:
         """Begin a file, which must not be there."""
-        self._target = path
-        self._path = path.with_suffix(".las") if path.name.lower().endswith(".copc.laz") else path
+        self._path = path
         self._file: _LasFile | None = None
 
     def add(self, points: WrittenPoints) -> None:
@@ -281,9 +277,6 @@ class _LasWriter:
             self.add(WrittenPoints(np.zeros((0, 3))))
         if self._file is not None:
             self._file.close()
-        if self._path != self._target:
-            write_copc(self._path, self._target)
-            self._path.unlink()
 
 
 def _read_las(path: Path) -> Cloud:
@@ -943,13 +936,17 @@ def check_cloud_suffix(path: Path) -> None:
 def open_cloud_writer(path: Path, *, overwrite: bool = False) -> Iterator[CloudWriter]:
     """Give what writes points to a file; it is there, whole, when the block ends without an error.
 
+    A name in `.copc.laz` has the points in an octree: they are written plainly beside it first.
+
     Raises:
         OptionError: the suffix is none of `WRITTEN_SUFFIXES`.
         OutputError: the file exists, or cannot be written.
     """
     check_cloud_suffix(path)
+    in_octree = path.name.lower().endswith(".copc.laz")
     with replacing(path, overwrite=overwrite) as draft:
-        writer = _WRITERS[path.suffix.lower()](draft)
+        plain = draft.with_suffix(".las") if in_octree else draft
+        writer = _WRITERS[plain.suffix.lower()](plain)
         try:
             yield writer
         except BaseException:
@@ -957,6 +954,9 @@ def open_cloud_writer(path: Path, *, overwrite: bool = False) -> Iterator[CloudW
                 writer.close()
             raise
         writer.close()
+        if in_octree:
+            write_copc(plain, draft)
+            plain.unlink()
 
 
 def _pack_records(columns: Mapping[str, AnyArray], count: int) -> AnyArray:

@@ -1403,7 +1403,7 @@ class _SweepWriter:
 
     def _seconds(self, frame: LidarFrame) -> Float64Array:
         """Times as numbers: those that the file had, where they still mean the same time."""
-        timestamps = _point_times(frame)
+        timestamps = frame.point_times_ns
         seconds: Float64Array = timestamps / 1e9
         before = frame.points.extras.get("file_seconds")
         if isinstance(before, np.ndarray) and before.shape == timestamps.shape:
@@ -1416,7 +1416,7 @@ class _SweepWriter:
         """Undo what brought each point into the world at its own time."""
         if not len(frame.points):
             return np.zeros((0, 3))
-        samples = poses.at(_point_times(frame))
+        samples = poses.at(frame.point_times_ns)
         unknown = int(np.isnan(samples.positions[:, 0]).sum())
         if unknown:
             raise PoseError(
@@ -1445,11 +1445,6 @@ class _SweepWriter:
         if count:
             field = f"sensors[{self._sensor.id}].frames[].points.{name}"
             self.losses.append(Loss(field=field, what=what, count=count))
-
-
-def _point_times(frame: LidarFrame) -> Int64Array:
-    timestamps = frame.points.timestamps_ns
-    return np.full(len(frame.points), frame.timestamp_ns, np.int64) if timestamps is None else timestamps
 
 
 def _world_poses(sensor: LidarSensor, mount: RigidTransform, ego_path: Poses | None) -> PoseSource:

@@ -27,6 +27,7 @@ from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.files import FileIdentity, check_unpacked, file_faults, open_file
 from sceneloom.formats.base.images import EncodedImage
 from sceneloom.formats.base.spec import choose_drive
+from sceneloom.formats.base.wire_formats import read_varint
 from sceneloom.formats.points.cloud import MOST_POINTS
 from sceneloom.formats.points.mapping import IntensityScale
 from sceneloom.formats.waymo.spec import (
@@ -882,32 +883,22 @@ def _compact(data: bytes, at: int, kind: int, depth: int = 0) -> tuple[Any, int]
         return fields, at + 1
     if kind in (_LIST, _SET):
         count, inner = divmod(data[at], 16)
-        count, at = (count, at + 1) if count < 15 else _varint(data, at + 1)
+        count, at = (count, at + 1) if count < 15 else read_varint(data, at + 1, len(data))
         values = []
         for _ in range(count):
             value, at = _compact(data, at, inner, depth + 1)
             values.append(value)
         return values, at
     if kind == _BINARY:
-        length, at = _varint(data, at)
+        length, at = read_varint(data, at, len(data))
         return data[at : at + length], at + length
     if kind == _MAP:
         raise ValueError("a mapping, which footers do not have")
     return _zigzag(data, at)
 
 
-def _varint(data: bytes, at: int) -> tuple[int, int]:
-    value = shift = 0
-    while shift < 64:
-        value |= (data[at] & 0x7F) << shift
-        shift, at = shift + 7, at + 1
-        if not data[at - 1] & 0x80:
-            return value, at
-    raise ValueError(f"no number ends before byte {at} of the footer")
-
-
 def _zigzag(data: bytes, at: int) -> tuple[int, int]:
-    value, at = _varint(data, at)
+    value, at = read_varint(data, at, len(data))
     return value >> 1 ^ -(value & 1), at
 
 

@@ -13,21 +13,14 @@ import msgspec
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
+from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array, finite_rows
 from sceneloom.geometry.rigid import (
     matrix_from_quaternion,
     quaternion_from_matrix,
     quaternion_from_rotation_vector,
     rotation_vector_from_quaternion,
 )
-from sceneloom.motion.clock.signals import (
-    Fixes,
-    Orientations,
-    RotationCurve,
-    SmoothedTrajectory,
-    TrajectorySamples,
-    finite_rows,
-)
+from sceneloom.motion.clock.signals import Fixes, Orientations, RotationCurve, SmoothedTrajectory, TrajectorySamples
 
 REACH_NS = 5_000_000_000
 """Largest offset that is searched [ns]."""

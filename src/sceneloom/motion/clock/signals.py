@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sceneloom.arrays import AnyArray, BoolArray, Float64Array, Int64Array
+from sceneloom.arrays import AnyArray, Float64Array, Int64Array, finite_rows
 from sceneloom.geometry.geodesy import enu_from_geodetic
 from sceneloom.geometry.rigid import (
     conjugate_quaternion,
@@ -162,11 +162,6 @@ class RotationCurve:
             quaternions[inside] = curve(seconds[inside])
             of[inside] = number
         return normalise_quaternion(quaternions), of
-
-
-def finite_rows(values: Float64Array) -> BoolArray:
-    """Which rows of (N, K) are finite."""
-    return np.asarray(np.isfinite(values).all(axis=1), np.bool_)
 
 
 def _relative(first: Float64Array, last: Float64Array) -> Float64Array:

@@ -133,6 +133,10 @@ def test_an_episode_is_read_as_described(episode):
             lambda a: a["frames"][0]["figures"][0]["geometry"]["position"].update(x=1e9),
             r"geometry\.position: .*expected finite numbers",
         ),
+        (
+            lambda a: a["frames"][0]["figures"][0]["geometry"]["position"].update(x="1"),
+            r"annotation\.json: frames\[0\]\.figures\[0\]\.geometry\.position\.x: Expected `float`, got `str`",
+        ),
     ],
 )
 def test_a_fault_of_an_episode_is_named_with_its_location_and_passed_over_if_asked_for(episode, change, problem):
@@ -231,6 +235,10 @@ def test_points_of_a_segmentation_belong_to_the_objects_whose_numbers_they_have(
     labels[0]["point_annotations"] = [2, 0, 9]
     put(tmp_path / "r.json", release("pointcloud-segmentation-sequence", [segments_frame(0)], labels, categories))
     with pytest.raises(DataError, match=r"point_annotations: 9 is none of the annotations' ids"):
+        open_scene(tmp_path)
+    labels[0]["point_annotations"] = [2, 0, "9"]
+    put(tmp_path / "r.json", release("pointcloud-segmentation-sequence", [segments_frame(0)], labels, categories))
+    with pytest.raises(DataError, match=r"r\.json: .*frames\[0\]\.point_annotations\[2\]: Expected `int`, got `str`"):
         open_scene(tmp_path)
 
 

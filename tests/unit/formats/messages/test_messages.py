@@ -19,6 +19,7 @@ from sceneloom.errors import DataError, OptionError, OutputError, UnknownFormatE
 from sceneloom.formats import open_scene, write_scene
 from sceneloom.formats.base.diagnostics import Ledger
 from sceneloom.formats.base.registry import find_format
+from sceneloom.formats.messages import packets
 from sceneloom.formats.messages import writer as messages_writer
 from sceneloom.formats.messages.cameras import image_of, read_camera_model
 from sceneloom.formats.messages.file_bytes import FileBytes
@@ -283,3 +284,29 @@ def test_mosaics_are_filled_as_opencv_does(pattern):
     expected = cv2.cvtColor(mosaic, getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB"))
     difference = image_of(record, "file", "image").astype(int) - expected
     assert np.abs(difference[inner]).max() <= 1  # the two round halves differently
+
+
+def test_velocities_of_radar_objects_keep_a_direction_of_length_one_and_stay_unknown_where_they_are():
+    velocities = np.array([[3.0, -4.0], [0.0, 0.0], [np.nan, 2.0], [0.5, np.nan]], np.float32)
+    directions = [[0.6, -0.8, 0.0], *[[1.0, 0.0, 0.0]] * 3]
+    rows = np.zeros(5, packets._OBJECT)
+    rows["relative_velocity_x"][:4], rows["relative_velocity_y"][:4] = velocities.T
+    rows["relative_velocity_x"][4] = np.inf
+    rows["position_x"] = 1 + np.arange(5)
+    ego = {"ego_vx": 2.0, "ego_yaw_rate": 0.0}
+    columns = {name: np.ones(4, np.float32) for name in ("dist_x", "dist_y", "reserved")}
+    columns |= {"v_abs_x": velocities[:, 0] + np.float32(2), "v_abs_y": velocities[:, 1]}
+    for points in (packets._objects(rows), packets._can_objects(columns, ego)):
+        np.testing.assert_allclose(points.directions[:4], directions, atol=1e-7)
+        np.testing.assert_array_equal(points.lengths[:4], [5.0, 0.0, np.nan, np.nan])
+    rows["position_x"][1], rows["position_invalid_flags"][2] = np.nan, 1
+    assert packets._objects(rows).positions[:, 0].tolist() == [1, 4, 5]
+    assert (packets._objects(rows).lengths[-1], *packets._objects(rows).directions[-1]) == (np.inf, 1, 0, 0)
+    rows["relative_velocity_invalid_flags"][0] = 1
+    np.testing.assert_array_equal(packets._objects(rows).lengths, [np.nan, np.nan, np.inf])
+
+
+def test_radar_detections_of_unknown_velocities_have_none():
+    rows = np.zeros(3, packets._DETECTION)
+    rows["range"], rows["range_rate"], rows["invalid_flags"] = 10.0, [-3.0, 4.0, 5.0], [0, 0b1000000, 0b100]
+    np.testing.assert_array_equal(packets._detections(rows).lengths, [-3.0, np.nan])

@@ -212,11 +212,34 @@ def test_files_of_angles_stand_beside_the_capture_or_are_named_for_each_host(tmp
     (tmp_path / "b.csv").write_text("1,2,3")
     with pytest.raises(DataError, match="1 lines of elevation and azimuth; expected 64"):
         opened(path, angles=str(tmp_path / "b.csv"))
+    for value in ("nan", "400.0", "-inf"):
+        (tmp_path / "b.csv").write_text("channel,elevation,azimuth\n" + lines.replace("7,0.0,", f"7,{value},", 1))
+        with pytest.raises(DataError, match=rf"b\.csv: line 8: angle {value}; expected 360 degrees"):
+            opened(path, angles=str(tmp_path / "b.csv"))
     assert opened(path)[0].sensors[0].mount.rotation.tolist() == [
         [0, 1, 0],
         [-1, 0, 0],
         [0, 0, 1],
     ]  # x right to x ahead
+
+
+def test_difop_packets_among_the_returns_of_a_robosense_lidar_state_its_angles_and_are_none_that_are_damaged(tmp_path):
+    distances = np.tile(2000 + 200 * np.arange(32), (12, 1))
+    packets = [
+        build.robosense([(k * 240 + 20 * j) % 36000 for j in range(12)], distances, distances % 256, time_us=k * 667)
+        for k in range(300)
+    ]
+    angles = np.linspace(-15, 16, 32).tolist()
+    state = build.robosense_state(angles, [1.0] * 32)
+    among = [*packets[:100], state, *packets[100:200], bytes(1248), *packets[200:], state]
+    scene, warnings = opened(capture(tmp_path / "a.pcap", among, step_ns=667_000))
+    assert (warnings.pop("packets-unusable").count, set(warnings)) == (1, {"extrinsics-unknown"})
+    points = [frame.points for frame in scene.sensors[0].frames]
+    assert sum(map(len, points)) == 300 * 12 * 32
+    sines = points[1].positions[:, 2].max() / (2000 + 200 * 31) / 0.0025
+    assert np.rad2deg(np.arcsin(sines)) == pytest.approx(16, abs=0.01)
+    with pytest.raises(DataError, match="no DIFOP packet of this Helios has its angles"):
+        opened(capture(tmp_path / "c.pcap", packets, step_ns=667_000))
 
 
 def test_captures_without_lidars_and_unknown_models_are_refused_in_one_sentence(tmp_path):

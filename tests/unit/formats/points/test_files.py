@@ -325,6 +325,15 @@ def test_our_readers_read_what_we_write_also_of_no_points_and_of_one(tmp_path, s
     assert [one.columns[axis].tolist() for axis in "xyz"] == [[1.0], [2.0], [3.0]]
 
 
+def test_no_octree_is_made_of_points_whose_write_ended_with_an_error(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr("sceneloom.formats.points.files.write_copc", lambda *paths: made.append(paths))
+    with pytest.raises(DataError), open_cloud_writer(tmp_path / "map.copc.laz") as writer:
+        writer.add(some_points(3))
+        raise DataError("drive", "", "a sweep cannot be read")
+    assert made == list(tmp_path.iterdir()) == []
+
+
 def test_an_unknown_suffix_and_an_output_that_exists_are_refused_and_a_broken_write_leaves_nothing(tmp_path):
     with pytest.raises(DataError), open_cloud_writer(tmp_path / "map.las") as writer:
         writer.add(some_points(3))

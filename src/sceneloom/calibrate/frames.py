@@ -130,7 +130,8 @@ def _by_file_order(azimuths: Float64Array) -> list[Int64Array | None]:
     # a gap may be wider than half a rotation; what seems a small step back is one
     ahead = np.mod(steps if forward else -steps, 2.0 * np.pi)
     ahead[ahead > 2.0 * np.pi - _JITTER] -= 2.0 * np.pi
-    rotated, found = np.concatenate([[0.0], np.cumsum(ahead)]), []
+    rotated = np.concatenate([[0.0], np.cumsum(ahead)])
+    found: list[Int64Array | None] = []
     for cut in (0.0, np.pi, float(azimuths[0])):
         begun = np.mod(azimuths[0] - cut if forward else cut - azimuths[0], 2.0 * np.pi)
         rotations = np.floor((begun + rotated) / (2.0 * np.pi)).astype(np.int64)

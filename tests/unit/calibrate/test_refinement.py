@@ -126,11 +126,13 @@ def test_images_or_clouds_that_show_too_little_are_undetermined_and_say_why(fram
     assert refine(filled).verdict is RefinementVerdict.UNDETERMINED
     up = RigidTransform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3)) @ frames[0].camera_from_lidar
     bare = {"intensities": None, "seconds": None, "scan": None}
+    wider = replace(frames[-1].camera, fx=0.5 * frames[-1].camera.fx)
     point = tuple(replace(frame, points_lidar=frame.points_lidar[:1], **bare) for frame in frames)
     for seen, reason in (
         (stated(frames, up), ""),
         (point, "does it look where the calibration says"),
         (frames[:2], "2 frames; expected"),
+        ((*frames[:-1], replace(frames[-1], camera=wider)), "differs from image to image"),
     ):
         found = refine(seen)
         assert found.verdict is RefinementVerdict.UNDETERMINED

@@ -17,9 +17,6 @@ not one object, and their offsets are anywhere; those that are have the offset t
 leave.
 """
 
-from dataclasses import dataclass
-from enum import StrEnum
-
 import numpy as np
 
 from sceneloom.arrays import BoolArray, Float64Array, Int64Array
@@ -28,7 +25,7 @@ from sceneloom.cameras.projection import unproject
 from sceneloom.colouring.cuboid_projection import CENTRE_TO_CORNER
 from sceneloom.detections.detectors import numbers_of
 from sceneloom.detections.projection import project_outlines
-from sceneloom.detections.results import DetectionPair
+from sceneloom.detections.results import BoxRotation, DetectionPair
 from sceneloom.kernels.box_fusion import boxes_with_area, boxes_with_position
 from sceneloom.warnings import DataWarning, assumed
 
@@ -138,37 +135,6 @@ _LEAST_PX, _BORDER_PX = 25.0, 3.0
 
 _LEAST_DEPTH = 0.3  # cosine of the angle to the optical axis from which on tangents are of use
 _BETTER = 1.2  # so many times more couples must agree about a rotation than about none
-
-
-class BoxFrame(StrEnum):
-    """The frame in which a detector's list states its boxes in space.
-
-    Brought into the lidar's frame and back into the image by one stated transform, boxes show nothing of it: those of
-    `CAMERA` and `WORLD` are the same pixels whatever the extrinsics of the lidar.
-    """
-
-    LIDAR = "lidar"
-    CAMERA = "camera"
-    WORLD = "world"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BoxRotation:
-    """The rotation about which boxes of images and sweeps agree, and how sure that is.
-
-    Attributes:
-        rotation: (3,) rotation vector in the camera's frame; `camera_from_lidar` after this rotation fits best [rad].
-        covariance: (3, 3), of it, by chance alone: what boxes of one detector have in common is not in it [rad²].
-        agreeing: couples of boxes that fit after it.
-        by_chance: couples that fit after the best of many other rotations.
-        images: that show couples which fit.
-    """
-
-    rotation: Float64Array
-    covariance: Float64Array
-    agreeing: int
-    by_chance: int
-    images: int
 
 
 _TOLD_DEG = 1.0  # rotations below may be those of boxes and of motion between sweep and image [°]

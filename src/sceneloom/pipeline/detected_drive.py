@@ -13,8 +13,8 @@ import numpy as np
 from sceneloom.arrays import Float32Array, Float64Array, Int64Array
 from sceneloom.cameras.camera import Camera
 from sceneloom.detections.detectors import detector_names
-from sceneloom.detections.residuals import BoxFrame, BoxResiduals
-from sceneloom.detections.results import DetectionPair
+from sceneloom.detections.residuals import BoxResiduals
+from sceneloom.detections.results import BoxFrame, DetectionPair
 from sceneloom.detections.settings import ProjectionSettings
 from sceneloom.errors import PoseError
 from sceneloom.formats.kitti.labels import CENTRE_TO_CORNER, KittiLabels, observation_angles

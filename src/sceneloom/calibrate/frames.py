@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array
+from sceneloom.arrays import Float32Array, Float64Array, Int64Array, UInt8Array, UInt16Array, check_array, spread_rows
 from sceneloom.cameras.camera import Camera
 from sceneloom.errors import DataError, OptionError, PoseError
 from sceneloom.geometry.rigid import RigidTransform
@@ -261,7 +261,7 @@ def calibration_frames(
         reference=camera.id, cameras=camera.id, depth_cameras=(), lidars=lidar.id, trajectory=drive.ego
     )
     found = []
-    for row in spread_rows(len(camera.images), most):
+    for row in spread_rows(len(camera.images), most).tolist():
         sample = samples[row]
         image, sweep = sample.images[camera.id], sample.sweeps[lidar.id]
         if image is not None and sweep is not None:
@@ -274,12 +274,6 @@ def calibration_frames(
             "expected one at least",
         )
     return tuple(found)
-
-
-def spread_rows(count: int, most: int) -> list[int]:
-    """At most so many numbers of images or sweeps, evenly spread."""
-    rows: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
-    return rows
 
 
 def chosen_camera(scene: Scene, camera_id: Identifier | None) -> CameraSensor:
@@ -418,12 +412,7 @@ class _Drive:
 
 def _pose(source: PoseSource, time_ns: int) -> RigidTransform | None:
     """`world_from_sensor` at a time [ns]; None where the poses do not reach."""
-    if not -(2**63) <= time_ns < 2**63:
-        return None
-    found = source.at(np.array([time_ns], np.int64))
-    if not np.isfinite(found.positions).all():
-        return None
-    return RigidTransform.from_quaternion(found.positions[0], found.quaternions_xyzw[0])
+    return source.pose_at(time_ns) if -(2**63) <= time_ns < 2**63 else None
 
 
 def _twist(source: PoseSource, time_ns: int) -> Float64Array | None:

@@ -27,7 +27,7 @@ from sceneloom.detections.detectors import numbers_of
 from sceneloom.detections.projection import project_outlines
 from sceneloom.detections.results import BoxRotation, DetectionPair
 from sceneloom.kernels.box_fusion import boxes_with_area, boxes_with_position
-from sceneloom.warnings import DataWarning, WarningKind
+from sceneloom.warnings import DataWarning, assumed
 
 _LARGEST_DEG = 5.0  # rotates beyond are not looked for [°]
 _LEAST_AGREEING = 20  # so many couples must agree
@@ -189,7 +189,7 @@ class BoxResiduals:
             f"rotated by ({', '.join(f'{angle:+.1f}' for angle in angles)})° about the camera's axes: "
             f"{agreeing} couples fit then, {now} now"
         )
-        return [DataWarning(kind=WarningKind.ASSUMED, code="calibration-off", location=camera_id, message=message)]
+        return [assumed("calibration-off", camera_id, message)]
 
     def _found(self) -> tuple[Float64Array, Float64Array, Float64Array, BoolArray] | None:
         """All couples, their slopes, the rotation about which most agree, and which do; None where there are few."""

@@ -11,16 +11,7 @@ from typing import Any
 import numpy as np
 
 from sceneloom.editing.move_world import FrameChange, moved_world
-from sceneloom.editing.references import (
-    LINES,
-    WHOLE_LABELS,
-    assumed,
-    skipped,
-    with_ours,
-    with_warnings,
-    without,
-    without_fields,
-)
+from sceneloom.editing.references import LINES, WHOLE_LABELS, with_ours, with_warnings, without, without_fields
 from sceneloom.editing.retime import clock_from_zero
 from sceneloom.errors import OptionError
 from sceneloom.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
@@ -28,14 +19,13 @@ from sceneloom.geometry.rigid import RigidTransform
 from sceneloom.motion.ego_trajectory import usable_positions
 from sceneloom.scene.cameras import CameraSensor
 from sceneloom.scene.clouds import LidarSensor, RadarSensor
-from sceneloom.scene.ego import Posed
 from sceneloom.scene.frames import LazyFrames
 from sceneloom.scene.motion import GnssSensor, ImuSensor, OdometrySensor
 from sceneloom.scene.poses import Poses, Trajectory
-from sceneloom.scene.scene import Scene
+from sceneloom.scene.scene import Posed, Scene
 from sceneloom.scene.time_range import select_rows
 from sceneloom.scene.types import Coordinates
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 DATES = ("keep", "shift")
 """What can become of the time of day."""

@@ -13,7 +13,7 @@ from sceneloom.cameras.camera import MODELS, Camera
 from sceneloom.cameras.fitting import Fit, fit
 from sceneloom.cameras.projection import project_unbounded, unproject
 from sceneloom.cameras.undistortion import Undistortion, undistorted_camera
-from sceneloom.editing.references import assumed, ours_of, skipped, with_ours, with_warnings
+from sceneloom.editing.references import ours_of, with_ours, with_warnings
 from sceneloom.errors import CalibrationError, OptionError
 from sceneloom.scene.annotations import (
     Annotation,
@@ -27,7 +27,7 @@ from sceneloom.scene.cameras import CameraImage, CameraSensor, DepthCameraSensor
 from sceneloom.scene.scene import Scene, check_camera_models
 from sceneloom.scene.time_range import select_rows
 from sceneloom.scene.types import Identifier, Key, key_of
-from sceneloom.warnings import DataWarning
+from sceneloom.warnings import DataWarning, assumed, skipped
 
 
 def _chosen_cameras(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, FloatArray
+from sceneloom.arrays import Float64Array, FloatArray, spread_rows
 from sceneloom.calibrate.extrinsics import MountingEstimate, step_between
 from sceneloom.calibrate.frames import MOST, CalibrationFrame, calibration_frames, chosen_camera, chosen_lidar
 from sceneloom.calibrate.health import MOTION, CalibrationHealth, Item, check_frames, judge_motion
@@ -222,7 +222,7 @@ def _save_images(
     """Draw frames as stated, `points_<number>.png` and `edges_<number>.png`, and `…_best.png` if another is best."""
     from sceneloom.visualization.fused_frames import save_image
 
-    rows = np.unique(np.linspace(0, len(frames) - 1, min(_MOST_DRAWN, len(frames))).astype(int)).tolist()
+    rows = spread_rows(len(frames), _MOST_DRAWN, nearest=False).tolist()
     changes = {"": Change()}
     if any(best.numbers):
         changes["_best"] = best

@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from sceneloom.arrays import Float64Array, Int64Array
+from sceneloom.arrays import Float64Array, Int64Array, spread_rows
 from sceneloom.cameras.camera import Camera
 from sceneloom.colouring.cuboid_projection import FINE, box_extents
 from sceneloom.detections.projection import fuse_by_projection
@@ -527,11 +527,10 @@ def save_tracking_images(
         OutputError: a file cannot be written.
         DataError: a sweep or image cannot be read.
     """
-    rows = np.unique(np.linspace(0, len(moments) - 1, min(count, len(moments))).round().astype(np.int64))
     folder.mkdir(parents=True, exist_ok=True)
     return [
         save_image(image, folder / name, overwrite=True)
-        for row in rows.tolist()
+        for row in spread_rows(len(moments), count).tolist()
         for name, image in _drawn(scene, drive, moments, row)
     ]
 

@@ -67,6 +67,7 @@ def _print_report(report: "ColourReport", outputs: "ColourOutputs", printer: Pri
         [str(camera.camera), f"{camera.in_image_percent:.1f} % of the points in its images"]
         for camera in report.cameras
     )
+    printer.blind(str(camera.camera) for camera in report.cameras if camera.paired and not camera.in_image_percent)
     found, labels = report.exposure, report.labels
     if found is not None and found.seam_before is not None and found.seam_after is not None:
         click.echo(

@@ -62,6 +62,7 @@ def _print_report(report: "DepthReport", images: Path | None, printer: Printer) 
         ]
         for camera in report.cameras
     )
+    printer.blind(str(camera.camera) for camera in report.cameras if camera.images and not camera.filled_percent)
     if images is not None:
         click.echo(f"images: {images}")
     for reason, left_out in report.unfused.items():

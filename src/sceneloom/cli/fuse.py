@@ -129,11 +129,7 @@ def _print_fusion(report: "FusionReport", outputs: "FusionOutputs", printer: Pri
             ]
         )
     print_table(rows)
-    # cameras that see nothing of what the lidars see, as with most wrong extrinsics
-    blind = [str(camera.camera) for camera in report.cameras if camera.paired and not camera.in_image_percent]
-    if blind and not printer.quiet:
-        message = f"no point falls into the images of {', '.join(blind)}; where they look is in `sceneloom info`"
-        click.echo(f"assumed: {message}: is the mounting right?", err=True)
+    printer.blind(str(camera.camera) for camera in report.cameras if camera.paired and not camera.in_image_percent)
     if report.extrapolated:
         sweeps = several(report.extrapolated, "sweep")
         click.echo(f"{sweeps} used poses beyond the trajectory's ends, by at most one sweep period")

@@ -86,6 +86,12 @@ class Printer:
         self.warnings(report.warnings)
         self.losses(getattr(report, "losses", ()))
 
+    def blind(self, cameras: Iterable[str]) -> None:
+        """Print which cameras see nothing of what the lidars see, as with most wrong extrinsics."""
+        if names := ", ".join(cameras):
+            where = "where they look is in `sceneloom info`: is the mounting right?"
+            self.notes([f"assumed: no point falls into the images of {names}; {where}"])
+
     def notes(self, lines: Sequence[str]) -> None:
         """Print lines on standard error; unless `--verbose` is stated, like ones as one, and only the first ones."""
         if self.quiet:

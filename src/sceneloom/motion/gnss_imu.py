@@ -471,6 +471,21 @@ def _check_times(location: str, fixes: GnssFixes, samples: InertialSamples | Non
         )
 
 
+_LEAST_PULL, _LARGEST_PULL = 0.7, 2.0  # what an accelerometer measures for most of a drive, over gravity
+
+
+def _check_gravity(location: str, samples: InertialSamples | None, gravity: float) -> None:
+    """Refuse accelerations in another unit, or without gravity, which the fixes would be bent to."""
+    if samples is None:
+        return
+    measured = float(np.median(np.linalg.norm(samples.values[:, 3:], axis=1)))
+    if not _LEAST_PULL <= measured / gravity <= _LARGEST_PULL:
+        raise PoseError(
+            f"{location}: the IMU's accelerations are {measured:.4g} m/s² long (median); expected about "
+            f"{gravity:.4g}, gravity among them: are they in g (a rig's `accelerometer_unit`), or is gravity taken off?"
+        )
+
+
 _CLOSEST_NS = 20_000_000  # least time between states [ns]: over so short a time a fix is carried without loss
 _LONGEST_NS = 86_400 * 1_000_000_000  # no drive is longer [ns]: a wrong time must not make millions of states
 
@@ -1197,6 +1212,18 @@ def _quiet(samples: InertialSamples, knots_ns: Int64Array, biases: Float64Array)
     return np.asarray(calm & white & (np.abs(rate) < _YAW_RATE).all(axis=1), np.bool_)
 
 
+def _always_stands(fit: _Fit, samples: InertialSamples) -> bool:
+    """Whether nothing that the IMU felt could tell a heading: what drifting fixes seem to tell about it is noise."""
+    measured = np.append(fit.chain.measured, False) & np.insert(fit.chain.measured, 0, False)
+    still = _quiet(samples, fit.chain.knots_ns, fit.states.biases)
+    return bool(still[measured].all() and (np.linalg.norm(fit.states.velocities, axis=1) < _MOVING).all())
+
+
+def _about_up_anyhow(rotations: Float64Array) -> Float64Array:
+    """(N, 3, 3) covariance, about the ego's axes, of a heading that may be any."""
+    return np.asarray(math.pi**2 / 3.0 * rotations[:, 2, :, None] * rotations[:, 2, None, :], np.float64)
+
+
 _EVERY = 1.0  # the vehicle constraint is used this often [s]: its errors are correlated over about so long
 
 _SLIP, _AXIS, _LEVER = 0.1, 0.02, 0.5
@@ -1654,7 +1681,7 @@ def _slow_variances(
     return _resampled(times_ns, fixes.timestamps_ns, variances), factor
 
 
-_SLOW_FACTOR_REPORTED = 1.5
+_SLOW_FACTOR_REPORTED, _SLOW_FACTOR_DOUBTED = 1.5, 3.0  # the latter is beyond what receivers state falsely
 _UNSURE_HEADING = np.radians(15.0)  # standard deviation of the heading from which on it counts as unknown
 
 
@@ -1707,6 +1734,7 @@ def gnss_imu_motion(
     samples = InertialSamples.of_scene(scene)
     gravity = settings.gravity or _normal_gravity(float(fixes.origin_lla[0]), float(fixes.origin_lla[2]))
     _check_times(scene.source, fixes, samples)
+    _check_gravity(scene.source, samples, gravity)
     bias = None
     if samples is not None:
         times, values = samples.timestamps_ns, samples.values
@@ -1720,6 +1748,9 @@ def gnss_imu_motion(
     sigmas = fit.chain.fixes.sigmas
     slow, factor = _slow_variances(fit, fixes, motion.timestamps_ns, settings)
     poses[:, [3, 4, 5], [3, 4, 5]] += slow
+    if samples is not None and _always_stands(fit, samples):
+        poses[:, :3, :3] += _about_up_anyhow(motion.rotations)
+        own[:, :3, :3] += _about_up_anyhow(fit.states.rotations)
     rotations = None if samples is None and lidar is None else quaternion_from_matrix(motion.rotations)
     trajectory = Trajectory(NAME, motion.timestamps_ns, motion.positions, rotations, covariances=poses)
     used = fit.weights > 0.5
@@ -1768,6 +1799,11 @@ def _notes(
     )
     if factor > _SLOW_FACTOR_REPORTED:
         message += f"; by their drift their errors are {factor:.1f} times the stated accuracy"
+    if samples is not None and factor > _SLOW_FACTOR_DOUBTED:
+        message += (
+            ", unless the IMU contradicts them: compare their clocks (`sceneloom sync`), the IMU's units and axes, and "
+            "the fixes' latitudes and longitudes"
+        )
     yield assumed("gnss-slow-errors", location, message)
     if samples is not None and len(samples.gaps_ns):
         message = "the IMU has gaps; in them the motion was interpolated"

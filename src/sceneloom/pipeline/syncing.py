@@ -111,7 +111,8 @@ def sync(
         writing: further options of the output's format.
 
     Raises:
-        OptionError: there is no such stream, `reach_ns` or `tolerance_ns` is not above 0, or `lever_sigma` below.
+        OptionError: there is no such stream, `reach_ns` or `tolerance_ns` is not above 0, `lever_sigma` below, or there
+            are options of writing without an output.
         OutputError: the output exists, or cannot be written.
     """
     begun = time.perf_counter()
@@ -123,6 +124,8 @@ def sync(
         raise OptionError(f"an antenna {lever_sigma:g} m off; expected 0 or more")
     if output is not None:
         check_scene_output(Path(output), overwrite=overwrite)
+    elif writing:
+        raise OptionError(f"{', '.join(writing)}: no option of `sync` without an output")
     scene = scene.corrected()
     found = {stream.name: stream for stream in streams_of(scene)}
     chosen = _chosen(scene, found, reference, streams)

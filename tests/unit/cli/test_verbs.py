@@ -259,7 +259,7 @@ def test_sensors_are_known_by_where_they_look_and_how_they_are_rotated():
     assert mounting_text(LidarSensor("l", LazyFrames.of([], []))) is None
 
 
-def test_fuse_notes_a_camera_that_sees_no_point(call, recording, tmp_path):
+def test_fuse_depth_and_colour_note_a_camera_that_sees_no_point(call, recording, tmp_path):
     drive = shutil.copytree(recording, tmp_path / "drive")
     calibration = json.loads((drive / "calibration.json").read_text())
     matrix = calibration["cameras"][0]["imuToCamera"]
@@ -267,8 +267,9 @@ def test_fuse_notes_a_camera_that_sees_no_point(call, recording, tmp_path):
     (drive / "calibration.json").write_text(json.dumps(calibration))
     assert "looks ahead" in call("info", recording).out
     assert "looks up" in call("info", drive).out
-    outcome = call("fuse", drive, "-o", tmp_path / "a.sfs")
-    assert "no point falls into the images of camera0" in outcome.err
+    for verb, output in (("fuse", "a.sfs"), ("depth", "depth"), ("colour", "a.ply")):
+        outcome = call(verb, drive, "-o", tmp_path / output)
+        assert "no point falls into the images of camera0" in outcome.err
     assert "no point falls" not in call("fuse", recording, "-o", tmp_path / "b.sfs").err
 
 

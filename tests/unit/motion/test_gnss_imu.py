@@ -470,6 +470,33 @@ def test_fixes_without_noise_of_a_stationary_ego_are_followed_within_what_they_d
     assert rms((np.stack(columns, axis=1) - drifting[:71])[:, :2]) < 2e-4
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_a_receiver_that_drifts_tells_no_heading_of_an_ego_that_always_stands(seed):
+    rng, times = np.random.default_rng(seed), np.arange(10_000, dtype=np.int64) * (SECOND // 100)
+    rates = 0.002 * rng.standard_normal((len(times), 3))
+    forces = 0.02 * rng.standard_normal((len(times), 3)) + [0.02, -0.03, GRAVITY]
+    imu = ImuSensor("imu", {"gyroscope": VectorSamples(times, rates), "accelerometer": VectorSamples(times, forces)})
+    drifting = 0.06 * np.cumsum(rng.standard_normal((500, 3)), axis=0) + 0.3 * rng.standard_normal((500, 3))
+    stated = np.ones(500)
+    gnss = GnssSensor("gnss", times[::20], geodetic_from_enu(drifting, ORIGIN), stated, stated)
+    run = gnss_imu.gnss_imu_motion(Scene((imu, gnss), source="made up"))
+    assert "heading-unknown" in [warning.code for warning in run.warnings]
+    # any heading: the standard deviation of what is uniform over the circle is 104 degrees
+    assert np.degrees(np.sqrt(run.trajectory.covariances[:, 2, 2].min())) > 100.0
+    assert np.degrees(np.sqrt(run.covariances[:, 2, 2].min())) > 100.0
+
+
+def test_accelerations_in_g_are_refused_and_fixes_that_the_imu_contradicts_are_doubted(town):
+    sensor = town.imu.streams["accelerometer"]
+    in_g = {**town.imu.streams, "accelerometer": VectorSamples(sensor.timestamps_ns, sensor.values / GRAVITY)}
+    with pytest.raises(PoseError, match=r"accelerations are 1\.\d+ m/s² long .* `accelerometer_unit`"):
+        town.run(imu=ImuSensor("imu", in_g))
+    late = replace(town.gnss, timestamps_ns=town.gnss.timestamps_ns + 18 * SECOND)
+    for gnss, doubted in ((late, True), (town.gnss, False)):
+        (message,) = (one.message for one in town.run(gnss=gnss).warnings if one.code == "gnss-slow-errors")
+        assert ("unless the IMU contradicts them" in message) is doubted
+
+
 def test_repeated_fixes_of_a_receiver_that_stands_are_measurements_and_those_of_a_slow_one_are_none():
     times = np.arange(40, dtype=np.int64) * SECOND
     # ten seconds of braking from 10 m/s, twenty of standing, ten of accelerating

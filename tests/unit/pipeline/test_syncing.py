@@ -88,6 +88,8 @@ def test_what_is_not_surely_off_is_not_corrected(wrong, tmp_path):
     assert (report.off, report.applied, report.tolerance_ns) == ((), (), 30_000_000)
     with pytest.raises(OptionError, match="tolerance"):
         sync(wrong, tolerance_ns=0)
+    with pytest.raises(OptionError, match="reach: no option"):
+        sync(wrong, reach=30.0)
 
 
 def test_absent_streams_and_an_output_that_exists_are_refused_and_a_drive_without_streams_not(wrong, tmp_path):

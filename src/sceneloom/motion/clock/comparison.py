@@ -1046,6 +1046,8 @@ _LAG = 0.2  # step of the search [s]; from so near the fit converges where the n
 _FINE_LAG = 0.05  # the same where it is correlated: whitened motion is that of the accelerations
 _MOST_SEARCHED = 3000  # largest number of fixes in the search and for the biases of an IMU; the last fit uses all
 
+_MOVED = 12.0  # windows of a trajectory move with the searched offset in such steps [s]
+
 _LEAST_SHARE = 0.01
 """Least share of the speed that must determine the offset, lest errors of the trajectory do; on synthetic streets it
 is a tenth to a half."""
@@ -1128,7 +1130,7 @@ def compare_trajectories(
     likely = {round(near.parameters[0], 3): near for near in found if best.evidence_against(near) < _LEAST_LIKELY}
     refined = [_refined(part, near, fixes, location, priors) for near in likely.values()]
     ranked = sorted((one for one in refined if one is not None), key=lambda one: one[1].level)
-    if ranked and (doubt := ranked[0][0].doubt(ranked[0][1])):
+    if ranked and (doubt := ranked[0][0].doubt(ranked[0][1], reach)):
         return ClockEstimate.unknown(doubt)
     clocks = _Clocks(origin_ns, fixes_are_reference, tolerance_ns)
     return clocks.choose([model.candidate(fitted, common) for model, fitted in ranked])
@@ -1224,9 +1226,11 @@ class _TrajectoryModel:
 
     def _samples(self, shifts: Float64Array) -> TrajectorySamples:
         edges = np.searchsorted(self.windows, np.arange(len(self.bounds) + 1))
+        # a dead reckoning is known around its window: where times move farther, the windows move with them
+        moved = _MOVED * np.round(shifts[edges[:-1]] / _MOVED)
         parts = [
-            self.trajectory.at(self.bounds[k], (self.times + shifts)[edges[k] : edges[k + 1]])
-            for k in range(len(self.bounds))
+            self.trajectory.at((begin + by, end + by), (self.times + shifts)[first:last])
+            for (begin, end), by, first, last in zip(self.bounds, moved.tolist(), edges, edges[1:], strict=False)
         ]
         return TrajectorySamples(
             np.concatenate([_centred(part.locations) for part in parts]),
@@ -1260,13 +1264,13 @@ class _TrajectoryModel:
             _split(self.locations), _split(slopes), _split(nuisances), known, self.windows, nuisance_sigmas=sigmas
         )
 
-    def doubt(self, found: _Fit) -> str:
+    def doubt(self, found: _Fit, reach: float) -> str:
         """Why the fit is not of a motion in common that determines the offset; "" where it is."""
         if self.speed_share(found) < _LEAST_SHARE:
             return "the motion is too even to tell an offset from another position and heading"
         scale = float(np.median(np.hypot(*found.amounts[:, -2:].T)))
         if not 1 / _MOST_SCALE <= scale <= _MOST_SCALE:
-            return f"the motions differ in size by more than a factor of {_MOST_SCALE}"
+            return f"by offsets up to {reach:.1f} s the motions differ in size by more than a factor of {_MOST_SCALE}"
         return ""
 
     def speed_share(self, found: _Fit) -> float:

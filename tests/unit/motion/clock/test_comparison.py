@@ -265,6 +265,11 @@ def test_an_offset_of_fixes_against_an_imu_comes_back(scene, offset_ns):
     assert found.offset_sigma_ns < 1.2e7
 
 
+def test_offsets_beyond_what_a_dead_reckoning_spans_are_found_too(scene):
+    _, found = compared(shifted(scene, 1.3e10), "imu", lever_sigma=0.0, reach_ns=30_000_000_000)
+    assert abs(found.offset_ns - 1.3e10) < 4 * found.offset_sigma_ns
+
+
 @pytest.fixture(scope="module")
 def coarse(scene):
     """The drive with fixes of 0.4 m."""
